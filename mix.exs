@@ -22,7 +22,7 @@ defmodule Situ.Umbrella.MixProject do
       situ: [
         include_executables_for: [:unix],
         # No cookie that other users of the machine can read.
-        steps: [:assemble, &Situ.Build.Release.close/1],
+        steps: [:assemble, &Situ.Build.Release.remove_cookie/1],
         applications: [
           situ_types: :permanent,
           situ: :permanent,

@@ -1,17 +1,19 @@
-# The benchmark runner: `bin/bench TEST [REPS] [SCALE]`. Contract: bench/README.md.
+# The benchmark runner: `bin/bench TEST [REPS] [SCALE]`. bench/README.md describes its output.
 defmodule Situ.Bench do
   @moduledoc """
   Runs one benchmark and prints `name,value,unit` lines on standard output.
 
-  A benchmark is a module in `bench/tests/` with `tests/0 :: [{name, fun}]`; `fun.(scale)` does one repetition and
-  answers `[{metric, value, unit}]`, or raises when its own counts and sums are wrong.
+  A benchmark is a module in `bench/tests/` with `tests/0 :: [{name, fun}]`. `fun.(scale)` runs
+  one repetition and returns `[{metric, value, unit}]`. It raises if its own counts or sums are
+  wrong.
   """
 
   @quick ~w(empty chain-1-unlimited chain-10-unlimited join-exact-unlimited zip-unlimited storeint-unlimited seek)
 
   @doc """
-  Runs `fun`, which handles `n` messages; answers its rate by the wall clock as `metric` and the whole VM's CPU
-  time per message (user and system, in microseconds) as `metric_cpu`. `fun` may return extra metrics.
+  Runs `fun`, which handles `n` messages. Returns its rate by the wall clock as `metric`, and the
+  CPU time of the VM per message (user and system, in microseconds) as `metric_cpu`. `fun` may
+  return extra metrics.
   """
   def measure(metric, n, unit \\ "msg/s", fun) do
     :erlang.garbage_collect()
@@ -26,19 +28,22 @@ defmodule Situ.Bench do
   end
 
   @doc """
-  User and system CPU time of this VM so far, in microseconds, from the kernel's own account.
+  Returns the user and system CPU time of this VM so far in microseconds, as counted by the
+  kernel.
 
-  `:erlang.statistics(:runtime)` is user time alone (OTP 25): writes, page faults and wake-ups are missing there.
+  `:erlang.statistics(:runtime)` counts user time only (OTP 25), without writes, page faults and
+  wake-ups.
   """
   def cpu_us do
-    # Nanoseconds of each thread. A kernel without schedstat counts ticks of 10 ms for the whole process.
+    # Nanoseconds of each thread. A kernel without schedstat counts ticks of 10 ms for the entire
+    # process.
     case Path.wildcard("/proc/self/task/*/schedstat") do
       [] -> ticks_us(File.read!("/proc/self/stat"))
       files -> files |> Enum.map(&thread_ns/1) |> Enum.sum() |> div(1_000)
     end
   end
 
-  # A thread may end between the listing and the reading.
+  # A thread may end after it was listed.
   defp thread_ns(file) do
     with {:ok, text} <- File.read(file),
          {ns, _} <- Integer.parse(text) do
@@ -48,7 +53,7 @@ defmodule Situ.Bench do
     end
   end
 
-  # Fields 14 (user) and 15 (system), counted after the command's closing parenthesis.
+  # Fields 14 (user) and 15 (system), counted after the closing parenthesis of the command.
   defp ticks_us(stat) do
     fields = stat |> String.split(") ") |> List.last() |> String.split()
 
@@ -59,12 +64,12 @@ defmodule Situ.Bench do
     |> Kernel.*(10_000)
   end
 
-  @doc "The VM's peak resident memory, MiB."
+  @doc "Returns the VM's peak resident memory in MiB."
   def peak_rss_mib, do: status_mib("VmHWM")
-  @doc "The VM's resident memory now, MiB."
+  @doc "Returns the VM's current resident memory in MiB."
   def rss_mib, do: status_mib("VmRSS")
 
-  @doc "A new folder for what a benchmark writes, below `SITU_BENCH_DIR` where that is set."
+  @doc "Creates a folder for files of a benchmark, below `SITU_BENCH_DIR` if that is set."
   def folder! do
     root = System.get_env("SITU_BENCH_DIR") || System.tmp_dir!()
     path = Path.join(root, "situ-bench-#{System.pid()}-#{System.unique_integer([:positive])}")
@@ -72,7 +77,7 @@ defmodule Situ.Bench do
     path
   end
 
-  @doc "A port of this machine that nobody listens on."
+  @doc "Returns a free port of this machine."
   def free_port do
     {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(socket)
@@ -81,8 +86,9 @@ defmodule Situ.Bench do
   end
 
   @doc """
-  Runs a script of `bench/python` with the packages of test/bridge, where that has run (or with `SITU_BENCH_PYTHON`, or
-  the `:python` given): the numbers that it prints, or `:error`, said on standard error.
+  Runs a script of `bench/python` and returns the numbers that it prints. Uses the given
+  `:python`, the one in `SITU_BENCH_PYTHON`, or the packages that test/bridge has installed.
+  Reports on standard error and returns `:error` if it fails.
   """
   def python(script, args, opts \\ []) do
     own = Path.expand("../_build/bridge-venv/bin/python", __DIR__)
@@ -130,7 +136,7 @@ defmodule Situ.Bench do
   defp select(name), do: if(name in names(), do: [name], else: [])
 
   defp hint(name) do
-    case Situ.Options.nearest(name, names()) do
+    case Situ.Options.nearest_name(name, names()) do
       nil -> ""
       near -> "; did you mean #{near}?"
     end
@@ -160,8 +166,8 @@ defmodule Situ.Bench do
     end
   end
 
-  # Every test gets a fresh VM, so that one test's garbage and warm caches do not affect another. Returns whether the
-  # test succeeded.
+  # Every test runs in a new VM, so that garbage and warm caches of one test do not affect
+  # another. Returns whether the test succeeded.
   defp spawn_vm(name, reps, scale) do
     script = System.get_env("SITU_BENCH") || "bin/bench"
     args = [name, "#{reps}", "#{scale}"]
@@ -179,7 +185,7 @@ defmodule Situ.Bench do
   defp run(name, reps, scale) do
     {^name, fun} = List.keyfind(tests(), name, 0)
     IO.puts(:stderr, "#{name}: #{reps} repetitions at scale #{scale}")
-    # Warm-up: code is loaded and compiled paths are hot; a tenth of the work is enough.
+    # The warm-up loads code and makes compiled paths hot. A tenth of the work is enough.
     fun.(scale / 10)
 
     1..reps

@@ -1,8 +1,9 @@
-# A model of many sites with many streams that send to one hub: where it breaks first, and how far that can be moved.
-# `elixir bench/scaling.exs`; the tables that it prints are in docs/scaling.md. Its parameters are measured ones
-# (`bin/bench`), named beside each; change them to those of your machines.
+# Models many sites with many streams that send to one hub: where the bottleneck is, and how far
+# it can be moved. `elixir bench/scaling.exs` prints the tables in docs/scaling.md. The parameters
+# were measured with the named benchmarks (`bin/bench`). Replace them by those of your machines.
 defmodule Scaling do
-  # One site: 50 streams. Rates in messages a second, sizes in bytes (a compressed picture, 20 ms of sound, a reading).
+  # One site: 50 streams. Rates in messages per second, sizes in bytes (a compressed image, 20 ms
+  # of audio, a reading).
   @streams [
     %{name: "readings", count: 40, rate: 100, size: 60},
     %{name: "sound", count: 6, rate: 50, size: 640},
@@ -12,15 +13,17 @@ defmodule Scaling do
   @chunk_bytes 64 * 1024
   @chunk_s 0.02
 
-  # Measured on two shared cores; a hub with more has a multiple of it.
+  # Measured on two shared cores. A hub with more cores has a multiple of it.
   @measured %{
-    # log-nats: one server, one replica, acknowledged: chunks a second of one writer, and bytes a second.
+    # log-nats: one server, one replica, acknowledged. Chunks per second of one writer, and bytes
+    # per second.
     append_s: 1 / 920,
     disk_bytes: 149.0e6,
-    # log-nats: CPU time of nats-server for one chunk, and for one byte of it.
+    # log-nats: CPU time of nats-server per chunk, and per byte.
     chunk_cpu_s: 30.0e-6,
     byte_cpu_s: 0.9e-9,
-    # link-tcp: CPU of both sides for one message, half of it the hub's; memory of link-10000-streams, bytes a stream.
+    # link-tcp: CPU time of both sides per message, half of it on the hub. Memory of
+    # link-10000-streams, bytes per stream.
     link_message_cpu_s: 0.38e-6,
     stream_memory: 4_600,
     connection_memory: 120_000
@@ -62,7 +65,7 @@ defmodule Scaling do
     end
   end
 
-  @doc "How much of each resource is used, 1 being all of it."
+  @doc "Returns the utilization of each resource, 1 being full."
   def uses(sites, chunk_s) do
     per_site = site(chunk_s)
     chunks = per_site.chunks * sites
@@ -74,7 +77,7 @@ defmodule Scaling do
       bytes: bytes,
       parts: [
         {"uplink of a site", per_site.bytes / @uplink.bytes},
-        # One chunk of a stream is under way at a time: its round trip bounds them.
+        # One chunk of a stream is in flight at a time, so the round trip limits their number.
         {"round trip", per_site.most_chunks * (@uplink.rtt_s + m.append_s)},
         {"hub network", bytes / @hub.network_bytes},
         {"hub disk", bytes / @hub.disk_bytes},
@@ -89,7 +92,7 @@ defmodule Scaling do
     each =
       for s <- @streams do
         bytes = s.rate * (s.size + 28)
-        # A chunk is full or old, and there is none without a message.
+        # A chunk is sent when it is full or old, and contains at least one message.
         chunks = min(s.rate, max(1 / chunk_s, bytes / @chunk_bytes))
 
         %{
@@ -108,7 +111,8 @@ defmodule Scaling do
     }
   end
 
-  # Second by second: every site keeps what it could not send in its own store, and the hub takes what it can.
+  # In each second, every site keeps messages that it could not send in its own store, and the hub
+  # receives the others.
   defp outage(sites, chunk_s, outage_s) do
     one = site(chunk_s)
     fresh = one.bytes * sites
@@ -138,7 +142,7 @@ defmodule Scaling do
   defp drain(seconds, waiting, fresh, hub, peak),
     do: drain(seconds + 1, waiting + fresh - hub, fresh, hub, max(peak, waiting))
 
-  # When it catches up chunks are full.
+  # Chunks are full while a site catches up.
   defp hub_bytes(_one) do
     by_cpu = @hub.cores / (@measured.chunk_cpu_s / @chunk_bytes + @measured.byte_cpu_s)
     Enum.min([@hub.disk_bytes, @hub.network_bytes, by_cpu])

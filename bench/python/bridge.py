@@ -1,4 +1,7 @@
-"""The other systems' own libraries for bin/bench bridge-*-python: WHAT N prints the rate and CPU time a message, us."""
+"""Measures the other systems' own libraries, for bin/bench bridge-*-python.
+
+bridge.py BENCHMARK N prints the rate and the CPU time per message in us.
+"""
 import io
 import json
 import resource
@@ -7,47 +10,48 @@ import tempfile
 import time
 
 
-def cpu():
+def cpu_time():
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_utime + usage.ru_stime
 
 
-def timed(n, fun):
-    before, began = cpu(), time.monotonic()
+def measure_rate(n, fun):
+    """Runs `fun`, which handles `n` messages, and prints their rate and CPU time."""
+    before, began = cpu_time(), time.monotonic()
     fun()
-    print(n / (time.monotonic() - began), (cpu() - before) / n * 1e6)
+    print(n / (time.monotonic() - began), (cpu_time() - before) / n * 1e6)
 
 
-def message_pack(n):
+def bench_message_pack(n):
     import msgpack
 
-    def run():
+    def round_trip():
         for i in range(n):
-            there = msgpack.packb({"message": {"n": i, "x": i / 3}, "originatingTime": 621355968000000000 + i})
-            assert msgpack.unpackb(there)["message"]["n"] == i
+            encoded = msgpack.packb({"message": {"n": i, "x": i / 3}, "originatingTime": 621355968000000000 + i})
+            assert msgpack.unpackb(encoded)["message"]["n"] == i
 
-    timed(n, run)
+    measure_rate(n, round_trip)
 
 
-def protobuf(n):
+def bench_protobuf(n):
     from foxglove_schemas_protobuf.Log_pb2 import Log
 
-    def run():
+    def round_trip():
         for i in range(n):
             stamp = {"seconds": i // 1_000, "nanos": i % 1_000}
-            there = Log(timestamp=stamp, level=2, message="a message", name="bench", line=i).SerializeToString()
-            assert Log.FromString(there).line == i
+            encoded = Log(timestamp=stamp, level=2, message="a message", name="bench", line=i).SerializeToString()
+            assert Log.FromString(encoded).line == i
 
-    timed(n, run)
+    measure_rate(n, round_trip)
 
 
-def mcap(n):
+def bench_mcap(n):
     from mcap.reader import make_reader
     from mcap.writer import Writer
 
     file = io.BytesIO()
 
-    def run():
+    def round_trip():
         writer = Writer(file)
         writer.start()
         schema = writer.register_schema("S", "jsonschema", b'{"type":"object"}')
@@ -60,20 +64,26 @@ def mcap(n):
         found = sum(json.loads(message.data)["n"] for _, _, message in make_reader(file).iter_messages())
         assert found == n * (n - 1) // 2
 
-    timed(n, run)
+    measure_rate(n, round_trip)
 
 
-def parquet(n):
+def bench_parquet(n):
     import polars
 
     with tempfile.NamedTemporaryFile(suffix=".parquet") as file:
 
-        def run():
+        def round_trip():
             rows = polars.DataFrame({"originating_time": range(1, n + 1), "value": range(1, n + 1)})
             rows.write_parquet(file.name, compression="uncompressed")
             assert polars.read_parquet(file.name)["value"].to_list()[-1] == n
 
-        timed(n, run)
+        measure_rate(n, round_trip)
 
 
-globals()[sys.argv[1]](int(sys.argv[2]))
+BENCHMARKS = {
+    "message_pack": bench_message_pack,
+    "protobuf": bench_protobuf,
+    "mcap": bench_mcap,
+    "parquet": bench_parquet,
+}
+BENCHMARKS[sys.argv[1]](int(sys.argv[2]))

@@ -1,12 +1,12 @@
-"""The jobs of bench/tests/kernels.exs in Python: OpenCV, SciPy, soxr, one thread. Same names, same output.
+"""Runs the jobs of bench/tests/kernels.exs with OpenCV, SciPy and soxr on one thread. Names and output are the same.
 
     pip install numpy 'opencv-python-headless<5' scipy soxr open3d-cpu
     python bench/python/kernels.py [REPS]
     python bench/python/kernels.py serve
 
-The value of `_cpu` is the median over REPS (default 5) of process CPU time an operation, microseconds. `serve` is for
-bench/tests/kernels_beside.exs: it prints the names of the jobs, then for each `NAME CALLS` on standard input the
-microseconds each call took.
+The value of `_cpu` is the median over REPS (default 5) of the process CPU time per operation in microseconds. `serve`
+is for bench/tests/kernels_beside.exs: it prints the names of the jobs, and then, for each `NAME CALLS` on standard
+input, the microseconds of each call.
 """
 import json
 import os
@@ -14,7 +14,7 @@ import statistics
 import sys
 import time
 
-# Open3D takes every core unless it is told before it is loaded.
+# Open3D uses every core unless this is set before it is loaded.
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import cv2
@@ -23,38 +23,41 @@ import numpy as np
 cv2.setNumThreads(1)
 
 
-def picture(width, height):
+def make_image(width, height):
     y, x = np.mgrid[0:height, 0:width].astype(np.int64)
     noise = (x * 7919 + y * 104729 + x * y) % 31
     return np.stack([(x // 5 + noise) % 256, (y // 4 + noise) % 256, ((x + y) // 9) % 256], -1).astype(np.uint8)
 
 
-def space():
-    """Clouds: NumPy alone, as people write it, with the rays of the pixels made before, as Situ's table of rays is; and
-    Open3D, whose points are 64-bit floats."""
+def space_jobs():
+    """Yields point cloud jobs with NumPy and with Open3D.
+
+    The NumPy code is the usual one, with the rays of the pixels computed in advance, like Situ's table of rays. Open3D's
+    points are 64-bit floats.
+    """
     y, x = np.mgrid[0:480, 0:640]
     depth = (800 + (x * 7 + y * 13) % 2000).astype(np.uint16)
     right, down = ((x - 319.5) / 525).astype(np.float32), ((y - 239.5) / 525).astype(np.float32)
 
-    def cloud():
+    def depth_to_points():
         z = depth.astype(np.float32) * np.float32(0.001)
         points = np.stack([z, -right * z, -down * z], -1).reshape(-1, 3)
         return points[points[:, 0] > 0]
 
-    points = cloud()
+    points = depth_to_points()
 
-    def voxels(size=0.05):
+    def downsample_voxels(size=0.05):
         keys = np.floor(points / size).astype(np.int64) + (1 << 20)
         _, where = np.unique((keys[:, 0] << 42) | (keys[:, 1] << 21) | keys[:, 2], return_inverse=True)
         n = np.bincount(where)
         return np.stack([np.bincount(where, points[:, k]) / n for k in range(3)], -1)
 
-    yield "cloud_from_depth_numpy", 60, cloud
-    yield "voxel_downsample_numpy", 20, voxels
+    yield "cloud_from_depth_numpy", 60, depth_to_points
+    yield "voxel_downsample_numpy", 20, downsample_voxels
     million = np.zeros((1_000_000, 3), np.float32)
     head = json.dumps({"items": [{"kind": "points", "count": len(million), "at": {"position": [0, million.nbytes]}}]})
     yield "3d_upload_1M_numpy", 10, lambda: b"".join([head.encode(), million.tobytes()])
-    yield from transforms()
+    yield from transform_jobs()
     try:
         import open3d
 
@@ -68,9 +71,11 @@ def space():
         print("Open3D is not installed", file=sys.stderr)
 
 
-def transforms():
-    """A hand on an arm that moves, on a body that moves, 1,000 times, each between two poses: SciPy one by one, as a
-    message needs it, and all 1,000 at once, as a program that has them all may."""
+def transform_jobs():
+    """Yields transform jobs with SciPy: a hand on a moving arm on a moving body, at 1,000 times between two poses.
+
+    One job looks up single times, as a stream of messages requires, and the other one all times together.
+    """
     try:
         from scipy.spatial.transform import Rotation, Slerp
     except ImportError:
@@ -81,30 +86,31 @@ def transforms():
     hand = np.array([0.3, 0.0, 0.0])
     asked = 5_000_000 + np.arange(1000) * 990_000
 
-    def lookup(time):
+    def lookup_pose(time):
         arm = turns(time)
         i = int(time // 10_000_000)
         body = way[i] + (way[i + 1] - way[i]) * ((time - at[i]) / 10_000_000)
         return arm.as_matrix(), arm.apply(hand) + [0.0, 0.0, 1.0] + body
 
-    def each():
-        return [lookup(time) for time in asked]
+    def lookup_each():
+        return [lookup_pose(time) for time in asked]
 
-    def together():
+    def lookup_all():
         arm = turns(asked)
         body = np.stack([np.interp(asked, at, way[:, k]) for k in range(3)], -1)
         return arm.as_matrix(), arm.apply(hand) + [0.0, 0.0, 1.0] + body
 
-    yield "transform_lookup_x1000_scipy", 5, each
-    yield "transform_lookup_x1000_scipy_together", 20, together
+    yield "transform_lookup_x1000_scipy", 5, lookup_each
+    yield "transform_lookup_x1000_scipy_together", 20, lookup_all
 
 
-def jobs():
-    hd1080, hd720 = picture(1920, 1080), picture(1280, 720)
+def all_jobs():
+    """Yields the name of each job, the number of calls per repetition, and a function that runs it once."""
+    hd1080, hd720 = make_image(1920, 1080), make_image(1280, 720)
     gray = cv2.cvtColor(hd1080, cv2.COLOR_BGR2GRAY)
     jpeg = cv2.imencode(".jpg", hd720, [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
     i = np.arange(480000)
-    sound = (0.5 * np.sin(i * i / 1e6)).astype(np.float32)
+    audio = (0.5 * np.sin(i * i / 1e6)).astype(np.float32)
     yield "resize_1080p_640x360_opencv", 60, lambda: cv2.resize(hd1080, (640, 360))
     yield "resize_1080p_854x480_opencv", 60, lambda: cv2.resize(hd1080, (854, 480))
     yield "bgr_to_gray_1080p_opencv", 60, lambda: cv2.cvtColor(hd1080, cv2.COLOR_BGR2GRAY)
@@ -112,23 +118,24 @@ def jobs():
     yield "jpeg_decode_720p_opencv", 30, lambda: cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
     yield "gaussian_5x5_gray_1080p_opencv", 40, lambda: cv2.GaussianBlur(gray, (5, 5), 1.1)
     yield "canny_gray_1080p_opencv", 15, lambda: cv2.Canny(gray, 60, 120)
-    yield from space()
+    yield from space_jobs()
     try:
         import soxr
 
-        yield "resample_10s_48k_16k_soxr", 30, lambda: soxr.resample(sound, 48000, 16000, quality="HQ")
+        yield "resample_10s_48k_16k_soxr", 30, lambda: soxr.resample(audio, 48000, 16000, quality="HQ")
     except ImportError:
         print("soxr is not installed", file=sys.stderr)
     try:
         import scipy.signal
 
-        yield "resample_10s_48k_16k_scipy", 10, lambda: scipy.signal.resample_poly(sound, 1, 3)
+        yield "resample_10s_48k_16k_scipy", 10, lambda: scipy.signal.resample_poly(audio, 1, 3)
     except ImportError:
         print("scipy is not installed", file=sys.stderr)
 
 
-def main(reps):
-    for name, n, job in jobs():
+def run_all(reps):
+    """Prints the rate and the CPU time of every job."""
+    for name, n, job in all_jobs():
         job()
         wall, cpu = [], []
         for _ in range(reps):
@@ -142,8 +149,9 @@ def main(reps):
         print(f"kernel_{name}_cpu.min,{min(cpu):.6g},us/op")
 
 
-def serve():
-    table = {name: job for name, _, job in jobs()}
+def serve_calls():
+    """Runs jobs on request from standard input."""
+    table = {name: job for name, _, job in all_jobs()}
     print(" ".join(table), flush=True)
     for line in sys.stdin:
         name, calls = line.split()
@@ -158,6 +166,6 @@ def serve():
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["serve"]:
-        serve()
+        serve_calls()
     else:
-        main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
+        run_all(int(sys.argv[1]) if len(sys.argv) > 1 else 5)

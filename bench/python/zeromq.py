@@ -1,5 +1,8 @@
-"""N messages by pyzmq from one process to another, as JSON with a time: the rate, and CPU time a message of both, us;
-with "latency", at 1,000 a second: how long they are on their way, p50 and p99, us."""
+"""Sends N messages with pyzmq from one process to another, as JSON with a time.
+
+Prints the rate, and the CPU time of both processes per message in us. With "latency", sends 1,000 messages per second
+and prints their latency, p50 and p99, in us.
+"""
 import json
 import multiprocessing
 import resource
@@ -9,7 +12,7 @@ import time
 import zmq
 
 
-def publish(port, n):
+def publish_all(port, n):
     socket = zmq.Context.instance().socket(zmq.XPUB)
     socket.setsockopt(zmq.SNDHWM, 0)
     port.send(socket.bind_to_random_port("tcp://127.0.0.1"))
@@ -21,12 +24,12 @@ def publish(port, n):
     socket.close(linger=60_000)
 
 
-def cpu(who):
+def cpu_time(who):
     usage = resource.getrusage(who)
     return usage.ru_utime + usage.ru_stime
 
 
-def metronome(port, n):
+def publish_timed(port, n):
     socket = zmq.Context.instance().socket(zmq.XPUB)
     port.send(socket.bind_to_random_port("tcp://127.0.0.1"))
     socket.recv()
@@ -38,16 +41,16 @@ def metronome(port, n):
     socket.close(linger=60_000)
 
 
-def latency(n):
-    ours, theirs = multiprocessing.Pipe()
-    publisher = multiprocessing.Process(target=metronome, args=(theirs, n))
+def measure_latency(n):
+    parent_end, child_end = multiprocessing.Pipe()
+    publisher = multiprocessing.Process(target=publish_timed, args=(child_end, n))
     publisher.start()
     socket = zmq.Context.instance().socket(zmq.SUB)
-    socket.connect(f"tcp://127.0.0.1:{ours.recv()}")
+    socket.connect(f"tcp://127.0.0.1:{parent_end.recv()}")
     socket.setsockopt(zmq.SUBSCRIBE, b"b")
     times = []
     for _ in range(n):
-        assert socket.poll(60_000), "nothing more came"
+        assert socket.poll(60_000), "no more messages arrived"
         times.append((time.monotonic_ns() - json.loads(socket.recv_multipart()[1])["message"]) / 1_000)
     publisher.join()
     times = sorted(times[n // 10 :])
@@ -57,22 +60,22 @@ def latency(n):
 if __name__ == "__main__":
     n = int(sys.argv[1])
     if sys.argv[2:] == ["latency"]:
-        latency(n)
+        measure_latency(n)
         sys.exit()
-    ours, theirs = multiprocessing.Pipe()
-    before = cpu(resource.RUSAGE_SELF)
-    publisher = multiprocessing.Process(target=publish, args=(theirs, n))
+    parent_end, child_end = multiprocessing.Pipe()
+    before = cpu_time(resource.RUSAGE_SELF)
+    publisher = multiprocessing.Process(target=publish_all, args=(child_end, n))
     publisher.start()
     socket = zmq.Context.instance().socket(zmq.SUB)
     socket.setsockopt(zmq.RCVHWM, 0)
-    socket.connect(f"tcp://127.0.0.1:{ours.recv()}")
+    socket.connect(f"tcp://127.0.0.1:{parent_end.recv()}")
     socket.setsockopt(zmq.SUBSCRIBE, b"b")
     began, last = time.monotonic(), 0
     while last < n:
-        assert socket.poll(60_000), "nothing more came"
+        assert socket.poll(60_000), "no more messages arrived"
         last = json.loads(socket.recv_multipart()[1])["message"]["n"]
     took = time.monotonic() - began
-    ours.recv()
+    parent_end.recv()
     publisher.join()
-    used = cpu(resource.RUSAGE_SELF) - before + cpu(resource.RUSAGE_CHILDREN)
+    used = cpu_time(resource.RUSAGE_SELF) - before + cpu_time(resource.RUSAGE_CHILDREN)
     print(n / took, used / n * 1e6)

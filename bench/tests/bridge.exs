@@ -1,10 +1,11 @@
 defmodule Situ.Bench.Bridge do
   @moduledoc false
-  # The cost of a message on its way out of a pipeline, through a transport of this machine and into another pipeline:
-  # both ends together, in one VM, maps of two numbers; `-large`: bytes of a picture of 1280 x 720, 2.8 MB.
-  # `bridge-zeromq-python` is pyzmq's own publisher and subscriber, a process each, with JSON, for the same messages
-  # (`SITU_BENCH_PYTHON`, with pyzmq installed; else nothing is measured). `bridge-mcap`: a recording of 100 topics to
-  # MCAP and back; `bridge-parquet`, `bridge-arrow`: integers to a table and back.
+  # The cost of a message from one pipeline through a transport on this machine to another
+  # pipeline: both ends in one VM, maps of two numbers; with `-large`, images of 1280 x 720, 2.8
+  # MB. `bridge-zeromq-python` sends the same messages as JSON with pyzmq between two processes
+  # (`SITU_BENCH_PYTHON` with pyzmq installed; otherwise it is skipped). `bridge-mcap` converts a
+  # recording of 100 topics to MCAP and back. `bridge-parquet` and `bridge-arrow` convert integers
+  # to a table and back.
   alias Situ.{Bridge, Pipeline, Store}
 
   def tests do

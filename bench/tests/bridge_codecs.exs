@@ -1,8 +1,9 @@
 defmodule Situ.Bench.BridgeCodecs do
   @moduledoc false
-  # Messages to the bytes of another system and back, beside that system's own library in the same run: `-python` by its
-  # package (`SITU_BENCH_PYTHON`, else the one that test/bridge installs; without it nothing is measured), with MQTT by
-  # mosquitto's clients. MQTT goes through a broker, NATS, whose own time is not counted.
+  # Encodes messages for another system and decodes them, and runs that system's own library in
+  # the same run. `-python` uses its Python package (`SITU_BENCH_PYTHON`, otherwise the one that
+  # test/bridge installs; skipped without it), and MQTT uses mosquitto's clients. MQTT needs a
+  # broker, NATS, whose own time is not counted.
   alias Situ.{Bridge, Pipeline}
   alias Situ.Bridge.Format
 
@@ -36,7 +37,7 @@ defmodule Situ.Bench.BridgeCodecs do
 
   defp protobuf(scale) do
     n = max(1, round(50_000 * scale))
-    schema = Bridge.Foxglove.Messages.schema()
+    schema = Bridge.Foxglove.Messages.load_schema()
 
     Situ.Bench.measure("bridge_protobuf", n, fn ->
       for i <- 1..n do
@@ -79,7 +80,8 @@ defmodule Situ.Bench.BridgeCodecs do
           |> Situ.each(&send(me, {:got, &1["n"]}))
         end)
 
-      # Nothing tells when the broker has taken a subscription in: one is sent until it comes.
+      # The broker does not report when a subscription is active, so one message is sent
+      # repeatedly until it arrives.
       hello(port)
 
       measured =
@@ -124,7 +126,7 @@ defmodule Situ.Bench.BridgeCodecs do
     end
   end
 
-  # The processor time is that of both clients, as the shell counts it.
+  # The CPU time is that of both clients, as counted by the shell.
   defp mosquitto(scale) do
     n = max(1, round(20_000 * scale))
 

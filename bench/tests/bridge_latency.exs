@@ -1,8 +1,9 @@
 defmodule Situ.Bench.BridgeLatency do
   @moduledoc false
-  # How long a message is on its way at 1,000 a second: from a source in one pipeline, out through a transport of this
-  # machine, to a sink in another; numbers, both ends in one VM. `bridge-latency-zeromq-python`: pyzmq's own, in JSON, a
-  # process each (`SITU_BENCH_PYTHON`, with pyzmq installed; else nothing is measured).
+  # The latency of a message at 1,000 per second, from a source in one pipeline through a
+  # transport on this machine to a sink in another. Messages are numbers, and both ends are in one
+  # VM. `bridge-latency-zeromq-python` measures pyzmq with JSON between two processes
+  # (`SITU_BENCH_PYTHON` with pyzmq installed; otherwise it is skipped).
   alias Situ.Bench.Latency.Metronome
   alias Situ.{Bridge, Pipeline}
 
@@ -18,7 +19,7 @@ defmodule Situ.Bench.BridgeLatency do
     me = self()
     common = [wait_for: 1, listening: me, linger: 10_000]
 
-    # Its clock is the machine's: the source ticks.
+    # The pipeline uses the machine's clock, because the source ticks in real time.
     {:ok, sender} =
       Pipeline.start_link(fn p ->
         p |> Situ.source(Metronome, count: n) |> out(module, common)
@@ -32,7 +33,7 @@ defmodule Situ.Bench.BridgeLatency do
         p |> into(module, port) |> Situ.each(&send(me, {:took, :erlang.monotonic_time() - &1}))
       end)
 
-    # The first ones wait for the connection.
+    # The first messages wait for the connection.
     times =
       for _ <- 1..n,
           do: receive(do: ({:took, t} -> t), after: (30_000 -> raise("a message is lost")))

@@ -1,9 +1,9 @@
 defmodule Situ.Bench.BridgeRos do
   @moduledoc false
-  # `bridge-ros1`: pictures of 1280 x 720 from a publisher of ours to a subscriber of ours over TCPROS, both ends in
-  # one VM; `bridge-ros1-python`: rospy's publisher and subscriber, a process each, for the same pictures. Both need a
-  # master (Debian's python3-rosmaster, and python3-rospy with python3-sensor-msgs for the second); else nothing is
-  # measured.
+  # `bridge-ros1` sends images of 1280 x 720 from Situ's publisher to Situ's subscriber over
+  # TCPROS, with both ends in one VM. `bridge-ros1-python` sends the same images with rospy
+  # between two processes. Both need a master (Debian's python3-rosmaster, and for the second
+  # python3-rospy and python3-sensor-msgs). Otherwise they are skipped.
   alias Situ.Bridge.Ros
   alias Situ.{Image, Pipeline}
 
@@ -99,7 +99,7 @@ defmodule Situ.Bench.BridgeRos do
   defp up?(_master, 0), do: false
 
   defp up?(master, left) do
-    case Ros.topics(master: master) do
+    case Ros.list_topics(master: master) do
       {:ok, _} ->
         true
 

@@ -1,12 +1,13 @@
 defmodule Situ.Bench.CatchUp do
-  # A viewer that comes late, or back: how many times faster than it was made a recording of pictures and sound reaches
-  # it, and how long after a cut it has what was recorded meanwhile, while the recording goes on.
+  # A viewer that connects late or reconnects: how many times faster than real time a recording of
+  # images and audio reaches it, and how long it takes after an interruption to catch up with the
+  # ongoing recording.
   alias Situ.{Message, Remote}
   alias Situ.Remote.Server
   alias Situ.Store.Writer
 
   @fps 30
-  # 10 MB a second.
+  # 10 MB per second.
   @piece 100_000
   @pieces_per_s 100
 
@@ -17,7 +18,7 @@ defmodule Situ.Bench.CatchUp do
     ]
   end
 
-  # JPEG pictures of 1280 x 720 and sound of 16 kHz.
+  # JPEG images of 1280 x 720 and audio at 16 kHz.
   defp recording(seconds) do
     {root, writer} = recorder()
     {:ok, video} = Writer.stream(writer, "video")
@@ -67,7 +68,7 @@ defmodule Situ.Bench.CatchUp do
     end
   end
 
-  # Noise over a ramp: a photograph's size, not a drawing's.
+  # Noise on a ramp compresses to the size of a photograph, not of a drawing.
   defp picture do
     row = for x <- 0..1279, into: <<>>, do: <<div(x, 5), div(x, 6), div(x, 7)>>
     noise = for <<b <- :rand.bytes(1280 * 3)>>, into: <<>>, do: <<rem(b, 24)>>
@@ -126,7 +127,7 @@ defmodule Situ.Bench.CatchUp do
     end
   end
 
-  # A fifth of a second behind is abreast.
+  # Within a fifth of a second counts as caught up.
   defp abreast?(made, seen), do: :counters.get(made, 1) - :counters.get(seen, 1) <= 20
 
   defp until(fun) do
@@ -136,7 +137,7 @@ defmodule Situ.Bench.CatchUp do
     end
   end
 
-  # As many as the time that has passed asks for, every 20 ms.
+  # Emits as many messages as the elapsed time requires, every 20 ms.
   defp record(stream, made, started, n) do
     due = div((System.monotonic_time(:millisecond) - started) * @pieces_per_s, 1_000)
     data = :rand.bytes(@piece)

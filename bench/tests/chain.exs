@@ -1,8 +1,9 @@
 defmodule Situ.Bench.Chain do
   @moduledoc false
-  # A range one tick apart through k maps that add one, counted at the end. `unlimited` and `sync` are what a user
-  # gets who says nothing: light operators in one process. `throttle` asks for a queue of one in front of each (the
-  # reference's Throttle), which one process gives by itself. `async` is a process and an envelope for each.
+  # Sends a range with steps of one tick through k maps that add one, and counts the messages at
+  # the end. `unlimited` and `sync` are the defaults: light operators in one process. `throttle`
+  # requests a queue of one before each map (Throttle in the reference), which a single process
+  # implies. `async` has a process and an envelope for each.
   import Situ.Bench, only: [measure: 3]
   alias Situ.{Delivery, Pipeline, Time}
 

@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Cluster do
-  # Clusters: an edge between two nodes (each a virtual machine of its own, whose CPU time is counted), with the log
-  # beside it and direct; what one message needs; checkpoints; a link with very many streams.
+  # Clusters: an edge between two nodes (separate virtual machines, whose CPU time is counted),
+  # with the log and direct; the latency of a message; checkpoints; a link with very many streams.
   alias Situ.{Message, Pipeline, Remote}
   alias Situ.Remote.{Connection, Server}
   alias Situ.Store.Writer
@@ -37,7 +37,7 @@ defmodule Situ.Bench.Cluster do
       made |> Situ.map(fn _ -> data end, name: "Picture") |> last(opts)
     end
 
-    # How long each was on its way, ns, by the clock of the machine that both are on.
+    # The latency of each message in ns, by the clock of the machine that runs both nodes.
     defp build(made, "one", opts) do
       n = opts[:count]
 
@@ -59,7 +59,7 @@ defmodule Situ.Bench.Cluster do
 
   defp edge(metric, kind, direct, n) do
     clustered(fn nodes ->
-      # A deployment of a few messages says what starting and ending cost.
+      # A deployment with a few messages shows the cost of starting and ending.
       opts = [kind: kind, every: 1_000]
       deployed(nodes, opts, direct, 5)
       {least_wall, least_cpu, _} = deployed(nodes, opts, direct, 5)
@@ -73,7 +73,7 @@ defmodule Situ.Bench.Cluster do
     end)
   end
 
-  # One at a time, a thousand in a second.
+  # One message at a time, a thousand per second.
   defp one(n) do
     clustered(fn [left, _] = nodes ->
       opts = [kind: "one", every: 1_000_000]
@@ -109,7 +109,7 @@ defmodule Situ.Bench.Cluster do
     end
   end
 
-  # Wall ns, and CPU ms of both nodes.
+  # Wall time in ns, and CPU time of both nodes in ms.
   defp deployed([left, _] = nodes, opts, direct, n, settings \\ []) do
     {before, started} = {cpu_ms(nodes), System.monotonic_time(:nanosecond)}
 
@@ -167,7 +167,7 @@ defmodule Situ.Bench.Cluster do
   defp call(node, module, function, args),
     do: :peer.call(node.peer, module, function, args, 660_000)
 
-  # A pipeline that stands still for each: joins, windows and a scan with some state.
+  # The pipeline is paused for each checkpoint. It has joins, windows and a scan with some state.
   defp checkpoints(n) do
     {:ok, p} =
       Pipeline.start(fn p ->
@@ -226,7 +226,7 @@ defmodule Situ.Bench.Cluster do
       {:ok, address} = Remote.Address.parse("situ://127.0.0.1:#{Server.port(server)}")
       opts = %{token: "", tls: [], now: &Situ.Time.now/0, position: nil, save_every: 1_000_000}
       {:ok, link} = Connection.start(address, opts, self())
-      {:ok, catalogue} = Connection.catalogue(link, 60_000)
+      {:ok, catalogue} = Connection.await_catalogue(link, 60_000)
       ^n = map_size(catalogue)
 
       metrics =

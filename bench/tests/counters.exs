@@ -1,15 +1,15 @@
 defmodule Situ.Bench.Counters do
   @moduledoc false
-  # The cost of the counters of connections: each chain as it is and, in the same breath, with counters that do nothing;
-  # by CPU time, since a busy machine shows in the clock first. `one` hands over one message at a time, which is as
-  # dear as counting gets.
+  # The cost of connection counters: each chain runs unchanged, and in alternation with counters
+  # that do nothing. CPU time is compared, since a busy machine affects the wall clock first.
+  # `one` passes one message at a time, which is the worst case for counting.
   import Situ.Bench, only: [cpu_us: 0]
   alias Situ.{Delivery, Pipeline, Time}
   alias Situ.Ports.Counters
 
   @rounds 5
 
-  # Creation and reading stay; what the hot path calls does nothing.
+  # Creating and reading counters still work; only the functions on the hot path do nothing.
   @nothing """
   defmodule Situ.Ports.Counters do
     def new, do: :atomics.new(1, signed: true)
@@ -38,7 +38,7 @@ defmodule Situ.Bench.Counters do
         do: metric
   end
 
-  # Round and round, so that whatever else the machine does meets both alike.
+  # The two variants alternate, so that other load on the machine affects both alike.
   defp compare(metric, k, n, opts) do
     rounds =
       for _ <- 1..@rounds do
@@ -77,7 +77,8 @@ defmodule Situ.Bench.Counters do
     max(cpu_us() - before, 1)
   end
 
-  # The module itself is exchanged: nothing in the runtime knows of this, so nothing of it is measured.
+  # The test replaces the module itself. The runtime needs no switch for it, which would affect
+  # the measurement.
   defp counting(which) do
     {:ok, binary, path} = beam(which)
     :code.purge(Counters)

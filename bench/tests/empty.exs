@@ -1,6 +1,7 @@
 defmodule Situ.Bench.Empty do
   @moduledoc false
-  # Create, run and dispose of a pipeline: without a component, and with one that is done at once.
+  # Creates, runs and disposes of a pipeline, without components and with one that completes
+  # immediately.
   alias Situ.Pipeline
 
   def tests, do: [{"empty", &empty(max(round(1_000 * &1), 1))}]

@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Fanout do
   @moduledoc false
-  # One range to ten sinks, a process each; `throttle` with a queue of one in front of each.
+  # One range to ten sinks in separate processes; `throttle` with a queue of one before each.
   import Situ.Bench, only: [measure: 3]
   alias Situ.{Delivery, Pipeline, Time}
 

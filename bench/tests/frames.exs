@@ -1,7 +1,7 @@
 defmodule Situ.Bench.Frames do
   @moduledoc false
-  # 1,500 frames of 640 x 480 x 3 bytes through five maps. The frames are made before the clock starts (eight of them,
-  # in turn): what is measured is carrying them, not making them.
+  # 1,500 frames of 640 x 480 x 3 bytes through five maps. Eight frames are created before the
+  # clock starts and sent in turn, so the test measures their transport and not their creation.
   import Situ.Bench, only: [measure: 4]
   alias Situ.{Delivery, Pipeline}
 
@@ -77,7 +77,7 @@ defmodule Situ.Bench.Frames do
     end)
   end
 
-  # One byte of every page: what a reader touches.
+  # A reader touches one byte of every page.
   defp read(frame), do: read(frame, 0, 0)
   defp read(frame, at, sum) when at >= byte_size(frame), do: sum
   defp read(frame, at, sum), do: read(frame, at + 4_096, sum + :binary.at(frame, at))

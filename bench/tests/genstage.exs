@@ -1,8 +1,8 @@
 defmodule Situ.Bench.GenStage do
   @moduledoc false
-  # Events from a GenStage producer through a pipeline, and messages of a pipeline to a GenStage consumer, at the
-  # pipeline's own pace and in real time. The peers are written after GenStage's protocol: a demand dispatcher's
-  # answers, a consumer's asks of half its window.
+  # Events from a GenStage producer through a pipeline, and messages of a pipeline to a GenStage
+  # consumer, at full speed and in real time. The peers implement GenStage's protocol: a demand
+  # dispatcher's replies, and a consumer that requests half its window.
   import Situ.Bench, only: [measure: 4]
   alias Situ.{GenStage, Pipeline, Time}
 

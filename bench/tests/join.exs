@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Join do
-  # Two streams of 1,000,000 messages 1 ms apart, joined: exact (the same times), or nearest (the secondary 0.3 ms
-  # later, tolerance 5 ms). One count per joined message.
+  # Joins two streams of 1,000,000 messages, 1 ms apart: exact (with the same times), or nearest
+  # (with the secondary 0.3 ms later and a tolerance of 5 ms). Every joined message counts once.
 
   @ms 1_000_000
 
@@ -27,7 +27,7 @@ defmodule Situ.Bench.Join do
           fn p ->
             primary = Situ.from_enumerable(p, 0..(n - 1)//1, every: @ms)
 
-            # Both count from the start; the shift is in the times alone.
+            # Both streams count from the start. Only the times are shifted.
             secondary = Situ.from_enumerable(p, 0..(n - 1)//1, every: @ms, align: shift)
 
             primary

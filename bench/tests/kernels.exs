@@ -1,8 +1,9 @@
 defmodule Situ.Bench.Kernels do
   @moduledoc """
-  Single kernels, called from Elixir one after the other, call overhead and the result's binary included. Operations a
-  second by the wall clock, and `_cpu` in microseconds an operation. `bench/python/kernels.py` does the same jobs with
-  OpenCV, SciPy and soxr, and prints the same names.
+  Single kernels, called from Elixir in sequence, including call overhead and the binary of the
+  result. Prints operations per second by the wall clock, and `_cpu` in microseconds per
+  operation. `bench/python/kernels.py` does the same jobs with OpenCV, SciPy and soxr, and prints
+  the same names.
   """
   alias Situ.{AudioBuffer, AudioFormat, Bench, Image, Imaging, Sound}
 
@@ -14,7 +15,7 @@ defmodule Situ.Bench.Kernels do
     end)
   end
 
-  @doc "Name, how often at scale 1, and a function that does it once and says whether the result has its size."
+  @doc "Lists the jobs: name, calls at scale 1, and a function that returns whether its result has the right size."
   def jobs do
     hd1080 = picture(1920, 1080)
     hd720 = picture(1280, 720)
@@ -32,7 +33,7 @@ defmodule Situ.Bench.Kernels do
        fn -> Imaging.blur!(gray1080, 1.1, size: 5).width == 1920 end},
       {"canny_gray_1080p", 15, fn -> Imaging.canny!(gray1080, 60, 120).width == 1920 end},
       {"resample_10s_48k_16k", 30,
-       fn -> AudioBuffer.frames(Sound.resample!(sound, 16_000)) == 160_000 end}
+       fn -> AudioBuffer.frame_count(Sound.resample!(sound, 16_000)) == 160_000 end}
     ]
   end
 
@@ -42,7 +43,8 @@ defmodule Situ.Bench.Kernels do
     end)
   end
 
-  # Smooth and noisy parts, so that JPEG has work as with a photograph; the Python script makes the same bytes.
+  # Smooth and noisy parts, so that JPEG has as much work as with a photograph. The Python script
+  # creates the same bytes.
   defp picture(width, height) do
     rows =
       for y <- 0..(height - 1), into: <<>> do

@@ -3,14 +3,16 @@ defmodule Situ.Bench.Beside do
   @calls 5
 
   @moduledoc """
-  `kernels-beside-python`: the jobs of `kernels` and two of `space`, #{@calls} calls here and #{@calls} in Python
-  (`bench/python/kernels.py serve`) in #{@turns} turns, so that what else the machine does at a moment falls on both.
-  Microseconds by the wall clock of one call, overhead and result included, the least and the median of all calls, and
-  their ratios to the best of the Python libraries. Pictures have 8 bits a channel, sound is 32-bit float on both sides.
+  `kernels-beside-python`: the jobs of `kernels` and two of `space`, #{@calls} calls here and
+  #{@calls} in Python (`bench/python/kernels.py serve`) in #{@turns} alternating blocks, so that
+  other load on the machine affects both. Prints the wall time of a call in microseconds,
+  including overhead and result: the minimum and the median of all calls, and their ratios to the
+  fastest Python library. Images have 8 bits per channel, and audio is 32-bit float on both sides.
 
-  Python is `SITU_BENCH_PYTHON` (`python3`); where it or its packages are not installed, nothing is measured.
+  Python is `SITU_BENCH_PYTHON` (`python3`). The test is skipped if Python or its packages are not
+  installed.
   """
-  # Files are compiled in the order of their names, this one before the other.
+  # Files are compiled in the order of their names, so space.exs is compiled after this one.
   @compile {:no_warn_undefined, Situ.Bench.Space}
   alias Situ.Bench.{Kernels, Space}
 
@@ -33,7 +35,7 @@ defmodule Situ.Bench.Beside do
     end
   end
 
-  # The script says the names of its jobs first.
+  # The script prints the names of its jobs first.
   defp open do
     python = System.find_executable(System.get_env("SITU_BENCH_PYTHON") || "python3")
     script = Path.expand("../python/kernels.py", __DIR__)
@@ -77,7 +79,7 @@ defmodule Situ.Bench.Beside do
       right? = job.()
       elapsed = :erlang.monotonic_time(:nanosecond) - started
       unless right?, do: raise("#{name}: wrong result")
-      # Python lets go of its results at once, too.
+      # Python frees its results immediately, too.
       :erlang.garbage_collect()
       elapsed / 1000
     end

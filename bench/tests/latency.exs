@@ -1,7 +1,8 @@
 defmodule Situ.Bench.Latency do
   @moduledoc false
-  # A 1 kHz source, ten maps, a sink, ten seconds: from just before the source emits to the sink, as written (operators
-  # chained) and with a process for each operator.
+  # A 1 kHz source, ten maps and a sink for ten seconds. Measures from just before the source
+  # emits until the sink receives, with chained operators (the default) and with a process for
+  # each operator.
   alias Situ.{Delivery, Pipeline}
 
   defmodule Metronome do
@@ -48,7 +49,7 @@ defmodule Situ.Bench.Latency do
   end
 
   defp latency(metric, n, policy, async) do
-    # Kept outside the pipeline's processes; one write a message.
+    # Stored outside the pipeline's processes, with one write per message.
     table = :ets.new(:latency, [:public, :set, write_concurrency: true])
 
     {:ok, _} =

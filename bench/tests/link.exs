@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Link do
-  # A recording served over TCP, TLS and a Unix socket, and read by a pipeline in the same virtual machine, so that the
-  # CPU time is that of both sides.
+  # A recording is served over TCP, TLS and a Unix socket, and read by a pipeline in the same
+  # virtual machine, so that the CPU time includes both sides.
   alias Situ.{Message, Remote}
   alias Situ.Remote.Server
   alias Situ.Store.Writer
@@ -37,7 +37,7 @@ defmodule Situ.Bench.Link do
     end)
   end
 
-  # A hundred at once: what the slowest has to wait shows in the rate of all.
+  # A hundred requests run concurrently, so the slowest one determines the rate.
   defp viewers(n) do
     linked(:tcp, for(i <- 1..n, do: message(i, i)), fn address, opts ->
       Situ.Bench.measure("link_100_viewers", 100 * n, fn ->

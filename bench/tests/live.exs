@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Live.Table do
   @moduledoc false
-  # A page with a table of n rows; "set" changes one of them.
+  # A page with a table of n rows. The event "set" changes one row.
   use Situ.Live.View
 
   @impl true
@@ -26,8 +26,8 @@ end
 
 defmodule Situ.Bench.Live do
   @moduledoc false
-  # The LiveView server: an event that changes one row of a table, a small page over HTTP. The
-  # client is a raw socket in the same VM, so the CPU is that of both ends.
+  # The LiveView server: an event that changes one row of a table, and a small page over HTTP. The
+  # client is a raw socket in the same VM, so the CPU time includes both ends.
   import Situ.Bench, only: [measure: 3, measure: 4]
   alias Situ.Bench.Live.Table
   alias Situ.Live.{Diff, Page, Socket}
@@ -42,13 +42,13 @@ defmodule Situ.Bench.Live do
   defp diff(n) do
     Enum.flat_map([40, 1_000], fn rows ->
       {:ok, socket} = Table.mount(%{"n" => "#{rows}"}, %{}, %Socket{id: "bench", view: Table})
-      {_, memory} = Diff.run(Page.render(socket, :all))
+      {_, memory} = Diff.diff_tree(Page.render_view(socket, :all))
       n = div(n * 40, rows)
 
       measure("live_diff_#{rows}_rows", n, "diffs/s", fn ->
         Enum.reduce(1..n, {Socket.__sent__(socket), memory}, fn i, {socket, memory} ->
           {:noreply, socket} = Table.handle_event("set", %{"i" => 3, "v" => i}, socket)
-          {diff, memory} = Diff.run(Page.render(socket, :changed), memory)
+          {diff, memory} = Diff.diff_tree(Page.render_view(socket, :changed), memory)
           %{"0" => %{"1" => %{"k" => %{"2" => %{"3" => _}, "kc" => ^rows}}}} = diff
           {Socket.__sent__(socket), memory}
         end)

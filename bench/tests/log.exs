@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Log do
-  # The log on real nats-servers, in turns with bare clients that do less, and the same; one server, and three of which
-  # the leader is killed. All write into streams of their own.
+  # The log on real nats-servers, alternating with bare clients that do less and the same; with
+  # one server, and with three whose leader is killed. Each writes to its own streams.
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
@@ -21,7 +21,7 @@ defmodule Situ.Bench.Log do
       log = connect([server], 1)
       {{ours, _}, [bare, fenced]} = beside(log, [server.port], 1, n)
 
-      # The server's own CPU time for a chunk: without and with the condition of a write.
+      # The server's own CPU time per chunk, without and with a conditional write.
       [plain, conditional] =
         for fence? <- [false, true] do
           socket = writer(server.port, if(fence?, do: "FENCED2", else: "BARE2"), 1)
@@ -43,7 +43,7 @@ defmodule Situ.Bench.Log do
     end
   end
 
-  # One chunk under way, as both must; in turns, so that all meet the same neighbours.
+  # Both have one chunk in flight, and alternate so that other load on the machine affects both.
   defp beside(log, ports, replicas, n) do
     subject = {:stream, "b"}
     data = :crypto.strong_rand_bytes(@chunk)
@@ -81,7 +81,8 @@ defmodule Situ.Bench.Log do
       log = connect(servers, 3)
       {{ours, _}, [bare, fenced]} = beside(log, for(s <- servers, do: s.port), 3, n)
 
-      # The leader dies in the middle: every entry is there in the end, once, and the longest wait is what it cost.
+      # The leader is killed in the middle. In the end every entry must exist once, and the
+      # longest wait is the cost.
       subject = {:stream, "killed"}
       data = :crypto.strong_rand_bytes(@chunk)
       {:ok, []} = Log.read(log, subject, 1, 1)
@@ -114,7 +115,7 @@ defmodule Situ.Bench.Log do
     longest / 1.0e6
   end
 
-  # The same write again: it happens once.
+  # The same write again must be applied once.
   defp insist(log, subject, seq, entry) do
     case Log.append(log, subject, seq, entry) do
       {:ok, seq} ->
@@ -166,7 +167,7 @@ defmodule Situ.Bench.Log do
 
   defp inbox(socket), do: "_INBOX.bare#{:erlang.phash2(socket)}"
 
-  # One that writes into a stream of its own.
+  # This client writes to its own stream.
   defp writer(port, stream, replicas) do
     socket = bare(port)
 
@@ -177,7 +178,7 @@ defmodule Situ.Bench.Log do
     {socket, stream}
   end
 
-  # With a condition it is the same as ours.
+  # With a condition, the client does the same as Situ's log.
   defp publish(_writer, _fence?, seq, 0), do: seq
 
   defp publish({socket, subject} = writer, fence?, seq, left) do
@@ -253,13 +254,13 @@ defmodule Situ.Bench.Log do
     File.rm_rf!(root)
   end
 
-  # Who leads a stream: asked of any server.
+  # Any server can report the leader of a stream.
   defp leader(port, stream) do
     [_, name] = ask(bare(port), "$JS.API.STREAM.INFO.#{stream}", "", ~r/"leader":\s*"(n\d)"/)
     name
   end
 
-  # In clock ticks of a hundredth of a second, as Linux has them.
+  # In clock ticks, which are a hundredth of a second on Linux.
   defp server_us(pid) do
     [_, rest] = "/proc/#{pid}/stat" |> File.read!() |> String.split(") ", parts: 2)
     fields = String.split(rest)

@@ -1,7 +1,7 @@
 defmodule Situ.Bench.Overload do
   @moduledoc false
-  # A source five times as fast as its sink, in real time, under each policy: what is lost, how old what arrives is, how
-  # much waits.
+  # A source that is five times as fast as its sink, in real time, with each policy: lost
+  # messages, the age of messages on arrival, and the number of waiting messages.
   alias Situ.{Delivery, Pipeline, Time}
 
   @policies [
@@ -51,7 +51,7 @@ defmodule Situ.Bench.Overload do
     ]
   end
 
-  # The sink's work: it keeps its process busy and says how old the message was.
+  # The sink's work keeps its process busy and records the age of the message.
   defp work(message, test) do
     send(test, {:age, (Time.now() - message.originating_time) / 1.0e6})
     spin(System.monotonic_time(:microsecond) + @sink_us)

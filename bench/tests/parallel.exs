@@ -1,5 +1,5 @@
 defmodule Situ.Bench.Parallel do
-  # Branches by key and by position: map(+1) in each. And 100,000 live branches.
+  # Branches by key and by position, with map(+1) in each, and 100,000 live branches.
 
   alias Situ.Delivery
 
@@ -35,7 +35,7 @@ defmodule Situ.Bench.Parallel do
     end)
   end
 
-  # The same with each branch a pipeline of its own.
+  # The same test with a separate pipeline for each branch.
   defp processes(scale) do
     n = max(1, round(10_000 * scale))
 
@@ -71,7 +71,8 @@ defmodule Situ.Bench.Parallel do
     end)
   end
 
-  # The first message begins every branch, each with a running sum; the others bring ten keys each.
+  # The first message starts every branch, each with a running sum. The others contain ten keys
+  # each.
   defp many(scale) do
     keys = max(100, round(100_000 * scale))
     n = max(100, round(100_000 * scale))

@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Recover do
-  # A writer in another process records 1 GB and is killed with -9; how long until its store is open again, and until
-  # it is repaired.
+  # A writer in another process records 1 GB and is killed with -9. Measures the time to open the
+  # store again, and to repair it.
   alias Situ.Store
 
   def tests, do: [{"recover", &recover/1}]

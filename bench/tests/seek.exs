@@ -40,7 +40,7 @@ defmodule Situ.Bench.StoreSeek do
 end
 
 defmodule Situ.Bench.Seek do
-  # 10,000 random reads by time in a store of 1,000,000 integers, and how long opening it takes.
+  # 10,000 random reads by time in a store of 1,000,000 integers, and the time to open the store.
   def tests, do: [{"seek", &seek/1}]
 
   defp seek(scale) do

@@ -1,7 +1,7 @@
 defmodule Situ.Bench.Space do
   @moduledoc """
-  Kernels of space, and what a 3D panel is sent, called from Elixir one after the other: operations a second by the wall
-  clock, and `_cpu` in microseconds an operation.
+  Spatial kernels and the data of a 3D panel, called from Elixir in sequence: operations per
+  second by the wall clock, and `_cpu` in microseconds per operation.
   """
   alias Situ.{Bench, CameraIntrinsics, DepthImage, PointCloud, Pose}
   alias Situ.Space.{Cloud, Depth, Frames, RayTable, SyntheticRoom}
@@ -20,19 +20,19 @@ defmodule Situ.Bench.Space do
   end
 
   defp jobs do
-    intrinsics = SyntheticRoom.intrinsics(640, 480)
+    intrinsics = SyntheticRoom.camera_intrinsics(640, 480)
     {:ok, table} = RayTable.new(intrinsics)
-    scene = SyntheticRoom.Scene.at(1.0)
-    {:ok, {depth, color}} = SyntheticRoom.views(scene, intrinsics, table)
+    scene = SyntheticRoom.Scene.state_at(1.0)
+    {:ok, {depth, color}} = SyntheticRoom.render_views(scene, intrinsics, table)
     {:ok, cloud} = Depth.to_cloud(depth.viewed, table)
     frames = tree()
     million = million()
     ten = %PointCloud{points: :binary.copy(<<0::96>>, 10_000_000)}
-    whole = PointCloud.count(cloud)
+    whole = PointCloud.point_count(cloud)
 
     [
       {"synthetic-room-640x480", 20,
-       fn -> match?({:ok, _}, SyntheticRoom.views(scene, intrinsics, table)) end},
+       fn -> match?({:ok, _}, SyntheticRoom.render_views(scene, intrinsics, table)) end},
       {"cloud-from-depth", 60, fn -> whole == count(Depth.to_cloud(depth.viewed, table)) end},
       {"cloud-from-depth-colored", 60,
        fn -> whole == count(Depth.to_cloud(depth.viewed, table, colors: color.viewed)) end},
@@ -44,7 +44,7 @@ defmodule Situ.Bench.Space do
     ]
   end
 
-  @doc "The jobs that Python does, too (`kernels-beside-python`): the same depth picture and tree on both sides."
+  @doc "Lists the jobs that Python runs as well (`kernels-beside-python`), on the same depth image and tree."
   def beside do
     camera =
       CameraIntrinsics.new!(width: 640, height: 480, focal: {525, 525}, principal: {319.5, 239.5})
@@ -77,22 +77,22 @@ defmodule Situ.Bench.Space do
     end
   end
 
-  # In one piece, as NumPy has it; a socket takes the pieces as they are.
+  # Joined to one binary, as in NumPy. A socket would accept the separate parts.
   defp joined(cloud) do
-    {items, []} = Scene.Terms.of(cloud)
+    {items, []} = Scene.Terms.collect_items(cloud)
     items |> Scene.pack() |> IO.iodata_to_binary()
   end
 
   defp million, do: %PointCloud{points: :binary.copy(<<0::96>>, 1_000_000)}
 
-  defp count({:ok, cloud}), do: PointCloud.count(cloud)
+  defp count({:ok, cloud}), do: PointCloud.point_count(cloud)
 
   defp size(cloud) do
-    {items, []} = Scene.Terms.of(cloud)
+    {items, []} = Scene.Terms.collect_items(cloud)
     items |> Scene.pack() |> IO.iodata_length()
   end
 
-  # A hand on an arm that moves, on a body that moves.
+  # A hand on a moving arm, which is on a moving body.
   defp tree do
     {:ok, frames} = Frames.put_static(Frames.new(), "hand", "arm", Pose.new({0.3, 0.0, 0.0}))
 
@@ -100,10 +100,10 @@ defmodule Situ.Bench.Space do
       turn = Situ.Quaternion.from_euler(i / 50, 0, 0)
 
       {:ok, frames} =
-        Frames.put(frames, "arm", "body", i * 10_000_000, Pose.new({0.0, 0.0, 1.0}, turn))
+        Frames.put_moving(frames, "arm", "body", i * 10_000_000, Pose.new({0.0, 0.0, 1.0}, turn))
 
       {:ok, frames} =
-        Frames.put(frames, "body", "room", i * 10_000_000, Pose.new({i / 10, 0.0, 0.0}))
+        Frames.put_moving(frames, "body", "room", i * 10_000_000, Pose.new({i / 10, 0.0, 0.0}))
 
       frames
     end)

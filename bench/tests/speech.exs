@@ -1,15 +1,17 @@
 defmodule Situ.Bench.Speech do
   @moduledoc """
-  Speech: how well and how fast it is recognised and spoken, and how long an assistant lets one wait.
+  Speech: the quality and speed of recognition and synthesis, and the response time of an
+  assistant.
 
-    * `speech-recognition`: the recorded sentences with known words: word error rate of each recogniser in percent and
-      how many times faster than speech it is.
-    * `speech-synthesis`: how many times faster than speech each voice speaks, and the word error rate when Moonshine
-      reads it back.
-    * `talk-delay`: the assistant of `situ talk` in real time, asked by a voice from a file, ten questions at scale 1:
-      from the end of speech to the first sound of the answer. The goal is 700 ms at the 95th percentile.
+  * `speech-recognition`: recorded sentences with known words. Prints the word error rate of each
+    recognizer in percent, and how many times faster than real time it is.
+  * `speech-synthesis`: prints how many times faster than real time each voice is, and the word
+    error rate when Moonshine transcribes it.
+  * `talk-delay`: runs the assistant of `situ talk` in real time with ten spoken questions from a
+    file at scale 1, and measures from the end of speech to the first audio of the response. The
+    goal is 700 ms at the 95th percentile.
 
-  Needs the models that `bin/lib/fetch-model` fetches under `moonshine-tiny-en` and `hibari`.
+  Needs the models that `bin/lib/fetch-model` fetches as `moonshine-tiny-en` and `hibari`.
   """
   alias Situ.{AudioBuffer, AudioFormat, Sound}
   alias Situ.Infer.Speech.{Espeak, Hibari, Moonshine, PocketSphinx, Utterance}
@@ -140,10 +142,10 @@ defmodule Situ.Bench.Speech do
     end
   end
 
-  # Two seconds to begin with, and after each question as long as the answer takes.
+  # Two seconds at the start, and after each question the duration of the response.
   defp questions(count) do
     {:ok, voice} = Espeak.load(rate: 150)
-    pause = AudioBuffer.silence(AudioFormat.pcm(16_000), 4 * 16_000)
+    pause = AudioBuffer.build_silence(AudioFormat.pcm(16_000), 4 * 16_000)
 
     parts =
       for i <- 0..(count - 1) do
@@ -200,7 +202,7 @@ defmodule Situ.Bench.Speech do
   end
 
   defp speed(metric, sounds, spent) do
-    spoken = sounds |> Enum.map(&AudioBuffer.duration/1) |> Enum.sum()
+    spoken = sounds |> Enum.map(&AudioBuffer.duration_ns/1) |> Enum.sum()
     [{metric <> "_speed", spoken / spent, "x real time"}]
   end
 

@@ -1,10 +1,12 @@
 defmodule Situ.Bench.Steady do
   @moduledoc """
-  `steady-720p`: 1280 x 720 pictures at 30 a second in real time, made fresh each, through resize and grey into a store;
-  ten minutes at scale 1. The VM's resident memory after a fifth of the time and at the end, pictures lost, latency from
-  the picture's time to its passing the last operator.
+  `steady-720p`: 30 newly created images of 1280 x 720 per second in real time, through resize and
+  gray into a store, for ten minutes at scale 1. Prints the VM's resident memory after a fifth of
+  the time and at the end, the lost images, and the latency from the image's time to the last
+  operator.
 
-  The store takes 57,600 bytes a picture (1 GB at scale 1) in `SITU_BENCH_DIR`, removed afterwards.
+  The store takes 57,600 bytes per image (1 GB at scale 1) in `SITU_BENCH_DIR`, and is deleted
+  afterwards.
   """
   alias Situ.{Bench, Image, Imaging, Pipeline, Store, Time, Vision}
 

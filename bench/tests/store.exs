@@ -1,10 +1,10 @@
 defmodule Situ.Bench.Store do
-  # Messages written to a store by a pipeline, the store closed, and read back by another; a plain write(2) of the
-  # same bytes beside the large ones.
+  # A pipeline writes messages to a store, the store is closed, and another pipeline reads it. For
+  # large messages, a plain write(2) of the same bytes is measured as well.
   alias Situ.{Delivery, Pipeline, Store}
 
   defmodule Frame do
-    # An image, as a store sees it: a small header and raw bytes.
+    # An image as seen by a store: a small header and raw bytes.
     @behaviour Situ.Codec
     defstruct [:data]
     @impl true
@@ -51,7 +51,7 @@ defmodule Situ.Bench.Store do
   defp settings(policy, interval \\ []),
     do: [pipeline: [default_policy: delivery(policy), replay: [speed: :max] ++ interval]]
 
-  # The policy stands where messages wait for the disk: in front of the writer.
+  # The policy applies where messages wait for the disk, before the writer.
   defp write(metric, n, unit, root, type, policy, value, every \\ 100) do
     Situ.Bench.measure(metric, n, unit, fn ->
       {:ok, _} =
@@ -114,7 +114,7 @@ defmodule Situ.Bench.Store do
     end)
   end
 
-  # Random bytes, a few different ones in turn so that no cache serves them all.
+  # A few different blocks of random bytes in turn, so that no cache holds all of them.
   defp large(name, policy, size, n) do
     payloads = for(_ <- 1..16, do: :crypto.strong_rand_bytes(size)) |> List.to_tuple()
     frame? = name == "frame"
@@ -171,8 +171,9 @@ defmodule Situ.Bench.Store do
   defp per_byte([{metric, rate, unit} | rest], size),
     do: [{metric, rate * size / 1.0e6, unit} | rest]
 
-  # Messages of 100 bytes, and of 1 MB, through a writer and a reader of ours without a pipeline, and through the `mcap`
-  # crate in a program of its own (`native/situ_mcap/examples/peer.rs`), in turns within one run.
+  # Messages of 100 bytes and of 1 MB, with Situ's writer and reader without a pipeline, and with
+  # the `mcap` crate in a separate program (`native/situ_mcap/examples/peer.rs`), alternating
+  # within one run.
   defp beside(n) do
     in_folder(fn root ->
       for {name, size, n} <- [{"100b", 100, n}, {"1mb", 1_000_000, max(1, div(n, 5_000))}],
@@ -184,7 +185,8 @@ defmodule Situ.Bench.Store do
   defp ours(name, root, size, n) do
     rest = :crypto.strong_rand_bytes(size - 8)
 
-    # The crate's program writes one payload again and again, from the processor's cache; so do we those of 1 MB.
+    # The crate's program writes the same payload repeatedly, from the processor's cache, and so
+    # does Situ for 1 MB.
     large? = size > 32_768
     payloads = for i <- 0..1, do: <<i::64, rest::binary>>
     data = fn i -> if large?, do: Enum.at(payloads, rem(i, 2)), else: <<i::64, rest::binary>> end
@@ -217,7 +219,8 @@ defmodule Situ.Bench.Store do
     store = Store.open!(writer.path)
     sum = :counters.new(1, [])
 
-    # In a process of its own: in this one the collector would go through the messages that were written.
+    # Runs in a separate process, so that the garbage collector does not scan the messages that
+    # were written.
     reader = fn ->
       for %{data: <<i::64, _::binary>>} <- Store.messages(store, "s"),
           do: :counters.add(sum, 1, i)
@@ -258,7 +261,8 @@ defmodule Situ.Bench.Store do
 
   defp hundred(n) do
     in_folder(fn root ->
-      # A number and eight sines of a sensor, made once: eight sines cost 1 us, more than writing them.
+      # A number and eight sines of a sensor, created in advance: eight sines take 1 us, more than
+      # writing them.
       sines =
         for i <- 0..999, into: <<>> do
           for k <- 1..8, into: <<>>, do: <<:math.sin(i * k * 1.0e-3)::float>>

@@ -1,5 +1,6 @@
 defmodule Situ.Bench.Timeline do
-  # The min/max envelope of 2,000 pixels over any span out of 10M or 100M stored points; what 10M booleans were.
+  # The min/max envelope of 2,000 pixels over any span of 10M or 100M stored points, and the
+  # states of 10M booleans.
   alias Situ.Store
   alias Situ.Store.{Native, Summary, Writer}
 
@@ -11,12 +12,12 @@ defmodule Situ.Bench.Timeline do
     ]
   end
 
-  # 10 us apart; written without a pipeline, which other tests measure.
+  # 10 us apart. They are written without a pipeline, which other tests measure.
   @step 10_000
 
   defp timeline(name, n), do: recorded(name, n, :float, &value/1, &spans/3)
 
-  # As of a button: some spans have a handful of changes, most have too many to be drawn one by one.
+  # Like a button: some spans have a few changes, and most have too many to draw each.
   defp booleans(name, n), do: recorded(name, n, :boolean, &pressed?/1, &states/3)
 
   defp recorded(name, n, type, value, ask) do
@@ -111,7 +112,7 @@ defmodule Situ.Bench.Timeline do
     ]
   end
 
-  # Every zoom alike: spans from 200 us to all of it, at any place.
+  # All zoom levels are equally likely: spans from 200 us to everything, at any position.
   defp ask(n, answer) do
     :rand.seed(:exsss, {4, 5, 6})
     whole = n * @step
@@ -149,7 +150,8 @@ defmodule Situ.Bench.Timeline do
     end
   end
 
-  # The bins' counts must add up to the points that lie in them; of a few the least and the greatest are looked at.
+  # The counts of the bins must add up to the number of points in the span. The minimum and
+  # maximum of some are checked.
   defp check(bins, width, from, span, n) do
     counted(Enum.map(bins, &{elem(&1, 0), elem(&1, 4)}), width, from, span, n)
     for bin <- Enum.take_random(bins, 3), do: extremes(bin, width, n)
@@ -163,7 +165,7 @@ defmodule Situ.Bench.Timeline do
     if counted != expected, do: raise("#{counted} points in #{from}+#{span}, not #{expected}")
   end
 
-  # Values repeat after 10,007 points, each of 0..10,006 once.
+  # Values repeat after 10,007 points, with each of 0..10,006 once.
   @period 10_007
 
   defp extremes({time, least, greatest, _last, count}, width, n) do

@@ -1,12 +1,13 @@
 defmodule Situ.Bench.Video do
   @moduledoc """
-  Video files and live pictures: what decoding costs, and whether memory stays flat.
+  Video files and live images: the cost of decoding, and whether memory use is stable.
 
-    * `video-decode`: a 720p H.264 file read as pictures and sound, as fast as it goes.
-    * `video-720p`: the same file, decoded, resized, made grey and compressed; CPU of one core it would need at 30
-      pictures a second, the VM's and ffmpeg's apart.
-    * `video-steady`: a simulated 720p camera at 30 pictures a second through resize, grey and JPEG in real time, two
-      minutes at scale 1 (scale 5: ten); the VM's memory after a fifth of the time and at the end, pictures lost.
+  * `video-decode`: reads a 720p H.264 file as images and audio at full speed.
+  * `video-720p`: decodes, resizes, converts to gray and compresses the same file. Prints the
+    share of one core that 30 images per second would need, separately for the VM and ffmpeg.
+  * `video-steady`: a simulated 720p camera with 30 images per second through resize, gray and
+    JPEG in real time, two minutes at scale 1 (ten at scale 5). Prints the VM's memory after a
+    fifth of the time and at the end, and the lost images.
   """
   alias Situ.Bench
   alias Situ.Media.{Camera, VideoFile}
@@ -34,7 +35,7 @@ defmodule Situ.Bench.Video do
               Situ.each(clip.video, fn _ -> :counters.add(counter, 1, 1) end)
 
               Situ.each(clip.audio, fn b ->
-                :counters.add(counter, 2, Situ.AudioBuffer.frames(b))
+                :counters.add(counter, 2, Situ.AudioBuffer.frame_count(b))
               end)
             end)
         end)
@@ -112,7 +113,7 @@ defmodule Situ.Bench.Video do
   defp check!(same, same, _what), do: :ok
   defp check!(got, expected, what), do: raise("#{got} #{what} instead of #{expected}")
 
-  # Made once and kept in the temporary folder: moving colours and a tone, 20 s at scale 1.
+  # Created once and kept in the temporary folder: moving colors and a tone, 20 s at scale 1.
   defp clip(scale) do
     seconds = max(round(20 * scale), 2)
     file = Path.join(System.tmp_dir!(), "situ-bench-720p-#{seconds}.mkv")
@@ -133,11 +134,11 @@ defmodule Situ.Bench.Video do
     {file, seconds * @rate}
   end
 
-  # CPU time of the programs the VM ran and that have ended, as their parent (erl_child_setup) accounts it.
+  # CPU time of the ended child programs of the VM, as counted by their parent (erl_child_setup).
   defp with_ffmpeg_cpu(metric, frames, fun) do
     before = children_us()
     measured = fun.()
-    # The last program's end is noted a moment after its output ended.
+    # The end of the last program is recorded a moment after its output has ended.
     Process.sleep(200)
     measured ++ [{metric <> "_ffmpeg_cpu", (children_us() - before) / frames, "us/msg"}]
   end
@@ -148,7 +149,7 @@ defmodule Situ.Bench.Video do
 
     [_, fields] = File.read!("/proc/#{children}/stat") |> String.split(") ", parts: 2)
     fields = String.split(fields)
-    # cutime and cstime, fields 16 and 17 of the whole line, in hundredths of a second.
+    # cutime and cstime, fields 16 and 17 of the line, in hundredths of a second.
     [utime, stime] = Enum.slice(fields, 13, 2) |> Enum.map(&String.to_integer/1)
     (utime + stime) * 10_000
   end

@@ -1,5 +1,5 @@
 defmodule Situ.Bench.Window do
-  # 500,000 messages, the last 10 of them as a list with each.
+  # 500,000 messages, each with a list of the last 10.
 
   alias Situ.Delivery
 

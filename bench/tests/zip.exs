@@ -1,5 +1,5 @@
 defmodule Situ.Bench.Zip do
-  # Two streams of 300,000 messages with the same times, zipped.
+  # Zips two streams of 300,000 messages with the same times.
 
   def tests, do: [{"zip-unlimited", &run/1}]
 

@@ -1,6 +1,6 @@
-# Shared by every script in bin/: where the project is, how to speak, how to run a long step. Sourced, not run.
+# Shared by every script in bin/: the project's location, messages, long steps and virtual machines. Source this file.
 set -Eeuo pipefail
-# A failure nobody foresaw still says where it was.
+# Reports the location of an unexpected failure.
 trap 'printf "situ: %s failed at line %s: %s\n" "${0##*/}" "$LINENO" "$BASH_COMMAND" >&2' ERR
 
 SITU_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
@@ -13,13 +13,13 @@ NPM_MARK=node_modules/.package-lock.json
 unset ERL_LIBS ERL_FLAGS ERL_AFLAGS ERL_ZFLAGS ERL_COMPILER_OPTIONS ERL_INETRC ERL_ROOTDIR ELIXIR_ERL_OPTIONS
 unset "${!ERL_OTP@}"
 
-# Elixir wants a UTF-8 locale; a bare machine has none set.
+# Elixir requires a UTF-8 locale, and a minimal system sets none.
 case "${LC_ALL:-${LC_CTYPE:-${LANG:-}}}" in
   *UTF-8* | *utf8* | *utf-8*) ;;
   *) export LC_ALL=C.UTF-8 ;;
 esac
 
-# rustup installs here and asks for a new shell; a script needs no new shell.
+# rustup installs to this folder, which is on the PATH only in new shells.
 [ -d "${CARGO_HOME:-$HOME/.cargo}/bin" ] && PATH="${CARGO_HOME:-$HOME/.cargo}/bin:$PATH"
 export PATH
 
@@ -35,23 +35,23 @@ fail() {
 
 have() { command -v "$1" >/dev/null 2>&1; }
 
-# version_at_least HAVE WANT: true when HAVE >= WANT, compared number by number.
+# version_at_least HAVE WANT: succeeds if HAVE >= WANT, compared number by number.
 version_at_least() { [ "$(printf '%s\n%s\n' "$2" "$1" | sort -V | head -n 1)" = "$2" ]; }
 
 check_writable() {
   mkdir -p "$SITU_STATE/log" 2>/dev/null ||
-    fail "cannot write to $SITU_ROOT" "the checkout is read-only" "copy it to a folder you may write to"
+    fail "cannot write to $SITU_ROOT" "the checkout is read-only" "copy it to a writable folder"
 }
 
-# step LABEL COMMAND...: runs a long command with its output in a log, shows that it lives, and on failure the end of
-# the log. On a terminal one line counts the seconds; elsewhere one line a minute is printed.
+# step LABEL COMMAND...: runs a long command with its output in a log, and shows the end of the log on failure. On a
+# terminal, one line counts the seconds; otherwise it prints one line per minute.
 step() {
   local label=$1 log started now said=0
   shift
   check_writable
   log="$SITU_STATE/log/$(printf '%s' "$label" | tr -cs 'A-Za-z0-9' '-' | cut -c1-40).log"
   started=$(date +%s)
-  # A process group of its own would not get Ctrl-C; the plain background job does, and is ended with us.
+  # A separate process group would not receive Ctrl-C. A plain background job does, and ends with this script.
   "$@" >"$log" 2>&1 </dev/null &
   local pid=$!
   # shellcheck disable=SC2064
@@ -82,7 +82,7 @@ step() {
   return "$status"
 }
 
-# built_since STAMP FOLDER...: true when no source file is newer than STAMP.
+# built_since STAMP FOLDER...: succeeds if no source file is newer than STAMP.
 built_since() {
   local stamp=$1
   shift
@@ -91,8 +91,8 @@ built_since() {
     -o -type f -newer "$stamp" -print -quit 2>/dev/null)" ]
 }
 
-# build_prod: compiles everything for use, when a source changed since the last time. Programs that start at the same
-# time wait for the first one to build.
+# build_prod: compiles everything for use if a source changed since the last build. Programs that start simultaneously
+# wait for the first one to build.
 build_prod() {
   local stamp="$SITU_ROOT/_build/prod/.built" lock
   cd "$SITU_ROOT"
@@ -102,14 +102,14 @@ build_prod() {
   flock --nonblock "$lock" || { say "Waiting for another build ..." && flock "$lock"; }
   if ! built_since "$stamp" apps native config mix.exs; then
     MIX_ENV=prod step "Building Situ (minutes the first time, seconds later)" mix compile ||
-      fail "the build failed" "see the messages above" "mend the code, or run bin/setup if a tool or library is missing"
+      fail "the build failed" "see the messages above" "fix the code, or run bin/setup if a tool or library is missing"
     touch "$stamp"
   fi
   exec {lock}>&-
 }
 
-# elixir_prod ARGS...: runs elixir on the production build, without mix. Ctrl-C ends it, with the status people expect (130).
-# elixir_plain: the same without the flags of a release.
+# elixir_prod ARGS...: runs elixir on the production build, without mix. Ctrl-C ends it with the usual status (130).
+# elixir_plain ARGS...: does the same without the flags of a release.
 elixir_prod() { elixir_with "$(release_flags)" "$@"; }
 elixir_plain() { elixir_with "" "$@"; }
 release_flags() { grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' '; }
@@ -121,28 +121,29 @@ elixir_with() {
   start_vm "$flags $colours" -s elixir start_cli -extra "$@"
 }
 
-# situ_prod ARGS...: the command line itself, started by erl: elixir's own start refuses arguments that are no UTF-8, which names of
-# files may be.
+# situ_prod ARGS...: runs the command line. It is started by erl, because the program elixir rejects arguments that are
+# not UTF-8, such as some file names.
 situ_prod() { start_vm "$(release_flags)" -s Elixir.Situ.CLI start -extra "$@"; }
 
-# start_vm FLAGS ARGS...: becomes a virtual machine with the production build, which loads nothing from the current
-# folder.
+# start_vm FLAGS ARGS...: replaces this process by a virtual machine with the production build. It loads no code from
+# the current folder.
 #
-# Erlang's code server always begins with "." in its path, and looks there for the modules of its own start. So the
-# machine starts in a folder of this checkout, removes "." from its path before anything else runs, and only then enters
-# the caller's folder. It enters by a handle, since the name may not be UTF-8. It does not read .erlang (no_dot_erlang).
+# Erlang's code server always starts with "." in its path and searches it for the modules of its own startup. The
+# machine therefore starts in a folder of this checkout, removes "." from its path before anything else runs, and only
+# then changes to the caller's folder. It uses a file handle, because the folder's name may not be UTF-8. It does not
+# read .erlang (no_dot_erlang).
 start_vm() {
   local elixir yaws folder flags=$1 here=$PWD
   shift
   elixir=$(dirname "$(dirname "$(readlink -f "$(command -v elixir)")")")
   yaws=$(ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true)
-  # A folder that may be entered but not listed has no handle, and is entered by its name.
+  # A folder that cannot be listed cannot be opened either, so the machine changes to it by name.
   if { exec {folder}<.; } 2>/dev/null && [ -d "/dev/fd/$folder/" ]; then folder=/dev/fd/$folder; else folder=$here; fi
   cd "$SITU_ROOT/bin/lib"
-  # A crash dump contains the whole memory, tokens too: none is written unless ERL_CRASH_DUMP names a file.
+  # A crash dump contains the entire memory, including tokens, so none is written unless ERL_CRASH_DUMP names a file.
   [ -n "${ERL_CRASH_DUMP:-}" ] || export ERL_CRASH_DUMP_SECONDS=0
-  # Standard output is for results: warnings of Erlang's and of Elixir's logger go to standard error. Reports of
-  # supervisors stay out, as with Elixir's logger: a reader that closes the pipe early (head) is not worth one.
+  # Standard output is for results, so the loggers of Erlang and Elixir write to standard error. As in Elixir's logger,
+  # supervisor reports are omitted: a reader that closes the pipe early (head) should not cause one.
   local erlang_log="[{handler,default,logger_std_h,#{config=>#{type=>standard_error},"
   erlang_log+="filters=>[{reports,{fun'logger_filters':domain/2,{stop,sub,[otp,sasl]}}}]}}]"
   # shellcheck disable=SC2086

@@ -1,4 +1,4 @@
-// Foxglove's own client: every message of a recording, with its time; pause and seek by parameters. PORT.
+// Receives every message of a recording with Foxglove's own client, and pauses and seeks with parameters. PORT.
 const { FoxgloveClient } = require("@foxglove/ws-protocol");
 const { WebSocket } = require("ws");
 const assert = require("node:assert");
@@ -9,7 +9,8 @@ const client = new FoxgloveClient({
 const deadline = setTimeout(() => fail(new Error(`only ${values.length} messages came`)), 60_000);
 const channels = new Map();
 const values = [];
-let picture, sought = false;
+let picture,
+  sought = false;
 
 function fail(error) {
   console.error(error);
@@ -23,7 +24,7 @@ client.on("advertise", (list) => {
   assert.equal(channels.get("/Camera").schemaName, "sensor_msgs/Image");
   client.subscribe(channels.get("/Camera").id);
   client.subscribe(channels.get("/Values").id);
-  // The recording plays from the first subscription on; the second may come late. With both it begins again.
+  // Playback starts with the first subscription. The second one may arrive late, and then playback starts again.
   client.setParameters([{ name: "situ.position", value: 0 }], "begin");
 });
 client.on("message", ({ timestamp, data }) => {
@@ -36,7 +37,13 @@ client.on("message", ({ timestamp, data }) => {
     values.forEach(([time, n], i) => assert.deepEqual([time, n], [1_000_000_000n + BigInt(i) * 10_000_000n, i]));
     assert.deepEqual([...picture.subarray(-3)], [1, 2, 3]);
     sought = true;
-    client.setParameters([{ name: "situ.position", value: 0.5 }, { name: "situ.paused", value: true }], "seek");
+    client.setParameters(
+      [
+        { name: "situ.position", value: 0.5 },
+        { name: "situ.paused", value: true },
+      ],
+      "seek",
+    );
   }
 });
 client.on("parameterValues", ({ id, parameters }) => {

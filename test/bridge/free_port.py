@@ -1,4 +1,4 @@
-"""Prints a port of 127.0.0.1 that is free now, below those that the system gives to connections by itself."""
+"""Prints a free port of 127.0.0.1, below the range that the system assigns to connections automatically."""
 import random
 import socket
 

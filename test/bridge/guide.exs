@@ -1,6 +1,6 @@
-# Runs the blocks of docs/guides/python.md in their order: Elixir's here, Python's in one process beside. A block that
-# ends in
-# `# => value` gives that value. `guide.exs GUIDE PYTHON`.
+# Runs the blocks of docs/guides/python.md in order: Elixir blocks here, and Python blocks in one
+# separate process. A block that ends in `# => value` must return that value. `guide.exs GUIDE
+# PYTHON`.
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
 {:ok, _} = Application.ensure_all_started(:situ_dataset)
 [guide, python] = System.argv()
@@ -36,7 +36,7 @@ run = fn
     binding
 end
 
-# The guide's ports may be somebody's: free ones take their places.
+# The guide's ports may be in use, so free ports replace them.
 free = fn ->
   {text, 0} = System.cmd("python3", [Path.join(__DIR__, "free_port.py")])
   String.trim(text)

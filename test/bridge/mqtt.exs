@@ -1,9 +1,10 @@
-# Situ's side of MQTT: `mqtt.exs publish PORT` sends 2,000 messages, `mqtt.exs subscribe PORT READY` hears 500 and 500
-# more, which come after the broker was killed.
+# Situ's side of the MQTT test: `mqtt.exs publish PORT` sends 2,000 messages, `mqtt.exs subscribe
+# PORT READY` receives 500, and 500 more after the broker was killed.
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
 alias Situ.Bridge.Mqtt
 
-# `mqtt.exs tls PORT CA` both ways by TLS; `mqtt.exs distrust PORT CA` must not come through.
+# `mqtt.exs tls PORT CA` sends in both directions over TLS. `mqtt.exs distrust PORT CA` must not
+# connect.
 secure = fn ca -> [tls: [authorities: ca, name: "localhost"]] end
 
 hears = fn port, opts, ms ->
@@ -24,7 +25,8 @@ hears = fn port, opts, ms ->
 
   heard = receive do: ({:got, n} when is_integer(n) -> true), after: (ms -> false)
   {:ok, _} = Situ.Pipeline.stop(p)
-  # The sender ends by itself: with all of it delivered, or with the number of what was not.
+  # The sender ends on its own, either with everything delivered or with the number of undelivered
+  # messages.
   {heard, with({:ok, _} <- Situ.Pipeline.await(out), do: :ok)}
 end
 
@@ -33,7 +35,7 @@ case System.argv() do
     {true, :ok} = hears.(port, secure.(ca), 60_000)
 
   ["distrust", port, ca] ->
-    # Another authority, and the right one for another name.
+    # An unknown authority, and the right authority with the wrong host name.
     {false, {:error, error}} = hears.(port, secure.(ca <> ".other"), 1_500)
     true = Exception.message(error) =~ "900 messages were not delivered"
     {false, {:error, _}} = hears.(port, [tls: [authorities: ca, name: "elsewhere"]], 1_500)
@@ -62,7 +64,7 @@ case System.argv() do
 
     hear = fn hear, last ->
       receive do
-        # Messages that are not acknowledged come again.
+        # Unacknowledged messages arrive again.
         {:got, ^last} -> :ok
         {:got, _} -> hear.(hear, last)
       after

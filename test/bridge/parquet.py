@@ -1,4 +1,4 @@
-"""Polars and DuckDB read Situ's table, and write it in all ways that they have. FOLDER."""
+"""Reads Situ's table with Polars and DuckDB, and writes it with all their compressions. FOLDER."""
 import sys
 
 import duckdb

@@ -1,4 +1,4 @@
-"""Reads Situ's MCAP files with the mcap package: every message, in order of time, checksums verified, ROS messages decoded."""
+"""Reads Situ's MCAP files with the mcap package: checks the order of time and checksums, and decodes ROS messages."""
 import pathlib
 import sys
 

@@ -1,4 +1,4 @@
-"""Reads Situ's MessagePack file: frames of a length and a map, and a length of 0 at the end."""
+"""Reads Situ's MessagePack file: frames with a length and a map, and a length of 0 at the end."""
 import struct
 import sys
 

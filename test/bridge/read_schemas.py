@@ -1,4 +1,4 @@
-"""Reads Situ's Protobuf by Foxglove's own decoder, and its CDR as ROS 2 does. FOLDER."""
+"""Reads Situ's Protobuf messages with Foxglove's own decoder, and its CDR messages in the same way as ROS 2. FOLDER."""
 import sys
 
 from mcap.reader import make_reader
@@ -35,7 +35,7 @@ with open(f"{folder}/ros2.mcap", "rb") as file:
         assert schema.encoding == "ros2msg" and channel.message_encoding == "cdr"
         if schema.name not in known.fielddefs:
             known.register(get_types_from_msg(schema.data.decode(), schema.name))
-            # Field by field what ROS 2 has.
+            # The definitions must have the same fields as in ROS 2.
             assert str(known.fielddefs[schema.name]) == str(store.fielddefs[schema.name]), schema.name
         decoded = store.deserialize_cdr(message.data, schema.name)
         if schema.name == "sensor_msgs/msg/Imu":

@@ -1,4 +1,7 @@
-"""rospy's side of the ROS 1 test: `imu FROM` publishes for ever, `peer` hears pictures, calls, answers and sets parameters."""
+"""rospy's side of the ROS 1 test.
+
+`imu FROM` publishes until it is killed. `peer` receives images, calls and offers services, and sets parameters.
+"""
 import signal
 import sys
 
@@ -6,7 +9,7 @@ import rospy
 from sensor_msgs.msg import Image, Imu
 from std_srvs.srv import SetBool, SetBoolResponse
 
-# It ends by itself, whoever forgets it.
+# The process ends on its own if it is left running.
 signal.alarm(180)
 role = sys.argv[1]
 rospy.init_node(f"theirs_{role}", disable_signals=True)
@@ -21,26 +24,26 @@ if role == "imu":
         imu.publish(message)
         rospy.sleep(0.01)
 
-heard = []
+received = []
 
 
-def hear(message):
-    i = len(heard) + 1
+def on_image(message):
+    i = len(received) + 1
     assert (message.width, message.height, message.encoding) == (4, 2, "rgb8"), message
     assert message.header.stamp == rospy.Time(i, 5), message.header
     assert message.data == bytes([i, 2, 3] * 8)
-    heard.append(i)
+    received.append(i)
 
 
-rospy.Subscriber("/pictures", Image, hear, queue_size=1_000)
+rospy.Subscriber("/pictures", Image, on_image, queue_size=1_000)
 rospy.Service("/flip_theirs", SetBool, lambda request: SetBoolResponse(not request.data, "from rospy"))
 rospy.set_param("/from_rospy", {"list": [1, 2.5, "three", True]})
 rospy.wait_for_service("/flip_ours", timeout=60)
-answer = rospy.ServiceProxy("/flip_ours", SetBool)(True)
-assert (answer.success, answer.message) == (False, "from situ"), answer
+response = rospy.ServiceProxy("/flip_ours", SetBool)(True)
+assert (response.success, response.message) == (False, "from situ"), response
 assert rospy.get_param("/from_situ") == [1, "two", {"x": 1.5}], rospy.get_param("/from_situ")
 for _ in range(600):
-    if len(heard) >= 50 and rospy.has_param("/done"):
+    if len(received) >= 50 and rospy.has_param("/done"):
         break
     rospy.sleep(0.1)
-assert len(heard) == 50, len(heard)
+assert len(received) == 50, len(received)

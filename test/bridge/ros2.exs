@@ -1,5 +1,6 @@
-# Situ's side of ROS 2, live. `ros2.exs PORT FOLDER`: hears 100 messages of /chatter and publishes 200 on /situ/words;
-# gets the last three of a latched topic, and has one of its own; calls a service, and offers one.
+# Situ's side of the live ROS 2 test. `ros2.exs PORT FOLDER`: receives 100 messages from /chatter
+# and publishes 200 on /situ/words; receives the last three of a latched topic, and publishes one;
+# calls a service, and offers one.
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
 alias Situ.Bridge.Ros2
 [port, folder] = System.argv()
@@ -30,7 +31,7 @@ end
 got = for _ <- 1..100, do: next.()
 numbers = for {_, "hello " <> n} <- got, do: String.to_integer(n)
 true = numbers == Enum.to_list(hd(numbers)..List.last(numbers)//1)
-# The sender's times are those of now.
+# The sender's times are current times.
 {time, _} = hd(got)
 true = abs(System.os_time(:nanosecond) - time) < 60_000_000_000
 
@@ -45,7 +46,8 @@ true = abs(System.os_time(:nanosecond) - time) < 60_000_000_000
 flush = fn flush -> receive(do: ({:got, _} -> flush.(flush)), after: (0 -> :ok)) end
 flush.(flush)
 
-# Late, and not too late; without `latch:` nothing of before comes (the first would be there before the others).
+# The subscriber must be neither too early nor too late. Without `latch:` it must not receive
+# older messages, which would precede the others.
 {:ok, p} = hear.("/map_theirs", [latch: true, depth: 3] ++ word)
 ["old 2", "old 3", "old 4"] = for _ <- 1..3, do: elem(next.(), 1)
 {:ok, _} = Situ.Pipeline.stop(p)
@@ -59,14 +61,14 @@ flush.(flush)
 
 post = receive(do: ({:post, post} -> post))
 for n <- 0..4, do: post.("map #{n}")
-# Those who come after this one is there come late.
+# Subscribers that appear after this marker file are late.
 {:ok, q} = hear.("/map_ours", [latch: true, depth: 2] ++ word)
 "map 4" = Enum.find(Stream.repeatedly(fn -> elem(next.(), 1) end), &(&1 == "map 4"))
 File.touch!(Path.join(folder, "latched"))
 there.("late")
 post.("map 5")
 
-# Services: one call, many of one client at once, refusals and what is not there.
+# Services: a single call, many concurrent calls of one client, refusals, and unknown services.
 {:ok, %{"sum" => 5}} = Ros2.call("/add_theirs", add_type, add, %{"a" => 2, "b" => 3}, at)
 {:ok, client} = Ros2.client("/add_theirs", add_type, add, at)
 ask = &Ros2.ask(client, %{"a" => &1, "b" => 1}, 20_000)
@@ -82,7 +84,7 @@ true = why =~ "no debts"
 {:error, %{code: :not_writable}} = Ros2.ask(client, %{"a" => "two"})
 :ok = Ros2.stop(client)
 {:error, %{code: :ros_refused, what: none}} = Ros2.call("/nobody", add_type, add, %{}, at)
-true = none =~ "nobody offers"
+true = none =~ "no server offers"
 other = String.replace(add, "int64 b", "int32 b")
 {:error, %{code: :ros_refused}} = Ros2.call("/add_theirs", add_type, other, %{}, at)
 

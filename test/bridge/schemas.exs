@@ -1,4 +1,5 @@
-# Situ's side of the schemas in MCAP files: `schemas.exs write FOLDER`, `schemas.exs read FILE`.
+# Situ's side of the schema tests with MCAP files: `schemas.exs write FOLDER`, `schemas.exs read
+# FILE`.
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
 alias Situ.Bridge.Mcap
 alias Situ.Store

@@ -127,7 +127,8 @@ case System.argv() do
     true = got == Enum.to_list(1..2_000)
     {:ok, _} = Situ.Pipeline.stop(p)
 
-  # Hears rospy's node, tells by a file, and hears it again after the master and the node were killed.
+  # Receives from rospy's node, reports it with a file, and receives again after the master and
+  # the node were killed.
   ["ros1_subscribe", port, file] ->
     me = self()
     master = "http://127.0.0.1:#{port}"
@@ -154,7 +155,7 @@ case System.argv() do
     first = for _ <- 1..100, do: hear.()
     true = first == Enum.to_list(hd(first)..List.last(first))
     File.write!(file, "")
-    # The second node counts from 1,000,000 on.
+    # The second node counts from 1,000,000.
     later = fn later -> if hear.() >= 1_000_000, do: :ok, else: later.(later) end
     :ok = later.(later)
     for _ <- 1..50, do: hear.()
@@ -187,7 +188,7 @@ case System.argv() do
         |> Ros.publish("/pictures", [wait_for: 1, linger: 10_000] ++ opts)
       end)
 
-    # Of a publisher that ends at once the last pictures are still under way.
+    # When a publisher ends, its last images may still be in flight.
     large =
       Situ.Image.new!(
         width: 1280,
@@ -227,10 +228,10 @@ case System.argv() do
 
     {:ok, %{"list" => [1, 2.5, "three", true]}} = Ros.get_param("/from_rospy", opts)
     :ok = Ros.set_param("/done", true, opts)
-    {:ok, topics} = Ros.topics(opts)
+    {:ok, topics} = Ros.list_topics(opts)
     false = List.keymember?(topics, "/pictures", 0)
 
-    # The other side may still be on its way.
+    # The other side may not be ready yet.
     receive do
       :called -> :ok
     after
@@ -239,7 +240,7 @@ case System.argv() do
 
     Ros.stop(server)
 
-  # Serves a recording until the file `done` is there.
+  # Serves a recording until the file `done` exists.
   ["foxglove", dir] ->
     {:ok, _} =
       Situ.Pipeline.run(fn p ->

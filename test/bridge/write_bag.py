@@ -1,4 +1,4 @@
-"""Writes the same 500 messages as bags, plain and compressed, with rosbags."""
+"""Writes the same 500 messages with rosbags as two bags, uncompressed and compressed."""
 import sys
 from pathlib import Path
 

@@ -1,10 +1,10 @@
-"""Writes the same 500 messages as MCAP in every way the mcap package has."""
+"""Writes the same 500 messages as MCAP with all options of the mcap package."""
 import json
 import sys
 
 from mcap.writer import CompressionType, IndexType, Writer
 
-WAYS = {
+OPTIONS = {
     "plain": dict(use_chunking=False),
     "zstd": dict(compression=CompressionType.ZSTD, chunk_size=3000),
     "lz4": dict(compression=CompressionType.LZ4, chunk_size=3000),
@@ -13,7 +13,7 @@ WAYS = {
     "no-statistics": dict(use_statistics=False, chunk_size=3000),
     "no-summary": dict(use_statistics=False, index_types=IndexType.NONE, use_summary_offsets=False, repeat_channels=False, repeat_schemas=False),
 }
-for name, options in WAYS.items():
+for name, options in OPTIONS.items():
     with open(f"{sys.argv[1]}/theirs-{name}.mcap", "wb") as file:
         writer = Writer(file, **options)
         writer.start()

@@ -1,4 +1,4 @@
-"""Writes an MCAP file of Foxglove's messages with Foxglove's own package. FOLDER."""
+"""Writes an MCAP file of Foxglove messages with Foxglove's own package. FOLDER."""
 import sys
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage

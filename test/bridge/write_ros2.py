@@ -1,4 +1,4 @@
-"""Writes recordings of ROS 2 (CDR; in MCAP and in SQLite) with rosbags."""
+"""Writes ROS 2 recordings (CDR in MCAP and in SQLite) with rosbags."""
 import sys
 from pathlib import Path
 

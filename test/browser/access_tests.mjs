@@ -1,11 +1,11 @@
-// Every screen for people who cannot see it, or use no mouse: axe-core finds nothing to object to.
+// Checks the accessibility of every screen with axe-core.
 import { test, equal, until } from "./harness.mjs";
 import { objections } from "./axe.mjs";
 import { answer, open, dispatch, panelOf } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 
-test("axe: every canvas says in words what it shows", async ({ page }) => {
+test("axe: every canvas has a text alternative", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.click("#tree .node[data-stream='Speech.Scores'] .name");
   await page.click("button[phx-value-viz='bars']");
@@ -57,14 +57,14 @@ const screens = {
     await page.click('#menu button:has-text("Run loudness…")');
     await until(page, () => document.querySelector("#task"), "the dialog");
   },
-  // each dialog of the tree's menus
+  // Opens each dialog of the tree's menus.
   "dataset dialogs": async (page) => {
     await screens.dataset(page);
     await page.click("#tree .session .fold");
     for (const [row, item, dialog] of [
-      ["dataset", "Add each folder in a folder", "#folders"],
-      ["partition", "Take another recording", "#relocate"],
-      ["partition", "Save a part as", "#part"],
+      ["dataset", "Add each subfolder of a folder", "#folders"],
+      ["partition", "Use another recording", "#relocate"],
+      ["partition", "Save a section as", "#part"],
     ]) {
       await page.click(`#tree .node.${row} .name`, { button: "right" });
       equal(await objections(page), [], "objections to the menu");
@@ -89,7 +89,7 @@ const screens = {
   proposals: async (page) => {
     await screens.annotations(page);
     await page.evaluate(() => window.situStudio.options.push("annotation_propose", { stream: "Vad.Speaking" }));
-    await until(page, () => window.situStudio.annotation.told.items.some((a) => a.proposed), "proposals");
+    await until(page, () => window.situStudio.annotation.state.items.some((a) => a.proposed), "proposals");
   },
   "annotation dialog": async (page) => {
     await open(page, main, "minute.0000");
@@ -101,22 +101,26 @@ const screens = {
     await dispatch(page, { type: "select", from: 1e9, to: 2e9 });
     await page.keyboard.press("k");
     await answer(page, "here");
-    await until(page, () => window.situStudio.annotation?.told.items.length, "a comment");
+    await until(page, () => window.situStudio.annotation?.state.items.length, "a comment");
   },
   film: async (page) => {
     await open(page, main, "minute.0000");
     await dispatch(page, { type: "select", from: 1e9, to: 2e9 });
     await page.click(`#${await panelOf(page, "Camera.Image")} canvas`, { button: "right" });
-    await page.click("#menu button:has-text('Film of the selection')");
-    await until(page, () => document.querySelector("#film-file"), "the film");
+    await page.click("#menu button:has-text('Video of the selection')");
+    await until(page, () => document.querySelector("#film-file"), "the video");
   },
   trace: async (page) => {
     await screens.graph(page);
     await page.click(".graph .edge.lossy .number");
     await until(page, () => document.querySelectorAll(".messages button.linkish").length === 8, "its last messages");
-    // the list goes on while it is looked at: the place, not the message, is clicked
+    // The list changes continuously, so the test clicks a position, not a message.
     await page.evaluate(() => document.querySelector(".messages button.linkish").click());
-    await until(page, () => document.querySelectorAll("#trace .hops li").length >= 3, "the way of its time");
+    await until(
+      page,
+      () => document.querySelectorAll("#trace .hops li").length >= 3,
+      "the path of its originating time",
+    );
   },
   find: async (page) => {
     await open(page, main, "minute.0000");

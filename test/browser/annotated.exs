@@ -1,4 +1,4 @@
-# A studio in a VM of its own, for the test that kills it: FOLDER PORT LAYOUTS; says where it is.
+# A studio in a separate VM, for the test that kills it: FOLDER PORT LAYOUTS. Prints its address.
 [folder, port, layouts] = System.argv()
 {:ok, _} = Application.ensure_all_started(:situ_studio)
 

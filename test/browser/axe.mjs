@@ -1,10 +1,10 @@
-// The objections of axe-core against a page.
+// Finds accessibility violations of a page with axe-core.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
-// The violations that axe finds: rule and elements. Colours are checked in both themes.
+// Returns the violations that axe finds: rule and elements. Colors are checked in both themes.
 export async function objections(page) {
   await page.evaluate(axe);
   return page.evaluate(async () => {

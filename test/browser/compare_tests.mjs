@@ -1,24 +1,24 @@
-// Two recordings on one axis, the second shifted by a number, by dragging, and by an event in each.
+// Compares two recordings on one axis. The second one is shifted by a number, by dragging, and by an event in each.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, panelOf, pointAt, settled } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
 
-// The value of a stream that is drawn as a line, at a time of the page.
+// Returns the value of a stream that is drawn as a line, at a time of the page.
 const value = (page, stream, t) =>
   page.evaluate(
     ([name, time]) => {
       const layer = [...window.situStudio.views].flatMap((v) => v.layers ?? []).find((l) => l.vis.stream === name);
       const { series } = layer.channel;
-      return series.last[series.at(time)];
+      return series.last[series.indexAt(time)];
     },
     [stream, t],
   );
 
 const late = (page) =>
   page.evaluate(() => {
-    const { offset, together } = window.situStudio.compare;
+    const { offset, alignedStart: together } = window.situStudio.compare;
     return Number(offset - together) / 1e9;
   });
 
@@ -26,7 +26,7 @@ async function lateIs(page, seconds) {
   await until(
     page,
     (s) => {
-      const { offset, together } = window.situStudio.compare;
+      const { offset, alignedStart: together } = window.situStudio.compare;
       return Math.abs(Number(offset - together) / 1e9 - s) < 0.01 && !window.situStudio.client.inflight;
     },
     `it begins ${seconds} s later`,
@@ -35,7 +35,7 @@ async function lateIs(page, seconds) {
   await settled(page);
 }
 
-test("3 compare: a second recording is chosen, drawn beside the first, and shifted", async ({ page, shot }) => {
+test("3 compare: a second recording is chosen, drawn next to the first, and shifted", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await page.keyboard.press("v");
   await until(page, () => document.querySelector("#compare-dialog select"), "the dialog");
@@ -44,27 +44,30 @@ test("3 compare: a second recording is chosen, drawn beside the first, and shift
   await until(page, () => document.body?.dataset.ready === "1" && window.situStudio.compare, "the comparison");
   await settled(page);
   equal(await panelOf(page, "Compared.Mic.Level"), await panelOf(page, "Mic.Level"), "lines share a panel");
-  ok((await panelOf(page, "Compared.Camera.Image")) !== (await panelOf(page, "Camera.Image")), "pictures do not");
+  ok(
+    (await panelOf(page, "Compared.Camera.Image")) !== (await panelOf(page, "Camera.Image")),
+    "images do not share a panel",
+  );
   near(await value(page, "Compared.Mic.Level", 20.2 * S), await value(page, "Mic.Level", 20.2 * S), 1e-9, "alike");
   await page.fill("#compare input", "2.5 s");
   await page.keyboard.press("Enter");
   await lateIs(page, 2.5);
   near(await value(page, "Compared.Mic.Level", 22.7 * S), await value(page, "Mic.Level", 20.2 * S), 1e-6, "shifted");
-  // the picture at the cursor is that of the shifted time
+  // The image at the cursor is from the shifted time.
   await pointAt(page, await panelOf(page, "Vad.Speaking"), 30.2 * S);
   const shown = async (stream, at) => {
     const id = await panelOf(page, stream);
     await until(
       page,
       ([i, t]) => document.querySelector(`#${i} canvas`)?.dataset.at === String(t),
-      `the picture of ${stream}`,
+      `the image of ${stream}`,
       [id, at],
     );
   };
   await shown("Camera.Image", 30 * S);
   await shown("Compared.Camera.Image", 29.5 * S);
   await shot("compare");
-  // dragged by a tenth of the view
+  // Drags by a tenth of the view.
   const box = await page.locator("#compare .shift").boundingBox();
   const [a, b] = await page.evaluate(() => window.situStudio.time.get().view);
   const width = await page.evaluate(
@@ -75,7 +78,7 @@ test("3 compare: a second recording is chosen, drawn beside the first, and shift
   await page.mouse.move(box.x + box.width / 2 - 30, box.y + box.height / 2);
   await page.mouse.up();
   await lateIs(page, 2.5 - (30 * (b - a)) / width / S);
-  // a layout that is saved has the shift, whatever it was meanwhile
+  // A saved layout includes the shift, even if the shift changed in between.
   const saved = await late(page);
   await page.click("button[title='Save the layout']");
   await page.fill("#layout-save input[name=name]", "Both");
@@ -88,8 +91,8 @@ test("3 compare: a second recording is chosen, drawn beside the first, and shift
   await until(page, () => document.getElementById("studio").dataset.layout === "Automatic", "another layout");
   await page.selectOption("#layout-pick select", "Both");
   await lateIs(page, saved);
-  // the address holds it, and the layout of both
-  await until(page, () => new URLSearchParams(location.search).get("offset"), "the address says so");
+  // The address includes the shift and the layout of both.
+  await until(page, () => new URLSearchParams(location.search).get("offset"), "the address includes it");
   await page.waitForTimeout(300);
   const before = await late(page);
   await page.reload();
@@ -97,14 +100,15 @@ test("3 compare: a second recording is chosen, drawn beside the first, and shift
   near(await late(page), before, 1e-6, "shifted as before");
   await Promise.all([page.waitForURL((u) => !u.search.includes("with=")), page.click("[data-align=stop]")]);
   await until(page, () => document.body?.dataset.ready === "1", "alone again");
-  ok(!(await page.$("#compare")), "and nothing is compared");
+  ok(!(await page.$("#compare")), "nothing is compared");
 });
 
-test("3 compare: an event in each recording is chosen, and both fall together", async ({ page }) => {
+test("3 compare: an event is chosen in each recording, and the two events are aligned", async ({ page }) => {
   await page.goto(`${main}/s/minute.0000?with=memory`);
   await until(page, () => document.body?.dataset.ready === "1" && window.situStudio.compare, "the comparison");
   await settled(page);
-  // somebody speaks from 5 s to 10 s, from 15 s to 20 s ...: the first's second time is the second's first
+  // Someone speaks from 5 s to 10 s, from 15 s to 20 s, and so on. The second interval of the first recording is
+  // aligned with the first interval of the second.
   const lanes = await panelOf(page, "Vad.Speaking");
   const row = async (stream) =>
     page.evaluate(
@@ -121,7 +125,7 @@ test("3 compare: an event in each recording is chosen, and both fall together", 
     await page.click(`#menu button:has-text("${item}")`);
   };
   await choose("Vad.Speaking", 17 * S, "a moment of minute.0000");
-  ok((await page.textContent("#compare .marks")).includes("memory"), "it asks for the other one");
+  ok((await page.textContent("#compare .marks")).includes("memory"), "it asks for the other event");
   await choose("Compared.Vad.Speaking", 7 * S, "a moment of memory");
   await lateIs(page, 10);
 });

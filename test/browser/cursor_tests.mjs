@@ -1,11 +1,11 @@
-// Cursor, view, selection, playback, going to a time.
+// Cursor, view, selection, playback, and going to a time.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, state, dispatch, lengthIs, panelOf, pointAt } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
 
-test("5 cursor: follows the mouse and drives every panel; held when told", async ({ page }) => {
+test("5 cursor: follows the mouse, drives every panel, and can be locked", async ({ page }) => {
   await open(page, main, "minute.0000");
   const lanes = await panelOf(page, "Vad.Speaking"),
     image = await panelOf(page, "Camera.Image");
@@ -13,7 +13,7 @@ test("5 cursor: follows the mouse and drives every panel; held when told", async
   await until(
     page,
     (i) => document.querySelector(`#${i} canvas`).dataset.at === "42000000000",
-    "the picture follows the mouse",
+    "the image follows the mouse",
     image,
   );
   near((await state(page)).cursor, 42.5 * S, 0.1 * S, "cursor");
@@ -43,26 +43,26 @@ test("5 cursor: its line stays at its time when the panels become wider", async 
   ok(off < 3, `the line is ${off} pixels from the cursor's time`);
 });
 
-test("5 cursor: snaps to the messages of a stream, and steps along them", async ({ page }) => {
+test("5 cursor: snaps to the messages of a stream, and steps from one to the next", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.click("#tree .node[data-stream='Camera.Image'] .name");
   await page.click("text=Snap cursor to it");
   await until(page, () => window.situStudio.client.snap === "Camera.Image", "the cursor snaps");
   const lanes = await panelOf(page, "Vad.Speaking");
   await pointAt(page, lanes, 20.4 * S);
-  await until(page, () => window.situStudio.time.get().cursor === 20e9, "the cursor is on the nearest picture");
+  await until(page, () => window.situStudio.time.get().cursor === 20e9, "the cursor is on the nearest image");
   await page.keyboard.press("ArrowRight");
-  await until(page, () => window.situStudio.time.get().cursor === 21e9, "the next picture");
+  await until(page, () => window.situStudio.time.get().cursor === 21e9, "the next image");
   await page.keyboard.press("ArrowLeft");
   await page.keyboard.press("ArrowLeft");
   await until(
     page,
     () => window.situStudio.time.get().cursor === 19e9 || window.situStudio.time.get().cursor === 20e9,
-    "the pictures before",
+    "the previous images",
   );
 });
 
-test("5 view: wheel zooms about the mouse, drag pans, keys do both", async ({ page }) => {
+test("5 view: the wheel zooms around the mouse, dragging pans, and keys do both", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Vad.Speaking");
   await pointAt(page, id, 30 * S);
@@ -74,11 +74,11 @@ test("5 view: wheel zooms about the mouse, drag pans, keys do both", async ({ pa
       const [a, b] = window.situStudio.time.get().view;
       return Math.abs((b - a) / w - 1) < 0.01;
     },
-    "each turn of the wheel narrows the view by a fifth",
+    "each step of the wheel narrows the view by a fifth",
     (wide[1] - wide[0]) * 0.8 ** 5,
   );
   const zoomed = (await state(page)).view;
-  near((30 * S - zoomed[0]) / (zoomed[1] - zoomed[0]), 0.5, 0.02, "place of the time under the mouse");
+  near((30 * S - zoomed[0]) / (zoomed[1] - zoomed[0]), 0.5, 0.02, "position of the time under the mouse");
   const at = await pointAt(page, id, 30 * S);
   await page.mouse.down();
   await page.mouse.move(at.x - 100, at.y, { steps: 4 });
@@ -92,10 +92,10 @@ test("5 view: wheel zooms about the mouse, drag pans, keys do both", async ({ pa
   const data = (await state(page)).data;
   equal((await state(page)).view, data, "everything is in view");
   await page.keyboard.press("PageDown");
-  ok((await state(page)).view[0] > 20 * S, "the view moved by keys");
+  ok((await state(page)).view[0] > 20 * S, "the keys moved the view");
 });
 
-test("5 selection: both ends by mouse and keys, zoom to it, shift, clear", async ({ page }) => {
+test("5 selection: both ends are set with mouse and keys; zoom, shift and clear", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Vad.Speaking");
   let at = await pointAt(page, id, 10 * S);
@@ -118,14 +118,14 @@ test("5 selection: both ends by mouse and keys, zoom to it, shift, clear", async
   equal((await state(page)).sel, [null, null], "cleared");
 });
 
-test("5 playback: runs with sound in step, repeats a selection, at another speed", async ({ page }) => {
+test("5 playback: is in sync with audio, repeats a selection, and changes speed", async ({ page }) => {
   await open(page, main, "minute.0000");
   await dispatch(page, { type: "cursor", t: 4 * S });
   await page.keyboard.press("Space");
-  await until(page, () => window.situStudio.playback.run?.heard > 16000, "sound is scheduled");
+  await until(page, () => window.situStudio.playback.run?.heard > 16000, "audio is scheduled");
   const step = await page.evaluate(async () => {
     const { playback, time } = window.situStudio;
-    // both clocks at the very moment at which the cursor moves
+    // Reads both clocks in the same step in which the cursor moves.
     const moved = () =>
       new Promise((resolve) => {
         const stop = time.subscribe((s, old) => {
@@ -140,7 +140,7 @@ test("5 playback: runs with sound in step, repeats a selection, at another speed
       if (t > sound + 1.2) return { sound: t - sound, cursor: c - cursor };
     }
   });
-  near(step.cursor, step.sound, 0.1, "cursor and sound go together");
+  near(step.cursor, step.sound, 0.1, "cursor and audio are in sync");
   await page.keyboard.press("Space");
   equal((await state(page)).mode, "manual", "stopped");
   await dispatch(page, { type: "select", from: 20 * S, to: 20.5 * S });
@@ -165,7 +165,7 @@ test("5 playback: runs with sound in step, repeats a selection, at another speed
   equal(seen.speed, 2, "double speed");
 });
 
-test("5 go to time: accepts a time, refuses what is none or outside", async ({ page }) => {
+test("5 go to time: accepts a time, rejects invalid times and times outside the recording", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.keyboard.press("Control+g");
   await page.keyboard.type("tomorrow");
@@ -181,7 +181,7 @@ test("5 go to time: accepts a time, refuses what is none or outside", async ({ p
   equal((await state(page)).cursor, 42.5 * S, "cursor");
 });
 
-test("5 cursor: a link keeps the stream that it snaps to; its time is copied as 'go to' takes it", async ({
+test("5 cursor: a link includes the snapped stream, and the copied time is accepted by 'go to'", async ({
   page,
   context,
 }) => {
@@ -189,12 +189,16 @@ test("5 cursor: a link keeps the stream that it snaps to; its time is copied as 
   await open(page, main, "minute.0000");
   await page.click("#tree .node[data-stream='Camera.Image'] .name");
   await page.click("text=Snap cursor to it");
-  await until(page, () => new URLSearchParams(location.search).get("snap") === "Camera.Image", "the address says so");
+  await until(
+    page,
+    () => new URLSearchParams(location.search).get("snap") === "Camera.Image",
+    "the address includes it",
+  );
   await page.goto(page.url());
   await until(
     page,
     () => document.body?.dataset.ready === "1" && window.situStudio.client.snap === "Camera.Image",
-    "and a reload keeps it",
+    "a reload preserves it",
   );
   await page.click(".snapped");
   await until(page, () => window.situStudio.client.snap === null && !document.querySelector(".snapped"), "released");
@@ -210,24 +214,21 @@ test("5 cursor: a link keeps the stream that it snaps to; its time is copied as 
   equal((await state(page)).cursor, 12_345_678_901, "back at that time");
 });
 
-test("5 selection: an interval that is clicked is selected; the menu tells its statistics", async ({
-  page,
-  shot,
-}) => {
+test("5 selection: a click on an interval selects it, and the menu shows its statistics", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   const lanes = await panelOf(page, "Vad.Speaking");
   const at = await pointAt(page, lanes, 7 * S);
   await page.mouse.click(at.x, await page.$eval(`#${lanes}`, (e) => e.getBoundingClientRect().top + 4 + 13));
-  equal((await state(page)).sel, [5 * S, 10 * S], "Speaking is selected from its beginning to its end");
+  equal((await state(page)).sel, [5 * S, 10 * S], "the interval of Speaking is selected");
   const level = await panelOf(page, "Mic.Level");
   await page.click(`#${level}`, { button: "right" });
   await page.click("#menu button:has-text('Statistics')");
-  await until(page, () => document.getElementById("statistics"), "the table is there");
+  await until(page, () => document.getElementById("statistics"), "the table is shown");
   const table = await page.$$eval("#statistics tr", (rows) =>
     Object.fromEntries(rows.map((r) => [...r.children].map((c) => c.textContent))),
   );
   equal(table.messages, "501", "messages of five seconds, both ends");
   equal(table.rate, "100 /s", "rate");
-  near(Number(table.greatest), 1, 1e-4, "the greatest");
+  near(Number(table.greatest), 1, 1e-4, "the maximum");
   await shot("statistics");
 });

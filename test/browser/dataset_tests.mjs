@@ -1,4 +1,4 @@
-// Datasets in the page: the tree and its menus, metadata and search, sessions on one time axis, batch runs.
+// Datasets in the page: the tree and its menus, metadata and search, sessions on one time axis, and batch runs.
 import { existsSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { test, equal, ok, until } from "./harness.mjs";
 import { answer as confirm, open, state } from "./studio_page.mjs";
@@ -34,29 +34,32 @@ async function answer(page, text) {
   await page.keyboard.press("Enter");
 }
 
-// Waits for what is on the disk.
+// Waits for a condition on files.
 async function onDisk(probe, what) {
   for (const end = Date.now() + 30_000; Date.now() < end; await new Promise((r) => setTimeout(r, 50)))
     if (probe()) return;
-  throw new Error(`waited in vain until ${what}`);
+  throw new Error(`timed out waiting until ${what}`);
 }
 
-test("6 datasets: the tree of sessions, recordings and streams; search by all they say", async ({ page, shot }) => {
+test("6 datasets: the tree shows sessions, recordings and streams; search covers all their texts", async ({
+  page,
+  shot,
+}) => {
   await page.goto(main);
   await page.click(".home .item:has-text('study.json')");
-  await until(page, () => location.pathname === "/d/study.json", "the list leads to it");
+  await until(page, () => location.pathname === "/d/study.json", "the list has a link to it");
   await dataset(page);
   equal(await labels(page), ["Lobby study", "p01", "p02", "p03"], "sessions");
   await until(
     page,
     () => document.querySelector("#tree .session .info")?.textContent === "1 min 0 s",
-    "a session tells how long it is",
+    "a session shows its duration",
   );
-  ok((await page.textContent(row("p03"))).includes("cannot be opened"), "what is missing is said");
+  ok((await page.textContent(row("p03"))).includes("cannot be opened"), "a missing recording is reported");
   await until(
     page,
     () => [...document.querySelectorAll("#tree img.thumb")].every((i) => i.complete && i.naturalWidth > 10),
-    "sessions have pictures",
+    "sessions have images",
   );
   await page.click(`${row("p02")} .fold`);
   await until(page, () => document.querySelectorAll("#tree .partition").length === 2, "its recordings");
@@ -85,7 +88,9 @@ test("6 datasets: the tree of sessions, recordings and streams; search by all th
   }
 });
 
-test("6 datasets: sessions are made, renamed, filled and removed; metadata and tags are kept", async ({ page }) => {
+test("6 datasets: sessions are created, renamed, filled and removed; metadata and tags are kept", async ({
+  page,
+}) => {
   await dataset(page);
   await menu(page, "Lobby study", "New session…");
   await answer(page, "p04");
@@ -107,7 +112,7 @@ test("6 datasets: sessions are made, renamed, filled and removed; metadata and t
   await page.fill(".metadata textarea", "participant: P04\nage: 31");
   await page.click(".metadata button[type=submit]");
   await onDisk(() => session("p04 late").metadata?.age === 31, "metadata is in the file");
-  equal(session("p04 late").tags, ["late", "german"], "and the tags");
+  equal(session("p04 late").tags, ["late", "german"], "the tags are shown");
   await page.fill("#search", "german p04");
   await until(page, () => document.querySelectorAll("#tree .session").length === 1, "found by tag and metadata");
   await page.fill(".metadata textarea", "no value here");
@@ -115,26 +120,26 @@ test("6 datasets: sessions are made, renamed, filled and removed; metadata and t
   await until(
     page,
     () => document.getElementById("toast").textContent.includes("line 1"),
-    "what is no metadata is refused in words",
+    "invalid metadata is rejected with an error",
   );
   await page.fill("#search", "");
-  // by hand, meanwhile
+  // Edits the file outside the studio.
   const now = saved();
   now.sessions[0].tags.push("by hand");
   writeFileSync(file, JSON.stringify(now, null, 2));
   await until(
     page,
     () => [...document.querySelectorAll("#tree .tag")].some((e) => e.textContent === "by hand"),
-    "what was edited by hand is shown",
+    "the external edit is shown",
   );
   await menu(page, "p04 late", "Remove from the dataset");
   await confirm(page);
   await onDisk(() => !session("p04 late"), "it is out of the file");
   ok(existsSync(`${folder}/big.0000`), "its recording is still there");
-  equal(session("p01").tags, ["pilot", "by hand"], "what was edited by hand is kept");
+  equal(session("p01").tags, ["pilot", "by hand"], "the external edit is kept");
 });
 
-test("6 datasets: a moved recording is found again, a part is saved, a copy of the dataset is opened", async ({
+test("6 datasets: a moved recording is found again, a section is saved, a copy of the dataset is opened", async ({
   page,
   shot,
 }) => {
@@ -143,21 +148,21 @@ test("6 datasets: a moved recording is found again, a part is saved, a copy of t
   await until(
     page,
     () => /\d MB\/h$/.test(document.querySelector("#tree .dataset .info").textContent),
-    "any figure beside the names",
+    "any statistic next to the names",
   );
   await page.selectOption(".pick select", "began");
   await until(
     page,
     () => document.querySelector("#tree .session .info").textContent === "2026-01-01 00:00:00 UTC",
-    "times say of which zone they are",
+    "times show their time zone",
   );
-  await menu(page, "p03", "Unfold all below it");
-  await menu(page, "Room", "Take another recording for it…");
+  await menu(page, "p03", "Unfold all below");
+  await menu(page, "Room", "Use another recording…");
   await page.check("#relocate label:has-text('many.0000') input");
   await page.click("#relocate button[type=submit]");
   await onDisk(() => session("p03").partitions[0].path === "many.0000", "the other place is in the file");
-  await until(page, () => !document.querySelector("#tree .trouble"), "and nothing is missing any more");
-  await menu(page, "Room", "Save a part as a recording…");
+  await until(page, () => !document.querySelector("#tree .trouble"), "no recording is missing");
+  await menu(page, "Room", "Save a section as a recording…");
   await page.fill("#part [name=name]", "ten seconds");
   await page.fill("#part [name=to]", "10");
   await shot("part");
@@ -176,7 +181,7 @@ test("6 datasets: a moved recording is found again, a part is saved, a copy of t
     "said",
   );
   const copied = JSON.parse(readFileSync(`${folder}/a copy.json`, "utf8"));
-  ok(copied.sessions[3].partitions.length > 5, "with all that was not in it yet");
+  ok(copied.sessions[3].partitions.length > 5, "with everything that was missing in it");
   await menu(page, copied.sessions[3].name, "Remove from the dataset");
   await confirm(page);
   const lost = saved();
@@ -186,24 +191,24 @@ test("6 datasets: a moved recording is found again, a part is saved, a copy of t
   rmSync(`${folder}/ten seconds.0000`, { recursive: true });
 });
 
-test("6 datasets: a session of two recordings on one time axis", async ({ page, shot }) => {
+test("6 datasets: a session of two recordings is shown on one time axis", async ({ page, shot }) => {
   await open(page, main, "study.json/p02");
   const { data } = await state(page);
-  equal(data[1] - data[0], 60e9, "as long as its recordings together");
-  ok(await page.$("#tree .node[data-stream='Wearable.Late']"), "streams of the one");
-  ok(await page.$("#tree .node[data-stream='Room.Camera.Image']"), "and of the other");
+  equal(data[1] - data[0], 60e9, "its duration includes both recordings");
+  ok(await page.$("#tree .node[data-stream='Wearable.Late']"), "streams of the first recording");
+  ok(await page.$("#tree .node[data-stream='Room.Camera.Image']"), "streams of the second recording");
   await until(
     page,
     () => document.querySelector(".image-cell canvas")?.dataset.at,
-    "the picture of the first recording",
+    "the image of the first recording",
   );
   equal(await page.$$eval(".store", (s) => s.map((e) => e.title)), ["Lobby study", "p01", "p02", "p03"], "sessions");
   await shot("session");
   await page.goto(`${main}/s/study.json/p03`);
-  await until(page, () => document.querySelector(".message h1"), "what cannot be opened is said");
+  await until(page, () => document.querySelector(".message h1"), "a recording that cannot be opened is reported");
 });
 
-test("6 batch: a task's form, progress, what is made, and what fails", async ({ page, shot }) => {
+test("6 batch: a task has a form, progress, results and errors", async ({ page, shot }) => {
   await dataset(page);
   await menu(page, "Lobby study", "Run loudness…");
   await page.fill("#option-gain", "fast");
@@ -211,7 +216,7 @@ test("6 batch: a task's form, progress, what is made, and what fails", async ({ 
   await until(
     page,
     () => document.querySelector("#task .error")?.textContent.includes("gain must be a number"),
-    "a wrong option is refused in words",
+    "an invalid option is rejected with an error",
   );
   await page.fill("#option-gain", "3");
   await page.selectOption("#option-scale", "decibel");
@@ -232,30 +237,30 @@ test("6 batch: a task's form, progress, what is made, and what fails", async ({ 
     () =>
       [...document.querySelectorAll("#tree .node")].length > 0 &&
       !document.querySelector("#tree .info:empty.pending"),
-    "the tree is there",
+    "the tree is shown",
   );
   await shot("batch");
   await menu(page, "p01", "Run loudness…");
   await page.selectOption("#task-saved select", "three times");
-  await until(page, () => document.getElementById("option-gain")?.value === "3", "options that were saved");
+  await until(page, () => document.getElementById("option-gain")?.value === "3", "saved options");
 });
 
-test("6 batch: a run tells how far it is, goes on without the page, and is cancelled", async ({ page, shot }) => {
+test("6 batch: a run shows its progress, continues without the page, and is cancelled", async ({ page, shot }) => {
   writeFileSync(`${folder}/hold`, "");
   await dataset(page);
   await menu(page, "p02", "Run loudness…");
   await page.check("#option-hold");
   await page.fill("#task-output", "Held");
   await page.click("#task button[type=submit]");
-  await until(page, () => document.querySelector(".run.running progress"), "it runs");
+  await until(page, () => document.querySelector(".run.running progress"), "it is running");
   await page.reload();
-  // before that, the page has no server that could take a click
+  // Before that, the page is not connected and cannot take a click.
   await connected(page);
-  await until(page, () => document.querySelector(".run.running"), "it goes on without the page");
-  ok(/\d+ %, 0 of 1 sessions/.test(await page.textContent(".run.running")), "and tells how far it is");
+  await until(page, () => document.querySelector(".run.running"), "it continues without the page");
+  ok(/\d+ %, 0 of 1 sessions/.test(await page.textContent(".run.running")), "its progress is shown");
   await shot("batch-running");
   await page.click(".run.running button:has-text('Cancel')");
   rmSync(`${folder}/hold`);
   await until(page, () => document.querySelector(".run.cancelled"), "it is cancelled");
-  ok(!session("p02").partitions.some((p) => p.name === "Held"), "nothing half done is left");
+  ok(!session("p02").partitions.some((p) => p.name === "Held"), "no partial output remains");
 });

@@ -1,5 +1,5 @@
-// Streams made of others by expressions, and the panels that show numbers over one another, sounds by frequency, and
-// messages as a list.
+// Streams that are computed by expressions, and panels that plot numbers against each other, audio by frequency,
+// and messages as a list.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { answer, open, settled, state, dispatch, panelIn } from "./studio_page.mjs";
 
@@ -11,13 +11,17 @@ const menu = async (page, stream, item) => {
   await page.click(`#menu button:has-text("${item}")`);
 };
 
-test("3 derived: an expression makes a stream, which a link and a reload keep", async ({ page, shot }) => {
+test("3 derived: an expression makes a stream, which a link and a reload preserve", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await page.keyboard.press("e");
   await answer(page, "`Mic.Level` * 2 +");
-  await until(page, () => document.getElementById("toast").textContent.includes("no expression"), "refused in words");
-  await menu(page, "Mic.Level", "Derive from it…");
-  await until(page, () => document.activeElement?.value === "`Mic.Level`", "its name is there to go on with");
+  await until(
+    page,
+    () => document.getElementById("toast").textContent.includes("invalid expression"),
+    "rejected with an error",
+  );
+  await menu(page, "Mic.Level", "Derive from this stream…");
+  await until(page, () => document.activeElement?.value === "`Mic.Level`", "its name is inserted");
   await answer(page, "`Mic.Level` * 10 + `Imu.Acc.Y`");
   const name = "= `Mic.Level` * 10 + `Imu.Acc.Y`";
   await until(
@@ -48,11 +52,11 @@ test("3 derived: an expression makes a stream, which a link and a reload keep", 
   };
   await check();
   await shot("derived");
-  await until(page, () => new URLSearchParams(location.search).get("edit"), "the address holds it");
+  await until(page, () => new URLSearchParams(location.search).get("edit"), "the address includes it");
   await page.reload();
   await until(page, () => document.body?.dataset.ready === "1", "loaded again");
   await check();
-  // states by an expression are lanes
+  // States from an expression are drawn as lanes.
   await page.keyboard.press("e");
   await answer(page, "`Mic.Level` > 0.5");
   await until(
@@ -61,11 +65,11 @@ test("3 derived: an expression makes a stream, which a link and a reload keep", 
       [...window.situStudio.views].some((v) =>
         v.rows?.some((r) => r.l.vis.stream === "= `Mic.Level` > 0.5" && r.l.channel.segments?.size),
       ),
-    "true and false are a lane",
+    "booleans are drawn as a lane",
   );
 });
 
-test("3 XY: the second stream is drawn over the first, in the view", async ({ page, shot }) => {
+test("3 XY: the second stream is plotted against the first, within the view", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await menu(page, "Imu.Acc.X", "Show as xy plot");
   await until(page, () => document.querySelector(".xy-cell"), "a panel");
@@ -80,7 +84,7 @@ test("3 XY: the second stream is drawn over the first, in the view", async ({ pa
   );
   const seen = await page.evaluate(() => {
     const v = [...window.situStudio.views].find((w) => w.windowed);
-    return v.clouds()[0].dots.map(([t, x, y]) => [x - 9.8 * Math.sin(t / 3e9), y - 4 * Math.cos(t / 2e9)]);
+    return v.dotClouds()[0].dots.map(([t, x, y]) => [x - 9.8 * Math.sin(t / 3e9), y - 4 * Math.cos(t / 2e9)]);
   });
   ok(
     seen.every(([a, b]) => Math.abs(a) < 1e-9 && Math.abs(b) < 1e-9),
@@ -126,12 +130,12 @@ test("3 spectrogram: a tone is at its frequency while it sounds", async ({ page,
   }, id);
   const light = ([r, g, b]) => r + g + b;
   ok(light(colors.tone) > 300, `the tone is bright: ${colors.tone}`);
-  ok(light(colors.above) < light(colors.tone) / 2, `what does not sound is dark: ${colors.above}`);
-  ok(light(colors.silent) < light(colors.tone) / 2, `and so is silence: ${colors.silent}`);
+  ok(light(colors.above) < light(colors.tone) / 2, `silent frequencies are dark: ${colors.above}`);
+  ok(light(colors.silent) < light(colors.tone) / 2, `silence is dark: ${colors.silent}`);
   await shot("spectrogram");
 });
 
-test("3 list: the messages around the cursor; a click goes to one", async ({ page, shot }) => {
+test("3 list: shows the messages around the cursor; a click goes to a message", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await menu(page, "Speech.Text", "Show as list");
   await dispatch(page, { type: "cursor", t: 30.5 * S });
@@ -141,12 +145,12 @@ test("3 list: the messages around the cursor; a click goes to one", async ({ pag
     "the message at the cursor is marked",
   );
   const rows = await page.$$eval(".log-cell li .v", (r) => r.map((e) => e.textContent));
-  equal([rows[0], rows.at(-1), rows.length], ["word 0", "word 59", 60], "those before and after it");
+  equal([rows[0], rows.at(-1), rows.length], ["word 0", "word 59", 60], "the messages around it");
   await shot("list");
   await page.click(".log-cell li:has-text('word 33')");
   await until(page, () => window.situStudio.time.get().cursor === 33e9, "the cursor goes to it");
   await page.focus(".log-cell ol");
   await page.keyboard.press("ArrowUp");
-  await until(page, () => window.situStudio.time.get().cursor === 32e9, "and by keys to the one before");
+  await until(page, () => window.situStudio.time.get().cursor === 32e9, "a key goes to the previous message");
   equal((await state(page)).mode, "manual", "nothing plays");
 });

@@ -1,6 +1,7 @@
 defmodule Fixture do
   @moduledoc false
-  # The data for the browser tests: a minute of everything, the same each time, so that tests can expect exact pixels.
+  # The data for the browser tests: a minute of every kind of data, the same each time, so that
+  # tests can check exact pixels.
   alias Situ.Store.Writer
   alias Situ.Studio.History
 
@@ -8,7 +9,7 @@ defmodule Fixture do
 
   def t0, do: @t0
 
-  # The colour of the picture taken at second s, and the value of each signal then, are functions of s.
+  # The color of the image and the values of the signals are functions of the second s.
   def color(s), do: {rem(s * 4, 256), 255 - rem(s * 4, 256), rem(s * 40, 256)}
 
   @types %{
@@ -47,7 +48,7 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
-  # Two hundred streams of a few messages.
+  # Two hundred streams with a few messages.
   def record_many(name, folder) do
     {:ok, writer} = Writer.create(name, folder)
 
@@ -88,7 +89,8 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
-  # Ten seconds of film whose colour is that of `color/1` at its second, with a tone that begins at second 5.
+  # Ten seconds of video with the color `color/1` of each second, and with a tone that begins at
+  # second 5.
   def film(folder) do
     picture =
       "nullsrc=s=320x180:r=25:d=10,geq=r='mod(floor(T)*4,256)':g='255-mod(floor(T)*4,256)':b='mod(floor(T)*40,256)'"
@@ -104,7 +106,7 @@ defmodule Fixture do
       )
   end
 
-  # A signal of n points, 1 kHz, with one spike that no summary may lose.
+  # A signal of n points at 1 kHz, with one spike that no summary may lose.
   def record_big(name, folder, n) do
     {:ok, writer} = Writer.create(name, folder)
     {:ok, out} = Writer.stream(writer, "Signal", type: :float)
@@ -128,7 +130,7 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
-  # Records a signal at 1 kHz with single messages that stand out, and writes its values to `values_file`.
+  # Records a signal at 1 kHz with single outliers, and writes its values to `values_file`.
   def record_dense(name, folder, values_file) do
     :rand.seed(:exsss, {4, 2, 29})
 
@@ -150,8 +152,8 @@ defmodule Fixture do
     File.write!(values_file, Situ.JSON.encode(values))
   end
 
-  # Random streams: regular ones with holes, irregular ones, states that flicker and states that stay, maps of them. A
-  # file beside the recording holds the data, for comparison.
+  # Random streams: regular streams with gaps, irregular streams, states that change quickly or
+  # rarely, and maps of them. A file next to the recording contains the data for comparison.
   def record_zoo(name, folder, told) do
     :rand.seed(:exsss, {1, 7, 1})
     ms = 1_000_000
@@ -192,7 +194,7 @@ defmodule Fixture do
     File.write!(told, Situ.JSON.encode(truth))
   end
 
-  # Milliseconds, so many apart, within a minute; three holes of some seconds in them.
+  # Times in milliseconds with this step within a minute, with three gaps of some seconds.
   defp steps(n, pauses) do
     holes = for _ <- 1..3, at = :rand.uniform(55_000), do: at..(at + 500 + :rand.uniform(4_000))
 
@@ -203,7 +205,7 @@ defmodule Fixture do
     |> Enum.take(n)
   end
 
-  # Values that stay for 1 to `most` messages.
+  # Values that stay the same for 1 to `most` messages.
   defp runs(steps, most) do
     {rows, _} =
       Enum.map_reduce(steps, {true, 1}, fn
@@ -217,7 +219,7 @@ defmodule Fixture do
   defp states(steps),
     do: for(i <- steps, do: {i, Enum.at([:idle, :moving, :turning], div(i, 2_300) |> rem(3))})
 
-  # Written for as long as the process lives, 30 pictures and values of ten signals a second.
+  # Writes 30 images and the values of ten signals per second until the process ends.
   def record_live(name, folder) do
     {:ok, writer} = Writer.create(name, folder)
 
@@ -270,7 +272,7 @@ defmodule Fixture do
       sequence_id: n
     }
 
-    History.put(h, name, message, History.weigh(data))
+    History.put(h, name, message, History.estimate_size(data))
   end
 
   # {stream, originating time, latency, data, sequence}
@@ -320,11 +322,12 @@ defmodule Fixture do
     ]
   end
 
-  # Ada speaks in every other ten seconds; Bob is there from 20 s to 40 s and never does.
+  # Ada speaks in every other interval of ten seconds. Bob is present from 20 s to 40 s and never
+  # speaks.
   defp who(s) when s in 20..39, do: %{"Ada" => rem(div(s, 10), 2) == 0, "Bob" => false}
   defp who(s), do: %{"Ada" => rem(div(s, 10), 2) == 0}
 
-  # Every second a stretch of its first 600 ms.
+  # Every second has an interval in its first 600 ms.
   defp part(s) do
     t = @t0 + s * 1_000_000_000
     Situ.Interval.closed(t, t + 600_000_000)
@@ -332,7 +335,7 @@ defmodule Fixture do
 
   def picture(s) do
     {r, g, b} = color(s)
-    Situ.Image.filled(64, 48, :rgb24, [r, g, b])
+    Situ.Image.new_filled(64, 48, :rgb24, [r, g, b])
   end
 
   defp depth(s) do
@@ -363,7 +366,7 @@ end
 
 defmodule Fixture.Loudness do
   @moduledoc false
-  # A batch task with an option of each kind; as slow as its file of that name says, and failing where it is told to.
+  # A batch task with an option of each kind. With `hold`, it waits while a file exists.
   @behaviour Situ.Dataset.Task
 
   @impl true

@@ -1,10 +1,10 @@
-// The smallest runner that does: tests in order, each with a page of its own, one line for what fails, a closing line.
+// A minimal test runner: runs tests in order, each in a new page, and prints failures and a closing line.
 import { chromium } from "playwright-core";
 import { mkdirSync } from "node:fs";
 import { join } from "node:path";
 
-// How long a step may take, in ms: far longer than it needs, even where other programs keep the machine busy. Only a
-// test that fails waits as long.
+// The maximum duration of a step in ms. It is much longer than a step needs, even on a busy machine, and only a
+// failing test waits that long.
 export const PATIENCE = 120_000;
 
 const tests = [];
@@ -31,12 +31,12 @@ export async function until(page, probe, what, arg, polling = 30) {
   try {
     return await page.waitForFunction(probe, arg, { timeout: PATIENCE, polling });
   } catch (error) {
-    throw new Error(`waited in vain until ${what}: ${error.message.split("\n")[0]} at ${page.url()}`);
+    throw new Error(`timed out waiting until ${what}: ${error.message.split("\n")[0]} at ${page.url()}`);
   }
 }
 
-// A page that has loaded has no server yet that could take a click: whoever goes somewhere waits for it. Pages that
-// are no LiveView (an error, the sensor's page) have none to wait for.
+// Makes navigation wait until the page is connected, since a loaded page cannot take clicks before. Pages that are
+// not LiveViews (an error, the sensor's page) do not connect.
 function patient(page) {
   for (const name of ["goto", "reload"]) {
     const plain = page[name].bind(page);
@@ -61,15 +61,15 @@ export async function runAll({ filter = "", times = 1, shots }) {
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
     args: [
       "--no-sandbox",
-      // WebGL by software: there is no graphics card to count on
+      // There may be no graphics card, so WebGL is rendered in software.
       "--use-angle=swiftshader",
       "--enable-unsafe-swiftshader",
-      // 2D content is painted in software: through the emulated GPU it takes three times the work
+      // 2D content is painted in software as well, because the emulated GPU would take three times as long.
       "--disable-gpu-compositing",
       "--disable-gpu-rasterization",
       "--disable-accelerated-2d-canvas",
       "--disable-quic",
-      // a camera and a microphone that are Chromium's own inventions, without asking
+      // Chromium simulates a camera and a microphone without asking for permission.
       "--use-fake-device-for-media-stream",
       "--use-fake-ui-for-media-stream",
       "--no-first-run",
@@ -87,7 +87,7 @@ export async function runAll({ filter = "", times = 1, shots }) {
   };
   const words = filter.split("|");
   const wanted = tests.filter(({ name }) => words.some((w) => name.includes(w)));
-  // one test in a fresh context; true when it passed
+  // Runs one test in a new context, and returns whether it passed.
   const attempt = async ({ name, run }) => {
     let passed = false;
     const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: "dark" });
@@ -127,12 +127,12 @@ export async function runAll({ filter = "", times = 1, shots }) {
   }
   took.sort(([a], [b]) => b - a);
   for (const [seconds, name] of took.slice(0, 10)) console.log(`slow: ${seconds.toFixed(1)} s ${name}`);
-  // The same rule as in bin/test: up to three that failed run once more, and what passes then is told as unsteady.
+  // As in bin/test, up to three failed tests run again, and those that pass then are reported as unsteady.
   if (times === 1 && failed.length <= 3) {
     const again = failed;
     failed = [];
     for (const test of again) {
-      if (await attempt(test)) console.log(`unsteady: ${test.name} failed, and passed when it ran again`);
+      if (await attempt(test)) console.log(`unsteady: ${test.name} failed, but passed when it ran again`);
       else failed.push(test);
     }
   }

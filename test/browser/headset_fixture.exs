@@ -1,6 +1,6 @@
 defmodule HeadsetFixture do
-  # A pipeline whose head and hands are a page's: what came last is in a file that the tests read, and a box, a pose and
-  # a text are shown where the test looks for them.
+  # A pipeline with a page as its headset. It writes the last poses to a file that the tests read,
+  # and draws a box, a pose and a text at positions that the test checks.
   alias Situ.{Box3, Pose, Skeleton}
   alias Situ.Studio.Headset
 
@@ -34,7 +34,7 @@ defmodule HeadsetFixture do
       )
   end
 
-  # Two metres ahead of where the emulated head is, half a metre to the left.
+  # Two metres in front of the emulated head, and half a metre to the left.
   defp box, do: Box3.new!({1.9, 0.4, 1.5}, {2.1, 0.6, 1.7})
 
   defp both(map), do: {map, map}
@@ -54,8 +54,8 @@ defmodule HeadsetFixture do
   defp hand(%Skeleton{} = hand),
     do: %{
       joints: map_size(hand.joints),
-      wrist: list(Skeleton.position(hand, :wrist)),
-      tip: list(Skeleton.position(hand, :index_finger_tip))
+      wrist: list(Skeleton.joint_position(hand, :wrist)),
+      tip: list(Skeleton.joint_position(hand, :index_finger_tip))
     }
 
   defp flat(planes),

@@ -1,4 +1,5 @@
-// The page that is a headset, with an emulated one (iwer) in Chromium: poses reach a pipeline, its drawings the eyes.
+// The headset page in Chromium with an emulated headset (iwer): poses reach a pipeline, and its drawings are
+// displayed.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { test, ok, equal, near, until } from "./harness.mjs";
@@ -13,16 +14,16 @@ async function seenUntil(good, what) {
     try {
       if (good((seen = JSON.parse(readFileSync(site.headset, "utf8"))))) return seen;
     } catch {
-      // not written yet
+      // The file is not written yet.
     }
     await new Promise((done) => setTimeout(done, 50));
   }
-  throw new Error(`waited in vain until ${what}: ${JSON.stringify(seen)}`);
+  throw new Error(`timed out waiting until ${what}: ${JSON.stringify(seen)}`);
 }
 
 const all = (a, b, by = 1e-3) => a?.length === b.length && a.every((v, i) => Math.abs(v - b[i]) <= by);
 
-// A headset whose wearer stands at the origin, 1.6 m tall, and shows both hands; one plane is its floor.
+// Emulates a headset whose wearer is at the origin, 1.6 m tall, and shows both hands. One plane is the floor.
 async function wear(page) {
   await page.addInitScript(emulator);
   await page.addInitScript(() => {
@@ -34,7 +35,7 @@ async function wear(page) {
     device.gaze.connected = true;
     const corners = [-1, 1, 1, -1].map((x, i) => new DOMPointReadOnly(x, 0, i < 2 ? -2 : 2));
     const floor = new NativePlane(new XRRigidTransform({ x: 0, y: 0, z: -3 }), corners, "floor");
-    // what the emulator asks of its surroundings: a picture of them, and their planes
+    // The emulator asks for an image and the planes of its surroundings.
     const picture = document.createElement("canvas");
     picture.style.display = "none";
     const surroundings = {
@@ -50,7 +51,7 @@ async function wear(page) {
   });
 }
 
-// How many pixels of what the wearer sees are red, and how many green, in the left and the right half.
+// Counts the red and green pixels in the left and the right half of the view.
 async function seen(page) {
   const png = (await page.screenshot()).toString("base64");
   return page.evaluate(async (png) => {
@@ -72,37 +73,37 @@ async function seen(page) {
 async function seeUntil(page, good, what) {
   let last;
   for (const end = Date.now() + 30000; Date.now() < end;) if (good((last = await seen(page)))) return;
-  throw new Error(`waited in vain until ${what}: ${JSON.stringify(last)}`);
+  throw new Error(`timed out waiting until ${what}: ${JSON.stringify(last)}`);
 }
 
-test("headset: head, hands, gaze and planes reach the pipeline, and its drawings are seen", async ({
+test("headset: head, hands, gaze and planes reach the pipeline, and its drawings are visible", async ({
   page,
   shot,
 }) => {
   await wear(page);
   await page.goto(site.main + "/headset?name=emulated");
-  await until(page, () => !document.getElementById("start").disabled, "there is a headset");
+  await until(page, () => !document.getElementById("start").disabled, "the headset is available");
   await page.click("#start");
   await until(page, () => window.situHeadset.sent > 5 && window.situHeadset.drawn > 1, "it sends and draws");
   const first = await seenUntil((s) => all(s.head, [0, 0, 1.6]) && s.left && s.right, "the pipeline has it");
-  near(first.yaw, 0, 1e-3, "it looks ahead");
+  near(first.yaw, 0, 1e-3, "the gaze is ahead");
   near(first.late_ms, 0, 20000, "the times are about now");
   equal([first.left.joints, first.right.joints], [26, 26], "joints");
-  // hands are before the wearer, the left one on the left
+  // The hands are in front of the wearer, the left one on the left.
   ok(first.left.wrist[1] > first.right.wrist[1], `left is left: ${JSON.stringify(first)}`);
   ok(first.left.tip[0] > first.left.wrist[0], "the fingers point away");
   const floor = await seenUntil((s) => s.planes?.length === 1 && s.gaze, "a plane and the gaze");
-  equal(floor.planes[0].label, "floor", "its meaning");
+  equal(floor.planes[0].label, "floor", "its semantic label");
   near(floor.planes[0].width, 2, 1e-3, "its width");
-  ok(all(floor.planes[0].at, [3, 0, 0]), `where it is: ${floor.planes[0].at}`);
+  ok(all(floor.planes[0].at, [3, 0, 0]), `its position: ${floor.planes[0].at}`);
   ok(all(floor.gaze, [1, 0, 0], 0.05), `the gaze is ahead: ${floor.gaze}`);
-  // the box is ahead to the left, the sign at the right hand
+  // The box is ahead on the left, the sign at the right hand.
   await seeUntil(page, ({ red, green }) => red[0] > 50 && red[1] === 0 && green[1] > 200, "both are seen");
   await shot("headset");
 
-  // a pinch, a step ahead, and a look to the left
+  // Pinches, steps forward, and looks to the left.
   await page.evaluate(() => window.device.hands.right.updatePinchValue(1));
-  await seenUntil((s) => s.select?.right === true, "the pinch is told");
+  await seenUntil((s) => s.select?.right === true, "the pinch is reported");
   await page.evaluate(() => {
     window.device.position.set(-0.5, 1.6, -1);
     window.device.quaternion.set(0, Math.SQRT1_2, 0, Math.SQRT1_2);
@@ -110,22 +111,22 @@ test("headset: head, hands, gaze and planes reach the pipeline, and its drawings
   const turned = await seenUntil((s) => all(s.head, [1, 0.5, 1.6]), "it stepped");
   near(turned.yaw, Math.PI / 2, 1e-3, "it looks left");
   await seeUntil(page, ({ red }) => red[0] + red[1] === 0, "the box is out of sight");
-  // the picture lies over the page
+  // The headset's view covers the page.
   await page.evaluate(() => document.getElementById("stop").click());
   await until(page, () => document.getElementById("status").textContent === "Stopped.", "it stops");
 });
 
-test("headset: a browser without one says so, and so does one whose pipeline is not there", async ({
+test("headset: errors are shown for a browser without WebXR and for a missing pipeline", async ({
   page,
   context,
 }) => {
   await page.goto(site.main + "/headset?name=emulated");
   const told = (text) => document.getElementById("status").textContent.includes(text);
-  await until(page, told, "it says so", "knows no headset");
+  await until(page, told, "it says so", "does not support headsets");
   const other = await context.newPage();
   await wear(other);
   await other.goto(site.main + "/headset?name=nobody");
-  await until(other, () => !document.getElementById("start").disabled, "there is a headset");
+  await until(other, () => !document.getElementById("start").disabled, "the headset is available");
   await other.click("#start");
   await until(other, told, "it says so", "no pipeline has a sensor");
 });

@@ -1,4 +1,4 @@
-// Layouts and links, and pages that outlive their server process.
+// Layouts and links, and pages that survive their server process.
 import { writeFileSync } from "node:fs";
 import { test, equal, ok, until } from "./harness.mjs";
 import { open, settled, state, dispatch } from "./studio_page.mjs";
@@ -6,7 +6,7 @@ import { open, settled, state, dispatch } from "./studio_page.mjs";
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
 
-test("8 layouts: saved, switched and deleted; a link gives the same picture", async ({ page, context, shot }) => {
+test("8 layouts: saved, switched and deleted; a link shows the same image", async ({ page, context, shot }) => {
   await open(page, main, "minute.0000");
   await page.dblclick("#tree .node[data-stream='Robot.State']");
   await page.click("button[title='Save the layout']");
@@ -23,7 +23,7 @@ test("8 layouts: saved, switched and deleted; a link gives the same picture", as
   await page.selectOption("#layout-pick select", "Tuned & <b>bold</b>");
   await until(page, (n) => document.querySelectorAll(".row-box").length === n, "the saved layout is back", rows);
   await page.dblclick("#tree .node[data-stream='Mic.Level']");
-  await until(page, () => document.getElementById("studio").dataset.edit !== "", "it was changed since");
+  await until(page, () => document.getElementById("studio").dataset.edit !== "", "the layout has changed since");
   await dispatch(page, { type: "select", from: 12 * S, to: 18 * S });
   await dispatch(page, { type: "zoomSel" });
   await dispatch(page, { type: "nudge", by: 15 * S });
@@ -32,7 +32,7 @@ test("8 layouts: saved, switched and deleted; a link gives the same picture", as
   const still = async (p) => {
     await p.evaluate(() => document.getElementById("toast").remove());
     await p.evaluate(() => (document.querySelector(".times").scrollTop = 0));
-    // what is selected is no part of a link
+    // A link does not include the selection.
     await p.evaluate(() => document.querySelectorAll(".selected").forEach((e) => e.classList.remove("selected")));
     await p.mouse.move(5, 5);
     await settled(p);
@@ -50,18 +50,18 @@ test("8 layouts: saved, switched and deleted; a link gives the same picture", as
       ["after", after],
     ])
       writeFileSync(`${process.env.SHOTS}/${n}.png`, b);
-  ok(before.equals(after), "the reloaded page is the same picture");
+  ok(before.equals(after), "the reloaded page looks the same");
 });
 
 test("8 layouts: the page survives its server process", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.dblclick("#tree .node[data-stream='Robot.State']");
-  await until(page, () => document.getElementById("studio").dataset.edit !== "", "the layout is changed");
+  await until(page, () => document.getElementById("studio").dataset.edit !== "", "the layout has changed");
   const rows = await page.$$eval(".row-box", (r) => r.length);
   await page.evaluate(() => window.liveSocket.disconnect());
   await page.evaluate(() => window.liveSocket.connect());
   await until(page, () => !document.querySelector(".phx-loading, .phx-client-error"), "connected again");
-  await until(page, (n) => document.querySelectorAll(".row-box").length === n, "the layout is as it was", rows);
+  await until(page, (n) => document.querySelectorAll(".row-box").length === n, "the layout is restored", rows);
 });
 
 const rows = (page) => page.$$eval("[data-row]", (r) => r.map((e) => e.dataset.row));
@@ -70,19 +70,19 @@ const cells = (page) =>
     r.map((e) => [...e.querySelectorAll("[data-panel]")].map((c) => c.dataset.panel)),
   );
 
-// The pictures above the timelines, side by side.
+// Returns the image cells above the timelines.
 async function stacked(page) {
   await page.keyboard.press("b");
-  await until(page, () => !document.querySelector(".stack.beside"), "pictures above");
+  await until(page, () => !document.querySelector(".stack.beside"), "images are above");
   await page.evaluate(() => window.situStudio.options.push("place_panel", { id: "p2", side: "right", target: "p1" }));
-  await until(page, () => document.querySelectorAll(".row-box.cells").length === 1, "side by side");
+  await until(page, () => document.querySelectorAll(".row-box.cells").length === 1, "images are side by side");
 }
 
 test("8 layouts: panels are moved by dragging", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await stacked(page);
   const [pictures, sound, lanes] = await rows(page);
-  // a timeline to the top
+  // Moves a timeline to the top.
   await page.dragAndDrop(`#grip-${lanes}`, `#row-${pictures}`, { targetPosition: { x: 300, y: 20 } });
   await until(
     page,
@@ -91,31 +91,31 @@ test("8 layouts: panels are moved by dragging", async ({ page, shot }) => {
     lanes,
   );
   equal((await rows(page)).slice(0, 3), [lanes, pictures, sound], "rows");
-  // one picture to the other side of the other, then below the sound
-  equal(await cells(page), [["p1", "p2"]], "pictures side by side");
+  // Moves one image to the other side of the other, and then below the audio.
+  equal(await cells(page), [["p1", "p2"]], "images side by side");
   await page.dragAndDrop("#grip-p1", "#cell-p2", { targetPosition: { x: 350, y: 110 } });
   await until(
     page,
     () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2",
-    "the pictures change places",
+    "the images change positions",
   );
   await page.dragAndDrop("#grip-p1", `#row-${sound}`, { targetPosition: { x: 300, y: 80 } });
-  await until(page, () => document.querySelectorAll(".row-box.cells").length === 2, "a picture has a row of its own");
-  equal(await cells(page), [["p2"], ["p1"]], "pictures in rows of their own");
+  await until(page, () => document.querySelectorAll(".row-box.cells").length === 2, "an image has its own row");
+  equal(await cells(page), [["p2"], ["p1"]], "images in separate rows");
   await page.$eval("#cell-p1", (e) => e.scrollIntoView());
   await settled(page);
-  await until(page, () => document.querySelector("#body-p1-image canvas").dataset.at, "the moved picture is shown");
-  await until(page, () => !document.querySelector("[data-drop]"), "no mark is left");
+  await until(page, () => document.querySelector("#body-p1-image canvas").dataset.at, "the moved image is shown");
+  await until(page, () => !document.querySelector("[data-drop]"), "no drop mark remains");
   await shot("moved");
-  // the address holds it
+  // The address includes the layout.
   const before = await rows(page);
-  await until(page, () => new URLSearchParams(location.search).get("edit"), "the address holds the layout");
+  await until(page, () => new URLSearchParams(location.search).get("edit"), "the address includes the layout");
   await page.goto(page.url());
   await until(page, () => document.body?.dataset.ready === "1", "reloaded");
   equal(await rows(page), before, "a reload shows the same order");
 });
 
-test("8 layouts: panels are moved by keys, and keep the focus", async ({ page }) => {
+test("8 layouts: panels are moved with keys, and keep the focus", async ({ page }) => {
   await open(page, main, "minute.0000");
   await stacked(page);
   const before = await rows(page);
@@ -130,7 +130,7 @@ test("8 layouts: panels are moved by keys, and keep the focus", async ({ page })
   await until(
     page,
     () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2",
-    "the pictures change places",
+    "the images change positions",
   );
   equal((await state(page)).cursor, 0, "the keys did not move the cursor");
 });
@@ -140,7 +140,7 @@ test("9 export: the selection is saved as a recording that opens", async ({ page
   await dispatch(page, { type: "select", from: 10 * S, to: 25 * S });
   await page.keyboard.press("Control+e");
   await until(page, () => document.activeElement?.closest("#export-save"), "the dialog has the focus");
-  ok((await page.textContent("#export-save")).includes("The selection: 15.0 s"), "it tells what");
+  ok((await page.textContent("#export-save")).includes("The selection: 15.0 s"), "it describes the selection");
   await shot("export");
   await page.keyboard.press("Escape");
   await until(page, () => !document.getElementById("export-save"), "closed by Escape");
@@ -149,7 +149,7 @@ test("9 export: the selection is saved as a recording that opens", async ({ page
   const name = `part ${Date.now()}`;
   await page.fill("#export-save input[name=name]", name);
   await page.keyboard.press("Enter");
-  await until(page, () => document.getElementById("toast").textContent.startsWith("Saved as"), "it says where");
+  await until(page, () => document.getElementById("toast").textContent.startsWith("Saved as"), "it shows the path");
   await until(
     page,
     (n) => [...document.querySelectorAll(".store")].some((e) => e.title === `${n}.0000`),
@@ -159,5 +159,5 @@ test("9 export: the selection is saved as a recording that opens", async ({ page
   await page.click(`.store[title="${name}.0000"]`);
   await until(page, () => document.body?.dataset.ready === "1" && location.pathname.includes("part"), "it opens");
   const { data } = await state(page);
-  equal(data[1] - data[0], 15 * S, "as long as the selection");
+  equal(data[1] - data[0], 15 * S, "its duration is that of the selection");
 });

@@ -1,6 +1,7 @@
 defmodule MapFixture do
   @moduledoc false
-  # Somebody walks a kilometre to the north and then one to the east; somebody else's receiver gives maps with errors.
+  # One person walks a kilometre to the north and then one to the east. Another receiver emits
+  # maps with errors.
   alias Situ.{GeoPoint, Image, Imaging}
   alias Situ.Studio.History
 
@@ -24,9 +25,9 @@ defmodule MapFixture do
 
   defp put(h, stream, s, data), do: Fixture.put(h, stream, @t0 + s * @second, 0, data, s)
 
-  # One picture of one colour for every tile of the zooms that are looked at.
+  # One image of a single color for every tile of the tested zooms.
   def tiles(work) do
-    {:ok, png} = Imaging.encode_png(Image.filled(256, 256, :rgb24, [200, 60, 160]))
+    {:ok, png} = Imaging.encode_png(Image.new_filled(256, 256, :rgb24, [200, 60, 160]))
 
     for z <- 12..17, {x, y} = middle(z), dx <- -3..3, dy <- -3..3 do
       folder = Path.join([work, "tiles", "#{z}", "#{x + dx}"])

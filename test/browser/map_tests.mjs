@@ -1,4 +1,4 @@
-// Maps: the way, where it is at the cursor and how sure, the mouse, and whose pictures are fetched.
+// Maps: the track, the position at the cursor and its accuracy, the mouse, and the sources of tiles.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, settled, dispatch, panelOf, colorOf, state } from "./studio_page.mjs";
 
@@ -11,14 +11,14 @@ async function openMap(page, base = main) {
   await until(
     page,
     (i) => [...window.situStudio.views].find((v) => v.el.id === i)?.layers.every((l) => l.track),
-    "the ways have come",
+    "the tracks have arrived",
     id,
   );
   await settled(page);
   return id;
 }
 
-// Where a place on the Earth is on the canvas, and its colour there.
+// Returns the position of a location on the canvas, and its color there.
 const spot = (page, id, latitude, longitude) =>
   page.evaluate(
     ([i, lat, lon]) => {
@@ -36,7 +36,7 @@ const spot = (page, id, latitude, longitude) =>
 const alike = (seen, expected, what) =>
   ok(Math.hypot(...[0, 1, 2].map((k) => seen[k] - expected[k])) < 60, `${what}: expected ${expected}, got ${seen}`);
 
-test("13 map: the way behind the cursor, the way ahead, the place and its circle", async ({ page, shot }) => {
+test("13 map: shows the past track, the future track, the position and its circle", async ({ page, shot }) => {
   const foreign = [];
   page.on("request", (r) => new URL(r.url()).origin !== new URL(main).origin && foreign.push(r.url()));
   const id = await openMap(page);
@@ -44,7 +44,7 @@ test("13 map: the way behind the cursor, the way ahead, the place and its circle
   await until(
     page,
     (i) => document.querySelector(`#${i} canvas`).dataset.at === String(25e9),
-    "the place is there",
+    "the position is shown",
     id,
   );
   await settled(page);
@@ -53,21 +53,23 @@ test("13 map: the way behind the cursor, the way ahead, the place and its circle
   const behind = await spot(page, id, 46.002, 14.5),
     here = await spot(page, id, 46.0045, 14.5),
     ahead = await spot(page, id, 46.007, 14.5);
-  alike(behind.color, color, "the way behind");
+  alike(behind.color, color, "the past track");
   alike(here.color, color, "where it is");
-  // a line of the grid lies below
+  // A grid line is below the track.
   const faint = Math.hypot(...[0, 1, 2].map((k) => ahead.color[k] - behind.color[k]));
-  ok(faint > 60 && ahead.color[3] > 40, `the way ahead is faint: ${ahead.color}`);
-  // 50 m of accuracy: inside of the circle, beside the way, and outside of it
+  ok(faint > 60 && ahead.color[3] > 40, `the future track is faint: ${ahead.color}`);
+  // With an accuracy of 50 m, checks a point inside the circle, one next to the track, and one outside the circle.
   const inside = await spot(page, id, 46.0045, 14.5 + 30 / 77300),
     outside = await spot(page, id, 46.0045, 14.5 + 75 / 77300);
   ok(inside.color[3] > 20 && outside.color[3] < 10, `a circle of 50 m: ${inside.color} ${outside.color}`);
   const text = await page.textContent(`#${id} .cell-info`);
-  ok(/46\.004500, 14\.500000, ± 50 m/.test(text), `in words: ${text}`);
+  ok(/46\.004500, 14\.500000, ± 50 m/.test(text), `the text alternative: ${text}`);
   equal(foreign, [], "nothing is fetched from elsewhere");
 });
 
-test("13 map: the mouse tells place and time, a click goes there, the wheel zooms, keys move", async ({ page }) => {
+test("13 map: the mouse shows position and time, a click goes there, the wheel zooms, keys move", async ({
+  page,
+}) => {
   const id = await openMap(page);
   const box = await page.locator(`#${id} canvas`).boundingBox();
   const at = await spot(page, id, 46.009, 14.5 + 0.5 * 0.0129);
@@ -75,10 +77,10 @@ test("13 map: the mouse tells place and time, a click goes there, the wheel zoom
   await until(
     page,
     () => /Walker/.test(document.getElementById("tip")?.textContent ?? ""),
-    "the mouse is on the way",
+    "the mouse is on the track",
   );
   const tip = await page.textContent("#tip");
-  ok(/00:01:15/.test(tip) && /46\.009000/.test(tip), `its time and place: ${tip}`);
+  ok(/00:01:15/.test(tip) && /46\.009000/.test(tip), `its time and position: ${tip}`);
   await page.mouse.down();
   await page.mouse.up();
   near((await state(page)).cursor, 75 * S, 1, "a click sets the cursor");
@@ -92,7 +94,7 @@ test("13 map: the mouse tells place and time, a click goes there, the wheel zoom
     [id, before],
   );
   const same = await spot(page, id, 46.009, 14.5 + 0.5 * 0.0129);
-  near(same.x, at.x, 1, "about the mouse");
+  near(same.x, at.x, 1, "it zooms around the mouse");
   await page.mouse.down();
   await page.mouse.move(box.x + at.x + 50, box.y + at.y + 20, { steps: 3 });
   await page.mouse.up();
@@ -102,7 +104,7 @@ test("13 map: the mouse tells place and time, a click goes there, the wheel zoom
   near(await px(), before, 1, "0 shows everything again");
 });
 
-test("13 map: pictures come from where the user says, and from nowhere else", async ({ page, shot }) => {
+test("13 map: tiles are fetched from the user's source only", async ({ page, shot }) => {
   const id = await openMap(page, mapped);
   await until(
     page,
@@ -111,13 +113,13 @@ test("13 map: pictures come from where the user says, and from nowhere else", as
       const pictures = [...tiles.values()];
       return pictures.every((t) => t.complete) && pictures.some((t) => t.naturalWidth);
     },
-    "every picture has come or is known to be missing",
+    "every tile is loaded or missing",
     id,
   );
   await settled(page);
   await shot("map-tiles");
   const { color } = await spot(page, id, 46.0045, 14.5101);
-  alike(color, [200, 60, 160], "the picture lies below");
+  alike(color, [200, 60, 160], "the tile is below the track");
   const policy = (await page.goto(`${mapped}/s/walk`)).headers()["content-security-policy"];
-  ok(/img-src 'self' blob: data:;/.test(policy), `of a folder nothing is let in: ${policy}`);
+  ok(/img-src 'self' blob: data:;/.test(policy), `the policy allows no source for a local folder: ${policy}`);
 });

@@ -1,5 +1,6 @@
 defmodule MaskFixture do
-  # Pictures of 160 x 120 with what networks find in them: two objects with boxes and masks, and a class for each place.
+  # Images of 160 x 120 with the output of networks: two objects with boxes and masks, and a class
+  # for each position.
   alias Situ.{Image, Message, Rect}
   alias Situ.Studio.History
 
@@ -9,14 +10,14 @@ defmodule MaskFixture do
     history = History.new(seconds: 3_600, live: false)
 
     for i <- 0..9 do
-      put(history, "Camera.Image", i, Image.filled(160, 120, :rgb24, [20, 20, 20]))
+      put(history, "Camera.Image", i, Image.new_filled(160, 120, :rgb24, [20, 20, 20]))
 
       put(history, "Find.Boxes", i, [
         %Rect{x: 20, y: 30, width: 40, height: 40, label: "cup", score: 0.9, id: 2},
         %Rect{x: 100, y: 60, width: 20, height: 40, label: "fork", score: 0.7, id: 3}
       ])
 
-      put(history, "Find.Masks", i, [left_half(8, 8), Image.filled(4, 8, :gray8, [255])])
+      put(history, "Find.Masks", i, [left_half(8, 8), Image.new_filled(4, 8, :gray8, [255])])
       put(history, "Classes", i, classes())
     end
 
@@ -39,8 +40,8 @@ defmodule MaskFixture do
     Image.new!(width: w, height: h, format: :gray8, data: :binary.copy(row, h))
   end
 
-  # Of a network that saw the square around the picture: 32 x 32 for 160 x 160, from 20 pixels above on. Class 5 fills
-  # the picture's upper half.
+  # The output of a network that received the square around the image: 32 x 32 for 160 x 160,
+  # starting 20 pixels above the image. Class 5 fills the upper half of the image.
   defp classes do
     rows =
       for y <- 0..31, into: <<>>, do: :binary.copy(if(y in 4..15, do: <<5>>, else: <<0>>), 32)

@@ -1,10 +1,10 @@
-// Masks of segmentation over pictures: objects in their boxes, and a class for each place.
+// Segmentation masks on images: objects in their boxes, and a class for each position.
 import { test, equal, ok, until } from "./harness.mjs";
 import { open, panelOf, settled } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 
-// The colour at a place of the picture, whatever the panel's size.
+// Returns the color at a position of the image, independent of the panel's size.
 const colorAt = (page, id, x, y) =>
   page.evaluate(
     ([i, px, py]) => {
@@ -31,17 +31,17 @@ const show = async (page, stream, viz) => {
   await settled(page);
 };
 
-test("masks: objects are see-through in their boxes, with class, score and id", async ({ page, shot }) => {
+test("masks: objects are transparent in their boxes, with class, score and id", async ({ page, shot }) => {
   await open(page, main, "masked");
   await show(page, "Find.Masks", "masks");
   const id = await panelOf(page, "Find.Masks");
-  equal(id, await panelOf(page, "Camera.Image"), "over the picture");
+  equal(id, await panelOf(page, "Camera.Image"), "it is on top of the image");
   const [bare, left, right] = [
     await colorAt(page, id, 5, 100),
     await colorAt(page, id, 28, 60),
     await colorAt(page, id, 54, 60),
   ];
-  ok(Math.abs(bare[0] - 20) < 8 && Math.abs(right[0] - 20) < 8, `nothing beside the mask: ${bare} ${right}`);
+  ok(Math.abs(bare[0] - 20) < 8 && Math.abs(right[0] - 20) < 8, `nothing next to the mask: ${bare} ${right}`);
   ok(Math.max(...left) > 60 && Math.max(...left) < 200, `the left half of the cup's box is covered: ${left}`);
   const box = await page.evaluate((i) => {
     const view = [...window.situStudio.views].find((v) => v.el.id === i);
@@ -58,12 +58,12 @@ test("masks: objects are see-through in their boxes, with class, score and id", 
   await shot("masks");
 });
 
-test("masks: numbers of classes lie over the square that the network saw", async ({ page, shot }) => {
+test("masks: class numbers cover the square that the network received", async ({ page, shot }) => {
   await open(page, main, "masked");
   await show(page, "Classes", "masks");
   const id = await panelOf(page, "Camera.Image");
   const [upper, lower] = [await colorAt(page, id, 80, 30), await colorAt(page, id, 80, 90)];
   ok(Math.max(...upper) > 60, `class 5 covers the upper half: ${upper}`);
-  ok(Math.max(...lower) < 40, `and not the lower: ${lower}`);
+  ok(Math.max(...lower) < 40, `the lower half is not covered: ${lower}`);
   await shot("masks-classes");
 });

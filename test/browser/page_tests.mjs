@@ -1,11 +1,11 @@
-// The page as a whole: tree, search, themes, its size.
+// The page as a unit: tree, search, themes and size.
 import { test, equal, ok, until } from "./harness.mjs";
 import { open, settled, dispatch } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
 
-test("2 the page: tree, search, keyboard and themes", async ({ page, shot }) => {
+test("2 the page: tree, search, keyboard and themes work", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await page.mouse.move(640, 600);
   await settled(page);
@@ -15,14 +15,14 @@ test("2 the page: tree, search, keyboard and themes", async ({ page, shot }) => 
   await page.keyboard.type("acc");
   await until(page, () => document.querySelectorAll("#tree .node").length === 4, "the search has narrowed the tree");
   await page.fill("#search", "");
-  await until(page, () => document.querySelectorAll("#tree .node").length === 22, "the tree is whole again");
+  await until(page, () => document.querySelectorAll("#tree .node").length === 22, "the tree is complete again");
   await page.focus("#tree .node");
   for (let i = 0; i < 4; i++) await page.keyboard.press("ArrowDown");
   await page.keyboard.press("ArrowLeft");
   await until(
     page,
     () => [...document.querySelectorAll("#tree .node")].some((n) => n.getAttribute("aria-expanded") === "false"),
-    "a group is folded by keys",
+    "a key folds a group",
   );
   const before = await page.evaluate(() => getComputedStyle(document.body).backgroundColor);
   await page.evaluate(() => document.activeElement.blur());
@@ -33,7 +33,7 @@ test("2 the page: tree, search, keyboard and themes", async ({ page, shot }) => 
   await shot("studio-light");
 });
 
-test("2 the page: nothing moves after it is shown, and all of it fits 1280 x 720", async ({ page }) => {
+test("2 the page: nothing moves after it is shown, and everything fits 1280 x 720", async ({ page }) => {
   await page.addInitScript(() => {
     window.shift = 0;
     new PerformanceObserver((list) => {
@@ -58,7 +58,7 @@ test("2 the page: nothing moves after it is shown, and all of it fits 1280 x 720
   equal(over, [], "the toolbar fits");
 });
 
-test("2 the page: a window of 900 px has all of the toolbar, and the properties when asked for", async ({
+test("2 the page: a window of 900 px shows the entire toolbar, and the properties on request", async ({
   page,
   shot,
 }) => {
@@ -72,20 +72,20 @@ test("2 the page: a window of 900 px has all of the toolbar, and the properties 
       )
       .map((e) => e.title),
   );
-  equal(over, [], "what does not fit the toolbar");
-  equal(await page.isVisible(".right"), false, "the properties are away");
+  equal(over, [], "tools that do not fit the toolbar");
+  equal(await page.isVisible(".right"), false, "the properties are hidden");
   await page.click("#tree .node[data-stream='Imu.Acc.X'] .name");
   await until(
     page,
     () => document.querySelector(".right h2")?.textContent === "Imu.Acc.X",
-    "the properties are told",
+    "the properties are announced",
   );
-  ok(await page.isVisible(".right h2"), "and shown");
+  ok(await page.isVisible(".right h2"), "the properties are shown");
   await shot("narrow");
   await page.click("button[aria-label='Hide the properties']");
   equal(await page.isVisible(".right"), false, "hidden again");
   await page.keyboard.press("p");
-  ok(await page.isVisible(".right"), "shown by a key");
+  ok(await page.isVisible(".right"), "a key shows them");
   const wide = await page.$eval(".stack", (e) => e.clientWidth);
   await page.keyboard.press("s");
   ok((await page.$eval(".stack", (e) => e.clientWidth)) >= wide + 190, "without the streams there is more room");
@@ -101,30 +101,30 @@ test("2 the page: at 480 px every tool is in the row, or in the menu of its last
   const unreachable = await page.$$eval(".topbar button, .topbar a.tool", (els) =>
     els.filter((e) => e.offsetParent && e.getBoundingClientRect().right > 480).map((e) => e.title),
   );
-  equal(unreachable, [], "what is shown is in sight");
+  equal(unreachable, [], "visible tools are within the window");
   const shown = await page.$$eval(".topbar button:not(#more), .topbar a.tool", (els) =>
     els.filter((e) => e.getClientRects().length > 0).map((e) => e.title),
   );
   await page.click("#more");
   await until(page, () => document.querySelectorAll("#menu [role=menuitem]").length > 0, "the menu");
   const items = await page.$$eval("#menu [role=menuitem]", (els) => els.length);
-  equal(items, all.length - shown.length, "the menu has those that are not shown");
+  equal(items, all.length - shown.length, "the menu has the hidden tools");
   await shot("small");
   await page.click("#menu [role=menuitem]:has-text('Keys')");
-  await until(page, () => document.querySelector("dialog[open]"), "a tool of the menu does what it does");
+  await until(page, () => document.querySelector("dialog[open]"), "a tool of the menu works");
 });
 
-test("2 the page: two hundred streams are searched and walked by keys", async ({ page, shot }) => {
+test("2 the page: two hundred streams are searched and navigated with keys", async ({ page, shot }) => {
   await open(page, main, "many.0000");
   await page.keyboard.press("/");
   await page.keyboard.type("joint7 robot");
   await until(
     page,
     () => document.querySelector(".found")?.textContent.trim() === "10 of 200 streams",
-    "it tells how many are found",
+    "it shows the number of results",
   );
   await page.keyboard.press("ArrowDown");
-  await until(page, () => document.activeElement?.id === "node-Robot1", "down into the tree");
+  await until(page, () => document.activeElement?.id === "node-Robot1", "the focus moves into the tree");
   await page.keyboard.press("ArrowDown");
   await page.keyboard.press("ArrowDown");
   const panels = await page.$$eval(".row-box", (r) => r.length);

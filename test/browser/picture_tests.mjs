@@ -1,4 +1,4 @@
-// Panels at the cursor: pictures with what lies over them, depth, bars, values.
+// Panels at the cursor: images with overlays, depth, bars and values.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, settled, dispatch, pixel, count, colorOf, panelOf } from "./studio_page.mjs";
 
@@ -6,7 +6,7 @@ const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
 const color = (s) => [(s * 4) % 256, 255 - ((s * 4) % 256), (s * 40) % 256];
 
-test("4 pictures: the one at the cursor, with rectangles over it", async ({ page, shot }) => {
+test("4 pictures: the image at the cursor is shown with its rectangles", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Camera.Image");
   for (const s of [10, 33, 50]) {
@@ -14,7 +14,7 @@ test("4 pictures: the one at the cursor, with rectangles over it", async ({ page
     await until(
       page,
       ([i, at]) => document.querySelector(`#${i} canvas`).dataset.at === String(at),
-      `the picture of second ${s} is there`,
+      `the image of second ${s} is shown`,
       [id, s * S],
     );
     await settled(page);
@@ -25,7 +25,7 @@ test("4 pictures: the one at the cursor, with rectangles over it", async ({ page
   await shot("pictures");
 });
 
-test("4 a film: picture and waveform of an MP4, scrubbed back and forth", async ({ page, shot }) => {
+test("4 a film: image and waveform of an MP4 follow the cursor back and forth", async ({ page, shot }) => {
   await open(page, main, "film.mp4");
   const id = await panelOf(page, "Video"),
     wave = await panelOf(page, "Audio");
@@ -33,11 +33,11 @@ test("4 a film: picture and waveform of an MP4, scrubbed back and forth", async 
   for (const s of [7, 2, 1, 8, 4]) {
     const asked = Date.now();
     await dispatch(page, { type: "cursor", t: s * S + 5e8 });
-    // the picture is shown from its time on: 25 a second, 12 of them in half a second
+    // A frame is shown from its own time on. There are 25 per second, 12 of them in half a second.
     await until(
       page,
       ([i, at]) => document.querySelector(`#${i} canvas`).dataset.at === String(at),
-      `the picture of second ${s} is there`,
+      `the image of second ${s} is shown`,
       [id, s * S + 48e7],
     );
     times.push(Date.now() - asked);
@@ -55,7 +55,7 @@ test("4 a film: picture and waveform of an MP4, scrubbed back and forth", async 
   await shot("film");
 });
 
-test("4 depth, bars and values", async ({ page }) => {
+test("4 depth, bars and values are shown at the cursor", async ({ page }) => {
   await open(page, main, "minute.0000");
   await dispatch(page, { type: "cursor", t: 30 * S });
   await settled(page);
@@ -67,7 +67,7 @@ test("4 depth, bars and values", async ({ page }) => {
   await until(
     page,
     (i) => /= \d+/.test(document.querySelector(`#${i} .cell-info`).textContent),
-    "the depth under the mouse is told",
+    "the depth under the mouse is shown",
     depth,
   );
   await page.click("#tree .node[data-stream='Speech.Scores'] .name");
@@ -85,7 +85,7 @@ test("4 depth, bars and values", async ({ page }) => {
   );
 });
 
-test("4 values: plot this path", async ({ page, shot }) => {
+test("4 values: a path is plotted from the menu", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await page.dblclick("#tree .node >> nth=0");
   await until(
@@ -110,7 +110,7 @@ test("4 values: plot this path", async ({ page, shot }) => {
   await shot("values");
 });
 
-test("4 values: the tree is walked and plotted by keys alone", async ({ page }) => {
+test("4 values: the tree is navigated and plotted with keys alone", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.dblclick("#tree .node >> nth=0");
   await until(
@@ -140,7 +140,7 @@ test("4 values: the tree is walked and plotted by keys alone", async ({ page }) 
   );
 });
 
-test("4 depth: the range of its colours is fixed, and no reading is drawn in a colour", async ({ page, shot }) => {
+test("4 depth: the color range is fixed, and missing readings have their own color", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Kinect.Depth");
   await page.click("button.title[title='Kinect.Depth']");
@@ -155,19 +155,19 @@ test("4 depth: the range of its colours is fixed, and no reading is drawn in a c
   await until(
     page,
     (i) => [...window.situStudio.views].find((v) => v.el.id === i).layers[0].picture.range.join() === "100,900",
-    "the picture that is shown is coloured anew",
+    "the displayed image is colored again",
     id,
   );
   await settled(page);
   const fixed = await pixel(page, `#${id} canvas`, 0.5, 0.4);
   ok(fixed[2] > fixed[0] && own[2] < fixed[2], `900 is the far end now: ${own} -> ${fixed}`);
   await shot("depth-range");
-  // at (0, 0) of second 0 stands 500
+  // The depth at (0, 0) in second 0 is 500.
   await page.fill("#f-p2-0-invalid", "500");
   await until(
     page,
     (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.invalid === 500,
-    "what is no reading is set",
+    "the value of missing readings is set",
     id,
   );
   await page.$eval("#f-p2-0-invalid_color", (e) => {
@@ -182,24 +182,24 @@ test("4 depth: the range of its colours is fixed, and no reading is drawn in a c
   );
   await settled(page);
   const magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 12);
-  ok((await magenta()) > 10, "no reading is magenta");
+  ok((await magenta()) > 10, "missing readings are magenta");
   await page.click("button[title='Back to see-through']");
   await until(
     page,
     (i) => !JSON.parse(document.getElementById(i).dataset.config).vis[0].props.invalid_color,
-    "the colour is taken back",
+    "the color is reset",
     id,
   );
   await settled(page);
-  equal(await magenta(), 0, "and see-through again");
+  equal(await magenta(), 0, "missing readings are transparent again");
 });
 
-test("4 pictures: what lies under the mouse is told, mirrored pictures included", async ({ page, shot }) => {
+test("4 pictures: values under the mouse are shown, also in mirrored images", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Camera.Image");
   await dispatch(page, { type: "cursor", t: 10 * S });
   await settled(page);
-  // where a place of the picture of 64 x 48 is on the screen
+  // Returns the position on the screen of a pixel of the 64 x 48 image.
   const point = async (x, y) => {
     const box = await page.$eval(`#${id}`, (e) => {
       const b = e.getBoundingClientRect();
@@ -214,11 +214,15 @@ test("4 pictures: what lies under the mouse is told, mirrored pictures included"
       return t && !t.hidden ? t.textContent : "";
     });
   await point(15, 15);
-  await until(page, () => document.getElementById("tip")?.textContent.includes("Ada"), "the face is told");
-  equal((await told()).split("\n"), ["Ada", "score 0.93", "id 0", "20 × 20 at (10, 10)"], "label, score, id, place");
+  await until(page, () => document.getElementById("tip")?.textContent.includes("Ada"), "the tooltip shows the face");
+  equal(
+    (await told()).split("\n"),
+    ["Ada", "score 0.93", "id 0", "20 × 20 at (10, 10)"],
+    "label, score, id and position",
+  );
   await shot("hover");
   await point(45, 40);
-  await until(page, () => document.getElementById("tip").hidden, "nothing where nothing is");
+  await until(page, () => document.getElementById("tip").hidden, "no tooltip without an object");
   await page.click(`button.title[title='Camera.Image, Camera.Faces']`);
   await page.check("#f-p1-0-flip");
   await until(
@@ -231,5 +235,5 @@ test("4 pictures: what lies under the mouse is told, mirrored pictures included"
   await point(64 - 15, 15);
   await until(page, () => !document.getElementById("tip").hidden, "the face is on the other side");
   await page.mouse.move(5, 5);
-  await until(page, () => document.getElementById("tip").hidden, "gone with the mouse");
+  await until(page, () => document.getElementById("tip").hidden, "the tooltip disappears with the mouse");
 });

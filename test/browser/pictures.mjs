@@ -1,5 +1,5 @@
-// The pictures of the guide "The studio", made of the demo's recording: `test/browser/run --pictures RECORDINGS`, where
-// RECORDINGS is the folder that `bin/demo --out` has written. Written into docs/images.
+// Makes the images of the guide "The studio" from the demo's recording: `test/browser/run --pictures RECORDINGS`,
+// where RECORDINGS is the folder that `bin/demo --out` has written. Writes them to docs/images.
 import { chromium } from "playwright-core";
 import { spawn } from "node:child_process";
 import { join } from "node:path";
@@ -23,7 +23,7 @@ async function look(page, view, sel, at) {
 }
 
 const PICTURES = {
-  // the whole clip: the picture of the README
+  // The image of the README shows the entire clip.
   studio: async (page) => {
     await recording(page);
     await look(page, [0, 14], null, 5.35);
@@ -69,7 +69,7 @@ const PICTURES = {
     await page.fill("#annotation-new [name=name]", "Turns");
     await page.fill("#annotation-new textarea", "speaks 1 #4cc38a\nlaughs 2 #e0b93c");
     await page.click("#annotation-new button[type=submit]");
-    await until(page, () => window.situStudio.annotation?.told.attributes.length === 1, "the annotations");
+    await until(page, () => window.situStudio.annotation?.state.attributes.length === 1, "the annotations");
     for (const [from, to, value] of [
       [0.4, 3.6, "speaks"],
       [4.9, 6.9, "speaks"],
@@ -78,15 +78,20 @@ const PICTURES = {
       await page.evaluate(
         ([a, b, v]) => {
           const { annotation, client } = window.situStudio;
-          annotation.push("add", { from: client.abs(a), to: client.abs(b), track: "1", values: { Turns: v } });
+          annotation.pushEdit("add", {
+            from: client.toAbsolute(a),
+            to: client.toAbsolute(b),
+            track: "1",
+            values: { Turns: v },
+          });
         },
         [from * S, to * S, value],
       );
-    await until(page, () => window.situStudio.annotation.told.items.length === 3, "three");
+    await until(page, () => window.situStudio.annotation.state.items.length === 3, "three");
     await page.click("#tree .node[data-stream='Talk.Voice.Probability']", { button: "right" });
     await page.click("#menu button:has-text('Propose annotations')");
     await answer(page, "0.5");
-    await until(page, () => window.situStudio.annotation.told.items.some((a) => a.proposed), "proposals");
+    await until(page, () => window.situStudio.annotation.state.items.some((a) => a.proposed), "proposals");
     await page.focus(".annotation-tools input[type=range]");
     await page.evaluate(() => {
       const slider = document.activeElement;
@@ -98,7 +103,7 @@ const PICTURES = {
     await settled(page);
     await page.waitForTimeout(4000);
   },
-  // a run over three sessions, of which one has lost its recording
+  // The batch run has three sessions, one of which has lost its recording.
   dataset: async (page) => {
     await page.goto(`${main}/d/study.json`);
     await until(page, () => document.querySelectorAll("#tree .session img").length === 2, "its recordings are known");
@@ -121,7 +126,7 @@ const PICTURES = {
     await page.keyboard.press("Enter");
     await until(page, () => document.querySelectorAll(".found-times button").length > 3, "times");
     await page.click(".query button:text('As annotations')");
-    await until(page, () => window.situStudio.annotation?.told.items.length > 3, "proposals");
+    await until(page, () => window.situStudio.annotation?.state.items.length > 3, "proposals");
     await page.waitForTimeout(4000);
     await settled(page);
   },
@@ -134,7 +139,7 @@ const PICTURES = {
   },
   waits: async (page) => {
     await page.goto(`${main}/p/Mill?heat=busy`);
-    await until(page, () => document.querySelector(".waits .row-button"), "who waits");
+    await until(page, () => document.querySelector(".waits .row-button"), "waiting components");
   },
   masks: async (page) => {
     await open(page, main, "masked");
@@ -149,7 +154,7 @@ const PICTURES = {
     await page.goto(`${demo}/settings`);
     await until(page, () => document.querySelectorAll(".keys .btn").length > 40, "the keys");
   },
-  // the demo once more, at the speed of the clip, looked at while it is recorded
+  // The demo runs again in real time and is shown while it is recorded.
   live: async (page) => {
     const child = spawn("bin/demo", ["--headless", "--json", "--realtime", "--out", shown], { stdio: "ignore" });
     const ended = new Promise((done) => child.on("exit", done));
@@ -167,7 +172,7 @@ const PICTURES = {
     await until(
       page,
       () => /max/.test(document.querySelector("#plot-memory output")?.textContent ?? ""),
-      "its past is plotted",
+      "its history is plotted",
     );
     await page.waitForTimeout(3000);
   },

@@ -1,4 +1,4 @@
-// The page of a pipeline's graph: one that runs, and one that was recorded.
+// The graph page of a running and of a recorded pipeline.
 import { objections } from "./axe.mjs";
 import { test, equal, ok, until } from "./harness.mjs";
 
@@ -16,10 +16,7 @@ async function graph(page, path) {
 const nodes = (page) => page.$$eval(".graph .node", (n) => n.map((e) => e.dataset.path).sort());
 const number = (page, key) => page.$eval(`.graph .edge[data-key="${key}"] .number`, (e) => e.textContent);
 
-test("7 pipeline: the graph with its composites, policies and states; it folds and unfolds", async ({
-  page,
-  shot,
-}) => {
+test("7 pipeline: the graph shows composites, policies and states, and folds and unfolds", async ({ page, shot }) => {
   await graph(page, "Factory");
   equal(await nodes(page), ["Belt.Double", "Belt.Source", "Fast", "Join", "Screen", "Slow.Heavy"], "components");
   equal(await page.$$eval(".graph .box", (b) => b.map((e) => e.dataset.path).sort()), ["Belt", "Slow"], "composites");
@@ -34,15 +31,15 @@ test("7 pipeline: the graph with its composites, policies and states; it folds a
       return n.left > box.left && n.right < box.right && n.top > box.top && n.bottom < box.bottom;
     });
   });
-  ok(inside, "a composite's components lie in its box");
+  ok(inside, "a composite's components are inside its box");
   await page.mouse.move(5, 5);
   await shot("pipeline-graph");
   await page.dblclick('.graph .box[data-path="Belt"] rect', { position: { x: 4, y: 30 } });
   await until(page, () => document.querySelector(".graph .node.composite"), "Belt is folded");
   equal(await nodes(page), ["Belt", "Fast", "Join", "Screen", "Slow.Heavy"], "folded");
-  await until(page, () => location.search.includes("fold=Belt"), "the address says so");
+  await until(page, () => location.search.includes("fold=Belt"), "the address includes it");
   await page.reload();
-  await until(page, () => document.querySelector(".graph .node.composite"), "and a reload shows the same");
+  await until(page, () => document.querySelector(".graph .node.composite"), "a reload shows the same");
   await page.dblclick(".graph .node.composite");
   await until(page, () => document.querySelectorAll(".graph .node").length === 6, "unfolded again");
   await page.click("text=Fold all");
@@ -57,7 +54,7 @@ test("7 pipeline: the graph with its composites, policies and states; it folds a
   );
 });
 
-test("7 pipeline: any statistic colours it, and the numbers move", async ({ page, shot }) => {
+test("7 pipeline: any statistic colors the graph, and the numbers change", async ({ page, shot }) => {
   await graph(page, "Factory");
   await page.selectOption("#heat select", "busy");
   await until(
@@ -83,12 +80,12 @@ test("7 pipeline: any statistic colours it, and the numbers move", async ({ page
     "the count grows",
     [key, before],
   );
-  equal(await page.$eval("#graph svg", (e) => e.dataset.drawn), drawn, "without laying it out anew");
+  equal(await page.$eval("#graph svg", (e) => e.dataset.drawn), drawn, "the layout stays the same");
   await page.selectOption("#heat select", "memory");
   await until(
     page,
     () => [...document.querySelectorAll(".graph .node .sub")].every((e) => /B$/.test(e.textContent)),
-    "memory stands in the components",
+    "components show their memory",
   );
   await shot("pipeline-memory");
   await page.selectOption("#heat select", "none");
@@ -99,18 +96,18 @@ test("7 pipeline: any statistic colours it, and the numbers move", async ({ page
   );
 });
 
-test("7 pipeline: a component tells state, process and past", async ({ page, shot }) => {
+test("7 pipeline: a component shows its state, process and history", async ({ page, shot }) => {
   await graph(page, "Factory?heat=busy");
   await page.click('.graph .node[data-path="Slow.Heavy"]');
   await until(page, () => document.querySelector(".right h2")?.textContent === "Slow.Heavy", "details");
   for (const word of ["Mailbox", "Memory", "Reductions per second", "Errors", "Process"])
-    await until(page, (w) => document.querySelector(".right").textContent.includes(w), `it tells ${word}`, word);
+    await until(page, (w) => document.querySelector(".right").textContent.includes(w), `it shows ${word}`, word);
   await until(
     page,
     () =>
       document.querySelectorAll(".spark output").length === 3 &&
       /max/.test(document.querySelector("#plot-memory output").textContent),
-    "its past is plotted",
+    "its history is plotted",
   );
   const ink = () =>
     page.$eval("#plot-memory canvas", (c) => {
@@ -122,7 +119,7 @@ test("7 pipeline: a component tells state, process and past", async ({ page, sho
   ok((await ink()) > 200, "there is a line");
   await page.click(".numbers .plot-it[phx-value-stat=errors]");
   await until(page, () => document.querySelector("#plot-errors canvas"), "another statistic is plotted");
-  await until(page, () => location.search.includes("plots="), "the address says so");
+  await until(page, () => location.search.includes("plots="), "the address includes it");
   await until(
     page,
     () => document.querySelector("#plot-errors output").textContent.startsWith("0"),
@@ -133,11 +130,11 @@ test("7 pipeline: a component tells state, process and past", async ({ page, sho
   await until(
     page,
     () => document.querySelector(".right .side-title").textContent === "Pipeline",
-    "a second click lets go",
+    "a second click releases it",
   );
 });
 
-test("7 pipeline: a connection tells its numbers and last messages", async ({ page, shot }) => {
+test("7 pipeline: a connection shows its numbers and last messages", async ({ page, shot }) => {
   await graph(page, "Factory");
   await page.click(".graph .edge.lossy .number");
   await until(page, () => document.querySelector(".right .side-title").textContent === "Connection", "details");
@@ -145,22 +142,22 @@ test("7 pipeline: a connection tells its numbers and last messages", async ({ pa
   await until(page, () => document.querySelectorAll(".messages li").length === 8, "its last messages");
   const newest = () => page.textContent(".messages li code");
   const first = await newest();
-  await until(page, (f) => document.querySelector(".messages li code").textContent !== f, "which go on", first);
+  await until(page, (f) => document.querySelector(".messages li code").textContent !== f, "they continue", first);
   ok(/^\d+$/.test(await newest()), "they are its values");
   await until(page, () => document.querySelector(".graph .edge.picked"), "it is marked");
   await shot("pipeline-connection");
 });
 
-test("7 pipeline: recorded diagnostics are shown moment by moment", async ({ page, shot }) => {
+test("7 pipeline: recorded diagnostics are shown at any time", async ({ page, shot }) => {
   await graph(page, "factory-log?sel=e1&heat=processed");
-  await until(page, () => document.querySelector("#moments input")?.max === "59", "the moments are read");
-  ok((await page.textContent(".status")).includes("recorded"), "it says so");
+  await until(page, () => document.querySelector("#moments input")?.max === "59", "the recorded times are loaded");
+  ok((await page.textContent(".status")).includes("recorded"), "it is reported");
   await until(
     page,
     () =>
       document.querySelectorAll(".spark").length === 3 &&
       /max/.test(document.querySelector("#plot-processed_rate output").textContent),
-    "the whole past is plotted",
+    "the entire history is plotted",
   );
   const told = (n, what) =>
     until(page, (t) => document.querySelector('.graph .edge[data-key="e1"] .number')?.textContent === t, what, n);
@@ -170,13 +167,13 @@ test("7 pipeline: recorded diagnostics are shown moment by moment", async ({ pag
     e.dispatchEvent(new Event("input", { bubbles: true }));
   });
   await told("1000", "an earlier one");
-  await until(page, () => /at=\d+/.test(location.search), "the address says when");
+  await until(page, () => /at=\d+/.test(location.search), "the address includes the time");
   await page.reload();
   await told("1000", "a reload shows the same");
   await shot("pipeline-recorded");
 });
 
-test("7 pipeline: what is not there is said; the streams lead to the graph and back", async ({ page }) => {
+test("7 pipeline: missing pipelines are reported; streams link to the graph and back", async ({ page }) => {
   await page.goto(`${main}/p/memory`);
   ok((await page.textContent(".message")).includes("diagnostics: true"), "a recording without diagnostics");
   await page.goto(`${main}/s/Factory`);
@@ -186,22 +183,22 @@ test("7 pipeline: what is not there is said; the streams lead to the graph and b
   await until(page, () => document.getElementById("studio"), "the streams");
 });
 
-test("4 pipeline: who waits for whom is told with its cause", async ({ page, shot }) => {
+test("4 pipeline: waiting components are shown with the cause", async ({ page, shot }) => {
   await graph(page, "Mill");
   await until(
     page,
     () => /Grain waits for Stones.*Stones is busy \d/.test(document.querySelector(".waits")?.textContent ?? ""),
-    "the source waits for the sink that is slow",
+    "the source waits for the slow sink",
   );
   await shot("pipeline-waits");
-  // it waits nearly always: the connection's page says so, too
+  // It waits almost all the time, and the connection's page shows this, too.
   await page.click(".waits .row-button");
   await until(page, () => /Stones is busy/.test(document.querySelector(".right .wait")?.textContent ?? ""), "there");
-  // connections of other policies are faded, and the graph runs another way
+  // Connections with other policies are faded, and the graph can change its direction.
   await page.selectOption("#mark select[name='mark']", "latest");
   await until(page, () => document.querySelector(".graph .edge.faded"), "a throttled connection is faded");
   await page.selectOption("#mark select[name='mark']", "waits");
-  await until(page, () => document.querySelector(".graph .edge:not(.faded)"), "one that waits is not");
+  await until(page, () => document.querySelector(".graph .edge:not(.faded)"), "a waiting connection is not faded");
   await page.selectOption("#mark select[name='way']", "TB");
   await until(
     page,
@@ -211,22 +208,26 @@ test("4 pipeline: who waits for whom is told with its cause", async ({ page, sho
     },
     "from top to bottom",
   );
-  ok(page.url().includes("mark=waits") && page.url().includes("way=TB"), "which the address holds");
+  ok(page.url().includes("mark=waits") && page.url().includes("way=TB"), "the address includes both");
 });
 
-test("4 pipeline: one originating time is followed through it", async ({ page, shot }) => {
+test("4 pipeline: one originating time is followed through the graph", async ({ page, shot }) => {
   await graph(page, "Factory");
   await page.click(".graph .edge.lossy .number");
   await until(page, () => document.querySelectorAll(".messages button.linkish").length === 8, "its last messages");
-  // the list goes on while it is looked at: the place, not the message, is clicked
+  // The list changes continuously, so the test clicks a position, not a message.
   await page.evaluate(() => document.querySelector(".messages button.linkish").click());
-  await until(page, () => document.querySelectorAll("#trace .hops li").length >= 3, "the way of its time");
+  await until(
+    page,
+    () => document.querySelectorAll("#trace .hops li").length >= 3,
+    "the path of its originating time",
+  );
   const hops = await page.$$eval("#trace .hops li span", (s) => s.map((e) => e.textContent));
-  ok(!hops.some((h) => h.includes("Studio: ")), `the studio's own taps are no part of it: ${hops}`);
+  ok(!hops.some((h) => h.includes("Studio: ")), `the path excludes the studio's own taps: ${hops}`);
   await until(
     page,
     () => [...document.querySelectorAll("#trace .hops li")].some((e) => e.className === "passed"),
-    "where it has passed",
+    "the components it has passed",
   );
   await shot("pipeline-trace");
   await page.click("#trace button[aria-label='Close the trace']");
@@ -240,7 +241,7 @@ test("4 pipeline: one originating time is followed through it", async ({ page, s
   );
 });
 
-test("4 alerts: a rule of the settings is raised on the page and in the list, and gone with the rule", async ({
+test("4 alerts: a rule of the settings raises an alert on the page and in the list, until it is removed", async ({
   page,
   context,
   shot,
@@ -251,8 +252,8 @@ test("4 alerts: a rule of the settings is raised on the page and in the list, an
     await page.click("#alert-settings button");
     await until(page, (t) => document.getElementById("toast").textContent.includes(t), said, said);
   };
-  await keep("grinding: `busy(Stones)` >", "line 1 is no rule");
-  await keep("grinding: `busy(Stones)` > 20 or `Nothing` > 1", "Kept");
+  await keep("grinding: `busy(Stones)` >", "line 1 is not an alert rule");
+  await keep("grinding: `busy(Stones)` > 20 or `Nothing` > 1", "Settings saved");
   await shot("alerts-settings");
   const list = await context.newPage();
   await list.goto(main);
@@ -265,7 +266,7 @@ test("4 alerts: a rule of the settings is raised on the page and in the list, an
     "on the page of the graph",
   );
   for (const raised of [list, other]) equal(await objections(raised), [], "axe over a raised alert");
-  await keep("", "Kept");
-  await until(list, () => !document.querySelector(".item .alerts"), "the rule is gone from the list");
-  await until(other, () => !document.querySelector("#alerts"), "and from the page");
+  await keep("", "Settings saved");
+  await until(list, () => !document.querySelector(".item .alerts"), "the alert disappears from the list");
+  await until(other, () => !document.querySelector("#alerts"), "the alert disappears from the page");
 });

@@ -1,6 +1,7 @@
 defmodule PluginFixture do
   @moduledoc false
-  # The plug-in of the guide, broken ones beside it, and somebody whose looks go from left to right over a picture.
+  # The plug-in of the guide, broken plug-ins, and a gaze that moves from left to right over an
+  # image.
   alias Situ.{Image, Point2}
   alias Situ.Studio.{GuidePlugin, History}
 
@@ -26,7 +27,7 @@ defmodule PluginFixture do
     broken(folder, "syntax", "export const open = (((;")
     broken(folder, "silent", "export const shut = 1;")
     broken(folder, "idle", "export const open = () => {};")
-    # it would fetch from elsewhere, which the page's policy forbids
+    # This would fetch from elsewhere, which the page's policy forbids.
     broken(folder, "abroad", "import 'https://example.org/x.js'; export const open = () => ({});")
 
     own(folder, "counter", """

@@ -1,4 +1,4 @@
-// Plug-ins: the guide's heat map over a picture, panels that a script fills, and scripts that are broken.
+// Plug-ins: the guide's heat map over an image, panels that a script draws, and broken scripts.
 import { deflateRawSync } from "node:zlib";
 import { test, equal, ok, until } from "./harness.mjs";
 import { open, settled, dispatch, panelOf } from "./studio_page.mjs";
@@ -11,7 +11,7 @@ const layout = (panels) => {
   return `?edit=${deflateRawSync(JSON.stringify(doc)).toString("base64url")}`;
 };
 
-// Adds a stream in a way, as the properties on the right do.
+// Adds a stream with a visualizer, as the properties on the right do.
 async function add(page, stream, viz) {
   await page.evaluate((s) => document.querySelector(`[data-stream="${s}"] .name`).click(), stream);
   await page.click(`.props button[phx-value-viz="${viz}"]`);
@@ -25,7 +25,7 @@ const infoOf = (page, viz) =>
     return null;
   }, viz);
 
-// The mean colour around a place of the picture.
+// Returns the mean color around a position of the image.
 const seen = (page, id, x, y) =>
   page.evaluate(
     ([i, px, py]) => {
@@ -38,14 +38,14 @@ const seen = (page, id, x, y) =>
     [id, x, y],
   );
 
-test("12 plugins: the guide's heat map is hot where somebody looked, at the cursor", async ({ page, shot }) => {
+test("12 plugins: the guide's heat map is hot where someone looked, at the cursor", async ({ page, shot }) => {
   await open(page, main, "gaze");
   await add(page, "Gaze.Point", "gaze-heat-map/heat");
   const id = await panelOf(page, "Camera.Image");
   await until(
     page,
     (i) => JSON.parse(document.getElementById(i).dataset.config).vis.some((v) => v.viz === "gaze-heat-map/heat"),
-    "it lies over the picture",
+    "it is on top of the image",
     id,
   );
   await dispatch(page, { type: "cursor", t: 4.9 * S });
@@ -53,15 +53,15 @@ test("12 plugins: the guide's heat map is hot where somebody looked, at the curs
     page,
     (i) => {
       const view = [...window.situStudio.views].find((v) => v.el.id === i);
-      return view.layers.some((l) => l.plug?.told?.rows?.length > 40);
+      return view.layers.some((l) => l.plug?.data?.rows?.length > 40);
     },
-    "the past has come",
+    "the history has arrived",
     id,
   );
   await settled(page);
   const [left, right] = [await seen(page, id, 84, 124), await seen(page, id, 244, 124)];
-  ok(left[0] > left[2] + 60, `red where it was looked at: ${left}`);
-  ok(Math.abs(right[0] - right[2]) < 12, `the picture as it is elsewhere: ${right}`);
+  ok(left[0] > left[2] + 60, `red where someone looked: ${left}`);
+  ok(Math.abs(right[0] - right[2]) < 12, `the image is unchanged elsewhere: ${right}`);
   await dispatch(page, { type: "cursor", t: 9.9 * S });
   await until(
     page,
@@ -69,12 +69,12 @@ test("12 plugins: the guide's heat map is hot where somebody looked, at the curs
       const view = [...window.situStudio.views].find((v) => v.el.id === i);
       return view.layers.some((l) => l.plug?.at >= 9.8e9);
     },
-    "the new past has come",
+    "the new history has arrived",
     id,
   );
   await settled(page);
   const now = await seen(page, id, 244, 124);
-  ok(now[0] > now[2] + 60, `the looks have moved to the right: ${now}`);
+  ok(now[0] > now[2] + 60, `the gaze has moved to the right: ${now}`);
   await shot("plugin-heat");
   const box = await page.locator(`#${id} canvas`).boundingBox();
   const at = await page.evaluate((i) => {
@@ -85,9 +85,9 @@ test("12 plugins: the guide's heat map is hot where somebody looked, at the curs
   await until(
     page,
     () => /looked at: 100 %/.test(document.getElementById("tip")?.textContent ?? ""),
-    "the mouse tells",
+    "the tooltip is shown",
   );
-  // its options are properties of the panel, and ask for another past
+  // Its options are properties of the panel, and change the required history.
   await page.click(`#${id} >> xpath=ancestor::*[@data-panel][1] >> .title`);
   const field = "[id$='-2-seconds']";
   await page.fill(field, "1");
@@ -96,10 +96,10 @@ test("12 plugins: the guide's heat map is hot where somebody looked, at the curs
     page,
     (i) => {
       const view = [...window.situStudio.views].find((v) => v.el.id === i);
-      const rows = view.layers.find((l) => l.plug)?.plug.told?.rows;
+      const rows = view.layers.find((l) => l.plug)?.plug.data?.rows;
       return rows && rows.length <= 11;
     },
-    "a second of looks is asked for",
+    "one second of history is requested",
     id,
   );
 });
@@ -113,22 +113,26 @@ test("12 plugins: an adapter opens the heat map for angles", async ({ page }) =>
     page,
     (i) => {
       const view = [...window.situStudio.views].find((v) => v.el.id === i);
-      const rows = view.layers.find((l) => l.plug)?.plug.told?.rows;
+      const rows = view.layers.find((l) => l.plug)?.plug.data?.rows;
       return rows?.length > 30 && rows[0][1].type === "Situ.Point2";
     },
-    "angles have come as places",
+    "angles arrive as positions",
     id,
   );
   await settled(page);
   const left = await seen(page, id, 80, 124);
-  ok(left[0] > left[2] + 60, `red where it was looked at: ${left}`);
+  ok(left[0] > left[2] + 60, `red where someone looked: ${left}`);
 });
 
-test("12 plugins: a panel of its own has a canvas, elements, words for the mouse, options", async ({ page }) => {
+test("12 plugins: a panel draws a canvas and elements, and has mouse texts and options", async ({ page }) => {
   await open(page, main, "gaze");
   await add(page, "Gaze.Point", "counter/v");
   await dispatch(page, { type: "cursor", t: 2 * S });
-  await until(page, () => document.querySelector(".own-body")?.textContent === "told 80", "it was told the message");
+  await until(
+    page,
+    () => document.querySelector(".own-body")?.textContent === "told 80",
+    "the script receives the message",
+  );
   await settled(page);
   const color = () =>
     page.evaluate(() => {
@@ -138,10 +142,10 @@ test("12 plugins: a panel of its own has a canvas, elements, words for the mouse
   equal(await color(), [0, 192, 96, 255], "it draws");
   const box = await page.locator(".own-canvas").boundingBox();
   await page.mouse.move(box.x + 20, box.y + 20);
-  await until(page, () => document.getElementById("tip")?.textContent === "x is 80", "the mouse tells");
+  await until(page, () => document.getElementById("tip")?.textContent === "x is 80", "the tooltip is shown");
 });
 
-test("12 plugins: what is broken says so in its panel, and the rest goes on", async ({ page, shot }) => {
+test("12 plugins: broken scripts are reported in their panels, and the rest continues", async ({ page, shot }) => {
   const panels = ["throws", "unready", "syntax", "silent", "idle", "abroad", "counter"].map((id, i) => ({
     id: `p${i + 1}`,
     panel: "own",
@@ -166,8 +170,8 @@ test("12 plugins: what is broken says so in its panel, and the rest goes on", as
     ["throws", "draw failed: no paint"],
     ["unready", "open failed: not in the mood"],
     ["syntax", "cannot be loaded"],
-    ["silent", "exports no open(host)"],
-    ["idle", "open(host) gave nothing"],
+    ["silent", "does not export open(host)"],
+    ["idle", "open(host) did not return"],
     ["abroad", "cannot be loaded"],
   ]) {
     await until(
@@ -184,18 +188,19 @@ test("12 plugins: what is broken says so in its panel, and the rest goes on", as
   }
   ok(
     (await infoOf(page, "gone/v")).includes("there is no visualizer"),
-    `of one that is not there: ${await infoOf(page, "gone/v")}`,
+    `a missing script is reported: ${await infoOf(page, "gone/v")}`,
   );
-  await until(page, () => document.body.textContent.includes("told 80"), "the good one is told");
-  equal(await infoOf(page, "counter/v"), "", "and says nothing bad");
+  await until(page, () => document.body.textContent.includes("told 80"), "the working script receives messages");
+  equal(await infoOf(page, "counter/v"), "", "it shows no error");
   await shot("plugin-broken");
 });
 
-test("12 plugins: the list of recordings tells which plug-in is broken; only their folders are served", async ({
-  page,
-}) => {
+test("12 plugins: the list of recordings shows broken plug-ins; only their folders are served", async ({ page }) => {
   await page.goto(`${main}/`);
-  ok((await page.textContent("[role=alert]")).includes("The plug-in torn is broken"), "it is told");
+  ok(
+    (await page.textContent("[role=alert]")).includes("The plug-in torn is broken"),
+    "the broken plug-in is reported",
+  );
   const get = (path) => page.evaluate(async (p) => (await fetch(p)).status, path);
   equal(await get("/plugins/gaze-heat-map/heat.js"), 200, "a script");
   equal(await get("/plugins/gaze-heat-map/../plugin.json"), 404, "nothing above web/");

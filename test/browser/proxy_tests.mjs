@@ -1,4 +1,4 @@
-// The studio behind Debian's nginx: under a path, with TLS ended there; and on a long thin link.
+// The studio behind Debian's nginx, under a path and with TLS terminated by the proxy, and on a slow link.
 import { execFileSync, spawn } from "node:child_process";
 import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { connect, createServer } from "node:net";
@@ -10,7 +10,7 @@ import { open, state, panelOf, pointAt, settled } from "./studio_page.mjs";
 const site = JSON.parse(process.argv[2]);
 const S = 1e9;
 
-// As the guide has it.
+// This is the configuration in the guide.
 const conf = (folder, port, to) => `
 daemon off;
 master_process off;
@@ -76,7 +76,7 @@ async function answers(port) {
   throw new Error("nginx does not start");
 }
 
-test("9 proxy: under a path of nginx, which ends TLS, every page works and stays below the path", async ({
+test("9 proxy: under a path of nginx with TLS, every page works and stays below the path", async ({
   browser,
   shot,
 }) => {
@@ -103,7 +103,7 @@ test("9 proxy: under a path of nginx, which ends TLS, every page works and stays
       await until(
         page,
         (i) => document.querySelector(`#${i} canvas`).dataset.at?.length > 9,
-        "its pictures follow the mouse",
+        "its images follow the mouse",
         id,
       );
       await page.dblclick("#tree .node[data-stream='Robot.State']");
@@ -121,7 +121,7 @@ test("9 proxy: under a path of nginx, which ends TLS, every page works and stays
       equal(
         asked.filter((u) => !u.startsWith(base) && !u.startsWith("blob:") && !u.startsWith("data:")),
         [],
-        "nothing is asked for above the path",
+        "nothing is requested outside the path",
       );
       await shot("behind-nginx");
     } finally {
@@ -130,7 +130,7 @@ test("9 proxy: under a path of nginx, which ends TLS, every page works and stays
   });
 });
 
-// Passes bytes on, later and slower: half of the round trip each way, so many bytes a second towards the browser.
+// Forwards bytes with a delay: half of the round trip in each direction, and a limited rate towards the browser.
 function slow(to, { delay, rate }) {
   const server = createServer((near) => {
     const far = connect(to, "localhost");
@@ -150,7 +150,7 @@ function slow(to, { delay, rate }) {
   return new Promise((ready) => server.listen(0, "127.0.0.1", () => ready(server)));
 }
 
-test("speed: on a link of 300 ms and 1 MB/s the page is there, and says what it waits for", async ({ page }) => {
+test("speed: on a link with 300 ms and 1 MB/s the page appears and shows what is loading", async ({ page }) => {
   const { port } = new URL(site.main);
   const server = await slow(Number(port), { delay: 300, rate: 1e6 });
   try {
@@ -164,13 +164,13 @@ test("speed: on a link of 300 ms and 1 MB/s the page is there, and says what it 
     await open(page, base, "minute.0000");
     await page.goto(`${base}/s/minute.0000`);
     const again = Date.now();
-    await until(page, () => document.querySelector(".image-cell canvas")?.dataset.at, "the first picture");
+    await until(page, () => document.querySelector(".image-cell canvas")?.dataset.at, "the first image");
     console.log(
       `300 ms, 1 MB/s: page after ${shown} ms, first picture of a page that was there before ` +
         `${Date.now() - again} ms after its HTML, ${(bytes / 1e3).toFixed(0)} kB in all`,
     );
     ok(bytes < 1.5e6, `${bytes} bytes for two pages`);
-    equal((await state(page)).mode, "manual", "the page is alive");
+    equal((await state(page)).mode, "manual", "the page is responsive");
   } finally {
     server.close();
   }

@@ -1,13 +1,14 @@
 defmodule RandomFixture do
   @moduledoc false
-  # Random streams: new ones each time, the same again with SEED. A file beside them holds the data, for comparison.
+  # Random streams, which are new each time and repeatable with SEED. A file next to them contains
+  # the data for comparison.
   alias Situ.Store.Writer
 
   @t0 1_767_225_600_000_000_000
   @second 1_000_000_000
   @states [:idle, :moving, :turning, :held]
 
-  # Recordings random1.0000 and on; answers the seed they are made from.
+  # Creates the recordings random1.0000 and so on, and returns their seed.
   def record(folder, told, recordings) do
     seed =
       String.to_integer(
@@ -69,7 +70,7 @@ defmodule RandomFixture do
   defp type(:state), do: {:in, @states}
   defp type(:map), do: {:map, :string, :boolean}
 
-  # A period of 0 is that of a stream without one.
+  # A period of 0 is the period of an irregular stream.
   defp stream(kind, length) do
     n = round(:math.pow(20_000, 0.2 + 0.8 * :rand.uniform()))
     regular? = :rand.uniform() < 0.6
@@ -103,7 +104,8 @@ defmodule RandomFixture do
     for {{t, a}, {t, b}} <- Enum.zip(a, b), do: {t, %{"a" => a, "b" => b}}
   end
 
-  # Values that stay for as many messages as chance wants, few or many by the stream.
+  # Values that stay the same for a random number of messages, few or many depending on the
+  # stream.
   defp held(times, choices) do
     most = :math.pow(500, :rand.uniform())
 

@@ -1,25 +1,25 @@
-// Random streams at random zooms: what the page says under the mouse is compared with the messages. Each run has other
-// streams; SEED=N makes those of a run that failed again.
+// Compares texts under the mouse with the messages, for random streams at random zooms. Each run has different
+// streams; SEED=N repeats those of a failed run.
 import { readFileSync } from "node:fs";
 import { test, equal, ok } from "./harness.mjs";
 import { open, settled, state, dispatch, legendOf, panelOf, pointAt } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
-// The tools of a panel lie over the right of its first lane while the mouse is there: places are left of them.
+// The tools of a panel cover the right end of its first lane under the mouse, so positions are left of them.
 const ZOOMS = 6,
   PLACES = 3;
-// How far beside a segment the mouse may be, and as much again for the pixel it is in.
+// The maximum distance of the mouse from a segment, plus the same for the pixel that it is in.
 const NEAR_PX = 5;
 const MS = 1e6,
   S = 1e9;
 
-// Numbers that look random and are the same for a seed.
+// A pseudorandom number generator with a seed.
 function random(seed) {
   let s = (seed * 7919 + 17) % 2147483647;
   return () => (s = (s * 48271) % 2147483647) / 2147483647;
 }
 
-// The number of rows at or before a time.
+// Returns the number of rows at or before a time.
 function upTo(rows, t) {
   let lo = 0,
     hi = rows.length;
@@ -31,7 +31,7 @@ function upTo(rows, t) {
   return lo;
 }
 
-// All that hold at some time of an interval: the row before it, and those in it.
+// Returns the rows that apply at some time of an interval: the row before it, and the rows in it.
 const holding = (rows, a, b) => rows.slice(Math.max(upTo(rows, a) - 1, 0), upTo(rows, b));
 
 function median(rows) {
@@ -39,7 +39,7 @@ function median(rows) {
   return pauses.sort((a, b) => a - b)[pauses.length >> 1] ?? 0;
 }
 
-// "1:02.345" in ns.
+// Converts "1:02.345" to ns.
 function time(text) {
   const parts = text.replace("-", "").split(":").map(Number);
   return (text.startsWith("-") ? -1 : 1) * parts.reduce((a, p) => a * 60 + p, 0) * S;
@@ -61,7 +61,7 @@ function checkLine({ name, rows, period }, { text, exact }, cursor, slack) {
   if (period && age < Math.min(period, S) && slack < period) ok(!text.includes(" ago"), `${said} while it is new`);
 }
 
-// The tip's text about a lane: {label, from, to}, or null if there is no tip.
+// Returns the tooltip of a lane as {label, from, to}, or null if there is none.
 async function tip(page) {
   const text = await page.evaluate(() => {
     const el = document.getElementById("tip");
@@ -94,10 +94,10 @@ function checkLane({ name, period }, rows, found, t, slack) {
     holding(rows, t - slack, t + slack).some(([, v]) => String(v) === label),
     `${at} says ${label}, the message says ${row?.[1]}`,
   );
-  // a state is not drawn across a hole of a regular stream
+  // A state is not drawn across a gap of a regular stream.
   const pause = (later?.[0] ?? 0) - (row?.[0] ?? 0);
   const hole = period && row && later && pause > 30 * period + 4 * slack;
-  if (hole) ok(t < row[0] + pause / 4 || t > later[0] - slack, `${at} says ${label} in a hole of ${pause} ns`);
+  if (hole) ok(t < row[0] + pause / 4 || t > later[0] - slack, `${at} says ${label} in a gap of ${pause} ns`);
 }
 
 // Moves the mouse to a lane's row.
@@ -115,9 +115,7 @@ async function pointLane(page, id, stream, key, t) {
   await page.mouse.move(at.x, y);
 }
 
-test("7 random: under the mouse stands what the messages say, whatever the streams and the zoom", async ({
-  page,
-}) => {
+test("7 random: the text under the mouse agrees with the messages for random streams and zooms", async ({ page }) => {
   const { seed, recordings } = JSON.parse(readFileSync(site.random, "utf8"));
   await page.setViewportSize({ width: 1280, height: 1000 });
   let compared = 0;

@@ -1,5 +1,6 @@
 defmodule SensorFixture do
-  # Pipelines whose camera and microphone are a page: what came is counted in a file that the tests read.
+  # Pipelines whose camera and microphone are a page. They count the messages in a file that the
+  # tests read.
   alias Situ.{AudioBuffer, EncodedImage, Imaging, Time}
   alias Situ.Studio.Sensor
 
@@ -31,7 +32,7 @@ defmodule SensorFixture do
   defp look(%EncodedImage{} = jpeg, message) do
     {:ok, image} = Imaging.parse(jpeg.data)
     {:ok, rgb} = Imaging.convert(image, :rgb24)
-    # A row in the middle tells the colour.
+    # A row in the middle shows the color.
     row = binary_part(rgb.data, div(rgb.height, 2) * rgb.stride, rgb.width * 3)
     pixels = for <<r, g, b <- row>>, do: {r, g, b}
     mean = fn i -> pixels |> Enum.map(&elem(&1, i)) |> Enum.sum() |> div(length(pixels)) end
@@ -59,7 +60,7 @@ defmodule SensorFixture do
 
   defp hear(counts, buffer) do
     loudest = buffer |> AudioBuffer.to_samples() |> Enum.map(&abs/1) |> Enum.max()
-    seconds = counts.seconds + AudioBuffer.duration(buffer) / 1.0e9
+    seconds = counts.seconds + AudioBuffer.duration_ns(buffer) / 1.0e9
     %{counts | seconds: seconds, loudest: max(counts.loudest, loudest)}
   end
 end

@@ -1,4 +1,5 @@
-# Starts the studios that the browser tests visit and says where; ends with its standard input or by a signal.
+# Starts the studios of the browser tests and prints their addresses. Ends with its standard input
+# or with a signal.
 Code.require_file("fixture.exs", __DIR__)
 Code.require_file("random_fixture.exs", __DIR__)
 Code.require_file("space_fixture.exs", __DIR__)
@@ -19,7 +20,7 @@ random = Path.join(work, "random.json")
 
 File.mkdir_p!(folder)
 
-# As many recordings as there are cores are written at the same time.
+# As many recordings as there are cores are written concurrently.
 recordings =
   Task.async(fn ->
     [
@@ -32,10 +33,10 @@ recordings =
       fn -> Fixture.record_dense("dense", folder, Path.join(work, "dense.json")) end,
       fn -> Fixture.record_uneven("uneven", folder) end,
       fn -> Fixture.record_many("many", folder) end,
-      # to be replaced, and to be damaged, while they are looked at
+      # Recordings that are replaced or damaged while they are shown.
       fn -> Fixture.record("changing", folder) end,
       fn -> Fixture.record_uneven("broken", folder) end,
-      # another writer, to be deleted while it is looked at
+      # A recording that is deleted while it is shown.
       fn -> Fixture.record("doomed", folder) end
     ]
     |> Task.async_stream(& &1.(), timeout: :infinity, ordered: false)
@@ -46,7 +47,8 @@ Task.start_link(fn -> Fixture.record_live("growing", folder) end)
 
 Task.await(recordings, :infinity)
 
-# A study of three sessions: one recording, two side by side, and one whose recording is gone.
+# A study of three sessions: one recording, two concurrent recordings, and one whose recording is
+# missing.
 study = Path.join(folder, "study.json")
 {:ok, dataset} = Situ.Dataset.new("Lobby study", file: study, autosave: true)
 
@@ -81,7 +83,7 @@ sources = %{
   "space-big" => {Source.History, SpaceFixture.big(3_000_000)}
 }
 
-# A pipeline that runs while it is looked at: 30 numbers a second, a picture and a level made of each.
+# A live pipeline: 30 numbers per second, with an image and a level computed from each.
 connector = Situ.Connector.new("clock")
 
 {:ok, pipeline} =
@@ -101,7 +103,7 @@ connector = Situ.Connector.new("clock")
 ticker = fn ticker, i ->
   now = System.os_time()
 
-  Situ.Connector.deliver(connector, [
+  Situ.Connector.deliver_messages(connector, [
     %Situ.Message{data: i, originating_time: now, creation_time: now}
   ])
 
@@ -111,8 +113,8 @@ end
 
 Task.start_link(fn -> ticker.(ticker, 0) end)
 
-# A camera of 640 x 480, thirty pictures a second.
-shades = for i <- 0..29, do: Situ.Image.filled(640, 480, :rgb24, [i * 8, 255 - i * 8, 90])
+# A camera of 640 x 480 with thirty images per second.
+shades = for i <- 0..29, do: Situ.Image.new_filled(640, 480, :rgb24, [i * 8, 255 - i * 8, 90])
 shades = List.to_tuple(shades)
 
 {:ok, camera} =
@@ -125,7 +127,7 @@ shades = List.to_tuple(shades)
     pipeline: [name: "Camera", replay: [speed: 1.0]]
   )
 
-# One that ends when the tests say so, and is started again when they take that back.
+# A pipeline that ends while a file of the tests exists, and is restarted when it is removed.
 brief = fn ->
   {:ok, pid} =
     Situ.Pipeline.start(
@@ -159,7 +161,7 @@ Task.start_link(fn ->
   end
 end)
 
-# One with composites, a part that is too slow and a connection that drops, for the page of its graph.
+# A pipeline with composites, a slow part and a lossy connection, for its graph page.
 {:ok, factory} =
   Situ.Pipeline.start(
     fn p ->
@@ -183,7 +185,7 @@ end)
     pipeline: [name: "Factory", replay: [speed: 1.0]]
   )
 
-# One whose source waits for a slow sink.
+# A pipeline whose source waits for a slow sink.
 {:ok, mill} =
   Situ.Pipeline.start(
     fn p ->
@@ -198,7 +200,7 @@ end)
     pipeline: [name: "Mill", replay: [speed: 1.0]]
   )
 
-# A minute of its diagnostics: a hundred messages a second on the first connection.
+# A minute of its diagnostics: a hundred messages per second on the first connection.
 log = History.new(seconds: 3_600, live: false)
 seen = Situ.Pipeline.info(factory)
 
@@ -221,7 +223,7 @@ plugins = PluginFixture.folder(work)
     layouts: layouts
   )
 
-# One with pictures for its maps.
+# A studio with tiles for its maps.
 {:ok, mapped} =
   Situ.Studio.start_link(
     id: "mapped",
@@ -242,7 +244,7 @@ plugins = PluginFixture.folder(work)
     token: "the-very-secret-token"
   )
 
-# One that some may change and others only look at.
+# A studio that some users may change and others may only view.
 {:ok, shared} =
   Situ.Studio.start_link(
     id: "shared",
@@ -253,7 +255,8 @@ plugins = PluginFixture.folder(work)
     viewer_token: "the-token-of-viewers"
   )
 
-# One that a proxy serves under a path, with TLS ended there; the test starts the proxy.
+# A studio that a proxy serves under a path, with TLS terminated by the proxy. The test starts the
+# proxy.
 {:ok, taken} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
 {:ok, proxy_port} = :inet.port(taken)
 :gen_tcp.close(taken)
@@ -269,13 +272,13 @@ plugins = PluginFixture.folder(work)
     public: "https://localhost:#{proxy_port}/lab/studio"
   )
 
-# Two whose sensor is a page; the second takes no pictures.
+# Two pipelines whose sensor is a page. The second one accepts no images.
 sensed = Path.join(work, "sensor.json")
 SensorFixture.start(sensed)
 worn = Path.join(work, "headset.json")
 HeadsetFixture.start(worn)
 
-# One that is away for as long as the tests keep a file there, and is started anew at the same address.
+# A studio that is stopped while a file of the tests exists, and is restarted at the same address.
 {:ok, mortal} = Situ.Studio.start_link(id: "mortal", port: 0, path: folder, layouts: layouts)
 mortal_port = Situ.Studio.port(mortal)
 signal = Path.join(work, "away")
@@ -294,7 +297,7 @@ restart = fn restart, mortal ->
   restart.(restart, mortal)
 end
 
-# Recordings of the demo, of which the pictures of the guide are made.
+# Recordings of the demo, for the images of the guide.
 shown = Path.join(work, "shown")
 
 {:ok, demo} =

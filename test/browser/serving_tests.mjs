@@ -1,4 +1,4 @@
-// Tokens, hostile requests, and the other kinds of sources.
+// Tokens, malicious requests, and the other kinds of sources.
 import { cpSync, rmSync } from "node:fs";
 import { test, equal, ok, until } from "./harness.mjs";
 import { open, settled, state, dispatch, panelOf } from "./studio_page.mjs";
@@ -8,7 +8,7 @@ const { main, guarded } = site;
 const guardedBase = guarded.replace(/\/\?.*/, "");
 const S = 1e9;
 
-test("9 serving: a token is asked for and kept in a cookie; read only hides what writes", async ({
+test("9 serving: a token is requested and kept in a cookie; a read-only studio hides editing tools", async ({
   page,
   browser,
 }) => {
@@ -28,20 +28,20 @@ test("9 serving: a token is asked for and kept in a cookie; read only hides what
   ok(!page.url().includes("token"), "the token leaves the address");
   await open(page, guardedBase, "memory");
   equal(await page.$$eval("button[title='Save the layout']", (b) => b.length), 0, "buttons that write");
-  ok((await page.textContent(".status")).includes("read only"), "it says so");
+  ok((await page.textContent(".status")).includes("read-only"), "it is reported");
 });
 
-test("9 serving: the list of recordings", async ({ page, shot }) => {
+test("9 serving: the list shows all sources and opens one", async ({ page, shot }) => {
   await page.goto(main);
   await until(page, () => document.querySelectorAll(".home .item").length >= 3, "all sources are listed");
   await shot("home");
-  // A person reads the list first; the page is alive by then.
+  // A person would read the list first, and the page is connected by then.
   await until(page, () => document.querySelector("[data-phx-main].phx-connected"), "the page is connected");
   await page.click("text=minute.0000");
   await until(page, () => document.body?.dataset.ready === "1", "one is opened");
 });
 
-test("9 serving: a row of the list stays what it is when another one comes before it", async ({ page }) => {
+test("9 serving: a row of the list keeps its target when a new row appears above it", async ({ page }) => {
   await page.goto(main);
   await until(page, () => document.querySelector("[data-phx-main].phx-connected"), "the page is connected");
   const row = await page.waitForSelector(".home .item[href='s/minute.0000']");
@@ -49,16 +49,16 @@ test("9 serving: a row of the list stays what it is when another one comes befor
   const added = `${site.folder}/aaa.0000`;
   cpSync(`${site.folder}/uneven.0000`, added, { recursive: true });
   try {
-    await until(page, () => document.querySelector(".home .item[href='s/aaa.0000']"), "the new one is listed");
+    await until(page, () => document.querySelector(".home .item[href='s/aaa.0000']"), "the new recording is listed");
     ok((await row.boundingBox()).y > before, "the row has moved");
-    equal(await row.getAttribute("href"), "s/minute.0000", "what is under a finger that comes down");
+    equal(await row.getAttribute("href"), "s/minute.0000", "the target under a pressing finger");
     ok((await row.textContent()).includes("minute.0000"), "its name");
   } finally {
     rmSync(added, { recursive: true, force: true });
   }
 });
 
-test("security: names, texts and values are shown, never run", async ({ page }) => {
+test("security: names, texts and values are displayed, never executed", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.click("#tree .node >> nth=0 >> .name");
   await page.dblclick("#tree .node >> nth=0");
@@ -71,13 +71,13 @@ test("security: names, texts and values are shown, never run", async ({ page }) 
     await page.evaluate(() =>
       [...document.querySelectorAll("#tree .name")].some((e) => e.textContent === "<script>hacked=1</script>"),
     ),
-    "the name is shown as it is",
+    "the name is shown unchanged",
   );
   ok(
     await page.evaluate(() =>
       [...document.querySelectorAll(".value-tree .v")].some((e) => e.textContent.includes("<img src=x")),
     ),
-    "the value is shown as it is",
+    "the value is shown unchanged",
   );
   equal(
     await page.evaluate(() => document.querySelectorAll(".value-tree img, .value-tree b:not([class])").length),
@@ -86,7 +86,7 @@ test("security: names, texts and values are shown, never run", async ({ page }) 
   );
 });
 
-test("security: paths, origins and malformed requests are refused", async ({ page }) => {
+test("security: paths, origins and malformed requests are rejected", async ({ page }) => {
   for (const path of ["/assets/../../../mix.exs", "/assets/%2e%2e/%2e%2e/mix.exs", "/assets/..%2f..%2fmix.exs"]) {
     ok(
       [400, 404].includes((await page.request.get(main + path, { maxRedirects: 0 })).status()),
@@ -94,7 +94,10 @@ test("security: paths, origins and malformed requests are refused", async ({ pag
     );
   }
   const missing = await page.goto(`${main}/s/..%2f..%2fetc`);
-  ok([200, 400, 404].includes(missing.status()) && !(await page.content()).includes("root:"), "no path leads out");
+  ok(
+    [200, 400, 404].includes(missing.status()) && !(await page.content()).includes("root:"),
+    "no path leaves the folder",
+  );
   await page.goto(`${main}/s/nothing`);
   ok((await page.textContent("body")).includes("There is no recording"), "an unknown recording is named");
   for (const q of ["from=x", "from=5&to=1", "px=0", "px=99999999", "path=%5B", "stream=none"]) {
@@ -128,7 +131,7 @@ test("security: paths, origins and malformed requests are refused", async ({ pag
   await open(page, main, "minute.0000");
 });
 
-test("security: a socket from a foreign page is refused", async ({ page }) => {
+test("security: a socket from a foreign page is rejected", async ({ page }) => {
   const { connect } = await import("node:net");
   const { port } = new URL(main);
   const status = await new Promise((resolve) => {
@@ -146,7 +149,7 @@ test("security: a socket from a foreign page is refused", async ({ page }) => {
   await open(page, main, "minute.0000");
 });
 
-test("security: a browser that stops reading slows nobody", async ({ page }) => {
+test("security: a browser that stops reading does not slow the server", async ({ page }) => {
   const { connect } = await import("node:net");
   const { port } = new URL(main);
   const s = connect(Number(port), "localhost");
@@ -175,7 +178,7 @@ test("security: a browser that stops reading slows nobody", async ({ page }) => 
     s.write(Buffer.concat([head, text]));
   }
   await page.waitForTimeout(500);
-  // another page is served meanwhile
+  // Another page is served during that time.
   await open(page, main, "minute.0000");
   ok(!s.destroyed, "the other is still there");
   s.destroy();
@@ -188,11 +191,11 @@ test("memory: a source in memory is shown like a recording", async ({ page }) =>
   await until(
     page,
     (i) => document.querySelector(`#${i} canvas`).dataset.at === "33000000000",
-    "the picture is there",
+    "the image is shown",
     id,
   );
   await open(page, main, "empty");
   ok((await page.textContent(".stack")).includes("No streams yet"), "an empty source says so");
   const { view } = await state(page);
-  equal(view[1] - view[0], S, "a second is shown of what has no length");
+  equal(view[1] - view[0], S, "a second is shown of a source without duration");
 });

@@ -1,4 +1,4 @@
-// Settings: those kept by this browser, and those kept by the studio for all.
+// Settings that are saved in this browser, and settings that the studio saves for all browsers.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { answer, open, settled, state, dispatch } from "./studio_page.mjs";
 
@@ -13,7 +13,7 @@ async function settings(page) {
   );
 }
 
-test("1 settings: what a browser keeps holds on every page, and after a reload", async ({ page, shot }) => {
+test("1 settings: a browser's settings apply to every page, and after a reload", async ({ page, shot }) => {
   await settings(page);
   await shot("settings");
   await page.selectOption("#setting-theme", "light");
@@ -21,7 +21,7 @@ test("1 settings: what a browser keeps holds on every page, and after a reload",
   await page.selectOption("#setting-step", "1 s");
   await page.selectOption("#setting-clock", "utc");
   await page.uncheck("#setting-follow");
-  equal(await page.evaluate(() => document.documentElement.dataset.theme), "light", "at once");
+  equal(await page.evaluate(() => document.documentElement.dataset.theme), "light", "immediately");
   await open(page, main, "minute.0000");
   equal(
     await page.evaluate(() => [document.documentElement.dataset.theme, document.documentElement.dataset.palette]),
@@ -34,7 +34,7 @@ test("1 settings: what a browser keeps holds on every page, and after a reload",
   await until(page, () => /^\d\d:\d\d:\d\d/.test(document.getElementById("t-cursor").textContent), "times in UTC");
 });
 
-test("1 settings: a key is given another action's place only when it is free", async ({ page }) => {
+test("1 settings: a key can be assigned only if it is free", async ({ page }) => {
   await settings(page);
   const key = "[data-usual='m']";
   await page.click(key);
@@ -42,7 +42,7 @@ test("1 settings: a key is given another action's place only when it is free", a
   await until(
     page,
     () => document.getElementById("toast").textContent.startsWith("t is taken"),
-    "a taken key is told",
+    "a conflicting key is reported",
   );
   await page.click(key);
   await page.keyboard.press("F8");
@@ -57,11 +57,11 @@ test("1 settings: a key is given another action's place only when it is free", a
   await page.keyboard.press("?");
   ok((await page.textContent("#help")).includes("F8"), "the sheet of keys says so");
   await settings(page);
-  await page.click("text=All keys as usual");
+  await page.click("text=Restore default keys");
   equal(await page.textContent(key), "m", "as usual again");
 });
 
-test("1 settings: what the studio keeps is for every browser; a named layout saves itself", async ({
+test("1 settings: the studio's settings apply to every browser; a named layout saves itself", async ({
   page,
   browser,
 }) => {
@@ -74,11 +74,11 @@ test("1 settings: what the studio keeps is for every browser; a named layout sav
   await page.selectOption("#setting-layout", "Kept");
   await page.selectOption("#setting-keep", "at_once");
   await page.selectOption("#setting-info", "count");
-  await until(page, () => document.getElementById("toast").textContent === "Kept", "kept");
+  await until(page, () => document.getElementById("toast").textContent === "Settings saved", "kept");
   const other = await (await browser.newContext()).newPage();
   await open(other, main, "uneven.0000");
   equal(await other.getAttribute("#studio", "data-layout"), "Kept", "another browser opens with it");
-  equal(await other.textContent("#tree .node[data-stream='Late'] .info"), "401", "and tells counts");
+  equal(await other.textContent("#tree .node[data-stream='Late'] .info"), "401", "counts are shown");
   const before = await other.$$eval("[data-panel]", (p) => p.length);
   await other.dblclick("#tree .node[data-stream='Late']");
   await until(other, (n) => document.querySelectorAll("[data-panel]").length === n + 1, "a panel more", before);
@@ -101,11 +101,11 @@ test("1 settings: what the studio keeps is for every browser; a named layout sav
   ok(await page.isDisabled("#setting-layout"), "a studio that is read only keeps nothing");
 });
 
-// The last change has been answered.
+// The last change has been acknowledged.
 const settled0 = (page) =>
   until(page, () => !document.querySelector(".phx-change-loading"), "the server has taken the settings");
 
-test("1 settings: a question of the page is answered by keys, and Escape answers nothing", async ({ page }) => {
+test("1 settings: a question of the page is answered with keys, and Escape cancels it", async ({ page }) => {
   await open(page, main, "changing.0000");
   await dispatch(page, { type: "select", from: 1e9, to: 2e9 });
   await page.keyboard.press("k");
@@ -117,38 +117,38 @@ test("1 settings: a question of the page is answered by keys, and Escape answers
   ok(!(await page.$("#annotation-body")), "nothing was kept");
   await page.keyboard.press("k");
   await answer(page, "here");
-  await until(page, () => window.situStudio.annotation?.told.items.length === 1, "a comment");
+  await until(page, () => window.situStudio.annotation?.state.items.length === 1, "a comment");
   await settled(page);
 });
 
-test("1 settings: the list knows what was looked at last, and the studio begins there if wanted", async ({
+test("1 settings: the list shows recent recordings, and the studio can start with the last one", async ({
   page,
   context,
 }) => {
   await open(page, main, "uneven.0000");
   await page.goto(`${main}/d/study.json`);
   await page.goto(main);
-  await until(page, () => document.querySelectorAll("#recent a").length === 2, "both are there");
+  await until(page, () => document.querySelectorAll("#recent a").length === 2, "both are listed");
   equal(
     await page.$$eval("#recent a", (a) => a.map((e) => [new URL(e.href).pathname, e.textContent])),
     [
       ["/d/study.json", "study.json"],
       ["/s/uneven.0000", "uneven.0000"],
     ],
-    "the newest first",
+    "the most recent is first",
   );
   await page.evaluate(() => localStorage.setItem("situ:settings", JSON.stringify({ first: "last" })));
   const fresh = await context.newPage();
   await fresh.goto(main);
-  await until(fresh, () => location.pathname === "/d/study.json", "a new tab begins there");
+  await until(fresh, () => location.pathname === "/d/study.json", "a new tab opens it");
   await fresh.goto(main);
-  await until(fresh, () => document.querySelector("#recent a"), "the list is still to be had");
+  await until(fresh, () => document.querySelector("#recent a"), "the list is still available");
 });
 
-test("1 settings: who leaves a changed layout is asked where that is wanted", async ({ page }) => {
+test("1 settings: leaving a changed layout asks for confirmation if the setting is on", async ({ page }) => {
   await page.goto(`${main}/settings`);
   await page.selectOption("#setting-keep", "ask");
-  await until(page, () => document.getElementById("toast").textContent === "Kept", "kept");
+  await until(page, () => document.getElementById("toast").textContent === "Settings saved", "kept");
   await open(page, main, "uneven.0000");
   await page.click("[phx-click='layout_dialog']");
   await page.fill("#layout-save input", "Asked");
@@ -161,5 +161,5 @@ test("1 settings: who leaves a changed layout is asked where that is wanted", as
   await page.goto(`${main}/settings`);
   equal(asked, ["beforeunload"], "the page asks");
   await page.selectOption("#setting-keep", "by_hand");
-  await until(page, () => document.getElementById("toast").textContent === "Kept", "as before");
+  await until(page, () => document.getElementById("toast").textContent === "Settings saved", "as before");
 });

@@ -1,6 +1,6 @@
-// A live page left open: node soak.mjs SITE MINUTES PID. Prints a row a minute (the page's heap after a collection, its
-// nodes, what it fetched; the studio's memory and processor time, the recording's writer included) and fails when the
-// last minute holds more than a fifth above the second.
+// Keeps a live page open: node soak.mjs SITE MINUTES PID. Prints a row per minute with the page's heap after a
+// collection, its nodes, its fetched bytes, and the studio's memory and CPU time (including the recording's
+// writer). Fails if the memory of the last minute exceeds that of the second minute by more than a fifth.
 import { readFileSync } from "node:fs";
 import { chromium } from "playwright-core";
 import { open } from "./studio_page.mjs";

@@ -1,6 +1,7 @@
 defmodule SpaceFixture do
   @moduledoc false
-  # The data for the tests of 3D panels: each of the nine primitives at a place of its own, and broken items.
+  # The data for the tests of 3D panels: each of the nine primitives at its own position, and
+  # broken items.
   alias Situ.{
     Box3,
     CameraIntrinsics,
@@ -20,7 +21,7 @@ defmodule SpaceFixture do
   @t0 1_767_225_600_000_000_000
   @second 1_000_000_000
 
-  # The place of the nth thing on the floor: four in a row, 3 m apart.
+  # The position of the nth item on the floor: four in a row, 3 m apart.
   def place(n), do: {rem(n, 4) * 3.0, div(n, 4) * 3.0, 0.0}
 
   defp at(n, {dx, dy, dz}) do
@@ -31,7 +32,7 @@ defmodule SpaceFixture do
   defp up(n),
     do: Pose.new(at(n, {0.0, 0.0, 0.3}), Quaternion.from_euler(0.0, -:math.pi() / 2, 0.0))
 
-  # Second s of each stream; the order of the names is the order of the layers.
+  # Second s of each stream. The order of the names is the order of the layers.
   def streams do
     [
       {"A.Points", PointCloud, fn _ -> cloud(0) end},
@@ -74,13 +75,13 @@ defmodule SpaceFixture do
     mesh
   end
 
-  # Left half green, right half blue.
+  # The left half is green, the right half blue.
   defp picture do
     row = String.duplicate(<<20, 220, 60>>, 32) <> String.duplicate(<<30, 60, 240>>, 32)
     Image.new!(width: 64, height: 64, format: :rgb24, data: String.duplicate(row, 64))
   end
 
-  # It walks along x, half a metre in ten seconds.
+  # The figure walks along x, half a metre in ten seconds.
   defp body(n, s) do
     joint = fn offset -> Pose.new(at(n, offset)) end
     x = s / 20
@@ -95,7 +96,7 @@ defmodule SpaceFixture do
 
   defp voxels(n) do
     for i <- -3..2, j <- -3..2, reduce: VoxelGrid.new(0.2) do
-      grid -> VoxelGrid.put(grid, at(n, {i / 5 + 0.1, j / 5 + 0.1, 0.1}), i + j + 7)
+      grid -> VoxelGrid.put_at(grid, at(n, {i / 5 + 0.1, j / 5 + 0.1, 0.1}), i + j + 7)
     end
   end
 
@@ -116,7 +117,7 @@ defmodule SpaceFixture do
     %Situ.Message{data: data, originating_time: time, creation_time: time, sequence_id: s}
   end
 
-  # A lamp that hangs in a robot's frame, which moves through the room; and a frame that hangs nowhere.
+  # A lamp in the frame of a robot that moves through the room, and a frame without a parent.
   def frames do
     h = History.new(seconds: 3_600, live: false)
 
@@ -130,7 +131,7 @@ defmodule SpaceFixture do
     h
   end
 
-  # Data that no sensor gives, but files may hold.
+  # Data that no sensor emits, but that files may contain.
   def broken do
     h = History.new(seconds: 3_600, live: false)
     nan = <<0, 0, 0xC0, 0x7F>>
@@ -170,7 +171,7 @@ defmodule SpaceFixture do
     h
   end
 
-  # More points than are drawn.
+  # More points than a panel draws.
   def big(count) do
     h = History.new(seconds: 3_600, megabytes: 2_000, live: false)
 

@@ -1,10 +1,10 @@
-// 3D panels: every primitive where it is and in its colour, the viewer's tools, what is broken.
+// 3D panels: every primitive at its position and in its color, the viewer's tools, and broken items.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, settled, dispatch, colorOf, panelOf } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
-// Where the nth thing of the fixture is.
+// The position of the nth item of the fixture.
 const place = (n) => [(n % 4) * 3, Math.floor(n / 4) * 3, 0];
 
 async function openSpace(page, source, stream, query = "") {
@@ -20,7 +20,7 @@ async function openSpace(page, source, stream, query = "") {
   return id;
 }
 
-// Runs a function of the panel's view and an argument, in the page.
+// Calls a function with the panel's view and an argument, in the page.
 const view = (page, id, run, arg) =>
   page.evaluate(
     ([i, code, a]) => {
@@ -30,16 +30,16 @@ const view = (page, id, run, arg) =>
     [id, run.toString(), arg],
   );
 
-// Looks from above, close to a place, and gives the colour seen there (the mean of a few pixels around).
+// Looks from above at a position from close by, and returns its color (the mean of a few pixels around it).
 async function colorAt(page, id, [x, y, z], { from = [-0.01, 0, 4], span = 2 } = {}) {
   return view(
     page,
     id,
     (v, { at, eye, r }) => {
       const { stage, canvas } = v;
-      stage.view.look([at[0] + eye[0], at[1] + eye[1], at[2] + eye[2]], at);
+      stage.view.lookFrom([at[0] + eye[0], at[1] + eye[1], at[2] + eye[2]], at);
       v.render();
-      const [px, py] = stage.seen(...at).map((c) => Math.round(c * devicePixelRatio));
+      const [px, py] = stage.projectPosition(...at).map((c) => Math.round(c * devicePixelRatio));
       const d = canvas.getContext("2d").getImageData(px - r, py - r, 2 * r + 1, 2 * r + 1).data;
       const sum = [0, 0, 0];
       for (let i = 0; i < d.length; i += 4) [0, 1, 2].forEach((k) => (sum[k] += d[i + k]));
@@ -49,14 +49,14 @@ async function colorAt(page, id, [x, y, z], { from = [-0.01, 0, 4], span = 2 } =
   );
 }
 
-// Light changes how bright a body is, not which of red, green and blue it has most of.
+// Light changes the brightness of a body, but not which of red, green and blue is strongest.
 function alike(seen, expected, what, least = 0.97) {
   const norm = (v) => Math.hypot(...v) || 1;
   const cos = seen.reduce((s, v, k) => s + v * expected[k], 0) / norm(seen) / norm(expected);
   ok(norm(seen) > 60 && cos > least, `${what}: expected something like ${expected}, got ${seen.map(Math.round)}`);
 }
 
-test("11 space: nine primitives, each where it is and in its colour", async ({ page, shot }) => {
+test("11 space: nine primitives have their positions and colors", async ({ page, shot }) => {
   const id = await openSpace(page, "space.0000", "A.Points");
   const config = await page.evaluate((i) => JSON.parse(document.getElementById(i).dataset.config), id);
   equal(config.vis.length, 9, "all streams share one panel");
@@ -76,14 +76,14 @@ test("11 space: nine primitives, each where it is and in its colour", async ({ p
   );
   alike(await colorAt(page, id, [6.5, 0, 0.5], { span: 0 }), await color("C.Box"), "a box's edge", 0.9);
   alike(await colorAt(page, id, place(3)), await color("D.Mesh"), "a mesh", 0.95);
-  // a text stands a little above its place on the screen
+  // A text is a little above its position on the screen.
   const text = await view(
     page,
     id,
     (v, at) => {
-      v.stage.view.look([at[0] - 0.01, at[1], 4], at);
+      v.stage.view.lookFrom([at[0] - 0.01, at[1], 4], at);
       v.render();
-      const [x, y] = v.stage.seen(...at);
+      const [x, y] = v.stage.projectPosition(...at);
       const k = devicePixelRatio;
       return [...v.canvas.getContext("2d").getImageData((x - 26) * k, (y - 14) * k, 1, 1).data];
     },
@@ -93,7 +93,7 @@ test("11 space: nine primitives, each where it is and in its colour", async ({ p
   await until(
     page,
     (i) => [...window.situStudio.views].find((v) => v.el.id === i).stage.memory().textures >= 1,
-    "the picture is uploaded",
+    "the image is uploaded",
     id,
   );
   await settled(page);
@@ -101,7 +101,7 @@ test("11 space: nine primitives, each where it is and in its colour", async ({ p
     right = await colorAt(page, id, [3, 2.75, 0.3]);
   ok(
     Math.abs(left[1] - right[1]) > 80 && Math.abs(left[2] - right[2]) > 80,
-    `a picture has two halves: ${left} ${right}`,
+    `an image has two halves: ${left} ${right}`,
   );
   alike(
     await colorAt(page, id, [6, 3, 0.3], { span: 3, from: [-0.01, 0, 1.2] }),
@@ -115,7 +115,7 @@ test("11 space: nine primitives, each where it is and in its colour", async ({ p
   ok(low[2] > low[0] && high[0] > high[2], `voxels by value, low is cold and high is warm: ${low} ${high}`);
 });
 
-test("11 space: the cursor moves what is drawn, and the mouse tells what it is on", async ({ page }) => {
+test("11 space: drawings follow the cursor, and the mouse shows the item under it", async ({ page }) => {
   const id = await openSpace(page, "space.0000", "H.Body");
   const seen = () => colorAt(page, id, [9.5, 3, 1], { span: 0, from: [-0.01, 0, 0.6] });
   await dispatch(page, { type: "cursor", t: 0 });
@@ -132,9 +132,13 @@ test("11 space: the cursor moves what is drawn, and the mouse tells what it is o
   const after = await seen();
   ok(Math.hypot(...after.map((c, k) => c - before[k])) > 40, `the body has come: ${before} ${after}`);
   const box = await page.locator(`#${id} canvas`).boundingBox();
-  const [x, y] = await view(page, id, (v) => v.stage.seen(9.5, 3, 1));
+  const [x, y] = await view(page, id, (v) => v.stage.projectPosition(9.5, 3, 1));
   await page.mouse.move(box.x + x, box.y + y);
-  await until(page, () => document.getElementById("tip")?.textContent.includes("head"), "the joint is told");
+  await until(
+    page,
+    () => document.getElementById("tip")?.textContent.includes("head"),
+    "the tooltip names the joint",
+  );
   const tip = await page.textContent("#tip");
   ok(
     /H\.Body/.test(tip) && /body 3 head/.test(tip) && /\(9\.\d+, .*\) m/.test(tip),
@@ -142,7 +146,7 @@ test("11 space: the cursor moves what is drawn, and the mouse tells what it is o
   );
 });
 
-test("11 space: turn, fly, from above, follow, measure", async ({ page }) => {
+test("11 space: turn, fly, view from above, follow, measure", async ({ page }) => {
   const id = await openSpace(page, "space.0000", "D.Mesh");
   const eye = () => view(page, id, (v) => v.stage.view.camera.position.toArray());
   const box = await page.locator(`#${id} canvas`).boundingBox();
@@ -170,23 +174,23 @@ test("11 space: turn, fly, from above, follow, measure", async ({ page }) => {
   await page.keyboard.up("w");
   await page.click(`#${id} [data-tool=fly]`);
   await view(page, id, (v) => {
-    v.stage.view.look([8.99, 0, 4], [9, 0, 0.1]);
+    v.stage.view.lookFrom([8.99, 0, 4], [9, 0, 0.1]);
     v.render();
   });
   await page.click(`#${id} [data-tool=measure]`);
   for (const y of [-0.4, 0.4]) {
-    const [px, py] = await view(page, id, (v, y) => v.stage.seen(9, y, 0.1), y);
+    const [px, py] = await view(page, id, (v, y) => v.stage.projectPosition(9, y, 0.1), y);
     await page.mouse.click(box.x + px, box.y + py);
   }
   const length = await view(page, id, (v) => v.stage.measured[0].distanceTo(v.stage.measured[1]));
   near(length, 0.8, 0.03, "measured on the mesh");
-  // the body is followed when it walks
+  // The view follows the body when it walks.
   await page.click(`#${id} [data-tool=measure]`);
   await dispatch(page, { type: "cursor", t: 0 });
   await settled(page);
-  await view(page, id, (v) => v.stage.view.look([8.99, 3, 2.2], [9, 3, 1]));
+  await view(page, id, (v) => v.stage.view.lookFrom([8.99, 3, 2.2], [9, 3, 1]));
   await settled(page);
-  const [hx, hy] = await view(page, id, (v) => v.stage.seen(9, 3, 1.01));
+  const [hx, hy] = await view(page, id, (v) => v.stage.projectPosition(9, 3, 1.01));
   await page.mouse.click(box.x + hx, box.y + hy);
   await page.click(`#${id} [data-tool=follow]`);
   const was = await eye();
@@ -199,7 +203,7 @@ test("11 space: turn, fly, from above, follow, measure", async ({ page }) => {
   );
 });
 
-test("11 space: properties: colour, thickness, trail, a layer switched off", async ({ page }) => {
+test("11 space: properties set color, thickness and trail, and hide a layer", async ({ page }) => {
   const id = await openSpace(page, "space.0000", "A.Points");
   await page.click(`#${id} >> xpath=ancestor::*[@data-panel][1] >> .title`);
   const field = (key, index) => `[id$='-${index}-${key}']`;
@@ -211,7 +215,7 @@ test("11 space: properties: colour, thickness, trail, a layer switched off", asy
       JSON.stringify([...document.querySelectorAll("[phx-hook='Panel']")].map((e) => e.dataset.config)).includes(
         "color_by",
       ),
-    "the property is there",
+    "the property is shown",
   );
   await settled(page);
   alike(await colorAt(page, id, place(0)), await colorOf(page, "A.Points"), "one colour");
@@ -227,7 +231,7 @@ test("11 space: properties: colour, thickness, trail, a layer switched off", asy
   ok(Math.max(...off) < 60, `nothing is left of it: ${off}`);
 });
 
-test("11 space: what is broken says so, and the rest is drawn", async ({ page, shot }) => {
+test("11 space: broken items are reported, and the rest is drawn", async ({ page, shot }) => {
   const id = await openSpace(page, "space-broken", "A.Holes");
   await until(
     page,
@@ -239,12 +243,12 @@ test("11 space: what is broken says so, and the rest is drawn", async ({ page, s
     JSON.stringify(v.layers.map((l) => [l.vis.stream, l.error, l.failure, l.frame?.problems])),
   );
   for (const [stream, words] of [
-    ["A.Holes", "1 of 6 points are nowhere"],
+    ["A.Holes", "1 of 6 points are invalid"],
     ["B.Empty", "an empty cloud"],
     ["C.Torn", "whole number of points"],
-    ["D.Mesh", "triangle 0 names vertex 900 of 3"],
-    ["E.Body", "1 edges name nodes that are not there"],
-    ["F.Nowhere", "1 of 1 nodes are nowhere"],
+    ["D.Mesh", "triangle 0 refers to vertex 900 of 3"],
+    ["E.Body", "1 edges refer to missing nodes"],
+    ["F.Nowhere", "1 of 1 nodes are invalid"],
     ["G.View", "bytes"],
   ])
     ok(
@@ -261,7 +265,7 @@ test("11 space: what is broken says so, and the rest is drawn", async ({ page, s
   await shot("space-broken");
 });
 
-test("11 space: frames of reference place what is given in them", async ({ page, shot }) => {
+test("11 space: frames of reference position the items in them", async ({ page, shot }) => {
   const id = await openSpace(page, "space-frames", "Light", "");
   await dispatch(page, { type: "cursor", t: 6 * S });
   await settled(page);
@@ -280,7 +284,7 @@ test("11 space: frames of reference place what is given in them", async ({ page,
     [id, light],
   );
   await settled(page);
-  // at second 6 the robot is at 3 m, the lamp 1 m above it
+  // At second 6 the robot is at 3 m, and the lamp is 1 m above it.
   alike(
     await colorAt(page, id, [3, 0, 1], { span: 0, from: [-0.3, 0.1, 0] }),
     await colorOf(page, "Light"),
@@ -293,12 +297,12 @@ test("11 space: frames of reference place what is given in them", async ({ page,
   await until(
     page,
     (i) => document.querySelector(`#${i} .cell-info`).textContent.includes('no frame "moon"'),
-    "a frame that is not there is told",
+    "a missing frame is reported",
     id,
   );
 });
 
-test("11 space: of many points a budget is drawn, and said", async ({ page }) => {
+test("11 space: a limited number of points is drawn, and the limit is shown", async ({ page }) => {
   const id = await openSpace(page, "space-big", "Cloud");
   await dispatch(page, { type: "cursor", t: 0 });
   await until(
@@ -315,19 +319,19 @@ test("11 space: of many points a budget is drawn, and said", async ({ page }) =>
   );
 });
 
-test("11 space: where the viewer rests, all points that are seen are drawn", async ({ page }) => {
+test("11 space: when the viewer stops moving, all visible points are drawn", async ({ page }) => {
   const id = await openSpace(page, "space-big", "Cloud");
   await dispatch(page, { type: "cursor", t: 0 });
-  const look = (from, to) => view(page, id, (v, [a, b]) => (v.stage.view.look(a, b), v.render()), [from, to]);
+  const look = (from, to) => view(page, id, (v, [a, b]) => (v.stage.view.lookFrom(a, b), v.render()), [from, to]);
   const says = (words) =>
     until(page, ([i, w]) => new RegExp(w).test(document.querySelector(`#${i} .cell-info`).textContent), words, [
       id,
       words,
     ]);
-  // all of it is seen: a million of its three
+  // All three million points are visible, of which a million is drawn.
   await look([0.9, 1, 6], [1, 1, 0]);
   await says("seen from here 1,000,000 of 3,000,000");
-  // a few columns of the grid, each 300 points on one another
+  // In a few columns of the grid, 300 points are at the same position.
   await look([0.999, 1, 0.15], [1, 1, 0]);
   await says("1,000,000 of 3,000,000 points; seen from here all ");
   const text = await page.textContent(`#${id} .cell-info`);
@@ -345,7 +349,7 @@ test("11 space: where the viewer rests, all points that are seen are drawn", asy
     ],
     "the rough cloud is hidden, the near one drawn",
   );
-  // the next message is drawn whole
+  // The next message is drawn completely.
   await dispatch(page, { type: "cursor", t: S });
   await settled(page);
   const after = await drawn();
@@ -353,7 +357,7 @@ test("11 space: where the viewer rests, all points that are seen are drawn", asy
   equal(after[0].slice(0, 2), [false, true], "the next cloud");
 });
 
-test("11 space: several panels share one context, and give back what they hold", async ({ page }) => {
+test("11 space: several panels share one context, and release their resources", async ({ page }) => {
   const id = await openSpace(page, "space.0000", "A.Points");
   const held = () => view(page, id, (v) => v.stage.memory().geometries);
   await settled(page);

@@ -13,8 +13,8 @@ export async function open(page, base, source, query = "") {
 
 let waits = 0;
 
-// Waits until no request is in flight and nothing waits to be drawn, in five animation frames in a row: an answer may
-// cause another request.
+// Waits until no request is in flight and no drawing is pending, in five animation frames in a row, because a reply
+// may cause another request.
 export async function settled(page) {
   const still = (wait) => {
     const s = window.situStudio;
@@ -31,10 +31,10 @@ export async function settled(page) {
 }
 
 export const state = (page) => page.evaluate(() => window.situStudio.time.get());
-export const act = (page, name) => page.evaluate((n) => window.situStudio.act(n), name);
+export const act = (page, name) => page.evaluate((n) => window.situStudio.runAction(n), name);
 export const dispatch = (page, action) => page.evaluate((a) => void window.situStudio.time.dispatch(a), action);
 
-// Answers the page's own question, by the keyboard.
+// Answers the page's own question with the keyboard.
 export async function answer(page, text) {
   await until(page, () => document.activeElement?.closest("#question"), "a question has the focus");
   if (text !== undefined) await page.keyboard.type(text);
@@ -42,7 +42,7 @@ export async function answer(page, text) {
   await until(page, () => !document.querySelector("#question"), "it is answered");
 }
 
-// Waits until the header, which is painted with the next picture, is as long as this.
+// Waits until the header, which is painted with the next frame, has this length.
 export const lengthIs = (page, seconds, by) =>
   until(
     page,
@@ -51,7 +51,7 @@ export const lengthIs = (page, seconds, by) =>
     [seconds, by],
   );
 
-// The colour at a fraction of a panel's canvas.
+// Returns the color at a fraction of a panel's canvas.
 export function pixel(page, selector, fx, fy) {
   return page.evaluate(
     ([sel, x, y]) => {
@@ -63,7 +63,7 @@ export function pixel(page, selector, fx, fy) {
   );
 }
 
-// How many pixels of a canvas are of (about) this colour.
+// Counts the pixels of a canvas that have approximately this color.
 export function count(page, selector, rgb, tolerance = 40) {
   return page.evaluate(
     ([sel, [r, g, b], t]) => {
@@ -79,7 +79,7 @@ export function count(page, selector, rgb, tolerance = 40) {
   );
 }
 
-// The id of the panel that shows a stream, as soon as there is one.
+// Waits for a panel that shows a stream, and returns its id.
 export async function panelOf(page, stream) {
   const find = (s) => {
     for (const el of document.querySelectorAll("[phx-hook='Panel']")) {
@@ -92,8 +92,8 @@ export async function panelOf(page, stream) {
   return page.evaluate(find, stream);
 }
 
-// Waits for the server's answer, and returns what the legend shows of a stream at the cursor: {text, exact}, where
-// `exact` is the whole value.
+// Waits for the server's reply, and returns the legend's value of a stream at the cursor: {text, exact}, where
+// `exact` is the unrounded value.
 export async function legendOf(page, stream) {
   const find = (s) => {
     const at = document.querySelector(`.legend-item[data-stream="${CSS.escape(s)}"] b`);
@@ -105,7 +105,7 @@ export async function legendOf(page, stream) {
   return (await until(page, find, `the value of ${stream} is shown`, stream)).jsonValue();
 }
 
-// Puts the mouse where `t` (ns after the start) is on a timeline.
+// Moves the mouse to `t` (ns after the start) on a timeline.
 export async function pointAt(page, id, t) {
   const { x, y } = await page.evaluate(
     ([i, time]) => {
@@ -125,7 +125,7 @@ export async function pointAt(page, id, t) {
   return { x, y };
 }
 
-// The colour a stream has on the page, as [r, g, b]; of a map, that of its nth key.
+// Returns the color of a stream on the page as [r, g, b], or that of the nth key of a map.
 export const colorOf = (page, stream, nth = 0) =>
   page.evaluate(
     ([name, k]) => {
@@ -141,5 +141,5 @@ export const colorOf = (page, stream, nth = 0) =>
     [stream, nth],
   );
 
-// The panel that a view's element belongs to: "p1" of "body-p1-plot".
+// Returns the panel of a view's element: "p1" for "body-p1-plot".
 export const panelIn = (id) => /^body-(\w+)-/.exec(id)[1];

@@ -1,4 +1,4 @@
-// All tests of the studio in a browser, in this order.
+// Runs all browser tests of the studio, in this order.
 import { runAll } from "./harness.mjs";
 import "./page_tests.mjs";
 import "./timeline_tests.mjs";

@@ -1,11 +1,11 @@
-// Panels on the time axis: lines, lanes, waveforms, intervals.
+// Panels on the time axis: lines, lanes, waveforms and intervals.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, settled, dispatch, pixel, count, colorOf, panelOf, pointAt, panelIn } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
 
-test("3 timelines: a line is where its values are, and its value at the cursor is right", async ({ page }) => {
+test("3 timelines: a line is drawn at its values, and the value at the cursor is correct", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Imu.Acc.X");
   await dispatch(page, { type: "cursor", t: 20 * S });
@@ -47,7 +47,7 @@ test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async 
   const loud = await page.evaluate((i) => {
     const v = [...window.situStudio.views].find((w) => w.el.id === i);
     const s = v.layers[0].channel.series;
-    const at = (t) => s.max[s.at(t)] - s.min[s.at(t)];
+    const at = (t) => s.max[s.indexAt(t)] - s.min[s.indexAt(t)];
     return [at(0.5e9), at(1.5e9), at(2.5e9)];
   }, wave);
   ok(loud[0] > 0.3 && loud[2] > 0.3 && loud[1] < 0.01, `loud, silent, loud: ${loud}`);
@@ -101,7 +101,7 @@ test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async 
   await shot("timelines");
 });
 
-test("3 timelines: maps are lanes and lines with a name each, intervals lie over their span", async ({ page }) => {
+test("3 timelines: maps are lanes and named lines, and intervals cover their span", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Speech.Who");
   await page.$eval(`#${id}`, (e) => e.scrollIntoView());
@@ -112,7 +112,7 @@ test("3 timelines: maps are lanes and lines with a name each, intervals lie over
       left = window.situStudio.gutter.left,
       k = (v.el.clientWidth - left - 14) / 60,
       r = devicePixelRatio;
-    // how much of a lane is painted at a second: at its middle, and at the height of a body
+    // Returns the painted part of a lane at a second, at the lane's middle and at the height of a body.
     const at = (name, s) => {
       const row = v.rows.findIndex((q) => v.names.children[v.rows.indexOf(q)].textContent === name);
       const y = 4 + row * v.row,
@@ -166,14 +166,14 @@ test("3 timelines: maps are lanes and lines with a name each, intervals lie over
   );
 });
 
-test("3 timelines: zoomed out, the envelope keeps what is between the pixels", async ({ page }) => {
+test("3 timelines: zoomed out, the envelope keeps values between the pixels", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Mic.Level");
   const read = () =>
     page.evaluate((i) => {
       const v = [...window.situStudio.views].find((w) => w.el.id === i);
       const l = v.layers.find((k) => k.vis.stream === "Mic.Level").channel.series;
-      return { n: l.length, raw: l.raw, extent: l.extent(0, 60e9) };
+      return { n: l.length, raw: l.raw, extent: l.valueExtent(0, 60e9) };
     }, id);
   const wide = await read();
   ok(!wide.raw && wide.n < 4000, `summaries, bounded by pixels: ${JSON.stringify(wide)}`);
@@ -187,7 +187,7 @@ test("3 timelines: zoomed out, the envelope keeps what is between the pixels", a
   );
 });
 
-test("3 timelines: a threshold covers what is below a value", async ({ page }) => {
+test("3 timelines: a threshold covers values below it", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Imu.Acc.X");
   const own = await colorOf(page, "Imu.Acc.X");
@@ -208,7 +208,7 @@ test("3 timelines: a threshold covers what is below a value", async ({ page }) =
   ok(after < 0.7 * before && after > 0.3 * before, `about half of the line is covered: ${before} -> ${after}`);
 });
 
-test("3 timelines: a label that is cut is told in full under the mouse", async ({ page }) => {
+test("3 timelines: the tooltip shows a truncated label in full", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Robot.State");
   await page.$eval(`#${id}`, (e) => e.scrollIntoView());
@@ -223,18 +223,18 @@ test("3 timelines: a label that is cut is told in full under the mouse", async (
   await until(
     page,
     () => document.getElementById("tip")?.textContent === "moving\n0:04.000 to 0:08.000, 4.00 s",
-    "the state is told",
+    "the tooltip shows the state",
   );
   await page.mouse.move(5, 5);
-  await until(page, () => document.getElementById("tip").hidden, "gone with the mouse");
+  await until(page, () => document.getElementById("tip").hidden, "the tooltip disappears with the mouse");
 });
 
-test("3 timelines: where a stream begins late or ends early there is a bracket", async ({ page, shot }) => {
+test("3 timelines: a bracket marks where a stream begins late or ends early", async ({ page, shot }) => {
   await open(page, main, "uneven.0000");
   const told = await page.evaluate(() =>
     [...window.situStudio.views]
       .flatMap((v) => v.layers ?? [])
-      .map((l) => [l.vis.stream, window.situStudio.client.ends(l.vis.ends)])
+      .map((l) => [l.vis.stream, window.situStudio.client.relativeEnds(l.vis.ends)])
       .sort(),
   );
   equal(
@@ -247,7 +247,7 @@ test("3 timelines: where a stream begins late or ends early there is a bracket",
     "ends",
   );
   await settled(page);
-  // the foot of the bracket, in the colour of the line, at the top of the plot where the line is not
+  // The foot of the bracket has the color of the line, and is at the top of the plot, away from the line.
   const feet = await page.evaluate(() => {
     const v = [...window.situStudio.views].find((w) => w.plot && w.layers.some((l) => l.vis.stream === "Late"));
     const { ctx, bbox } = v.plot;
@@ -264,13 +264,13 @@ test("3 timelines: where a stream begins late or ends early there is a bracket",
   await until(
     page,
     () => document.getElementById("t-length-of").textContent === "data ends",
-    "the header tells when the data ends",
+    "the header shows the end of the data",
   );
   await until(page, () => document.getElementById("t-length").textContent.startsWith("1:00.0"), "at that time");
   await shot("uneven");
 });
 
-test("3 timelines: colour and joins of a line are set in its properties", async ({ page }) => {
+test("3 timelines: the properties set the color and the joins of a line", async ({ page }) => {
   await open(page, main, "many.0000");
   const id = await page.$eval("[phx-hook='Panel']", (e) => e.id),
     panel = panelIn(id);
@@ -307,18 +307,22 @@ test("3 timelines: colour and joins of a line are set in its properties", async 
   ok((await blue()) < 20 && (await magenta()) > 50, "and drawn");
 });
 
-test("3 timelines: each line of a plot can have an axis of its own", async ({ page, shot }) => {
+test("3 timelines: each line of a plot can have its own axis", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Imu.Acc.X");
-  // where the lines of X (10 high) and Y (4 high) have their top, in pixels of the panel
+  // Returns the tops of the lines X (10 high) and Y (4 high), in pixels of the panel.
   const tops = () =>
     page.evaluate((i) => {
       const view = [...window.situStudio.views].find((v) => v.el.id === i);
       const { height } = view.plot.bbox;
-      return view.lines().map((e) => {
+      return view.drawnLines().map((e) => {
         const [lo, hi] = view.y;
-        const y = view.heights(e, window.situStudio.time.get().view, (v) => height - ((v - lo) / (hi - lo)) * height);
-        return Math.round(y(e.layer.drawer.extent(e, window.situStudio.time.get().view)[1]) / devicePixelRatio);
+        const y = view.heightScale(
+          e,
+          window.situStudio.time.get().view,
+          (v) => height - ((v - lo) / (hi - lo)) * height,
+        );
+        return Math.round(y(e.layer.drawer.valueExtent(e, window.situStudio.time.get().view)[1]) / devicePixelRatio);
       });
     }, id);
   await settled(page);
@@ -327,21 +331,31 @@ test("3 timelines: each line of a plot can have an axis of its own", async ({ pa
   await page.click(`[data-panel="${panelIn(id)}"] button[title=Properties]`, { force: true });
   await until(page, () => document.querySelector("#axis-own"), "its properties");
   await page.check("#axis-own");
-  await until(page, (i) => [...window.situStudio.views].find((v) => v.el.id === i).own, "each has its own", id);
+  await until(
+    page,
+    (i) => [...window.situStudio.views].find((v) => v.el.id === i).hasOwnAxes,
+    "each has its own",
+    id,
+  );
   await settled(page);
   const own = await tops();
   ok(Math.abs(own[0] - own[1]) <= 1, `both reach the same height: ${own}`);
-  await until(page, () => new URLSearchParams(location.search).get("edit"), "the address holds it");
+  await until(page, () => new URLSearchParams(location.search).get("edit"), "the address includes it");
   await shot("own-axis");
   await page.reload();
   await until(
     page,
-    (i) => [...(window.situStudio?.views ?? [])].find((v) => v.el.id === i)?.own,
+    (i) => [...(window.situStudio?.views ?? [])].find((v) => v.el.id === i)?.hasOwnAxes,
     "a reload shows the same",
     id,
   );
   await page.click(`[data-panel="${panelIn(id)}"] button[title=Properties]`, { force: true });
   await until(page, () => document.querySelector("#axis-own")?.checked, "its properties say so");
   await page.uncheck("#axis-own");
-  await until(page, (i) => ![...window.situStudio.views].find((v) => v.el.id === i).own, "on one axis again", id);
+  await until(
+    page,
+    (i) => ![...window.situStudio.views].find((v) => v.el.id === i).hasOwnAxes,
+    "on one axis again",
+    id,
+  );
 });

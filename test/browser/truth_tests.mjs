@@ -1,4 +1,4 @@
-// The page never shows what is not there: what it says under the mouse is compared with the messages.
+// The page shows only existing data: texts under the mouse are compared with the messages.
 import { readFileSync, rmSync, renameSync, readdirSync, cpSync, writeFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, settled, state, dispatch, legendOf, panelOf, pointAt } from "./studio_page.mjs";
@@ -8,12 +8,12 @@ const { main } = site;
 const MS = 1e6,
   S = 1e9;
 
-// Numbers that look random and are the same each time.
+// A pseudorandom number generator that returns the same numbers each time.
 function random(seed) {
   return () => (seed = (seed * 48271) % 2147483647) / 2147483647;
 }
 
-// The last row at or before a time in ms, and its successor.
+// Returns the last row at or before a time in ms, and its successor.
 function around(rows, t) {
   let lo = 0,
     hi = rows.length;
@@ -27,7 +27,7 @@ function around(rows, t) {
 
 const within = (rows, a, b) => rows.filter(([t]) => t >= a && t <= b);
 
-test("7 truth: lines and lanes say what the messages say, at any zoom", async ({ page, shot }) => {
+test("7 truth: lines and lanes show the messages' values at any zoom", async ({ page, shot }) => {
   const zoo = JSON.parse(readFileSync(site.zoo, "utf8"));
   await page.setViewportSize({ width: 1280, height: 1100 });
   await open(page, main, "zoo.0000");
@@ -66,7 +66,8 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
   ok(compared > 250, `${compared} values were compared`);
   ok(old >= 1 && many > 10, `${old} were old, ${many} were many`);
 
-  // The legend: the value of the last message at the cursor, exactly; one older than the pace of its stream says so.
+  // The legend shows the exact value of the last message at the cursor, and marks one that is older than its
+  // stream's period.
   async function line(page, stream, rows, t, slack) {
     const { text, exact } = await legendOf(page, stream);
     const [row] = around(rows, Math.round(t * MS) / MS);
@@ -84,7 +85,7 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
     return 1;
   }
 
-  // A lane's segment, as the tip tells it: one state only where no message within it says another.
+  // The tooltip of a lane's segment shows a single state only if no message in the segment has another one.
   async function lane(page, stream, key, rows, t, slack) {
     const found = await page.evaluate(
       ([s, lane, time]) => {
@@ -100,7 +101,7 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
     );
     ok(found !== "no lane", `${stream} ${key} has a lane`);
     const [row, later] = around(rows, t);
-    // where nothing is drawn, no message came for a while
+    // An empty part of a lane has no messages for a while.
     if (!found) {
       const pause = (later?.[0] ?? 60_000) - (row?.[0] ?? 0);
       ok(!row || pause > 40, `${stream} ${key} at ${t} ms shows nothing between ${row} and ${later}`);
@@ -128,7 +129,7 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
   }
 });
 
-test("7 truth: a column of pixels reaches from the least to the greatest of its messages, at any zoom", async ({
+test("7 truth: a column of pixels covers the minimum and the maximum of its messages at any zoom", async ({
   page,
   shot,
 }) => {
@@ -139,7 +140,7 @@ test("7 truth: a column of pixels reaches from the least to the greatest of its 
   const next = random(20261125);
   let compared = 0;
   for (let round = 0; round < 8; round++) {
-    // more messages than pixels, so that each column stands for several
+    // There are more messages than pixels, so each column represents several.
     const width = round ? length * (0.05 + 0.95 * next()) : length - MS;
     const from = next() * (length - MS - width);
     await dispatch(page, { type: "view", from, to: from + width });
@@ -150,8 +151,8 @@ test("7 truth: a column of pixels reaches from the least to the greatest of its 
   ok(compared > 3000, `${compared} columns were compared`);
 });
 
-// Compares the top and the bottom pixel of the line in each column with the messages there: the line must cover the
-// messages of the column, and must not reach beyond those of the columns next to it.
+// Compares the top and the bottom pixel of the line in each column with the messages there. The line must cover the
+// messages of the column, and must not extend beyond those of the neighboring columns.
 async function compareColumns(page, rows, round) {
   const { view, y, box, columns } = await page.evaluate(lineColumns, "Signal");
   const height = (v) => box.top + box.height - ((v - y[0]) / (y[1] - y[0])) * box.height;
@@ -180,12 +181,12 @@ async function compareColumns(page, rows, round) {
   return compared;
 }
 
-// Runs in the page. Returns the plot of a stream, and the first and the last opaque pixel of the stream's colour in
+// Runs in the page. Returns the plot of a stream, and the first and the last opaque pixel of the stream's color in
 // each column of its canvas.
 function lineColumns(stream) {
   const view = [...window.situStudio.views].find((v) => v.plot && v.layers.some((l) => l.vis.stream === stream));
   const { canvas } = view.plot.ctx;
-  const color = view.color({ layer: view.layers[0], name: "" }, 0);
+  const color = view.lineColor({ layer: view.layers[0], name: "" }, 0);
   const wanted = [1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16));
   const { data, width, height } = view.plot.ctx.getImageData(0, 0, canvas.width, canvas.height);
   const columns = [];
@@ -209,7 +210,7 @@ function lineColumns(stream) {
   };
 }
 
-test("7 truth: a recording that is replaced under its name is shown as it is now", async ({ page }) => {
+test("7 truth: a recording that is replaced under its name is shown in its new version", async ({ page }) => {
   await open(page, main, "changing.0000");
   ok((await page.$$("#tree .node[data-stream]")).length > 5, "the streams of the first");
   rmSync(`${site.folder}/changing.0000`, { recursive: true });
@@ -220,10 +221,10 @@ test("7 truth: a recording that is replaced under its name is shown as it is now
     () => document.querySelector("#tree .node[data-stream='Whole']") && document.body.dataset.ready === "1",
     "the streams of the second",
   );
-  equal(await page.$$eval("#tree .node[data-stream]", (n) => n.length), 3, "and only those");
+  equal(await page.$$eval("#tree .node[data-stream]", (n) => n.length), 3, "no other streams are listed");
 });
 
-test("7 truth: what is damaged says so, with the command that saves the rest", async ({ page, shot }) => {
+test("7 truth: damage is reported with the command that saves the rest", async ({ page, shot }) => {
   const folder = `${site.folder}/broken.0000`;
   for (const file of readdirSync(folder)) if (file.startsWith("data-")) rmSync(`${folder}/${file}`);
   await page.goto(`${main}/s/broken.0000`);
@@ -234,7 +235,10 @@ test("7 truth: what is damaged says so, with the command that saves the rest", a
   await shot("damaged");
 });
 
-test("7 truth: live, dragging leaves the newest time, and a click goes back to it", async ({ page, shot }) => {
+test("7 truth: dragging leaves the newest time of a live source, and a click returns to it", async ({
+  page,
+  shot,
+}) => {
   await open(page, main, "Lobby");
   equal((await state(page)).mode, "live", "live");
   ok(!(await page.isVisible(".pill")), "no way back is needed");
@@ -250,20 +254,20 @@ test("7 truth: live, dragging leaves the newest time, and a click goes back to i
   equal((await state(page)).view, view, "and the view stays");
   await shot("back-to-live");
   await page.click(".pill");
-  equal((await state(page)).mode, "live", "back");
-  // rates are those of the window
-  // 30 on an idle machine; counted over the whole past it would stay at hundreds, or a few.
+  equal((await state(page)).mode, "live", "live mode is on again");
+  // The rates are those of the window: 30 on an idle machine. Counted over the entire past, they would be in the
+  // hundreds, or very low.
   await until(
     page,
     () => {
       const rate = parseFloat(document.querySelector("#tree .node[data-stream='Level'] .info").textContent);
       return rate > 12 && rate < 36;
     },
-    "messages a second are told",
+    "the message rate is shown",
   );
 });
 
-test("7 truth: a pipeline that has ended is said to have, its past stays, and it goes on", async ({ page, shot }) => {
+test("7 truth: a pipeline that has ended is reported, its past remains, and it continues", async ({ page, shot }) => {
   rmSync(site.stop, { force: true });
   await open(page, main, "Brief");
   const id = await panelOf(page, "Brief.Level");
@@ -280,10 +284,10 @@ test("7 truth: a pipeline that has ended is said to have, its past stays, and it
     "said in the status line",
   );
   const over = await state(page);
-  equal(over.mode, "manual", "no longer live");
+  equal(over.mode, "manual", "live mode is off");
   await shot("ended");
   rmSync(site.stop);
-  await until(page, () => document.getElementById("connection").textContent === "connected", "it goes on");
+  await until(page, () => document.getElementById("connection").textContent === "connected", "it continues");
   await until(page, (end) => window.situStudio.time.get().data[1] > end + 1e9, "with new messages", over.data[1]);
   equal((await state(page)).mode, "live", "which the page follows again");
   await shot("goes-on");
@@ -295,23 +299,23 @@ test("7 truth: a pipeline that has ended is said to have, its past stays, and it
   );
 });
 
-test("7 truth: the address holds whether the cursor follows the mouse; a click while playing seeks", async ({
+test("7 truth: the address includes whether the cursor follows the mouse; a click during playback seeks", async ({
   page,
 }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Vad.Speaking");
   await pointAt(page, id, 20 * S);
-  // the address holds whole nanoseconds
+  // The address contains integer nanoseconds.
   const at = (BigInt(site.t0) + BigInt(Math.round((await state(page)).cursor))).toString().slice(0, -3);
   await until(
     page,
     (t) => new URLSearchParams(location.search).get("at")?.startsWith(t),
-    "the address holds the cursor",
+    "the address includes the cursor",
     at,
   );
   await page.reload();
   await until(page, () => document.body?.dataset.ready === "1", "loaded");
-  // names beside the lanes make room for themselves: where a time is on the screen is known then
+  // The names next to the lanes take space, so positions of times are known only after they are drawn.
   await settled(page);
   ok((await state(page)).follow, "the cursor still follows");
   await page.keyboard.press("Space");

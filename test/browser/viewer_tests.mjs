@@ -1,4 +1,4 @@
-// Links for those who may look and not change.
+// View-only links.
 import { readdirSync } from "node:fs";
 import { test, equal, ok, until } from "./harness.mjs";
 import { open, dispatch, panelOf, state, panelIn } from "./studio_page.mjs";
@@ -9,19 +9,19 @@ const S = 1e9;
 
 const files = () => readdirSync(site.folder).sort();
 
-test("4 viewers: a link may look and not change, whatever its page sends", async ({ page, shot }) => {
+test("4 viewers: a view-only link changes nothing, whatever its page sends", async ({ page, shot }) => {
   await page.goto(site.viewed);
   await open(page, base, "minute.0000");
-  ok((await page.textContent(".status")).includes("looking only"), "the page says so");
+  ok((await page.textContent(".status")).includes("view only"), "the page says so");
   for (const title of ["Save the layout", "Save the selection as a recording (Ctrl+E)", "Annotate (a)"])
     equal(await page.$$eval(`button[title='${title}']`, (b) => b.length), 0, title);
   const before = files();
-  // what a page of its own making would send
+  // Sends events that a manipulated page could send.
   const sent = await page.evaluate(
     async (id) => {
       const push = (event, payload) => window.situStudio.options.push(event, payload);
       const { client } = window.situStudio;
-      const [from, to] = [client.abs(1e9), client.abs(2e9)];
+      const [from, to] = [client.toAbsolute(1e9), client.toAbsolute(2e9)];
       push("layout_dialog", {});
       push("layout_save", { name: "Sneaky" });
       push("export_dialog", { from, to, of: "selection" });
@@ -33,11 +33,11 @@ test("4 viewers: a link may look and not change, whatever its page sends", async
     },
     panelIn(await panelOf(page, "Camera.Image")),
   );
-  ok(sent, "a panel with pictures");
-  // answered in order: after this one all of them are
+  ok(sent, "a panel with images");
+  // Events are handled in order, so all of them are handled after this one.
   await page.dblclick("#tree .node[data-stream='Robot.State']");
-  await until(page, () => document.getElementById("studio").dataset.edit !== "", "what it looks at is its own");
-  equal(await page.$$eval("#film, #annotations", (e) => e.length), 0, "nothing was begun");
+  await until(page, () => document.getElementById("studio").dataset.edit !== "", "its own view still works");
+  equal(await page.$$eval("#film, #annotations", (e) => e.length), 0, "nothing was started");
   equal(files(), before, "nothing was written");
   await page.goto(`${base}/settings`);
   ok(await page.isDisabled("#setting-layout"), "settings cannot be changed");
@@ -47,15 +47,19 @@ test("4 viewers: a link may look and not change, whatever its page sends", async
   await shot("viewer");
 });
 
-test("4 viewers: the owner's page copies such a link, which shows the same", async ({ page, context, browser }) => {
+test("4 viewers: the owner's page copies a view-only link, which shows the same", async ({
+  page,
+  context,
+  browser,
+}) => {
   await context.grantPermissions(["clipboard-read", "clipboard-write"]);
   await page.goto(site.shared);
   await open(page, base, "minute.0000");
   await dispatch(page, { type: "view", from: 10 * S, to: 20 * S });
   await page.keyboard.press("Control+k");
-  await page.keyboard.type("may look");
+  await page.keyboard.type("view-only");
   await page.keyboard.press("Enter");
-  await until(page, () => document.getElementById("toast").textContent.startsWith("Link copied"), "copied");
+  await until(page, () => document.getElementById("toast").textContent.startsWith("View-only link copied"), "copied");
   const link = await page.evaluate(() => navigator.clipboard.readText());
   const other = await browser.newContext();
   try {
@@ -63,12 +67,12 @@ test("4 viewers: the owner's page copies such a link, which shows the same", asy
     await guest.goto(link);
     await until(guest, () => document.body?.dataset.ready === "1", "the page");
     ok(!guest.url().includes("token"), "the token leaves the address");
-    ok((await guest.textContent(".status")).includes("looking only"), "looking only");
+    ok((await guest.textContent(".status")).includes("view only"), "looking only");
     equal((await state(guest)).view, [10 * S, 20 * S], "the same view");
-    // the owner's token makes more of it
+    // The owner's token removes the restriction.
     await guest.goto(site.shared);
     await open(guest, base, "minute.0000");
-    ok(!(await guest.textContent(".status")).includes("looking only"), "an owner now");
+    ok(!(await guest.textContent(".status")).includes("view only"), "an owner now");
   } finally {
     await other.close();
   }

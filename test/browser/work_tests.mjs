@@ -1,4 +1,4 @@
-// Work with time: what a selection holds, times that are found, comments, files taken out.
+// Work with time: statistics of a selection, found times, comments and exported files.
 import { execFileSync } from "node:child_process";
 import { readFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
@@ -12,7 +12,7 @@ async function menu(page, id, item) {
   await page.click(`#menu button:has-text("${item}")`);
 }
 
-test("3 work: statistics have a histogram, whose bars are the messages", async ({ page, shot }) => {
+test("3 work: statistics have a histogram whose bars count the messages", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await dispatch(page, { type: "select", from: 5 * S, to: 10 * S });
   await menu(page, await panelOf(page, "Mic.Level"), "Statistics");
@@ -29,17 +29,17 @@ test("3 work: statistics have a histogram, whose bars are the messages", async (
   await shot("histogram");
 });
 
-test("3 work: times are found by an expression, gone to, and made annotations", async ({ page, shot }) => {
+test("3 work: times are found by an expression, visited, and made annotations", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await page.keyboard.press("f");
   await until(page, () => document.activeElement?.id === "query-text", "the field has the focus");
   await page.keyboard.type("`Vad.Speaking` and");
   await page.keyboard.press("Enter");
-  await until(page, () => document.querySelector(".query .error"), "what is no expression is refused in words");
+  await until(page, () => document.querySelector(".query .error"), "an invalid expression is rejected with an error");
   await page.fill("#query-text", "`Vad.Speaking`");
   await page.keyboard.press("Enter");
   await until(page, () => document.querySelectorAll(".found-times button").length === 6, "six times");
-  ok((await page.textContent(".query [role=status]")).startsWith("6 times, "), "told together");
+  ok((await page.textContent(".query [role=status]")).startsWith("6 times, "), "the number of times is shown");
   await page.click(".found-times button >> nth=1");
   await until(page, () => window.situStudio.time.get().sel[0] === 15e9, "the second is selected");
   const s = await state(page);
@@ -49,7 +49,7 @@ test("3 work: times are found by an expression, gone to, and made annotations", 
   await page.click(".query button:text('As annotations')");
   await until(
     page,
-    () => window.situStudio.annotation?.told.items.filter((a) => a.proposed).length === 6,
+    () => window.situStudio.annotation?.state.items.filter((a) => a.proposed).length === 6,
     "six proposals",
   );
   await page.click(".query [aria-label='Close']");
@@ -63,21 +63,21 @@ test("3 work: a comment stays with the recording", async ({ page, context }) => 
   await answer(page, "somebody <b>comes</b> in");
   await until(
     page,
-    () => window.situStudio.annotation?.told.items[0]?.values.Markers === "somebody <b>comes</b> in",
+    () => window.situStudio.annotation?.state.items[0]?.values.Markers === "somebody <b>comes</b> in",
     "the comment is shown",
   );
-  // at the same time a second one has a row of its own
+  // A second comment at the same time has its own row.
   await dispatch(page, { type: "nudge", by: 15 * S - (await state(page)).cursor });
   await dispatch(page, { type: "clearSel" });
   await page.keyboard.press("k");
   await answer(page, "louder");
-  await until(page, () => window.situStudio.annotation?.told.tracks.length === 2, "a second row");
+  await until(page, () => window.situStudio.annotation?.state.tracks.length === 2, "a second row");
   const other = await context.newPage();
   await open(other, main, "uneven.0000", "?annotate=Markers");
-  await until(other, () => window.situStudio.annotation?.told.items.length === 2, "another page has both");
+  await until(other, () => window.situStudio.annotation?.state.items.length === 2, "another page has both");
 });
 
-test("3 work: the selection is taken out as CSV and as WAV", async ({ page }) => {
+test("3 work: the selection is exported as CSV and as WAV", async ({ page }) => {
   await open(page, main, "minute.0000");
   await dispatch(page, { type: "select", from: 5 * S, to: 6 * S });
   const take = async (stream, item) => {
@@ -100,7 +100,7 @@ test("3 work: the selection is taken out as CSV and as WAV", async ({ page }) =>
   equal(wav.length, 58 + 4 * rate, "a second of it");
 });
 
-test("3 work: the selection is taken out as Parquet, a panel as SVG of lines and texts", async ({ page, shot }) => {
+test("3 work: the selection is exported as Parquet, a panel as SVG with lines and texts", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await dispatch(page, { type: "select", from: 5 * S, to: 6 * S });
   const take = async (stream, item) => {
@@ -112,7 +112,7 @@ test("3 work: the selection is taken out as Parquet, a panel as SVG of lines and
   equal([table.toString("latin1", 0, 4), table.toString("latin1", table.length - 4)], ["PAR1", "PAR1"], "Parquet");
   for (const name of ["originating_time", "creation_time", "stream", "value"])
     ok(table.includes(name), `it has a column ${name}`);
-  // what a panel draws, as elements that can be taken apart
+  // Checks that the drawing consists of separate elements.
   const elements = async (stream) => {
     const text = (await take(stream, "Save as SVG")).toString();
     return page.evaluate((svg) => {
@@ -140,30 +140,27 @@ test("3 work: the selection is taken out as Parquet, a panel as SVG of lines and
   const lanes = await elements("Vad.Speaking");
   ok(lanes.bad === 0 && lanes.images === 0 && lanes.paths.length > 6, "lanes are boxes");
   const picture = await elements("Camera.Image");
-  equal([picture.bad, picture.images], [0, 1], "a picture stays one, in its place");
+  equal([picture.bad, picture.images], [0, 1], "an image remains an image, at its position");
   await shot("svg");
 });
 
-test("3 work: the selection is taken out as a film, with sound and what is drawn over the pictures", async ({
-  page,
-  shot,
-}) => {
+test("3 work: the selection is exported as a video with audio and overlays", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await dispatch(page, { type: "select", from: 5 * S, to: 8 * S });
-  await menu(page, await panelOf(page, "Camera.Image"), "Film of the selection");
-  await until(page, () => document.querySelector("#film-file"), "the film is made");
+  await menu(page, await panelOf(page, "Camera.Image"), "Video of the selection");
+  await until(page, () => document.querySelector("#film-file"), "the video is written");
   await shot("film");
-  ok((await page.textContent("#film")).includes("with sound and what is drawn over it"), "told what it holds");
+  ok((await page.textContent("#film")).includes("with audio and overlays"), "the dialog describes its contents");
   const [file] = await Promise.all([page.waitForEvent("download"), page.click("#film-file")]);
   const probe = ["-v", "error", "-show_entries", "stream=codec_name,codec_type:format=duration", "-of", "json"];
   const told = JSON.parse(execFileSync("ffprobe", [...probe, await file.path()]));
-  equal(told.streams.map((s) => s.codec_name).sort(), ["aac", "h264"], "pictures and sound");
-  near(Number(told.format.duration), 3, 0.15, "as long as the selection");
+  equal(told.streams.map((s) => s.codec_name).sort(), ["aac", "h264"], "video and audio");
+  near(Number(told.format.duration), 3, 0.15, "its duration is that of the selection");
   await page.click("#film button:text('Close')");
   await until(page, () => !document.querySelector("#film"), "closed");
-  // one of the whole minute is cancelled
+  // An export of the entire minute is cancelled.
   await dispatch(page, { type: "clearSel" });
-  await menu(page, await panelOf(page, "Camera.Image"), "Film of the view");
+  await menu(page, await panelOf(page, "Camera.Image"), "Video of the view");
   await page.click("#film button");
   await until(page, () => !document.querySelector("#film"), "cancelled");
 });

@@ -1,5 +1,6 @@
-// How long a zoom takes until nothing is asked for and nothing waits to be drawn, over 10M numbers, 10M booleans and an
-// hour of sound at 48 kHz: node zoom.mjs SITE. The goal is a median of 60 ms on an idle machine; printed, not judged.
+// Measures the time from a zoom until no request is in flight and no drawing is pending, over 10M numbers, 10M
+// booleans and an hour of audio at 48 kHz: node zoom.mjs SITE. The goal is a median of 60 ms on an idle machine.
+// The times are printed but not checked.
 import { chromium } from "playwright-core";
 import { open } from "./studio_page.mjs";
 
@@ -30,7 +31,7 @@ const runs = await page.evaluate(async () => {
   for (let i = 0; i < 100; i++) {
     const { data, view } = time.get();
     const span = view[1] - view[0];
-    // closer and closer, down to some ten samples of the sound; then all of it
+    // Zooms in repeatedly, down to some ten samples of audio, and then out completely.
     if (span < 1e6 || i % 20 === 19) {
       time.dispatch({ type: "zoomAt", t: data[0] + (data[1] - data[0]) / 2, factor: (data[1] - data[0]) / span });
       await new Promise((go) => setTimeout(go, 500));
@@ -42,7 +43,7 @@ const runs = await page.evaluate(async () => {
     time.dispatch({ type: "zoomAt", t: from + (to - from) * (0.1 + 0.8 * random()), factor: 0.2 + 0.6 * random() });
     await new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(go)));
     await settled();
-    // what has been still for three frames has settled
+    // The page has settled after three frames without activity.
     let at = performance.now();
     for (const end = () => performance.now() > at + 50; !end(); await turn())
       if (!still()) {

@@ -1,4 +1,5 @@
-# A studio with an hour of numbers, booleans and sound, for zoom.mjs: FOLDER. 570 MB, half a minute.
+# A studio with an hour of numbers, booleans and audio, for zoom.mjs: FOLDER. 570 MB, half a
+# minute.
 alias Situ.{AudioBuffer, AudioFormat, Message}
 alias Situ.Store.Writer
 
@@ -29,7 +30,7 @@ end
     {level, speaking}
   end)
 
-# A tenth of a second each, from somewhere in a second of noise with a tone.
+# Each is a tenth of a second from a random position in a second of noise with a tone.
 format = %AudioFormat{rate: 48_000, channels: 1, sample: :s16}
 
 second =

@@ -1,4 +1,4 @@
-# See run.
+# The driver of the cluster test. See the comment in `run`.
 defmodule Driver do
   @replay [replay: [interval: {0, 3_600_000_000_000}, speed: 1.0]]
   @fast [replay: [interval: {0, 3_600_000_000_000}, speed: :max]]
@@ -26,7 +26,7 @@ defmodule Driver do
     end
   end
 
-  # "25": seconds. "100x": times.
+  # "25" means seconds, "100x" a number of faults.
   defp random_till(text) do
     case Integer.parse(text) do
       {n, "x"} -> {:times, n}
@@ -43,13 +43,13 @@ defmodule Driver do
     end)
   end
 
-  # If this driver dies, `run` ends the processes named in this file.
+  # If this driver dies, `run` ends the processes in this file.
   defp remember(pid) do
     Process.put(:pids, [pid | Process.get(:pids, [])])
     File.write!(Path.join(Process.get(:work), "pids"), pid <> "\n", [:append])
   end
 
-  # One deployment with something that goes wrong in the middle.
+  # Runs one deployment with a fault in the middle.
   defp one(nodes, name, count, trouble, opts \\ []) do
     opts =
       Keyword.merge(
@@ -75,7 +75,7 @@ defmodule Driver do
     {answer, deployment, nodes}
   end
 
-  # As the error says: what did not arrive is repeated, and nothing is done twice.
+  # As the error states, undelivered messages are repeated, and nothing is done twice.
   defp deploy(nodes, opts, tries \\ 10) do
     case Nodes.call(nodes, :deploy, [Sums, opts]) do
       {:ok, deployment} -> deployment
@@ -89,7 +89,7 @@ defmodule Driver do
     {:ok, result} = Nodes.call(nodes, :read, [deployment, "Result"])
     expected = expected(count)
     smooth? = for(m <- smooth, do: {m.data, m.originating_time}) == expected
-    # The random numbers differ from run to run, but each value must follow from the one before.
+    # The random numbers differ between runs, but each value must follow from the previous one.
     sums = for m <- result, do: m.data
 
     chain? =
@@ -149,7 +149,7 @@ defmodule Driver do
 
   defp wait(ms), do: receive(do: (:never -> :ok), after: (ms -> :ok))
 
-  # Who runs a part; asked until somebody does.
+  # Returns the node that runs a part, and waits until there is one.
   defp owner(nodes, deployment, part) do
     case Nodes.call(nodes, :status, [deployment]).parts do
       %{^part => %{node: node}} when node != nil ->
@@ -161,7 +161,7 @@ defmodule Driver do
     end
   end
 
-  # Until a stream has so many messages.
+  # Waits until a stream has this number of messages.
   defp until(nodes, deployment, stream, n) do
     {:ok, messages} = Nodes.call(nodes, :read, [deployment, stream])
 
@@ -196,7 +196,7 @@ defmodule Driver do
 
     r3 = {"the node of a part that throws dice is killed", same?(dice, 2_000)}
     nodes = refill(elem(dice, 2))
-    # The others know it by then.
+    # The other nodes have received it by then.
     at_once =
       one(nodes, "at once", 1_000, fn _, nodes -> Nodes.kill(nodes, hd(Map.keys(nodes))) end)
 
@@ -215,7 +215,7 @@ defmodule Driver do
 
   defp refill(nodes), do: start(nodes, ~w(a b c) -- Map.keys(nodes))
 
-  # A node that stands still for longer than its lease, and then goes on as if nothing had happened.
+  # A node pauses for longer than its lease, and then continues as if nothing had happened.
   defp zombie(nodes) do
     frozen = fn d, nodes ->
       until(nodes, d, "Result", 200)
@@ -253,7 +253,8 @@ defmodule Driver do
     {{"parts are moved while they run", same?(result, 2_000) and Process.get(:moved)}, nodes}
   end
 
-  # New code on all nodes while they run: Dice says another version, and what it throws still follows.
+  # All nodes load new code while they are running: Dice reports a new version, and its values
+  # still form a chain.
   defp upgraded(nodes) do
     Code.put_compiler_option(:ignore_module_conflict, true)
 
@@ -280,8 +281,8 @@ defmodule Driver do
      ], nodes}
   end
 
-  # The same over NATS: a node is killed, then the server itself, which comes back on what it has kept. The last nodes
-  # go on to the random part.
+  # The same over NATS: a node is killed, and then the server, which restarts with its stored
+  # data. The last nodes continue to the random part.
   defp nats(work) do
     if server = Nodes.nats(work, Process.get(:net)) do
       remember(server.pid)
@@ -311,7 +312,7 @@ defmodule Driver do
     end
   end
 
-  # Something goes wrong at random, as often as there is time for, or as was asked for.
+  # Random faults, for the given time or number.
   defp random(nodes, how, since, i, results) do
     if enough?(how, since, i) do
       {Enum.reverse(results), nodes}
@@ -333,7 +334,7 @@ defmodule Driver do
   defp enough?({:times, n}, _since, i), do: i > n
 
   defp troubled(nodes, i, count, ms, victim, trouble) do
-    # A machine that others use, too, may let nobody run for half a second.
+    # On a shared machine, all processes may pause for half a second.
     lease = [lease: 1_500_000_000]
 
     one(
@@ -348,10 +349,11 @@ defmodule Driver do
     )
   end
 
-  # Who is away is asked nothing; it is back when the deployment has ended (`nodes_again/1`), or before.
+  # A stopped node is not queried. It is back before or when the deployment has ended
+  # (`nodes_again/1`).
   defp trouble(:kill, nodes, victim), do: Nodes.kill(nodes, victim)
 
-  # For longer than its lease, or for less.
+  # For longer than its lease, or shorter.
   defp trouble(stop, nodes, victim) when stop in [:stop, :pause] do
     Nodes.signal(nodes[victim], "STOP")
     ms = if stop == :stop, do: 3_500, else: 50 + :rand.uniform(250)
@@ -359,7 +361,7 @@ defmodule Driver do
     away(nodes, victim)
   end
 
-  # The nodes lose sight of one another, and the log does not lose them.
+  # The nodes lose the connection to each other, but not to the log.
   defp trouble(:parted, nodes, victim) do
     for {name, other} <- nodes, name != victim do
       :erpc.call(nodes[victim].node, :erlang, :disconnect_node, [other.node])
@@ -410,7 +412,7 @@ defmodule Driver do
     refill(nodes)
   end
 
-  # Connected to all others again, or ended and started anew.
+  # Waits until it is connected to all others again, or was ended and restarted.
   defp back(nodes, name, node) do
     for {_, other} <- nodes, do: :erpc.call(other.node, Node, :connect, [node.node])
     members = fn -> Enum.map(nodes, fn {_, n} -> :erpc.call(n.node, Node, :list, []) end) end

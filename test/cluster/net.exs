@@ -1,5 +1,6 @@
-# A network of our own: each node in a namespace, joined by a bridge, so that links can be cut and made thin. Where that
-# cannot be had (no root, no `ip netns`) all nodes are on the loopback, and it is said.
+# A test network: each node has a namespace, and a bridge joins them, so that links can be cut and
+# slowed down. Without root or `ip netns`, all nodes use the loopback device, and the test reports
+# this.
 defmodule Net do
   @subnet "10.213.#{rem(System.os_time(:second), 200) + 20}"
   @hosts %{here: 1, a: 2, b: 3, c: 4}
@@ -73,10 +74,10 @@ defmodule Net do
   def troubles(nil), do: []
   def troubles(_id), do: [:cut, :thin]
 
-  @doc "Nothing comes through, either way; nobody is told."
+  @doc "Drops all packets in both directions without an error."
   def cut(id, name), do: :ok = ip(["link", "set", link(id, name), "nomaster"])
 
-  @doc "100 ms and one packet of fifty lost, or else a megabit a second."
+  @doc "Sets a delay of 100 ms and a loss of one packet in fifty, or a rate of a megabit per second."
   def thin(id, name) do
     :ok =
       if delays?(id),
@@ -131,7 +132,8 @@ defmodule Net do
 
   defp inside(id, name, args), do: run(["ip", "-n", space(id, name) | args])
 
-  # Notes each object before it is made, so that `run` can remove it even if this script dies.
+  # Records each object before it is created, so that `run` can remove it even if this script
+  # dies.
   defp ip(args, file, what) do
     File.write!(file, what <> "\n", [:append])
     run(["ip" | args])

@@ -1,4 +1,4 @@
-# One node: joins the cluster on this machine, and stays until its driver is gone, however that ended.
+# One node: joins the cluster on this machine, and runs until its driver has ended for any reason.
 [log, labels | peers] = System.argv()
 for peer <- peers, do: Node.connect(String.to_atom(peer))
 {:ok, _} = Situ.Cluster.start_link(log: log, labels: String.split(labels, ",", trim: true))

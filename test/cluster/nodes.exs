@@ -1,8 +1,8 @@
-# Nodes as OS processes: started, killed, stopped, asked.
+# Starts, kills, stops and queries nodes, which are OS processes.
 defmodule Nodes do
   def start(log, name, labels, peers, net) do
     ip = Net.ip(net, name)
-    node = :"#{name}-#{Situ.Test.FreePort.tcp()}@#{ip}"
+    node = :"#{name}-#{Situ.Test.FreePort.find_tcp()}@#{ip}"
     tuple = "{" <> String.replace(ip, ".", ",") <> "}"
     ebin = System.get_env("SITU_EBIN") |> String.split()
 
@@ -44,8 +44,8 @@ defmodule Nodes do
     end
   end
 
-  @doc "A nats-server on this machine, or `nil` where there is none."
-  def nats(work, net, port \\ Situ.Test.FreePort.tcp()) do
+  @doc "Returns a nats-server on this machine, or `nil` if there is none."
+  def nats(work, net, port \\ Situ.Test.FreePort.find_tcp()) do
     if path = nats_path() do
       args = ["-a", Net.ip(net, :here), "-p", "#{port}", "-js", "-sd", Path.join(work, "nats")]
 

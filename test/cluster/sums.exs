@@ -1,5 +1,5 @@
-# The pipeline of the test: two sources, a join, a window, a running sum, and a component that draws random numbers
-# (its part is not deterministic). Loaded by every node.
+# The pipeline of the test: two sources, a join, a window, a running sum, and a component that
+# draws random numbers, whose part is therefore not deterministic. Every node loads it.
 defmodule Dice do
   use Situ.Component, inputs: [in: :any], outputs: [out: :any]
 
@@ -8,7 +8,8 @@ defmodule Dice do
   @impl true
   def init(_opts), do: {:ok, 0}
 
-  # Each value says how it follows from the one before: a part that goes on from an older state breaks the chain.
+  # Each value refers to the previous one, so a part that continues from an older state breaks the
+  # chain.
   @impl true
   def handle_message(:in, message, _context, sum) do
     drawn = :rand.uniform(1_000)

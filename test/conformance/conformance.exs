@@ -1,16 +1,15 @@
 Code.require_file("formula.exs", __DIR__)
 
 defmodule Situ.Conformance do
-  # Runs conformance files: JSON with an area, conventions and cases. One module per area, listed in `@areas`; its
-  # `check/1` answers `:pass`, `{:fail, expected, got}` or `{:not_applicable, reason}`.
-  #
-  # The area of a file is in its name ("fuse.json", "situ_fuse.json"); in a file that names none, that of each case
-  # follows from
-  # its operation.
+  # Runs conformance files: JSON with an area, conventions and cases. There is one module per
+  # area, listed in `@areas`; its `check/1` returns `:pass`, `{:fail, expected, got}` or
+  # `{:not_applicable, reason}`.
+  # The file name contains the area ("fuse.json", "situ_fuse.json"). If it does not, the area of
+  # each case follows from its operation.
 
   @folder Path.join(__DIR__, "areas")
 
-  # Name -> module of areas/NAME.exs, or why there is none.
+  # Maps a name to the module of areas/NAME.exs, or to the reason why there is none.
   @areas %{
     "intervals" => Situ.Conformance.Intervals,
     "interpolators" => Situ.Conformance.Interpolators,
@@ -34,7 +33,7 @@ defmodule Situ.Conformance do
       "the counter is held against the system's time by rules of its own (Situ.Clock.Wall)"
   }
 
-  # Which area an operation belongs to, first match.
+  # The area of an operation. The first match applies.
   @operations [
     {~r/^interpolator\./, "interpolators"},
     {~r/^(interval|endpoint|index_|time_plus)/, "intervals"},
@@ -55,7 +54,7 @@ defmodule Situ.Conformance do
     {~r/^(format|file_|zeromq|datagram)/, "interop"}
   ]
 
-  # `--mutants`: besides, every expectation is changed, and the case must fail then.
+  # With `--mutants`, every expectation is also changed, and the case must then fail.
   def main(["--mutants" | paths]) do
     survivors =
       for file <- Enum.flat_map(paths, &found/1),
@@ -82,7 +81,7 @@ defmodule Situ.Conformance do
     if File.regular?(path), do: [path], else: Path.wildcard(Path.join(path, "*.json"))
   end
 
-  # The cases of one file with their verdicts: `[{id, verdict}]`.
+  # Returns the cases of one file with their verdicts: `[{id, verdict}]`.
   def verdicts(file) do
     case read(file) do
       {:ok, cases} -> Enum.map(cases, &{id(&1), verdict(area(file), &1)})
@@ -90,7 +89,7 @@ defmodule Situ.Conformance do
     end
   end
 
-  # The cases of one file, each with its verdict and the us it took.
+  # Returns the cases of one file, each with its verdict and its duration in us.
   def timed_verdicts(file) do
     {:ok, cases} = read(file)
 
@@ -102,7 +101,7 @@ defmodule Situ.Conformance do
 
   def files, do: Path.wildcard(Path.expand("../../priv/conformance/*.json", __DIR__))
 
-  # The area a file's name tells, the longest if several do, or nil.
+  # Returns the area in a file's name (the longest if there are several), or nil.
   def area(file) do
     name = Path.basename(file, ".json")
 
@@ -167,7 +166,7 @@ defmodule Situ.Conformance do
     end
   end
 
-  # Where the order of an object's members is part of the case, it is read from there.
+  # If the order of an object's members is part of the case, it is read from this text.
   defp with_order(%{"op" => "format." <> _} = case, ordered),
     do: Map.put(case, "ordered", ordered)
 
@@ -176,8 +175,9 @@ defmodule Situ.Conformance do
   defp id(%{"id" => id}) when is_binary(id), do: id
   defp id(_case), do: "(no id)"
 
-  # A case is a map with an operation and what is expected of it; parameters and inputs may be missing.
-  # The verdict on one case.
+  # A case is a map with an operation and its expected results; parameters and inputs are
+  # optional.
+  # Returns the verdict on one case.
   def verdict(area, %{"op" => op} = case) when is_binary(op) do
     case = case |> fill("params", %{}) |> fill("inputs", [])
 
@@ -222,9 +222,9 @@ defmodule Situ.Conformance do
 
   defp check({:not_applicable, _} = verdict, _case), do: verdict
 
-  # A quirk of the reference. Most of these cases list the right answer, which is required as any other; where the
-  # answer listed is the reference's own ("a better system does otherwise") it is shown when Situ does otherwise, but
-  # is no failure.
+  # A quirk of the reference. Most of these cases list the right result, which is required as
+  # usual. If the listed result is the reference's own ("a better system does otherwise"), a
+  # different result of Situ is shown but does not count as a failure.
   defp check(module, %{"known_quirk" => true} = case) do
     if right_answer?(case), do: checked(module, case), else: quirk(module, case)
   end
@@ -284,12 +284,12 @@ defmodule Situ.Conformance do
 end
 
 defmodule Situ.Conformance.Case do
-  # Shared by the areas: times, values with their tolerance, verdicts.
+  # Shared functions of the areas: times, values with their tolerance, and verdicts.
 
   @tick 100
   @ms 1_000_000
 
-  # Special numbers are strings in the files, atoms in Situ.
+  # Special numbers are strings in the files and atoms in Situ.
   def value("NaN"), do: :nan
   def value("Infinity"), do: :infinity
   def value("-Infinity"), do: :neg_infinity
@@ -305,13 +305,13 @@ defmodule Situ.Conformance.Case do
   def ticks(n), do: n * @tick
   def ms(n), do: round(n * @ms)
 
-  # `[{time, value}]` of a list of messages or an expectation.
+  # `[{time, value}]` for a list of messages or an expectation.
   def timed(messages), do: Enum.map(messages, &{time(&1), value(&1["v"])})
 
   def messages(messages),
     do: for({t, v} <- timed(messages), do: %Situ.Message{originating_time: t, data: v})
 
-  # Tuples come out where the files have arrays.
+  # Situ returns tuples for the files' arrays.
   def plain(tuple) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> plain()
   def plain(list) when is_list(list), do: Enum.map(list, &plain/1)
   def plain(%_{} = struct), do: struct
@@ -340,7 +340,7 @@ defmodule Situ.Conformance.Case do
     if same?(expected, got, tolerance), do: :pass, else: {:fail, expected, got}
   end
 
-  # Every part of an expectation against what came; a part that no check answers for is a failure.
+  # Compares every part of an expectation with the result. A part without a check is a failure.
   def all(case, got, tolerance \\ 1.0e-12)
 
   def all(%{"expect" => %{} = expect}, got, tolerance) do
@@ -355,8 +355,9 @@ defmodule Situ.Conformance.Case do
 
   def all(%{"expect" => expect}, got, _tolerance), do: {:fail, expect, got}
 
-  # A property told in words: the words themselves when one of the readings fits them and holds. `readings`: `{regex,
-  # holds?}`, or a function of what the regex captured; the regex has to fit from beginning to end.
+  # A property as text: returns the text itself if one of the readings matches it and holds.
+  # `readings`: `{regex, holds?}`, or a function of the regex captures. The regex must match the
+  # entire text.
   def told(text, readings) when is_binary(text) do
     Enum.find_value(readings, {:unread, text}, fn {regex, holds?} ->
       case Regex.run(regex, text) do
@@ -368,7 +369,7 @@ defmodule Situ.Conformance.Case do
 
   def told(other, _readings), do: {:unread, other}
 
-  # The same where the words may differ: `regex` has to be in them, and nothing but words.
+  # The same for texts that vary: the text must contain `regex`, and consist of words only.
   def meant(text, regex, holds?) when is_binary(text) do
     cond do
       not (text =~ regex) or text =~ "_" -> {:unread, text}
@@ -382,7 +383,7 @@ defmodule Situ.Conformance.Case do
   defp holds(fun, captured) when is_function(fun, 1), do: fun.(captured)
   defp holds(holds?, _captured), do: holds?
 
-  # The outputs `[{time, value}]` of an operator against the case.
+  # Compares the outputs `[{time, value}]` of an operator with the case.
   def outputs(case, result, tolerance \\ 1.0e-12)
 
   def outputs(%{"expect_error" => code}, {:error, error}, _tolerance) do
@@ -398,7 +399,7 @@ defmodule Situ.Conformance.Case do
   def outputs(%{"expect" => %{"multiset" => values}}, {:ok, got}, _tolerance),
     do: verdict(Enum.sort(value(values)), got |> Enum.map(&plain(elem(&1, 1))) |> Enum.sort())
 
-  # The files' names of errors, and Situ's codes.
+  # Maps error names in the files to Situ's codes.
   @codes %{
     "argument_error" => [ArgumentError],
     "not_supported" => [:not_supported],
@@ -422,7 +423,8 @@ defmodule Situ.Conformance.Case do
     "originating_time_not_strictly_increasing" => [:time_not_increasing]
   }
 
-  # An aggregate error holds all errors of the pipeline: one of them must have the expected name.
+  # An aggregate error contains all errors of the pipeline, one of which must have the expected
+  # name.
   def error_fits?("aggregate_pipeline_error(" <> name, error),
     do: error |> errors() |> Enum.any?(&error_fits?(String.replace_suffix(name, ")", ""), &1))
 
@@ -434,7 +436,7 @@ defmodule Situ.Conformance.Case do
   defp errors(%Situ.Error{meta: %{errors: [_ | _] = errors}}), do: errors
   defp errors(error), do: [error]
 
-  # The innermost cause: a pipeline wraps the error of its component.
+  # The innermost cause, since a pipeline wraps the errors of its components.
   defp code(%Situ.Error{meta: %{reason: %_{} = inner}}), do: code(inner)
   defp code(%Situ.Error{meta: %{cause: %_{} = inner}}), do: code(inner)
   defp code(%Situ.Error{meta: %{exception: %_{} = inner}}), do: code(inner)
@@ -450,14 +452,14 @@ defmodule Situ.Conformance.Case do
 end
 
 defmodule Situ.Conformance.Run do
-  # The inputs of a case through a pipeline.
+  # Runs the inputs of a case through a pipeline.
   import Situ.Conformance.Case
 
   @long_ago_is_over 1_000_000_000_000_000
 
-  # `build.(streams)`, the inputs' streams in the order of the case. Inputs whose arrival matters or which stay open
-  # are fed one
-  # by one into a pipeline that waits; the others run as fast as they can.
+  # `build.(streams)` receives the input streams in the order of the case. Inputs that stay open,
+  # or whose order of arrival matters, are fed singly into a waiting pipeline. The others run as
+  # fast as possible.
   def inputs(case, build) do
     if Enum.any?(case["inputs"], &(&1["keep_open"] || &1["arrives_after_ms"])),
       do: in_turn(case["inputs"], build),
@@ -466,13 +468,13 @@ defmodule Situ.Conformance.Run do
 
   def at_once(inputs, build) do
     named = for {input, i} <- Enum.with_index(inputs), do: {i, timed(input["messages"])}
-    # The pipeline starts at 0, or with the first message before that.
+    # The pipeline starts at 0, or with the first message if that is earlier.
     start = named |> Enum.flat_map(&elem(&1, 1)) |> Enum.reduce(0, &min(elem(&1, 0), &2))
     opts = [pipeline: [replay: [interval: {start, :unbounded}]]]
     guarded(fn -> Situ.Test.run(Map.new(named), &build.(in_order(&1)), opts) end)
   end
 
-  # Whole inputs after one another, the earliest arrival first.
+  # Sends entire inputs in sequence, the one that arrives first before the others.
   def in_turn(inputs, build) do
     indexed = Enum.with_index(inputs)
 
@@ -482,12 +484,12 @@ defmodule Situ.Conformance.Run do
         unless input["keep_open"], do: Situ.Test.close(test, i)
       end
 
-      # Outputs stamped with the clock come out when the clock advances.
+      # Outputs with clock times are emitted when the clock advances.
       Situ.Test.advance(test, ms(1))
     end)
   end
 
-  # Message by message in the order of time: as they arrive when nothing is late.
+  # Sends the messages in the order of time, which is their order of arrival if none is late.
   def by_time(inputs, build) do
     all =
       for {input, i} <- Enum.with_index(inputs),
@@ -500,7 +502,7 @@ defmodule Situ.Conformance.Run do
     end)
   end
 
-  # A pipeline by a clock that stands at `start`; `steps` moves it and feeds it.
+  # A pipeline with a clock that starts at `start`; `steps` advances it and feeds the pipeline.
   def waiting(inputs, build, start, steps) do
     guarded(fn ->
       keys = Enum.to_list(0..(length(inputs) - 1)//1)

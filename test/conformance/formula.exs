@@ -1,7 +1,8 @@
 defmodule Situ.Conformance.Formula do
-  # The files' small formulas ("10*p + s", "v mod 3 == 0 and v > 4", "v is even") as functions of named values. They
-  # are parsed and evaluated here, never as code: a conformance folder may come from anywhere. Integers divide to
-  # integers, as in the language of the reference.
+  # Converts the small formulas in the files ("10*p + s", "v mod 3 == 0 and v > 4", "v is even")
+  # to functions of named values. They are parsed and evaluated here, never as code, because a
+  # conformance folder may come from anywhere. As in the reference's language, dividing integers
+  # gives an integer.
 
   @accumulators ~w(x a acc accumulator previous prev last state sum total aggregate)
 
@@ -12,20 +13,20 @@ defmodule Situ.Conformance.Formula do
     {"sqrt", 1} => &:math.sqrt/1
   }
 
-  # A function of a map of names to values.
+  # Returns a function of a map from names to values.
   def function(text) do
     {tree, []} = text |> tokens() |> disjunction()
     fn values -> value(tree, values) end
   end
 
-  # A function of the one value a formula is about, whatever it is called there.
+  # Returns a function of the only value in a formula, independent of its name.
   def of_one(text) do
     function = function(text)
     names = names(text)
     fn value -> function.(Map.new(names, &{&1, value})) end
   end
 
-  # A function of what was before and the value: "x + y", "v - previous", "acc * v".
+  # Returns a function of the previous result and the value: "x + y", "v - previous", "acc * v".
   def of_two(text) do
     function = function(text)
     names = names(text)
@@ -36,7 +37,8 @@ defmodule Situ.Conformance.Formula do
     end
   end
 
-  # A condition, without the words around it: "keep even values only", "fails when v > 5", "v where v != 3".
+  # Returns a condition without the words around it: "keep even values only", "fails when v > 5",
+  # "v where v != 3".
   def condition(text) do
     plain = Regex.replace(~r/^.*\b(?:when|where|if)\s+/, text, "")
 

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Writes conformance cases at random, with the answers of a model in Python that shares nothing with Situ.
+"""Writes random conformance cases, with the results of a Python model that shares no code with Situ.
 
     test/conformance/model.py --seed 7 --cases 25 > priv/conformance/situ_model.json
 
-The model is the definition of each operator, read off its finished inputs: what is the answer when everything has arrived? It knows no queues, no
-processes and no order of arrival. `--cases` is the number per area. Other seeds make other cases: a folder of them is a soak test.
+The model applies the definition of each operator to its complete inputs, without queues, processes and order of
+arrival. `--cases` is the number per area. Different seeds give different cases, so a folder of them is a soak test.
 """
 import argparse
 import json
@@ -18,7 +18,7 @@ DEFAULT = -7
 UNDECIDED = {"type": "insufficient_data"}
 
 
-def window(left_bounded=False, ordered=True):
+def random_window(left_bounded=False, ordered=True):
     bounded = [left_bounded or R.random() < 0.8, R.random() < 0.8]
     ends = [R.randint(-12, 12), R.randint(-12, 12)]
     if ordered and all(bounded):
@@ -31,98 +31,107 @@ def window(left_bounded=False, ordered=True):
     return result
 
 
-def before(distance, w):
+def is_before(distance, w):
     end = w["left_ticks"]
     return w["left_bounded"] and (distance < end or (distance == end and not w["left_inclusive"]))
 
 
-def past(distance, w):
+def is_past(distance, w):
     end = w["right_ticks"]
     return w["right_bounded"] and (distance > end or (distance == end and not w["right_inclusive"]))
 
 
-def inside(distance, w):
-    return not before(distance, w) and not past(distance, w)
+def is_inside(distance, w):
+    return not is_before(distance, w) and not is_past(distance, w)
 
 
-def messages(n=None, low=0, high=40):
+def random_messages(n=None, low=0, high=40):
     n = R.randint(0, 6) if n is None else n
     return [{"t_ticks": t, "v": i + 1} for i, t in enumerate(sorted(R.sample(range(low, high), n)))]
 
 
-def none(obsolete):
-    # A time before the first representable one is that one.
+def missing_result(obsolete):
+    # Times before the first representable one are clamped to it.
     return {"type": "does_not_exist", "obsolete_ticks": max(0, obsolete)}
 
 
-def created(value, obsolete):
+def created_result(value, obsolete):
     return {"type": "created", "value": value, "obsolete_ticks": max(0, obsolete)}
 
 
-def interpolate(kind, w, t, queue, closed):
+def interpolate_at(kind, w, t, queue, closed):
     family, name = kind.split(".")
     plain = name.replace("_or_default", "")
     w = EXACT if plain == "exact" else w
     waits = family == "reproducible" and not closed
     if not queue:
-        result = UNDECIDED if waits else none(0)
+        result = UNDECIDED if waits else missing_result(0)
     else:
-        result = {"nearest": nearest, "exact": nearest, "first": first, "last": last, "linear": linear}[plain](w, t, queue, waits)
+        result = FINDERS[plain](w, t, queue, waits)
     if name != plain and result["type"] == "does_not_exist":
-        return created(DEFAULT, result["obsolete_ticks"])
+        return created_result(DEFAULT, result["obsolete_ticks"])
     return result
 
 
-def nearest(w, t, queue, waits):
+def find_nearest(w, t, queue, waits):
     reach = t if not w["right_bounded"] else min(t, t + w["right_ticks"])
-    fitting = [m for m in queue if inside(m["t_ticks"] - t, w)]
+    fitting = [m for m in queue if is_inside(m["t_ticks"] - t, w)]
     newest = queue[-1]["t_ticks"]
     if fitting:
-        # Of two equally near the later.
+        # Two equally near messages: the later one is used.
         best = min(reversed(fitting), key=lambda m: abs(m["t_ticks"] - t))
         if waits and best is queue[-1] and best["t_ticks"] < reach:
             return UNDECIDED
-        return created(best["v"], best["t_ticks"])
+        return created_result(best["v"], best["t_ticks"])
     if waits and (not w["right_bounded"] or newest < t + w["right_ticks"]):
         return UNDECIDED
-    return none(reach)
+    return missing_result(reach)
 
 
-def first(w, t, queue, waits):
+def find_first(w, t, queue, waits):
     for m in queue:
-        if inside(m["t_ticks"] - t, w):
-            return created(m["v"], m["t_ticks"])
-    return UNDECIDED if waits and not past(queue[-1]["t_ticks"] - t, w) else none(t + w["left_ticks"])
+        if is_inside(m["t_ticks"] - t, w):
+            return created_result(m["v"], m["t_ticks"])
+    return UNDECIDED if waits and not is_past(queue[-1]["t_ticks"] - t, w) else missing_result(t + w["left_ticks"])
 
 
-def last(w, t, queue, waits):
-    fitting = [m for m in queue if inside(m["t_ticks"] - t, w)]
-    beyond = past(queue[-1]["t_ticks"] - t, w)
+def find_last(w, t, queue, waits):
+    fitting = [m for m in queue if is_inside(m["t_ticks"] - t, w)]
+    beyond = is_past(queue[-1]["t_ticks"] - t, w)
     if fitting:
         at = fitting[-1]["t_ticks"]
         at_the_end = w["right_bounded"] and w["right_inclusive"] and at == t + w["right_ticks"]
-        return created(fitting[-1]["v"], at) if not waits or beyond or at_the_end else UNDECIDED
-    return UNDECIDED if waits and not beyond else none(t + w["left_ticks"] if w["left_bounded"] else 0)
+        return created_result(fitting[-1]["v"], at) if not waits or beyond or at_the_end else UNDECIDED
+    return UNDECIDED if waits and not beyond else missing_result(t + w["left_ticks"] if w["left_bounded"] else 0)
 
 
-def linear(_w, t, queue, waits):
+def interpolate_linear(_w, t, queue, waits):
     later = next((i for i, m in enumerate(queue) if m["t_ticks"] >= t), None)
     if later is None:
-        return UNDECIDED if waits else none(queue[-1]["t_ticks"])
+        return UNDECIDED if waits else missing_result(queue[-1]["t_ticks"])
     b = queue[later]
     if b["t_ticks"] == t:
-        return created(b["v"], t)
+        return created_result(b["v"], t)
     if later == 0:
-        return none(0)
+        return missing_result(0)
     a = queue[later - 1]
     ratio = (t - a["t_ticks"]) / (b["t_ticks"] - a["t_ticks"])
-    return created(a["v"] + (b["v"] - a["v"]) * ratio, a["t_ticks"])
+    return created_result(a["v"] + (b["v"] - a["v"]) * ratio, a["t_ticks"])
 
 
-def interpolator(available=False):
+FINDERS = {
+    "nearest": find_nearest,
+    "exact": find_nearest,
+    "first": find_first,
+    "last": find_last,
+    "linear": interpolate_linear,
+}
+
+
+def random_interpolator(available=False):
     name = R.choice(INTERPOLATORS)
     family = "available" if available and name != "linear" and R.random() < 0.5 else "reproducible"
-    w = window(left_bounded=name == "first")
+    w = random_window(left_bounded=name == "first")
     kind = f"{family}.{name}" + ("_or_default" if R.random() < 0.3 else "")
     spec = {"kind": kind}
     if name in ("nearest", "first", "last"):
@@ -133,53 +142,53 @@ def interpolator(available=False):
 
 
 def interpolation_case(i):
-    kind, w, spec = interpolator(available=True)
-    queue, t = messages(), R.randint(0, 45)
+    kind, w, spec = random_interpolator(available=True)
+    queue, t = random_messages(), R.randint(0, 45)
     closed = None if R.random() < 0.6 else (queue[-1]["t_ticks"] if queue else 0) + R.randint(0, 5)
     params = {"interpolation_time_ticks": t, "tolerance_on_value": 1e-7}
     params.update({k: v for k, v in spec.items() if k != "kind"})
     stream = {"stream": "secondary", "messages": queue, "closed_at_ticks": closed}
-    return case(f"model-interpolation-{i}", "interpolator." + kind, params, [stream], interpolate(kind, w, t, queue, closed is not None))
+    return build_case(f"model-interpolation-{i}", "interpolator." + kind, params, [stream], interpolate_at(kind, w, t, queue, closed is not None))
 
 
 def fusion_case(i):
     op = R.choice(["fuse", "join", "fuse.vector", "join.vector", "join.chain"])
-    kind, w, spec = interpolator()
+    kind, w, spec = random_interpolator()
     count = 1 if op in ("fuse", "join") and R.random() < 0.7 else R.randint(1, 3)
-    primary, others = messages(R.randint(0, 8)), [messages(R.randint(0, 8)) for _ in range(count)]
+    primary, others = random_messages(R.randint(0, 8)), [random_messages(R.randint(0, 8)) for _ in range(count)]
     expect = []
     for m in primary:
-        found = [interpolate(kind, w, m["t_ticks"], o, True) for o in others]
+        found = [interpolate_at(kind, w, m["t_ticks"], o, True) for o in others]
         if all(f["type"] == "created" for f in found):
             values = [f["value"] for f in found]
             flat = op not in ("fuse", "join") or count == 1
             expect.append({"t_ticks": m["t_ticks"], "v": [m["v"]] + values if flat else [m["v"], values]})
-    return case(f"model-fusion-{i}", op, {"interpolator": spec}, streams([primary] + others), expect)
+    return build_case(f"model-fusion-{i}", op, {"interpolator": spec}, build_streams([primary] + others), expect)
 
 
 def pair_case(i):
-    primary = messages(R.randint(0, 8))
+    primary = random_messages(R.randint(0, 8))
     taken = {m["t_ticks"] for m in primary}
-    secondary = [m for m in messages(R.randint(0, 8)) if m["t_ticks"] not in taken]
+    secondary = [m for m in random_messages(R.randint(0, 8)) if m["t_ticks"] not in taken]
     initial = R.choice([None, -1])
     expect = []
     for m in primary:
         value = ([initial] + [s["v"] for s in secondary if s["t_ticks"] < m["t_ticks"]])[-1]
         if value is not None:
             expect.append({"t_ticks": m["t_ticks"], "v": [m["v"], value]})
-    return case(f"model-pair-{i}", "pair", {"initial_value": initial}, streams([primary, secondary]), expect)
+    return build_case(f"model-pair-{i}", "pair", {"initial_value": initial}, build_streams([primary, secondary]), expect)
 
 
 def zip_case(i):
-    inputs, open_ = [messages(R.randint(0, 6), 0, 15) for _ in range(R.randint(1, 4))], R.random() < 0.4
+    inputs, open_ = [random_messages(R.randint(0, 6), 0, 15) for _ in range(R.randint(1, 4))], R.random() < 0.4
     frontier = min((s[-1]["t_ticks"] if s else -1) for s in inputs) if open_ else float("inf")
     times = sorted({m["t_ticks"] for s in inputs for m in s if m["t_ticks"] <= frontier})
     expect = [{"t_ticks": t, "v": [m["v"] for s in inputs for m in s if m["t_ticks"] == t]} for t in times]
-    return case(f"model-zip-{i}", "zip", {}, streams(inputs, keep_open=open_), expect)
+    return build_case(f"model-zip-{i}", "zip", {}, build_streams(inputs, keep_open=open_), expect)
 
 
 def index_window_case(i):
-    queue, select = messages(R.randint(0, 9)), R.choice(list(SELECTORS))
+    queue, select = random_messages(R.randint(0, 9)), R.choice(list(SELECTORS))
     a, b = (R.randint(-4, 4), R.random() < 0.7), (R.randint(-4, 4), R.random() < 0.7)
     left, right = sorted((a, b), key=lambda end: end[0])
     low, high = left[0] + (not left[1]), right[0] - (not right[1])
@@ -191,11 +200,11 @@ def index_window_case(i):
         if k + low >= 0 and k + high < len(queue)
     ]
     params = {"from": a[0], "from_inclusive": a[1], "to": b[0], "to_inclusive": b[1], "selector": select}
-    return case(f"model-index-window-{i}", "window.index", params, streams([queue]), expect)
+    return build_case(f"model-index-window-{i}", "window.index", params, build_streams([queue]), expect)
 
 
 def time_window_case(i):
-    queue, select, w, open_ = messages(R.randint(0, 9)), R.choice(list(SELECTORS)), window(ordered=False), R.random() < 0.4
+    queue, select, w, open_ = random_messages(R.randint(0, 9)), R.choice(list(SELECTORS)), random_window(ordered=False), R.random() < 0.4
     ordered = dict(w)
     if w["left_bounded"] and w["right_bounded"] and w["left_ticks"] > w["right_ticks"]:
         for key in ("ticks", "inclusive"):
@@ -205,18 +214,18 @@ def time_window_case(i):
         t = m["t_ticks"]
         if open_ and not (ordered["right_bounded"] and queue[-1]["t_ticks"] >= t + ordered["right_ticks"]):
             continue
-        expect.append({"t_ticks": t, "v": SELECTORS[select]([x["v"] for x in queue if inside(x["t_ticks"] - t, ordered)])})
+        expect.append({"t_ticks": t, "v": SELECTORS[select]([x["v"] for x in queue if is_inside(x["t_ticks"] - t, ordered)])})
     params = {"selector": select}
     for side, name in (("left", "from"), ("right", "to")):
         params[name + "_ticks"], params[name + "_inclusive"] = w[side + "_ticks"], w[side + "_inclusive"]
-    return case(f"model-time-window-{i}", "window.time", params, streams([queue], keep_open=open_), expect)
+    return build_case(f"model-time-window-{i}", "window.time", params, build_streams([queue], keep_open=open_), expect)
 
 
 def sampling_case(i):
-    kind, w, spec = interpolator()
-    source, name = messages(R.randint(0, 8)), R.choice(["sample", "interpolate"])
+    kind, w, spec = random_interpolator()
+    source, name = random_messages(R.randint(0, 8)), R.choice(["sample", "interpolate"])
     if R.random() < 0.5:
-        clock = messages(R.randint(0, 8))
+        clock = random_messages(R.randint(0, 8))
         op, params, inputs, ticks = name + ".by_clock", {"interpolator": spec}, [source, clock], [m["t_ticks"] for m in clock]
     else:
         step, align = R.randint(1, 12), R.choice([None, R.randint(-20, 20)])
@@ -225,9 +234,9 @@ def sampling_case(i):
         if align is not None:
             params["align_to_ticks"] = align
         op, inputs, ticks = name + ".by_interval", [source], range(0 if align is None else align % step, end + 1, step)
-    found = [(t, interpolate(kind, w, t, source, True)) for t in ticks]
+    found = [(t, interpolate_at(kind, w, t, source, True)) for t in ticks]
     expect = [{"t_ticks": t, "v": f["value"]} for t, f in found if f["type"] == "created"]
-    return case(f"model-sampling-{i}", op, params, streams(inputs), expect)
+    return build_case(f"model-sampling-{i}", op, params, build_streams(inputs), expect)
 
 
 def queue_case(i):
@@ -274,69 +283,69 @@ def queue_case(i):
         else:
             continue
         steps[-1]["queue_after"] = [v for v, _ in queue]
-    return case(f"model-queue-{i}", "delivery_queue", {"policy": policy}, [], {"steps": steps, "dropped": dropped})
+    return build_case(f"model-queue-{i}", "delivery_queue", {"policy": policy}, [], {"steps": steps, "dropped": dropped})
 
 
-def interval():
+def random_interval():
     ends = sorted([R.randint(0, 12), R.randint(0, 12)])
     ends[1] += ends[0] == ends[1]
     flags = [R.random() < 0.5, R.random() < 0.5]
-    # An end without a bound is never inclusive.
+    # An unbounded end is never inclusive.
     for side in (0, 1):
         if R.random() < 0.15:
             ends[side], flags[side] = (float("-inf"), float("inf"))[side], False
     return ends, flags
 
 
-def notation(ends, flags):
+def format_interval(ends, flags):
     shown = ["inf" if abs(e) == float("inf") else str(e) for e in ends]
     return "([" [flags[0]] + ",".join(shown) + ")]"[flags[1]]
 
 
-def holds(ends, flags, point):
+def contains_point(ends, flags, point):
     left = ends[0] <= point if flags[0] else ends[0] < point
     return left and (point <= ends[1] if flags[1] else point < ends[1])
 
 
-# Sets of real numbers, tried at quarters: ends are whole, so what lies between shows.
-def points(ends, flags):
-    return {q / 4 for q in range(-200, 201) if holds(ends, flags, q / 4)}
+def sample_points(ends, flags):
+    """Returns the multiples of 1/4 in an interval. Its ends are integers, so the quarters represent the points between."""
+    return {q / 4 for q in range(-200, 201) if contains_point(ends, flags, q / 4)}
 
 
 def interval_case(i):
-    (a, fa), (b, fb) = interval(), interval()
-    pa, pb = points(a, fa), points(b, fb)
+    (a, fa), (b, fb) = random_interval(), random_interval()
+    pa, pb = sample_points(a, fa), sample_points(b, fb)
     kind = R.choice(["contains_point", "intersects", "subset", "translate", "scale"])
     if kind == "contains_point":
         p = R.randint(-1, 14)
-        params, expect = {"interval": notation(a, fa), "point": p}, {"within": holds(a, fa, p)}
+        params, expect = {"interval": format_interval(a, fa), "point": p}, {"within": contains_point(a, fa, p)}
     elif kind == "intersects":
         common = bool(pa & pb)
-        params = {"a": notation(a, fa), "b": notation(b, fb)}
+        params = {"a": format_interval(a, fa), "b": format_interval(b, fb)}
         expect = {"intersects": common, "disjoint": not common, "symmetric": True}
     elif kind == "subset":
-        params = {"b": notation(b, fb), "of": notation(a, fa)}
+        params = {"b": format_interval(b, fb), "of": format_interval(a, fa)}
         expect = {"subset": pb <= pa, "proper_subset": pb < pa}
     elif kind == "translate":
         by = R.randint(-9, 9)
-        params, expect = {"interval": notation(a, fa), "by": by}, {"interval": moved([e + by for e in a], fa)}
+        params, expect = {"interval": format_interval(a, fa), "by": by}, {"interval": format_moved([e + by for e in a], fa)}
     else:
         left, right = R.randint(-5, 5), R.randint(-5, 5)
-        params = {"interval": notation(a, fa), "left_span": left, "right_span": right}
-        expect = {"interval": moved([a[0] - left, a[1] + right], fa)}
-    return case(f"model-interval-{i}", "interval." + kind, params, [], expect)
+        params = {"interval": format_interval(a, fa), "left_span": left, "right_span": right}
+        expect = {"interval": format_moved([a[0] - left, a[1] + right], fa)}
+    return build_case(f"model-interval-{i}", "interval." + kind, params, [], expect)
 
 
-def moved(ends, flags):
-    return notation(ends, flags).replace("(inf", "(-inf")
+def format_moved(ends, flags):
+    return format_interval(ends, flags).replace("(inf", "(-inf")
 
 
-def streams(inputs, keep_open=False):
+def build_streams(inputs, keep_open=False):
     extra = {"keep_open": True} if keep_open else {}
     return [{"stream": f"s{k}", "messages": s, **extra} for k, s in enumerate(inputs)]
 
 
-def case(id, op, params, inputs, expect):
+def build_case(id, op, params, inputs, expect):
     return {"id": id, "op": op, "params": params, "inputs": inputs, "expect": expect, "asserts": "model"}
 
 

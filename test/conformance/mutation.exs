@@ -1,12 +1,12 @@
 defmodule Situ.Conformance.Mutation do
-  # Whether the checks look at what they are to check: every part of what a case expects is changed, one at a time,
-  # and the case must fail then. A case that still passes asserts less than it says.
+  # Verifies the checks themselves: changes the parts of a case's expectation one at a time, and
+  # each change must make the case fail. A case that still passes checks less than it claims.
 
   # Cases that take longer than this are tried with a few changes only.
   @slow_us 100_000
 
-  # `[{id, how}]`: changes of passing cases of a file that nothing noticed, of at most `most` changes per case, spread
-  # over it.
+  # Returns `[{id, how}]`: undetected changes of passing cases of a file. At most `most` changes
+  # are tried per case, spread over it.
   def survivors(file, most) do
     for {case, verdict, us} <- Situ.Conformance.timed_verdicts(file),
         verdict == :pass,
@@ -21,7 +21,7 @@ defmodule Situ.Conformance.Mutation do
     Enum.take_every(mutants, every)
   end
 
-  # `{how, case}` for each part of its expectation.
+  # Returns `{how, case}` for each part of its expectation.
   def mutants(case) do
     for {kind, expected} <- Map.take(case, ["expect", "expect_error"]),
         {path, changed} <- changes(expected, []),
@@ -30,8 +30,8 @@ defmodule Situ.Conformance.Mutation do
 
   defp path(path), do: path |> Enum.reverse() |> Enum.map_join(&"[#{inspect(&1)}]")
 
-  # Each leaf on its own, and each list with one more entry. The action, value and times of a script's step are input
-  # and stay.
+  # Changes each leaf separately, and adds an entry to each list. The action, value and times of a
+  # script's step are input and stay unchanged.
   defp changes(%{"do" => _} = step, path) do
     for {key, value} <- Map.drop(step, ~w(do v t_ms now_ms)),
         {at, changed} <- changes(value, [key | path]),
@@ -54,7 +54,7 @@ defmodule Situ.Conformance.Mutation do
   end
 
   defp changes(value, [key | _] = path) when is_binary(key) and is_number(value) do
-    # A limit is broken by a narrower one.
+    # A limit is violated by a narrower one.
     cond do
       key =~ ~r/within|less_than|at_most|at_or_after/ -> [{path, -1}]
       key =~ ~r/at_least|min_/ -> [{path, 1_000 * (abs(value) + 1)}]

@@ -1,4 +1,4 @@
-# bin/conformance [--mutants] [DIR...]: the cases of every *.json in these folders.
+# bin/conformance [--mutants] [DIR...]: runs the cases of every *.json in these folders.
 Code.require_file("conformance.exs", __DIR__)
 
 {flags, folders} =

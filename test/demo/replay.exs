@@ -1,6 +1,7 @@
-# The demo's recording replayed through the real graph: its sound through voice activity, its pictures through face
-# and mouth, both through the fusion that says who speaks. At 1x, at 4x and as fast as it goes the derived streams are
-# the same bytes; and what sound and mouths give is what was recorded when they were live.
+# Replays the demo's recording through the real graph: audio through voice activity, images
+# through face and mouth, and both through the fusion that determines the speaker. At 1x, at 4x
+# and at full speed, the derived streams must have the same bytes, and the results for audio and
+# mouths must equal those recorded live.
 #
 #     replay.exs STORE_FOLDER
 alias Situ.{Pipeline, Store, Time}
@@ -31,7 +32,7 @@ replay = fn names, settings, build ->
   for name <- names, into: %{}, do: {name, received.(received, name, [])}
 end
 
-# From what was recorded of the lips: cheap enough for the whole clip.
+# Uses the recorded lips, which is fast enough for the entire clip.
 from_mouths = fn p ->
   talk = Store.importer(p, path)
   voice = talk |> Store.stream("Talk.Sound") |> Situ.Infer.voice()
@@ -39,13 +40,16 @@ from_mouths = fn p ->
   collect.(Situ.Infer.who_speaks(Store.stream(talk, "Talk.Mouths"), voice), :speaking)
 end
 
-# All of it, from sound and pictures.
+# Uses audio and images.
 from_pictures = fn p ->
   talk = Store.importer(p, path)
   voice = talk |> Store.stream("Talk.Sound") |> Situ.Infer.voice()
 
   lips =
-    talk |> Store.stream("Talk.Pictures") |> Situ.Vision.decode() |> Situ.Infer.MouthShape.parts()
+    talk
+    |> Store.stream("Talk.Pictures")
+    |> Situ.Vision.decode()
+    |> Situ.Infer.MouthShape.detect_stages()
 
   collect.(lips.mouths, :mouths)
   collect.(Situ.Infer.who_speaks(lips.mouths, voice), :speaking)

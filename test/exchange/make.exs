@@ -1,4 +1,4 @@
-# Two annotators of one session, and the schema; times to the millisecond.
+# Two annotators of one session, and the schema. Times are in milliseconds.
 [root] = System.argv()
 alias Situ.Annotation
 alias Situ.Annotation.{Layer, Recording, Schema}
@@ -34,7 +34,7 @@ ben = [
 {:ok, _} = Recording.write(make.(anna), Path.join(root, "anna"), "Speech")
 {:ok, _} = Recording.write(make.(ben), Path.join(root, "ben"), "Speech")
 
-# Boxes with two key frames, and the pictures between them.
+# Boxes with two key frames, and the images between them.
 numbers = for name <- ~w(x y width height), do: %{"name" => name, "kind" => "number"}
 kinds = for value <- ~w(face hand), do: %{"value" => value}
 kind = %{"name" => "Kind", "kind" => "finite", "values" => kinds}

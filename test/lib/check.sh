@@ -1,12 +1,12 @@
-# For system tests written as shell scripts: count what holds, say what does not. Sourced, not run.
-# The closing line, `N passed, N failed`, is what bin/test adds up.
+# Counts and reports the checks of system tests that are shell scripts. Source this file.
+# bin/test adds up the closing lines, `N passed, N failed`.
 set -uo pipefail
 ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 WORK=$(mktemp -d)
 trap 'rm -rf "$WORK"' EXIT
 passed=0 failed=0
 
-# check NAME COMMAND...: the command must succeed.
+# check NAME COMMAND...: runs a check, which passes if the command succeeds.
 check() {
   local name=$1
   shift
@@ -19,20 +19,22 @@ check() {
   fi
 }
 
-# run COMMAND...: keeps what it printed in $WORK/out and its exit status in $status.
+# run COMMAND...: runs a command with its output in $WORK/out and its exit status in $status.
 run() {
   status=0
   "$@" >"$WORK/out" 2>&1 </dev/null || status=$?
 }
 
-# says TEXT...: the last run printed every TEXT.
+# says TEXT...: succeeds if the last run printed every TEXT.
 says() {
   local text
   for text in "$@"; do
-    grep -qF -- "$text" "$WORK/out" || { echo "did not say: $text"; cat "$WORK/out"; return 1; }
+    grep -qF -- "$text" "$WORK/out" || { echo "did not print: $text"; cat "$WORK/out"; return 1; }
   done
 }
 
+# exits STATUS: succeeds if the last run ended with this status.
+# exits STATUS: succeeds if the last run ended with this status.
 exits() { [ "$status" -eq "$1" ] || { echo "exit status $status, expected $1"; cat "$WORK/out"; return 1; }; }
 
 finish() {

@@ -1,4 +1,4 @@
-# The pipeline that the nodes of test/nodes/run run until they are killed.
+# The pipeline that the nodes of test/nodes/run execute until they are killed.
 defmodule Hall do
   use Situ.Pipeline
 

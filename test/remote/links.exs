@@ -1,9 +1,11 @@
-# The processes of test/remote/run: a recorder, a server and receivers, each killed whenever the script likes.
+# The processes of test/remote/run: a recorder, a server and receivers, which the script kills at
+# any time.
 defmodule Situ.RemoteTest.Links do
   alias Situ.{Message, Remote, Store}
   alias Situ.Store.Writer
 
-  # Appends messages 1, 2 ... to a new version of `lobby`, from where the last version ended, until there are `total`.
+  # Appends messages 1, 2 ... to a new version of `lobby`, starting after the last version, until
+  # there are `total`.
   def record(root, total) do
     last = root |> counted() |> List.last() || 0
     {:ok, writer} = Writer.create("lobby", root)
@@ -22,7 +24,7 @@ defmodule Situ.RemoteTest.Links do
     last = min(next + 19, total)
     {:ok, stream} = Writer.append(stream, Enum.map(next..last, &message/1))
     Process.sleep(8)
-    # Its end is recorded only when everything else has been tried.
+    # The end is recorded only after all other tests.
     if last == total, do: wait_for(Path.join(root, "finish"))
     append(stream, last + 1, total, root)
   end
@@ -45,7 +47,7 @@ defmodule Situ.RemoteTest.Links do
     Process.sleep(:infinity)
   end
 
-  # Copies the stream into a recording of its own, from behind what that has already.
+  # Copies the stream to its own recording, starting after the messages that are already there.
   def copy(port, root) do
     {:ok, _} =
       Situ.Pipeline.run(fn p ->
@@ -56,7 +58,8 @@ defmodule Situ.RemoteTest.Links do
     say("ended")
   end
 
-  # Writes down what comes, and confirms it: after a kill some of it comes once more, and nothing is missing.
+  # Writes messages to a file and confirms them. After a kill, some arrive again, and none is
+  # missing.
   def follow(port, root, name) do
     out = File.open!(Path.join(root, name), [:append])
 
@@ -76,11 +79,13 @@ defmodule Situ.RemoteTest.Links do
 
   defp read(link), do: Remote.stream(link, "n", type: :integer)
 
-  # Over TLS to another host: how many messages came, or why not. `root` is what signed the certificate.
+  # Receives over TLS from another host, and prints the number of messages or the error. `root`
+  # has signed the certificate.
   def trust(address, root) do
     numbers =
       Situ.to_list(fn p ->
-        # The recorder was killed once: from the first message on, whichever version has it.
+        # The recorder was killed once, so messages are read from the first one on, in whichever
+        # version it is.
         opts = [from: 0, token: "s3cret", tls: [cacertfile: root]]
         p |> Remote.open(address, opts) |> read()
       end)

@@ -1,4 +1,4 @@
-"""Requests and WebSockets made by hand, so that they can be wrong in every way. Standard library only."""
+"""Sends handmade requests and WebSocket frames, which can be malformed in any way. Uses the standard library only."""
 import base64
 import json
 import os
@@ -8,16 +8,17 @@ import struct
 
 
 class Client:
-    """One server; `source` is the loopback address that connections come from, so that a test has several peers."""
+    """A client of one server. `source` is its loopback address, so that a test can have several peers."""
 
     def __init__(self, port, source="127.0.0.1"):
         self.port, self.source = port, source
 
     def connect(self, timeout=10):
+        """Returns a connected socket."""
         return socket.create_connection(("127.0.0.1", self.port), timeout, (self.source, 0))
 
-    def raw(self, data, timeout=10):
-        """Everything that comes back until the server closes or is silent for `timeout` seconds."""
+    def send_raw(self, data, timeout=10):
+        """Sends bytes, and returns the response until the server closes or is silent for `timeout` seconds."""
         out = b""
         with self.connect(timeout) as s:
             try:
@@ -28,25 +29,26 @@ class Client:
                 pass
         return out
 
-    def get(self, path, headers=(), host=None, method="GET", timeout=10):
-        """Status and whole answer."""
+    def request(self, path, headers=(), host=None, method="GET", timeout=10):
+        """Sends an HTTP request, and returns the status and the complete response."""
         lines = [f"{method} {path} HTTP/1.1", f"Host: {host or f'localhost:{self.port}'}", "Connection: close"]
         lines += [f"{name}: {value}" for name, value in headers]
-        answer = self.raw(("\r\n".join(lines) + "\r\n\r\n").encode("latin1"), timeout)
-        found = re.match(rb"HTTP/1\.[01] (\d+)", answer)
-        return (int(found[1]) if found else None), answer
+        response = self.send_raw(("\r\n".join(lines) + "\r\n\r\n").encode("latin1"), timeout)
+        found = re.match(rb"HTTP/1\.[01] (\d+)", response)
+        return (int(found[1]) if found else None), response
 
-    def socket(self, path, headers=(), timeout=20):
+    def open_socket(self, path, headers=(), timeout=20):
         return WebSocket(self, path, headers, timeout)
 
-    def view(self, path="/", headers=(), source=None):
-        """The id and the session token of the view on a page."""
-        _, answer = self.get(path, headers)
-        found = re.search(rb'id="(phx-[^"]+)" data-phx-main data-phx-session="([^"]+)"', answer)
+    def find_view(self, path="/", headers=(), source=None):
+        """Returns the id and the session token of the view on a page."""
+        _, response = self.request(path, headers)
+        found = re.search(rb'id="(phx-[^"]+)" data-phx-main data-phx-session="([^"]+)"', response)
         return (found[1].decode(), found[2].decode()) if found else (None, None)
 
 
 class WebSocket:
+    """A WebSocket that can send invalid frames."""
     def __init__(self, client, path, headers, timeout):
         self.s = client.connect(timeout)
         key = base64.b64encode(os.urandom(16)).decode()
@@ -64,7 +66,7 @@ class WebSocket:
         self.head, _, self.buffer = self.buffer.partition(b"\r\n\r\n")
         self.open = b" 101 " in self.head.split(b"\r\n")[0]
 
-    def frame(self, data, opcode=1, final=True, masked=True, length=None):
+    def encode_frame(self, data, opcode=1, final=True, masked=True, length=None):
         n = len(data) if length is None else length
         head = bytes([(0x80 if final else 0) | opcode])
         mask_bit = 0x80 if masked else 0
@@ -74,16 +76,16 @@ class WebSocket:
             head += bytes([mask_bit | 126]) + struct.pack(">H", n)
         else:
             head += bytes([mask_bit | 127]) + struct.pack(">Q", n)
-        # A mask of zeros leaves the data as it is, and is as good as any other.
+        # A mask of zeros is valid and leaves the data unchanged.
         return head + (bytes(4) if masked else b"") + data
 
     def send(self, data, **how):
-        self.s.sendall(self.frame(data if isinstance(data, bytes) else data.encode(), **how))
+        self.s.sendall(self.encode_frame(data if isinstance(data, bytes) else data.encode(), **how))
 
     def send_json(self, value):
         self.send(json.dumps(value))
 
-    def _need(self, n):
+    def _fill_buffer(self, n):
         while len(self.buffer) < n:
             chunk = self.s.recv(1 << 20)
             if not chunk:
@@ -91,20 +93,20 @@ class WebSocket:
             self.buffer += chunk
 
     def receive(self):
-        self._need(2)
+        self._fill_buffer(2)
         opcode, n, at = self.buffer[0] & 15, self.buffer[1] & 127, 2
         if n == 126:
-            self._need(4)
+            self._fill_buffer(4)
             n, at = struct.unpack(">H", self.buffer[2:4])[0], 4
         elif n == 127:
-            self._need(10)
+            self._fill_buffer(10)
             n, at = struct.unpack(">Q", self.buffer[2:10])[0], 10
-        self._need(at + n)
+        self._fill_buffer(at + n)
         data, self.buffer = self.buffer[at:at + n], self.buffer[at + n:]
         return opcode, data
 
-    def until(self, reference):
-        """The message that answers `reference`; None when the server closes before."""
+    def receive_reply(self, reference):
+        """Returns the reply to the message `reference`, or None if the server closes first."""
         try:
             while True:
                 opcode, data = self.receive()
@@ -117,10 +119,10 @@ class WebSocket:
         except (EOFError, OSError):
             return None
 
-    def join(self, view, session, url):
+    def join_view(self, view, session, url):
         self.send_json(["1", "1", f"lv:{view}", "phx_join",
                         {"url": url, "params": {"_csrf_token": ""}, "session": session, "static": ""}])
-        return self.until("1")
+        return self.receive_reply("1")
 
     def close(self):
         self.s.close()

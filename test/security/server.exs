@@ -1,5 +1,6 @@
-# The two studios that the probes attack, in one VM: one on loopback without a token, one with a token. A control port
-# answers each line with the VM's memory, atoms, ports and processes. Ends with its standard input.
+# The two studios that the probes attack, in one VM: one on loopback without a token, and one with
+# a token. A control port replies to each line with the VM's memory, atoms, ports and processes.
+# The VM ends with its standard input.
 [work | _] = System.argv()
 {:ok, _} = Application.ensure_all_started(:situ_studio)
 alias Situ.Store.Writer
@@ -26,11 +27,11 @@ end
 
 :ok = Writer.close(writer)
 
-# Folders that lead back to themselves and out of the recordings.
+# Folders with links to themselves and to places outside the recordings.
 for {name, target} <- [{"a", "."}, {"b", "."}, {"root", "/"}],
     do: File.ln_s!(target, Path.join(folder, name))
 
-# A playlist that names another file, under the name of a film.
+# A playlist that refers to another file, with the name of a video.
 File.write!(
   Path.join(folder, "list.mp4"),
   "#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n#EXT-X-ENDLIST\n"

@@ -1,6 +1,6 @@
-# Fills a folder (the first argument) with modules that have the names of those that a virtual machine loads when it
-# starts, and of those of its applications. Loading one of them leaves a file in the folder of marks (the
-# second argument).
+# Fills a folder (the first argument) with modules that have the names of modules that a virtual
+# machine and its applications load at startup. Loading one of them creates a file in the folder
+# of marks (the second argument).
 [folder, marks | _] = System.argv()
 File.mkdir_p!(folder)
 

@@ -1,8 +1,9 @@
-# Runs every verb of the command line in the current folder: its help, and then the verb with arguments that name
-# nothing. Verbs that keep running, or that ask other machines, only print their help.
+# Runs every verb of the command line in the current folder: first its help, and then the verb
+# with names that do not exist. Verbs that keep running, or that connect to other machines, only
+# print their help.
 {:ok, _} = Application.ensure_all_started(:ex_unit)
 stay = [["store", "record"], ["studio"], ["serve"], ["talk"], ["plugin", "test"]]
-verbs = Situ.CLI.Commands.all()
+verbs = Situ.CLI.Commands.list_verbs()
 
 run = fn words ->
   ExUnit.CaptureIO.capture_io(:stderr, fn ->

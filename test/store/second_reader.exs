@@ -1,5 +1,6 @@
-# Stores written by Situ and read by test/store/read_store.py, which knows priv/schema/store.md and nothing else: the
-# same messages, statistics and pyramids must come out. `write FOLDER` writes, `compare FOLDER` compares.
+# Stores written by Situ and read by test/store/read_store.py, which is based on
+# priv/schema/store.md alone, must contain the same messages, statistics and pyramids. `write
+# FOLDER` writes the stores, and `compare FOLDER` compares them.
 defmodule SecondReader do
   alias Situ.{AudioBuffer, AudioFormat, Image, Message, Store}
   alias Situ.Store.Writer
@@ -7,20 +8,20 @@ defmodule SecondReader do
   @reader Path.join(__DIR__, "read_store.py")
 
   def write(root) do
-    # Small extents, so that streams go on from one to the next.
+    # The extents are small, so that streams continue from one to the next.
     options = [first_extent: 65_536, max_extent: 131_072]
     {:ok, writer} = Writer.create("closed", root, options)
     for {name, messages, options} <- streams(), do: fill(writer, name, messages, options)
     :ok = Writer.close(writer)
     mended(root)
-    # A killed writer leaves a store that is committed, not closed.
+    # A killed writer leaves a store that is committed but not closed.
     {:ok, writer} = Writer.create("killed", root, options)
     {:ok, stream} = Writer.stream(writer, "Ints", type: :integer)
     {:ok, _} = Writer.append(stream, numbers(1..3_000))
     System.halt(0)
   end
 
-  # A chunk in the middle is lost; the rest is whole again after a repair.
+  # A chunk in the middle is lost. After a repair, the rest is intact.
   defp mended(root) do
     {:ok, writer} = Writer.create("mended", root)
     for name <- ["Ints", "Words"], do: fill(writer, name, messages(Enum.to_list(1..5_000)), [])
@@ -94,7 +95,7 @@ defmodule SecondReader do
     ]
   end
 
-  # Times on both sides of 1970, uneven steps, skipped ids, latencies of both signs.
+  # Times before and after 1970, uneven steps, skipped ids, and latencies of both signs.
   defp numbers(range), do: for(i <- range, do: message(i, (i - 2_000) * i * i * i * i))
   defp messages(values), do: for({value, i} <- Enum.with_index(values), do: message(i, value))
 
@@ -187,10 +188,10 @@ defmodule SecondReader do
   defp same?(%{"encoding" => 4, "bytes" => bytes}, data),
     do: :erlang.binary_to_term(Base.decode64!(bytes)) === data
 
-  # JSON of a float keeps all its bits but the sign of zero.
+  # JSON preserves all bits of a float except the sign of zero.
   defp same?(%{"data" => data}, own), do: data === own or (data == own and is_float(own))
 
-  # Each bin of tracks has the messages of its time, and their states in all.
+  # Each bin of tracks must have the messages of its time, and their states in total.
   defp tallies(store, read) do
     groups = Enum.group_by(read, &{&1["stream"], &1["level"] - 64})
     true = map_size(groups) > 50
@@ -218,7 +219,7 @@ defmodule SecondReader do
     IO.puts("tracks: #{length(read)} bins are the same to both")
   end
 
-  # Each stored bin, made again from the messages.
+  # Each stored bin is recomputed from the messages.
   defp bins(store) do
     {tallies, read} = ["--bins", store.path] |> read() |> Enum.split_with(&is_map/1)
     tallies(store, tallies)
@@ -243,7 +244,7 @@ defmodule SecondReader do
     IO.puts("pyramids of #{Enum.join(names, ", ")}: #{length(read)} bins are the same to both")
   end
 
-  # Numbers of up to 8 bytes and truths are drawn, whatever stands beside them in the stream.
+  # Numbers of up to 8 bytes and booleans are drawn, independent of other values in the stream.
   defp drawn(n) when is_float(n), do: n
   defp drawn(n) when is_integer(n) and abs(n) < 0x10000000000000000, do: n / 1
   defp drawn(flag) when is_boolean(flag), do: if(flag, do: 1.0, else: 0.0)

@@ -1,9 +1,11 @@
-# test/torture/run: pipelines that record are killed with -9, and their stores opened, checked, repaired and copied.
+# test/torture/run: kills recording pipelines with -9, and opens, checks, repairs and copies their
+# stores.
 # elixir -pa ... test/torture/torture.exs KILLS
 defmodule Situ.Torture do
   alias Situ.Store
 
-  # The writer's script: a pipeline whose source prints the messages that it knows to be committed.
+  # The writer's script: a pipeline whose source prints the numbers of messages that are
+  # committed.
   @writer """
   root = System.get_env("TORTURE_ROOT")
   {:ok, writer} = Situ.Store.Writer.create("rec", root, first_extent: 65_536, max_extent: 262_144)
@@ -19,7 +21,7 @@ defmodule Situ.Torture do
     end
     {:ok, a} = Situ.Store.Writer.append(a, messages.(& &1))
     {:ok, b} = Situ.Store.Writer.append(b, messages.(&{:item, &1, String.duplicate("x", rem(&1, 50))}))
-    # A new stream now and then: the catalog grows too.
+    # Opens a new stream from time to time, so that the catalog grows, too.
     if rem(batch, 200) == 100, do: {:ok, _} = Situ.Store.Writer.stream(writer, "late \#{batch}")
     IO.puts("\#{(batch + 1) * 20}")
     {a, b}
@@ -48,7 +50,8 @@ defmodule Situ.Torture do
       :failed
   end
 
-  # Starts a writer, kills it `ms` after its first word; the last number it said.
+  # Starts a writer, kills it `ms` after its first line, and returns the last number that it
+  # printed.
   defp record(root, ms) do
     paths = :code.get_path() |> Enum.map(&to_string/1) |> Enum.filter(&(&1 =~ "/lib/situ"))
     args = Enum.flat_map(paths, &["-pa", &1]) ++ ["-e", @writer]
@@ -62,7 +65,7 @@ defmodule Situ.Torture do
         env: [{~c"TORTURE_ROOT", String.to_charlist(root)}]
       ])
 
-    # A shell starts the VM by exec, so this is the VM's own process.
+    # A shell starts the VM with exec, so this is the VM's own process.
     {:os_pid, pid} = Port.info(port, :os_pid)
 
     receive do

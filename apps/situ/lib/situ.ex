@@ -103,7 +103,7 @@ defmodule Situ do
     do: p |> Pipeline.add(module, opts) |> Node.streams()
 
   def source(other, module, _opts),
-    do: Argument.refuse!(other, :handle, "Situ.source(p, #{Kernel.inspect(module)})")
+    do: Argument.raise_invalid!(other, :handle, "Situ.source(p, #{Kernel.inspect(module)})")
 
   @doc """
   Sends a stream (or `[input: stream, ...]`) through a component. Returns the same as `source/3`.
@@ -128,7 +128,7 @@ defmodule Situ do
   end
 
   def via(other, module, _opts),
-    do: Argument.refuse!(other, :stream, "Situ.via(stream, #{Kernel.inspect(module)})")
+    do: Argument.raise_invalid!(other, :stream, "Situ.via(stream, #{Kernel.inspect(module)})")
 
   @doc """
   Groups components under one name. If the first argument is a stream, `fun` receives that stream inside the group.
@@ -146,14 +146,19 @@ defmodule Situ do
 
   def composite(other, _name, _fun, _opts) do
     takes = "a stream, or a pipeline that is being built"
-    Argument.refuse!(other, takes, ~s|Situ.composite(stream, "Mouth", fn stream -> stream end)|)
+
+    Argument.raise_invalid!(
+      other,
+      takes,
+      ~s|Situ.composite(stream, "Mouth", fn stream -> stream end)|
+    )
   end
 
   @doc "Applies `fun` to the data (or to the data and the message). Options: `Situ.Graph.Placement`."
   @spec map(Stream.t(), (term() -> term()) | (term(), Situ.Message.t() -> term()), keyword()) ::
           Stream.t()
   def map(stream, fun, opts \\ []),
-    do: stream |> stream!("map") |> Operator.attach("Map", {:map, fun}, opts)
+    do: stream |> ensure_stream!("map") |> Operator.attach("Map", {:map, fun}, opts)
 
   @doc "See `Situ.MapAsync.map_async/3`."
   @spec map_async(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
@@ -167,7 +172,7 @@ defmodule Situ do
         ) ::
           Stream.t()
   def filter(stream, fun, opts \\ []) do
-    stream = stream!(stream, "filter")
+    stream = ensure_stream!(stream, "filter")
     Operator.attach(stream, "Filter", {:filter, fun}, opts, stream.type)
   end
 
@@ -175,12 +180,12 @@ defmodule Situ do
   @spec each(Stream.t(), (term() -> any()) | (term(), Situ.Message.t() -> any()), keyword()) ::
           Stream.t()
   def each(stream, fun, opts \\ []) do
-    stream = stream!(stream, "each")
+    stream = ensure_stream!(stream, "each")
     Operator.attach(stream, "Each", {:each, fun}, opts, stream.type)
   end
 
-  defp stream!(stream, name),
-    do: Argument.stream!(stream, "Situ.#{name}(stream, fn data -> data end)")
+  defp ensure_stream!(stream, name),
+    do: Argument.ensure_stream!(stream, "Situ.#{name}(stream, fn data -> data end)")
 
   @doc """
   Folds the stream and emits the accumulator after every message. `fun` is `fun.(data, acc)` or
@@ -217,7 +222,12 @@ defmodule Situ do
   end
 
   def scan(other, _acc, _fun, _opts),
-    do: Argument.refuse!(other, :stream, "Situ.scan(stream, 0, fn data, acc -> data + acc end)")
+    do:
+      Argument.raise_invalid!(
+        other,
+        :stream,
+        "Situ.scan(stream, 0, fn data, acc -> data + acc end)"
+      )
 
   @doc "Lists the pipelines of this node with label, process and state; see `Situ.Pipeline.list/0`."
   @spec pipelines() :: [%{name: String.t(), pid: pid(), state: atom()}]
@@ -470,8 +480,11 @@ defmodule Situ do
   @spec inspect(Pipeline.target(), keyword()) :: :ok
   def inspect(p, opts \\ []) do
     case Situ.Options.validate!(opts, refresh: [type: :pos_integer], times: [type: :pos_integer]) do
-      [] -> IO.puts(Situ.Diagnostics.format(Pipeline.info(p)))
-      opts -> Pipeline.Client.watch(p, opts[:refresh] || 1_000, opts[:times] || :infinity)
+      [] ->
+        IO.puts(Situ.Diagnostics.format(Pipeline.info(p)))
+
+      opts ->
+        Pipeline.Client.print_live_table(p, opts[:refresh] || 1_000, opts[:times] || :infinity)
     end
   end
 

@@ -1,12 +1,12 @@
 defmodule Situ.ApplicationGuideTest do
-  # The guide "Situ in your application", done: its files in an empty folder, compiled, tested and run by Mix as a
-  # reader would.
+  # Follows the guide "Situ in your application" as a reader would: writes its files into an empty folder, then
+  # compiles, tests and runs them with Mix.
   use ExUnit.Case, async: true
 
   @root Path.expand("../../..", __DIR__)
   @guide Path.join(@root, "docs/guides/situ-in-your-application.md")
 
-  # The shell of the guide is opened later than this.
+  # The guide's shell session starts only once the pipeline is running, so wait for that.
   @running """
   wait = fn wait ->
     [{_, pipeline, _, _}] = Supervisor.which_children(Doorbell.Supervisor)
@@ -25,7 +25,7 @@ defmodule Situ.ApplicationGuideTest do
     System.cmd("mix", args, cd: dir, env: env, stderr_to_stdout: true)
   end
 
-  # Outside of the project: Mix must not take it for a part of this umbrella.
+  # The folder is outside the project so that Mix does not treat it as part of this umbrella.
   defp folder do
     dir = Path.join(System.tmp_dir!(), "situ-application-#{System.unique_integer([:positive])}")
     File.mkdir_p!(dir)
@@ -34,18 +34,18 @@ defmodule Situ.ApplicationGuideTest do
   end
 
   @tag timeout: 300_000
-  test "its umbrella compiles, passes its tests and runs" do
+  test "the guide's umbrella compiles, passes its tests and runs" do
     dir = folder()
 
     for [name, code] <- blocks("file: (\\S+)") do
       path = Path.join(dir, name)
       File.mkdir_p!(Path.dirname(path))
-      # This checkout stands for the one in vendor/situ.
+      # This checkout replaces the one in vendor/situ.
       File.write!(path, String.replace(code, "../../vendor/situ", @root))
     end
 
     assert {out, 0} = mix(dir, ["test"], "test")
-    # Elixir 1.20 says "Result: 1 passed".
+    # Elixir 1.20 prints "Result: 1 passed".
     assert out =~ ~r/^(1 test, 0 failures|Result: 1 passed)/m
     refute out =~ "warning:"
 

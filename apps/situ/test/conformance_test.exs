@@ -1,6 +1,6 @@
 defmodule Situ.ConformanceTest do
-  # One ExUnit test per conformance file that this app answers for; `bin/conformance` prints them case by case, and
-  # besides those files whose cases take time (situ_running, pipeline_lifecycle, delivery_policies ...).
+  # Runs one ExUnit test per conformance file of this app. `bin/conformance` prints the cases one by one and also runs
+  # the slow files (situ_running, pipeline_lifecycle, delivery_policies ...).
   use ExUnit.Case, async: true
 
   Code.require_file("../../../test/conformance/conformance.exs", __DIR__)
@@ -13,22 +13,22 @@ defmodule Situ.ConformanceTest do
   for file <- Situ.Conformance.files(),
       area = Path.basename(file, ".json"),
       area in @areas or area in ~w(situ_model situ_rules) do
-    test "every case of #{area} holds" do
+    test "every case of #{area} passes" do
       verdicts = Situ.Conformance.verdicts(unquote(file))
       assert verdicts != []
       assert [] == for({id, {:fail, expected, got}} <- verdicts, do: {id, expected, got})
     end
   end
 
-  # The system test tries more of them, and the slow areas.
-  test "no case passes when its expectation is changed" do
+  # The system test tries more mutations, and the slow areas.
+  test "every case fails when its expectation is changed" do
     for file <- Situ.Conformance.files(), Path.basename(file, ".json") in @areas do
       assert {file, []} == {file, Situ.Conformance.Mutation.survivors(file, 4)}
     end
   end
 
   @tag :tmp_dir
-  test "what cannot be read or is no case fails and says why", %{tmp_dir: dir} do
+  test "a file that cannot be read or a malformed case fails with a reason", %{tmp_dir: dir} do
     verdict = fn text ->
       file = Path.join(dir, "fuse.json")
       File.write!(file, text)
@@ -56,7 +56,7 @@ defmodule Situ.ConformanceTest do
              dir |> Situ.Conformance.verdicts() |> hd() |> elem(1)
   end
 
-  test "the area is in the file's name, or follows from the operation" do
+  test "takes the area from the file's name or derives it from the operation" do
     assert Situ.Conformance.area("a/situ_zip_merge.json") == "zip_merge"
     assert Situ.Conformance.area("b/pipeline_lifecycle.json") == "pipeline_lifecycle"
     assert Situ.Conformance.area("runtime_rules.json") == nil

@@ -1,6 +1,6 @@
 defmodule Situ.GuidesTest do
-  # The Elixir blocks of the guides run, one after the other; a block that ends in `# => value` gives that value. The
-  # pictures are what their script draws.
+  # Runs the Elixir blocks of the guides in order; a block that ends in `# => value` must return that value. The
+  # images must match the output of their script.
   use ExUnit.Case, async: true
   alias Situ.Test.Guide
 
@@ -8,12 +8,12 @@ defmodule Situ.GuidesTest do
 
   for guide <- ["fusing-streams.md"] do
     @tag :capture_log
-    test "every block of #{guide} runs and gives what it says" do
-      assert Guide.run(Path.join(@guides, unquote(guide))) > 5
+    test "every block of #{guide} runs and returns the value it shows" do
+      assert Guide.run_blocks(Path.join(@guides, unquote(guide))) > 5
     end
   end
 
-  test "the pictures of the guide are drawn from what the operators give" do
+  test "the guide's images match the output of the operators" do
     System.put_env("SITU_PICTURES", "test")
     Code.require_file(Path.join(@guides, "fusing-streams/pictures.exs"))
     pictures = apply(Situ.Guide.Pictures, :all, [])

@@ -8,9 +8,9 @@ defmodule Situ.RuntimeGuidesTest do
   for guide <-
         ~w(your-first-pipeline writing-a-component choosing-a-delivery-policy when-things-fail
             genstage) do
-    test "every snippet of #{guide} runs, in its order" do
+    test "every snippet of #{guide} runs in order" do
       path = Path.join(@folder, unquote(guide) <> ".md")
-      capture_io(fn -> assert Situ.Test.Guide.run(path) > 0 end)
+      capture_io(fn -> assert Situ.Test.Guide.run_blocks(path) > 0 end)
     end
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.GuideTest do
-  # The Elixir blocks of the guide and of its pages run, of each page one after the other, in the checkout; a block that
-  # ends in `# => value` gives that value.
+  # Runs the Elixir blocks of the guide and its pages in the checkout, one page after the other. A
+  # block that ends in `# => value` must return that value.
   use ExUnit.Case
 
   @checkout Path.expand("../../..", __DIR__)
@@ -12,15 +12,15 @@ defmodule Situ.Bridge.GuideTest do
       )
   ]
 
-  test "there are no other pages" do
+  test "lists every page of the guide" do
     there = Path.wildcard(Path.join(@checkout, "docs/guides/systems/*.md"))
     assert Enum.sort(Enum.map(there, &("systems/" <> Path.basename(&1)))) == Enum.sort(tl(@pages))
   end
 
   for page <- @pages do
-    test "every block of #{page} runs and gives what it says" do
+    test "runs every block of #{page} with the results it shows" do
       guide = Path.join([@checkout, "docs/guides", unquote(page)])
-      File.cd!(@checkout, fn -> assert Situ.Test.Guide.run(guide) > 0 end)
+      File.cd!(@checkout, fn -> assert Situ.Test.Guide.run_blocks(guide) > 0 end)
     end
   end
 end

@@ -1,11 +1,11 @@
-# 44 MB that only speech needs: bin/lib/fetch-model fetches them.
+# Only speech needs these 44 MB. `bin/lib/fetch-model` downloads them.
 missing =
-  for {:error, error} <- [Situ.Infer.ModelStore.fetch("moonshine-tiny-en", "tokenizer.bin")],
+  for {:error, error} <- [Situ.Infer.ModelStore.fetch_path("moonshine-tiny-en", "tokenizer.bin")],
       do: error
 
 Enum.each(missing, &IO.puts("Not tested: situ talk. " <> Exception.message(&1)))
 
-# A busy machine may deliver an expected message late; a missing one fails the test all the same.
+# A busy machine may deliver an expected message late. A missing message still fails the test.
 ExUnit.start(
   exclude: if(missing == [], do: [], else: [:moonshine]),
   assert_receive_timeout: 30_000,

@@ -1,6 +1,6 @@
 defmodule Situ.Examples.RecordedDevicesTest do
   @moduledoc false
-  # A simulated camera and microphone, recorded, and played back in the studio: what it shows is what the devices gave.
+  # Records a simulated camera and microphone and plays them back in the studio, which must show the devices' data.
   use ExUnit.Case, async: true
 
   alias Situ.{AudioBuffer, Image, Time}
@@ -41,7 +41,7 @@ defmodule Situ.Examples.RecordedDevicesTest do
     end
   end
 
-  test "the studio shows the camera's pictures and plays the microphone's sound", context do
+  test "the studio shows the camera's images and plays the microphone's audio", context do
     {:ok, store} = Situ.Store.open(context.path)
     [{first, %Image{width: 64}} | _] = messages(store, "Lobby.Camera")
     assert first == hd(context.pictures)
@@ -54,13 +54,13 @@ defmodule Situ.Examples.RecordedDevicesTest do
     on_exit(fn -> Process.exit(studio, :kill) end)
     item = Situ.Studio.only_item(studio)
 
-    # The tenth picture, at its own time.
+    # The tenth image, at its own time.
     time = Enum.at(context.pictures, 9)
 
     {4, <<64::little-32, 32::little-32, _pixels::little-64, _::binary>>} =
       fetch(studio, "at", source: item, stream: "Lobby.Camera", viz: "image", at: time)
 
-    # Half a second of sound from the start: the samples of the file.
+    # Half a second of audio from the start must equal the samples of the file.
     {9, samples} =
       fetch(studio, "pcm",
         source: item,
@@ -81,7 +81,7 @@ defmodule Situ.Examples.RecordedDevicesTest do
     |> Enum.map(&{&1.originating_time, &1.data})
   end
 
-  # One frame of an answer: its kind and its payload.
+  # One frame of a response: its kind and its payload.
   defp fetch(studio, what, query) do
     {:ok, _} = Application.ensure_all_started(:inets)
 
@@ -110,7 +110,10 @@ defmodule Situ.Examples.RecordedDevicesTest do
   end
 
   defp samples(decoder, count, parts) do
-    {:audio, _, buffer, decoder} = Decoder.next(decoder)
-    samples(decoder, count - AudioBuffer.frames(buffer), [AudioBuffer.to_samples(buffer) | parts])
+    {:audio, _, buffer, decoder} = Decoder.next_item(decoder)
+
+    samples(decoder, count - AudioBuffer.frame_count(buffer), [
+      AudioBuffer.to_samples(buffer) | parts
+    ])
   end
 end

@@ -1,11 +1,11 @@
 defmodule Situ.Examples.SpeechGuideTest do
-  # The Elixir blocks of the guide run, one after the other; a block that ends in `# => value` gives that value.
+  # Runs the guide's Elixir blocks in order; a block that ends in `# => value` must return that value.
   use ExUnit.Case, async: true
 
   @guide Path.expand("../../../docs/guides/speech.md", __DIR__)
   @moduletag [timeout: 240_000, moonshine: true]
 
-  test "every block of speech.md runs and gives what it says" do
-    assert Situ.Test.Guide.run(@guide) == 5
+  test "every block of speech.md runs and returns the value it shows" do
+    assert Situ.Test.Guide.run_blocks(@guide) == 5
   end
 end

@@ -1,5 +1,5 @@
 defmodule Situ.FetchModelTest do
-  # bin/lib/fetch-model with the real pip, which looks for packages in a folder of the test only.
+  # Runs bin/lib/fetch-model with the real pip, which looks for packages only in the test's folder.
   use ExUnit.Case, async: true
   @moduletag :tmp_dir
   @program Path.expand("../../../bin/lib/fetch-model", __DIR__)
@@ -25,7 +25,7 @@ defmodule Situ.FetchModelTest do
       {info <> "METADATA", "Metadata-Version: 2.1\nName: hibari-tts\nVersion: 0.2.1\n"},
       {info <> "WHEEL",
        "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"},
-      # Folders have entries of their own.
+      # Folders have their own entries.
       {info <> "licenses/", ""},
       {info <> "licenses/LICENSE", "Free."},
       {info <> "RECORD", ""}
@@ -36,7 +36,7 @@ defmodule Situ.FetchModelTest do
     {:ok, _} = :zip.create(to_charlist(path), entries)
   end
 
-  test "files with other checksums are refused, and nothing is left", %{tmp_dir: dir} do
+  test "rejects files with other checksums and leaves no files", %{tmp_dir: dir} do
     package(dir, [{"hibari/assets/hibari.onnx", "other"}, {"hibari/assets/vocab.json", "{}"}])
     assert {said, 1} = run(["hibari"], dir)
     assert said =~ "Apache-2.0"
@@ -45,7 +45,7 @@ defmodule Situ.FetchModelTest do
     assert Path.wildcard(Path.join(dir, "models/*"), match_dot: true) == []
   end
 
-  test "without a network it says what to do; an unknown name lists the known ones", %{
+  test "without a network it suggests a fix, and an unknown name lists the known ones", %{
     tmp_dir: dir
   } do
     File.mkdir_p!(Path.join(dir, "packages"))

@@ -1,13 +1,13 @@
 defmodule Situ.Infer.LanguageModelsGuideTest do
-  # The Elixir blocks of the guide run, one after the other; a block that ends in `# => value` gives that value.
+  # Runs the guide's Elixir blocks in order; a block that ends in `# => value` must return that value.
   use ExUnit.Case, async: true
   alias Situ.Infer.Test.ChatServer, as: Server
 
   @guide Path.expand("../../../docs/guides/language-models.md", __DIR__)
 
-  test "every block of language-models.md runs and gives what it says" do
+  test "every block of language-models.md runs and returns the value it shows" do
     url = Server.start(&answer/2).url
-    assert Situ.Test.Guide.run(@guide, bindings: [url: url]) == 4
+    assert Situ.Test.Guide.run_blocks(@guide, bindings: [url: url]) == 4
   end
 
   # A very small language model.

@@ -1,10 +1,10 @@
 defmodule Situ.Infer.OwnModelGuideTest do
-  # The Elixir blocks of the guide run, one after the other; a block that ends in `# => value` gives that value.
+  # Runs the guide's Elixir blocks in order; a block that ends in `# => value` must return that value.
   use ExUnit.Case, async: true
 
   @guide Path.expand("../../../docs/guides/your-own-model.md", __DIR__)
 
-  test "every block of your-own-model.md runs and gives what it says" do
-    assert Situ.Test.Guide.run(@guide) == 4
+  test "every block of your-own-model.md runs and returns the value it shows" do
+    assert Situ.Test.Guide.run_blocks(@guide) == 4
   end
 end

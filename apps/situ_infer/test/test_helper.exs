@@ -1,6 +1,6 @@
 Application.ensure_all_started(:situ_infer)
 
-# Models that only some programs need; bin/lib/fetch-model fetches them.
+# Only some programs need these models; bin/lib/fetch-model fetches them.
 models = [
   {:moonshine, "speech recognition", "moonshine-tiny-en", "tokenizer.bin"},
   {:hibari, "the natural voice", "hibari", "hibari.onnx"},
@@ -9,12 +9,12 @@ models = [
 
 missing =
   for {tag, what, name, file} <- models,
-      {:error, error} <- [Situ.Infer.ModelStore.fetch(name, file)] do
+      {:error, error} <- [Situ.Infer.ModelStore.fetch_path(name, file)] do
     IO.puts("Not tested: #{what}. " <> Exception.message(error))
     tag
   end
 
-# A busy machine may deliver an expected message late; a missing one fails the test all the same.
+# A busy machine may deliver an expected message late; a missing message still fails the test.
 ExUnit.start(
   exclude: missing,
   assert_receive_timeout: 30_000,

@@ -1,6 +1,6 @@
-# Only some programs need it; bin/setup --with opencv builds it.
+# Only some programs need OpenCV; bin/setup --with opencv builds it.
 without =
-  case Situ.Space.OpenCV.program() do
+  case Situ.Space.OpenCV.fetch_program() do
     {:ok, _} ->
       []
 
@@ -20,5 +20,5 @@ without =
     [:depth_port | without]
   end
 
-# A busy machine may deliver an expected message late; a missing one fails the test all the same.
+# A busy machine may deliver an expected message late; a missing message still fails the test.
 ExUnit.start(exclude: without, assert_receive_timeout: 30_000, timeout: 120_000)

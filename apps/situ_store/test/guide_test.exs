@@ -1,10 +1,10 @@
 defmodule Situ.Store.GuideTest do
-  # The Elixir blocks of the guide run, one after the other; a block that ends in `# => value` gives that value.
+  # Runs the Elixir blocks of the guide in order; a block that ends in `# => value` must return that value.
   use ExUnit.Case, async: true
 
   @guide Path.expand("../../../docs/guides/recording-and-replaying.md", __DIR__)
 
-  test "every block runs and gives what it says" do
-    assert Situ.Test.Guide.run(@guide) > 8
+  test "every block runs and returns the value it shows" do
+    assert Situ.Test.Guide.run_blocks(@guide) > 8
   end
 end

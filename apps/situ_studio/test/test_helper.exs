@@ -1,4 +1,4 @@
 Code.require_file("support/asking.exs", __DIR__)
 Code.require_file("support/sensor_page.exs", __DIR__)
-# A busy machine may deliver an expected message late; a missing one fails the test all the same.
+# A busy machine may deliver an expected message late. A missing message still fails the test.
 ExUnit.start(assert_receive_timeout: 30_000, timeout: 120_000)

@@ -2,7 +2,8 @@ for file <- ~w(contents paths json_stores),
     do: Code.require_file("datasets/#{file}.exs", __DIR__)
 
 defmodule Situ.Conformance.Datasets do
-  # Datasets, sessions, partitions and JSON stores: an operation, and who checks it.
+  # Datasets, sessions, partitions and JSON stores: maps each operation to the module that checks
+  # it.
   alias Situ.Conformance.Datasets.{Contents, JsonStores, Paths}
 
   @operations [

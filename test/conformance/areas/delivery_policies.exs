@@ -1,12 +1,13 @@
 defmodule Situ.Conformance.DeliveryPolicies do
-  # One queue driven by hand, and policies at work in pipelines.
+  # Tests one queue directly, and policies in pipelines.
   import Situ.Conformance.Case, only: [all: 2, told: 2, verdict: 2, ms: 1, timed: 1]
   alias Situ.{Delivery, Message, Pipeline}
   alias Situ.Conformance.Formula
   alias Situ.Delivery.Queue
 
   defmodule Script do
-    # A pull source of `{time, value}`s, one at a time; tells in which process it runs.
+    # A pull source of `{time, value}` pairs, one at a time. It reports the process in which it
+    # runs.
     use Situ.Component,
       outputs: [out: :any],
       options: [
@@ -94,11 +95,11 @@ defmodule Situ.Conformance.DeliveryPolicies do
       else: {:not_applicable, "the store is not part of this build"}
   end
 
-  # Asleep for no time is not asleep: a sleep of 0 ms gives the processor away.
+  # A pause of 0 ms must not yield the processor, as a sleep would.
   defp pause(0), do: :ok
   defp pause(ms), do: Process.sleep(ms)
 
-  # Of a step, what is done is taken from the case; all else has to come of it.
+  # The actions of a step come from the case; everything else must be an effect of them.
   defp step(step, {queue, dropped}, policy) do
     {gives, queue, lost} = act(step, queue)
 
@@ -132,7 +133,7 @@ defmodule Situ.Conformance.DeliveryPolicies do
     {if(entry, do: shown(entry)), queue, lost}
   end
 
-  # A producer waits while as many as its window wait to be taken.
+  # A producer waits while a full window of messages waits to be consumed.
   defp throttled?(%{kind: :throttle, window: window}, queue),
     do: length(Queue.to_list(queue)) >= window
 
@@ -148,7 +149,8 @@ defmodule Situ.Conformance.DeliveryPolicies do
   defp shown({:closed, _}), do: "<closing>"
   defp shown(message), do: message.data
 
-  # "latest", "synchronous_or_throttle", "queue_size(3)", "latency_constrained(10 ms)", "queue_size_throttled(4)".
+  # "latest", "synchronous_or_throttle", "queue_size(3)", "latency_constrained(10 ms)",
+  # "queue_size_throttled(4)".
   defp policy(nil), do: Delivery.unlimited()
 
   defp policy(text) when is_binary(text) do
@@ -232,7 +234,7 @@ defmodule Situ.Conformance.DeliveryPolicies do
     end
   end
 
-  # The store belongs to another application, which this one may be checked without.
+  # The store belongs to another application, and this one may be compiled without it.
   defp store, do: Situ.Store
 
   defp stored(case, params) do

@@ -1,11 +1,11 @@
 defmodule Situ.Conformance.Emitter do
-  # Posting rules: what an output accepts, and what may be connected to what.
+  # Posting rules: which messages an output accepts, and which connections are allowed.
   import Situ.Conformance.Case, only: [all: 2, error_fits?: 2, verdict: 2, ticks: 1, time: 1]
   alias Situ.{Message, Pipeline}
   alias Situ.Conformance.Formula
 
   defmodule Script do
-    # A source that does what its script says.
+    # A source that runs a script.
     use Situ.Component, outputs: [out: :any], options: [actions: [type: :list, required: true]]
 
     @impl true
@@ -41,7 +41,7 @@ defmodule Situ.Conformance.Emitter do
     outcome(case, result, %{"delivered" => delivered})
   end
 
-  # "fails when v > 5": what an output refuses.
+  # "fails when v > 5": the values that an output rejects.
   def check(%{"params" => %{"validator" => rule}, "inputs" => [%{"messages" => messages}]} = case) do
     refused? = Formula.condition(rule)
 
@@ -69,13 +69,13 @@ defmodule Situ.Conformance.Emitter do
     outcome(case, result, %{"delivered" => delivered})
   end
 
-  # A component posts where it may not: on another's output.
+  # Posts on another component's output, which is not allowed.
   def check(%{"op" => "post", "expect_error" => _} = case) do
     {result, _} = collect(fn p -> p |> one() |> Situ.via(Stranger, async: true) end)
     outcome(case, result, nil)
   end
 
-  # Or where it may: on its own.
+  # Posts on its own output, which is allowed.
   def check(%{"op" => "post"} = case) do
     {result, delivered} = collect(fn p -> p |> one() |> Situ.map(& &1, async: true) end)
     error = with {:ok, _report} <- result, do: nil
@@ -92,7 +92,7 @@ defmodule Situ.Conformance.Emitter do
   def check(%{"op" => "subscribe", "params" => %{"pipeline" => "running"}} = case) do
     p = Pipeline.new()
     node = Pipeline.add(p, Stranger, inputs: [in: {:any, optional: true}])
-    # Infinite, or the pipeline may have ended before anyone could subscribe.
+    # The source is infinite, because the pipeline could otherwise end before the subscription.
     stream = Situ.source(p, Script, actions: [{:out, 1, 1}, {:complete, :infinity}])
     :ok = Pipeline.launch(p)
     refused(case, [p], fn -> Pipeline.connect(stream, node, :in) end)
@@ -150,7 +150,7 @@ defmodule Situ.Conformance.Emitter do
      }}
   end
 
-  # Runs a graph quietly; answers the result and what its last stream delivered.
+  # Runs a graph without log output. Returns the result and the messages of its last stream.
   defp collect(build) do
     me = self()
     tag = make_ref()

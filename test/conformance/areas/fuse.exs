@@ -14,7 +14,7 @@ defmodule Situ.Conformance.Fuse do
       else: outputs(case, Run.by_time(case["inputs"], build))
   end
 
-  # "(((a join b) join c)" or "a join (b join c)": names are those of the inputs.
+  # "(((a join b) join c)" or "a join (b join c)": the names are those of the inputs.
   def check(%{"op" => op, "params" => params} = case) when op in ["join.chain", "fuse.chain"] do
     interpolator = interpolator(params)
     names = Enum.map(case["inputs"], & &1["stream"])
@@ -50,7 +50,7 @@ defmodule Situ.Conformance.Fuse do
          do: any_arrival(case, params, build)
   end
 
-  # A reproducible answer is the same for every order of arrival.
+  # A reproducible result is the same for every order of arrival.
   defp any_arrival(
          %{"inputs" => [_, _ | _]} = case,
          %{"interpolator" => %{"kind" => "reproducible." <> _}},
@@ -74,7 +74,7 @@ defmodule Situ.Conformance.Fuse do
 
   defp chained(order, named, join) do
     words = Regex.scan(~r/[()]|[^\s()]+/, order) |> List.flatten()
-    # One parenthesis too many in front is read as none.
+    # An extra opening parenthesis is ignored.
     surplus = Enum.count(words, &(&1 == "(")) - Enum.count(words, &(&1 == ")"))
     {stream, _rest} = words |> Enum.drop(max(surplus, 0)) |> pairs(named, join)
     stream

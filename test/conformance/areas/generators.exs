@@ -2,7 +2,7 @@ defmodule Situ.Conformance.Generators do
   import Situ.Conformance.Case
   alias Situ.Conformance.{Formula, Run}
 
-  # Ticks since year 1 at the Unix epoch: what the alignments of the reference count from.
+  # Ticks from year 1 to the Unix epoch. The alignments of the reference count from year 1.
   @epoch_ticks 621_355_968_000_000_000
   @max_ticks 3_155_378_975_999_999_999
 
@@ -10,7 +10,8 @@ defmodule Situ.Conformance.Generators do
     do:
       Enum.all?(parts(op), fn {kind, _} -> kind in ~w(sequence range repeat return once timer) end)
 
-  # Some time of the clock: is the pipeline over, and what came first.
+  # Advances the clock by this time. Returns whether the pipeline has ended, and its messages so
+  # far.
   def check(%{"op" => op, "params" => %{"observe_ms" => observe} = params} = case) do
     test =
       Situ.Test.start([], fn _, p -> for part <- parts(op), do: generator(part, p, params) end)
@@ -65,7 +66,7 @@ defmodule Situ.Conformance.Generators do
     outputs(case, result)
   end
 
-  # "repeat keep_open + once": generators and what is said of each.
+  # "repeat keep_open + once": generators and their properties.
   defp parts(op) do
     for part <- String.split(op, "+") do
       [kind | flags] = String.split(part)
@@ -111,7 +112,7 @@ defmodule Situ.Conformance.Generators do
     all(case, Map.merge(got, first))
   end
 
-  # The first messages, as words or as a list: "t_ms = v = 0..399", "value 123 at t_ms 0..399".
+  # The first messages, as text or as a list: "t_ms = v = 0..399", "value 123 at t_ms 0..399".
   defp first([%{} | _] = messages, outputs),
     do: if(timed(messages) == outputs, do: messages, else: outputs)
 
@@ -144,7 +145,7 @@ defmodule Situ.Conformance.Generators do
   defp unit(n, "us"), do: n * 1_000
   defp unit(n, "s"), do: ms(n * 1_000)
 
-  # "A multiple of 10 ms" counts from the year 1 in the reference, as alignments do.
+  # "A multiple of 10 ms" counts from year 1 in the reference, like alignments.
   defp origin(_align), do: ticks(-@epoch_ticks)
 
   defp generator({"sequence", _flags}, p, %{"items" => _} = params), do: items(p, params)
@@ -167,7 +168,7 @@ defmodule Situ.Conformance.Generators do
     range(p, start, if(count == nil, do: :infinity, else: count), params, flags)
   end
 
-  # Ticks of the clock: they count from the start.
+  # Clock ticks, counted from the start.
   defp generator({"timer", _flags}, p, params), do: Situ.timer(p, every: interval(params))
 
   defp generator({"repeat", flags}, p, params),
@@ -188,7 +189,7 @@ defmodule Situ.Conformance.Generators do
     Situ.from_enumerable(p, start..(start + count - 1)//1, [every: interval(params)] ++ flags)
   end
 
-  # Values an interval apart, or with times of their own.
+  # Values with a fixed interval, or with their own times.
   defp items(p, params) do
     opts = params |> Map.delete("count") |> options([])
 

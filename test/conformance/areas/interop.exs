@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.Interop do
-  # Wire formats: what is written is the very text expected, and reads back; files, sockets and datagrams give what
-  # was put in.
+  # Wire formats: the written text must equal the expected text and must be readable again. Files,
+  # sockets and datagrams must return the data that was written.
   import Situ.Conformance.Case
   alias Situ.Bridge.{Datagram, Format, ZeroMQ}
 
@@ -17,9 +17,9 @@ defmodule Situ.Conformance.Interop do
   defp run("zeromq", case), do: zeromq(case["params"], case["expect"])
   defp run("datagram_chunks", case), do: datagrams(case["params"], case["expect"])
 
-  defp format(name), do: Enum.find(Format.names(), &(Atom.to_string(&1) == name))
+  defp format(name), do: Enum.find(Format.format_names(), &(Atom.to_string(&1) == name))
 
-  # The case's own text has the order of an object's members, which a decoded map has not.
+  # The text of the case has the order of an object's members, which a decoded map does not have.
   defp formatted(format, case) do
     {:ok, time} = Situ.Time.parse(case["params"]["originating_time"])
     value = in_order(case)
@@ -54,7 +54,8 @@ defmodule Situ.Conformance.Interop do
     verdict(time, at.back_time)
   end
 
-  # Parsing gives the same time, what was parsed gives the same text, and no member of an object hides another one.
+  # Parsing must return the same time, formatting the same text, and no member of an object may
+  # hide another.
   defp expectation("round_trip", want, at) do
     {:ok, again} = Format.encode(at.format, at.back, at.back_time)
     whole? = members(at.back) == members(plain_maps(at.back))
@@ -107,7 +108,7 @@ defmodule Situ.Conformance.Interop do
   defp written(p, params, interval),
     do: Situ.from_enumerable(p, 0..(params["count"] - 1)//1, every: interval)
 
-  # A publisher and its subscribers, each a pipeline, over a socket of this machine.
+  # A publisher and its subscribers, in separate pipelines, over a socket on this machine.
   defp zeromq(params, expect) do
     me = self()
     topics = topics(params)
@@ -124,7 +125,7 @@ defmodule Situ.Conformance.Interop do
         end
       end)
 
-    # Each stream tells where its socket listens: all the same.
+    # All streams report the address of their socket, which must be the same.
     [port | _] = for _ <- topics, do: receive(do: ({:listening, port} -> port))
     address = "tcp://127.0.0.1:#{port}"
 
@@ -143,7 +144,8 @@ defmodule Situ.Conformance.Interop do
     compared(expect["values"] || expect["values_by_topic"], got)
   end
 
-  # One topic, or several: `topics` are objects with values of their own, or names beside the values by name.
+  # One topic, or several: `topics` contains objects with their own values, or names with separate
+  # values by name.
   defp topics(%{"topics" => topics} = params) do
     for {topic, i} <- Enum.with_index(topics) do
       case topic do
@@ -167,7 +169,7 @@ defmodule Situ.Conformance.Interop do
   defp of_topic([first | _] = lists, _name, i) when is_list(first), do: Enum.at(lists, i)
   defp of_topic(values, _name, _i), do: values
 
-  # In the form in which the case tells the values: of one topic, by their topics, or a list for each.
+  # In the form of the case: the values of one topic, values by topic, or a list for each topic.
   defp compared(%{} = values, got) do
     want = Map.new(values, fn {topic, values} -> {topic, Enum.map(values, &value/1)} end)
     verdict(want, Map.new(got))
@@ -195,10 +197,13 @@ defmodule Situ.Conformance.Interop do
       for {size, i} <- Enum.with_index(sizes),
           do: :binary.copy(<<i + 1, i + 7>>, div(size, 2) + 1) |> binary_part(0, size)
 
-    sets = for {payload, i} <- Enum.with_index(payloads, 1), do: Datagram.chunks(payload, i, most)
+    sets =
+      for {payload, i} <- Enum.with_index(payloads, 1),
+          do: Datagram.split_payload(payload, i, most)
+
     sent = sets |> lost(params["lost"]) |> arriving(params["arrival"] || "in order")
 
-    # Interleaved sets are lost by a receiver with room for one, which is what the cases are of.
+    # A receiver with room for one set loses interleaved sets, which these cases are about.
     open =
       if to_string(params["arrival"]) =~ "interleav",
         do: [open: params["sets_at_once"] || 1],

@@ -2,7 +2,8 @@ defmodule Situ.Conformance.Interpolators do
   import Situ.Conformance.Case, except: [time: 1]
   alias Situ.{Available, Interpolator, Interval, Reproducible}
 
-  # Durations and times count from 0 here; the smallest and largest of the reference stand in for themselves.
+  # Durations and times count from 0 here. The reference's minimum and maximum have their own
+  # representation.
   @names %{
     "exact" => :exact,
     "nearest" => :nearest,
@@ -20,7 +21,7 @@ defmodule Situ.Conformance.Interpolators do
     end
   end
 
-  # Also used for the interpolators of the fusion cases.
+  # The fusion cases use these interpolators as well.
   def build(kind, params) do
     window = window(params["window"]) || tolerance(params)
     {family, name} = split(kind)
@@ -34,7 +35,8 @@ defmodule Situ.Conformance.Interpolators do
     apply(family, Map.fetch!(@names, name), args)
   end
 
-  # The interpolator that an operator's parameters name: an interpolator, a tolerance, or none.
+  # Reads the interpolator from an operator's parameters: an interpolator, a tolerance, or the
+  # default.
   def of_params(%{"interpolator" => %{} = spec}, _default), do: build(spec["kind"], spec)
   def of_params(%{"interpolator" => kind}, _default) when is_binary(kind), do: build(kind, %{})
   def of_params(%{"tolerance_ms" => n}, _default), do: Reproducible.nearest(ms(n))
@@ -45,7 +47,7 @@ defmodule Situ.Conformance.Interpolators do
 
   def of_params(_params, default), do: build(default, %{})
 
-  # Ends in ticks or ms; in words; or in the notation of intervals, in ticks.
+  # The ends are in ticks or ms, as text, or in interval notation in ticks.
   def window(nil), do: nil
   def window("infinite" <> _), do: Interval.infinite()
   def window("past" <> _), do: Interval.past()
@@ -123,7 +125,7 @@ defmodule Situ.Conformance.Interpolators do
 
   defp shown(_undecided), do: %{"type" => "insufficient_data", "value" => nil}
 
-  # Times before the first one there is count as it: nothing is obsolete.
+  # Times before the first representable one are clamped to it, so nothing is obsolete.
   defp obsolete(nil), do: 0
   defp obsolete(time), do: max(0, Integer.floor_div(time, 100))
 end

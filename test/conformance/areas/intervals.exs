@@ -2,7 +2,8 @@ defmodule Situ.Conformance.Intervals do
   import Situ.Conformance.Case, only: [verdict: 2]
   alias Situ.{Indexer, Interval}
 
-  # The files' smallest and largest values; Situ's intervals have :unbounded ends, and spans of :infinity.
+  # The minimum and maximum in the files. Situ's intervals have :unbounded ends, and spans of
+  # :infinity.
   @min -0x8000000000000000
 
   def check(%{"op" => "endpoint", "params" => params} = case) do
@@ -16,9 +17,9 @@ defmodule Situ.Conformance.Intervals do
     range = {start, stop}
 
     verdict(case["expect"], %{
-      "increasing" => Indexer.increasing?(range),
+      "increasing" => Indexer.increasing_range?(range),
       "single_valued" => Indexer.single_valued?(range),
-      "size" => Indexer.size(range)
+      "size" => Indexer.range_size(range)
     })
   end
 
@@ -29,24 +30,24 @@ defmodule Situ.Conformance.Intervals do
         %{"range" => [first, last]} -> {first, last}
       end
 
-    values = Indexer.values(range, slice(params["slice"] || "all"))
-    expected(case, %{"values" => values, "ranges" => lists(Indexer.runs(values))})
+    values = Indexer.range_values(range, slice(params["slice"] || "all"))
+    expected(case, %{"values" => values, "ranges" => lists(Indexer.group_runs(values))})
   end
 
   def check(%{"op" => "index_" <> _, "params" => %{"shape" => shape} = params} = case) do
     slices = params["slice"] && Enum.map(params["slice"], &slice/1)
-    indices = Indexer.indices(shape, slices)
+    indices = Indexer.flat_indices(shape, slices)
 
     expected(case, %{
       "count" => length(indices),
       "values" => indices,
-      "ranges" => lists(Indexer.ranges(shape, slices))
+      "ranges" => lists(Indexer.index_ranges(shape, slices))
     })
   end
 
   def check(%{"op" => op, "params" => params} = case), do: expected(case, answer(op, params))
 
-  # Cases list the properties they are about.
+  # Cases list the properties that they test.
   defp expected(%{"expect" => expect}, got), do: verdict(expect, Map.take(got, Map.keys(expect)))
 
   defp answer("interval", p) do
@@ -70,7 +71,7 @@ defmodule Situ.Conformance.Intervals do
   defp answer("interval.empty", _), do: properties(Interval.empty())
   defp answer("interval.span", p), do: properties(closed(p))
 
-  defp answer("interval.center", p), do: %{"center" => extreme(Interval.center(closed(p)))}
+  defp answer("interval.center", p), do: %{"center" => extreme(Interval.center_point(closed(p)))}
 
   defp answer("time_plus_relative", %{"origin" => origin, "relative_minutes" => [left, right]}) do
     closed(%{"left" => left, "right" => right}) |> Interval.translate(origin) |> properties()
@@ -78,11 +79,11 @@ defmodule Situ.Conformance.Intervals do
 
   defp answer("interval.contains_point", %{"points" => points} = p) do
     interval = parse(p["interval"])
-    Map.new(points, &{to_string(&1), Interval.contains?(interval, point(&1))})
+    Map.new(points, &{to_string(&1), Interval.contains_point?(interval, point(&1))})
   end
 
   defp answer("interval.contains_point", p),
-    do: %{"within" => Interval.contains?(parse(p["interval"]), point(p["point"]))}
+    do: %{"within" => Interval.contains_point?(parse(p["interval"]), point(p["point"]))}
 
   defp answer("interval.translate", p),
     do: changed(Interval.translate(parse(p["interval"]), p["by"]))
@@ -156,7 +157,7 @@ defmodule Situ.Conformance.Intervals do
       "negative" => Interval.negative?(interval),
       "finite" => Interval.finite?(interval),
       "half_bounded" => Interval.half_bounded?(interval),
-      "center" => extreme(Interval.center(interval))
+      "center" => extreme(Interval.center_point(interval))
     }
   end
 
@@ -199,7 +200,8 @@ defmodule Situ.Conformance.Intervals do
 
   defp lists(ranges), do: Enum.map(ranges, &Tuple.to_list/1)
 
-  # "[0,10)", or in words where the notation has no form: "left=42 inclusive, right=7 exclusive (negative)".
+  # "[0,10)", or text for intervals without a notation: "left=42 inclusive, right=7 exclusive
+  # (negative)".
   defp parse("left=" <> _ = words) do
     [_, left, left_flag, right, right_flag] =
       Regex.run(~r/left=(-?\d+) (\w+), right=(-?\d+) (\w+)/, words)
@@ -215,7 +217,7 @@ defmodule Situ.Conformance.Intervals do
   defp parse("empty"), do: Interval.empty()
   defp parse("infinite"), do: Interval.infinite()
 
-  # An end without a bound is "inf" on either side.
+  # An unbounded end is "inf" on both sides.
   defp parse(text) do
     text = Regex.replace(~r/^([\[(])\s*(inf|min)\s*,/, text, "\\1-inf,")
     {:ok, interval} = text |> String.replace(~r/,\s*max\s*/, ",inf") |> Interval.parse()

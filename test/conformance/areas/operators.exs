@@ -5,7 +5,7 @@ defmodule Situ.Conformance.Operators do
   @operations ~w(to_enumerable to_observable subpipeline.passthrough first last select where edit_stream
                  time_of latency delay nullable_select item1 item2 flip event_source process do name bridge_to pipe_to)
 
-  # Other names of the same.
+  # Alternative names of the same operators.
   @aliases %{"observable" => "to_observable", "enumerable" => "to_enumerable"}
 
   def operation?(op) do
@@ -49,7 +49,7 @@ defmodule Situ.Conformance.Operators do
     verdict(expect, %{"has_subscribers" => Enum.reverse(answers)})
   end
 
-  # An observer gets every value, and then the end.
+  # An observer receives every value, and then the end.
   def check(%{"op" => "to_observable", "inputs" => [_ | _], "expect" => %{}} = case) do
     {:ok, outputs} = Run.inputs(case, fn [stream] -> Situ.each(stream, & &1) end)
     values = Enum.map(outputs, &elem(&1, 1))
@@ -65,7 +65,8 @@ defmodule Situ.Conformance.Operators do
     })
   end
 
-  # In real time, until all have come: their values and times, and none earlier than its delay.
+  # Runs in real time until all messages have arrived. Checks their values and times, and that
+  # none is earlier than its delay.
   def check(%{"op" => "delay", "params" => params} = case) do
     delay = duration(params, "delay")
     [%{"messages" => messages}] = case["inputs"]
@@ -91,7 +92,7 @@ defmodule Situ.Conformance.Operators do
     end
   end
 
-  # Values posted by other processes, converted or not.
+  # Other processes post values, with or without conversion.
   def check(%{"op" => "event_source", "params" => params} = case) do
     me = self()
     convert = if f = params["function"] || params["converter"], do: Formula.of_one(f), else: & &1
@@ -204,7 +205,7 @@ defmodule Situ.Conformance.Operators do
     end)
   end
 
-  # With a seed its selector, if any, makes the output of the state.
+  # With a seed, an optional selector computes the output from the state.
   defp build("aggregate" <> _, stream, %{"function" => text} = params) do
     fun = Formula.of_two(text)
 
@@ -253,7 +254,7 @@ defmodule Situ.Conformance.Operators do
   defp build("item2", stream, _params), do: Situ.map(stream, &Enum.at(&1, 1))
   defp build("flip", stream, _params), do: Situ.map(stream, fn [a, b] -> [b, a] end)
 
-  # Every input several times, the k-th copy k ticks later.
+  # Repeats every input, with the k-th copy k ticks later.
   defp build("process", stream, params) do
     copies = params["outputs_per_input"] || 1
     fun = Formula.of_one(params["function"] || "v")

@@ -63,7 +63,8 @@ defmodule Situ.Conformance.Parallel do
   defp form("variable" <> _, _params), do: [of: :lists]
   defp form("sparse" <> _, _params), do: [of: :maps]
 
-  # Branches as the files tell them: "v / 100", "aggregate from 0: v - previous", "keep even values only", "last".
+  # Branches as described in the files: "v / 100", "aggregate from 0: v - previous", "keep even
+  # values only", "last".
   defp branch(text, stream) when text in [nil, "identity", "v"], do: stream
   defp branch("last" <> _, stream), do: Situ.last(stream)
 

@@ -4,7 +4,8 @@ Code.require_file("pipeline_lifecycle/finalization.exs", __DIR__)
 Code.require_file("pipeline_lifecycle/parts.exs", __DIR__)
 
 defmodule Situ.Conformance.PipelineLifecycle do
-  # Completion, stopping, errors, order of start and of finalisation, clock, progress, composites.
+  # Completion, stopping, errors, order of start and finalization, clock, progress, and
+  # composites.
   import Situ.Conformance.Case,
     only: [all: 2, attempt: 1, error_fits?: 2, ms: 1, outputs: 2, told: 2]
 
@@ -39,14 +40,15 @@ defmodule Situ.Conformance.PipelineLifecycle do
     all(case, %{"dispose_returns_within_ms" => if(us <= limit * 1000, do: limit, else: us / 1000)})
   end
 
-  # As often and from as many processes as the case says, before it ran or while it runs.
+  # As often and from as many processes as the case specifies, before it runs or while it is
+  # running.
   def check(%{"op" => "dispose", "params" => params} = case) do
     p = Pipeline.new()
     p |> Situ.source(Source, kind: :infinite) |> Situ.map(& &1)
     if params["pipeline"] == "running", do: :ok = Pipeline.launch(p)
     times = params["threads"] || params["times"] || params["concurrently"] || 1
     stops = for _ <- 1..times, do: Task.async(fn -> Pipeline.stop(p) end)
-    # Whoever comes when all is over is told so.
+    # A subscriber after the end is notified that the pipeline has ended.
     {[{:ok, report} | _], late} =
       stops |> Task.await_many() |> Enum.split_with(&match?({:ok, _}, &1))
 
@@ -93,7 +95,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
     all(case, %{"completed" => match?({:ok, _}, result), "errors" => errors(result)})
   end
 
-  # The graph of a running pipeline is fixed.
+  # The graph of a running pipeline cannot change.
   def check(%{"op" => "add_component"} = case) do
     p = Pipeline.new()
     Situ.source(p, Source, kind: :infinite)
@@ -159,7 +161,8 @@ defmodule Situ.Conformance.PipelineLifecycle do
     })
   end
 
-  # Enforced, nothing comes before its time; not enforced, nothing waits for it.
+  # With enforcement, no message arrives before its time; without it, no message waits for its
+  # time.
   def check(%{"op" => "clock", "params" => %{"count" => n, "interval_ms" => interval} = p} = case) do
     {tell, tag} = teller()
     now = Situ.Time.now()
@@ -188,7 +191,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
     all(case, %{"each_after_first" => each, "count" => length(got)})
   end
 
-  # The clock as seen by a component inside a composite and by one outside of it.
+  # The clock as seen by a component inside a composite and by one outside it.
   def check(%{"op" => "clock"} = case) do
     {tell, tag} = teller()
 
@@ -246,7 +249,8 @@ defmodule Situ.Conformance.PipelineLifecycle do
   def check(%{"op" => "composite"} = case), do: Parts.check(%{case | "op" => "subpipeline"})
   def check(%{"op" => op} = case) when op in ["subpipeline", "connector"], do: Parts.check(case)
 
-  # The result of a run, and the argument of an error handler. A run throws nothing: its error is its result.
+  # Returns the result of a run, and the argument of an error handler. A run does not raise: its
+  # error is its result.
   defp failed(%{"expect_error" => name} = case, {:error, error}, _handled) do
     cond do
       not error_fits?(name, error) -> {:fail, {:error, name}, error}
@@ -292,14 +296,14 @@ defmodule Situ.Conformance.PipelineLifecycle do
   defp name(wanted, handled),
     do: if(Enum.any?(handled, &error_fits?(wanted, &1)), do: wanted, else: handled)
 
-  # The moment of the computer's own clock at which the pipeline's shows `time`, to the microsecond.
+  # The system time at which the pipeline's clock shows `time`, to the microsecond.
   defp real(%Situ.Clock{} = clock, time) do
     before = System.os_time()
     now = Situ.Clock.now(clock)
     div(before + (time - now), 50_000_000)
   end
 
-  # Sources by description.
+  # Builds sources from their descriptions.
 
   defp source(p, "subpipeline(" <> rest) do
     inner = rest |> String.trim_trailing(")") |> String.split([",", "+"], trim: true)

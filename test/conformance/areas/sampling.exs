@@ -20,7 +20,7 @@ defmodule Situ.Conformance.Sampling do
     outputs(case, result, tolerance)
   end
 
-  # The source's end is the pipeline's: ticks up to it are decided.
+  # The end of the source is the end of the pipeline, so all ticks up to it are decided.
   defp by_interval(%{"inputs" => [input] = inputs}, interpolator, p) do
     messages = timed(input["messages"])
     {last, _} = List.last(messages) || {0, nil}

@@ -2,7 +2,7 @@ defmodule Situ.Conformance.Statistics do
   import Situ.Conformance.Case
   alias Situ.Conformance.{Formula, Run}
 
-  # A function of a list, without a stream.
+  # Applies a function to a list, without a stream.
   def check(%{"op" => op, "params" => %{"values" => values} = params, "inputs" => []} = case) do
     [name, "of_list"] = String.split(op, ".")
 
@@ -59,7 +59,7 @@ defmodule Situ.Conformance.Statistics do
   defp over("history", %{"time_ms" => n}), do: {:past, ms(n)}
   defp over("history", %{"time_ticks" => n}), do: {:past, ticks(n)}
 
-  # A decimal's running deviation of one value is 0, there being no NaN.
+  # The running deviation of one decimal is 0, because decimals have no NaN.
   defp options(params) do
     nullable = if params["nullable"], do: [nullable: true], else: []
     compare = if compare = compare(params), do: [compare: compare], else: []
@@ -67,7 +67,7 @@ defmodule Situ.Conformance.Statistics do
     initial ++ nullable ++ compare
   end
 
-  # The order values are compared in, where it is not that of numbers.
+  # The order of comparison, for values that are not numbers.
   defp compare(params) do
     case params["comparer"] || params["comparison"] || params["compare"] do
       nil -> nil
@@ -84,7 +84,7 @@ defmodule Situ.Conformance.Statistics do
 
   defp tolerance(%{"tolerance" => tolerance}), do: tolerance
   defp tolerance(%{"type" => "float32"}), do: 1.0e-6
-  # The reference's decimal deviations were computed from 64-bit floats of 15 digits.
+  # The reference computes decimal deviations from 64-bit floats with 15 digits.
   defp tolerance(%{"type" => "decimal"}), do: 1.0e-12
   defp tolerance(_params), do: 1.0e-12
 end

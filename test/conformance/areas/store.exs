@@ -2,7 +2,8 @@ for file <- ~w(tape recording replaying contents making),
     do: Code.require_file("store/#{file}.exs", __DIR__)
 
 defmodule Situ.Conformance.Store do
-  # Recordings written, read live, replayed, cut, edited, mended, put together: an operation, and who checks it.
+  # Recordings are written, read live, replayed, cut, edited, repaired and merged: maps each
+  # operation to its checker.
   alias Situ.Conformance.Store.{Contents, Making, Recording, Replaying}
 
   @operations [

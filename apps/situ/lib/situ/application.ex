@@ -9,9 +9,9 @@ defmodule Situ.Application do
       Situ.Clock.Wall,
       Situ.Application.Tables,
       Situ.Application.Reaper,
-      Situ.Clock.registry(),
-      Situ.Connector.registry(),
-      Situ.Tap.registry(),
+      Situ.Clock.registry_spec(),
+      Situ.Connector.registry_spec(),
+      Situ.Tap.registry_spec(),
       Situ.Application.Directory,
       Situ.Application.Reload
     ]

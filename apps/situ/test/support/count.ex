@@ -1,6 +1,6 @@
 defmodule Situ.Fixture.Count do
   @moduledoc false
-  # Pull source: integers 0, 1, 2 ... `interval` ns apart from the pipeline's start.
+  # A pull source of the integers 0, 1, 2 ..., `interval` ns apart, from the pipeline's start.
   use Situ.Component,
     outputs: [out: :integer],
     options: [

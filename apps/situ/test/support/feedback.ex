@@ -1,6 +1,6 @@
 defmodule Situ.Fixture.Feedback do
   @moduledoc false
-  # Adds to each number what came back of the one before: a cycle that keeps its order by itself.
+  # Adds its previous output, received through a cycle, to each number; the cycle keeps its own order.
   use Situ.Component, inputs: [in: :integer, back: :integer], outputs: [out: :integer]
 
   @impl true

@@ -1,5 +1,5 @@
 defmodule Situ.Fixture.Held do
-  # A source whose start waits for a word.
+  # A source that waits for permission to start.
   use Situ.Component, outputs: [out: :any], options: [to: [type: :pid, required: true]]
 
   @impl true

@@ -1,7 +1,7 @@
 defmodule Situ.Fixture.LifecycleWorld do
-  # A world for `Situ.Lifecycle` without processes: stages are what they owe. Everything that is under way is
-  # in one bag, and chance takes out what happens next; so every order is tried that messages between processes might
-  # take.
+  # Simulates the world around `Situ.Lifecycle` without processes: each stage is the set of its pending events.
+  # Everything in flight is in one bag, and chance selects the next event. This tries every order that messages
+  # between processes might take.
   alias Situ.Lifecycle
   alias Situ.Lifecycle.{Links, Member, State}
 
@@ -16,16 +16,17 @@ defmodule Situ.Fixture.LifecycleWorld do
     next: 100,
     forgotten: [],
     refusing: [],
-    # The stages that the server has an entry of.
+    # The stages for which the server has an entry.
     entries: MapSet.new(),
     taps: [],
     clock?: false
   ]
 
   @doc """
-  Lives a life. `graph`: `%{sources: [end], others: [on_error], links: [{from, to}]}`; `wishes`: events from outside
-  (stops, deaths, failures) that come in between; with `{:refuse, id}` a stage does not come to its first state.
-  Answers the world when nothing more is under way.
+  Simulates a pipeline's life and returns the world when nothing is in flight.
+
+  `graph` is `%{sources: [end], others: [on_error], links: [{from, to}]}`. `wishes` are external events (stops, deaths,
+  failures) that occur at random; with `{:refuse, id}`, a stage fails to initialize.
   """
   def live(graph, wishes, seed) do
     members = members(graph)
@@ -65,7 +66,7 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp run(%{bag: []} = world), do: world
   defp run(%{steps: 20_000} = world), do: world
 
-  # Timers come when nothing else is left, or by chance before.
+  # Timers fire when nothing else is left, or occasionally earlier.
   defp run(world) do
     {n, seed} = :rand.uniform_s(length(world.bag), world.seed)
     {what, bag} = List.pop_at(world.bag, n - 1)
@@ -81,14 +82,14 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp timer?({:watch, _}), do: true
   defp timer?(_), do: false
 
-  # Its process is gone with that.
+  # The stage's process ends with this event.
   defp happen({:stage, id, {:init_failed, id, _} = event}, world) do
     if MapSet.member?(world.alive, id),
       do: apply_event(%{world | alive: MapSet.delete(world.alive, id)}, event),
       else: world
   end
 
-  # A stage's debts are void when its process is gone.
+  # Pending events of a stage are void after its process has ended.
   defp happen({:stage, id, event}, world) do
     if MapSet.member?(world.alive, id), do: apply_event(world, event), else: world
   end
@@ -108,13 +109,13 @@ defmodule Situ.Fixture.LifecycleWorld do
       else: world
   end
 
-  # A part is named by those that run.
+  # Only running stages can form a part.
   defp happen({:wish, {:part, ids}}, world) do
     ids = part(world, ids)
     if ids == [], do: world, else: stop_part(world, ids, [])
   end
 
-  # A part that is removed may have ended before, as a whole or some of it.
+  # A removed part may have ended before, completely or partly.
   defp happen({:wish, {:remove, ids}}, world) do
     growing = growing_ids(world)
     there? = &(&1 in world.entries and &1 not in world.forgotten and &1 not in growing)
@@ -122,7 +123,7 @@ defmodule Situ.Fixture.LifecycleWorld do
     if forget == [], do: world, else: stop_part(world, part(world, forget), forget)
   end
 
-  # A tap, as the server attaches and detaches it.
+  # Attaches a tap as the server does.
   defp happen({:wish, {:tap, _}}, %{life: %{phase: :running}} = world) do
     case Enum.find(world.life.stages, fn {_, m} -> m.status == :running and not m.tap? end) do
       {from, _} ->
@@ -148,10 +149,10 @@ defmodule Situ.Fixture.LifecycleWorld do
 
   defp happen({:wish, :untap}, world), do: world
 
-  # Two stages, the first a source, the second behind it and behind one that runs; or such a one alone.
+  # Adds a source and a stage after it; the stage also follows a running stage, if there is one.
   defp happen({:wish, {:grow, on_error}}, world) do
     {a, b} = {world.next, world.next + 1}
-    # The server takes it in only while it runs.
+    # The server accepts the new stages only while it is running.
     fresh = if world.life.phase == :running, do: [a, b], else: []
     world = %{world | next: b + 1, entries: Enum.into(fresh, world.entries)}
     flowing = for {id, %{status: :running, up?: true}} <- world.life.stages, id < a, do: id
@@ -195,7 +196,7 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp kill(world, id) do
     if MapSet.member?(world.alive, id) do
       world = %{world | alive: MapSet.delete(world.alive, id)}
-      # Its last words may still be under way, behind them the news of its end.
+      # Its last messages may still be in flight, followed by the notification of its end.
       world = %{world | bag: Enum.reject(world.bag, &match?({:stage, ^id, _}, &1))}
 
       world =
@@ -216,7 +217,7 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp error(id), do: Situ.Error.new(:component_failed, "S#{id} failed")
 
   defp apply_event(world, event) do
-    {life, actions} = Lifecycle.apply(world.life, event, 1_000 + world.steps)
+    {life, actions} = Lifecycle.apply_event(world.life, event, 1_000 + world.steps)
     world = %{world | life: life, log: [{:event, event} | world.log]}
 
     Enum.reduce(actions, world, fn action, world ->
@@ -225,7 +226,7 @@ defmodule Situ.Fixture.LifecycleWorld do
     end)
   end
 
-  # The server does nothing with a stage that it does not have.
+  # The server must not act on a stage that it does not have.
   defp addressed!({what, ids}, world) when what in [:spawn, :start, :run, :shutdown, :kill],
     do: known!(what, List.wrap(ids), world)
 
@@ -235,7 +236,7 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp addressed!({:lend, tag}, world) do
     case world.life.links.topology do
       %{^tag => %{from: from, to: to}} -> known!(:lend, [from, to], world)
-      _ -> raise "#{inspect(tag)} is lent, and is no connection"
+      _ -> raise "#{inspect(tag)} is lent but is not a connection"
     end
   end
 
@@ -280,7 +281,7 @@ defmodule Situ.Fixture.LifecycleWorld do
     end
   end
 
-  # A stream that has closed says so.
+  # A closed stream reports that it has closed.
   defp perform({:lend, tag}, world) do
     %{from: from} = world.life.links.topology[tag]
     closed? = not world.life.stages[from].open?
@@ -299,10 +300,10 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp perform({:tell, id, {:stop, _}}, world),
     do: put(world, {:stage, id, {:source_stopped, id}})
 
-  # The closing marks travel; a consumer that is gone takes none.
+  # Closing marks travel to consumers; a consumer that is gone receives none.
   defp perform({:tell, id, {:finalize, time}}, world) do
     if MapSet.member?(world.alive, id) do
-      Enum.reduce(Links.out_of(world.life.links, id), world, fn {tag, link}, world ->
+      Enum.reduce(Links.list_outgoing(world.life.links, id), world, fn {tag, link}, world ->
         put(world, {:stage, link.to, {:unsubscribed, link.to, tag, time}})
       end)
     else
@@ -332,11 +333,11 @@ defmodule Situ.Fixture.LifecycleWorld do
 
   defp perform({:after, _ms, event}, world), do: put(world, {:timer, event})
 
-  # Once is enough for a world in which nobody is ever stuck.
+  # One check is enough, because no stage gets stuck in this world.
   defp perform({:watch, _ms, _which}, world), do: world
   defp perform(_action, world), do: world
 
-  # A cycle comes to rest some time.
+  # A cycle comes to rest eventually.
   defp rest(world), do: %{quiet?: rem(world.steps, 3) == 0, mark: world.steps, busy?: false}
 
   defp put(world, what), do: %{world | bag: [what | world.bag]}

@@ -1,5 +1,5 @@
 defmodule Situ.Fixture.Pass do
-  # Passes everything on: a component, not an operator.
+  # Forwards every message, as a component rather than an operator.
   use Situ.Component, inputs: [in: :any], outputs: [out: :any]
 
   @impl true
@@ -8,7 +8,7 @@ defmodule Situ.Fixture.Pass do
 end
 
 defmodule Situ.Fixture.Closing do
-  # Tells when its input closes.
+  # Reports when its input closes.
   use Situ.Component, inputs: [in: :any], options: [to: [type: :pid, required: true]]
 
   @impl true

@@ -1,12 +1,12 @@
 defmodule Situ.Fixture.Schedule do
   @moduledoc false
-  # A source whose messages come as a schedule says: batch by batch, with pauses between them. Its times and values
-  # are the same whatever the schedule.
+  # A source that emits batches with pauses between them, as a schedule says. Its times and values do not depend on
+  # the schedule.
   use Situ.Component,
     outputs: [out: :any],
     options: [batches: [type: :list, required: true], last: [type: :any]]
 
-  # A batch is `{spins, messages}`: how often the process yields before it emits them.
+  # A batch is `{spins, messages}`: `spins` is how often the process yields before it emits them.
   @impl true
   def init(opts), do: {:ok, opts[:batches]}
 
@@ -33,7 +33,7 @@ defmodule Situ.Fixture.Schedule do
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  # It has more to say than the pipeline has patience for: never, since it completes by closing.
+  # The source completes by closing, so it ignores stops.
   @impl true
   def handle_stop(_final, _context, state), do: {[], state}
 end

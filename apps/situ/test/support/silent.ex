@@ -1,4 +1,4 @@
 defmodule Situ.Fixture.Silent do
-  # A source that never says when it ends.
+  # A source that never announces its end.
   use Situ.Component, outputs: [out: :any]
 end

@@ -1,16 +1,16 @@
 defmodule Situ.Bridge.Test.Expected do
   @moduledoc """
-  The `expected.json` beside each genuine \\psi store (its form is told in `test/data/psi/README.md`), held against
-  what Situ reads.
+  Compares what Situ reads from each genuine \\psi store with the `expected.json` next to it.
+  `test/data/psi/README.md` describes the form of that file.
   """
   import ExUnit.Assertions
 
   @epoch 621_355_968_000_000_000
 
-  @doc "Ticks since the year 1 as nanoseconds since 1970."
+  @doc "Converts ticks since the year 1 to nanoseconds since 1970."
   def ns(ticks), do: (ticks - @epoch) * 100
 
-  @doc "Asserts that `got` is what \\psi's own reader read."
+  @doc "Asserts that `got` equals the value read by \\psi's own reader."
   def same!(want, got, context) do
     Process.put(:ids, named(want, got, %{}))
 
@@ -55,14 +55,14 @@ defmodule Situ.Bridge.Test.Expected do
       got.format.channels == format["Channels"] and got.format.sample == :s16
   end
 
-  # Tuples: their items in order.
+  # The items of a tuple, in order.
   defp same?(%{"$type" => "System." <> _} = want, got) when is_tuple(got) do
     items = want |> Map.delete("$type") |> Enum.sort() |> Enum.map(&elem(&1, 1))
     same?(items, Tuple.to_list(got))
   end
 
   defp same?(%{"$type" => type} = want, got) when is_map(got) do
-    # Fields that the type keeps from being written are in the objects that were written, not in the store.
+    # Fields excluded from serialization are in the expected objects, but not in the store.
     fields = want |> Map.delete("$type") |> Map.delete("NotAMember")
     told = Map.get(got, "$type", type)
 
@@ -83,7 +83,7 @@ defmodule Situ.Bridge.Test.Expected do
 
   defp same?(want, got), do: want === got
 
-  # Values with a number in `want`, wherever it is met first, with what was read in its place.
+  # Maps each `$id` in `want` to the value read at its first occurrence.
   defp named(%{"$id" => n} = want, got, ids),
     do: named(Map.delete(want, "$id"), plain(got), Map.put(ids, n, got))
 

@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.McapRecords do
   @moduledoc """
-  MCAP files built record by record, in every way that the format allows, and read again: an implementation of the
-  specification that shares no code with the one under test.
+  Builds MCAP files record by record, in every way that the format allows, and reads them again.
+  It implements the specification without sharing code with the implementation under test.
   """
   @magic <<0x89, "MCAP0\r\n">>
 
   @features [:chunked, :indexed, :summary, :carried_indexed, :padded]
 
-  @doc "Every set of features that makes a file of its own."
+  @doc "Returns every combination of features that produces a distinct file."
   @spec variants() :: [[atom()]]
   def variants do
     for mask <- 0..31,
@@ -19,7 +19,7 @@ defmodule Situ.Bridge.McapRecords do
 
   defp bit?(mask, n), do: Bitwise.band(mask, Bitwise.bsl(1, n)) != 0
 
-  @doc "A file of records; chunks hold three messages each."
+  @doc "Builds a file from its records, with three messages in each chunk."
   @spec build(map(), [atom()]) :: binary()
   def build(file, features) do
     {data, places} =
@@ -35,7 +35,7 @@ defmodule Situ.Bridge.McapRecords do
     start = byte_size(data)
     summary = summary(file, offsets(Enum.reverse(places), byte_size(head)), features)
     start = if summary == "", do: 0, else: start
-    # The footer has no more than its fields: its end is looked for from the end of the file.
+    # The footer is never padded, because readers find it from the end of the file.
     footer = record(2, <<start::little-64, 0::64, 0::32>>, [])
     data <> summary <> footer <> @magic
   end
@@ -71,7 +71,7 @@ defmodule Situ.Bridge.McapRecords do
           do: {:metadata, record(12, text(name) <> pairs(pairs), features), m}
 
     private = for {opcode, bytes} <- file.private, do: {:private, record(opcode, bytes, []), nil}
-    # Among the messages, as a recorder writes them.
+    # Attachments and private records are among the messages, as a recorder writes them.
     {first, rest} = Enum.split(messages, 2)
     Enum.concat(first) ++ attachments ++ private ++ Enum.concat(rest) ++ metadata
   end
@@ -198,7 +198,7 @@ defmodule Situ.Bridge.McapRecords do
     end
   end
 
-  # Its bytes go to the end of the record: it is never padded.
+  # A message's data extend to the end of the record, so it is never padded.
   defp message(m, _padded) do
     record(
       5,
@@ -228,7 +228,7 @@ defmodule Situ.Bridge.McapRecords do
     <<byte_size(bytes)::little-32>> <> bytes
   end
 
-  @doc "Returns the contents of a file, whatever its indexes say; its records in their order."
+  @doc "Returns the contents of a file with its records in order, ignoring its indexes."
   @spec read(binary()) :: map()
   def read(@magic <> bytes) do
     file = %{
@@ -247,7 +247,7 @@ defmodule Situ.Bridge.McapRecords do
     end)
   end
 
-  # A summary says some records again.
+  # A summary repeats some records.
   defp once(list), do: Enum.uniq(list)
 
   defp take(@magic, file), do: file

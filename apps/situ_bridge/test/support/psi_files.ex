@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Test.PsiFiles do
-  @moduledoc "Writes the files of a \\psi store, by the rules: for states that no genuine store here is in."
+  @moduledoc "Writes \\psi store files by the rules, in states that no genuine store here has."
 
   @epoch 621_355_968_000_000_000
   @utc 0x4000_0000_0000_0000
 
-  @doc "Nanoseconds since 1970 as .NET's bits."
+  @doc "Converts nanoseconds since 1970 to .NET's time bits."
   def time(ns), do: div(ns, 100) + @epoch + @utc
 
-  @doc "A store of these entries of the catalog and blocks of the data."
+  @doc "Writes a store with these catalog entries and data blocks."
   def write!(folder, name, catalog, data) do
     File.mkdir_p!(folder)
 
@@ -24,13 +24,13 @@ defmodule Situ.Bridge.Test.PsiFiles do
     folder
   end
 
-  @doc "A message; times are .NET's bits, both."
+  @doc "Builds a message. Both of its times are `bits`, in .NET's form."
   def message(id, seq, bits, data),
     do: block([<<id::little-32, seq::little-32, bits::little-64, bits::little-64>>, data])
 
-  @doc "A stream's entry, closed, in the form of a version."
+  @doc "Builds the catalog entry of a closed stream in the form of `version`."
   def stream(version, name, id, type, count) do
-    # Number, sizes and latencies were kept otherwise before version 2; supplemental metadata came with 1.
+    # Version 1 added supplemental metadata. Version 2 changed the count, sizes and latencies.
     {counts, averages} =
       if version >= 2,
         do: {<<count::little-64, count * 4::little-64, count * 30::little-64>>, ""},

@@ -20,13 +20,13 @@ defmodule Situ.CLI do
   def start do
     # Elixir's own start script rejects bytes that are not UTF-8, but file names may contain them.
     {:ok, _} = Application.ensure_all_started(:elixir)
-    main(Enum.map(:init.get_plain_arguments(), &argument/1))
+    main(Enum.map(:init.get_plain_arguments(), &decode_argument/1))
   end
 
-  defp argument({kind, read, rest}) when kind in [:incomplete, :error],
+  defp decode_argument({kind, read, rest}) when kind in [:incomplete, :error],
     do: IO.iodata_to_binary([List.to_string(read), rest])
 
-  defp argument(characters) do
+  defp decode_argument(characters) do
     case :unicode.characters_to_binary(characters) do
       text when is_binary(text) -> text
       {_, read, rest} -> IO.iodata_to_binary([read, rest])
@@ -48,10 +48,10 @@ defmodule Situ.CLI do
       true
   """
   @spec run([String.t()]) :: 0..255
-  def run(argv), do: guarded(fn -> dispatch(argv) end)
+  def run(argv), do: rescue_errors(fn -> dispatch(argv) end)
 
-  defp dispatch([]), do: help(2)
-  defp dispatch([flag]) when flag in ["--help", "-h", "help"], do: help(0)
+  defp dispatch([]), do: show_help(2)
+  defp dispatch([flag]) when flag in ["--help", "-h", "help"], do: show_help(0)
   defp dispatch(["help" | words]), do: dispatch(words ++ ["--help"])
 
   defp dispatch([flag | _]) when flag in ["--version", "-v", "version"] do
@@ -59,46 +59,46 @@ defmodule Situ.CLI do
     0
   end
 
-  defp dispatch([flag | _]) when flag in ["--help", "-h"], do: help(0)
+  defp dispatch([flag | _]) when flag in ["--help", "-h"], do: show_help(0)
 
   defp dispatch(argv) do
-    case Commands.find(argv) do
-      {:ok, verb, rest} -> verb(verb, rest)
-      {:group, word, verbs} -> group(word, verbs, argv)
-      {:error, error} -> fail(error, 2)
+    case Commands.find_verb(argv) do
+      {:ok, verb, rest} -> parse_and_run(verb, rest)
+      {:group, word, verbs} -> show_group(word, verbs, argv)
+      {:error, error} -> report_error(error, 2)
     end
   end
 
-  defp group(word, verbs, argv) do
-    IO.write(Help.group(word, Commands.groups()[word] || word, verbs))
+  defp show_group(word, verbs, argv) do
+    IO.write(Help.format_group(word, Commands.groups()[word] || word, verbs))
     if length(argv) > 1, do: 0, else: 2
   end
 
-  defp verb(verb, argv) do
+  defp parse_and_run(verb, argv) do
     case Parser.parse(verb, argv) do
       {:ok, arguments, options} ->
-        ran(verb, arguments, options)
+        run_verb(verb, arguments, options)
 
       :help ->
-        IO.write(Help.verb(verb))
+        IO.write(Help.format_verb(verb))
         0
 
       {:error, why} ->
-        wrong(verb, why)
+        report_usage_error(verb, why)
     end
   end
 
   # A verb throws `{:usage, why}` for errors that the parser cannot detect from the verb's table.
-  defp ran(verb, arguments, options) do
+  defp run_verb(verb, arguments, options) do
     Enum.each(
       [:situ_examples | Application.spec(:situ_cli, :applications) || []],
       &load_application/1
     )
 
-    if hd(verb.words) in @extended, do: Plugin.load([])
+    if hd(verb.words) in @extended, do: Plugin.load_plugins([])
     verb.run.(arguments, options)
   catch
-    :throw, {:usage, why} -> wrong(verb, why)
+    :throw, {:usage, why} -> report_usage_error(verb, why)
   end
 
   # Recordings may contain structs of any Situ application, but only structs of loaded applications can be read.
@@ -107,7 +107,7 @@ defmodule Situ.CLI do
       do: Enum.each(Application.spec(app, :applications), &load_application/1)
   end
 
-  defp wrong(verb, why) do
+  defp report_usage_error(verb, why) do
     name = Enum.join(verb.words, " ")
     Output.warn("situ #{name}: #{why}\n  Fix: see `situ #{name} --help`")
     2
@@ -118,30 +118,32 @@ defmodule Situ.CLI do
   def version, do: to_string(Application.spec(:situ_cli, :vsn) || "0.1.0")
 
   # Users see an expected failure as a sentence, not as a stack trace.
-  defp guarded(work) do
+  defp rescue_errors(work) do
     work.()
   rescue
     error in Situ.Error ->
-      fail(error, 1)
+      report_error(error, 1)
 
     # The reader of the output closed it (`situ ... | head`), so exit with the status of a broken pipe.
     error in ErlangError ->
-      if Map.get(error, :original) == :terminated, do: 141, else: fault(error, __STACKTRACE__)
+      if Map.get(error, :original) == :terminated,
+        do: 141,
+        else: report_crash(error, __STACKTRACE__)
 
     error ->
-      fault(error, __STACKTRACE__)
+      report_crash(error, __STACKTRACE__)
   catch
     :exit, :terminated ->
       141
   end
 
-  defp fail(error, status) do
+  defp report_error(error, status) do
     Output.warn("situ: " <> Exception.message(error))
     status
   end
 
   # The error is a bug in Situ, so print everything that a bug report needs.
-  defp fault(error, stack) do
+  defp report_crash(error, stack) do
     Output.warn("situ: a bug in situ itself: #{Exception.format_banner(:error, error, stack)}")
 
     if System.get_env("SITU_DEBUG") in [nil, ""],
@@ -151,8 +153,8 @@ defmodule Situ.CLI do
     1
   end
 
-  defp help(status) do
-    IO.write(Help.all(Commands.all(), Commands.groups()))
+  defp show_help(status) do
+    IO.write(Help.format_overview(Commands.list_verbs(), Commands.groups()))
     status
   end
 end

@@ -11,25 +11,25 @@ defmodule Situ.CLITest do
   test "help lists every command" do
     {0, help} = run(["--help"])
     assert help =~ "Usage: situ COMMAND"
-    for verb <- Commands.all(), do: assert(help =~ ~r/^  #{hd(verb.words)} /m)
+    for verb <- Commands.list_verbs(), do: assert(help =~ ~r/^  #{hd(verb.words)} /m)
   end
 
-  test "no command is wrong usage" do
+  test "a missing command is wrong usage" do
     assert {2, text} = run([])
     assert text =~ "Usage"
   end
 
-  test "an unknown command says so and exits with 2" do
+  test "reports an unknown command and exits with 2" do
     message = capture_io(:stderr, fn -> assert Situ.CLI.run(["stroe"]) == 2 end)
-    assert message =~ ~s(no command "stroe")
+    assert message =~ ~s(unknown command "stroe")
     assert message =~ "`situ store`"
   end
 
-  test "every verb explains itself with all of its options, and its examples can be read" do
-    for verb <- Commands.all() do
+  test "the help of every verb shows its options and valid examples" do
+    for verb <- Commands.list_verbs() do
       {0, text} = run(verb.words ++ ["--help"])
-      assert text =~ Verb.usage(verb)
-      for option <- Verb.options(verb), do: assert(text =~ Option.label(option))
+      assert text =~ Verb.usage_line(verb)
+      for option <- Verb.all_options(verb), do: assert(text =~ Option.label(option))
       for line <- String.split(text, "\n"), do: assert(String.length(line) <= 130)
 
       for "situ " <> _ = example <- verb.examples,
@@ -37,16 +37,16 @@ defmodule Situ.CLITest do
     end
   end
 
-  test "names of verbs and options are unique" do
+  test "verbs and options have unique names" do
     names =
-      Enum.flat_map(Commands.all(), fn v ->
+      Enum.flat_map(Commands.list_verbs(), fn v ->
         [v.words | Enum.map(v.aliases, &[hd(v.words), &1])]
       end)
 
     assert names == Enum.uniq(names)
 
-    for verb <- Commands.all() do
-      options = Verb.options(verb)
+    for verb <- Commands.list_verbs() do
+      options = Verb.all_options(verb)
       assert Enum.uniq_by(options, & &1.name) == options
       shorts = for %{short: short} <- options, short, do: short
       assert shorts == Enum.uniq(shorts)
@@ -54,10 +54,10 @@ defmodule Situ.CLITest do
   end
 
   @tag :tmp_dir
-  test "the completion scripts are sound and know every verb and option", %{tmp_dir: root} do
-    for shell <- Completion.shells() do
+  test "completion scripts are valid and know all verbs and options", %{tmp_dir: root} do
+    for shell <- Completion.supported_shells() do
       {0, script} = run(["completion", shell])
-      for verb <- Commands.all(), word <- verb.words, do: assert(script =~ word)
+      for verb <- Commands.list_verbs(), word <- verb.words, do: assert(script =~ word)
       path = Path.join(root, shell)
       File.write!(path, script)
       program = System.find_executable(shell)
@@ -69,7 +69,7 @@ defmodule Situ.CLITest do
   end
 
   @tag :tmp_dir
-  test "bash completes commands, verbs, options and their words", %{tmp_dir: root} do
+  test "bash completes commands, verbs, options and their values", %{tmp_dir: root} do
     {0, script} = run(["completion", "bash"])
     path = Path.join(root, "situ.bash")
     File.write!(path, script)
@@ -91,17 +91,17 @@ defmodule Situ.CLITest do
     end
   end
 
-  test "the manual page says all that help says" do
-    page = Manual.page(Commands.all(), "1")
+  test "the manual page contains all options of the help" do
+    page = Manual.render_page(Commands.list_verbs(), "1")
 
-    for verb <- Commands.all(),
+    for verb <- Commands.list_verbs(),
         option <- verb.options,
         do: assert(page =~ String.replace(Option.label(option), "-", "\\-"))
 
     refute page =~ ~r/^\.(?!TH|SH|SS|B|I|PP|TP)/m
   end
 
-  test "a fault in situ itself is not dressed up as the user's" do
+  test "an internal fault is not reported as the user's mistake" do
     verb = %Verb{words: ["x"], summary: "", run: fn _, _ -> :erlang.error({:badkey, :x}) end}
     assert verb.run
 

@@ -19,7 +19,7 @@ defmodule Situ.Annotation do
       iex> b = Situ.Annotation.new(10, 20, "P1", %{"Speaks" => false})
       iex> {Situ.Annotation.overlap?(a, b), Situ.Annotation.contains?(a, 10)}
       {false, true}
-      iex> Situ.Annotation.messages([b, a]) |> Enum.map(&{&1.originating_time, length(&1.data)})
+      iex> Situ.Annotation.to_messages([b, a]) |> Enum.map(&{&1.originating_time, length(&1.data)})
       [{10, 1}, {20, 1}]
 
   | to | see |
@@ -55,46 +55,46 @@ defmodule Situ.Annotation do
   def new(from, to, track, values \\ %{}, more \\ []) do
     annotation = struct!(%__MODULE__{from: from, to: to, track: track, values: values}, more)
 
-    case check(annotation) do
+    case check_fields(annotation) do
       :ok -> annotation
       {:error, error} -> raise ArgumentError, Exception.message(error)
     end
   end
 
   @doc "Checks the types of the fields and that the interval does not end before it begins. Error: `:bad_annotation`."
-  @spec check(t()) :: :ok | {:error, Error.t()}
-  def check(%__MODULE__{from: from, to: to} = a) do
+  @spec check_fields(t()) :: :ok | {:error, Error.t()}
+  def check_fields(%__MODULE__{from: from, to: to} = a) do
     cond do
       not (is_integer(from) and is_integer(to)) ->
-        bad("`from` or `to` is not an integer (ns)")
+        annotation_error("`from` or `to` is not an integer (ns)")
 
       from > to ->
-        bad("it ends #{Situ.Time.format_duration(from - to)} before it begins")
+        annotation_error("it ends #{Situ.Time.format_duration(from - to)} before it begins")
 
-      not text?(a.track) or a.track == "" ->
-        bad("its track has no name")
+      not valid_text?(a.track) or a.track == "" ->
+        annotation_error("its track has no name")
 
-      not is_map(a.values) or not Enum.all?(Map.keys(a.values), &text?/1) ->
-        bad("its values are not a map with names as keys")
+      not is_map(a.values) or not Enum.all?(Map.keys(a.values), &valid_text?/1) ->
+        annotation_error("its values are not a map with names as keys")
 
-      a.confidence != nil and not unit?(a.confidence) ->
-        bad("its confidence is not between 0.0 and 1.0")
+      a.confidence != nil and not unit_interval?(a.confidence) ->
+        annotation_error("its confidence is not between 0.0 and 1.0")
 
-      not Enum.all?([a.by, a.note], &(&1 == nil or text?(&1))) ->
-        bad("its annotator or note is not a string")
+      not Enum.all?([a.by, a.note], &(&1 == nil or valid_text?(&1))) ->
+        annotation_error("its annotator or note is not a string")
 
       not is_boolean(a.proposed?) ->
-        bad("`proposed?` is not a boolean")
+        annotation_error("`proposed?` is not a boolean")
 
       true ->
         :ok
     end
   end
 
-  defp text?(value), do: is_binary(value) and String.valid?(value)
-  defp unit?(value), do: is_number(value) and value >= 0 and value <= 1
+  defp valid_text?(value), do: is_binary(value) and String.valid?(value)
+  defp unit_interval?(value), do: is_number(value) and value >= 0 and value <= 1
 
-  defp bad(why) do
+  defp annotation_error(why) do
     {:error,
      Error.new(:bad_annotation, "invalid annotation", why: why, fix: "correct its fields")}
   end
@@ -115,8 +115,8 @@ defmodule Situ.Annotation do
   def duration(%__MODULE__{from: from, to: to}), do: to - from
 
   @doc "Returns the messages of an annotation stream, one per end time; creation times equal originating times."
-  @spec messages([t()]) :: [Message.t()]
-  def messages(annotations) do
+  @spec to_messages([t()]) :: [Message.t()]
+  def to_messages(annotations) do
     annotations
     |> Enum.group_by(& &1.to)
     |> Enum.sort()
@@ -151,8 +151,8 @@ defmodule Situ.Annotation do
       proposed?: json["proposed"] || false
     }
 
-    with :ok <- check(annotation), do: {:ok, annotation}
+    with :ok <- check_fields(annotation), do: {:ok, annotation}
   end
 
-  def from_json(_), do: bad("it is not a JSON object")
+  def from_json(_), do: annotation_error("it is not a JSON object")
 end

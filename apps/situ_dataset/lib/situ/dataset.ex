@@ -83,16 +83,16 @@ defmodule Situ.Dataset do
   @spec new(String.t(), keyword()) :: result()
   def new(name \\ "Untitled Dataset", opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {:ok, dataset} <- autosaving(%__MODULE__{name: name}, opts[:file], opts[:autosave]) do
-      commit(%{dataset | metadata: opts[:metadata], tags: opts[:tags]})
+         {:ok, dataset} <- put_file(%__MODULE__{name: name}, opts[:file], opts[:autosave]) do
+      commit_edit(%{dataset | metadata: opts[:metadata], tags: opts[:tags]})
     end
   end
 
-  defp autosaving(_dataset, nil, true) do
+  defp put_file(_dataset, nil, true) do
     {:error, Error.new(:no_file, "cannot autosave a dataset without a file", fix: "pass file:")}
   end
 
-  defp autosaving(dataset, file, autosave?),
+  defp put_file(dataset, file, autosave?),
     do: {:ok, %{dataset | file: file && Path.expand(file), autosave?: autosave?}}
 
   @doc """
@@ -104,30 +104,30 @@ defmodule Situ.Dataset do
   """
   @spec open(Path.t(), keyword()) :: result()
   def open(path, opts \\ []) do
-    path = Situ.Store.Formats.expand(path)
+    path = Situ.Store.Formats.expand_path(path)
 
     cond do
       Situ.Store.exists?(path) ->
-        found(Discovery.recording(path))
+        build_dataset(Discovery.from_recording(path))
 
       File.dir?(path) ->
-        found(Discovery.folder(path))
+        build_dataset(Discovery.from_folder(path))
 
-      Document.dataset?(path) ->
+      Document.dataset_file?(path) ->
         load(path, opts)
 
       File.regular?(path) and Situ.Store.Formats.for_file(path) != nil ->
-        found(Discovery.recording(path))
+        build_dataset(Discovery.from_recording(path))
 
       true ->
         load(path, opts)
     end
   end
 
-  defp found({:ok, name, sessions}),
+  defp build_dataset({:ok, name, sessions}),
     do: {:ok, %__MODULE__{name: name, sessions: sessions, unsaved?: true}}
 
-  defp found({:error, error}), do: {:error, error}
+  defp build_dataset({:error, error}), do: {:error, error}
 
   @doc "Opens a dataset file and does not accept other paths. Takes the options of `open/2`."
   @spec load(Path.t(), keyword()) :: result()
@@ -137,7 +137,7 @@ defmodule Situ.Dataset do
     with {:ok, found, digest} <- Document.read_digested(path) do
       dataset = struct!(%__MODULE__{digest: digest}, found)
       file = if Path.extname(path) == ".pds", do: nil, else: path
-      autosaving(dataset, file, (opts[:autosave] && file != nil) || false)
+      put_file(dataset, file, (opts[:autosave] && file != nil) || false)
     end
   end
 
@@ -154,8 +154,8 @@ defmodule Situ.Dataset do
   end
 
   def save(%__MODULE__{file: file} = dataset) do
-    DatasetFile.lock(file, fn ->
-      with :ok <- DatasetFile.check_unchanged(file, dataset.digest), do: write(dataset)
+    DatasetFile.with_lock(file, fn ->
+      with :ok <- DatasetFile.check_unchanged(file, dataset.digest), do: write_file(dataset)
     end)
   end
 
@@ -172,7 +172,7 @@ defmodule Situ.Dataset do
   it. Use this for files that other programs also edit. Other programs wait while `fun` is running, so it must be
   quick and must not save the dataset itself. For a dataset without a file, `update/2` only applies `fun`.
 
-      Situ.Dataset.update(dataset, &Situ.Dataset.put(&1, tags: ["pilot" | &1.tags]))
+      Situ.Dataset.update(dataset, &Situ.Dataset.put_fields(&1, tags: ["pilot" | &1.tags]))
 
   Errors: the errors of `fun` and of `save/1`. `:dataset_changed` is returned only if the dataset has unsaved edits.
   """
@@ -180,15 +180,15 @@ defmodule Situ.Dataset do
   def update(%__MODULE__{file: nil} = dataset, fun), do: fun.(dataset)
 
   def update(%__MODULE__{file: file} = dataset, fun) do
-    DatasetFile.lock(file, fn ->
-      with {:ok, dataset} <- refresh(dataset),
+    DatasetFile.with_lock(file, fn ->
+      with {:ok, dataset} <- reload_if_changed(dataset),
            {:ok, changed} <- fun.(%{dataset | autosave?: false}),
-           {:ok, saved} <- write(changed),
+           {:ok, saved} <- write_file(changed),
            do: {:ok, %{saved | autosave?: dataset.autosave?}}
     end)
   end
 
-  defp refresh(%{file: file, digest: digest} = dataset) do
+  defp reload_if_changed(%{file: file, digest: digest} = dataset) do
     case DatasetFile.check_unchanged(file, digest) do
       {:error, %{code: :dataset_changed}} when not dataset.unsaved? ->
         load(file, autosave: dataset.autosave?)
@@ -201,21 +201,21 @@ defmodule Situ.Dataset do
     end
   end
 
-  defp write(dataset) do
-    with {:ok, digest} <- DatasetFile.write(dataset.file, Document.render(dataset, dataset.file)),
+  defp write_file(dataset) do
+    with {:ok, digest} <- DatasetFile.write(dataset.file, Document.encode(dataset, dataset.file)),
          do: {:ok, %{dataset | unsaved?: false, digest: digest}}
   end
 
   # Every edit ends with this function, which saves the dataset if autosave is on.
-  defp commit(%__MODULE__{autosave?: true} = dataset), do: save(%{dataset | unsaved?: true})
-  defp commit(%__MODULE__{} = dataset), do: {:ok, %{dataset | unsaved?: true}}
+  defp commit_edit(%__MODULE__{autosave?: true} = dataset), do: save(%{dataset | unsaved?: true})
+  defp commit_edit(%__MODULE__{} = dataset), do: {:ok, %{dataset | unsaved?: true}}
 
   # Sessions
 
   @doc "Returns the session with that name. Error: `:no_session`, which suggests the nearest name."
   @spec session(t(), String.t()) :: {:ok, Session.t()} | {:error, Error.t()}
   def session(%__MODULE__{} = dataset, name),
-    do: Names.fetch(dataset.sessions, name, :no_session, "session", "the dataset")
+    do: Names.fetch_named(dataset.sessions, name, :no_session, "session", "the dataset")
 
   @doc "Adds a session: a struct, or a name with options of `Situ.Dataset.Session.new/2`. Error: `:duplicate_name`."
   @spec add_session(t(), String.t() | Session.t(), keyword()) :: result()
@@ -225,12 +225,12 @@ defmodule Situ.Dataset do
     do: add_session(dataset, Session.new(name, opts), [])
 
   def add_session(%__MODULE__{} = dataset, %Session{} = session, _opts) do
-    with {:ok, dataset} <- added(dataset, session), do: commit(dataset)
+    with {:ok, dataset} <- put_session(dataset, session), do: commit_edit(dataset)
   end
 
-  defp added(dataset, session) do
-    with :ok <- Names.check(session.name, "session"),
-         :ok <- Names.free(session.name, dataset.sessions, "the dataset") do
+  defp put_session(dataset, session) do
+    with :ok <- Names.check_valid(session.name, "session"),
+         :ok <- Names.check_free(session.name, dataset.sessions, "the dataset") do
       {:ok, %{dataset | sessions: dataset.sessions ++ [session]}}
     end
   end
@@ -240,23 +240,25 @@ defmodule Situ.Dataset do
   def add_recording(%__MODULE__{} = dataset, path, opts \\ []) do
     partition = Partition.new(opts[:partition], path, Keyword.take(opts, [:reader]))
     session = Session.new(opts[:session] || partition.name)
-    with {:ok, session} <- Session.add(session, partition), do: add_session(dataset, session)
+
+    with {:ok, session} <- Session.add_partition(session, partition),
+         do: add_session(dataset, session)
   end
 
   @doc "Removes a session from the dataset; its recordings are not deleted."
   @spec remove_session(t(), String.t()) :: result()
   def remove_session(%__MODULE__{} = dataset, name) do
     with {:ok, found} <- session(dataset, name),
-         do: commit(%{dataset | sessions: List.delete(dataset.sessions, found)})
+         do: commit_edit(%{dataset | sessions: List.delete(dataset.sessions, found)})
   end
 
   @doc "Renames a session."
   @spec rename_session(t(), String.t(), String.t()) :: result()
   def rename_session(%__MODULE__{} = dataset, from, to) do
     with {:ok, found} <- session(dataset, from),
-         :ok <- Names.check(to, "session"),
-         :ok <- Names.free(to, List.delete(dataset.sessions, found), "the dataset") do
-      commit(swap(dataset, from, %{found | name: to}))
+         :ok <- Names.check_valid(to, "session"),
+         :ok <- Names.check_free(to, List.delete(dataset.sessions, found), "the dataset") do
+      commit_edit(replace_session(dataset, from, %{found | name: to}))
     end
   end
 
@@ -264,17 +266,17 @@ defmodule Situ.Dataset do
   Changes one session with a function `session -> {:ok, session} | {:error, error}`, which can use every edit of
   `Situ.Dataset.Session`.
 
-      Situ.Dataset.update_session(dataset, "p01", &Situ.Dataset.Session.remove(&1, "Room"))
+      Situ.Dataset.update_session(dataset, "p01", &Situ.Dataset.Session.remove_partition(&1, "Room"))
   """
   @spec update_session(t(), String.t(), (Session.t() -> {:ok, Session.t()} | {:error, Error.t()})) ::
           result()
   def update_session(%__MODULE__{} = dataset, name, fun) do
     with {:ok, found} <- session(dataset, name),
          {:ok, %Session{} = session} <- fun.(found),
-         do: commit(swap(dataset, name, %{session | name: name}))
+         do: commit_edit(replace_session(dataset, name, %{session | name: name}))
   end
 
-  defp swap(dataset, name, session) do
+  defp replace_session(dataset, name, session) do
     swap = &if(&1.name == name, do: session, else: &1)
     %{dataset | sessions: Enum.map(dataset.sessions, swap)}
   end
@@ -282,25 +284,30 @@ defmodule Situ.Dataset do
   @doc "Adds the recording at `path` to a session (options: `Situ.Dataset.Partition.new/3`). Error: `:duplicate_name`."
   @spec add_partition(t(), String.t(), String.t() | nil, Path.t(), keyword()) :: result()
   def add_partition(%__MODULE__{} = dataset, session, name, path, opts \\ []),
-    do: update_session(dataset, session, &Session.add(&1, Partition.new(name, path, opts)))
+    do:
+      update_session(
+        dataset,
+        session,
+        &Session.add_partition(&1, Partition.new(name, path, opts))
+      )
 
   @doc "Appends all sessions of another dataset; `:duplicate_name` if a name exists already, and nothing is added."
-  @spec append(t(), t()) :: result()
-  def append(%__MODULE__{} = dataset, %__MODULE__{sessions: sessions}) do
+  @spec append_sessions(t(), t()) :: result()
+  def append_sessions(%__MODULE__{} = dataset, %__MODULE__{sessions: sessions}) do
     added =
       Enum.reduce_while(sessions, {:ok, dataset}, fn session, {:ok, dataset} ->
-        case added(dataset, session) do
+        case put_session(dataset, session) do
           {:ok, dataset} -> {:cont, {:ok, dataset}}
           {:error, error} -> {:halt, {:error, error}}
         end
       end)
 
-    with {:ok, dataset} <- added, do: commit(dataset)
+    with {:ok, dataset} <- added, do: commit_edit(dataset)
   end
 
   @doc "Changes `name`, `metadata` or `tags` of the dataset."
-  @spec put(t(), keyword()) :: result()
-  def put(%__MODULE__{} = dataset, changes) do
+  @spec put_fields(t(), keyword()) :: result()
+  def put_fields(%__MODULE__{} = dataset, changes) do
     changes =
       Options.validate!(changes,
         name: [type: :string],
@@ -308,7 +315,7 @@ defmodule Situ.Dataset do
         tags: [type: {:list, :string}]
       )
 
-    commit(struct!(dataset, changes))
+    commit_edit(struct!(dataset, changes))
   end
 
   # Queries
@@ -319,22 +326,24 @@ defmodule Situ.Dataset do
   """
   @spec summary(t()) :: Summary.t()
   def summary(%__MODULE__{} = dataset),
-    do: dataset.sessions |> at_once(&Session.summary/1) |> Summary.sum()
+    do: dataset.sessions |> map_concurrently(&Session.summary/1) |> Summary.sum()
 
   @doc "Returns the summary of every session as `[{session_name, summary}]`."
-  @spec summaries(t()) :: [{String.t(), Summary.t()}]
-  def summaries(%__MODULE__{} = dataset),
-    do: at_once(dataset.sessions, &{&1.name, Session.summary(&1)})
+  @spec session_summaries(t()) :: [{String.t(), Summary.t()}]
+  def session_summaries(%__MODULE__{} = dataset),
+    do: map_concurrently(dataset.sessions, &{&1.name, Session.summary(&1)})
 
   @doc "Lists missing and damaged recordings as `[{session, partition, error}]`."
   @spec troubles(t()) :: [{String.t(), String.t(), Error.t()}]
   def troubles(%__MODULE__{} = dataset) do
     dataset.sessions
-    |> at_once(fn session -> for {p, e} <- Session.troubles(session), do: {session.name, p, e} end)
+    |> map_concurrently(fn session ->
+      for {p, e} <- Session.troubles(session), do: {session.name, p, e}
+    end)
     |> Enum.concat()
   end
 
-  defp at_once(sessions, fun) do
+  defp map_concurrently(sessions, fun) do
     sessions
     |> Task.async_stream(fun, timeout: :infinity, max_concurrency: 2 * System.schedulers_online())
     |> Enum.map(fn {:ok, result} -> result end)
@@ -346,15 +355,16 @@ defmodule Situ.Dataset do
   """
   @spec seal(t(), keyword()) :: result()
   def seal(%__MODULE__{} = dataset, opts \\ []) do
-    with {:ok, checksums} <- Checksum.all(partitions(dataset), opts),
+    with {:ok, checksums} <- Checksum.compute_all(list_partitions(dataset), opts),
          do: put_checksums(dataset, checksums)
   end
 
   @doc "Returns the partitions of all sessions."
-  @spec partitions(t()) :: [Partition.t()]
-  def partitions(%__MODULE__{sessions: sessions}), do: Enum.flat_map(sessions, & &1.partitions)
+  @spec list_partitions(t()) :: [Partition.t()]
+  def list_partitions(%__MODULE__{sessions: sessions}),
+    do: Enum.flat_map(sessions, & &1.partitions)
 
-  @doc "Stores the checksums that `Situ.Dataset.Checksum.all/2` returned in the partitions with the same paths."
+  @doc "Stores the checksums that `Situ.Dataset.Checksum.compute_all/2` returned in the partitions with the same paths."
   @spec put_checksums(t(), %{Path.t() => String.t()}) :: result()
   def put_checksums(%__MODULE__{} = dataset, checksums) do
     sessions =
@@ -365,14 +375,14 @@ defmodule Situ.Dataset do
         %{session | partitions: partitions}
       end
 
-    commit(%{dataset | sessions: sessions})
+    commit_edit(%{dataset | sessions: sessions})
   end
 
   @doc "Returns the sessions that have all `tags:` and whose name matches the pattern `name:` (`*` and `?`)."
-  @spec select(t(), keyword()) :: [Session.t()]
-  def select(%__MODULE__{} = dataset, opts) do
+  @spec select_sessions(t(), keyword()) :: [Session.t()]
+  def select_sessions(%__MODULE__{} = dataset, opts) do
     tags = opts[:tags] || []
-    fits? = Names.matcher(opts[:name] || "*")
+    fits? = Names.pattern_matcher(opts[:name] || "*")
     Enum.filter(dataset.sessions, &(tags -- &1.tags == [] and fits?.(&1.name)))
   end
 
@@ -396,29 +406,29 @@ defmodule Situ.Dataset do
   @spec derive(t(), Derivation.Job.compute(), keyword()) ::
           {:ok, t(), Derivation.Report.t()} | {:error, Error.t()}
   def derive(%__MODULE__{} = dataset, compute, opts \\ []) do
-    with {:ok, sessions} <- chosen(dataset, opts[:sessions]),
-         do: Derivation.run(sessions, compute, dataset.file, {dataset, &taken/3}, opts)
+    with {:ok, sessions} <- choose_sessions(dataset, opts[:sessions]),
+         do: Derivation.run(sessions, compute, dataset.file, {dataset, &put_result/3}, opts)
   end
 
-  defp chosen(dataset, nil), do: {:ok, dataset.sessions}
+  defp choose_sessions(dataset, nil), do: {:ok, dataset.sessions}
 
-  defp chosen(dataset, names) do
-    with nil <- Enum.find_value(names, &unknown(dataset, &1)),
+  defp choose_sessions(dataset, names) do
+    with nil <- Enum.find_value(names, &find_unknown(dataset, &1)),
          do: {:ok, Enum.filter(dataset.sessions, &(&1.name in names))}
   end
 
-  defp unknown(dataset, name) do
+  defp find_unknown(dataset, name) do
     case session(dataset, name) do
       {:ok, _} -> nil
       error -> error
     end
   end
 
-  defp taken(dataset, %{name: name}, partition) do
+  defp put_result(dataset, %{name: name}, partition) do
     put = fn session ->
-      case Session.partition(session, partition.name) do
-        {:ok, _} -> Session.replace(session, partition)
-        {:error, _} -> Session.add(session, partition)
+      case Session.fetch_partition(session, partition.name) do
+        {:ok, _} -> Session.replace_partition(session, partition)
+        {:error, _} -> Session.add_partition(session, partition)
       end
     end
 

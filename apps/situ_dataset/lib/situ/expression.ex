@@ -32,7 +32,7 @@ defmodule Situ.Expression do
   def parse(source) when is_binary(source) do
     case Parser.parse(source) do
       {:ok, tree} ->
-        {:ok, %__MODULE__{source: source, tree: tree, run: compile(tree)}}
+        {:ok, %__MODULE__{source: source, tree: tree, run: compile_tree(tree)}}
 
       {:error, at, why} ->
         {:error,
@@ -63,15 +63,20 @@ defmodule Situ.Expression do
       ["Room.Level", "vad"]
   """
   @spec names(t()) :: [String.t()]
-  def names(%__MODULE__{tree: tree}), do: tree |> collect([]) |> Enum.uniq() |> Enum.sort()
+  def names(%__MODULE__{tree: tree}), do: tree |> collect_names([]) |> Enum.uniq() |> Enum.sort()
 
-  defp collect({:name, name}, names), do: [name | names]
-  defp collect({:call, _, arguments}, names), do: Enum.reduce(arguments, names, &collect/2)
-  defp collect({:list, items}, names), do: Enum.reduce(items, names, &collect/2)
-  defp collect({:literal, _}, names), do: names
-  defp collect({:member, of, _}, names), do: collect(of, names)
-  defp collect({:unary, _, of}, names), do: collect(of, names)
-  defp collect({_, _, left, right}, names), do: collect(right, collect(left, names))
+  defp collect_names({:name, name}, names), do: [name | names]
+
+  defp collect_names({:call, _, arguments}, names),
+    do: Enum.reduce(arguments, names, &collect_names/2)
+
+  defp collect_names({:list, items}, names), do: Enum.reduce(items, names, &collect_names/2)
+  defp collect_names({:literal, _}, names), do: names
+  defp collect_names({:member, of, _}, names), do: collect_names(of, names)
+  defp collect_names({:unary, _, of}, names), do: collect_names(of, names)
+
+  defp collect_names({_, _, left, right}, names),
+    do: collect_names(right, collect_names(left, names))
 
   @doc """
   Evaluates an expression for each message of a stream. In it, `m` (or `value`) is the data, `time` and `created`
@@ -88,14 +93,14 @@ defmodule Situ.Expression do
 
     Situ.map(
       stream,
-      fn _data, message -> run.(of_message(message)) end,
+      fn _data, message -> run.(message_env(message)) end,
       Keyword.put_new(opts, :type, :any)
     )
   end
 
   @doc "Returns the names that an expression can use for a message."
-  @spec of_message(Situ.Message.t()) :: env()
-  def of_message(message) do
+  @spec message_env(Situ.Message.t()) :: env()
+  def message_env(message) do
     %{
       "m" => message.data,
       "value" => message.data,
@@ -107,53 +112,53 @@ defmodule Situ.Expression do
   end
 
   # Compiles the tree to a function, so that it is not traversed again for each message.
-  defp compile({:literal, value}), do: fn _ -> value end
-  defp compile({:name, name}), do: fn env -> Map.get(env, name) end
+  defp compile_tree({:literal, value}), do: fn _ -> value end
+  defp compile_tree({:name, name}), do: fn env -> Map.get(env, name) end
 
-  defp compile({:list, items}) do
-    items = Enum.map(items, &compile/1)
+  defp compile_tree({:list, items}) do
+    items = Enum.map(items, &compile_tree/1)
     fn env -> Enum.map(items, & &1.(env)) end
   end
 
-  defp compile({:member, of, name}) do
-    of = compile(of)
-    fn env -> Value.member(of.(env), name) end
+  defp compile_tree({:member, of, name}) do
+    of = compile_tree(of)
+    fn env -> Value.get_member(of.(env), name) end
   end
 
-  defp compile({:index, _, of, index}) do
-    {of, index} = {compile(of), compile(index)}
-    fn env -> Value.index(of.(env), index.(env)) end
+  defp compile_tree({:index, _, of, index}) do
+    {of, index} = {compile_tree(of), compile_tree(index)}
+    fn env -> Value.get_element(of.(env), index.(env)) end
   end
 
-  defp compile({:unary, operator, of}) do
-    of = compile(of)
-    fn env -> Value.unary(operator, of.(env)) end
+  defp compile_tree({:unary, operator, of}) do
+    of = compile_tree(of)
+    fn env -> Value.apply_unary(operator, of.(env)) end
   end
 
   # The right operand is evaluated only if it matters.
-  defp compile({:binary, "and", left, right}) do
-    {left, right} = {compile(left), compile(right)}
+  defp compile_tree({:binary, "and", left, right}) do
+    {left, right} = {compile_tree(left), compile_tree(right)}
     fn env -> left.(env) == true and right.(env) == true end
   end
 
-  defp compile({:binary, "or", left, right}) do
-    {left, right} = {compile(left), compile(right)}
+  defp compile_tree({:binary, "or", left, right}) do
+    {left, right} = {compile_tree(left), compile_tree(right)}
     fn env -> left.(env) == true or right.(env) == true end
   end
 
-  defp compile({:binary, operator, left, right}) do
-    {left, right} = {compile(left), compile(right)}
-    fn env -> Value.binary(operator, left.(env), right.(env)) end
+  defp compile_tree({:binary, operator, left, right}) do
+    {left, right} = {compile_tree(left), compile_tree(right)}
+    fn env -> Value.apply_binary(operator, left.(env), right.(env)) end
   end
 
   # In a query, the argument is the name of a stream and not its value.
-  defp compile({:call, name, [{:name, stream}]}) when name in ["latency", "age"] do
+  defp compile_tree({:call, name, [{:name, stream}]}) when name in ["latency", "age"] do
     key = "#{name}(#{stream})"
     fn env -> Map.get(env, key) end
   end
 
-  defp compile({:call, name, arguments}) do
-    arguments = Enum.map(arguments, &compile/1)
+  defp compile_tree({:call, name, arguments}) do
+    arguments = Enum.map(arguments, &compile_tree/1)
     fn env -> Functions.call(name, Enum.map(arguments, & &1.(env))) end
   end
 end

@@ -53,10 +53,10 @@ defmodule Situ.Query do
           {:ok, found()} | {:error, Error.t()}
   def run(%OpenSession{} = session, expression, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {:ok, expression} <- parsed(expression),
-         {:ok, streams} <- streams(session, Expression.names(expression), opts) do
+         {:ok, expression} <- ensure_parsed(expression),
+         {:ok, streams} <- open_streams(session, Expression.names(expression), opts) do
       deadline = System.monotonic_time(:millisecond) + opts[:timeout]
-      search(streams, expression, opts, deadline)
+      search_intervals(streams, expression, opts, deadline)
     end
   rescue
     error in Error -> {:error, error}
@@ -68,21 +68,21 @@ defmodule Situ.Query do
        )}
   end
 
-  defp parsed(%Expression{} = expression), do: {:ok, expression}
-  defp parsed(text), do: Expression.parse(text)
+  defp ensure_parsed(%Expression{} = expression), do: {:ok, expression}
+  defp ensure_parsed(text), do: Expression.parse(text)
 
-  defp streams(_session, [], _opts) do
+  defp open_streams(_session, [], _opts) do
     {:error,
      Error.new(:constant, "the expression does not contain a stream",
        fix: "use one, such as `Room.Level` (with backticks if the name contains dots)"
      )}
   end
 
-  defp streams(session, names, opts) do
+  defp open_streams(session, names, opts) do
     Enum.reduce_while(names, {:ok, []}, fn name, {:ok, streams} ->
-      with {:ok, {_, store, stream}} <- OpenSession.find(session, name),
+      with {:ok, {_, store, stream}} <- OpenSession.fetch_stream(session, name),
            {:ok, info} <- Store.stream_info(store, stream),
-           {:ok, events} <- events(store, info, opts) do
+           {:ok, events} <- stream_events(store, info, opts) do
         {:cont, {:ok, [{name, events} | streams]}}
       else
         {:error, error} -> {:halt, {:error, error}}
@@ -91,17 +91,21 @@ defmodule Situ.Query do
   end
 
   # `{time, value, latency}` of messages, or of the starts and ends of annotations.
-  defp events(store, info, opts) do
-    if Recording.annotations?(store, info) do
-      with {:ok, annotations} <- Recording.annotations(store, info), do: {:ok, edges(annotations)}
+  defp stream_events(store, info, opts) do
+    if Recording.annotation_stream?(store, info) do
+      with {:ok, annotations} <- Recording.read_annotations(store, info),
+           do: {:ok, annotation_edges(annotations)}
     else
       # The message that is current at the beginning of the span may be before it.
       reading = Keyword.take(opts, [:to])
 
       before =
         case opts[:from] && Store.latest_at(store, info, opts[:from]) do
-          {:ok, %{} = message} -> [{message.originating_time, message.data, latency(message)}]
-          _ -> []
+          {:ok, %{} = message} ->
+            [{message.originating_time, message.data, message_latency(message)}]
+
+          _ ->
+            []
         end
 
       reading = if opts[:from], do: [{:from, opts[:from] + 1} | reading], else: reading
@@ -109,15 +113,15 @@ defmodule Situ.Query do
       messages =
         store
         |> Store.messages(info, reading)
-        |> Stream.map(&{&1.originating_time, &1.data, latency(&1)})
+        |> Stream.map(&{&1.originating_time, &1.data, message_latency(&1)})
 
       {:ok, Stream.concat(before, messages)}
     end
   end
 
-  defp latency(message), do: message.creation_time - message.originating_time
+  defp message_latency(message), do: message.creation_time - message.originating_time
 
-  defp edges(annotations) do
+  defp annotation_edges(annotations) do
     begins = for a <- annotations, do: {a.from, 1, a}
     ends = for a <- annotations, do: {a.to, 0, a}
 
@@ -133,26 +137,29 @@ defmodule Situ.Query do
   end
 
   # Evaluates the expression after all changes at one time were applied.
-  defp search(streams, expression, opts, deadline) do
+  defp search_intervals(streams, expression, opts, deadline) do
     state = %{env: %{}, since: %{}, open: nil, found: [], count: 0, last: nil, opts: opts, n: 0}
 
     state =
       streams
-      |> Merge.events(opts[:hold])
+      |> Merge.merge_events(opts[:hold])
       |> Enum.reduce_while(state, fn {time, changes}, state ->
         if rem(state.n, 1_024) == 0 and System.monotonic_time(:millisecond) > deadline,
           do: throw(:late)
 
-        state = at(%{state | n: state.n + 1}, time, changes, expression)
+        state = apply_changes(%{state | n: state.n + 1}, time, changes, expression)
         if state.count > opts[:limit], do: {:halt, state}, else: {:cont, state}
       end)
 
-    closed = if state.open, do: add(state, {state.open, state.last}), else: state
-    intervals = closed.found |> Enum.reverse() |> long(opts[:least]) |> Enum.take(opts[:limit])
+    closed = if state.open, do: add_interval(state, {state.open, state.last}), else: state
+
+    intervals =
+      closed.found |> Enum.reverse() |> drop_short(opts[:least]) |> Enum.take(opts[:limit])
+
     {:ok, %{intervals: intervals, truncated?: state.count > opts[:limit]}}
   end
 
-  defp at(state, time, changes, expression) do
+  defp apply_changes(state, time, changes, expression) do
     {env, since} =
       Enum.reduce(changes, {state.env, state.since}, fn
         {name, :expired}, {env, since} ->
@@ -161,7 +168,7 @@ defmodule Situ.Query do
         {name, {value, latency}}, {env, since} ->
           env =
             env
-            |> Map.put(name, Expression.Value.plain(value))
+            |> Map.put(name, Expression.Value.to_plain(value))
             |> Map.put("latency(#{name})", latency)
 
           {env, Map.put(since, name, time)}
@@ -169,35 +176,36 @@ defmodule Situ.Query do
 
     ages = for {name, at} <- since, into: env, do: {"age(#{name})", time - at}
     state = %{state | env: env, since: since, last: time}
-    true? = Expression.eval(expression, ages) == true and inside?(time, state.opts)
+    true? = Expression.eval(expression, ages) == true and within_span?(time, state.opts)
 
     case {state.open, true?} do
       {nil, true} -> %{state | open: max(time, state.opts[:from] || time)}
-      {open, false} when open != nil -> add(%{state | open: nil}, {open, time})
+      {open, false} when open != nil -> add_interval(%{state | open: nil}, {open, time})
       _ -> state
     end
   end
 
   # Messages before the span count from its beginning, so only its end is checked here.
-  defp inside?(time, opts), do: opts[:to] == nil or time <= opts[:to]
+  defp within_span?(time, opts), do: opts[:to] == nil or time <= opts[:to]
 
-  defp add(state, {from, to}) do
+  defp add_interval(state, {from, to}) do
     case state.found do
       [{before, ended} | rest] when from - ended <= 0 -> %{state | found: [{before, to} | rest]}
-      [{before, ended} | rest] -> joined(state, {before, ended}, rest, {from, to})
+      [{before, ended} | rest] -> join_or_append(state, {before, ended}, rest, {from, to})
       [] -> %{state | found: [{from, to}], count: 1}
     end
   end
 
-  defp joined(state, {before, ended}, rest, {from, to}) do
+  defp join_or_append(state, {before, ended}, rest, {from, to}) do
     if from - ended <= state.opts[:join],
       do: %{state | found: [{before, to} | rest]},
       else: %{state | found: [{from, to}, {before, ended} | rest], count: state.count + 1}
   end
 
-  defp long(intervals, least), do: Enum.filter(intervals, fn {from, to} -> to - from >= least end)
+  defp drop_short(intervals, least),
+    do: Enum.filter(intervals, fn {from, to} -> to - from >= least end)
 
-  @doc "Converts the intervals to annotations of one track: proposals, for `Situ.Annotation.Edit.propose/2`."
+  @doc "Converts the intervals to annotations of one track: proposals, for `Situ.Annotation.Edit.add_proposals/2`."
   @spec annotations(found(), String.t(), map(), keyword()) :: [Annotation.t()]
   def annotations(%{intervals: intervals}, track, values \\ %{}, more \\ []) do
     for {from, to} <- intervals,

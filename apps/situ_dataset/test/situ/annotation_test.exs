@@ -8,7 +8,7 @@ defmodule Situ.AnnotationTest do
   defp annotation({from, length, track}), do: Annotation.new(from, from + length, track)
   defp spans, do: list({integer(-50, 50), integer(0, 20), one_of(["A", "B"])})
 
-  property "overlap has no order, and is a shared stretch, a common end, or a point within" do
+  property "overlap is symmetric: a shared interval, a common end, or an inner point" do
     span = {integer(-20, 20), integer(0, 10), one_of(["A"])}
 
     forall {a, b} <- {span, span} do
@@ -22,10 +22,10 @@ defmodule Situ.AnnotationTest do
     end
   end
 
-  property "messages stand at the ends, each once, in order" do
+  property "groups annotations into one message for each end, in order" do
     forall spans <- spans() do
       annotations = spans |> Enum.map(&annotation/1) |> Enum.uniq_by(&{&1.to, &1.track})
-      messages = Annotation.messages(annotations)
+      messages = Annotation.to_messages(annotations)
       times = Enum.map(messages, & &1.originating_time)
       assert times == Enum.uniq(Enum.sort(times))
       assert Enum.flat_map(messages, & &1.data) |> Enum.sort() == Enum.sort(annotations)
@@ -33,7 +33,7 @@ defmodule Situ.AnnotationTest do
     end
   end
 
-  property "JSON gives back what it was given" do
+  property "decodes annotations from JSON as they were encoded" do
     more = {one_of([nil, "ada"]), one_of([nil, 0.5]), one_of([nil, "note"]), boolean()}
 
     forall {span, {by, confidence, note, proposed?}} <-
@@ -52,16 +52,16 @@ defmodule Situ.AnnotationTest do
     end
   end
 
-  test "what is no annotation is refused with the reason" do
+  test "rejects an invalid annotation with the reason" do
     whole = %{"from" => 0, "to" => 1, "track" => "A"}
 
     for {change, why} <- [
           {%{"from" => 2}, "before it begins"},
-          {%{"from" => "0"}, "nanoseconds"},
+          {%{"from" => "0"}, "integer (ns)"},
           {%{"track" => ""}, "no name"},
-          {%{"confidence" => 2}, "0.0 to 1.0"},
+          {%{"confidence" => 2}, "between 0.0 and 1.0"},
           {%{"values" => [1]}, "names"},
-          {%{"note" => 5}, "no text"},
+          {%{"note" => 5}, "not a string"},
           {%{"proposed" => "yes"}, "boolean"}
         ] do
       assert {:error, %{code: :bad_annotation} = error} =

@@ -13,9 +13,9 @@ defmodule Situ.DatasetTest do
   @moduletag :tmp_dir
   @s 1_000_000_000
 
-  test "what is saved opens as it was, also when its folder has moved", %{tmp_dir: root} do
+  test "opens a saved dataset unchanged, even if its folder was moved", %{tmp_dir: root} do
     dataset = dataset(Path.join(root, "here"), 3)
-    {:ok, dataset} = Dataset.put(dataset, metadata: %{"lab" => "A", "n" => 3}, tags: ["x"])
+    {:ok, dataset} = Dataset.put_fields(dataset, metadata: %{"lab" => "A", "n" => 3}, tags: ["x"])
 
     {:ok, dataset} =
       Dataset.update_session(
@@ -34,19 +34,19 @@ defmodule Situ.DatasetTest do
     {:ok, moved} = Dataset.open(Path.join(root, "there/study.json"))
     assert Dataset.troubles(moved) == []
     assert Dataset.summary(moved).messages == 30
-    assert Enum.map(Dataset.select(moved, tags: ["pilot"]), & &1.name) == ["p2"]
-    assert Enum.map(Dataset.select(moved, name: "p[13]"), & &1.name) == []
-    assert Enum.map(Dataset.select(moved, name: "?2"), & &1.name) == ["p2"]
+    assert Enum.map(Dataset.select_sessions(moved, tags: ["pilot"]), & &1.name) == ["p2"]
+    assert Enum.map(Dataset.select_sessions(moved, name: "p[13]"), & &1.name) == []
+    assert Enum.map(Dataset.select_sessions(moved, name: "?2"), & &1.name) == ["p2"]
   end
 
-  test "spans are coverages, sizes and counts are sums", %{tmp_dir: root} do
+  test "summarizes intervals by coverage, and sizes and counts by sum", %{tmp_dir: root} do
     dataset = dataset(root, 2)
     summary = Dataset.summary(dataset)
     assert summary.originating == Interval.closed(100 * @s, 209 * @s)
     assert summary.creation == Interval.closed(100 * @s + 1_000, 209 * @s + 1_000)
     assert {summary.streams, summary.messages, summary.unknown} == {2, 20, 0}
     assert summary.size > 0
-    assert [{"p1", one}, {"p2", _}] = Dataset.summaries(dataset)
+    assert [{"p1", one}, {"p2", _}] = Dataset.session_summaries(dataset)
     assert Summary.duration(one) == 9 * @s
     {:ok, empty} = Dataset.new()
     assert Interval.empty?(Dataset.summary(empty).originating)
@@ -61,9 +61,9 @@ defmodule Situ.DatasetTest do
     {:ok, other} = Dataset.new("Other")
     {:ok, other} = Dataset.add_session(other, "q")
     {:ok, other} = Dataset.add_session(other, "p2")
-    assert {:error, %{code: :duplicate_name}} = Dataset.append(dataset, other)
+    assert {:error, %{code: :duplicate_name}} = Dataset.append_sessions(dataset, other)
     {:ok, other} = Dataset.remove_session(other, "p2")
-    {:ok, both} = Dataset.append(dataset, other)
+    {:ok, both} = Dataset.append_sessions(dataset, other)
     assert Enum.map(both.sessions, & &1.name) == ["p1", "p2", "q"]
     assert {:error, %{code: :no_session, fix: fix}} = Dataset.session(both, "p3")
     assert fix =~ "p1" or fix =~ "p2"
@@ -72,7 +72,7 @@ defmodule Situ.DatasetTest do
         do: assert({:error, %{code: :bad_name}} = Dataset.rename_session(both, "q", bad))
   end
 
-  test "partitions are added, renamed, removed; recordings stay", %{tmp_dir: root} do
+  test "adds, renames and removes partitions, and keeps recordings", %{tmp_dir: root} do
     dataset = dataset(root, 1)
     room = Path.join(root, "p1/room.0000")
     assert {:error, %{code: :duplicate_name}} = Dataset.add_partition(dataset, "p1", "Room", room)
@@ -84,12 +84,12 @@ defmodule Situ.DatasetTest do
     assert {:error, %{code: :duplicate_name}} =
              Dataset.update_session(dataset, "p1", &Session.rename_partition(&1, "B", "Room"))
 
-    {:ok, dataset} = Dataset.update_session(dataset, "p1", &Session.remove(&1, "Room"))
+    {:ok, dataset} = Dataset.update_session(dataset, "p1", &Session.remove_partition(&1, "Room"))
     assert [%{partitions: [%{name: "B"}]}] = dataset.sessions
     assert Situ.Store.exists?(room)
   end
 
-  test "autosave has every edit on disk; a full or forbidden disk leaves the file as it was",
+  test "autosaves every edit, and keeps the old file if writing fails",
        ctx do
     file = Path.join(ctx.tmp_dir, "a/study.json")
     {:ok, dataset} = Dataset.new("S", file: file, autosave: true)
@@ -97,7 +97,7 @@ defmodule Situ.DatasetTest do
     {:ok, %{sessions: [%{name: "one"}]}} = Dataset.load(file)
     assert {:error, %{code: :no_file}} = Dataset.new("S", autosave: true)
 
-    # A folder where the file is to go cannot be replaced by a file.
+    # A file cannot replace a folder of the same name.
     File.rm!(file)
     File.mkdir_p!(Path.join(file, "x"))
     assert {:error, %{code: :not_saved, why: why}} = Dataset.add_session(dataset, "two")
@@ -105,7 +105,7 @@ defmodule Situ.DatasetTest do
     assert File.ls!(Path.dirname(file)) == ["study.json"]
   end
 
-  test "a missing and a damaged recording are told, the others are read", %{tmp_dir: root} do
+  test "reports missing and damaged recordings, and reads the others", %{tmp_dir: root} do
     dataset = dataset(root, 3)
     File.rm_rf!(Path.join(root, "p1/room.0000"))
     data = Path.join(root, "p2/room.0000/data-000000.situ")
@@ -117,11 +117,11 @@ defmodule Situ.DatasetTest do
     assert Session.troubles(session) == []
   end
 
-  test "a sealed dataset notices a changed recording", %{tmp_dir: root} do
+  test "a sealed dataset detects a changed recording", %{tmp_dir: root} do
     {:ok, dataset} = root |> dataset(1) |> Dataset.seal(progress: &send(self(), {&1, &2}))
     assert_received {1, 1}
     [%{partitions: [partition]}] = dataset.sessions
-    assert :ok = Partition.check(partition)
+    assert :ok = Partition.check_recording(partition)
 
     {:ok, device} =
       :file.open(Path.join(partition.path, "data-000000.situ"), [:read, :write, :raw])
@@ -136,7 +136,7 @@ defmodule Situ.DatasetTest do
              Situ.Dataset.Checksum.verify(partition.path, partition.checksum)
   end
 
-  test "a folder of recordings is a dataset, foreign files among them", %{tmp_dir: root} do
+  test "opens a folder of recordings, including external files", %{tmp_dir: root} do
     record(root, "alone", %{"A" => ten(1)})
     record(Path.join(root, "p1/raw"), "room", %{"A" => ten(1)})
     record(Path.join(root, "p1/more"), "room", %{"A" => ten(1)})
@@ -155,13 +155,13 @@ defmodule Situ.DatasetTest do
     assert {:error, %{code: :not_found}} = Dataset.open(Path.join(root, "nothing"))
   end
 
-  test "a thousand sessions open and are listed without opening a recording", %{tmp_dir: root} do
+  test "opens and lists a thousand sessions without their recordings", %{tmp_dir: root} do
     {:ok, dataset} = Dataset.new("Big", file: Path.join(root, "big.json"))
 
     sessions =
       for i <- 1..1_000 do
         {:ok, s} =
-          Session.add(Session.new("s#{i}"), %Partition{
+          Session.add_partition(Session.new("s#{i}"), %Partition{
             name: "P",
             path: Path.join(root, "s#{i}/p.0000")
           })
@@ -174,11 +174,11 @@ defmodule Situ.DatasetTest do
     {:ok, again} = Dataset.open(dataset.file)
     {:reductions, later} = Process.info(self(), :reductions)
     assert length(again.sessions) == 1_000
-    # Some 6,000 reductions a session, or 5 us; looking at the disk would take more.
+    # A session takes about 6,000 reductions, or 5 us. Disk access would take more.
     assert later - before < 20_000_000
   end
 
-  test "subscribers are told of renamed sessions; a failing edit harms nobody" do
+  test "notifies subscribers of renamed sessions, and survives a failing edit" do
     {:ok, dataset} = Dataset.new("S")
     {:ok, dataset} = Dataset.add_session(dataset, "a")
     {:ok, server} = Dataset.Server.start_link(dataset: dataset)
@@ -188,6 +188,6 @@ defmodule Situ.DatasetTest do
     assert :dataset in changes and {:session, "b"} in changes
     assert {:error, %{code: :edit_failed}} = Dataset.Server.edit(server, fn _ -> raise "no" end)
     assert {:error, %{code: :edit_failed}} = Dataset.Server.edit(server, fn _ -> :what end)
-    assert [%{name: "b"}] = Dataset.Server.get(server).sessions
+    assert [%{name: "b"}] = Dataset.Server.get_dataset(server).sessions
   end
 end

@@ -5,7 +5,8 @@ defmodule Situ.ExpressionTest do
 
   doctest Situ.Expression
 
-  # A reference: trees of its own, evaluated by the rules of the guide, one by one, without the parser or the compiler.
+  # The reference evaluates its own trees by the rules of the guide, without the parser or the
+  # compiler.
   defp tree, do: sized(fn size -> tree(min(size, 12)) end)
 
   defp tree(0) do
@@ -118,7 +119,7 @@ defmodule Situ.ExpressionTest do
   defp function("contains", [a, b]) when is_list(a), do: Enum.any?(a, &(&1 == b))
   defp function(_, _), do: nil
 
-  property "the compiled form gives what the reference gives", numtests: 1_000 do
+  property "the compiled form returns the result of the reference", numtests: 1_000 do
     forall tree <- tree() do
       source = show(tree)
       {:ok, expression} = Expression.parse(source)
@@ -128,11 +129,11 @@ defmodule Situ.ExpressionTest do
     end
   end
 
-  property "no text raises, whatever it is", numtests: 500 do
+  property "parses any text without raising", numtests: 500 do
     forall text <-
              one_of([
                binary(),
-               text(),
+               ascii_text(),
                map(list(one_of(~w|( ) [ ] m . + - 1 'a' and not in , min `|)), &Enum.join/1)
              ]) do
       case Expression.parse(text) do
@@ -144,7 +145,7 @@ defmodule Situ.ExpressionTest do
     end
   end
 
-  property "no value raises", numtests: 300 do
+  property "evaluates any value without raising", numtests: 300 do
     sources =
       for s <- [
             "m.a[0] + 1",
@@ -170,7 +171,7 @@ defmodule Situ.ExpressionTest do
     end
   end
 
-  test "precedence, units, quotes" do
+  test "parses precedence, units and quotes" do
     for {source, value} <- [
           {"1 + 2 * 3", 7},
           {"(1 + 2) * 3", 9},
@@ -192,7 +193,7 @@ defmodule Situ.ExpressionTest do
         do: assert(Expression.eval(Expression.parse!(source), %{}) == value, source)
   end
 
-  test "structs, tuples and atoms of messages" do
+  test "reads structs, tuples and atoms of messages" do
     message = %Situ.Message{
       data: %{pose: {1.5, :walking}},
       originating_time: 5,
@@ -201,7 +202,7 @@ defmodule Situ.ExpressionTest do
     }
 
     eval = fn source ->
-      Expression.eval(Expression.parse!(source), Expression.of_message(message))
+      Expression.eval(Expression.parse!(source), Expression.message_env(message))
     end
 
     assert eval.("m.pose[0] * 2") == 3.0
@@ -211,19 +212,19 @@ defmodule Situ.ExpressionTest do
     assert eval.("m.an_atom_nobody_has_ever_made_here") == nil
   end
 
-  test "what is too long, too deep or makes no sense is refused with its place" do
+  test "rejects expressions that are too long, too deep or invalid, with the position" do
     for {source, why} <- [
           {"", "character 1"},
-          {"1 +", "the text ends"},
-          {"1 2", "does not belong"},
-          {"m.", "member"},
-          {"foo(1)", "no function"},
+          {"1 +", "the end of the expression"},
+          {"1 2", "unexpected 2"},
+          {"m.", "name of a field"},
+          {"foo(1)", "does not exist"},
           {"mim(1)", "did you mean min"},
           {"abs(1, 2)", "takes 1"},
-          {"'open", "no end"},
-          {"1km", "no unit"},
+          {"'open", "closing '"},
+          {"1km", "not a unit"},
           {"1e999", "too large"},
-          {"a & b", "means nothing"},
+          {"a & b", "unexpected character"},
           {String.duplicate("(", 200) <> "1" <> String.duplicate(")", 200), "nested"},
           {Enum.join(List.duplicate("1", 600), "+"), "more than 1000 parts"},
           {String.duplicate("1", 20_000), "longer"}
@@ -233,7 +234,7 @@ defmodule Situ.ExpressionTest do
     end
   end
 
-  test "numbers and texts do not grow without bound" do
+  test "limits the size of numbers and strings" do
     big = Enum.map_join(1..200, "*", fn _ -> "99999999999" end)
     assert Expression.eval(Expression.parse!(big), %{}) == nil
     text = String.duplicate("x", 600_000)

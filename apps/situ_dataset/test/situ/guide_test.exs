@@ -1,10 +1,11 @@
 defmodule Situ.Dataset.GuideTest do
-  # The Elixir blocks of the guide run, one after the other; a block that ends in `# => value` gives that value.
+  # Runs the Elixir blocks of the guide in order. A block that ends in `# => value` must return
+  # that value.
   use ExUnit.Case, async: true
 
   @guide Path.expand("../../../../docs/guides/a-study.md", __DIR__)
 
-  test "every block of the study runs and gives what it says" do
-    assert Situ.Test.Guide.run(@guide) > 8
+  test "runs every block of the study with the results it shows" do
+    assert Situ.Test.Guide.run_blocks(@guide) > 8
   end
 end

@@ -11,7 +11,7 @@ defmodule Situ.QueryTest do
   defp open(stores) do
     session =
       Enum.reduce(stores, Session.new("s"), fn {name, path}, session ->
-        {:ok, session} = Session.add(session, Partition.new(name, path))
+        {:ok, session} = Session.add_partition(session, Partition.new(name, path))
         session
       end)
 
@@ -24,7 +24,7 @@ defmodule Situ.QueryTest do
         for t <- Enum.sort(Enum.uniq(times)), do: {t, rem(t * 7, 5)}
       end)
 
-  # At every instant from the first message to the last, by looking at the latest messages.
+  # Evaluates the latest messages at every instant from the first message to the last.
   defp by_instants([], []), do: []
 
   defp by_instants(a, b) do
@@ -51,7 +51,7 @@ defmodule Situ.QueryTest do
   defp latest(items, t),
     do: items |> Enum.take_while(&(elem(&1, 0) <= t)) |> List.last({0, nil}) |> elem(1)
 
-  property "a query finds what looking at every instant finds",
+  property "finds the same intervals as an evaluation at every instant",
     numtests: 60,
     context: %{tmp_dir: root} do
     forall {a, b} <- {series(), series()} do
@@ -64,7 +64,7 @@ defmodule Situ.QueryTest do
     end
   end
 
-  test "spans, least lengths, joins, holds, limits", %{tmp_dir: root} do
+  test "applies minimum lengths, joins, holds and limits", %{tmp_dir: root} do
     on = fn t -> {t, true} end
     off = fn t -> {t, false} end
 
@@ -99,7 +99,7 @@ defmodule Situ.QueryTest do
     assert {:error, %{code: :bad_expression}} = Query.run(session, "vad and")
   end
 
-  test "annotations are maps of the tracks that have one", %{tmp_dir: root} do
+  test "reads annotations as maps of the tracks that have one", %{tmp_dir: root} do
     schema = Schema.finite("Speech", ["speaks", "laughs"])
     item = &Annotation.new(&1, &2, &3, %{"Speech" => &4})
 
@@ -122,7 +122,7 @@ defmodule Situ.QueryTest do
              Query.annotations(found, "Found", %{"Note" => "both"})
   end
 
-  test "a query that takes too long ends", %{tmp_dir: root} do
+  test "stops a query that takes too long", %{tmp_dir: root} do
     items = for i <- 1..50_000, do: {i, rem(i, 2)}
     session = open([{"R", Study.record(root, "r", %{"A" => items})}])
     assert {:error, %{code: :timeout}} = Query.run(session, "A == 1", timeout: 1)

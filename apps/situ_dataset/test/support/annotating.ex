@@ -1,6 +1,6 @@
 defmodule Situ.Annotation.Test.Annotating do
   @moduledoc false
-  # Annotations and edits to choose from.
+  # Generates annotations and edits for property tests.
   use Situ.Test.Property
   alias Situ.Annotation
   alias Situ.Annotation.{Edit, Layer, Schema}
@@ -20,7 +20,7 @@ defmodule Situ.Annotation.Test.Annotating do
     schema
   end
 
-  @doc "A layer made by trying these spans; those in the way of others are left out."
+  @doc "Builds a layer from these spans, skipping overlapping ones."
   def layer(spans) do
     {:ok, layer} = Layer.new(schema())
 
@@ -41,7 +41,7 @@ defmodule Situ.Annotation.Test.Annotating do
     )
   end
 
-  @doc "Edits as data, `{name, numbers ...}`; `run/2` makes one of a layer."
+  @doc "Generates edits as data, `{name, numbers ...}`, which `run/2` applies to a layer."
   def edits do
     list(
       one_of([
@@ -66,8 +66,8 @@ defmodule Situ.Annotation.Test.Annotating do
     do: Edit.move_edge(layer, id, edge, time, alone: alone?)
 
   def run({:value, id, value}, layer), do: Layer.set_value(layer, id, "Speech", value)
-  def run({:split, id, time}, layer), do: Edit.split(layer, id, time)
-  def run({:merge, a, b}, layer), do: Edit.merge(layer, a, b)
+  def run({:split, id, time}, layer), do: Edit.split_annotation(layer, id, time)
+  def run({:merge, a, b}, layer), do: Edit.merge_annotations(layer, a, b)
   def run({:rename, from, to}, layer), do: Edit.rename_track(layer, from, to)
 
   def run({:interval, id, from, length}, layer),

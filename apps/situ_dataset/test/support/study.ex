@@ -1,12 +1,12 @@
 defmodule Situ.Dataset.Test.Study do
   @moduledoc false
-  # Small recordings and datasets of them.
+  # Creates small recordings and datasets.
   alias Situ.{Message, Store}
   alias Situ.Dataset.{Partition, Session}
 
   @s 1_000_000_000
 
-  @doc "A store `root/name.NNNN`; `streams` is `%{\"Name\" => [{time, value}]}`. Returns its folder."
+  @doc "Writes `root/name.NNNN` from `%{\"Name\" => [{time, value}]}`, and returns its folder."
   def record(root, name, streams) do
     {:ok, writer} = Store.Writer.create(name, root)
 
@@ -36,16 +36,19 @@ defmodule Situ.Dataset.Test.Study do
   defp type([{_, value} | _]) when is_boolean(value), do: :boolean
   defp type(_), do: :any
 
-  @doc "Ten integers 0..9, one second apart, from `start` seconds on."
+  @doc "Returns the integers 0..9, one second apart, starting at `start` seconds."
   def ten(start), do: for(i <- 0..9, do: {(start + i) * @s, i})
 
-  @doc "`n` sessions p1..pn, each with a partition Room: its own second hundred of a stream Level."
+  @doc """
+  Creates `n` sessions p1..pn, each with a partition Room.
+  The stream Level of session pN starts at N * 100 s.
+  """
   def dataset(root, n) do
     {:ok, dataset} = Situ.Dataset.new("Study", file: Path.join(root, "study.json"))
 
     Enum.reduce(1..n, dataset, fn i, dataset ->
       path = record(Path.join(root, "p#{i}"), "room", %{"Level" => ten(i * 100)})
-      {:ok, session} = Session.add(Session.new("p#{i}"), Partition.new("Room", path))
+      {:ok, session} = Session.add_partition(Session.new("p#{i}"), Partition.new("Room", path))
       {:ok, dataset} = Situ.Dataset.add_session(dataset, session)
       dataset
     end)

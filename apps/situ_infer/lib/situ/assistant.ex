@@ -118,11 +118,13 @@ defmodule Situ.Assistant do
         name: "Interruption"
       )
 
-    chat = opts[:chat] && answers(dialogue.ask, stop, opts[:chat])
+    chat = opts[:chat] && build_chat(dialogue.ask, stop, opts[:chat])
 
-    spoken = speak(dialogue.said, opts, "Synthesizer")
+    spoken = synthesize_text(dialogue.said, opts, "Synthesizer")
 
-    player = Situ.via([in: spoken, stop: stop] ++ chatted(chat, opts), Player, name: "Player")
+    player =
+      Situ.via([in: spoken, stop: stop] ++ answer_input(chat, opts), Player, name: "Player")
+
     Pipeline.connect(player.speaking, ducker, :while)
 
     %{
@@ -140,7 +142,7 @@ defmodule Situ.Assistant do
 
   @system "You are a voice assistant. Answer in one or two short sentences of plain words, without lists or markup."
 
-  defp answers(questions, stop, opts) do
+  defp build_chat(questions, stop, opts) do
     opts = Keyword.merge([system: @system, failures: :emit], opts)
     chat = Situ.via([in: questions, cancel: stop], Situ.Chat, opts ++ [name: "Chat"])
     # Failures are spoken too, because nobody reads a log during a conversation.
@@ -151,12 +153,13 @@ defmodule Situ.Assistant do
     |> Situ.map(& &1.data, type: :string)
   end
 
-  defp chatted(nil, _opts), do: []
+  defp answer_input(nil, _opts), do: []
 
-  defp chatted(answers, opts), do: [answers: speak(answers, opts, "AnswerSynthesizer")]
+  defp answer_input(answers, opts),
+    do: [answers: synthesize_text(answers, opts, "AnswerSynthesizer")]
 
-  defp speak(text, opts, name),
-    do: Situ.via(text, SpeechSynthesizer, spoken(opts) ++ [name: name]).out
+  defp synthesize_text(text, opts, name),
+    do: Situ.via(text, SpeechSynthesizer, synthesizer_options(opts) ++ [name: name]).out
 
-  defp spoken(opts), do: Keyword.put(opts[:synthesizer], :stamp, :text)
+  defp synthesizer_options(opts), do: Keyword.put(opts[:synthesizer], :stamp, :text)
 end

@@ -100,43 +100,43 @@ defmodule Situ.Chat do
           {:ok, Answer.t()} | {:error, Error.t()}
   def ask(question, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, service} <- service(opts),
-         {:ok, turns} <- Memory.turns(question) do
+         {:ok, service} <- build_service(opts),
+         {:ok, turns} <- Memory.parse_turns(question) do
       {pid, ref} =
         Dialogue.start(
           self(),
           service,
-          system(opts[:system]) ++ turns,
+          system_turns(opts[:system]) ++ turns,
           opts[:tools],
           opts[:rounds]
         )
 
       monitor = Process.monitor(pid)
-      answer(ref, monitor)
+      await_answer(ref, monitor)
     end
   end
 
-  defp answer(ref, monitor) do
+  defp await_answer(ref, monitor) do
     receive do
       {:situ_chat, ^ref, {:done, result}} ->
         Process.demonitor(monitor, [:flush])
         result
 
       {:situ_chat, ^ref, _event} ->
-        answer(ref, monitor)
+        await_answer(ref, monitor)
 
       {:DOWN, ^monitor, _, _, reason} ->
         {:error, Error.new(:chat_failed, "the request process ended: #{inspect(reason)}")}
     end
   end
 
-  defp service(opts), do: Service.new(Keyword.take(opts, Keyword.keys(Service.schema())))
-  defp system(nil), do: []
-  defp system(text), do: [Turn.system(text)]
+  defp build_service(opts), do: Service.new(Keyword.take(opts, Keyword.keys(Service.schema())))
+  defp system_turns(nil), do: []
+  defp system_turns(text), do: [Turn.system(text)]
 
   @impl true
   def init(opts) do
-    with {:ok, service} <- service(opts) do
+    with {:ok, service} <- build_service(opts) do
       places = if opts[:concurrency] == 1, do: opts[:remember], else: 0
       {:ok, %__MODULE__{opts: Map.new(opts), service: service, memory: Memory.new(places)}}
     end
@@ -147,28 +147,28 @@ defmodule Situ.Chat do
 
   @impl true
   def handle_message(:in, %{data: question, originating_time: time}, _context, state) do
-    turns = Error.unwrap!(Memory.turns(question))
-    state |> add(turns, time) |> hold([])
+    turns = Error.unwrap!(Memory.parse_turns(question))
+    state |> add_job(turns, time) |> hold_or_resume([])
   end
 
   def handle_message(:cancel, _message, _context, state) do
     jobs =
       for job <- state.jobs do
         if job.pid, do: Process.exit(job.pid, :kill)
-        if job.done, do: job, else: %{job | pid: nil, done: {:ok, cancelled(job)}}
+        if job.done, do: job, else: %{job | pid: nil, done: {:ok, cancelled_answer(job)}}
       end
 
-    emit(%{state | jobs: jobs}, [])
+    emit_oldest(%{state | jobs: jobs}, [])
   end
 
-  defp cancelled(job),
+  defp cancelled_answer(job),
     do: %Answer{
       text: IO.iodata_to_binary(job.said),
       finish: :cancelled,
       tokens: %{read: 0, written: job.count}
     }
 
-  defp add(state, turns, time) do
+  defp add_job(state, turns, time) do
     job = %{
       ref: make_ref(),
       pid: nil,
@@ -180,10 +180,10 @@ defmodule Situ.Chat do
       done: nil
     }
 
-    start(%{state | jobs: state.jobs ++ [job]}, job)
+    start_job(%{state | jobs: state.jobs ++ [job]}, job)
   end
 
-  defp start(%{opts: %{budget: budget}, spent: spent} = state, job)
+  defp start_job(%{opts: %{budget: budget}, spent: spent} = state, job)
        when is_integer(budget) and spent >= budget do
     error =
       Error.new(:budget_spent, "#{spent} of #{budget} tokens are used; no more requests are sent",
@@ -194,25 +194,28 @@ defmodule Situ.Chat do
     state
   end
 
-  defp start(state, job) do
-    turns = system(state.opts.system) ++ Memory.with(state.memory, job.turns)
+  defp start_job(state, job) do
+    turns = system_turns(state.opts.system) ++ Memory.with_history(state.memory, job.turns)
     {pid, ref} = Dialogue.start(self(), state.service, turns, state.opts.tools, state.opts.rounds)
-    put(state, %{job | pid: pid}, ref)
+    replace_job(state, %{job | pid: pid}, ref)
   end
 
-  defp put(state, %{ref: old} = job, ref) do
+  defp replace_job(state, %{ref: old} = job, ref) do
     jobs = Enum.map(state.jobs, &if(&1.ref == old, do: %{job | ref: ref}, else: &1))
     %{state | jobs: jobs}
   end
 
   @impl true
   def handle_info({:situ_chat, ref, event}, _context, state),
-    do: state |> note(ref, event) |> emit([])
+    do: state |> update_job(ref, event) |> emit_oldest([])
 
   # The error is raised in a separate message, so that its handling does not discard other results.
   def handle_info({:situ_chat_failed, error}, _context, _state), do: raise(error)
-  def handle_info(:situ_chat_raised, _context, state), do: emit(%{state | raising?: false}, [])
-  def handle_info({:hold_ended, :in}, _context, state), do: hold(state, [])
+
+  def handle_info(:situ_chat_raised, _context, state),
+    do: emit_oldest(%{state | raising?: false}, [])
+
+  def handle_info({:hold_ended, :in}, _context, state), do: hold_or_resume(state, [])
 
   # The input is closed, so the component waits for the questions in flight, one event at a time.
   def handle_info({:continue, :wait}, _context, %{jobs: []} = state), do: {[], state}
@@ -222,7 +225,7 @@ defmodule Situ.Chat do
 
   def handle_info({:continue, :wait}, _context, state) do
     receive do
-      {:situ_chat, ref, event} -> state |> note(ref, event) |> emit([])
+      {:situ_chat, ref, event} -> state |> update_job(ref, event) |> emit_oldest([])
     after
       # Returns regularly so that the pipeline's own messages are handled.
       20 -> {[{:continue, :wait}], state}
@@ -232,7 +235,7 @@ defmodule Situ.Chat do
   def handle_info(_other, _context, state), do: {[], state}
 
   @impl true
-  def handle_closed(:in, _time, _context, state), do: emit(%{state | closing?: true}, [])
+  def handle_closed(:in, _time, _context, state), do: emit_oldest(%{state | closing?: true}, [])
   def handle_closed(:cancel, _time, _context, state), do: {[], state}
 
   @impl true
@@ -241,36 +244,36 @@ defmodule Situ.Chat do
     :ok
   end
 
-  defp note(state, ref, event) do
+  defp update_job(state, ref, event) do
     jobs =
       for job <- state.jobs,
-          do: if(job.ref == ref and job.done == nil, do: noted(job, event), else: job)
+          do: if(job.ref == ref and job.done == nil, do: add_job_event(job, event), else: job)
 
     %{state | jobs: jobs}
   end
 
-  defp noted(job, {:done, result}), do: %{job | done: result, pid: nil}
+  defp add_job_event(job, {:done, result}), do: %{job | done: result, pid: nil}
 
-  defp noted(job, {:text, text} = e),
+  defp add_job_event(job, {:text, text} = e),
     do: %{job | said: [job.said, text], count: job.count + 1, events: [e | job.events]}
 
-  defp noted(job, {:call, _} = event), do: %{job | events: [event | job.events]}
+  defp add_job_event(job, {:call, _} = event), do: %{job | events: [event | job.events]}
 
   # Only the oldest question emits; events of the others are kept until it has ended.
-  defp emit(%{raising?: true} = state, actions), do: hold(state, actions)
-  defp emit(%{jobs: []} = state, actions), do: hold(state, actions)
+  defp emit_oldest(%{raising?: true} = state, actions), do: hold_or_resume(state, actions)
+  defp emit_oldest(%{jobs: []} = state, actions), do: hold_or_resume(state, actions)
 
-  defp emit(%{jobs: [job | rest]} = state, actions) do
-    {actions, state} = speak(Enum.reverse(job.events), job.time, actions, state)
+  defp emit_oldest(%{jobs: [job | rest]} = state, actions) do
+    {actions, state} = emit_events(Enum.reverse(job.events), job.time, actions, state)
 
     case job.done do
-      nil -> hold(%{state | jobs: [%{job | events: []} | rest]}, actions)
-      {:ok, answer} -> answered(%{state | jobs: rest}, job, answer, actions)
-      {:error, error} -> failed(%{state | jobs: rest}, job, error, actions)
+      nil -> hold_or_resume(%{state | jobs: [%{job | events: []} | rest]}, actions)
+      {:ok, answer} -> emit_answer(%{state | jobs: rest}, job, answer, actions)
+      {:error, error} -> emit_failure(%{state | jobs: rest}, job, error, actions)
     end
   end
 
-  defp speak(events, time, actions, state) do
+  defp emit_events(events, time, actions, state) do
     Enum.reduce(events, {actions, state}, fn {kind, data}, {actions, state} ->
       output = if kind == :call, do: :calls, else: :text
       at = max(time, Map.get(state.times, output, time - 1) + 1)
@@ -278,29 +281,29 @@ defmodule Situ.Chat do
     end)
   end
 
-  defp answered(state, job, answer, actions) do
+  defp emit_answer(state, job, answer, actions) do
     spent = state.spent + answer.tokens.read + answer.tokens.written
-    memory = Memory.add(state.memory, job.turns, answer)
-    emit(%{state | spent: spent, memory: memory}, [{:out, job.time, answer} | actions])
+    memory = Memory.add_exchange(state.memory, job.turns, answer)
+    emit_oldest(%{state | spent: spent, memory: memory}, [{:out, job.time, answer} | actions])
   end
 
-  defp failed(%{opts: %{failures: :emit}} = state, job, error, actions),
-    do: emit(state, [{:failed, job.time, error} | actions])
+  defp emit_failure(%{opts: %{failures: :emit}} = state, job, error, actions),
+    do: emit_oldest(state, [{:failed, job.time, error} | actions])
 
-  defp failed(state, job, error, actions) do
+  defp emit_failure(state, job, error, actions) do
     meta = Map.put(error.meta, :originating_time, job.time)
     send(self(), {:situ_chat_failed, %{error | meta: meta}})
     send(self(), :situ_chat_raised)
-    hold(%{state | raising?: true}, actions)
+    hold_or_resume(%{state | raising?: true}, actions)
   end
 
   # At the limit, the input is held so that its producer waits.
-  defp hold(%{closing?: true, jobs: jobs, raising?: raising?} = state, actions) do
+  defp hold_or_resume(%{closing?: true, jobs: jobs, raising?: raising?} = state, actions) do
     waiting = if jobs != [] or raising?, do: [{:continue, :wait}], else: []
     {Enum.reverse(actions) ++ waiting, state}
   end
 
-  defp hold(%{jobs: jobs, opts: %{concurrency: most}} = state, actions) do
+  defp hold_or_resume(%{jobs: jobs, opts: %{concurrency: most}} = state, actions) do
     action = if length(jobs) >= most, do: {:hold, :in}, else: {:resume, :in}
     {Enum.reverse([action | actions]), state}
   end

@@ -44,11 +44,11 @@ defmodule Situ.Infer do
   Emits a `Situ.Infer.Voice` (probability of speech, and level) every 32 ms. Options: `Situ.Infer.VoiceActivity`.
   """
   @spec voice(Stream.t(), keyword()) :: Stream.t()
-  def voice(sound, opts \\ []), do: hear(sound, opts).voice
+  def voice(sound, opts \\ []), do: detect_voice(sound, opts).voice
 
   @doc "Emits whether somebody is speaking, every 32 ms with hysteresis. Options: `Situ.Infer.VoiceActivity`."
   @spec voice_activity(Stream.t(), keyword()) :: Stream.t()
-  def voice_activity(sound, opts \\ []), do: hear(sound, opts).speaking
+  def voice_activity(sound, opts \\ []), do: detect_voice(sound, opts).speaking
 
   @doc """
   Emits `%{face id => speaking?}` for every image, from the streams of mouths and of voices. Without audio (`nil`),
@@ -56,7 +56,7 @@ defmodule Situ.Infer do
   """
   @spec who_speaks(Stream.t(), Stream.t() | nil, keyword()) :: Stream.t()
   def who_speaks(mouths, voice, opts \\ []),
-    do: mouths |> beside(voice) |> Situ.via(ActiveSpeaker, opts)
+    do: mouths |> join_voice(voice) |> Situ.via(ActiveSpeaker, opts)
 
   @doc """
   Emits speech or not, and also ends speech when another face takes over without a pause. Options:
@@ -114,10 +114,11 @@ defmodule Situ.Infer do
   @spec punctuate(Stream.t(), keyword()) :: Stream.t()
   def punctuate(heard, opts \\ []), do: Situ.via(heard, Situ.Infer.Punctuator, opts)
 
-  defp beside(mouths, nil), do: Situ.map(mouths, &{&1, nil}, type: {:tuple, [mouths.type, :any]})
+  defp join_voice(mouths, nil),
+    do: Situ.map(mouths, &{&1, nil}, type: {:tuple, [mouths.type, :any]})
 
-  defp beside(mouths, voice),
+  defp join_voice(mouths, voice),
     do: Situ.join(mouths, voice, Situ.Reproducible.nearest(@near, or_default: nil))
 
-  defp hear(sound, opts), do: Situ.via(sound, VoiceActivity, opts)
+  defp detect_voice(sound, opts), do: Situ.via(sound, VoiceActivity, opts)
 end

@@ -1,14 +1,15 @@
-"""Rewrites the face models so that ONNX Runtime stays in its blocked layout (NCHWc), which is where its fast kernels are.
+"""Rewrites the face models so that ONNX Runtime stays in its blocked layout (NCHWc), which has the fast kernels.
 
     python3 blocked_layout.py IN.onnx OUT.onnx        # pip: onnx, numpy
 
-- PRelu has no kernel in that layout: 58 % of the face mesh's time went into it and into unpacking and packing around it. PRelu(x) =
-  a x + (1 - a) Relu(x), and a multiplication by channel is a depthwise 1x1 convolution.
-- Channels that are no multiple of 16, and the Pads that widen BlazeFace's shortcuts by 4 to 8 channels at a time, leave the layout
-  too. Trunk channels are filled up with zeros to multiples of 16; where a shortcut is still narrower, a convolution by the identity
-  widens it, and is added for free.
+- PRelu has no kernel in that layout. It took 58 % of the face mesh's time, including the layout conversions around it.
+  PRelu(x) = a x + (1 - a) Relu(x), and a multiplication per channel is a depthwise 1x1 convolution.
+- Channel numbers that are not multiples of 16, and the Pads that widen BlazeFace's shortcuts by 4 to 8 channels, leave
+  the layout as well. Trunk channels are padded with zeros to multiples of 16. If a shortcut is still narrower, a
+  convolution with the identity widens it, and ONNX Runtime fuses the following addition at no cost.
 
-The mathematics are the same; rounding differs. On random pictures no output changes by more than 1e-4 (pixels, logits).
+The result is mathematically the same, with different rounding. On random images, no output changes by more than 1e-4
+(pixels, logits).
 """
 import sys
 
@@ -19,39 +20,41 @@ from onnx import helper, numpy_helper
 BLOCK = 16
 
 
-def up(n):
+def round_up(n):
+    """Rounds a number of channels up to a multiple of the block size."""
     return -(-n // BLOCK) * BLOCK
 
 
-class Rewriter:
+class LayoutRewriter:
+    """Builds the rewritten graph node by node."""
     def __init__(self, model):
         self.model = model
         self.values = {i.name: numpy_helper.to_array(i) for i in model.graph.initializer}
-        self.inits = {}
+        self.constants = {}
         self.nodes = []
-        # Tensors whose channels were filled up: name -> true number of channels.
+        # Tensors whose channels were padded: name -> original number of channels.
         self.wide = {}
         self.consumers = {}
         for node in model.graph.node:
             for name in node.input:
                 self.consumers.setdefault(name, []).append(node)
 
-    def constant(self, name, array):
-        self.inits[name] = array.astype("f4")
+    def add_constant(self, name, array):
+        self.constants[name] = array.astype("f4")
         return name
 
-    def keep(self, node):
+    def add_node(self, node):
         self.nodes.append(node)
 
-    # A convolution may have more output channels when everything behind it can take them.
-    def widens(self, node):
+    def can_widen(self, node):
+        """Returns whether a node, and all nodes after it, accept additional channels."""
         if node.op_type in ("Transpose", "Reshape", "Concat", "Identity"):
             return False
         if node.op_type == "Conv":
             return True
-        return all(self.widens(c) for out in node.output for c in self.consumers.get(out, []))
+        return all(self.can_widen(c) for out in node.output for c in self.consumers.get(out, []))
 
-    def conv(self, node):
+    def rewrite_conv(self, node):
         attributes = {a.name: helper.get_attribute_value(a) for a in node.attribute}
         weight = self.values[node.input[1]]
         bias = self.values[node.input[2]] if len(node.input) > 2 else np.zeros(weight.shape[0])
@@ -59,63 +62,63 @@ class Rewriter:
         depthwise = group > 1
         wide_in = node.input[0] in self.wide
         consumers = self.consumers.get(out, [])
-        wide_out = wide_in if depthwise else all(self.widens(c) for c in consumers)
-        channels_out = up(weight.shape[0]) if wide_out else weight.shape[0]
-        channels_in = 1 if depthwise else (up(weight.shape[1]) if wide_in else weight.shape[1])
+        wide_out = wide_in if depthwise else all(self.can_widen(c) for c in consumers)
+        channels_out = round_up(weight.shape[0]) if wide_out else weight.shape[0]
+        channels_in = 1 if depthwise else (round_up(weight.shape[1]) if wide_in else weight.shape[1])
         filled = np.zeros((channels_out, channels_in) + weight.shape[2:])
         filled[: weight.shape[0], : weight.shape[1]] = weight
         attributes["group"] = channels_out if depthwise else 1
-        names = [self.constant(out + "_w", filled)]
-        names.append(self.constant(out + "_b", np.pad(bias, (0, channels_out - bias.shape[0]))))
+        names = [self.add_constant(out + "_w", filled)]
+        names.append(self.add_constant(out + "_b", np.pad(bias, (0, channels_out - bias.shape[0]))))
         if wide_out:
             self.wide[out] = weight.shape[0]
-        self.keep(helper.make_node("Conv", [node.input[0]] + names, [out], **attributes))
+        self.add_node(helper.make_node("Conv", [node.input[0]] + names, [out], **attributes))
 
-    # A Pad of channels at their end, of a tensor that is filled up: there may be room for them already.
-    def pad(self, node):
+    def rewrite_pad(self, node):
+        """Replaces a Pad at the end of the channels. A padded tensor may already have room for the new channels."""
         before = list(self.values[node.input[1]])
         (source, out) = node.input[0], node.output[0]
         if source not in self.wide or any(p for i, p in enumerate(before) if i != 5):
-            return self.keep(node)
+            return self.add_node(node)
         channels = self.wide[source]
         self.wide[out] = channels + int(before[5])
-        have, want = up(channels), up(self.wide[out])
+        have, want = round_up(channels), round_up(self.wide[out])
         if have == want:
-            return self.keep(helper.make_node("Identity", [source], [out]))
+            return self.add_node(helper.make_node("Identity", [source], [out]))
         identity = np.eye(want, have).reshape(want, have, 1, 1)
-        name = self.constant(out + "_w", identity)
-        self.keep(helper.make_node("Conv", [source, name], [out], kernel_shape=[1, 1]))
+        name = self.add_constant(out + "_w", identity)
+        self.add_node(helper.make_node("Conv", [source, name], [out], kernel_shape=[1, 1]))
 
-    def prelu(self, node):
+    def rewrite_prelu(self, node):
         (x, slope), out = node.input, node.output[0]
         a = self.values[slope].reshape(-1, 1, 1, 1)
         if x in self.wide:
-            a = np.pad(a, ((0, up(a.shape[0]) - a.shape[0]), (0, 0), (0, 0), (0, 0)))
+            a = np.pad(a, ((0, round_up(a.shape[0]) - a.shape[0]), (0, 0), (0, 0), (0, 0)))
             self.wide[out] = self.wide[x]
         shape = {"group": a.shape[0], "kernel_shape": [1, 1]}
-        above = self.constant(out + "_above_w", 1 - a)
-        line = self.constant(out + "_line_w", a)
-        self.keep(helper.make_node("Relu", [x], [out + "_relu"]))
-        self.keep(helper.make_node("Conv", [out + "_relu", above], [out + "_above"], **shape))
-        self.keep(helper.make_node("Conv", [x, line], [out + "_line"], **shape))
-        self.keep(helper.make_node("Add", [out + "_line", out + "_above"], [out]))
+        above = self.add_constant(out + "_above_w", 1 - a)
+        line = self.add_constant(out + "_line_w", a)
+        self.add_node(helper.make_node("Relu", [x], [out + "_relu"]))
+        self.add_node(helper.make_node("Conv", [out + "_relu", above], [out + "_above"], **shape))
+        self.add_node(helper.make_node("Conv", [x, line], [out + "_line"], **shape))
+        self.add_node(helper.make_node("Add", [out + "_line", out + "_above"], [out]))
 
-    def other(self, node):
+    def copy_node(self, node):
         wide = [self.wide[i] for i in node.input if i in self.wide]
         if wide:
             self.wide[node.output[0]] = wide[0]
-        self.keep(node)
+        self.add_node(node)
 
     def run(self):
-        rewrite = {"Conv": self.conv, "Pad": self.pad, "PRelu": self.prelu}
+        rewrite = {"Conv": self.rewrite_conv, "Pad": self.rewrite_pad, "PRelu": self.rewrite_prelu}
         graph = self.model.graph
         for node in graph.node:
-            rewrite.get(node.op_type, self.other)(node)
+            rewrite.get(node.op_type, self.copy_node)(node)
         del graph.node[:]
         graph.node.extend(self.nodes)
         used = {name for node in self.nodes for name in node.input}
-        kept = [i for i in graph.initializer if i.name in used and i.name not in self.inits]
-        made = [numpy_helper.from_array(v, k) for k, v in self.inits.items() if k in used]
+        kept = [i for i in graph.initializer if i.name in used and i.name not in self.constants]
+        made = [numpy_helper.from_array(v, k) for k, v in self.constants.items() if k in used]
         del graph.initializer[:]
         graph.initializer.extend(kept + made)
         del graph.value_info[:]
@@ -124,4 +127,4 @@ class Rewriter:
 
 
 if __name__ == "__main__":
-    onnx.save(Rewriter(onnx.load(sys.argv[1])).run(), sys.argv[2])
+    onnx.save(LayoutRewriter(onnx.load(sys.argv[1])).run(), sys.argv[2])

@@ -15,7 +15,7 @@ defmodule Situ.ChatTest do
     do: Chat.ask(question, [url: server.url] ++ opts ++ @model)
 
   describe "a question" do
-    test "is asked in the protocol's words, and the answer comes whole" do
+    test "follows the protocol and returns the complete response" do
       server = Server.start(fn _, _ -> Server.stream(["Hel", "lo ", "you"], usage: {12, 3}) end)
 
       assert {:ok, answer} =
@@ -41,7 +41,7 @@ defmodule Situ.ChatTest do
              }
     end
 
-    test "what follows a question mark in the URL stays behind the path" do
+    test "keeps the query string of the URL after the path" do
       server = Server.start(fn _, _ -> Server.stream(["Yes."]) end)
       azure = %{server | url: server.url <> "/deployments/small?api-version=2024-10-21"}
       assert {:ok, %{text: "Yes."}} = ask("Hi", azure)
@@ -51,7 +51,7 @@ defmodule Situ.ChatTest do
                "POST /v1/deployments/small/chat/completions?api-version=2024-10-21 HTTP/1.1"
     end
 
-    test "may show pictures" do
+    test "may include images" do
       server = Server.start(fn _, _ -> Server.stream(["A dot."]) end)
       picture = %Situ.EncodedImage{format: :png, data: <<1, 2, 3>>}
       assert {:ok, %{text: "A dot."}} = ask(Turn.user("Look", [picture]), server)
@@ -60,7 +60,7 @@ defmodule Situ.ChatTest do
       assert image["image_url"]["url"] == "data:image/png;base64,AQID"
     end
 
-    test "a service that does not stream answers, too" do
+    test "works with a service that does not stream" do
       body =
         Situ.JSON.encode(%{choices: [%{message: %{content: "Fine."}, finish_reason: "stop"}]})
 
@@ -89,7 +89,7 @@ defmodule Situ.ChatTest do
 
     defp timer(run), do: %Tool{name: "timer", about: "Rings.", run: run}
 
-    test "are called, and the model reads what they say" do
+    test "are called, and the model reads their results" do
       server =
         Server.start(fn _, n ->
           if n == 1, do: calling("timer", ~s({"minutes": 5})), else: Server.stream(["Done."])
@@ -104,7 +104,7 @@ defmodule Situ.ChatTest do
       assert result == %{"role" => "tool", "tool_call_id" => "c1", "content" => "rings in 5"}
     end
 
-    test "that fail, or are not there, say so to the model" do
+    test "that fail or are missing are reported to the model" do
       server =
         Server.start(fn _, n ->
           if n == 1, do: calling("timer", "five"), else: Server.stream(["Sorry."])
@@ -126,12 +126,12 @@ defmodule Situ.ChatTest do
       assert_receive {:request, 2,
                       %{
                         body: %{
-                          "messages" => [_, _, %{"content" => "error: there is no tool rocket"}]
+                          "messages" => [_, _, %{"content" => "error: unknown tool rocket"}]
                         }
                       }}
     end
 
-    test "called without end are an error, and without a function they end the answer" do
+    test "called endlessly are an error, and without a function they end the response" do
       server = Server.start(fn _, _ -> calling("timer", "{}") end)
 
       assert {:error, %{code: :too_many_calls}} =
@@ -143,7 +143,7 @@ defmodule Situ.ChatTest do
   end
 
   describe "keys" do
-    test "come from the environment and are nowhere else" do
+    test "come from the environment and appear nowhere else" do
       System.put_env("SITU_TEST_KEY_A", "sk-very-secret")
       server = Server.start(fn _, _ -> Server.refuse(401, "wrong key sk-very-secret") end)
 
@@ -167,7 +167,7 @@ defmodule Situ.ChatTest do
       refute inspect(error) =~ "sk-v"
     end
 
-    test "that are missing, broken, or would go in the open are errors" do
+    test "that are missing, broken or would be sent in the clear are errors" do
       server = Server.start(fn _, _ -> Server.stream(["no"]) end)
       assert {:error, %{code: :no_key}} = ask("Hi", server, key: "SITU_NO_SUCH_KEY")
       System.put_env("SITU_TEST_KEY_B", "sk\r\nHost: evil")
@@ -184,7 +184,7 @@ defmodule Situ.ChatTest do
   end
 
   describe "failures" do
-    test "before the first word are tried again, as the service asks" do
+    test "before the first word are retried as the service asks" do
       script = fn _, n ->
         case n do
           1 -> Server.refuse(429, "slow down", "Retry-After: 0\r\n")
@@ -202,7 +202,7 @@ defmodule Situ.ChatTest do
       for n <- 1..2, do: assert_receive({:request, ^n, _})
     end
 
-    test "after the first word are not, and say what was said" do
+    test "after the first word are not retried and contain the partial text" do
       server =
         Server.start(fn _, _ ->
           [Server.head(), Server.piece("Half an "), {:wait, :go}, :reset]
@@ -212,7 +212,7 @@ defmodule Situ.ChatTest do
       assert_receive {:waiting, 1, worker}
       send(worker, :go)
       assert {:error, %{code: :cut_off, meta: %{text: "Half an "}}} = Task.await(task, 30_000)
-      # Ended without the event that ends it, as when a proxy gave up.
+      # It ends without the event that ends a response, as when a proxy gives up.
       server =
         Server.start(fn _, _ -> [Server.head(), Server.piece("Half"), Server.chunk("")] end)
 
@@ -222,7 +222,7 @@ defmodule Situ.ChatTest do
       refute_received {:request, 2, _}
     end
 
-    test "a service that falls silent, and one that is not there" do
+    test "a silent service and a missing service are errors" do
       server = Server.start(fn _, _ -> [Server.head(), {:wait, :never}] end)
       assert {:error, %{code: :timeout}} = ask("Hi", server, idle_timeout: 50, retries: 1)
       assert_receive {:gone, 1}
@@ -236,7 +236,7 @@ defmodule Situ.ChatTest do
                Chat.ask("Hi", [url: "http://127.0.0.1:#{port}", retries: 0] ++ @model)
     end
 
-    test "another program, a page, an error in the stream, an answer without end" do
+    test "other programs, web pages, stream errors and endless responses are errors" do
       assert {:error, %{code: :bad_response}} =
                ask("Hi", Server.start(fn _, _ -> ["SSH-2.0-x\r\n"] end))
 
@@ -275,7 +275,7 @@ defmodule Situ.ChatTest do
     @here {:Extension, {2, 5, 29, 17}, false, [iPAddress: <<127, 0, 0, 1>>]}
 
     @tag :tmp_dir
-    test "the service proves who it is", %{tmp_dir: dir} do
+    test "verifies the identity of the service", %{tmp_dir: dir} do
       %{server_config: server, client_config: client} =
         :public_key.pkix_test_data(%{
           server_chain: %{
@@ -296,7 +296,7 @@ defmodule Situ.ChatTest do
       server = Server.start(fn _, _ -> Server.stream(["Safe."]) end, tls: server)
       named = %{server | url: String.replace(server.url, "127.0.0.1", "localhost")}
       assert {:ok, %{text: "Safe."}} = ask("Hi", server, cacertfile: file)
-      # Unknown to the system, and not of this name.
+      # The certificate is unknown to the system, and not for this name.
       assert {:error, %{code: :not_trusted}} = ask("Hi", server)
       assert {:error, %{code: :not_trusted}} = ask("Hi", named, cacertfile: file)
     end
@@ -333,7 +333,7 @@ defmodule Situ.ChatTest do
       end
     end
 
-    test "pieces come as messages, and what was said before is remembered" do
+    test "emits chunks as messages and remembers the conversation" do
       server =
         Server.start(fn %{body: %{"messages" => turns}}, _ ->
           Server.stream(["I ", "heard #{length(turns)}"])
@@ -355,8 +355,8 @@ defmodule Situ.ChatTest do
              ]
     end
 
-    test "several are asked at once, and answered in order" do
-      # The first waits until the third was asked.
+    test "sends several requests in parallel and keeps their order" do
+      # The first request waits until the third one was sent.
       me = self()
 
       script = fn %{body: %{"messages" => [%{"content" => text}]}}, _ ->
@@ -396,7 +396,7 @@ defmodule Situ.ChatTest do
       assert for({:out, t, _} <- got, do: t) == [0]
     end
 
-    test "the budget is kept" do
+    test "keeps the budget" do
       server = Server.start(fn _, _ -> Server.stream(["x"], usage: {40, 20}) end)
       {{:ok, _}, got} = chat(["a", "b", "c", "d"], server, budget: 100, failures: :emit)
 
@@ -404,7 +404,7 @@ defmodule Situ.ChatTest do
       assert for({:failed, t, %{code: :budget_spent}} <- got, do: t) == [2_000, 3_000]
     end
 
-    test "cancelled, the service is hung up on, and what was said is the answer" do
+    test "cancelling disconnects from the service and returns the partial text" do
       me = self()
 
       server =
@@ -426,7 +426,7 @@ defmodule Situ.ChatTest do
       ask.("Tell me a tale")
       assert_receive {:text, "Once "}
       assert_receive {:text, "upon"}
-      # The next question waits in front of the component; the cancel passes it.
+      # The next question is queued in front of the component; the cancel overtakes it.
       ask.("And another")
       cancel.(:stop)
       assert_receive {:out, %{text: "Once upon", finish: :cancelled}}

@@ -10,7 +10,7 @@ defmodule Situ.IntentTest do
 
   defp grammar(word), do: "#JSGF V1.0; grammar g; public <a> = #{word} {intent=#{word}};"
 
-  test "a grammar is changed while it runs" do
+  test "a grammar can be changed while the component is running" do
     test =
       Situ.Test.start([:in, :options], fn streams ->
         Situ.via(Map.to_list(streams), Detector, recognizer_options: [grammar: grammar("stop")])
@@ -28,7 +28,7 @@ defmodule Situ.IntentTest do
   defp said(text), do: %Utterance{text: text, from: 0, to: 1, confidence: 1.0}
 
   @tag :capture_log
-  test "a grammar that is none stops the pipeline before its first message" do
+  test "an invalid grammar stops the pipeline before its first message" do
     build = fn p ->
       texts = Situ.from_enumerable(p, ["hello"], every: 1)
       Situ.via([in: texts], Detector, recognizer_options: [grammar: "#JSGF"])
@@ -37,7 +37,7 @@ defmodule Situ.IntentTest do
     assert {:error, %{code: :bad_grammar}} = Situ.Pipeline.run(build)
   end
 
-  test "a language model finds intents, too" do
+  test "a language model finds intents" do
     call = fn name, arguments ->
       function = %{name: name, arguments: arguments}
       delta = %{tool_calls: [%{index: 0, id: "1", function: function}]}

@@ -1,9 +1,8 @@
 defmodule Situ.Infer.Test.ChatServer do
   @moduledoc false
-  # A real server on a real port, which answers as a function of the test says: `script.(request, n)` gives what is
-  # done, step by step, for the n-th request: bytes to send, `{:wait, message}` until the test says so, `:reset`,
-  # `:close`. Whoever started it gets `{:request, n, request}`, and `{:gone, n}` when a client hangs up while it
-  # waits.
+  # A real server on a real port that responds as the test's function says: `script.(request, n)` returns the steps
+  # for the n-th request: bytes to send, `{:wait, message}` to wait for the test, `:reset` or `:close`. The process
+  # that started it receives `{:request, n, request}`, and `{:gone, n}` when a client disconnects while it waits.
 
   def start(script, opts \\ []) do
     transport = if opts[:tls], do: :ssl, else: :gen_tcp
@@ -28,7 +27,7 @@ defmodule Situ.Infer.Test.ChatServer do
     }
   end
 
-  @doc "A whole answer, streamed: the pieces, each an event."
+  @doc "Builds a complete streamed response: the chunks, each as one event."
   def stream(pieces, opts \\ []) do
     events = for piece <- pieces, do: event(%{choices: [%{index: 0, delta: %{content: piece}}]})
     last = event(%{choices: [%{index: 0, delta: %{}, finish_reason: opts[:finish] || "stop"}]})
@@ -49,7 +48,7 @@ defmodule Situ.Infer.Test.ChatServer do
     ["HTTP/1.1 #{status} No\r\n#{headers}Content-Length: #{byte_size(body)}\r\n\r\n" <> body]
   end
 
-  @doc "A whole answer of this type."
+  @doc "Builds a complete response of this type."
   def answer(type, body) do
     head =
       "HTTP/1.1 200 OK\r\nContent-Type: #{type}\r\nContent-Length: #{byte_size(body)}\r\n\r\n"
@@ -118,7 +117,7 @@ defmodule Situ.Infer.Test.ChatServer do
     end
   end
 
-  # A body that is not JSON (sound, pictures, forms) stays as it is.
+  # A body that is not JSON (audio, images, forms) is not changed.
   defp content(""), do: nil
 
   defp content(body) do

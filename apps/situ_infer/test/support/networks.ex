@@ -1,10 +1,10 @@
 defmodule Situ.Infer.Test.Networks do
   @moduledoc false
-  # Networks that tests write themselves: small, real, and with results one can work out.
+  # Networks that tests write themselves: small, real, and with results that can be computed by hand.
   alias Situ.Infer.Onnx
   alias Situ.Tensor
 
-  @doc "The mean of red, green and blue as the scores of three classes."
+  @doc "Returns the mean of red, green and blue as the scores of three classes."
   def colours(side) do
     Onnx.encode(
       inputs: [{"picture", :f32, {nil, 3, side, side}}],
@@ -16,7 +16,7 @@ defmodule Situ.Infer.Test.Networks do
     )
   end
 
-  @doc "Scores that are no numbers: zero divided by zero."
+  @doc "Returns scores that are not numbers: zero divided by zero."
   def undefined(side) do
     Onnx.encode(
       inputs: [{"picture", :f32, {nil, 3, side, side}}],
@@ -30,7 +30,7 @@ defmodule Situ.Infer.Test.Networks do
     )
   end
 
-  @doc "Three classes for each pixel: the brightest channel is the likeliest."
+  @doc "Returns three classes for each pixel: the brightest channel is the likeliest."
   def brightest(side) do
     Onnx.encode(
       inputs: [{"picture", :f32, {1, 3, side, side}}],
@@ -39,7 +39,7 @@ defmodule Situ.Infer.Test.Networks do
     )
   end
 
-  @doc "Finds the same whatever it sees: outputs by name, given as tensors."
+  @doc "Finds the same for every input: outputs by name, given as tensors."
   def finding(side, outputs) do
     Onnx.encode(
       inputs: [{"picture", :f32, {1, 3, side, side}}],
@@ -59,7 +59,7 @@ defmodule Situ.Infer.Test.Networks do
     )
   end
 
-  @doc "z = x + y, rows of `width`."
+  @doc "Computes z = x + y in rows of `width`."
   def adding(width) do
     port = &{&1, :f32, {nil, width}}
 
@@ -70,7 +70,7 @@ defmodule Situ.Infer.Test.Networks do
     )
   end
 
-  @doc "Written to a folder; its path."
+  @doc "Writes the network to a folder and returns its path."
   def write(bytes, dir, name \\ "network.onnx") do
     path = Path.join(dir, name)
     File.write!(path, bytes)

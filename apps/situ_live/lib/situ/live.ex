@@ -126,34 +126,34 @@ defmodule Situ.Live do
               "unknown options #{inspect(unknown)}; valid options: #{inspect(@known)}"
     end
 
-    start(opts, if(opts[:port] == 0, do: 5, else: 1))
+    start_server(opts, if(opts[:port] == 0, do: 5, else: 1))
   end
 
   # Another program may take the free port before the server listens on it.
-  defp start(opts, tries) do
-    with {:ok, config} <- config(opts),
+  defp start_server(opts, tries) do
+    with {:ok, config} <- build_config(opts),
          options = Keyword.take(opts, [:name]),
          {:error, %Error{code: :port_in_use}} when tries > 1 <-
-           started(Supervisor.start_link(__MODULE__, {config, opts[:tls]}, options)) do
-      start(opts, tries - 1)
+           unwrap_start_result(Supervisor.start_link(__MODULE__, {config, opts[:tls]}, options)) do
+      start_server(opts, tries - 1)
     end
   end
 
-  defp started({:error, {:shutdown, {:failed_to_start_child, _, %Error{} = error}}}),
+  defp unwrap_start_result({:error, {:shutdown, {:failed_to_start_child, _, %Error{} = error}}}),
     do: {:error, error}
 
-  defp started(result), do: result
+  defp unwrap_start_result(result), do: result
 
-  defp config(opts) do
+  defp build_config(opts) do
     ip = Keyword.get(opts, :ip, {127, 0, 0, 1})
-    loopback? = loopback?(ip)
+    loopback? = loopback_address?(ip)
 
-    with {:ok, port} <- port_of(opts, ip),
+    with {:ok, port} <- resolve_port(opts, ip),
          {:ok, public} <- Public.parse(opts[:public]),
          viewer = Keyword.get(opts, :viewer_token, :auto),
          {:ok, token} <-
-           token(Keyword.get(opts, :token, :auto), loopback? and not is_binary(viewer)),
-         {:ok, viewer} <- viewer(viewer, token) do
+           resolve_token(Keyword.get(opts, :token, :auto), loopback? and not is_binary(viewer)),
+         {:ok, viewer} <- resolve_viewer_token(viewer, token) do
       {:ok,
        %Endpoint{
          ref: make_ref(),
@@ -164,10 +164,10 @@ defmodule Situ.Live do
          scheme: if(opts[:tls], do: "https", else: "http"),
          token: token,
          viewer: viewer,
-         hosts: hosts(opts[:hosts], loopback?, public),
+         hosts: allowed_hosts(opts[:hosts], loopback?, public),
          public: public,
          layout: opts[:layout],
-         origins: (opts[:origins] || []) ++ Public.origins(public),
+         origins: (opts[:origins] || []) ++ Public.allowed_origins(public),
          images: opts[:images] || [],
          headers: @security_headers ++ (opts[:headers] || []),
          max_body: opts[:max_body] || 1_000_000,
@@ -179,11 +179,13 @@ defmodule Situ.Live do
     end
   end
 
-  defp hosts(nil, false, _), do: :any
-  defp hosts(:any, _, _), do: :any
-  defp hosts(names, _, public), do: (names || @loopback_names) ++ Public.hosts(public)
+  defp allowed_hosts(nil, false, _), do: :any
+  defp allowed_hosts(:any, _, _), do: :any
 
-  defp port_of(opts, ip) do
+  defp allowed_hosts(names, _, public),
+    do: (names || @loopback_names) ++ Public.allowed_hosts(public)
+
+  defp resolve_port(opts, ip) do
     case Keyword.get(opts, :port, 4040) do
       0 -> Yaws.free_port(ip)
       port when port in 1..65_535 -> {:ok, port}
@@ -191,19 +193,19 @@ defmodule Situ.Live do
     end
   end
 
-  defp loopback?({127, _, _, _}), do: true
-  defp loopback?({0, 0, 0, 0, 0, 0, 0, 1}), do: true
-  defp loopback?(_), do: false
+  defp loopback_address?({127, _, _, _}), do: true
+  defp loopback_address?({0, 0, 0, 0, 0, 0, 0, 1}), do: true
+  defp loopback_address?(_), do: false
 
-  defp token(:auto, true), do: {:ok, nil}
-  defp token(:none, true), do: {:ok, nil}
+  defp resolve_token(:auto, true), do: {:ok, nil}
+  defp resolve_token(:none, true), do: {:ok, nil}
 
-  defp token(:auto, false),
+  defp resolve_token(:auto, false),
     do: {:ok, Base.url_encode64(:crypto.strong_rand_bytes(18), padding: false)}
 
-  defp token(text, _) when is_binary(text) and byte_size(text) >= 8, do: {:ok, text}
+  defp resolve_token(text, _) when is_binary(text) and byte_size(text) >= 8, do: {:ok, text}
 
-  defp token(:none, false) do
+  defp resolve_token(:none, false) do
     {:error,
      Error.new(
        :token_required,
@@ -212,22 +214,22 @@ defmodule Situ.Live do
      )}
   end
 
-  defp token(text, _) when is_binary(text) do
+  defp resolve_token(text, _) when is_binary(text) do
     {:error, Error.new(:weak_token, "a token must have at least 8 characters")}
   end
 
-  defp viewer(_, nil), do: {:ok, nil}
-  defp viewer(:none, _token), do: {:ok, nil}
-  defp viewer(:auto, _token), do: token(:auto, false)
+  defp resolve_viewer_token(_, nil), do: {:ok, nil}
+  defp resolve_viewer_token(:none, _token), do: {:ok, nil}
+  defp resolve_viewer_token(:auto, _token), do: resolve_token(:auto, false)
 
-  defp viewer(same, same) do
+  defp resolve_viewer_token(same, same) do
     {:error,
      Error.new(:weak_token, "the viewer token is the same as the owner's token",
        fix: "give different values for token: and viewer_token:"
      )}
   end
 
-  defp viewer(text, _token), do: token(text, false)
+  defp resolve_viewer_token(text, _token), do: resolve_token(text, false)
 
   @impl true
   def init({config, tls}) do
@@ -243,54 +245,54 @@ defmodule Situ.Live do
 
   @doc "Returns the port that a server listens on."
   @spec port(Supervisor.supervisor()) :: :inet.port_number()
-  def port(server), do: endpoint(server).port
+  def port(server), do: get_endpoint(server).port
 
   @doc "Returns the URL of a path, including the token if the server has one."
   @spec url(Supervisor.supervisor(), String.t()) :: String.t()
   def url(server, path \\ "/") do
-    config = endpoint(server)
-    address(config, path, config.token)
+    config = get_endpoint(server)
+    build_url(config, path, config.token)
   end
 
   @doc "Returns the view-only URL of a path, or `nil` if the server has no viewer token."
   @spec viewer_url(Supervisor.supervisor(), String.t()) :: String.t() | nil
   def viewer_url(server, path \\ "/") do
-    config = endpoint(server)
-    if config.viewer, do: address(config, path, config.viewer)
+    config = get_endpoint(server)
+    if config.viewer, do: build_url(config, path, config.viewer)
   end
 
   @doc "Returns the viewer token of the view's server, or `nil` if there is none."
   @spec viewer_token(Situ.Live.Socket.t()) :: String.t() | nil
   def viewer_token(%{endpoint: ref}) do
-    case Endpoint.fetch(ref) do
+    case Endpoint.fetch_config(ref) do
       {:ok, config} -> config.viewer
       :error -> nil
     end
   end
 
-  defp address(config, path, token) do
+  defp build_url(config, path, token) do
     query = if token, do: "?token=#{URI.encode_www_form(token)}", else: ""
-    own = "#{config.scheme}://#{host(config.ip)}:#{config.port}"
+    own = "#{config.scheme}://#{url_host(config.ip)}:#{config.port}"
     "#{if config.public, do: config.public.url, else: own}#{path}#{query}"
   end
 
-  defp host({127, 0, 0, 1}), do: "localhost"
-  defp host({0, 0, 0, 0, 0, 0, 0, 1}), do: "localhost"
+  defp url_host({127, 0, 0, 1}), do: "localhost"
+  defp url_host({0, 0, 0, 0, 0, 0, 0, 1}), do: "localhost"
 
   # A server on all interfaces expects remote visitors, so its URL contains this machine's host name.
-  defp host(any) when any in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}] do
+  defp url_host(any) when any in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}] do
     case :inet.gethostname() do
       {:ok, name} -> to_string(name)
     end
   end
 
-  defp host(ip) when tuple_size(ip) == 8, do: "[#{:inet.ntoa(ip)}]"
-  defp host(ip), do: "#{:inet.ntoa(ip)}"
+  defp url_host(ip) when tuple_size(ip) == 8, do: "[#{:inet.ntoa(ip)}]"
+  defp url_host(ip), do: "#{:inet.ntoa(ip)}"
 
   @doc false
-  def endpoint(server) do
+  def get_endpoint(server) do
     server
     |> Supervisor.which_children()
-    |> Enum.find_value(fn {id, pid, _, _} -> id == Listener && Listener.endpoint(pid) end)
+    |> Enum.find_value(fn {id, pid, _, _} -> id == Listener && Listener.get_endpoint(pid) end)
   end
 end

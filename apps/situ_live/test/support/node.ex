@@ -1,6 +1,6 @@
 defmodule Situ.Live.NodeTools do
   @moduledoc false
-  # Node with assets/node_modules and a bundle made once, for the tests with the unmodified JavaScript clients.
+  # Runs Node with assets/node_modules and a bundle built once, for the tests with the unmodified JavaScript clients.
 
   @assets Path.expand("../../assets", __DIR__)
 

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Raw do
   @moduledoc false
-  # HTTP and WebSocket by hand, so that tests can be as rude as they like.
+  # HTTP and WebSocket written by hand, so that tests can break any rule.
   import Bitwise
 
   def connect(port) do
@@ -8,7 +8,7 @@ defmodule Situ.Live.Raw do
     socket
   end
 
-  @doc "One request as text, the answer as `{status, headers, body}`."
+  @doc "Sends one request as text and returns the response as `{status, headers, body}`."
   def request(port, text) do
     socket = connect(port)
     :ok = :gen_tcp.send(socket, text)
@@ -34,7 +34,7 @@ defmodule Situ.Live.Raw do
       Enum.map_join(headers, fn {k, v} -> "#{k}: #{v}\r\n" end) <> "\r\n"
   end
 
-  @doc "All that comes up to a mark."
+  @doc "Returns all bytes up to a mark."
   def collect(port, text, mark) do
     socket = connect(port)
     :ok = :gen_tcp.send(socket, text)
@@ -43,10 +43,10 @@ defmodule Situ.Live.Raw do
     before <> mark
   end
 
-  # How long to wait for an expected answer, ms: a busy machine may be slow.
+  # How long to wait for an expected response in ms; a busy machine may be slow.
   @patience 30_000
 
-  @doc "`:closed` when the server says nothing and ends the connection, `:timeout` when it does neither."
+  @doc "Returns `:closed` if the server ends the connection without sending, `:timeout` if it does neither."
   def response(socket, method \\ "GET") do
     case until(socket, "\r\n\r\n", "") do
       {:ok, head, rest} ->
@@ -88,7 +88,7 @@ defmodule Situ.Live.Raw do
     bytes <> more
   end
 
-  @doc "Upgrades; `{:ok, socket}` or the refusal."
+  @doc "Upgrades the connection; returns `{:ok, socket}` or the rejection."
   def upgrade(port, path, headers \\ []) do
     socket = connect(port)
 
@@ -114,7 +114,7 @@ defmodule Situ.Live.Raw do
 
   def send_text(socket, text), do: :gen_tcp.send(socket, frame(1, text))
 
-  @doc "A masked frame, as browsers send them."
+  @doc "Builds a masked frame, as browsers send them."
   def frame(opcode, payload, fin \\ 1) do
     mask = <<1, 2, 3, 4>>
     n = byte_size(payload)
@@ -134,7 +134,7 @@ defmodule Situ.Live.Raw do
     <<fin::1, 0::3, opcode::4, length::binary, mask::binary, masked::binary>>
   end
 
-  @doc "The next frame: `{:text | :binary | :close | ..., payload}`, or `:closed`."
+  @doc "Returns the next frame as `{:text | :binary | :close | ..., payload}`, or `:closed`."
   def receive_frame(socket, timeout \\ @patience) do
     with {:ok, <<_fin::1, 0::3, opcode::4, 0::1, short::7>>} <- :gen_tcp.recv(socket, 2, timeout),
          {:ok, n} <- length(socket, short),

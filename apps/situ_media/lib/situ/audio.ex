@@ -20,10 +20,10 @@ defmodule Situ.Audio do
   @doc """
   Resamples the stream to another rate. For `quality:`, see `Situ.Audio.Resampler`.
 
-      iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000), 960)
+      iex> buffer = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(48_000), 960)
       iex> feed = for i <- 1..10, do: {i * 20_000_000, buffer}
       iex> out = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.resample(16_000) end, times: true)
-      iex> {out |> List.last() |> elem(0), out |> Enum.map(&Situ.AudioBuffer.frames(elem(&1, 1))) |> Enum.sum()}
+      iex> {out |> List.last() |> elem(0), out |> Enum.map(&Situ.AudioBuffer.frame_count(elem(&1, 1))) |> Enum.sum()}
       {200_000_000, 3200}
   """
   @spec resample(Stream.t(), pos_integer(), keyword()) :: Stream.t()
@@ -32,24 +32,24 @@ defmodule Situ.Audio do
   @doc "Converts the sample type or the number of channels (`Situ.Sound.reformat/2`)."
   @spec reformat(Stream.t(), keyword()) :: Stream.t()
   def reformat(stream, opts) do
-    {placed, opts} = Placement.apart(opts, :component)
-    map(stream, "Reformat", &Error.unwrap!(Sound.reformat(&1, opts)), placed)
+    {placed, opts} = Placement.split_unchecked(opts, :component)
+    map_buffers(stream, "Reformat", &Error.unwrap!(Sound.reformat(&1, opts)), placed)
   end
 
   @doc "Mixes all channels down to mono, as their mean."
   @spec to_mono(Stream.t(), keyword()) :: Stream.t()
   def to_mono(stream, opts \\ []),
-    do: map(stream, "Mono", &Error.unwrap!(Sound.reformat(&1, channels: 1)), opts)
+    do: map_buffers(stream, "Mono", &Error.unwrap!(Sound.reformat(&1, channels: 1)), opts)
 
   @doc "Converts to stereo. A mono channel is copied to both sides, and stereo is unchanged."
   @spec to_stereo(Stream.t(), keyword()) :: Stream.t()
   def to_stereo(stream, opts \\ []),
-    do: map(stream, "Stereo", &Error.unwrap!(Sound.reformat(&1, channels: 2)), opts)
+    do: map_buffers(stream, "Stereo", &Error.unwrap!(Sound.reformat(&1, channels: 2)), opts)
 
   @doc "Selects one channel, counted from 0, as mono."
   @spec select_channel(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def select_channel(stream, channel, opts \\ []) do
-    map(
+    map_buffers(
       stream,
       "Channel #{channel}",
       &Error.unwrap!(Sound.select_channels(&1, [channel])),
@@ -60,12 +60,12 @@ defmodule Situ.Audio do
   @doc "Mixes the channels with a matrix of gains (`Situ.Sound.remix/3`)."
   @spec remix(Stream.t(), [[number()]], keyword()) :: Stream.t()
   def remix(stream, matrix, opts \\ []),
-    do: map(stream, "Remix", &Error.unwrap!(Sound.remix(&1, matrix)), opts)
+    do: map_buffers(stream, "Remix", &Error.unwrap!(Sound.remix(&1, matrix)), opts)
 
   @doc "Changes the volume by a factor or by `{:db, n}`."
   @spec gain(Stream.t(), number() | {:db, number()}, keyword()) :: Stream.t()
   def gain(stream, gain, opts \\ []),
-    do: map(stream, "Gain", &Error.unwrap!(Sound.gain(&1, gain)), opts)
+    do: map_buffers(stream, "Gain", &Error.unwrap!(Sound.gain(&1, gain)), opts)
 
   @doc """
   Mixes two streams, aligned by their times (`Situ.Audio.Mixer`).
@@ -155,8 +155,8 @@ defmodule Situ.Audio do
   @doc "Builds audio buffers from a stream of binaries, each of which must hold complete frames."
   @spec from_bytes(Stream.t(), AudioFormat.t(), keyword()) :: Stream.t()
   def from_bytes(stream, %AudioFormat{} = format, opts \\ []),
-    do: map(stream, "Sound", &AudioBuffer.new!(format: format, data: &1), opts)
+    do: map_buffers(stream, "Sound", &AudioBuffer.new!(format: format, data: &1), opts)
 
-  defp map(stream, name, fun, opts),
+  defp map_buffers(stream, name, fun, opts),
     do: Operator.attach(stream, name, {:map, fun}, opts, AudioBuffer)
 end

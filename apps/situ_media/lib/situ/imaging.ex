@@ -6,7 +6,7 @@ defmodule Situ.Imaging do
   a variant with `!` that returns the result or raises. `Situ.Vision` has the same operations for streams, with the
   same names and options.
 
-      iex> image = Situ.Image.filled(64, 48, :bgr24, :red)
+      iex> image = Situ.Image.new_filled(64, 48, :bgr24, :red)
       iex> {:ok, small} = Situ.Imaging.resize(image, 32, 24)
       iex> written = Situ.Imaging.draw_text!(small, {2, 2}, "hello", size: 8)
       iex> {:ok, jpeg} = Situ.Imaging.encode_jpeg(written, quality: 80)

@@ -39,11 +39,11 @@ defmodule Situ.Media do
     # A file may have any name, so an existing file takes precedence.
     if File.exists?(source) and not String.starts_with?(source, "/dev/"),
       do: VideoFile.open(p, source, opts),
-      else: device(p, source, microphone, opts)
+      else: open_device(p, source, microphone, opts)
   end
 
-  defp device(p, source, microphone, opts) do
-    case Device.parse(source) do
+  defp open_device(p, source, microphone, opts) do
+    case Device.parse_name(source) do
       {:ok, {driver, _}} when driver in [Device.V4L2, Device.Input] ->
         {sound, pictures} = Keyword.split(opts, [:audio_format, :audio_buffer])
         video = Camera.open(p, [device: source] ++ pictures)

@@ -6,7 +6,7 @@ defmodule Situ.Sound do
   with `!` returns the result or raises. `Situ.Audio` has the same operations for streams, with the same names and
   options.
 
-      iex> stereo = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000, 2), 480)
+      iex> stereo = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(48_000, 2), 480)
       iex> stereo |> Situ.Sound.reformat!(channels: 1, sample: :f32) |> Situ.Sound.resample!(16_000)
       #Situ.AudioBuffer<160 frames, 10.0 ms, 16000 Hz, 1 ch, :f32>
   """
@@ -16,13 +16,13 @@ defmodule Situ.Sound do
   @doc """
   Resamples a complete buffer to another rate. For `quality:`, see `Situ.Audio.Resampler`.
 
-      iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000), 480)
-      iex> Situ.Sound.resample!(buffer, 16_000) |> Situ.AudioBuffer.frames()
+      iex> buffer = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(48_000), 480)
+      iex> Situ.Sound.resample!(buffer, 16_000) |> Situ.AudioBuffer.frame_count()
       160
   """
   @spec resample(AudioBuffer.t(), pos_integer(), keyword()) :: AudioBuffer.result()
   def resample(%AudioBuffer{} = buffer, rate, opts \\ []),
-    do: Situ.Audio.Resampler.whole(buffer, rate, opts)
+    do: Situ.Audio.Resampler.resample_buffer(buffer, rate, opts)
 
   defdelegate reformat(buffer, opts), to: Channels
   defdelegate remix(buffer, matrix, opts \\ []), to: Channels

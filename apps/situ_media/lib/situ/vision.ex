@@ -17,11 +17,11 @@ defmodule Situ.Vision do
   options `name:`, `policy:`, `async:` and `on_error:`. If an operator cannot process an image (a crop outside it, an
   invalid format), it raises its `Situ.Error` inside the component, so `on_error: :skip` skips the image.
 
-      iex> image = Situ.Image.filled(4, 2, :bgr24, [0, 0, 255])
+      iex> image = Situ.Image.new_filled(4, 2, :bgr24, [0, 0, 255])
       iex> Situ.to_list(fn p ->
       ...>   p |> Situ.repeat(image, every: 10, count: 2) |> Situ.Vision.convert(:gray8) |> Situ.Vision.resize(2, 1)
       ...> end)
-      [Situ.Image.filled(2, 1, :gray8, 76), Situ.Image.filled(2, 1, :gray8, 76)]
+      [Situ.Image.new_filled(2, 1, :gray8, 76), Situ.Image.new_filled(2, 1, :gray8, 76)]
   """
   alias Situ.Graph.Placement
   alias Situ.{DepthImage, EncodedImage, Error, Image, Operator, Stream}
@@ -85,7 +85,7 @@ defmodule Situ.Vision do
           ) ::
             Stream.t()
     def unquote(name)(stream, unquote_splicing(vars), opts \\ []) do
-      {placed, opts} = Placement.apart(opts, :operator)
+      {placed, opts} = Placement.split_unchecked(opts, :operator)
       fun = &Error.unwrap!(unquote(module).unquote(name)(&1, unquote_splicing(vars), opts))
       Operator.attach(stream, unquote(label), {:map, fun}, placed, unquote(type))
     end
@@ -114,37 +114,37 @@ defmodule Situ.Vision do
   first. The result is `nil` without a rectangle, or if nothing is left with `clip: true`. Therefore the output type is
   `{:optional, Situ.Image}`, or `{:optional, Situ.DepthImage}` for a stream of depth images.
 
-      iex> {image, rect} = {Situ.Image.filled(4, 4, :gray8), Situ.Rect.new!(1, 1, 2, 2)}
+      iex> {image, rect} = {Situ.Image.new_filled(4, 4, :gray8), Situ.Rect.new!(1, 1, 2, 2)}
       iex> Situ.to_list(fn p -> p |> Situ.repeat({image, rect}, every: 10, count: 1) |> Situ.Vision.crop(:paired) end)
-      [Situ.Image.filled(2, 2, :gray8)]
+      [Situ.Image.new_filled(2, 2, :gray8)]
   """
   @spec crop(Stream.t(), Situ.Rect.t() | tuple() | :paired, keyword()) :: Stream.t()
   def crop(stream, rect, opts \\ []) do
-    {placed, opts} = Placement.apart(opts, :operator)
+    {placed, opts} = Placement.split_unchecked(opts, :operator)
 
     fun =
       if rect == :paired,
         do: fn {image, rect} -> rect && Error.unwrap!(Geometry.crop(image, rect, opts)) end,
         else: fn image -> Error.unwrap!(Geometry.crop(image, rect, opts)) end
 
-    picture = if depth?(stream.type), do: DepthImage, else: Image
+    picture = if depth_type?(stream.type), do: DepthImage, else: Image
     Operator.attach(stream, "Crop", {:map, fun}, placed, {:optional, picture})
   end
 
-  defp depth?(DepthImage), do: true
-  defp depth?({:tuple, [type | _]}), do: depth?(type)
-  defp depth?(_type), do: false
+  defp depth_type?(DepthImage), do: true
+  defp depth_type?({:tuple, [type | _]}), do: depth_type?(type)
+  defp depth_type?(_type), do: false
 
   @doc """
   Converts `:gray16` images to depth images without a copy. For `semantics:` and `scale:`, see `Situ.DepthImage`.
 
-      iex> image = Situ.Image.filled(2, 1, :gray16, 1500)
+      iex> image = Situ.Image.new_filled(2, 1, :gray16, 1500)
       iex> Situ.to_list(fn p -> p |> Situ.repeat(image, every: 10, count: 1) |> Situ.Vision.to_depth(scale: 0.002) end)
       [Situ.DepthImage.new!(width: 2, height: 1, data: image.data, scale: 0.002)]
   """
   @spec to_depth(Stream.t(), keyword()) :: Stream.t()
   def to_depth(stream, opts \\ []) do
-    {placed, opts} = Placement.apart(opts, :operator)
+    {placed, opts} = Placement.split_unchecked(opts, :operator)
     fun = &Error.unwrap!(DepthImage.from_gray16(&1, opts))
     Operator.attach(stream, "To depth", {:map, fun}, placed, DepthImage)
   end
@@ -157,7 +157,7 @@ defmodule Situ.Vision do
   @doc "Decodes JPEG or PNG (`Situ.EncodedImage` or binaries) to images (`Situ.Imaging.parse/2`)."
   @spec decode(Stream.t(), keyword()) :: Stream.t()
   def decode(stream, opts \\ []) do
-    {placed, opts} = Placement.apart(opts, :operator)
+    {placed, opts} = Placement.split_unchecked(opts, :operator)
     fun = &Error.unwrap!(Files.parse(&1, opts))
     Operator.attach(stream, "Decode", {:map, fun}, placed, Image)
   end
@@ -191,14 +191,14 @@ defmodule Situ.Vision do
   @doc """
   Compares the images of two streams with the same times, as a stream of maps (`Situ.Imaging.compare/3`).
 
-      iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
+      iex> {a, b} = {Situ.Image.new_filled(2, 1, :gray8, 3), Situ.Image.new_filled(2, 1, :gray8, 5)}
       iex> once = [every: 10, count: 1]
       iex> Situ.to_list(fn p -> Situ.Vision.compare(Situ.repeat(p, a, once), Situ.repeat(p, b, once), tolerance: 1) end)
       [%{equal?: false, max: 2, mean: 2.0, outliers: 1.0}]
   """
   @spec compare(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def compare(stream, other, opts \\ []) do
-    {placed, opts} = Placement.apart(opts, :operator)
+    {placed, opts} = Placement.split_unchecked(opts, :operator)
     fun = fn {a, b} -> Error.unwrap!(Measure.compare(a, b, opts)) end
     stream |> Situ.join(other) |> Operator.attach("Compare", {:map, fun}, placed, :map)
   end
@@ -206,7 +206,7 @@ defmodule Situ.Vision do
   @doc "Draws labeled boxes on each image of a stream of `{image, [Situ.Rect]}`."
   @spec draw_detections(Stream.t(), keyword()) :: Stream.t()
   def draw_detections(stream, opts \\ []) do
-    {placed, opts} = Placement.apart(opts, :operator)
+    {placed, opts} = Placement.split_unchecked(opts, :operator)
     fun = fn {image, rects} -> Error.unwrap!(Drawing.draw_detections(image, rects, opts)) end
     Operator.attach(stream, "Draw detections", {:map, fun}, placed, Image)
   end

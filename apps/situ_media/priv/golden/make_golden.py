@@ -1,9 +1,9 @@
-"""Makes the golden files of the picture and sound kernels with independent libraries.
+"""Makes the golden files of the image and audio kernels with independent libraries.
 
     python3 -m venv v && v/bin/pip install numpy 'opencv-python-headless<5' pillow scipy soxr
-    v/bin/python make_golden.py PICTURE.png      # any colour picture; the files here are from NASA's astronaut
+    v/bin/python make_golden.py IMAGE.png      # any color image; the files here are from NASA's astronaut
 
-Writes source.png (192x128 of the picture) and what each library makes of it. The tests say which tolerance each has.
+Writes source.png (a 192x128 crop of the image) and the results of each library. The tests define the tolerances.
 """
 import json
 import os
@@ -19,7 +19,7 @@ from PIL import Image
 HERE = os.path.dirname(os.path.abspath(__file__))
 
 
-def save(name, bgr):
+def save_image(name, bgr):
     cv2.imwrite(os.path.join(HERE, name + ".png"), bgr)
 
 
@@ -29,7 +29,7 @@ def psi_gray(bgr):
 
 
 def psi_convolve(gray, kernel):
-    """Sum over the taps inside, divided by their number, truncated towards zero."""
+    """Convolves as \\psi does: divides the sum over the taps inside the image by their number, truncated towards zero."""
     h, w = gray.shape
     ky, kx = kernel.shape
     out = np.zeros((h, w), np.uint8)
@@ -46,51 +46,51 @@ def psi_convolve(gray, kernel):
     return out
 
 
-def pictures(path):
-    whole = cv2.imread(path)
-    src = np.ascontiguousarray(whole[20:148, 130:322])
-    save("source", src)
+def make_images(path):
+    image = cv2.imread(path)
+    src = np.ascontiguousarray(image[20:148, 130:322])
+    save_image("source", src)
     rgb = Image.fromarray(src[..., ::-1])
     gray = psi_gray(src)
-    save("gray", gray)
+    save_image("gray", gray)
 
     size = (80, 60)
-    # A size at which no sampling point falls between two pixels: libraries break that tie differently.
-    save("resize_nearest_pillow", np.array(rgb.resize((64, 32), Image.NEAREST))[..., ::-1])
-    save("resize_bilinear_opencv", cv2.resize(src, size, interpolation=cv2.INTER_LINEAR))
-    save("resize_smooth_pillow", np.array(rgb.resize(size, Image.BILINEAR))[..., ::-1])
-    save("resize_lanczos_pillow", np.array(rgb.resize(size, Image.LANCZOS))[..., ::-1])
-    save("resize_area_opencv", cv2.resize(src, (96, 64), interpolation=cv2.INTER_AREA))
-    save("resize_up_bilinear_opencv", cv2.resize(src, (288, 192), interpolation=cv2.INTER_LINEAR))
+    # At this size, no sampling point is exactly between two pixels, where libraries would choose different ones.
+    save_image("resize_nearest_pillow", np.array(rgb.resize((64, 32), Image.NEAREST))[..., ::-1])
+    save_image("resize_bilinear_opencv", cv2.resize(src, size, interpolation=cv2.INTER_LINEAR))
+    save_image("resize_smooth_pillow", np.array(rgb.resize(size, Image.BILINEAR))[..., ::-1])
+    save_image("resize_lanczos_pillow", np.array(rgb.resize(size, Image.LANCZOS))[..., ::-1])
+    save_image("resize_area_opencv", cv2.resize(src, (96, 64), interpolation=cv2.INTER_AREA))
+    save_image("resize_up_bilinear_opencv", cv2.resize(src, (288, 192), interpolation=cv2.INTER_LINEAR))
 
     matrix = np.array([[0.9, -0.3, 20.5], [0.25, 1.1, -10.25]])
-    save("warp_affine", cv2.warpAffine(src, matrix, (192, 128), flags=cv2.INTER_LINEAR, borderValue=(10, 20, 30)))
+    save_image("warp_affine", cv2.warpAffine(src, matrix, (192, 128), flags=cv2.INTER_LINEAR, borderValue=(10, 20, 30)))
     corners = np.float32([[0, 0], [191, 0], [191, 127], [0, 127]])
     target = np.float32([[20, 10], [180, 0], [160, 120], [0, 100]])
     perspective = cv2.getPerspectiveTransform(corners, target)
-    save("warp_perspective", cv2.warpPerspective(src, perspective, (192, 128), flags=cv2.INTER_LINEAR))
-    save("rotate_pillow_90", np.array(rgb.transpose(Image.ROTATE_270))[..., ::-1])
+    save_image("warp_perspective", cv2.warpPerspective(src, perspective, (192, 128), flags=cv2.INTER_LINEAR))
+    save_image("rotate_pillow_90", np.array(rgb.transpose(Image.ROTATE_270))[..., ::-1])
 
-    save("blur", cv2.GaussianBlur(src, (9, 9), 1.4))
-    save("box_blur", cv2.blur(src, (5, 5)))
-    save("median_blur", cv2.medianBlur(src, 5))
-    save("canny", cv2.Canny(gray, 60, 120))
+    save_image("blur", cv2.GaussianBlur(src, (9, 9), 1.4))
+    save_image("box_blur", cv2.blur(src, (5, 5)))
+    save_image("median_blur", cv2.medianBlur(src, 5))
+    save_image("canny", cv2.Canny(gray, 60, 120))
     x, y = cv2.Sobel(gray, cv2.CV_16S, 1, 0), cv2.Sobel(gray, cv2.CV_16S, 0, 1)
-    save("sobel", cv2.addWeighted(cv2.convertScaleAbs(x), 0.5, cv2.convertScaleAbs(y), 0.5, 0))
+    save_image("sobel", cv2.addWeighted(cv2.convertScaleAbs(x), 0.5, cv2.convertScaleAbs(y), 0.5, 0))
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
-    save("erode", cv2.erode(gray, kernel))
-    save("close", cv2.morphologyEx(gray, cv2.MORPH_CLOSE, kernel))
-    save("equalize", cv2.equalizeHist(gray))
-    save("convolve", psi_convolve(gray, np.array([[1, 2, 1], [0, 5, 0], [-1, -2, -1]])))
+    save_image("erode", cv2.erode(gray, kernel))
+    save_image("close", cv2.morphologyEx(gray, cv2.MORPH_CLOSE, kernel))
+    save_image("equalize", cv2.equalizeHist(gray))
+    save_image("convolve", psi_convolve(gray, np.array([[1, 2, 1], [0, 5, 0], [-1, -2, -1]])))
 
     with open(os.path.join(HERE, "source.jpg"), "wb") as f:
         f.write(cv2.imencode(".jpg", src, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes())
     decoded = Image.open(os.path.join(HERE, "source.jpg")).convert("RGB")
-    save("jpeg_decoded_pillow", np.array(decoded)[..., ::-1])
+    save_image("jpeg_decoded_pillow", np.array(decoded)[..., ::-1])
 
     i420 = cv2.cvtColor(src, cv2.COLOR_BGR2YUV_I420)
     i420.tofile(os.path.join(HERE, "frame.i420"))
-    save("i420_opencv", cv2.cvtColor(i420, cv2.COLOR_YUV2BGR_I420))
+    save_image("i420_opencv", cv2.cvtColor(i420, cv2.COLOR_YUV2BGR_I420))
 
     depth = (gray.astype(np.uint16) * 20)
     cv2.imwrite(os.path.join(HERE, "depth.png"), depth)
@@ -105,18 +105,18 @@ def pictures(path):
     }
 
 
-def sound():
+def make_audio():
     rate, n = 48000, 9600
     t = np.arange(n) / rate
     sweep = 0.6 * scipy.signal.chirp(t, 100, t[-1], 7000) + 0.1 * np.sin(2 * np.pi * 440 * t)
     sweep = sweep.astype(np.float32)
     sweep.tofile(os.path.join(HERE, "sweep_48k.f32"))
     soxr.resample(sweep, 48000, 16000, quality="HQ").astype(np.float32).tofile(os.path.join(HERE, "sweep_16k.f32"))
-    return mel(soxr.resample(sweep, 48000, 16000, quality="HQ").astype(np.float32))
+    return mel_features(soxr.resample(sweep, 48000, 16000, quality="HQ").astype(np.float32))
 
 
-def mel(samples):
-    """Log-mel and MFCC of the first frame: 400 samples, periodic Hann, FFT 512, 40 HTK bands 0..8000 Hz."""
+def mel_features(samples):
+    """Returns log-mel and MFCC of the first frame: 400 samples, periodic Hann, FFT 512, 40 HTK bands 0..8000 Hz."""
     frame = samples[:400].astype(np.float64) * scipy.signal.get_window("hann", 400, fftbins=True)
     power = np.abs(np.fft.rfft(frame, 512)) ** 2
     to_mel = lambda f: 2595 * np.log10(1 + f / 700)
@@ -131,7 +131,7 @@ def mel(samples):
 
 
 if __name__ == "__main__":
-    numbers = {**pictures(sys.argv[1]), **sound()}
+    numbers = {**make_images(sys.argv[1]), **make_audio()}
     numbers["made_with"] = {"numpy": np.__version__, "opencv": cv2.__version__, "soxr": soxr.__version__}
     with open(os.path.join(HERE, "numbers.json"), "w") as f:
         json.dump(numbers, f, indent=1)

@@ -1,7 +1,7 @@
-"""Golden picture of text: HarfBuzz places the glyphs, FreeType draws them without hinting.
+"""Makes the golden image of text: HarfBuzz positions the glyphs, and FreeType draws them without hinting.
 
     pip install numpy pillow freetype-py uharfbuzz fonttools
-    python make_text.py            # writes text.png beside itself
+    python make_text.py            # writes text.png to its own folder
 """
 import os
 
@@ -15,7 +15,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 SANS = os.path.join(HERE, "../fonts/DejaVuSans.ttf")
 CJK = os.path.join(HERE, "../../test/fixtures/cjk.ttf")
 
-# Font, top left corner of the capitals, height of a capital, text. One font, script and direction each.
+# Font, top left corner of the capitals, height of a capital, text. Each line has one font, script and direction.
 LINES = [
     (SANS, 10, 8, 16, "Grüße, Ångström, façade, fi"),
     (SANS, 10.5, 36.25, 16, "Ελληνικά"),
@@ -29,7 +29,7 @@ LINES = [
 ]
 
 
-def draw(picture, path, x, y, size, text):
+def draw_text(image, path, x, y, size, text):
     font = hb.Font(hb.Face(hb.Blob.from_file_path(path)))
     buffer = hb.Buffer()
     buffer.add_str(text)
@@ -43,12 +43,12 @@ def draw(picture, path, x, y, size, text):
     baseline = y + size
     for info, place in zip(buffer.glyph_infos, buffer.glyph_positions):
         left, top = x + place.x_offset * scale, baseline - place.y_offset * scale
-        stamp(picture, face, info.codepoint, left, top)
+        draw_glyph(image, face, info.codepoint, left, top)
         x += place.x_advance * scale
 
 
 def capital_height(path, face):
-    """In font units: as the font states it, or as its H is drawn, or what is usual."""
+    """Returns the height in font units: stated by the font, measured from its H, or a usual value."""
     stated = getattr(TTFont(path)["OS/2"], "sCapHeight", 0)
     if 0.3 <= stated / face.units_per_EM <= 1.2:
         return stated
@@ -58,7 +58,7 @@ def capital_height(path, face):
     return face.glyph.outline.get_bbox().yMax
 
 
-def stamp(picture, face, glyph, left, top):
+def draw_glyph(image, face, glyph, left, top):
     place = freetype.Vector(round((left % 1) * 64), round((-top % 1) * 64))
     face.set_transform(freetype.Matrix(0x10000, 0, 0, 0x10000), place)
     face.load_glyph(glyph, freetype.FT_LOAD_RENDER | freetype.FT_LOAD_NO_HINTING | freetype.FT_LOAD_NO_BITMAP)
@@ -68,12 +68,12 @@ def stamp(picture, face, glyph, left, top):
     ink = np.array(bitmap.buffer, np.float64).reshape(bitmap.rows, bitmap.pitch)[:, : bitmap.width] / 255
     column = int(np.floor(left)) + face.glyph.bitmap_left
     row = -int(np.floor(-top)) - face.glyph.bitmap_top
-    part = picture[row : row + bitmap.rows, column : column + bitmap.width]
+    part = image[row : row + bitmap.rows, column : column + bitmap.width]
     part[:] = part * (1 - ink) + 255 * ink
 
 
 if __name__ == "__main__":
-    picture = np.zeros((160, 440))
+    image = np.zeros((160, 440))
     for line in LINES:
-        draw(picture, *line)
-    Image.fromarray(np.round(picture).astype(np.uint8)).save(os.path.join(HERE, "text.png"), optimize=True)
+        draw_text(image, *line)
+    Image.fromarray(np.round(image).astype(np.uint8)).save(os.path.join(HERE, "text.png"), optimize=True)

@@ -1,6 +1,6 @@
 defmodule Situ.Media.PicturesGuideTest do
-  # The blocks of docs/guides/pictures-and-sound.md run, give what they say, and make the pictures the page shows.
-  # SITU_PICTURES=write makes the page's pictures anew.
+  # Runs the code blocks of docs/guides/pictures-and-sound.md, compares their results, and compares the images they
+  # draw with those on the page. SITU_PICTURES=write updates the images.
   use ExUnit.Case, async: true
   alias Situ.Imaging
 
@@ -8,12 +8,12 @@ defmodule Situ.Media.PicturesGuideTest do
   @pictures Path.join(@guides, "pictures-and-sound")
 
   @tag :tmp_dir
-  test "every block of the guide runs and its pictures are the page's", %{tmp_dir: tmp} do
+  test "every block of the guide runs and draws the images of the page", %{tmp_dir: tmp} do
     text = File.read!(Path.join(@guides, "pictures-and-sound.md"))
     write? = System.get_env("SITU_PICTURES") == "write"
     out = if write?, do: @pictures, else: tmp
 
-    assert Situ.Test.Guide.run(@guides <> "/pictures-and-sound.md",
+    assert Situ.Test.Guide.run_blocks(@guides <> "/pictures-and-sound.md",
              bindings: [folder: @pictures, out: out]
            ) > 10
 
@@ -25,7 +25,7 @@ defmodule Situ.Media.PicturesGuideTest do
       page = Imaging.read!(Path.join(@pictures, name))
       fresh = Imaging.read!(Path.join(out, name))
 
-      # Releases of OpenCV and libjpeg-turbo differ in details; a wrong operator differs everywhere.
+      # Releases of OpenCV and libjpeg-turbo differ in details; an incorrect operator differs everywhere.
       {:ok, %{mean: mean}} = Imaging.compare(page, fresh)
       assert mean < 1.0, "#{name} is out of date"
     end

@@ -5,7 +5,7 @@ defmodule Situ.MediaTest do
   import Situ.Media.TestPipelines
   alias Situ.{AudioBuffer, Image}
 
-  test "a file, a simulated device and a test picture open by their names" do
+  test "opens a file, a simulated device and a test image by name" do
     talk = path("talk1.mp4")
     {{:ok, _}, %{video: video}} = collect(&Situ.Media.open(&1, talk, size: {32, 16}))
     assert length(video) == 350
@@ -27,7 +27,7 @@ defmodule Situ.MediaTest do
     assert {image.width, image.height} == {32, 16}
   end
 
-  test "what is not there says so" do
+  test "a missing source is an error" do
     assert {:error, %{code: :no_file}} = Situ.Pipeline.run(&Situ.Media.open(&1, "absent.mp4"))
   end
 end

@@ -4,7 +4,7 @@ defmodule Situ.SoundTest do
   alias Situ.{AudioBuffer, AudioFormat, Sound}
   doctest Situ.Sound
 
-  property "the kernel's waveform is the slow one's" do
+  property "the kernel's waveform equals the slow reference's" do
     forall {bytes, channels, sample, rate} <-
              {binary(), integer(1, 3), one_of([:u8, :s16, :s24, :s32]), integer(500, 9000)} do
       format = AudioFormat.pcm(rate, channels, sample)

@@ -1,11 +1,11 @@
 defmodule Situ.VisionTest do
-  # Every stream operator gives what the function of the same name gives, at the picture's own times.
+  # Every stream operator must return the same as the function of the same name, at the times of the images.
   use ExUnit.Case, async: true
   doctest Situ.Vision
   alias Situ.{DepthImage, Image, Imaging, Rect, Vision}
 
-  @color Image.filled(12, 8, :bgr24, [10, 120, 240])
-  @gray Image.filled(12, 8, :gray8, 90)
+  @color Image.new_filled(12, 8, :bgr24, [10, 120, 240])
+  @gray Image.new_filled(12, 8, :gray8, 90)
 
   for {name, input, args} <- [
         {:resize, :color, [6, 4]},
@@ -56,8 +56,8 @@ defmodule Situ.VisionTest do
     end
   end
 
-  test "paste, decode, decode_depth, pseudo_colorize and transform" do
-    part = Image.filled(2, 2, :bgr24, 1)
+  test "paste, decode, decode_depth, pseudo_colorize and transform match their functions" do
+    part = Image.new_filled(2, 2, :bgr24, 1)
     assert run(@color, &Vision.paste(&1, part, {3, 3})) == Imaging.paste!(@color, part, {3, 3})
     png = Imaging.encode_png!(@color)
     assert run(png, &Vision.decode(&1, format: :bgr24)) == @color
@@ -74,7 +74,7 @@ defmodule Situ.VisionTest do
              Imaging.invert!(@color)
   end
 
-  test "differences of streams and of a stream with its past" do
+  test "computes differences of streams and of a stream with its past" do
     assert run(@color, &Vision.absdiff(&1, Vision.invert(&1))) ==
              Imaging.absdiff!(@color, Imaging.invert!(@color))
 
@@ -87,7 +87,7 @@ defmodule Situ.VisionTest do
     assert Image.fetch_pixel(same, 0, 0) == {:ok, [75]}
   end
 
-  test "pictures with rectangles are cropped and drawn on, nil where there is none" do
+  test "crops and draws on images with rectangles, and returns nil without a rectangle" do
     rect = Rect.new!(1, 1, 3, 3)
     feed = [{1, {@color, rect}}, {2, {@color, nil}}]
     out = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Vision.crop(:paired) end)
@@ -97,7 +97,7 @@ defmodule Situ.VisionTest do
              Imaging.draw_detections!(@color, [rect])
   end
 
-  test "depth images are cropped as they are, and become pictures and back without a copy" do
+  test "crops depth images and converts them to images and back without a copy" do
     depth = DepthImage.new!(width: 4, height: 2, data: <<1::128>>, scale: 0.01, semantics: :point)
     {:ok, part} = Imaging.crop(depth, {2, 1, 2, 1})
     assert part == %{depth | width: 2, height: 1, stride: 4, data: <<1::32>>}
@@ -110,7 +110,7 @@ defmodule Situ.VisionTest do
     assert_raise ArgumentError, fn -> Imaging.crop(depth, {3, 1, 2, 1}, clipp: true) end
   end
 
-  test "two streams are compared" do
+  test "compares two streams" do
     expected = Imaging.compare!(@gray, Imaging.invert!(@gray), tolerance: 80)
     compare = &Vision.compare(&1, Vision.invert(&1), tolerance: 80)
     assert run(@gray, compare) == expected
@@ -118,7 +118,7 @@ defmodule Situ.VisionTest do
   end
 
   @tag :capture_log
-  test "a picture that cannot be worked on stops the pipeline, or is passed over" do
+  test "an invalid image stops the pipeline or is skipped" do
     feed = [{1, @color}, {2, @gray}]
     build = fn opts -> fn p -> p |> Situ.from_enumerable(feed) |> Vision.sobel(opts) end end
     assert {:error, error} = Situ.collect(build.([]))

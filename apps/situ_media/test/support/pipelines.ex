@@ -1,8 +1,8 @@
 defmodule Situ.Media.TestPipelines do
-  @moduledoc "Runs a pipeline and gives back what came out of its streams."
+  @moduledoc "Runs a pipeline and returns the messages of its streams."
 
   @doc """
-  Runs `build`, which returns a map of streams; returns the result of the run and, per key, `[{originating_time,
+  Runs `build`, which returns a map of streams. Returns the result of the run and, for each key, `[{originating_time,
   data}]`.
   """
   def collect(build, opts \\ []) do
@@ -26,8 +26,8 @@ defmodule Situ.Media.TestPipelines do
   end
 
   @doc """
-  Starts `build` live and waits until every stream of the map it returns has given as many messages as `counts` says;
-  then stops it. Returns the messages per key.
+  Starts `build` as a live pipeline, waits until every stream in the returned map has emitted the number of messages
+  given in `counts`, and stops the pipeline. Returns the messages for each key.
   """
   def collect_live(build, counts, opts \\ []) do
     test = self()

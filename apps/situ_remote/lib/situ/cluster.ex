@@ -113,7 +113,7 @@ defmodule Situ.Cluster do
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
     with {:ok, opts} <- Options.validate(opts, @schema),
-         {:ok, log} <- log(opts[:log], opts[:log_options]),
+         {:ok, log} <- connect_log(opts[:log], opts[:log_options]),
          do:
            Agent.start_link(
              log: log,
@@ -132,20 +132,20 @@ defmodule Situ.Cluster do
     end
   end
 
-  defp log(%Log{} = log, _opts), do: {:ok, log}
+  defp connect_log(%Log{} = log, _opts), do: {:ok, log}
   # The node waits for a server that is not running yet, as for a lost server.
-  defp log("nats://" <> _ = address, opts), do: Log.connect(address, [wait: true] ++ opts)
-  defp log(address, opts), do: Log.connect(address, opts)
+  defp connect_log("nats://" <> _ = address, opts), do: Log.connect(address, [wait: true] ++ opts)
+  defp connect_log(address, opts), do: Log.connect(address, opts)
 
   @doc "Runs a pipeline on the cluster, with the options listed above."
   @spec deploy(module(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def deploy(module, opts \\ []) do
     with {:ok, deployment} <- Deployment.new(module, opts),
-         :ok <- member(),
+         :ok <- check_member(),
          do: Agent.deploy(deployment)
   end
 
-  defp member do
+  defp check_member do
     if Process.whereis(Agent) do
       :ok
     else
@@ -162,18 +162,19 @@ defmodule Situ.Cluster do
   """
   @spec await(t(), timeout()) :: :ok | {:error, Error.t()}
   def await(%Deployment{} = deployment, timeout \\ :infinity) do
-    with {:ok, plan} <- Assembly.plan(deployment) do
-      till = if timeout == :infinity, do: :infinity, else: now() + timeout
-      await(log(deployment), deployment, Map.keys(plan.parts), till)
+    with {:ok, plan} <- Assembly.build_plan(deployment) do
+      till = if timeout == :infinity, do: :infinity, else: monotonic_ms() + timeout
+      await_parts(deployment_log(deployment), deployment, Map.keys(plan.parts), till)
     end
   end
 
-  defp log(%Deployment{run: run}), do: SealedLog.new(Agent.log(), run || "")
+  defp deployment_log(%Deployment{run: run}), do: SealedLog.new(Agent.get_log(), run || "")
 
   # A failed part is reported immediately, even while others are running. A rejected state entry counts as a failure.
-  defp await(log, deployment, parts, till) do
+  defp await_parts(log, deployment, parts, till) do
     states =
-      for part <- parts, do: {part, Log.last(log, {:key, Runner.key(deployment, part, "state")})}
+      for part <- parts,
+          do: {part, Log.fetch_last(log, {:key, Runner.log_key(deployment, part, "state")})}
 
     open =
       for {part, state} <- states,
@@ -187,51 +188,52 @@ defmodule Situ.Cluster do
 
     cond do
       forged != [] -> {:error, hd(forged)}
-      failed != [] -> {:error, failure(deployment, hd(failed))}
+      failed != [] -> {:error, failure_error(deployment, hd(failed))}
       open == [] -> :ok
-      till != :infinity and now() > till -> {:error, late(deployment, hd(open))}
-      true -> wait(log, deployment, open, till)
+      till != :infinity and monotonic_ms() > till -> {:error, timeout_error(deployment, hd(open))}
+      true -> await_again(log, deployment, open, till)
     end
   end
 
-  defp wait(log, deployment, parts, till) do
+  defp await_again(log, deployment, parts, till) do
     receive do
     after
-      50 -> await(log, deployment, parts, till)
+      50 -> await_parts(log, deployment, parts, till)
     end
   end
 
-  defp failure(deployment, {part, text}),
+  defp failure_error(deployment, {part, text}),
     do: Error.new(:part_failed, "part #{part} of #{deployment.name} failed: #{text}")
 
-  defp late(deployment, part),
+  defp timeout_error(deployment, part),
     do: Error.new(:timeout, "part #{part} of #{deployment.name} has not ended yet")
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 
   @doc "Returns the messages of a stream in the log: a stream that crosses from part to part, or is in `publish:`."
   @spec read(t(), String.t()) :: {:ok, [Situ.Message.t()]} | {:error, Error.t()}
   def read(%Deployment{} = deployment, stream),
-    do: read(log(deployment), {:stream, "#{deployment.name}.#{stream}"}, 1, [])
+    do: read_entries(deployment_log(deployment), {:stream, "#{deployment.name}.#{stream}"}, 1, [])
 
-  defp read(log, subject, from, read) do
+  defp read_entries(log, subject, from, read) do
     case Log.read(log, subject, from, 64) do
       {:ok, []} ->
         {:ok, read |> Enum.reverse() |> Enum.concat()}
 
       {:ok, entries} ->
-        with {:ok, lists} <- decoded(entries, []),
-             do: read(log, subject, List.last(entries).seq + 1, [lists | read])
+        with {:ok, lists} <- decode_entries(entries, []),
+             do: read_entries(log, subject, List.last(entries).seq + 1, [lists | read])
 
       error ->
         error
     end
   end
 
-  defp decoded([], lists), do: {:ok, lists |> Enum.reverse() |> Enum.concat()}
+  defp decode_entries([], lists), do: {:ok, lists |> Enum.reverse() |> Enum.concat()}
 
-  defp decoded([entry | rest], lists) do
-    with {:ok, messages} <- Chunk.messages(entry), do: decoded(rest, [messages | lists])
+  defp decode_entries([entry | rest], lists) do
+    with {:ok, messages} <- Chunk.decode_messages(entry),
+         do: decode_entries(rest, [messages | lists])
   end
 
   @doc """
@@ -239,20 +241,20 @@ defmodule Situ.Cluster do
   """
   @spec stop(t()) :: :ok
   def stop(%Deployment{} = deployment) do
-    for {_node, runners} <- everywhere(deployment),
+    for {_node, runners} <- runners_by_node(deployment),
         {_, runner} <- runners,
-        do: Runner.stop(runner)
+        do: Runner.stop_sources(runner)
 
     :ok
   end
 
   @doc "Removes a deployment from all nodes immediately; its log remains."
   @spec forget(t()) :: :ok | {:error, Error.t()}
-  def forget(%Deployment{name: name}), do: Agent.forget(name)
+  def forget(%Deployment{name: name}), do: Agent.forget_deployment(name)
 
   @doc "Lists how much of each deployment the cluster's log contains, whether the deployment is running or has ended."
-  @spec kept() :: {:ok, [Past.t()]} | {:error, Error.t()}
-  def kept, do: with(:ok <- member(), do: Past.list(Agent.log()))
+  @spec list_log_usage() :: {:ok, [Past.t()]} | {:error, Error.t()}
+  def list_log_usage, do: with(:ok <- check_member(), do: Past.list(Agent.get_log()))
 
   @doc """
   Permanently deletes the log of a deployment that has ended (which is then also forgotten) or was forgotten.
@@ -263,27 +265,28 @@ defmodule Situ.Cluster do
   """
   @spec prune(String.t(), non_neg_integer()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def prune(name, wait \\ 1_500) when is_binary(name) do
-    with {:ok, all} <- kept(),
-         {:ok, kept} <- Past.find(all, name),
-         {:ok, tries} <- over(Enum.find(Agent.info().deployments, &(&1.name == name))),
-         :ok <- unused(kept, wait, tries),
-         {:ok, deleted} <- Past.delete(Agent.log(), kept),
-         :ok <- Deployments.delete(Agent.log(), name),
+    with {:ok, all} <- list_log_usage(),
+         {:ok, kept} <- Past.fetch_by_name(all, name),
+         {:ok, tries} <- forget_if_ended(Enum.find(Agent.info().deployments, &(&1.name == name))),
+         :ok <- await_unused(kept, wait, tries),
+         {:ok, deleted} <- Past.delete(Agent.get_log(), kept),
+         :ok <- Deployments.delete(Agent.get_log(), name),
          do: {:ok, deleted}
   end
 
   # Other nodes may renew a lease once more before they learn that the deployment was forgotten.
-  defp unused(kept, wait, tries) do
-    with {:error, %{code: :in_use}} when tries > 1 <- Past.unused(Agent.log(), kept, wait),
-         do: unused(kept, wait, tries - 1)
+  defp await_unused(kept, wait, tries) do
+    with {:error, %{code: :in_use}} when tries > 1 <-
+           Past.check_unused(Agent.get_log(), kept, wait),
+         do: await_unused(kept, wait, tries - 1)
   end
 
   # Returns how many times to watch the leases.
-  defp over(nil), do: {:ok, 1}
+  defp forget_if_ended(nil), do: {:ok, 1}
 
-  defp over(deployment) do
+  defp forget_if_ended(deployment) do
     case await(deployment, 0) do
-      {:error, %{code: :timeout}} -> {:error, Past.in_use(deployment.name)}
+      {:error, %{code: :timeout}} -> {:error, Past.in_use_error(deployment.name)}
       _ended_or_failed -> with :ok <- forget(deployment), do: {:ok, 3}
     end
   end
@@ -296,11 +299,11 @@ defmodule Situ.Cluster do
   @spec status(t()) :: %{members: map(), parts: %{String.t() => map()}}
   def status(%Deployment{} = deployment) do
     asked =
-      for {node, runners} <- everywhere(deployment),
+      for {node, runners} <- runners_by_node(deployment),
           {part, runner} <- runners,
           do: {part, node, runner}
 
-    answers = asked |> Enum.map(&elem(&1, 2)) |> Runners.infos(@answer_ms)
+    answers = asked |> Enum.map(&elem(&1, 2)) |> Runners.collect_infos(@answer_ms)
     infos = Enum.zip_with(asked, answers, fn {part, node, _}, info -> {part, node, info} end)
 
     parts =
@@ -308,20 +311,20 @@ defmodule Situ.Cluster do
         owner =
           Enum.find(entries, fn {_, _, info} -> info[:phase] in [:running, :done, :failed] end)
 
-        {part, shown(owner)}
+        {part, part_status(owner)}
       end
 
     %{members: Agent.info().members, parts: parts}
   end
 
   defp runner_info(runner) do
-    Runner.info(runner)
+    Runner.part_info(runner)
   catch
     :exit, _ -> %{}
   end
 
-  defp shown(nil), do: %{phase: :standby, node: nil}
-  defp shown({_, node, info}), do: Map.put(info, :node, node)
+  defp part_status(nil), do: %{phase: :standby, node: nil}
+  defp part_status({_, node, info}), do: Map.put(info, :node, node)
 
   @doc """
   Moves a part to another node without losing a message: the part takes a checkpoint, then the other node takes it
@@ -330,7 +333,7 @@ defmodule Situ.Cluster do
   @spec move(t(), String.t(), node()) :: :ok | {:error, Error.t()}
   def move(%Deployment{} = deployment, part, to) do
     runners =
-      for {node, %{^part => runner}} <- everywhere(deployment), into: %{}, do: {node, runner}
+      for {node, %{^part => runner}} <- runners_by_node(deployment), into: %{}, do: {node, runner}
 
     case Map.pop(runners, to) do
       {nil, _} ->
@@ -340,30 +343,30 @@ defmodule Situ.Cluster do
          )}
 
       {runner, others} ->
-        stood = for {_, other} <- others, do: {other, away(other)}
+        stood = for {_, other} <- others, do: {other, demotion_level(other)}
         # This also overrides an earlier drain of the target node.
-        :ok = Runner.stand(runner, 0)
-        for {other, away} <- stood, do: Runner.release(other, away + 1, self())
-        answer = settle(deployment, part, to, now() + 60_000)
-        for {other, away} <- stood, do: Runner.stand(other, away)
+        :ok = Runner.set_demotion(runner, 0)
+        for {other, away} <- stood, do: Runner.release_part(other, away + 1, self())
+        answer = await_takeover(deployment, part, to, monotonic_ms() + 60_000)
+        for {other, away} <- stood, do: Runner.set_demotion(other, away)
         answer
     end
   end
 
-  defp away(runner), do: Map.get(runner_info(runner), :away, 0)
+  defp demotion_level(runner), do: Map.get(runner_info(runner), :away, 0)
 
-  defp settle(deployment, part, to, till) do
+  defp await_takeover(deployment, part, to, till) do
     case status(deployment).parts do
       %{^part => %{node: ^to}} ->
         :ok
 
       _ ->
-        if now() > till do
+        if monotonic_ms() > till do
           {:error, Error.new(:timeout, "#{to} has not taken over part #{part} in time")}
         else
           receive do
           after
-            20 -> settle(deployment, part, to, till)
+            20 -> await_takeover(deployment, part, to, till)
           end
         end
     end
@@ -375,9 +378,9 @@ defmodule Situ.Cluster do
   """
   @spec drain(t(), node()) :: :ok
   def drain(%Deployment{} = deployment, node) do
-    {mine, others} = deployment |> everywhere() |> Map.pop(node, %{})
-    away = for {_, runners} <- others, {_, runner} <- runners, do: away(runner)
-    for {_, runner} <- mine, do: Runner.release(runner, 1 + Enum.max(away, fn -> 0 end))
+    {mine, others} = deployment |> runners_by_node() |> Map.pop(node, %{})
+    away = for {_, runners} <- others, {_, runner} <- runners, do: demotion_level(runner)
+    for {_, runner} <- mine, do: Runner.release_part(runner, 1 + Enum.max(away, fn -> 0 end))
     :ok
   end
 
@@ -391,31 +394,31 @@ defmodule Situ.Cluster do
   """
   @spec balance(t()) :: {:ok, {String.t(), node()} | nil} | {:error, Error.t()}
   def balance(%Deployment{} = deployment) do
-    before = busy(deployment)
+    before = busy_times(deployment)
 
     receive do
     after
       1_000 -> :ok
     end
 
-    later = busy(deployment)
-    {members, plan} = {Agent.known(), Agent.plan(deployment.name)}
+    later = busy_times(deployment)
+    {members, plan} = {Agent.list_members(), Agent.find_plan(deployment.name)}
 
     parts =
       for {part, {node, at, sum}} <- later, {^node, since, start} <- [before[part]] do
-        on = Placement.equals(members, plan.parts[part].rule)
+        on = Placement.best_nodes(members, plan.parts[part].rule)
         %{part: part, node: node, cost: (sum - start) / max(at - since, 1), on: on}
       end
 
-    case Balance.move(Vitals.all(), parts) do
+    case Balance.choose_move(Vitals.recent_vitals(), parts) do
       nil -> {:ok, nil}
       {part, to} -> with :ok <- move(deployment, part, to), do: {:ok, {part, to}}
     end
   end
 
   # Returns the time (ns) that the components of each part have spent on messages so far.
-  defp busy(deployment) do
-    for {part, node, snapshot} <- snapshots(deployment), into: %{} do
+  defp busy_times(deployment) do
+    for {part, node, snapshot} <- part_snapshots(deployment), into: %{} do
       spent = for %{kind: :process, busy: busy} <- snapshot.edges, do: busy
       {part, {node, System.monotonic_time(:nanosecond), Enum.sum(spent)}}
     end
@@ -423,15 +426,16 @@ defmodule Situ.Cluster do
 
   @doc "Returns a `Situ.Diagnostics.Snapshot` of the running parts, merged as if they were one pipeline."
   @spec info(t()) :: Situ.Diagnostics.Snapshot.t()
-  def info(%Deployment{} = deployment), do: Whole.merge(deployment.name, snapshots(deployment))
+  def info(%Deployment{} = deployment),
+    do: Whole.merge_parts(deployment.name, part_snapshots(deployment))
 
-  defp snapshots(deployment) do
-    for %{part: part, node: node, pipeline: pid} when pid != nil <- parts(deployment),
-        snapshot <- snapshot(pid),
+  defp part_snapshots(deployment) do
+    for %{part: part, node: node, pipeline: pid} when pid != nil <- list_parts(deployment),
+        snapshot <- take_snapshot(pid),
         do: {part, node, snapshot}
   end
 
-  defp snapshot(pid) do
+  defp take_snapshot(pid) do
     [Pipeline.info(pid)]
   rescue
     # The pipeline has ended.
@@ -440,7 +444,7 @@ defmodule Situ.Cluster do
     :exit, _ -> []
   end
 
-  defp parts(deployment), do: Overview.parts(deployment, Map.keys(Agent.info().members))
+  defp list_parts(deployment), do: Overview.list_parts(deployment, Map.keys(Agent.info().members))
 
   @doc "Returns the nodes, parts, streams and links of the whole cluster."
   @spec overview() :: Overview.t()
@@ -454,7 +458,7 @@ defmodule Situ.Cluster do
   def pipelines do
     if Process.whereis(Agent) do
       for %{deployment: d, part: part, pipeline: pid} when pid != nil <- overview().parts,
-          do: {"#{d}/#{part}", fn -> Overview.pipeline(d, part) end}
+          do: {"#{d}/#{part}", fn -> Overview.find_pipeline(d, part) end}
     else
       []
     end
@@ -466,7 +470,9 @@ defmodule Situ.Cluster do
   """
   @spec upgrade([module() | {module(), binary()}]) :: {:ok, [node()]} | {:error, Error.t()}
   def upgrade(modules) do
-    with :ok <- member(), {:ok, code} <- Upgrade.code(modules), do: Upgrade.run(code)
+    with :ok <- check_member(),
+         {:ok, code} <- Upgrade.collect_code(modules),
+         do: Upgrade.upgrade_nodes(code)
   end
 
   @doc "Returns the last lines that a member has logged after line number `from`."
@@ -480,7 +486,7 @@ defmodule Situ.Cluster do
   end
 
   # A node that does not reply in time counts as a node without runners.
-  defp everywhere(deployment) do
+  defp runners_by_node(deployment) do
     nodes = Map.keys(Agent.info().members)
 
     {answers, _silent} =
@@ -494,7 +500,7 @@ defmodule Situ.Cluster do
           {:ok, %{parts: [String.t()], streams: [map()]}} | {:error, Error.t()}
   def plan(module, opts \\ []) do
     with {:ok, deployment} <- Deployment.new(module, opts),
-         {:ok, %Plan{} = plan} <- Assembly.plan(deployment) do
+         {:ok, %Plan{} = plan} <- Assembly.build_plan(deployment) do
       streams = for {name, s} <- plan.streams, do: %{name: name, from: s.part, to: s.readers}
       {:ok, %{parts: Enum.sort(Map.keys(plan.parts)), streams: Enum.sort_by(streams, & &1.name)}}
     end

@@ -139,7 +139,7 @@ defmodule Situ.Remote do
       Connection.start(
         address,
         %{
-          token: Handshake.hide(opts[:token]),
+          token: Handshake.hide_token(opts[:token]),
           tls: opts[:tls],
           now: opts[:now] || (&Situ.Time.now/0),
           position: position,
@@ -158,7 +158,7 @@ defmodule Situ.Remote do
       opts: Keyword.put(opts, :position, position)
     }
 
-    case Connection.catalogue(pid, opts[:wait]) do
+    case Connection.await_catalogue(pid, opts[:wait]) do
       {:error, %{code: code} = error} when code not in [:unreachable, :link_lost] -> raise error
       _ -> link
     end
@@ -167,14 +167,14 @@ defmodule Situ.Remote do
   @doc "Returns the names and types of the streams that the server has announced so far."
   @spec streams(t()) :: %{String.t() => Situ.Type.t()}
   def streams(%__MODULE__{pid: pid}) do
-    case Connection.catalogue(pid, 0) do
-      {:ok, catalogue} -> Map.new(catalogue, fn {name, text} -> {name, type(text)} end)
+    case Connection.await_catalogue(pid, 0) do
+      {:ok, catalogue} -> Map.new(catalogue, fn {name, text} -> {name, parse_type(text)} end)
       {:error, _} -> %{}
     end
   end
 
-  defp type(text) do
-    case TypeName.read(text) do
+  defp parse_type(text) do
+    case TypeName.parse_type(text) do
       {:ok, type} -> type
       :error -> :any
     end
@@ -189,14 +189,14 @@ defmodule Situ.Remote do
   @spec stream(t(), String.t(), keyword()) :: Situ.Stream.t()
   def stream(%__MODULE__{} = link, name, opts \\ []) when is_binary(name) do
     opts = Options.validate!(opts, @stream_options)
-    type = opts[:type] || known(link, name)
+    type = opts[:type] || known_type(link, name)
     policy = opts[:policy] || Delivery.unlimited()
 
     wanted = %{
-      datagram: datagram(opts[:datagrams], policy),
+      datagram: datagram_size(opts[:datagrams], policy),
       name: name,
-      from: from(opts[:from] || link.opts[:from], link, name),
-      policy: asked(policy),
+      from: resolve_start(opts[:from] || link.opts[:from], link, name),
+      policy: encode_policy(policy),
       priority: opts[:priority],
       window: opts[:window] || if(Delivery.lossy?(policy), do: 256 * 1024, else: 4 * 1024 * 1024),
       times: opts[:times]
@@ -208,9 +208,9 @@ defmodule Situ.Remote do
     Situ.source(link.pipeline, Source, own ++ named)
   end
 
-  defp datagram(false, _policy), do: nil
+  defp datagram_size(false, _policy), do: nil
 
-  defp datagram(size, policy) do
+  defp datagram_size(size, policy) do
     unless Delivery.lossy?(policy) do
       raise Error.new(:bad_option, "datagrams: needs a lossy policy:",
               why: "lost datagrams are not sent again",
@@ -222,7 +222,7 @@ defmodule Situ.Remote do
     if size == true, do: 1_200, else: size
   end
 
-  defp known(link, name) do
+  defp known_type(link, name) do
     streams = streams(link)
 
     case streams do
@@ -231,7 +231,7 @@ defmodule Situ.Remote do
 
       _ ->
         fix =
-          case Options.nearest(name, Map.keys(streams)) do
+          case Options.nearest_name(name, Map.keys(streams)) do
             nil ->
               "give its type: to wait for the stream"
 
@@ -248,10 +248,10 @@ defmodule Situ.Remote do
     end
   end
 
-  defp from(time, _link, _name) when is_integer(time), do: {:at, time}
-  defp from(word, _link, _name) when word in [:now, :start], do: word
+  defp resolve_start(time, _link, _name) when is_integer(time), do: {:at, time}
+  defp resolve_start(word, _link, _name) when word in [:now, :start], do: word
 
-  defp from(:resume, link, name) do
+  defp resolve_start(:resume, link, name) do
     case link.opts[:position] && Position.load(link.opts[:position]) do
       {:ok, %{^name => time}} -> {:after, time}
       {:error, error} -> raise error
@@ -259,19 +259,19 @@ defmodule Situ.Remote do
     end
   end
 
-  defp from({:after, recording}, _link, name) do
+  defp resolve_start({:after, recording}, _link, name) do
     path = Path.expand(recording)
 
-    case Versions.with_messages(Path.dirname(path), Folder.name(path), name) do
+    case Versions.with_messages(Path.dirname(path), Folder.store_name(path), name) do
       nil -> :start
       {_version, _store, info} -> {:after, info.last}
     end
   end
 
-  defp asked(%{max_queue: 1}), do: "latest"
-  defp asked(%{max_queue: n}) when is_integer(n), do: %{"max_queue" => n}
-  defp asked(%{max_latency: d}) when is_integer(d), do: %{"max_latency" => d}
-  defp asked(_lossless), do: nil
+  defp encode_policy(%{max_queue: 1}), do: "latest"
+  defp encode_policy(%{max_queue: n}) when is_integer(n), do: %{"max_queue" => n}
+  defp encode_policy(%{max_latency: d}) when is_integer(d), do: %{"max_latency" => d}
+  defp encode_policy(_lossless), do: nil
 
   @doc """
   Confirms the messages of a link's stream that the pipeline has finished processing. `stream` is the result of
@@ -286,7 +286,7 @@ defmodule Situ.Remote do
   """
   @spec confirm(Situ.Stream.t(), t(), String.t()) :: Situ.Stream.t()
   def confirm(%Situ.Stream{} = stream, %__MODULE__{} = link, name) do
-    :ok = Connection.confirming(link.pid, name)
+    :ok = Connection.enable_confirmation(link.pid, name)
     own = [link: link.pid, stream: name, policy: Delivery.unlimited()]
 
     Situ.via(
@@ -304,7 +304,7 @@ defmodule Situ.Remote do
   `lost`, `position` ...
   """
   @spec info(t()) :: map()
-  def info(%__MODULE__{pid: pid}), do: Connection.info(pid)
+  def info(%__MODULE__{pid: pid}), do: Connection.link_info(pid)
 
   @doc """
   Returns the links that pipelines of this node have open: the `address`, and the result of `info/1` for each.
@@ -314,13 +314,13 @@ defmodule Situ.Remote do
     all = Registry.select(Situ.Remote.Links, [{{:_, :"$1", :"$2"}, [], [{{:"$1", :"$2"}}]}])
 
     for {pid, address} <- all,
-        info <- told(pid),
+        info <- link_info(pid),
         do: Map.put(info, :address, address)
   end
 
   # The link may be closing at this moment.
-  defp told(pid) do
-    [Connection.info(pid)]
+  defp link_info(pid) do
+    [Connection.link_info(pid)]
   catch
     :exit, _ -> []
   end

@@ -36,7 +36,7 @@ defmodule Situ.ClusterTest do
     for m <- messages, do: {m.data, m.originating_time}
   end
 
-  test "parts on one node give what the pipeline gives alone", %{tmp_dir: dir} do
+  test "parts on one node give the same result as the pipeline alone", %{tmp_dir: dir} do
     start_supervised!({Cluster, log: dir})
 
     {:ok, deployment} =
@@ -52,7 +52,7 @@ defmodule Situ.ClusterTest do
     assert read(deployment, "Result") == alone(count: 500)
   end
 
-  # A NATS server where there is one, else a folder: the same must hold.
+  # Uses a NATS server if one is available, otherwise a folder; the results must be the same.
   defp log(dir) do
     if NatsServer.path() do
       server = NatsServer.start(dir)
@@ -63,7 +63,7 @@ defmodule Situ.ClusterTest do
     end
   end
 
-  test "the log of an ended deployment stays until it is pruned, files and all", %{tmp_dir: dir} do
+  test "the log of an ended deployment and its files are kept until it is pruned", %{tmp_dir: dir} do
     {address, files} = log(dir)
     start_supervised!({Cluster, log: address})
     opts = [opts: [count: 300], place: @place, publish: ["Result"], pipeline: @pipeline]
@@ -72,36 +72,36 @@ defmodule Situ.ClusterTest do
     before = files.()
     {:ok, gone} = Cluster.deploy(ClusterSums, [name: "gone"] ++ opts)
     assert :ok = Cluster.await(gone, 60_000)
-    {:ok, all} = Cluster.kept()
+    {:ok, all} = Cluster.list_log_usage()
     assert [%{deployment: "gone", streams: 5, bytes: bytes}, %{deployment: "kept"}] = all
     assert bytes > 0
     assert {:ok, n} = Cluster.prune("gone")
     assert n > 5
-    assert {:ok, [%{deployment: "kept"}]} = Cluster.kept()
+    assert {:ok, [%{deployment: "kept"}]} = Cluster.list_log_usage()
     assert files.() == before
     assert read(kept, "Result") == alone(count: 300)
     assert {:error, %{code: :not_found, fix: fix}} = Cluster.prune("gone")
     assert fix =~ "kept"
-    # Its name is free, and its log begins anew.
+    # Its name is free, and its log begins again.
     {:ok, again} = Cluster.deploy(ClusterSums, [name: "gone"] ++ opts)
     assert :ok = Cluster.await(again, 60_000)
     assert read(again, "Result") == alone(count: 300)
   end
 
-  test "the log of a running deployment is not pruned, whoever runs it", %{tmp_dir: dir} do
+  test "the log of a running deployment is never pruned by any node", %{tmp_dir: dir} do
     deployment = slow(dir)
     running(deployment.name, "Sum")
     assert {:error, %{code: :in_use}} = Cluster.prune(deployment.name)
     {:ok, log} = Situ.Remote.Log.connect(dir)
     {:ok, [kept]} = Past.list(log)
-    # Somebody else's, as far as this one knows: its leases change.
-    assert {:error, %{code: :in_use}} = Past.unused(log, kept, 300)
+    # Check the log alone, as for another cluster's deployment: its leases are changing.
+    assert {:error, %{code: :in_use}} = Past.check_unused(log, kept, 300)
     assert :ok = Cluster.await(deployment, 60_000)
     assert read(deployment, "Result") == alone(count: 600)
     assert {:error, %{code: :bad_option}} = Cluster.deploy(ClusterSums, name: "a.b")
   end
 
-  test "direct streams bypass the log, and lose nothing while all is well", %{tmp_dir: dir} do
+  test "direct streams bypass the log and lose nothing while all parts are up", %{tmp_dir: dir} do
     start_supervised!({Cluster, log: dir})
 
     {:ok, deployment} =
@@ -135,23 +135,23 @@ defmodule Situ.ClusterTest do
     deployment
   end
 
-  # Until a part runs; the runner of it and its publisher.
+  # Waits until a part is running; returns its runner and its publisher.
   defp running(name, part) do
-    %{^part => runner} = Cluster.Agent.runners(name)
+    %{^part => runner} = Cluster.Agent.list_runners(name)
 
-    case Cluster.Runner.info(runner) do
+    case Cluster.Runner.part_info(runner) do
       %{phase: :running} -> {runner, :sys.get_state(runner).publisher}
       _ -> running(name, part)
     end
   end
 
-  test "who asks about a part at the moment that its publisher is lost harms nobody", %{
+  test "asking about a part just as its publisher is lost does no harm", %{
     tmp_dir: dir
   } do
     deployment = slow(dir)
     {runner, publisher} = running(deployment.name, "Sum")
     :sys.suspend(runner)
-    asked = Task.async(fn -> Cluster.Runner.info(runner) end)
+    asked = Task.async(fn -> Cluster.Runner.part_info(runner) end)
     queued(runner)
     monitor = Process.monitor(publisher)
     Process.exit(publisher, :kill)
@@ -167,7 +167,7 @@ defmodule Situ.ClusterTest do
     if Process.info(pid, :message_queue_len) == {:message_queue_len, 0}, do: queued(pid)
   end
 
-  test "a runner that is lost is found again", %{tmp_dir: dir} do
+  test "finds a lost runner again", %{tmp_dir: dir} do
     deployment = slow(dir)
     {runner, _} = running(deployment.name, "Sum")
     Process.exit(runner, :kill)
@@ -178,7 +178,7 @@ defmodule Situ.ClusterTest do
 
   defp raw(dir), do: elem(Situ.Remote.Log.connect(dir), 1)
 
-  # As somebody does who reaches the log and has no cookie: behind whatever is there, until it is taken.
+  # As a writer with access to the log but without the cookie: appends after the last entry until it succeeds.
   defp forge(log, subject, entry, last \\ 0) do
     case Situ.Remote.Log.append(log, subject, last, entry) do
       {:refused, last} -> forge(log, subject, entry, last.seq)
@@ -192,14 +192,14 @@ defmodule Situ.ClusterTest do
   ]
 
   for {what, head} <- @forged do
-    test "a #{what} that nobody of the cluster has written ends the part with the reason", %{
+    test "a #{what} from outside the cluster ends the part with the reason", %{
       tmp_dir: dir
     } do
       deployment = slow(dir)
       running(deployment.name, "Sum")
 
       [name | _] =
-        for {name, %{part: "Sum"}} <- Cluster.Agent.plan(deployment.name).streams, do: name
+        for {name, %{part: "Sum"}} <- Cluster.Agent.find_plan(deployment.name).streams, do: name
 
       subject = {:stream, "#{deployment.name}.#{name}"}
       entry = %Situ.Remote.Log.Entry{op: "x", head: unquote(Macro.escape(head))}
@@ -211,24 +211,24 @@ defmodule Situ.ClusterTest do
     end
   end
 
-  test "a lease that nobody of the cluster has written is taken over", %{tmp_dir: dir} do
+  test "takes over a lease from outside the cluster", %{tmp_dir: dir} do
     deployment = slow(dir)
     running(deployment.name, "Sum")
-    key = {:key, Cluster.Runner.key(deployment, "Sum", "lease")}
+    key = {:key, Cluster.Runner.log_key(deployment, "Sum", "lease")}
     forge(raw(dir), key, %Situ.Remote.Log.Entry{op: "x", head: %{"Node" => "evil@host"}})
     assert :ok = Cluster.await(deployment, 60_000)
     assert read(deployment, "Result") == alone(count: 600)
   end
 
-  test "an end of a part that was noted by nobody of the cluster is no end", %{tmp_dir: dir} do
+  test "rejects the end of a part from outside the cluster", %{tmp_dir: dir} do
     deployment = slow(dir)
     running(deployment.name, "Sum")
-    key = {:key, Cluster.Runner.key(deployment, "Sum", "state")}
+    key = {:key, Cluster.Runner.log_key(deployment, "Sum", "state")}
     forge(raw(dir), key, %Situ.Remote.Log.Entry{op: "x", head: %{"State" => "done"}})
     assert {:error, %{code: :unsealed_entry}} = Cluster.await(deployment, 60_000)
   end
 
-  test "after all nodes were lost the deployments run again, but for those that have ended", %{
+  test "after the loss of all nodes, deployments restart unless they have ended", %{
     tmp_dir: dir
   } do
     deployment = slow(dir)
@@ -242,28 +242,28 @@ defmodule Situ.ClusterTest do
     assert deployments_after_start(dir) == []
   end
 
-  # The loader runs once more, so that the node has certainly read the whole log.
+  # The loader runs again, so the node has certainly read the complete log.
   defp deployments_after_start(dir) do
     start_supervised!({Cluster, log: dir})
     :ok = Cluster.DeploymentLoader.run(raw(dir), Cluster.Agent, false)
     Cluster.Agent.info().deployments
   end
 
-  test "the same deployment once more changes nothing, another of its name is refused", %{
+  test "repeating a deployment changes nothing, and another of its name is rejected", %{
     tmp_dir: dir
   } do
     start_supervised!({Cluster, log: dir})
     opts = [place: [{"P1", on: "nowhere", only: true}], pipeline: @pipeline]
     {:ok, deployment} = Cluster.deploy(ClusterFan, [opts: [parts: 1]] ++ opts)
-    runners = Cluster.Agent.runners(deployment.name)
+    runners = Cluster.Agent.list_runners(deployment.name)
     assert {:ok, ^deployment} = Cluster.deploy(ClusterFan, [opts: [parts: 1]] ++ opts)
-    assert Cluster.Agent.runners(deployment.name) == runners
+    assert Cluster.Agent.list_runners(deployment.name) == runners
 
     assert {:error, %{code: :duplicate_name}} =
              Cluster.deploy(ClusterFan, [opts: [parts: 2]] ++ opts)
   end
 
-  test "a deployment that was forgotten does not come back", %{tmp_dir: dir} do
+  test "a forgotten deployment does not come back", %{tmp_dir: dir} do
     deployment = slow(dir)
     running(deployment.name, "Sum")
     assert :ok = Cluster.forget(deployment)
@@ -271,7 +271,7 @@ defmodule Situ.ClusterTest do
     assert deployments_after_start(dir) == []
   end
 
-  test "a deployment whose log was deleted meanwhile does not come back, and begins anew", %{
+  test "a deployment whose log was deleted does not come back and begins again", %{
     tmp_dir: dir
   } do
     deployment = slow(dir)
@@ -286,7 +286,7 @@ defmodule Situ.ClusterTest do
     assert read(again, "Result") == alone(count: 100)
   end
 
-  test "forgetting 40 parts holds up nobody", %{tmp_dir: dir} do
+  test "forgetting 40 parts blocks nobody", %{tmp_dir: dir} do
     start_supervised!({Cluster, log: dir})
     agent = Process.whereis(Cluster.Agent)
 
@@ -297,9 +297,9 @@ defmodule Situ.ClusterTest do
         pipeline: @pipeline
       )
 
-    runners = Map.values(Cluster.Agent.runners(deployment.name))
+    runners = Map.values(Cluster.Agent.list_runners(deployment.name))
     assert length(runners) > 40
-    # These take their time: the agent must not.
+    # Stopping these takes a while, but the agent must not wait.
     for runner <- runners, do: :sys.suspend(runner)
     asked = Task.async(fn -> Cluster.forget(deployment) end)
     eventually(fn -> Cluster.Agent.info().deployments == [] end)
@@ -310,36 +310,37 @@ defmodule Situ.ClusterTest do
     assert Process.whereis(Cluster.Agent) == agent
   end
 
-  test "a node stands where it stood when the process that moves a part has gone", %{tmp_dir: dir} do
+  test "a node keeps its rank when the process that moves a part has gone", %{tmp_dir: dir} do
     deployment = slow(dir)
     {runner, _} = running(deployment.name, "Sum")
     mover = spawn(fn -> receive do: (:never -> :ok) end)
-    :ok = Cluster.Runner.stand(runner, 2)
-    :ok = Cluster.Runner.stand(runner, 3, mover)
-    assert Cluster.Runner.info(runner).away == 3
+    :ok = Cluster.Runner.set_demotion(runner, 2)
+    :ok = Cluster.Runner.set_demotion(runner, 3, mover)
+    assert Cluster.Runner.part_info(runner).away == 3
     Process.exit(mover, :kill)
-    eventually(fn -> Cluster.Runner.info(runner).away == 2 end)
+    eventually(fn -> Cluster.Runner.part_info(runner).away == 2 end)
   end
 
-  test "one part that does not answer hides no other from the status", %{tmp_dir: dir} do
+  test "one part that does not respond hides no other from the status", %{tmp_dir: dir} do
     deployment = slow(dir)
     {runner, _} = running(deployment.name, "Sum")
     running(deployment.name, "Smooth")
     :sys.suspend(runner)
 
     assert [%{}, %{phase: :running}] =
-             Cluster.Runners.infos(
-               [runner, Cluster.Agent.runners(deployment.name)["Smooth"]],
+             Cluster.Runners.collect_infos(
+               [runner, Cluster.Agent.list_runners(deployment.name)["Smooth"]],
                200
              )
 
     :sys.resume(runner)
   end
 
-  test "each recording is made by the part that writes it, and by no other", %{tmp_dir: dir} do
+  test "only the part that writes a recording creates it", %{tmp_dir: dir} do
     start_supervised!({Cluster, log: Path.join(dir, "log")})
     root = Path.join(dir, "recordings")
-    # So that both parts are closed: a recording of nothing would be made at the end.
+
+    # Both parts are closed this way; a part that writes nothing would create an empty recording at its end.
     opts = [opts: [root: root, count: 50], place: [{"Recording", deterministic: true}]]
     {:ok, deployment} = Cluster.deploy(Situ.Test.ClusterRecorded, [pipeline: @pipeline] ++ opts)
     assert :ok = Cluster.await(deployment, 60_000)
@@ -352,7 +353,7 @@ defmodule Situ.ClusterTest do
 
   if NatsServer.path() do
     test "a node that starts before its log waits for it", %{tmp_dir: dir} do
-      port = Situ.Test.FreePort.tcp()
+      port = Situ.Test.FreePort.find_tcp()
 
       log =
         ExUnit.CaptureLog.capture_log(fn ->
@@ -363,17 +364,21 @@ defmodule Situ.ClusterTest do
           assert {:error, %{code: :log_away}} = Cluster.deploy(ClusterSums, opts: [count: 300])
         end)
 
-      assert log =~ "no NATS server at 127.0.0.1:#{port}: connection refused"
+      assert log =~ "cannot connect to a NATS server at 127.0.0.1:#{port}: connection refused"
       server = NatsServer.start(dir, port: port)
       on_exit(fn -> NatsServer.kill(server) end)
       opts = [opts: [count: 300], place: @place, publish: ["Result"], pipeline: @pipeline]
-      eventually(fn -> match?({:ok, _}, Situ.Remote.Log.subjects(Cluster.Agent.log())) end)
+
+      eventually(fn ->
+        match?({:ok, _}, Situ.Remote.Log.list_subjects(Cluster.Agent.get_log()))
+      end)
+
       {:ok, deployment} = Cluster.deploy(ClusterSums, opts)
       assert :ok = Cluster.await(deployment, 60_000)
       assert read(deployment, "Result") == alone(count: 300)
     end
 
-    test "a server that nobody can use is no server to wait for", %{tmp_dir: dir} do
+    test "does not wait for a server that nobody can use", %{tmp_dir: dir} do
       server = NatsServer.start(dir, settings: ~s(authorization { token: "s3cret" }))
       on_exit(fn -> NatsServer.kill(server) end)
       Process.flag(:trap_exit, true)

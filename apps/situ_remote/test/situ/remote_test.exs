@@ -43,7 +43,7 @@ defmodule Situ.RemoteTest do
     end)
   end
 
-  test "a finished recording comes over whole, and ends", %{root: root} do
+  test "a finished recording arrives completely and ends", %{root: root} do
     record(root, "lobby", 1..5_000)
     server = serve(Path.join(root, "lobby"))
     assert received(address(server), from: :start) == Enum.to_list(1..5_000)
@@ -51,7 +51,7 @@ defmodule Situ.RemoteTest do
     assert received(address(server), from: :now) == []
   end
 
-  test "versions are one row", %{root: root} do
+  test "versions are one recording", %{root: root} do
     record(root, "lobby", 1..10)
     {writer, _} = record(root, "lobby", 11..20, open: true)
     :ok = Writer.close(writer)
@@ -61,7 +61,7 @@ defmodule Situ.RemoteTest do
     assert received(address(server), from: :start) == Enum.to_list(15..30)
   end
 
-  test "a recording under way is followed, over a server that goes and comes", %{root: root} do
+  test "follows a recording in progress while the server restarts", %{root: root} do
     recording = record(root, "lobby", 1..10, open: true)
     server = serve(Path.join(root, "lobby"))
     port = Server.port(server)
@@ -90,7 +90,7 @@ defmodule Situ.RemoteTest do
     Server.close(server)
   end
 
-  test "a recorder that begins once more is followed to the end", %{root: root} do
+  test "follows a recorder that restarts to the end", %{root: root} do
     _killed = record(root, "lobby", 1..10, open: true)
     {writer, stream} = record(root, "lobby", 11..20, open: true)
     server = serve(Path.join(root, "lobby"))

@@ -1,6 +1,6 @@
 defmodule Situ.Test.ClusterFan do
   @moduledoc false
-  # A pipeline for clusters with as many parts as it is asked for, all of which read one source.
+  # A pipeline for clusters with a given number of parts, all of which read one source.
   use Situ.Pipeline
 
   @impl true

@@ -1,6 +1,6 @@
 defmodule Situ.Test.ClusterRecorded do
   @moduledoc false
-  # A pipeline for clusters that records in a part of its own, and in the one without a rule.
+  # A pipeline for clusters that records in a separate part and in the part without a rule.
   use Situ.Pipeline
 
   @impl true

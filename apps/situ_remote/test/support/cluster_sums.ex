@@ -1,6 +1,6 @@
 defmodule Situ.Test.ClusterSums do
   @moduledoc false
-  # A pipeline for clusters: two sources, a join, a window, a running sum; three parts and what is left.
+  # A pipeline for clusters: two sources, a join, a window and a running sum in three parts, and the rest.
   use Situ.Pipeline
 
   @impl true

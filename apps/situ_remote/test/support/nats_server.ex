@@ -1,9 +1,9 @@
 defmodule Situ.Test.NatsServer do
   @moduledoc false
-  # A real nats-server for tests: an OS process of its own that can be killed and started again on the same data.
+  # A real nats-server for tests: a separate OS process that can be killed and restarted on the same data.
   alias Situ.Test.FreePort
 
-  @doc "Its path, or `nil`: bin/setup --for test fetches it."
+  @doc "Returns its path, or `nil`; bin/setup --for test fetches it."
   @spec path() :: Path.t() | nil
   def path do
     fetched = Path.expand("../../priv/nats/nats-server", __DIR__)
@@ -12,10 +12,10 @@ defmodule Situ.Test.NatsServer do
       System.find_executable("nats-server")
   end
 
-  @doc "Starts one in `dir`; `settings` are lines of its configuration."
+  @doc "Starts a server in `dir`; `settings` are lines of its configuration."
   @spec start(Path.t(), keyword()) :: map()
   def start(dir, opts \\ []) do
-    port = opts[:port] || FreePort.tcp()
+    port = opts[:port] || FreePort.find_tcp()
     File.mkdir_p!(dir)
     config = Path.join(dir, "server.conf")
     data = Path.join(dir, "data")
@@ -37,7 +37,7 @@ defmodule Situ.Test.NatsServer do
     run(server)
   end
 
-  @doc "Starts it again, on what it has kept."
+  @doc "Starts it again on the data it has kept."
   @spec run(map()) :: map()
   def run(server) do
     process =

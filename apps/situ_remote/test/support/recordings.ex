@@ -1,11 +1,11 @@
 defmodule Situ.Remote.Test.Recordings do
-  @moduledoc "Recordings, servers and links for tests."
+  @moduledoc "Provides recordings, servers and links for tests."
   import ExUnit.Callbacks, only: [on_exit: 1]
   alias Situ.{Message, Remote}
   alias Situ.Remote.Server
   alias Situ.Store.Writer
 
-  @doc "A folder of the test's own."
+  @doc "Creates a folder for the test."
   def folder do
     root = Path.join(System.tmp_dir!(), "situ-remote-#{System.unique_integer([:positive])}")
     File.mkdir_p!(root)
@@ -13,13 +13,13 @@ defmodule Situ.Remote.Test.Recordings do
     root
   end
 
-  @doc "Messages whose data are their times; `data:` makes others of these."
+  @doc "Returns messages whose data are their times; `data:` converts the data."
   def messages(times, data \\ & &1) do
     for t <- times,
         do: %Message{data: data.(t), originating_time: t, creation_time: t, sequence_id: t}
   end
 
-  @doc "A new version of recording `name` with these streams, still open: `{writer, %{name => stream}}`."
+  @doc "Begins a new, open version of recording `name` with these streams; returns `{writer, %{name => stream}}`."
   def begin(root, name, streams) do
     {:ok, writer} = Writer.create(name, root)
 
@@ -33,23 +33,23 @@ defmodule Situ.Remote.Test.Recordings do
     {writer, streams}
   end
 
-  @doc "Closes what `begin/3` began."
+  @doc "Closes the recording that `begin/3` began."
   def finish({writer, streams}, time \\ 1_000_000) do
     for {_, stream} <- streams, do: {:ok, _} = Writer.close_stream(stream, time)
     :ok = Writer.close(writer)
   end
 
-  @doc "A server on a free port that ends with the test."
+  @doc "Starts a server on a free port that ends with the test."
   def serve(what, opts \\ []) do
     {:ok, server} = Remote.serve(what, Keyword.merge([port: 0], opts))
     on_exit(fn -> Server.close(server) end)
     server
   end
 
-  @doc "The address of a server."
+  @doc "Returns the address of a server."
   def address(server, name \\ "lobby"), do: "situ://127.0.0.1:#{Server.port(server)}/#{name}"
 
-  @doc "All data of a stream of a link."
+  @doc "Returns all data of a stream of a link."
   def received(address, name, link_opts \\ [from: :start], stream_opts \\ []) do
     Situ.to_list(fn p ->
       p |> Remote.open(address, link_opts) |> Remote.stream(name, stream_opts)

@@ -28,12 +28,12 @@ defmodule Situ.Geo do
   @doc """
   Validates a position from a receiver or a file: three numbers, with latitude and longitude in range.
 
-      iex> {:error, error} = Situ.Geo.place(91, 14.5)
+      iex> {:error, error} = Situ.Geo.validate_position(91, 14.5)
       iex> error.what
       "the latitude 91 is outside -90..90 degrees"
   """
-  @spec place(term(), term(), term()) :: {:ok, place()} | {:error, Error.t()}
-  def place(latitude, longitude, height \\ 0.0) do
+  @spec validate_position(term(), term(), term()) :: {:ok, place()} | {:error, Error.t()}
+  def validate_position(latitude, longitude, height \\ 0.0) do
     cond do
       not (is_number(latitude) and is_number(longitude) and is_number(height)) ->
         {:error,
@@ -75,35 +75,37 @@ defmodule Situ.Geo do
   def from_ecef({x, y, z}) do
     p = :math.sqrt(x * x + y * y)
     second = (@a * @a - @b * @b) / (@b * @b)
-    phi = latitude({p, z}, :math.atan2(z * @a, p * @b), second, @steps)
+    phi = iterate_latitude({p, z}, :math.atan2(z * @a, p * @b), second, @steps)
     {s, c} = {:math.sin(phi), :math.cos(phi)}
     n = @a / :math.sqrt(1 - @e2 * s * s)
     height = p * c + z * s - @a * @a / n
-    {degrees(phi), degrees(:math.atan2(y, x)), height}
+    {to_degrees(phi), to_degrees(:math.atan2(y, x)), height}
   end
 
-  defp latitude({p, z} = at, beta, second, steps) do
+  defp iterate_latitude({p, z} = at, beta, second, steps) do
     {s, c} = {:math.sin(beta), :math.cos(beta)}
     phi = :math.atan2(z + second * @b * s * s * s, p - @e2 * @a * c * c * c)
     next = :math.atan2(@b * :math.sin(phi), @a * :math.cos(phi))
 
     if steps == 0 or abs(next - beta) < 1.0e-14,
       do: phi,
-      else: latitude(at, next, second, steps - 1)
+      else: iterate_latitude(at, next, second, steps - 1)
   end
 
   @doc "Returns a position in metres east, north and up of an origin."
   @spec to_enu(place(), place()) :: Vector3.t()
   def to_enu(place, origin) do
     moved = Vector3.subtract(to_ecef(place), to_ecef(origin))
-    {east, north, up} = axes(origin)
-    {Vector3.dot(east, moved), Vector3.dot(north, moved), Vector3.dot(up, moved)}
+    {east, north, up} = enu_axes(origin)
+
+    {Vector3.dot_product(east, moved), Vector3.dot_product(north, moved),
+     Vector3.dot_product(up, moved)}
   end
 
   @doc "Returns the position at the given metres east, north and up of an origin."
   @spec from_enu(Vector3.t(), place()) :: place()
   def from_enu({e, n, u}, origin) do
-    {east, north, up} = axes(origin)
+    {east, north, up} = enu_axes(origin)
 
     to_ecef(origin)
     |> Vector3.add(Vector3.scale(east, e))
@@ -113,14 +115,14 @@ defmodule Situ.Geo do
   end
 
   @doc "Returns the rotation from the east, north, up axes at an origin to the axes of the Earth's centre."
-  @spec rotation(place()) :: Quaternion.t()
-  def rotation(origin) do
-    {{ex, ey, ez}, {nx, ny, nz}, {ux, uy, uz}} = axes(origin)
+  @spec enu_rotation(place()) :: Quaternion.t()
+  def enu_rotation(origin) do
+    {{ex, ey, ez}, {nx, ny, nz}, {ux, uy, uz}} = enu_axes(origin)
     {:ok, q} = Quaternion.from_matrix({{ex, nx, ux}, {ey, ny, uy}, {ez, nz, uz}})
     q
   end
 
-  defp axes({latitude, longitude, _}) do
+  defp enu_axes({latitude, longitude, _}) do
     {sp, cp} = sin_cos(latitude)
     {sl, cl} = sin_cos(longitude)
     {{-sl, cl, 0.0}, {-sp * cl, -sp * sl, cp}, {cp * cl, cp * sl, sp}}
@@ -135,5 +137,5 @@ defmodule Situ.Geo do
     {:math.sin(radians), :math.cos(radians)}
   end
 
-  defp degrees(radians), do: radians * 180 / :math.pi()
+  defp to_degrees(radians), do: radians * 180 / :math.pi()
 end

@@ -11,7 +11,7 @@ defmodule Situ.Space do
   |---|---|
   | `between/1` | `Interpolators.Reproducible.CoordinateSystem`, `...Ray3D` |
   | `velocity/2` | `GetLinearVelocity3D`, `ComputeVelocity` |
-  | `moved/3` | `Transform`, `TransformBy` |
+  | `transform_stream/3` | `Transform`, `TransformBy` |
   | `orientation/2` | (none) |
   """
   alias Situ.{
@@ -121,9 +121,9 @@ defmodule Situ.Space do
   defp speed(kind, {before, from}, time, to) do
     {:ok, velocity} =
       case kind do
-        :linear -> Velocity3.linear(from, to, time - before)
-        :angular -> Velocity3.angular(from, to, time - before)
-        :pose -> PoseVelocity.between(from, to, time - before)
+        :linear -> Velocity3.linear_between(from, to, time - before)
+        :angular -> Velocity3.angular_between(from, to, time - before)
+        :pose -> PoseVelocity.from_poses(from, to, time - before)
       end
 
     velocity
@@ -133,11 +133,11 @@ defmodule Situ.Space do
   Converts a stream of readings (`Situ.ImuReading`) to a stream of rotations: quaternions that rotate the sensor's axes
   to north, west and up. See `Situ.Space.Orientation`.
 
-  #{Situ.Options.docs(Orientation.schema())}
+  #{Situ.Options.docs(Orientation.option_schema())}
   """
   @spec orientation(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
   def orientation(stream, opts \\ []) do
-    {own, placed} = Keyword.split(opts, Keyword.keys(Orientation.schema()))
+    {own, placed} = Keyword.split(opts, Keyword.keys(Orientation.option_schema()))
 
     stream
     |> Situ.scan(
@@ -153,36 +153,37 @@ defmodule Situ.Space do
   lines, rays, boxes, rectangles, meshes, point clouds and skeletons, and lists of them. They are joined with the stream
   of poses by `between/1` or another interpolator.
   """
-  @spec moved(Situ.Stream.t(), Situ.Stream.t(), Interpolator.t() | nil) :: Situ.Stream.t()
-  def moved(stream, poses, interpolator \\ nil) do
+  @spec transform_stream(Situ.Stream.t(), Situ.Stream.t(), Interpolator.t() | nil) ::
+          Situ.Stream.t()
+  def transform_stream(stream, poses, interpolator \\ nil) do
     stream
     |> Situ.join(poses, interpolator || between(), flatten: false)
-    |> Situ.map(fn {data, pose} -> move(data, pose) end, name: "Moved")
+    |> Situ.map(fn {data, pose} -> transform(data, pose) end, name: "Moved")
   end
 
   @doc """
   Transforms one object, or a list of objects, by a pose.
 
       iex> pose = Situ.Pose.new({0.0, 0.0, 1.0})
-      iex> Situ.Space.move(Situ.Point3.new(1, 2, 3), pose)
+      iex> Situ.Space.transform(Situ.Point3.new(1, 2, 3), pose)
       %Situ.Point3{x: 1.0, y: 2.0, z: 4.0}
   """
-  @spec move(term(), Pose.t()) :: term()
-  def move(%Pose{} = inner, pose), do: Pose.compose(pose, inner)
-  def move(%Ray3{} = ray, pose), do: Ray3.transform(ray, pose)
-  def move(%Line3{} = line, pose), do: Line3.transform(line, pose)
-  def move(%Box3{} = box, pose), do: Box3.transform(box, pose)
-  def move(%Mesh{} = mesh, pose), do: Mesh.transform(mesh, pose)
-  def move(%Skeleton{} = body, pose), do: Skeleton.transform(body, pose)
-  def move(%Rectangle3{} = r, pose), do: %{r | pose: Pose.compose(pose, r.pose)}
+  @spec transform(term(), Pose.t()) :: term()
+  def transform(%Pose{} = inner, pose), do: Pose.compose(pose, inner)
+  def transform(%Ray3{} = ray, pose), do: Ray3.transform(ray, pose)
+  def transform(%Line3{} = line, pose), do: Line3.transform(line, pose)
+  def transform(%Box3{} = box, pose), do: Box3.transform(box, pose)
+  def transform(%Mesh{} = mesh, pose), do: Mesh.transform(mesh, pose)
+  def transform(%Skeleton{} = body, pose), do: Skeleton.transform(body, pose)
+  def transform(%Rectangle3{} = r, pose), do: %{r | pose: Pose.compose(pose, r.pose)}
 
-  def move(%PointCloud{} = cloud, pose),
+  def transform(%PointCloud{} = cloud, pose),
     do: cloud |> Cloud.transform(pose) |> Situ.Error.unwrap!()
 
-  def move(%Point3{x: x, y: y, z: z}, pose) do
-    {x, y, z} = Pose.transform(pose, {x * 1.0, y * 1.0, z * 1.0})
+  def transform(%Point3{x: x, y: y, z: z}, pose) do
+    {x, y, z} = Pose.transform_point(pose, {x * 1.0, y * 1.0, z * 1.0})
     Point3.new(x, y, z)
   end
 
-  def move(list, pose) when is_list(list), do: Enum.map(list, &move(&1, pose))
+  def transform(list, pose) when is_list(list), do: Enum.map(list, &transform(&1, pose))
 end

@@ -16,7 +16,7 @@ defmodule Situ.SpaceTest do
   defp run(build),
     do: Situ.to_list(fn p -> Situ.map(build.(p), &{&2.originating_time, &1}) end)
 
-  test "poses between messages, at the times of another stream" do
+  test "interpolates poses at the times of another stream" do
     seen =
       run(fn p ->
         ticks = Situ.from_enumerable(p, [{5, :a}, {15, :b}, {40, :c}, {90, :late}])
@@ -29,7 +29,7 @@ defmodule Situ.SpaceTest do
     assert last.position == {4.0, 0.0, 0.0}
   end
 
-  test "velocities, from one message to the next" do
+  test "computes velocities from one message to the next" do
     assert [{@second, v} | rest] = run(fn p -> Space.velocity(poses(p, @second)) end)
     assert {v.direction, v.magnitude} == {{1.0, 0.0, 0.0}, 1.0}
     assert length(rest) == 3
@@ -40,23 +40,26 @@ defmodule Situ.SpaceTest do
     assert_in_delta Vector3.norm(both.angular), 0.2, 1.0e-9
   end
 
-  test "what is given in a moving frame, in the outer one" do
+  test "transforms data from a moving frame to the outer frame" do
     seen =
       run(fn p ->
         p
         |> Situ.from_enumerable([{10, Point3.new(0, 1, 0)}, {20, Point3.new(0, 0, 0)}])
-        |> Space.moved(poses(p, 10))
+        |> Space.transform_stream(poses(p, 10))
       end)
 
     expected =
-      Pose.transform(Pose.new({1.0, 0.0, 0.0}, Quaternion.from_euler(0.2, 0, 0)), {0.0, 1.0, 0.0})
+      Pose.transform_point(
+        Pose.new({1.0, 0.0, 0.0}, Quaternion.from_euler(0.2, 0, 0)),
+        {0.0, 1.0, 0.0}
+      )
 
     assert [{10, a}, {20, b}] = seen
     assert Vector3.distance({a.x, a.y, a.z}, expected) < 1.0e-12
     assert {b.x, b.y, b.z} == {2.0, 0.0, 0.0}
   end
 
-  test "orientation from readings" do
+  test "computes the orientation from sensor readings" do
     readings =
       for i <- 0..100, do: {i * 10_000_000, ImuReading.new({0.0, 0.0, 9.81}, {0.0, 0.0, 0.5})}
 

@@ -96,10 +96,10 @@ defmodule Situ.Store do
   @doc """
   Opens a store (a path, or a store from `open/2`) for the pipeline to replay. Call it during `build`.
 
-  #{Options.docs(Importer.options())}
+  #{Options.docs(Importer.open_options())}
   """
   @spec importer(Situ.Pipeline.t(), Path.t() | t(), keyword()) :: Importer.t()
-  def importer(p, path, opts \\ []), do: Importer.open(p, path, opts)
+  def importer(p, path, opts \\ []), do: Importer.open_recording(p, path, opts)
 
   @doc """
   Returns a recorded stream as a stream of the pipeline. Unless the store is still being written, the stream's time span
@@ -173,7 +173,7 @@ defmodule Situ.Store do
   Returns the messages of a stream as an `Enumerable` of parts in order. A part with plain numbers is a
   `Situ.Store.Columns` of many thousand messages; any other part is a list of messages.
 
-  #{Options.docs(Columns.Reading.options())}
+  #{Options.docs(Columns.Reading.column_options())}
   """
   @spec columns(t(), name(), keyword()) :: Enumerable.t()
   defdelegate columns(store, name, opts \\ []), to: Columns.Reading
@@ -221,7 +221,7 @@ defmodule Situ.Store do
   """
   @spec summary(t(), name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, width :: pos_integer(), [Summary.bin()]} | {:error, Error.t()}
-  defdelegate summary(store, name, from, to, pixels), to: Summary, as: :numbers
+  defdelegate summary(store, name, from, to, pixels), to: Summary, as: :read_numbers
 
   @doc "Returns spans of at least `least` ns without a message. Only gaps between chunks are found, from the index."
   @spec gaps(t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
@@ -245,13 +245,13 @@ defmodule Situ.Store do
   def exists?(path) do
     here = Path.expand(path)
 
-    Formats.for_address(path) != nil or Folder.resolve(here) != nil or
+    Formats.for_address(path) != nil or Folder.resolve_store(here) != nil or
       Formats.for_folder(here) != nil
   end
 
   @doc "Returns the folder of the newest version of store `name` in `root`, or `nil`."
   @spec newest(String.t(), Path.t()) :: Path.t() | nil
-  def newest(name, root), do: Folder.newest(name, Path.expand(root))
+  def newest(name, root), do: Folder.newest_version(name, Path.expand(root))
 
   @list_options [
     recursive: [type: :boolean, default: false, doc: "Search subfolders, too."]
@@ -264,7 +264,7 @@ defmodule Situ.Store do
   """
   @spec list(Path.t(), keyword()) :: [Path.t()]
   def list(root, opts \\ []),
-    do: Folder.all(Path.expand(root), Options.validate!(opts, @list_options)[:recursive])
+    do: Folder.list_stores(Path.expand(root), Options.validate!(opts, @list_options)[:recursive])
 
   defdelegate verify(path, opts \\ []), to: Mending
   defdelegate repair(path, opts \\ []), to: Mending

@@ -9,7 +9,7 @@ defmodule Situ.StoreTest do
 
   @moduletag :tmp_dir
 
-  test "any plain term comes back as it was, with its envelope", %{tmp_dir: root} do
+  test "every plain term round-trips with its envelope", %{tmp_dir: root} do
     values = [
       1,
       -1,
@@ -44,7 +44,7 @@ defmodule Situ.StoreTest do
     end
   end
 
-  test "streams of one kind of number are small", %{tmp_dir: root} do
+  test "a stream of one numeric type is small", %{tmp_dir: root} do
     n = 10_000
     written = for i <- 1..n, do: message(i, i * 100, i * 100 + 7, i)
     path = store(root, [{"Count", written, [type: :integer]}])
@@ -55,7 +55,7 @@ defmodule Situ.StoreTest do
     assert bytes / n < 24
   end
 
-  test "metadata is exact while the store is written and after", %{tmp_dir: root} do
+  test "reports exact metadata while the store is written and afterwards", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("live", root)
     {:ok, stream} = Writer.stream(writer, "A", type: {:list, :float}, metadata: {"pi", 3.14})
     {:ok, stream} = Writer.append(stream, messages([[1.0], [2.0, 3.0]]))
@@ -67,7 +67,7 @@ defmodule Situ.StoreTest do
              {0, 1_000, 5, 1_005}
 
     assert {info.latency_sum, StreamInfo.average_latency(info)} == {10, 5.0}
-    assert StreamInfo.rate(info) == 1.0e6
+    assert StreamInfo.message_rate(info) == 1.0e6
     refute StreamInfo.closed?(info)
     assert Store.metadata(store, "A") == {:ok, {"pi", 3.14}}
     assert {:error, %{code: :type_mismatch}} = Store.metadata(store, "A", :integer)
@@ -81,7 +81,7 @@ defmodule Situ.StoreTest do
     assert {:error, %{code: :closed}} = Writer.append(stream, [message([], 3_000)])
   end
 
-  test "metadata with atoms this system does not have is readable", %{tmp_dir: root} do
+  test "reads metadata with atoms that this system does not know", %{tmp_dir: root} do
     term = %{known: 1}
     path = store(root, [{"S", messages([1]), [metadata: term]}])
     known = :erlang.term_to_binary(term)
@@ -90,7 +90,7 @@ defmodule Situ.StoreTest do
     assert Store.metadata(Store.open!(path), "S") == {:ok, %{"kn0wn" => 1}}
   end
 
-  test "a version is made for every recording; the newest opens", %{tmp_dir: root} do
+  test "every recording gets a new version, and the newest version is opened", %{tmp_dir: root} do
     assert store(root, [{"A", messages([1]), []}]) =~ "test.0000"
     assert store(root, [{"A", messages([2]), []}]) =~ "test.0001"
     {:ok, store} = Store.open(Path.join(root, "test"))
@@ -99,7 +99,7 @@ defmodule Situ.StoreTest do
     assert Store.exists?(Path.join(root, "test")) and not Store.exists?(Path.join(root, "none"))
   end
 
-  test "what cannot be stored is refused whole, and nothing is lost", %{tmp_dir: root} do
+  test "refuses data that cannot be stored and loses nothing", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("bad", root)
     {:ok, stream} = Writer.stream(writer, "S")
     {:ok, stream} = Writer.append(stream, messages([1, 2]))
@@ -126,7 +126,7 @@ defmodule Situ.StoreTest do
     assert store |> Store.messages("S") |> Enum.map(& &1.data) == [1, 2, 3]
   end
 
-  test "two writers, a locked folder, names", %{tmp_dir: root} do
+  test "refuses a second writer, a locked folder and invalid names", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("x", root)
     assert {:error, %{code: :store_exists}} = Writer.create("x", writer.path, versioned: false)
     assert {:error, %{code: :store_in_use}} = Store.repair(writer.path)
@@ -137,7 +137,7 @@ defmodule Situ.StoreTest do
     assert {:error, %{code: _, fix: _}} = Writer.create("x", file)
   end
 
-  test "wrong files say what they are", %{tmp_dir: root} do
+  test "errors say why a file is not a valid store", %{tmp_dir: root} do
     assert {:error, %{code: :no_store}} = Store.open(Path.join(root, "nothing"))
     path = store(root, [{"A", messages([1]), []}])
     index = Path.join(path, "index.situ")
@@ -162,7 +162,7 @@ defmodule Situ.StoreTest do
     path
   end
 
-  test "damage is found, told, left out and mended", %{tmp_dir: root} do
+  test "finds, reports, skips and repairs damage", %{tmp_dir: root} do
     path = store(root, [{"A", messages(Enum.map(1..2_000, &"message #{&1}")), []}])
     data = Path.join(path, "data-000000.situ")
     bytes = File.read!(data)
@@ -184,14 +184,14 @@ defmodule Situ.StoreTest do
     assert path |> Store.open!() |> Store.messages("A") |> Enum.map(& &1.data) == left
   end
 
-  test "large binaries are not copied, small ones do not pin a file", %{tmp_dir: root} do
+  test "large binaries are not copied, and small ones do not pin a file", %{tmp_dir: root} do
     big = :crypto.strong_rand_bytes(100_000)
 
     store =
       Store.open!(store(root, [{"P", messages([%Picture{width: 1, data: big}, "small"]), []}]))
 
     {:ok, [%{data: %Picture{data: data}}, %{data: small}]} = Store.read(store, "P")
-    # A binary made for this process would reference its own size, not that of the map's handle.
+    # A binary copied for this process would reference its own size, not that of the map's handle.
     assert data == big and :binary.referenced_byte_size(data) != byte_size(data)
     assert :binary.referenced_byte_size(small) == 5
     # The bytes outlive the store, its files and its reader.
@@ -200,7 +200,7 @@ defmodule Situ.StoreTest do
     assert data == big
   end
 
-  test "a summary of a number stream and of a codec's signal", %{tmp_dir: root} do
+  test "summarizes a stream of numbers and the signal of a codec", %{tmp_dir: root} do
     numbers = messages(Enum.map(0..9_999, &rem(&1 * 37, 101)))
     sounds = for i <- 0..499, do: message(%Sound{samples: Enum.to_list(i..(i + 15))}, i * 16_000)
     store = Store.open!(store(root, [{"N", numbers, []}, {"Audio", sounds, []}]))
@@ -224,7 +224,7 @@ defmodule Situ.StoreTest do
     assert {0, 0, 0, 0, 1} = hd(fine)
   end
 
-  test "the signal of a codec's stream is whole while it is written", %{tmp_dir: root} do
+  test "a codec's signal is complete while its stream is written", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("live", root)
     {:ok, stream} = Writer.stream(writer, "Audio", type: Sound)
 
@@ -245,8 +245,8 @@ defmodule Situ.StoreTest do
     end
   end
 
-  test "foreign atoms and structs are read as strings and maps", %{tmp_dir: root} do
-    # A term as a system with other modules writes it.
+  test "unknown atoms are read as strings, and unknown structs as maps", %{tmp_dir: root} do
+    # Builds a term as a system with other modules would write it.
     name = "Elixir.NeverCompiledHere#{System.unique_integer([:positive])}"
     atom = fn text -> <<119, byte_size(text), text::binary>> end
 
@@ -257,8 +257,8 @@ defmodule Situ.StoreTest do
     path = store(root, [{"S", messages([List.duplicate(0, 3), {:a, 1}]), []}])
     reader = Store.open!(path).state.ref
     assert is_reference(reader)
-    # The same through the whole path: write it as raw bytes of the term encoding.
-    # A function in a file is not made one.
+
+    # Writes the same term as raw bytes of the term encoding. A function in a file is not turned into a function.
     export = <<131, 113, 119, 6, "Elixir", 119, 1, "f", 97, 0>> <> :binary.copy(<<0>>, 20)
     assert %Undecoded{reason: "a function"} = Situ.Store.Test.Raw.decode(root, export)
 
@@ -267,7 +267,7 @@ defmodule Situ.StoreTest do
              "never_seen_field_17" => 3
            }
 
-    # A struct that is known, of a version that had another field: strings for all its keys, too.
+    # A known struct in a version with a different field also has strings for all its keys.
     term = struct_term("Elixir.Situ.Store.Undecoded", "never_seen_field_18", 3)
 
     assert Situ.Store.Test.Raw.decode(root, term) == %{

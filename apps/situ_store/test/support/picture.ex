@@ -1,6 +1,6 @@
 defmodule Situ.Store.Test.Picture do
   @moduledoc false
-  # A struct with a codec, as pictures have.
+  # A struct with a codec, as images have.
   @behaviour Situ.Codec
   defstruct [:width, :data]
 
@@ -15,7 +15,7 @@ end
 
 defmodule Situ.Store.Test.Sound do
   @moduledoc false
-  # A struct with a codec that has a signal: 16 samples, 1 us apart.
+  # A struct whose codec has a signal: 16 samples, 1 us apart.
   @behaviour Situ.Codec
   defstruct [:samples]
 
@@ -54,7 +54,7 @@ defmodule Situ.Store.Test.Record do
     for {value, i} <- Enum.with_index(values), do: message(value, i * step, i * step + 5, i + 1)
   end
 
-  @doc "A closed store with these streams: `[{name, messages, options}]`."
+  @doc "Writes a closed store with the streams `[{name, messages, options}]` and returns its path."
   def store(root, streams, name \\ "test") do
     {:ok, writer} = Writer.create(name, root)
 
@@ -80,7 +80,7 @@ end
 
 defmodule Situ.Store.Test.Raw do
   @moduledoc false
-  # Writes a term by hand: a stored tuple of the same length is replaced in the file and the checksums set right.
+  # Stores a hand-written term: replaces a stored term of the same length in the file and corrects the checksums.
   alias Situ.Store
   import Situ.Store.Test.Record
 
@@ -89,9 +89,9 @@ defmodule Situ.Store.Test.Raw do
     message.data
   end
 
-  @doc "The path of a store whose stream `T` holds a message with this external term."
+  @doc "Returns the path of a store whose stream `T` contains a message with this external term."
   def written(root, term) do
-    # A placeholder whose external term has just as many bytes.
+    # The placeholder's external term has the same number of bytes.
     placeholder = [String.duplicate("p", byte_size(term) - 12)]
     ^term = <<term::binary>>
     external = :erlang.term_to_binary(placeholder)
@@ -99,7 +99,7 @@ defmodule Situ.Store.Test.Raw do
     replace(store(root, [{"T", messages([placeholder]), []}], "raw"), external, term)
   end
 
-  @doc "Replaces bytes in a store's data by as many others; the checksums are set right."
+  @doc "Replaces bytes in a store's data with the same number of bytes and corrects the checksums."
   def replace(path, old, new) when byte_size(old) == byte_size(new) do
     file = Path.join(path, "data-000000.situ")
     bytes = File.read!(file)
@@ -113,7 +113,7 @@ defmodule Situ.Store.Test.Raw do
     path
   end
 
-  # The chunk's header stands before the payload: its body checksum is at 92, its own at 4.
+  # The chunk header precedes the payload; its body checksum is at 92 and its own checksum at 4.
   defp fix(bytes, payload) do
     start =
       bytes

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Test.Play do
   @moduledoc false
-  # Stores recorded and replayed by pipelines, and what came.
+  # Records and replays stores with pipelines, and collects the messages.
   import ExUnit.Assertions
   alias Situ.{Pipeline, Store}
 
@@ -29,7 +29,7 @@ defmodule Situ.Store.Test.Play do
     received(report.result)
   end
 
-  # Sends every message to the test; returns the tag to receive them by.
+  # Sends every message to the test and returns the tag of these messages.
   def collect(stream, test) do
     tag = make_ref()
     Situ.each(stream, fn _data, message -> send(test, {tag, message}) end)
@@ -44,7 +44,7 @@ defmodule Situ.Store.Test.Play do
     end
   end
 
-  @doc "The messages received up to and including `data`, the latest first."
+  @doc "Receives messages up to and including `data` and returns them, the latest first."
   def played(data, got) do
     assert_receive {:got, now, m}
     got = [{now, m.originating_time} | got]

@@ -132,15 +132,15 @@ defmodule Situ.Studio do
   def start_link(opts) do
     opts = Situ.Options.validate!(opts, @schema)
 
-    with {:ok, tls} <- tls(opts[:tls], opts[:ip]),
+    with {:ok, tls} <- resolve_tls(opts[:tls], opts[:ip]),
          {:ok, tiles} <- Tiles.new(opts[:tiles], opts[:tiles_credit]),
-         do: start(Keyword.merge(opts, tls: tls, tiles: tiles))
+         do: start_supervisor(Keyword.merge(opts, tls: tls, tiles: tiles))
   end
 
-  defp tls(:own, ip), do: Situ.Certificate.own(ip)
-  defp tls(given, _ip), do: {:ok, given}
+  defp resolve_tls(:own, ip), do: Situ.Certificate.ensure_local(ip)
+  defp resolve_tls(given, _ip), do: {:ok, given}
 
-  defp start(opts) do
+  defp start_supervisor(opts) do
     case Supervisor.start_link(__MODULE__, opts) do
       {:error, {:shutdown, {:failed_to_start_child, _, %Situ.Error{} = error}}} ->
         {:error, error}
@@ -160,12 +160,12 @@ defmodule Situ.Studio do
   def init(opts) do
     {loaded, folders} = Enum.split_with(opts[:plugins], &is_struct(&1, Plugins.Plugin))
     plugins = loaded ++ Plugins.load(folders)
-    Plugins.register(plugins)
-    visualizers = Plugins.visualizers(plugins, opts[:visualizers], opts[:adapters])
+    Plugins.register_modules(plugins)
+    visualizers = Plugins.list_visualizers(plugins, opts[:visualizers], opts[:adapters])
     opts = Keyword.merge(opts, visualizers: visualizers, plugins: plugins)
 
     children = [
-      {DynamicSupervisor, name: Catalog.watches(opts[:id]), strategy: :one_for_one},
+      {DynamicSupervisor, name: Catalog.watch_supervisor(opts[:id]), strategy: :one_for_one},
       {Catalog,
        Keyword.take(
          opts,
@@ -175,24 +175,25 @@ defmodule Situ.Studio do
       {Batch, Keyword.take(opts, [:id])},
       {Alerts, Keyword.take(opts, [:id])},
       {PipelineView.Past, Keyword.take(opts, [:id, :pipelines])},
-      {Situ.Live, live(opts)}
+      {Situ.Live, live_options(opts)}
     ]
 
     Supervisor.init(children, strategy: :rest_for_one)
   end
 
-  defp live(opts) do
+  defp live_options(opts) do
     [
       port: opts[:port],
       ip: opts[:ip],
       token: opts[:token],
       viewer_token: opts[:viewer_token],
       routes:
-        Web.Routes.all(opts[:id], base(opts)) ++
-          Plugins.routes(opts[:plugins]) ++
-          Tiles.routes(opts[:tiles]) ++ [{:get, "/*path", {Web.NotFoundPage, base(opts)}}],
-      images: Tiles.origins(opts[:tiles]),
-      layout: &Web.Chrome.layout(Map.put(&1, :base, base(opts))),
+        Web.Routes.build_routes(opts[:id], base_path(opts)) ++
+          Plugins.script_routes(opts[:plugins]) ++
+          Tiles.tile_routes(opts[:tiles]) ++
+          [{:get, "/*path", {Web.NotFoundPage, base_path(opts)}}],
+      images: Tiles.allowed_origins(opts[:tiles]),
+      layout: &Web.Chrome.page_layout(Map.put(&1, :base, base_path(opts))),
       max_frame: 262_144
     ] ++
       if(opts[:hosts], do: [hosts: opts[:hosts]], else: []) ++
@@ -201,7 +202,7 @@ defmodule Situ.Studio do
   end
 
   # Every link in a page starts with this path.
-  defp base(opts) do
+  defp base_path(opts) do
     case Situ.Live.Public.parse(opts[:public]) do
       {:ok, %{base: base}} -> base <> "/"
       _ -> "/"
@@ -215,7 +216,7 @@ defmodule Situ.Studio do
   @doc "Returns the address to open, including the token if one is required; `item` opens one recording."
   @spec url(Supervisor.supervisor(), String.t() | nil) :: String.t()
   def url(studio, item \\ nil) do
-    path = if item, do: "/" <> Web.Address.of(item), else: "/"
+    path = if item, do: "/" <> Web.Address.source_path(item), else: "/"
     studio |> live_server() |> Situ.Live.url(path)
   end
 
@@ -225,7 +226,7 @@ defmodule Situ.Studio do
   """
   @spec viewer_url(Supervisor.supervisor(), String.t() | nil) :: String.t() | nil
   def viewer_url(studio, item \\ nil) do
-    path = if item, do: "/" <> Web.Address.of(item), else: "/"
+    path = if item, do: "/" <> Web.Address.source_path(item), else: "/"
     studio |> live_server() |> Situ.Live.viewer_url(path)
   end
 

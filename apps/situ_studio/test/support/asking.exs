@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Asking do
   @moduledoc false
-  # A conversation with a data session about a little history, and its answers read as the page reads them.
+  # A conversation with a data session about a small history. It reads the replies like the page.
   alias Situ.Studio.{DataSession, History, Source}
 
   def session do
@@ -13,14 +13,14 @@ defmodule Situ.Studio.Asking do
     end
 
     for i <- 0..9 do
-      image = Situ.Image.filled(4, 2, :rgb24, [i, 0, 0])
+      image = Situ.Image.new_filled(4, 2, :rgb24, [i, 0, 0])
       History.put(history, "image", message(1_000_000_000 + i * 100_000_000, image, i), 24)
     end
 
     DataSession.new({Source.History, history})
   end
 
-  # A source with one stream of rows {time, data}.
+  # Returns a source with one stream of rows {time, data}.
   def source(stream, rows) do
     history = History.new(live: false, seconds: 1_000_000)
 
@@ -40,11 +40,11 @@ defmodule Situ.Studio.Asking do
 
   def ask(session, request) do
     text = request |> Map.put_new("req", 1) |> Situ.JSON.encode()
-    {:ok, reply, session} = DataSession.handle(text, session)
+    {:ok, reply, session} = DataSession.handle_request(text, session)
     {parse(IO.iodata_to_binary(reply)), session}
   end
 
-  # The same reading as the page's, written again from the table in Situ.Studio.Frame.
+  # Reads like the page, but is written separately from the table in Situ.Studio.Frame.
   defp parse(
          <<1, 0, flags::little-16, req::little-32, from::little-signed-64, to::little-signed-64,
            n::little-32, version::little-32, time::little-signed-64, rest::binary>>

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.GuidePlugin do
   @moduledoc false
-  # The plug-in of docs/guides/your-own-visualizer.md, written to a folder.
+  # Writes the plug-in of docs/guides/your-own-visualizer.md to a folder.
 
   @guide Path.expand("../../../../docs/guides/your-own-visualizer.md", __DIR__)
   @file_block ~r/^`([a-z.\/_]+)`:\n\n```\w+\n(.*?)```/ms

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Test.SensorPage do
-  # A sensor's page: a small WebSocket client whose frames are masked, as a browser's are.
+  # A sensor's page: a small WebSocket client whose frames are masked like a browser's.
   alias Situ.JSON
 
   def connect(port, path, headers \\ []) do
@@ -25,7 +25,7 @@ defmodule Situ.Studio.Test.SensorPage do
     end
   end
 
-  # A connection that is taken, and the first that came over it: the page before may not have gone yet.
+  # Returns an accepted connection and its first frame. The previous page may not have left yet.
   def again(connect) do
     {_, socket} = connect.()
 

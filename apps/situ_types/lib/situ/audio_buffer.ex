@@ -60,7 +60,7 @@ defmodule Situ.AudioBuffer do
       if rem(byte_size(data), size) == 0 do
         {:ok, buffer}
       else
-        bad(
+        audio_error(
           "#{byte_size(data)} bytes are not whole frames of #{size} bytes " <>
             "(#{format.rate} Hz, #{format.channels} channels, #{inspect(format.sample)})"
         )
@@ -68,16 +68,17 @@ defmodule Situ.AudioBuffer do
     end
   end
 
-  def validate(%__MODULE__{}), do: bad("an audio buffer needs a Situ.AudioFormat and a binary")
+  def validate(%__MODULE__{}),
+    do: audio_error("an audio buffer needs a Situ.AudioFormat and a binary")
 
   @doc """
   Builds a buffer of silence.
 
-      iex> Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(8_000, 1, :u8), 2).data
+      iex> Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(8_000, 1, :u8), 2).data
       <<128, 128>>
   """
-  @spec silence(AudioFormat.t(), non_neg_integer()) :: t()
-  def silence(%AudioFormat{} = format, frames) when is_integer(frames) and frames >= 0 do
+  @spec build_silence(AudioFormat.t(), non_neg_integer()) :: t()
+  def build_silence(%AudioFormat{} = format, frames) when is_integer(frames) and frames >= 0 do
     byte = if format.sample == :u8, do: <<128>>, else: <<0>>
 
     %__MODULE__{
@@ -87,21 +88,22 @@ defmodule Situ.AudioBuffer do
   end
 
   @doc "Returns the number of frames in the buffer."
-  @spec frames(t()) :: non_neg_integer()
-  def frames(%__MODULE__{} = b), do: div(byte_size(b.data), AudioFormat.bytes_per_frame(b.format))
+  @spec frame_count(t()) :: non_neg_integer()
+  def frame_count(%__MODULE__{} = b),
+    do: div(byte_size(b.data), AudioFormat.bytes_per_frame(b.format))
 
   @doc """
   Returns the duration of the buffer in nanoseconds.
 
-      iex> Situ.AudioBuffer.duration(Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(16_000), 320))
+      iex> Situ.AudioBuffer.duration_ns(Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(16_000), 320))
       20_000_000
   """
-  @spec duration(t()) :: Situ.Time.duration()
-  def duration(%__MODULE__{} = b), do: AudioFormat.frames_to_ns(b.format, frames(b))
+  @spec duration_ns(t()) :: Situ.Time.duration()
+  def duration_ns(%__MODULE__{} = b), do: AudioFormat.frames_to_ns(b.format, frame_count(b))
 
   @doc "Returns the start time of a buffer that ends at `originating_time`."
   @spec start_time(t(), Situ.Time.t()) :: Situ.Time.t()
-  def start_time(%__MODULE__{} = b, originating_time), do: originating_time - duration(b)
+  def start_time(%__MODULE__{} = b, originating_time), do: originating_time - duration_ns(b)
 
   @doc """
   Concatenates buffers that have the same format.
@@ -119,16 +121,16 @@ defmodule Situ.AudioBuffer do
          %__MODULE__{format: format, data: IO.iodata_to_binary(Enum.map(buffers, & &1.data))}}
 
       other ->
-        bad("cannot append #{inspect(other.format)} to #{inspect(format)}")
+        audio_error("cannot append #{inspect(other.format)} to #{inspect(format)}")
     end
   end
 
   @doc """
   Returns up to `count` frames, starting at frame `first`. The result shares memory with the buffer.
   """
-  @spec slice(t(), non_neg_integer(), non_neg_integer()) :: t()
-  def slice(%__MODULE__{} = b, first, count) when first >= 0 and count >= 0 do
-    total = frames(b)
+  @spec slice_frames(t(), non_neg_integer(), non_neg_integer()) :: t()
+  def slice_frames(%__MODULE__{} = b, first, count) when first >= 0 and count >= 0 do
+    total = frame_count(b)
     first = min(first, total)
     size = AudioFormat.bytes_per_frame(b.format)
     %{b | data: binary_part(b.data, first * size, min(count, total - first) * size)}
@@ -188,7 +190,7 @@ defmodule Situ.AudioBuffer do
     end
   end
 
-  def decode(_), do: bad("not a stored audio buffer")
+  def decode(_), do: audio_error("not a stored audio buffer")
 
   @doc """
   Returns the waveform as points of one millisecond each. A point holds its start time, then the minimum, maximum and
@@ -202,15 +204,15 @@ defmodule Situ.AudioBuffer do
   def points(%__MODULE__{format: format} = buffer, originating_time) do
     span = max(div(format.rate, 1000), 1)
     bytes = span * AudioFormat.bytes_per_frame(format)
-    fold(buffer, start_time(buffer, originating_time), span, bytes, 0)
+    collect_points(buffer, start_time(buffer, originating_time), span, bytes, 0)
   end
 
-  defp fold(%{data: <<>>}, _start, _span, _bytes, _i), do: []
+  defp collect_points(%{data: <<>>}, _start, _span, _bytes, _i), do: []
 
-  defp fold(%{format: format, data: data} = buffer, start, span, bytes, i) do
-    {piece, rest} = split(data, bytes)
+  defp collect_points(%{format: format, data: data} = buffer, start, span, bytes, i) do
+    {piece, rest} = split_bytes(data, bytes)
     time = start + AudioFormat.frames_to_ns(format, i * span)
-    later = fold(%{buffer | data: rest}, start, span, bytes, i + 1)
+    later = collect_points(%{buffer | data: rest}, start, span, bytes, i + 1)
 
     frames = div(byte_size(piece), AudioFormat.bytes_per_frame(format))
 
@@ -220,19 +222,19 @@ defmodule Situ.AudioBuffer do
         later
 
       [first | samples] ->
-        {min, max, last} = extremes(samples, first, first, first)
+        {min, max, last} = find_extremes(samples, first, first, first)
         scale = &full_scale(format.sample, &1)
         [{time, scale.(min), scale.(max), scale.(last), frames} | later]
     end
   end
 
-  defp split(data, bytes) when byte_size(data) <= bytes, do: {data, <<>>}
-  defp split(data, bytes), do: :erlang.split_binary(data, bytes)
+  defp split_bytes(data, bytes) when byte_size(data) <= bytes, do: {data, <<>>}
+  defp split_bytes(data, bytes), do: :erlang.split_binary(data, bytes)
 
-  defp extremes([v | rest], min, max, _) when v < min, do: extremes(rest, v, max, v)
-  defp extremes([v | rest], min, max, _) when v > max, do: extremes(rest, min, v, v)
-  defp extremes([v | rest], min, max, _), do: extremes(rest, min, max, v)
-  defp extremes([], min, max, last), do: {min, max, last}
+  defp find_extremes([v | rest], min, max, _) when v < min, do: find_extremes(rest, v, max, v)
+  defp find_extremes([v | rest], min, max, _) when v > max, do: find_extremes(rest, min, v, v)
+  defp find_extremes([v | rest], min, max, _), do: find_extremes(rest, min, max, v)
+  defp find_extremes([], min, max, last), do: {min, max, last}
 
   defp full_scale(:u8, v), do: (v - 128) / 128
   defp full_scale(:s16, v), do: v / 32_768
@@ -240,13 +242,13 @@ defmodule Situ.AudioBuffer do
   defp full_scale(:s32, v), do: v / 2_147_483_648
   defp full_scale(_float, v), do: v
 
-  defp bad(what), do: {:error, Error.new(:bad_audio, what)}
+  defp audio_error(what), do: {:error, Error.new(:bad_audio, what)}
 
   defimpl Inspect do
     def inspect(%{format: %Situ.AudioFormat{} = f, data: data} = buffer, _opts)
         when is_binary(data) do
-      "#Situ.AudioBuffer<#{Situ.AudioBuffer.frames(buffer)} frames, " <>
-        "#{Situ.Time.format_duration(Situ.AudioBuffer.duration(buffer))}, #{f.rate} Hz, " <>
+      "#Situ.AudioBuffer<#{Situ.AudioBuffer.frame_count(buffer)} frames, " <>
+        "#{Situ.Time.format_duration(Situ.AudioBuffer.duration_ns(buffer))}, #{f.rate} Hz, " <>
         "#{f.channels} ch, #{inspect(f.sample)}>"
     rescue
       _ -> "#Situ.AudioBuffer<invalid>"

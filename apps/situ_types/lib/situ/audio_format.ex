@@ -70,13 +70,15 @@ defmodule Situ.AudioFormat do
   def validate(%__MODULE__{rate: rate, channels: channels, sample: sample} = format) do
     cond do
       not (is_integer(rate) and rate in 1..16_000_000) ->
-        bad("sample rate #{inspect(rate)} Hz is out of range (1 to 16,000,000)")
+        format_error("sample rate #{inspect(rate)} Hz is out of range (1 to 16,000,000)")
 
       not (is_integer(channels) and channels in 1..1024) ->
-        bad("channel count #{inspect(channels)} is out of range (1 to 1024)")
+        format_error("channel count #{inspect(channels)} is out of range (1 to 1024)")
 
       not Keyword.has_key?(@samples, sample) ->
-        bad("unknown sample type #{inspect(sample)}, known: #{inspect(Keyword.keys(@samples))}")
+        format_error(
+          "unknown sample type #{inspect(sample)}, known: #{inspect(Keyword.keys(@samples))}"
+        )
 
       true ->
         {:ok, format}
@@ -84,8 +86,8 @@ defmodule Situ.AudioFormat do
   end
 
   @doc "Lists all sample types."
-  @spec samples() :: [sample()]
-  def samples, do: Keyword.keys(@samples)
+  @spec sample_types() :: [sample()]
+  def sample_types, do: Keyword.keys(@samples)
 
   @doc "Returns the number of bytes in one sample of one channel."
   @spec bytes_per_sample(t() | sample()) :: pos_integer()
@@ -134,9 +136,9 @@ defmodule Situ.AudioFormat do
     def sample_from_code(unquote(code)), do: {:ok, unquote(sample)}
   end
 
-  def sample_from_code(code), do: bad("sample type code #{code} is unknown")
+  def sample_from_code(code), do: format_error("sample type code #{code} is unknown")
 
-  defp bad(what), do: {:error, Error.new(:bad_audio_format, what)}
+  defp format_error(what), do: {:error, Error.new(:bad_audio_format, what)}
 
   defimpl Inspect do
     def inspect(f, _opts) do

@@ -3,26 +3,26 @@ defmodule Situ.Bits do
   Writes sizes in binary patterns for every supported version of Elixir.
 
   When the size in a pattern is a variable bound outside the pattern, Elixir before 1.20 expects `size(n)` and later
-  versions expect `size(^n)`. The macro `known/1` expands to the right form:
+  versions expect `size(^n)`. The macro `pinned_size/1` expands to the right form:
 
-      iex> import Situ.Bits, only: [known: 1]
+      iex> import Situ.Bits, only: [pinned_size: 1]
       iex> n = 2
-      iex> <<head::binary-known(n), rest::binary>> = "abcde"
+      iex> <<head::binary-pinned_size(n), rest::binary>> = "abcde"
       iex> {head, rest}
       {"ab", "cde"}
   """
 
   @doc "Expands to the size of a binary segment. Its variables must be bound before the match."
-  defmacro known(size)
+  defmacro pinned_size(size)
 
   if Version.match?(System.version(), ">= 1.20.0") do
-    defmacro known(size), do: {:size, [], [Macro.postwalk(size, &pin/1)]}
+    defmacro pinned_size(size), do: {:size, [], [Macro.postwalk(size, &pin/1)]}
 
     defp pin({name, _, context} = variable) when is_atom(name) and is_atom(context),
       do: {:^, [], [variable]}
 
     defp pin(other), do: other
   else
-    defmacro known(size), do: {:size, [], [size]}
+    defmacro pinned_size(size), do: {:size, [], [size]}
   end
 end

@@ -3,7 +3,7 @@ defmodule Situ.Box3 do
   A 3D box with bounds `min..max` (metres) in the frame of its pose.
 
       iex> box = Situ.Box3.new!({-1.0, -1.0, 0.0}, {1.0, 1.0, 2.0})
-      iex> {Situ.Box3.center(box), Situ.Box3.volume(box), Situ.Box3.contains?(box, {0.5, 0.5, 2.0})}
+      iex> {Situ.Box3.center_point(box), Situ.Box3.volume(box), Situ.Box3.contains_point?(box, {0.5, 0.5, 2.0})}
       {{0.0, 0.0, 1.0}, 8.0, true}
   """
   alias Situ.{Error, Pose, Ray3, Rectangle3, Vector3}
@@ -34,11 +34,11 @@ defmodule Situ.Box3 do
   def new!(min, max, pose \\ nil), do: min |> new(max, pose) |> Error.unwrap!()
 
   @doc "Returns the smallest axis-aligned box around the points, or `nil` for an empty list."
-  @spec around([Vector3.t()]) :: t() | nil
-  def around([]), do: nil
+  @spec from_points([Vector3.t()]) :: t() | nil
+  def from_points([]), do: nil
 
-  def around(points) do
-    {xs, ys, zs} = unzip(points)
+  def from_points(points) do
+    {xs, ys, zs} = unzip_coordinates(points)
 
     %__MODULE__{
       min: {Enum.min(xs), Enum.min(ys), Enum.min(zs)},
@@ -46,19 +46,19 @@ defmodule Situ.Box3 do
     }
   end
 
-  defp unzip(points),
+  defp unzip_coordinates(points),
     do:
       {Enum.map(points, &elem(&1, 0)), Enum.map(points, &elem(&1, 1)),
        Enum.map(points, &elem(&1, 2))}
 
   @doc "Returns the side lengths along the axes of the box (metres)."
-  @spec size(t()) :: Vector3.t()
-  def size(%__MODULE__{} = box), do: Vector3.subtract(box.max, box.min)
+  @spec axis_lengths(t()) :: Vector3.t()
+  def axis_lengths(%__MODULE__{} = box), do: Vector3.subtract(box.max, box.min)
 
   @doc "Returns the volume (cubic metres)."
   @spec volume(t()) :: float()
   def volume(%__MODULE__{} = box) do
-    {x, y, z} = size(box)
+    {x, y, z} = axis_lengths(box)
     x * y * z
   end
 
@@ -67,18 +67,19 @@ defmodule Situ.Box3 do
   def degenerate?(box), do: volume(box) == 0
 
   @doc "Returns the center in the outer frame."
-  @spec center(t()) :: Vector3.t()
-  def center(%__MODULE__{} = box), do: outer(box, Vector3.lerp(box.min, box.max, 0.5))
+  @spec center_point(t()) :: Vector3.t()
+  def center_point(%__MODULE__{} = box),
+    do: to_outer_frame(box, Vector3.lerp(box.min, box.max, 0.5))
 
   @doc "Returns the eight corners in the outer frame. The x coordinate varies fastest, z slowest."
-  @spec corners(t()) :: [Vector3.t()]
-  def corners(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box) do
-    for z <- [az, bz], y <- [ay, by], x <- [ax, bx], do: outer(box, {x, y, z})
+  @spec corner_points(t()) :: [Vector3.t()]
+  def corner_points(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box) do
+    for z <- [az, bz], y <- [ay, by], x <- [ax, bx], do: to_outer_frame(box, {x, y, z})
   end
 
-  @doc "Returns the twelve edges as pairs of indices into `corners/1`."
-  @spec edges() :: [{0..7, 0..7}]
-  def edges do
+  @doc "Returns the twelve edges as pairs of indices into `corner_points/1`."
+  @spec edge_indices() :: [{0..7, 0..7}]
+  def edge_indices do
     [
       {0, 1},
       {2, 3},
@@ -98,22 +99,22 @@ defmodule Situ.Box3 do
   @facets [:x_min, :x_max, :y_min, :y_max, :z_min, :z_max]
 
   @doc "Lists the names of the six facets."
-  @spec facets() :: [facet()]
-  def facets, do: @facets
+  @spec facet_names() :: [facet()]
+  def facet_names, do: @facets
 
   @doc """
   Returns one facet as a rectangle in the outer frame. Its normal points out of the box.
 
       iex> box = Situ.Box3.new!({0.0, 0.0, 0.0}, {1.0, 2.0, 3.0})
-      iex> front = Situ.Box3.facet(box, :x_max)
-      iex> {front.pose.position, front.width, front.height, Situ.Rectangle3.plane(front).normal}
+      iex> front = Situ.Box3.facet_rectangle(box, :x_max)
+      iex> {front.pose.position, front.width, front.height, Situ.Rectangle3.containing_plane(front).normal}
       {{1.0, 1.0, 1.5}, 2.0, 3.0, {1.0, 0.0, 0.0}}
   """
-  @spec facet(t(), facet()) :: Rectangle3.t()
-  def facet(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, name)
+  @spec facet_rectangle(t(), facet()) :: Rectangle3.t()
+  def facet_rectangle(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, name)
       when name in @facets do
     {x, y, z} = Vector3.lerp(box.min, box.max, 0.5)
-    {wide, deep, high} = size(box)
+    {wide, deep, high} = axis_lengths(box)
     {up, side} = {{0.0, 0.0, 1.0}, {1.0, 0.0, 0.0}}
 
     {at, normal, up, width, height} =
@@ -126,15 +127,19 @@ defmodule Situ.Box3 do
         :z_max -> {{x, y, bz}, {0.0, 0.0, 1.0}, side, deep, wide}
       end
 
-    {:ok, pose} = Pose.looking(at, normal, up)
+    {:ok, pose} = Pose.look_along(at, normal, up)
     pose = if box.pose, do: Pose.compose(box.pose, pose), else: pose
     Rectangle3.new!(pose, width, height)
   end
 
   @doc "Returns whether a point is in the box or at most `epsilon` (metres) outside it."
-  @spec contains?(t(), Vector3.t(), number()) :: boolean()
-  def contains?(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, point, epsilon \\ 0) do
-    {x, y, z} = inner(box, point)
+  @spec contains_point?(t(), Vector3.t(), number()) :: boolean()
+  def contains_point?(
+        %__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box,
+        point,
+        epsilon \\ 0
+      ) do
+    {x, y, z} = to_box_frame(box, point)
 
     x >= ax - epsilon and x <= bx + epsilon and y >= ay - epsilon and y <= by + epsilon and
       z >= az - epsilon and z <= bz + epsilon
@@ -143,8 +148,8 @@ defmodule Situ.Box3 do
   @doc "Returns the point of the box nearest to `point`; a point inside the box is returned unchanged."
   @spec closest_point(t(), Vector3.t()) :: Vector3.t()
   def closest_point(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, point) do
-    {x, y, z} = inner(box, point)
-    outer(box, {clamp(x, ax, bx), clamp(y, ay, by), clamp(z, az, bz)})
+    {x, y, z} = to_box_frame(box, point)
+    to_outer_frame(box, {clamp(x, ax, bx), clamp(y, ay, by), clamp(z, az, bz)})
   end
 
   @doc """
@@ -153,17 +158,17 @@ defmodule Situ.Box3 do
 
       iex> box = Situ.Box3.new!({1.0, -1.0, -1.0}, {3.0, 1.0, 1.0})
       iex> {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
-      iex> Situ.Box3.intersection(box, ray)
+      iex> Situ.Box3.intersect_ray(box, ray)
       {{1.0, 0.0, 0.0}, :x_min}
   """
-  @spec intersection(t(), Ray3.t()) :: {Vector3.t(), facet()} | nil
-  def intersection(%__MODULE__{} = box, %Ray3{} = ray) do
+  @spec intersect_ray(t(), Ray3.t()) :: {Vector3.t(), facet()} | nil
+  def intersect_ray(%__MODULE__{} = box, %Ray3{} = ray) do
     local = if box.pose, do: Ray3.transform(ray, Pose.invert(box.pose)), else: ray
 
     slabs =
       for {axis, name} <- [{0, :x}, {1, :y}, {2, :z}],
           do:
-            slab(
+            slab_crossing(
               elem(local.origin, axis),
               elem(local.direction, axis),
               elem(box.min, axis),
@@ -177,8 +182,8 @@ defmodule Situ.Box3 do
 
       cond do
         enter > leave or leave < 0 -> nil
-        enter >= 0 -> {outer(box, Ray3.point_at(local, enter)), entry}
-        true -> {outer(box, Ray3.point_at(local, leave)), exit}
+        enter >= 0 -> {to_outer_frame(box, Ray3.point_at(local, enter)), entry}
+        true -> {to_outer_frame(box, Ray3.point_at(local, leave)), exit}
       end
     end
   end
@@ -186,26 +191,26 @@ defmodule Situ.Box3 do
   # Returns the distances along the ray at which it enters and leaves the slab between two opposite facets. A ray
   # parallel to the slab is inside it everywhere or nowhere.
   @far 1.0e300
-  defp slab(origin, direction, low, high, name) when abs(direction) < 1.0e-15 do
+  defp slab_crossing(origin, direction, low, high, name) when abs(direction) < 1.0e-15 do
     if origin >= low and origin <= high,
-      do: {{-@far, side(name, :min)}, {@far, side(name, :max)}},
+      do: {{-@far, facet_name(name, :min)}, {@far, facet_name(name, :max)}},
       else: :miss
   end
 
-  defp slab(origin, direction, low, high, name) do
+  defp slab_crossing(origin, direction, low, high, name) do
     {first, last} =
-      {{(low - origin) / direction, side(name, :min)},
-       {(high - origin) / direction, side(name, :max)}}
+      {{(low - origin) / direction, facet_name(name, :min)},
+       {(high - origin) / direction, facet_name(name, :max)}}
 
     if direction > 0, do: {first, last}, else: {last, first}
   end
 
-  defp side(:x, :min), do: :x_min
-  defp side(:x, :max), do: :x_max
-  defp side(:y, :min), do: :y_min
-  defp side(:y, :max), do: :y_max
-  defp side(:z, :min), do: :z_min
-  defp side(:z, :max), do: :z_max
+  defp facet_name(:x, :min), do: :x_min
+  defp facet_name(:x, :max), do: :x_max
+  defp facet_name(:y, :min), do: :y_min
+  defp facet_name(:y, :max), do: :y_max
+  defp facet_name(:z, :min), do: :z_min
+  defp facet_name(:z, :max), do: :z_max
 
   @doc "Transforms the box from the pose's local frame to the frame in which the pose is given."
   @spec transform(t(), Pose.t()) :: t()
@@ -213,8 +218,8 @@ defmodule Situ.Box3 do
     do: %{box | pose: if(box.pose, do: Pose.compose(pose, box.pose), else: pose)}
 
   @doc "Scales the box around its center."
-  @spec scale(t(), number()) :: t()
-  def scale(%__MODULE__{} = box, factor) when is_number(factor) and factor >= 0 do
+  @spec scale_around(t(), number()) :: t()
+  def scale_around(%__MODULE__{} = box, factor) when is_number(factor) and factor >= 0 do
     middle = Vector3.lerp(box.min, box.max, 0.5)
 
     %{
@@ -224,9 +229,9 @@ defmodule Situ.Box3 do
     }
   end
 
-  defp inner(%{pose: nil}, point), do: point
-  defp inner(%{pose: pose}, point), do: Pose.transform(Pose.invert(pose), point)
-  defp outer(%{pose: nil}, point), do: point
-  defp outer(%{pose: pose}, point), do: Pose.transform(pose, point)
+  defp to_box_frame(%{pose: nil}, point), do: point
+  defp to_box_frame(%{pose: pose}, point), do: Pose.transform_point(Pose.invert(pose), point)
+  defp to_outer_frame(%{pose: nil}, point), do: point
+  defp to_outer_frame(%{pose: pose}, point), do: Pose.transform_point(pose, point)
   defp clamp(value, low, high), do: value |> max(low) |> min(high)
 end

@@ -70,7 +70,7 @@ defmodule Situ.CameraIntrinsics do
   def new(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          opts = Map.new(opts),
-         :ok <- check(opts) do
+         :ok <- check_optics(opts) do
       {px, py} = opts.principal || {opts.width / 2, opts.height / 2}
       {fx, fy} = opts.focal
       {p0, p1} = opts.tangential
@@ -96,30 +96,30 @@ defmodule Situ.CameraIntrinsics do
   @spec new!(keyword()) :: t()
   def new!(opts), do: Error.unwrap!(new(opts))
 
-  defp check(%{focal: {fx, fy}}) when fx <= 0 or fy <= 0 do
+  defp check_optics(%{focal: {fx, fy}}) when fx <= 0 or fy <= 0 do
     {:error,
      Error.new(:bad_camera, "invalid focal lengths #{fx} and #{fy}",
        why: "both must be positive numbers of pixels"
      )}
   end
 
-  defp check(%{radial: radial}) when length(radial) > 6,
+  defp check_optics(%{radial: radial}) when length(radial) > 6,
     do:
       {:error, Error.new(:bad_camera, "#{length(radial)} radial coefficients, the model has six")}
 
-  defp check(_opts), do: :ok
+  defp check_optics(_opts), do: :ok
 
   @doc """
   Returns the intrinsics for an image resized to `width` x `height`. Focal lengths and principal point are scaled;
   distortion is unchanged.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
-      iex> half = Situ.CameraIntrinsics.resize(camera, 320, 240)
+      iex> half = Situ.CameraIntrinsics.resize_to(camera, 320, 240)
       iex> {half.width, half.focal, half.principal}
       {320, {250.0, 250.0}, {160.0, 120.0}}
   """
-  @spec resize(t(), pos_integer(), pos_integer()) :: t()
-  def resize(%__MODULE__{focal: {fx, fy}, principal: {px, py}} = camera, width, height)
+  @spec resize_to(t(), pos_integer(), pos_integer()) :: t()
+  def resize_to(%__MODULE__{focal: {fx, fy}, principal: {px, py}} = camera, width, height)
       when is_integer(width) and width > 0 and is_integer(height) and height > 0 do
     {sx, sy} = {width / camera.width, height / camera.height}
 
@@ -137,12 +137,12 @@ defmodule Situ.CameraIntrinsics do
   pixels.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
-      iex> part = Situ.CameraIntrinsics.crop(camera, {100, 40, 200, 100})
+      iex> part = Situ.CameraIntrinsics.crop_to(camera, {100, 40, 200, 100})
       iex> {part.width, part.focal, part.principal}
       {200, {500.0, 500.0}, {220.0, 200.0}}
   """
-  @spec crop(t(), {integer(), integer(), pos_integer(), pos_integer()}) :: t()
-  def crop(%__MODULE__{principal: {px, py}} = camera, {x, y, width, height}) do
+  @spec crop_to(t(), {integer(), integer(), pos_integer(), pos_integer()}) :: t()
+  def crop_to(%__MODULE__{principal: {px, py}} = camera, {x, y, width, height}) do
     %{camera | width: width, height: height, principal: {px - x, py - y}}
   end
 

@@ -20,10 +20,10 @@ defmodule Situ.CameraView do
   Replaces the viewed data with the result of `fun`, for example to encode the image, convert it or turn it into a
   cloud. To change the image size, use `Situ.Space.View`, which also adjusts the intrinsics.
   """
-  @spec map(t(viewed), (viewed -> {:ok, other} | {:error, error})) ::
+  @spec map_viewed(t(viewed), (viewed -> {:ok, other} | {:error, error})) ::
           {:ok, t(other)} | {:error, error}
         when viewed: term(), other: term(), error: term()
-  def map(%__MODULE__{} = view, fun) when is_function(fun, 1) do
+  def map_viewed(%__MODULE__{} = view, fun) when is_function(fun, 1) do
     with {:ok, viewed} <- fun.(view.viewed), do: {:ok, %{view | viewed: viewed}}
   end
 end

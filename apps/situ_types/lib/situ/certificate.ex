@@ -3,7 +3,7 @@ defmodule Situ.Certificate do
   Creates self-issued TLS certificates for servers that were not given one. Browsers ask once whether to trust such a
   certificate; link clients recognize it by its fingerprint.
 
-      {:ok, tls} = Situ.Certificate.ensure("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
+      {:ok, tls} = Situ.Certificate.ensure_files("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
       :ssl.listen(443, tls)
 
   To trust the server, a program loads `authority.pem` from the same folder as a certificate authority. The key never
@@ -35,11 +35,11 @@ defmodule Situ.Certificate do
   @renew_days 7
 
   @doc """
-  Like `ensure/2`, for a server on this machine. The folder is in the user's configuration folder. The certificate
+  Like `ensure_files/2`, for a server on this machine. The folder is in the user's configuration folder. The certificate
   names the machine and the address that the server listens on (all addresses for `0.0.0.0` and `::`).
   """
-  @spec own(:inet.ip_address()) :: {:ok, keyword()} | {:error, Error.t()}
-  def own(ip) do
+  @spec ensure_local(:inet.ip_address()) :: {:ok, keyword()} | {:error, Error.t()}
+  def ensure_local(ip) do
     {:ok, name} = :inet.gethostname()
     {:ok, interfaces} = :inet.getifaddrs()
 
@@ -50,14 +50,14 @@ defmodule Situ.Certificate do
 
     folder = Path.join(:filename.basedir(:user_config, ~c"situ"), "tls")
     hosts = ["localhost", to_string(name) | Enum.map(bound, &to_string(:inet.ntoa(&1)))]
-    ensure(folder, Enum.uniq(hosts))
+    ensure_files(folder, Enum.uniq(hosts))
   end
 
   @doc "Returns the SHA-256 fingerprint of the first certificate in a PEM file, as 64 hexadecimal digits."
-  @spec fingerprint(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
-  def fingerprint(certfile) do
+  @spec fetch_fingerprint(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def fetch_fingerprint(certfile) do
     with {:ok, text} <- File.read(certfile),
-         {:ok, der} <- first(text) do
+         {:ok, der} <- first_certificate(text) do
       {:ok, fingerprint_of(der)}
     else
       _ ->
@@ -78,14 +78,14 @@ defmodule Situ.Certificate do
   def fingerprint_of(der), do: :sha256 |> :crypto.hash(der) |> Base.encode16(case: :lower)
 
   @doc "Ensures that `folder` has a certificate for these hosts (names or addresses) and returns options for `:tls`."
-  @spec ensure(Path.t(), [String.t(), ...]) :: {:ok, keyword()} | {:error, Error.t()}
-  def ensure(folder, hosts) do
+  @spec ensure_files(Path.t(), [String.t(), ...]) :: {:ok, keyword()} | {:error, Error.t()}
+  def ensure_files(folder, hosts) do
     tls = [certfile: Path.join(folder, "certificate.pem"), keyfile: Path.join(folder, "key.pem")]
-    if usable?(tls, hosts), do: {:ok, tls}, else: make(folder, tls, hosts)
+    if usable_for?(tls, hosts), do: {:ok, tls}, else: issue_to_folder(folder, tls, hosts)
   end
 
-  defp make(folder, tls, hosts) do
-    issued = issue("Situ on #{hd(hosts)}", hosts: hosts)
+  defp issue_to_folder(folder, tls, hosts) do
+    issued = issue_pem("Situ on #{hd(hosts)}", hosts: hosts)
 
     with :ok <- File.mkdir_p(folder),
          :ok <- File.chmod(folder, 0o700),
@@ -114,17 +114,17 @@ defmodule Situ.Certificate do
   Options: `hosts:` (names or addresses in the certificate) and `days:` (validity, default #{@days}). Validity starts
   yesterday because the clocks of other machines may be slow.
 
-      iex> issued = Situ.Certificate.issue("a lab", hosts: ["lab1"])
+      iex> issued = Situ.Certificate.issue_pem("a lab", hosts: ["lab1"])
       iex> [{:Certificate, der, :not_encrypted}] = :public_key.pem_decode(issued.certificate)
       iex> :public_key.pkix_verify_hostname(der, dns_id: ~c"lab1")
       true
   """
-  @spec issue(String.t(), keyword()) :: %{
+  @spec issue_pem(String.t(), keyword()) :: %{
           certificate: String.t(),
           key: String.t(),
           authority: String.t()
         }
-  def issue(name, opts \\ []) do
+  def issue_pem(name, opts \\ []) do
     today = Date.utc_today()
     until = Date.add(today, Keyword.get(opts, :days, @days))
     validity = {Date.to_erl(Date.add(today, -1)), Date.to_erl(until)}
@@ -137,9 +137,9 @@ defmodule Situ.Certificate do
     issuer = name <> ", authority"
 
     %{
-      certificate: pem(:Certificate, rename(made[:cert], name, issuer, root.key)),
-      key: pem(kind, key),
-      authority: pem(:Certificate, rename(root.cert, issuer, issuer, root.key))
+      certificate: encode_pem(:Certificate, rename_and_sign(made[:cert], name, issuer, root.key)),
+      key: encode_pem(kind, key),
+      authority: encode_pem(:Certificate, rename_and_sign(root.cert, issuer, issuer, root.key))
     }
   end
 
@@ -151,7 +151,7 @@ defmodule Situ.Certificate do
   end
 
   # Erlang's test certificates have a fixed subject ("automated testing").
-  defp rename(der, subject, issuer, key) do
+  defp rename_and_sign(der, subject, issuer, key) do
     certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
     {:rdnSequence, sequence} = tbs(tbs, :subject)
     common = sequence |> List.flatten() |> Enum.find(&(elem(&1, 1) == @common_name))
@@ -172,20 +172,20 @@ defmodule Situ.Certificate do
     end
   end
 
-  defp pem(kind, der), do: :public_key.pem_encode([{kind, der, :not_encrypted}])
+  defp encode_pem(kind, der), do: :public_key.pem_encode([{kind, der, :not_encrypted}])
 
-  defp usable?(tls, hosts) do
+  defp usable_for?(tls, hosts) do
     with {:ok, text} <- File.read(tls[:certfile]),
          true <- File.exists?(tls[:keyfile]),
-         {:ok, der} <- first(text),
-         {:ok, tbs} <- decode(der) do
-      lasts?(tbs) and Enum.all?(hosts, &(general_name(&1) in names(tbs)))
+         {:ok, der} <- first_certificate(text),
+         {:ok, tbs} <- decode_certificate(der) do
+      valid_long_enough?(tbs) and Enum.all?(hosts, &(general_name(&1) in certified_names(tbs)))
     else
       _ -> false
     end
   end
 
-  defp first(text) do
+  defp first_certificate(text) do
     [{:Certificate, der, :not_encrypted} | _] = :public_key.pem_decode(text)
     {:ok, der}
   rescue
@@ -194,28 +194,30 @@ defmodule Situ.Certificate do
 
   # A certificate that cannot be decoded is issued again: it may be damaged, or this version of Erlang may not support
   # it.
-  defp decode(der) do
+  defp decode_certificate(der) do
     certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
     {:ok, tbs}
   rescue
     _ -> :error
   end
 
-  defp names(tbs) do
+  defp certified_names(tbs) do
     for extension(extnID: @subject_alternative_name, extnValue: names) <- tbs(tbs, :extensions),
         name <- names,
         do: name
   end
 
-  defp lasts?(tbs) do
+  defp valid_long_enough?(tbs) do
     {:Validity, _from, until} = tbs(tbs, :validity)
     days = fn {{_, _, _} = date, _time} -> :calendar.date_to_gregorian_days(date) end
-    days.(time(until)) - days.(:calendar.universal_time()) > @renew_days
+    days.(parse_time(until)) - days.(:calendar.universal_time()) > @renew_days
   end
 
-  defp time({:utcTime, text}), do: text |> to_string() |> then(&("20" <> &1)) |> date()
-  defp time({:generalTime, text}), do: text |> to_string() |> date()
+  defp parse_time({:utcTime, text}),
+    do: text |> to_string() |> then(&("20" <> &1)) |> parse_date()
 
-  defp date(<<y::binary-4, m::binary-2, d::binary-2, _::binary>>),
+  defp parse_time({:generalTime, text}), do: text |> to_string() |> parse_date()
+
+  defp parse_date(<<y::binary-4, m::binary-2, d::binary-2, _::binary>>),
     do: {{String.to_integer(y), String.to_integer(m), String.to_integer(d)}, {0, 0, 0}}
 end

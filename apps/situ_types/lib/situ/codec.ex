@@ -35,7 +35,7 @@ defmodule Situ.Codec do
   @doc "Returns whether `module` is a known module (`Situ.KnownModules`) that implements this behaviour."
   @spec implemented_by?(module()) :: boolean()
   def implemented_by?(module) when is_atom(module) do
-    Situ.KnownModules.load?(module) and function_exported?(module, :codec_name, 0) and
+    Situ.KnownModules.ensure_loaded?(module) and function_exported?(module, :codec_name, 0) and
       function_exported?(module, :encode, 1) and function_exported?(module, :decode, 1)
   end
 end

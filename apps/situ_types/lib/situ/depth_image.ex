@@ -107,12 +107,12 @@ defmodule Situ.DepthImage do
   image. Interpolation would mix unknown values (0) into their neighbours, so resize with `filter: :nearest`.
 
       iex> depth = Situ.DepthImage.new!(width: 2, height: 1, data: <<1, 0, 2, 0>>, scale: 0.01)
-      iex> {:ok, part} = Situ.DepthImage.through(depth, &Situ.Image.put_pixel(&1, 0, 0, 9))
+      iex> {:ok, part} = Situ.DepthImage.map_gray16(depth, &Situ.Image.put_pixel(&1, 0, 0, 9))
       iex> {part.data, part.scale}
       {<<9, 0, 2, 0>>, 0.01}
   """
-  @spec through(t(), (Image.t() -> Image.result() | {:ok, nil})) :: result() | {:ok, nil}
-  def through(%__MODULE__{} = depth, fun) when is_function(fun, 1) do
+  @spec map_gray16(t(), (Image.t() -> Image.result() | {:ok, nil})) :: result() | {:ok, nil}
+  def map_gray16(%__MODULE__{} = depth, fun) when is_function(fun, 1) do
     with {:ok, depth} <- validate(depth),
          {:ok, %Image{} = image} <- fun.(to_gray16(depth)),
          do: from_gray16(image, semantics: depth.semantics, scale: depth.scale)
@@ -155,7 +155,7 @@ defmodule Situ.DepthImage do
   defp mean_around(depth, x, y, invalid) do
     found =
       for {dx, dy} <- [{-1, 0}, {1, 0}, {0, -1}, {0, 1}],
-          {value, offset} <- [look(depth, x, y, {dx, dy}, invalid)],
+          {value, offset} <- [nearest_known(depth, x, y, {dx, dy}, invalid)],
           value != nil,
           do: {value, 1 / offset}
 
@@ -170,7 +170,7 @@ defmodule Situ.DepthImage do
     end
   end
 
-  defp look(depth, x, y, {dx, dy}, invalid) do
+  defp nearest_known(depth, x, y, {dx, dy}, invalid) do
     1
     |> Stream.iterate(&(&1 + 1))
     |> Enum.find_value(fn n ->

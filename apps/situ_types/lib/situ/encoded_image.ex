@@ -44,17 +44,17 @@ defmodule Situ.EncodedImage do
   @doc """
   Detects the format from the first bytes.
 
-      iex> Situ.EncodedImage.sniff(<<0xFF, 0xD8, 0xFF, 0>>)
+      iex> Situ.EncodedImage.detect_format(<<0xFF, 0xD8, 0xFF, 0>>)
       {:ok, :jpeg}
-      iex> {:error, error} = Situ.EncodedImage.sniff("GIF89a")
+      iex> {:error, error} = Situ.EncodedImage.detect_format("GIF89a")
       iex> error.code
       :unknown_image_format
   """
-  @spec sniff(binary()) :: {:ok, format()} | {:error, Error.t()}
-  def sniff(<<0xFF, 0xD8, 0xFF, _::binary>>), do: {:ok, :jpeg}
-  def sniff(<<0x89, "PNG\r\n", 0x1A, "\n", _::binary>>), do: {:ok, :png}
+  @spec detect_format(binary()) :: {:ok, format()} | {:error, Error.t()}
+  def detect_format(<<0xFF, 0xD8, 0xFF, _::binary>>), do: {:ok, :jpeg}
+  def detect_format(<<0x89, "PNG\r\n", 0x1A, "\n", _::binary>>), do: {:ok, :png}
 
-  def sniff(_) do
+  def detect_format(_) do
     {:error,
      Error.new(:unknown_image_format, "these bytes are neither JPEG nor PNG",
        fix: "convert the file to JPEG or PNG first, for example with ffmpeg"

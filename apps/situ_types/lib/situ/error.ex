@@ -49,14 +49,14 @@ defmodule Situ.Error do
   Maps items with `fun`, which returns `{:ok, value}`, and returns the values in order. Any other result of `fun`
   stops the iteration and is returned.
 
-      iex> Situ.Error.map(["1", "2"], fn text -> {:ok, String.to_integer(text)} end)
+      iex> Situ.Error.map_ok(["1", "2"], fn text -> {:ok, String.to_integer(text)} end)
       {:ok, [1, 2]}
-      iex> Situ.Error.map([1, 0, :never_reached], fn n -> if n == 0, do: {:error, :zero}, else: {:ok, 1 / n} end)
+      iex> Situ.Error.map_ok([1, 0, :never_reached], fn n -> if n == 0, do: {:error, :zero}, else: {:ok, 1 / n} end)
       {:error, :zero}
   """
-  @spec map(Enumerable.t(), (term() -> {:ok, value} | other)) :: {:ok, [value]} | other
+  @spec map_ok(Enumerable.t(), (term() -> {:ok, value} | other)) :: {:ok, [value]} | other
         when value: term(), other: term()
-  def map(items, fun) do
+  def map_ok(items, fun) do
     result =
       Enum.reduce_while(items, {:ok, []}, fn item, {:ok, done} ->
         case fun.(item) do

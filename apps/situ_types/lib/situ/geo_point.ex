@@ -29,53 +29,55 @@ defmodule Situ.GeoPoint do
   def new(latitude, longitude, opts \\ []) do
     cond do
       not (is_number(latitude) and is_number(longitude)) ->
-        bad("latitude and longitude must be numbers, got: #{inspect({latitude, longitude})}")
+        point_error(
+          "latitude and longitude must be numbers, got: #{inspect({latitude, longitude})}"
+        )
 
       abs(latitude) > 90 ->
-        bad(
+        point_error(
           "invalid latitude #{latitude}: it must be between -90 and 90 degrees",
           "pass latitude first, then longitude"
         )
 
       abs(longitude) > 360 ->
-        bad("invalid longitude #{longitude}: it must be between -360 and 360 degrees")
+        point_error("invalid longitude #{longitude}: it must be between -360 and 360 degrees")
 
       true ->
         {:ok,
          %__MODULE__{
            latitude: latitude / 1,
-           longitude: wrapped(longitude / 1),
-           height: metres(opts[:height]),
+           longitude: wrap_longitude(longitude / 1),
+           height: to_metres(opts[:height]),
            accuracy: accuracy_of(opts[:accuracy])
          }}
     end
   end
 
-  defp wrapped(longitude) when longitude > 180, do: longitude - 360
-  defp wrapped(longitude) when longitude < -180, do: longitude + 360
-  defp wrapped(longitude), do: longitude
+  defp wrap_longitude(longitude) when longitude > 180, do: longitude - 360
+  defp wrap_longitude(longitude) when longitude < -180, do: longitude + 360
+  defp wrap_longitude(longitude), do: longitude
 
-  defp metres(x) when is_number(x), do: x / 1
-  defp metres(_), do: nil
+  defp to_metres(x) when is_number(x), do: x / 1
+  defp to_metres(_), do: nil
 
   defp accuracy_of({east, north, up})
        when is_number(east) and is_number(north) and is_number(up),
        do: {east / 1, north / 1, up / 1}
 
-  defp accuracy_of(accuracy), do: metres(accuracy)
+  defp accuracy_of(accuracy), do: to_metres(accuracy)
 
   @doc """
   Returns the horizontal accuracy in metres, the larger of east and north, or `nil` if it is unknown.
 
       iex> {:ok, place} = Situ.GeoPoint.new(46.0, 14.5, accuracy: {1.0, 2.0, 5.0})
-      iex> Situ.GeoPoint.radius(place)
+      iex> Situ.GeoPoint.horizontal_accuracy(place)
       2.0
   """
-  @spec radius(t()) :: float() | nil
-  def radius(%__MODULE__{accuracy: {east, north, _up}}), do: max(east, north)
-  def radius(%__MODULE__{accuracy: accuracy}), do: accuracy
+  @spec horizontal_accuracy(t()) :: float() | nil
+  def horizontal_accuracy(%__MODULE__{accuracy: {east, north, _up}}), do: max(east, north)
+  def horizontal_accuracy(%__MODULE__{accuracy: accuracy}), do: accuracy
 
-  defp bad(what, fix \\ nil), do: {:error, Error.new(:bad_place, what, fix: fix)}
+  defp point_error(what, fix \\ nil), do: {:error, Error.new(:bad_place, what, fix: fix)}
 
   @names [
     {["latitude", "lat"], ["longitude", "lon", "lng", "long"]}
@@ -87,32 +89,35 @@ defmodule Situ.GeoPoint do
   Reads a position from message data. Accepts a `Situ.GeoPoint`, a map with common names for latitude and longitude
   (`lat`, `lon`, ...), or a ROS `NavSatFix`, whose covariance gives the accuracy. Returns `:error` for other data.
 
-      iex> {:ok, place} = Situ.GeoPoint.of(%{"lat" => 46.0, "lng" => 14.5, "altitude" => 300})
+      iex> {:ok, place} = Situ.GeoPoint.from_data(%{"lat" => 46.0, "lng" => 14.5, "altitude" => 300})
       iex> {place.longitude, place.height}
       {14.5, 300.0}
-      iex> Situ.GeoPoint.of(%{"lat" => :nan, "lon" => 0})
+      iex> Situ.GeoPoint.from_data(%{"lat" => :nan, "lon" => 0})
       :error
-      iex> Situ.GeoPoint.of({46.0, 14.5})
+      iex> Situ.GeoPoint.from_data({46.0, 14.5})
       :error
   """
-  @spec of(term()) :: {:ok, t()} | :error
-  def of(%__MODULE__{latitude: latitude, longitude: longitude} = place) do
+  @spec from_data(term()) :: {:ok, t()} | :error
+  def from_data(%__MODULE__{latitude: latitude, longitude: longitude} = place) do
     case new(latitude, longitude, height: place.height, accuracy: place.accuracy) do
       {:ok, place} -> {:ok, place}
       {:error, _} -> :error
     end
   end
 
-  def of(%_{}), do: :error
+  def from_data(%_{}), do: :error
 
-  def of(%{} = map) when map_size(map) < 100 do
+  def from_data(%{} = map) when map_size(map) < 100 do
     map =
-      for {key, value} <- map, is_atom(key) or is_binary(key), into: %{}, do: {low(key), value}
+      for {key, value} <- map,
+          is_atom(key) or is_binary(key),
+          into: %{},
+          do: {normalize_key(key), value}
 
     Enum.find_value(@names, :error, fn {latitudes, longitudes} ->
-      with latitude when latitude != nil <- first(map, latitudes),
-           longitude when longitude != nil <- first(map, longitudes),
-           opts = [height: first(map, @heights), accuracy: accuracy(map)],
+      with latitude when latitude != nil <- first_value(map, latitudes),
+           longitude when longitude != nil <- first_value(map, longitudes),
+           opts = [height: first_value(map, @heights), accuracy: find_accuracy(map)],
            {:ok, place} <- new(latitude, longitude, opts) do
         {:ok, place}
       else
@@ -121,16 +126,16 @@ defmodule Situ.GeoPoint do
     end)
   end
 
-  def of(_), do: :error
+  def from_data(_), do: :error
 
-  defp low(key), do: key |> to_string() |> String.downcase()
+  defp normalize_key(key), do: key |> to_string() |> String.downcase()
 
-  defp first(map, names), do: Enum.find_value(names, &map[&1])
+  defp first_value(map, names), do: Enum.find_value(names, &map[&1])
 
   # Uses the larger of the east and north standard deviations.
-  defp accuracy(%{"position_covariance" => [east, _, _, _, north | _]})
+  defp find_accuracy(%{"position_covariance" => [east, _, _, _, north | _]})
        when is_number(east) and is_number(north) and (east > 0 or north > 0),
        do: :math.sqrt(max(east, north))
 
-  defp accuracy(map), do: first(map, @accuracies)
+  defp find_accuracy(map), do: first_value(map, @accuracies)
 end

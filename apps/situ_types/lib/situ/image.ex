@@ -48,7 +48,7 @@ defmodule Situ.Image do
   @schema [
     width: [type: :pos_integer, required: true, doc: "Width in pixels."],
     height: [type: :pos_integer, required: true, doc: "Height in pixels."],
-    format: [type: {:in, Format.all()}, required: true, doc: "The pixel format."],
+    format: [type: {:in, Format.list_all()}, required: true, doc: "The pixel format."],
     stride: [
       type: {:optional, :pos_integer},
       default: nil,
@@ -85,15 +85,15 @@ defmodule Situ.Image do
   Builds an image of one colour (`Situ.Image.Color`: channel values in memory order, one value for all channels, a
   name, or `{r, g, b}`).
 
-      iex> Situ.Image.filled(2, 1, :bgr24, [1, 2, 3]).data
+      iex> Situ.Image.new_filled(2, 1, :bgr24, [1, 2, 3]).data
       <<1, 2, 3, 1, 2, 3>>
-      iex> Situ.Image.filled(1, 1, :gray16, 258).data
+      iex> Situ.Image.new_filled(1, 1, :gray16, 258).data
       <<2, 1>>
   """
-  @spec filled(pos_integer(), pos_integer(), Format.t(), Color.t()) ::
+  @spec new_filled(pos_integer(), pos_integer(), Format.t(), Color.t()) ::
           t()
-  def filled(width, height, format, color \\ 0) do
-    pixel = Color.pack(format, color)
+  def new_filled(width, height, format, color \\ 0) do
+    pixel = Color.pack_pixel(format, color)
     bytes = width * height * byte_size(pixel)
 
     if bytes > @max_bytes do
@@ -123,22 +123,26 @@ defmodule Situ.Image do
 
     cond do
       not (is_integer(width) and is_integer(height) and width > 0 and height > 0) ->
-        bad("invalid image size #{inspect(width)}x#{inspect(height)}")
+        image_error("invalid image size #{inspect(width)}x#{inspect(height)}")
 
-      format not in Format.all() ->
-        bad("unknown pixel format #{inspect(format)}")
+      format not in Format.list_all() ->
+        image_error("unknown pixel format #{inspect(format)}")
 
       not is_integer(stride) or stride < width * Format.bytes_per_pixel(format) ->
-        bad("stride #{inspect(stride)} is too small for #{width} pixels of #{inspect(format)}")
+        image_error(
+          "stride #{inspect(stride)} is too small for #{width} pixels of #{inspect(format)}"
+        )
 
       not is_binary(data) ->
-        bad("the pixels must be a binary")
+        image_error("the pixels must be a binary")
 
       stride * height > @max_bytes ->
-        bad("#{width}x#{height} with stride #{stride} is larger than #{@max_bytes} bytes")
+        image_error("#{width}x#{height} with stride #{stride} is larger than #{@max_bytes} bytes")
 
-      byte_size(data) < needed(image) ->
-        bad("#{byte_size(data)} bytes are too few for #{describe(image)} with stride #{stride}")
+      byte_size(data) < required_bytes(image) ->
+        image_error(
+          "#{byte_size(data)} bytes are too few for #{describe(image)} with stride #{stride}"
+        )
 
       true ->
         {:ok, image}
@@ -150,19 +154,19 @@ defmodule Situ.Image do
   def row_bytes(%__MODULE__{} = image), do: image.width * Format.bytes_per_pixel(image.format)
 
   @doc "Returns whether the data has no padding between rows and no bytes after the last row."
-  @spec tight?(t()) :: boolean()
-  def tight?(%__MODULE__{} = image),
+  @spec tightly_packed?(t()) :: boolean()
+  def tightly_packed?(%__MODULE__{} = image),
     do: image.stride == row_bytes(image) and byte_size(image.data) == image.stride * image.height
 
   @doc """
   Returns the pixels without padding as one binary. An image without padding is not copied.
 
       iex> image = Situ.Image.new!(width: 1, height: 2, format: :gray8, stride: 4, data: <<1, 0, 0, 0, 2>>)
-      iex> Situ.Image.pixels(image)
+      iex> Situ.Image.pixel_bytes(image)
       <<1, 2>>
   """
-  @spec pixels(t()) :: binary()
-  def pixels(%__MODULE__{} = image) do
+  @spec pixel_bytes(t()) :: binary()
+  def pixel_bytes(%__MODULE__{} = image) do
     row = row_bytes(image)
 
     if image.stride == row do
@@ -177,14 +181,16 @@ defmodule Situ.Image do
   @doc """
   Returns the channel values at column `x`, row `y`, in memory order.
 
-      iex> Situ.Image.fetch_pixel(Situ.Image.filled(2, 2, :gray8, 7), 2, 0) |> elem(1) |> Map.fetch!(:code)
+      iex> Situ.Image.fetch_pixel(Situ.Image.new_filled(2, 2, :gray8, 7), 2, 0) |> elem(1) |> Map.fetch!(:code)
       :bad_point
   """
   @spec fetch_pixel(t(), integer(), integer()) :: {:ok, [non_neg_integer()]} | {:error, Error.t()}
   def fetch_pixel(%__MODULE__{width: w, height: h} = image, x, y)
       when x >= 0 and y >= 0 and x < w and y < h do
     size = Format.bytes_per_pixel(image.format)
-    {:ok, Format.unpack(image.format, binary_part(image.data, y * image.stride + x * size, size))}
+
+    {:ok,
+     Format.unpack_pixel(image.format, binary_part(image.data, y * image.stride + x * size, size))}
   end
 
   def fetch_pixel(%__MODULE__{} = image, x, y) do
@@ -195,13 +201,13 @@ defmodule Situ.Image do
   Returns a copy with one pixel changed. It copies the complete image, so use the drawing operators to draw many
   pixels.
 
-      iex> Situ.Image.filled(2, 1, :gray8) |> Situ.Image.put_pixel(1, 0, [9]) |> elem(1) |> Situ.Image.pixels()
+      iex> Situ.Image.new_filled(2, 1, :gray8) |> Situ.Image.put_pixel(1, 0, [9]) |> elem(1) |> Situ.Image.pixel_bytes()
       <<0, 9>>
   """
   @spec put_pixel(t(), integer(), integer(), Color.t()) :: result()
   def put_pixel(%__MODULE__{} = image, x, y, color) do
     with {:ok, _} <- fetch_pixel(image, x, y) do
-      pixel = Color.pack(image.format, color)
+      pixel = Color.pack_pixel(image.format, color)
       offset = y * image.stride + x * byte_size(pixel)
       behind = offset + byte_size(pixel)
       before = binary_part(image.data, 0, offset)
@@ -246,10 +252,10 @@ defmodule Situ.Image do
     end
   end
 
-  def decode(_), do: bad("not a stored image")
+  def decode(_), do: image_error("not a stored image")
 
-  defp needed(image), do: image.stride * (image.height - 1) + row_bytes(image)
-  defp bad(what), do: {:error, Error.new(:bad_image, what)}
+  defp required_bytes(image), do: image.stride * (image.height - 1) + row_bytes(image)
+  defp image_error(what), do: {:error, Error.new(:bad_image, what)}
 
   defimpl Inspect do
     def inspect(%{data: data} = image, _opts) when is_binary(data) do

@@ -8,7 +8,7 @@ defmodule Situ.Interval do
       iex> window = Situ.Interval.past(Situ.Time.ms(20))
       iex> Situ.Interval.translate(window, Situ.Time.s(1))
       #Situ.Interval<[980000000,1000000000]>
-      iex> Situ.Interval.contains?(window, -1)
+      iex> Situ.Interval.contains_point?(window, -1)
       true
 
   An interval whose left end is greater than its right end is *negative*. It contains the same points as its mirror
@@ -118,7 +118,7 @@ defmodule Situ.Interval do
   """
   @spec parse(String.t()) :: {:ok, t()} | {:error, Situ.Error.t()}
   def parse(text) when is_binary(text) do
-    with {:ok, ends} <- Text.parse(text), do: {:ok, from_ends(ends)}
+    with {:ok, ends} <- Text.parse_notation(text), do: {:ok, from_ends(ends)}
   end
 
   @doc "Returns right minus left: negative for a negative interval, `:infinity` if an end is unbounded."
@@ -158,25 +158,25 @@ defmodule Situ.Interval do
   def empty?(interval), do: degenerate?(interval) and not closed?(interval)
 
   @doc "Returns the midpoint; `:infinity` if only the left end is bounded, `:neg_infinity` if the left end is not."
-  @spec center(t()) :: point() | :infinity | :neg_infinity
-  def center(%{left: left, right: right}) when is_integer(left) and is_integer(right),
+  @spec center_point(t()) :: point() | :infinity | :neg_infinity
+  def center_point(%{left: left, right: right}) when is_integer(left) and is_integer(right),
     do: left + div(right - left, 2)
 
-  def center(%{left: left, right: right}) when is_number(left) and is_number(right),
+  def center_point(%{left: left, right: right}) when is_number(left) and is_number(right),
     do: left + (right - left) / 2
 
-  def center(%{left: left}) when is_number(left), do: :infinity
-  def center(%__MODULE__{}), do: :neg_infinity
+  def center_point(%{left: left}) when is_number(left), do: :infinity
+  def center_point(%__MODULE__{}), do: :neg_infinity
 
   @doc """
   Returns whether the interval contains `point`.
 
-      iex> Situ.Interval.contains?(Situ.Interval.new(42, true, 7, false), 42)
+      iex> Situ.Interval.contains_point?(Situ.Interval.new(42, true, 7, false), 42)
       true
   """
-  @spec contains?(t(), point()) :: boolean()
-  def contains?(interval, point) do
-    %{left: left, right: right} = ordered = ordered(interval)
+  @spec contains_point?(t(), point()) :: boolean()
+  def contains_point?(interval, point) do
+    %{left: left, right: right} = ordered = sort_ends(interval)
 
     after_left?(point, left, ordered.left_inclusive) and
       before_right?(point, right, ordered.right_inclusive)
@@ -207,13 +207,15 @@ defmodule Situ.Interval do
   @doc "Returns the interval of points in both, or `nil` if there are none."
   @spec intersection(t(), t()) :: t() | nil
   def intersection(a, b) do
-    ends = if empty?(a) or empty?(b), do: nil, else: Overlap.common(ordered(a), ordered(b))
+    ends =
+      if empty?(a) or empty?(b), do: nil, else: Overlap.common_ends(sort_ends(a), sort_ends(b))
+
     ends && from_ends(ends)
   end
 
   @doc "Returns whether `b` contains every point of `a`."
   @spec subset?(t(), t()) :: boolean()
-  def subset?(a, b), do: empty?(a) or Overlap.within?(ordered(a), ordered(b))
+  def subset?(a, b), do: empty?(a) or Overlap.fits_within?(sort_ends(a), sort_ends(b))
 
   @doc "Returns whether `a` is a subset of `b` and `b` is not a subset of `a`."
   @spec proper_subset?(t(), t()) :: boolean()
@@ -225,12 +227,12 @@ defmodule Situ.Interval do
   """
   @spec translate(t(), point()) :: t()
   def translate(%__MODULE__{left: left, right: right} = interval, by) do
-    %{interval | left: Scale.move(left, by), right: Scale.move(right, by)}
+    %{interval | left: Scale.move_bound(left, by), right: Scale.move_bound(right, by)}
   end
 
   @doc "Moves both ends outwards like `scale_left/2` and `scale_right/2`, both based on the original span."
   @spec scale(t(), amount, amount) :: t() when amount: {:by, point()} | {:factor, number()}
-  def scale(interval, left, right), do: Scale.both(interval, span(interval), left, right)
+  def scale(interval, left, right), do: Scale.scale_ends(interval, span(interval), left, right)
 
   @doc """
   Moves the left end outwards by a span (`{:by, span}`), or so that the span is multiplied by `f` (`{:factor, f}`).
@@ -247,7 +249,8 @@ defmodule Situ.Interval do
 
   @doc "Moves each end outwards by half the amount; halves of odd integers are rounded outwards."
   @spec scale_center(t(), {:by, point()} | {:factor, number()}) :: t()
-  def scale_center(interval, amount), do: Scale.center(interval, span(interval), amount)
+  def scale_center(interval, amount),
+    do: Scale.scale_around_center(interval, span(interval), amount)
 
   @doc """
   Returns the smallest interval that contains all of the given intervals; empty ones are ignored.
@@ -257,15 +260,15 @@ defmodule Situ.Interval do
   """
   @spec coverage([t()]) :: t()
   def coverage(intervals) do
-    case intervals |> Enum.reject(&empty?/1) |> Enum.map(&ordered/1) do
+    case intervals |> Enum.reject(&empty?/1) |> Enum.map(&sort_ends/1) do
       [] -> empty()
-      [first | rest] -> Enum.reduce(rest, first, &from_ends(Overlap.cover(&1, &2)))
+      [first | rest] -> Enum.reduce(rest, first, &from_ends(Overlap.covering_ends(&1, &2)))
     end
   end
 
   @doc "Returns the interval with its smaller end on the left; it contains the same points."
-  @spec ordered(t()) :: t()
-  def ordered(%__MODULE__{} = interval) do
+  @spec sort_ends(t()) :: t()
+  def sort_ends(%__MODULE__{} = interval) do
     if negative?(interval) do
       new(interval.right, interval.right_inclusive, interval.left, interval.left_inclusive)
     else
@@ -280,7 +283,7 @@ defmodule Situ.Interval do
       "(-inf,0]"
   """
   @spec to_string(t()) :: String.t()
-  def to_string(%__MODULE__{} = interval), do: Text.format(interval)
+  def to_string(%__MODULE__{} = interval), do: Text.format_notation(interval)
 
   defp from_ends({left, left_inclusive, right, right_inclusive}),
     do: new(left, left_inclusive, right, right_inclusive)

@@ -4,7 +4,7 @@ defmodule Situ.JointState do
   joints), velocities (rad/s, m/s) and efforts (N m, N). A list is empty if its values are unknown.
 
       iex> {:ok, arm} = Situ.JointState.new(["shoulder", "elbow"], [0.1, 1.2])
-      iex> Situ.JointState.position(arm, "elbow")
+      iex> Situ.JointState.joint_position(arm, "elbow")
       1.2
       iex> {:error, error} = Situ.JointState.new(["shoulder"], [0.1, 1.2])
       iex> error.what
@@ -39,8 +39,8 @@ defmodule Situ.JointState do
   end
 
   @doc "Returns the position of a joint, or `nil` if the joint or its position is unknown."
-  @spec position(t(), String.t()) :: Number.t() | nil
-  def position(%__MODULE__{names: names, positions: positions}, name) do
+  @spec joint_position(t(), String.t()) :: Number.t() | nil
+  def joint_position(%__MODULE__{names: names, positions: positions}, name) do
     case Enum.find_index(names, &(&1 == name)) do
       nil -> nil
       at -> Enum.at(positions, at)

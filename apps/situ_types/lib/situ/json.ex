@@ -35,8 +35,8 @@ defmodule Situ.JSON do
   def encode(value), do: value |> to_iodata([]) |> IO.iodata_to_binary()
 
   @doc "Encodes a value on several indented lines, for files that people read."
-  @spec pretty(value()) :: String.t()
-  def pretty(value), do: value |> to_iodata([:pretty]) |> IO.iodata_to_binary()
+  @spec encode_pretty(value()) :: String.t()
+  def encode_pretty(value), do: value |> to_iodata([:pretty]) |> IO.iodata_to_binary()
 
   # The time to parse an integer is quadratic in its number of digits, and the scheduler is blocked in the meantime.
   @most_digits 400
@@ -49,64 +49,77 @@ defmodule Situ.JSON do
   """
   @spec decode(binary(), keyword()) :: {:ok, value()} | {:error, :bad_json}
   def decode(text, opts \\ []) when is_binary(text) do
-    if long_number?(text), do: {:error, :bad_json}, else: {:ok, parse(text, opts[:objects])}
+    if long_number?(text), do: {:error, :bad_json}, else: {:ok, parse_value(text, opts[:objects])}
   catch
     _, _ -> {:error, :bad_json}
   end
 
   # Digits inside a string are harmless, so the text is scanned for strings only if it has a long run of digits.
-  defp long_number?(text), do: text =~ ~r/[0-9]{401}/ and outside(text, 0)
+  defp long_number?(text), do: text =~ ~r/[0-9]{401}/ and scan_outside_string(text, 0)
 
-  defp outside(_, n) when n > @most_digits, do: true
-  defp outside(<<digit, rest::binary>>, n) when digit in ?0..?9, do: outside(rest, n + 1)
-  defp outside(<<?", rest::binary>>, _), do: inside(rest)
-  defp outside(<<_, rest::binary>>, _), do: outside(rest, 0)
-  defp outside("", _), do: false
+  defp scan_outside_string(_, n) when n > @most_digits, do: true
 
-  defp inside(<<?\\, _, rest::binary>>), do: inside(rest)
-  defp inside(<<?", rest::binary>>), do: outside(rest, 0)
-  defp inside(<<_, rest::binary>>), do: inside(rest)
-  defp inside(""), do: false
+  defp scan_outside_string(<<digit, rest::binary>>, n) when digit in ?0..?9,
+    do: scan_outside_string(rest, n + 1)
+
+  defp scan_outside_string(<<?", rest::binary>>, _), do: scan_inside_string(rest)
+  defp scan_outside_string(<<_, rest::binary>>, _), do: scan_outside_string(rest, 0)
+  defp scan_outside_string("", _), do: false
+
+  defp scan_inside_string(<<?\\, _, rest::binary>>), do: scan_inside_string(rest)
+  defp scan_inside_string(<<?", rest::binary>>), do: scan_outside_string(rest, 0)
+  defp scan_inside_string(<<_, rest::binary>>), do: scan_inside_string(rest)
+  defp scan_inside_string(""), do: false
 
   if Code.ensure_loaded?(:json) do
     defp to_iodata(value, options) do
-      write(value, options)
+      encode_with_json(value, options)
     rescue
-      ErlangError -> value |> mend() |> write(options)
+      ErlangError -> value |> repair_strings() |> encode_with_json(options)
     end
 
-    defp write(value, []), do: :json.encode(value, &one/2)
-    defp write(value, [:pretty]), do: :json.format(value, &one/3, %{indent: 2})
+    defp encode_with_json(value, []), do: :json.encode(value, &encode_value/2)
 
-    defp one(nil, _encoder), do: "null"
+    defp encode_with_json(value, [:pretty]),
+      do: :json.format(value, &encode_value/3, %{indent: 2})
 
-    defp one({pairs}, encoder) when is_list(pairs),
+    defp encode_value(nil, _encoder), do: "null"
+
+    defp encode_value({pairs}, encoder) when is_list(pairs),
       do: :json.encode_key_value_list(pairs, encoder)
 
-    defp one(value, encoder), do: :json.encode_value(value, encoder)
+    defp encode_value(value, encoder), do: :json.encode_value(value, encoder)
 
-    defp one(nil, _encoder, _state), do: "null"
+    defp encode_value(nil, _encoder, _state), do: "null"
 
-    defp one({pairs}, encoder, state) when is_list(pairs),
+    defp encode_value({pairs}, encoder, state) when is_list(pairs),
       do: :json.format_key_value_list(pairs, encoder, state)
 
-    defp one(value, encoder, state), do: :json.format_value(value, encoder, state)
+    defp encode_value(value, encoder, state), do: :json.format_value(value, encoder, state)
 
-    defp mend(text) when is_binary(text), do: if(String.valid?(text), do: text, else: valid(text))
-    defp mend(list) when is_list(list), do: Enum.map(list, &mend/1)
-    defp mend(map) when is_map(map), do: Map.new(map, fn {k, v} -> {mend(k), mend(v)} end)
+    defp repair_strings(text) when is_binary(text),
+      do: if(String.valid?(text), do: text, else: replace_invalid_bytes(text))
 
-    defp mend({pairs}) when is_list(pairs),
-      do: {Enum.map(pairs, fn {k, v} -> {mend(k), mend(v)} end)}
+    defp repair_strings(list) when is_list(list), do: Enum.map(list, &repair_strings/1)
 
-    defp mend(other), do: other
+    defp repair_strings(map) when is_map(map),
+      do: Map.new(map, fn {k, v} -> {repair_strings(k), repair_strings(v)} end)
 
-    defp valid(<<c::utf8, rest::binary>>), do: <<c::utf8, valid(rest)::binary>>
-    defp valid(<<_, rest::binary>>), do: <<"\uFFFD", valid(rest)::binary>>
-    defp valid(""), do: ""
+    defp repair_strings({pairs}) when is_list(pairs),
+      do: {Enum.map(pairs, fn {k, v} -> {repair_strings(k), repair_strings(v)} end)}
 
-    defp parse(text, objects) do
-      finish = if objects == :pairs, do: &pairs/2, else: &object/2
+    defp repair_strings(other), do: other
+
+    defp replace_invalid_bytes(<<c::utf8, rest::binary>>),
+      do: <<c::utf8, replace_invalid_bytes(rest)::binary>>
+
+    defp replace_invalid_bytes(<<_, rest::binary>>),
+      do: <<"\uFFFD", replace_invalid_bytes(rest)::binary>>
+
+    defp replace_invalid_bytes(""), do: ""
+
+    defp parse_value(text, objects) do
+      finish = if objects == :pairs, do: &finish_pairs/2, else: &finish_object/2
       decoders = %{null: nil, string: &:binary.copy/1, object_finish: finish}
       {value, :ok, rest} = :json.decode(text, :ok, decoders)
       "" = String.trim(rest)
@@ -114,14 +127,14 @@ defmodule Situ.JSON do
     end
 
     # `:json` passes the pairs in reverse order.
-    defp object(pairs, outer), do: {pairs |> Enum.reverse() |> Map.new(), outer}
-    defp pairs(pairs, outer), do: {{Enum.reverse(pairs)}, outer}
+    defp finish_object(pairs, outer), do: {pairs |> Enum.reverse() |> Map.new(), outer}
+    defp finish_pairs(pairs, outer), do: {{Enum.reverse(pairs)}, outer}
   else
     defp to_iodata(value, options), do: :jiffy.encode(value, [:use_nil, :force_utf8 | options])
 
-    defp parse(text, :pairs), do: :jiffy.decode(text, [:use_nil, :copy_strings])
+    defp parse_value(text, :pairs), do: :jiffy.decode(text, [:use_nil, :copy_strings])
 
-    defp parse(text, _objects),
+    defp parse_value(text, _objects),
       do: :jiffy.decode(text, [:return_maps, :use_nil, :copy_strings, :dedupe_keys])
   end
 end

@@ -6,32 +6,34 @@ defmodule Situ.KnownModules do
   searched, so an outsider cannot cause an arbitrary `.beam` file to be loaded, and names never become new atoms.
   atom.
 
-      iex> Situ.KnownModules.fetch("Elixir.Situ.Message")
+      iex> Situ.KnownModules.fetch_module("Elixir.Situ.Message")
       {:ok, Situ.Message}
-      iex> {Situ.KnownModules.fetch("Elixir.Never.Heard.Of"), Situ.KnownModules.fetch(<<255>>)}
+      iex> {Situ.KnownModules.fetch_module("Elixir.Never.Heard.Of"), Situ.KnownModules.fetch_module(<<255>>)}
       {:error, :error}
   """
 
   @doc "Loads and returns the module with this full name (`\"Elixir.My.Pose\"`); `:error` if there is none."
-  @spec fetch(String.t()) :: {:ok, module()} | :error
-  def fetch(name) do
+  @spec fetch_module(String.t()) :: {:ok, module()} | :error
+  def fetch_module(name) do
     with :error <- find_module(name),
          do: if(load_own_types?(), do: find_module(name), else: :error)
   end
 
   defp find_module(name) do
     module = String.to_existing_atom(name)
-    if load?(module), do: {:ok, module}, else: :error
+    if ensure_loaded?(module), do: {:ok, module}, else: :error
   rescue
     ArgumentError -> :error
   end
 
   @doc "Loads a module if a loaded application lists it; returns whether the module is loaded."
-  @spec load?(module()) :: boolean()
-  def load?(module) when is_atom(module),
-    do: :erlang.module_loaded(module) or (listed?(module) and Code.ensure_loaded?(module))
+  @spec ensure_loaded?(module()) :: boolean()
+  def ensure_loaded?(module) when is_atom(module),
+    do:
+      :erlang.module_loaded(module) or
+        (listed_in_application?(module) and Code.ensure_loaded?(module))
 
-  defp listed?(module) do
+  defp listed_in_application?(module) do
     Application.get_application(module) != nil or
       (load_own_types?() and Application.get_application(module) != nil)
   end

@@ -12,7 +12,7 @@ defmodule Situ.Mesh do
   """
   @behaviour Situ.Codec
 
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.{Error, PointCloud, Pose, Ray3, Triangle3, Vector3}
 
   @enforce_keys [:vertices, :indices]
@@ -24,7 +24,7 @@ defmodule Situ.Mesh do
   @spec new(binary(), binary(), Pose.t() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new(vertices, indices, pose \\ nil) when is_binary(vertices) and is_binary(indices) do
     count = div(byte_size(vertices), 12)
-    highest = highest(indices, -1)
+    highest = highest_index(indices, -1)
 
     cond do
       rem(byte_size(vertices), 12) != 0 ->
@@ -45,8 +45,8 @@ defmodule Situ.Mesh do
     end
   end
 
-  defp highest(<<i::little-32, rest::binary>>, most), do: highest(rest, max(i, most))
-  defp highest(_rest, most), do: most
+  defp highest_index(<<i::little-32, rest::binary>>, most), do: highest_index(rest, max(i, most))
+  defp highest_index(_rest, most), do: most
 
   @doc "Builds a mesh from a list of vertices and a list of triangles."
   @spec from_lists([Vector3.t()], [{non_neg_integer(), non_neg_integer(), non_neg_integer()}]) ::
@@ -67,17 +67,17 @@ defmodule Situ.Mesh do
   def triangle_count(%__MODULE__{indices: indices}), do: div(byte_size(indices), 12)
 
   @doc "Lists the corners of every triangle in the outer frame."
-  @spec triangles(t()) :: [{Vector3.t(), Vector3.t(), Vector3.t()}]
-  def triangles(%__MODULE__{} = mesh) do
+  @spec list_triangles(t()) :: [{Vector3.t(), Vector3.t(), Vector3.t()}]
+  def list_triangles(%__MODULE__{} = mesh) do
     for <<a::little-32, b::little-32, c::little-32 <- mesh.indices>>,
-      do: {vertex(mesh, a), vertex(mesh, b), vertex(mesh, c)}
+      do: {vertex_position(mesh, a), vertex_position(mesh, b), vertex_position(mesh, c)}
   end
 
-  defp vertex(%{vertices: vertices, pose: pose}, index) do
+  defp vertex_position(%{vertices: vertices, pose: pose}, index) do
     <<x::little-float-32, y::little-float-32, z::little-float-32>> =
       binary_part(vertices, index * 12, 12)
 
-    if pose, do: Pose.transform(pose, {x, y, z}), else: {x, y, z}
+    if pose, do: Pose.transform_point(pose, {x, y, z}), else: {x, y, z}
   end
 
   @doc """
@@ -86,16 +86,16 @@ defmodule Situ.Mesh do
 
       iex> {:ok, mesh} = Situ.Mesh.from_lists([{1.0, -1.0, -1.0}, {1.0, 1.0, -1.0}, {1.0, 0.0, 1.0}], [{0, 1, 2}])
       iex> {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
-      iex> Situ.Mesh.intersection(mesh, ray)
+      iex> Situ.Mesh.intersect_ray(mesh, ray)
       {{1.0, 0.0, 0.0}, 0}
   """
-  @spec intersection(t(), Ray3.t()) :: {Vector3.t(), non_neg_integer()} | nil
-  def intersection(%__MODULE__{} = mesh, %Ray3{} = ray) do
+  @spec intersect_ray(t(), Ray3.t()) :: {Vector3.t(), non_neg_integer()} | nil
+  def intersect_ray(%__MODULE__{} = mesh, %Ray3{} = ray) do
     local = if mesh.pose, do: Ray3.transform(ray, Pose.invert(mesh.pose)), else: ray
 
     found =
-      best(mesh, fn triangle ->
-        with far when is_float(far) <- Triangle3.intersection(triangle, local), do: {far, far}
+      find_nearest(mesh, fn triangle ->
+        with far when is_float(far) <- Triangle3.ray_distance(triangle, local), do: {far, far}
       end)
 
     with {far, number} <- found, do: {Ray3.point_at(ray, far), number}
@@ -104,41 +104,47 @@ defmodule Situ.Mesh do
   @doc "Returns the nearest point of the surface and the index of its triangle, or `nil` if the mesh is empty."
   @spec closest_point(t(), Vector3.t()) :: {Vector3.t(), non_neg_integer()} | nil
   def closest_point(%__MODULE__{pose: pose} = mesh, point) do
-    local = if pose, do: Pose.transform(Pose.invert(pose), point), else: point
+    local = if pose, do: Pose.transform_point(Pose.invert(pose), point), else: point
 
     found =
-      best(mesh, fn triangle ->
+      find_nearest(mesh, fn triangle ->
         near = Triangle3.closest_point(triangle, local)
         {Vector3.distance(near, local), near}
       end)
 
     with {near, number} <- found,
-         do: {if(pose, do: Pose.transform(pose, near), else: near), number}
+         do: {if(pose, do: Pose.transform_point(pose, near), else: near), number}
   end
 
   # Calls `fun` with each triangle in the local frame; it returns `{distance, result}`. Returns the result with the
   # smallest distance.
-  defp best(mesh, fun), do: best(mesh.indices, mesh.vertices, fun, 0, nil)
+  defp find_nearest(mesh, fun), do: search_triangles(mesh.indices, mesh.vertices, fun, 0, nil)
 
-  defp best(<<a::little-32, b::little-32, c::little-32, rest::binary>>, vertices, fun, n, best) do
+  defp search_triangles(
+         <<a::little-32, b::little-32, c::little-32, rest::binary>>,
+         vertices,
+         fun,
+         n,
+         best
+       ) do
     found =
-      with {_, _, _} = a <- at(vertices, a),
-           {_, _, _} = b <- at(vertices, b),
-           {_, _, _} = c <- at(vertices, c),
+      with {_, _, _} = a <- read_vertex(vertices, a),
+           {_, _, _} = b <- read_vertex(vertices, b),
+           {_, _, _} = c <- read_vertex(vertices, c),
            do: fun.({a, b, c})
 
-    best(rest, vertices, fun, n + 1, nearer(best, found, n))
+    search_triangles(rest, vertices, fun, n + 1, keep_nearer(best, found, n))
   end
 
-  defp best(_done, _vertices, _fun, _n, nil), do: nil
-  defp best(_done, _vertices, _fun, _n, {_, answer, number}), do: {answer, number}
+  defp search_triangles(_done, _vertices, _fun, _n, nil), do: nil
+  defp search_triangles(_done, _vertices, _fun, _n, {_, answer, number}), do: {answer, number}
 
-  defp nearer(best, nil, _n), do: best
-  defp nearer({least, _, _} = best, {far, _}, _n) when least <= far, do: best
-  defp nearer(_best, {far, answer}, n), do: {far, answer, n}
+  defp keep_nearer(best, nil, _n), do: best
+  defp keep_nearer({least, _, _} = best, {far, _}, _n) when least <= far, do: best
+  defp keep_nearer(_best, {far, answer}, n), do: {far, answer, n}
 
   # Returns a vertex in the local frame, or nil if the index is out of range or a coordinate is not finite.
-  defp at(vertices, index) do
+  defp read_vertex(vertices, index) do
     skipped = index * 12
 
     case vertices do
@@ -181,17 +187,17 @@ defmodule Situ.Mesh do
 
   @impl Situ.Codec
   def decode(<<1, 1, 0::16, v::little-32, t::little-32, pose::binary-size(64), rest::binary>>) do
-    with {:ok, pose} <- Pose.decode(pose), do: decode(rest, v, t, pose)
+    with {:ok, pose} <- Pose.decode(pose), do: decode_arrays(rest, v, t, pose)
   end
 
   def decode(<<1, 0, 0::16, v::little-32, t::little-32, rest::binary>>),
-    do: decode(rest, v, t, nil)
+    do: decode_arrays(rest, v, t, nil)
 
   def decode(_bytes), do: {:error, Error.new(:bad_mesh, "not a stored mesh")}
 
-  defp decode(rest, vertices, triangles, pose) do
+  defp decode_arrays(rest, vertices, triangles, pose) do
     case rest do
-      <<v::binary-known(vertices)-unit(96), i::binary-known(triangles)-unit(96)>> ->
+      <<v::binary-pinned_size(vertices)-unit(96), i::binary-pinned_size(triangles)-unit(96)>> ->
         new(v, i, pose)
 
       _ ->

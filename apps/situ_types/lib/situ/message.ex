@@ -32,13 +32,13 @@ defmodule Situ.Message do
   Returns the size of the data in bytes: the byte size of binaries, images and audio, and the external term format
   size of everything else. The latter traverses the term, which is expensive for large ones.
 
-      iex> Situ.Message.size(%Situ.Message{data: <<1, 2, 3>>, originating_time: 0})
+      iex> Situ.Message.data_size(%Situ.Message{data: <<1, 2, 3>>, originating_time: 0})
       3
-      iex> Situ.Message.size(%Situ.Message{data: {:a, 1.5}, originating_time: 0}) > 8
+      iex> Situ.Message.data_size(%Situ.Message{data: {:a, 1.5}, originating_time: 0}) > 8
       true
   """
-  @spec size(t()) :: non_neg_integer()
-  def size(%__MODULE__{data: bytes}) when is_binary(bytes), do: byte_size(bytes)
-  def size(%__MODULE__{data: %{data: bytes}}) when is_binary(bytes), do: byte_size(bytes)
-  def size(%__MODULE__{data: data}), do: :erlang.external_size(data)
+  @spec data_size(t()) :: non_neg_integer()
+  def data_size(%__MODULE__{data: bytes}) when is_binary(bytes), do: byte_size(bytes)
+  def data_size(%__MODULE__{data: %{data: bytes}}) when is_binary(bytes), do: byte_size(bytes)
+  def data_size(%__MODULE__{data: data}), do: :erlang.external_size(data)
 end

@@ -22,67 +22,70 @@ defmodule Situ.Number do
   @doc "Adds two numbers; a sum that is too large for a float is infinite."
   @spec add(t(), t()) :: t()
   def add(a, b) when is_integer(a) and is_integer(b), do: a + b
-  def add(a, b) when is_number(a) and is_number(b), do: sum(a, b)
-  def add(:nan, b), do: nan(b)
-  def add(a, :nan), do: nan(a)
+  def add(a, b) when is_number(a) and is_number(b), do: add_floats(a, b)
+  def add(:nan, b), do: nan_if_number(b)
+  def add(a, :nan), do: nan_if_number(a)
   def add(:infinity, :neg_infinity), do: :nan
   def add(:neg_infinity, :infinity), do: :nan
-  def add(a, b) when is_number(b), do: infinite(a)
-  def add(a, b) when is_number(a), do: infinite(b)
-  def add(a, a), do: infinite(a)
+  def add(a, b) when is_number(b), do: check_infinite(a)
+  def add(a, b) when is_number(a), do: check_infinite(b)
+  def add(a, a), do: check_infinite(a)
 
   @doc "Subtracts `b` from `a`."
   @spec subtract(t(), t()) :: t()
   def subtract(a, b) when is_integer(a) and is_integer(b), do: a - b
-  def subtract(a, b) when is_float(a) and is_float(b), do: sum(a, -b)
+  def subtract(a, b) when is_float(a) and is_float(b), do: add_floats(a, -b)
   def subtract(a, b), do: add(a, negate(b))
 
   @doc "Multiplies two numbers."
   @spec multiply(t(), t()) :: t()
   def multiply(a, b) when is_integer(a) and is_integer(b), do: a * b
 
-  def multiply(a, b) when is_number(a) and is_number(b), do: product(a, b)
+  def multiply(a, b) when is_number(a) and is_number(b), do: multiply_floats(a, b)
 
-  def multiply(:nan, b), do: nan(b)
-  def multiply(a, :nan), do: nan(a)
-  def multiply(a, b), do: of_sign(sign(a) * sign(b))
+  def multiply(:nan, b), do: nan_if_number(b)
+  def multiply(a, :nan), do: nan_if_number(a)
+  def multiply(a, b), do: signed_infinity(sign_of(a) * sign_of(b))
 
   @doc "Divides `a` by `b`. The result is a float; division by zero is infinite, or `:nan` for 0/0."
   @spec divide(t(), t()) :: t()
-  def divide(a, b) when is_number(a) and is_number(b) and b != 0, do: quotient(a, b)
+  def divide(a, b) when is_number(a) and is_number(b) and b != 0, do: divide_floats(a, b)
 
-  def divide(:nan, b), do: nan(b)
-  def divide(a, :nan), do: nan(a)
-  def divide(a, b) when is_number(a) and is_number(b), do: of_sign(sign(a))
-  def divide(a, b) when is_number(b), do: of_sign(sign(a) * if(b < 0, do: -1, else: 1))
+  def divide(:nan, b), do: nan_if_number(b)
+  def divide(a, :nan), do: nan_if_number(a)
+  def divide(a, b) when is_number(a) and is_number(b), do: signed_infinity(sign_of(a))
+  def divide(a, b) when is_number(b), do: signed_infinity(sign_of(a) * if(b < 0, do: -1, else: 1))
   def divide(a, b) when is_number(a) and b in [:infinity, :neg_infinity], do: 0.0
-  def divide(a, b) when a in [:infinity, :neg_infinity], do: nan(b)
+  def divide(a, b) when a in [:infinity, :neg_infinity], do: nan_if_number(b)
 
   @doc """
   Interpolates linearly between `a` (ratio 0.0) and `b` (ratio 1.0). Returns `nil` (no value) if either is `nil`.
 
-      iex> Situ.Number.between(10, 20, 0.25)
+      iex> Situ.Number.interpolate(10, 20, 0.25)
       12.5
-      iex> Situ.Number.between(1, :nan, 0.5)
+      iex> Situ.Number.interpolate(1, :nan, 0.5)
       :nan
-      iex> Situ.Number.between(nil, 3, 0.5)
+      iex> Situ.Number.interpolate(nil, 3, 0.5)
       nil
   """
-  @spec between(t() | nil, t() | nil, float()) :: t() | nil
-  def between(nil, b, _ratio), do: if(b == nil or number?(b), do: nil, else: refuse(b))
-  def between(a, nil, _ratio), do: if(number?(a), do: nil, else: refuse(a))
+  @spec interpolate(t() | nil, t() | nil, float()) :: t() | nil
+  def interpolate(nil, b, _ratio),
+    do: if(b == nil or number?(b), do: nil, else: raise_not_number(b))
 
-  def between(a, b, ratio) when is_number(a) and is_number(b) do
+  def interpolate(a, nil, _ratio), do: if(number?(a), do: nil, else: raise_not_number(a))
+
+  def interpolate(a, b, ratio) when is_number(a) and is_number(b) do
     a + (b - a) * ratio
   rescue
     ArithmeticError -> add(multiply(a, 1.0 - ratio), multiply(b, ratio))
   end
 
-  def between(a, b, ratio), do: add(a, multiply(subtract(b, a), ratio))
+  def interpolate(a, b, ratio), do: add(a, multiply(subtract(b, a), ratio))
 
   @doc "Returns the dot product of two lists."
-  @spec dot([t()], [t()]) :: t()
-  def dot(a, b), do: Enum.zip_reduce(a, b, 0.0, fn x, y, sum -> add(sum, multiply(x, y)) end)
+  @spec dot_product([t()], [t()]) :: t()
+  def dot_product(a, b),
+    do: Enum.zip_reduce(a, b, 0.0, fn x, y, sum -> add(sum, multiply(x, y)) end)
 
   @doc """
   Returns the median, or `:nan` if the list contains `:nan`.
@@ -94,7 +97,7 @@ defmodule Situ.Number do
   """
   @spec median([t(), ...]) :: t()
   def median(numbers) do
-    sorted = sort(numbers)
+    sorted = sort_numbers(numbers)
     {n, half} = {length(sorted), div(length(sorted), 2)}
 
     cond do
@@ -104,10 +107,10 @@ defmodule Situ.Number do
     end
   end
 
-  defp sort(numbers) do
+  defp sort_numbers(numbers) do
     if Enum.all?(numbers, &is_number/1),
       do: Enum.sort(numbers),
-      else: Enum.sort_by(numbers, &{rank(&1), &1})
+      else: Enum.sort_by(numbers, &{infinity_rank(&1), &1})
   end
 
   @doc "Negates a number."
@@ -116,30 +119,30 @@ defmodule Situ.Number do
   def negate(:infinity), do: :neg_infinity
   def negate(:neg_infinity), do: :infinity
   def negate(a) when is_number(a), do: -a
-  def negate(other), do: refuse(other)
+  def negate(other), do: raise_not_number(other)
 
   @doc "Returns the absolute value."
   @spec abs(t()) :: t()
   def abs(a) when is_number(a), do: Kernel.abs(a)
   def abs(:nan), do: :nan
   def abs(a) when a in [:infinity, :neg_infinity], do: :infinity
-  def abs(other), do: refuse(other)
+  def abs(other), do: raise_not_number(other)
 
   @doc "Returns the smaller number, or `:nan` if either is `:nan`."
   @spec min(t(), t()) :: t()
   def min(a, b) when is_number(a) and is_number(b), do: Kernel.min(a, b)
-  def min(a, b), do: pick(a, b, :lt)
+  def min(a, b), do: pick_by_order(a, b, :lt)
 
   @doc "Returns the larger number, or `:nan` if either is `:nan`."
   @spec max(t(), t()) :: t()
   def max(a, b) when is_number(a) and is_number(b), do: Kernel.max(a, b)
-  def max(a, b), do: pick(a, b, :gt)
+  def max(a, b), do: pick_by_order(a, b, :gt)
 
   @doc "Returns the square root; `:nan` for a negative number."
   @spec sqrt(t()) :: t()
   def sqrt(a) when is_number(a) and a >= 0, do: :math.sqrt(a)
   def sqrt(:infinity), do: :infinity
-  def sqrt(a), do: nan(a)
+  def sqrt(a), do: nan_if_number(a)
 
   @doc """
   Returns the natural logarithm: `:neg_infinity` for 0, `:nan` for a negative number.
@@ -151,56 +154,56 @@ defmodule Situ.Number do
   def log(a) when is_number(a) and a > 0, do: :math.log(a)
   def log(a) when is_number(a) and a == 0, do: :neg_infinity
   def log(:infinity), do: :infinity
-  def log(a), do: nan(a)
+  def log(a), do: nan_if_number(a)
 
-  defp pick(:nan, b, _order), do: nan(b)
-  defp pick(a, :nan, _order), do: nan(a)
-  defp pick(a, b, :lt), do: if(rank(a) <= rank(b), do: a, else: b)
-  defp pick(a, b, :gt), do: if(rank(a) >= rank(b), do: a, else: b)
+  defp pick_by_order(:nan, b, _order), do: nan_if_number(b)
+  defp pick_by_order(a, :nan, _order), do: nan_if_number(a)
+  defp pick_by_order(a, b, :lt), do: if(infinity_rank(a) <= infinity_rank(b), do: a, else: b)
+  defp pick_by_order(a, b, :gt), do: if(infinity_rank(a) >= infinity_rank(b), do: a, else: b)
 
   # Only infinities need distinct ranks: here, either one number is infinite or both are.
-  defp rank(:nan), do: 2
-  defp rank(:infinity), do: 1
-  defp rank(:neg_infinity), do: -1
-  defp rank(a) when is_number(a), do: 0
-  defp rank(other), do: refuse(other)
+  defp infinity_rank(:nan), do: 2
+  defp infinity_rank(:infinity), do: 1
+  defp infinity_rank(:neg_infinity), do: -1
+  defp infinity_rank(a) when is_number(a), do: 0
+  defp infinity_rank(other), do: raise_not_number(other)
 
-  defp sign(:infinity), do: 1
-  defp sign(:neg_infinity), do: -1
-  defp sign(a) when is_number(a) and a > 0, do: 1
-  defp sign(a) when is_number(a) and a < 0, do: -1
-  defp sign(a) when is_number(a), do: 0
-  defp sign(other), do: refuse(other)
+  defp sign_of(:infinity), do: 1
+  defp sign_of(:neg_infinity), do: -1
+  defp sign_of(a) when is_number(a) and a > 0, do: 1
+  defp sign_of(a) when is_number(a) and a < 0, do: -1
+  defp sign_of(a) when is_number(a), do: 0
+  defp sign_of(other), do: raise_not_number(other)
 
-  defp of_sign(1), do: :infinity
-  defp of_sign(-1), do: :neg_infinity
-  defp of_sign(0), do: :nan
+  defp signed_infinity(1), do: :infinity
+  defp signed_infinity(-1), do: :neg_infinity
+  defp signed_infinity(0), do: :nan
 
   # The Erlang VM raises if IEEE 754 defines an infinite result.
-  defp sum(a, b) do
+  defp add_floats(a, b) do
     a + b
   rescue
-    ArithmeticError -> of_sign(sign(a))
+    ArithmeticError -> signed_infinity(sign_of(a))
   end
 
-  defp product(a, b) do
+  defp multiply_floats(a, b) do
     a * b
   rescue
-    ArithmeticError -> of_sign(sign(a) * sign(b))
+    ArithmeticError -> signed_infinity(sign_of(a) * sign_of(b))
   end
 
-  defp quotient(a, b) do
+  defp divide_floats(a, b) do
     a / b
   rescue
-    ArithmeticError -> of_sign(sign(a) * sign(b))
+    ArithmeticError -> signed_infinity(sign_of(a) * sign_of(b))
   end
 
-  defp infinite(a) when a in [:infinity, :neg_infinity], do: a
-  defp infinite(other), do: refuse(other)
+  defp check_infinite(a) when a in [:infinity, :neg_infinity], do: a
+  defp check_infinite(other), do: raise_not_number(other)
 
-  defp nan(a), do: if(number?(a), do: :nan, else: refuse(a))
+  defp nan_if_number(a), do: if(number?(a), do: :nan, else: raise_not_number(a))
 
-  defp refuse(other) do
+  defp raise_not_number(other) do
     raise Situ.Error.new(:not_a_number, "expected a number, got: #{inspect(other, limit: 5)}",
             fix: "map the stream to numbers first, or give the operator by: fn data -> number end"
           )

@@ -37,7 +37,7 @@ defmodule Situ.Options do
   def validate(opts, schema) do
     with :ok <- check_keyword(opts),
          :ok <- check_known(opts, schema) do
-      collect(schema, opts, [])
+      collect_values(schema, opts, [])
     end
   end
 
@@ -59,22 +59,22 @@ defmodule Situ.Options do
   @spec docs(schema()) :: String.t()
   def docs(schema) do
     schema
-    |> Enum.reject(&hidden?/1)
+    |> Enum.reject(&hidden_option?/1)
     |> Enum.map_join("\n", fn {key, spec} ->
-      "  * `#{inspect(key)}` (#{describe(spec[:type] || :any)}#{presence(spec)})#{doc(spec[:doc])}"
+      "  * `#{inspect(key)}` (#{describe_type(spec[:type] || :any)}#{presence_note(spec)})#{doc_suffix(spec[:doc])}"
     end)
   end
 
   @doc """
   Returns the name in `known` that is most similar to `name`, or `nil` if none is similar.
 
-      iex> Situ.Options.nearest("tresh", ["threshold", "rate"])
+      iex> Situ.Options.nearest_name("tresh", ["threshold", "rate"])
       "threshold"
-      iex> Situ.Options.nearest("xyz", ["threshold"])
+      iex> Situ.Options.nearest_name("xyz", ["threshold"])
       nil
   """
-  @spec nearest(atom() | String.t(), [name]) :: name | nil when name: atom() | String.t()
-  def nearest(name, known) do
+  @spec nearest_name(atom() | String.t(), [name]) :: name | nil when name: atom() | String.t()
+  def nearest_name(name, known) do
     known
     |> Enum.map(&{String.jaro_distance(to_string(&1), to_string(name)), &1})
     |> Enum.filter(fn {distance, _} -> distance > 0.6 end)
@@ -82,7 +82,7 @@ defmodule Situ.Options do
     |> elem(1)
   end
 
-  defp presence(spec) do
+  defp presence_note(spec) do
     cond do
       spec[:required] -> ", required"
       Keyword.has_key?(spec, :default) -> ", default `#{inspect(spec[:default])}`"
@@ -90,8 +90,8 @@ defmodule Situ.Options do
     end
   end
 
-  defp doc(nil), do: ""
-  defp doc(text), do: " - " <> text
+  defp doc_suffix(nil), do: ""
+  defp doc_suffix(text), do: " - " <> text
 
   defp check_keyword(opts) do
     if Keyword.keyword?(opts),
@@ -100,7 +100,7 @@ defmodule Situ.Options do
         {:error, Error.new(:bad_options, "options must be a keyword list, got: #{inspect(opts)}")}
   end
 
-  defp hidden?({_key, spec}), do: spec[:doc] == false
+  defp hidden_option?({_key, spec}), do: spec[:doc] == false
 
   defp check_known(opts, schema) do
     case Enum.find(Keyword.keys(opts), &(not Keyword.has_key?(schema, &1))) do
@@ -108,120 +108,127 @@ defmodule Situ.Options do
         :ok
 
       bad ->
-        known = schema |> Enum.reject(&hidden?/1) |> Keyword.keys()
+        known = schema |> Enum.reject(&hidden_option?/1) |> Keyword.keys()
 
         {:error,
-         Error.new(:unknown_option, "unknown option #{inspect(bad)}", fix: hint(bad, known))}
+         Error.new(:unknown_option, "unknown option #{inspect(bad)}",
+           fix: unknown_option_hint(bad, known)
+         )}
     end
   end
 
-  defp hint(_bad, []), do: "remove it: no options are supported here"
+  defp unknown_option_hint(_bad, []), do: "remove it: no options are supported here"
 
-  defp hint(bad, known) do
+  defp unknown_option_hint(bad, known) do
     list = "Known options: " <> Enum.map_join(known, ", ", &inspect/1)
 
-    case nearest(bad, known) do
+    case nearest_name(bad, known) do
       nil -> list
       near -> "did you mean #{inspect(near)}? " <> list
     end
   end
 
-  defp collect([], _opts, valid), do: {:ok, Enum.reverse(valid)}
+  defp collect_values([], _opts, valid), do: {:ok, Enum.reverse(valid)}
 
-  defp collect([{key, spec} | rest], opts, valid) do
-    case fetch(opts, key, spec) do
-      {:ok, value} -> collect(rest, opts, [{key, value} | valid])
-      :absent -> collect(rest, opts, valid)
+  defp collect_values([{key, spec} | rest], opts, valid) do
+    case fetch_value(opts, key, spec) do
+      {:ok, value} -> collect_values(rest, opts, [{key, value} | valid])
+      :absent -> collect_values(rest, opts, valid)
       {:error, _} = error -> error
     end
   end
 
-  defp fetch(opts, key, spec) do
+  defp fetch_value(opts, key, spec) do
     case {Keyword.fetch(opts, key), Keyword.fetch(spec, :default)} do
       {{:ok, value}, _} -> check_type(key, value, spec[:type] || :any)
       {:error, {:ok, default}} -> {:ok, default}
-      {:error, :error} -> if spec[:required], do: missing(key, spec), else: :absent
+      {:error, :error} -> if spec[:required], do: missing_option_error(key, spec), else: :absent
     end
   end
 
-  defp missing(key, spec) do
+  defp missing_option_error(key, spec) do
     {:error, Error.new(:missing_option, "option #{inspect(key)} is required", fix: spec[:doc])}
   end
 
   defp check_type(key, value, type) do
-    if valid?(type, value) do
+    if matches_type?(type, value) do
       {:ok, value}
     else
-      what = "option #{inspect(key)} must be #{describe(type)}, got: #{inspect(value, limit: 8)}"
-      {:error, Error.new(:bad_option, what, fix: suggestion(type, value))}
+      what =
+        "option #{inspect(key)} must be #{describe_type(type)}, got: #{inspect(value, limit: 8)}"
+
+      {:error, Error.new(:bad_option, what, fix: suggest_fix(type, value))}
     end
   end
 
   # The module of a struct may suggest the intended value, such as `Situ.Delivery.latest()` for `:latest`.
-  defp suggestion({:optional, type}, value), do: suggestion(type, value)
-  defp suggestion({:or, types}, value), do: Enum.find_value(types, &suggestion(&1, value))
-  defp suggestion({:list, type}, [value | _]), do: suggestion(type, value)
+  defp suggest_fix({:optional, type}, value), do: suggest_fix(type, value)
+  defp suggest_fix({:or, types}, value), do: Enum.find_value(types, &suggest_fix(&1, value))
+  defp suggest_fix({:list, type}, [value | _]), do: suggest_fix(type, value)
 
-  defp suggestion({:struct, module}, value),
+  defp suggest_fix({:struct, module}, value),
     do:
       if(Code.ensure_loaded?(module) and function_exported?(module, :suggest, 1),
         do: module.suggest(value)
       )
 
-  defp suggestion(_type, _value), do: nil
+  defp suggest_fix(_type, _value), do: nil
 
   @doc """
   Returns whether `value` matches the option type `type`.
 
-      iex> Situ.Options.valid?({:list, :pos_integer}, [1, 2])
+      iex> Situ.Options.matches_type?({:list, :pos_integer}, [1, 2])
       true
   """
-  @spec valid?(type(), term()) :: boolean()
-  def valid?(:any, _), do: true
-  def valid?(:atom, v), do: is_atom(v)
-  def valid?(:boolean, v), do: is_boolean(v)
-  def valid?(:integer, v), do: is_integer(v)
-  def valid?(:time_ns, v), do: is_integer(v)
-  def valid?(:pos_integer, v), do: is_integer(v) and v > 0
-  def valid?(:non_neg_integer, v), do: is_integer(v) and v >= 0
-  def valid?(:number, v), do: is_number(v)
-  def valid?(:float, v), do: is_float(v)
-  def valid?(:string, v), do: is_binary(v)
-  def valid?(:list, v), do: is_list(v)
-  def valid?(:keyword, v), do: Keyword.keyword?(v)
-  def valid?(:map, v), do: is_map(v)
-  def valid?(:module, v), do: is_atom(v) and not is_nil(v) and not is_boolean(v)
-  def valid?(:pid, v), do: is_pid(v)
-  def valid?({:in, values}, v), do: v in values
-  def valid?({:fun, arity}, v), do: is_function(v, arity)
-  def valid?({:list, type}, v), do: is_list(v) and Enum.all?(v, &valid?(type, &1))
-  def valid?({:range, min, max}, v), do: is_number(v) and v >= min and v <= max
-  def valid?({:integer, min, max}, v), do: is_integer(v) and v >= min and v <= max
-  def valid?({:struct, module}, v), do: is_struct(v, module)
+  @spec matches_type?(type(), term()) :: boolean()
+  def matches_type?(:any, _), do: true
+  def matches_type?(:atom, v), do: is_atom(v)
+  def matches_type?(:boolean, v), do: is_boolean(v)
+  def matches_type?(:integer, v), do: is_integer(v)
+  def matches_type?(:time_ns, v), do: is_integer(v)
+  def matches_type?(:pos_integer, v), do: is_integer(v) and v > 0
+  def matches_type?(:non_neg_integer, v), do: is_integer(v) and v >= 0
+  def matches_type?(:number, v), do: is_number(v)
+  def matches_type?(:float, v), do: is_float(v)
+  def matches_type?(:string, v), do: is_binary(v)
+  def matches_type?(:list, v), do: is_list(v)
+  def matches_type?(:keyword, v), do: Keyword.keyword?(v)
+  def matches_type?(:map, v), do: is_map(v)
+  def matches_type?(:module, v), do: is_atom(v) and not is_nil(v) and not is_boolean(v)
+  def matches_type?(:pid, v), do: is_pid(v)
+  def matches_type?({:in, values}, v), do: v in values
+  def matches_type?({:fun, arity}, v), do: is_function(v, arity)
+  def matches_type?({:list, type}, v), do: is_list(v) and Enum.all?(v, &matches_type?(type, &1))
+  def matches_type?({:range, min, max}, v), do: is_number(v) and v >= min and v <= max
+  def matches_type?({:integer, min, max}, v), do: is_integer(v) and v >= min and v <= max
+  def matches_type?({:struct, module}, v), do: is_struct(v, module)
 
-  def valid?({:tuple, types}, v) do
+  def matches_type?({:tuple, types}, v) do
     is_tuple(v) and tuple_size(v) == length(types) and
-      types |> Enum.zip(Tuple.to_list(v)) |> Enum.all?(fn {t, e} -> valid?(t, e) end)
+      types |> Enum.zip(Tuple.to_list(v)) |> Enum.all?(fn {t, e} -> matches_type?(t, e) end)
   end
 
-  def valid?({:or, types}, v), do: Enum.any?(types, &valid?(&1, v))
-  def valid?({:optional, type}, v), do: is_nil(v) or valid?(type, v)
+  def matches_type?({:or, types}, v), do: Enum.any?(types, &matches_type?(&1, v))
+  def matches_type?({:optional, type}, v), do: is_nil(v) or matches_type?(type, v)
 
-  defp describe(:any), do: "anything"
-  defp describe(:integer), do: "an integer"
-  defp describe(:pos_integer), do: "a positive integer"
-  defp describe(:non_neg_integer), do: "an integer of 0 or more"
-  defp describe(:time_ns), do: "an integer of nanoseconds"
-  defp describe(:keyword), do: "a keyword list"
-  defp describe({:in, values}), do: "one of " <> Enum.map_join(values, ", ", &inspect/1)
-  defp describe({:fun, arity}), do: "a function of #{arity} arguments"
-  defp describe({:list, type}), do: "a list, each element #{describe(type)}"
-  defp describe({:range, min, max}), do: "a number from #{min} to #{max}"
-  defp describe({:integer, min, max}), do: "an integer from #{min} to #{max}"
-  defp describe({:struct, module}), do: "a %#{inspect(module)}{}"
-  defp describe({:tuple, types}), do: "a tuple of " <> Enum.map_join(types, ", ", &describe/1)
-  defp describe({:or, types}), do: Enum.map_join(types, " or ", &describe/1)
-  defp describe({:optional, type}), do: describe(type) <> " or nil"
-  defp describe(type) when type in [:atom], do: "an atom"
-  defp describe(type), do: "a " <> to_string(type)
+  defp describe_type(:any), do: "anything"
+  defp describe_type(:integer), do: "an integer"
+  defp describe_type(:pos_integer), do: "a positive integer"
+  defp describe_type(:non_neg_integer), do: "an integer of 0 or more"
+  defp describe_type(:time_ns), do: "an integer of nanoseconds"
+  defp describe_type(:keyword), do: "a keyword list"
+  defp describe_type({:in, values}), do: "one of " <> Enum.map_join(values, ", ", &inspect/1)
+  defp describe_type({:fun, arity}), do: "a function of #{arity} arguments"
+  defp describe_type({:list, type}), do: "a list, each element #{describe_type(type)}"
+  defp describe_type({:range, min, max}), do: "a number from #{min} to #{max}"
+  defp describe_type({:integer, min, max}), do: "an integer from #{min} to #{max}"
+  defp describe_type({:struct, module}), do: "a %#{inspect(module)}{}"
+
+  defp describe_type({:tuple, types}),
+    do: "a tuple of " <> Enum.map_join(types, ", ", &describe_type/1)
+
+  defp describe_type({:or, types}), do: Enum.map_join(types, " or ", &describe_type/1)
+  defp describe_type({:optional, type}), do: describe_type(type) <> " or nil"
+  defp describe_type(type) when type in [:atom], do: "an atom"
+  defp describe_type(type), do: "a " <> to_string(type)
 end

@@ -5,12 +5,12 @@ defmodule Situ.PointCloud do
   or confidence) per point.
 
       iex> cloud = Situ.PointCloud.from_points([{0.0, 0.0, 0.0}, {2.0, 4.0, 6.0}])
-      iex> {Situ.PointCloud.count(cloud), Situ.PointCloud.bounds(cloud).max, Situ.PointCloud.centroid(cloud)}
+      iex> {Situ.PointCloud.point_count(cloud), Situ.PointCloud.bounding_box(cloud).max, Situ.PointCloud.centroid(cloud)}
       {2, {2.0, 4.0, 6.0}, {1.0, 2.0, 3.0}}
   """
   @behaviour Situ.Codec
 
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.{Box3, Error, Pose, Vector3}
 
   @enforce_keys [:points]
@@ -73,12 +73,12 @@ defmodule Situ.PointCloud do
   end
 
   @doc "Returns the number of points."
-  @spec count(t()) :: non_neg_integer()
-  def count(%__MODULE__{points: points}), do: div(byte_size(points), 12)
+  @spec point_count(t()) :: non_neg_integer()
+  def point_count(%__MODULE__{points: points}), do: div(byte_size(points), 12)
 
   @doc "Returns the smallest axis-aligned box around all points, or `nil` for an empty cloud."
-  @spec bounds(t()) :: Box3.t() | nil
-  def bounds(%__MODULE__{} = cloud), do: cloud |> to_points() |> Box3.around()
+  @spec bounding_box(t()) :: Box3.t() | nil
+  def bounding_box(%__MODULE__{} = cloud), do: cloud |> to_points() |> Box3.from_points()
 
   @doc "Returns the mean of all points, or `nil` for an empty cloud."
   @spec centroid(t()) :: Vector3.t() | nil
@@ -95,16 +95,16 @@ defmodule Situ.PointCloud do
   """
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{points: points} = cloud, %Pose{} = pose) do
-    moved = for <<point::binary-size(12) <- points>>, into: <<>>, do: moved(point, pose)
+    moved = for <<point::binary-size(12) <- points>>, into: <<>>, do: transform_point(point, pose)
     %{cloud | points: moved}
   end
 
-  defp moved(<<x::little-float-32, y::little-float-32, z::little-float-32>>, pose) do
-    {x, y, z} = Pose.transform(pose, {x, y, z})
+  defp transform_point(<<x::little-float-32, y::little-float-32, z::little-float-32>>, pose) do
+    {x, y, z} = Pose.transform_point(pose, {x, y, z})
     <<x::little-float-32, y::little-float-32, z::little-float-32>>
   end
 
-  defp moved(not_finite, _pose), do: not_finite
+  defp transform_point(not_finite, _pose), do: not_finite
 
   @impl Situ.Codec
   def codec_name, do: "situ.point_cloud"
@@ -125,8 +125,8 @@ defmodule Situ.PointCloud do
     values = if flags >= 2, do: count, else: 0
 
     case rest do
-      <<points::binary-known(count)-unit(96), rgb::binary-known(colors)-unit(24),
-        floats::binary-known(values)-unit(32)>> ->
+      <<points::binary-pinned_size(count)-unit(96), rgb::binary-pinned_size(colors)-unit(24),
+        floats::binary-pinned_size(values)-unit(32)>> ->
         new(points, if(rem(flags, 2) == 1, do: rgb), if(flags >= 2, do: floats))
 
       _ ->
@@ -140,6 +140,6 @@ defmodule Situ.PointCloud do
   defimpl Inspect do
     def inspect(cloud, _opts),
       do:
-        "#Situ.PointCloud<#{Situ.PointCloud.count(cloud)} points#{if cloud.colors, do: ", coloured"}>"
+        "#Situ.PointCloud<#{Situ.PointCloud.point_count(cloud)} points#{if cloud.colors, do: ", coloured"}>"
   end
 end

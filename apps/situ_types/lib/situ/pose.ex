@@ -6,7 +6,7 @@ defmodule Situ.Pose do
   coordinates in the frame in which it is given:
 
       iex> camera = Situ.Pose.new({1.0, 0.0, 0.5}, Situ.Quaternion.from_euler(:math.pi() / 2, 0, 0))
-      iex> {x, y, z} = Situ.Pose.transform(camera, {2.0, 0.0, 0.0})
+      iex> {x, y, z} = Situ.Pose.transform_point(camera, {2.0, 0.0, 0.0})
       iex> {Float.round(x, 9), Float.round(y, 9), z}
       {1.0, 2.0, 0.5}
 
@@ -41,19 +41,19 @@ defmodule Situ.Pose do
   @doc """
   Builds the pose at `position` whose x axis points along `forward` and whose z axis is as close to `up` as possible.
 
-      iex> {:ok, pose} = Situ.Pose.looking({0.0, 0.0, 1.0}, {0.0, 2.0, 0.0})
+      iex> {:ok, pose} = Situ.Pose.look_along({0.0, 0.0, 1.0}, {0.0, 2.0, 0.0})
       iex> {yaw, pitch, roll} = Situ.Quaternion.to_euler(pose.rotation)
       iex> {Float.round(yaw / :math.pi(), 9), Float.round(pitch, 9) + 0.0, Float.round(roll, 9) + 0.0}
       {0.5, 0.0, 0.0}
-      iex> {:error, error} = Situ.Pose.looking({0.0, 0.0, 0.0}, {0.0, 0.0, 1.0})
+      iex> {:error, error} = Situ.Pose.look_along({0.0, 0.0, 0.0}, {0.0, 0.0, 1.0})
       iex> error.code
       :degenerate_pose
   """
-  @spec looking(Vector3.t(), Vector3.t(), Vector3.t()) :: {:ok, t()} | {:error, Error.t()}
-  def looking(position, forward, up \\ {0.0, 0.0, 1.0}) do
+  @spec look_along(Vector3.t(), Vector3.t(), Vector3.t()) :: {:ok, t()} | {:error, Error.t()}
+  def look_along(position, forward, up \\ {0.0, 0.0, 1.0}) do
     with {:ok, {fx, fy, fz} = x} <- Vector3.normalize(forward),
-         {:ok, {lx, ly, lz} = y} <- up |> Vector3.cross(x) |> Vector3.normalize(),
-         {ux, uy, uz} = Vector3.cross(x, y),
+         {:ok, {lx, ly, lz} = y} <- up |> Vector3.cross_product(x) |> Vector3.normalize(),
+         {ux, uy, uz} = Vector3.cross_product(x, y),
          {:ok, rotation} <- Quaternion.from_matrix({{fx, lx, ux}, {fy, ly, uy}, {fz, lz, uz}}) do
       {:ok, new(position, rotation)}
     else
@@ -71,12 +71,12 @@ defmodule Situ.Pose do
   @doc "Returns the pose `b`, which is given in the frame of `a`, in the frame in which `a` is given."
   @spec compose(t(), t()) :: t()
   def compose(%__MODULE__{} = a, %__MODULE__{} = b) do
-    {position, rotation} = both(a.position, a.rotation, b.position, b.rotation)
+    {position, rotation} = compose_parts(a.position, a.rotation, b.position, b.rotation)
     %__MODULE__{position: position, rotation: rotation}
   end
 
-  # Combines `transform/2` and `Situ.Quaternion.multiply/2`; the guards keep all values in registers.
-  defp both({px, py, pz}, {w, x, y, z}, {vx, vy, vz}, {bw, bx, by, bz})
+  # Combines `transform_point/2` and `Situ.Quaternion.multiply/2`; the guards keep all values in registers.
+  defp compose_parts({px, py, pz}, {w, x, y, z}, {vx, vy, vz}, {bw, bx, by, bz})
        when is_float(px) and is_float(py) and is_float(pz) and is_float(w) and is_float(x) and
               is_float(y) and is_float(z) and is_float(vx) and is_float(vy) and is_float(vz) and
               is_float(bw) and is_float(bx) and is_float(by) and is_float(bz) do
@@ -90,32 +90,32 @@ defmodule Situ.Pose do
       w * by - x * bz + y * bw + z * bx, w * bz + x * by - y * bx + z * bw}}
   end
 
-  defp both(position, rotation, inner, turn) do
-    {Vector3.add(position, Quaternion.rotate(rotation, inner)),
+  defp compose_parts(position, rotation, inner, turn) do
+    {Vector3.add(position, Quaternion.rotate_vector(rotation, inner)),
      Quaternion.multiply(rotation, turn)}
   end
 
   @doc "Returns the pose of the outer frame in the local frame of this pose."
   @spec invert(t()) :: t()
   def invert(%__MODULE__{} = pose) do
-    rotation = Quaternion.inverse(pose.rotation)
+    rotation = Quaternion.invert(pose.rotation)
 
     %__MODULE__{
-      position: Quaternion.rotate(rotation, Vector3.scale(pose.position, -1)),
+      position: Quaternion.rotate_vector(rotation, Vector3.scale(pose.position, -1)),
       rotation: rotation
     }
   end
 
   @doc "Transforms a point from the pose's local frame to the frame in which the pose is given."
-  @spec transform(t(), Vector3.t()) :: Vector3.t()
-  def transform(%__MODULE__{} = pose, point),
-    do: Vector3.add(pose.position, Quaternion.rotate(pose.rotation, point))
+  @spec transform_point(t(), Vector3.t()) :: Vector3.t()
+  def transform_point(%__MODULE__{} = pose, point),
+    do: Vector3.add(pose.position, Quaternion.rotate_vector(pose.rotation, point))
 
   @doc "Returns the directions of the pose's x, y and z axes."
-  @spec axes(t()) :: {Vector3.t(), Vector3.t(), Vector3.t()}
-  def axes(%__MODULE__{rotation: q}) do
-    {Quaternion.rotate(q, {1.0, 0.0, 0.0}), Quaternion.rotate(q, {0.0, 1.0, 0.0}),
-     Quaternion.rotate(q, {0.0, 0.0, 1.0})}
+  @spec axis_directions(t()) :: {Vector3.t(), Vector3.t(), Vector3.t()}
+  def axis_directions(%__MODULE__{rotation: q}) do
+    {Quaternion.rotate_vector(q, {1.0, 0.0, 0.0}), Quaternion.rotate_vector(q, {0.0, 1.0, 0.0}),
+     Quaternion.rotate_vector(q, {0.0, 0.0, 1.0})}
   end
 
   @doc """
@@ -125,7 +125,7 @@ defmodule Situ.Pose do
       iex> a = Situ.Pose.identity()
       iex> b = Situ.Pose.new({2.0, 0.0, 0.0}, Situ.Quaternion.from_euler(1.0, 0, 0))
       iex> half = Situ.Pose.interpolate(a, b, 0.5)
-      iex> {half.position, Float.round(Situ.Quaternion.angle(a.rotation, half.rotation), 9)}
+      iex> {half.position, Float.round(Situ.Quaternion.angle_between(a.rotation, half.rotation), 9)}
       {{1.0, 0.0, 0.0}, 0.5}
   """
   @spec interpolate(t() | nil, t() | nil, number()) :: t() | nil

@@ -5,8 +5,8 @@ defmodule Situ.PoseVelocity do
 
       iex> a = Situ.Pose.identity()
       iex> b = Situ.Pose.new({0.0, 1.0, 0.0}, Situ.Quaternion.from_euler(0.5, 0, 0))
-      iex> {:ok, velocity} = Situ.PoseVelocity.between(a, b, Situ.Time.ms(500))
-      iex> later = Situ.PoseVelocity.destination(velocity, Situ.Time.s(1))
+      iex> {:ok, velocity} = Situ.PoseVelocity.from_poses(a, b, Situ.Time.ms(500))
+      iex> later = Situ.PoseVelocity.pose_after(velocity, Situ.Time.s(1))
       iex> {yaw, _, _} = Situ.Quaternion.to_euler(later.rotation)
       iex> {velocity.linear, later.position, Float.round(yaw, 9)}
       {{0.0, 2.0, 0.0}, {0.0, 3.0, 0.0}, 1.5}
@@ -20,10 +20,10 @@ defmodule Situ.PoseVelocity do
   @type t :: %__MODULE__{pose: Pose.t(), linear: Vector3.t(), angular: Vector3.t()}
 
   @doc "Returns the velocity between two poses that are `duration` ns apart, at the later pose."
-  @spec between(Pose.t(), Pose.t(), Situ.Time.duration()) :: {:ok, t()} | {:error, Error.t()}
-  def between(%Pose{} = from, %Pose{} = to, duration) do
-    with {:ok, moves} <- Velocity3.linear(from, to, duration),
-         {:ok, turns} <- Velocity3.angular(from, to, duration) do
+  @spec from_poses(Pose.t(), Pose.t(), Situ.Time.duration()) :: {:ok, t()} | {:error, Error.t()}
+  def from_poses(%Pose{} = from, %Pose{} = to, duration) do
+    with {:ok, moves} <- Velocity3.linear_between(from, to, duration),
+         {:ok, turns} <- Velocity3.angular_between(from, to, duration) do
       {:ok,
        %__MODULE__{
          pose: to,
@@ -34,8 +34,8 @@ defmodule Situ.PoseVelocity do
   end
 
   @doc "Extrapolates the pose by `duration` ns at constant velocity; a negative duration goes back in time."
-  @spec destination(t(), Situ.Time.duration()) :: Pose.t()
-  def destination(%__MODULE__{pose: pose} = velocity, duration) do
+  @spec pose_after(t(), Situ.Time.duration()) :: Pose.t()
+  def pose_after(%__MODULE__{pose: pose} = velocity, duration) do
     seconds = duration / 1.0e9
 
     turn =

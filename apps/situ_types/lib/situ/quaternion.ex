@@ -6,7 +6,7 @@ defmodule Situ.Quaternion do
   it.
 
       iex> quarter = Situ.Quaternion.from_axis_angle({0.0, 0.0, 1.0}, :math.pi() / 2)
-      iex> {x, y, z} = Situ.Quaternion.rotate(quarter, {1.0, 0.0, 0.0})
+      iex> {x, y, z} = Situ.Quaternion.rotate_vector(quarter, {1.0, 0.0, 0.0})
       iex> {Float.round(x, 9) + 0.0, Float.round(y, 9), z}
       {0.0, 1.0, 0.0}
   """
@@ -74,12 +74,12 @@ defmodule Situ.Quaternion do
   end
 
   @doc "Returns the inverse rotation."
-  @spec inverse(t()) :: t()
-  def inverse({w, x, y, z}), do: {w, -x, -y, -z}
+  @spec invert(t()) :: t()
+  def invert({w, x, y, z}), do: {w, -x, -y, -z}
 
   @doc "Rotates a vector."
-  @spec rotate(t(), Vector3.t()) :: Vector3.t()
-  def rotate({w, x, y, z}, {vx, vy, vz}) do
+  @spec rotate_vector(t(), Vector3.t()) :: Vector3.t()
+  def rotate_vector({w, x, y, z}, {vx, vy, vz}) do
     # v + 2w (u x v) + 2 u x (u x v), with u the quaternion's vector part.
     {tx, ty, tz} = {2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)}
     {vx + w * tx + y * tz - z * ty, vy + w * ty + z * tx - x * tz, vz + w * tz + x * ty - y * tx}
@@ -113,8 +113,8 @@ defmodule Situ.Quaternion do
   end
 
   @doc "Returns the angle in radians, `0.0..pi`, of the rotation from `a` to `b`."
-  @spec angle(t(), t()) :: float()
-  def angle(a, b), do: a |> inverse() |> multiply(b) |> to_axis_angle() |> elem(1)
+  @spec angle_between(t(), t()) :: float()
+  def angle_between(a, b), do: a |> invert() |> multiply(b) |> to_axis_angle() |> elem(1)
 
   @doc """
   Interpolates on the shortest arc from `a` (ratio 0) to `b` (ratio 1) at constant speed; other ratios extrapolate.
@@ -144,9 +144,9 @@ defmodule Situ.Quaternion do
     end
   end
 
-  def slerp(a, b, ratio), do: slerp(floats(a), floats(b), ratio)
+  def slerp(a, b, ratio), do: slerp(to_floats(a), to_floats(b), ratio)
 
-  defp floats({w, x, y, z}), do: {w * 1.0, x * 1.0, y * 1.0, z * 1.0}
+  defp to_floats({w, x, y, z}), do: {w * 1.0, x * 1.0, y * 1.0, z * 1.0}
 
   @doc "Converts the rotation to a matrix whose columns are the rotated x, y and z axes."
   @spec to_matrix(t()) :: matrix()
@@ -162,7 +162,7 @@ defmodule Situ.Quaternion do
   """
   @spec from_matrix(matrix(), float()) :: {:ok, t()} | :error
   def from_matrix({{a, b, c}, {d, e, f}, {g, h, i}} = matrix, tolerance \\ 1.0e-3) do
-    if rotation?(matrix, tolerance) do
+    if rotation_matrix?(matrix, tolerance) do
       normalize(
         cond do
           a + e + i > 0 ->
@@ -185,7 +185,7 @@ defmodule Situ.Quaternion do
 
   defp with_root(trace, fun), do: fun.(2 * :math.sqrt(max(1 + trace, 1.0e-12)))
 
-  defp rotation?({r0, r1, r2}, tolerance) do
+  defp rotation_matrix?({r0, r1, r2}, tolerance) do
     products = [
       {r0, r0, 1},
       {r1, r1, 1},
@@ -193,9 +193,11 @@ defmodule Situ.Quaternion do
       {r0, r1, 0},
       {r0, r2, 0},
       {r1, r2, 0},
-      {Vector3.cross(r0, r1), r2, 1}
+      {Vector3.cross_product(r0, r1), r2, 1}
     ]
 
-    Enum.all?(products, fn {a, b, expected} -> abs(Vector3.dot(a, b) - expected) <= tolerance end)
+    Enum.all?(products, fn {a, b, expected} ->
+      abs(Vector3.dot_product(a, b) - expected) <= tolerance
+    end)
   end
 end

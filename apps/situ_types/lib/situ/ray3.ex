@@ -34,7 +34,7 @@ defmodule Situ.Ray3 do
   def from_pose(%Pose{} = pose),
     do: %__MODULE__{
       origin: pose.position,
-      direction: Quaternion.rotate(pose.rotation, {1.0, 0.0, 0.0})
+      direction: Quaternion.rotate_vector(pose.rotation, {1.0, 0.0, 0.0})
     }
 
   @doc "Returns the point at a distance (metres) along the ray."
@@ -46,15 +46,15 @@ defmodule Situ.Ray3 do
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{} = ray, %Pose{} = pose) do
     %__MODULE__{
-      origin: Pose.transform(pose, ray.origin),
-      direction: Quaternion.rotate(pose.rotation, ray.direction)
+      origin: Pose.transform_point(pose, ray.origin),
+      direction: Quaternion.rotate_vector(pose.rotation, ray.direction)
     }
   end
 
   @doc "Returns the distance (metres) from a point to the nearest point of the ray."
-  @spec distance(t(), Vector3.t()) :: float()
-  def distance(%__MODULE__{} = ray, point) do
-    along = point |> Vector3.subtract(ray.origin) |> Vector3.dot(ray.direction)
+  @spec distance_to(t(), Vector3.t()) :: float()
+  def distance_to(%__MODULE__{} = ray, point) do
+    along = point |> Vector3.subtract(ray.origin) |> Vector3.dot_product(ray.direction)
     Vector3.distance(point, point_at(ray, max(along, 0.0)))
   end
 

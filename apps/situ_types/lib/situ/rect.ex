@@ -7,7 +7,7 @@ defmodule Situ.Rect do
   (0..1) and `id` (of a track) are optional.
 
       iex> face = Situ.Rect.new!(x: 10, y: 20, width: 30, height: 40, label: "face", score: 0.9)
-      iex> {Situ.Rect.center(face), Situ.Rect.area(face)}
+      iex> {Situ.Rect.center_point(face), Situ.Rect.area(face)}
       {%Situ.Point2{x: 25.0, y: 40.0}, 1200}
   """
   alias Situ.{Error, Point2}
@@ -71,24 +71,27 @@ defmodule Situ.Rect do
   Validates a rectangle from an untrusted source: coordinates must be numbers within #{@most} pixels of the corner,
   and sizes must not be negative. Error: `:bad_rect`, whose `why` names the invalid field.
 
-      iex> Situ.Rect.check(Situ.Rect.new!(0, 0, 2, 2))
+      iex> Situ.Rect.validate(Situ.Rect.new!(0, 0, 2, 2))
       {:ok, Situ.Rect.new!(0, 0, 2, 2)}
-      iex> {:error, error} = Situ.Rect.check(%Situ.Rect{x: 0, y: :nan, width: 2, height: 2})
+      iex> {:error, error} = Situ.Rect.validate(%Situ.Rect{x: 0, y: :nan, width: 2, height: 2})
       iex> error.why
       "y is :nan"
   """
-  @spec check(term()) :: {:ok, t()} | {:error, Error.t()}
-  def check(%__MODULE__{x: x, y: y, width: w, height: h} = rect)
+  @spec validate(term()) :: {:ok, t()} | {:error, Error.t()}
+  def validate(%__MODULE__{x: x, y: y, width: w, height: h} = rect)
       when is_number(x) and is_number(y) and is_number(w) and is_number(h) and
              abs(x) <= @most and abs(y) <= @most and w >= 0 and w <= @most and h >= 0 and
              h <= @most,
       do: {:ok, rect}
 
-  def check(other) do
+  def validate(other) do
     why =
       case other do
-        %__MODULE__{} -> "#{wrong(other)} is #{inspect(Map.get(other, wrong(other)), limit: 8)}"
-        _ -> "it is #{inspect(other, limit: 8, printable_limit: 80)}"
+        %__MODULE__{} ->
+          "#{first_invalid_field(other)} is #{inspect(Map.get(other, first_invalid_field(other)), limit: 8)}"
+
+        _ ->
+          "it is #{inspect(other, limit: 8, printable_limit: 80)}"
       end
 
     {:error,
@@ -98,7 +101,7 @@ defmodule Situ.Rect do
      )}
   end
 
-  defp wrong(rect) do
+  defp first_invalid_field(rect) do
     Enum.find([:x, :y, :width, :height], fn name ->
       value = Map.get(rect, name)
       least = if name in [:width, :height], do: 0, else: -@most
@@ -106,17 +109,17 @@ defmodule Situ.Rect do
     end)
   end
 
-  @doc "Like `check/1`, but returns the rectangle or raises the error."
-  @spec check!(term()) :: t()
-  def check!(rect), do: Error.unwrap!(check(rect))
+  @doc "Like `validate/1`, but returns the rectangle or raises the error."
+  @spec validate!(term()) :: t()
+  def validate!(rect), do: Error.unwrap!(validate(rect))
 
   @doc "Returns width times height."
   @spec area(t()) :: number()
   def area(%__MODULE__{} = r), do: r.width * r.height
 
   @doc "Returns the center."
-  @spec center(t()) :: Point2.t()
-  def center(%__MODULE__{} = r), do: %Point2{x: r.x + r.width / 2, y: r.y + r.height / 2}
+  @spec center_point(t()) :: Point2.t()
+  def center_point(%__MODULE__{} = r), do: %Point2{x: r.x + r.width / 2, y: r.y + r.height / 2}
 
   @doc """
   Returns the intersection, with the label, score and id of `a`, or `nil` if the rectangles do not overlap.
@@ -164,7 +167,7 @@ defmodule Situ.Rect do
   end
 
   @doc "Returns whether the point is inside. Left and top edges count as inside; right and bottom edges do not."
-  @spec contains?(t(), Point2.t()) :: boolean()
-  def contains?(%__MODULE__{} = r, %Point2{x: x, y: y}),
+  @spec contains_point?(t(), Point2.t()) :: boolean()
+  def contains_point?(%__MODULE__{} = r, %Point2{x: x, y: y}),
     do: x >= r.x and y >= r.y and x < r.x + r.width and y < r.y + r.height
 end

@@ -5,7 +5,7 @@ defmodule Situ.Rectangle3 do
 
       iex> wall = Situ.Rectangle3.new!(Situ.Pose.new({2.0, 0.0, 1.0}), 4, 2)
       iex> {:ok, ray} = Situ.Ray3.new({0.0, 1.0, 1.0}, {1.0, 0.0, 0.0})
-      iex> Situ.Rectangle3.intersection(wall, ray)
+      iex> Situ.Rectangle3.intersect_ray(wall, ray)
       {2.0, 1.0, 1.0}
   """
   alias Situ.{Error, Plane, Pose, Ray3, Vector3}
@@ -33,36 +33,36 @@ defmodule Situ.Rectangle3 do
   def new!(pose, width, height), do: pose |> new(width, height) |> Error.unwrap!()
 
   @doc "Returns the corners top left, top right, bottom right, bottom left, as seen against the normal."
-  @spec corners(t()) :: [Vector3.t()]
-  def corners(%__MODULE__{pose: pose, width: w, height: h}) do
+  @spec corner_points(t()) :: [Vector3.t()]
+  def corner_points(%__MODULE__{pose: pose, width: w, height: h}) do
     for {y, z} <- [{-w / 2, h / 2}, {w / 2, h / 2}, {w / 2, -h / 2}, {-w / 2, -h / 2}],
-        do: Pose.transform(pose, {0.0, y, z})
+        do: Pose.transform_point(pose, {0.0, y, z})
   end
 
   @doc "Returns the plane that contains the rectangle."
-  @spec plane(t()) :: Plane.t()
-  def plane(%__MODULE__{pose: pose}) do
-    {normal, _, _} = Pose.axes(pose)
-    %Plane{normal: normal, offset: Vector3.dot(normal, pose.position)}
+  @spec containing_plane(t()) :: Plane.t()
+  def containing_plane(%__MODULE__{pose: pose}) do
+    {normal, _, _} = Pose.axis_directions(pose)
+    %Plane{normal: normal, offset: Vector3.dot_product(normal, pose.position)}
   end
 
   @doc "Returns the point where a ray hits the rectangle, or `nil` if it misses."
-  @spec intersection(t(), Ray3.t()) :: Vector3.t() | nil
-  def intersection(%__MODULE__{} = rectangle, %Ray3{} = ray) do
-    with {_, _, _} = point <- Plane.intersection(plane(rectangle), ray),
-         do: if(contains?(rectangle, point, 1.0e-9), do: point)
+  @spec intersect_ray(t(), Ray3.t()) :: Vector3.t() | nil
+  def intersect_ray(%__MODULE__{} = rectangle, %Ray3{} = ray) do
+    with {_, _, _} = point <- Plane.intersect_ray(containing_plane(rectangle), ray),
+         do: if(contains_point?(rectangle, point, 1.0e-9), do: point)
   end
 
   @doc "Returns whether a point is on the rectangle or at most `epsilon` (metres) away from it."
-  @spec contains?(t(), Vector3.t(), number()) :: boolean()
-  def contains?(%__MODULE__{} = rectangle, point, epsilon \\ 1.0e-6),
+  @spec contains_point?(t(), Vector3.t(), number()) :: boolean()
+  def contains_point?(%__MODULE__{} = rectangle, point, epsilon \\ 1.0e-6),
     do: Vector3.distance(closest_point(rectangle, point), point) <= epsilon
 
   @doc "Returns the point of the rectangle nearest to `point`."
   @spec closest_point(t(), Vector3.t()) :: Vector3.t()
   def closest_point(%__MODULE__{pose: pose, width: w, height: h}, point) do
-    {_, y, z} = Pose.transform(Pose.invert(pose), point)
-    Pose.transform(pose, {0.0, clamp(y, w / 2), clamp(z, h / 2)})
+    {_, y, z} = Pose.transform_point(Pose.invert(pose), point)
+    Pose.transform_point(pose, {0.0, clamp(y, w / 2), clamp(z, h / 2)})
   end
 
   @doc """
@@ -79,7 +79,7 @@ defmodule Situ.Rectangle3 do
   def from_pixel(%__MODULE__{pose: pose} = rectangle, {px, py}, {width, height}) do
     y = (px / width - 0.5) * rectangle.width
     z = (0.5 - py / height) * rectangle.height
-    Pose.transform(pose, {0.0, y, z})
+    Pose.transform_point(pose, {0.0, y, z})
   end
 
   @doc """
@@ -92,7 +92,7 @@ defmodule Situ.Rectangle3 do
   def to_pixel(%__MODULE__{width: w, height: h}, _, _, _) when w == 0 or h == 0, do: nil
 
   def to_pixel(%__MODULE__{pose: pose} = rectangle, point, {width, height}, reach) do
-    {x, y, z} = Pose.transform(Pose.invert(pose), point)
+    {x, y, z} = Pose.transform_point(Pose.invert(pose), point)
     {px, py} = {(y / rectangle.width + 0.5) * width, (0.5 - z / rectangle.height) * height}
 
     if abs(x) <= reach and px >= 0 and px <= width and py >= 0 and py <= height, do: {px, py}

@@ -5,10 +5,10 @@ defmodule Situ.Scratch do
   Each folder is new, has a random name and mode 0700, and belongs to the current user. No other user can have put a
   file or link into it, so the files inside may have simple names.
 
-      iex> {:ok, folder} = Situ.Scratch.create("doc")
+      iex> {:ok, folder} = Situ.Scratch.create_folder("doc")
       iex> Bitwise.band(File.stat!(folder).mode, 0o777) == 0o700
       true
-      iex> Situ.Scratch.remove(folder)
+      iex> Situ.Scratch.remove_folder(folder)
       :ok
   """
   alias Situ.Error
@@ -16,8 +16,8 @@ defmodule Situ.Scratch do
   @private 0o700
 
   @doc "Creates a folder with a random name in `parent` (default: the system's temporary folder). Error: `:no_scratch`."
-  @spec create(String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def create(word, parent \\ System.tmp_dir!()) do
+  @spec create_folder(String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def create_folder(word, parent \\ System.tmp_dir!()) do
     # The name has 96 random bits, in lower case because some file systems ignore case.
     random = Base.encode32(:crypto.strong_rand_bytes(12), case: :lower, padding: false)
     folder = Path.join(parent, "situ-#{word}-#{random}")
@@ -37,18 +37,18 @@ defmodule Situ.Scratch do
   @doc "Calls `fun` with a new folder and removes the folder afterwards. Raises if the folder cannot be created."
   @spec with_folder(String.t(), (Path.t() -> result)) :: result when result: term()
   def with_folder(word, fun) do
-    folder = Error.unwrap!(create(word))
+    folder = Error.unwrap!(create_folder(word))
 
     try do
       fun.(folder)
     after
-      remove(folder)
+      remove_folder(folder)
     end
   end
 
   @doc "Removes a folder and everything in it."
-  @spec remove(Path.t()) :: :ok
-  def remove(folder) do
+  @spec remove_folder(Path.t()) :: :ok
+  def remove_folder(folder) do
     _ = File.rm_rf(folder)
     :ok
   end
@@ -57,8 +57,8 @@ defmodule Situ.Scratch do
   Creates a folder with a predictable name, or uses an existing one, and sets its mode to 0700. An existing folder
   must belong to the current user and must not be a link. Error: `:no_scratch`.
   """
-  @spec claim(Path.t()) :: :ok | {:error, Error.t()}
-  def claim(folder) do
+  @spec claim_folder(Path.t()) :: :ok | {:error, Error.t()}
+  def claim_folder(folder) do
     made = File.mkdir(folder)
 
     with true <- made in [:ok, {:error, :eexist}],

@@ -4,7 +4,7 @@ defmodule Situ.Skeleton do
 
       iex> joints = %{head: Situ.Pose.new({0.0, 0.0, 1.7}), neck: Situ.Pose.new({0.0, 0.0, 1.5})}
       iex> body = Situ.Skeleton.new!(joints, [{:head, :neck}])
-      iex> Situ.Skeleton.position(body, :head)
+      iex> Situ.Skeleton.joint_position(body, :head)
       {0.0, 0.0, 1.7}
       iex> {:error, error} = Situ.Skeleton.new(%{}, [{:head, :neck}])
       iex> error.code
@@ -58,8 +58,8 @@ defmodule Situ.Skeleton do
   def new!(joints, bones, opts \\ []), do: joints |> new(bones, opts) |> Error.unwrap!()
 
   @doc "Returns the position of a joint, or `nil` if the joint does not exist."
-  @spec position(t(), joint()) :: Vector3.t() | nil
-  def position(%__MODULE__{joints: joints}, joint) do
+  @spec joint_position(t(), joint()) :: Vector3.t() | nil
+  def joint_position(%__MODULE__{joints: joints}, joint) do
     with %Pose{position: position} <- joints[joint], do: position
   end
 

@@ -32,8 +32,8 @@ defmodule Situ.Telemetry do
   @type handler :: (event(), map(), map(), term() -> any())
 
   @doc "Creates the handler table. The application calls it once."
-  @spec setup() :: :ok
-  def setup do
+  @spec create_table() :: :ok
+  def create_table do
     if :ets.whereis(@table) == :undefined do
       :ets.new(@table, [:named_table, :public, :bag, read_concurrency: true])
     end

@@ -38,7 +38,7 @@ defmodule Situ.Tensor do
   """
   @spec new(binary(), element_type(), tuple()) :: t()
   def new(data, type, shape) when is_binary(data) and type in @types and is_tuple(shape) do
-    wanted = count(shape) * Map.fetch!(@sizes, type)
+    wanted = element_count(shape) * Map.fetch!(@sizes, type)
 
     if byte_size(data) != wanted do
       raise ArgumentError,
@@ -51,7 +51,7 @@ defmodule Situ.Tensor do
   @doc "Builds a tensor of zeros."
   @spec zeros(element_type(), tuple()) :: t()
   def zeros(type, shape) do
-    new(:binary.copy(<<0>>, count(shape) * Map.fetch!(@sizes, type)), type, shape)
+    new(:binary.copy(<<0>>, element_count(shape) * Map.fetch!(@sizes, type)), type, shape)
   end
 
   @doc """
@@ -62,7 +62,7 @@ defmodule Situ.Tensor do
   """
   @spec from_list([number() | boolean()], element_type(), tuple()) :: t()
   def from_list(list, type, shape) when is_list(list) do
-    new(IO.iodata_to_binary(Enum.map(list, &pack(&1, type))), type, shape)
+    new(IO.iodata_to_binary(Enum.map(list, &encode_element(&1, type))), type, shape)
   end
 
   @doc """
@@ -72,7 +72,7 @@ defmodule Situ.Tensor do
       [true, false]
   """
   @spec to_list(t()) :: [number() | boolean()]
-  def to_list(%__MODULE__{type: type, data: data}), do: unpack(data, type)
+  def to_list(%__MODULE__{type: type, data: data}), do: decode_elements(data, type)
 
   @doc "Returns a tensor with the same elements and another shape, which must have the same number of elements."
   @spec reshape(t(), tuple()) :: t()
@@ -81,11 +81,11 @@ defmodule Situ.Tensor do
   @doc """
   Returns the number of elements in a tensor of this shape.
 
-      iex> Situ.Tensor.count({2, 3, 4})
+      iex> Situ.Tensor.element_count({2, 3, 4})
       24
   """
-  @spec count(tuple()) :: non_neg_integer()
-  def count(shape), do: shape |> Tuple.to_list() |> Enum.product()
+  @spec element_count(tuple()) :: non_neg_integer()
+  def element_count(shape), do: shape |> Tuple.to_list() |> Enum.product()
 
   @doc """
   Concatenates tensors of the same type along the first dimension; the other dimensions must be equal.
@@ -113,11 +113,11 @@ defmodule Situ.Tensor do
   Splits the tensor along the first dimension into tensors of `sizes` rows each. The parts share memory with the
   tensor.
 
-      iex> Situ.Tensor.from_list([1, 2, 3], :s8, {3}) |> Situ.Tensor.split([2, 1]) |> Enum.map(& &1.shape)
+      iex> Situ.Tensor.from_list([1, 2, 3], :s8, {3}) |> Situ.Tensor.split_rows([2, 1]) |> Enum.map(& &1.shape)
       [{2}, {1}]
   """
-  @spec split(t(), [pos_integer()]) :: [t()]
-  def split(%__MODULE__{} = t, sizes) do
+  @spec split_rows(t(), [pos_integer()]) :: [t()]
+  def split_rows(%__MODULE__{} = t, sizes) do
     rows = elem(t.shape, 0)
 
     unless Enum.sum(sizes) == rows do
@@ -145,14 +145,14 @@ defmodule Situ.Tensor do
     do: raise(ArgumentError, "Nx has no tensors without elements: #{inspect(t.shape)}")
 
   def to_nx(%__MODULE__{} = t) do
-    nx = nx!()
+    nx = require_nx!()
     nx.from_binary(t.data, nx_type(t.type)) |> nx.reshape(t.shape)
   end
 
   @doc "Converts an `Nx.Tensor` to a tensor."
   @spec from_nx(struct()) :: t()
   def from_nx(tensor) do
-    nx = nx!()
+    nx = require_nx!()
     {kind, bits} = nx.type(tensor)
     new(nx.to_binary(tensor), element_type!(kind, bits), nx.shape(tensor))
   end
@@ -166,7 +166,7 @@ defmodule Situ.Tensor do
       raise ArgumentError, "unsupported element type #{kind}#{bits}; types: #{inspect(@types)}"
   end
 
-  defp nx! do
+  defp require_nx! do
     if Code.ensure_loaded?(Nx) do
       Nx
     else
@@ -190,63 +190,63 @@ defmodule Situ.Tensor do
     shape = List.to_tuple(for <<d::32-little <- dims>>, do: d)
     type = Enum.at(@types, type)
 
-    if byte_size(data) == count(shape) * Map.fetch!(@sizes, type),
+    if byte_size(data) == element_count(shape) * Map.fetch!(@sizes, type),
       do: {:ok, %__MODULE__{type: type, shape: shape, data: data}},
       else: {:error, :bad_tensor}
   end
 
   def decode(_), do: {:error, :bad_tensor}
 
-  defp pack(true, :bool), do: <<1>>
-  defp pack(false, :bool), do: <<0>>
-  defp pack(x, :f16), do: <<x::float-native-16>>
+  defp encode_element(true, :bool), do: <<1>>
+  defp encode_element(false, :bool), do: <<0>>
+  defp encode_element(x, :f16), do: <<x::float-native-16>>
 
   # A bfloat16 is the upper half of a 32-bit float, rounded to nearest, ties to even.
-  defp pack(x, :bf16) do
+  defp encode_element(x, :bf16) do
     <<bits::32>> = <<x::float-32>>
     even = Bitwise.band(Bitwise.bsr(bits, 16), 1)
     <<Bitwise.bsr(bits + 0x7FFF + even, 16)::native-16>>
   end
 
-  defp pack(x, :f32), do: <<x::float-native-32>>
-  defp pack(x, :f64), do: <<x::float-native-64>>
-  defp pack(x, :s8), do: <<x::signed-8>>
-  defp pack(x, :u8), do: <<x::8>>
-  defp pack(x, type) when type in [:s16, :u16], do: <<x::native-16>>
-  defp pack(x, type) when type in [:s32, :u32], do: <<x::native-32>>
-  defp pack(x, type) when type in [:s64, :u64], do: <<x::native-64>>
+  defp encode_element(x, :f32), do: <<x::float-native-32>>
+  defp encode_element(x, :f64), do: <<x::float-native-64>>
+  defp encode_element(x, :s8), do: <<x::signed-8>>
+  defp encode_element(x, :u8), do: <<x::8>>
+  defp encode_element(x, type) when type in [:s16, :u16], do: <<x::native-16>>
+  defp encode_element(x, type) when type in [:s32, :u32], do: <<x::native-32>>
+  defp encode_element(x, type) when type in [:s64, :u64], do: <<x::native-64>>
 
   # Erlang floats cannot hold NaN or infinities, so they are decoded as atoms.
-  defp unpack(data, :f32), do: for(<<bits::binary-4 <- data>>, do: float32(bits))
-  defp unpack(data, :f64), do: for(<<bits::binary-8 <- data>>, do: float64(bits))
-  defp unpack(data, :f16), do: for(<<bits::binary-2 <- data>>, do: float16(bits))
+  defp decode_elements(data, :f32), do: for(<<bits::binary-4 <- data>>, do: decode_f32(bits))
+  defp decode_elements(data, :f64), do: for(<<bits::binary-8 <- data>>, do: decode_f64(bits))
+  defp decode_elements(data, :f16), do: for(<<bits::binary-2 <- data>>, do: decode_f16(bits))
 
-  defp unpack(data, :bf16) do
-    for <<bits::native-16 <- data>>, do: float32(<<Bitwise.bsl(bits, 16)::native-32>>)
+  defp decode_elements(data, :bf16) do
+    for <<bits::native-16 <- data>>, do: decode_f32(<<Bitwise.bsl(bits, 16)::native-32>>)
   end
 
-  defp unpack(data, :s8), do: for(<<x::signed-8 <- data>>, do: x)
-  defp unpack(data, :u8), do: for(<<x::8 <- data>>, do: x)
-  defp unpack(data, :s16), do: for(<<x::signed-native-16 <- data>>, do: x)
-  defp unpack(data, :u16), do: for(<<x::native-16 <- data>>, do: x)
-  defp unpack(data, :s32), do: for(<<x::signed-native-32 <- data>>, do: x)
-  defp unpack(data, :u32), do: for(<<x::native-32 <- data>>, do: x)
-  defp unpack(data, :s64), do: for(<<x::signed-native-64 <- data>>, do: x)
-  defp unpack(data, :u64), do: for(<<x::native-64 <- data>>, do: x)
-  defp unpack(data, :bool), do: for(<<x::8 <- data>>, do: x != 0)
+  defp decode_elements(data, :s8), do: for(<<x::signed-8 <- data>>, do: x)
+  defp decode_elements(data, :u8), do: for(<<x::8 <- data>>, do: x)
+  defp decode_elements(data, :s16), do: for(<<x::signed-native-16 <- data>>, do: x)
+  defp decode_elements(data, :u16), do: for(<<x::native-16 <- data>>, do: x)
+  defp decode_elements(data, :s32), do: for(<<x::signed-native-32 <- data>>, do: x)
+  defp decode_elements(data, :u32), do: for(<<x::native-32 <- data>>, do: x)
+  defp decode_elements(data, :s64), do: for(<<x::signed-native-64 <- data>>, do: x)
+  defp decode_elements(data, :u64), do: for(<<x::native-64 <- data>>, do: x)
+  defp decode_elements(data, :bool), do: for(<<x::8 <- data>>, do: x != 0)
 
-  defp float16(<<x::float-native-16>>), do: x
-  defp float16(<<bits::native-16>>), do: special(bits, 0x7C00, 0xFC00)
+  defp decode_f16(<<x::float-native-16>>), do: x
+  defp decode_f16(<<bits::native-16>>), do: special_float(bits, 0x7C00, 0xFC00)
 
-  defp float32(<<x::float-native-32>>), do: x
-  defp float32(<<bits::native-32>>), do: special(bits, 0x7F800000, 0xFF800000)
+  defp decode_f32(<<x::float-native-32>>), do: x
+  defp decode_f32(<<bits::native-32>>), do: special_float(bits, 0x7F800000, 0xFF800000)
 
-  defp float64(<<x::float-native-64>>), do: x
+  defp decode_f64(<<x::float-native-64>>), do: x
 
-  defp float64(<<bits::native-64>>),
-    do: special(bits, 0x7FF0000000000000, 0xFFF0000000000000)
+  defp decode_f64(<<bits::native-64>>),
+    do: special_float(bits, 0x7FF0000000000000, 0xFFF0000000000000)
 
-  defp special(bits, bits, _minus), do: :infinity
-  defp special(bits, _plus, bits), do: :neg_infinity
-  defp special(_bits, _plus, _minus), do: :nan
+  defp special_float(bits, bits, _minus), do: :infinity
+  defp special_float(bits, _plus, bits), do: :neg_infinity
+  defp special_float(_bits, _plus, _minus), do: :nan
 end

@@ -23,23 +23,23 @@ defmodule Situ.Time do
 
   @doc "Converts microseconds to nanoseconds, rounded to the nearest."
   @spec us(number()) :: duration()
-  def us(n), do: scale(n, 1_000)
+  def us(n), do: scale_to_ns(n, 1_000)
 
   @doc "Converts milliseconds to nanoseconds, rounded to the nearest."
   @spec ms(number()) :: duration()
-  def ms(n), do: scale(n, 1_000_000)
+  def ms(n), do: scale_to_ns(n, 1_000_000)
 
   @doc "Converts seconds to nanoseconds, rounded to the nearest."
   @spec s(number()) :: duration()
-  def s(n), do: scale(n, 1_000_000_000)
+  def s(n), do: scale_to_ns(n, 1_000_000_000)
 
   @doc "Converts minutes to nanoseconds."
   @spec min(number()) :: duration()
-  def min(n), do: scale(n, 60_000_000_000)
+  def min(n), do: scale_to_ns(n, 60_000_000_000)
 
   @doc "Converts hours to nanoseconds."
   @spec h(number()) :: duration()
-  def h(n), do: scale(n, 3_600_000_000_000)
+  def h(n), do: scale_to_ns(n, 3_600_000_000_000)
 
   @doc """
   Converts ticks of 100 ns, the time unit of \\\\psi, to nanoseconds.
@@ -67,14 +67,14 @@ defmodule Situ.Time do
     seconds = Integer.floor_div(time, 1_000_000_000)
     digits = time |> Integer.mod(1_000_000_000) |> Integer.to_string()
 
-    <<date(seconds)::binary, ?., :binary.copy("0", 9 - byte_size(digits))::binary, digits::binary,
-      ?Z>>
+    <<format_date(seconds)::binary, ?., :binary.copy("0", 9 - byte_size(digits))::binary,
+      digits::binary, ?Z>>
   end
 
   @day 86_400
 
   # A fast path for 1970 to 9999. It counts days in 400-year eras that begin on March 1.
-  defp date(seconds) when seconds in 0..253_402_300_799 do
+  defp format_date(seconds) when seconds in 0..253_402_300_799 do
     {days, second} = {div(seconds, @day), rem(seconds, @day)}
     days = days + 719_468
     {era, day} = {div(days, 146_097), rem(days, 146_097)}
@@ -86,15 +86,15 @@ defmodule Situ.Time do
     year = year + era * 400 + carry
     {hour, minute, second} = {div(second, 3_600), rem(div(second, 60), 60), rem(second, 60)}
 
-    <<Integer.to_string(year)::binary, ?-, two(month)::16, ?-, two(day)::16, ?T, two(hour)::16,
-      ?:, two(minute)::16, ?:, two(second)::16>>
+    <<Integer.to_string(year)::binary, ?-, two_digits(month)::16, ?-, two_digits(day)::16, ?T,
+      two_digits(hour)::16, ?:, two_digits(minute)::16, ?:, two_digits(second)::16>>
   end
 
-  defp date(seconds),
+  defp format_date(seconds),
     do: seconds |> DateTime.from_unix!() |> DateTime.to_naive() |> NaiveDateTime.to_iso8601()
 
   # Returns two digits as a 16-bit integer of two characters.
-  defp two(n), do: (div(n, 10) + ?0) * 256 + rem(n, 10) + ?0
+  defp two_digits(n), do: (div(n, 10) + ?0) * 256 + rem(n, 10) + ?0
 
   @doc """
   Parses ISO 8601 with any number of decimals; digits after the ninth are ignored.
@@ -109,7 +109,7 @@ defmodule Situ.Time do
   def parse(text) when is_binary(text) do
     with [_, whole, fraction, zone] <-
            Regex.run(~r/^([^.]+?)(?:\.(\d+))?(Z|[+-]\d\d:?\d\d)?$/, text <> "", capture: :all)
-           |> pad(),
+           |> pad_groups(),
          {:ok, date, _} <- DateTime.from_iso8601(whole <> if(zone == "", do: "Z", else: zone)) do
       digits = fraction |> String.slice(0, 9) |> String.pad_trailing(9, "0")
       {:ok, DateTime.to_unix(date) * 1_000_000_000 + String.to_integer(digits)}
@@ -135,9 +135,9 @@ defmodule Situ.Time do
   @spec format_duration(duration()) :: String.t()
   def format_duration(ns) when ns < 0, do: "-" <> format_duration(-ns)
   def format_duration(ns) when ns < 1_000, do: "#{ns} ns"
-  def format_duration(ns) when ns < 1_000_000, do: digits(ns / 1.0e3) <> " us"
-  def format_duration(ns) when ns < 1_000_000_000, do: digits(ns / 1.0e6) <> " ms"
-  def format_duration(ns) when ns < 60_000_000_000, do: digits(ns / 1.0e9) <> " s"
+  def format_duration(ns) when ns < 1_000_000, do: significant_digits(ns / 1.0e3) <> " us"
+  def format_duration(ns) when ns < 1_000_000_000, do: significant_digits(ns / 1.0e6) <> " ms"
+  def format_duration(ns) when ns < 60_000_000_000, do: significant_digits(ns / 1.0e9) <> " s"
 
   def format_duration(ns) when ns < 3_600_000_000_000 do
     seconds = div(ns, 1_000_000_000)
@@ -154,16 +154,18 @@ defmodule Situ.Time do
     "#{div(hours, 24)} d #{rem(hours, 24)} h"
   end
 
-  defp scale(n, unit) when is_integer(n), do: n * unit
-  defp scale(n, unit) when is_float(n), do: round(n * unit)
+  defp scale_to_ns(n, unit) when is_integer(n), do: n * unit
+  defp scale_to_ns(n, unit) when is_float(n), do: round(n * unit)
 
-  defp digits(value) when value >= 100, do: :erlang.float_to_binary(value, decimals: 0)
-  defp digits(value) when value >= 10, do: :erlang.float_to_binary(value, decimals: 1)
-  defp digits(value), do: :erlang.float_to_binary(value, decimals: 2)
+  defp significant_digits(value) when value >= 100,
+    do: :erlang.float_to_binary(value, decimals: 0)
+
+  defp significant_digits(value) when value >= 10, do: :erlang.float_to_binary(value, decimals: 1)
+  defp significant_digits(value), do: :erlang.float_to_binary(value, decimals: 2)
 
   # `Regex.run/3` omits trailing groups that did not match.
-  defp pad(nil), do: nil
-  defp pad([all, whole]), do: [all, whole, "", ""]
-  defp pad([all, whole, fraction]), do: [all, whole, fraction, ""]
-  defp pad(groups), do: groups
+  defp pad_groups(nil), do: nil
+  defp pad_groups([all, whole]), do: [all, whole, "", ""]
+  defp pad_groups([all, whole, fraction]), do: [all, whole, fraction, ""]
+  defp pad_groups(groups), do: groups
 end

@@ -10,7 +10,7 @@ defmodule Situ.Type do
       true
       iex> Situ.Type.accepts?({:list, :string}, {:list, :integer})
       false
-      iex> Situ.Type.valid?({:optional, :float}, nil)
+      iex> Situ.Type.valid_value?({:optional, :float}, nil)
       true
       iex> Situ.Type.to_string({:list, {:optional, Situ.Message}})
       "list of Situ.Message or nil"
@@ -35,11 +35,11 @@ defmodule Situ.Type do
   def accepts?({:tuple, _}, :tuple), do: true
   def accepts?(:map, {:map, _, _}), do: true
   def accepts?({:map, _, _}, :map), do: true
-  def accepts?(:map, from) when is_atom(from) and from not in @simple, do: struct?(from)
+  def accepts?(:map, from) when is_atom(from) and from not in @simple, do: struct_module?(from)
   def accepts?(to, {:or, types}), do: Enum.all?(types, &accepts?(to, &1))
   def accepts?({:or, types}, from), do: Enum.any?(types, &accepts?(&1, from))
   def accepts?({:in, values}, {:in, given}), do: given -- values == []
-  def accepts?(to, {:in, values}), do: Enum.all?(values, &valid?(to, &1))
+  def accepts?(to, {:in, values}), do: Enum.all?(values, &valid_value?(to, &1))
   def accepts?({:list, to}, {:list, from}), do: accepts?(to, from)
   def accepts?({:message, to}, {:message, from}), do: accepts?(to, from)
   def accepts?({:message, _}, Situ.Message), do: true
@@ -56,49 +56,52 @@ defmodule Situ.Type do
   def accepts?(_to, _from), do: false
 
   @doc "Returns whether `value` has the type; containers are checked element by element."
-  @spec valid?(t(), term()) :: boolean()
-  def valid?(:any, _), do: true
-  def valid?(:integer, v), do: is_integer(v)
-  def valid?(:float, v), do: is_float(v)
-  def valid?(:number, v), do: is_number(v)
-  def valid?(:boolean, v), do: is_boolean(v)
-  def valid?(:string, v), do: is_binary(v)
-  def valid?(:binary, v), do: is_binary(v)
-  def valid?(:atom, v), do: is_atom(v)
-  def valid?(:map, v), do: is_map(v)
-  def valid?(:list, v), do: is_list(v)
-  def valid?(:tuple, v), do: is_tuple(v)
-  def valid?(:function, v), do: is_function(v)
-  def valid?(:pid, v), do: is_pid(v)
-  def valid?({:list, type}, v), do: is_list(v) and Enum.all?(v, &valid?(type, &1))
-  def valid?({:optional, type}, v), do: is_nil(v) or valid?(type, v)
-  def valid?({:or, types}, v), do: Enum.any?(types, &valid?(&1, v))
-  def valid?({:in, values}, v), do: v in values
-  def valid?({:message, type}, v), do: is_struct(v, Situ.Message) and valid?(type, v.data)
+  @spec valid_value?(t(), term()) :: boolean()
+  def valid_value?(:any, _), do: true
+  def valid_value?(:integer, v), do: is_integer(v)
+  def valid_value?(:float, v), do: is_float(v)
+  def valid_value?(:number, v), do: is_number(v)
+  def valid_value?(:boolean, v), do: is_boolean(v)
+  def valid_value?(:string, v), do: is_binary(v)
+  def valid_value?(:binary, v), do: is_binary(v)
+  def valid_value?(:atom, v), do: is_atom(v)
+  def valid_value?(:map, v), do: is_map(v)
+  def valid_value?(:list, v), do: is_list(v)
+  def valid_value?(:tuple, v), do: is_tuple(v)
+  def valid_value?(:function, v), do: is_function(v)
+  def valid_value?(:pid, v), do: is_pid(v)
+  def valid_value?({:list, type}, v), do: is_list(v) and Enum.all?(v, &valid_value?(type, &1))
+  def valid_value?({:optional, type}, v), do: is_nil(v) or valid_value?(type, v)
+  def valid_value?({:or, types}, v), do: Enum.any?(types, &valid_value?(&1, v))
+  def valid_value?({:in, values}, v), do: v in values
 
-  def valid?({:map, k, v}, map) do
-    is_map(map) and Enum.all?(map, fn {key, value} -> valid?(k, key) and valid?(v, value) end)
+  def valid_value?({:message, type}, v),
+    do: is_struct(v, Situ.Message) and valid_value?(type, v.data)
+
+  def valid_value?({:map, k, v}, map) do
+    is_map(map) and
+      Enum.all?(map, fn {key, value} -> valid_value?(k, key) and valid_value?(v, value) end)
   end
 
-  def valid?({:tuple, types}, v) do
+  def valid_value?({:tuple, types}, v) do
     is_tuple(v) and tuple_size(v) == length(types) and
-      types |> Enum.zip(Tuple.to_list(v)) |> Enum.all?(fn {t, e} -> valid?(t, e) end)
+      types |> Enum.zip(Tuple.to_list(v)) |> Enum.all?(fn {t, e} -> valid_value?(t, e) end)
   end
 
-  def valid?(module, v) when is_atom(module), do: is_struct(v, module)
-  def valid?(_type, _v), do: false
+  def valid_value?(module, v) when is_atom(module), do: is_struct(v, module)
+  def valid_value?(_type, _v), do: false
 
   @doc "Returns whether a term is a valid type, so that adding a port fails early if it is not."
-  @spec type?(term()) :: boolean()
-  def type?(type) when is_atom(type), do: type not in [nil, true, false]
-  def type?({kind, type}) when kind in [:list, :optional, :message], do: type?(type)
-  def type?({:in, values}), do: is_list(values)
+  @spec valid_type?(term()) :: boolean()
+  def valid_type?(type) when is_atom(type), do: type not in [nil, true, false]
+  def valid_type?({kind, type}) when kind in [:list, :optional, :message], do: valid_type?(type)
+  def valid_type?({:in, values}), do: is_list(values)
 
-  def type?({kind, types}) when kind in [:tuple, :or],
-    do: is_list(types) and Enum.all?(types, &type?/1)
+  def valid_type?({kind, types}) when kind in [:tuple, :or],
+    do: is_list(types) and Enum.all?(types, &valid_type?/1)
 
-  def type?({:map, k, v}), do: type?(k) and type?(v)
-  def type?(_), do: false
+  def valid_type?({:map, k, v}), do: valid_type?(k) and valid_type?(v)
+  def valid_type?(_), do: false
 
   @doc "Formats a type for errors and diagrams."
   @spec to_string(t()) :: String.t()
@@ -115,6 +118,6 @@ defmodule Situ.Type do
   def to_string(t) when t in @simple, do: Atom.to_string(t)
   def to_string(t), do: inspect(t)
 
-  defp struct?(module),
-    do: Situ.KnownModules.load?(module) and function_exported?(module, :__struct__, 0)
+  defp struct_module?(module),
+    do: Situ.KnownModules.ensure_loaded?(module) and function_exported?(module, :__struct__, 0)
 end

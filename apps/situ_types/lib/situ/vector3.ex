@@ -5,7 +5,7 @@ defmodule Situ.Vector3 do
   `Situ.Pose`, `Situ.Ray3` and the other 3D shapes hold tuples like these; `Situ.Point3` is a point struct for use in
   streams.
 
-      iex> Situ.Vector3.cross({1.0, 0.0, 0.0}, {0.0, 1.0, 0.0})
+      iex> Situ.Vector3.cross_product({1.0, 0.0, 0.0}, {0.0, 1.0, 0.0})
       {0.0, 0.0, 1.0}
   """
   @type t :: {float(), float(), float()}
@@ -28,17 +28,17 @@ defmodule Situ.Vector3 do
   def scale({x, y, z}, by), do: {x * by, y * by, z * by}
 
   @doc "Returns the dot product."
-  @spec dot(t(), t()) :: float()
-  def dot({ax, ay, az}, {bx, by, bz}), do: ax * bx + ay * by + az * bz
+  @spec dot_product(t(), t()) :: float()
+  def dot_product({ax, ay, az}, {bx, by, bz}), do: ax * bx + ay * by + az * bz
 
   @doc "Returns the right-handed cross product."
-  @spec cross(t(), t()) :: t()
-  def cross({ax, ay, az}, {bx, by, bz}),
+  @spec cross_product(t(), t()) :: t()
+  def cross_product({ax, ay, az}, {bx, by, bz}),
     do: {ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx}
 
   @doc "Returns the length."
   @spec norm(t()) :: float()
-  def norm(v), do: :math.sqrt(dot(v, v))
+  def norm(v), do: :math.sqrt(dot_product(v, v))
 
   @doc "Returns the Euclidean distance."
   @spec distance(t(), t()) :: float()

@@ -4,8 +4,9 @@ defmodule Situ.AudioBufferTest do
   alias Situ.{AudioBuffer, AudioFormat}
   doctest Situ.AudioBuffer
 
-  property "codecs give back what they were given and refuse the rest" do
-    forall {bytes, channels, sample} <- {binary(), integer(1, 3), one_of(AudioFormat.samples())} do
+  property "codecs round-trip valid buffers and refuse truncated ones" do
+    forall {bytes, channels, sample} <-
+             {binary(), integer(1, 3), one_of(AudioFormat.sample_types())} do
       format = AudioFormat.pcm(16_000, channels, sample)
       size = AudioFormat.bytes_per_frame(format)
 
@@ -22,7 +23,7 @@ defmodule Situ.AudioBufferTest do
     end
   end
 
-  property "a stored buffer that was tampered with is an error or a valid buffer, never a crash" do
+  property "a corrupted buffer decodes to an error or a valid buffer and never crashes" do
     forall bytes <- binary() do
       case AudioBuffer.decode(<<1, bytes::binary>>) do
         {:ok, buffer} ->
@@ -35,7 +36,7 @@ defmodule Situ.AudioBufferTest do
     end
   end
 
-  test "what is not a number is left out of the waveform" do
+  test "the waveform omits samples that are not numbers" do
     buffer = %AudioBuffer{
       format: AudioFormat.pcm(1000, 1, :f32),
       data: <<-1::32, 0.5::little-float-32>>

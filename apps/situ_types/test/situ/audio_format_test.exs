@@ -4,14 +4,14 @@ defmodule Situ.AudioFormatTest do
   alias Situ.AudioFormat
   doctest Situ.AudioFormat
 
-  property "frames to nanoseconds and back is the same frame" do
+  property "converting frames to nanoseconds and back returns the same frame" do
     forall {rate, frames} <- {integer(1, 192_000), integer(0, 1_000_000)} do
       AudioFormat.ns_to_frames(rate, AudioFormat.frames_to_ns(rate, frames)) == frames
     end
   end
 
-  test "sample types have codes of their own" do
-    for sample <- AudioFormat.samples() do
+  test "every sample type has its own code" do
+    for sample <- AudioFormat.sample_types() do
       assert AudioFormat.sample_from_code(AudioFormat.code(sample)) == {:ok, sample}
     end
 

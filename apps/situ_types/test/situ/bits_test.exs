@@ -2,13 +2,13 @@ defmodule Situ.BitsTest do
   use ExUnit.Case, async: true
   doctest Situ.Bits
 
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
-  test "a size of several variables, and in units" do
+  test "known/1 accepts expressions of several variables, and units" do
     {n, m} = {1, 2}
-    assert <<a::binary-known(n + m), b::little-known(m)-unit(8)>> = <<1, 2, 3, 4, 5>>
+    assert <<a::binary-pinned_size(n + m), b::little-pinned_size(m)-unit(8)>> = <<1, 2, 3, 4, 5>>
     assert {a, b} == {<<1, 2, 3>>, 0x0504}
-    assert for(<<part::binary-known(m) <- "abcd">>, do: part) == ["ab", "cd"]
-    refute match?(<<_::binary-known(m)>>, "abc")
+    assert for(<<part::binary-pinned_size(m) <- "abcd">>, do: part) == ["ab", "cd"]
+    refute match?(<<_::binary-pinned_size(m)>>, "abc")
   end
 end

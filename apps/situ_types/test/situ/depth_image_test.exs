@@ -4,7 +4,7 @@ defmodule Situ.DepthImageTest do
   alias Situ.DepthImage
   doctest Situ.DepthImage
 
-  property "stored depth comes back the same; tampered bytes are an error or valid" do
+  property "a depth image round-trips, and corrupted bytes decode to an error or a valid image" do
     forall {w, h, point?, noise} <- {integer(1, 9), integer(1, 9), boolean(), binary()} do
       semantics = if point?, do: :point, else: :plane
       data = :binary.copy(<<1, 2>>, w * h)
@@ -19,13 +19,13 @@ defmodule Situ.DepthImageTest do
   defp decodes?({:ok, depth}), do: match?({:ok, _}, DepthImage.validate(depth))
   defp decodes?({:error, error}), do: is_exception(error)
 
-  test "impossible depth is refused" do
+  test "refuses impossible depth data" do
     assert {:error, %{code: :bad_image}} = DepthImage.new(width: 2, height: 2, data: <<0::16>>)
 
     assert {:error, %{code: :bad_image}} =
              DepthImage.new(width: 1, height: 1, data: <<0::16>>, scale: 0)
 
-    gray8 = Situ.Image.filled(1, 1, :gray8)
+    gray8 = Situ.Image.new_filled(1, 1, :gray8)
     assert {:error, %{code: :bad_format}} = DepthImage.from_gray16(gray8)
   end
 end

@@ -4,7 +4,7 @@ defmodule Situ.EncodedImageTest do
   alias Situ.EncodedImage
   doctest Situ.EncodedImage
 
-  property "stored files come back the same; foreign bytes are refused without raising" do
+  property "an encoded image round-trips, and foreign bytes are refused without raising" do
     forall {w, h, bytes, jpeg?} <- {integer(0, 70_000), integer(0, 70_000), binary(), boolean()} do
       format = if jpeg?, do: :jpeg, else: :png
       {:ok, encoded} = EncodedImage.new(format: format, width: w, height: h, data: bytes)

@@ -4,7 +4,7 @@ defmodule Situ.ImageTest do
   alias Situ.Image
   doctest Situ.Image
 
-  test "empty, huge and inconsistent pictures are refused" do
+  test "refuses empty, huge and inconsistent images" do
     data = <<0::64>>
 
     for {opts, code} <- [
@@ -18,10 +18,10 @@ defmodule Situ.ImageTest do
     end
   end
 
-  property "stored pictures come back the same; tampered ones are errors or valid" do
+  property "an image round-trips, and corrupted bytes decode to an error or a valid image" do
     forall {w, h, format, noise} <-
-             {integer(1, 9), integer(1, 9), one_of(Image.Format.all()), binary()} do
-      image = Image.filled(w, h, format, 77)
+             {integer(1, 9), integer(1, 9), one_of(Image.Format.list_all()), binary()} do
+      image = Image.new_filled(w, h, format, 77)
       stored = IO.iodata_to_binary(Image.encode(image))
       Image.decode(stored) == {:ok, image} and decodes?(Image.decode(<<1>> <> noise <> stored))
     end
@@ -30,8 +30,8 @@ defmodule Situ.ImageTest do
   defp decodes?({:ok, _}), do: true
   defp decodes?({:error, error}), do: is_exception(error)
 
-  test "a picture read from a store is a part of the store's memory, not a copy" do
-    image = Image.filled(64, 64, :bgr24, 5)
+  test "an image read from a store references the store's memory without a copy" do
+    image = Image.new_filled(64, 64, :bgr24, 5)
     stored = IO.iodata_to_binary(Image.encode(image))
     {:ok, back} = Image.decode(stored)
     assert :binary.referenced_byte_size(back.data) == byte_size(stored)

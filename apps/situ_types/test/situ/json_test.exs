@@ -19,14 +19,14 @@ defmodule Situ.JSONTest do
     map(list(char), &List.to_string/1)
   end
 
-  property "what is written is read back, whatever the strings and numbers" do
+  property "all strings and numbers round-trip" do
     forall value <- value() do
       Situ.JSON.decode(Situ.JSON.encode(value)) == {:ok, value} and
-        Situ.JSON.decode(Situ.JSON.pretty(value)) == {:ok, value}
+        Situ.JSON.decode(Situ.JSON.encode_pretty(value)) == {:ok, value}
     end
   end
 
-  property "foreign bytes are read or refused, nothing raises" do
+  property "foreign bytes are decoded or refused without raising" do
     forall bytes <- binary() do
       case Situ.JSON.decode(bytes) do
         {:ok, _} -> true
@@ -35,32 +35,32 @@ defmodule Situ.JSONTest do
     end
   end
 
-  property "text that is not UTF-8 comes out as text" do
+  property "text that is not UTF-8 is encoded as valid text" do
     forall bytes <- binary() do
       {:ok, [%{"k" => text}]} = Situ.JSON.decode(Situ.JSON.encode([%{k: bytes}]))
       String.valid?(text) and (not String.valid?(bytes) or text == bytes)
     end
   end
 
-  test "nil is null, atoms are strings, the last of equal keys counts" do
+  test "encodes nil as null and atoms as strings, and the last of equal keys wins" do
     assert Situ.JSON.encode([nil, true, :lz4]) == ~s([null,true,"lz4"])
     assert Situ.JSON.decode(~s({"a": 1, "a": null})) == {:ok, %{"a" => nil}}
   end
 
-  test "cut, followed by more, too large a number, not UTF-8: refused" do
+  test "refuses truncated input, trailing input, numbers out of range and invalid UTF-8" do
     for bad <- [~s({"a"), "1 2", "", "1e999", <<?", 255, ?">>, "nul", "[1,]", "{1: 2}"] do
       assert {bad, Situ.JSON.decode(bad)} == {bad, {:error, :bad_json}}
     end
   end
 
-  test "strings read do not hold on to the text they came from" do
+  test "decoded strings do not reference the text they came from" do
     {:ok, [text]} =
       Situ.JSON.decode(~s(["#{String.duplicate("x", 100)}"]) <> String.duplicate(" ", 10_000))
 
     assert :binary.referenced_byte_size(text) == 100
   end
 
-  test "a number of more than 400 digits is refused, such text and shorter numbers are not" do
+  test "refuses numbers with more than 400 digits, but not long strings" do
     digits = &String.duplicate("7", &1)
     assert {:ok, [n]} = Situ.JSON.decode("[" <> digits.(400) <> "]")
     assert n == String.to_integer(digits.(400))
@@ -72,7 +72,7 @@ defmodule Situ.JSONTest do
     assert Situ.JSON.decode(~s(["#{text}"])) == {:ok, [~s(" #{digits.(1_000)})]}
   end
 
-  test "what JSON cannot say is an error" do
+  test "raises for terms that JSON cannot represent" do
     for bad <- [{1, 2}, self(), fn -> 1 end],
         do: assert_raise(ErlangError, fn -> Situ.JSON.encode(bad) end)
   end

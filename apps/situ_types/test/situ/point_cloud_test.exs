@@ -2,7 +2,7 @@ defmodule Situ.PointCloudTest do
   use ExUnit.Case, async: true
   alias Situ.PointCloud
 
-  test "points that are nowhere are left out, and those behind them are not" do
+  test "omits points without a position and keeps the points after them" do
     nan = <<0, 0, 0xC0, 0x7F>>
     point = fn x -> <<x::little-float-32, 0::64>> end
     cloud = %PointCloud{points: nan <> <<0::64>> <> point.(1) <> <<0::64>> <> nan <> point.(2)}

@@ -7,14 +7,14 @@ defmodule Situ.ScratchTest do
 
   defp mode(path), do: Bitwise.band(File.lstat!(path).mode, 0o777)
 
-  test "two folders have two names that nobody could have guessed", %{tmp_dir: root} do
-    {:ok, first} = Scratch.create("film", root)
-    {:ok, second} = Scratch.create("film", root)
+  test "two folders get different names that nobody can guess", %{tmp_dir: root} do
+    {:ok, first} = Scratch.create_folder("film", root)
+    {:ok, second} = Scratch.create_folder("film", root)
     assert first != second and mode(first) == 0o700 and mode(second) == 0o700
     assert byte_size(Path.basename(first)) >= byte_size("situ-film-") + 20
   end
 
-  test "the folder is gone after use, also when that fails" do
+  test "removes the folder after use, even after an error" do
     parent = self()
     keep = fn folder -> send(parent, {:folder, folder}) && raise "no" end
     assert_raise RuntimeError, fn -> Scratch.with_folder("test", keep) end
@@ -22,30 +22,28 @@ defmodule Situ.ScratchTest do
     refute File.exists?(folder)
   end
 
-  test "a folder of a known name is made or taken, and closed", %{tmp_dir: root} do
+  test "claims a new or existing folder and restricts its mode", %{tmp_dir: root} do
     folder = Path.join(root, "known")
-    assert Scratch.claim(folder) == :ok and mode(folder) == 0o700
+    assert Scratch.claim_folder(folder) == :ok and mode(folder) == 0o700
     File.chmod!(folder, 0o777)
-    assert Scratch.claim(folder) == :ok and mode(folder) == 0o700
+    assert Scratch.claim_folder(folder) == :ok and mode(folder) == 0o700
   end
 
-  test "a link or a file of that name is refused, and what it points to stays as it was", %{
-    tmp_dir: root
-  } do
+  test "refuses a link or a file and leaves the link's target unchanged", %{tmp_dir: root} do
     target = Path.join(root, "target")
     File.mkdir!(target)
     File.chmod!(target, 0o755)
     link = Path.join(root, "link")
     File.ln_s!(target, link)
-    assert {:error, %{code: :no_scratch}} = Scratch.claim(link)
+    assert {:error, %{code: :no_scratch}} = Scratch.claim_folder(link)
     assert mode(target) == 0o755
     file = Path.join(root, "file")
     File.touch!(file)
-    assert {:error, %{code: :no_scratch}} = Scratch.claim(file)
-    assert {:error, %{code: :no_scratch}} = Scratch.claim(Path.join(root, "missing/below"))
+    assert {:error, %{code: :no_scratch}} = Scratch.claim_folder(file)
+    assert {:error, %{code: :no_scratch}} = Scratch.claim_folder(Path.join(root, "missing/below"))
   end
 
-  test "a parent that is not there is an error", %{tmp_dir: root} do
-    assert {:error, %{code: :no_scratch}} = Scratch.create("x", Path.join(root, "missing"))
+  test "returns an error for a missing parent", %{tmp_dir: root} do
+    assert {:error, %{code: :no_scratch}} = Scratch.create_folder("x", Path.join(root, "missing"))
   end
 end

@@ -1,5 +1,5 @@
 defmodule Situ.ShapesTest do
-  # The shapes of space together: the same rays and points against each of them.
+  # Tests the three-dimensional shapes together, with the same rays and points.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -58,68 +58,68 @@ defmodule Situ.ShapesTest do
     end)
   end
 
-  property "a ray meets a box on its skin, in front of itself; points along it never lie inside where it misses" do
+  property "a ray hits a box on its surface in front of the origin, and a ray that misses has no point inside" do
     forall {box, ray} <- {box(), ray()} do
-      case Box3.intersection(box, ray) do
+      case Box3.intersect_ray(box, ray) do
         {point, facet} ->
-          assert Box3.contains?(box, point, 1.0e-6)
-          assert Ray3.distance(ray, point) < 1.0e-6
+          assert Box3.contains_point?(box, point, 1.0e-6)
+          assert Ray3.distance_to(ray, point) < 1.0e-6
           assert facet in [:x_min, :x_max, :y_min, :y_max, :z_min, :z_max]
 
         nil ->
           for step <- 0..40,
-              do: refute(Box3.contains?(box, Ray3.point_at(ray, step / 4), -1.0e-6))
+              do: refute(Box3.contains_point?(box, Ray3.point_at(ray, step / 4), -1.0e-6))
       end
     end
   end
 
-  property "the closest point of a box lies in it, and no corner is closer" do
+  property "the closest point of a box is in the box, and no corner is closer" do
     forall {box, point} <- {box(), vector()} do
       closest = Box3.closest_point(box, point)
-      assert Box3.contains?(box, closest, 1.0e-6)
+      assert Box3.contains_point?(box, closest, 1.0e-6)
 
       nearest_corner =
-        box |> Box3.corners() |> Enum.map(&Vector3.distance(&1, point)) |> Enum.min()
+        box |> Box3.corner_points() |> Enum.map(&Vector3.distance(&1, point)) |> Enum.min()
 
       assert Vector3.distance(closest, point) <= nearest_corner + 1.0e-6
     end
   end
 
-  property "a transformed box holds the transformed points" do
+  property "a transformed box contains the transformed points" do
     forall {box, pose, point} <- {box(), pose(), vector()} do
-      # Points on the skin may fall either way.
-      if Box3.contains?(box, point, 1.0e-6) == Box3.contains?(box, point, -1.0e-6) do
-        assert Box3.contains?(Box3.transform(box, pose), Pose.transform(pose, point)) ==
-                 Box3.contains?(box, point)
+      # Points on the surface may be on either side.
+      if Box3.contains_point?(box, point, 1.0e-6) == Box3.contains_point?(box, point, -1.0e-6) do
+        assert Box3.contains_point?(Box3.transform(box, pose), Pose.transform_point(pose, point)) ==
+                 Box3.contains_point?(box, point)
       end
     end
   end
 
-  property "a rectangle is met where its plane is met, inside its corners" do
+  property "a ray hits a rectangle where it hits the plane, within the corners" do
     forall {pose, ray} <- {pose(), ray()} do
       rectangle = Rectangle3.new!(pose, 4, 2)
-      point = Plane.intersection(Rectangle3.plane(rectangle), ray)
-      hit = Rectangle3.intersection(rectangle, ray)
+      point = Plane.intersect_ray(Rectangle3.containing_plane(rectangle), ray)
+      hit = Rectangle3.intersect_ray(rectangle, ray)
       assert hit == nil or hit == point
 
       if hit do
-        {_, y, z} = Pose.transform(Pose.invert(pose), hit)
+        {_, y, z} = Pose.transform_point(Pose.invert(pose), hit)
         assert abs(y) <= 2.000001 and abs(z) <= 1.000001
       end
     end
   end
 
-  property "projecting on a plane gives its nearest point" do
+  property "projecting onto a plane returns the nearest point" do
     forall {a, b, c, point} <- {vector(), vector(), vector(), vector()} do
-      with {:ok, plane} <- Plane.through(a, b, c) do
-        foot = Plane.project(plane, point)
-        assert_in_delta Plane.distance(plane, foot), 0.0, 1.0e-6
+      with {:ok, plane} <- Plane.from_points(a, b, c) do
+        foot = Plane.project_point(plane, point)
+        assert_in_delta Plane.signed_distance(plane, foot), 0.0, 1.0e-6
         assert Vector3.distance(foot, point) <= Vector3.distance(a, point) + 1.0e-6
       end
     end
   end
 
-  property "clouds, meshes and cameras are read back; any other bytes are refused, never raise" do
+  property "clouds and meshes round-trip, and other bytes are refused without raising" do
     forall {points, colored?, bytes} <- {list(vector()), boolean(), binary()} do
       %{points: data} = PointCloud.from_points(points)
       colors = if colored?, do: :binary.copy(<<1, 2, 3>>, length(points))
@@ -139,7 +139,7 @@ defmodule Situ.ShapesTest do
     end
   end
 
-  test "intrinsics are read back" do
+  test "camera intrinsics round-trip" do
     camera =
       CameraIntrinsics.new!(
         width: 640,
@@ -160,36 +160,36 @@ defmodule Situ.ShapesTest do
              )
   end
 
-  test "clouds that do not add up are refused with what is wrong" do
-    assert {:error, %{what: "13 bytes are no whole number of points of 12 bytes"}} =
+  test "refuses inconsistent clouds with an error that says why" do
+    assert {:error, %{what: "13 bytes are not a whole number of points of 12 bytes"}} =
              PointCloud.new(<<0::104>>)
 
     assert {:error, %{what: "1 points have 2 bytes of colour"}} =
              PointCloud.new(<<0::96>>, <<0, 0>>)
 
-    assert PointCloud.bounds(PointCloud.from_points([])) == nil
+    assert PointCloud.bounding_box(PointCloud.from_points([])) == nil
     assert PointCloud.centroid(PointCloud.from_points([])) == nil
   end
 
-  test "a view keeps its camera when what it views changes" do
+  test "a view keeps its camera when the viewed value changes" do
     camera = CameraIntrinsics.new!(width: 2, height: 1, focal: {1, 1})
     view = CameraView.new(:picture, camera, Pose.identity())
 
     assert {:ok, %CameraView{viewed: "picture", intrinsics: ^camera}} =
-             CameraView.map(view, &{:ok, to_string(&1)})
+             CameraView.map_viewed(view, &{:ok, to_string(&1)})
 
-    assert {:error, :no} = CameraView.map(view, fn _ -> {:error, :no} end)
+    assert {:error, :no} = CameraView.map_viewed(view, fn _ -> {:error, :no} end)
   end
 
-  test "turning is measured around its axis" do
+  test "measures angular velocity around the rotation axis" do
     from = Pose.identity()
     to = Pose.new({0.0, 0.0, 0.0}, Quaternion.from_euler(0.5, 0, 0))
-    assert {:ok, velocity} = Velocity3.angular(from, to, Situ.Time.ms(100))
+    assert {:ok, velocity} = Velocity3.angular_between(from, to, Situ.Time.ms(100))
     assert_in_delta velocity.magnitude, 5.0, 1.0e-9
-    assert {:error, %{code: :bad_duration}} = Velocity3.linear(from, to, 0)
+    assert {:error, %{code: :bad_duration}} = Velocity3.linear_between(from, to, 0)
   end
 
-  property "skeletons between two have the joints of both" do
+  property "an interpolated skeleton has the joints that both skeletons have" do
     forall {a, b, percent} <- {vector(), vector(), integer(0, 100)} do
       left = Skeleton.new!(%{hand: Pose.new(a), elbow: Pose.new(b)}, [{:hand, :elbow}])
       right = Skeleton.new!(%{hand: Pose.new(b)}, [])
@@ -197,7 +197,7 @@ defmodule Situ.ShapesTest do
       assert Map.keys(between.joints) == [:hand] and between.bones == []
 
       assert Vector3.distance(
-               Skeleton.position(between, :hand),
+               Skeleton.joint_position(between, :hand),
                Vector3.lerp(a, b, percent / 100)
              ) < 1.0e-9
     end

@@ -1,5 +1,5 @@
 defmodule Situ.SurfacesTest do
-  # Triangles, meshes, facets and rectangles with pictures: what rays meet and what is nearest.
+  # Intersections and nearest points of triangles, meshes, facets and rectangles with images.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -19,25 +19,25 @@ defmodule Situ.SurfacesTest do
     end)
   end
 
-  # A box as twelve triangles, two of a facet.
+  # Builds a box from twelve triangles, two per facet.
   @sides [{0, 2, 6, 4}, {1, 3, 7, 5}, {0, 1, 5, 4}, {2, 3, 7, 6}, {0, 1, 3, 2}, {4, 5, 7, 6}]
   defp mesh(%Box3{pose: pose} = box) do
     triangles = for {a, b, c, d} <- @sides, t <- [{a, b, c}, {a, c, d}], do: t
-    {:ok, mesh} = Mesh.from_lists(Box3.corners(%{box | pose: nil}), triangles)
+    {:ok, mesh} = Mesh.from_lists(Box3.corner_points(%{box | pose: nil}), triangles)
     %{mesh | pose: pose}
   end
 
-  property "a mesh of a box is met where the box is met" do
+  property "a ray hits the mesh of a box where it hits the box" do
     box = Box3.new!({-1.0, -2.0, -0.5}, {1.0, 2.0, 0.5})
 
     forall {pose, from, way} <- {pose(), vector(), vector()} do
       box = Box3.transform(box, pose)
 
       with {:ok, ray} <- Ray3.new(from, way) do
-        case {Box3.intersection(box, ray), Mesh.intersection(mesh(box), ray)} do
+        case {Box3.intersect_ray(box, ray), Mesh.intersect_ray(mesh(box), ray)} do
           {nil, nil} -> :ok
           {{at, _}, {found, n}} when n in 0..11 -> assert Vector3.distance(at, found) < 1.0e-4
-          # a ray that touches an edge
+          # This ray touches an edge.
           {hit, miss} -> assert grazes?(box, hit || miss)
         end
       end
@@ -45,7 +45,7 @@ defmodule Situ.SurfacesTest do
   end
 
   defp grazes?(box, {at, _}) do
-    {x, y, z} = Pose.transform(Pose.invert(box.pose), at)
+    {x, y, z} = Pose.transform_point(Pose.invert(box.pose), at)
 
     near =
       Enum.count([{abs(x), 1}, {abs(y), 2}, {abs(z), 0.5}], fn {v, e} -> abs(v - e) < 1.0e-4 end)
@@ -53,20 +53,20 @@ defmodule Situ.SurfacesTest do
     near >= 2
   end
 
-  property "the nearest point of a mesh of a box, from outside, is that of the box" do
+  property "from outside, the nearest point of a box's mesh is that of the box" do
     box = Box3.new!({-1.0, -2.0, -0.5}, {1.0, 2.0, 0.5})
 
     forall {pose, point} <- {pose(), vector()} do
       box = Box3.transform(box, pose)
 
-      unless Box3.contains?(box, point) do
+      unless Box3.contains_point?(box, point) do
         {found, _} = Mesh.closest_point(mesh(box), point)
         assert Vector3.distance(found, Box3.closest_point(box, point)) < 1.0e-4
       end
     end
   end
 
-  property "no point of a triangle is nearer than the nearest" do
+  property "no other point of a triangle is closer than the closest point" do
     forall {a, b, c, point} <- {vector(), vector(), vector(), vector()} do
       nearest = Triangle3.closest_point({a, b, c}, point)
       least = Vector3.distance(nearest, point)
@@ -78,31 +78,31 @@ defmodule Situ.SurfacesTest do
           |> Vector3.add(Vector3.scale(Vector3.subtract(c, a), v / 10))
 
         assert Vector3.distance(on_it, point) >= least - 1.0e-9
-        assert Triangle3.contains?({a, b, c}, on_it, 1.0e-6)
+        assert Triangle3.contains_point?({a, b, c}, on_it, 1.0e-6)
       end
     end
   end
 
-  test "meshes without triangles, with wrong ones, and with vertices that are no numbers" do
+  test "handles empty meshes, invalid indices and vertices that are not numbers" do
     {:ok, ray} = Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
-    assert Mesh.intersection(%Mesh{vertices: <<>>, indices: <<>>}, ray) == nil
+    assert Mesh.intersect_ray(%Mesh{vertices: <<>>, indices: <<>>}, ray) == nil
     assert Mesh.closest_point(%Mesh{vertices: <<>>, indices: <<>>}, {0.0, 0.0, 0.0}) == nil
 
     {:ok, good} =
       Mesh.from_lists([{1.0, -1.0, -1.0}, {1.0, 1.0, -1.0}, {1.0, 0.0, 1.0}], [{0, 1, 2}])
 
     wrong = %{good | indices: <<0::32, 1::little-32, 9::little-32>>}
-    assert Mesh.intersection(wrong, ray) == nil
+    assert Mesh.intersect_ray(wrong, ray) == nil
     nan = <<0, 0, 0xC0, 0x7F>>
     holes = %{good | vertices: nan <> binary_part(good.vertices, 4, 32)}
     assert Mesh.closest_point(holes, {0.0, 0.0, 0.0}) == nil
-    # a triangle without an area is met nowhere, and is as near as its corner
+    # A triangle without area is never hit, and its closest point is its corner.
     {:ok, flat} = Mesh.from_lists([{1.0, 0.0, 0.0}], [{0, 0, 0}])
-    assert Mesh.intersection(flat, ray) == nil
+    assert Mesh.intersect_ray(flat, ray) == nil
     assert Mesh.closest_point(flat, {0.0, 0.0, 0.0}) == {{1.0, 0.0, 0.0}, 0}
   end
 
-  test "a mesh as a cloud, where its pose puts it" do
+  test "converts a mesh to a cloud at its pose" do
     {:ok, mesh} =
       Mesh.from_lists([{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}], [{0, 1, 2}])
 
@@ -112,25 +112,25 @@ defmodule Situ.SurfacesTest do
              [{1.0, 0.0, 2.0}, {0.0, 1.0, 2.0}, {0.0, 0.0, 3.0}]
   end
 
-  property "a box's facets span its corners, and look out of it" do
+  property "a box's facets span its corners and face outward" do
     forall {pose, {w, d, h}} <- {pose(), {integer(1, 9), integer(1, 9), integer(1, 9)}} do
       box = Box3.new!({0.0, 0.0, 0.0}, {w * 1.0, d * 1.0, h * 1.0}, pose)
-      corners = Box3.corners(box)
+      corners = Box3.corner_points(box)
 
-      for name <- Box3.facets() do
-        facet = Box3.facet(box, name)
+      for name <- Box3.facet_names() do
+        facet = Box3.facet_rectangle(box, name)
 
-        for corner <- Rectangle3.corners(facet),
+        for corner <- Rectangle3.corner_points(facet),
             do: assert(Enum.any?(corners, &(Vector3.distance(&1, corner) < 1.0e-6)))
 
-        out = Vector3.subtract(facet.pose.position, Box3.center(box))
-        assert Vector3.dot(Rectangle3.plane(facet).normal, out) > 0
+        out = Vector3.subtract(facet.pose.position, Box3.center_point(box))
+        assert Vector3.dot_product(Rectangle3.containing_plane(facet).normal, out) > 0
         assert facet.width * facet.height > 0
       end
     end
   end
 
-  property "a picture's pixel on a rectangle, and back" do
+  property "converting a pixel to a point on a rectangle and back returns the pixel" do
     forall {pose, px, py} <- {pose(), integer(0, 640), integer(0, 480)} do
       wall = Rectangle3.new!(pose, 2.0, 1.5)
       point = Rectangle3.from_pixel(wall, {px, py}, {640, 480})
@@ -140,7 +140,7 @@ defmodule Situ.SurfacesTest do
     end
   end
 
-  test "a point off a picture's rectangle has no pixel" do
+  test "a point outside the rectangle of an image has no pixel" do
     wall = Rectangle3.new!(Pose.identity(), 2.0, 1.5)
     assert Rectangle3.to_pixel(wall, {0.5, 0.0, 0.0}, {640, 480}) == nil
     assert Rectangle3.to_pixel(wall, {0.5, 0.0, 0.0}, {640, 480}, 1) == {320.0, 240.0}
@@ -150,24 +150,24 @@ defmodule Situ.SurfacesTest do
              nil
   end
 
-  property "what moves and turns on arrives where it was going" do
+  property "extrapolates position and rotation at constant velocity" do
     forall {a, b} <- {pose(), pose()} do
-      {:ok, velocity} = PoseVelocity.between(a, b, Situ.Time.ms(100))
-      next = PoseVelocity.destination(velocity, Situ.Time.ms(100))
-      back = PoseVelocity.destination(velocity, -Situ.Time.ms(100))
+      {:ok, velocity} = PoseVelocity.from_poses(a, b, Situ.Time.ms(100))
+      next = PoseVelocity.pose_after(velocity, Situ.Time.ms(100))
+      back = PoseVelocity.pose_after(velocity, -Situ.Time.ms(100))
       assert Vector3.distance(back.position, a.position) < 1.0e-6
-      assert Quaternion.angle(back.rotation, a.rotation) < 1.0e-5
+      assert Quaternion.angle_between(back.rotation, a.rotation) < 1.0e-5
       expected = Vector3.lerp(a.position, b.position, 2.0)
       assert Vector3.distance(next.position, expected) < 1.0e-6
     end
   end
 
-  test "no velocity over no time" do
+  test "returns an error for a velocity over zero time" do
     assert {:error, %{code: :bad_duration}} =
-             PoseVelocity.between(Pose.identity(), Pose.identity(), 0)
+             PoseVelocity.from_poses(Pose.identity(), Pose.identity(), 0)
   end
 
-  test "a cloud with values is read back, with colours and without" do
+  test "a cloud with values round-trips, with and without colours" do
     for colors <- [nil, <<1, 2, 3, 4, 5, 6>>] do
       {:ok, cloud} =
         PointCloud.new(<<0::192>>, colors, <<1.5::little-float-32, 2.5::little-float-32>>)
@@ -181,11 +181,11 @@ defmodule Situ.SurfacesTest do
     assert {:error, %{code: :bad_cloud}} = PointCloud.new(<<0::192>>, nil, <<0::32>>)
   end
 
-  test "a cloud with holes keeps its colours beside its points when it moves" do
+  test "a moved cloud with invalid points keeps its colours aligned with its points" do
     nan = <<0, 0, 0xC0, 0x7F>>
     {:ok, cloud} = PointCloud.new(<<nan::binary, 0::64>> <> <<0::96>>, <<1, 2, 3, 4, 5, 6>>)
     moved = PointCloud.transform(cloud, Pose.new({1.0, 0.0, 0.0}))
-    assert PointCloud.count(moved) == 2
+    assert PointCloud.point_count(moved) == 2
     assert PointCloud.to_points(moved) == [{1.0, 0.0, 0.0}]
 
     assert {:ok, ^moved} =

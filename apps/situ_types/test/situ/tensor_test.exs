@@ -4,7 +4,7 @@ defmodule Situ.TensorTest do
   alias Situ.Tensor
   doctest Situ.Tensor
 
-  property "a tensor comes back from its bytes, and foreign bytes are refused without raising" do
+  property "a tensor round-trips, and foreign bytes are refused without raising" do
     forall {list, junk} <- {list(integer(-100, 100)), binary()} do
       tensor = Tensor.from_list(list, :s16, {length(list)})
       result = Tensor.decode(junk)
@@ -14,7 +14,7 @@ defmodule Situ.TensorTest do
     end
   end
 
-  test "half floats of both kinds, their limits and what is no number" do
+  test "converts f16 and bf16 values, their limits and values that are not numbers" do
     values = [0.0, 1.0, -2.5, 65_504.0, 0.000061035]
 
     for type <- [:f16, :bf16] do
@@ -38,11 +38,11 @@ defmodule Situ.TensorTest do
              :nan
            ]
 
-    # 1 + 2^-8 lies between two: the even one.
+    # 1 + 2^-8 is halfway between two values and is rounded to even.
     assert Tensor.to_list(Tensor.from_list([1.00390625], :bf16, {1})) == [1.0]
   end
 
-  test "a tensor may have no elements" do
+  test "a tensor may be empty" do
     none = Tensor.zeros(:f32, {0, 3})
     assert Tensor.to_list(none) == []
     assert Tensor.concat([none, Tensor.zeros(:f32, {2, 3})]).shape == {2, 3}

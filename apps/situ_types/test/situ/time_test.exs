@@ -3,7 +3,7 @@ defmodule Situ.TimeTest do
   use Situ.Test.Property
   doctest Situ.Time
 
-  property "times are written as the calendar of Elixir has them, and read back", numtests: 2_000 do
+  property "formats times as Elixir's calendar does, and parses them back", numtests: 2_000 do
     days =
       one_of([integer(-719_528, 2_932_896), integer(0, 2_932_896), one_of([0, 11_016, 19_782])])
 

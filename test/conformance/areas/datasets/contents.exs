@@ -1,5 +1,6 @@
 defmodule Situ.Conformance.Datasets.Contents do
-  # Sessions and partitions: made, appended, renamed, moved, saved; what is then in the dataset, and over which spans.
+  # Sessions and partitions are created, appended, renamed, moved and saved. Checks the contents
+  # of the dataset and their spans.
   import Situ.Conformance.Case
   alias Situ.{Dataset, Interval, Message, Store}
   alias Situ.Dataset.{OpenSession, Server, Session, Summary}
@@ -17,12 +18,13 @@ defmodule Situ.Conformance.Datasets.Contents do
     end
   end
 
-  # A state: the dataset, what changed by the last step, the spans of the stores by session and partition.
+  # The state contains the dataset, the changes of the last step, and the spans of the stores by
+  # session and partition.
   defp made("dataset.append", params, root) do
     with {:ok, first} <- sessions(params["first"], params, root),
          {:ok, second} <- sessions(params["second"], params, root),
-         {:ok, both} <- Dataset.append(first, second),
-         do: {:ok, %{dataset: both, changes: Server.changes(first, both)}}
+         {:ok, both} <- Dataset.append_sessions(first, second),
+         do: {:ok, %{dataset: both, changes: Server.diff_datasets(first, both)}}
   end
 
   defp made("dataset.move", params, root) do
@@ -53,7 +55,8 @@ defmodule Situ.Conformance.Datasets.Contents do
          {:ok, dataset} <-
            add(new, params["sessions"] || ["Session_0"], params["stores"], root, true),
          {:ok, stepped} <- step(dataset, params["step"]),
-         do: {:ok, %{dataset: stepped, changes: Server.changes(dataset, stepped), empty: new}}
+         do:
+           {:ok, %{dataset: stepped, changes: Server.diff_datasets(dataset, stepped), empty: new}}
   end
 
   defp sessions(names, params, root, stores? \\ true) do
@@ -89,7 +92,7 @@ defmodule Situ.Conformance.Datasets.Contents do
     end)
   end
 
-  # One stream Root with 0..9, one tick apart; each store an hour behind the one before it.
+  # One stream Root with 0..9, one tick apart. Each store starts an hour after the previous one.
   defp store(names, i, root) do
     name = (names || []) |> Enum.at(i, "Store#{i}") |> String.split(" ") |> hd()
     {:ok, writer} = Store.Writer.create(name, root)
@@ -124,7 +127,7 @@ defmodule Situ.Conformance.Datasets.Contents do
         Dataset.save(dataset)
 
       words =~ ~r/rename the dataset|name/ ->
-        Dataset.put(dataset, name: "Renamed")
+        Dataset.put_fields(dataset, name: "Renamed")
     end
   end
 
@@ -137,7 +140,7 @@ defmodule Situ.Conformance.Datasets.Contents do
     end)
   end
 
-  # An interval in words: "left of A .. right of B", "same" (as that of the session), "empty".
+  # An interval as text: "left of A .. right of B", "same" (as the session's interval), "empty".
   defp wanted(key, words, state) when is_binary(words) do
     if String.ends_with?(key, "interval"), do: span(words, state), else: words
   end
@@ -195,7 +198,7 @@ defmodule Situ.Conformance.Datasets.Contents do
 
   defp got("stream" <> _, state) do
     with {:ok, {partition, _, stream}} <-
-           OpenSession.find(OpenSession.open(first(state)), state.spec),
+           OpenSession.fetch_stream(OpenSession.open(first(state)), state.spec),
          do: "[#{partition}]:#{stream}"
   end
 

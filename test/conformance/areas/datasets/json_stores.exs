@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.Datasets.JsonStores do
-  # \psi's JSON stores, read by a pipeline and by time.
+  # Reads \psi's JSON stores with a pipeline and by time.
   import Situ.Conformance.Case
   alias Situ.{Pipeline, Store, Time}
 
@@ -12,7 +12,7 @@ defmodule Situ.Conformance.Datasets.JsonStores do
     check(case["expect"], params, replayed(Store.open!(path), from))
   end
 
-  # Every stream's messages, through a pipeline.
+  # Reads the messages of every stream with a pipeline.
   defp replayed(store, from) do
     test = self()
     names = Enum.map(Store.streams(store), & &1.name)
@@ -54,7 +54,7 @@ defmodule Situ.Conformance.Datasets.JsonStores do
   defp one("values", "equal", params, got) do
     names = Map.new(params["catalog"], &{&1["Id"], &1["Name"]})
 
-    # Message by message of each stream; a replay numbers them from 1.
+    # The messages of each stream in order. A replay numbers them from 1.
     wanted =
       params["data"]
       |> Enum.sort_by(& &1["Envelope"]["SequenceId"])

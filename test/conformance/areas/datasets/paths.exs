@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.Datasets.Paths do
-  # Where a recording lies, as the dataset file says it and as it is.
+  # The location of a recording, as stored in the dataset file and as resolved.
   import Situ.Conformance.Case
   alias Situ.Dataset.StoredPath
 

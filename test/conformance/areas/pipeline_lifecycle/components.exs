@@ -1,7 +1,7 @@
-# Components that say what they are told to say, and tell what they see.
+# Components that emit scripted messages and report their callbacks.
 
 defmodule Situ.Conformance.PipelineLifecycle.Source do
-  # Says what it is told to say, when it is told to.
+  # Emits scripted messages at scripted times.
   use Situ.Component, outputs: [out: :any], options: [kind: [type: :any], tell: [type: :any]]
 
   @impl true
@@ -30,7 +30,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Source do
 end
 
 defmodule Situ.Conformance.PipelineLifecycle.Watch do
-  # Tells when it begins, and by which clock.
+  # Reports its start and the clock that it uses.
   use Situ.Component, outputs: [out: :any], options: [tell: [type: :any, required: true]]
 
   @impl true
@@ -44,7 +44,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Watch do
 end
 
 defmodule Situ.Conformance.PipelineLifecycle.Ticker do
-  # A timer without end: 1, 2, 3 ...
+  # An infinite timer: 1, 2, 3 ...
   use Situ.Component, outputs: [out: :integer], options: [interval: [type: :pos_integer]]
 
   @impl true
@@ -62,7 +62,8 @@ defmodule Situ.Conformance.PipelineLifecycle.Ticker do
 end
 
 defmodule Situ.Conformance.PipelineLifecycle.Relay do
-  # Relays x to any and x, y to any and y, z to any and z; each output at its own, ever later times.
+  # Relays x to any and x, y to any and y, z to any and z. Each output has its own increasing
+  # times.
   use Situ.Component,
     inputs: [x: {:any, optional: true}, y: {:any, optional: true}, z: {:any, optional: true}],
     outputs: [any: :any, x: :any, y: :any, z: :any, gen: :any],
@@ -111,7 +112,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Relay do
 end
 
 defmodule Situ.Conformance.PipelineLifecycle.Generator do
-  # A relay that is a source besides: what it generates makes the pipeline end.
+  # A relay that is also a source, so that the end of its generation ends the pipeline.
   use Situ.Component,
     inputs: [x: {:any, optional: true}, y: {:any, optional: true}, z: {:any, optional: true}],
     outputs: [any: :any, x: :any, y: :any, z: :any, gen: :any],
@@ -138,7 +139,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Generator do
 end
 
 defmodule Situ.Conformance.PipelineLifecycle.Probe do
-  # Tells of every callback it sees.
+  # Reports every callback.
   use Situ.Component,
     inputs: [in: {:any, optional: true}],
     outputs: [out: :any],

@@ -1,5 +1,6 @@
 defmodule Situ.Conformance.PipelineLifecycle.Finalization do
-  # In which order a graph closes, and that a stop asked for while it does hangs nothing.
+  # Checks the order in which a graph closes, and that a stop request during the closing does not
+  # hang.
   import Situ.Conformance.Case, only: [all: 2]
   import Situ.Conformance.PipelineLifecycle.Telling
   alias Situ.Conformance.PipelineLifecycle.{Generator, Relay, Source}
@@ -42,7 +43,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
     got = %{
       "all_emitters_close" => length(report.closed) == components(params),
       "must_close_before" => Enum.filter(expect["must_close_before"] || [], in_order?),
-      # Where not all inputs are listed, the case is about those that are.
+      # If not all inputs are listed, the case is about the listed ones.
       "inputs_unsubscribed" => listed(expect["inputs_unsubscribed"] || [], inputs, connected),
       "unconnected_inputs_unsubscribed" => Enum.sort(inputs -- connected)
     }
@@ -55,7 +56,8 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
     if wanted != [] and wanted -- came == [], do: wanted, else: came
   end
 
-  # The pipeline of the stop-from-handler case: a component that, when its input closes, asks for the stop.
+  # The pipeline of the stop-from-handler case: a component that requests a stop when its input
+  # closes.
   defp stopping(tell, messages) do
     fn p ->
       stream = Situ.source(p, Source, kind: {:messages, messages})
@@ -68,7 +70,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
     end
   end
 
-  # Graphs of the finalisation cases.
+  # The graphs of the finalization cases.
 
   defp graph(p, params, tell) do
     edges = Enum.flat_map(params["edges"], &edges/1)
@@ -96,7 +98,8 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
   defp scope(p, nil), do: p
   defp scope(p, sub), do: %{p | scope: sub}
 
-  # Connectors between a pipeline and its part are no components here: an edge through one is an edge.
+  # Connectors between a pipeline and its part do not count as components: an edge through a
+  # connector is a single edge.
   defp edges(text) do
     [first | rest] = text |> String.split("->") |> Enum.filter(&String.contains?(&1, "."))
 

@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.PipelineLifecycle.Parts do
-  # Pipelines in pipelines, and edges between two.
+  # Pipelines in pipelines, and edges between them.
   import Situ.Conformance.Case, only: [all: 2, told: 2, verdict: 2, timed: 1, ms: 1]
   import Situ.Conformance.PipelineLifecycle.Telling
   alias Situ.Conformance.Formula
@@ -30,7 +30,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
     })
   end
 
-  # A source inside, or with a function a source outside and the function inside.
+  # A source inside, or with a function, a source outside and the function inside.
   def check(%{"op" => "subpipeline", "inputs" => [%{"messages" => messages}]} = case) do
     {tell, tag} = teller()
     source = &Situ.source(&1, Source, kind: {:messages, timed(messages)})

@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.PipelineLifecycle.Telling do
-  # Messages from components to the case that runs them.
+  # Sends messages from components to the case that runs them.
 
   def teller do
     me = self()

@@ -1,5 +1,6 @@
 defmodule Situ.Conformance.Store.Contents do
-  # A store's facts about its streams: times, types, metadata, and how today's types read yesterday's data.
+  # The facts about a store's streams: times, types, metadata, and reading old data with current
+  # types.
   import Situ.Conformance.Case,
     only: [all: 2, error_fits?: 2, meant: 3, plain: 1, told: 2, verdict: 2]
 
@@ -28,7 +29,7 @@ defmodule Situ.Conformance.Store.Contents do
       "replay_end" => played |> Enum.map(&elem(&1, 1)) |> Enum.max(fn -> nil end)
     }
 
-    # "source0's first creation time" and the like: the words, when what came is that.
+    # Returns "source0's first creation time" and similar texts if the value is correct.
     told =
       for {key, text} when is_binary(text) <- case["expect"],
           Map.has_key?(came, key),
@@ -84,7 +85,7 @@ defmodule Situ.Conformance.Store.Contents do
     })
   end
 
-  # The keys of maps, noted while they were written; what is told of a stream is the set of them.
+  # The keys of maps are recorded during writing. The stream's info contains the set of them.
   def run(op, _params, case, root) when op in ["supplemental", "distinct_keys"] do
     store = root |> record(streams(case), fn _ -> [keys: true] end) |> Store.open!()
 
@@ -101,8 +102,8 @@ defmodule Situ.Conformance.Store.Contents do
     {:not_applicable, "Elixir's values are immutable: none can refer to itself"}
   end
 
-  # Written with their types, read without. The case lists more values than messages: they are what is written, and of
-  # those that it has as messages the values have to be the same.
+  # Written with types, and read without. If the case lists more values than messages, all values
+  # are written, and the listed messages must have the same values.
   def run("dynamic_read", _params, %{"expect" => %{"values" => values}} = case, root) do
     given = for {_, messages} <- streams(case), m <- messages, do: m.data
 
@@ -180,7 +181,7 @@ defmodule Situ.Conformance.Store.Contents do
   defp point(message, "creation"), do: message.creation_time
   defp point(message, "originating"), do: message.originating_time
 
-  # Written without a pipeline: creation times are those of the case.
+  # Written without a pipeline, with the creation times of the case.
   defp written(root, streams) do
     {:ok, writer} = Writer.create("store", root)
 
@@ -195,7 +196,7 @@ defmodule Situ.Conformance.Store.Contents do
     writer.path
   end
 
-  # Figures that the case tells of a stream.
+  # The statistics of a stream in the case.
   defp figures(info, %{} = wanted),
     do: Map.new(wanted, fn {key, _} -> {key, figure(info, key)} end)
 
@@ -206,14 +207,14 @@ defmodule Situ.Conformance.Store.Contents do
   defp figure(info, "type"), do: info.type_name
   defp figure(info, "size"), do: info.size
   defp figure(info, "average_size"), do: StreamInfo.average_size(info)
-  defp figure(info, "rate_hz"), do: StreamInfo.rate(info)
+  defp figure(info, "rate_hz"), do: StreamInfo.message_rate(info)
   defp figure(info, "first_ms"), do: info.first && div(info.first, ms())
   defp figure(info, "last_ms"), do: info.last && div(info.last, ms())
   defp figure(info, "closed_ms"), do: info.closed && div(info.closed, ms())
   defp figure(_info, other), do: raise(ArgumentError, "an unknown figure: #{other}")
 
-  # A struct with these fields, as a program of that day would define it. New fields have defaults, unless they are
-  # required.
+  # A struct with these fields, as a program of that time would define it. New fields have
+  # defaults, unless they are required.
   defp struct_module(members, required) do
     name = Module.concat(Situ.Conformance.Store, "Struct#{:erlang.phash2({members, required})}")
     fields = for m <- members, do: {String.to_atom(m), default(m)}

@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.Store.Making do
-  # Stores out of stores: cut, copied, edited, mended, put together, named, deleted.
+  # Stores made from stores: cut, copied, edited, repaired, merged, renamed and deleted.
   import Situ.Conformance.Case, only: [all: 2, meant: 3, verdict: 2]
   import Situ.Conformance.Store.Tape
   alias Situ.Store
@@ -23,7 +23,7 @@ defmodule Situ.Conformance.Store.Making do
     end
   end
 
-  # The process that writes is gone without having closed anything.
+  # The writing process has ended without closing the store.
   def run("repair", params, case, root) do
     crash = time(params, "simulated_crash_at") || :never
     [{name, messages} | _] = streams(case)
@@ -65,7 +65,7 @@ defmodule Situ.Conformance.Store.Making do
       else: {:fail, envelopes(before), envelopes(got)}
   end
 
-  # Edits of one stream, or of several by name; the streams without any stay what they are.
+  # Edits of one stream, or of several by name. Streams without edits stay unchanged.
   def run("edit" <> _, params, case, root) do
     path = record(root, streams(case))
     [first | _] = Enum.map(case["inputs"], & &1["stream"])
@@ -79,7 +79,8 @@ defmodule Situ.Conformance.Store.Making do
     by_stream(case, made!(Store.edit(path, {"edited", root}, edits)))
   end
 
-  # All of a store, a span of it or some of its streams; envelopes, types and metadata with them.
+  # The entire store, a span of it, or some of its streams, with their envelopes, types and
+  # metadata.
   def run("copy" <> _, params, case, root) do
     streams = streams(case)
     meta = fn _ -> if(m = params["supplemental_metadata"], do: [metadata: m], else: []) end
@@ -101,7 +102,7 @@ defmodule Situ.Conformance.Store.Making do
     if same?, do: by_stream(case, new, true), else: {:fail, "the same messages", "others"}
   end
 
-  # Gone from the disk, and nothing else with it.
+  # The store is deleted from the disk, and nothing else.
   def run("delete", _params, case, root) do
     path = record(root, streams(case))
     kept = record(root, streams(case), fn _ -> [] end, "other")
@@ -110,7 +111,8 @@ defmodule Situ.Conformance.Store.Making do
     verdict({false, true}, {Store.exists?(path), Store.exists?(kept)})
   end
 
-  # Recordings of one name get versions; the name means the newest, and goes with a rename.
+  # Recordings with the same name get versions. The name refers to the newest, and a rename
+  # changes it.
   def run("versions", _params, case, root) do
     paths = for _ <- 1..2, do: record(root, streams(case), fn _ -> [] end, "walk")
     {:ok, renamed} = Store.rename(hd(paths), "stroll")
@@ -152,7 +154,7 @@ defmodule Situ.Conformance.Store.Making do
     )
   end
 
-  # Inputs are called STORE/STREAM.
+  # Inputs have names like STORE/STREAM.
   def run("concatenate", params, case, root) do
     types = params["types"] || %{}
 

@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.Store.Recording do
-  # Stores written and read, while they are written and after.
+  # Stores are written and read, during and after writing.
   import Situ.Conformance.Case, only: [all: 2, error_fits?: 2, meant: 3, verdict: 2]
   import Situ.Conformance.Store.Tape
   alias Situ.{Message, Pipeline, Store}
@@ -14,7 +14,7 @@ defmodule Situ.Conformance.Store.Recording do
     read =
       for {name, _} <- streams, into: %{}, do: {name, Enum.to_list(Store.messages(store, name))}
 
-    # As it was written, and the same by both ways of reading: creation times too.
+    # Both ways of reading return the written messages, including creation times.
     same =
       for {name, messages} <- streams do
         envelopes(messages) == envelopes(read[name]) and
@@ -54,7 +54,7 @@ defmodule Situ.Conformance.Store.Recording do
     if Enum.all?(same), do: verdict(case["expect"], got), else: {:fail, streams, read}
   end
 
-  # The reader is there before the writer runs, and ends when the writer closes the store.
+  # The reader starts before the writer, and ends when the writer closes the store.
   def run("live_read", params, case, root) do
     streams = live_streams(params, case)
     [{name, messages} | _] = streams
@@ -123,7 +123,7 @@ defmodule Situ.Conformance.Store.Recording do
     })
   end
 
-  # One at a time may write to a folder; another of the same name goes to a folder of its own.
+  # Only one writer may use a folder. A second one with the same name gets a separate folder.
   def run("second_writer", _params, case, root) do
     {:ok, first} = Writer.create("twice", root)
     {:ok, second} = Writer.create("twice", root)
@@ -149,7 +149,7 @@ defmodule Situ.Conformance.Store.Recording do
     end
   end
 
-  # Only envelopes were written: times and order without data.
+  # Only envelopes were written: times and order, without data.
   def run("write_envelopes", _params, case, root) do
     [{name, messages} | _] = streams(case)
     store = root |> record([{name, messages}], fn _ -> [envelopes: true] end) |> Store.open!()
@@ -160,7 +160,7 @@ defmodule Situ.Conformance.Store.Recording do
       else: {:fail, times(messages), times(got)}
   end
 
-  # A writer refuses the same stream twice, and times that do not increase.
+  # A writer rejects a duplicate stream, and times that do not increase.
   def run("refused", _params, case, root) do
     path = record(root, streams(case))
     {:fail, {:error, case["expect_error"]}, path}

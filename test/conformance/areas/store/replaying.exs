@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.Store.Replaying do
-  # Stores played in pipelines.
+  # Stores are replayed in pipelines.
   import Situ.Conformance.Case, only: [all: 2, meant: 3, told: 2, verdict: 2]
   import Situ.Conformance.Store.Tape, except: [told: 0, told: 1]
   alias Situ.Conformance.Store.Tape
@@ -67,7 +67,8 @@ defmodule Situ.Conformance.Store.Replaying do
     verdict(case["expect"]["sums"], sums)
   end
 
-  # A replay gives the recorded messages with their envelopes: sequence ids and creation times too.
+  # A replay returns the recorded messages with their envelopes, including sequence ids and
+  # creation times.
   def run("replay", params, case, root) do
     streams = streams(case)
     path = record(root, streams)
@@ -89,7 +90,7 @@ defmodule Situ.Conformance.Store.Replaying do
     if changed == [], do: verdict(case["expect"], values), else: {:fail, [], changed}
   end
 
-  # Messages by their number, from the front and from the back, and by time.
+  # Messages by number, from the start and from the end, and by time.
   def run("read_index", _params, case, root) do
     store = root |> record(streams(case)) |> Store.open!()
 

@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.Store.Tape do
-  # Shared by the cases of stores: a case's streams, recorded and played.
+  # Shared functions for store cases, which record and replay the streams of a case.
   import Situ.Conformance.Case, only: [meant: 3, verdict: 2]
   alias Situ.{Message, Pipeline, Store}
 
@@ -27,7 +27,8 @@ defmodule Situ.Conformance.Store.Tape do
   def source(p, messages),
     do: Situ.from_enumerable(p, for(m <- messages, do: {m.originating_time, m.data}))
 
-  # Recorded by a pipeline as fast as possible; sequence ids count from 1, creation times are its clock's.
+  # A pipeline records them as fast as possible. Sequence ids count from 1, and creation times
+  # come from its clock.
   def record(root, streams, options \\ fn _ -> [] end, name \\ "store") do
     result =
       Pipeline.run(fn p ->
@@ -88,7 +89,7 @@ defmodule Situ.Conformance.Store.Tape do
   def times(messages), do: Enum.map(messages, & &1.originating_time)
   def data(store, name), do: Enum.map(Store.messages(store, name), & &1.data)
 
-  # A parameter that is a time, in whatever unit: "from_ms", "from_ticks" ...
+  # A parameter that is a time, in any unit: "from_ms", "from_ticks" ...
   def time(params, name) do
     Enum.find_value(@units, fn {unit, ns} ->
       n = params["#{name}_#{unit}"]
@@ -96,11 +97,11 @@ defmodule Situ.Conformance.Store.Tape do
     end)
   end
 
-  # `{from, to}`, `nil` where the case tells none.
+  # `{from, to}`, or `nil` if the case specifies none.
   def bounds(params), do: {time(params, "from"), time(params, "to")}
 
   # Compares the store with the case's expected streams, counts and metadata.
-  # `same?`: whether its messages are known to be those of the store that it was made of.
+  # `same?`: whether its messages are known to equal those of the original store.
   def by_stream(case, store, same? \\ nil) do
     got =
       Map.new(case["expect"] || %{}, fn {key, expected} ->

@@ -11,27 +11,31 @@ defmodule Situ.Application.Directory do
   def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
 
   @doc "Registers the calling process as a pipeline; does nothing if the directory process is not running."
-  @spec enter(%{:name => String.t(), :registered => atom(), optional(atom()) => term()}) ::
+  @spec register_pipeline(%{
+          :name => String.t(),
+          :registered => atom(),
+          optional(atom()) => term()
+        }) ::
           :ok | {:error, Error.t()}
-  def enter(settings) do
-    with :ok <- register(settings.registered),
+  def register_pipeline(settings) do
+    with :ok <- register_name(settings.registered),
          do: GenServer.call(__MODULE__, {:enter, settings.name})
   catch
     :exit, _ -> :ok
   end
 
-  defp register(nil), do: :ok
+  defp register_name(nil), do: :ok
 
-  defp register(name) do
+  defp register_name(name) do
     Process.register(self(), name)
     :ok
   rescue
-    ArgumentError -> {:error, taken(name)}
+    ArgumentError -> {:error, name_taken_error(name)}
   end
 
   @doc "Releases the name of the calling process, so that it is free before any other process sees the pipeline end."
-  @spec leave(%{:registered => atom(), optional(atom()) => term()}) :: :ok
-  def leave(%{registered: name}) do
+  @spec unregister_pipeline(%{:registered => atom(), optional(atom()) => term()}) :: :ok
+  def unregister_pipeline(%{registered: name}) do
     if name != nil and Process.whereis(name) == self(), do: Process.unregister(name)
     GenServer.call(__MODULE__, :leave)
   catch
@@ -39,21 +43,21 @@ defmodule Situ.Application.Directory do
   end
 
   @doc "Returns the label and process of each pipeline, sorted by label."
-  @spec all() :: [{String.t(), pid()}]
-  def all, do: for({pid, label} <- entries(:_), do: {label, pid}) |> Enum.sort()
+  @spec list_pipelines() :: [{String.t(), pid()}]
+  def list_pipelines, do: for({pid, label} <- live_entries(:_), do: {label, pid}) |> Enum.sort()
 
   @doc "Returns the pipeline with this label. Raises `Situ.Error` (`:ambiguous_name`) if several pipelines have it."
   @spec whereis(String.t()) :: pid() | nil
   def whereis(label) do
-    case entries(label) do
+    case live_entries(label) do
       [] -> nil
       [{pid, _}] -> pid
-      several -> raise ambiguous(label, length(several))
+      several -> raise ambiguous_name_error(label, length(several))
     end
   end
 
   # A pipeline that has just ended may still have an entry.
-  defp entries(label) do
+  defp live_entries(label) do
     for {pid, _} = entry <- :ets.match_object(@table, {:_, label}), Process.alive?(pid), do: entry
   end
 
@@ -83,14 +87,14 @@ defmodule Situ.Application.Directory do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp taken(name) do
+  defp name_taken_error(name) do
     Error.new(:name_taken, "the name #{inspect(name)} is not available",
       why: "another process is registered under it, or the name is reserved",
       fix: "give the pipeline a different name:"
     )
   end
 
-  defp ambiguous(label, n) do
+  defp ambiguous_name_error(label, n) do
     Error.new(:ambiguous_name, "#{n} pipelines are called #{inspect(label)}",
       fix: "use the pid (Situ.pipelines/0 lists them), or give each pipeline a unique name"
     )

@@ -15,8 +15,8 @@ defmodule Situ.Application.Reaper do
   end
 
   @doc "Watches the pipeline's process from now on; does nothing if the reaper process is not running."
-  @spec watch(pid(), GenServer.server()) :: :ok
-  def watch(pipeline, reaper \\ __MODULE__) do
+  @spec watch_pipeline(pid(), GenServer.server()) :: :ok
+  def watch_pipeline(pipeline, reaper \\ __MODULE__) do
     GenServer.call(reaper, {:watch, pipeline})
   catch
     :exit, _ -> :ok

@@ -11,8 +11,8 @@ defmodule Situ.Application.Reload do
   def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
 
   @doc "Notifies the calling process of each version of `module` after `seen`, the version the pipeline was built with."
-  @spec watch(module(), binary() | nil) :: :ok
-  def watch(module, seen), do: GenServer.cast(__MODULE__, {:watch, module, seen, self()})
+  @spec watch_module(module(), binary() | nil) :: :ok
+  def watch_module(module, seen), do: GenServer.cast(__MODULE__, {:watch, module, seen, self()})
 
   @impl true
   def init(_), do: {:ok, %{}}
@@ -20,14 +20,14 @@ defmodule Situ.Application.Reload do
   @impl true
   def handle_cast({:watch, module, seen, pid}, watched) do
     Process.monitor(pid)
-    if watched == %{}, do: later()
+    if watched == %{}, do: schedule_check()
     {:noreply, Map.put(watched, pid, {module, seen})}
   end
 
   @impl true
   def handle_info(:look, watched) do
-    if watched != %{}, do: later()
-    {:noreply, Map.new(watched, &look/1)}
+    if watched != %{}, do: schedule_check()
+    {:noreply, Map.new(watched, &check_version/1)}
   end
 
   def handle_info({:DOWN, _ref, :process, pid, _reason}, watched),
@@ -35,8 +35,8 @@ defmodule Situ.Application.Reload do
 
   def handle_info(_other, watched), do: {:noreply, watched}
 
-  defp look({pid, {module, seen}}) do
-    case version(module) do
+  defp check_version({pid, {module, seen}}) do
+    case code_version(module) do
       version when version in [seen, nil] ->
         {pid, {module, seen}}
 
@@ -47,12 +47,12 @@ defmodule Situ.Application.Reload do
   end
 
   @doc "Returns the version of the loaded code, or `nil` while the module is being loaded."
-  @spec version(module()) :: binary() | nil
-  def version(module) do
+  @spec code_version(module()) :: binary() | nil
+  def code_version(module) do
     if :erlang.module_loaded(module), do: module.module_info(:md5)
   rescue
     UndefinedFunctionError -> nil
   end
 
-  defp later, do: Process.send_after(self(), :look, @every_ms)
+  defp schedule_check, do: Process.send_after(self(), :look, @every_ms)
 end

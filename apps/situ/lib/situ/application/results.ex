@@ -4,8 +4,8 @@ defmodule Situ.Application.Results do
   @table __MODULE__
   @kept 256
 
-  @spec setup() :: :ok
-  def setup do
+  @spec ensure_table() :: :ok
+  def ensure_table do
     if :ets.whereis(@table) == :undefined do
       :ets.new(@table, [:named_table, :public, :ordered_set])
     end
@@ -13,26 +13,26 @@ defmodule Situ.Application.Results do
     :ok
   end
 
-  @spec put(pid(), term()) :: :ok
-  def put(pid, result) do
+  @spec put_result(pid(), term()) :: :ok
+  def put_result(pid, result) do
     :ets.insert(@table, {{:at, System.unique_integer([:monotonic])}, pid})
     :ets.insert(@table, {{:pid, pid}, result})
-    if :ets.info(@table, :size) > 2 * @kept, do: prune(:ets.first(@table))
+    if :ets.info(@table, :size) > 2 * @kept, do: prune_oldest(:ets.first(@table))
     :ok
   end
 
-  @spec fetch(pid() | nil) :: {:ok, term()} | :error
-  def fetch(pid) do
+  @spec fetch_result(pid() | nil) :: {:ok, term()} | :error
+  def fetch_result(pid) do
     case :ets.lookup(@table, {:pid, pid}) do
       [{_, result}] -> {:ok, result}
       [] -> :error
     end
   end
 
-  defp prune({:at, _} = key) do
+  defp prune_oldest({:at, _} = key) do
     for {_, pid} <- :ets.lookup(@table, key), do: :ets.delete(@table, {:pid, pid})
     :ets.delete(@table, key)
   end
 
-  defp prune(_), do: :ok
+  defp prune_oldest(_), do: :ok
 end

@@ -8,8 +8,8 @@ defmodule Situ.Application.Tables do
 
   @impl true
   def init(_) do
-    Situ.Telemetry.setup()
-    Situ.Application.Results.setup()
+    Situ.Telemetry.create_table()
+    Situ.Application.Results.ensure_table()
     {:ok, nil}
   end
 end

@@ -34,13 +34,13 @@ defmodule Situ.Clock do
   time catches up; if the system time is set forward, the clock follows within a second.
   """
   @spec real() :: t()
-  def real, do: %__MODULE__{kind: :real, cells: Wall.cells()}
+  def real, do: %__MODULE__{kind: :real, cells: Wall.shared_cells()}
 
   @doc "Returns a pausable clock that starts now at `origin` (ns) and runs `speed` times as fast as the wall clock."
   @spec virtual(Situ.Time.t(), number()) :: t()
   def virtual(origin, speed \\ 1.0) when is_integer(origin) and is_number(speed) and speed > 0 do
     cells = :atomics.new(5, signed: true)
-    write(cells, origin, Wall.now(), micro(speed), micro(speed))
+    init_cells(cells, origin, Wall.now(), speed_in_millionths(speed), speed_in_millionths(speed))
     %__MODULE__{kind: :virtual, cells: cells}
   end
 
@@ -48,7 +48,7 @@ defmodule Situ.Clock do
   @spec manual(Situ.Time.t()) :: t()
   def manual(time \\ 0) when is_integer(time) do
     cells = :atomics.new(5, signed: true)
-    write(cells, time, 0, 0, 0)
+    init_cells(cells, time, 0, 0, 0)
     %__MODULE__{kind: :manual, cells: cells}
   end
 
@@ -58,8 +58,8 @@ defmodule Situ.Clock do
   def now(%__MODULE__{kind: :manual, cells: cells}), do: :atomics.get(cells, 2)
 
   def now(%__MODULE__{kind: :virtual, cells: cells}) do
-    {origin, wall, speed, _} = read(cells)
-    elapsed(origin, wall, speed)
+    {origin, wall, speed, _} = read_cells(cells)
+    clock_time(origin, wall, speed)
   end
 
   @doc "Returns the wall milliseconds (rounded up) until the clock reaches `time`, or `:never` while it is not moving."
@@ -70,8 +70,8 @@ defmodule Situ.Clock do
     do: if(now(clock) >= time, do: 0, else: :never)
 
   def wait_ms(%__MODULE__{kind: :virtual, cells: cells}, time) do
-    {origin, wall, speed, _} = read(cells)
-    ahead = time - elapsed(origin, wall, speed)
+    {origin, wall, speed, _} = read_cells(cells)
+    ahead = time - clock_time(origin, wall, speed)
 
     cond do
       ahead <= 0 -> 0
@@ -84,7 +84,7 @@ defmodule Situ.Clock do
   @spec advance(t(), Situ.Time.duration()) :: :ok
   def advance(%__MODULE__{kind: :manual, cells: cells} = clock, duration) when duration >= 0 do
     :atomics.add(cells, 2, duration)
-    notify(clock)
+    notify_listeners(clock)
   end
 
   @doc "Moves a manual clock to `time`, which must not be before its current time."
@@ -92,34 +92,34 @@ defmodule Situ.Clock do
   def set(%__MODULE__{kind: :manual} = clock, time) do
     if time < now(clock), do: raise(ArgumentError, "a clock cannot be set back")
     :atomics.put(clock.cells, 2, time)
-    notify(clock)
+    notify_listeners(clock)
   end
 
   @doc "Pauses a virtual clock."
   @spec pause(t()) :: :ok | {:error, Situ.Error.t()}
   def pause(clock) do
-    change(clock, fn origin, wall, speed, resume ->
+    update_cells(clock, fn origin, wall, speed, resume ->
       now = Wall.now()
-      {elapsed(origin, wall, speed, now), now, 0, resume}
+      {clock_time(origin, wall, speed, now), now, 0, resume}
     end)
   end
 
   @doc "Resumes a paused clock from the time at which it was paused."
   @spec resume(t()) :: :ok | {:error, Situ.Error.t()}
   def resume(clock) do
-    change(clock, fn origin, wall, speed, resume ->
+    update_cells(clock, fn origin, wall, speed, resume ->
       now = Wall.now()
-      {elapsed(origin, wall, speed, now), now, resume, resume}
+      {clock_time(origin, wall, speed, now), now, resume, resume}
     end)
   end
 
   @doc "Changes the speed of a virtual clock without a jump. A paused clock stays paused and resumes at the new speed."
   @spec set_speed(t(), number()) :: :ok | {:error, Situ.Error.t()}
   def set_speed(clock, speed) when is_number(speed) and speed > 0 do
-    change(clock, fn origin, wall, old, _resume ->
+    update_cells(clock, fn origin, wall, old, _resume ->
       now = Wall.now()
-      next = if old == 0, do: 0, else: micro(speed)
-      {elapsed(origin, wall, old, now), now, next, micro(speed)}
+      next = if old == 0, do: 0, else: speed_in_millionths(speed)
+      {clock_time(origin, wall, old, now), now, next, speed_in_millionths(speed)}
     end)
   end
 
@@ -128,9 +128,9 @@ defmodule Situ.Clock do
   def jump(%__MODULE__{kind: :manual} = clock, time), do: set(clock, max(time, now(clock)))
 
   def jump(clock, time) do
-    change(clock, fn origin, wall, speed, resume ->
+    update_cells(clock, fn origin, wall, speed, resume ->
       now = Wall.now()
-      {max(time, elapsed(origin, wall, speed, now)), now, speed, resume}
+      {max(time, clock_time(origin, wall, speed, now)), now, speed, resume}
     end)
   end
 
@@ -138,43 +138,43 @@ defmodule Situ.Clock do
   @spec speed(t()) :: float() | :manual
   def speed(%__MODULE__{kind: :real}), do: 1.0
   def speed(%__MODULE__{kind: :manual}), do: :manual
-  def speed(%__MODULE__{cells: cells}), do: elem(read(cells), 2) / 1_000_000
+  def speed(%__MODULE__{cells: cells}), do: elem(read_cells(cells), 2) / 1_000_000
 
   @doc """
   Subscribes the calling process to `{:situ_clock, clock}`, sent when the clock is paused, resumed, moved or changes
   speed.
   """
-  @spec listen(t()) :: :ok
-  def listen(%__MODULE__{kind: :real}), do: :ok
+  @spec subscribe(t()) :: :ok
+  def subscribe(%__MODULE__{kind: :real}), do: :ok
 
-  def listen(%__MODULE__{cells: cells}) do
+  def subscribe(%__MODULE__{cells: cells}) do
     {:ok, _} = Registry.register(@registry, cells, nil)
     :ok
   end
 
   @doc false
-  def registry, do: {Registry, keys: :duplicate, name: @registry}
+  def registry_spec, do: {Registry, keys: :duplicate, name: @registry}
 
-  defp notify(%__MODULE__{cells: cells} = clock) do
+  defp notify_listeners(%__MODULE__{cells: cells} = clock) do
     Registry.dispatch(@registry, cells, fn listeners ->
       Enum.each(listeners, fn {pid, _} -> send(pid, {:situ_clock, clock}) end)
     end)
   end
 
-  defp change(%__MODULE__{kind: :virtual, cells: cells} = clock, fun) do
-    lock(cells)
+  defp update_cells(%__MODULE__{kind: :virtual, cells: cells} = clock, fun) do
+    lock_cells(cells)
     origin = :atomics.get(cells, 2)
     wall = :atomics.get(cells, 3)
 
     {origin, wall, speed, resume} =
       fun.(origin, wall, :atomics.get(cells, 4), :atomics.get(cells, 5))
 
-    put(cells, origin, wall, speed, resume)
+    put_cells(cells, origin, wall, speed, resume)
     :atomics.add(cells, 1, 1)
-    notify(clock)
+    notify_listeners(clock)
   end
 
-  defp change(%__MODULE__{kind: kind}, _fun) do
+  defp update_cells(%__MODULE__{kind: kind}, _fun) do
     {:error,
      Situ.Error.new(:fixed_clock, "a #{kind} clock cannot be paused or run at a different speed",
        why: "only replayed (virtual) time supports this",
@@ -183,26 +183,26 @@ defmodule Situ.Clock do
   end
 
   # A writer makes the version odd, which excludes all other writers.
-  defp lock(cells) do
+  defp lock_cells(cells) do
     version = :atomics.get(cells, 1)
 
     if rem(version, 2) == 1 or :atomics.compare_exchange(cells, 1, version, version + 1) != :ok do
       :erlang.yield()
-      lock(cells)
+      lock_cells(cells)
     end
   end
 
   # Each process caches the values it has read; the version shows whether they are still valid.
-  defp read(cells) do
+  defp read_cells(cells) do
     version = :atomics.get(cells, 1)
 
     case Process.get(__MODULE__) do
       {^cells, ^version, value} -> value
-      _ -> read(cells, version)
+      _ -> read_cells(cells, version)
     end
   end
 
-  defp read(cells, version) do
+  defp read_cells(cells, version) do
     value =
       {:atomics.get(cells, 2), :atomics.get(cells, 3), :atomics.get(cells, 4),
        :atomics.get(cells, 5)}
@@ -211,28 +211,30 @@ defmodule Situ.Clock do
       Process.put(__MODULE__, {cells, version, value})
       value
     else
-      read(cells)
+      read_cells(cells)
     end
   end
 
-  defp write(cells, origin, wall, speed, resume) do
-    put(cells, origin, wall, speed, resume)
+  defp init_cells(cells, origin, wall, speed, resume) do
+    put_cells(cells, origin, wall, speed, resume)
     :ok
   end
 
-  defp put(cells, origin, wall, speed, resume) do
+  defp put_cells(cells, origin, wall, speed, resume) do
     :atomics.put(cells, 2, origin)
     :atomics.put(cells, 3, wall)
     :atomics.put(cells, 4, speed)
     :atomics.put(cells, 5, resume)
   end
 
-  defp elapsed(origin, wall, speed), do: elapsed(origin, wall, speed, Wall.now())
+  defp clock_time(origin, wall, speed), do: clock_time(origin, wall, speed, Wall.now())
 
-  defp elapsed(origin, wall, 1_000_000, now), do: origin + max(now - wall, 0)
-  defp elapsed(origin, wall, speed, now), do: origin + div(max(now - wall, 0) * speed, 1_000_000)
+  defp clock_time(origin, wall, 1_000_000, now), do: origin + max(now - wall, 0)
 
-  defp micro(speed), do: max(round(speed * 1_000_000), 1)
+  defp clock_time(origin, wall, speed, now),
+    do: origin + div(max(now - wall, 0) * speed, 1_000_000)
+
+  defp speed_in_millionths(speed), do: max(round(speed * 1_000_000), 1)
 
   defp ceil_ms(ns) when ns <= 0, do: 0
   defp ceil_ms(ns), do: min(div(ns + 999_999, 1_000_000), 4_000_000_000)

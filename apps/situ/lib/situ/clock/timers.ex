@@ -28,24 +28,24 @@ defmodule Situ.Clock.Timers do
     do: for({time, _, key} <- :gb_sets.to_list(tree), do: {time, key})
 
   @doc "Takes the timers that are due at `now`, in order."
-  @spec due(t(), Situ.Time.t()) :: {[term()], t()}
-  def due(%__MODULE__{tree: tree} = timers, now) do
-    {keys, tree} = due(tree, now, [])
+  @spec take_due(t(), Situ.Time.t()) :: {[term()], t()}
+  def take_due(%__MODULE__{tree: tree} = timers, now) do
+    {keys, tree} = collect_due(tree, now, [])
     {keys, %{timers | tree: tree}}
   end
 
-  defp due(tree, now, keys) do
+  defp collect_due(tree, now, keys) do
     with false <- :gb_sets.is_empty(tree),
          {{time, _, key}, rest} when time <= now <- :gb_sets.take_smallest(tree) do
-      due(rest, now, [key | keys])
+      collect_due(rest, now, [key | keys])
     else
       _ -> {Enum.reverse(keys), tree}
     end
   end
 
   @doc "Drops the timers that are later than `final`."
-  @spec cut(t(), Situ.Time.t()) :: t()
-  def cut(%__MODULE__{tree: tree} = timers, final),
+  @spec drop_after(t(), Situ.Time.t()) :: t()
+  def drop_after(%__MODULE__{tree: tree} = timers, final),
     do: %{timers | tree: :gb_sets.filter(fn {time, _, _} -> time <= final end, tree)}
 
   @spec next_time(t()) :: Situ.Time.t() | nil
@@ -58,26 +58,28 @@ defmodule Situ.Clock.Timers do
   def idle?(%__MODULE__{}), do: false
 
   @doc "Forgets the alarm after it has fired."
-  @spec rang(t()) :: t()
-  def rang(%__MODULE__{} = timers), do: %{timers | alarm: nil}
+  @spec clear_alarm(t()) :: t()
+  def clear_alarm(%__MODULE__{} = timers), do: %{timers | alarm: nil}
 
   @doc "Sets the alarm to send `{:situ_alarm, due}` at clock time `due`; `nil` cancels it."
-  @spec arm(t(), Situ.Time.t() | nil, Clock.t()) :: t()
-  def arm(%__MODULE__{alarm: nil} = timers, nil, _clock), do: timers
-  def arm(%__MODULE__{} = timers, nil, _clock), do: disarm(timers)
-  def arm(%__MODULE__{} = timers, due, clock), do: rearm(timers, due, Clock.wait_ms(clock, due))
+  @spec set_alarm(t(), Situ.Time.t() | nil, Clock.t()) :: t()
+  def set_alarm(%__MODULE__{alarm: nil} = timers, nil, _clock), do: timers
+  def set_alarm(%__MODULE__{} = timers, nil, _clock), do: cancel_alarm(timers)
 
-  defp rearm(%{alarm: {due, wait, _}} = timers, due, wait) when wait != :never, do: timers
-  defp rearm(timers, _due, :never), do: disarm(timers)
+  def set_alarm(%__MODULE__{} = timers, due, clock),
+    do: update_alarm(timers, due, Clock.wait_ms(clock, due))
 
-  defp rearm(timers, due, wait) do
+  defp update_alarm(%{alarm: {due, wait, _}} = timers, due, wait) when wait != :never, do: timers
+  defp update_alarm(timers, _due, :never), do: cancel_alarm(timers)
+
+  defp update_alarm(timers, due, wait) do
     timer = Process.send_after(self(), {:situ_alarm, due}, wait)
-    %{disarm(timers) | alarm: {due, wait, timer}}
+    %{cancel_alarm(timers) | alarm: {due, wait, timer}}
   end
 
-  defp disarm(%{alarm: nil} = timers), do: timers
+  defp cancel_alarm(%{alarm: nil} = timers), do: timers
 
-  defp disarm(%{alarm: {_, _, timer}} = timers) do
+  defp cancel_alarm(%{alarm: {_, _, timer}} = timers) do
     Process.cancel_timer(timer)
     %{timers | alarm: nil}
   end

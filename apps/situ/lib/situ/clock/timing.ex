@@ -25,8 +25,8 @@ defmodule Situ.Clock.Timing do
   @doc "Chooses the clock, the start time and the replay end. The clock is virtual if the start is given or proposed."
   @spec new(settings(), [{Situ.Time.t(), bound()}]) :: t()
   def new(settings, proposals) do
-    {from, to} = interval(proposals, settings.interval)
-    clock = clock(settings, from)
+    {from, to} = replay_interval(proposals, settings.interval)
+    clock = choose_clock(settings, from)
 
     %__MODULE__{
       clock: clock,
@@ -38,33 +38,37 @@ defmodule Situ.Clock.Timing do
   end
 
   @doc "Returns the replay interval: the union of the proposed intervals, limited to the requested interval."
-  @spec interval([{Situ.Time.t(), bound()}], {bound(), bound()}) :: {bound(), bound()}
-  def interval(proposals, asked), do: proposals |> coverage() |> intersect(asked)
+  @spec replay_interval([{Situ.Time.t(), bound()}], {bound(), bound()}) :: {bound(), bound()}
+  def replay_interval(proposals, asked),
+    do: proposals |> proposed_interval() |> intersect_intervals(asked)
 
-  defp coverage([]), do: {:unbounded, :unbounded}
+  defp proposed_interval([]), do: {:unbounded, :unbounded}
 
-  defp coverage(proposals) do
+  defp proposed_interval(proposals) do
     from = proposals |> Enum.map(&elem(&1, 0)) |> Enum.min()
     ends = Enum.map(proposals, &elem(&1, 1))
     {from, if(:unbounded in ends, do: :unbounded, else: Enum.max(ends))}
   end
 
-  defp intersect({from, to}, {asked_from, asked_to}) do
-    from = latest(from, asked_from)
-    to = earliest(to, asked_to)
+  defp intersect_intervals({from, to}, {asked_from, asked_to}) do
+    from = latest_bound(from, asked_from)
+    to = earliest_bound(to, asked_to)
     {from, if(is_integer(from) and is_integer(to), do: max(from, to), else: to)}
   end
 
-  defp latest(:unbounded, b), do: b
-  defp latest(a, :unbounded), do: a
-  defp latest(a, b), do: max(a, b)
-  defp earliest(:unbounded, b), do: b
-  defp earliest(a, :unbounded), do: a
-  defp earliest(a, b), do: min(a, b)
+  defp latest_bound(:unbounded, b), do: b
+  defp latest_bound(a, :unbounded), do: a
+  defp latest_bound(a, b), do: max(a, b)
+  defp earliest_bound(:unbounded, b), do: b
+  defp earliest_bound(a, :unbounded), do: a
+  defp earliest_bound(a, b), do: min(a, b)
 
-  defp clock(%{clock: %Clock{} = clock}, _from), do: clock
-  defp clock(%{speed: speed}, :unbounded) when speed in [:max, 1.0, 1], do: Clock.real()
-  defp clock(%{speed: speed}, :unbounded), do: Clock.virtual(Clock.now(Clock.real()), speed)
-  defp clock(%{speed: :max}, from), do: Clock.virtual(from, 1.0)
-  defp clock(%{speed: speed}, from), do: Clock.virtual(from, speed)
+  defp choose_clock(%{clock: %Clock{} = clock}, _from), do: clock
+  defp choose_clock(%{speed: speed}, :unbounded) when speed in [:max, 1.0, 1], do: Clock.real()
+
+  defp choose_clock(%{speed: speed}, :unbounded),
+    do: Clock.virtual(Clock.now(Clock.real()), speed)
+
+  defp choose_clock(%{speed: :max}, from), do: Clock.virtual(from, 1.0)
+  defp choose_clock(%{speed: speed}, from), do: Clock.virtual(from, speed)
 end

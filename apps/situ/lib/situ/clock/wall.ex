@@ -18,12 +18,12 @@ defmodule Situ.Clock.Wall do
   @type line :: {offset :: integer(), floor :: integer()}
 
   @doc "Returns the cells of this node, or `nil` if no process maintains them; `now/1` then reads the system time."
-  @spec cells() :: cells() | nil
-  def cells, do: :persistent_term.get(__MODULE__, nil)
+  @spec shared_cells() :: cells() | nil
+  def shared_cells, do: :persistent_term.get(__MODULE__, nil)
 
   @doc "Returns the wall time, ns since 1970."
   @spec now(cells() | nil) :: Situ.Time.t()
-  def now(cells \\ cells())
+  def now(cells \\ shared_cells())
   def now(nil), do: :os.system_time()
 
   def now(cells),
@@ -32,15 +32,15 @@ defmodule Situ.Clock.Wall do
   @doc """
   Returns the line adjusted to a counter value and a system time that were read together.
 
-      iex> Situ.Clock.Wall.adjust({0, 0}, 5_000, 6_000)
+      iex> Situ.Clock.Wall.adjust_offset({0, 0}, 5_000, 6_000)
       {0, 0}
-      iex> Situ.Clock.Wall.adjust({0, 0}, 5_000, 3_600_000_005_000)
+      iex> Situ.Clock.Wall.adjust_offset({0, 0}, 5_000, 3_600_000_005_000)
       {3_600_000_000_000, 0}
-      iex> Situ.Clock.Wall.adjust({0, 0}, 3_600_000_005_000, 5_000)
+      iex> Situ.Clock.Wall.adjust_offset({0, 0}, 3_600_000_005_000, 5_000)
       {-3_600_000_000_000, 3_600_001_005_000}
   """
-  @spec adjust(line(), integer(), Situ.Time.t()) :: line()
-  def adjust({offset, floor} = line, counter, system) do
+  @spec adjust_offset(line(), integer(), Situ.Time.t()) :: line()
+  def adjust_offset({offset, floor} = line, counter, system) do
     ahead = system - counter - offset
 
     cond do
@@ -59,28 +59,28 @@ defmodule Situ.Clock.Wall do
 
   @impl true
   def init(opts) do
-    read = opts[:read] || (&read/0)
+    read = opts[:read] || (&read_times/0)
 
     if :erlang.convert_time_unit(1, :second, :perf_counter) == 1_000_000_000 do
-      cells = opts[:cells] || keep(read)
-      {:ok, later({cells, read, opts[:every] || @every_ms})}
+      cells = opts[:cells] || ensure_cells(read)
+      {:ok, schedule_check({cells, read, opts[:every] || @every_ms})}
     else
       :ignore
     end
   end
 
   # After a restart this process continues with the cells that existing clocks hold.
-  defp keep(read) do
-    with nil <- cells() do
-      cells = new(read.())
+  defp ensure_cells(read) do
+    with nil <- shared_cells() do
+      cells = new_cells(read.())
       :persistent_term.put(__MODULE__, cells)
       cells
     end
   end
 
   @doc "Creates cells that match the system time now."
-  @spec new({integer(), Situ.Time.t()}) :: cells()
-  def new({counter, system}) do
+  @spec new_cells({integer(), Situ.Time.t()}) :: cells()
+  def new_cells({counter, system}) do
     cells = :atomics.new(2, signed: true)
     :atomics.put(cells, 1, system - counter)
     cells
@@ -91,24 +91,24 @@ defmodule Situ.Clock.Wall do
     {counter, system} = read.()
     line = {:atomics.get(cells, 1), :atomics.get(cells, 2)}
 
-    with {offset, floor} when {offset, floor} != line <- adjust(line, counter, system) do
+    with {offset, floor} when {offset, floor} != line <- adjust_offset(line, counter, system) do
       # The floor is written first, because no reader may see the new offset without it.
       :atomics.put(cells, 2, floor)
       :atomics.put(cells, 1, offset)
     end
 
-    {:noreply, later(state)}
+    {:noreply, schedule_check(state)}
   end
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp later({_cells, _read, every} = state) do
+  defp schedule_check({_cells, _read, every} = state) do
     Process.send_after(self(), :look, every)
     state
   end
 
   # Takes the fastest of a few readings, because the process may have been suspended during any of them.
-  defp read do
+  defp read_times do
     {_, counter, system} =
       for _ <- 1..@tries do
         before = :os.perf_counter()

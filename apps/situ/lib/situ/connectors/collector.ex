@@ -71,7 +71,7 @@ defmodule Situ.Collector do
       receive do
         {:situ_gate, ^ref, :more} -> {[], state}
         {:situ_gate, ^ref, :enough} -> {[], {to, ref, :gone}}
-        {:DOWN, _, :process, ^to, _} -> left(context, state)
+        {:DOWN, _, :process, ^to, _} -> stop_pipeline(context, state)
       end
     end
 
@@ -80,11 +80,11 @@ defmodule Situ.Collector do
       do: {[], {to, ref, :gone}}
 
     def handle_info({:DOWN, _, :process, to, _}, context, {to, _, _} = state),
-      do: left(context, state)
+      do: stop_pipeline(context, state)
 
     def handle_info(_other, _context, state), do: {[], state}
 
-    defp left(context, {to, ref, _mode}) do
+    defp stop_pipeline(context, {to, ref, _mode}) do
       Situ.Pipeline.stop(context.pipeline)
       {[], {to, ref, :gone}}
     end
@@ -107,13 +107,13 @@ defmodule Situ.Collector do
 
     spec = fn p ->
       streams = build.(p)
-      Enum.each(keyed(streams), fn {key, stream} -> sink(stream, me, {ref, key}) end)
-      shape(streams)
+      Enum.each(key_streams(streams), fn {key, stream} -> attach_sink(stream, me, {ref, key}) end)
+      result_shape(streams)
     end
 
     result = Pipeline.run(spec, opts)
-    messages = drain(ref, %{})
-    with {:ok, report} <- result, do: {:ok, fill(report.result, messages)}
+    messages = drain_collected(ref, %{})
+    with {:ok, report} <- result, do: {:ok, fill_shape(report.result, messages)}
   end
 
   def collect(other, _opts), do: refuse_build!(other, "collect")
@@ -129,7 +129,7 @@ defmodule Situ.Collector do
     {times?, opts} = Keyword.pop(opts, :times, false)
 
     case collect(build, opts) do
-      {:ok, collected} -> plain(collected, times?)
+      {:ok, collected} -> messages_to_data(collected, times?)
       {:error, error} -> raise error
     end
   end
@@ -146,7 +146,12 @@ defmodule Situ.Collector do
 
   def to_stream(build, opts) when is_function(build, 1) do
     {messages?, opts} = Keyword.pop(opts, :messages, false)
-    Elixir.Stream.resource(fn -> open(build, opts) end, &read(&1, messages?), &shut/1)
+
+    Elixir.Stream.resource(
+      fn -> start_reading(build, opts) end,
+      &read_batch(&1, messages?),
+      &stop_reading/1
+    )
   end
 
   def to_stream(other, _opts), do: refuse_build!(other, "to_stream")
@@ -154,60 +159,66 @@ defmodule Situ.Collector do
   @spec refuse_build!(term(), String.t()) :: no_return()
   defp refuse_build!(other, name) do
     example = "Situ.#{name}(fn p -> Situ.from_enumerable(p, 1..9, every: 1) end)"
-    Argument.refuse!(other, :build, example)
+    Argument.raise_invalid!(other, :build, example)
   end
 
   @doc false
-  @spec sink(Stream.t(), pid(), term()) :: :ok
-  def sink(%Stream{} = stream, to, key) do
+  @spec attach_sink(Stream.t(), pid(), term()) :: :ok
+  def attach_sink(%Stream{} = stream, to, key) do
     node = Pipeline.add(stream.pipeline, Sink, to: to, key: key, default_name: "Collect")
     Pipeline.connect(stream, node, :in, [])
   end
 
-  defp keyed(%Stream{} = stream), do: [{:only, stream}]
-  defp keyed(%{} = map), do: Map.to_list(map)
+  defp key_streams(%Stream{} = stream), do: [{:only, stream}]
+  defp key_streams(%{} = map), do: Map.to_list(map)
 
-  defp keyed(list) when is_list(list) do
+  defp key_streams(list) when is_list(list) do
     if Keyword.keyword?(list),
       do: list,
       else: list |> Enum.with_index() |> Enum.map(fn {stream, i} -> {i, stream} end)
   end
 
-  defp keyed(other) do
+  defp key_streams(other) do
     raise ArgumentError,
           "expected a stream, or a list or map of streams, got: #{inspect(other, limit: 5)}"
   end
 
-  defp shape(%Stream{}), do: :only
-  defp shape(%{} = map), do: {:map, Map.keys(map)}
+  defp result_shape(%Stream{}), do: :only
+  defp result_shape(%{} = map), do: {:map, Map.keys(map)}
 
-  defp shape(list),
+  defp result_shape(list),
     do:
       if(Keyword.keyword?(list), do: {:keyword, Keyword.keys(list)}, else: {:list, length(list)})
 
-  defp fill(:only, messages), do: Map.get(messages, :only, [])
-  defp fill({:map, keys}, messages), do: Map.new(keys, &{&1, Map.get(messages, &1, [])})
-  defp fill({:keyword, keys}, messages), do: Enum.map(keys, &{&1, Map.get(messages, &1, [])})
-  defp fill({:list, 0}, _messages), do: []
-  defp fill({:list, n}, messages), do: Enum.map(0..(n - 1), &Map.get(messages, &1, []))
+  defp fill_shape(:only, messages), do: Map.get(messages, :only, [])
+  defp fill_shape({:map, keys}, messages), do: Map.new(keys, &{&1, Map.get(messages, &1, [])})
 
-  defp plain([%Message{} | _] = messages, times?), do: Enum.map(messages, &plain_one(&1, times?))
-  defp plain(%{} = map, times?), do: Map.new(map, fn {k, v} -> {k, plain(v, times?)} end)
+  defp fill_shape({:keyword, keys}, messages),
+    do: Enum.map(keys, &{&1, Map.get(messages, &1, [])})
 
-  defp plain(list, times?) when is_list(list) do
+  defp fill_shape({:list, 0}, _messages), do: []
+  defp fill_shape({:list, n}, messages), do: Enum.map(0..(n - 1), &Map.get(messages, &1, []))
+
+  defp messages_to_data([%Message{} | _] = messages, times?),
+    do: Enum.map(messages, &message_to_data(&1, times?))
+
+  defp messages_to_data(%{} = map, times?),
+    do: Map.new(map, fn {k, v} -> {k, messages_to_data(v, times?)} end)
+
+  defp messages_to_data(list, times?) when is_list(list) do
     Enum.map(list, fn
-      {key, messages} -> {key, plain(messages, times?)}
-      messages -> plain(messages, times?)
+      {key, messages} -> {key, messages_to_data(messages, times?)}
+      messages -> messages_to_data(messages, times?)
     end)
   end
 
-  defp plain_one(message, true), do: {message.originating_time, message.data}
-  defp plain_one(message, false), do: message.data
+  defp message_to_data(message, true), do: {message.originating_time, message.data}
+  defp message_to_data(message, false), do: message.data
 
-  defp drain(ref, messages) do
+  defp drain_collected(ref, messages) do
     receive do
       {:situ_collected, {^ref, key}, batch} ->
-        drain(ref, Map.update(messages, key, [batch], &[batch | &1]))
+        drain_collected(ref, Map.update(messages, key, [batch], &[batch | &1]))
     after
       0 ->
         Map.new(messages, fn {key, batches} ->
@@ -218,7 +229,7 @@ defmodule Situ.Collector do
 
   # Lazy reading: a gate at the end of the pipeline delivers one batch at a time.
 
-  defp open(build, opts) do
+  defp start_reading(build, opts) do
     {me, ref} = {self(), make_ref()}
     settings = Keyword.put_new(Keyword.get(opts, :pipeline, []), :replay, speed: :max)
 
@@ -234,23 +245,24 @@ defmodule Situ.Collector do
     end
   end
 
-  defp read(%{ref: ref, monitor: monitor} = state, messages?) do
+  defp read_batch(%{ref: ref, monitor: monitor} = state, messages?) do
     receive do
       {:situ_gate, ^ref, gate, messages} ->
         send(gate, {:situ_gate, ref, :more})
         {if(messages?, do: messages, else: Enum.map(messages, & &1.data)), %{state | gate: gate}}
 
       {:DOWN, ^monitor, :process, pid, _reason} ->
-        ended(Pipeline.await(pid), state)
+        finish_reading(Pipeline.await(pid), state)
     end
   end
 
-  defp ended({:error, %Situ.Error{code: code} = error}, _state) when code != :not_running,
-    do: raise(error)
+  defp finish_reading({:error, %Situ.Error{code: code} = error}, _state)
+       when code != :not_running,
+       do: raise(error)
 
-  defp ended(_result, state), do: {:halt, state}
+  defp finish_reading(_result, state), do: {:halt, state}
 
-  defp shut(%{pipeline: pipeline, ref: ref, monitor: monitor, gate: gate}) do
+  defp stop_reading(%{pipeline: pipeline, ref: ref, monitor: monitor, gate: gate}) do
     if gate != nil, do: send(gate, {:situ_gate, ref, :enough})
 
     # The reader needs no more data, so sources stop immediately.
@@ -260,12 +272,12 @@ defmodule Situ.Collector do
     end
 
     Process.demonitor(monitor, [:flush])
-    flush(ref)
+    flush_batches(ref)
   end
 
-  defp flush(ref) do
+  defp flush_batches(ref) do
     receive do
-      {:situ_gate, ^ref, _, _} -> flush(ref)
+      {:situ_gate, ^ref, _, _} -> flush_batches(ref)
     after
       0 -> :ok
     end

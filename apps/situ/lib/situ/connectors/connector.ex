@@ -50,7 +50,7 @@ defmodule Situ.Connector do
   end
 
   def receive(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :handle, "Situ.Connector.receive(p, connector)")
+    do: Argument.raise_invalid!(other, :handle, "Situ.Connector.receive(p, connector)")
 
   @doc "Sends a stream into the connector. Options: `policy:` and the options of `Situ.Graph.Placement`."
   @spec send(Stream.t(), t(), keyword()) :: :ok
@@ -63,7 +63,7 @@ defmodule Situ.Connector do
   end
 
   def send(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.Connector.send(stream, connector)")
+    do: Argument.raise_invalid!(other, :stream, "Situ.Connector.send(stream, connector)")
 
   @doc "Waits until a receiving pipeline is running."
   @spec await_open(t(), timeout()) :: :ok | {:error, Situ.Error.t()}
@@ -74,14 +74,14 @@ defmodule Situ.Connector do
     result =
       case Registry.lookup(@registry, ref) do
         [_ | _] -> :ok
-        [] -> wait(ref, timeout)
+        [] -> await_receiver(ref, timeout)
       end
 
     Registry.unregister(@registry, {:waiting, ref})
     result
   end
 
-  defp wait(ref, timeout) do
+  defp await_receiver(ref, timeout) do
     receive do
       {:situ_connector_open, ^ref} -> :ok
     after
@@ -91,7 +91,7 @@ defmodule Situ.Connector do
 
   @doc false
   # Registers the receiving side, notifies the processes in `await_open/2`, and returns the current sending sides.
-  def open(%__MODULE__{ref: ref}) do
+  def announce_receiver(%__MODULE__{ref: ref}) do
     {:ok, _} = Registry.register(@registry, ref, nil)
 
     for {pid, _} <- Registry.lookup(@registry, {:waiting, ref}),
@@ -102,7 +102,7 @@ defmodule Situ.Connector do
 
   @doc false
   # Registers the sending side, and offers it to the current receiving sides, which it returns.
-  def offer(%__MODULE__{ref: ref}) do
+  def announce_sender(%__MODULE__{ref: ref}) do
     {:ok, _} = Registry.register(@registry, {:out, ref}, nil)
 
     for {pid, _} <- Registry.lookup(@registry, ref) do
@@ -113,7 +113,7 @@ defmodule Situ.Connector do
 
   @doc false
   # Injects messages directly, regardless of demand.
-  def deliver(%__MODULE__{ref: ref}, messages) do
+  def deliver_messages(%__MODULE__{ref: ref}, messages) do
     for {pid, _} <- Registry.lookup(@registry, ref),
         do: Kernel.send(pid, {:situ_connector, ref, messages})
 
@@ -121,7 +121,7 @@ defmodule Situ.Connector do
   end
 
   @doc false
-  def registry, do: {Registry, keys: :duplicate, name: @registry}
+  def registry_spec, do: {Registry, keys: :duplicate, name: @registry}
 end
 
 defmodule Situ.Connector.In do
@@ -140,12 +140,12 @@ defmodule Situ.Connector.In do
 
   @impl true
   def handle_start(_context, state) do
-    senders = Situ.Connector.open(state.connector)
-    {[{:complete, :infinity}], Enum.reduce(senders, state, &subscribe/2)}
+    senders = Situ.Connector.announce_receiver(state.connector)
+    {[{:complete, :infinity}], Enum.reduce(senders, state, &subscribe_sender/2)}
   end
 
   # Both sides may have discovered each other at the same time.
-  defp subscribe(pid, state) do
+  defp subscribe_sender(pid, state) do
     if Enum.any?(state.subs, fn {_, sub} -> sub.pid == pid end) do
       state
     else
@@ -160,16 +160,20 @@ defmodule Situ.Connector.In do
   # The pipeline has room, so request as many messages as were received.
   @impl true
   def handle_demand(_n, _context, state) do
-    {[], %{state | subs: Map.new(state.subs, fn {ref, sub} -> {ref, ask(ref, sub, state)} end)}}
+    {[],
+     %{
+       state
+       | subs: Map.new(state.subs, fn {ref, sub} -> {ref, request_more(ref, sub, state)} end)
+     }}
   end
 
-  defp ask(ref, %{taken: taken} = sub, %{window: window})
+  defp request_more(ref, %{taken: taken} = sub, %{window: window})
        when taken > 0 and taken >= div(window, 2) do
     Kernel.send(sub.pid, {:"$gen_producer", {self(), ref}, {:ask, taken}})
     %{sub | taken: 0}
   end
 
-  defp ask(_ref, sub, _state), do: sub
+  defp request_more(_ref, sub, _state), do: sub
 
   @impl true
   def handle_info({:"$gen_consumer", {_pid, ref}, {:cancel, _reason}}, _context, state)
@@ -181,34 +185,40 @@ defmodule Situ.Connector.In do
   def handle_info({:"$gen_consumer", {_pid, ref}, messages}, _context, state)
       when is_map_key(state.subs, ref),
       do:
-        {actions(messages, state.as), update_in(state.subs[ref].taken, &(&1 + length(messages)))}
+        {message_actions(messages, state.as),
+         update_in(state.subs[ref].taken, &(&1 + length(messages)))}
 
   def handle_info({:DOWN, ref, :process, _pid, _reason}, _context, state),
     do: {[], %{state | subs: Map.delete(state.subs, ref)}}
 
-  def handle_info({:situ_connector_offer, pid}, _context, state), do: {[], subscribe(pid, state)}
+  def handle_info({:situ_connector_offer, pid}, _context, state),
+    do: {[], subscribe_sender(pid, state)}
 
   def handle_info({:situ_connector, _ref, messages}, _context, state),
-    do: {actions(messages, state.as), state}
+    do: {message_actions(messages, state.as), state}
 
   def handle_info(_other, _context, state), do: {[], state}
 
   @impl true
-  def handle_stop(_final, _context, state), do: {[], cancel(state)}
+  def handle_stop(_final, _context, state), do: {[], cancel_subscriptions(state)}
 
   @impl true
-  def terminate(_reason, state), do: cancel(state)
+  def terminate(_reason, state), do: cancel_subscriptions(state)
 
-  defp cancel(state) do
+  defp cancel_subscriptions(state) do
     for {ref, sub} <- state.subs,
         do: Kernel.send(sub.pid, {:"$gen_producer", {self(), ref}, {:cancel, :normal}})
 
     %{state | subs: %{}}
   end
 
-  defp actions(messages, :envelope), do: [{:out, messages}]
-  defp actions(messages, :data), do: for(m <- messages, do: {:out, m.originating_time, m.data})
-  defp actions(messages, :message), do: for(m <- messages, do: {:out, m.originating_time, m})
+  defp message_actions(messages, :envelope), do: [{:out, messages}]
+
+  defp message_actions(messages, :data),
+    do: for(m <- messages, do: {:out, m.originating_time, m.data})
+
+  defp message_actions(messages, :message),
+    do: for(m <- messages, do: {:out, m.originating_time, m})
 end
 
 defmodule Situ.Connector.Out do
@@ -225,16 +235,16 @@ defmodule Situ.Connector.Out do
 
   @impl true
   def handle_start(_context, state) do
-    awaited = Map.new(Situ.Connector.offer(state.connector), &{&1, Process.monitor(&1)})
+    awaited = Map.new(Situ.Connector.announce_sender(state.connector), &{&1, Process.monitor(&1)})
     {if(awaited == %{}, do: [], else: [{:demand, :accumulate}]), %{state | awaited: awaited}}
   end
 
   @impl true
-  def handle_info({:situ_connector_joined, pid}, _context, state), do: arrived(pid, state)
-  def handle_info({:DOWN, _, :process, pid, _}, _context, state), do: arrived(pid, state)
+  def handle_info({:situ_connector_joined, pid}, _context, state), do: remove_awaited(pid, state)
+  def handle_info({:DOWN, _, :process, pid, _}, _context, state), do: remove_awaited(pid, state)
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp arrived(pid, state) do
+  defp remove_awaited(pid, state) do
     case Map.pop(state.awaited, pid) do
       {nil, _} ->
         {[], state}

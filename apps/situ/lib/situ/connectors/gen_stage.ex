@@ -88,7 +88,7 @@ defmodule Situ.GenStage do
   end
 
   def from(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :handle, "Situ.GenStage.from(p, producer)")
+    do: Argument.raise_invalid!(other, :handle, "Situ.GenStage.from(p, producer)")
 
   @doc """
   Holds the stream back until a consumer releases it with `GenStage.demand(pid, :forward)`, so that a consumer that
@@ -108,7 +108,7 @@ defmodule Situ.GenStage do
   end
 
   def accumulate(other, _arg2),
-    do: Argument.refuse!(other, :stream, "Situ.GenStage.accumulate(stream)")
+    do: Argument.raise_invalid!(other, :stream, "Situ.GenStage.accumulate(stream)")
 end
 
 defmodule Situ.GenStage.Gate do
@@ -143,18 +143,18 @@ defmodule Situ.GenStage.Source do
 
   @impl true
   def init(opts) do
-    with {:ok, _, _} <- demand(opts[:subscribe]),
+    with {:ok, _, _} <- validate_demand(opts[:subscribe]),
          do: {:ok, %{opts: opts, subs: %{}, last: nil, ended: false}}
   end
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
-    state = Enum.reduce(opts[:producers], state, &begin(&2, &1, opts[:subscribe]))
+    state = Enum.reduce(opts[:producers], state, &start_subscription(&2, &1, opts[:subscribe]))
     {if(opts[:producers] == [], do: [{:complete, :infinity}], else: []), state}
   end
 
-  defp begin(state, producer, opts) do
-    case subscribe(state, producer, opts) do
+  defp start_subscription(state, producer, opts) do
+    case subscribe_producer(state, producer, opts) do
       {:ok, _ref, state} -> state
       {:error, error} -> raise error
     end
@@ -163,21 +163,21 @@ defmodule Situ.GenStage.Source do
   # The pipeline has room: requests the consumed events again once they are at least `max - min`.
   @impl true
   def handle_demand(_n, _context, state) do
-    {[], %{state | subs: Map.new(state.subs, fn {ref, sub} -> {ref, ask(ref, sub)} end)}}
+    {[], %{state | subs: Map.new(state.subs, fn {ref, sub} -> {ref, request_more(ref, sub)} end)}}
   end
 
-  defp ask(ref, %{taken: taken, max: max, min: min} = sub)
+  defp request_more(ref, %{taken: taken, max: max, min: min} = sub)
        when taken > 0 and taken >= max - min do
     send(sub.pid, {:"$gen_producer", {self(), ref}, {:ask, taken}})
     %{sub | taken: 0}
   end
 
-  defp ask(_ref, sub), do: sub
+  defp request_more(_ref, sub), do: sub
 
   @impl true
   def handle_info({:"$gen_consumer", {_pid, ref}, {:cancel, reason}}, context, state)
       when is_map_key(state.subs, ref),
-      do: ended(ref, reason, context, state)
+      do: remove_subscription(ref, reason, context, state)
 
   def handle_info({:"$gen_consumer", {_pid, ref}, events}, context, state)
       when is_map_key(state.subs, ref) and is_list(events) do
@@ -188,13 +188,13 @@ defmodule Situ.GenStage.Source do
     first =
       max(context.now - n + 1, if(state.last, do: state.last + 1, else: context.now - n + 1))
 
-    {actions, last} = Enum.map_reduce(events, {first, state.last}, &post/2)
+    {actions, last} = Enum.map_reduce(events, {first, state.last}, &event_action/2)
     {actions, %{state | last: elem(last, 1)}}
   end
 
   def handle_info({:DOWN, ref, :process, _pid, reason}, context, state)
       when is_map_key(state.subs, ref),
-      do: ended(ref, reason, context, state)
+      do: remove_subscription(ref, reason, context, state)
 
   # Both arrive as separate messages, because skipping an error undoes only the effects of the message that raised.
   def handle_info({:situ_producer_failed, error}, _context, _state), do: raise(error)
@@ -210,9 +210,12 @@ defmodule Situ.GenStage.Source do
 
   @impl true
   def handle_request({:"$subscribe", _current, to, opts}, from, _context, state) do
-    case if(state.ended, do: {:error, stopped()}, else: subscribe(state, to, opts)) do
-      {:ok, ref, state} -> reply(from, {:ok, ref}, state)
-      {:error, error} -> reply(from, {:error, error}, state)
+    case if(state.ended,
+           do: {:error, not_running_error()},
+           else: subscribe_producer(state, to, opts)
+         ) do
+      {:ok, ref, state} -> send_reply(from, {:ok, ref}, state)
+      {:error, error} -> send_reply(from, {:error, error}, state)
     end
   end
 
@@ -220,24 +223,24 @@ defmodule Situ.GenStage.Source do
     what =
       "a GenStage source does not support the request #{inspect(request, limit: 8, printable_limit: 80)}"
 
-    reply(from, {:error, Error.new(:unknown_request, what)}, state)
+    send_reply(from, {:error, Error.new(:unknown_request, what)}, state)
   end
 
-  defp reply(nil, _answer, state), do: {[], state}
+  defp send_reply(nil, _answer, state), do: {[], state}
 
-  defp reply(from, answer, state) do
+  defp send_reply(from, answer, state) do
     GenServer.reply(from, answer)
     {[], state}
   end
 
   @impl true
-  def handle_stop(_final, _context, state), do: {[], cancel(state)}
+  def handle_stop(_final, _context, state), do: {[], cancel_subscriptions(state)}
 
   @impl true
-  def terminate(_reason, state), do: cancel(state)
+  def terminate(_reason, state), do: cancel_subscriptions(state)
 
-  defp subscribe(state, producer, opts) do
-    with {:ok, max, min} <- demand(opts), {:ok, pid} <- find(producer) do
+  defp subscribe_producer(state, producer, opts) do
+    with {:ok, max, min} <- validate_demand(opts), {:ok, pid} <- resolve_producer(producer) do
       ref = Process.monitor(pid)
       opts = Keyword.merge(opts, max_demand: max, min_demand: min)
       send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, opts}})
@@ -248,37 +251,38 @@ defmodule Situ.GenStage.Source do
     end
   end
 
-  defp demand(opts) do
+  defp validate_demand(opts) do
     max = is_list(opts) && Keyword.keyword?(opts) && Keyword.get(opts, :max_demand, @max_demand)
     min = is_integer(max) && Keyword.get(opts, :min_demand, div(max, 2))
 
     if is_integer(min) and max > 0 and min >= 0 and min < max,
       do: {:ok, max, min},
-      else: {:error, bad_options(opts)}
+      else: {:error, bad_subscription_error(opts)}
   end
 
-  defp bad_options(opts) do
+  defp bad_subscription_error(opts) do
     Error.new(:bad_subscription, "cannot subscribe with #{inspect(opts, limit: 8)}",
       why: "the options must be a keyword list with 0 <= min_demand < max_demand"
     )
   end
 
-  defp find(producer) do
+  defp resolve_producer(producer) do
     case GenServer.whereis(producer) do
-      nil -> {:error, none(producer)}
+      nil -> {:error, no_producer_error(producer)}
       pid -> {:ok, pid}
     end
   rescue
     # The term is not a valid process name.
-    FunctionClauseError -> {:error, none(producer)}
+    FunctionClauseError -> {:error, no_producer_error(producer)}
   end
 
-  defp none(producer),
+  defp no_producer_error(producer),
     do: Error.new(:no_producer, "cannot subscribe to #{inspect(producer)}: process not found")
 
-  defp stopped, do: Error.new(:not_running, "the stream has ended", why: "its producers ended")
+  defp not_running_error,
+    do: Error.new(:not_running, "the stream has ended", why: "its producers ended")
 
-  defp cancel(state) do
+  defp cancel_subscriptions(state) do
     for {ref, sub} <- state.subs do
       send(sub.pid, {:"$gen_producer", {self(), ref}, {:cancel, :normal}})
       Process.demonitor(ref, [:flush])
@@ -287,32 +291,34 @@ defmodule Situ.GenStage.Source do
     %{state | subs: %{}, ended: true}
   end
 
-  defp ended(ref, reason, _context, state) do
+  defp remove_subscription(ref, reason, _context, state) do
     Process.demonitor(ref, [:flush])
     {sub, subs} = Map.pop(state.subs, ref)
 
-    if not in_order?(reason) and sub.cancel != :temporary,
-      do: send(self(), {:situ_producer_failed, failed(sub.pid, reason)})
+    if not orderly_exit?(reason) and sub.cancel != :temporary,
+      do: send(self(), {:situ_producer_failed, producer_failed_error(sub.pid, reason)})
 
     send(self(), :situ_producer_ended)
     {[], %{state | subs: subs}}
   end
 
-  defp in_order?(reason), do: reason in [:normal, :shutdown] or match?({:shutdown, _}, reason)
+  defp orderly_exit?(reason), do: reason in [:normal, :shutdown] or match?({:shutdown, _}, reason)
 
-  defp failed(pid, reason) do
-    Error.new(:producer_failed, "the GenStage producer #{inspect(pid)} failed: #{reason(reason)}",
+  defp producer_failed_error(pid, reason) do
+    Error.new(
+      :producer_failed,
+      "the GenStage producer #{inspect(pid)} failed: #{format_reason(reason)}",
       why: "it canceled the subscription or exited with this reason",
       fix: "see the producer's log; a partition dispatcher needs subscribe: [partition: ...]",
       meta: %{reason: reason}
     )
   end
 
-  defp reason(%{__exception__: true} = error), do: Exception.message(error)
-  defp reason(reason), do: Exception.format_exit(reason)
+  defp format_reason(%{__exception__: true} = error), do: Exception.message(error)
+  defp format_reason(reason), do: Exception.format_exit(reason)
 
-  defp post(%Message{originating_time: time} = message, {next, _last}),
+  defp event_action(%Message{originating_time: time} = message, {next, _last}),
     do: {{:out, time, message.data}, {max(next, time + 1), time}}
 
-  defp post(data, {next, _last}), do: {{:out, next, data}, {next + 1, next}}
+  defp event_action(data, {next, _last}), do: {{:out, next, data}, {next + 1, next}}
 end

@@ -13,7 +13,7 @@ defmodule Situ.Pipeline.Tap do
       ...>   p |> Situ.Connector.receive(connector) |> Situ.map(&(&1 * 2), name: "Doubled")
       ...> end, [])
       iex> {:ok, tap} = Situ.attach_tap({p, "Doubled"}, &send(me, {:seen, &1.data}))
-      iex> Situ.Connector.deliver(connector, [%Situ.Message{data: 21, originating_time: 1}])
+      iex> Situ.Connector.deliver_messages(connector, [%Situ.Message{data: 21, originating_time: 1}])
       iex> receive do {:seen, n} -> n end
       42
       iex> Situ.Pipeline.Tap.detach(tap)
@@ -41,7 +41,7 @@ defmodule Situ.Pipeline.Tap do
   ]
 
   @doc false
-  def schema, do: @schema
+  def option_schema, do: @schema
 
   @doc false
   @spec attach(
@@ -52,14 +52,14 @@ defmodule Situ.Pipeline.Tap do
           {:ok, t()} | {:error, Situ.Error.t()}
   def attach(target, fun, opts) when is_function(fun, 1) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
-      {pipeline, which} = which(target)
-      here = if elsewhere?(pipeline), do: Here.start(fun)
+      {pipeline, which} = resolve_target(target)
+      here = if on_other_node?(pipeline), do: Here.start(fun)
       options = if here, do: [to: here], else: [fun: fun]
       asked = %{stream: which, component: {Sink, options}, opts: opts}
 
       case Client.call(pipeline, {:tap, asked}) do
         {:ok, {pid, id}} ->
-          if here, do: Here.watch(here, pid)
+          if here, do: Here.watch_pipeline(here, pid)
           {:ok, %__MODULE__{pipeline: pid, id: id, here: here}}
 
         error ->
@@ -71,11 +71,11 @@ defmodule Situ.Pipeline.Tap do
 
   def attach(_target, other, _opts) do
     takes = "a function of a message as its second argument"
-    Argument.refuse!(other, takes, "Situ.attach_tap(stream, fn message -> message end)")
+    Argument.raise_invalid!(other, takes, "Situ.attach_tap(stream, fn message -> message end)")
   end
 
-  defp elsewhere?(pipeline) do
-    pid = Client.pid(pipeline)
+  defp on_other_node?(pipeline) do
+    pid = Client.resolve_pid(pipeline)
     is_pid(pid) and node(pid) != node()
   end
 
@@ -92,15 +92,25 @@ defmodule Situ.Pipeline.Tap do
 
   def detach(other) do
     takes = "a tap, as Situ.attach_tap/3 returns it"
-    Argument.refuse!(other, takes, "{:ok, tap} = Situ.attach_tap(...), then Situ.detach_tap(tap)")
+
+    Argument.raise_invalid!(
+      other,
+      takes,
+      "{:ok, tap} = Situ.attach_tap(...), then Situ.detach_tap(tap)"
+    )
   end
 
-  defp which(%Situ.Stream{} = stream), do: {stream, {stream.node, stream.output}}
-  defp which({pipeline, name}) when is_binary(name), do: {pipeline, name}
+  defp resolve_target(%Situ.Stream{} = stream), do: {stream, {stream.node, stream.output}}
+  defp resolve_target({pipeline, name}) when is_binary(name), do: {pipeline, name}
 
-  defp which(other) do
+  defp resolve_target(other) do
     takes = "a stream, or {pipeline, name_of_a_stream}"
-    Argument.refuse!(other, takes, ~s|Situ.attach_tap({p, "Front"}, fn message -> message end)|)
+
+    Argument.raise_invalid!(
+      other,
+      takes,
+      ~s|Situ.attach_tap({p, "Front"}, fn message -> message end)|
+    )
   end
 end
 
@@ -138,8 +148,8 @@ defmodule Situ.Pipeline.Tap.Here do
     here
   end
 
-  @spec watch(pid(), pid()) :: :ok
-  def watch(here, pipeline), do: GenServer.cast(here, {:watch, pipeline})
+  @spec watch_pipeline(pid(), pid()) :: :ok
+  def watch_pipeline(here, pipeline), do: GenServer.cast(here, {:watch, pipeline})
 
   @spec stop(pid()) :: :ok
   def stop(here), do: GenServer.cast(here, :stop)

@@ -46,7 +46,7 @@ defmodule Situ.Tap do
 
     @impl true
     def handle_message(_input, message, _context, {tap, limit, _} = state) do
-      for {pid, _} <- Registry.lookup(Situ.Tap, tap.ref), room?(pid, limit) do
+      for {pid, _} <- Registry.lookup(Situ.Tap, tap.ref), mailbox_room?(pid, limit) do
         send(pid, {:situ_tap, tap, message})
       end
 
@@ -57,8 +57,8 @@ defmodule Situ.Tap do
     @impl true
     def handle_closed(_input, time, context, {tap, limit, _}) do
       case Situ.Pipeline.Client.call(context.pipeline, :failure) do
-        {:ok, %Situ.Error{} = error} -> tell(tap, error)
-        _ -> tell(tap, {:closed, time})
+        {:ok, %Situ.Error{} = error} -> notify_end(tap, error)
+        _ -> notify_end(tap, {:closed, time})
       end
 
       {[], {tap, limit, :told}}
@@ -69,25 +69,25 @@ defmodule Situ.Tap do
 
     def terminate(reason, {tap, _limit, :open}) do
       what = "the pipeline of the tap ended: #{inspect(reason, limit: 8)}"
-      tell(tap, Situ.Error.new(:crashed, what))
+      notify_end(tap, Situ.Error.new(:crashed, what))
     end
 
-    defp tell(tap, how) do
+    defp notify_end(tap, how) do
       for {pid, _} <- Registry.lookup(Situ.Tap, tap.ref), do: send(pid, {:situ_tap_end, tap, how})
     end
 
-    defp room?(pid, limit) when node(pid) == node() do
+    defp mailbox_room?(pid, limit) when node(pid) == node() do
       case Process.info(pid, :message_queue_len) do
         {:message_queue_len, n} -> n < limit
         nil -> false
       end
     end
 
-    defp room?(_remote, _limit), do: true
+    defp mailbox_room?(_remote, _limit), do: true
   end
 
   @doc false
-  def registry, do: {Registry, keys: :duplicate, name: __MODULE__}
+  def registry_spec, do: {Registry, keys: :duplicate, name: __MODULE__}
 
   @doc "Adds a tap to `stream`. Returns the stream after the tap, and the tap to subscribe to."
   @spec new(Stream.t(), keyword()) :: {Stream.t(), t()}
@@ -95,17 +95,17 @@ defmodule Situ.Tap do
 
   def new(%Stream{} = stream, opts) do
     tap = %__MODULE__{ref: make_ref()}
-    {own, placed} = Placement.split!(opts, @schema, :operator)
+    {own, placed} = Placement.split_options!(opts, @schema, :operator)
     outlet = {Outlet, [tap: tap] ++ own}
-    {Operator.through(stream, "Tap", outlet, placed, stream.type), tap}
+    {Operator.attach_component(stream, "Tap", outlet, placed, stream.type), tap}
   end
 
-  def new(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.tap(stream)")
+  def new(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.tap(stream)")
 
   @doc "Subscribes the calling process to the messages from now on."
   @spec subscribe(t()) :: :ok
   def subscribe(%__MODULE__{ref: ref}) do
-    unless self() in subscribers(ref), do: {:ok, _} = Registry.register(__MODULE__, ref, nil)
+    unless self() in list_subscribers(ref), do: {:ok, _} = Registry.register(__MODULE__, ref, nil)
     :ok
   end
 
@@ -115,7 +115,7 @@ defmodule Situ.Tap do
 
   @doc "Returns whether the tap has any subscribers."
   @spec subscribed?(t()) :: boolean()
-  def subscribed?(%__MODULE__{ref: ref}), do: subscribers(ref) != []
+  def subscribed?(%__MODULE__{ref: ref}), do: list_subscribers(ref) != []
 
-  defp subscribers(ref), do: for({pid, _} <- Registry.lookup(__MODULE__, ref), do: pid)
+  defp list_subscribers(ref), do: for({pid, _} <- Registry.lookup(__MODULE__, ref), do: pid)
 end

@@ -29,28 +29,30 @@ defmodule Situ.Diagnostics.Averages do
   def new(span, time), do: %__MODULE__{span: span, marks: [{time, %{}}]}
 
   @doc "Adds a mark of the totals at `time` unless the last mark is too recent; this keeps at most about 20 marks."
-  @spec mark(t(), Situ.Time.t(), edges()) :: t()
-  def mark(%__MODULE__{marks: [{last, _} | _], span: span} = averages, time, _edges)
+  @spec add_mark(t(), Situ.Time.t(), edges()) :: t()
+  def add_mark(%__MODULE__{marks: [{last, _} | _], span: span} = averages, time, _edges)
       when time <= last or time - last < div(span, 16),
       do: averages
 
-  def mark(%__MODULE__{marks: marks} = averages, time, edges) do
+  def add_mark(%__MODULE__{marks: marks} = averages, time, edges) do
     {later, earlier} = Enum.split_while(marks, fn {at, _} -> at > time - averages.span end)
     %{averages | marks: [{time, edges} | later ++ Enum.take(earlier, 1)]}
   end
 
   @doc "Returns the window of each edge that ends at `time` with these totals."
-  @spec windows(t(), Situ.Time.t(), edges()) :: %{pos_integer() => Window.t()}
-  def windows(%__MODULE__{marks: marks, span: span}, time, edges) do
+  @spec build_windows(t(), Situ.Time.t(), edges()) :: %{pos_integer() => Window.t()}
+  def build_windows(%__MODULE__{marks: marks, span: span}, time, edges) do
     {from, before} = Enum.find(marks, List.last(marks), fn {at, _} -> at <= time - span end)
 
-    Map.new(edges, fn {id, now} -> {id, between(Map.get(before, id, @zero), now, time - from)} end)
+    Map.new(edges, fn {id, now} ->
+      {id, window_between(Map.get(before, id, @zero), now, time - from)}
+    end)
   end
 
   @doc "Returns the means since the start, with the keys of `Situ.Diagnostics.Edge`."
-  @spec overall(Counters.totals()) :: map()
-  def overall(totals) do
-    all = between(@zero, totals, 0)
+  @spec overall_means(Counters.totals()) :: map()
+  def overall_means(totals) do
+    all = window_between(@zero, totals, 0)
 
     %{
       created_mean: all.created || 0,
@@ -62,7 +64,7 @@ defmodule Situ.Diagnostics.Averages do
     }
   end
 
-  defp between(before, now, span) do
+  defp window_between(before, now, span) do
     d = Map.new(now, fn {key, value} -> {key, value - before[key]} end)
 
     %Window{
@@ -70,15 +72,15 @@ defmodule Situ.Diagnostics.Averages do
       emitted: d.emitted,
       processed: d.processed,
       dropped: d.dropped,
-      created: mean(d.created * 1000, d.emitted),
-      posted: mean(d.posted * 1000, d.emitted),
-      latency: mean(d.latency * 1000, d.processed),
-      handling: mean(d.busy, d.processed),
+      created: integer_mean(d.created * 1000, d.emitted),
+      posted: integer_mean(d.posted * 1000, d.emitted),
+      latency: integer_mean(d.latency * 1000, d.processed),
+      handling: integer_mean(d.busy, d.processed),
       queue: if(d.processed > 0, do: d.queue / d.processed),
-      size: mean(d.size, d.sized)
+      size: integer_mean(d.size, d.sized)
     }
   end
 
-  defp mean(_sum, 0), do: nil
-  defp mean(sum, n), do: div(sum, n)
+  defp integer_mean(_sum, 0), do: nil
+  defp integer_mean(sum, n), do: div(sum, n)
 end

@@ -22,12 +22,14 @@ defmodule Situ.Diagnostics do
   def stream(%Situ.Graph.Handle{} = p, opts \\ []) do
     root = %{p | scope: nil}
 
-    case Graph.Builder.run(root, &{Map.get(&1.paths, "Diagnostics"), &1}) do
+    case Graph.Builder.update_graph(root, &{Map.get(&1.paths, "Diagnostics"), &1}) do
       nil ->
         opts = [name: "Diagnostics"] ++ opts
 
         root
-        |> Graph.Builder.run(&Graph.add(&1, root, Situ.Diagnostics.Source, opts))
+        |> Graph.Builder.update_graph(
+          &Graph.add_component(&1, root, Situ.Diagnostics.Source, opts)
+        )
         |> Situ.Node.output(:out)
 
       id ->

@@ -22,7 +22,7 @@ defmodule Situ.Diagnostics.Source do
 
   def handle_info({:timer, :tick}, context, {interval, _}) do
     now = context.now
-    {[post(context, now), {:timer, :tick, now + interval}], {interval, now}}
+    {[snapshot_action(context, now), {:timer, :tick, now + interval}], {interval, now}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
@@ -30,10 +30,10 @@ defmodule Situ.Diagnostics.Source do
   # The last snapshot gets the end time of the pipeline, regardless of when it is taken.
   @impl true
   def handle_stop(final, context, {interval, last}) when last == nil or final > last,
-    do: {[post(context, final)], {interval, final}}
+    do: {[snapshot_action(context, final)], {interval, final}}
 
   def handle_stop(_final, _context, state), do: {[], state}
 
-  defp post(context, time),
+  defp snapshot_action(context, time),
     do: {:out, time, GenServer.call(context.pipeline.pid, :info, :infinity)}
 end

@@ -7,9 +7,9 @@ defmodule Situ.Diagnostics.Survey do
   alias Situ.Ports.{Counters, Tally}
 
   @doc "Builds a snapshot. `view` holds the graph, the stages, the vertices of taps, and counters, totals and windows."
-  @spec snapshot(map()) :: Snapshot.t()
-  def snapshot(view) do
-    place = places(view.stages)
+  @spec take_snapshot(map()) :: Snapshot.t()
+  def take_snapshot(view) do
+    place = index_vertices(view.stages)
     names = Map.new(view.graph.stream_names, fn {name, port} -> {port, name} end)
     entries = Map.new(view.graph.edges, fn {id, edge} -> {elem(edge.to, 0), id} end)
     view = Map.merge(view, %{names: names, entries: entries})
@@ -25,25 +25,25 @@ defmodule Situ.Diagnostics.Survey do
         view.graph.vertices
         |> Map.values()
         |> Enum.sort_by(& &1.id)
-        |> Enum.map(&node(&1, view, place)),
+        |> Enum.map(&describe_node(&1, view, place)),
       edges:
         view.graph.edges
         |> Map.values()
         |> Enum.sort_by(& &1.id)
-        |> Enum.map(&edge(&1, view, place)),
-      processes: view.stages |> Enum.sort_by(& &1.id) |> Enum.map(&process/1)
+        |> Enum.map(&describe_edge(&1, view, place)),
+      processes: view.stages |> Enum.sort_by(& &1.id) |> Enum.map(&describe_process/1)
     }
   end
 
-  defp places(stages) do
+  defp index_vertices(stages) do
     for stage <- stages, {vertex, index} <- Enum.with_index(stage.vertices), into: %{} do
       {vertex.id, {stage, index}}
     end
   end
 
-  defp node(%Vertex{} = vertex, view, place) do
+  defp describe_node(%Vertex{} = vertex, view, place) do
     {stage, index} = Map.get(place, vertex.id, {nil, 0})
-    tally = if stage, do: Tally.read(stage.tally, index), else: %{}
+    tally = if stage, do: Tally.read_counts(stage.tally, index), else: %{}
 
     struct!(
       %Node{
@@ -51,12 +51,13 @@ defmodule Situ.Diagnostics.Survey do
         path: vertex.path,
         scope: vertex.scope,
         module: if(vertex.module == :operator, do: "Operator", else: inspect(vertex.module)),
-        kind: kind(vertex, view),
+        kind: node_kind(vertex, view),
         state: node_state(stage),
         process: stage && stage.id,
         description: stage && Map.get(view.descriptions, stage.id),
-        inputs: Enum.map(vertex.inputs, &port(&1, nil)),
-        outputs: Enum.map(vertex.outputs, &port(&1, stream_name(view, vertex, elem(&1, 0))))
+        inputs: Enum.map(vertex.inputs, &describe_port(&1, nil)),
+        outputs:
+          Enum.map(vertex.outputs, &describe_port(&1, stream_name(view, vertex, elem(&1, 0))))
       },
       tally
     )
@@ -65,9 +66,9 @@ defmodule Situ.Diagnostics.Survey do
   defp node_state(nil), do: :running
   defp node_state(stage), do: stage.state
 
-  defp kind(%Vertex{module: :operator}, _view), do: :operator
+  defp node_kind(%Vertex{module: :operator}, _view), do: :operator
 
-  defp kind(%Vertex{id: id} = vertex, view) do
+  defp node_kind(%Vertex{id: id} = vertex, view) do
     cond do
       id in view.taps -> :tap
       Vertex.source?(vertex) -> :source
@@ -75,7 +76,7 @@ defmodule Situ.Diagnostics.Survey do
     end
   end
 
-  defp port({name, port}, stream),
+  defp describe_port({name, port}, stream),
     do: %{name: Atom.to_string(name), type: Type.to_string(port.type), stream: stream}
 
   defp stream_name(view, vertex, output) do
@@ -83,7 +84,7 @@ defmodule Situ.Diagnostics.Survey do
          do: Graph.stream_name(vertex.path, output, vertex.outputs)
   end
 
-  defp edge(%{id: id} = edge, view, place) do
+  defp describe_edge(%{id: id} = edge, view, place) do
     {from, output} = edge.from
     {to, input} = edge.to
 
@@ -93,31 +94,31 @@ defmodule Situ.Diagnostics.Survey do
       from_output: Atom.to_string(output),
       to: to,
       to_input: Atom.to_string(input),
-      policy: Delivery.name(edge.policy)
+      policy: Delivery.display_name(edge.policy)
     }
 
     case view.counters do
-      %{^id => _} -> struct!(base, numbers(id, view))
-      _ -> inline(base, view, place, from)
+      %{^id => _} -> struct!(base, edge_counts(id, view))
+      _ -> describe_inline_edge(base, view, place, from)
     end
   end
 
-  defp numbers(id, view) do
+  defp edge_counts(id, view) do
     totals = Map.fetch!(view.totals, id)
 
     view.counters
     |> Map.fetch!(id)
-    |> Counters.read(totals)
-    |> Map.merge(Averages.overall(totals))
+    |> Counters.read_values(totals)
+    |> Map.merge(Averages.overall_means(totals))
     |> Map.put(:window, Map.get(view.windows, id, %Window{}))
   end
 
   # A chain has no queues inside, so its inner edges show the numbers of the chain's entry.
-  defp inline(base, view, place, from) do
+  defp describe_inline_edge(base, view, place, from) do
     with {stage, _} <- Map.get(place, from, nil),
          entry when entry != nil <- view.entries[hd(stage.vertices).id],
          true <- Map.has_key?(view.counters, entry) do
-      %{window: window} = numbers = numbers(entry, view)
+      %{window: window} = numbers = edge_counts(entry, view)
       window = %{window | emitted: window.processed, dropped: 0, queue: nil, size: nil}
 
       struct!(
@@ -139,7 +140,7 @@ defmodule Situ.Diagnostics.Survey do
     end
   end
 
-  defp process(stage) do
+  defp describe_process(stage) do
     paths = Enum.map(stage.vertices, & &1.path)
     keys = [:memory, :message_queue_len, :reductions, :status, :current_function]
 

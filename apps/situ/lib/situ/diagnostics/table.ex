@@ -6,7 +6,7 @@ defmodule Situ.Diagnostics.Table do
   @spec format(Snapshot.t()) :: String.t()
   def format(%Snapshot{} = snapshot) do
     paths = Map.new(snapshot.nodes, &{&1.id, &1.path})
-    head = "#{snapshot.pipeline}  #{snapshot.state}  #{percent(snapshot.progress)}"
+    head = "#{snapshot.pipeline}  #{snapshot.state}  #{format_percent(snapshot.progress)}"
 
     rows =
       for edge <- snapshot.edges, edge.kind == :process do
@@ -17,9 +17,9 @@ defmodule Situ.Diagnostics.Table do
           "#{round(Window.rate(edge.window.processed, edge.window))}",
           "#{edge.queue}#{if edge.throttled, do: "!", else: ""}",
           "#{edge.dropped}",
-          duration(edge.window.latency || edge.latency_mean),
-          duration(edge.latency_p99),
-          duration(edge.window.handling || edge.handling_mean)
+          format_duration(edge.window.latency || edge.latency_mean),
+          format_duration(edge.latency_p99),
+          format_duration(edge.window.handling || edge.handling_mean)
         ]
       end
 
@@ -37,17 +37,17 @@ defmodule Situ.Diagnostics.Table do
     Enum.join(
       [
         head,
-        table([~w(edge policy done done/s queue dropped mean p99 handling) | rows]),
-        table([~w(process status mailbox memory in) | processes])
+        format_table([~w(edge policy done done/s queue dropped mean p99 handling) | rows]),
+        format_table([~w(process status mailbox memory in) | processes])
       ],
       "\n\n"
     )
   end
 
-  defp duration(ns), do: Situ.Time.format_duration(ns)
-  defp percent(progress), do: "#{round(progress * 100)} %"
+  defp format_duration(ns), do: Situ.Time.format_duration(ns)
+  defp format_percent(progress), do: "#{round(progress * 100)} %"
 
-  defp table(rows) do
+  defp format_table(rows) do
     widths =
       rows |> Enum.zip_with(fn column -> column |> Enum.map(&String.length/1) |> Enum.max() end)
 

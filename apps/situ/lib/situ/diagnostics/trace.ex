@@ -54,47 +54,50 @@ defmodule Situ.Diagnostics.Trace do
     hops =
       for {tag, link} <- Enum.sort_by(links, &elem(&1, 0)) do
         ref = Map.fetch!(counters, tag)
-        {link, hop(link, stages, Counters.passage(ref, time), {now, queue(ref)})}
+
+        {link,
+         build_hop(link, stages, Counters.passage_times(ref, time), {now, queue_length(ref)})}
       end
 
     %__MODULE__{
       time: time,
       now: now,
       hops: Enum.map(hops, &elem(&1, 1)),
-      inside: for({id, stage} <- Enum.sort(stages), inside?(id, stage, hops), do: last(stage))
+      inside:
+        for({id, stage} <- Enum.sort(stages), held_inside?(id, stage, hops), do: last_path(stage))
     }
   end
 
-  defp hop(link, stages, {sent, taken}, {now, queue}) do
+  defp build_hop(link, stages, {sent, taken}, {now, queue}) do
     %{
-      from: last(stages[link.from]),
+      from: last_path(stages[link.from]),
       to: hd(stages[link.to].vertices).path,
-      state: state(sent, taken),
+      state: hop_state(sent, taken),
       sent: sent,
       taken: taken,
-      waited: waited(sent, taken, now),
+      waited: waiting_time(sent, taken, now),
       queue: queue
     }
   end
 
-  defp state(nil, _taken), do: :coming
-  defp state(_sent, nil), do: :waiting
-  defp state(_sent, _taken), do: :passed
+  defp hop_state(nil, _taken), do: :coming
+  defp hop_state(_sent, nil), do: :waiting
+  defp hop_state(_sent, _taken), do: :passed
 
-  defp waited(sent, nil, now) when is_integer(sent), do: max(now - sent, 0)
+  defp waiting_time(sent, nil, now) when is_integer(sent), do: max(now - sent, 0)
 
-  defp waited(sent, taken, _now) when is_integer(sent) and is_integer(taken),
+  defp waiting_time(sent, taken, _now) when is_integer(sent) and is_integer(taken),
     do: max(taken - sent, 0)
 
-  defp waited(_sent, _taken, _now), do: nil
+  defp waiting_time(_sent, _taken, _now), do: nil
 
-  defp queue(ref) do
-    {emitted, processed, dropped} = Counters.flow(ref)
+  defp queue_length(ref) do
+    {emitted, processed, dropped} = Counters.flow_counts(ref)
     max(emitted - processed - dropped, 0)
   end
 
   # True if an input has taken the message and no output has sent it.
-  defp inside?(id, %{vertices: [head | _]}, hops) do
+  defp held_inside?(id, %{vertices: [head | _]}, hops) do
     into = for {%{to: ^id}, hop} <- hops, do: hop
     out_of = for {%{from: ^id}, hop} <- hops, do: hop
 
@@ -103,7 +106,7 @@ defmodule Situ.Diagnostics.Trace do
   end
 
   # A process is shown under the name of its last component, whose output leaves the process.
-  defp last(stage), do: List.last(stage.vertices).path
+  defp last_path(stage), do: List.last(stage.vertices).path
 
   @doc "Formats the trace as text: the current position of the message, and a line for each connection."
   @spec format(t()) :: String.t()
@@ -111,11 +114,11 @@ defmodule Situ.Diagnostics.Trace do
     waiting = for hop <- trace.hops, hop.state == :waiting, do: "waits for #{hop.to}"
     inside = for path <- trace.inside, do: "in (or ended in) #{path}"
     places = if waiting ++ inside == [], do: ["nowhere yet"], else: waiting ++ inside
-    lines = Enum.map(trace.hops, &line(&1, trace))
+    lines = Enum.map(trace.hops, &format_hop(&1, trace))
     Enum.join(["#{trace.time}: " <> Enum.join(places, ", ") | lines], "\n")
   end
 
-  defp line(hop, trace) do
+  defp format_hop(hop, trace) do
     waited =
       cond do
         hop.waited != nil -> " waited " <> Situ.Time.format_duration(hop.waited)

@@ -16,29 +16,29 @@ defmodule Situ.Argument do
 
   If `value` is of the expected kind, the error says that the arguments after it are invalid.
   """
-  @spec refuse!(term(), kind(), String.t()) :: no_return()
-  def refuse!(value, kind, example),
+  @spec raise_invalid!(term(), kind(), String.t()) :: no_return()
+  def raise_invalid!(value, kind, example),
     do:
       raise(ArgumentError, "#{function_name(example)} #{describe_mistake(value, kind, example)}")
 
   @doc "Returns the stream unchanged; raises for any other value."
-  @spec stream!(term(), String.t()) :: Stream.t()
-  def stream!(%Stream{} = stream, _example), do: stream
-  def stream!(value, example), do: refuse!(value, :stream, example)
+  @spec ensure_stream!(term(), String.t()) :: Stream.t()
+  def ensure_stream!(%Stream{} = stream, _example), do: stream
+  def ensure_stream!(value, example), do: raise_invalid!(value, :stream, example)
 
   defp function_name(example), do: example |> String.split("(") |> hd()
 
   defp describe_mistake(value, kind, example) do
-    if kind?(value, kind),
+    if of_kind?(value, kind),
       do: "does not take these arguments after the first; write #{example}",
       else:
         "takes #{describe_kind(kind)}, not #{describe_value(value)}; " <>
           suggest_fix(value, kind, example)
   end
 
-  defp kind?(%Stream{}, kind) when kind in [:stream, :streams], do: true
-  defp kind?(%Handle{}, :handle), do: true
-  defp kind?(_value, _kind), do: false
+  defp of_kind?(%Stream{}, kind) when kind in [:stream, :streams], do: true
+  defp of_kind?(%Handle{}, :handle), do: true
+  defp of_kind?(_value, _kind), do: false
 
   defp describe_kind(:stream), do: "a stream as its first argument"
   defp describe_kind(:streams), do: "streams"

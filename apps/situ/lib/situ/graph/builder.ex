@@ -7,36 +7,37 @@ defmodule Situ.Graph.Builder do
   alias Situ.Graph.Handle
 
   @doc "Opens a graph in the calling process and returns its handle."
-  @spec open(Graph.t(), pid()) :: Handle.t()
-  def open(graph \\ %Graph{}, pid \\ self()) do
+  @spec open_graph(Graph.t(), pid()) :: Handle.t()
+  def open_graph(graph \\ %Graph{}, pid \\ self()) do
     ref = make_ref()
     Process.put({__MODULE__, ref}, graph)
     %Handle{pid: pid, ref: ref}
   end
 
   @doc "Removes the graph from the process and returns it."
-  @spec close(Handle.t()) :: Graph.t() | nil
-  def close(%Handle{ref: ref}), do: Process.delete({__MODULE__, ref})
+  @spec close_graph(Handle.t()) :: Graph.t() | nil
+  def close_graph(%Handle{ref: ref}), do: Process.delete({__MODULE__, ref})
 
   @doc "Returns the current graph."
-  @spec peek(Handle.t()) :: Graph.t() | nil
-  def peek(%Handle{ref: ref}), do: Process.get({__MODULE__, ref})
+  @spec current_graph(Handle.t()) :: Graph.t() | nil
+  def current_graph(%Handle{ref: ref}), do: Process.get({__MODULE__, ref})
 
-  @spec collect((Handle.t() -> result)) :: {Graph.t(), result} when result: term()
-  def collect(fun) do
-    handle = open()
+  @spec build_graph((Handle.t() -> result)) :: {Graph.t(), result} when result: term()
+  def build_graph(fun) do
+    handle = open_graph()
 
     try do
       result = fun.(handle)
-      {peek(handle), result}
+      {current_graph(handle), result}
     after
-      close(handle)
+      close_graph(handle)
     end
   end
 
   @doc "Runs `fun` while this process holds `graph`; returns its result and the graph with its additions."
-  @spec lend(Handle.t(), Graph.t(), (() -> result)) :: {result, Graph.t()} when result: term()
-  def lend(%Handle{ref: ref}, graph, fun) do
+  @spec with_graph(Handle.t(), Graph.t(), (() -> result)) :: {result, Graph.t()}
+        when result: term()
+  def with_graph(%Handle{ref: ref}, graph, fun) do
     # A handler may extend the pipeline while it holds a graph, too.
     outer = Process.put({__MODULE__, ref}, graph)
 
@@ -49,23 +50,24 @@ defmodule Situ.Graph.Builder do
   end
 
   @doc "Applies `change`, which returns `{result, graph}` or raises, to the handle's graph."
-  @spec run(Handle.t(), (Graph.t() -> {result, Graph.t()})) :: result when result: term()
-  def run(%Handle{ref: ref} = handle, change) do
+  @spec update_graph(Handle.t(), (Graph.t() -> {result, Graph.t()})) :: result when result: term()
+  def update_graph(%Handle{ref: ref} = handle, change) do
     case Process.get({__MODULE__, ref}) do
-      nil -> remote(handle, change)
-      graph -> local(ref, graph, change)
+      nil -> update_remote(handle, change)
+      graph -> update_local(ref, graph, change)
     end
   end
 
-  defp local(ref, graph, change) do
+  defp update_local(ref, graph, change) do
     {result, graph} = change.(graph)
     Process.put({__MODULE__, ref}, graph)
     result
   end
 
-  defp remote(%Handle{pid: pid}, _change) when pid == self(), do: raise(running())
+  defp update_remote(%Handle{pid: pid}, _change) when pid == self(),
+    do: raise(already_running_error())
 
-  defp remote(%Handle{pid: pid}, change) do
+  defp update_remote(%Handle{pid: pid}, change) do
     case GenServer.call(pid, {:build, change}) do
       {:ok, result} -> result
       {:error, error} -> raise error
@@ -76,8 +78,8 @@ defmodule Situ.Graph.Builder do
   end
 
   @doc "Returns the error for a change to a graph that is already running."
-  @spec running() :: Error.t()
-  def running do
+  @spec already_running_error() :: Error.t()
+  def already_running_error do
     Error.new(:pipeline_running, "the pipeline is already running",
       why: "components and connections are fixed when it starts",
       fix: "add components before it starts; to look at a running pipeline use Situ.attach_tap/3"

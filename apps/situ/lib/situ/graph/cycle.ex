@@ -8,33 +8,33 @@ defmodule Situ.Graph.Cycle do
   alias Situ.{Error, Graph}
 
   @doc "Returns the component paths on the cycle, with the first repeated at the end; `nil` without a cycle."
-  @spec through(Graph.t(), pos_integer()) :: [String.t()] | nil
-  def through(%Graph{} = graph, id) do
+  @spec find_cycle(Graph.t(), pos_integer()) :: [String.t()] | nil
+  def find_cycle(%Graph{} = graph, id) do
     next =
       Enum.group_by(graph.edges, fn {_, e} -> elem(e.from, 0) end, fn {_, e} -> elem(e.to, 0) end)
 
-    with [_ | _] = ids <- search([[id]], id, next, MapSet.new()),
+    with [_ | _] = ids <- search_paths([[id]], id, next, MapSet.new()),
          do: Enum.map(ids, &graph.vertices[&1].path)
   end
 
   # Each way is a list of vertices with the last vertex first; shorter ways are searched first.
-  defp search([], _id, _next, _seen), do: nil
+  defp search_paths([], _id, _next, _seen), do: nil
 
-  defp search([[last | _] = way | ways], id, next, seen) do
+  defp search_paths([[last | _] = way | ways], id, next, seen) do
     followers = next |> Map.get(last, []) |> Enum.sort()
 
     if id in followers do
       Enum.reverse([id | way])
     else
       fresh = followers |> Enum.uniq() |> Enum.reject(&MapSet.member?(seen, &1))
-      search(ways ++ Enum.map(fresh, &[&1 | way]), id, next, Enum.into(fresh, seen))
+      search_paths(ways ++ Enum.map(fresh, &[&1 | way]), id, next, Enum.into(fresh, seen))
     end
   end
 
   @doc "Adds the cycle, if there is one, to an error about a time that does not increase."
-  @spec explain(Error.t(), Graph.t()) :: Error.t()
-  def explain(%Error{code: :time_not_increasing, meta: %{component: path}} = error, graph) do
-    with %{^path => id} <- graph.paths, [_ | _] = cycle <- through(graph, id) do
+  @spec explain_error(Error.t(), Graph.t()) :: Error.t()
+  def explain_error(%Error{code: :time_not_increasing, meta: %{component: path}} = error, graph) do
+    with %{^path => id} <- graph.paths, [_ | _] = cycle <- find_cycle(graph, id) do
       why =
         "it is on the cycle #{Enum.join(cycle, " -> ")}, and no component on it delays its messages"
 
@@ -44,5 +44,5 @@ defmodule Situ.Graph.Cycle do
     end
   end
 
-  def explain(error, _graph), do: error
+  def explain_error(error, _graph), do: error
 end

@@ -55,11 +55,11 @@ defmodule Situ.Delivery do
 
   @doc "Returns a lossless policy with back-pressure after `window:` (default 1,000) messages in flight."
   @spec unlimited(keyword()) :: t()
-  def unlimited(opts \\ []), do: build(:unlimited, [], opts)
+  def unlimited(opts \\ []), do: build_policy(:unlimited, [], opts)
 
   @doc "Keeps only the newest waiting message."
   @spec latest(keyword()) :: t()
-  def latest(opts \\ []), do: build(:latest, [max_queue: 1], opts)
+  def latest(opts \\ []), do: build_policy(:latest, [max_queue: 1], opts)
 
   @doc """
   Keeps the `n` newest waiting messages.
@@ -74,13 +74,13 @@ defmodule Situ.Delivery do
     if not is_boolean(throttle),
       do: raise(ArgumentError, "throttle: is true or false, got: #{inspect(throttle)}")
 
-    build(:max_queue, [max_queue: n, throttle: throttle], opts)
+    build_policy(:max_queue, [max_queue: n, throttle: throttle], opts)
   end
 
   @doc "Drops a message whose age (clock - originating time) is more than `d` ns when the consumer would take it."
   @spec max_latency(Situ.Time.duration(), keyword()) :: t()
   def max_latency(d, opts \\ []) when is_integer(d) and d >= 0,
-    do: build(:max_latency, [max_latency: d], opts)
+    do: build_policy(:max_latency, [max_latency: d], opts)
 
   @doc """
   Returns a lossless policy: the producer waits as soon as `n` messages are waiting for the consumer, in addition to
@@ -92,7 +92,7 @@ defmodule Situ.Delivery do
   """
   @spec throttle(pos_integer(), keyword()) :: t()
   def throttle(n \\ @small_window, opts \\ []) when is_integer(n) and n > 0,
-    do: build(:throttle, [], Keyword.put(opts, :window, n))
+    do: build_policy(:throttle, [], Keyword.put(opts, :window, n))
 
   @doc """
   Returns a lossless policy: a light operator runs in its producer's process, without a queue. Any other consumer is
@@ -100,7 +100,7 @@ defmodule Situ.Delivery do
   """
   @spec synchronous(keyword()) :: t()
   def synchronous(opts \\ []),
-    do: build(:synchronous, [], Keyword.put_new(opts, :window, @small_window))
+    do: build_policy(:synchronous, [], Keyword.put_new(opts, :window, @small_window))
 
   @doc "Adds a guarantee. Data is kept if either predicate returns `true`."
   @spec with_guarantee(t(), (term() -> boolean())) :: t()
@@ -131,7 +131,7 @@ defmodule Situ.Delivery do
       [_, "max_queue", n] -> {:ok, max_queue(String.to_integer(n))}
       [_, "max_latency", n] -> {:ok, max_latency(String.to_integer(n))}
       [_, "throttle", n] -> {:ok, throttle(String.to_integer(n))}
-      nil -> {:error, unknown(text)}
+      nil -> {:error, unknown_policy_error(text)}
     end
   end
 
@@ -147,20 +147,21 @@ defmodule Situ.Delivery do
   @doc """
   Returns a hint with the call to write instead of a value that is not a policy, or `nil`.
 
-      iex> Situ.Delivery.suggest(:lastest)
+      iex> Situ.Delivery.suggest_call(:lastest)
       "did you mean Situ.Delivery.latest()?"
   """
-  @spec suggest(term()) :: String.t() | nil
-  def suggest({name, _limit}), do: suggest(name)
+  @spec suggest_call(term()) :: String.t() | nil
+  def suggest_call({name, _limit}), do: suggest_call(name)
 
-  def suggest(name) when is_binary(name) or (is_atom(name) and name not in [nil, true, false]) do
-    case Options.nearest(name, Map.keys(@calls)) do
+  def suggest_call(name)
+      when is_binary(name) or (is_atom(name) and name not in [nil, true, false]) do
+    case Options.nearest_name(name, Map.keys(@calls)) do
       nil -> "policies are: " <> Enum.map_join(Map.values(@calls), ", ", &"Situ.Delivery.#{&1}")
       near -> "did you mean Situ.Delivery.#{@calls[near]}?"
     end
   end
 
-  def suggest(_other), do: nil
+  def suggest_call(_other), do: nil
 
   @doc "Returns whether the policy may drop messages."
   @spec lossy?(t()) :: boolean()
@@ -168,22 +169,22 @@ defmodule Situ.Delivery do
   def lossy?(%__MODULE__{}), do: true
 
   @doc "Returns a short name of the policy, for diagnostics."
-  @spec name(t()) :: String.t()
-  def name(%__MODULE__{kind: :max_queue, max_queue: n}), do: "max_queue(#{n})"
-  def name(%__MODULE__{kind: :throttle, window: n}), do: "throttle(#{n})"
+  @spec display_name(t()) :: String.t()
+  def display_name(%__MODULE__{kind: :max_queue, max_queue: n}), do: "max_queue(#{n})"
+  def display_name(%__MODULE__{kind: :throttle, window: n}), do: "throttle(#{n})"
 
-  def name(%__MODULE__{kind: :max_latency, max_latency: d}),
+  def display_name(%__MODULE__{kind: :max_latency, max_latency: d}),
     do: "max_latency(#{Situ.Time.format_duration(d)})"
 
-  def name(%__MODULE__{kind: kind}), do: Atom.to_string(kind)
+  def display_name(%__MODULE__{kind: kind}), do: Atom.to_string(kind)
 
-  defp build(kind, limits, opts) do
+  defp build_policy(kind, limits, opts) do
     struct!(%__MODULE__{kind: kind}, limits ++ Options.validate!(opts, @schema))
   end
 
-  defp unknown(text) do
+  defp unknown_policy_error(text) do
     names = ~w[unlimited latest throttle synchronous max_queue(5) max_latency(1000000)]
-    near = Options.nearest(text, names)
+    near = Options.nearest_name(text, names)
     fix = if near, do: "did you mean #{inspect(near)}?", else: "known: " <> Enum.join(names, ", ")
     Error.new(:unknown_policy, "unknown delivery policy #{inspect(text)}", fix: fix)
   end

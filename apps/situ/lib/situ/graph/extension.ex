@@ -4,8 +4,8 @@ defmodule Situ.Graph.Extension do
   alias Situ.{Error, Graph}
 
   @doc "Skips the next `n` ids of each kind, so that another graph can use them."
-  @spec advance(Graph.t(), pos_integer()) :: Graph.t()
-  def advance(%Graph{} = graph, n) do
+  @spec reserve_ids(Graph.t(), pos_integer()) :: Graph.t()
+  def reserve_ids(%Graph{} = graph, n) do
     %{
       graph
       | next_vertex: graph.next_vertex + n,
@@ -15,9 +15,9 @@ defmodule Situ.Graph.Extension do
   end
 
   @doc "Returns whether `built` has components or connections that `graph` does not have."
-  @spec grown?(Graph.t(), Graph.t()) :: boolean()
-  def grown?(built, graph) do
-    added = added(built, graph)
+  @spec has_additions?(Graph.t(), Graph.t()) :: boolean()
+  def has_additions?(built, graph) do
+    added = extract_additions(built, graph)
     added.vertices != %{} or added.edges != %{}
   end
 
@@ -25,8 +25,8 @@ defmodule Situ.Graph.Extension do
   Returns the additions in `built`, which was built on a copy of `offered`. Only these additions are merged, so parts
   that are removed from the running graph in the meantime do not return.
   """
-  @spec added(Graph.t(), Graph.t()) :: Graph.t()
-  def added(%Graph{} = built, %Graph{} = offered) do
+  @spec extract_additions(Graph.t(), Graph.t()) :: Graph.t()
+  def extract_additions(%Graph{} = built, %Graph{} = offered) do
     fresh = &Map.drop(Map.fetch!(built, &1), Map.keys(Map.fetch!(offered, &1)))
 
     %Graph{
@@ -40,16 +40,16 @@ defmodule Situ.Graph.Extension do
   end
 
   @doc "Merges the additions into `graph`; returns the graph and the ids of the new vertices."
-  @spec merge(Graph.t(), Graph.t()) ::
+  @spec merge_additions(Graph.t(), Graph.t()) ::
           {:ok, Graph.t(), MapSet.t(pos_integer())} | {:error, Error.t()}
-  def merge(%Graph{} = graph, %Graph{} = added) do
+  def merge_additions(%Graph{} = graph, %Graph{} = added) do
     ids = MapSet.new(Map.keys(added.vertices))
     edges = Map.values(added.edges)
     names = Map.keys(added.paths) ++ Map.keys(added.scopes)
 
-    with :ok <- free(names, graph),
-         :ok <- housed(added, graph),
-         :ok <- whole(edges, ids, graph) do
+    with :ok <- check_names_free(names, graph),
+         :ok <- check_scopes_exist(added, graph),
+         :ok <- check_edges(edges, ids, graph) do
       {:ok,
        %{
          graph
@@ -64,7 +64,7 @@ defmodule Situ.Graph.Extension do
     end
   end
 
-  defp free(names, graph) do
+  defp check_names_free(names, graph) do
     case Enum.find(names, &(is_map_key(graph.paths, &1) or is_map_key(graph.scopes, &1))) do
       nil ->
         :ok
@@ -78,7 +78,7 @@ defmodule Situ.Graph.Extension do
     end
   end
 
-  defp housed(added, graph) do
+  defp check_scopes_exist(added, graph) do
     lost = fn {_, %{scope: scope}} ->
       scope && not (is_map_key(graph.scopes, scope) or is_map_key(added.scopes, scope)) && scope
     end
@@ -91,11 +91,11 @@ defmodule Situ.Graph.Extension do
 
   # Running components accept no new connections to their inputs, and new components may subscribe only to components
   # that still exist.
-  defp whole(edges, ids, graph) do
+  defp check_edges(edges, ids, graph) do
     Enum.find_value(edges, :ok, fn %{from: {from, _}, to: {to, input}} ->
       cond do
         not MapSet.member?(ids, to) ->
-          {:error, fixed(graph, to, input)}
+          {:error, fixed_inputs_error(graph, to, input)}
 
         not MapSet.member?(ids, from) and not is_map_key(graph.vertices, from) ->
           {:error,
@@ -107,7 +107,7 @@ defmodule Situ.Graph.Extension do
     end)
   end
 
-  defp fixed(graph, id, input) do
+  defp fixed_inputs_error(graph, id, input) do
     path = if vertex = graph.vertices[id], do: vertex.path, else: "the component"
 
     Error.new(
@@ -121,29 +121,35 @@ defmodule Situ.Graph.Extension do
   end
 
   @doc "Removes these vertices with their connections and names, and the composites that are empty afterward."
-  @spec without(Graph.t(), MapSet.t(pos_integer())) :: Graph.t()
-  def without(%Graph{} = graph, ids) do
+  @spec remove_vertices(Graph.t(), MapSet.t(pos_integer())) :: Graph.t()
+  def remove_vertices(%Graph{} = graph, ids) do
     gone? = &MapSet.member?(ids, &1)
-    edges = reject(graph.edges, fn {_, e} -> gone?.(elem(e.from, 0)) or gone?.(elem(e.to, 0)) end)
+
+    edges =
+      reject_entries(graph.edges, fn {_, e} ->
+        gone?.(elem(e.from, 0)) or gone?.(elem(e.to, 0))
+      end)
+
     vertices = Map.drop(graph.vertices, MapSet.to_list(ids))
 
     %{
       graph
       | vertices: vertices,
         edges: edges,
-        connected: reject(graph.connected, fn {_, id} -> not is_map_key(edges, id) end),
-        paths: reject(graph.paths, fn {_, id} -> gone?.(id) end),
-        stream_names: reject(graph.stream_names, fn {_, {id, _}} -> gone?.(id) end),
-        scopes: reject(graph.scopes, fn {path, _} -> emptied?(graph, vertices, path) end),
+        connected: reject_entries(graph.connected, fn {_, id} -> not is_map_key(edges, id) end),
+        paths: reject_entries(graph.paths, fn {_, id} -> gone?.(id) end),
+        stream_names: reject_entries(graph.stream_names, fn {_, {id, _}} -> gone?.(id) end),
+        scopes:
+          reject_entries(graph.scopes, fn {path, _} -> scope_emptied?(graph, vertices, path) end),
         numbers: %{}
     }
   end
 
-  defp emptied?(before, vertices, path),
-    do: inside?(before.vertices, path) and not inside?(vertices, path)
+  defp scope_emptied?(before, vertices, path),
+    do: scope_occupied?(before.vertices, path) and not scope_occupied?(vertices, path)
 
-  defp inside?(vertices, path),
+  defp scope_occupied?(vertices, path),
     do: Enum.any?(vertices, fn {_, v} -> String.starts_with?(v.path, path <> ".") end)
 
-  defp reject(map, fun), do: map |> Enum.reject(fun) |> Map.new()
+  defp reject_entries(map, fun), do: map |> Enum.reject(fun) |> Map.new()
 end

@@ -50,19 +50,19 @@ defmodule Situ.Graph do
   Runs `fun` with the handle of a new graph that only this process holds; returns the graph and the function's result.
   """
   @spec build((Situ.Graph.Handle.t() -> result)) :: {t(), result} when result: term()
-  def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.collect(fun)
+  def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.build_graph(fun)
 
   @doc "Adds a component with its own options and the options of `Situ.Graph.Placement`. Raises `Situ.Error`."
-  @spec add(t(), Situ.Graph.Handle.t(), module(), keyword()) :: {Situ.Node.t(), t()}
-  def add(%__MODULE__{} = graph, handle, module, opts) do
+  @spec add_component(t(), Situ.Graph.Handle.t(), module(), keyword()) :: {Situ.Node.t(), t()}
+  def add_component(%__MODULE__{} = graph, handle, module, opts) do
     check_module!(module)
-    {opts, placed} = Placement.split!(opts, module.options(), :component)
+    {opts, placed} = Placement.split_options!(opts, module.options(), :component)
 
     vertex = %Vertex{
       id: graph.next_vertex,
       module: module,
       opts: opts,
-      inputs: ports(placed[:inputs] || module.inputs()),
+      inputs: build_ports(placed[:inputs] || module.inputs()),
       outputs: [],
       policy: placed[:policy],
       on_error: placed[:on_error],
@@ -73,7 +73,15 @@ defmodule Situ.Graph do
     }
 
     name = placed[:name] || placed[:default_name] || default_name(module)
-    insert(graph, handle, vertex, placed[:outputs] || module.outputs(), name, placed[:name])
+
+    insert_vertex(
+      graph,
+      handle,
+      vertex,
+      placed[:outputs] || module.outputs(),
+      name,
+      placed[:name]
+    )
   end
 
   @doc "Adds a light operator that consumes `stream`; see `Situ.Operator.attach/5`."
@@ -96,7 +104,7 @@ defmodule Situ.Graph do
     name = opts[:name] || opts[:default_name] || spec.name
 
     {node, graph} =
-      insert(graph, stream.pipeline, vertex, [out: spec.out_type], name, opts[:name])
+      insert_vertex(graph, stream.pipeline, vertex, [out: spec.out_type], name, opts[:name])
 
     {:ok, graph} = connect(graph, stream, node, :in, policy: opts[:policy])
     {node, graph}
@@ -119,7 +127,7 @@ defmodule Situ.Graph do
       from: {from.id, stream.output},
       to: {to.id, input},
       policy:
-        policy || surrounding(graph, to.scope).policy || graph.default_policy ||
+        policy || surrounding_scope(graph, to.scope).policy || graph.default_policy ||
           Delivery.unlimited(),
       explicit: policy != nil
     }
@@ -135,7 +143,7 @@ defmodule Situ.Graph do
     port = {stream.node, stream.output}
 
     case graph.stream_names do
-      %{^name => other} when other != port -> raise duplicate("stream", name)
+      %{^name => other} when other != port -> raise duplicate_name_error("stream", name)
       names -> {:ok, %{graph | stream_names: Map.put(names, name, port)}}
     end
   end
@@ -162,15 +170,16 @@ defmodule Situ.Graph do
   @spec open_scope(t(), String.t() | nil, String.t(), keyword()) :: {String.t(), t()}
   def open_scope(%__MODULE__{} = graph, scope, name, opts \\ []) do
     opts = Options.validate!(opts, @scope)
-    path = join(scope, name)
-    if taken?(graph, path), do: raise(duplicate("component", path))
-    outer = surrounding(graph, scope)
+    path = join_path(scope, name)
+    if path_taken?(graph, path), do: raise(duplicate_name_error("component", path))
+    outer = surrounding_scope(graph, scope)
     unit = if opts[:on_error] == :stop, do: outer.unit, else: {path, opts[:on_error]}
     inner = %{policy: opts[:policy] || outer.policy, unit: unit}
     {path, %{graph | scopes: Map.put(graph.scopes, path, inner)}}
   end
 
-  defp surrounding(graph, scope), do: Map.get(graph.scopes, scope, %{policy: nil, unit: nil})
+  defp surrounding_scope(graph, scope),
+    do: Map.get(graph.scopes, scope, %{policy: nil, unit: nil})
 
   @doc "Returns the default name of an output's stream: the node's path, plus the output's name if there are several."
   @spec stream_name(String.t(), atom(), keyword()) :: String.t()
@@ -189,8 +198,8 @@ defmodule Situ.Graph do
   end
 
   @doc "Returns the stream with this name. Raises `Situ.Error` if there is none."
-  @spec stream!(t(), Situ.Graph.Handle.t(), String.t()) :: Situ.Stream.t()
-  def stream!(%__MODULE__{} = graph, handle, name) do
+  @spec fetch_stream!(t(), Situ.Graph.Handle.t(), String.t()) :: Situ.Stream.t()
+  def fetch_stream!(%__MODULE__{} = graph, handle, name) do
     named = stream_names(graph)
 
     case named do
@@ -206,7 +215,7 @@ defmodule Situ.Graph do
   @doc "Returns the error for a stream that does not exist, with the nearest name."
   @spec unknown_stream(term(), [String.t()]) :: Error.t()
   def unknown_stream(name, known) do
-    near = is_binary(name) && Options.nearest(name, known)
+    near = is_binary(name) && Options.nearest_name(name, known)
 
     fix =
       if near, do: "did you mean #{inspect(near)}?", else: "streams: " <> Enum.join(known, ", ")
@@ -218,7 +227,7 @@ defmodule Situ.Graph do
   @spec unknown_port(:input | :output, Situ.Node.t(), atom()) :: Error.t()
   def unknown_port(kind, node, name) do
     known = Keyword.keys(if kind == :input, do: node.inputs, else: node.outputs)
-    near = known != [] && Options.nearest(name, known)
+    near = known != [] && Options.nearest_name(name, known)
     hint = if near, do: "did you mean #{inspect(near)}? ", else: ""
     code = if kind == :input, do: :unknown_input, else: :unknown_output
 
@@ -227,15 +236,15 @@ defmodule Situ.Graph do
     )
   end
 
-  defp insert(graph, handle, vertex, outputs, name, explicit) do
-    {path, graph} = unique_path(graph, join(handle.scope, name), explicit)
+  defp insert_vertex(graph, handle, vertex, outputs, name, explicit) do
+    {path, graph} = unique_path(graph, join_path(handle.scope, name), explicit)
 
     {outputs, next_source} =
-      Enum.map_reduce(ports(outputs), graph.next_source, fn {port, info}, id ->
+      Enum.map_reduce(build_ports(outputs), graph.next_source, fn {port, info}, id ->
         {{port, Map.put(info, :source_id, id)}, id + 1}
       end)
 
-    unit = surrounding(graph, vertex.scope).unit
+    unit = surrounding_scope(graph, vertex.scope).unit
     vertex = %{vertex | path: path, outputs: outputs, unit: unit}
 
     graph = %{
@@ -246,36 +255,36 @@ defmodule Situ.Graph do
         next_source: next_source
     }
 
-    {node(handle, vertex), graph}
+    {build_node(handle, vertex), graph}
   end
 
-  defp node(handle, vertex) do
+  defp build_node(handle, vertex) do
     %Situ.Node{
       pipeline: handle,
       id: vertex.id,
       path: vertex.path,
       module: vertex.module,
-      inputs: types(vertex.inputs),
-      outputs: types(vertex.outputs)
+      inputs: port_types(vertex.inputs),
+      outputs: port_types(vertex.outputs)
     }
   end
 
-  defp types(ports), do: Enum.map(ports, fn {name, port} -> {name, port.type} end)
+  defp port_types(ports), do: Enum.map(ports, fn {name, port} -> {name, port.type} end)
 
-  defp ports(list) do
+  defp build_ports(list) do
     Enum.map(list, fn
       # Match only this form, because `{:tuple, [optional: type]}` is a type.
       {name, {type, [optional: optional]}} when is_boolean(optional) ->
-        {name, %{type: checked!(type), optional: optional}}
+        {name, %{type: validate_type!(type), optional: optional}}
 
       {name, type} ->
-        {name, %{type: checked!(type), optional: false}}
+        {name, %{type: validate_type!(type), optional: false}}
     end)
     |> unique_ports!()
   end
 
-  defp checked!(type) do
-    if Type.type?(type),
+  defp validate_type!(type) do
+    if Type.valid_type?(type),
       do: type,
       else: raise(ArgumentError, "not a port type: #{inspect(type)}; see Situ.Type")
   end
@@ -288,29 +297,31 @@ defmodule Situ.Graph do
   end
 
   defp unique_path(graph, path, nil) do
-    if taken?(graph, path),
-      do: numbered(graph, path, Map.get(graph.numbers, path, 2)),
+    if path_taken?(graph, path),
+      do: number_path(graph, path, Map.get(graph.numbers, path, 2)),
       else: {path, graph}
   end
 
   defp unique_path(graph, path, _explicit) do
-    if taken?(graph, path), do: raise(duplicate("component", path)), else: {path, graph}
+    if path_taken?(graph, path),
+      do: raise(duplicate_name_error("component", path)),
+      else: {path, graph}
   end
 
   # Finds the smallest free number. Numbers below the last one found are known to be in use.
-  defp numbered(graph, path, n) do
+  defp number_path(graph, path, n) do
     name = path <> Integer.to_string(n)
 
-    if taken?(graph, name),
-      do: numbered(graph, path, n + 1),
+    if path_taken?(graph, name),
+      do: number_path(graph, path, n + 1),
       else: {name, %{graph | numbers: Map.put(graph.numbers, path, n + 1)}}
   end
 
-  defp taken?(graph, path),
+  defp path_taken?(graph, path),
     do: Map.has_key?(graph.paths, path) or Map.has_key?(graph.scopes, path)
 
-  defp join(nil, name), do: name
-  defp join(scope, name), do: scope <> "." <> name
+  defp join_path(nil, name), do: name
+  defp join_path(scope, name), do: scope <> "." <> name
 
   defp default_name(module), do: module |> Module.split() |> List.last()
 
@@ -361,7 +372,7 @@ defmodule Situ.Graph do
     end
   end
 
-  defp duplicate(kind, name) do
+  defp duplicate_name_error(kind, name) do
     Error.new(:duplicate_name, "there is already a #{kind} named #{inspect(name)}",
       fix: "choose a different name:"
     )

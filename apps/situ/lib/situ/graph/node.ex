@@ -38,7 +38,7 @@ defmodule Situ.Node do
   end
 
   def output(other, _name),
-    do: Situ.Argument.refuse!(other, :node, "Situ.Node.output(node, :out)")
+    do: Situ.Argument.raise_invalid!(other, :node, "Situ.Node.output(node, :out)")
 
   @doc "Returns the stream of the only output, or a map from name to stream for several outputs (`%{}` for none)."
   @spec streams(t()) :: Situ.Stream.t() | %{atom() => Situ.Stream.t()}
@@ -47,5 +47,5 @@ defmodule Situ.Node do
   def streams(%__MODULE__{outputs: outputs} = node),
     do: Map.new(outputs, fn {name, _} -> {name, output(node, name)} end)
 
-  def streams(other), do: Situ.Argument.refuse!(other, :node, "Situ.Node.streams(node)")
+  def streams(other), do: Situ.Argument.raise_invalid!(other, :node, "Situ.Node.streams(node)")
 end

@@ -38,12 +38,12 @@ defmodule Situ.Operator do
   @spec attach(Stream.t(), String.t(), step(), keyword(), Situ.Type.t()) :: Stream.t()
   def attach(%Stream{} = stream, name, step, opts \\ [], default_type \\ :any) do
     check_step!(step)
-    {[], opts} = Placement.split!(opts, [], :operator)
+    {[], opts} = Placement.split_options!(opts, [], :operator)
     type = opts[:type] || default_type
     spec = %{step: step, name: name, in_type: :any, out_type: type, opts: opts}
 
     stream.pipeline
-    |> Builder.run(&Graph.add_operator(&1, stream, spec))
+    |> Builder.update_graph(&Graph.add_operator(&1, stream, spec))
     |> Node.output(:out)
   end
 
@@ -54,47 +54,47 @@ defmodule Situ.Operator do
 
   `policy:` may be a list here, with one policy for each input.
   """
-  @spec through(
+  @spec attach_component(
           Stream.t() | keyword(Stream.t()),
           String.t(),
           {module(), keyword()},
           keyword(),
           Situ.Type.t()
         ) :: Stream.t()
-  def through(streams, name, component, opts \\ [], default_type \\ :any)
+  def attach_component(streams, name, component, opts \\ [], default_type \\ :any)
 
-  def through(%Stream{} = stream, name, component, opts, default_type),
-    do: through([in: stream], name, component, opts, default_type)
+  def attach_component(%Stream{} = stream, name, component, opts, default_type),
+    do: attach_component([in: stream], name, component, opts, default_type)
 
-  def through([{_, first} | _] = inputs, name, {module, own}, opts, default_type) do
+  def attach_component([{_, first} | _] = inputs, name, {module, own}, opts, default_type) do
     {policies, opts} = Keyword.pop(opts, :policy)
-    {[], opts} = Placement.split!(opts, [], :operator)
+    {[], opts} = Placement.split_options!(opts, [], :operator)
     {type, opts} = Keyword.pop(opts, :type)
     ports = for {input, stream} <- inputs, do: {input, stream.type}
     placed = [inputs: ports, outputs: [out: type || default_type]]
     opts = own ++ placed ++ Keyword.put_new(opts, :default_name, name)
     handle = first.pipeline
-    node = Builder.run(handle, &Graph.add(&1, handle, module, opts))
+    node = Builder.update_graph(handle, &Graph.add_component(&1, handle, module, opts))
 
     inputs
-    |> Enum.zip(policies(policies, length(inputs)))
+    |> Enum.zip(spread_policies(policies, length(inputs)))
     |> Enum.each(fn {{input, stream}, policy} ->
-      Builder.run(handle, &Graph.connect(&1, stream, node, input, policy: policy))
+      Builder.update_graph(handle, &Graph.connect(&1, stream, node, input, policy: policy))
     end)
 
     Node.output(node, :out)
   end
 
-  defp policies(policies, n) when is_list(policies) and length(policies) == n, do: policies
+  defp spread_policies(policies, n) when is_list(policies) and length(policies) == n, do: policies
 
-  defp policies(policies, n) when is_list(policies),
+  defp spread_policies(policies, n) when is_list(policies),
     do:
       raise(
         ArgumentError,
         "expected one policy per input, got #{length(policies)} policies for #{n} inputs"
       )
 
-  defp policies(policy, n), do: List.duplicate(policy, n)
+  defp spread_policies(policy, n), do: List.duplicate(policy, n)
 
   defp check_step!({kind, fun}) when kind in [:map, :filter, :each] and is_function(fun, 1),
     do: :ok

@@ -4,20 +4,20 @@ defmodule Situ.Graph.Placement do
   options, in the same keyword list.
 
       iex> own = [gain: [type: :number, default: 1]]
-      iex> Situ.Graph.Placement.split!([name: "Left", gain: 2], own, :operator)
+      iex> Situ.Graph.Placement.split_options!([name: "Left", gain: 2], own, :operator)
       {[gain: 2], [name: "Left", async: false, on_error: :stop]}
 
   ## Components (`Situ.source/3`, `Situ.via/3`, `Situ.Pipeline.add/3`)
 
-  #{Situ.Options.docs(Situ.Graph.Placement.Schema.of(:component))}
+  #{Situ.Options.docs(Situ.Graph.Placement.Schema.options_for(:component))}
 
   ## Operators (`Situ.map/3`, `Situ.join/4` ...)
 
-  #{Situ.Options.docs(Situ.Graph.Placement.Schema.of(:operator))}
+  #{Situ.Options.docs(Situ.Graph.Placement.Schema.options_for(:operator))}
 
   ## Generators (`Situ.from_enumerable/3` ...)
 
-  #{Situ.Options.docs(Situ.Graph.Placement.Schema.of(:generator))}
+  #{Situ.Options.docs(Situ.Graph.Placement.Schema.options_for(:generator))}
   """
   alias Situ.{Error, Options}
   alias Situ.Graph.Placement.Schema
@@ -26,15 +26,15 @@ defmodule Situ.Graph.Placement do
 
   @doc "Returns the option schema of a kind of element."
   @spec schema(kind()) :: Options.schema()
-  defdelegate schema(kind), to: Schema, as: :of
+  defdelegate schema(kind), to: Schema, as: :options_for
 
   @doc """
   Validates `opts` against `own` and the options of the kind, and splits them into `{own, placement}`.
 
   Raises `Situ.Error`; the error for an unknown option lists the known options.
   """
-  @spec split!(keyword(), Options.schema(), kind()) :: {keyword(), keyword()}
-  def split!(opts, own, kind) do
+  @spec split_options!(keyword(), Options.schema(), kind()) :: {keyword(), keyword()}
+  def split_options!(opts, own, kind) do
     placement = schema(kind)
     Enum.each(Keyword.keys(own), &check_free!(&1, placement))
     opts |> Options.validate!(own ++ placement) |> Keyword.split(Keyword.keys(own))
@@ -44,11 +44,11 @@ defmodule Situ.Graph.Placement do
   Splits `opts` into placement options and all others without validation, for functions that validate their own
   options elsewhere.
 
-      iex> Situ.Graph.Placement.apart([radius: 3, name: "Blur"], :operator)
+      iex> Situ.Graph.Placement.split_unchecked([radius: 3, name: "Blur"], :operator)
       {[name: "Blur"], [radius: 3]}
   """
-  @spec apart(keyword(), kind()) :: {keyword(), keyword()}
-  def apart(opts, kind), do: Keyword.split(opts, Keyword.keys(schema(kind)))
+  @spec split_unchecked(keyword(), kind()) :: {keyword(), keyword()}
+  def split_unchecked(opts, kind), do: Keyword.split(opts, Keyword.keys(schema(kind)))
 
   defp check_free!(key, placement) do
     if Keyword.has_key?(placement, key) do

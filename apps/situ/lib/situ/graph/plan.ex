@@ -28,13 +28,13 @@ defmodule Situ.Graph.Plan do
 
   defp compile_checked(graph, edges) do
     outgoing = Enum.group_by(edges, &elem(&1.from, 0))
-    {inline, process} = Enum.split_with(edges, &inline?(graph, outgoing, &1))
-    {:ok, build(graph, inline, unbound_cycles(graph, process, edges))}
+    {inline, process} = Enum.split_with(edges, &inline_edge?(graph, outgoing, &1))
+    {:ok, build_plan(graph, inline, unbound_cycles(graph, process, edges))}
   end
 
   @doc "Compiles the plan of only the vertices `fresh`, which are added to a graph that is already running."
-  @spec extend(Graph.t(), MapSet.t(pos_integer())) :: {:ok, t()} | {:error, Error.t()}
-  def extend(%Graph{} = graph, fresh) do
+  @spec compile_part(Graph.t(), MapSet.t(pos_integer())) :: {:ok, t()} | {:error, Error.t()}
+  def compile_part(%Graph{} = graph, fresh) do
     edges = for {_, %{to: {to, _}} = edge} <- graph.edges, MapSet.member?(fresh, to), do: edge
 
     vertices = Map.take(graph.vertices, MapSet.to_list(fresh))
@@ -48,7 +48,7 @@ defmodule Situ.Graph.Plan do
     end
   end
 
-  defp build(graph, inline, process) do
+  defp build_plan(graph, inline, process) do
     next = Map.new(inline, fn edge -> {elem(edge.from, 0), elem(edge.to, 0)} end)
     inner = MapSet.new(Map.values(next))
 
@@ -56,48 +56,50 @@ defmodule Situ.Graph.Plan do
       for id <- Enum.sort(Map.keys(graph.vertices)), not MapSet.member?(inner, id) do
         %{
           id: id,
-          vertices: graph |> follow(next, id) |> Enum.map(&Map.fetch!(graph.vertices, &1))
+          vertices: graph |> follow_chain(next, id) |> Enum.map(&Map.fetch!(graph.vertices, &1))
         }
       end
 
     %__MODULE__{stages: stages, edges: process, inline: inline}
   end
 
-  defp follow(graph, next, id) do
+  defp follow_chain(graph, next, id) do
     case next do
-      %{^id => following} -> [id | follow(graph, next, following)]
+      %{^id => following} -> [id | follow_chain(graph, next, following)]
       _ -> [id]
     end
   end
 
-  defp inline?(graph, outgoing, edge) do
+  defp inline_edge?(graph, outgoing, edge) do
     from = Map.fetch!(graph.vertices, elem(edge.from, 0))
     to = Map.fetch!(graph.vertices, elem(edge.to, 0))
 
     to.module == :operator and not to.async and match?([_], Map.fetch!(outgoing, from.id)) and
-      joins?(from, to, edge)
+      can_share_process?(from, to, edge)
   end
 
-  defp joins?(%{async: true}, _to, _edge), do: false
+  defp can_share_process?(%{async: true}, _to, _edge), do: false
 
-  defp joins?(%{module: :operator} = from, to, edge) do
+  defp can_share_process?(%{module: :operator} = from, to, edge) do
     from.on_error == to.on_error and
       (edge.policy.kind == :synchronous or
-         (from.scope == to.scope and (not edge.explicit or one?(edge.policy))))
+         (from.scope == to.scope and (not edge.explicit or one_at_a_time?(edge.policy))))
   end
 
-  defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :synchronous}}), do: true
-  defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :throttle}, explicit: false}), do: true
+  defp can_share_process?(%{outputs: [_]}, _to, %{policy: %{kind: :synchronous}}), do: true
+
+  defp can_share_process?(%{outputs: [_]}, _to, %{policy: %{kind: :throttle}, explicit: false}),
+    do: true
 
   # A device that cannot wait must keep running while the operator works, so the two do not share a process.
-  defp joins?(%{outputs: [_], scope: scope} = from, %{scope: scope}, %{policy: policy}),
-    do: one?(policy) and not Vertex.push?(from)
+  defp can_share_process?(%{outputs: [_], scope: scope} = from, %{scope: scope}, %{policy: policy}),
+       do: one_at_a_time?(policy) and not Vertex.push_source?(from)
 
-  defp joins?(_from, _to, _edge), do: false
+  defp can_share_process?(_from, _to, _edge), do: false
 
   # Within one process there is only ever one message at a time, without two wake-ups per message.
-  defp one?(%Delivery{kind: :throttle, window: 1}), do: true
-  defp one?(_policy), do: false
+  defp one_at_a_time?(%Delivery{kind: :throttle, window: 1}), do: true
+  defp one_at_a_time?(_policy), do: false
 
   defp check_inputs(graph, edges) do
     connected = MapSet.new(edges, & &1.to)
@@ -124,13 +126,13 @@ defmodule Situ.Graph.Plan do
 
   # Back-pressure around a cycle would stall it forever, so edges on a cycle are unbounded.
   defp unbound_cycles(graph, process, edges) do
-    case cycles(Map.keys(graph.vertices), edges) do
+    case find_cycles(Map.keys(graph.vertices), edges) do
       cycles when cycles == %{} -> process
-      cycles -> Enum.map(process, &unbound(&1, cycles))
+      cycles -> Enum.map(process, &unbound_edge(&1, cycles))
     end
   end
 
-  defp unbound(edge, cycles) do
+  defp unbound_edge(edge, cycles) do
     {from, to} = {cycles[elem(edge.from, 0)], cycles[elem(edge.to, 0)]}
 
     if from != nil and from == to and not Delivery.lossy?(edge.policy),
@@ -139,7 +141,7 @@ defmodule Situ.Graph.Plan do
   end
 
   # Returns each vertex on a cycle with the number of its strongly connected component.
-  defp cycles(ids, edges) do
+  defp find_cycles(ids, edges) do
     digraph = :digraph.new()
     Enum.each(ids, &:digraph.add_vertex(digraph, &1))
     for edge <- edges, do: :digraph.add_edge(digraph, elem(edge.from, 0), elem(edge.to, 0))

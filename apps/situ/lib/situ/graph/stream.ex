@@ -21,17 +21,19 @@ defmodule Situ.Stream do
   @doc "Names the stream. Raises `Situ.Error` (`:duplicate_name`) if another stream of the pipeline has the same name."
   @spec name(t(), String.t()) :: t()
   def name(%__MODULE__{} = stream, name) when is_binary(name) do
-    :ok = Situ.Graph.Builder.run(stream.pipeline, &Situ.Graph.name_stream(&1, stream, name))
+    :ok =
+      Situ.Graph.Builder.update_graph(stream.pipeline, &Situ.Graph.name_stream(&1, stream, name))
+
     %{stream | name: name}
   end
 
   def name(other, _name),
-    do: Situ.Argument.refuse!(other, :stream, ~s|Situ.name(stream, "Front")|)
+    do: Situ.Argument.raise_invalid!(other, :stream, ~s|Situ.name(stream, "Front")|)
 
   @doc "Returns the stream with another type. Nothing changes at run time; inputs check the data that arrives."
-  @spec as(t(), Situ.Type.t()) :: t()
-  def as(%__MODULE__{} = stream, type), do: %{stream | type: type}
+  @spec with_type(t(), Situ.Type.t()) :: t()
+  def with_type(%__MODULE__{} = stream, type), do: %{stream | type: type}
 
-  def as(other, _type),
-    do: Situ.Argument.refuse!(other, :stream, "Situ.Stream.as(stream, :integer)")
+  def with_type(other, _type),
+    do: Situ.Argument.raise_invalid!(other, :stream, "Situ.Stream.as(stream, :integer)")
 end

@@ -47,9 +47,9 @@ defmodule Situ.Graph.Vertex do
   def source?(%__MODULE__{module: module}), do: function_exported?(module, :handle_demand, 3)
 
   @doc "Returns whether it is a push source, which cannot wait because it does not emit on demand."
-  @spec push?(t()) :: boolean()
-  def push?(%__MODULE__{inputs: [], module: module}),
+  @spec push_source?(t()) :: boolean()
+  def push_source?(%__MODULE__{inputs: [], module: module}),
     do: module != :operator and not function_exported?(module, :handle_demand, 3)
 
-  def push?(%__MODULE__{}), do: false
+  def push_source?(%__MODULE__{}), do: false
 end

@@ -18,11 +18,11 @@ defmodule Situ.Lifecycle.Closing do
   Returns the next step. `order` holds the ids that are not closed yet, in order of construction. `active` holds the
   edges whose consumer has not taken the closing mark.
   """
-  @spec next([id()], [edge()]) :: {:close, [id()]} | :wait | {:break, [id()]} | :done
-  def next([], []), do: :done
-  def next([], _active), do: :wait
+  @spec next_to_close([id()], [edge()]) :: {:close, [id()]} | :wait | {:break, [id()]} | :done
+  def next_to_close([], []), do: :done
+  def next_to_close([], _active), do: :wait
 
-  def next(order, active) do
+  def next_to_close(order, active) do
     fed = MapSet.new(active, & &1.to)
     open = MapSet.new(order)
 
@@ -30,7 +30,7 @@ defmodule Situ.Lifecycle.Closing do
       [] ->
         if Enum.any?(active, &(not MapSet.member?(open, &1.from))),
           do: :wait,
-          else: {:break, break(order, active)}
+          else: {:break, break_cycle(order, active)}
 
       free ->
         {:close, free}
@@ -38,16 +38,16 @@ defmodule Situ.Lifecycle.Closing do
   end
 
   @doc "Returns the ids in `order` to close when all of them wait for each other; at least one."
-  @spec break([id(), ...], [edge()]) :: [id(), ...]
-  def break(order, active) do
-    with [] <- one_by_one(order, active, &alone?/2),
-         [] <- one_by_one(order, active, &pure?/2) do
-      [Enum.max_by(order, &listened(&1, active), fn -> hd(order) end)]
+  @spec break_cycle([id(), ...], [edge()]) :: [id(), ...]
+  def break_cycle(order, active) do
+    with [] <- select_in_order(order, active, &fed_by_itself?/2),
+         [] <- select_in_order(order, active, &on_pure_cycle?/2) do
+      [Enum.max_by(order, &count_listened_outputs(&1, active), fn -> hd(order) end)]
     end
   end
 
   # Tests the rule for each id after the earlier ones have closed, since closing one stage opens its cycle for the rest.
-  defp one_by_one(order, active, rule) do
+  defp select_in_order(order, active, rule) do
     {chosen, _active} =
       Enum.flat_map_reduce(order, active, fn id, active ->
         if rule.(id, Enum.group_by(active, & &1.to, & &1.from)),
@@ -58,7 +58,7 @@ defmodule Situ.Lifecycle.Closing do
     chosen
   end
 
-  defp alone?(id, upstream) do
+  defp fed_by_itself?(id, upstream) do
     case Map.get(upstream, id, []) do
       [] -> false
       froms -> Enum.all?(froms, &(&1 == id))
@@ -66,7 +66,7 @@ defmodule Situ.Lifecycle.Closing do
   end
 
   # Every path upstream from `id` leads back to `id` before it meets another vertex twice.
-  defp pure?(id, upstream),
+  defp on_pure_cycle?(id, upstream),
     do: leads_back?(Map.get(upstream, id, []), id, upstream, MapSet.new([id]))
 
   defp leads_back?(froms, id, upstream, seen) do
@@ -78,7 +78,7 @@ defmodule Situ.Lifecycle.Closing do
       end)
   end
 
-  defp listened(id, active) do
+  defp count_listened_outputs(id, active) do
     active |> Enum.filter(&(&1.from == id)) |> Enum.uniq_by(& &1.output) |> length()
   end
 end

@@ -10,12 +10,12 @@ defmodule Situ.Lifecycle.Errors do
     )
   end
 
-  @spec stream_removed() :: Error.t()
-  def stream_removed,
+  @spec source_removed() :: Error.t()
+  def source_removed,
     do: Error.new(:not_running, "the component that this stream comes from has been removed")
 
-  @spec unpaced() :: Error.t()
-  def unpaced do
+  @spec not_paced() :: Error.t()
+  def not_paced do
     Error.new(:unpaced, "the pipeline runs as fast as possible, so its speed cannot be changed",
       why: "with speed: :max, messages do not wait for the clock",
       fix: "start it with a speed, as in replay: [speed: 1.0]"
@@ -49,19 +49,19 @@ defmodule Situ.Lifecycle.Errors do
     )
   end
 
-  @spec crashed(term()) :: Error.t()
-  def crashed(reason),
+  @spec pipeline_crashed(term()) :: Error.t()
+  def pipeline_crashed(reason),
     do: Error.new(:crashed, "the pipeline process died: #{inspect(reason, limit: 8)}")
 
-  @spec abandoned() :: Error.t()
-  def abandoned do
+  @spec pipeline_abandoned() :: Error.t()
+  def pipeline_abandoned do
     Error.new(:abandoned, "the pipeline was abandoned",
       why: "it continues elsewhere; messages in flight were not delivered here"
     )
   end
 
-  @spec timeout(term(), timeout()) :: Error.t()
-  def timeout(request, ms) do
+  @spec request_timeout(term(), timeout()) :: Error.t()
+  def request_timeout(request, ms) do
     Error.new(:timeout, "no reply to #{inspect(request, limit: 4)} after #{ms} ms",
       why: "the pipeline is still working on the request",
       fix: "wait longer with timeout:"
@@ -69,16 +69,16 @@ defmodule Situ.Lifecycle.Errors do
   end
 
   @doc "Builds the error of a component whose process ended unexpectedly."
-  @spec killed(String.t(), term()) :: Error.t()
-  def killed(path, reason) do
+  @spec component_killed(String.t(), term()) :: Error.t()
+  def component_killed(path, reason) do
     Error.new(:component_killed, "#{path} was killed: #{inspect(reason, limit: 8)}",
       meta: %{component: path, reason: reason}
     )
   end
 
   @doc "Builds the error of a request whose stage was restarted or ended before it replied."
-  @spec interrupted(String.t()) :: Error.t()
-  def interrupted(path) do
+  @spec component_restarted(String.t()) :: Error.t()
+  def component_restarted(path) do
     Error.new(:component_restarted, "#{path} ended before it replied",
       why: "its pending requests were lost with its process",
       fix: "send the request again",
@@ -90,10 +90,10 @@ defmodule Situ.Lifecycle.Errors do
   def build_failed(_spec, %Error{} = error, stack),
     do: %{error | meta: Map.put_new(error.meta, :stacktrace, stack)}
 
-  def build_failed(spec, {kind, reason}, stack), do: failed(spec, kind, reason, stack)
-  def build_failed(spec, exception, stack), do: failed(spec, :error, exception, stack)
+  def build_failed(spec, {kind, reason}, stack), do: build_error(spec, kind, reason, stack)
+  def build_failed(spec, exception, stack), do: build_error(spec, :error, exception, stack)
 
-  defp failed(spec, kind, reason, stack) do
+  defp build_error(spec, kind, reason, stack) do
     Error.new(
       :build_failed,
       "building #{inspect(spec)} failed: #{Exception.format_banner(kind, reason, stack)}",

@@ -37,45 +37,53 @@ defmodule Situ.Lifecycle.Growth do
         awaited: Enum.into(sources, state.awaited),
         growths: Map.put(state.growths, ref, growth)
     }
-    |> act({:spawn, ids})
-    |> go_on(ref)
+    |> add_action({:spawn, ids})
+    |> advance_growth(ref)
   end
 
-  @spec refuse(State.t(), term()) :: State.t()
-  def refuse(state, from), do: act(state, {:reply, from, {:error, Errors.not_running()}})
+  @spec reject_request(State.t(), term()) :: State.t()
+  def reject_request(state, from),
+    do: add_action(state, {:reply, from, {:error, Errors.not_running()}})
 
   @doc "Returns the reference of the growth that a stage belongs to."
-  @spec of(State.t(), State.id()) :: reference() | nil
-  def of(state, id), do: Enum.find_value(state.growths, fn {ref, g} -> id in g.ids && ref end)
+  @spec find_ref(State.t(), State.id()) :: reference() | nil
+  def find_ref(state, id),
+    do: Enum.find_value(state.growths, fn {ref, g} -> id in g.ids && ref end)
 
   @doc "Applies an event of a stage that is being added."
-  @spec event(State.t(), reference(), tuple(), Situ.Time.t()) :: State.t()
-  def event(state, ref, {step, id}, _now) when step in [:up, :started],
-    do: state |> change(id, &%{&1 | up?: true}) |> answer(ref, id) |> go_on(ref)
+  @spec handle_event(State.t(), reference(), tuple(), Situ.Time.t()) :: State.t()
+  def handle_event(state, ref, {step, id}, _now) when step in [:up, :started],
+    do:
+      state
+      |> update_member(id, &%{&1 | up?: true})
+      |> remove_pending(ref, id)
+      |> advance_growth(ref)
 
   # Its process is still alive and ends with the others.
-  def event(state, ref, {:failed, _id, error, _reached}, _now), do: failed(state, ref, error)
+  def handle_event(state, ref, {:failed, _id, error, _reached}, _now),
+    do: fail_growth(state, ref, error)
 
-  def event(state, ref, {:init_failed, id, error}, now),
-    do: state |> Failure.gone(id, now) |> failed(ref, error)
+  def handle_event(state, ref, {:init_failed, id, error}, now),
+    do: state |> Failure.close_dead_stage(id, now) |> fail_growth(ref, error)
 
-  def event(state, ref, {:exited, id, error, _reached}, now),
-    do: state |> Failure.gone(id, now) |> failed(ref, error)
+  def handle_event(state, ref, {:exited, id, error, _reached}, now),
+    do: state |> Failure.close_dead_stage(id, now) |> fail_growth(ref, error)
 
   @doc "Handles a running stream that has added a new listener, or that has ended."
-  @spec lent(State.t(), term(), {:open, term()} | {:closed, Situ.Time.t()}) :: State.t()
-  def lent(state, tag, how) do
+  @spec handle_lent_stream(State.t(), term(), {:open, term()} | {:closed, Situ.Time.t()}) ::
+          State.t()
+  def handle_lent_stream(state, tag, how) do
     case Enum.find(state.growths, fn {_, g} -> tag in g.lent end) do
       {ref, _growth} ->
         to = state.links.topology[tag].to
 
         state =
           case how do
-            {:closed, time} -> tell(state, [to], {:peer_gone, tag, time})
+            {:closed, time} -> send_to_stages(state, [to], {:peer_gone, tag, time})
             {:open, _last} -> state
           end
 
-        state |> answer(ref, tag) |> go_on(ref)
+        state |> remove_pending(ref, tag) |> advance_growth(ref)
 
       nil ->
         state
@@ -83,10 +91,10 @@ defmodule Situ.Lifecycle.Growth do
   end
 
   @doc "Handles the end of a stage's process: parts that are being added stop waiting for its stream."
-  @spec lender_ended(State.t(), State.id()) :: State.t()
-  def lender_ended(%{growths: growths} = state, _id) when growths == %{}, do: state
+  @spec handle_lender_exit(State.t(), State.id()) :: State.t()
+  def handle_lender_exit(%{growths: growths} = state, _id) when growths == %{}, do: state
 
-  def lender_ended(state, id) do
+  def handle_lender_exit(state, id) do
     asked =
       for {_, %{step: :lend, pending: pending}} <- state.growths,
           tag <- pending,
@@ -96,96 +104,108 @@ defmodule Situ.Lifecycle.Growth do
     # A stage that was restarted connects to its neighbours by itself.
     Enum.reduce(asked, state, fn tag, state ->
       if state.stages[id].alive?,
-        do: lent(state, tag, {:open, nil}),
-        else: lend_closed(state, tag)
+        do: handle_lent_stream(state, tag, {:open, nil}),
+        else: report_closed_stream(state, tag)
     end)
   end
 
-  defp lend(tag, state) do
+  defp lend_stream(tag, state) do
     %{from: from} = state.links.topology[tag]
-    if state.stages[from].alive?, do: act(state, {:lend, tag}), else: lend_closed(state, tag)
+
+    if state.stages[from].alive?,
+      do: add_action(state, {:lend, tag}),
+      else: report_closed_stream(state, tag)
   end
 
-  defp lend_closed(state, tag) do
+  defp report_closed_stream(state, tag) do
     %{from: from} = state.links.topology[tag]
     member = state.stages[from]
     time = Map.get(state.links.closing, tag, member.ends_at || member.limit || 0)
-    lent(state, tag, {:closed, time})
+    handle_lent_stream(state, tag, {:closed, time})
   end
 
-  defp answer(state, ref, what) do
+  defp remove_pending(state, ref, what) do
     update = &%{&1 | pending: MapSet.delete(&1.pending, what)}
     %{state | growths: Map.update!(state.growths, ref, update)}
   end
 
-  defp go_on(state, ref) do
+  defp advance_growth(state, ref) do
     case state.growths do
       %{^ref => %{pending: pending} = growth} ->
-        if MapSet.size(pending) == 0, do: step_done(state, ref, growth), else: state
+        if MapSet.size(pending) == 0, do: finish_step(state, ref, growth), else: state
 
       _ ->
         state
     end
   end
 
-  defp step_done(state, ref, %{step: :up} = growth),
-    do: state |> step(ref, growth, :start, growth.ids) |> act({:start, growth.ids}) |> go_on(ref)
+  defp finish_step(state, ref, %{step: :up} = growth),
+    do:
+      state
+      |> enter_step(ref, growth, :start, growth.ids)
+      |> add_action({:start, growth.ids})
+      |> advance_growth(ref)
 
-  defp step_done(state, ref, %{step: :start} = growth) do
-    state = step(state, ref, growth, :lend, growth.lent)
-    growth.lent |> Enum.reduce(state, &lend/2) |> go_on(ref)
+  defp finish_step(state, ref, %{step: :start} = growth) do
+    state = enter_step(state, ref, growth, :lend, growth.lent)
+    growth.lent |> Enum.reduce(state, &lend_stream/2) |> advance_growth(ref)
   end
 
-  defp step_done(state, ref, %{step: :lend} = growth) do
+  defp finish_step(state, ref, %{step: :lend} = growth) do
     %{state | growths: Map.delete(state.growths, ref)}
-    |> act({:run, growth.ids})
-    |> act({:reply, growth.from, :ok})
+    |> add_action({:run, growth.ids})
+    |> add_action({:reply, growth.from, :ok})
   end
 
-  defp step(state, ref, growth, step, pending) do
+  defp enter_step(state, ref, growth, step, pending) do
     growth = %{growth | step: step, pending: MapSet.new(pending)}
     %{state | growths: Map.put(state.growths, ref, growth)}
   end
 
   # Removes the other stages of the growth, too; the pipeline keeps running.
-  defp failed(state, ref, error) do
+  defp fail_growth(state, ref, error) do
     {growth, growths} = Map.pop(state.growths, ref)
 
     %{state | growths: growths}
-    |> act({:reply, growth.from, {:error, error}})
-    |> drop(growth)
+    |> add_action({:reply, growth.from, {:error, error}})
+    |> remove_growth(growth)
   end
 
   @doc "Removes all stages that are still being added, because the pipeline is ending."
-  @spec abandon(State.t()) :: State.t()
-  def abandon(%{growths: growths} = state) when growths == %{}, do: state
+  @spec abandon_all(State.t()) :: State.t()
+  def abandon_all(%{growths: growths} = state) when growths == %{}, do: state
 
-  def abandon(state) do
+  def abandon_all(state) do
     Enum.reduce(state.growths, %{state | growths: %{}}, fn {_ref, growth}, state ->
-      state |> act({:reply, growth.from, {:error, Errors.not_running()}}) |> drop(growth)
+      state
+      |> add_action({:reply, growth.from, {:error, Errors.not_running()}})
+      |> remove_growth(growth)
     end)
   end
 
-  defp drop(state, growth) do
+  defp remove_growth(state, growth) do
     tags =
       for id <- growth.ids,
-          {tag, _} <- Links.into(state.links, id) ++ Links.out_of(state.links, id),
+          {tag, _} <-
+            Links.list_incoming(state.links, id) ++ Links.list_outgoing(state.links, id),
           do: tag
 
     untold =
       for tag <- tags, tag in growth.lent, link = state.links.topology[tag], do: {link.from, tag}
 
     state =
-      Enum.reduce(untold, state, fn {from, tag}, state -> tell(state, [from], {:untap, tag}) end)
+      Enum.reduce(untold, state, fn {from, tag}, state ->
+        send_to_stages(state, [from], {:untap, tag})
+      end)
 
     alive = Enum.filter(growth.ids, &state.stages[&1].alive?)
-    links = Enum.reduce(tags, state.links, &Links.forget(&2, &1))
+    links = Enum.reduce(tags, state.links, &Links.forget_link(&2, &1))
     awaited = MapSet.difference(state.awaited, MapSet.new(growth.ids))
 
     %{state | links: links, awaited: awaited}
-    |> tell(alive, :quit)
-    |> mark(growth.ids, :dead)
-    |> act({:forget, growth.ids})
+    |> send_to_stages(alive, :quit)
+    |> set_status(growth.ids, :dead)
+    |> add_action({:forget, growth.ids})
     |> fail_listeners(tags)
   end
 
@@ -195,7 +215,7 @@ defmodule Situ.Lifecycle.Growth do
 
     Enum.reduce(refs, state, fn ref, state ->
       if is_map_key(state.growths, ref),
-        do: failed(state, ref, Errors.stream_removed()),
+        do: fail_growth(state, ref, Errors.source_removed()),
         else: state
     end)
   end

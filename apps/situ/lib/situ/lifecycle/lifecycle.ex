@@ -56,235 +56,256 @@ defmodule Situ.Lifecycle do
   @type action :: term()
 
   @doc "Applies an event; returns the next state, and the actions in the order in which to perform them."
-  @spec apply(State.t(), event(), Situ.Time.t()) :: {State.t(), [action()]}
-  def apply(state, event, now) do
-    state = state |> event(event, now) |> go_on(now) |> heard(event)
-    state = Removal.drop_left(state)
+  @spec apply_event(State.t(), event(), Situ.Time.t()) :: {State.t(), [action()]}
+  def apply_event(state, event, now) do
+    state = state |> handle_event(event, now) |> advance_steps(now) |> confirm_end_time(event)
+    state = Removal.drop_unconsumed(state)
     {%{state | actions: []}, Enum.reverse(state.actions)}
   end
 
   # A source holds its last messages until its end is known. If it was the last source to end, the others start to
   # ignore later messages now, before these messages can lead to any.
-  defp heard(state, {:completed, id, time}) when is_integer(time) do
+  defp confirm_end_time(state, {:completed, id, time}) when is_integer(time) do
     if match?(%{^id => %{alive?: true}}, state.stages),
-      do: tell(state, [id], :heard),
+      do: send_to_stages(state, [id], :heard),
       else: state
   end
 
-  defp heard(state, _event), do: state
+  defp confirm_end_time(state, _event), do: state
 
   @doc "Returns the default time, in ms, for which sources may catch up after a stop by hand."
-  @spec catch_up_ms() :: pos_integer()
-  def catch_up_ms, do: %Situ.Lifecycle.Ending{}.catch_up
+  @spec default_catch_up_ms() :: pos_integer()
+  def default_catch_up_ms, do: %Situ.Lifecycle.Ending{}.catch_up
 
-  defp event(%{phase: phase} = state, {:grow, _ref, _plan, from}, _now) when phase != :running,
-    do: Growth.refuse(state, from)
+  defp handle_event(%{phase: phase} = state, {:grow, _ref, _plan, from}, _now)
+       when phase != :running,
+       do: Growth.reject_request(state, from)
 
-  defp event(state, {:left, id}, _now), do: Removal.leave(state, id)
+  defp handle_event(state, {:left, id}, _now), do: Removal.mark_leaving(state, id)
 
   # Only the results of its last handlers still matter to a completed pipeline.
-  defp event(%{phase: :completed} = state, {:handled, :completed}, _now),
-    do: act(state, :finished)
+  defp handle_event(%{phase: :completed} = state, {:handled, :completed}, _now),
+    do: add_action(state, :finished)
 
-  defp event(%{phase: :completed} = state, {:handler_failed, error}, _now), do: keep(state, error)
-  defp event(%{phase: :completed} = state, _event, _now), do: state
+  defp handle_event(%{phase: :completed} = state, {:handler_failed, error}, _now),
+    do: record_error(state, error)
 
-  defp event(%{phase: :building} = state, :start, _now), do: Startup.begin(state)
+  defp handle_event(%{phase: :completed} = state, _event, _now), do: state
 
-  defp event(%{phase: :building} = state, {stop, _}, _now) when stop in [:stop, :stop_at],
-    do: state |> act(:abandoned) |> Shutdown.complete()
+  defp handle_event(%{phase: :building} = state, :start, _now), do: Startup.begin(state)
 
-  defp event(%{phase: :building} = state, _event, _now), do: state
+  defp handle_event(%{phase: :building} = state, {stop, _}, _now) when stop in [:stop, :stop_at],
+    do: state |> add_action(:abandoned) |> Shutdown.complete_pipeline()
 
-  defp event(%{step: :handlers} = state, {:handled, :run, :ok}, _now), do: act(state, :plan)
+  defp handle_event(%{phase: :building} = state, _event, _now), do: state
 
-  defp event(%{step: :handlers} = state, {:handled, :run, {:error, error}}, _now),
-    do: state |> error(error) |> Shutdown.complete()
+  defp handle_event(%{step: :handlers} = state, {:handled, :run, :ok}, _now),
+    do: add_action(state, :plan)
 
-  defp event(%{step: :handlers} = state, {:planned, members, links}, _now),
-    do: Startup.planned(state, members, links)
+  defp handle_event(%{step: :handlers} = state, {:handled, :run, {:error, error}}, _now),
+    do: state |> add_error(error) |> Shutdown.complete_pipeline()
 
-  defp event(state, {:plan_failed, error}, _now), do: state |> error(error) |> Shutdown.complete()
-  defp event(state, {:handler_failed, error}, _now), do: keep(state, error)
+  defp handle_event(%{step: :handlers} = state, {:planned, members, links}, _now),
+    do: Startup.spawn_planned(state, members, links)
 
-  defp event(state, {:stop, catch_up}, _now),
-    do: state |> ending(catch_up: catch_up) |> stop({:now, true})
+  defp handle_event(state, {:plan_failed, error}, _now),
+    do: state |> add_error(error) |> Shutdown.complete_pipeline()
 
-  defp event(state, {:stop_at, time}, _now), do: stop(state, {time, false})
+  defp handle_event(state, {:handler_failed, error}, _now), do: record_error(state, error)
 
-  defp event(%{phase: :running} = state, {:stop_part, ref, ids, opts}, now),
+  defp handle_event(state, {:stop, catch_up}, _now),
+    do: state |> update_ending(catch_up: catch_up) |> request_stop({:now, true})
+
+  defp handle_event(state, {:stop_at, time}, _now), do: request_stop(state, {time, false})
+
+  defp handle_event(%{phase: :running} = state, {:stop_part, ref, ids, opts}, now),
     do: PartialStop.begin(state, ref, ids, opts, now)
 
-  defp event(state, {:grow, ref, plan, from}, _now),
+  defp handle_event(state, {:grow, ref, plan, from}, _now),
     do: Growth.begin(state, ref, plan, from)
 
-  defp event(state, {:lent, tag, how}, _now), do: Growth.lent(state, tag, how)
+  defp handle_event(state, {:lent, tag, how}, _now),
+    do: Growth.handle_lent_stream(state, tag, how)
 
-  defp event(state, {:joined, %Member{id: id} = member}, _now),
+  defp handle_event(state, {:joined, %Member{id: id} = member}, _now),
     do: %{state | stages: Map.put(state.stages, id, member)}
 
-  defp event(state, {:linked, tag, link}, _now),
+  defp handle_event(state, {:linked, tag, link}, _now),
     do: %{state | links: Links.add(state.links, tag, link)}
 
-  defp event(state, {:unlinked, tag}, _now) do
-    state = act(%{state | links: Links.forget(state.links, tag)}, {:unwire, tag})
-    if state.step == :close, do: Shutdown.close_free(state), else: state
+  defp handle_event(state, {:unlinked, tag}, _now) do
+    state = add_action(%{state | links: Links.forget_link(state.links, tag)}, {:unwire, tag})
+    if state.step == :close, do: Shutdown.close_unfed_stages(state), else: state
   end
 
-  defp event(state, :enough, now), do: Shutdown.enough(state, now)
-  defp event(state, {:part_enough, ref}, _now), do: PartialStop.enough(state, ref)
-  defp event(state, :drain, _now), do: act(state, {:measure, :drain})
-  defp event(state, {:measured, :drain, seen}, _now), do: Shutdown.measured(state, seen)
-  defp event(state, {:watched, which, seen}, _now), do: Stall.watched(state, which, seen)
-  defp event(state, :moving, _now), do: ending(state, moves: state.ending.moves + 1)
-  defp event(state, {:overdue, id}, _now), do: Unit.overdue(state, id)
-  defp event(state, {:forgive, id}, _now), do: Failure.forgive(state, id)
+  defp handle_event(state, :enough, now), do: Shutdown.end_catch_up(state, now)
+
+  defp handle_event(state, {:part_enough, ref}, _now),
+    do: PartialStop.stop_sources_now(state, ref)
+
+  defp handle_event(state, :drain, _now), do: add_action(state, {:measure, :drain})
+
+  defp handle_event(state, {:measured, :drain, seen}, _now),
+    do: Shutdown.handle_drain_measurement(state, seen)
+
+  defp handle_event(state, {:watched, which, seen}, _now),
+    do: Stall.kill_stuck_stages(state, which, seen)
+
+  defp handle_event(state, :moving, _now), do: update_ending(state, moves: state.ending.moves + 1)
+  defp handle_event(state, {:overdue, id}, _now), do: Unit.kill_overdue(state, id)
+  defp handle_event(state, {:forgive, id}, _now), do: Failure.forgive_restart(state, id)
 
   # An event of a stage that was already dropped matches only the last clause.
-  defp event(%{stages: stages} = state, event, now)
+  defp handle_event(%{stages: stages} = state, event, now)
        when is_tuple(event) and is_map_key(stages, elem(event, 1)),
-       do: stage(event, state, now)
+       do: handle_stage_event(event, state, now)
 
-  defp event(state, _event, _now), do: state
+  defp handle_event(state, _event, _now), do: state
 
   # For a stage that was given up, only the end of its process still matters.
-  defp stage(event, state, _now)
+  defp handle_stage_event(event, state, _now)
        when elem(event, 0) != :exited and
               :erlang.map_get(:status, :erlang.map_get(elem(event, 1), state.stages)) == :dead,
        do: state
 
   # A part that is being added takes the steps of a start by itself; if it fails, the rest continues without it.
-  defp stage(event, %{growths: growths} = state, now)
+  defp handle_stage_event(event, %{growths: growths} = state, now)
        when growths != %{} and elem(event, 0) in [:up, :started, :init_failed, :failed, :exited] do
-    case Growth.of(state, elem(event, 1)) do
-      nil -> known(event, state, now)
-      ref -> Growth.event(state, ref, event, now)
+    case Growth.find_ref(state, elem(event, 1)) do
+      nil -> apply_stage_event(event, state, now)
+      ref -> Growth.handle_event(state, ref, event, now)
     end
   end
 
-  defp stage(event, state, now), do: known(event, state, now)
+  defp handle_stage_event(event, state, now), do: apply_stage_event(event, state, now)
 
-  defp known({:up, id}, state, _now), do: Startup.up(state, id)
-  defp known({:started, id}, state, _now), do: Startup.started(state, id)
-  defp known({:completed, id, time}, state, _now), do: completed(state, id, time)
+  defp apply_stage_event({:up, id}, state, _now), do: Startup.mark_up(state, id)
+  defp apply_stage_event({:started, id}, state, _now), do: Startup.mark_started(state, id)
 
-  defp known({:settled, id}, %{step: :settle} = state, _now), do: answered(state, id)
+  defp apply_stage_event({:completed, id, time}, state, _now),
+    do: complete_source(state, id, time)
 
-  defp known({:source_stopped, id}, state, _now) do
-    state = PartialStop.stopped(state, id)
-    if state.step == :stop, do: answered(state, id), else: state
+  defp apply_stage_event({:settled, id}, %{step: :settle} = state, _now),
+    do: clear_pending(state, id)
+
+  defp apply_stage_event({:source_stopped, id}, state, _now) do
+    state = PartialStop.mark_source_stopped(state, id)
+    if state.step == :stop, do: clear_pending(state, id), else: state
   end
 
-  defp known({:unsubscribed, id, tag, time}, state, _now),
-    do: Shutdown.input_closed(state, id, tag, time)
+  defp apply_stage_event({:unsubscribed, id, tag, time}, state, _now),
+    do: Shutdown.handle_closed_input(state, id, tag, time)
 
-  defp known({:failed, id, error, reached}, state, now) do
-    if Unit.of(state, id),
-      do: Unit.failed(state, id, error, true, now),
-      else: Failure.failed(state, id, error, reached)
+  defp apply_stage_event({:failed, id, error, reached}, state, now) do
+    if Unit.find_unit(state, id),
+      do: Unit.handle_failure(state, id, error, true, now),
+      else: Failure.handle_stage_failure(state, id, error, reached)
   end
 
-  defp known({:restarted, id, error}, state, _now), do: Failure.restarted(state, id, error)
+  defp apply_stage_event({:restarted, id, error}, state, _now),
+    do: Failure.handle_component_restart(state, id, error)
 
-  defp known({:init_failed, id, error}, state, now),
-    do: Failure.init_failed(state, id, error, now)
+  defp apply_stage_event({:init_failed, id, error}, state, now),
+    do: Failure.handle_init_failure(state, id, error, now)
 
-  defp known({:exited, id, _error, _reached} = event, state, now),
-    do: event |> ended(state, now) |> Growth.lender_ended(id)
+  defp apply_stage_event({:exited, id, _error, _reached} = event, state, now),
+    do: event |> handle_process_exit(state, now) |> Growth.handle_lender_exit(id)
 
-  defp known(_event, state, _now), do: state
+  defp apply_stage_event(_event, state, _now), do: state
 
-  defp ended({:exited, id, error, reached}, state, now) do
+  defp handle_process_exit({:exited, id, error, reached}, state, now) do
     cond do
       state.stages[id].status == :restarting ->
-        Unit.exited(state, id, now)
+        Unit.handle_exit(state, id, now)
 
-      dies_for_itself?(state.stages[id]) and Unit.of(state, id) ->
-        Unit.failed(state, id, error, false, now)
+      fails_with_unit?(state.stages[id]) and Unit.find_unit(state, id) ->
+        Unit.handle_failure(state, id, error, false, now)
 
       true ->
-        exited(state, id, error, reached, now)
+        handle_unexpected_exit(state, id, error, reached, now)
     end
   end
 
   # A component with its own `on_error:` is restarted alone.
-  defp dies_for_itself?(member), do: member.on_error == :stop
+  defp fails_with_unit?(member), do: member.on_error == :stop
 
-  defp exited(state, id, error, reached, now) do
-    ref = state.phase == :running && PartialStop.of(state, id)
+  defp handle_unexpected_exit(state, id, error, reached, now) do
+    ref = state.phase == :running && PartialStop.find_ref(state, id)
 
     if ref && state.stages[id].status not in [:dead, :ended],
-      do: PartialStop.died(state, ref, id, error, now),
-      else: Failure.exited(state, id, error, reached, now)
+      do: PartialStop.handle_stage_death(state, ref, id, error, now),
+      else: Failure.handle_stage_exit(state, id, error, reached, now)
   end
 
-  defp keep(state, error), do: %{state | errors: [error | state.errors]}
+  defp record_error(state, error), do: %{state | errors: [error | state.errors]}
 
   # A component that hangs while it starts would block the stop, so the watchdog starts now.
-  defp stop(%{phase: :starting, ending: %{wish: nil}} = state, {time, by_hand}) do
-    state |> wish(time, by_hand) |> act({:watch, state.limits.stop_timeout, :all})
+  defp request_stop(%{phase: :starting, ending: %{wish: nil}} = state, {time, by_hand}) do
+    state |> request_end(time, by_hand) |> add_action({:watch, state.limits.stop_timeout, :all})
   end
 
-  defp stop(%{phase: :running} = state, {time, by_hand}), do: wish(state, time, by_hand)
-  defp stop(%{phase: :stopping} = state, {_time, true}), do: Shutdown.hurry(state)
-  defp stop(state, _wish), do: state
+  defp request_stop(%{phase: :running} = state, {time, by_hand}),
+    do: request_end(state, time, by_hand)
+
+  defp request_stop(%{phase: :stopping} = state, {_time, true}), do: Shutdown.stop_by_hand(state)
+  defp request_stop(state, _wish), do: state
 
   # A source has announced its end; the remaining sources decide how long the pipeline runs.
-  defp completed(state, id, time) do
+  defp complete_source(state, id, time) do
     if MapSet.member?(state.awaited, id),
-      do: told(%{state | awaited: MapSet.delete(state.awaited, id)}, id, time),
+      do: record_end_time(%{state | awaited: MapSet.delete(state.awaited, id)}, id, time),
       else: state
   end
 
-  defp told(state, _id, :infinity), do: state
+  defp record_end_time(state, _id, :infinity), do: state
 
-  defp told(state, id, time) do
-    state = act(state, {:handle, :component_completed, {state.stages[id].path, time}})
+  defp record_end_time(state, id, time) do
+    state = add_action(state, {:handle, :component_completed, {state.stages[id].path, time}})
     ending = state.ending
     # The end of an added source must not end the components that were running before.
     latest = if state.stages[id].added?, do: ending.latest, else: max(ending.latest || time, time)
-    ending(state, latest: latest, finite: MapSet.put(ending.finite, id))
+    update_ending(state, latest: latest, finite: MapSet.put(ending.finite, id))
   end
 
   # Advances step by step until a step has to wait for something.
-  defp go_on(state, now) do
-    case next(state, now) do
-      %{step: step} = next when step != state.step -> go_on(next, now)
+  defp advance_steps(state, now) do
+    case advance_once(state, now) do
+      %{step: step} = next when step != state.step -> advance_steps(next, now)
       next -> next
     end
   end
 
-  defp next(%{step: :up, errors: [_ | _]} = state, _now), do: Shutdown.quit(state)
+  defp advance_once(%{step: :up, errors: [_ | _]} = state, _now), do: Shutdown.quit_stages(state)
 
-  defp next(%{step: step, pending: pending} = state, now)
+  defp advance_once(%{step: step, pending: pending} = state, now)
        when step in [:up, :sources, :settle, :stop, :quit] do
-    if MapSet.size(pending) == 0, do: step_done(state, now), else: state
+    if MapSet.size(pending) == 0, do: finish_step(state, now), else: state
   end
 
-  defp next(%{step: :running} = state, now) do
-    case PartialStop.go_on(state) do
+  defp advance_once(%{step: :running} = state, now) do
+    case PartialStop.advance_parts(state) do
       %{ending: %{wish: {_, _} = wish}} = state ->
-        state |> Growth.abandon() |> Shutdown.begin(wish, now)
+        state |> Growth.abandon_all() |> Shutdown.begin(wish, now)
 
       state ->
         check_complete(state, now)
     end
   end
 
-  defp next(%{step: :close} = state, _now), do: Shutdown.go_on(state)
-  defp next(state, _now), do: state
+  defp advance_once(%{step: :close} = state, _now), do: Shutdown.advance_close(state)
+  defp advance_once(state, _now), do: state
 
-  defp step_done(%{step: step} = state, _now) when step in [:up, :sources],
-    do: Startup.go_on(state)
+  defp finish_step(%{step: step} = state, _now) when step in [:up, :sources],
+    do: Startup.advance_step(state)
 
-  defp step_done(%{step: :settle} = state, now), do: Shutdown.stop(state, now)
-  defp step_done(%{step: :stop} = state, _now), do: Shutdown.close_free(state)
-  defp step_done(%{step: :quit} = state, _now), do: Shutdown.complete(state)
+  defp finish_step(%{step: :settle} = state, now), do: Shutdown.stop_sources(state, now)
+  defp finish_step(%{step: :stop} = state, _now), do: Shutdown.close_unfed_stages(state)
+  defp finish_step(%{step: :quit} = state, _now), do: Shutdown.complete_pipeline(state)
 
   # With only infinite sources, the pipeline runs until it is stopped.
   defp check_complete(%{ending: %{latest: time}} = state, now) when is_integer(time) do
     if MapSet.size(state.awaited) == 0,
-      do: state |> Growth.abandon() |> Shutdown.begin({time, false}, now),
+      do: state |> Growth.abandon_all() |> Shutdown.begin({time, false}, now),
       else: state
   end
 

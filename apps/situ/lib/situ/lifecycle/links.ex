@@ -33,22 +33,22 @@ defmodule Situ.Lifecycle.Links do
     %{
       links
       | active: Map.put(links.active, tag, link),
-        into: put(links.into, link.to, tag),
-        out_of: put(links.out_of, link.from, tag),
+        into: put_tag(links.into, link.to, tag),
+        out_of: put_tag(links.out_of, link.from, tag),
         topology: Map.put(links.topology, tag, link)
     }
   end
 
   @doc "Deactivates a link whose consumer has taken the closing mark or has ended."
-  @spec drop(t(), term()) :: t()
-  def drop(links, tag) do
+  @spec deactivate_link(t(), term()) :: t()
+  def deactivate_link(links, tag) do
     case links.active do
       %{^tag => link} ->
         %{
           links
           | active: Map.delete(links.active, tag),
-            into: delete(links.into, link.to, tag),
-            out_of: delete(links.out_of, link.from, tag),
+            into: delete_tag(links.into, link.to, tag),
+            out_of: delete_tag(links.out_of, link.from, tag),
             closing: Map.delete(links.closing, tag)
         }
 
@@ -58,62 +58,62 @@ defmodule Situ.Lifecycle.Links do
   end
 
   @doc "Removes a link completely, as if it had never existed."
-  @spec forget(t(), term()) :: t()
-  def forget(links, tag) do
-    links = drop(links, tag)
+  @spec forget_link(t(), term()) :: t()
+  def forget_link(links, tag) do
+    links = deactivate_link(links, tag)
     %{links | topology: Map.delete(links.topology, tag)}
   end
 
   @doc "Records that the outputs of `id` closed at `time`, so that its closing marks are in flight."
-  @spec close(t(), id(), Situ.Time.t()) :: t()
-  def close(links, id, time) do
+  @spec close_outputs(t(), id(), Situ.Time.t()) :: t()
+  def close_outputs(links, id, time) do
     tags = Map.get(links.out_of, id, [])
     %{links | closing: Enum.into(tags, links.closing, &{&1, time})}
   end
 
   @doc "Removes all links of a stage."
-  @spec forget_all(t(), id()) :: t()
-  def forget_all(links, id) do
+  @spec forget_stage(t(), id()) :: t()
+  def forget_stage(links, id) do
     tags = for {tag, link} <- links.topology, link.from == id or link.to == id, do: tag
-    Enum.reduce(tags, links, &forget(&2, &1))
+    Enum.reduce(tags, links, &forget_link(&2, &1))
   end
 
-  @spec into(t(), id()) :: [{term(), link()}]
-  def into(links, id), do: look(links, Map.get(links.into, id, []))
+  @spec list_incoming(t(), id()) :: [{term(), link()}]
+  def list_incoming(links, id), do: fetch_links(links, Map.get(links.into, id, []))
 
-  @spec out_of(t(), id()) :: [{term(), link()}]
-  def out_of(links, id), do: look(links, Map.get(links.out_of, id, []))
+  @spec list_outgoing(t(), id()) :: [{term(), link()}]
+  def list_outgoing(links, id), do: fetch_links(links, Map.get(links.out_of, id, []))
 
   @doc "Returns whether `id` has no active input left."
-  @spec free?(t(), id()) :: boolean()
-  def free?(links, id), do: not is_map_key(links.into, id)
+  @spec no_inputs?(t(), id()) :: boolean()
+  def no_inputs?(links, id), do: not is_map_key(links.into, id)
 
   @doc "Returns all stages downstream of `id`, directly or indirectly; includes `id` only if it is on a cycle."
-  @spec downstream(t(), id()) :: MapSet.t(id())
-  def downstream(links, id) do
+  @spec downstream_ids(t(), id()) :: MapSet.t(id())
+  def downstream_ids(links, id) do
     next = Enum.group_by(Map.values(links.topology), & &1.from, & &1.to)
-    follow(Map.get(next, id, []), next, MapSet.new())
+    collect_downstream(Map.get(next, id, []), next, MapSet.new())
   end
 
-  defp follow([], _next, seen), do: seen
+  defp collect_downstream([], _next, seen), do: seen
 
-  defp follow([id | rest], next, seen) do
+  defp collect_downstream([id | rest], next, seen) do
     if MapSet.member?(seen, id),
-      do: follow(rest, next, seen),
-      else: follow(Map.get(next, id, []) ++ rest, next, MapSet.put(seen, id))
+      do: collect_downstream(rest, next, seen),
+      else: collect_downstream(Map.get(next, id, []) ++ rest, next, MapSet.put(seen, id))
   end
 
   @doc """
   Returns the stages whose input streams are complete: every source upstream is in `finite`, the sources that have
   reported their end, and the stage is neither on a cycle nor downstream of one.
   """
-  @spec whole(
+  @spec complete_stages(
           %{id() => %{source?: boolean()}},
           [%{from: id(), to: id()}],
           MapSet.t(id())
         ) ::
           MapSet.t(id())
-  def whole(stages, links, finite) do
+  def complete_stages(stages, links, finite) do
     downstream = Enum.group_by(links, & &1.from, & &1.to)
     # Counts, for each stage, the links from stages whose streams are not known to be complete.
     unknown = Enum.frequencies_by(links, & &1.to)
@@ -125,35 +125,36 @@ defmodule Situ.Lifecycle.Links do
           do: id
 
     first = for {id, _stage} <- stages, not is_map_key(unknown, id), do: id
-    reach(first, downstream, unknown, {endless, MapSet.new()})
+    collect_complete(first, downstream, unknown, {endless, MapSet.new()})
   end
 
   # A cycle is never entered, because its stages wait for each other.
-  defp reach([], _downstream, _unknown, {_endless, whole}), do: whole
+  defp collect_complete([], _downstream, _unknown, {_endless, whole}), do: whole
 
-  defp reach([id | rest], downstream, unknown, {endless, whole} = sets) do
+  defp collect_complete([id | rest], downstream, unknown, {endless, whole} = sets) do
     if MapSet.member?(endless, id) do
-      reach(rest, downstream, unknown, sets)
+      collect_complete(rest, downstream, unknown, sets)
     else
-      {rest, unknown} = downstream |> Map.get(id, []) |> Enum.reduce({rest, unknown}, &arrived/2)
+      {rest, unknown} =
+        downstream |> Map.get(id, []) |> Enum.reduce({rest, unknown}, &count_arrival/2)
 
-      reach(rest, downstream, unknown, {endless, MapSet.put(whole, id)})
+      collect_complete(rest, downstream, unknown, {endless, MapSet.put(whole, id)})
     end
   end
 
-  defp arrived(id, {rest, unknown}) do
+  defp count_arrival(id, {rest, unknown}) do
     case Map.fetch!(unknown, id) do
       1 -> {[id | rest], Map.delete(unknown, id)}
       n -> {rest, %{unknown | id => n - 1}}
     end
   end
 
-  defp look(links, tags), do: for(tag <- tags, do: {tag, Map.fetch!(links.active, tag)})
+  defp fetch_links(links, tags), do: for(tag <- tags, do: {tag, Map.fetch!(links.active, tag)})
 
-  defp put(sets, id, tag), do: Map.update(sets, id, MapSet.new([tag]), &MapSet.put(&1, tag))
+  defp put_tag(sets, id, tag), do: Map.update(sets, id, MapSet.new([tag]), &MapSet.put(&1, tag))
 
-  # A stage without links has no key, so that `free?/2` is a single lookup.
-  defp delete(sets, id, tag) do
+  # A stage without links has no key, so that `no_inputs?/2` is a single lookup.
+  defp delete_tag(sets, id, tag) do
     rest = MapSet.delete(Map.fetch!(sets, id), tag)
     if MapSet.size(rest) == 0, do: Map.delete(sets, id), else: %{sets | id => rest}
   end

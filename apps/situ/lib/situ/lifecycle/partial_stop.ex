@@ -27,17 +27,21 @@ defmodule Situ.Lifecycle.PartialStop do
   def begin(state, ref, ids, %{catch_up: catch_up, from: from} = opts, final) do
     ids = for id <- ids, is_map_key(state.stages, id), into: MapSet.new(), do: id
     sources = for id <- ids, state.stages[id].source?, do: id
-    state = act(state, {:cut, MapSet.to_list(ids), final})
+    state = add_action(state, {:cut, MapSet.to_list(ids), final})
 
     state =
       for id <- ids,
-          {tag, link} <- Links.into(state.links, id),
+          {tag, link} <- Links.list_incoming(state.links, id),
           not MapSet.member?(ids, link.from),
           reduce: state,
-          do: (state -> tell(state, [link.from], {:cut, tag, final}))
+          do: (state -> send_to_stages(state, [link.from], {:cut, tag, final}))
 
-    state = Enum.reduce(ids, state, fn id, state -> change(state, id, &bound(&1, final)) end)
-    state = tell(state, sources, {:stop, final})
+    state =
+      Enum.reduce(ids, state, fn id, state ->
+        update_member(state, id, &limit_member(&1, final))
+      end)
+
+    state = send_to_stages(state, sources, {:stop, final})
 
     forget = Map.get(opts, :forget, [])
     earlier = for {other, part} <- state.parts, Enum.any?(forget, &(&1 in part.ids)), do: other
@@ -57,82 +61,95 @@ defmodule Situ.Lifecycle.PartialStop do
       | parts: Map.put(state.parts, ref, part),
         awaited: MapSet.difference(state.awaited, ids)
     }
-    |> act({:after, catch_up, {:part_enough, ref}})
-    |> act({:watch, state.limits.stop_timeout, ref})
+    |> add_action({:after, catch_up, {:part_enough, ref}})
+    |> add_action({:watch, state.limits.stop_timeout, ref})
   end
 
-  defp bound(member, time), do: %{member | limit: min(member.limit || time, time)}
+  defp limit_member(member, time), do: %{member | limit: min(member.limit || time, time)}
 
   @doc "Returns the reference of the part that a stage is being stopped with."
-  @spec of(State.t(), State.id()) :: reference() | nil
-  def of(%{parts: parts}, _id) when parts == %{}, do: nil
-  def of(state, id), do: Enum.find_value(state.parts, fn {ref, part} -> id in part.ids && ref end)
+  @spec find_ref(State.t(), State.id()) :: reference() | nil
+  def find_ref(%{parts: parts}, _id) when parts == %{}, do: nil
+
+  def find_ref(state, id),
+    do: Enum.find_value(state.parts, fn {ref, part} -> id in part.ids && ref end)
 
   @doc "Handles a source that has posted its last message."
-  @spec stopped(State.t(), State.id()) :: State.t()
-  def stopped(%{parts: parts} = state, _id) when parts == %{}, do: state
+  @spec mark_source_stopped(State.t(), State.id()) :: State.t()
+  def mark_source_stopped(%{parts: parts} = state, _id) when parts == %{}, do: state
 
-  def stopped(%{parts: parts} = state, id) do
+  def mark_source_stopped(%{parts: parts} = state, id) do
     parts = Map.new(parts, fn {ref, p} -> {ref, %{p | pending: MapSet.delete(p.pending, id)}} end)
     %{state | parts: parts}
   end
 
   @doc "Handles the death of a stage during the stop of its part; the other stages continue without it."
-  @spec died(State.t(), reference(), State.id(), Error.t(), Situ.Time.t()) :: State.t()
-  def died(state, ref, id, error, now) do
-    state = state |> Failure.gone(id, now) |> stopped(id) |> act({:noted, error})
+  @spec handle_stage_death(State.t(), reference(), State.id(), Error.t(), Situ.Time.t()) ::
+          State.t()
+  def handle_stage_death(state, ref, id, error, now) do
+    state =
+      state
+      |> Failure.close_dead_stage(id, now)
+      |> mark_source_stopped(id)
+      |> add_action({:noted, error})
+
     part = state.parts[ref]
     %{state | parts: %{state.parts | ref => %{part | error: part.error || error}}}
   end
 
   @doc "Ends sources that have not caught up with the clock at their current position."
-  @spec enough(State.t(), reference()) :: State.t()
-  def enough(state, ref) do
+  @spec stop_sources_now(State.t(), reference()) :: State.t()
+  def stop_sources_now(state, ref) do
     case state.parts do
-      %{^ref => part} -> tell(state, MapSet.to_list(part.pending), :stop_now)
+      %{^ref => part} -> send_to_stages(state, MapSet.to_list(part.pending), :stop_now)
       _ -> state
     end
   end
 
   @doc "Advances every part that no longer waits for anything."
-  @spec go_on(State.t()) :: State.t()
-  def go_on(%{parts: parts} = state) when parts == %{}, do: state
+  @spec advance_parts(State.t()) :: State.t()
+  def advance_parts(%{parts: parts} = state) when parts == %{}, do: state
 
-  def go_on(state) do
-    next = Enum.reduce(Map.keys(state.parts), state, &step/2)
+  def advance_parts(state) do
+    next = Enum.reduce(Map.keys(state.parts), state, &advance_part/2)
     # Another part may have been waiting for a part that has just ended.
-    if map_size(next.parts) < map_size(state.parts), do: go_on(next), else: next
+    if map_size(next.parts) < map_size(state.parts), do: advance_parts(next), else: next
   end
 
-  defp step(ref, state) do
+  defp advance_part(ref, state) do
     part = state.parts[ref]
 
-    if waits?(part, state) do
+    if still_waiting?(part, state) do
       state
     else
       order = for id <- Enum.sort(part.ids), state.stages[id].open?, do: id
-      active = for id <- part.ids, {_, link} <- Links.into(state.links, id), do: link
+      active = for id <- part.ids, {_, link} <- Links.list_incoming(state.links, id), do: link
 
-      case Closing.next(order, active) do
-        {how, ids} when how in [:close, :break] -> step(ref, Shutdown.close(state, ids))
-        :wait -> state
-        :done -> quit(state, ref, part)
+      case Closing.next_to_close(order, active) do
+        {how, ids} when how in [:close, :break] ->
+          advance_part(ref, Shutdown.close_stages(state, ids))
+
+        :wait ->
+          state
+
+        :done ->
+          quit_part(state, ref, part)
       end
     end
   end
 
-  defp waits?(part, state),
+  defp still_waiting?(part, state),
     do: MapSet.size(part.pending) > 0 or Enum.any?(part.waits_for, &is_map_key(state.parts, &1))
 
-  defp quit(state, ref, part) do
+  defp quit_part(state, ref, part) do
     ids = MapSet.to_list(part.ids)
     alive = Enum.filter(ids, &state.stages[&1].alive?)
     answer = if part.error, do: {:error, part.error}, else: :ok
-    state = state |> tell(alive, :quit) |> act({:reply, part.from, answer})
-    state = mark(%{state | parts: Map.delete(state.parts, ref)}, ids, :ended)
-    state = if part.forget == [], do: state, else: act(state, {:forget, part.forget})
+    state = state |> send_to_stages(alive, :quit) |> add_action({:reply, part.from, answer})
+    state = set_status(%{state | parts: Map.delete(state.parts, ref)}, ids, :ended)
+    state = if part.forget == [], do: state, else: add_action(state, {:forget, part.forget})
     had? = Enum.any?(ids, &state.stages[&1].source?)
     left? = Enum.any?(state.stages, fn {_, m} -> m.source? and m.status == :running end)
-    if had? and not left?, do: wish(state, :now, true), else: state
+    if had? and not left?, do: request_end(state, :now, true), else: state
   end
 end

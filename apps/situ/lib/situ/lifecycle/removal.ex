@@ -7,39 +7,42 @@ defmodule Situ.Lifecycle.Removal do
   import Situ.Lifecycle.State
 
   @doc "Records that the process of a removed stage has ended."
-  @spec leave(State.t(), State.id()) :: State.t()
-  def leave(%{stages: stages} = state, id) when is_map_key(stages, id),
+  @spec mark_leaving(State.t(), State.id()) :: State.t()
+  def mark_leaving(%{stages: stages} = state, id) when is_map_key(stages, id),
     do: %{state | leaving: MapSet.put(state.leaving, id)}
 
-  def leave(state, _id), do: state
+  def mark_leaving(state, _id), do: state
 
   @doc "Drops the removed stages that have no consumers left."
-  @spec drop_left(State.t()) :: State.t()
-  def drop_left(%{leaving: leaving} = state) do
+  @spec drop_unconsumed(State.t()) :: State.t()
+  def drop_unconsumed(%{leaving: leaving} = state) do
     if MapSet.size(leaving) == 0,
       do: state,
-      else: leaving |> Enum.filter(&unconsumed?(state, &1)) |> Enum.reduce(state, &drop/2)
+      else:
+        leaving
+        |> Enum.filter(&no_consumers_left?(state, &1))
+        |> Enum.reduce(state, &drop_stage/2)
   end
 
-  defp unconsumed?(state, id),
-    do: Enum.all?(Links.out_of(state.links, id), fn {_, link} -> link.to == id end)
+  defp no_consumers_left?(state, id),
+    do: Enum.all?(Links.list_outgoing(state.links, id), fn {_, link} -> link.to == id end)
 
-  defp drop(id, state) do
-    state = answered(state, id)
+  defp drop_stage(id, state) do
+    state = clear_pending(state, id)
 
-    act(
+    add_action(
       %{
         state
         | stages: Map.delete(state.stages, id),
-          links: Links.forget_all(state.links, id),
+          links: Links.forget_stage(state.links, id),
           leaving: MapSet.delete(state.leaving, id),
           awaited: MapSet.delete(state.awaited, id),
-          parts: Map.new(state.parts, fn {ref, part} -> {ref, without(part, id)} end)
+          parts: Map.new(state.parts, fn {ref, part} -> {ref, remove_from_part(part, id)} end)
       },
       {:drop, id}
     )
   end
 
-  defp without(part, id),
+  defp remove_from_part(part, id),
     do: %{part | ids: MapSet.delete(part.ids, id), pending: MapSet.delete(part.pending, id)}
 end

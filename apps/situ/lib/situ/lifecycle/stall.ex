@@ -15,48 +15,55 @@ defmodule Situ.Lifecycle.Stall do
   """
   @type seen :: %{moved?: boolean(), idle: MapSet.t(State.id()), patient?: boolean()}
 
-  @spec watched(State.t(), :all | reference(), seen()) :: State.t()
-  def watched(%{phase: phase, ending: %{wish: wish}} = state, :all, seen)
+  @spec kill_stuck_stages(State.t(), :all | reference(), seen()) :: State.t()
+  def kill_stuck_stages(%{phase: phase, ending: %{wish: wish}} = state, :all, seen)
       when phase == :stopping or (phase == :starting and wish != nil) do
-    state = if seen.moved?, do: state, else: kill_all(state, late(state, seen))
-    state = if state.ending.by_hand, do: tell(state, alive(state), :looked), else: state
-    act(state, {:watch, state.limits.stop_timeout, :all})
+    state = if seen.moved?, do: state, else: kill_and_report(state, list_late_stages(state, seen))
+
+    state =
+      if state.ending.by_hand, do: send_to_stages(state, alive_ids(state), :looked), else: state
+
+    add_action(state, {:watch, state.limits.stop_timeout, :all})
   end
 
-  def watched(%{phase: :running} = state, ref, seen) when is_map_key(state.parts, ref) do
+  def kill_stuck_stages(%{phase: :running} = state, ref, seen)
+      when is_map_key(state.parts, ref) do
     busy = for id <- state.parts[ref].ids, id not in seen.idle, state.stages[id].alive?, do: id
-    state = if seen.moved?, do: state, else: kill(state, busy)
-    act(state, {:watch, state.limits.stop_timeout, ref})
+    state = if seen.moved?, do: state, else: kill_stages(state, busy)
+    add_action(state, {:watch, state.limits.stop_timeout, ref})
   end
 
-  def watched(state, _which, _seen), do: state
+  def kill_stuck_stages(state, _which, _seen), do: state
 
-  defp kill(state, ids), do: Enum.reduce(ids, state, &act(&2, {:kill, &1}))
+  defp kill_stages(state, ids), do: Enum.reduce(ids, state, &add_action(&2, {:kill, &1}))
 
-  defp kill_all(state, []), do: state
+  defp kill_and_report(state, []), do: state
 
-  defp kill_all(state, ids) do
+  defp kill_and_report(state, ids) do
     members = Enum.map(ids, &state.stages[&1])
-    state = kill(state, ids)
-    if Enum.all?(members, & &1.tap?), do: state, else: error(state, stuck(members, state))
+    state = kill_stages(state, ids)
+
+    if Enum.all?(members, & &1.tap?),
+      do: state,
+      else: add_error(state, stuck_error(members, state))
   end
 
-  defp late(state, seen) do
-    alive = alive(state)
+  defp list_late_stages(state, seen) do
+    alive = alive_ids(state)
 
     case Enum.reject(alive, &(&1 in seen.idle)) do
-      [] -> if waits?(state, seen), do: [], else: Enum.filter(alive, &owes?(&1, state))
+      [] -> if may_wait?(state, seen), do: [], else: Enum.filter(alive, &owes_reply?(&1, state))
       busy -> busy
     end
   end
 
   # A stop by hand does not wait for anyone.
-  defp waits?(state, seen), do: seen.patient? and not state.ending.by_hand
+  defp may_wait?(state, seen), do: seen.patient? and not state.ending.by_hand
 
-  defp owes?(id, %{step: :close} = state), do: not Links.free?(state.links, id)
-  defp owes?(id, state), do: MapSet.member?(state.pending, id)
+  defp owes_reply?(id, %{step: :close} = state), do: not Links.no_inputs?(state.links, id)
+  defp owes_reply?(id, state), do: MapSet.member?(state.pending, id)
 
-  defp stuck(members, state) do
+  defp stuck_error(members, state) do
     names = Enum.map_join(members, ", ", & &1.path)
 
     Error.new(

@@ -11,11 +11,11 @@ defmodule Situ.Lifecycle.Startup do
 
   @doc "Begins the start, after `build/2` has built the graph, by calling the `:run` handlers."
   @spec begin(State.t()) :: State.t()
-  def begin(state), do: act(%{state | phase: :starting, step: :handlers}, {:handle, :run})
+  def begin(state), do: add_action(%{state | phase: :starting, step: :handlers}, {:handle, :run})
 
   @doc "Spawns the stages of the planned graph."
-  @spec planned(State.t(), %{State.id() => map()}, %{term() => Links.link()}) :: State.t()
-  def planned(state, members, links) do
+  @spec spawn_planned(State.t(), %{State.id() => map()}, %{term() => Links.link()}) :: State.t()
+  def spawn_planned(state, members, links) do
     ids = members |> Map.keys() |> Enum.sort()
     awaited = for {id, %{source?: true}} <- members, into: MapSet.new(), do: id
 
@@ -30,65 +30,69 @@ defmodule Situ.Lifecycle.Startup do
 
     # An empty pipeline has nothing that would ever end it.
     if ids == [] and state.mode == :run,
-      do: Shutdown.complete(act(state, :start_clock)),
-      else: act(state, {:spawn, ids})
+      do: Shutdown.complete_pipeline(add_action(state, :start_clock)),
+      else: add_action(state, {:spawn, ids})
   end
 
   @doc """
   Handles a stage that has its initial state. A stage that was restarted is wired immediately. If another stage failed
   before the clock started, this one is about to quit and is not started.
   """
-  @spec up(State.t(), State.id()) :: State.t()
-  def up(state, id), do: state |> change(id, &%{&1 | up?: true}) |> wire(id)
+  @spec mark_up(State.t(), State.id()) :: State.t()
+  def mark_up(state, id),
+    do: state |> update_member(id, &%{&1 | up?: true}) |> start_when_ready(id)
 
-  defp wire(%{step: :up} = state, id), do: answered(state, id)
-  defp wire(%{step: step} = state, _id) when step in [:quit, :over], do: state
-  defp wire(state, id), do: act(state, {:start, [id]})
+  defp start_when_ready(%{step: :up} = state, id), do: clear_pending(state, id)
+  defp start_when_ready(%{step: step} = state, _id) when step in [:quit, :over], do: state
+  defp start_when_ready(state, id), do: add_action(state, {:start, [id]})
 
   @doc "Handles a stage in which `handle_start/2` has run; a restarted stage is connected to its neighbours."
-  @spec started(State.t(), State.id()) :: State.t()
-  def started(%{step: :sources} = state, id) do
-    state = answered(state, id)
-    if state.stages[id].again?, do: known(state, id), else: state
+  @spec mark_started(State.t(), State.id()) :: State.t()
+  def mark_started(%{step: :sources} = state, id) do
+    state = clear_pending(state, id)
+    if state.stages[id].again?, do: introduce_to_neighbours(state, id), else: state
   end
 
-  def started(state, id) do
-    state = state |> known(id) |> act({:run, [id]})
+  def mark_started(state, id) do
+    state = state |> introduce_to_neighbours(id) |> add_action({:run, [id]})
 
     if state.ending.final != nil and state.phase == :stopping,
-      do: tell(state, [id], {:stop, state.ending.final}),
+      do: send_to_stages(state, [id], {:stop, state.ending.final}),
       else: state
   end
 
-  defp known(state, id) do
-    state = act(state, {:rewire, id, neighbours(state, id)})
-    state = Enum.reduce(Links.into(state.links, id), state, &closed(&1, &2, id))
-    change(state, id, &%{&1 | again?: false})
+  defp introduce_to_neighbours(state, id) do
+    state = add_action(state, {:rewire, id, list_neighbours(state, id)})
+
+    state =
+      Enum.reduce(Links.list_incoming(state.links, id), state, &replay_closing_mark(&1, &2, id))
+
+    update_member(state, id, &%{&1 | again?: false})
   end
 
   # The previous process received the closing mark, so the new one needs it again.
-  defp closed({tag, _link}, state, id) do
+  defp replay_closing_mark({tag, _link}, state, id) do
     case state.links.closing do
-      %{^tag => time} -> tell(state, [id], {:peer_gone, tag, time})
+      %{^tag => time} -> send_to_stages(state, [id], {:peer_gone, tag, time})
       _ -> state
     end
   end
 
-  defp neighbours(state, id),
-    do: Links.into(state.links, id) ++ Links.out_of(state.links, id)
+  defp list_neighbours(state, id),
+    do: Links.list_incoming(state.links, id) ++ Links.list_outgoing(state.links, id)
 
   @doc "Advances to the next step; nothing is pending in the current one."
-  @spec go_on(State.t()) :: State.t()
-  def go_on(%{step: :up} = state) do
-    ids = MapSet.new(alive(state))
+  @spec advance_step(State.t()) :: State.t()
+  def advance_step(%{step: :up} = state) do
+    ids = MapSet.new(alive_ids(state))
 
     %{state | step: :sources, pending: ids}
-    |> act(:start_clock)
-    |> act({:start, MapSet.to_list(ids)})
+    |> add_action(:start_clock)
+    |> add_action({:start, MapSet.to_list(ids)})
   end
 
-  def go_on(%{step: :sources} = state) do
-    ids = alive(state)
-    act(%{state | phase: :running, step: :running}, {:run, ids}) |> act(:running)
+  def advance_step(%{step: :sources} = state) do
+    ids = alive_ids(state)
+    add_action(%{state | phase: :running, step: :running}, {:run, ids}) |> add_action(:running)
   end
 end

@@ -148,53 +148,55 @@ defmodule Situ.Lifecycle.State do
         }
 
   @doc "Adds an action; the server performs actions in the order in which they were added."
-  @spec act(t(), term()) :: t()
-  def act(state, action), do: %{state | actions: [action | state.actions]}
+  @spec add_action(t(), term()) :: t()
+  def add_action(state, action), do: %{state | actions: [action | state.actions]}
 
-  @spec tell(t(), [id()], term()) :: t()
-  def tell(state, ids, request), do: Enum.reduce(ids, state, &act(&2, {:tell, &1, request}))
+  @spec send_to_stages(t(), [id()], term()) :: t()
+  def send_to_stages(state, ids, request),
+    do: Enum.reduce(ids, state, &add_action(&2, {:tell, &1, request}))
 
-  @spec change(t(), id(), (Member.t() -> Member.t())) :: t()
-  def change(state, id, fun),
+  @spec update_member(t(), id(), (Member.t() -> Member.t())) :: t()
+  def update_member(state, id, fun),
     do: %{state | stages: Map.update!(state.stages, id, fun)}
 
-  @spec mark(t(), Enumerable.t(), atom()) :: t()
-  def mark(state, ids, status),
-    do: Enum.reduce(ids, state, &change(&2, &1, fn m -> become(m, status) end))
+  @spec set_status(t(), Enumerable.t(), atom()) :: t()
+  def set_status(state, ids, status),
+    do: Enum.reduce(ids, state, &update_member(&2, &1, fn m -> change_status(m, status) end))
 
   # Any member can become `:dead`, and any that is not dead `:ended`.
-  defp become(member, :dead), do: %{member | status: :dead, open?: false}
-  defp become(%{status: :dead} = member, _status), do: member
-  defp become(member, :ended), do: %{member | status: :ended, open?: false}
-  defp become(%{status: :failed} = member, :closed), do: %{member | open?: false}
-  defp become(member, :closed), do: %{member | status: :closed, open?: false}
-  defp become(%{status: :running} = member, status), do: %{member | status: status}
-  defp become(member, _status), do: member
+  defp change_status(member, :dead), do: %{member | status: :dead, open?: false}
+  defp change_status(%{status: :dead} = member, _status), do: member
+  defp change_status(member, :ended), do: %{member | status: :ended, open?: false}
+  defp change_status(%{status: :failed} = member, :closed), do: %{member | open?: false}
+  defp change_status(member, :closed), do: %{member | status: :closed, open?: false}
+  defp change_status(%{status: :running} = member, status), do: %{member | status: status}
+  defp change_status(member, _status), do: member
 
   @doc "Records that the current step no longer waits for the stage."
-  @spec answered(t(), id()) :: t()
-  def answered(state, id), do: %{state | pending: MapSet.delete(state.pending, id)}
+  @spec clear_pending(t(), id()) :: t()
+  def clear_pending(state, id), do: %{state | pending: MapSet.delete(state.pending, id)}
 
-  @spec ending(t(), keyword()) :: t()
-  def ending(state, changes), do: %{state | ending: struct!(state.ending, changes)}
+  @spec update_ending(t(), keyword()) :: t()
+  def update_ending(state, changes), do: %{state | ending: struct!(state.ending, changes)}
 
   @doc "Requests the end of the pipeline at `time` or now; the first request counts."
-  @spec wish(t(), Situ.Time.t() | :now, boolean()) :: t()
-  def wish(%{ending: %{wish: nil}} = state, time, by_hand),
-    do: ending(state, wish: {time, by_hand})
+  @spec request_end(t(), Situ.Time.t() | :now, boolean()) :: t()
+  def request_end(%{ending: %{wish: nil}} = state, time, by_hand),
+    do: update_ending(state, wish: {time, by_hand})
 
-  def wish(state, _time, _by_hand), do: state
+  def request_end(state, _time, _by_hand), do: state
 
   @doc "Adds an error that ends the pipeline."
-  @spec error(t(), Situ.Error.t()) :: t()
-  def error(state, error), do: act(%{state | errors: [error | state.errors]}, {:failed, error})
+  @spec add_error(t(), Situ.Error.t()) :: t()
+  def add_error(state, error),
+    do: add_action(%{state | errors: [error | state.errors]}, {:failed, error})
 
-  @spec alive(t()) :: [id()]
-  def alive(state), do: for({id, %{alive?: true}} <- state.stages, do: id)
+  @spec alive_ids(t()) :: [id()]
+  def alive_ids(state), do: for({id, %{alive?: true}} <- state.stages, do: id)
 
   @doc "Returns a fingerprint that changes only when something happens."
-  @spec mark_of(t()) :: term()
-  def mark_of(state) do
+  @spec progress_mark(t()) :: term()
+  def progress_mark(state) do
     parts = for {_, part} <- state.parts, do: MapSet.size(part.pending)
 
     {state.step, MapSet.size(state.pending), map_size(state.links.active), parts,

@@ -73,40 +73,45 @@ defmodule Situ.Aggregate do
   def reduce(%Stream{} = stream, fun, opts) when is_function(fun, 2) do
     step = fn
       data, _message, :none -> {:emit, data, {:some, data}}
-      data, _message, {:some, previous} -> folded(fun.(data, previous))
+      data, _message, {:some, previous} -> emit_accumulated(fun.(data, previous))
     end
 
     Operator.attach(stream, "Reduce", {:step, step, :none}, opts, stream.type)
   end
 
   def reduce(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.reduce(stream, fn data, acc -> data + acc end)")
+    do:
+      Argument.raise_invalid!(
+        other,
+        :stream,
+        "Situ.reduce(stream, fn data, acc -> data + acc end)"
+      )
 
-  defp folded(value), do: {:emit, value, {:some, value}}
+  defp emit_accumulated(value), do: {:emit, value, {:some, value}}
 
   @doc "Counts the messages (or elements)."
   @spec count(Stream.t(), keyword()) :: Stream.t()
-  def count(stream, opts \\ []), do: statistic(stream, :count, opts)
+  def count(stream, opts \\ []), do: attach_statistic(stream, :count, opts)
 
   @doc "Computes the sum. `nil` adds nothing."
   @spec sum(Stream.t(), keyword()) :: Stream.t()
-  def sum(stream, opts \\ []), do: statistic(stream, :sum, opts)
+  def sum(stream, opts \\ []), do: attach_statistic(stream, :sum, opts)
 
   @doc "Computes the minimum."
   @spec min(Stream.t(), keyword()) :: Stream.t()
-  def min(stream, opts \\ []), do: statistic(stream, :min, opts)
+  def min(stream, opts \\ []), do: attach_statistic(stream, :min, opts)
 
   @doc "Computes the maximum."
   @spec max(Stream.t(), keyword()) :: Stream.t()
-  def max(stream, opts \\ []), do: statistic(stream, :max, opts)
+  def max(stream, opts \\ []), do: attach_statistic(stream, :max, opts)
 
   @doc "Computes the mean, as a float."
   @spec average(Stream.t(), keyword()) :: Stream.t()
-  def average(stream, opts \\ []), do: statistic(stream, :average, opts)
+  def average(stream, opts \\ []), do: attach_statistic(stream, :average, opts)
 
   @doc "Computes the sample standard deviation (n - 1)."
   @spec std(Stream.t(), keyword()) :: Stream.t()
-  def std(stream, opts \\ []), do: statistic(stream, :std, opts)
+  def std(stream, opts \\ []), do: attach_statistic(stream, :std, opts)
 
   @doc """
   Emits the next number minus the current one, at the **current** message's originating time. Each difference is
@@ -114,126 +119,126 @@ defmodule Situ.Aggregate do
   """
   @spec delta(Stream.t(), keyword()) :: Stream.t()
   def delta(stream, opts \\ []) do
-    stream = Argument.stream!(stream, "Situ.delta(stream)")
-    {stream, _own, placed} = filtered(stream, opts, where: @where)
+    stream = Argument.ensure_stream!(stream, "Situ.delta(stream)")
+    {stream, _own, placed} = split_and_filter(stream, opts, where: @where)
     fun = fn [this, next] -> Number.subtract(next, this) end
-    Window.window(stream, 0..1, fun, name("Delta", placed))
+    Window.window(stream, 0..1, fun, put_default_name("Delta", placed))
   end
 
   @doc "Emits the absolute value of each number. `where:` filters first."
   @spec abs(Stream.t(), keyword()) :: Stream.t()
   def abs(stream, opts \\ []) do
-    stream = Argument.stream!(stream, "Situ.abs(stream)")
-    {stream, _own, placed} = filtered(stream, opts, where: @where)
+    stream = Argument.ensure_stream!(stream, "Situ.abs(stream)")
+    {stream, _own, placed} = split_and_filter(stream, opts, where: @where)
     Operator.attach(stream, "Abs", {:map, &Number.abs/1}, placed, stream.type)
   end
 
   @doc "Emits the logarithm of each number: natural, or to `base:`. `where:` filters first."
   @spec log(Stream.t(), keyword()) :: Stream.t()
   def log(stream, opts \\ []) do
-    stream = Argument.stream!(stream, "Situ.log(stream)")
-    {stream, own, placed} = filtered(stream, opts, where: @where, base: @base)
-    Operator.attach(stream, "Log", {:map, logarithm(own[:base])}, placed, :any)
+    stream = Argument.ensure_stream!(stream, "Situ.log(stream)")
+    {stream, own, placed} = split_and_filter(stream, opts, where: @where, base: @base)
+    Operator.attach(stream, "Log", {:map, log_function(own[:base])}, placed, :any)
   end
 
-  defp logarithm(nil), do: &Number.log/1
+  defp log_function(nil), do: &Number.log/1
 
-  defp logarithm(base) when is_number(base) and base > 0 and base != 1 do
+  defp log_function(base) when is_number(base) and base > 0 and base != 1 do
     scale = :math.log(base)
     &Number.divide(Number.log(&1), scale)
   end
 
-  defp logarithm(base) do
+  defp log_function(base) do
     raise ArgumentError, "base: must be a number above 0 other than 1, got: #{inspect(base)}"
   end
 
-  defp statistic(%Stream{} = stream, kind, opts) do
-    {own, opts} = Placement.split!(opts, @schema, :operator)
+  defp attach_statistic(%Stream{} = stream, kind, opts) do
+    {own, opts} = Placement.split_options!(opts, @schema, :operator)
     name = kind |> Atom.to_string() |> String.capitalize()
-    over(own[:over], stream, {kind, name, own}, opts)
+    attach_over(own[:over], stream, {kind, name, own}, opts)
   end
 
-  defp statistic(other, kind, _opts),
-    do: Argument.refuse!(other, :stream, "Situ.#{kind}(stream)")
+  defp attach_statistic(other, kind, _opts),
+    do: Argument.raise_invalid!(other, :stream, "Situ.#{kind}(stream)")
 
-  defp over(:all, stream, {kind, name, own}, opts) do
-    step = running(own[:where], own[:by])
-    Operator.attach(stream, name, {:step, step, Statistics.start(kind, own)}, opts, :any)
+  defp attach_over(:all, stream, {kind, name, own}, opts) do
+    step = running_step(own[:where], own[:by])
+    Operator.attach(stream, name, {:step, step, Statistics.initial_state(kind, own)}, opts, :any)
   end
 
-  defp over(:list, stream, {kind, name, own}, opts) do
-    fun = fn list -> list |> picked(own) |> listed(kind, own) end
+  defp attach_over(:list, stream, {kind, name, own}, opts) do
+    fun = fn list -> list |> select_numbers(own) |> list_statistic(kind, own) end
     Operator.attach(stream, name, {:map, fun}, opts, :any)
   end
 
-  defp over({:last, n}, stream, spec, opts) when is_integer(n) and n > 0,
-    do: history(stream, spec, opts, &last(&1, n))
+  defp attach_over({:last, n}, stream, spec, opts) when is_integer(n) and n > 0,
+    do: attach_sliding(stream, spec, opts, &last_n_step(&1, n))
 
-  defp over({:past, span}, stream, spec, opts) when is_integer(span) and span >= 0,
-    do: history(stream, spec, opts, &past(&1, span))
+  defp attach_over({:past, span}, stream, spec, opts) when is_integer(span) and span >= 0,
+    do: attach_sliding(stream, spec, opts, &past_span_step(&1, span))
 
-  defp over(other, _stream, _spec, _opts) do
+  defp attach_over(other, _stream, _spec, _opts) do
     raise ArgumentError,
           "over: must be :all, :list, {:last, n} or {:past, ns}, got: #{inspect(other)}"
   end
 
-  defp history(stream, {kind, name, own}, opts, step) do
-    {stream, own} = narrowed(stream, own)
+  defp attach_sliding(stream, {kind, name, own}, opts, step) do
+    {stream, own} = apply_where(stream, own)
     window = Sliding.new(kind, Keyword.take(own, [:compare]))
     Operator.attach(stream, name, {:step, step.(own[:by] || (& &1)), window}, opts, :any)
   end
 
-  defp last(by, n) do
+  defp last_n_step(by, n) do
     fn data, message, window ->
       window = if Sliding.size(window) == n, do: Sliding.pop(window), else: window
       window = Sliding.push(window, message.originating_time, by.(data))
 
       if Sliding.size(window) == n,
-        do: {:emit, Sliding.result(window), window},
+        do: {:emit, Sliding.current_result(window), window},
         else: {:skip, window}
     end
   end
 
-  defp past(by, span) do
+  defp past_span_step(by, span) do
     fn data, %{originating_time: time}, window ->
-      window = window |> Sliding.since(time - span) |> Sliding.push(time, by.(data))
-      {:emit, Sliding.result(window), window}
+      window = window |> Sliding.drop_before(time - span) |> Sliding.push(time, by.(data))
+      {:emit, Sliding.current_result(window), window}
     end
   end
 
-  defp narrowed(stream, own) do
+  defp apply_where(stream, own) do
     case Keyword.pop(own, :where) do
       {nil, own} -> {stream, own}
       {where, own} -> {Operator.attach(stream, "Filter", {:filter, where}, [], stream.type), own}
     end
   end
 
-  defp filtered(stream, opts, schema) do
-    {own, placed} = Placement.split!(opts, schema, :operator)
-    {stream, own} = narrowed(stream, own)
+  defp split_and_filter(stream, opts, schema) do
+    {own, placed} = Placement.split_options!(opts, schema, :operator)
+    {stream, own} = apply_where(stream, own)
     {stream, own, placed}
   end
 
-  defp name(name, opts), do: Keyword.put_new(opts, :default_name, name)
+  defp put_default_name(name, opts), do: Keyword.put_new(opts, :default_name, name)
 
-  defp picked(list, own) do
+  defp select_numbers(list, own) do
     list = if own[:where], do: Enum.filter(list, own[:where]), else: list
     if own[:by], do: Enum.map(list, own[:by]), else: list
   end
 
-  defp listed(list, kind, own), do: Statistics.of_list(kind, list, own)
+  defp list_statistic(list, kind, own), do: Statistics.of_list(kind, list, own)
 
-  defp running(nil, nil) do
+  defp running_step(nil, nil) do
     fn data, _message, state ->
-      {result, state} = Statistics.step(state, data)
+      {result, state} = Statistics.add_value(state, data)
       {:emit, result, state}
     end
   end
 
-  defp running(where, by) do
+  defp running_step(where, by) do
     fn data, _message, state ->
       if where == nil or where.(data) do
-        {result, state} = Statistics.step(state, if(by == nil, do: data, else: by.(data)))
+        {result, state} = Statistics.add_value(state, if(by == nil, do: data, else: by.(data)))
         {:emit, result, state}
       else
         {:skip, state}

@@ -21,14 +21,14 @@ defmodule Situ.Available do
   @doc "Selects the nearest message in the window that has arrived (default: any distance)."
   @spec nearest(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def nearest(window \\ Interval.infinite(), opts \\ []) do
-    {window, opts} = Interpolator.window(window, opts, Interval.infinite())
+    {window, opts} = Interpolator.parse_window(window, opts, Interval.infinite())
     Interpolator.new(Nearest, {window, false}, [gives: :messages] ++ opts)
   end
 
   @doc "Selects the first message in the window that has arrived (default: at or after the requested time)."
   @spec first(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def first(window \\ Interval.future(), opts \\ []) do
-    {window, opts} = Interpolator.window(window, opts, Interval.future())
+    {window, opts} = Interpolator.parse_window(window, opts, Interval.future())
     Reproducible.left_bounded!(window)
     Interpolator.new(First, {window, false}, [gives: :messages] ++ opts)
   end
@@ -36,7 +36,7 @@ defmodule Situ.Available do
   @doc "Selects the last message in the window that has arrived (default: at or before the requested time)."
   @spec last(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def last(window \\ Interval.past(), opts \\ []) do
-    {window, opts} = Interpolator.window(window, opts, Interval.past())
+    {window, opts} = Interpolator.parse_window(window, opts, Interval.past())
     Interpolator.new(Last, {window, false}, [gives: :messages] ++ opts)
   end
 end

@@ -27,8 +27,8 @@ defmodule Situ.Branch do
   @opaque seed :: {Graph.t(), Stream.t()}
 
   @doc "Builds the initial graph shared by all branches with this input type."
-  @spec seed(Situ.Type.t()) :: seed()
-  def seed(type \\ :any) do
+  @spec build_seed(Situ.Type.t()) :: seed()
+  def build_seed(type \\ :any) do
     Graph.build(fn p ->
       p
       |> Situ.Pipeline.add(Inlet, name: "In", outputs: [out: type])
@@ -45,27 +45,30 @@ defmodule Situ.Branch do
   """
   @spec start((Stream.t() -> Stream.t() | term()), keyword()) :: t()
   def start(fun, opts \\ []) when is_function(fun, 1) do
-    {graph, inlet} = Keyword.get_lazy(opts, :seed, fn -> seed(opts[:type] || :any) end)
-    {graph, result} = build(fun, graph, inlet)
-    Enum.each(graph.vertices, &allowed!(&1, inlet.node))
+    {graph, inlet} = Keyword.get_lazy(opts, :seed, fn -> build_seed(opts[:type] || :any) end)
+    {graph, result} = build_graph(fun, graph, inlet)
+    Enum.each(graph.vertices, &check_vertex!(&1, inlet.node))
     path = Keyword.get(opts, :path, "Branch")
 
-    case Chained.plan(graph, inlet.node, result, path) do
-      {:ok, chained} -> chained
-      :error -> Network.start(graph, inlet.node, result, Path.to_string(path), opts[:context])
+    case Chained.from_graph(graph, inlet.node, result, path) do
+      {:ok, chained} ->
+        chained
+
+      :error ->
+        Network.from_graph(graph, inlet.node, result, Path.to_string(path), opts[:context])
     end
   end
 
-  defp build(fun, graph, inlet) do
-    handle = Graph.Builder.open(graph)
+  defp build_graph(fun, graph, inlet) do
+    handle = Graph.Builder.open_graph(graph)
 
     try do
       result = fun.(%{inlet | pipeline: handle})
 
-      {Graph.Builder.peek(handle),
+      {Graph.Builder.current_graph(handle),
        if(is_struct(result, Stream), do: {result.node, result.output})}
     after
-      Graph.Builder.close(handle)
+      Graph.Builder.close_graph(handle)
     end
   end
 
@@ -80,17 +83,17 @@ defmodule Situ.Branch do
   def close(%Network{} = branch, time), do: Network.close(branch, time)
 
   @doc "Returns whether each input's output, if any, is emitted immediately and at the same originating time."
-  @spec immediate?(t()) :: boolean()
-  def immediate?(%Chained{}), do: true
-  def immediate?(%Network{}), do: false
+  @spec immediate_output?(t()) :: boolean()
+  def immediate_output?(%Chained{}), do: true
+  def immediate_output?(%Network{}), do: false
 
   @doc "Returns whether the branch has an output."
-  @spec output?(t()) :: boolean()
-  def output?(%{result: result}), do: result != nil
+  @spec has_output?(t()) :: boolean()
+  def has_output?(%{result: result}), do: result != nil
 
-  defp allowed!({inlet, _vertex}, inlet), do: :ok
+  defp check_vertex!({inlet, _vertex}, inlet), do: :ok
 
-  defp allowed!({_id, vertex}, _inlet) do
+  defp check_vertex!({_id, vertex}, _inlet) do
     if is_list(vertex.opts) and vertex.opts[:branches] == :processes do
       raise Error.new(
               :not_in_branch,

@@ -31,7 +31,7 @@ defmodule Situ.Filter do
           band: [type: {:tuple, [:number, :number]}, required: true, doc: "`{low, high}` in Hz."]
         ] ++ @shared
   @denoise [order: [type: :pos_integer, default: 7, doc: "Number of samples."]]
-  @one_euro Situ.Filter.OneEuro.options()
+  @one_euro Situ.Filter.OneEuro.option_schema()
 
   @moduledoc """
   Digital filters over streams of numbers. All functions are also available on `Situ`: `Situ.lowpass/2` ...
@@ -73,26 +73,26 @@ defmodule Situ.Filter do
 
   @doc "Passes frequencies below `cutoff:`; `rate:` in Hz."
   @spec lowpass(Stream.t(), keyword()) :: Stream.t()
-  def lowpass(stream, opts), do: edge(stream, "Lowpass", :lowpass, opts)
+  def lowpass(stream, opts), do: attach_edge_filter(stream, "Lowpass", :lowpass, opts)
 
   @doc "Passes frequencies above `cutoff:`; `rate:` in Hz."
   @spec highpass(Stream.t(), keyword()) :: Stream.t()
-  def highpass(stream, opts), do: edge(stream, "Highpass", :highpass, opts)
+  def highpass(stream, opts), do: attach_edge_filter(stream, "Highpass", :highpass, opts)
 
   @doc "Passes frequencies inside `band:`; `rate:` in Hz."
   @spec bandpass(Stream.t(), keyword()) :: Stream.t()
-  def bandpass(stream, opts), do: band(stream, "Bandpass", :bandpass, opts)
+  def bandpass(stream, opts), do: attach_band_filter(stream, "Bandpass", :bandpass, opts)
 
   @doc "Passes frequencies outside `band:`; `rate:` in Hz."
   @spec bandstop(Stream.t(), keyword()) :: Stream.t()
-  def bandstop(stream, opts), do: band(stream, "Bandstop", :bandstop, opts)
+  def bandstop(stream, opts), do: attach_band_filter(stream, "Bandstop", :bandstop, opts)
 
   @doc "Emits the median of the last `order:` samples (default 7; fewer at the start), which removes single outliers."
   @spec denoise(Stream.t(), keyword()) :: Stream.t()
   def denoise(stream, opts \\ [])
 
   def denoise(%Stream{} = stream, opts) do
-    {own, placed} = Placement.split!(opts, @denoise, :operator)
+    {own, placed} = Placement.split_options!(opts, @denoise, :operator)
     order = own[:order]
 
     step = fn sample, past ->
@@ -100,10 +100,10 @@ defmodule Situ.Filter do
       {Number.median(past), past}
     end
 
-    Operator.attach(stream, "Denoise", {:step, valued(step), []}, placed, :number)
+    Operator.attach(stream, "Denoise", {:step, pass_nil_through(step), []}, placed, :number)
   end
 
-  def denoise(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.denoise(stream)")
+  def denoise(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.denoise(stream)")
 
   @doc """
   Smooths samples with the 1 euro filter, see `Situ.Filter.OneEuro`.
@@ -114,33 +114,36 @@ defmodule Situ.Filter do
   def one_euro(stream, opts \\ [])
 
   def one_euro(%Stream{} = stream, opts) do
-    {own, placed} = Placement.split!(opts, @one_euro, :operator)
+    {own, placed} = Placement.split_options!(opts, @one_euro, :operator)
 
     step = fn
-      nil, _message, filter -> {:emit, nil, filter}
-      sample, message, filter -> emit(OneEuro.step(filter, message.originating_time, sample))
+      nil, _message, filter ->
+        {:emit, nil, filter}
+
+      sample, message, filter ->
+        emit_sample(OneEuro.step(filter, message.originating_time, sample))
     end
 
     Operator.attach(stream, "OneEuro", {:step, step, OneEuro.new(own)}, placed, :number)
   end
 
-  def one_euro(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.one_euro(stream)")
+  def one_euro(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.one_euro(stream)")
 
-  defp edge(stream, name, shape, opts) do
-    stream = Argument.stream!(stream, "Situ.#{shape}(stream, cutoff: 3, rate: 100)")
-    {own, placed} = Placement.split!(opts, @edge, :operator)
-    attach(stream, name, {shape, [own[:cutoff]]}, own, placed)
+  defp attach_edge_filter(stream, name, shape, opts) do
+    stream = Argument.ensure_stream!(stream, "Situ.#{shape}(stream, cutoff: 3, rate: 100)")
+    {own, placed} = Placement.split_options!(opts, @edge, :operator)
+    attach_filter(stream, name, {shape, [own[:cutoff]]}, own, placed)
   end
 
-  defp band(stream, name, shape, opts) do
-    stream = Argument.stream!(stream, "Situ.#{shape}(stream, band: {2, 9}, rate: 100)")
-    {own, placed} = Placement.split!(opts, @band, :operator)
-    attach(stream, name, {shape, Tuple.to_list(own[:band])}, own, placed)
+  defp attach_band_filter(stream, name, shape, opts) do
+    stream = Argument.ensure_stream!(stream, "Situ.#{shape}(stream, band: {2, 9}, rate: 100)")
+    {own, placed} = Placement.split_options!(opts, @band, :operator)
+    attach_filter(stream, name, {shape, Tuple.to_list(own[:band])}, own, placed)
   end
 
-  defp attach(%Stream{} = stream, name, {shape, edges}, own, placed) do
+  defp attach_filter(%Stream{} = stream, name, {shape, edges}, own, placed) do
     rate = own[:rate]
-    check!(rate, edges)
+    validate_edges!(rate, edges)
     interpolator = own[:interpolator] || Reproducible.linear()
     clock = if own[:align], do: [align: own[:align]], else: []
 
@@ -148,7 +151,7 @@ defmodule Situ.Filter do
       if own[:response] == :finite, do: {Fir, finite_order(rate, edges)}, else: {Iir, 4}
 
     filter = module.new(shape, rate, edges, own[:order] || order)
-    step = valued(fn sample, filter -> module.step(filter, sample) end)
+    step = pass_nil_through(fn sample, filter -> module.step(filter, sample) end)
 
     stream
     |> Fusion.interpolate(round(1.0e9 / rate), interpolator, clock)
@@ -161,7 +164,7 @@ defmodule Situ.Filter do
   defp finite_order(rate, [low, high]),
     do: (2 * ceil(2 * rate / max(high - low, 1.0e-9))) |> max(64) |> min(@most)
 
-  defp check!(rate, edges) do
+  defp validate_edges!(rate, edges) do
     unless is_number(rate) and rate > 0 do
       raise ArgumentError, "rate: must be a number of Hz above 0, got: #{inspect(rate)}"
     end
@@ -173,12 +176,12 @@ defmodule Situ.Filter do
   end
 
   # `nil` is not a sample, so it passes through without changing the state.
-  defp valued(step) do
+  defp pass_nil_through(step) do
     fn
       nil, _message, state -> {:emit, nil, state}
-      sample, _message, state -> emit(step.(sample, state))
+      sample, _message, state -> emit_sample(step.(sample, state))
     end
   end
 
-  defp emit({out, state}), do: {:emit, out, state}
+  defp emit_sample({out, state}), do: {:emit, out, state}
 end

@@ -99,10 +99,10 @@ defmodule Situ.Fusion do
           keyword()
         ) :: Stream.t()
   def join(first, second \\ [], third \\ [], opts \\ []) do
-    {streams, interpolator, opts} = Arguments.parse(first, second, third, opts)
-    interpolator = Arguments.given(interpolator, Reproducible.exact())
-    Enum.each(List.wrap(interpolator), &Arguments.reproducible!/1)
-    Assembly.fuse("Join", streams, interpolator, split(opts, @fuse))
+    {streams, interpolator, opts} = Arguments.parse_streams(first, second, third, opts)
+    interpolator = Arguments.resolve_interpolator(interpolator, Reproducible.exact())
+    Enum.each(List.wrap(interpolator), &Arguments.ensure_reproducible!/1)
+    Assembly.attach_fusion("Join", streams, interpolator, split_options(opts, @fuse))
   end
 
   @doc "Fuses streams with any interpolator, in the forms above."
@@ -113,8 +113,14 @@ defmodule Situ.Fusion do
           keyword()
         ) :: Stream.t()
   def fuse(first, second, third \\ [], opts \\ []) do
-    {streams, interpolator, opts} = Arguments.parse(first, second, third, opts)
-    Assembly.fuse("Fuse", streams, Arguments.given(interpolator, :none), split(opts, @fuse))
+    {streams, interpolator, opts} = Arguments.parse_streams(first, second, third, opts)
+
+    Assembly.attach_fusion(
+      "Fuse",
+      streams,
+      Arguments.resolve_interpolator(interpolator, :none),
+      split_options(opts, @fuse)
+    )
   end
 
   @doc """
@@ -141,7 +147,8 @@ defmodule Situ.Fusion do
           Stream.t() | String.t(),
           keyword()
         ) :: {:ok, Situ.Time.t() | :start} | {:error, Situ.Error.t()}
-  def add_input(fused, key, stream, opts \\ []), do: DynamicInputs.add(fused, key, stream, opts)
+  def add_input(fused, key, stream, opts \\ []),
+    do: DynamicInputs.add_input(fused, key, stream, opts)
 
   @doc """
   Removes the input `key` of a join or fusion over a map, or of a merge, while the pipeline is running. The input may
@@ -154,7 +161,7 @@ defmodule Situ.Fusion do
   """
   @spec remove_input(Stream.t() | {Pipeline.target(), String.t()}, key :: term(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Situ.Error.t()}
-  def remove_input(fused, key, opts \\ []), do: DynamicInputs.remove(fused, key, opts)
+  def remove_input(fused, key, opts \\ []), do: DynamicInputs.remove_input(fused, key, opts)
 
   @doc """
   Pairs each primary with the latest secondary that has arrived. Primaries before the first secondary are dropped,
@@ -170,10 +177,10 @@ defmodule Situ.Fusion do
   def pair(primary, secondary, opts \\ [])
 
   def pair(%Stream{} = primary, %Stream{} = secondary, opts),
-    do: Assembly.pair(primary, secondary, split(opts, @pair))
+    do: Assembly.attach_pair(primary, secondary, split_options(opts, @pair))
 
   def pair(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :streams, "Situ.pair(primary, secondary)")
+    do: Argument.raise_invalid!(other, :streams, "Situ.pair(primary, secondary)")
 
   @doc """
   Groups the messages of all streams by originating time. Each output is the list of messages at that time, in the
@@ -181,9 +188,9 @@ defmodule Situ.Fusion do
   """
   @spec zip(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def zip(first, second \\ [], opts \\ []) do
-    {streams, opts} = Arguments.inputs(first, second, opts)
-    {[], placed} = split(opts, [])
-    Assembly.zip(streams, placed)
+    {streams, opts} = Arguments.parse_inputs(first, second, opts)
+    {[], placed} = split_options(opts, [])
+    Assembly.attach_zip(streams, placed)
   end
 
   @doc """
@@ -195,9 +202,9 @@ defmodule Situ.Fusion do
   """
   @spec merge(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def merge(first, second \\ [], opts \\ []) do
-    {streams, opts} = Arguments.inputs(first, second, opts)
-    {[], placed} = split(opts, [])
-    Assembly.merge(streams, placed)
+    {streams, opts} = Arguments.parse_inputs(first, second, opts)
+    {[], placed} = split_options(opts, [])
+    Assembly.attach_merge(streams, placed)
   end
 
   @doc """
@@ -212,11 +219,11 @@ defmodule Situ.Fusion do
   def interpolate(stream, clock, interpolator, opts \\ [])
 
   def interpolate(%Stream{} = stream, clock, interpolator, opts),
-    do: tick("Interpolate", stream, clock, interpolator, opts)
+    do: sample_at_ticks("Interpolate", stream, clock, interpolator, opts)
 
   def interpolate(other, _arg2, _arg3, _arg4),
     do:
-      Argument.refuse!(
+      Argument.raise_invalid!(
         other,
         :stream,
         "Situ.interpolate(stream, clock, Situ.Reproducible.linear())"
@@ -236,15 +243,15 @@ defmodule Situ.Fusion do
     do: sample(stream, clock, Interval.infinite(), opts)
 
   def sample(%Stream{} = stream, clock, window, opts),
-    do: tick("Sample", stream, clock, window, opts)
+    do: sample_at_ticks("Sample", stream, clock, window, opts)
 
   def sample(other, _arg2, _arg3, _arg4),
-    do: Argument.refuse!(other, :stream, "Situ.sample(stream, Situ.Time.ms(20))")
+    do: Argument.raise_invalid!(other, :stream, "Situ.sample(stream, Situ.Time.ms(20))")
 
-  defp tick(name, %Stream{} = stream, clock, interpolator, opts) do
-    interpolator = Arguments.interpolator(interpolator)
-    Assembly.tick(name, stream, clock, interpolator, split(opts, @tick))
+  defp sample_at_ticks(name, %Stream{} = stream, clock, interpolator, opts) do
+    interpolator = Arguments.to_interpolator(interpolator)
+    Assembly.attach_ticks(name, stream, clock, interpolator, split_options(opts, @tick))
   end
 
-  defp split(opts, schema), do: Placement.split!(opts, schema, :fusion)
+  defp split_options(opts, schema), do: Placement.split_options!(opts, schema, :fusion)
 end

@@ -79,11 +79,15 @@ defmodule Situ.Generator do
   @spec sequence(Pipeline.t(), value, (value -> value), keyword()) :: Stream.t()
         when value: term()
   def sequence(%Situ.Graph.Handle{} = p, initial, next, opts) when is_function(next, 1),
-    do: paced(p, "Sequence", {initial, next}, opts)
+    do: add_paced_source(p, "Sequence", {initial, next}, opts)
 
   def sequence(other, _arg2, _arg3, _arg4),
     do:
-      Argument.refuse!(other, :handle, "Situ.sequence(p, 0, &(&1 + 1), every: Situ.Time.ms(20))")
+      Argument.raise_invalid!(
+        other,
+        :handle,
+        "Situ.sequence(p, 0, &(&1 + 1), every: Situ.Time.ms(20))"
+      )
 
   @doc """
   Emits the same value repeatedly.
@@ -91,27 +95,30 @@ defmodule Situ.Generator do
   #{Situ.Options.docs(@paced)}
   """
   @spec repeat(Pipeline.t(), term(), keyword()) :: Stream.t()
-  def repeat(%Situ.Graph.Handle{} = p, value, opts), do: paced(p, "Repeat", {value, & &1}, opts)
+  def repeat(%Situ.Graph.Handle{} = p, value, opts),
+    do: add_paced_source(p, "Repeat", {value, & &1}, opts)
 
   def repeat(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :handle, "Situ.repeat(p, 1, every: Situ.Time.ms(20))")
+    do: Argument.raise_invalid!(other, :handle, "Situ.repeat(p, 1, every: Situ.Time.ms(20))")
 
   @doc "Emits one value at the pipeline's start and ends."
   @spec return(Pipeline.t(), term(), keyword()) :: Stream.t()
   def return(p, value, opts \\ [])
 
   def return(%Situ.Graph.Handle{} = p, value, opts),
-    do: single(p, "Return", value, false, opts)
+    do: add_single_source(p, "Return", value, false, opts)
 
-  def return(other, _arg2, _arg3), do: Argument.refuse!(other, :handle, "Situ.return(p, 1)")
+  def return(other, _arg2, _arg3),
+    do: Argument.raise_invalid!(other, :handle, "Situ.return(p, 1)")
 
   @doc "Emits one value at the pipeline's start; the stream stays open."
   @spec once(Pipeline.t(), term(), keyword()) :: Stream.t()
   def once(p, value, opts \\ [])
 
-  def once(%Situ.Graph.Handle{} = p, value, opts), do: single(p, "Once", value, true, opts)
+  def once(%Situ.Graph.Handle{} = p, value, opts),
+    do: add_single_source(p, "Once", value, true, opts)
 
-  def once(other, _arg2, _arg3), do: Argument.refuse!(other, :handle, "Situ.once(p, 1)")
+  def once(other, _arg2, _arg3), do: Argument.raise_invalid!(other, :handle, "Situ.once(p, 1)")
 
   @doc """
   Emits the items of any enumerable. With `every:` (and `align:`) the items are values at that interval. Otherwise they
@@ -126,26 +133,35 @@ defmodule Situ.Generator do
   def from_enumerable(p, enumerable, opts \\ [])
 
   def from_enumerable(%Situ.Graph.Handle{} = p, enumerable, opts) do
-    {own, placed} = Placement.split!(opts, @enumerable, :generator)
+    {own, placed} = Placement.split_options!(opts, @enumerable, :generator)
     if own[:start], do: Pipeline.propose_replay(p, {own[:start], :unbounded})
-    placed = Keyword.put_new(placed, :type, type(enumerable))
+    placed = Keyword.put_new(placed, :type, item_type(enumerable))
 
     case own[:every] do
       nil ->
-        feed = fn _start -> Feed.timed(Feed.items(enumerable)) end
+        feed = fn _start -> Feed.build_timed(Feed.to_items(enumerable)) end
         equal = placed[:on_same_time] != :error
         options = [feed: feed, timed: true, equal: equal, keep_open: own[:keep_open]]
-        add(p, "Enumerable", {Source, options}, placed)
+        add_source(p, "Enumerable", {Source, options}, placed)
 
       every ->
-        check_every!(every, at_most(enumerable))
-        feed = fn start -> Feed.paced(Feed.items(enumerable), start, every, own[:align]) end
-        add(p, "Enumerable", {Source, [feed: feed, keep_open: own[:keep_open]]}, placed)
+        check_every!(every, known_max_count(enumerable))
+
+        feed = fn start ->
+          Feed.build_paced(Feed.to_items(enumerable), start, every, own[:align])
+        end
+
+        add_source(p, "Enumerable", {Source, [feed: feed, keep_open: own[:keep_open]]}, placed)
     end
   end
 
   def from_enumerable(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :handle, "Situ.from_enumerable(p, 1..9, every: Situ.Time.ms(20))")
+    do:
+      Argument.raise_invalid!(
+        other,
+        :handle,
+        "Situ.from_enumerable(p, 1..9, every: Situ.Time.ms(20))"
+      )
 
   @doc """
   Emits a message every `every:` ns of the clock, with the clock's time. Its data is the time since the start (ns), or
@@ -157,13 +173,13 @@ defmodule Situ.Generator do
   """
   @spec timer(Pipeline.t(), keyword()) :: Stream.t()
   def timer(%Situ.Graph.Handle{} = p, opts) do
-    {own, placed} = Placement.split!(opts, @timer, :generator)
+    {own, placed} = Placement.split_options!(opts, @timer, :generator)
     type = if own[:fun], do: :any, else: :integer
-    add(p, "Timer", {Timer, own}, Keyword.put_new(placed, :type, type))
+    add_source(p, "Timer", {Timer, own}, Keyword.put_new(placed, :type, type))
   end
 
   def timer(other, _arg2),
-    do: Argument.refuse!(other, :handle, "Situ.timer(p, every: Situ.Time.ms(20))")
+    do: Argument.raise_invalid!(other, :handle, "Situ.timer(p, every: Situ.Time.ms(20))")
 
   @doc """
   Emits data that other processes post. When the pipeline starts, `subscribe.(post)` is called. Any process may then
@@ -181,41 +197,50 @@ defmodule Situ.Generator do
   def event_source(%Situ.Graph.Handle{} = p, subscribe, opts)
       when is_function(subscribe, 1) do
     opts = Keyword.put_new(opts, :on_same_time, :nudge)
-    {own, placed} = Placement.split!(opts, @events, :generator)
-    add(p, "EventSource", {Events, [subscribe: subscribe] ++ own}, placed)
+    {own, placed} = Placement.split_options!(opts, @events, :generator)
+    add_source(p, "EventSource", {Events, [subscribe: subscribe] ++ own}, placed)
   end
 
   def event_source(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :handle, "Situ.event_source(p, fn post -> subscribe(post) end)")
+    do:
+      Argument.raise_invalid!(
+        other,
+        :handle,
+        "Situ.event_source(p, fn post -> subscribe(post) end)"
+      )
 
-  defp paced(p, name, {initial, next}, opts) do
-    {own, placed} = Placement.split!(opts, @paced, :generator)
+  defp add_paced_source(p, name, {initial, next}, opts) do
+    {own, placed} = Placement.split_options!(opts, @paced, :generator)
     {every, count, align} = {own[:every], own[:count], own[:align]}
     check_every!(every, count)
-    feed = fn start -> Feed.paced({:sequence, initial, next, count}, start, every, align) end
+
+    feed = fn start ->
+      Feed.build_paced({:sequence, initial, next, count}, start, every, align)
+    end
+
     keep_open = own[:keep_open] or count == :infinity
-    add(p, name, {Source, [feed: feed, keep_open: keep_open]}, placed)
+    add_source(p, name, {Source, [feed: feed, keep_open: keep_open]}, placed)
   end
 
-  defp single(p, name, value, keep_open, opts) do
-    {[], placed} = Placement.split!(opts, [], :generator)
-    feed = fn start -> Feed.paced({:sequence, value, & &1, 1}, start, 1, nil) end
-    add(p, name, {Source, [feed: feed, keep_open: keep_open]}, placed)
+  defp add_single_source(p, name, value, keep_open, opts) do
+    {[], placed} = Placement.split_options!(opts, [], :generator)
+    feed = fn start -> Feed.build_paced({:sequence, value, & &1, 1}, start, 1, nil) end
+    add_source(p, name, {Source, [feed: feed, keep_open: keep_open]}, placed)
   end
 
-  defp add(p, name, {module, own}, placed) do
+  defp add_source(p, name, {module, own}, placed) do
     {type, placed} = Keyword.pop(placed, :type, :any)
     placed = [default_name: name, outputs: [out: type]] ++ placed
     p |> Pipeline.add(module, own ++ placed) |> Situ.Node.output(:out)
   end
 
   # The number of items of a lazy enumerable is unknown.
-  defp at_most(list) when is_list(list) and length(list) < 2, do: length(list)
-  defp at_most(%Range{} = range), do: min(Range.size(range), 2)
-  defp at_most(_enumerable), do: :infinity
+  defp known_max_count(list) when is_list(list) and length(list) < 2, do: length(list)
+  defp known_max_count(%Range{} = range), do: min(Range.size(range), 2)
+  defp known_max_count(_enumerable), do: :infinity
 
-  defp type(%Range{}), do: :integer
-  defp type(_enumerable), do: :any
+  defp item_type(%Range{}), do: :integer
+  defp item_type(_enumerable), do: :any
 
   defp check_every!(every, _count) when every > 0, do: :ok
 

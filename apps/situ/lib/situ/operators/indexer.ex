@@ -4,14 +4,14 @@ defmodule Situ.Indexer do
   slices, strides, single indices, lists of indices, and slices of slices. The array can be stored anywhere. An indexer
   returns flat indices, and ranges of adjacent elements that can be copied in one operation.
 
-      iex> Situ.Indexer.indices([10, 10], [{0, 1}, :all]) |> Enum.count()
+      iex> Situ.Indexer.flat_indices([10, 10], [{0, 1}, :all]) |> Enum.count()
       20
-      iex> Situ.Indexer.ranges([10, 10, 10], [{0, 1}, :all, :all])
+      iex> Situ.Indexer.index_ranges([10, 10, 10], [{0, 1}, :all, :all])
       [{0, 199}]
 
       iex> rows = Situ.Indexer.new([4, 6]) |> Situ.Indexer.slice([{1, 3}, {0, 5, 2}])
       iex> view = Situ.Indexer.slice(rows, [:all, {2, 1}])
-      iex> {Situ.Indexer.shape(view), Situ.Indexer.indices(view)}
+      iex> {Situ.Indexer.shape(view), Situ.Indexer.flat_indices(view)}
       {[3, 2], [10, 8, 16, 14, 22, 20]}
 
   A range is `{first, last}`, both included; it may decrease. A slice of a dimension is `:all`, an index, a range, a
@@ -44,7 +44,7 @@ defmodule Situ.Indexer do
       raise ArgumentError, "#{length(slices)} slices for #{length(view.shape)} dimensions"
     end
 
-    %{view | values: Enum.zip_with(view.values, slices, &picked/2)}
+    %{view | values: Enum.zip_with(view.values, slices, &select_values/2)}
   end
 
   @doc "Returns the number of selected indices per dimension."
@@ -64,31 +64,32 @@ defmodule Situ.Indexer do
   end
 
   @doc "Returns the flat indices of a view, or of slices of an array of this shape (default: all)."
-  @spec indices(t() | [pos_integer()], [slice()] | nil) :: [non_neg_integer()]
-  def indices(shape_or_view, slices \\ nil)
+  @spec flat_indices(t() | [pos_integer()], [slice()] | nil) :: [non_neg_integer()]
+  def flat_indices(shape_or_view, slices \\ nil)
 
-  def indices(%__MODULE__{shape: shape, values: values}, nil) do
+  def flat_indices(%__MODULE__{shape: shape, values: values}, nil) do
     Enum.zip_reduce(shape, values, [0], fn size, values, prefixes ->
       for prefix <- prefixes, value <- values, do: prefix * size + value
     end)
   end
 
-  def indices(%__MODULE__{} = view, slices), do: view |> slice(slices) |> indices()
-  def indices(shape, nil), do: indices(new(shape))
-  def indices(shape, slices), do: shape |> new() |> slice(slices) |> indices()
+  def flat_indices(%__MODULE__{} = view, slices), do: view |> slice(slices) |> flat_indices()
+  def flat_indices(shape, nil), do: flat_indices(new(shape))
+  def flat_indices(shape, slices), do: shape |> new() |> slice(slices) |> flat_indices()
 
   @doc "Returns the flat indices as ranges of adjacent elements, each `{first, last}`."
-  @spec ranges(t() | [pos_integer()], [slice()] | nil) :: [range()]
-  def ranges(shape_or_view, slices \\ nil), do: shape_or_view |> indices(slices) |> runs()
+  @spec index_ranges(t() | [pos_integer()], [slice()] | nil) :: [range()]
+  def index_ranges(shape_or_view, slices \\ nil),
+    do: shape_or_view |> flat_indices(slices) |> group_runs()
 
   @doc """
   Groups a list of indices into ranges of adjacent elements.
 
-      iex> Situ.Indexer.runs([1, 2, 3, 7, 8])
+      iex> Situ.Indexer.group_runs([1, 2, 3, 7, 8])
       [{1, 3}, {7, 8}]
   """
-  @spec runs([integer()]) :: [range()]
-  def runs(indices) do
+  @spec group_runs([integer()]) :: [range()]
+  def group_runs(indices) do
     indices
     |> Enum.reduce([], fn
       index, [{first, last} | rest] when index == last + 1 -> [{first, index} | rest]
@@ -98,12 +99,12 @@ defmodule Situ.Indexer do
   end
 
   @doc "Returns the number of values in a range."
-  @spec size(range()) :: pos_integer()
-  def size({first, last}), do: abs(last - first) + 1
+  @spec range_size(range()) :: pos_integer()
+  def range_size({first, last}), do: abs(last - first) + 1
 
   @doc "Returns whether a range does not decrease."
-  @spec increasing?(range()) :: boolean()
-  def increasing?({first, last}), do: last >= first
+  @spec increasing_range?(range()) :: boolean()
+  def increasing_range?({first, last}), do: last >= first
 
   @doc "Returns whether a range has a single value."
   @spec single_valued?(range()) :: boolean()
@@ -112,22 +113,29 @@ defmodule Situ.Indexer do
   @doc """
   Returns the values of a range, or of a slice of it (relative to its first value).
 
-      iex> Situ.Indexer.values({5, 10}, {1, 3})
+      iex> Situ.Indexer.range_values({5, 10}, {1, 3})
       [6, 7, 8]
-      iex> Situ.Indexer.values({5, 10}, {:take, [5, 0]})
+      iex> Situ.Indexer.range_values({5, 10}, {:take, [5, 0]})
       [10, 5]
   """
-  @spec values(range(), slice()) :: [integer()]
-  def values({first, last}, slice \\ :all), do: picked(Enum.to_list(first..last), slice)
+  @spec range_values(range(), slice()) :: [integer()]
+  def range_values({first, last}, slice \\ :all),
+    do: select_values(Enum.to_list(first..last), slice)
 
-  defp picked(values, :all), do: values
-  defp picked(values, at) when is_integer(at), do: picked(values, {:take, [at]})
-  defp picked(values, {from, to}) when is_integer(from), do: picked(values, {from, to, 1})
+  defp select_values(values, :all), do: values
+  defp select_values(values, at) when is_integer(at), do: select_values(values, {:take, [at]})
 
-  defp picked(values, {from, to, step}) when is_integer(step) and step > 0,
-    do: picked(values, {:take, Enum.to_list(from..to//if(to >= from, do: step, else: -step))})
+  defp select_values(values, {from, to}) when is_integer(from),
+    do: select_values(values, {from, to, 1})
 
-  defp picked(values, {:take, indices}) do
+  defp select_values(values, {from, to, step}) when is_integer(step) and step > 0,
+    do:
+      select_values(
+        values,
+        {:take, Enum.to_list(from..to//if(to >= from, do: step, else: -step))}
+      )
+
+  defp select_values(values, {:take, indices}) do
     all = List.to_tuple(values)
 
     for index <- indices do
@@ -139,5 +147,5 @@ defmodule Situ.Indexer do
     end
   end
 
-  defp picked(_values, other), do: raise(ArgumentError, "not a slice: #{inspect(other)}")
+  defp select_values(_values, other), do: raise(ArgumentError, "not a slice: #{inspect(other)}")
 end

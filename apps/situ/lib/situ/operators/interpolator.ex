@@ -76,7 +76,7 @@ defmodule Situ.Interpolator do
       config: config,
       reproducible: Keyword.get(opts, :reproducible, false),
       gives: Keyword.get(opts, :gives, :values),
-      default: default(opts)
+      default: parse_default(opts)
     }
   end
 
@@ -93,23 +93,24 @@ defmodule Situ.Interpolator do
   @doc """
   Returns the type of the values that it produces from a stream of this type. A default of a different type widens it.
 
-      iex> Situ.Interpolator.type(Situ.Reproducible.nearest(or_default: nil), :integer)
+      iex> Situ.Interpolator.value_type(Situ.Reproducible.nearest(or_default: nil), :integer)
       {:optional, :integer}
-      iex> Situ.Interpolator.type(Situ.Reproducible.linear(), :integer)
+      iex> Situ.Interpolator.value_type(Situ.Reproducible.linear(), :integer)
       :any
   """
-  @spec type(t(), Type.t()) :: Type.t()
-  def type(%__MODULE__{gives: :messages, default: default}, type), do: widened(type, default)
+  @spec value_type(t(), Type.t()) :: Type.t()
+  def value_type(%__MODULE__{gives: :messages, default: default}, type),
+    do: widen_type(type, default)
 
-  def type(%__MODULE__{}, _type), do: :any
+  def value_type(%__MODULE__{}, _type), do: :any
 
   @doc "Returns the type with a default among its values: `:none`, or `{:value, default}`."
-  @spec widened(Type.t(), :none | {:value, term()}) :: Type.t()
-  def widened(type, :none), do: type
+  @spec widen_type(Type.t(), :none | {:value, term()}) :: Type.t()
+  def widen_type(type, :none), do: type
 
-  def widened(type, {:value, value}) do
+  def widen_type(type, {:value, value}) do
     cond do
-      Type.valid?(type, value) -> type
+      Type.valid_value?(type, value) -> type
       value == nil -> {:optional, type}
       true -> :any
     end
@@ -117,30 +118,30 @@ defmodule Situ.Interpolator do
 
   @doc false
   # Parses the window argument of the constructors: an interval, a tolerance, or options in its place.
-  @spec window(Interval.t() | Situ.Time.duration() | keyword(), keyword(), Interval.t()) ::
+  @spec parse_window(Interval.t() | Situ.Time.duration() | keyword(), keyword(), Interval.t()) ::
           {Interval.t(), keyword()}
-  def window(%Interval{} = window, opts, _default) do
+  def parse_window(%Interval{} = window, opts, _default) do
     if Interval.negative?(window) do
       raise ArgumentError,
-            "the window #{window} ends before it begins; did you mean #{Interval.ordered(window)}?"
+            "the window #{window} ends before it begins; did you mean #{Interval.sort_ends(window)}?"
     end
 
-    {window, check(opts)}
+    {window, validate_options(opts)}
   end
 
-  def window(tolerance, opts, _default) when is_integer(tolerance),
-    do: {Interval.within(tolerance), check(opts)}
+  def parse_window(tolerance, opts, _default) when is_integer(tolerance),
+    do: {Interval.within(tolerance), validate_options(opts)}
 
-  def window(opts, [], default) when is_list(opts), do: {default, check(opts)}
+  def parse_window(opts, [], default) when is_list(opts), do: {default, validate_options(opts)}
 
-  def window(other, _opts, _default) do
+  def parse_window(other, _opts, _default) do
     raise ArgumentError,
           "expected a window: a Situ.Interval or a tolerance in whole ns, got: #{inspect(other)}"
   end
 
-  defp check(opts), do: Situ.Options.validate!(opts, or_default: [type: :any])
+  defp validate_options(opts), do: Situ.Options.validate!(opts, or_default: [type: :any])
 
-  defp default(opts) do
+  defp parse_default(opts) do
     case Keyword.fetch(opts, :or_default) do
       {:ok, value} -> {:value, value}
       :error -> :none

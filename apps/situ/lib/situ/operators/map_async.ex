@@ -47,15 +47,15 @@ defmodule Situ.MapAsync do
 
   def map_async(%Stream{} = stream, fun, opts)
       when is_function(fun, 1) or is_function(fun, 2) do
-    {own, placed} = Placement.split!(opts, @schema, :operator)
+    {own, placed} = Placement.split_options!(opts, @schema, :operator)
     own = Keyword.put_new(own, :max, System.schedulers_online())
     own = [fun: fun, on_error: placed[:on_error] || :stop] ++ own
     given = for {key, value} <- own, do: {if(key == :on_error, do: :errors, else: key), value}
-    Operator.through(stream, "MapAsync", {Situ.MapAsync.Component, given}, placed)
+    Operator.attach_component(stream, "MapAsync", {Situ.MapAsync.Component, given}, placed)
   end
 
   def map_async(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.map_async(stream, fn data -> data end)")
+    do: Argument.raise_invalid!(other, :stream, "Situ.map_async(stream, fn data -> data end)")
 end
 
 defmodule Situ.MapAsync.Component do
@@ -80,26 +80,26 @@ defmodule Situ.MapAsync.Component do
 
   @impl true
   def handle_message(:in, message, context, state) do
-    ref = start(message, state.opts)
+    ref = start_job(message, state.opts)
     jobs = :queue.in({ref, message.originating_time}, state.jobs)
-    hold(%{state | jobs: jobs, count: state.count + 1}, [], context)
+    hold_or_resume(%{state | jobs: jobs, count: state.count + 1}, [], context)
   end
 
-  defp start(message, %{fun: fun, timeout: timeout}) do
+  defp start_job(message, %{fun: fun, timeout: timeout}) do
     me = self()
 
     {pid, ref} =
       spawn_monitor(fn ->
         # The job ends with the component, even if the component is killed.
-        watch(me, self())
-        exit({:situ_result, run(fun, message)})
+        watch_job(me, self())
+        exit({:situ_result, run_function(fun, message)})
       end)
 
     if timeout != :infinity, do: Process.send_after(self(), {:situ_late, ref, pid}, timeout)
     ref
   end
 
-  defp watch(component, job) do
+  defp watch_job(component, job) do
     spawn(fn ->
       [a, b] = for pid <- [component, job], do: Process.monitor(pid)
 
@@ -110,10 +110,12 @@ defmodule Situ.MapAsync.Component do
     end)
   end
 
-  defp run(fun, message) when is_function(fun, 1), do: guard(fn -> fun.(message.data) end)
-  defp run(fun, message), do: guard(fn -> fun.(message.data, message) end)
+  defp run_function(fun, message) when is_function(fun, 1),
+    do: catch_failure(fn -> fun.(message.data) end)
 
-  defp guard(fun) do
+  defp run_function(fun, message), do: catch_failure(fn -> fun.(message.data, message) end)
+
+  defp catch_failure(fun) do
     {:ok, fun.()}
   catch
     kind, reason -> {:failed, kind, reason, __STACKTRACE__}
@@ -121,7 +123,7 @@ defmodule Situ.MapAsync.Component do
 
   @impl true
   def handle_info({:DOWN, ref, :process, _pid, reason}, context, state),
-    do: state |> note(ref, reason) |> emit([], context)
+    do: state |> put_result(ref, reason) |> emit_finished([], context)
 
   def handle_info({:situ_late, ref, pid}, _context, state) do
     if Enum.any?(:queue.to_list(state.jobs), &(elem(&1, 0) == ref)) and
@@ -131,58 +133,59 @@ defmodule Situ.MapAsync.Component do
     {[], state}
   end
 
-  def handle_info({:hold_ended, :in}, context, state), do: hold(state, [], context)
+  def handle_info({:hold_ended, :in}, context, state), do: hold_or_resume(state, [], context)
 
   # The error is a separate message, so that handling it undoes nothing else.
   def handle_info({:situ_failed, error}, _context, _state), do: raise(error)
 
   def handle_info(:situ_failed_job_done, context, state),
-    do: emit(%{state | failing: false}, [], context)
+    do: emit_finished(%{state | failing: false}, [], context)
 
   def handle_info(_other, _context, state), do: {[], state}
 
   # No more messages will arrive, so this waits for all jobs in progress.
   @impl true
   def handle_closed(:in, _time, context, state) do
-    state = await(state)
-    {actions, state} = emit(state, [], context)
-    finish(actions, state, context)
+    state = await_jobs(state)
+    {actions, state} = emit_finished(state, [], context)
+    emit_remaining(actions, state, context)
   end
 
-  defp await(state) do
+  defp await_jobs(state) do
     if map_size(state.done) == state.count do
       state
     else
       receive do
         {:DOWN, ref, :process, _pid, reason} ->
-          await(note(state, ref, reason))
+          await_jobs(put_result(state, ref, reason))
 
         {:situ_late, ref, pid} ->
           if not is_map_key(state.done, ref), do: Process.exit(pid, :kill)
-          await(state)
+          await_jobs(state)
       end
     end
   end
 
   # With `:stop` nothing follows an error; otherwise all other results do.
-  defp finish(actions, %{failing: true, opts: %{errors: errors}} = state, context)
+  defp emit_remaining(actions, %{failing: true, opts: %{errors: errors}} = state, context)
        when errors != :stop do
-    {more, state} = emit(%{state | failing: false}, [], context)
-    finish(actions ++ more, state, context)
+    {more, state} = emit_finished(%{state | failing: false}, [], context)
+    emit_remaining(actions ++ more, state, context)
   end
 
-  defp finish(actions, state, _context), do: {actions, state}
+  defp emit_remaining(actions, state, _context), do: {actions, state}
 
   @impl true
   def terminate(_reason, _state), do: :ok
 
-  defp note(state, ref, {:situ_result, result}), do: put_in(state.done[ref], result)
-  defp note(state, ref, reason), do: put_in(state.done[ref], {:failed, :exit, reason, []})
+  defp put_result(state, ref, {:situ_result, result}), do: put_in(state.done[ref], result)
+  defp put_result(state, ref, reason), do: put_in(state.done[ref], {:failed, :exit, reason, []})
 
   # Emits finished results in order, oldest first.
-  defp emit(%{failing: true} = state, actions, _context), do: {Enum.reverse(actions), state}
+  defp emit_finished(%{failing: true} = state, actions, _context),
+    do: {Enum.reverse(actions), state}
 
-  defp emit(state, actions, context) do
+  defp emit_finished(state, actions, context) do
     with {:value, {ref, time}} <- :queue.peek(state.jobs), %{^ref => result} <- state.done do
       state = %{
         state
@@ -193,25 +196,25 @@ defmodule Situ.MapAsync.Component do
 
       case result do
         {:ok, value} ->
-          emit(state, [{:out, time, value} | actions], context)
+          emit_finished(state, [{:out, time, value} | actions], context)
 
         {:failed, kind, reason, stack} ->
-          send(self(), {:situ_failed, failed(kind, reason, stack, time, context, state.opts)})
+          send(self(), {:situ_failed, job_error(kind, reason, stack, time, context, state.opts)})
           send(self(), :situ_failed_job_done)
-          emit(%{state | failing: true}, actions, context)
+          emit_finished(%{state | failing: true}, actions, context)
       end
     else
-      _ -> hold(state, actions, context)
+      _ -> hold_or_resume(state, actions, context)
     end
   end
 
   # When all slots are in use, the input is held so that the stream waits.
-  defp hold(%{count: count, opts: %{max: max}} = state, actions, _context) do
+  defp hold_or_resume(%{count: count, opts: %{max: max}} = state, actions, _context) do
     action = if count >= max, do: {:hold, :in}, else: {:resume, :in}
     {Enum.reverse([action | actions]), state}
   end
 
-  defp failed(_kind, :killed, _stack, time, context, %{timeout: timeout})
+  defp job_error(_kind, :killed, _stack, time, context, %{timeout: timeout})
        when timeout != :infinity do
     Error.new(:timeout, "#{context.path} did not finish within #{timeout} ms",
       why: "its function was still running for the message at #{time} ns",
@@ -220,7 +223,7 @@ defmodule Situ.MapAsync.Component do
     )
   end
 
-  defp failed(kind, reason, stack, time, context, _opts) do
+  defp job_error(kind, reason, stack, time, context, _opts) do
     Error.new(
       :component_failed,
       "#{context.path} failed: #{Exception.format_banner(kind, reason, stack)}",

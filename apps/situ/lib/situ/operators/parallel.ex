@@ -112,38 +112,45 @@ defmodule Situ.Parallel do
 
   def parallel(%Stream{} = stream, fun, opts)
       when is_function(fun, 1) or is_function(fun, 2) do
-    {own, placed} = Placement.split!(opts, @schema, :operator)
-    form = form(stream.type, fun, own)
-    options = [fun: fun, form: form, type: part(stream.type, own), missing: missing(own)]
+    {own, placed} = Placement.split_options!(opts, @schema, :operator)
+    form = choose_form(stream.type, fun, own)
+
+    options = [
+      fun: fun,
+      form: form,
+      type: part_type(stream.type, own),
+      missing: parse_missing(own)
+    ]
+
     shared = Keyword.take(own, [:split, :with, :on_branch_error])
     processes? = own[:branches] == :processes
     if own[:branch_policy] && not processes?, do: raise(ArgumentError, @no_queues)
     shared = if processes?, do: Keyword.take(own, [:branch_policy]) ++ shared, else: shared
-    options = options ++ shared ++ [termination: Termination.parse(own[:until])]
+    options = options ++ shared ++ [termination: Termination.parse_rule(own[:until])]
     type = if own[:with], do: :any, else: if(is_map_form(form), do: :map, else: :list)
     box = if processes?, do: Processes, else: Values
-    Operator.through(stream, "Parallel", {box, options}, placed, type)
+    Operator.attach_component(stream, "Parallel", {box, options}, placed, type)
   end
 
   def parallel(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.parallel(stream, fn stream -> stream end)")
+    do: Argument.raise_invalid!(other, :stream, "Situ.parallel(stream, fn stream -> stream end)")
 
-  defp form(type, fun, own) do
+  defp choose_form(type, fun, own) do
     cond do
       own[:size] -> {:fixed, own[:size]}
       own[:of] == :lists -> :variable
-      own[:of] == :maps -> sparse(own)
+      own[:of] == :maps -> sparse_or_present(own)
       match?({:list, _}, type) or type == :list -> :variable
-      match?({:map, _, _}, type) or type == :map -> sparse(own)
-      is_function(fun, 2) -> sparse(own)
+      match?({:map, _, _}, type) or type == :map -> sparse_or_present(own)
+      is_function(fun, 2) -> sparse_or_present(own)
       true -> :variable
     end
   end
 
-  defp sparse(own), do: if(own[:only_present], do: :present, else: :sparse)
+  defp sparse_or_present(own), do: if(own[:only_present], do: :present, else: :sparse)
   defp is_map_form(form), do: form in [:sparse, :present]
 
-  defp part(type, own) do
+  defp part_type(type, own) do
     case {own[:split], type} do
       {nil, {:list, type}} -> type
       {nil, {:map, _key, type}} -> type
@@ -151,7 +158,7 @@ defmodule Situ.Parallel do
     end
   end
 
-  defp missing(own) do
+  defp parse_missing(own) do
     case Keyword.fetch(own, :or_default) do
       {:ok, value} -> {:value, value}
       :error -> :drop

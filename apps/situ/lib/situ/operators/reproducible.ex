@@ -35,7 +35,7 @@ defmodule Situ.Reproducible do
   @doc "Selects the nearest message in the window (default: any distance)."
   @spec nearest(window() | keyword(), keyword()) :: Interpolator.t()
   def nearest(window \\ Interval.infinite(), opts \\ []) do
-    {window, opts} = Interpolator.window(window, opts, Interval.infinite())
+    {window, opts} = Interpolator.parse_window(window, opts, Interval.infinite())
     Interpolator.new(Nearest, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
 
@@ -45,7 +45,7 @@ defmodule Situ.Reproducible do
   """
   @spec first(window() | keyword(), keyword()) :: Interpolator.t()
   def first(window \\ Interval.future(), opts \\ []) do
-    {window, opts} = Interpolator.window(window, opts, Interval.future())
+    {window, opts} = Interpolator.parse_window(window, opts, Interval.future())
     left_bounded!(window)
     Interpolator.new(First, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
@@ -53,7 +53,7 @@ defmodule Situ.Reproducible do
   @doc "Selects the last message in the window (default: at or before the requested time)."
   @spec last(window() | keyword(), keyword()) :: Interpolator.t()
   def last(window \\ Interval.past(), opts \\ []) do
-    {window, opts} = Interpolator.window(window, opts, Interval.past())
+    {window, opts} = Interpolator.parse_window(window, opts, Interval.past())
     Interpolator.new(Last, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
 
@@ -67,7 +67,7 @@ defmodule Situ.Reproducible do
   `max_span:` allows no value between neighbours that are this far apart (ns) or farther.
   """
   @spec linear(keyword()) :: Interpolator.t()
-  def linear(opts \\ []), do: adjacent(&Situ.Number.between/3, opts)
+  def linear(opts \\ []), do: adjacent(&Situ.Number.interpolate/3, opts)
 
   @doc """
   Computes the value with `fun.(before, after, ratio)` from the neighbours. The ratio is 0.0 at the earlier neighbour

@@ -12,13 +12,13 @@ defmodule Situ.Sampling do
       iex> outputs
       [{:out, 0, 0}, {:out, 30, 40}]
 
-  A long gap in the source contains many ticks. At most a few hundred are produced at a time. As long as `more?/1` is
-  true, `more/1` produces the next ones, so memory does not depend on the gap.
+  A long gap in the source contains many ticks. At most a few hundred are produced at a time. As long as `more_ticks?/1` is
+  true, `next_ticks/1` produces the next ones, so memory does not depend on the gap.
 
       iex> sampling = Situ.Sampling.new(Situ.Reproducible.linear(), 1, 0)
       iex> messages = for t <- [0, 1_000_000_000], do: %Situ.Message{originating_time: t, data: t}
       iex> {outputs, sampling} = Situ.Sampling.push(sampling, messages)
-      iex> {length(outputs), Situ.Sampling.more?(sampling)}
+      iex> {length(outputs), Situ.Sampling.more_ticks?(sampling)}
       {256, true}
   """
 
@@ -70,47 +70,53 @@ defmodule Situ.Sampling do
   def push(sampling, []), do: {[], sampling}
 
   def push(sampling, messages) do
-    until = MessageQueue.last(messages).originating_time
-    more(%{sampling | queue: MessageQueue.push(sampling.queue, messages), until: until})
+    until = MessageQueue.last_message(messages).originating_time
+    next_ticks(%{sampling | queue: MessageQueue.push(sampling.queue, messages), until: until})
   end
 
   @doc "Marks the source as ended at `time`. Ticks up to and including that time are then decided."
   @spec close(t(), Situ.Time.t()) :: {[Component.action()], t()}
   def close(sampling, time),
-    do: more(%{sampling | queue: MessageQueue.whole(sampling.queue), until: time, closed: time})
+    do:
+      next_ticks(%{
+        sampling
+        | queue: MessageQueue.merge_batches(sampling.queue),
+          until: time,
+          closed: time
+      })
 
   @doc "Returns whether there are ticks that can be decided now."
-  @spec more?(t()) :: boolean()
-  def more?(sampling), do: sampling.more?
+  @spec more_ticks?(t()) :: boolean()
+  def more_ticks?(sampling), do: sampling.more?
 
   @doc "Returns the outputs of the next ticks that can be decided."
-  @spec more(t()) :: {[Component.action()], t()}
-  def more(sampling), do: run(sampling, @slice, [])
+  @spec next_ticks(t()) :: {[Component.action()], t()}
+  def next_ticks(sampling), do: emit_ticks(sampling, @slice, [])
 
-  defp run(%{tick: tick, until: until} = sampling, _left, outputs) when tick > until,
+  defp emit_ticks(%{tick: tick, until: until} = sampling, _left, outputs) when tick > until,
     do: {:lists.reverse(outputs), %{sampling | more?: false}}
 
-  defp run(sampling, 0, outputs), do: {:lists.reverse(outputs), %{sampling | more?: true}}
+  defp emit_ticks(sampling, 0, outputs), do: {:lists.reverse(outputs), %{sampling | more?: true}}
 
-  defp run(%{tick: tick, queue: {front, rear}} = sampling, left, outputs) do
+  defp emit_ticks(%{tick: tick, queue: {front, rear}} = sampling, left, outputs) do
     case Interpolator.interpolate(sampling.interpolator, tick, front, sampling.closed) do
       {:created, value, obsolete} ->
-        run(step(sampling, obsolete), left - 1, [{:out, tick, value} | outputs])
+        emit_ticks(advance_tick(sampling, obsolete), left - 1, [{:out, tick, value} | outputs])
 
       {:does_not_exist, obsolete} ->
-        run(step(sampling, obsolete), left - 1, outputs)
+        emit_ticks(advance_tick(sampling, obsolete), left - 1, outputs)
 
       _undecided when rear != [] ->
-        run(%{sampling | queue: MessageQueue.whole(sampling.queue)}, left, outputs)
+        emit_ticks(%{sampling | queue: MessageQueue.merge_batches(sampling.queue)}, left, outputs)
 
       _undecided ->
         {:lists.reverse(outputs), %{sampling | more?: false}}
     end
   end
 
-  defp step(sampling, nil), do: %{sampling | tick: sampling.tick + sampling.interval}
+  defp advance_tick(sampling, nil), do: %{sampling | tick: sampling.tick + sampling.interval}
 
-  defp step(%{queue: {front, rear}} = sampling, obsolete) do
+  defp advance_tick(%{queue: {front, rear}} = sampling, obsolete) do
     front = Enum.drop_while(front, &(&1.originating_time < obsolete))
     %{sampling | tick: sampling.tick + sampling.interval, queue: {front, rear}}
   end

@@ -59,12 +59,13 @@ defmodule Situ.Selection do
     Operator.attach(stream, "First", {:step, step, n}, opts, stream.type)
   end
 
-  def first(other, _arg2, _arg3), do: Argument.refuse!(other, :stream, "Situ.first(stream, 3)")
+  def first(other, _arg2, _arg3),
+    do: Argument.raise_invalid!(other, :stream, "Situ.first(stream, 3)")
 
   @doc "Works like `first/3`, under Elixir's name."
   @spec take(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
   def take(stream, n, opts \\ []),
-    do: stream |> Argument.stream!("Situ.take(stream, 3)") |> first(n, opts)
+    do: stream |> Argument.ensure_stream!("Situ.take(stream, 3)") |> first(n, opts)
 
   @doc "Emits the last `n` messages, with their times, when the stream ends."
   @spec last(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
@@ -73,9 +74,10 @@ defmodule Situ.Selection do
   def last(%Stream{} = stream, opts, []) when is_list(opts), do: last(stream, 1, opts)
 
   def last(%Stream{} = stream, n, opts) when is_integer(n) and n >= 0,
-    do: Operator.through(stream, "Last", {Last, [count: n]}, opts, stream.type)
+    do: Operator.attach_component(stream, "Last", {Last, [count: n]}, opts, stream.type)
 
-  def last(other, _arg2, _arg3), do: Argument.refuse!(other, :stream, "Situ.last(stream, 3)")
+  def last(other, _arg2, _arg3),
+    do: Argument.raise_invalid!(other, :stream, "Situ.last(stream, 3)")
 
   @doc "Applies `fun` to the data, except that `nil` stays `nil`."
   @spec map_present(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
@@ -86,7 +88,7 @@ defmodule Situ.Selection do
   end
 
   def map_present(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.map_present(stream, fn data -> data end)")
+    do: Argument.raise_invalid!(other, :stream, "Situ.map_present(stream, fn data -> data end)")
 
   @doc "Emits the originating time of each message as its data, ns."
   @spec time_of(Stream.t(), keyword()) :: Stream.t()
@@ -97,7 +99,7 @@ defmodule Situ.Selection do
     Operator.attach(stream, "TimeOf", step, opts, :integer)
   end
 
-  def time_of(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.time_of(stream)")
+  def time_of(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.time_of(stream)")
 
   @doc """
   Emits creation time minus originating time of each message as its data, ns, which is how late the message is here.
@@ -111,7 +113,7 @@ defmodule Situ.Selection do
     Operator.attach(stream, "Latency", step, Keyword.put_new(opts, :async, true), :integer)
   end
 
-  def latency(other, _arg2), do: Argument.refuse!(other, :stream, "Situ.latency(stream)")
+  def latency(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.latency(stream)")
 
   @doc """
   Holds each message until its creation time plus `duration` (ns) on the pipeline's clock. Its times and data are
@@ -125,10 +127,11 @@ defmodule Situ.Selection do
   def delay(stream, duration, opts \\ [])
 
   def delay(%Stream{} = stream, duration, opts) when is_integer(duration) and duration >= 0,
-    do: Operator.through(stream, "Delay", {Delay, [duration: duration]}, opts, stream.type)
+    do:
+      Operator.attach_component(stream, "Delay", {Delay, [duration: duration]}, opts, stream.type)
 
   def delay(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.delay(stream, Situ.Time.ms(20))")
+    do: Argument.raise_invalid!(other, :stream, "Situ.delay(stream, Situ.Time.ms(20))")
 
   @doc """
   Emits any number of messages for each input message: `fun.(message, state)` returns `{[{time, data}], state}`. Times
@@ -153,13 +156,19 @@ defmodule Situ.Selection do
   def process(stream, state, fun, opts \\ [])
 
   def process(%Stream{} = stream, state, fun, opts) when is_function(fun, 2) do
-    {own, placed} = Placement.split!(opts, @process, :operator)
-    Operator.through(stream, "Process", {Process, [state: state, fun: fun] ++ own}, placed)
+    {own, placed} = Placement.split_options!(opts, @process, :operator)
+
+    Operator.attach_component(
+      stream,
+      "Process",
+      {Process, [state: state, fun: fun] ++ own},
+      placed
+    )
   end
 
   def process(other, _arg2, _arg3, _arg4),
     do:
-      Argument.refuse!(
+      Argument.raise_invalid!(
         other,
         :stream,
         "Situ.process(stream, state, fn message, state -> {[], state} end)"
@@ -173,12 +182,12 @@ defmodule Situ.Selection do
   def edit(stream, edits, opts \\ [])
 
   def edit(%Stream{} = stream, edits, opts) when is_list(edits) do
-    edits = Generator.from_enumerable(stream.pipeline, Edit.sorted(edits))
-    Operator.through([in: stream, edits: edits], "Edit", {Edit, []}, opts, stream.type)
+    edits = Generator.from_enumerable(stream.pipeline, Edit.sort_edits(edits))
+    Operator.attach_component([in: stream, edits: edits], "Edit", {Edit, []}, opts, stream.type)
   end
 
   def edit(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.edit(stream, [{time, :delete}])")
+    do: Argument.raise_invalid!(other, :stream, "Situ.edit(stream, [{time, :delete}])")
 
   @doc """
   Orders messages by a separate time (such as a device's timestamp). Each message waits until a message more than
@@ -191,10 +200,10 @@ defmodule Situ.Selection do
 
   def reorder(%Stream{} = stream, lateness, opts)
       when is_integer(lateness) and lateness >= 0 do
-    {own, placed} = Placement.split!(opts, @reorder, :operator)
+    {own, placed} = Placement.split_options!(opts, @reorder, :operator)
     own = Keyword.put_new(own, :time, & &1.originating_time)
 
-    Operator.through(
+    Operator.attach_component(
       stream,
       "Reorder",
       {Reorder, [lateness: lateness] ++ own},
@@ -204,5 +213,5 @@ defmodule Situ.Selection do
   end
 
   def reorder(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.reorder(stream, Situ.Time.ms(20))")
+    do: Argument.raise_invalid!(other, :stream, "Situ.reorder(stream, Situ.Time.ms(20))")
 end

@@ -86,26 +86,32 @@ defmodule Situ.StateMachine do
   def state_machine(stream, machine, opts \\ [])
 
   def state_machine(%Stream{} = stream, machine, opts) do
-    {own, placed} = Placement.split!(opts, @schema, :operator)
-    Operator.through(stream, "StateMachine", {Runner, start(machine, own)}, placed)
+    {own, placed} = Placement.split_options!(opts, @schema, :operator)
+
+    Operator.attach_component(
+      stream,
+      "StateMachine",
+      {Runner, runner_options(machine, own)},
+      placed
+    )
   end
 
   def state_machine(other, _arg2, _arg3),
-    do: Argument.refuse!(other, :stream, "Situ.state_machine(stream, machine)")
+    do: Argument.raise_invalid!(other, :stream, "Situ.state_machine(stream, machine)")
 
-  defp start(fun, own) when is_function(fun, 3) do
+  defp runner_options(fun, own) when is_function(fun, 3) do
     case own[:init] do
       {_state, _data} = init -> [fun: fun, init: fn -> init end]
       nil -> raise ArgumentError, "a machine that is a function needs init: {state, data}"
     end
   end
 
-  defp start(other, _own) when not is_atom(other) do
+  defp runner_options(other, _own) when not is_atom(other) do
     takes = "a module, or a function of (state, event, data), as its second argument"
-    Argument.refuse!(other, takes, "Situ.state_machine(stream, machine)")
+    Argument.raise_invalid!(other, takes, "Situ.state_machine(stream, machine)")
   end
 
-  defp start(module, own) do
+  defp runner_options(module, own) do
     unless Code.ensure_loaded?(module) and function_exported?(module, :handle_event, 3),
       do:
         raise(

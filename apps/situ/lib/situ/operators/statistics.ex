@@ -4,7 +4,7 @@ defmodule Situ.Statistics do
 
       iex> Situ.Statistics.of_list(:std, [1, 2, 3, 4])
       1.2909944487358056
-      iex> {results, _state} = Enum.map_reduce([5, 3, 4], Situ.Statistics.start(:min), &Situ.Statistics.step(&2, &1))
+      iex> {results, _state} = Enum.map_reduce([5, 3, 4], Situ.Statistics.initial_state(:min), &Situ.Statistics.add_value(&2, &1))
       iex> results
       [5, 3, 3]
 
@@ -32,15 +32,15 @@ defmodule Situ.Statistics do
   @opaque state :: {kind(), term(), map()}
 
   @doc "Returns the kinds of statistics."
-  @spec kinds() :: [kind()]
-  def kinds, do: @kinds
+  @spec statistic_kinds() :: [kind()]
+  def statistic_kinds, do: @kinds
 
   @doc "Computes the statistic of a list."
   @spec of_list(kind(), list(), keyword()) :: term()
   def of_list(kind, list, opts \\ [])
   def of_list(:count, list, _opts), do: length(list)
-  def of_list(:std, list, _opts), do: list |> Enum.reject(&is_nil/1) |> deviation()
-  def of_list(:sum, list, _opts), do: Enum.reduce(list, 0, &sum/2)
+  def of_list(:std, list, _opts), do: list |> Enum.reject(&is_nil/1) |> sample_deviation()
+  def of_list(:sum, list, _opts), do: Enum.reduce(list, 0, &add_to_sum/2)
 
   def of_list(kind, [], opts) do
     if opts[:nullable] do
@@ -54,46 +54,48 @@ defmodule Situ.Statistics do
   end
 
   def of_list(kind, list, opts) when kind in @kinds do
-    {results, _state} = Enum.map_reduce(list, start(kind, opts), &step(&2, &1))
+    {results, _state} = Enum.map_reduce(list, initial_state(kind, opts), &add_value(&2, &1))
     List.last(results)
   end
 
   @doc "Returns the state before the first value."
-  @spec start(kind(), keyword()) :: state()
-  def start(kind, opts \\ []) when kind in @kinds do
-    {kind, zero(kind), Map.new(opts)}
+  @spec initial_state(kind(), keyword()) :: state()
+  def initial_state(kind, opts \\ []) when kind in @kinds do
+    {kind, zero_state(kind), Map.new(opts)}
   end
 
   @doc "Adds a value, and returns the statistic of all values so far and the next state."
-  @spec step(state(), term()) :: {term(), state()}
-  def step({:count, n, opts}, _value), do: {n + 1, {:count, n + 1, opts}}
+  @spec add_value(state(), term()) :: {term(), state()}
+  def add_value({:count, n, opts}, _value), do: {n + 1, {:count, n + 1, opts}}
 
-  def step({:sum, sum, opts}, value) do
-    sum = sum(value, sum)
+  def add_value({:sum, sum, opts}, value) do
+    sum = add_to_sum(value, sum)
     {sum, {:sum, sum, opts}}
   end
 
-  def step({kind, best, opts}, nil) when kind in [:min, :max], do: {best, {kind, best, opts}}
-  def step({kind, nil, opts}, value) when kind in [:min, :max], do: {value, {kind, value, opts}}
+  def add_value({kind, best, opts}, nil) when kind in [:min, :max], do: {best, {kind, best, opts}}
 
-  def step({kind, best, opts}, value) when kind in [:min, :max] do
-    best = better(kind, best, value, opts)
+  def add_value({kind, nil, opts}, value) when kind in [:min, :max],
+    do: {value, {kind, value, opts}}
+
+  def add_value({kind, best, opts}, value) when kind in [:min, :max] do
+    best = pick_better(kind, best, value, opts)
     {best, {kind, best, opts}}
   end
 
-  def step({:average, {n, _sum} = state, opts}, nil),
-    do: {if(n > 0, do: average(state)), {:average, state, opts}}
+  def add_value({:average, {n, _sum} = state, opts}, nil),
+    do: {if(n > 0, do: divide_sum(state)), {:average, state, opts}}
 
-  def step({:average, {n, sum}, opts}, value) do
+  def add_value({:average, {n, sum}, opts}, value) do
     state = {n + 1, Number.add(sum, value)}
-    {average(state), {:average, state, opts}}
+    {divide_sum(state), {:average, state, opts}}
   end
 
-  def step({:std, {n, _, _} = state, opts}, nil),
+  def add_value({:std, {n, _, _} = state, opts}, nil),
     do: {if(n > 0, do: running_deviation(state, opts)), {:std, state, opts}}
 
   # Welford's algorithm avoids differences of large squares.
-  def step({:std, {n, mean, squares}, opts}, value) do
+  def add_value({:std, {n, mean, squares}, opts}, value) do
     delta = Number.subtract(value, mean)
     mean = Number.add(mean, Number.divide(delta, n + 1))
     squares = Number.add(squares, Number.multiply(delta, Number.subtract(value, mean)))
@@ -101,15 +103,15 @@ defmodule Situ.Statistics do
     {running_deviation(state, opts), {:std, state, opts}}
   end
 
-  defp zero(:average), do: {0, 0}
-  defp zero(:std), do: {0, 0.0, 0.0}
-  defp zero(kind) when kind in [:min, :max], do: nil
-  defp zero(_kind), do: 0
+  defp zero_state(:average), do: {0, 0}
+  defp zero_state(:std), do: {0, 0.0, 0.0}
+  defp zero_state(kind) when kind in [:min, :max], do: nil
+  defp zero_state(_kind), do: 0
 
-  defp sum(nil, sum), do: sum
-  defp sum(value, sum), do: Number.add(sum, value)
+  defp add_to_sum(nil, sum), do: sum
+  defp add_to_sum(value, sum), do: Number.add(sum, value)
 
-  defp average({n, sum}), do: Number.divide(sum, n)
+  defp divide_sum({n, sum}), do: Number.divide(sum, n)
 
   defp running_deviation({1, _mean, squares}, opts) do
     if squares == :nan, do: :nan, else: Map.get(opts, :initial, :nan)
@@ -118,10 +120,10 @@ defmodule Situ.Statistics do
   defp running_deviation({n, _mean, squares}, _opts),
     do: squares |> Number.divide(n - 1) |> Number.sqrt()
 
-  defp deviation([]), do: 0.0
-  defp deviation([_]), do: 0.0
+  defp sample_deviation([]), do: 0.0
+  defp sample_deviation([_]), do: 0.0
 
-  defp deviation(list) do
+  defp sample_deviation(list) do
     n = length(list)
     mean = list |> Enum.reduce(0, &Number.add(&2, &1)) |> Number.divide(n)
 
@@ -136,9 +138,13 @@ defmodule Situ.Statistics do
 
   @doc false
   # Returns the lesser or greater of two values, or the first if they are equal.
-  @spec better(:min | :max, term(), term(), map()) :: term()
-  def better(:min, a, b, %{compare: fun}), do: if(fun.(a, b), do: a, else: b)
-  def better(:max, a, b, %{compare: fun}), do: if(fun.(a, b), do: b, else: a)
-  def better(:min, a, b, _opts), do: if(Number.number?(a), do: Number.min(a, b), else: min(a, b))
-  def better(:max, a, b, _opts), do: if(Number.number?(a), do: Number.max(a, b), else: max(a, b))
+  @spec pick_better(:min | :max, term(), term(), map()) :: term()
+  def pick_better(:min, a, b, %{compare: fun}), do: if(fun.(a, b), do: a, else: b)
+  def pick_better(:max, a, b, %{compare: fun}), do: if(fun.(a, b), do: b, else: a)
+
+  def pick_better(:min, a, b, _opts),
+    do: if(Number.number?(a), do: Number.min(a, b), else: min(a, b))
+
+  def pick_better(:max, a, b, _opts),
+    do: if(Number.number?(a), do: Number.max(a, b), else: max(a, b))
 end

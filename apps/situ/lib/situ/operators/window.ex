@@ -56,14 +56,18 @@ defmodule Situ.Window do
     do: window(stream, window, nil, opts)
 
   def window(%Stream{} = stream, window, fun, opts) when is_nil(fun) or is_function(fun, 1) do
-    {own, placed} = Placement.split!(opts, @schema, :operator)
-    type = if fun == nil, do: {:list, item(stream, own[:with])}, else: :any
-    place(stream, window, {fun, own[:with]}, {type, placed})
+    {own, placed} = Placement.split_options!(opts, @schema, :operator)
+    type = if fun == nil, do: {:list, item_type(stream, own[:with])}, else: :any
+    attach_window(stream, window, {fun, own[:with]}, {type, placed})
   end
 
   def window(other, _arg2, _arg3, _arg4),
     do:
-      Argument.refuse!(other, :stream, "Situ.window(stream, -2..0, fn list -> length(list) end)")
+      Argument.raise_invalid!(
+        other,
+        :stream,
+        "Situ.window(stream, -2..0, fn list -> length(list) end)"
+      )
 
   @doc """
   Emits a window per message of `windows`. `interval.(message)` returns `{interval, obsolete}`: the span of `stream` in
@@ -82,56 +86,62 @@ defmodule Situ.Window do
 
   def window_by(%Stream{} = stream, %Stream{} = windows, interval, opts)
       when is_function(interval, 1) do
-    {own, placed} = Placement.split!(opts, @by, :operator)
+    {own, placed} = Placement.split_options!(opts, @by, :operator)
     creator = own[:with] || fn _window, messages -> Enum.map(messages, & &1.data) end
     core = {Dynamic, :new, [interval, creator]}
-    Operator.through([in: stream, windows: windows], "Window", {Component, [core: core]}, placed)
+
+    Operator.attach_component(
+      [in: stream, windows: windows],
+      "Window",
+      {Component, [core: core]},
+      placed
+    )
   end
 
   def window_by(other, _arg2, _arg3, _arg4),
     do:
-      Argument.refuse!(
+      Argument.raise_invalid!(
         other,
         :stream,
         "Situ.window_by(stream, windows, fn message -> {interval, time} end)"
       )
 
   # Windows that end at their anchor are complete when it arrives, so they run as light operators in a chain.
-  defp place(stream, %Range{first: from, last: to}, {fun, with}, {type, placed})
+  defp attach_window(stream, %Range{first: from, last: to}, {fun, with}, {type, placed})
        when (to == 0 and from <= 0) or (from == 0 and to <= 0) do
     step = Situ.Window.Past.by_count(1 - min(from, to), fun, with)
     Operator.attach(stream, "Window", step, placed, type)
   end
 
-  defp place(stream, %Range{} = range, {fun, with}, {type, placed}) do
+  defp attach_window(stream, %Range{} = range, {fun, with}, {type, placed}) do
     core = {Index, :new, [range, fun, [with: with]]}
-    Operator.through(stream, "Window", {Component, [core: core]}, placed, type)
+    Operator.attach_component(stream, "Window", {Component, [core: core]}, placed, type)
   end
 
-  defp place(stream, %Interval{} = interval, {fun, with}, {type, placed}) do
-    case Interval.ordered(interval) do
+  defp attach_window(stream, %Interval{} = interval, {fun, with}, {type, placed}) do
+    case Interval.sort_ends(interval) do
       %{right: 0, right_inclusive: true, left: left} = past when is_integer(left) ->
         step = Situ.Window.Past.by_time(past, fun, with)
         Operator.attach(stream, "Window", step, placed, type)
 
       ordered ->
-        check_whole!(ordered)
+        check_integer_ends!(ordered)
         core = {Relative, :new, [ordered, fun, [with: with]]}
-        Operator.through(stream, "Window", {Component, [core: core]}, placed, type)
+        Operator.attach_component(stream, "Window", {Component, [core: core]}, placed, type)
     end
   end
 
-  defp place(_stream, window, _fun, _rest) do
+  defp attach_window(_stream, window, _fun, _rest) do
     raise ArgumentError,
           "a window is a range of indices or a Situ.Interval of ns, got: #{inspect(window)}"
   end
 
-  defp check_whole!(%{left: left, right: right}) do
+  defp check_integer_ends!(%{left: left, right: right}) do
     for bound <- [left, right], is_float(bound) do
       raise ArgumentError, "the ends of a window must be whole ns, got: #{bound}"
     end
   end
 
-  defp item(stream, :data), do: stream.type
-  defp item(stream, :messages), do: {:message, stream.type}
+  defp item_type(stream, :data), do: stream.type
+  defp item_type(stream, :messages), do: {:message, stream.type}
 end

@@ -7,106 +7,107 @@ defmodule Situ.Pipeline.Client do
   alias Situ.Graph.{Builder, Extension, Handle}
   alias Situ.Lifecycle.Errors
 
-  @spec stop(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
-  def stop(p, opts) do
-    pid = pid(p)
+  @spec stop_pipeline(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
+  def stop_pipeline(p, opts) do
+    pid = resolve_pid(p)
 
-    if inside?(pid) or pid == self() do
+    if inside_pipeline?(pid) or pid == self() do
       send(pid, :situ_stop)
       :ok
     else
-      request = {:stop, Keyword.get(opts, :catch_up, Lifecycle.catch_up_ms())}
-      ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
+      request = {:stop, Keyword.get(opts, :catch_up, Lifecycle.default_catch_up_ms())}
+      call_process(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
     end
   end
 
-  @spec abandon(Pipeline.target()) :: :ok | {:error, Error.t()}
-  def abandon(p), do: ask(pid(p), :abandon, 1_000, nil)
+  @spec abandon_pipeline(Pipeline.target()) :: :ok | {:error, Error.t()}
+  def abandon_pipeline(p), do: call_process(resolve_pid(p), :abandon, 1_000, nil)
 
   @spec stop_part(Pipeline.target(), String.t() | Situ.Node.t(), keyword()) ::
           :ok | {:error, Error.t()}
   def stop_part(p, part, opts) do
-    pid = pid(p)
-    path = path!(part)
+    pid = resolve_pid(p)
+    path = part_path!(part)
 
     how = %{
-      catch_up: Keyword.get(opts, :catch_up, Lifecycle.catch_up_ms()),
+      catch_up: Keyword.get(opts, :catch_up, Lifecycle.default_catch_up_ms()),
       forget?: Keyword.get(opts, :forget?, false)
     }
 
     request = {:stop_part, path, how}
 
-    if inside?(pid) do
+    if inside_pipeline?(pid) do
       send(pid, put_elem(request, 0, :situ_stop_part))
       :ok
     else
-      ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
+      call_process(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
     end
   end
 
-  defp path!(path) when is_binary(path), do: path
-  defp path!(%Situ.Node{path: path}), do: path
+  defp part_path!(path) when is_binary(path), do: path
+  defp part_path!(%Situ.Node{path: path}), do: path
 
-  defp path!(other) do
+  defp part_path!(other) do
     takes = "the path of a composite or component, or a node, as its second argument"
-    Argument.refuse!(other, takes, ~s|Situ.Pipeline.stop_part(p, "Side")|)
+    Argument.raise_invalid!(other, takes, ~s|Situ.Pipeline.stop_part(p, "Side")|)
   end
 
   # Returns whether the caller is a component or handler of the pipeline itself.
-  defp inside?(pid), do: pid != nil and Process.get(:situ_pipeline) == pid
+  defp inside_pipeline?(pid), do: pid != nil and Process.get(:situ_pipeline) == pid
 
-  @spec await(Pipeline.target(), timeout()) :: Pipeline.result()
-  def await(p, timeout) do
-    pid = pid(p)
+  @spec await_result(Pipeline.target(), timeout()) :: Pipeline.result()
+  def await_result(p, timeout) do
+    pid = resolve_pid(p)
 
-    case Results.fetch(pid) do
+    case Results.fetch_result(pid) do
       {:ok, result} -> result
-      :error -> ask(pid, :await, timeout, :archive)
+      :error -> call_process(pid, :await, timeout, :archive)
     end
   end
 
-  @spec state(Pipeline.target()) :: atom()
-  def state(p) do
-    case ask(pid(p), :state, :infinity, nil) do
+  @spec pipeline_state(Pipeline.target()) :: atom()
+  def pipeline_state(p) do
+    case call_process(resolve_pid(p), :state, :infinity, nil) do
       {:error, %Error{code: :not_running}} -> :completed
       state -> state
     end
   end
 
   @doc "Adds to the graph of a running pipeline; on return, either all of the addition is running or none of it."
-  @spec extend(Pipeline.target(), (Pipeline.t() -> result)) :: {:ok, result} | {:error, Error.t()}
+  @spec extend_pipeline(Pipeline.target(), (Pipeline.t() -> result)) ::
+          {:ok, result} | {:error, Error.t()}
         when result: term()
-  def extend(p, fun) do
+  def extend_pipeline(p, fun) do
     with {:ok, {handle, graph}} <- call(p, :extension),
          handle = if(is_struct(p, Handle), do: %{handle | scope: p.scope}, else: handle),
-         {:ok, {result, built}} <- build(handle, graph, fun),
-         :ok <- call(p, {:extend, Extension.added(built, graph)}),
+         {:ok, {result, built}} <- build_extension(handle, graph, fun),
+         :ok <- call(p, {:extend, Extension.extract_additions(built, graph)}),
          do: {:ok, result}
   end
 
-  defp build(handle, graph, fun) do
-    {:ok, Builder.lend(handle, graph, fn -> fun.(handle) end)}
+  defp build_extension(handle, graph, fun) do
+    {:ok, Builder.with_graph(handle, graph, fn -> fun.(handle) end)}
   rescue
     error in Error -> {:error, error}
   end
 
   @doc "Calls `fun` with the snapshots of all stages, while the sources are paused."
-  @spec checkpoint(Pipeline.target(), (map() -> result), pos_integer()) ::
+  @spec with_checkpoint(Pipeline.target(), (map() -> result), pos_integer()) ::
           {:ok, result} | {:error, Error.t()}
         when result: term()
-  def checkpoint(p, fun, timeout) do
+  def with_checkpoint(p, fun, timeout) do
     with {:ok, ref, memories} <- call(p, {:checkpoint, timeout}) do
       try do
         {:ok, fun.(memories)}
       after
-        send(pid(p), {:situ_thaw, ref})
+        send(resolve_pid(p), {:situ_thaw, ref})
       end
     end
   end
 
   @doc "Returns the server's reply, or `{:error, error}` if the pipeline has ended."
   @spec call(Pipeline.target(), term()) :: term()
-  def call(p, request), do: ask(pid(p), request, :infinity, nil)
+  def call(p, request), do: call_process(resolve_pid(p), request, :infinity, nil)
 
   @doc "Works like `call/2`, but raises the error."
   @spec call!(Pipeline.target(), term()) :: term()
@@ -117,47 +118,47 @@ defmodule Situ.Pipeline.Client do
     end
   end
 
-  defp ask(nil, _request, _timeout, _), do: {:error, Errors.not_running()}
+  defp call_process(nil, _request, _timeout, _), do: {:error, Errors.not_running()}
 
-  defp ask(pid, request, timeout, fallback) do
+  defp call_process(pid, request, timeout, fallback) do
     GenServer.call(pid, request, timeout)
   catch
-    :exit, {:timeout, _} -> {:error, Errors.timeout(request, timeout)}
-    :exit, _ -> gone(pid, fallback)
+    :exit, {:timeout, _} -> {:error, Errors.request_timeout(request, timeout)}
+    :exit, _ -> ended_reply(pid, fallback)
   end
 
-  defp gone(pid, :archive) do
-    case Results.fetch(pid) do
+  defp ended_reply(pid, :archive) do
+    case Results.fetch_result(pid) do
       {:ok, result} -> result
       :error -> {:error, Errors.not_running()}
     end
   end
 
-  defp gone(_pid, nil), do: {:error, Errors.not_running()}
+  defp ended_reply(_pid, nil), do: {:error, Errors.not_running()}
 
   @doc "Prints the live table of `Situ.inspect/2` every `ms` until the pipeline has ended."
-  @spec watch(Pipeline.target(), pos_integer(), pos_integer() | :infinity) :: :ok
-  def watch(_p, _ms, 0), do: :ok
+  @spec print_live_table(Pipeline.target(), pos_integer(), pos_integer() | :infinity) :: :ok
+  def print_live_table(_p, _ms, 0), do: :ok
 
-  def watch(p, ms, times) do
-    if state(p) == :completed do
+  def print_live_table(p, ms, times) do
+    if pipeline_state(p) == :completed do
       IO.puts("the pipeline has ended")
     else
       table = Situ.Diagnostics.format(call!(p, :info))
       IO.puts([IO.ANSI.clear(), IO.ANSI.home(), table])
       # A person reads the table, so this is the one place where sleeping is the purpose.
       Process.sleep(ms)
-      watch(p, ms, if(times == :infinity, do: :infinity, else: times - 1))
+      print_live_table(p, ms, if(times == :infinity, do: :infinity, else: times - 1))
     end
   end
 
   @doc "Reports movement that the pipeline's counters do not show, so that it does not count as stuck."
-  @spec moving(Pipeline.target()) :: term()
-  def moving(p), do: send(pid(p), :situ_moving)
+  @spec report_movement(Pipeline.target()) :: term()
+  def report_movement(p), do: send(resolve_pid(p), :situ_moving)
 
   @doc "Calls a function on the node of the pipeline's process, because a clock can only be read on its own node."
-  @spec there(pid(), module(), atom()) :: term()
-  def there(pid, module, function) do
+  @spec call_on_node(pid(), module(), atom()) :: term()
+  def call_on_node(pid, module, function) do
     :erpc.call(node(pid), module, function, [pid], 5_000)
   rescue
     error in ErlangError ->
@@ -167,16 +168,16 @@ defmodule Situ.Pipeline.Client do
   end
 
   @doc "Returns the process of a handle, a stream or a name."
-  @spec pid(Pipeline.target()) :: pid() | nil
-  def pid(%Handle{pid: pid}), do: pid
-  def pid(%Situ.Stream{pipeline: p}), do: p.pid
-  def pid(pid) when is_pid(pid), do: pid
-  def pid(label) when is_binary(label), do: Directory.whereis(label)
+  @spec resolve_pid(Pipeline.target()) :: pid() | nil
+  def resolve_pid(%Handle{pid: pid}), do: pid
+  def resolve_pid(%Situ.Stream{pipeline: p}), do: p.pid
+  def resolve_pid(pid) when is_pid(pid), do: pid
+  def resolve_pid(label) when is_binary(label), do: Directory.whereis(label)
 
-  def pid(other) do
+  def resolve_pid(other) do
     if registered_name?(other),
       do: GenServer.whereis(other),
-      else: Argument.refuse!(other, :target, "Situ.Pipeline.info(p)")
+      else: Argument.raise_invalid!(other, :target, "Situ.Pipeline.info(p)")
   end
 
   defp registered_name?({:global, _}), do: true

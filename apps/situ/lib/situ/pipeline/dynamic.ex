@@ -17,8 +17,8 @@ defmodule Situ.Pipeline.Dynamic do
         }
 
   @doc "Replies to all callers that still wait, because the pipeline has ended."
-  @spec cancel(t(), term()) :: :ok
-  def cancel(dynamic, answer) do
+  @spec cancel_requests(t(), term()) :: :ok
+  def cancel_requests(dynamic, answer) do
     waiting =
       for(%{from: from} <- Map.values(dynamic.taps), do: from) ++
         for(%{from: from} <- Map.values(dynamic.inputs), do: from) ++
@@ -26,13 +26,13 @@ defmodule Situ.Pipeline.Dynamic do
           {current, queue} <- Map.values(dynamic.replaces),
           %{from: from} <- [current | :queue.to_list(queue)],
           do: from
-        ) ++ checkpoint(dynamic.checkpoint)
+        ) ++ waiting_caller(dynamic.checkpoint)
 
     for from <- waiting, from != nil, do: GenServer.reply(from, answer)
     :ok
   end
 
   # The caller of a held checkpoint has already been given its reply.
-  defp checkpoint(%{step: step, from: from}) when step != :held, do: [from]
-  defp checkpoint(_none), do: []
+  defp waiting_caller(%{step: step, from: from}) when step != :held, do: [from]
+  defp waiting_caller(_none), do: []
 end

@@ -14,35 +14,36 @@ defmodule Situ.Pipeline.Handlers do
   def any?(graph, event), do: Enum.any?(graph.handlers, &(elem(&1, 0) == event))
 
   @doc "Calls the handlers of an event; starts their process if it is not running."
-  @spec call(pid() | nil, {atom(), term()}, Situ.Graph.t(), Situ.Graph.Handle.t()) :: pid()
-  def call(nil, job, graph, handle) do
+  @spec call_handlers(pid() | nil, {atom(), term()}, Situ.Graph.t(), Situ.Graph.Handle.t()) ::
+          pid()
+  def call_handlers(nil, job, graph, handle) do
     server = self()
-    call(:proc_lib.spawn_link(__MODULE__, :loop, [server]), job, graph, handle)
+    call_handlers(:proc_lib.spawn_link(__MODULE__, :loop, [server]), job, graph, handle)
   end
 
-  def call(pid, job, graph, handle) do
+  def call_handlers(pid, job, graph, handle) do
     send(pid, {:situ_handle, job, graph, handle})
     pid
   end
 
-  @spec quit(pid() | nil) :: term()
-  def quit(nil), do: :ok
-  def quit(pid), do: send(pid, :situ_quit)
+  @spec stop_process(pid() | nil) :: term()
+  def stop_process(nil), do: :ok
+  def stop_process(pid), do: send(pid, :situ_quit)
 
   @doc false
   def loop(server) do
     # A handler that calls stop/2 must not wait for the stop: the pipeline waits for the handler.
     Process.put(:situ_pipeline, server)
     Process.monitor(server)
-    work(server)
+    receive_jobs(server)
   end
 
-  defp work(server) do
+  defp receive_jobs(server) do
     receive do
       {:situ_handle, {event, argument}, graph, handle} ->
-        {result, graph} = run(handle, graph, event, argument)
+        {result, graph} = run_handlers(handle, graph, event, argument)
         send(server, {:situ_handled, event, result, graph})
-        work(server)
+        receive_jobs(server)
 
       :situ_quit ->
         :ok
@@ -51,29 +52,29 @@ defmodule Situ.Pipeline.Handlers do
         :ok
 
       _other ->
-        work(server)
+        receive_jobs(server)
     end
   end
 
   # A handler that raises is an error of the pipeline. A handler may add handlers for the same event, which run, too.
-  defp run(handle, graph, event, argument) do
-    Builder.lend(handle, graph, fn -> each(handle, event, argument, 0) end)
+  defp run_handlers(handle, graph, event, argument) do
+    Builder.with_graph(handle, graph, fn -> run_each(handle, event, argument, 0) end)
   end
 
-  defp each(handle, event, argument, done) do
-    case Enum.drop(Builder.peek(handle).handlers, done) do
+  defp run_each(handle, event, argument, done) do
+    case Enum.drop(Builder.current_graph(handle).handlers, done) do
       [] ->
         :ok
 
       fresh ->
         for {^event, fun} <- fresh, do: fun.(argument)
-        each(handle, event, argument, done + length(fresh))
+        run_each(handle, event, argument, done + length(fresh))
     end
   catch
-    kind, reason -> {:error, failed(event, kind, reason, __STACKTRACE__)}
+    kind, reason -> {:error, handler_error(event, kind, reason, __STACKTRACE__)}
   end
 
-  defp failed(event, kind, reason, stack) do
+  defp handler_error(event, kind, reason, stack) do
     exception = if kind == :error, do: Exception.normalize(:error, reason, stack)
 
     Error.new(
@@ -89,15 +90,17 @@ defmodule Situ.Pipeline.Handlers do
   end
 
   @doc "Runs the build of `{module, opts}` again in a new process; the caller receives `{:situ_rebuilt, graph}`."
-  @spec rebuild({module(), keyword()}, Situ.Graph.Handle.t()) :: pid()
-  def rebuild({module, opts}, handle) do
+  @spec rebuild_graph({module(), keyword()}, Situ.Graph.Handle.t()) :: pid()
+  def rebuild_graph({module, opts}, handle) do
     server = self()
 
     spawn(fn ->
       Process.put(:situ_pipeline, server)
 
       try do
-        {_, graph} = Builder.lend(handle, %Situ.Graph{}, fn -> module.build(handle, opts) end)
+        {_, graph} =
+          Builder.with_graph(handle, %Situ.Graph{}, fn -> module.build(handle, opts) end)
+
         send(server, {:situ_rebuilt, graph})
       catch
         kind, reason ->
@@ -108,17 +111,17 @@ defmodule Situ.Pipeline.Handlers do
   end
 
   @doc "Replaces the handlers with the handlers of a new version, if both versions handle the same events."
-  @spec reload(Situ.Graph.t(), Situ.Graph.t()) :: Situ.Graph.t()
-  def reload(%{handlers: old} = graph, %{handlers: new}) do
+  @spec replace_handlers(Situ.Graph.t(), Situ.Graph.t()) :: Situ.Graph.t()
+  def replace_handlers(%{handlers: old} = graph, %{handlers: new}) do
     if Enum.map(old, &elem(&1, 0)) == Enum.map(new, &elem(&1, 0)),
       do: %{graph | handlers: new},
       else: graph
   end
 
   @doc "Calls the `:abandoned` handlers of a pipeline that will not run, so that they can close their resources."
-  @spec abandoned(Situ.Graph.Handle.t(), Error.t() | nil) :: :ok
-  def abandoned(handle, error) do
-    graph = Builder.close(handle)
+  @spec run_abandoned(Situ.Graph.Handle.t(), Error.t() | nil) :: :ok
+  def run_abandoned(handle, error) do
+    graph = Builder.close_graph(handle)
     for {:abandoned, fun} <- (graph && graph.handlers) || [], do: fun.(error)
     :ok
   catch

@@ -23,9 +23,9 @@ defmodule Situ.Pipeline.Inspection do
           descriptions: %{pos_integer() => String.t() | nil}
         }
 
-  @spec result(State.t()) :: Situ.Pipeline.result()
-  def result(state) do
-    report = report(state)
+  @spec build_result(State.t()) :: Situ.Pipeline.result()
+  def build_result(state) do
+    report = build_report(state)
 
     case report.errors do
       [] ->
@@ -37,9 +37,9 @@ defmodule Situ.Pipeline.Inspection do
     end
   end
 
-  @doc "Asks components with `describe/1` for a description, at most five times a second; replies arrive later."
-  @spec describe(State.t()) :: State.t()
-  def describe(%{life: %{phase: :running}, view: %{described: described}} = state) do
+  @doc "Asks components with `request_descriptions/1` for a description, at most five times a second; replies arrive later."
+  @spec request_descriptions(State.t()) :: State.t()
+  def request_descriptions(%{life: %{phase: :running}, view: %{described: described}} = state) do
     now = System.monotonic_time(:millisecond)
 
     if described == nil or now - described > 200 do
@@ -48,54 +48,57 @@ defmodule Situ.Pipeline.Inspection do
           module != :operator and function_exported?(module, :describe, 1),
           do: send(pid, {:situ, :describe})
 
-      remember(state, described: now)
+      update_view(state, described: now)
     else
       state
     end
   end
 
-  def describe(state), do: state
+  def request_descriptions(state), do: state
 
   @doc "Stores a component's description of itself."
-  @spec described(State.t(), pos_integer(), String.t() | nil) :: State.t()
-  def described(state, id, text),
-    do: remember(state, descriptions: Map.put(state.view.descriptions, id, text))
+  @spec put_description(State.t(), pos_integer(), String.t() | nil) :: State.t()
+  def put_description(state, id, text),
+    do: update_view(state, descriptions: Map.put(state.view.descriptions, id, text))
 
   @doc "Starts the averages, once the pipeline has a clock."
-  @spec begin(State.t()) :: State.t()
-  def begin(state) do
+  @spec start_averaging(State.t()) :: State.t()
+  def start_averaging(state) do
     averages = Averages.new(state.settings.averaging, state.timing.start_time)
-    observe(remember(state, averages: averages))
+    observe_totals(update_view(state, averages: averages))
   end
 
-  defp remember(state, changes), do: %{state | view: struct!(state.view, changes)}
+  defp update_view(state, changes), do: %{state | view: struct!(state.view, changes)}
 
   @doc "Records the totals now and every half averaging span, so that averages never cover a much older span."
-  @spec observe(State.t()) :: State.t()
-  def observe(%{view: %{averages: %{span: span}}} = state) do
+  @spec observe_totals(State.t()) :: State.t()
+  def observe_totals(%{view: %{averages: %{span: span}}} = state) do
     Process.send_after(self(), :situ_observe, max(div(span, 2_000_000), @least_ms))
-    mark(state)
+    mark_totals(state)
   end
 
   @doc "Records the totals now."
-  @spec mark(State.t()) :: State.t()
-  def mark(%{view: %{averages: nil}} = state), do: state
+  @spec mark_totals(State.t()) :: State.t()
+  def mark_totals(%{view: %{averages: nil}} = state), do: state
 
-  def mark(%{view: view} = state),
-    do: remember(state, averages: Averages.mark(view.averages, now(state), totals(state)))
+  def mark_totals(%{view: view} = state),
+    do:
+      update_view(state,
+        averages: Averages.add_mark(view.averages, clock_time(state), counter_totals(state))
+      )
 
-  defp totals(state),
-    do: Map.new(state.wires.counters, fn {id, ref} -> {id, Counters.totals(ref)} end)
+  defp counter_totals(state),
+    do: Map.new(state.wires.counters, fn {id, ref} -> {id, Counters.read_totals(ref)} end)
 
-  @spec snapshot(State.t()) :: Snapshot.t()
-  def snapshot(state) do
+  @spec build_snapshot(State.t()) :: Snapshot.t()
+  def build_snapshot(state) do
     state = advance_progress(state)
-    time = now(state)
-    totals = totals(state)
+    time = clock_time(state)
+    totals = counter_totals(state)
 
     averages = state.view.averages
 
-    Survey.snapshot(%{
+    Survey.take_snapshot(%{
       name: state.settings.name,
       state: state.life.phase,
       time: time,
@@ -104,18 +107,20 @@ defmodule Situ.Pipeline.Inspection do
       graph: state.graph,
       taps: for({id, %{tap?: true}} <- state.life.stages, do: id),
       stages:
-        Enum.map(state.stages, fn {id, stage} -> Map.put(stage, :state, shown(id, state)) end),
+        Enum.map(state.stages, fn {id, stage} ->
+          Map.put(stage, :state, display_status(id, state))
+        end),
       counters: state.wires.counters,
       totals: totals,
-      windows: if(averages, do: Averages.windows(averages, time, totals), else: %{}),
+      windows: if(averages, do: Averages.build_windows(averages, time, totals), else: %{}),
       descriptions: state.view.descriptions
     })
   end
 
   @doc "Returns where the message of an originating time is."
-  @spec trace(State.t(), Situ.Time.t()) :: Trace.t()
-  def trace(state, time) do
-    Trace.new(time, now(state), %{
+  @spec trace_message(State.t(), Situ.Time.t()) :: Trace.t()
+  def trace_message(state, time) do
+    Trace.new(time, clock_time(state), %{
       links: state.wires.links,
       counters: state.wires.counters,
       stages: state.stages
@@ -123,20 +128,22 @@ defmodule Situ.Pipeline.Inspection do
   end
 
   @spec advance_progress(State.t()) :: State.t()
-  def advance_progress(%{life: %{phase: :completed}} = state), do: remember(state, progress: 1.0)
+  def advance_progress(%{life: %{phase: :completed}} = state),
+    do: update_view(state, progress: 1.0)
 
   def advance_progress(state),
-    do: remember(state, progress: max(state.view.progress, min(estimate(state), 0.999)))
+    do:
+      update_view(state, progress: max(state.view.progress, min(estimate_progress(state), 0.999)))
 
-  defp estimate(%{timing: nil}), do: 0.0
+  defp estimate_progress(%{timing: nil}), do: 0.0
 
-  defp estimate(%{timing: %{replay_end: replay_end, start_time: start} = timing} = state)
+  defp estimate_progress(%{timing: %{replay_end: replay_end, start_time: start} = timing} = state)
        when is_integer(replay_end) and replay_end > start do
-    reached = if timing.enforce, do: now(state), else: last_time(state)
+    reached = if timing.enforce, do: clock_time(state), else: last_time(state)
     max((reached - start) / (replay_end - start), 0.0)
   end
 
-  defp estimate(state) do
+  defp estimate_progress(state) do
     all = map_size(state.life.stages)
     open = Enum.count(state.life.stages, fn {_, member} -> member.open? end)
     if all == 0, do: 0.0, else: 0.9 * (all - open) / all
@@ -149,7 +156,7 @@ defmodule Situ.Pipeline.Inspection do
     if reached == [], do: state.timing.start_time, else: Enum.sum(reached) |> div(length(reached))
   end
 
-  defp shown(id, state) do
+  defp display_status(id, state) do
     case state.life.stages do
       %{^id => %{status: :dead}} -> if(state.life.phase == :completed, do: :closed, else: :failed)
       %{^id => %{status: :ended}} -> :closed
@@ -163,12 +170,12 @@ defmodule Situ.Pipeline.Inspection do
   defp start_time(state), do: state.timing.start_time
 
   @doc "Returns the report up to now."
-  @spec report(State.t()) :: Report.t()
-  def report(state) do
+  @spec build_report(State.t()) :: Report.t()
+  def build_report(state) do
     skipped =
       for {_, stage} <- state.stages,
           {vertex, index} <- Enum.with_index(stage.vertices),
-          %{skipped: n} when n > 0 <- [Tally.read(stage.tally, index)],
+          %{skipped: n} when n > 0 <- [Tally.read_counts(stage.tally, index)],
           into: %{},
           do: {vertex.path, n}
 
@@ -179,22 +186,22 @@ defmodule Situ.Pipeline.Inspection do
       result: state.result,
       start_time: start_time(state) || 0,
       final_time: state.life.ending.final,
-      snapshot: snapshot(state),
+      snapshot: build_snapshot(state),
       duration: System.convert_time_unit(duration, :native, :nanosecond),
       errors: Enum.reverse(state.life.errors),
       skipped: skipped,
-      closed: closed(state)
+      closed: closed_paths(state)
     }
   end
 
   # All operators of a chain close together.
-  defp closed(state) do
+  defp closed_paths(state) do
     for id <- Enum.reverse(state.life.closed),
         stage = state.stages[id],
         vertex <- stage.vertices,
         do: vertex.path
   end
 
-  defp now(%{timing: nil}), do: 0
-  defp now(state), do: State.now(state)
+  defp clock_time(%{timing: nil}), do: 0
+  defp clock_time(state), do: State.now(state)
 end

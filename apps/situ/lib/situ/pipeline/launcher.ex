@@ -11,7 +11,7 @@ defmodule Situ.Pipeline.Launcher do
   def run(spec, opts) do
     reply = make_ref()
 
-    with {:ok, pid} <- boot(:start, spec, opts, {:run, reply}) do
+    with {:ok, pid} <- launch_process(:start, spec, opts, {:run, reply}) do
       monitor = Process.monitor(pid)
 
       receive do
@@ -20,18 +20,18 @@ defmodule Situ.Pipeline.Launcher do
           result
 
         {:DOWN, ^monitor, :process, ^pid, reason} ->
-          {:error, Errors.crashed(reason)}
+          {:error, Errors.pipeline_crashed(reason)}
       end
     end
   end
 
   @doc "Starts a pipeline that sends `{reply, result}` to the caller when it has ended, and ends with the caller."
-  @spec start_answering(Situ.Pipeline.spec(), keyword(), reference()) ::
+  @spec start_with_reply(Situ.Pipeline.spec(), keyword(), reference()) ::
           {:ok, pid()} | {:error, Error.t()}
-  def start_answering(spec, opts, reply), do: boot(:start, spec, opts, {:run, reply})
+  def start_with_reply(spec, opts, reply), do: launch_process(:start, spec, opts, {:run, reply})
 
-  def start_link(spec, opts), do: boot(:start_link, spec, opts, :linked)
-  def start(spec, opts), do: boot(:start, spec, opts, :unlinked)
+  def start_link(spec, opts), do: launch_process(:start_link, spec, opts, :linked)
+  def start(spec, opts), do: launch_process(:start, spec, opts, :unlinked)
 
   def new(settings) do
     ensure_started()
@@ -50,7 +50,7 @@ defmodule Situ.Pipeline.Launcher do
     end
   end
 
-  defp boot(how, spec, opts, mode) do
+  defp launch_process(how, spec, opts, mode) do
     ensure_started()
     {settings, opts} = Keyword.pop(opts, :pipeline, [])
     {mode, reply} = if is_tuple(mode), do: mode, else: {mode, nil}
@@ -58,38 +58,38 @@ defmodule Situ.Pipeline.Launcher do
     with {:ok, settings} <- Settings.parse(settings, mode, spec) do
       origin = if is_atom(spec), do: {spec, opts}
       settings = %{settings | reply: reply && {self(), reply}, origin: origin}
-      how |> proc_lib([self(), spec, opts, settings]) |> entered()
+      how |> spawn_init([self(), spec, opts, settings]) |> normalize_result()
     end
   end
 
-  defp proc_lib(how, args), do: apply(:proc_lib, how, [__MODULE__, :init_it, args])
+  defp spawn_init(how, args), do: apply(:proc_lib, how, [__MODULE__, :init_it, args])
 
   # A process that dies during `build` leaves only an exit reason.
-  defp entered({:error, %Error{}} = error), do: error
-  defp entered({:error, reason}), do: {:error, Errors.crashed(reason)}
-  defp entered(ok), do: ok
+  defp normalize_result({:error, %Error{}} = error), do: error
+  defp normalize_result({:error, reason}), do: {:error, Errors.pipeline_crashed(reason)}
+  defp normalize_result(ok), do: ok
 
   @doc false
   def init_it(caller, spec, opts, settings) do
     Process.flag(:trap_exit, true)
     state = State.new(settings)
-    handle = Builder.open(state.graph)
-    diagnose(handle, settings)
+    handle = Builder.open_graph(state.graph)
+    add_diagnostics(handle, settings)
     version = loaded_version(settings.origin)
 
-    case with(:ok <- Directory.enter(settings), do: build(spec, handle, opts)) do
+    case with(:ok <- Directory.register_pipeline(settings), do: build_graph(spec, handle, opts)) do
       {:ok, result} ->
-        graph = Builder.close(handle)
-        state = watch(%{state | handle: handle, graph: graph, result: result}, caller)
+        graph = Builder.close_graph(handle)
+        state = monitor_caller(%{state | handle: handle, graph: graph, result: result}, caller)
         # If the caller has ended in the meantime, the result is of no use.
         unless Process.alive?(caller), do: exit(:normal)
-        with {module, _opts} <- settings.origin, do: Reload.watch(module, version)
+        with {module, _opts} <- settings.origin, do: Reload.watch_module(module, version)
         send(self(), :situ_launch)
         :proc_lib.init_ack({:ok, self()})
         :gen_server.enter_loop(Server, [], state)
 
       {:error, error} ->
-        Handlers.abandoned(handle, error)
+        Handlers.run_abandoned(handle, error)
         :proc_lib.init_ack({:error, error})
         exit(:normal)
     end
@@ -100,11 +100,11 @@ defmodule Situ.Pipeline.Launcher do
     Process.flag(:trap_exit, true)
 
     with {:ok, settings} <- Settings.parse(settings, :unlinked, nil),
-         :ok <- Directory.enter(settings) do
+         :ok <- Directory.register_pipeline(settings) do
       state = State.new(settings)
-      handle = Builder.open(state.graph)
-      diagnose(handle, settings)
-      state = watch(%{state | handle: handle}, caller)
+      handle = Builder.open_graph(state.graph)
+      add_diagnostics(handle, settings)
+      state = monitor_caller(%{state | handle: handle}, caller)
       :proc_lib.init_ack({:ok, handle})
       :gen_server.enter_loop(Server, [], state)
     else
@@ -114,16 +114,16 @@ defmodule Situ.Pipeline.Launcher do
 
   # Reads the version before the build, so that a version that is loaded during the build counts as new.
   defp loaded_version({module, _opts}) do
-    if Code.ensure_loaded?(module), do: Reload.version(module)
+    if Code.ensure_loaded?(module), do: Reload.code_version(module)
   end
 
   defp loaded_version(nil), do: nil
 
-  defp diagnose(_handle, %{diagnostics: false}), do: :ok
-  defp diagnose(handle, %{diagnostics: true}), do: Situ.Diagnostics.stream(handle)
-  defp diagnose(handle, %{diagnostics: opts}), do: Situ.Diagnostics.stream(handle, opts)
+  defp add_diagnostics(_handle, %{diagnostics: false}), do: :ok
+  defp add_diagnostics(handle, %{diagnostics: true}), do: Situ.Diagnostics.stream(handle)
+  defp add_diagnostics(handle, %{diagnostics: opts}), do: Situ.Diagnostics.stream(handle, opts)
 
-  defp build(spec, handle, opts) do
+  defp build_graph(spec, handle, opts) do
     result = if is_function(spec, 1), do: spec.(handle), else: spec.build(handle, opts)
     {:ok, result}
   rescue
@@ -132,6 +132,6 @@ defmodule Situ.Pipeline.Launcher do
     kind, reason -> {:error, Errors.build_failed(spec, {kind, reason}, __STACKTRACE__)}
   end
 
-  defp watch(%{settings: %{mode: :linked}} = state, _caller), do: state
-  defp watch(state, caller), do: %{state | owner: Process.monitor(caller)}
+  defp monitor_caller(%{settings: %{mode: :linked}} = state, _caller), do: state
+  defp monitor_caller(state, caller), do: %{state | owner: Process.monitor(caller)}
 end

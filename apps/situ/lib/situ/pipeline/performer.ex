@@ -11,89 +11,96 @@ defmodule Situ.Pipeline.Performer do
   require Logger
 
   @doc "Applies one event and performs all actions that follow from it."
-  @spec apply(State.t(), Lifecycle.event()) :: State.t()
-  def apply(state, event) do
-    {life, actions} = Lifecycle.apply(state.life, event, State.now(state))
-    Enum.reduce(actions, %{state | life: life}, &perform/2)
+  @spec apply_event(State.t(), Lifecycle.event()) :: State.t()
+  def apply_event(state, event) do
+    {life, actions} = Lifecycle.apply_event(state.life, event, State.now(state))
+    Enum.reduce(actions, %{state | life: life}, &perform_action/2)
   end
 
-  @spec apply_all(State.t(), [Lifecycle.event()]) :: State.t()
-  def apply_all(state, events), do: Enum.reduce(events, state, &__MODULE__.apply(&2, &1))
+  @spec apply_events(State.t(), [Lifecycle.event()]) :: State.t()
+  def apply_events(state, events), do: Enum.reduce(events, state, &__MODULE__.apply_event(&2, &1))
 
   @doc "Handles the end of a linked process."
-  @spec exited(State.t(), pid(), term()) :: State.t()
-  def exited(%{handlers: pid} = state, pid, reason) do
-    error = %{Errors.crashed(reason) | what: "a handler died: #{inspect(reason, limit: 8)}"}
+  @spec handle_exit(State.t(), pid(), term()) :: State.t()
+  def handle_exit(%{handlers: pid} = state, pid, reason) do
+    error = %{
+      Errors.pipeline_crashed(reason)
+      | what: "a handler died: #{inspect(reason, limit: 8)}"
+    }
+
     state = %{state | handlers: nil}
 
     if state.life.step == :handlers do
-      __MODULE__.apply(state, {:handled, :run, {:error, error}})
+      __MODULE__.apply_event(state, {:handled, :run, {:error, error}})
     else
-      state = __MODULE__.apply(state, {:handler_failed, error})
+      state = __MODULE__.apply_event(state, {:handler_failed, error})
       over? = state.life.phase == :completed
-      if over?, do: __MODULE__.apply(state, {:handled, :completed}), else: state
+      if over?, do: __MODULE__.apply_event(state, {:handled, :completed}), else: state
     end
   end
 
-  def exited(state, pid, reason) do
+  def handle_exit(state, pid, reason) do
     case Map.pop(state.pids, pid) do
       {nil, _} -> state
-      {id, pids} -> stage_exited(%{state | pids: pids}, id, reason)
+      {id, pids} -> handle_stage_exit(%{state | pids: pids}, id, reason)
     end
   end
 
-  defp stage_exited(state, id, reason) do
-    error = Errors.killed(hd(state.stages[id].vertices).path, reason)
-    reached = Stages.reached(state, id)
-    state = state |> interrupted(id) |> __MODULE__.apply({:exited, id, error, reached})
-    if Extension.forgotten?(state, id), do: __MODULE__.apply(state, {:left, id}), else: state
+  defp handle_stage_exit(state, id, reason) do
+    error = Errors.component_killed(hd(state.stages[id].vertices).path, reason)
+    reached = Stages.reached_time(state, id)
+    state = state |> fail_pending(id) |> __MODULE__.apply_event({:exited, id, error, reached})
+
+    if Extension.stage_removed?(state, id),
+      do: __MODULE__.apply_event(state, {:left, id}),
+      else: state
   end
 
   @doc "Fails the requests of all callers that wait for this stage."
-  @spec interrupted(State.t(), pos_integer()) :: State.t()
-  def interrupted(state, id) do
-    state = Dynamic.Replacement.interrupted(state, id)
-    {state, events} = Dynamic.Input.interrupted(state, id)
-    {state, more} = Dynamic.Tap.interrupted(state, id)
-    apply_all(state, events ++ more)
+  @spec fail_pending(State.t(), pos_integer()) :: State.t()
+  def fail_pending(state, id) do
+    state = Dynamic.Replacement.fail_pending(state, id)
+    {state, events} = Dynamic.Input.fail_pending(state, id)
+    {state, more} = Dynamic.Tap.fail_pending(state, id)
+    apply_events(state, events ++ more)
   end
 
   @doc "Handles handlers that have returned, perhaps after adding to the graph."
-  @spec handled(State.t(), atom(), :ok | {:error, Error.t()}, Graph.t()) :: State.t()
-  def handled(state, :run, result, graph),
-    do: __MODULE__.apply(%{state | graph: graph}, {:handled, :run, result})
+  @spec finish_handlers(State.t(), atom(), :ok | {:error, Error.t()}, Graph.t()) :: State.t()
+  def finish_handlers(state, :run, result, graph),
+    do: __MODULE__.apply_event(%{state | graph: graph}, {:handled, :run, result})
 
-  def handled(state, event, result, graph) do
+  def finish_handlers(state, event, result, graph) do
     more = Enum.drop(graph.handlers, length(state.graph.handlers))
     state = %{state | graph: %{state.graph | handlers: state.graph.handlers ++ more}}
 
     state =
-      if Graph.Extension.grown?(graph, %Graph{}),
-        do: __MODULE__.apply(state, {:handler_failed, late_building(event)}),
+      if Graph.Extension.has_additions?(graph, %Graph{}),
+        do: __MODULE__.apply_event(state, {:handler_failed, late_building_error(event)}),
         else: state
 
     state =
       case result do
-        {:error, error} -> __MODULE__.apply(state, {:handler_failed, error})
+        {:error, error} -> __MODULE__.apply_event(state, {:handler_failed, error})
         :ok -> state
       end
 
-    if event == :completed, do: __MODULE__.apply(state, {:handled, :completed}), else: state
+    if event == :completed, do: __MODULE__.apply_event(state, {:handled, :completed}), else: state
   end
 
-  defp late_building(event) do
-    error = Graph.Builder.running()
+  defp late_building_error(event) do
+    error = Graph.Builder.already_running_error()
     %{error | what: "the #{inspect(event)} handler added components: #{error.what}"}
   end
 
   @doc "Logs an error that does not end the pipeline and calls the `:error` handlers."
-  @spec noted(State.t(), Error.t()) :: State.t()
-  def noted(state, error) do
+  @spec report_error(State.t(), Error.t()) :: State.t()
+  def report_error(state, error) do
     Logger.warning(Exception.message(error))
-    told(state, error)
+    emit_error(state, error)
   end
 
-  defp told(state, error) do
+  defp emit_error(state, error) do
     Telemetry.execute(
       [:situ, :component, :error],
       %{originating_time: error.meta[:originating_time]},
@@ -108,127 +115,133 @@ defmodule Situ.Pipeline.Performer do
   end
 
   @doc "Adds the cycle that caused it to the error of a non-increasing time."
-  @spec explained(Error.t(), State.t()) :: Error.t()
-  def explained(error, state), do: Cycle.explain(error, state.graph)
+  @spec explain_error(Error.t(), State.t()) :: Error.t()
+  def explain_error(error, state), do: Cycle.explain_error(error, state.graph)
 
   # Actions
 
-  defp perform({:tell, id, request}, state), do: Stages.tell(state, id, request)
-  defp perform({:spawn, ids}, state), do: Stages.spawn(state, ids)
-  defp perform({:start, ids}, state), do: Stages.start(state, ids)
-  defp perform({:run, ids}, state), do: Enum.reduce(ids, state, &Stages.tell(&2, &1, :run))
-  defp perform({:rewire, id, links}, state), do: Stages.rewire(state, id, links)
-  defp perform({:cut, ids, time}, state), do: Stages.cut(state, ids, time)
+  defp perform_action({:tell, id, request}, state), do: Stages.send_request(state, id, request)
+  defp perform_action({:spawn, ids}, state), do: Stages.spawn_stages(state, ids)
+  defp perform_action({:start, ids}, state), do: Stages.start_stages(state, ids)
 
-  defp perform({:lend, tag}, state), do: Extension.lend(state, tag)
+  defp perform_action({:run, ids}, state),
+    do: Enum.reduce(ids, state, &Stages.send_request(&2, &1, :run))
+
+  defp perform_action({:rewire, id, links}, state), do: Stages.rewire_stage(state, id, links)
+  defp perform_action({:cut, ids, time}, state), do: Stages.limit_stages(state, ids, time)
+
+  defp perform_action({:lend, tag}, state), do: Extension.lend_output(state, tag)
 
   # A stage whose process is still alive leaves when the process ends.
-  defp perform({:forget, ids}, state) do
-    ended = Enum.filter(ids, &Stages.ended?(state, &1))
-    state |> Extension.forget(ids) |> apply_all(Enum.map(ended, &{:left, &1}))
+  defp perform_action({:forget, ids}, state) do
+    ended = Enum.filter(ids, &Stages.process_ended?(state, &1))
+    state |> Extension.remove_vertices(ids) |> apply_events(Enum.map(ended, &{:left, &1}))
   end
 
-  defp perform({:drop, id}, state), do: state |> Dynamic.Tap.drop(id) |> Stages.drop(id)
-  defp perform({:unwire, tag}, state), do: Stages.unwire(state, tag)
-  defp perform({:release, ids}, state), do: Stages.release(state, ids)
+  defp perform_action({:drop, id}, state),
+    do: state |> Dynamic.Tap.delete_tap(id) |> Stages.drop_stage(id)
 
-  defp perform({:event, event}, state), do: __MODULE__.apply(state, event)
+  defp perform_action({:unwire, tag}, state), do: Stages.drop_link(state, tag)
+  defp perform_action({:release, ids}, state), do: Stages.release_stages(state, ids)
+
+  defp perform_action({:event, event}, state), do: __MODULE__.apply_event(state, event)
 
   # An exit signal from its parent makes the stage run terminate/2 and end.
-  defp perform({:shutdown, id}, state) do
+  defp perform_action({:shutdown, id}, state) do
     Process.exit(state.stages[id].pid, :shutdown)
     state
   end
 
-  defp perform({:kill, id}, state) do
+  defp perform_action({:kill, id}, state) do
     Process.exit(state.stages[id].pid, :kill)
     state
   end
 
-  defp perform({:reply, nil, _answer}, state), do: state
+  defp perform_action({:reply, nil, _answer}, state), do: state
 
-  defp perform({:reply, from, answer}, state) do
+  defp perform_action({:reply, from, answer}, state) do
     GenServer.reply(from, answer)
     state
   end
 
-  defp perform({:after, ms, event}, state) do
+  defp perform_action({:after, ms, event}, state) do
     Process.send_after(self(), {:situ_event, event}, ms)
     state
   end
 
-  defp perform({:watch, ms, which}, state) do
+  defp perform_action({:watch, ms, which}, state) do
     Process.send_after(self(), {:situ_watch, which, Stages.fingerprint(state, which)}, ms)
     state
   end
 
-  defp perform({:measure, :drain}, state),
-    do: __MODULE__.apply(state, {:measured, :drain, Stages.look(state)})
+  defp perform_action({:measure, :drain}, state),
+    do: __MODULE__.apply_event(state, {:measured, :drain, Stages.measure_drain(state)})
 
   # An error that ends the pipeline is logged once, here.
-  defp perform({:failed, error}, state) do
+  defp perform_action({:failed, error}, state) do
     Logger.error(Exception.message(error))
-    told(state, error)
+    emit_error(state, error)
   end
 
-  defp perform({:noted, error}, state), do: noted(state, error)
+  defp perform_action({:noted, error}, state), do: report_error(state, error)
 
-  defp perform({:restarted, id, error}, state) do
-    Tally.restarted(state.stages[id].tally, 0)
-    noted(state, error)
+  defp perform_action({:restarted, id, error}, state) do
+    Tally.count_restart(state.stages[id].tally, 0)
+    report_error(state, error)
   end
 
-  defp perform({:handle, :run}, state) do
+  defp perform_action({:handle, :run}, state) do
     start = Timing.new(state.settings, state.graph.proposals).start_time
 
     if Handlers.any?(state.graph, :run),
       do: call_handlers(state, :run, start),
-      else: __MODULE__.apply(state, {:handled, :run, :ok})
+      else: __MODULE__.apply_event(state, {:handled, :run, :ok})
   end
 
-  defp perform({:handle, :completed}, state) do
+  defp perform_action({:handle, :completed}, state) do
     state = call_handlers(state, :progress, 1.0)
 
     if Handlers.any?(state.graph, :completed) or state.handlers != nil,
-      do: call(state, {:completed, Inspection.report(state)}),
-      else: __MODULE__.apply(state, {:handled, :completed})
+      do: run_handlers(state, {:completed, Inspection.build_report(state)}),
+      else: __MODULE__.apply_event(state, {:handled, :completed})
   end
 
-  defp perform({:handle, event, argument}, state), do: call_handlers(state, event, argument)
+  defp perform_action({:handle, event, argument}, state),
+    do: call_handlers(state, event, argument)
 
-  defp perform(:plan, state) do
+  defp perform_action(:plan, state) do
     case Plan.compile(state.graph) do
       {:ok, plan} ->
-        {state, members} = Stages.lay_out(state, plan)
+        {state, members} = Stages.install_plan(state, plan)
         state = resend_early(state)
-        __MODULE__.apply(state, {:planned, members, state.wires.links})
+        __MODULE__.apply_event(state, {:planned, members, state.wires.links})
 
       {:error, error} ->
-        __MODULE__.apply(state, {:plan_failed, error})
+        __MODULE__.apply_event(state, {:plan_failed, error})
     end
   end
 
-  defp perform(:start_clock, state) do
+  defp perform_action(:start_clock, state) do
     Telemetry.execute([:situ, :pipeline, :start], %{system_time: :os.system_time()}, %{
       pipeline: state.settings.name
     })
 
     timing = Timing.new(state.settings, state.graph.proposals)
-    Clock.listen(timing.clock)
-    Inspection.begin(%{state | timing: timing})
+    Clock.subscribe(timing.clock)
+    Inspection.start_averaging(%{state | timing: timing})
   end
 
   # Messages that arrived during the start are handled now.
-  defp perform(:running, state), do: state |> resend_early() |> progress()
+  defp perform_action(:running, state), do: state |> resend_early() |> report_progress()
 
-  defp perform(:abandoned, state) do
-    Handlers.abandoned(state.handle, nil)
+  defp perform_action(:abandoned, state) do
+    Handlers.run_abandoned(state.handle, nil)
     state
   end
 
-  defp perform(:finished, state) do
+  defp perform_action(:finished, state) do
     state = Inspection.advance_progress(state)
-    result = Inspection.result(state)
+    result = Inspection.build_result(state)
     duration = System.monotonic_time() - state.view.begun
 
     Telemetry.execute([:situ, :pipeline, :stop], %{duration: duration}, %{
@@ -240,10 +253,10 @@ defmodule Situ.Pipeline.Performer do
   end
 
   @doc "Calls the `:progress` handlers and schedules the next call."
-  @spec progress(State.t()) :: State.t()
-  def progress(%{life: %{phase: :completed}} = state), do: state
+  @spec report_progress(State.t()) :: State.t()
+  def report_progress(%{life: %{phase: :completed}} = state), do: state
 
-  def progress(state) do
+  def report_progress(state) do
     if Handlers.any?(state.graph, :progress) do
       Process.send_after(self(), :situ_progress, state.settings.progress_every)
       state = Inspection.advance_progress(state)
@@ -254,13 +267,13 @@ defmodule Situ.Pipeline.Performer do
   end
 
   defp call_handlers(state, event, argument) do
-    if Handlers.any?(state.graph, event), do: call(state, {event, argument}), else: state
+    if Handlers.any?(state.graph, event), do: run_handlers(state, {event, argument}), else: state
   end
 
   # Only `:run` handlers may build on the graph, so it is not copied for others.
-  defp call(state, {event, _argument} = job) do
+  defp run_handlers(state, {event, _argument} = job) do
     graph = if event == :run, do: state.graph, else: %Graph{handlers: state.graph.handlers}
-    %{state | handlers: Handlers.call(state.handlers, job, graph, state.handle)}
+    %{state | handlers: Handlers.call_handlers(state.handlers, job, graph, state.handle)}
   end
 
   # Messages that are still too early are deferred again.

@@ -119,7 +119,7 @@ defmodule Situ.Pipeline do
   @doc "Runs a pipeline that was opened with `new/1` and built from outside."
   @spec launch(t()) :: :ok | {:error, Error.t()}
   def launch(%Handle{} = p), do: Client.call(p, :launch)
-  def launch(other), do: Argument.refuse!(other, :handle, "Situ.Pipeline.launch(p)")
+  def launch(other), do: Argument.raise_invalid!(other, :handle, "Situ.Pipeline.launch(p)")
 
   @doc """
   Stops a pipeline: sources stop first, messages posted until now are delivered, then every output closes, upstream
@@ -133,7 +133,7 @@ defmodule Situ.Pipeline do
   pipeline's own components, it returns `:ok` immediately and the pipeline stops later.
   """
   @spec stop(target(), keyword()) :: result() | :ok
-  def stop(p, opts \\ []), do: Client.stop(p, opts)
+  def stop(p, opts \\ []), do: Client.stop_pipeline(p, opts)
 
   @doc """
   Ends a pipeline immediately, for callers that continue it elsewhere from a checkpoint. Messages in flight are not
@@ -146,7 +146,7 @@ defmodule Situ.Pipeline do
       :abandoned
   """
   @spec abandon(target()) :: :ok | {:error, Error.t()}
-  def abandon(p), do: Client.abandon(p)
+  def abandon(p), do: Client.abandon_pipeline(p)
 
   @doc """
   Stops a composite or a component, given as a path or a `Situ.Node`; the rest of the pipeline keeps running.
@@ -209,11 +209,16 @@ defmodule Situ.Pipeline do
   """
   @spec extend(target(), (t() -> result)) :: {:ok, result} | {:error, Error.t()}
         when result: term()
-  def extend(p, fun) when is_function(fun, 1), do: Client.extend(p, fun)
+  def extend(p, fun) when is_function(fun, 1), do: Client.extend_pipeline(p, fun)
 
   def extend(_p, other) do
     takes = "a function that builds as its second argument"
-    Argument.refuse!(other, takes, "Situ.Pipeline.extend(p, fn p -> Situ.source(p, Camera) end)")
+
+    Argument.raise_invalid!(
+      other,
+      takes,
+      "Situ.Pipeline.extend(p, fn p -> Situ.source(p, Camera) end)"
+    )
   end
 
   @doc """
@@ -226,14 +231,15 @@ defmodule Situ.Pipeline do
 
   @doc "Returns a stream of the pipeline being built or extended, by name. Raises `Situ.Error` (`:unknown_stream`)."
   @spec stream(t(), String.t()) :: Stream.t()
-  def stream(%Handle{} = p, name), do: Builder.run(p, &{Graph.stream!(&1, p, name), &1})
+  def stream(%Handle{} = p, name),
+    do: Builder.update_graph(p, &{Graph.fetch_stream!(&1, p, name), &1})
 
   def stream(other, name),
-    do: Argument.refuse!(other, :handle, "Situ.Pipeline.stream(p, #{inspect(name)})")
+    do: Argument.raise_invalid!(other, :handle, "Situ.Pipeline.stream(p, #{inspect(name)})")
 
   @doc "Waits for the end; after `timeout` ms returns a `Situ.Error` (`:timeout`), and the pipeline keeps running."
   @spec await(target(), timeout()) :: result()
-  def await(p, timeout \\ :infinity), do: Client.await(p, timeout)
+  def await(p, timeout \\ :infinity), do: Client.await_result(p, timeout)
 
   @doc "Returns a `Situ.Diagnostics.Snapshot`: graph, counters, queues, latencies and processes. Calls no component."
   @spec info(target()) :: Situ.Diagnostics.Snapshot.t()
@@ -248,7 +254,7 @@ defmodule Situ.Pipeline do
 
   def trace(_p, other) do
     takes = "an originating time in ns as its second argument"
-    Argument.refuse!(other, takes, "Situ.trace(p, Situ.Pipeline.now(p))")
+    Argument.raise_invalid!(other, takes, "Situ.trace(p, Situ.Pipeline.now(p))")
   end
 
   @doc """
@@ -264,23 +270,23 @@ defmodule Situ.Pipeline do
   """
   @spec list() :: [%{name: String.t(), pid: pid(), state: atom()}]
   def list do
-    for {name, pid} <- Directory.all(),
-        state = Client.state(pid),
+    for {name, pid} <- Directory.list_pipelines(),
+        state = Client.pipeline_state(pid),
         state != :completed,
         do: %{name: name, pid: pid, state: state}
   end
 
   @doc "Returns the state: `:building`, `:starting`, `:running`, `:stopping` or `:completed`."
   @spec state(target()) :: atom()
-  def state(p), do: Client.state(p)
+  def state(p), do: Client.pipeline_state(p)
 
   @doc "Returns the current time of the pipeline's clock, in ns."
   @spec now(target()) :: Situ.Time.t()
   def now(p) do
-    pid = Client.pid(p)
+    pid = Client.resolve_pid(p)
 
     if is_pid(pid) and node(pid) != node(),
-      do: Client.there(pid, __MODULE__, :now),
+      do: Client.call_on_node(pid, __MODULE__, :now),
       else: p |> clock() |> Situ.Clock.now()
   end
 
@@ -307,7 +313,7 @@ defmodule Situ.Pipeline do
 
   def set_speed(_p, other) do
     takes = "a number above 0 as its second argument"
-    Argument.refuse!(other, takes, "Situ.Pipeline.set_speed(p, 2.0)")
+    Argument.raise_invalid!(other, takes, "Situ.Pipeline.set_speed(p, 2.0)")
   end
 
   @doc """
@@ -352,11 +358,16 @@ defmodule Situ.Pipeline do
   def checkpoint(p, fun, opts \\ [])
 
   def checkpoint(p, fun, opts) when is_function(fun, 1),
-    do: Client.checkpoint(p, fun, Keyword.get(opts, :timeout, 5_000))
+    do: Client.with_checkpoint(p, fun, Keyword.get(opts, :timeout, 5_000))
 
   def checkpoint(_p, other, _opts) do
     takes = "a function of the memories as its second argument"
-    Argument.refuse!(other, takes, "Situ.Pipeline.checkpoint(p, fn memories -> memories end)")
+
+    Argument.raise_invalid!(
+      other,
+      takes,
+      "Situ.Pipeline.checkpoint(p, fn memories -> memories end)"
+    )
   end
 
   @doc """
@@ -376,20 +387,22 @@ defmodule Situ.Pipeline do
   """
   @spec add(t(), module(), keyword()) :: Node.t()
   def add(p, module, opts \\ [])
-  def add(%Handle{} = p, module, opts), do: Builder.run(p, &Graph.add(&1, p, module, opts))
+
+  def add(%Handle{} = p, module, opts),
+    do: Builder.update_graph(p, &Graph.add_component(&1, p, module, opts))
 
   def add(other, module, _opts),
-    do: Argument.refuse!(other, :handle, "Situ.Pipeline.add(p, #{inspect(module)})")
+    do: Argument.raise_invalid!(other, :handle, "Situ.Pipeline.add(p, #{inspect(module)})")
 
   @doc "Connects `stream` to the `input` of `node`; the option `policy:` is a `Situ.Delivery`."
   @spec connect(Stream.t(), Node.t(), atom(), keyword()) :: :ok
   def connect(stream, node, input, opts \\ [])
 
   def connect(%Stream{} = stream, %Node{} = node, input, opts),
-    do: Builder.run(stream.pipeline, &Graph.connect(&1, stream, node, input, opts))
+    do: Builder.update_graph(stream.pipeline, &Graph.connect(&1, stream, node, input, opts))
 
   def connect(other, _node, _input, _opts),
-    do: Argument.refuse!(other, :stream, "Situ.Pipeline.connect(stream, node, :in)")
+    do: Argument.raise_invalid!(other, :stream, "Situ.Pipeline.connect(stream, node, :in)")
 
   @doc """
   Groups the components that `fun` adds under one name, drawn as one box; returns the result of `fun`.
@@ -405,26 +418,30 @@ defmodule Situ.Pipeline do
   def composite(p, name, fun, opts \\ [])
 
   def composite(%Handle{} = p, name, fun, opts) when is_binary(name) and is_function(fun, 1) do
-    scope = Builder.run(p, &Graph.open_scope(&1, p.scope, name, opts))
-    p |> Map.put(:scope, scope) |> fun.() |> rescope(p.scope)
+    scope = Builder.update_graph(p, &Graph.open_scope(&1, p.scope, name, opts))
+    p |> Map.put(:scope, scope) |> fun.() |> restore_scope(p.scope)
   end
 
   def composite(other, _name, _fun, _opts) do
     example = ~s|Situ.composite(p, "Mouth", fn p -> Situ.source(p, Camera) end)|
-    Argument.refuse!(other, :handle, example)
+    Argument.raise_invalid!(other, :handle, example)
   end
 
   # Streams and nodes that a composite returns are used outside of it, so their handles are given the outer scope again.
-  defp rescope(%Stream{} = s, scope), do: %{s | pipeline: %{s.pipeline | scope: scope}}
-  defp rescope(%Node{} = n, scope), do: %{n | pipeline: %{n.pipeline | scope: scope}}
-  defp rescope(%_{} = struct, _scope), do: struct
-  defp rescope(%{} = map, scope), do: Map.new(map, fn {k, v} -> {k, rescope(v, scope)} end)
-  defp rescope([head | tail], scope), do: [rescope(head, scope) | rescope(tail, scope)]
+  defp restore_scope(%Stream{} = s, scope), do: %{s | pipeline: %{s.pipeline | scope: scope}}
+  defp restore_scope(%Node{} = n, scope), do: %{n | pipeline: %{n.pipeline | scope: scope}}
+  defp restore_scope(%_{} = struct, _scope), do: struct
 
-  defp rescope(tuple, scope) when is_tuple(tuple),
-    do: tuple |> Tuple.to_list() |> Enum.map(&rescope(&1, scope)) |> List.to_tuple()
+  defp restore_scope(%{} = map, scope),
+    do: Map.new(map, fn {k, v} -> {k, restore_scope(v, scope)} end)
 
-  defp rescope(other, _scope), do: other
+  defp restore_scope([head | tail], scope),
+    do: [restore_scope(head, scope) | restore_scope(tail, scope)]
+
+  defp restore_scope(tuple, scope) when is_tuple(tuple),
+    do: tuple |> Tuple.to_list() |> Enum.map(&restore_scope(&1, scope)) |> List.to_tuple()
+
+  defp restore_scope(other, _scope), do: other
 
   @doc """
   Announces, during `build`, the span of originating times that a source is going to replay.
@@ -435,7 +452,7 @@ defmodule Situ.Pipeline do
   @spec propose_replay(t(), {Situ.Time.t(), Situ.Time.t() | :unbounded}) :: :ok
   def propose_replay(%Handle{} = p, {from, to})
       when is_integer(from) and (is_integer(to) or to == :unbounded) do
-    Builder.run(p, &{:ok, %{&1 | proposals: [{from, to} | &1.proposals]}})
+    Builder.update_graph(p, &{:ok, %{&1 | proposals: [{from, to} | &1.proposals]}})
   end
 
   def propose_replay(%Handle{}, other) do
@@ -444,7 +461,7 @@ defmodule Situ.Pipeline do
   end
 
   def propose_replay(other, _span),
-    do: Argument.refuse!(other, :handle, "Situ.Pipeline.propose_replay(p, {from, to})")
+    do: Argument.raise_invalid!(other, :handle, "Situ.Pipeline.propose_replay(p, {from, to})")
 
   @doc """
   Registers `fun` to be called for an event; only during `build`.
@@ -467,21 +484,26 @@ defmodule Situ.Pipeline do
   def on(%Handle{} = p, event, fun, resource)
       when event in [:run, :completed, :component_completed, :error, :progress, :abandoned] and
              is_function(fun, 1) do
-    Builder.run(p, fn graph ->
+    Builder.update_graph(p, fn graph ->
       resources = if resource, do: Map.put(graph.resources, fun, resource), else: graph.resources
       {:ok, %{graph | handlers: graph.handlers ++ [{event, fun}], resources: resources}}
     end)
   end
 
   def on(other, _event, _fun, _resource),
-    do: Argument.refuse!(other, :handle, "Situ.Pipeline.on(p, :error, fn error -> error end)")
+    do:
+      Argument.raise_invalid!(
+        other,
+        :handle,
+        "Situ.Pipeline.on(p, :error, fn error -> error end)"
+      )
 
   @doc """
   Returns the replay interval, `{from | :unbounded, to | :unbounded}`, for importers during `build`.
   """
   @spec replay_interval(t()) :: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
-  def replay_interval(%Handle{} = p), do: Builder.run(p, &{&1.replay, &1})
+  def replay_interval(%Handle{} = p), do: Builder.update_graph(p, &{&1.replay, &1})
 
   def replay_interval(other),
-    do: Argument.refuse!(other, :handle, "Situ.Pipeline.replay_interval(p)")
+    do: Argument.raise_invalid!(other, :handle, "Situ.Pipeline.replay_interval(p)")
 end

@@ -29,11 +29,11 @@ defmodule Situ.Pipeline.Server do
   @impl true
   def handle_call(request, from, state)
       when request in [:launch, :abandon] or (is_tuple(request) and elem(request, 0) == :stop),
-      do: guard(state, fn -> answer(request, from, state) end)
+      do: guard_step(state, fn -> handle_request(request, from, state) end)
 
   # Any other request that raises leaves the state unchanged, and the caller receives the error.
   def handle_call(request, from, state) do
-    answer(request, from, state)
+    handle_request(request, from, state)
   catch
     kind, reason ->
       Logger.error(Exception.format(kind, reason, __STACKTRACE__))
@@ -45,309 +45,334 @@ defmodule Situ.Pipeline.Server do
   def handle_cast(_message, state), do: {:noreply, state}
 
   @impl true
-  def handle_info(message, state), do: guard(state, fn -> event(message, state) end)
+  def handle_info(message, state), do: guard_step(state, fn -> handle_message(message, state) end)
 
   # A step that fails halfway leaves a state from which no orderly end is possible. The pipeline ends with an error
   # immediately, and its components release their resources.
-  defp guard(state, step) do
+  defp guard_step(state, step) do
     step.()
   catch
     kind, reason ->
       Logger.error(Exception.format(kind, reason, __STACKTRACE__))
-      fallen(Errors.crashed({kind, reason, __STACKTRACE__}), state)
+      crash_pipeline(Errors.pipeline_crashed({kind, reason, __STACKTRACE__}), state)
   end
 
-  defp fallen(error, state) do
+  defp crash_pipeline(error, state) do
     life = %{state.life | phase: :completed, step: :over}
-    over({:error, %{error | meta: %{errors: [error]}}}, %{state | life: life})
+    finish_pipeline({:error, %{error | meta: %{errors: [error]}}}, %{state | life: life})
   end
 
   # Requests
 
-  defp answer({:build, change}, _from, %{life: %{phase: :building}} = state) do
-    {:reply, {:ok, Builder.run(state.handle, change)}, state}
+  defp handle_request({:build, change}, _from, %{life: %{phase: :building}} = state) do
+    {:reply, {:ok, Builder.update_graph(state.handle, change)}, state}
   rescue
     error in Situ.Error -> {:reply, {:error, error}, state}
   end
 
-  defp answer({:build, _change}, _from, state),
-    do: {:reply, {:error, Builder.running()}, state}
+  defp handle_request({:build, _change}, _from, state),
+    do: {:reply, {:error, Builder.already_running_error()}, state}
 
-  defp answer(:launch, from, %{life: %{phase: :building}} = state) do
+  defp handle_request(:launch, from, %{life: %{phase: :building}} = state) do
     GenServer.reply(from, :ok)
-    apply_event(%{state | graph: Builder.close(state.handle)}, :start)
+    apply_event(%{state | graph: Builder.close_graph(state.handle)}, :start)
   end
 
-  defp answer(:launch, _from, state), do: {:reply, {:error, Builder.running()}, state}
+  defp handle_request(:launch, _from, state),
+    do: {:reply, {:error, Builder.already_running_error()}, state}
 
-  defp answer({:stop, catch_up}, from, state),
+  defp handle_request({:stop, catch_up}, from, state),
     do: apply_event(%{state | waiters: [from | state.waiters]}, {:stop, catch_up})
 
-  defp answer(:abandon, _from, state) do
-    {:stop, reason, state} = fallen(Errors.abandoned(), state)
+  defp handle_request(:abandon, _from, state) do
+    {:stop, reason, state} = crash_pipeline(Errors.pipeline_abandoned(), state)
     {:stop, reason, :ok, state}
   end
 
-  defp answer(:await, from, state), do: {:noreply, %{state | waiters: [from | state.waiters]}}
-  defp answer(:state, _from, state), do: {:reply, state.life.phase, state}
+  defp handle_request(:await, from, state),
+    do: {:noreply, %{state | waiters: [from | state.waiters]}}
 
-  defp answer(:clock, from, %{life: %{phase: :starting}, timing: nil} = state),
-    do: {:noreply, later({:"$gen_call", from, :clock}, state)}
+  defp handle_request(:state, _from, state), do: {:reply, state.life.phase, state}
 
-  defp answer(:clock, _from, %{timing: nil} = state), do: {:reply, Clock.real(), state}
-  defp answer(:clock, _from, state), do: {:reply, state.timing.clock, state}
+  defp handle_request(:clock, from, %{life: %{phase: :starting}, timing: nil} = state),
+    do: {:noreply, defer_message({:"$gen_call", from, :clock}, state)}
+
+  defp handle_request(:clock, _from, %{timing: nil} = state), do: {:reply, Clock.real(), state}
+  defp handle_request(:clock, _from, state), do: {:reply, state.timing.clock, state}
 
   # Serves pipelines inside this pipeline's components.
-  defp answer(:timing, _from, state),
+  defp handle_request(:timing, _from, state),
     do: {:reply, Map.take(state.timing, [:clock, :enforce, :replay_end]), state}
 
-  defp answer(:mark, _from, state), do: {:reply, Stages.fingerprint(state, :all), state}
+  defp handle_request(:mark, _from, state), do: {:reply, Stages.fingerprint(state, :all), state}
 
-  defp answer(:quiet?, _from, state),
-    do: {:reply, state.life.phase == :running and Stages.quiet?(state), state}
+  defp handle_request(:quiet?, _from, state),
+    do: {:reply, state.life.phase == :running and Stages.no_messages_in_flight?(state), state}
 
-  defp answer(:info, _from, state) do
-    snapshot = Inspection.snapshot(state)
-    {:reply, snapshot, state |> Inspection.mark() |> Inspection.describe()}
+  defp handle_request(:info, _from, state) do
+    snapshot = Inspection.build_snapshot(state)
+    {:reply, snapshot, state |> Inspection.mark_totals() |> Inspection.request_descriptions()}
   end
 
-  defp answer({:trace, time}, _from, state), do: {:reply, Inspection.trace(state, time), state}
+  defp handle_request({:trace, time}, _from, state),
+    do: {:reply, Inspection.trace_message(state, time), state}
 
   # Returns the first error so far, for components that report to others why their stream ends.
-  defp answer(:failure, _from, state), do: {:reply, {:ok, List.last(state.life.errors)}, state}
+  defp handle_request(:failure, _from, state),
+    do: {:reply, {:ok, List.last(state.life.errors)}, state}
 
-  defp answer(:progress, _from, state) do
+  defp handle_request(:progress, _from, state) do
     state = Inspection.advance_progress(state)
     {:reply, state.view.progress, state}
   end
 
   # These two requests make the pipeline look like a supervisor.
-  defp answer(:which_children, _from, state), do: {:reply, Stages.children(state), state}
+  defp handle_request(:which_children, _from, state),
+    do: {:reply, Stages.list_children(state), state}
 
-  defp answer(:count_children, _from, state) do
-    children = Stages.children(state)
+  defp handle_request(:count_children, _from, state) do
+    children = Stages.list_children(state)
     active = Enum.count(children, fn {_, pid, _, _} -> is_pid(pid) end)
     n = length(children)
     {:reply, [specs: n, active: active, supervisors: 0, workers: n], state}
   end
 
-  defp answer(request, from, %{life: %{phase: :starting}} = state)
+  defp handle_request(request, from, %{life: %{phase: :starting}} = state)
        when is_tuple(request) and elem(request, 0) in @patient,
-       do: {:noreply, later({:"$gen_call", from, request}, state)}
+       do: {:noreply, defer_message({:"$gen_call", from, request}, state)}
 
-  defp answer(:extension, from, %{life: %{phase: :starting}} = state),
-    do: {:noreply, later({:"$gen_call", from, :extension}, state)}
+  defp handle_request(:extension, from, %{life: %{phase: :starting}} = state),
+    do: {:noreply, defer_message({:"$gen_call", from, :extension}, state)}
 
-  defp answer({:untap, id}, _from, state) do
+  defp handle_request({:untap, id}, _from, state) do
     {state, events} = Dynamic.Tap.detach(state, id)
-    reply(:ok, Performer.apply_all(state, events))
+    reply_and_continue(:ok, Performer.apply_events(state, events))
   end
 
-  defp answer(request, from, %{life: %{phase: :running}} = state),
-    do: running(request, from, state)
+  defp handle_request(request, from, %{life: %{phase: :running}} = state),
+    do: handle_running_request(request, from, state)
 
-  defp answer(_request, _from, state), do: {:reply, {:error, Errors.not_running()}, state}
+  defp handle_request(_request, _from, state), do: {:reply, {:error, Errors.not_running()}, state}
 
-  defp running({:tap, asked}, from, state), do: dynamic(Dynamic.Tap.attach(state, asked, from))
+  defp handle_running_request({:tap, asked}, from, state),
+    do: apply_dynamic(Dynamic.Tap.attach(state, asked, from))
 
-  defp running({:attach, asked}, from, state),
-    do: dynamic(Dynamic.Input.attach(state, asked, from))
+  defp handle_running_request({:attach, asked}, from, state),
+    do: apply_dynamic(Dynamic.Input.attach(state, asked, from))
 
-  defp running({:detach, asked}, from, state),
-    do: dynamic(Dynamic.Input.detach(state, asked, from))
+  defp handle_running_request({:detach, asked}, from, state),
+    do: apply_dynamic(Dynamic.Input.detach(state, asked, from))
 
-  defp running(:extension, _from, state) do
-    {graph, state} = Dynamic.Extension.offer(state)
+  defp handle_running_request(:extension, _from, state) do
+    {graph, state} = Dynamic.Extension.reserve_ids(state)
     {:reply, {:ok, {state.handle, graph}}, state}
   end
 
-  defp running({:extend, graph}, from, state) do
-    case Dynamic.Extension.take(state, graph) do
+  defp handle_running_request({:extend, graph}, from, state) do
+    case Dynamic.Extension.add_components(state, graph) do
       {:ok, state, plan} -> apply_event(state, {:grow, make_ref(), plan, from})
       {:error, error} -> {:reply, {:error, error}, state}
     end
   end
 
-  defp running({:replace, asked}, from, state),
-    do: {:noreply, Dynamic.Replacement.ask(state, asked, from)}
+  defp handle_running_request({:replace, asked}, from, state),
+    do: {:noreply, Dynamic.Replacement.request_replacement(state, asked, from)}
 
-  defp running({:checkpoint, timeout}, from, state),
-    do: {:noreply, Checkpointing.ask(state, timeout, from)}
+  defp handle_running_request({:checkpoint, timeout}, from, state),
+    do: {:noreply, Checkpointing.request_checkpoint(state, timeout, from)}
 
-  defp running({:subscription, which}, _from, state),
-    do: {:reply, Dynamic.Tap.subscription(state, which), state}
+  defp handle_running_request({:subscription, which}, _from, state),
+    do: {:reply, Dynamic.Tap.fetch_subscription(state, which), state}
 
-  defp running({:stop_part, path, opts}, from, state) do
-    case stop_part(path, opts, from, state) do
+  defp handle_running_request({:stop_part, path, opts}, from, state) do
+    case stop_part_event(path, opts, from, state) do
       {:ok, event} -> apply_event(state, event)
       {:error, error} -> {:reply, {:error, error}, state}
     end
   end
 
   # Without pacing no message waits for the clock, so the clock cannot be controlled.
-  defp running({:clock, _change}, _from, %{timing: %{enforce: false}} = state),
-    do: {:reply, {:error, Errors.unpaced()}, state}
+  defp handle_running_request({:clock, _change}, _from, %{timing: %{enforce: false}} = state),
+    do: {:reply, {:error, Errors.not_paced()}, state}
 
-  defp running({:clock, :pause}, _from, state),
+  defp handle_running_request({:clock, :pause}, _from, state),
     do: {:reply, Clock.pause(state.timing.clock), state}
 
-  defp running({:clock, :resume}, _from, state),
+  defp handle_running_request({:clock, :resume}, _from, state),
     do: {:reply, Clock.resume(state.timing.clock), state}
 
-  defp running({:clock, {:set_speed, speed}}, _from, state),
+  defp handle_running_request({:clock, {:set_speed, speed}}, _from, state),
     do: {:reply, Clock.set_speed(state.timing.clock, speed), state}
 
-  defp running(_request, _from, state), do: {:reply, {:error, Errors.unknown_request()}, state}
+  defp handle_running_request(_request, _from, state),
+    do: {:reply, {:error, Errors.unknown_request()}, state}
 
-  defp stop_part(path, %{catch_up: catch_up, forget?: forget?}, from, state) do
-    with {:ok, %{ids: ids, forget: forget}} <- State.part(state, path, forget?),
+  defp stop_part_event(path, %{catch_up: catch_up, forget?: forget?}, from, state) do
+    with {:ok, %{ids: ids, forget: forget}} <- State.fetch_part(state, path, forget?),
          do:
            {:ok, {:stop_part, make_ref(), ids, %{catch_up: catch_up, from: from, forget: forget}}}
   end
 
-  defp later(message, state), do: %{state | early: [message | state.early]}
-  defp dynamic({state, events}), do: done(Performer.apply_all(state, events))
+  defp defer_message(message, state), do: %{state | early: [message | state.early]}
+  defp apply_dynamic({state, events}), do: stop_if_finished(Performer.apply_events(state, events))
 
   # Events
 
-  defp event(:situ_launch, state), do: apply_event(state, :start)
-  defp event({:situ_stage, id, event}, state), do: stage(event, id, state)
-  defp event({:situ_event, event}, state), do: apply_event(state, event)
-  defp event(:situ_stop, state), do: apply_event(state, {:stop, Lifecycle.catch_up_ms()})
-  defp event({:situ_stop, time}, state), do: apply_event(state, {:stop_at, time})
-  defp event(:situ_observe, state), do: {:noreply, Inspection.observe(state)}
-  defp event(:situ_progress, state), do: {:noreply, Performer.progress(state)}
-  defp event(:situ_moving, state), do: apply_event(state, :moving)
+  defp handle_message(:situ_launch, state), do: apply_event(state, :start)
+  defp handle_message({:situ_stage, id, event}, state), do: handle_stage_message(event, id, state)
+  defp handle_message({:situ_event, event}, state), do: apply_event(state, event)
 
-  defp event({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state) do
-    case stop_part(path, opts, nil, state) do
+  defp handle_message(:situ_stop, state),
+    do: apply_event(state, {:stop, Lifecycle.default_catch_up_ms()})
+
+  defp handle_message({:situ_stop, time}, state), do: apply_event(state, {:stop_at, time})
+  defp handle_message(:situ_observe, state), do: {:noreply, Inspection.observe_totals(state)}
+  defp handle_message(:situ_progress, state), do: {:noreply, Performer.report_progress(state)}
+  defp handle_message(:situ_moving, state), do: apply_event(state, :moving)
+
+  defp handle_message({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state) do
+    case stop_part_event(path, opts, nil, state) do
       {:ok, event} -> apply_event(state, event)
       _ -> {:noreply, state}
     end
   end
 
-  defp event({:situ_handled, event, result, graph}, state),
-    do: state |> Performer.handled(event, result, graph) |> done()
+  defp handle_message({:situ_handled, event, result, graph}, state),
+    do: state |> Performer.finish_handlers(event, result, graph) |> stop_if_finished()
 
-  defp event({:situ_watch, which, mark}, state) do
+  defp handle_message({:situ_watch, which, mark}, state) do
     moved? = Stages.fingerprint(state, which) != mark
-    idle = if(moved?, do: MapSet.new(), else: Stages.idle(state))
-    seen = %{moved?: moved?, idle: idle, patient?: Stages.patient?(state)}
+    idle = if(moved?, do: MapSet.new(), else: Stages.idle_stages(state))
+    seen = %{moved?: moved?, idle: idle, patient?: Stages.any_patient?(state)}
     apply_event(state, {:watched, which, seen})
   end
 
   # The module that built the pipeline has a new version, so another process builds it again to obtain its functions.
   # No stage can use them before the graph is planned; until then the message is deferred.
-  defp event(:situ_reloaded, %{life: %{step: step}} = state) when step in [:build, :handlers],
-    do: {:noreply, later(:situ_reloaded, state)}
+  defp handle_message(:situ_reloaded, %{life: %{step: step}} = state)
+       when step in [:build, :handlers],
+       do: {:noreply, defer_message(:situ_reloaded, state)}
 
-  defp event(:situ_reloaded, %{settings: %{origin: {_, _} = origin}} = state) do
-    Handlers.rebuild(origin, state.handle)
+  defp handle_message(:situ_reloaded, %{settings: %{origin: {_, _} = origin}} = state) do
+    Handlers.rebuild_graph(origin, state.handle)
     {:noreply, state}
   end
 
-  defp event({:situ_rebuilt, graph}, %{life: %{phase: phase}} = state)
+  defp handle_message({:situ_rebuilt, graph}, %{life: %{phase: phase}} = state)
        when phase in [:starting, :running] do
-    state = %{state | graph: Handlers.reload(state.graph, graph)}
+    state = %{state | graph: Handlers.replace_handlers(state.graph, graph)}
     {:noreply, state |> Dynamic.Guarantee.reload(graph) |> Dynamic.Replacement.reload(graph)}
   end
 
-  defp event({:situ_checkpoint, ref}, state), do: {:noreply, Checkpointing.look(state, ref)}
-  defp event({:situ_thaw, ref}, state), do: {:noreply, Checkpointing.thaw(state, ref)}
+  defp handle_message({:situ_checkpoint, ref}, state),
+    do: {:noreply, Checkpointing.poll_progress(state, ref)}
 
-  defp event({:situ_late, ref, timeout}, state),
-    do: {:noreply, Dynamic.Replacement.late(state, ref, timeout)}
+  defp handle_message({:situ_thaw, ref}, state),
+    do: {:noreply, Checkpointing.thaw_sources(state, ref)}
 
-  defp event({:EXIT, pid, reason}, state), do: state |> Performer.exited(pid, reason) |> done()
+  defp handle_message({:situ_late, ref, timeout}, state),
+    do: {:noreply, Dynamic.Replacement.handle_timeout(state, ref, timeout)}
 
-  defp event({:situ_clock, _}, state) do
-    for {id, _} <- state.stages, do: Stages.tell(state, id, :clock)
+  defp handle_message({:EXIT, pid, reason}, state),
+    do: state |> Performer.handle_exit(pid, reason) |> stop_if_finished()
+
+  defp handle_message({:situ_clock, _}, state) do
+    for {id, _} <- state.stages, do: Stages.send_request(state, id, :clock)
     {:noreply, state}
   end
 
-  defp event({:DOWN, owner, :process, _, _}, %{owner: owner} = state),
-    do: apply_event(state, {:stop, Lifecycle.catch_up_ms()})
+  defp handle_message({:DOWN, owner, :process, _, _}, %{owner: owner} = state),
+    do: apply_event(state, {:stop, Lifecycle.default_catch_up_ms()})
 
-  defp event({:DOWN, ref, :process, _, _}, state),
-    do: dynamic(Dynamic.Tap.owner_down(Checkpointing.thaw(state, ref), ref))
+  defp handle_message({:DOWN, ref, :process, _, _}, state),
+    do: apply_dynamic(Dynamic.Tap.handle_owner_down(Checkpointing.thaw_sources(state, ref), ref))
 
-  defp event(_other, state), do: {:noreply, state}
+  defp handle_message(_other, state), do: {:noreply, state}
 
   # A stage that was already dropped sent this message before it ended.
-  defp stage(_event, id, %{stages: stages} = state) when not is_map_key(stages, id),
-    do: {:noreply, state}
+  defp handle_stage_message(_event, id, %{stages: stages} = state)
+       when not is_map_key(stages, id),
+       do: {:noreply, state}
 
-  defp stage(:started, id, %{dynamic: %{taps: taps}} = state) when is_map_key(taps, id),
-    do: {:noreply, Dynamic.Tap.open(state, id)}
+  defp handle_stage_message(:started, id, %{dynamic: %{taps: taps}} = state)
+       when is_map_key(taps, id),
+       do: {:noreply, Dynamic.Tap.connect_tap(state, id)}
 
-  defp stage(event, id, state) when event in [:up, :started, :source_stopped, :settled],
-    do: apply_event(state, {event, id})
+  defp handle_stage_message(event, id, state)
+       when event in [:up, :started, :source_stopped, :settled],
+       do: apply_event(state, {event, id})
 
-  defp stage({:completed, time}, id, state), do: apply_event(state, {:completed, id, time})
+  defp handle_stage_message({:completed, time}, id, state),
+    do: apply_event(state, {:completed, id, time})
 
-  defp stage({:unsubscribed, tag, _name, time}, id, state),
+  defp handle_stage_message({:unsubscribed, tag, _name, time}, id, state),
     do: apply_event(state, {:unsubscribed, id, tag, time})
 
-  defp stage({:failed, error, reached}, id, state),
-    do: apply_event(state, {:failed, id, Performer.explained(error, state), reached})
+  defp handle_stage_message({:failed, error, reached}, id, state),
+    do: apply_event(state, {:failed, id, Performer.explain_error(error, state), reached})
 
-  defp stage({:init_failed, error}, id, state),
-    do: state |> Performer.interrupted(id) |> apply_event({:init_failed, id, error})
+  defp handle_stage_message({:init_failed, error}, id, state),
+    do: state |> Performer.fail_pending(id) |> apply_event({:init_failed, id, error})
 
-  defp stage({:skipped, error}, _id, state), do: {:noreply, Performer.noted(state, error)}
-  defp stage({:restarted, error}, id, state), do: apply_event(state, {:restarted, id, error})
+  defp handle_stage_message({:skipped, error}, _id, state),
+    do: {:noreply, Performer.report_error(state, error)}
 
-  defp stage({:description, text}, id, state),
-    do: {:noreply, Inspection.described(state, id, text)}
+  defp handle_stage_message({:restarted, error}, id, state),
+    do: apply_event(state, {:restarted, id, error})
 
-  defp stage({:tapped, tag}, _id, state), do: {:noreply, Dynamic.Tap.opened(state, tag)}
+  defp handle_stage_message({:description, text}, id, state),
+    do: {:noreply, Inspection.put_description(state, id, text)}
 
-  defp stage({:lent, tag, how}, _id, %{dynamic: %{inputs: inputs}} = state)
+  defp handle_stage_message({:tapped, tag}, _id, state),
+    do: {:noreply, Dynamic.Tap.confirm_attached(state, tag)}
+
+  defp handle_stage_message({:lent, tag, how}, _id, %{dynamic: %{inputs: inputs}} = state)
        when is_map_key(inputs, tag),
-       do: dynamic(Dynamic.Input.lent(state, tag, how))
+       do: apply_dynamic(Dynamic.Input.request_attachment(state, tag, how))
 
-  defp stage({:lent, tag, how}, _id, state), do: apply_event(state, {:lent, tag, how})
+  defp handle_stage_message({:lent, tag, how}, _id, state),
+    do: apply_event(state, {:lent, tag, how})
 
-  defp stage({:answered, ref, answer, opts}, id, state),
-    do: dynamic(Dynamic.Input.answered(state, ref, id, answer, opts))
+  defp handle_stage_message({:answered, ref, answer, opts}, id, state),
+    do: apply_dynamic(Dynamic.Input.handle_attach_reply(state, ref, id, answer, opts))
 
-  defp stage({:detached, input, opts}, id, state),
-    do: dynamic(Dynamic.Input.detached(state, id, input, opts))
+  defp handle_stage_message({:detached, input, opts}, id, state),
+    do: apply_dynamic(Dynamic.Input.handle_detached(state, id, input, opts))
 
-  defp stage({:remembered, ref, answer}, id, state),
-    do: {:noreply, Checkpointing.remembered(state, id, ref, answer)}
+  defp handle_stage_message({:remembered, ref, answer}, id, state),
+    do: {:noreply, Checkpointing.handle_snapshot(state, id, ref, answer)}
 
-  defp stage({:replaced, ref, answer}, id, state),
-    do: {:noreply, Dynamic.Replacement.answered(state, id, ref, answer)}
+  defp handle_stage_message({:replaced, ref, answer}, id, state),
+    do: {:noreply, Dynamic.Replacement.handle_reply(state, id, ref, answer)}
 
-  defp stage(:finalized, _id, state), do: {:noreply, state}
+  defp handle_stage_message(:finalized, _id, state), do: {:noreply, state}
 
   # Results
 
-  defp apply_event(state, event), do: state |> Performer.apply(event) |> done()
+  defp apply_event(state, event), do: state |> Performer.apply_event(event) |> stop_if_finished()
 
-  defp reply(answer, state) do
-    case done(state) do
+  defp reply_and_continue(answer, state) do
+    case stop_if_finished(state) do
       {:noreply, state} -> {:reply, answer, state}
       {:stop, reason, state} -> {:stop, reason, answer, state}
     end
   end
 
-  defp done(%{view: %{outcome: nil}} = state), do: {:noreply, state}
-  defp done(state), do: over(state.view.outcome, state)
+  defp stop_if_finished(%{view: %{outcome: nil}} = state), do: {:noreply, state}
+  defp stop_if_finished(state), do: finish_pipeline(state.view.outcome, state)
 
-  defp over(result, state) do
-    Directory.leave(state.settings)
-    publish(state.settings, result)
+  defp finish_pipeline(result, state) do
+    Directory.unregister_pipeline(state.settings)
+    publish_result(state.settings, result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
     for {_, %{from: from}} when from != nil <- state.life.parts, do: GenServer.reply(from, :ok)
-    Dynamic.cancel(state.dynamic, {:error, Errors.not_running()})
-    Handlers.quit(state.handlers)
+    Dynamic.cancel_requests(state.dynamic, {:error, Errors.not_running()})
+    Handlers.stop_process(state.handlers)
     state = %{state | waiters: [], dynamic: %Dynamic{}, life: %{state.life | parts: %{}}}
 
     case {result, state.settings.mode} do
       {{:error, %{code: :abandoned}}, _} -> {:stop, {:shutdown, :abandoned}, state}
-      {{:error, error}, :linked} -> fall(error)
+      {{:error, error}, :linked} -> exit_abnormally(error)
       {{:error, %{code: :crashed}}, _} -> {:stop, {:shutdown, :crashed}, state}
       _ -> {:stop, :normal, state}
     end
@@ -355,13 +380,15 @@ defmodule Situ.Pipeline.Server do
 
   # The exit is abnormal, so that a supervisor restarts the pipeline. It uses a signal, because the error is already in
   # the log.
-  defp fall(error) do
+  defp exit_abnormally(error) do
     Process.flag(:trap_exit, false)
     Process.exit(self(), {:pipeline_failed, error.code, error.what})
   end
 
-  defp publish(%{mode: :run, reply: {caller, reply}}, result), do: send(caller, {reply, result})
-  defp publish(_settings, result), do: Results.put(self(), result)
+  defp publish_result(%{mode: :run, reply: {caller, reply}}, result),
+    do: send(caller, {reply, result})
+
+  defp publish_result(_settings, result), do: Results.put_result(self(), result)
 
   # A crash report names the pipeline but leaves out its graph, which would flood the log.
   @impl true
@@ -375,29 +402,32 @@ defmodule Situ.Pipeline.Server do
   def terminate(_reason, %{life: %{phase: :completed}}), do: :ok
 
   def terminate(_reason, %{life: %{phase: :building}} = state),
-    do: Handlers.abandoned(state.handle, nil)
+    do: Handlers.run_abandoned(state.handle, nil)
 
   def terminate(_reason, state),
-    do: state |> Performer.apply({:stop, Lifecycle.catch_up_ms()}) |> shut()
+    do:
+      state
+      |> Performer.apply_event({:stop, Lifecycle.default_catch_up_ms()})
+      |> run_until_finished()
 
-  defp shut(%{view: %{outcome: result}} = state) when result != nil do
-    Directory.leave(state.settings)
-    Results.put(self(), result)
+  defp run_until_finished(%{view: %{outcome: result}} = state) when result != nil do
+    Directory.unregister_pipeline(state.settings)
+    Results.put_result(self(), result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
   end
 
-  defp shut(state) do
+  defp run_until_finished(state) do
     receive do
       {:"$gen_call", from, request} when request == :await or elem(request, 0) == :stop ->
-        shut(%{state | waiters: [from | state.waiters]})
+        run_until_finished(%{state | waiters: [from | state.waiters]})
 
       {:"$gen_call", from, _} ->
         GenServer.reply(from, {:error, Errors.not_running()})
-        shut(state)
+        run_until_finished(state)
 
       message ->
         case handle_info(message, state) do
-          {:noreply, state} -> shut(state)
+          {:noreply, state} -> run_until_finished(state)
           {:stop, _, _} -> :ok
         end
     end

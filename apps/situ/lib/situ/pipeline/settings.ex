@@ -109,7 +109,7 @@ defmodule Situ.Pipeline.Settings do
          :ok <- check_spec(spec) do
       {:ok,
        %__MODULE__{
-         name: label(opts[:name]) || default_name(spec),
+         name: name_string(opts[:name]) || default_name(spec),
          registered: if(is_atom(opts[:name]), do: opts[:name]),
          clock: opts[:clock],
          mode: mode,
@@ -128,9 +128,9 @@ defmodule Situ.Pipeline.Settings do
     end
   end
 
-  defp label(nil), do: nil
-  defp label(name) when is_binary(name), do: name
-  defp label(name), do: name |> Atom.to_string() |> String.replace_prefix("Elixir.", "")
+  defp name_string(nil), do: nil
+  defp name_string(name) when is_binary(name), do: name
+  defp name_string(name), do: name |> Atom.to_string() |> String.replace_prefix("Elixir.", "")
 
   # An explicit clock implies that messages should wait for it.
   defp default_speed(:run, nil), do: :max
@@ -142,7 +142,9 @@ defmodule Situ.Pipeline.Settings do
   defp default_name(_spec), do: "Pipeline"
 
   defp check_interval({from, to}) do
-    ok? = bound?(from) and bound?(to) and (from == :unbounded or to == :unbounded or from <= to)
+    ok? =
+      valid_bound?(from) and valid_bound?(to) and
+        (from == :unbounded or to == :unbounded or from <= to)
 
     if ok?,
       do: :ok,
@@ -153,7 +155,7 @@ defmodule Situ.Pipeline.Settings do
          )}
   end
 
-  defp bound?(bound), do: bound == :unbounded or is_integer(bound)
+  defp valid_bound?(bound), do: bound == :unbounded or is_integer(bound)
 
   defp check_clock(nil), do: :ok
   defp check_clock(%Situ.Clock{}), do: :ok

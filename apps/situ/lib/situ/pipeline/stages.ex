@@ -9,32 +9,32 @@ defmodule Situ.Pipeline.Stages do
   alias Situ.Ports.{Counters, Output, Tally}
 
   @doc "Builds the links, counters and stage entries of a plan, and the members for the life cycle."
-  @spec lay_out(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
-  def lay_out(state, plan) do
-    Reaper.watch(self())
-    add(state, plan, %{})
+  @spec install_plan(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
+  def install_plan(state, plan) do
+    Reaper.watch_pipeline(self())
+    add_plan(state, plan, %{})
   end
 
   @doc """
   Adds the stages of a plan to the state. `lent` maps edges from outside the plan to the stages of their sources.
   """
-  @spec add(State.t(), Plan.t(), %{pos_integer() => pos_integer()}, keyword()) ::
+  @spec add_plan(State.t(), Plan.t(), %{pos_integer() => pos_integer()}, keyword()) ::
           {State.t(), %{pos_integer() => Member.t()}}
-  def add(state, plan, lent, extra \\ []) do
+  def add_plan(state, plan, lent, extra \\ []) do
     wires = state.wires
-    links = links(plan, lent)
+    links = build_links(plan, lent)
     counters = Map.new(plan.edges, &{&1.id, Counters.new()})
     inline = Map.new(plan.inline, &{elem(&1.from, 0), &1})
-    entered = for id <- heads(plan), edge = inline[id], do: {edge.id, Counters.new()}
+    entered = for id <- inline_heads(plan), edge = inline[id], do: {edge.id, Counters.new()}
     counters = Enum.into(entered, counters)
 
     stages =
       Map.new(plan.stages, fn %{id: id, vertices: [head | _] = vertices} ->
         tail = if edge = inline[head.id], do: counters[edge.id]
-        {id, entry(id, vertices, tail)}
+        {id, build_entry(id, vertices, tail)}
       end)
 
-    members = Map.new(stages, fn {id, stage} -> {id, member(stage, extra)} end)
+    members = Map.new(stages, fn {id, stage} -> {id, build_member(stage, extra)} end)
 
     wires = %{
       links: Map.merge(wires.links, links),
@@ -45,31 +45,31 @@ defmodule Situ.Pipeline.Stages do
   end
 
   # The edge from a component to the operators that share its process has counters like a queue.
-  defp heads(plan) do
+  defp inline_heads(plan) do
     for %{vertices: [%{module: module, id: id}, _ | _]} <- plan.stages,
         module != :operator,
         do: id
   end
 
-  defp links(plan, lent) do
+  defp build_links(plan, lent) do
     place =
       for stage <- plan.stages, vertex <- stage.vertices, into: %{}, do: {vertex.id, stage.id}
 
     Map.new(plan.edges, fn %{from: {from, _}, to: {to, _}} = edge ->
-      {edge.id, link(edge, lent[edge.id] || place[from], place[to])}
+      {edge.id, build_link(edge, lent[edge.id] || place[from], place[to])}
     end)
   end
 
   @doc "Returns a link: an edge with stages as its ends instead of vertices."
-  @spec link(Edge.t(), pos_integer(), pos_integer()) :: map()
-  def link(%Edge{from: {_, output}, to: {_, input}} = edge, from, to),
+  @spec build_link(Edge.t(), pos_integer(), pos_integer()) :: map()
+  def build_link(%Edge{from: {_, output}, to: {_, input}} = edge, from, to),
     do: %{id: edge.id, from: from, output: output, to: to, input: input, policy: edge.policy}
 
   @doc "Builds the entry of a stage without a process."
-  @spec entry(pos_integer(), [Vertex.t(), ...], Counters.t() | nil) :: State.stage()
-  def entry(id, vertices, tail \\ nil) do
+  @spec build_entry(pos_integer(), [Vertex.t(), ...], Counters.t() | nil) :: State.stage()
+  def build_entry(id, vertices, tail \\ nil) do
     control = :atomics.new(2, signed: true)
-    :atomics.put(control, 1, Stage.never())
+    :atomics.put(control, 1, Stage.no_final_time())
 
     %{
       id: id,
@@ -77,22 +77,23 @@ defmodule Situ.Pipeline.Stages do
       vertices: vertices,
       tally: Tally.new(length(vertices)),
       control: control,
-      marks: marks(vertices),
+      marks: new_marks(vertices),
       tail: tail,
       started: nil
     }
   end
 
   # Only a stage that can be spawned again has to record how far it has come.
-  defp marks([%{on_error: :stop, unit: unit} | _]) when unit == nil or elem(unit, 1) == :close,
-    do: nil
+  defp new_marks([%{on_error: :stop, unit: unit} | _])
+       when unit == nil or elem(unit, 1) == :close,
+       do: nil
 
-  defp marks(vertices),
-    do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Output.marks()
+  defp new_marks(vertices),
+    do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Output.new_marks()
 
   @doc "Builds the life cycle's record of a stage."
-  @spec member(State.stage(), keyword()) :: Member.t()
-  def member(%{id: id, vertices: [head | _]}, extra \\ []) do
+  @spec build_member(State.stage(), keyword()) :: Member.t()
+  def build_member(%{id: id, vertices: [head | _]}, extra \\ []) do
     base = %Member{
       id: id,
       path: head.path,
@@ -105,16 +106,16 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc "Spawns a process for each stage, for the first time or again."
-  @spec spawn(State.t(), [pos_integer()]) :: State.t()
-  def spawn(state, ids), do: Enum.reduce(ids, state, &spawn_one/2)
+  @spec spawn_stages(State.t(), [pos_integer()]) :: State.t()
+  def spawn_stages(state, ids), do: Enum.reduce(ids, state, &spawn_stage/2)
 
-  defp spawn_one(id, state) do
+  defp spawn_stage(id, state) do
     stage = state.stages[id]
 
     pid =
       Stage.spawn_link(%{
         marks: stage.marks,
-        memory: memory(state, stage),
+        memory: resumed_memory(state, stage),
         id: id,
         server: self(),
         handle: state.handle,
@@ -129,14 +130,14 @@ defmodule Situ.Pipeline.Stages do
   end
 
   # A stage that is spawned again starts with a fresh state, as its `on_error` specifies.
-  defp memory(%{life: %{phase: :starting}} = state, %{vertices: [head | _]}),
+  defp resumed_memory(%{life: %{phase: :starting}} = state, %{vertices: [head | _]}),
     do: state.settings.resume[head.path]
 
-  defp memory(_state, _stage), do: nil
+  defp resumed_memory(_state, _stage), do: nil
 
   @doc "Sends the stages their clock and neighbours, and starts them."
-  @spec start(State.t(), [pos_integer()]) :: State.t()
-  def start(state, ids) do
+  @spec start_stages(State.t(), [pos_integer()]) :: State.t()
+  def start_stages(state, ids) do
     links = Map.values(state.wires.links)
     into = Enum.group_by(links, & &1.to)
     out_of = Enum.group_by(links, & &1.from)
@@ -150,13 +151,13 @@ defmodule Situ.Pipeline.Stages do
       state ->
         state = update_in(state.stages[id].started, &(&1 || now))
         ports = {Map.get(into, id, []), Map.get(out_of, id, [])}
-        send(state.stages[id].pid, {:situ, {:start, wiring(state, id, ports, now)}})
+        send(state.stages[id].pid, {:situ, {:start, build_wiring(state, id, ports, now)}})
         state
     end
   end
 
   # A stage that is spawned again keeps its first start time, so that repeated messages have the same times.
-  defp wiring(state, id, {into, out_of}, now) do
+  defp build_wiring(state, id, {into, out_of}, now) do
     counters = state.wires.counters
 
     inlets =
@@ -190,8 +191,8 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc "Informs the neighbours of a restarted stage about its new process."
-  @spec rewire(State.t(), pos_integer(), [{term(), map()}]) :: State.t()
-  def rewire(state, id, links) do
+  @spec rewire_stage(State.t(), pos_integer(), [{term(), map()}]) :: State.t()
+  def rewire_stage(state, id, links) do
     pid = state.stages[id].pid
 
     for {tag, link} <- links, link.from != link.to do
@@ -208,15 +209,15 @@ defmodule Situ.Pipeline.Stages do
   @doc """
   Sends a request to a stage. A dropped stage receives none; its waiting callers got a reply when it was dropped.
   """
-  @spec tell(State.t(), pos_integer(), term()) :: State.t()
-  def tell(state, id, request) do
+  @spec send_request(State.t(), pos_integer(), term()) :: State.t()
+  def send_request(state, id, request) do
     with %{^id => %{pid: pid}} when pid != nil <- state.stages, do: send(pid, {:situ, request})
     state
   end
 
   @doc "Returns whether the process of a stage has ended."
-  @spec ended?(State.t(), pos_integer()) :: boolean()
-  def ended?(state, id) do
+  @spec process_ended?(State.t(), pos_integer()) :: boolean()
+  def process_ended?(state, id) do
     case state.stages do
       %{^id => %{pid: pid}} -> not is_map_key(state.pids, pid)
       _ -> false
@@ -224,22 +225,22 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc "Deletes everything that belongs to a stage that the life cycle has dropped."
-  @spec drop(State.t(), pos_integer()) :: State.t()
-  def drop(state, id) do
+  @spec drop_stage(State.t(), pos_integer()) :: State.t()
+  def drop_stage(state, id) do
     {stage, stages} = Map.pop(state.stages, id)
     tags = for {tag, link} <- state.wires.links, link.to == id or link.from == id, do: tag
-    state = Enum.reduce(tags, %{state | stages: stages}, &unwire(&2, &1))
+    state = Enum.reduce(tags, %{state | stages: stages}, &drop_link(&2, &1))
     %{state | pids: Map.delete(state.pids, stage && stage.pid)}
   end
 
   @doc "Deletes everything that belongs to a connection that the life cycle has dropped."
-  @spec unwire(State.t(), term()) :: State.t()
-  def unwire(%{wires: %{links: links, counters: counters}} = state, tag),
+  @spec drop_link(State.t(), term()) :: State.t()
+  def drop_link(%{wires: %{links: links, counters: counters}} = state, tag),
     do: %{state | wires: %{links: Map.delete(links, tag), counters: Map.delete(counters, tag)}}
 
   @doc "Makes these stages ignore messages later than `time`; a stage with an earlier limit keeps it."
-  @spec cut(State.t(), [pos_integer()], Situ.Time.t()) :: State.t()
-  def cut(state, ids, time) do
+  @spec limit_stages(State.t(), [pos_integer()], Situ.Time.t()) :: State.t()
+  def limit_stages(state, ids, time) do
     for id <- ids,
         %{control: cell} <- [state.stages[id]],
         time < :atomics.get(cell, 1),
@@ -249,15 +250,20 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc "Lets these stages finish all their messages, without a wait for demand or for the clock."
-  @spec release(State.t(), [pos_integer()]) :: State.t()
-  def release(state, ids),
-    do: Enum.reduce(ids, cut(state, ids, Stage.never() - 1), &tell(&2, &1, :clock))
+  @spec release_stages(State.t(), [pos_integer()]) :: State.t()
+  def release_stages(state, ids),
+    do:
+      Enum.reduce(
+        ids,
+        limit_stages(state, ids, Stage.no_final_time() - 1),
+        &send_request(&2, &1, :clock)
+      )
 
   @doc "Returns the earliest time that the consumers of stage `id` have reached; its later messages may be lost."
-  @spec reached(State.t(), pos_integer()) :: Situ.Time.t() | nil
-  def reached(state, id) do
+  @spec reached_time(State.t(), pos_integer()) :: Situ.Time.t() | nil
+  def reached_time(state, id) do
     times =
-      for {tag, _} <- Links.out_of(state.life.links, id),
+      for {tag, _} <- Links.list_outgoing(state.life.links, id),
           ref = state.wires.counters[tag],
           time = Counters.last_time(ref),
           time != 0,
@@ -267,10 +273,10 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc "Returns whether no messages are in flight between the pipeline's processes."
-  @spec quiet?(State.t()) :: boolean()
-  def quiet?(state) do
+  @spec no_messages_in_flight?(State.t()) :: boolean()
+  def no_messages_in_flight?(state) do
     Enum.all?(state.life.links.active, fn {tag, _} ->
-      {emitted, processed, dropped} = Counters.flow(state.wires.counters[tag])
+      {emitted, processed, dropped} = Counters.flow_counts(state.wires.counters[tag])
       emitted == processed + dropped
     end)
   end
@@ -278,16 +284,18 @@ defmodule Situ.Pipeline.Stages do
   @doc "Returns a value that changes when any message moves, in the whole pipeline or in one part."
   @spec fingerprint(State.t(), :all | reference()) :: term()
   def fingerprint(state, :all) do
-    flows = for {_, ref} <- state.wires.counters, do: Counters.flow(ref)
-    {Lifecycle.State.mark_of(state.life), :erlang.phash2(flows)}
+    flows = for {_, ref} <- state.wires.counters, do: Counters.flow_counts(ref)
+    {Lifecycle.State.progress_mark(state.life), :erlang.phash2(flows)}
   end
 
   def fingerprint(state, part) do
     case state.life.parts do
       %{^part => %{ids: ids, pending: pending}} ->
         open = Enum.count(ids, &state.life.stages[&1].open?)
-        links = for id <- ids, {tag, _} <- Links.into(state.life.links, id), do: tag
-        {MapSet.size(pending), open, Enum.map(links, &Counters.flow(state.wires.counters[&1]))}
+        links = for id <- ids, {tag, _} <- Links.list_incoming(state.life.links, id), do: tag
+
+        {MapSet.size(pending), open,
+         Enum.map(links, &Counters.flow_counts(state.wires.counters[&1]))}
 
       _ ->
         nil
@@ -295,17 +303,18 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc "Returns the stages that wait for a message and have none."
-  @spec idle(State.t()) :: MapSet.t(pos_integer())
-  def idle(state), do: for({id, stage} <- state.stages, idle?(stage), into: MapSet.new(), do: id)
+  @spec idle_stages(State.t()) :: MapSet.t(pos_integer())
+  def idle_stages(state),
+    do: for({id, stage} <- state.stages, stage_idle?(stage), into: MapSet.new(), do: id)
 
   @doc "Returns whether a stage waits for the outside world or for the clock; such a wait has no limit."
-  @spec patient?(State.t()) :: boolean()
-  def patient?(state),
+  @spec any_patient?(State.t()) :: boolean()
+  def any_patient?(state),
     do: Enum.any?(state.stages, fn {_, stage} -> Stage.patient?(stage.control) end)
 
-  defp idle?(%{pid: nil}), do: true
+  defp stage_idle?(%{pid: nil}), do: true
 
-  defp idle?(stage) do
+  defp stage_idle?(stage) do
     case Process.info(stage.pid, [:message_queue_len, :current_function]) do
       [message_queue_len: 0, current_function: {:gen_server, _, _}] -> true
       nil -> true
@@ -314,8 +323,8 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc "Returns the stages in the form of `Supervisor.which_children/1`."
-  @spec children(State.t()) :: [{String.t(), pid() | :undefined, :worker, [module()]}]
-  def children(state) do
+  @spec list_children(State.t()) :: [{String.t(), pid() | :undefined, :worker, [module()]}]
+  def list_children(state) do
     for {id, %{vertices: [head | _], pid: pid}} <- Enum.sort(state.stages) do
       alive? = state.life.stages[id].alive? and pid != nil
       module = if head.module == :operator, do: Stage, else: head.module
@@ -324,12 +333,12 @@ defmodule Situ.Pipeline.Stages do
   end
 
   @doc "Measures whether the pipeline is quiet or busy, and its fingerprint, for the wait until a cycle has settled."
-  @spec look(State.t()) :: map()
-  def look(state) do
-    if quiet?(state) do
+  @spec measure_drain(State.t()) :: map()
+  def measure_drain(state) do
+    if no_messages_in_flight?(state) do
       %{quiet?: true, mark: nil, busy?: false}
     else
-      idle = idle(state)
+      idle = idle_stages(state)
       busy? = Enum.any?(state.life.pending, &(&1 not in idle))
       %{quiet?: false, mark: fingerprint(state, :all), busy?: busy?}
     end

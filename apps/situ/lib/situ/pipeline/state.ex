@@ -91,14 +91,14 @@ defmodule Situ.Pipeline.State do
   # position in the chain.
 
   @doc "Returns the vertex and output of a stream, given as that pair or by name."
-  @spec port(t(), port_id() | String.t()) :: {:ok, port_id()} | {:error, Error.t()}
-  def port(state, {id, output}) do
+  @spec fetch_port(t(), port_id() | String.t()) :: {:ok, port_id()} | {:error, Error.t()}
+  def fetch_port(state, {id, output}) do
     if Map.has_key?(state.graph.vertices, id),
       do: {:ok, {id, output}},
       else: {:error, Errors.not_running()}
   end
 
-  def port(state, name) do
+  def fetch_port(state, name) do
     named = Graph.stream_names(state.graph)
 
     case named do
@@ -108,30 +108,30 @@ defmodule Situ.Pipeline.State do
   end
 
   @doc "Returns the vertex of a component, given as a node or by path."
-  @spec vertex(t(), Situ.Node.t() | String.t()) ::
+  @spec fetch_vertex(t(), Situ.Node.t() | String.t()) ::
           {:ok, Situ.Graph.Vertex.t()} | {:error, Error.t()}
-  def vertex(state, %Situ.Node{id: id, path: path}) do
+  def fetch_vertex(state, %Situ.Node{id: id, path: path}) do
     case state.graph.vertices do
       %{^id => vertex} -> {:ok, vertex}
       _ -> {:error, Errors.unknown_component(path, nil)}
     end
   end
 
-  def vertex(%{graph: %{paths: paths} = graph}, path) do
+  def fetch_vertex(%{graph: %{paths: paths} = graph}, path) do
     case paths do
       %{^path => id} ->
         Map.fetch(graph.vertices, id)
 
       _ ->
-        near = is_binary(path) && Options.nearest(path, Map.keys(paths))
+        near = is_binary(path) && Options.nearest_name(path, Map.keys(paths))
         {:error, Errors.unknown_component(path, near || nil)}
     end
   end
 
   @doc "Returns the running stage that contains a vertex, and the vertex's index in it."
-  @spec stage(t(), pos_integer()) ::
+  @spec fetch_stage(t(), pos_integer()) ::
           {:ok, stage(), non_neg_integer()} | {:error, Error.t()}
-  def stage(state, id) do
+  def fetch_stage(state, id) do
     found =
       Enum.find_value(state.stages, fn {_, stage} ->
         index = Enum.find_index(stage.vertices, &(&1.id == id))
@@ -146,12 +146,12 @@ defmodule Situ.Pipeline.State do
   end
 
   @doc "Returns the stage whose output is the vertex's output; an error if the vertex is inside a chain."
-  @spec outlet(t(), pos_integer()) :: {:ok, stage()} | {:error, Error.t()}
-  def outlet(state, id) do
-    with {:ok, stage, index} <- stage(state, id) do
+  @spec fetch_output_stage(t(), pos_integer()) :: {:ok, stage()} | {:error, Error.t()}
+  def fetch_output_stage(state, id) do
+    with {:ok, stage, index} <- fetch_stage(state, id) do
       if index == length(stage.vertices) - 1,
         do: {:ok, stage},
-        else: {:error, inside(state.graph.vertices[id].path)}
+        else: {:error, inside_chain_error(state.graph.vertices[id].path)}
     end
   end
 
@@ -162,58 +162,70 @@ defmodule Situ.Pipeline.State do
   Returns the stages below `path`, a composite or a component. A part can be stopped only if at least one of its stages
   is running and is not being stopped already. It can be removed in any state.
   """
-  @spec part(t(), String.t(), boolean()) :: {:ok, part()} | {:error, Error.t()}
-  def part(state, path, forget?) do
-    inside = for {_, stage} <- state.stages, inside?(stage, path, state.graph), do: stage
+  @spec fetch_part(t(), String.t(), boolean()) :: {:ok, part()} | {:error, Error.t()}
+  def fetch_part(state, path, forget?) do
+    inside = for {_, stage} <- state.stages, stage_in_part?(stage, path, state.graph), do: stage
     alone = for {_, part} <- state.life.parts, id <- part.ids, do: id
-    running = Enum.filter(inside, &(running?(&1.id, state) and &1.id not in alone))
+    running = Enum.filter(inside, &(stage_running?(&1.id, state) and &1.id not in alone))
     chosen = if forget?, do: inside, else: running
 
     cond do
-      inside == [] -> {:error, unknown_part(state, path)}
-      chosen == [] -> {:error, ended(path)}
-      Enum.any?(inside, &Growth.of(state.life, &1.id)) -> {:error, still_growing(path)}
-      stage = Enum.find(chosen, &shared?(&1, path)) -> {:error, shared(stage, path)}
-      forget? -> {:ok, %{ids: Enum.map(running, & &1.id), forget: Enum.map(inside, & &1.id)}}
-      true -> {:ok, %{ids: Enum.map(running, & &1.id), forget: []}}
+      inside == [] ->
+        {:error, unknown_part_error(state, path)}
+
+      chosen == [] ->
+        {:error, ended_error(path)}
+
+      Enum.any?(inside, &Growth.find_ref(state.life, &1.id)) ->
+        {:error, still_added_error(path)}
+
+      stage = Enum.find(chosen, &shared_with_outside?(&1, path)) ->
+        {:error, shared_process_error(stage, path)}
+
+      forget? ->
+        {:ok, %{ids: Enum.map(running, & &1.id), forget: Enum.map(inside, & &1.id)}}
+
+      true ->
+        {:ok, %{ids: Enum.map(running, & &1.id), forget: []}}
     end
   end
 
   # A removed stage stays until its process has ended, while other stages may already use its names.
-  defp inside?(%{vertices: [head | _] = vertices}, path, graph),
-    do: is_map_key(graph.vertices, head.id) and Enum.any?(vertices, &within?(&1, path))
+  defp stage_in_part?(%{vertices: [head | _] = vertices}, path, graph),
+    do: is_map_key(graph.vertices, head.id) and Enum.any?(vertices, &vertex_within?(&1, path))
 
-  defp running?(id, %{life: %{stages: stages}}) do
+  defp stage_running?(id, %{life: %{stages: stages}}) do
     %{status: status, alive?: alive?} = stages[id]
     alive? and status in [:running, :closed]
   end
 
-  defp within?(vertex, path),
+  defp vertex_within?(vertex, path),
     do: vertex.path == path or String.starts_with?(vertex.path, path <> ".")
 
-  defp shared?(stage, path), do: not Enum.all?(stage.vertices, &within?(&1, path))
+  defp shared_with_outside?(stage, path),
+    do: not Enum.all?(stage.vertices, &vertex_within?(&1, path))
 
-  defp unknown_part(state, path) do
-    near = Options.nearest(path, Map.keys(state.graph.scopes) ++ Map.keys(state.graph.paths))
+  defp unknown_part_error(state, path) do
+    near = Options.nearest_name(path, Map.keys(state.graph.scopes) ++ Map.keys(state.graph.paths))
 
     Error.new(:unknown_component, "no composite or component #{inspect(path)}",
       fix: near && "did you mean #{inspect(near)}?"
     )
   end
 
-  defp ended(path) do
+  defp ended_error(path) do
     Error.new(:not_running, "#{path} has ended, or is being stopped",
       fix: "to remove it from the pipeline, call Situ.Pipeline.remove/3"
     )
   end
 
-  defp still_growing(path) do
+  defp still_added_error(path) do
     Error.new(:not_running, "#{path} is still being added",
       fix: "wait until Situ.Pipeline.extend/2 has returned"
     )
   end
 
-  defp inside(path) do
+  defp inside_chain_error(path) do
     Error.new(
       :inside_chain,
       "#{path} runs inside a chain of operators and has no output outside its process",
@@ -221,8 +233,8 @@ defmodule Situ.Pipeline.State do
     )
   end
 
-  defp shared(stage, path) do
-    {inside, outside} = Enum.split_with(stage.vertices, &within?(&1, path))
+  defp shared_process_error(stage, path) do
+    {inside, outside} = Enum.split_with(stage.vertices, &vertex_within?(&1, path))
 
     Error.new(
       :shared_process,

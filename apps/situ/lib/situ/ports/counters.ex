@@ -29,7 +29,7 @@ defmodule Situ.Ports.Counters do
   @first 28
   @buckets 176
   @sent @first + @buckets
-  @taken @sent + Trail.words()
+  @taken @sent + Trail.word_count()
 
   # Sums are of microseconds, and of at most an hour each: data replayed from 1970 must not overflow 64 bits.
   @most_us 3_600_000_000
@@ -50,11 +50,11 @@ defmodule Situ.Ports.Counters do
         }
 
   @spec new() :: t()
-  def new, do: :atomics.new(@taken + Trail.words(), signed: true)
+  def new, do: :atomics.new(@taken + Trail.word_count(), signed: true)
 
   @doc "Counts `n` emitted messages; the last was created and posted `created` and `posted` ns after its time."
-  @spec emitted(t(), pos_integer(), integer(), integer()) :: :ok
-  def emitted(ref, n, created, posted) do
+  @spec count_emitted(t(), pos_integer(), integer(), integer()) :: :ok
+  def count_emitted(ref, n, created, posted) do
     :atomics.put(ref, @created_last, created)
     :atomics.add(ref, @created_sum, microseconds(created) * n)
     :atomics.put(ref, @posted_last, posted)
@@ -63,33 +63,33 @@ defmodule Situ.Ports.Counters do
   end
 
   @doc "Sets whether the producer waits for this edge (1) or not (0)."
-  @spec waiting(t(), 0 | 1) :: :ok
-  def waiting(ref, flag), do: :atomics.put(ref, @waiting, flag)
+  @spec set_waiting(t(), 0 | 1) :: :ok
+  def set_waiting(ref, flag), do: :atomics.put(ref, @waiting, flag)
 
   @doc "Sets how many messages a lossy policy holds back at the producer."
-  @spec held(t(), non_neg_integer()) :: :ok
-  def held(ref, n), do: :atomics.put(ref, @held, n)
+  @spec put_held_count(t(), non_neg_integer()) :: :ok
+  def put_held_count(ref, n), do: :atomics.put(ref, @held, n)
 
   @doc "Returns how many messages are held back at the producer."
-  @spec held(t()) :: non_neg_integer()
-  def held(ref), do: :atomics.get(ref, @held)
+  @spec held_count(t()) :: non_neg_integer()
+  def held_count(ref), do: :atomics.get(ref, @held)
 
   @doc "Requests all messages that are held back, immediately."
-  @spec want(t()) :: :ok
-  def want(ref), do: :atomics.put(ref, @wanted, 1)
+  @spec request_held(t()) :: :ok
+  def request_held(ref), do: :atomics.put(ref, @wanted, 1)
 
   @doc "Returns whether the consumer has such a request, and clears it; the caller must then reply to the consumer."
-  @spec wanted?(t()) :: boolean()
-  def wanted?(ref),
+  @spec take_held_request?(t()) :: boolean()
+  def take_held_request?(ref),
     do: :atomics.get(ref, @wanted) == 1 and :atomics.compare_exchange(ref, @wanted, 1, 0) == :ok
 
   @doc "Counts `n` messages that the policy dropped."
-  @spec dropped(t(), pos_integer()) :: :ok
-  def dropped(ref, n), do: :atomics.add(ref, @dropped, n)
+  @spec count_dropped(t(), pos_integer()) :: :ok
+  def count_dropped(ref, n), do: :atomics.add(ref, @dropped, n)
 
   @doc "Counts the sizes of messages that arrived."
-  @spec sized(t(), [Message.t()]) :: :ok
-  def sized(ref, messages) do
+  @spec count_sizes(t(), [Message.t()]) :: :ok
+  def count_sizes(ref, messages) do
     {n, sum, last} = Enum.reduce(messages, {0, 0, 0}, &weigh/2)
     :atomics.put(ref, @size_last, last)
     :atomics.add(ref, @size_sum, sum)
@@ -97,13 +97,13 @@ defmodule Situ.Ports.Counters do
   end
 
   defp weigh(message, {n, sum, _last}) do
-    size = Message.size(message)
+    size = Message.data_size(message)
     {n + 1, sum + size, size}
   end
 
   @doc "Counts `n` handled messages; the last had a latency of `latency` ns, and handling all of them took `busy` ns."
-  @spec processed(t(), pos_integer(), integer(), integer()) :: :ok
-  def processed(ref, n, latency, busy) do
+  @spec count_processed(t(), pos_integer(), integer(), integer()) :: :ok
+  def count_processed(ref, n, latency, busy) do
     :atomics.put(ref, @latency_last, latency)
     :atomics.add(ref, @latency_sum, microseconds(latency) * n)
     :atomics.add(ref, @first + bucket(latency), n)
@@ -115,35 +115,36 @@ defmodule Situ.Ports.Counters do
   end
 
   @doc "Records that all messages up to the originating time `time` were handed over by clock time `at`."
-  @spec sent(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
-  def sent(ref, time, at), do: Trail.note(ref, @sent, time, at)
+  @spec record_sent(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
+  def record_sent(ref, time, at), do: Trail.record_passage(ref, @sent, time, at)
 
   @doc "Records that the consumer took the message of the originating time `time` at clock time `at`."
-  @spec reached(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
-  def reached(ref, time, at) do
+  @spec record_reached(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
+  def record_reached(ref, time, at) do
     :atomics.put(ref, @reached, time)
-    Trail.note(ref, @taken, time, at)
+    Trail.record_passage(ref, @taken, time, at)
   end
 
   @doc "Returns when the originating time `time` was handed over, and when it was taken."
-  @spec passage(t(), Situ.Time.t()) :: {passed, passed}
+  @spec passage_times(t(), Situ.Time.t()) :: {passed, passed}
         when passed: Situ.Time.t() | :forgotten | nil
-  def passage(ref, time), do: {Trail.passed(ref, @sent, time), Trail.passed(ref, @taken, time)}
+  def passage_times(ref, time),
+    do: {Trail.find_passage(ref, @sent, time), Trail.find_passage(ref, @taken, time)}
 
-  @doc "Returns the originating time of the last `reached/3`; 0 before the first."
+  @doc "Returns the originating time of the last `record_reached/3`; 0 before the first."
   @spec last_time(t()) :: integer()
   def last_time(ref), do: :atomics.get(ref, @reached)
 
   @doc "Returns the emitted, processed and dropped counts; no messages are in flight if the first equals their sum."
-  @spec flow(t()) :: {non_neg_integer(), non_neg_integer(), non_neg_integer()}
-  def flow(ref) do
+  @spec flow_counts(t()) :: {non_neg_integer(), non_neg_integer(), non_neg_integer()}
+  def flow_counts(ref) do
     {:atomics.get(ref, @emitted), :atomics.get(ref, @processed), :atomics.get(ref, @dropped)}
   end
 
   @doc "Returns the counters that only grow; latencies are sums over messages, in microseconds."
-  @spec totals(t()) :: totals()
-  def totals(ref) do
-    {emitted, processed, dropped} = flow(ref)
+  @spec read_totals(t()) :: totals()
+  def read_totals(ref) do
+    {emitted, processed, dropped} = flow_counts(ref)
     created = :atomics.get(ref, @created_sum)
 
     %{
@@ -161,8 +162,8 @@ defmodule Situ.Ports.Counters do
   end
 
   @doc "Returns the current and the last values as a map with the keys of `Situ.Diagnostics.Edge`."
-  @spec read(t(), totals()) :: map()
-  def read(ref, totals) do
+  @spec read_values(t(), totals()) :: map()
+  def read_values(ref, totals) do
     %{emitted: emitted, processed: processed, dropped: dropped} = totals
 
     %{
@@ -174,7 +175,7 @@ defmodule Situ.Ports.Counters do
       created_last: :atomics.get(ref, @created_last),
       posted_last: :atomics.get(ref, @posted_last),
       latency_last: :atomics.get(ref, @latency_last),
-      latency_p99: quantile(ref, processed, 0.99),
+      latency_p99: latency_quantile(ref, processed, 0.99),
       handling_last: :atomics.get(ref, @handling_last),
       busy: totals.busy,
       size_last: :atomics.get(ref, @size_last)
@@ -184,9 +185,9 @@ defmodule Situ.Ports.Counters do
   defp microseconds(ns), do: ns |> div(1000) |> min(@most_us) |> max(-@most_us)
 
   @doc "Returns the upper bound, in ns, of the bucket that contains the quantile."
-  @spec quantile(t(), non_neg_integer(), float()) :: non_neg_integer()
-  def quantile(_ref, 0, _q), do: 0
-  def quantile(ref, count, q), do: seek(ref, 0, ceil(count * q))
+  @spec latency_quantile(t(), non_neg_integer(), float()) :: non_neg_integer()
+  def latency_quantile(_ref, 0, _q), do: 0
+  def latency_quantile(ref, count, q), do: seek(ref, 0, ceil(count * q))
 
   defp seek(_ref, bucket, _left) when bucket >= @buckets, do: bound(@buckets - 1)
 

@@ -72,23 +72,23 @@ defmodule Situ.Ports.Input do
   end
 
   @doc "Requests the first messages from the producer."
-  @spec open(t()) :: term()
-  def open(%__MODULE__{} = input), do: ask(input, input.window.size)
+  @spec request_first(t()) :: term()
+  def request_first(%__MODULE__{} = input), do: ask(input, input.window.size)
 
   defp ask(input, n), do: send(input.producer, {:"$gen_producer", {self(), input.tag}, {:ask, n}})
 
   @doc "Replaces the producer's process."
-  @spec replace(t(), pid()) :: t()
-  def replace(%__MODULE__{} = input, pid),
-    do: %{input | producer: pid, window: Window.renew(input.window), fresh: 0}
+  @spec replace_producer(t(), pid()) :: t()
+  def replace_producer(%__MODULE__{} = input, pid),
+    do: %{input | producer: pid, window: Window.reset_owed(input.window), fresh: 0}
 
   @doc "Adds a batch that arrived."
   @spec push(t(), [Message.t()]) :: t()
   def push(%__MODULE__{} = input, []), do: input
 
   def push(%__MODULE__{} = input, [first | _] = messages) do
-    if input.sizes, do: Counters.sized(input.counters, messages)
-    enter(%{input | window: Window.weigh(input.window, first)}, messages)
+    if input.sizes, do: Counters.count_sizes(input.counters, messages)
+    enter(%{input | window: Window.weigh_message(input.window, first)}, messages)
   end
 
   defp enter(%__MODULE__{queue: nil, front: [], rear: []} = input, messages),
@@ -101,14 +101,14 @@ defmodule Situ.Ports.Input do
     {queue, dropped} = Queue.push_all(queue, messages)
     drop(input, dropped)
     owed = if queue.policy.throttle, do: dropped, else: length(messages)
-    %{input | queue: queue, window: Window.owe(input.window, owed)}
+    %{input | queue: queue, window: Window.add_owed(input.window, owed)}
   end
 
   @doc "Adds all messages that the producer held back; the waiting messages are then the newest."
-  @spec refreshed(t(), [Message.t()]) :: t()
-  def refreshed(%__MODULE__{queue: nil} = input, messages), do: push(input, messages)
+  @spec push_refreshed(t(), [Message.t()]) :: t()
+  def push_refreshed(%__MODULE__{queue: nil} = input, messages), do: push(input, messages)
 
-  def refreshed(%__MODULE__{} = input, messages) do
+  def push_refreshed(%__MODULE__{} = input, messages) do
     window = input.window
     %{push(input, messages) | window: window, fresh: :sure}
   end
@@ -150,17 +150,17 @@ defmodule Situ.Ports.Input do
   end
 
   @doc "Prepares to take a message; returns `:wait` if the producer of a lossy input is first asked for newer ones."
-  @spec freshen(t()) :: {:ok | :wait, t()}
-  def freshen(%__MODULE__{queue: nil} = input), do: {:ok, input}
-  def freshen(%__MODULE__{queue: %{policy: %{throttle: true}}} = input), do: {:ok, input}
+  @spec ensure_fresh(t()) :: {:ok | :wait, t()}
+  def ensure_fresh(%__MODULE__{queue: nil} = input), do: {:ok, input}
+  def ensure_fresh(%__MODULE__{queue: %{policy: %{throttle: true}}} = input), do: {:ok, input}
 
-  def freshen(%__MODULE__{fresh: known} = input) do
+  def ensure_fresh(%__MODULE__{fresh: known} = input) do
     now = :erlang.monotonic_time()
 
-    if known == :sure or now - known < @stale_ns or Counters.held(input.counters) == 0 do
+    if known == :sure or now - known < @stale_ns or Counters.held_count(input.counters) == 0 do
       {:ok, %{input | fresh: now}}
     else
-      Counters.want(input.counters)
+      Counters.request_held(input.counters)
       send(input.producer, {:situ, {:refresh, {self(), input.tag}}})
       {:wait, %{input | fresh: :asked}}
     end
@@ -179,15 +179,15 @@ defmodule Situ.Ports.Input do
     n = length(dropped)
     drop(input, n)
     owed = if queue.policy.throttle, do: n + if(entry, do: 1, else: 0), else: 0
-    {entry, %{input | queue: queue, window: Window.owe(input.window, owed)}}
+    {entry, %{input | queue: queue, window: Window.add_owed(input.window, owed)}}
   end
 
   @doc "Takes up to `n` messages of a lossless input (never the closing mark)."
-  @spec take(t(), pos_integer()) :: {[Message.t()], t()}
-  def take(%__MODULE__{front: [], rear: []} = input, _n), do: {[], input}
-  def take(%__MODULE__{front: []} = input, n), do: take(turn(input), n)
+  @spec take_batch(t(), pos_integer()) :: {[Message.t()], t()}
+  def take_batch(%__MODULE__{front: [], rear: []} = input, _n), do: {[], input}
+  def take_batch(%__MODULE__{front: []} = input, n), do: take_batch(turn(input), n)
 
-  def take(%__MODULE__{front: front} = input, n) do
+  def take_batch(%__MODULE__{front: front} = input, n) do
     {taken, rest} = split(front, n, [])
     {taken, %{input | front: rest}}
   end
@@ -200,25 +200,30 @@ defmodule Situ.Ports.Input do
     do: %{input | front: messages ++ input.front}
 
   @doc "Discards all waiting messages; returns the time of the closing mark if there was one."
-  @spec discard(t()) :: {Situ.Time.t() | nil, t()}
-  def discard(%__MODULE__{} = input) do
+  @spec discard_all(t()) :: {Situ.Time.t() | nil, t()}
+  def discard_all(%__MODULE__{} = input) do
     {messages, rest} = input |> waiting() |> Enum.split_while(&is_struct/1)
     n = length(messages)
     input = %{input | front: [], rear: [], queue: input.queue && Queue.new(input.queue.policy)}
     closed = with([{:closed, time} | _] <- rest, do: time, else: (_ -> nil))
-    {closed, skip(input, n)}
+    {closed, drop_taken(input, n)}
   end
 
-  @doc "Counts `n` messages as handled, the last at `time`; `settle/1` publishes the counts."
-  @spec handled(t(), pos_integer(), Situ.Time.t(), {now :: Situ.Time.t(), busy :: integer()}) ::
+  @doc "Counts `n` messages as handled, the last at `time`; `publish_counts/1` publishes the counts."
+  @spec count_handled(
+          t(),
+          pos_integer(),
+          Situ.Time.t(),
+          {now :: Situ.Time.t(), busy :: integer()}
+        ) ::
           t()
-  def handled(%__MODULE__{handled: {taken, _, _, spent}} = input, n, time, {now, busy}),
+  def count_handled(%__MODULE__{handled: {taken, _, _, spent}} = input, n, time, {now, busy}),
     do: %{input | handled: {taken + n, now - time, time, spent + busy}}
 
   @doc "Returns whether there are no counts to publish and no demand to send."
-  @spec settled?(t()) :: boolean()
-  def settled?(%__MODULE__{handled: @nothing, window: %{owed: 0}}), do: true
-  def settled?(%__MODULE__{}), do: false
+  @spec nothing_to_settle?(t()) :: boolean()
+  def nothing_to_settle?(%__MODULE__{handled: @nothing, window: %{owed: 0}}), do: true
+  def nothing_to_settle?(%__MODULE__{}), do: false
 
   @doc "Returns whether no messages wait in the input."
   @spec empty?(t()) :: boolean()
@@ -226,39 +231,42 @@ defmodule Situ.Ports.Input do
   def empty?(%__MODULE__{queue: %{size: size}}), do: size == 0
 
   @doc "Publishes the counts, and sends demand to the producer when enough is owed."
-  @spec settle(t()) :: t()
-  def settle(%__MODULE__{handled: {taken, latency, reached, busy}, window: window} = input) do
+  @spec publish_counts(t()) :: t()
+  def publish_counts(
+        %__MODULE__{handled: {taken, latency, reached, busy}, window: window} = input
+      ) do
     if taken > 0 do
-      Counters.processed(input.counters, taken, latency, busy)
-      Counters.reached(input.counters, reached, reached + latency)
+      Counters.count_processed(input.counters, taken, latency, busy)
+      Counters.record_reached(input.counters, reached, reached + latency)
     end
 
-    {n, window} = Window.ask(if(input.queue == nil, do: Window.owe(window, taken), else: window))
+    {n, window} =
+      Window.take_owed(if(input.queue == nil, do: Window.add_owed(window, taken), else: window))
 
     if n > 0, do: ask(input, n)
     %{input | handled: @nothing, window: window}
   end
 
   @doc "Returns how many messages were taken according to the counters."
-  @spec taken(t()) :: non_neg_integer()
-  def taken(%__MODULE__{counters: counters}) do
-    {_emitted, processed, dropped} = Counters.flow(counters)
+  @spec taken_count(t()) :: non_neg_integer()
+  def taken_count(%__MODULE__{counters: counters}) do
+    {_emitted, processed, dropped} = Counters.flow_counts(counters)
     processed + dropped
   end
 
   @doc "Counts `n` taken messages as dropped and returns their demand to the producer."
-  @spec skip(t(), non_neg_integer()) :: t()
-  def skip(%__MODULE__{} = input, n) do
+  @spec drop_taken(t(), non_neg_integer()) :: t()
+  def drop_taken(%__MODULE__{} = input, n) do
     drop(input, n)
-    if input.queue, do: input, else: %{input | window: Window.owe(input.window, n)}
+    if input.queue, do: input, else: %{input | window: Window.add_owed(input.window, n)}
   end
 
   defp drop(_input, 0), do: :ok
-  defp drop(input, n), do: Counters.dropped(input.counters, n)
+  defp drop(input, n), do: Counters.count_dropped(input.counters, n)
 
   @doc "Pauses the input for 20 ms or until it is resumed; pausing it again restarts the time."
-  @spec hold(t(), boolean()) :: t()
-  def hold(%__MODULE__{} = input, held?) do
+  @spec set_hold(t(), boolean()) :: t()
+  def set_hold(%__MODULE__{} = input, held?) do
     with {timer, _token} <- input.held, do: Process.cancel_timer(timer)
     %{input | held: if(held?, do: hold_timer(input.tag))}
   end
@@ -269,12 +277,12 @@ defmodule Situ.Ports.Input do
   end
 
   @doc "Checks that the data has the input's type, as `check` requires; a first valid message ends `:first`."
-  @spec check(t(), Message.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
-  def check(%__MODULE__{check: :off} = input, _message, _path), do: {:ok, input}
+  @spec check_type(t(), Message.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def check_type(%__MODULE__{check: :off} = input, _message, _path), do: {:ok, input}
 
-  def check(%__MODULE__{type: type} = input, message, path) do
+  def check_type(%__MODULE__{type: type} = input, message, path) do
     cond do
-      not Type.valid?(type, message.data) -> {:error, wrong_type(input, message, path)}
+      not Type.valid_value?(type, message.data) -> {:error, wrong_type(input, message, path)}
       input.check == :first -> {:ok, %{input | check: :off}}
       true -> {:ok, input}
     end

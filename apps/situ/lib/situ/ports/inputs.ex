@@ -78,11 +78,11 @@ defmodule Situ.Ports.Inputs do
   end
 
   @doc "Sets the function that decides which messages the input `tag` never drops."
-  @spec guarantee(t(), term(), (term() -> boolean())) :: t()
-  def guarantee(%__MODULE__{} = inputs, tag, keep?) do
+  @spec put_guarantee(t(), term(), (term() -> boolean())) :: t()
+  def put_guarantee(%__MODULE__{} = inputs, tag, keep?) do
     case inputs.by_tag do
       %{^tag => %{queue: queue} = input} when queue != nil ->
-        put(inputs, %{input | queue: Queue.guarantee(queue, keep?)})
+        put(inputs, %{input | queue: Queue.put_guarantee(queue, keep?)})
 
       _ ->
         inputs
@@ -90,35 +90,35 @@ defmodule Situ.Ports.Inputs do
   end
 
   @doc "Closes an input; returns whether the component was notified before it was restarted."
-  @spec close(t(), Input.t()) :: {boolean(), t()}
-  def close(%__MODULE__{told: told} = inputs, %Input{name: name, tag: tag}) do
+  @spec close_input(t(), Input.t()) :: {boolean(), t()}
+  def close_input(%__MODULE__{told: told} = inputs, %Input{name: name, tag: tag}) do
     inputs = delete(inputs, tag)
     {name in told, %{inputs | closed: [name | inputs.closed], told: told -- [name]}}
   end
 
   @doc "Returns the names of the closed inputs."
-  @spec closed(t()) :: [atom()]
-  def closed(%__MODULE__{closed: closed}), do: Enum.uniq(closed)
+  @spec closed_names(t()) :: [atom()]
+  def closed_names(%__MODULE__{closed: closed}), do: Enum.uniq(closed)
 
   @doc "Restores the inputs whose end the component knew before it was restarted."
-  @spec recall(t(), [atom()]) :: t()
-  def recall(%__MODULE__{} = inputs, told), do: %{inputs | told: told}
+  @spec restore_reported(t(), [atom()]) :: t()
+  def restore_reported(%__MODULE__{} = inputs, told), do: %{inputs | told: told}
 
   @doc "Returns the only input of a chain."
-  @spec only(t()) :: Input.t() | nil
-  def only(%__MODULE__{tags: [tag], by_tag: by_tag}), do: :erlang.map_get(tag, by_tag)
-  def only(%__MODULE__{tags: []}), do: nil
+  @spec single_input(t()) :: Input.t() | nil
+  def single_input(%__MODULE__{tags: [tag], by_tag: by_tag}), do: :erlang.map_get(tag, by_tag)
+  def single_input(%__MODULE__{tags: []}), do: nil
 
-  @spec find(t(), atom()) :: Input.t() | nil
-  def find(%__MODULE__{by_tag: by_tag}, name),
+  @spec find_by_name(t(), atom()) :: Input.t() | nil
+  def find_by_name(%__MODULE__{by_tag: by_tag}, name),
     do: Enum.find_value(by_tag, fn {_, input} -> if input.name == name, do: input end)
 
   @doc "Returns the input with the oldest head."
-  @spec earliest(t()) :: Input.t() | nil
-  def earliest(%__MODULE__{order: nil, tags: tags, by_tag: by_tag}),
+  @spec earliest_input(t()) :: Input.t() | nil
+  def earliest_input(%__MODULE__{order: nil, tags: tags, by_tag: by_tag}),
     do: earliest(tags, by_tag, nil, nil)
 
-  def earliest(%__MODULE__{order: {sorted, _heads}, by_tag: by_tag}) do
+  def earliest_input(%__MODULE__{order: {sorted, _heads}, by_tag: by_tag}) do
     if not :gb_sets.is_empty(sorted) do
       {_time, tag} = :gb_sets.smallest(sorted)
       :erlang.map_get(tag, by_tag)
@@ -138,13 +138,13 @@ defmodule Situ.Ports.Inputs do
   end
 
   @doc "Returns the number of messages taken from all inputs."
-  @spec taken(t()) :: non_neg_integer()
-  def taken(%__MODULE__{by_tag: by_tag}),
-    do: by_tag |> Enum.map(fn {_, input} -> Input.taken(input) end) |> Enum.sum()
+  @spec taken_count(t()) :: non_neg_integer()
+  def taken_count(%__MODULE__{by_tag: by_tag}),
+    do: by_tag |> Enum.map(fn {_, input} -> Input.taken_count(input) end) |> Enum.sum()
 
   @doc "Returns the largest number of messages that one input has handled since the last settling."
-  @spec handled(t()) :: non_neg_integer()
-  def handled(%__MODULE__{touched: touched, by_tag: by_tag}), do: handled(touched, by_tag, 0)
+  @spec max_handled(t()) :: non_neg_integer()
+  def max_handled(%__MODULE__{touched: touched, by_tag: by_tag}), do: handled(touched, by_tag, 0)
 
   defp handled([], _by_tag, most), do: most
 
@@ -156,11 +156,11 @@ defmodule Situ.Ports.Inputs do
   end
 
   @doc "Publishes the counts of all changed inputs and sends demand."
-  @spec settle(t()) :: t()
-  def settle(%__MODULE__{touched: []} = inputs), do: inputs
-  def settle(%__MODULE__{tags: [_] = tags} = inputs), do: settle(tags, inputs)
+  @spec settle_touched(t()) :: t()
+  def settle_touched(%__MODULE__{touched: []} = inputs), do: inputs
+  def settle_touched(%__MODULE__{tags: [_] = tags} = inputs), do: settle(tags, inputs)
 
-  def settle(%__MODULE__{touched: touched} = inputs),
+  def settle_touched(%__MODULE__{touched: touched} = inputs),
     do: settle(touched, %{inputs | touched: []})
 
   defp settle([], inputs), do: inputs
@@ -168,9 +168,9 @@ defmodule Situ.Ports.Inputs do
   defp settle([tag | rest], %{by_tag: by_tag} = inputs) do
     case by_tag do
       %{^tag => input} ->
-        if Input.settled?(input),
+        if Input.nothing_to_settle?(input),
           do: settle(rest, inputs),
-          else: settle(rest, %{inputs | by_tag: %{by_tag | tag => Input.settle(input)}})
+          else: settle(rest, %{inputs | by_tag: %{by_tag | tag => Input.publish_counts(input)}})
 
       _has_closed ->
         settle(rest, inputs)
@@ -178,11 +178,11 @@ defmodule Situ.Ports.Inputs do
   end
 
   @doc "Pauses or resumes an input for the component."
-  @spec hold(t(), atom(), boolean()) :: t()
-  def hold(%__MODULE__{} = inputs, name, held?) do
-    case find(inputs, name) do
+  @spec set_hold(t(), atom(), boolean()) :: t()
+  def set_hold(%__MODULE__{} = inputs, name, held?) do
+    case find_by_name(inputs, name) do
       nil -> inputs
-      input -> put(inputs, Input.hold(input, held?))
+      input -> put(inputs, Input.set_hold(input, held?))
     end
   end
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Ports.Output do
   @moduledoc false
   # One output of a running component: its posting state (see Posting), messages that wait for their time, and
-  # subscribers. Only `flush/1`, `ask/3`, `refresh/2` and `close/2` send messages.
+  # subscribers. Only `flush/1`, `add_demand/3`, `refresh_subscriber/2` and `close/2` send messages.
   alias Situ.Delivery.Queue
   alias Situ.Message
   alias Situ.Ports.Subscriber
@@ -43,7 +43,7 @@ defmodule Situ.Ports.Output do
   `pending` is sent with the next flush, newest first; `future` (front and reversed rear) waits for the clock.
   `closing` is the closing time; `closed` is true once all subscribers know it. `waits` withholds everything until the
   pipeline knows that the source ends. Messages up to `resume` were posted before a restart; `repeated` counts them.
-  `wanted` is for nudged times (see Posting). `mark` is the shared memory of `marks/1`.
+  `wanted` is for nudged times (see Posting). `mark` is the shared memory of `new_marks/1`.
   """
   @type t :: %__MODULE__{
           port: port_of(),
@@ -76,14 +76,14 @@ defmodule Situ.Ports.Output do
   Creates shared memory for the progress of this many outputs, so that a process that replaces a dead one continues from
   there.
   """
-  @spec marks(non_neg_integer()) :: marks()
-  def marks(outputs), do: :atomics.new(max(outputs, 1) * 3, signed: true)
+  @spec new_marks(non_neg_integer()) :: marks()
+  def new_marks(outputs), do: :atomics.new(max(outputs, 1) * 3, signed: true)
 
   @doc "Attaches the output to its entry in `marks`; it continues from the previous progress and records its own."
-  @spec attach(t(), marks() | nil, non_neg_integer()) :: t()
-  def attach(output, nil, _index), do: output
+  @spec attach_marks(t(), marks() | nil, non_neg_integer()) :: t()
+  def attach_marks(output, nil, _index), do: output
 
-  def attach(%__MODULE__{} = output, marks, index) do
+  def attach_marks(%__MODULE__{} = output, marks, index) do
     output = %{output | mark: {marks, index}}
 
     case :atomics.get(marks, index * 3 + 3) do
@@ -93,27 +93,27 @@ defmodule Situ.Ports.Output do
       seq ->
         time = :atomics.get(marks, index * 3 + 1)
         creation = :atomics.get(marks, index * 3 + 2)
-        resume(%{output | last_time: time, last_creation: creation, seq: seq})
+        resume_after_restart(%{output | last_time: time, last_creation: creation, seq: seq})
     end
   end
 
   @doc "Records `message` as the last one sent."
-  @spec note(t(), Message.t()) :: :ok
-  def note(%__MODULE__{mark: nil}, _message), do: :ok
+  @spec note_sent(t(), Message.t()) :: :ok
+  def note_sent(%__MODULE__{mark: nil}, _message), do: :ok
 
-  def note(%__MODULE__{mark: {marks, index}}, message) do
+  def note_sent(%__MODULE__{mark: {marks, index}}, message) do
     :atomics.put(marks, index * 3 + 1, message.originating_time)
     :atomics.put(marks, index * 3 + 2, message.creation_time)
     :atomics.put(marks, index * 3 + 3, message.sequence_id)
   end
 
   @doc "Sets the function that decides which messages the subscriber `tag` never loses."
-  @spec guarantee(t(), term(), (term() -> boolean())) :: t()
-  def guarantee(%__MODULE__{} = output, tag, keep?) do
+  @spec put_guarantee(t(), term(), (term() -> boolean())) :: t()
+  def put_guarantee(%__MODULE__{} = output, tag, keep?) do
     subs =
       Enum.map(output.subs, fn
         %{tag: ^tag, queue: queue} = sub when queue != nil ->
-          %{sub | queue: Queue.guarantee(queue, keep?)}
+          %{sub | queue: Queue.put_guarantee(queue, keep?)}
 
         sub ->
           sub
@@ -123,12 +123,12 @@ defmodule Situ.Ports.Output do
   end
 
   @doc "Marks messages up to the last time as already posted, because the component restarts."
-  @spec resume(t()) :: t()
-  def resume(%__MODULE__{} = output), do: %{output | resume: output.last_time}
+  @spec resume_after_restart(t()) :: t()
+  def resume_after_restart(%__MODULE__{} = output), do: %{output | resume: output.last_time}
 
   @doc "Returns whether messages wait for their time."
-  @spec holding?(t()) :: boolean()
-  def holding?(%__MODULE__{future: future}), do: future != @nothing
+  @spec messages_held?(t()) :: boolean()
+  def messages_held?(%__MODULE__{future: future}), do: future != @nothing
 
   @doc "Returns the time of the next held message, or `nil`."
   @spec next_time(t()) :: Situ.Time.t() | nil
@@ -136,17 +136,18 @@ defmodule Situ.Ports.Output do
   def next_time(%__MODULE__{future: {[first | _], _}}), do: time_of(first)
 
   @doc "Holds an item back until its time."
-  @spec hold(t(), held()) :: t()
-  def hold(%__MODULE__{future: {[], []}} = output, item), do: %{output | future: {[item], []}}
+  @spec hold_item(t(), held()) :: t()
+  def hold_item(%__MODULE__{future: {[], []}} = output, item),
+    do: %{output | future: {[item], []}}
 
-  def hold(%__MODULE__{future: {front, rear}} = output, item),
+  def hold_item(%__MODULE__{future: {front, rear}} = output, item),
     do: %{output | future: {front, [item | rear]}}
 
   @doc "Takes the first held item that is due at `now`."
-  @spec due(t(), Situ.Time.t()) :: {held(), t()} | nil
-  def due(%__MODULE__{future: {[], _}}, _now), do: nil
+  @spec pop_due(t(), Situ.Time.t()) :: {held(), t()} | nil
+  def pop_due(%__MODULE__{future: {[], _}}, _now), do: nil
 
-  def due(%__MODULE__{future: {[first | front], rear}} = output, now) do
+  def pop_due(%__MODULE__{future: {[first | front], rear}} = output, now) do
     if time_of(first) <= now, do: {first, %{output | future: balance(front, rear)}}
   end
 
@@ -154,36 +155,38 @@ defmodule Situ.Ports.Output do
   defp balance(front, rear), do: {front, rear}
 
   @doc "Discards held messages later than `final`."
-  @spec cut(t(), Situ.Time.t()) :: t()
-  def cut(%__MODULE__{future: @nothing} = output, _final), do: output
+  @spec drop_held_after(t(), Situ.Time.t()) :: t()
+  def drop_held_after(%__MODULE__{future: @nothing} = output, _final), do: output
 
-  def cut(%__MODULE__{future: {front, rear}} = output, final),
+  def drop_held_after(%__MODULE__{future: {front, rear}} = output, final),
     do: %{
       output
       | future: {Enum.filter(front ++ Enum.reverse(rear), &(time_of(&1) <= final)), []}
     }
 
   @doc "Discards all held messages."
-  @spec forget(t()) :: t()
-  def forget(%__MODULE__{} = output), do: %{output | future: @nothing}
+  @spec drop_all_held(t()) :: t()
+  def drop_all_held(%__MODULE__{} = output), do: %{output | future: @nothing}
 
   @doc "Returns how many messages may be posted: the smallest demand of its subscribers minus buffered messages."
-  @spec room(t()) :: integer() | :infinity
-  def room(%__MODULE__{subs: []}), do: :infinity
-  def room(%__MODULE__{closed: true}), do: :infinity
-  def room(%__MODULE__{subs: [sub], pending_n: n}), do: less(Subscriber.free(sub), n)
+  @spec available_room(t()) :: integer() | :infinity
+  def available_room(%__MODULE__{subs: []}), do: :infinity
+  def available_room(%__MODULE__{closed: true}), do: :infinity
 
-  def room(%__MODULE__{subs: subs, pending_n: n}),
+  def available_room(%__MODULE__{subs: [sub], pending_n: n}),
+    do: less(Subscriber.free_capacity(sub), n)
+
+  def available_room(%__MODULE__{subs: subs, pending_n: n}),
     do: subs |> least(:infinity) |> less(n)
 
   # Below one there is no room, however little the others have.
   defp least(_subs, least) when least < 1, do: least
   defp least([], least), do: least
-  defp least([sub | rest], least), do: least(rest, min(Subscriber.free(sub), least))
+  defp least([sub | rest], least), do: least(rest, min(Subscriber.free_capacity(sub), least))
 
   @doc "Sets whether pending messages and the closing mark are withheld for now."
-  @spec wait(t(), boolean()) :: t()
-  def wait(%__MODULE__{} = output, waits?), do: %{output | waits: waits?}
+  @spec set_waiting(t(), boolean()) :: t()
+  def set_waiting(%__MODULE__{} = output, waits?), do: %{output | waits: waits?}
 
   @doc "Adds a reversed batch that a chain has built, newest first."
   @spec push_reversed(t(), [Message.t()], non_neg_integer()) :: t()
@@ -202,7 +205,7 @@ defmodule Situ.Ports.Output do
 
   def flush(%__MODULE__{pending: [last | _], pending_n: n, posted: posted} = output) do
     messages = if n == 1, do: output.pending, else: :lists.reverse(output.pending)
-    note(output, last)
+    note_sent(output, last)
     time = last.originating_time
     ages = {time, last.creation_time - time, posted - time}
     subs = give(output.subs, messages, n, ages, posted)
@@ -212,14 +215,17 @@ defmodule Situ.Ports.Output do
   defp give([], _messages, _n, _ages, _now), do: []
 
   defp give([sub | rest], messages, n, ages, now),
-    do: [Subscriber.give(sub, messages, n, ages, now) | give(rest, messages, n, ages, now)]
+    do: [
+      Subscriber.deliver_messages(sub, messages, n, ages, now)
+      | give(rest, messages, n, ages, now)
+    ]
 
   @doc "Adds demand of one subscriber, identified by pid and tag; `:error` if there is no such subscriber."
-  @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
-  def ask(%__MODULE__{subs: [%{pid: pid, tag: tag} = sub]} = output, {pid, tag}, n),
-    do: {:ok, finish(%{output | subs: [Subscriber.ask(sub, n)]})}
+  @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
+  def add_demand(%__MODULE__{subs: [%{pid: pid, tag: tag} = sub]} = output, {pid, tag}, n),
+    do: {:ok, finish(%{output | subs: [Subscriber.add_demand(sub, n)]})}
 
-  def ask(%__MODULE__{subs: subs} = output, from, n) do
+  def add_demand(%__MODULE__{subs: subs} = output, from, n) do
     case ask_one(subs, from, n) do
       :error -> :error
       subs -> {:ok, finish(%{output | subs: subs})}
@@ -229,7 +235,7 @@ defmodule Situ.Ports.Output do
   defp ask_one([], _from, _n), do: :error
 
   defp ask_one([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, n),
-    do: [Subscriber.ask(sub, n) | rest]
+    do: [Subscriber.add_demand(sub, n) | rest]
 
   defp ask_one([sub | rest], from, n) do
     case ask_one(rest, from, n) do
@@ -239,13 +245,13 @@ defmodule Situ.Ports.Output do
   end
 
   @doc "Sends a subscriber with a lossy policy the newest messages immediately, whatever its demand."
-  @spec refresh(t(), {pid(), term()}) :: t()
-  def refresh(%__MODULE__{} = output, from),
-    do: finish(%{output | subs: update(output.subs, from, &Subscriber.refresh/1)})
+  @spec refresh_subscriber(t(), {pid(), term()}) :: t()
+  def refresh_subscriber(%__MODULE__{} = output, from),
+    do: finish(%{output | subs: update(output.subs, from, &Subscriber.deliver_newest/1)})
 
   @doc "Returns whether a subscriber has this pid and tag."
-  @spec subscriber?(t(), {pid(), term()}) :: boolean()
-  def subscriber?(%__MODULE__{subs: subs}, from), do: among?(subs, from)
+  @spec has_subscriber?(t(), {pid(), term()}) :: boolean()
+  def has_subscriber?(%__MODULE__{subs: subs}, from), do: among?(subs, from)
 
   defp among?([], _from), do: false
   defp among?([%{tag: tag, pid: pid} | _], {pid, tag}), do: true
@@ -258,8 +264,8 @@ defmodule Situ.Ports.Output do
   @doc "Closes the output; the closing mark is sent after all messages before it."
   @spec close(t(), Situ.Time.t()) :: t()
   def close(%__MODULE__{closing: nil} = output, time) do
-    output = cut(%{output | closing: time}, time)
-    flush(%{output | subs: Enum.map(output.subs, &Subscriber.cut(&1, time))})
+    output = drop_held_after(%{output | closing: time}, time)
+    flush(%{output | subs: Enum.map(output.subs, &Subscriber.drop_after(&1, time))})
   end
 
   def close(%__MODULE__{} = output, _time), do: output
@@ -274,14 +280,14 @@ defmodule Situ.Ports.Output do
   def subscribe(%__MODULE__{} = output, sub), do: %{output | subs: output.subs ++ [sub]}
 
   @doc "Removes subscribers and the messages that wait for them."
-  @spec cancel(t(), (Subscriber.t() -> boolean())) :: t()
-  def cancel(%__MODULE__{} = output, which?) do
+  @spec cancel_subscribers(t(), (Subscriber.t() -> boolean())) :: t()
+  def cancel_subscribers(%__MODULE__{} = output, which?) do
     finish(%{output | subs: Enum.reject(output.subs, which?)})
   end
 
   @doc "Returns how many messages wait for demand."
-  @spec buffered(t()) :: non_neg_integer()
-  def buffered(%__MODULE__{} = output),
+  @spec buffered_count(t()) :: non_neg_integer()
+  def buffered_count(%__MODULE__{} = output),
     do: Enum.reduce(output.subs, output.pending_n, &max(&1.size, &2))
 
   defp finish(%{closing: nil} = output), do: output

@@ -26,12 +26,14 @@ defmodule Situ.Ports.Outputs do
 
   defp new(component, last, marks) do
     own = component |> outputs() |> Enum.sort_by(&elem(&1, 0)) |> Enum.with_index()
-    own = for {{name, output}, index} <- own, do: {name, Output.attach(output, marks, index)}
+
+    own =
+      for {{name, output}, index} <- own, do: {name, Output.attach_marks(output, marks, index)}
 
     tail =
       with %Vertex{} <- last do
         [{_name, output}] = outputs(last)
-        Output.attach(output, marks, length(own))
+        Output.attach_marks(output, marks, length(own))
       end
 
     %__MODULE__{own: own, tail: tail}
@@ -51,8 +53,8 @@ defmodule Situ.Ports.Outputs do
     end
   end
 
-  @spec names(t()) :: [atom()]
-  def names(%__MODULE__{own: own}), do: Enum.map(own, &elem(&1, 0))
+  @spec list_names(t()) :: [atom()]
+  def list_names(%__MODULE__{own: own}), do: Enum.map(own, &elem(&1, 0))
 
   @doc "Replaces an output of the component."
   @spec put(t(), Output.t()) :: t()
@@ -63,28 +65,28 @@ defmodule Situ.Ports.Outputs do
     do: %{outputs | own: List.keyreplace(own, name, 0, {name, output})}
 
   @doc "Returns the output that a chain emits on."
-  @spec last(t()) :: Output.t()
-  def last(%__MODULE__{tail: nil, own: [{_, output}]}), do: output
-  def last(%__MODULE__{tail: tail}), do: tail
+  @spec last_output(t()) :: Output.t()
+  def last_output(%__MODULE__{tail: nil, own: [{_, output}]}), do: output
+  def last_output(%__MODULE__{tail: tail}), do: tail
 
   @spec put_last(t(), Output.t()) :: t()
   def put_last(%__MODULE__{tail: nil} = outputs, output), do: put(outputs, output)
   def put_last(%__MODULE__{} = outputs, output), do: %{outputs | tail: output}
 
   @doc "Returns the outputs that others can subscribe to."
-  @spec open(t()) :: [{atom(), Output.t()}]
-  def open(%__MODULE__{tail: nil, own: own}), do: own
-  def open(%__MODULE__{tail: tail}), do: [{tail.port.name, tail}]
+  @spec open_outputs(t()) :: [{atom(), Output.t()}]
+  def open_outputs(%__MODULE__{tail: nil, own: own}), do: own
+  def open_outputs(%__MODULE__{tail: tail}), do: [{tail.port.name, tail}]
 
-  @spec all(t()) :: [Output.t()]
-  def all(%__MODULE__{own: own, tail: nil}), do: Enum.map(own, &elem(&1, 1))
-  def all(%__MODULE__{own: own, tail: tail}), do: Enum.map(own, &elem(&1, 1)) ++ [tail]
+  @spec list_all(t()) :: [Output.t()]
+  def list_all(%__MODULE__{own: own, tail: nil}), do: Enum.map(own, &elem(&1, 1))
+  def list_all(%__MODULE__{own: own, tail: tail}), do: Enum.map(own, &elem(&1, 1)) ++ [tail]
 
-  @spec each(t(), (Output.t() -> Output.t())) :: t()
-  def each(%__MODULE__{own: [{name, output}], tail: nil} = outputs, fun),
+  @spec map_outputs(t(), (Output.t() -> Output.t())) :: t()
+  def map_outputs(%__MODULE__{own: [{name, output}], tail: nil} = outputs, fun),
     do: %{outputs | own: [{name, fun.(output)}]}
 
-  def each(%__MODULE__{own: own, tail: tail} = outputs, fun) do
+  def map_outputs(%__MODULE__{own: own, tail: tail} = outputs, fun) do
     own = for {name, output} <- own, do: {name, fun.(output)}
     %{outputs | own: own, tail: tail && fun.(tail)}
   end
@@ -100,15 +102,18 @@ defmodule Situ.Ports.Outputs do
     do: %{outputs | tail: fun.(tail)}
 
   @doc "Returns how many messages may be sent now."
-  @spec room(t()) :: integer() | :infinity
-  def room(%__MODULE__{demand: :accumulate}), do: 0
-  def room(%__MODULE__{tail: nil, own: [{_, output}]}), do: Output.room(output)
-  def room(%__MODULE__{tail: nil, own: own}), do: room(own, :infinity)
-  def room(%__MODULE__{left: [], tail: tail}), do: Output.room(tail)
-  def room(%__MODULE__{}), do: 0
+  @spec available_room(t()) :: integer() | :infinity
+  def available_room(%__MODULE__{demand: :accumulate}), do: 0
+
+  def available_room(%__MODULE__{tail: nil, own: [{_, output}]}),
+    do: Output.available_room(output)
+
+  def available_room(%__MODULE__{tail: nil, own: own}), do: room(own, :infinity)
+  def available_room(%__MODULE__{left: [], tail: tail}), do: Output.available_room(tail)
+  def available_room(%__MODULE__{}), do: 0
 
   defp room([], room), do: room
-  defp room([{_, output} | rest], room), do: room(rest, min(room, Output.room(output)))
+  defp room([{_, output} | rest], room), do: room(rest, min(room, Output.available_room(output)))
 
   @spec flush(t()) :: t()
   def flush(%__MODULE__{tail: nil, own: []} = outputs), do: outputs
@@ -121,23 +126,25 @@ defmodule Situ.Ports.Outputs do
     end
   end
 
-  def flush(%__MODULE__{} = outputs), do: each(outputs, &Output.flush/1)
+  def flush(%__MODULE__{} = outputs), do: map_outputs(outputs, &Output.flush/1)
 
   @doc "Sets whether messages are withheld until the pipeline knows the end; `flush/1` sends them after that."
-  @spec wait(t(), boolean()) :: t()
-  def wait(%__MODULE__{} = outputs, waits?), do: each(outputs, &Output.wait(&1, waits?))
+  @spec set_waiting(t(), boolean()) :: t()
+  def set_waiting(%__MODULE__{} = outputs, waits?),
+    do: map_outputs(outputs, &Output.set_waiting(&1, waits?))
 
-  @spec waits?(t()) :: boolean()
-  def waits?(%__MODULE__{} = outputs), do: outputs |> all() |> Enum.any?(& &1.waits)
+  @spec any_waiting?(t()) :: boolean()
+  def any_waiting?(%__MODULE__{} = outputs), do: outputs |> list_all() |> Enum.any?(& &1.waits)
 
   @doc "Returns whether messages wait for their time."
-  @spec holding?(t()) :: boolean()
-  def holding?(%__MODULE__{} = outputs), do: outputs |> all() |> Enum.any?(&Output.holding?/1)
+  @spec any_held?(t()) :: boolean()
+  def any_held?(%__MODULE__{} = outputs),
+    do: outputs |> list_all() |> Enum.any?(&Output.messages_held?/1)
 
   @doc "Returns when the first held message is due."
   @spec next_time(t()) :: Situ.Time.t() | nil
   def next_time(%__MODULE__{} = outputs) do
-    Enum.reduce(all(outputs), nil, fn output, first ->
+    Enum.reduce(list_all(outputs), nil, fn output, first ->
       case Output.next_time(output) do
         nil -> first
         time when first == nil or time < first -> time
@@ -146,24 +153,25 @@ defmodule Situ.Ports.Outputs do
     end)
   end
 
-  @spec release(t(), Situ.Time.t()) :: t()
-  def release(%__MODULE__{} = outputs, now), do: each(outputs, &Posting.release(&1, now))
+  @spec release_due(t(), Situ.Time.t()) :: t()
+  def release_due(%__MODULE__{} = outputs, now),
+    do: map_outputs(outputs, &Posting.release_due(&1, now))
 
   @doc "Adds demand of one subscriber; `:error` if there is no such subscriber."
-  @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
-  def ask(%__MODULE__{tail: nil, own: [{name, output}]} = outputs, from, n) do
-    with {:ok, output} <- Output.ask(output, from, n),
+  @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
+  def add_demand(%__MODULE__{tail: nil, own: [{name, output}]} = outputs, from, n) do
+    with {:ok, output} <- Output.add_demand(output, from, n),
          do: {:ok, %{outputs | own: [{name, output}]}}
   end
 
-  def ask(%__MODULE__{} = outputs, from, n) do
-    if Enum.any?(all(outputs), &Output.subscriber?(&1, from)),
-      do: {:ok, each(outputs, &asked(&1, from, n))},
+  def add_demand(%__MODULE__{} = outputs, from, n) do
+    if Enum.any?(list_all(outputs), &Output.has_subscriber?(&1, from)),
+      do: {:ok, map_outputs(outputs, &asked(&1, from, n))},
       else: :error
   end
 
   defp asked(output, from, n) do
-    case Output.ask(output, from, n) do
+    case Output.add_demand(output, from, n) do
       {:ok, output} -> output
       :error -> output
     end
@@ -171,52 +179,53 @@ defmodule Situ.Ports.Outputs do
 
   @doc "Returns whether every subscriber has received all its messages and the closing mark."
   @spec drained?(t()) :: boolean()
-  def drained?(%__MODULE__{} = outputs), do: Enum.all?(all(outputs), &(&1.subs == []))
+  def drained?(%__MODULE__{} = outputs), do: Enum.all?(list_all(outputs), &(&1.subs == []))
 
-  @spec subscribers(t()) :: [Subscriber.t()]
-  def subscribers(%__MODULE__{} = outputs), do: Enum.flat_map(all(outputs), & &1.subs)
+  @spec list_subscribers(t()) :: [Subscriber.t()]
+  def list_subscribers(%__MODULE__{} = outputs), do: Enum.flat_map(list_all(outputs), & &1.subs)
 
   @doc "Returns how many messages wait for demand: the maximum among the outputs' subscribers."
-  @spec buffered(t()) :: non_neg_integer()
-  def buffered(%__MODULE__{} = outputs),
-    do: Enum.reduce(all(outputs), 0, &(Output.buffered(&1) + &2))
+  @spec buffered_count(t()) :: non_neg_integer()
+  def buffered_count(%__MODULE__{} = outputs),
+    do: Enum.reduce(list_all(outputs), 0, &(Output.buffered_count(&1) + &2))
 
   @doc "Removes subscribers and the messages that wait for them."
-  @spec unsubscribe(t(), (Subscriber.t() -> boolean())) :: t()
-  def unsubscribe(%__MODULE__{} = outputs, which?) do
-    for %{monitor: ref} = sub when ref != nil <- subscribers(outputs),
+  @spec remove_subscribers(t(), (Subscriber.t() -> boolean())) :: t()
+  def remove_subscribers(%__MODULE__{} = outputs, which?) do
+    for %{monitor: ref} = sub when ref != nil <- list_subscribers(outputs),
         which?.(sub),
         do: Process.demonitor(ref, [:flush])
 
-    each(outputs, &Output.cancel(&1, which?))
+    map_outputs(outputs, &Output.cancel_subscribers(&1, which?))
   end
 
   @doc "Ends external consumers with `reason`; internal ones close in their order."
-  @spec abandon(t(), term()) :: t()
-  def abandon(%__MODULE__{} = outputs, reason) do
-    outputs = flush(wait(outputs, false))
+  @spec abandon_external(t(), term()) :: t()
+  def abandon_external(%__MODULE__{} = outputs, reason) do
+    outputs = flush(set_waiting(outputs, false))
 
-    for %{monitor: ref} = sub when ref != nil <- subscribers(outputs),
+    for %{monitor: ref} = sub when ref != nil <- list_subscribers(outputs),
         do: Subscriber.send_cancel(sub, reason)
 
-    unsubscribe(outputs, &(&1.monitor != nil))
+    remove_subscribers(outputs, &(&1.monitor != nil))
   end
 
   @doc "Sends one subscriber all its waiting messages, regardless of demand, and the closing mark."
-  @spec cut(t(), term(), Situ.Time.t()) :: t()
-  def cut(%__MODULE__{} = outputs, tag, time) do
-    for %{tag: ^tag} = sub <- subscribers(outputs),
-        do: sub |> Subscriber.ask(:infinity) |> Subscriber.send_close(time)
+  @spec cut_subscriber(t(), term(), Situ.Time.t()) :: t()
+  def cut_subscriber(%__MODULE__{} = outputs, tag, time) do
+    for %{tag: ^tag} = sub <- list_subscribers(outputs),
+        do: sub |> Subscriber.add_demand(:infinity) |> Subscriber.send_close(time)
 
-    unsubscribe(outputs, &(&1.tag == tag))
+    remove_subscribers(outputs, &(&1.tag == tag))
   end
 
   @doc "Returns a value that changes when a message is emitted."
-  @spec progress(t()) :: term()
-  def progress(%__MODULE__{} = outputs), do: for(o <- all(outputs), do: {o.seq, o.last_time})
+  @spec progress_mark(t()) :: term()
+  def progress_mark(%__MODULE__{} = outputs),
+    do: for(o <- list_all(outputs), do: {o.seq, o.last_time})
 
   @doc "Returns how many messages had been posted before, or were dropped because of their time."
-  @spec repeated(t()) :: non_neg_integer()
-  def repeated(%__MODULE__{} = outputs),
-    do: Enum.reduce(all(outputs), 0, fn o, n -> n + o.repeated end)
+  @spec repeated_count(t()) :: non_neg_integer()
+  def repeated_count(%__MODULE__{} = outputs),
+    do: Enum.reduce(list_all(outputs), 0, fn o, n -> n + o.repeated end)
 end

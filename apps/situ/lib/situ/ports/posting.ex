@@ -31,7 +31,7 @@ defmodule Situ.Ports.Posting do
       do: {:ok, post(%{output | last_time: time}, time, data, now)}
 
   def emit(%Output{} = output, time, data, _now, _enforce),
-    do: {:ok, Output.hold(%{output | last_time: time}, {time, data})}
+    do: {:ok, Output.hold_item(%{output | last_time: time}, {time, data})}
 
   defp emit_again({:at, time, output}, data, now, enforce),
     do: emit(output, time, data, now, enforce)
@@ -169,7 +169,7 @@ defmodule Situ.Ports.Posting do
         {:ok, push(remember(output, message), message, now)}
 
       :ok ->
-        {:ok, Output.hold(remember(output, message), message)}
+        {:ok, Output.hold_item(remember(output, message), message)}
 
       error ->
         error
@@ -240,11 +240,11 @@ defmodule Situ.Ports.Posting do
     do: {rest, n, message, pending}
 
   @doc "Releases held messages whose time has come."
-  @spec release(Output.t(), Situ.Time.t()) :: Output.t()
-  def release(%Output{} = output, now) do
-    case Output.due(output, now) do
+  @spec release_due(Output.t(), Situ.Time.t()) :: Output.t()
+  def release_due(%Output{} = output, now) do
+    case Output.pop_due(output, now) do
       nil -> output
-      {held, output} -> output |> let_go(held, now) |> release(now)
+      {held, output} -> output |> let_go(held, now) |> release_due(now)
     end
   end
 

@@ -40,15 +40,15 @@ defmodule Situ.Ports.Subscriber do
   @doc "Builds a subscriber without demand."
   @spec new(term(), pid(), Counters.t() | nil, Delivery.t() | nil) :: t()
   def new(tag, pid, counters, policy \\ nil) do
-    if counters, do: Counters.held(counters, 0)
+    if counters, do: Counters.put_held_count(counters, 0)
     lossy? = policy != nil and Delivery.lossy?(policy)
     queue = if lossy?, do: Queue.new(policy)
     %__MODULE__{tag: tag, pid: pid, counters: counters, queue: queue}
   end
 
   @doc "Replaces the consumer's process; the new process has no demand."
-  @spec replace(t(), pid()) :: t()
-  def replace(%__MODULE__{} = sub, pid), do: %{sub | pid: pid, demand: 0}
+  @spec replace_consumer(t(), pid()) :: t()
+  def replace_consumer(%__MODULE__{} = sub, pid), do: %{sub | pid: pid, demand: 0}
 
   @doc "Sends the closing mark, after the last message."
   @spec send_close(t(), Situ.Time.t()) :: term()
@@ -63,39 +63,39 @@ defmodule Situ.Ports.Subscriber do
   Delivers `n` messages at clock time `now` within the demand; the rest waits. `ages` is the time of the last message,
   and its age, in ns, when it was created and when it was posted.
   """
-  @spec give(t(), [Situ.Message.t()], pos_integer(), ages(), Situ.Time.t()) :: t()
-  def give(%{size: 0, demand: demand} = sub, messages, n, ages, now)
+  @spec deliver_messages(t(), [Situ.Message.t()], pos_integer(), ages(), Situ.Time.t()) :: t()
+  def deliver_messages(%{size: 0, demand: demand} = sub, messages, n, ages, now)
       when demand == :infinity or demand >= n do
     count(sub, n, ages, now)
     deliver(sub, messages)
     %{sub | demand: minus(demand, n)}
   end
 
-  def give(%{queue: nil} = sub, messages, n, ages, now) do
+  def deliver_messages(%{queue: nil} = sub, messages, n, ages, now) do
     count(sub, n, ages, now)
     drain(%{sub | rear: [messages | sub.rear], size: sub.size + n})
   end
 
-  def give(sub, messages, n, ages, now) do
+  def deliver_messages(sub, messages, n, ages, now) do
     count(sub, n, ages, now)
-    {queue, old} = Queue.expire(sub.queue, now)
+    {queue, old} = Queue.drop_expired(sub.queue, now)
     {queue, dropped} = Queue.push_all(queue, messages)
     drop(sub, length(old) + dropped)
     sub = %{sub | queue: queue, size: queue.size}
     # In the middle of a turn: the consumer need not wait until this stage looks into its mailbox.
-    if sub.counters != nil and Counters.wanted?(sub.counters),
+    if sub.counters != nil and Counters.take_held_request?(sub.counters),
       do: hand_over(sub),
       else: drain(sub)
   end
 
   @doc "Adds demand."
-  @spec ask(t(), pos_integer() | :infinity) :: t()
-  def ask(%__MODULE__{} = sub, n), do: drain(%{sub | demand: more(sub.demand, n)})
+  @spec add_demand(t(), pos_integer() | :infinity) :: t()
+  def add_demand(%__MODULE__{} = sub, n), do: drain(%{sub | demand: more(sub.demand, n)})
 
   @doc "Delivers all messages waiting under a lossy policy, unless already done; the batch may be empty."
-  @spec refresh(t()) :: t()
-  def refresh(%__MODULE__{queue: queue, counters: counters} = sub) do
-    if queue != nil and Counters.wanted?(counters), do: hand_over(sub), else: sub
+  @spec deliver_newest(t()) :: t()
+  def deliver_newest(%__MODULE__{queue: queue, counters: counters} = sub) do
+    if queue != nil and Counters.take_held_request?(counters), do: hand_over(sub), else: sub
   end
 
   defp hand_over(%{queue: queue} = sub) do
@@ -105,11 +105,11 @@ defmodule Situ.Ports.Subscriber do
   end
 
   @doc "Discards waiting messages later than the closing time, under a lossy policy."
-  @spec cut(t(), Situ.Time.t()) :: t()
-  def cut(%__MODULE__{queue: nil} = sub, _time), do: sub
+  @spec drop_after(t(), Situ.Time.t()) :: t()
+  def drop_after(%__MODULE__{queue: nil} = sub, _time), do: sub
 
-  def cut(%__MODULE__{} = sub, time) do
-    {queue, late} = Queue.cut(sub.queue, time)
+  def drop_after(%__MODULE__{} = sub, time) do
+    {queue, late} = Queue.drop_after(sub.queue, time)
     drop(sub, length(late))
     %{sub | queue: queue, size: queue.size}
   end
@@ -153,30 +153,30 @@ defmodule Situ.Ports.Subscriber do
   defp note_waiting(%{counters: nil} = sub, _flag), do: sub
 
   defp note_waiting(sub, flag) do
-    Counters.waiting(sub.counters, if(flag, do: 1, else: 0))
+    Counters.set_waiting(sub.counters, if(flag, do: 1, else: 0))
     %{sub | waiting: flag}
   end
 
   defp held(%{counters: nil}, _n), do: :ok
-  defp held(%{counters: counters}, n), do: Counters.held(counters, n)
+  defp held(%{counters: counters}, n), do: Counters.put_held_count(counters, n)
 
   defp drop(_sub, 0), do: :ok
   defp drop(%{counters: nil}, _n), do: :ok
-  defp drop(%{counters: counters}, n), do: Counters.dropped(counters, n)
+  defp drop(%{counters: counters}, n), do: Counters.count_dropped(counters, n)
 
   defp count(%{counters: nil}, _n, _ages, _now), do: :ok
 
   defp count(%{counters: counters}, n, {time, created, posted}, now) do
-    Counters.emitted(counters, n, created, posted)
-    Counters.sent(counters, time, now)
+    Counters.count_emitted(counters, n, created, posted)
+    Counters.record_sent(counters, time, now)
   end
 
   @doc "Returns the free demand; negative while messages wait, `:infinity` if the policy drops without throttling."
-  @spec free(t()) :: integer() | :infinity
-  def free(%{demand: :infinity}), do: :infinity
-  def free(%{queue: %{policy: %{throttle: false}}}), do: :infinity
-  def free(%{size: 0, demand: demand}), do: demand
-  def free(%{size: size}), do: -size
+  @spec free_capacity(t()) :: integer() | :infinity
+  def free_capacity(%{demand: :infinity}), do: :infinity
+  def free_capacity(%{queue: %{policy: %{throttle: false}}}), do: :infinity
+  def free_capacity(%{size: 0, demand: demand}), do: demand
+  def free_capacity(%{size: size}), do: -size
 
   defp minus(:infinity, _n), do: :infinity
   defp minus(demand, n), do: demand - n

@@ -7,29 +7,29 @@ defmodule Situ.Ports.Tally do
   @spec new(pos_integer()) :: t()
   def new(vertices), do: :counters.new(vertices * 3, [])
 
-  @spec failed(t(), non_neg_integer()) :: :ok
-  def failed(ref, index), do: :counters.add(ref, index * 3 + 1, 1)
+  @spec count_failure(t(), non_neg_integer()) :: :ok
+  def count_failure(ref, index), do: :counters.add(ref, index * 3 + 1, 1)
 
   @doc "Counts a message that was lost to an error."
-  @spec skipped(t(), non_neg_integer()) :: :ok
-  def skipped(ref, index) do
-    failed(ref, index)
+  @spec count_skip(t(), non_neg_integer()) :: :ok
+  def count_skip(ref, index) do
+    count_failure(ref, index)
     :counters.add(ref, index * 3 + 3, 1)
   end
 
   @doc "Counts a restart of the component, which loses the current message."
-  @spec restarted(t(), non_neg_integer()) :: :ok
-  def restarted(ref, index) do
-    skipped(ref, index)
+  @spec count_restart(t(), non_neg_integer()) :: :ok
+  def count_restart(ref, index) do
+    count_skip(ref, index)
     :counters.add(ref, index * 3 + 2, 1)
   end
 
-  @spec read(t(), non_neg_integer()) :: %{
+  @spec read_counts(t(), non_neg_integer()) :: %{
           errors: integer(),
           restarts: integer(),
           skipped: integer()
         }
-  def read(ref, index) do
+  def read_counts(ref, index) do
     %{
       errors: :counters.get(ref, index * 3 + 1),
       restarts: :counters.get(ref, index * 3 + 2),

@@ -12,12 +12,12 @@ defmodule Situ.Ports.Trail do
   @words 2 + 2 * @entries
 
   @doc "Returns the number of words that one ring takes."
-  @spec words() :: pos_integer()
-  def words, do: @words
+  @spec word_count() :: pos_integer()
+  def word_count, do: @words
 
   @doc "Records that everything up to the originating time `time` had passed at clock time `at`; `base` is word 0."
-  @spec note(:atomics.atomics_ref(), pos_integer(), Situ.Time.t(), Situ.Time.t()) :: :ok
-  def note(ref, base, time, at) do
+  @spec record_passage(:atomics.atomics_ref(), pos_integer(), Situ.Time.t(), Situ.Time.t()) :: :ok
+  def record_passage(ref, base, time, at) do
     n = :atomics.get(ref, base)
 
     if n > 0 and at - :atomics.get(ref, base + 1) < @span do
@@ -38,9 +38,9 @@ defmodule Situ.Ports.Trail do
   Returns the clock time at which the originating time `time`, or the first one after it, passed; `:forgotten` if
   that is too long ago, `nil` if none has passed.
   """
-  @spec passed(:atomics.atomics_ref(), pos_integer(), Situ.Time.t()) ::
+  @spec find_passage(:atomics.atomics_ref(), pos_integer(), Situ.Time.t()) ::
           Situ.Time.t() | :forgotten | nil
-  def passed(ref, base, time) do
+  def find_passage(ref, base, time) do
     case :atomics.get(ref, base) do
       0 -> nil
       n -> seek(ref, base, time, max(n - @entries + 1, 1), n)

@@ -36,10 +36,10 @@ defmodule Situ.Ports.Window do
   def new(%Delivery{window: window}), do: %__MODULE__{size: window}
 
   @doc "Weighs the first message of a batch, which adjusts the window."
-  @spec weigh(t(), Message.t()) :: t()
-  def weigh(%__MODULE__{weigh: false} = window, _message), do: window
+  @spec weigh_message(t(), Message.t()) :: t()
+  def weigh_message(%__MODULE__{weigh: false} = window, _message), do: window
 
-  def weigh(%__MODULE__{} = window, message) do
+  def weigh_message(%__MODULE__{} = window, message) do
     case weight(message, window.unweighed) do
       :unknown ->
         %{window | unweighed: window.unweighed - 1}
@@ -55,22 +55,22 @@ defmodule Situ.Ports.Window do
   # Pictures and sound are weighed every time, since it costs nothing; other terms once in half a window.
   defp weight(%Message{data: %{data: bytes}}, _left) when is_binary(bytes), do: byte_size(bytes)
   defp weight(%Message{data: bytes}, _left) when is_binary(bytes), do: byte_size(bytes)
-  defp weight(message, left) when left <= 0, do: Message.size(message)
+  defp weight(message, left) when left <= 0, do: Message.data_size(message)
   defp weight(_message, _left), do: :unknown
 
   @doc "Adds `n` messages that have left the queue."
-  @spec owe(t(), non_neg_integer()) :: t()
-  def owe(%__MODULE__{} = window, n), do: %{window | owed: window.owed + n}
+  @spec add_owed(t(), non_neg_integer()) :: t()
+  def add_owed(%__MODULE__{} = window, n), do: %{window | owed: window.owed + n}
 
   @doc "Returns how much to request now: nothing until it is half of the window."
-  @spec ask(t()) :: {non_neg_integer(), t()}
-  def ask(%__MODULE__{size: size, owed: owed} = window) do
+  @spec take_owed(t()) :: {non_neg_integer(), t()}
+  def take_owed(%__MODULE__{size: size, owed: owed} = window) do
     if size != :infinity and owed > 0 and owed >= div(size, 2),
       do: {owed, %{window | owed: 0}},
       else: {0, window}
   end
 
   @doc "Clears the owed demand, because a new producer knows of none."
-  @spec renew(t()) :: t()
-  def renew(%__MODULE__{} = window), do: %{window | owed: 0}
+  @spec reset_owed(t()) :: t()
+  def reset_owed(%__MODULE__{} = window), do: %{window | owed: 0}
 end

@@ -11,25 +11,26 @@ defmodule Situ.Stage.Attachment do
   @most_waiting 1_000
 
   @doc "Handles a GenStage message of a consumer that subscribes, asks or cancels; others end the subscription."
-  @spec asked(State.t(), {pid(), term()}, term()) :: State.t()
-  def asked(state, from, {:ask, n}) when (is_integer(n) and n > 0) or n == :infinity do
-    case Outputs.ask(state.outputs, from, n) do
-      {:ok, outputs} -> State.wake(%{state | outputs: outputs})
+  @spec handle_consumer_request(State.t(), {pid(), term()}, term()) :: State.t()
+  def handle_consumer_request(state, from, {:ask, n})
+      when (is_integer(n) and n > 0) or n == :infinity do
+    case Outputs.add_demand(state.outputs, from, n) do
+      {:ok, outputs} -> State.wake_source(%{state | outputs: outputs})
       :error -> unknown(state, from)
     end
   end
 
-  def asked(state, _from, {:ask, 0}), do: state
+  def handle_consumer_request(state, _from, {:ask, 0}), do: state
 
-  def asked(state, from, {:subscribe, _current, opts}) do
+  def handle_consumer_request(state, from, {:subscribe, _current, opts}) do
     if consumer?(state, from),
       do: refuse(state, from, :duplicated_subscription),
       else: subscribe(state, from, opts)
   end
 
   # Any process may call `GenStage.cancel/2`: the reference identifies the subscription.
-  def asked(state, {pid, tag} = from, {:cancel, reason}) do
-    case Enum.find(Outputs.subscribers(state.outputs), &named?(&1, from)) do
+  def handle_consumer_request(state, {pid, tag} = from, {:cancel, reason}) do
+    case Enum.find(Outputs.list_subscribers(state.outputs), &named?(&1, from)) do
       nil ->
         refuse(state, {pid, tag}, reason)
 
@@ -39,7 +40,7 @@ defmodule Situ.Stage.Attachment do
     end
   end
 
-  def asked(state, from, request) do
+  def handle_consumer_request(state, from, request) do
     what = "#{inspect(request, limit: 8, printable_limit: 80)} is no request of a consumer"
     fix = "{:subscribe, current, opts}, {:ask, count} and {:cancel, reason} are"
     error = Error.new(:bad_request, what, fix: fix)
@@ -50,7 +51,7 @@ defmodule Situ.Stage.Attachment do
   end
 
   defp consumer?(state, from),
-    do: Enum.any?(Outputs.all(state.outputs), &Output.subscriber?(&1, from))
+    do: Enum.any?(Outputs.list_all(state.outputs), &Output.has_subscriber?(&1, from))
 
   defp named?(sub, {_pid, tag}) when is_reference(tag), do: sub.tag == tag
   defp named?(sub, {pid, tag}), do: sub.tag == tag and sub.pid == pid
@@ -65,11 +66,11 @@ defmodule Situ.Stage.Attachment do
   end
 
   @doc "Removes the consumer with this monitor, whose process has ended."
-  @spec left_by(State.t(), reference()) :: State.t()
-  def left_by(state, monitor), do: leave(state, &(&1.monitor == monitor))
+  @spec remove_by_monitor(State.t(), reference()) :: State.t()
+  def remove_by_monitor(state, monitor), do: leave(state, &(&1.monitor == monitor))
 
   defp leave(state, which?),
-    do: State.wake(%{state | outputs: Outputs.unsubscribe(state.outputs, which?)})
+    do: State.wake_source(%{state | outputs: Outputs.remove_subscribers(state.outputs, which?)})
 
   defp subscribe(state, {pid, tag} = from, opts) do
     with :ok <- options(opts), {:ok, output} <- State.find_output(state, opts) do
@@ -97,16 +98,16 @@ defmodule Situ.Stage.Attachment do
     do: %{state | outputs: Outputs.update_open(state.outputs, name, fun)}
 
   @doc "Adds a tap on an output, or after the operator at `index` of a chain."
-  @spec tap(State.t(), map()) :: State.t()
-  def tap(state, %{index: nil} = tap) do
+  @spec add_tap(State.t(), map()) :: State.t()
+  def add_tap(state, %{index: nil} = tap) do
     {:ok, output} = State.find_output(state, output: tap.output)
     sub = Subscriber.new(tap.tag, tap.pid, tap.counters, tap.policy)
     put(state, output.port.name, &Output.subscribe(&1, sub))
   end
 
-  def tap(state, tap) do
+  def add_tap(state, tap) do
     state = probe(state, tap)
-    ended = for %{closing: time} when time != nil <- Outputs.all(state.outputs), do: time
+    ended = for %{closing: time} when time != nil <- Outputs.list_all(state.outputs), do: time
     if ended != [], do: close_probe(tap.tag, tap.pid, hd(ended))
     state
   end
@@ -118,12 +119,12 @@ defmodule Situ.Stage.Attachment do
 
     look = fn data, message ->
       age = message.creation_time - message.originating_time
-      Counters.emitted(counters, 1, age, age)
-      Counters.sent(counters, message.originating_time, message.creation_time)
-      {emitted, processed, dropped} = Counters.flow(counters)
+      Counters.count_emitted(counters, 1, age, age)
+      Counters.record_sent(counters, message.originating_time, message.creation_time)
+      {emitted, processed, dropped} = Counters.flow_counts(counters)
 
       if emitted - processed - dropped > @most_waiting,
-        do: Counters.dropped(counters, 1),
+        do: Counters.count_dropped(counters, 1),
         else:
           send(
             pid,
@@ -132,7 +133,7 @@ defmodule Situ.Stage.Attachment do
     end
 
     step = {:each2, look, {:probe, tag, pid}}
-    %{state | chain: Chain.update(state.chain, &insert(&1, tap.index, step))}
+    %{state | chain: Chain.update_steps(state.chain, &insert(&1, tap.index, step))}
   end
 
   # In front of the first step of a later operator.
@@ -154,14 +155,14 @@ defmodule Situ.Stage.Attachment do
     do: send(pid, {:"$gen_consumer", {self(), tag}, {:cancel, {:shutdown, {:closed, time}}}})
 
   @doc "Removes a tap or another subscriber."
-  @spec untap(State.t(), term()) :: State.t()
-  def untap(state, tag) do
-    state = %{state | outputs: Outputs.unsubscribe(state.outputs, &(&1.tag == tag))}
+  @spec remove_subscriber(State.t(), term()) :: State.t()
+  def remove_subscriber(state, tag) do
+    state = %{state | outputs: Outputs.remove_subscribers(state.outputs, &(&1.tag == tag))}
 
     if state.chain,
       do: %{
         state
-        | chain: Chain.update(state.chain, &Enum.reject(&1, fn s -> probe?(s, tag) end))
+        | chain: Chain.update_steps(state.chain, &Enum.reject(&1, fn s -> probe?(s, tag) end))
       },
       else: state
   end
@@ -173,9 +174,9 @@ defmodule Situ.Stage.Attachment do
   Adds a subscriber without demand, so that it loses no messages before its first request. Returns the last time that it
   will not see, or the time at which the output ended.
   """
-  @spec lend(State.t(), term(), atom(), pid(), term(), Situ.Delivery.t() | nil) ::
+  @spec lend_output(State.t(), term(), atom(), pid(), term(), Situ.Delivery.t() | nil) ::
           {{:open, Situ.Time.t() | nil} | {:closed, Situ.Time.t()}, State.t()}
-  def lend(state, tag, name, pid, counters, policy) do
+  def lend_output(state, tag, name, pid, counters, policy) do
     case State.find_output(state, output: name) do
       {:ok, %{closed: true, closing: time}} ->
         {{:closed, time}, state}
@@ -187,20 +188,21 @@ defmodule Situ.Stage.Attachment do
   end
 
   @doc "Adds an input if the component accepts it, and requests its first messages."
-  @spec input(State.t(), term(), Situ.Time.t() | nil, map()) ::
+  @spec attach_input(State.t(), term(), Situ.Time.t() | nil, map()) ::
           {:ok, term(), State.t()} | {:error, Error.t()}
-  def input(%{phase: :failed}, _request, _last, _wiring), do: {:error, failed()}
+  def attach_input(%{phase: :failed}, _request, _last, _wiring), do: {:error, failed()}
 
-  def input(state, request, last, wiring) do
+  def attach_input(state, request, last, wiring) do
     now = Clock.now(state.clock)
-    args = [wiring.name, request, last, State.context(state, now)]
+    args = [wiring.name, request, last, State.context_at(state, now)]
 
-    with {:ok, reply, opts, actions, core} <- Callback.ask(state.callback, :handle_attach, args) do
+    with {:ok, reply, opts, actions, core} <-
+           Callback.call_with_reply(state.callback, :handle_attach, args) do
       port = {wiring.name, %{type: :any, optional: true}}
-      head = State.head(state)
+      head = State.head_vertex(state)
       state = State.put_head(state, %{head | inputs: head.inputs ++ [port]})
-      state = state |> Emission.reform(opts) |> connect(wiring)
-      {:ok, reply, Activation.act(state, core, actions, now)}
+      state = state |> Emission.put_options(opts) |> connect(wiring)
+      {:ok, reply, Activation.apply_result(state, core, actions, now)}
     end
   end
 
@@ -214,7 +216,7 @@ defmodule Situ.Stage.Attachment do
           Input.push_closed(input, time)
 
         {:open, _last} ->
-          Input.open(input)
+          Input.request_first(input)
           input
       end
 
@@ -222,31 +224,34 @@ defmodule Situ.Stage.Attachment do
   end
 
   @doc "Asks the component to release an input that was added while it was running."
-  @spec release(State.t(), term()) :: {:ok, term(), State.t()} | {:error, Error.t()}
-  def release(%{phase: :failed}, _request), do: {:error, failed()}
+  @spec detach_input(State.t(), term()) :: {:ok, term(), State.t()} | {:error, Error.t()}
+  def detach_input(%{phase: :failed}, _request), do: {:error, failed()}
 
-  def release(state, request) do
+  def detach_input(state, request) do
     now = Clock.now(state.clock)
-    args = [request, State.context(state, now)]
+    args = [request, State.context_at(state, now)]
 
-    with {:ok, reply, opts, actions, core} <- Callback.ask(state.callback, :handle_detach, args),
-         do: {:ok, reply, state |> Emission.reform(opts) |> Activation.act(core, actions, now)}
+    with {:ok, reply, opts, actions, core} <-
+           Callback.call_with_reply(state.callback, :handle_detach, args),
+         do:
+           {:ok, reply,
+            state |> Emission.put_options(opts) |> Activation.apply_result(core, actions, now)}
   end
 
   @doc "Removes the connection of an input that the component has detached."
-  @spec left(State.t(), atom()) :: State.t()
-  def left(state, name) do
-    head = State.head(state)
+  @spec remove_input(State.t(), atom()) :: State.t()
+  def remove_input(state, name) do
+    head = State.head_vertex(state)
     state = State.put_head(state, %{head | inputs: Keyword.delete(head.inputs, name)})
-    State.report(state, {:detached, name, state.callback.opts})
+    State.report_event(state, {:detached, name, state.callback.opts})
 
-    case Inputs.find(state.inputs, name) do
+    case Inputs.find_by_name(state.inputs, name) do
       nil ->
         state
 
       input ->
         send(input.producer, {:"$gen_producer", {self(), input.tag}, {:cancel, :normal}})
-        Input.hold(input, false)
+        Input.set_hold(input, false)
         %{state | inputs: Inputs.delete(state.inputs, input.tag)}
     end
   end

@@ -17,17 +17,19 @@ defmodule Situ.Stage.ChainRunner do
   Runs the batch at clock time `now`. Returns the state, the last originating time, the number of handled messages, and
   the messages left over because the batch took too long.
   """
-  @spec batch(State.t(), [Message.t()], Situ.Time.t(), integer()) ::
+  @spec run_batch(State.t(), [Message.t()], Situ.Time.t(), integer()) ::
           {State.t(), integer(), non_neg_integer(), [Message.t()]}
   # So few are not worth a look at the time.
-  def batch(state, [_] = messages, now, final), do: batch(state, messages, now, final, :never)
-  def batch(state, [_, _] = messages, now, final), do: batch(state, messages, now, final, :never)
+  def run_batch(state, [_] = messages, now, final), do: batch(state, messages, now, final, :never)
 
-  def batch(state, messages, now, final),
+  def run_batch(state, [_, _] = messages, now, final),
+    do: batch(state, messages, now, final, :never)
+
+  def run_batch(state, messages, now, final),
     do: batch(state, messages, now, final, :erlang.monotonic_time() + @longest)
 
   defp batch(state, messages, now, final, till) do
-    output = Outputs.last(state.outputs)
+    output = Outputs.last_output(state.outputs)
     {state, messages} = cut(state, messages, final)
     creation = if output.last_creation == nil, do: now, else: max(now, output.last_creation)
 
@@ -52,28 +54,28 @@ defmodule Situ.Stage.ChainRunner do
   before the start, so messages that a source posts from `handle_start/2` wait for its first time slice. With `:some`,
   messages may be left for another time slice if handling takes too long; with `:all`, none are left.
   """
-  @spec tail(State.t(), :some | :all) :: State.t()
-  def tail(%{outputs: %{tail: nil}} = state, _much), do: state
-  def tail(%{clock: nil} = state, _much), do: state
-  def tail(%{phase: :starting} = state, _much), do: state
+  @spec run_tail(State.t(), :some | :all) :: State.t()
+  def run_tail(%{outputs: %{tail: nil}} = state, _much), do: state
+  def run_tail(%{clock: nil} = state, _much), do: state
+  def run_tail(%{phase: :starting} = state, _much), do: state
   # The turn for it is on its way.
-  def tail(%{outputs: %{left: [_ | _]}, pace: %{scheduled: true}} = state, :some), do: state
-  def tail(%{outputs: %{left: [], own: [{_, %{pending: []}}]}} = state, _much), do: state
+  def run_tail(%{outputs: %{left: [_ | _]}, pace: %{scheduled: true}} = state, :some), do: state
+  def run_tail(%{outputs: %{left: [], own: [{_, %{pending: []}}]}} = state, _much), do: state
 
-  def tail(%{outputs: %{own: [{_name, output}]} = outputs} = state, much) do
+  def run_tail(%{outputs: %{own: [{_name, output}]} = outputs} = state, much) do
     now = Clock.now(state.clock)
     fresh = :lists.reverse(output.pending)
-    if fresh != [], do: Output.note(output, hd(output.pending))
+    if fresh != [], do: Output.note_sent(output, hd(output.pending))
     emitted(state.chain, fresh, output.posted)
     messages = outputs.left ++ fresh
     outputs = Outputs.put(%{outputs | left: []}, %{output | pending: [], pending_n: 0})
     state = %{state | outputs: outputs}
-    final = State.final(state)
+    final = State.final_time(state)
 
     {state, last, n, left} =
       if much == :all,
         do: batch(state, messages, now, final, :never),
-        else: batch(state, messages, now, final)
+        else: run_batch(state, messages, now, final)
 
     handled(state.chain, n, last, now)
     %{state | outputs: %{state.outputs | left: left}}
@@ -83,16 +85,16 @@ defmodule Situ.Stage.ChainRunner do
 
   defp emitted(%{counters: counters, sizes: sizes}, fresh, posted) do
     %{originating_time: time, creation_time: created} = List.last(fresh)
-    Counters.emitted(counters, length(fresh), created - time, posted - time)
-    if sizes, do: Counters.sized(counters, fresh)
-    Counters.sent(counters, time, posted)
+    Counters.count_emitted(counters, length(fresh), created - time, posted - time)
+    if sizes, do: Counters.count_sizes(counters, fresh)
+    Counters.record_sent(counters, time, posted)
   end
 
   defp handled(%{counters: counters}, n, _last, _now) when counters == nil or n == 0, do: :ok
 
   defp handled(%{counters: counters}, n, last, now) do
-    Counters.processed(counters, n, now - last, 0)
-    Counters.reached(counters, last, now)
+    Counters.count_processed(counters, n, now - last, 0)
+    Counters.record_reached(counters, last, now)
   end
 
   defp go(%{chain: %{fast: true, steps: steps}} = state, messages, out) do
@@ -186,7 +188,7 @@ defmodule Situ.Stage.ChainRunner do
   end
 
   defp attempt(steps, data, message) do
-    Chain.run(steps, data, message)
+    Chain.run_stateless(steps, data, message)
   catch
     {:situ_step, _, _, _, _} = failure -> failure
   end
@@ -199,23 +201,27 @@ defmodule Situ.Stage.ChainRunner do
 
   defp failed(state, {_, index, kind, reason, stack}, message) do
     vertex = Enum.at(state.vertices, index)
-    error = vertex.path |> Callback.failure(:in, kind, reason, stack) |> Callback.at(:in, message)
+
+    error =
+      vertex.path
+      |> Callback.exception_error(:in, kind, reason, stack)
+      |> Callback.add_message_info(:in, message)
 
     case vertex.on_error do
       :stop ->
-        ErrorPolicy.fail(state, error)
+        ErrorPolicy.fail_stage(state, error)
 
       :skip ->
-        ErrorPolicy.skip(state, error, index)
+        ErrorPolicy.skip_message(state, error, index)
 
       :restart ->
-        state = ErrorPolicy.restarted(state, error, index)
-        %{state | chain: Chain.exchange(state.chain, index, vertex.opts)}
+        state = ErrorPolicy.record_restart(state, error, index)
+        %{state | chain: Chain.replace_step(state.chain, index, vertex.opts)}
     end
   end
 
   defp cut(state, messages, final) do
-    if final == State.never() do
+    if final == State.no_final_time() do
       {state, messages}
     else
       {kept, late} = Enum.split_while(messages, &(&1.originating_time <= final))
@@ -227,14 +233,14 @@ defmodule Situ.Stage.ChainRunner do
   defp drop(state, 0), do: state
 
   defp drop(%{callback: nil} = state, n) do
-    input = Inputs.only(state.inputs)
-    %{state | inputs: Inputs.put(state.inputs, Input.skip(input, n))}
+    input = Inputs.single_input(state.inputs)
+    %{state | inputs: Inputs.put(state.inputs, Input.drop_taken(input, n))}
   end
 
   defp drop(%{chain: %{counters: nil}} = state, _n), do: state
 
   defp drop(%{chain: %{counters: counters}} = state, n) do
-    Counters.dropped(counters, n)
+    Counters.count_dropped(counters, n)
     state
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Stage.Emission do
   @moduledoc false
-  # Applies a component's actions to the state of its stage: all of them, or none if one is invalid. Then `settle/1`
+  # Applies a component's actions to the state of its stage: all of them, or none if one is invalid. Then `send_pending/1`
   # sends the messages.
   alias Situ.{Error, Message}
   alias Situ.Clock.Timers
@@ -8,43 +8,45 @@ defmodule Situ.Stage.Emission do
   alias Situ.Ports.{Inputs, Output, Outputs, Posting}
   alias Situ.Stage.{ChainRunner, ErrorPolicy, Pace, Source, State}
 
-  @spec run(State.t(), [Situ.Component.action()], Situ.Time.t()) ::
+  @spec apply_actions(State.t(), [Situ.Component.action()], Situ.Time.t()) ::
           {:ok, State.t()} | {:error, Error.t()}
-  def run(state, [], _now), do: {:ok, state}
+  def apply_actions(state, [], _now), do: {:ok, state}
 
-  def run(state, [{output, time, _} | _] = actions, now)
+  def apply_actions(state, [{output, time, _} | _] = actions, now)
       when is_integer(time) and is_atom(output) and
              output not in [:timer, :close, :complete, :continue] do
     with {:ok, output} <- output(state, output),
          {:ok, output, rest} <-
            Posting.emit_all(output, actions, now, state.context.enforced?, state.source.final),
          :ok <- Posting.in_range(output, time) do
-      run(put(state, output), rest, now)
+      apply_actions(put(state, output), rest, now)
     end
   end
 
-  def run(state, [{output, %Message{} = message} | rest], now) when is_atom(output),
+  def apply_actions(state, [{output, %Message{} = message} | rest], now) when is_atom(output),
     do: forward(state, output, [message], rest, now)
 
-  def run(state, [{output, messages} | rest], now) when is_atom(output) and is_list(messages),
-    do: forward(state, output, messages, rest, now)
+  def apply_actions(state, [{output, messages} | rest], now)
+      when is_atom(output) and is_list(messages),
+      do: forward(state, output, messages, rest, now)
 
-  def run(state, [action | rest], now) do
+  def apply_actions(state, [action | rest], now) do
     case one(state, action, now) do
-      {:ok, state} -> run(state, rest, now)
+      {:ok, state} -> apply_actions(state, rest, now)
       error -> error
     end
   end
 
-  def run(state, other, _now), do: {:error, Callback.bad_action(state.callback.path, other)}
+  def apply_actions(state, other, _now),
+    do: {:error, Callback.bad_action_error(state.callback.path, other)}
 
   defp forward(state, name, messages, rest, now) do
     with {:ok, output} <- output(state, name),
          {:ok, output} <- Posting.forward_all(output, messages, now, state.context.enforced?),
          :ok <- in_range(output, messages) do
-      run(put(state, output), rest, now)
+      apply_actions(put(state, output), rest, now)
     else
-      :error -> {:error, Callback.bad_action(state.callback.path, {name, messages})}
+      :error -> {:error, Callback.bad_action_error(state.callback.path, {name, messages})}
       error -> error
     end
   end
@@ -56,11 +58,12 @@ defmodule Situ.Stage.Emission do
 
   # An infinite source goes on producing; it only has no say any more in when the pipeline ends.
   defp one(state, {:complete, :infinity}, _now) do
-    if not state.source.completed, do: State.report(state, {:completed, :infinity})
+    if not state.source.completed, do: State.report_event(state, {:completed, :infinity})
     {:ok, state}
   end
 
-  defp one(state, {:complete, time}, _now) when is_integer(time), do: {:ok, complete(state, time)}
+  defp one(state, {:complete, time}, _now) when is_integer(time),
+    do: {:ok, announce_end(state, time)}
 
   defp one(state, {:close, name}, now) do
     with {:ok, output} <- output(state, name),
@@ -72,15 +75,15 @@ defmodule Situ.Stage.Emission do
   end
 
   defp one(state, {:hold, input}, _now) when is_atom(input),
-    do: {:ok, %{state | inputs: Inputs.hold(state.inputs, input, true)}}
+    do: {:ok, %{state | inputs: Inputs.set_hold(state.inputs, input, true)}}
 
   defp one(state, {:resume, input}, _now) when is_atom(input),
-    do: {:ok, %{state | inputs: Inputs.hold(state.inputs, input, false)}}
+    do: {:ok, %{state | inputs: Inputs.set_hold(state.inputs, input, false)}}
 
   # The component may be in the middle of a message of the input: the connection is removed in the next turn.
   defp one(state, {:detach, input, opts}, _now) when is_atom(input) and is_list(opts) do
     send(self(), {:situ, {:leave, input}})
-    {:ok, reform(state, opts)}
+    {:ok, put_options(state, opts)}
   end
 
   defp one(%{source: %{final: final}} = state, {:timer, _key, time}, _now)
@@ -94,34 +97,37 @@ defmodule Situ.Stage.Emission do
     do: {:ok, %{state | pace: %{state.pace | continue: {:some, term}}}}
 
   defp one(state, {:linger, lingers?}, _now) when is_boolean(lingers?) do
-    state = State.patience(state, lingers?)
+    state = State.set_patience(state, lingers?)
     {:ok, %{state | pace: %{state.pace | lingers: lingers?}}}
   end
 
   defp one(state, {:demand, mode}, _now) when mode in [:accumulate, :forward],
-    do: {:ok, State.demand(state, mode)}
+    do: {:ok, State.set_demand(state, mode)}
 
-  defp one(state, :stopping, _now), do: {:ok, %{state | source: Source.stopping(state.source)}}
+  defp one(state, :stopping, _now),
+    do: {:ok, %{state | source: Source.mark_stopping(state.source)}}
 
   defp one(%{source: %{stopping: :stopping}} = state, :stopped, _now),
-    do: {:ok, ErrorPolicy.stopped(state)}
+    do: {:ok, ErrorPolicy.report_source_stopped(state)}
 
   defp one(state, :stopped, _now), do: {:ok, state}
-  defp one(state, action, _now), do: {:error, Callback.bad_action(state.callback.path, action)}
+
+  defp one(state, action, _now),
+    do: {:error, Callback.bad_action_error(state.callback.path, action)}
 
   @doc "Replaces the component's options."
-  @spec reform(State.t(), keyword()) :: State.t()
-  def reform(state, opts) do
-    state = State.put_head(state, %{State.head(state) | opts: opts})
+  @spec put_options(State.t(), keyword()) :: State.t()
+  def put_options(state, opts) do
+    state = State.put_head(state, %{State.head_vertex(state) | opts: opts})
     %{state | callback: %{state.callback | opts: opts}}
   end
 
   @doc "Records a source's end; the server is notified once no message waits for its time, before the rest is sent."
-  @spec complete(State.t(), Situ.Time.t()) :: State.t()
-  def complete(state, time) do
-    {how, source} = Source.complete(state.source, time, Outputs.holding?(state.outputs))
-    if how == :tell, do: State.report(state, {:completed, time})
-    outputs = if how == :tell, do: Outputs.wait(state.outputs, true), else: state.outputs
+  @spec announce_end(State.t(), Situ.Time.t()) :: State.t()
+  def announce_end(state, time) do
+    {how, source} = Source.record_end(state.source, time, Outputs.any_held?(state.outputs))
+    if how == :tell, do: State.report_event(state, {:completed, time})
+    outputs = if how == :tell, do: Outputs.set_waiting(state.outputs, true), else: state.outputs
     %{state | source: source, outputs: outputs}
   end
 
@@ -129,14 +135,18 @@ defmodule Situ.Stage.Emission do
   defp close(%{source: %{kind: nil}} = state, output, time), do: close_now(state, output, time)
 
   defp close(%{outputs: outputs} = state, output, time) do
-    state = close_now(%{state | outputs: Outputs.wait(outputs, true)}, output, time)
-    closed(%{state | outputs: Outputs.wait(state.outputs, Outputs.waits?(outputs))}, time)
+    state = close_now(%{state | outputs: Outputs.set_waiting(outputs, true)}, output, time)
+
+    closed(
+      %{state | outputs: Outputs.set_waiting(state.outputs, Outputs.any_waiting?(outputs))},
+      time
+    )
   end
 
   # The operators behind a component close with it.
   defp close_now(%{outputs: %{tail: %Output{}}} = state, _output, time) do
-    state = settle_all(state)
-    %{state | outputs: Outputs.each(state.outputs, &Output.close(&1, time))}
+    state = send_all_pending(state)
+    %{state | outputs: Outputs.map_outputs(state.outputs, &Output.close(&1, time))}
   end
 
   defp close_now(state, output, time) do
@@ -145,8 +155,8 @@ defmodule Situ.Stage.Emission do
   end
 
   defp closed(state, time) do
-    closing = for output <- Outputs.all(state.outputs), do: output.closing
-    if nil in closing, do: state, else: complete(state, Enum.max([time | closing]))
+    closing = for output <- Outputs.list_all(state.outputs), do: output.closing
+    if nil in closing, do: state, else: announce_end(state, Enum.max([time | closing]))
   end
 
   defp output(state, name) do
@@ -157,7 +167,7 @@ defmodule Situ.Stage.Emission do
   end
 
   defp unknown_output(state, name) do
-    known = state.outputs |> Outputs.names() |> Enum.map_join(", ", &inspect/1)
+    known = state.outputs |> Outputs.list_names() |> Enum.map_join(", ", &inspect/1)
 
     Error.new(
       :unknown_output,
@@ -171,23 +181,27 @@ defmodule Situ.Stage.Emission do
   Sends pending messages, publishes counts and requests more messages. Slow operators after a component leave
   messages for another time slice, after the current mailbox.
   """
-  @spec settle(State.t()) :: State.t()
-  def settle(%{callback: nil} = state),
-    do: %{state | outputs: Outputs.flush(state.outputs), inputs: Inputs.settle(state.inputs)}
+  @spec send_pending(State.t()) :: State.t()
+  def send_pending(%{callback: nil} = state),
+    do: %{
+      state
+      | outputs: Outputs.flush(state.outputs),
+        inputs: Inputs.settle_touched(state.inputs)
+    }
 
-  def settle(state) do
-    state = state |> ChainRunner.tail(:some) |> sent()
-    if state.outputs.left == [], do: state, else: %{state | pace: Pace.schedule(state.pace)}
+  def send_pending(state) do
+    state = state |> ChainRunner.run_tail(:some) |> sent()
+    if state.outputs.left == [], do: state, else: %{state | pace: Pace.schedule_slice(state.pace)}
   end
 
   @doc "Settles and leaves no messages, for a stage that closes or pauses."
-  @spec settle_all(State.t()) :: State.t()
-  def settle_all(%{callback: nil} = state), do: settle(state)
-  def settle_all(state), do: state |> ChainRunner.tail(:all) |> sent()
+  @spec send_all_pending(State.t()) :: State.t()
+  def send_all_pending(%{callback: nil} = state), do: send_pending(state)
+  def send_all_pending(state), do: state |> ChainRunner.run_tail(:all) |> sent()
 
   defp sent(state) do
     state = widen(state)
-    %{state | outputs: flush(state), inputs: Inputs.settle(state.inputs)}
+    %{state | outputs: flush(state), inputs: Inputs.settle_touched(state.inputs)}
   end
 
   # Posts of a source before there is a clock wait for the operators behind it.
@@ -197,5 +211,5 @@ defmodule Situ.Stage.Emission do
   defp widen(%{pace: %{wide: true}} = state), do: state
 
   defp widen(%{pace: pace} = state),
-    do: %{state | pace: Pace.widen(pace, Inputs.handled(state.inputs))}
+    do: %{state | pace: Pace.enlarge_heap(pace, Inputs.max_handled(state.inputs))}
 end

@@ -13,10 +13,10 @@ defmodule Situ.Stage.ErrorPolicy do
   def decide(%{callback: %{on_error: on_error}}), do: on_error
 
   @doc "Drops the message at which the operator or component at `index` failed."
-  @spec skip(State.t(), Error.t(), non_neg_integer()) :: State.t()
-  def skip(state, error, index \\ 0) do
-    Tally.skipped(state.tally, index)
-    State.report(state, {:skipped, error})
+  @spec skip_message(State.t(), Error.t(), non_neg_integer()) :: State.t()
+  def skip_message(state, error, index \\ 0) do
+    Tally.count_skip(state.tally, index)
+    State.report_event(state, {:skipped, error})
     state
   end
 
@@ -24,22 +24,25 @@ defmodule Situ.Stage.ErrorPolicy do
   Reports that the operator or component at `index` restarts with a fresh state; the message is lost. The server counts
   the restarts.
   """
-  @spec restarted(State.t(), Error.t(), non_neg_integer()) :: State.t()
-  def restarted(state, error, index \\ 0) do
-    Tally.restarted(state.tally, index)
-    State.report(state, {:restarted, error})
+  @spec record_restart(State.t(), Error.t(), non_neg_integer()) :: State.t()
+  def record_restart(state, error, index \\ 0) do
+    Tally.count_restart(state.tally, index)
+    State.report_event(state, {:restarted, error})
     state
   end
 
   @doc "Fails the stage: it takes no more messages and discards those that arrive."
-  @spec fail(State.t(), Error.t()) :: State.t()
-  def fail(%{phase: :failed} = state, _error), do: state
+  @spec fail_stage(State.t(), Error.t()) :: State.t()
+  def fail_stage(%{phase: :failed} = state, _error), do: state
 
-  def fail(state, error) do
-    Tally.failed(state.tally, 0)
-    State.report(state, {:failed, error, reached(state, error)})
-    state = abandon(%{state | phase: :failed, timers: Timers.clear(state.timers)}, error)
-    if state.source.stopping in [nil, :done], do: state, else: stopped(state)
+  def fail_stage(state, error) do
+    Tally.count_failure(state.tally, 0)
+    State.report_event(state, {:failed, error, reached(state, error)})
+
+    state =
+      abandon_consumers(%{state | phase: :failed, timers: Timers.clear(state.timers)}, error)
+
+    if state.source.stopping in [nil, :done], do: state, else: report_source_stopped(state)
   end
 
   # Up to where its streams are whole: in front of the message it failed at, or, where there was none, up to what it
@@ -47,20 +50,21 @@ defmodule Situ.Stage.ErrorPolicy do
   defp reached(_state, %{meta: %{originating_time: time}}) when is_integer(time), do: time - 1
 
   defp reached(state, _error) do
-    times = for %{last_time: time} <- Outputs.all(state.outputs), time != nil, do: time
+    times = for %{last_time: time} <- Outputs.list_all(state.outputs), time != nil, do: time
     Enum.min(times, fn -> nil end)
   end
 
   @doc "Ends external consumers with the error."
-  @spec abandon(State.t(), Error.t()) :: State.t()
-  def abandon(state, error), do: %{state | outputs: Outputs.abandon(state.outputs, error)}
+  @spec abandon_consumers(State.t(), Error.t()) :: State.t()
+  def abandon_consumers(state, error),
+    do: %{state | outputs: Outputs.abandon_external(state.outputs, error)}
 
   @doc "Handles a source that has posted its last message; the pipeline is notified once no message is held back."
-  @spec stopped(State.t()) :: State.t()
-  def stopped(state) do
-    held? = state.phase != :failed and Outputs.holding?(state.outputs)
-    {how, source} = Source.stopped(state.source, held?)
-    if how == :tell, do: State.report(state, :source_stopped)
+  @spec report_source_stopped(State.t()) :: State.t()
+  def report_source_stopped(state) do
+    held? = state.phase != :failed and Outputs.any_held?(state.outputs)
+    {how, source} = Source.mark_stopped(state.source, held?)
+    if how == :tell, do: State.report_event(state, :source_stopped)
     %{state | source: source}
   end
 end

@@ -18,9 +18,9 @@ defmodule Situ.Stage.Freeze do
   Returns when `{:thaw, ref}` arrives. `change` performs a request and returns the state and the component's actions.
   The collected actions are returned with the final state.
   """
-  @spec until(State.t(), reference(), (term(), State.t() -> {State.t(), [term()]})) ::
+  @spec wait_for_thaw(State.t(), reference(), (term(), State.t() -> {State.t(), [term()]})) ::
           {State.t(), [term()]}
-  def until(%{pace: %{scheduled: scheduled?}} = state, ref, change) do
+  def wait_for_thaw(%{pace: %{scheduled: scheduled?}} = state, ref, change) do
     # A turn only sends what is pending while another one is due.
     {state, actions} = stand(resumed(state, true), ref, change, [])
     {resumed(state, scheduled?), actions}
@@ -38,8 +38,10 @@ defmodule Situ.Stage.Freeze do
         stand(asked(state, from, n), ref, change, actions)
 
       {:situ, {:refresh, from}} ->
-        refresh = &if(Output.subscriber?(&1, from), do: Output.refresh(&1, from), else: &1)
-        state = %{state | outputs: Outputs.each(state.outputs, refresh)}
+        refresh =
+          &if(Output.has_subscriber?(&1, from), do: Output.refresh_subscriber(&1, from), else: &1)
+
+        state = %{state | outputs: Outputs.map_outputs(state.outputs, refresh)}
         stand(state, ref, change, actions)
 
       {:situ, request} when change(request) ->
@@ -55,8 +57,8 @@ defmodule Situ.Stage.Freeze do
   end
 
   defp asked(state, from, n) do
-    case Outputs.ask(state.outputs, from, n) do
-      {:ok, outputs} -> State.wake(%{state | outputs: outputs})
+    case Outputs.add_demand(state.outputs, from, n) do
+      {:ok, outputs} -> State.wake_source(%{state | outputs: outputs})
       :error -> state
     end
   end

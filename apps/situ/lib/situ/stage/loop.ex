@@ -13,161 +13,172 @@ defmodule Situ.Stage.Loop do
   @many 64
 
   @doc "Handles a batch at the input `tag`, or `{:fresh, batch}`: all messages held by a lossy input's producer."
-  @spec arrived(State.t(), Input.t(), [Situ.Message.t()] | {:fresh, [Situ.Message.t()]}) ::
+  @spec handle_batch(State.t(), Input.t(), [Situ.Message.t()] | {:fresh, [Situ.Message.t()]}) ::
           State.t()
-  def arrived(state, input, {:fresh, batch}),
-    do: state |> put_input(Input.refreshed(input, batch)) |> turn()
+  def handle_batch(state, input, {:fresh, batch}),
+    do: state |> put_input(Input.push_refreshed(input, batch)) |> run_slice()
 
   # A chain that has waited for it.
-  def arrived(
+  def handle_batch(
         %{callback: nil, phase: :running, pace: %{scheduled: false}} = state,
         %{queue: nil, front: [], rear: []} = input,
         [_ | _] = batch
       ) do
     input = Input.push(input, batch)
-    room = Outputs.room(state.outputs)
+    room = Outputs.available_room(state.outputs)
 
     if room < 1 do
       put_input(state, input)
     else
       now = Clock.now(state.clock)
-      take(state, input, room, {now, now + @slice_ns, State.final(state)})
+      take(state, input, room, {now, now + @slice_ns, State.final_time(state)})
     end
   end
 
-  def arrived(state, input, batch),
+  def handle_batch(state, input, batch),
     do: state |> put_input(Input.push(input, batch)) |> turn_if_room()
 
   @doc "Handles new demand of a consumer."
-  @spec asked(State.t(), Outputs.t()) :: State.t()
+  @spec handle_demand(State.t(), Outputs.t()) :: State.t()
   # Nothing waits in the chain: there is nothing to do.
-  def asked(%{callback: nil, phase: :running, inputs: inputs} = state, outputs) do
+  def handle_demand(%{callback: nil, phase: :running, inputs: inputs} = state, outputs) do
     state = %{state | outputs: outputs}
-    if idle?(Inputs.only(inputs), outputs), do: state, else: turn_if_room(state)
+    if idle?(Inputs.single_input(inputs), outputs), do: state, else: turn_if_room(state)
   end
 
-  def asked(state, outputs), do: turn_if_room(State.wake(%{state | outputs: outputs}))
+  def handle_demand(state, outputs),
+    do: turn_if_room(State.wake_source(%{state | outputs: outputs}))
 
   # Everything was settled when the last turn ended: without room, or with another turn on its way, there is nothing
   # to do.
   defp turn_if_room(%{pace: %{scheduled: true}} = state), do: state
 
   defp turn_if_room(%{phase: :running} = state),
-    do: if(Outputs.room(state.outputs) < 1, do: state, else: turn(state))
+    do: if(Outputs.available_room(state.outputs) < 1, do: state, else: run_slice(state))
 
-  defp turn_if_room(state), do: turn(state)
+  defp turn_if_room(state), do: run_slice(state)
 
   @doc "Closes the input after its waiting messages."
-  @spec closing(State.t(), Input.t(), Situ.Time.t()) :: State.t()
-  def closing(state, input, time),
-    do: state |> put_input(Input.push_closed(input, time)) |> turn()
+  @spec handle_closing(State.t(), Input.t(), Situ.Time.t()) :: State.t()
+  def handle_closing(state, input, time),
+    do: state |> put_input(Input.push_closed(input, time)) |> run_slice()
 
   @doc "Handles a plain message for the component."
-  @spec info(State.t(), term()) :: State.t()
+  @spec handle_plain_message(State.t(), term()) :: State.t()
   # A neighbour that started sooner may have closed already, a producer from outside may have failed: their words wait
   # until this stage runs, and an error is then what `on_error` says.
-  def info(%{phase: :starting, pace: pace} = state, message),
+  def handle_plain_message(%{phase: :starting, pace: pace} = state, message),
     do: %{state | pace: %{pace | early: [message | pace.early]}}
 
-  def info(%{callback: nil} = state, _message), do: state
-  def info(%{phase: :failed} = state, _message), do: state
+  def handle_plain_message(%{callback: nil} = state, _message), do: state
+  def handle_plain_message(%{phase: :failed} = state, _message), do: state
 
-  def info(state, message) do
+  def handle_plain_message(state, message) do
     now = Clock.now(state.clock)
-    state |> State.wake() |> Activation.call(:handle_info, [message], now) |> turn()
+
+    state
+    |> State.wake_source()
+    |> Activation.call_callback(:handle_info, [message], now)
+    |> run_slice()
   end
 
   @doc "Handles, in order, the plain messages that arrived before the stage was running."
-  @spec early(State.t()) :: State.t()
-  def early(%{pace: %{early: early} = pace} = state) do
+  @spec handle_early(State.t()) :: State.t()
+  def handle_early(%{pace: %{early: early} = pace} = state) do
     early
     |> Enum.reverse()
-    |> Enum.reduce(%{state | pace: %{pace | early: []}}, &info(&2, &1))
+    |> Enum.reduce(%{state | pace: %{pace | early: []}}, &handle_plain_message(&2, &1))
   end
 
   @doc "Handles a request of another process to the component (`from` is `nil` for a cast)."
-  @spec request(State.t(), term(), GenServer.from() | nil) :: State.t()
-  def request(state, request, from),
-    do: state |> State.wake() |> Activation.request(request, from) |> turn()
+  @spec handle_request(State.t(), term(), GenServer.from() | nil) :: State.t()
+  def handle_request(state, request, from),
+    do: state |> State.wake_source() |> Activation.handle_request(request, from) |> run_slice()
 
   @doc "Sets whether the stage takes and sends messages (`:forward`) or not (`:accumulate`)."
-  @spec demand(State.t(), :accumulate | :forward) :: State.t()
-  def demand(state, mode),
-    do: state |> State.demand(mode) |> State.wake() |> turn()
+  @spec set_demand(State.t(), :accumulate | :forward) :: State.t()
+  def set_demand(state, mode),
+    do: state |> State.set_demand(mode) |> State.wake_source() |> run_slice()
 
   @doc "Handles the alarm: runs due timers and releases messages whose time has come."
-  @spec ring(State.t()) :: State.t()
+  @spec handle_alarm(State.t()) :: State.t()
   # It is set again when the stage runs.
-  def ring(%{phase: :starting} = state), do: %{state | timers: Timers.rang(state.timers)}
+  def handle_alarm(%{phase: :starting} = state),
+    do: %{state | timers: Timers.clear_alarm(state.timers)}
 
-  def ring(state) do
+  def handle_alarm(state) do
     now = Clock.now(state.clock)
-    {keys, timers} = Timers.due(Timers.rang(state.timers), now)
-    outputs = Outputs.release(state.outputs, now)
-    state = State.wake(%{state | timers: timers, outputs: outputs})
-    keys |> Enum.reduce(state, &timer(&1, &2, now)) |> Emission.settle() |> turn()
+    {keys, timers} = Timers.take_due(Timers.clear_alarm(state.timers), now)
+    outputs = Outputs.release_due(state.outputs, now)
+    state = State.wake_source(%{state | timers: timers, outputs: outputs})
+    keys |> Enum.reduce(state, &timer(&1, &2, now)) |> Emission.send_pending() |> run_slice()
   end
 
   defp timer(_key, %{phase: :failed} = state, _now), do: state
-  defp timer(key, state, now), do: Activation.call(state, :handle_info, [{:timer, key}], now)
+
+  defp timer(key, state, now),
+    do: Activation.call_callback(state, :handle_info, [{:timer, key}], now)
 
   @doc "Runs a time slice; if one is already scheduled, only sends pending messages."
-  @spec turn(State.t()) :: State.t()
-  def turn(%{pace: %{scheduled: true}} = state), do: finish(state)
+  @spec run_slice(State.t()) :: State.t()
+  def run_slice(%{pace: %{scheduled: true}} = state), do: finish(state)
 
-  def turn(%{phase: :running, callback: nil} = state) do
-    if idle?(Inputs.only(state.inputs), state.outputs) do
+  def run_slice(%{phase: :running, callback: nil} = state) do
+    if idle?(Inputs.single_input(state.inputs), state.outputs) do
       finish(state)
     else
       now = Clock.now(state.clock)
-      chain(state, now, now + @slice_ns, State.final(state))
+      chain(state, now, now + @slice_ns, State.final_time(state))
     end
   end
 
-  def turn(%{phase: :running} = state) do
+  def run_slice(%{phase: :running} = state) do
     now = Clock.now(state.clock)
-    final = State.final(state)
+    final = State.final_time(state)
     state |> unlock(final) |> component(now, {now, now + @slice_ns}, final)
   end
 
-  def turn(%{phase: :failed} = state), do: discard(state)
-  def turn(state), do: finish(state)
+  def run_slice(%{phase: :failed} = state), do: discard(state)
+  def run_slice(state), do: finish(state)
 
   # Nothing to take, or no room for what would come of it.
   defp idle?(nil, _outputs), do: true
-  defp idle?(input, outputs), do: Input.empty?(input) or Outputs.room(outputs) < 1
+  defp idle?(input, outputs), do: Input.empty?(input) or Outputs.available_room(outputs) < 1
 
   # A pipeline that ends does not wait for somebody to let it go on.
   defp unlock(%{outputs: %{demand: :accumulate}} = state, final),
-    do: if(final == State.never(), do: state, else: State.demand(state, :forward))
+    do: if(final == State.no_final_time(), do: state, else: State.set_demand(state, :forward))
 
   defp unlock(state, _final), do: state
 
   @doc "Runs the scheduled time slice."
-  @spec again(State.t()) :: State.t()
-  def again(%{pace: pace} = state), do: turn(%{state | pace: %{pace | scheduled: false}})
+  @spec run_scheduled_slice(State.t()) :: State.t()
+  def run_scheduled_slice(%{pace: pace} = state),
+    do: run_slice(%{state | pace: %{pace | scheduled: false}})
 
   # Sends what is pending, and sets the alarm for what waits for its time.
   # A chain has nothing that waits for its time.
-  defp finish(%{callback: nil} = state), do: Emission.settle(state)
+  defp finish(%{callback: nil} = state), do: Emission.send_pending(state)
 
   defp finish(%{pace: %{lingers: true}, phase: :running} = state),
-    do: state |> hurry(State.final(state)) |> released()
+    do: state |> hurry(State.final_time(state)) |> released()
 
   defp finish(state), do: released(state)
 
   # Nor does it wait until a component has given what it keeps for later.
   defp hurry(state, final) do
-    if final == State.never(),
+    if final == State.no_final_time(),
       do: state,
-      else: Activation.call(state, :handle_info, [{:linger, :end}], Clock.now(state.clock))
+      else:
+        Activation.call_callback(state, :handle_info, [{:linger, :end}], Clock.now(state.clock))
   end
 
-  defp released(state), do: state |> MessageRunner.settled() |> Production.released() |> arm()
+  defp released(state),
+    do: state |> MessageRunner.settle_inputs() |> Production.report_released() |> arm()
 
   defp later(state) do
     state = finish(state)
-    %{state | pace: Pace.schedule(state.pace)}
+    %{state | pace: Pace.schedule_slice(state.pace)}
   end
 
   defp arm(%{clock: nil} = state), do: state
@@ -178,7 +189,7 @@ defmodule Situ.Stage.Loop do
     else
       # `nil` is more than any number.
       due = min(Timers.next_time(state.timers), Outputs.next_time(state.outputs))
-      %{state | timers: Timers.arm(state.timers, due, state.clock)}
+      %{state | timers: Timers.set_alarm(state.timers, due, state.clock)}
     end
   end
 
@@ -186,33 +197,36 @@ defmodule Situ.Stage.Loop do
   defp component(state, now, {_from, till} = times, final) do
     cond do
       now > till -> later(state)
-      Outputs.room(state.outputs) < 1 -> blocked(state, now, times, final)
+      Outputs.available_room(state.outputs) < 1 -> blocked(state, now, times, final)
       true -> next(state, now, times, final)
     end
   end
 
   defp blocked(state, now, times, final) do
-    state = Emission.settle(state)
-    if Outputs.room(state.outputs) < 1, do: finish(state), else: next(state, now, times, final)
+    state = Emission.send_pending(state)
+
+    if Outputs.available_room(state.outputs) < 1,
+      do: finish(state),
+      else: next(state, now, times, final)
   end
 
   # The component has more to give for what it has taken in.
   defp next(%{pace: %{continue: {:some, term}}} = state, now, times, final) do
     state = %{state | pace: %{state.pace | continue: :none}}
-    state = Activation.call(state, :handle_info, [{:continue, term}], now)
-    go_on({MessageRunner.settled(state), Clock.now(state.clock)}, times, final)
+    state = Activation.call_callback(state, :handle_info, [{:continue, term}], now)
+    go_on({MessageRunner.settle_inputs(state), Clock.now(state.clock)}, times, final)
   end
 
   defp next(state, now, times, final) do
-    case Inputs.earliest(state.inputs) do
+    case Inputs.earliest_input(state.inputs) do
       nil ->
         produce(state, now)
 
       %{queue: nil, check: :off} = input when state.callback.batch ->
-        state |> MessageRunner.batch(input, now, final) |> go_on(times, final)
+        state |> MessageRunner.run_batch(input, now, final) |> go_on(times, final)
 
       %{queue: nil} = input ->
-        state |> MessageRunner.one(input, now, final) |> go_on(times, final)
+        state |> MessageRunner.run_next(input, now, final) |> go_on(times, final)
 
       input ->
         lossy(state, input, now, times, final)
@@ -221,18 +235,18 @@ defmodule Situ.Stage.Loop do
 
   # Messages in the mailbox join the queue before the next message is taken.
   defp lossy(state, input, now, times, final) do
-    case Input.freshen(input) do
+    case Input.ensure_fresh(input) do
       {:wait, input} ->
         state |> put_input(input) |> component(now, times, final)
 
       {:ok, input} ->
-        {state, _now} = MessageRunner.one(state, input, now, final)
+        {state, _now} = MessageRunner.run_next(state, input, now, final)
         if state.phase == :failed, do: discard(state), else: later(state)
     end
   end
 
   defp produce(state, now) do
-    case Production.produce(Emission.settle(state), now) do
+    case Production.produce_messages(Emission.send_pending(state), now) do
       {:more, state} -> later(state)
       {:enough, %{phase: :failed} = state} -> discard(state)
       {:enough, state} -> finish(state)
@@ -243,25 +257,25 @@ defmodule Situ.Stage.Loop do
 
   defp go_on({state, now}, {from, till}, final) do
     if now - from > @flush_ns,
-      do: component(Emission.settle(state), now, {now, till}, final),
+      do: component(Emission.send_pending(state), now, {now, till}, final),
       else: component(state, now, {from, till}, final)
   end
 
   # A chain: as many messages at once as there is room for; slices grow while they are quick.
   defp chain(state, now, till, final) do
-    case Inputs.only(state.inputs) do
+    case Inputs.single_input(state.inputs) do
       nil -> finish(state)
-      input -> take(state, input, Outputs.room(state.outputs), {now, till, final})
+      input -> take(state, input, Outputs.available_room(state.outputs), {now, till, final})
     end
   end
 
   defp take(state, _input, room, _times) when is_integer(room) and room < 1, do: finish(state)
 
   defp take(state, %{queue: nil} = input, room, {now, _till, _final} = times) do
-    case Input.take(input, min(room, state.pace.slice)) do
+    case Input.take_batch(input, min(room, state.pace.slice)) do
       {[], %{front: [{:closed, time} | _]} = input} ->
         {_closed, input} = Input.pop(input, now)
-        state |> Emission.settle() |> MessageRunner.closed(input, time)
+        state |> Emission.send_pending() |> MessageRunner.close_input(input, time)
 
       {[], input} ->
         state |> put_input(input) |> finish()
@@ -274,41 +288,51 @@ defmodule Situ.Stage.Loop do
 
   defp take(state, input, _room, {now, _till, _final} = times) do
     with time when time != :none <- Input.head_time(input),
-         {:ok, input} <- Input.freshen(input),
+         {:ok, input} <- Input.ensure_fresh(input),
          {%Situ.Message{} = message, input} <- Input.pop(input, now) do
       {state, _n, _now} = run(put_input(state, input), [message], times)
       if state.phase == :failed, do: discard(state), else: later(state)
     else
-      :none -> finish(state)
-      {:wait, input} -> state |> put_input(input) |> finish()
-      {nil, input} -> state |> put_input(input) |> finish()
-      {{:closed, time}, input} -> state |> Emission.settle() |> MessageRunner.closed(input, time)
+      :none ->
+        finish(state)
+
+      {:wait, input} ->
+        state |> put_input(input) |> finish()
+
+      {nil, input} ->
+        state |> put_input(input) |> finish()
+
+      {{:closed, time}, input} ->
+        state |> Emission.send_pending() |> MessageRunner.close_input(input, time)
     end
   end
 
   defp run(state, messages, {now, _till, final}) do
-    {state, last, n, rest} = ChainRunner.batch(state, messages, now, final)
+    {state, last, n, rest} = ChainRunner.run_batch(state, messages, now, final)
     after_time = Clock.now(state.clock)
-    input = state.inputs |> Inputs.only() |> Input.put_back(rest)
-    input = if n > 0, do: Input.handled(input, n, last, {now, after_time - now}), else: input
+    input = state.inputs |> Inputs.single_input() |> Input.put_back(rest)
+
+    input =
+      if n > 0, do: Input.count_handled(input, n, last, {now, after_time - now}), else: input
+
     pace = pace(state.pace, n, rest, after_time - now)
     {put_input(%{state | pace: pace}, input), {n, rest}, after_time}
   end
 
-  defp pace(pace, n, [], elapsed), do: Pace.resize(pace, n, elapsed)
-  defp pace(pace, n, _rest, _elapsed), do: Pace.slow(pace, n)
+  defp pace(pace, n, [], elapsed), do: Pace.resize_slice(pace, n, elapsed)
+  defp pace(pace, n, _rest, _elapsed), do: Pace.shrink_slice(pace, n)
 
   defp chain_on(state, {n, rest}, after_time, {now, till, final}) do
     cond do
       state.phase == :failed -> discard(state)
       after_time > till or rest != [] -> later(state)
       n >= @many and after_time - now < @flush_ns -> chain(state, after_time, till, final)
-      true -> state |> Emission.settle() |> chain_again(after_time, till, final)
+      true -> state |> Emission.send_pending() |> chain_again(after_time, till, final)
     end
   end
 
   defp chain_again(state, now, till, final) do
-    if idle?(Inputs.only(state.inputs), state.outputs),
+    if idle?(Inputs.single_input(state.inputs), state.outputs),
       do: state,
       else: chain(state, now, till, final)
   end
@@ -319,9 +343,9 @@ defmodule Situ.Stage.Loop do
 
     inputs
     |> Enum.reduce(state, fn input, state ->
-      {time, input} = Input.discard(input)
+      {time, input} = Input.discard_all(input)
       state = put_input(state, input)
-      if time, do: MessageRunner.closed(state, input, time), else: state
+      if time, do: MessageRunner.close_input(state, input, time), else: state
     end)
     |> finish()
   end

@@ -19,28 +19,29 @@ defmodule Situ.Stage.Memory do
           ended: [Situ.Component.action()]
         }
 
-  @spec take(State.t()) :: {:ok, t()} | {:error, Error.t()}
-  def take(%{phase: :failed} = state) do
-    path = State.head(state).path
+  @spec take_snapshot(State.t()) :: {:ok, t()} | {:error, Error.t()}
+  def take_snapshot(%{phase: :failed} = state) do
+    path = State.head_vertex(state).path
 
     {:error,
      Error.new(:component_failed, "#{path} has failed, so it has no state for a checkpoint")}
   end
 
-  def take(state) do
-    path = State.head(state).path
+  def take_snapshot(state) do
+    path = State.head_vertex(state).path
 
     with {:ok, core} <- core(state.callback, path),
-         {:ok, steps} <- Snapshot.plain(steps(state.chain), path),
-         {:ok, timers} <- Snapshot.plain(Timers.to_list(state.timers), path),
-         {:ok, outputs} <- Snapshot.plain(Enum.map(Outputs.all(state.outputs), &mark/1), path) do
+         {:ok, steps} <- Snapshot.to_plain_data(steps(state.chain), path),
+         {:ok, timers} <- Snapshot.to_plain_data(Timers.to_list(state.timers), path),
+         {:ok, outputs} <-
+           Snapshot.to_plain_data(Enum.map(Outputs.list_all(state.outputs), &mark/1), path) do
       {:ok,
        %{
          core: core,
          steps: steps,
          outputs: outputs,
          timers: timers,
-         closed: Inputs.closed(state.inputs),
+         closed: Inputs.closed_names(state.inputs),
          continue: state.pace.continue,
          ended: ended(state)
        }}
@@ -52,7 +53,7 @@ defmodule Situ.Stage.Memory do
 
   defp ended(%{source: source, outputs: outputs}) do
     closed = for {name, %{closing: time}} <- outputs.own, time != nil, do: {:close, name, time}
-    last = for %{last_time: time} <- Outputs.all(outputs), time != nil, do: time
+    last = for %{last_time: time} <- Outputs.list_all(outputs), time != nil, do: time
 
     if closed == [] and source.completed,
       do: [{:complete, source.completing || Enum.max(last, fn -> 0 end)}],
@@ -60,7 +61,7 @@ defmodule Situ.Stage.Memory do
   end
 
   defp core(nil, _path), do: {:ok, nil}
-  defp core(callback, path), do: Snapshot.take(callback.module, callback.core, path)
+  defp core(callback, path), do: Snapshot.take_snapshot(callback.module, callback.core, path)
 
   defp steps(nil), do: []
   defp steps(chain), do: for({:step, _fun, index, state} <- chain.steps, do: {index, state})
@@ -69,28 +70,29 @@ defmodule Situ.Stage.Memory do
     do: Map.take(output, [:last_time, :last_creation, :seq, :wanted, :future])
 
   @doc "Prepares the outputs, before the component starts, to continue after the messages that they have posted."
-  @spec prepare(State.t()) :: State.t()
-  def prepare(%{memory: nil} = state), do: state
+  @spec prepare_outputs(State.t()) :: State.t()
+  def prepare_outputs(%{memory: nil} = state), do: state
 
-  def prepare(%{memory: memory, outputs: outputs} = state) do
-    marks = Enum.zip(Outputs.all(outputs), memory.outputs)
+  def prepare_outputs(%{memory: memory, outputs: outputs} = state) do
+    marks = Enum.zip(Outputs.list_all(outputs), memory.outputs)
 
     outputs =
       Enum.reduce(marks, outputs, fn {%{port: port}, mark}, outputs ->
-        Outputs.each(outputs, &if(&1.port == port, do: again(&1, mark), else: &1))
+        Outputs.map_outputs(outputs, &if(&1.port == port, do: again(&1, mark), else: &1))
       end)
 
     %{state | outputs: outputs}
   end
 
-  defp again(output, mark), do: output |> struct!(mark) |> Output.resume()
+  defp again(output, mark), do: output |> struct!(mark) |> Output.resume_after_restart()
 
   @doc "Restores the rest after the component's start; returns the actions that announce its end, if any."
-  @spec put(State.t()) :: {:ok, State.t(), [Situ.Component.action()]} | {:error, Error.t()}
-  def put(%{memory: nil} = state), do: {:ok, state, []}
+  @spec restore_state(State.t()) ::
+          {:ok, State.t(), [Situ.Component.action()]} | {:error, Error.t()}
+  def restore_state(%{memory: nil} = state), do: {:ok, state, []}
 
-  def put(%{memory: memory} = state) do
-    path = State.head(state).path
+  def restore_state(%{memory: memory} = state) do
+    path = State.head_vertex(state).path
 
     with {:ok, callback} <- callback(state.callback, memory.core, path),
          {:ok, chain} <- chain(state.chain, memory.steps, path) do
@@ -101,7 +103,7 @@ defmodule Situ.Stage.Memory do
 
       pace = %{state.pace | continue: memory.continue}
       state = %{state | callback: callback, chain: chain, timers: timers, pace: pace}
-      inputs = Inputs.recall(state.inputs, memory.closed)
+      inputs = Inputs.restore_reported(state.inputs, memory.closed)
       {:ok, %{state | memory: nil, inputs: inputs}, memory.ended}
     end
   end
@@ -109,7 +111,7 @@ defmodule Situ.Stage.Memory do
   defp callback(nil, nil, _path), do: {:ok, nil}
 
   defp callback(callback, snapshot, path) do
-    with {:ok, core} <- Snapshot.put(callback.module, snapshot, callback.core, path),
+    with {:ok, core} <- Snapshot.restore_state(callback.module, snapshot, callback.core, path),
          do: {:ok, %{callback | core: core}}
   end
 
@@ -118,7 +120,7 @@ defmodule Situ.Stage.Memory do
   defp chain(chain, steps, path) do
     fresh = for {:step, _fun, index, state} <- chain.steps, do: {index, state}
 
-    with {:ok, steps} <- Snapshot.fill(steps, fresh, path) do
+    with {:ok, steps} <- Snapshot.fill_functions(steps, fresh, path) do
       states = Map.new(steps)
 
       steps =

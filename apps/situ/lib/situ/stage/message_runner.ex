@@ -7,8 +7,8 @@ defmodule Situ.Stage.MessageRunner do
   alias Situ.Stage.{Activation, Emission, Pace, State}
 
   @doc "Handles the next entry of an input at clock time `now`; returns the time after it."
-  @spec one(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
-  def one(state, input, now, final) do
+  @spec run_next(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
+  def run_next(state, input, now, final) do
     {entry, input} = Input.pop(input, now)
     entry(entry, state, input, now, final)
   end
@@ -16,10 +16,10 @@ defmodule Situ.Stage.MessageRunner do
   defp entry(nil, state, input, now, _final), do: {put_input(state, input), now}
 
   defp entry({:closed, time}, state, input, now, _final),
-    do: {state |> put_input(input) |> Emission.settle() |> closed(input, time), now}
+    do: {state |> put_input(input) |> Emission.send_pending() |> close_input(input, time), now}
 
   defp entry(%{originating_time: time}, state, input, now, final) when time > final,
-    do: {put_input(state, Input.skip(input, 1)), now}
+    do: {put_input(state, Input.drop_taken(input, 1)), now}
 
   defp entry(message, state, input, now, _final) do
     state = handle(put_input(state, input), input, message, now)
@@ -27,25 +27,26 @@ defmodule Situ.Stage.MessageRunner do
 
     # Whether it is held, and whether it is there at all, is for the component to say, and it may just have said so.
     input = Map.get(state.inputs.by_tag, input.tag, input)
-    input = Input.handled(input, 1, message.originating_time, {now, after_time - now})
+    input = Input.count_handled(input, 1, message.originating_time, {now, after_time - now})
     {put_input(state, input), after_time}
   end
 
   defp handle(state, %{check: :off} = input, message, now), do: call(state, input, message, now)
 
   defp handle(state, input, message, now) do
-    case Input.check(input, message, state.callback.path) do
+    case Input.check_type(input, message, state.callback.path) do
       {:ok, input} -> state |> put_input(input) |> call(input, message, now)
       {:error, error} -> wrong(state, error, input, message)
     end
   end
 
   defp call(state, input, message, now) do
-    context = State.context(state, now)
+    context = State.context_at(state, now)
 
-    with {:ok, actions, core} <- Callback.message(state.callback, input.name, message, context),
+    with {:ok, actions, core} <-
+           Callback.run_handle_message(state.callback, input.name, message, context),
          after_call = %{state | callback: %{state.callback | core: core}},
-         {:ok, state} <- Emission.run(after_call, actions, now) do
+         {:ok, state} <- Emission.apply_actions(after_call, actions, now) do
       state
     else
       {:error, error} -> wrong(state, error, input, message)
@@ -53,72 +54,79 @@ defmodule Situ.Stage.MessageRunner do
   end
 
   defp wrong(state, error, input, message),
-    do: Activation.wrong(state, Callback.at(error, input.name, message))
+    do: Activation.handle_error(state, Callback.add_message_info(error, input.name, message))
 
   @doc "Passes the waiting messages to `handle_messages/4` in one batch, as far as time and room allow."
-  @spec batch(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
-  def batch(%{pace: %{singly: n} = pace} = state, input, now, final) when n > 0,
-    do: one(%{state | pace: %{pace | singly: n - 1}}, input, now, final)
+  @spec run_batch(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
+  def run_batch(%{pace: %{singly: n} = pace} = state, input, now, final) when n > 0,
+    do: run_next(%{state | pace: %{pace | singly: n - 1}}, input, now, final)
 
-  def batch(state, input, now, final) do
-    room = min(Outputs.room(state.outputs), state.pace.slice)
+  def run_batch(state, input, now, final) do
+    room = min(Outputs.available_room(state.outputs), state.pace.slice)
 
-    case Input.take(input, room) do
+    case Input.take_batch(input, room) do
       {[_, _ | _] = messages, rest} -> try_batch(state, input, {messages, rest}, now, final)
-      _ -> one(state, input, now, final)
+      _ -> run_next(state, input, now, final)
     end
   end
 
   defp try_batch(state, input, {messages, rest}, now, final) do
     last = List.last(messages).originating_time
-    context = State.context(state, now)
+    context = State.context_at(state, now)
 
     with true <- last <= final,
-         {:ok, actions, core} <- Callback.messages(state.callback, input.name, messages, context),
+         {:ok, actions, core} <-
+           Callback.run_handle_messages(state.callback, input.name, messages, context),
          after_call = %{state | callback: %{state.callback | core: core}},
-         {:ok, state} <- Emission.run(after_call, actions, now) do
+         {:ok, state} <- Emission.apply_actions(after_call, actions, now) do
       after_time = Clock.now(state.clock)
       n = length(messages)
       rest = %{rest | held: Map.fetch!(state.inputs.by_tag, input.tag).held}
-      rest = Input.handled(rest, n, last, {now, after_time - now})
-      pace = Pace.resize(state.pace, n, after_time - now)
+      rest = Input.count_handled(rest, n, last, {now, after_time - now})
+      pace = Pace.resize_slice(state.pace, n, after_time - now)
       {put_input(%{state | pace: pace}, rest), after_time}
     else
       # All of it is taken one by one, before another batch is tried.
-      _ -> batch(%{state | pace: %{state.pace | singly: length(messages)}}, input, now, final)
+      _ -> run_batch(%{state | pace: %{state.pace | singly: length(messages)}}, input, now, final)
     end
   end
 
   @doc "Handles an input that has closed after its last message."
-  @spec closed(State.t(), Input.t(), Situ.Time.t()) :: State.t()
-  def closed(state, input, time) do
-    {known?, inputs} = Inputs.close(state.inputs, input)
+  @spec close_input(State.t(), Input.t(), Situ.Time.t()) :: State.t()
+  def close_input(state, input, time) do
+    {known?, inputs} = Inputs.close_input(state.inputs, input)
     state = %{state | inputs: inputs}
 
     state =
       if state.callback != nil and state.phase != :failed and not known?,
-        do: Activation.call(state, :handle_closed, [input.name, time], Clock.now(state.clock)),
+        do:
+          Activation.call_callback(
+            state,
+            :handle_closed,
+            [input.name, time],
+            Clock.now(state.clock)
+          ),
         else: state
 
-    settled(%{
+    settle_inputs(%{
       state
       | pace: %{state.pace | closings: state.pace.closings ++ [{input.tag, input.name, time}]}
     })
   end
 
   @doc "Sends pending messages; an input counts as closed once the component has emitted everything for it."
-  @spec settled(State.t()) :: State.t()
-  def settled(%{pace: %{closings: []}} = state), do: Emission.settle(state)
+  @spec settle_inputs(State.t()) :: State.t()
+  def settle_inputs(%{pace: %{closings: []}} = state), do: Emission.send_pending(state)
 
-  def settled(%{phase: phase, pace: %{continue: continue, lingers: lingers?}} = state)
+  def settle_inputs(%{phase: phase, pace: %{continue: continue, lingers: lingers?}} = state)
       when phase != :failed and (lingers? or continue != :none),
-      do: Emission.settle(state)
+      do: Emission.send_pending(state)
 
-  def settled(state) do
-    state = Emission.settle(state)
+  def settle_inputs(state) do
+    state = Emission.send_pending(state)
 
     for {tag, name, time} <- state.pace.closings,
-        do: State.report(state, {:unsubscribed, tag, name, time})
+        do: State.report_event(state, {:unsubscribed, tag, name, time})
 
     %{state | pace: %{state.pace | closings: []}}
   end

@@ -40,10 +40,10 @@ defmodule Situ.Stage.Pace do
         }
 
   @doc "Schedules another time slice after the current mailbox."
-  @spec schedule(t()) :: t()
-  def schedule(%__MODULE__{scheduled: true} = pace), do: pace
+  @spec schedule_slice(t()) :: t()
+  def schedule_slice(%__MODULE__{scheduled: true} = pace), do: pace
 
-  def schedule(%__MODULE__{} = pace) do
+  def schedule_slice(%__MODULE__{} = pace) do
     send(self(), :situ_turn)
     %{pace | scheduled: true}
   end
@@ -51,11 +51,11 @@ defmodule Situ.Stage.Pace do
   @doc """
   Adjusts the slice after `n` messages took `elapsed` ns: a quick slice grows, a slow one shrinks.
   """
-  @spec resize(t(), non_neg_integer(), integer()) :: t()
-  def resize(%__MODULE__{wide: false} = pace, n, elapsed) when n >= @many,
-    do: pace |> widen(n) |> resize(n, elapsed)
+  @spec resize_slice(t(), non_neg_integer(), integer()) :: t()
+  def resize_slice(%__MODULE__{wide: false} = pace, n, elapsed) when n >= @many,
+    do: pace |> enlarge_heap(n) |> resize_slice(n, elapsed)
 
-  def resize(%__MODULE__{slice: slice} = pace, n, elapsed) do
+  def resize_slice(%__MODULE__{slice: slice} = pace, n, elapsed) do
     cond do
       elapsed > @slow_ns and slice > 1 -> %{pace | slice: div(slice, 2)}
       elapsed < @quick_ns and n == slice and slice < @most -> %{pace | slice: slice * 2}
@@ -64,18 +64,18 @@ defmodule Situ.Stage.Pace do
   end
 
   @doc "Shrinks the slice after a batch of `n` messages took too long; the next one should take about a millisecond."
-  @spec slow(t(), pos_integer()) :: t()
-  def slow(%__MODULE__{} = pace, n), do: %{pace | slice: max(div(n, 5), 1)}
+  @spec shrink_slice(t(), pos_integer()) :: t()
+  def shrink_slice(%__MODULE__{} = pace, n), do: %{pace | slice: max(div(n, 5), 1)}
 
   @doc """
   Enlarges the heap, once, of a stage that handles many messages in one slice. Otherwise successive garbage collections
   would copy the messages again and again.
   """
-  @spec widen(t(), non_neg_integer() | :infinity) :: t()
-  def widen(%__MODULE__{wide: false} = pace, n) when n >= @many do
+  @spec enlarge_heap(t(), non_neg_integer() | :infinity) :: t()
+  def enlarge_heap(%__MODULE__{wide: false} = pace, n) when n >= @many do
     Process.flag(:min_heap_size, @wide_words)
     %{pace | wide: true}
   end
 
-  def widen(%__MODULE__{} = pace, _messages), do: pace
+  def enlarge_heap(%__MODULE__{} = pace, _messages), do: pace
 end

@@ -11,30 +11,32 @@ defmodule Situ.Stage.Production do
   @most_ahead 8
 
   @doc "Asks a pull source for messages while there is room; returns whether it may have more."
-  @spec produce(State.t(), Situ.Time.t()) :: {:more | :enough, State.t()}
-  def produce(state, now) do
-    room = if Source.ready?(state.source), do: room(state), else: 0
+  @spec produce_messages(State.t(), Situ.Time.t()) :: {:more | :enough, State.t()}
+  def produce_messages(state, now) do
+    room = if Source.can_produce?(state.source), do: room(state), else: 0
 
-    if room < 1 or Outputs.holding?(state.outputs),
+    if room < 1 or Outputs.any_held?(state.outputs),
       do: {:enough, state},
       else: ask(state, room, now)
   end
 
   defp room(state) do
-    room = min(Outputs.room(state.outputs), @most)
+    room = min(Outputs.available_room(state.outputs), @most)
     room = if state.context.enforced?, do: min(room, @most_ahead), else: room
     if state.outputs.tail, do: min(room, state.pace.slice), else: room
   end
 
   defp ask(state, room, now) do
-    before = {Outputs.progress(state.outputs), Outputs.repeated(state.outputs), errors(state)}
-    state = state |> Activation.call(:handle_demand, [room], now) |> judge(before)
-    state = Emission.settle(%{state | pace: Pace.widen(state.pace, room)})
+    before =
+      {Outputs.progress_mark(state.outputs), Outputs.repeated_count(state.outputs), errors(state)}
+
+    state = state |> Activation.call_callback(:handle_demand, [room], now) |> judge(before)
+    state = Emission.send_pending(%{state | pace: Pace.enlarge_heap(state.pace, room)})
 
     # The slice is for the operators behind it, which work in the same turn.
     state =
       if state.outputs.tail,
-        do: %{state | pace: Pace.resize(state.pace, room, Clock.now(state.clock) - now)},
+        do: %{state | pace: Pace.resize_slice(state.pace, room, Clock.now(state.clock) - now)},
         else: state
 
     if state.source.idle or state.source.completed or state.phase == :failed,
@@ -45,27 +47,27 @@ defmodule Situ.Stage.Production do
   defp judge(%{phase: :failed} = state, _before), do: state
 
   defp judge(state, {progress, repeated, errors}) do
-    emitted? = Outputs.progress(state.outputs) != progress
+    emitted? = Outputs.progress_mark(state.outputs) != progress
     harmed? = errors(state) != errors
-    repeated? = Outputs.repeated(state.outputs) != repeated
+    repeated? = Outputs.repeated_count(state.outputs) != repeated
     # How often one may restart is counted elsewhere.
     restarts? = harmed? and state.callback.on_error == :restart
     {harmed?, repeated?} = {harmed? and not restarts?, repeated? or restarts?}
 
-    case Source.judge(state.source, emitted?, harmed?, repeated?) do
+    case Source.judge_reply(state.source, emitted?, harmed?, repeated?) do
       {:ok, source} -> %{state | source: source}
-      {:no_way_on, _source} -> ErrorPolicy.fail(state, no_way_on(state))
+      {:no_way_on, _source} -> ErrorPolicy.fail_stage(state, no_way_on(state))
     end
   end
 
-  defp errors(state), do: Tally.read(state.tally, 0).errors
+  defp errors(state), do: Tally.read_counts(state.tally, 0).errors
 
   defp no_way_on(state) do
     path = state.callback.path
 
     Error.new(
       :no_way_on,
-      "#{path} failed #{Source.strikes()} times without emitting anything",
+      "#{path} failed #{Source.max_strikes()} times without emitting anything",
       why: "a source that raises has no message to skip, so it would raise again and again",
       fix: "handle the error in handle_demand/3, or use on_error: :stop",
       meta: %{component: path}
@@ -73,25 +75,30 @@ defmodule Situ.Stage.Production do
   end
 
   @doc "Stops the source; it sends nothing later than `final`."
-  @spec stop(State.t(), Situ.Time.t()) :: State.t()
-  def stop(%{source: %{stopping: nil}} = state, final) do
+  @spec stop_source(State.t(), Situ.Time.t()) :: State.t()
+  def stop_source(%{source: %{stopping: nil}} = state, final) do
     state = %{
       state
-      | source: Source.ask(state.source, final),
-        outputs: state.outputs |> Outputs.wait(false) |> Outputs.each(&Output.cut(&1, final)),
-        timers: Timers.cut(state.timers, final)
+      | source: Source.request_stop(state.source, final),
+        outputs:
+          state.outputs
+          |> Outputs.set_waiting(false)
+          |> Outputs.map_outputs(&Output.drop_held_after(&1, final)),
+        timers: Timers.drop_after(state.timers, final)
     }
 
     # Light operators whose source is gone, as while a unit restarts, have nothing to stop.
     state =
       if state.phase == :failed or state.callback == nil,
         do: state,
-        else: Activation.call(state, :handle_stop, [final], Clock.now(state.clock))
+        else: Activation.call_callback(state, :handle_stop, [final], Clock.now(state.clock))
 
-    if state.source.stopping == :asked, do: ErrorPolicy.stopped(state), else: State.wake(state)
+    if state.source.stopping == :asked,
+      do: ErrorPolicy.report_source_stopped(state),
+      else: State.wake_source(state)
   end
 
-  def stop(state, _final), do: state
+  def stop_source(state, _final), do: state
 
   @doc "Stops the source immediately; messages that it holds back are lost."
   @spec stop_now(State.t()) :: State.t()
@@ -100,25 +107,28 @@ defmodule Situ.Stage.Production do
   def stop_now(state) do
     state = %{
       state
-      | outputs: state.outputs |> Outputs.wait(false) |> Outputs.each(&Output.forget/1)
+      | outputs:
+          state.outputs
+          |> Outputs.set_waiting(false)
+          |> Outputs.map_outputs(&Output.drop_all_held/1)
     }
 
-    ErrorPolicy.stopped(state)
+    ErrorPolicy.report_source_stopped(state)
   end
 
   @doc "Reports a completion or stop that was waiting until no message is held back."
-  @spec released(State.t()) :: State.t()
-  def released(%{source: %{completing: nil, stopping: stopping}} = state)
+  @spec report_released(State.t()) :: State.t()
+  def report_released(%{source: %{completing: nil, stopping: stopping}} = state)
       when stopping != :held,
       do: state
 
-  def released(state) do
-    if Outputs.holding?(state.outputs) do
+  def report_released(state) do
+    if Outputs.any_held?(state.outputs) do
       state
     else
       time = state.source.completing
-      state = if time, do: Emission.complete(state, time), else: state
-      if state.source.stopping == :held, do: ErrorPolicy.stopped(state), else: state
+      state = if time, do: Emission.announce_end(state, time), else: state
+      if state.source.stopping == :held, do: ErrorPolicy.report_source_stopped(state), else: state
     end
   end
 end

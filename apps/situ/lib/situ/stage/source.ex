@@ -38,55 +38,57 @@ defmodule Situ.Stage.Source do
   def wake(%__MODULE__{} = source), do: %{source | idle: false}
 
   @doc "Returns whether the source may be asked for messages."
-  @spec ready?(t()) :: boolean()
-  def ready?(%__MODULE__{kind: :pull, completed: false, idle: false, stopping: stopping}),
+  @spec can_produce?(t()) :: boolean()
+  def can_produce?(%__MODULE__{kind: :pull, completed: false, idle: false, stopping: stopping}),
     do: stopping in [nil, :stopping]
 
-  def ready?(%__MODULE__{}), do: false
+  def can_produce?(%__MODULE__{}), do: false
 
   @doc "Records the end at `time`; returns `:tell` to report it now, or `:later` if messages are held back (`held?`)."
-  @spec complete(t(), Situ.Time.t(), boolean()) :: {:tell | :later, t()}
-  def complete(%__MODULE__{completed: true, completing: nil} = source, _time, _held?),
+  @spec record_end(t(), Situ.Time.t(), boolean()) :: {:tell | :later, t()}
+  def record_end(%__MODULE__{completed: true, completing: nil} = source, _time, _held?),
     do: {:later, source}
 
-  def complete(%__MODULE__{} = source, time, true),
+  def record_end(%__MODULE__{} = source, time, true),
     do: {:later, %{source | completing: time, completed: true}}
 
-  def complete(%__MODULE__{} = source, _time, false),
+  def record_end(%__MODULE__{} = source, _time, false),
     do: {:tell, %{source | completing: nil, completed: true}}
 
   @doc "Requests a stop at `final`."
-  @spec ask(t(), Situ.Time.t()) :: t()
-  def ask(%__MODULE__{} = source, final), do: %{source | final: final, stopping: :asked}
+  @spec request_stop(t(), Situ.Time.t()) :: t()
+  def request_stop(%__MODULE__{} = source, final), do: %{source | final: final, stopping: :asked}
 
   @doc "Marks a source that is stopping and will report when it has stopped."
-  @spec stopping(t()) :: t()
-  def stopping(%__MODULE__{stopping: :asked} = source), do: %{source | stopping: :stopping}
-  def stopping(%__MODULE__{} = source), do: source
+  @spec mark_stopping(t()) :: t()
+  def mark_stopping(%__MODULE__{stopping: :asked} = source), do: %{source | stopping: :stopping}
+  def mark_stopping(%__MODULE__{} = source), do: source
 
   @doc "Marks a source that has posted its last message; `held?` means that some messages are still held back."
-  @spec stopped(t(), boolean()) :: {:tell | :later, t()}
-  def stopped(%__MODULE__{stopping: :done} = source, _held?), do: {:later, source}
-  def stopped(%__MODULE__{} = source, true), do: {:later, %{source | stopping: :held}}
-  def stopped(%__MODULE__{} = source, false), do: {:tell, %{source | stopping: :done}}
+  @spec mark_stopped(t(), boolean()) :: {:tell | :later, t()}
+  def mark_stopped(%__MODULE__{stopping: :done} = source, _held?), do: {:later, source}
+  def mark_stopped(%__MODULE__{} = source, true), do: {:later, %{source | stopping: :held}}
+  def mark_stopped(%__MODULE__{} = source, false), do: {:tell, %{source | stopping: :done}}
 
   @doc """
   Judges a source's response to demand. A source that emitted nothing is asked again after the next event. A source that
-  failed is asked again immediately, up to `strikes/0` times in a row, because a failure consumes no message.
+  failed is asked again immediately, up to `max_strikes/0` times in a row, because a failure consumes no message.
   """
-  @spec judge(t(), emitted? :: boolean(), harmed? :: boolean(), repeated? :: boolean()) ::
+  @spec judge_reply(t(), emitted? :: boolean(), harmed? :: boolean(), repeated? :: boolean()) ::
           {:ok | :no_way_on, t()}
-  def judge(%__MODULE__{} = source, true, _harmed?, _repeated?), do: {:ok, %{source | strikes: 0}}
-  def judge(%__MODULE__{} = source, false, false, true), do: {:ok, source}
-  def judge(%__MODULE__{} = source, false, false, false), do: {:ok, %{source | idle: true}}
+  def judge_reply(%__MODULE__{} = source, true, _harmed?, _repeated?),
+    do: {:ok, %{source | strikes: 0}}
 
-  def judge(%__MODULE__{strikes: strikes} = source, false, true, _repeated?)
+  def judge_reply(%__MODULE__{} = source, false, false, true), do: {:ok, source}
+  def judge_reply(%__MODULE__{} = source, false, false, false), do: {:ok, %{source | idle: true}}
+
+  def judge_reply(%__MODULE__{strikes: strikes} = source, false, true, _repeated?)
       when strikes < @strikes,
       do: {:ok, %{source | strikes: strikes + 1}}
 
-  def judge(%__MODULE__{} = source, false, true, _repeated?), do: {:no_way_on, source}
+  def judge_reply(%__MODULE__{} = source, false, true, _repeated?), do: {:no_way_on, source}
 
   @doc "Returns how many consecutive errors are too many."
-  @spec strikes() :: pos_integer()
-  def strikes, do: @strikes + 1
+  @spec max_strikes() :: pos_integer()
+  def max_strikes, do: @strikes + 1
 end

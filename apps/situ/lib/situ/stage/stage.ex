@@ -24,8 +24,8 @@ defmodule Situ.Stage do
   @slow :erlang.convert_time_unit(1, :millisecond, :native)
 
   @doc "Returns the content of the control cell until the pipeline stops: no final time."
-  @spec never() :: integer()
-  defdelegate never, to: State
+  @spec no_final_time() :: integer()
+  defdelegate no_final_time, to: State
 
   @doc "Returns whether the stage with this control cell waits for the outside world or for the clock."
   @spec patient?(:atomics.atomics_ref()) :: boolean()
@@ -49,11 +49,11 @@ defmodule Situ.Stage do
 
     case State.init(state) do
       {:ok, state} ->
-        State.report(state, :up)
+        State.report_event(state, :up)
         :gen_server.enter_loop(__MODULE__, [], state)
 
       {:error, error} ->
-        State.report(state, {:init_failed, error})
+        State.report_event(state, {:init_failed, error})
         exit(:normal)
     end
   end
@@ -64,54 +64,67 @@ defmodule Situ.Stage do
   # GenStage's own calls and casts, and those of the component.
   @impl true
   def handle_call(:"$estimate_buffered_count", _from, state),
-    do: {:reply, Outputs.buffered(state.outputs), state}
+    do: {:reply, Outputs.buffered_count(state.outputs), state}
 
-  def handle_call({:"$info", message}, _from, state), do: {:reply, :ok, Loop.info(state, message)}
-  def handle_call(request, from, state), do: {:noreply, Loop.request(state, request, from)}
+  def handle_call({:"$info", message}, _from, state),
+    do: {:reply, :ok, Loop.handle_plain_message(state, message)}
+
+  def handle_call(request, from, state), do: {:noreply, Loop.handle_request(state, request, from)}
 
   @impl true
   def handle_cast({:"$demand", mode}, state) when mode in [:forward, :accumulate],
-    do: {:noreply, Loop.demand(state, mode)}
+    do: {:noreply, Loop.set_demand(state, mode)}
 
-  def handle_cast({:"$info", message}, state), do: {:noreply, Loop.info(state, message)}
-  def handle_cast(request, state), do: {:noreply, Loop.request(state, request, nil)}
+  def handle_cast({:"$info", message}, state),
+    do: {:noreply, Loop.handle_plain_message(state, message)}
+
+  def handle_cast(request, state), do: {:noreply, Loop.handle_request(state, request, nil)}
 
   @impl true
   def handle_info({:"$gen_consumer", {_, tag}, {:cancel, reason}} = message, state) do
     case state.inputs.by_tag do
-      %{^tag => input} -> {:noreply, Loop.closing(state, input, closing_time(reason, state))}
-      _ -> {:noreply, Loop.info(state, message)}
+      %{^tag => input} ->
+        {:noreply, Loop.handle_closing(state, input, closing_time(reason, state))}
+
+      _ ->
+        {:noreply, Loop.handle_plain_message(state, message)}
     end
   end
 
   def handle_info({:"$gen_consumer", {_, tag}, batch} = message, state) do
     case state.inputs.by_tag do
-      %{^tag => input} -> {:noreply, Loop.arrived(state, input, batch)}
-      _ -> {:noreply, Loop.info(state, message)}
+      %{^tag => input} -> {:noreply, Loop.handle_batch(state, input, batch)}
+      _ -> {:noreply, Loop.handle_plain_message(state, message)}
     end
   end
 
   def handle_info({:"$gen_producer", {pid, _tag} = from, {:ask, n} = request}, state)
       when is_pid(pid) and is_integer(n) and n > 0 do
-    case Outputs.ask(state.outputs, from, n) do
-      {:ok, outputs} -> state |> Loop.asked(outputs) |> unless_over()
-      :error -> {:noreply, Attachment.asked(state, from, request)}
+    case Outputs.add_demand(state.outputs, from, n) do
+      {:ok, outputs} -> state |> Loop.handle_demand(outputs) |> unless_over()
+      :error -> {:noreply, Attachment.handle_consumer_request(state, from, request)}
     end
   end
 
   def handle_info({:"$gen_producer", {pid, _tag} = from, request}, state) when is_pid(pid),
-    do: state |> Attachment.asked(from, request) |> Loop.turn() |> unless_over()
+    do:
+      state
+      |> Attachment.handle_consumer_request(from, request)
+      |> Loop.run_slice()
+      |> unless_over()
 
-  def handle_info(:situ_turn, state), do: {:noreply, Loop.again(state)}
-  def handle_info({:situ_alarm, _}, state), do: {:noreply, Loop.ring(state)}
-  def handle_info({:situ, request}, state), do: Control.handle(request, state)
+  def handle_info(:situ_turn, state), do: {:noreply, Loop.run_scheduled_slice(state)}
+  def handle_info({:situ_alarm, _}, state), do: {:noreply, Loop.handle_alarm(state)}
+  def handle_info({:situ, request}, state), do: Control.handle_request(request, state)
 
   # A hold that was renewed or ended meanwhile is not this one's to end.
   def handle_info({:situ_hold, tag, token}, state) do
     case state.inputs.by_tag do
       %{^tag => %{held: {_timer, ^token}} = input} ->
         inputs = Inputs.put(state.inputs, %{input | held: nil})
-        {:noreply, Loop.info(%{state | inputs: inputs}, {:hold_ended, input.name})}
+
+        {:noreply,
+         Loop.handle_plain_message(%{state | inputs: inputs}, {:hold_ended, input.name})}
 
       _ ->
         {:noreply, state}
@@ -119,9 +132,9 @@ defmodule Situ.Stage do
   end
 
   def handle_info({:DOWN, ref, :process, _pid, _} = message, state) do
-    if Enum.any?(Outputs.subscribers(state.outputs), &(&1.monitor == ref)),
-      do: state |> Attachment.left_by(ref) |> Loop.turn() |> unless_over(),
-      else: {:noreply, Loop.info(state, message)}
+    if Enum.any?(Outputs.list_subscribers(state.outputs), &(&1.monitor == ref)),
+      do: state |> Attachment.remove_by_monitor(ref) |> Loop.run_slice() |> unless_over(),
+      else: {:noreply, Loop.handle_plain_message(state, message)}
   end
 
   # No GenStage process sends such a message; ignore it.
@@ -133,14 +146,14 @@ defmodule Situ.Stage do
 
   def handle_info(message, state) do
     started = :erlang.monotonic_time()
-    state = Loop.info(state, message)
+    state = Loop.handle_plain_message(state, message)
     slow? = :erlang.monotonic_time() - started > @slow
-    {:noreply, if(slow?, do: Control.overtake(state), else: state)}
+    {:noreply, if(slow?, do: Control.handle_overtaking(state), else: state)}
   end
 
   @impl true
   def terminate(_reason, %{callback: nil}), do: :ok
-  def terminate(reason, state), do: Callback.stop(state.callback, reason)
+  def terminate(reason, state), do: Callback.stop_component(state.callback, reason)
 
   defp unless_over(%{pace: %{quitting: true}} = state) do
     if Outputs.drained?(state.outputs), do: {:stop, :normal, state}, else: {:noreply, state}
@@ -157,7 +170,7 @@ defmodule Situ.Stage do
 
   defp summary(%State{} = state),
     do: %{
-      component: State.head(state).path,
+      component: State.head_vertex(state).path,
       phase: state.phase,
       inputs: map_size(state.inputs.by_tag)
     }

@@ -56,8 +56,8 @@ defmodule Situ.Stage.State do
         }
 
   @doc "Returns the content of the control cell until the pipeline stops: no final time."
-  @spec never() :: integer()
-  def never, do: @never
+  @spec no_final_time() :: integer()
+  def no_final_time, do: @never
 
   @spec new(map()) :: t()
   def new(%{vertices: [head | _] = vertices} = args) do
@@ -88,13 +88,13 @@ defmodule Situ.Stage.State do
   def init(%{callback: nil} = state), do: {:ok, state}
 
   def init(state) do
-    with {:ok, callback} <- Callback.start(state.callback),
+    with {:ok, callback} <- Callback.start_component(state.callback),
          do: {:ok, %{state | callback: callback}}
   end
 
   @doc "Sets the clock, the neighbours and their counters, which are known once every stage is up."
-  @spec wire(t(), map()) :: t()
-  def wire(state, wiring) do
+  @spec wire_neighbours(t(), map()) :: t()
+  def wire_neighbours(state, wiring) do
     outputs =
       Enum.reduce(wiring.subs, state.outputs, fn {name, subs}, outputs ->
         subs =
@@ -131,18 +131,21 @@ defmodule Situ.Stage.State do
   end
 
   @doc "Replaces the pid of a restarted neighbour."
-  @spec rewire(t(), term(), pid()) :: t()
-  def rewire(state, tag, pid) do
+  @spec replace_neighbour(t(), term(), pid()) :: t()
+  def replace_neighbour(state, tag, pid) do
     inputs =
       case state.inputs.by_tag do
-        %{^tag => input} -> Inputs.put(state.inputs, Input.replace(input, pid))
+        %{^tag => input} -> Inputs.put(state.inputs, Input.replace_producer(input, pid))
         _ -> state.inputs
       end
 
     outputs =
-      Outputs.each(state.outputs, fn %Output{} = output ->
+      Outputs.map_outputs(state.outputs, fn %Output{} = output ->
         subs =
-          Enum.map(output.subs, &if(&1.tag == tag, do: Subscriber.replace(&1, pid), else: &1))
+          Enum.map(
+            output.subs,
+            &if(&1.tag == tag, do: Subscriber.replace_consumer(&1, pid), else: &1)
+          )
 
         %{output | subs: subs}
       end)
@@ -153,7 +156,7 @@ defmodule Situ.Stage.State do
   @doc "Returns the output named in `output: name`; a single output needs no name."
   @spec find_output(t(), keyword()) :: {:ok, Output.t()} | {:error, Error.t()}
   def find_output(state, opts) do
-    case {Keyword.fetch(opts, :output), Outputs.open(state.outputs)} do
+    case {Keyword.fetch(opts, :output), Outputs.open_outputs(state.outputs)} do
       {:error, [{_, output}]} -> {:ok, output}
       {:error, _} -> {:error, no_output(state, opts)}
       {{:ok, name}, open} -> named(List.keyfind(open, name, 0), state, opts)
@@ -164,32 +167,32 @@ defmodule Situ.Stage.State do
   defp named(nil, state, opts), do: {:error, no_output(state, opts)}
 
   @doc "Returns the component, or the first operator of a chain."
-  @spec head(t()) :: Vertex.t()
-  def head(%{vertices: [head | _]}), do: head
+  @spec head_vertex(t()) :: Vertex.t()
+  def head_vertex(%{vertices: [head | _]}), do: head
 
   @doc "Replaces the component, or the first operator of a chain."
   @spec put_head(t(), Vertex.t()) :: t()
   def put_head(%{vertices: [_ | rest]} = state, head), do: %{state | vertices: [head | rest]}
 
   @doc "Returns the context for a callback, with the current time."
-  @spec context(t(), Situ.Time.t()) :: Context.t()
-  def context(%{context: context}, now), do: %{context | now: now}
+  @spec context_at(t(), Situ.Time.t()) :: Context.t()
+  def context_at(%{context: context}, now), do: %{context | now: now}
 
   @doc "Returns the time up to which messages count."
-  @spec final(t()) :: integer()
-  def final(%{control: nil}), do: @never
-  def final(%{control: control}), do: :atomics.get(control, 1)
+  @spec final_time(t()) :: integer()
+  def final_time(%{control: nil}), do: @never
+  def final_time(%{control: control}), do: :atomics.get(control, 1)
 
   @doc "Sets whether messages are taken and sent."
-  @spec demand(t(), :accumulate | :forward) :: t()
-  def demand(state, mode),
-    do: patience(%{state | outputs: %{state.outputs | demand: mode}}, mode == :accumulate)
+  @spec set_demand(t(), :accumulate | :forward) :: t()
+  def set_demand(state, mode),
+    do: set_patience(%{state | outputs: %{state.outputs | demand: mode}}, mode == :accumulate)
 
   @doc "Sets whether the stage waits for the outside world or for the clock, so that it does not count as stuck."
-  @spec patience(t(), boolean()) :: t()
-  def patience(%{control: nil} = state, _waits?), do: state
+  @spec set_patience(t(), boolean()) :: t()
+  def set_patience(%{control: nil} = state, _waits?), do: state
 
-  def patience(state, waits?) do
+  def set_patience(state, waits?) do
     :atomics.put(state.control, 2, if(waits?, do: 1, else: 0))
     state
   end
@@ -198,18 +201,20 @@ defmodule Situ.Stage.State do
   def patient?(control), do: :atomics.get(control, 2) == 1
 
   @doc "Wakes a source without messages after an event that it may have been waiting for."
-  @spec wake(t()) :: t()
-  def wake(%{source: %{idle: false}} = state), do: state
-  def wake(state), do: %{state | source: Source.wake(state.source)}
+  @spec wake_source(t()) :: t()
+  def wake_source(%{source: %{idle: false}} = state), do: state
+  def wake_source(state), do: %{state | source: Source.wake(state.source)}
 
   @doc "Reports an event to the pipeline's server."
-  @spec report(t(), term()) :: term()
-  def report(%{owner: {server, id}}, event), do: send(server, {:situ_stage, id, event})
+  @spec report_event(t(), term()) :: term()
+  def report_event(%{owner: {server, id}}, event), do: send(server, {:situ_stage, id, event})
 
   defp no_output(state, opts) do
-    known = state.outputs |> Outputs.open() |> Enum.map_join(", ", &inspect(elem(&1, 0)))
+    known = state.outputs |> Outputs.open_outputs() |> Enum.map_join(", ", &inspect(elem(&1, 0)))
 
-    Error.new(:unknown_output, "#{head(state).path} has no output #{inspect(opts[:output])}",
+    Error.new(
+      :unknown_output,
+      "#{head_vertex(state).path} has no output #{inspect(opts[:output])}",
       fix: "subscribe with output: one of " <> known
     )
   end

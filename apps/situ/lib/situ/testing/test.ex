@@ -56,11 +56,13 @@ defmodule Situ.Test do
     opts = Keyword.put(opts, :pipeline, Keyword.put(settings, :replay, replay))
 
     spec = fn p ->
-      streams = Map.new(inputs, fn {key, messages} -> {key, input(p, key, messages)} end)
-      call(build, streams, p)
+      streams =
+        Map.new(inputs, fn {key, messages} -> {key, add_closed_input(p, key, messages)} end)
+
+      call_build(build, streams, p)
     end
 
-    with {:ok, collected} <- Collector.collect(spec, opts), do: {:ok, timed(collected)}
+    with {:ok, collected} <- Collector.collect(spec, opts), do: {:ok, to_timed_pairs(collected)}
   end
 
   @doc "Starts a pipeline with these inputs and a manual clock at `start:` (default 0), moved by `advance/2`."
@@ -72,17 +74,26 @@ defmodule Situ.Test do
     settings = Keyword.merge([clock: clock], Keyword.get(opts, :pipeline, []))
 
     spec = fn p ->
-      streams = Map.new(inputs, &{&1, fed(p, &1, me, ref)})
-      outputs = call(build, streams, p)
-      Enum.each(keyed(outputs), fn {key, stream} -> Collector.sink(stream, me, {ref, key}) end)
-      send(me, {:situ_test_shape, ref, shape(outputs)})
+      streams = Map.new(inputs, &{&1, add_fed_input(p, &1, me, ref)})
+      outputs = call_build(build, streams, p)
+
+      Enum.each(key_streams(outputs), fn {key, stream} ->
+        Collector.attach_sink(stream, me, {ref, key})
+      end)
+
+      send(me, {:situ_test_shape, ref, output_shape(outputs)})
     end
 
     case Pipeline.start(spec, Keyword.put(opts, :pipeline, settings)) do
       {:ok, pid} ->
-        running(pid)
+        await_running(pid)
         test = %__MODULE__{pipeline: pid, clock: clock, inputs: %{}, ref: ref, shape: nil}
-        %{test | inputs: Map.new(inputs, &{&1, wait_input(pid, ref, &1)}), shape: wait_shape(ref)}
+
+        %{
+          test
+          | inputs: Map.new(inputs, &{&1, await_input(pid, ref, &1)}),
+            shape: await_shape(ref)
+        }
 
       {:error, error} ->
         raise error
@@ -92,14 +103,14 @@ defmodule Situ.Test do
   @doc "Sends messages `{time, data}` (one or a list) to an input."
   @spec feed(t(), term(), timed() | [timed()]) :: :ok
   def feed(%__MODULE__{} = test, input, messages) do
-    send(pid(test, input), {:situ_feed, List.wrap(messages)})
+    send(fetch_input_pid(test, input), {:situ_feed, List.wrap(messages)})
     settle(test)
   end
 
   @doc "Closes an input, at its last message's time or at `time`."
   @spec close(t(), term(), Situ.Time.t() | nil) :: :ok
   def close(%__MODULE__{} = test, input, time \\ nil) do
-    send(pid(test, input), {:situ_close, time})
+    send(fetch_input_pid(test, input), {:situ_close, time})
     settle(test)
   end
 
@@ -114,11 +125,11 @@ defmodule Situ.Test do
   @spec outputs(t()) :: term()
   def outputs(%__MODULE__{} = test) do
     settle(test)
-    batches = gather(test.ref, %{})
+    batches = collect_outputs(test.ref, %{})
 
     case test.shape do
       :only -> Map.get(batches, :only, [])
-      {kind, keys} -> keys |> Enum.map(&{&1, Map.get(batches, &1, [])}) |> shaped(kind)
+      {kind, keys} -> keys |> Enum.map(&{&1, Map.get(batches, &1, [])}) |> apply_shape(kind)
     end
   end
 
@@ -133,20 +144,20 @@ defmodule Situ.Test do
 
   @doc "Waits until every process of the pipeline has handled its messages."
   @spec settle(t()) :: :ok
-  def settle(%__MODULE__{} = test), do: Rest.reach(test.pipeline, test.clock)
+  def settle(%__MODULE__{} = test), do: Rest.await_idle(test.pipeline, test.clock)
 
-  defp pid(test, input) do
+  defp fetch_input_pid(test, input) do
     Map.get(test.inputs, input) ||
       raise ArgumentError,
             "no input #{inspect(input)}; the inputs are: #{inspect(Map.keys(test.inputs))}"
   end
 
   # The clock must not move before the pipeline has read it as its start time.
-  defp running(pid) do
-    if Pipeline.state(pid) in [:building, :starting], do: running(pid), else: :ok
+  defp await_running(pid) do
+    if Pipeline.state(pid) in [:building, :starting], do: await_running(pid), else: :ok
   end
 
-  defp wait_input(pipeline, ref, key) do
+  defp await_input(pipeline, ref, key) do
     monitor = Process.monitor(pipeline)
 
     receive do
@@ -159,52 +170,54 @@ defmodule Situ.Test do
     end
   end
 
-  defp wait_shape(ref) do
+  defp await_shape(ref) do
     receive do
       {:situ_test_shape, ^ref, shape} -> shape
     end
   end
 
-  defp input(p, key, messages) do
+  defp add_closed_input(p, key, messages) do
     Situ.from_enumerable(p, messages, name: "Input #{inspect(key)}")
   end
 
-  defp fed(p, key, to, ref) do
+  defp add_fed_input(p, key, to, ref) do
     p
     |> Pipeline.add(Input, to: to, ref: ref, key: key, name: "Input #{inspect(key)}")
     |> Situ.Node.output(:out)
   end
 
-  defp call(build, streams, _p) when is_function(build, 1), do: build.(streams)
-  defp call(build, streams, p) when is_function(build, 2), do: build.(streams, p)
+  defp call_build(build, streams, _p) when is_function(build, 1), do: build.(streams)
+  defp call_build(build, streams, p) when is_function(build, 2), do: build.(streams, p)
 
-  defp keyed(%Stream{} = stream), do: [{:only, stream}]
-  defp keyed(%{} = map), do: Map.to_list(map)
+  defp key_streams(%Stream{} = stream), do: [{:only, stream}]
+  defp key_streams(%{} = map), do: Map.to_list(map)
 
-  defp keyed(list) when is_list(list),
+  defp key_streams(list) when is_list(list),
     do: list |> Enum.with_index() |> Enum.map(fn {s, i} -> {i, s} end)
 
-  defp shape(%Stream{}), do: :only
-  defp shape(%{} = map), do: {:map, Map.keys(map)}
-  defp shape(list), do: {:list, list |> Enum.with_index() |> Enum.map(&elem(&1, 1))}
+  defp output_shape(%Stream{}), do: :only
+  defp output_shape(%{} = map), do: {:map, Map.keys(map)}
+  defp output_shape(list), do: {:list, list |> Enum.with_index() |> Enum.map(&elem(&1, 1))}
 
-  defp shaped(pairs, :map), do: Map.new(pairs)
-  defp shaped(pairs, :list), do: Enum.map(pairs, &elem(&1, 1))
+  defp apply_shape(pairs, :map), do: Map.new(pairs)
+  defp apply_shape(pairs, :list), do: Enum.map(pairs, &elem(&1, 1))
 
-  defp gather(ref, batches) do
+  defp collect_outputs(ref, batches) do
     receive do
       {:situ_collected, {^ref, key}, messages} ->
-        messages = timed(messages)
-        gather(ref, Map.update(batches, key, messages, &(&1 ++ messages)))
+        messages = to_timed_pairs(messages)
+        collect_outputs(ref, Map.update(batches, key, messages, &(&1 ++ messages)))
     after
       0 -> batches
     end
   end
 
-  defp timed([%Situ.Message{} | _] = messages),
+  defp to_timed_pairs([%Situ.Message{} | _] = messages),
     do: for(m <- messages, do: {m.originating_time, m.data})
 
-  defp timed([]), do: []
-  defp timed(list) when is_list(list), do: Enum.map(list, &timed/1)
-  defp timed(%{} = map), do: Map.new(map, fn {key, messages} -> {key, timed(messages)} end)
+  defp to_timed_pairs([]), do: []
+  defp to_timed_pairs(list) when is_list(list), do: Enum.map(list, &to_timed_pairs/1)
+
+  defp to_timed_pairs(%{} = map),
+    do: Map.new(map, fn {key, messages} -> {key, to_timed_pairs(messages)} end)
 end

@@ -1,5 +1,5 @@
 defmodule Situ.Application.DirectoryTest do
-  # Pipelines by their names.
+  # Looks up pipelines by name.
   use ExUnit.Case, async: true
 
   alias Situ.{Pipeline, Time}
@@ -11,7 +11,7 @@ defmodule Situ.Application.DirectoryTest do
       )
     end
 
-    test "an atom is registered, and every function takes it" do
+    test "registers an atom, which every function accepts" do
       assert {:ok, p} = ticking(:manners_lobby)
       assert Process.whereis(:manners_lobby) == p
       assert Pipeline.info(:manners_lobby).pipeline == "manners_lobby"
@@ -22,7 +22,7 @@ defmodule Situ.Application.DirectoryTest do
       assert {:ok, _} = Pipeline.stop(:manners_lobby)
     end
 
-    test "a label finds its pipeline, if it is the only one" do
+    test "finds a pipeline by its label if the label is unique" do
       label = "Lobby #{System.unique_integer()}"
       assert {:ok, p} = ticking(label)
       assert [%{pid: ^p, state: state}] = Enum.filter(Situ.pipelines(), &(&1.name == label))
@@ -36,7 +36,7 @@ defmodule Situ.Application.DirectoryTest do
       assert {:error, %{code: :not_running}} = Pipeline.stop(label)
     end
 
-    test "a snapshot names the processes" do
+    test "a snapshot lists the processes" do
       {:ok, p} = ticking("Pids")
       [{"Ticks", pid, _, _}] = Supervisor.which_children(p)
       assert Pipeline.clock(p)

@@ -1,5 +1,5 @@
 defmodule Situ.Application.ReloadTest do
-  # A developer compiles the module of a running pipeline again, and again.
+  # Recompiles the module of a running pipeline several times, as a developer does.
   use ExUnit.Case, async: false
 
   import Situ.Test.Eventually
@@ -40,7 +40,7 @@ defmodule Situ.Application.ReloadTest do
     on_exit(fn -> Code.compiler_options(ignore_module_conflict: false) end)
   end
 
-  test "it runs on, with the new functions and the state that it had" do
+  test "a running pipeline continues with the new functions and its state" do
     compile(1)
     {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, to: self())
     assert_receive {:seen, {1, _}}
@@ -51,7 +51,8 @@ defmodule Situ.Application.ReloadTest do
           compile(version)
           n = seen(version)
           assert n > last
-          # Every process has let the old functions go, or would not outlive the next version.
+
+          # Every process has released the old functions; otherwise the next version would kill it.
           assert settled()
           assert Pipeline.state(p) == :running
           n
@@ -61,7 +62,7 @@ defmodule Situ.Application.ReloadTest do
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
   end
 
-  test "also while it starts" do
+  test "a pipeline takes up new functions while it is starting" do
     compile(1)
     {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, to: self(), held: true)
     assert_receive {:held, held}
@@ -77,7 +78,7 @@ defmodule Situ.Application.ReloadTest do
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
   end
 
-  test "a version that is loaded while it is built" do
+  test "a pipeline takes up a version that is loaded while it is being built" do
     compile(1)
     me = self()
 
@@ -89,7 +90,7 @@ defmodule Situ.Application.ReloadTest do
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
   end
 
-  # The functions that a restart would begin with are those of the loaded module.
+  # A restart must use the functions of the loaded module.
   defp current?(%{graph: graph}) do
     {:map, fun} = graph.vertices[graph.paths["Map"]].opts
     {:new_uniq, version} = Function.info(fun, :new_uniq)
@@ -105,6 +106,6 @@ defmodule Situ.Application.ReloadTest do
     end
   end
 
-  # The compiler purges by force; here it is asked whether anybody would die of it.
+  # The compiler purges by force; a soft purge fails while any process still uses the old code.
   defp settled, do: :code.soft_purge(Situ.Fixture.Lobby) or settled()
 end

@@ -6,7 +6,7 @@ defmodule Situ.Pipeline.ClockTest do
 
   @ms 1_000_000
 
-  test "in replay nothing is delivered before the clock reaches its time, and then it is" do
+  test "a replay delivers each message when the clock reaches its time, not before" do
     clock = Clock.manual(0)
     p = replay(clock, count: 5, interval: 10 * @ms)
     assert_receive {:got, 0}
@@ -20,7 +20,7 @@ defmodule Situ.Pipeline.ClockTest do
     assert report.final_time == 40 * @ms
   end
 
-  test "a paused clock holds messages back, a resumed one lets them go, a faster one is faster" do
+  test "a paused clock holds messages, a resumed clock releases them, and a higher speed delivers them sooner" do
     me = self()
 
     {:ok, p} =
@@ -45,7 +45,7 @@ defmodule Situ.Pipeline.ClockTest do
     {:ok, _} = Pipeline.stop(p)
   end
 
-  test "a real clock cannot be paused, and says why" do
+  test "pausing a real clock returns an error that says why" do
     {:ok, p} =
       Pipeline.start(fn p -> Situ.source(p, Count, count: :infinity, interval: @ms) end, [])
 
@@ -55,7 +55,7 @@ defmodule Situ.Pipeline.ClockTest do
     Pipeline.stop(p)
   end
 
-  test "items before a proposed replay are passed over as those before one asked for" do
+  test "skips items before a proposed replay and before a requested one" do
     items = fn p -> Situ.from_enumerable(p, [{10, :x}, {60, :a}, {150, :b}, {250, :c}]) end
 
     proposed = fn p ->
@@ -67,14 +67,14 @@ defmodule Situ.Pipeline.ClockTest do
     assert Situ.to_list(proposed, pipeline: [replay: [speed: :max]]) == [:a, :b]
     asked = [replay: [interval: {70, :unbounded}, speed: :max]]
     assert Situ.to_list(proposed, pipeline: asked) == [:b]
-    # Without a replay the pipeline starts now, and what is old comes at once.
+    # Without a replay the pipeline starts now, and old items are delivered immediately.
     assert Situ.to_list(items, pipeline: [replay: [speed: :max]]) == [:x, :a, :b, :c]
 
     assert {:error, %{meta: %{reason: %ArgumentError{message: "a proposed replay is" <> _}}}} =
              Pipeline.run(&Pipeline.propose_replay(&1, {:unbounded, 5}))
   end
 
-  test "the replay interval is what was proposed, cut by what was asked for" do
+  test "the replay interval is the union of the proposals, limited to the requested interval" do
     build = fn p ->
       Pipeline.propose_replay(p, {100, 900})
       Pipeline.propose_replay(p, {50, 500})
@@ -88,7 +88,7 @@ defmodule Situ.Pipeline.ClockTest do
              Pipeline.run(build, pipeline: [replay: [interval: {200, 600}]])
   end
 
-  test "progress follows the replay, by what was delivered, and is 1.0 only at the end" do
+  test "progress follows the delivered messages and is 1.0 only at the end" do
     me = self()
 
     {:ok, p} =
@@ -111,7 +111,7 @@ defmodule Situ.Pipeline.ClockTest do
     assert report.snapshot.progress == 1.0
   end
 
-  test "among the inputs of one component the earliest originating time goes first" do
+  test "delivers the earliest originating time first among the inputs of a component" do
     me = self()
 
     {:ok, _} =
@@ -126,7 +126,9 @@ defmodule Situ.Pipeline.ClockTest do
 
     times = times()
     assert length(times) == 200
-    # No guarantee across arrivals, but within what waits: far fewer inversions than by chance.
+
+    # Order is not guaranteed across arrivals, only among waiting messages: there are far fewer inversions than by
+    # chance.
     inversions = times |> Enum.chunk_every(2, 1, :discard) |> Enum.count(fn [x, y] -> y < x end)
     assert inversions <= 10
   end

@@ -9,17 +9,17 @@ defmodule Situ.Clock.WallTest do
 
   defp time({offset, floor}, counter), do: max(counter + offset, floor)
 
-  property "time never goes back, whatever is done to the system's time, and finds to it" do
+  property "time never goes back, whatever happens to the system time, and converges to it" do
     forall steps <- list({integer(1, 3_000), integer(-5_000, 5_000)}) do
       {_, _, line} =
         Enum.reduce(steps, {0, 0, {0, 0}}, fn {passes, jump}, {counter, ahead, line} ->
           {counter, ahead} = {counter + passes * @ms, ahead + jump * @ms}
-          next = Wall.adjust(line, counter, counter + ahead)
+          next = Wall.adjust_offset(line, counter, counter + ahead)
           assert time(next, counter) >= time(line, counter)
           {counter, ahead, next}
         end)
 
-      # However far ahead it stands: once the system is there, both are one.
+      # However far ahead the clock is, it agrees with the system time once that has caught up.
       {counter, ahead, ^line} =
         Enum.reduce(steps, {0, 0, line}, fn {p, j}, {c, a, l} -> {c + p * @ms, a + j * @ms, l} end)
 
@@ -28,9 +28,9 @@ defmodule Situ.Clock.WallTest do
     end
   end
 
-  test "the keeper follows the system's time; what clocks read does not go back" do
+  test "the keeper follows the system time, and clock readings never go back" do
     me = self()
-    cells = Wall.new({:os.perf_counter(), :os.system_time()})
+    cells = Wall.new_cells({:os.perf_counter(), :os.system_time()})
 
     read = fn ->
       send(me, {:reading, self()})
@@ -45,7 +45,7 @@ defmodule Situ.Clock.WallTest do
     assert ahead - before >= 3_600_000 * @ms
     look(keeper, 0)
     assert Situ.Clock.now(clock) >= ahead
-    # It stands still now, for an hour.
+    # The clock now stays at this time for an hour.
     assert Situ.Clock.now(clock) == Situ.Clock.now(clock)
     look(keeper, 7_200_000 * @ms)
     assert Situ.Clock.now(clock) - ahead >= 3_599_000 * @ms
@@ -58,7 +58,7 @@ defmodule Situ.Clock.WallTest do
     :sys.get_state(keeper)
   end
 
-  test "this node's time is the system's" do
+  test "this node's time is the system time" do
     assert abs(Situ.Clock.now(Situ.Clock.real()) - :os.system_time()) < 1_000 * @ms
   end
 end

@@ -6,7 +6,7 @@ defmodule Situ.ConnectorTest do
 
   @moduletag :capture_log
 
-  # A target that takes a message when the test lets it.
+  # Starts a target that takes a message only when the test allows it.
   defp slow_target(connector, opts) do
     test = self()
 
@@ -43,7 +43,7 @@ defmodule Situ.ConnectorTest do
     p
   end
 
-  # Until two looks find the same counts.
+  # Polls until two successive reads return the same counts.
   defp at_rest(p, before \\ nil) do
     edges = Pipeline.info(p).edges
     counts = Enum.map(edges, &{&1.emitted, &1.processed, &1.dropped})
@@ -67,19 +67,19 @@ defmodule Situ.ConnectorTest do
     for p <- [source, target], do: Process.exit(p, :kill)
   end
 
-  test "a lossy policy on the sending side keeps the sender going" do
+  test "a lossy policy on the sending side keeps the sender running" do
     connector = Connector.new("c")
     target = slow_target(connector, window: 2)
     source = sender(connector, 20_000, policy: Delivery.latest())
     assert_receive {:at_work, _, _}, 10_000
-    # The target has something coming as long as it lives.
+    # The target would receive messages for as long as it lives.
     Process.exit(target, :kill)
     assert {:ok, report} = Pipeline.await(source, 30_000)
     assert [%{dropped: dropped, processed: processed}] = report.snapshot.edges
     assert dropped + processed == 20_000 and dropped > 0
   end
 
-  test "every target gets all, from the first message on; the sender ends when they have" do
+  test "every target receives every message from the first, and the sender ends after all targets have them" do
     connector = Connector.new("c")
     test = self()
 
@@ -101,7 +101,7 @@ defmodule Situ.ConnectorTest do
     for i <- 1..2, do: assert(got(i) == Enum.to_list(0..4_999))
   end
 
-  test "a target that dies, or comes and goes, holds nobody up" do
+  test "a target that dies does not block the sender" do
     connector = Connector.new("c")
     target = slow_target(connector, window: 10)
     source = sender(connector, 50_000)
@@ -110,7 +110,7 @@ defmodule Situ.ConnectorTest do
     assert {:ok, _} = Pipeline.await(source, 30_000)
   end
 
-  test "without a target the sender goes on, and what it sends is lost" do
+  test "without a target the sender continues and its messages are lost" do
     connector = Connector.new("c")
     assert {:ok, _} = connector |> sender(5_000) |> Pipeline.await(30_000)
     assert {:error, %{code: :timeout}} = Connector.await_open(connector, 0)

@@ -7,10 +7,11 @@ defmodule Situ.GenStageTest do
 
   @moduletag :capture_log
 
-  # Peers written after GenStage's documented protocol alone, byte for byte what GenStage 1.3 sends.
+  # These peers follow GenStage's documented protocol only, and send exactly what GenStage 1.3 sends.
 
   defmodule Producer do
-    # Counts; hands out no more than it was asked for, as a demand dispatcher does; remembers what it was told.
+    # Counts, emits no more events than were asked for (like a demand dispatcher), and reports the requests to the
+    # test.
     use GenServer
 
     def start(opts), do: GenServer.start(__MODULE__, opts)
@@ -67,7 +68,7 @@ defmodule Situ.GenStageTest do
   end
 
   describe "a producer as a source" do
-    test "its events become a stream that ends with it, asked for in bounded portions" do
+    test "events become a stream that ends with the producer and are requested in bounded batches" do
       {:ok, _} = run(producer(limit: 5_000), subscribe: [partition: 1])
       got = drain()
       assert Enum.map(got, &elem(&1, 0)) == Enum.to_list(0..4_999)
@@ -79,26 +80,26 @@ defmodule Situ.GenStageTest do
       assert length(asks) <= 1 + 5_000 / 500
     end
 
-    test "max_demand and min_demand are kept to" do
+    test "respects max_demand and min_demand" do
       {:ok, _} = run(producer(limit: 100), subscribe: [max_demand: 10, min_demand: 8])
       assert length(drain()) == 100
       assert [10 | asks] = asks()
       assert Enum.all?(asks, &(&1 in 2..10))
     end
 
-    test "events that are messages keep their times; others lie behind the one before" do
+    test "messages keep their times, and other events get a time after the previous one" do
       event = &%Situ.Message{data: &1, originating_time: 1_000 + &1}
       {:ok, _} = run(producer(limit: 20, event: event))
       assert drain() == for(i <- 0..19, do: {i, 1_000 + i})
     end
 
-    test "of messages out of order the component says so" do
+    test "the component reports messages that are out of order" do
       event = &%Situ.Message{data: &1, originating_time: 1_000 - &1}
 
       assert {:error, %{code: :time_not_increasing}} = run(producer(limit: 20, event: event))
     end
 
-    test "several producers are one stream, which ends with the last" do
+    test "several producers form one stream, which ends with the last producer" do
       a = producer(limit: 300)
       b = producer(from: 1_000, limit: 1_400)
       {:ok, _} = run([a, b])
@@ -107,14 +108,14 @@ defmodule Situ.GenStageTest do
       assert Enum.filter(values, &(&1 < 1_000)) == Enum.to_list(0..299)
     end
 
-    test "an end in order completes the stream" do
+    test "a normal end completes the stream" do
       for finish <- [{:cancel, :normal}, {:cancel, {:shutdown, :done}}, {:exit, :shutdown}] do
         assert {:ok, _} = run(producer(limit: 3, finish: finish))
         assert length(drain()) == 3
       end
     end
 
-    test "any other end fails the pipeline, with the reason" do
+    test "any other end fails the pipeline and reports the reason" do
       for finish <- [{:cancel, {:down, :disk_full}}, {:exit, :disk_full}, {:exit, :kill}] do
         assert {:error, error} = run(producer(limit: 3, finish: finish))
         assert error.code == :producer_failed
@@ -122,21 +123,21 @@ defmodule Situ.GenStageTest do
         assert length(drain()) == 3
       end
 
-      # The answer of a partition dispatcher to one that names no partition.
+      # A partition dispatcher sends this to a consumer that names no partition.
       refused = ArgumentError.exception("the :partition option is required")
       assert {:error, error} = run(producer(limit: 0, finish: {:cancel, refused}))
       assert error.what =~ "the :partition option is required"
       assert error.fix =~ "partition:"
     end
 
-    test "with cancel: :temporary a failure ends the subscription only" do
+    test "with cancel: :temporary a failure ends only the subscription" do
       good = producer(limit: 5)
       bad = producer(limit: 5, from: 2, finish: {:exit, :disk_full})
       assert {:ok, _} = run([good, bad], subscribe: [cancel: :temporary])
       assert length(drain()) == 8
     end
 
-    test "with on_error: :skip the stream completes all the same" do
+    test "with on_error: :skip the stream completes after a failure" do
       assert {:ok, _} = run(producer(limit: 3, finish: {:exit, :disk_full}), on_error: :skip)
       assert length(drain()) == 3
     end
@@ -149,7 +150,7 @@ defmodule Situ.GenStageTest do
       assert_receive {:cancelled, :normal}, 10_000
     end
 
-    test "a slow pipeline asks for no more than its window" do
+    test "a slow pipeline requests no more than its window" do
       me = self()
       producer = producer(limit: 100_000)
 
@@ -175,7 +176,7 @@ defmodule Situ.GenStageTest do
       Process.exit(p, :kill)
     end
 
-    test "a missing producer fails the start with its name; so do bad options" do
+    test "a missing producer or a bad option fails the start with an error" do
       for {producer, opts, code} <- [
             {:nobody_here, [], :no_producer},
             {self(), [max_demand: 0], :bad_subscription},
@@ -204,7 +205,7 @@ defmodule Situ.GenStageTest do
       %{p: p, pid: pid}
     end
 
-    test "takes those named by a call or a cast", %{p: p, pid: pid} do
+    test "accepts producers named in a call or a cast", %{p: p, pid: pid} do
       a = producer(limit: 10)
       b = producer(from: 100, limit: 110)
       assert {:ok, ref} = GenServer.call(pid, {:"$subscribe", nil, a, [max_demand: 4]})
@@ -216,7 +217,7 @@ defmodule Situ.GenStageTest do
       assert {:ok, _} = Pipeline.stop(p)
     end
 
-    test "refuses what is none", %{p: p, pid: pid} do
+    test "refuses an invalid producer or subscription", %{p: p, pid: pid} do
       assert {:error, %{code: :no_producer}} =
                GenServer.call(pid, {:"$subscribe", nil, :nobody_here, []})
 
@@ -229,7 +230,7 @@ defmodule Situ.GenStageTest do
     end
   end
 
-  # A consumer made of this test process.
+  # Makes this test process a consumer.
   defp subscribe(pid, opts, tag \\ make_ref()) do
     send(pid, {:"$gen_producer", {self(), tag}, {:subscribe, nil, opts}})
     tag
@@ -237,7 +238,7 @@ defmodule Situ.GenStageTest do
 
   defp ask(pid, tag, n), do: send(pid, {:"$gen_producer", {self(), tag}, {:ask, n}})
 
-  # A counting source by a clock that waits until the consumer is there.
+  # Starts a counting source whose clock waits until the consumer has subscribed.
   defp count(n \\ 10) do
     clock = Clock.manual(0)
 
@@ -251,8 +252,8 @@ defmodule Situ.GenStageTest do
     %{p: p, pid: pid, opts: opts, clock: clock}
   end
 
-  describe "a consumer behind an output" do
-    test "gets what it asks for, never more, and then the closing mark" do
+  describe "a consumer of an output" do
+    test "receives at most the requested number of events, then the closing mark" do
       %{p: p, pid: pid, opts: opts, clock: clock} = count()
       ref = subscribe(pid, [max_demand: 3] ++ opts)
       refute_received {:"$gen_consumer", _, _}
@@ -266,7 +267,7 @@ defmodule Situ.GenStageTest do
       Pipeline.await(p, 30_000)
     end
 
-    test "is known by its pid and tag: another's demand is not its own" do
+    test "is identified by its pid and tag, so another consumer's demand does not count" do
       %{p: p, pid: pid, opts: opts, clock: clock} = count()
       subscribe(pid, opts, 2)
       me = self()
@@ -282,7 +283,7 @@ defmodule Situ.GenStageTest do
         end)
 
       monitor = Process.monitor(other)
-      # A consumer gets no message emitted before it subscribed.
+      # A consumer receives no message that was emitted before it subscribed.
       assert_receive :asked, 30_000
       Clock.advance(clock, 1_000_000_000)
       assert_receive {:DOWN, ^monitor, _, _, _} when is_reference(monitor), 30_000
@@ -292,7 +293,7 @@ defmodule Situ.GenStageTest do
       Process.exit(p, :kill)
     end
 
-    test "cannot widen an edge of the pipeline by its number" do
+    test "cannot widen an edge of the pipeline by using the edge's number" do
       me = self()
 
       {:ok, p} =
@@ -320,7 +321,7 @@ defmodule Situ.GenStageTest do
       Process.exit(p, :kill)
     end
 
-    test "that subscribes late misses nothing of an output that accumulates" do
+    test "misses no event of an accumulating output when it subscribes late" do
       {:ok, p} =
         Pipeline.start(
           fn p ->
@@ -335,13 +336,13 @@ defmodule Situ.GenStageTest do
       ask(pid, ref, 5_000)
       assert Pipeline.state(p) == :running
       refute_received {:"$gen_consumer", _, _}
-      # What GenStage.demand(pid, :forward) sends.
+      # GenStage.demand(pid, :forward) sends this.
       GenServer.cast(pid, {:"$demand", :forward})
       assert Enum.map(events(pid, ref, :closed), & &1.data) == Enum.to_list(0..1_999)
       assert {:ok, _} = Pipeline.await(p, 30_000)
     end
 
-    test "an output that accumulates waits for its consumer, however long that takes" do
+    test "an accumulating output waits indefinitely for its consumer" do
       {:ok, p} =
         Pipeline.start(
           fn p ->
@@ -352,7 +353,7 @@ defmodule Situ.GenStageTest do
 
       {:ok, {pid, opts}} = GenStage.subscription(p, "Out")
       monitor = Process.monitor(pid)
-      # Many times as long as what does not end is given.
+      # This is many times the stop timeout.
       refute_receive {:DOWN, ^monitor, _, _, _}, 300
       ref = subscribe(pid, opts)
       ask(pid, ref, 5_000)
@@ -361,7 +362,7 @@ defmodule Situ.GenStageTest do
       assert {:ok, %{errors: []}} = Pipeline.await(p, 30_000)
     end
 
-    test "an output that accumulates does not keep a pipeline from ending" do
+    test "an accumulating output does not prevent a pipeline from ending" do
       {:ok, p} =
         Pipeline.start(
           fn p ->
@@ -373,7 +374,7 @@ defmodule Situ.GenStageTest do
       assert {:ok, _} = Pipeline.stop(p)
     end
 
-    test "learns that the component failed" do
+    test "is notified when the component fails" do
       {:ok, p} =
         Pipeline.start(
           fn p ->
@@ -398,7 +399,7 @@ defmodule Situ.GenStageTest do
       assert {:error, _} = Pipeline.await(p, 30_000)
     end
 
-    test "learns that another part of the pipeline failed" do
+    test "is notified when another part of the pipeline fails" do
       {:ok, p} =
         Pipeline.start(
           fn p ->
@@ -426,7 +427,7 @@ defmodule Situ.GenStageTest do
       end
     end
 
-    test "an unknown output is refused with a reason; a cancel is answered, also another's" do
+    test "an unknown output is refused with a reason, and every cancel is acknowledged" do
       %{p: p, pid: pid, opts: opts} = count()
       subscribe(pid, [output: :nope], :a)
       assert_receive {:"$gen_consumer", {^pid, :a}, {:cancel, %Situ.Error{code: :unknown_output}}}
@@ -435,13 +436,13 @@ defmodule Situ.GenStageTest do
       assert_receive {:"$gen_consumer", {^pid, :b}, {:cancel, :enough}}
 
       ref = subscribe(pid, opts)
-      # GenStage.cancel/2, called by another process.
+      # GenStage.cancel/2, called by another process, sends this.
       spawn_link(fn -> send(pid, {:"$gen_producer", {self(), ref}, {:cancel, :enough}}) end)
       assert_receive {:"$gen_consumer", {^pid, ^ref}, {:cancel, :enough}}
       {:ok, _} = Pipeline.stop(p)
     end
 
-    test "what is malformed is refused, answered or ignored, never fatal" do
+    test "malformed messages are refused or ignored and never crash the stage" do
       %{p: p, pid: pid, opts: opts} = count()
       stage = Process.monitor(pid)
 

@@ -26,7 +26,7 @@ defmodule Situ.Pipeline.TapTest do
     %{p: p, connector: connector}
   end
 
-  test "a tap at the end, in the middle of a chain and at the source see their own data",
+  test "taps at the source, in the middle of a chain and at the end see their own data",
        %{p: p} = c do
     me = self()
 
@@ -41,7 +41,7 @@ defmodule Situ.Pipeline.TapTest do
     assert Enum.count(Pipeline.info(p).nodes, &(&1.kind == :tap)) == 4
   end
 
-  test "after detach nothing comes any more and the graph is as before", %{p: p} = c do
+  test "after detach no more messages arrive and the graph is as before", %{p: p} = c do
     me = self()
     before = Pipeline.info(p)
     {:ok, tap} = Situ.attach_tap({p, "Even"}, &send(me, {:seen, &1.data}))
@@ -55,7 +55,7 @@ defmodule Situ.Pipeline.TapTest do
     refute_received {:seen, 4}
   end
 
-  test "a stuck tap does not hold up the pipeline, nor its stop", %{p: p} = c do
+  test "a stuck tap delays neither the pipeline nor its stop", %{p: p} = c do
     me = self()
     {:ok, _} = Situ.attach_tap({p, "Ten"}, fn _ -> receive do: (:never -> :ok) end)
     {:ok, _} = Situ.attach_tap({p, "Ten"}, &send(me, {:seen, &1.data}))
@@ -65,13 +65,13 @@ defmodule Situ.Pipeline.TapTest do
     for n <- 3..21//2, do: assert_receive({:seen, seen} when seen == (n + 1) * 10)
   end
 
-  test "a tap goes with the process that attached it", %{p: p} do
+  test "a tap is removed when the process that attached it ends", %{p: p} do
     task = Task.async(fn -> Situ.attach_tap({p, "Ten"}, fn _ -> :ok end) end)
     {:ok, _tap} = Task.await(task)
     assert eventually(fn -> Enum.all?(Pipeline.info(p).nodes, &(&1.kind != :tap)) end)
   end
 
-  test "a wrong name is told with the nearest", %{p: p} do
+  test "an error for an unknown name suggests the nearest name", %{p: p} do
     assert {:error, %{code: :unknown_stream, fix: fix}} = Situ.attach_tap({p, "Evem"}, & &1)
     assert fix =~ "Even"
   end
@@ -80,6 +80,6 @@ defmodule Situ.Pipeline.TapTest do
     messages =
       for {v, i} <- Enum.with_index(values), do: %Message{data: v, originating_time: from + i}
 
-    Connector.deliver(connector, messages)
+    Connector.deliver_messages(connector, messages)
   end
 end

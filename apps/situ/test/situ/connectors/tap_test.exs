@@ -5,7 +5,7 @@ defmodule Situ.TapTest do
 
   @moduletag :capture_log
 
-  describe "Situ.Tap tells the end" do
+  describe "the end message of Situ.Tap" do
     defp tapped(fun) do
       me = self()
 
@@ -24,7 +24,7 @@ defmodule Situ.TapTest do
       {p, tap, post}
     end
 
-    test "and when" do
+    test "reports when the stream closed" do
       {p, tap, post} = tapped(& &1)
       post.(1)
       assert_receive {:situ_tap, ^tap, %{data: 1, originating_time: time}}
@@ -34,14 +34,14 @@ defmodule Situ.TapTest do
       refute_received {:situ_tap_end, _, _}
     end
 
-    test "and why" do
+    test "reports why the pipeline failed" do
       {p, tap, post} = tapped(fn v -> if v == 2, do: raise("two"), else: v end)
       for v <- 1..2, do: post.(v)
       assert {:error, %{code: :component_failed}} = Pipeline.await(p)
       assert_received {:situ_tap_end, ^tap, %Situ.Error{code: :component_failed}}
     end
 
-    test "also of one whose pipeline is killed" do
+    test "arrives even if the pipeline is killed" do
       {p, tap, _post} = tapped(& &1)
       Process.exit(p, :kill)
       assert_receive {:situ_tap_end, ^tap, %Situ.Error{code: :crashed}}

@@ -7,7 +7,7 @@ defmodule Situ.DiagnosticsTest do
   alias Situ.Fixture.Count
   alias Situ.Pipeline
 
-  test "the Diagnostics stream: snapshots at the clock's pace and a last one at the end, of plain data only" do
+  test "the Diagnostics stream emits plain snapshots at the clock's pace and a last one at the end" do
     me = self()
     clock = Situ.Clock.manual(0)
 
@@ -48,7 +48,7 @@ defmodule Situ.DiagnosticsTest do
            ]
   end
 
-  test "counts, drops and latency of every edge; the sums agree" do
+  test "reports the counts, drops and latency of every edge, and the sums agree" do
     {:ok, report} =
       Pipeline.run(fn p ->
         stream = Situ.source(p, Count, count: 5_000)
@@ -65,7 +65,7 @@ defmodule Situ.DiagnosticsTest do
         do: assert(edge.queue == 0 and edge.emitted == 5_000 and edge.latency_p99 > 0)
   end
 
-  test "a running pipeline as a table for people" do
+  test "prints a running pipeline as a table" do
     {:ok, p} =
       Pipeline.start(
         fn p ->
@@ -80,7 +80,8 @@ defmodule Situ.DiagnosticsTest do
   end
 
   defmodule Late do
-    # At each time of `at` it emits a message of 5 ms ago; for odd times one that was made 1 ms after it happened.
+    # At each time in `at`, emits a message that is 5 ms old; messages at odd times were created 1 ms after they
+    # happened.
     use Situ.Component, outputs: [out: :any], options: [at: [type: :list]]
 
     @impl true
@@ -109,7 +110,7 @@ defmodule Situ.DiagnosticsTest do
     end
   end
 
-  test "ages, handling and sizes of what went over an edge, in all and in the last second" do
+  test "reports ages, handling times and sizes of an edge's messages, in total and for the last second" do
     clock = Situ.Clock.manual(1_000_000_000)
     old = [1_000_000_001, 1_000_000_003]
     new = [11_500_000_000, 11_500_000_004]
@@ -119,7 +120,7 @@ defmodule Situ.DiagnosticsTest do
         fn p ->
           p
           |> Situ.source(Late, at: old ++ new)
-          # Each message takes it 3 ms.
+          # Each message takes 3 ms.
           |> Situ.each(fn _ -> Situ.Clock.advance(clock, 3_000_000) end)
         end,
         pipeline: [clock: clock, message_sizes: true]
@@ -137,7 +138,8 @@ defmodule Situ.DiagnosticsTest do
 
     assert %{emitted: 4, processed: 4, dropped: 0, queue: 0} = edge
 
-    # The first two kept their creation times, as an importer's messages do; that they were posted later is told apart.
+    # The first two kept their creation times, as an importer's messages do; the later posting time is reported
+    # separately.
     assert edge.created_last == 5_000_000 and edge.created_mean == 3_000_000
     assert edge.posted_last == 5_000_000 and edge.posted_mean == 5_000_000
     assert edge.latency_last in [5_000_000, 8_000_000]
@@ -149,7 +151,7 @@ defmodule Situ.DiagnosticsTest do
     assert edge.window.created == 5_000_000
   end
 
-  # Asks until so many have been taken, without letting the clock go on.
+  # Polls until `n` messages have been processed, without advancing the clock.
   defp processed(p, n) do
     case Pipeline.info(p).edges do
       [%{processed: ^n}] -> :ok
@@ -157,7 +159,7 @@ defmodule Situ.DiagnosticsTest do
     end
   end
 
-  test "sizes are not looked at unless asked for" do
+  test "sizes are not measured by default" do
     {:ok, report} =
       Pipeline.run(fn p ->
         p |> Situ.source(Count, count: 3) |> Situ.each(& &1)
@@ -166,7 +168,7 @@ defmodule Situ.DiagnosticsTest do
     assert [%{size_last: 0, size_mean: 0, window: %{size: nil}}] = report.snapshot.edges
   end
 
-  test "a summary of all connections, or of some" do
+  test "summarizes all connections or a selection" do
     {:ok, report} =
       Pipeline.run(fn p ->
         stream = Situ.source(p, Count, count: 1_000)
@@ -183,7 +185,7 @@ defmodule Situ.DiagnosticsTest do
     assert %{edges: 1, emitted: 1_000, processed_percent: 100.0} = lossless
   end
 
-  # No pid, reference or function anywhere in it.
+  # True if the value contains no pid, reference or function.
   defp plain?(%_{} = struct), do: struct |> Map.from_struct() |> plain?()
   defp plain?(map) when is_map(map), do: Enum.all?(map, fn {k, v} -> plain?(k) and plain?(v) end)
   defp plain?(list) when is_list(list), do: Enum.all?(list, &plain?/1)

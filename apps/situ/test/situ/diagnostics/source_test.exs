@@ -4,8 +4,8 @@ defmodule Situ.Diagnostics.SourceTest do
   alias Situ.Component.Context
   alias Situ.Diagnostics.Source
 
-  test "a tick that comes after the stop's snapshot gives nothing" do
-    # As fast as possible, a file's time runs ahead of the clock: the stop is stamped with the later one.
+  test "a tick after the stop's snapshot emits nothing" do
+    # At maximum speed, the times of a file run ahead of the clock; the stop has the later of the two times.
     assert Source.handle_info({:timer, :tick}, %Context{now: 8}, {1, 16}) == {[], {1, 16}}
   end
 end

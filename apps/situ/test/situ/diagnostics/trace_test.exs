@@ -1,5 +1,5 @@
 defmodule Situ.Diagnostics.TraceTest do
-  # Where the message of one time is, in a pipeline whose middle is held up.
+  # Traces the message of one time through a pipeline that is blocked in the middle.
   use ExUnit.Case, async: true
   doctest Situ.Diagnostics.Trace
 
@@ -33,7 +33,7 @@ defmodule Situ.Diagnostics.TraceTest do
     {p, connector}
   end
 
-  # Until it looks as wanted: counters are published a moment after the message went.
+  # Polls for the wanted states, since counters are published shortly after a message was sent.
   defp trace(p, time, wanted, tries \\ 3_000) do
     trace = Situ.trace(p, time)
     states = for hop <- trace.hops, do: hop.state
@@ -45,23 +45,23 @@ defmodule Situ.Diagnostics.TraceTest do
     end
   end
 
-  test "comes, waits, passes; tells how long it waited" do
+  test "a message is coming, waiting and then passed, with its waiting time" do
     clock = Clock.manual(0)
     {p, connector} = start(clock)
     t = Time.ms(1)
     assert [:coming, :coming, :coming] = for(hop <- Situ.trace(p, t).hops, do: hop.state)
 
     Clock.set(clock, Time.ms(2))
-    :ok = Connector.deliver(connector, [%Message{data: 1, originating_time: t}])
+    :ok = Connector.deliver_messages(connector, [%Message{data: 1, originating_time: t}])
     assert_receive {:at, slow, 1}, 30_000
     trace = trace(p, t, [:passed, :waiting, :coming])
     assert [%{from: "Door", to: "First"}, %{from: "First", to: "Slow", queue: 1}, _] = trace.hops
     assert trace.inside == []
     assert Trace.format(trace) =~ "waits for Slow"
 
-    # Later messages wait behind it.
+    # Later messages wait in the queue after it.
     Clock.set(clock, Time.ms(5))
-    :ok = Connector.deliver(connector, [%Message{data: 2, originating_time: Time.ms(4)}])
+    :ok = Connector.deliver_messages(connector, [%Message{data: 2, originating_time: Time.ms(4)}])
     second = trace(p, Time.ms(4), [:passed, :waiting, :coming])
     assert Enum.at(second.hops, 1).queue == 2
     Clock.set(clock, Time.ms(105))
@@ -83,7 +83,7 @@ defmodule Situ.Diagnostics.TraceTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  test "also when the pipeline has ended it is an error, not a crash" do
+  test "tracing an ended pipeline raises an error and does not crash" do
     {p, _} = start(Clock.manual(0))
     assert {:ok, _} = Pipeline.stop(p)
     assert_raise Situ.Error, fn -> Situ.trace(p, 0) end

@@ -1,5 +1,5 @@
 defmodule Situ.ArgumentTest do
-  # A beginner's mistakes: the error says what the function takes, what it was given and what to write.
+  # Covers beginners' mistakes: the error names the expected and the given argument, and shows the correct call.
   use ExUnit.Case, async: true
 
   alias Situ.{Pipeline, Stream}
@@ -19,10 +19,10 @@ defmodule Situ.ArgumentTest do
     Situ.Window
   ]
 
-  # These take no pipeline and no stream first, or anything.
+  # These functions take no pipeline or stream as first argument, or take any term.
   @others [
     {Situ, :pipelines},
-    {Situ.Collector, :sink},
+    {Situ.Collector, :attach_sink},
     {Pipeline, :child_spec},
     {Pipeline, :list},
     {Pipeline, :new},
@@ -39,7 +39,7 @@ defmodule Situ.ArgumentTest do
     report
   end
 
-  # Every public function of the facade, of the pipeline and of the operators' modules, in every arity.
+  # Lists every public function of the facade, the pipeline and the operator modules, with every arity.
   defp functions do
     for module <- [Situ, Pipeline | @operators],
         {name, arity} <- module.__info__(:functions),
@@ -49,10 +49,10 @@ defmodule Situ.ArgumentTest do
         do: {module, name, arity}
   end
 
-  # A stream is what most of them take, a handle and a report are what some take.
+  # Most functions take a stream; some take a handle or a report.
   defp wrong(report), do: [nil, 42, "", %{}, %{a: 1}, {:ok, self()}, {:a, :b, :c}, ["x"], report]
 
-  test "no public function ends in a FunctionClauseError, whatever its first argument is" do
+  test "no public function raises a FunctionClauseError, whatever its first argument is" do
     all = functions()
     assert length(all) > 120
     report = report()
@@ -66,7 +66,7 @@ defmodule Situ.ArgumentTest do
              )
   end
 
-  test "a pipeline where a stream belongs, and a stream where a pipeline belongs" do
+  test "a pipeline in place of a stream, or a stream in place of a pipeline, raises a helpful error" do
     assert [] =
              for(
                {module, name, arity} <- functions(),
@@ -101,7 +101,7 @@ defmodule Situ.ArgumentTest do
     error in ArgumentError -> error
   end
 
-  test "it says what to write" do
+  test "the error says what to write" do
     assert message(fn -> Situ.map(handle(), & &1) end) =~
              ~r/^Situ.map takes a stream .*, not a pipeline .*Situ.source\(p, Camera\), then Situ.map\(stream/
 
@@ -122,7 +122,7 @@ defmodule Situ.ArgumentTest do
     assert message(fn -> Pipeline.remove(self(), :side) end) =~ ~s|(p, "Side")|
   end
 
-  test "a policy by a name, right or nearly right" do
+  test "a misspelled policy name suggests the nearest one" do
     build = fn policy ->
       fn p -> p |> Situ.from_enumerable([], every: 1) |> Situ.map(& &1, policy: policy) end
     end

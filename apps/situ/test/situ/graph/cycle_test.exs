@@ -7,7 +7,7 @@ defmodule Situ.Graph.CycleTest do
     use Situ.Component, inputs: [a: :any, b: {:any, optional: true}], outputs: [out: :any]
   end
 
-  # In -> A -> Map -> A, and a longer way A -> B -> C -> A beside it.
+  # The graph has the cycle In -> A -> Map -> A and the longer cycle A -> B -> C -> A.
   defp graph do
     {graph, _} =
       Graph.build(fn p ->
@@ -27,19 +27,19 @@ defmodule Situ.Graph.CycleTest do
 
   defp id(graph, path), do: Map.fetch!(graph.paths, path)
 
-  test "the shortest way back, or none" do
+  test "finds the shortest cycle through a component, or none" do
     graph = graph()
-    assert Cycle.through(graph, id(graph, "A")) == ["A", "Map", "A"]
-    assert Cycle.through(graph, id(graph, "B")) == ["B", "C", "A", "B"]
-    assert Cycle.through(graph, id(graph, "Each")) == nil
+    assert Cycle.find_cycle(graph, id(graph, "A")) == ["A", "Map", "A"]
+    assert Cycle.find_cycle(graph, id(graph, "B")) == ["B", "C", "A", "B"]
+    assert Cycle.find_cycle(graph, id(graph, "Each")) == nil
   end
 
-  test "an error of times on a cycle names it; others stay as they are" do
+  test "a time error on a cycle names the cycle, and other errors are unchanged" do
     graph = graph()
     error = fn code, path -> Error.new(code, "what", why: "because", meta: %{component: path}) end
 
     assert %{why: why, meta: %{cycle: ["A", "Map", "A"]}} =
-             Cycle.explain(error.(:time_not_increasing, "A"), graph)
+             Cycle.explain_error(error.(:time_not_increasing, "A"), graph)
 
     assert why =~ "because" and why =~ "A -> Map -> A"
 
@@ -48,7 +48,7 @@ defmodule Situ.Graph.CycleTest do
           error.(:component_failed, "A"),
           error.(:time_not_increasing, "Nowhere")
         ] do
-      assert Cycle.explain(untouched, graph) == untouched
+      assert Cycle.explain_error(untouched, graph) == untouched
     end
   end
 end

@@ -4,7 +4,8 @@ defmodule Situ.GraphTest do
   alias Situ.Graph
   alias Situ.Graph.Plan
 
-  # The cost of building and planning in the VM's reductions: a clock would also measure other work on the machine.
+  # Measures the cost of building and planning in VM reductions, since wall time would include other work on the
+  # machine.
   defp cost(fun) do
     me = self()
 
@@ -32,7 +33,7 @@ defmodule Situ.GraphTest do
     end
   end
 
-  test "building and planning are linear in the number of components" do
+  test "building and planning take time linear in the number of components" do
     for shape <- [&fan/1, &chain/1] do
       [small, large] =
         for n <- [500, 2_000] do
@@ -42,12 +43,13 @@ defmodule Situ.GraphTest do
           end)
         end
 
-      # Four times as many: a tree a little deeper, nothing quadratic (which were sixteen times).
+      # With four times as many components, trees get slightly deeper; quadratic work would cost sixteen times as
+      # much.
       assert large < 10 * small
     end
   end
 
-  test "edges on a cycle get no bound, and only these" do
+  test "only edges on a cycle are unbounded" do
     {graph, _} =
       Graph.build(fn p ->
         one = Situ.Pipeline.add(p, Situ.Fixture.Pass, name: "One")
@@ -63,7 +65,7 @@ defmodule Situ.GraphTest do
     assert windows == %{1 => :infinity, 2 => :infinity, 3 => 1_000}
   end
 
-  # The paths of what shares a process.
+  # Returns the paths of the components in each process.
   defp processes(opts) do
     {graph, _} =
       Graph.build(fn p ->
@@ -77,7 +79,7 @@ defmodule Situ.GraphTest do
     for stage <- plan.stages, do: Enum.map(stage.vertices, & &1.path)
   end
 
-  test "a source that cannot wait keeps its process to itself, unless it is to be synchronous" do
+  test "a source that cannot wait has its own process, unless its consumer is synchronous" do
     alias Situ.Delivery
 
     for {policy, stages} <- [
@@ -94,7 +96,7 @@ defmodule Situ.GraphTest do
     end
   end
 
-  test "no operator joins the process of a component that asks for its own" do
+  test "no operator joins the process of a component with async: true" do
     for opts <- [[], [policy: Situ.Delivery.throttle(1)]] do
       {graph, _} =
         Graph.build(fn p ->
@@ -108,7 +110,7 @@ defmodule Situ.GraphTest do
     end
   end
 
-  test "operators that take one message at a time share a process, unless they ask for their own" do
+  test "operators with throttle(1) share a process, unless they are async" do
     alias Situ.Delivery
     assert processes(policy: Delivery.throttle(1)) == [["Source", "One", "Two"]]
     assert processes(policy: Delivery.throttle(2)) == [["Source"], ["One"], ["Two"]]

@@ -11,7 +11,7 @@ defmodule Situ.Graph.PortTypesTest do
     def handle_message(:in, %{data: {a, b}}, _context, sum), do: {[], sum + (a || 0) + b}
   end
 
-  test "a tuple type with an optional element is a type, not a port's options" do
+  test "a tuple type with an optional element is a type, not the port's options" do
     assert {:ok, %{errors: []}} =
              Situ.Pipeline.run(fn p ->
                pairs = Situ.from_enumerable(p, [{nil, 1}, {2, 3}], every: 1)

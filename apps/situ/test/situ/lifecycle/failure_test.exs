@@ -7,7 +7,7 @@ defmodule Situ.Lifecycle.FailureTest do
   @moduletag :capture_log
 
   defmodule Sum do
-    # Adds up; raises at the values it is told to; tells its sum.
+    # Adds up its input, raises at the values in `raise_at`, and reports its pid and termination.
     use Situ.Component,
       inputs: [in: :integer],
       outputs: [out: :integer],
@@ -41,7 +41,7 @@ defmodule Situ.Lifecycle.FailureTest do
   end
 
   defmodule Told do
-    # Raises when it is told `:bad`, and when its timer rings, of which it tells; tells of `{:good, n}`.
+    # Raises on `:bad` and when its timer fires, and reports the timer and each `{:good, n}`.
     use Situ.Component, outputs: [out: :integer], options: [tell: [type: {:fun, 1}]]
 
     @impl true
@@ -66,7 +66,7 @@ defmodule Situ.Lifecycle.FailureTest do
   end
 
   defmodule Slow do
-    # Starts once it has learned of another component, told it something, and got an answer.
+    # Starts after it has learned another component's pid, sent messages to it and received its reply.
     use Situ.Component, outputs: [out: :integer], options: [tell: [type: {:fun, 1}]]
 
     @impl true
@@ -79,7 +79,7 @@ defmodule Situ.Lifecycle.FailureTest do
       receive do
         {:other, pid} ->
           for message <- [:bad, {:good, 1}, :bad, {:good, 2}, {:good, 3}], do: send(pid, message)
-          # answered behind what was sent before it
+          # The reply comes after the messages sent before it.
           {:error, _} = GenServer.call(pid, :anything)
       end
 
@@ -88,7 +88,7 @@ defmodule Situ.Lifecycle.FailureTest do
   end
 
   describe "on_error" do
-    test "is also for messages that come while the pipeline starts; they keep their order" do
+    test "applies to messages that arrive while the pipeline is starting, and keeps their order" do
       me = self()
 
       run =
@@ -110,13 +110,13 @@ defmodule Situ.Lifecycle.FailureTest do
       assert [1, 2, 3, 4] == for({:good, n} <- heard, do: n)
     end
 
-    test ":skip keeps the state before the message and counts the loss" do
+    test ":skip keeps the state from before the message and counts the loss" do
       {values, {:ok, report}} = sums([raise_at: [2, 4]], on_error: :skip)
       assert values == [0, 1, 4, 9]
       assert report.skipped == %{"Sum" => 2}
     end
 
-    test ":restart begins afresh, goes on with the next message and releases what it held" do
+    test ":restart resets the state, continues with the next message and releases resources" do
       me = self()
       {values, {:ok, report}} = sums([raise_at: [3], tell: &send(me, &1)], on_error: :restart)
       assert values == [0, 1, 3, 4, 9]
@@ -124,7 +124,7 @@ defmodule Situ.Lifecycle.FailureTest do
       assert_received {:terminated, %Situ.Error{code: :component_failed}}
     end
 
-    test ":stop ends the pipeline; what came before was delivered" do
+    test ":stop ends the pipeline after delivering earlier messages" do
       {values, {:error, error}} = sums([raise_at: [3]], on_error: :stop)
       assert values == [0, 1, 3]
       assert error.code == :component_failed
@@ -135,7 +135,7 @@ defmodule Situ.Lifecycle.FailureTest do
       assert is_integer(t)
     end
 
-    test "operators: skip and restart" do
+    test ":skip applies to operators too" do
       me = self()
 
       {:ok, report} =
@@ -160,7 +160,7 @@ defmodule Situ.Lifecycle.FailureTest do
     def handle_demand(_n, _context, :raise), do: raise("again")
   end
 
-  test "a pull source that always raises is given up, under every on_error" do
+  test "a pull source that always raises is stopped under every on_error" do
     for {on_error, code} <- [
           stop: :component_failed,
           skip: :no_way_on,
@@ -176,7 +176,7 @@ defmodule Situ.Lifecycle.FailureTest do
   end
 
   describe "a component killed from outside" do
-    test "with :stop it is an error that names it, not a hang" do
+    test "with :stop fails the pipeline with an error that names it" do
       {p, pid} = running_sum(:stop)
       Process.exit(pid, :kill)
 
@@ -184,7 +184,7 @@ defmodule Situ.Lifecycle.FailureTest do
                Pipeline.await(p, 30_000)
     end
 
-    test "with :restart it comes back on its edges" do
+    test "with :restart is restarted on its edges" do
       {p, pid} = running_sum(:restart)
       Process.exit(pid, :kill)
       assert_receive {:pid, again} when again != pid
@@ -195,7 +195,7 @@ defmodule Situ.Lifecycle.FailureTest do
       assert n >= 1
     end
 
-    test "the pipeline process: its components release what they hold and end" do
+    test "releases its resources and ends when the pipeline process is killed" do
       me = self()
 
       {:ok, p} =
@@ -216,7 +216,7 @@ defmodule Situ.Lifecycle.FailureTest do
     end
   end
 
-  test "what a killed pipeline leaves behind in a loop is killed after a while" do
+  test "a looping process of a killed pipeline is killed after a grace period" do
     me = self()
     {:ok, reaper} = Situ.Application.Reaper.start_link(name: nil, grace_ms: 10)
 
@@ -231,7 +231,7 @@ defmodule Situ.Lifecycle.FailureTest do
       )
 
     assert_receive {:stuck, pid}
-    :ok = Situ.Application.Reaper.watch(p, reaper)
+    :ok = Situ.Application.Reaper.watch_pipeline(p, reaper)
     ref = Process.monitor(pid)
     Process.exit(p, :kill)
     assert_receive {:DOWN, ^ref, :process, ^pid, :killed}
@@ -256,8 +256,8 @@ defmodule Situ.Lifecycle.FailureTest do
     assert what =~ "Stone"
   end
 
-  describe "bad input is a clear error, never a hang" do
-    test "what a component may return" do
+  describe "invalid or unusual input" do
+    test "returns an error for an invalid return value of a component" do
       for {answer, code} <- [
             {:rubbish, :bad_return},
             {{[:what], nil}, :bad_action},
@@ -278,7 +278,7 @@ defmodule Situ.Lifecycle.FailureTest do
       end
     end
 
-    test "graphs" do
+    test "returns an error for an invalid graph" do
       assert code(fn p -> Pipeline.add(p, Sum) end) == :unconnected_input
       assert code(fn p -> Pipeline.add(p, String) end) == :not_a_component
       assert code(fn _ -> raise "no" end) == :build_failed
@@ -302,12 +302,12 @@ defmodule Situ.Lifecycle.FailureTest do
       for word <- ["Map", "string", "Sum.in", "integer"], do: assert(error.what =~ word)
     end
 
-    test "data of another type than declared, at run time" do
+    test "returns an error for data that does not match its declared type" do
       assert code(fn p -> p |> Situ.source(Count) |> Situ.map(&"#{&1}") |> Situ.via(Sum) end) ==
                :wrong_data
     end
 
-    test "a cycle in which nothing gets later" do
+    test "returns an error for a cycle in which times do not increase" do
       error =
         error(fn p ->
           source = Situ.source(p, Count, count: 3)
@@ -323,7 +323,7 @@ defmodule Situ.Lifecycle.FailureTest do
       assert error.meta.cycle == ["Loop", "Map", "Loop"]
     end
 
-    test "settings and specs" do
+    test "returns an error for invalid settings and specs" do
       assert {:error, %{code: :not_a_pipeline}} = Pipeline.run(Enum)
       assert {:error, %{code: :not_a_pipeline}} = Pipeline.run(:nothing)
 
@@ -337,7 +337,7 @@ defmodule Situ.Lifecycle.FailureTest do
                Pipeline.run(fn _ -> 1 end, pipeline: [replay: [speed: 0]])
     end
 
-    test "stopping twice, from ten processes, while starting" do
+    test "handles repeated and concurrent stops while the pipeline is starting" do
       {:ok, p} =
         Pipeline.start(
           fn p -> for _ <- 1..50, do: Situ.source(p, Count, count: :infinity) end,
@@ -358,7 +358,7 @@ defmodule Situ.Lifecycle.FailureTest do
       assert {:ok, _} = Pipeline.await(p)
     end
 
-    test "a stop asked for by a component of the pipeline itself" do
+    test "lets a component stop its own pipeline" do
       {:ok, report} =
         Pipeline.run(fn p ->
           p
@@ -377,7 +377,7 @@ defmodule Situ.Lifecycle.FailureTest do
       do: {[{:out, message.originating_time, message.data}], state}
   end
 
-  test "a supervised pipeline that fails is restarted; its supervisor stops it in order" do
+  test "a supervised pipeline restarts after a failure, and its supervisor stops it in order" do
     me = self()
     runs = :counters.new(1, [])
 

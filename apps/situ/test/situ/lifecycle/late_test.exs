@@ -1,10 +1,10 @@
 defmodule Situ.Lifecycle.LateTest do
-  # A pipeline ends at its last source's last time. Output that has run ahead of it does not count; what was made
-  # later than that from messages that do count is no less part of the result.
+  # A pipeline ends at the last time of its last source. Output that has run ahead of that time is discarded, but
+  # later messages derived from messages up to that time are part of the result.
   use ExUnit.Case, async: true
 
   defmodule Echo do
-    # Says everything twice, the second time 5 ns later.
+    # Emits every message twice, the second time 5 ns later.
     use Situ.Component, inputs: [in: :any], outputs: [out: :any]
 
     @impl true
@@ -39,7 +39,7 @@ defmodule Situ.Lifecycle.LateTest do
     end)
   end
 
-  test "process loses nothing of the last message" do
+  test "process keeps everything derived from the last message" do
     sentences = [{0, "a b"}, {10, "c d e"}]
     expected = [{0, "a"}, {1, "b"}, {10, "c"}, {11, "d"}, {12, "e"}]
     assert replay(fn p -> p |> Situ.from_enumerable(sentences) |> words() end) == expected
@@ -54,7 +54,7 @@ defmodule Situ.Lifecycle.LateTest do
            end) == expected
   end
 
-  test "merge loses nothing, at any speed" do
+  test "merge loses nothing at any speed" do
     build = fn p ->
       Situ.merge([
         Situ.from_enumerable(p, 0..2, every: 10),
@@ -73,7 +73,7 @@ defmodule Situ.Lifecycle.LateTest do
     assert merged |> Enum.map(fn {_, message} -> message.data end) |> Enum.sort() == [1, 2, 3]
   end
 
-  test "reorder gives messages at times of their own" do
+  test "reorder emits messages at their own times" do
     items = [{0, {30, :a}}, {1, {20, :b}}, {2, {50, :c}}]
 
     assert replay(fn p ->
@@ -83,7 +83,7 @@ defmodule Situ.Lifecycle.LateTest do
            end) == [{20, {20, :b}}, {30, {30, :a}}, {50, {50, :c}}]
   end
 
-  test "what ran ahead does not count" do
+  test "output that ran ahead of the end is discarded" do
     ticks = fn p -> Situ.repeat(p, :tick, every: 1) end
     echo = fn p -> p |> Situ.from_enumerable(0..1, every: 10) |> Situ.via(Echo) end
 
@@ -92,8 +92,9 @@ defmodule Situ.Lifecycle.LateTest do
            end) == [{0, 0}, {5, 0}, {10, 1}]
   end
 
-  # The pipeline's process stands still while the last messages are made; whoever is ahead has all the time there is.
-  test "what ran ahead does not count however late the pipeline learns of the end" do
+  # The pipeline process is suspended while the last messages are created, so streams that run ahead have plenty of
+  # time.
+  test "output that ran ahead is discarded even if the pipeline learns of the end late" do
     test = self()
 
     items =
@@ -128,7 +129,7 @@ defmodule Situ.Lifecycle.LateTest do
     refute_received {:out, 15}
   end
 
-  test "a component's own late messages count, and so does what others make of them" do
+  test "late messages of a component count, and so do the messages derived from them" do
     assert replay(fn p ->
              p
              |> Situ.from_enumerable(0..1, every: 10)
@@ -141,7 +142,7 @@ defmodule Situ.Lifecycle.LateTest do
            end) == [{10, 1}, {15, 1}]
   end
 
-  test "a cycle that makes ever later messages ends with the pipeline" do
+  test "a cycle with ever later messages ends with the pipeline" do
     {:ok, report} =
       Situ.Pipeline.run(
         fn p ->

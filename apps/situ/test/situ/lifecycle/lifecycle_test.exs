@@ -1,11 +1,11 @@
 defmodule Situ.LifecycleTest do
-  # The life cycle without processes: random graphs, random events in random order.
+  # Tests the life cycle without processes: random graphs and random events in random order.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
   alias Situ.Fixture.LifecycleWorld, as: World
 
-  # Up to four sources, some without an end, some others, and links among them: forwards, and a few back.
+  # Generates up to four sources (some endless), other stages, and links among them, some of them backwards.
   defp graph do
     {list(one_of([integer(1, 100), :infinity, nil])), list(one_of([:stop, :skip, :restart])),
      list({integer(1, 9), integer(1, 9)})}
@@ -18,7 +18,7 @@ defmodule Situ.LifecycleTest do
 
     links = for {a, b} <- pairs, others != [], n > 0, do: {rem(a, n) + 1, s + rem(b, n - s) + 1}
 
-    # Who has no input is a source.
+    # Connects every stage without an input to a source.
     fed = MapSet.new(links, &elem(&1, 1))
     rest = for id <- (s + 1)..n//1, s > 0, not MapSet.member?(fed, id), do: {rem(id, s) + 1, id}
 
@@ -45,12 +45,12 @@ defmodule Situ.LifecycleTest do
     ])
   end
 
-  # Without a stop a life with endless sources has no end.
+  # A life with endless sources ends only with a stop.
   defp live({spec, wishes, seed}), do: World.live(made(spec), [{:stop, 3} | wishes], seed)
 
   defp lives, do: {graph(), list(wish()), integer(1, 1_000_000)}
 
-  property "it is never stuck, and ends once", numtests: 150 do
+  property "never gets stuck and ends exactly once", numtests: 150 do
     forall spec <- lives() do
       world = live(spec)
       assert world.life.phase == :completed
@@ -60,8 +60,8 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  # `{:refuse, id}` and `{:kill, id}` of what is added: the world numbers it from 100.
-  property "the server is told to do nothing with a stage that it has dropped, and drops all that were removed",
+  # `{:refuse, id}` and `{:kill, id}` refer to added stages, which the world numbers from 100.
+  property "sends the server no action for a dropped stage, and drops every removed stage",
     numtests: 150 do
     changes = [
       {:remove, list(one_of([integer(1, 10), integer(100, 104)]))},
@@ -81,7 +81,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "every output closes once, but those of stages that are gone before", numtests: 150 do
+  property "every output closes once, unless its stage is already gone", numtests: 150 do
     forall spec <- lives() do
       world = live(spec)
       closed = for {:action, {:tell, id, {:finalize, _}}} <- world.log, do: id
@@ -95,7 +95,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "nothing closes before what it listens to, but to cut a cycle", numtests: 150 do
+  property "nothing closes before its inputs, except to cut a cycle", numtests: 150 do
     forall {spec, seed} <- {graph(), integer(1, 1_000_000)} do
       graph = made(spec)
       world = World.live(graph, [{:stop, 3}], seed)
@@ -108,7 +108,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "a stage closes no later than the pipeline, and no earlier than its inputs" do
+  property "a stage closes no later than the pipeline and no earlier than its inputs" do
     forall {spec, seed} <- {graph(), integer(1, 1_000_000)} do
       graph = made(spec)
       world = World.live(graph, [{:stop_at, 150}], seed)
@@ -121,7 +121,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "a source hears that its end is known once the others have theirs, and before it is to close" do
+  property "a source is notified of its end after the other stages and before it must close" do
     forall {spec, wishes, seed} <- lives() do
       log = Enum.reverse(live({spec, wishes, seed}).log)
 
@@ -133,7 +133,7 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "whoever adds something is answered once" do
+  property "each caller that adds something gets one reply" do
     forall spec <- lives() do
       world = live(spec)
       asked = for {:event, {:grow, _, _, from}} <- world.log, do: from
@@ -143,19 +143,19 @@ defmodule Situ.LifecycleTest do
     end
   end
 
-  property "each caller that stops a part is answered once", numtests: 100 do
+  property "each caller that stops a part gets one reply", numtests: 100 do
     forall {spec, parts, seed} <- {graph(), list(list(integer(1, 10))), integer(1, 1_000_000)} do
       world = World.live(made(spec), Enum.map(parts, &{:part, &1}) ++ [{:stop, 3}], seed)
       asked = for {:event, {:stop_part, _, _, %{from: from}}} <- world.log, do: from
       answered = for {:action, {:reply, from, _}} <- world.log, do: from
       assert answered -- asked == []
-      # Those under way when all of it ends are answered by the server.
+      # The server replies to callers that are still waiting when the whole pipeline ends.
       left = for {_, %{from: from}} <- world.life.parts, do: from
       assert Enum.sort(answered ++ left) == Enum.sort(asked)
     end
   end
 
-  # Neither on a cycle nor behind one: what is may be where it is cut.
+  # True if the stage is neither on a cycle nor downstream of one, where the cycle may be cut.
   defp straight?(graph, id) do
     next = Enum.group_by(graph.links, &elem(&1, 0), &elem(&1, 1))
     upstream = for {from, _} <- graph.links, leads?(next, [from], id, []), do: from

@@ -1,5 +1,5 @@
 defmodule Situ.Lifecycle.PartialStopTest do
-  # A composite, or a component, that is stopped while the rest of its pipeline runs on.
+  # Stops a composite or a component while the rest of its pipeline keeps running.
   use ExUnit.Case, async: true
   import Situ.Test.Eventually
 
@@ -9,7 +9,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
   @moduletag :capture_log
 
   defmodule Tell do
-    # Passes on what comes, and tells the test of everything that happens to it.
+    # Forwards its input and reports every event to the test.
     use Situ.Component,
       inputs: [in: :any],
       outputs: [out: :any],
@@ -34,7 +34,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
     def terminate(reason, {as, to}), do: send(to, {as, :terminated, reason})
   end
 
-  # Numbers every 10 ms; "Side" doubles them, and is listened to from outside.
+  # Emits a number every 10 ms; "Side" doubles the numbers and has a consumer outside.
   defp start(settings \\ []) do
     me = self()
 
@@ -67,7 +67,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
 
   defp receive_all(as, values), do: for(v <- values, do: assert_receive({^as, ^v}))
 
-  test "it gets what is on its way, closes with the time of the stop, and ends; the rest runs on" do
+  test "a composite handles messages in flight, closes at the stop time and ends while the rest runs" do
     clock = Clock.manual(0)
     {:ok, p} = start(clock: clock)
     assert Pipeline.clock(p) == clock
@@ -85,7 +85,8 @@ defmodule Situ.Lifecycle.PartialStopTest do
     refute_received {:own, _}
     refute_received {:side, _}
     refute_received {:outside, :terminated, _}
-    # Components outside live on; one without any input left has nothing more to say.
+
+    # Components outside keep running; a component without any open input has nothing more to emit.
     assert_receive {:next, :closed, ^closed}
 
     states = states(p)
@@ -95,20 +96,20 @@ defmodule Situ.Lifecycle.PartialStopTest do
 
     for path <- ~w(Count Main), do: assert(states[path] == :running)
 
-    # These close by themselves: the pipeline hears of a closed input only after the component has handled it.
+    # These close by themselves: the pipeline learns of a closed input only after the component has handled it.
     assert eventually(fn -> match?(%{"Next" => :closed, "Outside" => :closed}, states(p)) end)
 
     assert {:ok, report} = Pipeline.stop(p)
     assert_receive {:outside, :terminated, :normal}
     assert report.errors == []
 
-    # Those outside whose last input it was may close beside it; the rest closes with the pipeline.
+    # Outside components may close with the part if it was their last input; the rest closes with the pipeline.
     {first, rest} = Enum.split(report.closed, 7)
     assert Enum.count(first, &String.starts_with?(&1, "Side.")) == 5
     assert Enum.sort(rest) == ["Count", "Main"]
   end
 
-  test "a component by its node or path; what reads from it sees the end of the stream" do
+  test "stops a component by its path, and its consumers see the end of the stream" do
     {:ok, p} = start()
     assert_receive {:outside, _}
     assert :ok = Pipeline.stop_part(p, "Side.Inner")
@@ -119,7 +120,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  test "what cannot be stopped" do
+  test "refuses unknown, stopped and shared components" do
     {:ok, p} = start()
     assert {:error, %{code: :unknown_component, fix: fix}} = Pipeline.stop_part(p, "Sied")
     assert fix =~ "Side"
@@ -145,7 +146,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
     {:ok, _} = Pipeline.stop(p)
   end
 
-  test "without its last sources a pipeline ends; with an unfinished finite one gone it goes on" do
+  test "a pipeline ends without its last sources and continues without an unfinished finite one" do
     build = fn others ->
       fn p ->
         Situ.composite(p, "Part", fn p ->
@@ -170,7 +171,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  # "Part" stands still in its first message until it is told to go on.
+  # Starts a pipeline whose "Part" blocks at its first message until the test lets it continue.
   defp standing(settings) do
     me = self()
 
@@ -198,7 +199,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
     {p, pid}
   end
 
-  test "what is stuck in it is killed and named; the rest runs on" do
+  test "kills and names a stuck component while the rest keeps running" do
     {p, _pid} = standing(stop_timeout: 1_000)
 
     assert {:error, %{code: :component_killed, meta: %{component: "Part.Each"}}} =
@@ -209,7 +210,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  test "the pipeline is stopped meanwhile: both are answered" do
+  test "both callers get a reply if the pipeline is stopped in the meantime" do
     {p, pid} = standing([])
     part = Task.async(fn -> Pipeline.stop_part(p, "Part") end)
     asked(p)
@@ -223,7 +224,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
   defp asked(p), do: if(:sys.get_state(p).life.parts == %{}, do: asked(p), else: :ok)
   defp stopping(p), do: if(Pipeline.state(p) == :running, do: stopping(p), else: :ok)
 
-  test "from inside one of the pipeline's own components" do
+  test "a component of the pipeline can stop another part" do
     me = self()
 
     {:ok, p} =

@@ -1,5 +1,5 @@
 defmodule Situ.Lifecycle.RestartIntensityTest do
-  # How often a component may be restarted, and what is logged of it.
+  # Limits how often a component may restart, and logs the skipped errors.
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
 
@@ -9,7 +9,7 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
   @moduletag :capture_log
 
   defmodule Dying do
-    # Dies in handle_start/2, but for the first time.
+    # Dies in handle_start/2, except the first time.
     use Situ.Component, outputs: [out: :any], options: [tries: [type: :any], to: [type: :pid]]
     @impl true
     def init(opts), do: {:ok, opts}
@@ -27,7 +27,7 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
   end
 
   describe "restarts" do
-    test "a component that dies again and again ends the pipeline" do
+    test "a component that keeps dying ends the pipeline" do
       me = self()
       tries = :counters.new(1, [])
 
@@ -41,7 +41,7 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
       assert :counters.get(tries, 1) == 1 + 3
     end
 
-    test "exceptions count like deaths, of components and of operators" do
+    test "exceptions of components and operators count like deaths" do
       raising = fn p -> Situ.timer(p, every: Time.ms(1)) end
       boom = fn _ -> raise "boom" end
 
@@ -58,7 +58,7 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
       end
     end
 
-    test "exceptions now and then do not" do
+    test "occasional exceptions do not end the pipeline" do
       me = self()
 
       {:ok, p} =
@@ -82,7 +82,7 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
       assert report.skipped == %{"Each" => 2}
     end
 
-    test "as often as the settings say" do
+    test "the settings limit the number of restarts" do
       me = self()
       tries = :counters.new(1, [])
       settings = [max_restarts: 7, max_seconds: 60]
@@ -99,7 +99,7 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
       assert :counters.get(tries, 1) == 1 + 7
     end
 
-    test "a kill while the pipeline starts is survived" do
+    test "a pipeline survives a kill while it is starting" do
       me = self()
 
       {:ok, p} =
@@ -111,7 +111,7 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
           Situ.source(p, Situ.Fixture.Held, to: me)
         end)
 
-      # Count has started, Held has not.
+      # Count has started, but Held has not.
       assert_receive {:held, held}
       assert Pipeline.state(p) == :starting
       Process.exit(pid(p, "Count"), :kill)
@@ -121,7 +121,7 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
       assert {:ok, _} = Pipeline.stop(p)
     end
 
-    test "every error that is skipped is in the log, once" do
+    test "every skipped error is logged exactly once" do
       log =
         capture_log(fn ->
           assert {:ok, %{skipped: %{"Map" => 5}}} =

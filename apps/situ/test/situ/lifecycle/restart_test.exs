@@ -1,6 +1,6 @@
 defmodule Situ.Lifecycle.RestartTest do
-  # A component that began again posts on from where the one before it had come to: sequence ids and times
-  # increase, and what a source goes through once more is not there twice.
+  # A restarted component continues where its predecessor stopped: sequence ids and times keep increasing, and
+  # messages that a source produces again are not emitted twice.
   use ExUnit.Case, async: true
 
   alias Situ.Fixture.Count
@@ -9,7 +9,7 @@ defmodule Situ.Lifecycle.RestartTest do
   @moduletag :capture_log
 
   defmodule Flaky do
-    # Counts to nine; raises on its way to five, but only the first time.
+    # Counts to nine; raises before emitting five, but only the first time.
     use Situ.Component, outputs: [out: :integer], options: [tries: [type: :any]]
 
     @impl true
@@ -34,7 +34,7 @@ defmodule Situ.Lifecycle.RestartTest do
   defp told(stream, me),
     do: Situ.each(stream, fn v, m -> send(me, {:got, v, m.sequence_id}) end, async: true)
 
-  # The process of a component, another one than `before`.
+  # Returns the process of a component; waits until it differs from `before`.
   defp process(p, path, before \\ nil) do
     found =
       Enum.find_value(:sys.get_state(p).stages, fn {_, stage} ->
@@ -55,7 +55,7 @@ defmodule Situ.Lifecycle.RestartTest do
         {"a source with operators in its process",
          quote(do: &Situ.map(&1, fn v -> v end, policy: Situ.Delivery.synchronous()))}
       ] do
-    test "#{what}, killed: every message once, numbered on" do
+    test "#{what} emits every message once after a kill, with continuing numbers" do
       me = self()
       clock = Clock.manual(0)
 
@@ -81,7 +81,7 @@ defmodule Situ.Lifecycle.RestartTest do
     end
   end
 
-  test "a chain of operators, killed: numbered on" do
+  test "a killed chain of operators continues its numbering" do
     me = self()
 
     {:ok, p} =
@@ -99,7 +99,7 @@ defmodule Situ.Lifecycle.RestartTest do
     kill(p, "Map")
     drain()
     assert_receive {:got, _, last}
-    # Not many are lost, and none comes twice.
+    # Few messages are lost, and none arrives twice.
     assert last > 1
     assert {:ok, _} = Pipeline.stop(p)
     ids = [last | drain()]
@@ -114,7 +114,7 @@ defmodule Situ.Lifecycle.RestartTest do
     end
   end
 
-  test "a source that raises on its way: every message once, numbered on" do
+  test "a source that raises halfway emits every message once, with continuing numbers" do
     me = self()
 
     assert {:ok, report} =

@@ -1,5 +1,5 @@
 defmodule Situ.Lifecycle.ShutdownTest do
-  # How streams end: nothing is lost that was there, nothing is made up that was not.
+  # Streams end without losing existing messages and without inventing new ones.
   use ExUnit.Case, async: true
 
   alias Situ.{Clock, Pipeline, Reproducible, Time}
@@ -7,7 +7,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
   @moduletag :capture_log
 
   defmodule Later do
-    # The cycle's way back: each message 1,000 ns later.
+    # Feeds the cycle back: re-emits each message 1,000 ns later.
     use Situ.Component, inputs: [in: :any], outputs: [out: :any]
     @impl true
     def handle_message(:in, m, _context, state),
@@ -43,7 +43,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
   end
 
   defmodule Button do
-    # A push source that stamps when it handles.
+    # A push source that stamps each message when it handles it.
     use Situ.Component, outputs: [out: :integer], options: [owner: [type: :pid, required: true]]
     @impl true
     def init(opts), do: {:ok, {opts[:owner], 0}}
@@ -77,7 +77,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
 
     sums =
       Situ.to_list(fn p ->
-        # The first turn waits longer than any fixed time a cycle might be given.
+        # The first round waits longer than any reasonable fixed timeout for a cycle.
         x = Situ.from_enumerable(p, Enum.map(1..n, &{&1 * 1_000, 1}))
         node = Pipeline.add(p, Sum, name: "Sum")
         Pipeline.connect(x, node, :in)
@@ -91,9 +91,9 @@ defmodule Situ.Lifecycle.ShutdownTest do
     assert List.last(sums) == n
   end
 
-  test "a stage closes when all its inputs have: an operator in between changes nothing" do
+  test "a stage closes after all its inputs, and an operator in between changes nothing" do
     source = fn p -> Situ.from_enumerable(p, [{0, 1}, {10, 2}]) end
-    # Keeps the pipeline running to 40.
+    # Keeps the pipeline running until 40.
     longer = fn p -> p |> Situ.from_enumerable([{0, :x}, {40, :x}]) |> Situ.each(& &1) end
 
     for operator <- [
@@ -118,7 +118,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
     end
   end
 
-  test "what a finite stream was held for is let go at its end, not at the pipeline's" do
+  test "messages held for a finite stream are released at its end, not at the pipeline's" do
     me = self()
 
     {:ok, p} =
@@ -139,7 +139,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  test "nothing is made up behind the time at which a branch failed" do
+  test "nothing is invented after the time at which a branch failed" do
     for async <- [true, false], _ <- 1..3 do
       me = self()
 
@@ -167,7 +167,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
     end
   end
 
-  test "what a source had emitted before it failed is whole" do
+  test "everything a source emitted before it failed is delivered" do
     me = self()
 
     assert {:error, %{code: :component_failed}} =
@@ -182,7 +182,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
     assert Enum.filter(zipped, &(length(&1) != 2)) == []
   end
 
-  test "posted events are delivered on stop, at the time at which they were posted" do
+  test "posted events are delivered on stop with the times at which they were posted" do
     for n <- [10, 5_000] do
       me = self()
 
@@ -199,7 +199,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
       assert {:ok, _} = Pipeline.stop(p)
       got = received(:got)
       assert Enum.map(got, &elem(&1, 0)) == Enum.to_list(1..n)
-      # Nudged apart where two have one time.
+      # Events with equal times are nudged apart.
       assert Enum.all?(got, fn {_, t} -> t <= posted + n end)
     end
   end
@@ -220,7 +220,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
     assert received(:got) == Enum.to_list(1..2_000)
   end
 
-  test "a gap of half a century does not keep a pipeline from its stop" do
+  test "a gap of half a century does not prevent a pipeline from stopping" do
     me = self()
     gap = fn _, m -> if m.originating_time == Time.ms(2), do: send(me, :gap) end
 

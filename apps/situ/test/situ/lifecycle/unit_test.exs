@@ -1,5 +1,5 @@
 defmodule Situ.Lifecycle.UnitTest do
-  # Composites with a policy and an `on_error:` of their own.
+  # Composites with their own policy and `on_error:`.
   use ExUnit.Case, async: true
 
   alias Situ.{Delivery, Pipeline, Time}
@@ -8,7 +8,7 @@ defmodule Situ.Lifecycle.UnitTest do
   @moduletag :capture_log
 
   defmodule Summing do
-    # Sums; raises at every multiple of seven.
+    # Sums up its input; the second instance raises at seven.
     use Situ.Component,
       inputs: [in: :any],
       outputs: [out: :any],
@@ -64,9 +64,9 @@ defmodule Situ.Lifecycle.UnitTest do
 
   defp pid(p, path), do: for({^path, pid, _, _} <- Supervisor.which_children(p), do: pid) |> hd()
 
-  test "restarts as a unit: all of it, with fresh state, and the rest runs on" do
+  test "restarts as a unit with fresh state while the rest keeps running" do
     p = start(:restart)
-    # Both, since one of them raised.
+    # Both terminate because one of them raised.
     for as <- [:first, :sum], do: assert_receive({:terminated, ^as, _}, 5_000)
     for as <- [:first, :sum], do: assert_receive({:started, ^as, _}, 5_000)
     assert_receive {:out, _}
@@ -77,25 +77,25 @@ defmodule Situ.Lifecycle.UnitTest do
     for name <- ~w(Unit.First Unit.Second), do: assert(name in report.closed)
   end
 
-  test "restarts when one of it is killed" do
+  test "restarts if one of its components is killed" do
     p = start(:restart)
     for as <- [:first, :sum], do: assert_receive({:terminated, ^as, _}, 5_000)
     for as <- [:first, :sum], do: assert_receive({:started, ^as, _}, 5_000)
     assert Pipeline.clock(p)
     Process.exit(pid(p, "Unit.First"), :kill)
-    # The one that was killed could not say goodbye.
+    # The killed component could not run terminate/2.
     assert_receive {:terminated, :sum, _}, 5_000
     for as <- [:first, :sum], do: assert_receive({:started, ^as, _}, 5_000)
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
   end
 
-  test "is not restarted for ever" do
+  test "fails the pipeline when it exceeds max_restarts" do
     p = start(:restart, max_restarts: 0)
     assert {:error, %{code: :restarted_too_often, meta: meta}} = Pipeline.await(p, 30_000)
     assert meta.component == "Unit"
   end
 
-  test "ends as a unit: its outputs close, the rest runs on" do
+  test "with :close ends as a unit: its outputs close and the rest keeps running" do
     p = start(:close)
     for as <- [:first, :sum], do: assert_receive({:terminated, ^as, _}, 5_000)
     assert_receive {:closed, :in, _}
@@ -105,7 +105,7 @@ defmodule Situ.Lifecycle.UnitTest do
     assert "Unit.First" in report.closed
   end
 
-  test "without one, an error inside ends the pipeline" do
+  test "with :stop, an error inside ends the pipeline" do
     p = start(:stop)
     assert {:error, %{code: :component_failed}} = Pipeline.await(p, 30_000)
   end
@@ -114,15 +114,15 @@ defmodule Situ.Lifecycle.UnitTest do
     for _ <- 1..20 do
       p = start(:restart, max_restarts: 1_000)
       Pipeline.clock(p)
-      # At seven the unit restarts by itself: where that comes first, there is no process to kill.
+      # At seven the unit restarts by itself; if that happens first, there is no process to kill.
       with pid when is_pid(pid) <- pid(p, "Unit.First"), do: Process.exit(pid, :kill)
-      # Where the kill came after the stop had begun, that is an error; it ends all the same.
+      # A kill after the stop has begun is an error, but the pipeline still ends.
       assert {how, _} = Pipeline.stop(p, catch_up: 50)
       assert how in [:ok, :error]
     end
   end
 
-  test "the policy holds for connections inside" do
+  test "the policy applies to connections inside the composite" do
     {graph, _} =
       Situ.Graph.build(fn p ->
         Situ.composite(

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.FusionTest do
-  # Joins and what they hold: options, waiting, memory.
+  # Options, waiting and memory of joins.
   use ExUnit.Case, async: true
 
   alias Situ.{Available, Interval, Message, Reproducible}
@@ -15,7 +15,7 @@ defmodule Situ.Operators.FusionTest do
     do: for({t, v} <- timed, do: %Message{originating_time: t, sequence_id: t, data: v})
 
   describe "join/4" do
-    test "flattens both sides by their types, and not with flatten: false" do
+    test "flattens both sides according to their types, except with flatten: false" do
       inputs = [a: [{0, 1}], b: [{0, 2}], c: [{0, 3}], d: [{0, 4}]]
 
       build = fn s ->
@@ -27,7 +27,7 @@ defmodule Situ.Operators.FusionTest do
       assert run(inputs, build) == [[{0, {1, 2, 3, 4}}], [{0, {{1, 2}, {3, 4}}}]]
     end
 
-    test "a default of another type than the stream's is no lie about the output's" do
+    test "a default of a different type than the stream keeps the output type valid" do
       inputs = [a: [{0, 1}, {10, 2}], b: [{10, 3}]]
 
       build = fn s ->
@@ -45,7 +45,7 @@ defmodule Situ.Operators.FusionTest do
       assert run(inputs, build) == [{0, [{1, nil, nil}]}, {10, [{2, 3, "x"}, 3]}]
     end
 
-    test "a line through whole numbers is no whole number" do
+    test "linear interpolation between integers returns a float" do
       inputs = [a: [{5, 1}, {7, 1}], b: [{0, 1}, {10, 2}]]
 
       build = fn s ->
@@ -56,12 +56,12 @@ defmodule Situ.Operators.FusionTest do
       assert run(inputs, build) |> Enum.at(1) == {5, [{1, 1.5}]}
     end
 
-    test "leaves tuples alone that are data" do
+    test "keeps data tuples as they are" do
       inputs = [point: [{0, {3, 4}}], name: [{0, "p"}]]
       assert run(inputs, &Situ.join(&1.point, &1.name)) == [{0, {{3, 4}, "p"}}]
     end
 
-    test "takes one interpolator per secondary" do
+    test "accepts one interpolator per secondary" do
       inputs = [a: [{10, :a}], b: [{8, :b}], c: [{10, :c}]]
 
       build = fn s ->
@@ -71,7 +71,7 @@ defmodule Situ.Operators.FusionTest do
       assert run(inputs, build) == [{10, {:a, [:b, :c]}}]
     end
 
-    test "refuses irreproducible interpolators, negative tolerances and windows that end before they begin" do
+    test "refuses irreproducible interpolators, negative tolerances and inverted windows" do
       Situ.Pipeline.run(fn p ->
         [a, b] = [Situ.return(p, 1), Situ.return(p, 2)]
         error = assert_raise Situ.Error, fn -> Situ.join(a, b, Available.last()) end
@@ -85,7 +85,7 @@ defmodule Situ.Operators.FusionTest do
       end)
     end
 
-    test "a lossy policy drops before the join sees it; what is left is joined exactly" do
+    test "a lossy policy drops messages before the join, and the rest is joined exactly" do
       inputs = [a: Enum.map(0..99, &{&1, &1}), b: Enum.map(0..99, &{&1, &1})]
 
       build =
@@ -103,35 +103,38 @@ defmodule Situ.Operators.FusionTest do
   end
 
   describe "give_up_after:" do
-    test "decides a primary that waited too long, and counts it" do
+    test "decides and counts a primary that waited too long" do
       core = core(Reproducible.exact(), give_up_after: 10)
-      {[], core} = Situ.Fusion.Core.primary(core, messages([{0, :a}, {5, :b}]))
-      {[], core} = Situ.Fusion.Core.primary(core, messages([{12, :c}]))
-      assert %{primary: 2} = Situ.Fusion.Core.queued(core)
+      {[], core} = Situ.Fusion.Core.push_primary(core, messages([{0, :a}, {5, :b}]))
+      {[], core} = Situ.Fusion.Core.push_primary(core, messages([{12, :c}]))
+      assert %{primary: 2} = Situ.Fusion.Core.queue_lengths(core)
       assert core.given_up == 1
-      {outputs, _} = Situ.Fusion.Core.secondary(core, :s0, messages([{5, :x}, {12, :y}]))
+      {outputs, _} = Situ.Fusion.Core.push_secondary(core, :s0, messages([{5, :x}, {12, :y}]))
       assert outputs == [{:out, 5, {:b, :x}}, {:out, 12, {:c, :y}}]
     end
   end
 
   describe "max_queue:" do
-    test "bounds both sides: the oldest primary is decided, the oldest secondary message dropped" do
+    test "bounds both sides by deciding the oldest primary and dropping the oldest secondary message" do
       core = core(Reproducible.exact(or_default: :none), max_queue: 3)
-      {[], core} = Situ.Fusion.Core.primary(core, messages(for(t <- 1..3, do: {t, t})))
-      {outputs, core} = Situ.Fusion.Core.primary(core, messages([{4, 4}, {5, 5}]))
+      {[], core} = Situ.Fusion.Core.push_primary(core, messages(for(t <- 1..3, do: {t, t})))
+      {outputs, core} = Situ.Fusion.Core.push_primary(core, messages([{4, 4}, {5, 5}]))
       assert outputs == [{:out, 1, {1, :none}}, {:out, 2, {2, :none}}]
-      {outputs, core} = Situ.Fusion.Core.secondary(core, :s0, messages([{5, :x}]))
+      {outputs, core} = Situ.Fusion.Core.push_secondary(core, :s0, messages([{5, :x}]))
       assert List.last(outputs) == {:out, 5, {5, :x}}
-      {[], core} = Situ.Fusion.Core.secondary(core, :s0, messages(for(t <- 6..12, do: {t, t})))
-      assert Situ.Fusion.Core.queued(core) == %{primary: 0, secondary: [{0, 3}]}
+
+      {[], core} =
+        Situ.Fusion.Core.push_secondary(core, :s0, messages(for(t <- 6..12, do: {t, t})))
+
+      assert Situ.Fusion.Core.queue_lengths(core) == %{primary: 0, secondary: [{0, 3}]}
       assert core.dropped == 5
-      {outputs, _} = Situ.Fusion.Core.primary(core, messages([{9, 9}, {11, 11}]))
+      {outputs, _} = Situ.Fusion.Core.push_primary(core, messages([{9, 9}, {11, 11}]))
       assert outputs == [{:out, 9, {9, :none}}, {:out, 11, {11, 11}}]
     end
   end
 
   describe "nearest" do
-    test "is settled by the first message from where none can be nearer" do
+    test "is decided by the first message after which none can be nearer" do
       nearest = Reproducible.nearest(5)
       ask = &Situ.Interpolator.interpolate(nearest, 40, messages(&1), nil)
       assert ask.([{22, :a}]) == {:wait, 40}
@@ -141,21 +144,21 @@ defmodule Situ.Operators.FusionTest do
   end
 
   describe "memory" do
-    test "fusion keeps only what later primaries may need" do
+    test "fusion keeps only messages that later primaries may need" do
       core = core(Reproducible.nearest())
 
       core =
         Enum.reduce(1..1_000, core, fn n, core ->
-          {_, core} = Situ.Fusion.Core.secondary(core, :s0, messages([{n * 10, n}]))
-          {_, core} = Situ.Fusion.Core.primary(core, messages([{n * 10, n}]))
+          {_, core} = Situ.Fusion.Core.push_secondary(core, :s0, messages([{n * 10, n}]))
+          {_, core} = Situ.Fusion.Core.push_primary(core, messages([{n * 10, n}]))
           core
         end)
 
-      assert %{primary: 0, secondary: [{0, kept}]} = Situ.Fusion.Core.queued(core)
+      assert %{primary: 0, secondary: [{0, kept}]} = Situ.Fusion.Core.queue_lengths(core)
       assert kept <= 2
     end
 
-    test "a diamond whose ways differ by many messages is no deadlock" do
+    test "a diamond whose paths differ by many messages does not deadlock" do
       build = fn p ->
         numbers = Situ.from_enumerable(p, 0..39_999, every: 1_000)
         rare = Situ.filter(numbers, &(rem(&1, 20_000) == 19_999), async: true)
@@ -165,7 +168,7 @@ defmodule Situ.Operators.FusionTest do
       assert Situ.to_list(build) == [40_000]
     end
 
-    test "branches that end leave nothing behind, though keys never repeat" do
+    test "ended branches leave no state even if keys never repeat" do
       core =
         Situ.Parallel.ValueBranches.new(
           start: fn _ -> Situ.Branch.start(&Situ.window(&1, 0..1)) end,
@@ -178,12 +181,12 @@ defmodule Situ.Operators.FusionTest do
       core =
         Enum.reduce(1..2_000, core, fn n, core ->
           message = %Message{originating_time: n, data: nil}
-          {_outputs, core} = Situ.Parallel.ValueBranches.push(core, message, %{n => n})
+          {_outputs, core} = Situ.Parallel.ValueBranches.push_message(core, message, %{n => n})
           core
         end)
 
       assert map_size(core.branches) == 1
-      assert Situ.Parallel.PendingOutputs.size(core.entries) <= 1
+      assert Situ.Parallel.PendingOutputs.waiting_count(core.entries) <= 1
       assert core.started == 2_000
     end
   end

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.SourcesTest do
-  # Cases that the conformance files lack for sources.
+  # Source cases that the conformance files do not cover.
   use ExUnit.Case, async: true
 
   alias Situ.Time
@@ -7,7 +7,7 @@ defmodule Situ.Operators.SourcesTest do
   @moduletag :capture_log
 
   describe "sources" do
-    test "refuse intervals that let times stand still, and negative counts" do
+    test "refuse non-positive intervals and negative counts" do
       Situ.Pipeline.run(fn p ->
         assert_raise ArgumentError, fn -> Situ.from_enumerable(p, 0..2, every: 0) end
         assert_raise ArgumentError, fn -> Situ.from_enumerable(p, 0..2, every: -5) end
@@ -17,7 +17,7 @@ defmodule Situ.Operators.SourcesTest do
       assert Situ.to_list(&Situ.from_enumerable(&1, [], every: 10)) == []
     end
 
-    test "pass over items before the replay's start and stop at its end" do
+    test "skip items before the replay's start and stop at its end" do
       replay = [interval: {10, 30}, speed: :max]
       items = for t <- 0..50//5, do: {t, t}
       opts = [pipeline: [replay: replay]]
@@ -30,12 +30,12 @@ defmodule Situ.Operators.SourcesTest do
              ]
     end
 
-    test "give what came before an item that is out of order" do
+    test "return an error for an item that is out of order" do
       assert {:error, %{code: :time_not_increasing, meta: %{time: 2, last_time: 3}}} =
                Situ.Test.run([n: [{1, :a}, {3, :b}, {2, :c}]], & &1.n)
     end
 
-    test "read enumerables lazily, and let go of them" do
+    test "read enumerables lazily and close them" do
       me = self()
 
       endless =
@@ -59,7 +59,7 @@ defmodule Situ.Operators.SourcesTest do
       assert_raise Situ.Error, ~r/Map failed/, fn -> Enum.to_list(stream) end
     end
 
-    test "events of one instant are nudged, dropped or refused" do
+    test "events at the same time are nudged or dropped" do
       for {policy, expected} <- [nudge: [{0, :a}, {1, :b}], drop: [{0, :a}]] do
         me = self()
 
@@ -82,7 +82,7 @@ defmodule Situ.Operators.SourcesTest do
       end
     end
 
-    test "what was posted before a stop is delivered, in the order of its times" do
+    test "events posted before a stop are delivered in order of their times" do
       me = self()
 
       {:ok, p} =
@@ -105,7 +105,7 @@ defmodule Situ.Operators.SourcesTest do
       for k <- 1..4, do: assert(for({_, {^k, n}} <- got, do: n) == Enum.to_list(1..2_500))
     end
 
-    test "timers tick by the clock and make nothing up for" do
+    test "timers follow the clock and do not make up for missed ticks" do
       test = Situ.Test.start([], fn _, p -> Situ.timer(p, every: Time.ms(10)) end)
       for _ <- 1..3, do: Situ.Test.advance(test, Time.ms(10))
       Situ.Test.advance(test, Time.ms(35))

@@ -6,7 +6,7 @@ defmodule Situ.IndexerTest do
 
   doctest Indexer
 
-  # An array of this shape as nested lists of its flat indices: the slow reference.
+  # A slow reference: an array of this shape as nested lists of its flat indices.
   defp array(shape),
     do: nest(Enum.to_list(0..(Enum.product(shape) - 1)), tl(shape) |> Enum.reverse())
 
@@ -35,33 +35,39 @@ defmodule Situ.IndexerTest do
     ])
   end
 
-  property "a view has the elements that nested lists have, in their order" do
+  property "a view has the same elements as nested lists, in the same order" do
     forall {shape, slices} <- {list(integer(3, 4), 3), list(slice(), 3)} do
-      assert Indexer.indices(shape, slices) == shape |> array() |> pick(slices) |> List.flatten()
+      assert Indexer.flat_indices(shape, slices) ==
+               shape |> array() |> pick(slices) |> List.flatten()
+
       view = shape |> Indexer.new() |> Indexer.slice(slices)
-      assert Enum.product(Indexer.shape(view)) == length(Indexer.indices(view))
+      assert Enum.product(Indexer.shape(view)) == length(Indexer.flat_indices(view))
     end
   end
 
-  property "runs hold the same indices in the same order" do
+  property "ranges contain the same indices in the same order" do
     forall {shape, slices} <- {list(integer(3, 4), 2), list(slice(), 2)} do
-      runs = Indexer.ranges(shape, slices)
+      runs = Indexer.index_ranges(shape, slices)
 
       assert Enum.flat_map(runs, fn {a, b} -> Enum.to_list(a..b) end) ==
-               Indexer.indices(shape, slices)
+               Indexer.flat_indices(shape, slices)
     end
   end
 
-  property "a slice of a slice counts in the first one" do
+  property "a slice of a slice counts within the first slice" do
     forall {a, b} <- {slice(), integer(0, 0)} do
       view = Indexer.new([5]) |> Indexer.slice([a]) |> Indexer.slice([b])
-      assert Indexer.indices(view) == [hd(Indexer.indices([5], [a]))]
+      assert Indexer.flat_indices(view) == [hd(Indexer.flat_indices([5], [a]))]
     end
   end
 
-  test "what does not fit is refused" do
-    assert_raise ArgumentError, ~r/outside of 0..4/, fn -> Indexer.indices([5], [5]) end
-    assert_raise ArgumentError, ~r/2 slices for 1/, fn -> Indexer.indices([5], [:all, :all]) end
-    assert_raise ArgumentError, ~r/not a slice/, fn -> Indexer.indices([5], [:some]) end
+  test "refuses indices and slices that do not fit" do
+    assert_raise ArgumentError, ~r/outside of 0..4/, fn -> Indexer.flat_indices([5], [5]) end
+
+    assert_raise ArgumentError, ~r/2 slices for 1/, fn ->
+      Indexer.flat_indices([5], [:all, :all])
+    end
+
+    assert_raise ArgumentError, ~r/not a slice/, fn -> Indexer.flat_indices([5], [:some]) end
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Operators.LiveReplayTest do
-  # A live source is not reproducible; what is made of it is. Its stream, once recorded and replayed at any speed,
-  # gives the values and times that the live run gave.
+  # A live source is not reproducible, but everything derived from it is. Replaying its recorded stream at any speed
+  # returns the values and times of the live run.
   use ExUnit.Case, async: true
 
   alias Situ.{Pipeline, Reproducible, Time}
@@ -34,7 +34,7 @@ defmodule Situ.Operators.LiveReplayTest do
         do: Situ.each(stream, fn data, m -> send(me, {{ref, i}, m.originating_time, data}) end)
   end
 
-  test "a replay gives what the live run gave" do
+  test "a replay returns the same values and times as the live run" do
     me = self()
     live = make_ref()
 
@@ -67,7 +67,7 @@ defmodule Situ.Operators.LiveReplayTest do
           pipeline: [replay: [interval: {start, :unbounded}, speed: speed]]
         )
 
-      # The live stream went on in silence until the stop; what depends on its end is not compared.
+      # The live stream continued silently until the stop, so outputs that depend on its end are not compared.
       last = (events |> List.last() |> elem(0)) - Time.ms(3)
       until = fn outputs -> Enum.filter(outputs, &(elem(&1, 0) <= last)) end
       assert Enum.map(collected(ref, 5), until) == Enum.map(wanted, until)

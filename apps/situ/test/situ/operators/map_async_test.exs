@@ -41,7 +41,7 @@ defmodule Situ.MapAsyncTest do
     end
   end
 
-  property "it is a map, whatever the order in which the work is done", numtests: 30 do
+  property "behaves like map, in whatever order the jobs finish", numtests: 30 do
     forall {waits, max} <- {list(integer(0, 3)), integer(1, 4)} do
       work = fn wait ->
         for _ <- 1..(wait * 2_000)//1, do: :erlang.yield()
@@ -53,7 +53,7 @@ defmodule Situ.MapAsyncTest do
     end
   end
 
-  test "as many at once as allowed, never more" do
+  test "runs at most `max` jobs at the same time" do
     me = self()
 
     {:ok, p} =
@@ -75,7 +75,7 @@ defmodule Situ.MapAsyncTest do
 
     jobs = for v <- 1..3, do: begun(v)
     refute_receive {:begun, _, _}, 60
-    # The oldest still runs: what comes behind it waits, and counts.
+    # The oldest job is still running, so later results wait and count toward the limit.
     send(Enum.at(jobs, 1), :go_on)
     refute_receive {:begun, _, _}, 60
     refute_received {:got, _}
@@ -101,7 +101,7 @@ defmodule Situ.MapAsyncTest do
     end
   end
 
-  test "an error stops the pipeline at its message; what is older comes out" do
+  test "an error stops the pipeline at its message, after emitting older results" do
     {result, got} = run(1..200, fails_at(150), max: 8)
     assert {:error, error} = result
     assert error.what =~ "bang"
@@ -109,13 +109,13 @@ defmodule Situ.MapAsyncTest do
     assert got == Enum.to_list(1..149)
   end
 
-  test "also when it is the last" do
+  test "an error at the last message stops the pipeline" do
     {result, got} = run(1..200, fails_at(200), max: 8)
     assert {:error, %{code: :component_failed}} = result
     assert got == Enum.to_list(1..199)
   end
 
-  test "on_error: :skip loses that message only, wherever it is" do
+  test "on_error: :skip loses only the failed message, wherever it is" do
     for n <- [1, 100, 199, 200] do
       {result, got} = run(1..200, fails_at(n), max: 8, on_error: :skip)
       assert {:ok, _report} = result
@@ -123,7 +123,7 @@ defmodule Situ.MapAsyncTest do
     end
   end
 
-  test "a job that exits, or is killed, is an error like one that raises" do
+  test "a job that exits, throws or is killed is an error" do
     for bad <- [
           fn -> exit(:gone) end,
           fn -> throw(:ball) end,

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.ModelsTest do
-  # The operators that keep little and decide early, against models that keep everything and decide at the end.
+  # Compares operators that keep little and decide early with models that keep everything and decide at the end.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -9,7 +9,7 @@ defmodule Situ.Operators.ModelsTest do
 
   defp messages(timed), do: for({t, v} <- timed, do: %Message{originating_time: t, data: v})
 
-  defp stream, do: timed(integer(0, 9), 6)
+  defp stream, do: timed_values(integer(0, 9), 6)
 
   defp window do
     map({integer(-12, 12), boolean(), integer(0, 12), boolean()}, fn {left, li, length, ri} ->
@@ -20,7 +20,7 @@ defmodule Situ.Operators.ModelsTest do
   defp window_or_half,
     do: one_of([window(), Interval.past(), Interval.future(), Interval.infinite()])
 
-  # Deals two lists of messages out in a random order of batches.
+  # Deals out two lists of messages in batches, in random order.
   defp deal, do: list({one_of([:primary, :secondary]), integer(1, 5)})
 
   defp dealt(core, deal, primary, secondary) do
@@ -28,18 +28,18 @@ defmodule Situ.Operators.ModelsTest do
       Enum.flat_map_reduce(deal, {core, primary, secondary}, fn
         {:primary, n}, {core, primary, secondary} ->
           {now, later} = Enum.split(primary, n)
-          {outputs, core} = Core.primary(core, now)
+          {outputs, core} = Core.push_primary(core, now)
           {outputs, {core, later, secondary}}
 
         {:secondary, n}, {core, primary, secondary} ->
           {now, later} = Enum.split(secondary, n)
-          {outputs, core} = Core.secondary(core, :s0, now)
+          {outputs, core} = Core.push_secondary(core, :s0, now)
           {outputs, {core, primary, later}}
       end)
 
-    {more, core} = Core.primary(core, primary)
-    {even_more, core} = Core.secondary(core, :s0, secondary)
-    {last, _core} = Core.close(core, :s0, 1_000)
+    {more, core} = Core.push_primary(core, primary)
+    {even_more, core} = Core.push_secondary(core, :s0, secondary)
+    {last, _core} = Core.close_secondary(core, :s0, 1_000)
     outputs ++ more ++ even_more ++ last
   end
 
@@ -49,14 +49,14 @@ defmodule Situ.Operators.ModelsTest do
   end
 
   defp inside(secondary, window, time),
-    do: Enum.filter(secondary, fn {t, _} -> Interval.contains?(window, t - time) end)
+    do: Enum.filter(secondary, fn {t, _} -> Interval.contains_point?(window, t - time) end)
 
   defp expected(primary, fun) do
     for {t, _} <- primary, {_, v} <- List.wrap(fun.(t)), do: {t, v}
   end
 
   for {name, build} <- [nearest: :nearest, first: :first, last: :last] do
-    property "#{name} gives what the whole streams tell, for every order of arrival",
+    property "#{name} matches the model over the whole streams, for every order of arrival",
       numtests: 300 do
       windows = if unquote(name) == :first, do: window(), else: window_or_half()
 
@@ -71,10 +71,10 @@ defmodule Situ.Operators.ModelsTest do
   defp model(_kind, [], _time), do: []
   defp model(:first, found, _time), do: hd(found)
   defp model(:last, found, _time), do: List.last(found)
-  # Of two equally near ones the later.
+  # Of two equally near messages, the later wins.
   defp model(:nearest, found, time), do: Enum.min_by(found, fn {t, _} -> {abs(t - time), -t} end)
 
-  property "linear lies between the neighbours", numtests: 300 do
+  property "linear interpolates between the neighbours", numtests: 300 do
     forall {primary, secondary, deal} <- {stream(), stream(), deal()} do
       got = joined(Reproducible.linear(), deal, primary, secondary)
 
@@ -127,7 +127,7 @@ defmodule Situ.Operators.ModelsTest do
     end
   end
 
-  property "index windows hold what is at their indices", numtests: 200 do
+  property "index windows contain the messages at their indices", numtests: 200 do
     forall {stream, from, to, cut} <- {stream(), integer(-4, 4), integer(-4, 4), integer(0, 10)} do
       {first, second} = stream |> messages() |> Enum.split(cut)
       {a, window} = Index.push(Index.new(from..to//1, nil), first)
@@ -144,10 +144,10 @@ defmodule Situ.Operators.ModelsTest do
     end
   end
 
-  property "time windows hold what lies in them, look-back and all", numtests: 300 do
+  property "time windows contain the messages inside, including look-back", numtests: 300 do
     forall {stream, interval, batches} <-
              map({stream(), window_or_half()}, fn {s, w} ->
-               {constant(s), constant(w), batches(s)}
+               {constant(s), constant(w), random_batches(s)}
              end) do
       {outputs, window} =
         Enum.flat_map_reduce(
@@ -165,10 +165,10 @@ defmodule Situ.Operators.ModelsTest do
     end
   end
 
-  property "sampling gives the interpolator's answer at every tick up to the end", numtests: 200 do
+  property "sampling interpolates at every tick up to the end", numtests: 200 do
     forall {stream, every, window, batches} <-
              map({stream(), integer(1, 9), window_or_half()}, fn {s, n, w} ->
-               {constant(s), n, constant(w), batches(s)}
+               {constant(s), n, constant(w), random_batches(s)}
              end) do
       interpolator = Reproducible.nearest(window)
       sampling = Situ.Sampling.new(interpolator, every, 0)

@@ -1,6 +1,6 @@
 defmodule Situ.Operators.PureMapTest do
-  # `source |> map(identity) |> operator` is `source |> operator`: for every operator, wherever the map runs, and
-  # while other streams of the pipeline go on for longer.
+  # `source |> map(identity) |> operator` equals `source |> operator` for every operator, wherever the map runs, and
+  # while other streams of the pipeline continue for longer.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -77,7 +77,7 @@ defmodule Situ.Operators.PureMapTest do
       )
   ]
 
-  # Beside the streams of the operator a third one goes on for a while: the pipeline ends long after them.
+  # A third stream lasts longer than the operator's streams, so the pipeline ends long after them.
   defp outputs(streams, build) do
     inputs = Map.new(streams) |> Map.put(:long, [{0, :begin}, {Time.us(1), :end}])
 
@@ -87,12 +87,12 @@ defmodule Situ.Operators.PureMapTest do
     end)
   end
 
-  defp numbers, do: timed(integer(-20, 20), 12)
+  defp numbers, do: timed_values(integer(-20, 20), 12)
   defp through(s, false), do: Situ.map(s, & &1)
   defp through(s, true), do: Situ.map(s, & &1, async: true)
 
   for {name, operator} <- @unary do
-    property "before #{name}", numtests: 12 do
+    property "an identity map before #{name} changes nothing", numtests: 12 do
       operator = unquote(operator)
 
       forall {a, async} <- {numbers(), boolean()} do
@@ -104,7 +104,7 @@ defmodule Situ.Operators.PureMapTest do
   end
 
   for {name, operator} <- @binary do
-    property "before #{name}", numtests: 12 do
+    property "an identity map before #{name} changes nothing", numtests: 12 do
       operator = unquote(operator)
 
       forall {a, b, async} <- {numbers(), numbers(), boolean()} do

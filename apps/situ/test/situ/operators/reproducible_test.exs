@@ -1,7 +1,7 @@
 defmodule Situ.ReproducibleTest do
-  # The promise of the reproducible operators: random graphs of them, over random inputs, give the same values at the
-  # same times for every schedule: batch sizes, delays, chained or in processes of their own, as fast as possible or
-  # by the clock.
+  # Checks the promise of the reproducible operators. Random graphs over random inputs emit the same values at the
+  # same times for every schedule: batch sizes, delays, chained or in separate processes, at maximum speed or by the
+  # clock.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -13,9 +13,9 @@ defmodule Situ.ReproducibleTest do
   @graphs String.to_integer(System.get_env("SITU_GRAPHS", "8"))
 
   @tag timeout: 3_000_000
-  test "#{@schedules} random schedules of each of #{@graphs} random graphs give equal outputs and times" do
+  test "#{@schedules} random schedules of each of #{@graphs} random graphs emit equal outputs and times" do
     for round <- 1..@graphs do
-      {graph, inputs} = picked({graph(), list(timed(integer(-50, 50), 6), @inputs)})
+      {graph, inputs} = picked({graph(), list(timed_values(integer(-50, 50), 6), @inputs)})
       runs = Stream.repeatedly(fn -> run(graph, picked(schedule(inputs))) end)
       [reference | others] = Enum.take(runs, @schedules)
       assert {:ok, outputs} = reference
@@ -27,13 +27,13 @@ defmodule Situ.ReproducibleTest do
     end
   end
 
-  # A generator's value, larger than PropEr would begin with.
+  # Picks a value from a generator, larger than PropEr would start with.
   defp picked(generator) do
     {:ok, value} = :proper_gen.pick(generator, 25)
     value
   end
 
-  # Graphs as terms: what a node does, and where it takes its input from.
+  # Represents graphs as terms: each node has an operation and its inputs.
 
   defp graph, do: list_of(integer(2, 5), &node_at/1)
 
@@ -41,7 +41,7 @@ defmodule Situ.ReproducibleTest do
     map(length, fn n -> Enum.map(0..(n - 1), fun) end)
   end
 
-  # Node `i` may take from the inputs and all nodes before it.
+  # Node `i` takes from the inputs and from all earlier nodes.
   defp node_at(i) do
     from = integer(0, @inputs + i - 1)
     one_of([{unary(), from}, {binary_operator(), from, from}])
@@ -96,18 +96,16 @@ defmodule Situ.ReproducibleTest do
     {integer(-12, 12), boolean(), integer(0, 12), boolean()}
   end
 
-  # Schedules: for each input its batches and pauses, for each node its placement, the speed.
+  # A schedule has batches and pauses for each input, a placement for each node, and a speed.
   defp schedule(inputs) do
     {Enum.map(inputs, &batched/1), list(boolean(), 6), one_of([:max, 1_000_000])}
   end
 
   defp batched(messages) do
-    map(batches(messages), fn batches ->
+    map(random_batches(messages), fn batches ->
       Enum.map(batches, fn batch -> {integer(0, 40), constant(batch)} end)
     end)
   end
-
-  # Running
 
   defp run(graph, {scheduled, async, speed}) do
     build = fn p ->
@@ -168,7 +166,7 @@ defmodule Situ.ReproducibleTest do
     |> Situ.map(&Float.round(&1 / 1, 6))
   end
 
-  # y(t) = x(t) + y(t - 1), the second by way of another process.
+  # y(t) = x(t) + y(t - 1); the second term comes back through another process.
   defp one(:cycle, s, _opts) do
     loop = Situ.Pipeline.add(s.pipeline, Situ.Fixture.Feedback)
     out = Situ.Node.output(loop, :out)
@@ -223,7 +221,7 @@ defmodule Situ.ReproducibleTest do
   defp interval(:future), do: Interval.future()
   defp interval({left, li, length, ri}), do: Interval.new(left, li, left + length, ri)
 
-  # Anything a node may give, as a whole number that tells it apart.
+  # Maps any output of a node to an integer that identifies it.
   defp number(n) when is_integer(n), do: n
   defp number(other), do: :erlang.phash2(other, 1_000)
 end

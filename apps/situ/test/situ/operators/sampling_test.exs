@@ -9,16 +9,17 @@ defmodule Situ.SamplingTest do
   defp messages(timed), do: for({t, v} <- timed, do: %Message{originating_time: t, data: v})
 
   defp all({outputs, sampling}) do
-    if Sampling.more?(sampling) do
-      {more, sampling} = all(Sampling.more(sampling))
+    if Sampling.more_ticks?(sampling) do
+      {more, sampling} = all(Sampling.next_ticks(sampling))
       {outputs ++ more, sampling}
     else
       {outputs, sampling}
     end
   end
 
-  property "the cuts between batches and slices change nothing" do
-    forall {stream, cut, interval} <- {timed(integer(), 400), integer(0, 20), integer(1, 7)} do
+  property "splitting into batches and time slices changes nothing" do
+    forall {stream, cut, interval} <-
+             {timed_values(integer(), 400), integer(0, 20), integer(1, 7)} do
       messages = messages(stream)
       new = Sampling.new(Reproducible.nearest(), interval, 0)
 
@@ -39,7 +40,7 @@ defmodule Situ.SamplingTest do
         sample: quote(do: &Situ.sample(&1, 1_000_000)),
         lowpass: quote(do: &Situ.lowpass(&1, rate: 1_000, cutoff: 10))
       ] do
-    test "#{name} fills a gap of a minute at 1 ms with what its consumer asks for" do
+    test "#{name} fills a gap of one minute at 1 ms only as fast as its consumer requests" do
       gap = Situ.Time.s(60)
       most = :atomics.new(1, [])
       count = :counters.new(1, [])
@@ -73,12 +74,12 @@ defmodule Situ.SamplingTest do
         )
 
       assert :counters.get(count, 1) == 60_001
-      # All ticks at once would be 60,000 messages of some 15 words.
+      # Emitting all ticks together would take 60,000 messages of about 15 words each.
       assert :atomics.get(most, 1) < 400_000
     end
   end
 
-  # The stages beside this one: all that the pipeline's process is linked with.
+  # Returns the other stages of the pipeline, found through the links of its process.
   defp neighbours do
     server = Process.get(:situ_pipeline)
     {:links, links} = Process.info(server, :links)

@@ -1,5 +1,5 @@
 defmodule Situ.SelectionTest do
-  # Cases that the conformance files lack for operators that choose and hold messages.
+  # Cases that the conformance files do not cover, for operators that select and hold messages.
   use ExUnit.Case, async: true
 
   alias Situ.Message
@@ -23,7 +23,7 @@ defmodule Situ.SelectionTest do
       Situ.Test.stop(test)
     end
 
-    test "process/4 gives any number of messages, and some at the end" do
+    test "process/4 emits any number of messages, including some at the end" do
       build = fn s ->
         Situ.process(
           s.text,
@@ -39,7 +39,7 @@ defmodule Situ.SelectionTest do
                run([text: [{0, "a b"}, {10, "c"}, {20, ""}]], build)
     end
 
-    test "reorder/3 brings late messages into order, up to its bound" do
+    test "reorder/3 sorts late messages, up to its bound" do
       arrivals = Enum.with_index([5, 3, 9, 8, 20, 2], &{100 + &2, &1})
       build = &Situ.reorder(&1.n, 4, time: fn m -> m.data end)
       assert run([n: arrivals], build) == [{3, 3}, {5, 5}, {8, 8}, {9, 9}, {20, 20}]
@@ -47,7 +47,7 @@ defmodule Situ.SelectionTest do
       assert {:error, %{code: :late}} = Situ.Test.run([n: arrivals], build)
     end
 
-    test "a tap tells its subscribers, and only them" do
+    test "a tap sends messages to its subscribers only" do
       me = self()
 
       test =

@@ -5,7 +5,7 @@ defmodule Situ.StateMachineTest do
   doctest Situ.StateMachine
 
   defmodule Turns do
-    # Who speaks: `:began` with the first sound, `:ended` after so much silence.
+    # Detects speech: emits `:began` at the first sound and `:ended` after a period of silence.
     @behaviour Situ.StateMachine
 
     @impl true
@@ -30,18 +30,18 @@ defmodule Situ.StateMachineTest do
   defp run(voice),
     do: Situ.Test.run([voice: voice], &Situ.state_machine(&1.voice, Turns, opts: [patience: 10]))
 
-  test "a module: states, timeouts by the stream's time, the end" do
+  test "a callback module handles states, timeouts in stream time, and the end" do
     voice = [{0, false}, {5, true}, {12, true}, {30, false}, {40, true}, {45, true}]
     assert run(voice) == {:ok, [{5, :began}, {22, :ended}, {40, :began}, {46, :cut_off}]}
   end
 
-  test "a timeout due by the end comes before it" do
+  test "a timeout due at the end fires before it" do
     assert run([{0, true}, {10, false}]) == {:ok, [{0, :began}, {10, :ended}]}
   end
 
-  # The slow reference: turns are maximal runs of sounds less than 11 ns apart.
-  property "turns are the runs of sounds without a gap of more than the patience" do
-    forall voice <- timed(boolean(), 12) do
+  # A slow reference: a turn is a maximal run of sounds at most 10 ns apart.
+  property "turns are runs of sounds without a gap longer than the patience" do
+    forall voice <- timed_values(boolean(), 12) do
       sounds = for {time, true} <- voice, do: time
 
       runs =
@@ -63,7 +63,7 @@ defmodule Situ.StateMachineTest do
   end
 
   @tag :capture_log
-  test "a wrong answer is an error that shows it" do
+  test "an invalid return value is an error that shows it" do
     assert {:error, error} =
              Situ.Test.run([a: [{0, 1}]], fn s ->
                Situ.state_machine(s.a, fn _, _, _ -> :what end, init: {:on, nil})

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.StatisticsTest do
-  # Cases that the conformance files lack for statistics and filters: odd numbers, bad input.
+  # Statistics and filter cases that the conformance files do not cover, such as unusual numbers and bad input.
   use ExUnit.Case, async: true
 
   alias Situ.{Reproducible, Time}
@@ -12,13 +12,13 @@ defmodule Situ.Operators.StatisticsTest do
   end
 
   describe "statistics" do
-    test "mix whole numbers, floats, NaN and nil" do
+    test "mix integers, floats, NaN and nil" do
       inputs = [n: [{0, 1}, {1, 2.5}, {2, nil}, {3, :nan}]]
       assert run(inputs, &Situ.sum(&1.n)) == [{0, 1}, {1, 3.5}, {2, 3.5}, {3, :nan}]
       assert run(inputs, &Situ.max(&1.n)) == [{0, 1}, {1, 2.5}, {2, 2.5}, {3, :nan}]
     end
 
-    test "of an empty list are an error that names the way out" do
+    test "over an empty list return an error that suggests a fix" do
       assert {:error, %{code: :empty_list, fix: fix}} =
                Situ.Test.run([n: [{0, []}]], &Situ.average(&1.n, over: :list))
 
@@ -27,25 +27,25 @@ defmodule Situ.Operators.StatisticsTest do
       assert run([n: [{0, []}]], &Situ.sum(&1.n, over: :list)) == [{0, 0}]
     end
 
-    test "of what is no number are an error" do
+    test "over non-numbers return an error" do
       assert {:error, %{code: :not_a_number}} = Situ.Test.run([n: [{0, "1"}]], &Situ.sum(&1.n))
     end
 
-    test "do not overflow: too large is infinite" do
+    test "return infinity instead of overflowing" do
       assert run([n: [{0, 1.0e308}, {1, 1.0e308}]], &Situ.sum(&1.n)) == [
                {0, 1.0e308},
                {1, :infinity}
              ]
     end
 
-    test "compare by a function" do
+    test "compare with a function" do
       dates = [~D[2024-05-01], ~D[2024-02-28], ~D[2024-12-03]]
       inputs = [d: Enum.with_index(dates, fn d, i -> {i, d} end)]
       earlier = &(Date.compare(&1, &2) != :gt)
       assert List.last(run(inputs, &Situ.min(&1.d, compare: earlier))) == {2, ~D[2024-02-28]}
     end
 
-    test "lines and filters compute with NaN, infinities and nil as statistics do" do
+    test "linear interpolation and filters handle NaN, infinities and nil as statistics do" do
       inputs = [
         n: [{0, 1}, {10, 3}, {20, :nan}, {30, nil}, {40, 2}, {50, :infinity}, {60, 1.0e308}]
       ]
@@ -63,11 +63,11 @@ defmodule Situ.Operators.StatisticsTest do
                Enum.map(run(inputs, &Situ.one_euro(&1.n)), &elem(&1, 1))
     end
 
-    test "a finite filter forgets NaN once it has left the taps, an infinite one does not" do
+    test "a finite filter forgets NaN after its taps, and an infinite filter never does" do
       values = [1.0, :nan] ++ List.duplicate(1.0, 40)
       inputs = [n: Enum.with_index(values, &{&2 * 10_000_000, &1})]
       lowpass = fn opts -> &Situ.lowpass(&1.n, [rate: 100] ++ [cutoff: 10, order: 8] ++ opts) end
-      taps = Situ.Filter.Fir.taps(:lowpass, 100, [10], 8)
+      taps = Situ.Filter.Fir.design_taps(:lowpass, 100, [10], 8)
 
       {strange, plain} = inputs |> run(lowpass.([])) |> Enum.map(&elem(&1, 1)) |> Enum.split(10)
       assert [first | nans] = strange
@@ -83,7 +83,7 @@ defmodule Situ.Operators.StatisticsTest do
       assert Enum.all?(nans, &(&1 == :nan))
     end
 
-    test "filters refuse what is no number, and are infinite where a float is too small" do
+    test "filters refuse non-numbers and return infinity on overflow" do
       for filter <- [
             &Situ.denoise(&1.n),
             &Situ.one_euro(&1.n),
@@ -94,7 +94,7 @@ defmodule Situ.Operators.StatisticsTest do
       end
 
       filter = Situ.Filter.Fir.new(:highpass, 100, [10], 8)
-      # Each as large as can be, with the sign that adds up.
+      # Each value is as large as possible, with the sign that adds up.
       worst = for tap <- Enum.reverse(filter.taps), do: if(tap < 0, do: -1.79e308, else: 1.79e308)
       step = fn sample, {_, filter} -> Situ.Filter.Fir.step(filter, sample) end
       assert {:infinity, filter} = Enum.reduce(worst, {nil, filter}, step)
@@ -102,14 +102,14 @@ defmodule Situ.Operators.StatisticsTest do
       assert out == 0.0
     end
 
-    test "logarithms of 0 and below have values" do
+    test "logarithms of zero and negative numbers are defined" do
       assert run([n: [{0, 8}, {1, 0}, {2, -1}]], &Situ.log(&1.n, base: 2)) ==
                [{0, 3.0}, {1, :neg_infinity}, {2, :nan}]
     end
   end
 
   describe "filters" do
-    # 2 Hz and 30 Hz together, sampled at 200 Hz for 2 s.
+    # Mixes 2 Hz and 30 Hz tones, sampled at 200 Hz for 2 s.
     defp tones do
       for n <- 0..399 do
         t = n / 200
@@ -120,7 +120,7 @@ defmodule Situ.Operators.StatisticsTest do
     defp power(outputs),
       do: Enum.sum(for {t, v} <- outputs, t > Time.ms(500), do: v * v) / length(outputs)
 
-    test "pass what they should and stop the rest" do
+    test "pass the wanted band and stop the rest" do
       low = [s: for({t, {low, _}} <- tones(), do: {t, low})]
       high = [s: for({t, {_, high}} <- tones(), do: {t, high})]
 
@@ -136,7 +136,7 @@ defmodule Situ.Operators.StatisticsTest do
       end
     end
 
-    test "refuse edges that the rate cannot have" do
+    test "refuse band edges that do not fit the rate" do
       Situ.Pipeline.run(fn p ->
         s = Situ.return(p, 1.0)
 
@@ -149,7 +149,7 @@ defmodule Situ.Operators.StatisticsTest do
       end)
     end
 
-    test "denoise/2 takes a single outlier away" do
+    test "denoise/2 removes a single outlier" do
       inputs = [s: Enum.with_index([1, 1, 99, 1, 1], &{&2, &1})]
 
       assert Enum.map(run(inputs, &Situ.denoise(&1.s, order: 3)), &elem(&1, 1)) == [

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.WindowsTest do
-  # Cases that the conformance files lack for windows.
+  # Window cases that the conformance files do not cover.
   use ExUnit.Case, async: true
 
   alias Situ.Interval
@@ -12,14 +12,14 @@ defmodule Situ.Operators.WindowsTest do
   end
 
   describe "windows" do
-    test "with the left end after the right are put in order" do
+    test "with the left end after the right end are normalized" do
       inputs = [n: Enum.map(1..4, &{&1, &1})]
       assert run(inputs, &Situ.window(&1.n, 0..-1//-1)) == [{2, [1, 2]}, {3, [2, 3]}, {4, [3, 4]}]
       window = Interval.new(0, true, -1, true)
       assert [{1, [1]}, {2, [1, 2]} | _] = run(inputs, &Situ.window(&1.n, window))
     end
 
-    test "after the anchor hold exactly the messages at their indices, stamped with the anchor" do
+    test "after the anchor contain exactly the messages at their indices, with the anchor's time" do
       inputs = [n: Enum.map(1..5, &{&1 * 10, &1})]
       assert run(inputs, &Situ.window(&1.n, 1..2)) == [{10, [2, 3]}, {20, [3, 4]}, {30, [4, 5]}]
     end
@@ -30,7 +30,7 @@ defmodule Situ.Operators.WindowsTest do
       assert List.last(run(inputs, &Situ.window(&1.n, window))) == {3, [1, 2, 3]}
     end
 
-    test "refuse what is no window" do
+    test "refuse invalid windows" do
       Situ.Pipeline.run(fn p ->
         s = Situ.return(p, 1)
         assert_raise ArgumentError, ~r/a window is/, fn -> Situ.window(s, 5) end
@@ -41,7 +41,7 @@ defmodule Situ.Operators.WindowsTest do
       end)
     end
 
-    test "by a stream answer window messages that come after the source has ended" do
+    test "of window_by may arrive after the source has ended" do
       test =
         Situ.Test.start(
           [:n, :w],
@@ -56,7 +56,7 @@ defmodule Situ.Operators.WindowsTest do
       Situ.Test.stop(test)
     end
 
-    test "by a stream refuse windows that nobody could answer" do
+    test "of window_by must be finite and not inverted" do
       inputs = [n: [{1, 1}], w: [{0, Interval.left_bounded(0)}]]
 
       assert {:error, %{code: :window_not_finite}} =

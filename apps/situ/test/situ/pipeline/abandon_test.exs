@@ -18,7 +18,7 @@ defmodule Situ.Pipeline.AbandonTest do
     def terminate(reason, told), do: send(told, {:released, reason})
   end
 
-  test "components release what they hold, nothing more is delivered, and the log is quiet" do
+  test "components release their resources, nothing more is delivered, and nothing is logged" do
     me = self()
 
     build = fn p ->

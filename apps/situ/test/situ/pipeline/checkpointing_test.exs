@@ -8,7 +8,7 @@ defmodule Situ.Pipeline.CheckpointingTest do
   @fast [replay: [interval: {0, Time.s(3600)}, speed: :max]]
 
   defmodule Echo do
-    # Asks a process and waits: its state has nothing to do with that.
+    # Has a process in its state and no snapshot/1, so it cannot be checkpointed.
     use Situ.Component, inputs: [in: :any], outputs: [out: :any]
 
     @impl true
@@ -36,7 +36,7 @@ defmodule Situ.Pipeline.CheckpointingTest do
   end
 
   defmodule Steps do
-    # Asked for messages, it gives its number again and again; it says "first" when it starts.
+    # Emits its number whenever messages are requested, and `{:first, k}` when it starts.
     use Situ.Component, outputs: [out: :any], options: [k: [type: :integer, required: true]]
 
     @impl true
@@ -49,7 +49,7 @@ defmodule Situ.Pipeline.CheckpointingTest do
     def handle_demand(_n, context, k), do: {[{:out, context.now, k}], k}
   end
 
-  # Two sources, a join, a window, a running sum, a component with a process in its state.
+  # Builds two sources, joins, a window, a running sum and a component with a process in its state.
   defp build(me, n) do
     fn p ->
       left = Situ.from_enumerable(p, Stream.map(1..n, & &1), every: 1_000, name: "Left")
@@ -79,7 +79,7 @@ defmodule Situ.Pipeline.CheckpointingTest do
     end
   end
 
-  # Runs up to a checkpoint after `wait` messages, is killed, and goes on from the checkpoint.
+  # Runs until a checkpoint after `wait` messages, kills the pipeline and resumes from the checkpoint.
   defp interrupted(n, waits, resume \\ %{}, before \\ []) do
     settings = Keyword.put(@fast, :resume, resume)
     {:ok, p} = Pipeline.start(build(self(), n), pipeline: settings)
@@ -122,13 +122,13 @@ defmodule Situ.Pipeline.CheckpointingTest do
   # The stages of a killed pipeline end by themselves.
   defp gone(_memories, _p), do: Process.sleep(20)
 
-  test "a pipeline that is killed goes on from its checkpoint as if nothing had happened" do
+  test "a killed pipeline resumes from its checkpoint with the same output" do
     expected = reference(3_000)
     assert length(expected) > 2_900
     assert interrupted(3_000, [700, 400]) == expected
   end
 
-  property "wherever it is interrupted", numtests: 30 do
+  property "a pipeline resumes correctly wherever it is interrupted", numtests: 30 do
     expected = reference(600)
 
     forall {a, b} <- {integer(0, 300), integer(0, 200)} do
@@ -136,20 +136,20 @@ defmodule Situ.Pipeline.CheckpointingTest do
     end
   end
 
-  test "a component whose state is no data is named" do
+  test "an error names a component whose state cannot be saved" do
     build = fn p -> p |> Situ.timer(every: Time.ms(1)) |> Situ.via(Echo, name: "Echo") end
     {:ok, p} = Pipeline.start(build, [])
     assert {:error, error} = Pipeline.checkpoint(p, & &1)
     assert error.code == :no_snapshot
     assert error.meta.component == "Echo"
-    # The sources go on.
+    # The sources keep running.
     me = self()
     {:ok, _} = Situ.attach_tap({p, "Echo"}, fn m -> send(me, {:tap, m.data}) end)
     assert_receive {:tap, _}, 30_000
     {:ok, _} = Pipeline.stop(p)
   end
 
-  test "sources go on when the caller is gone" do
+  test "sources continue when the caller of a checkpoint ends" do
     me = self()
     build = fn p -> p |> Situ.timer(every: Time.ms(1)) |> Situ.each(&send(me, {:tick, &1})) end
     {:ok, p} = Pipeline.start(build, [])
@@ -170,7 +170,7 @@ defmodule Situ.Pipeline.CheckpointingTest do
     {:ok, _} = Pipeline.stop(p)
   end
 
-  test "a source that stands still is tapped, extended and replaced, and goes on as the new one" do
+  test "a source that is paused for a checkpoint can be tapped, extended and replaced" do
     me = self()
 
     build = fn p ->
@@ -200,7 +200,8 @@ defmodule Situ.Pipeline.CheckpointingTest do
 
     assert %{core: core} = memories["Steps"]
     assert inspect(core) =~ "1"
-    # Nobody missed the first message of the new one, and nobody saw one of the old.
+
+    # Every consumer received the new source's first message, and none received one of the old source.
     for name <- [:tap, :new] do
       assert_receive {^name, first}, 30_000
       assert first == {:first, 2}

@@ -1,5 +1,5 @@
 defmodule Situ.Pipeline.DynamicTest do
-  # Everything that changes a running pipeline, at once and at random, while it works as hard as it can.
+  # Changes a running pipeline under full load in every possible way, concurrently and at random.
   use ExUnit.Case, async: true
 
   alias Situ.Pipeline
@@ -36,7 +36,7 @@ defmodule Situ.Pipeline.DynamicTest do
     def migrate(_state, _old, new), do: {:ok, new[:k]}
   end
 
-  test "random calls under load: each is answered, and nothing is lost" do
+  test "random calls under load all succeed, and no message is lost" do
     me = self()
 
     {:ok, p} =
@@ -59,14 +59,14 @@ defmodule Situ.Pipeline.DynamicTest do
     assert_receive {:last, _}
 
     calls =
-      for n <- 1..(100 * Situ.Test.Budget.times()),
+      for n <- 1..(100 * Situ.Test.Budget.repeat_factor()),
           do: Task.async(fn -> call(:rand.uniform(6), p, n) end)
 
     assert Enum.all?(Task.await_many(calls, 60_000), &(&1 == :ok))
     assert {:ok, %{errors: []}} = Pipeline.stop(p, catch_up: 0)
   end
 
-  # Raises when a message is missing, or comes twice.
+  # Raises if a message is missing or arrives twice.
   defp in_order(n, last) when n == last + 1, do: n
 
   defp call(1, p, n), do: Pipeline.replace(p, "Work", k: n)

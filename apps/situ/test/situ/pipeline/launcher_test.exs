@@ -8,7 +8,7 @@ defmodule Situ.Pipeline.LauncherTest do
   @moduletag :capture_log
 
   defmodule Mine do
-    # Does something of its own in a callback.
+    # Runs a given function in a callback.
     use Situ.Component, outputs: [out: :any], options: [init: [type: :any], start: [type: :any]]
 
     @impl true
@@ -27,7 +27,7 @@ defmodule Situ.Pipeline.LauncherTest do
   defp die, do: Process.exit(self(), :kill)
   defp mine(opts), do: fn p -> Situ.source(p, Mine, opts) end
 
-  # By every way in; a linked caller must live to tell.
+  # Starts in every possible way; a linked caller must survive to report.
   defp each_way(build, settings \\ []) do
     Process.flag(:trap_exit, true)
     opts = [pipeline: settings]
@@ -41,17 +41,17 @@ defmodule Situ.Pipeline.LauncherTest do
 
   defp codes(results), do: Enum.map(results, fn {:error, %Situ.Error{code: code}} -> code end)
 
-  test "the process dies in build" do
+  test "returns an error if the process dies in build" do
     assert codes(each_way(fn _p -> die() end)) == [:crashed, :crashed, :crashed]
   end
 
-  test "the process crashes between build and the first source" do
+  test "returns an error if the process crashes between build and the first source" do
     broken = %Situ.Clock{kind: :broken}
     results = each_way(fn p -> Situ.source(p, Count) end, clock: broken)
     assert codes(results) == [:crashed, :crashed, :crashed]
   end
 
-  test "a :run handler that raises, exits, throws or is killed" do
+  test "returns an error if a :run handler raises, exits, throws or is killed" do
     for {wrong, code} <- [
           {fn _ -> raise "no" end, :handler_failed},
           {fn _ -> exit(:no) end, :handler_failed},
@@ -73,14 +73,14 @@ defmodule Situ.Pipeline.LauncherTest do
     assert {:error, %{code: :crashed}} = Pipeline.run(killed)
   end
 
-  test "a component that dies in init/1 or in handle_start/2" do
+  test "returns an error if a component dies in init/1 or handle_start/2" do
     for callback <- [:init, :start],
         do: assert(codes(each_way(mine([{callback, &die/0}]))) == List.duplicate(killed(), 3))
   end
 
   defp killed, do: :component_killed
 
-  test "a component that never comes back from handle_start/2 does not keep a stop waiting" do
+  test "a component that hangs in init/1 or handle_start/2 does not block a stop" do
     me = self()
     hang = fn -> send(me, :hangs) && receive(do: (:never -> :ok)) end
 
@@ -92,7 +92,7 @@ defmodule Situ.Pipeline.LauncherTest do
     end
   end
 
-  test "a caller that is gone before the build is done: nothing is started" do
+  test "nothing is started if the caller ends before the build is done" do
     me = self()
 
     for start <- [&Pipeline.start/2, &Pipeline.start_link/2, &Pipeline.run/2] do
@@ -118,7 +118,7 @@ defmodule Situ.Pipeline.LauncherTest do
     assert_receive {:DOWN, ^ref, :process, ^pid, _}
   end
 
-  test "a crash of the pipeline's process while it runs is an error for all who wait" do
+  test "a crash of the running pipeline process returns an error to all waiting callers" do
     me = self()
 
     {:ok, p} =
@@ -135,13 +135,13 @@ defmodule Situ.Pipeline.LauncherTest do
     ref = Process.monitor(component)
     waiter = Task.async(fn -> Pipeline.await(p) end)
     :ok = waits(p)
-    # An event that no stage ever reports.
+    # No stage ever reports this event.
     send(p, {:situ_stage, 1, {:nonsense}})
     assert {:error, %{code: :crashed}} = Task.await(waiter, 30_000)
     assert_receive {:DOWN, ^ref, :process, ^component, _}
   end
 
-  # The waiter's question has arrived.
+  # Waits until the waiter's request has arrived.
   defp waits(p) do
     case :sys.get_state(p) do
       %{waiters: [_ | _]} -> :ok

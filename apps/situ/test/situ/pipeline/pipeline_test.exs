@@ -11,7 +11,7 @@ defmodule Situ.PipelineTest do
   alias Situ.Fixture.Count
   alias Situ.Pipeline
 
-  test "a source, a chain and its effect, in order, once" do
+  test "a source, a chain and its effect handle every message once, in order" do
     me = self()
 
     {:ok, report} =
@@ -28,7 +28,7 @@ defmodule Situ.PipelineTest do
     assert drain() == for(n <- 0..2_499, rem(n * 2, 3) == 0, do: n * 2)
   end
 
-  test "an error names component, input and time, and is returned by run" do
+  test "run returns an error that names the component, input and time" do
     {result, log} =
       ExUnit.CaptureLog.with_log(fn ->
         Pipeline.run(fn p ->

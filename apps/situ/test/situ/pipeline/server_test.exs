@@ -1,5 +1,5 @@
 defmodule Situ.Pipeline.ServerTest do
-  # A pipeline behaves as an OTP process: it answers calls, and its handlers block nobody.
+  # A pipeline behaves as an OTP process: it replies to calls, and its handlers block no caller.
   use ExUnit.Case, async: true
 
   import Situ.Test.Eventually
@@ -10,7 +10,7 @@ defmodule Situ.Pipeline.ServerTest do
   @moduletag :capture_log
 
   describe "calls from anywhere" do
-    test "stray calls and casts are answered, or pass by" do
+    test "unknown calls get an error reply and unknown casts are ignored" do
       {:ok, p} =
         Pipeline.start(fn p ->
           Situ.source(p, Count, count: :infinity, interval: Time.ms(1))
@@ -25,7 +25,7 @@ defmodule Situ.Pipeline.ServerTest do
       assert {:ok, %{errors: []}} = Pipeline.stop(p)
     end
 
-    test "it answers as the supervisor that it is declared to be" do
+    test "a pipeline replies to supervisor calls" do
       {:ok, p} =
         Pipeline.start(fn p ->
           p |> Situ.source(Count, count: :infinity, interval: Time.ms(1)) |> Situ.map(& &1)
@@ -41,7 +41,7 @@ defmodule Situ.Pipeline.ServerTest do
       assert {:ok, _} = Pipeline.stop(p)
     end
 
-    test "a clock that cannot be paused says so" do
+    test "a clock that cannot be paused returns an error" do
       {:ok, p} =
         Pipeline.start(fn p -> Situ.source(p, Count, count: :infinity, interval: Time.ms(1)) end,
           pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
@@ -55,7 +55,7 @@ defmodule Situ.Pipeline.ServerTest do
   end
 
   describe "handlers" do
-    test "may look at the pipeline, and take their time" do
+    test "may query the pipeline and take their time" do
       me = self()
 
       {:ok, p} =
@@ -71,7 +71,7 @@ defmodule Situ.Pipeline.ServerTest do
         end)
 
       assert_receive {:seen, :component_failed, :running}
-      # Nobody waits for the handler.
+      # The pipeline does not wait for the handler.
       assert Pipeline.info(p).state == :running
       stop = Task.async(fn -> Pipeline.stop(p) end)
       assert Task.yield(stop, 50) == nil
@@ -80,7 +80,7 @@ defmodule Situ.Pipeline.ServerTest do
       assert {:ok, _} = Task.await(stop)
     end
 
-    test "may extend the pipeline, but not add to it" do
+    test "may extend the pipeline but not add to it directly" do
       me = self()
 
       {:ok, p} =
@@ -128,7 +128,7 @@ defmodule Situ.Pipeline.ServerTest do
       for what <- [:a, :b, 1], do: assert_received({:got, ^what})
     end
 
-    test "of :run may build a pipeline that was opened empty" do
+    test "of :run may build in a pipeline that was opened empty" do
       me = self()
       p = Pipeline.new()
       Situ.return(p, 1)
@@ -143,7 +143,7 @@ defmodule Situ.Pipeline.ServerTest do
     end
   end
 
-  test "the clock of a paused pipeline stands still" do
+  test "the clock of a paused pipeline does not advance" do
     clock = Clock.virtual(0)
 
     {:ok, p} =
@@ -154,7 +154,7 @@ defmodule Situ.Pipeline.ServerTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  test "progress is told again and again, and once at the end" do
+  test "reports progress repeatedly and 1.0 exactly once at the end" do
     me = self()
     clock = Clock.manual(0)
 

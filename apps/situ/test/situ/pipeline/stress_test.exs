@@ -1,5 +1,5 @@
 defmodule Situ.Pipeline.StressTest do
-  # Not async: it counts the processes, tables and atoms of the whole VM.
+  # Not async, because it counts the processes, tables and atoms of the whole VM.
   use ExUnit.Case, async: false
 
   alias Situ.Fixture.Count
@@ -8,11 +8,11 @@ defmodule Situ.Pipeline.StressTest do
   @moduletag :capture_log
   @moduletag timeout: 120_000
 
-  # How many of each; `SITU_TIMES` searches longer.
-  @schedules 100 * Situ.Test.Budget.times()
-  @pipelines 400 * Situ.Test.Budget.times()
+  # The number of schedules and pipelines; `SITU_TIMES` searches longer.
+  @schedules 100 * Situ.Test.Budget.repeat_factor()
+  @pipelines 400 * Situ.Test.Budget.repeat_factor()
 
-  test "random schedules of start, stop and kill end in time with no process left" do
+  test "random schedules of start, stop and kill end in time and leave no process" do
     :rand.seed(:exsss, {ExUnit.configuration()[:seed], 2, 3})
     before = Process.list() |> MapSet.new()
 
@@ -25,7 +25,7 @@ defmodule Situ.Pipeline.StressTest do
     assert leftover(before, 200) == []
   end
 
-  test "many short pipelines leave no processes, tables, atoms or memory behind" do
+  test "many short pipelines leak no processes, tables or atoms" do
     run = fn -> {:ok, _} = Pipeline.run(&build(&1, 5), []) end
     for _ <- 1..200, do: run.()
     before = {MapSet.new(Process.list()), length(:ets.all()), :erlang.system_info(:atom_count)}
@@ -55,7 +55,7 @@ defmodule Situ.Pipeline.StressTest do
     answer(Pipeline.await(p, 30_000))
   end
 
-  # Every stage has ended once the pipeline has, whatever else happened.
+  # Every stage must have ended once the pipeline has ended, whatever else happened.
   defp answer({:error, %{code: :timeout}} = hang), do: flunk("a hang: #{inspect(hang)}")
   defp answer(result), do: result
 
@@ -64,7 +64,7 @@ defmodule Situ.Pipeline.StressTest do
 
   defp together(fun), do: 1..3 |> Enum.map(fn _ -> Task.async(fun) end) |> Task.await_many(30_000)
 
-  # Kills one of the processes linked to the pipeline, a component, or the pipeline itself.
+  # Kills one of the processes linked to the pipeline (a component) or the pipeline itself.
   defp kill(p, turns) do
     for _ <- 1..turns//1, do: :erlang.yield()
 
@@ -108,7 +108,7 @@ defmodule Situ.Pipeline.StressTest do
         []
 
       [pid | _] ->
-        # It may just be on its way out.
+        # The process may just be ending.
         ref = Process.monitor(pid)
 
         receive do

@@ -4,15 +4,15 @@ defmodule Situ.Ports.CountersTest do
   alias Situ.Ports.Counters
 
   defp read(ref) do
-    totals = Counters.totals(ref)
-    ref |> Counters.read(totals) |> Map.merge(Averages.overall(totals))
+    totals = Counters.read_totals(ref)
+    ref |> Counters.read_values(totals) |> Map.merge(Averages.overall_means(totals))
   end
 
   test "latencies of data as old as the epoch do not overflow" do
     ref = Counters.new()
     old = 1_800_000_000_000_000_000
-    for _ <- 1..100, do: Counters.emitted(ref, 1_000, -old, -old)
-    for _ <- 1..100, do: Counters.processed(ref, 1_000, old, 5_000)
+    for _ <- 1..100, do: Counters.count_emitted(ref, 1_000, -old, -old)
+    for _ <- 1..100, do: Counters.count_processed(ref, 1_000, old, 5_000)
     hour = 3_600_000_000_000
 
     assert %{
@@ -28,13 +28,13 @@ defmodule Situ.Ports.CountersTest do
     assert {posted, ahead} == {-old, -hour}
   end
 
-  test "means, the last and p99 of ordinary latencies" do
+  test "computes the mean, last and p99 of ordinary latencies" do
     ref = Counters.new()
-    Counters.emitted(ref, 75, 2_000, 3_000)
-    Counters.emitted(ref, 25, 6_000, 7_000)
+    Counters.count_emitted(ref, 75, 2_000, 3_000)
+    Counters.count_emitted(ref, 25, 6_000, 7_000)
 
     for latency <- [1_000_000, 3_000_000],
-        do: Counters.processed(ref, 50, latency, 50 * latency)
+        do: Counters.count_processed(ref, 50, latency, 50 * latency)
 
     read = read(ref)
     assert read.created_last == 6_000 and read.created_mean == 3_000
@@ -44,18 +44,18 @@ defmodule Situ.Ports.CountersTest do
     assert read.latency_p99 >= 3_000_000 and read.latency_p99 <= 3_750_000
   end
 
-  test "the queue is what is left behind when messages are taken" do
+  test "the mean queue counts the messages left when a batch is taken" do
     ref = Counters.new()
-    Counters.emitted(ref, 10, 0, 0)
-    Counters.dropped(ref, 2)
-    Counters.processed(ref, 2, 0, 0)
-    Counters.processed(ref, 6, 0, 0)
-    # Six were left after the first two, none after the other six.
+    Counters.count_emitted(ref, 10, 0, 0)
+    Counters.count_dropped(ref, 2)
+    Counters.count_processed(ref, 2, 0, 0)
+    Counters.count_processed(ref, 6, 0, 0)
+    # Six messages were left after the first two, and none after the other six.
     assert %{queue: 0, queue_mean: mean} = read(ref)
     assert mean == 2 * 6 / 8
   end
 
-  test "sizes: of binaries, of what pictures hold, and of other terms" do
+  test "measures sizes of binaries, image data and other terms" do
     ref = Counters.new()
     picture = %{data: :binary.copy(<<0>>, 500), width: 20}
     term = {:some, "term"}
@@ -64,7 +64,7 @@ defmodule Situ.Ports.CountersTest do
       for data <- [<<1, 2, 3>>, picture, term],
           do: %Situ.Message{data: data, originating_time: 0}
 
-    Counters.sized(ref, messages)
+    Counters.count_sizes(ref, messages)
     last = :erlang.external_size(term)
     assert %{size_last: ^last, size_mean: mean} = read(ref)
     assert mean == div(503 + last, 3)

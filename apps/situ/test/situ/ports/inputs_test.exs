@@ -32,24 +32,24 @@ defmodule Situ.Ports.InputsTest do
   defp step({:push, tag, time}, inputs), do: push(inputs, tag, time)
   defp step({:delete, tag}, inputs), do: Inputs.delete(inputs, tag)
   defp step({:add, tag}, inputs), do: Inputs.put(inputs, input(tag))
-  defp step(:settle, inputs), do: Inputs.settle(inputs)
+  defp step(:settle, inputs), do: Inputs.settle_touched(inputs)
   defp step({:hold, tag, held?}, inputs), do: hold(inputs, inputs.by_tag[tag], held?)
 
   defp step(:take, inputs) do
-    case Inputs.earliest(inputs) do
+    case Inputs.earliest_input(inputs) do
       nil ->
         inputs
 
       input ->
         {%{originating_time: time}, input} = Input.pop(input, 0)
-        Inputs.put(inputs, Input.handled(input, 1, time, {time, 1}))
+        Inputs.put(inputs, Input.count_handled(input, 1, time, {time, 1}))
     end
   end
 
   defp hold(inputs, nil, _held?), do: inputs
-  defp hold(inputs, input, held?), do: Inputs.put(inputs, Input.hold(input, held?))
+  defp hold(inputs, input, held?), do: Inputs.put(inputs, Input.set_hold(input, held?))
 
-  # Numbers as steps: mostly messages come and go.
+  # Decodes numbers into steps; most steps push or take messages.
   defp decoded({kind, tag, time}) when kind < 8, do: {:push, tag, time}
   defp decoded({kind, _tag, _time}) when kind < 16, do: :take
   defp decoded({kind, _tag, _time}) when kind < 18, do: :settle
@@ -57,37 +57,37 @@ defmodule Situ.Ports.InputsTest do
   defp decoded({19, tag, _time}), do: {:delete, tag}
   defp decoded({20, tag, _time}), do: {:add, 24 + rem(tag, 6)}
 
-  property "of few and of many inputs the one with the oldest head is next, and each is settled" do
+  property "the input with the oldest message is next, and settling settles every input" do
     forall {n, steps} <- {integer(1, 24), list({integer(0, 20), integer(1, 24), integer(0, 99)})} do
       inputs = Enum.reduce(steps, inputs(n), &step(decoded(&1), &2))
       heads = for {_, input} <- inputs.by_tag, do: Input.head_time(input)
       oldest = heads |> Enum.reject(&(&1 == :none)) |> Enum.min(fn -> nil end)
-      next = Inputs.earliest(inputs)
-      settled = Inputs.settle(inputs).by_tag
+      next = Inputs.earliest_input(inputs)
+      settled = Inputs.settle_touched(inputs).by_tag
 
       assert (next && Input.head_time(next)) == oldest
-      assert Enum.all?(settled, fn {_, input} -> Input.settled?(input) end)
+      assert Enum.all?(settled, fn {_, input} -> Input.nothing_to_settle?(input) end)
     end
   end
 
-  # The cost of one message: taken from its input, counted, asked for again.
+  # Measures the cost of one message: taken from its input, counted and requested again.
   defp work(n) do
     inputs = for tag <- 1..n, reduce: inputs(n), do: (inputs -> push(inputs, tag, tag))
-    inputs = Inputs.settle(inputs)
+    inputs = Inputs.settle_touched(inputs)
     {:reductions, before} = Process.info(self(), :reductions)
 
     for _ <- 1..100, reduce: inputs do
       inputs ->
         inputs = step(:take, inputs)
-        assert Inputs.handled(inputs) == 1
-        Inputs.settle(inputs)
+        assert Inputs.max_handled(inputs) == 1
+        Inputs.settle_touched(inputs)
     end
 
     {:reductions, later} = Process.info(self(), :reductions)
     later - before
   end
 
-  test "a message among four thousand inputs costs no look at each of them" do
+  test "the cost of a message does not grow with four thousand inputs" do
     few = work(100)
     assert work(4_000) < 4 * few
   end

@@ -1,5 +1,5 @@
 defmodule Situ.Ports.PostingTest do
-  # Messages of one time: an error, dropped, or nudged; a time that goes back is always an error.
+  # Messages with equal times are an error, dropped or nudged; a time that goes back is always an error.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -8,7 +8,7 @@ defmodule Situ.Ports.PostingTest do
   @moduletag :capture_log
 
   defmodule Times do
-    # Emits at the times it is given, all at once or one by one; as data or as messages with an envelope of their own.
+    # Emits at the given times, together or one by one, as data or as messages with their own envelope.
     use Situ.Component,
       outputs: [out: :any],
       options: [
@@ -68,10 +68,10 @@ defmodule Situ.Ports.PostingTest do
   end
 
   for as <- [:data, :messages], at_once <- [true, false] do
-    test "each policy, as #{as}, #{if at_once, do: "at once", else: "one by one"}" do
+    test "each policy applies to #{as} posted #{if at_once, do: "together", else: "one by one"}" do
       opts = [times: [5, 5, 5, 6, 20], as: unquote(as), at_once: unquote(at_once)]
       assert {{:error, %{code: :time_not_increasing}}, first} = run(opts, [])
-      # One callback's actions count as a whole.
+      # The actions of one callback succeed or fail together.
       assert first == if(unquote(at_once), do: [], else: [{5, 1}])
 
       assert {{:ok, _}, [{5, 1}, {6, 4}, {20, 5}]} = run(opts, on_same_time: :drop)
@@ -86,8 +86,7 @@ defmodule Situ.Ports.PostingTest do
     end
   end
 
-  property "a batch is what its messages are one after another",
-    numtests: 60 do
+  property "a batch behaves like its messages one after another", numtests: 60 do
     forall {steps, how} <- {list(integer(-1, 3)), integer(0, 2)} do
       times = steps |> Enum.scan(&+/2) |> Enum.map(&(&1 + 40))
       common = Enum.at([[], [on_same_time: :drop], [on_same_time: :nudge]], how)
@@ -99,7 +98,7 @@ defmodule Situ.Ports.PostingTest do
     end
   end
 
-  property "nudged times strictly increase, none is lost, and the first of a time keeps it if it can" do
+  property "nudged times strictly increase, lose no message and stay unchanged if possible" do
     forall gaps <- list(integer(0, 3)) do
       times = gaps |> Enum.scan(&+/2) |> Enum.map(&(&1 + 1))
       {{:ok, _}, got} = run([times: times], on_same_time: :nudge)
@@ -112,7 +111,7 @@ defmodule Situ.Ports.PostingTest do
     end
   end
 
-  test "times that 64 bits do not hold are refused by name" do
+  test "times that do not fit into 64 bits are refused with an error" do
     ExUnit.CaptureLog.capture_log(fn ->
       for time <- [
             93_000_000_000_000_000_000,

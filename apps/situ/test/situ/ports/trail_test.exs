@@ -7,25 +7,25 @@ defmodule Situ.Ports.TrailTest do
   @ms 1_000_000
 
   defp trail(notes) do
-    ref = :atomics.new(Trail.words(), signed: true)
-    for {time, at} <- notes, do: Trail.note(ref, 1, time, at)
+    ref = :atomics.new(Trail.word_count(), signed: true)
+    for {time, at} <- notes, do: Trail.record_passage(ref, 1, time, at)
     ref
   end
 
-  test "an empty one knows of nothing" do
-    assert Trail.passed(trail([]), 1, 0) == nil
+  test "an empty trail returns nil" do
+    assert Trail.find_passage(trail([]), 1, 0) == nil
   end
 
-  test "the time that was asked for, or the first behind it" do
+  test "returns when the requested time, or the first time after it, was passed" do
     ref = trail([{0, 10 * @ms}, {100, 20 * @ms}, {200, 30 * @ms}])
-    assert Trail.passed(ref, 1, -5) == 10 * @ms
-    assert Trail.passed(ref, 1, 0) == 10 * @ms
-    assert Trail.passed(ref, 1, 1) == 20 * @ms
-    assert Trail.passed(ref, 1, 200) == 30 * @ms
-    assert Trail.passed(ref, 1, 201) == nil
+    assert Trail.find_passage(ref, 1, -5) == 10 * @ms
+    assert Trail.find_passage(ref, 1, 0) == 10 * @ms
+    assert Trail.find_passage(ref, 1, 1) == 20 * @ms
+    assert Trail.find_passage(ref, 1, 200) == 30 * @ms
+    assert Trail.find_passage(ref, 1, 201) == nil
   end
 
-  property "is right within a millisecond, and says when it has forgotten" do
+  property "is accurate to one millisecond" do
     forall steps <- list({integer(1, 20), integer(0, 20)}) do
       {notes, _} =
         Enum.map_reduce(steps, {0, 0}, fn {ahead, later}, {time, at} ->
@@ -38,7 +38,7 @@ defmodule Situ.Ports.TrailTest do
       for time <- 0..(last + 1) do
         wanted = Enum.find_value(notes, fn {t, at} -> t >= time && at end)
 
-        case Trail.passed(ref, 1, time) do
+        case Trail.find_passage(ref, 1, time) do
           nil -> assert wanted == nil
           at -> assert at >= wanted and at - wanted < @ms
         end
@@ -46,10 +46,10 @@ defmodule Situ.Ports.TrailTest do
     end
   end
 
-  test "what is long ago is forgotten, and told so" do
+  test "reports old entries as forgotten" do
     ref = trail(for n <- 1..200, do: {n, n * @ms})
-    assert Trail.passed(ref, 1, 10) == :forgotten
-    assert Trail.passed(ref, 1, 150) == 150 * @ms
-    assert Trail.passed(ref, 1, 201) == nil
+    assert Trail.find_passage(ref, 1, 10) == :forgotten
+    assert Trail.find_passage(ref, 1, 150) == 150 * @ms
+    assert Trail.find_passage(ref, 1, 201) == nil
   end
 end

@@ -3,7 +3,7 @@ defmodule Situ.Ports.WindowTest do
 
   @moduletag :capture_log
 
-  # Makes messages of `bytes` bytes for ever and counts them.
+  # Emits messages of `bytes` bytes forever and counts them.
   defmodule Source do
     use Situ.Component,
       outputs: [out: :any],
@@ -19,7 +19,7 @@ defmodule Situ.Ports.WindowTest do
     end
   end
 
-  # A consumer takes a few messages and then no more: what was made beyond them is what was on its way.
+  # The consumer takes a few messages and then blocks; the messages emitted beyond these were in flight.
   defp made_for_a_stuck_consumer(bytes, take, policy \\ Situ.Delivery.unlimited()) do
     test = self()
 
@@ -51,7 +51,7 @@ defmodule Situ.Ports.WindowTest do
     made - take
   end
 
-  # The source waits for demand that does not come: no message in its mailbox, and no work done since the last look.
+  # Waits until the source is idle: an empty mailbox and no work since the last check.
   defp at_rest(pid, before) do
     case Process.info(pid, [:status, :message_queue_len, :reductions]) do
       [status: :waiting, message_queue_len: 0, reductions: ^before] -> :ok
@@ -67,22 +67,22 @@ defmodule Situ.Ports.WindowTest do
     end
   end
 
-  test "the default window holds a thousand small messages, but not a thousand pictures" do
-    # Where the consumer has just taken much without asking again, less is on its way.
+  test "the default window holds a thousand small messages, but not a thousand images" do
+    # Fewer messages are in flight if the consumer has just taken many without requesting more.
     on_their_way = for _ <- 1..5, do: made_for_a_stuck_consumer(10, 5_000)
     assert Enum.max(on_their_way) in 500..1_001
-    # 32 MB of messages of 4 MB.
+    # The window is 32 MB, and each message has 4 MB.
     assert made_for_a_stuck_consumer(4_000_000, 20) in 4..9
-    # The least window.
+    # This is the smallest window.
     assert made_for_a_stuck_consumer(40_000_000, 8) in 2..5
   end
 
-  test "behind a throttle of n messages n wait, beside the one that is handled" do
+  test "a throttle of n lets n messages wait in addition to the one being handled" do
     for n <- [1, 2, 5], take <- [0, 3] do
       assert made_for_a_stuck_consumer(10, take, Situ.Delivery.throttle(n)) == n + 1
     end
 
-    # A long window is asked for again in halves.
+    # A long window is requested again in halves.
     assert made_for_a_stuck_consumer(10, 200, Situ.Delivery.throttle(128)) in 64..129
   end
 end

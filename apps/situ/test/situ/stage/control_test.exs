@@ -4,8 +4,8 @@ defmodule Situ.Stage.ControlTest do
 
   alias Situ.{Delivery, Pipeline}
 
-  # Each message, and each plain message `:work`, takes until the test lets it go: how many pass before an answer
-  # comes is then known exactly, however busy the machine is.
+  # Each message, and each plain message `:work`, takes until the test releases it. The number of messages handled
+  # before a reply is therefore exact, however busy the machine is.
   defmodule Slow do
     use Situ.Component,
       inputs: [in: :any],
@@ -40,7 +40,7 @@ defmodule Situ.Stage.ControlTest do
     def migrate(_state, _old, new), do: {:ok, new}
   end
 
-  # Takes whole batches, of which each fails: its messages are taken one by one.
+  # Fails on every whole batch, so that its messages are handled one by one.
   defmodule Failing do
     use Situ.Component,
       inputs: [in: :any],
@@ -80,7 +80,7 @@ defmodule Situ.Stage.ControlTest do
     {p, slow}
   end
 
-  # Lets messages go one by one until the request is answered; how many it took.
+  # Releases messages one by one until the request gets a reply, and returns their number.
   defp messages_until(slow, request) do
     task = Task.async(request)
     {answer, n} = let_go(slow, task, 0)
@@ -88,7 +88,7 @@ defmodule Situ.Stage.ControlTest do
     n
   end
 
-  # A message is let go only once the request has come to the stage: then it may be answered after it.
+  # Releases a message only after the request has reached the stage, so that the stage can reply after it.
   defp let_go(slow, task, n) do
     assert n < 40, "not answered after #{n} messages"
 
@@ -123,7 +123,7 @@ defmodule Situ.Stage.ControlTest do
   defp self_of(_p), do: hd(Process.get(:"$callers") || [self()])
 
   for policy <- [:window, :throttle, :lossy] do
-    test "with thousands of messages waiting a request waits for one or two (#{policy})" do
+    test "a request waits for at most two of thousands of waiting messages (#{policy})" do
       policy =
         case unquote(policy) do
           :window -> Delivery.unlimited(window: 10_000)
@@ -143,7 +143,7 @@ defmodule Situ.Stage.ControlTest do
     end
   end
 
-  test "a batch that failed keeps a request waiting for one or two of its messages" do
+  test "a request waits for at most two messages of a failed batch" do
     {p, slow} = start(module: Failing)
 
     for {name, request} <- requests(p) do
@@ -154,7 +154,7 @@ defmodule Situ.Stage.ControlTest do
     Process.exit(p, :kill)
   end
 
-  test "with thousands of plain messages waiting a request waits for one or two" do
+  test "a request waits for at most two of thousands of plain messages" do
     {p, slow} = start()
     for _ <- 1..10_000, do: send(slow, :work)
 
@@ -166,7 +166,7 @@ defmodule Situ.Stage.ControlTest do
     Process.exit(p, :kill)
   end
 
-  test "an operator that becomes slow keeps a request waiting for a few messages only" do
+  test "a request waits for few messages of an operator that becomes slow" do
     test = self()
 
     {:ok, p} =
@@ -203,9 +203,9 @@ defmodule Situ.Stage.ControlTest do
     Process.exit(p, :kill)
   end
 
-  # The operators share the process of what is in front of them.
+  # The operators share the process of the stage before them.
   for kind <- [:source, :merge] do
-    test "operators behind a #{kind} that become slow keep a request waiting for a few messages only" do
+    test "a request waits for few messages of slow operators after a #{kind}" do
       test = self()
 
       work = fn v ->
@@ -247,8 +247,8 @@ defmodule Situ.Stage.ControlTest do
     end
   end
 
-  # As happens while a unit in front of it restarts.
-  test "light operators that are asked to stop have nothing to stop, and do not die of it" do
+  # This happens while a unit upstream restarts.
+  test "light operators that are asked to stop keep running" do
     {p, slow} = start()
     [sink] = for {"Sink", pid, _, _} <- Supervisor.which_children(p), do: pid
     monitor = Process.monitor(sink)

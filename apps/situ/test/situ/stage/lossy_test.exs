@@ -4,7 +4,7 @@ defmodule Situ.Stage.LossyTest do
 
   alias Situ.{Delivery, Pipeline}
 
-  # A push source: emits what it is sent.
+  # A push source that emits the times sent to it.
   defmodule Push do
     use Situ.Component, outputs: [out: :any], options: [test: [type: :pid, required: true]]
     @impl true
@@ -22,7 +22,7 @@ defmodule Situ.Stage.LossyTest do
     def handle_info(_other, _context, test), do: {[], test}
   end
 
-  # Says what it got, and goes on when it is told to.
+  # Reports each message and waits for permission to continue.
   defmodule Slow do
     use Situ.Component, inputs: [in: :any], options: [test: [type: :pid, required: true]]
     @impl true
@@ -70,7 +70,7 @@ defmodule Situ.Stage.LossyTest do
 
   defp waiting(pid), do: pid |> Process.info(:message_queue_len) |> elem(1)
 
-  test "a busy consumer holds no more than the queue's size; the rest is dropped at the producer" do
+  test "a busy consumer holds at most its queue size, and the producer drops the rest" do
     p = start(Delivery.max_queue(3), &push/2)
     source = source()
     emit(source, [1])
@@ -96,7 +96,7 @@ defmodule Situ.Stage.LossyTest do
     {:ok, _} = Pipeline.stop(p)
   end
 
-  test "latest takes the newest of all that was emitted while it was busy" do
+  test "latest takes the newest message emitted while the consumer was busy" do
     p = start(Delivery.latest(), &push/2)
     source = source()
     emit(source, [1])
@@ -110,7 +110,7 @@ defmodule Situ.Stage.LossyTest do
     {:ok, _} = Pipeline.stop(p)
   end
 
-  test "a pull source in front of a slow lossy consumer uses bounded memory" do
+  test "a pull source with a slow lossy consumer uses bounded memory" do
     source = fn p, _ ->
       p
       |> Situ.from_enumerable(0..1_999_999, every: 1)
@@ -141,7 +141,7 @@ defmodule Situ.Stage.LossyTest do
     assert got() == Enum.to_list(0..499)
   end
 
-  test "throttle: true drops what a push source makes while the queue is full" do
+  test "throttle: true drops messages of a push source while the queue is full" do
     p = start(Delivery.max_queue(3, throttle: true), &push/2)
     source = source()
     emit(source, [1])
@@ -153,7 +153,7 @@ defmodule Situ.Stage.LossyTest do
     Process.exit(p, :kill)
   end
 
-  test "what waits at the producer is delivered when the stream ends" do
+  test "messages waiting at the producer are delivered when the stream ends" do
     p = start(Delivery.max_queue(5), &push/2)
     source = source()
     emit(source, [1])
@@ -180,7 +180,7 @@ defmodule Situ.Stage.LossyTest do
     end
   end
 
-  # A handler is slow from a millisecond on.
+  # A handler counts as slow after one millisecond.
   defp wait_a_moment do
     till = :erlang.monotonic_time(:millisecond) + 3
     spin(till)

@@ -55,7 +55,7 @@ defmodule Situ.Bridge.Arrow do
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
   def export(store, folder, opts \\ []) do
     opts = Situ.Options.validate!(opts, @export)
-    Columnar.export(Writer, store, folder, ".arrow", opts)
+    Columnar.export_streams(Writer, store, folder, ".arrow", opts)
   end
 
   @doc """
@@ -68,7 +68,7 @@ defmodule Situ.Bridge.Arrow do
   def write(store, name, path, opts \\ []) do
     {others, opts} = Keyword.split(opts, [:from, :to, :skip_damage, :progress])
     opts = Situ.Options.validate!(opts, Keyword.delete(@export, :streams))
-    Columnar.write(Writer, store, name, path, opts ++ others)
+    Columnar.write_stream(Writer, store, name, path, opts ++ others)
   end
 
   @doc """
@@ -80,13 +80,13 @@ defmodule Situ.Bridge.Arrow do
 
   Other options are the same as for `write/4`.
 
-  #{Situ.Options.docs(Situ.Bridge.Columnar.Joined.options())}
+  #{Situ.Options.docs(Situ.Bridge.Columnar.Joined.join_options())}
   """
   @spec join(Store.t(), Path.t(), keyword()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def join(store, path, opts) do
     {others, opts} = Keyword.split(opts, [:from, :to, :skip_damage, :progress])
-    schema = Keyword.merge(@export, Columnar.Joined.options())
-    Columnar.join(Writer, store, path, Situ.Options.validate!(opts, schema) ++ others)
+    schema = Keyword.merge(@export, Columnar.Joined.join_options())
+    Columnar.write_joined(Writer, store, path, Situ.Options.validate!(opts, schema) ++ others)
   end
 
   @doc ~S"""
@@ -117,7 +117,7 @@ defmodule Situ.Bridge.Arrow do
   @spec read(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def read(p, path, opts \\ []) do
     opts = Situ.Options.validate!(opts, @read)
-    Columnar.read(p, messages(path, Keyword.take(opts, [:time, :columns])), path, opts)
+    Columnar.replay_source(p, messages(path, Keyword.take(opts, [:time, :columns])), path, opts)
   end
 
   @doc """
@@ -125,10 +125,10 @@ defmodule Situ.Bridge.Arrow do
   supported. If several columns have the same name, the later ones are numbered: `x`, `x_1`. Errors: `:io`,
   `:not_arrow`.
   """
-  @spec columns(Path.t()) ::
+  @spec list_columns(Path.t()) ::
           {:ok, %{columns: [String.t()], left_out: [{name :: String.t(), type :: String.t()}]}}
           | {:error, Error.t()}
-  def columns(path), do: Columnar.columns(File, path)
+  def list_columns(path), do: Columnar.list_columns(File, path)
 
   @doc """
   Returns the rows as a lazy enumerable of `{time, value}`. Memory holds only a few rows at a time, or the requested
@@ -139,5 +139,5 @@ defmodule Situ.Bridge.Arrow do
   or rows. By default, these sentences are logged as warnings.
   """
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
-  def messages(path, opts \\ []), do: Columnar.messages(File, path, opts)
+  def messages(path, opts \\ []), do: Columnar.stream_messages(File, path, opts)
 end

@@ -13,23 +13,23 @@ defmodule Situ.Bridge.Columnar do
   ]
 
   @doc "Writes streams of a recording into a folder, one file per stream, named after the stream and the extension."
-  @spec export(module(), Store.t(), Path.t(), extension :: String.t(), keyword()) ::
+  @spec export_streams(module(), Store.t(), Path.t(), extension :: String.t(), keyword()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
-  def export(writer, store, folder, extension, opts) do
+  def export_streams(writer, store, folder, extension, opts) do
     {wanted, opts} = Keyword.pop(opts, :streams)
 
     names =
       for info <- Store.streams(store),
           info.count > 0,
           wanted == nil or info.name in wanted,
-          table?(store, info),
+          tabular_stream?(store, info),
           do: info.name
 
-    with :ok <- mkdir(folder) do
+    with :ok <- create_folder(folder) do
       Enum.reduce_while(names, {:ok, %{}}, fn name, {:ok, counts} ->
         path = Path.join(folder, String.replace(name, ~r/[\/\x00-\x1f]/, "_") <> extension)
 
-        case write(writer, store, name, path, opts) do
+        case write_stream(writer, store, name, path, opts) do
           {:ok, rows} -> {:cont, {:ok, Map.put(counts, name, rows)}}
           error -> {:halt, error}
         end
@@ -37,14 +37,14 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  defp mkdir(folder) do
+  defp create_folder(folder) do
     with {:error, reason} <- Elixir.File.mkdir_p(folder),
          do:
            {:error,
             Error.new(:io, "cannot create #{folder}", why: to_string(:file.format_error(reason)))}
   end
 
-  defp table?(store, info) do
+  defp tabular_stream?(store, info) do
     case Store.at(store, info.name, 0) do
       {:ok, %{data: %module{}}} -> not Situ.Codec.implemented_by?(module)
       {:ok, _} -> true
@@ -53,19 +53,19 @@ defmodule Situ.Bridge.Columnar do
   end
 
   @doc "Writes one stream of a recording. Takes the options of the format and of `Store.messages/3`, and `progress:`."
-  @spec write(module(), Store.t(), String.t(), Path.t(), keyword()) ::
+  @spec write_stream(module(), Store.t(), String.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
-  def write(writer, store, name, path, opts) do
+  def write_stream(writer, store, name, path, opts) do
     {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
 
     # A live recording may receive messages of another kind during the export, so the export ends at the current end.
-    parts = Store.columns(store, name, Keyword.put_new(reading, :to, last(store, name)))
+    parts = Store.columns(store, name, Keyword.put_new(reading, :to, last_time(store, name)))
     write_parts(writer, parts, path, opts, progress)
   rescue
     error in Error -> {:error, error}
   catch
-    {:not_writable, what} -> not_writable(name, what)
+    {:not_writable, what} -> not_writable_error(name, what)
   end
 
   @doc "Writes lists of messages into a file; enumerates them twice."
@@ -76,31 +76,40 @@ defmodule Situ.Bridge.Columnar do
   rescue
     error in Error -> {:error, error}
   catch
-    {:not_writable, what} -> not_writable("the messages", what)
+    {:not_writable, what} -> not_writable_error("the messages", what)
   end
 
-  @doc "Writes several streams of a recording as one table. Takes the options of a join and of `write/5`."
-  @spec join(module(), Store.t(), Path.t(), keyword()) ::
+  @doc "Writes several streams of a recording as one table. Takes the options of a join and of `write_stream/5`."
+  @spec write_joined(module(), Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
-  def join(writer, store, path, opts) do
-    {joining, opts} = Keyword.split(opts, Keyword.keys(Joined.options()))
+  def write_joined(writer, store, path, opts) do
+    {joining, opts} = Keyword.split(opts, Keyword.keys(Joined.join_options()))
     {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
     on = joining[:on]
-    reading = Keyword.put_new(reading, :to, last(store, on))
-    parts = Joined.parts(store, on, others(store, on, joining[:streams]), joining, reading)
+    reading = Keyword.put_new(reading, :to, last_time(store, on))
+
+    parts =
+      Joined.stream_parts(
+        store,
+        on,
+        other_streams(store, on, joining[:streams]),
+        joining,
+        reading
+      )
+
     write_parts(writer, parts, path, opts, progress)
   rescue
     error in Error -> {:error, error}
   catch
-    {:not_writable, what} -> not_writable("the table", what)
+    {:not_writable, what} -> not_writable_error("the table", what)
   end
 
-  defp others(store, on, nil) do
-    for info <- Store.streams(store), info.name != on, table?(store, info), do: info.name
+  defp other_streams(store, on, nil) do
+    for info <- Store.streams(store), info.name != on, tabular_stream?(store, info), do: info.name
   end
 
-  defp others(store, on, names) do
+  defp other_streams(store, on, names) do
     for name <- Enum.uniq(names), name != on do
       case Store.stream_info(store, name) do
         {:ok, info} -> info.name
@@ -109,17 +118,17 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  defp not_writable(name, what) do
+  defp not_writable_error(name, what) do
     {:error,
      Error.new(:not_writable, "#{name} cannot be written as a table", why: inspect(what, limit: 5))}
   end
 
   defp write_parts(format, parts, path, opts, progress) do
-    columns = parts |> Enum.reduce(%{}, &Rows.part(&2, &1)) |> Rows.columns()
+    columns = parts |> Enum.reduce(%{}, &Rows.merge_part_kinds(&2, &1)) |> Rows.build_columns()
 
     with {:ok, writer} <- format.create(path, @times ++ columns, opts[:compression] || :none) do
       parts
-      |> groups(columns, opts[:rows])
+      |> row_groups(columns, opts[:rows])
       |> Enum.reduce_while({:ok, writer}, fn {values, rows}, {:ok, writer} ->
         case format.write(writer, values, rows) do
           {:ok, writer} ->
@@ -130,11 +139,11 @@ defmodule Situ.Bridge.Columnar do
             {:halt, {error, writer}}
         end
       end)
-      |> finished(format)
+      |> finish_file(format)
     end
   end
 
-  defp last(store, name) do
+  defp last_time(store, name) do
     case Store.stream_info(store, name) do
       {:ok, info} -> info.last
       {:error, error} -> raise error
@@ -143,35 +152,37 @@ defmodule Situ.Bridge.Columnar do
 
   # Returns row groups: the values of each column, and the number of rows. Parts that are already columns of numbers
   # are passed on directly; other messages are collected until they fill a group.
-  defp groups(parts, columns, most) do
+  defp row_groups(parts, columns, most) do
     parts
     |> Stream.concat([:end])
     |> Stream.transform({[], 0}, fn
       :end, {held, _} ->
-        {held |> together() |> group(columns), {[], 0}}
+        {held |> concat_held() |> message_group(columns), {[], 0}}
 
       %Columns{} = part, {held, _} ->
-        {group(together(held), columns) ++ plain(part, columns, most), {[], 0}}
+        {message_group(concat_held(held), columns) ++ number_groups(part, columns, most), {[], 0}}
 
       messages, {held, n} ->
-        gathered([messages | held], n + length(messages), columns, most)
+        hold_messages([messages | held], n + length(messages), columns, most)
     end)
   end
 
-  defp together(held), do: held |> Enum.reverse() |> Enum.concat()
+  defp concat_held(held), do: held |> Enum.reverse() |> Enum.concat()
 
-  defp gathered(held, n, _columns, most) when n < most, do: {[], {held, n}}
+  defp hold_messages(held, n, _columns, most) when n < most, do: {[], {held, n}}
 
-  defp gathered(held, n, columns, most) do
-    {full, rest} = held |> together() |> Enum.split(n - rem(n, most))
-    groups = full |> Enum.chunk_every(most) |> Enum.flat_map(&group(&1, columns))
+  defp hold_messages(held, n, columns, most) do
+    {full, rest} = held |> concat_held() |> Enum.split(n - rem(n, most))
+    groups = full |> Enum.chunk_every(most) |> Enum.flat_map(&message_group(&1, columns))
     {groups, {[rest], rem(n, most)}}
   end
 
-  defp group([], _columns), do: []
-  defp group(messages, columns), do: [{values(messages, columns), length(messages)}]
+  defp message_group([], _columns), do: []
 
-  defp plain(%{kind: kind} = part, [%{name: "value", kind: kind}], most) do
+  defp message_group(messages, columns),
+    do: [{column_values(messages, columns), length(messages)}]
+
+  defp number_groups(%{kind: kind} = part, [%{name: "value", kind: kind}], most) do
     for columns <- Columns.split(part, most) do
       bytes = [columns.times, columns.creation_times, columns.values]
       {for(bytes <- bytes, do: {:bytes, bytes, columns.count}), columns.count}
@@ -179,34 +190,34 @@ defmodule Situ.Bridge.Columnar do
   end
 
   # The part has numbers of one kind, the column another kind.
-  defp plain(part, columns, most) do
+  defp number_groups(part, columns, most) do
     for part <- Columns.split(part, most) do
       creations = for <<time::little-signed-64 <- part.creation_times>>, do: time
-      {times, values} = part |> Columns.pairs() |> Enum.unzip()
-      rows = Enum.zip_with(Enum.map(values, &Rows.row(&1, columns)), & &1)
+      {times, values} = part |> Columns.to_pairs() |> Enum.unzip()
+      rows = Enum.zip_with(Enum.map(values, &Rows.row_values(&1, columns)), & &1)
       {[times, creations | rows], part.count}
     end
   end
 
-  defp finished({:ok, writer}, format), do: format.finish(writer)
+  defp finish_file({:ok, writer}, format), do: format.finish(writer)
 
-  defp finished({error, writer}, format) do
+  defp finish_file({error, writer}, format) do
     format.abandon(writer)
     error
   end
 
   # By far the most common case is a single column of plain values.
-  defp values(messages, columns) do
-    rows = for m <- messages, do: Rows.row(m.data, columns)
+  defp column_values(messages, columns) do
+    rows = for m <- messages, do: Rows.row_values(m.data, columns)
     times = [Enum.map(messages, & &1.originating_time), Enum.map(messages, & &1.creation_time)]
     times ++ if(columns == [], do: [], else: Enum.zip_with(rows, & &1))
   end
 
   @doc "Returns the columns of a file, and the columns that are skipped. Returns the errors of the format."
-  @spec columns(module(), Path.t()) ::
+  @spec list_columns(module(), Path.t()) ::
           {:ok, %{columns: [String.t()], left_out: [{String.t(), String.t()}]}}
           | {:error, Error.t()}
-  def columns(reader, path) do
+  def list_columns(reader, path) do
     with {:ok, table} <- reader.open(path) do
       {:ok, %{columns: Enum.map(table.columns, & &1.name), left_out: table.left_out}}
     end
@@ -217,11 +228,11 @@ defmodule Situ.Bridge.Columnar do
   `time:` and `columns:`: `notice:`, a function that receives a sentence about the skipped columns and one about the
   skipped rows.
   """
-  @spec messages(module(), Path.t(), keyword()) :: Enumerable.t()
-  def messages(reader, path, opts) do
+  @spec stream_messages(module(), Path.t(), keyword()) :: Enumerable.t()
+  def stream_messages(reader, path, opts) do
     table = reader.open(path) |> Error.unwrap!()
-    time = time(table, opts[:time])
-    wanted = wanted(table, opts[:columns], time)
+    time = fetch_time_column(table, opts[:time])
+    wanted = wanted_columns(table, opts[:columns], time)
     notice = opts[:notice] || fn sentence -> Logger.warning(sentence) end
 
     if opts[:columns] == nil and table.left_out != [],
@@ -239,7 +250,7 @@ defmodule Situ.Bridge.Columnar do
 
   defp take_row([time | values], {last, left_out}, wanted)
        when is_integer(time) and (last == nil or time > last),
-       do: {[{time, value(wanted, values)}], {time, left_out}}
+       do: {[{time, row_value(wanted, values)}], {time, left_out}}
 
   defp take_row(_row, {last, left_out}, _wanted), do: {[], {last, left_out + 1}}
 
@@ -253,8 +264,8 @@ defmodule Situ.Bridge.Columnar do
     do: Enum.map_join(table.left_out, ", ", fn {name, type} -> "#{name} (#{type})" end)
 
   @doc "Adds a source with the rows of a table."
-  @spec read(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
-  def read(p, messages, path, opts) do
+  @spec replay_source(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def replay_source(p, messages, path, opts) do
     case Enum.take(messages, 1) do
       [{first, _}] ->
         Situ.from_enumerable(p, messages, [start: first] ++ Keyword.take(opts, [:type, :name]))
@@ -264,47 +275,51 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  @spec time(Reader.t(), String.t() | nil) :: Reader.column()
-  defp time(table, nil) do
-    found = Enum.find(["originating_time" | table.times], &column(table, &1))
+  @spec fetch_time_column(Reader.t(), String.t() | nil) :: Reader.column()
+  defp fetch_time_column(table, nil) do
+    found = Enum.find(["originating_time" | table.times], &find_column(table, &1))
 
     if found,
-      do: column(table, found),
-      else: raise(no_column(table, "times", "name one with `time:`"))
+      do: find_column(table, found),
+      else: raise(no_column_error(table, "times", "name one with `time:`"))
   end
 
-  defp time(table, name), do: fetch_column(table, name)
+  defp fetch_time_column(table, name), do: fetch_column(table, name)
 
-  defp column(table, name), do: Enum.find(table.columns, &(&1.name == name))
+  defp find_column(table, name), do: Enum.find(table.columns, &(&1.name == name))
 
   defp fetch_column(table, name) do
     type = with {_name, type} <- List.keyfind(table.left_out, name, 0), do: type
 
     cond do
-      column = column(table, name) ->
+      column = find_column(table, name) ->
         column
 
       type ->
-        raise no_column(table, "#{name} that can be read", "its type, #{type}, is not supported")
+        raise no_column_error(
+                table,
+                "#{name} that can be read",
+                "its type, #{type}, is not supported"
+              )
 
       true ->
-        raise no_column(table, inspect(name), nil)
+        raise no_column_error(table, inspect(name), nil)
     end
   end
 
   # All columns except the times. A file whose other columns are all unreadable is an error.
-  defp wanted(table, nil, time) do
+  defp wanted_columns(table, nil, time) do
     wanted =
       Enum.reject(table.columns, &(&1.name in [time.name, "originating_time", "creation_time"]))
 
     if wanted == [] and table.left_out != [],
-      do: raise(no_column(table, "values that can be read", nil)),
+      do: raise(no_column_error(table, "values that can be read", nil)),
       else: wanted
   end
 
-  defp wanted(table, names, _time), do: Enum.map(names, &fetch_column(table, &1))
+  defp wanted_columns(table, names, _time), do: Enum.map(names, &fetch_column(table, &1))
 
-  defp no_column(table, what, fix) do
+  defp no_column_error(table, what, fix) do
     left_out = if table.left_out != [], do: "; skipped: #{list_left_out(table)}"
 
     Error.new(:no_column, "#{table.path} has no column of #{what}",
@@ -313,6 +328,8 @@ defmodule Situ.Bridge.Columnar do
     )
   end
 
-  defp value([%{name: "value"}], [value]), do: value
-  defp value(columns, values), do: columns |> Enum.zip_with(values, &{&1.name, &2}) |> Map.new()
+  defp row_value([%{name: "value"}], [value]), do: value
+
+  defp row_value(columns, values),
+    do: columns |> Enum.zip_with(values, &{&1.name, &2}) |> Map.new()
 end

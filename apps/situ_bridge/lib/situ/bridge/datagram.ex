@@ -8,13 +8,13 @@ defmodule Situ.Bridge.Datagram do
   `new(open: 1)`, any chunk of another set abandons the open set, as in \\psi's receiver.
 
       iex> alias Situ.Bridge.Datagram
-      iex> [one, two] = Datagram.chunks("hello", 7, 43)
+      iex> [one, two] = Datagram.split_payload("hello", 7, 43)
       iex> {nil, state} = Datagram.push(Datagram.new(), two)
       iex> {payload, _} = Datagram.push(state, one)
       iex> payload
       "hello"
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
   @header 40
   @most 0xFFFF
@@ -27,9 +27,9 @@ defmodule Situ.Bridge.Datagram do
   Splits the payload into chunks of at most `most` bytes. Raises `ArgumentError` if that takes more than 65,535
   chunks.
   """
-  @spec chunks(binary(), integer(), pos_integer()) :: [binary()]
-  def chunks(payload, set, most \\ 0xFFFE) when most > @header do
-    parts = parts(payload, most - @header)
+  @spec split_payload(binary(), integer(), pos_integer()) :: [binary()]
+  def split_payload(payload, set, most \\ 0xFFFE) when most > @header do
+    parts = split_parts(payload, most - @header)
     count = length(parts)
 
     if count > @most,
@@ -43,11 +43,11 @@ defmodule Situ.Bridge.Datagram do
         do: <<set::little-signed-64, count::little-16, number::little-16, 0::224, part::binary>>
   end
 
-  defp parts(payload, size) when byte_size(payload) <= size, do: [payload]
+  defp split_parts(payload, size) when byte_size(payload) <= size, do: [payload]
 
-  defp parts(payload, size) do
-    <<part::binary-known(size), rest::binary>> = payload
-    [part | parts(rest, size)]
+  defp split_parts(payload, size) do
+    <<part::binary-pinned_size(size), rest::binary>> = payload
+    [part | split_parts(rest, size)]
   end
 
   @doc "Returns an empty state. `open:` is the maximum number of incomplete sets, 16 by default."
@@ -63,45 +63,45 @@ defmodule Situ.Bridge.Datagram do
       when number < count do
     state = %{state | received: state.received + 1}
 
-    if late?(state, set),
+    if late_set?(state, set),
       do: {nil, state},
-      else: put(state, set, {count, number, :binary.copy(part)})
+      else: put_chunk(state, set, {count, number, :binary.copy(part)})
   end
 
   def push(state, _noise), do: {nil, state}
 
-  defp late?(state, set),
+  defp late_set?(state, set),
     do: state.done != nil and set <= state.done and not is_map_key(state.sets, set)
 
-  defp put(state, set, {count, number, part}) do
-    state = if is_map_key(state.sets, set), do: state, else: begin(state, set, count)
+  defp put_chunk(state, set, {count, number, part}) do
+    state = if is_map_key(state.sets, set), do: state, else: begin_set(state, set, count)
 
     case state.sets do
       # A chunk that gives a different count for the same set is noise.
-      %{^set => {^count, parts}} -> complete(state, set, count, Map.put(parts, number, part))
+      %{^set => {^count, parts}} -> complete_set(state, set, count, Map.put(parts, number, part))
       _ -> {nil, state}
     end
   end
 
-  defp begin(state, set, count) do
+  defp begin_set(state, set, count) do
     state = %{state | sets: Map.put(state.sets, set, {count, %{}}), started: state.started + 1}
 
     cond do
       map_size(state.sets) <= state.open -> state
-      state.open == 1 -> abandon(state, Map.keys(state.sets) -- [set])
-      true -> abandon(state, [Enum.min(Map.keys(state.sets))])
+      state.open == 1 -> abandon_sets(state, Map.keys(state.sets) -- [set])
+      true -> abandon_sets(state, [Enum.min(Map.keys(state.sets))])
     end
   end
 
-  defp complete(state, set, count, parts) when map_size(parts) == count do
+  defp complete_set(state, set, count, parts) when map_size(parts) == count do
     payload = for i <- 0..(count - 1), into: "", do: Map.fetch!(parts, i)
     state = %{state | sets: Map.delete(state.sets, set), done: max(state.done || set, set)}
-    {payload, abandon(state, Enum.filter(Map.keys(state.sets), &(&1 < set)))}
+    {payload, abandon_sets(state, Enum.filter(Map.keys(state.sets), &(&1 < set)))}
   end
 
-  defp complete(state, set, count, parts),
+  defp complete_set(state, set, count, parts),
     do: {nil, %{state | sets: Map.put(state.sets, set, {count, parts})}}
 
-  defp abandon(state, sets),
+  defp abandon_sets(state, sets),
     do: %{state | sets: Map.drop(state.sets, sets), abandoned: state.abandoned + length(sets)}
 end

@@ -53,13 +53,13 @@ defmodule Situ.Bridge.File do
   def read(p, path, opts) do
     opts = Situ.Options.validate!(opts, @read)
     messages = messages(path, opts[:format], Keyword.take(opts, [:objects]))
-    replayed(p, messages, path, Keyword.take(opts, [:type, :name]))
+    replay_source(p, messages, path, Keyword.take(opts, [:type, :name]))
   end
 
   @doc false
   # Adds a source of `{time, value}` that starts at the first message.
-  @spec replayed(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
-  def replayed(p, messages, path, opts \\ []) do
+  @spec replay_source(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def replay_source(p, messages, path, opts \\ []) do
     case Enum.take(messages, 1) do
       [{first, _}] ->
         Situ.from_enumerable(p, messages, [start: first] ++ opts)
@@ -85,51 +85,57 @@ defmodule Situ.Bridge.File do
   """
   @spec messages(Path.t(), Format.name(), keyword()) :: Enumerable.t()
   def messages(path, format, opts \\ []) do
-    module = Format.module!(format)
+    module = Format.fetch_module!(format)
 
     Stream.resource(
-      fn -> {open!(path), {"", module.start()}, 0} end,
-      fn acc -> next(acc, module, path, opts) end,
+      fn -> {open_file!(path), {"", module.start()}, 0} end,
+      fn acc -> next_messages(acc, module, path, opts) end,
       fn {file, _, _} -> file && :file.close(file) end
     )
   end
 
-  defp open!(path) do
+  defp open_file!(path) do
     case :file.open(path, [:read, :raw, :binary, :read_ahead]) do
       {:ok, file} -> file
-      {:error, reason} -> raise io(path, reason)
+      {:error, reason} -> raise open_error(path, reason)
     end
   end
 
-  defp io(path, reason),
+  defp open_error(path, reason),
     do: Error.new(:io, "cannot open #{path}", why: to_string(:file.format_error(reason)))
 
-  defp next({nil, _, _} = acc, _module, _path, _opts), do: {:halt, acc}
+  defp next_messages({nil, _, _} = acc, _module, _path, _opts), do: {:halt, acc}
 
-  defp next({file, {rest, state}, at}, module, path, opts) do
+  defp next_messages({file, {rest, state}, at}, module, path, opts) do
     case :file.read(file, @chunk) do
       {:ok, bytes} ->
-        found(module.split(rest <> bytes, state, false, opts), file, at + byte_size(bytes), path)
+        emit_messages(
+          module.split(rest <> bytes, state, false, opts),
+          file,
+          at + byte_size(bytes),
+          path
+        )
 
       :eof ->
-        file |> ended(module.split(rest, state, true, opts), at, path)
+        file |> emit_last_messages(module.split(rest, state, true, opts), at, path)
 
       {:error, reason} ->
-        raise io(path, reason)
+        raise open_error(path, reason)
     end
   end
 
-  defp found({:ok, messages, rest}, file, at, _path), do: {messages, {file, rest, at}}
-  defp found({:error, why}, _file, at, path), do: raise(bad(path, at, why))
+  defp emit_messages({:ok, messages, rest}, file, at, _path), do: {messages, {file, rest, at}}
+  defp emit_messages({:error, why}, _file, at, path), do: raise(bad_file_error(path, at, why))
 
-  defp ended(file, {:ok, messages, _rest}, at, _path) do
+  defp emit_last_messages(file, {:ok, messages, _rest}, at, _path) do
     :file.close(file)
     {messages, {nil, nil, at}}
   end
 
-  defp ended(_file, {:error, why}, at, path), do: raise(bad(path, at, why))
+  defp emit_last_messages(_file, {:error, why}, at, path),
+    do: raise(bad_file_error(path, at, why))
 
-  defp bad(path, at, why) do
+  defp bad_file_error(path, at, why) do
     Error.new(:bad_file, "#{path} cannot be read",
       why: "#{why} (before byte #{at})",
       fix: "check that the file has the given format"
@@ -144,7 +150,7 @@ defmodule Situ.Bridge.File do
       {:ok,
        %{
          path: opts[:path],
-         module: Format.module!(opts[:format]),
+         module: Format.fetch_module!(opts[:format]),
          format: opts[:format],
          file: nil,
          place: 0
@@ -154,33 +160,33 @@ defmodule Situ.Bridge.File do
   def handle_start(_context, state) do
     case :file.open(state.path, [:write, :raw, :binary, {:delayed_write, @chunk, 1_000}]) do
       {:ok, file} -> {[], %{state | file: file}}
-      {:error, reason} -> raise io(state.path, reason)
+      {:error, reason} -> raise open_error(state.path, reason)
     end
   end
 
   @impl true
   def handle_message(:in, message, _context, state) do
-    {record, place} = record(state, message)
-    append(state, record)
+    {record, place} = encode_record(state, message)
+    append_bytes(state, record)
     {[], %{state | place: place}}
   end
 
-  defp record(state, message) do
-    Format.record(state.module, message.data, message.originating_time, state.place)
+  defp encode_record(state, message) do
+    Format.encode_record(state.module, message.data, message.originating_time, state.place)
   catch
-    {:not_writable, what} -> raise Format.not_writable(state.format, what)
+    {:not_writable, what} -> raise Format.not_writable_error(state.format, what)
   end
 
   @impl true
   def handle_closed(:in, _time, _context, state) do
-    append(state, state.module.finish(state.place))
-    {[], close(state)}
+    append_bytes(state, state.module.finish(state.place))
+    {[], close_file(state)}
   end
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def terminate(_reason, state), do: close_file(state)
 
-  defp append(state, bytes) do
+  defp append_bytes(state, bytes) do
     with {:error, reason} <- :file.write(state.file, bytes) do
       raise Error.new(:io, "cannot write to #{state.path}",
               why: to_string(:file.format_error(reason))
@@ -188,9 +194,9 @@ defmodule Situ.Bridge.File do
     end
   end
 
-  defp close(%{file: nil} = state), do: state
+  defp close_file(%{file: nil} = state), do: state
 
-  defp close(state) do
+  defp close_file(state) do
     result = :file.close(state.file)
 
     if result == {:error, :enospc},

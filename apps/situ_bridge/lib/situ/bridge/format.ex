@@ -72,22 +72,23 @@ defmodule Situ.Bridge.Format do
   }
 
   @doc "Returns the names of all formats."
-  @spec names() :: [name()]
-  def names, do: Map.keys(@modules)
+  @spec format_names() :: [name()]
+  def format_names, do: Map.keys(@modules)
 
   @doc "Returns the format's module; raises `ArgumentError` for an unknown name."
-  @spec module!(name()) :: module()
-  def module!(name) do
+  @spec fetch_module!(name()) :: module()
+  def fetch_module!(name) do
     Map.get(@modules, name) ||
-      raise ArgumentError, "unknown format #{inspect(name)}; the formats are #{inspect(names())}"
+      raise ArgumentError,
+            "unknown format #{inspect(name)}; the formats are #{inspect(format_names())}"
   end
 
   @doc "Encodes one message. Error: `:not_writable` if the format cannot represent the value."
   @spec encode(name(), value :: term(), Situ.Time.t()) :: {:ok, binary()} | {:error, Error.t()}
   def encode(name, value, time) do
-    {:ok, name |> module!() |> apply(:encode, [value, time]) |> IO.iodata_to_binary()}
+    {:ok, name |> fetch_module!() |> apply(:encode, [value, time]) |> IO.iodata_to_binary()}
   catch
-    {:not_writable, what} -> {:error, not_writable(name, what)}
+    {:not_writable, what} -> {:error, not_writable_error(name, what)}
   end
 
   @doc """
@@ -95,53 +96,57 @@ defmodule Situ.Bridge.Format do
   after them. Raises `Situ.Error` (`:not_writable`) if the format cannot represent a value or the heading has no
   column for it.
   """
-  @spec records(name(), Columns.t() | [Situ.Message.t()], place()) :: {iodata(), place()}
-  def records(name, part, place) do
-    module = module!(name)
+  @spec encode_records(name(), Columns.t() | [Situ.Message.t()], place()) :: {iodata(), place()}
+  def encode_records(name, part, place) do
+    module = fetch_module!(name)
 
     case part do
       %Columns{} ->
-        if function_exported?(module, :columns, 2) and numbers?(place),
-          do: {apply(module, :columns, [part, place]), behind(module, 0, place, part.count)},
-          else: part |> Columns.pairs() |> each(module, place)
+        if function_exported?(module, :columns, 2) and plain_numbers?(place),
+          do:
+            {apply(module, :columns, [part, place]), next_position(module, 0, place, part.count)},
+          else: part |> Columns.to_pairs() |> encode_pairs(module, place)
 
       messages ->
-        messages |> Enum.map(&{&1.originating_time, &1.data}) |> each(module, place)
+        messages |> Enum.map(&{&1.originating_time, &1.data}) |> encode_pairs(module, place)
     end
   catch
-    {:not_writable, what} -> raise not_writable(name, what)
+    {:not_writable, what} -> raise not_writable_error(name, what)
   end
 
-  defp numbers?({_, names}), do: names == ["_Value_"]
-  defp numbers?(_n), do: true
+  defp plain_numbers?({_, names}), do: names == ["_Value_"]
+  defp plain_numbers?(_n), do: true
 
-  defp each(pairs, module, place),
-    do: Enum.map_reduce(pairs, place, fn {time, value}, at -> record(module, value, time, at) end)
+  defp encode_pairs(pairs, module, place),
+    do:
+      Enum.map_reduce(pairs, place, fn {time, value}, at ->
+        encode_record(module, value, time, at)
+      end)
 
   @doc false
-  @spec record(module(), term(), Situ.Time.t(), place()) :: {iodata(), place()}
-  def record(module, value, time, place),
-    do: {module.record(value, time, place), behind(module, value, place, 1)}
+  @spec encode_record(module(), term(), Situ.Time.t(), place()) :: {iodata(), place()}
+  def encode_record(module, value, time, place),
+    do: {module.record(value, time, place), next_position(module, value, place, 1)}
 
-  defp behind(_module, _value, {n, names}, more), do: {n + more, names}
+  defp next_position(_module, _value, {n, names}, more), do: {n + more, names}
 
-  defp behind(module, value, 0, more) do
+  defp next_position(module, value, 0, more) do
     if function_exported?(module, :headed, 1),
-      do: behind(module, value, module.headed(value), more - 1),
+      do: next_position(module, value, module.headed(value), more - 1),
       else: more
   end
 
-  defp behind(_module, _value, n, more), do: n + more
+  defp next_position(_module, _value, n, more), do: n + more
 
   @doc "Returns the number of records before a position."
-  @spec count(place()) :: non_neg_integer()
-  def count({n, _names}), do: n
-  def count(n), do: n
+  @spec record_count(place()) :: non_neg_integer()
+  def record_count({n, _names}), do: n
+  def record_count(n), do: n
 
   @doc "Decodes one message into its time and value. Option: `objects: :maps | :pairs`. Error: `:bad_message`."
   @spec decode(name(), binary(), keyword()) :: {:ok, timed()} | {:error, Error.t()}
   def decode(name, bytes, opts \\ []) do
-    with {:error, why} <- module!(name).decode(bytes, opts) do
+    with {:error, why} <- fetch_module!(name).decode(bytes, opts) do
       {:error,
        Error.new(:bad_message, "#{byte_size(bytes)} bytes are not a #{name} message",
          why: why,
@@ -151,14 +156,14 @@ defmodule Situ.Bridge.Format do
   end
 
   @doc false
-  def not_writable(name, {:no_column, column, value}) do
+  def not_writable_error(name, {:no_column, column, value}) do
     Error.new(:not_writable, "#{inspect(value, limit: 5)} cannot be written as #{name}",
       why: "the heading, made from the first message, has no column #{inspect(column)}",
       fix: "write JSON lines or Parquet, or map the stream to messages that have all members"
     )
   end
 
-  def not_writable(name, what) do
+  def not_writable_error(name, what) do
     Error.new(:not_writable, "#{inspect(what, limit: 5)} cannot be written as #{name}",
       fix: "map the stream to numbers, strings, lists and maps before it is written"
     )

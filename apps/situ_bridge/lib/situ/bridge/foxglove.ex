@@ -101,7 +101,7 @@ defmodule Situ.Bridge.Foxglove do
 
   @impl true
   def handle_info(:begin, state),
-    do: {:noreply, %{state | acceptor: Listener.begin(state.listener, self())}}
+    do: {:noreply, %{state | acceptor: Listener.start_acceptor(state.listener, self())}}
 
   def handle_info({:EXIT, pid, reason}, %{acceptor: pid} = state), do: {:stop, reason, state}
 

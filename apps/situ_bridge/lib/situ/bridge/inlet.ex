@@ -35,25 +35,27 @@ defmodule Situ.Bridge.Inlet do
     do: %__MODULE__{format: opts[:format], times: opts[:times], opts: [objects: opts[:objects]]}
 
   @doc "Decodes payloads into messages `{:out, time, value}`; the inlet keeps the error of the last dropped payload."
-  @spec take(t(), [binary()], now :: Situ.Time.t()) :: {[tuple()], t()}
-  def take(inlet, payloads, now), do: take_read(inlet, Enum.map(payloads, &read(inlet, &1, now)))
+  @spec take_payloads(t(), [binary()], now :: Situ.Time.t()) :: {[tuple()], t()}
+  def take_payloads(inlet, payloads, now),
+    do: take_decoded(inlet, Enum.map(payloads, &decode_payload(inlet, &1, now)))
 
-  @doc "Same as `take/3` for decoded messages: `{:ok, {time, sender's?, value}}`, or `{:error, error}`."
-  @spec take_read(t(), [{:ok, {Situ.Time.t(), boolean(), term()}} | {:error, term()}]) ::
+  @doc "Same as `take_payloads/3` for decoded messages: `{:ok, {time, sender's?, value}}`, or `{:error, error}`."
+  @spec take_decoded(t(), [{:ok, {Situ.Time.t(), boolean(), term()}} | {:error, term()}]) ::
           {[tuple()], t()}
-  def take_read(inlet, read) do
-    {found, inlet} = Enum.reduce(read, {[], inlet}, &one/2)
+  def take_decoded(inlet, read) do
+    {found, inlet} = Enum.reduce(read, {[], inlet}, &take_message/2)
     {Enum.reverse(found), inlet}
   end
 
-  defp one({:ok, {time, own?, value}}, {found, inlet}), do: timed(time, own?, value, found, inlet)
+  defp take_message({:ok, {time, own?, value}}, {found, inlet}),
+    do: accept_message(time, own?, value, found, inlet)
 
-  defp one({:error, error}, {found, inlet}),
+  defp take_message({:error, error}, {found, inlet}),
     do: {found, %{inlet | unreadable: inlet.unreadable + 1, trouble: error}}
 
-  defp read(%{format: :raw}, payload, now), do: {:ok, {now, false, payload}}
+  defp decode_payload(%{format: :raw}, payload, now), do: {:ok, {now, false, payload}}
 
-  defp read(inlet, payload, now) do
+  defp decode_payload(inlet, payload, now) do
     with {:ok, {time, value}} <- Format.decode(inlet.format, payload, inlet.opts) do
       if inlet.times == :arrival, do: {:ok, {now, false, value}}, else: {:ok, {time, true, value}}
     end
@@ -61,20 +63,20 @@ defmodule Situ.Bridge.Inlet do
 
   # Several messages may arrive at one clock reading, so arrival times are shifted; the sender's times are not
   # changed.
-  defp timed(time, own?, value, found, inlet) do
+  defp accept_message(time, own?, value, found, inlet) do
     cond do
-      inlet.last == nil or time > inlet.last -> post(time, value, found, inlet)
+      inlet.last == nil or time > inlet.last -> emit_message(time, value, found, inlet)
       own? -> {found, %{inlet | late: inlet.late + 1}}
-      true -> post(inlet.last + 1, value, found, inlet)
+      true -> emit_message(inlet.last + 1, value, found, inlet)
     end
   end
 
-  defp post(time, value, found, inlet),
+  defp emit_message(time, value, found, inlet),
     do: {[{:out, time, value} | found], %{inlet | last: time, taken: inlet.taken + 1}}
 
   @doc "Describes the inlet in one line."
-  @spec describe(t()) :: String.t()
-  def describe(inlet),
+  @spec describe_counts(t()) :: String.t()
+  def describe_counts(inlet),
     do:
       "#{inlet.taken} messages, #{inlet.unreadable} unreadable, #{inlet.late} not later than the previous message"
 end

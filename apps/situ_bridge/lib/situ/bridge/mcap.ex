@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Mcap do
                   "sent (`:publish`), or the stamp of its ROS header (`:header`; the log time for messages without " <>
                   "one). `:publish` and `:header` scan all messages of a stream on its first use."
             ]
-          ] ++ Codec.options()
+          ] ++ Codec.reader_options()
 
   @moduledoc """
   Opens MCAP files (https://mcap.dev) as recordings: `Situ.Store.open("drive.mcap")`; they also work in the studio, in
@@ -34,7 +34,7 @@ defmodule Situ.Bridge.Mcap do
 
   Files with an index open immediately, whatever their size. Other files, including truncated files and files whose
   writer was killed, are scanned, and all readable messages are available. Chunks may be compressed with LZ4 or
-  Zstandard. For attachments and metadata, see `attachments/1`, `attachment/2` and `Situ.Store.info/1`.
+  Zstandard. For attachments and metadata, see `list_attachments/1`, `read_attachment/2` and `Situ.Store.info/1`.
 
   ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
 
@@ -52,16 +52,16 @@ defmodule Situ.Bridge.Mcap do
   @impl true
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, ref} <- Failure.wrap(Native.mcap_open(path), path) do
+         {:ok, ref} <- Failure.wrap_result(Native.mcap_open(path), path) do
       # If the index is damaged, the file is opened again and scanned without it.
-      with {:error, %{code: :damaged} = error} <- open(path, ref, opts),
+      with {:error, %{code: :damaged} = error} <- open_reader(path, ref, opts),
            {:ok, ref} <-
-             Failure.wrap(Native.mcap_open_without_index(path, "(#{error.why})"), path),
-           do: open(path, ref, opts)
+             Failure.wrap_result(Native.mcap_open_without_index(path, "(#{error.why})"), path),
+           do: open_reader(path, ref, opts)
     end
   end
 
-  defp open(path, ref, opts) do
+  defp open_reader(path, ref, opts) do
     {profile, library, channels, schemas, attachments, metadata, {damage, finished?}} =
       Native.mcap_info(ref)
 
@@ -75,7 +75,7 @@ defmodule Situ.Bridge.Mcap do
       name: Path.basename(path, Path.extname(path))
     }
 
-    with {:ok, known} <- channels(state, channels, schemas) do
+    with {:ok, known} <- build_channels(state, channels, schemas) do
       info = %{
         profile: profile,
         library: library,
@@ -85,25 +85,25 @@ defmodule Situ.Bridge.Mcap do
         finished?: finished?
       }
 
-      {:ok, named(%{state | info: info}, known)}
+      {:ok, name_channels(%{state | info: info}, known)}
     end
   end
 
   # A stream is a topic. If several channels share a topic (after a restart of the recorder), their names are
   # numbered.
-  defp channels(state, channels, schemas) do
+  defp build_channels(state, channels, schemas) do
     Enum.reduce_while(channels, {:ok, []}, fn {id, topic, encoding, schema, metadata, _count},
                                               {:ok, known} ->
       {codec, type, note} = Codec.new(encoding, schemas[schema], topic)
-      times = order(state.times, codec)
+      times = time_order(state.times, codec)
 
-      case Failure.wrap(Native.mcap_span(state.ref, id, times), state.path) do
+      case Failure.wrap_result(Native.mcap_span(state.ref, id, times), state.path) do
         {:ok, span} ->
           channel = %{
             id: id,
             native: id,
             topic: topic,
-            codec: Codec.shaped(codec, state.messages),
+            codec: Codec.set_message_mode(codec, state.messages),
             times: times,
             type: type,
             note: note,
@@ -112,7 +112,7 @@ defmodule Situ.Bridge.Mcap do
             schema: schemas[schema]
           }
 
-          {:cont, {:ok, extra(channel, state.messages) ++ known}}
+          {:cont, {:ok, add_extra_channel(channel, state.messages) ++ known}}
 
         {:error, error} ->
           {:halt, {:error, error}}
@@ -120,41 +120,41 @@ defmodule Situ.Bridge.Mcap do
     end)
   end
 
-  defp extra(channel, :apart) do
+  defp add_extra_channel(channel, :apart) do
     if Codec.lossy?(channel.codec, channel.type) do
-      id = Extra.number(channel.id)
-      more = %{channel | id: id, codec: Codec.extra(channel.codec), type: :map, note: nil}
-      [%{more | topic: Extra.name(channel.topic), metadata: [], schema: nil}, channel]
+      id = Extra.stream_number(channel.id)
+      more = %{channel | id: id, codec: Codec.extra_codec(channel.codec), type: :map, note: nil}
+      [%{more | topic: Extra.stream_name(channel.topic), metadata: [], schema: nil}, channel]
     else
       [channel]
     end
   end
 
-  defp extra(channel, _messages), do: [channel]
+  defp add_extra_channel(channel, _messages), do: [channel]
 
-  defp order(:header, codec), do: Codec.stamps(codec) || :log
-  defp order(times, _codec), do: times
+  defp time_order(:header, codec), do: Codec.stamp_encoding(codec) || :log
+  defp time_order(times, _codec), do: times
 
-  defp named(state, known) do
+  defp name_channels(state, known) do
     {channels, _taken} =
       known
       |> Enum.reverse()
       |> Enum.map_reduce(MapSet.new(), fn channel, taken ->
-        name = free(channel.topic, taken, 2)
+        name = unused_name(channel.topic, taken, 2)
         {Map.put(channel, :name, name), MapSet.put(taken, name)}
       end)
 
     notes = for %{note: note} = channel <- channels, note != nil, do: "#{channel.name}: #{note}"
-    streams = Enum.map(channels, &stream(state, &1))
+    streams = Enum.map(channels, &stream_info(state, &1))
     %{state | channels: Map.new(channels, &{&1.id, &1}), streams: streams, notes: notes}
   end
 
-  defp free(topic, taken, n) do
+  defp unused_name(topic, taken, n) do
     name = if n == 2, do: topic, else: "#{topic} #{n - 1}"
-    if MapSet.member?(taken, name), do: free(topic, taken, n + 1), else: name
+    if MapSet.member?(taken, name), do: unused_name(topic, taken, n + 1), else: name
   end
 
-  defp stream(state, channel) do
+  defp stream_info(state, channel) do
     {first, last, count} = channel.span || {nil, nil, 0}
     schema = if state.messages == :apart, do: channel.schema
 
@@ -172,7 +172,7 @@ defmodule Situ.Bridge.Mcap do
       last: last,
       first_creation: first,
       last_creation: last,
-      supplemental: Extra.metadata(channel.metadata, schema)
+      supplemental: Extra.build_metadata(channel.metadata, schema)
     }
   end
 
@@ -198,7 +198,11 @@ defmodule Situ.Bridge.Mcap do
   @impl true
   def seek(state, info, time) do
     channel = Map.fetch!(state.channels, info.id)
-    Failure.wrap(Native.mcap_seek(state.ref, channel.native, channel.times, time), state.path)
+
+    Failure.wrap_result(
+      Native.mcap_seek(state.ref, channel.native, channel.times, time),
+      state.path
+    )
   end
 
   @impl true
@@ -209,18 +213,19 @@ defmodule Situ.Bridge.Mcap do
     track = {channel.native, channel.times}
     what = {track, ordinal, to, {limit, @most_bytes}, {envelopes?, skip?}}
 
-    with {:ok, {found, next}} <- Failure.wrap(Native.mcap_read(state.ref, what), state.path),
-         do: {:ok, Enum.map(found, &message(&1, channel, envelopes?)), next}
+    with {:ok, {found, next}} <-
+           Failure.wrap_result(Native.mcap_read(state.ref, what), state.path),
+         do: {:ok, Enum.map(found, &decode_message(&1, channel, envelopes?)), next}
   end
 
-  defp message({time, log_time, publish, sequence, bytes}, channel, envelopes?) do
+  defp decode_message({time, log_time, publish, sequence, bytes}, channel, envelopes?) do
     %Message{
       data:
         if(envelopes?,
           do: nil,
           else:
             bytes
-            |> data(channel.codec)
+            |> decode_data(channel.codec)
             |> Codec.put_times(channel.codec, time, {log_time, publish})
         ),
       originating_time: time,
@@ -230,7 +235,7 @@ defmodule Situ.Bridge.Mcap do
     }
   end
 
-  defp data(bytes, codec) do
+  defp decode_data(bytes, codec) do
     case Codec.decode(codec, bytes) do
       {:ok, value} -> value
       {:error, why} -> %Undecoded{codec: "mcap", bytes: bytes, reason: why}
@@ -243,12 +248,16 @@ defmodule Situ.Bridge.Mcap do
   @doc false
   # For `Situ.Bridge.Recorder.Export`: messages are decoded to maps with all fields.
   def as_maps(%__MODULE__{channels: channels} = state) do
-    maps = Map.new(channels, fn {id, c} -> {id, %{c | codec: Codec.shaped(c.codec, :maps)}} end)
+    maps =
+      Map.new(channels, fn {id, c} ->
+        {id, %{c | codec: Codec.set_message_mode(c.codec, :maps)}}
+      end)
+
     %{state | channels: maps}
   end
 
   @doc "Returns the attachments of an opened file: the name, media type, time (ns) and size of each."
-  @spec attachments(Situ.Store.t()) :: [
+  @spec list_attachments(Situ.Store.t()) :: [
           %{
             name: String.t(),
             media_type: String.t(),
@@ -256,7 +265,7 @@ defmodule Situ.Bridge.Mcap do
             size: non_neg_integer()
           }
         ]
-  def attachments(%Situ.Store.Handle{state: %__MODULE__{info: info}}) do
+  def list_attachments(%Situ.Store.Handle{state: %__MODULE__{info: info}}) do
     for {name, media_type, time, _offset, size} <- info.attachments,
         do: %{name: name, media_type: media_type, time: time, size: size}
   end
@@ -266,7 +275,7 @@ defmodule Situ.Bridge.Mcap do
   (`""`: none), the number of compressed (`packed`) and uncompressed (`unpacked`) bytes of its data, and the times of
   its first and last message.
   """
-  @spec chunks(Situ.Store.t()) :: [
+  @spec list_chunks(Situ.Store.t()) :: [
           %{
             offset: non_neg_integer(),
             size: non_neg_integer(),
@@ -277,7 +286,7 @@ defmodule Situ.Bridge.Mcap do
             last: Situ.Time.t()
           }
         ]
-  def chunks(%Situ.Store.Handle{state: %__MODULE__{ref: ref}}) do
+  def list_chunks(%Situ.Store.Handle{state: %__MODULE__{ref: ref}}) do
     for {offset, size, compression, packed, unpacked, first, last} <- Native.mcap_chunks(ref) do
       %{
         offset: offset,
@@ -295,7 +304,7 @@ defmodule Situ.Bridge.Mcap do
   Returns the channels of an opened file: the id, the topic, the encoding of the messages, the name of their schema,
   the number of messages, and the writer's metadata.
   """
-  @spec channels(Situ.Store.t()) :: [
+  @spec list_channels(Situ.Store.t()) :: [
           %{
             id: non_neg_integer(),
             topic: String.t(),
@@ -305,7 +314,7 @@ defmodule Situ.Bridge.Mcap do
             metadata: %{String.t() => String.t()}
           }
         ]
-  def channels(%Situ.Store.Handle{state: %__MODULE__{} = state}) do
+  def list_channels(%Situ.Store.Handle{state: %__MODULE__{} = state}) do
     {_, _, channels, schemas, _, _, _} = Native.mcap_info(state.ref)
     names = Map.new(schemas, fn {id, name, _, _} -> {id, name} end)
 
@@ -322,10 +331,10 @@ defmodule Situ.Bridge.Mcap do
   end
 
   @doc "Returns the schemas of an opened file: the id, the name, the schema language (`encoding`), and the definition."
-  @spec schemas(Situ.Store.t()) :: [
+  @spec list_schemas(Situ.Store.t()) :: [
           %{id: non_neg_integer(), name: String.t(), encoding: String.t(), definition: binary()}
         ]
-  def schemas(%Situ.Store.Handle{state: %__MODULE__{ref: ref}}) do
+  def list_schemas(%Situ.Store.Handle{state: %__MODULE__{ref: ref}}) do
     {_, _, _, schemas, _, _, _} = Native.mcap_info(ref)
 
     for {id, name, encoding, data} <- schemas,
@@ -336,22 +345,22 @@ defmodule Situ.Bridge.Mcap do
   Sums the uncompressed bytes of each topic's messages: `{:ok, %{topic => bytes}}`. Reads the whole file. Messages
   outside chunks are not counted.
   """
-  @spec sizes(Situ.Store.t()) ::
+  @spec topic_sizes(Situ.Store.t()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
-  def sizes(%Situ.Store.Handle{state: %__MODULE__{} = state} = store) do
-    topics = Map.new(channels(store), &{&1.id, &1.topic})
-    Sizes.sum(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
+  def topic_sizes(%Situ.Store.Handle{state: %__MODULE__{} = state} = store) do
+    topics = Map.new(list_channels(store), &{&1.id, &1.topic})
+    Sizes.sum_sizes(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
   end
 
   @doc "Returns the bytes of the first attachment with this name. Error: `:no_attachment`."
-  @spec attachment(Situ.Store.t(), String.t()) :: {:ok, binary()} | {:error, Error.t()}
-  def attachment(%Situ.Store.Handle{state: %__MODULE__{} = state}, name) do
+  @spec read_attachment(Situ.Store.t(), String.t()) :: {:ok, binary()} | {:error, Error.t()}
+  def read_attachment(%Situ.Store.Handle{state: %__MODULE__{} = state}, name) do
     case Enum.find(state.info.attachments, &(elem(&1, 0) == name)) do
       nil ->
         {:error, Error.new(:no_attachment, "#{state.path} has no attachment #{inspect(name)}")}
 
       {_, _, _, offset, _} ->
-        Failure.wrap(Native.mcap_attachment(state.ref, offset), state.path)
+        Failure.wrap_result(Native.mcap_attachment(state.ref, offset), state.path)
     end
   end
 
@@ -360,7 +369,7 @@ defmodule Situ.Bridge.Mcap do
   @doc """
   Creates an MCAP file that the pipeline writes; call it during `build`.
 
-  #{Situ.Options.docs(Situ.Bridge.Mcap.Options.file())}
+  #{Situ.Options.docs(Situ.Bridge.Mcap.Options.file_options())}
   """
   @spec create(Situ.Pipeline.t(), Path.t(), keyword()) :: Exporter.t()
   def create(p, path, opts \\ []), do: Exporter.create(p, Writer, path, opts)
@@ -368,7 +377,7 @@ defmodule Situ.Bridge.Mcap do
   @doc """
   Writes a stream to a topic; returns the stream.
 
-  #{Situ.Options.docs(Situ.Bridge.Mcap.Options.topic())}
+  #{Situ.Options.docs(Situ.Bridge.Mcap.Options.topic_options())}
   """
   @spec write(Situ.Stream.t(), Exporter.t(), String.t(), keyword()) :: Situ.Stream.t()
   defdelegate write(stream, exporter, topic, opts \\ []), to: Exporter
@@ -387,11 +396,11 @@ defmodule Situ.Bridge.Mcap do
 
   def export(%Situ.Store.Handle{module: __MODULE__} = store, path, opts) do
     if Enum.any?([:encoding, :type, :definition, :frame], &Keyword.has_key?(opts, &1)),
-      do: Export.export(Writer, store, path, opts),
+      do: Export.export_store(Writer, store, path, opts),
       else: with({:ok, %{messages: count}} <- copy(store, path, opts), do: {:ok, count})
   end
 
-  def export(store, path, opts), do: Export.export(Writer, store, path, opts)
+  def export(store, path, opts), do: Export.export_store(Writer, store, path, opts)
 
   @doc """
   Copies an opened MCAP file into a new file, byte for byte: messages with both their times and sequence numbers,
@@ -399,10 +408,10 @@ defmodule Situ.Bridge.Mcap do
   interpret. `metadata:` replaces records with the same names. `left_out` lists in sentences the data that could not
   be read (with `skip_damage: true`) or that the new file cannot hold.
 
-  #{Situ.Options.docs(Copy.options())}
+  #{Situ.Options.docs(Copy.copy_options())}
   """
   @spec copy(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, %{messages: non_neg_integer(), left_out: [String.t()]}} | {:error, Error.t()}
   def copy(%Situ.Store.Handle{module: __MODULE__, state: state}, path, opts \\ []),
-    do: Copy.copy(state, path, opts)
+    do: Copy.copy_file(state, path, opts)
 end

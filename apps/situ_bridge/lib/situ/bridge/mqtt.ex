@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Mqtt do
         "The password, or a function that returns it. It is hidden in the graph and in the states of processes."
     ]
   ]
-  @schema @own ++ Net.Dial.options()
+  @schema @own ++ Net.Dial.tls_options()
   @moduledoc """
   Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
   streams on topics.
@@ -68,7 +68,7 @@ defmodule Situ.Bridge.Mqtt do
 
   #{Situ.Options.docs(@schema)}
 
-  #{Net.Source.docs()}
+  #{Net.Source.option_docs()}
   """
   @spec subscribe(Situ.Pipeline.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
   def subscribe(p, host, topic, opts \\ []) do

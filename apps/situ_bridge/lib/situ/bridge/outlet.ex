@@ -58,13 +58,15 @@ defmodule Situ.Bridge.Outlet do
   defmacro __using__(_opts) do
     quote do
       @impl true
-      def handle_info(message, _context, outlet), do: Situ.Bridge.Outlet.told(outlet, message)
+      def handle_info(message, _context, outlet),
+        do: Situ.Bridge.Outlet.handle_stage_message(outlet, message)
+
       @impl true
       def handle_closed(:in, _time, _context, outlet), do: {[], Situ.Bridge.Outlet.close(outlet)}
       @impl true
-      def terminate(_reason, outlet), do: Situ.Bridge.Outlet.abandon(outlet)
+      def terminate(_reason, outlet), do: Situ.Bridge.Outlet.close_now(outlet)
       @impl true
-      def describe(outlet), do: Situ.Bridge.Outlet.describe(outlet)
+      def describe(outlet), do: Situ.Bridge.Outlet.describe_peers(outlet)
     end
   end
 
@@ -75,78 +77,85 @@ defmodule Situ.Bridge.Outlet do
   def new(opts), do: %__MODULE__{opts: opts, waiting: opts[:wait_for] > 0}
 
   @doc "Attaches an open server, given with its module (an implementation of this behaviour) and its port, if any."
-  @spec open(t(), module(), server(), :inet.port_number() | nil) :: t()
-  def open(outlet, door, server, port) do
+  @spec attach_door(t(), module(), server(), :inet.port_number() | nil) :: t()
+  def attach_door(outlet, door, server, port) do
     if outlet.opts[:listening] && port, do: send(outlet.opts[:listening], {:listening, port})
     %{outlet | door: door, server: server}
   end
 
   @doc "Encodes one message in the format of the options. Raises `Situ.Error` (`:not_writable`)."
-  @spec payload(Situ.Message.t(), keyword()) :: iodata()
-  def payload(%{data: data} = message, opts) do
+  @spec encode_payload(Situ.Message.t(), keyword()) :: iodata()
+  def encode_payload(%{data: data} = message, opts) do
     case opts[:format] do
       :raw when is_binary(data) -> data
-      :raw -> raise Format.not_writable(:raw, data)
+      :raw -> raise Format.not_writable_error(:raw, data)
       format -> Error.unwrap!(Format.encode(format, data, message.originating_time))
     end
   end
 
   @doc "Sends the payload, or keeps it and holds the input `in` until there is room."
-  @spec take(t(), what :: term()) :: {[tuple()], t()}
-  def take(outlet, payload), do: pour(%{outlet | held: outlet.held ++ [payload]})
+  @spec send_payload(t(), what :: term()) :: {[tuple()], t()}
+  def send_payload(outlet, payload), do: send_held(%{outlet | held: outlet.held ++ [payload]})
 
   @doc "Handles a message from the stage: a hold has ended, or the pipeline is ending."
-  @spec told(t(), term()) :: {[tuple()], t()}
-  def told(outlet, {:hold_ended, :in}), do: pour(outlet)
-  def told(%{until: nil} = outlet, {:linger, :end}), do: outlet |> moved() |> pour()
-  def told(outlet, _other), do: {[], outlet}
+  @spec handle_stage_message(t(), term()) :: {[tuple()], t()}
+  def handle_stage_message(outlet, {:hold_ended, :in}), do: send_held(outlet)
 
-  defp moved(outlet), do: %{outlet | until: now() + outlet.opts[:linger]}
+  def handle_stage_message(%{until: nil} = outlet, {:linger, :end}),
+    do: outlet |> extend_deadline() |> send_held()
 
-  defp pour(%{waiting: true} = outlet) do
+  def handle_stage_message(outlet, _other), do: {[], outlet}
+
+  defp extend_deadline(outlet), do: %{outlet | until: monotonic_ms() + outlet.opts[:linger]}
+
+  defp send_held(%{waiting: true} = outlet) do
     if outlet.door.ready(outlet.server) >= outlet.opts[:wait_for],
-      do: pour(%{outlet | waiting: false}),
-      else: wait(outlet)
+      do: send_held(%{outlet | waiting: false}),
+      else: hold_or_give_up(outlet)
   end
 
-  defp pour(%{held: [], holding: true} = outlet),
+  defp send_held(%{held: [], holding: true} = outlet),
     do: {[{:resume, :in}, {:linger, false}], %{outlet | holding: false}}
 
-  defp pour(%{held: []} = outlet), do: {[], outlet}
+  defp send_held(%{held: []} = outlet), do: {[], outlet}
 
-  defp pour(%{held: [payload | rest]} = outlet) do
+  defp send_held(%{held: [payload | rest]} = outlet) do
     case outlet.door.put(outlet.server, payload) do
-      :ok -> pour(%{if(outlet.until, do: moved(outlet), else: outlet) | held: rest})
-      :full -> wait(outlet)
+      :ok ->
+        send_held(%{if(outlet.until, do: extend_deadline(outlet), else: outlet) | held: rest})
+
+      :full ->
+        hold_or_give_up(outlet)
     end
   end
 
   # At the end of the pipeline, waiting has a deadline.
-  defp wait(%{until: until} = outlet) do
-    if until != nil and now() >= until,
-      do: pour(%{outlet | waiting: false, held: [], lost: outlet.lost + length(outlet.held)}),
+  defp hold_or_give_up(%{until: until} = outlet) do
+    if until != nil and monotonic_ms() >= until,
+      do:
+        send_held(%{outlet | waiting: false, held: [], lost: outlet.lost + length(outlet.held)}),
       else: {[{:hold, :in}, {:linger, true}], %{outlet | holding: true}}
   end
 
   @doc "Closes the outlet at the end of the stream. Raises `Situ.Error` (`:not_delivered`) if messages were lost."
   @spec close(t()) :: t()
   def close(outlet) do
-    outlet = outlet |> moved() |> drain()
+    outlet = outlet |> extend_deadline() |> drain_held()
     lost = outlet.lost + outlet.door.close(outlet.server, outlet.opts[:linger])
     if lost > 0, do: raise(not_delivered(lost, outlet.opts[:linger]))
     %{outlet | server: nil}
   end
 
   # At the end, the component only has to wait for the held messages, so it may block.
-  defp drain(outlet) do
-    {_, outlet} = pour(outlet)
+  defp drain_held(outlet) do
+    {_, outlet} = send_held(outlet)
 
     if outlet.held == [] do
       outlet
     else
       receive do
       after
-        5 -> drain(outlet)
+        5 -> drain_held(outlet)
       end
     end
   end
@@ -160,21 +169,21 @@ defmodule Situ.Bridge.Outlet do
     )
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 
   @doc "Closes the outlet without waiting."
-  @spec abandon(t()) :: :ok
-  def abandon(%{server: nil}), do: :ok
+  @spec close_now(t()) :: :ok
+  def close_now(%{server: nil}), do: :ok
 
-  def abandon(outlet) do
+  def close_now(outlet) do
     _lost = outlet.door.close(outlet.server, 0)
     :ok
   end
 
   @doc "Describes the outlet in one line."
-  @spec describe(t()) :: String.t()
-  def describe(%{server: nil}), do: "closed"
+  @spec describe_peers(t()) :: String.t()
+  def describe_peers(%{server: nil}), do: "closed"
 
-  def describe(%{door: door, server: server}),
+  def describe_peers(%{door: door, server: server}),
     do: "#{door.ready(server)} peers, #{door.dropped(server)} messages dropped"
 end

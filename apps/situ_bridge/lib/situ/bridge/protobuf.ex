@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Protobuf do
 
       iex> alias Situ.Bridge.Protobuf
       iex> text = ~s(syntax = "proto3"; message Reading { string name = 1; repeated float levels = 2; })
-      iex> {:ok, schema} = Protobuf.schema(text)
+      iex> {:ok, schema} = Protobuf.parse_schema(text)
       iex> {:ok, bytes} = Protobuf.encode(schema, "Reading", %{"name" => "a", "levels" => [0.5, 1.5]})
       iex> Protobuf.decode(schema, "Reading", bytes)
       {:ok, %{"name" => "a", "levels" => [0.5, 1.5]}}
@@ -27,9 +27,9 @@ defmodule Situ.Bridge.Protobuf do
   @type schema :: Schema.t()
 
   @doc "Parses a definition, either text or a FileDescriptorSet. Error: `:bad_definition`."
-  @spec schema(binary()) :: {:ok, schema()} | {:error, Error.t()}
-  def schema(definition) do
-    with {:error, why} <- parsed(definition) do
+  @spec parse_schema(binary()) :: {:ok, schema()} | {:error, Error.t()}
+  def parse_schema(definition) do
+    with {:error, why} <- read_definition(definition) do
       {:error,
        Error.new(:bad_definition, "the Protobuf definition cannot be used",
          why: why,
@@ -40,24 +40,27 @@ defmodule Situ.Bridge.Protobuf do
   end
 
   # A FileDescriptorSet begins with field 1, whose byte is a line feed; a text may also begin with a line feed.
-  defp parsed(<<10, _::binary>> = bytes) do
-    case Descriptor.read(bytes) do
-      {:ok, %Schema{messages: messages} = schema} when messages != %{} -> {:ok, schema}
-      {_, trouble} -> with {:error, _} <- text(bytes), do: {:error, trouble(trouble)}
+  defp read_definition(<<10, _::binary>> = bytes) do
+    case Descriptor.parse_set(bytes) do
+      {:ok, %Schema{messages: messages} = schema} when messages != %{} ->
+        {:ok, schema}
+
+      {_, trouble} ->
+        with {:error, _} <- parse_text(bytes), do: {:error, explain_trouble(trouble)}
     end
   end
 
-  defp parsed(text), do: text(text)
+  defp read_definition(text), do: parse_text(text)
 
-  defp text(text), do: Text.parse(text, [Messages.types(), Descriptor.google()])
+  defp parse_text(text), do: Text.parse(text, [Messages.load_types(), Descriptor.google_types()])
 
-  defp trouble(why) when is_binary(why), do: why
-  defp trouble(_empty), do: "it has no messages"
+  defp explain_trouble(why) when is_binary(why), do: why
+  defp explain_trouble(_empty), do: "it has no messages"
 
   @doc "Decodes a message of the type `name` (`\"package.Message\"`). Errors: `:no_such_type`, `:bad_message`."
   @spec decode(schema(), String.t(), binary()) :: {:ok, map()} | {:error, Error.t()}
   def decode(schema, name, bytes) do
-    with :ok <- known(schema, name),
+    with :ok <- check_type(schema, name),
          {:error, why} <- Reader.decode(schema, name, bytes) do
       {:error,
        Error.new(:bad_message, "#{byte_size(bytes)} bytes are not a message of the type #{name}",
@@ -69,16 +72,16 @@ defmodule Situ.Bridge.Protobuf do
   @doc "Encodes a message. Errors: `:no_such_type`, `:not_writable`."
   @spec encode(schema(), String.t(), map()) :: {:ok, binary()} | {:error, Error.t()}
   def encode(schema, name, message) do
-    with :ok <- known(schema, name),
+    with :ok <- check_type(schema, name),
          {:error, why} <- Writer.encode(schema, name, message) do
       {:error,
        Error.new(:not_writable, "the message of the type #{name} cannot be encoded", why: why)}
     end
   end
 
-  defp known(%Schema{messages: messages}, name) when is_map_key(messages, name), do: :ok
+  defp check_type(%Schema{messages: messages}, name) when is_map_key(messages, name), do: :ok
 
-  defp known(%Schema{messages: messages}, name) do
+  defp check_type(%Schema{messages: messages}, name) do
     {:error,
      Error.new(:no_such_type, "the definition has no message #{inspect(name)}",
        fix:

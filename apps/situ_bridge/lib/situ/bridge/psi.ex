@@ -49,9 +49,9 @@ defmodule Situ.Bridge.Psi do
 
   @impl true
   def resolve(path) do
-    case Files.find(path) do
+    case Files.find_store(path) do
       {:ok, folder, name} ->
-        if Files.names(folder) == [name], do: folder, else: Path.join(folder, name)
+        if Files.store_names(folder) == [name], do: folder, else: Path.join(folder, name)
 
       :error ->
         nil
@@ -60,7 +60,7 @@ defmodule Situ.Bridge.Psi do
 
   @impl true
   def within(folder) do
-    case Files.names(folder) do
+    case Files.store_names(folder) do
       [_only] -> [folder]
       names -> Enum.map(names, &Path.join(folder, &1))
     end
@@ -68,10 +68,10 @@ defmodule Situ.Bridge.Psi do
 
   @impl true
   def open(path, _opts) do
-    with {:ok, folder, name} <- find(path),
+    with {:ok, folder, name} <- find_store(path),
          {catalog, damage} = Catalog.read(folder, name),
-         :ok <- check(catalog, folder, name) do
-      {tracks, lost} = Scan.run(folder, name, catalog.streams)
+         :ok <- check_catalog(catalog, folder, name) do
+      {tracks, lost} = Scan.scan_store(folder, name, catalog.streams)
       types = Types.new(Map.values(catalog.schemas), Catalog.runtime_types(catalog))
 
       state = %__MODULE__{
@@ -82,15 +82,15 @@ defmodule Situ.Bridge.Psi do
         tracks: tracks
       }
 
-      streams = for entry <- Map.values(catalog.streams), do: stream(state, entry)
-      missing = Enum.flat_map(Map.values(catalog.streams), &missing(state, &1))
+      streams = for entry <- Map.values(catalog.streams), do: stream_info(state, entry)
+      missing = Enum.flat_map(Map.values(catalog.streams), &report_missing(state, &1))
       damage = Enum.reverse(damage) ++ Enum.reverse(lost) ++ missing
       {:ok, %{state | streams: Enum.sort_by(streams, & &1.id), damage: damage}}
     end
   end
 
-  defp find(path) do
-    with :error <- Files.find(path) do
+  defp find_store(path) do
+    with :error <- Files.find_store(path) do
       {:error,
        Error.new(:no_store, "no \\psi store at #{path}",
          why: "a file NAME.Catalog_000000.psi was not found",
@@ -100,17 +100,19 @@ defmodule Situ.Bridge.Psi do
   end
 
   # Every catalog begins with the version of the runtime that wrote it.
-  defp check(%{runtime: nil, streams: streams}, folder, name) when streams == %{} do
+  defp check_catalog(%{runtime: nil, streams: streams}, folder, name) when streams == %{} do
     {:error,
-     Error.new(:not_psi, "#{Files.path(folder, name, :catalog, 0)} is not a catalog of \\psi",
+     Error.new(
+       :not_psi,
+       "#{Files.extent_path(folder, name, :catalog, 0)} is not a catalog of \\psi",
        why: "it contains no readable stream, type or version",
        fix: "check that the file is complete"
      )}
   end
 
-  defp check(_catalog, _folder, _name), do: :ok
+  defp check_catalog(_catalog, _folder, _name), do: :ok
 
-  defp stream(state, entry) do
+  defp stream_info(state, entry) do
     track = Map.get(state.tracks, entry.id, %Track{})
 
     %StreamInfo{
@@ -118,8 +120,8 @@ defmodule Situ.Bridge.Psi do
       name: entry.name,
       store_name: state.name,
       store_path: state.folder,
-      type: Types.situ(state.types, entry.type_name),
-      type_name: TypeName.short(entry.type_name),
+      type: Types.situ_type(state.types, entry.type_name),
+      type_name: TypeName.short_name(entry.type_name),
       opened: entry.opened,
       closed: if(Entry.closed?(entry), do: entry.closed),
       count: track.count,
@@ -131,23 +133,26 @@ defmodule Situ.Bridge.Psi do
       first_creation: track.first_creation,
       last_creation: track.last_creation,
       large?: Entry.indexed?(entry),
-      supplemental: supplemental(state.types, entry)
+      supplemental: decode_supplemental(state.types, entry)
     }
   end
 
-  defp supplemental(_types, %{supplemental_type: nil}), do: nil
+  defp decode_supplemental(_types, %{supplemental_type: nil}), do: nil
 
-  defp supplemental(types, entry) do
+  defp decode_supplemental(types, entry) do
     handler = Types.handler(types, entry.supplemental_type)
 
     case Decoder.decode(entry.supplemental, handler, types, rest: :any) do
-      {:ok, value} -> {TypeName.short(entry.supplemental_type), :erlang.term_to_binary(value)}
-      {:error, _} -> nil
+      {:ok, value} ->
+        {TypeName.short_name(entry.supplemental_type), :erlang.term_to_binary(value)}
+
+      {:error, _} ->
+        nil
     end
   end
 
   # The catalog entry of a closed stream contains its number of messages.
-  defp missing(state, entry) do
+  defp report_missing(state, entry) do
     there = Map.get(state.tracks, entry.id, %Track{}).count
 
     if Entry.closed?(entry) and entry.count > there,
@@ -165,14 +170,14 @@ defmodule Situ.Bridge.Psi do
       closed?: Enum.all?(state.streams, & &1.closed),
       live?: false,
       damage: state.damage,
-      notes: Enum.flat_map(state.streams, &note(&1, state)),
+      notes: Enum.flat_map(state.streams, &describe_type(&1, state)),
       written_by: state.catalog.runtime
     }
   end
 
-  defp note(%{type: :map, type_name: "System." <> _}, _state), do: []
+  defp describe_type(%{type: :map, type_name: "System." <> _}, _state), do: []
 
-  defp note(%{type: type} = info, state)
+  defp describe_type(%{type: type} = info, state)
        when type in [:map, :any, {:list, :map}, {:list, :any}] do
     how =
       case Types.handler(state.types, state.catalog.streams[info.id].type_name) do
@@ -186,34 +191,34 @@ defmodule Situ.Bridge.Psi do
     ["#{info.name} has the type #{info.type_name}: #{how}"]
   end
 
-  defp note(_info, _state), do: []
+  defp describe_type(_info, _state), do: []
 
   @impl true
   def streams(state), do: state.streams
 
   @impl true
-  def seek(state, info, time), do: {:ok, Track.seek(track(state, info), time)}
+  def seek(state, info, time), do: {:ok, Track.seek(find_track(state, info), time)}
 
-  defp track(state, %{id: id}), do: Map.get(state.tracks, id, %Track{})
+  defp find_track(state, %{id: id}), do: Map.get(state.tracks, id, %Track{})
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
-    track = track(state, info)
-    last = min(before(track, to), ordinal + limit - 1)
+    track = find_track(state, info)
+    last = min(last_ordinal(track, to), ordinal + limit - 1)
 
-    case places(track, ordinal, last) do
+    case batch_positions(track, ordinal, last) do
       [] -> {:ok, [], ordinal}
-      places -> messages(state, info, places, ordinal, opts)
+      places -> read_messages(state, info, places, ordinal, opts)
     end
   end
 
-  defp before(track, :unbounded), do: track.count - 1
-  defp before(track, to), do: Track.seek(track, to + 1) - 1
+  defp last_ordinal(track, :unbounded), do: track.count - 1
+  defp last_ordinal(track, to), do: Track.seek(track, to + 1) - 1
 
-  defp places(track, ordinal, last) do
+  defp batch_positions(track, ordinal, last) do
     ordinal..last//1
     |> Enum.reduce_while({[], 0}, fn at, {places, bytes} ->
-      place = Track.place(track, at)
+      place = Track.position_at(track, at)
       bytes = bytes + place.length
 
       if places != [] and bytes > @most_bytes,
@@ -224,34 +229,34 @@ defmodule Situ.Bridge.Psi do
     |> Enum.reverse()
   end
 
-  defp messages(state, info, places, ordinal, opts) do
+  defp read_messages(state, info, places, ordinal, opts) do
     envelopes? = opts[:envelopes] == true
     type_name = state.catalog.streams[info.id].type_name
     handler = Types.handler(state.types, type_name)
 
-    with {:ok, blocks} <- blocks(state, places, envelopes?) do
-      decode = &Decoder.message(&1, type_name, handler, state.types)
-      messages = Enum.map(blocks, &message(&1, decode, envelopes?))
+    with {:ok, blocks} <- read_blocks(state, places, envelopes?) do
+      decode = &Decoder.decode_message(&1, type_name, handler, state.types)
+      messages = Enum.map(blocks, &decode_message(&1, decode, envelopes?))
       {:ok, messages, ordinal + length(messages)}
     end
   end
 
-  defp message(
+  defp decode_message(
          <<id::little-signed-32, seq::little-signed-32, time::little-64, created::little-64,
            data::binary>>,
          decode,
          envelopes?
        ) do
     %Message{
-      data: if(envelopes?, do: nil, else: data(data, decode)),
-      originating_time: Bytes.time(time),
-      creation_time: Bytes.time(created),
+      data: if(envelopes?, do: nil, else: decode_data(data, decode)),
+      originating_time: Bytes.parse_time(time),
+      creation_time: Bytes.parse_time(created),
       sequence_id: seq,
       source_id: id
     }
   end
 
-  defp data(bytes, decode) do
+  defp decode_data(bytes, decode) do
     case decode.(bytes) do
       {:ok, value} -> value
       {:error, why} -> %Undecoded{codec: "psi", bytes: bytes, reason: why}
@@ -259,13 +264,16 @@ defmodule Situ.Bridge.Psi do
   end
 
   # Neighboring messages are usually in the same file, which is opened once for all of them.
-  defp blocks(state, places, envelopes?) do
+  defp read_blocks(state, places, envelopes?) do
     places
     |> Enum.chunk_by(&{&1.file, &1.extent})
     |> Enum.reduce_while({:ok, []}, fn [%{file: kind, extent: extent} | _] = chunk, {:ok, done} ->
-      path = Files.path(state.folder, state.name, kind, extent)
+      path = Files.extent_path(state.folder, state.name, kind, extent)
 
-      case pread(path, for(p <- chunk, do: {p.at, if(envelopes?, do: 24, else: p.length)})) do
+      case read_file_blocks(
+             path,
+             for(p <- chunk, do: {p.at, if(envelopes?, do: 24, else: p.length)})
+           ) do
         {:ok, blocks} -> {:cont, {:ok, [blocks | done]}}
         {:error, error} -> {:halt, {:error, error}}
       end
@@ -276,7 +284,7 @@ defmodule Situ.Bridge.Psi do
     end
   end
 
-  defp pread(path, wanted) do
+  defp read_file_blocks(path, wanted) do
     with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
          result = :file.pread(file, wanted),
          :ok <- :file.close(file),

@@ -73,24 +73,24 @@ defmodule Situ.Bridge.Ros do
   Returns a parameter of the master: a number, boolean, string, list or map. Errors as in `call/4`. Option: `master:`.
   """
   @spec get_param(String.t(), keyword()) :: {:ok, term()} | {:error, Error.t()}
-  def get_param(name, opts \\ []), do: master("getParam", [Address.whole(name)], opts)
+  def get_param(name, opts \\ []), do: call_master("getParam", [Address.resolve_name(name)], opts)
 
   @doc "Sets a parameter of the master."
   @spec set_param(String.t(), term(), keyword()) :: :ok | {:error, Error.t()}
   def set_param(name, value, opts \\ []) do
-    with {:ok, _} <- master("setParam", [Address.whole(name), value], opts), do: :ok
+    with {:ok, _} <- call_master("setParam", [Address.resolve_name(name), value], opts), do: :ok
   end
 
   @doc "Returns the published topics as `{topic, type}`."
-  @spec topics(keyword()) :: {:ok, [{String.t(), String.t()}]} | {:error, Error.t()}
-  def topics(opts \\ []) do
-    with {:ok, list} <- master("getPublishedTopics", [""], opts),
+  @spec list_topics(keyword()) :: {:ok, [{String.t(), String.t()}]} | {:error, Error.t()}
+  def list_topics(opts \\ []) do
+    with {:ok, list} <- call_master("getPublishedTopics", [""], opts),
          do: {:ok, for([topic, type] <- list, do: {topic, type})}
   end
 
-  defp master(method, arguments, opts) do
+  defp call_master(method, arguments, opts) do
     address = Address.new(opts)
-    Registrar.call(address, method, [address.node | arguments])
+    Registrar.call_master(address, method, [address.node | arguments])
   end
 
   @doc "Same as `publish/3`: all bridges have a function `sink` that sends a stream."

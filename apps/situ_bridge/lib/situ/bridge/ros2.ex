@@ -66,7 +66,7 @@ defmodule Situ.Bridge.Ros2 do
 
   @doc "Calls the service of a client; may be called concurrently from any process. Errors as in `call/5`."
   @spec ask(pid(), map(), timeout :: pos_integer()) :: {:ok, map()} | {:error, Error.t()}
-  defdelegate ask(client, request, timeout \\ 5_000), to: Client
+  defdelegate ask(client, request, timeout \\ 5_000), to: Client, as: :send_request
 
   @doc """
   Offers a service. For each request, `fun` runs in a separate process; it receives the request and returns

@@ -20,17 +20,17 @@ defmodule Situ.Bridge.ServerSentEvents do
   @doc """
   Serves a stream; returns the stream.
 
-  #{Sink.docs()}
+  #{Sink.option_docs()}
   """
   @spec serve(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def serve(stream, port, opts \\ []),
-    do: Sink.serve(stream, {__MODULE__, nil}, port, [format: :json] ++ opts)
+    do: Sink.serve_stream(stream, {__MODULE__, nil}, port, [format: :json] ++ opts)
 
   @doc """
   Adds a source with the JSON messages of a server; `path:` is the path of its URL (`"/"`). With `format: :raw` it
   accepts any events and emits their data as strings.
 
-  #{Source.docs()}
+  #{Source.option_docs()}
   """
   @spec connect(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def connect(p, host, port, opts \\ []) do
@@ -46,10 +46,10 @@ defmodule Situ.Bridge.ServerSentEvents do
         {:ok, [head, "Connection: close\r\n\r\n"], rest}
 
       [_, _] ->
-        Handshake.refuse("405 Method Not Allowed", "GET only.\n")
+        Handshake.refuse_request("405 Method Not Allowed", "GET only.\n")
 
       [_] when byte_size(bytes) > @most_head ->
-        Handshake.refuse("431 Request Header Fields Too Large", "")
+        Handshake.refuse_request("431 Request Header Fields Too Large", "")
 
       [_] ->
         :more
@@ -95,11 +95,11 @@ defmodule Situ.Bridge.ServerSentEvents do
 
     if byte_size(rest) > most,
       do: {:error, "an event is longer than #{most} bytes"},
-      else: {:ok, Enum.flat_map(events, &data/1), "", %{state | rest: rest}}
+      else: {:ok, Enum.flat_map(events, &event_data/1), "", %{state | rest: rest}}
   end
 
   # Events without data only keep the connection alive.
-  defp data(event) do
+  defp event_data(event) do
     case for "data:" <> line <- String.split(event, ~r/\r?\n/),
              do: String.replace_prefix(line, " ", "") do
       [] -> []

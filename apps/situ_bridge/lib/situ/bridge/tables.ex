@@ -30,13 +30,13 @@ defmodule Situ.Bridge.Tables do
     counts = :atomics.new(max(length(tables), 1), [])
 
     made =
-      Draft.make({Path.basename(out), Path.dirname(out)}, [], fn writer ->
+      Draft.build_store({Path.basename(out), Path.dirname(out)}, [], fn writer ->
         tables
         |> Enum.with_index(1)
         |> Enum.reduce_while(:ok, fn {table, at}, :ok ->
           told = fn n -> progress.(:atomics.add_get(counts, at, n)) end
 
-          case written(writer, table, told, opts[:notice]) do
+          case write_table(writer, table, told, opts[:notice]) do
             :ok -> {:cont, :ok}
             error -> {:halt, error}
           end
@@ -49,17 +49,17 @@ defmodule Situ.Bridge.Tables do
     end
   end
 
-  defp written(writer, {name, path, format}, told, notice) do
+  defp write_table(writer, {name, path, format}, told, notice) do
     # The first pass determines the type; it discards the notices, which the second pass repeats.
-    type = type(path, messages(path, format, fn _sentence -> :ok end))
+    type = value_type(path, stream_rows(path, format, fn _sentence -> :ok end))
 
     with {:ok, stream} <- Writer.stream(writer, name, type: type) do
       path
-      |> messages(format, notice)
+      |> stream_rows(format, notice)
       |> Stream.with_index(1)
       |> Stream.chunk_every(@batch)
       |> Enum.reduce_while({:ok, stream, nil}, fn batch, {:ok, stream, _last} ->
-        case Writer.append(stream, Enum.map(batch, &message/1)) do
+        case Writer.append(stream, Enum.map(batch, &build_message/1)) do
           {:ok, stream} ->
             told.(length(batch))
             {{last, _}, _} = List.last(batch)
@@ -69,37 +69,37 @@ defmodule Situ.Bridge.Tables do
             {:halt, error}
         end
       end)
-      |> closed()
+      |> close_stream()
     end
   rescue
     error in Error -> {:error, error}
   end
 
-  defp closed({:ok, _stream, nil}), do: :ok
+  defp close_stream({:ok, _stream, nil}), do: :ok
 
-  defp closed({:ok, stream, last}) do
+  defp close_stream({:ok, stream, last}) do
     with {:ok, _} <- Writer.close_stream(stream, last), do: :ok
   end
 
-  defp closed(error), do: error
+  defp close_stream(error), do: error
 
-  defp message({{time, value}, n}),
+  defp build_message({{time, value}, n}),
     do: %Message{data: value, originating_time: time, creation_time: time, sequence_id: n}
 
-  defp messages(path, :parquet, notice), do: Bridge.Parquet.messages(path, notice: notice)
-  defp messages(path, :arrow, notice), do: Bridge.Arrow.messages(path, notice: notice)
+  defp stream_rows(path, :parquet, notice), do: Bridge.Parquet.messages(path, notice: notice)
+  defp stream_rows(path, :arrow, notice), do: Bridge.Arrow.messages(path, notice: notice)
 
-  defp messages(path, {:protobuf, opts}, _notice),
+  defp stream_rows(path, {:protobuf, opts}, _notice),
     do: Bridge.Protobuf.File.messages(path, opts)
 
-  defp messages(path, format, _notice), do: Bridge.File.messages(path, format)
+  defp stream_rows(path, format, _notice), do: Bridge.File.messages(path, format)
 
   # Returns the common type of all values, or `:any` for a pipe, which can be read only once.
-  defp type(path, messages) do
+  defp value_type(path, messages) do
     if File.regular?(path) do
       messages
       |> Enum.reduce_while(nil, fn {_time, value}, known ->
-        case wider(known, kind(value)) do
+        case common_type(known, value_kind(value)) do
           :any -> {:halt, :any}
           kind -> {:cont, kind}
         end
@@ -110,37 +110,40 @@ defmodule Situ.Bridge.Tables do
     end
   end
 
-  defp kind(value) when is_boolean(value), do: :boolean
-  defp kind(value) when is_integer(value), do: :integer
-  defp kind(value) when is_float(value), do: :float
-  defp kind(value) when is_binary(value), do: :string
-  defp kind(value) when is_map(value), do: :map
-  defp kind(_value), do: :any
+  defp value_kind(value) when is_boolean(value), do: :boolean
+  defp value_kind(value) when is_integer(value), do: :integer
+  defp value_kind(value) when is_float(value), do: :float
+  defp value_kind(value) when is_binary(value), do: :string
+  defp value_kind(value) when is_map(value), do: :map
+  defp value_kind(_value), do: :any
 
-  defp wider(nil, kind), do: kind
-  defp wider(kind, kind), do: kind
-  defp wider(a, b) when a in [:integer, :float, :number] and b in [:integer, :float], do: :number
-  defp wider(_a, _b), do: :any
+  defp common_type(nil, kind), do: kind
+  defp common_type(kind, kind), do: kind
+
+  defp common_type(a, b) when a in [:integer, :float, :number] and b in [:integer, :float],
+    do: :number
+
+  defp common_type(_a, _b), do: :any
 
   @doc """
   Returns the format of a file, or `nil` if it is not a table. The format is determined by the extension, and for CSV
   and JSON, which are common extensions, also by the first bytes.
   """
-  @spec format(Path.t()) :: format() | nil
-  def format(path) do
+  @spec detect_format(Path.t()) :: format() | nil
+  def detect_format(path) do
     case path |> Path.extname() |> String.downcase() do
       ".parquet" -> :parquet
       ending when ending in [".arrow", ".arrows", ".feather"] -> :arrow
       ".pb" -> :protobuf
       ".jsonl" -> :json_lines
       ".msgpack" -> :message_pack
-      ".csv" -> if(begins(path) =~ ~r/\A"?_OriginatingTime_/, do: :csv)
-      ".json" -> if(begins(path) =~ ~r/\A\s*\[\s*\{\s*"originatingTime"/, do: :json)
+      ".csv" -> if(first_bytes(path) =~ ~r/\A"?_OriginatingTime_/, do: :csv)
+      ".json" -> if(first_bytes(path) =~ ~r/\A\s*\[\s*\{\s*"originatingTime"/, do: :json)
       _ -> nil
     end
   end
 
-  defp begins(path) do
+  defp first_bytes(path) do
     with {:ok, file} <- :file.open(path, [:read, :raw, :binary]) do
       found = :file.read(file, 100)
       :ok = :file.close(file)
@@ -156,10 +159,10 @@ defmodule Situ.Bridge.Tables do
   end
 
   @doc "Returns the default stream name of a table: the name of the file."
-  @spec name(Path.t()) :: String.t()
-  def name(path), do: path |> Path.basename() |> Path.rootname()
+  @spec stream_name(Path.t()) :: String.t()
+  def stream_name(path), do: path |> Path.basename() |> Path.rootname()
 
   @doc "Returns whether a path is a table that opens by importing it."
   @spec table?(Path.t()) :: boolean()
-  def table?(path), do: File.regular?(path) and format(path) != nil
+  def table?(path), do: File.regular?(path) and detect_format(path) != nil
 end

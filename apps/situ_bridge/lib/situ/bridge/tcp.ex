@@ -18,10 +18,10 @@ defmodule Situ.Bridge.Tcp do
   @doc """
   Serves a stream; returns the stream.
 
-  #{Sink.docs()}
+  #{Sink.option_docs()}
   """
   @spec serve(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
-  def serve(stream, port, opts \\ []), do: Sink.serve(stream, {Frames, nil}, port, opts)
+  def serve(stream, port, opts \\ []), do: Sink.serve_stream(stream, {Frames, nil}, port, opts)
 
   @doc "Same as `serve/3`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Tcp do
   @doc """
   Adds a source with the messages of a server.
 
-  #{Source.docs()}
+  #{Source.option_docs()}
   """
   @spec connect(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def connect(p, host, port, opts \\ []),

@@ -21,19 +21,19 @@ defmodule Situ.Bridge.WebSocket do
   Serves a stream; returns the stream. `origins:` lists the origins of pages that may connect
   (`["https://example.org"]`).
 
-  #{Sink.docs()}
+  #{Sink.option_docs()}
   """
   @spec serve(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def serve(stream, port, opts \\ []) do
     {origins, opts} = Keyword.pop(opts, :origins, [])
     kind = if opts[:format] in [nil, :json, :csv], do: :text, else: :binary
-    Sink.serve(stream, {__MODULE__, %{origins: origins, kind: kind}}, port, opts)
+    Sink.serve_stream(stream, {__MODULE__, %{origins: origins, kind: kind}}, port, opts)
   end
 
   @doc """
   Adds a source with the messages of a server; `path:` is the path of its URL (`"/"`).
 
-  #{Source.docs()}
+  #{Source.option_docs()}
   """
   @spec connect(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def connect(p, host, port, opts \\ []) do
@@ -43,37 +43,38 @@ defmodule Situ.Bridge.WebSocket do
 
   @impl Protocol
   def admit(bytes, arg) do
-    with {:ok, answer, _protocol, _path, rest} <- Handshake.admit(bytes, origins: arg.origins),
+    with {:ok, answer, _protocol, _path, rest} <-
+           Handshake.admit_client(bytes, origins: arg.origins),
          do: {:ok, answer, rest}
   end
 
   @impl Protocol
-  def frame(payload, arg), do: Frames.frame(arg.kind, payload)
+  def frame(payload, arg), do: Frames.encode_frame(arg.kind, payload)
 
   # Messages of clients are dropped; only pings get a reply.
   @impl Protocol
   def heard(bytes, _arg) do
-    case Frames.split(bytes, nil, true, @most_said) do
-      {:ok, events, rest, nil} -> answered(events, rest)
+    case Frames.split_messages(bytes, nil, true, @most_said) do
+      {:ok, events, rest, nil} -> build_reply(events, rest)
       _ -> :close
     end
   end
 
-  defp answered(events, rest) do
+  defp build_reply(events, rest) do
     if Enum.any?(events, &match?({:close, _}, &1)),
       do: :close,
-      else: {:ok, for({:ping, data} <- events, do: Frames.frame(:pong, data)), rest}
+      else: {:ok, for({:ping, data} <- events, do: Frames.encode_frame(:pong, data)), rest}
   end
 
   @impl Protocol
   def hello(host, port, arg) do
-    {request, key} = Handshake.request(host, port, arg.path)
+    {request, key} = Handshake.build_request(host, port, arg.path)
     {request, %{key: key, begun: nil, rest: ""}}
   end
 
   @impl Protocol
   def read(bytes, %{key: key} = state, most) when key != nil do
-    case Handshake.accepted(state.rest <> bytes, key) do
+    case Handshake.check_response(state.rest <> bytes, key) do
       {:ok, rest} -> read(rest, %{state | key: nil, rest: ""}, most)
       :more -> {:ok, [], "", %{state | rest: state.rest <> bytes}}
       error -> error
@@ -81,17 +82,18 @@ defmodule Situ.Bridge.WebSocket do
   end
 
   def read(bytes, state, most) do
-    with {:ok, events, rest, begun} <- Frames.split(state.rest <> bytes, state.begun, false, most) do
+    with {:ok, events, rest, begun} <-
+           Frames.split_messages(state.rest <> bytes, state.begun, false, most) do
       payloads = for {kind, payload} <- events, kind in [:text, :binary], do: payload
       mask = <<0::32>>
-      pongs = for {:ping, data} <- events, do: Frames.frame(:pong, data, mask)
+      pongs = for {:ping, data} <- events, do: Frames.encode_frame(:pong, data, mask)
       answer = if pongs == [], do: "", else: pongs
       {:ok, payloads, answer, %{state | rest: rest, begun: begun}}
     end
   end
 
   @impl Protocol
-  def missing(%{key: nil, rest: rest}), do: Frames.missing(rest)
+  def missing(%{key: nil, rest: rest}), do: Frames.missing_bytes(rest)
   def missing(_handshake), do: 1
 
   @doc "Same as `serve/3`: all bridges have a function `sink` that sends a stream."

@@ -50,16 +50,16 @@ defmodule Situ.Bridge.ZeroMQ do
   """
   @spec publish(Situ.Stream.t(), String.t() | Publisher.t(), keyword()) :: Situ.Stream.t()
   def publish(stream, %Publisher{} = shared, opts) do
-    Publisher.expect(shared)
+    Publisher.expect_stream(shared)
     Situ.via(stream, Sink, [socket: :pub, shared: shared] ++ opts)
     stream
   end
 
-  def publish(stream, address, opts), do: sink(stream, :pub, address, opts)
+  def publish(stream, address, opts), do: add_sink(stream, :pub, address, opts)
 
   @doc "Pushes a stream to the peers that pull; returns the stream. Options as in `publish/3`, without a topic."
   @spec push(Situ.Stream.t(), String.t(), keyword()) :: Situ.Stream.t()
-  def push(stream, address, opts \\ []), do: sink(stream, :push, address, opts)
+  def push(stream, address, opts \\ []), do: add_sink(stream, :push, address, opts)
 
   @doc """
   Adds a source with the messages of a topic.
@@ -67,18 +67,18 @@ defmodule Situ.Bridge.ZeroMQ do
   #{Situ.Options.docs(Keyword.drop(Source.schema(), [:address, :socket]))}
   """
   @spec subscribe(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
-  def subscribe(p, address, opts), do: source(p, :sub, address, opts)
+  def subscribe(p, address, opts), do: add_source(p, :sub, address, opts)
 
   @doc "Adds a source with pushed messages. Options as in `subscribe/3`, without a topic."
   @spec pull(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
-  def pull(p, address, opts \\ []), do: source(p, :pull, address, opts)
+  def pull(p, address, opts \\ []), do: add_source(p, :pull, address, opts)
 
-  defp sink(stream, socket, address, opts) do
+  defp add_sink(stream, socket, address, opts) do
     Situ.via(stream, Sink, [socket: socket, address: address] ++ opts)
     stream
   end
 
-  defp source(p, socket, address, opts) do
+  defp add_source(p, socket, address, opts) do
     outputs = [out: opts[:type] || :any]
     Situ.source(p, Source, [socket: socket, address: address, outputs: outputs] ++ opts)
   end

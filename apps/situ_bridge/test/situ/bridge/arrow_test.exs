@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.ArrowTest do
-  # Counts atoms.
+  # Not async, because it counts atoms.
   use ExUnit.Case, async: false
   use Situ.Test.Property
   import ExUnit.CaptureLog
@@ -27,7 +27,7 @@ defmodule Situ.Bridge.ArrowTest do
 
   defp values(path, opts \\ []), do: path |> Arrow.messages(opts) |> Enum.map(&elem(&1, 1))
 
-  test "maps become columns, in as many batches as it takes", %{tmp_dir: dir} do
+  test "writes maps as columns, in as many batches as needed", %{tmp_dir: dir} do
     rows =
       for i <- 1..1_000,
           do: %{n: i, t: if(rem(i, 3) == 0, do: nil, else: "t#{i}"), p: %{x: i / 4}, l: [i]}
@@ -45,7 +45,7 @@ defmodule Situ.Bridge.ArrowTest do
              path |> Arrow.messages(columns: ["n"], time: "creation_time") |> Enum.take(1)
   end
 
-  test "a recording, and a pipeline that reads it", %{tmp_dir: dir} do
+  test "exports a recording, and reads it in a pipeline", %{tmp_dir: dir} do
     levels = for i <- 1..5_000, do: {i, i / 7}
     truths = for i <- 1..5_000, do: {i, rem(i * i, 3) == 1}
 
@@ -71,7 +71,7 @@ defmodule Situ.Bridge.ArrowTest do
     assert read == Enum.map(levels, &elem(&1, 1))
   end
 
-  property "columns of every kind come back" do
+  property "reads back columns of every kind" do
     dir = System.tmp_dir!()
 
     forall {kind, n} <- {one_of([:integer, :float, :boolean, :text, :bytes]), integer(1, 40)} do
@@ -87,8 +87,8 @@ defmodule Situ.Bridge.ArrowTest do
   defp cell(:text, i), do: String.duplicate("ä", rem(i, 5))
   defp cell(:bytes, i), do: <<0xFF, i>>
 
-  # Made by pyarrow 25.0.1, as a file packed by zstd and as a stream.
-  test "files of another library, with types that we do not write" do
+  # Written by pyarrow 25.0.1, as a file compressed with zstd and as a stream.
+  test "reads files of another library with types that Situ does not write" do
     expected = [
       %{
         "d" => 86_400_000_000_000,
@@ -141,12 +141,12 @@ defmodule Situ.Bridge.ArrowTest do
                %{"l" => [], "m" => nil, "s" => nil}
              ]
 
-      assert {:ok, %{left_out: []}} = Arrow.columns(path)
+      assert {:ok, %{left_out: []}} = Arrow.list_columns(path)
     end
   end
 
-  # Made by pyarrow 26.0.1.
-  test "columns that cannot be read are named, with their types" do
+  # Written by pyarrow 26.0.1.
+  test "lists unsupported columns with their types" do
     path = Path.join(@fixtures, "pyarrow-kinds.arrow")
 
     left_out = [
@@ -158,7 +158,7 @@ defmodule Situ.Bridge.ArrowTest do
       {"s", "struct of list_view"}
     ]
 
-    assert Arrow.columns(path) ==
+    assert Arrow.list_columns(path) ==
              {:ok, %{columns: ["t", "n", "k", "n_2", "n_1"], left_out: left_out}}
 
     log =
@@ -174,37 +174,37 @@ defmodule Situ.Bridge.ArrowTest do
     assert capture_log(fn -> values(path, columns: ["n"]) end) == ""
 
     error = assert_raise Situ.Error, fn -> Arrow.messages(path, columns: ["n", "u"]) end
-    assert {error.code, error.fix} == {:no_column, "its type, union, is not read"}
+    assert {error.code, error.fix} == {:no_column, "its type, union, is not supported"}
   end
 
-  test "a file with no other columns than those is an error, not one without rows" do
+  test "rejects a file whose columns are all unsupported" do
     path = Path.join(@fixtures, "pyarrow-unread.arrow")
     error = assert_raise Situ.Error, fn -> Arrow.messages(path) end
     assert error.code == :no_column
-    assert error.why =~ "left out are u (union), i (interval)"
+    assert error.why =~ "skipped: u (union), i (interval)"
   end
 
-  test "a dictionary that a stream sends again is that of the batches after it" do
+  test "applies a replaced dictionary to the batches after it" do
     path = Path.join(@fixtures, "pyarrow-dictionaries.arrows")
     assert values(path) == ["a", "b", "c", "d", "e", "c", nil] |> Enum.map(&%{"w" => &1})
   end
 
-  test "rows of any part of a batch are read", %{tmp_dir: dir} do
+  test "reads rows across the parts of a batch", %{tmp_dir: dir} do
     rows = for i <- 1..3_000, do: %{n: i, t: String.duplicate("x", rem(i, 7)), b: rem(i, 3) == 0}
     path = written(dir, rows)
     read = for {_time, row} <- Arrow.messages(path), do: %{n: row["n"], t: row["t"], b: row["b"]}
     assert read == rows
   end
 
-  test "what is no table is an error that says why", %{tmp_dir: dir} do
+  test "rejects a file that is not a table, and says why", %{tmp_dir: dir} do
     path = Path.join(dir, "x.arrow")
     assert {:error, %{code: :io}} = Arrow.File.open(path)
 
     for {bytes, why} <- [
-          {"", "neither"},
-          {"PAR1", "neither"},
+          {"", "does not begin"},
+          {"PAR1", "does not begin"},
           {"ARROW1\0\0", "too short"},
-          {"ARROW1\0\0 and then nothing more", "cut short"}
+          {"ARROW1\0\0 and then nothing more", "truncated"}
         ] do
       File.write!(path, bytes)
       assert {:error, %{code: :not_arrow, why: told}} = Arrow.File.open(path)
@@ -214,7 +214,7 @@ defmodule Situ.Bridge.ArrowTest do
     whole = File.read!(written(dir, [1, 2, 3]))
     File.write!(path, binary_part(whole, 0, byte_size(whole) - 9))
     assert {:error, %{code: :not_arrow, why: why}} = Arrow.File.open(path)
-    assert why =~ "cut short"
+    assert why =~ "truncated"
 
     assert {:error, %{code: :io}} =
              Arrow.write_messages(
@@ -223,14 +223,14 @@ defmodule Situ.Bridge.ArrowTest do
              )
   end
 
-  test "a stream that is cut short gives what is whole", %{tmp_dir: dir} do
+  test "reads the complete batches of a truncated stream", %{tmp_dir: dir} do
     whole = File.read!(Path.join(@fixtures, "pyarrow.arrows"))
     path = Path.join(dir, "short.arrows")
     File.write!(path, binary_part(whole, 0, byte_size(whole) - 100))
     assert {:ok, %{groups: []}} = Arrow.File.open(path)
   end
 
-  test "views that lie over one another are not multiplied" do
+  test "rejects overlapping views that would multiply the data" do
     view = <<20_000_000::little-32, "xxxx", 0::64>>
     views = :binary.copy(view, 100)
     data = :binary.copy("x", 20_000_000)
@@ -238,18 +238,18 @@ defmodule Situ.Bridge.ArrowTest do
     buffers = [Buffer.from_binary(views), Buffer.from_binary(data)]
     column = %{type: {:view, :text}, rows: 100, presence: nil, buffers: buffers}
     column = Map.merge(column, %{children: [], entries: nil})
-    assert {:not_arrow, why} = catch_throw(Values.read(column, 0, 100))
+    assert {:not_arrow, why} = catch_throw(Values.read_rows(column, 0, 100))
 
     assert why =~ "2000000000 bytes"
   end
 
-  property "tables of numbers and texts come back from their bytes" do
+  property "decodes encoded tables of numbers and strings" do
     forall {a, b, texts} <-
              {integer(-100, 100), integer(0, 255), list(one_of(["", "ab", "äöü"]))} do
       inner = for text <- texts, do: {:table, [{0, {:ref, {:string, text}}}]}
 
       bytes =
-        FlatBuffer.encode(
+        FlatBuffer.encode_table(
           {:table,
            [
              {0, {:i16, a}},
@@ -259,19 +259,22 @@ defmodule Situ.Bridge.ArrowTest do
            ]}
         )
 
-      root = FlatBuffer.root(bytes)
-      assert FlatBuffer.number(bytes, root, 0, :i16, 0) == a
-      assert FlatBuffer.number(bytes, root, 1, :u8, 0) == b
-      assert FlatBuffer.number(bytes, root, 2, :i32, 7) == 7
-      assert FlatBuffer.number(bytes, root, 3, :i64, 0) == a * 1_000_000
+      root = FlatBuffer.root_offset(bytes)
+      assert FlatBuffer.read_number(bytes, root, 0, :i16, 0) == a
+      assert FlatBuffer.read_number(bytes, root, 1, :u8, 0) == b
+      assert FlatBuffer.read_number(bytes, root, 2, :i32, 7) == 7
+      assert FlatBuffer.read_number(bytes, root, 3, :i64, 0) == a * 1_000_000
 
-      assert for(t <- FlatBuffer.tables(bytes, root, 4), do: FlatBuffer.string(bytes, t, 0)) ==
+      assert for(
+               t <- FlatBuffer.table_offsets(bytes, root, 4),
+               do: FlatBuffer.read_string(bytes, t, 0)
+             ) ==
                texts
     end
   end
 
   @tag :capture_log
-  test "mutations of files are rows or errors, and make no atoms", %{tmp_dir: dir} do
+  test "reads mutated files as rows or errors, and creates no atoms", %{tmp_dir: dir} do
     ours = for i <- 1..30, do: %{n: i, t: "text #{rem(i, 5)}", f: i / 3, b: rem(i, 2) == 0}
 
     files =
@@ -282,7 +285,7 @@ defmodule Situ.Bridge.ArrowTest do
           ],
           do: File.read!(path)
 
-    # In memory, where there is such a place.
+    # Uses memory where a file system in memory exists.
     path =
       Path.join(
         if(File.dir?("/dev/shm"), do: "/dev/shm", else: dir),
@@ -292,7 +295,7 @@ defmodule Situ.Bridge.ArrowTest do
     on_exit(fn -> File.rm(path) end)
     atoms = :erlang.system_info(:atom_count)
 
-    count = Budget.mutations(2_000)
+    count = Budget.mutation_count(2_000)
 
     outcomes =
       for n <- 1..count do

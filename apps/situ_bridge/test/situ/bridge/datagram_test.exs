@@ -4,9 +4,9 @@ defmodule Situ.Bridge.DatagramTest do
   alias Situ.Bridge.Datagram
   doctest Datagram
 
-  property "a payload comes whole through chunks in any order and twice over" do
+  property "reassembles a payload from chunks in any order and with duplicates" do
     forall {payload, most, seed} <- {binary(), integer(41, 60), integer()} do
-      chunks = Datagram.chunks(payload, 3, most)
+      chunks = Datagram.split_payload(payload, 3, most)
       assert Enum.all?(chunks, &(byte_size(&1) <= most))
       :rand.seed(:exsss, seed)
       {got, state} = receive_all(Enum.shuffle(chunks ++ chunks))
@@ -15,19 +15,19 @@ defmodule Situ.Bridge.DatagramTest do
     end
   end
 
-  test "sizes at the edge of a datagram arrive whole" do
+  test "transmits payloads whose size is at the limit of a datagram" do
     for size <- [65_493, 65_494, 65_495, 65_500, 65_533, 65_534, 130_988, 131_067] do
       payload = :binary.copy("x", size)
-      assert {[^payload], _} = receive_all(Datagram.chunks(payload, 1))
+      assert {[^payload], _} = receive_all(Datagram.split_payload(payload, 1))
     end
   end
 
-  test "sets that stay incomplete are abandoned, and few are kept" do
-    {[], state} = receive_all(for set <- 1..100, do: hd(Datagram.chunks("abc", set, 41)))
+  test "abandons incomplete sets and keeps only a few" do
+    {[], state} = receive_all(for set <- 1..100, do: hd(Datagram.split_payload("abc", set, 41)))
     assert {state.started, state.abandoned, map_size(state.sets)} == {100, 84, 16}
   end
 
-  property "noise changes nothing" do
+  property "ignores noise" do
     forall bytes <- binary() do
       {payload, state} = Datagram.push(Datagram.new(), bytes)
       assert payload == nil or state.received == 1
@@ -41,8 +41,8 @@ defmodule Situ.Bridge.DatagramTest do
     end)
   end
 
-  test "with room for one set, a chunk of another one abandons it" do
-    sets = for set <- 1..2, do: Datagram.chunks(:binary.copy("x", 30), set, 50)
+  test "abandons a set when a chunk of another one arrives and there is room for one" do
+    sets = for set <- 1..2, do: Datagram.split_payload(:binary.copy("x", 30), set, 50)
     interleaved = sets |> Enum.zip() |> Enum.flat_map(&Tuple.to_list/1)
 
     {got, state} =

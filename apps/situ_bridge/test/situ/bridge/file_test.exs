@@ -5,7 +5,7 @@ defmodule Situ.Bridge.FileTest do
   @moduletag :tmp_dir
 
   for format <- [:json, :json_lines, :csv, :message_pack] do
-    test "a stream goes to a #{format} file and back with its times", %{tmp_dir: dir} do
+    test "writes and reads a #{format} file with its times", %{tmp_dir: dir} do
       path = Path.join(dir, "values")
 
       {:ok, _} =
@@ -22,7 +22,7 @@ defmodule Situ.Bridge.FileTest do
       assert got == for(i <- 0..4_999, do: {i * 10_000_000, i})
     end
 
-    test "an empty stream is a whole #{format} file", %{tmp_dir: dir} do
+    test "writes an empty stream as a valid #{format} file", %{tmp_dir: dir} do
       path = Path.join(dir, "empty")
 
       {:ok, _} =
@@ -38,7 +38,7 @@ defmodule Situ.Bridge.FileTest do
     end
   end
 
-  test "faults are told with their place", %{tmp_dir: dir} do
+  test "reports errors with their position", %{tmp_dir: dir} do
     path = Path.join(dir, "bad.csv")
     File.write!(path, "_OriginatingTime_,_Value_\r\n1971-11-03T00:00:00Z,1\r\nyesterday,2\r\n")
     messages = Files.messages(path, :csv)

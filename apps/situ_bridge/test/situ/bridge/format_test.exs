@@ -14,17 +14,17 @@ defmodule Situ.Bridge.FormatTest do
   @time 57_974_400_123_456_700
 
   defp value, do: resize(value(2), 6)
-  defp value(0), do: one_of([integer(), float(), boolean(), text(), constant(nil)])
+  defp value(0), do: one_of([integer(), float(), boolean(), ascii_text(), constant(nil)])
 
   defp value(n) do
-    members = map(list(pair({:proper_types.non_empty(text()), value(n - 1)})), &Map.new/1)
+    members = map(list(pair({:proper_types.non_empty(ascii_text()), value(n - 1)})), &Map.new/1)
     frequency([{3, value(0)}, {1, list(value(n - 1))}, {1, members}])
   end
 
   defp pair({a, b}), do: :proper_types.tuple([a, b])
 
   for format <- [:json, :json_lines, :message_pack, :situ] do
-    property "#{format} gives back the value and the time" do
+    property "#{format} decodes the encoded value and time" do
       forall {value, time} <-
                pair({value(), integer(-10_000_000_000_000_000_000, 10_000_000_000_000_000_000)}) do
         {:ok, bytes} = Format.encode(unquote(format), value, time)
@@ -37,7 +37,7 @@ defmodule Situ.Bridge.FormatTest do
   defp column(:float, values), do: for(x <- values, into: <<>>, do: <<x::little-float-64>>)
   defp column(:boolean, values), do: for(b <- values, into: <<>>, do: <<if(b, do: 1, else: 0)>>)
 
-  # Floats of every size: any bits that are a number.
+  # Returns floats of every magnitude: any bits that are a number.
   defp any_float do
     map(integer(0, 2 ** 64 - 1), fn bits ->
       case <<bits::64>> do
@@ -47,7 +47,7 @@ defmodule Situ.Bridge.FormatTest do
     end)
   end
 
-  property "numbers as columns are written as they are one by one", numtests: 300 do
+  property "writes columns of numbers and single numbers the same way", numtests: 300 do
     plain =
       one_of([
         pair({constant(:integer), nonempty_list(integer(-(2 ** 63), 2 ** 63 - 1))}),
@@ -71,8 +71,8 @@ defmodule Situ.Bridge.FormatTest do
         values: column(kind, values)
       }
 
-      {many, n1} = Format.records(format, columns, n)
-      {single, n2} = Format.records(format, messages, n)
+      {many, n1} = Format.encode_records(format, columns, n)
+      {single, n2} = Format.encode_records(format, messages, n)
       assert {IO.iodata_to_binary(many), n1} == {IO.iodata_to_binary(single), n2}
     end
   end
@@ -80,10 +80,10 @@ defmodule Situ.Bridge.FormatTest do
   defp message(value, time),
     do: %Situ.Message{data: value, originating_time: time, creation_time: time, sequence_id: 1}
 
-  describe "records of CSV" do
+  describe "CSV records" do
     defp csv(values) do
       messages = for {value, i} <- Enum.with_index(values), do: message(value, i * 100)
-      {records, {n, _names}} = Format.records(:csv, messages, 0)
+      {records, {n, _names}} = Format.encode_records(:csv, messages, 0)
       assert n == length(values)
 
       records
@@ -92,15 +92,15 @@ defmodule Situ.Bridge.FormatTest do
       |> Enum.map(&String.slice(&1, 29..-1//1))
     end
 
-    test "have the columns of the heading, whatever members they have" do
+    test "have the columns of the header, whatever members they have" do
       assert [_, "1,2", ",3", "4,", ","] = csv([%{a: 1, b: 2}, %{b: 3}, %{a: 4, b: nil}, %{}])
       assert [_, "1,2", "3,"] = csv([[1.0, 2.0], [3.0]])
-      # Names may stand there twice.
+      # Names may occur twice.
       twice = {[{"x", 1}, {"in", {[{"x", 2}]}}]}
       assert [_, "1,2", "1,2"] = csv([twice, twice])
     end
 
-    test "with a member beyond the heading are refused rather than shifted" do
+    test "are rejected, not shifted, if a member is not in the header" do
       for values <- [[%{a: 1}, %{b: 2}], [%{a: 1}, 5], [nil, %{a: 1}], [[1.0], [1.0, 2.0]]] do
         error = assert_raise Situ.Error, fn -> csv(values) end
         assert error.code == :not_writable and error.why =~ "no column"
@@ -110,10 +110,11 @@ defmodule Situ.Bridge.FormatTest do
     end
   end
 
-  property "CSV gives back flat records of texts and numbers, and the time" do
+  property "CSV decodes flat records of strings and numbers, and their time" do
     forall {fields, time} <-
              pair(
-               {nonempty_list(pair({text(), one_of([integer(), boolean(), text()])})), integer()}
+               {nonempty_list(pair({ascii_text(), one_of([integer(), boolean(), ascii_text()])})),
+                integer()}
              ) do
       fields =
         for {{name, value}, i} <- Enum.with_index(fields), do: {"#{i}#{name}", text_or(value)}
@@ -123,23 +124,23 @@ defmodule Situ.Bridge.FormatTest do
     end
   end
 
-  # A text that looks like something else comes back as that.
+  # A string that looks like another value is decoded as that value.
   defp text_or(value) when is_binary(value), do: "t" <> value
   defp text_or(value), do: value
 
-  property "floats in CSV come back as the same number" do
+  property "CSV keeps the exact value of floats" do
     forall x <- float() do
-      assert Csv.Number.read(Csv.Number.write(x)) == x
+      assert Csv.Number.parse_field(Csv.Number.encode_number(x)) == x
     end
   end
 
-  test "structs are objects in the order of their fields" do
+  test "encodes structs as objects in the order of their fields" do
     assert Format.encode(:csv, %Situ.Point3{x: 1.0, y: 2.5, z: -1.0}, @time) ==
              {:ok, "_OriginatingTime_,x,y,z\r\n1971-11-03T00:00:00.1234567Z,1,2.5,-1\r\n"}
   end
 
-  test "what cannot be written is an error" do
-    for format <- Format.names() do
+  test "returns an error for values that cannot be written" do
+    for format <- Format.format_names() do
       assert {:error, %{code: :not_writable}} = Format.encode(format, %{a: self()}, 0)
       assert {:error, %{code: :bad_message}} = Format.decode(format, "nonsense \xFF")
       assert {:error, %{code: :bad_message}} = Format.decode(format, "")
@@ -147,12 +148,12 @@ defmodule Situ.Bridge.FormatTest do
   end
 
   describe "files" do
-    # Split anywhere, the records are the same.
+    # The records are the same wherever the bytes are split.
     for format <- [:json, :json_lines, :csv, :message_pack] do
-      property "of #{format} may come in pieces of any size" do
+      property "of #{format} are decoded from chunks of any size" do
         forall {values, sizes} <-
-                 pair({list(pair({text(), integer()})), nonempty_list(integer(1, 50))}) do
-          module = Format.module!(unquote(format))
+                 pair({list(pair({ascii_text(), integer()})), nonempty_list(integer(1, 50))}) do
+          module = Format.fetch_module!(unquote(format))
 
           timed =
             for {{text, n}, i} <- Enum.with_index(values),
@@ -166,14 +167,14 @@ defmodule Situ.Bridge.FormatTest do
         end
       end
 
-      test "of #{format} that are cut short have what is whole" do
-        module = Format.module!(unquote(format))
+      test "of #{format} that are truncated yield their complete records" do
+        module = Format.fetch_module!(unquote(format))
         records = for i <- 0..4, do: module.record(%{"n" => i}, i, i) |> IO.iodata_to_binary()
         bytes = Enum.join(records)
 
         for size <- 0..(byte_size(bytes) - 1) do
           case module.split(binary_part(bytes, 0, size), module.start(), true, []) do
-            # A last CSV record needs no line break: it may be short of digits.
+            # A last CSV record needs no line break, so digits may be missing.
             {:ok, found, _} ->
               whole = if unquote(format) == :csv, do: Enum.drop(found, -1), else: found
               assert whole == Enum.take(for(i <- 0..4, do: {i, %{"n" => i}}), length(whole))
@@ -197,11 +198,11 @@ defmodule Situ.Bridge.FormatTest do
   end
 
   @tag timeout: 300_000
-  test "mutations of each are values or errors" do
+  test "decodes mutated bytes to values or errors" do
     value = %{"a" => [1, 2.5, nil, "x,\"y\""], "b" => %{"c" => -3}}
 
-    for format <- Format.names() do
-      module = Format.module!(format)
+    for format <- Format.format_names() do
+      module = Format.fetch_module!(format)
 
       bytes =
         IO.iodata_to_binary([
@@ -210,7 +211,7 @@ defmodule Situ.Bridge.FormatTest do
           module.finish(2)
         ])
 
-      for _ <- 1..Budget.mutations(2_000) do
+      for _ <- 1..Budget.mutation_count(2_000) do
         case module.split(mutate(bytes), module.start(), true, []) do
           {:ok, found, _} -> assert is_list(found)
           {:error, why} -> assert is_binary(why)
@@ -231,7 +232,7 @@ defmodule Situ.Bridge.FormatTest do
     end
   end
 
-  test "the format :situ keeps pictures and terms, and refuses what is hostile" do
+  test ":situ keeps images and terms, and rejects hostile bytes" do
     image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<1, 2>>)
     {:ok, bytes} = Format.encode(:situ, image, 5)
     assert {:ok, {5, ^image}} = Format.decode(:situ, bytes)

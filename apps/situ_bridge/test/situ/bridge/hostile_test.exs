@@ -1,5 +1,6 @@
 defmodule Situ.Bridge.HostileTest do
-  # Mutations of genuine files and messages are recordings, values or errors, in bounded memory and without atoms.
+  # Reads mutated files and messages as recordings, values or errors, in bounded memory and
+  # without new atoms.
   use ExUnit.Case, async: false
   alias Situ.Bridge.Foxglove.{Messages, Standard}
   alias Situ.Bridge.{Mcap, Mqtt, Protobuf, WebSocket}
@@ -12,7 +13,7 @@ defmodule Situ.Bridge.HostileTest do
   @moduletag timeout: :infinity
   @data Path.expand("../../data", __DIR__)
 
-  # Some bytes changed, cut off, put in or taken twice.
+  # Changes, cuts off, inserts or repeats some bytes.
   defp mutate(bytes, n) do
     :rand.seed(:exsss, {n, 17, 4})
     Enum.reduce(1..:rand.uniform(4), bytes, fn _, bytes -> change(bytes, :rand.uniform(5)) end)
@@ -43,7 +44,7 @@ defmodule Situ.Bridge.HostileTest do
     end
   end
 
-  # Runs in a process whose heap is bounded, and counts atoms and bytes around it.
+  # Calls `fun` in a process with a bounded heap, and checks that few atoms and bytes are added.
   defp bounded(n, fun) do
     fun.(0)
     atoms = :erlang.system_info(:atom_count)
@@ -57,7 +58,7 @@ defmodule Situ.Bridge.HostileTest do
       end)
 
     assert Task.await(task, :infinity) == :done
-    # Lazily loaded modules bring a few of their own.
+    # Lazily loaded modules add a few atoms.
     assert :erlang.system_info(:atom_count) - atoms < 500
     :erlang.garbage_collect()
     assert :erlang.memory(:total) - memory < 200_000_000
@@ -82,14 +83,14 @@ defmodule Situ.Bridge.HostileTest do
         {"ros1_imu_gps_cam.mcap", ".mcap", 60},
         {"ros1_imu_gps_cam.bag", ".bag", 60}
       ] do
-    test "mutations of the file #{name}", %{tmp_dir: dir} do
+    test "survives mutations of #{name}", %{tmp_dir: dir} do
       bytes = File.read!(Path.join(@data, unquote(name)))
       path = Path.join(dir, "mutated" <> unquote(extension))
-      bounded(Budget.mutations(unquote(usual)), &opened(path, mutate(bytes, &1)))
+      bounded(Budget.mutation_count(unquote(usual)), &opened(path, mutate(bytes, &1)))
     end
   end
 
-  test "mutations of an MCAP file of Foxglove's messages, descriptors and all", %{tmp_dir: dir} do
+  test "survives mutations of an MCAP file with Foxglove's messages", %{tmp_dir: dir} do
     whole = Path.join(dir, "whole.mcap")
     pose = Situ.Pose.new({1.0, 2.0, 3.0})
 
@@ -110,12 +111,12 @@ defmodule Situ.Bridge.HostileTest do
 
     bytes = File.read!(whole)
     path = Path.join(dir, "mutated.mcap")
-    bounded(Budget.mutations(200), &opened(path, mutate(bytes, &1)))
+    bounded(Budget.mutation_count(200), &opened(path, mutate(bytes, &1)))
   end
 
   @sqlite System.find_executable("sqlite3")
 
-  test "mutations of a ROS 2 bag in SQLite", %{tmp_dir: dir} do
+  test "survives mutations of a ROS 2 bag in SQLite", %{tmp_dir: dir} do
     if @sqlite do
       whole = Path.join(dir, "whole.db3")
 
@@ -131,48 +132,51 @@ defmodule Situ.Bridge.HostileTest do
       {_, 0} = System.cmd(@sqlite, [whole, sql])
       bytes = File.read!(whole)
       path = Path.join(dir, "mutated.db3")
-      bounded(Budget.mutations(60), &opened(path, mutate(bytes, &1)))
+      bounded(Budget.mutation_count(60), &opened(path, mutate(bytes, &1)))
     end
   end
 
-  test "mutations of Protobuf messages and of their definitions" do
-    schema = Messages.schema()
+  test "survives mutations of Protobuf messages and their definitions" do
+    schema = Messages.load_schema()
     value = %{Situ.PointCloud.from_points([{1.0, 2.0, 3.0}]) | colors: <<1, 2, 3>>}
     name = Standard.message_type(value)
-    {:ok, bytes} = Protobuf.encode(schema, name, Standard.to(name, value, 5, "f"))
-    set = Protobuf.Descriptor.write(schema, name)
+    {:ok, bytes} = Protobuf.encode(schema, name, Standard.to_message(name, value, 5, "f"))
+    set = Protobuf.Descriptor.encode_set(schema, name)
 
-    bounded(Budget.mutations(2_000), fn n ->
+    bounded(Budget.mutation_count(2_000), fn n ->
       with {:ok, message} <- Protobuf.decode(schema, name, mutate(bytes, n)),
-           do: Standard.from(name, message)
+           do: Standard.from_message(name, message)
 
-      with {:ok, other} <- Protobuf.schema(mutate(set, n)),
+      with {:ok, other} <- Protobuf.parse_schema(mutate(set, n)),
            true <- is_map_key(other.messages, name),
            do: Protobuf.decode(other, name, bytes)
     end)
   end
 
-  test "mutations of messages of ROS 1 and ROS 2" do
+  test "survives mutations of ROS 1 and ROS 2 messages" do
     for {encoding, dialect} <- [ros1: :ros1, cdr: :ros2] do
       {:ok, text} = Library.fetch("sensor_msgs/PointCloud2", dialect)
       {:ok, definition} = Definition.parse("sensor_msgs/PointCloud2", text, dialect)
       cloud = Situ.PointCloud.from_points([{1.0, 2.0, 3.0}])
-      message = Situ.Bridge.Ros.Standard.to("sensor_msgs/PointCloud2", cloud, 5)
+      message = Situ.Bridge.Ros.Standard.to_message("sensor_msgs/PointCloud2", cloud, 5)
       {:ok, bytes} = Wire.encode(definition, message, encoding)
 
-      bounded(Budget.mutations(2_000), fn n ->
+      bounded(Budget.mutation_count(2_000), fn n ->
         case Wire.decode(definition, mutate(bytes, n), encoding) do
-          {:ok, message} -> Situ.Bridge.Ros.Standard.from("sensor_msgs/PointCloud2", message)
-          {:error, why} when is_binary(why) -> :ok
+          {:ok, message} ->
+            Situ.Bridge.Ros.Standard.from_message("sensor_msgs/PointCloud2", message)
+
+          {:error, why} when is_binary(why) ->
+            :ok
         end
       end)
     end
   end
 
-  test "mutations of definitions" do
+  test "survives mutations of definitions" do
     {:ok, text} = Library.fetch("visualization_msgs/Marker")
 
-    bounded(Budget.mutations(500), fn n ->
+    bounded(Budget.mutation_count(500), fn n ->
       case Definition.parse("visualization_msgs/Marker", mutate(text, n)) do
         {:ok, definition} -> Wire.decode(definition, :binary.copy(<<1>>, 100), :ros1)
         {:error, why} when is_binary(why) -> :ok
@@ -180,22 +184,23 @@ defmodule Situ.Bridge.HostileTest do
     end)
   end
 
-  test "mutations of conversations of MQTT and WebSockets" do
+  test "survives mutations of MQTT and WebSocket conversations" do
     mqtt =
       IO.iodata_to_binary([
         <<0x20, 2, 0, 0>>,
-        for(i <- 1..5, do: Mqtt.Wire.publish("a/b", "payload", qos: rem(i, 2), id: i))
+        for(i <- 1..5, do: Mqtt.Wire.encode_publish("a/b", "payload", qos: rem(i, 2), id: i))
       ])
 
-    frames = IO.iodata_to_binary(for i <- 1..5, do: WebSocket.Frames.frame(:text, "message #{i}"))
+    frames =
+      IO.iodata_to_binary(for i <- 1..5, do: WebSocket.Frames.encode_frame(:text, "message #{i}"))
 
-    bounded(Budget.mutations(2_000), fn n ->
+    bounded(Budget.mutation_count(2_000), fn n ->
       case Mqtt.Subscription.read(mutate(mqtt, n), "", 100_000) do
         {:ok, payloads, _answer, _rest} when is_list(payloads) -> :ok
         {:error, why} when is_binary(why) -> :ok
       end
 
-      case WebSocket.Frames.split(mutate(frames, n), nil, false, 100_000) do
+      case WebSocket.Frames.split_messages(mutate(frames, n), nil, false, 100_000) do
         {:ok, events, _rest, _begun} when is_list(events) -> :ok
         {:error, _why} -> :ok
       end

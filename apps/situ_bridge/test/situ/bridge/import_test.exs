@@ -8,11 +8,11 @@ defmodule Situ.Bridge.ImportTest do
   @bag Path.expand("../../data/ros1_imu_gps_cam.bag", __DIR__)
   @mcap Path.expand("../../data/ros1_imu_gps_cam.mcap", __DIR__)
 
-  # The messages in the file, decoded by nobody: when each was recorded and sent, and its bytes.
+  # Returns the undecoded messages of the file: their log time, publish time and bytes.
   defp raw(path) do
     %{state: %{ref: ref}} = store = Store.open!(path)
 
-    for channel <- Mcap.channels(store), into: %{} do
+    for channel <- Mcap.list_channels(store), into: %{} do
       what = {{channel.id, :log}, 0, :unbounded, {10_000, 1_000_000_000}, {false, false}}
       {:ok, {messages, _}} = Native.mcap_read(ref, what)
       {channel.topic, {channel.schema, for({_, log, sent, _, x} <- messages, do: {log, sent, x})}}
@@ -20,14 +20,14 @@ defmodule Situ.Bridge.ImportTest do
   end
 
   for {kind, file} <- [bag: @bag, mcap: @mcap] do
-    test "an imported #{kind} keeps every field, and is exported to the same messages", %{
+    test "keeps every field of an imported #{kind}, and exports the same messages", %{
       tmp_dir: dir
     } do
       {:ok, path} = Store.copy(unquote(file), Path.join(dir, "drive"))
       store = Store.open!(path)
       maps = Store.open!(unquote(file), reader_opts: [times: :header, messages: :maps])
 
-      # Typed for the studio; the time is the header's.
+      # The message is typed for the studio, and its time is the header's.
       assert {:ok, %{data: %Situ.ImuReading{}} = imu} = Store.at(store, "/imu/data_raw", 3)
       assert {:ok, %{data: message}} = Store.at(maps, "/imu/data_raw", 3)
       assert imu.originating_time == message["header"]["stamp"]
@@ -40,14 +40,14 @@ defmodule Situ.Bridge.ImportTest do
       assert {:ok, 545} = Mcap.export(store, out)
       assert raw(out) == raw(@mcap)
 
-      # And by way of a bag.
+      # The same holds for an export through a bag.
       bag = Path.join(dir, "out.bag")
       assert {:ok, 545} = Ros.Bag.export(store, bag)
       {:ok, _} = Mcap.export(Store.open!(bag), again = Path.join(dir, "again.mcap"))
       assert raw(again) == raw(@mcap)
     end
 
-    test "the times of a #{kind} may be those of recording", %{tmp_dir: dir} do
+    test "can use the recording times of a #{kind}", %{tmp_dir: dir} do
       {:ok, path} = Store.copy(unquote(file), Path.join(dir, "drive"), times: :record)
       {:ok, want} = unquote(file) |> Store.open!() |> Store.at("/imu/data_raw", 3)
       {:ok, got} = path |> Store.open!() |> Store.at("/imu/data_raw", 3)
@@ -56,7 +56,7 @@ defmodule Situ.Bridge.ImportTest do
     end
   end
 
-  test "times of sending that differ are kept, and channels' metadata", %{tmp_dir: dir} do
+  test "keeps differing publish times and channel metadata", %{tmp_dir: dir} do
     definition = "std_msgs/Header header\ngeometry_msgs/Pose pose\n"
     file = Path.join(dir, "pose.mcap")
     {:ok, writer} = Native.mcap_create(file, "", :none, 1_000)

@@ -6,10 +6,10 @@ defmodule Situ.Bridge.McapTest do
 
   @moduletag :tmp_dir
   @moduletag :capture_log
-  # Recorded by `rosbag record`, converted by the mcap tools.
+  # Recorded by `rosbag record` and converted by the mcap tools.
   @real Path.expand("../../data/ros1_imu_gps_cam.mcap", __DIR__)
 
-  test "a real recording opens like our own" do
+  test "opens a real recording like a store" do
     store = Store.open!(@real)
     assert %{profile: "ros1", closed?: true, damage: []} = Store.info(store)
     counts = Map.new(Store.streams(store), &{&1.name, &1.count})
@@ -39,7 +39,7 @@ defmodule Situ.Bridge.McapTest do
     assert stamped.creation_time == imu.originating_time
   end
 
-  test "a pipeline records a file and replays it", %{tmp_dir: dir} do
+  test "records a file in a pipeline and replays it", %{tmp_dir: dir} do
     path = Path.join(dir, "own.mcap")
     values = for i <- 1..500, do: {i * 1_000_000, i / 2}
 
@@ -68,7 +68,7 @@ defmodule Situ.Bridge.McapTest do
     assert got == values
   end
 
-  test "Protobuf: Foxglove's messages and one's own, with timestamps and frames", %{tmp_dir: dir} do
+  test "writes Foxglove's and custom Protobuf messages, with frames", %{tmp_dir: dir} do
     path = Path.join(dir, "foxglove.mcap")
     image = Situ.Image.new!(width: 2, height: 1, format: :rgb24, data: <<1, 2, 3, 4, 5, 6>>)
 
@@ -114,7 +114,7 @@ defmodule Situ.Bridge.McapTest do
     assert {:ok, %{data: %{"frame_id" => "lens", "encoding" => "rgb8"}}} =
              Store.at(stamped, "/camera", 0)
 
-    # Again as Protobuf: as it was, frames and all.
+    # An export as Protobuf keeps everything, including the frames.
     again = Path.join(dir, "again.mcap")
 
     assert {:ok, 100} =
@@ -125,7 +125,7 @@ defmodule Situ.Bridge.McapTest do
     assert {:error, %{code: :no_ros_type}} = Mcap.export(store, again, encoding: :protobuf)
   end
 
-  test "attachments and metadata go in and come out", %{tmp_dir: dir} do
+  test "writes and reads attachments and metadata", %{tmp_dir: dir} do
     path = Path.join(dir, "with.mcap")
     note = Path.join(dir, "calibration.yaml")
     File.write!(note, "fx: 500")
@@ -137,9 +137,9 @@ defmodule Situ.Bridge.McapTest do
       end)
 
     store = Store.open!(path)
-    assert [%{name: "calibration.yaml", size: 7, time: time}] = Mcap.attachments(store)
+    assert [%{name: "calibration.yaml", size: 7, time: time}] = Mcap.list_attachments(store)
     assert time > 1_600_000_000_000_000_000
-    assert Mcap.attachment(store, "calibration.yaml") == {:ok, "fx: 500"}
+    assert Mcap.read_attachment(store, "calibration.yaml") == {:ok, "fx: 500"}
     assert Store.info(store).metadata == [{"robot", %{"serial" => "7", "name" => "ada"}}]
 
     missing = Path.join(dir, "nowhere.yaml")
@@ -153,7 +153,7 @@ defmodule Situ.Bridge.McapTest do
     assert what =~ "nowhere.yaml"
   end
 
-  test "what was recorded before a pipeline is killed is there", %{tmp_dir: dir} do
+  test "keeps the messages recorded before a pipeline is killed", %{tmp_dir: dir} do
     path = Path.join(dir, "killed.mcap")
     me = self()
 
@@ -181,7 +181,7 @@ defmodule Situ.Bridge.McapTest do
     assert Store.count(Store.open!(path), "/n") > 0
   end
 
-  test "a recording is exported and read back", %{tmp_dir: dir} do
+  test "exports a recording and reads it back", %{tmp_dir: dir} do
     path = Path.join(dir, "copy.mcap")
     store = Store.open!(@real)
     assert {:ok, 545} = Mcap.export(store, path)
@@ -194,7 +194,7 @@ defmodule Situ.Bridge.McapTest do
   defp data(store, name),
     do: for(m <- Store.messages(store, name), do: {m.originating_time, m.data})
 
-  test "files cut short and other files are told apart", %{tmp_dir: dir} do
+  test "opens truncated files, and rejects other files", %{tmp_dir: dir} do
     path = Path.join(dir, "cut.mcap")
     bytes = File.read!(@real)
     File.write!(path, binary_part(bytes, 0, div(byte_size(bytes), 2)))
@@ -206,7 +206,7 @@ defmodule Situ.Bridge.McapTest do
     assert {:error, %{code: :io}} = Mcap.open(Path.join(dir, "none.mcap"), [])
   end
 
-  test "what cannot be written is an error of the pipeline", %{tmp_dir: dir} do
+  test "fails the pipeline if a value cannot be written", %{tmp_dir: dir} do
     path = Path.join(dir, "bad.mcap")
 
     build = fn value, opts ->

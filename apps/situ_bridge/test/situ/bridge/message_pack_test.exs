@@ -6,7 +6,7 @@ defmodule Situ.Bridge.MessagePackTest do
 
   defp bytes(term), do: term |> MessagePack.encode() |> IO.iodata_to_binary()
 
-  test "the smallest form of each number and length" do
+  test "encodes each number and length in its smallest form" do
     for {n, hex} <- [
           {0, "00"},
           {127, "7F"},
@@ -29,7 +29,7 @@ defmodule Situ.Bridge.MessagePackTest do
     assert <<0xC4, 1, 0xFF>> = bytes(<<0xFF>>)
   end
 
-  property "what is written is read" do
+  property "decodes encoded terms" do
     forall term <- term() do
       try do
         assert {:ok, back, ""} = MessagePack.decode(bytes(term), objects: :pairs)
@@ -40,14 +40,14 @@ defmodule Situ.Bridge.MessagePackTest do
     end
   end
 
-  test "extensions and timestamps" do
+  test "supports extensions and timestamps" do
     assert MessagePack.decode(bytes({:timestamp, -1})) == {:ok, {:timestamp, -1}, ""}
     assert MessagePack.decode(<<0xD6, 0xFF, 5::32>>) == {:ok, {:timestamp, 5_000_000_000}, ""}
     assert MessagePack.decode(bytes({:ext, 7, "abc"})) == {:ok, {:ext, 7, "abc"}, ""}
     assert MessagePack.decode(<<0xCB, 0xFFF0::16, 0::48>>) == {:ok, :neg_infinity, ""}
   end
 
-  test "lies about lengths and depth are refused at once" do
+  test "rejects false lengths and excessive depth immediately" do
     assert {:error, _} = MessagePack.decode(<<0xDD, 0xFFFFFFFF::32>>)
     assert {:error, _} = MessagePack.decode(<<0xDF, 0xFFFFFFFF::32, 0>>)
     assert {:error, _} = MessagePack.decode(<<0xDB, 0xFFFFFFFF::32, "abc">>)

@@ -4,7 +4,7 @@ defmodule Situ.Bridge.NamesTest do
 
   @moduletag :tmp_dir
 
-  test "every bridge of streams has a source and a sink" do
+  test "every streaming bridge has a source and a sink" do
     for module <- [
           Bridge.File,
           Bridge.Mqtt,
@@ -21,7 +21,7 @@ defmodule Situ.Bridge.NamesTest do
     end
   end
 
-  test "they are those of other names", %{tmp_dir: dir} do
+  test "source and sink work like the named functions", %{tmp_dir: dir} do
     path = Path.join(dir, "x.csv")
     values = [{0, 1.5}, {1_000_000_000, 2.5}]
 

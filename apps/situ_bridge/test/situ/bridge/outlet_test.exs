@@ -3,7 +3,8 @@ defmodule Situ.Bridge.OutletTest do
   import ExUnit.CaptureLog
   alias Situ.{Bridge, Pipeline}
 
-  # Nobody listens there: the port was free a moment ago, and is kept from others by a socket that does not listen.
+  # Returns a port on which nothing listens. A UDP socket holds the number, so that no other test
+  # takes it.
   setup do
     {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(socket)
@@ -12,7 +13,7 @@ defmodule Situ.Bridge.OutletTest do
 
   defp numbers(p, n), do: Situ.from_enumerable(p, for(i <- 1..n, do: {i, %{"n" => i}}))
 
-  test "messages that no broker took are an error that counts them", %{port: port} do
+  test "reports how many messages no broker accepted", %{port: port} do
     quiet(fn ->
       assert {:error, error} =
                Pipeline.run(fn p ->
@@ -23,7 +24,7 @@ defmodule Situ.Bridge.OutletTest do
     end)
   end
 
-  test "a stop by hand ends a stream that waits for a broker", %{port: port} do
+  test "stops a stream that is waiting for a broker", %{port: port} do
     quiet(fn ->
       me = self()
 
@@ -36,13 +37,13 @@ defmodule Situ.Bridge.OutletTest do
 
       assert_receive {:post, post}, 5_000
       for n <- 1..10, do: post.(%{"n" => n})
-      # Long before stop_timeout:, of 30 s.
+      # This is long before `stop_timeout:`, which is 30 s.
       assert {:error, error} = Pipeline.stop(p, timeout: 20_000)
       assert %{code: :not_delivered, what: "10 messages were not delivered"} = cause(error)
     end)
   end
 
-  test "so does one that waits for its first client" do
+  test "stops a stream that is waiting for its first client" do
     quiet(fn ->
       {:ok, p} =
         Pipeline.start(fn p ->
@@ -54,7 +55,7 @@ defmodule Situ.Bridge.OutletTest do
     end)
   end
 
-  test "and one whose ZeroMQ peer never comes" do
+  test "stops a stream whose ZeroMQ peer never connects" do
     quiet(fn ->
       {:ok, p} =
         Pipeline.start(fn p ->

@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.ParquetTest do
-  # Counts atoms.
+  # Not async, because it counts atoms.
   use ExUnit.Case, async: false
   use Situ.Test.Property
   alias Situ.Bridge.Columnar.{Column, Names, Rows}
@@ -16,7 +16,8 @@ defmodule Situ.Bridge.ParquetTest do
   @theirs for kind <- 1..2,
               do: Path.expand("../../data/parquet/pyarrow-#{kind}.parquet", __DIR__)
 
-  # Made by pyarrow 26.0.1: the columns t, x (plain), y, u, x (texts), x_1 (x as differences), in pages of few rows.
+  # Written by pyarrow 26.0.1: the columns t, x (plain), y, u, x (strings), x_1 (x as deltas), in
+  # pages of few rows.
   @deltas Path.expand("../../data/parquet/pyarrow-deltas.parquet", __DIR__)
 
   @moduletag :tmp_dir
@@ -33,7 +34,7 @@ defmodule Situ.Bridge.ParquetTest do
     Store.open!(Path.join(dir, "t"))
   end
 
-  test "streams become tables, and tables streams", %{tmp_dir: dir} do
+  test "exports streams as tables, and reads tables as streams", %{tmp_dir: dir} do
     rows =
       for i <- 1..1_000,
           do:
@@ -84,7 +85,7 @@ defmodule Situ.Bridge.ParquetTest do
     assert_received {:got, :nan}
   end
 
-  test "plain numbers of one kind, of several, and with nothing among them", %{tmp_dir: dir} do
+  test "writes plain numbers of one kind, of several kinds, and with gaps", %{tmp_dir: dir} do
     streams = [
       {"Floats", for(i <- 1..5_000, do: {i, i / 7})},
       {"Integers", for(i <- 1..5_000, do: {i, i * 1_000_000_007})},
@@ -115,7 +116,7 @@ defmodule Situ.Bridge.ParquetTest do
     defp rows(path),
       do: for({time, row} <- Parquet.messages(path), do: {time, row["Fast"], row["Slow.x"]})
 
-    test "has a row for each message, with the others' nearest values", %{
+    test "returns a row for each message with the nearest values of the others", %{
       store: store,
       path: path
     } do
@@ -138,7 +139,7 @@ defmodule Situ.Bridge.ParquetTest do
       assert [{5, 0, 1.5}, {47, 5, 2.5}] = rows(path)
     end
 
-    test "or the values in force, no further away than wanted", %{store: store, path: path} do
+    test "takes the latest values, or values within a tolerance", %{store: store, path: path} do
       assert {:ok, 10} = Parquet.join(store, path, on: "Fast", take: :latest)
 
       assert for({_, _, x} <- rows(path), do: x) ==
@@ -156,7 +157,7 @@ defmodule Situ.Bridge.ParquetTest do
       assert [{20, 2, 1.5}, {30, 3, 1.5}, {40, 4, 1.5}] = rows(path)
     end
 
-    test "of a stream that is not there is an error", %{store: store, path: path} do
+    test "returns an error for an unknown stream", %{store: store, path: path} do
       assert {:error, %{code: :no_stream}} = Parquet.join(store, path, on: "None")
 
       assert {:error, %{code: :no_stream}} =
@@ -166,8 +167,9 @@ defmodule Situ.Bridge.ParquetTest do
     end
   end
 
-  # Made by pyarrow 25.0.1: the first with pages of the first kind, packed by LZ4, the second of the second, by Snappy.
-  test "files of another library, with types and encodings that we do not write" do
+  # Written by pyarrow 25.0.1: the first with version 1 pages and LZ4, the second with version 2
+  # pages and Snappy.
+  test "reads files of another library with types and encodings Situ does not write" do
     expected = [
       {1_000_000,
        %{
@@ -224,7 +226,7 @@ defmodule Situ.Bridge.ParquetTest do
     end
   end
 
-  test "differences wrap at the width of their column" do
+  test "wraps deltas at the width of their column" do
     rows = @deltas |> Parquet.messages() |> Enum.map(&elem(&1, 1))
     assert length(rows) == 300
     assert for(row <- rows, do: row["x_1"]) == for(row <- rows, do: row["x"])
@@ -236,8 +238,8 @@ defmodule Situ.Bridge.ParquetTest do
              for(i <- 0..299, do: if(rem(i, 7) > 0, do: 2 ** 32 - 1 - i))
   end
 
-  test "columns of one name are both read, the later one under a number" do
-    assert Parquet.columns(@deltas) ==
+  test "reads columns with the same name, and numbers the later one" do
+    assert Parquet.list_columns(@deltas) ==
              {:ok, %{columns: ["t", "x", "y", "u", "x_2", "x_1"], left_out: []}}
 
     for {_time, row} <- Parquet.messages(@deltas),
@@ -247,8 +249,8 @@ defmodule Situ.Bridge.ParquetTest do
              @deltas |> Parquet.messages(columns: ["x_2"]) |> Enum.take(1)
   end
 
-  test "a file is read as far as it is asked for", %{tmp_dir: dir} do
-    # The pages of the second row group are damaged; those of the first are not looked at again.
+  test "reads only as much of a file as is requested", %{tmp_dir: dir} do
+    # The pages of the second row group are damaged. Those of the first are read without them.
     {:ok, %{groups: [_, %{1 => [%{3 => %{9 => second}} | _]}]}} = Parquet.File.open(@deltas)
     whole = File.read!(@deltas)
     <<before::binary-size(second), _::64, rest::binary>> = whole
@@ -258,7 +260,7 @@ defmodule Situ.Bridge.ParquetTest do
     assert_raise Situ.Error, ~r/cannot be read/, fn -> Enum.to_list(Parquet.messages(path)) end
   end
 
-  test "a column with fewer rows than its group is an error, and no row is dropped", %{
+  test "rejects a column with fewer rows than its group, and drops no row", %{
     tmp_dir: dir
   } do
     path = Path.join(dir, "short.parquet")
@@ -270,7 +272,7 @@ defmodule Situ.Bridge.ParquetTest do
 
     {:ok, writer} = Writer.create(path, columns, :none)
     {:ok, writer} = Writer.write(writer, [[1, 2, 3], [1, 2, 3]], 3)
-    # The footer claims two rows more.
+    # The footer claims two rows more than the column has.
     [{:struct, [chunks, size, {3, {:i64, 3}}]}] = writer.groups
     {:ok, 3} = Writer.finish(%{writer | groups: [{:struct, [chunks, size, {3, {:i64, 5}}]}]})
     error = assert_raise Situ.Error, fn -> Enum.to_list(Parquet.messages(path)) end
@@ -278,16 +280,16 @@ defmodule Situ.Bridge.ParquetTest do
   end
 
   @tag :capture_log
-  test "mutations of theirs are rows or errors, in bounded memory", %{tmp_dir: dir} do
+  test "reads mutated pyarrow files as rows or errors in bounded memory", %{tmp_dir: dir} do
     path = Path.join(dir, "theirs.parquet")
-    seed = Budget.seed()
+    seed = Budget.random_seed()
     whole = Enum.map(@theirs, &File.read!/1)
 
     mutate = fn ->
       :rand.seed(:exsss, seed)
       Process.flag(:max_heap_size, %{size: 50_000_000, kill: true, error_logger: true})
 
-      for _ <- 1..Budget.mutations(200), bytes = Enum.random(whole) do
+      for _ <- 1..Budget.mutation_count(200), bytes = Enum.random(whole) do
         at = :rand.uniform(byte_size(bytes)) - 1
         <<before::binary-size(at), _, rest::binary>> = bytes
         File.write!(path, [before, :rand.uniform(256) - 1, rest])
@@ -304,7 +306,7 @@ defmodule Situ.Bridge.ParquetTest do
     assert :error in results and 3 in results
   end
 
-  test "what is no table is an error that says why", %{tmp_dir: dir} do
+  test "rejects a file that is not a table, and says why", %{tmp_dir: dir} do
     path = Path.join(dir, "x.parquet")
     File.write!(path, "PAR1 this is none PAR1")
     assert_raise Situ.Error, ~r/cannot be read/, fn -> Enum.to_list(Parquet.messages(path)) end
@@ -318,7 +320,7 @@ defmodule Situ.Bridge.ParquetTest do
     assert {:error, %{code: :io}} = Writer.create(Path.join(dir, "no/such/x"), [], :none)
   end
 
-  property "columns of every kind come back from their page" do
+  property "reads back columns of every kind from their pages" do
     forall {kind, n} <- {one_of([:integer, :float, :boolean, :text]), integer(1, 40)} do
       values = for i <- 1..n, do: if(rem(i * n, 3) == 0, do: nil, else: cell(kind, i))
       assert read(kind, values) == values
@@ -336,14 +338,18 @@ defmodule Situ.Bridge.ParquetTest do
   end
 
   defp chunk(kind, values) do
-    body = %Column{name: "x", kind: kind} |> Parquet.Column.page(values) |> IO.iodata_to_binary()
+    body =
+      %Column{name: "x", kind: kind}
+      |> Parquet.Column.encode_page(values)
+      |> IO.iodata_to_binary()
+
     size = byte_size(body)
 
     page =
       {:struct, [{1, {:i32, length(values)}}, {2, {:i32, 0}}, {3, {:i32, 3}}, {4, {:i32, 3}}]}
 
     head = {:struct, [{1, {:i32, 0}}, {2, {:i32, size}}, {3, {:i32, size}}, {5, page}]}
-    IO.iodata_to_binary([Thrift.write(head), body])
+    IO.iodata_to_binary([Thrift.encode_struct(head), body])
   end
 
   defp read(kind, values) do
@@ -356,10 +362,10 @@ defmodule Situ.Bridge.ParquetTest do
     packing = %{codec: 0, packed?: false}
     size = byte_size(bytes)
     place = %{at: 0, size: size, packing: packing, count: count, nested?: false}
-    Chunk.start(leaf, place, &binary_part(bytes, &1, &2))
+    Chunk.start_reading(leaf, place, &binary_part(bytes, &1, &2))
   end
 
-  property "rows taken in any portions are those taken at once" do
+  property "returns the same rows in portions of any size" do
     forall {kind, n, portion} <-
              {one_of([:integer, :float, :boolean, :text]), integer(1, 60), integer(1, 9)} do
       values = for i <- 1..n, do: if(rem(i * n, 3) == 0, do: nil, else: cell(kind, i))
@@ -374,37 +380,43 @@ defmodule Situ.Bridge.ParquetTest do
     end
   end
 
-  test "what cannot be one column is text" do
+  test "stores values of mixed kinds as strings" do
     kinds =
-      Enum.reduce([%{a: 1, b: nil}, %{a: 2.5, b: true}, %{a: nil, b: 1}], %{}, &Rows.add(&2, &1))
+      Enum.reduce(
+        [%{a: 1, b: nil}, %{a: 2.5, b: true}, %{a: nil, b: 1}],
+        %{},
+        &Rows.merge_data_kinds(&2, &1)
+      )
 
-    assert [%{name: "a", kind: :float}, %{name: "b", kind: :text}] = columns = Rows.columns(kinds)
-    assert Rows.row(%{a: 1, b: true}, columns) == [1, "true"]
+    assert [%{name: "a", kind: :float}, %{name: "b", kind: :text}] =
+             columns = Rows.build_columns(kinds)
+
+    assert Rows.row_values(%{a: 1, b: true}, columns) == [1, "true"]
   end
 
-  test "copies of Snappy repeat, and reach no further than what is there" do
-    assert Packed.undo(1, <<5, 0, "a", 0b00000001, 1>>, 5) == "aaaaa"
-    assert {:not_parquet, _} = catch_throw(Packed.undo(1, <<5, 0, "a", 0b00000001, 2>>, 5))
-    assert {:not_parquet, _} = catch_throw(Packed.undo(1, <<5, 0, "a">>, 5))
+  test "expands overlapping Snappy copies, and rejects copies beyond the output" do
+    assert Packed.unpack_page(1, <<5, 0, "a", 0b00000001, 1>>, 5) == "aaaaa"
+    assert {:not_parquet, _} = catch_throw(Packed.unpack_page(1, <<5, 0, "a", 0b00000001, 2>>, 5))
+    assert {:not_parquet, _} = catch_throw(Packed.unpack_page(1, <<5, 0, "a">>, 5))
 
     assert {:not_parquet, _} =
-             catch_throw(Packed.undo(2, :zlib.gzip(:binary.copy("a", 1_000_000)), 5))
+             catch_throw(Packed.unpack_page(2, :zlib.gzip(:binary.copy("a", 1_000_000)), 5))
 
-    assert {:not_parquet, _} = catch_throw(Packed.undo(4, "", 0))
-    assert Packed.undo(1, "", 0) == ""
+    assert {:not_parquet, _} = catch_throw(Packed.unpack_page(4, "", 0))
+    assert Packed.unpack_page(1, "", 0) == ""
   end
 
   @tag :capture_log
-  test "mutations of a file are rows or errors, and make no atoms", %{tmp_dir: dir} do
+  test "reads mutated files as rows or errors, and creates no atoms", %{tmp_dir: dir} do
     rows = for i <- 1..50, do: {i, %{n: i, t: "text #{rem(i, 5)}", f: i / 3, b: rem(i, 2) == 0}}
     {:ok, _} = dir |> recorded([{"Rows", rows}]) |> Parquet.export(dir, rows: 20)
     whole = File.read!(Path.join(dir, "Rows.parquet"))
     path = Path.join(dir, "mutated.parquet")
     atoms = :erlang.system_info(:atom_count)
 
-    for n <- 1..Budget.mutations(2_000) do
+    for n <- 1..Budget.mutation_count(2_000) do
       bytes = mutated(whole, n)
-      # The disk need not see most of them: pages are read without it.
+      # Most of them are not written to disk, because pages can be read from memory.
       if rem(n, 10) == 0, do: from_disk(path, bytes), else: from_memory(bytes)
     end
 
@@ -412,7 +424,7 @@ defmodule Situ.Bridge.ParquetTest do
   end
 
   defp mutated(whole, n) do
-    # Most of what matters stands in the footer, and in the heads of pages.
+    # Most of the important bytes are in the footer and in the page headers.
     at =
       if rem(n, 2) == 0,
         do: :rand.uniform(byte_size(whole)) - 1,

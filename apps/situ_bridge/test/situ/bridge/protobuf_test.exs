@@ -44,7 +44,7 @@ defmodule Situ.Bridge.ProtobufTest do
   end
 
   defp schema do
-    {:ok, schema} = Protobuf.schema(@text)
+    {:ok, schema} = Protobuf.parse_schema(@text)
     schema
   end
 
@@ -90,9 +90,9 @@ defmodule Situ.Bridge.ProtobufTest do
     map(fields, &Map.new/1)
   end
 
-  property "what is written is read, by the text and by the descriptor of it" do
+  property "decodes messages with the parsed text and with its descriptor" do
     schema = schema()
-    {:ok, described} = schema |> Descriptor.write("situ.test.All") |> Protobuf.schema()
+    {:ok, described} = schema |> Descriptor.encode_set("situ.test.All") |> Protobuf.parse_schema()
     assert described.messages["situ.test.All"] == schema.messages["situ.test.All"]
 
     forall message <- message() do
@@ -102,7 +102,7 @@ defmodule Situ.Bridge.ProtobufTest do
     end
   end
 
-  property "whatever bytes there are, the answer is a map or a sentence" do
+  property "decodes any bytes to a map or an error message" do
     schema = schema()
 
     forall {message, at, byte, garbage} <-
@@ -123,7 +123,7 @@ defmodule Situ.Bridge.ProtobufTest do
     end
   end
 
-  test "the last of several holds, parts of a message are one, members of a oneof exclude each other",
+  test "keeps the last value, merges parts of a message, and clears other oneof members",
        %{schema: schema} do
     encode = fn map -> elem(Protobuf.encode(schema, "situ.test.All", map), 1) end
 
@@ -148,13 +148,13 @@ defmodule Situ.Bridge.ProtobufTest do
     read
   end
 
-  test "fields that are not known are left out, also groups", %{schema: schema} do
-    # Field 200: a varint; 201: a group with a text in it; 3: 5.
+  test "ignores unknown fields and groups", %{schema: schema} do
+    # Field 200 is a varint, field 201 a group with a string in it, and field 3 is 5.
     bytes = <<0xC0, 0x0C, 9, 0xCB, 0x0C, 0x12, 1, ?a, 0xCC, 0x0C, 0x18, 5>>
     assert {:ok, %{"i" => 5}} = Protobuf.decode(schema, "situ.test.All", bytes)
   end
 
-  test "what does not fit is told of", %{schema: schema} do
+  test "reports values that do not fit", %{schema: schema} do
     for {map, why} <- [
           {%{"i" => 3_000_000_000}, "3000000000 does not fit its field"},
           {%{"colour" => "GREEN"}, "\"GREEN\" does not fit its field"},
@@ -168,23 +168,23 @@ defmodule Situ.Bridge.ProtobufTest do
     assert {:error, %{code: :no_such_type}} = Protobuf.decode(schema, "All", "")
   end
 
-  test "messages nest a hundred deep at most, and few bytes do not become large maps", %{
+  test "limits nesting to 100 levels, and the size of maps made of few bytes", %{
     schema: schema
   } do
-    wrap = fn bytes -> <<0x12>> <> Writer.put_varint(byte_size(bytes)) <> bytes end
+    wrap = fn bytes -> <<0x12>> <> Writer.encode_varint(byte_size(bytes)) <> bytes end
     deep = Enum.reduce(1..120, "", fn _, bytes -> wrap.(bytes) end)
     assert {:error, why} = Reader.decode(schema, "situ.test.All.Inner", deep)
     assert why =~ "100 deep"
 
     fields = for n <- 1..1_000, do: "int32 f#{n} = #{n};"
     text = "syntax = \"proto3\"; message Wide { repeated Wide more = 2000; #{fields} }"
-    {:ok, wide} = Protobuf.schema(text)
+    {:ok, wide} = Protobuf.parse_schema(text)
     bomb = :binary.copy(<<0x82, 0x7D, 0>>, 100_000)
     assert {:error, why} = Reader.decode(wide, "Wide", bomb)
     assert why =~ "far more fields than it has bytes"
   end
 
-  test "definitions that make no sense are errors" do
+  test "rejects invalid definitions" do
     for text <- [
           "message {",
           "message A { int32 x = 0; }",
@@ -193,23 +193,27 @@ defmodule Situ.Bridge.ProtobufTest do
           <<10, 3, 1>>,
           ""
         ] do
-      result = Protobuf.schema(text)
+      result = Protobuf.parse_schema(text)
       assert match?({:error, %{code: :bad_definition}}, result) or text == ""
     end
   end
 
-  # Through the bytes, there and back.
+  # Encodes and decodes the value.
   defp there_and_back(value, frame \\ "") do
     type = Standard.message_type(value)
 
     {:ok, bytes} =
-      Writer.encode(Messages.schema(), type, Standard.to(type, value, 5_000_000_007, frame))
+      Writer.encode(
+        Messages.load_schema(),
+        type,
+        Standard.to_message(type, value, 5_000_000_007, frame)
+      )
 
-    {:ok, message} = Reader.decode(Messages.schema(), type, bytes)
-    {message, Standard.from(type, message)}
+    {:ok, message} = Reader.decode(Messages.load_schema(), type, bytes)
+    {message, Standard.from_message(type, message)}
   end
 
-  test "Situ's types are Foxglove's messages, and come back as they were" do
+  test "maps Situ's types to Foxglove's messages and back" do
     pose = %Pose{position: {1.0, 2.0, 3.0}, rotation: {0.5, 0.5, 0.5, -0.5}}
     png = <<0x89, "PNG\r\n", 0x1A, "\n", 1, 2>>
     {:ok, encoded} = EncodedImage.new(format: :png, data: png)

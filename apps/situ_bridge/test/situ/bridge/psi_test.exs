@@ -6,7 +6,7 @@ defmodule Situ.Bridge.PsiTest do
 
   @data Path.expand("../../data/psi", __DIR__)
 
-  # Every store that \psi's runtime wrote, beside what its own reader made of it.
+  # All stores that \psi's runtime wrote, each with the results of \psi's own reader.
   @stores (for file <- Path.wildcard(Path.join(@data, "**/*expected*.json")) do
              name = Path.basename(file, ".json")
              folder = Path.dirname(file)
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.PsiTest do
            end)
 
   for {name, file, path} <- @stores do
-    test "#{name} is read as \\psi reads it" do
+    test "reads #{name} like \\psi's own reader" do
       {:ok, want} = unquote(file) |> File.read!() |> Situ.JSON.decode()
       store = Store.open!(unquote(path))
       assert Store.info(store).name == want["store"]
@@ -84,7 +84,7 @@ defmodule Situ.Bridge.PsiTest do
   end
 
   describe "open/2" do
-    test "takes a folder, a name, and finds the newest version" do
+    test "opens a folder or a name, and finds the newest version" do
       assert Store.open!(Path.join(@data, "timing/Timing")) |> Store.info() |> Map.fetch!(:name) ==
                "Timing"
 
@@ -93,7 +93,7 @@ defmodule Situ.Bridge.PsiTest do
       assert {:error, %{code: :no_store}} = Store.open(Path.join(@data, "sessions"))
     end
 
-    test "stores are listed beside our own" do
+    test "lists them next to Situ's own stores" do
       found = Store.list(@data, recursive: true)
       assert Path.join(@data, "basics/Basics.0000") in found
       assert Path.join(@data, "sessions/Session2/Robot.0000") in found
@@ -101,7 +101,7 @@ defmodule Situ.Bridge.PsiTest do
     end
 
     @tag :tmp_dir
-    test "two stores in one folder are opened by their names", %{tmp_dir: dir} do
+    test "opens two stores in one folder by their names", %{tmp_dir: dir} do
       for store <- ["large", "killed"],
           file <- Path.wildcard(Path.join([@data, store, "*.psi"])),
           do: File.cp!(file, Path.join(dir, Path.basename(file)))
@@ -112,25 +112,25 @@ defmodule Situ.Bridge.PsiTest do
     end
 
     @tag :tmp_dir
-    test "a catalog of something else is an error", %{tmp_dir: dir} do
+    test "rejects a catalog of another format", %{tmp_dir: dir} do
       File.write!(Path.join(dir, "X.Catalog_000000.psi"), :binary.copy("nothing of ours", 100))
       assert {:error, %{code: :not_psi}} = Store.open(dir)
     end
   end
 
   describe "info/1" do
-    test "tells what is lost, and which types are only known by their schemas" do
+    test "reports missing messages, and types known only by their schemas" do
       %{damage: damage} = Store.info(Store.open!(Path.join(@data, "truncated")))
       assert Enum.any?(damage, &(&1 =~ "9 of 10 messages of the stream Small are missing"))
       assert Enum.any?(damage, &(&1 =~ "cut short in the message at byte 27616"))
       %{notes: notes} = Store.info(Store.open!(Path.join(@data, "objects")))
-      assert Enum.any?(notes, &(&1 =~ "Reading is of the type Sample.Telemetry.Reading"))
+      assert Enum.any?(notes, &(&1 =~ "Reading has the type Sample.Telemetry.Reading"))
     end
   end
 
-  describe "a store cut short" do
+  describe "a truncated store" do
     @tag :tmp_dir
-    test "at any byte of its data opens to the last whole message", %{tmp_dir: dir} do
+    test "opens up to the last complete message, wherever its data end", %{tmp_dir: dir} do
       source = Path.join(@data, "sessions/Session1/Robot.0000")
 
       for file <- Path.wildcard(Path.join(source, "*")),
@@ -152,7 +152,7 @@ defmodule Situ.Bridge.PsiTest do
   defp all(store),
     do: Enum.flat_map(Store.streams(store), &Enum.to_list(Store.messages(store, &1)))
 
-  # Where each message's bytes are complete, padding left out.
+  # Returns where the bytes of each message end, without padding.
   defp ends(bytes), do: ends(bytes, 0)
 
   defp ends(<<n::little-signed-32, rest::binary>>, at) when n > 0 do
@@ -163,11 +163,11 @@ defmodule Situ.Bridge.PsiTest do
 
   defp ends(_rest, _at), do: []
 
-  describe "a store of the reference's rules" do
+  describe "a store built to the reference's rules" do
     alias Situ.Bridge.Test.PsiFiles
 
     @tag :tmp_dir
-    test "whose metadata are of an old version has their counts", %{tmp_dir: dir} do
+    test "with metadata of an old version has their counts", %{tmp_dir: dir} do
       for version <- [0, 1, 2] do
         folder = Path.join(dir, "v#{version}")
         catalog = [PsiFiles.stream(version, "N", 1, "System.Int32, mscorlib", 2)]
@@ -181,7 +181,7 @@ defmodule Situ.Bridge.PsiTest do
     end
 
     @tag :tmp_dir
-    test "has times from the year 1 on, and leaves out those that cannot be", %{tmp_dir: dir} do
+    test "has times from the year 1 on, and leaves out invalid ones", %{tmp_dir: dir} do
       catalog = [PsiFiles.stream(2, "N", 1, "System.Int32, mscorlib", 3)]
 
       bits = [
@@ -205,14 +205,14 @@ defmodule Situ.Bridge.PsiTest do
              ] ==
                for(m <- Store.messages(store, "N"), do: m.originating_time)
 
-      assert Enum.any?(Store.info(store).damage, &(&1 =~ "1 messages have a time that cannot be"))
+      assert Enum.any?(Store.info(store).damage, &(&1 =~ "1 messages have an invalid time"))
       assert {:error, %{code: :bad_time}} = Store.copy(path, Path.join(dir, "ours"))
     end
   end
 
   describe "conversion" do
     @tag :tmp_dir
-    test "a copy into our own format has the same messages", %{tmp_dir: dir} do
+    test "to Situ's own format keeps all messages", %{tmp_dir: dir} do
       for name <- ["basics/Basics.0000", "objects", "media/Media.0000"] do
         from = Store.open!(Path.join(@data, name))
         target = Path.join(dir, String.replace(name, "/", "-"))
@@ -225,12 +225,12 @@ defmodule Situ.Bridge.PsiTest do
 
   describe "conversion to MCAP" do
     @tag :tmp_dir
-    test "keeps what the message that came first does not fit", %{tmp_dir: dir} do
+    test "keeps messages that do not fit the type of the first one", %{tmp_dir: dir} do
       path = Path.join(dir, "basics.mcap")
       basics = Store.open!(Path.join(@data, "basics/Basics.0000"))
       assert {:ok, 227} = Situ.Bridge.Mcap.export(basics, path)
       mcap = Store.open!(path)
-      # One is too large for 64 bits, one is missing.
+      # One value is too large for 64 bits, and one is missing.
       values = fn store, name -> for m <- Store.messages(store, name), do: m.data end
       as_json = fn name -> for %{"value" => value} <- values.(mcap, name), do: value end
       assert as_json.("DateTime") == values.(basics, "DateTime")
@@ -249,7 +249,7 @@ defmodule Situ.Bridge.PsiTest do
   describe "damaged and hostile files" do
     @tag :tmp_dir
     @tag timeout: :infinity
-    test "mutated stores open and read, or tell why not", %{tmp_dir: dir} do
+    test "open and can be read, or return an error", %{tmp_dir: dir} do
       sources = [
         Path.join(@data, "objects"),
         Path.join(@data, "large"),
@@ -258,7 +258,7 @@ defmodule Situ.Bridge.PsiTest do
 
       atoms = :erlang.system_info(:atom_count)
 
-      for n <- 1..Budget.mutations(300), source = Enum.random(sources) do
+      for n <- 1..Budget.mutation_count(300), source = Enum.random(sources) do
         to = Path.join(dir, "s#{rem(n, 3)}")
         File.rm_rf!(to)
         File.mkdir_p!(to)

@@ -12,14 +12,14 @@ defmodule Situ.Bridge.TablesTest do
 
     {records, n} =
       Enum.map_reduce(values, 0, fn {time, value}, n ->
-        {Format.module!(format).record(value, time, n), n + 1}
+        {Format.fetch_module!(format).record(value, time, n), n + 1}
       end)
 
-    File.write!(path, [records, Format.module!(format).finish(n)])
+    File.write!(path, [records, Format.fetch_module!(format).finish(n)])
     path
   end
 
-  test "a file is known by its ending, CSV and JSON by their first bytes too", %{tmp_dir: root} do
+  test "detects formats by extension, and CSV and JSON by first bytes too", %{tmp_dir: root} do
     values = [{100, 1}, {200, 2}]
 
     for {name, format} <- [
@@ -29,7 +29,7 @@ defmodule Situ.Bridge.TablesTest do
           {"a.msgpack", :message_pack}
         ] do
       path = written(root, name, format, values)
-      assert Tables.format(path) == format
+      assert Tables.detect_format(path) == format
       assert Tables.table?(path)
     end
 
@@ -40,15 +40,15 @@ defmodule Situ.Bridge.TablesTest do
           {"d.json", ""}
         ] do
       File.write!(Path.join(root, name), bytes)
-      assert Tables.format(Path.join(root, name)) == nil
+      assert Tables.detect_format(Path.join(root, name)) == nil
     end
 
-    assert Tables.format("x.wav") == nil
+    assert Tables.detect_format("x.wav") == nil
     refute Tables.table?(Path.join(root, "missing.jsonl"))
-    assert Tables.name("a/b.c.csv") == "b.c"
+    assert Tables.stream_name("a/b.c.csv") == "b.c"
   end
 
-  test "several tables are streams of one store, and progress tells of their messages", %{
+  test "imports several tables as streams of one store, and reports progress", %{
     tmp_dir: root
   } do
     a = written(root, "a.jsonl", :json_lines, for(i <- 1..1_500, do: {i * 100, i}))
@@ -70,7 +70,7 @@ defmodule Situ.Bridge.TablesTest do
            ]
   end
 
-  test "columns and rows that a table leaves out are named, once each", %{tmp_dir: root} do
+  test "names skipped columns and rows once each", %{tmp_dir: root} do
     test = self()
     notice = &send(test, {:notice, &1})
     kinds = Path.expand("../../data/arrow/pyarrow-kinds.arrow", __DIR__)
@@ -90,11 +90,11 @@ defmodule Situ.Bridge.TablesTest do
     tables = [{"Late", late, :parquet}]
     assert {:ok, _, %{"Late" => 3}} = Tables.import(tables, Path.join(root, "b"), notice: notice)
     assert_received {:notice, sentence}
-    assert sentence =~ "2 rows are left out"
+    assert sentence =~ "skipped 2 rows"
     refute_received {:notice, _}
   end
 
-  test "an error leaves no store", %{tmp_dir: root} do
+  test "leaves no store after an error", %{tmp_dir: root} do
     out = Path.join(root, "out")
     twice = written(root, "t.jsonl", :json_lines, [{200, 1}, {100, 2}])
     assert {:error, %{code: :not_increasing}} = Tables.import([{"T", twice, :json_lines}], out)

@@ -11,7 +11,7 @@ defmodule Situ.Bridge.TcpTest do
   defp open(port, most), do: Server.open("127.0.0.1", port, most, {Frames, nil})
   defp listening, do: receive(do: ({:listening, port} -> port))
 
-  test "what is served comes to every client, with its times" do
+  test "sends all messages with their times to every client" do
     me = self()
     values = for i <- 1..500, do: {i * 1_000, %{"n" => i}}
 
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.TcpTest do
     end
   end
 
-  test "a client finds a server that comes back" do
+  test "reconnects a client to a restarted server" do
     me = self()
     {:ok, first} = open(0, 10)
     port = Server.port(first)
@@ -60,7 +60,7 @@ defmodule Situ.Bridge.TcpTest do
     Server.close(first, 100)
     {:ok, second} = open(port, 10)
     assert eventually(fn -> Server.ready(second) == 1 end)
-    # A frame that no message may be that long: the client leaves and comes back.
+    # The frame exceeds the client's limit, so the client disconnects and reconnects.
     Server.put(second, "longer than ten bytes")
     assert eventually(fn -> Server.ready(second) == 0 end)
     assert eventually(fn -> Server.ready(second) == 1 end)
@@ -70,7 +70,7 @@ defmodule Situ.Bridge.TcpTest do
     Server.close(second, 100)
   end
 
-  test "a client that does not read loses messages, and holds up nobody" do
+  test "drops messages for a client that does not read, without blocking" do
     {:ok, server} = open(0, 5)
 
     {:ok, tcp} =
@@ -85,7 +85,7 @@ defmodule Situ.Bridge.TcpTest do
     Server.close(server, 100)
   end
 
-  test "a port that is taken is an error" do
+  test "returns an error for a port in use" do
     {:ok, server} = open(0, 5)
     assert {:error, %{code: :address_in_use}} = open(Server.port(server), 5)
     assert {:error, %{code: :bad_address}} = Server.open("no such interface", 0, 5, {Frames, nil})

@@ -44,10 +44,10 @@ defmodule Situ.Bridge.WebSocketTest do
     base =
       "GET /x HTTP/1.1\r\nHost: a\r\nUpgrade: websocket\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
 
-    Handshake.admit(base <> headers <> "\r\nrest", opts)
+    Handshake.admit_client(base <> headers <> "\r\nrest", opts)
   end
 
-  test "a request is answered as RFC 6455 says, and its protocol chosen" do
+  test "accepts a request by RFC 6455, and chooses its protocol" do
     assert {:ok, answer, "b", "/x", "rest"} =
              ask("Sec-WebSocket-Protocol: c, a ,b\r\n", protocols: ["b", "a"])
 
@@ -57,7 +57,7 @@ defmodule Situ.Bridge.WebSocketTest do
     assert {:refuse, _} = ask("Sec-WebSocket-Protocol: c\r\n", protocols: ["b"])
   end
 
-  test "pages of other sites are refused" do
+  test "refuses pages of other sites" do
     assert {:refuse, answer} = ask("Origin: https://evil.example\r\n", [])
     assert IO.iodata_to_binary(answer) =~ "403"
     assert {:ok, _, _, _, _} = ask("Origin: http://localhost:3000\r\n", [])
@@ -68,10 +68,10 @@ defmodule Situ.Bridge.WebSocketTest do
     assert {:refuse, _} = ask("Origin: http://[\r\n", [])
   end
 
-  test "what is no request is refused, or waited for no longer than it may be" do
-    assert Handshake.admit("GET / HT", []) == :more
-    assert {:refuse, _} = Handshake.admit("POST / HTTP/1.1\r\n\r\n", [])
-    assert {:refuse, _} = Handshake.admit(<<255, 0, "\r\n\r\n">>, [])
-    assert {:refuse, _} = Handshake.admit(:binary.copy("a", 20_000), [])
+  test "refuses invalid requests, and limits the size of unfinished ones" do
+    assert Handshake.admit_client("GET / HT", []) == :more
+    assert {:refuse, _} = Handshake.admit_client("POST / HTTP/1.1\r\n\r\n", [])
+    assert {:refuse, _} = Handshake.admit_client(<<255, 0, "\r\n\r\n">>, [])
+    assert {:refuse, _} = Handshake.admit_client(:binary.copy("a", 20_000), [])
   end
 end

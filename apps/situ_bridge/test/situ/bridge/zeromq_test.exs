@@ -15,7 +15,7 @@ defmodule Situ.Bridge.ZeroMQTest do
     p |> ZeroMQ.subscribe(address, opts) |> Situ.each(&send(me, {:got, &1}))
   end
 
-  test "what is published comes with its times, by every format" do
+  test "delivers published values in every format" do
     me = self()
 
     for format <- [:json, :message_pack, :csv] do
@@ -43,7 +43,7 @@ defmodule Situ.Bridge.ZeroMQTest do
     end
   end
 
-  test "a topic is itself and not what begins like it" do
+  test "matches the exact topic, or its prefix if requested" do
     me = self()
 
     {:ok, socket} =
@@ -70,7 +70,7 @@ defmodule Situ.Bridge.ZeroMQTest do
     Socket.close(socket, 100)
   end
 
-  test "a subscriber finds a publisher that comes back" do
+  test "reconnects a subscriber to a restarted publisher" do
     me = self()
 
     {:ok, first} =
@@ -94,7 +94,7 @@ defmodule Situ.Bridge.ZeroMQTest do
     Socket.close(second, 100)
   end
 
-  test "pushed messages are shared out, and none is lost while a puller is slow" do
+  test "distributes pushed messages without loss while a puller is slow" do
     me = self()
 
     {:ok, sender} =
@@ -121,7 +121,7 @@ defmodule Situ.Bridge.ZeroMQTest do
     Enum.each([sender | pullers], &Situ.Pipeline.stop/1)
   end
 
-  test "strangers at the door change nothing" do
+  test "ignores connections that do not speak the protocol" do
     {:ok, socket} =
       Socket.open(:pub, "tcp://127.0.0.1:0", bind: true, high_water_mark: 10, most: 1_000)
 
@@ -145,7 +145,7 @@ defmodule Situ.Bridge.ZeroMQTest do
     Socket.close(socket, 100)
   end
 
-  test "an address that cannot be had is an error" do
+  test "returns an error for an address that cannot be bound" do
     {:ok, socket} =
       Socket.open(:pub, "tcp://127.0.0.1:0", bind: true, high_water_mark: 10, most: 1_000)
 

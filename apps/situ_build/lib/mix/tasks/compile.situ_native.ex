@@ -22,7 +22,7 @@ defmodule Mix.Tasks.Compile.SituNative do
 
     case {native[:crates] || [], native[:programs] || []} do
       {[], []} -> {:noop, []}
-      {crates, programs} -> build(crates, programs, find_workspace(File.cwd!()))
+      {crates, programs} -> build_native(crates, programs, find_workspace(File.cwd!()))
     end
   end
 
@@ -32,7 +32,7 @@ defmodule Mix.Tasks.Compile.SituNative do
     :ok
   end
 
-  defp build(crates, programs, workspace) do
+  defp build_native(crates, programs, workspace) do
     cargo = System.find_executable("cargo") || raise_missing()
     own = Enum.map(programs, &{&1, Path.join([File.cwd!(), "native", &1])})
 
@@ -43,21 +43,21 @@ defmodule Mix.Tasks.Compile.SituNative do
         else: [{workspace, Enum.flat_map(crates, &["-p", &1])}]
       ) ++ for {_, folder} <- own, do: {folder, []}
 
-    case run_all(builds, cargo) do
+    case run_builds(builds, cargo) do
       0 ->
-        from = target_dir(workspace)
+        from = release_folder(workspace)
         libraries = for crate <- crates, do: {Path.join(from, "lib#{crate}.so"), "#{crate}.so"}
-        built = for {name, folder} <- own, do: {Path.join(target_dir(folder), name), name}
-        install(libraries ++ built)
+        built = for {name, folder} <- own, do: {Path.join(release_folder(folder), name), name}
+        install_files(libraries ++ built)
 
       status ->
-        {:error, [diagnostic(workspace, status)]}
+        {:error, [build_diagnostic(workspace, status)]}
     end
   end
 
-  defp run_all(builds, cargo) do
+  defp run_builds(builds, cargo) do
     Enum.reduce_while(builds, 0, fn {folder, packages}, 0 ->
-      args = quiet(["build", "--release", "--locked"] ++ packages)
+      args = quiet_args(["build", "--release", "--locked"] ++ packages)
 
       case System.cmd(cargo, args,
              cd: folder,
@@ -71,21 +71,21 @@ defmodule Mix.Tasks.Compile.SituNative do
   end
 
   # Cargo's progress output is for people; by default an up-to-date build prints nothing.
-  defp quiet(args),
+  defp quiet_args(args),
     do: if(System.get_env("SITU_CARGO_VERBOSE"), do: args, else: args ++ ["--quiet"])
 
-  defp target_dir(workspace) do
+  defp release_folder(workspace) do
     Path.join(System.get_env("CARGO_TARGET_DIR") || Path.join(workspace, "target"), "release")
   end
 
-  defp install(files) do
+  defp install_files(files) do
     priv = Path.join(File.cwd!(), "priv/native")
     File.mkdir_p!(priv)
 
     changed =
       for {source, name} <- files,
           target = Path.join(priv, name),
-          differs?(source, target) do
+          files_differ?(source, target) do
         File.cp!(source, target <> ".new")
         File.rename!(target <> ".new", target)
         name
@@ -96,7 +96,7 @@ defmodule Mix.Tasks.Compile.SituNative do
     {if(changed == [], do: :noop, else: :ok), []}
   end
 
-  defp differs?(source, target) do
+  defp files_differ?(source, target) do
     case {File.stat(source), File.stat(target)} do
       {{:ok, %{size: same}}, {:ok, %{size: same}}} -> File.read!(source) != File.read!(target)
       _ -> true
@@ -120,7 +120,7 @@ defmodule Mix.Tasks.Compile.SituNative do
     """)
   end
 
-  defp diagnostic(workspace, status) do
+  defp build_diagnostic(workspace, status) do
     %Mix.Task.Compiler.Diagnostic{
       compiler_name: "situ_native",
       file: Path.join(workspace, "Cargo.toml"),

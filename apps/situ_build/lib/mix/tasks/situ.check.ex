@@ -22,15 +22,15 @@ defmodule Mix.Tasks.Situ.Check do
 
   @impl Mix.Task
   def run(_args) do
-    modules = Architecture.modules(Path.join(Mix.Project.build_path(), "lib"))
+    modules = Architecture.read_modules(Path.join(Mix.Project.build_path(), "lib"))
 
     problems =
-      Architecture.violations(modules) ++
-        Architecture.undeclared(declared()) ++
-        Layers.violations(modules.situ) ++
-        cycles(modules) ++ rust_cycles("native") ++ Sources.violations(File.cwd!())
+      Architecture.find_violations(modules) ++
+        Architecture.undeclared_deps(declared_deps()) ++
+        Layers.find_violations(modules.situ) ++
+        find_cycles(modules) ++ rust_cycles("native") ++ Sources.find_violations(File.cwd!())
 
-    report(modules)
+    report_layers(modules)
 
     if problems != [] do
       Enum.each(problems, fn problem -> Mix.shell().error(problem) end)
@@ -40,28 +40,30 @@ defmodule Mix.Tasks.Situ.Check do
     Mix.shell().info("architecture: every edge is allowed, 0 cycles")
   end
 
-  defp cycles(modules) do
-    for {app, beams} <- modules, cycle <- Cycles.of_modules(beams) do
+  defp find_cycles(modules) do
+    for {app, beams} <- modules, cycle <- Cycles.find_in_modules(beams) do
       "#{app}: #{length(cycle)} modules call each other in a cycle: #{Enum.map_join(cycle, ", ", &inspect/1)}"
     end
   end
 
   defp rust_cycles(workspace) do
-    for src <- Path.wildcard(Path.join(workspace, "*/src")), cycle <- Cycles.of_crate(src) do
+    for src <- Path.wildcard(Path.join(workspace, "*/src")), cycle <- Cycles.find_in_crate(src) do
       "#{Path.dirname(src)}: #{length(cycle)} modules use each other in a cycle: #{Enum.join(cycle, ", ")}"
     end
   end
 
-  defp report(modules) do
+  defp report_layers(modules) do
     count = modules |> Map.values() |> Enum.map(&length/1) |> Enum.sum()
 
     layers =
-      Enum.map_join(Layers.counts(modules.situ), " < ", fn {name, n} -> "#{name} (#{n})" end)
+      Enum.map_join(Layers.count_modules(modules.situ), " < ", fn {name, n} ->
+        "#{name} (#{n})"
+      end)
 
     Mix.shell().info("architecture: #{count} modules; layers of the runtime: #{layers}")
   end
 
-  defp declared do
+  defp declared_deps do
     for {app, path} <- Mix.Project.apps_paths(), into: %{} do
       deps =
         Mix.Project.in_project(app, path, fn _ ->

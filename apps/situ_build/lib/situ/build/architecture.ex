@@ -32,15 +32,15 @@ defmodule Situ.Build.Architecture do
   @doc """
   Returns the apps that `app` may use.
 
-      iex> Situ.Build.Architecture.allowed(:situ_infer)
+      iex> Situ.Build.Architecture.allowed_apps(:situ_infer)
       [:situ, :situ_media, :situ_types]
   """
-  @spec allowed(atom()) :: [atom()]
-  def allowed(app), do: Map.fetch!(@allowed, app)
+  @spec allowed_apps(atom()) :: [atom()]
+  def allowed_apps(app), do: Map.fetch!(@allowed, app)
 
   @doc "Reads all compiled modules of the project's apps in `lib`, grouped by app."
-  @spec modules(Path.t()) :: %{atom() => [Beam.t()]}
-  def modules(lib) do
+  @spec read_modules(Path.t()) :: %{atom() => [Beam.t()]}
+  def read_modules(lib) do
     Map.new(@allowed, fn {app, _} ->
       {app, Beam.read_all(Path.join([lib, to_string(app), "ebin"]))}
     end)
@@ -50,11 +50,11 @@ defmodule Situ.Build.Architecture do
   Returns one sentence for each reference between apps that the table does not allow.
 
       iex> beam = fn module, names -> %Situ.Build.Beam{module: module, names: names, source: "", calls: []} end
-      iex> Situ.Build.Architecture.violations(%{situ: [beam.(A, [B])], situ_store: [beam.(B, [A])]})
+      iex> Situ.Build.Architecture.find_violations(%{situ: [beam.(A, [B])], situ_store: [beam.(B, [A])]})
       ["situ must not use situ_store: A names B"]
   """
-  @spec violations(%{atom() => [Beam.t()]}) :: [String.t()]
-  def violations(modules) do
+  @spec find_violations(%{atom() => [Beam.t()]}) :: [String.t()]
+  def find_violations(modules) do
     owner = for {app, beams} <- modules, beam <- beams, into: %{}, do: {beam.module, app}
 
     for {app, beams} <- modules,
@@ -62,7 +62,7 @@ defmodule Situ.Build.Architecture do
         used <- names,
         to = owner[used],
         to not in [nil, app, @build],
-        to not in allowed(app) do
+        to not in allowed_apps(app) do
       "#{app} must not use #{to}: #{inspect(module)} names #{inspect(used)}"
     end
     |> Enum.sort()
@@ -71,12 +71,12 @@ defmodule Situ.Build.Architecture do
   @doc """
   Returns one sentence for each dependency in a `mix.exs` that the table does not allow.
 
-      iex> Situ.Build.Architecture.undeclared(%{situ: [:situ_media]})
+      iex> Situ.Build.Architecture.undeclared_deps(%{situ: [:situ_media]})
       ["apps/situ/mix.exs declares situ_media, which the architecture does not allow"]
   """
-  @spec undeclared(%{atom() => [atom()]}) :: [String.t()]
-  def undeclared(declared) do
-    for {app, deps} <- declared, dep <- deps, dep != @build, dep not in allowed(app) do
+  @spec undeclared_deps(%{atom() => [atom()]}) :: [String.t()]
+  def undeclared_deps(declared) do
+    for {app, deps} <- declared, dep <- deps, dep != @build, dep not in allowed_apps(app) do
       "apps/#{app}/mix.exs declares #{dep}, which the architecture does not allow"
     end
   end

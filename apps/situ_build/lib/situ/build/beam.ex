@@ -21,11 +21,11 @@ defmodule Situ.Build.Beam do
 
   @doc "Reads all compiled modules in the folder `ebin`."
   @spec read_all(Path.t()) :: [t()]
-  def read_all(ebin), do: ebin |> Path.join("*.beam") |> Path.wildcard() |> Enum.map(&read/1)
+  def read_all(ebin), do: ebin |> Path.join("*.beam") |> Path.wildcard() |> Enum.map(&read_beam/1)
 
   @doc "Reads one compiled module. Raises if it has no debug information."
-  @spec read(Path.t()) :: t()
-  def read(path) do
+  @spec read_beam(Path.t()) :: t()
+  def read_beam(path) do
     {:ok, {module, chunks}} =
       :beam_lib.chunks(String.to_charlist(path), [:debug_info, :compile_info])
 
@@ -35,25 +35,31 @@ defmodule Situ.Build.Beam do
     %__MODULE__{
       module: module,
       source: to_string(chunks[:compile_info][:source]),
-      names: names(forms, MapSet.new()),
-      calls: forms |> calls(MapSet.new()) |> MapSet.delete(module)
+      names: collect_atoms(forms, MapSet.new()),
+      calls: forms |> collect_calls(MapSet.new()) |> MapSet.delete(module)
     }
   end
 
-  defp names(atom, found) when is_atom(atom), do: MapSet.put(found, atom)
-  defp names([head | tail], found), do: names(tail, names(head, found))
-  defp names(tuple, found) when is_tuple(tuple), do: names(Tuple.to_list(tuple), found)
-  defp names(map, found) when is_map(map), do: names(Map.to_list(map), found)
-  defp names(_other, found), do: found
+  defp collect_atoms(atom, found) when is_atom(atom), do: MapSet.put(found, atom)
+  defp collect_atoms([head | tail], found), do: collect_atoms(tail, collect_atoms(head, found))
+
+  defp collect_atoms(tuple, found) when is_tuple(tuple),
+    do: collect_atoms(Tuple.to_list(tuple), found)
+
+  defp collect_atoms(map, found) when is_map(map), do: collect_atoms(Map.to_list(map), found)
+  defp collect_atoms(_other, found), do: found
 
   # Matches `M.f(...)` and `&M.f/1` in Erlang's abstract form.
-  defp calls({:remote, _, {:atom, _, module}, function}, found),
-    do: calls(function, MapSet.put(found, module))
+  defp collect_calls({:remote, _, {:atom, _, module}, function}, found),
+    do: collect_calls(function, MapSet.put(found, module))
 
-  defp calls({:fun, _, {:function, {:atom, _, module}, _, _}}, found),
+  defp collect_calls({:fun, _, {:function, {:atom, _, module}, _, _}}, found),
     do: MapSet.put(found, module)
 
-  defp calls([head | tail], found), do: calls(tail, calls(head, found))
-  defp calls(tuple, found) when is_tuple(tuple), do: calls(Tuple.to_list(tuple), found)
-  defp calls(_other, found), do: found
+  defp collect_calls([head | tail], found), do: collect_calls(tail, collect_calls(head, found))
+
+  defp collect_calls(tuple, found) when is_tuple(tuple),
+    do: collect_calls(Tuple.to_list(tuple), found)
+
+  defp collect_calls(_other, found), do: found
 end

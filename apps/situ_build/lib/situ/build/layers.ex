@@ -27,15 +27,15 @@ defmodule Situ.Build.Layers do
   @doc """
   Returns the index of the layer that a source file belongs to, from 0, or `:any` if the file is in no layer.
 
-      iex> Situ.Build.Layers.layer("/x/apps/situ/lib/situ/graph/graph.ex")
+      iex> Situ.Build.Layers.layer_index("/x/apps/situ/lib/situ/graph/graph.ex")
       1
-      iex> Situ.Build.Layers.layer("/x/apps/situ/lib/situ.ex")
+      iex> Situ.Build.Layers.layer_index("/x/apps/situ/lib/situ.ex")
       10
-      iex> Situ.Build.Layers.layer("/x/apps/situ/lib/situ/testing/test.ex")
+      iex> Situ.Build.Layers.layer_index("/x/apps/situ/lib/situ/testing/test.ex")
       :any
   """
-  @spec layer(Path.t()) :: non_neg_integer() | :any
-  def layer(source) do
+  @spec layer_index(Path.t()) :: non_neg_integer() | :any
+  def layer_index(source) do
     case source |> String.split(@app) |> List.last() |> Path.split() do
       ["/", folder | _] -> Enum.find_index(@order, &(&1 == folder)) || :any
       [".ex"] -> length(@order)
@@ -44,26 +44,27 @@ defmodule Situ.Build.Layers do
   end
 
   @doc "Returns the names of the layers, lowest first, with the number of modules in each."
-  @spec counts([Beam.t()]) :: [{String.t(), non_neg_integer()}]
-  def counts(beams) do
-    by_layer = Enum.frequencies_by(beams, &layer(&1.source))
+  @spec count_modules([Beam.t()]) :: [{String.t(), non_neg_integer()}]
+  def count_modules(beams) do
+    by_layer = Enum.frequencies_by(beams, &layer_index(&1.source))
     for {name, n} <- Enum.with_index(@order ++ ["situ.ex"]), do: {name, Map.get(by_layer, n, 0)}
   end
 
   @doc "Returns one sentence for each reference from a module to a module of a higher layer."
-  @spec violations([Beam.t()]) :: [String.t()]
-  def violations(beams) do
-    layers = for beam <- beams, n = layer(beam.source), n != :any, into: %{}, do: {beam.module, n}
+  @spec find_violations([Beam.t()]) :: [String.t()]
+  def find_violations(beams) do
+    layers =
+      for beam <- beams, n = layer_index(beam.source), n != :any, into: %{}, do: {beam.module, n}
 
     for %{module: module, names: names} <- beams,
         own = layers[module],
         named <- names,
         its = layers[named],
         its > own do
-      "layer #{name(own)} must not use layer #{name(its)}: #{inspect(module)} names #{inspect(named)}"
+      "layer #{layer_name(own)} must not use layer #{layer_name(its)}: #{inspect(module)} names #{inspect(named)}"
     end
     |> Enum.sort()
   end
 
-  defp name(n), do: Enum.at(@order ++ ["situ.ex"], n)
+  defp layer_name(n), do: Enum.at(@order ++ ["situ.ex"], n)
 end

@@ -2,7 +2,7 @@ defmodule Situ.Build.Release do
   @moduledoc """
   A step of `mix release` that removes the cookie, so that other users of the machine cannot read it.
 
-      releases: [situ: [steps: [:assemble, &Situ.Build.Release.close/1]]]
+      releases: [situ: [steps: [:assemble, &Situ.Build.Release.remove_cookie/1]]]
 
   Anyone who knows the cookie can run code in the release. Mix writes it into a world-readable file and puts it on the
   command line, which all users can read, too. After this step the release contains no cookie: a node started with
@@ -14,8 +14,8 @@ defmodule Situ.Build.Release do
   @read ~r/RELEASE_COOKIE=.*\nexport RELEASE_COOKIE\n/
 
   @doc "Removes the cookie from the assembled release's script and folder. Raises if Mix's script has an unknown form."
-  @spec close(Mix.Release.t()) :: Mix.Release.t()
-  def close(release) do
+  @spec remove_cookie(Mix.Release.t()) :: Mix.Release.t()
+  def remove_cookie(release) do
     script = Path.join([release.path, "bin", to_string(release.name)])
     File.write!(script, without_cookie(File.read!(script)))
     File.rm!(Path.join([release.path, "releases", "COOKIE"]))

@@ -17,25 +17,25 @@ defmodule Situ.Build.Sources do
   @doc """
   Returns one sentence, with the line, for each rule that a file tracked by git in the checkout at `root` breaks.
   """
-  @spec violations(Path.t()) :: [String.t()]
-  def violations(root) do
-    for file <- tracked(root),
-        problem <- problems(file, File.read!(Path.join(root, file))),
+  @spec find_violations(Path.t()) :: [String.t()]
+  def find_violations(root) do
+    for file <- tracked_files(root),
+        problem <- check_text(file, File.read!(Path.join(root, file))),
         do: problem
   end
 
   @doc """
   Returns the same sentences for the text of one file.
 
-      iex> Situ.Build.Sources.problems("a.ex", "x = 1")
+      iex> Situ.Build.Sources.check_text("a.ex", "x = 1")
       []
-      iex> Situ.Build.Sources.problems("a.ex", String.duplicate("x", 121))
+      iex> Situ.Build.Sources.check_text("a.ex", String.duplicate("x", 121))
       ["a.ex:1 has 121 characters; a line has at most 120"]
-      iex> Situ.Build.Sources.problems("a.md", "Yes.\\n\\n- What" <> " waits is lost. What" <> " is lost?")
+      iex> Situ.Build.Sources.check_text("a.md", "Yes.\\n\\n- What" <> " waits is lost. What" <> " is lost?")
       [~s(a.md:3 has a sentence that begins with "What"; begin with the agent)]
   """
-  @spec problems(Path.t(), String.t()) :: [String.t()]
-  def problems(file, text) do
+  @spec check_text(Path.t(), String.t()) :: [String.t()]
+  def check_text(file, text) do
     kind = Path.extname(file)
     lines = String.split(text, "\n")
 
@@ -49,11 +49,11 @@ defmodule Situ.Build.Sources do
           do: "#{file}:#{n} has #{length} characters; a line has at most #{@max_line}"
 
     long_lines ++
-      what_subjects(file, text) ++
-      too_much_code(file, kind, code_lines(kind, without_tests(kind, lines)))
+      find_what_subjects(file, text) ++
+      too_much_code(file, kind, count_code_lines(kind, without_tests(kind, lines)))
   end
 
-  defp what_subjects(file, text) do
+  defp find_what_subjects(file, text) do
     for [{at, length}] <- Regex.scan(@what_subject, text, return: :index) do
       word = at + (text |> binary_part(at, length) |> :binary.match("What") |> elem(0))
       line = text |> binary_part(0, word) |> :binary.matches("\n") |> length()
@@ -64,12 +64,12 @@ defmodule Situ.Build.Sources do
   @doc """
   Returns the number of these lines that are code.
 
-      iex> Situ.Build.Sources.code_lines(".rs", ["// why", "", "fn main() {}"])
+      iex> Situ.Build.Sources.count_code_lines(".rs", ["// why", "", "fn main() {}"])
       1
   """
-  @spec code_lines(String.t(), [String.t()]) :: non_neg_integer()
-  def code_lines(kind, lines) do
-    lines |> Enum.reduce({0, nil}, &count(kind, String.trim(&1), &2)) |> elem(0)
+  @spec count_code_lines(String.t(), [String.t()]) :: non_neg_integer()
+  def count_code_lines(kind, lines) do
+    lines |> Enum.reduce({0, nil}, &count_line(kind, String.trim(&1), &2)) |> elem(0)
   end
 
   # In Rust, unit tests are at the end of the file that they test.
@@ -85,12 +85,12 @@ defmodule Situ.Build.Sources do
   defp too_much_code(_file, _kind, _n), do: []
 
   # Documentation begins with a line that has an attribute and opens a heredoc; it ends with the line that closes it.
-  defp count(".ex", "\"\"\"" <> _, {n, :doc}), do: {n, nil}
-  defp count(_kind, _line, {n, :doc}), do: {n, :doc}
-  defp count(_kind, "", counted), do: counted
-  defp count(".ex", "#" <> _, counted), do: counted
+  defp count_line(".ex", "\"\"\"" <> _, {n, :doc}), do: {n, nil}
+  defp count_line(_kind, _line, {n, :doc}), do: {n, :doc}
+  defp count_line(_kind, "", counted), do: counted
+  defp count_line(".ex", "#" <> _, counted), do: counted
 
-  defp count(".ex", line, {n, nil}) do
+  defp count_line(".ex", line, {n, nil}) do
     doc? = String.match?(line, ~r/^@(module|type)?doc\b/)
 
     if doc? and String.ends_with?(line, "\"\"\""),
@@ -98,10 +98,10 @@ defmodule Situ.Build.Sources do
       else: {if(doc?, do: n, else: n + 1), nil}
   end
 
-  defp count(_kind, "//" <> _, counted), do: counted
-  defp count(_kind, "*" <> _, counted), do: counted
-  defp count(_kind, "/*" <> _, counted), do: counted
-  defp count(_kind, _line, {n, nil}), do: {n + 1, nil}
+  defp count_line(_kind, "//" <> _, counted), do: counted
+  defp count_line(_kind, "*" <> _, counted), do: counted
+  defp count_line(_kind, "/*" <> _, counted), do: counted
+  defp count_line(_kind, _line, {n, nil}), do: {n + 1, nil}
 
   # Table rows, links, images and long words cannot be broken.
   defp unbreakable?(".md", line), do: String.contains?(line, ["|", "](", "://"])
@@ -109,17 +109,17 @@ defmodule Situ.Build.Sources do
   defp unbreakable?(_kind, line),
     do: String.contains?(line, "://") or String.starts_with?(String.trim(line), "|")
 
-  defp tracked(root) do
+  defp tracked_files(root) do
     {files, 0} = System.cmd("git", ["ls-files"], cd: root)
 
     files
     |> String.split("\n", trim: true)
-    |> Enum.filter(&(source?(&1) and File.exists?(Path.join(root, &1))))
+    |> Enum.filter(&(source_file?(&1) and File.exists?(Path.join(root, &1))))
     |> Enum.reject(&String.contains?(&1, ["/vendor/", "/fixtures/"]))
   end
 
   # Scripts have no extension: they are in bin/, or are called `run` in test/. Their lines may have any length.
-  defp source?(path) do
+  defp source_file?(path) do
     Path.extname(path) in @kinds or
       (Path.extname(path) == "" and (match?("bin/" <> _, path) or Path.basename(path) == "run"))
   end

@@ -1,5 +1,5 @@
 defmodule Situ.Build.ArchitectureTest do
-  # Sets a compiler option, which is global.
+  # Not async, because it sets a global compiler option.
   use ExUnit.Case, async: false
   alias Situ.Build.{Architecture, Cycles}
   doctest Architecture
@@ -18,11 +18,11 @@ defmodule Situ.Build.ArchitectureTest do
       File.write!(Path.join(ebin, "#{module}.beam"), beam)
     end
 
-    Architecture.modules(tmp)
+    Architecture.read_modules(tmp)
   end
 
   @tag :tmp_dir
-  test "sees struct literals and module names passed as values", %{tmp_dir: tmp} do
+  test "finds struct literals and module names passed as values", %{tmp_dir: tmp} do
     modules =
       compile(
         """
@@ -42,13 +42,13 @@ defmodule Situ.Build.ArchitectureTest do
         %{Situ.Build.Sample.Sibling => :situ_store}
       )
 
-    assert [by_struct, by_value] = Architecture.violations(modules)
+    assert [by_struct, by_value] = Architecture.find_violations(modules)
     assert by_struct =~ "ByStruct names Situ.Build.Sample.Sibling"
     assert by_value =~ "ByValue names Situ.Build.Sample.Sibling"
   end
 
   @tag :tmp_dir
-  test "sees cycles of calls and of captures, not of structs", %{tmp_dir: tmp} do
+  test "finds cycles of calls and captures, but not of structs", %{tmp_dir: tmp} do
     modules =
       compile(
         """
@@ -78,17 +78,17 @@ defmodule Situ.Build.ArchitectureTest do
       )
 
     assert [[Situ.Build.Sample.A, Situ.Build.Sample.B, Situ.Build.Sample.C]] =
-             Cycles.of_modules(modules.situ)
+             Cycles.find_in_modules(modules.situ)
   end
 
   @tag :tmp_dir
-  test "sees cycles between the files of a crate", %{tmp_dir: tmp} do
+  test "finds cycles between the files of a crate", %{tmp_dir: tmp} do
     File.mkdir_p!(Path.join(tmp, "reader"))
     File.write!(Path.join(tmp, "lib.rs"), "pub mod a;\npub mod reader;\n")
     File.write!(Path.join(tmp, "a.rs"), "use crate::reader::maps::Map;\n")
     File.write!(Path.join(tmp, "reader/maps.rs"), "// crate::reader\nuse crate::a::{X, Y};\n")
     File.write!(Path.join(tmp, "reader/mod.rs"), "#[cfg(test)]\nuse crate::a;\n")
 
-    assert Cycles.of_crate(tmp) == [["a", "reader::maps"]]
+    assert Cycles.find_in_crate(tmp) == [["a", "reader::maps"]]
   end
 end

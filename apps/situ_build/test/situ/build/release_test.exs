@@ -2,7 +2,7 @@ defmodule Situ.Build.ReleaseTest do
   use ExUnit.Case, async: true
   doctest Situ.Build.Release
 
-  test "the script that this Mix writes loses every cookie and stays a script" do
+  test "removes every cookie from Mix's script and keeps it a valid script" do
     closed = Situ.Build.Release.without_cookie(Mix.Tasks.Release.Init.cli_text())
     refute closed =~ "COOKIE"
     assert closed =~ "--boot "
@@ -12,7 +12,7 @@ defmodule Situ.Build.ReleaseTest do
     assert {_, 0} = System.cmd("sh", ["-n", path])
   end
 
-  test "a script of another shape is refused" do
+  test "refuses a script with a different structure" do
     for script <- ["exec elixir --start", "exec elixir --secret $RELEASE_COOKIE"],
         do: assert_raise(Mix.Error, fn -> Situ.Build.Release.without_cookie(script) end)
   end

@@ -3,11 +3,12 @@ defmodule Situ.Build.ScratchTest do
   use ExUnit.Case, async: true
 
   @root Path.expand("../../../../..", __DIR__)
-  # Situ.Scratch itself; stores in memory, whose name other processes look for; sockets, whose paths must be short.
+  # Exceptions: Situ.Scratch itself, in-memory stores (other processes look for their name), and sockets (paths must
+  # be short).
   @homes ~w(situ_types/lib/situ/scratch.ex situ_store/lib/situ/store/volatile.ex) ++
            ~w(situ_media/lib/situ/media/ffmpeg/socket.ex)
 
-  test "only Situ.Scratch makes files in the system's temporary folder" do
+  test "only Situ.Scratch creates files in the system's temporary folder" do
     files = Path.wildcard(Path.join(@root, "apps/*/lib/**/*.ex"))
     assert length(files) > 500
 

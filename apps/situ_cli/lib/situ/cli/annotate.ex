@@ -25,7 +25,7 @@ defmodule Situ.CLI.Annotate do
         summary: "list the annotation streams of a recording: tracks, counts, attributes",
         arguments: [path: [kind: :recording, doc: "a recording with annotations"]],
         examples: ["situ annotate info study/p01/annotation"],
-        run: &info/2
+        run: &show_info/2
       },
       %Verb{
         words: ["annotate", "export"],
@@ -40,7 +40,7 @@ defmodule Situ.CLI.Annotate do
           file: [kind: :file, doc: "the file to write; - for standard output, with --format"]
         ],
         options: [
-          stream(),
+          stream_option(),
           Option.new(:format, @format_words, "the format, regardless of the file's extension"),
           Option.new(
             :origin,
@@ -64,7 +64,7 @@ defmodule Situ.CLI.Annotate do
         examples: [
           "situ annotate export study/p01/annotation p01.eaf --media-of study/p01/room --media p01.mp4"
         ],
-        run: &export/2
+        run: &export_layer/2
       },
       %Verb{
         words: ["annotate", "import"],
@@ -77,7 +77,7 @@ defmodule Situ.CLI.Annotate do
           out: [kind: :new, doc: "ROOT/NAME of the annotation store"]
         ],
         options: [
-          stream(),
+          stream_option(),
           Option.new(:format, @format_words, "the format, regardless of the file's extension"),
           Option.new(
             :schema,
@@ -109,7 +109,7 @@ defmodule Situ.CLI.Annotate do
           second: [kind: :recording, doc: "annotations of the other annotator"]
         ],
         options: [
-          stream(),
+          stream_option(),
           Option.new(:attribute, :string, "the attribute to compare (default: the first)",
             value: "NAME"
           ),
@@ -120,22 +120,25 @@ defmodule Situ.CLI.Annotate do
           Option.new(:least, :float, "exit with status 1 if kappa is below this value")
         ],
         examples: ["situ annotate agreement anna/annotation ben.eaf --frame 40ms --least 0.8"],
-        run: &agreement/2
+        run: &compare_annotators/2
       }
     ]
   end
 
-  defp stream,
+  defp stream_option,
     do:
       Option.new(:stream, :string, "the annotation stream (default: the only one)",
         short: :s,
         value: "NAME"
       )
 
-  defp info(%{path: path}, opts) do
+  defp show_info(%{path: path}, opts) do
     store = Situ.CLI.Recording.open!(path)
-    layers = for {info, layer} <- layers(store), do: described(info.name, layer)
-    if opts[:json], do: Output.json(layers), else: for(layer <- layers, do: text(layer))
+    layers = for {info, layer} <- load_layers(store), do: describe_layer(info.name, layer)
+
+    if opts[:json],
+      do: Output.print_json(layers),
+      else: for(layer <- layers, do: print_layer(layer))
 
     if layers == [] and not opts[:json],
       do: Output.puts("#{store.path} has no annotation streams.")
@@ -143,13 +146,13 @@ defmodule Situ.CLI.Annotate do
     0
   end
 
-  defp layers(store) do
-    for info <- Store.streams(store), Recording.annotations?(store, info) do
-      {info, ok!(Recording.load(store, info))}
+  defp load_layers(store) do
+    for info <- Store.streams(store), Recording.annotation_stream?(store, info) do
+      {info, unwrap!(Recording.load_layer(store, info))}
     end
   end
 
-  defp described(name, layer) do
+  defp describe_layer(name, layer) do
     all = Layer.annotations(layer)
 
     %{
@@ -159,31 +162,33 @@ defmodule Situ.CLI.Annotate do
       proposals: Enum.count(all, & &1.proposed?),
       tracks:
         for(
-          track <- Layer.tracks(layer),
+          track <- Layer.track_names(layer),
           do: %{name: track, annotations: length(Layer.on_track(layer, track))}
         )
     }
   end
 
-  defp text(layer) do
+  defp print_layer(layer) do
     attributes = Enum.map_join(layer.schema["attributes"], ", ", &"#{&1["name"]} (#{&1["kind"]})")
 
     proposals =
       if layer.proposals > 0,
-        do: ", #{Output.number(layer.proposals, "proposal")} among them",
+        do: ", #{Output.format_count(layer.proposals, "proposal")} among them",
         else: ""
 
     Output.puts(
-      "#{Output.name(layer.stream)}: #{Output.number(layer.annotations, "annotation")}#{proposals}; #{attributes}"
+      "#{Output.format_name(layer.stream)}: #{Output.format_count(layer.annotations, "annotation")}#{proposals}; #{attributes}"
     )
 
     for track <- layer.tracks,
-        do: Output.puts("  #{Output.name(track.name)}: #{track.annotations}")
+        do: Output.puts("  #{Output.format_name(track.name)}: #{track.annotations}")
   end
 
   # Returns the named stream, or the recording's only annotation stream.
-  defp chosen(store, nil) do
-    case for info <- Store.streams(store), Recording.annotations?(store, info), do: info.name do
+  defp resolve_stream(store, nil) do
+    case for info <- Store.streams(store),
+             Recording.annotation_stream?(store, info),
+             do: info.name do
       [one] ->
         one
 
@@ -201,33 +206,43 @@ defmodule Situ.CLI.Annotate do
     end
   end
 
-  defp chosen(_store, name), do: name
+  defp resolve_stream(_store, name), do: name
 
-  defp export(%{path: path, file: file}, opts) do
+  defp export_layer(%{path: path, file: file}, opts) do
     store = Situ.CLI.Recording.open!(path)
-    layer = ok!(Recording.load(store, chosen(store, opts[:stream])))
+    layer = unwrap!(Recording.load_layer(store, resolve_stream(store, opts[:stream])))
     media = if(opts[:media], do: [media: opts[:media]], else: [])
-    options = origin(opts) ++ media ++ pictures(opts[:pictures], opts)
+    options = origin_option(opts) ++ media ++ image_times(opts[:pictures], opts)
 
     losses =
       if file == "-" do
-        format = format(opts) || throw({:usage, "standard output needs a format: give --format"})
+        format =
+          file_format(opts) || throw({:usage, "standard output needs a format: give --format"})
 
         {:ok, text, losses} = Exchange.encode(layer, format, options)
-        Output.raw(text)
+        Output.write_raw(text)
         losses
       else
-        ok!(
-          Exchange.write(layer, file, options ++ if(f = format(opts), do: [format: f], else: []))
+        unwrap!(
+          Exchange.write(
+            layer,
+            file,
+            options ++ if(f = file_format(opts), do: [format: f], else: [])
+          )
         )
       end
 
-    told(losses, opts, %{file: file, annotations: length(Layer.annotations(layer))}, file)
+    report_losses(
+      losses,
+      opts,
+      %{file: file, annotations: length(Layer.annotations(layer))},
+      file
+    )
   end
 
-  defp pictures(nil, _opts), do: []
+  defp image_times(nil, _opts), do: []
 
-  defp pictures(name, opts) do
+  defp image_times(name, opts) do
     path =
       opts[:media_of] ||
         throw({:usage, "--pictures names a stream of --media-of: give both options"})
@@ -236,26 +251,26 @@ defmodule Situ.CLI.Annotate do
     [times: Enum.map(messages, & &1.originating_time)]
   end
 
-  defp format(opts), do: opts[:format] && Map.fetch!(@formats, opts[:format])
+  defp file_format(opts), do: opts[:format] && Map.fetch!(@formats, opts[:format])
 
-  defp origin(opts) do
+  defp origin_option(opts) do
     cond do
       opts[:origin] -> [origin: opts[:origin]]
-      opts[:media_of] -> [origin: first(opts[:media_of])]
+      opts[:media_of] -> [origin: first_time(opts[:media_of])]
       true -> []
     end
   end
 
-  defp first(path) do
+  defp first_time(path) do
     case path |> Situ.CLI.Recording.open!() |> Store.interval() do
       {first, _} -> first
       nil -> raise Error.new(:empty, "#{path} has no messages", fix: "give --origin")
     end
   end
 
-  defp told(losses, opts, report, out) do
+  defp report_losses(losses, opts, report, out) do
     if opts[:json] and out != "-" do
-      Output.json(Map.put(report, :losses, losses))
+      Output.print_json(Map.put(report, :losses, losses))
     else
       for loss <- losses, do: Output.warn("lost: #{loss}")
     end
@@ -264,27 +279,31 @@ defmodule Situ.CLI.Annotate do
   end
 
   defp import_file(%{file: file, out: out}, opts) do
-    schema = if opts[:schema], do: [schema: ok!(Schema.load(opts[:schema]))], else: []
+    schema = if opts[:schema], do: [schema: unwrap!(Schema.load(opts[:schema]))], else: []
     stream = opts[:stream] || "Annotation"
-    options = schema ++ origin(opts) ++ [name: stream]
+    options = schema ++ origin_option(opts) ++ [name: stream]
 
     {layer, losses} =
       if file == "-" do
-        format = format(opts) || throw({:usage, "standard input needs a format: give --format"})
-        read(Exchange.decode(Input.read(), format, options))
+        format =
+          file_format(opts) || throw({:usage, "standard input needs a format: give --format"})
+
+        unwrap_layer(Exchange.decode(Input.read_all(), format, options))
       else
-        read(Exchange.read(file, options ++ if(f = format(opts), do: [format: f], else: [])))
+        unwrap_layer(
+          Exchange.read(file, options ++ if(f = file_format(opts), do: [format: f], else: []))
+        )
       end
 
     others =
       if Store.exists?(out),
-        do: Map.new(layers(Store.open!(out)), fn {i, l} -> {i.name, l} end),
+        do: Map.new(load_layers(Store.open!(out)), fn {i, l} -> {i.name, l} end),
         else: %{}
 
-    path = ok!(Recording.write_all(Map.put(others, stream, layer), out))
+    path = unwrap!(Recording.write_all(Map.put(others, stream, layer), out))
     unless opts[:json], do: Output.puts(path)
 
-    told(
+    report_losses(
       losses,
       opts,
       %{path: path, stream: stream, annotations: length(Layer.annotations(layer))},
@@ -292,57 +311,57 @@ defmodule Situ.CLI.Annotate do
     )
   end
 
-  defp read({:ok, layer, losses}), do: {layer, losses}
-  defp read({:error, error}), do: raise(error)
+  defp unwrap_layer({:ok, layer, losses}), do: {layer, losses}
+  defp unwrap_layer({:error, error}), do: raise(error)
 
-  defp agreement(%{first: first, second: second}, opts) do
-    [a, b] = for path <- [first, second], do: layer(path, opts[:stream])
+  defp compare_annotators(%{first: first, second: second}, opts) do
+    [a, b] = for path <- [first, second], do: load_layer(path, opts[:stream])
     options = Keyword.take(opts, [:attribute, :frame, :from, :to])
     options = if opts[:track] == [], do: options, else: [{:tracks, opts[:track]} | options]
-    report = ok!(Agreement.of(a, b, options))
-    if opts[:json], do: Output.json(json(report)), else: shown(report)
+    report = unwrap!(Agreement.compare_layers(a, b, options))
+    if opts[:json], do: Output.print_json(report_to_json(report)), else: print_report(report)
     if opts[:least] && (report.kappa || 1.0) < opts[:least], do: 1, else: 0
   end
 
   # Accepts a recording or a file of another program.
-  defp layer(path, stream) do
-    with true <- File.regular?(path), {:ok, _} <- Exchange.format(path) do
-      path |> Exchange.read(name: stream || "Annotation") |> read() |> elem(0)
+  defp load_layer(path, stream) do
+    with true <- File.regular?(path), {:ok, _} <- Exchange.detect_format(path) do
+      path |> Exchange.read(name: stream || "Annotation") |> unwrap_layer() |> elem(0)
     else
       _ ->
         store = Situ.CLI.Recording.open!(path)
-        ok!(Recording.load(store, chosen(store, stream)))
+        unwrap!(Recording.load_layer(store, resolve_stream(store, stream)))
     end
   end
 
-  defp json(report) do
+  defp report_to_json(report) do
     confusion =
       for {{a, b}, n} <- Enum.sort(report.confusion), do: %{first: a, second: b, frames: n}
 
     %{report | confusion: confusion}
   end
 
-  defp shown(report) do
+  defp print_report(report) do
     Output.puts(
-      "#{Output.name(report.attribute)}: kappa #{number(report.kappa)}, " <>
-        "agreement #{number(report.agreement)} of #{Output.number(report.frames, "frame")}"
+      "#{Output.format_name(report.attribute)}: kappa #{format_number(report.kappa)}, " <>
+        "agreement #{format_number(report.agreement)} of #{Output.format_count(report.frames, "frame")}"
     )
 
     for {track, kappa} <- Enum.sort(report.tracks),
-        do: Output.puts("  #{Output.name(track)}: kappa #{number(kappa)}")
+        do: Output.puts("  #{Output.format_name(track)}: kappa #{format_number(kappa)}")
 
     Output.puts(
-      "#{Output.number(report.paired, "pair")}; begins #{span(report.begin_error)} apart, " <>
-        "ends #{span(report.end_error)}; " <>
+      "#{Output.format_count(report.paired, "pair")}; begins #{format_span(report.begin_error)} apart, " <>
+        "ends #{format_span(report.end_error)}; " <>
         "#{report.only_first} only in the first, #{report.only_second} only in the second"
     )
   end
 
-  defp number(nil), do: "-"
-  defp number(x), do: :erlang.float_to_binary(x, decimals: 4)
-  defp span(nil), do: "-"
-  defp span(ns), do: Time.format_duration(round(ns))
+  defp format_number(nil), do: "-"
+  defp format_number(x), do: :erlang.float_to_binary(x, decimals: 4)
+  defp format_span(nil), do: "-"
+  defp format_span(ns), do: Time.format_duration(round(ns))
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

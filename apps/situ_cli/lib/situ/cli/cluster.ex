@@ -24,7 +24,7 @@ defmodule Situ.CLI.Cluster do
           "create a cluster's cookie, certificates and NATS login, to be copied to every machine",
         options: [@folder],
         examples: ["situ cluster init"],
-        run: fn _, opts -> init(opts) end
+        run: fn _, opts -> create_identity(opts) end
       },
       %Verb{
         words: ["cluster", "join"],
@@ -54,25 +54,25 @@ defmodule Situ.CLI.Cluster do
           ),
           Option.new(:require, :path, "Elixir file with the pipelines", many?: true),
           @folder
-          | ClusterLog.options()
+          | ClusterLog.log_options()
         ],
         examples: ["situ cluster join situ-9301@127.0.0.1 --log /var/lib/situ/log --label camera"],
-        run: fn %{name: name}, opts -> join(name, opts) end
+        run: fn %{name: name}, opts -> join_cluster(name, opts) end
       },
       %Verb{
         words: ["cluster", "status"],
         summary: "show nodes, deployments, and which node runs which part",
         options: [@node, @folder],
         examples: ["situ cluster status --node situ-9301@127.0.0.1"],
-        run: fn _, opts -> status(opts) end
+        run: fn _, opts -> show_status(opts) end
       }
-      | ClusterDeployment.verbs([@node, @folder], &ask/4) ++
-          ClusterNode.verbs([@node, @folder], &ask/4, &folder/1)
+      | ClusterDeployment.deployment_verbs([@node, @folder], &call_node/4) ++
+          ClusterNode.node_verbs([@node, @folder], &call_node/4, &identity_folder/1)
     ]
   end
 
-  defp init(opts) do
-    folder = folder(opts)
+  defp create_identity(opts) do
+    folder = identity_folder(opts)
     Error.unwrap!(Identity.create(folder))
 
     Output.puts(
@@ -86,7 +86,7 @@ defmodule Situ.CLI.Cluster do
     0
   end
 
-  defp join(name, opts) do
+  defp join_cluster(name, opts) do
     log =
       opts[:log] ||
         raise Error.new(:usage, "the cluster's log is missing",
@@ -95,7 +95,7 @@ defmodule Situ.CLI.Cluster do
 
     for file <- opts[:require], do: Code.require_file(file)
     {:ok, _} = Application.ensure_all_started(:situ_remote)
-    start(name, opts)
+    start_distribution(name, opts)
 
     for peer <- opts[:peer], Node.connect(String.to_atom(peer)) != true do
       Output.warn("situ cluster: #{peer} is not responding; joining without it")
@@ -105,29 +105,29 @@ defmodule Situ.CLI.Cluster do
 
     settings = [
       log: log,
-      log_options: ClusterLog.connect_options(log, opts, folder(opts)),
+      log_options: ClusterLog.connect_options(log, opts, identity_folder(opts)),
       labels: opts[:label],
       devices: opts[:device],
       recordings: recordings
     ]
 
-    {:ok, agent} = settings |> Cluster.join() |> joined()
+    {:ok, agent} = settings |> Cluster.join() |> ensure_joined()
     Output.puts("#{name} is up")
 
     if opts[:studio],
       do:
         Output.puts(
-          "the cluster is shown at #{ClusterNode.studio(opts[:studio], recordings)}cluster"
+          "the cluster is shown at #{ClusterNode.start_studio(opts[:studio], recordings)}cluster"
         )
 
-    # After this handler returns, Erlang's own handler shuts the VM down, so it blocks while `leave/0` does its work.
+    # After this handler returns, Erlang's own handler shuts the VM down, so it blocks while `drain_parts/0` does its work.
     joined = self()
     trap = fn -> send(joined, :leave) && Process.sleep(:infinity) end
     {:ok, _} = System.trap_signal(:sigterm, trap)
-    wait(name, Process.monitor(agent))
+    wait_for_end(name, Process.monitor(agent))
   end
 
-  defp wait(name, monitor) do
+  defp wait_for_end(name, monitor) do
     receive do
       {:DOWN, ^monitor, _, _, reason} ->
         Output.warn("situ cluster: the node ended: #{inspect(reason, limit: 8)}")
@@ -135,13 +135,13 @@ defmodule Situ.CLI.Cluster do
 
       :leave ->
         Output.puts("#{name} is leaving; its parts continue on other nodes")
-        leave()
+        drain_parts()
         0
     end
   end
 
   # Drains each part with a checkpoint if another node can take it. Service managers allow some seconds for a stop.
-  defp leave do
+  defp drain_parts do
     %{members: members, deployments: deployments} = Cluster.Agent.info()
 
     if map_size(members) > 1 do
@@ -150,20 +150,22 @@ defmodule Situ.CLI.Cluster do
     end
   end
 
-  defp joined({:error, %Error{} = error}), do: raise(error)
-  defp joined(answer), do: answer
+  defp ensure_joined({:error, %Error{} = error}), do: raise(error)
+  defp ensure_joined(answer), do: answer
 
-  defp status(opts) do
-    info = ask(opts, Cluster.Agent, :info, [])
-    deployments = for d <- info.deployments, do: {d.name, ask(opts, Cluster, :status, [d]).parts}
+  defp show_status(opts) do
+    info = call_node(opts, Cluster.Agent, :info, [])
+
+    deployments =
+      for d <- info.deployments, do: {d.name, call_node(opts, Cluster, :status, [d]).parts}
 
     if opts[:json] do
-      Output.json(%{
+      Output.print_json(%{
         nodes: for({node, labels} <- info.members, do: %{name: node, labels: labels}),
         deployments:
           for(
             {name, parts} <- deployments,
-            do: %{name: name, parts: for({p, i} <- parts, do: row(p, i))}
+            do: %{name: name, parts: for({p, i} <- parts, do: describe_part(p, i))}
           )
       })
     else
@@ -173,7 +175,7 @@ defmodule Situ.CLI.Cluster do
       if deployments == [], do: Output.puts("nothing is deployed")
 
       for {name, parts} <- deployments, {part, i} <- Enum.sort(parts) do
-        r = row(part, i)
+        r = describe_part(part, i)
 
         where = "#{name}/#{part}: #{r.phase} on #{r.node || "no node"}"
         Output.puts("#{where}, #{r.checkpoints} checkpoints, #{r.messages} messages out")
@@ -183,7 +185,7 @@ defmodule Situ.CLI.Cluster do
     0
   end
 
-  defp row(part, info) do
+  defp describe_part(part, info) do
     streams = get_in(info, [:publisher, :streams]) || %{}
 
     %{
@@ -196,12 +198,12 @@ defmodule Situ.CLI.Cluster do
   end
 
   # Calls a function on the given node, from a VM that is not a member of the cluster.
-  defp ask(opts, module, function, args) do
+  defp call_node(opts, module, function, args) do
     node =
       opts[:node] ||
         raise Error.new(:usage, "no node given", fix: "give --node situ-9301@10.0.0.1")
 
-    unless Node.alive?(), do: start("situ_cli_#{System.pid()}@127.0.0.1", opts)
+    unless Node.alive?(), do: start_distribution("situ_cli_#{System.pid()}@127.0.0.1", opts)
     node = String.to_atom(node)
 
     unless :net_kernel.hidden_connect_node(node) == true do
@@ -226,8 +228,8 @@ defmodule Situ.CLI.Cluster do
   end
 
   # The node listens only on the host in its name.
-  defp start(name, opts) do
-    cookie = Error.unwrap!(Identity.cookie(folder(opts)))
+  defp start_distribution(name, opts) do
+    cookie = Error.unwrap!(Identity.read_cookie(identity_folder(opts)))
 
     with [_, host] <- String.split(name, "@", parts: 2),
          {:ok, ip} <- :inet.getaddr(to_charlist(host), :inet) do
@@ -252,7 +254,7 @@ defmodule Situ.CLI.Cluster do
     end
   end
 
-  defp folder(opts) do
+  defp identity_folder(opts) do
     opts[:identity] || System.get_env("SITU_CLUSTER") ||
       Path.join(System.get_env("XDG_CONFIG_HOME") || Path.expand("~/.config"), "situ/cluster")
   end

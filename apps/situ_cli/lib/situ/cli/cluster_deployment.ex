@@ -7,8 +7,8 @@ defmodule Situ.CLI.ClusterDeployment do
   @deployment [kind: :text, doc: "the deployment's name"]
 
   @doc "Returns the verbs; `ask` calls a function on a node of the cluster."
-  @spec verbs([Option.t()], ClusterNode.ask()) :: [Verb.t()]
-  def verbs(common, ask) do
+  @spec deployment_verbs([Option.t()], ClusterNode.ask()) :: [Verb.t()]
+  def deployment_verbs(common, ask) do
     [
       %Verb{
         words: ["cluster", "deploy"],
@@ -19,7 +19,7 @@ defmodule Situ.CLI.ClusterDeployment do
           "situ cluster deploy My.Hall --place Lips=compute,deterministic --node situ-9301@127.0.0.1",
           "situ cluster deploy My.Hall --set rooms=3 --publish Speech --node situ-9301@127.0.0.1"
         ],
-        run: fn %{module: module}, opts -> deploy(module, opts, ask) end
+        run: fn %{module: module}, opts -> deploy_pipeline(module, opts, ask) end
       },
       %Verb{
         words: ["cluster", "stop"],
@@ -31,7 +31,7 @@ defmodule Situ.CLI.ClusterDeployment do
           | common
         ],
         examples: ["situ cluster stop Hall --node situ-9301@127.0.0.1"],
-        run: fn %{deployment: name}, opts -> stop(name, opts, ask) end
+        run: fn %{deployment: name}, opts -> stop_deployment(name, opts, ask) end
       },
       %Verb{
         words: ["cluster", "move"],
@@ -43,7 +43,7 @@ defmodule Situ.CLI.ClusterDeployment do
         ],
         options: common,
         examples: ["situ cluster move Hall Lips situ-9302@127.0.0.1 --node situ-9301@127.0.0.1"],
-        run: fn arguments, opts -> move(arguments, opts, ask) end
+        run: fn arguments, opts -> move_part(arguments, opts, ask) end
       },
       %Verb{
         words: ["cluster", "drain"],
@@ -51,7 +51,7 @@ defmodule Situ.CLI.ClusterDeployment do
         arguments: [deployment: @deployment, from: [kind: :text, doc: "the node"]],
         options: common,
         examples: ["situ cluster drain Hall situ-9302@127.0.0.1 --node situ-9301@127.0.0.1"],
-        run: fn arguments, opts -> drain(arguments, opts, ask) end
+        run: fn arguments, opts -> drain_node(arguments, opts, ask) end
       }
     ]
   end
@@ -91,28 +91,29 @@ defmodule Situ.CLI.ClusterDeployment do
     ]
   end
 
-  defp deploy(module, opts, ask) do
+  defp deploy_pipeline(module, opts, ask) do
     module = Module.concat([module])
     taken = Keyword.take(opts, [:name, :retain, :checkpoint, :lease, :balance, :direct, :publish])
 
     # Atoms from user input are safe here: there are few options, and a user who can deploy can run any code anyway.
-    build = for {name, value} <- Setting.read(opts[:set]), do: {String.to_atom(name), value}
+    build =
+      for {name, value} <- Setting.parse_settings(opts[:set]), do: {String.to_atom(name), value}
 
     settings =
       for({key, value} <- taken, value != nil, do: {key, value}) ++
-        [place: Enum.map(opts[:place], &rule/1), opts: build]
+        [place: Enum.map(opts[:place], &parse_rule/1), opts: build]
 
     deployment = Error.unwrap!(ask.(opts, Cluster, :deploy, [module, settings]))
     Output.puts("#{deployment.name} is running; see `situ cluster status` for its nodes")
     0
   end
 
-  defp rule(text) do
+  defp parse_rule(text) do
     with [path, rest] <- String.split(text, "=", parts: 2),
          [on | more] when more in [[], ["deterministic"], ["only"], ["deterministic", "only"]] <-
            String.split(rest, ",") do
       path = if path == "rest", do: :rest, else: path
-      {path, [on: on(on)] ++ Enum.map(more, &{String.to_existing_atom(&1), true})}
+      {path, [on: parse_target(on)] ++ Enum.map(more, &{String.to_existing_atom(&1), true})}
     else
       _ ->
         raise Error.new(:usage, "invalid placement rule: #{text}",
@@ -121,11 +122,11 @@ defmodule Situ.CLI.ClusterDeployment do
     end
   end
 
-  defp on("near:" <> device), do: {:near, device}
-  defp on(label), do: label
+  defp parse_target("near:" <> device), do: {:near, device}
+  defp parse_target(label), do: label
 
-  defp stop(name, opts, ask) do
-    deployment = find(name, opts, ask)
+  defp stop_deployment(name, opts, ask) do
+    deployment = find_deployment(name, opts, ask)
 
     if opts[:forget] do
       Error.unwrap!(ask.(opts, Cluster, :forget, [deployment]))
@@ -138,22 +139,22 @@ defmodule Situ.CLI.ClusterDeployment do
     0
   end
 
-  defp move(%{deployment: name, part: part, to: to}, opts, ask) do
+  defp move_part(%{deployment: name, part: part, to: to}, opts, ask) do
     to_node = String.to_atom(to)
-    Error.unwrap!(ask.(opts, Cluster, :move, [find(name, opts, ask), part, to_node]))
+    Error.unwrap!(ask.(opts, Cluster, :move, [find_deployment(name, opts, ask), part, to_node]))
     Output.puts("#{name}/#{part} is now running on #{to}")
     0
   end
 
-  defp drain(%{deployment: name, from: from}, opts, ask) do
-    ask.(opts, Cluster, :drain, [find(name, opts, ask), String.to_atom(from)])
+  defp drain_node(%{deployment: name, from: from}, opts, ask) do
+    ask.(opts, Cluster, :drain, [find_deployment(name, opts, ask), String.to_atom(from)])
     Output.puts("#{from} is handing over the parts of #{name}")
     0
   end
 
   @doc "Returns the deployment with this name, or raises an error that lists the existing deployments."
-  @spec find(String.t(), keyword(), ClusterNode.ask()) :: Cluster.t()
-  def find(name, opts, ask) do
+  @spec find_deployment(String.t(), keyword(), ClusterNode.ask()) :: Cluster.t()
+  def find_deployment(name, opts, ask) do
     known = ask.(opts, Cluster.Agent, :info, []).deployments
 
     fix =

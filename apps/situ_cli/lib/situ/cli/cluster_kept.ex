@@ -15,9 +15,9 @@ defmodule Situ.CLI.ClusterKept do
   @watched_ms 1_500
 
   @doc "Returns the verbs; `ask` calls a function on a node of the cluster, `folder` returns the identity's folder."
-  @spec verbs([Option.t()], ClusterNode.ask(), (keyword() -> Path.t())) :: [Verb.t()]
-  def verbs(common, ask, folder) do
-    common = common ++ ClusterLog.options()
+  @spec log_verbs([Option.t()], ClusterNode.ask(), (keyword() -> Path.t())) :: [Verb.t()]
+  def log_verbs(common, ask, folder) do
+    common = common ++ ClusterLog.log_options()
 
     [
       %Verb{
@@ -30,7 +30,7 @@ defmodule Situ.CLI.ClusterKept do
           "situ cluster kept --node situ-9301@127.0.0.1",
           "situ cluster kept --log nats://lab1:4222"
         ],
-        run: fn _, opts -> opts |> keeper(ask, folder) |> list(opts) end
+        run: fn _, opts -> opts |> log_access(ask, folder) |> list_logs(opts) end
       },
       %Verb{
         words: ["cluster", "prune"],
@@ -58,26 +58,30 @@ defmodule Situ.CLI.ClusterKept do
           "situ cluster prune --older-than 24h --node situ-9301@127.0.0.1",
           "situ cluster prune Hall --log /var/lib/situ/log"
         ],
-        run: fn %{deployments: names}, opts -> names |> prune(opts, keeper(opts, ask, folder)) end
+        run: fn %{deployments: names}, opts ->
+          names |> prune_logs(opts, log_access(opts, ask, folder))
+        end
       }
     ]
   end
 
   # Returns functions that list the logs, return the names of running deployments (nil if unknown), and delete a log.
-  defp keeper(opts, ask, folder) do
-    if opts[:log], do: by_log(opts[:log], opts, folder.(opts)), else: by_node(opts, ask)
+  defp log_access(opts, ask, folder) do
+    if opts[:log],
+      do: access_by_log(opts[:log], opts, folder.(opts)),
+      else: access_by_node(opts, ask)
   end
 
-  defp by_node(opts, ask) do
+  defp access_by_node(opts, ask) do
     %{
-      kept: fn -> ask.(opts, Cluster, :kept, []) end,
+      kept: fn -> ask.(opts, Cluster, :list_log_usage, []) end,
       known: fn -> for d <- ask.(opts, Cluster.Agent, :info, []).deployments, do: d.name end,
       prune: fn name -> ask.(opts, Cluster, :prune, [name]) end
     }
   end
 
-  defp by_log(address, opts, identity) do
-    address = if String.contains?(address, "://"), do: address, else: existing(address)
+  defp access_by_log(address, opts, identity) do
+    address = if String.contains?(address, "://"), do: address, else: existing_folder(address)
     {:ok, _} = Application.ensure_all_started(:situ_remote)
     log = Error.unwrap!(Log.connect(address, ClusterLog.connect_options(address, opts, identity)))
 
@@ -89,7 +93,7 @@ defmodule Situ.CLI.ClusterKept do
   end
 
   # Listing must not create a log folder.
-  defp existing(folder) do
+  defp existing_folder(folder) do
     if File.dir?(folder),
       do: folder,
       else:
@@ -100,19 +104,19 @@ defmodule Situ.CLI.ClusterKept do
         )
   end
 
-  defp list(keeper, opts) do
+  defp list_logs(keeper, opts) do
     kept = Error.unwrap!(keeper.kept.())
     known = keeper.known.()
 
     if opts[:json],
-      do: Output.json(Enum.map(kept, &row(&1, known))),
-      else: Enum.each(kept, &print(&1, known))
+      do: Output.print_json(Enum.map(kept, &describe_log(&1, known))),
+      else: Enum.each(kept, &print_log(&1, known))
 
     if kept == [] and not opts[:json], do: Output.puts("the log is empty")
     0
   end
 
-  defp row(kept, known) do
+  defp describe_log(kept, known) do
     kept
     |> Map.take([:deployment, :streams, :entries, :bytes])
     |> Map.merge(%{
@@ -121,30 +125,34 @@ defmodule Situ.CLI.ClusterKept do
     })
   end
 
-  defp print(kept, known) do
-    r = row(kept, known)
+  defp print_log(kept, known) do
+    r = describe_log(kept, known)
     where = if r.known == false, do: ", on no node here", else: ""
     size = "#{r.streams} streams, #{r.entries} entries, #{r.bytes} bytes"
 
     Output.puts(
-      "#{Output.name(r.deployment)}: #{size}, last written #{r.written || "never"}#{where}"
+      "#{Output.format_name(r.deployment)}: #{size}, last written #{r.written || "never"}#{where}"
     )
   end
 
-  defp prune(names, opts, keeper) do
+  defp prune_logs(names, opts, keeper) do
     if names == [] and opts[:older_than] == nil do
       raise Error.new(:usage, "no deployment given",
               fix: "name them (see `situ cluster kept`), or give --older-than 24h"
             )
     end
 
-    found = if opts[:older_than], do: old(opts, keeper), else: []
-    results = for name <- Enum.uniq(names ++ found), do: pruned(name, name in names, opts, keeper)
+    found = if opts[:older_than], do: old_deployments(opts, keeper), else: []
+
+    results =
+      for name <- Enum.uniq(names ++ found),
+          do: prune_deployment(name, name in names, opts, keeper)
+
     if results == [], do: Output.puts("no deployment is that old")
     Enum.max(results, fn -> 0 end)
   end
 
-  defp old(opts, keeper) do
+  defp old_deployments(opts, keeper) do
     latest = Situ.Time.now() - opts[:older_than]
 
     for kept <- Error.unwrap!(keeper.kept.()),
@@ -152,27 +160,27 @@ defmodule Situ.CLI.ClusterKept do
         do: kept.deployment
   end
 
-  defp pruned(name, named?, opts, keeper) do
+  defp prune_deployment(name, named?, opts, keeper) do
     if opts[:dry_run] do
-      Output.puts("#{Output.name(name)}: would be deleted if it has ended")
+      Output.puts("#{Output.format_name(name)}: would be deleted if it has ended")
       0
     else
-      told(keeper.prune.(name), name, named?)
+      report_pruned(keeper.prune.(name), name, named?)
     end
   end
 
-  defp told({:ok, n}, name, _named?) do
-    Output.puts("#{Output.name(name)}: deleted, #{n} streams and keys")
+  defp report_pruned({:ok, n}, name, _named?) do
+    Output.puts("#{Output.format_name(name)}: deleted, #{n} streams and keys")
     0
   end
 
   # A running deployment that the user did not name, but --older-than selected, is not an error.
-  defp told({:error, %{code: :in_use} = error}, _name, false) do
+  defp report_pruned({:error, %{code: :in_use} = error}, _name, false) do
     Output.warn(Exception.message(error))
     0
   end
 
-  defp told({:error, error}, _name, _named?) do
+  defp report_pruned({:error, error}, _name, _named?) do
     Output.warn(Exception.message(error))
     1
   end

@@ -7,8 +7,8 @@ defmodule Situ.CLI.ClusterLog do
   alias Situ.Error
 
   @doc "Returns the command-line options for a log in NATS."
-  @spec options() :: [Option.t()]
-  def options do
+  @spec log_options() :: [Option.t()]
+  def log_options do
     [
       Option.new(
         :log_credentials,
@@ -38,7 +38,7 @@ defmodule Situ.CLI.ClusterLog do
     own = if opts[:log_plain], do: [], else: Identity.log_options(identity)
     own = if String.contains?(rest, "@"), do: drop_credentials(own), else: own
     named = for {key, file} <- [credentials: opts[:log_credentials]], file, do: {key, file}
-    own |> Keyword.merge(named) |> with_tls(tls(opts))
+    own |> Keyword.merge(named) |> with_tls(tls_files(opts))
   end
 
   def connect_options(_folder, opts, _identity) do
@@ -47,12 +47,14 @@ defmodule Situ.CLI.ClusterLog do
         []
 
       name ->
-        raise Error.new(:usage, "a log in a folder does not accept #{flag(name)}", fix: fix())
+        raise Error.new(:usage, "a log in a folder does not accept #{flag_name(name)}",
+                fix: folder_log_fix()
+              )
     end
   end
 
-  defp flag(name), do: "--" <> String.replace(Atom.to_string(name), "_", "-")
-  defp fix, do: "use it with --log nats://host:4222, or omit it"
+  defp flag_name(name), do: "--" <> String.replace(Atom.to_string(name), "_", "-")
+  defp folder_log_fix, do: "use it with --log nats://host:4222, or omit it"
 
   # A login in the address works, but other users can read it.
   defp drop_credentials(options) do
@@ -64,7 +66,7 @@ defmodule Situ.CLI.ClusterLog do
     Keyword.delete(options, :credentials)
   end
 
-  defp tls(opts) do
+  defp tls_files(opts) do
     for {key, file} <- [
           cacertfile: opts[:log_ca],
           certfile: opts[:log_cert],

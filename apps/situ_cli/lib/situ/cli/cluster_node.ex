@@ -9,8 +9,8 @@ defmodule Situ.CLI.ClusterNode do
   @type ask :: (keyword(), module(), atom(), list() -> term())
 
   @doc "Returns the verbs; `ask` calls a function on a node of the cluster, `folder` returns the identity's folder."
-  @spec verbs([Option.t()], ask(), (keyword() -> Path.t())) :: [Verb.t()]
-  def verbs(common, ask, folder) do
+  @spec node_verbs([Option.t()], ask(), (keyword() -> Path.t())) :: [Verb.t()]
+  def node_verbs(common, ask, folder) do
     [
       %Verb{
         words: ["cluster", "logs"],
@@ -24,7 +24,7 @@ defmodule Situ.CLI.ClusterNode do
           | common
         ],
         examples: ["situ cluster logs --node situ-9301@127.0.0.1 --follow"],
-        run: fn _, opts -> logs(opts, ask) end
+        run: fn _, opts -> show_logs(opts, ask) end
       },
       %Verb{
         words: ["cluster", "info"],
@@ -32,7 +32,7 @@ defmodule Situ.CLI.ClusterNode do
         arguments: [deployment: [kind: :text, doc: "the deployment's name"]],
         options: common,
         examples: ["situ cluster info Hall --node situ-9301@127.0.0.1"],
-        run: fn %{deployment: name}, opts -> info(name, opts, ask) end
+        run: fn %{deployment: name}, opts -> show_info(name, opts, ask) end
       },
       %Verb{
         words: ["cluster", "upgrade"],
@@ -45,7 +45,7 @@ defmodule Situ.CLI.ClusterNode do
         arguments: [files: [kind: :file, many: true, doc: "compiled modules or Elixir source"]],
         options: common,
         examples: ["situ cluster upgrade lips.ex --node situ-9301@127.0.0.1"],
-        run: fn %{files: files}, opts -> upgrade(files, opts, ask) end
+        run: fn %{files: files}, opts -> upgrade_code(files, opts, ask) end
       },
       %Verb{
         words: ["cluster", "balance"],
@@ -53,22 +53,22 @@ defmodule Situ.CLI.ClusterNode do
         arguments: [deployment: [kind: :text, doc: "the deployment's name"]],
         options: common,
         examples: ["situ cluster balance Hall --node situ-9301@127.0.0.1"],
-        run: fn %{deployment: name}, opts -> balance(name, opts, ask) end
+        run: fn %{deployment: name}, opts -> balance_deployment(name, opts, ask) end
       }
-      | ClusterKept.verbs(common, ask, folder)
+      | ClusterKept.log_verbs(common, ask, folder)
     ]
   end
 
-  defp logs(opts, ask) do
-    nodes = nodes(opts, ask)
-    lines = for node <- nodes, do: {node, read(node, 0, opts[:number], opts, ask)}
-    for {node, line} <- by_time(lines), do: print(node, line)
-    if opts[:follow], do: follow(marks(lines, Map.new(nodes, &{&1, 0})), opts, ask)
+  defp show_logs(opts, ask) do
+    nodes = resolve_nodes(opts, ask)
+    lines = for node <- nodes, do: {node, read_lines(node, 0, opts[:number], opts, ask)}
+    for {node, line} <- by_time(lines), do: print_line(node, line)
+    if opts[:follow], do: follow_logs(last_positions(lines, Map.new(nodes, &{&1, 0})), opts, ask)
     0
   end
 
-  defp info(name, opts, ask) do
-    snapshot = ask.(opts, Cluster, :info, [ClusterDeployment.find(name, opts, ask)])
+  defp show_info(name, opts, ask) do
+    snapshot = ask.(opts, Cluster, :info, [ClusterDeployment.find_deployment(name, opts, ask)])
 
     for n <- Enum.sort_by(snapshot.nodes, & &1.path),
         do: Output.puts("#{n.path}: #{n.description}")
@@ -77,16 +77,16 @@ defmodule Situ.CLI.ClusterNode do
     0
   end
 
-  defp nodes(opts, ask) do
+  defp resolve_nodes(opts, ask) do
     known = ask.(opts, Cluster.Agent, :info, []).members |> Map.keys() |> Enum.sort()
 
     case opts[:of] do
       [] -> known
-      names -> Enum.map(names, &named(&1, known))
+      names -> Enum.map(names, &find_node(&1, known))
     end
   end
 
-  defp named(name, known) do
+  defp find_node(name, known) do
     Enum.find(known, &(Atom.to_string(&1) == name)) ||
       raise Error.new(:not_found, "#{name} is not a node of the cluster",
               fix: "nodes: " <> Enum.join(known, ", ")
@@ -94,7 +94,7 @@ defmodule Situ.CLI.ClusterNode do
   end
 
   # An unreachable node is reported once and polled again later.
-  defp read(node, from, most, opts, ask) do
+  defp read_lines(node, from, most, opts, ask) do
     case ask.(opts, Cluster, :logs, [node, from, most]) do
       {:ok, lines} ->
         lines
@@ -105,18 +105,18 @@ defmodule Situ.CLI.ClusterNode do
     end
   end
 
-  defp follow(marks, opts, ask) do
+  defp follow_logs(marks, opts, ask) do
     receive do
     after
       @again_ms -> :ok
     end
 
-    lines = for {node, from} <- marks, do: {node, read(node, from, 2_000, opts, ask)}
-    for {node, line} <- by_time(lines), do: print(node, line)
-    follow(marks(lines, marks), opts, ask)
+    lines = for {node, from} <- marks, do: {node, read_lines(node, from, 2_000, opts, ask)}
+    for {node, line} <- by_time(lines), do: print_line(node, line)
+    follow_logs(last_positions(lines, marks), opts, ask)
   end
 
-  defp marks(lines, before) do
+  defp last_positions(lines, before) do
     for {node, lines} <- lines, lines != [], into: before, do: {node, List.last(lines).n}
   end
 
@@ -125,28 +125,28 @@ defmodule Situ.CLI.ClusterNode do
     Enum.sort_by(all, fn {_, line} -> line.time end)
   end
 
-  defp print(node, line) do
+  defp print_line(node, line) do
     Output.puts(
-      "#{Situ.Time.to_iso8601(line.time)}  #{node}  [#{line.level}] #{Output.name(line.text)}"
+      "#{Situ.Time.to_iso8601(line.time)}  #{node}  [#{line.level}] #{Output.format_name(line.text)}"
     )
   end
 
-  defp upgrade(files, opts, ask) do
-    code = Enum.flat_map(files, &code/1)
+  defp upgrade_code(files, opts, ask) do
+    code = Enum.flat_map(files, &load_code/1)
     nodes = Error.unwrap!(ask.(opts, Cluster, :upgrade, [code]))
     names = Enum.map_join(code, ", ", fn {module, _} -> inspect(module) end)
     Output.puts("#{names}: loaded on #{Enum.join(nodes, ", ")}")
     0
   end
 
-  defp code(file) do
-    if Path.extname(file) == ".beam", do: [beam(file)], else: Code.compile_file(file)
+  defp load_code(file) do
+    if Path.extname(file) == ".beam", do: [read_beam(file)], else: Code.compile_file(file)
   rescue
     error in [SyntaxError, TokenMissingError, CompileError, Code.LoadError] ->
       raise Error.new(:bad_code, "#{file} cannot be compiled: #{Exception.message(error)}")
   end
 
-  defp beam(file) do
+  defp read_beam(file) do
     with {:ok, bytes} <- File.read(file),
          {:ok, {module, _}} <- :beam_lib.chunks(bytes, []) do
       {module, bytes}
@@ -156,8 +156,10 @@ defmodule Situ.CLI.ClusterNode do
     end
   end
 
-  defp balance(name, opts, ask) do
-    case Error.unwrap!(ask.(opts, Cluster, :balance, [ClusterDeployment.find(name, opts, ask)])) do
+  defp balance_deployment(name, opts, ask) do
+    case Error.unwrap!(
+           ask.(opts, Cluster, :balance, [ClusterDeployment.find_deployment(name, opts, ask)])
+         ) do
       nil -> Output.puts("no part of #{name} needs to move")
       {part, to} -> Output.puts("#{name}/#{part} is now running on #{to}, which is less busy")
     end
@@ -166,15 +168,15 @@ defmodule Situ.CLI.ClusterNode do
   end
 
   @doc "Starts a studio on this node, with the pipelines and recordings of all nodes, and returns its URL."
-  @spec studio(:inet.port_number(), Path.t() | nil) :: String.t()
-  def studio(port, path) do
+  @spec start_studio(:inet.port_number(), Path.t() | nil) :: String.t()
+  def start_studio(port, path) do
     {:ok, _} = Application.ensure_all_started(:situ_studio)
 
     settings = [
       port: port,
       path: path,
       pipelines: [{:all, &Cluster.pipelines/0}],
-      recordings: &Cluster.Recordings.address/1
+      recordings: &Cluster.Recordings.fetch_address/1
     ]
 
     {:ok, studio} = settings |> Situ.Studio.start_link() |> Error.unwrap!() |> then(&{:ok, &1})

@@ -49,8 +49,8 @@ defmodule Situ.CLI.Commands do
   }
 
   # Verbs of the same command are adjacent, even if different modules define them.
-  @spec all() :: [Verb.t()]
-  def all do
+  @spec list_verbs() :: [Verb.t()]
+  def list_verbs do
     verbs = Enum.flat_map(@modules, & &1.verbs())
     order = verbs |> Enum.map(&hd(&1.words)) |> Enum.uniq()
     Enum.sort_by(verbs, fn verb -> Enum.find_index(order, &(&1 == hd(verb.words))) end)
@@ -60,35 +60,35 @@ defmodule Situ.CLI.Commands do
   def groups, do: @groups
 
   @doc "Returns the verb that a command line begins with, and the remaining words."
-  @spec find([String.t()]) ::
+  @spec find_verb([String.t()]) ::
           {:ok, Verb.t(), [String.t()]}
           | {:group, String.t(), [Verb.t()]}
           | {:error, Situ.Error.t()}
-  def find([first | rest]) do
-    case Enum.filter(all(), &(hd(&1.words) == first)) do
-      [] -> {:error, unknown(first)}
+  def find_verb([first | rest]) do
+    case Enum.filter(list_verbs(), &(hd(&1.words) == first)) do
+      [] -> {:error, unknown_command(first)}
       [%{words: [_]} = verb] -> {:ok, verb, rest}
-      group -> second(first, rest, group)
+      group -> find_in_group(first, rest, group)
     end
   end
 
-  defp second(first, [], group), do: {:group, first, group}
+  defp find_in_group(first, [], group), do: {:group, first, group}
 
-  defp second(first, [help | _], group) when help in ["help", "--help", "-h"],
+  defp find_in_group(first, [help | _], group) when help in ["help", "--help", "-h"],
     do: {:group, first, group}
 
-  defp second(first, [word | rest], group) do
+  defp find_in_group(first, [word | rest], group) do
     case Enum.find(group, &(word in [List.last(&1.words) | &1.aliases])) do
-      nil -> {:error, no_verb(first, word, group)}
+      nil -> {:error, unknown_verb(first, word, group)}
       verb -> {:ok, verb, rest}
     end
   end
 
-  defp unknown(word) do
-    words = all() |> Enum.map(&hd(&1.words)) |> Enum.uniq()
+  defp unknown_command(word) do
+    words = list_verbs() |> Enum.map(&hd(&1.words)) |> Enum.uniq()
 
     fix =
-      case Situ.Options.nearest(word, words) do
+      case Situ.Options.nearest_name(word, words) do
         nil -> "`situ --help` lists the commands"
         near -> "did you mean `situ #{near}`? `situ --help` lists the commands"
       end
@@ -96,11 +96,11 @@ defmodule Situ.CLI.Commands do
     Situ.Error.new(:unknown_command, "unknown command #{inspect(word)}", fix: fix)
   end
 
-  defp no_verb(first, word, group) do
+  defp unknown_verb(first, word, group) do
     words = Enum.flat_map(group, &[List.last(&1.words) | &1.aliases])
 
     fix =
-      case Situ.Options.nearest(word, words) do
+      case Situ.Options.nearest_name(word, words) do
         nil -> "see `situ #{first} --help`"
         near -> "did you mean `situ #{first} #{near}`? See `situ #{first} --help`"
       end

@@ -31,7 +31,7 @@ defmodule Situ.CLI.Dataset do
           )
         ],
         examples: ["situ dataset info study.json", "situ dataset info recordings --json"],
-        run: &info/2
+        run: &show_info/2
       },
       %Verb{
         words: ["dataset", "create"],
@@ -47,7 +47,7 @@ defmodule Situ.CLI.Dataset do
           Option.new(:force, :flag, "replace an existing file", short: :f)
         ],
         examples: ["situ dataset create study/study.json study"],
-        run: &create/2
+        run: &create_dataset/2
       },
       %Verb{
         words: ["dataset", "add"],
@@ -69,7 +69,7 @@ defmodule Situ.CLI.Dataset do
           Option.new(:set, :string, "metadata of the session", value: "NAME=VALUE", many?: true)
         ],
         examples: ["situ dataset add study.json p11 recordings/p11/* --tag pilot --set age=31"],
-        run: &add/2
+        run: &add_recordings/2
       },
       %Verb{
         words: ["dataset", "set"],
@@ -88,7 +88,7 @@ defmodule Situ.CLI.Dataset do
           Option.new(:unset, :string, "remove this metadata", value: "KEY", many?: true)
         ],
         examples: ["situ dataset set study.json p03 --set 'notes=came late' --tag left-handed"],
-        run: &set/2
+        run: &set_properties/2
       },
       %Verb{
         words: ["dataset", "rename"],
@@ -99,7 +99,7 @@ defmodule Situ.CLI.Dataset do
           to: [kind: :text, doc: "the new name"]
         ],
         examples: ["situ dataset rename study.json p3/lobby Room"],
-        run: &rename/2
+        run: &rename_entry/2
       },
       %Verb{
         words: ["dataset", "remove"],
@@ -110,133 +110,136 @@ defmodule Situ.CLI.Dataset do
           name: [kind: :text, many: true, doc: "SESSION or SESSION/PARTITION"]
         ],
         examples: ["situ dataset remove study.json pilot1 p3/Room"],
-        run: &remove/2
+        run: &remove_entries/2
       },
       %Verb{
         words: ["dataset", "append"],
         summary: "add the sessions of another dataset",
         arguments: [file: @file_argument, other: @any],
         examples: ["situ dataset append study.json monday.pds"],
-        run: &append/2
+        run: &append_sessions/2
       },
       %Verb{
         words: ["dataset", "seal"],
         summary: "store a checksum of every recording, so that verify can detect later changes",
         arguments: [file: @file_argument],
-        run: &seal/2
+        run: &seal_dataset/2
       },
       %Verb{
         words: ["dataset", "verify"],
         summary:
           "check that every recording exists, is intact and (if sealed) unchanged; status 1 if not",
         arguments: [path: @any],
-        run: &verify/2
+        run: &verify_dataset/2
       }
     ]
   end
 
   @doc "Opens a dataset, or any recordings that can be treated as one, after starting the readers of all formats."
-  @spec open!(Path.t()) :: Dataset.t()
-  def open!(path) do
-    Recording.ready([path])
+  @spec open_dataset!(Path.t()) :: Dataset.t()
+  def open_dataset!(path) do
+    Recording.prepare_readers([path])
     for app <- [:situ_media, :situ_bridge], do: {:ok, _} = Application.ensure_all_started(app)
-    ok!(Dataset.open(path))
+    unwrap!(Dataset.open(path))
   end
 
   # Other programs may edit the file concurrently, so each edit starts from its current contents.
-  defp edit(file, opts, fun) do
+  defp edit_file(file, opts, fun) do
     saved =
-      case open!(file) do
-        %{file: nil} = dataset -> ok!(Dataset.save(ok!(fun.(dataset))))
-        dataset -> ok!(Dataset.update(dataset, fun))
+      case open_dataset!(file) do
+        %{file: nil} = dataset -> unwrap!(Dataset.save(unwrap!(fun.(dataset))))
+        dataset -> unwrap!(Dataset.update(dataset, fun))
       end
 
-    if opts[:json], do: Output.json(%{file: saved.file, sessions: length(saved.sessions)})
+    if opts[:json], do: Output.print_json(%{file: saved.file, sessions: length(saved.sessions)})
     0
   end
 
   # Looking
 
-  defp info(%{path: path, session: nil}, opts), do: path |> open!() |> Listing.dataset(opts)
+  defp show_info(%{path: path, session: nil}, opts),
+    do: path |> open_dataset!() |> Listing.list_sessions(opts)
 
-  defp info(%{path: path, session: name}, opts),
-    do: path |> open!() |> Dataset.session(name) |> ok!() |> Listing.session(opts)
+  defp show_info(%{path: path, session: name}, opts),
+    do:
+      path |> open_dataset!() |> Dataset.session(name) |> unwrap!() |> Listing.show_session(opts)
 
   # Changing
 
-  defp create(%{file: file, folder: folder}, opts) do
+  defp create_dataset(%{file: file, folder: folder}, opts) do
     if File.exists?(file) and not opts[:force] do
       raise Situ.Error.new(:file_exists, "#{file} already exists",
               fix: "choose another name, or give --force"
             )
     end
 
-    dataset = if folder, do: open!(folder), else: ok!(Dataset.new())
+    dataset = if folder, do: open_dataset!(folder), else: unwrap!(Dataset.new())
     name = opts[:name] || Path.basename(file, Path.extname(file))
-    dataset = ok!(Dataset.put(dataset, name: name))
-    saved = ok!(Dataset.save_as(dataset, file))
+    dataset = unwrap!(Dataset.put_fields(dataset, name: name))
+    saved = unwrap!(Dataset.save_as(dataset, file))
 
     if opts[:json],
-      do: Output.json(%{file: saved.file, sessions: length(saved.sessions)}),
-      else: Output.puts("#{saved.file}: #{Output.number(length(saved.sessions), "session")}")
+      do: Output.print_json(%{file: saved.file, sessions: length(saved.sessions)}),
+      else:
+        Output.puts("#{saved.file}: #{Output.format_count(length(saved.sessions), "session")}")
 
     0
   end
 
-  defp add(%{file: file, session: name, path: paths}, opts) do
-    paths = Recording.expand(paths)
+  defp add_recordings(%{file: file, session: name, path: paths}, opts) do
+    paths = Recording.expand_patterns(paths)
 
     if opts[:partition] && length(paths) > 1,
       do: throw({:usage, "--partition needs exactly one recording, not #{length(paths)}"})
 
-    partitions = Enum.map(paths, &partition!(opts[:partition], &1))
+    partitions = Enum.map(paths, &open_partition!(opts[:partition], &1))
 
-    edit(file, opts, fn dataset ->
+    edit_file(file, opts, fn dataset ->
       dataset =
         case Dataset.session(dataset, name) do
           {:ok, _} -> dataset
-          {:error, _} -> ok!(Dataset.add_session(dataset, name))
+          {:error, _} -> unwrap!(Dataset.add_session(dataset, name))
         end
 
       Dataset.update_session(dataset, name, fn session ->
-        session = Enum.reduce(partitions, session, &ok!(Session.add(&2, &1)))
-        {:ok, changed(session, opts)}
+        session = Enum.reduce(partitions, session, &unwrap!(Session.add_partition(&2, &1)))
+        {:ok, apply_changes(session, opts)}
       end)
     end)
   end
 
   # A path that cannot be opened now is most likely a typing error.
-  defp partition!(name, path) do
-    Recording.ready([path])
+  defp open_partition!(name, path) do
+    Recording.prepare_readers([path])
     partition = Partition.new(name, path)
-    _ = ok!(Partition.open(partition))
+    _ = unwrap!(Partition.open(partition))
     partition
   end
 
-  defp set(%{file: file, session: nil}, opts) do
-    edit(file, opts, fn dataset ->
-      changed = changed(dataset, opts)
-      Dataset.put(dataset, tags: changed.tags, metadata: changed.metadata)
+  defp set_properties(%{file: file, session: nil}, opts) do
+    edit_file(file, opts, fn dataset ->
+      changed = apply_changes(dataset, opts)
+      Dataset.put_fields(dataset, tags: changed.tags, metadata: changed.metadata)
     end)
   end
 
-  defp set(%{file: file, session: name}, opts),
+  defp set_properties(%{file: file, session: name}, opts),
     do:
-      edit(
+      edit_file(
         file,
         opts,
-        &Dataset.update_session(&1, name, fn session -> {:ok, changed(session, opts)} end)
+        &Dataset.update_session(&1, name, fn session -> {:ok, apply_changes(session, opts)} end)
       )
 
-  defp changed(thing, opts) do
+  defp apply_changes(thing, opts) do
     tags = Enum.uniq(thing.tags ++ opts[:tag]) -- (opts[:untag] || [])
-    metadata = Enum.into(Setting.read(opts[:set]), thing.metadata)
+    metadata = Enum.into(Setting.parse_settings(opts[:set]), thing.metadata)
     %{thing | tags: tags, metadata: Map.drop(metadata, opts[:unset] || [])}
   end
 
-  defp rename(%{file: file, name: name, to: to}, opts) do
-    edit(file, opts, fn dataset ->
-      case place(dataset, name) do
+  defp rename_entry(%{file: file, name: name, to: to}, opts) do
+    edit_file(file, opts, fn dataset ->
+      case split_name(dataset, name) do
         {session, nil} ->
           Dataset.rename_session(dataset, session, to)
 
@@ -246,25 +249,25 @@ defmodule Situ.CLI.Dataset do
     end)
   end
 
-  defp remove(%{file: file, name: names}, opts) do
-    edit(file, opts, fn dataset ->
+  defp remove_entries(%{file: file, name: names}, opts) do
+    edit_file(file, opts, fn dataset ->
       Enum.reduce(names, {:ok, dataset}, fn name, {:ok, dataset} ->
         removed =
-          case place(dataset, name) do
+          case split_name(dataset, name) do
             {session, nil} ->
               Dataset.remove_session(dataset, session)
 
             {session, partition} ->
-              Dataset.update_session(dataset, session, &Session.remove(&1, partition))
+              Dataset.update_session(dataset, session, &Session.remove_partition(&1, partition))
           end
 
-        {:ok, ok!(removed)}
+        {:ok, unwrap!(removed)}
       end)
     end)
   end
 
   # The name of a session may contain a slash.
-  defp place(dataset, name) do
+  defp split_name(dataset, name) do
     with {:error, _} <- Dataset.session(dataset, name),
          [session, partition] <- String.split(name, "/", parts: 2) do
       {session, partition}
@@ -273,57 +276,57 @@ defmodule Situ.CLI.Dataset do
     end
   end
 
-  defp append(%{file: file, other: other}, opts) do
-    other = open!(other)
-    edit(file, opts, &Dataset.append(&1, other))
+  defp append_sessions(%{file: file, other: other}, opts) do
+    other = open_dataset!(other)
+    edit_file(file, opts, &Dataset.append_sessions(&1, other))
   end
 
   # Checksums take a long time, so they are computed before the file is opened for editing.
-  defp seal(%{file: file}, opts) do
-    partitions = file |> open!() |> Dataset.partitions()
+  defp seal_dataset(%{file: file}, opts) do
+    partitions = file |> open_dataset!() |> Dataset.list_partitions()
 
     checksums =
-      Progress.show("seal", opts, fn progress ->
-        ok!(Checksum.all(partitions, progress: progress))
+      Progress.with_progress("seal", opts, fn progress ->
+        unwrap!(Checksum.compute_all(partitions, progress: progress))
       end)
 
-    edit(file, opts, &Dataset.put_checksums(&1, checksums))
+    edit_file(file, opts, &Dataset.put_checksums(&1, checksums))
   end
 
-  defp verify(%{path: path}, opts) do
-    dataset = open!(path)
+  defp verify_dataset(%{path: path}, opts) do
+    dataset = open_dataset!(path)
     total = dataset.sessions |> Enum.map(&length(&1.partitions)) |> Enum.sum()
 
     all =
       for session <- dataset.sessions, partition <- session.partitions, do: {session, partition}
 
     wrong =
-      Progress.show("verify", opts, fn progress ->
+      Progress.with_progress("verify", opts, fn progress ->
         for {{session, partition}, n} <- Enum.with_index(all, 1),
             progress.(n, total) || true,
-            {:error, error} <- [checked(partition)],
+            {:error, error} <- [verify_partition(partition)],
             do: {session.name, partition.name, error}
       end)
 
     if opts[:json] do
-      Output.json(
+      Output.print_json(
         for {s, p, e} <- wrong,
             do: %{session: s, partition: p, code: e.code, what: e.what, why: e.why}
       )
     else
       for {s, p, e} <- wrong, do: Output.puts("#{s}/#{p}: #{Exception.message(e)}")
-      if wrong == [], do: Output.puts("#{Output.number(total, "recording")}, all intact")
+      if wrong == [], do: Output.puts("#{Output.format_count(total, "recording")}, all intact")
     end
 
     if wrong == [], do: 0, else: 1
   end
 
-  defp checked(partition) do
-    with :ok <- Partition.check(partition) do
+  defp verify_partition(partition) do
+    with :ok <- Partition.check_recording(partition) do
       if partition.checksum, do: Checksum.verify(partition.path, partition.checksum), else: :ok
     end
   end
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -7,17 +7,17 @@ defmodule Situ.CLI.Desktop do
   @doc """
   Opens `url` in the desktop's browser. Without a desktop it does nothing, because the address was already printed.
   """
-  @spec open(String.t()) :: :ok
-  def open(url) do
+  @spec open_url(String.t()) :: :ok
+  def open_url(url) do
     desktop? = System.get_env("DISPLAY") || System.get_env("WAYLAND_DISPLAY")
     opener = desktop? && (System.find_executable("xdg-open") || System.find_executable("open"))
-    if opener, do: Task.start(fn -> show(opener, url) end)
+    if opener, do: Task.start(fn -> open_with(opener, url) end)
     :ok
   end
 
-  defp show(opener, url) do
+  defp open_with(opener, url) do
     Situ.Scratch.with_folder("open", fn folder ->
-      System.cmd(opener, [argument(url, folder)], stderr_to_stdout: true)
+      System.cmd(opener, [opener_argument(url, folder)], stderr_to_stdout: true)
 
       # The browser has started, but may not have read the page yet.
       receive do
@@ -31,8 +31,8 @@ defmodule Situ.CLI.Desktop do
   Returns the opener's argument for `url`. On a command line, every user of the machine could read a token in the URL.
   For such a URL the argument is therefore a page in `folder` that redirects to it, and that only this user can read.
   """
-  @spec argument(String.t(), Path.t()) :: String.t()
-  def argument(url, folder) do
+  @spec opener_argument(String.t(), Path.t()) :: String.t()
+  def opener_argument(url, folder) do
     if URI.parse(url).query == nil do
       url
     else

@@ -35,42 +35,44 @@ defmodule Situ.CLI.Devices do
         ],
         options: [Option.new(:modes, :flag, "also list the sizes and rates of each camera")],
         examples: ["situ devices cameras --modes"],
-        run: &run/2
+        run: &run_devices/2
       }
     ]
   end
 
-  defp run(%{kind: nil}, opts), do: show(all(), opts)
-  defp run(%{kind: kind}, opts) when is_map_key(@kinds, kind), do: show(of(@kinds[kind]), opts)
+  defp run_devices(%{kind: nil}, opts), do: show_devices(list_all(), opts)
 
-  defp run(%{kind: kind}, _opts),
+  defp run_devices(%{kind: kind}, opts) when is_map_key(@kinds, kind),
+    do: show_devices(list_of_kind(@kinds[kind]), opts)
+
+  defp run_devices(%{kind: kind}, _opts),
     do:
       throw(
         {:usage,
          "devices: unknown kind #{inspect(kind)}; use cameras, microphones, speakers or depth"}
       )
 
-  defp of(:depth_camera), do: DepthCamera.Library.list()
-  defp of(kind), do: Enum.filter(Device.list(), &(&1.kind == kind))
+  defp list_of_kind(:depth_camera), do: DepthCamera.Library.list_cameras()
+  defp list_of_kind(kind), do: Enum.filter(Device.list(), &(&1.kind == kind))
 
-  defp all, do: Device.list() ++ DepthCamera.Library.list()
+  defp list_all, do: Device.list() ++ DepthCamera.Library.list_cameras()
 
-  defp show(devices, opts) do
+  defp show_devices(devices, opts) do
     cond do
       opts[:json] ->
-        Output.json(Enum.map(devices, &json/1))
+        Output.print_json(Enum.map(devices, &device_json/1))
 
       devices == [] ->
         Output.puts("No devices found. Without hardware: device: \"simulated:FILE\".")
 
       true ->
-        table(Enum.sort_by(devices, &{&1.kind, not &1.default?, &1.id}), opts)
+        print_table(Enum.sort_by(devices, &{&1.kind, not &1.default?, &1.id}), opts)
     end
 
     0
   end
 
-  defp table(devices, opts) do
+  defp print_table(devices, opts) do
     width = devices |> Enum.map(&String.length(&1.id)) |> Enum.max()
 
     for device <- devices do
@@ -84,7 +86,7 @@ defmodule Situ.CLI.Devices do
     end
   end
 
-  defp json(device) do
+  defp device_json(device) do
     %{
       id: device.id,
       kind: device.kind,

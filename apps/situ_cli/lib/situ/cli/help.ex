@@ -5,8 +5,8 @@ defmodule Situ.CLI.Help do
 
   @width 100
 
-  @spec all([Verb.t()], %{String.t() => String.t()}) :: String.t()
-  def all(verbs, groups) do
+  @spec format_overview([Verb.t()], %{String.t() => String.t()}) :: String.t()
+  def format_overview(verbs, groups) do
     lines =
       verbs
       |> Enum.map(fn verb -> {hd(verb.words), verb} end)
@@ -18,7 +18,7 @@ defmodule Situ.CLI.Help do
 
     Usage: situ COMMAND [VERB] [ARGUMENTS] [OPTIONS]
 
-    #{table(lines)}
+    #{format_table(lines)}
 
       --version   print the version
       --help      print this text; `situ COMMAND --help` explains one command
@@ -29,11 +29,13 @@ defmodule Situ.CLI.Help do
   end
 
   @doc "Formats the help of a group of verbs."
-  @spec group(String.t(), String.t(), [Verb.t()]) :: String.t()
-  def group(word, summary, verbs) do
+  @spec format_group(String.t(), String.t(), [Verb.t()]) :: String.t()
+  def format_group(word, summary, verbs) do
     lines =
       for verb <- verbs do
-        arguments = Enum.map_join(verb.arguments, " ", fn {n, spec} -> Verb.argument(n, spec) end)
+        arguments =
+          Enum.map_join(verb.arguments, " ", fn {n, spec} -> Verb.argument_label(n, spec) end)
+
         {String.trim(Enum.join(tl(verb.words), " ") <> " " <> arguments), verb.summary}
       end
 
@@ -42,39 +44,44 @@ defmodule Situ.CLI.Help do
 
     To #{summary}.
 
-    #{table(lines)}
+    #{format_table(lines)}
 
     `situ #{word} VERB --help` explains one verb. All verbs accept --json, --quiet and --help.
     """
   end
 
   @doc "Formats the help of one verb."
-  @spec verb(Verb.t()) :: String.t()
-  def verb(%Verb{} = verb) do
+  @spec format_verb(Verb.t()) :: String.t()
+  def format_verb(%Verb{} = verb) do
     [
-      "Usage: #{Verb.usage(verb)}",
-      sentence(verb.summary),
+      "Usage: #{Verb.usage_line(verb)}",
+      to_sentence(verb.summary),
       if(verb.about != "", do: String.trim(verb.about)),
-      arguments(verb),
-      table(for option <- Verb.options(verb), do: {Option.label(option), described(option)}),
+      format_arguments(verb),
+      format_table(
+        for option <- Verb.all_options(verb),
+            do: {Option.label(option), option_description(option)}
+      ),
       if(verb.aliases != [], do: "Aliases: #{Enum.join(verb.aliases, ", ")}."),
       "Exit status: 0 success, 1 failure, 2 wrong usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed it.",
-      examples(verb.examples)
+      format_examples(verb.examples)
     ]
     |> Enum.reject(&(&1 in [nil, ""]))
     |> Enum.join("\n\n")
     |> Kernel.<>("\n")
   end
 
-  defp sentence(text), do: "To " <> text <> "."
+  defp to_sentence(text), do: "To " <> text <> "."
 
-  defp arguments(verb) do
-    table(for {name, spec} <- verb.arguments, do: {Verb.argument(name, spec), spec[:doc]})
+  defp format_arguments(verb) do
+    format_table(
+      for {name, spec} <- verb.arguments, do: {Verb.argument_label(name, spec), spec[:doc]}
+    )
   end
 
   @doc "Returns the description of an option, with its default."
-  @spec described(Option.t()) :: String.t()
-  def described(option) do
+  @spec option_description(Option.t()) :: String.t()
+  def option_description(option) do
     default =
       cond do
         option.default == nil -> ""
@@ -85,13 +92,13 @@ defmodule Situ.CLI.Help do
     option.doc <> default <> if(option.many?, do: "; may be given several times", else: "")
   end
 
-  defp examples([]), do: nil
-  defp examples([one]), do: "Example: #{one}"
-  defp examples(several), do: "Examples:\n" <> Enum.map_join(several, "\n", &("  " <> &1))
+  defp format_examples([]), do: nil
+  defp format_examples([one]), do: "Example: #{one}"
+  defp format_examples(several), do: "Examples:\n" <> Enum.map_join(several, "\n", &("  " <> &1))
 
-  defp table([]), do: ""
+  defp format_table([]), do: ""
 
-  defp table(rows) do
+  defp format_table(rows) do
     widest =
       rows
       |> Enum.map(fn {left, _} -> String.length(left) end)
@@ -99,7 +106,7 @@ defmodule Situ.CLI.Help do
       |> Enum.max(fn -> 34 end)
 
     Enum.map_join(rows, "\n", fn {left, right} ->
-      [first | rest] = fold(right, @width - widest - 5)
+      [first | rest] = wrap_text(right, @width - widest - 5)
       indent = String.duplicate(" ", widest + 5)
 
       head =
@@ -112,8 +119,8 @@ defmodule Situ.CLI.Help do
   end
 
   @doc "Splits text into lines of at most `width` characters."
-  @spec fold(String.t(), pos_integer()) :: [String.t(), ...]
-  def fold(text, width) do
+  @spec wrap_text(String.t(), pos_integer()) :: [String.t(), ...]
+  def wrap_text(text, width) do
     text
     |> String.split()
     |> Enum.reduce([""], fn word, [line | lines] ->

@@ -5,23 +5,23 @@ defmodule Situ.CLI.Input do
   @part 65_536
 
   @doc "Reads all of standard input."
-  @spec read() :: binary()
-  def read, do: parts() |> Enum.to_list() |> IO.iodata_to_binary()
+  @spec read_all() :: binary()
+  def read_all, do: stream_chunks() |> Enum.to_list() |> IO.iodata_to_binary()
 
   @doc "Calls `work` with a temporary file that holds all of standard input, and that it may read more than once."
-  @spec spooled((Path.t() -> result)) :: result when result: term()
-  def spooled(work) do
+  @spec with_spooled_file((Path.t() -> result)) :: result when result: term()
+  def with_spooled_file(work) do
     Situ.Scratch.with_folder("input", fn folder ->
       path = Path.join(folder, "input")
       {:ok, file} = :file.open(path, [:write, :raw, :binary, :exclusive])
-      Enum.each(parts(), &(:ok = :file.write(file, &1)))
+      Enum.each(stream_chunks(), &(:ok = :file.write(file, &1)))
       :ok = :file.close(file)
       work.(path)
     end)
   end
 
   # Reads bytes as Latin-1, because as UTF-8 they would have to be valid text.
-  defp parts do
+  defp stream_chunks do
     Stream.resource(
       fn ->
         before = :io.getopts(:standard_io)

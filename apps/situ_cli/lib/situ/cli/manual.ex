@@ -3,39 +3,48 @@ defmodule Situ.CLI.Manual do
   # Renders the manual page (troff, for `man`) from the verbs' tables.
   alias Situ.CLI.{Help, Option, Verb}
 
-  @spec page([Verb.t()], String.t()) :: String.t()
-  def page(verbs, version) do
+  @spec render_page([Verb.t()], String.t()) :: String.t()
+  def render_page(verbs, version) do
     IO.iodata_to_binary([
       ".TH SITU 1 \"\" \"situ #{version}\" \"Situ\"\n",
       ".SH NAME\nsitu \\- records, replays and shows timestamped streams\n",
       ".SH SYNOPSIS\n.B situ\n.I COMMAND\n[\\fIVERB\\fR] [\\fIARGUMENTS\\fR] [\\fIOPTIONS\\fR]\n",
       ".SH COMMANDS\n",
-      Enum.map(verbs, &verb/1),
+      Enum.map(verbs, &format_verb/1),
       ".SH COMMON OPTIONS\n",
-      Enum.map(Verb.common(), &option/1),
+      Enum.map(Verb.common_options(), &format_option/1),
       ".SH EXIT STATUS\n0 success; 1 failure, or damage or differences found; 2 wrong usage; ",
       "130 stopped by Ctrl\\-C; 141 the reader of a pipe closed it.\n"
     ])
   end
 
-  defp verb(verb) do
-    usage = verb |> Verb.usage() |> String.replace_suffix(" [OPTIONS]", "")
+  defp format_verb(verb) do
+    usage = verb |> Verb.usage_line() |> String.replace_suffix(" [OPTIONS]", "")
 
     [
-      ".SS #{escape(usage)}\n",
-      "To #{escape(verb.summary)}.\n",
-      if(verb.about != "", do: [".PP\n", verb.about |> String.trim() |> escape(), "\n"], else: []),
-      for({name, spec} <- verb.arguments, do: item(Verb.argument(name, spec), spec[:doc])),
-      Enum.map(verb.options, &option/1),
-      for(example <- verb.examples, do: [".PP\nExample: \\fB", escape(example), "\\fR\n"])
+      ".SS #{escape_troff(usage)}\n",
+      "To #{escape_troff(verb.summary)}.\n",
+      if(verb.about != "",
+        do: [".PP\n", verb.about |> String.trim() |> escape_troff(), "\n"],
+        else: []
+      ),
+      for(
+        {name, spec} <- verb.arguments,
+        do: format_item(Verb.argument_label(name, spec), spec[:doc])
+      ),
+      Enum.map(verb.options, &format_option/1),
+      for(example <- verb.examples, do: [".PP\nExample: \\fB", escape_troff(example), "\\fR\n"])
     ]
   end
 
-  defp option(option), do: item(Option.label(option), Help.described(option))
-  defp item(label, text), do: [".TP\n\\fB", escape(label), "\\fR\n", escape(text), "\n"]
+  defp format_option(option),
+    do: format_item(Option.label(option), Help.option_description(option))
+
+  defp format_item(label, text),
+    do: [".TP\n\\fB", escape_troff(label), "\\fR\n", escape_troff(text), "\n"]
 
   # Backslashes and hyphens are special in troff, and so are dots and quotes at the start of a line.
-  defp escape(text) do
+  defp escape_troff(text) do
     text
     |> String.replace("\\", "\\e")
     |> String.replace("-", "\\-")

@@ -8,9 +8,9 @@ defmodule Situ.CLI.Option do
 
       iex> alias Situ.CLI.Option
       iex> option = Option.new(:length, :span, "so long")
-      iex> {Option.label(option), Option.read(option, "1.5m")}
+      iex> {Option.label(option), Option.parse_value(option, "1.5m")}
       {"--length SPAN", {:ok, 90_000_000_000}}
-      iex> Option.read(option, "soon")
+      iex> Option.parse_value(option, "soon")
       {:error, "--length takes a span of time like 10s, 250ms, 1.5m or 1h, not \\"soon\\""}
   """
   @enforce_keys [:name, :type, :doc]
@@ -37,8 +37,8 @@ defmodule Situ.CLI.Option do
     do: struct!(%__MODULE__{name: name, type: type, doc: doc}, more)
 
   @doc "Returns the option as it is typed, without its value: `--skip-damage`."
-  @spec switch(t()) :: String.t()
-  def switch(%__MODULE__{name: name}),
+  @spec switch_name(t()) :: String.t()
+  def switch_name(%__MODULE__{name: name}),
     do: "--" <> (name |> Atom.to_string() |> String.replace("_", "-"))
 
   @doc "Returns the option as help shows it: `-s, --stream NAME`."
@@ -48,44 +48,45 @@ defmodule Situ.CLI.Option do
 
     switch =
       if option.negated?,
-        do: String.replace_prefix(switch(option), "--", "--no-"),
-        else: switch(option)
+        do: String.replace_prefix(switch_name(option), "--", "--no-"),
+        else: switch_name(option)
 
-    value = value(option)
+    value = value_name(option)
     short <> switch <> if(value, do: " " <> value, else: "")
   end
 
   @doc "Returns the name of the option's value, `nil` for a flag."
-  @spec value(t()) :: String.t() | nil
-  def value(%__MODULE__{type: :flag}), do: nil
-  def value(%__MODULE__{value: value}) when value != nil, do: value
-  def value(%__MODULE__{type: words}) when is_list(words), do: Enum.join(words, "|")
-  def value(%__MODULE__{type: :integer}), do: "N"
-  def value(%__MODULE__{type: :float}), do: "X"
-  def value(%__MODULE__{type: :string}), do: "TEXT"
-  def value(%__MODULE__{type: type}), do: type |> Atom.to_string() |> String.upcase()
+  @spec value_name(t()) :: String.t() | nil
+  def value_name(%__MODULE__{type: :flag}), do: nil
+  def value_name(%__MODULE__{value: value}) when value != nil, do: value
+  def value_name(%__MODULE__{type: words}) when is_list(words), do: Enum.join(words, "|")
+  def value_name(%__MODULE__{type: :integer}), do: "N"
+  def value_name(%__MODULE__{type: :float}), do: "X"
+  def value_name(%__MODULE__{type: :string}), do: "TEXT"
+  def value_name(%__MODULE__{type: type}), do: type |> Atom.to_string() |> String.upcase()
 
   @doc "Parses `text` as a value of this option; the error is a sentence for the user."
-  @spec read(t(), String.t()) :: {:ok, term()} | {:error, String.t()}
-  def read(%__MODULE__{type: type}, text) when type in [:string, :path], do: {:ok, text}
+  @spec parse_value(t(), String.t()) :: {:ok, term()} | {:error, String.t()}
+  def parse_value(%__MODULE__{type: type}, text) when type in [:string, :path], do: {:ok, text}
 
-  def read(%__MODULE__{type: :integer} = option, text) do
+  def parse_value(%__MODULE__{type: :integer} = option, text) do
     case Integer.parse(text) do
       {n, ""} -> {:ok, n}
-      _ -> refuse(option, "a whole number", text)
+      _ -> type_error(option, "a whole number", text)
     end
   end
 
-  def read(%__MODULE__{type: :float} = option, text) do
+  def parse_value(%__MODULE__{type: :float} = option, text) do
     case Float.parse(text) do
       {x, ""} -> {:ok, x}
-      _ -> refuse(option, "a number", text)
+      _ -> type_error(option, "a number", text)
     end
   end
 
-  def read(%__MODULE__{type: :time} = option, text) do
-    with :error <- whole(text), {:error, _} <- text |> complete_time() |> Situ.Time.parse() do
-      refuse(
+  def parse_value(%__MODULE__{type: :time} = option, text) do
+    with :error <- parse_integer(text),
+         {:error, _} <- text |> complete_time() |> Situ.Time.parse() do
+      type_error(
         option,
         "a time like 2026-01-31T12:34:56.789Z (or 2026-01-31T12:34, or 2026-01-31 for its midnight; all of them " <>
           "UTC unless a zone like +02:00 is given), or nanoseconds since 1970",
@@ -94,17 +95,17 @@ defmodule Situ.CLI.Option do
     end
   end
 
-  def read(%__MODULE__{type: :span} = option, text) do
+  def parse_value(%__MODULE__{type: :span} = option, text) do
     with {number, unit} <- Float.parse(text),
          {:ok, ns} <- Map.fetch(@units, if(unit == "", do: "s", else: unit)) do
       {:ok, round(number * ns)}
     else
-      _ -> refuse(option, "a span of time like 10s, 250ms, 1.5m or 1h", text)
+      _ -> type_error(option, "a span of time like 10s, 250ms, 1.5m or 1h", text)
     end
   end
 
-  def read(%__MODULE__{type: words} = option, text) when is_list(words) do
-    if text in words, do: {:ok, text}, else: refuse(option, Enum.join(words, ", "), text)
+  def parse_value(%__MODULE__{type: words} = option, text) when is_list(words) do
+    if text in words, do: {:ok, text}, else: type_error(option, Enum.join(words, ", "), text)
   end
 
   @doc """
@@ -127,13 +128,13 @@ defmodule Situ.CLI.Option do
     end
   end
 
-  defp whole(text) do
+  defp parse_integer(text) do
     case Integer.parse(text) do
       {ns, ""} -> {:ok, ns}
       _ -> :error
     end
   end
 
-  defp refuse(option, wanted, text),
-    do: {:error, "#{switch(option)} takes #{wanted}, not #{inspect(text)}"}
+  defp type_error(option, wanted, text),
+    do: {:error, "#{switch_name(option)} takes #{wanted}, not #{inspect(text)}"}
 end

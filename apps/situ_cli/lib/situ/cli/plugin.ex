@@ -25,7 +25,7 @@ defmodule Situ.CLI.Plugin do
           )
         ],
         examples: ["situ plugin new gaze-heat-map"],
-        run: &new/2
+        run: &create_plugin/2
       },
       %Verb{
         words: ["plugin", "list"],
@@ -40,7 +40,7 @@ defmodule Situ.CLI.Plugin do
           ]
         ],
         examples: ["situ plugin list", "situ plugin list gaze-heat-map"],
-        run: &list/2
+        run: &list_plugins/2
       },
       %Verb{
         words: ["plugin", "test"],
@@ -51,16 +51,16 @@ defmodule Situ.CLI.Plugin do
         """,
         arguments: [folder: [kind: :folder, doc: "the plug-in"]],
         examples: ["situ plugin test gaze-heat-map"],
-        run: &test/2
+        run: &test_plugin/2
       }
     ]
   end
 
   @doc "Loads the plug-ins of the user's folder and of `folders`, registers them, and warns about broken ones."
-  @spec load([Path.t()]) :: [Plugins.Plugin.t()]
-  def load(folders) do
+  @spec load_plugins([Path.t()]) :: [Plugins.Plugin.t()]
+  def load_plugins(folders) do
     plugins = Plugins.load([Plugins.default_dir() | folders])
-    Plugins.register(plugins)
+    Plugins.register_modules(plugins)
 
     for %{problem: what} = plugin when what != nil <- plugins,
         do: Output.warn("situ: the plug-in #{plugin.id} is broken: #{what}")
@@ -68,7 +68,7 @@ defmodule Situ.CLI.Plugin do
     plugins
   end
 
-  defp new(%{name: name}, opts) do
+  defp create_plugin(%{name: name}, opts) do
     case Template.write(name, opts[:in] || ".") do
       {:ok, folder, files} ->
         for file <- files, do: Output.puts("  " <> Path.join(folder, file))
@@ -80,31 +80,31 @@ defmodule Situ.CLI.Plugin do
     end
   end
 
-  defp list(%{folders: folders}, opts) do
+  defp list_plugins(%{folders: folders}, opts) do
     plugins = Plugins.load([Plugins.default_dir() | folders || []])
 
     cond do
       opts[:json] ->
-        Output.json(Enum.map(plugins, &json/1))
+        Output.print_json(Enum.map(plugins, &plugin_json/1))
 
       plugins == [] ->
         Output.puts("No plug-ins found. Put them in #{Plugins.default_dir()}.")
 
       true ->
-        for plugin <- plugins, line <- lines(plugin), do: Output.puts(line)
+        for plugin <- plugins, line <- describe_plugin(plugin), do: Output.puts(line)
     end
 
     if Enum.any?(plugins, & &1.problem), do: 1, else: 0
   end
 
-  defp lines(plugin) do
+  defp describe_plugin(plugin) do
     head = "#{plugin.id}  #{plugin.title}  (#{plugin.folder})"
     parts = for v <- plugin.visualizers, do: "    visualizer #{v.id}: #{v.title}"
     modules = for module <- plugin.modules, do: "    module #{inspect(module)}"
     [head | if(plugin.problem, do: ["    broken: #{plugin.problem}"], else: parts ++ modules)]
   end
 
-  defp json(plugin) do
+  defp plugin_json(plugin) do
     %{
       id: plugin.id,
       title: plugin.title,
@@ -115,19 +115,19 @@ defmodule Situ.CLI.Plugin do
     }
   end
 
-  defp test(%{folder: folder}, _opts) do
+  defp test_plugin(%{folder: folder}, _opts) do
     {:ok, _} = Application.ensure_all_started(:situ_studio)
 
     case Plugins.plugin(folder) do
       %{problem: nil} = plugin ->
-        if elixir(plugin.folder) and scripts(plugin.folder), do: 0, else: 1
+        if run_elixir_tests(plugin.folder) and run_script_tests(plugin.folder), do: 0, else: 1
 
       plugin ->
         raise Error.new(:bad_plugin, "the plug-in #{plugin.id} is broken: #{plugin.problem}")
     end
   end
 
-  defp elixir(folder) do
+  defp run_elixir_tests(folder) do
     case folder |> Path.join("test/**/*_test.exs") |> Path.wildcard() do
       [] ->
         true
@@ -139,7 +139,7 @@ defmodule Situ.CLI.Plugin do
     end
   end
 
-  defp scripts(folder) do
+  defp run_script_tests(folder) do
     files = folder |> Path.join("test/**/*_test.mjs") |> Path.wildcard()
     node = System.find_executable("node")
 

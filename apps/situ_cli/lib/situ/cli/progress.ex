@@ -2,11 +2,15 @@ defmodule Situ.CLI.Progress do
   @moduledoc false
   # Shows a progress bar on standard error if that is a terminal and the work takes longer than 100 ms.
 
-  @spec show(String.t(), keyword(), ((non_neg_integer(), non_neg_integer() -> any()) -> result)) ::
+  @spec with_progress(
+          String.t(),
+          keyword(),
+          ((non_neg_integer(), non_neg_integer() -> any()) -> result)
+        ) ::
           result
         when result: term()
-  def show(label, opts, work) do
-    case if(opts[:quiet] || opts[:json], do: nil, else: terminal()) do
+  def with_progress(label, opts, work) do
+    case if(opts[:quiet] || opts[:json], do: nil, else: open_terminal()) do
       nil -> work.(fn _, _ -> :ok end)
       device -> with_bar(label, device, work)
     end
@@ -14,7 +18,7 @@ defmodule Situ.CLI.Progress do
 
   # Without a shell the VM does not know its terminal, but the system does. The terminal is opened again, because raw
   # writes reach it before the next line of standard output.
-  defp terminal do
+  defp open_terminal do
     with {:ok, device} <- File.read_link("/proc/self/fd/2"),
          true <- device =~ ~r{\A/dev/(pts/|tty|console)},
          {:ok, device} <- :file.open(device, [:write, :raw, :binary]) do
@@ -26,30 +30,30 @@ defmodule Situ.CLI.Progress do
 
   defp with_bar(label, device, work) do
     shown = :atomics.new(2, signed: true)
-    :atomics.put(shown, 1, now())
-    result = work.(&draw(device, label, {&1, &2}, shown))
+    :atomics.put(shown, 1, now_ms())
+    result = work.(&draw_bar(device, label, {&1, &2}, shown))
     if :atomics.get(shown, 2) == 1, do: :file.write(device, "\r\e[K")
     _ = :file.close(device)
     result
   end
 
-  defp draw(_device, _label, {_, 0}, _shown), do: :ok
+  defp draw_bar(_device, _label, {_, 0}, _shown), do: :ok
 
-  defp draw(device, label, {done, total}, shown) do
-    if now() - :atomics.get(shown, 1) > 100 do
-      :atomics.put(shown, 1, now())
+  defp draw_bar(device, label, {done, total}, shown) do
+    if now_ms() - :atomics.get(shown, 1) > 100 do
+      :atomics.put(shown, 1, now_ms())
       :atomics.put(shown, 2, 1)
-      :file.write(device, "\r" <> bar(label, done, total))
+      :file.write(device, "\r" <> format_bar(label, done, total))
     end
   end
 
   @doc false
-  def bar(label, done, total) do
+  def format_bar(label, done, total) do
     filled = div(done * 30, total)
     percent = div(done * 100, total)
 
     "#{label} [#{String.duplicate("#", filled)}#{String.duplicate(".", 30 - filled)}] #{percent} %"
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp now_ms, do: System.monotonic_time(:millisecond)
 end

@@ -23,11 +23,11 @@ defmodule Situ.CLI.Query do
           path: [kind: :recording, doc: "a recording"],
           expression: [kind: :text, doc: "the condition"]
         ],
-        options: searching(),
+        options: search_options(),
         examples: [
           "situ store query recordings/lobby '`Lobby.Speaking` and age(`Lobby.Level`) > 1s'"
         ],
-        run: &run/2
+        run: &run_query/2
       },
       %Verb{
         words: ["dataset", "query"],
@@ -38,7 +38,7 @@ defmodule Situ.CLI.Query do
           expression: [kind: :text, doc: "the condition"]
         ],
         options:
-          searching() ++
+          search_options() ++
             [
               Option.new(:tag, :string, "only sessions with this tag", many?: true),
               Option.new(:name, :string, "only sessions whose name matches this pattern",
@@ -54,12 +54,12 @@ defmodule Situ.CLI.Query do
         examples: [
           "situ dataset query study.json \"Speech.P1.Speech == 'laughs'\" --least 200ms --annotate Laughs"
         ],
-        run: &run/2
+        run: &run_query/2
       }
     ]
   end
 
-  defp searching do
+  defp search_options do
     [
       Option.new(:from, :time, "start at this originating time"),
       Option.new(:to, :time, "end at this originating time"),
@@ -70,16 +70,16 @@ defmodule Situ.CLI.Query do
     ]
   end
 
-  defp run(%{path: path, expression: expression}, opts) do
-    dataset = Situ.CLI.Dataset.open!(path)
+  defp run_query(%{path: path, expression: expression}, opts) do
+    dataset = Situ.CLI.Dataset.open_dataset!(path)
     _ = Situ.Expression.parse!(expression)
-    sessions = Dataset.select(dataset, tags: opts[:tag] || [], name: opts[:name] || "*")
+    sessions = Dataset.select_sessions(dataset, tags: opts[:tag] || [], name: opts[:name] || "*")
     total = length(sessions)
 
     found =
-      Progress.show("query", opts, fn progress ->
+      Progress.with_progress("query", opts, fn progress ->
         for {session, n} <- Enum.with_index(sessions, 1) do
-          result = Query.run(OpenSession.open(session), expression, searched(opts))
+          result = Query.run(OpenSession.open(session), expression, query_options(opts))
           progress.(n, total)
           {session, result}
         end
@@ -88,38 +88,38 @@ defmodule Situ.CLI.Query do
     # A missing stream is an error if there is only one session; other sessions of a dataset may have the stream.
     case found do
       [{_, {:error, error}}] -> raise error
-      _ -> told(found, opts)
+      _ -> report_results(found, opts)
     end
 
-    if opts[:annotate], do: annotate(dataset, found, expression, opts)
+    if opts[:annotate], do: save_proposals(dataset, found, expression, opts)
     if Enum.any?(found, &match?({_, {:error, _}}, &1)), do: 1, else: 0
   end
 
-  defp searched(opts) do
+  defp query_options(opts) do
     [timeout: 24 * 3_600_000] ++
       Enum.filter(Keyword.take(opts, [:from, :to, :least, :join, :hold, :limit]), fn {_, v} ->
         v != nil
       end)
   end
 
-  defp told(found, opts) do
+  defp report_results(found, opts) do
     if opts[:json] do
-      Output.json(for {session, result} <- found, do: json(session, result))
+      Output.print_json(for {session, result} <- found, do: result_json(session, result))
     else
       several? = match?([_, _ | _], found)
-      for {session, result} <- found, do: shown(session, result, several?)
+      for {session, result} <- found, do: print_result(session, result, several?)
     end
   end
 
-  defp json(session, {:ok, found}) do
+  defp result_json(session, {:ok, found}) do
     intervals = for {from, to} <- found.intervals, do: %{from: from, to: to}
     %{session: session.name, intervals: intervals, truncated: found.truncated?}
   end
 
-  defp json(session, {:error, error}), do: %{session: session.name, error: error.what}
+  defp result_json(session, {:error, error}), do: %{session: session.name, error: error.what}
 
-  defp shown(session, {:ok, found}, several?) do
-    prefix = if several?, do: Output.name(session.name) <> "  ", else: ""
+  defp print_result(session, {:ok, found}, several?) do
+    prefix = if several?, do: Output.format_name(session.name) <> "  ", else: ""
 
     for {from, to} <- found.intervals,
         do:
@@ -130,11 +130,11 @@ defmodule Situ.CLI.Query do
     if found.truncated?, do: Output.warn("#{prefix}more intervals exist; raise --limit")
   end
 
-  defp shown(session, {:error, error}, _several?),
+  defp print_result(session, {:error, error}, _several?),
     do: Output.warn("#{session.name}: #{error.what}")
 
   # Writes a partition for each session with results, in the same folder as the session's first partition.
-  defp annotate(dataset, found, expression, opts) do
+  defp save_proposals(dataset, found, expression, opts) do
     name = opts[:annotate]
     schema = Schema.text("Query")
 
@@ -142,14 +142,14 @@ defmodule Situ.CLI.Query do
       for {session, {:ok, %{intervals: [_ | _]} = found}} <- found do
         {:ok, empty} = Layer.new(schema)
         proposals = Query.annotations(found, name, %{"Query" => expression}, by: "situ query")
-        {:ok, layer, _} = Edit.propose(empty, proposals)
+        {:ok, layer, _} = Edit.add_proposals(empty, proposals)
         folder = session.partitions |> hd() |> Map.fetch!(:path) |> Path.dirname()
-        path = ok!(Situ.Annotation.Recording.write(layer, Path.join(folder, name), name))
+        path = unwrap!(Situ.Annotation.Recording.write(layer, Path.join(folder, name), name))
         {session.name, Dataset.Partition.new(name, path)}
       end
 
     if dataset.file,
-      do: ok!(Dataset.update(dataset, &put_all(&1, written))),
+      do: unwrap!(Dataset.update(dataset, &put_all(&1, written))),
       else:
         Output.warn(
           "the partitions were written; run `situ dataset create` on the folder to list them"
@@ -158,20 +158,20 @@ defmodule Situ.CLI.Query do
 
   defp put_all(dataset, written) do
     Enum.reduce_while(written, {:ok, dataset}, fn {name, partition}, {:ok, dataset} ->
-      case Dataset.update_session(dataset, name, &put(&1, partition)) do
+      case Dataset.update_session(dataset, name, &put_partition(&1, partition)) do
         {:ok, dataset} -> {:cont, {:ok, dataset}}
         error -> {:halt, error}
       end
     end)
   end
 
-  defp put(session, partition) do
-    case Session.partition(session, partition.name) do
-      {:ok, _} -> Session.replace(session, partition)
-      {:error, _} -> Session.add(session, partition)
+  defp put_partition(session, partition) do
+    case Session.fetch_partition(session, partition.name) do
+      {:ok, _} -> Session.replace_partition(session, partition)
+      {:error, _} -> Session.add_partition(session, partition)
     end
   end
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -10,13 +10,13 @@ defmodule Situ.CLI.Recording do
   @doc "Opens a recording or raises an error."
   @spec open!(Path.t()) :: Store.Handle.t()
   def open!(path) do
-    ready([path])
+    prepare_readers([path])
     Store.open!(path)
   end
 
   @doc "Loads the readers of all file formats, and starts them if a path is a file or an address."
-  @spec ready([Path.t()]) :: :ok
-  def ready(paths) do
+  @spec prepare_readers([Path.t()]) :: :ok
+  def prepare_readers(paths) do
     for app <- @readers, do: Application.load(app)
 
     if Enum.any?(paths, &(File.regular?(&1) or Formats.for_address(&1) != nil)),
@@ -26,8 +26,8 @@ defmodule Situ.CLI.Recording do
   end
 
   @doc "Expands patterns that the shell did not expand (because of quotes); patterns without matches are kept."
-  @spec expand([Path.t()]) :: [Path.t()]
-  def expand(paths) do
+  @spec expand_patterns([Path.t()]) :: [Path.t()]
+  def expand_patterns(paths) do
     Enum.flat_map(paths, fn path ->
       if path =~ ~r/[*?\[{]/ and not File.exists?(path) and not String.contains?(path, "://"),
         do: path |> Path.wildcard() |> Enum.sort() |> then(&if(&1 == [], do: [path], else: &1)),
@@ -36,8 +36,8 @@ defmodule Situ.CLI.Recording do
   end
 
   @doc "Returns the size on disk in bytes."
-  @spec size(Path.t()) :: non_neg_integer()
-  def size(path) do
+  @spec disk_size(Path.t()) :: non_neg_integer()
+  def disk_size(path) do
     # Path.wildcard/1 fails on names that are not UTF-8.
     files =
       case File.ls(path) do

@@ -7,23 +7,23 @@ defmodule Situ.CLI.Secret do
   alias Situ.Remote.Access
 
   @doc "Returns the option that names the token's file; `doc` describes the option in help."
-  @spec option(String.t()) :: Option.t()
-  def option(doc \\ "the file with the token in its first line (or set SITU_TOKEN)"),
+  @spec token_option(String.t()) :: Option.t()
+  def token_option(doc \\ "the file with the token in its first line (or set SITU_TOKEN)"),
     do: Option.new(:token_file, :path, doc)
 
   @doc """
   Returns the token that was given by `--token-file`, by the older `--token` (with a warning), or by SITU_TOKEN, or
   `nil`. Errors: `:no_token`, `:usage`.
   """
-  @spec token(keyword()) :: {:ok, String.t() | nil} | {:error, Error.t()}
-  def token(opts) do
+  @spec read_token(keyword()) :: {:ok, String.t() | nil} | {:error, Error.t()}
+  def read_token(opts) do
     case {opts[:token_file], opts[:token]} do
       {nil, nil} ->
-        {:ok, from_environment()}
+        {:ok, token_from_environment()}
 
       {file, nil} ->
         warn_of_readers(file)
-        Access.first_line(file)
+        Access.read_token_file(file)
 
       {nil, token} ->
         Output.warn(
@@ -52,7 +52,7 @@ defmodule Situ.CLI.Secret do
     :ok
   end
 
-  defp from_environment do
+  defp token_from_environment do
     case System.get_env("SITU_TOKEN") do
       "" -> nil
       token -> token
@@ -63,7 +63,7 @@ defmodule Situ.CLI.Secret do
   defp warn_of_readers(file) do
     with {:ok, %{mode: mode}} when Bitwise.band(mode, 0o004) != 0 <- File.stat(file) do
       Output.warn(
-        "situ: every user of this machine can read #{file}\n  Fix: chmod 600 #{Output.name(file)}"
+        "situ: every user of this machine can read #{file}\n  Fix: chmod 600 #{Output.format_name(file)}"
       )
     end
   end

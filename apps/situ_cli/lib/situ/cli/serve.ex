@@ -31,7 +31,7 @@ defmodule Situ.CLI.Serve do
             value: "ADDRESS",
             default: "127.0.0.1"
           ),
-          Secret.option(),
+          Secret.token_option(),
           Option.new(:unix, :path, "also listen on a Unix socket with this path"),
           Option.new(:tls, :flag, "use TLS with a certificate generated for this machine"),
           Option.new(:certificate, :path, "use TLS with this certificate (PEM)"),
@@ -46,27 +46,27 @@ defmodule Situ.CLI.Serve do
           "situ serve recordings/robot",
           "situ serve recordings/robot --listen 0.0.0.0 --tls --token-file secret"
         ],
-        run: fn %{path: path}, opts -> serve(path, opts) end
+        run: fn %{path: path}, opts -> serve_recording(path, opts) end
       }
     ]
   end
 
-  defp serve(path, opts) do
+  defp serve_recording(path, opts) do
     # Recordings of other systems can be served as well.
     for app <- [:situ_bridge, :situ_remote], do: {:ok, _} = Application.ensure_all_started(app)
     Process.flag(:trap_exit, true)
 
-    with {:ok, tls} <- tls(opts),
-         {:ok, token} <- Secret.token(opts),
-         {:ok, server} <- Remote.serve(path, settings(opts, tls, token)) do
-      Output.puts("Situ serves #{path} at #{address(path, server, opts)}")
-      wait(server)
+    with {:ok, tls} <- tls_settings(opts),
+         {:ok, token} <- Secret.read_token(opts),
+         {:ok, server} <- Remote.serve(path, server_settings(opts, tls, token)) do
+      Output.puts("Situ serves #{path} at #{served_address(path, server, opts)}")
+      wait_for_exit(server)
     else
       {:error, error} -> raise error
     end
   end
 
-  defp settings(opts, tls, token) do
+  defp server_settings(opts, tls, token) do
     limit = opts[:bytes_per_second]
     quota = if limit, do: {:bytes_per_second, limit}
 
@@ -74,7 +74,7 @@ defmodule Situ.CLI.Serve do
       [tls: tls, token: token, unix: opts[:unix], quota: quota]
   end
 
-  defp tls(opts) do
+  defp tls_settings(opts) do
     case {opts[:certificate], opts[:key]} do
       {nil, nil} ->
         {:ok, opts[:tls] || nil}
@@ -90,12 +90,12 @@ defmodule Situ.CLI.Serve do
     end
   end
 
-  defp address(path, server, opts) do
+  defp served_address(path, server, opts) do
     name = path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
     Server.address(server, name) || "the socket #{opts[:unix]}"
   end
 
-  defp wait(server) do
+  defp wait_for_exit(server) do
     receive do
       {:EXIT, ^server, reason} ->
         Output.warn("situ serve: the server ended: #{inspect(reason)}")

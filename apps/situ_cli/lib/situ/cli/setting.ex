@@ -2,22 +2,22 @@ defmodule Situ.CLI.Setting do
   @moduledoc """
   Parses `--set NAME=VALUE`, where a value is JSON or text.
 
-      iex> Situ.CLI.Setting.read(["count=3", "names=[\\"a\\"]", "mode=a=b"])
+      iex> Situ.CLI.Setting.parse_settings(["count=3", "names=[\\"a\\"]", "mode=a=b"])
       [{"count", 3}, {"names", ["a"]}, {"mode", "a=b"}]
   """
 
   @doc "Returns names and values in order. Throws `{:usage, text}` for a setting without a name or value."
-  @spec read([String.t()]) :: [{String.t(), term()}]
-  def read(texts), do: Enum.map(texts, &pair/1)
+  @spec parse_settings([String.t()]) :: [{String.t(), term()}]
+  def parse_settings(texts), do: Enum.map(texts, &parse_pair/1)
 
-  defp pair(text) do
+  defp parse_pair(text) do
     case String.split(text, "=", parts: 2) do
-      [name, value] when name != "" -> {name, value(value)}
+      [name, value] when name != "" -> {name, parse_value(value)}
       _ -> throw({:usage, "--set takes NAME=VALUE, not #{inspect(text)}"})
     end
   end
 
-  defp value(text) do
+  defp parse_value(text) do
     case Situ.JSON.decode(text) do
       {:ok, value} -> value
       {:error, :bad_json} -> text

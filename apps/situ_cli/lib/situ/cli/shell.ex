@@ -14,32 +14,38 @@ defmodule Situ.CLI.Shell do
         zsh: situ completion zsh > "${fpath[1]}/_situ"
         fish: situ completion fish > ~/.config/fish/completions/situ.fish
         """,
-        arguments: [shell: [kind: :text, doc: Enum.join(Completion.shells(), ", ")]],
+        arguments: [shell: [kind: :text, doc: Enum.join(Completion.supported_shells(), ", ")]],
         examples: ["source <(situ completion bash)"],
-        run: &completion/2
+        run: &print_completion/2
       },
       %Verb{
         words: ["manual"],
         summary: "print the manual page, for man",
         examples: ["situ manual > ~/.local/share/man/man1/situ.1", "situ manual | man -l -"],
-        run: &manual/2
+        run: &print_manual/2
       }
     ]
   end
 
-  defp completion(%{shell: shell}, _opts) do
-    if shell in Completion.shells() do
-      IO.write(Completion.script(shell, Commands.all(), Commands.groups()))
+  defp print_completion(%{shell: shell}, _opts) do
+    if shell in Completion.supported_shells() do
+      IO.write(Completion.render_script(shell, Commands.list_verbs(), Commands.groups()))
       0
     else
       raise Situ.Error.new(:bad_option, "no completion for the shell #{inspect(shell)}",
-              fix: "use #{Enum.join(Completion.shells(), " or ")}"
+              fix: "use #{Enum.join(Completion.supported_shells(), " or ")}"
             )
     end
   end
 
-  defp manual(_args, _opts) do
-    IO.write(Manual.page(Commands.all(), to_string(Application.spec(:situ_cli, :vsn) || "")))
+  defp print_manual(_args, _opts) do
+    IO.write(
+      Manual.render_page(
+        Commands.list_verbs(),
+        to_string(Application.spec(:situ_cli, :vsn) || "")
+      )
+    )
+
     0
   end
 end

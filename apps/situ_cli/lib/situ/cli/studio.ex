@@ -28,7 +28,7 @@ defmodule Situ.CLI.Studio do
             value: "ADDRESS",
             default: "127.0.0.1"
           ),
-          Secret.option(
+          Secret.token_option(
             "the file with the token (8 characters or more), or set SITU_TOKEN; default: a random token"
           ),
           Option.new(
@@ -63,12 +63,12 @@ defmodule Situ.CLI.Studio do
           Option.new(:open, :flag, "do not open the browser", negated?: true)
         ],
         examples: ["situ studio recordings/lobby --port 4041"],
-        run: fn %{path: path}, opts -> serve(path, opts) end
+        run: fn %{path: path}, opts -> serve_studio(path, opts) end
       }
     ]
   end
 
-  defp serve(path, opts) do
+  defp serve_studio(path, opts) do
     # Recordings of other systems can be shown as well.
     for app <- [:situ_bridge, :situ_remote, :situ_studio],
         do: {:ok, _} = Application.ensure_all_started(app)
@@ -76,14 +76,14 @@ defmodule Situ.CLI.Studio do
     path = path || if(File.dir?("recordings"), do: "recordings", else: ".")
 
     with :ok <- check_path(path),
-         {:ok, ip} <- address(opts[:listen]),
-         {:ok, tls} <- tls(opts),
-         {:ok, token} <- Secret.token(opts),
-         {:ok, studio} <- start(path, ip, [tls: tls, secret: token] ++ opts) do
+         {:ok, ip} <- parse_address(opts[:listen]),
+         {:ok, tls} <- tls_settings(opts),
+         {:ok, token} <- Secret.read_token(opts),
+         {:ok, studio} <- start_studio(path, ip, [tls: tls, secret: token] ++ opts) do
       url = Studio.url(studio, Studio.only_item(studio))
       Output.puts("Situ Studio shows #{path} at #{url}")
-      if opts[:open], do: Situ.CLI.Desktop.open(url)
-      wait(studio)
+      if opts[:open], do: Situ.CLI.Desktop.open_url(url)
+      wait_for_exit(studio)
     else
       {:error, error} -> raise error
     end
@@ -100,7 +100,7 @@ defmodule Situ.CLI.Studio do
     end
   end
 
-  defp address(text) do
+  defp parse_address(text) do
     case text |> String.to_charlist() |> :inet.parse_address() do
       {:ok, ip} ->
         {:ok, ip}
@@ -113,7 +113,7 @@ defmodule Situ.CLI.Studio do
     end
   end
 
-  defp tls(opts) do
+  defp tls_settings(opts) do
     case {opts[:certificate], opts[:key]} do
       {nil, nil} ->
         {:ok, if(opts[:tls], do: :own, else: [])}
@@ -129,19 +129,19 @@ defmodule Situ.CLI.Studio do
     end
   end
 
-  defp start(path, ip, opts) do
+  defp start_studio(path, ip, opts) do
     Process.flag(:trap_exit, true)
 
     Studio.start_link(
       [path: path, ip: ip, port: opts[:port], read_only: opts[:read_only], tls: opts[:tls]] ++
-        [plugins: Plugin.load(opts[:plugins])] ++
+        [plugins: Plugin.load_plugins(opts[:plugins])] ++
         [tiles: opts[:tiles], tiles_credit: opts[:tiles_credit]] ++
         if(opts[:secret], do: [token: opts[:secret]], else: []) ++
         if(opts[:layouts], do: [layouts: opts[:layouts]], else: [])
     )
   end
 
-  defp wait(studio) do
+  defp wait_for_exit(studio) do
     receive do
       {:EXIT, ^studio, reason} ->
         Output.warn("situ studio: the studio ended: #{inspect(reason)}")

@@ -68,63 +68,63 @@ defmodule Situ.CLI.Talk do
           Option.new(:port, :integer, "the studio's port; 0 selects a free one", default: 4040)
         ],
         examples: ["situ talk", "situ talk --chat http://127.0.0.1:11434/v1 --model llama3.2"],
-        run: fn _arguments, opts -> talk(opts) end
+        run: fn _arguments, opts -> run_assistant(opts) end
       }
     ]
   end
 
-  defp talk(opts) do
+  defp run_assistant(opts) do
     for app <- [:situ_infer, :situ_studio], do: {:ok, _} = Application.ensure_all_started(app)
 
     settings = [
       input: opts[:input],
-      output: output(opts),
+      output: output_device(opts),
       path: opts[:out],
-      assistant: assistant(opts),
+      assistant: assistant_options(opts),
       watcher: self()
     ]
 
-    with :ok <- input(opts[:input]),
-         :ok <- served(opts),
+    with :ok <- check_input(opts[:input]),
+         :ok <- check_page(opts),
          {:ok, pipeline} <-
            Pipeline.start(Session, [
              {:pipeline, [name: "Assistant", replay: [speed: 1.0]]} | settings
            ]) do
-      studio = if opts[:studio], do: studio(opts)
-      stopper = stopper(pipeline, opts)
+      studio = if opts[:studio], do: start_studio(opts)
+      stopper = start_stopper(pipeline, opts)
       monitor = Process.monitor(pipeline)
-      counts = listen(monitor, opts, %{heard: 0, delays: [], last: nil, speaking: false})
+      counts = receive_events(monitor, opts, %{heard: 0, delays: [], last: nil, speaking: false})
       Process.exit(stopper, :kill)
       result = Pipeline.await(pipeline)
       if studio, do: Process.exit(studio, :shutdown)
-      done(result, counts, opts)
+      report_result(result, counts, opts)
     else
       {:error, error} -> raise error
     end
   end
 
-  defp output(opts) do
+  defp output_device(opts) do
     case opts[:output] do
       "none" -> nil
-      nil -> output_beside(opts[:input])
+      nil -> default_output(opts[:input])
       device -> device
     end
   end
 
-  defp served(opts) do
+  defp check_page(opts) do
     if "page" in [opts[:input], opts[:output]] and not opts[:studio],
       do: {:error, Error.new(:usage, "a page needs the studio", fix: "omit --no-studio")},
       else: :ok
   end
 
-  defp output_beside("page"), do: "page"
-  defp output_beside(input), do: if(File.regular?(input), do: nil, else: "pulse:default")
+  defp default_output("page"), do: "page"
+  defp default_output(input), do: if(File.regular?(input), do: nil, else: "pulse:default")
 
   # A device is named DRIVER:ADDRESS.
-  defp input("page"), do: :ok
+  defp check_input("page"), do: :ok
 
-  defp input(input) do
-    if File.regular?(input) or match?({:ok, _}, Situ.Media.Device.parse(input)),
+  defp check_input(input) do
+    if File.regular?(input) or match?({:ok, _}, Situ.Media.Device.parse_name(input)),
       do: :ok,
       else:
         {:error,
@@ -133,7 +133,7 @@ defmodule Situ.CLI.Talk do
          )}
   end
 
-  defp assistant(opts) do
+  defp assistant_options(opts) do
     wake = if opts[:wake] == "", do: nil, else: opts[:wake]
     chat = opts[:chat] && [url: opts[:chat], model: opts[:model], key: opts[:key]]
 
@@ -142,20 +142,20 @@ defmodule Situ.CLI.Talk do
       local_time: fn _ -> :calendar.local_time() end,
       grammar: opts[:grammar],
       chat: chat,
-      synthesizer: voice(opts[:voice])
+      synthesizer: voice_options(opts[:voice])
     ]
   end
 
-  defp voice("hibari"), do: [synthesizer: Situ.Infer.Speech.Hibari]
-  defp voice(name), do: [synthesizer_options: [voice: name]]
+  defp voice_options("hibari"), do: [synthesizer: Situ.Infer.Speech.Hibari]
+  defp voice_options(name), do: [synthesizer_options: [voice: name]]
 
-  defp studio(opts) do
+  defp start_studio(opts) do
     Process.flag(:trap_exit, true)
 
     case Studio.start_link(path: opts[:out], port: opts[:port]) do
       {:ok, studio} ->
         unless opts[:json], do: Output.puts("The studio shows it at #{Studio.url(studio)}")
-        if opts[:input] == "page", do: Output.puts("Talk to the page #{page(studio)}")
+        if opts[:input] == "page", do: Output.puts("Talk to the page #{sensor_page(studio)}")
         studio
 
       {:error, error} ->
@@ -164,75 +164,85 @@ defmodule Situ.CLI.Talk do
     end
   end
 
-  defp stopper(pipeline, opts) do
+  defp start_stopper(pipeline, opts) do
     spawn(fn ->
-      if opts[:seconds], do: Process.sleep(round(opts[:seconds] * 1000)), else: enter(opts)
+      if opts[:seconds],
+        do: Process.sleep(round(opts[:seconds] * 1000)),
+        else: wait_for_enter(opts)
+
       Pipeline.stop(pipeline)
     end)
   end
 
   # The URL may contain the token that the browser must send.
-  defp page(studio) do
+  defp sensor_page(studio) do
     url = URI.parse(Studio.url(studio))
     query = URI.encode_query(Map.put(URI.decode_query(url.query || ""), "name", "talk"))
     URI.to_string(%{url | path: "/sensor", query: query})
   end
 
   # Without a terminal nobody can press Enter, so the end of the file or a signal stops the assistant.
-  defp enter(opts) do
+  defp wait_for_enter(opts) do
     unless opts[:json] or File.regular?(opts[:input]),
       do: Output.puts("Listening. Press Enter to stop.")
 
     if File.regular?(opts[:input]) or IO.gets("") == :eof, do: Process.sleep(:infinity)
   end
 
-  defp listen(monitor, opts, counts) do
+  defp receive_events(monitor, opts, counts) do
     receive do
       {:talk, what, data, time, clock} ->
-        unless what == :stop and not counts.speaking, do: show(what, data, time, opts)
-        listen(monitor, opts, count(what, data, time, clock, counts))
+        unless what == :stop and not counts.speaking, do: show_event(what, data, time, opts)
+        receive_events(monitor, opts, update_counts(what, data, time, clock, counts))
 
       {:DOWN, ^monitor, _, _, _} ->
         counts
     end
   end
 
-  defp count(:heard, utterance, _time, _clock, counts),
+  defp update_counts(:heard, utterance, _time, _clock, counts),
     do: %{counts | heard: counts.heard + 1, last: utterance.to}
 
-  defp count(:speaking, true, _time, clock, %{last: last} = counts) when last != nil,
+  defp update_counts(:speaking, true, _time, clock, %{last: last} = counts) when last != nil,
     do: %{counts | delays: [clock - last | counts.delays], last: nil, speaking: true}
 
-  defp count(:speaking, speaking?, _time, _clock, counts), do: %{counts | speaking: speaking?}
-  defp count(_what, _data, _time, _clock, counts), do: counts
+  defp update_counts(:speaking, speaking?, _time, _clock, counts),
+    do: %{counts | speaking: speaking?}
 
-  defp show(what, data, time, opts) do
-    line = line(what, data)
+  defp update_counts(_what, _data, _time, _clock, counts), do: counts
+
+  defp show_event(what, data, time, opts) do
+    line = event_line(what, data)
 
     cond do
-      line == nil -> :ok
-      opts[:json] -> Output.json(%{what: what, text: elem(line, 1), time: time})
-      true -> Output.puts(String.pad_trailing(elem(line, 0), 12) <> Output.name(elem(line, 1)))
+      line == nil ->
+        :ok
+
+      opts[:json] ->
+        Output.print_json(%{what: what, text: elem(line, 1), time: time})
+
+      true ->
+        Output.puts(String.pad_trailing(elem(line, 0), 12) <> Output.format_name(elem(line, 1)))
     end
   end
 
-  defp line(:heard, utterance), do: {"you", utterance.text}
-  defp line(:said, text), do: {"assistant", text}
-  defp line(:chat, text), do: {"assistant", text}
-  defp line(:stop, text), do: {"(interrupts)", text}
+  defp event_line(:heard, utterance), do: {"you", utterance.text}
+  defp event_line(:said, text), do: {"assistant", text}
+  defp event_line(:chat, text), do: {"assistant", text}
+  defp event_line(:stop, text), do: {"(interrupts)", text}
 
-  defp line(:intent, intent),
+  defp event_line(:intent, intent),
     do: if(Situ.Intent.name(intent), do: {"(wants)", Situ.Intent.format(intent)})
 
-  defp line(_what, _data), do: nil
+  defp event_line(_what, _data), do: nil
 
-  defp done({:ok, %{result: %{path: path}}}, counts, opts) do
+  defp report_result({:ok, %{result: %{path: path}}}, counts, opts) do
     delays = Enum.sort(counts.delays)
     worst = List.last(delays)
     ms = &(&1 && div(&1, 1_000_000))
 
     if opts[:json] do
-      Output.json(%{
+      Output.print_json(%{
         recording: path,
         heard: counts.heard,
         answers: length(delays),
@@ -242,7 +252,7 @@ defmodule Situ.CLI.Talk do
       })
     else
       Output.puts(
-        "Recorded in #{path}: #{Output.number(counts.heard, "utterance")}, #{Output.number(length(delays), "answer")}"
+        "Recorded in #{path}: #{Output.format_count(counts.heard, "utterance")}, #{Output.format_count(length(delays), "answer")}"
       )
 
       if worst,
@@ -255,7 +265,7 @@ defmodule Situ.CLI.Talk do
     0
   end
 
-  defp done({:error, error}, _counts, _opts), do: raise(error)
+  defp report_result({:error, error}, _counts, _opts), do: raise(error)
 
   defp quantile([], _q), do: nil
   defp quantile(delays, q), do: Enum.at(delays, max(ceil(length(delays) * q) - 1, 0))

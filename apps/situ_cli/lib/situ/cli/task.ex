@@ -18,7 +18,7 @@ defmodule Situ.CLI.Task do
         aliases: ["tasks"],
         summary: "list all tasks, with their options",
         examples: ["situ task list"],
-        run: &list/2
+        run: &list_tasks/2
       },
       run,
       %{
@@ -66,61 +66,72 @@ defmodule Situ.CLI.Task do
         "situ task run study.json voice-activity --parallel 2",
         "situ task run study.json loudness.ex --output Loudness"
       ],
-      run: &run/2
+      run: &run_task/2
     }
   end
 
-  defp ready, do: for(app <- @apps, do: {:ok, _} = Application.ensure_all_started(app))
+  defp start_apps, do: for(app <- @apps, do: {:ok, _} = Application.ensure_all_started(app))
 
-  defp list(_arguments, opts) do
-    ready()
-    tasks = Enum.map(Dataset.Task.all(), & &1.task())
+  defp list_tasks(_arguments, opts) do
+    start_apps()
+    tasks = Enum.map(Dataset.Task.list_tasks(), & &1.task())
 
     if opts[:json] do
-      Output.json(for task <- tasks, do: %{task | options: Enum.map(task.options, &described/1)})
+      Output.print_json(
+        for task <- tasks, do: %{task | options: Enum.map(task.options, &describe_option/1)}
+      )
     else
       for task <- tasks do
         Output.puts("#{task.name}  #{task.about}")
-        for option <- task.options, do: Output.puts("    " <> line(described(option)))
+
+        for option <- task.options,
+            do: Output.puts("    " <> option_line(describe_option(option)))
       end
     end
 
     0
   end
 
-  defp described({name, spec}) do
+  defp describe_option({name, spec}) do
     default = spec[:default]
     %{name: name, doc: spec[:doc], required: spec[:required] == true, default: default}
   end
 
-  defp line(%{required: true} = option), do: "#{option.name}: #{option.doc} Required."
-  defp line(option), do: "#{option.name}: #{option.doc} (default #{inspect(option.default)})"
+  defp option_line(%{required: true} = option), do: "#{option.name}: #{option.doc} Required."
 
-  defp run(%{path: path, task: name}, opts) do
-    ready()
-    {module, task} = task!(name)
-    config = config(opts)
-    options = ok!(Dataset.Task.options(task.options, config))
-    if opts[:save_config], do: save(opts[:save_config], options)
-    dataset = Situ.CLI.Dataset.open!(path)
+  defp option_line(option),
+    do: "#{option.name}: #{option.doc} (default #{inspect(option.default)})"
 
-    {:ok, dataset, report} = derived(dataset, module, derivation(task, options, opts), opts)
-    if opts[:json], do: Output.json(json(report)), else: shown(dataset, report)
+  defp run_task(%{path: path, task: name}, opts) do
+    start_apps()
+    {module, task} = load_task!(name)
+    config = load_config(opts)
+    options = unwrap!(Dataset.Task.parse_options(task.options, config))
+    if opts[:save_config], do: save_config(opts[:save_config], options)
+    dataset = Situ.CLI.Dataset.open_dataset!(path)
+
+    {:ok, dataset, report} =
+      derive_dataset(dataset, module, derivation_options(task, options, opts), opts)
+
+    if opts[:json],
+      do: Output.print_json(report_json(report)),
+      else: print_report(dataset, report)
+
     if Report.failures(report) == [], do: 0, else: 1
   end
 
-  defp task!(name) do
+  defp load_task!(name) do
     if Path.extname(name) in [".ex", ".exs"] do
-      own(name)
+      load_from_file(name)
     else
-      module = ok!(Dataset.Task.fetch(name))
+      module = unwrap!(Dataset.Task.fetch_task(name))
       {module, module.task()}
     end
   end
 
   # Compiling is safe here, because the user named the file; nothing else is ever compiled.
-  defp own(file) do
-    modules = for {module, _} <- compiled(file), do: module
+  defp load_from_file(file) do
+    modules = for {module, _} <- compile_file(file), do: module
 
     cond do
       module = Enum.find(modules, &function_exported?(&1, :task, 0)) ->
@@ -136,7 +147,7 @@ defmodule Situ.CLI.Task do
     end
   end
 
-  defp compiled(file) do
+  defp compile_file(file) do
     Code.compile_file(file)
   rescue
     error in [CompileError, SyntaxError, TokenMissingError, Code.LoadError] ->
@@ -144,7 +155,7 @@ defmodule Situ.CLI.Task do
               __STACKTRACE__
   end
 
-  defp derivation(task, options, opts) do
+  defp derivation_options(task, options, opts) do
     output = if task.output, do: opts[:output] || task.output
 
     [
@@ -156,8 +167,8 @@ defmodule Situ.CLI.Task do
     ] ++ if(opts[:session] == [], do: [], else: [sessions: opts[:session]])
   end
 
-  defp derived(dataset, module, derivation, opts) do
-    Progress.show("run", opts, fn progress ->
+  defp derive_dataset(dataset, module, derivation, opts) do
+    Progress.with_progress("run", opts, fn progress ->
       told = &progress.(round(&1.done * 1_000), 1_000)
 
       case Dataset.derive(dataset, module, [{:progress, told} | derivation]) do
@@ -168,13 +179,13 @@ defmodule Situ.CLI.Task do
   end
 
   # Options from --set override options from the file.
-  defp config(opts) do
-    saved = if opts[:config], do: read(opts[:config]), else: %{}
+  defp load_config(opts) do
+    saved = if opts[:config], do: read_config(opts[:config]), else: %{}
 
-    Enum.into(Setting.read(opts[:set]), saved)
+    Enum.into(Setting.parse_settings(opts[:set]), saved)
   end
 
-  defp read(path) do
+  defp read_config(path) do
     with {:ok, text} <- File.read(path), {:ok, %{} = config} <- Situ.JSON.decode(text) do
       config
     else
@@ -185,8 +196,8 @@ defmodule Situ.CLI.Task do
     end
   end
 
-  defp save(path, options) do
-    case File.write(path, Situ.JSON.pretty(Map.new(options)) <> "\n") do
+  defp save_config(path, options) do
+    case File.write(path, Situ.JSON.encode_pretty(Map.new(options)) <> "\n") do
       :ok ->
         :ok
 
@@ -197,7 +208,7 @@ defmodule Situ.CLI.Task do
     end
   end
 
-  defp shown(dataset, report) do
+  defp print_report(dataset, report) do
     for result <- report.results do
       what =
         if result.error,
@@ -205,7 +216,7 @@ defmodule Situ.CLI.Task do
           else: to_string(result.status)
 
       Output.puts(
-        "#{Output.name(result.session)}: #{what} (#{Time.format_duration(result.took)})"
+        "#{Output.format_name(result.session)}: #{what} (#{Time.format_duration(result.took)})"
       )
     end
 
@@ -216,7 +227,7 @@ defmodule Situ.CLI.Task do
         )
   end
 
-  defp json(report) do
+  defp report_json(report) do
     results =
       for r <- report.results,
           do: %{
@@ -229,6 +240,6 @@ defmodule Situ.CLI.Task do
     %{output: report.output, duration: report.duration, results: results}
   end
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -21,7 +21,7 @@ defmodule Situ.CLI.UnfinishedOutput do
   @doc "Removes unfinished drafts of the store `out` (ROOT/NAME) when this program exits."
   @spec remove_store_at_exit(Path.t()) :: :ok
   def remove_store_at_exit(out) do
-    {name, root} = Store.Copying.target(out)
+    {name, root} = Store.Copying.resolve_target(out)
     start_shell(Path.join(root, name), "")
   end
 

@@ -56,23 +56,23 @@ defmodule Situ.CLI.Verb do
   ]
 
   @doc "Returns the options that all verbs have."
-  @spec common() :: [Option.t()]
-  def common, do: @common
+  @spec common_options() :: [Option.t()]
+  def common_options, do: @common
 
   @doc "Returns all options of a verb."
-  @spec options(t()) :: [Option.t()]
-  def options(%__MODULE__{options: options}), do: options ++ @common
+  @spec all_options(t()) :: [Option.t()]
+  def all_options(%__MODULE__{options: options}), do: options ++ @common
 
   @doc "Returns the verb as it is typed: `situ store rename PATH NAME`."
-  @spec usage(t()) :: String.t()
-  def usage(%__MODULE__{} = verb) do
-    arguments = Enum.map(verb.arguments, fn {name, spec} -> argument(name, spec) end)
+  @spec usage_line(t()) :: String.t()
+  def usage_line(%__MODULE__{} = verb) do
+    arguments = Enum.map(verb.arguments, fn {name, spec} -> argument_label(name, spec) end)
     Enum.join(["situ" | verb.words] ++ arguments ++ ["[OPTIONS]"], " ")
   end
 
   @doc "Returns the name of an argument in help: `PATH...`, `[NAME]`."
-  @spec argument(atom(), keyword()) :: String.t()
-  def argument(name, spec) do
+  @spec argument_label(atom(), keyword()) :: String.t()
+  def argument_label(name, spec) do
     word = name |> Atom.to_string() |> String.upcase()
     word = if spec[:many], do: word <> "...", else: word
     if spec[:optional], do: "[#{word}]", else: word

@@ -34,7 +34,7 @@ defmodule Situ.CLI.AnnotateTest do
     for a <- annotations, do: hd(a["bbox"])
   end
 
-  test "COCO: key frames, or a box on every picture of a stream", %{tmp_dir: root} do
+  test "exports COCO boxes of key frames, or of every image of a stream", %{tmp_dir: root} do
     {path, file} = {boxes(root), Path.join(root, "b.coco.json")}
     assert {0, ""} = with_io(fn -> Situ.CLI.run(["annotate", "export", path, file]) end)
     assert bboxes(file) == [0, 20]

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.ClosedPipeTest do
   use ExUnit.Case, async: true
-  # That a pipe really closed says nothing is a check of test/cli.
+  # A check in test/cli verifies that a closed pipe causes no message.
   doctest Situ.CLI.ClosedPipe
 end

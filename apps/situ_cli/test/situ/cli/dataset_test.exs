@@ -29,7 +29,7 @@ defmodule Situ.CLI.DatasetTest do
     writer.path
   end
 
-  test "a study from its folder: created, listed, tagged, sealed, verified", %{tmp_dir: root} do
+  test "creates, lists, tags, seals and verifies a study of a folder", %{tmp_dir: root} do
     for i <- 1..3, do: record(Path.join(root, "p#{i}"), "room", i * 100)
     file = Path.join(root, "study.json")
     assert {0, text} = run(["dataset", "create", file, root])
@@ -78,7 +78,7 @@ defmodule Situ.CLI.DatasetTest do
 
     assert {0, ""} = run(["dataset", "seal", file])
     assert {0, text} = run(["dataset", "verify", file])
-    assert text =~ "3 recordings, all sound"
+    assert text =~ "3 recordings, all intact"
 
     File.rm_rf!(Path.join(root, "p3/room.0000"))
 
@@ -93,7 +93,7 @@ defmodule Situ.CLI.DatasetTest do
            end) =~ "no store"
   end
 
-  test "annotations go to ELAN and back, and annotators are compared", %{tmp_dir: root} do
+  test "exports annotations to ELAN and back, and compares annotators", %{tmp_dir: root} do
     schema = Schema.finite("Speech", ["speaks", "laughs"])
 
     make = fn spans ->
@@ -127,7 +127,7 @@ defmodule Situ.CLI.DatasetTest do
 
     assert File.read!(eaf) =~ ~s(TIME_VALUE="10000")
     assert {0, text} = run(["annotate", "import", eaf, Path.join(root, "again"), "-s", "Speech"])
-    assert {:ok, again} = Recording.load(Store.open!(String.trim(text)), "Speech")
+    assert {:ok, again} = Recording.load_layer(Store.open!(String.trim(text)), "Speech")
     assert Layer.annotations(again) == Layer.annotations(anna)
 
     {0, text} = run(["annotate", "agreement", eaf, Path.join(root, "ben"), "--frame", "1s"])
@@ -142,7 +142,7 @@ defmodule Situ.CLI.DatasetTest do
     assert vtt =~ "WEBVTT" and vtt =~ "<v P1>speaks</v>"
   end
 
-  test "losses and mistakes are told", %{tmp_dir: root} do
+  test "reports losses and mistakes", %{tmp_dir: root} do
     {:ok, layer} =
       Layer.new(Schema.text("Words"), [
         Annotation.new(0, 1, "A", %{"Words" => "x"}, confidence: 0.5)
@@ -173,7 +173,7 @@ defmodule Situ.CLI.DatasetTest do
     assert said =~ "document type"
   end
 
-  test "queries: of a recording, of all sessions, kept as proposals", %{tmp_dir: root} do
+  test "queries a recording or all sessions, and keeps proposals", %{tmp_dir: root} do
     for i <- 1..2, do: record(Path.join(root, "p#{i}"), "room", i * 100)
     file = Path.join(root, "study.json")
     {0, _} = run(["dataset", "create", file, root])
@@ -200,7 +200,7 @@ defmodule Situ.CLI.DatasetTest do
 
     {:ok, dataset} = Situ.Dataset.open(file)
     {:ok, session} = Situ.Dataset.session(dataset, "p2")
-    {:ok, layer} = Recording.load(Store.open!(List.last(session.partitions).path), "Found")
+    {:ok, layer} = Recording.load_layer(Store.open!(List.last(session.partitions).path), "Found")
 
     assert [%{from: 202_000_000_000, to: 204_000_000_000, proposed?: true}] =
              Layer.annotations(layer)

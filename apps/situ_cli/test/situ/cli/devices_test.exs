@@ -14,7 +14,7 @@ defmodule Situ.CLI.DevicesTest do
     assert {0, _} = run(["cameras", "--modes"])
   end
 
-  test "wrong usage is status 2 and says how it goes" do
+  test "wrong usage exits with status 2 and shows the right usage" do
     assert capture_io(:stderr, fn -> assert Situ.CLI.run(["devices", "telescopes"]) == 2 end) =~
              "telescopes"
 

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.PluginTest do
-  # Compiles a module into this VM.
+  # Not async, because it compiles a module into this VM.
   use ExUnit.Case, async: false
   import ExUnit.CaptureIO
 
@@ -18,33 +18,33 @@ defmodule Situ.CLI.PluginTest do
 
   defp run(argv), do: with_io(fn -> Situ.CLI.run(["plugin" | argv]) end)
 
-  test "a new plug-in is listed by its folder, and everywhere in the user's", %{tmp_dir: dir} do
+  test "lists a new plug-in in its folder, and installed ones everywhere", %{tmp_dir: dir} do
     assert {0, text} = run(["new", "desk-lamp", "--in", dir])
     assert text =~ "desk-lamp/plugin.json"
     assert {0, text} = run(["list", Path.join(dir, "desk-lamp")])
     assert text =~ "visualizer desk-lamp/recent" and text =~ "module DeskLamp.Magnitude"
     assert {0, text} = run(["list"])
-    assert text =~ "There are no plug-ins"
+    assert text =~ "No plug-ins found"
     File.mkdir_p!(Path.join(dir, "config/situ/plugins"))
     File.cp_r!(Path.join(dir, "desk-lamp"), Path.join(dir, "config/situ/plugins/broken"))
     File.write!(Path.join(dir, "config/situ/plugins/broken/plugin.json"), "[]")
     assert {1, json} = run(["list", "--json"])
     assert {:ok, [%{"id" => "broken", "problem" => problem}]} = Situ.JSON.decode(json)
-    assert problem =~ "must begin with"
+    assert problem =~ "must contain"
   end
 
-  test "a name that is none is refused, and a folder that is there", %{tmp_dir: dir} do
+  test "rejects an invalid name and an existing folder", %{tmp_dir: dir} do
     for name <- ["Desk Lamp", "../lamp", "ö"] do
       assert capture_io(:stderr, fn -> assert Situ.CLI.run(["plugin", "new", name]) == 1 end) =~
-               "is no name of a plug-in"
+               "invalid plug-in name"
     end
 
     File.mkdir_p!(Path.join(dir, "there"))
     argv = ["plugin", "new", "there", "--in", dir]
-    assert capture_io(:stderr, fn -> assert Situ.CLI.run(argv) == 1 end) =~ "is there already"
+    assert capture_io(:stderr, fn -> assert Situ.CLI.run(argv) == 1 end) =~ "already exists"
   end
 
-  test "other commands warn of what is broken, and go on", %{tmp_dir: dir} do
+  test "other commands warn about a broken plug-in and continue", %{tmp_dir: dir} do
     File.mkdir_p!(Path.join(dir, "config/situ/plugins/torn"))
     File.write!(Path.join(dir, "config/situ/plugins/torn/plugin.json"), "{")
 

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.SecretTest do
-  # All tests share the environment.
+  # Not async, because all tests share the environment.
   use ExUnit.Case, async: false
   import ExUnit.CaptureIO
   alias Situ.CLI.{Commands, Desktop, Parser, Secret}
@@ -20,12 +20,12 @@ defmodule Situ.CLI.SecretTest do
 
   defp told(opts) do
     parent = self()
-    text = capture_io(:stderr, fn -> send(parent, {:token, Secret.token(opts)}) end)
+    text = capture_io(:stderr, fn -> send(parent, {:token, Secret.read_token(opts)}) end)
     assert_received {:token, answer}
     {answer, text}
   end
 
-  test "a token of a private file causes no warning", %{tmp_dir: root} do
+  test "reads a token from a private file without a warning", %{tmp_dir: root} do
     file = Path.join(root, "token")
     File.write!(file, "of-the-file\nnot this\n")
     File.chmod!(file, 0o600)
@@ -35,7 +35,7 @@ defmodule Situ.CLI.SecretTest do
     assert warning =~ "every user of this machine can read" and warning =~ "chmod 600"
   end
 
-  test "a token comes from the environment, where neither option is given" do
+  test "reads the token from the environment if neither option is given" do
     assert told([]) == {{:ok, nil}, ""}
     System.put_env("SITU_TOKEN", "of-the-environment")
     assert told([]) == {{:ok, "of-the-environment"}, ""}
@@ -43,36 +43,36 @@ defmodule Situ.CLI.SecretTest do
     assert {:ok, %{token: "of-the-environment"}} = Situ.Remote.Access.new(address, [])
   end
 
-  test "the old form still works, and says who can read it" do
+  test "accepts --token, and warns who can read it" do
     assert {{:ok, "on-the-line"}, warning} = told(token: "on-the-line")
     assert warning =~ "every user of this machine" and warning =~ "--token-file"
     refute warning =~ "on-the-line"
   end
 
-  test "two tokens, and files without one, are refused", %{tmp_dir: root} do
+  test "rejects two tokens, and a file without a token", %{tmp_dir: root} do
     assert {{:error, %{code: :usage}}, _} = told(token: "a", token_file: "b")
     assert {{:error, %{code: :no_token}}, _} = told(token_file: Path.join(root, "missing"))
   end
 
-  test "the verbs that listen take a file" do
+  test "the commands that listen accept a token file" do
     for word <- ["studio", "serve"] do
-      {:ok, verb, rest} = Commands.find([word, "--token-file", "f", "x"])
+      {:ok, verb, rest} = Commands.find_verb([word, "--token-file", "f", "x"])
       assert {:ok, _, options} = Parser.parse(verb, rest)
       assert options[:token_file] == "f"
     end
   end
 
-  test "a password in an address is warned of, without printing it" do
+  test "warns about a password in an address without printing it" do
     fix = "give --log-credentials FILE"
     warning = capture_io(:stderr, fn -> Secret.warn_of_password("nats://me:pass@host:1", fix) end)
     assert warning =~ fix and not (warning =~ "pass@")
     assert capture_io(:stderr, fn -> Secret.warn_of_password("nats://host:1", fix) end) == ""
   end
 
-  test "the desktop's browser gets no token on its command line", %{tmp_dir: root} do
-    page = Desktop.argument("http://127.0.0.1:4040/?token=right&x=1", root)
+  test "passes no token on the command line of the desktop's browser", %{tmp_dir: root} do
+    page = Desktop.opener_argument("http://127.0.0.1:4040/?token=right&x=1", root)
     refute page =~ "right"
     assert File.read!(page) =~ ~s(url=http://127.0.0.1:4040/?token=right&amp;x=1")
-    assert Desktop.argument("http://127.0.0.1:4040/", root) == "http://127.0.0.1:4040/"
+    assert Desktop.opener_argument("http://127.0.0.1:4040/", root) == "http://127.0.0.1:4040/"
   end
 end

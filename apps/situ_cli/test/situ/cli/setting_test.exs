@@ -3,8 +3,8 @@ defmodule Situ.CLI.SettingTest do
   alias Situ.CLI.Setting
   doctest Setting
 
-  test "one without a name or a value is wrong usage" do
+  test "a setting without a name or a value is wrong usage" do
     for text <- ["count", "=3", ""],
-        do: assert({:usage, _} = catch_throw(Setting.read(["a=1", text])))
+        do: assert({:usage, _} = catch_throw(Setting.parse_settings(["a=1", text])))
   end
 end

@@ -38,7 +38,7 @@ defmodule Situ.CLI.StoreTest do
     value
   end
 
-  test "info shows streams, rates, sizes, latency", %{path: path, tmp_dir: root} do
+  test "info shows streams, rates, sizes and latencies", %{path: path, tmp_dir: root} do
     {0, text} = run(["info", path])
     assert text =~ "closed; 2 streams, 110 messages"
     assert text =~ ~r/Room.Level +:integer +100 +1.0 Hz .* 2.00 ms/
@@ -47,7 +47,7 @@ defmodule Situ.CLI.StoreTest do
     assert [%{"closed" => true, "streams" => [%{"count" => 100, "rate" => 1.0}, _]}] =
              json(["info", path, "--json"])
 
-    # The same shape of a folder that is a recording, of one with a recording in it, and of several.
+    # The shape is the same for a recording, for a folder that contains one, and for several.
     assert [[%{"closed" => true}], [%{"closed" => true}], [%{"closed" => true}, _]] =
              for(args <- [[path], [root], [path, path]], do: json(["info", "--json" | args]))
 
@@ -58,7 +58,7 @@ defmodule Situ.CLI.StoreTest do
     assert text =~ "1 min 39 s (not real time)"
   end
 
-  test "info says what it does not know, and what means nothing", %{tmp_dir: root} do
+  test "info marks unknown and meaningless values", %{tmp_dir: root} do
     csv = Path.join(root, "level.csv")
     File.write!(csv, "time,level\n1,2\n2,3\n")
     {0, text} = run(["info", csv])
@@ -76,18 +76,18 @@ defmodule Situ.CLI.StoreTest do
     assert elem(run(["info", writer.path, "-s", "S"]), 1) =~ "latency     not real time"
   end
 
-  test "info of a piece says that there are others", %{tmp_dir: root} do
+  test "info of a segment mentions the other segments", %{tmp_dir: root} do
     for _ <- 1..2 do
       {:ok, writer} = Writer.create("hall", root)
-      {:ok, _} = Writer.catalog(writer, %{kind: "piece", every: 10})
+      {:ok, _} = Writer.append_catalog(writer, %{kind: "piece", every: 10})
       :ok = Writer.close(writer)
     end
 
     {0, text} = run(["info", Path.join(root, "hall")])
-    assert text =~ "one of 2 pieces of a recording: `situ store info '#{root}/hall.*'`"
+    assert text =~ "segment of a recording in 2 segments: `situ store info '#{root}/hall.*'`"
   end
 
-  test "crop, copy, concat, edit, rename, delete", %{path: path, tmp_dir: root} do
+  test "crops, copies, concatenates, edits, renames and deletes", %{path: path, tmp_dir: root} do
     out = Path.join(root, "out")
 
     {0, made} =
@@ -117,7 +117,7 @@ defmodule Situ.CLI.StoreTest do
     refute File.exists?(String.trim(renamed))
   end
 
-  test "messages of all streams, or of those of a pattern", %{path: path} do
+  test "shows messages of all streams, or of streams that match a pattern", %{path: path} do
     {0, text} = run(["messages", path, "-n", "0"])
     assert text |> String.split("\n", trim: true) |> length() == 110
     assert text =~ "Words  " and text =~ "Room.Level  "
@@ -125,15 +125,15 @@ defmodule Situ.CLI.StoreTest do
     assert text |> String.split("\n", trim: true) |> length() == 100
   end
 
-  test "messages", %{path: path} do
+  test "shows messages from a time on", %{path: path} do
     {0, text} = run(["messages", path, "-s", "Words", "-n", "2", "--from", "15000000000"])
     assert [first, _] = String.split(text, "\n", trim: true)
     assert first =~ "00:00:20" and first =~ "+2.00 ms" and first =~ "\"word 2\""
   end
 
-  test "verify finds damage and says so by its status; repair mends", %{path: path} do
+  test "verify reports damage by its status, and repair fixes it", %{path: path} do
     {0, sound} = run(["verify", path])
-    assert sound =~ ~r/^\d+ chunks, all sound/
+    assert sound =~ ~r/^\d+ chunks, all intact/
     file = Path.join(Store.open!(path).path, "data-000000.situ")
     bytes = File.read!(file)
     {found, _} = :binary.match(bytes, "Room.Level")
@@ -147,7 +147,7 @@ defmodule Situ.CLI.StoreTest do
     assert {0, _} = run(["verify", path])
   end
 
-  test "wrong usage has status 2, what fails has 1, and both say how to fix it", %{path: path} do
+  test "exits with 2 for wrong usage and 1 for failures, each with a fix", %{path: path} do
     for {argv, status, said} <- [
           {["infoo", path], 2, "did you mean `situ store info`"},
           {["info"], 2, "PATH... is missing"},
@@ -155,15 +155,15 @@ defmodule Situ.CLI.StoreTest do
           {["rename", path, "a", "b"], 2, "one argument too many"},
           {["info", path, "--strem", "x"], 2, "did you mean --stream"},
           {["info", path, "--stream"], 2, "needs a value"},
-          {["info", path, "-s", "a", "-s", "b"], 2, "given twice"},
+          {["info", path, "-s", "a", "-s", "b"], 2, "more than once"},
           {["messages", path, "-s", "Words", "-n", "some"], 2, "whole number"},
-          {["crop", path, path <> "y"], 2, "to what"},
+          {["crop", path, path <> "y"], 2, "no interval given"},
           {["crop", path, path <> "y", "--start", "soon"], 2, "span of time"},
           {["copy", path, path <> "y", "--compression", "rar"], 2, "none, lz4, zstd"},
           {["copy", path, path <> "y", "--from", "noon"], 2, "a time like"},
           {["info", path <> "x"], 1, "no store"},
           {["messages", path, "-s", "Wrods"], 1, "Words"},
-          {["edit", path, path <> "y", "--set", "Words@1=nojson"], 1, "not JSON"},
+          {["edit", path, path <> "y", "--set", "Words@1=nojson"], 1, "invalid JSON"},
           {["remove", path, "Nothing*"], 1, "no stream"}
         ] do
       assert capture_io(:stderr, fn -> assert Situ.CLI.run(["store" | argv]) == status end) =~
@@ -179,7 +179,7 @@ defmodule Situ.CLI.StoreTest do
              "--start SPAN"
   end
 
-  test "messages of several streams come in the order of time", %{path: path} do
+  test "shows messages of several streams in time order", %{path: path} do
     {0, text} = run(["messages", path, "-s", "Words", "-s", "Room.Level", "-n", "0"])
     lines = String.split(text, "\n", trim: true)
     assert length(lines) == 110
@@ -194,10 +194,10 @@ defmodule Situ.CLI.StoreTest do
              for(l <- String.split(text, "\n", trim: true), do: elem(Situ.JSON.decode(l), 1))
   end
 
-  test "stats: periods, gaps and latencies of every message", %{tmp_dir: root} do
+  test "stats reports periods, gaps and latencies of every message", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("timing", root)
     {:ok, stream} = Writer.stream(writer, "S", type: :integer)
-    # 10 ms apart, with one second missing; a latency of i us.
+    # Messages are 10 ms apart with one second missing. Message i has a latency of i us.
     messages =
       for i <- 0..999 do
         time = i * 10_000_000 + if(i >= 500, do: 1_000_000_000, else: 0)
@@ -222,7 +222,7 @@ defmodule Situ.CLI.StoreTest do
     assert text =~ ~r/S +1000 .* 1.01 s +-/
   end
 
-  test "analyze: a stream made later than others of its time lags", %{tmp_dir: root} do
+  test "analyze reports the lag between streams", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("lag", root)
 
     for {name, late} <- [{"Prompt", 0}, {"Late", 40_000_000}] do
@@ -246,7 +246,7 @@ defmodule Situ.CLI.StoreTest do
              json(["analyze", writer.path, "--json"])
   end
 
-  test "diff: equal, different and missing messages; status 1 when they differ", %{
+  test "diff reports equal, different and missing messages, and exits with 1 if they differ", %{
     path: path,
     tmp_dir: root
   } do
@@ -276,7 +276,7 @@ defmodule Situ.CLI.StoreTest do
     assert text =~ "Words: only in the first (10 messages)"
   end
 
-  test "split, remove, copy without some", %{path: path, tmp_dir: root} do
+  test "splits, removes, and copies without some streams", %{path: path, tmp_dir: root} do
     {0, made} = run(["split", path, Path.join(root, "part"), "--every", "40s"])
     assert [a, b, c] = String.split(made, "\n", trim: true)
     assert Path.basename(a) == "part-001.0000"
@@ -288,7 +288,7 @@ defmodule Situ.CLI.StoreTest do
     assert Store.has_stream?(Store.open!(Path.join(root, "lobby.0000")), "Room.Level")
   end
 
-  test "a name with control characters or bytes that are no text reaches the terminal as text", %{
+  test "escapes control characters and invalid UTF-8 in names", %{
     tmp_dir: root
   } do
     {:ok, writer} = Writer.create("names", root)
@@ -304,13 +304,13 @@ defmodule Situ.CLI.StoreTest do
            end) =~ "no store at"
   end
 
-  test "patterns that no shell has expanded", %{path: path, tmp_dir: root} do
+  test "expands patterns that the shell did not expand", %{path: path, tmp_dir: root} do
     {0, _} = run(["copy", path, Path.join(root, "two")])
     {0, text} = run(["verify", Path.join(root, "*.0000")])
     assert text |> String.split("\n", trim: true) |> length() == 2
   end
 
-  test "several recordings: a line each, and the ones that cannot be read are told of", %{
+  test "shows a line for each recording, with the error of unreadable ones", %{
     path: path,
     tmp_dir: root
   } do
@@ -323,12 +323,12 @@ defmodule Situ.CLI.StoreTest do
              json(["info", "--json" | paths])
 
     assert {0, text} = run(["verify", path, path])
-    assert text |> String.split("\n", trim: true) |> Enum.count(&(&1 =~ "all sound")) == 2
+    assert text |> String.split("\n", trim: true) |> Enum.count(&(&1 =~ "all intact")) == 2
     assert {1, text} = run(["verify", path, Path.join(root, "gone")])
-    assert text =~ "all sound" and text =~ "no store at"
+    assert text =~ "all intact" and text =~ "no store at"
   end
 
-  test "info of one stream: all that is known of it", %{path: path, tmp_dir: root} do
+  test "info of one stream shows everything about it", %{path: path, tmp_dir: root} do
     {:ok, writer} = Writer.create("meta", root)
     {:ok, stream} = Writer.stream(writer, "S", type: :float, metadata: %{"unit" => "rad"})
     {:ok, stream} = Writer.append(stream, for(i <- 0..9, do: message(i / 1, i)))
@@ -336,7 +336,7 @@ defmodule Situ.CLI.StoreTest do
     :ok = Writer.close(writer)
     {0, text} = run(["info", writer.path, "--stream", "S"])
     assert text =~ ~s(%{"unit" => "rad"} \(:map\)) and text =~ "10, 1.0 Hz"
-    assert text =~ "80 B, 8 B each" and text =~ "2.00 ms on average, 20.0 ms in all"
+    assert text =~ "80 B, 8 B each" and text =~ "2.00 ms on average, 20.0 ms in total"
     assert text =~ "at 1970-01-01T00:00:09" and text =~ "compression none"
     info = json(["info", writer.path, "-s", "S", "--json"])
     assert %{"metadata" => %{"data" => %{"unit" => "rad"}, "type" => ":map"}} = info
@@ -347,7 +347,7 @@ defmodule Situ.CLI.StoreTest do
     assert refused(["info", path, "-s", "Nope"]) =~ "Words"
   end
 
-  test "messages for programs hold the data itself", %{path: path, tmp_dir: root} do
+  test "messages --json contains the data itself", %{path: path, tmp_dir: root} do
     {0, lines} = run(["messages", path, "-s", "Words", "-n", "2", "--json"])
 
     [first, _] =
@@ -372,7 +372,7 @@ defmodule Situ.CLI.StoreTest do
            ]
   end
 
-  test "an option that says nothing to a verb, a crop to nothing, an edit of nothing are refused",
+  test "rejects an option that the verb does not use, an empty crop and an empty edit",
        %{
          path: path
        } do
@@ -390,7 +390,7 @@ defmodule Situ.CLI.StoreTest do
     refute Store.exists?(out)
   end
 
-  test "edits are of the stream's type and of messages that are there", %{
+  test "rejects edits of another type, or of messages that do not exist", %{
     path: path,
     tmp_dir: root
   } do
@@ -404,20 +404,20 @@ defmodule Situ.CLI.StoreTest do
     refute Store.exists?(out)
   end
 
-  test "an interval without messages is refused; streams are chosen by patterns", %{
+  test "rejects an interval without messages, and selects streams by patterns", %{
     path: path,
     tmp_dir: root
   } do
     out = Path.join(root, "out")
     said = refused(["crop", path, out, "--start", "1h"])
-    assert said =~ "no message lies between 1970-01-01T01:00" and said =~ "goes from 1970"
+    assert said =~ "no messages between 1970-01-01T01:00" and said =~ "spans 1970"
     assert refused(["copy", path, out, "--from", "2020-01-01"]) =~ "between 2020-01-01T00:00:00"
     assert Store.newest("out", root) == nil
     {0, made} = run(["copy", path, out, "-s", "Room.*"])
     assert [%{name: "Room.Level"}] = made |> String.trim() |> Store.open!() |> Store.streams()
   end
 
-  test "a date is a time, and of a gap split makes no part", %{path: path, tmp_dir: root} do
+  test "accepts dates as times, and split skips gaps", %{path: path, tmp_dir: root} do
     out = Path.join(root, "day")
     {0, made} = run(["crop", path, out, "--from", "1970-01-01", "--to", "1970-01-01 00:01"])
     assert length(values(String.trim(made), "Room.Level")) == 61
@@ -431,7 +431,7 @@ defmodule Situ.CLI.StoreTest do
              ~w(part-001.0000 part-003.0000)
   end
 
-  test "compact, in place", %{path: path, tmp_dir: root} do
+  test "compacts a store in place", %{path: path, tmp_dir: root} do
     folder = Store.open!(path).path
     {0, text} = run(["compact", folder])
     assert text =~ folder and text =~ "before"
@@ -441,7 +441,7 @@ defmodule Situ.CLI.StoreTest do
     assert refused(["compact", Path.join(root, "gone")]) =~ "no store"
   end
 
-  test "a store is called as its folder is", %{path: path} do
+  test "names a store after its folder", %{path: path} do
     {0, made} = run(["rename", path, "entrance"])
     made = String.trim(made)
     assert [%{"name" => "entrance"}] = json(["info", made, "--json"])
@@ -451,7 +451,7 @@ defmodule Situ.CLI.StoreTest do
     assert [%{"name" => "hall"}] = json(["info", moved, "--json"])
   end
 
-  test "names of files may be bytes that are no text", %{path: path, tmp_dir: root} do
+  test "accepts file names that are not UTF-8", %{path: path, tmp_dir: root} do
     folder = Path.join(root, <<"caf", 0xE9>>)
 
     case File.mkdir(folder) do
@@ -463,13 +463,13 @@ defmodule Situ.CLI.StoreTest do
         {0, _} = run(["info", Path.join(folder, "x")])
         assert [%{"closed" => true}] = json(["info", Path.join(folder, "x"), "--json"])
 
-      # A file system whose names are text.
+      # Some file systems accept only UTF-8 names.
       {:error, _} ->
         :ok
     end
   end
 
-  test "a store whose catalog was made up is an error or is shown, never a fault", %{
+  test "shows a store with an invalid catalog or returns an error, and never crashes", %{
     tmp_dir: root
   } do
     odd = [1.0e300, 12_345_678_901_234_567_890_123, "text", %{}, [1], nil]
@@ -490,7 +490,7 @@ defmodule Situ.CLI.StoreTest do
     {:ok, writer} = Writer.create("odd", root)
     {:ok, stream} = Writer.stream(writer, "A", type: :integer)
     {:ok, _} = Writer.append(stream, for(i <- 1..3, do: message(i, i)))
-    for record <- Enum.concat(records), do: {:ok, _} = Writer.catalog(writer, record)
+    for record <- Enum.concat(records), do: {:ok, _} = Writer.append_catalog(writer, record)
     :ok = Writer.close(writer)
     out = Path.join(root, "out")
 
@@ -514,11 +514,11 @@ defmodule Situ.CLI.StoreTest do
           capture_io(fn -> Situ.CLI.run(["store", verb, writer.path | args]) end)
         end)
 
-      refute said =~ "a fault in situ itself", "#{verb} #{Enum.join(args, " ")}: #{said}"
+      refute said =~ "a bug in situ itself", "#{verb} #{Enum.join(args, " ")}: #{said}"
     end
   end
 
-  test "damage is an error of what reads, unless it is to be left out", %{
+  test "damage is an error when reading, unless it is to be skipped", %{
     path: path,
     tmp_dir: root
   } do
@@ -540,19 +540,22 @@ defmodule Situ.CLI.StoreTest do
     {0, text} = run(["info", writer.path])
     assert text =~ "DAMAGED: data-000001.situ is missing"
     {1, text} = run(["verify", writer.path])
-    assert text =~ ~r/data-000001.situ at byte 64: the file is missing \(and at \d+ more places\)/
+
+    assert text =~
+             ~r/data-000001.situ at byte 64: the file is missing \(and at \d+ more positions\)/
+
     out = Path.join(root, "out")
-    assert refused(["copy", writer.path, out]) =~ "lacks its file"
+    assert refused(["copy", writer.path, out]) =~ "has lost its file"
     refute Store.exists?(out)
 
     messages = ["messages", writer.path, "-s", "Noise", "-n", "100"]
 
-    assert capture_io(:stderr, fn -> assert {1, _} = run(messages) end) =~ "lacks its file"
+    assert capture_io(:stderr, fn -> assert {1, _} = run(messages) end) =~ "has lost its file"
     {0, made} = run(["copy", writer.path, out, "--skip-damage"])
     assert length(values(String.trim(made), "Noise")) in 50..90
   end
 
-  test "a store too broken to be opened can be deleted", %{path: path} do
+  test "deletes a store that is too damaged to open", %{path: path} do
     folder = Store.open!(path).path
     File.write!(Path.join(folder, "index.situ"), "rubbish")
     assert {:error, _} = Store.open(folder)
@@ -565,7 +568,7 @@ defmodule Situ.CLI.StoreTest do
 
   @psi Path.expand("../../../../situ_bridge/test/data/psi/truncated", __DIR__)
 
-  test "what is lost of another system's recording is told in its reader's sentences" do
+  test "reports losses of an external recording in the words of its reader" do
     {0, text} = run(["info", @psi])
     assert text =~ "DAMAGED 9 of 10 messages of the stream Small are missing"
   end

@@ -1,6 +1,7 @@
 defmodule Situ.CLI.TalkTest do
-  # A person (espeak-ng) talks to the assistant over a virtual microphone, and hears it over a virtual speaker.
-  # Not async: the sound system is found through environment variables of the whole VM.
+  # A person (espeak-ng) talks to the assistant over a virtual microphone and hears it over a
+  # virtual speaker. Not async, because environment variables of the entire VM select the audio
+  # server.
   use ExUnit.Case, async: false
   import Situ.Test.Eventually
 
@@ -17,7 +18,7 @@ defmodule Situ.CLI.TalkTest do
   if missing != [], do: @moduletag(skip: "not here: " <> Enum.join(missing, ", "))
 
   setup do
-    # The address of a local socket is short, the test's folder is not.
+    # The address of a local socket must be short, and the path of the test's folder is too long.
     dir = Path.join(System.tmp_dir!(), "situ-talk-#{System.unique_integer([:positive])}")
     File.mkdir_p!(dir)
     File.chmod!(dir, 0o700)
@@ -26,7 +27,7 @@ defmodule Situ.CLI.TalkTest do
     put_env("PULSE_SERVER", "unix:#{dir}/native")
 
     port =
-      FFmpeg.start(
+      FFmpeg.start_program(
         System.find_executable("pulseaudio"),
         ~w(-n --daemonize=no --exit-idle-time=-1 --use-pid-file=no -L) ++
           ["module-native-protocol-unix socket=#{dir}/native auth-anonymous=1"] ++
@@ -41,7 +42,7 @@ defmodule Situ.CLI.TalkTest do
     %{voice: voice, dir: dir}
   end
 
-  # The loudspeaker stands beside the microphone: its sound comes back, 20 dB down.
+  # The loudspeaker is next to the microphone, so its sound comes back at -20 dB.
   defp echo do
     loop = ~w(load-module module-loopback source=spk.monitor sink=mic latency_msec=60)
     {_, 0} = System.cmd("pactl", loop)
@@ -55,7 +56,7 @@ defmodule Situ.CLI.TalkTest do
           "So he sent his three sons, one after the other, to watch by the tree until the morning. " <>
           "The first one fell asleep, the second one fell asleep, but the third one stayed awake."
 
-  test "asked by name it tells the time, sets a timer, and is interrupted", context do
+  test "says the time, sets a timer and can be interrupted when called by name", context do
     url = serve(@tale)
     pipeline = start(context, chat: [url: url, model: "small"])
 
@@ -81,7 +82,7 @@ defmodule Situ.CLI.TalkTest do
 
     assert {:ok, %{result: %{path: path}}} = Situ.Pipeline.stop(pipeline)
     {:ok, whole} = Espeak.speak(context.voice, @tale)
-    assert ended - began < AudioBuffer.duration(whole) - 3_000_000_000
+    assert ended - began < AudioBuffer.duration_ns(whole) - 3_000_000_000
     recorded(path)
   end
 
@@ -93,7 +94,7 @@ defmodule Situ.CLI.TalkTest do
     receive do: ({:talk, :speaking, true, _, _} -> :ok), after: (0 -> :ok)
   end
 
-  # All of it is in the recording: what it said can be understood.
+  # The recording contains everything, and its speech can be understood.
   defp recorded(path) do
     {:ok, store} = Store.open(path)
     said = Enum.map(Store.messages(store, "Assistant.Said.Text"), & &1.data)
@@ -102,9 +103,9 @@ defmodule Situ.CLI.TalkTest do
     {:ok, sound} = spoken |> Enum.take(400) |> AudioBuffer.concat()
     {:ok, moonshine} = Moonshine.load()
     assert {:ok, %{text: text}} = Moonshine.transcribe(moonshine, sound)
-    assert Enum.all?(["two", "seconds", "over"], &(&1 in Utterance.words(text))), text
+    assert Enum.all?(["two", "seconds", "over"], &(&1 in Utterance.normalize_words(text))), text
     assert Enum.any?(Store.messages(store, "Assistant.Interrupted"))
-    # It spoke, and its voice came back: it took none of that for speech.
+    # The assistant's own voice came back, and none of it counted as speech.
     heard = for message <- Store.messages(store, "Assistant.Heard.Text"), do: message.data
     assert length(heard) == 4, inspect(heard)
     refute Enum.any?(heard, &(&1 =~ ~r/noon|king|garden|golden|over/i)), inspect(heard)
@@ -123,7 +124,7 @@ defmodule Situ.CLI.TalkTest do
     ]
 
     {:ok, pipeline} = Situ.Pipeline.start(Session, settings)
-    # Models are loaded, the microphone is open.
+    # The models are loaded and the microphone is open.
     assert_receive {:talk, :listening, _, _, _}, 60_000
     pipeline
   end

@@ -33,17 +33,17 @@ defmodule Situ.CLI.TaskTest do
     %{study: file}
   end
 
-  test "the tasks of all applications are listed with their options" do
+  test "lists the tasks of all applications with their options" do
     {0, text} = run(["list"])
 
     for name <-
           ~w(statistics drop-streams sound-to-wav encode-pictures voice-activity transcript faces anonymise),
         do: assert(text =~ name)
 
-    assert text =~ "quality: Of the JPEG. (default 90)"
+    assert text =~ "quality: JPEG quality. (default 90)"
   end
 
-  test "statistics: a file for each session", %{study: file, tmp_dir: root} do
+  test "writes a statistics file for each session", %{study: file, tmp_dir: root} do
     assert {0, text} = run(["run", file, "statistics"])
     assert text =~ "p1: done" and text =~ "p2: done"
     {:ok, json} = Situ.JSON.decode(File.read!(Path.join(root, "p2/p2.statistics.json")))
@@ -54,7 +54,7 @@ defmodule Situ.CLI.TaskTest do
     assert_in_delta deviation, 6.0553, 0.001
   end
 
-  test "a pipeline of one's own, out of a file", %{study: file, tmp_dir: root} do
+  test "runs a pipeline from a file", %{study: file, tmp_dir: root} do
     own = Path.join(root, "doubled.ex")
 
     File.write!(own, """
@@ -84,7 +84,7 @@ defmodule Situ.CLI.TaskTest do
     assert said =~ "no task and no pipeline"
   end
 
-  test "streams are dropped; options come from a file that was saved", %{
+  test "drops streams, with options from a saved file", %{
     study: file,
     tmp_dir: root
   } do
@@ -111,7 +111,7 @@ defmodule Situ.CLI.TaskTest do
     {:ok, dataset} = Dataset.open(file)
 
     for session <- dataset.sessions do
-      {:ok, shared} = Dataset.Session.partition(session, "Shared")
+      {:ok, shared} = Dataset.Session.fetch_partition(session, "Shared")
       {:ok, store} = Dataset.Partition.open(shared)
       assert Enum.map(Store.streams(store), & &1.name) == ["Level"]
     end
@@ -128,18 +128,18 @@ defmodule Situ.CLI.TaskTest do
            end) =~ "statistics"
   end
 
-  test "a run that replaces its output does not take the old one as input", %{study: file} do
+  test "does not read its old output as input when it replaces it", %{study: file} do
     argv = ["run", file, "drop-streams", "--set", ~s(drop=["Secret"]), "--session", "p1"]
     assert {0, _} = run(argv)
     assert {0, _} = run(argv ++ ["--overwrite"])
     {:ok, dataset} = Dataset.open(file)
     {:ok, session} = Dataset.session(dataset, "p1")
-    {:ok, shared} = Dataset.Session.partition(session, "Shared")
+    {:ok, shared} = Dataset.Session.fetch_partition(session, "Shared")
     {:ok, store} = Dataset.Partition.open(shared)
     assert Enum.map(Store.streams(store), & &1.name) == ["Level"]
   end
 
-  # The demo's clip as the only recording of a session.
+  # Adds the demo's clip as the only recording of a session.
   defp clip(file, root) do
     clip = Path.join(root, "p3/talk1.mp4")
     File.mkdir_p!(Path.dirname(clip))
@@ -156,7 +156,7 @@ defmodule Situ.CLI.TaskTest do
   end
 
   @tag timeout: 300_000
-  test "faces are found, followed and hidden; sound is muted", %{study: file, tmp_dir: root} do
+  test "finds, tracks and hides faces, and mutes audio", %{study: file, tmp_dir: root} do
     clip(file, root)
     assert {0, _} = run(["run", file, "faces", "--session", "p3"])
     faces = Enum.map(Store.messages(derived(root, "Faces"), "Faces"), & &1.data)
@@ -184,7 +184,7 @@ defmodule Situ.CLI.TaskTest do
     end
   end
 
-  # No detail is left: neighbouring rows are all but alike.
+  # No detail is left, so adjacent rows are almost equal.
   defp smooth?(picture, rect) do
     part = picture |> Situ.Imaging.convert!(:gray8) |> Situ.Imaging.crop!(rect)
     rows = for <<row::binary-size(part.width) <- part.data>>, do: :binary.bin_to_list(row)
@@ -199,14 +199,14 @@ defmodule Situ.CLI.TaskTest do
 
   @tag :moonshine
   @tag timeout: 300_000
-  test "a transcript", %{study: file, tmp_dir: root} do
+  test "writes a transcript", %{study: file, tmp_dir: root} do
     clip(file, root)
     assert {0, _} = run(["run", file, "transcript", "--session", "p3"])
     said = Enum.map(Store.messages(derived(root, "Transcript"), "Transcript"), & &1.data.text)
     assert Enum.join(said, " ") =~ ~r/go forward ten meters/i
   end
 
-  test "voice activity of sound in stereo", %{tmp_dir: root} do
+  test "detects voice activity in stereo audio", %{tmp_dir: root} do
     format = Situ.AudioFormat.pcm(44_100, 2)
 
     data =
@@ -233,7 +233,7 @@ defmodule Situ.CLI.TaskTest do
     assert Store.count(voice, "Speaking") >= 14
   end
 
-  test "a film's sound as WAV, and a failure of one session is told", %{
+  test "writes a video's audio as WAV, and reports the failure of one session", %{
     study: file,
     tmp_dir: root
   } do

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.UnfinishedOutputTest do
-  # Another program is stopped while it makes a store and a file.
+  # Stops another program while it writes a store and a file.
   use ExUnit.Case, async: true
 
   @moduletag :tmp_dir
@@ -20,10 +20,10 @@ defmodule Situ.CLI.UnfinishedOutputTest do
   """
 
   for signal <- ["INT", "KILL"] do
-    test "nothing unfinished is left after SIG#{signal}, but other programs' drafts are", %{
+    test "SIG#{signal} leaves nothing unfinished, except for other programs' drafts", %{
       tmp_dir: root
     } do
-      # Of another program that is at work.
+      # This draft belongs to another running program.
       other = Path.join(root, "out.4711-1.unfinished")
       File.mkdir_p!(other)
       {:ok, lock} = Situ.Store.FileLock.acquire(other <> ".lock")
@@ -35,7 +35,7 @@ defmodule Situ.CLI.UnfinishedOutputTest do
       {_, 0} = System.cmd("kill", ["-#{unquote(signal)}", "#{pid}"])
       assert_receive {^program, {:exit_status, status}}, 60_000
       assert status != 0
-      # The shell that removes them has the program's output, and ends after it.
+      # The shell that removes the drafts has the program's output and ends after it.
       assert_receive {^program, :eof}, 60_000
       left = ["draft", Path.basename(other), Path.basename(other) <> ".lock"]
       assert Enum.sort(File.ls!(root)) == Enum.sort(left)
@@ -46,7 +46,7 @@ defmodule Situ.CLI.UnfinishedOutputTest do
   defp start(root) do
     paths = Enum.flat_map(:code.get_path(), &["-pa", List.to_string(&1)])
     elixir = System.find_executable("elixir")
-    # `exec` all the way: the signal reaches the VM.
+    # Everything uses `exec`, so the signal reaches the VM.
     args = ["--erl", "+Bd"] ++ paths ++ ["-e", @program, root]
     options = [:binary, :exit_status, :eof, :stderr_to_stdout, args: args]
     Port.open({:spawn_executable, elixir}, options)

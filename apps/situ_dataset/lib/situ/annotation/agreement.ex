@@ -40,7 +40,7 @@ defmodule Situ.Annotation.Agreement do
       iex> schema = Schema.finite("S", ["speaks"])
       iex> {:ok, a} = Layer.new(schema, [Situ.Annotation.new(0, 60, "P1")])
       iex> {:ok, b} = Layer.new(schema, [Situ.Annotation.new(10, 60, "P1")])
-      iex> {:ok, r} = Agreement.of(a, b, frame: 10, to: 100)
+      iex> {:ok, r} = Agreement.compare_layers(a, b, frame: 10, to: 100)
       iex> {r.agreement, Float.round(r.kappa, 3), r.begin_error, r.end_error, r.paired, r.only_first}
       {0.9, 0.8, 10.0, 0.0, 1, 0}
 
@@ -75,14 +75,15 @@ defmodule Situ.Annotation.Agreement do
 
   Errors: `:unknown_attribute`; `:too_many_frames`.
   """
-  @spec of(Layer.t(), Layer.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
-  def of(%Layer{} = a, %Layer{} = b, opts \\ []) do
+  @spec compare_layers(Layer.t(), Layer.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def compare_layers(%Layer{} = a, %Layer{} = b, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {:ok, attribute} <- attribute(a, b, opts[:attribute]),
-         tracks = opts[:tracks] || Enum.uniq(Layer.tracks(a) ++ Layer.tracks(b)),
-         span = span(a, b, opts),
-         :ok <- bounded(span, opts[:frame], length(tracks)) do
-      confusions = Map.new(tracks, &{&1, confusion(a, b, &1, attribute, span, opts[:frame])})
+         {:ok, attribute} <- resolve_attribute(a, b, opts[:attribute]),
+         tracks = opts[:tracks] || Enum.uniq(Layer.track_names(a) ++ Layer.track_names(b)),
+         span = resolve_span(a, b, opts),
+         :ok <- check_frame_count(span, opts[:frame], length(tracks)) do
+      confusions =
+        Map.new(tracks, &{&1, count_confusion(a, b, &1, attribute, span, opts[:frame])})
 
       confusion =
         confusions
@@ -100,14 +101,14 @@ defmodule Situ.Annotation.Agreement do
          confusion: confusion,
          tracks: Map.new(confusions, fn {track, c} -> {track, elem(kappa(c), 1)} end)
        }
-       |> Map.merge(boundaries(a, b, tracks))}
+       |> Map.merge(boundary_errors(a, b, tracks))}
     end
   end
 
-  defp attribute(a, b, nil), do: attribute(a, b, hd(a.schema.attributes).name)
+  defp resolve_attribute(a, b, nil), do: resolve_attribute(a, b, hd(a.schema.attributes).name)
 
-  defp attribute(a, b, name) do
-    case Enum.find([a, b], &(Situ.Annotation.Schema.attribute(&1.schema, name) == nil)) do
+  defp resolve_attribute(a, b, name) do
+    case Enum.find([a, b], &(Situ.Annotation.Schema.find_attribute(&1.schema, name) == nil)) do
       nil ->
         {:ok, name}
 
@@ -121,14 +122,14 @@ defmodule Situ.Annotation.Agreement do
     end
   end
 
-  defp span(a, b, opts) do
+  defp resolve_span(a, b, opts) do
     all = Layer.annotations(a) ++ Layer.annotations(b)
     from = opts[:from] || all |> Enum.map(& &1.from) |> Enum.min(fn -> 0 end)
     to = opts[:to] || all |> Enum.map(& &1.to) |> Enum.max(fn -> 0 end)
     {from, max(from, to)}
   end
 
-  defp bounded({from, to}, frame, tracks) do
+  defp check_frame_count({from, to}, frame, tracks) do
     n = div(to - from, frame) * max(tracks, 1)
 
     if n <= @most_frames do
@@ -144,12 +145,12 @@ defmodule Situ.Annotation.Agreement do
 
   # The labels are constant between changes of either layer, so the cost depends on the number of annotations and not
   # on the number of frames. A frame belongs to the run that contains its middle.
-  defp confusion(a, b, track, attribute, {from, to}, frame) do
-    one = pieces(Layer.on_track(a, track), attribute, from, to)
-    two = pieces(Layer.on_track(b, track), attribute, from, to)
+  defp count_confusion(a, b, track, attribute, {from, to}, frame) do
+    one = label_segments(Layer.on_track(a, track), attribute, from, to)
+    two = label_segments(Layer.on_track(b, track), attribute, from, to)
 
     {counts, _} =
-      Enum.reduce(runs(one, two), {%{}, 0}, fn {end_time, pair}, {counts, seen} ->
+      Enum.reduce(merge_segments(one, two), {%{}, 0}, fn {end_time, pair}, {counts, seen} ->
         n = middles_before(end_time, from, to, frame)
         {if(n > seen, do: Map.update(counts, pair, n - seen, &(&1 + n - seen)), else: counts), n}
       end)
@@ -158,7 +159,7 @@ defmodule Situ.Annotation.Agreement do
   end
 
   # Consecutive `{end, label}` tuples from `from` to `to`; the label is nil where there is no annotation.
-  defp pieces(annotations, attribute, from, to) do
+  defp label_segments(annotations, attribute, from, to) do
     {pieces, at} =
       annotations
       |> Enum.filter(&(&1.to > from and &1.from < to and &1.from < &1.to))
@@ -171,19 +172,19 @@ defmodule Situ.Annotation.Agreement do
     if at < to, do: pieces ++ [{to, nil}], else: pieces
   end
 
-  defp runs([{a_end, a} | one] = left, [{b_end, b} | two] = right) do
+  defp merge_segments([{a_end, a} | one] = left, [{b_end, b} | two] = right) do
     cond do
-      a_end < b_end -> [{a_end, pair(a, b)} | runs(one, right)]
-      a_end > b_end -> [{b_end, pair(a, b)} | runs(left, two)]
-      true -> [{a_end, pair(a, b)} | runs(one, two)]
+      a_end < b_end -> [{a_end, label_pair(a, b)} | merge_segments(one, right)]
+      a_end > b_end -> [{b_end, label_pair(a, b)} | merge_segments(left, two)]
+      true -> [{a_end, label_pair(a, b)} | merge_segments(one, two)]
     end
   end
 
-  defp runs(_, _), do: []
+  defp merge_segments(_, _), do: []
 
-  defp pair(a, b), do: {label(a), label(b)}
-  defp label(nil), do: nil
-  defp label({:label, value}), do: value
+  defp label_pair(a, b), do: {unwrap_label(a), unwrap_label(b)}
+  defp unwrap_label(nil), do: nil
+  defp unwrap_label({:label, value}), do: value
 
   # The middle of frame k is at from + k * frame + frame / 2; only complete frames count.
   defp middles_before(time, from, to, frame) do
@@ -207,8 +208,8 @@ defmodule Situ.Annotation.Agreement do
 
       n ->
         same = for({{l, l}, count} <- confusion, do: count) |> Enum.sum()
-        first = totals(confusion, 0)
-        second = totals(confusion, 1)
+        first = label_totals(confusion, 0)
+        second = label_totals(confusion, 1)
 
         chance =
           first |> Enum.map(fn {l, count} -> count * Map.get(second, l, 0) end) |> Enum.sum()
@@ -220,17 +221,17 @@ defmodule Situ.Annotation.Agreement do
     end
   end
 
-  defp totals(confusion, side) do
+  defp label_totals(confusion, side) do
     Enum.reduce(confusion, %{}, fn {labels, count}, totals ->
       Map.update(totals, elem(labels, side), count, &(&1 + count))
     end)
   end
 
-  defp boundaries(a, b, tracks) do
+  defp boundary_errors(a, b, tracks) do
     per_track =
       for track <- tracks, do: {track, Layer.on_track(a, track), Layer.on_track(b, track)}
 
-    pairs = Enum.flat_map(per_track, fn {_, left, right} -> pairs(left, right) end)
+    pairs = Enum.flat_map(per_track, fn {_, left, right} -> pair_annotations(left, right) end)
     count = fn side -> per_track |> Enum.map(&length(elem(&1, side))) |> Enum.sum() end
 
     %{
@@ -243,11 +244,11 @@ defmodule Situ.Annotation.Agreement do
   end
 
   # Pairs the widest overlaps first, so that each annotation is in at most one pair.
-  defp pairs(left, right) do
+  defp pair_annotations(left, right) do
     candidates =
       for x <- left,
-          y <- overlapping(right, x),
-          do: {overlap(x, y), x, y}
+          y <- list_overlapping(right, x),
+          do: {overlap_duration(x, y), x, y}
 
     {pairs, _, _} =
       candidates
@@ -261,14 +262,15 @@ defmodule Situ.Annotation.Agreement do
     pairs
   end
 
-  defp overlapping(annotations, x) do
+  defp list_overlapping(annotations, x) do
     annotations
     |> Enum.drop_while(&(&1.to < x.from))
     |> Enum.take_while(&(&1.from <= x.to))
-    |> Enum.filter(&(overlap(x, &1) > 0 or (x.from == &1.from and x.to == &1.to)))
+    |> Enum.filter(&(overlap_duration(x, &1) > 0 or (x.from == &1.from and x.to == &1.to)))
   end
 
-  defp overlap(%Annotation{} = x, %Annotation{} = y), do: min(x.to, y.to) - max(x.from, y.from)
+  defp overlap_duration(%Annotation{} = x, %Annotation{} = y),
+    do: min(x.to, y.to) - max(x.from, y.from)
 
   defp mean([]), do: nil
   defp mean(list), do: Enum.sum(list) / length(list)

@@ -39,10 +39,10 @@ defmodule Situ.Annotation.Attribute do
 
     with :ok <-
            if(String.trim(name) == "", do: {:error, "an attribute has an empty name"}, else: :ok),
-         {:ok, fill, text} <- colours(json),
-         {:ok, values} <- values(attribute.kind, json["values"], name),
+         {:ok, fill, text} <- parse_colours(json),
+         {:ok, values} <- parse_values(attribute.kind, json["values"], name),
          attribute = %{attribute | fill: fill, text: text, values: values},
-         {:ok, default} <- default(attribute, json["default"]) do
+         {:ok, default} <- parse_default(attribute, json["default"]) do
       {:ok, %{attribute | default: default}}
     end
   end
@@ -52,26 +52,26 @@ defmodule Situ.Annotation.Attribute do
 
   def parse(_), do: {:error, "an attribute must be an object with a \"name\" and a \"kind\""}
 
-  defp values(:finite, [_ | _] = values, name) do
+  defp parse_values(:finite, [_ | _] = values, name) do
     values
     |> Enum.reduce_while({:ok, []}, fn json, {:ok, done} ->
-      case choice(json) do
+      case parse_choice(json) do
         {:ok, choice} -> {:cont, {:ok, [choice | done]}}
         {:error, why} -> {:halt, {:error, why <> " (attribute #{inspect(name)})"}}
       end
     end)
-    |> unique(name)
+    |> check_unique_values(name)
   end
 
-  defp values(:finite, _, name),
+  defp parse_values(:finite, _, name),
     do: {:error, "the finite attribute #{inspect(name)} has no values"}
 
-  defp values(_kind, none, _name) when none in [nil, []], do: {:ok, []}
+  defp parse_values(_kind, none, _name) when none in [nil, []], do: {:ok, []}
 
-  defp values(_, _, name),
+  defp parse_values(_, _, name),
     do: {:error, "attribute #{inspect(name)} is not finite and cannot have a list of values"}
 
-  defp unique({:ok, choices}, name) do
+  defp check_unique_values({:ok, choices}, name) do
     choices = Enum.reverse(choices)
     values = Enum.map(choices, & &1.value)
 
@@ -80,42 +80,42 @@ defmodule Situ.Annotation.Attribute do
       else: {:error, "attribute #{inspect(name)} lists a value twice"}
   end
 
-  defp unique(error, _name), do: error
+  defp check_unique_values(error, _name), do: error
 
-  defp choice(value) when is_binary(value), do: choice(%{"value" => value})
+  defp parse_choice(value) when is_binary(value), do: parse_choice(%{"value" => value})
 
-  defp choice(%{"value" => value} = json) when is_binary(value) do
-    with {:ok, fill, text} <- colours(json), {:ok, key} <- key(json["key"]) do
+  defp parse_choice(%{"value" => value} = json) when is_binary(value) do
+    with {:ok, fill, text} <- parse_colours(json), {:ok, key} <- parse_key(json["key"]) do
       {:ok, %{value: value, fill: fill, text: text, key: key}}
     end
   end
 
-  defp choice(_), do: {:error, "a value must be an object with a string \"value\""}
+  defp parse_choice(_), do: {:error, "a value must be an object with a string \"value\""}
 
-  defp key(nil), do: {:ok, nil}
+  defp parse_key(nil), do: {:ok, nil}
 
-  defp key(key) do
+  defp parse_key(key) do
     if is_binary(key) and String.length(key) == 1 and String.printable?(key) and key != " ",
       do: {:ok, key},
       else: {:error, "a key must be one printable character, not #{inspect(key)}"}
   end
 
-  defp colours(json) do
-    case Enum.find([json["fill"], json["text"]], &(&1 != nil and not colour?(&1))) do
+  defp parse_colours(json) do
+    case Enum.find([json["fill"], json["text"]], &(&1 != nil and not hex_colour?(&1))) do
       nil -> {:ok, json["fill"], json["text"]}
       bad -> {:error, "a colour must be \#rrggbb, not #{inspect(bad)}"}
     end
   end
 
-  defp colour?(value), do: is_binary(value) and value =~ ~r/\A#[0-9a-fA-F]{6}\z/
+  defp hex_colour?(value), do: is_binary(value) and value =~ ~r/\A#[0-9a-fA-F]{6}\z/
 
-  defp default(%{kind: :finite, values: [first | _]}, nil), do: {:ok, first.value}
-  defp default(%{kind: :text}, nil), do: {:ok, ""}
-  defp default(%{kind: :number}, nil), do: {:ok, 0}
-  defp default(%{kind: :bool}, nil), do: {:ok, false}
+  defp parse_default(%{kind: :finite, values: [first | _]}, nil), do: {:ok, first.value}
+  defp parse_default(%{kind: :text}, nil), do: {:ok, ""}
+  defp parse_default(%{kind: :number}, nil), do: {:ok, 0}
+  defp parse_default(%{kind: :bool}, nil), do: {:ok, false}
 
-  defp default(attribute, value) do
-    case check(attribute, value) do
+  defp parse_default(attribute, value) do
+    case check_value(attribute, value) do
       :ok -> {:ok, value}
       {:error, why} -> {:error, "invalid default of #{inspect(attribute.name)}: #{why}"}
     end
@@ -124,7 +124,7 @@ defmodule Situ.Annotation.Attribute do
   @doc false
   @spec to_json(t()) :: map()
   def to_json(%__MODULE__{} = attribute) do
-    plain(%{
+    drop_nil_fields(%{
       "name" => attribute.name,
       "kind" => Atom.to_string(attribute.kind),
       "default" => attribute.default,
@@ -136,13 +136,14 @@ defmodule Situ.Annotation.Attribute do
   end
 
   defp choice_json(choice),
-    do: choice |> Map.new(fn {k, v} -> {Atom.to_string(k), v} end) |> plain()
+    do: choice |> Map.new(fn {k, v} -> {Atom.to_string(k), v} end) |> drop_nil_fields()
 
-  defp plain(map), do: map |> Enum.reject(fn {_, value} -> value == nil end) |> Map.new()
+  defp drop_nil_fields(map),
+    do: map |> Enum.reject(fn {_, value} -> value == nil end) |> Map.new()
 
   @doc "Returns `:ok` if the attribute allows the value, or `{:error, why}`."
-  @spec check(t(), term()) :: :ok | {:error, String.t()}
-  def check(%__MODULE__{kind: :finite, values: choices}, value) do
+  @spec check_value(t(), term()) :: :ok | {:error, String.t()}
+  def check_value(%__MODULE__{kind: :finite, values: choices}, value) do
     if Enum.any?(choices, &(&1.value == value)),
       do: :ok,
       else:
@@ -150,22 +151,22 @@ defmodule Situ.Annotation.Attribute do
          "#{inspect(value)} is not one of #{Enum.map_join(choices, ", ", &inspect(&1.value))}"}
   end
 
-  def check(%__MODULE__{kind: :text}, value) do
+  def check_value(%__MODULE__{kind: :text}, value) do
     if is_binary(value) and String.valid?(value),
       do: :ok,
       else: {:error, "#{inspect(value)} is not a string"}
   end
 
-  def check(%__MODULE__{kind: :number}, value),
+  def check_value(%__MODULE__{kind: :number}, value),
     do: if(is_number(value), do: :ok, else: {:error, "#{inspect(value)} is not a number"})
 
-  def check(%__MODULE__{kind: :bool}, value),
+  def check_value(%__MODULE__{kind: :bool}, value),
     do:
       if(is_boolean(value), do: :ok, else: {:error, "#{inspect(value)} is neither true nor false"})
 
   @doc "Parses text to a number or boolean if the attribute has that kind; returns other text unchanged."
-  @spec read(t(), String.t()) :: term()
-  def read(%__MODULE__{kind: :number}, text) do
+  @spec parse_value(t(), String.t()) :: term()
+  def parse_value(%__MODULE__{kind: :number}, text) do
     case {Integer.parse(text), Float.parse(text)} do
       {{n, ""}, _} -> n
       {_, {x, ""}} -> x
@@ -173,6 +174,8 @@ defmodule Situ.Annotation.Attribute do
     end
   end
 
-  def read(%__MODULE__{kind: :bool}, text) when text in ["true", "false"], do: text == "true"
-  def read(_attribute, text), do: text
+  def parse_value(%__MODULE__{kind: :bool}, text) when text in ["true", "false"],
+    do: text == "true"
+
+  def parse_value(_attribute, text), do: text
 end

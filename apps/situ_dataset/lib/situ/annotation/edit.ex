@@ -9,7 +9,7 @@ defmodule Situ.Annotation.Edit do
       iex> {:ok, layer, _} = Edit.move_edge(layer, 1, :to, 12)
       iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
       [{0, 12}, {12, 20}]
-      iex> {:ok, layer, _} = Edit.split(layer, 1, 4)
+      iex> {:ok, layer, _} = Edit.split_annotation(layer, 1, 4)
       iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
       [{0, 4}, {4, 12}, {12, 20}]
   """
@@ -27,53 +27,55 @@ defmodule Situ.Annotation.Edit do
   @spec move_edge(Layer.t(), Layer.id(), :from | :to, Situ.Time.t(), keyword()) :: Layer.edited()
   def move_edge(%Layer{} = layer, id, edge, time, opts \\ []) when edge in [:from, :to] do
     with {:ok, annotation} <- Layer.fetch(layer, id) do
-      touching = if opts[:alone], do: nil, else: touching(layer, annotation, edge)
-      time = clamp(layer, annotation, edge, time, touching)
+      touching = if opts[:alone], do: nil, else: find_touching(layer, annotation, edge)
+      time = clamp_edge(layer, annotation, edge, time, touching)
       moved = [{id, annotation, Map.put(annotation, edge, time)}]
 
       along =
-        if touching, do: [{touching.id, touching, Map.put(touching, other(edge), time)}], else: []
+        if touching,
+          do: [{touching.id, touching, Map.put(touching, opposite_edge(edge), time)}],
+          else: []
 
       Layer.commit(layer, moved ++ along)
     end
   end
 
-  defp other(:from), do: :to
-  defp other(:to), do: :from
+  defp opposite_edge(:from), do: :to
+  defp opposite_edge(:to), do: :from
 
-  defp touching(layer, annotation, edge) do
+  defp find_touching(layer, annotation, edge) do
     at = Map.fetch!(annotation, edge)
-    beside = beside(layer, annotation, edge)
-    if beside && Map.fetch!(beside, other(edge)) == at, do: beside
+    beside = find_neighbour(layer, annotation, edge)
+    if beside && Map.fetch!(beside, opposite_edge(edge)) == at, do: beside
   end
 
-  defp beside(layer, annotation, :from) do
-    case Layer.previous(layer, annotation.track, annotation.from) do
+  defp find_neighbour(layer, annotation, :from) do
+    case Layer.previous_annotation(layer, annotation.track, annotation.from) do
       %{id: id} when id == annotation.id -> nil
       found -> found
     end
   end
 
-  defp beside(layer, annotation, :to) do
+  defp find_neighbour(layer, annotation, :to) do
     layer
     |> Layer.on_track(annotation.track)
     |> Enum.find(&(&1.id != annotation.id and &1.from >= annotation.to))
   end
 
   # When two annotations move together, neither may become a point, because both would then end together.
-  defp clamp(_layer, annotation, :from, time, %{from: least}),
+  defp clamp_edge(_layer, annotation, :from, time, %{from: least}),
     do: time |> min(annotation.to - 1) |> max(least + 1)
 
-  defp clamp(_layer, annotation, :to, time, %{to: most}),
+  defp clamp_edge(_layer, annotation, :to, time, %{to: most}),
     do: time |> max(annotation.from + 1) |> min(most - 1)
 
-  defp clamp(layer, annotation, :from, time, nil) do
-    beside = beside(layer, annotation, :from)
+  defp clamp_edge(layer, annotation, :from, time, nil) do
+    beside = find_neighbour(layer, annotation, :from)
     time |> min(annotation.to) |> then(&if(beside, do: max(&1, beside.to), else: &1))
   end
 
-  defp clamp(layer, annotation, :to, time, nil) do
-    beside = beside(layer, annotation, :to)
+  defp clamp_edge(layer, annotation, :to, time, nil) do
+    beside = find_neighbour(layer, annotation, :to)
     time |> max(annotation.from) |> then(&if(beside, do: min(&1, beside.from), else: &1))
   end
 
@@ -83,8 +85,8 @@ defmodule Situ.Annotation.Edit do
     do: Layer.change(layer, id, from: from, to: to)
 
   @doc "Splits an annotation in two at `time`; both parts keep its values. Error: `:outside`."
-  @spec split(Layer.t(), Layer.id(), Situ.Time.t()) :: Layer.edited()
-  def split(%Layer{} = layer, id, time) do
+  @spec split_annotation(Layer.t(), Layer.id(), Situ.Time.t()) :: Layer.edited()
+  def split_annotation(%Layer{} = layer, id, time) do
     with {:ok, whole} <- Layer.fetch(layer, id) do
       if whole.from < time and time < whole.to do
         second = %{whole | id: layer.next, from: time}
@@ -101,8 +103,8 @@ defmodule Situ.Annotation.Edit do
   end
 
   @doc "Merges two annotations of a track into one with the values of the first. Error: `:no_neighbours`."
-  @spec merge(Layer.t(), Layer.id(), Layer.id()) :: Layer.edited()
-  def merge(%Layer{} = layer, id, other) do
+  @spec merge_annotations(Layer.t(), Layer.id(), Layer.id()) :: Layer.edited()
+  def merge_annotations(%Layer{} = layer, id, other) do
     with {:ok, a} <- Layer.fetch(layer, id), {:ok, b} <- Layer.fetch(layer, other) do
       if a.track == b.track and a.id != b.id do
         whole = %{a | from: min(a.from, b.from), to: max(a.to, b.to)}
@@ -135,7 +137,7 @@ defmodule Situ.Annotation.Edit do
   def copy_boundaries(%Layer{} = layer, annotations, track) do
     case Layer.on_track(layer, track) do
       [] ->
-        values = Schema.defaults(layer.schema)
+        values = Schema.default_values(layer.schema)
 
         new =
           for {a, id} <- Enum.with_index(annotations, layer.next),
@@ -174,8 +176,8 @@ defmodule Situ.Annotation.Edit do
   end
 
   @doc "Adds annotations as proposals in one transaction; annotations that overlap with existing ones are skipped."
-  @spec propose(Layer.t(), [Annotation.t()]) :: Layer.edited()
-  def propose(%Layer{} = layer, annotations) do
+  @spec add_proposals(Layer.t(), [Annotation.t()]) :: Layer.edited()
+  def add_proposals(%Layer{} = layer, annotations) do
     {full, changes} =
       Enum.reduce(annotations, {layer, []}, fn annotation, {layer, changes} ->
         case Layer.add(layer, %{annotation | proposed?: true}) do

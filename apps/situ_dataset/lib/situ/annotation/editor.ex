@@ -51,7 +51,7 @@ defmodule Situ.Annotation.Editor do
     {given, opts} = Keyword.split(opts, [:path, :stream, :schema])
     {path, stream} = {Keyword.fetch!(given, :path), Keyword.fetch!(given, :stream)}
 
-    with {:ok, state} <- EditorState.open(path, stream, given[:schema]) do
+    with {:ok, state} <- EditorState.open_state(path, stream, given[:schema]) do
       started = GenServer.start_link(__MODULE__, state, opts)
       # Starting fails if the name is taken.
       if state.lock && not match?({:ok, _}, started), do: FileLock.release(state.lock)
@@ -60,8 +60,8 @@ defmodule Situ.Annotation.Editor do
   end
 
   @doc "Returns the current annotations."
-  @spec layer(server()) :: Layer.t()
-  def layer(server), do: GenServer.call(server, :layer)
+  @spec current_layer(server()) :: Layer.t()
+  def current_layer(server), do: GenServer.call(server, :layer)
 
   @doc """
   Returns `undo` and `redo` (the number of steps in each direction), `unsaved?`, `recovered` (the number of
@@ -114,7 +114,7 @@ defmodule Situ.Annotation.Editor do
 
   @impl true
   def init(state) do
-    if state.lock, do: FileLock.own(state.lock)
+    if state.lock, do: FileLock.take_ownership(state.lock)
     {:ok, state}
   end
 
@@ -139,28 +139,31 @@ defmodule Situ.Annotation.Editor do
   end
 
   def handle_call(:refresh, _from, state) do
-    case current(state) do
+    case load_current(state) do
       {:ok, state} -> {:reply, {:ok, state.layer}, state}
       error -> {:reply, error, state}
     end
   end
 
   def handle_call({:edit, fun}, _from, state) do
-    change(state, fn state ->
-      with {:ok, %Layer{}, transaction} <- edited(fun, state.layer),
-           {:ok, state} <- made(state, transaction),
+    run_locked_edit(state, fn state ->
+      with {:ok, %Layer{}, transaction} <- run_edit(fun, state.layer),
+           {:ok, state} <- apply_transaction(state, transaction),
            do: {:ok, %{state | undo: [transaction | state.undo], redo: []}}
     end)
   end
 
-  def handle_call(:undo, _from, state), do: change(state, &step(&1, :undo, :redo))
-  def handle_call(:redo, _from, state), do: change(state, &step(&1, :redo, :undo))
+  def handle_call(:undo, _from, state),
+    do: run_locked_edit(state, &step_history(&1, :undo, :redo))
+
+  def handle_call(:redo, _from, state),
+    do: run_locked_edit(state, &step_history(&1, :redo, :undo))
 
   def handle_call({:put_schema, schema, fun}, _from, state) do
     changed =
-      change(state, fn state ->
+      run_locked_edit(state, fn state ->
         # The new schema takes effect only after it was written to disk.
-        with {:ok, layer} <- allowed(state.layer, schema, fun),
+        with {:ok, layer} <- convert_layer(state.layer, schema, fun),
              do: save_version(%{state | layer: layer, undo: [], redo: []})
       end)
 
@@ -169,47 +172,49 @@ defmodule Situ.Annotation.Editor do
 
   def handle_call(:save, _from, state) do
     case save_version(state) do
-      {:ok, state} -> {:reply, {:ok, state.base}, EditorState.unlock(state)}
+      {:ok, state} -> {:reply, {:ok, state.base}, EditorState.unlock_journal(state)}
       error -> {:reply, error, state}
     end
   end
 
   # Only one editor at a time may write to the journal. The editor first loads the versions that other programs have
   # saved, and keeps them even if the edit then fails.
-  defp change(state, fun) do
-    with {:ok, locked} <- EditorState.lock(state) do
+  defp run_locked_edit(state, fun) do
+    with {:ok, locked} <- EditorState.lock_journal(state) do
       # The journal contained edits of an editor that was killed.
-      if locked.layer != state.layer, do: tell(locked, :reloaded)
+      if locked.layer != state.layer, do: notify_subscribers(locked, :reloaded)
 
-      case current(locked) do
-        {:ok, state} -> state |> fun.() |> answer(state)
-        error -> answer(error, locked)
+      case load_current(locked) do
+        {:ok, state} -> state |> fun.() |> reply_and_unlock(state)
+        error -> reply_and_unlock(error, locked)
       end
     else
       error -> {:reply, error, state}
     end
   end
 
-  defp answer({:ok, state}, _before), do: {:reply, {:ok, state.layer}, EditorState.unlock(state)}
-  defp answer(error, state), do: {:reply, error, EditorState.unlock(state)}
+  defp reply_and_unlock({:ok, state}, _before),
+    do: {:reply, {:ok, state.layer}, EditorState.unlock_journal(state)}
+
+  defp reply_and_unlock(error, state), do: {:reply, error, EditorState.unlock_journal(state)}
 
   # Without the lock, the journal belongs to another editor and must not be removed.
   defp save_version(state) do
-    with {:ok, state} <- Versions.write(state) do
+    with {:ok, state} <- Versions.write_version(state) do
       if state.lock, do: File.rm(state.journal)
-      tell(state, :saved)
+      notify_subscribers(state, :saved)
       {:ok, %{state | unsaved?: false}}
     end
   end
 
-  defp current(state) do
-    with {:ok, now} <- Versions.current(state) do
-      if now.base != state.base, do: tell(now, :reloaded)
+  defp load_current(state) do
+    with {:ok, now} <- Versions.load_newest(state) do
+      if now.base != state.base, do: notify_subscribers(now, :reloaded)
       {:ok, now}
     end
   end
 
-  defp allowed(layer, schema, fun) do
+  defp convert_layer(layer, schema, fun) do
     Layer.new(schema, layer |> Layer.annotations() |> Enum.map(fun))
   rescue
     exception ->
@@ -218,39 +223,39 @@ defmodule Situ.Annotation.Editor do
   end
 
   # The function comes from the caller: an exception in it must not lose the edits of other users.
-  defp edited(fun, layer) do
+  defp run_edit(fun, layer) do
     fun.(layer)
   rescue
     exception ->
       {:error, Error.new(:edit_failed, "the edit failed", why: Exception.message(exception))}
   end
 
-  defp step(state, from, to) do
+  defp step_history(state, from, to) do
     case Map.fetch!(state, from) do
       [] ->
-        {:error, nothing(from)}
+        {:error, empty_history_error(from)}
 
       [transaction | rest] ->
-        change = if from == :undo, do: Layer.inverse(transaction), else: transaction
+        change = if from == :undo, do: Layer.invert_transaction(transaction), else: transaction
 
-        with {:ok, state} <- made(state, change),
+        with {:ok, state} <- apply_transaction(state, change),
              do: {:ok, state |> Map.put(from, rest) |> Map.update!(to, &[transaction | &1])}
     end
   end
 
-  defp nothing(:undo), do: Error.new(:nothing_to_undo, "there is nothing to undo")
-  defp nothing(:redo), do: Error.new(:nothing_to_redo, "there is nothing to redo")
+  defp empty_history_error(:undo), do: Error.new(:nothing_to_undo, "there is nothing to undo")
+  defp empty_history_error(:redo), do: Error.new(:nothing_to_redo, "there is nothing to redo")
 
   # The transaction is written to disk before it takes effect in memory and subscribers are notified.
-  defp made(state, transaction) do
-    with {:ok, layer} <- Layer.apply(state.layer, transaction),
-         :ok <- Journal.append(state.journal, {state.base, state.digest}, transaction) do
-      tell(state, transaction)
+  defp apply_transaction(state, transaction) do
+    with {:ok, layer} <- Layer.apply_transaction(state.layer, transaction),
+         :ok <- Journal.append_transaction(state.journal, {state.base, state.digest}, transaction) do
+      notify_subscribers(state, transaction)
       {:ok, %{state | layer: layer, unsaved?: true}}
     end
   end
 
-  defp tell(state, what),
+  defp notify_subscribers(state, what),
     do: for({pid, _} <- state.subscribers, do: send(pid, {:situ_annotation, self(), what}))
 
   @impl true

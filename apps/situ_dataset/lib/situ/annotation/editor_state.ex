@@ -11,47 +11,53 @@ defmodule Situ.Annotation.EditorState do
   Returns the state of a new editor. If another editor holds the journal, the state has the saved annotations, and edits
   are refused until the other one has saved.
   """
-  @spec open(Path.t(), String.t(), Schema.t() | nil) :: {:ok, map()} | {:error, Error.t()}
-  def open(path, stream, schema) do
+  @spec open_state(Path.t(), String.t(), Schema.t() | nil) :: {:ok, map()} | {:error, Error.t()}
+  def open_state(path, stream, schema) do
     path = Path.expand(path)
-    state = %{path: path, stream: stream, journal: Journal.path(path, stream), subscribers: %{}}
+
+    state = %{
+      path: path,
+      stream: stream,
+      journal: Journal.journal_path(path, stream),
+      subscribers: %{}
+    }
 
     with {:ok, lock} <- lock_existing(state.journal),
          {:ok, state} <- load_locked(Map.put(state, :lock, lock), schema),
-         do: {:ok, unlock(state)}
+         do: {:ok, unlock_journal(state)}
   end
 
   defp lock_existing(journal) do
     if File.exists?(journal) do
-      with {:error, %{code: :being_edited}} <- Journal.lock(journal), do: {:ok, nil}
+      with {:error, %{code: :being_edited}} <- Journal.acquire_lock(journal), do: {:ok, nil}
     else
       {:ok, nil}
     end
   end
 
   defp load_locked(state, schema) do
-    with {:error, _} = error <- load(state, schema) do
-      :ok = release(state.lock)
+    with {:error, _} = error <- load_state(state, schema) do
+      :ok = release_lock(state.lock)
       error
     end
   end
 
-  defp release(nil), do: :ok
-  defp release(lock), do: FileLock.release(lock)
+  defp release_lock(nil), do: :ok
+  defp release_lock(lock), do: FileLock.release(lock)
 
-  defp load(%{path: path, stream: stream} = state, schema) do
-    base = if Store.exists?(path), do: Version.newest(path) || path
+  defp load_state(%{path: path, stream: stream} = state, schema) do
+    base = if Store.exists?(path), do: Version.newest_folder(path) || path
 
-    with {:ok, mine, others} <- Versions.stored(base, stream),
+    with {:ok, mine, others} <- Versions.load_version(base, stream),
          {:ok, layer} <- if(mine, do: {:ok, mine}, else: new_layer(stream, schema)),
-         {:ok, transactions} <- unsaved(state, {base, mine}),
-         {:ok, layer, undo} <- replay(layer, transactions) do
+         {:ok, transactions} <- unsaved_transactions(state, {base, mine}),
+         {:ok, layer, undo} <- replay_transactions(layer, transactions) do
       {:ok,
        Map.merge(state, %{
          base: base,
          seen: base,
          shadowed: nil,
-         digest: Journal.digest(mine),
+         digest: Journal.layer_digest(mine),
          others: others,
          layer: layer,
          undo: undo,
@@ -71,14 +77,16 @@ defmodule Situ.Annotation.EditorState do
      )}
   end
 
-  defp unsaved(%{lock: nil}, _base), do: {:ok, []}
-  defp unsaved(state, base), do: Versions.unsaved(state.journal, base, state.stream)
+  defp unsaved_transactions(%{lock: nil}, _base), do: {:ok, []}
 
-  defp replay(layer, transactions) do
+  defp unsaved_transactions(state, base),
+    do: Versions.unsaved_transactions(state.journal, base, state.stream)
+
+  defp replay_transactions(layer, transactions) do
     Enum.reduce_while(transactions, {:ok, layer, []}, fn transaction, {:ok, layer, undo} ->
-      case Layer.apply(layer, transaction) do
+      case Layer.apply_transaction(layer, transaction) do
         {:ok, layer} -> {:cont, {:ok, layer, [transaction | undo]}}
-        {:error, error} -> {:halt, {:error, Journal.unfit(error)}}
+        {:error, error} -> {:halt, {:error, Journal.mismatch_error(error)}}
       end
     end)
   end
@@ -86,9 +94,9 @@ defmodule Situ.Annotation.EditorState do
   @doc """
   Acquires the journal's lock and loads the edits that a killed editor left in the journal. Error: `:being_edited`.
   """
-  @spec lock(map()) :: {:ok, map()} | {:error, Error.t()}
-  def lock(%{lock: nil} = state) do
-    with {:ok, lock} <- Journal.lock(state.journal) do
+  @spec lock_journal(map()) :: {:ok, map()} | {:error, Error.t()}
+  def lock_journal(%{lock: nil} = state) do
+    with {:ok, lock} <- Journal.acquire_lock(state.journal) do
       state = %{state | lock: lock}
 
       if File.exists?(state.journal),
@@ -97,14 +105,14 @@ defmodule Situ.Annotation.EditorState do
     end
   end
 
-  def lock(state), do: {:ok, state}
+  def lock_journal(state), do: {:ok, state}
 
   @doc "Releases the lock unless there are unsaved edits."
-  @spec unlock(map()) :: map()
-  def unlock(%{unsaved?: false, lock: lock} = state) when lock != nil do
-    :ok = release(lock)
+  @spec unlock_journal(map()) :: map()
+  def unlock_journal(%{unsaved?: false, lock: lock} = state) when lock != nil do
+    :ok = release_lock(lock)
     %{state | lock: nil}
   end
 
-  def unlock(state), do: state
+  def unlock_journal(state), do: state
 end

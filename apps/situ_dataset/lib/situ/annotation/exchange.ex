@@ -98,8 +98,8 @@ defmodule Situ.Annotation.Exchange do
               {:ok, Schema.t() | nil, [Situ.Annotation.t()], losses()} | {:error, String.t()}
 
   @doc "Returns the format of a file by its extension. Error: `:unknown_format`."
-  @spec format(Path.t()) :: {:ok, format()} | {:error, Error.t()}
-  def format(path) do
+  @spec detect_format(Path.t()) :: {:ok, format()} | {:error, Error.t()}
+  def detect_format(path) do
     name = path |> Path.basename() |> String.downcase()
 
     # The longest extension takes precedence: `.coco.json` before `.json`.
@@ -121,7 +121,7 @@ defmodule Situ.Annotation.Exchange do
   @doc "Writes a layer to a file and returns `{:ok, losses}`."
   @spec write(Layer.t(), Path.t(), keyword()) :: {:ok, losses()} | {:error, Error.t()}
   def write(%Layer{} = layer, path, opts \\ []) do
-    with {:ok, format} <- chosen(path, opts),
+    with {:ok, format} <- resolve_format(path, opts),
          {:ok, text, losses} <- encode(layer, format, Keyword.delete(opts, :format)) do
       case File.write(path, text) do
         :ok ->
@@ -136,7 +136,8 @@ defmodule Situ.Annotation.Exchange do
     end
   end
 
-  defp chosen(path, opts), do: if(opts[:format], do: {:ok, opts[:format]}, else: format(path))
+  defp resolve_format(path, opts),
+    do: if(opts[:format], do: {:ok, opts[:format]}, else: detect_format(path))
 
   @doc "Encodes a layer as text and returns `{:ok, text, losses}`."
   @spec encode(Layer.t(), format(), keyword()) :: {:ok, binary(), losses()} | {:error, Error.t()}
@@ -156,8 +157,8 @@ defmodule Situ.Annotation.Exchange do
   @doc "Reads a file; returns `{:ok, layer, losses}`. Errors: `:not_found`, `:bad_file`, `:overlap`, schema errors."
   @spec read(Path.t(), keyword()) :: {:ok, Layer.t(), losses()} | {:error, Error.t()}
   def read(path, opts \\ []) do
-    with {:ok, format} <- chosen(path, opts),
-         {:ok, text} <- text(path) do
+    with {:ok, format} <- resolve_format(path, opts),
+         {:ok, text} <- read_text(path) do
       case decode(text, format, Keyword.delete(opts, :format)) do
         {:error, %Error{code: :bad_file} = error} ->
           {:error, %{error | what: "#{path}: #{error.what}"}}
@@ -168,13 +169,13 @@ defmodule Situ.Annotation.Exchange do
     end
   end
 
-  defp text(path) do
+  defp read_text(path) do
     with {:ok, %{size: size}} when size <= @largest <- File.stat(path),
          {:ok, text} <- File.read(path) do
       {:ok, text}
     else
       {:ok, %{size: size}} ->
-        {:error, bad("it has #{size} bytes; the limit is #{@largest}")}
+        {:error, file_error("it has #{size} bytes; the limit is #{@largest}")}
 
       {:error, reason} ->
         {:error,
@@ -188,27 +189,27 @@ defmodule Situ.Annotation.Exchange do
     with {:ok, opts} <- Options.validate(opts, @options) do
       case Map.fetch!(@formats, format).decode(text, opts) do
         {:ok, own, annotations, losses} ->
-          layer(opts[:schema] || own, annotations, losses, opts[:name])
+          build_layer(opts[:schema] || own, annotations, losses, opts[:name])
 
         {:error, why} ->
-          {:error, bad(why)}
+          {:error, file_error(why)}
       end
     end
   end
 
-  defp layer(nil, annotations, losses, name) do
-    with {:ok, schema} <- Schema.guess(name, Enum.map(annotations, & &1.values)),
-         do: layer(schema, annotations, losses, name)
+  defp build_layer(nil, annotations, losses, name) do
+    with {:ok, schema} <- Schema.guess_from_values(name, Enum.map(annotations, & &1.values)),
+         do: build_layer(schema, annotations, losses, name)
   end
 
   # No rule of the formats forbids overlaps on a track: the second of two overlapping annotations gets another track.
-  defp layer(schema, annotations, losses, _name) do
+  defp build_layer(schema, annotations, losses, _name) do
     {:ok, empty} = Layer.new(schema)
 
     annotations
     |> Enum.sort_by(&{&1.from, &1.to})
     |> Enum.reduce_while({:ok, empty, 0}, fn annotation, {:ok, layer, moved} ->
-      case place(layer, annotation, annotation.track, 1) do
+      case add_on_free_track(layer, annotation, annotation.track, 1) do
         {:ok, layer, 1} -> {:cont, {:ok, layer, moved}}
         {:ok, layer, _} -> {:cont, {:ok, layer, moved + 1}}
         {:error, error} -> {:halt, {:error, error}}
@@ -230,17 +231,17 @@ defmodule Situ.Annotation.Exchange do
     end
   end
 
-  defp place(layer, annotation, track, n) do
+  defp add_on_free_track(layer, annotation, track, n) do
     name = if n == 1, do: track, else: "#{track} (#{n})"
 
     case Layer.add(layer, %{annotation | track: name}) do
       {:ok, layer, _} -> {:ok, layer, n}
-      {:error, %{code: :overlap}} -> place(layer, annotation, track, n + 1)
+      {:error, %{code: :overlap}} -> add_on_free_track(layer, annotation, track, n + 1)
       {:error, error} -> {:error, error}
     end
   end
 
-  defp bad(why) do
+  defp file_error(why) do
     Error.new(:bad_file, "cannot read the annotation file",
       why: why,
       fix: "check the file and its format"

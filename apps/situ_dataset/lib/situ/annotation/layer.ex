@@ -11,7 +11,7 @@ defmodule Situ.Annotation.Layer do
       iex> {:ok, layer, edit} = Layer.set_value(layer, 1, "Speech", "laughs")
       iex> Layer.fetch!(layer, 1).values
       %{"Speech" => "laughs"}
-      iex> {:ok, layer} = Layer.apply(layer, Layer.inverse(edit))
+      iex> {:ok, layer} = Layer.apply_transaction(layer, Layer.invert_transaction(edit))
       iex> Layer.fetch!(layer, 1).values
       %{"Speech" => "speaks"}
 
@@ -19,7 +19,7 @@ defmodule Situ.Annotation.Layer do
   track do not overlap (`Situ.Annotation.overlap?/2`).
 
   A transaction is a list of `{id, before, after}`; `nil` means that the annotation does not exist. Edits return
-  `{:ok, layer, transaction}`. `apply/2` applies a transaction, and `inverse/1` reverses it.
+  `{:ok, layer, transaction}`. `apply_transaction/2` applies a transaction, and `invert_transaction/1` reverses it.
   """
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.Schema
@@ -60,7 +60,7 @@ defmodule Situ.Annotation.Layer do
   defp put_new(layer, %{id: nil} = annotation), do: add(layer, annotation)
 
   defp put_new(layer, annotation),
-    do: commit(layer, [{annotation.id, nil, filled(layer, annotation)}])
+    do: commit(layer, [{annotation.id, nil, put_defaults(layer, annotation)}])
 
   # Queries
 
@@ -70,41 +70,41 @@ defmodule Situ.Annotation.Layer do
     do: layer.by_id |> Map.values() |> Enum.sort_by(&{&1.to, &1.from, &1.track})
 
   @doc "Returns the sorted names of the tracks that have annotations."
-  @spec tracks(t()) :: [String.t()]
-  def tracks(%__MODULE__{} = layer), do: layer.tracks |> Map.keys() |> Enum.sort()
+  @spec track_names(t()) :: [String.t()]
+  def track_names(%__MODULE__{} = layer), do: layer.tracks |> Map.keys() |> Enum.sort()
 
   @doc "Returns the annotations of a track in the order of time."
   @spec on_track(t(), String.t()) :: [Annotation.t()]
   def on_track(%__MODULE__{} = layer, track) do
-    for id <- :gb_trees.values(tree(layer, track)), do: Map.fetch!(layer.by_id, id)
+    for id <- :gb_trees.values(track_tree(layer, track)), do: Map.fetch!(layer.by_id, id)
   end
 
   @doc """
   Returns the annotation of a track at `time`, or `nil`. Both ends are included; if two annotations touch at `time`,
   the later one is returned.
   """
-  @spec at(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
-  def at(%__MODULE__{} = layer, track, time) do
+  @spec annotation_at(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
+  def annotation_at(%__MODULE__{} = layer, track, time) do
     # Finds the last annotation that begins at or before `time`.
-    case previous(layer, track, time + 1) do
+    case previous_annotation(layer, track, time + 1) do
       nil -> nil
       found -> if Annotation.contains?(found, time), do: found
     end
   end
 
   @doc "Returns the last annotation of a track that begins before `time`, or `nil`."
-  @spec previous(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
-  def previous(%__MODULE__{} = layer, track, time) do
-    case layer |> tree(track) |> before(time) do
+  @spec previous_annotation(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
+  def previous_annotation(%__MODULE__{} = layer, track, time) do
+    case layer |> track_tree(track) |> last_before(time) do
       [id] -> Map.fetch!(layer.by_id, id)
       [] -> nil
     end
   end
 
   @doc "Returns the first annotation of a track that begins after `time`, or `nil`."
-  @spec next(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
-  def next(%__MODULE__{} = layer, track, time) do
-    case :gb_trees.next(:gb_trees.iterator_from({time + 1, time + 1}, tree(layer, track))) do
+  @spec next_annotation(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
+  def next_annotation(%__MODULE__{} = layer, track, time) do
+    case :gb_trees.next(:gb_trees.iterator_from({time + 1, time + 1}, track_tree(layer, track))) do
       {_, id, _} -> Map.fetch!(layer.by_id, id)
       :none -> nil
     end
@@ -134,19 +134,19 @@ defmodule Situ.Annotation.Layer do
     end
   end
 
-  defp tree(layer, track), do: Map.get(layer.tracks, track, :gb_trees.empty())
+  defp track_tree(layer, track), do: Map.get(layer.tracks, track, :gb_trees.empty())
 
   # Edits
 
   @doc "Adds an annotation with a new id; missing attributes get their default values."
   @spec add(t(), Annotation.t()) :: edited()
   def add(%__MODULE__{} = layer, %Annotation{} = annotation) do
-    annotation = filled(layer, %{annotation | id: layer.next})
+    annotation = put_defaults(layer, %{annotation | id: layer.next})
     commit(layer, [{layer.next, nil, annotation}])
   end
 
-  defp filled(layer, annotation),
-    do: %{annotation | values: Map.merge(Schema.defaults(layer.schema), annotation.values)}
+  defp put_defaults(layer, annotation),
+    do: %{annotation | values: Map.merge(Schema.default_values(layer.schema), annotation.values)}
 
   @doc "Deletes all of these annotations, or none if one does not exist."
   @spec remove(t(), id() | [id()]) :: edited()
@@ -182,30 +182,33 @@ defmodule Situ.Annotation.Layer do
   end
 
   @doc "Accepts a proposal as an annotation."
-  @spec accept(t(), id(), String.t() | nil) :: edited()
-  def accept(%__MODULE__{} = layer, id, by \\ nil) do
+  @spec accept_proposal(t(), id(), String.t() | nil) :: edited()
+  def accept_proposal(%__MODULE__{} = layer, id, by \\ nil) do
     with {:ok, old} <- fetch(layer, id), do: change(layer, id, proposed?: false, by: by || old.by)
   end
 
   @doc "Applies a transaction and also returns it; only the changed annotations are checked against the rules."
   @spec commit(t(), transaction()) :: edited()
   def commit(%__MODULE__{} = layer, transaction) do
-    with {:ok, layer} <- __MODULE__.apply(layer, transaction), do: {:ok, layer, transaction}
+    with {:ok, layer} <- __MODULE__.apply_transaction(layer, transaction),
+         do: {:ok, layer, transaction}
   end
 
   @doc """
   Applies a transaction completely or not at all. Errors: `:overlap`, `:bad_value`, `:unknown_attribute`,
   `:bad_annotation`, and `:stale_edit` if the layer has changed since the transaction was made.
   """
-  @spec apply(t(), transaction()) :: {:ok, t()} | {:error, Error.t()}
-  def apply(%__MODULE__{} = layer, transaction) do
-    with :ok <- current(layer, transaction) do
-      bare = Enum.reduce(transaction, layer, fn {id, old, _}, layer -> take(layer, id, old) end)
-      Enum.reduce_while(transaction, {:ok, bare}, &put/2)
+  @spec apply_transaction(t(), transaction()) :: {:ok, t()} | {:error, Error.t()}
+  def apply_transaction(%__MODULE__{} = layer, transaction) do
+    with :ok <- check_current(layer, transaction) do
+      bare =
+        Enum.reduce(transaction, layer, fn {id, old, _}, layer -> remove_old(layer, id, old) end)
+
+      Enum.reduce_while(transaction, {:ok, bare}, &insert_new/2)
     end
   end
 
-  defp current(layer, transaction) do
+  defp check_current(layer, transaction) do
     if Enum.all?(transaction, fn {id, old, _} -> Map.get(layer.by_id, id) == old end) do
       :ok
     else
@@ -216,9 +219,9 @@ defmodule Situ.Annotation.Layer do
     end
   end
 
-  defp take(layer, _id, nil), do: layer
+  defp remove_old(layer, _id, nil), do: layer
 
-  defp take(layer, id, old) do
+  defp remove_old(layer, id, old) do
     tree = :gb_trees.delete({old.from, old.to}, Map.fetch!(layer.tracks, old.track))
 
     tracks =
@@ -229,13 +232,13 @@ defmodule Situ.Annotation.Layer do
     %{layer | by_id: Map.delete(layer.by_id, id), tracks: tracks}
   end
 
-  defp put({_id, _old, nil}, {:ok, layer}), do: {:cont, {:ok, layer}}
+  defp insert_new({_id, _old, nil}, {:ok, layer}), do: {:cont, {:ok, layer}}
 
-  defp put({id, _old, new}, {:ok, layer}) do
-    with :ok <- Annotation.check(new),
-         :ok <- Schema.check(layer.schema, new.values),
-         :ok <- free(layer, new) do
-      tree = :gb_trees.insert({new.from, new.to}, id, tree(layer, new.track))
+  defp insert_new({id, _old, new}, {:ok, layer}) do
+    with :ok <- Annotation.check_fields(new),
+         :ok <- Schema.check_values(layer.schema, new.values),
+         :ok <- check_free(layer, new) do
+      tree = :gb_trees.insert({new.from, new.to}, id, track_tree(layer, new.track))
 
       {:cont,
        {:ok,
@@ -251,21 +254,21 @@ defmodule Situ.Annotation.Layer do
   end
 
   # Annotations of a track do not overlap, so only the nearest ones on either side can overlap with a new one.
-  defp free(layer, new) do
-    case Enum.find(neighbours(layer, new), &Annotation.overlap?(&1, new)) do
+  defp check_free(layer, new) do
+    case Enum.find(nearest_neighbours(layer, new), &Annotation.overlap?(&1, new)) do
       nil -> :ok
-      other -> {:error, overlap(new, other)}
+      other -> {:error, overlap_error(new, other)}
     end
   end
 
-  defp neighbours(layer, new) do
-    tree = tree(layer, new.track)
-    after_it = tree |> from({new.from, new.from}) |> Enum.take(2)
-    before = before(tree, new.from)
+  defp nearest_neighbours(layer, new) do
+    tree = track_tree(layer, new.track)
+    after_it = tree |> ids_from({new.from, new.from}) |> Enum.take(2)
+    before = last_before(tree, new.from)
     for id <- before ++ after_it, do: Map.fetch!(layer.by_id, id)
   end
 
-  defp from(tree, key) do
+  defp ids_from(tree, key) do
     Stream.unfold(:gb_trees.iterator_from(key, tree), fn iterator ->
       case :gb_trees.next(iterator) do
         {_, id, iterator} -> {id, iterator}
@@ -276,16 +279,18 @@ defmodule Situ.Annotation.Layer do
 
   # Finds the last annotation that begins before `time`. In the oldest supported OTP release, gb_trees iterates only
   # forward, so this walks down the tree.
-  @dialyzer {:no_opaque, before: 2, neighbours: 2}
-  defp before({_size, node}, time), do: descend(node, time, [])
+  @dialyzer {:no_opaque, last_before: 2, nearest_neighbours: 2}
+  defp last_before({_size, node}, time), do: descend_before(node, time, [])
 
-  defp descend(nil, _time, best), do: best
+  defp descend_before(nil, _time, best), do: best
 
-  defp descend({{from, _}, id, smaller, bigger}, time, best) do
-    if from < time, do: descend(bigger, time, [id]), else: descend(smaller, time, best)
+  defp descend_before({{from, _}, id, smaller, bigger}, time, best) do
+    if from < time,
+      do: descend_before(bigger, time, [id]),
+      else: descend_before(smaller, time, best)
   end
 
-  defp overlap(new, other) do
+  defp overlap_error(new, other) do
     Error.new(:overlap, "the annotation overlaps with another one on track #{inspect(new.track)}",
       why:
         "the other one lasts from #{Situ.Time.to_iso8601(other.from)} to #{Situ.Time.to_iso8601(other.to)}",
@@ -294,8 +299,8 @@ defmodule Situ.Annotation.Layer do
   end
 
   @doc "Returns the transaction that undoes a transaction."
-  @spec inverse(transaction()) :: transaction()
-  def inverse(transaction),
+  @spec invert_transaction(transaction()) :: transaction()
+  def invert_transaction(transaction),
     do:
       transaction |> Enum.reverse() |> Enum.map(fn {id, before, later} -> {id, later, before} end)
 end

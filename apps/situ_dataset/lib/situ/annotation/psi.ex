@@ -12,16 +12,16 @@ defmodule Situ.Annotation.Psi do
   @given 2
 
   @doc "Returns whether a stream's messages are annotation sets of \\psi."
-  @spec annotations?(Situ.Store.StreamInfo.t()) :: boolean()
-  def annotations?(info), do: info.type_name == @set
+  @spec annotation_stream?(Situ.Store.StreamInfo.t()) :: boolean()
+  def annotation_stream?(info), do: info.type_name == @set
 
   @doc "Decodes the annotations of one set, sorted by track."
-  @spec annotations(term()) :: {:ok, [Annotation.t()]} | :error
-  def annotations(%{"data" => %{} = tracks}) do
+  @spec decode_annotations(term()) :: {:ok, [Annotation.t()]} | :error
+  def decode_annotations(%{"data" => %{} = tracks}) do
     tracks
     |> Enum.sort()
     |> Enum.reduce_while({:ok, []}, fn {_track, one}, {:ok, done} ->
-      case annotation(one) do
+      case decode_annotation(one) do
         {:ok, annotation} -> {:cont, {:ok, [annotation | done]}}
         :error -> {:halt, :error}
       end
@@ -32,9 +32,9 @@ defmodule Situ.Annotation.Psi do
     end
   end
 
-  def annotations(_data), do: :error
+  def decode_annotations(_data), do: :error
 
-  defp annotation(%{
+  defp decode_annotation(%{
          "Interval" => %{
            "LeftEndpoint" => %{"Point" => from},
            "RightEndpoint" => %{"Point" => to}
@@ -42,81 +42,83 @@ defmodule Situ.Annotation.Psi do
          "Track" => track,
          "AttributeValues" => %{} = values
        }) do
-    values = for {name, held} <- values, into: %{}, do: {name, value(held)}
-    annotation = %Annotation{from: from, to: to, track: track(track), values: values}
-    if Annotation.check(annotation) == :ok, do: {:ok, annotation}, else: :error
+    values = for {name, held} <- values, into: %{}, do: {name, decode_value(held)}
+    annotation = %Annotation{from: from, to: to, track: track_name(track), values: values}
+    if Annotation.check_fields(annotation) == :ok, do: {:ok, annotation}, else: :error
   end
 
-  defp annotation(_other), do: :error
+  defp decode_annotation(_other), do: :error
 
   # In \psi, a track may be unnamed.
-  defp track(name) when name in [nil, ""], do: "Track"
-  defp track(name), do: name
+  defp track_name(name) when name in [nil, ""], do: "Track"
+  defp track_name(name), do: name
 
-  defp value(%{"Value" => value}) when is_binary(value) or is_number(value) or is_boolean(value),
-    do: value
+  defp decode_value(%{"Value" => value})
+       when is_binary(value) or is_number(value) or is_boolean(value),
+       do: value
 
-  defp value(%{"Value" => value}) when value != nil, do: inspect(value)
-  defp value(_none), do: ""
+  defp decode_value(%{"Value" => value}) when value != nil, do: inspect(value)
+  defp decode_value(_none), do: ""
 
   @doc "Converts a schema of \\psi to the JSON form of `Situ.Annotation.Schema`."
-  @spec schema(term()) :: {:ok, map()} | :error
-  def schema(%{"Name" => name, "AttributeSchemas" => [_ | _] = attributes}) do
-    {:ok, %{"name" => name, "attributes" => Enum.map(attributes, &attribute/1)}}
+  @spec convert_schema(term()) :: {:ok, map()} | :error
+  def convert_schema(%{"Name" => name, "AttributeSchemas" => [_ | _] = attributes}) do
+    {:ok, %{"name" => name, "attributes" => Enum.map(attributes, &convert_attribute/1)}}
   end
 
-  def schema(_term), do: :error
+  def convert_schema(_term), do: :error
 
-  defp attribute(%{"Name" => name, "ValueSchema" => %{} = values} = attribute) do
-    held(%{
+  defp convert_attribute(%{"Name" => name, "ValueSchema" => %{} = values} = attribute) do
+    drop_nil_fields(%{
       "name" => name,
       "description" => attribute["Description"],
-      "fill" => colour(values["FillColor"]),
-      "text" => colour(values["TextColor"])
+      "fill" => convert_colour(values["FillColor"]),
+      "text" => convert_colour(values["TextColor"])
     })
-    |> Map.merge(kind(values))
+    |> Map.merge(kind_fields(values))
   end
 
   # The schema parser will report why this attribute is invalid.
-  defp attribute(other), do: other
+  defp convert_attribute(other), do: other
 
-  defp kind(%{"PossibleValues" => [%{"Value" => first} | _] = values} = schema)
+  defp kind_fields(%{"PossibleValues" => [%{"Value" => first} | _] = values} = schema)
        when is_binary(first) do
-    held(%{
+    drop_nil_fields(%{
       "kind" => "finite",
       "default" => schema["DefaultValue"],
       "values" =>
         for(
           v <- values,
           do:
-            held(%{
+            drop_nil_fields(%{
               "value" => v["Value"],
-              "fill" => colour(v["FillColor"]),
-              "text" => colour(v["TextColor"])
+              "fill" => convert_colour(v["FillColor"]),
+              "text" => convert_colour(v["TextColor"])
             })
         )
     })
   end
 
-  defp kind(%{"DefaultValue" => default}) when is_boolean(default),
+  defp kind_fields(%{"DefaultValue" => default}) when is_boolean(default),
     do: %{"kind" => "bool", "default" => default}
 
-  defp kind(%{"DefaultValue" => default}) when is_number(default),
+  defp kind_fields(%{"DefaultValue" => default}) when is_number(default),
     do: %{"kind" => "number", "default" => default}
 
-  defp kind(%{"DefaultValue" => default}) when is_binary(default),
+  defp kind_fields(%{"DefaultValue" => default}) when is_binary(default),
     do: %{"kind" => "text", "default" => default}
 
-  defp kind(_), do: %{"kind" => "text"}
+  defp kind_fields(_), do: %{"kind" => "text"}
 
-  defp colour(%{"value" => argb, "state" => state}) when is_integer(argb) do
+  defp convert_colour(%{"value" => argb, "state" => state}) when is_integer(argb) do
     import Bitwise, only: [&&&: 2]
 
     if (state &&& @given) != 0,
       do: "#" <> Base.encode16(<<argb &&& 0xFFFFFF::24>>, case: :lower)
   end
 
-  defp colour(_), do: nil
+  defp convert_colour(_), do: nil
 
-  defp held(map), do: for({key, value} <- map, value != nil, into: %{}, do: {key, value})
+  defp drop_nil_fields(map),
+    do: for({key, value} <- map, value != nil, into: %{}, do: {key, value})
 end

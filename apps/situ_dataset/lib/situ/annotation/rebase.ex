@@ -6,30 +6,30 @@ defmodule Situ.Annotation.Rebase do
   alias Situ.Annotation.Layer
 
   @doc "Applies the transactions to the layer; returns both, or the error of the first transaction that does not fit."
-  @spec onto(Layer.t(), [Layer.transaction()]) ::
+  @spec rebase_onto(Layer.t(), [Layer.transaction()]) ::
           {:ok, Layer.t(), [Layer.transaction()]} | {:error, Error.t()}
-  def onto(%Layer{} = layer, transactions) do
+  def rebase_onto(%Layer{} = layer, transactions) do
     transactions
-    |> Enum.reduce_while({layer, %{}, []}, &step/2)
+    |> Enum.reduce_while({layer, %{}, []}, &rebase_step/2)
     |> case do
       {:error, error} -> {:error, error}
       {layer, _ids, done} -> {:ok, layer, Enum.reverse(done)}
     end
   end
 
-  defp step(transaction, {layer, ids, done}) do
-    with {:ok, changes, ids} <- moved(transaction, layer, ids),
-         {:ok, layer} <- Layer.apply(layer, changes) do
+  defp rebase_step(transaction, {layer, ids, done}) do
+    with {:ok, changes, ids} <- rebase_transaction(transaction, layer, ids),
+         {:ok, layer} <- Layer.apply_transaction(layer, changes) do
       {:cont, {layer, ids, [changes | done]}}
     else
       error -> {:halt, error}
     end
   end
 
-  defp moved(transaction, layer, ids) do
+  defp rebase_transaction(transaction, layer, ids) do
     transaction
     |> Enum.reduce_while({[], ids, layer.next}, fn change, {changes, ids, next} ->
-      case change(change, layer, ids, next) do
+      case rebase_change(change, layer, ids, next) do
         {:ok, {id, _, _} = moved} ->
           {:cont, {[moved | changes], Map.put(ids, elem(change, 0), id), max(next, id + 1)}}
 
@@ -43,14 +43,14 @@ defmodule Situ.Annotation.Rebase do
     end
   end
 
-  defp change({id, nil, new}, _layer, ids, next) do
+  defp rebase_change({id, nil, new}, _layer, ids, next) do
     # An undo restores an annotation that was deleted before.
     id = Map.get(ids, id, next)
     {:ok, {id, nil, with_id(new, id)}}
   end
 
-  defp change({id, old, new}, layer, ids, _next) do
-    case here(layer, ids[id], old) do
+  defp rebase_change({id, old, new}, layer, ids, _next) do
+    case find_counterpart(layer, ids[id], old) do
       nil ->
         {:error,
          Error.new(:stale_edit, "an edited annotation was changed or deleted by another program")}
@@ -60,11 +60,11 @@ defmodule Situ.Annotation.Rebase do
     end
   end
 
-  defp here(layer, nil, %Annotation{} = old) do
+  defp find_counterpart(layer, nil, %Annotation{} = old) do
     Enum.find(Layer.on_track(layer, old.track), &(with_id(&1, nil) == with_id(old, nil)))
   end
 
-  defp here(layer, id, _old) do
+  defp find_counterpart(layer, id, _old) do
     case Layer.fetch(layer, id) do
       {:ok, found} -> found
       {:error, _} -> nil

@@ -2,7 +2,7 @@ defmodule Situ.Annotation.Recording do
   @moduledoc """
   Reads annotations from a stream of a recording, and writes them to a separate store next to the annotated recording.
 
-      {:ok, layer} = Situ.Annotation.Recording.load(store, "Speech")
+      {:ok, layer} = Situ.Annotation.Recording.load_layer(store, "Speech")
       {:ok, path} = Situ.Annotation.Recording.write(layer, "study/p01/annotation", "Speech")
 
   A stored version never changes. Writing atomically creates a new version (`annotation.0001`, `annotation.0002`
@@ -16,21 +16,21 @@ defmodule Situ.Annotation.Recording do
   @type_wanted {:list, Annotation}
 
   @doc "Returns the `Situ.Type` of an annotation stream."
-  @spec type() :: Situ.Type.t()
-  def type, do: @type_wanted
+  @spec stream_type() :: Situ.Type.t()
+  def stream_type, do: @type_wanted
 
   @doc "Returns whether a stored stream contains annotations of Situ or \\psi, by its type or its metadata."
-  @spec annotations?(Store.t(), Store.StreamInfo.t()) :: boolean()
-  def annotations?(%Store.Handle{} = store, %Store.StreamInfo{} = info),
+  @spec annotation_stream?(Store.t(), Store.StreamInfo.t()) :: boolean()
+  def annotation_stream?(%Store.Handle{} = store, %Store.StreamInfo{} = info),
     do:
-      info.type == @type_wanted or Psi.annotations?(info) or
-        match?({:ok, _}, schema(store, info))
+      info.type == @type_wanted or Psi.annotation_stream?(info) or
+        match?({:ok, _}, read_schema(store, info))
 
   @doc "Returns the schema that the stream was recorded with. Errors: `:no_metadata`, `:bad_schema`."
-  @spec schema(Store.t(), Store.name()) :: {:ok, Schema.t()} | {:error, Error.t()}
-  def schema(%Store.Handle{} = store, stream) do
+  @spec read_schema(Store.t(), Store.name()) :: {:ok, Schema.t()} | {:error, Error.t()}
+  def read_schema(%Store.Handle{} = store, stream) do
     with {:ok, term} <- Store.metadata(store, stream) do
-      case Psi.schema(term) do
+      case Psi.convert_schema(term) do
         {:ok, json} -> Schema.parse(json)
         :error -> Schema.parse(term)
       end
@@ -42,27 +42,27 @@ defmodule Situ.Annotation.Recording do
 
   Errors: the errors of the store, and `:bad_annotation` if a message is not a list of annotations.
   """
-  @spec load(Store.t(), Store.name()) :: {:ok, Layer.t()} | {:error, Error.t()}
-  def load(%Store.Handle{} = store, stream) do
+  @spec load_layer(Store.t(), Store.name()) :: {:ok, Layer.t()} | {:error, Error.t()}
+  def load_layer(%Store.Handle{} = store, stream) do
     with {:ok, info} <- Store.stream_info(store, stream),
-         {:ok, annotations} <- annotations(store, info),
+         {:ok, annotations} <- read_annotations(store, info),
          {:ok, schema} <- schema_or_guess(store, info, annotations),
          do: Layer.new(schema, annotations)
   end
 
   defp schema_or_guess(store, info, annotations) do
-    with {:error, _} <- schema(store, info),
-         do: Schema.guess(info.name, Enum.map(annotations, & &1.values))
+    with {:error, _} <- read_schema(store, info),
+         do: Schema.guess_from_values(info.name, Enum.map(annotations, & &1.values))
   end
 
   @doc "Reads the annotations of a stream without their schema. Takes the options of `Situ.Store.messages/3`."
-  @spec annotations(Store.t(), Store.name(), keyword()) ::
+  @spec read_annotations(Store.t(), Store.name(), keyword()) ::
           {:ok, [Annotation.t()]} | {:error, Error.t()}
-  def annotations(%Store.Handle{} = store, stream, opts \\ []) do
+  def read_annotations(%Store.Handle{} = store, stream, opts \\ []) do
     store
     |> Store.messages(stream, opts)
     |> Enum.reduce_while({:ok, []}, fn message, {:ok, done} ->
-      case of_message(message) do
+      case message_annotations(message) do
         {:ok, annotations} -> {:cont, {:ok, [annotations | done]}}
         error -> {:halt, error}
       end
@@ -75,23 +75,23 @@ defmodule Situ.Annotation.Recording do
     error in Error -> {:error, error}
   end
 
-  defp of_message(%{data: %{} = set} = message) do
-    case Psi.annotations(set) do
-      {:ok, list} -> of_message(%{message | data: list})
-      :error -> no_annotations(message.originating_time)
+  defp message_annotations(%{data: %{} = set} = message) do
+    case Psi.decode_annotations(set) do
+      {:ok, list} -> message_annotations(%{message | data: list})
+      :error -> bad_message_error(message.originating_time)
     end
   end
 
-  defp of_message(%{data: list, originating_time: time}) when is_list(list) do
+  defp message_annotations(%{data: list, originating_time: time}) when is_list(list) do
     if Enum.all?(list, &match?(%Annotation{to: ^time}, &1)) and
-         Enum.all?(list, &(Annotation.check(&1) == :ok)),
+         Enum.all?(list, &(Annotation.check_fields(&1) == :ok)),
        do: {:ok, list},
-       else: no_annotations(time)
+       else: bad_message_error(time)
   end
 
-  defp of_message(%{originating_time: time}), do: no_annotations(time)
+  defp message_annotations(%{originating_time: time}), do: bad_message_error(time)
 
-  defp no_annotations(time) do
+  defp bad_message_error(time) do
     {:error,
      Error.new(
        :bad_annotation,
@@ -110,7 +110,7 @@ defmodule Situ.Annotation.Recording do
   @spec write_all(%{String.t() => Layer.t()}, Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def write_all(layers, path) do
     path = Path.expand(path)
-    with {:ok, draft} <- draft(layers, path), do: Version.publish(draft, path)
+    with {:ok, draft} <- write_draft(layers, path), do: Version.publish_draft(draft, path)
   end
 
   @doc """
@@ -122,7 +122,7 @@ defmodule Situ.Annotation.Recording do
   def write_after(layers, path, base) do
     path = Path.expand(path)
 
-    with {:ok, draft} <- draft(layers, path),
+    with {:ok, draft} <- write_draft(layers, path),
          {:error, %Error{code: :newer_version}} = taken <-
            Version.publish_after(draft, path, base) do
       _ = Store.delete(draft)
@@ -130,42 +130,42 @@ defmodule Situ.Annotation.Recording do
     end
   end
 
-  defp draft(layers, path) do
+  defp write_draft(layers, path) do
     options = [durability: :each, versioned: false]
 
-    place = Version.draft(path)
+    place = Version.draft_path(path)
 
     with {:ok, writer} <- Store.Writer.create(Path.basename(path), place, options),
-         {:filled, _, :ok} <- {:filled, writer, fill(writer, Enum.sort(layers))} do
+         {:filled, _, :ok} <- {:filled, writer, write_streams(writer, Enum.sort(layers))} do
       {:ok, writer.path}
     else
       {:filled, writer, {:error, error}} ->
-        give_up(writer, error)
+        discard_draft(writer, error)
 
       {:error, error} ->
         # If the disk is full, the folder must not remain either.
-        Version.discard(place)
+        Version.discard_draft(place)
         {:error, error}
     end
   end
 
-  defp fill(writer, []), do: Store.Writer.close(writer)
+  defp write_streams(writer, []), do: Store.Writer.close(writer)
 
-  defp fill(writer, [{stream, layer} | rest]) do
-    messages = layer |> Layer.annotations() |> Annotation.messages()
+  defp write_streams(writer, [{stream, layer} | rest]) do
+    messages = layer |> Layer.annotations() |> Annotation.to_messages()
     options = [type: @type_wanted, metadata: Schema.to_json(layer.schema)]
 
     with {:ok, stream} <- Store.Writer.stream(writer, stream, options),
          {:ok, stream} <- Store.Writer.append(stream, messages),
-         {:ok, _} <- Store.Writer.close_stream(stream, ended(messages)),
-         do: fill(writer, rest)
+         {:ok, _} <- Store.Writer.close_stream(stream, end_time(messages)),
+         do: write_streams(writer, rest)
   end
 
-  defp ended([]), do: 0
-  defp ended(messages), do: List.last(messages).originating_time
+  defp end_time([]), do: 0
+  defp end_time(messages), do: List.last(messages).originating_time
 
   # An unfinished store must not become a version.
-  defp give_up(writer, error) do
+  defp discard_draft(writer, error) do
     _ = Store.Writer.close(writer)
     _ = Store.delete(writer.path)
     {:error, error}

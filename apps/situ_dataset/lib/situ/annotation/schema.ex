@@ -7,11 +7,11 @@ defmodule Situ.Annotation.Schema do
       ...>   %{"name" => "Speaker", "kind" => "finite", "values" => [
       ...>     %{"value" => "P1", "fill" => "#1f77b4", "key" => "1"}, %{"value" => "P2", "key" => "2"}]},
       ...>   %{"name" => "Words", "kind" => "text"}]})
-      iex> Situ.Annotation.Schema.defaults(schema)
+      iex> Situ.Annotation.Schema.default_values(schema)
       %{"Speaker" => "P1", "Words" => ""}
       iex> Situ.Annotation.Schema.by_key(schema, "2")
       {:ok, {"Speaker", "P2"}}
-      iex> {:error, error} = Situ.Annotation.Schema.check(schema, %{"Speaker" => "P3"})
+      iex> {:error, error} = Situ.Annotation.Schema.check_values(schema, %{"Speaker" => "P3"})
       iex> error.why
       "\\"P3\\" is not one of \\"P1\\", \\"P2\\""
 
@@ -55,38 +55,40 @@ defmodule Situ.Annotation.Schema do
   @spec parse(term()) :: {:ok, t()} | {:error, Error.t()}
   def parse(%{"name" => name, "attributes" => [_ | _] = attributes} = json)
       when is_binary(name) do
-    with :ok <- named(name),
-         {:ok, attributes} <- attributes(attributes, []),
-         :ok <- distinct(Enum.map(attributes, & &1.name), "attribute"),
-         :ok <- distinct(keys(attributes), "key") do
+    with :ok <- check_name(name),
+         {:ok, attributes} <- parse_attributes(attributes, []),
+         :ok <- check_distinct(Enum.map(attributes, & &1.name), "attribute"),
+         :ok <- check_distinct(list_keys(attributes), "key") do
       description = if is_binary(json["description"]), do: json["description"], else: ""
       {:ok, %__MODULE__{name: name, attributes: attributes, description: description}}
     end
   end
 
-  def parse(_), do: bad("a schema must have a \"name\" and at least one of \"attributes\"")
+  def parse(_),
+    do: schema_error("a schema must have a \"name\" and at least one of \"attributes\"")
 
-  defp named(name), do: if(String.trim(name) == "", do: bad("its name is empty"), else: :ok)
+  defp check_name(name),
+    do: if(String.trim(name) == "", do: schema_error("its name is empty"), else: :ok)
 
-  defp attributes([], done), do: {:ok, Enum.reverse(done)}
+  defp parse_attributes([], done), do: {:ok, Enum.reverse(done)}
 
-  defp attributes([json | rest], done) do
+  defp parse_attributes([json | rest], done) do
     case Attribute.parse(json) do
-      {:ok, attribute} -> attributes(rest, [attribute | done])
-      {:error, why} -> bad(why)
+      {:ok, attribute} -> parse_attributes(rest, [attribute | done])
+      {:error, why} -> schema_error(why)
     end
   end
 
-  defp keys(attributes), do: for(a <- attributes, v <- a.values, v.key, do: v.key)
+  defp list_keys(attributes), do: for(a <- attributes, v <- a.values, v.key, do: v.key)
 
-  defp distinct(names, kind) do
+  defp check_distinct(names, kind) do
     case names -- Enum.uniq(names) do
       [] -> :ok
-      [twice | _] -> bad("the #{kind} #{inspect(twice)} occurs twice")
+      [twice | _] -> schema_error("the #{kind} #{inspect(twice)} occurs twice")
     end
   end
 
-  defp bad(why) do
+  defp schema_error(why) do
     {:error,
      Error.new(:bad_schema, "invalid annotation schema",
        why: why,
@@ -117,7 +119,7 @@ defmodule Situ.Annotation.Schema do
         {:error, %{error | what: "#{path} is not an annotation schema"}}
 
       {:error, :bad_json} ->
-        bad("#{path} is not JSON")
+        schema_error("#{path} is not JSON")
 
       {:error, reason} ->
         {:error,
@@ -131,7 +133,7 @@ defmodule Situ.Annotation.Schema do
   @doc "Writes a schema file."
   @spec save(t(), Path.t()) :: :ok | {:error, Error.t()}
   def save(%__MODULE__{} = schema, path) do
-    case File.write(path, Situ.JSON.pretty(to_json(schema)) <> "\n") do
+    case File.write(path, Situ.JSON.encode_pretty(to_json(schema)) <> "\n") do
       :ok ->
         :ok
 
@@ -142,27 +144,28 @@ defmodule Situ.Annotation.Schema do
   end
 
   @doc "Returns the attribute with that name, or `nil`."
-  @spec attribute(t(), String.t()) :: Attribute.t() | nil
-  def attribute(%__MODULE__{} = schema, name),
+  @spec find_attribute(t(), String.t()) :: Attribute.t() | nil
+  def find_attribute(%__MODULE__{} = schema, name),
     do: Enum.find(schema.attributes, &(&1.name == name))
 
   @doc "Returns the default value of every attribute."
-  @spec defaults(t()) :: %{String.t() => value()}
-  def defaults(%__MODULE__{} = schema), do: Map.new(schema.attributes, &{&1.name, &1.default})
+  @spec default_values(t()) :: %{String.t() => value()}
+  def default_values(%__MODULE__{} = schema),
+    do: Map.new(schema.attributes, &{&1.name, &1.default})
 
   @doc "Checks that the values fit the schema. Errors: `:unknown_attribute`, `:bad_value`."
-  @spec check(t(), map()) :: :ok | {:error, Error.t()}
-  def check(%__MODULE__{} = schema, values) do
+  @spec check_values(t(), map()) :: :ok | {:error, Error.t()}
+  def check_values(%__MODULE__{} = schema, values) do
     Enum.find_value(values, :ok, fn {name, value} ->
-      case attribute(schema, name) do
-        nil -> {:error, unknown(schema, name)}
-        attribute -> wrong(attribute, value)
+      case find_attribute(schema, name) do
+        nil -> {:error, unknown_attribute_error(schema, name)}
+        attribute -> find_value_error(attribute, value)
       end
     end)
   end
 
-  defp wrong(attribute, value) do
-    case Attribute.check(attribute, value) do
+  defp find_value_error(attribute, value) do
+    case Attribute.check_value(attribute, value) do
       :ok ->
         nil
 
@@ -171,7 +174,7 @@ defmodule Situ.Annotation.Schema do
     end
   end
 
-  defp unknown(schema, name) do
+  defp unknown_attribute_error(schema, name) do
     known = Enum.map(schema.attributes, & &1.name)
 
     Error.new(
@@ -182,15 +185,15 @@ defmodule Situ.Annotation.Schema do
   end
 
   @doc "Parses the text of a value for its attribute; `\"12.5\"` becomes `12.5` for a number."
-  @spec read(t(), String.t(), String.t()) :: {:ok, value()} | {:error, Error.t()}
-  def read(%__MODULE__{} = schema, name, text) do
-    case attribute(schema, name) do
+  @spec parse_value(t(), String.t(), String.t()) :: {:ok, value()} | {:error, Error.t()}
+  def parse_value(%__MODULE__{} = schema, name, text) do
+    case find_attribute(schema, name) do
       nil ->
-        {:error, unknown(schema, name)}
+        {:error, unknown_attribute_error(schema, name)}
 
       attribute ->
-        value = Attribute.read(attribute, text)
-        wrong(attribute, value) || {:ok, value}
+        value = Attribute.parse_value(attribute, text)
+        find_value_error(attribute, value) || {:ok, value}
     end
   end
 
@@ -207,13 +210,15 @@ defmodule Situ.Annotation.Schema do
   Guesses a schema from values: an attribute is a number or boolean if all its values are, and text otherwise. Error:
   `:bad_schema`, for example for an attribute without a name.
   """
-  @spec guess(String.t(), [map()]) :: {:ok, t()} | {:error, Error.t()}
-  def guess(name, all_values) do
+  @spec guess_from_values(String.t(), [map()]) :: {:ok, t()} | {:error, Error.t()}
+  def guess_from_values(name, all_values) do
     attributes =
       all_values
       |> Enum.flat_map(&Map.to_list/1)
       |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
-      |> Enum.map(fn {attribute, values} -> %{"name" => attribute, "kind" => kind(values)} end)
+      |> Enum.map(fn {attribute, values} ->
+        %{"name" => attribute, "kind" => guess_kind(values)}
+      end)
 
     attributes =
       if attributes == [], do: [%{"name" => "Value", "kind" => "text"}], else: attributes
@@ -221,7 +226,7 @@ defmodule Situ.Annotation.Schema do
     parse(%{"name" => name, "attributes" => attributes})
   end
 
-  defp kind(values) do
+  defp guess_kind(values) do
     cond do
       Enum.all?(values, &is_boolean/1) -> "bool"
       Enum.all?(values, &is_number/1) -> "number"

@@ -45,7 +45,7 @@ defmodule Situ.Annotation.Segmenting do
   def from_booleans(stream, opts \\ []) do
     opts = Situ.Options.validate!(opts, @booleans)
     {track, values} = {opts[:track], opts[:values]}
-    add(stream, fn on? -> if on?, do: %{track => values}, else: %{} end, opts)
+    add_component(stream, fn on? -> if on?, do: %{track => values}, else: %{} end, opts)
   end
 
   @doc """
@@ -60,17 +60,17 @@ defmodule Situ.Annotation.Segmenting do
     opts = Situ.Options.validate!(opts, @shared)
 
     segments = fn map ->
-      for {key, value} <- map, values = fun.(key, value), into: %{}, do: {track(key), values}
+      for {key, value} <- map, values = fun.(key, value), into: %{}, do: {track_name(key), values}
     end
 
-    add(stream, segments, opts)
+    add_component(stream, segments, opts)
   end
 
-  defp track(key) when is_binary(key), do: key
-  defp track(key) when is_atom(key) or is_number(key), do: to_string(key)
-  defp track(key), do: inspect(key)
+  defp track_name(key) when is_binary(key), do: key
+  defp track_name(key) when is_atom(key) or is_number(key), do: to_string(key)
+  defp track_name(key), do: inspect(key)
 
-  defp add(stream, segments, opts) do
+  defp add_component(stream, segments, opts) do
     own = [segments: segments, proposed: opts[:proposed], by: opts[:by]]
     Situ.via(stream, __MODULE__, own ++ [name: opts[:name]])
   end
@@ -92,7 +92,7 @@ defmodule Situ.Annotation.Segmenting do
 
     emitted = if ended == [], do: state.emitted, else: time
 
-    {emit(ended, time, state),
+    {emit_segments(ended, time, state),
      %{state | open: Map.new(kept ++ begun), last: time, emitted: emitted}}
   end
 
@@ -101,12 +101,12 @@ defmodule Situ.Annotation.Segmenting do
     time =
       if state.emitted == state.last and state.last != nil, do: state.last + 1, else: state.last
 
-    {emit(Map.to_list(state.open), time, state), %{state | open: %{}}}
+    {emit_segments(Map.to_list(state.open), time, state), %{state | open: %{}}}
   end
 
-  defp emit([], _time, _state), do: []
+  defp emit_segments([], _time, _state), do: []
 
-  defp emit(segments, time, state) do
+  defp emit_segments(segments, time, state) do
     annotations =
       for {track, {from, values}} <- Enum.sort(segments) do
         %Annotation{

@@ -53,14 +53,14 @@ defmodule Situ.Annotation.Spans do
 
   @impl true
   def handle_message(:in, message, _context, state) do
-    state = message.data |> state.spans.() |> Enum.reduce(state, &add/2)
-    emit(state, message.originating_time)
+    state = message.data |> state.spans.() |> Enum.reduce(state, &add_span/2)
+    emit_due(state, message.originating_time)
   end
 
   @impl true
-  def handle_closed(:in, _time, _context, state), do: emit(state, :infinity)
+  def handle_closed(:in, _time, _context, state), do: emit_due(state, :infinity)
 
-  defp add({from, to, track, values}, state) do
+  defp add_span({from, to, track, values}, state) do
     from = max(from, Map.get(state.ends, track, from))
 
     if to < from or (state.emitted != nil and to <= state.emitted) do
@@ -80,21 +80,21 @@ defmodule Situ.Annotation.Spans do
   end
 
   # `:infinity` sorts after every number.
-  defp emit(state, now) do
+  defp emit_due(state, now) do
     {due, ahead} = Enum.split_with(state.ahead, &(&1.to <= now))
 
     actions =
       due
       |> Enum.group_by(& &1.to)
       |> Enum.sort()
-      |> Enum.map(fn {to, annotations} -> {:out, to, once_a_track(annotations)} end)
+      |> Enum.map(fn {to, annotations} -> {:out, to, unique_per_track(annotations)} end)
 
     emitted = actions |> Enum.map(&elem(&1, 1)) |> List.last()
     {actions, %{state | ahead: ahead, emitted: emitted || state.emitted}}
   end
 
   # The list is newest first. Of two annotations of a track that end together, the earlier one is longer and is kept.
-  defp once_a_track(annotations) do
+  defp unique_per_track(annotations) do
     annotations |> Enum.reverse() |> Enum.uniq_by(& &1.track) |> Enum.sort_by(& &1.track)
   end
 end

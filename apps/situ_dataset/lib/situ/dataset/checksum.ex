@@ -10,11 +10,11 @@ defmodule Situ.Dataset.Checksum do
   @chunk 1_048_576
 
   @doc "Computes the checksum of a file or a folder. Error: `:io`, which names the file."
-  @spec of(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
-  def of(path) do
-    with {:ok, files} <- files(path),
-         {:ok, lines} <- lines(files, path) do
-      {:ok, "sha256:" <> hex(:crypto.hash(:sha256, lines))}
+  @spec compute(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def compute(path) do
+    with {:ok, files} <- list_files(path),
+         {:ok, lines} <- file_lines(files, path) do
+      {:ok, "sha256:" <> encode_hex(:crypto.hash(:sha256, lines))}
     end
   end
 
@@ -22,16 +22,16 @@ defmodule Situ.Dataset.Checksum do
   Computes the checksums of the partitions' recordings and returns `{:ok, checksums_by_path}`. Option: `progress:`,
   which is called as `fun.(done, total)`.
   """
-  @spec all([Situ.Dataset.Partition.t()], keyword()) ::
+  @spec compute_all([Situ.Dataset.Partition.t()], keyword()) ::
           {:ok, %{Path.t() => String.t()}} | {:error, Error.t()}
-  def all(partitions, opts \\ []) do
+  def compute_all(partitions, opts \\ []) do
     progress = opts[:progress] || fn _, _ -> :ok end
     total = length(partitions)
 
     partitions
     |> Enum.with_index(1)
     |> Enum.reduce_while({:ok, %{}}, fn {%{path: path}, n}, {:ok, done} ->
-      case of(path) do
+      case compute(path) do
         {:ok, checksum} ->
           progress.(n, total)
           {:cont, {:ok, Map.put(done, path, checksum)}}
@@ -45,7 +45,7 @@ defmodule Situ.Dataset.Checksum do
   @doc "Returns `:ok` if the recording still has that checksum. Error: `:changed`."
   @spec verify(Path.t(), String.t()) :: :ok | {:error, Error.t()}
   def verify(path, checksum) do
-    case of(path) do
+    case compute(path) do
       {:ok, ^checksum} ->
         :ok
 
@@ -61,48 +61,53 @@ defmodule Situ.Dataset.Checksum do
     end
   end
 
-  defp files(path) do
+  defp list_files(path) do
     cond do
       File.regular?(path) -> {:ok, [path]}
       File.dir?(path) -> {:ok, path |> Path.join("*") |> Path.wildcard() |> Enum.sort()}
-      true -> {:error, io(path, :enoent)}
+      true -> {:error, read_error(path, :enoent)}
     end
   end
 
-  defp lines(files, root) do
+  defp file_lines(files, root) do
     files
     |> Enum.filter(&(File.regular?(&1) and Path.extname(&1) != ".lock"))
     |> Enum.reduce_while({:ok, []}, fn file, {:ok, lines} ->
-      case digest(file) do
+      case file_digest(file) do
         {:ok, size, digest} ->
           name = if file == root, do: "", else: Path.basename(file)
           {:cont, {:ok, [lines, name, 0, Integer.to_string(size), 0, digest]}}
 
         {:error, reason} ->
-          {:halt, {:error, io(file, reason)}}
+          {:halt, {:error, read_error(file, reason)}}
       end
     end)
   end
 
-  defp digest(file) do
+  defp file_digest(file) do
     with {:ok, device} <- :file.open(file, [:read, :raw, :binary]) do
-      result = fold(device, :crypto.hash_init(:sha256), 0)
+      result = hash_chunks(device, :crypto.hash_init(:sha256), 0)
       _ = :file.close(device)
       result
     end
   end
 
-  defp fold(device, hash, size) do
+  defp hash_chunks(device, hash, size) do
     case :file.read(device, @chunk) do
-      {:ok, bytes} -> fold(device, :crypto.hash_update(hash, bytes), size + byte_size(bytes))
-      :eof -> {:ok, size, :crypto.hash_final(hash)}
-      {:error, reason} -> {:error, reason}
+      {:ok, bytes} ->
+        hash_chunks(device, :crypto.hash_update(hash, bytes), size + byte_size(bytes))
+
+      :eof ->
+        {:ok, size, :crypto.hash_final(hash)}
+
+      {:error, reason} ->
+        {:error, reason}
     end
   end
 
-  defp hex(bytes), do: Base.encode16(bytes, case: :lower)
+  defp encode_hex(bytes), do: Base.encode16(bytes, case: :lower)
 
-  defp io(path, reason) do
+  defp read_error(path, reason) do
     Error.new(:io, "cannot read #{path}",
       why: to_string(:file.format_error(reason)),
       fix: "check that the recording exists and is readable"

@@ -9,8 +9,8 @@ defmodule Situ.Dataset.DatasetFile do
   @wait_ms 30_000
 
   @doc "Runs `fun` with a lock that keeps other programs from editing the file. Error: `:dataset_in_use`."
-  @spec lock(Path.t(), (() -> result)) :: result | {:error, Error.t()} when result: term()
-  def lock(path, fun) do
+  @spec with_lock(Path.t(), (() -> result)) :: result | {:error, Error.t()} when result: term()
+  def with_lock(path, fun) do
     with :ok <- make_folder(path),
          {:ok, lock} <- FileLock.acquire(path <> ".lock", @wait_ms) do
       try do
@@ -19,27 +19,27 @@ defmodule Situ.Dataset.DatasetFile do
         FileLock.release(lock)
       end
     else
-      {:held, holder} -> {:error, in_use(path, holder)}
+      {:held, holder} -> {:error, in_use_error(path, holder)}
       error -> error
     end
   end
 
   defp make_folder(path) do
     with {:error, reason} <- AtomicFile.make_folder(Path.dirname(path)),
-         do: {:error, not_saved(path, reason)}
+         do: {:error, not_saved_error(path, reason)}
   end
 
-  defp in_use(path, holder) do
+  defp in_use_error(path, holder) do
     Error.new(:dataset_in_use, "the dataset #{path} is being edited",
-      why: FileLock.describe(holder),
+      why: FileLock.describe_holder(holder),
       fix: "wait for that program or quit it, and edit again",
       meta: %{holder: holder}
     )
   end
 
   @doc "Returns the digest of the text of a dataset file, which detects changes."
-  @spec digest(binary()) :: String.t()
-  def digest(text), do: :sha256 |> :crypto.hash(text) |> Base.encode16()
+  @spec text_digest(binary()) :: String.t()
+  def text_digest(text), do: :sha256 |> :crypto.hash(text) |> Base.encode16()
 
   @doc """
   Checks that the file still has this digest or was deleted. A dataset that was never in the file (digest `nil`)
@@ -50,13 +50,13 @@ defmodule Situ.Dataset.DatasetFile do
 
   def check_unchanged(path, digest) do
     case File.read(path) do
-      {:ok, text} -> if digest(text) == digest, do: :ok, else: {:error, changed(path)}
+      {:ok, text} -> if text_digest(text) == digest, do: :ok, else: {:error, changed_error(path)}
       {:error, :enoent} -> :ok
-      {:error, reason} -> {:error, not_saved(path, reason)}
+      {:error, reason} -> {:error, not_saved_error(path, reason)}
     end
   end
 
-  defp changed(path) do
+  defp changed_error(path) do
     Error.new(:dataset_changed, "the dataset #{path} has changed since it was read",
       why: "another program saved it, and saving now would discard those edits",
       fix: "reopen it and repeat the edit, or save under another name with `save_as/2`"
@@ -67,12 +67,12 @@ defmodule Situ.Dataset.DatasetFile do
   @spec write(Path.t(), String.t()) :: {:ok, String.t()} | {:error, Error.t()}
   def write(path, text) do
     case AtomicFile.write(path, text) do
-      :ok -> {:ok, digest(text)}
-      {:error, reason} -> {:error, not_saved(path, reason)}
+      :ok -> {:ok, text_digest(text)}
+      {:error, reason} -> {:error, not_saved_error(path, reason)}
     end
   end
 
-  defp not_saved(path, reason) do
+  defp not_saved_error(path, reason) do
     Error.new(:not_saved, "cannot save the dataset to #{path}",
       why: to_string(:file.format_error(reason)),
       fix: "the file was not changed; check the folder, or save to another file"

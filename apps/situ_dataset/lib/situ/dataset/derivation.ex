@@ -93,8 +93,8 @@ defmodule Situ.Dataset.Derivation do
   def run(sessions, compute, file, {acc, commit}, opts) do
     with {:ok, opts} <- Options.validate(opts, @options),
          {log, done} = Log.open(file, opts[:output], Keyword.take(opts, [:resume, :overwrite])),
-         {:ok, acc, kept} <- recover(sessions, done, acc, commit, opts),
-         :ok <- free(sessions, kept, opts) do
+         {:ok, acc, kept} <- recover_results(sessions, done, acc, commit, opts),
+         :ok <- check_output_free(sessions, kept, opts) do
       waiting = Enum.reject(sessions, &(&1.name in kept))
 
       state = %{
@@ -105,29 +105,29 @@ defmodule Situ.Dataset.Derivation do
         compute: compute,
         waiting: waiting,
         running: %{},
-        slots: slots(opts),
+        slots: node_slots(opts),
         results: Enum.map(kept, &%{session: &1, status: :kept, error: nil, result: nil, took: 0}),
-        progress: Progress.new(weights(sessions), kept),
+        progress: Progress.new(session_weights(sessions), kept),
         cancelled?: false
       }
 
-      coordinate(state, Enum.map(sessions, & &1.name))
+      run_coordinator(state, Enum.map(sessions, & &1.name))
     end
   end
 
   # Runs in a separate process, so that the pipelines end with it and their messages do not reach the caller.
-  defp coordinate(state, order) do
+  defp run_coordinator(state, order) do
     started = System.monotonic_time()
 
     state =
       Task.async(fn ->
         Process.flag(:trap_exit, true)
-        state |> fill() |> loop()
+        state |> start_sessions() |> await_sessions()
       end)
       |> Task.await(:infinity)
 
     failed? = Enum.any?(state.results, &(&1.status == :failed))
-    if state.cancelled? or failed?, do: Log.ended(state.log), else: Log.remove(state.log)
+    if state.cancelled? or failed?, do: Log.record_end(state.log), else: Log.remove(state.log)
 
     {:ok, state.acc,
      %Report{
@@ -139,7 +139,7 @@ defmodule Situ.Dataset.Derivation do
   end
 
   # Adds the outputs that were complete when a run was killed, because they may not be in the dataset yet.
-  defp recover(sessions, done, acc, commit, opts) do
+  defp recover_results(sessions, done, acc, commit, opts) do
     sessions
     |> Enum.filter(&(is_map_key(done, &1.name) and File.dir?(done[&1.name])))
     |> Enum.reduce_while({:ok, acc, []}, fn session, {:ok, acc, kept} ->
@@ -152,7 +152,7 @@ defmodule Situ.Dataset.Derivation do
     end)
   end
 
-  defp free(sessions, kept, opts) do
+  defp check_output_free(sessions, kept, opts) do
     name = opts[:output]
 
     taken =
@@ -174,89 +174,98 @@ defmodule Situ.Dataset.Derivation do
     end
   end
 
-  defp slots(opts) do
+  defp node_slots(opts) do
     nodes = opts[:nodes] || [node()]
     for _ <- 1..opts[:parallel], node <- nodes, do: node
   end
 
   # Sessions are weighted by their duration.
-  defp weights(sessions) do
+  defp session_weights(sessions) do
     for session <- sessions do
       {session.name, session |> Session.summary() |> Summary.duration() |> max(1)}
     end
   end
 
-  defp fill(%{waiting: [], slots: _} = state), do: state
-  defp fill(%{slots: []} = state), do: state
+  defp start_sessions(%{waiting: [], slots: _} = state), do: state
+  defp start_sessions(%{slots: []} = state), do: state
 
-  defp fill(%{waiting: [session | waiting], slots: [node | slots]} = state) do
+  defp start_sessions(%{waiting: [session | waiting], slots: [node | slots]} = state) do
     job = Job.new(session, state.compute, state.opts)
     state = %{state | waiting: waiting, slots: slots}
 
-    case Log.begun(state.log, session.name, job.draft) do
+    case Log.record_start(state.log, session.name, job.draft) do
       :ok ->
         pid = Node.spawn_link(node, Job, :run, [job, self()])
         running = %{job: job, node: node, pipeline: nil, began: System.monotonic_time()}
-        fill(%{state | running: Map.put(state.running, pid, running)})
+        start_sessions(%{state | running: Map.put(state.running, pid, running)})
 
       {:error, error} ->
-        fill(finished(%{state | slots: [node | slots]}, session.name, :failed, error, nil, 0))
+        start_sessions(
+          record_result(%{state | slots: [node | slots]}, session.name, :failed, error, nil, 0)
+        )
     end
   end
 
-  defp loop(%{running: running, waiting: []} = state) when running == %{}, do: state
-  defp loop(%{running: running, cancelled?: true} = state) when running == %{}, do: state
+  defp await_sessions(%{running: running, waiting: []} = state) when running == %{}, do: state
 
-  defp loop(state) do
+  defp await_sessions(%{running: running, cancelled?: true} = state) when running == %{},
+    do: state
+
+  defp await_sessions(state) do
     receive do
       {:pipeline, pid, pipeline} when is_map_key(state.running, pid) ->
-        loop(put_in(state.running[pid].pipeline, pipeline))
+        await_sessions(put_in(state.running[pid].pipeline, pipeline))
 
       {:EXIT, pid, reason} when is_map_key(state.running, pid) ->
-        state |> ended(pid, reason) |> fill() |> loop()
+        state |> handle_session_end(pid, reason) |> start_sessions() |> await_sessions()
 
       {:EXIT, _caller, reason} when reason != :normal ->
         exit(reason)
     after
-      @tick_ms -> state |> tick() |> loop()
+      @tick_ms -> state |> report_progress() |> await_sessions()
     end
   end
 
-  defp tick(state) do
-    fractions = for {_, r} <- state.running, do: {r.job.session.name, Progress.of(r.pipeline)}
-    progress = Progress.update(state.progress, fractions)
+  defp report_progress(state) do
+    fractions =
+      for {_, r} <- state.running,
+          do: {r.job.session.name, Progress.pipeline_fraction(r.pipeline)}
+
+    progress = Progress.update_running(state.progress, fractions)
     if fun = state.opts[:progress], do: fun.(progress)
     state = %{state | progress: progress}
-    if not state.cancelled? and cancel?(state), do: cancel(state), else: state
+    if not state.cancelled? and cancel_requested?(state), do: cancel_run(state), else: state
   end
 
-  defp cancel?(state), do: state.opts[:cancel] != nil and state.opts[:cancel].() == true
+  defp cancel_requested?(state), do: state.opts[:cancel] != nil and state.opts[:cancel].() == true
 
   # Each pipeline ends with the process that runs it.
-  defp cancel(state) do
+  defp cancel_run(state) do
     for {pid, _} <- state.running, do: Process.exit(pid, :kill)
     %{state | cancelled?: true, waiting: []}
   end
 
-  defp ended(state, pid, reason) do
+  defp handle_session_end(state, pid, reason) do
     {%{job: job, node: node, began: began} = running, others} = Map.pop(state.running, pid)
     took = System.convert_time_unit(System.monotonic_time() - began, :native, :nanosecond)
     state = %{state | running: others, slots: [node | state.slots]}
 
-    case outcome(reason, state) do
+    case exit_outcome(reason, state) do
       {:done, result} ->
-        publish(state, job, result, took)
+        publish_session(state, job, result, took)
 
       {status, error} ->
-        state |> discard(running) |> finished(job.session.name, status, error, nil, took)
+        state
+        |> discard_session(running)
+        |> record_result(job.session.name, status, error, nil, took)
     end
   end
 
-  defp outcome({:shutdown, {:done, result}}, _state), do: {:done, result}
-  defp outcome({:shutdown, {:failed, error}}, _state), do: {:failed, error}
-  defp outcome(:killed, %{cancelled?: true}), do: {:cancelled, nil}
+  defp exit_outcome({:shutdown, {:done, result}}, _state), do: {:done, result}
+  defp exit_outcome({:shutdown, {:failed, error}}, _state), do: {:failed, error}
+  defp exit_outcome(:killed, %{cancelled?: true}), do: {:cancelled, nil}
 
-  defp outcome(reason, _state) do
+  defp exit_outcome(reason, _state) do
     {:failed,
      Error.new(:session_crashed, "the process of the session crashed",
        why: inspect(reason, limit: 10),
@@ -265,13 +274,13 @@ defmodule Situ.Dataset.Derivation do
   end
 
   # A pipeline whose owner was killed still closes its store, so the folder is deleted after the pipeline has ended.
-  defp discard(state, %{job: job, pipeline: pipeline}) do
-    if pipeline, do: wait(pipeline.pid)
-    Job.discard(job)
+  defp discard_session(state, %{job: job, pipeline: pipeline}) do
+    if pipeline, do: await_exit(pipeline.pid)
+    Job.discard_output(job)
     state
   end
 
-  defp wait(pid) do
+  defp await_exit(pid) do
     monitor = Process.monitor(pid)
 
     receive do
@@ -281,25 +290,25 @@ defmodule Situ.Dataset.Derivation do
     end
   end
 
-  defp publish(state, %{draft: nil} = job, result, took),
-    do: finished(state, job.session.name, :done, nil, result, took)
+  defp publish_session(state, %{draft: nil} = job, result, took),
+    do: record_result(state, job.session.name, :done, nil, result, took)
 
-  defp publish(state, job, result, took) do
-    with {:ok, folder} <- Job.publish(job),
-         :ok <- Log.done(state.log, job.session.name, folder),
+  defp publish_session(state, job, result, took) do
+    with {:ok, folder} <- Job.publish_output(job),
+         :ok <- Log.record_done(state.log, job.session.name, folder),
          partition = Partition.new(state.opts[:output], folder),
          {:ok, acc} <- state.commit.(state.acc, job.session, partition) do
-      finished(%{state | acc: acc}, job.session.name, :done, nil, result, took)
+      record_result(%{state | acc: acc}, job.session.name, :done, nil, result, took)
     else
-      {:error, error} -> finished(state, job.session.name, :failed, error, nil, took)
+      {:error, error} -> record_result(state, job.session.name, :failed, error, nil, took)
     end
   end
 
-  defp finished(state, name, status, error, result, took) do
+  defp record_result(state, name, status, error, result, took) do
     entry = %{session: name, status: status, error: error, result: result, took: took}
-    progress = Progress.finish(state.progress, name)
+    progress = Progress.finish_session(state.progress, name)
     state = %{state | results: [entry | state.results], progress: progress}
     if fun = state.opts[:progress], do: fun.(progress)
-    if status == :failed and state.opts[:on_failure] == :stop, do: cancel(state), else: state
+    if status == :failed and state.opts[:on_failure] == :stop, do: cancel_run(state), else: state
   end
 end

@@ -7,40 +7,46 @@ defmodule Situ.Dataset.Discovery do
 
   @type found :: {:ok, name :: String.t(), [Session.t()]} | {:error, Error.t()}
 
-  @spec recording(Path.t()) :: found()
-  def recording(path) do
+  @spec from_recording(Path.t()) :: found()
+  def from_recording(path) do
     partition = Partition.new(nil, path)
 
-    with {:ok, session} <- partition.name |> Session.new() |> Session.add(partition),
+    with {:ok, session} <- partition.name |> Session.new() |> Session.add_partition(partition),
          do: {:ok, partition.name, [session]}
   end
 
-  @spec folder(Path.t()) :: found()
-  def folder(root) do
+  @spec from_folder(Path.t()) :: found()
+  def from_folder(root) do
     sessions =
       root
-      |> entries()
+      |> list_entries()
       |> Enum.map(fn
         {:recording, path} -> {Path.basename(path), [path]}
-        {:folder, path} -> {Path.basename(path), recordings(path)}
+        {:folder, path} -> {Path.basename(path), list_recordings(path)}
       end)
       |> Enum.reject(fn {_, recordings} -> recordings == [] end)
-      |> Enum.map_reduce([], &session/2)
+      |> Enum.map_reduce([], &build_session/2)
       |> elem(0)
 
     if sessions == [],
-      do: {:error, none(root)},
+      do: {:error, no_recordings_error(root)},
       else: {:ok, Path.basename(root), sessions}
   end
 
-  defp session({folder, recordings}, taken) do
-    name = Names.unique(legible(folder), taken)
+  defp build_session({folder, recordings}, taken) do
+    name = Names.make_unique(sanitize_name(folder), taken)
 
     session =
       Enum.reduce(recordings, Session.new(name), fn path, session ->
         partition = Partition.new(nil, path)
-        name = Names.unique(legible(partition.name), Enum.map(session.partitions, & &1.name))
-        {:ok, session} = Session.add(session, %{partition | name: name})
+
+        name =
+          Names.make_unique(
+            sanitize_name(partition.name),
+            Enum.map(session.partitions, & &1.name)
+          )
+
+        {:ok, session} = Session.add_partition(session, %{partition | name: name})
         session
       end)
 
@@ -48,7 +54,7 @@ defmodule Situ.Dataset.Discovery do
   end
 
   # Folder names may contain characters that are not allowed in names.
-  defp legible(name) do
+  defp sanitize_name(name) do
     name
     |> String.chunk(:valid)
     |> Enum.map_join(&if(String.valid?(&1), do: &1, else: "_"))
@@ -58,43 +64,50 @@ defmodule Situ.Dataset.Discovery do
     |> then(&if(&1 == "", do: "_", else: &1))
   end
 
-  defp recordings(folder) do
-    Enum.flat_map(entries(folder), fn
+  defp list_recordings(folder) do
+    Enum.flat_map(list_entries(folder), fn
       {:recording, path} -> [path]
-      {:folder, path} -> recordings(path)
+      {:folder, path} -> list_recordings(path)
     end)
   end
 
   # Stores, files that a reader can open, and subfolders, by name. Links to folders are not followed, because they may
   # form a cycle.
-  defp entries(folder) do
+  defp list_entries(folder) do
     stores = MapSet.new(Store.list(folder))
 
-    for name <- names(folder),
+    for name <- list_names(folder),
         not (String.starts_with?(name, ".") or String.ends_with?(name, ".unfinished")),
         path = Path.join(folder, name),
-        kind = kind(path, stores),
+        kind = entry_kind(path, stores),
         do: {kind, path}
   end
 
-  defp names(folder) do
+  defp list_names(folder) do
     case File.ls(folder) do
       {:ok, names} -> Enum.sort(names)
       {:error, _} -> []
     end
   end
 
-  defp kind(path, stores) do
+  defp entry_kind(path, stores) do
     cond do
-      path in stores -> :recording
-      match?({:ok, %{type: :directory}}, File.lstat(path)) -> :folder
-      File.regular?(path) and Store.Formats.for_file(path) != nil and whole?(path) -> :recording
-      true -> nil
+      path in stores ->
+        :recording
+
+      match?({:ok, %{type: :directory}}, File.lstat(path)) ->
+        :folder
+
+      File.regular?(path) and Store.Formats.for_file(path) != nil and recording_file?(path) ->
+        :recording
+
+      true ->
+        nil
     end
   end
 
   # A store of \\psi or a JSON store is represented by its catalog file; other JSON files are not recordings.
-  defp whole?(path) do
+  defp recording_file?(path) do
     case Path.extname(path) do
       ".psi" -> String.ends_with?(path, ".Catalog_000000.psi")
       ".json" -> String.ends_with?(path, ".Catalog.json")
@@ -102,7 +115,7 @@ defmodule Situ.Dataset.Discovery do
     end
   end
 
-  defp none(root) do
+  defp no_recordings_error(root) do
     Error.new(:no_recordings, "no recordings in #{root}",
       why:
         "the folder and its subfolders contain neither a store nor a file that a reader can open",

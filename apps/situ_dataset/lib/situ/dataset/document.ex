@@ -33,21 +33,21 @@ defmodule Situ.Dataset.Document do
   @doc "Reads a dataset file and returns `{:ok, dataset, digest}` with the digest of its text."
   @spec read_digested(Path.t()) :: {:ok, dataset(), String.t()} | {:error, Error.t()}
   def read_digested(path) do
-    with {:ok, text} <- text(path) do
+    with {:ok, text} <- read_text(path) do
       case parse(text, path) do
-        {:ok, dataset} -> {:ok, dataset, DatasetFile.digest(text)}
-        {:error, why} -> {:error, refused(path, why)}
+        {:ok, dataset} -> {:ok, dataset, DatasetFile.text_digest(text)}
+        {:error, why} -> {:error, bad_dataset_error(path, why)}
       end
     end
   end
 
   @doc "Returns whether a file is probably a dataset; reads only its first bytes."
-  @spec dataset?(Path.t()) :: boolean()
-  def dataset?(path) do
-    File.regular?(path) and (Path.extname(path) == ".pds" or json?(path))
+  @spec dataset_file?(Path.t()) :: boolean()
+  def dataset_file?(path) do
+    File.regular?(path) and (Path.extname(path) == ".pds" or json_dataset?(path))
   end
 
-  defp json?(path) do
+  defp json_dataset?(path) do
     with ".json" <- Path.extname(path),
          {:ok, device} <- File.open(path, [:read, :binary]) do
       head = IO.binread(device, 65_536)
@@ -58,16 +58,17 @@ defmodule Situ.Dataset.Document do
     end
   end
 
-  defp text(path) do
+  defp read_text(path) do
     with {:ok, %{type: :regular, size: size}} when size <= @largest <- File.stat(path),
          {:ok, text} <- File.read(path) do
       {:ok, text}
     else
       {:ok, %{type: :regular, size: size}} ->
-        {:error, refused(path, "it has #{size} bytes; a dataset file has at most #{@largest}")}
+        {:error,
+         bad_dataset_error(path, "it has #{size} bytes; a dataset file has at most #{@largest}")}
 
       {:ok, %{type: type}} ->
-        {:error, refused(path, "it is a #{type}")}
+        {:error, bad_dataset_error(path, "it is a #{type}")}
 
       {:error, reason} ->
         {:error,
@@ -78,7 +79,7 @@ defmodule Situ.Dataset.Document do
     end
   end
 
-  defp refused(path, why) do
+  defp bad_dataset_error(path, why) do
     Error.new(:bad_dataset, "#{path} is not a dataset file",
       why: why,
       fix:
@@ -90,8 +91,8 @@ defmodule Situ.Dataset.Document do
   @spec parse(binary(), Path.t()) :: {:ok, dataset()} | {:error, String.t()}
   def parse(text, path) do
     case Situ.JSON.decode(text) do
-      {:ok, %{"sessions" => _} = json} -> ours(json, path)
-      {:ok, %{"Sessions" => _} = json} -> psi(json, path)
+      {:ok, %{"sessions" => _} = json} -> parse_native(json, path)
+      {:ok, %{"Sessions" => _} = json} -> parse_psi(json, path)
       {:ok, _} -> {:error, "it does not have \"sessions\""}
       {:error, :bad_json} -> {:error, "it is not JSON"}
     end
@@ -99,145 +100,147 @@ defmodule Situ.Dataset.Document do
     {:refused, why} -> {:error, why}
   end
 
-  defp ours(json, path) do
+  defp parse_native(json, path) do
     if json["version"] not in [nil, @version],
       do:
-        refuse(
+        reject_file(
           "its version is #{inspect(json["version"])}; this release of Situ reads version #{@version}"
         )
 
-    {:ok, dataset(json, &ours_partition(&1, path), "sessions", "partitions", "name")}
+    {:ok, build_dataset(json, &native_partition(&1, path), "sessions", "partitions", "name")}
   end
 
   # The file was written on Windows, so its paths may contain backslashes.
-  defp psi(json, path) do
-    {:ok, dataset(json, &psi_partition(&1, path), "Sessions", "Partitions", "Name")}
+  defp parse_psi(json, path) do
+    {:ok, build_dataset(json, &psi_partition(&1, path), "Sessions", "Partitions", "Name")}
   end
 
-  defp dataset(json, partition, sessions, partitions, name) do
-    all = json |> Map.fetch!(sessions) |> objects(sessions)
+  defp build_dataset(json, partition, sessions, partitions, name) do
+    all = json |> Map.fetch!(sessions) |> check_objects(sessions)
 
     %{
-      name: string(json, name, "the dataset", "Untitled Dataset"),
-      metadata: object(json, "metadata", "the dataset"),
-      tags: strings(json, "tags", "the dataset"),
-      sessions: Enum.map(all, &session(&1, partition, partitions, name)) |> unique("session"),
+      name: get_string(json, name, "the dataset", "Untitled Dataset"),
+      metadata: get_object(json, "metadata", "the dataset"),
+      tags: get_strings(json, "tags", "the dataset"),
+      sessions:
+        Enum.map(all, &build_session(&1, partition, partitions, name))
+        |> require_unique("session"),
       extra: Map.drop(json, ["version", name, "metadata", "tags", sessions])
     }
   end
 
-  defp session(json, partition, partitions, key) do
-    name = name(json, key, "session")
+  defp build_session(json, partition, partitions, key) do
+    name = fetch_name(json, key, "session")
     place = "session #{inspect(name)}"
-    all = json |> Map.get(partitions, []) |> objects("#{partitions} of #{place}")
+    all = json |> Map.get(partitions, []) |> check_objects("#{partitions} of #{place}")
 
     %Session{
       name: name,
-      metadata: object(json, "metadata", place),
-      tags: strings(json, "tags", place),
-      partitions: all |> Enum.map(partition) |> unique("partition of #{place}"),
+      metadata: get_object(json, "metadata", place),
+      tags: get_strings(json, "tags", place),
+      partitions: all |> Enum.map(partition) |> require_unique("partition of #{place}"),
       extra: Map.drop(json, [key, "metadata", "tags", partitions])
     }
   end
 
-  defp ours_partition(json, file) do
-    name = name(json, "name", "partition")
+  defp native_partition(json, file) do
+    name = fetch_name(json, "name", "partition")
     place = "partition #{inspect(name)}"
 
     %Partition{
       name: name,
-      store: optional(json, "store", place),
-      path: json |> required("path", place) |> StoredPath.from_stored(file),
-      reader: optional(json, "reader", place),
-      checksum: optional(json, "checksum", place),
-      metadata: object(json, "metadata", place),
+      store: optional_string(json, "store", place),
+      path: json |> require_string("path", place) |> StoredPath.from_stored(file),
+      reader: optional_string(json, "reader", place),
+      checksum: optional_string(json, "checksum", place),
+      metadata: get_object(json, "metadata", place),
       extra: Map.drop(json, ~w(name store path reader checksum metadata))
     }
   end
 
   defp psi_partition(json, file) do
-    name = name(json, "Name", "partition")
+    name = fetch_name(json, "Name", "partition")
     place = "partition #{inspect(name)}"
-    stored = required(json, "StorePath", place)
+    stored = require_string(json, "StorePath", place)
 
     stored =
-      if StoredPath.windows?(stored) or StoredPath.windows?(file),
+      if StoredPath.windows_path?(stored) or StoredPath.windows_path?(file),
         do: stored,
-        else: StoredPath.portable(stored)
+        else: StoredPath.to_portable(stored)
 
     path =
-      if StoredPath.windows?(stored),
+      if StoredPath.windows_path?(stored),
         do: stored,
         else: StoredPath.from_stored(stored, file)
 
     %Partition{
       name: name,
-      store: optional(json, "StoreName", place),
+      store: optional_string(json, "StoreName", place),
       path: path,
-      reader: optional(json, "StreamReaderTypeName", place),
+      reader: optional_string(json, "StreamReaderTypeName", place),
       extra: %{}
     }
   end
 
-  defp unique(items, kind) do
+  defp require_unique(items, kind) do
     names = Enum.map(items, & &1.name)
 
     case names -- Enum.uniq(names) do
       [] -> items
-      [twice | _] -> refuse("it contains the #{kind} #{inspect(twice)} twice")
+      [twice | _] -> reject_file("it contains the #{kind} #{inspect(twice)} twice")
     end
   end
 
-  defp name(json, key, kind) do
+  defp fetch_name(json, key, kind) do
     name = json[key]
 
-    case Names.check(name, kind) do
+    case Names.check_valid(name, kind) do
       :ok -> name
-      {:error, error} -> refuse(error.what)
+      {:error, error} -> reject_file(error.what)
     end
   end
 
-  defp objects(list, place) do
+  defp check_objects(list, place) do
     if is_list(list) and Enum.all?(list, &is_map/1),
       do: list,
-      else: refuse("#{place} must be a list of objects")
+      else: reject_file("#{place} must be a list of objects")
   end
 
-  defp object(json, key, place) do
+  defp get_object(json, key, place) do
     case json[key] do
       nil -> %{}
       %{} = map -> map
-      _ -> refuse("#{key} of #{place} is not an object")
+      _ -> reject_file("#{key} of #{place} is not an object")
     end
   end
 
-  defp strings(json, key, place) do
+  defp get_strings(json, key, place) do
     list = json[key] || []
 
     if is_list(list) and Enum.all?(list, &is_binary/1),
       do: list,
-      else: refuse("#{key} of #{place} must be a list of strings")
+      else: reject_file("#{key} of #{place} must be a list of strings")
   end
 
-  defp string(json, key, place, default), do: optional(json, key, place) || default
+  defp get_string(json, key, place, default), do: optional_string(json, key, place) || default
 
-  defp required(json, key, place),
-    do: optional(json, key, place) || refuse("#{place} has no #{key}")
+  defp require_string(json, key, place),
+    do: optional_string(json, key, place) || reject_file("#{place} has no #{key}")
 
-  defp optional(json, key, place) do
+  defp optional_string(json, key, place) do
     case json[key] do
       nil -> nil
       text when is_binary(text) -> text
-      _ -> refuse("#{key} of #{place} is not a string")
+      _ -> reject_file("#{key} of #{place} is not a string")
     end
   end
 
-  @spec refuse(String.t()) :: no_return()
-  defp refuse(why), do: throw({:refused, why})
+  @spec reject_file(String.t()) :: no_return()
+  defp reject_file(why), do: throw({:refused, why})
 
   @doc "Encodes a dataset as the text of a file that will be saved as `path`."
-  @spec render(dataset() | map(), Path.t()) :: String.t()
-  def render(dataset, path) do
+  @spec encode(dataset() | map(), Path.t()) :: String.t()
+  def encode(dataset, path) do
     members = [
       {"version", @version},
       {"name", dataset.name},
@@ -245,20 +248,20 @@ defmodule Situ.Dataset.Document do
       {"metadata", dataset.metadata}
     ]
 
-    sessions = {"sessions", Enum.map(dataset.sessions, &session_members(&1, path))}
-    text = pretty({:object, members ++ Enum.sort(dataset.extra) ++ [sessions]}, "")
+    sessions = {"sessions", Enum.map(dataset.sessions, &encode_session(&1, path))}
+    text = encode_pretty({:object, members ++ Enum.sort(dataset.extra) ++ [sessions]}, "")
     IO.iodata_to_binary([text, "\n"])
   end
 
-  defp session_members(session, path) do
-    partitions = {"partitions", Enum.map(session.partitions, &partition_members(&1, path))}
+  defp encode_session(session, path) do
+    partitions = {"partitions", Enum.map(session.partitions, &encode_partition(&1, path))}
     head = [{"name", session.name}, {"tags", session.tags}, {"metadata", session.metadata}]
-    {:object, Enum.reject(head, &blank?/1) ++ Enum.sort(session.extra) ++ [partitions]}
+    {:object, Enum.reject(head, &empty_member?/1) ++ Enum.sort(session.extra) ++ [partitions]}
   end
 
-  defp partition_members(partition, path) do
+  defp encode_partition(partition, path) do
     stored =
-      if StoredPath.windows?(partition.path),
+      if StoredPath.windows_path?(partition.path),
         do: partition.path,
         else: StoredPath.to_stored(partition.path, path)
 
@@ -271,24 +274,24 @@ defmodule Situ.Dataset.Document do
       {"metadata", partition.metadata}
     ]
 
-    {:object, Enum.reject(members, &blank?/1) ++ Enum.sort(partition.extra)}
+    {:object, Enum.reject(members, &empty_member?/1) ++ Enum.sort(partition.extra)}
   end
 
-  defp blank?({_, value}), do: value in [nil, [], %{}]
+  defp empty_member?({_, value}), do: value in [nil, [], %{}]
 
   # Writes members in a readable order; the JSON encoder does not define one.
-  defp pretty({:object, members}, indent), do: lines("{", members, "}", indent)
-  defp pretty([{:object, _} | _] = list, indent), do: lines("[", list, "]", indent)
-  defp pretty(value, _indent), do: Situ.JSON.encode(value)
+  defp encode_pretty({:object, members}, indent), do: encode_lines("{", members, "}", indent)
+  defp encode_pretty([{:object, _} | _] = list, indent), do: encode_lines("[", list, "]", indent)
+  defp encode_pretty(value, _indent), do: Situ.JSON.encode(value)
 
-  defp lines(open, items, close, indent) do
+  defp encode_lines(open, items, close, indent) do
     inner = indent <> "  "
-    items = Enum.map_intersperse(items, [",\n", inner], &item(&1, inner))
+    items = Enum.map_intersperse(items, [",\n", inner], &encode_item(&1, inner))
     [open, "\n", inner, items, "\n", indent, close]
   end
 
-  defp item({key, value}, indent) when is_binary(key),
-    do: [Situ.JSON.encode(key), ": ", pretty(value, indent)]
+  defp encode_item({key, value}, indent) when is_binary(key),
+    do: [Situ.JSON.encode(key), ": ", encode_pretty(value, indent)]
 
-  defp item(value, indent), do: pretty(value, indent)
+  defp encode_item(value, indent), do: encode_pretty(value, indent)
 end

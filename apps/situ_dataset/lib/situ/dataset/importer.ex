@@ -38,18 +38,18 @@ defmodule Situ.Dataset.Importer do
   """
   @spec stream(t(), String.t(), keyword()) :: Situ.Stream.t()
   def stream(%__MODULE__{} = importer, spec, opts \\ []) do
-    case OpenSession.find(importer.session, spec) do
+    case OpenSession.fetch_stream(importer.session, spec) do
       {:ok, {partition, _, name}} ->
         Store.stream(Map.fetch!(importer.importers, partition), name, opts)
 
       {:error, %Error{code: code} = error} ->
         if opts[:or_empty] && code in [:no_stream, :no_partition],
-          do: empty(importer, spec, opts),
+          do: empty_stream(importer, spec, opts),
           else: raise(error)
     end
   end
 
-  defp empty(%{importers: importers} = importer, spec, opts) do
+  defp empty_stream(%{importers: importers} = importer, spec, opts) do
     case Map.values(importers) do
       [some | _] -> Store.stream(some, spec, opts)
       [] -> Situ.from_enumerable(importer.pipeline, [], name: spec)
@@ -57,13 +57,14 @@ defmodule Situ.Dataset.Importer do
   end
 
   @doc "Returns whether a name refers to exactly one stream."
-  @spec has?(t(), String.t()) :: boolean()
-  def has?(%__MODULE__{} = importer, spec), do: OpenSession.has?(importer.session, spec)
+  @spec has_stream?(t(), String.t()) :: boolean()
+  def has_stream?(%__MODULE__{} = importer, spec),
+    do: OpenSession.has_stream?(importer.session, spec)
 
   @doc "Returns the importer of one partition. Errors: `:no_partition`, or the error of opening the partition."
-  @spec partition(t(), String.t()) :: {:ok, Store.Importer.t()} | {:error, Error.t()}
-  def partition(%__MODULE__{} = importer, name) do
-    with {:ok, _} <- OpenSession.store(importer.session, name),
+  @spec partition_importer(t(), String.t()) :: {:ok, Store.Importer.t()} | {:error, Error.t()}
+  def partition_importer(%__MODULE__{} = importer, name) do
+    with {:ok, _} <- OpenSession.fetch_store(importer.session, name),
          do: Map.fetch(importer.importers, name)
   end
 end

@@ -33,31 +33,35 @@ defmodule Situ.Dataset.JsonStore do
 
   @impl true
   def open(path, _opts) do
-    with {:ok, base} <- base(path),
-         {:ok, catalog} <- array(base <> ".Catalog.json"),
-         {:ok, data} <- array(base <> ".Data.json") do
-      {messages, damage} = messages(data, base <> ".Data.json")
+    with {:ok, base} <- base_path(path),
+         {:ok, catalog} <- read_array(base <> ".Catalog.json"),
+         {:ok, data} <- read_array(base <> ".Data.json") do
+      {messages, damage} = parse_messages(data, base <> ".Data.json")
       name = Path.basename(base)
-      streams = for {%{} = entry, i} <- Enum.with_index(catalog), do: info(entry, i, name, base)
+
+      streams =
+        for {%{} = entry, i} <- Enum.with_index(catalog),
+            do: build_stream_info(entry, i, name, base)
+
       known = MapSet.new(streams, & &1.id)
 
       {grouped, strangers} =
         messages |> Enum.group_by(&elem(&1, 0), &elem(&1, 1)) |> Map.split(MapSet.to_list(known))
 
-      lost = for {id, list} <- strangers, do: lost(base, id, length(list))
+      lost = for {id, list} <- strangers, do: unknown_source_damage(base, id, length(list))
 
       {:ok,
        %__MODULE__{
          name: name,
-         streams: Enum.map(streams, &counted(&1, grouped[&1.id] || [])),
+         streams: Enum.map(streams, &put_counts(&1, grouped[&1.id] || [])),
          messages:
-           Map.new(grouped, fn {id, list} -> {id, list |> ordered() |> List.to_tuple()} end),
+           Map.new(grouped, fn {id, list} -> {id, list |> sort_by_time() |> List.to_tuple()} end),
          damage: damage ++ lost
        }}
     end
   end
 
-  defp base(path) do
+  defp base_path(path) do
     case Regex.run(~r/\A(.+)\.(Catalog|Data)\.json\z/s, path) do
       [_, base, _] ->
         {:ok, base}
@@ -71,43 +75,43 @@ defmodule Situ.Dataset.JsonStore do
     end
   end
 
-  defp array(path) do
+  defp read_array(path) do
     with {:ok, %{size: size}} when size <= @largest <- File.stat(path),
          {:ok, text} <- File.read(path),
-         {:ok, list} when is_list(list) <- text |> unmarked() |> Situ.JSON.decode() do
+         {:ok, list} when is_list(list) <- text |> strip_bom() |> Situ.JSON.decode() do
       {:ok, list}
     else
       {:ok, %File.Stat{size: size}} ->
-        {:error, damaged(path, "it has #{size} bytes; the limit is #{@largest}")}
+        {:error, damaged_error(path, "it has #{size} bytes; the limit is #{@largest}")}
 
       {:ok, _} ->
-        {:error, damaged(path, "it is not an array")}
+        {:error, damaged_error(path, "it is not an array")}
 
       {:error, :bad_json} ->
-        {:error, damaged(path, "it is not complete JSON")}
+        {:error, damaged_error(path, "it is not complete JSON")}
 
       {:error, reason} ->
-        {:error, damaged(path, to_string(:file.format_error(reason)))}
+        {:error, damaged_error(path, to_string(:file.format_error(reason)))}
     end
   end
 
   # .NET sometimes writes a byte order mark.
-  defp unmarked(<<0xEF, 0xBB, 0xBF, text::binary>>), do: text
-  defp unmarked(text), do: text
+  defp strip_bom(<<0xEF, 0xBB, 0xBF, text::binary>>), do: text
+  defp strip_bom(text), do: text
 
-  defp damaged(path, why) do
+  defp damaged_error(path, why) do
     Error.new(:damaged, "cannot read the JSON store file #{path}",
       why: why,
       fix: "restore the file"
     )
   end
 
-  defp info(entry, index, name, base) do
-    type = text(entry["TypeName"]) || "any"
+  defp build_stream_info(entry, index, name, base) do
+    type = string_or_nil(entry["TypeName"]) || "any"
 
     %StreamInfo{
       id: if(is_integer(entry["Id"]), do: entry["Id"], else: -1 - index),
-      name: text(entry["Name"]) || "Stream #{index}",
+      name: string_or_nil(entry["Name"]) || "Stream #{index}",
       store_name: name,
       store_path: Path.dirname(base),
       type_name: type,
@@ -117,15 +121,15 @@ defmodule Situ.Dataset.JsonStore do
           do: entry["MessageSizeCumulativeSum"],
           else: 0
         ),
-      opened: bound(entry["OpenedTime"], "0001-01-01"),
-      closed: bound(entry["ClosedTime"], "9999-12-31")
+      opened: parse_bound(entry["OpenedTime"], "0001-01-01"),
+      closed: parse_bound(entry["ClosedTime"], "9999-12-31")
     }
   end
 
-  defp text(value), do: if(is_binary(value), do: value)
+  defp string_or_nil(value), do: if(is_binary(value), do: value)
 
   # .NET writes its minimum and maximum time if a time is not set.
-  defp bound(value, none) do
+  defp parse_bound(value, none) do
     with text when is_binary(text) <- value,
          false <- String.starts_with?(text, none),
          {:ok, time} <- Time.parse(text) do
@@ -135,10 +139,10 @@ defmodule Situ.Dataset.JsonStore do
     end
   end
 
-  defp counted(info, []), do: info
+  defp put_counts(info, []), do: info
 
-  defp counted(info, messages) do
-    [first | _] = messages = ordered(messages)
+  defp put_counts(info, messages) do
+    [first | _] = messages = sort_by_time(messages)
     last = List.last(messages)
     creations = Enum.map(messages, & &1.creation_time)
 
@@ -154,13 +158,13 @@ defmodule Situ.Dataset.JsonStore do
     }
   end
 
-  defp ordered(messages), do: Enum.sort_by(messages, & &1.originating_time)
+  defp sort_by_time(messages), do: Enum.sort_by(messages, & &1.originating_time)
 
-  defp messages(data, file) do
+  defp parse_messages(data, file) do
     {messages, broken} =
       data
       |> Enum.with_index()
-      |> Enum.map(fn {entry, index} -> message(entry) || index end)
+      |> Enum.map(fn {entry, index} -> parse_message(entry) || index end)
       |> Enum.split_with(&is_tuple/1)
 
     {messages,
@@ -170,7 +174,7 @@ defmodule Situ.Dataset.JsonStore do
      )}
   end
 
-  defp message(%{"Envelope" => %{"SourceId" => id, "SequenceId" => n} = envelope} = entry)
+  defp parse_message(%{"Envelope" => %{"SourceId" => id, "SequenceId" => n} = envelope} = entry)
        when is_integer(id) and is_integer(n) do
     with %{"OriginatingTime" => at, "Time" => made} when is_binary(at) and is_binary(made) <-
            envelope,
@@ -189,9 +193,9 @@ defmodule Situ.Dataset.JsonStore do
     end
   end
 
-  defp message(_), do: nil
+  defp parse_message(_), do: nil
 
-  defp lost(base, id, n),
+  defp unknown_source_damage(base, id, n),
     do: %{
       file: base <> ".Data.json",
       offset: 0,
@@ -208,17 +212,17 @@ defmodule Situ.Dataset.JsonStore do
   @impl true
   def seek(state, info, time) do
     messages = Map.get(state.messages, info.id, {})
-    {:ok, first(messages, time, 0, tuple_size(messages))}
+    {:ok, find_first(messages, time, 0, tuple_size(messages))}
   end
 
-  defp first(_messages, _time, low, low), do: low
+  defp find_first(_messages, _time, low, low), do: low
 
-  defp first(messages, time, low, high) do
+  defp find_first(messages, time, low, high) do
     middle = div(low + high, 2)
 
     if elem(messages, middle).originating_time < time,
-      do: first(messages, time, middle + 1, high),
-      else: first(messages, time, low, middle)
+      do: find_first(messages, time, middle + 1, high),
+      else: find_first(messages, time, low, middle)
   end
 
   @impl true

@@ -7,8 +7,8 @@ defmodule Situ.Dataset.Names do
 
   @typep named :: %{:name => String.t(), optional(atom()) => term()}
 
-  @spec check(term(), String.t()) :: :ok | {:error, Error.t()}
-  def check(name, kind) do
+  @spec check_valid(term(), String.t()) :: :ok | {:error, Error.t()}
+  def check_valid(name, kind) do
     if is_binary(name) and String.valid?(name) and name =~ ~r/\A[^\x00-\x1f\]\[]+\z/u and
          String.length(name) <= @longest and String.trim(name) == name do
       :ok
@@ -21,8 +21,8 @@ defmodule Situ.Dataset.Names do
     end
   end
 
-  @spec free(String.t(), [named()], String.t()) :: :ok | {:error, Error.t()}
-  def free(name, taken, place) do
+  @spec check_free(String.t(), [named()], String.t()) :: :ok | {:error, Error.t()}
+  def check_free(name, taken, place) do
     if Enum.any?(taken, &(&1.name == name)) do
       {:error,
        Error.new(:duplicate_name, "#{place} already has a #{inspect(name)}",
@@ -34,26 +34,26 @@ defmodule Situ.Dataset.Names do
     end
   end
 
-  @spec fetch([named()], String.t(), atom(), String.t(), String.t()) ::
+  @spec fetch_named([named()], String.t(), atom(), String.t(), String.t()) ::
           {:ok, named()} | {:error, Error.t()}
-  def fetch(all, name, code, kind, place) do
+  def fetch_named(all, name, code, kind, place) do
     case Enum.find(all, &(&1.name == name)) do
-      nil -> {:error, missing(name, Enum.map(all, & &1.name), code, kind, place)}
+      nil -> {:error, missing_error(name, Enum.map(all, & &1.name), code, kind, place)}
       found -> {:ok, found}
     end
   end
 
   @doc "Returns the name, with the first number that makes it unique if it is taken."
-  @spec unique(String.t(), [String.t()]) :: String.t()
-  def unique(name, taken) do
+  @spec make_unique(String.t(), [String.t()]) :: String.t()
+  def make_unique(name, taken) do
     if name in taken,
       do: Enum.find_value(2..100_000, &unless("#{name} #{&1}" in taken, do: "#{name} #{&1}")),
       else: name
   end
 
   @doc "Returns a function that matches a name to a pattern: `*` matches any text and `?` one character."
-  @spec matcher(String.t()) :: (String.t() -> boolean())
-  def matcher(pattern) do
+  @spec pattern_matcher(String.t()) :: (String.t() -> boolean())
+  def pattern_matcher(pattern) do
     source =
       pattern
       |> String.graphemes()
@@ -67,9 +67,9 @@ defmodule Situ.Dataset.Names do
     &(&1 =~ regex)
   end
 
-  defp missing(name, known, code, kind, place) do
+  defp missing_error(name, known, code, kind, place) do
     fix =
-      case {Situ.Options.nearest(to_string(name), known), known} do
+      case {Situ.Options.nearest_name(to_string(name), known), known} do
         {nil, []} -> "it does not have any"
         {nil, _} -> "use one of #{Enum.map_join(Enum.take(known, 8), ", ", &inspect/1)}"
         {near, _} -> "did you mean #{inspect(near)}?"

@@ -35,8 +35,8 @@ defmodule Situ.Dataset.OpenSession do
   end
 
   @doc "Lists the streams of all partitions as `[{partition, Situ.Store.StreamInfo}]`."
-  @spec streams(t()) :: [{String.t(), Store.StreamInfo.t()}]
-  def streams(%__MODULE__{} = open) do
+  @spec list_streams(t()) :: [{String.t(), Store.StreamInfo.t()}]
+  def list_streams(%__MODULE__{} = open) do
     for {partition, store} <- open.stores, info <- Store.streams(store), do: {partition, info}
   end
 
@@ -44,9 +44,9 @@ defmodule Situ.Dataset.OpenSession do
   Returns the shortest name that refers to this stream: its name, or `"[Partition]:Stream"` if several partitions
   have a stream of that name.
   """
-  @spec address(t(), String.t(), String.t()) :: String.t()
-  def address(%__MODULE__{} = open, partition, stream) do
-    case find(open, stream) do
+  @spec shortest_address(t(), String.t(), String.t()) :: String.t()
+  def shortest_address(%__MODULE__{} = open, partition, stream) do
+    case fetch_stream(open, stream) do
       {:ok, {^partition, _, ^stream}} -> stream
       _ -> "[#{partition}]:#{stream}"
     end
@@ -58,35 +58,35 @@ defmodule Situ.Dataset.OpenSession do
   Errors: `:no_stream`, `:no_partition`, `:ambiguous_stream` (with the qualified names), or the error of opening the
   named partition.
   """
-  @spec find(t(), String.t()) ::
+  @spec fetch_stream(t(), String.t()) ::
           {:ok, {partition :: String.t(), Store.t(), stream :: String.t()}} | {:error, Error.t()}
-  def find(%__MODULE__{} = open, spec) when is_binary(spec) do
+  def fetch_stream(%__MODULE__{} = open, spec) when is_binary(spec) do
     plain = for {p, store} <- open.stores, Store.has_stream?(store, spec), do: {p, store, spec}
 
-    case {qualified(open, spec), plain} do
+    case {fetch_qualified(open, spec), plain} do
       {{:ok, found}, []} -> {:ok, found}
-      {{:ok, found}, plain} -> {:error, ambiguous(spec, [found | plain])}
+      {{:ok, found}, plain} -> {:error, ambiguous_error(spec, [found | plain])}
       {_, [found]} -> {:ok, found}
       {{:error, error}, []} -> {:error, error}
-      {:none, []} -> {:error, missing(open, spec)}
-      {_, several} -> {:error, ambiguous(spec, several)}
+      {:none, []} -> {:error, no_stream_error(open, spec)}
+      {_, several} -> {:error, ambiguous_error(spec, several)}
     end
   end
 
   @doc "Returns whether `spec` refers to exactly one stream."
-  @spec has?(t(), String.t()) :: boolean()
-  def has?(%__MODULE__{} = open, spec), do: match?({:ok, _}, find(open, spec))
+  @spec has_stream?(t(), String.t()) :: boolean()
+  def has_stream?(%__MODULE__{} = open, spec), do: match?({:ok, _}, fetch_stream(open, spec))
 
   @doc "Returns the messages of a stream as `{:ok, lazy_enumerable}`. Takes the options of `Situ.Store.messages/3`."
   @spec messages(t(), String.t(), keyword()) :: {:ok, Enumerable.t()} | {:error, Error.t()}
   def messages(%__MODULE__{} = open, spec, opts \\ []) do
-    with {:ok, {_, store, stream}} <- find(open, spec),
+    with {:ok, {_, store, stream}} <- fetch_stream(open, spec),
          do: {:ok, Store.messages(store, stream, opts)}
   end
 
   @doc "Returns the open store of a partition."
-  @spec store(t(), String.t()) :: {:ok, Store.t()} | {:error, Error.t()}
-  def store(%__MODULE__{} = open, partition) do
+  @spec fetch_store(t(), String.t()) :: {:ok, Store.t()} | {:error, Error.t()}
+  def fetch_store(%__MODULE__{} = open, partition) do
     stores = for {name, store} <- open.stores, do: %{name: name, store: store}
 
     case {Enum.find(open.troubles, &(elem(&1, 0) == partition)), open.session.name} do
@@ -96,14 +96,15 @@ defmodule Situ.Dataset.OpenSession do
       {nil, name} ->
         place = "session #{inspect(name)}"
 
-        with {:ok, found} <- Names.fetch(stores, partition, :no_partition, "partition", place),
+        with {:ok, found} <-
+               Names.fetch_named(stores, partition, :no_partition, "partition", place),
              do: {:ok, found.store}
     end
   end
 
-  defp qualified(open, spec) do
+  defp fetch_qualified(open, spec) do
     with [_, partition, stream] <- Regex.run(~r/\A\[([^\]]+)\]:(.+)\z/s, spec),
-         {:ok, store} <- store(open, partition),
+         {:ok, store} <- fetch_store(open, partition),
          {:ok, _} <- Store.stream_info(store, stream) do
       {:ok, {partition, store, stream}}
     else
@@ -112,7 +113,7 @@ defmodule Situ.Dataset.OpenSession do
     end
   end
 
-  defp ambiguous(spec, found) do
+  defp ambiguous_error(spec, found) do
     names = Enum.map_join(found, ", ", fn {p, _, s} -> inspect("[#{p}]:#{s}") end)
 
     Error.new(
@@ -123,8 +124,8 @@ defmodule Situ.Dataset.OpenSession do
     )
   end
 
-  defp missing(open, spec) do
-    names = for {_, info} <- streams(open), do: info.name
+  defp no_stream_error(open, spec) do
+    names = for {_, info} <- list_streams(open), do: info.name
 
     why =
       case open.troubles do
@@ -137,7 +138,7 @@ defmodule Situ.Dataset.OpenSession do
       end
 
     fix =
-      case Situ.Options.nearest(spec, Enum.uniq(names)) do
+      case Situ.Options.nearest_name(spec, Enum.uniq(names)) do
         nil when names == [] ->
           nil
 

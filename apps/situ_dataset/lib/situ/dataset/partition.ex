@@ -39,7 +39,7 @@ defmodule Situ.Dataset.Partition do
   """
   @spec new(String.t() | nil, Path.t(), keyword()) :: t()
   def new(name, path, opts \\ []) do
-    path = located(path)
+    path = resolve_path(path)
     store = store_name(path)
 
     %__MODULE__{
@@ -51,21 +51,21 @@ defmodule Situ.Dataset.Partition do
     }
   end
 
-  defp located(path) do
+  defp resolve_path(path) do
     if StoredPath.address?(path) do
       path
     else
       path = Path.expand(path)
-      Store.newest(Path.basename(path), Path.dirname(path)) |> newest(path)
+      Store.newest(Path.basename(path), Path.dirname(path)) |> choose_newest(path)
     end
   end
 
   # An existing folder is itself the store.
-  defp newest(nil, path), do: path
-  defp newest(newest, path), do: if(File.exists?(path), do: path, else: newest)
+  defp choose_newest(nil, path), do: path
+  defp choose_newest(newest, path), do: if(File.exists?(path), do: path, else: newest)
 
   defp store_name(path) do
-    base = if StoredPath.address?(path), do: name_in(path), else: Path.basename(path)
+    base = if StoredPath.address?(path), do: address_name(path), else: Path.basename(path)
 
     case Regex.run(~r/\A(.+)\.\d{4,}\z/, base) do
       [_, name] -> name
@@ -74,7 +74,7 @@ defmodule Situ.Dataset.Partition do
   end
 
   # The name follows the host. For a socket, whose path replaces the host, the name is in the query.
-  defp name_in(address) do
+  defp address_name(address) do
     uri = URI.parse(address)
 
     case {uri.scheme, Path.basename(uri.path || "")} do
@@ -87,10 +87,10 @@ defmodule Situ.Dataset.Partition do
   @doc "Opens the recording. Takes the options of `Situ.Store.open/2`."
   @spec open(t(), keyword()) :: {:ok, Store.t()} | {:error, Error.t()}
   def open(%__MODULE__{} = partition, opts \\ []) do
-    with {:ok, path, reader} <- place(partition) do
+    with {:ok, path, reader} <- locate_recording(partition) do
       case Store.open(path, reader ++ opts) do
         {:ok, store} -> {:ok, store}
-        {:error, error} -> {:error, about(partition, error)}
+        {:error, error} -> {:error, wrap_error(partition, error)}
       end
     end
   end
@@ -98,7 +98,7 @@ defmodule Situ.Dataset.Partition do
   @doc "Returns time spans, sizes and counts; opens the recording."
   @spec summary(t()) :: {:ok, Summary.t()} | {:error, Error.t()}
   def summary(%__MODULE__{} = partition) do
-    with {:ok, store} <- open(partition), do: {:ok, Summary.of(store)}
+    with {:ok, store} <- open(partition), do: {:ok, Summary.from_store(store)}
   end
 
   @doc """
@@ -106,23 +106,23 @@ defmodule Situ.Dataset.Partition do
 
   A recording with damage can be opened and read (`open/1`), but this check returns it as an error (`:damaged`).
   """
-  @spec check(t()) :: :ok | {:error, Error.t()}
-  def check(%__MODULE__{} = partition) do
+  @spec check_recording(t()) :: :ok | {:error, Error.t()}
+  def check_recording(%__MODULE__{} = partition) do
     with {:ok, store} <- open(partition) do
       case {Store.missing_files(store), Store.info(store)[:damage] || []} do
         {[], []} ->
           :ok
 
         {[file | _], _} ->
-          {:error, damaged(partition, "#{file} is missing")}
+          {:error, damaged_error(partition, "#{file} is missing")}
 
         {_, damage} ->
-          {:error, damaged(partition, "it is damaged at #{length(damage)} positions")}
+          {:error, damaged_error(partition, "it is damaged at #{length(damage)} positions")}
       end
     end
   end
 
-  defp damaged(partition, why) do
+  defp damaged_error(partition, why) do
     Error.new(:damaged, "partition #{inspect(partition.name)} is damaged",
       why: why,
       fix: "list the damage with `situ store verify`; `situ store repair` keeps the intact data",
@@ -130,22 +130,22 @@ defmodule Situ.Dataset.Partition do
     )
   end
 
-  defp about(partition, error) do
+  defp wrap_error(partition, error) do
     meta = Map.put(error.meta, :partition, partition.name)
     %{error | what: "partition #{inspect(partition.name)}: #{error.what}", meta: meta}
   end
 
   # Stores of \psi are files NAME.*_000000.psi in a folder that may contain several stores. Its JSON stores are
   # NAME.Catalog.json and NAME.Data.json.
-  defp place(%{path: path, store: store, reader: reader} = partition) do
+  defp locate_recording(%{path: path, store: store, reader: reader} = partition) do
     cond do
-      StoredPath.windows?(path) -> {:error, foreign(partition)}
-      File.dir?(path) and not Store.exists?(path) -> in_folder(path, store, reader)
-      true -> with {:ok, reader} <- reader(reader), do: {:ok, path, reader}
+      StoredPath.windows_path?(path) -> {:error, windows_path_error(partition)}
+      File.dir?(path) and not Store.exists?(path) -> locate_in_folder(path, store, reader)
+      true -> with {:ok, reader} <- resolve_reader(reader), do: {:ok, path, reader}
     end
   end
 
-  defp foreign(partition) do
+  defp windows_path_error(partition) do
     Error.new(
       :no_store,
       "partition #{inspect(partition.name)}: no recording at #{partition.path}",
@@ -154,30 +154,33 @@ defmodule Situ.Dataset.Partition do
     )
   end
 
-  defp in_folder(path, store, reader) do
+  defp locate_in_folder(path, store, reader) do
     candidates = ["#{store}.Catalog_000000.psi", "#{store}.Catalog.json"]
 
     case Enum.find(candidates, &File.regular?(Path.join(path, &1))) do
-      nil -> with {:ok, reader} <- reader(reader), do: {:ok, path, reader}
+      nil -> with {:ok, reader} <- resolve_reader(reader), do: {:ok, path, reader}
       file -> {:ok, Path.join(path, file), []}
     end
   end
 
   # A name from a file must not create an atom, and may only name a reader module.
-  defp reader(nil), do: {:ok, []}
+  defp resolve_reader(nil), do: {:ok, []}
 
-  defp reader(name) do
-    case Enum.find(Store.Formats.all(), &(inspect(&1) == name)) do
-      nil when is_binary(name) -> if(foreign_reader?(name), do: {:ok, []}, else: unknown(name))
-      module -> {:ok, [reader: module]}
+  defp resolve_reader(name) do
+    case Enum.find(Store.Formats.list_readers(), &(inspect(&1) == name)) do
+      nil when is_binary(name) ->
+        if(psi_reader?(name), do: {:ok, []}, else: unknown_reader_error(name))
+
+      module ->
+        {:ok, [reader: module]}
     end
   end
 
   # For the .NET type names of \psi's readers, Situ detects its own reader from the file.
-  defp foreign_reader?(name), do: name =~ ~r/StreamReader\b/ or name =~ ~r/, /
+  defp psi_reader?(name), do: name =~ ~r/StreamReader\b/ or name =~ ~r/, /
 
-  defp unknown(name) do
-    known = Enum.map_join(Store.Formats.all(), ", ", &inspect/1)
+  defp unknown_reader_error(name) do
+    known = Enum.map_join(Store.Formats.list_readers(), ", ", &inspect/1)
 
     {:error,
      Error.new(:unknown_reader, "unknown reader #{inspect(name)}",

@@ -32,8 +32,8 @@ defmodule Situ.Dataset.Server do
   end
 
   @doc "Returns the current dataset."
-  @spec get(GenServer.server()) :: Dataset.t()
-  def get(server), do: GenServer.call(server, :get)
+  @spec get_dataset(GenServer.server()) :: Dataset.t()
+  def get_dataset(server), do: GenServer.call(server, :get)
 
   @doc """
   Changes the dataset with a function `dataset -> {:ok, dataset} | {:error, error}`. If the function raises, nothing
@@ -53,11 +53,11 @@ defmodule Situ.Dataset.Server do
       iex> {:ok, one} = Situ.Dataset.new("Study")
       iex> {:ok, one} = Situ.Dataset.add_session(one, "a")
       iex> {:ok, two} = Situ.Dataset.rename_session(one, "a", "b")
-      iex> Situ.Dataset.Server.changes(one, two)
+      iex> Situ.Dataset.Server.diff_datasets(one, two)
       [:dataset, {:session_removed, "a"}, {:session, "b"}]
   """
-  @spec changes(Dataset.t(), Dataset.t()) :: [change()]
-  def changes(%Dataset{} = old, %Dataset{} = new) do
+  @spec diff_datasets(Dataset.t(), Dataset.t()) :: [change()]
+  def diff_datasets(%Dataset{} = old, %Dataset{} = new) do
     before = Map.new(old.sessions, &{&1.name, &1})
     later = Map.new(new.sessions, &{&1.name, &1})
     removed = for {name, session} <- before, not is_map_key(later, name), do: {name, session}
@@ -88,9 +88,9 @@ defmodule Situ.Dataset.Server do
   end
 
   def handle_call({:edit, fun}, _from, state) do
-    case edited(fun, state.dataset) do
+    case run_edit(fun, state.dataset) do
       {:ok, dataset} ->
-        tell(state, changes(state.dataset, dataset))
+        notify_subscribers(state, diff_datasets(state.dataset, dataset))
         {:reply, {:ok, dataset}, %{state | dataset: dataset}}
 
       {:error, error} ->
@@ -99,26 +99,26 @@ defmodule Situ.Dataset.Server do
   end
 
   # The function comes from the caller: an exception in it must not lose the edits of other users.
-  defp edited(fun, dataset) do
+  defp run_edit(fun, dataset) do
     case fun.(dataset) do
       {:ok, %Dataset{} = dataset} -> {:ok, dataset}
       {:error, %Error{}} = error -> error
-      other -> {:error, failed("it returned #{inspect(other, limit: 5)}")}
+      other -> {:error, edit_error("it returned #{inspect(other, limit: 5)}")}
     end
   rescue
-    exception -> {:error, failed(Exception.message(exception))}
+    exception -> {:error, edit_error(Exception.message(exception))}
   end
 
-  defp failed(why) do
+  defp edit_error(why) do
     Error.new(:edit_failed, "cannot apply the edit to the dataset",
       why: why,
       fix: "return {:ok, dataset} from the function"
     )
   end
 
-  defp tell(_state, []), do: :ok
+  defp notify_subscribers(_state, []), do: :ok
 
-  defp tell(state, changes),
+  defp notify_subscribers(state, changes),
     do: for({pid, _} <- state.subscribers, do: send(pid, {:situ_dataset, self(), changes}))
 
   @impl true

@@ -4,8 +4,8 @@ defmodule Situ.Dataset.Session do
 
       iex> session = Situ.Dataset.Session.new("p01", metadata: %{"participant" => "P01"}, tags: ["pilot"])
       iex> room = Situ.Dataset.Partition.new("Room", "/study/p01/room.0000")
-      iex> {:ok, session} = Situ.Dataset.Session.add(session, room)
-      iex> {:error, error} = Situ.Dataset.Session.add(session, Situ.Dataset.Partition.new("Room", "/elsewhere"))
+      iex> {:ok, session} = Situ.Dataset.Session.add_partition(session, room)
+      iex> {:error, error} = Situ.Dataset.Session.add_partition(session, Situ.Dataset.Partition.new("Room", "/elsewhere"))
       iex> error.code
       :duplicate_name
 
@@ -32,45 +32,53 @@ defmodule Situ.Dataset.Session do
     do: %__MODULE__{name: name, metadata: opts[:metadata] || %{}, tags: opts[:tags] || []}
 
   @doc "Appends a partition. Errors: `:duplicate_name`, `:bad_name`."
-  @spec add(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
-  def add(%__MODULE__{} = session, %Partition{} = partition) do
-    with :ok <- Names.check(partition.name, "partition"),
-         :ok <- Names.free(partition.name, session.partitions, place(session)) do
+  @spec add_partition(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
+  def add_partition(%__MODULE__{} = session, %Partition{} = partition) do
+    with :ok <- Names.check_valid(partition.name, "partition"),
+         :ok <- Names.check_free(partition.name, session.partitions, session_label(session)) do
       {:ok, %{session | partitions: session.partitions ++ [partition]}}
     end
   end
 
   @doc "Replaces the partition that has the same name."
-  @spec replace(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
-  def replace(%__MODULE__{} = session, %Partition{} = partition) do
-    with {:ok, _} <- partition(session, partition.name) do
+  @spec replace_partition(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
+  def replace_partition(%__MODULE__{} = session, %Partition{} = partition) do
+    with {:ok, _} <- fetch_partition(session, partition.name) do
       swap = &if(&1.name == partition.name, do: partition, else: &1)
       {:ok, %{session | partitions: Enum.map(session.partitions, swap)}}
     end
   end
 
   @doc "Removes a partition from the session; the recording is not deleted."
-  @spec remove(t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
-  def remove(%__MODULE__{} = session, name) do
-    with {:ok, found} <- partition(session, name),
+  @spec remove_partition(t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def remove_partition(%__MODULE__{} = session, name) do
+    with {:ok, found} <- fetch_partition(session, name),
          do: {:ok, %{session | partitions: List.delete(session.partitions, found)}}
   end
 
   @doc "Renames a partition."
   @spec rename_partition(t(), String.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def rename_partition(%__MODULE__{} = session, from, to) do
-    with {:ok, found} <- partition(session, from),
-         :ok <- Names.check(to, "partition"),
-         :ok <- Names.free(to, List.delete(session.partitions, found), place(session)) do
+    with {:ok, found} <- fetch_partition(session, from),
+         :ok <- Names.check_valid(to, "partition"),
+         :ok <-
+           Names.check_free(to, List.delete(session.partitions, found), session_label(session)) do
       swap = &if(&1.name == from, do: %{&1 | name: to}, else: &1)
       {:ok, %{session | partitions: Enum.map(session.partitions, swap)}}
     end
   end
 
   @doc "Returns the partition with that name. Error: `:no_partition`, which suggests the nearest name."
-  @spec partition(t(), String.t()) :: {:ok, Partition.t()} | {:error, Error.t()}
-  def partition(%__MODULE__{} = session, name),
-    do: Names.fetch(session.partitions, name, :no_partition, "partition", place(session))
+  @spec fetch_partition(t(), String.t()) :: {:ok, Partition.t()} | {:error, Error.t()}
+  def fetch_partition(%__MODULE__{} = session, name),
+    do:
+      Names.fetch_named(
+        session.partitions,
+        name,
+        :no_partition,
+        "partition",
+        session_label(session)
+      )
 
   @doc "Returns time spans, sizes and counts over all partitions; unreadable partitions are counted as `unknown`."
   @spec summary(t()) :: Summary.t()
@@ -79,7 +87,7 @@ defmodule Situ.Dataset.Session do
     |> Enum.map(fn partition ->
       case Partition.summary(partition) do
         {:ok, summary} -> summary
-        {:error, _} -> Summary.unknown()
+        {:error, _} -> Summary.unknown_recording()
       end
     end)
     |> Summary.sum()
@@ -89,9 +97,9 @@ defmodule Situ.Dataset.Session do
   @spec troubles(t()) :: [{String.t(), Error.t()}]
   def troubles(%__MODULE__{} = session) do
     for partition <- session.partitions,
-        {:error, error} <- [Partition.check(partition)],
+        {:error, error} <- [Partition.check_recording(partition)],
         do: {partition.name, error}
   end
 
-  defp place(session), do: "session #{inspect(session.name)}"
+  defp session_label(session), do: "session #{inspect(session.name)}"
 end

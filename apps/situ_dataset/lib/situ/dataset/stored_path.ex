@@ -33,90 +33,90 @@ defmodule Situ.Dataset.StoredPath do
     do: if(address?(path), do: path, else: relative_to(path, dataset_file))
 
   defp relative_to(path, dataset_file) do
-    style = style(dataset_file)
-    {root, segments} = parts(path, style)
-    {base_root, base} = folder(dataset_file, style)
+    style = path_style(dataset_file)
+    {root, segments} = split_parts(path, style)
+    {base_root, base} = folder_parts(dataset_file, style)
 
     cond do
       root == "" ->
-        join("", segments, style)
+        join_parts("", segments, style)
 
-      same?(rooted(root, base_root), base_root, style) ->
-        relative(normal(segments), base, style)
+      same_segment?(resolve_root(root, base_root), base_root, style) ->
+        relative_path(normalize_segments(segments), base, style)
 
       true ->
-        join(root, normal(segments), style)
+        join_parts(root, normalize_segments(segments), style)
     end
   end
 
   @doc "Returns the absolute path of the path `stored` in the dataset file `dataset_file`."
   @spec from_stored(String.t(), Path.t()) :: Path.t()
   def from_stored(stored, dataset_file),
-    do: if(address?(stored), do: stored, else: absolute(stored, dataset_file))
+    do: if(address?(stored), do: stored, else: resolve_absolute(stored, dataset_file))
 
-  defp absolute(stored, dataset_file) do
-    style = style(dataset_file)
-    {root, segments} = parts(stored, style)
-    {base_root, base} = folder(dataset_file, style)
+  defp resolve_absolute(stored, dataset_file) do
+    style = path_style(dataset_file)
+    {root, segments} = split_parts(stored, style)
+    {base_root, base} = folder_parts(dataset_file, style)
 
     if root == "",
-      do: join(base_root, normal(base ++ segments), style),
-      else: join(rooted(root, base_root), normal(segments), style)
+      do: join_parts(base_root, normalize_segments(base ++ segments), style),
+      else: join_parts(resolve_root(root, base_root), normalize_segments(segments), style)
   end
 
   @doc """
   Converts a path from a file that was written on Windows: backslashes become slashes.
 
-      iex> Situ.Dataset.StoredPath.portable(~S(Session1\\Robot.0000))
+      iex> Situ.Dataset.StoredPath.to_portable(~S(Session1\\Robot.0000))
       "Session1/Robot.0000"
   """
-  @spec portable(String.t()) :: String.t()
-  def portable(path), do: String.replace(path, "\\", "/")
+  @spec to_portable(String.t()) :: String.t()
+  def to_portable(path), do: String.replace(path, "\\", "/")
 
   @doc "Returns whether the text is an address (`situ://lab1/lobby`) rather than a path."
   @spec address?(String.t()) :: boolean()
   def address?(path), do: path =~ ~r/\A[a-z][a-z0-9+.-]+:\/\//
 
   @doc "Returns whether a path starts with a Windows drive or share."
-  @spec windows?(String.t()) :: boolean()
-  def windows?(path), do: path =~ ~r/\A([A-Za-z]:([\\\/]|\z)|\\\\)/
+  @spec windows_path?(String.t()) :: boolean()
+  def windows_path?(path), do: path =~ ~r/\A([A-Za-z]:([\\\/]|\z)|\\\\)/
 
-  defp style(path), do: if(windows?(path), do: :windows, else: :posix)
+  defp path_style(path), do: if(windows_path?(path), do: :windows, else: :posix)
 
-  defp folder(file, style) do
-    {root, segments} = parts(file, style)
-    {root, segments |> normal() |> Enum.drop(-1)}
+  defp folder_parts(file, style) do
+    {root, segments} = split_parts(file, style)
+    {root, segments |> normalize_segments() |> Enum.drop(-1)}
   end
 
-  @spec parts(String.t(), :windows | :posix) :: parts()
-  defp parts("/" <> rest, :posix), do: {"/", split(rest, ["/"])}
-  defp parts(path, :posix), do: {"", split(path, ["/"])}
+  @spec split_parts(String.t(), :windows | :posix) :: parts()
+  defp split_parts("/" <> rest, :posix), do: {"/", split_segments(rest, ["/"])}
+  defp split_parts(path, :posix), do: {"", split_segments(path, ["/"])}
 
-  defp parts(path, :windows) do
+  defp split_parts(path, :windows) do
     cond do
       path =~ ~r/\A[\\\/]{2}/ ->
-        {share, rest} = path |> split(["\\", "/"]) |> Enum.split(2)
+        {share, rest} = path |> split_segments(["\\", "/"]) |> Enum.split(2)
         {"\\\\" <> Enum.join(share, "\\") <> "\\", rest}
 
       path =~ ~r/\A[A-Za-z]:/ ->
         <<drive::binary-size(2), rest::binary>> = path
-        {drive <> "\\", split(rest, ["\\", "/"])}
+        {drive <> "\\", split_segments(rest, ["\\", "/"])}
 
       path =~ ~r/\A[\\\/]/ ->
-        {"\\", split(path, ["\\", "/"])}
+        {"\\", split_segments(path, ["\\", "/"])}
 
       true ->
-        {"", split(path, ["\\", "/"])}
+        {"", split_segments(path, ["\\", "/"])}
     end
   end
 
-  defp split(text, separators), do: String.split(text, separators, trim: true)
+  defp split_segments(text, separators), do: String.split(text, separators, trim: true)
 
   # A path that starts at the root of the current drive is on the drive of the dataset file.
-  defp rooted("\\", base_root), do: base_root
-  defp rooted(root, _base_root), do: root
+  defp resolve_root("\\", base_root), do: base_root
+  defp resolve_root(root, _base_root), do: root
 
-  defp normal(segments) do
+  defp normalize_segments(segments) do
     segments
     |> Enum.reduce([], fn
       ".", kept -> kept
@@ -127,21 +127,23 @@ defmodule Situ.Dataset.StoredPath do
     |> Enum.reverse()
   end
 
-  defp relative(segments, base, style) do
-    {up, down} = diverge(base, segments, style)
-    join("", List.duplicate("..", length(up)) ++ down, style)
+  defp relative_path(segments, base, style) do
+    {up, down} = drop_common_prefix(base, segments, style)
+    join_parts("", List.duplicate("..", length(up)) ++ down, style)
   end
 
-  defp diverge([a | base], [b | segments], style) do
-    if same?(a, b, style), do: diverge(base, segments, style), else: {[a | base], [b | segments]}
+  defp drop_common_prefix([a | base], [b | segments], style) do
+    if same_segment?(a, b, style),
+      do: drop_common_prefix(base, segments, style),
+      else: {[a | base], [b | segments]}
   end
 
-  defp diverge(base, segments, _style), do: {base, segments}
+  defp drop_common_prefix(base, segments, _style), do: {base, segments}
 
-  defp same?(a, b, :windows), do: String.downcase(a) == String.downcase(b)
-  defp same?(a, b, :posix), do: a == b
+  defp same_segment?(a, b, :windows), do: String.downcase(a) == String.downcase(b)
+  defp same_segment?(a, b, :posix), do: a == b
 
-  defp join("", [], _style), do: "."
-  defp join(root, segments, :windows), do: root <> Enum.join(segments, "\\")
-  defp join(root, segments, :posix), do: root <> Enum.join(segments, "/")
+  defp join_parts("", [], _style), do: "."
+  defp join_parts(root, segments, :windows), do: root <> Enum.join(segments, "\\")
+  defp join_parts(root, segments, :posix), do: root <> Enum.join(segments, "/")
 end

@@ -37,14 +37,15 @@ defmodule Situ.Dataset.Summary do
         }
 
   @doc "Summarizes an open recording."
-  @spec of(Store.t()) :: t()
-  def of(%Store.Handle{} = store) do
+  @spec from_store(Store.t()) :: t()
+  def from_store(%Store.Handle{} = store) do
     streams = Store.streams(store)
 
     %__MODULE__{
-      originating: span(Store.interval(streams)),
-      creation: span(extent(streams, & &1.first_creation, & &1.last_creation)),
-      streams_open: span(extent(streams, &(&1.opened || &1.first), &(&1.closed || &1.last))),
+      originating: to_interval(Store.interval(streams)),
+      creation: to_interval(time_extent(streams, & &1.first_creation, & &1.last_creation)),
+      streams_open:
+        to_interval(time_extent(streams, &(&1.opened || &1.first), &(&1.closed || &1.last))),
       size: streams |> Enum.map(& &1.size) |> Enum.sum(),
       streams: length(streams),
       messages: streams |> Enum.map(& &1.count) |> Enum.sum()
@@ -52,8 +53,8 @@ defmodule Situ.Dataset.Summary do
   end
 
   @doc "Returns the summary of a recording that cannot be read."
-  @spec unknown() :: t()
-  def unknown, do: %__MODULE__{unknown: 1}
+  @spec unknown_recording() :: t()
+  def unknown_recording, do: %__MODULE__{unknown: 1}
 
   @doc "Combines several summaries: the coverage of the spans and the sums of the other fields."
   @spec sum([t()]) :: t()
@@ -76,10 +77,10 @@ defmodule Situ.Dataset.Summary do
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%__MODULE__{originating: interval}), do: Interval.span(interval)
 
-  defp span(nil), do: Interval.empty()
-  defp span({first, last}), do: Interval.closed(min(first, last), max(first, last))
+  defp to_interval(nil), do: Interval.empty()
+  defp to_interval({first, last}), do: Interval.closed(min(first, last), max(first, last))
 
-  defp extent(streams, first, last) do
+  defp time_extent(streams, first, last) do
     firsts = for s <- streams, time = first.(s), do: time
     lasts = for s <- streams, time = last.(s), do: time
     if firsts == [] or lasts == [], do: nil, else: {Enum.min(firsts), Enum.max(lasts)}

@@ -46,8 +46,8 @@ defmodule Situ.Dataset.Task do
   @callback build(Situ.Graph.Handle.t(), keyword()) :: term()
 
   @doc "Returns the modules of all tasks, sorted by the tasks' names."
-  @spec all() :: [module()]
-  def all do
+  @spec list_tasks() :: [module()]
+  def list_tasks do
     for {app, _, _} <- Application.loaded_applications(),
         module <- Application.get_env(app, :dataset_tasks, []) do
       module
@@ -56,12 +56,12 @@ defmodule Situ.Dataset.Task do
   end
 
   @doc "Returns the module of the task with that name. Error: `:no_task`, which suggests the nearest name."
-  @spec fetch(String.t()) :: {:ok, module()} | {:error, Error.t()}
-  def fetch(name) do
-    case Enum.find(all(), &(&1.task().name == name)) do
+  @spec fetch_task(String.t()) :: {:ok, module()} | {:error, Error.t()}
+  def fetch_task(name) do
+    case Enum.find(list_tasks(), &(&1.task().name == name)) do
       nil ->
-        names = Enum.map(all(), & &1.task().name)
-        near = Options.nearest(name, names)
+        names = Enum.map(list_tasks(), & &1.task().name)
+        near = Options.nearest_name(name, names)
 
         {:error,
          Error.new(:no_task, "task #{inspect(name)} does not exist",
@@ -79,18 +79,18 @@ defmodule Situ.Dataset.Task do
   `:unknown_option`, `:bad_option`.
 
       iex> schema = [rate: [type: :pos_integer, default: 10], mode: [type: {:in, [:fast, :exact]}]]
-      iex> Situ.Dataset.Task.options(schema, %{"mode" => "exact"})
+      iex> Situ.Dataset.Task.parse_options(schema, %{"mode" => "exact"})
       {:ok, [rate: 10, mode: :exact]}
-      iex> {:error, error} = Situ.Dataset.Task.options(schema, %{"mod" => "exact"})
+      iex> {:error, error} = Situ.Dataset.Task.parse_options(schema, %{"mod" => "exact"})
       iex> error.code
       :unknown_option
   """
-  @spec options(Options.schema(), map()) :: {:ok, keyword()} | {:error, Error.t()}
-  def options(schema, config) do
+  @spec parse_options(Options.schema(), map()) :: {:ok, keyword()} | {:error, Error.t()}
+  def parse_options(schema, config) do
     Enum.reduce_while(config, {:ok, []}, fn {name, value}, {:ok, opts} ->
       case Enum.find(schema, fn {key, _} -> Atom.to_string(key) == name end) do
-        nil -> {:halt, {:error, unknown(name, schema)}}
-        {key, spec} -> {:cont, {:ok, [{key, read(spec[:type], value)} | opts]}}
+        nil -> {:halt, {:error, unknown_option_error(name, schema)}}
+        {key, spec} -> {:cont, {:ok, [{key, convert_value(spec[:type], value)} | opts]}}
       end
     end)
     |> case do
@@ -99,7 +99,7 @@ defmodule Situ.Dataset.Task do
     end
   end
 
-  defp unknown(name, schema) do
+  defp unknown_option_error(name, schema) do
     Error.new(:unknown_option, "the task has no option #{inspect(name)}",
       fix: "use one of #{Enum.map_join(schema, ", ", fn {key, _} -> Atom.to_string(key) end)}"
     )
@@ -107,18 +107,18 @@ defmodule Situ.Dataset.Task do
 
   # JSON has no atoms, so a string selects the choice of that name. An integer is accepted for a float, 90.0 for 90,
   # and a single string for a list of strings.
-  defp read({:in, choices}, text) when is_binary(text),
+  defp convert_value({:in, choices}, text) when is_binary(text),
     do: Enum.find(choices, text, &(to_string(&1) == text))
 
-  defp read({:optional, type}, value) when value != nil, do: read(type, value)
-  defp read({:list, :string}, text) when is_binary(text), do: [text]
-  defp read(:float, n) when is_integer(n), do: n / 1
+  defp convert_value({:optional, type}, value) when value != nil, do: convert_value(type, value)
+  defp convert_value({:list, :string}, text) when is_binary(text), do: [text]
+  defp convert_value(:float, n) when is_integer(n), do: n / 1
 
-  defp read(type, x) when is_float(x) and x == trunc(x),
-    do: if(whole?(type), do: trunc(x), else: x)
+  defp convert_value(type, x) when is_float(x) and x == trunc(x),
+    do: if(integer_type?(type), do: trunc(x), else: x)
 
-  defp read(_type, value), do: value
+  defp convert_value(_type, value), do: value
 
-  defp whole?({:integer, _, _}), do: true
-  defp whole?(type), do: type in [:integer, :pos_integer, :non_neg_integer, :time_ns]
+  defp integer_type?({:integer, _, _}), do: true
+  defp integer_type?(type), do: type in [:integer, :pos_integer, :non_neg_integer, :time_ns]
 end

@@ -8,14 +8,16 @@ defmodule Situ.Dataset.Version do
   @suffix ".unfinished"
 
   @doc "Returns the folder for a store that will become a version of `ROOT/NAME`."
-  @spec draft(Path.t()) :: Path.t()
-  def draft(path), do: "#{path}.#{System.pid()}-#{System.unique_integer([:positive])}#{@suffix}"
+  @spec draft_path(Path.t()) :: Path.t()
+  def draft_path(path),
+    do: "#{path}.#{System.pid()}-#{System.unique_integer([:positive])}#{@suffix}"
 
   @doc "Renames a complete store to the next version; tries the next number if another process has taken it."
-  @spec publish(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def publish(draft, path) do
-    with {:error, %Error{code: :newer_version}} <- publish_after(draft, path, newest(path)),
-         do: publish(draft, path)
+  @spec publish_draft(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def publish_draft(draft, path) do
+    with {:error, %Error{code: :newer_version}} <-
+           publish_after(draft, path, newest_folder(path)),
+         do: publish_draft(draft, path)
   end
 
   @doc """
@@ -25,11 +27,11 @@ defmodule Situ.Dataset.Version do
   @spec publish_after(Path.t(), Path.t(), Path.t() | nil) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def publish_after(draft, path, base) do
-    number = base |> number() |> Kernel.+(1) |> Integer.to_string()
+    number = base |> version_number() |> Kernel.+(1) |> Integer.to_string()
     folder = "#{path}.#{String.pad_leading(number, 4, "0")}"
 
     # Renaming would replace an empty folder, which is not a version.
-    with :ok <- AtomicFile.sync_files(draft), :ok <- AtomicFile.rename(draft, folder) do
+    with :ok <- AtomicFile.sync_files(draft), :ok <- AtomicFile.rename_synced(draft, folder) do
       {:ok, folder}
     else
       {:error, reason} when reason in [:eexist, :enotempty] ->
@@ -49,16 +51,18 @@ defmodule Situ.Dataset.Version do
   end
 
   @doc "Returns the folder of the newest version of `ROOT/NAME`, or `nil` before the first version."
-  @spec newest(Path.t()) :: Path.t() | nil
-  def newest(path), do: Store.newest(Path.basename(path), Path.dirname(path))
+  @spec newest_folder(Path.t()) :: Path.t() | nil
+  def newest_folder(path), do: Store.newest(Path.basename(path), Path.dirname(path))
 
   @doc "Deletes a draft that was not published; other folders are never deleted."
-  @spec discard(Path.t()) :: :ok
-  def discard(path) do
+  @spec discard_draft(Path.t()) :: :ok
+  def discard_draft(path) do
     if String.ends_with?(path, @suffix), do: File.rm_rf(path)
     :ok
   end
 
-  defp number(nil), do: -1
-  defp number(folder), do: folder |> String.split(".") |> List.last() |> String.to_integer()
+  defp version_number(nil), do: -1
+
+  defp version_number(folder),
+    do: folder |> String.split(".") |> List.last() |> String.to_integer()
 end

@@ -32,11 +32,11 @@ defmodule Situ.Expression.Functions do
   }
 
   @doc "Returns the numbers of arguments that a function accepts, or nil if the function does not exist."
-  @spec arities(String.t()) :: [pos_integer()] | nil
-  def arities(name), do: Map.get(@arities, name)
+  @spec function_arities(String.t()) :: [pos_integer()] | nil
+  def function_arities(name), do: Map.get(@arities, name)
 
-  @spec names() :: [String.t()]
-  def names, do: Map.keys(@arities)
+  @spec function_names() :: [String.t()]
+  def function_names, do: Map.keys(@arities)
 
   @spec call(String.t(), [term()]) :: term()
   def call("if", [condition, yes, no]), do: if(condition == true, do: yes, else: no)
@@ -45,22 +45,25 @@ defmodule Situ.Expression.Functions do
   def call("floor", [n]) when is_number(n), do: floor(n)
   def call("ceil", [n]) when is_number(n), do: ceil(n)
   def call("round", [n]) when is_number(n), do: round(n)
-  def call("sqrt", [n]) when is_number(n) and n >= 0, do: Value.bounded(fn -> :math.sqrt(n) end)
-  def call("log", [n]) when is_number(n) and n > 0, do: Value.bounded(fn -> :math.log(n) end)
-  def call("exp", [n]) when is_number(n), do: Value.bounded(fn -> :math.exp(n) end)
-  def call("sin", [n]) when is_number(n), do: Value.bounded(fn -> :math.sin(n) end)
-  def call("cos", [n]) when is_number(n), do: Value.bounded(fn -> :math.cos(n) end)
+
+  def call("sqrt", [n]) when is_number(n) and n >= 0,
+    do: Value.bound_number(fn -> :math.sqrt(n) end)
+
+  def call("log", [n]) when is_number(n) and n > 0, do: Value.bound_number(fn -> :math.log(n) end)
+  def call("exp", [n]) when is_number(n), do: Value.bound_number(fn -> :math.exp(n) end)
+  def call("sin", [n]) when is_number(n), do: Value.bound_number(fn -> :math.sin(n) end)
+  def call("cos", [n]) when is_number(n), do: Value.bound_number(fn -> :math.cos(n) end)
 
   def call("atan2", [y, x]) when is_number(y) and is_number(x),
-    do: Value.bounded(fn -> :math.atan2(y, x) end)
+    do: Value.bound_number(fn -> :math.atan2(y, x) end)
 
   def call(name, [list]) when name in ["min", "max", "sum", "mean"] and is_list(list) do
     if not List.improper?(list) and list != [] and Enum.all?(list, &is_number/1),
-      do: fold(name, list)
+      do: fold_numbers(name, list)
   end
 
   def call(name, [_, _ | _] = numbers) when name in ["min", "max"],
-    do: if(Enum.all?(numbers, &is_number/1), do: fold(name, numbers))
+    do: if(Enum.all?(numbers, &is_number/1), do: fold_numbers(name, numbers))
 
   def call("len", [text]) when is_binary(text),
     do: if(String.valid?(text), do: String.length(text), else: byte_size(text))
@@ -78,7 +81,8 @@ defmodule Situ.Expression.Functions do
   def call("contains", [text, part]) when is_binary(text) and is_binary(part),
     do: part == "" or String.contains?(text, part)
 
-  def call("contains", [list, value]) when is_list(list), do: Value.binary("in", value, list)
+  def call("contains", [list, value]) when is_list(list),
+    do: Value.apply_binary("in", value, list)
 
   def call("starts_with", [text, part]) when is_binary(text) and is_binary(part),
     do: String.starts_with?(text, part)
@@ -91,7 +95,7 @@ defmodule Situ.Expression.Functions do
 
   def call("number", [text]) when is_binary(text) and byte_size(text) <= 100 do
     case {Integer.parse(text), Float.parse(text)} do
-      {{n, ""}, _} -> Value.bounded(fn -> n end)
+      {{n, ""}, _} -> Value.bound_number(fn -> n end)
       {_, {x, ""}} -> x
       _ -> nil
     end
@@ -100,8 +104,8 @@ defmodule Situ.Expression.Functions do
   def call("number", [n]) when is_number(n), do: n
   def call(_, _), do: nil
 
-  defp fold("min", list), do: Enum.min(list)
-  defp fold("max", list), do: Enum.max(list)
-  defp fold("sum", list), do: Value.bounded(fn -> Enum.sum(list) end)
-  defp fold("mean", list), do: Value.bounded(fn -> Enum.sum(list) / length(list) end)
+  defp fold_numbers("min", list), do: Enum.min(list)
+  defp fold_numbers("max", list), do: Enum.max(list)
+  defp fold_numbers("sum", list), do: Value.bound_number(fn -> Enum.sum(list) end)
+  defp fold_numbers("mean", list), do: Value.bound_number(fn -> Enum.sum(list) / length(list) end)
 end

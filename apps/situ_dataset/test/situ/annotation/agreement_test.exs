@@ -7,9 +7,9 @@ defmodule Situ.Annotation.AgreementTest do
 
   doctest Situ.Annotation.Agreement
 
-  # Frame by frame, as the definition says.
+  # Counts frame by frame, as the definition says.
   defp by_frames(a, b, {from, to}, frame) do
-    for track <- Enum.uniq(Layer.tracks(a) ++ Layer.tracks(b)),
+    for track <- Enum.uniq(Layer.track_names(a) ++ Layer.track_names(b)),
         k <- 0..(div(to - from, frame) - 1)//1,
         at = 2 * (from + k * frame) + frame,
         reduce: %{} do
@@ -22,18 +22,18 @@ defmodule Situ.Annotation.AgreementTest do
     found && found.values["Speech"]
   end
 
-  property "runs give what looking at every frame gives", numtests: 200 do
+  property "counts runs like a frame-by-frame comparison", numtests: 200 do
     forall {left, right, frame, to} <- {spans(), spans(), integer(1, 13), integer(1, 150)} do
       {a, b} = {layer(left), layer(right)}
-      {:ok, report} = Agreement.of(a, b, frame: frame, from: 0, to: to)
+      {:ok, report} = Agreement.compare_layers(a, b, frame: frame, from: 0, to: to)
       assert report.confusion == by_frames(a, b, {0, to}, frame)
     end
   end
 
-  property "an annotator agrees with himself" do
+  property "finds full agreement of a layer with itself" do
     forall spans <- spans() do
       layer = layer(spans)
-      {:ok, report} = Agreement.of(layer, layer, frame: 1)
+      {:ok, report} = Agreement.compare_layers(layer, layer, frame: 1)
       assert report.kappa in [nil, 1.0]
       assert report.paired == length(Layer.annotations(layer))
       assert report.only_first + report.only_second == 0
@@ -41,23 +41,25 @@ defmodule Situ.Annotation.AgreementTest do
     end
   end
 
-  test "chance that explains all leaves no kappa; nothing to compare leaves none either" do
+  test "returns no kappa if chance explains everything or nothing is compared" do
     assert Agreement.kappa(%{{1, 1} => 5}) == {1.0, nil}
     assert Agreement.kappa(%{}) == {nil, nil}
-    {:ok, report} = Agreement.of(layer([]), layer([]))
+    {:ok, report} = Agreement.compare_layers(layer([]), layer([]))
     assert {report.frames, report.kappa} == {0, nil}
   end
 
-  test "an unknown attribute and a span of too many frames are refused" do
+  test "rejects an unknown attribute and an interval with too many frames" do
     a = layer([{0, 10, "A", "speaks"}])
-    assert {:error, %{code: :unknown_attribute}} = Agreement.of(a, a, attribute: "X")
-    assert {:error, %{code: :too_many_frames}} = Agreement.of(a, a, frame: 1, to: 1_000_000_000)
+    assert {:error, %{code: :unknown_attribute}} = Agreement.compare_layers(a, a, attribute: "X")
+
+    assert {:error, %{code: :too_many_frames}} =
+             Agreement.compare_layers(a, a, frame: 1, to: 1_000_000_000)
   end
 
-  test "pairs are the widest overlaps" do
+  test "pairs the annotations with the widest overlaps" do
     {:ok, a} = Layer.new(schema(), [Annotation.new(0, 10, "A"), Annotation.new(10, 40, "A")])
     {:ok, b} = Layer.new(schema(), [Annotation.new(2, 38, "A"), Annotation.new(50, 60, "A")])
-    {:ok, report} = Agreement.of(a, b, frame: 1)
+    {:ok, report} = Agreement.compare_layers(a, b, frame: 1)
     assert {report.paired, report.only_first, report.only_second} == {1, 1, 1}
     assert {report.begin_error, report.end_error} == {8.0, 2.0}
   end

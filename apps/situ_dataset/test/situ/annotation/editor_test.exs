@@ -27,7 +27,7 @@ defmodule Situ.Annotation.EditorTest do
   end
 
   defp stored(path, stream) do
-    {:ok, layer} = Recording.load(Store.open!(path), stream)
+    {:ok, layer} = Recording.load_layer(Store.open!(path), stream)
     spans(layer)
   end
 
@@ -36,30 +36,30 @@ defmodule Situ.Annotation.EditorTest do
 
   defp spans(layer), do: for(a <- Layer.annotations(layer), do: {a.from, a.to})
 
-  test "annotations are a stream: end times, types and schema are the recording's", %{path: path} do
+  test "stores annotations as a stream with end times, types and schema", %{path: path} do
     layer = layer([{0, 10, "A", "speaks"}, {5, 5, "B", "laughs"}, {10, 7, "A", "silent"}])
     {:ok, folder} = Recording.write(layer, path, "Speech")
     {:ok, store} = Store.open(folder)
     {:ok, info} = Store.stream_info(store, "Speech")
-    assert Recording.annotations?(store, info)
+    assert Recording.annotation_stream?(store, info)
 
     assert Enum.map(Store.messages(store, info), &{&1.originating_time, length(&1.data)}) == [
              {10, 2},
              {17, 1}
            ]
 
-    assert {:ok, again} = Recording.load(store, "Speech")
+    assert {:ok, again} = Recording.load_layer(store, "Speech")
     assert Layer.annotations(again) == Layer.annotations(layer)
     assert again.schema == layer.schema
   end
 
-  test "a stream of something else is refused", %{tmp_dir: root} do
+  test "rejects a stream of another type", %{tmp_dir: root} do
     path = Situ.Dataset.Test.Study.record(root, "x", %{"Level" => [{1, 2}]})
     {:ok, store} = Store.open(path)
-    assert {:error, %{code: :bad_annotation}} = Recording.load(store, "Level")
+    assert {:error, %{code: :bad_annotation}} = Recording.load_layer(store, "Level")
   end
 
-  test "every save is a version; other streams of the store go along", %{path: path} do
+  test "every save is a version that keeps the other streams", %{path: path} do
     {:ok, _} = Recording.write(layer([{0, 3, "B", "speaks"}]), path, "Other")
     editor = start(path)
     {:ok, _} = add(editor, 0, 10)
@@ -67,9 +67,9 @@ defmodule Situ.Annotation.EditorTest do
     {:ok, _} = add(editor, 10, 20)
     {:ok, second} = Editor.save(editor)
     assert Path.basename(first) < Path.basename(second)
-    {:ok, layer} = Recording.load(Store.open!(first), "Speech")
+    {:ok, layer} = Recording.load_layer(Store.open!(first), "Speech")
     assert spans(layer) == [{0, 10}]
-    {:ok, layer} = Recording.load(Store.open!(path), "Speech")
+    {:ok, layer} = Recording.load_layer(Store.open!(path), "Speech")
     assert spans(layer) == [{0, 10}, {10, 20}]
     assert Store.has_stream?(Store.open!(second), "Other")
     {:ok, layer} = Editor.undo(editor)
@@ -81,7 +81,7 @@ defmodule Situ.Annotation.EditorTest do
              end)
   end
 
-  test "two streams of one store are edited at once: each save has what the other saved", %{
+  test "editors of two streams in one store keep each other's saves", %{
     path: path
   } do
     [speech, looks] = for stream <- ["Speech", "Looks"], do: start(path, stream)
@@ -96,7 +96,7 @@ defmodule Situ.Annotation.EditorTest do
     assert stored(path, "Looks") == [{0, 3}]
   end
 
-  test "many saves at the same moment: none takes another's stream away", %{path: path} do
+  test "concurrent saves keep every stream", %{path: path} do
     streams = for i <- 1..6, do: "Stream#{i}"
     editors = for s <- streams, do: start(path, s)
 
@@ -107,7 +107,7 @@ defmodule Situ.Annotation.EditorTest do
     for s <- streams, do: assert(stored(path, s) == [{0, 10}])
   end
 
-  test "what is unsaved of one stream outlives the save of another", %{path: path} do
+  test "unsaved edits of one stream survive a save of another", %{path: path} do
     Process.flag(:trap_exit, true)
     [speech, looks] = for stream <- ["Speech", "Looks"], do: start(path, stream)
     {:ok, _} = add(looks, 0, 3)
@@ -119,12 +119,12 @@ defmodule Situ.Annotation.EditorTest do
     assert_receive {:EXIT, ^looks, :killed}
     looks = start(path, "Looks")
     assert %{recovered: 1} = Editor.status(looks)
-    assert spans(Editor.layer(looks)) == [{0, 3}, {3, 5}]
+    assert spans(Editor.current_layer(looks)) == [{0, 3}, {3, 5}]
     {:ok, _} = Editor.save(looks)
     assert {stored(path, "Looks"), stored(path, "Speech")} == {[{0, 3}, {3, 5}], [{0, 10}]}
   end
 
-  test "an editor that is killed loses no edit; the next one carries on", %{
+  test "a killed editor loses no edit, and the next one continues", %{
     path: path,
     journal: journal
   } do
@@ -136,18 +136,18 @@ defmodule Situ.Annotation.EditorTest do
     Process.exit(editor, :kill)
     assert_receive {:EXIT, ^editor, :killed}
 
-    # A line cut off in the middle of a write.
+    # The line is truncated in the middle of a write.
     File.write!(journal, "[[9, nul", [:append])
     editor = start(path)
     assert %{recovered: 3, unsaved?: true} = Editor.status(editor)
-    assert spans(Editor.layer(editor)) == [{0, 10}]
+    assert spans(Editor.current_layer(editor)) == [{0, 10}]
     {:ok, _} = add(editor, 30, 40)
     Process.exit(editor, :kill)
     assert_receive {:EXIT, ^editor, :killed}
-    assert spans(Editor.layer(start(path))) == [{0, 10}, {30, 40}]
+    assert spans(Editor.current_layer(start(path))) == [{0, 10}, {30, 40}]
   end
 
-  test "killed after a save and before the journal went, the journal is not applied twice", ctx do
+  test "does not apply a journal twice if the editor is killed after a save", ctx do
     editor = start(ctx.path)
     {:ok, _} = add(editor, 0, 10)
     kept = File.read!(ctx.journal)
@@ -156,21 +156,23 @@ defmodule Situ.Annotation.EditorTest do
     :ok = Editor.stop(editor)
     File.write!(ctx.journal, kept)
     editor = start(ctx.path)
-    assert {spans(Editor.layer(editor)), Editor.status(editor).recovered} == {[{0, 10}], 0}
+
+    assert {spans(Editor.current_layer(editor)), Editor.status(editor).recovered} ==
+             {[{0, 10}], 0}
   end
 
   describe "two editors of one stream" do
-    test "the edits of one at a time are unsaved; the other is told whose", %{path: path} do
+    test "allow unsaved edits of one at a time, and report who edits", %{path: path} do
       [anna, ben] = for _ <- 1..2, do: start(path)
       {:ok, _} = add(anna, 0, 10)
       assert {:error, %{code: :being_edited} = error} = add(ben, 20, 30)
       assert error.why =~ "process #{System.pid()} on"
       assert {:error, %{code: :being_edited}} = Editor.put_schema(ben, schema())
-      # The other's unsaved edits are neither seen nor taken for a crash's.
+      # The other editor's unsaved edits are not visible and are not taken for a crash.
       carl = start(path)
 
       assert {[], %{recovered: 0, unsaved?: false}} =
-               {spans(Editor.layer(carl)), Editor.status(carl)}
+               {spans(Editor.current_layer(carl)), Editor.status(carl)}
 
       {:ok, _} = add(anna, 10, 20)
       {:ok, _} = Editor.save(anna)
@@ -183,7 +185,7 @@ defmodule Situ.Annotation.EditorTest do
       assert stored(path, "Speech") == [{0, 10}, {10, 20}, {20, 30}, {40, 50}]
     end
 
-    test "a save of nothing does not take the other's edits", %{path: path, journal: journal} do
+    test "keep the other's edits on a save without edits", %{path: path, journal: journal} do
       Process.flag(:trap_exit, true)
       [anna, ben] = for _ <- 1..2, do: start(path)
       {:ok, _} = add(anna, 0, 10)
@@ -192,7 +194,7 @@ defmodule Situ.Annotation.EditorTest do
       {:ok, _} = add(anna, 10, 20)
       Process.exit(anna, :kill)
       assert_receive {:EXIT, ^anna, :killed}
-      # The one that is there finds what the killed one left as well as one that is started then.
+      # A running editor recovers the edits of a killed one, like an editor started later.
       :ok = Editor.subscribe(ben)
       {:ok, layer} = add(ben, 20, 30)
       assert_receive {:situ_annotation, ^ben, :reloaded}
@@ -203,7 +205,7 @@ defmodule Situ.Annotation.EditorTest do
       refute File.exists?(journal)
     end
 
-    test "an edit that fails holds nobody up", %{path: path, journal: journal} do
+    test "are not blocked by a failing edit", %{path: path, journal: journal} do
       [anna, ben] = for _ <- 1..2, do: start(path)
       assert {:error, _} = Editor.edit(anna, fn _ -> raise "no" end)
       assert {:error, %{code: :nothing_to_undo}} = Editor.undo(anna)
@@ -215,7 +217,7 @@ defmodule Situ.Annotation.EditorTest do
     end
   end
 
-  test "after an edit that failed, edits on what another saved are kept", ctx do
+  test "keeps edits on top of another's save after a failed edit", ctx do
     Process.flag(:trap_exit, true)
     editor = start(ctx.path)
     {:ok, _} = add(editor, 0, 10)
@@ -228,17 +230,17 @@ defmodule Situ.Annotation.EditorTest do
     assert %{shadowed: nil} = Editor.status(editor)
     Process.exit(editor, :kill)
     assert_receive {:EXIT, ^editor, :killed}
-    assert spans(Editor.layer(start(ctx.path))) == spans(layer)
+    assert spans(Editor.current_layer(start(ctx.path))) == spans(layer)
   end
 
-  describe "another program saves the same stream meanwhile" do
+  describe "while another program saves the same stream" do
     defp by_another(path, spans, schema \\ schema()) do
       {:ok, layer} = Layer.new(schema, for({a, b} <- spans, do: Situ.Annotation.new(a, b, "A")))
       {:ok, folder} = Recording.write(layer, path, "Speech")
       folder
     end
 
-    test "without edits of one's own its annotations are taken", %{path: path} do
+    test "takes over its annotations without unsaved edits", %{path: path} do
       editor = start(path)
       {:ok, _} = add(editor, 0, 10)
       {:ok, _} = Editor.save(editor)
@@ -250,7 +252,7 @@ defmodule Situ.Annotation.EditorTest do
       assert %{undo: 0, unsaved?: false, shadowed: nil} = Editor.status(editor)
     end
 
-    test "edits that were not saved are made on them again, also after a crash", ctx do
+    test "reapplies unsaved edits to them, also after a crash", ctx do
       Process.flag(:trap_exit, true)
       editor = start(ctx.path)
       {:ok, _} = add(editor, 0, 10)
@@ -258,7 +260,7 @@ defmodule Situ.Annotation.EditorTest do
       {:ok, _} = add(editor, 40, 50)
       {:ok, layer} = Editor.edit(editor, &Layer.remove(&1, 1))
       assert spans(layer) == [{40, 50}]
-      # its numbers for them are others
+      # The other program numbers its annotations differently.
       by_another(ctx.path, [{60, 70}, {20, 30}, {0, 10}])
       {:ok, layer} = add(editor, 80, 90)
       assert spans(layer) == [{20, 30}, {40, 50}, {60, 70}, {80, 90}]
@@ -266,14 +268,14 @@ defmodule Situ.Annotation.EditorTest do
       Process.exit(editor, :kill)
       assert_receive {:EXIT, ^editor, :killed}
       editor = start(ctx.path)
-      assert spans(Editor.layer(editor)) == [{20, 30}, {40, 50}, {60, 70}, {80, 90}]
+      assert spans(Editor.current_layer(editor)) == [{20, 30}, {40, 50}, {60, 70}, {80, 90}]
       {:ok, layer} = Editor.undo(editor)
       assert spans(layer) == [{20, 30}, {40, 50}, {60, 70}]
       {:ok, _} = Editor.save(editor)
       assert stored(ctx.path, "Speech") == [{20, 30}, {40, 50}, {60, 70}]
     end
 
-    test "while the editor is away, its edits wait and are made then", ctx do
+    test "reapplies the edits of a stopped editor when it starts again", ctx do
       Process.flag(:trap_exit, true)
       editor = start(ctx.path)
       {:ok, _} = add(editor, 0, 10)
@@ -283,11 +285,11 @@ defmodule Situ.Annotation.EditorTest do
       assert_receive {:EXIT, ^editor, :killed}
       by_another(ctx.path, [{0, 10}, {20, 30}])
       editor = start(ctx.path)
-      assert spans(Editor.layer(editor)) == [{0, 10}, {20, 30}, {40, 50}]
+      assert spans(Editor.current_layer(editor)) == [{0, 10}, {20, 30}, {40, 50}]
       assert %{recovered: 1, unsaved?: true} = Editor.status(editor)
     end
 
-    test "edits that do not fit stay, and the other version is named", ctx do
+    test "keeps conflicting edits, and names the other version", ctx do
       editor = start(ctx.path)
       {:ok, _} = add(editor, 0, 10)
       {:ok, _} = Editor.save(editor)
@@ -299,11 +301,11 @@ defmodule Situ.Annotation.EditorTest do
       {:ok, folder} = Editor.save(editor)
       assert folder > theirs
       assert stored(ctx.path, "Speech") == [{0, 10}, {20, 30}, {50, 60}]
-      {:ok, layer} = Recording.load(Store.open!(theirs), "Speech")
+      {:ok, layer} = Recording.load_layer(Store.open!(theirs), "Speech")
       assert spans(layer) == [{25, 40}]
     end
 
-    test "another schema is taken with the annotations", %{path: path} do
+    test "takes over its schema with the annotations", %{path: path} do
       editor = start(path)
       {:ok, _} = add(editor, 0, 10)
       {:ok, _} = Editor.save(editor)
@@ -313,7 +315,7 @@ defmodule Situ.Annotation.EditorTest do
     end
   end
 
-  test "a damaged journal is told, not guessed at", %{path: path, journal: journal} do
+  test "reports a damaged journal instead of guessing", %{path: path, journal: journal} do
     File.write!(journal, ~s({"base": null}\nnonsense\n[]\n))
 
     assert {:error, %{code: :bad_journal, why: why}} =
@@ -328,7 +330,7 @@ defmodule Situ.Annotation.EditorTest do
     assert {:error, %{code: :no_schema}} = Editor.start_link(path: path, stream: "New")
   end
 
-  test "subscribers follow; a raising edit harms nobody", %{path: path} do
+  test "notifies subscribers, and survives a raising edit", %{path: path} do
     editor = start(path)
     :ok = Editor.subscribe(editor)
     {:ok, _} = add(editor, 0, 10)
@@ -336,6 +338,6 @@ defmodule Situ.Annotation.EditorTest do
     assert {:error, %{code: :edit_failed}} = Editor.edit(editor, fn _ -> raise "no" end)
     {:ok, _} = Editor.save(editor)
     assert_receive {:situ_annotation, ^editor, :saved}
-    assert spans(Editor.layer(editor)) == [{0, 10}]
+    assert spans(Editor.current_layer(editor)) == [{0, 10}]
   end
 end

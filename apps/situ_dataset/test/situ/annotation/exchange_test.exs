@@ -11,7 +11,7 @@ defmodule Situ.Annotation.ExchangeTest do
   @ms 1_000_000
   @formats [:eaf, :textgrid, :webvtt, :srt, :label_studio, :csv]
 
-  # The contents a format can hold: values, tracks and milliseconds.
+  # Returns the parts that each format can hold: values, tracks and milliseconds.
   defp plain(layer) do
     for a <- Layer.annotations(layer), do: {a.from, a.to, a.track, a.values}
   end
@@ -35,7 +35,7 @@ defmodule Situ.Annotation.ExchangeTest do
   end
 
   for format <- @formats do
-    property "#{format}: annotations of milliseconds come back as they were", numtests: 60 do
+    property "#{format} keeps annotations with millisecond times", numtests: 60 do
       forall items <- items() do
         layer = layer_ms(items)
         {:ok, text, _} = Exchange.encode(layer, unquote(format), origin: 0)
@@ -45,7 +45,7 @@ defmodule Situ.Annotation.ExchangeTest do
       end
     end
 
-    property "#{format}: what is cut short or altered is refused or read, and never raises",
+    property "#{format} rejects or reads truncated and altered text, and never raises",
       numtests: 60 do
       forall {cut, at, byte} <- {integer(0, 400), integer(0, 3_000), integer(0, 255)} do
         layer =
@@ -90,7 +90,7 @@ defmodule Situ.Annotation.ExchangeTest do
     assert strip.(again) == strip.(layer)
   end
 
-  test "the schema and the origin travel with ELAN and Label Studio files", %{tmp_dir: root} do
+  test "keeps schema and origin in ELAN and Label Studio files", %{tmp_dir: root} do
     start = 1_700_000_000_000_000_000
 
     {:ok, layer} =
@@ -108,7 +108,7 @@ defmodule Situ.Annotation.ExchangeTest do
     end
   end
 
-  test "a csv column without a name is refused" do
+  test "rejects a csv column without a name" do
     for text <- [
           "track,from,to,\r\nA,0,1,x\r\n",
           "track,from_s,to_s,\r\nA,0,1,x\r\n"
@@ -117,7 +117,7 @@ defmodule Situ.Annotation.ExchangeTest do
     end
   end
 
-  test "losses are told" do
+  test "reports losses" do
     {:ok, layer} =
       Layer.new(Schema.text("Words"), [
         Annotation.new(0, 1_500_000, "A", %{"Words" => ""},
@@ -143,7 +143,7 @@ defmodule Situ.Annotation.ExchangeTest do
     end
   end
 
-  test "entity bombs, external entities and deep nests are refused" do
+  test "rejects entity bombs, external entities and deep nesting" do
     bomb = """
     <?xml version="1.0"?>
     <!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">]>
@@ -166,7 +166,7 @@ defmodule Situ.Annotation.ExchangeTest do
     assert {:error, %{code: :bad_file}} = Exchange.decode("not xml", :eaf)
   end
 
-  test "ELAN's tiers that refer to others have their times" do
+  test "times ELAN's dependent tiers by their parent tier" do
     text = """
     <ANNOTATION_DOCUMENT><HEADER/><TIME_ORDER><TIME_SLOT TIME_SLOT_ID="t1" TIME_VALUE="0"/>
     <TIME_SLOT TIME_SLOT_ID="t2" TIME_VALUE="1500"/><TIME_SLOT TIME_SLOT_ID="t3"/></TIME_ORDER>
@@ -189,7 +189,7 @@ defmodule Situ.Annotation.ExchangeTest do
     assert loss =~ "no times"
   end
 
-  test "Praat's short form, UTF-16 and overlapping tiers of one name" do
+  test "reads Praat's short form, UTF-16 and overlapping tiers with the same name" do
     short = """
     File type = "ooTextFile"
     Object class = "TextGrid"
@@ -230,7 +230,7 @@ defmodule Situ.Annotation.ExchangeTest do
     end
   end
 
-  test "a subtitle without a speaker, overlapping ones, a value that is none of the schema's" do
+  test "reads subtitles without a speaker, overlapping ones, and values outside the schema" do
     text =
       "WEBVTT - title\n\nNOTE x\n\n00:01.000 --> 00:02.000 align:start\n<b>Hi</b> &amp; bye\n\n" <>
         "00:01.500 --> 00:03.000\nthere\n"
@@ -244,10 +244,10 @@ defmodule Situ.Annotation.ExchangeTest do
     assert loss =~ "overlap"
     {:ok, layer, losses} = Exchange.decode(text, :webvtt, schema: Schema.finite("S", ["there"]))
     assert [{_, _, _, %{"S" => "there"}}] = plain(layer)
-    assert Enum.any?(losses, &(&1 =~ "no values of the schema"))
+    assert Enum.any?(losses, &(&1 =~ "do not fit the schema"))
   end
 
-  test "files that are not there, too big or of no known ending", %{tmp_dir: root} do
+  test "rejects missing, oversized and unknown files", %{tmp_dir: root} do
     assert {:error, %{code: :not_found}} = Exchange.read(Path.join(root, "none.eaf"))
     assert {:error, %{code: :unknown_format}} = Exchange.read(Path.join(root, "x.doc"))
     big = Path.join(root, "big.csv")

@@ -11,7 +11,7 @@ defmodule Situ.Annotation.LayerTest do
 
   defp spans_of(layer), do: for(a <- Layer.annotations(layer), do: {a.track, a.from, a.to})
 
-  # Every rule, checked the slow way.
+  # Checks every rule by brute force.
   defp sound?(layer) do
     all = Layer.annotations(layer)
 
@@ -23,18 +23,18 @@ defmodule Situ.Annotation.LayerTest do
           Annotation.overlap?(a, b),
           do: {a, b}
 
-    by_track = for t <- Layer.tracks(layer), a <- Layer.on_track(layer, t), do: a
+    by_track = for t <- Layer.track_names(layer), a <- Layer.on_track(layer, t), do: a
 
     pairs == [] and Enum.all?(all, &(&1.from <= &1.to)) and
-      Enum.all?(all, &(Schema.check(layer.schema, &1.values) == :ok)) and
+      Enum.all?(all, &(Schema.check_values(layer.schema, &1.values) == :ok)) and
       Enum.sort(by_track) == Enum.sort(all) and
-      Enum.all?(Layer.tracks(layer), fn t ->
+      Enum.all?(Layer.track_names(layer), fn t ->
         own = Layer.on_track(layer, t)
         own == Enum.sort_by(own, &{&1.from, &1.to})
       end)
   end
 
-  property "whatever is edited, the rules hold; a refused edit changes nothing", numtests: 300 do
+  property "keeps the rules after any edit, and rejected edits change nothing", numtests: 300 do
     forall {spans, edits} <- {spans(), edits()} do
       Enum.reduce(edits, layer(spans), fn edit, layer ->
         case run(edit, layer) do
@@ -51,7 +51,7 @@ defmodule Situ.Annotation.LayerTest do
     end
   end
 
-  property "undoing all edits gives the layer back, redoing them the edited one", numtests: 200 do
+  property "undoes all edits to the original, and redoes them", numtests: 200 do
     forall {spans, edits} <- {spans(), edits()} do
       first = layer(spans)
 
@@ -65,13 +65,13 @@ defmodule Situ.Annotation.LayerTest do
 
       undone =
         Enum.reduce(done, last, fn transaction, layer ->
-          {:ok, layer} = Layer.apply(layer, Layer.inverse(transaction))
+          {:ok, layer} = Layer.apply_transaction(layer, Layer.invert_transaction(transaction))
           layer
         end)
 
       redone =
         Enum.reduce(Enum.reverse(done), undone, fn transaction, layer ->
-          {:ok, layer} = Layer.apply(layer, transaction)
+          {:ok, layer} = Layer.apply_transaction(layer, transaction)
           layer
         end)
 
@@ -80,22 +80,22 @@ defmodule Situ.Annotation.LayerTest do
     end
   end
 
-  property "at, previous and next say as a search through all does" do
+  property "finds annotations like a linear search" do
     forall {spans, time} <- {spans(), integer(-5, 140)} do
       layer = layer(spans)
       all = Layer.on_track(layer, "A")
 
-      assert Layer.previous(layer, "A", time) ==
+      assert Layer.previous_annotation(layer, "A", time) ==
                all |> Enum.filter(&(&1.from < time)) |> List.last()
 
-      assert Layer.next(layer, "A", time) == Enum.find(all, &(&1.from > time))
+      assert Layer.next_annotation(layer, "A", time) == Enum.find(all, &(&1.from > time))
 
-      assert Layer.at(layer, "A", time) ==
+      assert Layer.annotation_at(layer, "A", time) ==
                all |> Enum.filter(&Annotation.contains?(&1, time)) |> List.last()
     end
   end
 
-  test "touching is no overlap; a point inside, an equal end and the same point are" do
+  test "touching is not an overlap, but inner points and equal ends are" do
     {:ok, layer} = Layer.new(schema(), [Annotation.new(10, 20, "A")])
 
     for {from, to} <- [{0, 10}, {20, 30}, {10, 10}],
@@ -107,7 +107,7 @@ defmodule Situ.Annotation.LayerTest do
     assert {:ok, _, _} = Layer.add(layer, Annotation.new(5, 11, "B"))
   end
 
-  test "an edge takes a touching neighbour along, and leaves something of it" do
+  test "moving an edge moves a touching neighbor and keeps a part of it" do
     layer = layer([{0, 10, "A", "speaks"}, {10, 10, "A", "laughs"}, {30, 5, "A", "silent"}])
     {:ok, both, _} = Edit.move_edge(layer, 1, :to, 15)
     assert spans_of(both) == [{"A", 0, 15}, {"A", 15, 20}, {"A", 30, 35}]
@@ -119,7 +119,7 @@ defmodule Situ.Annotation.LayerTest do
     assert spans_of(alone) == [{"A", 0, 10}, {"A", 15, 20}, {"A", 30, 35}]
   end
 
-  test "an edge stops at a neighbour that does not touch, and at its own other end" do
+  test "an edge stops at a separate neighbor and at its own other end" do
     layer = layer([{0, 10, "A", "speaks"}, {20, 10, "A", "laughs"}])
     {:ok, wide, _} = Edit.move_edge(layer, 1, :to, 25)
     assert spans_of(wide) == [{"A", 0, 20}, {"A", 20, 30}]
@@ -129,12 +129,16 @@ defmodule Situ.Annotation.LayerTest do
     assert spans_of(back) == [{"A", 0, 10}, {"A", 30, 30}]
   end
 
-  test "proposals fill the gaps, are accepted by confidence, and the rest rejected" do
+  test "proposals fill gaps, and are accepted or rejected by confidence" do
     layer = layer([{0, 10, "A", "speaks"}])
     proposal = &Annotation.new(&1, &2, "A", %{"Speech" => "laughs"}, confidence: &3)
 
     {:ok, layer, undo} =
-      Edit.propose(layer, [proposal.(5, 8, 0.9), proposal.(10, 20, 0.9), proposal.(30, 40, 0.2)])
+      Edit.add_proposals(layer, [
+        proposal.(5, 8, 0.9),
+        proposal.(10, 20, 0.9),
+        proposal.(30, 40, 0.2)
+      ])
 
     assert length(undo) == 2
     {:ok, layer, _} = Edit.accept_all(layer, 0.5, "me")
@@ -149,7 +153,7 @@ defmodule Situ.Annotation.LayerTest do
     assert length(Layer.annotations(layer)) == 2
   end
 
-  test "boundaries are copied to an empty track with default values" do
+  test "copies boundaries to an empty track with default values" do
     layer = layer([{0, 10, "A", "laughs"}, {20, 5, "A", "laughs"}])
     {:ok, copied, _} = Edit.copy_boundaries(layer, Layer.on_track(layer, "A"), "B")
 
@@ -161,11 +165,11 @@ defmodule Situ.Annotation.LayerTest do
     assert {:error, %{code: :not_empty}} = Edit.copy_boundaries(copied, [], "A")
   end
 
-  test "two who edit the same annotation: the second is told" do
+  test "reports the second of two concurrent edits of an annotation" do
     layer = layer([{0, 10, "A", "speaks"}])
     {:ok, mine, edit} = Layer.set_value(layer, 1, "Words", "x")
     {:ok, _, other} = Layer.set_value(layer, 1, "Words", "y")
-    assert {:error, %{code: :stale_edit}} = Layer.apply(mine, other)
-    assert {:error, %{code: :stale_edit}} = Layer.apply(mine, edit)
+    assert {:error, %{code: :stale_edit}} = Layer.apply_transaction(mine, other)
+    assert {:error, %{code: :stale_edit}} = Layer.apply_transaction(mine, edit)
   end
 end

@@ -4,7 +4,7 @@ defmodule Situ.Annotation.PsiTest do
   alias Situ.Annotation.{Layer, Psi, Recording, Schema}
   alias Situ.Store
 
-  # As Situ.Bridge.Psi reads the types of \psi.
+  # The terms have the form in which Situ.Bridge.Psi reads \psi's types.
   defp endpoint(time), do: %{"Bounded" => true, "Inclusive" => true, "Point" => time}
 
   defp one(track, from, to, values) do
@@ -51,23 +51,23 @@ defmodule Situ.Annotation.PsiTest do
     }
   end
 
-  test "a set has the annotations of its tracks" do
+  test "reads the annotations of all tracks of a set" do
     both =
       set([one("two", 5, 20, %{"Who" => "B"}), one("one", 0, 20, %{"Who" => "A", "Words" => nil})])
 
-    assert {:ok, [first, second]} = Psi.annotations(both)
+    assert {:ok, [first, second]} = Psi.decode_annotations(both)
 
     assert %Annotation{from: 0, to: 20, track: "one", values: %{"Who" => "A", "Words" => ""}} =
              first
 
     assert %Annotation{from: 5, track: "two"} = second
-    assert Psi.annotations(%{"data" => %{"x" => %{}}}) == :error
-    assert Psi.annotations(set([one("backwards", 9, 3, %{})])) == :error
-    assert Psi.annotations(%{"other" => 1}) == :error
+    assert Psi.decode_annotations(%{"data" => %{"x" => %{}}}) == :error
+    assert Psi.decode_annotations(set([one("backwards", 9, 3, %{})])) == :error
+    assert Psi.decode_annotations(%{"other" => 1}) == :error
   end
 
   @tag :tmp_dir
-  test "a stream of them is read like ours, with its schema", %{tmp_dir: root} do
+  test "reads a stream of sets with its schema", %{tmp_dir: root} do
     {:ok, writer} = Store.Writer.create("annotated", root)
     {:ok, stream} = Store.Writer.stream(writer, "Speech", type: :map, metadata: schema())
 
@@ -81,8 +81,8 @@ defmodule Situ.Annotation.PsiTest do
     :ok = Store.Writer.close(writer)
     store = Store.open!(writer.path)
     {:ok, info} = Store.stream_info(store, "Speech")
-    assert Recording.annotations?(store, info)
-    assert {:ok, layer} = Recording.load(store, "Speech")
+    assert Recording.annotation_stream?(store, info)
+    assert {:ok, layer} = Recording.load_layer(store, "Speech")
 
     assert [%{from: 10, to: 20, values: %{"Words" => "word 1"}}, %{to: 30}] =
              Layer.annotations(layer)
@@ -98,9 +98,11 @@ defmodule Situ.Annotation.PsiTest do
     assert {words.kind, words.default, words.fill} == {:text, "", "#00ff00"}
   end
 
-  test "a schema that makes no sense says why" do
-    assert {:ok, json} = Psi.schema(%{"Name" => "S", "AttributeSchemas" => [%{"Name" => nil}]})
+  test "says why a schema is invalid" do
+    assert {:ok, json} =
+             Psi.convert_schema(%{"Name" => "S", "AttributeSchemas" => [%{"Name" => nil}]})
+
     assert {:error, %{code: :bad_schema}} = Schema.parse(json)
-    assert Psi.schema(%{"name" => "ours"}) == :error
+    assert Psi.convert_schema(%{"name" => "ours"}) == :error
   end
 end

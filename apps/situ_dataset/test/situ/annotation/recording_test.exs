@@ -7,7 +7,7 @@ defmodule Situ.Annotation.RecordingTest do
 
   @moduletag :tmp_dir
 
-  property "layers come back from their store as they were, schema and all", numtests: 30 do
+  property "loads layers as they were stored, with their schemas", numtests: 30 do
     forall {one, two} <- {spans(), spans()} do
       root = Path.join(System.tmp_dir!(), "situ-layers-#{System.unique_integer([:positive])}")
       layers = %{"One" => layer(one), "Two" => layer(two)}
@@ -15,23 +15,23 @@ defmodule Situ.Annotation.RecordingTest do
       store = Store.open!(path)
 
       for {name, layer} <- layers do
-        {:ok, again} = Recording.load(store, name)
+        {:ok, again} = Recording.load_layer(store, name)
         assert Layer.annotations(again) == Layer.annotations(layer)
         assert again.schema == layer.schema
         {:ok, info} = Store.stream_info(store, name)
-        assert Recording.annotations?(store, info)
+        assert Recording.annotation_stream?(store, info)
       end
 
       File.rm_rf!(root)
     end
   end
 
-  test "each writing is a version of its own; other streams are no annotations", %{tmp_dir: root} do
+  test "writes a version each time, and rejects other streams", %{tmp_dir: root} do
     {:ok, first} = Recording.write(layer([{0, 5, "A", "speaks"}]), Path.join(root, "a"), "Speech")
     {:ok, second} = Recording.write(layer([]), Path.join(root, "a"), "Speech")
     assert {Path.basename(first), Path.basename(second)} == {"a.0000", "a.0001"}
-    {:ok, [_]} = Recording.annotations(Store.open!(first), "Speech")
-    {:ok, []} = Recording.annotations(Store.open!(second), "Speech")
+    {:ok, [_]} = Recording.read_annotations(Store.open!(first), "Speech")
+    {:ok, []} = Recording.read_annotations(Store.open!(second), "Speech")
 
     {:ok, writer} = Store.Writer.create("numbers", root)
     {:ok, stream} = Store.Writer.stream(writer, "N", type: :integer)
@@ -40,8 +40,8 @@ defmodule Situ.Annotation.RecordingTest do
     :ok = Store.Writer.close(writer)
     store = Store.open!(writer.path)
     {:ok, info} = Store.stream_info(store, "N")
-    refute Recording.annotations?(store, info)
-    assert {:error, %Situ.Error{}} = Recording.load(store, "N")
-    assert {:error, %{code: :no_stream}} = Recording.load(store, "none")
+    refute Recording.annotation_stream?(store, info)
+    assert {:error, %Situ.Error{}} = Recording.load_layer(store, "N")
+    assert {:error, %{code: :no_stream}} = Recording.load_layer(store, "none")
   end
 end

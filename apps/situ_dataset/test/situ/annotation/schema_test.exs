@@ -4,7 +4,7 @@ defmodule Situ.Annotation.SchemaTest do
 
   @moduletag :tmp_dir
 
-  test "a schema comes back from its file", %{tmp_dir: root} do
+  test "loads a schema as it was saved", %{tmp_dir: root} do
     {:ok, schema} =
       Schema.parse(%{
         "name" => "S",
@@ -27,13 +27,13 @@ defmodule Situ.Annotation.SchemaTest do
     path = Path.join(root, "s.json")
     :ok = Schema.save(schema, path)
     assert Schema.load(path) == {:ok, schema}
-    assert Schema.defaults(schema) == %{"Who" => "b", "N" => 2.5, "Q" => false}
-    assert Schema.read(schema, "N", "3") == {:ok, 3}
-    assert {:error, %{code: :bad_value}} = Schema.read(schema, "N", "three")
-    assert Schema.read(schema, "Q", "true") == {:ok, true}
+    assert Schema.default_values(schema) == %{"Who" => "b", "N" => 2.5, "Q" => false}
+    assert Schema.parse_value(schema, "N", "3") == {:ok, 3}
+    assert {:error, %{code: :bad_value}} = Schema.parse_value(schema, "N", "three")
+    assert Schema.parse_value(schema, "Q", "true") == {:ok, true}
   end
 
-  test "what is no schema is refused with the place", %{tmp_dir: root} do
+  test "rejects an invalid schema with the position", %{tmp_dir: root} do
     finite = fn values ->
       %{"name" => "S", "attributes" => [%{"name" => "A", "kind" => "finite", "values" => values}]}
     end

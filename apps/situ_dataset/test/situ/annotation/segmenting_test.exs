@@ -15,7 +15,7 @@ defmodule Situ.Annotation.SegmentingTest do
 
   defp spans(out), do: for({_, set} <- out, a <- set, do: {a.track, a.from, a.to})
 
-  test "booleans: while true, up to the message that says otherwise" do
+  test "annotates booleans while they are true, up to the next false message" do
     items = [{1, false}, {2, true}, {3, true}, {5, false}, {7, true}, {8, true}]
 
     out =
@@ -33,7 +33,7 @@ defmodule Situ.Annotation.SegmentingTest do
     assert [{5, [%{values: %{"S" => "speaks"}, proposed?: true, by: "vad"}]}, {8, _}] = out
   end
 
-  test "keys: a track each; changed values end one and begin the next" do
+  test "annotates each key on its own track, and splits at changed values" do
     items = [
       {1, %{"A" => "x"}},
       {2, %{"A" => "x", b: "x"}},
@@ -46,15 +46,19 @@ defmodule Situ.Annotation.SegmentingTest do
     assert Enum.map(out, &elem(&1, 0)) == [3, 4, 5]
   end
 
-  property "every message is an end, and a layer takes them all" do
+  property "ends annotations at messages, and a layer accepts them all" do
     forall flags <- list({boolean(), boolean()}) do
       items = for {{a, b}, i} <- Enum.with_index(flags, 1), do: {i * 10, %{"A" => a, "B" => b}}
       out = run(items, &Segmenting.from_keys(&1, fn _, on? -> on? && %{"V" => "on"} end))
-      for {time, set} <- out, a <- set, do: assert(a.to == time and Annotation.check(a) == :ok)
+
+      for {time, set} <- out,
+          a <- set,
+          do: assert(a.to == time and Annotation.check_fields(a) == :ok)
+
       all = for {_, set} <- out, a <- set, do: a
       assert {:ok, layer} = Layer.new(Schema.text("V"), all)
 
-      # At every message: annotated exactly where it was so (an end belongs to what follows).
+      # Each message is covered exactly while it is true. An end belongs to the next segment.
       for {time, map} <- items, {track, on?} <- map, time != length(flags) * 10 do
         covered = Enum.any?(Layer.on_track(layer, track), &(&1.from <= time and time < &1.to))
         assert covered == on?

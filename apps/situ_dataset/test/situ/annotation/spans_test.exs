@@ -16,7 +16,7 @@ defmodule Situ.Annotation.SpansTest do
 
   defp said(from, to, text, track \\ "Said"), do: {from, to, track, %{"Words" => text}}
 
-  test "each at its end, also when the message came at its beginning" do
+  test "emits each annotation at its end, even if it arrived at its beginning" do
     out =
       run([{1, [said(1, 4, "go")]}, {4, [said(4, 9, "on")]}, {20, []}], by: "me", proposed: true)
 
@@ -28,16 +28,16 @@ defmodule Situ.Annotation.SpansTest do
     assert {on.from, on.to} == {4, 9}
   end
 
-  test "what is still ahead when the stream closes is not lost" do
+  test "emits pending annotations when the stream closes" do
     assert [{7, [%Annotation{from: 1, to: 7}]}] = run([{1, [said(1, 7, "long")]}])
   end
 
-  test "a span in another one begins at its end; one in the past is left out" do
+  test "starts an overlapping span at the end of the other, and drops late ones" do
     out = run([{5, [said(1, 5, "a")]}, {6, [said(3, 6, "b"), said(2, 4, "late", "Other")]}])
     assert [{5, [%{from: 1}]}, {6, [%{from: 5, to: 6}]}] = out
   end
 
-  property "the result is a layer that its schema accepts, whatever the spans" do
+  property "produces a valid layer from any spans" do
     schema = Schema.text("Words")
 
     forall spans <- list({integer(0, 40), integer(0, 9), integer(0, 9), integer(0, 1)}) do

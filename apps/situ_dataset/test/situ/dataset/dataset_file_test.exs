@@ -11,12 +11,12 @@ defmodule Situ.Dataset.DatasetFileTest do
     %{path: file, dataset: dataset}
   end
 
-  test "what many edit at once is all there in the end", %{path: file, dataset: dataset} do
+  test "keeps all of many concurrent edits", %{path: file, dataset: dataset} do
     1..12
     |> Task.async_stream(
       fn i ->
         {:ok, mine} = Dataset.load(file)
-        {:ok, _} = Dataset.update(mine, &Dataset.put(&1, tags: &1.tags ++ ["t#{i}"]))
+        {:ok, _} = Dataset.update(mine, &Dataset.put_fields(&1, tags: &1.tags ++ ["t#{i}"]))
         {:ok, _} = Dataset.update(dataset, &Dataset.add_session(&1, "s#{i}"))
       end,
       max_concurrency: 12,
@@ -30,23 +30,23 @@ defmodule Situ.Dataset.DatasetFileTest do
     assert Path.wildcard(file <> ".*") == []
   end
 
-  test "what another program saved meanwhile is not overwritten", %{path: file, dataset: dataset} do
+  test "does not overwrite another program's changes", %{path: file, dataset: dataset} do
     {:ok, other} = Dataset.load(file, autosave: true)
     {:ok, other} = Dataset.add_session(other, "theirs")
     assert {:error, %{code: :dataset_changed}} = Dataset.add_session(dataset, "mine")
     assert {:error, %{code: :dataset_changed}} = Dataset.save(dataset)
-    {:ok, unsaved} = Dataset.put(%{dataset | autosave?: false}, name: "Mine")
+    {:ok, unsaved} = Dataset.put_fields(%{dataset | autosave?: false}, name: "Mine")
     assert {:error, %{code: :dataset_changed}} = Dataset.update(unsaved, &{:ok, &1})
     {:ok, dataset} = Dataset.update(dataset, &Dataset.add_session(&1, "mine"))
     assert Enum.map(dataset.sessions, & &1.name) == ["theirs", "mine"]
-    {:ok, dataset} = Dataset.put(dataset, tags: ["a"])
-    assert {:error, %{code: :dataset_changed}} = Dataset.put(other, tags: ["b"])
+    {:ok, dataset} = Dataset.put_fields(dataset, tags: ["a"])
+    assert {:error, %{code: :dataset_changed}} = Dataset.put_fields(other, tags: ["b"])
     assert {:ok, %{tags: ["a"]}} = Dataset.load(file)
     assert {:ok, _} = Dataset.save_as(%{dataset | tags: ["c"]}, file)
     assert {:ok, %{tags: ["c"]}} = Dataset.load(file)
   end
 
-  test "an edit that fails or raises changes nothing and gives the file back", ctx do
+  test "a failing or raising edit changes nothing and releases the file", ctx do
     before = File.read!(ctx.path)
     no = {:error, Situ.Error.new(:no, "no")}
     assert Dataset.update(ctx.dataset, fn _ -> no end) == no
@@ -56,10 +56,10 @@ defmodule Situ.Dataset.DatasetFileTest do
     FileLock.release(lock)
   end
 
-  test "a dataset is known by its path to no program that is not there", %{path: file} do
-    # As a killed program leaves it.
+  test "ignores the lock file of a program that is not running", %{path: file} do
+    # A killed program leaves such a file.
     File.write!(file <> ".lock", "nonsense")
     {:ok, dataset} = Dataset.load(file)
-    assert {:ok, _} = Dataset.update(dataset, &Dataset.put(&1, name: "Again"))
+    assert {:ok, _} = Dataset.update(dataset, &Dataset.put_fields(&1, name: "Again"))
   end
 end

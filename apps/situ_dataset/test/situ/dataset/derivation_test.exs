@@ -36,7 +36,7 @@ defmodule Situ.Dataset.DerivationTest do
   defp statuses(report), do: Enum.map(report.results, &{&1.session, &1.status})
   defp left_over(root), do: Path.wildcard(Path.join(root, "**/*.{unfinished,run}"))
 
-  test "every session gets the output as a partition", %{tmp_dir: root} do
+  test "adds the output to every session as a partition", %{tmp_dir: root} do
     {:ok, dataset} = Dataset.save(dataset(root, 3))
     test = self()
 
@@ -58,7 +58,7 @@ defmodule Situ.Dataset.DerivationTest do
     assert_received {:at, %{done: 1.0, finished: 3, total: 3}}
   end
 
-  test "a module, with options, over some sessions, elsewhere", %{tmp_dir: root} do
+  test "runs a module with options over some sessions into another folder", %{tmp_dir: root} do
     dataset = dataset(root, 3)
 
     opts = [
@@ -76,14 +76,14 @@ defmodule Situ.Dataset.DerivationTest do
     assert {:error, %{code: :no_session}} = Dataset.derive(dataset, Square, sessions: ["p9"])
   end
 
-  test "part of the time: the replay's interval", %{tmp_dir: root} do
+  test "replays only the interval", %{tmp_dir: root} do
     replay = [interval: {103_000_000_000, 105_000_000_000}, speed: :max]
     opts = [output: "D", sessions: ["p1"], pipeline: [replay: replay]]
     {:ok, dataset, _} = Dataset.derive(dataset(root, 1), &double/3, opts)
     assert values(dataset, "p1", "Twice") == [6, 8, 10]
   end
 
-  test "an output that is there is refused, or replaced; the old recording stays", %{
+  test "rejects an existing output or replaces it, and keeps the old recording", %{
     tmp_dir: root
   } do
     {:ok, dataset, _} = Dataset.derive(dataset(root, 2), &double/3, output: "D", sessions: ["p2"])
@@ -99,7 +99,7 @@ defmodule Situ.Dataset.DerivationTest do
     assert Store.exists?(Path.join(root, "p2/D.0000"))
   end
 
-  test "without an output it runs for what it returns", %{tmp_dir: root} do
+  test "returns the results of runs without an output", %{tmp_dir: root} do
     dataset = dataset(root, 2)
     test = self()
 
@@ -114,9 +114,9 @@ defmodule Situ.Dataset.DerivationTest do
     for _ <- 1..20, do: assert_received({:level, _})
   end
 
-  test "a session that fails is told and leaves nothing; the others are done", %{tmp_dir: root} do
+  test "reports a failing session, and completes the others", %{tmp_dir: root} do
     dataset = dataset(root, 3)
-    # p2 lacks what the pipeline needs, p3 fails in the middle.
+    # Session p2 lacks the stream, and p3 fails in the middle.
     other = record(Path.join(root, "p2"), "other", %{"Else" => ten(0)})
 
     {:ok, dataset} =
@@ -138,7 +138,7 @@ defmodule Situ.Dataset.DerivationTest do
     assert [journal] = left_over(root)
     assert Path.extname(journal) == ".run"
 
-    # The next run tries those again that failed.
+    # The next run retries the failed sessions.
     {:ok, _, report} = Dataset.derive(dataset, run, output: "C")
     assert statuses(report) == [{"p1", :kept}, {"p2", :failed}, {"p3", :failed}]
 
@@ -147,12 +147,14 @@ defmodule Situ.Dataset.DerivationTest do
     assert report.cancelled?
   end
 
-  test "a session whose recordings are all missing fails; one with others goes on", %{
+  test "fails a session without any recordings, and runs those with others", %{
     tmp_dir: root
   } do
     dataset = dataset(root, 2)
     lost = Dataset.Partition.new("Lost", Path.join(root, "nowhere.0000"))
-    {:ok, dataset} = Dataset.update_session(dataset, "p1", &Dataset.Session.add(&1, lost))
+
+    {:ok, dataset} =
+      Dataset.update_session(dataset, "p1", &Dataset.Session.add_partition(&1, lost))
 
     {:ok, dataset} = Dataset.update_session(dataset, "p2", &{:ok, put_in(&1.partitions, [lost])})
 
@@ -163,7 +165,7 @@ defmodule Situ.Dataset.DerivationTest do
     assert what =~ "nowhere.0000"
   end
 
-  # Of the `n` sessions the one numbered `long` lasts a hundred seconds, the others nine milliseconds.
+  # Creates `n` sessions: number `long` lasts a hundred seconds, the others nine milliseconds.
   defp uneven(root, n, long) do
     {:ok, dataset} = Dataset.new("Study", file: Path.join(root, "study.json"))
 
@@ -181,7 +183,7 @@ defmodule Situ.Dataset.DerivationTest do
     dataset
   end
 
-  test "a cancelled run keeps what is done and leaves nothing half done", %{tmp_dir: root} do
+  test "a cancelled run keeps finished outputs and removes unfinished ones", %{tmp_dir: root} do
     dataset = uneven(root, 3, 2)
     flag = :atomics.new(1, [])
 
@@ -202,10 +204,10 @@ defmodule Situ.Dataset.DerivationTest do
     assert left_over(root) == []
   end
 
-  test "a run that was killed is taken up where it was", %{tmp_dir: root} do
+  test "resumes a killed run", %{tmp_dir: root} do
     dataset = uneven(root, 4, 3)
 
-    # Another operating system process, killed in the middle of the third session.
+    # Another operating system process is killed in the middle of the third session.
     code = """
     {:ok, _} = Application.ensure_all_started(:situ_dataset)
     {:ok, dataset} = Situ.Dataset.open(#{inspect(dataset.file)})

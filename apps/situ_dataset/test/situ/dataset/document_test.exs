@@ -10,37 +10,37 @@ defmodule Situ.Dataset.DocumentTest do
     Document.read(path)
   end
 
-  test "what a person writes by hand is enough", %{tmp_dir: root} do
+  test "reads a minimal file written by hand", %{tmp_dir: root} do
     text = ~s({"sessions": [{"name": "a", "partitions": [{"name": "P", "path": "x/y"}]}]})
     assert {:ok, %{name: "Untitled Dataset", sessions: [%{partitions: [p]}]}} = read(root, text)
     assert p.path == Path.join(root, "x/y")
   end
 
-  test "what Situ does not know is kept", %{tmp_dir: root} do
+  test "keeps unknown fields", %{tmp_dir: root} do
     text = ~s({"version": 1, "name": "N", "colour": "red", "sessions": [
       {"name": "a", "room": 7, "partitions": [{"name": "P", "path": "p", "who": ["x", null]}]}]})
 
     {:ok, dataset} = read(root, text)
-    rendered = Document.render(dataset, Path.join(root, "d.json"))
+    rendered = Document.encode(dataset, Path.join(root, "d.json"))
     {:ok, json} = Situ.JSON.decode(rendered)
     assert json["colour"] == "red"
     assert %{"sessions" => [%{"room" => 7, "partitions" => [%{"who" => ["x", nil]}]}]} = json
     assert {:ok, ^dataset} = read(root, rendered)
   end
 
-  test "what is no dataset is refused with the place", %{tmp_dir: root} do
+  test "rejects an invalid dataset with the position", %{tmp_dir: root} do
     for {text, why} <- [
           {"", "not JSON"},
           {"[]", "sessions"},
           {~s({"sessions": 7}), "list of objects"},
           {~s({"sessions": [7]}), "list of objects"},
           {~s({"sessions": [{"name": "a"}, {"name": "a"}]}), "twice"},
-          {~s({"sessions": [{"name": 7}]}), "not a name"},
+          {~s({"sessions": [{"name": 7}]}), "invalid name"},
           {~s({"sessions": [{"name": "a", "tags": "x"}]}), "tags"},
           {~s({"sessions": [{"name": "a", "metadata": []}]}), "metadata"},
           {~s({"sessions": [{"name": "a", "partitions": [{"name": "P"}]}]}), "has no path"},
           {~s({"sessions": [{"name": "a", "partitions": [{"name": "P", "path": 1}]}]}),
-           "no string"},
+           "not a string"},
           {~s({"version": 99, "sessions": []}), "version"}
         ] do
       assert {:error, %{code: :bad_dataset, why: said}} = read(root, text)
@@ -51,7 +51,7 @@ defmodule Situ.Dataset.DocumentTest do
     assert {:error, %{code: :bad_dataset}} = Document.read(root)
   end
 
-  test "a file out of garbage or cut short never raises", %{tmp_dir: root} do
+  test "never raises for a truncated file", %{tmp_dir: root} do
     whole =
       ~s({"version":1,"name":"N","sessions":[{"name":"a","partitions":[{"name":"P","path":"p"}]}]})
 
@@ -59,7 +59,7 @@ defmodule Situ.Dataset.DocumentTest do
         do: assert({:error, %{code: :bad_dataset}} = read(root, binary_part(whole, 0, n)))
   end
 
-  test "the .pds of the reference, with backslashes too", %{tmp_dir: root} do
+  test "reads the reference's .pds, with backslashes too", %{tmp_dir: root} do
     path = Path.join(root, "d.pds")
 
     File.write!(path, ~S({"Name": "R", "Sessions": [{"Name": "S1", "Partitions": [

@@ -22,7 +22,7 @@ defmodule Situ.Dataset.JsonStoreTest do
     ~s({"Envelope": {#{envelope}}, "Data": #{data}})
   end
 
-  test "streams, times, values, intervals with both ends", %{tmp_dir: root} do
+  test "reads streams, times, values and closed intervals", %{tmp_dir: root} do
     data =
       "[" <>
         Enum.join([entry(1, 0, 1, "7"), entry(1, 1, 2, "8"), entry(1, 2, 4, "9")], ",") <> "]"
@@ -37,14 +37,14 @@ defmodule Situ.Dataset.JsonStoreTest do
     assert Enum.to_list(Store.messages(store, "Empty")) == []
   end
 
-  test "what is no message, or nobody's, is damage; the rest is read", %{tmp_dir: root} do
+  test "reports invalid and unassigned messages, and reads the rest", %{tmp_dir: root} do
     data = "[" <> Enum.join([entry(1, 0, 1, "7"), "7", "{}", entry(9, 1, 2, "8")], ",") <> "]"
     {:ok, store} = Store.open(write(root, @catalog, data))
     assert length(Store.info(store).damage) == 3
     assert [%{data: 7}] = Enum.to_list(Store.messages(store, "A"))
   end
 
-  test "files cut short or missing are refused", %{tmp_dir: root} do
+  test "rejects truncated and missing files", %{tmp_dir: root} do
     path = write(root, @catalog, "[" <> entry(1, 0, 1, "7"))
     assert {:error, %{code: :damaged}} = Store.open(path)
     File.rm!(Path.join(root, "s.Data.json"))

@@ -10,43 +10,49 @@ defmodule Situ.Dataset.OpenSessionTest do
     a = record(root, "a", %{"Level" => ten(0), "Only" => ten(0)})
     b = record(root, "b", %{"Level" => ten(5), "[A]:Only" => ten(0)})
     session = Session.new("p1")
-    {:ok, session} = Session.add(session, Partition.new("A", a))
-    {:ok, session} = Session.add(session, Partition.new("B", b))
-    {:ok, session} = Session.add(session, Partition.new("Gone", Path.join(root, "gone.0000")))
+    {:ok, session} = Session.add_partition(session, Partition.new("A", a))
+    {:ok, session} = Session.add_partition(session, Partition.new("B", b))
+
+    {:ok, session} =
+      Session.add_partition(session, Partition.new("Gone", Path.join(root, "gone.0000")))
+
     %{session: session}
   end
 
   defp values(messages), do: Enum.map(messages, & &1.data)
 
-  test "a name alone where it is unique, with the partition where it is not", %{session: session} do
+  test "finds a stream by name, or by partition if it is ambiguous", %{session: session} do
     open = OpenSession.open(session)
     assert [{"Gone", %{code: :no_store}}] = open.troubles
-    assert {:error, %{code: :ambiguous_stream, fix: fix}} = OpenSession.find(open, "Level")
+
+    assert {:error, %{code: :ambiguous_stream, fix: fix}} =
+             OpenSession.fetch_stream(open, "Level")
+
     assert fix =~ "[A]:Level" and fix =~ "[B]:Level"
     {:ok, messages} = OpenSession.messages(open, "[B]:Level", from: 6_000_000_000)
     assert values(messages) == Enum.to_list(1..9)
-    assert {:ok, {"A", _, "Only"}} = OpenSession.find(open, "Only")
-    # B has a stream that is called as if it were A's.
-    assert {:error, %{code: :ambiguous_stream}} = OpenSession.find(open, "[A]:Only")
-    assert {:ok, {"B", _, "[A]:Only"}} = OpenSession.find(open, "[B]:[A]:Only")
-    assert {:error, %{code: :no_partition}} = OpenSession.find(open, "[C]:Level")
-    assert {:error, %{code: :no_store}} = OpenSession.find(open, "[Gone]:Level")
-    assert {:error, %{code: :no_stream, fix: fix}} = OpenSession.find(open, "Levl")
+    assert {:ok, {"A", _, "Only"}} = OpenSession.fetch_stream(open, "Only")
+    # Partition B has a stream whose name looks like an address in A.
+    assert {:error, %{code: :ambiguous_stream}} = OpenSession.fetch_stream(open, "[A]:Only")
+    assert {:ok, {"B", _, "[A]:Only"}} = OpenSession.fetch_stream(open, "[B]:[A]:Only")
+    assert {:error, %{code: :no_partition}} = OpenSession.fetch_stream(open, "[C]:Level")
+    assert {:error, %{code: :no_store}} = OpenSession.fetch_stream(open, "[Gone]:Level")
+    assert {:error, %{code: :no_stream, fix: fix}} = OpenSession.fetch_stream(open, "Levl")
     assert fix =~ "Level"
-    assert OpenSession.address(open, "A", "Only") == "Only"
-    assert OpenSession.address(open, "A", "Level") == "[A]:Level"
-    assert length(OpenSession.streams(open)) == 4
+    assert OpenSession.shortest_address(open, "A", "Only") == "Only"
+    assert OpenSession.shortest_address(open, "A", "Level") == "[A]:Level"
+    assert length(OpenSession.list_streams(open)) == 4
   end
 
-  test "in a pipeline", %{session: session} do
+  test "opens its streams in a pipeline", %{session: session} do
     test = self()
 
     {:ok, report} =
       Pipeline.run(fn p ->
         importer = Importer.open(p, session)
-        refute Importer.has?(importer, "Level")
-        {:ok, _} = Importer.partition(importer, "A")
-        {:error, %{code: :no_store}} = Importer.partition(importer, "Gone")
+        refute Importer.has_stream?(importer, "Level")
+        {:ok, _} = Importer.partition_importer(importer, "A")
+        {:error, %{code: :no_store}} = Importer.partition_importer(importer, "Gone")
 
         importer
         |> Importer.stream("[A]:Level")

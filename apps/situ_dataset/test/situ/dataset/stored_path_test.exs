@@ -7,7 +7,7 @@ defmodule Situ.Dataset.StoredPathTest do
 
   @windows ~S(C:\subdir1\dataset.pds)
 
-  test "Windows paths, stored" do
+  test "stores Windows paths" do
     for {path, stored} <- [
           {~S(C:\file.txt), ~S(..\file.txt)},
           {~S(c:\SUBDIR1\file.txt), "file.txt"},
@@ -22,7 +22,7 @@ defmodule Situ.Dataset.StoredPathTest do
         do: assert(StoredPath.to_stored(path, @windows) == stored)
   end
 
-  test "Windows paths, found again" do
+  test "resolves stored Windows paths" do
     for {stored, path} <- [
           {~S(.\file.txt), ~S(C:\subdir1\file.txt)},
           {"./file.txt", ~S(C:\subdir1\file.txt)},
@@ -33,13 +33,13 @@ defmodule Situ.Dataset.StoredPathTest do
         do: assert(StoredPath.from_stored(stored, @windows) == path)
   end
 
-  property "an absolute path comes back, whatever its place" do
+  property "restores an absolute path from any location" do
     forall {path, file} <- {path(), path()} do
       StoredPath.from_stored(StoredPath.to_stored(path, file), file) == path
     end
   end
 
-  property "a folder that moves takes its recordings along" do
+  property "a moved folder keeps its recordings" do
     forall {below, file} <- {[segment(), segment(), segment()], path()} do
       folder = Path.dirname(file)
       stored = StoredPath.to_stored(Path.join([folder | below]), file)

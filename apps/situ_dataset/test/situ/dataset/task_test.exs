@@ -14,23 +14,30 @@ defmodule Situ.Dataset.TaskTest do
     least: [type: {:optional, :float}]
   ]
 
-  test "what JSON cannot say is what the option means" do
+  test "converts JSON values to the types of the options" do
     config = %{"mode" => "exact", "gain" => 2, "drop" => "Secret", "least" => 1}
-    assert {:ok, opts} = Task.options(@schema, config)
+    assert {:ok, opts} = Task.parse_options(@schema, config)
     assert opts[:mode] == :exact and opts[:drop] == ["Secret"] and opts[:stream] == "Audio"
     assert opts[:gain] === 2.0 and opts[:least] === 1.0
-    assert {:ok, [{_, _}, {:quality, 80} | _]} = Task.options(@schema, %{"quality" => 80.0})
-    assert {:error, %{code: :bad_option}} = Task.options(@schema, %{"quality" => 80.5})
+    assert {:ok, [{_, _}, {:quality, 80} | _]} = Task.parse_options(@schema, %{"quality" => 80.0})
+    assert {:error, %{code: :bad_option}} = Task.parse_options(@schema, %{"quality" => 80.5})
   end
 
-  property "any configuration is options that fit the schema, or an error" do
+  property "accepts any configuration as valid options, or returns an error" do
     value =
-      one_of([integer(), float(), boolean(), text(), list(text()), one_of([nil, %{}, "exact"])])
+      one_of([
+        integer(),
+        float(),
+        boolean(),
+        ascii_text(),
+        list(ascii_text()),
+        one_of([nil, %{}, "exact"])
+      ])
 
-    name = one_of(["stream", "quality", "gain", "mode", "drop", "least", text()])
+    name = one_of(["stream", "quality", "gain", "mode", "drop", "least", ascii_text()])
 
     forall pairs <- list({name, value}) do
-      case Task.options(@schema, Map.new(pairs)) do
+      case Task.parse_options(@schema, Map.new(pairs)) do
         {:ok, opts} ->
           assert opts[:quality] in 1..100 and opts[:mode] in [:fast, :exact]
           assert is_float(opts[:gain]) and is_list(opts[:drop])
@@ -41,30 +48,31 @@ defmodule Situ.Dataset.TaskTest do
     end
   end
 
-  test "names that nobody knows make no atoms" do
+  test "unknown names create no atoms" do
     unknown = fn n ->
-      {:error, %{code: :unknown_option}} = Task.options(@schema, %{"strange#{n}" => "mode#{n}"})
+      {:error, %{code: :unknown_option}} =
+        Task.parse_options(@schema, %{"strange#{n}" => "mode#{n}"})
     end
 
     unknown.(0)
     before = :erlang.system_info(:atom_count)
     for n <- 1..1_000, do: unknown.(n)
-    # Other tests run beside this one.
+    # Other tests run in parallel.
     assert :erlang.system_info(:atom_count) - before < 500
   end
 
-  test "a task is found by its name, and a near name is told" do
-    assert Enum.map(Task.all(), & &1.task().name) |> Enum.sort() ==
-             Enum.map(Task.all(), & &1.task().name)
+  test "finds a task by its name, and suggests a similar one" do
+    assert Enum.map(Task.list_tasks(), & &1.task().name) |> Enum.sort() ==
+             Enum.map(Task.list_tasks(), & &1.task().name)
 
-    assert {:ok, Task.Statistics} = Task.fetch("statistics")
+    assert {:ok, Task.Statistics} = Task.fetch_task("statistics")
 
     assert {:error, %{code: :no_task, fix: "did you mean drop-streams?"}} =
-             Task.fetch("drop-stream")
+             Task.fetch_task("drop-stream")
   end
 
-  test "every task has a name, says what it is about, and documents its options" do
-    for module <- Task.all(), task = module.task() do
+  test "every task has a name, a summary and documented options" do
+    for module <- Task.list_tasks(), task = module.task() do
       assert task.name =~ ~r/\A[a-z][a-z-]*\z/ and task.about != ""
       for {name, spec} <- task.options, do: assert(is_binary(spec[:doc]), "#{task.name}: #{name}")
     end

@@ -46,21 +46,21 @@ defmodule Situ.Examples.Demo do
     cond do
       "--dataset" in argv -> Situ.Examples.Study.run(argv)
       "--scene" in argv -> Situ.Examples.Demo.Scene.run(argv)
-      "--cluster" in argv -> Cluster.run(argv, &record/1)
-      true -> talk(argv)
+      "--cluster" in argv -> Cluster.run(argv, &record_clip/1)
+      true -> run_talk_demo(argv)
     end
   end
 
-  defp usage do
+  defp print_usage do
     IO.puts(@usage)
     0
   end
 
-  defp talk(argv) do
+  defp run_talk_demo(argv) do
     case Options.parse(argv) do
-      {:ok, opts} -> demo(opts)
-      :help -> usage()
-      {:error, text} -> fail("#{text}\n  Fix: see bin/demo --help", 2)
+      {:ok, opts} -> record_and_show(opts)
+      :help -> print_usage()
+      {:error, text} -> print_failure("#{text}\n  Fix: see bin/demo --help", 2)
     end
   end
 
@@ -70,9 +70,9 @@ defmodule Situ.Examples.Demo do
 
   Options: `input:`, `out:`, `realtime:`, `seconds:`, `sound_shift:`.
   """
-  @spec record(keyword()) ::
+  @spec record_clip(keyword()) ::
           {:ok, Situ.Pipeline.Report.t(), wall_s :: float()} | {:error, Error.t()}
-  def record(opts) do
+  def record_clip(opts) do
     {:ok, _} = Application.ensure_all_started(:situ_examples)
 
     build = [
@@ -94,7 +94,7 @@ defmodule Situ.Examples.Demo do
 
   defp run_pipeline(build, opts) do
     if opts[:live] do
-      live(build, opts)
+      record_live(build, opts)
     else
       speed = if opts[:realtime], do: 1.0, else: :max
       settings = [name: "Talk", replay: [speed: speed]]
@@ -103,7 +103,7 @@ defmodule Situ.Examples.Demo do
   end
 
   # A camera never ends, so a time limit or a person must stop it. A simulated camera that plays once ends by itself.
-  defp live(build, opts) do
+  defp record_live(build, opts) do
     with {:ok, p} <-
            Situ.Pipeline.start(MultimodalVoiceActivity, [{:pipeline, [name: "Talk"]} | build]) do
       stopper = Task.async(fn -> wait_for_end(p, opts[:seconds]) end)
@@ -126,75 +126,75 @@ defmodule Situ.Examples.Demo do
     Situ.Pipeline.stop(p)
   end
 
-  defp demo(opts) do
-    with {:ok, truth} <- truth(opts[:truth]) do
-      case record(opts) do
-        {:ok, report, wall_s} -> show(report, wall_s, truth, opts)
-        {:error, error} -> salvage(error, opts)
+  defp record_and_show(opts) do
+    with {:ok, truth} <- read_truth(opts[:truth]) do
+      case record_clip(opts) do
+        {:ok, report, wall_s} -> show_recording(report, wall_s, truth, opts)
+        {:error, error} -> print_partial_results(error, opts)
       end
     else
-      {:error, error} -> fail(Exception.message(error), 1)
+      {:error, error} -> print_failure(Exception.message(error), 1)
     end
   rescue
-    error in Error -> fail(Exception.message(error), 1)
+    error in Error -> print_failure(Exception.message(error), 1)
   end
 
-  defp show(%{result: %{path: path}} = report, wall_s, truth, opts) do
+  defp show_recording(%{result: %{path: path}} = report, wall_s, truth, opts) do
     with {:ok, recording} <- Recording.read(path) do
-      if LipSync.off?(recording.sync) and movable?(opts),
-        do: record_in_step(recording.sync, path, truth, opts),
-        else: print(recording, report, wall_s, truth, opts)
+      if LipSync.out_of_sync?(recording.sync) and can_shift_audio?(opts),
+        do: record_synchronized(recording.sync, path, truth, opts),
+        else: print_results(recording, report, wall_s, truth, opts)
     else
-      {:error, error} -> fail(Exception.message(error), 1)
+      {:error, error} -> print_failure(Exception.message(error), 1)
     end
   end
 
   # A camera's input cannot be replayed, and audio is shifted only once.
-  defp movable?(opts), do: not opts[:live] and opts[:sound_shift] == nil
+  defp can_shift_audio?(opts), do: not opts[:live] and opts[:sound_shift] == nil
 
-  defp record_in_step(sync, path, truth, opts) do
+  defp record_synchronized(sync, path, truth, opts) do
     opts = Keyword.merge(opts, sound_shift: -sync.shift, sync: sync)
 
-    case record(opts) do
+    case record_clip(opts) do
       {:ok, report, wall_s} ->
         # The demo made the unsynchronized recording itself, and it is no longer needed.
         Situ.Store.delete(path)
-        show(report, wall_s, truth, opts)
+        show_recording(report, wall_s, truth, opts)
 
       {:error, error} ->
-        salvage(error, opts)
+        print_partial_results(error, opts)
     end
   end
 
-  defp print(recording, %{result: %{path: path}} = report, wall_s, truth, opts) do
-    score = truth && Score.of(truth, recording.found)
-    said = said(recording, truth, path, opts)
-    IO.puts(table(opts, recording, score, wall_s, path, said))
+  defp print_results(recording, %{result: %{path: path}} = report, wall_s, truth, opts) do
+    score = truth && Score.score_decisions(truth, recording.found)
+    said = write_transcript(recording, truth, path, opts)
+    IO.puts(render_table(opts, recording, score, wall_s, path, said))
     if opts[:profile], do: IO.puts(:stderr, ["\n", Profile.render(report.snapshot, wall_s)])
-    if opts[:headless], do: 0, else: serve(path, opts)
+    if opts[:headless], do: 0, else: serve_studio(path, opts)
   end
 
-  defp said(recording, truth, path, opts) do
+  defp write_transcript(recording, truth, path, opts) do
     if opts[:transcript] do
-      lines = Transcript.of(recording.utterances, recording.found)
+      lines = Transcript.attribute_utterances(recording.utterances, recording.found)
       file = path <> ".vtt"
-      File.write!(file, Transcript.webvtt(lines))
-      %{lines: lines, file: file, score: truth && Transcript.score(lines, truth)}
+      File.write!(file, Transcript.to_webvtt(lines))
+      %{lines: lines, file: file, score: truth && Transcript.score_lines(lines, truth)}
     end
   end
 
   # A recording that ended with an error is readable up to that point, so its content is shown anyway.
-  defp salvage(error, opts) do
+  defp print_partial_results(error, opts) do
     with %{report: %{result: %{path: path}}} <- error.meta,
          false <- opts[:json] == true,
          {:ok, %{frames: n} = recording} when n > 0 <- Recording.read(path) do
-      IO.puts(["Until it failed:\n", table(opts, recording, nil, 0.0, path)])
+      IO.puts(["Until it failed:\n", render_table(opts, recording, nil, 0.0, path)])
     end
 
-    fail(Exception.message(error), 1)
+    print_failure(Exception.message(error), 1)
   end
 
-  defp table(opts, recording, score, wall_s, path, said \\ nil) do
+  defp render_table(opts, recording, score, wall_s, path, said \\ nil) do
     Table.render(%{
       opts: opts,
       recording: recording,
@@ -205,23 +205,23 @@ defmodule Situ.Examples.Demo do
     })
   end
 
-  defp truth(nil), do: {:ok, nil}
-  defp truth(path), do: Truth.read(path)
+  defp read_truth(nil), do: {:ok, nil}
+  defp read_truth(path), do: Truth.read(path)
 
-  defp serve(path, opts) do
+  defp serve_studio(path, opts) do
     case Situ.Studio.start_link(path: path, port: opts[:port]) do
       {:ok, studio} ->
         url = Situ.Studio.url(studio, Situ.Studio.only_item(studio))
         IO.puts(:stderr, "The recording is at #{url} (Ctrl-C to stop)")
-        if opts[:open], do: Situ.CLI.Desktop.open(url)
+        if opts[:open], do: Situ.CLI.Desktop.open_url(url)
         Process.sleep(:infinity)
 
       {:error, error} ->
-        fail(Exception.message(error), 1)
+        print_failure(Exception.message(error), 1)
     end
   end
 
-  defp fail(text, status) do
+  defp print_failure(text, status) do
     IO.puts(:stderr, "bin/demo: " <> text)
     status
   end

@@ -6,32 +6,32 @@ defmodule Situ.Examples.FaceRegions do
   the branch measures the brightness of the face, smoothed over its last half second. When a face disappears, its branch
   is closed and the branch's state is discarded.
 
-      faces = Situ.Infer.MouthShape.parts(camera).faces
-      brightness = Situ.Examples.FaceRegions.brightness(camera, faces)     # %{0 => 131.2, 1 => 98.7}
+      faces = Situ.Infer.MouthShape.detect_stages(camera).faces
+      brightness = Situ.Examples.FaceRegions.face_brightness(camera, faces)     # %{0 => 131.2, 1 => 98.7}
   """
   alias Situ.Stream
 
   @doc "Emits `%{id => mean brightness, 0..255}` for every image."
-  @spec brightness(Stream.t(), Stream.t()) :: Stream.t()
-  def brightness(pictures, faces) do
+  @spec face_brightness(Stream.t(), Stream.t()) :: Stream.t()
+  def face_brightness(pictures, faces) do
     pictures
     |> Situ.join(faces)
-    |> Situ.map(&regions/1, type: {:map, :any, Situ.Image})
+    |> Situ.map(&crop_faces/1, type: {:map, :any, Situ.Image})
     |> Situ.parallel(fn _id, region ->
       region
-      |> Situ.map(&mean/1, type: :float)
+      |> Situ.map(&mean_brightness/1, type: :float)
       |> Situ.average(over: {:past, Situ.Time.ms(500)})
     end)
   end
 
-  defp regions({picture, faces}) do
+  defp crop_faces({picture, faces}) do
     for face <- faces,
         {:ok, %Situ.Image{} = region} <- [Situ.Imaging.crop(picture, face.rect, clip: true)],
         into: %{},
         do: {face.rect.id, region}
   end
 
-  defp mean(region) do
+  defp mean_brightness(region) do
     {:ok, colors} = Situ.Imaging.average_color(region)
     Enum.sum(Map.values(colors)) / map_size(colors)
   end

@@ -18,7 +18,7 @@ defmodule Situ.Examples.ImuFusion do
   @impl true
   def build(p, opts) do
     folder = opts[:folder] || Path.join(to_string(:code.priv_dir(:situ_examples)), "ximu3")
-    read = fn name, columns -> sensor(p, Path.join(folder, name <> ".csv"), columns) end
+    read = fn name, columns -> read_sensor(p, Path.join(folder, name <> ".csv"), columns) end
 
     acceleration = read.("Inertial", 4..6)
     field = read.("Magnetometer", 1..3)
@@ -26,9 +26,9 @@ defmodule Situ.Examples.ImuFusion do
 
     fused =
       acceleration
-      |> Situ.join(field, Reproducible.adjacent(&between/3))
+      |> Situ.join(field, Reproducible.adjacent(&interpolate_vectors/3))
       |> Situ.join(temperature, Reproducible.last(or_default: nil), flatten: false)
-      |> Situ.map(&describe/1)
+      |> Situ.map(&describe_sample/1)
 
     Situ.each(fused, opts[:each] || fn _ -> :ok end)
   end
@@ -37,8 +37,8 @@ defmodule Situ.Examples.ImuFusion do
   Returns the direction of the magnetic field relative to the device's x axis in degrees, tilt-compensated with the
   acceleration.
   """
-  @spec heading([float()], [float()]) :: float()
-  def heading([ax, ay, az], [mx, my, mz]) do
+  @spec magnetic_heading([float()], [float()]) :: float()
+  def magnetic_heading([ax, ay, az], [mx, my, mz]) do
     roll = :math.atan2(ay, az)
     pitch = :math.atan2(-ax, ay * :math.sin(roll) + az * :math.cos(roll))
     {sr, cr, sp, cp} = {:math.sin(roll), :math.cos(roll), :math.sin(pitch), :math.cos(pitch)}
@@ -47,30 +47,33 @@ defmodule Situ.Examples.ImuFusion do
     :math.atan2(level_y, level_x) * 180 / :math.pi()
   end
 
-  defp between(a, b, ratio), do: Enum.zip_with(a, b, fn x, y -> x + (y - x) * ratio end)
+  defp interpolate_vectors(a, b, ratio),
+    do: Enum.zip_with(a, b, fn x, y -> x + (y - x) * ratio end)
 
-  defp describe({{acceleration, field}, temperature}) do
+  defp describe_sample({{acceleration, field}, temperature}) do
     %{
       acceleration: acceleration,
       field: field,
       temperature: temperature && hd(temperature),
-      heading: heading(acceleration, field)
+      heading: magnetic_heading(acceleration, field)
     }
   end
 
   # The file has a header line and rows of numbers; the first column is the sensor's clock in microseconds.
-  defp sensor(p, path, columns) do
+  defp read_sensor(p, path, columns) do
     rows =
       path
       |> File.stream!()
       |> Stream.drop(1)
       |> Stream.map(fn line ->
         [time | _] = fields = line |> String.trim() |> String.split(",")
-        {Situ.Time.us(String.to_integer(time)), Enum.map(Enum.slice(fields, columns), &number/1)}
+
+        {Situ.Time.us(String.to_integer(time)),
+         Enum.map(Enum.slice(fields, columns), &parse_float/1)}
       end)
 
     Situ.from_enumerable(p, rows, type: {:list, :float})
   end
 
-  defp number(text), do: text |> Float.parse() |> elem(0)
+  defp parse_float(text), do: text |> Float.parse() |> elem(0)
 end

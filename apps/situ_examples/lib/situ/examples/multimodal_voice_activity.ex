@@ -18,11 +18,11 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
 
   @impl true
   def build(p, opts) do
-    talk = open(p, opts[:input], opts[:sound_shift] || 0)
+    talk = open_input(p, opts[:input], opts[:sound_shift] || 0)
 
     hear = talk.audio && Situ.via(talk.audio, VoiceActivity, name: "VoiceActivity")
     voice = hear && hear.voice
-    lips = talk.video && MouthShape.parts(talk.video, policy: opts[:policy])
+    lips = talk.video && MouthShape.detect_stages(talk.video, policy: opts[:policy])
     speaking = lips && Situ.Infer.who_speaks(lips.mouths, voice)
 
     store = Situ.Store.create(p, "Talk", opts[:path])
@@ -31,7 +31,7 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     record.(talk.audio, "Sound")
 
     record.(
-      talk.video && Situ.map(talk.video, &jpeg/1, type: Situ.EncodedImage, name: "Jpeg"),
+      talk.video && Situ.map(talk.video, &encode_jpeg/1, type: Situ.EncodedImage, name: "Jpeg"),
       "Pictures"
     )
 
@@ -45,29 +45,30 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     record.(hear && hear.segments, "Voice.Segments")
 
     record.(
-      lips && Situ.map(lips.faces, &rects/1, type: {:list, Situ.Rect}, name: "Faces"),
+      lips && Situ.map(lips.faces, &face_rects/1, type: {:list, Situ.Rect}, name: "Faces"),
       "Faces"
     )
 
     record.(lips && lips.mouths, "Mouths")
 
     record.(
-      lips && Situ.map(lips.mouths, &openings/1, type: {:map, :any, :float}, name: "Openings"),
+      lips &&
+        Situ.map(lips.mouths, &mouth_openings/1, type: {:map, :any, :float}, name: "Openings"),
       "Mouths.Opening"
     )
 
     record.(speaking, "Speaking")
-    said = opts[:transcript] && hear && transcript(talk.audio, hear, speaking)
+    said = opts[:transcript] && hear && recognize_speech(talk.audio, hear, speaking)
     record.(said, "Transcript")
-    record.(said && lips && words(lips.mouths, speaking, said), "Words")
+    record.(said && lips && label_faces(lips.mouths, speaking, said), "Words")
     record.(Situ.Diagnostics.stream(p), "Diagnostics")
     store
   end
 
-  defp open(p, input, 0), do: Situ.Media.open(p, input, audio_format: @sound)
+  defp open_input(p, input, 0), do: Situ.Media.open(p, input, audio_format: @sound)
 
   # Images and audio are read separately so that their times can differ. Audio from before the first image is skipped.
-  defp open(p, file, shift) do
+  defp open_input(p, file, shift) do
     {:ok, info} = Situ.Media.FileInfo.read(file)
     start = (info.recorded_at || 0) + shift
     span = [start: max(-shift, 0), start_time: start]
@@ -76,23 +77,23 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     %{video: pictures.video, audio: sound.audio}
   end
 
-  defp transcript(sound, hear, who) do
+  defp recognize_speech(sound, hear, who) do
     speaking = if who, do: Situ.Infer.turns(hear, who), else: hear.speaking
     inputs = [sound: sound, speaking: speaking]
     opts = [partial: nil, turns: who != nil, name: "SpeechRecognizer"]
     Situ.via(inputs, SpeechRecognizer, opts).out
   end
 
-  defp words(mouths, speaking, said) do
+  defp label_faces(mouths, speaking, said) do
     inputs = [faces: Situ.join(mouths, speaking), said: said]
     Situ.via(inputs, Situ.Examples.Words, name: "Words")
   end
 
-  defp jpeg(picture) do
+  defp encode_jpeg(picture) do
     {:ok, jpeg} = Situ.Imaging.encode_jpeg(picture, quality: 80)
     jpeg
   end
 
-  defp openings(mouths), do: Map.new(mouths, fn {id, mouth} -> {id, mouth.opening} end)
-  defp rects(faces), do: Enum.map(faces, fn %Face{rect: rect} -> rect end)
+  defp mouth_openings(mouths), do: Map.new(mouths, fn {id, mouth} -> {id, mouth.opening} end)
+  defp face_rects(faces), do: Enum.map(faces, fn %Face{rect: rect} -> rect end)
 end

@@ -28,18 +28,18 @@ defmodule Situ.Examples.Scene do
 
   @impl true
   def build(p, opts) do
-    camera = DepthCamera.open(p, opts[:camera] || {SyntheticRoom, room(opts)})
+    camera = DepthCamera.open(p, opts[:camera] || {SyntheticRoom, room_options(opts)})
     store = Situ.Store.create(p, "Scene", opts[:path])
     record = &Situ.Store.write(&1, store, "Room." <> &2)
 
-    clouds = clouds(camera)
+    clouds = color_clouds(camera)
     record.(clouds, "Cloud")
     record.(Situ.map(camera.depth, &{&1.intrinsics, &1.pose}, name: "Camera"), "Camera")
 
     for {name, stream} <- [{"Bodies", :bodies}, {"Pointing", :pointing}, {"Ball", :ball}],
         do: record.(camera.others[stream], name)
 
-    persons = persons(camera)
+    persons = crop_persons(camera)
     record.(Situ.map(persons, &elem(&1, 0), name: "Person", type: EncodedImage), "Person")
 
     record.(
@@ -47,27 +47,27 @@ defmodule Situ.Examples.Scene do
       "Detections"
     )
 
-    hear(p, camera, opts, record)
+    record_audio(p, camera, opts, record)
 
     record.(
-      Situ.map(clouds, &Histogram.heights/1, name: "Heights", type: {:list, :any}),
+      Situ.map(clouds, &Histogram.height_rows/1, name: "Heights", type: {:list, :any}),
       "Heights"
     )
 
-    record.(latencies(clouds), "Latencies")
+    record.(latency_histogram(clouds), "Latencies")
     record.(Situ.Diagnostics.stream(p), "Diagnostics")
     store
   end
 
-  defp room(opts), do: [seconds: opts[:seconds] || 12, speech: @speech] ++ @size
+  defp room_options(opts), do: [seconds: opts[:seconds] || 12, speech: @speech] ++ @size
 
   # Colors the points with the image taken at the same time.
-  defp clouds(camera) do
+  defp color_clouds(camera) do
     camera.depth
     |> Situ.join(camera.color, Situ.Reproducible.exact())
     |> Situ.map(
       fn {depth, color} ->
-        depth |> DepthCamera.cloud(colors: color.viewed) |> Situ.Error.unwrap!()
+        depth |> DepthCamera.view_to_cloud(colors: color.viewed) |> Situ.Error.unwrap!()
       end,
       name: "Cloud",
       type: PointCloud
@@ -75,53 +75,56 @@ defmodule Situ.Examples.Scene do
   end
 
   # Crops the image to the walking person, and returns it with the detections in it.
-  defp persons(camera) do
+  defp crop_persons(camera) do
     camera.color
     |> Situ.join(camera.others.bodies, Situ.Reproducible.exact())
     |> Situ.map(
       fn {%CameraView{} = view, bodies} ->
-        found = Enum.map(bodies, &Crop.detection(view, &1))
-        {picture, offset} = Crop.around(view.viewed, hd(found))
-        {jpeg(picture), found |> Enum.map(&Crop.shift(&1, offset)) |> Crop.inside(picture)}
+        found = Enum.map(bodies, &Crop.body_detection(view, &1))
+        {picture, offset} = Crop.crop_around(view.viewed, hd(found))
+
+        {encode_jpeg(picture),
+         found |> Enum.map(&Crop.shift_detection(&1, offset)) |> Crop.filter_inside(picture)}
       end,
       name: "Persons"
     )
   end
 
-  defp jpeg(picture), do: picture |> Situ.Imaging.encode_jpeg(quality: 85) |> Situ.Error.unwrap!()
+  defp encode_jpeg(picture),
+    do: picture |> Situ.Imaging.encode_jpeg(quality: 85) |> Situ.Error.unwrap!()
 
-  defp hear(p, camera, opts, record) do
-    clip = opts[:sound] || Situ.Examples.Demo.Options.clip()
+  defp record_audio(p, camera, opts, record) do
+    clip = opts[:sound] || Situ.Examples.Demo.Options.default_clip()
     format = Situ.AudioFormat.pcm(16_000)
     sound = Situ.Media.open(p, clip, audio_format: format, start_time: :pipeline).audio
     heard = Situ.via(sound, VoiceActivity, name: "VoiceActivity")
     record.(sound, "Sound")
     record.(Situ.Audio.features(sound, name: "Features").log_energy, "Energy")
     record.(Situ.map(heard.voice, & &1.probability, name: "Probability", type: :float), "Voice")
-    record.(speech(heard.segments, camera.others[:speaking]), "Speech")
+    record.(speech_intervals(heard.segments, camera.others[:speaking]), "Speech")
   end
 
   # Emits the intervals with speech, with the speaker if the room reports who is speaking.
-  defp speech(segments, nil),
-    do: Situ.map(segments, &interval/1, name: "Speech", type: Situ.Interval)
+  defp speech_intervals(segments, nil),
+    do: Situ.map(segments, &to_interval/1, name: "Speech", type: Situ.Interval)
 
-  defp speech(segments, speaking) do
-    last = Situ.scan(speaking, nil, &speaker/3, name: "Last speaker")
+  defp speech_intervals(segments, speaking) do
+    last = Situ.scan(speaking, nil, &last_speaker/3, name: "Last speaker")
 
     segments
     |> Situ.join(last, Situ.Reproducible.nearest(Situ.Time.ms(100)))
-    |> Situ.map(fn {segment, who} -> {interval(segment), "person #{who}"} end, name: "Speech")
+    |> Situ.map(fn {segment, who} -> {to_interval(segment), "person #{who}"} end, name: "Speech")
   end
 
-  defp speaker(now, _message, last),
+  defp last_speaker(now, _message, last),
     do: Enum.find_value(now, last, fn {who, speaks?} -> if speaks?, do: who end)
 
-  defp interval(segment), do: Situ.Interval.closed(segment.start, segment.stop)
+  defp to_interval(segment), do: Situ.Interval.closed(segment.start, segment.stop)
 
-  defp latencies(clouds) do
+  defp latency_histogram(clouds) do
     clouds
     |> Situ.map(fn _cloud, message -> Situ.Message.latency(message) end, name: "Latency")
-    |> Situ.scan(Histogram.new(), &Histogram.add(&2, &1), name: "Latencies")
-    |> Situ.map(&Histogram.rows/1, name: "LatencyRows", type: {:list, :any})
+    |> Situ.scan(Histogram.new(), &Histogram.add_latency(&2, &1), name: "Latencies")
+    |> Situ.map(&Histogram.latency_rows/1, name: "LatencyRows", type: {:list, :any})
   end
 end

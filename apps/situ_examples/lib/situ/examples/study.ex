@@ -35,8 +35,8 @@ defmodule Situ.Examples.Study do
   @frame Situ.Time.ms(10)
 
   @doc "Returns the schema of the annotations: each face has a track that is annotated while the face speaks."
-  @spec schema() :: Schema.t()
-  def schema, do: Schema.finite("Speech", ["speaks"])
+  @spec annotation_schema() :: Schema.t()
+  def annotation_schema, do: Schema.finite("Speech", ["speaks"])
 
   @doc "Builds the pipeline for one session, which writes proposed annotations of speech and the mouths of all faces."
   @impl true
@@ -49,7 +49,7 @@ defmodule Situ.Examples.Study do
       |> Situ.Audio.resample(16_000)
 
     voice = Situ.via(sound, VoiceActivity, name: "VoiceActivity").voice
-    lips = importer |> Importer.stream("Video") |> MouthShape.parts()
+    lips = importer |> Importer.stream("Video") |> MouthShape.detect_stages()
 
     lips.mouths
     |> Situ.Infer.who_speaks(voice)
@@ -57,7 +57,7 @@ defmodule Situ.Examples.Study do
       proposed: true,
       by: "who_speaks"
     )
-    |> Situ.Store.write(exporter, @output, metadata: Schema.to_json(schema()))
+    |> Situ.Store.write(exporter, @output, metadata: Schema.to_json(annotation_schema()))
 
     Situ.Store.write(lips.mouths, exporter, "Mouths")
   end
@@ -77,64 +77,75 @@ defmodule Situ.Examples.Study do
 
     case OptionParser.parse(argv, strict: switches) do
       {opts, [], []} ->
-        if opts[:help], do: usage(), else: study(opts)
+        if opts[:help], do: print_usage(), else: run_study(opts)
 
       {_, [word | _], _} ->
-        fail("unexpected argument #{inspect(word)}\n  Fix: see bin/demo --dataset --help", 2)
+        print_failure(
+          "unexpected argument #{inspect(word)}\n  Fix: see bin/demo --dataset --help",
+          2
+        )
 
       {_, _, [{switch, _} | _]} ->
-        fail("unknown or incomplete option #{switch}\n  Fix: see bin/demo --dataset --help", 2)
+        print_failure(
+          "unknown or incomplete option #{switch}\n  Fix: see bin/demo --dataset --help",
+          2
+        )
     end
   end
 
-  defp usage do
+  defp print_usage do
     IO.puts(@usage)
     0
   end
 
-  defp study(opts) do
+  defp run_study(opts) do
     {:ok, _} = Application.ensure_all_started(:situ_examples)
     {:ok, _} = Application.ensure_all_started(:situ_dataset)
-    clips = clips(for {key, path} <- opts, key in [:input, :truth], do: {key, path})
+    clips = pair_clips(for {key, path} <- opts, key in [:input, :truth], do: {key, path})
 
-    with {:ok, dataset} <- dataset(clips, opts[:out] || "study"),
+    with {:ok, dataset} <- create_dataset(clips, opts[:out] || "study"),
          {:ok, dataset, report} <-
            Dataset.derive(dataset, __MODULE__, output: @output, path: Path.dirname(dataset.file)),
          [] <- Derivation.Report.failures(report),
-         {:ok, results} <- results(clips, dataset) do
+         {:ok, results} <- export_sessions(clips, dataset) do
       if opts[:json],
         do: IO.puts(Situ.JSON.encode(%{file: dataset.file, sessions: results})),
-        else: print(dataset, results)
+        else: print_results(dataset, results)
 
       0
     else
-      [{session, error} | _] -> fail("session #{session}: #{Exception.message(error)}", 1)
-      {:error, error} -> fail(Exception.message(error), 1)
+      [{session, error} | _] ->
+        print_failure("session #{session}: #{Exception.message(error)}", 1)
+
+      {:error, error} ->
+        print_failure(Exception.message(error), 1)
     end
   rescue
-    error in Error -> fail(Exception.message(error), 1)
+    error in Error -> print_failure(Exception.message(error), 1)
   end
 
-  defp fail(text, status) do
+  defp print_failure(text, status) do
     IO.puts(:stderr, "bin/demo: " <> text)
     status
   end
 
   # Each truth file belongs to the clip before it.
-  defp clips([]) do
+  defp pair_clips([]) do
     folder = Application.app_dir(:situ_examples, "priv/demo")
 
     for clip <- ~w(talk1 talk2 talk3),
         do: {Path.join(folder, clip <> ".mp4"), Path.join(folder, clip <> ".truth.json")}
   end
 
-  defp clips([{:input, clip}, {:truth, truth} | rest]), do: [{clip, truth} | more(rest)]
-  defp clips([{:input, clip} | rest]), do: [{clip, nil} | more(rest)]
-  defp clips([{:truth, _} | rest]), do: more(rest)
-  defp more([]), do: []
-  defp more(rest), do: clips(rest)
+  defp pair_clips([{:input, clip}, {:truth, truth} | rest]),
+    do: [{clip, truth} | pair_remaining(rest)]
 
-  defp dataset(clips, folder) do
+  defp pair_clips([{:input, clip} | rest]), do: [{clip, nil} | pair_remaining(rest)]
+  defp pair_clips([{:truth, _} | rest]), do: pair_remaining(rest)
+  defp pair_remaining([]), do: []
+  defp pair_remaining(rest), do: pair_clips(rest)
+
+  defp create_dataset(clips, folder) do
     with {:ok, dataset} <-
            Dataset.new("Who speaks", file: Path.join(folder, "study.json"), autosave: true) do
       Enum.reduce_while(clips, {:ok, dataset}, fn {clip, _}, {:ok, dataset} ->
@@ -150,11 +161,11 @@ defmodule Situ.Examples.Study do
     end
   end
 
-  defp results(clips, dataset) do
+  defp export_sessions(clips, dataset) do
     clips
     |> Enum.zip(dataset.sessions)
     |> Enum.reduce_while({:ok, []}, fn {{clip, truth}, session}, {:ok, results} ->
-      case result(clip, truth, session, Path.dirname(dataset.file)) do
+      case export_session(clip, truth, session, Path.dirname(dataset.file)) do
         {:ok, result} -> {:cont, {:ok, [result | results]}}
         {:error, error} -> {:halt, {:error, error}}
       end
@@ -162,23 +173,23 @@ defmodule Situ.Examples.Study do
     |> then(&with({:ok, results} <- &1, do: {:ok, Enum.reverse(results)}))
   end
 
-  defp result(clip, truth, session, folder) do
+  defp export_session(clip, truth, session, folder) do
     open = OpenSession.open(session)
 
-    with {:ok, {_, store, _}} <- OpenSession.find(open, @output),
-         {:ok, layer} <- Recording.load(store, @output),
-         {:ok, {_, film, _}} <- OpenSession.find(open, "Video"),
+    with {:ok, {_, store, _}} <- OpenSession.fetch_stream(open, @output),
+         {:ok, layer} <- Recording.load_layer(store, @output),
+         {:ok, {_, film, _}} <- OpenSession.fetch_stream(open, "Video"),
          {start, _} = Situ.Store.interval(film),
          eaf = Path.join(folder, session.name <> ".eaf"),
          vtt = Path.join(folder, session.name <> ".vtt"),
          {:ok, lost} <- Exchange.write(layer, eaf, origin: start, media: clip),
          {:ok, also} <- Exchange.write(layer, vtt, origin: start),
-         {:ok, kappa} <- kappa(truth, layer, store, start) do
+         {:ok, kappa} <- compute_kappa(truth, layer, store, start) do
       {:ok,
        %{
          session: session.name,
          annotations: length(Layer.annotations(layer)),
-         tracks: Layer.tracks(layer),
+         tracks: Layer.track_names(layer),
          kappa: kappa,
          files: [eaf, vtt],
          losses: Enum.uniq(lost ++ also)
@@ -186,32 +197,33 @@ defmodule Situ.Examples.Study do
     end
   end
 
-  defp kappa(nil, _layer, _store, _start), do: {:ok, nil}
+  defp compute_kappa(nil, _layer, _store, _start), do: {:ok, nil}
 
-  defp kappa(path, layer, store, start) do
+  defp compute_kappa(path, layer, store, start) do
     with {:ok, truth} <- Truth.read(path),
-         {:ok, real} <- truth_layer(truth, faces(store, truth), start),
+         {:ok, real} <- truth_layer(truth, match_faces(store, truth), start),
          stop = start + Situ.Time.s(truth.frames / truth.fps),
-         {:ok, report} <- Agreement.of(real, layer, frame: @frame, from: start, to: stop) do
+         {:ok, report} <-
+           Agreement.compare_layers(real, layer, frame: @frame, from: start, to: stop) do
       {:ok, report.kappa}
     end
   end
 
   # Maps each tracked face to the true face that is horizontally nearest when the track first appears.
-  defp faces(store, truth) do
+  defp match_faces(store, truth) do
     for message <- Situ.Store.messages(store, "Mouths"),
         {id, mouth} <- message.data,
         reduce: %{} do
-      seen -> Map.put_new(seen, id, nearest(mouth.rect, truth.faces))
+      seen -> Map.put_new(seen, id, nearest_face(mouth.rect, truth.faces))
     end
   end
 
-  defp nearest(rect, faces) do
-    {face, _} = Enum.min_by(faces, fn {_, box} -> abs(centre(rect) - centre(box)) end)
+  defp nearest_face(rect, faces) do
+    {face, _} = Enum.min_by(faces, fn {_, box} -> abs(center_x(rect) - center_x(box)) end)
     face
   end
 
-  defp centre(rect), do: rect.x + rect.width / 2
+  defp center_x(rect), do: rect.x + rect.width / 2
 
   defp truth_layer(truth, faces, start) do
     tracks = Map.new(faces, fn {id, face} -> {face, to_string(id)} end)
@@ -225,10 +237,10 @@ defmodule Situ.Examples.Study do
         })
       end
 
-    Layer.new(schema(), annotations)
+    Layer.new(annotation_schema(), annotations)
   end
 
-  defp print(dataset, results) do
+  defp print_results(dataset, results) do
     IO.puts("#{dataset.name}: #{dataset.file}")
 
     for result <- results do

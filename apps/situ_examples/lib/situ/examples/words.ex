@@ -33,38 +33,38 @@ defmodule Situ.Examples.Words do
       for {id, speaks?} <- speaking, mouth = mouths[id], mouth.rect, do: {mouth.rect, speaks?}
 
     waiting = Enum.take_while(state.pictures, fn {t, _} -> time - t < @patience end)
-    answer(%{state | pictures: [{time, faces} | waiting]})
+    emit_utterances(%{state | pictures: [{time, faces} | waiting]})
   end
 
   def handle_message(:said, %{data: said}, _context, state),
-    do: answer(%{state | said: state.said ++ [said]})
+    do: emit_utterances(%{state | said: state.said ++ [said]})
 
   @impl true
   def handle_closed(:faces, _time, _context, %{pictures: pictures} = state) when pictures != [],
-    do: answer(%{state | pictures: [{:infinity, []} | pictures]})
+    do: emit_utterances(%{state | pictures: [{:infinity, []} | pictures]})
 
   def handle_closed(_input, _time, _context, state), do: {[], state}
 
   # An utterance is emitted once an image after its end has arrived.
-  defp answer(%{said: [said | others], pictures: [{newest, _} | _] = pictures} = state)
+  defp emit_utterances(%{said: [said | others], pictures: [{newest, _} | _] = pictures} = state)
        when newest > said.to do
     {after_it, rest} = Enum.split_while(pictures, fn {time, _} -> time > said.to end)
     found = rest |> Enum.take_while(fn {time, _} -> time >= said.from end) |> Enum.reverse()
-    {more, state} = answer(%{state | said: others, pictures: after_it})
-    {boxes(said, found) ++ more, state}
+    {more, state} = emit_utterances(%{state | said: others, pictures: after_it})
+    {label_speaker(said, found) ++ more, state}
   end
 
-  defp answer(state), do: {[], state}
+  defp emit_utterances(state), do: {[], state}
 
-  defp boxes(said, found) do
-    speaker = Transcript.speaker(said, found)
+  defp label_speaker(said, found) do
+    speaker = Transcript.find_speaker(said, found)
 
     for {time, faces} <- found do
       seen =
         for {rect, _} <- faces,
             speaker != nil,
             rect.id == speaker.id,
-            do: %{rect | label: words(said, time), score: nil}
+            do: %{rect | label: words_at(said, time), score: nil}
 
       {:out, time, seen}
     end
@@ -75,11 +75,11 @@ defmodule Situ.Examples.Words do
 
       iex> alias Situ.Infer.Speech.Utterance
       iex> said = %Utterance{text: "One two three four five six seven.", from: 0, to: 700, confidence: 1.0}
-      iex> {Situ.Examples.Words.words(said, 10), Situ.Examples.Words.words(said, 650)}
+      iex> {Situ.Examples.Words.words_at(said, 10), Situ.Examples.Words.words_at(said, 650)}
       {"One two three four", "five six seven."}
   """
-  @spec words(Situ.Infer.Speech.Utterance.t(), Situ.Time.t()) :: String.t()
-  def words(said, time) do
+  @spec words_at(Situ.Infer.Speech.Utterance.t(), Situ.Time.t()) :: String.t()
+  def words_at(said, time) do
     words = String.split(said.text)
     rows = max(ceil(length(words) / @at_once), 1)
     rows = Enum.chunk_every(words, max(ceil(length(words) / rows), 1))

@@ -7,7 +7,7 @@ defmodule Situ.Examples.DemoTest do
   alias Situ.Store
 
   @moduletag timeout: 240_000
-  @truth Path.join(Path.dirname(Options.clip()), "talk1.truth.json")
+  @truth Path.join(Path.dirname(Options.default_clip()), "talk1.truth.json")
 
   defp ffmpeg!(args) do
     {out, status} = System.cmd("ffmpeg", ~w(-v error -y) ++ args, stderr_to_stdout: true)
@@ -26,11 +26,13 @@ defmodule Situ.Examples.DemoTest do
   end
 
   @tag :tmp_dir
-  test "the clip is scored right, and two runs record the same bytes", %{tmp_dir: dir} do
+  test "scores the clip correctly, and two runs record the same bytes", %{tmp_dir: dir} do
     assert {:ok, %{result: %{path: one}} = report, _} =
-             Demo.record(input: Options.clip(), out: dir)
+             Demo.record_clip(input: Options.default_clip(), out: dir)
 
-    assert {:ok, %{result: %{path: two}}, _} = Demo.record(input: Options.clip(), out: dir)
+    assert {:ok, %{result: %{path: two}}, _} =
+             Demo.record_clip(input: Options.default_clip(), out: dir)
+
     assert one != two
     first = messages(one)
 
@@ -40,7 +42,7 @@ defmodule Situ.Examples.DemoTest do
 
     assert first == messages(two)
 
-    rows = Demo.Profile.rows(report.snapshot)
+    rows = Demo.Profile.component_rows(report.snapshot)
     assert %{calls: 350, mean_ms: ms} = Enum.find(rows, &(&1.path =~ "FaceLandmarks"))
     assert ms > 0
     text = IO.iodata_to_binary(Demo.Profile.render(report.snapshot, 5.0))
@@ -48,10 +50,10 @@ defmodule Situ.Examples.DemoTest do
 
     {:ok, truth} = Truth.read(@truth)
     {:ok, recording} = Recording.read(one)
-    score = Score.of(truth, recording.found)
+    score = Score.score_decisions(truth, recording.found)
     assert score.frames == 350
     assert score.frame_accuracy >= 0.97
-    # Nobody speaks while the voice comes from outside, or while a mouth moves in silence.
+    # Nobody speaks while the voice comes from off-screen, or while a mouth moves in silence.
     for {from, to} <- [{10.2, 11.8}, {12.2, 13.6}], {_, a, b} <- recording.spoken do
       refute a / 1.0e9 < to and b / 1.0e9 > from
     end
@@ -64,7 +66,7 @@ defmodule Situ.Examples.DemoTest do
   } do
     argv = [
       "--input",
-      Options.clip(),
+      Options.default_clip(),
       "--truth",
       @truth,
       "--transcript",
@@ -86,7 +88,7 @@ defmodule Situ.Examples.DemoTest do
   @tag :tmp_dir
   test "prints one JSON object with --json", %{tmp_dir: dir} do
     short = Path.join(dir, "short.mp4")
-    ffmpeg!(["-i", Options.clip(), "-t", "2", short])
+    ffmpeg!(["-i", Options.default_clip(), "-t", "2", short])
     argv = ["--", "--input", short, "--truth", @truth, "--headless", "--json", "--out", dir]
     out = capture_io(fn -> assert Demo.run(argv) == 0 end)
     {:ok, json} = Situ.JSON.decode(out)
@@ -100,53 +102,53 @@ defmodule Situ.Examples.DemoTest do
   end
 
   @tag :tmp_dir
-  test "finds sound that is late, says so and moves it: who speaks is right again", %{
+  test "detects late audio, reports it and shifts it, so the speaker is correct again", %{
     tmp_dir: dir
   } do
     late = Path.join(dir, "late.mp4")
 
-    # The sound of the clip 300 ms later; the pictures are the same.
+    # The audio of the clip 300 ms later, with the same images.
     ffmpeg!(
-      ["-i", Options.clip(), "-itsoffset", "0.3", "-i", Options.clip()] ++
+      ["-i", Options.default_clip(), "-itsoffset", "0.3", "-i", Options.default_clip()] ++
         ~w(-t 8 -map 0:v -map 1:a -c:v copy -c:a aac) ++ [late]
     )
 
     argv = ["--input", late, "--truth", @truth, "--headless", "--out", dir]
     out = capture_io(fn -> assert Demo.run(argv) == 0 end)
-    assert [_, ms] = Regex.run(~r/The sound is (\d+) ms late against the lips/, out)
+    assert [_, ms] = Regex.run(~r/The audio is (\d+) ms late relative to the lips/, out)
     assert_in_delta String.to_integer(ms), 300, 60
-    assert out =~ "it was moved by that"
-    # The recording that was out of step is gone; in the other one the sound is in step.
+    assert out =~ "it was shifted by that"
+    # The recording that was out of sync was deleted; in the other one the audio is in sync.
     assert [path] = Store.list(dir)
     {:ok, recording} = Recording.read(path)
-    refute Situ.Infer.LipSync.off?(recording.sync)
+    refute Situ.Infer.LipSync.out_of_sync?(recording.sync)
     assert_in_delta recording.sync.shift / 1.0e6, 0.0, 60.0
 
-    # As good as the clip in step, over the part that there is.
+    # As good as the clip in sync, over the available part.
     {:ok, truth} = Truth.read(@truth)
     truth = %{truth | frames: 200}
-    assert Score.of(truth, recording.found).frame_accuracy >= 0.96
+    assert Score.score_decisions(truth, recording.found).frame_accuracy >= 0.96
     # The output explains the year 1970.
     assert out =~ "1970" and out =~ "latencies in the recording are not real time"
   end
 
   @tag :tmp_dir
-  test "goes on with what there is: no sound, no pictures, no face", %{tmp_dir: dir} do
+  test "continues without audio, images or faces", %{tmp_dir: dir} do
     silent = Path.join(dir, "silent.mp4")
-    ffmpeg!(["-i", Options.clip(), "-t", "1", "-an", silent])
+    ffmpeg!(["-i", Options.default_clip(), "-t", "1", "-an", silent])
 
     out =
       capture_io(fn -> assert Demo.run(["--input", silent, "--headless", "--out", dir]) == 0 end)
 
-    assert out =~ "no sound" and out =~ "25 pictures"
+    assert out =~ "no audio" and out =~ "25 images"
 
     voice = Path.join(dir, "voice.wav")
-    ffmpeg!(["-i", Options.clip(), "-t", "1", "-vn", voice])
+    ffmpeg!(["-i", Options.default_clip(), "-t", "1", "-vn", voice])
 
     out =
       capture_io(fn -> assert Demo.run(["--input", voice, "--headless", "--out", dir]) == 0 end)
 
-    assert out =~ "no pictures"
+    assert out =~ "no video"
 
     empty = Path.join(dir, "empty.mp4")
 
@@ -162,22 +164,22 @@ defmodule Situ.Examples.DemoTest do
 
   @tag :tmp_dir
   @tag :capture_log
-  test "shows what there is of a clip cut short, and says that it is", %{tmp_dir: dir} do
+  test "shows the readable part of a truncated clip and reports the error", %{tmp_dir: dir} do
     cut = Path.join(dir, "cut.mp4")
-    File.write!(cut, Options.clip() |> File.read!() |> binary_part(0, 300_000))
+    File.write!(cut, Options.default_clip() |> File.read!() |> binary_part(0, 300_000))
     argv = ["--input", cut, "--headless", "--out", dir]
 
     err =
       capture_io(:stderr, fn ->
         out = capture_io(fn -> assert Demo.run(argv) == 1 end)
-        assert out =~ "Until it failed" and out =~ " pictures, "
+        assert out =~ "Until it failed" and out =~ " images, "
       end)
 
     assert err =~ "cut.mp4 is damaged"
   end
 
   @tag :tmp_dir
-  test "says what is wrong with its arguments and files", %{tmp_dir: dir} do
+  test "reports invalid arguments and files", %{tmp_dir: dir} do
     err = fn argv, status -> capture_io(:stderr, fn -> assert Demo.run(argv) == status end) end
     assert err.(["--inptu", "x"], 2) =~ "unknown or incomplete option"
     assert err.(["--input", "/nowhere.mp4", "--headless", "--out", dir], 1) =~ "Fix:"

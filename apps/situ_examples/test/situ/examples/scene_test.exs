@@ -8,30 +8,34 @@ defmodule Situ.Examples.SceneTest do
   doctest Histogram
 
   @tag :tmp_dir
-  test "the room, recorded, holds every stream of its layout, and what is found in it is true", %{
+  test "a recording of the room has every stream of its layout and correct detections", %{
     tmp_dir: folder
   } do
     assert {:ok, %{result: %{path: path}}} =
-             Demo.Scene.pipeline(seconds: 4.0, out: folder, fast: true)
+             Demo.Scene.record_room(seconds: 4.0, out: folder, fast: true)
 
     {:ok, store} = Store.open(path)
     names = for s <- Store.streams(store), do: s.name
 
     {:ok, layout} =
       path
-      |> Demo.Scene.layouts()
+      |> Demo.Scene.write_layout_folder()
       |> Path.join("scene.json")
       |> File.read!()
-      |> Layout.Text.read()
+      |> Layout.Text.parse_json()
 
     drawn = for panel <- layout.rows, vis <- panel.vis, do: vis.stream
     assert Enum.uniq(drawn) -- names == []
 
     clouds = store |> Store.messages("Room.Cloud") |> Enum.to_list()
     assert length(clouds) == 60
-    assert Enum.all?(clouds, &(PointCloud.count(&1.data) == 320 * 240 and &1.data.colors != nil))
 
-    # The clip speaks from 0.76 s to 3.6 s: one interval, within what a detector may be off.
+    assert Enum.all?(
+             clouds,
+             &(PointCloud.point_count(&1.data) == 320 * 240 and &1.data.colors != nil)
+           )
+
+    # The clip contains speech from 0.76 s to 3.6 s: one interval, within the error of a detector.
     start = hd(clouds).originating_time
 
     assert [%{data: {speech, "person 0"}} | _] =
@@ -39,7 +43,7 @@ defmodule Situ.Examples.SceneTest do
 
     assert_in_delta (speech.left - start) / 1.0e9, 0.76, 0.4
 
-    # The one who walks is in the picture that was cut; whoever is not in it is not drawn on it.
+    # The walking person is within the cropped image; people outside it are not drawn on it.
     for %{data: found} <- store |> Store.messages("Room.Detections") |> Enum.take(5) do
       assert [{%{id: 0, score: score} = rect, joints} | others] = found
       assert Enum.all?(others, fn {other, _} -> other.x + other.width / 2 >= 0 end)
@@ -51,7 +55,7 @@ defmodule Situ.Examples.SceneTest do
     assert heights |> Enum.map(&elem(&1, 1)) |> Enum.sum() == div(320 * 240, 5)
   end
 
-  test "what is not understood is said" do
+  test "reports unknown arguments" do
     assert ExUnit.CaptureIO.capture_io(:stderr, fn ->
              assert Demo.run(["--scene", "--quickly"]) == 2
            end) =~ "--quickly"

@@ -20,7 +20,7 @@ defmodule Situ.Examples.WordsTest do
     {to * @ms, %Utterance{text: text, from: from * @ms, to: to * @ms, confidence: 1.0}}
   end
 
-  test "boxes with words at the face that says them; none for a voice from outside" do
+  test "draws words at the face that speaks them, and none for an off-screen voice" do
     pictures = for ms <- 0..2_000//40, do: picture(ms, if(ms in 200..800, do: 1))
     utterances = [said("Go forward ten meters.", 200, 800), said("Stop.", 1_200, 1_600)]
 

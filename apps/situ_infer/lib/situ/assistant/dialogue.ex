@@ -67,84 +67,95 @@ defmodule Situ.Assistant.Dialogue do
   @impl true
   def init(opts) do
     with {:ok, own} <- Grammar.load(grammar: Skills.grammar(), min_score: 0.5),
-         {:ok, more} <- more(opts[:grammar]) do
-      wake = opts[:wake] && Utterance.words(opts[:wake])
+         {:ok, more} <- load_grammar(opts[:grammar]) do
+      wake = opts[:wake] && Utterance.normalize_words(opts[:wake])
       {:ok, %__MODULE__{opts: Map.new(opts), grammars: more ++ [own], wake: wake}}
     end
   end
 
-  defp more(nil), do: {:ok, []}
+  defp load_grammar(nil), do: {:ok, []}
 
-  defp more(grammar) do
+  defp load_grammar(grammar) do
     with {:ok, grammar} <- Grammar.load(grammar: grammar, min_score: 0.5), do: {:ok, [grammar]}
   end
 
   @impl true
   def handle_message(:heard, %{data: utterance, originating_time: time}, _context, state) do
-    if Echo.own?(state.echo, utterance.from, utterance.text),
+    if Echo.own_words?(state.echo, utterance.from, utterance.text),
       do: {[], state},
-      else: utterance.text |> meant(state.wake) |> heard(utterance, time, state)
+      else: utterance.text |> match_wake_name(state.wake) |> handle_heard(utterance, time, state)
   end
 
   # An empty text means that the user said only the name.
-  defp heard({:called, ""}, _utterance, time, state), do: say("Yes?", time, attend(state, time))
-  defp heard({:called, text}, _utterance, time, state), do: told(text, time, state)
+  defp handle_heard({:called, ""}, _utterance, time, state),
+    do: emit_reply("Yes?", time, extend_attention(state, time))
 
-  defp heard(:not_called, utterance, time, state) do
+  defp handle_heard({:called, text}, _utterance, time, state),
+    do: handle_command(text, time, state)
+
+  defp handle_heard(:not_called, utterance, time, state) do
     if state.wake in [nil, []] or
          (state.attentive_to != nil and utterance.from <= state.attentive_to),
-       do: told(utterance.text, time, state),
+       do: handle_command(utterance.text, time, state),
        else: {[], state}
   end
 
-  defp told(text, time, state) do
-    intent = detect(text, state.grammars)
+  defp handle_command(text, time, state) do
+    intent = detect_intent(text, state.grammars)
 
     {actions, state} =
-      done(Skills.answer(intent, state.opts.local_time.(time)), text, time, intent, state)
+      apply_action(
+        Skills.answer_intent(intent, state.opts.local_time.(time)),
+        text,
+        time,
+        intent,
+        state
+      )
 
     {[{:intent, time, intent} | actions], state}
   end
 
-  defp detect(text, grammars) do
+  defp detect_intent(text, grammars) do
     Enum.reduce_while(grammars, nil, fn grammar, _ ->
       {:ok, intent} = Grammar.detect(grammar, text)
       if Intent.name(intent), do: {:halt, intent}, else: {:cont, intent}
     end)
   end
 
-  defp done({:say, text}, _text, time, _intent, state), do: say(text, time, attend(state, time))
+  defp apply_action({:say, text}, _text, time, _intent, state),
+    do: emit_reply(text, time, extend_attention(state, time))
 
-  defp done({:timer, length, name, text}, _text, time, _intent, state) do
-    {actions, say} = say(text, time, attend(state, time))
+  defp apply_action({:timer, length, name, text}, _text, time, _intent, state) do
+    {actions, say} = emit_reply(text, time, extend_attention(state, time))
     timers = Map.put(say.timers, say.next, name)
 
     {actions ++ [{:timer, {:rings, say.next}, time + length}],
      %{say | timers: timers, next: say.next + 1}}
   end
 
-  defp done(:cancel, _text, time, _intent, %{timers: timers} = state) do
+  defp apply_action(:cancel, _text, time, _intent, %{timers: timers} = state) do
     text =
       if timers == %{},
         do: "No timer is set.",
         else: "I canceled the #{if map_size(timers) > 1, do: "timers", else: "timer"}."
 
-    say(text, time, attend(%{state | timers: %{}}, time))
+    emit_reply(text, time, extend_attention(%{state | timers: %{}}, time))
   end
 
-  defp done(:quiet, _text, _time, _intent, state), do: {[], %{state | attentive_to: nil}}
+  defp apply_action(:quiet, _text, _time, _intent, state), do: {[], %{state | attentive_to: nil}}
 
   # A model's reply may be long and is not in `echo`, so the user must say the name to continue.
-  defp done(:unknown, text, time, %{intents: []}, %{opts: %{ask: true}} = state),
+  defp apply_action(:unknown, text, time, %{intents: []}, %{opts: %{ask: true}} = state),
     do: {[{:ask, time, text}], %{state | attentive_to: nil}}
 
-  defp done(:unknown, _text, time, %{intents: []}, state),
-    do: say("I did not understand that.", time, attend(state, time))
+  defp apply_action(:unknown, _text, time, %{intents: []}, state),
+    do: emit_reply("I did not understand that.", time, extend_attention(state, time))
 
   # The intent belongs to the surrounding program, which reacts to it.
-  defp done(:unknown, _text, time, _intent, state), do: {[], attend(state, time)}
+  defp apply_action(:unknown, _text, time, _intent, state),
+    do: {[], extend_attention(state, time)}
 
-  defp attend(state, time), do: %{state | attentive_to: time + state.opts.attention}
+  defp extend_attention(state, time), do: %{state | attentive_to: time + state.opts.attention}
 
   @impl true
   def handle_info({:timer, {:rings, id}}, context, state) do
@@ -153,7 +164,7 @@ defmodule Situ.Assistant.Dialogue do
         {[], state}
 
       {name, timers} ->
-        say("Your timer of #{name} is over.", context.now, %{state | timers: timers})
+        emit_reply("Your timer of #{name} is over.", context.now, %{state | timers: timers})
     end
   end
 
@@ -162,25 +173,27 @@ defmodule Situ.Assistant.Dialogue do
   @impl true
   def describe(state), do: "#{map_size(state.timers)} timers"
 
-  defp say(text, time, state) do
+  defp emit_reply(text, time, state) do
     at = if state.last, do: max(time, state.last + 1), else: time
-    {[{:said, at, text}], %{state | last: at, echo: Echo.said(state.echo, at, text)}}
+    {[{:said, at, text}], %{state | last: at, echo: Echo.add_text(state.echo, at, text)}}
   end
 
   @doc """
   Returns the words after the assistant's name if the text begins with the name; a preceding greeting is skipped.
 
-      iex> Situ.Assistant.Dialogue.meant("Hey, Computer! What time is it?", ["computer"])
+      iex> Situ.Assistant.Dialogue.match_wake_name("Hey, Computer! What time is it?", ["computer"])
       {:called, "what time is it"}
-      iex> Situ.Assistant.Dialogue.meant("My computer is broken.", ["computer"])
+      iex> Situ.Assistant.Dialogue.match_wake_name("My computer is broken.", ["computer"])
       :not_called
   """
-  @spec meant(String.t(), [String.t()] | nil) :: {:called, String.t()} | :not_called
-  def meant(_text, wake) when wake in [nil, []], do: :not_called
+  @spec match_wake_name(String.t(), [String.t()] | nil) :: {:called, String.t()} | :not_called
+  def match_wake_name(_text, wake) when wake in [nil, []], do: :not_called
 
-  def meant(text, wake) do
+  def match_wake_name(text, wake) do
     words =
-      text |> Utterance.words() |> Enum.drop_while(&(&1 in ["hey", "hi", "hello", "ok", "okay"]))
+      text
+      |> Utterance.normalize_words()
+      |> Enum.drop_while(&(&1 in ["hey", "hi", "hello", "ok", "okay"]))
 
     {name, rest} = Enum.split(words, length(wake))
 

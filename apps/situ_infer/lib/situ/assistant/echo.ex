@@ -3,12 +3,12 @@ defmodule Situ.Assistant.Echo do
   Distinguishes a user's speech from the assistant's own voice in the microphone: words that the assistant is currently
   speaking are its own. Pure.
 
-      iex> echo = Situ.Assistant.Echo.new() |> Situ.Assistant.Echo.said(0, "The timer is set for five minutes.")
-      iex> Situ.Assistant.Echo.own?(echo, 1_000_000_000, "timer set for five minutes")
+      iex> echo = Situ.Assistant.Echo.new() |> Situ.Assistant.Echo.add_text(0, "The timer is set for five minutes.")
+      iex> Situ.Assistant.Echo.own_words?(echo, 1_000_000_000, "timer set for five minutes")
       true
-      iex> Situ.Assistant.Echo.own?(echo, 1_000_000_000, "computer, stop")
+      iex> Situ.Assistant.Echo.own_words?(echo, 1_000_000_000, "computer, stop")
       false
-      iex> Situ.Assistant.Echo.own?(echo, 10_000_000_000, "timer set for five minutes")
+      iex> Situ.Assistant.Echo.own_words?(echo, 10_000_000_000, "timer set for five minutes")
       false
   """
   alias Situ.Infer.Speech.Utterance
@@ -27,18 +27,18 @@ defmodule Situ.Assistant.Echo do
   def new, do: %__MODULE__{}
 
   @doc "Adds a text that the assistant speaks at `time`, or after the texts it is already speaking."
-  @spec said(t(), Situ.Time.t(), String.t()) :: t()
-  def said(%__MODULE__{said: said} = echo, time, text) do
+  @spec add_text(t(), Situ.Time.t(), String.t()) :: t()
+  def add_text(%__MODULE__{said: said} = echo, time, text) do
     begins = Enum.reduce(said, time, fn {until, _}, begins -> max(begins, until - @delay) end)
     until = begins + @letter * String.length(text) + @delay
     kept = Enum.filter(said, fn {until, _} -> until >= time end)
-    %{echo | said: [{until, MapSet.new(Utterance.words(text))} | kept]}
+    %{echo | said: [{until, MapSet.new(Utterance.normalize_words(text))} | kept]}
   end
 
   @doc "Returns whether the text heard at `from` consists mostly of words that the assistant was speaking then."
-  @spec own?(t(), Situ.Time.t(), String.t()) :: boolean()
-  def own?(%__MODULE__{said: said}, from, text) do
-    words = Utterance.words(text)
+  @spec own_words?(t(), Situ.Time.t(), String.t()) :: boolean()
+  def own_words?(%__MODULE__{said: said}, from, text) do
+    words = Utterance.normalize_words(text)
 
     words != [] and
       Enum.any?(said, fn {until, own} ->

@@ -24,13 +24,13 @@ defmodule Situ.Assistant.Interruption do
 
   @impl true
   def handle_message(:said, %{data: text, originating_time: time}, _context, state),
-    do: {[], %{state | echo: Echo.said(state.echo, time, text)}}
+    do: {[], %{state | echo: Echo.add_text(state.echo, time, text)}}
 
   def handle_message(_heard, %{data: utterance, originating_time: time}, _context, state) do
     again? = state.from != nil and utterance.from <= state.from
     early? = not utterance.final? and utterance.to - utterance.from < @enough
 
-    if again? or early? or Echo.own?(state.echo, utterance.from, utterance.text) do
+    if again? or early? or Echo.own_words?(state.echo, utterance.from, utterance.text) do
       {[], state}
     else
       at = if state.last, do: max(time, state.last + 1), else: time

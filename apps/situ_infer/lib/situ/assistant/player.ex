@@ -42,77 +42,79 @@ defmodule Situ.Assistant.Player do
   def handle_message(:stop, %{originating_time: time}, context, state) do
     # A reply decided after the user spoke responds to that speech, so it is still played.
     waiting = Enum.filter(state.waiting, fn {decided, _} -> decided >= time end)
-    step(%{state | waiting: waiting}, context.now)
+    play_due(%{state | waiting: waiting}, context.now)
   end
 
   def handle_message(_sound, %{data: sound, originating_time: time}, context, state) do
-    sounds = state.waiting ++ [{time, pieces(sound, state.opts.piece)}]
-    step(%{state | waiting: sounds}, context.now)
+    sounds = state.waiting ++ [{time, split_audio(sound, state.opts.piece)}]
+    play_due(%{state | waiting: sounds}, context.now)
   end
 
-  defp pieces(sound, length) do
+  defp split_audio(sound, length) do
     frames = max(AudioFormat.ns_to_frames(sound.format, length), 1)
-    total = AudioBuffer.frames(sound)
+    total = AudioBuffer.frame_count(sound)
 
     for from <- 0..(total - 1)//frames,
-        do: AudioBuffer.slice(sound, from, min(frames, total - from))
+        do: AudioBuffer.slice_frames(sound, from, min(frames, total - from))
   end
 
   @impl true
-  def handle_info({:timer, :play}, context, state), do: step(%{state | timer: nil}, context.now)
+  def handle_info({:timer, :play}, context, state),
+    do: play_due(%{state | timer: nil}, context.now)
+
   def handle_info(_other, _context, state), do: {[], state}
 
   @impl true
   def handle_closed(input, _time, context, state) when input in [:in, :answers],
-    do: play(state, [], context.now, :all)
+    do: play_chunks(state, [], context.now, :all)
 
   def handle_closed(:stop, _time, _context, state), do: {[], state}
 
   @impl true
   def describe(state), do: "#{length(state.waiting)} sounds wait"
 
-  defp step(state, now), do: play(state, [], now, :due)
+  defp play_due(state, now), do: play_chunks(state, [], now, :due)
 
   # Emits the chunks that are due, then sets a timer for the next one.
-  defp play(%{waiting: [{_, []} | rest]} = state, actions, now, which),
-    do: play(%{state | waiting: rest}, actions, now, which)
+  defp play_chunks(%{waiting: [{_, []} | rest]} = state, actions, now, which),
+    do: play_chunks(%{state | waiting: rest}, actions, now, which)
 
-  defp play(%{waiting: []} = state, actions, now, which) do
+  defp play_chunks(%{waiting: []} = state, actions, now, which) do
     cond do
       not state.speaking -> {Enum.reverse(actions), state}
-      which == :due and now < silent_at(state) -> wake(state, actions, silent_at(state))
-      true -> state |> speaking(actions, false, max(now, state.head)) |> done()
+      which == :due and now < silent_at(state) -> schedule_play(state, actions, silent_at(state))
+      true -> state |> emit_speaking(actions, false, max(now, state.head)) |> finish_actions()
     end
   end
 
-  defp play(%{waiting: [{time, [piece | pieces]} | rest]} = state, actions, now, which) do
+  defp play_chunks(%{waiting: [{time, [piece | pieces]} | rest]} = state, actions, now, which) do
     head = max(state.head || now - state.opts.ahead, now - state.opts.ahead)
     head = if which == :all, do: state.head || now, else: head
-    ends = head + AudioBuffer.duration(piece)
+    ends = head + AudioBuffer.duration_ns(piece)
 
     if which == :all or ends <= now do
-      {actions, state} = speaking(state, actions, true, now)
+      {actions, state} = emit_speaking(state, actions, true, now)
       state = %{state | waiting: [{time, pieces} | rest], head: ends}
-      play(state, [{:out, ends, piece} | actions], now, which)
+      play_chunks(state, [{:out, ends, piece} | actions], now, which)
     else
-      wake(state, actions, ends)
+      schedule_play(state, actions, ends)
     end
   end
 
   # Audio that was emitted ahead of time is still playing.
   defp silent_at(state), do: state.head + state.opts.ahead
-  defp done({actions, state}), do: {Enum.reverse(actions), state}
+  defp finish_actions({actions, state}), do: {Enum.reverse(actions), state}
 
-  defp speaking(%{speaking: same} = state, actions, same, _at), do: {actions, state}
+  defp emit_speaking(%{speaking: same} = state, actions, same, _at), do: {actions, state}
 
-  defp speaking(state, actions, now?, at) do
+  defp emit_speaking(state, actions, now?, at) do
     at = if state.told, do: max(at, state.told + 1), else: at
     {[{:speaking, at, now?} | actions], %{state | speaking: now?, told: at}}
   end
 
-  defp wake(%{timer: due} = state, actions, at) when due != nil and due <= at,
+  defp schedule_play(%{timer: due} = state, actions, at) when due != nil and due <= at,
     do: {Enum.reverse(actions), state}
 
-  defp wake(state, actions, at),
+  defp schedule_play(state, actions, at),
     do: {Enum.reverse([{:timer, :play, at} | actions]), %{state | timer: at}}
 end

@@ -5,7 +5,7 @@ defmodule Situ.Assistant.Skills do
 
       iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: Situ.Assistant.Skills.grammar())
       iex> {:ok, intent} = Situ.Intent.Grammar.detect(grammar, "set a timer for five minutes")
-      iex> Situ.Assistant.Skills.answer(intent, {{2026, 11, 22}, {11, 5, 0}})
+      iex> Situ.Assistant.Skills.answer_intent(intent, {{2026, 11, 22}, {11, 5, 0}})
       {:timer, 300_000_000_000, "five minutes", "I set a timer for five minutes."}
   """
   alias Situ.Intent
@@ -45,12 +45,12 @@ defmodule Situ.Assistant.Skills do
   def grammar, do: @grammar
 
   @doc "Returns the reply or action for an intent when the local time is `now`."
-  @spec answer(Intent.t(), :calendar.datetime()) :: deed()
-  def answer(%Intent{} = intent, now) do
+  @spec answer_intent(Intent.t(), :calendar.datetime()) :: deed()
+  def answer_intent(%Intent{} = intent, now) do
     case Intent.name(intent) do
-      "time" -> {:say, time(now)}
-      "date" -> {:say, date(now)}
-      "timer" -> timer(intent)
+      "time" -> {:say, time_in_words(now)}
+      "date" -> {:say, date_in_words(now)}
+      "timer" -> timer_action(intent)
       "cancel" -> :cancel
       "stop" -> :quiet
       "thanks" -> {:say, "You are welcome."}
@@ -58,12 +58,12 @@ defmodule Situ.Assistant.Skills do
     end
   end
 
-  defp timer(intent) do
+  defp timer_action(intent) do
     with count when is_binary(count) <- Intent.entity(intent, "count"),
          unit when is_binary(unit) <- Intent.entity(intent, "unit"),
          n when n > 0 <- String.to_integer(count) do
       unit = String.trim_trailing(unit, "s")
-      length = "#{Number.words(n)} #{unit}#{if n > 1, do: "s"}"
+      length = "#{Number.to_words(n)} #{unit}#{if n > 1, do: "s"}"
 
       {:timer, n * Map.fetch!(@units, unit) * 1_000_000_000, length,
        "I set a timer for #{length}."}
@@ -75,34 +75,37 @@ defmodule Situ.Assistant.Skills do
   @doc """
   Formats the time in words.
 
-      iex> Situ.Assistant.Skills.time({{2026, 11, 22}, {9, 5, 0}})
+      iex> Situ.Assistant.Skills.time_in_words({{2026, 11, 22}, {9, 5, 0}})
       "It is nine oh five."
-      iex> Situ.Assistant.Skills.time({{2026, 11, 22}, {0, 0, 59}})
+      iex> Situ.Assistant.Skills.time_in_words({{2026, 11, 22}, {0, 0, 59}})
       "It is midnight."
   """
-  @spec time(:calendar.datetime()) :: String.t()
-  def time({_, {0, 0, _}}), do: "It is midnight."
-  def time({_, {12, 0, _}}), do: "It is noon."
-  def time({_, {hour, 0, _}}), do: "It is #{Number.words(hour)} o'clock."
+  @spec time_in_words(:calendar.datetime()) :: String.t()
+  def time_in_words({_, {0, 0, _}}), do: "It is midnight."
+  def time_in_words({_, {12, 0, _}}), do: "It is noon."
+  def time_in_words({_, {hour, 0, _}}), do: "It is #{Number.to_words(hour)} o'clock."
 
-  def time({_, {hour, minute, _}}) when minute < 10,
-    do: "It is #{Number.words(hour)} oh #{Number.words(minute)}."
+  def time_in_words({_, {hour, minute, _}}) when minute < 10,
+    do: "It is #{Number.to_words(hour)} oh #{Number.to_words(minute)}."
 
-  def time({_, {hour, minute, _}}), do: "It is #{Number.words(hour)} #{Number.words(minute)}."
+  def time_in_words({_, {hour, minute, _}}),
+    do: "It is #{Number.to_words(hour)} #{Number.to_words(minute)}."
 
   @doc """
   Formats the date in words.
 
-      iex> Situ.Assistant.Skills.date({{2026, 11, 22}, {9, 5, 0}})
+      iex> Situ.Assistant.Skills.date_in_words({{2026, 11, 22}, {9, 5, 0}})
       "It is Sunday, November the twenty second."
   """
-  @spec date(:calendar.datetime()) :: String.t()
-  def date({{_, month, day} = date, _}) do
+  @spec date_in_words(:calendar.datetime()) :: String.t()
+  def date_in_words({{_, month, day} = date, _}) do
     name = Enum.at(@days, :calendar.day_of_the_week(date) - 1)
-    "It is #{name}, #{Enum.at(@months, month - 1)} the #{ordinal(day)}."
+    "It is #{name}, #{Enum.at(@months, month - 1)} the #{ordinal_in_words(day)}."
   end
 
-  defp ordinal(day) when day <= 20, do: Enum.at(@ordinals, day - 1)
-  defp ordinal(30), do: "thirtieth"
-  defp ordinal(day), do: "#{Number.words(10 * div(day, 10))} #{ordinal(rem(day, 10))}"
+  defp ordinal_in_words(day) when day <= 20, do: Enum.at(@ordinals, day - 1)
+  defp ordinal_in_words(30), do: "thirtieth"
+
+  defp ordinal_in_words(day),
+    do: "#{Number.to_words(10 * div(day, 10))} #{ordinal_in_words(rem(day, 10))}"
 end

@@ -10,9 +10,9 @@ defmodule Situ.Chat.Answer do
 
       iex> alias Situ.Chat.Answer
       iex> event = fn text -> ~s({"choices":[{"delta":{"content":"\#{text}"},"finish_reason":"stop"}]}) end
-      iex> {:ok, ["Hel"], piece} = Answer.fold(Answer.piece(), event.("Hel"))
-      iex> {:ok, ["lo"], piece} = Answer.fold(piece, event.("lo"))
-      iex> answer = Answer.whole(piece)
+      iex> {:ok, ["Hel"], piece} = Answer.add_event(Answer.empty_partial(), event.("Hel"))
+      iex> {:ok, ["lo"], piece} = Answer.add_event(piece, event.("lo"))
+      iex> answer = Answer.to_answer(piece)
       iex> {answer.text, answer.finish}
       {"Hello", :stop}
   """
@@ -47,18 +47,19 @@ defmodule Situ.Chat.Answer do
         }
 
   @doc "Returns a partial answer without content."
-  @spec piece() :: piece()
-  def piece, do: %{text: [], bytes: 0, count: 0, calls: %{}, places: %{}, finish: nil, usage: nil}
+  @spec empty_partial() :: piece()
+  def empty_partial,
+    do: %{text: [], bytes: 0, count: 0, calls: %{}, places: %{}, finish: nil, usage: nil}
 
   @doc "Adds one streamed event (or a complete, non-streamed response) and returns the text it adds."
-  @spec fold(piece(), binary()) :: {:ok, [String.t()], piece()} | {:error, Error.t()}
-  def fold(piece, json) do
-    case decode(json) do
+  @spec add_event(piece(), binary()) :: {:ok, [String.t()], piece()} | {:error, Error.t()}
+  def add_event(piece, json) do
+    case decode_event(json) do
       {:ok, %{"error" => error}} when error not in [nil, false] ->
-        {:error, Error.new(:service_failed, "the service failed: #{complaint(error)}")}
+        {:error, Error.new(:service_failed, "the service failed: #{error_text(error)}")}
 
       {:ok, %{} = event} ->
-        event |> choice() |> add(usage(piece, event["usage"])) |> bounded()
+        event |> first_choice() |> add_choice(put_usage(piece, event["usage"])) |> check_size()
 
       _ ->
         {:error,
@@ -69,31 +70,31 @@ defmodule Situ.Chat.Answer do
   end
 
   # Services that split text between UTF-16 surrogates send lone surrogates, which are replaced by U+FFFD.
-  defp decode(json) do
+  defp decode_event(json) do
     with {:error, _} <- Situ.JSON.decode(json),
-         do: half() |> Regex.replace(json, "\\\\ufffd") |> Situ.JSON.decode()
+         do: lone_surrogate() |> Regex.replace(json, "\\\\ufffd") |> Situ.JSON.decode()
   end
 
-  defp half do
+  defp lone_surrogate do
     ~r/\\u[dD][89abAB][[:xdigit:]]{2}  (?! \\u[dD][c-fC-F] ) |
        (?<! \\u[dD][89abAB][[:xdigit:]]{2} )  \\u[dD][c-fC-F][[:xdigit:]]{2}/x
   end
 
   @doc "Extracts a service's error text, shortened to 300 characters."
-  @spec complaint(term()) :: String.t()
-  def complaint(%{"message" => message}) when is_binary(message),
+  @spec error_text(term()) :: String.t()
+  def error_text(%{"message" => message}) when is_binary(message),
     do: String.slice(message, 0, 300)
 
-  def complaint(%{"detail" => detail}), do: complaint(detail)
-  def complaint(%{"error" => error}), do: complaint(error)
-  def complaint([%{"msg" => message} | _]), do: complaint(message)
-  def complaint(text) when is_binary(text) and text != "", do: String.slice(text, 0, 300)
-  def complaint(_), do: "no reason given"
+  def error_text(%{"detail" => detail}), do: error_text(detail)
+  def error_text(%{"error" => error}), do: error_text(error)
+  def error_text([%{"msg" => message} | _]), do: error_text(message)
+  def error_text(text) when is_binary(text) and text != "", do: String.slice(text, 0, 300)
+  def error_text(_), do: "no reason given"
 
   @doc "Builds the answer after its stream has ended."
-  @spec whole(piece()) :: t()
-  def whole(piece) do
-    calls = for {_, {id, name, raw}} <- Enum.sort(piece.calls), do: call(id, name, raw)
+  @spec to_answer(piece()) :: t()
+  def to_answer(piece) do
+    calls = for {_, {id, name, raw}} <- Enum.sort(piece.calls), do: build_call(id, name, raw)
     counted = %{read: 0, written: piece.count}
 
     %__MODULE__{
@@ -105,13 +106,13 @@ defmodule Situ.Chat.Answer do
     }
   end
 
-  defp call(id, name, raw), do: ToolCall.new(id, name, IO.iodata_to_binary(raw))
+  defp build_call(id, name, raw), do: ToolCall.new(id, name, IO.iodata_to_binary(raw))
 
-  defp choice(%{"choices" => [%{} = choice | _]}), do: choice
-  defp choice(_), do: %{}
+  defp first_choice(%{"choices" => [%{} = choice | _]}), do: choice
+  defp first_choice(_), do: %{}
 
-  defp add(choice, piece) do
-    said = part(choice)
+  defp add_choice(choice, piece) do
+    said = choice_delta(choice)
     text = if is_binary(said["content"]), do: said["content"], else: ""
     calls = if is_list(said["tool_calls"]), do: said["tool_calls"], else: []
 
@@ -120,26 +121,29 @@ defmodule Situ.Chat.Answer do
       | text: [piece.text, text],
         bytes: piece.bytes + byte_size(text),
         count: piece.count + if(text == "", do: 0, else: 1),
-        finish: finish(choice["finish_reason"]) || piece.finish
+        finish: parse_finish(choice["finish_reason"]) || piece.finish
     }
 
     {if(text == "", do: [], else: [text]),
-     calls |> Enum.with_index() |> Enum.reduce(piece, &called/2)}
+     calls |> Enum.with_index() |> Enum.reduce(piece, &add_call_delta/2)}
   end
 
-  defp part(%{"delta" => %{} = said}), do: said
-  defp part(%{"message" => %{} = said}), do: said
-  defp part(_), do: %{}
+  defp choice_delta(%{"delta" => %{} = said}), do: said
+  defp choice_delta(%{"message" => %{} = said}), do: said
+  defp choice_delta(_), do: %{}
 
   # The parts of a call have its number; the first part has the id and the name. Some services number every call 0 or
   # not at all, so a different id starts a new call. Some repeat the id and the name in every part.
-  defp called({%{} = part, nth}, piece) do
+  defp add_call_delta({%{} = part, nth}, piece) do
     number = if is_integer(part["index"]), do: part["index"], else: nth
-    place = place(piece, number, text(part["id"]))
+    place = call_position(piece, number, string_or_empty(part["id"]))
     function = if is_map(part["function"]), do: part["function"], else: %{}
     {id, name, raw} = Map.get(piece.calls, place, {"", "", []})
-    more = text(function["arguments"])
-    now = {more(id, text(part["id"])), more(name, text(function["name"])), [raw, more]}
+    more = string_or_empty(function["arguments"])
+
+    now =
+      {append_new(id, string_or_empty(part["id"])),
+       append_new(name, string_or_empty(function["name"])), [raw, more]}
 
     %{
       piece
@@ -149,32 +153,32 @@ defmodule Situ.Chat.Answer do
     }
   end
 
-  defp called(_, piece), do: piece
+  defp add_call_delta(_, piece), do: piece
 
   # Positions follow the order in which the calls arrived.
-  defp place(%{places: places, calls: calls}, number, id) do
+  defp call_position(%{places: places, calls: calls}, number, id) do
     with place when place != nil <- places[number],
          {known, _, _} when known == id or id == "" or known == "" <- calls[place] do
       place
     else
-      _ -> same(calls, id) || map_size(calls)
+      _ -> find_call(calls, id) || map_size(calls)
     end
   end
 
-  defp same(_calls, ""), do: nil
+  defp find_call(_calls, ""), do: nil
 
-  defp same(calls, id),
+  defp find_call(calls, id),
     do: Enum.find_value(calls, fn {place, {known, _, _}} -> known == id && place end)
 
-  defp more(text, text), do: text
-  defp more(known, text), do: known <> text
+  defp append_new(text, text), do: text
+  defp append_new(known, text), do: known <> text
 
-  defp text(text) when is_binary(text), do: text
-  defp text(_), do: ""
+  defp string_or_empty(text) when is_binary(text), do: text
+  defp string_or_empty(_), do: ""
 
-  defp bounded({_, %{bytes: bytes}}) when bytes > @most_bytes, do: too_long()
-  defp bounded({_, %{calls: calls}}) when map_size(calls) > @most_calls, do: too_long()
-  defp bounded({texts, piece}), do: {:ok, texts, piece}
+  defp check_size({_, %{bytes: bytes}}) when bytes > @most_bytes, do: too_long()
+  defp check_size({_, %{calls: calls}}) when map_size(calls) > @most_calls, do: too_long()
+  defp check_size({texts, piece}), do: {:ok, texts, piece}
 
   defp too_long do
     {:error,
@@ -184,18 +188,18 @@ defmodule Situ.Chat.Answer do
      )}
   end
 
-  defp finish("stop"), do: :stop
-  defp finish("length"), do: :length
-  defp finish("tool_calls"), do: :calls
-  defp finish("content_filter"), do: :filtered
-  defp finish(text) when is_binary(text), do: :stop
-  defp finish(_), do: nil
+  defp parse_finish("stop"), do: :stop
+  defp parse_finish("length"), do: :length
+  defp parse_finish("tool_calls"), do: :calls
+  defp parse_finish("content_filter"), do: :filtered
+  defp parse_finish(text) when is_binary(text), do: :stop
+  defp parse_finish(_), do: nil
 
-  defp usage(piece, %{"prompt_tokens" => read} = usage) when is_integer(read) and read >= 0 do
+  defp put_usage(piece, %{"prompt_tokens" => read} = usage) when is_integer(read) and read >= 0 do
     written = usage["completion_tokens"]
     written = if is_integer(written) and written >= 0, do: written, else: piece.count
     %{piece | usage: %{read: read, written: written}}
   end
 
-  defp usage(piece, _), do: piece
+  defp put_usage(piece, _), do: piece
 end

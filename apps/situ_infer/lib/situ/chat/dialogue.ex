@@ -11,16 +11,16 @@ defmodule Situ.Chat.Dialogue do
   @spec run(Service.t(), [Turn.t()], [Tool.t()], pos_integer(), (event() -> any())) ::
           {:ok, Answer.t()} | {:error, Error.t()}
   def run(service, turns, tools, rounds, tell),
-    do: run(service, turns, tools, rounds, tell, %{text: "", read: 0, written: 0})
+    do: run_rounds(service, turns, tools, rounds, tell, %{text: "", read: 0, written: 0})
 
-  defp run(_service, _turns, _tools, 0, _tell, _so_far) do
+  defp run_rounds(_service, _turns, _tools, 0, _tell, _so_far) do
     {:error,
      Error.new(:too_many_calls, "the model kept calling tools and gave no final answer",
        fix: "raise rounds:, or explain in system: when to use the tools"
      )}
   end
 
-  defp run(service, turns, tools, rounds, tell, so_far) do
+  defp run_rounds(service, turns, tools, rounds, tell, so_far) do
     with {:ok, answer} <- Service.ask(service, turns, tools, &tell.({:text, &1})) do
       so_far = %{
         text: so_far.text <> answer.text,
@@ -30,10 +30,10 @@ defmodule Situ.Chat.Dialogue do
 
       Enum.each(answer.calls, &tell.({:call, &1}))
 
-      if answer.calls != [] and Enum.all?(answer.calls, &runs?(tools, &1)) do
-        results = for call <- answer.calls, do: Turn.tool(call.id, Tool.answer(tools, call))
+      if answer.calls != [] and Enum.all?(answer.calls, &runnable?(tools, &1)) do
+        results = for call <- answer.calls, do: Turn.tool(call.id, Tool.run_call(tools, call))
         turns = turns ++ [Turn.assistant(answer.text, answer.calls) | results]
-        run(service, turns, tools, rounds - 1, tell, so_far)
+        run_rounds(service, turns, tools, rounds - 1, tell, so_far)
       else
         tokens = Map.take(so_far, [:read, :written])
         {:ok, %{answer | text: so_far.text, tokens: tokens}}
@@ -42,7 +42,7 @@ defmodule Situ.Chat.Dialogue do
   end
 
   # Calls of unknown tools also get a result, so that the model learns about the mistake.
-  defp runs?(tools, call) do
+  defp runnable?(tools, call) do
     case Enum.find(tools, &(&1.name == call.name)) do
       %{run: nil} -> false
       _ -> true
@@ -59,15 +59,15 @@ defmodule Situ.Chat.Dialogue do
 
     pid =
       spawn(fn ->
-        watch(owner, self())
+        kill_with_owner(owner, self())
         tell = &send(owner, {:situ_chat, ref, &1})
-        tell.({:done, guarded(fn -> run(service, turns, tools, rounds, tell) end)})
+        tell.({:done, run_guarded(fn -> run(service, turns, tools, rounds, tell) end)})
       end)
 
     {pid, ref}
   end
 
-  defp watch(owner, worker) do
+  defp kill_with_owner(owner, worker) do
     spawn(fn ->
       [a, b] = for pid <- [owner, worker], do: Process.monitor(pid)
 
@@ -79,7 +79,7 @@ defmodule Situ.Chat.Dialogue do
   end
 
   # Crashes are caught because a crash report would show the arguments, including the key.
-  defp guarded(fun) do
+  defp run_guarded(fun) do
     fun.()
   catch
     kind, reason ->

@@ -36,7 +36,7 @@ defmodule Situ.Chat.Events do
   def push(%__MODULE__{} = events, bytes) do
     lines = :binary.split(events.line <> bytes, ["\r\n", "\n", "\r"], [:global])
     [last | whole] = Enum.reverse(lines)
-    {found, events} = whole |> Enum.reverse() |> Enum.reduce({[], events}, &line/2)
+    {found, events} = whole |> Enum.reverse() |> Enum.reduce({[], events}, &parse_line/2)
     events = %{events | line: last, cr?: :binary.last(bytes) == ?\r}
 
     if byte_size(last) + events.size > @most,
@@ -44,24 +44,24 @@ defmodule Situ.Chat.Events do
       else: {:ok, Enum.reverse(found), events}
   end
 
-  defp line("\uFEFF" <> text, {found, %{begun?: false} = events}),
-    do: line(text, {found, %{events | begun?: true}})
+  defp parse_line("\uFEFF" <> text, {found, %{begun?: false} = events}),
+    do: parse_line(text, {found, %{events | begun?: true}})
 
-  defp line(text, {found, events}) do
+  defp parse_line(text, {found, events}) do
     events = %{events | begun?: true}
 
     case text do
       "" when events.data == [] -> {found, events}
-      "" -> {[joined(events) | found], %{events | data: [], size: 0}}
-      "data: " <> data -> {found, add(events, data)}
-      "data:" <> data -> {found, add(events, data)}
-      "data" -> {found, add(events, "")}
+      "" -> {[join_data(events) | found], %{events | data: [], size: 0}}
+      "data: " <> data -> {found, add_data(events, data)}
+      "data:" <> data -> {found, add_data(events, data)}
+      "data" -> {found, add_data(events, "")}
       _comment_or_other_field -> {found, events}
     end
   end
 
-  defp joined(events), do: events.data |> Enum.reverse() |> Enum.join("\n")
+  defp join_data(events), do: events.data |> Enum.reverse() |> Enum.join("\n")
 
-  defp add(events, data),
+  defp add_data(events, data),
     do: %{events | data: [data | events.data], size: events.size + byte_size(data) + 1}
 end

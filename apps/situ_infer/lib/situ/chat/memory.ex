@@ -11,22 +11,22 @@ defmodule Situ.Chat.Memory do
   def new(places), do: %__MODULE__{places: places}
 
   @doc "Converts the component's input to turns."
-  @spec turns(term()) :: {:ok, [Turn.t()]} | {:error, Error.t()}
-  def turns(text) when is_binary(text) do
-    if String.valid?(text), do: {:ok, [Turn.user(text)]}, else: bad(text)
+  @spec parse_turns(term()) :: {:ok, [Turn.t()]} | {:error, Error.t()}
+  def parse_turns(text) when is_binary(text) do
+    if String.valid?(text), do: {:ok, [Turn.user(text)]}, else: bad_question(text)
   end
 
-  def turns(%Turn{} = turn), do: turns([turn])
+  def parse_turns(%Turn{} = turn), do: parse_turns([turn])
 
-  def turns([%Turn{} | _] = turns) do
+  def parse_turns([%Turn{} | _] = turns) do
     if Enum.all?(turns, &(is_struct(&1, Turn) and String.valid?(&1.text))),
       do: {:ok, turns},
-      else: bad(turns)
+      else: bad_question(turns)
   end
 
-  def turns(other), do: bad(other)
+  def parse_turns(other), do: bad_question(other)
 
-  defp bad(value) do
+  defp bad_question(value) do
     {:error,
      Error.new(:bad_question, "not a question: #{inspect(value, limit: 5, printable_limit: 40)}",
        fix: "pass UTF-8 text, a Situ.Chat.Turn, or a list of turns"
@@ -34,15 +34,19 @@ defmodule Situ.Chat.Memory do
   end
 
   @doc "Appends the turns to the earlier ones. A whole conversation as input replaces the earlier turns."
-  @spec with(t(), [Turn.t()]) :: [Turn.t()]
-  def with(%__MODULE__{} = memory, [_] = turns),
+  @spec with_history(t(), [Turn.t()]) :: [Turn.t()]
+  def with_history(%__MODULE__{} = memory, [_] = turns),
     do: memory.turns |> Enum.reverse([turns]) |> Enum.concat()
 
-  def with(_memory, turns), do: turns
+  def with_history(_memory, turns), do: turns
 
   @doc "Adds a question and its answer."
-  @spec add(t(), [Turn.t()], Answer.t()) :: t()
-  def add(%__MODULE__{} = memory, [%Turn{images: images} = turn], %Answer{calls: []} = answer) do
+  @spec add_exchange(t(), [Turn.t()], Answer.t()) :: t()
+  def add_exchange(
+        %__MODULE__{} = memory,
+        [%Turn{images: images} = turn],
+        %Answer{calls: []} = answer
+      ) do
     # Images are sent only once.
     turn = if images == [], do: turn, else: %{turn | images: []}
 
@@ -52,5 +56,5 @@ defmodule Situ.Chat.Memory do
     }
   end
 
-  def add(memory, _turns, _answer), do: memory
+  def add_exchange(memory, _turns, _answer), do: memory
 end

@@ -25,11 +25,11 @@ defmodule Situ.Chat.Reply do
   @type t :: %__MODULE__{}
 
   @spec new() :: t()
-  def new, do: %__MODULE__{events: Events.new(), piece: Answer.piece()}
+  def new, do: %__MODULE__{events: Events.new(), piece: Answer.empty_partial()}
 
   @doc "Adds an event and returns its text; `:halt` means that the reply is complete."
-  @spec take(t(), Situ.Infer.Http.event()) :: {:cont | :halt, [String.t()], t()}
-  def take(reply, {:status, status, headers}) do
+  @spec add_event(t(), Situ.Infer.Http.event()) :: {:cont | :halt, [String.t()], t()}
+  def add_event(reply, {:status, status, headers}) do
     headers = Map.new(headers)
     type = Map.get(headers, "content-type", "")
 
@@ -43,14 +43,14 @@ defmodule Situ.Chat.Reply do
     {:cont, [], %{reply | status: status, headers: headers, kind: kind}}
   end
 
-  def take(%{kind: :stream} = reply, {:data, bytes}) do
+  def add_event(%{kind: :stream} = reply, {:data, bytes}) do
     case Events.push(reply.events, bytes) do
-      {:ok, found, events} -> fold(found, [], %{reply | events: events})
+      {:ok, found, events} -> add_stream_data(found, [], %{reply | events: events})
       {:error, :too_long} -> {:halt, [], %{reply | error: too_long()}}
     end
   end
 
-  def take(%{kind: kind} = reply, {:data, bytes}) do
+  def add_event(%{kind: kind} = reply, {:data, bytes}) do
     reply = %{reply | body: [reply.body, bytes], bytes: reply.bytes + byte_size(bytes)}
 
     cond do
@@ -63,16 +63,16 @@ defmodule Situ.Chat.Reply do
   defp too_long,
     do: Error.new(:too_long, "the service's response is too long", fix: "set max_tokens:")
 
-  defp fold([], texts, reply), do: {:cont, Enum.reverse(texts), reply}
+  defp add_stream_data([], texts, reply), do: {:cont, Enum.reverse(texts), reply}
 
-  defp fold(["[DONE]" | _], texts, reply),
+  defp add_stream_data(["[DONE]" | _], texts, reply),
     do: {:halt, Enum.reverse(texts), %{reply | done?: true}}
 
-  defp fold([json | rest], texts, reply) do
-    case Answer.fold(reply.piece, json) do
+  defp add_stream_data([json | rest], texts, reply) do
+    case Answer.add_event(reply.piece, json) do
       {:ok, more, piece} ->
         reply = %{reply | piece: piece, spoken?: reply.spoken? or more != []}
-        fold(rest, Enum.reverse(more, texts), reply)
+        add_stream_data(rest, Enum.reverse(more, texts), reply)
 
       {:error, error} ->
         {:halt, Enum.reverse(texts), %{reply | error: error}}
@@ -84,80 +84,87 @@ defmodule Situ.Chat.Reply do
   asks for another attempt, after `ms` milliseconds if the service specified a delay. Once text has been emitted, the
   result is an error instead of another attempt.
   """
-  @spec close(t(), Error.t() | nil) ::
+  @spec build_result(t(), Error.t() | nil) ::
           {:ok, Answer.t()} | {:again, non_neg_integer() | nil, Error.t()} | {:error, Error.t()}
-  def close(%{spoken?: true} = reply, %Error{} = failure), do: {:error, partly(failure, reply)}
+  def build_result(%{spoken?: true} = reply, %Error{} = failure),
+    do: {:error, put_partial_text(failure, reply)}
 
-  def close(_reply, %Error{code: code} = failure)
+  def build_result(_reply, %Error{code: code} = failure)
       when code in [:no_connection, :timeout, :cut_off],
       do: {:again, nil, failure}
 
-  def close(_reply, %Error{} = failure), do: {:error, failure}
-  def close(%{error: %Error{} = error} = reply, nil), do: {:error, partly(error, reply)}
+  def build_result(_reply, %Error{} = failure), do: {:error, failure}
 
-  def close(%{kind: :whole} = reply, nil) do
-    case Answer.fold(reply.piece, IO.iodata_to_binary(reply.body)) do
-      {:ok, _, piece} -> {:ok, Answer.whole(piece)}
+  def build_result(%{error: %Error{} = error} = reply, nil),
+    do: {:error, put_partial_text(error, reply)}
+
+  def build_result(%{kind: :whole} = reply, nil) do
+    case Answer.add_event(reply.piece, IO.iodata_to_binary(reply.body)) do
+      {:ok, _, piece} -> {:ok, Answer.to_answer(piece)}
       error -> error
     end
   end
 
   # Some services end the stream without `[DONE]`, but none of them before the finish reason.
-  def close(%{kind: :stream, piece: piece} = reply, nil) do
+  def build_result(%{kind: :stream, piece: piece} = reply, nil) do
     if reply.done? or piece.finish != nil,
-      do: {:ok, Answer.whole(piece)},
+      do: {:ok, Answer.to_answer(piece)},
       else:
-        close(reply, Error.new(:cut_off, "the service's response ended before it was complete"))
+        build_result(
+          reply,
+          Error.new(:cut_off, "the service's response ended before it was complete")
+        )
   end
 
-  def close(%{kind: :complaint, status: status} = reply, nil) do
-    error = refused(status, reply.body |> IO.iodata_to_binary() |> complaint())
-    if status in @again, do: {:again, wait(reply.headers), error}, else: {:error, error}
+  def build_result(%{kind: :complaint, status: status} = reply, nil) do
+    error = refusal_error(status, reply.body |> IO.iodata_to_binary() |> body_error_text())
+    if status in @again, do: {:again, retry_delay_ms(reply.headers), error}, else: {:error, error}
   end
 
-  defp partly(error, reply),
+  defp put_partial_text(error, reply),
     do: %{error | meta: Map.put(error.meta, :text, IO.iodata_to_binary(reply.piece.text))}
 
   # HTML error pages are not readable in an error message, so they are dropped.
-  defp complaint(body) do
+  defp body_error_text(body) do
     case Situ.JSON.decode(body) do
       {:ok, json} ->
-        Answer.complaint(json)
+        Answer.error_text(json)
 
       _ ->
-        if(String.valid?(body) and not (body =~ "<"), do: String.trim(body)) |> Answer.complaint()
+        if(String.valid?(body) and not (body =~ "<"), do: String.trim(body))
+        |> Answer.error_text()
     end
   end
 
-  defp refused(status, _complaint) when status in [401, 403] do
+  defp refusal_error(status, _complaint) when status in [401, 403] do
     # The service's error text may contain the key, so it is not shown.
     Error.new(:refused, "the service rejected the key (HTTP #{status})",
       fix: "set the environment variable named by key: to a key that may use this model"
     )
   end
 
-  defp refused(status, _complaint) when status in [301, 302, 303, 307, 308] do
+  defp refusal_error(status, _complaint) when status in [301, 302, 303, 307, 308] do
     Error.new(:refused, "the service redirects to a different URL (HTTP #{status})",
       why: "redirects are not followed, because the question and the key are sent only to url:",
       fix: "set url: to the new address (perhaps https:// instead of http://)"
     )
   end
 
-  defp refused(status, complaint) when status in @again,
+  defp refusal_error(status, complaint) when status in @again,
     do: Error.new(:service_failed, "the service failed (HTTP #{status}): #{complaint}")
 
-  defp refused(status, complaint) do
+  defp refusal_error(status, complaint) do
     Error.new(:refused, "the service rejected the request (HTTP #{status}): #{complaint}",
       fix: "check the URL and the model name"
     )
   end
 
-  defp wait(%{"retry-after" => text}) do
+  defp retry_delay_ms(%{"retry-after" => text}) do
     case Integer.parse(text) do
       {s, ""} when s >= 0 -> min(s, @longest_wait_s) * 1_000
       _ -> nil
     end
   end
 
-  defp wait(_headers), do: nil
+  defp retry_delay_ms(_headers), do: nil
 end

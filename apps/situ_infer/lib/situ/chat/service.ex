@@ -72,8 +72,8 @@ defmodule Situ.Chat.Service do
   @spec new(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, url} <- Http.parse(opts[:url]),
-         :ok <- Service.private(url, opts[:key]),
+         {:ok, url} <- Http.parse_url(opts[:url]),
+         :ok <- Service.check_transport(url, opts[:key]),
          do: {:ok, %__MODULE__{opts: Map.new(opts)}}
   end
 
@@ -85,29 +85,32 @@ defmodule Situ.Chat.Service do
   @spec ask(t(), [Turn.t()], [Tool.t()], (String.t() -> any())) ::
           {:ok, Answer.t()} | {:error, Error.t()}
   def ask(%__MODULE__{opts: opts}, turns, tools, say) do
-    with {:ok, key} <- key(opts) do
+    with {:ok, key} <- auth_headers(opts) do
       headers = [{"content-type", "application/json"}, {"accept", "text/event-stream"} | key]
-      body = Situ.JSON.encode(body(opts, turns, tools))
-      with {:error, error} <- attempt(opts, headers, body, say, 0), do: {:error, hide(error, key)}
+      body = Situ.JSON.encode(build_body(opts, turns, tools))
+
+      with {:error, error} <- request_with_retries(opts, headers, body, say, 0),
+           do: {:error, hide_key(error, key)}
     end
   end
 
   # An error text of the service may contain the key.
-  defp hide(error, []), do: error
+  defp hide_key(error, []), do: error
 
-  defp hide(error, [{_, key}]), do: Service.hide(error, String.replace_prefix(key, "Bearer ", ""))
+  defp hide_key(error, [{_, key}]),
+    do: Service.redact_key(error, String.replace_prefix(key, "Bearer ", ""))
 
-  defp key(%{key: nil}), do: {:ok, []}
+  defp auth_headers(%{key: nil}), do: {:ok, []}
 
-  defp key(%{key: name, key_header: how}) do
-    with {:ok, key} <- Service.key(name) do
+  defp auth_headers(%{key: name, key_header: how}) do
+    with {:ok, key} <- Service.fetch_key(name) do
       if how == :bearer,
         do: {:ok, [{"authorization", "Bearer " <> key}]},
         else: {:ok, [{"api-key", key}]}
     end
   end
 
-  defp body(opts, turns, tools) do
+  defp build_body(opts, turns, tools) do
     %{
       model: opts.model,
       stream: true,
@@ -120,12 +123,12 @@ defmodule Situ.Chat.Service do
     |> Map.reject(fn {_, value} -> value == nil end)
   end
 
-  defp attempt(opts, headers, body, say, tries) do
-    case once(opts, headers, body, say) do
+  defp request_with_retries(opts, headers, body, say, tries) do
+    case send_request(opts, headers, body, say) do
       {:again, wait, _error} when tries < opts.retries ->
         # This blocks only the process of this question, which is killed when the question is cancelled.
-        Process.sleep(wait || Service.pause(opts.backoff, tries))
-        attempt(opts, headers, body, say, tries + 1)
+        Process.sleep(wait || Service.retry_delay_ms(opts.backoff, tries))
+        request_with_retries(opts, headers, body, say, tries + 1)
 
       {:again, _wait, error} ->
         {:error, error}
@@ -135,19 +138,19 @@ defmodule Situ.Chat.Service do
     end
   end
 
-  defp once(opts, headers, body, say) do
+  defp send_request(opts, headers, body, say) do
     limits = Keyword.new(Map.take(opts, Keyword.keys(Http.schema())))
-    url = Service.join(opts.url, "/chat/completions")
+    url = Service.join_path(opts.url, "/chat/completions")
 
     take = fn event, reply ->
-      {how, texts, reply} = Reply.take(reply, event)
+      {how, texts, reply} = Reply.add_event(reply, event)
       Enum.each(texts, say)
       {how, reply}
     end
 
     case Http.request(:post, url, headers, body, limits, take, Reply.new()) do
-      {:ok, reply} -> Reply.close(reply, nil)
-      {:error, error, reply} -> Reply.close(reply, error)
+      {:ok, reply} -> Reply.build_result(reply, nil)
+      {:error, error, reply} -> Reply.build_result(reply, error)
     end
   end
 end

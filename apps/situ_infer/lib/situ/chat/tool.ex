@@ -32,21 +32,21 @@ defmodule Situ.Chat.Tool do
   end
 
   @doc "Runs the called tool and returns its result, or a text with the reason if the tool is unknown or fails."
-  @spec answer([t()], Situ.Chat.ToolCall.t()) :: String.t()
-  def answer(tools, call) do
+  @spec run_call([t()], Situ.Chat.ToolCall.t()) :: String.t()
+  def run_call(tools, call) do
     case Enum.find(tools, &(&1.name == call.name)) do
-      %{run: run} when is_function(run, 1) -> text(attempt(run, call.arguments))
+      %{run: run} when is_function(run, 1) -> result_text(run_safely(run, call.arguments))
       _ -> "error: unknown tool #{call.name}"
     end
   end
 
   # The function is user code and gets unchecked arguments from the model, so any error is caught.
-  defp attempt(run, arguments) do
+  defp run_safely(run, arguments) do
     run.(arguments)
   rescue
     error -> "error: the tool failed with #{inspect(error.__struct__)}"
   end
 
-  defp text(text) when is_binary(text), do: text
-  defp text(value), do: Situ.JSON.encode(value)
+  defp result_text(text) when is_binary(text), do: text
+  defp result_text(value), do: Situ.JSON.encode(value)
 end

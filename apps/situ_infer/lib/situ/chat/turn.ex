@@ -52,13 +52,15 @@ defmodule Situ.Chat.Turn do
   end
 
   def to_json(%__MODULE__{role: :user, images: [_ | _]} = turn) do
-    pictures = for image <- turn.images, do: %{type: "image_url", image_url: %{url: url(image)}}
+    pictures =
+      for image <- turn.images, do: %{type: "image_url", image_url: %{url: data_url(image)}}
+
     %{role: "user", content: [%{type: "text", text: turn.text} | pictures]}
   end
 
   def to_json(%__MODULE__{role: role, text: text}),
     do: %{role: Atom.to_string(role), content: text}
 
-  defp url(%EncodedImage{format: format, data: data}),
+  defp data_url(%EncodedImage{format: format, data: data}),
     do: "data:image/#{format};base64," <> Base.encode64(data)
 end

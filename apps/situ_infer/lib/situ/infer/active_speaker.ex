@@ -134,13 +134,13 @@ defmodule Situ.Infer.ActiveSpeaker do
   @impl true
   def handle_message(:in, %{data: {mouths, voice}} = message, _context, state) do
     {decisions, state} = push(state, message.originating_time, mouths, voice)
-    {actions(decisions), state}
+    {to_actions(decisions), state}
   end
 
   @impl true
   def handle_closed(:in, _time, _context, state) do
     {decisions, state} = close(state)
-    {actions(decisions), state}
+    {to_actions(decisions), state}
   end
 
   @impl true
@@ -151,89 +151,91 @@ defmodule Situ.Infer.ActiveSpeaker do
   @spec push(t(), Situ.Time.t(), %{term() => Situ.Infer.Mouth.t()}, Situ.Infer.Voice.t() | nil) ::
           {[decision()], t()}
   def push(%__MODULE__{} = state, time, mouths, voice) do
-    {decided, state} = decide(state, time)
-    {moment, state} = listen(state, Moment.new(time, mouths, voice, @compress))
-    moments = [moment | forget(state.moments, time, state.opts)]
+    {decided, state} = decide_moments(state, time)
+    {moment, state} = apply_hysteresis(state, Moment.new(time, mouths, voice, @compress))
+    moments = [moment | drop_old_moments(state.moments, time, state.opts)]
     state = %{state | moments: moments, undecided: state.undecided ++ [moment]}
-    {more, state} = decide(state, time + 1)
+    {more, state} = decide_moments(state, time + 1)
     {decided ++ more, state}
   end
 
   @doc "Ends the input, and returns the decisions on the remaining images."
   @spec close(t()) :: {[decision()], t()}
-  def close(%__MODULE__{} = state), do: decide(state, :infinity)
+  def close(%__MODULE__{} = state), do: decide_moments(state, :infinity)
 
-  defp actions(decisions), do: for({time, speaking} <- decisions, do: {:out, time, speaking})
+  defp to_actions(decisions), do: for({time, speaking} <- decisions, do: {:out, time, speaking})
 
   # Decides all images whose lookahead ends before `now` (:infinity sorts after every number).
-  defp decide(%{undecided: [moment | rest]} = state, now) do
+  defp decide_moments(%{undecided: [moment | rest]} = state, now) do
     if moment.time + state.opts.lookahead < now do
-      {decision, state} = judge(%{state | undecided: rest}, moment)
-      {later, state} = decide(state, now)
+      {decision, state} = decide_moment(%{state | undecided: rest}, moment)
+      {later, state} = decide_moments(state, now)
       {[decision | later], state}
     else
       {[], state}
     end
   end
 
-  defp decide(%{undecided: []} = state, _now), do: {[], state}
+  defp decide_moments(%{undecided: []} = state, _now), do: {[], state}
 
   # Applies the hysteresis that decides whether a voice is active at this image.
-  defp listen(%{opts: opts} = state, moment) do
+  defp apply_hysteresis(%{opts: opts} = state, moment) do
     heard = if moment.probability >= opts.off, do: moment.time, else: state.heard
     begun? = state.voice? or moment.probability >= opts.on
     on? = begun? and heard != nil and moment.time - heard <= opts.hold
     {%{moment | voice?: on?}, %{state | voice?: on?, heard: heard}}
   end
 
-  defp forget(moments, now, opts) do
+  defp drop_old_moments(moments, now, opts) do
     oldest = now - max(opts.window, @memory_ns) - opts.lookahead - opts.hold
     Enum.take_while(moments, &(&1.time >= oldest))
   end
 
-  defp judge(%{opts: opts} = state, moment) do
+  defp decide_moment(%{opts: opts} = state, moment) do
     until = moment.time + opts.lookahead
     seen = Enum.drop_while(state.moments, &(&1.time > until))
 
     state =
-      if voice?(seen, moment.time - opts.hold, opts),
-        do: state |> begin(moment.time) |> appoint(moment.time, seen, until),
-        else: silent(state, moment.time)
+      if voice_active?(seen, moment.time - opts.hold, opts),
+        do: state |> start_speech(moment.time) |> update_speaker(moment.time, seen, until),
+        else: end_speech(state, moment.time)
 
     speaking = Map.new(moment.mouths, fn {id, _} -> {id, id == state.speaker} end)
     {{moment.time, speaking}, state}
   end
 
-  defp begin(%{since: nil} = state, time), do: %{state | since: time, free: time}
-  defp begin(state, _time), do: state
+  defp start_speech(%{since: nil} = state, time), do: %{state | since: time, free: time}
+  defp start_speech(state, _time), do: state
 
-  defp silent(%{speaker: nil} = state, _time), do: %{state | since: nil}
-  defp silent(state, time), do: %{state | since: nil, speaker: nil, before: {state.speaker, time}}
+  defp end_speech(%{speaker: nil} = state, _time), do: %{state | since: nil}
+
+  defp end_speech(state, time),
+    do: %{state | since: nil, speaker: nil, before: {state.speaker, time}}
 
   # `seen` is newest first.
-  defp voice?([%{voice?: false} | _], _since, _opts), do: false
+  defp voice_active?([%{voice?: false} | _], _since, _opts), do: false
 
-  defp voice?(seen, since, opts) do
+  defp voice_active?(seen, since, opts) do
     seen |> Enum.take_while(&(&1.time >= since)) |> Enum.any?(&(&1.probability >= opts.on))
   end
 
-  defp appoint(%{opts: opts} = state, time, seen, until) do
+  defp update_speaker(%{opts: opts} = state, time, seen, until) do
     window = Enum.take_while(seen, &(&1.time >= until - opts.window))
-    {best, score, scores} = Agreement.best(window, @clear_movement)
+    {best, score, scores} = Agreement.best_face(window, @clear_movement)
     own = Map.get(scores, state.speaker, 0.0)
 
     cond do
       score > opts.agreement and takes_over?(best, state.speaker, score, own, opts) and
-          not doubtful?(state, best, seen, until) ->
-        appointed(state, best, time)
+          not contradicts_voice?(state, best, seen, until) ->
+        assign_speaker(state, best, time)
 
       state.speaker == nil ->
-        unclear(state, time, seen, until)
+        appoint_by_onset(state, time, seen, until)
 
-      doubtful?(state, state.speaker, seen, until) ->
+      contradicts_voice?(state, state.speaker, seen, until) ->
         %{state | speaker: nil}
 
-      moving?(state.speaker, seen, until - @syllable_ns, opts.movement) ->
+      mouth_moving?(state.speaker, seen, until - @syllable_ns, opts.movement) ->
         %{state | moved: time}
 
       time - state.moved > opts.still ->
@@ -245,26 +247,29 @@ defmodule Situ.Infer.ActiveSpeaker do
   end
 
   # A new speaker's lips are compared with the voice only from the time when the previous speaker stopped.
-  defp appointed(%{speaker: nil} = state, id, time), do: %{state | speaker: id, moved: time}
-  defp appointed(%{speaker: id} = state, id, time), do: %{state | moved: time}
-  defp appointed(state, id, time), do: %{state | speaker: id, moved: time, free: time}
+  defp assign_speaker(%{speaker: nil} = state, id, time), do: %{state | speaker: id, moved: time}
+  defp assign_speaker(%{speaker: id} = state, id, time), do: %{state | moved: time}
+  defp assign_speaker(state, id, time), do: %{state | speaker: id, moved: time, free: time}
 
   # Returns whether this mouth contradicts the voice since the previous speaker stopped.
-  defp doubtful?(%{speaker: other}, id, _seen, _until) when other not in [nil, id], do: false
+  defp contradicts_voice?(%{speaker: other}, id, _seen, _until) when other not in [nil, id],
+    do: false
 
-  defp doubtful?(%{opts: opts} = state, id, seen, until) do
+  defp contradicts_voice?(%{opts: opts} = state, id, seen, until) do
     from = max(state.free, until - @memory_ns)
     window = Enum.take_while(seen, &(&1.time >= from))
-    until - from >= @doubt_ns and Agreement.contradicts?(window, id, @clear_movement, opts.doubt)
+
+    until - from >= @doubt_ns and
+      Agreement.contradicts_voice?(window, id, @clear_movement, opts.doubt)
   end
 
   # No face scores clearly, so the last speaker, or the only face that started to move with the voice, is chosen. A
   # mouth that merely stays open after its last word does not move.
-  defp unclear(state, time, seen, until) do
+  defp appoint_by_onset(state, time, seen, until) do
     movers =
       for {id, _} <- hd(seen).mouths,
-          range(id, seen, until - @syllable_ns, until) > state.opts.movement,
-          not doubtful?(state, id, seen, until),
+          opening_range(id, seen, until - @syllable_ns, until) > state.opts.movement,
+          not contradicts_voice?(state, id, seen, until),
           do: id
 
     case {state.before, movers} do
@@ -272,7 +277,9 @@ defmodule Situ.Infer.ActiveSpeaker do
         %{state | speaker: id, moved: time}
 
       {_, [id]} ->
-        if began?(id, seen, state.since), do: appointed(state, id, time), else: state
+        if began_with_voice?(id, seen, state.since),
+          do: assign_speaker(state, id, time),
+          else: state
 
       _ ->
         state
@@ -280,13 +287,13 @@ defmodule Situ.Infer.ActiveSpeaker do
   end
 
   # The mouth was at rest before the voice and moves clearly around its start.
-  defp began?(id, seen, since) do
-    rest = range(id, seen, since - 2 * @onset_ns, since - div(@onset_ns, 2))
-    start = range(id, seen, since - div(@onset_ns, 2), since + @onset_ns)
+  defp began_with_voice?(id, seen, since) do
+    rest = opening_range(id, seen, since - 2 * @onset_ns, since - div(@onset_ns, 2))
+    start = opening_range(id, seen, since - div(@onset_ns, 2), since + @onset_ns)
     rest < @clear_movement / 2 and start > @clear_movement
   end
 
-  defp range(id, seen, from, to) do
+  defp opening_range(id, seen, from, to) do
     {low, high} =
       for(m <- seen, m.time >= from, m.time <= to, mouth = m.mouths[id], do: mouth.opening)
       |> Enum.min_max(fn -> {0.0, 0.0} end)
@@ -298,7 +305,7 @@ defmodule Situ.Infer.ActiveSpeaker do
   defp takes_over?(same, same, _score, _own, _opts), do: true
   defp takes_over?(_best, _speaker, score, own, opts), do: score > own + opts.margin
 
-  defp moving?(id, seen, since, movement) do
+  defp mouth_moving?(id, seen, since, movement) do
     case for(m <- seen, m.time >= since, mouth = m.mouths[id], do: mouth) do
       [] ->
         false

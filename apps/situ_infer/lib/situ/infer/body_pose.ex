@@ -25,7 +25,7 @@ defmodule Situ.Infer.BodyPose do
   Input `:in` is a `Situ.Image` of an 8-bit format. Each image produces a message on each output, at its time (an empty
   list if nobody is found):
 
-    * `:out`: the points as `Situ.Point2` in image pixels, in the order of `joints/0`; points outside the image are
+    * `:out`: the points as `Situ.Point2` in image pixels, in the order of `joint_names/0`; points outside the image are
       estimates;
     * `:skeletons`: a list of one `Situ.Skeleton`, in metres around the middle of the hips, with x away from the camera,
       y to its left and z up. The confidence of each joint is the probability that it is visible.
@@ -38,7 +38,7 @@ defmodule Situ.Infer.BodyPose do
   image to image; crop smaller people first. Sizes in metres assume an average adult, since the network does not measure
   them. One detection takes about 12 ms on one core; the first image needs two.
 
-  To use it without a pipeline, see `find/2`.
+  To use it without a pipeline, see `find_body/2`.
 
   ## Options
 
@@ -94,75 +94,83 @@ defmodule Situ.Infer.BodyPose do
   defstruct [:opts, :model, :place]
 
   @doc "Returns the names of the points, in order."
-  @spec joints() :: [atom()]
-  def joints, do: @joints
+  @spec joint_names() :: [atom()]
+  def joint_names, do: @joints
 
   @impl true
   def init(opts), do: {:ok, %__MODULE__{opts: opts}}
 
   @impl true
   def handle_start(_context, %{opts: opts} = state),
-    do: {[], %{state | model: Error.unwrap!(load(opts))}}
+    do: {[], %{state | model: Error.unwrap!(load_model(opts))}}
 
   @impl true
   def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
-    {found, place} = Error.unwrap!(look(state, image))
+    {found, place} = Error.unwrap!(find_with_tracking(state, image))
     {[{:out, time, found.points}, {:skeletons, time, found.skeletons}], %{state | place: place}}
   end
 
   @impl true
   def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe(model)
+  def describe(%{model: model}), do: Model.describe_runs(model)
 
   @doc """
   Finds the body in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
   `:bad_image`.
   """
-  @spec find(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
-  def find(%Image{} = image, opts \\ []) do
+  @spec find_body(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
+  def find_body(%Image{} = image, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, model} <- load(opts),
-         {:ok, {found, _place}} <- look(%__MODULE__{opts: opts, model: model}, image),
+         {:ok, model} <- load_model(opts),
+         {:ok, {found, _place}} <-
+           find_with_tracking(%__MODULE__{opts: opts, model: model}, image),
          do: {:ok, found}
   end
 
-  defp load(opts) do
-    path = opts[:model] || Model.path("body.onnx")
-    Model.shared(path, Keyword.merge(opts[:model_options], @ports))
+  defp load_model(opts) do
+    path = opts[:model] || Model.bundled_path("body.onnx")
+    Model.load_shared(path, Keyword.merge(opts[:model_options], @ports))
   end
 
   # Searches the last region, and otherwise the whole image and then a closer region.
-  defp look(%{place: nil} = state, image) do
-    with {:ok, rough} <- seen(state, image, whole(image)),
-         {:ok, close} <- if(rough, do: seen(state, image, rough.next), else: {:ok, nil}),
-         do: {:ok, told(close || rough)}
+  defp find_with_tracking(%{place: nil} = state, image) do
+    with {:ok, rough} <- detect_in_region(state, image, whole_image_region(image)),
+         {:ok, close} <-
+           if(rough, do: detect_in_region(state, image, rough.next), else: {:ok, nil}),
+         do: {:ok, to_found(close || rough)}
   end
 
-  defp look(%{place: place} = state, image) do
-    case seen(state, image, place) do
-      {:ok, nil} -> look(%{state | place: nil}, image)
-      {:ok, seen} -> {:ok, told(seen)}
+  defp find_with_tracking(%{place: place} = state, image) do
+    case detect_in_region(state, image, place) do
+      {:ok, nil} -> find_with_tracking(%{state | place: nil}, image)
+      {:ok, seen} -> {:ok, to_found(seen)}
       error -> error
     end
   end
 
   # The margin is needed because a body at the edge extends beyond the image.
-  defp whole(%Image{width: w, height: h}), do: {{w / 2, h / 2}, max(w, h) * 1.25, 0.0}
+  defp whole_image_region(%Image{width: w, height: h}),
+    do: {{w / 2, h / 2}, max(w, h) * 1.25, 0.0}
 
-  defp told(nil), do: {%{points: [], skeletons: []}, nil}
-  defp told(seen), do: {%{points: seen.points, skeletons: [seen.skeleton]}, seen.next}
+  defp to_found(nil), do: {%{points: [], skeletons: []}, nil}
+  defp to_found(seen), do: {%{points: seen.points, skeletons: [seen.skeleton]}, seen.next}
 
-  defp seen(%{model: model, opts: opts}, image, {middle, side, angle}) do
-    patch = Patch.around(middle, side, angle, @side)
+  defp detect_in_region(%{model: model, opts: opts}, image, {middle, side, angle}) do
+    patch = Patch.centered_at(middle, side, angle, @side)
 
-    with {:ok, tensor} <- Patch.cut(patch, image, 1 / 255, 0.0),
+    with {:ok, tensor} <- Patch.cut_tensor(patch, image, 1 / 255, 0.0),
          {:ok, outputs} <- Model.run(model, %{"input" => tensor}) do
-      {:ok, body(outputs, patch, angle, opts[:min_score])}
+      {:ok, parse_outputs(outputs, patch, angle, opts[:min_score])}
     end
   end
 
   # Outputs that are not finite numbers count as no body.
-  defp body(%{"points" => points, "score" => score, "world" => world}, patch, angle, min_score) do
+  defp parse_outputs(
+         %{"points" => points, "score" => score, "world" => world},
+         patch,
+         angle,
+         min_score
+       ) do
     rows = points |> Tensor.to_list() |> Enum.chunk_every(5)
     [score] = Tensor.to_list(score)
     around = world |> Tensor.to_list() |> Enum.chunk_every(3)
@@ -176,19 +184,19 @@ defmodule Situ.Infer.BodyPose do
 
       %{
         points: for({x, y} <- Enum.take(places, length(@joints)), do: Point2.new(x, y)),
-        skeleton: skeleton(around, seen, angle),
-        next: next(Enum.at(places, @told - 6), Enum.at(places, @told - 5))
+        skeleton: build_skeleton(around, seen, angle),
+        next: next_region(Enum.at(places, @told - 6), Enum.at(places, @told - 5))
       }
     end
   end
 
   # The region holds the body with its arms spread, and is upright with respect to the body.
-  defp next({x, y} = middle, {tx, ty}) do
+  defp next_region({x, y} = middle, {tx, ty}) do
     {dx, dy} = {tx - x, ty - y}
     {middle, max(2.5 * :math.sqrt(dx * dx + dy * dy), 8.0), :math.atan2(dx, -dy)}
   end
 
-  defp skeleton(around, seen, angle) do
+  defp build_skeleton(around, seen, angle) do
     {cos, sin} = {:math.cos(angle), :math.sin(angle)}
 
     joints =

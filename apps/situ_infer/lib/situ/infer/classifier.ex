@@ -68,45 +68,45 @@ defmodule Situ.Infer.Classifier do
           {:ok, (Image.t() -> {:ok, [class()]} | {:error, Error.t()})} | {:error, Error.t()}
   def load(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, state} <- open(opts),
-         do: {:ok, &classify(state, &1)}
+         {:ok, state} <- open_model(opts),
+         do: {:ok, &classify_image(state, &1)}
   end
 
   @impl true
   def init(opts), do: {:ok, %__MODULE__{opts: opts}}
 
   @impl true
-  def handle_start(_context, state), do: {[], state.opts |> open() |> Error.unwrap!()}
+  def handle_start(_context, state), do: {[], state.opts |> open_model() |> Error.unwrap!()}
 
   @impl true
   def handle_message(:in, %{data: nil, originating_time: time}, _context, state),
     do: {[{:out, time, nil}], state}
 
   def handle_message(:in, %{data: image, originating_time: time}, _context, state),
-    do: {[{:out, time, Error.unwrap!(classify(state, image))}], state}
+    do: {[{:out, time, Error.unwrap!(classify_image(state, image))}], state}
 
   @impl true
   def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe(model)
+  def describe(%{model: model}), do: Model.describe_runs(model)
 
-  defp open(opts) do
-    with {:ok, model} <- Model.shared(opts[:path], opts[:model_options]),
-         {:ok, labels} <- Labels.load(opts[:labels]),
-         {:ok, output} <- Labels.output(model, opts[:output]),
+  defp open_model(opts) do
+    with {:ok, model} <- Model.load_shared(opts[:path], opts[:model_options]),
+         {:ok, labels} <- Labels.load_names(opts[:labels]),
+         {:ok, output} <- Labels.choose_output(model, opts[:output]),
          picture = Keyword.take(opts, Keyword.keys(PictureInput.schema())),
          {:ok, input} <- PictureInput.new(model, picture, opts[:side]) do
       {:ok, %__MODULE__{opts: opts, model: model, input: input, output: output, labels: labels}}
     end
   end
 
-  defp classify(state, image) do
-    with {:ok, tensor, _patch} <- PictureInput.tensor(state.input, image),
+  defp classify_image(state, image) do
+    with {:ok, tensor, _patch} <- PictureInput.to_tensor(state.input, image),
          {:ok, outputs} <- Model.run(state.model, %{state.input.name => tensor}),
-         :ok <- numbers(outputs[state.output], state),
-         do: {:ok, top(outputs[state.output], state.labels, state.opts)}
+         :ok <- check_scores(outputs[state.output], state),
+         do: {:ok, top_classes(outputs[state.output], state.labels, state.opts)}
   end
 
-  defp numbers(scores, state) do
+  defp check_scores(scores, state) do
     if Enum.all?(Tensor.to_list(scores), &is_number/1),
       do: :ok,
       else:
@@ -122,11 +122,11 @@ defmodule Situ.Infer.Classifier do
   Returns the best-scoring classes. `opts` are `top:` and `softmax:`.
 
       iex> scores = Situ.Tensor.from_list([1.0, 3.0, 2.0], :f32, {1, 3})
-      iex> Situ.Infer.Classifier.top(scores, {"cat", "dog"}, top: 2)
+      iex> Situ.Infer.Classifier.top_classes(scores, {"cat", "dog"}, top: 2)
       [{"dog", 3.0}, {"2", 2.0}]
   """
-  @spec top(Tensor.t(), tuple(), keyword()) :: [class()]
-  def top(%Tensor{} = scores, labels, opts) do
+  @spec top_classes(Tensor.t(), tuple(), keyword()) :: [class()]
+  def top_classes(%Tensor{} = scores, labels, opts) do
     values = Tensor.to_list(scores)
     values = if opts[:softmax], do: softmax(values), else: values
 
@@ -134,7 +134,7 @@ defmodule Situ.Infer.Classifier do
     |> Enum.with_index()
     |> Enum.sort_by(fn {score, index} -> {-score, index} end)
     |> Enum.take(opts[:top])
-    |> Enum.map(fn {score, index} -> {Labels.name(labels, index), score} end)
+    |> Enum.map(fn {score, index} -> {Labels.class_name(labels, index), score} end)
   end
 
   defp softmax(values) do

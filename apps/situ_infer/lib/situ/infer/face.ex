@@ -7,7 +7,7 @@ defmodule Situ.Infer.Face do
     * `nose`, `mouth`, `ears` (right, left): points in the same form.
 
       iex> face = %Situ.Infer.Face{rect: Situ.Rect.new!(0, 0, 10, 10), eyes: {{2.0, 3.0}, {8.0, 3.0}}}
-      iex> Situ.Infer.Face.roll(face)
+      iex> Situ.Infer.Face.roll_angle(face)
       0.0
   """
   alias Situ.{Error, Rect}
@@ -38,21 +38,21 @@ defmodule Situ.Infer.Face do
   """
   @spec check(term()) :: {:ok, t()} | {:error, Error.t()}
   def check(%__MODULE__{rect: rect, eyes: eyes} = face) do
-    with {:ok, _} <- Rect.check(rect) do
+    with {:ok, _} <- Rect.validate(rect) do
       case eyes do
         {{rx, ry}, {lx, ly}}
         when is_point(rx, ry) and is_point(lx, ly) ->
           {:ok, face}
 
         _ ->
-          bad("its eyes are #{inspect(eyes, limit: 8, printable_limit: 80)}")
+          bad_face("its eyes are #{inspect(eyes, limit: 8, printable_limit: 80)}")
       end
     end
   end
 
-  def check(other), do: bad("it is #{inspect(other, limit: 8, printable_limit: 80)}")
+  def check(other), do: bad_face("it is #{inspect(other, limit: 8, printable_limit: 80)}")
 
-  defp bad(why) do
+  defp bad_face(why) do
     {:error,
      Error.new(:bad_face, "invalid face: its coordinates cannot be used",
        why: why,
@@ -65,18 +65,18 @@ defmodule Situ.Infer.Face do
   def check!(face), do: Error.unwrap!(check(face))
 
   @doc "Returns the id of the face's track, or `nil` before tracking."
-  @spec id(t()) :: term()
-  def id(%__MODULE__{rect: rect}), do: rect.id
+  @spec track_id(t()) :: term()
+  def track_id(%__MODULE__{rect: rect}), do: rect.id
 
   @doc "Returns the roll of the head in radians; positive is clockwise on the screen."
-  @spec roll(t()) :: float()
-  def roll(%__MODULE__{eyes: {{rx, ry}, {lx, ly}}}), do: :math.atan2(ly - ry, lx - rx)
+  @spec roll_angle(t()) :: float()
+  def roll_angle(%__MODULE__{eyes: {{rx, ry}, {lx, ly}}}), do: :math.atan2(ly - ry, lx - rx)
 
   @doc "Returns the square patch of `size` pixels around the face, `margin` times as wide as the face, with level eyes."
-  @spec patch(t(), float(), pos_integer()) :: Patch.t()
-  def patch(%__MODULE__{rect: rect} = face, margin, size) do
+  @spec level_patch(t(), float(), pos_integer()) :: Patch.t()
+  def level_patch(%__MODULE__{rect: rect} = face, margin, size) do
     side = max(rect.width, rect.height) * margin
     center = {rect.x + rect.width / 2, rect.y + rect.height / 2}
-    Patch.around(center, side, roll(face), size)
+    Patch.centered_at(center, side, roll_angle(face), size)
   end
 end

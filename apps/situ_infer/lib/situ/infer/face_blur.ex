@@ -24,8 +24,8 @@ defmodule Situ.Infer.FaceBlur do
 
   The pure functions also work without a pipeline:
 
-      iex> image = Situ.Image.filled(64, 64, :gray8, 200)
-      iex> hidden = Situ.Infer.FaceBlur.hide(image, [Situ.Rect.new!(-4, 10, 20, 20)])
+      iex> image = Situ.Image.new_filled(64, 64, :gray8, 200)
+      iex> hidden = Situ.Infer.FaceBlur.hide_rects(image, [Situ.Rect.new!(-4, 10, 20, 20)])
       iex> {hidden.width, hidden.height}
       {64, 64}
 
@@ -50,23 +50,23 @@ defmodule Situ.Infer.FaceBlur do
 
   @impl true
   def handle_message(:in, %{data: {image, faces}, originating_time: time}, _context, state) do
-    rects = Enum.map(faces, &Rect.check!(&1.rect))
+    rects = Enum.map(faces, &Rect.validate!(&1.rect))
     found = for rect <- rects, do: {time, Rect.scale_around(rect, state.margin)}
     waiting = :queue.in({time, image}, state.waiting)
-    decided(%{state | waiting: waiting, faces: state.faces ++ found}, time - state.hold, [])
+    emit_decided(%{state | waiting: waiting, faces: state.faces ++ found}, time - state.hold, [])
   end
 
   @impl true
-  def handle_closed(:in, _time, _context, state), do: decided(state, :unbounded, [])
+  def handle_closed(:in, _time, _context, state), do: emit_decided(state, :unbounded, [])
 
   # Emits the images whose neighbours are all known.
-  defp decided(state, until, actions) do
+  defp emit_decided(state, until, actions) do
     case :queue.peek(state.waiting) do
       {:value, {time, image}} when until == :unbounded or time <= until ->
         faces = Enum.drop_while(state.faces, fn {seen, _} -> seen < time - state.hold end)
         near = for {seen, rect} <- faces, seen <= time + state.hold, do: rect
         state = %{state | waiting: :queue.drop(state.waiting), faces: faces}
-        decided(state, until, [{:out, time, hide(image, near)} | actions])
+        emit_decided(state, until, [{:out, time, hide_rects(image, near)} | actions])
 
       _ ->
         {Enum.reverse(actions), state}
@@ -74,26 +74,26 @@ defmodule Situ.Infer.FaceBlur do
   end
 
   @doc "Returns the image with these rectangles hidden; parts outside the image are ignored."
-  @spec hide(Image.t(), [Rect.t()]) :: Image.t()
-  def hide(image, rects),
-    do: rects |> Enum.reduce([], &together/2) |> Enum.reduce(image, &spotted/2)
+  @spec hide_rects(Image.t(), [Rect.t()]) :: Image.t()
+  def hide_rects(image, rects),
+    do: rects |> Enum.reduce([], &merge_rect/2) |> Enum.reduce(image, &blur_rect/2)
 
   # A face has about the same position in neighbouring images, so its rectangles are merged into their bounding box.
-  defp together(rect, others) do
+  defp merge_rect(rect, others) do
     case Enum.split_with(others, &(Rect.iou(&1, rect) > 0.3)) do
       {[], others} -> [rect | others]
-      {near, others} -> together(Enum.reduce(near, rect, &around/2), others)
+      {near, others} -> merge_rect(Enum.reduce(near, rect, &bounding_rect/2), others)
     end
   end
 
-  defp around(a, b) do
+  defp bounding_rect(a, b) do
     {left, top} = {min(a.x, b.x), min(a.y, b.y)}
     right = max(a.x + a.width, b.x + b.width)
     bottom = max(a.y + a.height, b.y + b.height)
     Rect.new!(left, top, right - left, bottom - top)
   end
 
-  defp spotted(rect, image) do
+  defp blur_rect(rect, image) do
     left = rect.x |> floor() |> max(0)
     top = rect.y |> floor() |> max(0)
     width = min(ceil(rect.x + rect.width), image.width) - left

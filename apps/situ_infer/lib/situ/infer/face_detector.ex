@@ -61,11 +61,11 @@ defmodule Situ.Infer.FaceDetector do
   def init(opts), do: {:ok, %__MODULE__{opts: opts, search: Search.new(opts)}}
 
   @impl true
-  def handle_start(_context, state), do: {[], %{state | model: load!(state.opts)}}
+  def handle_start(_context, state), do: {[], %{state | model: load_model!(state.opts)}}
 
   @impl true
   def handle_message(:in, message, _context, state) do
-    {faces, search} = detect!(state.model, message, state.search)
+    {faces, search} = search_message!(state.model, message, state.search)
     {[{:out, message.originating_time, faces}], %{state | search: search}}
   end
 
@@ -73,7 +73,7 @@ defmodule Situ.Infer.FaceDetector do
   def describe(%{model: nil}), do: "not started"
 
   def describe(%{model: model, search: search}),
-    do: "#{length(search.faces)} faces; #{Model.describe(model)}"
+    do: "#{length(search.faces)} faces; #{Model.describe_runs(model)}"
 
   @doc """
   Finds the faces in one image, without a pipeline: `detect(image)` searches everything once.
@@ -84,30 +84,33 @@ defmodule Situ.Infer.FaceDetector do
           {:ok, [Situ.Infer.Face.t()]} | {:error, Situ.Error.t()}
   def detect(%Situ.Image{} = image, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, model} <- load(opts),
-         {:ok, faces, _} <- step(model, image, 0, Search.new(opts)),
+         {:ok, model} <- load_model(opts),
+         {:ok, faces, _} <- search_faces(model, image, 0, Search.new(opts)),
          do: {:ok, faces}
   end
 
-  defp load(opts) do
-    path = opts[:model] || Model.path("face_detection_short_range.onnx")
-    Model.shared(path, Keyword.merge(opts[:model_options], Blaze.ports()))
+  defp load_model(opts) do
+    path = opts[:model] || Model.bundled_path("face_detection_short_range.onnx")
+    Model.load_shared(path, Keyword.merge(opts[:model_options], Blaze.required_ports()))
   end
 
-  defp load!(opts), do: opts |> load() |> Situ.Error.unwrap!()
+  defp load_model!(opts), do: opts |> load_model() |> Situ.Error.unwrap!()
 
-  defp detect!(model, message, search) do
-    case step(model, message.data, message.originating_time, search) do
+  defp search_message!(model, message, search) do
+    case search_faces(model, message.data, message.originating_time, search) do
       {:ok, faces, search} -> {faces, search}
       {:error, error} -> raise error
     end
   end
 
-  defp step(model, image, time, search) do
-    Search.step(search, {image.width, image.height}, time, fn patch, min_score ->
-      with {:ok, tensor} <- Patch.cut(patch, image, @scale, @offset),
+  defp search_faces(model, image, time, search) do
+    Search.search_image(search, {image.width, image.height}, time, fn patch, min_score ->
+      with {:ok, tensor} <- Patch.cut_tensor(patch, image, @scale, @offset),
            {:ok, outputs} <- Model.run(model, %{"input" => tensor}) do
-        {:ok, outputs |> Blaze.decode(patch, min_score) |> Situ.Infer.Face.Overlap.suppress(0.3)}
+        {:ok,
+         outputs
+         |> Blaze.decode_faces(patch, min_score)
+         |> Situ.Infer.Face.Overlap.suppress_overlaps(0.3)}
       end
     end)
   end

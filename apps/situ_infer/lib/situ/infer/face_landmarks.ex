@@ -51,32 +51,32 @@ defmodule Situ.Infer.FaceLandmarks do
 
   @impl true
   def handle_start(_context, state),
-    do: {[], %{state | model: Situ.Error.unwrap!(load(state.opts))}}
+    do: {[], %{state | model: Situ.Error.unwrap!(load_network(state.opts))}}
 
   @impl true
   def handle_message(:in, %{data: {image, faces}} = message, _context, state) do
     faces = Enum.map(faces, &Face.check!/1)
-    meshes = Situ.Error.unwrap!(find(state.model, image, faces, state.opts))
+    meshes = Situ.Error.unwrap!(find_meshes(state.model, image, faces, state.opts))
     {[{:out, message.originating_time, meshes}], state}
   end
 
   @impl true
   def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe(model)
+  def describe(%{model: model}), do: Model.describe_runs(model)
 
   @doc "Loads the network, which all callers share."
-  @spec load(keyword()) :: {:ok, Model.t()} | {:error, Situ.Error.t()}
-  def load(opts) do
-    path = opts[:model] || Model.path("face_landmark.onnx")
-    Model.shared(path, Keyword.merge(opts[:model_options] || [], @ports))
+  @spec load_network(keyword()) :: {:ok, Model.t()} | {:error, Situ.Error.t()}
+  def load_network(opts) do
+    path = opts[:model] || Model.bundled_path("face_landmark.onnx")
+    Model.load_shared(path, Keyword.merge(opts[:model_options] || [], @ports))
   end
 
   @doc "Finds the points of `faces` in `image`. Returns the errors of `Situ.Infer.Model` and `:bad_image`."
-  @spec find(Model.t(), Situ.Image.t(), [Face.t()], keyword()) ::
+  @spec find_meshes(Model.t(), Situ.Image.t(), [Face.t()], keyword()) ::
           {:ok, [FaceMesh.t()]} | {:error, Situ.Error.t()}
-  def find(model, image, faces, opts \\ []) do
+  def find_meshes(model, image, faces, opts \\ []) do
     min_score = opts[:min_score] || 0.5
-    meshes = at_once(faces, &mesh(model, image, &1, opts[:margin] || 1.5))
+    meshes = map_in_parallel(faces, &find_mesh(model, image, &1, opts[:margin] || 1.5))
 
     with nil <- Enum.find(meshes, &match?({:error, _}, &1)) do
       {:ok, for({:ok, mesh} <- meshes, mesh.score >= min_score, do: mesh)}
@@ -84,17 +84,17 @@ defmodule Situ.Infer.FaceLandmarks do
   end
 
   # The first face is processed here and each other face in a separate process, so that they use all cores.
-  defp at_once([], _fun), do: []
+  defp map_in_parallel([], _fun), do: []
 
-  defp at_once([first | others], fun) do
+  defp map_in_parallel([first | others], fun) do
     tasks = Enum.map(others, &Task.async(fn -> fun.(&1) end))
     [fun.(first) | Task.await_many(tasks, :infinity)]
   end
 
-  defp mesh(model, image, face, margin) do
-    patch = Face.patch(face, margin, @size)
+  defp find_mesh(model, image, face, margin) do
+    patch = Face.level_patch(face, margin, @size)
 
-    with {:ok, tensor} <- Patch.cut(patch, image, 1 / 255, 0.0),
+    with {:ok, tensor} <- Patch.cut_tensor(patch, image, 1 / 255, 0.0),
          {:ok, outputs} <- Model.run(model, %{"input_1" => tensor}) do
       %{"conv2d_20" => points, "conv2d_30" => %{data: <<logit::float-native-32>>}} = outputs
 

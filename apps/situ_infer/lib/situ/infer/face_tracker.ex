@@ -24,8 +24,8 @@ defmodule Situ.Infer.FaceTracker do
 
       iex> face = fn x -> %Situ.Infer.Face{rect: Situ.Rect.new!(x, 0, 10, 10), eyes: {{0, 0}, {1, 0}}} end
       iex> tracker = Situ.Infer.FaceTracker.new()
-      iex> {_, tracker} = Situ.Infer.FaceTracker.step(tracker, 0, [face.(50), face.(0)])
-      iex> {faces, _} = Situ.Infer.FaceTracker.step(tracker, 40_000_000, [face.(3), face.(52)])
+      iex> {_, tracker} = Situ.Infer.FaceTracker.update_tracks(tracker, 0, [face.(50), face.(0)])
+      iex> {faces, _} = Situ.Infer.FaceTracker.update_tracks(tracker, 40_000_000, [face.(3), face.(52)])
       iex> Enum.map(faces, &{&1.rect.x, &1.rect.id})
       [{3, 0}, {52, 1}]
 
@@ -63,7 +63,7 @@ defmodule Situ.Infer.FaceTracker do
   @impl true
   def handle_message(:in, message, _context, tracker) do
     faces = Enum.map(message.data, &Face.check!/1)
-    {faces, tracker} = step(tracker, message.originating_time, faces)
+    {faces, tracker} = update_tracks(tracker, message.originating_time, faces)
     {[{:out, message.originating_time, faces}], tracker}
   end
 
@@ -71,10 +71,10 @@ defmodule Situ.Infer.FaceTracker do
   def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} faces so far"
 
   @doc "Updates the tracks with the faces found at `time`, and returns those faces with their ids, in order of the ids."
-  @spec step(t(), Situ.Time.t(), [Face.t()]) :: {[Face.t()], t()}
-  def step(%__MODULE__{} = tracker, time, faces) do
+  @spec update_tracks(t(), Situ.Time.t(), [Face.t()]) :: {[Face.t()], t()}
+  def update_tracks(%__MODULE__{} = tracker, time, faces) do
     alive = Enum.filter(tracker.tracks, &(time - &1.seen <= tracker.opts[:max_missing]))
-    {tracks, new} = associate(alive, faces, time)
+    {tracks, new} = match_tracks(alive, faces, time)
 
     {born, next_id} =
       new
@@ -89,11 +89,11 @@ defmodule Situ.Infer.FaceTracker do
   end
 
   # The matching is greedy, best pair first. With few faces it differs from an optimal one only in doubtful cases.
-  defp associate(tracks, faces, time) do
+  defp match_tracks(tracks, faces, time) do
     pairs =
       for track <- tracks,
           face <- faces,
-          closeness = closeness(track.face, face),
+          closeness = match_score(track.face, face),
           closeness > 0 do
         {-closeness, track.id, face.rect.x, track, face}
       end
@@ -104,26 +104,26 @@ defmodule Situ.Infer.FaceTracker do
       |> Enum.reduce({%{}, []}, fn {_, id, _, track, face}, {matched, used} ->
         if Map.has_key?(matched, id) or face in used,
           do: {matched, used},
-          else: {Map.put(matched, id, seen(track, face, time)), [face | used]}
+          else: {Map.put(matched, id, update_track(track, face, time)), [face | used]}
       end)
 
     {Enum.map(tracks, &Map.get(matched, &1.id, &1)), faces -- used}
   end
 
-  defp seen(track, face, time),
+  defp update_track(track, face, time),
     do: %{track | face: with_id(face, track.id), seen: time, hits: track.hits + 1}
 
   defp with_id(face, id), do: %{face | rect: %{face.rect | id: id}}
 
   # Returns 1..2 for faces that overlap, 0..1 for faces of similar size near each other, and 0 otherwise.
-  defp closeness(a, b) do
+  defp match_score(a, b) do
     iou = Rect.iou(a.rect, b.rect)
-    if iou >= @min_iou, do: 1.0 + iou, else: nearness(a.rect, b.rect)
+    if iou >= @min_iou, do: 1.0 + iou, else: proximity_score(a.rect, b.rect)
   end
 
-  defp nearness(a, b) do
+  defp proximity_score(a, b) do
     size = max(max(a.width, b.width), 1.0e-6)
-    distance = Situ.Point2.distance(Rect.center(a), Rect.center(b)) / size
+    distance = Situ.Point2.distance(Rect.center_point(a), Rect.center_point(b)) / size
     ratio = min(a.width, b.width) / size
     if distance < 0.5 and ratio > 0.5, do: 1.0 - distance, else: 0.0
   end

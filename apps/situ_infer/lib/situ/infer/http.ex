@@ -62,14 +62,14 @@ defmodule Situ.Infer.Http do
   @doc """
   Parses a URL. A URL with a user or password is rejected, since URLs end up in logs.
 
-      iex> Situ.Infer.Http.parse("https://models.example/v1")
+      iex> Situ.Infer.Http.parse_url("https://models.example/v1")
       {:ok, %{scheme: :https, host: "models.example", port: 443, path: "/v1"}}
-      iex> {:error, error} = Situ.Infer.Http.parse("https://me:secret@models.example/v1")
+      iex> {:error, error} = Situ.Infer.Http.parse_url("https://me:secret@models.example/v1")
       iex> {error.code, error.what =~ "secret"}
       {:bad_url, false}
   """
-  @spec parse(String.t()) :: {:ok, url()} | {:error, Error.t()}
-  def parse(text) do
+  @spec parse_url(String.t()) :: {:ok, url()} | {:error, Error.t()}
+  def parse_url(text) do
     case URI.new(text) do
       {:ok, %URI{userinfo: nil, scheme: scheme, host: host, port: port} = uri}
       when scheme in ["http", "https"] and is_binary(host) and host != "" ->
@@ -100,11 +100,11 @@ defmodule Situ.Infer.Http do
   defp bad_url(what, fix), do: {:error, Error.new(:bad_url, what, fix: fix)}
 
   @doc "Returns whether the URL names this machine, so that no other machine can eavesdrop."
-  @spec local?(url()) :: boolean()
-  def local?(%{host: host}),
-    do: host in ["localhost", "::1"] or match?({:ok, {127, _, _, _}}, address(host))
+  @spec local_host?(url()) :: boolean()
+  def local_host?(%{host: host}),
+    do: host in ["localhost", "::1"] or match?({:ok, {127, _, _, _}}, parse_ipv4(host))
 
-  defp address(host), do: :inet.parse_ipv4strict_address(String.to_charlist(host))
+  defp parse_ipv4(host), do: :inet.parse_ipv4strict_address(String.to_charlist(host))
 
   @doc """
   Sends the request. `fun` receives `{:status, status, headers}`, then `{:data, bytes}` as data arrive, with the
@@ -124,17 +124,17 @@ defmodule Situ.Infer.Http do
         when acc: term()
   def request(method, url, headers, body, opts, fun, acc) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, url} <- parse(url),
-         :ok <- check(headers),
-         until = now() + opts[:timeout],
-         {:ok, socket} <- connect(url, opts, until) do
+         {:ok, url} <- parse_url(url),
+         :ok <- check_headers(headers),
+         until = now_ms() + opts[:timeout],
+         {:ok, socket} <- connect_socket(url, opts, until) do
       try do
-        with :ok <- send_all(socket, head(method, url, headers, body), url) do
+        with :ok <- send_all(socket, encode_request(method, url, headers, body), url) do
           peer = %{socket: socket, url: url, idle: opts[:idle_timeout], until: until}
           receive_all(peer, Decoder.new(), fun, acc)
         end
       after
-        close(socket)
+        close_socket(socket)
       end
     end
     |> case do
@@ -144,7 +144,7 @@ defmodule Situ.Infer.Http do
   end
 
   # A line break in a value could inject another header or request.
-  defp check(headers) do
+  defp check_headers(headers) do
     if Enum.all?(headers, fn {name, value} -> not (name <> value =~ ~r/[\r\n\0]/) end),
       do: :ok,
       else:
@@ -154,7 +154,7 @@ defmodule Situ.Infer.Http do
          )}
   end
 
-  defp head(method, url, headers, body) do
+  defp encode_request(method, url, headers, body) do
     size = IO.iodata_length(body)
     verb = if method == :get, do: "GET", else: "POST"
     host = if String.contains?(url.host, ":"), do: "[#{url.host}]", else: url.host
@@ -168,35 +168,35 @@ defmodule Situ.Infer.Http do
     ]
   end
 
-  defp connect(url, opts, until) do
-    wait = min(opts[:connect_timeout], left(until))
+  defp connect_socket(url, opts, until) do
+    wait = min(opts[:connect_timeout], remaining_ms(until))
     plain = [:binary, active: false, packet: :raw, send_timeout: opts[:idle_timeout]]
     host = String.to_charlist(url.host)
 
     case url.scheme do
-      :http -> :gen_tcp.connect(host, url.port, plain ++ family(url), wait)
-      :https -> secure(host, url, plain ++ family(url), opts, wait)
+      :http -> :gen_tcp.connect(host, url.port, plain ++ address_family(url), wait)
+      :https -> connect_tls(host, url, plain ++ address_family(url), opts, wait)
     end
     |> case do
-      {:ok, socket} -> {:ok, {transport(url), socket}}
+      {:ok, socket} -> {:ok, {transport_module(url), socket}}
       {:error, %Error{}} = error -> error
-      {:error, reason} -> {:error, unreachable(url, reason)}
+      {:error, reason} -> {:error, connection_error(url, reason)}
     end
   end
 
-  defp transport(%{scheme: :http}), do: :gen_tcp
-  defp transport(%{scheme: :https}), do: :ssl
+  defp transport_module(%{scheme: :http}), do: :gen_tcp
+  defp transport_module(%{scheme: :https}), do: :ssl
 
-  defp family(%{host: host}), do: if(String.contains?(host, ":"), do: [:inet6], else: [])
+  defp address_family(%{host: host}), do: if(String.contains?(host, ":"), do: [:inet6], else: [])
 
-  defp secure(host, url, plain, opts, wait) do
-    with {:ok, trusted} <- trusted(opts[:cacertfile]) do
+  defp connect_tls(host, url, plain, opts, wait) do
+    with {:ok, trusted} <- trust_options(opts[:cacertfile]) do
       options =
         [
           verify: :verify_peer,
           depth: 4,
           versions: [:"tlsv1.3", :"tlsv1.2"],
-          customize_hostname_check: [match_fun: &names?/2],
+          customize_hostname_check: [match_fun: &hostname_matches?/2],
           log_level: :none
         ] ++ trusted
 
@@ -208,20 +208,20 @@ defmodule Situ.Infer.Http do
   end
 
   # OTP's rule does not match IP addresses against a host that was given as text.
-  defp names?({:dns_id, host}, {:iPAddress, bytes}) do
+  defp hostname_matches?({:dns_id, host}, {:iPAddress, bytes}) do
     case :inet.parse_strict_address(host) do
       {:ok, address} -> address_bytes(address) == IO.iodata_to_binary(bytes)
       _ -> false
     end
   end
 
-  defp names?(wanted, presented),
+  defp hostname_matches?(wanted, presented),
     do: :public_key.pkix_verify_hostname_match_fun(:https).(wanted, presented)
 
   defp address_bytes({_, _, _, _} = ip), do: ip |> Tuple.to_list() |> :binary.list_to_bin()
   defp address_bytes(ip), do: for(part <- Tuple.to_list(ip), into: "", do: <<part::16>>)
 
-  defp trusted(nil) do
+  defp trust_options(nil) do
     {:ok, [cacerts: :public_key.cacerts_get()]}
   rescue
     _ ->
@@ -231,90 +231,93 @@ defmodule Situ.Infer.Http do
        )}
   end
 
-  defp trusted(file) do
+  defp trust_options(file) do
     if File.regular?(file),
       do: {:ok, [cacertfile: String.to_charlist(file)]},
       else: {:error, Error.new(:not_trusted, "cacertfile: file #{file} does not exist")}
   end
 
   defp not_trusted(url, alert) do
-    Error.new(:not_trusted, "#{name(url)} could not prove its identity: #{alert}",
+    Error.new(:not_trusted, "#{format_origin(url)} could not prove its identity: #{alert}",
       why: "its certificate must be signed by a trusted authority for exactly this name",
       fix: "check the URL; for a private server, give its authority as cacertfile:"
     )
   end
 
-  defp unreachable(url, :timeout), do: late(url, "did not accept the connection in time")
+  defp connection_error(url, :timeout),
+    do: timeout_error(url, "did not accept the connection in time")
 
-  defp unreachable(url, reason) do
-    Error.new(:no_connection, "cannot reach #{name(url)}: #{reason(reason)}",
+  defp connection_error(url, reason) do
+    Error.new(:no_connection, "cannot reach #{format_origin(url)}: #{format_reason(reason)}",
       fix: "check the URL, and that the service is running"
     )
   end
 
-  defp reason(reason) when is_atom(reason), do: :inet.format_error(reason)
-  defp reason(reason), do: inspect(reason, limit: 5, printable_limit: 80)
+  defp format_reason(reason) when is_atom(reason), do: :inet.format_error(reason)
+  defp format_reason(reason), do: inspect(reason, limit: 5, printable_limit: 80)
 
   defp send_all({transport, socket}, bytes, url) do
     case transport.send(socket, bytes) do
       :ok -> :ok
       # The service may already have responded and closed the connection; its response explains why.
       {:error, :closed} -> :ok
-      {:error, :timeout} -> {:error, late(url, "did not accept the request in time")}
-      {:error, reason} -> {:error, unreachable(url, reason)}
+      {:error, :timeout} -> {:error, timeout_error(url, "did not accept the request in time")}
+      {:error, reason} -> {:error, connection_error(url, reason)}
     end
   end
 
   defp receive_all(%{socket: {transport, socket}, url: url} = peer, decoder, fun, acc) do
-    case transport.recv(socket, 0, min(peer.idle, left(peer.until))) do
+    case transport.recv(socket, 0, min(peer.idle, remaining_ms(peer.until))) do
       {:ok, bytes} ->
-        with {:ok, events, decoder} <- decoded(Decoder.push(decoder, bytes), url, acc) do
-          case hand(events, fun, acc) do
+        with {:ok, events, decoder} <- wrap_decoder_error(Decoder.push(decoder, bytes), url, acc) do
+          case emit_events(events, fun, acc) do
             {:cont, acc} -> receive_all(peer, decoder, fun, acc)
             {:halt, acc} -> {:ok, acc}
           end
         end
 
       {:error, :timeout} ->
-        {:error, late(url, "stopped sending data"), acc}
+        {:error, timeout_error(url, "stopped sending data"), acc}
 
       {:error, _closed} ->
-        with :ok <- decoded(Decoder.close(decoder), url, acc), do: {:ok, acc}
+        with :ok <- wrap_decoder_error(Decoder.close(decoder), url, acc), do: {:ok, acc}
     end
   end
 
-  defp hand([], _fun, acc), do: {:cont, acc}
-  defp hand([:done | _], _fun, acc), do: {:halt, acc}
+  defp emit_events([], _fun, acc), do: {:cont, acc}
+  defp emit_events([:done | _], _fun, acc), do: {:halt, acc}
 
-  defp hand([event | events], fun, acc) do
+  defp emit_events([event | events], fun, acc) do
     case fun.(event, acc) do
-      {:cont, acc} -> hand(events, fun, acc)
+      {:cont, acc} -> emit_events(events, fun, acc)
       {:halt, acc} -> {:halt, acc}
     end
   end
 
-  defp decoded({:error, :cut_off}, url, acc) do
+  defp wrap_decoder_error({:error, :cut_off}, url, acc) do
     {:error,
-     Error.new(:cut_off, "#{name(url)} closed the connection before the response was complete",
+     Error.new(
+       :cut_off,
+       "#{format_origin(url)} closed the connection before the response was complete",
        fix: "try again, and check the service's log"
      ), acc}
   end
 
-  defp decoded({:error, why}, url, acc) do
+  defp wrap_decoder_error({:error, why}, url, acc) do
     {:error,
-     Error.new(:bad_response, "#{name(url)} did not return a valid HTTP response",
+     Error.new(:bad_response, "#{format_origin(url)} did not return a valid HTTP response",
        why: why,
        fix: "check the URL; another program may be listening there"
      ), acc}
   end
 
-  defp decoded(fine, _url, _acc), do: fine
+  defp wrap_decoder_error(fine, _url, _acc), do: fine
 
-  defp late(url, what),
-    do: Error.new(:timeout, "#{name(url)} #{what}", fix: "increase the timeouts")
+  defp timeout_error(url, what),
+    do: Error.new(:timeout, "#{format_origin(url)} #{what}", fix: "increase the timeouts")
 
-  defp name(url), do: "#{url.scheme}://#{url.host}:#{url.port}"
-  defp close({transport, socket}), do: transport.close(socket)
-  defp now, do: System.monotonic_time(:millisecond)
-  defp left(until), do: max(until - now(), 0)
+  defp format_origin(url), do: "#{url.scheme}://#{url.host}:#{url.port}"
+  defp close_socket({transport, socket}), do: transport.close(socket)
+  defp now_ms, do: System.monotonic_time(:millisecond)
+  defp remaining_ms(until), do: max(until - now_ms(), 0)
 end

@@ -5,10 +5,10 @@ defmodule Situ.Infer.Labels do
   alias Situ.Infer.Model
 
   @doc "Returns the names, from a list or a text file with one name per line."
-  @spec load(Path.t() | [String.t()]) :: {:ok, tuple()} | {:error, Error.t()}
-  def load(names) when is_list(names), do: {:ok, List.to_tuple(names)}
+  @spec load_names(Path.t() | [String.t()]) :: {:ok, tuple()} | {:error, Error.t()}
+  def load_names(names) when is_list(names), do: {:ok, List.to_tuple(names)}
 
-  def load(path) do
+  def load_names(path) do
     with {:ok, text} <- File.read(path), true <- String.valid?(text) do
       {:ok, text |> String.trim_trailing() |> String.split(~r/\r?\n/) |> List.to_tuple()}
     else
@@ -27,13 +27,13 @@ defmodule Situ.Infer.Labels do
   end
 
   @doc "Returns the name of the class with this number, or the number if it has no name."
-  @spec name(tuple(), non_neg_integer()) :: String.t()
-  def name(labels, index) when index < tuple_size(labels), do: elem(labels, index)
-  def name(_labels, index), do: Integer.to_string(index)
+  @spec class_name(tuple(), non_neg_integer()) :: String.t()
+  def class_name(labels, index) when index < tuple_size(labels), do: elem(labels, index)
+  def class_name(_labels, index), do: Integer.to_string(index)
 
   @doc "Returns the requested output, or the only one."
-  @spec output(Model.t(), String.t() | nil) :: {:ok, String.t()} | {:error, Error.t()}
-  def output(%Model{} = model, wanted) do
+  @spec choose_output(Model.t(), String.t() | nil) :: {:ok, String.t()} | {:error, Error.t()}
+  def choose_output(%Model{} = model, wanted) do
     names = Map.keys(model.outputs)
 
     case {wanted, names} do

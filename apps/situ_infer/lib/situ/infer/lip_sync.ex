@@ -4,7 +4,7 @@ defmodule Situ.Infer.LipSync do
 
       mouths = for m <- Situ.Store.messages(store, "Talk.Mouths"), do: {m.originating_time, m.data}
       voices = for m <- Situ.Store.messages(store, "Talk.Voice"), do: {m.originating_time, m.data}
-      Situ.Infer.LipSync.estimate(mouths, voices)
+      Situ.Infer.LipSync.estimate_shift(mouths, voices)
       #=> %Situ.Infer.LipSync{shift: 300_000_000, confidence: 0.71, windows: 38}
 
   For each shift of up to half a second, the voice in one-second windows is compared with the mouth that matches best:
@@ -45,11 +45,12 @@ defmodule Situ.Infer.LipSync do
   @in_step 80_000_000
 
   @doc "Returns the estimate; both lists must be in order of time. The same lists always give the same estimate."
-  @spec estimate([{Situ.Time.t(), %{term() => Mouth.t()}}], [{Situ.Time.t(), Voice.t()}]) :: t()
-  def estimate(mouths, voices) do
+  @spec estimate_shift([{Situ.Time.t(), %{term() => Mouth.t()}}], [{Situ.Time.t(), Voice.t()}]) ::
+          t()
+  def estimate_shift(mouths, voices) do
     voices = List.to_tuple(voices)
-    windows = mouths |> cut_windows() |> thin_out() |> Enum.filter(&voiced?(&1, voices))
-    curve = for shift <- -@most..@most//@step, do: {shift, agreement(windows, voices, shift)}
+    windows = mouths |> cut_windows() |> thin_out() |> Enum.filter(&has_voice?(&1, voices))
+    curve = for shift <- -@most..@most//@step, do: {shift, mean_agreement(windows, voices, shift)}
     {shift, top} = Enum.max_by(curve, fn {shift, value} -> {value, -abs(shift)} end)
     other = for {at, value} <- curve, abs(at - shift) > @peak, do: value
     confidence = if top > 0.0, do: (top - Enum.max(other)) / top, else: 0.0
@@ -64,13 +65,13 @@ defmodule Situ.Infer.LipSync do
   @doc """
   Returns whether audio and video are clearly out of sync: by at least 80 ms, with enough confidence.
 
-      iex> Situ.Infer.LipSync.off?(%Situ.Infer.LipSync{shift: -300_000_000, confidence: 0.7, windows: 40})
+      iex> Situ.Infer.LipSync.out_of_sync?(%Situ.Infer.LipSync{shift: -300_000_000, confidence: 0.7, windows: 40})
       true
-      iex> Situ.Infer.LipSync.off?(%Situ.Infer.LipSync{shift: -300_000_000, confidence: 0.2, windows: 40})
+      iex> Situ.Infer.LipSync.out_of_sync?(%Situ.Infer.LipSync{shift: -300_000_000, confidence: 0.2, windows: 40})
       false
   """
-  @spec off?(t()) :: boolean()
-  def off?(%__MODULE__{} = estimate) do
+  @spec out_of_sync?(t()) :: boolean()
+  def out_of_sync?(%__MODULE__{} = estimate) do
     abs(estimate.shift) >= @in_step and estimate.confidence >= @confident and
       estimate.windows >= @min_windows
   end
@@ -89,14 +90,14 @@ defmodule Situ.Infer.LipSync do
   end
 
   # The same windows are compared at every shift, so that all shifts are treated equally.
-  defp voiced?(window, voices) do
+  defp has_voice?(window, voices) do
     heard = for {time, _} <- window, voice = nearest_voice(voices, time), do: voice.probability
     length(heard) >= @min_pictures and Enum.count(heard, &(&1 > @voiced)) * 2 >= length(heard)
   end
 
-  defp agreement([], _voices, _shift), do: 0.0
+  defp mean_agreement([], _voices, _shift), do: 0.0
 
-  defp agreement(windows, voices, shift) do
+  defp mean_agreement(windows, voices, shift) do
     sum =
       for window <- windows, reduce: 0.0, do: (sum -> sum + best_agreement(window, voices, shift))
 
@@ -114,21 +115,22 @@ defmodule Situ.Infer.LipSync do
 
     ids
     |> Enum.map(fn id ->
-      pairs = for {%{^id => mouth}, voice} <- heard, do: {mouth.opening, loudness(voice)}
+      pairs =
+        for {%{^id => mouth}, voice} <- heard, do: {mouth.opening, compressed_loudness(voice)}
 
-      if length(pairs) >= @min_pictures, do: score(pairs), else: 0.0
+      if length(pairs) >= @min_pictures, do: score_pairs(pairs), else: 0.0
     end)
     |> Enum.reduce(0.0, &max/2)
   end
 
-  defp score(pairs) do
+  defp score_pairs(pairs) do
     {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max()
-    Agreement.correlation(pairs) * min(1.0, (high - low) / @clear_movement)
+    Agreement.pearson_correlation(pairs) * min(1.0, (high - low) / @clear_movement)
   end
 
   # Loudness is compressed because twice the loudness is not twice the opening.
-  defp loudness(%{level: level}) when level > 0.0, do: :math.pow(level, @compress)
-  defp loudness(_voice), do: 0.0
+  defp compressed_loudness(%{level: level}) when level > 0.0, do: :math.pow(level, @compress)
+  defp compressed_loudness(_voice), do: 0.0
 
   # Returns the voice nearest to a time, or `nil` if there is none within 40 ms.
   defp nearest_voice(voices, time), do: nearest_voice(voices, time, 0, tuple_size(voices))

@@ -66,7 +66,7 @@ defmodule Situ.Infer.Model do
       iex> probability.shape
       {1, 1}
 
-  A model is loaded once and may be used by several processes at the same time. With `shared/2`, components that name
+  A model is loaded once and may be used by several processes at the same time. With `load_shared/2`, components that name
   the same file and options share one copy, which is released when the last of them ends.
 
   The model's ports are checked **at load**. `:inputs` and `:outputs` give their types and shapes; `nil` means any size,
@@ -87,7 +87,7 @@ defmodule Situ.Infer.Model do
 
   ## Events
 
-  `[:situ, :infer, :load]` with the `duration` (ns) and the name of the `model`; `stats/1` returns the run times.
+  `[:situ, :infer, :load]` with the `duration` (ns) and the name of the `model`; `run_stats/1` returns the run times.
   """
 
   alias Situ.{Error, Tensor}
@@ -112,7 +112,7 @@ defmodule Situ.Infer.Model do
   @doc "Loads, checks and warms up the model in the file at `path`."
   @spec load(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(path, opts \\ []) do
-    with {:ok, bytes} <- read(path), do: from_bytes(bytes, path, opts)
+    with {:ok, bytes} <- read_file(path), do: from_bytes(bytes, path, opts)
   end
 
   @doc """
@@ -126,10 +126,10 @@ defmodule Situ.Infer.Model do
          started = System.monotonic_time(:nanosecond),
          settings = [{:folder, path |> Path.expand() |> Path.dirname()} | opts],
          {:ok, loaded} <- with_path(opts[:engine].load(bytes, settings), path),
-         model = build(path, opts, loaded),
-         :ok <- Ports.numbers(model.inputs, path),
-         :ok <- Ports.check(model.inputs, opts[:inputs], "input", path),
-         :ok <- Ports.check(model.outputs, opts[:outputs], "output", path),
+         model = build_model(path, opts, loaded),
+         :ok <- Ports.check_numeric(model.inputs, path),
+         :ok <- Ports.check_ports(model.inputs, opts[:inputs], "input", path),
+         :ok <- Ports.check_ports(model.outputs, opts[:outputs], "output", path),
          {:ok, model} <- warm_up(model, opts) do
       duration = System.monotonic_time(:nanosecond) - started
       Situ.Telemetry.execute([:situ, :infer, :load], %{duration: duration}, %{model: model.name})
@@ -144,8 +144,8 @@ defmodule Situ.Infer.Model do
   (`config :situ_infer, shared_bytes: n`) the least recently requested model is no longer shared; processes that have it
   keep it.
   """
-  @spec shared(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
-  def shared(path, opts \\ []) do
+  @spec load_shared(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def load_shared(path, opts \\ []) do
     case File.stat(path, time: :posix) do
       {:ok, stat} ->
         key = {Path.expand(path), stat.size, stat.mtime, opts}
@@ -167,7 +167,7 @@ defmodule Situ.Infer.Model do
   def run(%__MODULE__{} = model, inputs) when is_map(inputs) do
     with :ok <- check_inputs(model, inputs),
          :ok <- check_names(model, inputs),
-         do: execute(model, inputs)
+         do: run_engine(model, inputs)
   end
 
   @doc """
@@ -188,8 +188,8 @@ defmodule Situ.Infer.Model do
   Returns how often the model ran and how long that took: `%{runs: n, mean_ns: ns, last_ns: ns, max_ns: ns, where:
   :inline | :dirty}`.
   """
-  @spec stats(t()) :: map()
-  def stats(%__MODULE__{counters: c, where: where}) do
+  @spec run_stats(t()) :: map()
+  def run_stats(%__MODULE__{counters: c, where: where}) do
     runs = :counters.get(c, 1)
     mean = if runs > 0, do: div(:counters.get(c, 2), runs), else: 0
     last = :counters.get(c, 3)
@@ -197,18 +197,18 @@ defmodule Situ.Infer.Model do
   end
 
   @doc "Describes the model in one line, for diagnostics."
-  @spec describe(t()) :: String.t()
-  def describe(%__MODULE__{} = model) do
-    stats = stats(model)
+  @spec describe_runs(t()) :: String.t()
+  def describe_runs(%__MODULE__{} = model) do
+    stats = run_stats(model)
 
     "#{model.name}: #{stats.runs} runs, mean #{Situ.Time.format_duration(stats.mean_ns)}, #{stats.where}"
   end
 
   @doc "Returns the path of a model file bundled with this app (`\"silero_vad.onnx\"`)."
-  @spec path(String.t()) :: Path.t()
-  def path(file), do: Path.join([to_string(:code.priv_dir(:situ_infer)), "models", file])
+  @spec bundled_path(String.t()) :: Path.t()
+  def bundled_path(file), do: Path.join([to_string(:code.priv_dir(:situ_infer)), "models", file])
 
-  defp read(path) do
+  defp read_file(path) do
     case File.read(path) do
       {:ok, bytes} ->
         {:ok, bytes}
@@ -228,7 +228,7 @@ defmodule Situ.Infer.Model do
 
   defp with_path(result, _path), do: result
 
-  defp build(path, opts, loaded) do
+  defp build_model(path, opts, loaded) do
     %__MODULE__{
       name: Path.basename(path, ".onnx"),
       engine: opts[:engine],
@@ -243,15 +243,17 @@ defmodule Situ.Infer.Model do
   defp warm_up(model, opts) do
     example =
       Map.new(model.inputs, fn {name, {type, shape}} ->
-        {name, Map.get_lazy(opts[:example], name, fn -> zeros(type, shape, opts, name) end)}
+        {name, Map.get_lazy(opts[:example], name, fn -> zero_tensor(type, shape, opts, name) end)}
       end)
 
     with {:ok, times} <- time_runs(model, example, opts[:warm_up], []) do
-      {:ok, %{model | where: where(opts[:schedule], times)}}
+      {:ok, %{model | where: choose_scheduler(opts[:schedule], times)}}
     else
       # Setting free sizes to 1 is a guess, so the guess may have caused the failure rather than the model.
       {:error, %Error{code: :model_failed} = error} ->
-        if guessed?(model, opts), do: {:ok, model}, else: {:error, not_run(error, model, example)}
+        if guessed_sizes?(model, opts),
+          do: {:ok, model},
+          else: {:error, warm_up_error(error, model, example)}
 
       {:error, error} ->
         {:error, error}
@@ -265,15 +267,17 @@ defmodule Situ.Infer.Model do
          do: time_runs(model, example, n - 1, [ns | times])
   end
 
-  defp guessed?(model, opts) do
+  defp guessed_sizes?(model, opts) do
     Enum.any?(model.inputs, fn {name, {_, shape}} ->
-      not is_map_key(opts[:example], name) and -1 in sizes(shape, opts, name)
+      not is_map_key(opts[:example], name) and -1 in expected_sizes(shape, opts, name)
     end)
   end
 
-  defp not_run(error, model, example) do
+  defp warm_up_error(error, model, example) do
     given =
-      Enum.map_join(example, ", ", fn {name, t} -> "#{name}: #{Ports.show({t.type, t.shape})}" end)
+      Enum.map_join(example, ", ", fn {name, t} ->
+        "#{name}: #{Ports.format_port({t.type, t.shape})}"
+      end)
 
     Error.new(
       :model_failed,
@@ -284,35 +288,37 @@ defmodule Situ.Infer.Model do
     )
   end
 
-  defp zeros(type, shape, opts, name) do
-    sizes = for size <- sizes(shape, opts, name), do: if(size == -1, do: 1, else: size)
+  defp zero_tensor(type, shape, opts, name) do
+    sizes = for size <- expected_sizes(shape, opts, name), do: if(size == -1, do: 1, else: size)
     Tensor.zeros(type, List.to_tuple(sizes))
   end
 
   # The caller's shape of a port may fix a dimension that the file leaves free.
-  defp sizes(shape, opts, name) do
+  defp expected_sizes(shape, opts, name) do
     case opts[:inputs] do
       %{^name => {_, wanted}} ->
-        Enum.zip_with(Tuple.to_list(shape), Tuple.to_list(wanted), &pick/2)
+        Enum.zip_with(Tuple.to_list(shape), Tuple.to_list(wanted), &known_size/2)
 
       _ ->
         Tuple.to_list(shape)
     end
   end
 
-  defp pick(have, wanted), do: if(have > 0, do: have, else: wanted || -1)
+  defp known_size(have, wanted), do: if(have > 0, do: have, else: wanted || -1)
 
-  defp where(:inline, _times), do: :inline
-  defp where(:dirty, _times), do: :dirty
-  defp where(:auto, []), do: :dirty
-  defp where(:auto, times), do: if(Enum.min(times) < @inline_limit_ns, do: :inline, else: :dirty)
+  defp choose_scheduler(:inline, _times), do: :inline
+  defp choose_scheduler(:dirty, _times), do: :dirty
+  defp choose_scheduler(:auto, []), do: :dirty
+
+  defp choose_scheduler(:auto, times),
+    do: if(Enum.min(times) < @inline_limit_ns, do: :inline, else: :dirty)
 
   defp check_inputs(model, inputs) do
     Enum.find_value(model.inputs, :ok, fn {name, {type, shape}} ->
       case inputs do
         %{^name => %Tensor{type: ^type, shape: given} = tensor} ->
-          if Ports.fits?(shape, given),
-            do: whole(model, name, tensor),
+          if Ports.shape_matches?(shape, given),
+            do: check_size(model, name, tensor),
             else: bad_input(model, name, {type, shape}, {type, given})
 
         %{^name => %Tensor{} = t} ->
@@ -340,7 +346,7 @@ defmodule Situ.Infer.Model do
   end
 
   # Checks that the tensor has as many bytes as its shape needs; `nil` means that it does.
-  defp whole(model, name, tensor) do
+  defp check_size(model, name, tensor) do
     _ = Tensor.reshape(tensor, tensor.shape)
     nil
   rescue
@@ -358,12 +364,12 @@ defmodule Situ.Infer.Model do
     {:error,
      Error.new(
        :bad_tensor,
-       "model #{model.name}: input #{inspect(name)} takes #{Ports.show(wanted)}, got #{Ports.show(given)}",
+       "model #{model.name}: input #{inspect(name)} takes #{Ports.format_port(wanted)}, got #{Ports.format_port(given)}",
        fix: "give a tensor of that type and shape (-1 is any size), or use another model"
      )}
   end
 
-  defp execute(model, inputs) do
+  defp run_engine(model, inputs) do
     with {:ok, outputs, ns} <- model.engine.run(model.handle, inputs, model.where) do
       :counters.add(model.counters, 1, 1)
       :counters.add(model.counters, 2, ns)
@@ -392,14 +398,14 @@ defmodule Situ.Infer.Model do
       stacked =
         Map.new(names, fn n -> {n, Tensor.concat(Enum.map(batch, &Map.fetch!(&1, n)))} end)
 
-      with {:ok, outputs} <- execute(model, stacked), do: {:ok, unstack(outputs, sizes)}
+      with {:ok, outputs} <- run_engine(model, stacked), do: {:ok, split_outputs(outputs, sizes)}
     end
   end
 
-  defp unstack(outputs, sizes) do
-    columns = for {name, t} <- outputs, do: Enum.map(Tensor.split(t, sizes), &{name, &1})
+  defp split_outputs(outputs, sizes) do
+    columns = for {name, t} <- outputs, do: Enum.map(Tensor.split_rows(t, sizes), &{name, &1})
     Enum.zip_with(columns, &Map.new/1)
   end
 
-  defp run_each(model, batch), do: Error.map(batch, &run(model, &1))
+  defp run_each(model, batch), do: Error.map_ok(batch, &run(model, &1))
 end

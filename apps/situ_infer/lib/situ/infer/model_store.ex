@@ -14,19 +14,20 @@ defmodule Situ.Infer.ModelStore do
   alias Situ.Error
 
   @doc "Returns the folder that contains the models."
-  @spec folder() :: Path.t()
-  def folder, do: System.get_env("SITU_MODELS") || :filename.basedir(:user_cache, "situ/models")
+  @spec models_folder() :: Path.t()
+  def models_folder,
+    do: System.get_env("SITU_MODELS") || :filename.basedir(:user_cache, "situ/models")
 
   @doc """
   Returns the full path of a model's file. The error `:no_model_file` says how to download the model; `:bad_model` means
   that the file does not match the `SHA256SUMS` next to it. The checksum of a file is computed once, until it changes.
   """
-  @spec fetch(String.t(), String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def fetch(name, file, folder \\ folder()) do
+  @spec fetch_path(String.t(), String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def fetch_path(name, file, folder \\ models_folder()) do
     path = Path.join([folder, name, file])
 
     if File.regular?(path) do
-      whole(path, name)
+      verify_checksum(path, name)
     else
       {:error,
        Error.new(:no_model_file, "the model #{name} is not on this machine",
@@ -36,8 +37,8 @@ defmodule Situ.Infer.ModelStore do
     end
   end
 
-  defp whole(path, name) do
-    if expected(path) in [nil, sum(path)] do
+  defp verify_checksum(path, name) do
+    if expected_checksum(path) in [nil, file_checksum(path)] do
       {:ok, path}
     else
       {:error,
@@ -50,7 +51,7 @@ defmodule Situ.Infer.ModelStore do
   end
 
   # Files that were copied there by hand have no checksum.
-  defp expected(path) do
+  defp expected_checksum(path) do
     with {:ok, text} <- path |> Path.dirname() |> Path.join("SHA256SUMS") |> File.read() do
       lines =
         for line <- String.split(text, "\n"), [sum, file] <- [String.split(line)], do: {file, sum}
@@ -61,7 +62,7 @@ defmodule Situ.Infer.ModelStore do
     end
   end
 
-  defp sum(path) do
+  defp file_checksum(path) do
     %{size: size, mtime: mtime, inode: inode} = File.stat!(path, time: :posix)
     key = {__MODULE__, path, size, mtime, inode}
 

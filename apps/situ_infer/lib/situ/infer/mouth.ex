@@ -10,8 +10,8 @@ defmodule Situ.Infer.Mouth do
   Only changes within one face are meaningful: the opening of a smile with teeth can equal that of another face while it
   speaks. A fixed threshold therefore fails, and each face gets a baseline that falls quickly and rises slowly.
 
-      iex> mouth = Situ.Infer.Mouth.watch(nil, 0, 0.12)
-      iex> mouth = Situ.Infer.Mouth.watch(mouth, 40_000_000, 0.2)
+      iex> mouth = Situ.Infer.Mouth.track_opening(nil, 0, 0.12)
+      iex> mouth = Situ.Infer.Mouth.track_opening(mouth, 40_000_000, 0.2)
       iex> {mouth.open?, Float.round(mouth.baseline, 3)}
       {true, 0.12}
   """
@@ -35,26 +35,28 @@ defmodule Situ.Infer.Mouth do
         }
 
   @doc "Returns the opening of the mouth in a mesh, or 0.0 if the corners of its eyes coincide."
-  @spec opening(FaceMesh.t()) :: float()
-  def opening(%FaceMesh{} = mesh) do
-    eyes = FaceMesh.distance(mesh, 33, 263)
-    if eyes > 1.0e-6, do: FaceMesh.distance(mesh, 13, 14) / eyes, else: 0.0
+  @spec measure_opening(FaceMesh.t()) :: float()
+  def measure_opening(%FaceMesh{} = mesh) do
+    eyes = FaceMesh.point_distance(mesh, 33, 263)
+    if eyes > 1.0e-6, do: FaceMesh.point_distance(mesh, 13, 14) / eyes, else: 0.0
   end
 
   @doc "Updates the mouth with its next opening; `before` is `nil` for the first."
-  @spec watch(t() | nil, Situ.Time.t(), float(), Situ.Rect.t() | nil) :: t()
-  def watch(before, time, opening, rect \\ nil)
+  @spec track_opening(t() | nil, Situ.Time.t(), float(), Situ.Rect.t() | nil) :: t()
+  def track_opening(before, time, opening, rect \\ nil)
 
-  def watch(nil, time, opening, rect),
+  def track_opening(nil, time, opening, rect),
     do: %__MODULE__{opening: opening, baseline: opening, open?: false, time: time, rect: rect}
 
-  def watch(%__MODULE__{} = before, time, opening, rect) do
-    baseline = before.baseline + (opening - before.baseline) * share(before, time, opening)
+  def track_opening(%__MODULE__{} = before, time, opening, rect) do
+    baseline =
+      before.baseline + (opening - before.baseline) * baseline_weight(before, time, opening)
+
     open? = opening - baseline > @open
     %__MODULE__{opening: opening, baseline: baseline, open?: open?, time: time, rect: rect}
   end
 
-  defp share(before, time, opening) do
+  defp baseline_weight(before, time, opening) do
     passed = max(time - before.time, 0)
 
     if opening < before.baseline,

@@ -22,7 +22,8 @@ defmodule Situ.Infer.MouthMeasure do
 
     mouths =
       Map.new(message.data, fn mesh ->
-        {mesh.id, Mouth.watch(known[mesh.id], time, Mouth.opening(mesh), mesh.rect)}
+        {mesh.id,
+         Mouth.track_opening(known[mesh.id], time, Mouth.measure_opening(mesh), mesh.rect)}
       end)
 
     known = known |> Map.merge(mouths) |> Map.filter(fn {_, m} -> time - m.time < @forget_ns end)

@@ -19,7 +19,7 @@ defmodule Situ.Infer.MouthShape do
 
       mouths = camera |> Situ.Infer.MouthShape.detect()
 
-  `detect/2` returns the stream of mouths, and `parts/2` also returns the intermediate streams. Each stage is a process,
+  `detect/2` returns the stream of mouths, and `detect_stages/2` also returns the intermediate streams. Each stage is a process,
   so detector and landmarks work on different images at the same time.
 
   ## Options
@@ -33,11 +33,11 @@ defmodule Situ.Infer.MouthShape do
 
   @doc "Returns the stream of `%{face id => Situ.Infer.Mouth}`, one for every image."
   @spec detect(Stream.t(), keyword()) :: Stream.t()
-  def detect(pictures, opts \\ []), do: parts(pictures, opts).mouths
+  def detect(pictures, opts \\ []), do: detect_stages(pictures, opts).mouths
 
   @doc "Returns the streams of tracked faces, meshes and mouths."
-  @spec parts(Stream.t(), keyword()) :: parts()
-  def parts(%Stream{} = pictures, opts \\ []) do
+  @spec detect_stages(Stream.t(), keyword()) :: parts()
+  def detect_stages(%Stream{} = pictures, opts \\ []) do
     opts = Situ.Options.validate!(opts, @schema)
 
     Situ.composite(pictures, "MouthShape", fn pictures ->

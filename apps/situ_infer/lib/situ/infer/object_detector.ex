@@ -2,7 +2,7 @@ defmodule Situ.Infer.ObjectDetector do
   @own [
     path: [type: :string, required: true, doc: "The ONNX file."],
     version: [
-      type: {:in, Situ.Infer.Detection.Yolo.versions()},
+      type: {:in, Situ.Infer.Detection.Yolo.supported_versions()},
       default: :v8,
       doc: "The output format of the network, see `Situ.Infer.Detection.Yolo`."
     ],
@@ -77,34 +77,34 @@ defmodule Situ.Infer.ObjectDetector do
           | {:error, Error.t()}
   def load(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, state} <- open(Map.new(opts)),
-         do: {:ok, &detect(state, &1)}
+         {:ok, state} <- open_model(Map.new(opts)),
+         do: {:ok, &detect_objects(state, &1)}
   end
 
   @impl true
   def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
 
   @impl true
-  def handle_start(_context, state), do: {[], state.opts |> open() |> Error.unwrap!()}
+  def handle_start(_context, state), do: {[], state.opts |> open_model() |> Error.unwrap!()}
 
   @impl true
   def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
-    {rects, masks} = Error.unwrap!(detect(state, image))
+    {rects, masks} = Error.unwrap!(detect_objects(state, image))
     {[{:out, time, rects} | if(state.masks, do: [{:masks, time, masks}], else: [])], state}
   end
 
   @impl true
   def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe(model)
+  def describe(%{model: model}), do: Model.describe_runs(model)
 
-  defp open(opts) do
+  defp open_model(opts) do
     picture = opts |> Map.take(Keyword.keys(PictureInput.schema())) |> Keyword.new()
 
-    with {:ok, model} <- Model.shared(opts.path, opts.model_options),
-         {:ok, labels} <- Labels.load(opts.labels),
-         {:ok, output} <- Labels.output(model, opts.output),
-         {:ok, masks} <- masks(model, opts.masks),
-         :ok <- fits(model, output, opts.version, kinds(masks)),
+    with {:ok, model} <- Model.load_shared(opts.path, opts.model_options),
+         {:ok, labels} <- Labels.load_names(opts.labels),
+         {:ok, output} <- Labels.choose_output(model, opts.output),
+         {:ok, masks} <- open_masks(model, opts.masks),
+         :ok <- check_output_shape(model, output, opts.version, mask_count(masks)),
          {:ok, halves} <- Halves.new(model.outputs[output]),
          {:ok, input} <- PictureInput.new(model, picture, opts.side) do
       {:ok,
@@ -120,21 +120,21 @@ defmodule Situ.Infer.ObjectDetector do
     end
   end
 
-  defp masks(_model, nil), do: {:ok, nil}
+  defp open_masks(_model, nil), do: {:ok, nil}
 
-  defp masks(model, name) do
-    with {:ok, name} <- Labels.output(model, name),
+  defp open_masks(model, name) do
+    with {:ok, name} <- Labels.choose_output(model, name),
          {type, shape} = model.outputs[name],
          do: Masks.new(shape, type)
   end
 
-  defp kinds(nil), do: 0
-  defp kinds(masks), do: masks.kinds
+  defp mask_count(nil), do: 0
+  defp mask_count(masks), do: masks.kinds
 
-  defp fits(model, output, version, kinds) do
+  defp check_output_shape(model, output, version, kinds) do
     {type, shape} = model.outputs[output]
 
-    if type in [:f32, :f16] and Yolo.fits?(version, shape, kinds) do
+    if type in [:f32, :f16] and Yolo.shape_matches?(version, shape, kinds) do
       :ok
     else
       {:error,
@@ -147,29 +147,29 @@ defmodule Situ.Infer.ObjectDetector do
     end
   end
 
-  defp detect(state, image) do
+  defp detect_objects(state, image) do
     %{opts: opts, input: input} = state
 
-    with {:ok, tensor, patch} <- PictureInput.tensor(input, image),
+    with {:ok, tensor, patch} <- PictureInput.to_tensor(input, image),
          {:ok, outputs} <- Model.run(state.model, %{input.name => tensor}),
-         {:ok, found} <- Halves.floats(state.halves, outputs[state.output]) do
+         {:ok, found} <- Halves.to_floats(state.halves, outputs[state.output]) do
       boxes =
         found
-        |> Yolo.parse(opts.version, opts.min_score / 1, kinds(state.masks))
+        |> Yolo.parse_boxes(opts.version, opts.min_score / 1, mask_count(state.masks))
         |> Suppression.suppress(opts.max_overlap, most: opts.most)
 
-      rects = Enum.map(boxes, &rect(&1, patch, image, state.labels))
-      with {:ok, masks} <- shapes(state, boxes, outputs), do: {:ok, {rects, masks}}
+      rects = Enum.map(boxes, &to_image_rect(&1, patch, image, state.labels))
+      with {:ok, masks} <- cut_masks(state, boxes, outputs), do: {:ok, {rects, masks}}
     end
   end
 
-  defp shapes(%{masks: nil}, _boxes, _outputs), do: {:ok, []}
+  defp cut_masks(%{masks: nil}, _boxes, _outputs), do: {:ok, []}
 
-  defp shapes(state, boxes, outputs),
-    do: Masks.cut(state.masks, boxes, outputs[state.opts.masks], state.input.side)
+  defp cut_masks(state, boxes, outputs),
+    do: Masks.cut_masks(state.masks, boxes, outputs[state.opts.masks], state.input.side)
 
   # Converts network pixels to image pixels, and clips the rectangle to the image.
-  defp rect(box, patch, image, labels) do
+  defp to_image_rect(box, patch, image, labels) do
     {x0, y0} = Patch.to_picture(patch, {box.x - 0.5, box.y - 0.5})
     {x1, y1} = Patch.to_picture(patch, {box.x + box.width - 0.5, box.y + box.height - 0.5})
     {x0, x1} = {clamp(x0 + 0.5, image.width), clamp(x1 + 0.5, image.width)}
@@ -180,7 +180,7 @@ defmodule Situ.Infer.ObjectDetector do
       y: y0,
       width: x1 - x0,
       height: y1 - y0,
-      label: Labels.name(labels, box.class),
+      label: Labels.class_name(labels, box.class),
       score: box.score
     }
   end

@@ -63,26 +63,26 @@ defmodule Situ.Infer.OnnxModel do
   def run(streams, path, opts \\ []) do
     {own, placed} = Keyword.split(opts, Keyword.keys(@schema))
     own = Situ.Options.validate!([path: path] ++ own, options())
-    model = Error.unwrap!(load(own))
+    model = Error.unwrap!(load_model(own))
     type = if own[:output], do: Tensor, else: :any
-    streams |> joined(model) |> Situ.via(__MODULE__, own ++ placed) |> Map.put(:type, type)
+    streams |> join_inputs(model) |> Situ.via(__MODULE__, own ++ placed) |> Map.put(:type, type)
   end
 
-  defp joined(%Stream{} = stream, model) do
+  defp join_inputs(%Stream{} = stream, model) do
     _ = only_input!(model)
     stream
   end
 
-  defp joined(streams, model) when is_map(streams) do
+  defp join_inputs(streams, model) when is_map(streams) do
     case {Map.keys(streams) -- Map.keys(model.inputs),
           Map.keys(model.inputs) -- Map.keys(streams)} do
-      {[], []} -> joined(Enum.to_list(streams))
-      {[name | _], _} -> raise unknown(:unknown_input, "input", name, model.inputs, model)
-      {[], missing} -> raise missing(missing, model)
+      {[], []} -> join_streams(Enum.to_list(streams))
+      {[name | _], _} -> raise unknown_port(:unknown_input, "input", name, model.inputs, model)
+      {[], missing} -> raise missing_inputs(missing, model)
     end
   end
 
-  defp joined([{name, first} | others]) do
+  defp join_streams([{name, first} | others]) do
     first = Situ.map(first, &%{name => &1})
 
     Enum.reduce(others, first, fn {name, stream}, all ->
@@ -95,11 +95,11 @@ defmodule Situ.Infer.OnnxModel do
   defp only_input!(model) do
     case Map.keys(model.inputs) do
       [name] -> name
-      names -> raise missing(names, model)
+      names -> raise missing_inputs(names, model)
     end
   end
 
-  defp missing(names, model) do
+  defp missing_inputs(names, model) do
     Error.new(
       :missing_input,
       "model #{model.name} needs a stream for #{Enum.map_join(names, ", ", &inspect/1)}",
@@ -107,9 +107,9 @@ defmodule Situ.Infer.OnnxModel do
     )
   end
 
-  defp unknown(code, what, name, ports, model) do
+  defp unknown_port(code, what, name, ports, model) do
     names = Map.keys(ports)
-    near = Situ.Options.nearest(name, names)
+    near = Situ.Options.nearest_name(name, names)
 
     Error.new(code, "model #{model.name} has no #{what} #{inspect(name)}",
       why: "its #{what}s are #{Enum.map_join(names, ", ", &inspect/1)}",
@@ -117,14 +117,15 @@ defmodule Situ.Infer.OnnxModel do
     )
   end
 
-  defp load(opts) do
+  defp load_model(opts) do
     provider = if opts[:device] == :cuda, do: {:cuda, 0}, else: opts[:device]
     settings = Keyword.merge(opts[:model_options], provider: provider, inputs: opts[:shapes])
 
-    with {:ok, model} <- Model.shared(opts[:path], settings) do
+    with {:ok, model} <- Model.load_shared(opts[:path], settings) do
       if opts[:output] == nil or is_map_key(model.outputs, opts[:output]),
         do: {:ok, model},
-        else: {:error, unknown(:unknown_output, "output", opts[:output], model.outputs, model)}
+        else:
+          {:error, unknown_port(:unknown_output, "output", opts[:output], model.outputs, model)}
     end
   end
 
@@ -133,7 +134,7 @@ defmodule Situ.Infer.OnnxModel do
 
   @impl true
   def handle_start(_context, state) do
-    model = state.opts |> Keyword.new() |> load() |> Error.unwrap!()
+    model = state.opts |> Keyword.new() |> load_model() |> Error.unwrap!()
     only = if map_size(model.inputs) == 1, do: only_input!(model)
     {[], %{state | model: model, only: only}}
   end
@@ -148,33 +149,33 @@ defmodule Situ.Infer.OnnxModel do
       messages
       |> Enum.chunk_every(state.opts.batch)
       |> Enum.flat_map(fn messages ->
-        inputs = Enum.map(messages, &named(&1.data, state))
+        inputs = Enum.map(messages, &name_inputs(&1.data, state))
         outputs = Error.unwrap!(Model.run_batch(state.model, inputs))
 
         Enum.zip_with(
           messages,
           outputs,
-          &{:out, &1.originating_time, wanted(&2, state.opts.output)}
+          &{:out, &1.originating_time, select_output(&2, state.opts.output)}
         )
       end)
 
     {actions, state}
   end
 
-  defp named(%Tensor{} = tensor, %{only: name}) when is_binary(name), do: %{name => tensor}
-  defp named(%{} = tensors, _state) when not is_struct(tensors), do: tensors
+  defp name_inputs(%Tensor{} = tensor, %{only: name}) when is_binary(name), do: %{name => tensor}
+  defp name_inputs(%{} = tensors, _state) when not is_struct(tensors), do: tensors
 
-  defp named(other, state) do
+  defp name_inputs(other, state) do
     raise Error.new(
             :bad_tensor,
             "model #{state.model.name} takes tensors, got: #{inspect(other, limit: 5)}"
           )
   end
 
-  defp wanted(outputs, nil), do: outputs
-  defp wanted(outputs, name), do: Map.fetch!(outputs, name)
+  defp select_output(outputs, nil), do: outputs
+  defp select_output(outputs, name), do: Map.fetch!(outputs, name)
 
   @impl true
   def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe(model)
+  def describe(%{model: model}), do: Model.describe_runs(model)
 end

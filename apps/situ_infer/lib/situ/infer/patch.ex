@@ -2,10 +2,10 @@ defmodule Situ.Infer.Patch do
   @moduledoc """
   A square of an image, rotated and scaled as a network's input: the affine map from patch pixels to image pixels.
 
-  `cut/4` samples it (bilinear; black outside the image) directly into an input tensor `{1, size, size, 3}`, RGB.
+  `cut_tensor/4` samples it (bilinear; black outside the image) directly into an input tensor `{1, size, size, 3}`, RGB.
   `to_picture/2` maps the network's results back to the image.
 
-      iex> patch = Situ.Infer.Patch.around({100.0, 50.0}, 64.0, 0.0, 32)
+      iex> patch = Situ.Infer.Patch.centered_at({100.0, 50.0}, 64.0, 0.0, 32)
       iex> Situ.Infer.Patch.to_picture(patch, {16.0, 16.0})
       {100.0, 50.0}
       iex> Situ.Infer.Patch.to_picture(patch, {0.0, 0.0})
@@ -28,8 +28,8 @@ defmodule Situ.Infer.Patch do
   Returns the patch with the middle `center` and sides of `side` image pixels, rotated by `angle` radians (clockwise on
   the screen), sampled as `size` by `size` pixels.
   """
-  @spec around(point(), float(), float(), pos_integer()) :: t()
-  def around({cx, cy}, side, angle, size) do
+  @spec centered_at(point(), float(), float(), pos_integer()) :: t()
+  def centered_at({cx, cy}, side, angle, size) do
     k = side / size
     {cos, sin} = {k * :math.cos(angle), k * :math.sin(angle)}
     half = size / 2
@@ -40,13 +40,13 @@ defmodule Situ.Infer.Patch do
 
   @doc """
   Returns the unrotated square of this side with its corner at `{x, y}`. Pixel *areas* correspond, as when a crop is
-  resized; `around/4` instead maps pixel centres to integer positions, as `warpAffine` does.
+  resized; `centered_at/4` instead maps pixel centres to integer positions, as `warpAffine` does.
 
-      iex> Situ.Infer.Patch.square({0.0, 0.0}, 256.0, 128).matrix
+      iex> Situ.Infer.Patch.from_square({0.0, 0.0}, 256.0, 128).matrix
       {2.0, 0.0, 0.5, 0.0, 2.0, 0.5}
   """
-  @spec square(point(), float(), pos_integer()) :: t()
-  def square({x, y}, side, size) do
+  @spec from_square(point(), float(), pos_integer()) :: t()
+  def from_square({x, y}, side, size) do
     k = side / size
     shift = 0.5 * k - 0.5
     %__MODULE__{size: size, matrix: {k, 0.0, x + shift, 0.0, k, y + shift}}
@@ -62,8 +62,8 @@ defmodule Situ.Infer.Patch do
 
   The image must have an 8-bit format (grey becomes three equal channels). Errors: `:bad_image`.
   """
-  @spec cut(t(), Image.t(), float(), float()) :: {:ok, Tensor.t()} | {:error, Error.t()}
-  def cut(%__MODULE__{size: size} = patch, %Image{} = image, scale, offset) do
+  @spec cut_tensor(t(), Image.t(), float(), float()) :: {:ok, Tensor.t()} | {:error, Error.t()}
+  def cut_tensor(%__MODULE__{size: size} = patch, %Image{} = image, scale, offset) do
     cut_affine(image, patch.matrix, {size, size}, scale, offset)
   end
 
@@ -81,18 +81,18 @@ defmodule Situ.Infer.Patch do
         {:ok, Tensor.new(data, :f32, {1, height, width, 3})}
 
       :error ->
-        {:error, bad(image, Image.validate(image))}
+        {:error, bad_image(image, Image.validate(image))}
     end
   end
 
-  defp bad(image, {:ok, _}) do
+  defp bad_image(image, {:ok, _}) do
     Error.new(:bad_image, "cannot cut from #{inspect(image)}",
       why: "models take images of an 8-bit format",
       fix: "convert it first with Situ.Image"
     )
   end
 
-  defp bad(image, {:error, error}) do
+  defp bad_image(image, {:error, error}) do
     Error.new(:bad_image, "cannot cut from #{inspect(image)}",
       why: error.what,
       fix: "check the code that builds the image; Situ.Image.new/1 rejects incomplete ones"

@@ -38,7 +38,7 @@ defmodule Situ.Infer.PersonMask do
   several people become one mask, and in an image without people it may mistake an object in the middle for a person.
   One detection takes about 5 ms on one core.
 
-  To use it without a pipeline, see `find/2`.
+  To use it without a pipeline, see `find_person/2`.
 
   ## Options
 
@@ -69,11 +69,11 @@ defmodule Situ.Infer.PersonMask do
   def init(opts), do: {:ok, %__MODULE__{opts: opts}}
 
   @impl true
-  def handle_start(_context, %{opts: opts}), do: {[], Error.unwrap!(load(opts))}
+  def handle_start(_context, %{opts: opts}), do: {[], Error.unwrap!(load_models(opts))}
 
   @impl true
   def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
-    found = Error.unwrap!(look(state, image))
+    found = Error.unwrap!(segment_image(state, image))
 
     {[{:out, time, found.rects}, {:masks, time, found.masks}, {:scores, time, found.scores}],
      state}
@@ -81,29 +81,30 @@ defmodule Situ.Infer.PersonMask do
 
   @impl true
   def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe(model)
+  def describe(%{model: model}), do: Model.describe_runs(model)
 
   @doc """
   Finds the person in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
   `:bad_image`.
   """
-  @spec find(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
-  def find(%Image{} = image, opts \\ []) do
+  @spec find_person(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
+  def find_person(%Image{} = image, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, state} <- load(opts),
-         do: look(state, image)
+         {:ok, state} <- load_models(opts),
+         do: segment_image(state, image)
   end
 
-  defp load(opts) do
-    path = opts[:model] || Model.path("person.onnx")
+  defp load_models(opts) do
+    path = opts[:model] || Model.bundled_path("person.onnx")
 
-    with {:ok, model} <- Model.shared(path, Keyword.merge(opts[:model_options], @ports)),
-         {:ok, reader} <- Model.from_bytes(reader(), "person mask", warm_up: 0, sessions: 1),
+    with {:ok, model} <- Model.load_shared(path, Keyword.merge(opts[:model_options], @ports)),
+         {:ok, reader} <-
+           Model.from_bytes(encode_reader(), "person mask", warm_up: 0, sessions: 1),
          do: {:ok, %__MODULE__{opts: opts, model: model, reader: reader}}
   end
 
   # ONNX Runtime evaluates the 65,536 scores too, since that is faster than Elixir.
-  defp reader do
+  defp encode_reader do
     place = fn name -> {name, :u8, {1, @side, @side, 1}} end
 
     Onnx.encode(
@@ -131,7 +132,7 @@ defmodule Situ.Infer.PersonMask do
     )
   end
 
-  defp look(%{opts: opts} = state, %Image{width: w, height: h} = image) do
+  defp segment_image(%{opts: opts} = state, %Image{width: w, height: h} = image) do
     {a, e} = {w / @side, h / @side}
     whole = {a, 0.0, 0.5 * a - 0.5, 0.0, e, 0.5 * e - 0.5}
     least = Tensor.from_list([opts[:min_score] / 1], :f32, {1})
@@ -139,19 +140,19 @@ defmodule Situ.Infer.PersonMask do
     with {:ok, tensor} <- Patch.cut_affine(image, whole, {@side, @side}, 1 / 255, 0.0),
          {:ok, %{"person" => person}} <- Model.run(state.model, %{"input" => tensor}),
          {:ok, read} <- Model.run(state.reader, %{"person" => person, "least" => least}) do
-      {rects, masks} = person(read, {a, e}, opts[:min_share])
-      {:ok, %{rects: rects, masks: masks, scores: gray(@side, @side, read["scores"].data)}}
+      {rects, masks} = extract_person(read, {a, e}, opts[:min_share])
+      {:ok, %{rects: rects, masks: masks, scores: gray_image(@side, @side, read["scores"].data)}}
     end
   end
 
-  defp person(read, {a, e}, min_share) do
+  defp extract_person(read, {a, e}, min_share) do
     columns = Tensor.to_list(read["columns"])
     share = Enum.sum(columns) / @side
     [sum] = Tensor.to_list(read["sum"])
 
     with true <- share > 0 and share >= min_share,
-         {left, width} <- span(columns),
-         {top, height} <- span(Tensor.to_list(read["rows"])) do
+         {left, width} <- occupied_span(columns),
+         {top, height} <- occupied_span(Tensor.to_list(read["rows"])) do
       rows =
         for y <- top..(top + height - 1),
             into: "",
@@ -166,20 +167,20 @@ defmodule Situ.Infer.PersonMask do
            label: "person",
            score: sum / share
          }
-       ], [gray(width, height, rows)]}
+       ], [gray_image(width, height, rows)]}
     else
       _ -> {[], []}
     end
   end
 
   # Returns the span from the first part that is more than a speck to the last.
-  defp span(parts) do
+  defp occupied_span(parts) do
     case for {part, i} <- Enum.with_index(parts), part > @speck, do: i do
       [] -> nil
       [first | _] = found -> {first, List.last(found) - first + 1}
     end
   end
 
-  defp gray(width, height, data),
+  defp gray_image(width, height, data),
     do: Image.new!(width: width, height: height, format: :gray8, data: data)
 end

@@ -69,10 +69,10 @@ defmodule Situ.Infer.PictureService do
 
   @impl true
   def handle_message(:in, %{data: picture, originating_time: time}, _context, state),
-    do: {[{:out, time, Error.unwrap!(look(state, picture))}], state}
+    do: {[{:out, time, Error.unwrap!(analyze_image(state, picture))}], state}
 
-  defp look(state, picture) do
-    with {:ok, bytes} <- bytes(picture, state.quality),
+  defp analyze_image(state, picture) do
+    with {:ok, bytes} <- encode_image(picture, state.quality),
          {:ok, %{body: body}} <-
            Service.post(
              state.service,
@@ -81,81 +81,87 @@ defmodule Situ.Infer.PictureService do
              bytes
            ) do
       case Situ.JSON.decode(body) do
-        {:ok, %{} = json} -> {:ok, seen(json)}
+        {:ok, %{} = json} -> {:ok, parse_result(json)}
         _ -> {:error, Upload.bad_answer()}
       end
     end
   end
 
-  defp bytes(%EncodedImage{data: data}, _quality), do: {:ok, data}
+  defp encode_image(%EncodedImage{data: data}, _quality), do: {:ok, data}
 
-  defp bytes(%Image{} = image, quality) do
+  defp encode_image(%Image{} = image, quality) do
     with {:ok, %EncodedImage{data: data}} <- Imaging.encode_jpeg(image, quality: quality),
          do: {:ok, data}
   end
 
-  defp bytes(other, _quality),
+  defp encode_image(other, _quality),
     do: {:error, Error.new(:bad_image, "not an image: #{inspect(other, limit: 3)}")}
 
   @doc "Parses the service's JSON response; values that are missing or malformed are left out."
-  @spec seen(map()) :: seen()
-  def seen(json) do
+  @spec parse_result(map()) :: seen()
+  def parse_result(json) do
     %{
-      caption: caption(json["captionResult"]),
+      caption: parse_caption(json["captionResult"]),
       tags:
         for(
-          %{"name" => name, "confidence" => p} <- values(json["tagsResult"]),
+          %{"name" => name, "confidence" => p} <- result_values(json["tagsResult"]),
           is_binary(name),
-          do: {name, score(p)}
+          do: {name, clamp_score(p)}
         ),
       objects:
         for(
           %{"boundingBox" => box, "tags" => [%{"name" => name, "confidence" => p} | _]} <-
-            values(json["objectsResult"]),
-          rect <- rect(box, name, p),
+            result_values(json["objectsResult"]),
+          rect <- build_rect(box, name, p),
           do: rect
         ),
       people:
         for(
-          %{"boundingBox" => box, "confidence" => p} <- values(json["peopleResult"]),
-          rect <- rect(box, "person", p),
+          %{"boundingBox" => box, "confidence" => p} <- result_values(json["peopleResult"]),
+          rect <- build_rect(box, "person", p),
           do: rect
         ),
-      text: lines(json["readResult"])
+      text: parse_lines(json["readResult"])
     }
   end
 
-  defp caption(%{"text" => text, "confidence" => p}) when is_binary(text), do: {text, score(p)}
-  defp caption(_), do: nil
+  defp parse_caption(%{"text" => text, "confidence" => p}) when is_binary(text),
+    do: {text, clamp_score(p)}
 
-  defp values(%{"values" => values}) when is_list(values), do: values
-  defp values(_), do: []
+  defp parse_caption(_), do: nil
 
-  defp lines(%{"blocks" => blocks}) when is_list(blocks) do
+  defp result_values(%{"values" => values}) when is_list(values), do: values
+  defp result_values(_), do: []
+
+  defp parse_lines(%{"blocks" => blocks}) when is_list(blocks) do
     for %{"lines" => lines} when is_list(lines) <- blocks,
         %{"text" => text, "boundingPolygon" => [_ | _] = polygon} <- lines,
         points =
           for(%{"x" => x, "y" => y} when is_number(x) and is_number(y) <- polygon, do: {x, y}),
         points != [],
-        {{left, right}, {top, bottom}} = {ends(points, 0), ends(points, 1)},
+        {{left, right}, {top, bottom}} = {axis_bounds(points, 0), axis_bounds(points, 1)},
         rect <-
-          rect(%{"x" => left, "y" => top, "w" => right - left, "h" => bottom - top}, text, 1.0),
+          build_rect(
+            %{"x" => left, "y" => top, "w" => right - left, "h" => bottom - top},
+            text,
+            1.0
+          ),
         do: rect
   end
 
-  defp lines(_), do: []
+  defp parse_lines(_), do: []
 
-  defp ends(points, i), do: points |> Enum.map(&elem(&1, i)) |> Enum.min_max()
+  defp axis_bounds(points, i), do: points |> Enum.map(&elem(&1, i)) |> Enum.min_max()
 
-  defp rect(%{"x" => x, "y" => y, "w" => w, "h" => h}, label, p) when is_binary(label) do
-    case Rect.new(x: x, y: y, width: w, height: h, label: label, score: score(p)) do
+  defp build_rect(%{"x" => x, "y" => y, "w" => w, "h" => h}, label, p) when is_binary(label) do
+    case Rect.new(x: x, y: y, width: w, height: h, label: label, score: clamp_score(p)) do
       {:ok, rect} -> [rect]
       {:error, _} -> []
     end
   end
 
-  defp rect(_box, _label, _p), do: []
+  defp build_rect(_box, _label, _p), do: []
 
-  defp score(p) when is_number(p), do: p |> max(0) |> min(1) |> Kernel./(1)
-  defp score(_), do: 0.0
+  defp clamp_score(p) when is_number(p), do: p |> max(0) |> min(1) |> Kernel./(1)
+  defp clamp_score(_), do: 0.0
 end

@@ -47,17 +47,17 @@ defmodule Situ.Infer.Segmentation do
 
   @impl true
   def handle_start(_context, %{opts: opts}) do
-    model = Error.unwrap!(Model.shared(opts[:path], opts[:model_options]))
-    output = Error.unwrap!(Labels.output(model, opts[:output]))
+    model = Error.unwrap!(Model.load_shared(opts[:path], opts[:model_options]))
+    output = Error.unwrap!(Labels.choose_output(model, opts[:output]))
     picture = Keyword.take(opts, Keyword.keys(PictureInput.schema()))
     input = Error.unwrap!(PictureInput.new(model, picture, opts[:side]))
-    choice = Error.unwrap!(choice(model, output))
+    choice = Error.unwrap!(build_argmax(model, output))
     {[], %__MODULE__{opts: opts, model: model, input: input, output: output, choice: choice}}
   end
 
   @impl true
   def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
-    {:ok, tensor, _patch} = ok!(PictureInput.tensor(state.input, image))
+    {:ok, tensor, _patch} = ok_or_raise!(PictureInput.to_tensor(state.input, image))
     outputs = Error.unwrap!(Model.run(state.model, %{state.input.name => tensor}))
 
     %{"classes" => classes} =
@@ -71,13 +71,13 @@ defmodule Situ.Infer.Segmentation do
 
   @impl true
   def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe(model)
+  def describe(%{model: model}), do: Model.describe_runs(model)
 
-  defp ok!({:error, error}), do: raise(error)
-  defp ok!(fine), do: fine
+  defp ok_or_raise!({:error, error}), do: raise(error)
+  defp ok_or_raise!(fine), do: fine
 
   # ONNX Runtime chooses the best class of each pixel too, since there may be millions of numbers.
-  defp choice(model, output) do
+  defp build_argmax(model, output) do
     case model.outputs[output] do
       {:f32, {_, classes, _, _}} when classes in -1..256 ->
         Onnx.encode(

@@ -66,20 +66,20 @@ defmodule Situ.Infer.Service do
   @spec new(String.t(), keyword(), :bearer | String.t()) :: {:ok, t()} | {:error, Error.t()}
   def new(url, opts, header \\ :bearer) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, parsed} <- Http.parse(url),
-         :ok <- private(parsed, opts[:key]),
+         {:ok, parsed} <- Http.parse_url(url),
+         :ok <- check_transport(parsed, opts[:key]),
          do:
            {:ok,
             %__MODULE__{url: String.trim_trailing(url, "/"), opts: Map.new(opts), header: header}}
   end
 
   @doc "Checks that a key may be sent to a URL: over TLS, or to this machine."
-  @spec private(Http.url(), String.t() | nil) :: :ok | {:error, Error.t()}
-  def private(_url, nil), do: :ok
-  def private(%{scheme: :https}, _key), do: :ok
+  @spec check_transport(Http.url(), String.t() | nil) :: :ok | {:error, Error.t()}
+  def check_transport(_url, nil), do: :ok
+  def check_transport(%{scheme: :https}, _key), do: :ok
 
-  def private(url, _key) do
-    if Http.local?(url) do
+  def check_transport(url, _key) do
+    if Http.local_host?(url) do
       :ok
     else
       {:error,
@@ -91,8 +91,8 @@ defmodule Situ.Infer.Service do
   end
 
   @doc "Returns the key in the environment variable `name`. Error: `:no_key`."
-  @spec key(String.t()) :: {:ok, String.t()} | {:error, Error.t()}
-  def key(name) do
+  @spec fetch_key(String.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def fetch_key(name) do
     case System.get_env(name) do
       key when key in [nil, ""] ->
         {:error,
@@ -109,11 +109,11 @@ defmodule Situ.Infer.Service do
   Removes a key from an error, in case the service repeated it. A truncated key at the end of the text is removed, too.
 
       iex> error = Situ.Error.new(:refused, "sk-123 is wrong, not sk-1")
-      iex> Situ.Infer.Service.hide(error, "sk-123").what
+      iex> Situ.Infer.Service.redact_key(error, "sk-123").what
       "*** is wrong, not ***"
   """
-  @spec hide(Error.t(), String.t()) :: Error.t()
-  def hide(error, key) do
+  @spec redact_key(Error.t(), String.t()) :: Error.t()
+  def redact_key(error, key) do
     what = String.replace(error.what, key, "***")
     cut = Enum.find(byte_size(key)..4//-1, &String.ends_with?(what, binary_part(key, 0, &1)))
     what = if cut, do: binary_part(what, 0, byte_size(what) - cut) <> "***", else: what
@@ -123,11 +123,11 @@ defmodule Situ.Infer.Service do
   @doc """
   Appends a path to the path of a URL, before the query string.
 
-      iex> Situ.Infer.Service.join("https://models.example/openai/gpt/?api-version=1", "/chat/completions")
+      iex> Situ.Infer.Service.join_path("https://models.example/openai/gpt/?api-version=1", "/chat/completions")
       "https://models.example/openai/gpt/chat/completions?api-version=1"
   """
-  @spec join(String.t(), String.t()) :: String.t()
-  def join(url, path) do
+  @spec join_path(String.t(), String.t()) :: String.t()
+  def join_path(url, path) do
     case String.split(url, "?", parts: 2) do
       [url] -> String.trim_trailing(url, "/") <> path
       [url, query] -> String.trim_trailing(url, "/") <> path <> "?" <> query
@@ -135,8 +135,8 @@ defmodule Situ.Infer.Service do
   end
 
   @doc "Returns the delay before the next retry in ms; half of it is random, so that clients do not all retry together."
-  @spec pause(pos_integer(), non_neg_integer()) :: pos_integer()
-  def pause(backoff, tries) do
+  @spec retry_delay_ms(pos_integer(), non_neg_integer()) :: pos_integer()
+  def retry_delay_ms(backoff, tries) do
     most = min(backoff * Integer.pow(2, min(tries, 16)), @longest_wait_ms)
     div(most, 2) + :rand.uniform(div(most, 2) + 1)
   end
@@ -144,36 +144,36 @@ defmodule Situ.Infer.Service do
   @doc "Sends `body` to `path` (appended to the service's URL) and waits for the complete response."
   @spec post(t(), String.t(), [Http.header()], iodata()) :: {:ok, answer()} | {:error, Error.t()}
   def post(%__MODULE__{} = service, path, headers, body) do
-    case secret(service) do
+    case key_header(service) do
       {:ok, nil, []} ->
-        attempt(service, path, headers, body, 0)
+        post_with_retries(service, path, headers, body, 0)
 
       {:ok, key, own} ->
-        with {:error, error} <- attempt(service, path, own ++ headers, body, 0),
+        with {:error, error} <- post_with_retries(service, path, own ++ headers, body, 0),
              # The service may repeat the key it was sent.
-             do: {:error, hide(error, key)}
+             do: {:error, redact_key(error, key)}
 
       error ->
         error
     end
   end
 
-  defp secret(%{opts: %{key: nil}}), do: {:ok, nil, []}
+  defp key_header(%{opts: %{key: nil}}), do: {:ok, nil, []}
 
-  defp secret(%{opts: %{key: name}, header: header}) do
-    with {:ok, key} <- key(name) do
+  defp key_header(%{opts: %{key: name}, header: header}) do
+    with {:ok, key} <- fetch_key(name) do
       if header == :bearer,
         do: {:ok, key, [{"authorization", "Bearer " <> key}]},
         else: {:ok, key, [{header, key}]}
     end
   end
 
-  defp attempt(service, path, headers, body, tries) do
-    case once(service, path, headers, body) do
+  defp post_with_retries(service, path, headers, body, tries) do
+    case post_once(service, path, headers, body) do
       {:again, wait, _error} when tries < service.opts.retries ->
         # The calling component waits here, as it would wait for the response.
-        Process.sleep(wait || pause(service.opts.backoff, tries))
-        attempt(service, path, headers, body, tries + 1)
+        Process.sleep(wait || retry_delay_ms(service.opts.backoff, tries))
+        post_with_retries(service, path, headers, body, tries + 1)
 
       {:again, _wait, error} ->
         {:error, error}
@@ -183,13 +183,13 @@ defmodule Situ.Infer.Service do
     end
   end
 
-  defp once(%{opts: opts} = service, path, headers, body) do
+  defp post_once(%{opts: opts} = service, path, headers, body) do
     limits = Keyword.new(Map.take(opts, Keyword.keys(Http.schema())))
     reply = %{status: nil, headers: %{}, body: [], bytes: 0, most: opts.most_bytes}
 
-    case Http.request(:post, service.url <> path, headers, body, limits, &take/2, reply) do
+    case Http.request(:post, service.url <> path, headers, body, limits, &collect_reply/2, reply) do
       {:ok, reply} ->
-        judge(reply)
+        check_status(reply)
 
       {:error, %{code: code} = error, _} when code in [:no_connection, :timeout, :cut_off] ->
         {:again, nil, error}
@@ -199,17 +199,17 @@ defmodule Situ.Infer.Service do
     end
   end
 
-  defp take({:status, status, headers}, reply) do
+  defp collect_reply({:status, status, headers}, reply) do
     most = if status in 200..299, do: reply.most, else: @complaint_bytes
     {:cont, %{reply | status: status, headers: Map.new(headers), most: most}}
   end
 
-  defp take({:data, bytes}, reply) do
+  defp collect_reply({:data, bytes}, reply) do
     reply = %{reply | body: [reply.body, bytes], bytes: reply.bytes + byte_size(bytes)}
     if reply.bytes > reply.most, do: {:halt, reply}, else: {:cont, reply}
   end
 
-  defp judge(%{status: status} = reply) when status in 200..299 do
+  defp check_status(%{status: status} = reply) when status in 200..299 do
     if reply.bytes > reply.most,
       do:
         {:error,
@@ -220,7 +220,7 @@ defmodule Situ.Infer.Service do
         {:ok, %{status: status, headers: reply.headers, body: IO.iodata_to_binary(reply.body)}}
   end
 
-  defp judge(%{status: status}) when status in [401, 403] do
+  defp check_status(%{status: status}) when status in [401, 403] do
     # The service's message about a key might contain the key, so it is left out.
     {:error,
      Error.new(:refused, "the service rejected the key (HTTP #{status})",
@@ -228,12 +228,12 @@ defmodule Situ.Infer.Service do
      )}
   end
 
-  defp judge(%{status: status} = reply) do
-    said = complaint(IO.iodata_to_binary(reply.body))
+  defp check_status(%{status: status} = reply) do
+    said = error_suffix(IO.iodata_to_binary(reply.body))
 
     if status in @again do
       what = "the service could not process the request (HTTP #{status})#{said}"
-      {:again, wait(reply.headers), Error.new(:service_failed, what)}
+      {:again, retry_after_ms(reply.headers), Error.new(:service_failed, what)}
     else
       {:error,
        Error.new(:refused, "the service rejected the request (HTTP #{status})#{said}",
@@ -242,26 +242,26 @@ defmodule Situ.Infer.Service do
     end
   end
 
-  defp complaint(body) do
+  defp error_suffix(body) do
     with {:ok, json} <- Situ.JSON.decode(body),
-         text when is_binary(text) <- message(json) do
+         text when is_binary(text) <- error_message(json) do
       ": " <> String.slice(text, 0, 300)
     else
       _ -> ""
     end
   end
 
-  defp message(%{"error" => %{"message" => text}}), do: text
-  defp message(%{"error" => text}), do: text
-  defp message(%{"message" => text}), do: text
-  defp message(_), do: nil
+  defp error_message(%{"error" => %{"message" => text}}), do: text
+  defp error_message(%{"error" => text}), do: text
+  defp error_message(%{"message" => text}), do: text
+  defp error_message(_), do: nil
 
-  defp wait(%{"retry-after" => text}) do
+  defp retry_after_ms(%{"retry-after" => text}) do
     case Integer.parse(text) do
       {s, ""} when s >= 0 -> min(s * 1_000, @longest_wait_ms)
       _ -> nil
     end
   end
 
-  defp wait(_headers), do: nil
+  defp retry_after_ms(_headers), do: nil
 end

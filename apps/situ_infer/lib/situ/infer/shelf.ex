@@ -25,8 +25,8 @@ defmodule Situ.Infer.Shelf do
     do: GenServer.call(shelf, {:fetch, key, size, load}, :infinity)
 
   @doc "Returns the keys of the loaded models, the most recently used one first."
-  @spec keys(GenServer.server()) :: [term()]
-  def keys(shelf \\ __MODULE__), do: GenServer.call(shelf, :keys)
+  @spec list_keys(GenServer.server()) :: [term()]
+  def list_keys(shelf \\ __MODULE__), do: GenServer.call(shelf, :keys)
 
   @impl true
   def init(opts) do
@@ -45,14 +45,14 @@ defmodule Situ.Infer.Shelf do
   def handle_call({:fetch, key, size, load}, {pid, _} = from, state) do
     case state do
       %{loaded: %{^key => entry}} ->
-        {:reply, {:ok, entry.model}, put(state, key, watch(entry, pid))}
+        {:reply, {:ok, entry.model}, put_entry(state, key, add_user(entry, pid))}
 
       %{loading: %{^key => loading}} ->
         loading = %{loading | waiting: [from | loading.waiting]}
         {:noreply, %{state | loading: Map.put(state.loading, key, loading)}}
 
       _ ->
-        {_pid, ref} = spawn_monitor(fn -> exit({:loaded, attempt(load)}) end)
+        {_pid, ref} = spawn_monitor(fn -> exit({:loaded, run_loader(load)}) end)
         loading = %{ref: ref, size: size, waiting: [from]}
         {:noreply, %{state | loading: Map.put(state.loading, key, loading)}}
     end
@@ -61,8 +61,8 @@ defmodule Situ.Infer.Shelf do
   @impl true
   def handle_info({:DOWN, ref, :process, _pid, reason}, state) do
     case Enum.find(state.loading, fn {_, loading} -> loading.ref == ref end) do
-      {key, loading} -> {:noreply, finish(state, key, loading, result(reason))}
-      nil -> {:noreply, left(state, ref)}
+      {key, loading} -> {:noreply, finish_loading(state, key, loading, load_result(reason))}
+      nil -> {:noreply, remove_user(state, ref)}
     end
   end
 
@@ -77,45 +77,48 @@ defmodule Situ.Infer.Shelf do
     end
   end
 
-  defp attempt(load) do
+  defp run_loader(load) do
     load.()
   rescue
     error -> {:error, error}
   end
 
-  defp result({:loaded, result}), do: result
+  defp load_result({:loaded, result}), do: result
 
-  defp result(reason) do
+  defp load_result(reason) do
     {:error, Situ.Error.new(:bad_model, "loading the model failed: #{inspect(reason)}")}
   end
 
-  defp finish(state, key, loading, result) do
+  defp finish_loading(state, key, loading, result) do
     Enum.each(loading.waiting, &GenServer.reply(&1, result))
     state = %{state | loading: Map.delete(state.loading, key)}
 
     case result do
       {:ok, model} ->
         entry = %{model: model, size: loading.size, users: %{}, used: 0}
-        entry = Enum.reduce(loading.waiting, entry, fn {pid, _}, entry -> watch(entry, pid) end)
-        state |> put(key, entry) |> shrink(key)
+
+        entry =
+          Enum.reduce(loading.waiting, entry, fn {pid, _}, entry -> add_user(entry, pid) end)
+
+        state |> put_entry(key, entry) |> evict_oldest(key)
 
       {:error, _} ->
         state
     end
   end
 
-  defp watch(%{users: users} = entry, pid) do
+  defp add_user(%{users: users} = entry, pid) do
     if pid in Map.values(users),
       do: entry,
       else: %{entry | users: Map.put(users, Process.monitor(pid), pid)}
   end
 
-  defp put(state, key, entry) do
+  defp put_entry(state, key, entry) do
     used = state.used + 1
     %{state | used: used, loaded: Map.put(state.loaded, key, %{entry | used: used})}
   end
 
-  defp left(state, ref) do
+  defp remove_user(state, ref) do
     case Enum.find(state.loaded, fn {_, entry} -> is_map_key(entry.users, ref) end) do
       {key, entry} ->
         users = Map.delete(entry.users, ref)
@@ -131,14 +134,14 @@ defmodule Situ.Infer.Shelf do
   end
 
   # The model just loaded is never evicted, however large it is.
-  defp shrink(state, key) do
+  defp evict_oldest(state, key) do
     total = state.loaded |> Map.values() |> Enum.map(& &1.size) |> Enum.sum()
     others = Map.delete(state.loaded, key)
 
     if total > state.bytes and others != %{} do
       {oldest, entry} = Enum.min_by(others, fn {_, entry} -> entry.used end)
       Enum.each(Map.keys(entry.users), &Process.demonitor(&1, [:flush]))
-      shrink(%{state | loaded: Map.delete(state.loaded, oldest)}, key)
+      evict_oldest(%{state | loaded: Map.delete(state.loaded, oldest)}, key)
     else
       state
     end

@@ -41,10 +41,10 @@ defmodule Situ.Infer.SimpleVad do
 
   @doc "Returns the initial state, without speech. See the options above."
   @spec new(keyword()) :: t()
-  def new(opts \\ []), do: opts |> Situ.Options.validate!(@schema) |> build()
+  def new(opts \\ []), do: opts |> Situ.Options.validate!(@schema) |> build_gate()
 
   @impl true
-  def init(opts), do: {:ok, build(opts)}
+  def init(opts), do: {:ok, build_gate(opts)}
 
   @impl true
   def handle_message(:in, message, _context, vad) do
@@ -61,28 +61,28 @@ defmodule Situ.Infer.SimpleVad do
   @doc "Adds the next log energy, and returns the values that it decides."
   @spec push(t(), Situ.Time.t(), number()) :: {decisions(), t()}
   def push(%__MODULE__{} = vad, time, value) do
-    decide(%{vad | ahead: :queue.in({time, value - vad.threshold}, vad.ahead)}, time, [])
+    decide_values(%{vad | ahead: :queue.in({time, value - vad.threshold}, vad.ahead)}, time, [])
   end
 
   @doc "Ends the input, and returns the remaining values."
   @spec close(t()) :: {decisions(), t()}
-  def close(%__MODULE__{} = vad), do: decide(vad, :infinity, [])
+  def close(%__MODULE__{} = vad), do: decide_values(vad, :infinity, [])
 
-  defp build(opts), do: %__MODULE__{threshold: opts[:threshold], window: opts[:window]}
+  defp build_gate(opts), do: %__MODULE__{threshold: opts[:threshold], window: opts[:window]}
 
-  defp decide(vad, now, done) do
+  defp decide_values(vad, now, done) do
     case :queue.peek(vad.ahead) do
       # `now` is an integer or :infinity, which sorts after every number.
       {:value, {time, _}} when now >= time + vad.window ->
-        vad = unanimous(vad, time + vad.window)
-        decide(%{vad | ahead: :queue.drop(vad.ahead)}, now, [{time, vad.speaking?} | done])
+        vad = decide_unanimously(vad, time + vad.window)
+        decide_values(%{vad | ahead: :queue.drop(vad.ahead)}, now, [{time, vad.speaking?} | done])
 
       _ ->
         {Enum.reverse(done), vad}
     end
   end
 
-  defp unanimous(vad, until) do
+  defp decide_unanimously(vad, until) do
     above = for {time, above} <- :queue.to_list(vad.ahead), time <= until, do: above
 
     # A value at the threshold is neither speech nor silence.

@@ -72,54 +72,61 @@ defmodule Situ.Infer.SpeakerTurns do
 
   @impl true
   def handle_message(:heard, %{data: {speaking?, voice}} = message, _context, state),
-    do: hear(state, message.originating_time, speaking?, voice)
+    do: push_speech(state, message.originating_time, speaking?, voice)
 
   def handle_message(:who, %{data: who} = message, _context, state),
-    do: see(state, message.originating_time, who)
+    do: push_speakers(state, message.originating_time, who)
 
   @impl true
-  def handle_closed(:heard, _time, _context, state), do: advance(%{state | heard_to: :infinity})
-  def handle_closed(:who, _time, _context, state), do: see(state, :infinity, %{})
+  def handle_closed(:heard, _time, _context, state),
+    do: decide_speakers(%{state | heard_to: :infinity})
+
+  def handle_closed(:who, _time, _context, state), do: push_speakers(state, :infinity, %{})
 
   @doc "Adds whether the audio up to `time` is speech, and its voice. Returns the actions that are now certain."
-  @spec hear(t(), Situ.Time.t(), boolean(), Voice.t()) ::
+  @spec push_speech(t(), Situ.Time.t(), boolean(), Voice.t()) ::
           {[{:out, Situ.Time.t(), boolean()}], t()}
-  def hear(%__MODULE__{} = state, time, speaking?, %Voice{} = voice),
-    do: advance(%{state | held: :queue.in({time, speaking?, voice}, state.held), heard_to: time})
+  def push_speech(%__MODULE__{} = state, time, speaking?, %Voice{} = voice),
+    do:
+      decide_speakers(%{
+        state
+        | held: :queue.in({time, speaking?, voice}, state.held),
+          heard_to: time
+      })
 
   @doc "Adds which faces speak at `time` (`:infinity` at the end of the images). Returns the actions now certain."
-  @spec see(t(), Situ.Time.t() | :infinity, %{term() => boolean()}) ::
+  @spec push_speakers(t(), Situ.Time.t() | :infinity, %{term() => boolean()}) ::
           {[{:out, Situ.Time.t(), boolean()}], t()}
-  def see(%__MODULE__{} = state, time, who),
-    do: advance(%{state | asked: :queue.in({time, speaker(who)}, state.asked)})
+  def push_speakers(%__MODULE__{} = state, time, who),
+    do: decide_speakers(%{state | asked: :queue.in({time, speaking_face(who)}, state.asked)})
 
   # Handles images one by one, each when the audio around it is known, so the order of arrival does not matter.
-  defp advance(%{heard_to: nil} = state), do: {[], state}
+  defp decide_speakers(%{heard_to: nil} = state), do: {[], state}
 
-  defp advance(state) do
+  defp decide_speakers(state) do
     case :queue.peek(state.asked) do
       {:value, {time, who}} when time == :infinity or state.heard_to >= time + @soon ->
         state = %{state | asked: :queue.drop(state.asked), seen_to: time}
-        {actions, state} = state |> run(time, who) |> cut() |> release([])
-        {more, state} = advance(state)
+        {actions, state} = state |> extend_runs(time, who) |> cut_changes() |> release_values([])
+        {more, state} = decide_speakers(state)
         {actions ++ more, state}
 
       _ ->
-        release(state, [])
+        release_values(state, [])
     end
   end
 
-  defp run(state, :infinity, _who), do: state
+  defp extend_runs(state, :infinity, _who), do: state
 
-  defp run(%{runs: [{who, from, _} | runs]} = state, time, who),
+  defp extend_runs(%{runs: [{who, from, _} | runs]} = state, time, who),
     do: %{state | runs: [{who, from, time} | runs]}
 
-  defp run(state, time, who) do
+  defp extend_runs(state, time, who) do
     recent = Enum.take_while(state.runs, fn {_, _, to} -> time - to < 10 * @memory end)
     %{state | runs: [{who, time, time} | recent]}
   end
 
-  defp release(%{opts: opts} = state, out) do
+  defp release_values(%{opts: opts} = state, out) do
     case :queue.peek(state.held) do
       {:value, {time, speaking?, voice}}
       when state.seen_to == :infinity or
@@ -129,7 +136,7 @@ defmodule Situ.Infer.SpeakerTurns do
         ]
 
         out = [{:out, time, speaking? and time not in state.cuts} | out]
-        release(%{state | held: :queue.drop(state.held), past: past}, out)
+        release_values(%{state | held: :queue.drop(state.held), past: past}, out)
 
       _ ->
         {Enum.reverse(out), state}
@@ -137,45 +144,47 @@ defmodule Situ.Infer.SpeakerTurns do
   end
 
   # Handles the changes of speaker that are certain and not yet handled, oldest first.
-  defp cut(%{seen_to: :infinity} = state), do: state
+  defp cut_changes(%{seen_to: :infinity} = state), do: state
 
-  defp cut(state) do
+  defp cut_changes(state) do
     for(
-      {from, _, _} = change <- changes(turns(state)),
+      {from, _, _} = change <- list_changes(list_turns(state)),
       state.done == nil or from > state.done,
       do: change
     )
     |> Enum.reduce(state, fn {from, _, _} = change, state ->
-      case between(state, change) do
+      case find_cut(state, change) do
         nil -> %{state | done: from}
         time -> %{state | done: from, cuts: [time | Enum.take(state.cuts, 3)]}
       end
     end)
   end
 
-  defp changes([{one, _, left}, {other, from, _} = next | turns]) when one != other,
-    do: [{from, left, other} | changes([next | turns])]
+  defp list_changes([{one, _, left}, {other, from, _} = next | turns]) when one != other,
+    do: [{from, left, other} | list_changes([next | turns])]
 
-  defp changes([_ | turns]), do: changes(turns)
-  defp changes([]), do: []
+  defp list_changes([_ | turns]), do: list_changes(turns)
+  defp list_changes([]), do: []
 
   # Returns the runs in which somebody was the speaker for long enough, oldest first.
-  defp turns(state) do
-    for {who, from, to} = run <- Enum.reverse(state.runs), turn?(state, who, from, to), do: run
+  defp list_turns(state) do
+    for {who, from, to} = run <- Enum.reverse(state.runs),
+        long_enough?(state, who, from, to),
+        do: run
   end
 
-  defp turn?(state, nil, from, to),
-    do: to - max(from, unvoiced(state, from, to)) >= state.opts.nobody
+  defp long_enough?(state, nil, from, to),
+    do: to - max(from, last_unvoiced(state, from, to)) >= state.opts.nobody
 
-  defp turn?(state, _face, from, to), do: to - from >= state.opts.shortest
+  defp long_enough?(state, _face, from, to), do: to - from >= state.opts.shortest
 
-  defp unvoiced(state, from, to) do
-    for({time, false, _} <- heard(state), time > from, time <= to, do: time)
+  defp last_unvoiced(state, from, to) do
+    for({time, false, _} <- audible_values(state), time > from, time <= to, do: time)
     |> Enum.max(fn -> from end)
   end
 
   # Returns all values that are relevant to the current image.
-  defp heard(state) do
+  defp audible_values(state) do
     Enum.reverse(
       state.past,
       Enum.take_while(:queue.to_list(state.held), &(elem(&1, 0) <= state.seen_to + @soon))
@@ -183,17 +192,17 @@ defmodule Situ.Infer.SpeakerTurns do
   end
 
   # Returns the moment of the cut between two turns, or `nil` if there is a pause between them anyway.
-  defp between(state, {from, left, who} = change) do
+  defp find_cut(state, {from, left, who} = change) do
     {first, last} = if who == nil, do: {from - @later, from}, else: {from - @late, from + @soon}
-    heard = heard(state)
+    heard = audible_values(state)
 
     near =
       for {time, speaking?, _} <- heard, time >= min(first, left), time <= last, do: speaking?
 
-    if near != [] and Enum.all?(near), do: best(state, change, heard, first, last)
+    if near != [] and Enum.all?(near), do: quietest_moment(state, change, heard, first, last)
   end
 
-  defp best(state, {from, _, _}, heard, first, last) do
+  defp quietest_moment(state, {from, _, _}, heard, first, last) do
     ends = for {time, speaking?, _} <- heard, not speaking? or time in state.cuts, do: time
     free? = fn time -> Enum.all?(ends, &(abs(time - &1) >= @piece)) end
     waiting = with {:value, {time, _, _}} <- :queue.peek(state.held), do: time, else: (_ -> :none)
@@ -213,6 +222,6 @@ defmodule Situ.Infer.SpeakerTurns do
     |> elem(1)
   end
 
-  defp speaker(who),
+  defp speaking_face(who),
     do: Enum.find_value(Enum.sort(who), fn {id, speaks?} -> speaks? && {:face, id} end)
 end

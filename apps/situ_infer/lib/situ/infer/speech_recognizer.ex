@@ -109,134 +109,148 @@ defmodule Situ.Infer.SpeechRecognizer do
   @impl true
   def handle_message(:sound, %{data: buffer, originating_time: time}, context, state) do
     sound = [{time, buffer} | state.sound]
-    answer(%{state | sound: sound, heard_to: time, now: context.now})
+    handle_queue(%{state | sound: sound, heard_to: time, now: context.now})
   end
 
   def handle_message(:speaking, %{data: speaking?, originating_time: time}, context, state),
-    do: answer(%{ask(state, {time, speaking?}, time) | now: context.now})
+    do: handle_queue(%{queue_value(state, {time, speaking?}, time) | now: context.now})
 
   # Earlier speech is still recognized with the options that were valid then.
   def handle_message(:options, %{data: changes}, _context, state),
-    do: answer(%{state | asked: :queue.in({:options, changes}, state.asked)})
+    do: handle_queue(%{state | asked: :queue.in({:options, changes}, state.asked)})
 
   @impl true
   def handle_closed(:options, _time, _context, state), do: {[], state}
 
-  def handle_closed(:sound, _time, _context, state), do: answer(%{state | deaf?: true})
+  def handle_closed(:sound, _time, _context, state), do: handle_queue(%{state | deaf?: true})
 
   def handle_closed(:speaking, _time, _context, state),
-    do: state |> ask(:closed, :infinity) |> answer()
+    do: state |> queue_value(:closed, :infinity) |> handle_queue()
 
   @impl true
   def describe(%{open: nil}), do: "nobody speaks"
   def describe(_state), do: "somebody speaks"
 
-  defp ask(state, value, to), do: %{state | asked: :queue.in(value, state.asked), asked_to: to}
+  defp queue_value(state, value, to),
+    do: %{state | asked: :queue.in(value, state.asked), asked_to: to}
 
   # Each value of `speaking` is handled once the audio around it has arrived; option changes keep their order.
-  defp answer(state) do
+  defp handle_queue(state) do
     case :queue.peek(state.asked) do
       {:value, next} ->
-        if ready?(state, next) do
-          {actions, state} = step(next, %{state | asked: :queue.drop(state.asked)})
-          {more, state} = answer(state)
+        if can_handle?(state, next) do
+          {actions, state} = handle_value(next, %{state | asked: :queue.drop(state.asked)})
+          {more, state} = handle_queue(state)
           {actions ++ more, state}
         else
-          {[], forget(state)}
+          {[], drop_old_audio(state)}
         end
 
       :empty ->
-        {[], state |> early() |> forget()}
+        {[], state |> recognize_early() |> drop_old_audio()}
     end
   end
 
   # There is newer audio for which it is not yet known whether it is a pause or the end.
-  defp early(%{opts: %{early: early}, open: %{to: to} = open} = state) when early != nil do
+  defp recognize_early(%{opts: %{early: early}, open: %{to: to} = open} = state)
+       when early != nil do
     enough? = to - open.from >= state.opts.shortest
 
     pause? =
       enough? and state.heard_to != nil and state.heard_to - to >= max(early, state.opts.margin)
 
-    if pause? and not match?({^to, _}, open.early), do: foresee(state), else: state
+    if pause? and not match?({^to, _}, open.early), do: store_early_result(state), else: state
   end
 
-  defp early(state), do: state
+  defp recognize_early(state), do: state
 
-  defp foresee(%{open: %{to: to}} = state),
-    do: put_in(state.open.early, {to, recognize(state, to + state.opts.margin)})
+  defp store_early_result(%{open: %{to: to}} = state),
+    do: put_in(state.open.early, {to, recognize_until(state, to + state.opts.margin)})
 
-  defp ready?(_state, {:options, _changes}), do: true
-  defp ready?(%{deaf?: true, asked_to: :infinity}, _next), do: true
+  defp can_handle?(_state, {:options, _changes}), do: true
+  defp can_handle?(%{deaf?: true, asked_to: :infinity}, _next), do: true
 
-  defp ready?(%{deaf?: true} = state, next),
-    do: ready?(%{state | deaf?: false, heard_to: :infinity}, next)
+  defp can_handle?(%{deaf?: true} = state, next),
+    do: can_handle?(%{state | deaf?: false, heard_to: :infinity}, next)
 
-  defp ready?(_state, :closed), do: false
-  defp ready?(%{heard_to: nil}, _next), do: false
+  defp can_handle?(_state, :closed), do: false
+  defp can_handle?(%{heard_to: nil}, _next), do: false
 
   # With turns, the margin after speech ends where the next speech starts, so that must be known, too.
-  defp ready?(%{open: open, opts: opts} = state, {time, speaking?}) do
+  defp can_handle?(%{open: open, opts: opts} = state, {time, speaking?}) do
     until = time + opts.margin
     known? = speaking? or open == nil or not opts.turns or state.asked_to >= until
     known? and state.heard_to >= until
   end
 
-  defp step({:options, changes}, %{opts: opts} = state) do
+  defp handle_value({:options, changes}, %{opts: opts} = state) do
     own = Keyword.merge(opts.recognizer_options, changes)
     model = Error.unwrap!(opts.recognizer.load(own))
     {[], %{state | model: model, opts: %{opts | recognizer_options: own}}}
   end
 
-  defp step(:closed, %{open: nil} = state), do: {[], state}
-  defp step(:closed, state), do: finish(state)
+  defp handle_value(:closed, %{open: nil} = state), do: {[], state}
+  defp handle_value(:closed, state), do: finish_utterance(state)
 
-  defp step({time, true}, %{open: nil} = state) do
+  defp handle_value({time, true}, %{open: nil} = state) do
     # The first value of `true` covers the audio before it.
     from = max(time - @value, state.answered_to || time - @value)
     {[], %{state | open: %{from: from, to: time, said: from, early: nil}, answered_to: time}}
   end
 
-  defp step({time, true}, %{open: open, opts: opts} = state) do
+  defp handle_value({time, true}, %{open: open, opts: opts} = state) do
     state = %{state | open: %{open | to: time}, answered_to: time}
     length = time - open.from
 
     cond do
-      length >= opts.longest -> cut(state)
-      late?(state, time) -> {[], state}
-      opts.partial && time - open.said >= max(opts.partial, div(length, 10)) -> partial(state)
-      true -> {[], state}
+      length >= opts.longest ->
+        cut_utterance(state)
+
+      too_late?(state, time) ->
+        {[], state}
+
+      opts.partial && time - open.said >= max(opts.partial, div(length, 10)) ->
+        emit_partial(state)
+
+      true ->
+        {[], state}
     end
   end
 
-  defp step({time, false}, %{open: nil} = state), do: {[], %{state | answered_to: time}}
+  defp handle_value({time, false}, %{open: nil} = state), do: {[], %{state | answered_to: time}}
 
-  defp step({time, false}, state) do
-    {actions, state} = finish(state)
+  defp handle_value({time, false}, state) do
+    {actions, state} = finish_utterance(state)
     {actions, %{state | answered_to: time}}
   end
 
-  defp late?(%{opts: %{late: nil}}, _time), do: false
-  defp late?(%{opts: %{late: late}, now: now}, time), do: now - time > late
+  defp too_late?(%{opts: %{late: nil}}, _time), do: false
+  defp too_late?(%{opts: %{late: late}, now: now}, time), do: now - time > late
 
-  defp partial(%{open: open} = state) do
+  defp emit_partial(%{open: open} = state) do
     state = put_in(state.open.said, open.to)
-    {said(:partial, recognize(state, open.to), open, false), state}
+    {emit_utterance(:partial, recognize_until(state, open.to), open, false), state}
   end
 
-  defp finish(%{open: %{from: from, to: to}, opts: %{shortest: shortest}} = state)
+  defp finish_utterance(%{open: %{from: from, to: to}, opts: %{shortest: shortest}} = state)
        when to - from < shortest,
        do: {[], %{state | open: nil}}
 
-  defp finish(%{open: %{to: to, early: {to, result}}} = state), do: finished(state, result)
+  defp finish_utterance(%{open: %{to: to, early: {to, result}}} = state),
+    do: emit_final(state, result)
 
-  defp finish(%{open: %{to: to}, opts: opts} = state),
-    do: finished(state, recognize(state, max(to, min(to + opts.margin, next_begins(state)))))
+  defp finish_utterance(%{open: %{to: to}, opts: opts} = state),
+    do:
+      emit_final(
+        state,
+        recognize_until(state, max(to, min(to + opts.margin, next_begins(state))))
+      )
 
   # Speech that is cut at the maximum length continues without a pause, so there is no margin.
-  defp cut(state), do: finished(state, recognize(state, state.open.to))
+  defp cut_utterance(state), do: emit_final(state, recognize_until(state, state.open.to))
 
-  defp finished(%{open: open} = state, result),
-    do: {said(:out, result, open, true), %{state | open: nil, said_to: open.to}}
+  defp emit_final(%{open: open} = state, result),
+    do: {emit_utterance(:out, result, open, true), %{state | open: nil, said_to: open.to}}
 
   # Returns the start of the next utterance if that is near, since its words do not belong to this one.
   defp next_begins(%{opts: %{turns: false}}), do: :infinity
@@ -248,10 +262,10 @@ defmodule Situ.Infer.SpeechRecognizer do
     end
   end
 
-  defp said(_output, %{text: ""}, _open, _final?), do: []
+  defp emit_utterance(_output, %{text: ""}, _open, _final?), do: []
 
-  defp said(output, %{text: text, confidence: confidence} = result, open, final?) do
-    words = for word <- result[:words] || [], do: placed(word, result.begins)
+  defp emit_utterance(output, %{text: text, confidence: confidence} = result, open, final?) do
+    words = for word <- result[:words] || [], do: shift_word(word, result.begins)
 
     said = %Utterance{
       text: text,
@@ -266,13 +280,13 @@ defmodule Situ.Infer.SpeechRecognizer do
     [{output, open.to, said}]
   end
 
-  defp placed(word, begins), do: %{word | from: begins + word.from, to: begins + word.to}
+  defp shift_word(word, begins), do: %{word | from: begins + word.from, to: begins + word.to}
 
-  defp recognize(%{open: open, opts: opts, model: model} = state, to) do
+  defp recognize_until(%{open: open, opts: opts, model: model} = state, to) do
     from = open.from - opts.margin
     from = if state.said_to, do: max(from, state.said_to), else: from
 
-    case stretch(state.sound, from, to) do
+    case slice_audio(state.sound, from, to) do
       nil ->
         %{text: ""}
 
@@ -283,28 +297,30 @@ defmodule Situ.Infer.SpeechRecognizer do
   end
 
   # Returns the audio between two times and its start; missing audio is left out.
-  defp stretch(sound, from, to) do
+  defp slice_audio(sound, from, to) do
     parts =
-      for {time, buffer} <- Enum.reverse(sound), part = part(buffer, time, from, to), do: part
+      for {time, buffer} <- Enum.reverse(sound),
+          part = slice_buffer(buffer, time, from, to),
+          do: part
 
     with [{begins, _} | _] <- parts,
          do: {begins, Error.unwrap!(AudioBuffer.concat(Enum.map(parts, &elem(&1, 1))))},
          else: (_ -> nil)
   end
 
-  defp part(buffer, time, from, to) do
+  defp slice_buffer(buffer, time, from, to) do
     start = AudioBuffer.start_time(buffer, time)
 
     if time > from and start < to do
       first = max(AudioFormat.ns_to_frames(buffer.format, from - start), 0)
       last = AudioFormat.ns_to_frames(buffer.format, min(to, time) - start)
-      {max(from, start), AudioBuffer.slice(buffer, first, max(last - first, 0))}
+      {max(from, start), AudioBuffer.slice_frames(buffer, first, max(last - first, 0))}
     end
   end
 
-  defp forget(%{heard_to: nil} = state), do: state
+  defp drop_old_audio(%{heard_to: nil} = state), do: state
 
-  defp forget(state) do
+  defp drop_old_audio(state) do
     oldest =
       case {state.open, state.answered_to} do
         {%{from: from}, _} -> from - state.opts.margin

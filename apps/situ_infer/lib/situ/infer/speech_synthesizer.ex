@@ -94,18 +94,18 @@ defmodule Situ.Infer.SpeechSynthesizer do
 
   @impl true
   def handle_message(:in, %{data: text, originating_time: time}, _context, state) do
-    {{sound, marks}, state} = spoken(state, text)
+    {{sound, marks}, state} = fetch_spoken(state, text)
 
     cond do
       sound.data == "" -> {[], state}
       state.opts.stamp == :text -> {[{:out, time, sound}], state}
-      true -> following(sound, marks, time, state)
+      true -> schedule_audio(sound, marks, time, state)
     end
   end
 
-  defp following(sound, marks, time, state) do
+  defp schedule_audio(sound, marks, time, state) do
     begins = max(time, state.ends || time)
-    ends = begins + AudioBuffer.duration(sound)
+    ends = begins + AudioBuffer.duration_ns(sound)
 
     {actions, last} =
       marks
@@ -121,29 +121,29 @@ defmodule Situ.Infer.SpeechSynthesizer do
     {actions ++ [{:out, ends, sound}], %{state | ends: ends, last: last}}
   end
 
-  defp spoken(%{known: known} = state, text) when is_map_key(known, text),
+  defp fetch_spoken(%{known: known} = state, text) when is_map_key(known, text),
     do: {known[text], state}
 
-  defp spoken(%{opts: opts} = state, text) do
-    {spoken, marks} = speak(opts, state.voice, text)
+  defp fetch_spoken(%{opts: opts} = state, text) do
+    {spoken, marks} = synthesize_text(opts, state.voice, text)
     mono = Sound.reformat!(spoken, channels: 1, sample: :s16)
     sound = if mono.data == "", do: mono, else: Sound.resample!(mono, opts.rate)
-    {{sound, marks}, remember(state, text, {sound, marks})}
+    {{sound, marks}, cache_audio(state, text, {sound, marks})}
   end
 
-  defp speak(%{marks: false, synthesizer: synthesizer}, voice, text),
+  defp synthesize_text(%{marks: false, synthesizer: synthesizer}, voice, text),
     do: {Error.unwrap!(synthesizer.speak(voice, text)), []}
 
-  defp speak(%{synthesizer: synthesizer}, voice, text) do
+  defp synthesize_text(%{synthesizer: synthesizer}, voice, text) do
     case synthesizer.speak_marked(voice, text) do
       {:ok, sound, marks} -> {sound, marks}
       {:error, error} -> raise error
     end
   end
 
-  defp remember(%{opts: %{cache: 0}} = state, _text, _sound), do: state
+  defp cache_audio(%{opts: %{cache: 0}} = state, _text, _sound), do: state
 
-  defp remember(%{known: known, order: order, opts: opts} = state, text, sound) do
+  defp cache_audio(%{known: known, order: order, opts: opts} = state, text, sound) do
     {known, order} =
       if map_size(known) < opts.cache do
         {known, order}

@@ -34,7 +34,7 @@ defmodule Situ.Infer.TextReader do
 
   The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`). One finds lines
   (`Situ.Infer.Vision.TextPlaces`), and the other reads each line. An image takes about half a second on one core, so
-  use `Situ.Delivery.latest()` for a camera. `read/2` reads a single image.
+  use `Situ.Delivery.latest()` for a camera. `read_lines/2` reads a single image.
 
   ## Options
 
@@ -49,7 +49,7 @@ defmodule Situ.Infer.TextReader do
     outputs: [out: {:list, Situ.Rect}],
     options: @schema
 
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.{Error, Image, Rect, Tensor}
   alias Situ.Infer.{Model, ModelStore, Onnx, Patch}
   alias Situ.Infer.Vision.TextPlaces
@@ -80,52 +80,52 @@ defmodule Situ.Infer.TextReader do
 
   @impl true
   def handle_start(_context, %{opts: opts} = state),
-    do: {[], %{state | reader: Error.unwrap!(load(opts))}}
+    do: {[], %{state | reader: Error.unwrap!(load_models(opts))}}
 
   @impl true
   def handle_message(:in, %{data: image, originating_time: time}, _context, state),
-    do: {[{:out, time, Error.unwrap!(read(state.reader, image))}], state}
+    do: {[{:out, time, Error.unwrap!(read_lines(state.reader, image))}], state}
 
   @doc "Loads the networks."
-  @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
-  def load(opts \\ []) do
+  @spec load_models(keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def load_models(opts \\ []) do
     settings = [warm_up: 0, schedule: :dirty, sessions: 1]
     picture = %{"x" => {:f32, {nil, 3, nil, nil}}}
 
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, finder} <- file(opts[:folder], @finder),
-         {:ok, reader} <- file(opts[:folder], @reader),
-         {:ok, signs} <- signs(reader),
-         {:ok, finder} <- Model.shared(finder, [{:inputs, picture} | settings]),
-         {:ok, reader} <- Model.shared(reader, [{:inputs, picture} | settings]),
-         {:ok, glue} <- Model.from_bytes(glue(), "text input", settings) do
+         {:ok, finder} <- model_path(opts[:folder], @finder),
+         {:ok, reader} <- model_path(opts[:folder], @reader),
+         {:ok, signs} <- load_characters(reader),
+         {:ok, finder} <- Model.load_shared(finder, [{:inputs, picture} | settings]),
+         {:ok, reader} <- Model.load_shared(reader, [{:inputs, picture} | settings]),
+         {:ok, glue} <- Model.from_bytes(encode_glue(), "text input", settings) do
       {:ok,
        %__MODULE__{finder: finder, reader: reader, glue: glue, signs: signs, opts: Map.new(opts)}}
     end
   end
 
-  defp file(nil, name), do: ModelStore.fetch(@name, name)
-  defp file(folder, name), do: {:ok, Path.join(folder, name)}
+  defp model_path(nil, name), do: ModelStore.fetch_path(@name, name)
+  defp model_path(folder, name), do: {:ok, Path.join(folder, name)}
 
   # Sign 0 is the blank; the last sign, which the file does not list, is a space.
-  defp signs(path) do
+  defp load_characters(path) do
     with {:ok, bytes} <- File.read(path),
-         %{"character" => signs} <- Onnx.metadata(bytes) do
+         %{"character" => signs} <- Onnx.parse_metadata(bytes) do
       {:ok, List.to_tuple([""] ++ String.split(signs, ["\r\n", "\n"]) ++ [" "])}
     else
       {:error, _} ->
-        {:error, Error.new(:no_model_file, "file #{path} does not exist", fix: fetch())}
+        {:error, Error.new(:no_model_file, "file #{path} does not exist", fix: fetch_hint())}
 
       _ ->
         {:error,
-         Error.new(:bad_model, "the model #{path} does not list its characters", fix: fetch())}
+         Error.new(:bad_model, "the model #{path} does not list its characters", fix: fetch_hint())}
     end
   end
 
-  defp fetch, do: "run bin/lib/fetch-model #{@name}"
+  defp fetch_hint, do: "run bin/lib/fetch-model #{@name}"
 
   # Converts to BGR planes, and pads short lines with grey on the right.
-  defp glue do
+  defp encode_glue do
     Onnx.encode(
       inputs: [{"picture", :f32, {1, nil, nil, 3}}, {"pads", :s64, {8}}],
       outputs: [{"x", :f32, {1, 3, nil, nil}}],
@@ -139,32 +139,32 @@ defmodule Situ.Infer.TextReader do
   end
 
   @doc "Reads the lines of text in an image, from top to bottom."
-  @spec read(t(), Image.t()) :: {:ok, [Rect.t()]} | {:error, Error.t()}
-  def read(%__MODULE__{} = reader, %Image{width: w, height: h} = image) do
+  @spec read_lines(t(), Image.t()) :: {:ok, [Rect.t()]} | {:error, Error.t()}
+  def read_lines(%__MODULE__{} = reader, %Image{width: w, height: h} = image) do
     # An image without pixels has no scale; sampling it returns the error.
-    {width, height} = size(max(w, 1), max(h, 1), reader.opts)
+    {width, height} = input_size(max(w, 1), max(h, 1), reader.opts)
     {kx, ky} = {w / width, h / height}
     matrix = {kx, 0.0, 0.5 * kx - 0.5, 0.0, ky, 0.5 * ky - 0.5}
 
     with {:ok, pixels} <- Patch.cut_affine(image, matrix, {width, height}, @scale, @offset),
-         {:ok, map} <- run(reader, reader.finder, pixels, 0) do
+         {:ok, map} <- run_network(reader, reader.finder, pixels, 0) do
       map
-      |> TextPlaces.find()
-      |> Enum.map(&placed(&1, kx, ky))
-      |> lines(reader, image, [])
+      |> TextPlaces.find_regions()
+      |> Enum.map(&scale_line(&1, kx, ky))
+      |> read_each_line(reader, image, [])
     end
   end
 
   # The network halves the image five times, so the sides must be multiples of 32.
-  defp size(w, h, opts) do
+  defp input_size(w, h, opts) do
     ratio = max(opts.side / min(w, h), 1.0)
     ratio = min(ratio, opts.longest / max(w, h))
-    {round32(w * ratio), round32(h * ratio)}
+    {round_to_32(w * ratio), round_to_32(h * ratio)}
   end
 
-  defp round32(x), do: max(round(x / 32) * 32, 32)
+  defp round_to_32(x), do: max(round(x / 32) * 32, 32)
 
-  defp run(reader, model, pixels, pad) do
+  defp run_network(reader, model, pixels, pad) do
     pads = Tensor.from_list([0, 0, 0, 0, 0, 0, 0, pad], :s64, {8})
 
     with {:ok, %{"x" => x}} <- Model.run(reader.glue, %{"picture" => pixels, "pads" => pads}),
@@ -175,7 +175,7 @@ defmodule Situ.Infer.TextReader do
   end
 
   # Converts from the map to the image, whose horizontal and vertical scales differ slightly.
-  defp placed(%{center: {x, y}, right: {ux, uy}, width: w, height: h} = place, kx, ky) do
+  defp scale_line(%{center: {x, y}, right: {ux, uy}, width: w, height: h} = place, kx, ky) do
     {rx, ry} = {ux * kx, uy * ky}
     along = :math.sqrt(rx * rx + ry * ry)
     {dx, dy} = {-uy * kx, ux * ky}
@@ -190,25 +190,25 @@ defmodule Situ.Infer.TextReader do
     }
   end
 
-  defp lines([], _reader, _image, found),
+  defp read_each_line([], _reader, _image, found),
     do: {:ok, Enum.sort_by(found, &{round(&1.y / 10), &1.x})}
 
-  defp lines([place | rest], reader, image, found) do
-    case line(place, reader, image) do
+  defp read_each_line([place | rest], reader, image, found) do
+    case read_line(place, reader, image) do
       {:ok, {text, score}} ->
         found =
           if text != "" and score >= reader.opts.min_score,
-            do: [rect(place, text, score) | found],
+            do: [upright_rect(place, text, score) | found],
             else: found
 
-        lines(rest, reader, image, found)
+        read_each_line(rest, reader, image, found)
 
       error ->
         error
     end
   end
 
-  defp line(%{center: {cx, cy}, right: {ux, uy}} = place, reader, image) do
+  defp read_line(%{center: {cx, cy}, right: {ux, uy}} = place, reader, image) do
     k = place.height / @line
     width = (place.width / k) |> ceil() |> max(@line) |> min(@longest_line)
     kx = place.width / width
@@ -217,26 +217,29 @@ defmodule Situ.Infer.TextReader do
     matrix = {a, b, cx - a * mx - b * my, d, e, cy - d * mx - e * my}
 
     with {:ok, pixels} <- Patch.cut_affine(image, matrix, {width, @line}, @scale, @offset),
-         {:ok, chances} <- run(reader, reader.reader, pixels, max(@shortest_line - width, 0)),
-         do: {:ok, spell(chances, reader.signs)}
+         {:ok, chances} <-
+           run_network(reader, reader.reader, pixels, max(@shortest_line - width, 0)),
+         do: {:ok, decode_text(chances, reader.signs)}
   end
 
   # Takes the most likely sign of each step, merges repeated signs, and drops sign 0 (CTC decoding).
-  defp spell(%Tensor{shape: {1, _, signs}, data: data}, names) do
-    steps = for <<step::binary-known(signs * 4) <- data>>, do: likeliest(step, 0, {0, 0.0})
+  defp decode_text(%Tensor{shape: {1, _, signs}, data: data}, names) do
+    steps =
+      for <<step::binary-pinned_size(signs * 4) <- data>>, do: likeliest_sign(step, 0, {0, 0.0})
+
     said = steps |> Enum.dedup_by(&elem(&1, 0)) |> Enum.reject(&(elem(&1, 0) == 0))
     text = for {i, _} <- said, i < tuple_size(names), into: "", do: elem(names, i)
     score = if said == [], do: 0.0, else: Enum.sum(Enum.map(said, &elem(&1, 1))) / length(said)
     {String.trim(text), score}
   end
 
-  defp likeliest(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
-    do: likeliest(rest, i + 1, {i, p})
+  defp likeliest_sign(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
+    do: likeliest_sign(rest, i + 1, {i, p})
 
-  defp likeliest(<<_::32, rest::binary>>, i, best), do: likeliest(rest, i + 1, best)
-  defp likeliest(<<>>, _i, best), do: best
+  defp likeliest_sign(<<_::32, rest::binary>>, i, best), do: likeliest_sign(rest, i + 1, best)
+  defp likeliest_sign(<<>>, _i, best), do: best
 
-  defp rect(%{center: {cx, cy}, right: {ux, uy}, width: w, height: h}, text, score) do
+  defp upright_rect(%{center: {cx, cy}, right: {ux, uy}, width: w, height: h}, text, score) do
     {w, h} = {abs(ux) * w + abs(uy) * h, abs(uy) * w + abs(ux) * h}
 
     Rect.new!(

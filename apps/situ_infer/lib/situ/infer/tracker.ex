@@ -82,7 +82,7 @@ defmodule Situ.Infer.Tracker do
 
   @impl true
   def handle_message(:in, %{data: rects, originating_time: time}, _context, tracker) do
-    {rects, tracker} = step(tracker, time, Enum.map(rects, &Rect.check!/1))
+    {rects, tracker} = update_tracks(tracker, time, Enum.map(rects, &Rect.validate!/1))
     {[{:out, time, rects}], tracker}
   end
 
@@ -90,41 +90,45 @@ defmodule Situ.Infer.Tracker do
   def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} things so far"
 
   @doc "Updates the tracks with the rectangles found at `time` (later than the last), and returns them with their ids."
-  @spec step(t(), Situ.Time.t(), [Rect.t()]) :: {[Rect.t()], t()}
-  def step(%__MODULE__{opts: opts} = tracker, time, rects) do
+  @spec update_tracks(t(), Situ.Time.t(), [Rect.t()]) :: {[Rect.t()], t()}
+  def update_tracks(%__MODULE__{opts: opts} = tracker, time, rects) do
     tracks =
-      for track <- tracker.tracks, time - track.seen <= opts.max_missing, do: expect(track, time)
+      for track <- tracker.tracks,
+          time - track.seen <= opts.max_missing,
+          do: predict_track(track, time)
 
-    {matched, new} = match(tracks, Enum.with_index(rects), time, opts)
+    {matched, new} = match_tracks(tracks, Enum.with_index(rects), time, opts)
 
     {born, next_id} =
       new
       |> Enum.sort_by(&{&1.x, &1.y})
-      |> Enum.map_reduce(tracker.next_id, fn rect, id -> {born(rect, id, time, opts), id + 1} end)
+      |> Enum.map_reduce(tracker.next_id, fn rect, id ->
+        {start_track(rect, id, time, opts), id + 1}
+      end)
 
     tracks = Enum.sort_by(matched ++ born, & &1.id)
     shown = for t <- tracks, t.seen == time, t.hits >= opts.min_hits, do: t.rect
     {shown, %{tracker | tracks: tracks, next_id: next_id}}
   end
 
-  defp born(rect, id, time, opts) do
+  defp start_track(rect, id, time, opts) do
     motion = if opts.motion == :kalman, do: Motion.new(rect)
     %{id: id, rect: %{rect | id: id}, motion: motion, at: time, seen: time, hits: 1}
   end
 
-  defp expect(%{motion: nil} = track, time), do: %{track | at: time}
+  defp predict_track(%{motion: nil} = track, time), do: %{track | at: time}
 
-  defp expect(track, time),
+  defp predict_track(track, time),
     do: %{track | motion: Motion.predict(track.motion, (time - track.at) / 1.0e9), at: time}
 
-  defp place(%{motion: nil, rect: rect}), do: rect
-  defp place(track), do: Motion.rect(track.motion, track.rect)
+  defp expected_rect(%{motion: nil, rect: rect}), do: rect
+  defp expected_rect(track), do: Motion.expected_rect(track.motion, track.rect)
 
   # The matching is greedy, best pair first. It differs from an optimal assignment only in doubtful cases.
-  defp match(tracks, rects, time, opts) do
+  defp match_tracks(tracks, rects, time, opts) do
     pairs =
       for track <- tracks,
-          place = place(track),
+          place = expected_rect(track),
           {rect, i} <- rects,
           opts.labels == :any or rect.label == track.rect.label,
           overlap = Rect.iou(place, rect),
@@ -137,14 +141,14 @@ defmodule Situ.Infer.Tracker do
       |> Enum.reduce({%{}, MapSet.new()}, fn {{_, id, _, _, i}, track, rect}, {found, used} ->
         if is_map_key(found, id) or i in used,
           do: {found, used},
-          else: {Map.put(found, id, seen(track, rect, time)), MapSet.put(used, i)}
+          else: {Map.put(found, id, update_track(track, rect, time)), MapSet.put(used, i)}
       end)
 
     new = for {rect, i} <- rects, i not in used, do: rect
     {Enum.map(tracks, &Map.get(found, &1.id, &1)), new}
   end
 
-  defp seen(track, rect, time) do
+  defp update_track(track, rect, time) do
     motion = track.motion && Motion.correct(track.motion, rect)
     %{track | rect: %{rect | id: track.id}, motion: motion, seen: time, hits: track.hits + 1}
   end

@@ -70,19 +70,19 @@ defmodule Situ.Infer.VoiceActivity do
   @impl true
   def init(opts) do
     gate = VoiceGate.new(Keyword.take(opts, Keyword.keys(VoiceGate.schema())))
-    {:ok, %__MODULE__{opts: opts, chunker: Chunker.new(Silero.chunk()), gate: gate}}
+    {:ok, %__MODULE__{opts: opts, chunker: Chunker.new(Silero.chunk_samples()), gate: gate}}
   end
 
   @impl true
-  def handle_start(_context, state), do: {[], %{state | detector: load!(state.opts)}}
+  def handle_start(_context, state), do: {[], %{state | detector: load_detector!(state.opts)}}
 
   @impl true
   def handle_message(:in, message, _context, state) do
     case Chunker.push(state.chunker, message.data, message.originating_time) do
       {:ok, chunks, gap?, chunker} ->
         state = %{state | chunker: chunker}
-        {before, state} = if gap?, do: break(state), else: {[], state}
-        {actions, state} = Enum.flat_map_reduce(chunks, state, &hear/2)
+        {before, state} = if gap?, do: reset_detector(state), else: {[], state}
+        {actions, state} = Enum.flat_map_reduce(chunks, state, &detect_chunk/2)
         {before ++ actions, state}
 
       {:error, error} ->
@@ -93,31 +93,31 @@ defmodule Situ.Infer.VoiceActivity do
   @impl true
   def handle_closed(:in, _time, _context, state) do
     {events, gate} = VoiceGate.close(state.gate)
-    {actions(events), %{state | gate: gate}}
+    {to_actions(events), %{state | gate: gate}}
   end
 
   @impl true
-  def describe(%{detector: {Silero, %{model: model}}}), do: Model.describe(model)
-  def describe(%{gate: gate}), do: if(VoiceGate.open?(gate), do: "speech", else: "silence")
+  def describe(%{detector: {Silero, %{model: model}}}), do: Model.describe_runs(model)
+  def describe(%{gate: gate}), do: if(VoiceGate.speech_open?(gate), do: "speech", else: "silence")
 
-  defp load!(opts) do
-    module = module(opts[:detector])
+  defp load_detector!(opts) do
+    module = detector_module(opts[:detector])
     {module, opts |> module.load() |> Situ.Error.unwrap!()}
   end
 
-  defp module(:silero), do: Silero
-  defp module(:energy), do: Energy
-  defp module(module), do: module
+  defp detector_module(:silero), do: Silero
+  defp detector_module(:energy), do: Energy
+  defp detector_module(module), do: module
 
-  defp hear({time, floats}, %{detector: {module, detector}} = state) do
-    level = Chunker.level(floats)
+  defp detect_chunk({time, floats}, %{detector: {module, detector}} = state) do
+    level = Chunker.rms_level(floats)
 
     case module.step(detector, floats, level) do
       {:ok, p, detector} ->
         length = Chunker.length_ns(state.chunker)
         {events, gate} = VoiceGate.push(state.gate, time, length, p)
         voice = {:voice, time, %Voice{probability: p, level: level}}
-        {[voice | actions(events)], %{state | detector: {module, detector}, gate: gate}}
+        {[voice | to_actions(events)], %{state | detector: {module, detector}, gate: gate}}
 
       {:error, error} ->
         raise error
@@ -125,13 +125,13 @@ defmodule Situ.Infer.VoiceActivity do
   end
 
   # Resets the detector after a gap in the audio.
-  defp break(state) do
+  defp reset_detector(state) do
     {events, gate} = VoiceGate.close(state.gate)
     {module, detector} = state.detector
-    {actions(events), %{state | gate: gate, detector: {module, module.reset(detector)}}}
+    {to_actions(events), %{state | gate: gate, detector: {module, module.reset(detector)}}}
   end
 
-  defp actions(events) do
+  defp to_actions(events) do
     Enum.map(events, fn
       {:segment, start, stop} -> {:segments, stop, %VoiceSegment{start: start, stop: stop}}
       {time, speaking?} -> {:speaking, time, speaking?}

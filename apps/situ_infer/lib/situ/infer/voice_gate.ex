@@ -73,47 +73,47 @@ defmodule Situ.Infer.VoiceGate do
   @spec push(t(), Situ.Time.t(), Situ.Time.duration(), float()) :: {[event()], t()}
   def push(%__MODULE__{open: nil} = gate, time, length, p) do
     if p >= gate.opts.on,
-      do: voiced(%{gate | open: time - length}, time),
+      do: push_voiced(%{gate | open: time - length}, time),
       else: {[{time, false}], gate}
   end
 
   def push(gate, time, _length, p) do
     cond do
-      p >= gate.opts.off -> voiced(gate, time)
-      time - gate.last >= gate.opts.min_silence -> over(gate, [time])
-      true -> unvoiced(gate, time)
+      p >= gate.opts.off -> push_voiced(gate, time)
+      time - gate.last >= gate.opts.min_silence -> close_segment(gate, [time])
+      true -> push_unvoiced(gate, time)
     end
   end
 
   @doc "Ends the input, and returns the values held back and the last segment."
   @spec close(t()) :: {[event()], t()}
   def close(%__MODULE__{open: nil} = gate), do: {[], gate}
-  def close(gate), do: over(gate, [])
+  def close(gate), do: close_segment(gate, [])
 
   @doc "Returns whether speech (or a short pause in it) is in progress."
-  @spec open?(t()) :: boolean()
-  def open?(%__MODULE__{} = gate), do: gate.open != nil and gate.sure?
+  @spec speech_open?(t()) :: boolean()
+  def speech_open?(%__MODULE__{} = gate), do: gate.open != nil and gate.sure?
 
-  defp voiced(gate, time) do
+  defp push_voiced(gate, time) do
     sure? = gate.sure? or time - gate.open >= gate.opts.min_speech
     gate = %{gate | last: time, sure?: sure?}
 
     cond do
-      sure? -> {values([time | gate.held], true), %{gate | held: []}}
+      sure? -> {stamp_values([time | gate.held], true), %{gate | held: []}}
       gate.opts.decide == :at_once -> {[{time, false}], gate}
       true -> {[], %{gate | held: [time | gate.held]}}
     end
   end
 
-  defp unvoiced(%{opts: %{decide: :at_once}} = gate, time), do: {[{time, gate.sure?}], gate}
-  defp unvoiced(gate, time), do: {[], %{gate | held: [time | gate.held]}}
+  defp push_unvoiced(%{opts: %{decide: :at_once}} = gate, time), do: {[{time, gate.sure?}], gate}
+  defp push_unvoiced(gate, time), do: {[], %{gate | held: [time | gate.held]}}
 
-  defp over(gate, now) do
+  defp close_segment(gate, now) do
     segment = if gate.sure?, do: [{:segment, gate.open, gate.last}], else: []
 
-    {values(now ++ gate.held, false) ++ segment,
+    {stamp_values(now ++ gate.held, false) ++ segment,
      %{gate | open: nil, last: nil, sure?: false, held: []}}
   end
 
-  defp values(times, value), do: times |> Enum.reverse() |> Enum.map(&{&1, value})
+  defp stamp_values(times, value), do: times |> Enum.reverse() |> Enum.map(&{&1, value})
 end

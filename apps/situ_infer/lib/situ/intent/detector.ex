@@ -43,7 +43,7 @@ defmodule Situ.Intent.Detector do
 
   @impl true
   def handle_message(:in, %{data: said, originating_time: time}, _context, state) do
-    intent = Error.unwrap!(state.opts.recognizer.detect(state.recognizer, text(said)))
+    intent = Error.unwrap!(state.opts.recognizer.detect(state.recognizer, sentence_text(said)))
     {[{:out, time, intent}], state}
   end
 
@@ -53,9 +53,9 @@ defmodule Situ.Intent.Detector do
     {[], %{state | recognizer: recognizer, opts: %{opts | recognizer_options: own}}}
   end
 
-  defp text(%Utterance{text: text}), do: text
-  defp text(text) when is_binary(text), do: text
+  defp sentence_text(%Utterance{text: text}), do: text
+  defp sentence_text(text) when is_binary(text), do: text
 
-  defp text(other),
+  defp sentence_text(other),
     do: raise(Error.new(:bad_text, "not a string or utterance: #{inspect(other, limit: 5)}"))
 end

@@ -54,14 +54,14 @@ defmodule Situ.Intent.Grammar do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, text} <- text(opts[:grammar]),
+         {:ok, text} <- load_text(opts[:grammar]),
          {:ok, jsgf} <- Jsgf.parse(text),
          do: {:ok, %__MODULE__{jsgf: jsgf, where: opts[:where], min_score: opts[:min_score]}}
   end
 
-  defp text("#JSGF" <> _ = text), do: {:ok, text}
+  defp load_text("#JSGF" <> _ = text), do: {:ok, text}
 
-  defp text(text) do
+  defp load_text(text) do
     if String.contains?(text, "\n") or String.contains?(text, ";") do
       {:ok, text}
     else
@@ -77,54 +77,54 @@ defmodule Situ.Intent.Grammar do
   @impl true
   @spec detect(t(), String.t()) :: {:ok, Intent.t()} | {:error, Error.t()}
   def detect(%__MODULE__{} = grammar, text) do
-    words = text |> Utterance.words() |> Enum.take(@most_words) |> List.to_tuple()
+    words = text |> Utterance.normalize_words() |> Enum.take(@most_words) |> List.to_tuple()
 
     found =
       for {rule, place} <- Enum.with_index(grammar.jsgf.public),
-          {from, to, tags} <- List.wrap(longest(grammar, rule, words)),
+          {from, to, tags} <- List.wrap(longest_match(grammar, rule, words)),
           score = (to - from) / tuple_size(words),
           score >= grammar.min_score,
           do: {-score, place, rule, tags}
 
     found = Enum.sort(found)
-    {:ok, %Intent{query: text, intents: intents(found), entities: entities(found)}}
+    {:ok, %Intent{query: text, intents: build_intents(found), entities: build_entities(found)}}
   end
 
-  defp longest(_grammar, _rule, {}), do: nil
+  defp longest_match(_grammar, _rule, {}), do: nil
 
-  defp longest(%{where: :whole} = grammar, rule, words) do
+  defp longest_match(%{where: :whole} = grammar, rule, words) do
     size = tuple_size(words)
 
-    with [{^size, tags} | _] <- Matcher.ends(grammar.jsgf, rule, words, 0),
+    with [{^size, tags} | _] <- Matcher.find_ends(grammar.jsgf, rule, words, 0),
          do: {0, size, tags},
          else: (_ -> nil)
   end
 
-  defp longest(grammar, rule, words) do
+  defp longest_match(grammar, rule, words) do
     for from <- 0..(tuple_size(words) - 1),
-        {to, tags} <- Enum.take(Matcher.ends(grammar.jsgf, rule, words, from), 1),
+        {to, tags} <- Enum.take(Matcher.find_ends(grammar.jsgf, rule, words, from), 1),
         to > from do
       {from, to, tags}
     end
     |> Enum.max_by(fn {from, to, _} -> {to - from, -from} end, fn -> nil end)
   end
 
-  defp intents(found) do
+  defp build_intents(found) do
     for {score, _, rule, tags} <- found do
-      name = Enum.find_value(tags, rule, &intent/1)
+      name = Enum.find_value(tags, rule, &intent_name/1)
       %{value: name, score: -score}
     end
     |> Enum.uniq_by(& &1.value)
   end
 
-  defp intent({"intent=" <> name, _}), do: String.trim(name)
-  defp intent(_), do: nil
+  defp intent_name({"intent=" <> name, _}), do: String.trim(name)
+  defp intent_name(_), do: nil
 
   # Only the entities of the best rule are returned.
-  defp entities([]), do: []
+  defp build_entities([]), do: []
 
-  defp entities([{score, _, _, tags} | _]) do
-    for {text, said} = tag <- tags, intent(tag) == nil do
+  defp build_entities([{score, _, _, tags} | _]) do
+    for {text, said} = tag <- tags, intent_name(tag) == nil do
       case String.split(text, "=", parts: 2) do
         [key, value] -> %{type: String.trim(key), value: String.trim(value), score: -score}
         [key] -> %{type: key, value: said, score: -score}

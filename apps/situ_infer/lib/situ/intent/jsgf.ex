@@ -34,105 +34,114 @@ defmodule Situ.Intent.Jsgf do
   @doc "Parses the text of a grammar; errors report the line."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(text) do
-    with :ok <- plain(text),
-         {:ok, tokens} <- tokens(text, 1, []),
-         {:ok, name, tokens} <- head(tokens),
-         {:ok, grammar} <- rules(tokens, %__MODULE__{name: name, public: [], rules: %{}}),
-         :ok <- whole(grammar) do
+    with :ok <- check_text(text),
+         {:ok, tokens} <- tokenize(text, 1, []),
+         {:ok, name, tokens} <- parse_header(tokens),
+         {:ok, grammar} <- parse_rules(tokens, %__MODULE__{name: name, public: [], rules: %{}}),
+         :ok <- check_rules(grammar) do
       {:ok, %{grammar | public: Enum.reverse(grammar.public)}}
     else
       {:error, %Error{}} = error -> error
-      {:error, line, what} -> {:error, bad("line #{line}: #{what}")}
+      {:error, line, what} -> {:error, bad_grammar("line #{line}: #{what}")}
     end
   end
 
-  defp bad(why) do
+  defp bad_grammar(why) do
     Error.new(:bad_grammar, "invalid grammar",
       why: why,
       fix: "see https://www.w3.org/TR/jsgf/"
     )
   end
 
-  defp plain(text) do
+  defp check_text(text) do
     cond do
-      not String.valid?(text) -> {:error, bad("it is not valid UTF-8 text")}
-      byte_size(text) > @most_bytes -> {:error, bad("it has more than #{@most_bytes} bytes")}
-      true -> :ok
+      not String.valid?(text) ->
+        {:error, bad_grammar("it is not valid UTF-8 text")}
+
+      byte_size(text) > @most_bytes ->
+        {:error, bad_grammar("it has more than #{@most_bytes} bytes")}
+
+      true ->
+        :ok
     end
   end
 
   # Tokens have the form {kind, line} or {kind, line, text}.
-  defp tokens("", line, found), do: {:ok, Enum.reverse([{:end, line} | found])}
-  defp tokens("\n" <> rest, line, found), do: tokens(rest, line + 1, found)
+  defp tokenize("", line, found), do: {:ok, Enum.reverse([{:end, line} | found])}
+  defp tokenize("\n" <> rest, line, found), do: tokenize(rest, line + 1, found)
 
-  defp tokens(<<c, rest::binary>>, line, found) when c in ~c" \t\r", do: tokens(rest, line, found)
-  defp tokens("\uFEFF" <> rest, line, found), do: tokens(rest, line, found)
+  defp tokenize(<<c, rest::binary>>, line, found) when c in ~c" \t\r",
+    do: tokenize(rest, line, found)
 
-  defp tokens("//" <> rest, line, found) do
+  defp tokenize("\uFEFF" <> rest, line, found), do: tokenize(rest, line, found)
+
+  defp tokenize("//" <> rest, line, found) do
     case String.split(rest, "\n", parts: 2) do
-      [_, rest] -> tokens("\n" <> rest, line, found)
-      [_] -> tokens("", line, found)
+      [_, rest] -> tokenize("\n" <> rest, line, found)
+      [_] -> tokenize("", line, found)
     end
   end
 
-  defp tokens("/*" <> rest, line, found) do
+  defp tokenize("/*" <> rest, line, found) do
     case String.split(rest, "*/", parts: 2) do
-      [comment, rest] -> tokens(rest, line + newlines(comment), found)
+      [comment, rest] -> tokenize(rest, line + count_newlines(comment), found)
       [_] -> {:error, line, "a comment is not closed"}
     end
   end
 
-  defp tokens("{" <> rest, line, found) do
+  defp tokenize("{" <> rest, line, found) do
     case Regex.run(~r/\A((?:[^\\}]|\\.)*)\}/s, rest) do
       [all, tag] ->
         text = tag |> String.replace(~r/\\(.)/s, "\\1") |> String.trim()
-        tokens(cut(rest, all), line + newlines(all), [{:tag, line, text} | found])
+        tokenize(drop_prefix(rest, all), line + count_newlines(all), [{:tag, line, text} | found])
 
       nil ->
         {:error, line, "a tag is not closed"}
     end
   end
 
-  defp tokens("\"" <> rest, line, found) do
+  defp tokenize("\"" <> rest, line, found) do
     case Regex.run(~r/\A((?:[^\\"]|\\.)*)"/s, rest) do
       [all, words] ->
         words = words |> String.replace(~r/\\(.)/s, "\\1") |> String.split()
         quoted = Enum.map(words, &{:word, line, &1})
-        tokens(cut(rest, all), line + newlines(all), Enum.reverse(quoted, found))
+        tokenize(drop_prefix(rest, all), line + count_newlines(all), Enum.reverse(quoted, found))
 
       nil ->
         {:error, line, "a quotation is not closed"}
     end
   end
 
-  defp tokens("<" <> rest, line, found) do
+  defp tokenize("<" <> rest, line, found) do
     case Regex.run(~r/\A([^<>\s;=|()\[\]{}]+)>/u, rest) do
-      [all, name] -> tokens(cut(rest, all), line, [{:rule, line, name} | found])
+      [all, name] -> tokenize(drop_prefix(rest, all), line, [{:rule, line, name} | found])
       nil -> {:error, line, "the name of a rule is not closed with `>`"}
     end
   end
 
-  defp tokens("/" <> rest, line, found) do
+  defp tokenize("/" <> rest, line, found) do
     case Regex.run(~r/\A\s*[0-9.]+\s*\//, rest) do
-      [all] -> tokens(cut(rest, all), line, found)
+      [all] -> tokenize(drop_prefix(rest, all), line, found)
       nil -> {:error, line, "a weight must have the form /0.5/"}
     end
   end
 
-  defp tokens(<<c, rest::binary>>, line, found) when c in ~c";=|()[]*+",
-    do: tokens(rest, line, [{sign(c), line} | found])
+  defp tokenize(<<c, rest::binary>>, line, found) when c in ~c";=|()[]*+",
+    do: tokenize(rest, line, [{sign(c), line} | found])
 
-  defp tokens(text, line, found) do
+  defp tokenize(text, line, found) do
     [word] = Regex.run(~r/\A(?:[^\s;=|()\[\]{}<>*+\/"]|\/(?![\/*]))+|\A./u, text)
-    tokens(cut(text, word), line, [{:word, line, word} | found])
+    tokenize(drop_prefix(text, word), line, [{:word, line, word} | found])
   end
 
   for c <- ~c";=|()[]*+", do: defp(sign(unquote(c)), do: unquote(List.to_atom([c])))
 
-  defp cut(text, part), do: binary_part(text, byte_size(part), byte_size(text) - byte_size(part))
-  defp newlines(text), do: text |> :binary.matches("\n") |> length()
+  defp drop_prefix(text, part),
+    do: binary_part(text, byte_size(part), byte_size(text) - byte_size(part))
 
-  defp head([{:word, _, "#JSGF"}, {:word, _, "V1.0"} | rest]) do
+  defp count_newlines(text), do: text |> :binary.matches("\n") |> length()
+
+  defp parse_header([{:word, _, "#JSGF"}, {:word, _, "V1.0"} | rest]) do
     case Enum.drop_while(rest, &match?({:word, _, _}, &1)) do
       [{:";", _}, {:word, _, "grammar"}, {:word, _, name}, {:";", _} | rest] -> {:ok, name, rest}
       [{_, line} | _] -> {:error, line, "`grammar NAME;` must follow"}
@@ -140,48 +149,50 @@ defmodule Situ.Intent.Jsgf do
     end
   end
 
-  defp head(_), do: {:error, 1, "the text does not begin with `#JSGF V1.0;`"}
+  defp parse_header(_), do: {:error, 1, "the text does not begin with `#JSGF V1.0;`"}
 
-  defp rules([{:end, _}], grammar), do: {:ok, grammar}
+  defp parse_rules([{:end, _}], grammar), do: {:ok, grammar}
 
-  defp rules([{:word, _, "public"}, {:rule, line, name} | rest], grammar),
-    do: rule(name, line, rest, %{grammar | public: [name | grammar.public]})
+  defp parse_rules([{:word, _, "public"}, {:rule, line, name} | rest], grammar),
+    do: parse_rule(name, line, rest, %{grammar | public: [name | grammar.public]})
 
-  defp rules([{:rule, line, name} | rest], grammar), do: rule(name, line, rest, grammar)
+  defp parse_rules([{:rule, line, name} | rest], grammar),
+    do: parse_rule(name, line, rest, grammar)
 
-  defp rules([{:word, line, "import"} | _], _grammar),
+  defp parse_rules([{:word, line, "import"} | _], _grammar),
     do: {:error, line, "import is not supported; write all rules in one text"}
 
-  defp rules([token | _], _grammar), do: {:error, elem(token, 1), "expected `<name> = ...;`"}
+  defp parse_rules([token | _], _grammar),
+    do: {:error, elem(token, 1), "expected `<name> = ...;`"}
 
-  defp rule(name, line, [{:=, _} | rest], grammar) do
+  defp parse_rule(name, line, [{:=, _} | rest], grammar) do
     cond do
       name in @built_in -> {:error, line, "<#{name}> is a built-in rule"}
       is_map_key(grammar.rules, name) -> {:error, line, "<#{name}> is defined twice"}
-      true -> body(name, rest, grammar)
+      true -> parse_body(name, rest, grammar)
     end
   end
 
-  defp rule(name, line, _rest, _grammar), do: {:error, line, "`=` must follow <#{name}>"}
+  defp parse_rule(name, line, _rest, _grammar), do: {:error, line, "`=` must follow <#{name}>"}
 
-  defp body(name, tokens, grammar) do
-    with {:ok, expansion, rest} <- alternatives(tokens, 0) do
+  defp parse_body(name, tokens, grammar) do
+    with {:ok, expansion, rest} <- parse_alternatives(tokens, 0) do
       case rest do
-        [{:";", _} | rest] -> rules(rest, put_in(grammar.rules[name], expansion))
+        [{:";", _} | rest] -> parse_rules(rest, put_in(grammar.rules[name], expansion))
         [token | _] -> {:error, elem(token, 1), "<#{name}> does not end with `;`"}
       end
     end
   end
 
-  defp alternatives([token | _], depth) when depth > @deepest,
+  defp parse_alternatives([token | _], depth) when depth > @deepest,
     do: {:error, elem(token, 1), "groups are nested more than #{@deepest} deep"}
 
-  defp alternatives(tokens, depth) do
-    with {:ok, first, rest} <- sequence(tokens, [], depth) do
+  defp parse_alternatives(tokens, depth) do
+    with {:ok, first, rest} <- parse_sequence(tokens, [], depth) do
       case rest do
         [{:|, _} | rest] ->
-          with {:ok, other, rest} <- alternatives(rest, depth),
-               do: {:ok, either(first, other), rest}
+          with {:ok, other, rest} <- parse_alternatives(rest, depth),
+               do: {:ok, add_alternative(first, other), rest}
 
         rest ->
           {:ok, first, rest}
@@ -189,72 +200,77 @@ defmodule Situ.Intent.Jsgf do
     end
   end
 
-  defp either(first, {:alt, others}), do: {:alt, [first | others]}
-  defp either(first, other), do: {:alt, [first, other]}
+  defp add_alternative(first, {:alt, others}), do: {:alt, [first | others]}
+  defp add_alternative(first, other), do: {:alt, [first, other]}
 
-  defp sequence([{:word, _, word} | rest], found, depth) do
-    words = for word <- Situ.Infer.Speech.Utterance.words(word), do: {:word, word}
-    sequence(rest, Enum.reverse(words, found), depth)
+  defp parse_sequence([{:word, _, word} | rest], found, depth) do
+    words = for word <- Situ.Infer.Speech.Utterance.normalize_words(word), do: {:word, word}
+    parse_sequence(rest, Enum.reverse(words, found), depth)
   end
 
-  defp sequence([{:rule, _, name} | rest], found, depth),
-    do: sequence(rest, [{:rule, name} | found], depth)
+  defp parse_sequence([{:rule, _, name} | rest], found, depth),
+    do: parse_sequence(rest, [{:rule, name} | found], depth)
 
-  defp sequence([{:"(", line} | rest], found, depth),
-    do: group(rest, :")", line, found, depth, & &1)
+  defp parse_sequence([{:"(", line} | rest], found, depth),
+    do: parse_group(rest, :")", line, found, depth, & &1)
 
-  defp sequence([{:"[", line} | rest], found, depth),
-    do: group(rest, :"]", line, found, depth, &{:optional, &1})
+  defp parse_sequence([{:"[", line} | rest], found, depth),
+    do: parse_group(rest, :"]", line, found, depth, &{:optional, &1})
 
-  defp sequence([{sign, line} | rest], found, depth) when sign in [:*, :+] do
+  defp parse_sequence([{sign, line} | rest], found, depth) when sign in [:*, :+] do
     case found do
       [last | found] ->
-        sequence(rest, [{if(sign == :*, do: :many, else: :some), last} | found], depth)
+        parse_sequence(rest, [{if(sign == :*, do: :many, else: :some), last} | found], depth)
 
       [] ->
         {:error, line, "`#{sign}` has no preceding item"}
     end
   end
 
-  defp sequence([{:tag, line, text} | rest], found, depth) do
+  defp parse_sequence([{:tag, line, text} | rest], found, depth) do
     case found do
-      [last | found] -> sequence(rest, [{:tag, last, text} | found], depth)
+      [last | found] -> parse_sequence(rest, [{:tag, last, text} | found], depth)
       [] -> {:error, line, "{#{text}} has no preceding item"}
     end
   end
 
-  defp sequence([token | _], [], _depth), do: {:error, elem(token, 1), "an alternative is empty"}
-  defp sequence(rest, [one], _depth), do: {:ok, one, rest}
-  defp sequence(rest, found, _depth), do: {:ok, {:seq, Enum.reverse(found)}, rest}
+  defp parse_sequence([token | _], [], _depth),
+    do: {:error, elem(token, 1), "an alternative is empty"}
 
-  defp group(tokens, close, line, found, depth, wrap) do
-    with {:ok, inner, rest} <- alternatives(tokens, depth + 1) do
+  defp parse_sequence(rest, [one], _depth), do: {:ok, one, rest}
+  defp parse_sequence(rest, found, _depth), do: {:ok, {:seq, Enum.reverse(found)}, rest}
+
+  defp parse_group(tokens, close, line, found, depth, wrap) do
+    with {:ok, inner, rest} <- parse_alternatives(tokens, depth + 1) do
       case rest do
-        [{^close, _} | rest] -> sequence(rest, [wrap.(inner) | found], depth)
+        [{^close, _} | rest] -> parse_sequence(rest, [wrap.(inner) | found], depth)
         _ -> {:error, line, "a group is not closed"}
       end
     end
   end
 
-  defp whole(%{public: []}), do: {:error, bad("no rule is public")}
+  defp check_rules(%{public: []}), do: {:error, bad_grammar("no rule is public")}
 
-  defp whole(grammar) do
+  defp check_rules(grammar) do
     known = Map.keys(grammar.rules) ++ @built_in
-    used = grammar.rules |> Map.values() |> Enum.flat_map(&used/1)
+    used = grammar.rules |> Map.values() |> Enum.flat_map(&used_rules/1)
 
-    unknown(Enum.find(used, &(&1 not in known)), known)
+    require_known(Enum.find(used, &(&1 not in known)), known)
   end
 
-  defp unknown(nil, _known), do: :ok
+  defp require_known(nil, _known), do: :ok
 
-  defp unknown(name, known) do
-    near = Situ.Options.nearest(name, known)
-    {:error, bad("unknown rule <#{name}>#{if near, do: "; did you mean <#{near}>?"}")}
+  defp require_known(name, known) do
+    near = Situ.Options.nearest_name(name, known)
+    {:error, bad_grammar("unknown rule <#{name}>#{if near, do: "; did you mean <#{near}>?"}")}
   end
 
-  defp used({:rule, name}), do: [name]
-  defp used({kind, parts}) when kind in [:seq, :alt], do: Enum.flat_map(parts, &used/1)
-  defp used({:word, _}), do: []
-  defp used({:tag, part, _}), do: used(part)
-  defp used({_, part}), do: used(part)
+  defp used_rules({:rule, name}), do: [name]
+
+  defp used_rules({kind, parts}) when kind in [:seq, :alt],
+    do: Enum.flat_map(parts, &used_rules/1)
+
+  defp used_rules({:word, _}), do: []
+  defp used_rules({:tag, part, _}), do: used_rules(part)
+  defp used_rules({_, part}), do: used_rules(part)
 end

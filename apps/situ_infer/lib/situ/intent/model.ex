@@ -51,12 +51,12 @@ defmodule Situ.Intent.Model do
       entities =
         for call <- Enum.take(calls, 1),
             {type, value} <- Enum.sort(call.arguments),
-            do: %{type: type, value: said(value), score: 1.0}
+            do: %{type: type, value: entity_value(value), score: 1.0}
 
       {:ok, %Intent{query: text, intents: intents, entities: entities}}
     end
   end
 
-  defp said(value) when is_binary(value), do: value
-  defp said(value), do: Situ.JSON.encode(value)
+  defp entity_value(value) when is_binary(value), do: value
+  defp entity_value(value), do: Situ.JSON.encode(value)
 end

@@ -16,7 +16,7 @@ defmodule Situ.Assistant.DialogueTest do
     end)
   end
 
-  # Said in one second that ends at `to`; the clock is there, too.
+  # Speech of one second that ends at `to`; the clock has also reached `to`.
   defp hear(test, to, text) do
     Situ.Test.advance(test, to * @s - Situ.Clock.now(test.clock))
 
@@ -32,7 +32,7 @@ defmodule Situ.Assistant.DialogueTest do
     Enum.map(said, &elem(&1, 1)) ++ Enum.map(ask, &{:ask, elem(&1, 1)})
   end
 
-  test "by its name, in one go or in two; without it only while it listens" do
+  test "responds to its name, in one or two utterances, and without it only while listening" do
     test = start()
     assert hear(test, 2, "What time is it?") == []
     assert hear(test, 4, "Computer, what time is it?") == ["It is noon."]
@@ -49,7 +49,7 @@ defmodule Situ.Assistant.DialogueTest do
     Situ.Test.stop(test)
   end
 
-  test "timers ring when their time comes, unless they were cancelled" do
+  test "timers ring on time unless they were cancelled" do
     test = start(wake: nil)
     assert hear(test, 2, "Set a timer for ten seconds") == ["I set a timer for ten seconds."]
     Situ.Test.advance(test, 9 * @s)
@@ -57,14 +57,14 @@ defmodule Situ.Assistant.DialogueTest do
     Situ.Test.advance(test, 1 * @s)
     assert texts(test) == ["Your timer of ten seconds is over."]
     assert hear(test, 20, "set a timer for five seconds") == ["I set a timer for five seconds."]
-    assert hear(test, 22, "cancel my timer please") == ["I forget the timer."]
+    assert hear(test, 22, "cancel my timer please") == ["I canceled the timer."]
     Situ.Test.advance(test, 60 * @s)
     assert texts(test) == []
-    assert hear(test, 90, "cancel the timer") == ["There is no timer."]
+    assert hear(test, 90, "cancel the timer") == ["No timer is set."]
     Situ.Test.stop(test)
   end
 
-  test "its own words, coming back from the speaker, are nobody's" do
+  test "ignores its own words coming back from the speaker" do
     test = start(wake: nil)
     assert ["I set a timer" <> _] = hear(test, 2, "Set a timer for ten seconds")
     assert hear(test, 4, "I set a timer for ten second") == []
@@ -72,10 +72,10 @@ defmodule Situ.Assistant.DialogueTest do
     Situ.Test.stop(test)
   end
 
-  test "what it does not know it asks, says so, or leaves to the program" do
+  test "asks about unknown requests, says so, or leaves them to the program" do
     test = start(ask: true)
     assert hear(test, 2, "Computer, who was Ada Lovelace?") == [{:ask, "who was ada lovelace"}]
-    # Nothing without its name: the answer may be in the air.
+    # Without its name nothing happens, because the reply may still be playing.
     assert hear(test, 4, "She was a mathematician.") == []
     Situ.Test.stop(test)
     assert ["I did not understand that."] = hear(start(wake: nil), 2, "Who was Ada Lovelace?")
@@ -85,7 +85,7 @@ defmodule Situ.Assistant.DialogueTest do
     Situ.Test.stop(test)
   end
 
-  test "somebody interrupts with the first words that are not its own, once" do
+  test "is interrupted once, by the first words that are not its own" do
     ms = 1_000_000
 
     heard = fn from, to, text ->

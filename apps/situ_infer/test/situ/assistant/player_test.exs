@@ -6,7 +6,7 @@ defmodule Situ.Assistant.PlayerTest do
   alias Situ.{AudioBuffer, AudioFormat}
 
   @ms 1_000_000
-  # A frame is a millisecond.
+  # A frame lasts one millisecond.
   @format AudioFormat.pcm(1_000, 1, :s16)
 
   defp sound(from, to), do: AudioBuffer.from_samples(Enum.to_list(from..(to - 1)), @format)
@@ -28,7 +28,7 @@ defmodule Situ.Assistant.PlayerTest do
 
   defp samples(played), do: Enum.flat_map(played, &elem(&1, 1))
 
-  test "a little at once, the rest by the clock, one sound after the other" do
+  test "plays a small part immediately and the rest by the clock, in order" do
     test = start()
     Situ.Test.advance(test, 1_000 * @ms)
     Situ.Test.feed(test, :in, [message(1_000, 0, 200)])
@@ -45,7 +45,7 @@ defmodule Situ.Assistant.PlayerTest do
     Situ.Test.stop(test)
   end
 
-  test "told to stop it falls silent, and says what answers that" do
+  test "falls silent when stopped, and plays the reply to the interruption" do
     test = start()
     Situ.Test.advance(test, 2_000 * @ms)
     Situ.Test.feed(test, :in, [message(2_000, 0, 500)])
@@ -55,7 +55,7 @@ defmodule Situ.Assistant.PlayerTest do
     Situ.Test.feed(test, :stop, [{2_050 * @ms, "computer"}])
     for _ <- 1..10, do: Situ.Test.advance(test, 20 * @ms)
     assert {[], [{_, false}]} = outputs(test)
-    # It was decided after the interruption, so a late stop leaves it alone.
+    # This audio was decided after the interruption, so a late stop does not affect it.
     Situ.Test.advance(test, 1_000 * @ms)
     Situ.Test.feed(test, :in, [message(2_060, 700, 800)])
     Situ.Test.feed(test, :stop, [{2_055 * @ms, "computer"}])
@@ -68,7 +68,7 @@ defmodule Situ.Assistant.PlayerTest do
     Situ.Test.stop(test)
   end
 
-  property "all of every sound is played, without a hole while there is more" do
+  property "plays all of the audio, without a gap while more is available" do
     forall lengths <- list(integer(1, 300)) do
       {sounds, total} =
         Enum.map_reduce(lengths, 0, fn n, at -> {message(at, at, at + n), at + n} end)

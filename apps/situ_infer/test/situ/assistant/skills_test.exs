@@ -13,10 +13,10 @@ defmodule Situ.Assistant.SkillsTest do
   defp answer(text) do
     {:ok, grammar} = Grammar.load(grammar: Skills.grammar())
     {:ok, intent} = Grammar.detect(grammar, text)
-    Skills.answer(intent, @now)
+    Skills.answer_intent(intent, @now)
   end
 
-  test "what people say, and what comes of it" do
+  test "understands spoken requests and responds to them" do
     assert answer("What time is it?") == {:say, "It is fourteen thirty five."}
 
     assert answer("Could you tell me the time now, please") ==
@@ -32,19 +32,19 @@ defmodule Situ.Assistant.SkillsTest do
     assert answer("the cat sat on the mat") == :unknown
   end
 
-  property "any time and date is said in words" do
+  property "every time and date is spoken in words" do
     forall {h, m, d} <- {integer(0, 23), integer(0, 59), integer(1, 31)} do
-      time = Skills.time({{2026, 12, d}, {h, m, 0}})
-      date = Skills.date({{2026, 12, d}, {h, m, 0}})
+      time = Skills.time_in_words({{2026, 12, d}, {h, m, 0}})
+      date = Skills.date_in_words({{2026, 12, d}, {h, m, 0}})
 
       time =~ ~r/\AIt is [a-z' ]+\.\z/ and
         date =~ ~r/\AIt is [A-Z][a-z]+, December the [a-z ]+\.\z/
     end
   end
 
-  property "a timer of any length is as long as was said" do
+  property "a timer has exactly the requested length" do
     forall n <- integer(1, 999) do
-      for spoken <- ["#{n}", Number.words(n)] do
+      for spoken <- ["#{n}", Number.to_words(n)] do
         {:timer, ns, _, _} = answer("set a timer for #{spoken} minutes")
         true = ns == n * 60_000_000_000
       end

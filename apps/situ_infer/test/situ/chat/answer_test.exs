@@ -8,8 +8,8 @@ defmodule Situ.Chat.AnswerTest do
   alias Situ.Chat.Answer
 
   defp fold(events) do
-    Enum.reduce(events, Answer.piece(), fn event, piece ->
-      {:ok, _, piece} = Answer.fold(piece, Situ.JSON.encode(event))
+    Enum.reduce(events, Answer.empty_partial(), fn event, piece ->
+      {:ok, _, piece} = Answer.add_event(piece, Situ.JSON.encode(event))
       piece
     end)
   end
@@ -17,7 +17,7 @@ defmodule Situ.Chat.AnswerTest do
   defp call(index, part),
     do: %{choices: [%{delta: %{tool_calls: [Map.put(part, :index, index)]}}]}
 
-  test "calls of tools come in parts, several at once" do
+  test "tool calls arrive in parts, several in parallel" do
     answer =
       [
         call(0, %{id: "a", function: %{name: "timer", arguments: ""}}),
@@ -28,7 +28,7 @@ defmodule Situ.Chat.AnswerTest do
         %{choices: [], usage: %{prompt_tokens: 7, completion_tokens: 9}}
       ]
       |> fold()
-      |> Answer.whole()
+      |> Answer.to_answer()
 
     assert [%{id: "a", name: "timer", arguments: %{"minutes" => 5}}, %{id: "b", name: "time"}] =
              answer.calls
@@ -36,7 +36,7 @@ defmodule Situ.Chat.AnswerTest do
     assert {answer.finish, answer.tokens, answer.exact?} == {:calls, %{read: 7, written: 9}, true}
   end
 
-  test "services that number calls badly, or repeat their names, are understood" do
+  test "understands services that number calls badly or repeat their names" do
     part = fn id, name, arguments -> %{id: id, function: %{name: name, arguments: arguments}} end
 
     for number <- [&call(0, &1), &%{choices: [%{delta: %{tool_calls: [&1]}}]}] do
@@ -48,7 +48,7 @@ defmodule Situ.Chat.AnswerTest do
           number.(%{function: %{arguments: "}"}})
         ]
         |> fold()
-        |> Answer.whole()
+        |> Answer.to_answer()
 
       assert [
                %{id: "a", name: "timer", arguments: %{"minutes" => 5}},
@@ -57,42 +57,44 @@ defmodule Situ.Chat.AnswerTest do
     end
   end
 
-  test "a character that was cut in half is a mark, not the end of the answer" do
+  test "half a character becomes a replacement character and does not end the response" do
     event = fn text -> ~s({"choices": [{"delta": {"content": "#{text}"}}]}) end
-    assert {:ok, ["a\uFFFD"], _} = Answer.fold(Answer.piece(), event.("a\\ud83d"))
-    assert {:ok, ["\uFFFDb"], _} = Answer.fold(Answer.piece(), event.("\\ude00b"))
-    assert {:ok, ["😀\uFFFD"], _} = Answer.fold(Answer.piece(), event.("\\ud83d\\ude00\\ud83d"))
+    assert {:ok, ["a\uFFFD"], _} = Answer.add_event(Answer.empty_partial(), event.("a\\ud83d"))
+    assert {:ok, ["\uFFFDb"], _} = Answer.add_event(Answer.empty_partial(), event.("\\ude00b"))
+
+    assert {:ok, ["😀\uFFFD"], _} =
+             Answer.add_event(Answer.empty_partial(), event.("\\ud83d\\ude00\\ud83d"))
   end
 
-  test "an answer that was not streamed is one, too" do
+  test "accepts a response that was not streamed" do
     piece = fold([%{choices: [%{message: %{content: "Yes."}, finish_reason: "length"}]}])
-    assert %{text: "Yes.", finish: :length, exact?: false} = Answer.whole(piece)
+    assert %{text: "Yes.", finish: :length, exact?: false} = Answer.to_answer(piece)
   end
 
-  test "an error that is none is none, and services complain in several ways" do
+  test "ignores empty errors and understands error formats of several services" do
     event = ~s({"error": null, "choices": [{"delta": {"content": "Yes."}}]})
-    assert {:ok, ["Yes."], _} = Answer.fold(Answer.piece(), event)
+    assert {:ok, ["Yes."], _} = Answer.add_event(Answer.empty_partial(), event)
 
     for said <- [
           %{"message" => "full"},
           %{"detail" => [%{"msg" => "full"}]},
           %{"error" => %{"message" => "full"}}
         ],
-        do: assert(Answer.complaint(said) == "full")
+        do: assert(Answer.error_text(said) == "full")
   end
 
-  test "errors in the stream, text that is no JSON, answers without end" do
+  test "reports errors in the stream, text that is not JSON, and endless responses" do
     assert {:error, %{code: :service_failed}} =
-             Answer.fold(Answer.piece(), ~s({"error": {"message": "full"}}))
+             Answer.add_event(Answer.empty_partial(), ~s({"error": {"message": "full"}}))
 
-    assert {:error, %{code: :bad_response}} = Answer.fold(Answer.piece(), "<html>")
+    assert {:error, %{code: :bad_response}} = Answer.add_event(Answer.empty_partial(), "<html>")
     many = fold(for i <- 1..64, do: call(i, %{id: "#{i}"}))
 
     assert {:error, %{code: :too_long}} =
-             Answer.fold(many, Situ.JSON.encode(call(65, %{id: "x"})))
+             Answer.add_event(many, Situ.JSON.encode(call(65, %{id: "x"})))
   end
 
-  property "whatever a service sends where something else belongs, nothing breaks" do
+  property "unexpected values in any field never raise" do
     value =
       one_of(
         Enum.map(
@@ -108,7 +110,7 @@ defmodule Situ.Chat.AnswerTest do
         "usage" => e
       }
 
-      match?({:ok, _, _}, Answer.fold(Answer.piece(), Situ.JSON.encode(event)))
+      match?({:ok, _, _}, Answer.add_event(Answer.empty_partial(), Situ.JSON.encode(event)))
     end
   end
 

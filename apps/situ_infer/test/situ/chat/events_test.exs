@@ -13,7 +13,7 @@ defmodule Situ.Chat.EventsTest do
     |> elem(0)
   end
 
-  property "the same whatever the pieces it comes in" do
+  property "the result does not depend on how the bytes are cut" do
     letters = one_of([97, 233, 10, 32, 58])
 
     forall {texts, line, size} <-
@@ -34,11 +34,11 @@ defmodule Situ.Chat.EventsTest do
     end
   end
 
-  test "fields that are not known, comments and events without data are nothing" do
+  test "ignores unknown fields, comments and events without data" do
     assert all([": hello\n\nevent: x\nid: 1\n\nretry: 9\ndata\ndata:1\n\n"]) == ["\n1"]
   end
 
-  test "an event without an end is refused" do
+  test "rejects an event without an end" do
     long = String.duplicate("x", 600_000)
     assert {:ok, [], events} = Events.push(Events.new(), "data: " <> long)
     assert {:error, :too_long} = Events.push(events, long)

@@ -2,12 +2,15 @@ defmodule Situ.Infer.ActiveSpeakerTest do
   use ExUnit.Case, async: true
   alias Situ.Infer.{ActiveSpeaker, Mouth, Voice}
 
-  # 25 pictures a second; `lips` and `voice` are functions of the picture's number.
+  # 25 images a second; `lips` and `voice` are functions of the image's number.
   defp decide(n, lips, voice) do
     {decisions, {speaker, _}} =
       Enum.flat_map_reduce(0..(n - 1), {ActiveSpeaker.new(), %{}}, fn i, {speaker, known} ->
         time = i * 40_000_000
-        mouths = Map.new(lips.(i), fn {id, o} -> {id, Mouth.watch(known[id], time, o)} end)
+
+        mouths =
+          Map.new(lips.(i), fn {id, o} -> {id, Mouth.track_opening(known[id], time, o)} end)
+
         {p, level} = voice.(i)
 
         {out, speaker} =
@@ -24,7 +27,7 @@ defmodule Situ.Infer.ActiveSpeakerTest do
   defp talk(i) when i in 25..60, do: {1.0, 0.05 + 0.2 * wave(i)}
   defp talk(_), do: {0.0, 0.001}
 
-  test "the face whose lips follow the voice speaks" do
+  test "the face whose lips follow the voice is the speaker" do
     lips = fn i -> %{0 => 0.1, 1 => if(i in 25..60, do: 0.05 + 0.1 * wave(i), else: 0.05)} end
     said = decide(90, lips, &talk/1)
     assert length(said) == 90
@@ -32,15 +35,15 @@ defmodule Situ.Infer.ActiveSpeakerTest do
     assert (Enum.slice(said, 0, 20) ++ Enum.slice(said, 67, 23)) |> Enum.uniq() == [[]]
   end
 
-  test "a voice from outside and lips that move in silence are nobody's" do
+  test "an off-screen voice and lips that move in silence belong to no face" do
     still = fn _ -> %{0 => 0.1, 1 => 0.2} end
     assert decide(90, still, &talk/1) |> Enum.uniq() == [[]]
     chewing = fn i -> %{0 => 0.1 + 0.1 * wave(i)} end
     assert decide(90, chewing, fn _ -> {0.0, 0.001} end) |> Enum.uniq() == [[]]
   end
 
-  # Face 0 speaks, and rests with its mouth a little open; then somebody outside of the picture speaks.
-  test "a mouth that stays open after its last word does not speak when another voice comes" do
+  # Face 0 speaks, then rests with its mouth slightly open; then someone outside the image speaks.
+  test "a mouth that stays open is not the speaker of another voice" do
     lips = fn i ->
       %{
         0 =>
@@ -58,19 +61,19 @@ defmodule Situ.Infer.ActiveSpeakerTest do
     assert Enum.slice(said, 70, 50) |> Enum.uniq() == [[]]
   end
 
-  test "a mouth that chews while another voice talks is soon told from the speaker's" do
+  test "a chewing mouth is soon distinguished from the speaker's" do
     voice = fn i -> if i in 25..110, do: {1.0, 0.05 + 0.2 * wave(i)}, else: {0.0, 0.001} end
     bite = fn i -> if i in 18..110, do: abs(:math.sin(i * 0.39)), else: 0.0 end
     said = decide(130, fn i -> %{0 => 0.05 + 0.1 * bite.(i)} end, voice)
     assert Enum.slice(said, 62, 68) |> Enum.uniq() == [[]]
 
-    # Lips that stay open and agree with nothing are no proof: a mesh says little about how wide a wide mouth is.
+    # Lips that stay open and match nothing prove nothing: a mesh says little about how wide an open mouth is.
     open = fn i -> if i in 25..110, do: 0.16 + 0.04 * :math.sin(i * 1.9), else: 0.05 end
     said = decide(130, fn i -> %{0 => open.(i)} end, voice)
     assert Enum.slice(said, 35, 70) |> Enum.uniq() == [[0]]
   end
 
-  test "no faces and no sound are no error" do
+  test "no faces and no audio are not an error" do
     assert decide(10, fn _ -> %{} end, &talk/1) |> Enum.uniq() == [[]]
     {out, speaker} = ActiveSpeaker.push(ActiveSpeaker.new(), 0, %{}, nil)
     assert {[{0, %{}}], _} = {out ++ elem(ActiveSpeaker.close(speaker), 0), nil}

@@ -1,5 +1,6 @@
 defmodule Situ.Infer.BadInputTest do
-  # Rectangles and faces of anybody's making: each component says which member is wrong, and goes on when told to.
+  # Rectangles and faces from any source: each component names the invalid member, and continues with `on_error:
+  # :skip`.
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.Infer.{Face, FaceBlur, FaceTracker, Tracker}
@@ -17,7 +18,7 @@ defmodule Situ.Infer.BadInputTest do
 
   defp face(rect), do: %Face{rect: rect, eyes: {{2.0, 3.0}, {6.0, 3.0}}}
 
-  # The first message's type is checked by the stream; the component gets the second.
+  # The stream checks the type of the first message, so the component gets the second one.
   defp run(module, data, opts \\ []) do
     Situ.collect(fn p ->
       p |> Situ.from_enumerable(Enum.with_index(data, &{&2 + 1, &1})) |> Situ.via(module, opts)
@@ -25,17 +26,17 @@ defmodule Situ.Infer.BadInputTest do
   end
 
   @tag :capture_log
-  test "a rectangle that is none is told by its member" do
+  test "an invalid rectangle is reported by its member" do
     for rect <- [nil, %{x: 1}, "box" | bad_rects()] do
-      assert {:error, %{code: :bad_rect, why: why}} = Rect.check(rect)
+      assert {:error, %{code: :bad_rect, why: why}} = Rect.validate(rect)
       assert is_binary(why)
       assert code(run(Tracker, [[], [rect]])) == :bad_rect
     end
   end
 
   @tag :capture_log
-  test "faces likewise, in the tracker and the blur" do
-    image = Image.filled(32, 32, :gray8, 200)
+  test "invalid faces are reported in the tracker and the blur" do
+    image = Image.new_filled(32, 32, :gray8, 200)
 
     for rect <- Enum.take_every(bad_rects(), 5) do
       assert code(run(FaceTracker, [[face(rect)]])) == :bad_rect
@@ -50,7 +51,7 @@ defmodule Situ.Infer.BadInputTest do
   end
 
   @tag :capture_log
-  test "with on_error: :skip the others come through" do
+  test "with on_error: :skip, valid messages still pass" do
     good = [%{@good | label: "a"}]
     assert {:ok, out} = run(Tracker, [good, [%{@good | x: :nan}], good], on_error: :skip)
     assert length(out) == 2
@@ -62,9 +63,9 @@ defmodule Situ.Infer.BadInputTest do
 
     forall boxes <- list({number, number, size, size}) do
       rects = for {x, y, w, h} <- boxes, do: %Rect{x: x, y: y, width: w, height: h}
-      rects = for rect <- rects, match?({:ok, _}, Rect.check(rect)), do: rect
-      {_, tracker} = Tracker.step(Tracker.new(), 0, rects)
-      {again, _} = Tracker.step(tracker, 40_000_000, rects)
+      rects = for rect <- rects, match?({:ok, _}, Rect.validate(rect)), do: rect
+      {_, tracker} = Tracker.update_tracks(Tracker.new(), 0, rects)
+      {again, _} = Tracker.update_tracks(tracker, 40_000_000, rects)
       assert length(again) == length(rects)
     end
   end

@@ -7,35 +7,35 @@ defmodule Situ.Infer.BodyPoseTest do
   @fixtures Path.expand("../../fixtures", __DIR__)
 
   defp picture(name), do: @fixtures |> Path.join(name) |> Imaging.read() |> elem(1)
-  defp named(points), do: BodyPose.joints() |> Enum.zip(points) |> Map.new()
+  defp named(points), do: BodyPose.joint_names() |> Enum.zip(points) |> Map.new()
 
   defp near?(%Point2{x: x, y: y}, {tx, ty}, by), do: abs(x - tx) < by and abs(y - ty) < by
 
-  test "the points of a photo lie where another network sees the face, and where the shoulders are" do
+  test "places the points where another network sees the face and where the shoulders are" do
     image = picture("astronaut.png")
     {:ok, [%{eyes: {right, left}, nose: nose}]} = FaceDetector.detect(image)
-    assert {:ok, %{points: points, skeletons: [body]}} = BodyPose.find(image)
+    assert {:ok, %{points: points, skeletons: [body]}} = BodyPose.find_body(image)
     assert length(points) == 33
     at = named(points)
     assert near?(at.right_eye, right, 12) and near?(at.left_eye, left, 12)
     assert near?(at.nose, nose, 15)
-    # below the chin at y = 185, on either side of the neck at x = 225
+    # Below the chin at y = 185, on either side of the neck at x = 225.
     assert at.right_shoulder.x < 180 and at.left_shoulder.x > 250
     for name <- [:left_shoulder, :right_shoulder], do: assert_in_delta(at[name].y, 205, 50)
 
     assert body.confidence.nose > 0.9
-    {_, left, up} = Skeleton.position(body, :left_shoulder)
-    {_, right, _} = Skeleton.position(body, :right_shoulder)
-    # She faces the camera: her left is at its right.
+    {_, left, up} = Skeleton.joint_position(body, :left_shoulder)
+    {_, right, _} = Skeleton.joint_position(body, :right_shoulder)
+    # She faces the camera, so her left is on its right.
     assert left < right and up > 0.2
     assert_in_delta right - left, 0.33, 0.12
   end
 
-  test "what moves is followed, and nobody is nobody" do
-    # A camera that turns by 12 pixels a picture; then a wall, then she again.
+  test "follows a moving person and reports nobody without one" do
+    # A camera that turns by 12 pixels per image; then a wall, then the person again.
     photo = "astronaut.png" |> picture() |> Imaging.convert!(:bgr24)
     turned = for i <- 0..3, do: Imaging.crop!(photo, {i * 12, 0, 440, 512})
-    wall = Image.filled(440, 512, :bgr24, {128, 128, 128})
+    wall = Image.new_filled(440, 512, :bgr24, {128, 128, 128})
 
     assert [a, _, _, d, [], again] =
              Situ.to_list(fn p ->
@@ -51,20 +51,20 @@ defmodule Situ.Infer.BodyPoseTest do
     assert near?(again.nose, {a.nose.x, a.nose.y}, 1)
   end
 
-  test "no body in a cup of coffee, on a wall, in one pixel" do
+  test "finds no body in a cup of coffee, on a wall or in one pixel" do
     nobody = %{points: [], skeletons: []}
-    assert {:ok, ^nobody} = BodyPose.find(picture("coffee_noface.png"))
+    assert {:ok, ^nobody} = BodyPose.find_body(picture("coffee_noface.png"))
 
     for {w, h} <- [{640, 480}, {1, 1}, {1, 2_000}],
-        do: assert({:ok, ^nobody} = BodyPose.find(Image.filled(w, h, :gray8, 90)))
+        do: assert({:ok, ^nobody} = BodyPose.find_body(Image.new_filled(w, h, :gray8, 90)))
   end
 
-  test "pictures of 16-bit channels and networks of another shape are refused" do
-    assert {:error, %{code: :bad_image}} = BodyPose.find(Image.filled(64, 64, :gray16))
+  test "rejects images with 16-bit channels and networks of another shape" do
+    assert {:error, %{code: :bad_image}} = BodyPose.find_body(Image.new_filled(64, 64, :gray16))
 
     assert {:error, %{code: :model_shape, what: what}} =
-             BodyPose.find(Image.filled(64, 64, :gray8),
-               model: Situ.Infer.Model.path("person.onnx")
+             BodyPose.find_body(Image.new_filled(64, 64, :gray8),
+               model: Situ.Infer.Model.bundled_path("person.onnx")
              )
 
     assert what =~ "person.onnx"

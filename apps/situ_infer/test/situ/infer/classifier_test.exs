@@ -8,14 +8,14 @@ defmodule Situ.Infer.ClassifierTest do
   @moduletag :tmp_dir
 
   setup context do
-    # The doctest has no folder.
+    # Doctests have no temporary folder.
     if dir = context[:tmp_dir], do: [path: Networks.write(Networks.colours(8), dir)], else: []
   end
 
   defp picture(format, pixel, w \\ 20, h \\ 20),
     do: Image.new!(width: w, height: h, format: format, data: :binary.copy(pixel, w * h))
 
-  test "ImageNet's preprocessing, and the best first", %{path: path} do
+  test "uses ImageNet's preprocessing and returns the best class first", %{path: path} do
     {:ok, classify} = Classifier.load(path: path, labels: ["red", "green"], top: 3)
     assert {:ok, found} = classify.(picture(:rgb24, <<255, 128, 0>>))
 
@@ -28,11 +28,11 @@ defmodule Situ.Infer.ClassifierTest do
     for {{label, score}, {name, value}} <- Enum.zip(found, expected),
         do: assert({label, Float.round(score, 4)} == {name, Float.round(value, 4)})
 
-    # The same picture in another order of bytes.
+    # The same image in another byte order.
     assert {:ok, ^found} = classify.(picture(:bgr24, <<0, 128, 255>>))
   end
 
-  test "softmax, raw values, blue first, and the middle square", %{path: path} do
+  test "supports softmax, raw values, BGR order and a center crop", %{path: path} do
     raw = [path: path, mean: [0, 0, 0], std: [1, 1, 1], scale: 1]
     {:ok, classify} = Classifier.load(raw ++ [order: :bgr, top: 1])
     assert {:ok, [{"0", 30.0}]} = classify.(picture(:rgb24, <<10, 20, 30>>))
@@ -56,7 +56,7 @@ defmodule Situ.Infer.ClassifierTest do
              classify.(Image.new!(width: 20, height: 10, format: :rgb24, data: sides))
   end
 
-  test "in a pipeline, with names from a file; no picture is no answer", %{
+  test "in a pipeline, takes names from a file and returns nil without an image", %{
     path: path,
     tmp_dir: dir
   } do
@@ -75,7 +75,7 @@ defmodule Situ.Infer.ClassifierTest do
     assert [[{"blue", _}], nil, [{"green", _}]] = out
   end
 
-  test "models and options that cannot be are refused", %{path: path, tmp_dir: dir} do
+  test "rejects invalid models and options", %{path: path, tmp_dir: dir} do
     adding = Networks.write(Networks.adding(2), dir, "adding.onnx")
     assert {:error, %{code: :unknown_output}} = Classifier.load(path: adding)
     assert {:error, %{code: :model_shape}} = Classifier.load(path: adding, output: "z")
@@ -84,7 +84,7 @@ defmodule Situ.Infer.ClassifierTest do
     assert {:error, %{code: :model_shape}} = Classifier.load(path: path, side: 9)
   end
 
-  test "scores that are no numbers are an error that says so", %{tmp_dir: dir} do
+  test "scores that are not numbers are an error that gives the reason", %{tmp_dir: dir} do
     path = Networks.write(Networks.undefined(8), dir)
     {:ok, classify} = Classifier.load(path: path)
 

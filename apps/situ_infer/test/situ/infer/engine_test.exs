@@ -1,7 +1,7 @@
 defmodule Situ.Infer.EngineTest do
   use ExUnit.Case, async: true
 
-  # A VM of its own: the library is opened once in a process's life.
+  # Runs in a separate VM because a process opens the library only once.
   @script """
   alias Situ.Infer.{Engine, Model}
   {:ok, _} = Application.ensure_all_started(:situ_infer)
@@ -17,7 +17,7 @@ defmodule Situ.Infer.EngineTest do
   IO.puts("mended")
   """
 
-  test "a missing library is an error with the mend, and is looked for again" do
+  test "a missing library is an error with a fix and is searched for again" do
     paths = Enum.flat_map(:code.get_path(), &["-pa", to_string(&1)])
     env = [{"SITU_ONNXRUNTIME", "/nowhere/libonnxruntime.so"}]
 

@@ -8,7 +8,7 @@ defmodule Situ.Infer.FaceBlurTest do
 
   @ms 1_000_000
 
-  # Lines that are lost when they are blurred.
+  # Lines that disappear when they are blurred.
   defp striped(width, height) do
     data = for _ <- 1..height, x <- 1..width, into: <<>>, do: <<rem(x, 2) * 255>>
     Image.new!(width: width, height: height, format: :gray8, data: data)
@@ -16,24 +16,25 @@ defmodule Situ.Infer.FaceBlurTest do
 
   defp face(x, y, size), do: %Face{rect: Rect.new!(x, y, size, size), eyes: {{0, 0}, {1, 0}}}
 
-  property "what is hidden is gone, and the rest is as it was", numtests: 100 do
+  property "hides the face completely and leaves the rest unchanged", numtests: 100 do
     forall {x, y, w, h} <- {integer(-30, 70), integer(-30, 50), integer(8, 60), integer(8, 60)} do
       image = striped(64, 48)
-      hidden = FaceBlur.hide(image, [Rect.new!(x, y, w, h)])
+      hidden = FaceBlur.hide_rects(image, [Rect.new!(x, y, w, h)])
 
       for row <- 0..47, column <- 0..63, reduce: true do
         ok ->
           at = row * 64 + column
           {before, now} = {:binary.at(image.data, at), :binary.at(hidden.data, at)}
           inside? = column in x..(x + w - 1) and row in y..(y + h - 1)
-          # Near the edge of a narrow rest a spot is a line or two.
+
+          # If only a narrow strip of the face is within the image, a spot spans only a line or two.
           narrow? = min(x + w, 64) - max(x, 0) < 8
           ok and if inside? and not narrow?, do: now in 40..215, else: inside? or now == before
       end
     end
   end
 
-  test "a face is hidden before it is found, and after it is lost, by its margin" do
+  test "hides a face for a margin before it is found and after it is lost" do
     image = striped(64, 64)
     faces = fn k -> if k == 5, do: [face(24, 24, 16)], else: [] end
 

@@ -11,31 +11,31 @@ defmodule Situ.Infer.FaceDetectorTest do
     image
   end
 
-  test "finds the one face of the photo, and its points" do
+  test "finds the single face in the photo and its points" do
     image = picture("astronaut.png")
     assert {:ok, [face]} = FaceDetector.detect(image)
     assert Rect.iou(face.rect, Rect.new!(178, 82, 93, 92)) > 0.6
 
-    {:ok, model} = FaceLandmarks.load([])
-    assert {:ok, [mesh]} = FaceLandmarks.find(model, image, [face])
+    {:ok, model} = FaceLandmarks.load_network([])
+    assert {:ok, [mesh]} = FaceLandmarks.find_meshes(model, image, [face])
     assert mesh.score > 0.9
-    {x, y} = Situ.Infer.FaceMesh.point(mesh, 13)
+    {x, y} = Situ.Infer.FaceMesh.point_at(mesh, 13)
     assert_in_delta x, 223, 15
     assert_in_delta y, 143, 15
-    assert Mouth.opening(mesh) > 0.02 and Mouth.opening(mesh) < 0.2
+    assert Mouth.measure_opening(mesh) > 0.02 and Mouth.measure_opening(mesh) < 0.2
   end
 
   test "finds no face in a cup of coffee" do
     assert {:ok, []} = FaceDetector.detect(picture("coffee_noface.png"))
   end
 
-  test "a picture of 16-bit channels is refused" do
-    assert {:error, %{code: :bad_image}} = FaceDetector.detect(Image.filled(64, 64, :gray16))
+  test "rejects an image with 16-bit channels" do
+    assert {:error, %{code: :bad_image}} = FaceDetector.detect(Image.new_filled(64, 64, :gray16))
   end
 
-  # Real faces of these sizes in a real picture of 1920x1080 without any.
+  # Real faces of these sizes, pasted into a real 1920x1080 image that contains no faces.
   for px <- [40, 55, 80] do
-    test "faces of #{px} pixels are found in 1080p, and where they are" do
+    test "finds faces of #{px} pixels at their positions in 1080p" do
       scale = unquote(px) / 92
 
       cup =
@@ -55,7 +55,7 @@ defmodule Situ.Infer.FaceDetectorTest do
     end
   end
 
-  test "tiles: 0 looks at the whole picture only" do
+  test "tiles: 0 searches only the whole image" do
     assert {:ok, [_]} = FaceDetector.detect(picture("astronaut.png"), tiles: 0)
   end
 end

@@ -5,18 +5,18 @@ defmodule Situ.Infer.FaceTrackerTest do
   alias Situ.Rect
   doctest Situ.Infer.FaceTracker
 
-  test "a face that returns in time keeps its id, later it gets a new one" do
+  test "a face keeps its id if it returns in time, and gets a new id later" do
     face = fn x -> %Situ.Infer.Face{rect: Rect.new!(x, 0, 10, 10), eyes: {{0, 0}, {1, 0}}} end
     tracker = FaceTracker.new(max_missing: 100)
-    {[a], tracker} = FaceTracker.step(tracker, 0, [face.(0)])
-    {[], tracker} = FaceTracker.step(tracker, 50, [])
-    {[b], tracker} = FaceTracker.step(tracker, 90, [face.(2)])
-    {[], tracker} = FaceTracker.step(tracker, 150, [])
-    {[c], _} = FaceTracker.step(tracker, 250, [face.(2)])
+    {[a], tracker} = FaceTracker.update_tracks(tracker, 0, [face.(0)])
+    {[], tracker} = FaceTracker.update_tracks(tracker, 50, [])
+    {[b], tracker} = FaceTracker.update_tracks(tracker, 90, [face.(2)])
+    {[], tracker} = FaceTracker.update_tracks(tracker, 150, [])
+    {[c], _} = FaceTracker.update_tracks(tracker, 250, [face.(2)])
     assert [a.rect.id, b.rect.id, c.rect.id] == [0, 0, 1]
   end
 
-  property "a tracker gives every face of a picture an id of its own" do
+  property "gives every face of an image a unique id" do
     picture = :proper_types.list({:proper_types.range(0, 200), :proper_types.range(1, 40)})
 
     {:proper_types.list(picture),
@@ -29,7 +29,7 @@ defmodule Situ.Infer.FaceTrackerTest do
              for {x, w} <- faces,
                  do: %Situ.Infer.Face{rect: Rect.new!(x, 0, w, w), eyes: {{0, 0}, {1, 0}}}
 
-           {tracked, tracker} = FaceTracker.step(tracker, i * 40_000_000, faces)
+           {tracked, tracker} = FaceTracker.update_tracks(tracker, i * 40_000_000, faces)
            ids = Enum.map(tracked, & &1.rect.id)
            {length(tracked) == length(faces) and Enum.uniq(ids) == ids, tracker}
          end)

@@ -3,14 +3,14 @@ defmodule Situ.Infer.ModelStoreTest do
   alias Situ.Infer.ModelStore
 
   @tag :tmp_dir
-  test "a file that was cut short or changed is no model", %{tmp_dir: root} do
+  test "rejects a model file that was truncated or changed", %{tmp_dir: root} do
     folder = Path.join(root, "m")
     File.mkdir_p!(folder)
     path = Path.join(folder, "x.onnx")
     File.write!(path, "a network")
-    fetch = fn -> ModelStore.fetch("m", "x.onnx", root) end
+    fetch = fn -> ModelStore.fetch_path("m", "x.onnx", root) end
 
-    # Of what somebody put there nothing is known.
+    # A file placed there by hand has no known checksum.
     assert fetch.() == {:ok, path}
     sum = Base.encode16(:crypto.hash(:sha256, "a network"), case: :lower)
     File.write!(Path.join(folder, "SHA256SUMS"), "#{sum}  x.onnx\n")
@@ -25,9 +25,11 @@ defmodule Situ.Infer.ModelStoreTest do
     end
   end
 
-  test "a model that is not there is an error that says how to fetch it" do
-    assert {:error, error} = ModelStore.fetch("no-such-model", "x.onnx")
+  test "a missing model is an error that says how to fetch it" do
+    assert {:error, error} = ModelStore.fetch_path("no-such-model", "x.onnx")
     assert error.code == :no_model_file
-    assert error.fix =~ "bin/lib/fetch-model no-such-model" and error.why =~ ModelStore.folder()
+
+    assert error.fix =~ "bin/lib/fetch-model no-such-model" and
+             error.why =~ ModelStore.models_folder()
   end
 end

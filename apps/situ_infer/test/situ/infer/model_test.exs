@@ -28,7 +28,7 @@ defmodule Situ.Infer.ModelTest do
   defp furthest(a, b), do: Enum.zip_with(a, b, &abs(&1 - &2)) |> Enum.max()
 
   @tag :tmp_dir
-  test "runs batches in one go where the file leaves the first dimension free", %{tmp_dir: dir} do
+  test "runs batches in one call if the first dimension of the file is free", %{tmp_dir: dir} do
     path = Path.join(dir, "double.onnx")
     File.write!(path, doubling(3))
     assert {:ok, model} = Model.load(path, inputs: %{"x" => {:f32, {nil, 3}}})
@@ -38,14 +38,14 @@ defmodule Situ.Infer.ModelTest do
     batch =
       for i <- 1..2, do: %{"x" => Tensor.from_list(List.duplicate(i * 1.0, 3 * i), :f32, {i, 3})}
 
-    runs = Model.stats(model).runs
+    runs = Model.run_stats(model).runs
     assert {:ok, [%{"y" => one}, %{"y" => two}]} = Model.run_batch(model, batch)
     assert Tensor.to_list(one) == [2.0, 2.0, 2.0]
     assert two.shape == {2, 3} and Tensor.to_list(two) == List.duplicate(4.0, 6)
-    assert Model.stats(model).runs == runs + 1
+    assert Model.run_stats(model).runs == runs + 1
   end
 
-  test "numbers of every type go in and come out, halves too" do
+  test "accepts and returns numbers of every type, including half floats" do
     types = [:f16, :bf16, :f32, :f64, :s8, :u8, :s16, :u16, :s32, :u32, :s64, :u64]
 
     for type <- types do
@@ -73,19 +73,19 @@ defmodule Situ.Infer.ModelTest do
       )
 
     assert {:ok, model} = Model.from_bytes(sum, "sum")
-    # Not where halves lie in memory.
+    # Half floats that are not aligned in memory.
     <<_, data::binary>> = <<0, Tensor.from_list([0.5, -1.5], :f16, {2}).data::binary>>
     assert {:ok, %{"y" => y}} = Model.run(model, %{"x" => Tensor.new(data, :f16, {2})})
     assert Tensor.to_list(y) == [1.0, -3.0]
   end
 
-  test "inputs of another name are named, and models without tensors refused" do
+  test "reports unknown input names and rejects models without tensors" do
     {:ok, model} = Model.from_bytes(doubling(1), "double")
     x = Tensor.from_list([1.0], :f32, {1, 1})
     assert {:error, %{code: :bad_tensor, what: what}} = Model.run(model, %{"x" => x, "z" => x})
     assert what =~ ~s("z")
 
-    # 8 is ONNX's number of text.
+    # 8 is ONNX's type number for strings.
     port = &{&1, :text, {nil}}
 
     text =
@@ -100,7 +100,7 @@ defmodule Situ.Infer.ModelTest do
   end
 
   test "gives the face detector's reference results" do
-    {:ok, model} = Model.load(Model.path("face_detection_short_range.onnx"))
+    {:ok, model} = Model.load(Model.bundled_path("face_detection_short_range.onnx"))
     input = pixels("face_input.u8", 1 / 127.5, -1.0, {1, 128, 128, 3})
     assert {:ok, out} = Model.run(model, %{"input" => input})
     assert furthest(Tensor.to_list(out["classificators"]), floats("face_scores.f32")) < 1.0e-3
@@ -111,8 +111,8 @@ defmodule Situ.Infer.ModelTest do
     assert furthest(found, floats("face_boxes.f32")) < 1.0e-2
   end
 
-  test "gives the face mesh's reference results, from several processes at once" do
-    {:ok, model} = Model.shared(Model.path("face_landmark.onnx"))
+  test "gives the face mesh's reference results from several processes in parallel" do
+    {:ok, model} = Model.load_shared(Model.bundled_path("face_landmark.onnx"))
     input = %{"input_1" => pixels("mesh_input.u8", 1 / 255, 0.0, {1, 192, 192, 3})}
 
     results =
@@ -123,11 +123,11 @@ defmodule Situ.Infer.ModelTest do
     assert [{:ok, out}] = Enum.uniq(results)
     assert furthest(Tensor.to_list(out["conv2d_20"]), floats("mesh_points.f32")) < 1.0e-2
     assert furthest(Tensor.to_list(out["conv2d_30"]), floats("mesh_score.f32")) < 1.0e-3
-    assert {:ok, ^model} = Model.shared(Model.path("face_landmark.onnx"))
+    assert {:ok, ^model} = Model.load_shared(Model.bundled_path("face_landmark.onnx"))
   end
 
-  test "as many runs go on at once as there are sessions" do
-    path = Model.path("face_landmark.onnx")
+  test "runs as many calls in parallel as there are sessions" do
+    path = Model.bundled_path("face_landmark.onnx")
     input = %{"input_1" => Tensor.zeros(:f32, {1, 192, 192, 3})}
 
     for sessions <- [1, 3] do
@@ -135,19 +135,19 @@ defmodule Situ.Infer.ModelTest do
       one = fn -> for _ <- 1..5, do: {:ok, _} = Model.run(model, input) end
       outputs = 1..6 |> Enum.map(fn _ -> Task.async(one) end) |> Task.await_many(60_000)
       assert [_] = outputs |> Enum.concat() |> Enum.uniq()
-      assert Model.stats(model).runs == 30
+      assert Model.run_stats(model).runs == 30
     end
   end
 
-  describe "refuses" do
-    test "a file that is not there" do
+  describe "rejects" do
+    test "a missing file" do
       assert {:error, %{code: :no_model_file}} = Model.load("/nowhere/x.onnx")
     end
 
     @tag :tmp_dir
-    test "a file cut short", %{tmp_dir: dir} do
+    test "a truncated file", %{tmp_dir: dir} do
       path = Path.join(dir, "cut.onnx")
-      whole = File.read!(Model.path("face_detection_short_range.onnx"))
+      whole = File.read!(Model.bundled_path("face_detection_short_range.onnx"))
       File.write!(path, binary_part(whole, 0, div(byte_size(whole), 2)))
       assert {:error, %{code: :bad_model, fix: "" <> _}} = Model.load(path)
       File.write!(path, "")
@@ -155,7 +155,7 @@ defmodule Situ.Infer.ModelTest do
     end
 
     test "a model of another shape, naming both shapes" do
-      path = Model.path("face_landmark.onnx")
+      path = Model.bundled_path("face_landmark.onnx")
       wanted = %{"input_1" => {:f32, {1, 256, 256, 3}}}
       assert {:error, %{code: :model_shape} = error} = Model.load(path, inputs: wanted)
       assert error.what =~ "{1, 192, 192, 3}" and error.what =~ "{1, 256, 256, 3}"
@@ -176,14 +176,14 @@ defmodule Situ.Infer.ModelTest do
                Model.run(model, %{"x" => Tensor.zeros(:f64, {1, 3})})
     end
 
-    test "CUDA where the library has none" do
-      path = Model.path("face_landmark.onnx")
+    test "CUDA if the library does not support it" do
+      path = Model.bundled_path("face_landmark.onnx")
       assert {:error, %{code: :no_provider}} = Model.load(path, provider: {:cuda, 0})
     end
   end
 
   @tag :tmp_dir
-  test "tensors that are broken, of another type or missing are told by the input's name", %{
+  test "names the input of tensors that are broken, missing or of another type", %{
     tmp_dir: dir
   } do
     path = Path.join(dir, "double.onnx")
@@ -208,14 +208,14 @@ defmodule Situ.Infer.ModelTest do
   end
 
   @tag :tmp_dir
-  test "a file cut short, an empty one, none, a folder and a model of another kind are told apart",
+  test "distinguishes a truncated, empty or missing file, a folder and an unsuitable model",
        %{tmp_dir: dir} do
-    whole = File.read!(Model.path("silero_vad.onnx"))
+    whole = File.read!(Model.bundled_path("silero_vad.onnx"))
     file = fn name, bytes -> tap(Path.join(dir, name), &File.write!(&1, bytes)) end
 
     for path <- [file.("cut.onnx", binary_part(whole, 0, 1_000_000)), file.("empty.onnx", "")] do
       assert {:error, %{code: :bad_model, what: what, why: why}} = Model.load(path)
-      assert what =~ path and why =~ "cut short"
+      assert what =~ path and why =~ "truncated"
     end
 
     for path <- [Path.join(dir, "none.onnx"), dir] do
@@ -223,18 +223,18 @@ defmodule Situ.Infer.ModelTest do
       assert what =~ path and is_binary(why)
     end
 
-    # Voice activity needs pieces of 576 samples, and here all sizes are given.
+    # The voice activity model needs chunks of 576 samples, and here all sizes are given.
     inputs = %{"input" => {:f32, {1, 1}}, "state" => {:f32, {2, 1, 128}}}
 
     assert {:error, %{code: :model_failed, what: what, fix: fix}} =
-             Model.load(Model.path("silero_vad.onnx"), inputs: inputs)
+             Model.load(Model.bundled_path("silero_vad.onnx"), inputs: inputs)
 
     assert what =~ "silero_vad" and what =~ "zeros" and fix =~ "made for"
   end
 
   @tag :tmp_dir
-  test "a model that accepts no size of 1 loads without a warm-up, and runs", %{tmp_dir: dir} do
-    # Rows of a free width are put below two rows of three.
+  test "a model that rejects size 1 loads without a warm-up and runs", %{tmp_dir: dir} do
+    # Rows of a free width are placed below two rows of three.
     bytes =
       Onnx.encode(
         inputs: [{"x", :f32, {nil, nil}}],
@@ -250,15 +250,15 @@ defmodule Situ.Infer.ModelTest do
     x = Tensor.from_list([4.0, 5.0, 6.0], :f32, {1, 3})
     assert {:ok, %{"y" => y}} = Model.run(model, %{"x" => x})
     assert Tensor.to_list(y) == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    # With an example it is warmed up, and its time decides where it runs.
+    # With an example, the model is warmed up and the measured time decides where it runs.
     assert {:ok, %{where: :inline}} = Model.load(path, example: %{"x" => x})
-    # An example that does not run is an error: nothing was guessed.
+    # An example that fails to run is an error, because it is not a guess.
     bad = Tensor.zeros(:f32, {1, 2})
     assert {:error, %{code: :model_failed}} = Model.load(path, example: %{"x" => bad})
   end
 
   @tag :tmp_dir
-  test "weights in a file of their own are found next to the model file", %{tmp_dir: dir} do
+  test "finds weights in a separate file next to the model file", %{tmp_dir: dir} do
     weights = Tensor.from_list([10.0, 20.0, 30.0], :f32, {3})
 
     bytes =
@@ -271,7 +271,7 @@ defmodule Situ.Infer.ModelTest do
 
     path = Path.join(dir, "large.onnx")
     File.write!(path, bytes)
-    # Without its data it is told what is missing.
+    # Without its data file, the error names the missing file.
     assert {:error, %{code: :bad_model, what: what, fix: fix}} = Model.load(path)
     assert what =~ Path.join(dir, "weights.bin") and fix =~ "next to the model file"
     File.write!(Path.join(dir, "weights.bin"), <<0::32, weights.data::binary>>)
@@ -279,7 +279,7 @@ defmodule Situ.Infer.ModelTest do
     one = %{"x" => Tensor.from_list([1.0, 2.0, 3.0], :f32, {1, 3})}
     assert {:ok, %{"y" => y}} = Model.run(model, one)
     assert Tensor.to_list(y) == [11.0, 22.0, 33.0]
-    # Every session of the model has the same weights.
+    # All sessions of the model have the same weights.
     tasks = for _ <- 1..8, do: Task.async(fn -> Model.run(model, one) end)
     assert Enum.all?(Task.await_many(tasks, 30_000), &match?({:ok, %{"y" => ^y}}, &1))
   end

@@ -10,7 +10,7 @@ defmodule Situ.Infer.ObjectDetectorTest do
 
   defp f32(values, shape), do: Tensor.from_list(Enum.map(values, &(&1 / 1)), :f32, shape)
 
-  # Three boxes: two of one thing, one of another class, one unlikely. {cx, cy, w, h, scores}
+  # Three boxes: two of the same object, and one unlikely box of another class. {cx, cy, w, h, scores}
   @found [
     {30, 40, 20, 20, [0.9, 0.1]},
     {31, 40, 20, 20, [0.8, 0.0]},
@@ -35,7 +35,7 @@ defmodule Situ.Infer.ObjectDetectorTest do
     f32(List.flatten(rows), {1, 4, 6})
   end
 
-  # As `Networks.finding/2`, in half precision.
+  # Like `Networks.finding/2`, in half precision.
   defp half(side, {1, rows, n}) do
     %Tensor{} = found = output(:v8)
 
@@ -62,9 +62,9 @@ defmodule Situ.Infer.ObjectDetectorTest do
     assert_in_delta cat.score, 0.9, 0.001
   end
 
-  defp picture(w, h), do: Image.filled(w, h, :rgb24, 10)
+  defp picture(w, h), do: Image.new_filled(w, h, :rgb24, 10)
 
-  describe "the same is found, however the network says it:" do
+  describe "finds the same objects with output format" do
     for version <- [:v5, :v8, :v10] do
       @tag :tmp_dir
       test "#{version}", %{tmp_dir: dir} do
@@ -73,7 +73,7 @@ defmodule Situ.Infer.ObjectDetectorTest do
         {:ok, detect} =
           ObjectDetector.load(path: path, version: unquote(version), labels: ["cat"])
 
-        # 200 x 100 in a square of 100: half the size, black above and below.
+        # A 200 x 100 image in a square of 100: half the size, black above and below.
         assert {:ok, {[cat, other], []}} = detect.(picture(200, 100))
 
         near = fn r, values ->
@@ -83,7 +83,7 @@ defmodule Situ.Infer.ObjectDetectorTest do
         near.(cat, x: 40, y: 10, width: 40, height: 40, score: 0.9)
         near.(other, x: 130, y: 10, width: 20, height: 80, score: 0.6)
         assert {cat.label, other.label} == {"cat", "1"}
-        # The middle square: scaled by two, and what lies outside is cut off.
+        # The center square: scaled by two, and cut off at its edges.
         {:ok, detect} = ObjectDetector.load(path: path, version: unquote(version), fit: :crop)
         assert {:ok, {[%{x: x, width: 40.0}, _], []}} = detect.(picture(400, 200))
         assert_in_delta x, 100 + 40, 1.0e-4
@@ -91,9 +91,9 @@ defmodule Situ.Infer.ObjectDetectorTest do
     end
   end
 
-  test "tiny YOLO v2: one cell of one anchor, all else nothing" do
-    # Object and class are sure in the cell (3, 5) of the second anchor; the box is in the cell's middle, twice the
-    # anchor.
+  test "tiny YOLO v2 finds the single box of one cell and anchor" do
+    # Object and class are certain in cell (3, 5) of the second anchor; the box is in the center of the cell and
+    # twice the size of the anchor.
     at = fn k -> ((25 + k) * 13 + 5) * 13 + 3 end
 
     set = %{
@@ -109,7 +109,7 @@ defmodule Situ.Infer.ObjectDetectorTest do
       for i <- 0..(125 * 169 - 1),
           do: Map.get(set, i, if(rem(div(i, 169), 25) == 4, do: -20.0, else: 0.0))
 
-    assert [box] = Yolo.parse(f32(values, {1, 125, 13, 13}), :v2_tiny, 0.3)
+    assert [box] = Yolo.parse_boxes(f32(values, {1, 125, 13, 13}), :v2_tiny, 0.3)
     assert box.class == 11
     assert_in_delta box.score, 0.99995, 1.0e-4
     assert_in_delta box.width, 2 * 3.42 * 32, 1.0e-3
@@ -118,8 +118,8 @@ defmodule Situ.Infer.ObjectDetectorTest do
   end
 
   @tag :tmp_dir
-  test "masks: the part of the prototypes under the box", %{tmp_dir: dir} do
-    # One box with weights for two prototypes; the first is bright at the left half, the second nowhere.
+  test "masks are the part of the prototypes under the box", %{tmp_dir: dir} do
+    # One box with weights for two prototypes: the first is bright in the left half, the second is dark.
     boxes = f32([50, 50, 40, 20, 0.9, 1.0, 0.0], {1, 7, 1})
     left = for _ <- 1..10, x <- 0..9, do: if(x < 5, do: 3.0, else: -3.0)
     prototypes = f32(left ++ List.duplicate(0.0, 100), {1, 2, 10, 10})
@@ -139,7 +139,7 @@ defmodule Situ.Infer.ObjectDetectorTest do
   end
 
   @tag :tmp_dir
-  test "another version than the file's is refused", %{tmp_dir: dir} do
+  test "rejects another version than the file's", %{tmp_dir: dir} do
     path = Networks.write(Networks.finding(100, %{"found" => output(:v10)}), dir)
 
     assert {:error, %{code: :model_shape, what: what}} =
@@ -149,17 +149,17 @@ defmodule Situ.Infer.ObjectDetectorTest do
     assert {:error, %{code: :unknown_output}} = ObjectDetector.load(path: path, output: "boxes")
   end
 
-  property "whatever numbers a network gives, boxes are numbers within bounds" do
+  property "boxes are numbers within bounds, whatever a network returns" do
     bytes = map(list(integer(0, 255), 4 * 8 * 6), &:binary.list_to_bin/1)
 
     forall {data, version} <- {bytes, one_of([:v5, :v8, :v10])} do
       shape = if version == :v8, do: {1, 6, 8}, else: {1, 8, 6}
-      boxes = Yolo.parse(Tensor.new(data, :f32, shape), version, 0.3)
+      boxes = Yolo.parse_boxes(Tensor.new(data, :f32, shape), version, 0.3)
       Enum.all?(boxes, &(&1.score >= 0.3 and &1.width > 0 and is_float(&1.x)))
     end
   end
 
-  property "of what is kept nothing overlaps, and what is left out overlaps something better that is kept" do
+  property "kept boxes do not overlap, and each dropped box overlaps a better kept one" do
     box =
       map(
         {integer(0, 50), integer(0, 50), integer(1, 30), integer(1, 30), integer(0, 1),
@@ -171,7 +171,10 @@ defmodule Situ.Infer.ObjectDetectorTest do
 
     forall boxes <- list(box) do
       kept = Suppression.suppress(boxes, 0.4)
-      clash = fn a, b -> a.class == b.class and Suppression.overlap(a, b) > 0.4 end
+
+      clash = fn a, b ->
+        a.class == b.class and Suppression.intersection_over_union(a, b) > 0.4
+      end
 
       pairs =
         for {a, i} <- Enum.with_index(kept), {b, j} <- Enum.with_index(kept), i < j, do: {a, b}

@@ -21,7 +21,7 @@ defmodule Situ.Infer.OnnxModelTest do
         pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
       )
 
-  test "streams by the names of the inputs, one output or all of them", %{path: path} do
+  test "accepts streams by input name and emits one output or all of them", %{path: path} do
     out =
       run(fn p -> OnnxModel.run(%{"x" => rows(p, 40), "y" => rows(p, 40)}, path, output: "z") end)
 
@@ -34,7 +34,7 @@ defmodule Situ.Infer.OnnxModelTest do
     assert Tensor.to_list(all["twice"]) == [4.0, 8.0]
   end
 
-  test "what piles up is run at once", %{path: path} do
+  test "runs queued messages as one batch", %{path: path} do
     {:ok, state} =
       OnnxModel.init(
         path: path,
@@ -50,22 +50,22 @@ defmodule Situ.Infer.OnnxModelTest do
     messages =
       for i <- 1..8, do: %Situ.Message{data: %{"x" => row(i), "y" => row(i)}, originating_time: i}
 
-    runs = Situ.Infer.Model.stats(state.model).runs
+    runs = Situ.Infer.Model.run_stats(state.model).runs
     {actions, state} = OnnxModel.handle_messages(:in, messages, %Situ.Component.Context{}, state)
 
     assert for({:out, t, tensor} <- actions, do: {t, hd(Tensor.to_list(tensor))}) ==
              for(i <- 1..8, do: {i, i * 2.0})
 
-    assert Situ.Infer.Model.stats(state.model).runs == runs + 2
+    assert Situ.Infer.Model.run_stats(state.model).runs == runs + 2
   end
 
-  describe "while the pipeline is built it refuses" do
+  describe "while the pipeline is built, rejects" do
     defp refused(streams, path, opts \\ []) do
       {:error, error} = Situ.Pipeline.run(fn p -> OnnxModel.run(streams.(p), path, opts) end)
       error.meta[:reason] || error
     end
 
-    test "names that the model does not have, and streams it lacks", %{path: path} do
+    test "unknown input names and missing streams", %{path: path} do
       assert %{code: :unknown_input, why: why} =
                refused(&%{"x" => rows(&1, 1), "v" => rows(&1, 1)}, path)
 
@@ -79,7 +79,7 @@ defmodule Situ.Infer.OnnxModelTest do
                refused(both, path, output: "twize")
     end
 
-    test "other shapes, naming both, and CUDA where there is none", %{path: path} do
+    test "other shapes, naming both, and CUDA without support", %{path: path} do
       both = &%{"x" => rows(&1, 1), "y" => rows(&1, 1)}
 
       assert %{code: :model_shape, what: what} =
@@ -91,7 +91,7 @@ defmodule Situ.Infer.OnnxModelTest do
     end
   end
 
-  test "tensors of another shape are the component's error", %{path: path} do
+  test "tensors of another shape are an error of the component", %{path: path} do
     wrong = fn p ->
       p
       |> Situ.from_enumerable([Tensor.zeros(:f32, {1, 3})], every: 1)

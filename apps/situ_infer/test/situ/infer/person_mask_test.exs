@@ -6,7 +6,8 @@ defmodule Situ.Infer.PersonMaskTest do
 
   @fixtures Path.expand("../../fixtures", __DIR__)
 
-  # The outline of the person in astronaut.png, by hand: in each row where she begins and ends. Below lies her helmet.
+  # The outline of the person in astronaut.png, drawn by hand: where she begins and ends in each row. Her helmet is
+  # below.
   @outline [
     {40, 193, 283},
     {60, 160, 296},
@@ -27,7 +28,7 @@ defmodule Situ.Infer.PersonMaskTest do
 
   defp picture(name), do: @fixtures |> Path.join(name) |> Imaging.read() |> elem(1)
 
-  # How many of these columns of a row are the person's, by a mask in a box.
+  # The number of columns in a row that a mask in a box assigns to the person.
   defp inside(mask, rect, y, columns) do
     row = trunc((y + 0.5 - rect.y) / rect.height * mask.height)
 
@@ -51,9 +52,9 @@ defmodule Situ.Infer.PersonMaskTest do
     both / either
   end
 
-  test "the person in a photo, by her outline" do
+  test "finds the person in a photo by her outline" do
     assert {:ok, %{rects: [rect], masks: [mask], scores: scores}} =
-             PersonMask.find(picture("astronaut.png"))
+             PersonMask.find_person(picture("astronaut.png"))
 
     assert rect.label == "person" and rect.score > 0.9
     assert_in_delta rect.y, 15, 6
@@ -61,20 +62,20 @@ defmodule Situ.Infer.PersonMaskTest do
     assert {scores.width, scores.height, scores.format} == {256, 256, :gray8}
   end
 
-  test "a picture of any shape is seen whole" do
+  test "an image of any shape is searched completely" do
     wide = "astronaut.png" |> picture() |> Imaging.resize!(1024, 400)
-    assert {:ok, %{rects: [rect], masks: [mask]}} = PersonMask.find(wide)
+    assert {:ok, %{rects: [rect], masks: [mask]}} = PersonMask.find_person(wide)
     assert overlap(mask, rect, {2, 400 / 512}) > 0.93
   end
 
-  test "nobody on a grey wall; pictures of one pixel and of one row are looked at, too" do
+  test "finds nobody on a gray wall, and accepts images of one pixel or one row" do
     for {w, h} <- [{640, 480}, {1, 1}, {2_000, 1}, {1, 2_000}] do
       assert {:ok, %{rects: [], masks: []}} =
-               PersonMask.find(Image.filled(w, h, :bgr24, {128, 128, 128}))
+               PersonMask.find_person(Image.new_filled(w, h, :bgr24, {128, 128, 128}))
     end
   end
 
-  test "on streams: a box, its mask and the scores at the picture's time" do
+  test "emits a box, its mask and the scores at the image's time" do
     image = picture("astronaut.png")
 
     for {output, check} <- [
@@ -95,12 +96,13 @@ defmodule Situ.Infer.PersonMaskTest do
     end
   end
 
-  test "pictures of 16-bit channels and networks of another shape are refused" do
-    assert {:error, %{code: :bad_image}} = PersonMask.find(Image.filled(64, 64, :gray16))
+  test "rejects images with 16-bit channels and networks of another shape" do
+    assert {:error, %{code: :bad_image}} =
+             PersonMask.find_person(Image.new_filled(64, 64, :gray16))
 
     assert {:error, %{code: :model_shape, what: what, fix: fix}} =
-             PersonMask.find(Image.filled(64, 64, :gray8),
-               model: Situ.Infer.Model.path("face_landmark.onnx")
+             PersonMask.find_person(Image.new_filled(64, 64, :gray8),
+               model: Situ.Infer.Model.bundled_path("face_landmark.onnx")
              )
 
     assert what =~ "input" and fix =~ "model file"

@@ -46,7 +46,7 @@ defmodule Situ.Infer.PictureServiceTest do
     end)
   end
 
-  test "a picture is sent as JPEG; what is seen comes back as names, rectangles and lines" do
+  test "sends an image as JPEG and returns names, rectangles and lines" do
     assert [seen] =
              look(fn _, _ -> ChatServer.json(@seen) end, features: [:caption, :objects, :text])
 
@@ -61,7 +61,7 @@ defmodule Situ.Infer.PictureServiceTest do
              "/computervision/imageanalysis:analyze?api-version=2024-02-01&features=caption%2Cobjects%2Cread"
   end
 
-  test "an answer of another kind, a refusal" do
+  test "handles an unexpected response and a refusal" do
     assert_raise Situ.Error, ~r/an unexpected form/, fn ->
       look(fn _, _ -> ChatServer.answer("a/b", "<p>") end, [])
     end

@@ -5,7 +5,7 @@ defmodule Situ.Infer.SegmentationTest do
 
   @moduletag :tmp_dir
 
-  test "each place has the number of its likeliest class", %{tmp_dir: dir} do
+  test "each position has the number of its likeliest class", %{tmp_dir: dir} do
     path = Networks.write(Networks.brightest(4), dir)
     rows = [<<200, 0, 0>>, <<0, 200, 0>>, <<0, 0, 200>>, <<0, 90, 100>>]
 

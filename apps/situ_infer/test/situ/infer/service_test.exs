@@ -11,7 +11,7 @@ defmodule Situ.Infer.ServiceTest do
 
   defp ask(service), do: Service.post(service, "/ask", [{"content-type", "text/plain"}], "what?")
 
-  test "the whole answer comes back, with the question as it was sent" do
+  test "returns the complete response and sends the request unchanged" do
     service = service(fn _, _ -> ChatServer.answer("text/plain", "this") end)
 
     assert {:ok, %{status: 200, body: "this", headers: %{"content-type" => "text/plain"}}} =
@@ -20,7 +20,7 @@ defmodule Situ.Infer.ServiceTest do
     assert_receive {:request, 1, %{first: "POST /v1/ask HTTP/1.1", body: "what?"}}
   end
 
-  test "what fails for now is tried again, and no oftener than it may" do
+  test "retries temporary failures, up to the limit" do
     script = fn
       _, 1 -> ChatServer.refuse(503, "busy")
       _, 2 -> [:reset]
@@ -32,14 +32,14 @@ defmodule Situ.Infer.ServiceTest do
     assert Exception.message(error) =~ "busy"
   end
 
-  test "a refusal is final, and says what the service says" do
+  test "a refusal is final and includes the service's message" do
     service = service(fn _, _ -> ChatServer.refuse(404, "no such voice") end)
     assert {:error, %{code: :refused} = error} = ask(service)
     assert Exception.message(error) =~ "no such voice"
     refute_received {:request, 2, _}
   end
 
-  test "an answer that never ends is cut" do
+  test "an endless response is cut off" do
     endless = "HTTP/1.1 200 OK\r\nContent-Type: a/b\r\nContent-Length: 100000000\r\n\r\n"
     many = List.duplicate(String.duplicate("x", 10_000), 20)
 
@@ -47,7 +47,7 @@ defmodule Situ.Infer.ServiceTest do
              ask(service(fn _, _ -> [endless | many] end, most_bytes: 50_000))
   end
 
-  test "a service that is silent, or cut off, or none" do
+  test "a silent service, a cut connection and a missing service are errors" do
     silent = service(fn _, _ -> [{:wait, :never}] end, idle_timeout: 100, retries: 0)
     assert {:error, %{code: :timeout}} = ask(silent)
 
@@ -59,7 +59,7 @@ defmodule Situ.Infer.ServiceTest do
     assert {:error, %{code: :no_connection}} = ask(nobody)
   end
 
-  test "the key is sent in the header it belongs in, and told to nobody" do
+  test "the key is sent in its header and never shown" do
     name = "SITU_TEST_SERVICE_KEY"
     System.put_env(name, "sesame-4711")
     on_exit(fn -> System.delete_env(name) end)

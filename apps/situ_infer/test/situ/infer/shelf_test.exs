@@ -24,9 +24,9 @@ defmodule Situ.Infer.ShelfTest do
     assert_receive {:DOWN, ^ref, _, _, _}
   end
 
-  defp kept?(shelf, key), do: key in Shelf.keys(shelf)
+  defp kept?(shelf, key), do: key in Shelf.list_keys(shelf)
 
-  test "all who ask for one model get it from one loading, others load meanwhile", %{shelf: shelf} do
+  test "concurrent requests share one load and do not block other models", %{shelf: shelf} do
     test = self()
 
     slow = fn ->
@@ -44,7 +44,7 @@ defmodule Situ.Infer.ShelfTest do
     refute_received {:loading, _}
   end
 
-  test "what cannot be loaded is asked for again; a crash is an error", %{shelf: shelf} do
+  test "a failed load is retried on the next request, and a crash is an error", %{shelf: shelf} do
     error = Situ.Error.new(:no_model_file, "no such file")
     assert Shelf.fetch(shelf, :a, 1, fn -> {:error, error} end) == {:error, error}
     assert {:error, %RuntimeError{}} = Shelf.fetch(shelf, :a, 1, fn -> raise "no" end)
@@ -54,7 +54,7 @@ defmodule Situ.Infer.ShelfTest do
   end
 
   @tag shelf: [keep_ms: 0]
-  test "a model goes when the last of its users has ended", %{shelf: shelf} do
+  test "a model is unloaded when the last of its users has ended", %{shelf: shelf} do
     [a, b] = for _ <- 1..2, do: user(shelf, :model, 1, fn -> {:ok, :model} end)
     assert_receive {^a, {:ok, :model}}
     assert_receive {^b, {:ok, :model}}
@@ -65,13 +65,13 @@ defmodule Situ.Infer.ShelfTest do
   end
 
   @tag shelf: [bytes: 10]
-  test "beyond the budget the one asked for longest ago goes", %{shelf: shelf} do
+  test "beyond the budget, the least recently requested model is unloaded", %{shelf: shelf} do
     load = fn -> {:ok, :model} end
     for key <- [:a, :b], do: {:ok, _} = Shelf.fetch(shelf, key, 5, load)
     {:ok, _} = Shelf.fetch(shelf, :a, 5, load)
     {:ok, _} = Shelf.fetch(shelf, :c, 5, load)
-    assert Shelf.keys(shelf) == [:c, :a]
+    assert Shelf.list_keys(shelf) == [:c, :a]
     {:ok, _} = Shelf.fetch(shelf, :huge, 50, load)
-    assert Shelf.keys(shelf) == [:huge]
+    assert Shelf.list_keys(shelf) == [:huge]
   end
 end

@@ -1,5 +1,5 @@
 defmodule Situ.Infer.SpeechHearingTest do
-  # Speech recognition as a whole, with sound as it comes in the world.
+  # Tests speech recognition end to end with realistic audio.
   use ExUnit.Case, async: true
   alias Situ.{AudioBuffer, AudioFormat, Sound}
   alias Situ.Infer.Speech.Utterance
@@ -13,17 +13,17 @@ defmodule Situ.Infer.SpeechHearingTest do
     sound
   end
 
-  # In buffers of 20 ms, as a device gives them; one second of silence before and after.
+  # In buffers of 20 ms, as from a device, with one second of silence before and after.
   defp hear(sound) do
     format = sound.format
-    silence = AudioBuffer.silence(format, format.rate)
+    silence = AudioBuffer.build_silence(format, format.rate)
     {:ok, whole} = AudioBuffer.concat([silence, sound, silence])
     step = div(format.rate, 50)
 
     feed =
-      for from <- 0..(AudioBuffer.frames(whole) - 1)//step do
-        part = AudioBuffer.slice(whole, from, step)
-        {AudioFormat.frames_to_ns(format, from + AudioBuffer.frames(part)), part}
+      for from <- 0..(AudioBuffer.frame_count(whole) - 1)//step do
+        part = AudioBuffer.slice_frames(whole, from, step)
+        {AudioFormat.frames_to_ns(format, from + AudioBuffer.frame_count(part)), part}
       end
 
     Situ.to_list(fn p ->
@@ -42,9 +42,9 @@ defmodule Situ.Infer.SpeechHearingTest do
     AudioBuffer.from_samples(samples, @pcm)
   end
 
-  test "silence, noise and music are no words" do
+  test "silence, noise and music give no words" do
     :rand.seed(:exsss, 7)
-    assert hear(AudioBuffer.silence(@pcm, 4 * 16_000)) == []
+    assert hear(AudioBuffer.build_silence(@pcm, 4 * 16_000)) == []
     assert hear(made(4, fn _ -> round(:rand.normal() * 2_000) end)) == []
 
     # Chords of three notes, struck every half second.
@@ -61,7 +61,7 @@ defmodule Situ.Infer.SpeechHearingTest do
     assert hear(made(6, chord)) == []
   end
 
-  test "words come through noise, 48 kHz in stereo, a telephone's 8 kHz, and a microphone that is too loud" do
+  test "recognizes words in noise, 48 kHz stereo, 8 kHz telephone and overdriven audio" do
     sound = wav("goforward.wav")
     :rand.seed(:exsss, 8)
 
@@ -85,7 +85,7 @@ defmodule Situ.Infer.SpeechHearingTest do
     end
   end
 
-  test "sound that was not resampled stops the pipeline and says what to do" do
+  test "audio that was not resampled stops the pipeline and suggests a fix" do
     sound = Sound.resample!(wav("goforward.wav"), 48_000)
 
     assert_raise Situ.Error, ~r/Situ.Audio.resample\(16_000\)/, fn ->

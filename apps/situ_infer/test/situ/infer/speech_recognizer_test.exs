@@ -5,7 +5,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
   alias Situ.{AudioBuffer, AudioFormat}
   alias Situ.Infer.SpeechRecognizer
 
-  # "Recognises" which frames it was given: sample i has the value i.
+  # "Recognizes" which frames it receives: sample i has the value i.
   defmodule Counting do
     @behaviour Situ.Infer.Speech.Recognizer
 
@@ -19,7 +19,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     end
   end
 
-  # 1000 frames a second: a frame is a millisecond.
+  # 1000 frames a second, so a frame lasts one millisecond.
   @format AudioFormat.pcm(1000, 1, :s32)
   @ms 1_000_000
 
@@ -51,7 +51,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     )
   end
 
-  test "what is said between pauses is recognised as a whole, at its end" do
+  test "recognizes the speech between pauses as one utterance, at its end" do
     out = run(sound(2_000, 20), speaking(2_000, [{96, 320}, {640, 960}]), [])
     assert [{320_000_000, first}, {960_000_000, second}] = out
 
@@ -61,12 +61,12 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     assert {second.from, second.to, second.text} == {640 * @ms, 960 * @ms, "640-959"}
   end
 
-  test "a margin around it is listened to, and what was said to the end of the sound is there" do
+  test "includes a margin around speech, and speech up to the end of the audio" do
     out = run(sound(1_000, 20), speaking(992, [{96, 320}, {640, 992}]), margin: 50 * @ms)
     assert Enum.map(out, fn {_, u} -> u.text end) == ["46-369", "590-999"]
   end
 
-  test "margins end where the speech before or after begins: no sound is in two utterances" do
+  test "margins end where other speech begins, so no audio is in two utterances" do
     spoken = speaking(1_984, [{96, 640}, {672, 960}])
     out = run(sound(2_000, 20), spoken, margin: 150 * @ms, turns: true)
     assert Enum.map(out, fn {_, u} -> u.text end) == ["0-671", "640-1109"]
@@ -77,13 +77,13 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     assert Enum.map(out, fn {_, u} -> u.text end) == ["0-735", "736-1375", "1376-1699"]
   end
 
-  test "what is shorter than speech is none" do
+  test "ignores sounds that are shorter than speech" do
     spoken = [{96, 320}, {640, 736}, {960, 1_248}]
     out = run(sound(2_000, 20), speaking(2_000, spoken), shortest: 200 * @ms)
     assert Enum.map(out, fn {_, u} -> u.text end) == ["96-319", "960-1247"]
   end
 
-  test "while somebody speaks there are results of what was said so far" do
+  test "emits partial results while someone is speaking" do
     out =
       run(sound(2_000, 20), speaking(2_000, [{96, 1_600}]), partial: 320 * @ms, output: :partial)
 
@@ -91,7 +91,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
              out
   end
 
-  test "whoever speaks without a pause is cut" do
+  test "cuts speech without pauses" do
     out = run(sound(2_000, 20), speaking(2_000, [{0, 2_000}]), longest: 640 * @ms)
     assert [%{text: "0-639"} | _] = utterances = Enum.map(out, &elem(&1, 1))
     assert List.last(utterances).to == 1_984 * @ms
@@ -101,7 +101,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
            |> Enum.all?(fn [a, b] -> b.from >= a.to end)
   end
 
-  property "the same whatever the buffers and the order of arrival" do
+  property "the result does not depend on buffer sizes and the order of arrival" do
     forall {step, cuts} <- {integer(5, 300), list(integer(1, 40))} do
       {_, spoken} =
         Enum.reduce(cuts, {0, []}, fn n, {at, spoken} ->
@@ -116,7 +116,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     end
   end
 
-  property "recognised early, in a pause, it says the same" do
+  property "early recognition in a pause gives the same result" do
     forall cuts <- list(integer(1, 40)) do
       {_, spoken} =
         Enum.reduce(cuts, {0, []}, fn n, {at, spoken} ->
@@ -129,7 +129,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     end
   end
 
-  test "who is behind leaves out results on the way, and none of what was said" do
+  test "when late, drops partial results but none of the speech" do
     partial = fn behind ->
       test =
         Situ.Test.start([:sound, :speaking], fn s ->
@@ -138,7 +138,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
           [heard.partial, heard.out]
         end)
 
-      # All of it is there when the clock stands behind it.
+      # The clock is already past all of the audio when it arrives.
       Situ.Test.advance(test, (2_000 + behind) * @ms)
       Situ.Test.feed(test, :sound, sound(2_000, 20))
       Situ.Test.feed(test, :speaking, speaking(2_000, [{96, 1_800}]))
@@ -152,7 +152,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     assert {[], 1} = partial.(1_000)
   end
 
-  # Tells the test whenever it is asked.
+  # Notifies the test of every call.
   defmodule Telling do
     @behaviour Situ.Infer.Speech.Recognizer
 
@@ -167,7 +167,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     end
   end
 
-  test "the work is done in the pause, once" do
+  test "recognizes during the pause, and only once" do
     me = self()
 
     test =
@@ -189,7 +189,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     Situ.Test.feed(test, :sound, before)
     assert_receive {:asked, 46, 369}
     assert Situ.Test.outputs(test) == []
-    # It was the end.
+    # It was the end of the utterance.
     Situ.Test.feed(test, :speaking, for(t <- 352..640//32, do: {t * @ms, false}))
     Situ.Test.feed(test, :sound, later)
     Situ.Test.close(test, :speaking)
@@ -199,7 +199,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     Situ.Test.stop(test)
   end
 
-  test "a recogniser that cannot be loaded stops the pipeline with its error" do
+  test "a recognizer that cannot be loaded stops the pipeline with its error" do
     error = Situ.Error.new(:no_model_file, "the model is not there")
 
     assert_raise Situ.Error, ~r/not there/, fn ->

@@ -13,18 +13,18 @@ defmodule Situ.Infer.SpeechSynthesizerTest do
     )
   end
 
-  test "sounds follow each other, each at its end, and a text said again sounds the same" do
+  test "utterances follow each other, and repeated text sounds the same" do
     assert [{t1, one}, {t2, two}, {t3, three}] =
              say([{0, "hello"}, {1, ""}, {2, "good bye"}, {9_000_000_000, "hello"}])
 
-    assert one.format == AudioFormat.pcm(16_000) and AudioBuffer.frames(one) > 4_000
-    assert t1 == AudioBuffer.duration(one)
-    assert t2 == t1 + AudioBuffer.duration(two)
-    assert t3 == 9_000_000_000 + AudioBuffer.duration(three)
+    assert one.format == AudioFormat.pcm(16_000) and AudioBuffer.frame_count(one) > 4_000
+    assert t1 == AudioBuffer.duration_ns(one)
+    assert t2 == t1 + AudioBuffer.duration_ns(two)
+    assert t3 == 9_000_000_000 + AudioBuffer.duration_ns(three)
     assert three == one and two != one
   end
 
-  test "it says which word and sound is spoken when, also of a text from memory" do
+  test "reports the times of words and sounds, also for cached text" do
     texts = [
       {0, "Go forward ten meters."},
       {1, "Stop."},
@@ -62,19 +62,19 @@ defmodule Situ.Infer.SpeechSynthesizerTest do
     def speak(_, _), do: AudioBuffer.new(format: AudioFormat.pcm(16_000), data: "")
   end
 
-  test "marks that cannot be had are an error at once" do
-    assert_raise Situ.Error, ~r/Dumb gives no times of words/, fn ->
+  test "unsupported marks are an error immediately" do
+    assert_raise Situ.Error, ~r/Dumb does not support the times of words/, fn ->
       say([{0, "hello"}], synthesizer: Dumb, marks: true)
     end
 
-    assert_raise Situ.Error, ~r/marks need the time of the sound/, fn ->
+    assert_raise Situ.Error, ~r/marks: cannot be combined with stamp/, fn ->
       say([{0, "hello"}], marks: true, stamp: :text)
     end
   end
 
-  test "text is only text, whatever it looks like" do
+  test "treats text as text, whatever it looks like" do
     assert [{_, sound}] = say([{0, "--help; $(touch /tmp/x) `id` -v de"}])
-    assert AudioBuffer.frames(sound) > 8_000
+    assert AudioBuffer.frame_count(sound) > 8_000
   end
 
   test "an unknown voice stops the pipeline and says how to find another" do
@@ -83,14 +83,14 @@ defmodule Situ.Infer.SpeechSynthesizerTest do
     end
   end
 
-  test "bytes that are no text are an error" do
+  test "bytes that are not text are an error" do
     for text <- [<<255>>, "a\0b", String.duplicate("word ", 30_000)] do
       assert_raise Situ.Error, ~r/cannot be spoken/, fn -> say([{0, text}]) end
     end
   end
 
   @tag :moonshine
-  test "the recogniser understands 80 % of the words" do
+  test "the recognizer understands 80 % of the words" do
     texts = [
       "Please open the window, it is warm in here.",
       "The train leaves at nine in the morning.",

@@ -17,20 +17,20 @@ defmodule Situ.Infer.TextReaderTest do
   end
 
   @tag :tmp_dir
-  test "what is no model is an error", %{tmp_dir: dir} do
-    assert {:error, %{code: :no_model_file}} = TextReader.load(folder: dir)
+  test "an invalid model folder is an error", %{tmp_dir: dir} do
+    assert {:error, %{code: :no_model_file}} = TextReader.load_models(folder: dir)
 
     for name <- ~w(det rec),
         do: File.write!(Path.join(dir, "ch_PP-OCRv4_#{name}_infer.onnx"), "none")
 
-    assert {:error, %{code: :bad_model}} = TextReader.load(folder: dir)
+    assert {:error, %{code: :bad_model}} = TextReader.load_models(folder: dir)
   end
 
   describe "with the model" do
     @describetag :ocr
 
-    test "lines are read from top to bottom, where they are" do
-      {:ok, reader} = TextReader.load()
+    test "reads lines from top to bottom with their positions" do
+      {:ok, reader} = TextReader.load_models()
 
       picture =
         page(640, 300, [
@@ -39,7 +39,7 @@ defmodule Situ.Infer.TextReaderTest do
           {{340, 210}, "EXIT"}
         ])
 
-      assert {:ok, lines} = TextReader.read(reader, picture)
+      assert {:ok, lines} = TextReader.read_lines(reader, picture)
       assert ["Platform 9", "Departure 14:35", "EXIT"] = Enum.map(lines, &respaced(&1.label))
       [first, _, exit] = lines
       assert Enum.all?(lines, &(&1.score > 0.8))
@@ -48,7 +48,7 @@ defmodule Situ.Infer.TextReaderTest do
       assert_in_delta exit.x, 340, 12
     end
 
-    test "a turned line, in a pipeline; a picture without text has none" do
+    test "reads a rotated line in a pipeline and finds none in an image without text" do
       turned =
         640
         |> page(480, [{{160, 220}, "SLIPPERY WHEN WET"}])
@@ -75,15 +75,15 @@ defmodule Situ.Infer.TextReaderTest do
     )
   end
 
-  describe "with a picture that is none" do
+  describe "with an invalid image" do
     @describetag :ocr
 
-    test "it is refused" do
-      {:ok, reader} = TextReader.load()
-      none = %{Image.filled(1, 1, :gray8, 0) | width: 0, height: 0, data: ""}
-      assert {:error, %{code: :bad_image, why: why}} = TextReader.read(reader, none)
+    test "returns an error" do
+      {:ok, reader} = TextReader.load_models()
+      none = %{Image.new_filled(1, 1, :gray8, 0) | width: 0, height: 0, data: ""}
+      assert {:error, %{code: :bad_image, why: why}} = TextReader.read_lines(reader, none)
       assert why =~ "0x0"
-      assert {:ok, []} = TextReader.read(reader, Image.filled(1, 1, :gray8, 0))
+      assert {:ok, []} = TextReader.read_lines(reader, Image.new_filled(1, 1, :gray8, 0))
     end
   end
 end

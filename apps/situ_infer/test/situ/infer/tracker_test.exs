@@ -12,13 +12,13 @@ defmodule Situ.Infer.TrackerTest do
 
   defp rect(x, y, label \\ "car"), do: Rect.new!(x: x, y: y, width: 20, height: 20, label: label)
 
-  # Every frame is a list of rectangles; the ids that came out, frame by frame.
+  # Every frame is a list of rectangles. Returns the ids that come out, frame by frame.
   defp track(frames, opts \\ []) do
     {out, _} =
       frames
       |> Enum.with_index()
       |> Enum.map_reduce(Tracker.new(opts), fn {rects, i}, tracker ->
-        Tracker.step(tracker, i * @frame, rects)
+        Tracker.update_tracks(tracker, i * @frame, rects)
       end)
 
     out
@@ -27,14 +27,14 @@ defmodule Situ.Infer.TrackerTest do
   defp ids(frames, opts \\ []),
     do: frames |> track(opts) |> Enum.map(fn rects -> Enum.map(rects, & &1.id) end)
 
-  test "who passes behind another comes out as himself, where a filter expects him" do
+  test "a filter predicts the position of a hidden object, so it keeps its id" do
     frames = for i <- 0..29, do: if(i in 12..18, do: [], else: [rect(i * 6, 0)])
     assert ids(frames) |> Enum.concat() |> Enum.uniq() == [0]
-    # Without a filter he is somebody else: he has moved on by two widths.
+    # Without a filter it gets a new id, because it has moved on by two widths.
     assert ids(frames, motion: :none) |> Enum.concat() |> Enum.uniq() == [0, 1]
   end
 
-  test "two that cross keep their ids" do
+  test "two objects that cross keep their ids" do
     frames = for i <- 0..20, do: [rect(i * 10, i * 2), rect(200 - i * 10, 60 - i * 2)]
     [[a, b] | _] = track(frames)
     last = frames |> track() |> List.last()
@@ -42,7 +42,7 @@ defmodule Situ.Infer.TrackerTest do
     assert Enum.find(last, &(&1.id == b.id)).x < 100
   end
 
-  test "gone too long, seen too seldom, and called by another name" do
+  test "gives new ids after a long absence or another label, and none before min_hits" do
     gone = [[rect(0, 0)]] ++ List.duplicate([], 20) ++ [[rect(0, 0)]]
     assert ids(gone) |> Enum.concat() == [0, 1]
     assert ids(List.duplicate([rect(0, 0)], 4), min_hits: 3) == [[], [], [0], [0]]
@@ -56,7 +56,7 @@ defmodule Situ.Infer.TrackerTest do
     list(list(map(point, fn {x, y} -> rect(x, y) end)))
   end
 
-  property "what comes out was put in; ids differ in a frame, and do not depend on the order" do
+  property "outputs are inputs with unique ids that do not depend on the order" do
     forall {frames, motion} <- {frames(), one_of([:kalman, :none])} do
       frames = Enum.map(frames, &Enum.uniq/1)
       out = track(frames, motion: motion)
@@ -68,7 +68,7 @@ defmodule Situ.Infer.TrackerTest do
     end
   end
 
-  property "things far apart that move slowly keep their ids" do
+  property "distant objects that move slowly keep their ids" do
     forall {starts, velocities, motion} <-
              {list(integer(0, 20), 3), list(integer(-6, 6), 3), one_of([:kalman, :none])} do
       frames =
@@ -85,7 +85,7 @@ defmodule Situ.Infer.TrackerTest do
     end
   end
 
-  property "the filter finds any constant velocity, and its covariance stays one" do
+  property "the filter finds any constant velocity, and its covariance stays valid" do
     forall {start, v, dt} <- {float(-100.0, 100.0), float(-50.0, 50.0), float(0.01, 0.2)} do
       k =
         Enum.reduce(1..100, Kalman.new(start, 1.0, 50.0), fn i, k ->
@@ -95,7 +95,7 @@ defmodule Situ.Infer.TrackerTest do
           k
         end)
 
-      # A hundred corrections of any gain leave little of the first surprise.
+      # A hundred corrections with any gain leave little of the initial error.
       abs(k.value - (start + v * 100 * dt)) < 1.0 + abs(v) * 0.1
     end
   end

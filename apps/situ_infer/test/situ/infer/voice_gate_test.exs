@@ -4,7 +4,7 @@ defmodule Situ.Infer.VoiceGateTest do
   alias Situ.Infer.VoiceGate
   doctest Situ.Infer.VoiceGate
 
-  property "a gate decides every span once, in order, and never later than it may" do
+  property "a gate decides every span once, in order and within its limit" do
     {
       {:proper_types.list(:proper_types.float(0.0, 1.0)), :proper_types.range(0, 60),
        :proper_types.range(0, 60)},
@@ -25,7 +25,7 @@ defmodule Situ.Infer.VoiceGateTest do
         times = for {_, {t, v}} <- all, is_boolean(v), do: t
         late = for {at, {t, v}} <- all, is_boolean(v), do: at - t
 
-        # Unsure speech may last as long as the first, the pause in it as long as the second.
+        # Unsure speech may last as long as the first value, and the pause in it as long as the second.
         times == Enum.map(1..length(ps)//1, &(&1 * 10)) and
           Enum.all?(
             late,

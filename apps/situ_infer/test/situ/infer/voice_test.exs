@@ -8,12 +8,12 @@ defmodule Situ.Infer.VoiceTest do
   @fixtures Path.expand("../../fixtures", __DIR__)
   @step 32_000_000
 
-  # The component's own callbacks, without processes.
+  # Calls the component's callbacks directly, without processes.
   defp listen(pcm, opts \\ []) do
     {:ok, state} = VoiceActivity.init(Situ.Options.validate!(opts, VoiceActivity.options()))
     {[], state} = VoiceActivity.handle_start(nil, state)
 
-    # Buffers of an odd length: chunks must not depend on them.
+    # Buffers have an odd length, because chunks must not depend on them.
     {actions, {state, time}} =
       pcm
       |> chunks(2 * 333)
@@ -50,7 +50,7 @@ defmodule Situ.Infer.VoiceTest do
     assert Enum.zip_with(found, expected, &abs(&1 - &2)) |> Enum.max() < 1.0e-4
   end
 
-  test "at least 97 % of all frames of the speech files are right, and so is every segment" do
+  test "at least 97 % of the frames of the speech files and all segments are correct" do
     files =
       @fixtures |> Path.join("transcripts.json") |> File.read!() |> Situ.JSON.decode() |> elem(1)
 
@@ -85,7 +85,7 @@ defmodule Situ.Infer.VoiceTest do
     assert right / all >= 0.97
   end
 
-  test "no speech in silence, white noise and a tone" do
+  test "finds no speech in silence, white noise and a tone" do
     :rand.seed(:exsss, {1, 2, 3})
     silence = :binary.copy(<<0, 0>>, 32_000)
     noise = for _ <- 1..32_000, into: <<>>, do: <<round(:rand.normal() * 2000)::little-signed-16>>
@@ -100,20 +100,20 @@ defmodule Situ.Infer.VoiceTest do
     end
   end
 
-  test "the energy detector hears the same words without a model" do
+  test "the energy detector finds the same words without a model" do
     actions = listen(wav("goforward.wav"), detector: :energy)
     assert [_ | _] = segments = for({:segments, _, s} <- actions, do: s)
     assert_in_delta hd(segments).start / 1.0e9, 0.51, 0.2
-    # The recording's breath after the last word is energy too.
+    # The recording's breath after the last word also has energy.
     assert_in_delta List.last(segments).stop / 1.0e9, 2.24, 0.5
   end
 
-  test "sound of another rate is refused with the mend" do
+  test "audio of another rate is rejected with a fix" do
     {:ok, state} =
       VoiceActivity.init(Situ.Options.validate!([detector: :energy], VoiceActivity.options()))
 
     {[], state} = VoiceActivity.handle_start(nil, state)
-    data = AudioBuffer.silence(AudioFormat.pcm(48_000, 2), 480)
+    data = AudioBuffer.build_silence(AudioFormat.pcm(48_000, 2), 480)
     message = %Message{originating_time: 0, data: data}
 
     error =
@@ -122,7 +122,7 @@ defmodule Situ.Infer.VoiceTest do
     assert error.code == :bad_audio_format and error.fix =~ "resample"
   end
 
-  test "half a sample and samples that are no numbers are refused by name, by recognisers, too" do
+  test "incomplete and non-numeric samples are rejected by name, also by recognizers" do
     float = AudioFormat.pcm(16_000, 1, :f32)
     whole = for _ <- 1..16_000, into: "", do: <<0.1::float-little-32>>
 
@@ -154,7 +154,7 @@ defmodule Situ.Infer.VoiceTest do
   end
 
   describe "VoiceGate" do
-    test "bridges a short pause and cuts a long one where the speech ended" do
+    test "bridges a short pause and cuts a long pause where the speech ended" do
       gate = VoiceGate.new(min_speech: 20, min_silence: 30)
       ps = [0.9, 0.9, 0.1, 0.9, 0.1, 0.1, 0.1, 0.1]
 
@@ -180,7 +180,7 @@ defmodule Situ.Infer.VoiceTest do
       assert {:segment, 0, 40} in events
     end
 
-    test "a short burst is no speech" do
+    test "a short burst is not speech" do
       gate = VoiceGate.new(min_speech: 30, min_silence: 20)
       {a, gate} = VoiceGate.push(gate, 10, 10, 0.9)
       {b, gate} = VoiceGate.push(gate, 20, 10, 0.1)
@@ -190,7 +190,7 @@ defmodule Situ.Infer.VoiceTest do
     end
   end
 
-  test "the simple detector holds until all agree" do
+  test "the simple detector keeps its state until all values agree" do
     vad = SimpleVad.new(window: 20)
     values = [1, 1, 9, 9, 9, 9, 1, 9, 1, 1, 1, 1]
 
@@ -200,12 +200,12 @@ defmodule Situ.Infer.VoiceTest do
       |> Enum.flat_map_reduce(vad, fn {v, i}, vad -> SimpleVad.push(vad, i * 10, v) end)
 
     {last, _} = SimpleVad.close(vad)
-    # On where three in a row are above, off where three are below.
+    # It switches on after three consecutive values above the threshold and off after three below.
     assert Enum.map(out ++ last, &elem(&1, 1)) ==
              [false, false, true, true, true, true, true, true, false, false, false, false]
   end
 
-  test "the simple detector decides with the value that ends the window, and not by one at the threshold" do
+  test "the simple detector decides with the value that ends the window, not by one at the threshold" do
     vad = SimpleVad.new(window: 20, threshold: 5)
     {[], vad} = SimpleVad.push(vad, 0, 9)
     {[], vad} = SimpleVad.push(vad, 10, 9)
@@ -216,7 +216,7 @@ defmodule Situ.Infer.VoiceTest do
     assert {[{40, true}, {50, false}], _vad} = SimpleVad.close(vad)
   end
 
-  # Speech is what is louder than a tenth of full scale; it counts the chunks that it was given.
+  # Audio louder than a tenth of full scale is speech. Counts the chunks it receives.
   defmodule Loud do
     @behaviour Situ.Infer.Voice.Detector
 
@@ -233,7 +233,7 @@ defmodule Situ.Infer.VoiceTest do
     end
   end
 
-  test "a detector of one's own is a module; one that is none is an error at once" do
+  test "a custom detector is a module, and an invalid one is an error immediately" do
     quiet = :binary.copy(<<100::little-16>>, 16_000)
     loud = :binary.copy(<<9_000::little-16>>, 16_000)
     actions = listen(quiet <> loud <> quiet, detector: Loud)

@@ -23,7 +23,7 @@ defmodule Situ.Intent.JsgfTest do
     {Situ.Intent.name(intent), for(e <- intent.entities, do: {e.type, e.value})}
   end
 
-  test "all that JSGF has" do
+  test "supports all of JSGF" do
     assert detect(@cards, "Ten of hearts", where: :whole) ==
              {"card", [{"rank", "ten"}, {"suit", "hearts"}]}
 
@@ -42,7 +42,7 @@ defmodule Situ.Intent.JsgfTest do
     assert {"card", _} = detect(@cards, "give me ten of hearts now")
   end
 
-  test "tags name intents and entities, numbers are numbers, words are words" do
+  test "tags name intents and entities, with numbers as numbers and words as words" do
     grammar =
       "#JSGF V1.0; grammar g; public <a> = call {intent=dial} <WORDS> {who} at <NUMBER> {at} | <VOID> x | <NULL> hm;"
 
@@ -53,26 +53,26 @@ defmodule Situ.Intent.JsgfTest do
     assert detect(grammar, "x") == {nil, []}
   end
 
-  test "rules may call themselves, on either side, and many words take no time" do
+  test "rules may recurse on either side, and many words take little time" do
     right = "#JSGF V1.0; grammar g; public <l> = a [<l>];"
     left = "#JSGF V1.0; grammar g; public <l> = <l> a | a;"
     assert detect(right, "a a a a", where: :whole) == {"l", []}
     assert {"l", []} = detect(left, "a a")
-    # Each level doubles the ways; only places count.
+    # Each level doubles the number of parses, so the matcher must track positions only.
     levels = for i <- 1..30, into: "", do: "<r#{i}> = <r#{i - 1}> <r#{i - 1}> | <r#{i - 1}> ;"
     deep = "#JSGF V1.0; grammar g; public <top> = <r30>; <r0> = a | a | [a] a;" <> levels
     assert {"top", []} = detect(deep, String.duplicate("a ", 100), where: :whole)
   end
 
-  test "what is wrong is told with its line" do
+  test "errors contain the line number" do
     wrong = [
-      {"grammar g;", "line 1: it does not begin"},
+      {"grammar g;", "line 1: the text does not begin"},
       {"#JSGF V1.0;\npublic <a> = b;", "`grammar NAME;`"},
       {"#JSGF V1.0; grammar g;\n\npublic <a> = (b;", "line 3: a group"},
       {"#JSGF V1.0; grammar g;\n<a> = b | ;", "line 2: an alternative"},
-      {"#JSGF V1.0; grammar g;\npublic <a> = {x} b;", "line 2: there is nothing"},
+      {"#JSGF V1.0; grammar g;\npublic <a> = {x} b;", "line 2: {x} has no preceding item"},
       {"#JSGF V1.0; grammar g;\npublic <a> = b {x;", "line 2: a tag"},
-      {"#JSGF V1.0; grammar g; public <a> = b; <a> = c;", "<a> is there twice"},
+      {"#JSGF V1.0; grammar g; public <a> = b; <a> = c;", "<a> is defined twice"},
       {"#JSGF V1.0; grammar g; public <a> = <kichen>; <kitchen> = b;", "did you mean <kitchen>?"},
       {"#JSGF V1.0; grammar g; <a> = b;", "no rule is public"},
       {"#JSGF V1.0; grammar g; import <other.*>;", "import"},
@@ -88,7 +88,7 @@ defmodule Situ.Intent.JsgfTest do
     assert {:error, %{code: :no_grammar}} = Grammar.load(grammar: "/nowhere.gram")
   end
 
-  property "any text is a grammar or an error, and makes no atoms" do
+  property "any text is a grammar or an error and creates no atoms" do
     piece =
       one_of(
         Enum.map(
@@ -103,10 +103,12 @@ defmodule Situ.Intent.JsgfTest do
     end
   end
 
-  property "every number is understood as it is spoken" do
+  property "understands every number as it is spoken" do
     forall n <- integer(0, 999) do
-      words = n |> Number.words() |> String.split()
-      hd(Number.prefixes(words)) == {length(words), n} and hd(Number.prefixes(["#{n}"])) == {1, n}
+      words = n |> Number.to_words() |> String.split()
+
+      hd(Number.parse_prefixes(words)) == {length(words), n} and
+        hd(Number.parse_prefixes(["#{n}"])) == {1, n}
     end
   end
 end

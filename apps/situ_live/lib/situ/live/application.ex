@@ -7,7 +7,7 @@ defmodule Situ.Live.Application do
 
   @impl true
   def start(_type, _args) do
-    Situ.Live.Guesses.setup()
+    Situ.Live.Guesses.create_table()
 
     children = [
       {Registry, keys: :unique, name: Situ.Live.Registry},

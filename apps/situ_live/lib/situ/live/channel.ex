@@ -16,17 +16,17 @@ defmodule Situ.Live.Channel do
 
   @impl true
   def init(request, config) do
-    case Endpoint.fetch(config.ref) do
+    case Endpoint.fetch_config(config.ref) do
       {:ok, config} ->
-        Process.monitor(views(config))
-        {:ok, %__MODULE__{config: config, parameters: ViewServer.parameters(request)}}
+        Process.monitor(views_supervisor(config))
+        {:ok, %__MODULE__{config: config, parameters: ViewServer.connect_params(request)}}
 
       :error ->
         {:error, "the server has stopped"}
     end
   end
 
-  defp views(config), do: GenServer.whereis(ViewServer.supervisor(config.ref))
+  defp views_supervisor(config), do: GenServer.whereis(ViewServer.supervisor_name(config.ref))
 
   @impl true
   def handle_in({text, opcode: :text}, state) do
@@ -34,7 +34,7 @@ defmodule Situ.Live.Channel do
       {:ok, [join_ref, ref, topic, event, payload]}
       when (is_binary(join_ref) or join_ref == nil) and (is_binary(ref) or ref == nil) and
              is_binary(topic) and is_binary(event) ->
-        message({join_ref, ref, topic, event}, payload, state)
+        handle_message({join_ref, ref, topic, event}, payload, state)
 
       _ ->
         {:stop, {1007, "not a message of this protocol"}, state}
@@ -44,22 +44,22 @@ defmodule Situ.Live.Channel do
   # Uploads use HTTP; nothing else in the protocol is binary.
   def handle_in({_, opcode: :binary}, state), do: {:stop, {1003, "text only"}, state}
 
-  defp message({_, ref, "phoenix", "heartbeat"}, _, state),
-    do: {:push, reply(nil, ref, "phoenix", "ok", %{}), state}
+  defp handle_message({_, ref, "phoenix", "heartbeat"}, _, state),
+    do: {:push, encode_reply(nil, ref, "phoenix", "ok", %{}), state}
 
-  defp message(_, payload, state) when not is_map(payload) and payload != nil,
+  defp handle_message(_, payload, state) when not is_map(payload) and payload != nil,
     do: {:stop, {1007, "not a message of this protocol"}, state}
 
-  defp message({join_ref, ref, "lv:" <> id = topic, "phx_join"}, payload, state) do
-    state = drop(topic, state)
+  defp handle_message({join_ref, ref, "lv:" <> id = topic, "phx_join"}, payload, state) do
+    state = drop_topic(topic, state)
 
     with true <- map_size(state.topics) < @max_topics || "too many views",
          {:ok, %{"id" => ^id, "view" => view, "session" => session}} <-
-           session(state, payload["session"]),
+           verify_session(state, payload["session"]),
          url = payload["url"] || payload["redirect"],
-         {:ok, route, params} <- Page.find(state.config, url),
-         true <- Page.name(route) == view || "stale" do
-      start(
+         {:ok, route, params} <- Page.fetch_route(state.config, url),
+         true <- Page.session_scope(route) == view || "stale" do
+      start_view(
         %{id: id, topic: topic, join_ref: join_ref, ref: ref, uri: url, session: session},
         route,
         params,
@@ -67,15 +67,15 @@ defmodule Situ.Live.Channel do
       )
     else
       reason when is_binary(reason) ->
-        {:push, reply(join_ref, ref, topic, "error", %{"reason" => reason}), state}
+        {:push, encode_reply(join_ref, ref, topic, "error", %{"reason" => reason}), state}
 
       # The page must be reloaded: its token is too old or invalid, or its address does not lead to a view.
       _ ->
-        {:push, reply(join_ref, ref, topic, "error", %{"reason" => "stale"}), state}
+        {:push, encode_reply(join_ref, ref, topic, "error", %{"reason" => "stale"}), state}
     end
   end
 
-  defp message({join_ref, ref, topic, event}, payload, state) do
+  defp handle_message({join_ref, ref, topic, event}, payload, state) do
     case state.topics do
       %{^topic => {pid, ^join_ref, _}} when state.pending < @max_pending ->
         send(pid, {:situ_live, ref, event, payload})
@@ -85,17 +85,18 @@ defmodule Situ.Live.Channel do
         {:stop, {1008, "too many messages"}, state}
 
       _ when event == "phx_leave" ->
-        {:push, reply(join_ref, ref, topic, "ok", %{}), state}
+        {:push, encode_reply(join_ref, ref, topic, "ok", %{}), state}
 
       _ ->
-        {:push, reply(join_ref, ref, topic, "error", %{"reason" => "unmatched topic"}), state}
+        {:push, encode_reply(join_ref, ref, topic, "error", %{"reason" => "unmatched topic"}),
+         state}
     end
   end
 
-  defp session(state, token),
+  defp verify_session(state, token),
     do: Token.verify(state.config.secret, "session", token, @session_age_s)
 
-  defp start(join, route, params, state) do
+  defp start_view(join, route, params, state) do
     join =
       Map.merge(join, %{
         config: state.config,
@@ -105,7 +106,7 @@ defmodule Situ.Live.Channel do
         parameters: state.parameters
       })
 
-    {:ok, pid} = ViewServer.start(state.config, join)
+    {:ok, pid} = ViewServer.start_view(state.config, join)
     monitor = Process.monitor(pid)
     topics = Map.put(state.topics, join.topic, {pid, join.join_ref, monitor})
     monitors = Map.put(state.monitors, monitor, {join.topic, join.join_ref})
@@ -123,14 +124,14 @@ defmodule Situ.Live.Channel do
   def handle_info({:DOWN, monitor, _, _, reason}, state) do
     case Map.pop(state.monitors, monitor) do
       {{topic, join_ref}, monitors} ->
-        event = if crashed?(reason), do: "phx_error", else: "phx_close"
+        event = if crash_reason?(reason), do: "phx_error", else: "phx_close"
         text = JSON.encode([join_ref, join_ref, topic, event, %{}])
         state = %{state | monitors: monitors, topics: Map.delete(state.topics, topic), pending: 0}
         {:push, {:text, text}, state}
 
       # Without the supervisor of its views the server has stopped, too.
       {nil, _} ->
-        if views(state.config) == nil,
+        if views_supervisor(state.config) == nil,
           do: {:stop, {1001, "the server has stopped"}, state},
           else: {:ok, state}
     end
@@ -138,12 +139,12 @@ defmodule Situ.Live.Channel do
 
   def handle_info(_, state), do: {:ok, state}
 
-  defp crashed?({:shutdown, :crashed}), do: true
-  defp crashed?({:shutdown, _}), do: false
-  defp crashed?(reason), do: reason not in [:normal, :shutdown]
+  defp crash_reason?({:shutdown, :crashed}), do: true
+  defp crash_reason?({:shutdown, _}), do: false
+  defp crash_reason?(reason), do: reason not in [:normal, :shutdown]
 
   # A join replaces the view that was joined under the same topic.
-  defp drop(topic, state) do
+  defp drop_topic(topic, state) do
     case Map.pop(state.topics, topic) do
       {nil, _} ->
         state
@@ -155,7 +156,7 @@ defmodule Situ.Live.Channel do
     end
   end
 
-  defp reply(join_ref, ref, topic, status, response) do
+  defp encode_reply(join_ref, ref, topic, status, response) do
     payload = %{"status" => status, "response" => response}
     {:text, JSON.encode([join_ref, ref, topic, "phx_reply", payload])}
   end

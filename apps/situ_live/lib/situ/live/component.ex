@@ -84,7 +84,10 @@ defmodule Situ.Live.Component do
 
         def unquote(name)(assigns) do
           assigns
-          |> Situ.Live.Component.declared(unquote(name), unquote(Macro.escape(declared)))
+          |> Situ.Live.Component.apply_declarations(
+            unquote(name),
+            unquote(Macro.escape(declared))
+          )
           |> super()
         end
       end
@@ -92,7 +95,7 @@ defmodule Situ.Live.Component do
   end
 
   @doc false
-  def declared(assigns, component, declared) do
+  def apply_declarations(assigns, component, declared) do
     names = Enum.map(declared, &elem(&1, 1))
 
     Enum.reduce(declared, assigns, fn
@@ -101,11 +104,11 @@ defmodule Situ.Live.Component do
         Map.put_new(acc, name, Map.merge(opts[:default] || %{}, rest))
 
       {kind, name, _type, opts}, acc ->
-        present(acc, component, kind, name, opts)
+        put_missing_assign(acc, component, kind, name, opts)
     end)
   end
 
-  defp present(assigns, component, kind, name, opts) do
+  defp put_missing_assign(assigns, component, kind, name, opts) do
     missing? = not is_map_key(assigns, name) or (kind == :slot and assigns[name] == [])
 
     cond do

@@ -1,7 +1,7 @@
 defmodule Situ.Live.Connections do
   @moduledoc false
   # The open WebSockets of each server, with the time of the last message from each. A process that is blocked in a read
-  # or write cannot watch itself, so `sweep/2` is called from another process.
+  # or write cannot watch itself, so `kill_idle/2` is called from another process.
 
   @spec register(reference()) :: :atomics.atomics_ref()
   def register(ref) do
@@ -15,16 +15,16 @@ defmodule Situ.Live.Connections do
   def touch(seen), do: :atomics.put(seen, 1, System.monotonic_time(:millisecond))
 
   @spec count(reference()) :: non_neg_integer()
-  def count(ref), do: length(pids(ref))
+  def count(ref), do: length(list_pids(ref))
 
   # The registry removes an ended process slightly later than its monitors are notified.
-  @spec pids(reference()) :: [pid()]
-  def pids(ref),
+  @spec list_pids(reference()) :: [pid()]
+  def list_pids(ref),
     do: for({pid, _} <- Registry.lookup(__MODULE__, ref), Process.alive?(pid), do: pid)
 
   @doc "Kills connections that sent nothing for `idle_ms`; returns their number."
-  @spec sweep(reference(), integer()) :: non_neg_integer()
-  def sweep(ref, idle_ms) do
+  @spec kill_idle(reference(), integer()) :: non_neg_integer()
+  def kill_idle(ref, idle_ms) do
     now = System.monotonic_time(:millisecond)
 
     stale =

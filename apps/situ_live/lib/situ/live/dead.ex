@@ -7,23 +7,23 @@ defmodule Situ.Live.Dead do
          "media-src 'self' blob:; worker-src 'self' blob:; connect-src 'self'; object-src 'none'; base-uri 'self'; " <>
          "frame-ancestors 'self'; form-action 'self'"
 
-  @spec render(Situ.Live.Endpoint.t(), Route.t(), Request.t()) :: Response.t()
-  def render(config, route, request) do
-    session = session(route.opts[:session], request)
+  @spec render_page(Situ.Live.Endpoint.t(), Route.t(), Request.t()) :: Response.t()
+  def render_page(config, route, request) do
+    session = resolve_session(route.opts[:session], request)
     id = "phx-" <> Base.url_encode64(:crypto.strong_rand_bytes(9), padding: false)
     params = Map.merge(request.query, request.params)
-    uri = uri(config, request)
-    socket = Page.mount(route, params, session, uri, %Socket{id: id, endpoint: config.ref})
+    uri = request_uri(config, request)
+    socket = Page.mount_view(route, params, session, uri, %Socket{id: id, endpoint: config.ref})
 
     case socket.navigation do
-      nil -> page(config, route, socket, session)
-      {_, %{"to" => "/" <> _ = to}} -> Response.redirect(Public.base(config.public) <> to)
+      nil -> build_response(config, route, socket, session)
+      {_, %{"to" => "/" <> _ = to}} -> Response.redirect(Public.base_path(config.public) <> to)
       {_, %{"to" => to}} -> Response.redirect(to)
     end
   end
 
-  defp page(config, route, socket, session) do
-    claims = %{"id" => socket.id, "view" => Page.name(route), "session" => session}
+  defp build_response(config, route, socket, session) do
+    claims = %{"id" => socket.id, "view" => Page.session_scope(route), "session" => session}
     token = Token.sign(config.secret, "session", claims)
 
     content = [
@@ -32,11 +32,11 @@ defmodule Situ.Live.Dead do
       ~s(" data-phx-main data-phx-session="),
       token,
       ~s(" data-phx-static="">),
-      socket |> Page.render(:all) |> Html.to_iodata(),
+      socket |> Page.render_view(:all) |> Html.to_iodata(),
       "</div>"
     ]
 
-    layout = route.opts[:layout] || config.layout || (&__MODULE__.layout/1)
+    layout = route.opts[:layout] || config.layout || (&__MODULE__.default_layout/1)
 
     assigns =
       socket.assigns
@@ -48,18 +48,18 @@ defmodule Situ.Live.Dead do
     html
     |> Response.html()
     |> Response.put_header("cache-control", "no-store")
-    |> Response.put_header("content-security-policy", policy(config.images))
+    |> Response.put_header("content-security-policy", content_policy(config.images))
   end
 
-  defp policy([]), do: @csp
+  defp content_policy([]), do: @csp
 
-  defp policy(images),
+  defp content_policy(images),
     do: String.replace(@csp, "blob: data:;", "blob: data: #{Enum.join(images, " ")};")
 
   use Situ.Live.Component
 
   @doc "Renders the default layout, which loads `/app.js`."
-  def layout(assigns) do
+  def default_layout(assigns) do
     ~H"""
     <html lang="en">
       <head>
@@ -74,11 +74,11 @@ defmodule Situ.Live.Dead do
     """
   end
 
-  defp session(nil, _), do: %{}
-  defp session(fun, request) when is_function(fun, 1), do: fun.(request)
-  defp session(%{} = session, _), do: session
+  defp resolve_session(nil, _), do: %{}
+  defp resolve_session(fun, request) when is_function(fun, 1), do: fun.(request)
+  defp resolve_session(%{} = session, _), do: session
 
-  defp uri(config, request) do
+  defp request_uri(config, request) do
     query = if request.query_string == "", do: "", else: "?" <> request.query_string
     "#{config.scheme}://#{request.host}#{request.path}#{query}"
   end

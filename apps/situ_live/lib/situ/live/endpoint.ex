@@ -34,38 +34,40 @@ defmodule Situ.Live.Endpoint do
 
   @type t :: %__MODULE__{}
 
-  @spec fetch(reference()) :: {:ok, t()} | :error
-  def fetch(ref) do
+  @spec fetch_config(reference()) :: {:ok, t()} | :error
+  def fetch_config(ref) do
     case :persistent_term.get({__MODULE__, ref}, nil) do
       nil -> :error
       config -> {:ok, config}
     end
   end
 
-  @spec put(t()) :: :ok
-  def put(%__MODULE__{ref: ref} = config), do: :persistent_term.put({__MODULE__, ref}, config)
+  @spec put_config(t()) :: :ok
+  def put_config(%__MODULE__{ref: ref} = config),
+    do: :persistent_term.put({__MODULE__, ref}, config)
 
-  @spec erase(reference()) :: boolean()
-  def erase(ref), do: :persistent_term.erase({__MODULE__, ref})
+  @spec erase_config(reference()) :: boolean()
+  def erase_config(ref), do: :persistent_term.erase({__MODULE__, ref})
 
   @type route :: {:live_socket, Request.t()} | {:route, Route.t(), Request.t()}
 
   @doc "Checks a request and returns its route, or the response that rejects it."
-  @spec admit(t(), Request.t()) :: route() | {:respond, Response.t()}
-  def admit(config, %{segments: segments} = request) do
-    request = %{request | segments: Public.strip(config.public, segments)}
+  @spec admit_request(t(), Request.t()) :: route() | {:respond, Response.t()}
+  def admit_request(config, %{segments: segments} = request) do
+    request = %{request | segments: Public.strip_base(config.public, segments)}
 
     with :ok <- check_host(config, request),
          {:ok, role} <- check_token(config, request),
          :ok <- check_origin(config, request) do
-      route(config, %{request | role: role})
+      find_route(config, %{request | role: role})
     end
   end
 
-  defp route(%{live_path: path}, %Request{segments: path} = request), do: {:live_socket, request}
+  defp find_route(%{live_path: path}, %Request{segments: path} = request),
+    do: {:live_socket, request}
 
-  defp route(config, request) do
-    case Route.find(config.routes, request) do
+  defp find_route(config, request) do
+    case Route.match_request(config.routes, request) do
       {:ok, route, params} ->
         {:route, route, %{request | params: params}}
 
@@ -103,54 +105,56 @@ defmodule Situ.Live.Endpoint do
 
   # A viewer may bring an owner's token, so only an owner's cookie takes precedence over a token in the request.
   defp check_token(config, request) do
-    case {cookie(config, request), given(request)} do
+    case {verify_cookie(config, request), find_sent_token(request)} do
       {{:ok, :owner}, _} -> {:ok, :owner}
       {{:ok, :viewer}, nil} -> {:ok, :viewer}
-      {_, given} -> check_given(config, request, given)
+      {_, given} -> check_sent_token(config, request, given)
     end
   end
 
-  defp check_given(_config, _request, nil), do: {:respond, unauthorized()}
+  defp check_sent_token(_config, _request, nil), do: {:respond, unauthorized_response()}
 
   # After too many wrong guesses from an address, its tokens are not even compared.
-  defp check_given(config, %{peer: {address, _}} = request, {how, token}) do
+  defp check_sent_token(config, %{peer: {address, _}} = request, {how, token}) do
     role =
       cond do
         Guesses.too_many?(config.ref, address) -> :guessing
-        same?(token, config.token) -> :owner
-        config.viewer != nil and same?(token, config.viewer) -> :viewer
+        same_token?(token, config.token) -> :owner
+        config.viewer != nil and same_token?(token, config.viewer) -> :viewer
         true -> nil
       end
 
     case role do
       :guessing ->
-        {:respond, too_many_guesses()}
+        {:respond, too_many_guesses_response()}
 
       role when role in [:owner, :viewer] ->
-        if how == :query, do: {:respond, welcome(config, request, role)}, else: {:ok, role}
+        if how == :query,
+          do: {:respond, redirect_with_cookie(config, request, role)},
+          else: {:ok, role}
 
       nil ->
-        Guesses.wrong(config.ref, address)
-        {:respond, unauthorized()}
+        Guesses.count_wrong_token(config.ref, address)
+        {:respond, unauthorized_response()}
     end
   end
 
-  defp given(request) do
-    case {Request.header(request, "authorization"), request.query["token"]} do
+  defp find_sent_token(request) do
+    case {Request.get_header(request, "authorization"), request.query["token"]} do
       {"Bearer " <> token, _} -> {:bearer, token}
       {_, token} when is_binary(token) -> {:query, token}
       _ -> nil
     end
   end
 
-  defp too_many_guesses do
+  defp too_many_guesses_response do
     429
     |> Response.error("too many invalid tokens came from this address; wait a minute")
     |> Response.put_header("retry-after", "60")
   end
 
-  defp cookie(config, request) do
-    cookie = Request.cookie(request, cookie_name(config))
+  defp verify_cookie(config, request) do
+    cookie = Request.get_cookie(request, cookie_name(config))
 
     Enum.find_value([:owner, :viewer], :error, fn role ->
       with key when is_binary(key) <- cookie_key(config, role),
@@ -168,17 +172,17 @@ defmodule Situ.Live.Endpoint do
   # Cookies are shared between ports, and several servers may run on a machine.
   defp cookie_name(config), do: "situ_#{config.port}"
 
-  defp same?(given, token) when is_binary(given) and byte_size(given) == byte_size(token),
+  defp same_token?(given, token) when is_binary(given) and byte_size(given) == byte_size(token),
     do: :crypto.hash_equals(given, token)
 
-  defp same?(_, _), do: false
+  defp same_token?(_, _), do: false
 
   # Moves the token from the address bar into a cookie.
-  defp welcome(config, request, role) do
+  defp redirect_with_cookie(config, request, role) do
     rest = request.query |> Map.delete("token") |> Situ.Live.Query.encode()
 
     path =
-      Public.base(config.public) <>
+      Public.base_path(config.public) <>
         "/" <>
         Enum.map_join(
           request.segments,
@@ -193,12 +197,12 @@ defmodule Situ.Live.Endpoint do
     Response.redirect(if(rest == "", do: path, else: path <> "?" <> rest), 303)
     |> Response.put_header(
       "set-cookie",
-      "#{cookie_name(config)}=#{cookie}; Path=#{Public.base(public)}/; HttpOnly; SameSite=Strict; " <>
+      "#{cookie_name(config)}=#{cookie}; Path=#{Public.base_path(public)}/; HttpOnly; SameSite=Strict; " <>
         "Max-Age=#{@cookie_age_s}#{secure}"
     )
   end
 
-  defp unauthorized do
+  defp unauthorized_response do
     401
     |> Response.error("open the address that the server printed, which contains the token")
     |> Response.put_header("www-authenticate", "Bearer")
@@ -206,23 +210,23 @@ defmodule Situ.Live.Endpoint do
 
   # Browsers always send the origin of a WebSocket or a POST; other programs do not.
   defp check_origin(config, request) do
-    origin = Request.header(request, "origin")
-    matters? = request.method not in ["GET", "HEAD"] or upgrade?(request)
+    origin = Request.get_header(request, "origin")
+    matters? = request.method not in ["GET", "HEAD"] or websocket_upgrade?(request)
 
-    if not matters? or origin in [nil | config.origins] or own?(origin, config, request),
+    if not matters? or origin in [nil | config.origins] or own_origin?(origin, config, request),
       do: :ok,
       else: {:respond, Response.error(403, "requests from other sites are not allowed")}
   end
 
   # For the host name of the proxy, only the proxy's own origin is allowed, including its scheme.
-  defp own?(origin, config, request) do
-    host_name(request.host) not in Public.hosts(config.public) and
+  defp own_origin?(origin, config, request) do
+    host_name(request.host) not in Public.allowed_hosts(config.public) and
       origin == config.scheme <> "://" <> request.host
   end
 
   @doc false
-  def upgrade?(request) do
-    request |> Request.header("upgrade") |> to_string() |> String.downcase() == "websocket"
+  def websocket_upgrade?(request) do
+    request |> Request.get_header("upgrade") |> to_string() |> String.downcase() == "websocket"
   end
 
   @doc "Returns the maximum body size of a route in bytes."
@@ -236,29 +240,29 @@ defmodule Situ.Live.Endpoint do
   Runs the handler of an admitted request. Returns a `Situ.Live.Response`, or `{:upgrade, module, arg, opts, request}`
   for WebSockets. A handler of an application may return any term.
   """
-  @spec run(t(), route()) :: term()
-  def run(config, {:live_socket, request}) do
-    upgrade(Situ.Live.Channel, config, [max_frame: config.max_frame], request)
+  @spec run_route(t(), route()) :: term()
+  def run_route(config, {:live_socket, request}) do
+    upgrade_connection(Situ.Live.Channel, config, [max_frame: config.max_frame], request)
   end
 
-  def run(_config, {:route, %Route{kind: :socket} = route, request}) do
-    upgrade(route.target, route.arg, route.opts, request)
+  def run_route(_config, {:route, %Route{kind: :socket} = route, request}) do
+    upgrade_connection(route.target, route.arg, route.opts, request)
   end
 
-  def run(_config, {:route, %Route{kind: :static} = route, request}) do
-    Static.serve(request, route.target, request.params["path"], route.opts)
+  def run_route(_config, {:route, %Route{kind: :static} = route, request}) do
+    Static.serve_file(request, route.target, request.params["path"], route.opts)
   end
 
-  def run(_config, {:route, %Route{kind: :http, target: {module, arg}}, request}),
+  def run_route(_config, {:route, %Route{kind: :http, target: {module, arg}}, request}),
     do: module.call(request, arg)
 
-  def run(_config, {:route, %Route{kind: :http, target: fun}, request}), do: fun.(request)
+  def run_route(_config, {:route, %Route{kind: :http, target: fun}, request}), do: fun.(request)
 
-  def run(config, {:route, %Route{kind: :live} = route, request}),
-    do: Dead.render(config, route, request)
+  def run_route(config, {:route, %Route{kind: :live} = route, request}),
+    do: Dead.render_page(config, route, request)
 
-  defp upgrade(handler, arg, opts, request) do
-    if upgrade?(request) do
+  defp upgrade_connection(handler, arg, opts, request) do
+    if websocket_upgrade?(request) do
       {:upgrade, handler, arg, opts, request}
     else
       426

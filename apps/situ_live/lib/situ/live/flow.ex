@@ -15,22 +15,22 @@ defmodule Situ.Live.Flow do
   def new(opts \\ []), do: struct!(__MODULE__, opts)
 
   @doc "Returns `:now`, or `{:wait, ms}` with the time after which to check again."
-  @spec check(t(), integer()) :: :now | {:wait, non_neg_integer()}
-  def check(%__MODULE__{sent_at: nil}, _now), do: :now
+  @spec time_to_send(t(), integer()) :: :now | {:wait, non_neg_integer()}
+  def time_to_send(%__MODULE__{sent_at: nil}, _now), do: :now
 
-  def check(%__MODULE__{waiting?: true} = flow, now) do
+  def time_to_send(%__MODULE__{waiting?: true} = flow, now) do
     left = flow.sent_at + flow.timeout_ms - now
     if left <= 0, do: :now, else: {:wait, left}
   end
 
-  def check(%__MODULE__{} = flow, now) do
+  def time_to_send(%__MODULE__{} = flow, now) do
     left = flow.sent_at + flow.interval_ms - now
     if left <= 0, do: :now, else: {:wait, left}
   end
 
-  @spec sent(t(), integer()) :: t()
-  def sent(%__MODULE__{} = flow, now), do: %{flow | sent_at: now, waiting?: flow.ack?}
+  @spec record_sent(t(), integer()) :: t()
+  def record_sent(%__MODULE__{} = flow, now), do: %{flow | sent_at: now, waiting?: flow.ack?}
 
-  @spec acknowledged(t()) :: t()
-  def acknowledged(%__MODULE__{} = flow), do: %{flow | waiting?: false}
+  @spec record_ack(t()) :: t()
+  def record_ack(%__MODULE__{} = flow), do: %{flow | waiting?: false}
 end

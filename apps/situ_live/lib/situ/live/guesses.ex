@@ -9,15 +9,15 @@ defmodule Situ.Live.Guesses do
   @most_addresses 10_000
 
   @doc "Creates the table; called once by the application's supervisor process."
-  @spec setup() :: :ok
-  def setup do
+  @spec create_table() :: :ok
+  def create_table do
     _ = :ets.new(@table, [:named_table, :public, write_concurrency: true])
     :ok
   end
 
   @doc "Counts an invalid token."
-  @spec wrong(term(), :inet.ip_address(), integer()) :: :ok
-  def wrong(server, address, now_ms \\ now()) do
+  @spec count_wrong_token(term(), :inet.ip_address(), integer()) :: :ok
+  def count_wrong_token(server, address, now_ms \\ current_ms()) do
     if :ets.info(@table, :size) > @most_addresses, do: :ets.delete_all_objects(@table)
     key = {server, address, div(now_ms, @minute_ms)}
     :ets.update_counter(@table, key, 1, {key, 0})
@@ -27,17 +27,17 @@ defmodule Situ.Live.Guesses do
 
   @doc "Returns whether an address has used up its guesses in this minute and the one before."
   @spec too_many?(term(), :inet.ip_address(), integer()) :: boolean()
-  def too_many?(server, address, now_ms \\ now()) do
+  def too_many?(server, address, now_ms \\ current_ms()) do
     minute = div(now_ms, @minute_ms)
-    Enum.sum(for at <- [minute - 1, minute], do: count({server, address, at})) >= @most
+    Enum.sum(for at <- [minute - 1, minute], do: read_count({server, address, at})) >= @most
   end
 
-  defp count(key) do
+  defp read_count(key) do
     case :ets.lookup(@table, key) do
       [{_, count}] -> count
       [] -> 0
     end
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp current_ms, do: System.monotonic_time(:millisecond)
 end

@@ -23,21 +23,21 @@ defmodule Situ.Live.Html do
   def escape(%Rendered{} = tree), do: tree
   def escape(%Comprehension{} = tree), do: tree
   def escape(%Island{} = tree), do: tree
-  def escape({:safe, iodata}), do: iodata |> IO.iodata_to_binary() |> utf8()
+  def escape({:safe, iodata}), do: iodata |> IO.iodata_to_binary() |> ensure_utf8()
   def escape({:escaped, text}), do: text
   def escape(value) when is_integer(value), do: Integer.to_string(value)
   def escape(value) when is_float(value), do: Float.to_string(value)
   def escape(value) when is_atom(value), do: value |> Atom.to_string() |> escape_text()
   def escape([]), do: ""
-  def escape([%Rendered{} | _] = trees), do: list(trees)
-  def escape([%Island{} | _] = trees), do: list(trees)
+  def escape([%Rendered{} | _] = trees), do: build_comprehension(trees)
+  def escape([%Island{} | _] = trees), do: build_comprehension(trees)
   def escape(value) when is_list(value), do: value |> IO.chardata_to_string() |> escape_text()
   def escape(value), do: value |> to_string() |> escape()
 
   @list_fingerprint :erlang.phash2({__MODULE__, :list}, 4_294_967_296)
 
   # A list of trees (`for` in Elixir code, several slots) is a comprehension without keys.
-  defp list(trees) do
+  defp build_comprehension(trees) do
     %Comprehension{
       static: ["", ""],
       fingerprint: @list_fingerprint,
@@ -45,36 +45,40 @@ defmodule Situ.Live.Html do
     }
   end
 
-  defp utf8(text) do
-    if String.valid?(text), do: text, else: for(<<c <- text>>, into: "", do: mend(c))
+  defp ensure_utf8(text) do
+    if String.valid?(text),
+      do: text,
+      else: for(<<c <- text>>, into: "", do: replace_invalid_byte(c))
   end
 
-  defp mend(c) when c < 128, do: <<c>>
-  defp mend(_), do: "\uFFFD"
+  defp replace_invalid_byte(c) when c < 128, do: <<c>>
+  defp replace_invalid_byte(_), do: "\uFFFD"
 
   # Most strings are ASCII without special characters, which one pass can verify.
-  defp escape_text(text), do: if(clean?(text), do: text, else: text |> utf8() |> replace(""))
+  defp escape_text(text),
+    do: if(plain_ascii?(text), do: text, else: text |> ensure_utf8() |> escape_bytes(""))
 
-  defp clean?(<<c, rest::binary>>) when c < 128 and c not in [?<, ?>, ?&, ?", ?'],
-    do: clean?(rest)
+  defp plain_ascii?(<<c, rest::binary>>) when c < 128 and c not in [?<, ?>, ?&, ?", ?'],
+    do: plain_ascii?(rest)
 
-  defp clean?(""), do: true
-  defp clean?(_), do: false
+  defp plain_ascii?(""), do: true
+  defp plain_ascii?(_), do: false
 
-  defp replace(<<?<, rest::binary>>, acc), do: replace(rest, acc <> "&lt;")
-  defp replace(<<?>, rest::binary>>, acc), do: replace(rest, acc <> "&gt;")
-  defp replace(<<?&, rest::binary>>, acc), do: replace(rest, acc <> "&amp;")
-  defp replace(<<?", rest::binary>>, acc), do: replace(rest, acc <> "&quot;")
-  defp replace(<<?', rest::binary>>, acc), do: replace(rest, acc <> "&#39;")
-  defp replace(<<c, rest::binary>>, acc), do: replace(rest, <<acc::binary, c>>)
-  defp replace("", acc), do: acc
+  defp escape_bytes(<<?<, rest::binary>>, acc), do: escape_bytes(rest, acc <> "&lt;")
+  defp escape_bytes(<<?>, rest::binary>>, acc), do: escape_bytes(rest, acc <> "&gt;")
+  defp escape_bytes(<<?&, rest::binary>>, acc), do: escape_bytes(rest, acc <> "&amp;")
+  defp escape_bytes(<<?", rest::binary>>, acc), do: escape_bytes(rest, acc <> "&quot;")
+  defp escape_bytes(<<?', rest::binary>>, acc), do: escape_bytes(rest, acc <> "&#39;")
+  defp escape_bytes(<<c, rest::binary>>, acc), do: escape_bytes(rest, <<acc::binary, c>>)
+  defp escape_bytes("", acc), do: acc
 
   @doc "Returns the HTML of a tree as iodata."
   @spec to_iodata(Rendered.value()) :: iodata()
-  def to_iodata(%Rendered{static: static, dynamic: dynamic}), do: weave(static, dynamic)
+  def to_iodata(%Rendered{static: static, dynamic: dynamic}),
+    do: interleave_values(static, dynamic)
 
   def to_iodata(%Comprehension{static: static, entries: entries}) do
-    for {_key, dynamic} <- entries, do: weave(static, dynamic)
+    for {_key, dynamic} <- entries, do: interleave_values(static, dynamic)
   end
 
   def to_iodata(%Island{rendered: rendered}), do: to_iodata(rendered)
@@ -84,10 +88,10 @@ defmodule Situ.Live.Html do
   @spec to_html(Rendered.value()) :: String.t()
   def to_html(tree), do: tree |> to_iodata() |> IO.iodata_to_binary()
 
-  defp weave([text], []), do: [text]
+  defp interleave_values([text], []), do: [text]
 
-  defp weave([text | texts], [value | values]),
-    do: [text, to_iodata(value) | weave(texts, values)]
+  defp interleave_values([text | texts], [value | values]),
+    do: [text, to_iodata(value) | interleave_values(texts, values)]
 
   @doc """
   Renders attributes: `nil` and `false` omit an attribute, `true` writes only its name, and a list is joined with
@@ -99,7 +103,11 @@ defmodule Situ.Live.Html do
   @spec attributes(Enumerable.t()) :: safe()
   def attributes(pairs) do
     {:safe,
-     for({name, value} <- pairs, value not in [nil, false], do: attribute(name(name), value))}
+     for(
+       {name, value} <- pairs,
+       value not in [nil, false],
+       do: render_attribute(check_attribute_name(name), value)
+     )}
   end
 
   @doc false
@@ -111,7 +119,7 @@ defmodule Situ.Live.Html do
     do: {:escaped, <<prefix::binary, "=\"", escape(attribute_value(value))::binary, "\"">>}
 
   # Names come from a spread map, so characters that could end the name are rejected.
-  defp name(name) do
+  defp check_attribute_name(name) do
     name = Kernel.to_string(name)
 
     if name =~ ~r/\A[^\s"'<>\/=]+\z/u,
@@ -119,8 +127,8 @@ defmodule Situ.Live.Html do
       else: raise(ArgumentError, "invalid attribute name: #{inspect(name)}")
   end
 
-  defp attribute(name, true), do: [" ", name]
-  defp attribute(name, value), do: [" ", name, "=\"", escape(attribute_value(value)), "\""]
+  defp render_attribute(name, true), do: [" ", name]
+  defp render_attribute(name, value), do: [" ", name, "=\"", escape(attribute_value(value)), "\""]
 
   @doc false
   def attribute_value(%Situ.Live.JS{} = js), do: Kernel.to_string(js)

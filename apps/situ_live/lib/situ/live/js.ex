@@ -17,61 +17,64 @@ defmodule Situ.Live.JS do
   def push(event, opts, []) when is_binary(event) and is_list(opts),
     do: push(%__MODULE__{}, event, opts)
 
-  def push(%__MODULE__{} = js, event, opts), do: add(js, "push", [event: event] ++ opts)
+  def push(%__MODULE__{} = js, event, opts), do: add_op(js, "push", [event: event] ++ opts)
 
   @doc "Shows the elements that match the selector `to:`."
   @spec show(t(), keyword()) :: t()
-  def show(js \\ %__MODULE__{}, opts), do: add(js, "show", opts)
+  def show(js \\ %__MODULE__{}, opts), do: add_op(js, "show", opts)
 
   @doc "Hides the elements that match the selector `to:`."
   @spec hide(t(), keyword()) :: t()
-  def hide(js \\ %__MODULE__{}, opts), do: add(js, "hide", opts)
+  def hide(js \\ %__MODULE__{}, opts), do: add_op(js, "hide", opts)
 
   @doc "Shows hidden elements and hides visible ones."
   @spec toggle(t(), keyword()) :: t()
-  def toggle(js \\ %__MODULE__{}, opts), do: add(js, "toggle", opts)
+  def toggle(js \\ %__MODULE__{}, opts), do: add_op(js, "toggle", opts)
 
   @doc "Adds classes, given as a string and separated by spaces."
   @spec add_class(t(), String.t(), keyword()) :: t()
-  def add_class(js \\ %__MODULE__{}, names, opts), do: class(js, "add_class", names, opts)
+  def add_class(js \\ %__MODULE__{}, names, opts), do: add_class_op(js, "add_class", names, opts)
 
   @doc "Removes classes, given as a string and separated by spaces."
   @spec remove_class(t(), String.t(), keyword()) :: t()
-  def remove_class(js \\ %__MODULE__{}, names, opts), do: class(js, "remove_class", names, opts)
+  def remove_class(js \\ %__MODULE__{}, names, opts),
+    do: add_class_op(js, "remove_class", names, opts)
 
   @doc "Adds missing classes and removes present ones."
   @spec toggle_class(t(), String.t(), keyword()) :: t()
-  def toggle_class(js \\ %__MODULE__{}, names, opts), do: class(js, "toggle_class", names, opts)
+  def toggle_class(js \\ %__MODULE__{}, names, opts),
+    do: add_class_op(js, "toggle_class", names, opts)
 
   @doc "Sets an attribute, given as `{name, value}`."
   @spec set_attribute(t(), {String.t(), String.t()}, keyword()) :: t()
   def set_attribute(js \\ %__MODULE__{}, {name, value}, opts),
-    do: add(js, "set_attr", [attr: [name, value]] ++ opts)
+    do: add_op(js, "set_attr", [attr: [name, value]] ++ opts)
 
   @doc "Removes an attribute."
   @spec remove_attribute(t(), String.t(), keyword()) :: t()
   def remove_attribute(js \\ %__MODULE__{}, name, opts),
-    do: add(js, "remove_attr", [attr: name] ++ opts)
+    do: add_op(js, "remove_attr", [attr: name] ++ opts)
 
   @doc "Dispatches a DOM event; option `detail:` (a map)."
   @spec dispatch(t(), String.t(), keyword()) :: t()
-  def dispatch(js \\ %__MODULE__{}, event, opts), do: add(js, "dispatch", [event: event] ++ opts)
+  def dispatch(js \\ %__MODULE__{}, event, opts),
+    do: add_op(js, "dispatch", [event: event] ++ opts)
 
   @doc "Focuses an element."
   @spec focus(t(), keyword()) :: t()
-  def focus(js \\ %__MODULE__{}, opts), do: add(js, "focus", opts)
+  def focus(js \\ %__MODULE__{}, opts), do: add_op(js, "focus", opts)
 
   @doc "Navigates to a path within the same view."
   @spec patch(t(), String.t()) :: t()
-  def patch(js \\ %__MODULE__{}, href), do: add(js, "patch", href: href)
+  def patch(js \\ %__MODULE__{}, href), do: add_op(js, "patch", href: href)
 
   @doc "Navigates to another view."
   @spec navigate(t(), String.t()) :: t()
-  def navigate(js \\ %__MODULE__{}, href), do: add(js, "navigate", href: href)
+  def navigate(js \\ %__MODULE__{}, href), do: add_op(js, "navigate", href: href)
 
-  defp class(js, op, names, opts), do: add(js, op, [names: String.split(names)] ++ opts)
+  defp add_class_op(js, op, names, opts), do: add_op(js, op, [names: String.split(names)] ++ opts)
 
-  defp add(%__MODULE__{ops: ops} = js, name, args),
+  defp add_op(%__MODULE__{ops: ops} = js, name, args),
     do: %{js | ops: ops ++ [[name, Map.new(args)]]}
 
   defimpl String.Chars do

@@ -12,44 +12,44 @@ defmodule Situ.Live.Listener do
 
   def start_link(arg), do: GenServer.start_link(__MODULE__, arg)
 
-  @spec endpoint(pid()) :: Endpoint.t()
-  def endpoint(pid), do: GenServer.call(pid, :endpoint)
+  @spec get_endpoint(pid()) :: Endpoint.t()
+  def get_endpoint(pid), do: GenServer.call(pid, :endpoint)
 
   # The port must be open, or the error known, when start_link returns.
   @impl true
   def init({config, tls}) do
     Process.flag(:trap_exit, true)
-    Endpoint.put(config)
+    Endpoint.put_config(config)
 
-    case Yaws.add(config.ref, config.ip, config.port, tls) do
+    case Yaws.open_listener(config.ref, config.ip, config.port, tls) do
       {:ok, sconf} ->
         Process.monitor(:yaws_server)
-        crowd_tick()
-        {:ok, %{config: config, sconf: sconf, tick: tick(), peers: MapSet.new()}}
+        schedule_crowd_check()
+        {:ok, %{config: config, sconf: sconf, tick: schedule_sweep(), peers: MapSet.new()}}
 
       {:error, error} ->
-        Endpoint.erase(config.ref)
+        Endpoint.erase_config(config.ref)
         {:stop, error}
     end
   end
 
-  defp tick, do: Process.send_after(self(), :sweep, @sweep_ms)
+  defp schedule_sweep, do: Process.send_after(self(), :sweep, @sweep_ms)
 
-  defp crowd_tick, do: Process.send_after(self(), :crowd, @crowd_ms)
+  defp schedule_crowd_check, do: Process.send_after(self(), :crowd, @crowd_ms)
 
   @impl true
   def handle_call(:endpoint, _from, state), do: {:reply, state.config, state}
 
   @impl true
   def handle_info(:sweep, state) do
-    Connections.sweep(state.config.ref, @idle_ms)
-    {:noreply, %{state | tick: tick()}}
+    Connections.kill_idle(state.config.ref, @idle_ms)
+    {:noreply, %{state | tick: schedule_sweep()}}
   end
 
   def handle_info(:crowd, state) do
     {excess, peers} = Peers.find_excess(state.config.port, state.peers)
     for pid <- excess, pid != self(), do: Process.exit(pid, :kill)
-    crowd_tick()
+    schedule_crowd_check()
     {:noreply, %{state | peers: peers}}
   end
 
@@ -61,8 +61,8 @@ defmodule Situ.Live.Listener do
 
   @impl true
   def terminate(_reason, state) do
-    if state.sconf, do: Yaws.remove(state.sconf)
-    Endpoint.erase(state.config.ref)
-    for pid <- Connections.pids(state.config.ref), do: Process.exit(pid, :shutdown)
+    if state.sconf, do: Yaws.close_listener(state.sconf)
+    Endpoint.erase_config(state.config.ref)
+    for pid <- Connections.list_pids(state.config.ref), do: Process.exit(pid, :shutdown)
   end
 end

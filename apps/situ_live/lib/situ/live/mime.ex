@@ -24,8 +24,8 @@ defmodule Situ.Live.Mime do
     ".webm" => "video/webm"
   }
 
-  @spec type(Path.t()) :: String.t()
-  def type(path) do
+  @spec content_type(Path.t()) :: String.t()
+  def content_type(path) do
     Map.get(@types, path |> Path.extname() |> String.downcase(), "application/octet-stream")
   end
 end

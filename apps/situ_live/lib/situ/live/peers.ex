@@ -18,7 +18,7 @@ defmodule Situ.Live.Peers do
     if :erlang.system_info(:port_count) > div(most, 2) do
       {stay, excess} =
         port
-        |> connections()
+        |> list_connections()
         |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
         |> Enum.map(fn {_address, pids} ->
           pids |> Enum.sort_by(&(&1 not in earlier)) |> Enum.split(most)
@@ -31,7 +31,7 @@ defmodule Situ.Live.Peers do
     end
   end
 
-  defp connections(port) do
+  defp list_connections(port) do
     for socket <- :erlang.ports(),
         :erlang.port_info(socket, :name) == {:name, ~c"tcp_inet"},
         {:ok, {_, ^port}} <- [:inet.sockname(socket)],

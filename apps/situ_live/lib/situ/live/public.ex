@@ -34,15 +34,15 @@ defmodule Situ.Live.Public do
          when scheme in ["http", "https"] and host not in [nil, ""] <- URI.parse(text),
          segments = String.split(uri.path || "", "/", trim: true),
          true <- Enum.all?(segments, &(&1 =~ ~r/\A[\w.~-]+\z/ and &1 not in [".", ".."])) do
-      {:ok, of(scheme, String.downcase(host), uri.port, segments)}
+      {:ok, from_parts(scheme, String.downcase(host), uri.port, segments)}
     else
-      _ -> bad(text)
+      _ -> address_error(text)
     end
   end
 
-  def parse(other), do: bad(other)
+  def parse(other), do: address_error(other)
 
-  defp of(scheme, host, port, segments) do
+  defp from_parts(scheme, host, port, segments) do
     usual = URI.default_port(scheme)
     authority = if String.contains?(host, ":"), do: "[#{host}]", else: host
     origin = "#{scheme}://#{authority}#{if port != usual, do: ":#{port}"}"
@@ -58,7 +58,7 @@ defmodule Situ.Live.Public do
     }
   end
 
-  defp bad(text) do
+  defp address_error(text) do
     {:error,
      Error.new(
        :bad_public,
@@ -68,31 +68,31 @@ defmodule Situ.Live.Public do
   end
 
   @doc "Returns the origins that the public address allows."
-  @spec origins(t() | nil) :: [String.t()]
-  def origins(nil), do: []
-  def origins(public), do: [public.origin]
+  @spec allowed_origins(t() | nil) :: [String.t()]
+  def allowed_origins(nil), do: []
+  def allowed_origins(public), do: [public.origin]
 
   @doc "Returns the host names that the public address allows."
-  @spec hosts(t() | nil) :: [String.t()]
-  def hosts(nil), do: []
-  def hosts(public), do: [public.host]
+  @spec allowed_hosts(t() | nil) :: [String.t()]
+  def allowed_hosts(nil), do: []
+  def allowed_hosts(public), do: [public.host]
 
   @doc "Returns the prefix of every path in the pages."
-  @spec base(t() | nil) :: String.t()
-  def base(nil), do: ""
-  def base(public), do: public.base
+  @spec base_path(t() | nil) :: String.t()
+  def base_path(nil), do: ""
+  def base_path(public), do: public.base
 
   @doc """
   Removes the proxy's path from the segments of a request, unless the proxy has already removed it.
 
       iex> {:ok, public} = Situ.Live.Public.parse("https://lab.example.org/studio")
-      iex> {Situ.Live.Public.strip(public, ["studio", "s", "x"]), Situ.Live.Public.strip(public, ["s", "x"])}
+      iex> {Situ.Live.Public.strip_base(public, ["studio", "s", "x"]), Situ.Live.Public.strip_base(public, ["s", "x"])}
       {["s", "x"], ["s", "x"]}
   """
-  @spec strip(t() | nil, [String.t()]) :: [String.t()]
-  def strip(nil, segments), do: segments
+  @spec strip_base(t() | nil, [String.t()]) :: [String.t()]
+  def strip_base(nil, segments), do: segments
 
-  def strip(%{segments: own}, segments) do
+  def strip_base(%{segments: own}, segments) do
     if own != [] and List.starts_with?(segments, own),
       do: Enum.drop(segments, length(own)),
       else: segments

@@ -21,13 +21,13 @@ defmodule Situ.Live.Query do
 
     if length(fields) > @max_fields,
       do: {:error, :bad_query},
-      else: collect(fields, %{})
+      else: collect_fields(fields, %{})
   end
 
-  defp collect([], acc), do: {:ok, acc |> unwrap()}
-  defp collect(["" | rest], acc), do: collect(rest, acc)
+  defp collect_fields([], acc), do: {:ok, acc |> unwrap_lists()}
+  defp collect_fields(["" | rest], acc), do: collect_fields(rest, acc)
 
-  defp collect([field | rest], acc) do
+  defp collect_fields([field | rest], acc) do
     {name, value} =
       case :binary.split(field, "=") do
         [name, value] -> {form_decode(name), form_decode(value)}
@@ -35,8 +35,8 @@ defmodule Situ.Live.Query do
       end
 
     with true <- is_binary(name) and is_binary(value),
-         path when is_list(path) <- path(name) do
-      collect(rest, put(acc, path, value))
+         path when is_list(path) <- field_path(name) do
+      collect_fields(rest, put_field(acc, path, value))
     else
       _ -> {:error, :bad_query}
     end
@@ -45,11 +45,11 @@ defmodule Situ.Live.Query do
   @doc """
   Returns the path of a field within the result of `parse/1`. A name without brackets is used unchanged.
 
-      iex> Situ.Live.Query.path("a[b][]")
+      iex> Situ.Live.Query.field_path("a[b][]")
       ["a", "b", ""]
   """
-  @spec path(String.t()) :: [String.t()] | :error
-  def path(name) do
+  @spec field_path(String.t()) :: [String.t()] | :error
+  def field_path(name) do
     case :binary.split(name, "[") do
       [head, tail] when head != "" ->
         inner = tail |> String.trim_trailing("]") |> String.split("][")
@@ -61,28 +61,31 @@ defmodule Situ.Live.Query do
   end
 
   # Lists are collected in reverse under a marker, so that n values take n steps.
-  defp put(acc, [key], value), do: Map.put(acc, key, value)
+  defp put_field(acc, [key], value), do: Map.put(acc, key, value)
 
-  defp put(acc, [key, ""], value) do
+  defp put_field(acc, [key, ""], value) do
     case acc do
       %{^key => {:list, values}} -> %{acc | key => {:list, [value | values]}}
       _ -> Map.put(acc, key, {:list, [value]})
     end
   end
 
-  defp put(acc, [key | rest], value) do
+  defp put_field(acc, [key | rest], value) do
     inner =
       case acc do
         %{^key => %{} = inner} -> inner
         _ -> %{}
       end
 
-    Map.put(acc, key, put(inner, rest, value))
+    Map.put(acc, key, put_field(inner, rest, value))
   end
 
-  defp unwrap({:list, values}), do: Enum.reverse(values)
-  defp unwrap(%{} = map), do: Map.new(map, fn {key, value} -> {key, unwrap(value)} end)
-  defp unwrap(value), do: value
+  defp unwrap_lists({:list, values}), do: Enum.reverse(values)
+
+  defp unwrap_lists(%{} = map),
+    do: Map.new(map, fn {key, value} -> {key, unwrap_lists(value)} end)
+
+  defp unwrap_lists(value), do: value
 
   defp form_decode(text), do: text |> :binary.replace("+", " ", [:global]) |> percent_decode()
 
@@ -104,20 +107,24 @@ defmodule Situ.Live.Query do
   @spec encode(map() | keyword()) :: String.t()
   def encode(params) do
     params
-    |> Enum.flat_map(fn {key, value} -> pairs(to_string(key), value) end)
+    |> Enum.flat_map(fn {key, value} -> flatten_pairs(to_string(key), value) end)
     |> URI.encode_query()
   end
 
   @doc """
-  Returns the name of the field at a path; the inverse of `path/1`.
+  Returns the name of the field at a path; the inverse of `field_path/1`.
 
-      iex> Situ.Live.Query.name(["a", "b"])
+      iex> Situ.Live.Query.field_name(["a", "b"])
       "a[b]"
   """
-  @spec name([String.t(), ...]) :: String.t()
-  def name([head | inner]), do: head <> Enum.map_join(inner, &"[#{&1}]")
+  @spec field_name([String.t(), ...]) :: String.t()
+  def field_name([head | inner]), do: head <> Enum.map_join(inner, &"[#{&1}]")
 
-  defp pairs(key, %{} = map), do: Enum.flat_map(map, fn {k, v} -> pairs("#{key}[#{k}]", v) end)
-  defp pairs(key, list) when is_list(list), do: Enum.flat_map(list, &pairs(key <> "[]", &1))
-  defp pairs(key, value), do: [{key, value}]
+  defp flatten_pairs(key, %{} = map),
+    do: Enum.flat_map(map, fn {k, v} -> flatten_pairs("#{key}[#{k}]", v) end)
+
+  defp flatten_pairs(key, list) when is_list(list),
+    do: Enum.flat_map(list, &flatten_pairs(key <> "[]", &1))
+
+  defp flatten_pairs(key, value), do: [{key, value}]
 end

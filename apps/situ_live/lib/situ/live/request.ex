@@ -11,7 +11,7 @@ defmodule Situ.Live.Request do
     * `role` - `:viewer` if the client used the server's `viewer_token:`, else `:owner`
 
       iex> request = %Situ.Live.Request{method: "GET", path: "/a", headers: %{"accept" => "text/html"}}
-      iex> Situ.Live.Request.header(request, "Accept")
+      iex> Situ.Live.Request.get_header(request, "Accept")
       "text/html"
   """
   alias Situ.Live.Query
@@ -56,7 +56,7 @@ defmodule Situ.Live.Request do
         [path] -> {path, ""}
       end
 
-    with {:ok, segments} <- segments(path),
+    with {:ok, segments} <- split_path(path),
          {:ok, query} <- Query.parse(query_string) do
       request = %__MODULE__{
         method: method,
@@ -75,35 +75,35 @@ defmodule Situ.Live.Request do
   end
 
   # NUL and similar characters never occur in valid names; browsers resolve `.` and `..` themselves.
-  defp segments("/" <> _ = path) do
+  defp split_path("/" <> _ = path) do
     segments = path |> String.split("/", trim: true) |> Enum.map(&Query.percent_decode/1)
 
-    if Enum.all?(segments, &segment?/1), do: {:ok, segments}, else: :error
+    if Enum.all?(segments, &valid_segment?/1), do: {:ok, segments}, else: :error
   end
 
-  defp segments(_), do: :error
+  defp split_path(_), do: :error
 
-  defp segment?(:error), do: false
+  defp valid_segment?(:error), do: false
 
-  defp segment?(segment) do
+  defp valid_segment?(segment) do
     segment not in [".", ".."] and
       :binary.match(segment, ["/", "\\", <<0>>, "\n", "\r"]) == :nomatch
   end
 
   @doc "Returns the value of a header, or `nil`."
-  @spec header(t(), String.t()) :: String.t() | nil
-  def header(%__MODULE__{headers: headers}, name), do: headers[String.downcase(name)]
+  @spec get_header(t(), String.t()) :: String.t() | nil
+  def get_header(%__MODULE__{headers: headers}, name), do: headers[String.downcase(name)]
 
   @doc ~S"""
   Returns the value of a cookie, or `nil`.
 
-      iex> Situ.Live.Request.cookie(%Situ.Live.Request{headers: %{"cookie" => "a=1; b=2"}}, "b")
+      iex> Situ.Live.Request.get_cookie(%Situ.Live.Request{headers: %{"cookie" => "a=1; b=2"}}, "b")
       "2"
   """
-  @spec cookie(t(), String.t()) :: String.t() | nil
-  def cookie(%__MODULE__{} = request, name) do
+  @spec get_cookie(t(), String.t()) :: String.t() | nil
+  def get_cookie(%__MODULE__{} = request, name) do
     request
-    |> header("cookie")
+    |> get_header("cookie")
     |> to_string()
     |> String.split(";")
     |> Enum.find_value(fn pair ->

@@ -20,15 +20,16 @@ defmodule Situ.Live.Response do
 
   @doc "Builds a plain text response."
   @spec text(iodata(), 100..599) :: t()
-  def text(text, status \\ 200), do: of(status, "text/plain; charset=utf-8", text)
+  def text(text, status \\ 200), do: with_type(status, "text/plain; charset=utf-8", text)
 
   @doc "Builds a response from HTML that is already escaped."
   @spec html(iodata(), 100..599) :: t()
-  def html(html, status \\ 200), do: of(status, "text/html; charset=utf-8", html)
+  def html(html, status \\ 200), do: with_type(status, "text/html; charset=utf-8", html)
 
   @doc "Builds a JSON response from maps, lists, strings, numbers, booleans and `nil`."
   @spec json(term(), 100..599) :: t()
-  def json(value, status \\ 200), do: of(status, "application/json", Situ.JSON.encode(value))
+  def json(value, status \\ 200),
+    do: with_type(status, "application/json", Situ.JSON.encode(value))
 
   @doc "Builds a response from bytes, with additional `headers`."
   @spec binary(iodata(), [{String.t(), String.t()}]) :: t()
@@ -49,7 +50,7 @@ defmodule Situ.Live.Response do
   @spec error(100..599, String.t()) :: t()
   def error(status, what \\ ""), do: text([Integer.to_string(status), " ", what, "\n"], status)
 
-  defp of(status, type, body) do
+  defp with_type(status, type, body) do
     %__MODULE__{status: status, headers: [{"content-type", type}], body: body}
   end
 
@@ -73,12 +74,12 @@ defmodule Situ.Live.Response do
         etag = ~s("#{Integer.to_string(mtime, 36)}-#{Integer.to_string(size, 36)}")
 
         headers = [
-          {"content-type", opts[:type] || Mime.type(path)},
+          {"content-type", opts[:type] || Mime.content_type(path)},
           {"cache-control", opts[:cache] || "no-cache"},
           {"etag", etag}
         ]
 
-        ranged(request, size, headers, fn from, length -> {:file, path, from, length} end)
+        serve_range(request, size, headers, fn from, length -> {:file, path, from, length} end)
 
       _ ->
         error(404, "not found")
@@ -90,69 +91,75 @@ defmodule Situ.Live.Response do
   (`206`, `416`). `read.(from, length)` returns a part of the content.
 
       iex> request = %Situ.Live.Request{headers: %{"range" => "bytes=1-2"}}
-      iex> response = Situ.Live.Response.ranged(request, 4, [], fn from, n -> binary_part("abcd", from, n) end)
+      iex> response = Situ.Live.Response.serve_range(request, 4, [], fn from, n -> binary_part("abcd", from, n) end)
       iex> {response.status, response.body, List.keyfind(response.headers, "content-range", 0)}
       {206, "bc", {"content-range", "bytes 1-2/4"}}
   """
-  @spec ranged(
+  @spec serve_range(
           Request.t(),
           non_neg_integer(),
           [{String.t(), String.t()}],
           (non_neg_integer(), non_neg_integer() ->
              body())
         ) :: t()
-  def ranged(%Request{} = request, size, headers, read) do
+  def serve_range(%Request{} = request, size, headers, read) do
     headers = [{"accept-ranges", "bytes"} | headers]
     {_, etag} = List.keyfind(headers, "etag", 0, {"etag", nil})
 
     cond do
-      etag != nil and matches?(Request.header(request, "if-none-match"), etag) ->
+      etag != nil and etag_matches?(Request.get_header(request, "if-none-match"), etag) ->
         %__MODULE__{status: 304, headers: headers}
 
-      Request.header(request, "if-range") not in [nil, etag] ->
+      Request.get_header(request, "if-range") not in [nil, etag] ->
         %__MODULE__{headers: headers, body: read.(0, size)}
 
       true ->
-        part(range(Request.header(request, "range"), size), size, headers, read)
+        range_response(
+          parse_range(Request.get_header(request, "range"), size),
+          size,
+          headers,
+          read
+        )
     end
   end
 
-  defp part(:all, size, headers, read), do: %__MODULE__{headers: headers, body: read.(0, size)}
+  defp range_response(:all, size, headers, read),
+    do: %__MODULE__{headers: headers, body: read.(0, size)}
 
-  defp part({from, to}, size, headers, read) do
+  defp range_response({from, to}, size, headers, read) do
     headers = [{"content-range", "bytes #{from}-#{to}/#{size}"} | headers]
     %__MODULE__{status: 206, headers: headers, body: read.(from, to - from + 1)}
   end
 
-  defp part(:unsatisfiable, size, _headers, _read) do
+  defp range_response(:unsatisfiable, size, _headers, _read) do
     %__MODULE__{status: 416, headers: [{"content-range", "bytes */#{size}"}]}
   end
 
-  defp matches?(nil, _), do: false
-  defp matches?("*", _), do: true
+  defp etag_matches?(nil, _), do: false
+  defp etag_matches?("*", _), do: true
 
-  defp matches?(tags, etag) do
+  defp etag_matches?(tags, etag) do
     tags |> String.split(",") |> Enum.any?(&(&1 |> String.trim() |> String.trim("W/") == etag))
   end
 
   # Only a single byte range is supported; otherwise the full content is returned (RFC 9110, 14.2).
-  defp range("bytes=" <> spec, size) do
+  defp parse_range("bytes=" <> spec, size) do
     case Regex.run(~r/\A(\d{0,18})-(\d{0,18})\z/, spec, capture: :all_but_first) do
       ["", ""] -> :all
-      ["", last] -> suffix(String.to_integer(last), size)
-      [from, ""] -> bounds(String.to_integer(from), size - 1, size)
-      [from, to] -> bounds(String.to_integer(from), String.to_integer(to), size)
+      ["", last] -> suffix_range(String.to_integer(last), size)
+      [from, ""] -> bounded_range(String.to_integer(from), size - 1, size)
+      [from, to] -> bounded_range(String.to_integer(from), String.to_integer(to), size)
       nil -> :all
     end
   end
 
-  defp range(_, _), do: :all
+  defp parse_range(_, _), do: :all
 
-  defp suffix(0, _size), do: :unsatisfiable
-  defp suffix(_, 0), do: :unsatisfiable
-  defp suffix(last, size), do: {max(size - last, 0), size - 1}
+  defp suffix_range(0, _size), do: :unsatisfiable
+  defp suffix_range(_, 0), do: :unsatisfiable
+  defp suffix_range(last, size), do: {max(size - last, 0), size - 1}
 
-  defp bounds(from, _to, size) when from >= size, do: :unsatisfiable
-  defp bounds(from, to, _size) when to < from, do: :all
-  defp bounds(from, to, size), do: {from, min(to, size - 1)}
+  defp bounded_range(from, _to, size) when from >= size, do: :unsatisfiable
+  defp bounded_range(from, to, _size) when to < from, do: :all
+  defp bounded_range(from, to, size), do: {from, min(to, size - 1)}
 end

@@ -20,7 +20,7 @@ defmodule Situ.Live.Route do
 
       iex> routes = Situ.Live.Route.compile([{:get, "/rooms/:id/*rest", &Function.identity/1}])
       iex> request = %Situ.Live.Request{segments: ["rooms", "7", "a", "b"]}
-      iex> {:ok, _route, params} = Situ.Live.Route.find(routes, request)
+      iex> {:ok, _route, params} = Situ.Live.Route.match_request(routes, request)
       iex> params
       %{"id" => "7", "rest" => ["a", "b"]}
   """
@@ -42,24 +42,30 @@ defmodule Situ.Live.Route do
 
   @doc "Validates and compiles routes; raises `ArgumentError` for an invalid route."
   @spec compile([tuple()]) :: [t()]
-  def compile(routes), do: Enum.map(routes, &compile_one/1)
+  def compile(routes), do: Enum.map(routes, &compile_route/1)
 
-  defp compile_one({:live, path, view}), do: compile_one({:live, path, view, []})
+  defp compile_route({:live, path, view}), do: compile_route({:live, path, view, []})
 
-  defp compile_one({:live, path, view, opts}) when is_atom(view) and is_list(opts) do
+  defp compile_route({:live, path, view, opts}) when is_atom(view) and is_list(opts) do
     Code.ensure_loaded(view)
 
     unless function_exported?(view, :render, 1),
       do:
         raise(ArgumentError, "#{inspect(view)} is not a view because it does not define render/1")
 
-    %__MODULE__{kind: :live, pattern: pattern(path), target: view, methods: ["GET"], opts: opts}
+    %__MODULE__{
+      kind: :live,
+      pattern: parse_pattern(path),
+      target: view,
+      methods: ["GET"],
+      opts: opts
+    }
   end
 
-  defp compile_one({method, path, handler}) when method in @methods,
-    do: compile_one({method, path, handler, []})
+  defp compile_route({method, path, handler}) when method in @methods,
+    do: compile_route({method, path, handler, []})
 
-  defp compile_one({method, path, handler, opts}) when method in @methods do
+  defp compile_route({method, path, handler, opts}) when method in @methods do
     unless is_function(handler, 1) or match?({module, _} when is_atom(module), handler),
       do:
         raise(ArgumentError, "a handler must be fun/1 or {module, arg}, got: #{inspect(handler)}")
@@ -68,27 +74,27 @@ defmodule Situ.Live.Route do
 
     %__MODULE__{
       kind: :http,
-      pattern: pattern(path),
+      pattern: parse_pattern(path),
       target: handler,
       methods: methods,
       opts: opts
     }
   end
 
-  defp compile_one({:static, path, dir}), do: compile_one({:static, path, dir, []})
+  defp compile_route({:static, path, dir}), do: compile_route({:static, path, dir, []})
 
-  defp compile_one({:static, path, dir, opts}) do
-    pattern = pattern(path) ++ [{:rest, "path"}]
+  defp compile_route({:static, path, dir, opts}) do
+    pattern = parse_pattern(path) ++ [{:rest, "path"}]
     %__MODULE__{kind: :static, pattern: pattern, target: dir, methods: ["GET"], opts: opts}
   end
 
-  defp compile_one({:socket, path, module, arg}),
-    do: compile_one({:socket, path, module, arg, []})
+  defp compile_route({:socket, path, module, arg}),
+    do: compile_route({:socket, path, module, arg, []})
 
-  defp compile_one({:socket, path, module, arg, opts}) when is_atom(module) do
+  defp compile_route({:socket, path, module, arg, opts}) when is_atom(module) do
     %__MODULE__{
       kind: :socket,
-      pattern: pattern(path),
+      pattern: parse_pattern(path),
       target: module,
       arg: arg,
       methods: ["GET"],
@@ -96,9 +102,9 @@ defmodule Situ.Live.Route do
     }
   end
 
-  defp compile_one(other), do: raise(ArgumentError, "invalid route: #{inspect(other)}")
+  defp compile_route(other), do: raise(ArgumentError, "invalid route: #{inspect(other)}")
 
-  defp pattern("/" <> _ = path) do
+  defp parse_pattern("/" <> _ = path) do
     path
     |> String.split("/", trim: true)
     |> Enum.map(fn
@@ -108,30 +114,37 @@ defmodule Situ.Live.Route do
     end)
   end
 
-  defp pattern(path), do: raise(ArgumentError, "a path must start with /, got: #{inspect(path)}")
+  defp parse_pattern(path),
+    do: raise(ArgumentError, "a path must start with /, got: #{inspect(path)}")
 
   @doc "Returns the first matching route and the parameters from its pattern."
-  @spec find([t()], Request.t()) ::
+  @spec match_request([t()], Request.t()) ::
           {:ok, t(), map()} | {:error, :not_found | {:method, [String.t()]}}
-  def find(routes, %Request{segments: segments, method: method}) do
+  def match_request(routes, %Request{segments: segments, method: method}) do
     method = if method == "HEAD", do: "GET", else: method
 
     Enum.reduce_while(routes, {:error, :not_found}, fn route, acc ->
-      case {match(route.pattern, segments, %{}), acc} do
+      case {match_pattern(route.pattern, segments, %{}), acc} do
         {:no, _} -> {:cont, acc}
         {params, _} when route.methods == :any -> {:halt, {:ok, route, params}}
-        {params, {:error, other}} -> allowed(method in route.methods, route, params, other)
+        {params, {:error, other}} -> check_method(method in route.methods, route, params, other)
       end
     end)
   end
 
-  defp allowed(true, route, params, _), do: {:halt, {:ok, route, params}}
-  defp allowed(false, r, _, {:method, seen}), do: {:cont, {:error, {:method, seen ++ r.methods}}}
-  defp allowed(false, route, _, :not_found), do: {:cont, {:error, {:method, route.methods}}}
+  defp check_method(true, route, params, _), do: {:halt, {:ok, route, params}}
 
-  defp match([], [], params), do: params
-  defp match([{:rest, name}], rest, params), do: Map.put(params, name, rest)
-  defp match([{:one, n} | ps], [s | ss], params), do: match(ps, ss, Map.put(params, n, s))
-  defp match([segment | ps], [segment | ss], params), do: match(ps, ss, params)
-  defp match(_, _, _), do: :no
+  defp check_method(false, r, _, {:method, seen}),
+    do: {:cont, {:error, {:method, seen ++ r.methods}}}
+
+  defp check_method(false, route, _, :not_found), do: {:cont, {:error, {:method, route.methods}}}
+
+  defp match_pattern([], [], params), do: params
+  defp match_pattern([{:rest, name}], rest, params), do: Map.put(params, name, rest)
+
+  defp match_pattern([{:one, n} | ps], [s | ss], params),
+    do: match_pattern(ps, ss, Map.put(params, n, s))
+
+  defp match_pattern([segment | ps], [segment | ss], params), do: match_pattern(ps, ss, params)
+  defp match_pattern(_, _, _), do: :no
 end

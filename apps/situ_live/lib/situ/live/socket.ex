@@ -29,34 +29,35 @@ defmodule Situ.Live.Socket do
   def assign(%__MODULE__{assigns: assigns} = socket, key, value) when is_atom(key) do
     case assigns do
       %{^key => ^value} -> socket
-      _ -> %{socket | assigns: assigns |> Map.put(key, value) |> changed(key)}
+      _ -> %{socket | assigns: assigns |> Map.put(key, value) |> mark_changed(key)}
     end
   end
 
   def assign(%{__changed__: _} = assigns, key, value) when is_atom(key) do
     case assigns do
       %{^key => ^value} -> assigns
-      _ -> assigns |> Map.put(key, value) |> changed(key)
+      _ -> assigns |> Map.put(key, value) |> mark_changed(key)
     end
   end
 
-  defp changed(%{__changed__: %{} = changed} = assigns, key),
+  defp mark_changed(%{__changed__: %{} = changed} = assigns, key),
     do: %{assigns | __changed__: Map.put(changed, key, true)}
 
-  defp changed(assigns, _), do: assigns
+  defp mark_changed(assigns, _), do: assigns
 
   @doc "Sets an assign to the result of `fun` unless it exists."
   @spec assign_new(t() | map(), atom(), (() -> term())) :: t() | map()
   def assign_new(target, key, fun) when is_function(fun, 0) do
-    if is_map_key(assigns(target), key), do: target, else: assign(target, key, fun.())
+    if is_map_key(get_assigns(target), key), do: target, else: assign(target, key, fun.())
   end
 
-  defp assigns(%__MODULE__{assigns: assigns}), do: assigns
-  defp assigns(assigns), do: assigns
+  defp get_assigns(%__MODULE__{assigns: assigns}), do: assigns
+  defp get_assigns(assigns), do: assigns
 
   @doc "Updates an assign with a function of its current value."
   @spec update(t() | map(), atom(), (term() -> term())) :: t() | map()
-  def update(target, key, fun), do: assign(target, key, fun.(Map.fetch!(assigns(target), key)))
+  def update(target, key, fun),
+    do: assign(target, key, fun.(Map.fetch!(get_assigns(target), key)))
 
   @doc "Sends an event with a JSON-able map to client hooks that listen (`this.handleEvent(name, ...)`)."
   @spec push_event(t(), String.t(), map()) :: t()
@@ -67,29 +68,31 @@ defmodule Situ.Live.Socket do
 
   @doc "Changes the address without leaving the view: `to:` a path; `replace: true` adds no history entry."
   @spec push_patch(t(), keyword()) :: t()
-  def push_patch(socket, opts), do: navigation(socket, :live_patch, opts)
+  def push_patch(socket, opts), do: put_navigation(socket, :live_patch, opts)
 
   @doc "Navigates to another view on the same connection."
   @spec push_navigate(t(), keyword()) :: t()
-  def push_navigate(socket, opts), do: navigation(socket, :live_redirect, opts)
+  def push_navigate(socket, opts), do: put_navigation(socket, :live_redirect, opts)
 
   @doc "Redirects the browser to another page: `to:` a path, or `external:` a URL."
   @spec redirect(t(), keyword()) :: t()
   def redirect(%__MODULE__{} = socket, to: to),
-    do: %{socket | navigation: {:redirect, %{"to" => local!(to)}}}
+    do: %{socket | navigation: {:redirect, %{"to" => local_path!(to)}}}
 
   def redirect(%__MODULE__{} = socket, external: url),
     do: %{socket | navigation: {:redirect, %{"to" => url}}}
 
-  defp navigation(%__MODULE__{} = socket, kind, opts) do
-    to = opts |> Keyword.fetch!(:to) |> local!()
+  defp put_navigation(%__MODULE__{} = socket, kind, opts) do
+    to = opts |> Keyword.fetch!(:to) |> local_path!()
     how = if opts[:replace], do: "replace", else: "push"
     %{socket | navigation: {kind, %{"to" => to, "kind" => how}}}
   end
 
-  defp local!("//" <> _ = to), do: raise(ArgumentError, "to: must be a path, got: #{inspect(to)}")
-  defp local!("/" <> _ = to), do: to
-  defp local!(to), do: raise(ArgumentError, "to: must be a path, got: #{inspect(to)}")
+  defp local_path!("//" <> _ = to),
+    do: raise(ArgumentError, "to: must be a path, got: #{inspect(to)}")
+
+  defp local_path!("/" <> _ = to), do: to
+  defp local_path!(to), do: raise(ArgumentError, "to: must be a path, got: #{inspect(to)}")
 
   @doc "Sets a flash message for the user, read as `@flash[\"info\"]`; the next navigation clears it."
   @spec put_flash(t(), atom(), String.t()) :: t()
@@ -127,21 +130,21 @@ defmodule Situ.Live.Socket do
   @doc "Inserts one item into a stream, or updates its row; options `at:` (default -1, the end), `limit:`."
   @spec stream_insert(t(), atom(), term(), keyword()) :: t()
   def stream_insert(socket, name, item, opts \\ []),
-    do: put_stream(socket, name, Stream.insert(stream!(socket, name), item, opts))
+    do: put_stream(socket, name, Stream.insert(fetch_stream!(socket, name), item, opts))
 
   @doc "Deletes an item from a stream."
   @spec stream_delete(t(), atom(), term()) :: t()
   def stream_delete(socket, name, item) do
-    stream = stream!(socket, name)
+    stream = fetch_stream!(socket, name)
     put_stream(socket, name, Stream.delete(stream, stream.dom_id.(item)))
   end
 
   @doc "Deletes the row with the given DOM id from a stream."
   @spec stream_delete_by_dom_id(t(), atom(), String.t()) :: t()
   def stream_delete_by_dom_id(socket, name, dom_id),
-    do: put_stream(socket, name, Stream.delete(stream!(socket, name), dom_id))
+    do: put_stream(socket, name, Stream.delete(fetch_stream!(socket, name), dom_id))
 
-  defp stream!(socket, name) do
+  defp fetch_stream!(socket, name) do
     case socket.assigns do
       %{streams: %{^name => stream}} -> stream
       _ -> raise ArgumentError, "no stream #{inspect(name)}; create it with stream/3 in mount/3"

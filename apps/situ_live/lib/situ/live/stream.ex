@@ -44,13 +44,13 @@ defmodule Situ.Live.Stream do
   def clear(%S{} = stream), do: %{stream | inserts: [], deletes: [], reset?: false}
 
   @doc false
-  @spec inserts(t()) :: [{String.t(), term()}]
-  def inserts(%S{inserts: inserts}),
+  @spec inserted_items(t()) :: [{String.t(), term()}]
+  def inserted_items(%S{inserts: inserts}),
     do: for({id, item, _, _, _} <- Enum.reverse(inserts), do: {id, item})
 
   @doc false
-  @spec wire(t()) :: list()
-  def wire(%S{} = stream) do
+  @spec to_wire(t()) :: list()
+  def to_wire(%S{} = stream) do
     inserts =
       for {id, _, at, limit, only} <- Enum.reverse(stream.inserts),
           do: [id, at, limit, only == true]
@@ -60,7 +60,7 @@ defmodule Situ.Live.Stream do
   end
 
   defimpl Enumerable do
-    def reduce(stream, acc, fun), do: Enumerable.List.reduce(S.inserts(stream), acc, fun)
+    def reduce(stream, acc, fun), do: Enumerable.List.reduce(S.inserted_items(stream), acc, fun)
     def count(stream), do: {:ok, length(stream.inserts)}
     def member?(_, _), do: {:error, __MODULE__}
     def slice(_), do: {:error, __MODULE__}

@@ -42,7 +42,7 @@ defmodule Situ.Live.Test do
     }
 
     uri = "http://localhost" <> path
-    {:ok, route, params} = Situ.Live.Page.find(config, uri)
+    {:ok, route, params} = Situ.Live.Page.fetch_route(config, uri)
 
     join = %{
       config: config,
@@ -58,30 +58,30 @@ defmodule Situ.Live.Test do
     }
 
     {:ok, browser} = Browser.start_link(join)
-    joined(call_browser(browser, :joined), browser)
+    mount_result(call_browser(browser, :joined), browser)
   end
 
-  defp joined(:ok, browser) do
+  defp mount_result(:ok, browser) do
     {view, _} = call_browser(browser, :view)
     %__MODULE__{browser: browser, view: view}
   end
 
-  defp joined({:error, %{"redirect" => %{"to" => to}}}, _), do: {:error, {:redirect, to}}
+  defp mount_result({:error, %{"redirect" => %{"to" => to}}}, _), do: {:error, {:redirect, to}}
 
-  defp joined({:error, %{"live_redirect" => %{"to" => to}}}, _),
+  defp mount_result({:error, %{"live_redirect" => %{"to" => to}}}, _),
     do: {:error, {:live_redirect, to}}
 
-  defp joined({:error, reason}, _), do: raise("the view did not mount: #{inspect(reason)}")
+  defp mount_result({:error, reason}, _), do: raise("the view did not mount: #{inspect(reason)}")
 
   @doc "Returns the HTML that the browser shows now."
   @spec render(t()) :: String.t()
   def render(%__MODULE__{} = page) do
-    settle(page)
+    settle_view(page)
     call_browser(page.browser, :html)
   end
 
   # The first round covers messages in the mailbox, the next ones the acknowledgements of their diffs.
-  defp settle(page) do
+  defp settle_view(page) do
     for _ <- 1..3, Process.alive?(page.view) do
       :sys.get_state(page.view)
       call_browser(page.browser, :title)
@@ -94,27 +94,29 @@ defmodule Situ.Live.Test do
 
   @doc "Returns the joined and trimmed text of the elements that match a selector; raises if there are none."
   @spec text(t(), String.t()) :: String.t()
-  def text(page, selector), do: page |> find!(selector) |> Dom.text() |> String.trim()
+  def text(page, selector),
+    do: page |> fetch_elements!(selector) |> Dom.text_content() |> String.trim()
 
   @doc "Returns whether any element matches a selector."
-  @spec has?(t(), String.t()) :: boolean()
-  def has?(page, selector), do: all(page, selector) != []
+  @spec has_element?(t(), String.t()) :: boolean()
+  def has_element?(page, selector), do: find_elements(page, selector) != []
 
   @doc "Counts the elements that match a selector."
-  @spec count(t(), String.t()) :: non_neg_integer()
-  def count(page, selector), do: page |> all(selector) |> length()
+  @spec count_elements(t(), String.t()) :: non_neg_integer()
+  def count_elements(page, selector), do: page |> find_elements(selector) |> length()
 
   @doc "Returns an attribute of the first element that matches a selector, or `nil`."
-  @spec attribute(t(), String.t(), String.t()) :: String.t() | nil
-  def attribute(page, selector, name) do
-    [{_, attributes, _} | _] = find!(page, selector)
+  @spec get_attribute(t(), String.t(), String.t()) :: String.t() | nil
+  def get_attribute(page, selector, name) do
+    [{_, attributes, _} | _] = fetch_elements!(page, selector)
     attributes[name]
   end
 
-  defp all(page, selector), do: page |> render() |> Dom.parse() |> Dom.all(selector)
+  defp find_elements(page, selector),
+    do: page |> render() |> Dom.parse() |> Dom.find_all(selector)
 
-  defp find!(page, selector) do
-    case all(page, selector) do
+  defp fetch_elements!(page, selector) do
+    case find_elements(page, selector) do
       [] -> raise ArgumentError, "no element matches #{inspect(selector)} in\n" <> render(page)
       found -> found
     end
@@ -126,27 +128,38 @@ defmodule Situ.Live.Test do
   """
   @spec click(t(), String.t(), map()) :: :ok | {:ok, map()} | {:error, term()}
   def click(page, selector, value \\ %{}) do
-    [{_, attributes, _} | _] = find!(page, selector)
+    [{_, attributes, _} | _] = fetch_elements!(page, selector)
 
     case attributes do
-      %{"disabled" => _} -> raise ArgumentError, "#{selector} is disabled"
-      %{"phx-click" => "[" <> _ = json} -> commands(page, json, values(attributes, value))
-      %{"phx-click" => event} -> event(page, event, values(attributes, value), "click")
-      %{"data-phx-link" => "patch", "href" => to} -> patch(page, to)
-      %{"data-phx-link" => "redirect", "href" => to} -> {:ok, %{"live_redirect" => to}}
-      _ -> raise ArgumentError, "#{selector} has no phx-click"
+      %{"disabled" => _} ->
+        raise ArgumentError, "#{selector} is disabled"
+
+      %{"phx-click" => "[" <> _ = json} ->
+        run_commands(page, json, event_values(attributes, value))
+
+      %{"phx-click" => event} ->
+        send_event(page, event, event_values(attributes, value), "click")
+
+      %{"data-phx-link" => "patch", "href" => to} ->
+        patch(page, to)
+
+      %{"data-phx-link" => "redirect", "href" => to} ->
+        {:ok, %{"live_redirect" => to}}
+
+      _ ->
+        raise ArgumentError, "#{selector} has no phx-click"
     end
   end
 
-  defp commands(page, json, value) do
+  defp run_commands(page, json, value) do
     {:ok, commands} = Situ.JSON.decode(json)
 
     for ["push", %{"event" => event} = args] <- commands, reduce: :ok do
-      _ -> event(page, event, Map.merge(value, args["value"] || %{}), "click")
+      _ -> send_event(page, event, Map.merge(value, args["value"] || %{}), "click")
     end
   end
 
-  defp values(attributes, value) do
+  defp event_values(attributes, value) do
     own = for {"phx-value-" <> name, text} <- attributes, into: %{}, do: {name, text}
     own = if attributes["value"], do: Map.put(own, "value", attributes["value"]), else: own
     Map.merge(own, value)
@@ -155,18 +168,19 @@ defmodule Situ.Live.Test do
   @doc "Sends a form's `phx-change` with fields (nested maps of strings); `target:` is the path of the changed field."
   @spec change(t(), String.t(), map(), keyword()) :: :ok | {:ok, map()} | {:error, term()}
   def change(page, selector, fields, opts \\ []) do
-    meta = if opts[:target], do: %{"_target" => Query.name(opts[:target])}, else: %{}
-    form(page, selector, "phx-change", fields, meta)
+    meta = if opts[:target], do: %{"_target" => Query.field_name(opts[:target])}, else: %{}
+    send_form(page, selector, "phx-change", fields, meta)
   end
 
   @doc "Submits a form: sends its `phx-submit`."
   @spec submit(t(), String.t(), map()) :: :ok | {:ok, map()} | {:error, term()}
-  def submit(page, selector, fields), do: form(page, selector, "phx-submit", fields, %{})
+  def submit(page, selector, fields), do: send_form(page, selector, "phx-submit", fields, %{})
 
-  defp form(page, selector, kind, fields, meta) do
-    event = attribute(page, selector, kind) || raise(ArgumentError, "#{selector} has no #{kind}")
+  defp send_form(page, selector, kind, fields, meta) do
+    event =
+      get_attribute(page, selector, kind) || raise(ArgumentError, "#{selector} has no #{kind}")
 
-    push(page, "event", %{
+    push_message(page, "event", %{
       "type" => "form",
       "event" => event,
       "value" => Query.encode(fields),
@@ -175,59 +189,64 @@ defmodule Situ.Live.Test do
   end
 
   @doc "Sends an event as a hook or a key press does."
-  @spec event(t(), String.t(), map(), String.t()) :: :ok | {:ok, map()} | {:error, term()}
-  def event(page, name, value \\ %{}, type \\ "hook"),
-    do: push(page, "event", %{"type" => type, "event" => name, "value" => json(value)})
+  @spec send_event(t(), String.t(), map(), String.t()) :: :ok | {:ok, map()} | {:error, term()}
+  def send_event(page, name, value \\ %{}, type \\ "hook"),
+    do:
+      push_message(page, "event", %{
+        "type" => type,
+        "event" => name,
+        "value" => round_trip_json(value)
+      })
 
   # A browser sends only JSON.
-  defp json(value) do
+  defp round_trip_json(value) do
     {:ok, value} = value |> Situ.JSON.encode() |> Situ.JSON.decode()
     value
   end
 
   @doc "Navigates within the view, as a patch link or the browser history does."
   @spec patch(t(), String.t()) :: :ok | {:ok, map()} | {:error, term()}
-  def patch(page, to), do: push(page, "live_patch", %{"url" => "http://localhost" <> to})
+  def patch(page, to), do: push_message(page, "live_patch", %{"url" => "http://localhost" <> to})
 
   @doc "Sends a raw message, to test input that a browser would not send."
-  @spec push(t(), String.t(), term()) :: :ok | {:ok, map()} | {:error, term()}
-  def push(page, event, payload) do
+  @spec push_message(t(), String.t(), term()) :: :ok | {:ok, map()} | {:error, term()}
+  def push_message(page, event, payload) do
     case call_browser(page.browser, {:push, event, payload}) do
-      {:ok, reply} when reply == %{} -> settle(page)
-      result -> settled(page, result)
+      {:ok, reply} when reply == %{} -> settle_view(page)
+      result -> settle_and_return(page, result)
     end
   end
 
-  defp settled(page, result) do
-    settle(page)
+  defp settle_and_return(page, result) do
+    settle_view(page)
     result
   end
 
   @doc "Sends the view's process a message (`handle_info/2`)."
-  @spec info(t(), term()) :: :ok
-  def info(page, message) do
+  @spec send_info(t(), term()) :: :ok
+  def send_info(page, message) do
     send(page.view, message)
-    settle(page)
+    settle_view(page)
   end
 
   @doc "Returns the payloads of the `push_event`s of this name since the last call, oldest first."
-  @spec pushed(t(), String.t()) :: [map()]
-  def pushed(page, name) do
-    settle(page)
+  @spec take_pushed_events(t(), String.t()) :: [map()]
+  def take_pushed_events(page, name) do
+    settle_view(page)
     call_browser(page.browser, {:events, name})
   end
 
   @doc "Returns the navigations that the view sent: `{:live_patch | :live_redirect | :redirect, path}`, oldest first."
-  @spec visits(t()) :: [{atom(), String.t()}]
-  def visits(page) do
-    settle(page)
+  @spec list_visits(t()) :: [{atom(), String.t()}]
+  def list_visits(page) do
+    settle_view(page)
     call_browser(page.browser, :visits)
   end
 
   @doc "Returns the page's title."
-  @spec title(t()) :: String.t() | nil
-  def title(page) do
-    settle(page)
+  @spec page_title(t()) :: String.t() | nil
+  def page_title(page) do
+    settle_view(page)
     call_browser(page.browser, :title)
   end
 
@@ -236,8 +255,8 @@ defmodule Situ.Live.Test do
   def alive?(page), do: Process.alive?(page.view)
 
   @doc "Returns the HTML of a component with the given assigns."
-  @spec component((map() -> term()), Enumerable.t()) :: String.t()
-  def component(fun, assigns \\ %{}) do
+  @spec render_component((map() -> term()), Enumerable.t()) :: String.t()
+  def render_component(fun, assigns \\ %{}) do
     %{__changed__: nil, inner_block: []}
     |> Map.merge(Map.new(assigns))
     |> fun.()

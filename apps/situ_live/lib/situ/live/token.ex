@@ -17,7 +17,7 @@ defmodule Situ.Live.Token do
   @spec sign(binary(), String.t(), term(), integer()) :: String.t()
   def sign(secret, salt, value, now_s \\ System.system_time(:second)) do
     body = Base.url_encode64(JSON.encode([salt, now_s, value]), padding: false)
-    body <> "." <> mac(secret, body)
+    body <> "." <> compute_mac(secret, body)
   end
 
   @doc "Returns the value if the signature is valid, the salt is the same and the age is at most `max_age_s`."
@@ -27,7 +27,7 @@ defmodule Situ.Live.Token do
 
   def verify(secret, salt, token, max_age_s, now_s) when is_binary(token) do
     with [body, mac] <- :binary.split(token, "."),
-         expected = mac(secret, body),
+         expected = compute_mac(secret, body),
          true <- byte_size(mac) == byte_size(expected) and :crypto.hash_equals(mac, expected),
          {:ok, json} <- Base.url_decode64(body, padding: false),
          {:ok, [^salt, issued_s, value]} when is_integer(issued_s) <- JSON.decode(json) do
@@ -39,7 +39,7 @@ defmodule Situ.Live.Token do
 
   def verify(_, _, _, _, _), do: {:error, :bad_token}
 
-  defp mac(secret, body) do
+  defp compute_mac(secret, body) do
     :hmac |> :crypto.mac(:sha256, secret, body) |> Base.url_encode64(padding: false)
   end
 end

@@ -51,13 +51,13 @@ defmodule Situ.Live.View do
   end
 
   @doc false
-  @spec mount(module(), map(), map(), Socket.t()) :: Socket.t()
-  def mount(view, params, session, socket) do
+  @spec call_mount(module(), map(), map(), Socket.t()) :: Socket.t()
+  def call_mount(view, params, session, socket) do
     if function_exported?(view, :mount, 3) do
       case view.mount(params, session, socket) do
         {:ok, %Socket{} = socket} -> socket
         {:ok, %Socket{} = socket, _opts} -> socket
-        other -> bad!(view, "mount/3", other)
+        other -> raise_bad_return!(view, "mount/3", other)
       end
     else
       socket
@@ -65,20 +65,20 @@ defmodule Situ.Live.View do
   end
 
   @doc false
-  @spec params(module(), map(), String.t(), Socket.t()) :: Socket.t()
-  def params(view, params, uri, socket) do
+  @spec call_handle_params(module(), map(), String.t(), Socket.t()) :: Socket.t()
+  def call_handle_params(view, params, uri, socket) do
     if function_exported?(view, :handle_params, 3),
-      do: noreply!(view.handle_params(params, uri, socket), view, "handle_params/3"),
+      do: unwrap_noreply!(view.handle_params(params, uri, socket), view, "handle_params/3"),
       else: socket
   end
 
   @doc false
-  @spec event(module(), String.t(), map(), Socket.t()) :: Socket.t()
-  def event(view, name, params, socket) do
+  @spec call_handle_event(module(), String.t(), map(), Socket.t()) :: Socket.t()
+  def call_handle_event(view, name, params, socket) do
     if function_exported?(view, :handle_event, 3) do
       case view.handle_event(name, params, socket) do
         {:reply, %{} = reply, %Socket{} = socket} -> %{socket | reply: reply}
-        other -> noreply!(other, view, "handle_event/3")
+        other -> unwrap_noreply!(other, view, "handle_event/3")
       end
     else
       raise ArgumentError, "#{inspect(view)} has no handle_event/3 for #{inspect(name)}"
@@ -86,17 +86,17 @@ defmodule Situ.Live.View do
   end
 
   @doc false
-  @spec info(module(), term(), Socket.t()) :: Socket.t()
-  def info(view, message, socket) do
+  @spec call_handle_info(module(), term(), Socket.t()) :: Socket.t()
+  def call_handle_info(view, message, socket) do
     if function_exported?(view, :handle_info, 2),
-      do: noreply!(view.handle_info(message, socket), view, "handle_info/2"),
+      do: unwrap_noreply!(view.handle_info(message, socket), view, "handle_info/2"),
       else: socket
   end
 
-  defp noreply!({:noreply, %Socket{} = socket}, _view, _), do: socket
-  defp noreply!(other, view, callback), do: bad!(view, callback, other)
+  defp unwrap_noreply!({:noreply, %Socket{} = socket}, _view, _), do: socket
+  defp unwrap_noreply!(other, view, callback), do: raise_bad_return!(view, callback, other)
 
-  defp bad!(view, callback, other) do
+  defp raise_bad_return!(view, callback, other) do
     raise ArgumentError,
           "invalid result of #{inspect(view)}.#{callback}: #{inspect(other, limit: 5)}"
   end

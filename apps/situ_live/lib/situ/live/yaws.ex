@@ -23,9 +23,9 @@ defmodule Situ.Live.Yaws do
 
   @impl true
   def init(_) do
-    case load() do
+    case load_yaws() do
       :ok ->
-        :logger.add_primary_filter(__MODULE__, {&__MODULE__.quiet/2, []})
+        :logger.add_primary_filter(__MODULE__, {&__MODULE__.filter_log/2, []})
         configure = %{id: :configure, start: {__MODULE__, :configure, []}}
         specs = :yaws_sup.child_specs() ++ [configure]
         {:ok, {%{strategy: :one_for_all, intensity: 10, period: 60}, specs}}
@@ -57,7 +57,7 @@ defmodule Situ.Live.Yaws do
   # it. Other users of the machine could place their own file there. It is therefore given a private folder in which
   # it cannot write that file, and falls back to the module that it already has.
   defp without_generated_code(fun) do
-    home = Error.unwrap!(Situ.Scratch.create("yaws"))
+    home = Error.unwrap!(Situ.Scratch.create_folder("yaws"))
     before = System.get_env("YAWSHOME")
     File.mkdir_p!(Path.join(home, ".yaws/yaws/situ/yaws_dynopts.erl"))
     System.put_env("YAWSHOME", home)
@@ -66,18 +66,18 @@ defmodule Situ.Live.Yaws do
       fun.()
     after
       if before, do: System.put_env("YAWSHOME", before), else: System.delete_env("YAWSHOME")
-      Situ.Scratch.remove(home)
+      Situ.Scratch.remove_folder(home)
     end
   end
 
   # Drops Yaws's messages about listening and stopping, which are meant for its own operators, and its messages about
   # misbehaving clients, who could fill the log with them. Yaws's own errors pass.
   @doc false
-  def quiet(%{level: level} = event, _) do
+  def filter_log(%{level: level} = event, _) do
     cond do
       __MODULE__ not in Process.get(:"$ancestors", []) -> :ignore
       level in [:info, :notice] -> :stop
-      rude_client?(event) -> :stop
+      client_error?(event) -> :stop
       true -> :ignore
     end
   end
@@ -86,15 +86,15 @@ defmodule Situ.Live.Yaws do
   @rude ["Unhandled reply", "Invalid", "Expected origin", "Unsupported", "No key", "Unmasked"] ++
           ["Payload length", "Abnormal Closure", "get_client_data", "Cannot write"]
 
-  defp rude_client?(%{msg: {:report, %{label: {:error_logger, _}, format: format}}}),
+  defp client_error?(%{msg: {:report, %{label: {:error_logger, _}, format: format}}}),
     do: String.starts_with?(to_string(format), @rude)
 
-  defp rude_client?(_), do: false
+  defp client_error?(_), do: false
 
   @doc "Opens a port; `ref` is passed to the dispatcher with every request."
-  @spec add(term(), :inet.ip_address(), :inet.port_number(), keyword()) ::
+  @spec open_listener(term(), :inet.ip_address(), :inet.port_number(), keyword()) ::
           {:ok, term()} | {:error, Error.t()}
-  def add(ref, ip, port, tls) do
+  def open_listener(ref, ip, port, tls) do
     options =
       [
         port: port,
@@ -113,9 +113,9 @@ defmodule Situ.Live.Yaws do
         ]
       ] ++ tls_options(tls)
 
-    with :ok <- load(),
+    with :ok <- load_yaws(),
          sconf = :yaws.create_sconf(unused_folder(), options),
-         :ok <- check_free(ip, port) do
+         :ok <- check_port_free(ip, port) do
       case :gen_server.call(:yaws_server, {:add_sconf, -1, sconf}, 90_000) do
         {:ok, ^sconf} -> {:error, port_error(port, :eaddrinuse)}
         {:ok, added} -> {:ok, added}
@@ -128,8 +128,8 @@ defmodule Situ.Live.Yaws do
   defp unused_folder, do: String.to_charlist(Application.app_dir(:situ_live, "ebin"))
 
   @doc "Closes a port. This takes Yaws a second, or up to a minute while it handles requests."
-  @spec remove(term()) :: :ok
-  def remove(sconf) do
+  @spec close_listener(term()) :: :ok
+  def close_listener(sconf) do
     :gen_server.call(:yaws_server, {:delete_sconf, sconf}, 90_000)
     :ok
   catch
@@ -138,7 +138,7 @@ defmodule Situ.Live.Yaws do
 
   # Yaws would turn a port that it already serves into a virtual host of that port, and would use one port for every
   # port 0. The port is therefore checked first.
-  defp check_free(ip, port) do
+  defp check_port_free(ip, port) do
     options =
       [:binary, ip: ip, reuseaddr: true] ++ if(tuple_size(ip) == 8, do: [:inet6], else: [])
 
@@ -178,16 +178,16 @@ defmodule Situ.Live.Yaws do
     [ssl: [{:certfile, to_charlist(tls[:certfile])}, {:keyfile, to_charlist(tls[:keyfile])}]]
   end
 
-  defp load do
+  defp load_yaws do
     case Application.load(:yaws) do
-      :ok -> embedded()
-      {:error, {:already_loaded, :yaws}} -> embedded()
-      {:error, _} -> find()
+      :ok -> set_embedded()
+      {:error, {:already_loaded, :yaws}} -> set_embedded()
+      {:error, _} -> find_and_load()
     end
   end
 
   # Searches like mix.exs, for a VM that was not started by Mix or from a release.
-  defp find do
+  defp find_and_load do
     erlang = to_string(:code.lib_dir())
 
     [erlang, Path.dirname(erlang), erlang |> Path.dirname() |> Path.dirname()]
@@ -203,11 +203,11 @@ defmodule Situ.Live.Yaws do
       ebin ->
         Code.append_path(ebin)
         :ok = Application.load(:yaws)
-        embedded()
+        set_embedded()
     end
   end
 
-  defp embedded do
+  defp set_embedded do
     Application.put_env(:yaws, :embedded, true)
     Application.put_env(:yaws, :id, "situ")
   end

@@ -1,5 +1,5 @@
 defmodule Situ.Live.BrowserTest do
-  # The stock JavaScript clients in Chromium against the demo view.
+  # Runs the stock JavaScript clients in Chromium with the demo view.
   use ExUnit.Case, async: false
   alias Situ.Live.{Demo, NodeTools}
 

@@ -1,29 +1,29 @@
 defmodule Situ.Live.CoreTest do
-  # The pure parts: flow of diffs, tokens, queries, routes.
+  # The pure parts: diff flow control, tokens, queries and routes.
   use ExUnit.Case, async: true
   alias Situ.JSON
   alias Situ.Live.{Flow, Page, Query, Request, Route, Token}
 
   describe "Flow" do
-    test "one diff is under way until it is acknowledged or given up" do
+    test "one diff is in flight until it is acknowledged or timed out" do
       flow = Flow.new(ack?: true)
-      assert Flow.check(flow, 0) == :now
-      flow = Flow.sent(flow, 0)
-      assert Flow.check(flow, 100) == {:wait, 4_900}
-      assert Flow.check(flow, 5_000) == :now
-      assert Flow.check(Flow.acknowledged(flow), 10) == {:wait, 23}
-      assert Flow.check(Flow.acknowledged(flow), 33) == :now
+      assert Flow.time_to_send(flow, 0) == :now
+      flow = Flow.record_sent(flow, 0)
+      assert Flow.time_to_send(flow, 100) == {:wait, 4_900}
+      assert Flow.time_to_send(flow, 5_000) == :now
+      assert Flow.time_to_send(Flow.record_ack(flow), 10) == {:wait, 23}
+      assert Flow.time_to_send(Flow.record_ack(flow), 33) == :now
     end
 
-    test "a page that does not acknowledge is held to the interval" do
-      flow = Flow.sent(Flow.new(ack?: false), 0)
-      assert Flow.check(flow, 10) == {:wait, 23}
-      assert Flow.check(flow, 33) == :now
+    test "a page that does not acknowledge is limited to the interval" do
+      flow = Flow.record_sent(Flow.new(ack?: false), 0)
+      assert Flow.time_to_send(flow, 10) == {:wait, 23}
+      assert Flow.time_to_send(flow, 33) == :now
     end
   end
 
   describe "Page.event_params/3" do
-    test "the field that changed is named by where it is, as the browser sends its name" do
+    test "names the changed field by its path, as the browser sends its name" do
       assert Page.event_params("form", "props[width]=2", %{"_target" => "props[width]"}) ==
                {:ok, %{"props" => %{"width" => "2"}, "_target" => ["props", "width"]}}
 
@@ -31,7 +31,7 @@ defmodule Situ.Live.CoreTest do
                {:ok, %{"a" => "1", "_target" => ["a"]}}
     end
 
-    test "a name that is none is left out" do
+    test "omits an invalid name" do
       deep = "a" <> String.duplicate("[b]", 9)
 
       for target <- [7, nil, deep],
@@ -43,7 +43,7 @@ defmodule Situ.Live.CoreTest do
   end
 
   describe "Token" do
-    test "no change of a token verifies" do
+    test "no changed token verifies" do
       token = Token.sign("secret", "salt", %{"a" => 1})
       assert {:ok, %{"a" => 1}} = Token.verify("secret", "salt", token, 60)
 
@@ -54,7 +54,7 @@ defmodule Situ.Live.CoreTest do
       end
     end
 
-    test "another salt, an old one, and what is no token" do
+    test "rejects another salt, an expired token and invalid tokens" do
       token = Token.sign("secret", "salt", 1, 1_000)
       assert {:error, :bad_token} = Token.verify("secret", "other", token, 60, 1_000)
       assert {:ok, 1} = Token.verify("secret", "salt", token, 60, 1_060)
@@ -66,7 +66,7 @@ defmodule Situ.Live.CoreTest do
   end
 
   describe "Query" do
-    test "decodes what it encodes, and any text without raising" do
+    test "decodes its own output, and any text without raising" do
       key = :proper_types.elements(["a", "b c", "é"])
       leaf = :proper_types.elements(["", "x y", "&=%", "[é]"])
       list = :proper_types.non_empty(:proper_types.list(leaf))
@@ -94,14 +94,14 @@ defmodule Situ.Live.CoreTest do
       assert :proper.quickcheck(any, [:quiet, numtests: 500]) == true
     end
 
-    test "bounds fields and depth" do
+    test "limits fields and depth" do
       assert {:error, :bad_query} = Query.parse(String.duplicate("a=1&", 1_001))
       assert {:error, :bad_query} = Query.parse("a" <> String.duplicate("[b]", 20) <> "=1")
     end
   end
 
   describe "Route and Request" do
-    test "what a request can do to a path ends before the routes" do
+    test "rejects invalid paths before routing" do
       for path <- ["/a/../b", "/%2e%2e/x", "/a%2fb", "/a%00", "/%ff", "a", "/a%5cb", "/a%0d%0ab"] do
         assert {:error, :bad_request} = Request.new("GET", path, %{})
       end
@@ -109,23 +109,23 @@ defmodule Situ.Live.CoreTest do
       assert {:ok, %{segments: ["é", "a b"]}} = Request.new("GET", "/%C3%A9//a%20b?x=1", %{})
     end
 
-    test "the method decides among routes of a path" do
+    test "the method selects among routes of a path" do
       handler = &Function.identity/1
       routes = Route.compile([{:get, "/a", handler}, {:post, "/a", handler}])
 
       assert {:ok, %{methods: ["POST"]}, _} =
-               Route.find(routes, %Request{method: "POST", segments: ["a"]})
+               Route.match_request(routes, %Request{method: "POST", segments: ["a"]})
 
       assert {:ok, %{methods: ["GET"]}, _} =
-               Route.find(routes, %Request{method: "HEAD", segments: ["a"]})
+               Route.match_request(routes, %Request{method: "HEAD", segments: ["a"]})
 
       assert {:error, {:method, ["GET", "POST"]}} =
-               Route.find(routes, %Request{method: "PUT", segments: ["a"]})
+               Route.match_request(routes, %Request{method: "PUT", segments: ["a"]})
 
-      assert {:error, :not_found} = Route.find(routes, %Request{segments: ["b"]})
+      assert {:error, :not_found} = Route.match_request(routes, %Request{segments: ["b"]})
     end
 
-    test "what is no route raises" do
+    test "an invalid route raises" do
       for bad <- [:x, {:get, "a", &Function.identity/1}, {:get, "/a", :x}, {:live, "/", Enum}],
           do: assert_raise(ArgumentError, fn -> Route.compile([bad]) end)
     end

@@ -1,7 +1,6 @@
 defmodule Situ.Live.DiffClientTest do
-  # Random states of the demo view, diffed, and merged by the stock client's own Rendered class: after each state it
-  # must hold
-  # exactly the HTML that the server renders whole.
+  # Random states of the demo view are diffed and merged by the stock client's own Rendered class. After each state
+  # it must hold exactly the HTML of a complete server rendering.
   use ExUnit.Case, async: true
   alias Situ.Live.{Demo, Diff, Html, NodeTools, Page, Socket}
 
@@ -17,7 +16,7 @@ defmodule Situ.Live.DiffClientTest do
     assert replay(lines, "whole") == %{"states" => @sequences * @length, "wrong" => []}
   end
 
-  test "the comparison would notice a change that is not sent" do
+  test "the comparison detects a change that is not sent" do
     :rand.seed(:exsss, {1, 2, 3})
 
     lines =
@@ -45,7 +44,7 @@ defmodule Situ.Live.DiffClientTest do
       Enum.map_reduce(1..@length, {socket, %Diff{}}, fn i, {socket, memory} ->
         what = if i == 1 or :rand.uniform(8) == 1, do: :all, else: :changed
         {diff, memory} = diff(socket, what, memory)
-        html = socket |> Page.render(:all) |> Html.to_html()
+        html = socket |> Page.render_view(:all) |> Html.to_html()
         line = %{"first" => i == 1, "diff" => diff, "html" => html}
         next = socket |> Socket.__sent__() |> Socket.assign(Enum.take_random(state(), 4))
         {line, {next, memory}}
@@ -55,8 +54,8 @@ defmodule Situ.Live.DiffClientTest do
   end
 
   defp diff(socket, what, memory) do
-    case Diff.run(Page.render(socket, what), memory) do
-      :stale -> Diff.run(Page.render(socket, :all), memory)
+    case Diff.diff_tree(Page.render_view(socket, what), memory) do
+      :stale -> Diff.diff_tree(Page.render_view(socket, :all), memory)
       result -> result
     end
   end

@@ -48,10 +48,10 @@ defmodule Situ.Live.DiffTest do
     property =
       :proper.forall(:proper_types.non_empty(:proper_types.list(rendered(2))), fn trees ->
         Enum.reduce(trees, {%{}, %Diff{}}, fn tree, {shown, memory} ->
-          {diff, memory} = Diff.run(tree, memory)
-          shown = Tree.merge(shown, diff)
-          true = Tree.html(shown) == Html.to_html(tree)
-          {again, ^memory} = Diff.run(tree, memory)
+          {diff, memory} = Diff.diff_tree(tree, memory)
+          shown = Tree.merge_diff(shown, diff)
+          true = Tree.to_html(shown) == Html.to_html(tree)
+          {again, ^memory} = Diff.diff_tree(tree, memory)
           true = again == %{}
           {shown, memory}
         end)
@@ -62,22 +62,22 @@ defmodule Situ.Live.DiffTest do
     assert :proper.quickcheck(property, [:quiet, numtests: 300, max_size: 16]) == true
   end
 
-  test "an entry that moves is sent as its place, one that stays not at all" do
+  test "sends only the position of a moved entry, and nothing for an unmoved one" do
     list = fn keys ->
       entries = for k <- keys, do: {k, ["v#{k}"]}
       list = %Comprehension{static: ["", ""], entries: entries, fingerprint: 1}
       %Rendered{static: ["", ""], dynamic: [list], fingerprint: 2}
     end
 
-    {_, memory} = Diff.run(list.([1, 2, 3]))
-    {diff, memory} = Diff.run(list.([3, 1]), memory)
+    {_, memory} = Diff.diff_tree(list.([1, 2, 3]))
+    {diff, memory} = Diff.diff_tree(list.([3, 1]), memory)
     assert diff == %{"0" => %{"k" => %{"0" => 2, "1" => 0, "kc" => 2, "km" => true}}}
-    {diff, _} = Diff.run(list.([3, 1, 4]), memory)
+    {diff, _} = Diff.diff_tree(list.([3, 1, 4]), memory)
     assert diff == %{"0" => %{"k" => %{"2" => %{"0" => "v4"}, "kc" => 3}}}
   end
 
-  test "what is left out as unchanged but never sent is stale" do
+  test "an unchanged part that was never sent is stale" do
     tree = %Rendered{static: ["", ""], dynamic: [:unchanged], fingerprint: 1}
-    assert Diff.run(tree) == :stale
+    assert Diff.diff_tree(tree) == :stale
   end
 end

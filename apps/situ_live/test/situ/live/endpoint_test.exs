@@ -1,5 +1,5 @@
 defmodule Situ.Live.EndpointTest do
-  # Who is let in, and as whom.
+  # Which requests are admitted, and with which role.
   use ExUnit.Case, async: true
 
   alias Situ.Live.{Endpoint, Request, Response, Route}
@@ -31,22 +31,22 @@ defmodule Situ.Live.EndpointTest do
   end
 
   defp role(config, request) do
-    case Endpoint.admit(config, request) do
+    case Endpoint.admit_request(config, request) do
       {:route, _, request} -> request.role
       {:respond, response} -> response.status
     end
   end
 
-  # The cookie that a token in the address is exchanged for.
+  # The cookie that replaces a token in the address.
   defp cookie(config, token) do
     {:respond, %{status: 303, headers: headers}} =
-      Endpoint.admit(config, request("?token=" <> token))
+      Endpoint.admit_request(config, request("?token=" <> token))
 
     {_, text} = List.keyfind(headers, "set-cookie", 0)
     %{"cookie" => text |> String.split(";") |> hd()}
   end
 
-  test "each token has its role, by the address once and by the cookie from then on" do
+  test "each token gives its role, once by the address and then by the cookie" do
     config = config()
     assert role(config, request("")) == 401
     assert role(config, request("", cookie(config, @owner))) == :owner
@@ -57,7 +57,7 @@ defmodule Situ.Live.EndpointTest do
     assert role(config, bearer.("the-token-of-nobody")) == 401
   end
 
-  test "a viewer becomes an owner by the owner's token; an owner stays one" do
+  test "a viewer becomes an owner with the owner's token, and an owner stays one" do
     config = config()
     viewer = cookie(config, @viewer)
     assert role(config, request("?token=" <> @owner, viewer)) == 303
@@ -65,7 +65,7 @@ defmodule Situ.Live.EndpointTest do
     assert role(config, request("?token=" <> @viewer, cookie(config, @owner))) == :owner
   end
 
-  test "a cookie dies with its token, and is worth nothing where there are no viewers" do
+  test "a cookie expires with its token and is worthless if viewers are disabled" do
     viewer = cookie(config(), @viewer)
     owner = cookie(config(), @owner)
     assert role(config(viewer: nil), request("", viewer)) == 401
@@ -75,7 +75,7 @@ defmodule Situ.Live.EndpointTest do
     assert role(config(token: nil, viewer: nil), request("")) == :owner
   end
 
-  test "an inspected configuration shows none of its secrets" do
+  test "an inspected configuration shows no secrets" do
     shown = inspect(config(), limit: :infinity, printable_limit: :infinity)
     for secret <- [@owner, @viewer, String.duplicate("s", 32)], do: refute(shown =~ secret)
   end

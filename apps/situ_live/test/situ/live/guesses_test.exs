@@ -2,9 +2,9 @@ defmodule Situ.Live.GuessesTest do
   use ExUnit.Case, async: true
   alias Situ.Live.Guesses
 
-  test "twenty wrong tokens within two minutes are too many, for that address and server only" do
+  test "twenty wrong tokens within two minutes block only that address and server" do
     {server, peer, other} = {make_ref(), {10, 0, 0, 1}, {10, 0, 0, 2}}
-    for i <- 1..20, do: Guesses.wrong(server, peer, i * 1_000)
+    for i <- 1..20, do: Guesses.count_wrong_token(server, peer, i * 1_000)
     assert Guesses.too_many?(server, peer, 21_000)
     refute Guesses.too_many?(server, other, 21_000)
     refute Guesses.too_many?(make_ref(), peer, 21_000)

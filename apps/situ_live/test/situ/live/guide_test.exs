@@ -5,8 +5,8 @@ defmodule Situ.Live.GuideTest do
   @guide Path.expand("../../../../../docs/guides/live-views.md", __DIR__)
   @external_resource @guide
 
-  test "the snippets of the guide run, one after the other" do
+  test "the snippets of the guide run in order" do
     Process.flag(:trap_exit, true)
-    assert Situ.Test.Guide.run(@guide) == 3
+    assert Situ.Test.Guide.run_blocks(@guide) == 3
   end
 end

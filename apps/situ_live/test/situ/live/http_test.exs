@@ -1,5 +1,5 @@
 defmodule Situ.Live.HttpTest do
-  # The HTTP server from outside, by raw sockets.
+  # Tests the HTTP server from outside, through raw sockets.
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
   alias Situ.Live.{Demo, Raw, Response}
@@ -15,7 +15,7 @@ defmodule Situ.Live.HttpTest do
   defp echo(request), do: Response.text([request.method, " ", request.body])
 
   describe "requests" do
-    test "routes, methods, bodies, HEAD and keep-alive" do
+    test "handles routes, methods, bodies, HEAD and keep-alive" do
       {_, port} =
         start([{:get, "/a/:x", &Response.text(&1.params["x"])}, {:post, "/echo", &echo/1}])
 
@@ -40,7 +40,7 @@ defmodule Situ.Live.HttpTest do
       assert {:error, :closed} = :gen_tcp.recv(socket, 0, 30_000)
     end
 
-    test "a body that comes in pieces, after 100 Continue" do
+    test "accepts a body in pieces after 100 Continue" do
       {_, port} = start([{:post, "/echo", &echo/1}])
       socket = Raw.connect(port)
       headers = [{"content-length", "6"}, {"expect", "100-continue"}]
@@ -50,7 +50,7 @@ defmodule Situ.Live.HttpTest do
       assert {200, _, "POST abcdef"} = Raw.response(socket)
     end
 
-    test "a body above the limit is refused before it is read" do
+    test "rejects a body above the limit before reading it" do
       {_, port} = start([{:post, "/echo", &echo/1, max_body: 100}], max_body: 10)
       assert {200, _, _} = Raw.post(port, "/echo", String.duplicate("a", 100))
       head = Raw.head("POST", "/echo", port, [{"content-length", "101"}])
@@ -59,7 +59,7 @@ defmodule Situ.Live.HttpTest do
       assert {413, _, _} = Raw.request(port, head)
     end
 
-    test "the whole head is bounded, by lines and by bytes; what a handler holds is not" do
+    test "limits the head by lines and bytes, but not the memory of a handler" do
       {_, port} =
         start([
           {:get, "/", &Response.text(inspect(map_size(&1.headers)))},
@@ -72,7 +72,7 @@ defmodule Situ.Live.HttpTest do
 
       for {n, bytes} <- [{100, 8_000}, {900, 1_000}] do
         socket = Raw.connect(port)
-        # the connection may end while it is written to
+        # The server may close the connection while the test is writing.
         _ = :gen_tcp.send(socket, Raw.head("GET", "/", port, lines.(n, bytes)))
         assert {:error, reason} = :gen_tcp.recv(socket, 0, 30_000)
         assert reason in [:closed, :econnreset]
@@ -86,7 +86,7 @@ defmodule Situ.Live.HttpTest do
       end
     end
 
-    test "malformed requests" do
+    test "rejects malformed requests" do
       {_, port} = start([{:any, "/*rest", &echo/1}])
 
       for {expected, head} <- [
@@ -119,7 +119,7 @@ defmodule Situ.Live.HttpTest do
       assert {200, _, _} = Raw.get(port, "/")
     end
 
-    test "a handler that raises costs its own request" do
+    test "a handler that raises fails only its own request" do
       {_, port} =
         start([{:get, "/raise", fn _ -> raise "boom" end}, {:get, "/bad", fn _ -> :what end}])
 
@@ -140,7 +140,7 @@ defmodule Situ.Live.HttpTest do
       refute is_map_key(headers, "x-b")
     end
 
-    test "chunks come as they are made" do
+    test "sends chunks as they are produced" do
       {_, port} = start([{:get, "/", fn _ -> %Response{body: {:chunks, ["ab", "", "c"]}} end}])
       whole = Raw.collect(port, Raw.head("GET", "/", port, []), "0\r\n\r\n")
       assert whole =~ "transfer-encoding: chunked\r\n"
@@ -188,7 +188,7 @@ defmodule Situ.Live.HttpTest do
       assert {200, _, "plain"} = Raw.get(port, "/files/big.js")
     end
 
-    test "outside of the folder are not there", %{port: port} do
+    test "outside the folder are not found", %{port: port} do
       for path <- [
             "/files/../secret.txt",
             "/files/%2e%2e/secret.txt",
@@ -215,7 +215,7 @@ defmodule Situ.Live.HttpTest do
   end
 
   describe "the gate" do
-    test "a foreign host name is refused (DNS rebinding)" do
+    test "rejects a foreign host name (DNS rebinding)" do
       {_, port} = start([{:get, "/", &echo/1}])
       assert {200, _, _} = Raw.get(port, "/")
       assert {200, _, _} = Raw.get(port, "/", [{"host", "127.0.0.1:#{port}"}])
@@ -236,7 +236,7 @@ defmodule Situ.Live.HttpTest do
           do: assert({403, _, _} = Raw.post(port, "/", "", [{"origin", origin}]))
     end
 
-    test "a token is asked for, kept in a cookie, and taken as bearer" do
+    test "accepts a token in the address, a cookie or a bearer header" do
       {server, port} = start([{:get, "/a b", &echo/1}], token: "a good token")
       assert Situ.Live.url(server, "/") == "http://localhost:#{port}/?token=a+good+token"
       assert {401, _, _} = Raw.get(port, "/a%20b")
@@ -258,7 +258,7 @@ defmodule Situ.Live.HttpTest do
                Raw.get(other, "/", [{"cookie", String.replace(cookie, "#{port}", "#{other}")}])
     end
 
-    test "beyond loopback a token is required" do
+    test "requires a token beyond loopback" do
       routes = [{:get, "/", &echo/1}]
 
       assert {:error, %{code: :token_required}} =
@@ -273,8 +273,8 @@ defmodule Situ.Live.HttpTest do
     end
   end
 
-  describe "life" do
-    test "a port in use is an error; a stopped server gives it back" do
+  describe "lifecycle" do
+    test "a port in use is an error, and a stopped server releases its port" do
       {server, port} = start([{:get, "/", &echo/1}])
       Process.flag(:trap_exit, true)
       assert {:error, %{code: :port_in_use}} = Situ.Live.start_link(port: port, routes: [])
@@ -288,7 +288,7 @@ defmodule Situ.Live.HttpTest do
       assert Process.alive?(server)
     end
 
-    test "a page is rendered in its layout, escaped, with its policy" do
+    test "renders a page in its layout, escaped, with its content security policy" do
       {_, port} = start([{:live, "/", Demo.Main, session: %{"user" => "<ann>"}}])
       assert {200, headers, html} = Raw.get(port, "/?tab=<script>")
       assert headers["content-security-policy"] =~ "script-src 'self'"

@@ -3,7 +3,7 @@ defmodule Situ.Live.PeersTest do
   use ExUnit.Case, async: false
   alias Situ.Live.Peers
 
-  test "the newest connections beyond the share of an address are found, no other address's" do
+  test "finds the newest connections beyond an address's share, and no others" do
     {:ok, listener} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
     {:ok, port} = :inet.port(listener)
     first = connect(listener, port, {127, 0, 0, 2})
@@ -13,7 +13,7 @@ defmodule Situ.Live.PeersTest do
 
     third = connect(listener, port, {127, 0, 0, 2})
     other = connect(listener, port, {127, 0, 0, 3})
-    # The connecting ends are sockets of this test's own process; their port is another.
+    # The connecting ends are sockets of this test's own process and have another port.
     assert {[^third], earlier} = Peers.find_excess(port, earlier, 2)
     assert earlier == MapSet.new([first, second, other])
     assert {[], _all} = Peers.find_excess(port, earlier, 4)

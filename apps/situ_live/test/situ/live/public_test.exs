@@ -1,5 +1,5 @@
 defmodule Situ.Live.PublicTest do
-  # A server behind a proxy: under a path, with TLS ended there.
+  # A server behind a reverse proxy: under a path, with TLS terminated at the proxy.
   use ExUnit.Case, async: true
 
   alias Situ.Live.{Endpoint, Public, Request, Response, Route}
@@ -19,8 +19,8 @@ defmodule Situ.Live.PublicTest do
           ip: {127, 0, 0, 1},
           port: 4040,
           scheme: "http",
-          hosts: ["localhost" | Public.hosts(public)],
-          origins: Public.origins(public),
+          hosts: ["localhost" | Public.allowed_hosts(public)],
+          origins: Public.allowed_origins(public),
           public: public
         ],
         more
@@ -33,18 +33,23 @@ defmodule Situ.Live.PublicTest do
     request
   end
 
-  test "its path is taken off, whether the proxy did or not; another path is none" do
+  test "accepts its path with or without the proxy's prefix, and rejects other paths" do
     config = config("https://lab.example.org/studio")
     host = %{"host" => "lab.example.org"}
-    assert {:route, _, _} = Endpoint.admit(config, request("/studio/data/at", host))
-    assert {:route, _, _} = Endpoint.admit(config, request("/data/at", host))
-    assert {:respond, %{status: 404}} = Endpoint.admit(config, request("/other/data/at", host))
+    assert {:route, _, _} = Endpoint.admit_request(config, request("/studio/data/at", host))
+    assert {:route, _, _} = Endpoint.admit_request(config, request("/data/at", host))
+
+    assert {:respond, %{status: 404}} =
+             Endpoint.admit_request(config, request("/other/data/at", host))
 
     assert {:respond, %{status: 421}} =
-             Endpoint.admit(config, request("/studio/data/at", %{"host" => "evil.example"}))
+             Endpoint.admit_request(
+               config,
+               request("/studio/data/at", %{"host" => "evil.example"})
+             )
   end
 
-  test "its origin may connect, another may not" do
+  test "its origin may connect, and another may not" do
     config = config("https://lab.example.org/studio")
 
     for {origin, status} <- [
@@ -54,19 +59,19 @@ defmodule Situ.Live.PublicTest do
         ] do
       headers = %{"host" => "lab.example.org", "origin" => origin, "upgrade" => "websocket"}
 
-      case Endpoint.admit(config, request("/studio/live/websocket", headers)) do
+      case Endpoint.admit_request(config, request("/studio/live/websocket", headers)) do
         {:live_socket, _} -> assert status == :in
         {:respond, response} -> assert response.status == status
       end
     end
   end
 
-  test "the token's cookie is for its path only, and secure where TLS ends at the proxy" do
+  test "the token's cookie is limited to its path, and secure if the proxy terminates TLS" do
     config = config("https://lab.example.org/studio", token: "the-very-secret")
     target = "/studio/s/a%20b?token=the-very-secret&x=1"
 
     assert {:respond, %{status: 303, headers: headers}} =
-             Endpoint.admit(config, request(target, %{"host" => "lab.example.org"}))
+             Endpoint.admit_request(config, request(target, %{"host" => "lab.example.org"}))
 
     headers = Map.new(headers)
     assert headers["location"] == "/studio/s/a%20b?x=1"
@@ -74,7 +79,7 @@ defmodule Situ.Live.PublicTest do
     assert headers["set-cookie"] =~ "; Secure"
   end
 
-  test "what is no address is refused in words" do
+  test "rejects invalid addresses with an error" do
     for bad <- [
           "lab",
           "ftp://x",

@@ -1,5 +1,5 @@
 defmodule Situ.Live.SocketTest do
-  # WebSockets from outside, by raw sockets: what is refused, and that what is served goes on.
+  # Tests WebSockets from outside, through raw sockets: which requests are rejected, and that other clients continue.
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
   alias Situ.JSON
@@ -54,7 +54,7 @@ defmodule Situ.Live.SocketTest do
   end
 
   describe "frames" do
-    test "text, binary, fragments, pings, close" do
+    test "handles text, binary, fragments, pings and close" do
       {socket, _, _, _} = echo()
       Raw.send_text(socket, "é")
       assert Raw.receive_frame(socket) == {:text, "é"}
@@ -70,13 +70,13 @@ defmodule Situ.Live.SocketTest do
       assert_receive {:closed, _}
     end
 
-    test "a byte at a time" do
+    test "accepts one byte at a time" do
       {socket, _, _, _} = echo()
       for <<c <- Raw.frame(1, "slow")>>, do: :ok = :gen_tcp.send(socket, <<c>>)
       assert Raw.receive_frame(socket) == {:text, "slow"}
     end
 
-    test "too large, not masked, not UTF-8, not of the protocol" do
+    test "rejects frames that are too large, unmasked, not UTF-8 or not in the protocol" do
       capture_log(fn ->
         {_, _, port, _} = echo(max_frame: 1_000)
 
@@ -96,7 +96,7 @@ defmodule Situ.Live.SocketTest do
       end)
     end
 
-    test "a handler that raises closes its own connection" do
+    test "a handler that raises closes only its own connection" do
       {socket, _, port, _} = echo()
       {:ok, other} = Raw.upgrade(port, "/ws")
 
@@ -113,27 +113,27 @@ defmodule Situ.Live.SocketTest do
       assert {:close, <<1000::16>>} = Raw.receive_frame(other)
     end
 
-    test "a frame that is begun and not ended is given up" do
+    test "times out an unfinished frame" do
       capture_log(fn ->
         {socket, _, _, _} = echo()
         :gen_tcp.send(socket, binary_part(Raw.frame(1, "never whole"), 0, 8))
-        # Newer versions of Yaws close without a word.
+        # Newer versions of Yaws close without a close frame.
         assert Raw.receive_frame(socket, 10_000) in [:closed, {:close, <<1000::16>>}]
         assert_receive {:closed, _}
       end)
     end
 
-    test "a connection from which nothing comes is swept" do
+    test "closes an idle connection" do
       {socket, pid, _, server} = echo()
-      ref = Situ.Live.endpoint(server).ref
-      assert Connections.sweep(ref, 60_000) == 0
+      ref = Situ.Live.get_endpoint(server).ref
+      assert Connections.kill_idle(ref, 60_000) == 0
       monitor = Process.monitor(pid)
-      assert Connections.sweep(ref, -1) == 1
+      assert Connections.kill_idle(ref, -1) == 1
       assert_receive {:DOWN, ^monitor, _, _, :killed}
       assert Raw.receive_frame(socket) == :closed
     end
 
-    test "a browser that does not read blocks its own process only" do
+    test "a browser that does not read blocks only its own process" do
       {_socket, pid, port, _} = echo()
       for _ <- 1..40, do: send(pid, {:push, 1_000_000})
       {:ok, other} = Raw.upgrade(port, "/ws")
@@ -141,7 +141,7 @@ defmodule Situ.Live.SocketTest do
       assert Raw.receive_frame(other) == {:text, "here"}
     end
 
-    test "the server's end closes its connections" do
+    test "a stopping server closes its connections" do
       {_socket, pid, _, _} = echo()
       monitor = Process.monitor(pid)
       stop_supervised!({Situ.Live, 0})
@@ -150,13 +150,13 @@ defmodule Situ.Live.SocketTest do
   end
 
   describe "the upgrade" do
-    test "asks for the right headers", %{port: port} do
+    test "requires the right headers", %{port: port} do
       assert {426, %{"upgrade" => "websocket"}, _} = Raw.get(port, "/live/websocket")
       headers = [{"upgrade", "websocket"}, {"connection", "upgrade"}]
       assert {426, %{"sec-websocket-version" => "13"}, _} = Raw.get(port, "/ws", headers)
     end
 
-    test "refuses foreign origins and hosts", %{port: port} do
+    test "rejects foreign origins and hosts", %{port: port} do
       assert {:ok, _} = Raw.upgrade(port, "/ws", [{"origin", "http://localhost:#{port}"}])
 
       for path <- ["/ws", "/live/websocket?vsn=2.0.0"],
@@ -167,7 +167,7 @@ defmodule Situ.Live.SocketTest do
       assert {421, _, _} = Raw.upgrade(port, "/ws", [{"host", "evil.example"}])
     end
 
-    test "refuses without the token" do
+    test "rejects a request without the token" do
       routes = [{:socket, "/ws", Echo, self()}]
       server = start_supervised!({Situ.Live, port: 0, token: "a good token", routes: routes})
       port = Situ.Live.port(server)
@@ -176,7 +176,7 @@ defmodule Situ.Live.SocketTest do
       assert {:ok, _} = Raw.upgrade(port, "/ws", [{"authorization", "Bearer a good token"}])
     end
 
-    test "refuses more connections than there may be" do
+    test "rejects connections beyond the limit" do
       routes = [{:socket, "/ws", Echo, self()}]
       server = start_supervised!({Situ.Live, port: 0, max_sockets: 2, routes: routes})
       port = Situ.Live.port(server)
@@ -225,7 +225,7 @@ defmodule Situ.Live.SocketTest do
       {socket, "lv:" <> id}
     end
 
-    test "join, event, heartbeat, leave", %{port: port} do
+    test "handles join, event, heartbeat and leave", %{port: port} do
       {socket, topic} = joined(port)
       push(socket, [nil, "2", "phoenix", "heartbeat", %{}])
       assert [nil, "2", "phoenix", "phx_reply", %{"status" => "ok"}] = take(socket)
@@ -239,7 +239,7 @@ defmodule Situ.Live.SocketTest do
       assert ["1", "5", ^topic, "phx_reply", %{"status" => "error"}] = take(socket)
     end
 
-    test "a token of another page, a changed one, none, another address: stale", %{port: port} do
+    test "a wrong, changed or missing token or another address is stale", %{port: port} do
       {socket, id, token} = join(port)
       url = "http://localhost:#{port}/"
 
@@ -263,7 +263,7 @@ defmodule Situ.Live.SocketTest do
       end
     end
 
-    test "a page's token joins pages of the same fixed session, not one that makes its own", %{
+    test "a page's token joins only pages of the same fixed session", %{
       port: port
     } do
       for {path, status} <- [{"again", "ok"}, {"guarded", "error"}, {"raises", "error"}] do
@@ -274,7 +274,7 @@ defmodule Situ.Live.SocketTest do
       end
     end
 
-    test "a mount that raises answers the join", %{port: port} do
+    test "a mount that raises fails the join", %{port: port} do
       {socket, id, token} = join(port, "/raises")
       url = "http://localhost:#{port}/raises"
 
@@ -288,7 +288,7 @@ defmodule Situ.Live.SocketTest do
       end)
     end
 
-    test "a view that raises is told as phx_error; other views go on", %{port: port} do
+    test "a view that raises sends phx_error, and other views continue", %{port: port} do
       {socket, topic} = joined(port)
       {other, other_topic} = joined(port)
 
@@ -301,7 +301,7 @@ defmodule Situ.Live.SocketTest do
       assert ["1", "2", _, "phx_reply", %{"status" => "ok"}] = take(other)
     end
 
-    test "what is no message closes the connection", %{port: port} do
+    test "an invalid message closes the connection", %{port: port} do
       for bad <- [
             "",
             "x",
@@ -323,7 +323,7 @@ defmodule Situ.Live.SocketTest do
       assert {:close, <<1003::16, _::binary>>} = take(socket)
     end
 
-    test "an oversized form closes the connection; others go on", %{port: port} do
+    test "an oversized form closes the connection, and others continue", %{port: port} do
       {socket, topic} = joined(port)
       {other, _} = joined(port)
       form = %{type: "form", event: "form", value: "f[q]=" <> String.duplicate("a", 1_000_001)}
@@ -337,7 +337,7 @@ defmodule Situ.Live.SocketTest do
       assert [nil, "2", "phoenix", "phx_reply", _] = take(other)
     end
 
-    test "a join replaces what was joined under the topic", %{port: port} do
+    test "a join replaces the view joined under the same topic", %{port: port} do
       {socket, id, token} = join(port)
       payload = %{url: "http://localhost:#{port}/", session: token}
       for ref <- ["1", "2"], do: push(socket, [ref, ref, "lv:" <> id, "phx_join", payload])
@@ -351,7 +351,7 @@ defmodule Situ.Live.SocketTest do
              |> Map.fetch!("status") == "error"
     end
 
-    test "a reader that stopped does not make the view run ahead", %{port: port, server: server} do
+    test "the view does not run ahead of a stalled reader", %{port: port, server: server} do
       {socket, id, token} = join(port)
       {:ok, socket2} = Raw.upgrade(port, "/live/websocket?vsn=2.0.0&situ_flow=1")
       :gen_tcp.close(socket)
@@ -363,7 +363,7 @@ defmodule Situ.Live.SocketTest do
       view = view_of(server, id)
       for n <- 1..1_000, do: send(view, {:set, :tick, n})
       :sys.get_state(view)
-      # not acknowledged: nothing more comes
+      # Nothing more is sent without an acknowledgement.
       assert Raw.receive_frame(socket2, 100) == :timeout
 
       push(socket2, [
@@ -380,7 +380,8 @@ defmodule Situ.Live.SocketTest do
     end
 
     defp view_of(server, id) do
-      supervisor = GenServer.whereis(ViewServer.supervisor(Situ.Live.endpoint(server).ref))
+      supervisor =
+        GenServer.whereis(ViewServer.supervisor_name(Situ.Live.get_endpoint(server).ref))
 
       supervisor
       |> DynamicSupervisor.which_children()

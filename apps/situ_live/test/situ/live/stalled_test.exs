@@ -1,5 +1,5 @@
 defmodule Situ.Live.StalledTest do
-  # Clients that begin and do not go on. The waits are real: the server's own limits are what is tested.
+  # Clients that begin a request and stop. The waits are real because the server's own limits are tested.
   use ExUnit.Case, async: true
   alias Situ.Live.{Raw, Response}
 
@@ -11,7 +11,7 @@ defmodule Situ.Live.StalledTest do
     {:ok, port: Situ.Live.port(server)}
   end
 
-  test "300 requests whose head does not end hold up nobody, and are closed after 15 s", %{
+  test "300 requests without an end of the head block nobody and are closed after 15 s", %{
     port: port
   } do
     stalled =
@@ -25,7 +25,7 @@ defmodule Situ.Live.StalledTest do
     for socket <- stalled, do: assert({:error, :closed} = :gen_tcp.recv(socket, 0, 60_000))
   end
 
-  test "a body that trickles is given up after its time, however often a byte comes", %{
+  test "a body that trickles in is rejected after its time limit", %{
     port: port
   } do
     socket = Raw.connect(port)

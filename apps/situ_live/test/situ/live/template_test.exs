@@ -2,26 +2,26 @@ defmodule Situ.Live.TemplateTest do
   use ExUnit.Case, async: true
   import Situ.Live.Template
   import Situ.Live.Component, only: [render_slot: 2, link: 1, island: 1]
-  import Situ.Live.Test, only: [component: 1, component: 2]
+  import Situ.Live.Test, only: [render_component: 1, render_component: 2]
   alias Situ.Live.Demo.Parts
 
   defp html(rendered), do: rendered |> Situ.Live.Html.escape() |> Situ.Live.Html.to_html()
 
   def box(assigns), do: ~H"<div class={@class}>{render_slot(@inner_block, 3)}</div>"
 
-  test "values are escaped, in text and attributes" do
+  test "values are escaped in text and attributes" do
     assigns = %{a: "<&\"'>"}
 
     assert html(~H|<p title={@a}>{@a}</p>|) ==
              "<p title=\"&lt;&amp;&quot;&#39;&gt;\">&lt;&amp;&quot;&#39;&gt;</p>"
   end
 
-  test "text that is not UTF-8 is mended" do
+  test "text that is not UTF-8 is repaired" do
     assigns = %{a: <<"a", 255, "<">>}
     assert html(~H"<p>{@a}</p>") == "<p>a\uFFFD&lt;</p>"
   end
 
-  test "attributes: nil and false leave out, true names, lists join, maps spread" do
+  test "attributes: nil and false omit, true names, lists join, maps spread" do
     assigns = %{}
 
     assert html(~H"<input disabled={true} hidden={false} id={nil} class={[\"a\", nil, \"b\"]}>") ==
@@ -33,7 +33,7 @@ defmodule Situ.Live.TemplateTest do
     assert_raise ArgumentError, fn -> html(~H|<i {%{"on x=\"" => 1}}></i>|) end
   end
 
-  test "braces in expressions, in text, in scripts, and switched off" do
+  test "handles braces in expressions, text and scripts, and when switched off" do
     assigns = %{}
     assert html(~H|<b>{%{a: "}"}.a}</b>|) == "<b>}</b>"
     assert html(~H|<b>\{</b>|) == "<b>{</b>"
@@ -42,23 +42,26 @@ defmodule Situ.Live.TemplateTest do
     assert html(~H|a < b <%= 1 + 1 %><%!-- gone --%>|) == "a < b 2"
   end
 
-  test ":for with :if filters, :key keys" do
+  test ":for with :if filters the list, and :key sets the keys" do
     assigns = %{xs: [1, 2, 3]}
     assert html(~H"<i :for={x <- @xs} :if={x > 1} :key={x}>{x}</i>") == "<i>2</i><i>3</i>"
     %{dynamic: [list]} = ~H"<i :for={x <- @xs} :if={x > 1} :key={x}>{x}</i>"
     assert Enum.map(list.entries, &elem(&1, 0)) == [2, 3]
   end
 
-  test "components: attributes, defaults, the rest, slots with arguments" do
-    assert component(&Parts.card/1, title: "t", "phx-click": "go") ==
+  test "components support attributes, defaults, rest and slots with arguments" do
+    assert render_component(&Parts.card/1, title: "t", "phx-click": "go") ==
              "<section class=\"card plain\" phx-click=\"go\">\n  <h2>t</h2>\n  \n  \n</section>"
 
-    assert_raise ArgumentError, ~r/needs the attr title/, fn -> component(&Parts.card/1) end
+    assert_raise ArgumentError, ~r/needs the attr title/, fn ->
+      render_component(&Parts.card/1)
+    end
+
     assigns = %{}
     assert html(~H"<.box class=\"x\" :let={n}>{n + 1}</.box>") == "<div class=\"x\">4</div>"
   end
 
-  test "slots take :for and :if" do
+  test "slots support :for and :if" do
     assigns = %{rows: [%{id: 1}], on: false}
 
     out =
@@ -74,7 +77,7 @@ defmodule Situ.Live.TemplateTest do
     refute out =~ "off"
   end
 
-  test "links refuse scripts" do
+  test "links reject scripts" do
     assigns = %{}
     assert html(~H|<.link patch="/a?b=1&c">x</.link>|) =~ "href=\"/a?b=1&amp;c\""
     assert_raise ArgumentError, fn -> html(~H|<.link href=" JavaScript:alert(1)">x</.link>|) end
@@ -94,12 +97,12 @@ defmodule Situ.Live.TemplateTest do
           {"</b>", "</b> closes nothing"},
           {"<p>{1 +</p>", "some.ex:4:"},
           {"<% if true do %>", "not supported"},
-          {"<p :for={x}></p>", ":for takes a generator"},
+          {"<p :for={x}></p>", ":for requires a generator"},
           {"<p :key={1}></p>", ":key on <p> without :for"},
-          {"<p :nope={1}></p>", "known are :if"},
-          {"<:slot></:slot>", "stands directly inside a component"},
+          {"<p :nope={1}></p>", "expected :if"},
+          {"<:slot></:slot>", "must be directly inside a component"},
           {"<p a=1></p>", "must be in quotes or braces"},
-          {"<p ", "this tag has no >"}
+          {"<p ", "this tag has no closing >"}
         ] do
       code = "import Situ.Live.Template\nassigns = %{}\n~H\"\"\"\n#{source}\n\"\"\""
       assert syntax_error(code) =~ message
@@ -113,11 +116,11 @@ defmodule Situ.Live.TemplateTest do
     error in [SyntaxError, TokenMissingError] -> Exception.message(error)
   end
 
-  test "only what reads a changed assign is made anew" do
+  test "renders only the parts that read a changed assign" do
     me = self()
     count = fn x -> send(me, {:made, x}) && x end
     render = fn assigns -> ~H"<p>{count.(@a)}{count.(@b)}</p>" end
-    # `count` is a variable of the function around: then all is made
+    # `count` is a variable of the surrounding function, so everything is rendered.
     render.(%{a: 1, b: 2, __changed__: %{a: true}})
     assert_received {:made, 2}
 
@@ -129,6 +132,6 @@ defmodule Situ.Live.TemplateTest do
 
   test "a missing assign is named" do
     assigns = %{a: 1}
-    assert_raise KeyError, ~r/no assign @b; there are \[:a\]/, fn -> html(~H"{@b}") end
+    assert_raise KeyError, ~r/no assign @b; available: \[:a\]/, fn -> html(~H"{@b}") end
   end
 end

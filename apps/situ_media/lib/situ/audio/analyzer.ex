@@ -91,14 +91,20 @@ defmodule Situ.Audio.Analyzer do
   def new(%AudioFormat{} = format, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, format} <- AudioFormat.validate(format),
-         config = config(format, opts),
-         {:ok, native} <- Kernel.sound({:new_analyzer, config}, 1000) do
-      {:ok, %__MODULE__{native: native, format: format, config: config, wanted: wanted(opts)}}
+         config = feature_config(format, opts),
+         {:ok, native} <- Kernel.run_audio({:new_analyzer, config}, 1000) do
+      {:ok,
+       %__MODULE__{
+         native: native,
+         format: format,
+         config: config,
+         wanted: requested_outputs(opts)
+       }}
     end
   end
 
   # Rounds half up by adding 0.5 and truncating, as the definition requires.
-  defp config(format, opts) do
+  defp feature_config(format, opts) do
     %{
       rate: format.rate,
       channels: format.channels,
@@ -118,7 +124,7 @@ defmodule Situ.Audio.Analyzer do
     }
   end
 
-  defp wanted(opts) do
+  defp requested_outputs(opts) do
     [
       spectrum: opts[:spectrum],
       power: opts[:power],
@@ -133,21 +139,26 @@ defmodule Situ.Audio.Analyzer do
   Returns the features of every complete frame in a buffer, as maps keyed by output name. `first` is the number of the
   first frame and seeds the dither.
 
-      iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(16_000), 400)
+      iex> buffer = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(16_000), 400)
       iex> {:ok, analyzer} = Situ.Audio.Analyzer.new(buffer.format, dither: 0)
-      iex> {:ok, [frame]} = Situ.Audio.Analyzer.analyze(analyzer, buffer)
+      iex> {:ok, [frame]} = Situ.Audio.Analyzer.extract_features(analyzer, buffer)
       iex> {frame.log_energy, frame.entropy}
       {-92.1, 0.0}
   """
-  @spec analyze(t(), AudioBuffer.t(), non_neg_integer()) :: {:ok, [map()]} | {:error, Error.t()}
-  def analyze(analyzer, buffer, first \\ 0)
+  @spec extract_features(t(), AudioBuffer.t(), non_neg_integer()) ::
+          {:ok, [map()]} | {:error, Error.t()}
+  def extract_features(analyzer, buffer, first \\ 0)
 
-  def analyze(%__MODULE__{format: format} = a, %AudioBuffer{format: format} = buffer, first) do
+  def extract_features(
+        %__MODULE__{format: format} = a,
+        %AudioBuffer{format: format} = buffer,
+        first
+      ) do
     # About 10 us a frame.
-    frames = div(AudioBuffer.frames(buffer), a.config.shift)
+    frames = div(AudioBuffer.frame_count(buffer), a.config.shift)
 
     {:analyze, a.native, buffer.data, first, a.wanted}
-    |> Kernel.sound(frames * 10)
+    |> Kernel.run_audio(frames * 10)
     |> Channels.name_bad_samples(buffer, "analyze")
   end
 
@@ -158,37 +169,37 @@ defmodule Situ.Audio.Analyzer do
 
   @impl true
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
-    state = follow(state, buffer.format)
+    state = ensure_analyzer(state, buffer.format)
     %{analyzer: analyzer, rest: rest, index: index} = state
     whole = %AudioBuffer{format: buffer.format, data: rest <> buffer.data}
-    frames = Situ.Error.unwrap!(analyze(analyzer, whole, index))
-    {actions, last} = emit(frames, whole, time, state)
+    frames = Situ.Error.unwrap!(extract_features(analyzer, whole, index))
+    {actions, last} = emit_features(frames, whole, time, state)
     used = length(frames) * analyzer.config.shift
-    left = AudioBuffer.slice(whole, used, AudioBuffer.frames(whole)).data
+    left = AudioBuffer.slice_frames(whole, used, AudioBuffer.frame_count(whole)).data
     {actions, %{state | rest: :binary.copy(left), index: index + length(frames), last: last}}
   end
 
-  defp follow(%{analyzer: %{format: format}} = state, format), do: state
+  defp ensure_analyzer(%{analyzer: %{format: format}} = state, format), do: state
 
-  defp follow(state, format) do
+  defp ensure_analyzer(state, format) do
     analyzer = Situ.Error.unwrap!(new(format, state.opts))
     %{state | analyzer: analyzer, rest: "", index: 0}
   end
 
-  defp emit(frames, whole, time, %{analyzer: %{config: config}} = state) do
-    total = AudioBuffer.frames(whole)
+  defp emit_features(frames, whole, time, %{analyzer: %{config: config}} = state) do
+    total = AudioBuffer.frame_count(whole)
 
     {actions, {_end, last}} =
       Enum.flat_map_reduce(frames, {config.frame, state.last}, fn frame, {stop, last} ->
         at = time - AudioFormat.frames_to_ns(whole.format, total - stop)
         at = if last, do: max(at, last + 1), else: at
-        {actions(frame, at), {stop + config.shift, at}}
+        {output_actions(frame, at), {stop + config.shift, at}}
       end)
 
     {actions, last}
   end
 
-  defp actions(frame, at) do
+  defp output_actions(frame, at) do
     for output <- @outputs, value = Map.fetch!(frame, output), do: {output, at, value}
   end
 end

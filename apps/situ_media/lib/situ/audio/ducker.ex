@@ -50,9 +50,9 @@ defmodule Situ.Audio.Ducker do
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
     quiet? = state.quiet? or (state.until != nil and time <= state.until)
     target = if quiet?, do: state.low, else: 1.0
-    length = max(AudioBuffer.duration(buffer), 1)
-    gain = Ramp.toward(state.gain, target, length, state.opts.rise, state.opts.fall)
-    {[{:out, time, Ramp.apply(buffer, state.gain, gain)}], %{state | gain: gain}}
+    length = max(AudioBuffer.duration_ns(buffer), 1)
+    gain = Ramp.step_toward(state.gain, target, length, state.opts.rise, state.opts.fall)
+    {[{:out, time, Ramp.scale_buffer(buffer, state.gain, gain)}], %{state | gain: gain}}
   end
 
   @impl true

@@ -9,18 +9,18 @@ defmodule Situ.Audio.Gap do
   @max_bytes 268_435_456
 
   @doc "Raises `Situ.Error` if a gap of `frames` frames is too long to fill."
-  @spec check!(AudioFormat.t(), integer()) :: :ok
-  def check!(format, frames) do
+  @spec check_length!(AudioFormat.t(), integer()) :: :ok
+  def check_length!(format, frames) do
     if frames * AudioFormat.bytes_per_frame(format) > @max_bytes,
       do: raise(too_long(format, frames)),
       else: :ok
   end
 
   @doc "Builds the silence that fills a gap of `frames` frames."
-  @spec silence!(AudioFormat.t(), non_neg_integer()) :: AudioBuffer.t()
-  def silence!(format, frames) do
-    check!(format, frames)
-    AudioBuffer.silence(format, frames)
+  @spec build_silence!(AudioFormat.t(), non_neg_integer()) :: AudioBuffer.t()
+  def build_silence!(format, frames) do
+    check_length!(format, frames)
+    AudioBuffer.build_silence(format, frames)
   end
 
   defp too_long(format, frames) do

@@ -26,11 +26,18 @@ defmodule Situ.Audio.Level do
     peak = channels |> Enum.map(&elem(&1, 0)) |> Enum.max()
     power = channels |> Enum.map(fn {_, rms} -> rms * rms end) |> Enum.sum()
     rms = :math.sqrt(power / length(channels))
-    %__MODULE__{peak: peak, rms: rms, peak_db: db(peak), rms_db: db(rms), channels: channels}
+
+    %__MODULE__{
+      peak: peak,
+      rms: rms,
+      peak_db: to_decibels(peak),
+      rms_db: to_decibels(rms),
+      channels: channels
+    }
   end
 
   @doc "Converts a fraction of full scale to decibels."
-  @spec db(float()) :: float()
-  def db(value) when value <= 1.0e-6, do: @floor_db
-  def db(value), do: 20 * :math.log10(value)
+  @spec to_decibels(float()) :: float()
+  def to_decibels(value) when value <= 1.0e-6, do: @floor_db
+  def to_decibels(value), do: 20 * :math.log10(value)
 end

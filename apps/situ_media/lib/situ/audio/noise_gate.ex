@@ -53,23 +53,25 @@ defmodule Situ.Audio.NoiseGate do
          Error.new(:bad_option, "option close: must not be above open:",
            fix: "set close: to #{opts.open} dB or less"
          )},
-      else: {:ok, %{opts: opts, floor: factor(opts.floor), gain: factor(opts.floor), held: 0}}
+      else:
+        {:ok,
+         %{opts: opts, floor: db_to_factor(opts.floor), gain: db_to_factor(opts.floor), held: 0}}
   end
 
-  defp factor(db) when db <= -120, do: 0.0
-  defp factor(db), do: :math.pow(10, db / 20)
+  defp db_to_factor(db) when db <= -120, do: 0.0
+  defp db_to_factor(db), do: :math.pow(10, db / 20)
 
   @impl true
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
-    length = max(AudioBuffer.duration(buffer), 1)
-    state = decide(state, Sound.level!(buffer).rms_db, length)
+    length = max(AudioBuffer.duration_ns(buffer), 1)
+    state = update_hold(state, Sound.level!(buffer).rms_db, length)
     target = if state.held > 0, do: 1.0, else: state.floor
-    gain = Ramp.toward(state.gain, target, length, state.opts.attack, state.opts.release)
-    {[{:out, time, Ramp.apply(buffer, state.gain, gain)}], %{state | gain: gain}}
+    gain = Ramp.step_toward(state.gain, target, length, state.opts.attack, state.opts.release)
+    {[{:out, time, Ramp.scale_buffer(buffer, state.gain, gain)}], %{state | gain: gain}}
   end
 
   # `held` is the remaining time for which the gate stays open.
-  defp decide(%{held: held, opts: opts} = state, level, length) do
+  defp update_hold(%{held: held, opts: opts} = state, level, length) do
     cond do
       level >= opts.open or (held > 0 and level >= opts.close) ->
         %{state | held: opts.hold + length}

@@ -4,7 +4,7 @@ defmodule Situ.Audio.Ramp do
   without clicks. Pure.
 
       iex> buffer = Situ.AudioBuffer.from_samples([100, 100, 100, 100], Situ.AudioFormat.pcm())
-      iex> Situ.Audio.Ramp.apply(buffer, 0.0, 1.0) |> Situ.AudioBuffer.to_samples()
+      iex> Situ.Audio.Ramp.scale_buffer(buffer, 0.0, 1.0) |> Situ.AudioBuffer.to_samples()
       [25, 50, 75, 100]
   """
   alias Situ.{AudioBuffer, Sound}
@@ -12,36 +12,38 @@ defmodule Situ.Audio.Ramp do
   @doc """
   Multiplies the buffer by a factor that reaches `to` at its last frame and was `from` one frame before its first.
   """
-  @spec apply(AudioBuffer.t(), float(), float()) :: AudioBuffer.t()
-  def apply(buffer, from, to) when from == 1.0 and to == 1.0, do: buffer
-  def apply(buffer, same, same), do: Sound.gain!(buffer, same)
+  @spec scale_buffer(AudioBuffer.t(), float(), float()) :: AudioBuffer.t()
+  def scale_buffer(buffer, from, to) when from == 1.0 and to == 1.0, do: buffer
+  def scale_buffer(buffer, same, same), do: Sound.gain!(buffer, same)
 
-  def apply(%AudioBuffer{format: format} = buffer, from, to) do
-    step = (to - from) / max(AudioBuffer.frames(buffer), 1)
+  def scale_buffer(%AudioBuffer{format: format} = buffer, from, to) do
+    step = (to - from) / max(AudioBuffer.frame_count(buffer), 1)
 
     samples =
       buffer
       |> AudioBuffer.to_samples()
       |> Enum.with_index(fn sample, i ->
-        scale(sample, from + step * (div(i, format.channels) + 1))
+        scale_sample(sample, from + step * (div(i, format.channels) + 1))
       end)
 
     AudioBuffer.from_samples(samples, format)
   end
 
-  defp scale(sample, factor) when is_integer(sample), do: round(sample * factor)
-  defp scale(sample, factor), do: sample * factor
+  defp scale_sample(sample, factor) when is_integer(sample), do: round(sample * factor)
+  defp scale_sample(sample, factor), do: sample * factor
 
   @doc """
   Moves a factor toward `target` for `duration` ns. The factor changes by at most 1 in `rise` ns upwards or `fall` ns
   downwards.
 
-      iex> Situ.Audio.Ramp.toward(0.0, 1.0, 5, 20, 40)
+      iex> Situ.Audio.Ramp.step_toward(0.0, 1.0, 5, 20, 40)
       0.25
   """
-  @spec toward(float(), float(), pos_integer(), non_neg_integer(), non_neg_integer()) :: float()
-  def toward(now, target, duration, rise, _fall) when target > now,
+  @spec step_toward(float(), float(), pos_integer(), non_neg_integer(), non_neg_integer()) ::
+          float()
+  def step_toward(now, target, duration, rise, _fall) when target > now,
     do: min(target, now + duration / max(rise, 1))
 
-  def toward(now, target, duration, _rise, fall), do: max(target, now - duration / max(fall, 1))
+  def step_toward(now, target, duration, _rise, fall),
+    do: max(target, now - duration / max(fall, 1))
 end

@@ -45,31 +45,31 @@ defmodule Situ.Audio.Reframer do
   def init(opts) do
     case {opts[:frames], opts[:duration]} do
       {nil, nil} -> {:error, Error.new(:missing_option, "reframe needs frames: or duration:")}
-      {n, nil} when n != nil -> state(opts)
-      {nil, _} -> state(opts)
+      {n, nil} when n != nil -> init_state(opts)
+      {nil, _} -> init_state(opts)
       _ -> {:error, Error.new(:bad_option, "give frames: or duration:, not both")}
     end
   end
 
-  defp state(opts),
+  defp init_state(opts),
     do: {:ok, %{opts: opts, format: nil, size: nil, hop: nil, rest: "", seen: nil, last: nil}}
 
   @impl true
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
-    {flushed, state} = follow(state, buffer.format)
+    {flushed, state} = ensure_format(state, buffer.format)
     data = if state.rest == "", do: buffer.data, else: state.rest <> buffer.data
-    {actions, rest, last} = cut(data, time, state, [])
+    {actions, rest, last} = cut_buffers(data, time, state, [])
     # Copies the rest, so that a small remainder does not keep a large buffer alive.
     {flushed ++ actions, %{state | rest: :binary.copy(rest), last: last, seen: time}}
   end
 
   @impl true
-  def handle_closed(:in, _time, _context, state), do: finish(state)
+  def handle_closed(:in, _time, _context, state), do: flush_tail(state)
 
-  defp follow(%{format: format} = state, format), do: {[], state}
+  defp ensure_format(%{format: format} = state, format), do: {[], state}
 
-  defp follow(%{opts: opts} = state, format) do
-    {actions, state} = finish(state)
+  defp ensure_format(%{opts: opts} = state, format) do
+    {actions, state} = flush_tail(state)
     bytes = AudioFormat.bytes_per_frame(format)
     frames = opts[:frames] || ceil_frames(opts[:duration], format.rate)
 
@@ -86,24 +86,25 @@ defmodule Situ.Audio.Reframer do
 
   defp ceil_frames(ns, rate), do: -Integer.floor_div(-ns * rate, 1_000_000_000)
 
-  defp cut(data, time, %{size: size, hop: hop} = state, actions) when byte_size(data) >= size do
+  defp cut_buffers(data, time, %{size: size, hop: hop} = state, actions)
+       when byte_size(data) >= size do
     after_it = byte_size(data) - size
-    at = later(time - span(state.format, after_it), state.last)
+    at = increasing_time(time - bytes_to_ns(state.format, after_it), state.last)
     out = %AudioBuffer{format: state.format, data: binary_part(data, 0, size)}
     skip = min(hop, byte_size(data))
     rest = binary_part(data, skip, byte_size(data) - skip)
 
     # A hop larger than the size would have to skip frames that have not arrived yet; it only skips the present ones.
-    cut(rest, time, %{state | last: at}, [{:out, at, out} | actions])
+    cut_buffers(rest, time, %{state | last: at}, [{:out, at, out} | actions])
   end
 
-  defp cut(data, _time, state, actions), do: {Enum.reverse(actions), data, state.last}
+  defp cut_buffers(data, _time, state, actions), do: {Enum.reverse(actions), data, state.last}
 
-  defp finish(%{rest: ""} = state), do: {[], state}
+  defp flush_tail(%{rest: ""} = state), do: {[], state}
 
-  defp finish(%{opts: opts, rest: rest} = state) do
+  defp flush_tail(%{opts: opts, rest: rest} = state) do
     # The padding would end after the input closed, and nothing may be emitted after that time.
-    time = later(state.seen, state.last)
+    time = increasing_time(state.seen, state.last)
 
     case opts[:tail] do
       :drop ->
@@ -115,15 +116,18 @@ defmodule Situ.Audio.Reframer do
 
       :pad ->
         frame = AudioFormat.bytes_per_frame(state.format)
-        silence = AudioBuffer.silence(state.format, div(state.size - byte_size(rest), frame))
+
+        silence =
+          AudioBuffer.build_silence(state.format, div(state.size - byte_size(rest), frame))
+
         out = %AudioBuffer{format: state.format, data: rest <> silence.data}
         {[{:out, time, out}], %{state | rest: "", last: time}}
     end
   end
 
-  defp span(format, bytes),
+  defp bytes_to_ns(format, bytes),
     do: AudioFormat.frames_to_ns(format, div(bytes, AudioFormat.bytes_per_frame(format)))
 
-  defp later(time, nil), do: time
-  defp later(time, last), do: max(time, last + 1)
+  defp increasing_time(time, nil), do: time
+  defp increasing_time(time, last), do: max(time, last + 1)
 end

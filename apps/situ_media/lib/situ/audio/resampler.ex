@@ -29,9 +29,9 @@ defmodule Situ.Audio.Resampler do
 
       iex> format = Situ.AudioFormat.pcm(48_000)
       iex> {:ok, filter} = Situ.Audio.Resampler.new(format, rate: 16_000)
-      iex> {:ok, first} = Situ.Audio.Resampler.feed(filter, Situ.AudioBuffer.silence(format, 4800))
-      iex> {:ok, rest} = Situ.Audio.Resampler.flush(filter)
-      iex> Situ.AudioBuffer.frames(first) + Situ.AudioBuffer.frames(rest)
+      iex> {:ok, first} = Situ.Audio.Resampler.feed_buffer(filter, Situ.AudioBuffer.build_silence(format, 4800))
+      iex> {:ok, rest} = Situ.Audio.Resampler.flush_filter(filter)
+      iex> Situ.AudioBuffer.frame_count(first) + Situ.AudioBuffer.frame_count(rest)
       1600
   """
   use Situ.Component,
@@ -59,36 +59,36 @@ defmodule Situ.Audio.Resampler do
   def new(%AudioFormat{} = format, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, format} <- AudioFormat.validate(format),
-         work = %{format | sample: working(format.sample)},
+         work = %{format | sample: work_sample_type(format.sample)},
          job =
            {:new_resampler, format.rate, opts[:rate], format.channels, work.sample,
             opts[:quality]},
-         {:ok, native} <- Kernel.sound(job, 200) do
+         {:ok, native} <- Kernel.run_audio(job, 200) do
       {:ok,
        %__MODULE__{native: native, from: format, work: work, to: %{format | rate: opts[:rate]}}}
     end
   end
 
   # Sample types that libsoxr does not support are converted to the next larger one.
-  defp working(:u8), do: :s16
-  defp working(:s24), do: :s32
-  defp working(sample), do: sample
+  defp work_sample_type(:u8), do: :s16
+  defp work_sample_type(:s24), do: :s32
+  defp work_sample_type(sample), do: sample
 
   @doc "Feeds a buffer in the filter's format and returns the audio that is ready, which may be empty."
-  @spec feed(t(), AudioBuffer.t()) :: AudioBuffer.result()
-  def feed(%__MODULE__{from: from} = filter, %AudioBuffer{format: from} = buffer),
-    do: process(filter, buffer, false)
+  @spec feed_buffer(t(), AudioBuffer.t()) :: AudioBuffer.result()
+  def feed_buffer(%__MODULE__{from: from} = filter, %AudioBuffer{format: from} = buffer),
+    do: run_filter(filter, buffer, false)
 
   @doc "Returns the audio left inside the filter, which cannot be used after this."
-  @spec flush(t()) :: AudioBuffer.result()
-  def flush(%__MODULE__{} = filter),
-    do: process(filter, %AudioBuffer{format: filter.from, data: ""}, true)
+  @spec flush_filter(t()) :: AudioBuffer.result()
+  def flush_filter(%__MODULE__{} = filter),
+    do: run_filter(filter, %AudioBuffer{format: filter.from, data: ""}, true)
 
-  defp process(filter, buffer, last?) do
-    cost = cost(filter, buffer, last?)
+  defp run_filter(filter, buffer, last?) do
+    cost = estimate_cost(filter, buffer, last?)
 
     with {:ok, inside} <- Channels.reformat(buffer, sample: filter.work.sample),
-         {:ok, data} <- Kernel.sound({:resample, filter.native, inside.data, last?}, cost) do
+         {:ok, data} <- Kernel.run_audio({:resample, filter.native, inside.data, last?}, cost) do
       out = %AudioBuffer{format: %{filter.work | rate: filter.to.rate}, data: data}
       Channels.reformat(out, sample: filter.to.sample)
     end
@@ -96,19 +96,19 @@ defmodule Situ.Audio.Resampler do
 
   # 10 s of 48 kHz take 1.6 ms, which is 3 ns per sample of the higher rate. Flushing pushes the rest through the
   # filter, whose length grows with the ratio of the rates.
-  defp cost(%{from: from, to: to}, buffer, last?) do
+  defp estimate_cost(%{from: from, to: to}, buffer, last?) do
     pushed = if last?, do: 20 * from.channels * max(from.rate / to.rate, 1), else: 5
-    Channels.cost(buffer) * max(to.rate / from.rate, 1) + pushed
+    Channels.estimate_cost(buffer) * max(to.rate / from.rate, 1) + pushed
   end
 
   @doc "Resamples a complete buffer in one call (`Situ.Sound.resample/3`)."
-  @spec whole(AudioBuffer.t(), pos_integer(), keyword()) :: AudioBuffer.result()
-  def whole(%AudioBuffer{format: %{rate: rate}} = buffer, rate, _opts),
+  @spec resample_buffer(AudioBuffer.t(), pos_integer(), keyword()) :: AudioBuffer.result()
+  def resample_buffer(%AudioBuffer{format: %{rate: rate}} = buffer, rate, _opts),
     do: AudioBuffer.validate(buffer)
 
-  def whole(%AudioBuffer{} = buffer, rate, opts) do
+  def resample_buffer(%AudioBuffer{} = buffer, rate, opts) do
     with {:ok, filter} <- new(buffer.format, [rate: rate] ++ opts),
-         {:ok, out} <- process(filter, buffer, true),
+         {:ok, out} <- run_filter(filter, buffer, true),
          do: {:ok, out}
   end
 
@@ -119,26 +119,26 @@ defmodule Situ.Audio.Resampler do
 
   @impl true
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
-    {flushed, state} = follow(state, buffer.format)
+    {flushed, state} = ensure_filter(state, buffer.format)
 
     if state.filter == :same do
       {flushed ++ [{:out, time, buffer}], %{state | last: time}}
     else
-      out = Error.unwrap!(feed(state.filter, buffer))
-      state = %{state | taken: state.taken + AudioBuffer.frames(buffer), seen: time}
-      {actions, state} = emit(state, out)
+      out = Error.unwrap!(feed_buffer(state.filter, buffer))
+      state = %{state | taken: state.taken + AudioBuffer.frame_count(buffer), seen: time}
+      {actions, state} = emit_output(state, out)
       {flushed ++ actions, state}
     end
   end
 
   @impl true
-  def handle_closed(:in, _time, _context, state), do: drain(state)
+  def handle_closed(:in, _time, _context, state), do: drain_filter(state)
 
   # Starts a filter for the format after draining the old one.
-  defp follow(%{filter: %{from: format}} = state, format), do: {[], state}
+  defp ensure_filter(%{filter: %{from: format}} = state, format), do: {[], state}
 
-  defp follow(%{opts: opts} = state, format) do
-    {actions, state} = drain(state)
+  defp ensure_filter(%{opts: opts} = state, format) do
+    {actions, state} = drain_filter(state)
 
     if format.rate == opts[:rate] do
       {actions, %{state | filter: :same}}
@@ -147,17 +147,17 @@ defmodule Situ.Audio.Resampler do
     end
   end
 
-  defp drain(%{filter: %__MODULE__{} = filter} = state) do
-    {actions, state} = emit(state, Error.unwrap!(flush(filter)))
+  defp drain_filter(%{filter: %__MODULE__{} = filter} = state) do
+    {actions, state} = emit_output(state, Error.unwrap!(flush_filter(filter)))
     {actions, %{state | filter: nil}}
   end
 
-  defp drain(state), do: {[], %{state | filter: nil}}
+  defp drain_filter(state), do: {[], %{state | filter: nil}}
 
-  defp emit(state, %AudioBuffer{data: ""}), do: {[], state}
+  defp emit_output(state, %AudioBuffer{data: ""}), do: {[], state}
 
-  defp emit(%{filter: filter} = state, out) do
-    given = state.given + AudioBuffer.frames(out)
+  defp emit_output(%{filter: filter} = state, out) do
+    given = state.given + AudioBuffer.frame_count(out)
 
     inside =
       AudioFormat.frames_to_ns(filter.from, state.taken) -

@@ -42,18 +42,18 @@ defmodule Situ.Audio.Streamline do
 
   @impl true
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
-    state = settle(state, buffer, time)
-    fitted = fit(state.opts[:method], buffer, time, state)
-    emit(fitted, time, state)
+    state = ensure_format(state, buffer, time)
+    fitted = fit_buffer(state.opts[:method], buffer, time, state)
+    emit_buffer(fitted, time, state)
   end
 
   # Counts frames from the start of the first buffer, so that rounding errors do not accumulate.
-  defp settle(%{format: nil} = state, buffer, time),
+  defp ensure_format(%{format: nil} = state, buffer, time),
     do: %{state | format: buffer.format, origin: AudioBuffer.start_time(buffer, time)}
 
-  defp settle(%{format: format} = state, %{format: format}, _time), do: state
+  defp ensure_format(%{format: format} = state, %{format: format}, _time), do: state
 
-  defp settle(%{format: format}, buffer, _time) do
+  defp ensure_format(%{format: format}, buffer, _time) do
     raise Error.new(
             :bad_audio,
             "the audio format changed from #{inspect(format)} to #{inspect(buffer.format)}",
@@ -62,19 +62,19 @@ defmodule Situ.Audio.Streamline do
           )
   end
 
-  defp fit(:concatenate, buffer, _time, _state), do: buffer
+  defp fit_buffer(:concatenate, buffer, _time, _state), do: buffer
 
-  defp fit(:pleat, buffer, time, state) do
+  defp fit_buffer(:pleat, buffer, time, state) do
     wanted = AudioFormat.ns_to_frames(buffer.format, time - state.origin) - state.frames
-    have = AudioBuffer.frames(buffer)
+    have = AudioBuffer.frame_count(buffer)
 
     if wanted <= have,
-      do: AudioBuffer.slice(buffer, 0, max(wanted, 0)),
-      else: join(buffer, Gap.silence!(buffer.format, wanted - have))
+      do: AudioBuffer.slice_frames(buffer, 0, max(wanted, 0)),
+      else: concat_buffers(buffer, Gap.build_silence!(buffer.format, wanted - have))
   end
 
-  defp fit(:unpleat, buffer, time, state) do
-    have = AudioBuffer.frames(buffer)
+  defp fit_buffer(:unpleat, buffer, time, state) do
+    have = AudioBuffer.frame_count(buffer)
     reached = state.origin + AudioFormat.frames_to_ns(buffer.format, state.frames + have)
     drift = time - reached
 
@@ -84,22 +84,22 @@ defmodule Situ.Audio.Streamline do
 
       drift > 0 ->
         missing = AudioFormat.ns_to_frames(buffer.format, drift)
-        join(Gap.silence!(buffer.format, missing), buffer)
+        concat_buffers(Gap.build_silence!(buffer.format, missing), buffer)
 
       true ->
-        AudioBuffer.slice(buffer, AudioFormat.ns_to_frames(buffer.format, -drift), have)
+        AudioBuffer.slice_frames(buffer, AudioFormat.ns_to_frames(buffer.format, -drift), have)
     end
   end
 
-  defp emit(%AudioBuffer{data: ""}, _time, state), do: {[], state}
+  defp emit_buffer(%AudioBuffer{data: ""}, _time, state), do: {[], state}
 
-  defp emit(buffer, time, state) do
-    frames = state.frames + AudioBuffer.frames(buffer)
+  defp emit_buffer(buffer, time, state) do
+    frames = state.frames + AudioBuffer.frame_count(buffer)
     runs_on = state.origin + AudioFormat.frames_to_ns(buffer.format, frames)
     at = if state.opts[:method] == :pleat, do: time, else: runs_on
     at = if state.last, do: max(at, state.last + 1), else: at
     {[{:out, at, buffer}], %{state | frames: frames, last: at}}
   end
 
-  defp join(a, b), do: %{a | data: a.data <> b.data}
+  defp concat_buffers(a, b), do: %{a | data: a.data <> b.data}
 end

@@ -25,10 +25,10 @@ defmodule Situ.Imaging.Files do
 
   #{Situ.Options.docs(@jpeg)}
 
-      iex> {:ok, jpeg} = Situ.Imaging.encode_jpeg(Situ.Image.filled(16, 8, :bgr24, [0, 128, 255]))
+      iex> {:ok, jpeg} = Situ.Imaging.encode_jpeg(Situ.Image.new_filled(16, 8, :bgr24, [0, 128, 255]))
       iex> {jpeg.format, jpeg.width, jpeg.height}
       {:jpeg, 16, 8}
-      iex> {:error, error} = Situ.Imaging.encode_jpeg(Situ.Image.filled(2, 2, :gray16))
+      iex> {:error, error} = Situ.Imaging.encode_jpeg(Situ.Image.new_filled(2, 2, :gray16))
       iex> error.code
       :bad_format
   """
@@ -37,8 +37,8 @@ defmodule Situ.Imaging.Files do
     with {:ok, opts} <- Situ.Options.validate(opts, @jpeg),
          {:ok, image} <- Image.validate(image),
          job = {:jpeg_encode, image, round(opts[:quality]), opts[:subsampling]},
-         {:ok, bytes} <- Kernel.picture(job, image.width * image.height / 350) do
-      {:ok, encoded(:jpeg, image, bytes)}
+         {:ok, bytes} <- Kernel.run_image(job, image.width * image.height / 350) do
+      {:ok, build_encoded(:jpeg, image, bytes)}
     end
   end
 
@@ -46,7 +46,7 @@ defmodule Situ.Imaging.Files do
   Encodes an image as lossless PNG with 8 or 16 bits. `level:` is `:fast`, `:balanced` (default) or `:small`. The unused
   channel of `:bgrx32` is dropped.
 
-      iex> image = Situ.Image.filled(3, 2, :gray16, 1234)
+      iex> image = Situ.Image.new_filled(3, 2, :gray16, 1234)
       iex> {:ok, png} = Situ.Imaging.encode_png(image)
       iex> Situ.Imaging.parse(png)
       {:ok, image}
@@ -62,8 +62,8 @@ defmodule Situ.Imaging.Files do
     level = Keyword.fetch!(@levels, Keyword.validate!(opts, level: :balanced)[:level])
 
     with {:ok, image} <- Image.validate(image),
-         {:ok, bytes} <- Kernel.picture({:png_encode, image, level}, byte_size(image.data) / 50) do
-      {:ok, encoded(:png, image, bytes)}
+         {:ok, bytes} <- Kernel.run_image({:png_encode, image, level}, byte_size(image.data) / 50) do
+      {:ok, build_encoded(:png, image, bytes)}
     end
   end
 
@@ -85,8 +85,8 @@ defmodule Situ.Imaging.Files do
   def parse(bytes, opts) when is_binary(bytes) do
     wanted = Keyword.validate!(opts, format: nil)[:format]
 
-    case EncodedImage.sniff(bytes) do
-      {:ok, :jpeg} -> Kernel.picture({:jpeg_decode, bytes, wanted}, Cost.jpeg(bytes))
+    case EncodedImage.detect_format(bytes) do
+      {:ok, :jpeg} -> Kernel.run_image({:jpeg_decode, bytes, wanted}, Cost.jpeg_cost(bytes))
       {:ok, :png} -> decode_png(bytes, wanted)
       {:error, _} = error -> error
     end
@@ -96,7 +96,7 @@ defmodule Situ.Imaging.Files do
     # The length of a PNG does not predict its decoding time, so only tiny ones avoid a dirty scheduler.
     cost = if byte_size(bytes) < 512, do: 1, else: 1000
 
-    with {:ok, image} <- Kernel.picture({:png_decode, bytes}, cost) do
+    with {:ok, image} <- Kernel.run_image({:png_decode, bytes}, cost) do
       if wanted, do: Pixels.convert(image, wanted), else: {:ok, image}
     end
   end
@@ -170,7 +170,7 @@ defmodule Situ.Imaging.Files do
   @spec from_raw(binary(), pos_integer(), pos_integer(), Image.Format.t()) :: Image.result()
   def from_raw(bytes, width, height, format) do
     with {:ok, image} <- Image.new(width: width, height: height, format: format, data: bytes) do
-      if Image.tight?(image) do
+      if Image.tightly_packed?(image) do
         {:ok, image}
       else
         what = "#{byte_size(bytes)} bytes are more than #{Image.describe(image)} takes"
@@ -194,9 +194,9 @@ defmodule Situ.Imaging.Files do
   def from_yuv(bytes, width, height, layout)
       when layout in [:nv12, :i420, :yuyv] and width in 1..0x7FFFFFFF and
              height in 1..0x7FFFFFFF do
-    Kernel.picture({:yuv_decode, bytes, layout, width, height}, width * height / 300)
+    Kernel.run_image({:yuv_decode, bytes, layout, width, height}, width * height / 300)
   end
 
-  defp encoded(format, image, bytes),
+  defp build_encoded(format, image, bytes),
     do: %EncodedImage{format: format, width: image.width, height: image.height, data: bytes}
 end

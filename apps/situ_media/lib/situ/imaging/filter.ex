@@ -10,28 +10,28 @@ defmodule Situ.Imaging.Filter do
   Applies a Gaussian blur. `size` is the odd side of the window; `nil` covers 3 standard deviations on each side
   (sigma 1.4: 9).
 
-      iex> Situ.Imaging.blur!(Situ.Image.filled(8, 8, :gray8, 100), 1.4) |> Situ.Image.fetch_pixel(4, 4)
+      iex> Situ.Imaging.blur!(Situ.Image.new_filled(8, 8, :gray8, 100), 1.4) |> Situ.Image.fetch_pixel(4, 4)
       {:ok, [100]}
   """
   @spec blur(Image.t(), number(), keyword()) :: Image.result()
   def blur(%Image{} = image, sigma, opts \\ []) do
     opts = Keyword.validate!(opts, size: nil)
 
-    with {:ok, [sigma]} <- Argument.floats([sigma], "sigma"),
-         {:ok, size} <- window(opts[:size], sigma) do
+    with {:ok, [sigma]} <- Argument.check_floats([sigma], "sigma"),
+         {:ok, size} <- window_size(opts[:size], sigma) do
       # A window much larger than the image would take longer without changing the result.
-      run(image, {:gaussian, image, size, sigma}, size / 9)
+      run_opencv(image, {:gaussian, image, size, sigma}, size / 9)
     end
   end
 
   @widest 4095
-  defp window(nil, sigma) when sigma > 0 and sigma < @widest / 6.1,
+  defp window_size(nil, sigma) when sigma > 0 and sigma < @widest / 6.1,
     do: {:ok, 2 * ceil(3 * sigma - 0.5) + 1}
 
-  defp window(nil, sigma),
-    do: Argument.bad("sigma must be above 0 and below #{div(@widest, 6)}, got: #{sigma}")
+  defp window_size(nil, sigma),
+    do: Argument.bad_option("sigma must be above 0 and below #{div(@widest, 6)}, got: #{sigma}")
 
-  defp window(size, _sigma), do: Argument.integer(size, 1..@widest, "size")
+  defp window_size(size, _sigma), do: Argument.check_integer(size, 1..@widest, "size")
 
   @doc """
   Replaces each pixel by the mean of a `size` x `size` window, `size` odd.
@@ -41,7 +41,7 @@ defmodule Situ.Imaging.Filter do
       <<0, 30, 30, 30, 0>>
   """
   @spec box_blur(Image.t(), pos_integer()) :: Image.result()
-  def box_blur(%Image{} = image, size), do: run(image, {:box_blur, image, size}, 0.6)
+  def box_blur(%Image{} = image, size), do: run_opencv(image, {:box_blur, image, size}, 0.6)
 
   @doc """
   Replaces each pixel by the median of a `size` x `size` window, `size` odd. Sizes above 5 need an 8-bit format.
@@ -51,31 +51,31 @@ defmodule Situ.Imaging.Filter do
       <<0, 0, 0, 0, 0>>
   """
   @spec median_blur(Image.t(), pos_integer()) :: Image.result()
-  def median_blur(%Image{} = image, size), do: run(image, {:median_blur, image, size}, 3)
+  def median_blur(%Image{} = image, size), do: run_opencv(image, {:median_blur, image, size}, 3)
 
   @doc """
   Detects Canny edges in a `:gray8` image: 255 on an edge, else 0. `low` and `high` are the hysteresis thresholds.
 
-      iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
-      iex> step |> Situ.Imaging.canny!(60, 120) |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
+      iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.new_filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
+      iex> step |> Situ.Imaging.canny!(60, 120) |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixel_bytes()
       <<0, 0, 0, 255, 0, 0, 0, 0>>
   """
   @spec canny(Image.t(), number(), number()) :: Image.result()
   def canny(%Image{} = image, low, high) do
-    with {:ok, [low, high]} <- Argument.floats([low, high], "thresholds"),
-         do: run(image, {:canny, image, low, high}, 6)
+    with {:ok, [low, high]} <- Argument.check_floats([low, high], "thresholds"),
+         do: run_opencv(image, {:canny, image, low, high}, 6)
   end
 
   @doc """
   Computes the edge strength of a `:gray8` image as the mean of the two absolute Sobel 3x3 derivatives. Each derivative
   is clipped at 255 first (as with OpenCV's `convertScaleAbs` and `addWeighted` in 8 bits).
 
-      iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
-      iex> step |> Situ.Imaging.sobel!() |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
+      iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.new_filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
+      iex> step |> Situ.Imaging.sobel!() |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixel_bytes()
       <<0, 0, 0, 128, 128, 0, 0, 0>>
   """
   @spec sobel(Image.t()) :: Image.result()
-  def sobel(%Image{} = image), do: run(image, {:sobel, image}, 2)
+  def sobel(%Image{} = image), do: run_opencv(image, {:sobel, image}, 2)
 
   @doc """
   Replaces each pixel by the minimum of a `size` x `size` window, `size` odd.
@@ -85,7 +85,7 @@ defmodule Situ.Imaging.Filter do
       <<90, 0, 0, 0, 90>>
   """
   @spec erode(Image.t(), pos_integer()) :: Image.result()
-  def erode(%Image{} = image, size), do: morph(image, :erode, size)
+  def erode(%Image{} = image, size), do: apply_morphology(image, :erode, size)
 
   @doc """
   Replaces each pixel by the maximum of a `size` x `size` window, `size` odd.
@@ -95,7 +95,7 @@ defmodule Situ.Imaging.Filter do
       <<0, 90, 90, 90, 0>>
   """
   @spec dilate(Image.t(), pos_integer()) :: Image.result()
-  def dilate(%Image{} = image, size), do: morph(image, :dilate, size)
+  def dilate(%Image{} = image, size), do: apply_morphology(image, :dilate, size)
 
   @doc """
   Erodes and then dilates the image, which removes specks.
@@ -105,7 +105,7 @@ defmodule Situ.Imaging.Filter do
       <<0, 0, 0, 0, 0>>
   """
   @spec open(Image.t(), pos_integer()) :: Image.result()
-  def open(%Image{} = image, size), do: morph(image, :open, size)
+  def open(%Image{} = image, size), do: apply_morphology(image, :open, size)
 
   @doc """
   Dilates and then erodes the image, which fills holes.
@@ -115,7 +115,7 @@ defmodule Situ.Imaging.Filter do
       <<90, 90, 90, 90, 90>>
   """
   @spec close(Image.t(), pos_integer()) :: Image.result()
-  def close(%Image{} = image, size), do: morph(image, :close, size)
+  def close(%Image{} = image, size), do: apply_morphology(image, :close, size)
 
   @doc """
   Equalizes the histogram of a `:gray8` image.
@@ -125,12 +125,13 @@ defmodule Situ.Imaging.Filter do
       <<0, 85, 255, 255>>
   """
   @spec equalize(Image.t()) :: Image.result()
-  def equalize(%Image{} = image), do: run(image, {:equalize, image}, 0.6)
+  def equalize(%Image{} = image), do: run_opencv(image, {:equalize, image}, 0.6)
 
-  defp morph(image, kind, size), do: run(image, {:morphology, image, kind, size}, 1)
+  defp apply_morphology(image, kind, size),
+    do: run_opencv(image, {:morphology, image, kind, size}, 1)
 
-  defp run(image, job, ns_per_byte) do
+  defp run_opencv(image, job, ns_per_byte) do
     with {:ok, image} <- Image.validate(image),
-         do: Kernel.opencv(job, byte_size(image.data) * ns_per_byte / 1000)
+         do: Kernel.run_opencv(job, byte_size(image.data) * ns_per_byte / 1000)
   end
 end

@@ -54,39 +54,40 @@ defmodule Situ.Imaging.Geometry do
   def crop(image, rect, opts \\ [])
 
   def crop(%DepthImage{} = depth, rect, opts),
-    do: DepthImage.through(depth, &crop(&1, rect, opts))
+    do: DepthImage.map_gray16(depth, &crop(&1, rect, opts))
 
   def crop(%Image{} = image, {x, y, w, h}, opts),
     do: crop(image, %Rect{x: x, y: y, width: w, height: h}, opts)
 
   def crop(%Image{} = image, %Rect{} = rect, opts) do
     with {:ok, image} <- Image.validate(image),
-         {:ok, _} <- Argument.floats([rect.x, rect.y, rect.width, rect.height], "the rectangle") do
-      case whole(image, rect, Keyword.validate!(opts, clip: false)[:clip]) do
+         {:ok, _} <-
+           Argument.check_floats([rect.x, rect.y, rect.width, rect.height], "the rectangle") do
+      case crop_rect(image, rect, Keyword.validate!(opts, clip: false)[:clip]) do
         nil ->
           {:ok, nil}
 
         {x, y, w, h} ->
           cost = max(w, 0) * max(h, 0) * Format.bytes_per_pixel(image.format) / 8000
-          Kernel.picture({:crop, image, x, y, w, h}, cost)
+          Kernel.run_image({:crop, image, x, y, w, h}, cost)
       end
     end
   end
 
-  defp whole(_image, rect, false), do: pixels(rect)
+  defp crop_rect(_image, rect, false), do: round_rect(rect)
 
-  defp whole(image, rect, true) do
+  defp crop_rect(image, rect, true) do
     bounds = %Rect{x: 0, y: 0, width: image.width, height: image.height}
-    {x, y, w, h} = pixels(rect)
+    {x, y, w, h} = round_rect(rect)
 
     case Rect.intersect(bounds, %Rect{x: x, y: y, width: w, height: h}) do
       nil -> nil
-      part -> pixels(part)
+      part -> round_rect(part)
     end
   end
 
   # Rounds both edges, so that adjacent rectangles stay adjacent.
-  defp pixels(%Rect{x: x, y: y, width: w, height: h}) do
+  defp round_rect(%Rect{x: x, y: y, width: w, height: h}) do
     {left, top} = {round(x), round(y)}
     {left, top, round(x + w) - left, round(y + h) - top}
   end
@@ -99,51 +100,51 @@ defmodule Situ.Imaging.Geometry do
   `:lanczos`. Filters that overshoot (`:bicubic`, `:lanczos`) are clipped at 0 and 255 after each of their two passes,
   as in Pillow. At hard edges they differ from OpenCV, which clips once.
 
-      iex> {:ok, small} = Situ.Imaging.resize(Situ.Image.filled(64, 48, :bgr24, [1, 2, 3]), 32, 24)
+      iex> {:ok, small} = Situ.Imaging.resize(Situ.Image.new_filled(64, 48, :bgr24, [1, 2, 3]), 32, 24)
       iex> {small, Situ.Image.fetch_pixel(small, 31, 23)}
       {small, {:ok, [1, 2, 3]}}
   """
   @spec resize(Image.t(), pos_integer(), pos_integer(), keyword()) :: Image.result()
   def resize(%Image{} = image, width, height, opts \\ []) do
-    filter = filter!(opts, @filters)
+    filter = fetch_filter!(opts, @filters)
 
     with {:ok, image} <- Image.validate(image),
          :ok <- check_size(width, height) do
-      sized(image, width, height, filter)
+      run_resize(image, width, height, filter)
     end
   end
 
   # OpenCV is the fastest for bilinear resizing, up to its maximum side. It does not weight by alpha, so formats with
   # alpha use another kernel.
-  defp sized(%{format: format} = image, width, height, :bilinear)
+  defp run_resize(%{format: format} = image, width, height, :bilinear)
        when format in [:gray8, :gray16, :bgr24, :rgb24, :bgrx32] and width <= 32_766 and
               height <= 32_766 and image.width <= 32_766 and image.height <= 32_766 do
-    us = Cost.resize(image, width, height, :bilinear)
+    us = Cost.resize_cost(image, width, height, :bilinear)
 
-    case Kernel.opencv({:resize_bilinear, image, width, height}, us) do
+    case Kernel.run_opencv({:resize_bilinear, image, width, height}, us) do
       {:error, %{code: :opencv_missing}} ->
-        Kernel.picture({:resize, image, width, height, :bilinear}, us)
+        Kernel.run_image({:resize, image, width, height, :bilinear}, us)
 
       result ->
         result
     end
   end
 
-  defp sized(image, width, height, filter) do
-    us = Cost.resize(image, width, height, filter)
-    Kernel.picture({:resize, image, width, height, filter}, us)
+  defp run_resize(image, width, height, filter) do
+    us = Cost.resize_cost(image, width, height, filter)
+    Kernel.run_image({:resize, image, width, height, filter}, us)
   end
 
   @doc """
   Resizes an image by factors. Sizes are rounded to the nearest pixel and are at least 1.
 
-      iex> {:ok, image} = Situ.Imaging.scale(Situ.Image.filled(10, 10, :gray8), 0.5, 2)
+      iex> {:ok, image} = Situ.Imaging.scale(Situ.Image.new_filled(10, 10, :gray8), 0.5, 2)
       iex> {image.width, image.height}
       {5, 20}
   """
   @spec scale(Image.t(), number(), number(), keyword()) :: Image.result()
   def scale(%Image{} = image, sx, sy, opts \\ []) do
-    with {:ok, [sx, sy]} <- Argument.floats([sx, sy], "a factor") do
+    with {:ok, [sx, sy]} <- Argument.check_floats([sx, sy], "a factor") do
       width = max(round(image.width * sx), 1)
       height = max(round(image.height * sy), 1)
       resize(image, width, height, opts)
@@ -154,20 +155,20 @@ defmodule Situ.Imaging.Geometry do
   Resizes an image to the largest size of the same proportions that fits `width` by `height`, centered, and fills the
   rest with `color:` (default 0). `letterbox_rect/4` returns its position.
 
-      iex> {:ok, image} = Situ.Imaging.letterbox(Situ.Image.filled(4, 2, :gray8, 9), 4, 4)
+      iex> {:ok, image} = Situ.Imaging.letterbox(Situ.Image.new_filled(4, 2, :gray8, 9), 4, 4)
       iex> image.data
       <<0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 9, 9, 0, 0, 0, 0>>
   """
   @spec letterbox(Image.t(), pos_integer(), pos_integer(), keyword()) :: Image.result()
   def letterbox(%Image{} = image, width, height, opts \\ []) do
     {color, opts} = Keyword.pop(opts, :color, 0)
-    filter = filter!(opts, @filters)
+    filter = fetch_filter!(opts, @filters)
 
     with {:ok, image} <- Image.validate(image),
          :ok <- check_size(width, height) do
-      pixel = Color.pack(image.format, color)
+      pixel = Color.pack_pixel(image.format, color)
       job = {:letterbox, image, width, height, filter, pixel}
-      Kernel.picture(job, Cost.resize(image, width, height, filter))
+      Kernel.run_image(job, Cost.resize_cost(image, width, height, filter))
     end
   end
 
@@ -196,7 +197,7 @@ defmodule Situ.Imaging.Geometry do
   @spec flip(Image.t(), :horizontal | :vertical | :both) :: Image.result()
   def flip(%Image{} = image, axis) when axis in [:horizontal, :vertical, :both] do
     with {:ok, image} <- Image.validate(image),
-         do: Kernel.picture({:flip, image, axis}, byte_size(image.data) / 2000)
+         do: Kernel.run_image({:flip, image, axis}, byte_size(image.data) / 2000)
   end
 
   @doc """
@@ -206,7 +207,7 @@ defmodule Situ.Imaging.Geometry do
   `border:`). `fit:` sets the size of the result: `:tight` (default) is the extent of the rotated corners, `:loose` is a
   square with the side of the diagonal at any angle, and `:same` is the size of the source.
 
-      iex> image = Situ.Image.filled(100, 200, :gray8)
+      iex> image = Situ.Image.new_filled(100, 200, :gray8)
       iex> {:ok, tight} = Situ.Imaging.rotate(image, 10)
       iex> {:ok, loose} = Situ.Imaging.rotate(image, 10, fit: :loose)
       iex> {tight.width, tight.height, loose.width, loose.height}
@@ -217,19 +218,19 @@ defmodule Situ.Imaging.Geometry do
     {fit, opts} = Keyword.pop(opts, :fit, :tight)
 
     with {:ok, image} <- Image.validate(image),
-         {:ok, [degrees]} <- Argument.floats([degrees], "degrees") do
+         {:ok, [degrees]} <- Argument.check_floats([degrees], "degrees") do
       turns = degrees / 90
 
       if fit == :tight and trunc(turns) == turns do
         job = {:quarter_turns, image, Integer.mod(trunc(turns), 4)}
-        Kernel.picture(job, byte_size(image.data) / 500)
+        Kernel.run_image(job, byte_size(image.data) / 500)
       else
-        turn(image, degrees, rotated_size(image, degrees, fit), opts)
+        rotate_about_center(image, degrees, rotated_size(image, degrees, fit), opts)
       end
     end
   end
 
-  defp turn(image, degrees, {width, height}, opts) do
+  defp rotate_about_center(image, degrees, {width, height}, opts) do
     angle = degrees * :math.pi() / 180
     {cos, sin} = {:math.cos(angle), :math.sin(angle)}
     # Rotates about the centers of the pixel grids. y points down, so the rotation is clockwise.
@@ -268,7 +269,7 @@ defmodule Situ.Imaging.Geometry do
   """
   @spec warp_affine(Image.t(), [number()], keyword()) :: Image.result()
   def warp_affine(%Image{} = image, matrix, opts \\ []),
-    do: warp(:warp_affine, image, matrix, opts)
+    do: warp_image(:warp_affine, image, matrix, opts)
 
   @doc """
   Transforms an image like `warp_affine/3`, but by a 3x3 matrix (nine numbers) in homogeneous coordinates.
@@ -279,19 +280,19 @@ defmodule Situ.Imaging.Geometry do
   """
   @spec warp_perspective(Image.t(), [number()], keyword()) :: Image.result()
   def warp_perspective(%Image{} = image, matrix, opts \\ []),
-    do: warp(:warp_perspective, image, matrix, opts)
+    do: warp_image(:warp_perspective, image, matrix, opts)
 
-  defp warp(kind, image, matrix, opts) do
+  defp warp_image(kind, image, matrix, opts) do
     {width, opts} = Keyword.pop(opts, :width, image.width)
     {height, opts} = Keyword.pop(opts, :height, image.height)
 
     with {:ok, opts} <- Situ.Options.validate(opts, @warp),
          {:ok, image} <- Image.validate(image),
-         {:ok, matrix} <- Argument.floats(matrix, "an element of the matrix"),
+         {:ok, matrix} <- Argument.check_floats(matrix, "an element of the matrix"),
          :ok <- check_size(width, height) do
-      edge = {opts[:filter], opts[:border], Color.scalar(image.format, opts[:color])}
+      edge = {opts[:filter], opts[:border], Color.to_opencv_scalar(image.format, opts[:color])}
       cost = width * height * length(Format.channels(image.format)) / 400
-      Kernel.opencv({kind, image, width, height, matrix, edge}, cost)
+      Kernel.run_opencv({kind, image, width, height, matrix, edge}, cost)
     end
   end
 
@@ -299,8 +300,8 @@ defmodule Situ.Imaging.Geometry do
   Copies `part` over `image` with its top left corner at `{x, y}` and clips parts outside the image. Both need the same
   format. With `mask:`, a `:gray8` image of the size of `part`, only pixels where the mask is not 0 are copied.
 
-      iex> image = Situ.Image.filled(3, 1, :gray8, 1)
-      iex> {:ok, pasted} = Situ.Imaging.paste(image, Situ.Image.filled(2, 1, :gray8, 8), {2, 0})
+      iex> image = Situ.Image.new_filled(3, 1, :gray8, 1)
+      iex> {:ok, pasted} = Situ.Imaging.paste(image, Situ.Image.new_filled(2, 1, :gray8, 8), {2, 0})
       iex> pasted.data
       <<1, 1, 8>>
   """
@@ -308,15 +309,15 @@ defmodule Situ.Imaging.Geometry do
   def paste(%Image{} = image, %Image{} = part, {x, y}, opts \\ []) do
     with {:ok, image} <- Image.validate(image),
          {:ok, part} <- Image.validate(part),
-         {:ok, mask} <- optional(opts[:mask]) do
-      Kernel.picture({:paste, image, part, mask, x, y}, byte_size(image.data) / 8000)
+         {:ok, mask} <- validate_mask(opts[:mask]) do
+      Kernel.run_image({:paste, image, part, mask, x, y}, byte_size(image.data) / 8000)
     end
   end
 
-  defp optional(nil), do: {:ok, nil}
-  defp optional(%Image{} = image), do: Image.validate(image)
+  defp validate_mask(nil), do: {:ok, nil}
+  defp validate_mask(%Image{} = image), do: Image.validate(image)
 
-  defp filter!(opts, known) do
+  defp fetch_filter!(opts, known) do
     case Keyword.validate!(opts, filter: :bilinear)[:filter] do
       filter when is_atom(filter) ->
         if filter in known do

@@ -19,7 +19,7 @@ defmodule Situ.Imaging.Measure do
   """
   @spec statistics(Image.t(), keyword()) :: {:ok, %{atom() => channel()}} | {:error, Error.t()}
   def statistics(%Image{} = image, opts \\ []) do
-    with {:ok, values} <- over(image, :statistics, opts) do
+    with {:ok, values} <- measure_rect(image, :statistics, opts) do
       maps =
         Enum.map(values, fn {min, max, mean, deviation} ->
           %{min: min, max: max, mean: mean, deviation: deviation}
@@ -32,7 +32,7 @@ defmodule Situ.Imaging.Measure do
   @doc """
   Returns the mean of each channel, by name. `rect:` restricts it to a part.
 
-      iex> Situ.Imaging.average_color(Situ.Image.filled(2, 2, :bgr24, [1, 2, 3]))
+      iex> Situ.Imaging.average_color(Situ.Image.new_filled(2, 2, :bgr24, [1, 2, 3]))
       {:ok, %{blue: 1.0, green: 2.0, red: 3.0}}
   """
   @spec average_color(Image.t(), keyword()) :: {:ok, %{atom() => float()}} | {:error, Error.t()}
@@ -45,14 +45,14 @@ defmodule Situ.Imaging.Measure do
   Counts how often each value occurs, with 256 counts per channel (16-bit values by their high byte). `rect:` restricts
   it to a part.
 
-      iex> {:ok, %{gray: counts}} = Situ.Imaging.histogram(Situ.Image.filled(2, 2, :gray8, 3))
+      iex> {:ok, %{gray: counts}} = Situ.Imaging.histogram(Situ.Image.new_filled(2, 2, :gray8, 3))
       iex> Enum.take(counts, 5)
       [0, 0, 0, 4, 0]
   """
   @spec histogram(Image.t(), keyword()) ::
           {:ok, %{atom() => [non_neg_integer()]}} | {:error, Error.t()}
   def histogram(%Image{} = image, opts \\ []) do
-    with {:ok, bins} <- over(image, :histogram, opts),
+    with {:ok, bins} <- measure_rect(image, :histogram, opts),
          do: {:ok, image.format |> Format.channels() |> Enum.zip(bins) |> Map.new()}
   end
 
@@ -61,7 +61,7 @@ defmodule Situ.Imaging.Measure do
   fraction of values that differ by more than `tolerance:` (default 0). `equal?` is true if that fraction is at most
   `outliers:` (default 0).
 
-      iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
+      iex> {a, b} = {Situ.Image.new_filled(2, 1, :gray8, 3), Situ.Image.new_filled(2, 1, :gray8, 5)}
       iex> Situ.Imaging.compare(a, b, tolerance: 2)
       {:ok, %{equal?: true, max: 2, mean: 2.0, outliers: 0.0}}
   """
@@ -74,7 +74,7 @@ defmodule Situ.Imaging.Measure do
     with {:ok, a} <- Image.validate(a),
          {:ok, b} <- Image.validate(b),
          {:ok, {max, mean, outliers}} <-
-           Kernel.picture({:compare, a, b, opts[:tolerance]}, byte_size(a.data) / 500) do
+           Kernel.run_image({:compare, a, b, opts[:tolerance]}, byte_size(a.data) / 500) do
       {:ok, %{equal?: outliers <= opts[:outliers], max: max, mean: mean, outliers: outliers}}
     end
   end
@@ -85,7 +85,7 @@ defmodule Situ.Imaging.Measure do
   `layout:` is `:nhwc` (default) or `:nchw`, `scale:` defaults to 1/255 (1/65535 for 16 bit), and `offset:` to 0.0.
   Returns a binary of native floats and its shape.
 
-      iex> {:ok, {data, shape}} = Situ.Imaging.to_f32(Situ.Image.filled(1, 1, :bgr24, [0, 51, 255]))
+      iex> {:ok, {data, shape}} = Situ.Imaging.to_f32(Situ.Image.new_filled(1, 1, :bgr24, [0, 51, 255]))
       iex> {shape, for(<<v::float-native-32 <- data>>, do: Float.round(v, 3))}
       {{1, 1, 1, 3}, [1.0, 0.2, 0.0]}
   """
@@ -99,14 +99,15 @@ defmodule Situ.Imaging.Measure do
     first? = opts[:layout] == :nchw
 
     with {:ok, image} <- Image.validate(image),
-         {:ok, [scale, offset]} <- Argument.floats([scale, opts[:offset]], "scale and offset"),
+         {:ok, [scale, offset]} <-
+           Argument.check_floats([scale, opts[:offset]], "scale and offset"),
          job = {:to_f32, image, first?, scale, offset},
-         {:ok, data} <- Kernel.picture(job, byte_size(image.data) / 500) do
+         {:ok, data} <- Kernel.run_image(job, byte_size(image.data) / 500) do
       {:ok, {data, if(first?, do: {1, channels, h, w}, else: {1, h, w, channels})}}
     end
   end
 
-  defp over(image, kind, opts) do
+  defp measure_rect(image, kind, opts) do
     rect =
       case Keyword.validate!(opts, rect: nil)[:rect] do
         nil -> nil
@@ -115,6 +116,6 @@ defmodule Situ.Imaging.Measure do
       end
 
     with {:ok, image} <- Image.validate(image),
-         do: Kernel.picture({kind, image, rect}, byte_size(image.data) / 500)
+         do: Kernel.run_image({kind, image, rect}, byte_size(image.data) / 500)
   end
 end

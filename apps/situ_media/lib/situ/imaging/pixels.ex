@@ -16,7 +16,7 @@ defmodule Situ.Imaging.Pixels do
   Converts an image to another format. Gray is `(4897 R + 9617 G + 1868 B) >> 14`, so white becomes 254. 8 bits are
   widened by `v * 257`, and 16 bits are narrowed by `v >> 8`. A missing alpha channel becomes opaque.
 
-      iex> red = Situ.Image.filled(1, 1, :rgb24, [255, 0, 0])
+      iex> red = Situ.Image.new_filled(1, 1, :rgb24, [255, 0, 0])
       iex> for format <- [:gray8, :bgr24, :bgra32, :rgba64], do: Situ.Imaging.convert!(red, format).data
       [<<76>>, <<0, 0, 255>>, <<0, 0, 255, 255>>, <<255, 255, 0, 0, 0, 0, 255, 255>>]
   """
@@ -26,16 +26,16 @@ defmodule Situ.Imaging.Pixels do
 
   def convert(%Image{} = image, format) do
     with {:ok, image} <- Image.validate(image),
-         :ok <- known(format) do
-      Kernel.picture({:convert, image, format}, image.width * image.height / 1000)
+         :ok <- check_format(format) do
+      Kernel.run_image({:convert, image, format}, image.width * image.height / 1000)
     end
   end
 
-  defp known(format) do
-    if format in Format.all() do
+  defp check_format(format) do
+    if format in Format.list_all() do
       :ok
     else
-      fix = "use one of #{inspect(Format.all())}"
+      fix = "use one of #{inspect(Format.list_all())}"
       {:error, Error.new(:bad_format, "unknown pixel format #{inspect(format)}", fix: fix)}
     end
   end
@@ -43,11 +43,11 @@ defmodule Situ.Imaging.Pixels do
   @doc """
   Inverts every channel to 255 - v (65535 - v for 16 bit). Alpha and unused channels are unchanged.
 
-      iex> Situ.Imaging.invert!(Situ.Image.filled(1, 1, :bgra32, [0, 1, 255, 40])).data
+      iex> Situ.Imaging.invert!(Situ.Image.new_filled(1, 1, :bgra32, [0, 1, 255, 40])).data
       <<255, 254, 0, 40>>
   """
   @spec invert(Image.t()) :: Image.result()
-  def invert(%Image{} = image), do: simple({:invert, image})
+  def invert(%Image{} = image), do: run_kernel({:invert, image})
 
   @doc """
   Compares every channel (including alpha) with `threshold`:
@@ -64,16 +64,16 @@ defmodule Situ.Imaging.Pixels do
       when kind in @thresholds do
     max = Keyword.validate!(opts, [:max])[:max] || 65_535
 
-    with {:ok, threshold} <- Argument.integer(threshold, 0..@huge, "a threshold"),
-         {:ok, max} <- Argument.integer(max, 0..@huge, "max") do
-      simple({:threshold, image, min(threshold, 65_535), min(max, 65_535), kind})
+    with {:ok, threshold} <- Argument.check_integer(threshold, 0..@huge, "a threshold"),
+         {:ok, max} <- Argument.check_integer(max, 0..@huge, "max") do
+      run_kernel({:threshold, image, min(threshold, 65_535), min(max, 65_535), kind})
     end
   end
 
   @doc """
   Extracts one channel as grayscale of the same depth, by its position in memory (0 is blue in `:bgr24`) or its name.
 
-      iex> Situ.Imaging.extract_channel!(Situ.Image.filled(1, 1, :bgr24, [1, 2, 3]), :red).data
+      iex> Situ.Imaging.extract_channel!(Situ.Image.new_filled(1, 1, :bgr24, [1, 2, 3]), :red).data
       <<3>>
   """
   @spec extract_channel(Image.t(), non_neg_integer() | atom()) :: Image.result()
@@ -89,18 +89,18 @@ defmodule Situ.Imaging.Pixels do
   end
 
   def extract_channel(%Image{} = image, index) when index in 0..255,
-    do: simple({:extract_channel, image, index})
+    do: run_kernel({:extract_channel, image, index})
 
   @doc """
   Computes |a - b| for every channel of two images of the same size and format.
 
-      iex> {a, b} = {Situ.Image.filled(1, 1, :gray8, 3), Situ.Image.filled(1, 1, :gray8, 10)}
+      iex> {a, b} = {Situ.Image.new_filled(1, 1, :gray8, 3), Situ.Image.new_filled(1, 1, :gray8, 10)}
       iex> Situ.Imaging.absdiff!(a, b).data
       <<7>>
   """
   @spec absdiff(Image.t(), Image.t()) :: Image.result()
   def absdiff(%Image{} = a, %Image{} = b) do
-    with {:ok, b} <- Image.validate(b), do: simple({:absolute_difference, a, b})
+    with {:ok, b} <- Image.validate(b), do: run_kernel({:absolute_difference, a, b})
   end
 
   @doc """
@@ -119,7 +119,7 @@ defmodule Situ.Imaging.Pixels do
     if Enum.all?(rows, &(length(&1) == width)) do
       with {:ok, image} <- Image.validate(image) do
         cost = image.width * image.height * width * height / 500
-        Kernel.picture({:convolve, image, width, height, List.flatten(rows)}, cost)
+        Kernel.run_image({:convolve, image, width, height, List.flatten(rows)}, cost)
       end
     else
       {:error, Error.new(:bad_option, "the rows of a kernel must have the same length")}
@@ -143,12 +143,12 @@ defmodule Situ.Imaging.Pixels do
     with {:ok, depth} <- DepthImage.validate(depth) do
       image = DepthImage.to_gray16(depth)
       job = {:pseudo_colorize, image, from, to, opts[:invalid], opts[:transparent]}
-      Kernel.picture(job, image.width * image.height / 200)
+      Kernel.run_image(job, image.width * image.height / 200)
     end
   end
 
-  defp simple(job) do
+  defp run_kernel(job) do
     with {:ok, image} <- Image.validate(elem(job, 1)),
-         do: Kernel.picture(job, byte_size(image.data) / 2000)
+         do: Kernel.run_image(job, byte_size(image.data) / 2000)
   end
 end

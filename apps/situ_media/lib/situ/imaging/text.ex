@@ -16,32 +16,38 @@ defmodule Situ.Imaging.Text do
   @spec cost_us() :: pos_integer()
   def cost_us, do: @cost_us
 
-  @spec term({float(), float()}, String.t(), keyword(), Image.Format.t()) :: tuple()
-  def term({x, y}, text, opts, format) when is_binary(text) do
+  @spec text_term({float(), float()}, String.t(), keyword(), Image.Format.t()) :: tuple()
+  def text_term({x, y}, text, opts, format) when is_binary(text) do
     opts = Keyword.validate!(opts, @drawn)
-    background = opts[:background] && Color.scalar(format, opts[:background])
-    place = {x, y, size(opts)}
-    {:text, place, Color.scalar(format, opts[:color]), background, text, fonts(opts[:font])}
+    background = opts[:background] && Color.to_opencv_scalar(format, opts[:background])
+    place = {x, y, font_size(opts)}
+
+    {:text, place, Color.to_opencv_scalar(format, opts[:color]), background, text,
+     font_paths(opts[:font])}
   end
 
-  def term(_at, other, _opts, _format),
+  def text_term(_at, other, _opts, _format),
     do: raise(ArgumentError, "text to draw must be a string, got: #{inspect(other)}")
 
   @doc "Checks that all text is UTF-8, which the native side requires."
-  @spec check([tuple()]) :: :ok | {:error, Error.t()}
-  def check(terms) do
+  @spec check_utf8([tuple()]) :: :ok | {:error, Error.t()}
+  def check_utf8(terms) do
     case Enum.find(terms, &(elem(&1, 0) == :text and not String.valid?(elem(&1, 4)))) do
       nil -> :ok
       term -> {:error, not_utf8(elem(term, 4))}
     end
   end
 
-  @spec measure(String.t(), keyword()) :: {:ok, {float(), float()}} | {:error, Error.t()}
-  def measure(text, opts) when is_binary(text) do
+  @spec measure_size(String.t(), keyword()) :: {:ok, {float(), float()}} | {:error, Error.t()}
+  def measure_size(text, opts) when is_binary(text) do
     opts = Keyword.validate!(opts, @measured)
 
     if String.valid?(text),
-      do: Kernel.picture({:measure_text, text, size(opts), fonts(opts[:font])}, @cost_us),
+      do:
+        Kernel.run_image(
+          {:measure_text, text, font_size(opts), font_paths(opts[:font])},
+          @cost_us
+        ),
       else: {:error, not_utf8(text)}
   end
 
@@ -51,7 +57,7 @@ defmodule Situ.Imaging.Text do
     )
   end
 
-  defp size(opts) do
+  defp font_size(opts) do
     case opts[:size] do
       size when is_number(size) -> size * 1.0
       other -> raise ArgumentError, "size: must be a number of pixels, got: #{inspect(other)}"
@@ -59,15 +65,15 @@ defmodule Situ.Imaging.Text do
   end
 
   # The default font provides characters that the requested fonts do not cover.
-  defp fonts(nil), do: [default_font()]
-  defp fonts(path) when is_binary(path), do: [path, default_font()]
+  defp font_paths(nil), do: [default_font()]
+  defp font_paths(path) when is_binary(path), do: [path, default_font()]
 
-  defp fonts([_ | _] = paths) do
+  defp font_paths([_ | _] = paths) do
     unless Enum.all?(paths, &is_binary/1), do: bad_font(paths)
     paths ++ [default_font()]
   end
 
-  defp fonts(other), do: bad_font(other)
+  defp font_paths(other), do: bad_font(other)
 
   defp bad_font(other) do
     raise ArgumentError, "font: must be a path or a list of paths, got: #{inspect(other)}"

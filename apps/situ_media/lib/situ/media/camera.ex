@@ -18,7 +18,7 @@ defmodule Situ.Media.Camera do
       doc: "Images per second; `nil`: the device's own rate."
     ],
     format: [
-      type: {:in, Situ.Image.Format.all()},
+      type: {:in, Situ.Image.Format.list_all()},
       default: :bgr24,
       doc: "Pixel format of the images."
     ],
@@ -75,8 +75,8 @@ defmodule Situ.Media.Camera do
   def open(p, opts \\ []), do: Situ.source(p, __MODULE__, Keyword.put_new(opts, :async, true))
 
   @doc "Lists the available cameras."
-  @spec list() :: [Device.t()]
-  def list, do: Enum.filter(Device.list(), &(&1.kind == :camera))
+  @spec list_devices() :: [Device.t()]
+  def list_devices, do: Enum.filter(Device.list(), &(&1.kind == :camera))
 
   @doc """
   Returns the controls of a V4L2 camera (brightness, contrast, exposure, focus, white balance, ...), or `[]` for other
@@ -88,8 +88,8 @@ defmodule Situ.Media.Camera do
   """
   @spec controls(Device.device()) :: [Device.V4L2.control()]
   def controls(device) do
-    case Device.parse(device) do
-      {:ok, {Device.V4L2, path}} -> Device.V4L2.controls(path)
+    case Device.parse_name(device) do
+      {:ok, {Device.V4L2, path}} -> Device.V4L2.list_controls(path)
       _ -> []
     end
   end

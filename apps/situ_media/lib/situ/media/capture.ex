@@ -57,17 +57,17 @@ defmodule Situ.Media.Capture do
       alias Situ.Media.Capture
 
       @impl Situ.Component
-      def handle_start(context, capture), do: Capture.start(capture, context)
+      def handle_start(context, capture), do: Capture.start_reader(capture, context)
       @impl Situ.Component
-      def handle_demand(n, context, capture), do: Capture.demand(capture, n, context)
+      def handle_demand(n, context, capture), do: Capture.handle_demand(capture, n, context)
       @impl Situ.Component
-      def handle_info(info, context, capture), do: Capture.info(capture, info, context)
+      def handle_info(info, context, capture), do: Capture.handle_info(capture, info, context)
       @impl Situ.Component
-      def handle_stop(_final_time, _context, capture), do: {[], Capture.stop(capture)}
+      def handle_stop(_final_time, _context, capture), do: {[], Capture.stop_reader(capture)}
       @impl Situ.Component
-      def terminate(_reason, capture), do: Capture.stop(capture)
+      def terminate(_reason, capture), do: Capture.stop_reader(capture)
       @impl Situ.Component
-      def describe(capture), do: Capture.describe(capture)
+      def describe(capture), do: Capture.describe_status(capture)
     end
   end
 
@@ -79,14 +79,14 @@ defmodule Situ.Media.Capture do
   @spec new(Device.device(), %{atom() => atom()}, keyword()) ::
           {:ok, t()} | {:error, Situ.Error.t()}
   def new(device, outputs, opts) do
-    with {:ok, {driver, address}} <- Device.parse(device) do
+    with {:ok, {driver, address}} <- Device.parse_name(device) do
       {:ok, %__MODULE__{driver: driver, address: address, outputs: outputs, opts: opts}}
     end
   end
 
   @doc "Starts capturing. Raises `Situ.Error` if the device cannot be passed to `ffmpeg`."
-  @spec start(t(), Context.t()) :: result()
-  def start(%__MODULE__{} = capture, context) do
+  @spec start_reader(t(), Context.t()) :: result()
+  def start_reader(%__MODULE__{} = capture, context) do
     kind = if Map.has_key?(capture.outputs, :video), do: :camera, else: :microphone
     # Read this first, because `context.now` becomes outdated during the calls below.
     ahead = context.now - Situ.Time.now()
@@ -94,11 +94,11 @@ defmodule Situ.Media.Capture do
     with {:ok, %{args: args, clock: clock} = source} <-
            capture.driver.capture(capture.address, kind, capture.opts),
          {:ok, reader} <- Reader.start_link(reader_options(capture, args, clock)) do
-      Reader.ask(reader, @credits)
+      Reader.request_frames(reader, @credits)
       capture = set_reconnect(%{capture | reader: reader, clock: clock, streams: nil}, source)
       # A capture that reconnects forever has no end; all others announce their end.
       endless = if capture.opts[:reconnect], do: [{:complete, :infinity}], else: []
-      {endless, %{capture | times: Clock.new(offset(clock, context, ahead, capture.last))}}
+      {endless, %{capture | times: Clock.new(clock_offset(clock, context, ahead, capture.last))}}
     else
       {:error, error} -> raise error
     end
@@ -113,49 +113,50 @@ defmodule Situ.Media.Capture do
   end
 
   @doc "Handles a message to the component: frames and ends from the reader, or a timer."
-  @spec info(t(), term(), Context.t()) :: result()
-  def info(%__MODULE__{reader: reader} = capture, {Reader, reader, result}, context),
-    do: result(result, capture, context)
+  @spec handle_info(t(), term(), Context.t()) :: result()
+  def handle_info(%__MODULE__{reader: reader} = capture, {Reader, reader, result}, context),
+    do: handle_result(result, capture, context)
 
-  def info(%__MODULE__{reader: reader} = capture, {:timer, {:due, reader, _}}, _context) do
-    Reader.ask(reader, 1)
+  def handle_info(%__MODULE__{reader: reader} = capture, {:timer, {:due, reader, _}}, _context) do
+    Reader.request_frames(reader, 1)
     {[], capture}
   end
 
-  def info(%__MODULE__{reader: reader} = capture, {:timer, {:watch, reader}}, context)
+  def handle_info(%__MODULE__{reader: reader} = capture, {:timer, {:watch, reader}}, context)
       when is_pid(reader),
       do: check_streams(capture, context)
 
-  def info(%__MODULE__{reader: nil} = capture, {:timer, :reconnect}, context) do
-    {_, capture} = start(capture, context)
+  def handle_info(%__MODULE__{reader: nil} = capture, {:timer, :reconnect}, context) do
+    {_, capture} = start_reader(capture, context)
     {[], capture}
   end
 
-  def info(%__MODULE__{reader: reader} = capture, {:EXIT, reader, reason}, context) do
+  def handle_info(%__MODULE__{reader: reader} = capture, {:EXIT, reader, reason}, context) do
     error =
       Situ.Error.new(:device_lost, "#{capture.address}: the reader ended: #{inspect(reason)}")
 
-    result({:error, error}, capture, context)
+    handle_result({:error, error}, capture, context)
   end
 
-  def info(capture, _other, _context), do: {[], capture}
+  def handle_info(capture, _other, _context), do: {[], capture}
 
   @doc "Emits up to `n` frames that have arrived and are due."
-  @spec demand(t(), pos_integer(), Context.t()) :: result()
-  def demand(%__MODULE__{} = capture, n, context), do: take(capture, n, due(capture, context), [])
+  @spec handle_demand(t(), pos_integer(), Context.t()) :: result()
+  def handle_demand(%__MODULE__{} = capture, n, context),
+    do: take_due_frames(capture, n, due_time(capture, context), [])
 
   @doc "Stops the capture immediately."
-  @spec stop(t()) :: t()
-  def stop(%__MODULE__{reader: nil} = capture), do: capture
+  @spec stop_reader(t()) :: t()
+  def stop_reader(%__MODULE__{reader: nil} = capture), do: capture
 
-  def stop(%__MODULE__{reader: reader} = capture) do
-    Reader.stop(reader)
+  def stop_reader(%__MODULE__{reader: reader} = capture) do
+    Reader.stop_ffmpeg(reader)
     %{capture | reader: nil}
   end
 
   @doc "Describes the capture in one line for people."
-  @spec describe(t()) :: String.t()
-  def describe(%__MODULE__{} = capture) do
+  @spec describe_status(t()) :: String.t()
+  def describe_status(%__MODULE__{} = capture) do
     state = if capture.reader, do: "running", else: "not connected"
 
     jumps =
@@ -176,19 +177,21 @@ defmodule Situ.Media.Capture do
       args:
         ["-copyts" | zero] ++
           ~w(-thread_type slice) ++
-          args ++ map(outputs) ++ video(outputs, clock, opts) ++ audio(outputs, clock, opts),
+          args ++
+          map_args(outputs) ++
+          video_args(outputs, clock, opts) ++ audio_args(outputs, clock, opts),
       name: capture.address,
       stall_timeout: opts[:stall_timeout] |> div(1_000_000)
     ]
   end
 
-  defp map(outputs) do
+  defp map_args(outputs) do
     Enum.flat_map([video: "0:v:0?", audio: "0:a:0?"], fn {kind, spec} ->
       if Map.has_key?(outputs, kind), do: ["-map", spec], else: []
     end)
   end
 
-  defp video(%{video: _}, clock, opts) do
+  defp video_args(%{video: _}, clock, opts) do
     scale =
       if opts[:size], do: ["scale=#{elem(opts[:size], 0)}:#{elem(opts[:size], 1)}"], else: []
 
@@ -198,9 +201,9 @@ defmodule Situ.Media.Capture do
       Decoder.raw_video(opts[:format], nil)
   end
 
-  defp video(_outputs, _clock, _opts), do: []
+  defp video_args(_outputs, _clock, _opts), do: []
 
-  defp audio(%{audio: _}, clock, opts) do
+  defp audio_args(%{audio: _}, clock, opts) do
     marks = mark_filter(clock, "asetpts=")
 
     case opts[:audio_format] do
@@ -209,7 +212,7 @@ defmodule Situ.Media.Capture do
     end
   end
 
-  defp audio(_outputs, _clock, _opts), do: []
+  defp audio_args(_outputs, _clock, _opts), do: []
 
   defp mark_filter(:arrival, filter), do: [filter <> Clock.mark_jumps()]
   defp mark_filter(_clock, _filter), do: []
@@ -224,12 +227,16 @@ defmodule Situ.Media.Capture do
     do: ["select='isnan(prev_t)+gt(floor(t*#{rate}),floor(prev_t*#{rate}))'"]
 
   # Returns the offset to add to the capture's times, or `nil` if the first frame sets it.
-  defp offset(:start, context, _ahead, last) when last == %{}, do: context.start_time + @lead
-  defp offset(:start, context, _ahead, _again), do: context.now + @lead
-  defp offset(:arrival, _context, _ahead, _last), do: nil
-  defp offset(:wall, _context, ahead, _last), do: if(abs(ahead) < @same_clock, do: 0, else: ahead)
+  defp clock_offset(:start, context, _ahead, last) when last == %{},
+    do: context.start_time + @lead
 
-  defp result({:streams, streams}, capture, context) do
+  defp clock_offset(:start, context, _ahead, _again), do: context.now + @lead
+  defp clock_offset(:arrival, _context, _ahead, _last), do: nil
+
+  defp clock_offset(:wall, _context, ahead, _last),
+    do: if(abs(ahead) < @same_clock, do: 0, else: ahead)
+
+  defp handle_result({:streams, streams}, capture, context) do
     if capture.lost, do: Logger.info("#{capture.address} is back")
     kinds = for {_, %{class: kind}} <- streams, is_map_key(capture.outputs, kind), do: kind
     watch = StallWatch.new(kinds, capture.opts[:stall_timeout], context.now)
@@ -237,66 +244,73 @@ defmodule Situ.Media.Capture do
     {schedule_watch(capture, context), capture}
   end
 
-  defp result({:frame, frame}, capture, context) do
+  defp handle_result({:frame, frame}, capture, context) do
     stream = Map.fetch!(capture.streams, frame.stream)
 
     {kind, time, data} =
-      Decoder.convert(frame, stream, capture.opts[:format], audio_format(stream, capture.opts))
+      Decoder.convert_frame(
+        frame,
+        stream,
+        capture.opts[:format],
+        audio_format(stream, capture.opts)
+      )
 
-    case Clock.place(capture.times, kind, time, context.now) do
+    case Clock.place_frame(capture.times, kind, time, context.now) do
       {:ok, time, times} ->
         capture = note_frame(%{capture | times: times}, kind, time, context)
-        accept(capture, kind, time, amplify(data, capture.opts[:gain]), context)
+        accept_frame(capture, kind, time, apply_gain(data, capture.opts[:gain]), context)
 
       {:wait, times} ->
-        Reader.ask(capture.reader, 1)
+        Reader.request_frames(capture.reader, 1)
         {[], note_frame(%{capture | times: times}, kind, nil, context)}
 
       {:jump, by, times} ->
-        Reader.ask(capture.reader, 1)
+        Reader.request_frames(capture.reader, 1)
         capture = note_frame(%{capture | times: times}, kind, nil, context)
         {[], report_jump(capture, kind, by)}
     end
   end
 
-  defp result(:eof, %{opts: opts} = capture, context) do
-    if opts[:reconnect], do: lost(capture, "ended", context), else: finish(capture)
-  end
-
-  defp result({:error, error}, %{streams: nil, lost: nil} = capture, _context) do
-    kind = if Map.has_key?(capture.outputs, :video), do: :camera, else: :microphone
-    raise Device.unopened(error, capture.driver, capture.address, kind)
-  end
-
-  defp result({:error, error}, %{opts: opts} = capture, context) do
+  defp handle_result(:eof, %{opts: opts} = capture, context) do
     if opts[:reconnect],
-      do: lost(capture, Exception.message(error), context),
+      do: schedule_reconnect(capture, "ended", context),
+      else: finish_capture(capture)
+  end
+
+  defp handle_result({:error, error}, %{streams: nil, lost: nil} = capture, _context) do
+    kind = if Map.has_key?(capture.outputs, :video), do: :camera, else: :microphone
+    raise Device.open_error(error, capture.driver, capture.address, kind)
+  end
+
+  defp handle_result({:error, error}, %{opts: opts} = capture, context) do
+    if opts[:reconnect],
+      do: schedule_reconnect(capture, Exception.message(error), context),
       else: raise(error)
   end
 
-  defp lost(capture, why, context) do
+  defp schedule_reconnect(capture, why, context) do
     unless capture.lost,
       do: Logger.warning("#{capture.address} is lost, trying again every second: #{why}")
 
-    {[{:timer, :reconnect, context.now + @retry}], %{stop(capture) | lost: why}}
+    {[{:timer, :reconnect, context.now + @retry}], %{stop_reader(capture) | lost: why}}
   end
 
-  defp amplify(%AudioBuffer{} = buffer, gain) when gain not in [nil, 1, 1.0],
+  defp apply_gain(%AudioBuffer{} = buffer, gain) when gain not in [nil, 1, 1.0],
     do: Sound.gain!(buffer, gain)
 
-  defp amplify(data, _gain), do: data
+  defp apply_gain(data, _gain), do: data
 
-  # Emits the waiting frames first; see take/4.
-  defp finish(%{size: 0} = capture), do: complete(stop(capture))
-  defp finish(capture), do: {[], %{stop(capture) | ended: true}}
+  # Emits the waiting frames first; see take_due_frames/4.
+  defp finish_capture(%{size: 0} = capture), do: report_end(stop_reader(capture))
+  defp finish_capture(capture), do: {[], %{stop_reader(capture) | ended: true}}
 
-  defp complete(capture) do
+  defp report_end(capture) do
     times = Map.values(capture.last)
     {[{:complete, Enum.max(times, fn -> 0 end)}], %{capture | ended: false}}
   end
 
   defp note_frame(capture, kind, time, %{now: now}),
-    do: %{capture | watch: StallWatch.note(capture.watch, kind, time, now)}
+    do: %{capture | watch: StallWatch.note_frame(capture.watch, kind, time, now)}
 
   defp report_jump(capture, kind, by) do
     Logger.warning(
@@ -310,10 +324,14 @@ defmodule Situ.Media.Capture do
   # A stream that stops while the other one flows is only reported: opening the device again would interrupt the other
   # one. When frames keep coming with the same time, ffmpeg has lost the sender's clock, and the device is opened again.
   defp check_streams(%{opts: opts} = capture, context) do
-    %{silent: silent, stuck: stuck} = StallWatch.check(capture.watch, context.now)
+    %{silent: silent, stuck: stuck} = StallWatch.find_stalls(capture.watch, context.now)
 
     if stuck != [] and opts[:reconnect] do
-      lost(capture, "the times of its #{Enum.join(stuck, " and ")} do not move", context)
+      schedule_reconnect(
+        capture,
+        "the times of its #{Enum.join(stuck, " and ")} do not move",
+        context
+      )
     else
       report_silence(silent -- capture.silent, capture)
       {schedule_watch(capture, context), %{capture | silent: silent}}
@@ -336,17 +354,18 @@ defmodule Situ.Media.Capture do
   defp schedule_watch(_capture, _context), do: []
 
   # A frame of a simulated device can be early. It waits until it is due, and no further frame is requested until then.
-  defp accept(%{clock: :start} = capture, kind, time, data, %{now: now}) when time > now do
-    {[{:timer, {:due, capture.reader, {kind, time}}, time}], push(capture, kind, time, data)}
+  defp accept_frame(%{clock: :start} = capture, kind, time, data, %{now: now}) when time > now do
+    {[{:timer, {:due, capture.reader, {kind, time}}, time}],
+     queue_frame(capture, kind, time, data)}
   end
 
-  defp accept(capture, kind, time, data, _context) do
-    Reader.ask(capture.reader, 1)
-    {[], push(capture, kind, time, data)}
+  defp accept_frame(capture, kind, time, data, _context) do
+    Reader.request_frames(capture.reader, 1)
+    {[], queue_frame(capture, kind, time, data)}
   end
 
-  defp due(%{clock: :start}, %{now: now}), do: now
-  defp due(_capture, _context), do: :any
+  defp due_time(%{clock: :start}, %{now: now}), do: now
+  defp due_time(_capture, _context), do: :any
 
   defp audio_format(%{class: :audio} = stream, opts) do
     opts[:audio_format] ||
@@ -355,7 +374,7 @@ defmodule Situ.Media.Capture do
 
   defp audio_format(_stream, _opts), do: nil
 
-  defp push(capture, kind, time, data) do
+  defp queue_frame(capture, kind, time, data) do
     case capture.last do
       %{^kind => last} when time <= last ->
         %{capture | dropped: capture.dropped + 1}
@@ -370,11 +389,11 @@ defmodule Situ.Media.Capture do
             last: Map.put(last, kind, time)
         }
 
-        limit(capture)
+        limit_queue(capture)
     end
   end
 
-  defp limit(%{size: size, opts: opts} = capture) do
+  defp limit_queue(%{size: size, opts: opts} = capture) do
     if size > max(opts[:buffer], @credits) do
       {_, queue} = :queue.out(capture.queue)
       %{capture | queue: queue, size: size - 1, dropped: capture.dropped + 1}
@@ -383,19 +402,21 @@ defmodule Situ.Media.Capture do
     end
   end
 
-  defp take(%{size: 0, ended: true} = capture, _n, _due, actions) do
-    {last, capture} = complete(capture)
+  defp take_due_frames(%{size: 0, ended: true} = capture, _n, _due, actions) do
+    {last, capture} = report_end(capture)
     {Enum.reverse(actions) ++ last, capture}
   end
 
-  defp take(%{size: size} = capture, n, _due, actions) when n == 0 or size == 0,
+  defp take_due_frames(%{size: size} = capture, n, _due, actions) when n == 0 or size == 0,
     do: {Enum.reverse(actions), capture}
 
-  defp take(capture, n, due, actions) do
+  defp take_due_frames(capture, n, due, actions) do
     case :queue.out(capture.queue) do
       # In Erlang's term order every number is smaller than the atom `:any`.
       {{:value, {_output, time, _data} = item}, queue} when time <= due ->
-        take(%{capture | queue: queue, size: capture.size - 1}, n - 1, due, [item | actions])
+        take_due_frames(%{capture | queue: queue, size: capture.size - 1}, n - 1, due, [
+          item | actions
+        ])
 
       _ ->
         {Enum.reverse(actions), capture}

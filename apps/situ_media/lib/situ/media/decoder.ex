@@ -3,7 +3,7 @@ defmodule Situ.Media.Decoder do
   Reads images and audio from a media file in time order, without a pipeline.
 
       {:ok, decoder} = Situ.Media.Decoder.open("talk1.mp4", start: Situ.Time.s(2))
-      {:video, 2_000_000_000, %Situ.Image{}, decoder} = Situ.Media.Decoder.next(decoder)
+      {:video, 2_000_000_000, %Situ.Image{}, decoder} = Situ.Media.Decoder.next_item(decoder)
       :ok = Situ.Media.Decoder.close(decoder)
 
   Times are media time in nanoseconds, converted exactly from the file's own time base, with 0 at the start of the file.
@@ -30,7 +30,7 @@ defmodule Situ.Media.Decoder do
     video: [type: :boolean, default: true, doc: "Read the images."],
     audio: [type: :boolean, default: true, doc: "Read the audio."],
     format: [
-      type: {:in, Image.Format.all()},
+      type: {:in, Image.Format.list_all()},
       default: :bgr24,
       doc: "Pixel format of the images."
     ],
@@ -91,8 +91,8 @@ defmodule Situ.Media.Decoder do
           | {:error, Error.t(), t()}
 
   @doc "Returns the option schema of `open/2`."
-  @spec options() :: Situ.Options.schema()
-  def options, do: @schema
+  @spec option_schema() :: Situ.Options.schema()
+  def option_schema, do: @schema
 
   @doc """
   Starts decoding the file at `path`. The calling process owns the decoder.
@@ -113,7 +113,7 @@ defmodule Situ.Media.Decoder do
          audio = if(opts[:audio], do: info.audio),
          :ok <- check_any(video, audio, info),
          audio_format = audio && audio_format(audio, opts[:audio_format]),
-         args = input(path, info, opts) ++ output(video, audio, audio_format, opts),
+         args = input_args(path, info, opts) ++ output_args(video, audio, audio_format, opts),
          {:ok, reader} <- Reader.start_link(args: args, name: info.name) do
       {:ok,
        %__MODULE__{
@@ -124,17 +124,17 @@ defmodule Situ.Media.Decoder do
          format: opts[:format],
          audio_format: audio_format,
          video_end: opts[:end],
-         audio_end: audio && least(audio_end(info, audio), opts[:end]),
+         audio_end: audio && min_limit(audio_end(info, audio), opts[:end]),
          loop: opts[:loop]
        }}
     end
   end
 
   @doc "Waits for the next image or audio buffer and returns it."
-  @spec next(t()) :: item()
-  def next(%__MODULE__{} = decoder) do
-    case Reader.next(decoder.reader, :infinity) do
-      {:ok, frame} -> deliver(frame, decoder)
+  @spec next_item(t()) :: item()
+  def next_item(%__MODULE__{} = decoder) do
+    case Reader.next_frame(decoder.reader, :infinity) do
+      {:ok, frame} -> deliver_frame(frame, decoder)
       :eof -> {:eof, decoder}
       {:error, error} -> {:error, error, decoder}
     end
@@ -142,13 +142,18 @@ defmodule Situ.Media.Decoder do
 
   @doc "Stops the decoder immediately."
   @spec close(t()) :: :ok
-  def close(%__MODULE__{reader: reader}), do: Reader.stop(reader)
+  def close(%__MODULE__{reader: reader}), do: Reader.stop_ffmpeg(reader)
 
   @doc false
   # Converts a frame of the reader to an image or audio buffer. Live sources use it, too.
-  @spec convert(Nut.Demuxer.frame(), Nut.stream(), Image.Format.t() | nil, AudioFormat.t() | nil) ::
+  @spec convert_frame(
+          Nut.Demuxer.frame(),
+          Nut.stream(),
+          Image.Format.t() | nil,
+          AudioFormat.t() | nil
+        ) ::
           {:video, Situ.Time.t(), Image.t()} | {:audio, Situ.Time.t(), AudioBuffer.t()}
-  def convert(frame, %{class: :video} = stream, format, _audio_format) do
+  def convert_frame(frame, %{class: :video} = stream, format, _audio_format) do
     image = %Image{
       width: stream.width,
       height: stream.height,
@@ -160,11 +165,11 @@ defmodule Situ.Media.Decoder do
     {:video, frame.time, image}
   end
 
-  def convert(frame, %{class: :audio} = stream, _format, %AudioFormat{} = audio_format) do
+  def convert_frame(frame, %{class: :audio} = stream, _format, %AudioFormat{} = audio_format) do
     buffer = %AudioBuffer{format: audio_format, data: frame.data}
     {num, den} = stream.time_base
     # Adds start and length before rounding, so that the ends of buffers are exact to the sample.
-    ticks = frame.ticks * num * audio_format.rate + AudioBuffer.frames(buffer) * den
+    ticks = frame.ticks * num * audio_format.rate + AudioBuffer.frame_count(buffer) * den
     {:audio, Nut.to_ns(ticks, {1, den * audio_format.rate}), buffer}
   end
 
@@ -232,16 +237,16 @@ defmodule Situ.Media.Decoder do
   defp audio_end(%{format: "mov" <> _}, %{duration: duration}), do: duration
   defp audio_end(_info, _audio), do: nil
 
-  defp least(nil, limit), do: limit
-  defp least(limit, nil), do: limit
-  defp least(a, b), do: min(a, b)
+  defp min_limit(nil, limit), do: limit
+  defp min_limit(limit, nil), do: limit
+  defp min_limit(a, b), do: min(a, b)
 
   # ffmpeg counts a span from the first image it keeps, so more is requested and the end is cut here.
   @spare 1_000_000_000
 
-  defp input(path, info, opts) do
-    seek = if opts[:start] > 0, do: ["-ss", seconds(opts[:start])], else: []
-    span = if opts[:end], do: ["-t", seconds(opts[:end] - opts[:start] + @spare)], else: []
+  defp input_args(path, info, opts) do
+    seek = if opts[:start] > 0, do: ["-ss", format_seconds(opts[:start])], else: []
+    span = if opts[:end], do: ["-t", format_seconds(opts[:end] - opts[:start] + @spare)], else: []
     loop = if opts[:loop], do: ~w(-stream_loop -1), else: []
 
     # The start of the file is media time 0. Files written by Situ mark time 0, and the lead-in of the codec comes
@@ -253,7 +258,7 @@ defmodule Situ.Media.Decoder do
       seek ++ span ++ loop ++ FFmpeg.local_file(path)
   end
 
-  defp output(video, audio, audio_format, opts) do
+  defp output_args(video, audio, audio_format, opts) do
     map = Enum.flat_map([video, audio], &if(&1, do: ["-map", "0:#{&1.index}"], else: []))
 
     map ++
@@ -263,47 +268,47 @@ defmodule Situ.Media.Decoder do
   end
 
   # Formats nanoseconds as exact decimal seconds.
-  defp seconds(ns) do
+  defp format_seconds(ns) do
     fraction = ns |> rem(1_000_000_000) |> Integer.to_string() |> String.pad_leading(9, "0")
     "#{div(ns, 1_000_000_000)}.#{fraction}"
   end
 
-  defp deliver(frame, %{streams: nil} = decoder) do
-    {:ok, streams} = Reader.streams(decoder.reader)
-    deliver(frame, %{decoder | streams: streams})
+  defp deliver_frame(frame, %{streams: nil} = decoder) do
+    {:ok, streams} = Reader.fetch_streams(decoder.reader)
+    deliver_frame(frame, %{decoder | streams: streams})
   end
 
-  defp deliver(%{stream: id, time: time}, %{video: id, video_end: limit} = decoder)
+  defp deliver_frame(%{stream: id, time: time}, %{video: id, video_end: limit} = decoder)
        when is_integer(limit) and time >= limit,
-       do: next(decoder)
+       do: next_item(decoder)
 
-  defp deliver(%{stream: id} = frame, %{video: id} = decoder) do
-    {:video, time, image} = convert(frame, decoder.streams[id], decoder.format, nil)
+  defp deliver_frame(%{stream: id} = frame, %{video: id} = decoder) do
+    {:video, time, image} = convert_frame(frame, decoder.streams[id], decoder.format, nil)
     in_order(:video, time, image, decoder)
   end
 
-  defp deliver(%{stream: id} = frame, %{audio: id} = decoder) do
-    {:audio, time, buffer} = convert(frame, decoder.streams[id], nil, decoder.audio_format)
+  defp deliver_frame(%{stream: id} = frame, %{audio: id} = decoder) do
+    {:audio, time, buffer} = convert_frame(frame, decoder.streams[id], nil, decoder.audio_format)
 
-    case cut(buffer, time, decoder) do
-      nil -> next(decoder)
+    case trim_audio(buffer, time, decoder) do
+      nil -> next_item(decoder)
       {buffer, time} -> in_order(:audio, time, buffer, decoder)
     end
   end
 
-  defp cut(buffer, time, %{audio_end: limit, loop: loop}) when is_nil(limit) or loop,
+  defp trim_audio(buffer, time, %{audio_end: limit, loop: loop}) when is_nil(limit) or loop,
     do: {buffer, time}
 
-  defp cut(buffer, time, %{audio_end: limit}) when time <= limit, do: {buffer, time}
+  defp trim_audio(buffer, time, %{audio_end: limit}) when time <= limit, do: {buffer, time}
 
-  defp cut(buffer, time, %{audio_end: limit}) do
-    keep = AudioBuffer.frames(buffer) - AudioFormat.ns_to_frames(buffer.format, time - limit)
-    if keep > 0, do: {AudioBuffer.slice(buffer, 0, keep), limit}
+  defp trim_audio(buffer, time, %{audio_end: limit}) do
+    keep = AudioBuffer.frame_count(buffer) - AudioFormat.ns_to_frames(buffer.format, time - limit)
+    if keep > 0, do: {AudioBuffer.slice_frames(buffer, 0, keep), limit}
   end
 
   defp in_order(kind, time, data, decoder) do
     case decoder.last do
-      %{^kind => last} when time <= last -> next(%{decoder | dropped: decoder.dropped + 1})
+      %{^kind => last} when time <= last -> next_item(%{decoder | dropped: decoder.dropped + 1})
       last -> {kind, time, data, %{decoder | last: Map.put(last, kind, time)}}
     end
   end

@@ -13,11 +13,11 @@ defmodule Situ.Media.Device do
   | `rtsp://...`, `udp://...`, `http://...` | `Situ.Media.Device.Url` | camera, microphone |
   | `lavfi:testsrc`, `x11grab::0` | `Situ.Media.Device.Input` | any input FFmpeg has |
 
-      iex> Situ.Media.Device.parse("/dev/video2")
+      iex> Situ.Media.Device.parse_name("/dev/video2")
       {:ok, {Situ.Media.Device.V4L2, "/dev/video2"}}
-      iex> Situ.Media.Device.parse("udp://127.0.0.1:5000")
+      iex> Situ.Media.Device.parse_name("udp://127.0.0.1:5000")
       {:ok, {Situ.Media.Device.Url, "udp://127.0.0.1:5000"}}
-      iex> {:error, error} = Situ.Media.Device.parse("puls:default")
+      iex> {:error, error} = Situ.Media.Device.parse_name("puls:default")
       iex> error.fix
       "did you mean \\"pulse\\"? Drivers: alsa, input, lavfi, pulse, simulated, v4l2, x11grab, and any URL"
 
@@ -82,22 +82,22 @@ defmodule Situ.Media.Device do
   @inputs ["lavfi", "x11grab", "input"]
 
   @doc "Returns the drivers by name."
-  @spec drivers() :: %{String.t() => driver()}
-  def drivers, do: @drivers
+  @spec list_drivers() :: %{String.t() => driver()}
+  def list_drivers, do: @drivers
 
   @doc "Parses a device name into its driver and address."
-  @spec parse(device()) :: {:ok, {driver(), address()}} | {:error, Error.t()}
-  def parse({driver, address}) when is_atom(driver) and is_binary(address),
+  @spec parse_name(device()) :: {:ok, {driver(), address()}} | {:error, Error.t()}
+  def parse_name({driver, address}) when is_atom(driver) and is_binary(address),
     do: {:ok, {driver, address}}
 
-  def parse("/dev/video" <> _ = path), do: {:ok, {Situ.Media.Device.V4L2, path}}
+  def parse_name("/dev/video" <> _ = path), do: {:ok, {Situ.Media.Device.V4L2, path}}
 
-  def parse(name) when is_binary(name) do
+  def parse_name(name) when is_binary(name) do
     case String.split(name, ":", parts: 2) do
       [_scheme, "//" <> _] -> {:ok, {Situ.Media.Device.Url, name}}
       [driver, address] when is_map_key(@drivers, driver) -> {:ok, {@drivers[driver], address}}
       [input, _] when input in @inputs -> {:ok, {Situ.Media.Device.Input, name}}
-      [other | _] -> {:error, unknown(name, other)}
+      [other | _] -> {:error, unknown_driver(name, other)}
     end
   end
 
@@ -112,19 +112,19 @@ defmodule Situ.Media.Device do
 
   @doc false
   # Rewrites the error of a device that does not open into advice for its user.
-  @spec unopened(Error.t(), driver(), address(), kind()) :: Error.t()
-  def unopened(%Error{fix: nil} = error, driver, address, kind) do
+  @spec open_error(Error.t(), driver(), address(), kind()) :: Error.t()
+  def open_error(%Error{fix: nil} = error, driver, address, kind) do
     if Code.ensure_loaded?(driver) and function_exported?(driver, :help, 1),
       do: %{error | what: "cannot open the #{kind} #{address}", fix: driver.help(kind)},
       else: error
   end
 
-  def unopened(error, _driver, _address, _kind), do: error
+  def open_error(error, _driver, _address, _kind), do: error
 
   @doc false
   # Runs a program that lists devices. Returns "" if the program is missing or fails.
-  @spec run(String.t(), [String.t()]) :: String.t()
-  def run(program, args) do
+  @spec run_program(String.t(), [String.t()]) :: String.t()
+  def run_program(program, args) do
     with path when is_binary(path) <- System.find_executable(program),
          {out, 0} <- System.cmd("timeout", ["5", path | args], stderr_to_stdout: true) do
       out
@@ -133,9 +133,9 @@ defmodule Situ.Media.Device do
     end
   end
 
-  defp unknown(name, driver) do
+  defp unknown_driver(name, driver) do
     known = Enum.sort(Map.keys(@drivers) ++ @inputs)
-    near = Situ.Options.nearest(driver, known)
+    near = Situ.Options.nearest_name(driver, known)
     hint = if near, do: "did you mean #{inspect(near)}? ", else: ""
 
     Error.new(

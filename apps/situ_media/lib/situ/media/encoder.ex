@@ -20,12 +20,12 @@ defmodule Situ.Media.Encoder do
 
   @schema [
     codec: [
-      type: {:optional, {:in, Arguments.codecs()}},
+      type: {:optional, {:in, Arguments.video_codecs()}},
       default: nil,
       doc: "Video codec; `nil`: `:vp9` for .webm, else `:h264`."
     ],
     audio_codec: [
-      type: {:optional, {:in, Arguments.sounds()}},
+      type: {:optional, {:in, Arguments.audio_codecs()}},
       default: nil,
       doc: "Audio codec; `nil`: the default of the file's format."
     ],
@@ -79,8 +79,8 @@ defmodule Situ.Media.Encoder do
   @type t :: %__MODULE__{}
 
   @doc "Returns the schema of the codec and quality options."
-  @spec options() :: Situ.Options.schema()
-  def options, do: @schema
+  @spec option_schema() :: Situ.Options.schema()
+  def option_schema, do: @schema
 
   @doc """
   Creates the file and replaces an existing one. `video:`, `audio:` or both are required.
@@ -91,7 +91,7 @@ defmodule Situ.Media.Encoder do
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @inputs ++ @schema),
          :ok <- check_inputs(opts),
-         {:ok, kind} <- Arguments.kind(path, opts),
+         {:ok, kind} <- Arguments.resolve_kind(path, opts),
          :ok <- check_folder(path) do
       video = opts[:video] && %{opts[:video] | data: <<>>}
       audio_id = if video, do: 1, else: 0
@@ -100,7 +100,7 @@ defmodule Situ.Media.Encoder do
       with {:ok, writer} <-
              Writer.start_link(
                streams: streams,
-               args: Arguments.build(path, kind, video, opts),
+               args: Arguments.build_args(path, kind, video, opts),
                name: Path.basename(path)
              ) do
         {:ok,
@@ -122,7 +122,7 @@ defmodule Situ.Media.Encoder do
     with :ok <- check_time(encoder, time),
          :ok <- same_picture(encoder, video, image),
          {:ok, image} <- Image.validate(image) do
-      Writer.write(encoder.writer, 0, time - encoder.start_time, Image.pixels(image))
+      Writer.write_frame(encoder.writer, 0, time - encoder.start_time, Image.pixel_bytes(image))
     end
   end
 
@@ -133,13 +133,20 @@ defmodule Situ.Media.Encoder do
 
     with {:ok, buffer} <- AudioBuffer.validate(buffer),
          :ok <- check_time(encoder, start) do
-      Writer.write(encoder.writer, encoder.audio_id, start - encoder.start_time, buffer.data)
+      Writer.write_frame(
+        encoder.writer,
+        encoder.audio_id,
+        start - encoder.start_time,
+        buffer.data
+      )
     end
   end
 
   def audio(%__MODULE__{} = encoder, _time, %AudioBuffer{} = buffer) do
     {:error,
-     Error.new(:bad_audio, "#{Path.basename(encoder.path)} contains #{sound(encoder.audio)}",
+     Error.new(
+       :bad_audio,
+       "#{Path.basename(encoder.path)} contains #{describe_audio(encoder.audio)}",
        why: "the audio format is fixed when the file is opened; got #{inspect(buffer)}",
        fix: "resample the stream before writing it"
      )}
@@ -147,7 +154,7 @@ defmodule Situ.Media.Encoder do
 
   @doc "Waits for the encoder and finishes the file."
   @spec close(t()) :: :ok | {:error, Error.t()}
-  def close(%__MODULE__{writer: writer}), do: Writer.finish(writer)
+  def close(%__MODULE__{writer: writer}), do: Writer.finish_output(writer)
 
   defp check_inputs(opts) do
     if opts[:video] || opts[:audio],
@@ -179,17 +186,17 @@ defmodule Situ.Media.Encoder do
 
   defp same_picture(encoder, expected, image) do
     {:error,
-     Error.new(:bad_image, "#{Path.basename(encoder.path)} contains #{describe(expected)}",
+     Error.new(:bad_image, "#{Path.basename(encoder.path)} contains #{describe_video(expected)}",
        why:
-         "all images of a video must have the same size and format; this one is #{describe(image)}",
+         "all images of a video must have the same size and format; this one is #{describe_video(image)}",
        fix: "resize and convert the stream before writing it"
      )}
   end
 
-  defp sound(nil), do: "no audio"
-  defp sound(format), do: inspect(format)
-  defp describe(nil), do: "no images"
-  defp describe(image), do: Image.describe(image)
+  defp describe_audio(nil), do: "no audio"
+  defp describe_audio(format), do: inspect(format)
+  defp describe_video(nil), do: "no images"
+  defp describe_video(image), do: Image.describe(image)
 
   defp video_stream(nil), do: []
 

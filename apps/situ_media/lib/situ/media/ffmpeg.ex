@@ -6,7 +6,7 @@ defmodule Situ.Media.FFmpeg do
   and never takes the VM down. The decoded data is returned over a local socket that is read on demand
   (`Situ.Media.FFmpeg.Reader`), so a slow pipeline slows the decoder down and no data accumulates.
 
-      iex> {:ok, path} = Situ.Media.FFmpeg.executable("ffmpeg")
+      iex> {:ok, path} = Situ.Media.FFmpeg.fetch_executable("ffmpeg")
       iex> Path.basename(path)
       "ffmpeg"
   """
@@ -16,8 +16,8 @@ defmodule Situ.Media.FFmpeg do
   @max_alloc 1_073_741_824
 
   @doc "Returns the full path of `program` (`\"ffmpeg\"` or `\"ffprobe\"`)."
-  @spec executable(String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def executable(program) when is_binary(program) do
+  @spec fetch_executable(String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def fetch_executable(program) when is_binary(program) do
     case System.find_executable(program) do
       nil ->
         {:error,
@@ -47,7 +47,7 @@ defmodule Situ.Media.FFmpeg do
       "demux"
   """
   @spec input_time_base(String.t()) :: String.t()
-  def input_time_base(banner \\ banner()) do
+  def input_time_base(banner \\ version_banner()) do
     case Regex.run(~r/version n?(\d+)\./, banner) do
       [_, major] when major in ["4", "5", "6"] -> "-1"
       _ -> "demux"
@@ -55,7 +55,7 @@ defmodule Situ.Media.FFmpeg do
   end
 
   # Runs each program once, because its version does not change while the VM is running.
-  defp banner do
+  defp version_banner do
     path = System.find_executable("ffmpeg")
     key = {__MODULE__, path}
 
@@ -104,11 +104,11 @@ defmodule Situ.Media.FFmpeg do
   """
   @spec local_file(Path.t()) :: [String.t()]
   def local_file(path) do
-    ~w(-protocol_whitelist file,crypto,data -format_whitelist #{formats(path)} -i) ++
+    ~w(-protocol_whitelist file,crypto,data -format_whitelist #{allowed_formats(path)} -i) ++
       ["file:" <> path]
   end
 
-  defp formats(path) do
+  defp allowed_formats(path) do
     ending = path |> Path.extname() |> String.downcase()
 
     @demuxers
@@ -140,8 +140,8 @@ defmodule Situ.Media.FFmpeg do
 
   With `bound: true` (the default) the program is killed when the port closes.
   """
-  @spec start(Path.t(), [String.t()], bound: boolean()) :: port()
-  def start(program, args, opts \\ []) do
+  @spec start_program(Path.t(), [String.t()], bound: boolean()) :: port()
+  def start_program(program, args, opts \\ []) do
     script = if Keyword.get(opts, :bound, true), do: @bound, else: @free
 
     Port.open({:spawn_executable, "/bin/sh"}, [

@@ -64,26 +64,26 @@ defmodule Situ.Media.FileInfo do
   @spec read(Path.t()) :: {:ok, t()} | {:error, Error.t()}
   def read(path) do
     case File.stat(path) do
-      {:ok, %{type: :regular}} -> probe(path)
+      {:ok, %{type: :regular}} -> probe_file(path)
       {:ok, %{type: type}} -> {:error, Error.new(:no_file, "#{inspect(path)} is a #{type}")}
       {:error, reason} -> {:error, no_file(path, reason)}
     end
   end
 
-  defp probe(path) do
+  defp probe_file(path) do
     # ffprobe ends on its own; `timeout` kills it if a malicious file keeps it busy.
     args =
       ~w(-k 1 #{@seconds}) ++
         ["ffprobe" | ~w(-hide_banner -loglevel quiet -of json -show_entries #{@entries})] ++
         FFmpeg.local_file(path)
 
-    with {:ok, _} <- FFmpeg.executable("ffprobe") do
+    with {:ok, _} <- FFmpeg.fetch_executable("ffprobe") do
       {out, status} = System.cmd("timeout", args, stderr_to_stdout: false, env: [])
-      parse(out, status, path)
+      parse_probe(out, status, path)
     end
   end
 
-  defp parse(out, 0, path) do
+  defp parse_probe(out, 0, path) do
     {:ok, said} = Situ.JSON.decode(out)
     %{"format" => format, "streams" => streams} = Map.merge(%{"streams" => []}, said)
 
@@ -94,30 +94,30 @@ defmodule Situ.Media.FileInfo do
     info = %__MODULE__{
       name: Path.basename(path),
       format: format["format_name"],
-      duration: duration(format["duration"]),
+      duration: parse_duration(format["duration"]),
       recorded_at: exact || creation_time(tags["creation_time"]),
       exact?: exact != nil,
-      video: Enum.find_value(streams, &video/1),
-      audio: Enum.find_value(streams, &audio/1)
+      video: Enum.find_value(streams, &parse_video/1),
+      audio: Enum.find_value(streams, &parse_audio/1)
     }
 
     if info.video || info.audio,
       do: {:ok, info},
-      else: {:error, unreadable(path, "the file contains neither images nor audio")}
+      else: {:error, unreadable_error(path, "the file contains neither images nor audio")}
   end
 
-  defp parse(_out, 124, path),
-    do: {:error, unreadable(path, "probing the file took longer than #{@seconds} s")}
+  defp parse_probe(_out, 124, path),
+    do: {:error, unreadable_error(path, "probing the file took longer than #{@seconds} s")}
 
-  defp parse(_out, _status, path),
+  defp parse_probe(_out, _status, path),
     do:
       {:error,
-       unreadable(
+       unreadable_error(
          path,
          "FFmpeg does not recognize the format, or its headers are missing or damaged"
        )}
 
-  defp video(%{"codec_type" => "video"} = stream) do
+  defp parse_video(%{"codec_type" => "video"} = stream) do
     # The cover image of an audio file is not a video.
     if stream["disposition"]["attached_pic"] == 1 do
       nil
@@ -127,30 +127,32 @@ defmodule Situ.Media.FileInfo do
         codec: stream["codec_name"] || "unknown",
         width: stream["width"] || 0,
         height: stream["height"] || 0,
-        rate: rate(stream["avg_frame_rate"]) || rate(stream["r_frame_rate"]),
-        duration: duration(stream["duration"])
+        rate: parse_rate(stream["avg_frame_rate"]) || parse_rate(stream["r_frame_rate"]),
+        duration: parse_duration(stream["duration"])
       }
     end
   end
 
-  defp video(_stream), do: nil
+  defp parse_video(_stream), do: nil
 
-  defp audio(%{"codec_type" => "audio", "sample_rate" => rate, "channels" => channels} = stream)
+  defp parse_audio(
+         %{"codec_type" => "audio", "sample_rate" => rate, "channels" => channels} = stream
+       )
        when channels > 0 and rate != "0" do
     %{
       index: stream["index"],
       codec: stream["codec_name"] || "unknown",
       rate: String.to_integer(rate),
       channels: channels,
-      duration: duration(stream["duration"])
+      duration: parse_duration(stream["duration"])
     }
   end
 
-  defp audio(_stream), do: nil
+  defp parse_audio(_stream), do: nil
 
-  defp rate(nil), do: nil
+  defp parse_rate(nil), do: nil
 
-  defp rate(text) do
+  defp parse_rate(text) do
     case String.split(text, "/") |> Enum.map(&Integer.parse/1) do
       [{frames, ""}, {seconds, ""}] when frames > 0 and seconds > 0 -> {frames, seconds}
       _ -> nil
@@ -158,9 +160,9 @@ defmodule Situ.Media.FileInfo do
   end
 
   # Parses decimal seconds exactly.
-  defp duration(nil), do: nil
+  defp parse_duration(nil), do: nil
 
-  defp duration(text) do
+  defp parse_duration(text) do
     case Regex.run(~r/^(\d{1,9})(?:\.(\d{1,9}))?$/, text) do
       [_, whole] -> String.to_integer(whole) * 1_000_000_000
       [_, whole, part] -> String.to_integer(whole <> String.pad_trailing(part, 9, "0"))
@@ -192,7 +194,7 @@ defmodule Situ.Media.FileInfo do
     )
   end
 
-  defp unreadable(path, why) do
+  defp unreadable_error(path, why) do
     Error.new(:unreadable_media, "cannot read #{Path.basename(path)}",
       why: why,
       fix: "check that the file is complete: ffprobe #{Path.basename(path)}",

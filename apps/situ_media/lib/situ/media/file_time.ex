@@ -10,17 +10,17 @@ defmodule Situ.Media.FileTime do
     * an integer: the originating time of media time 0, with the same effect on the pipeline's clock.
     * `:pipeline`: the first data read gets the time at which the pipeline starts, as if it were live.
 
-      iex> Situ.Media.FileTime.offset(:pipeline, nil, Situ.Time.s(3), %{start_time: Situ.Time.s(100)})
+      iex> Situ.Media.FileTime.time_offset(:pipeline, nil, Situ.Time.s(3), %{start_time: Situ.Time.s(100)})
       97_000_000_000
-      iex> Situ.Media.FileTime.offset(:file, nil, 0, %{start_time: 5})
+      iex> Situ.Media.FileTime.time_offset(:file, nil, 0, %{start_time: 5})
       0
   """
 
   @type start_time :: :file | :pipeline | Situ.Time.t()
 
   @doc "Returns the schema entry of the option."
-  @spec option() :: keyword()
-  def option do
+  @spec start_time_option() :: keyword()
+  def start_time_option do
     [
       type: {:or, [{:in, [:file, :pipeline]}, :integer]},
       default: :file,
@@ -30,38 +30,39 @@ defmodule Situ.Media.FileTime do
   end
 
   @doc "Returns the offset to add to media times, for a file recorded at `recorded_at` and read from `start`."
-  @spec offset(start_time(), Situ.Time.t() | nil, Situ.Time.t(), %{
+  @spec time_offset(start_time(), Situ.Time.t() | nil, Situ.Time.t(), %{
           :start_time => Situ.Time.t(),
           optional(atom()) => term()
         }) ::
           Situ.Time.t()
-  def offset(:pipeline, _recorded_at, start, %{start_time: now}), do: now - start
-  def offset(:file, recorded_at, _start, _context), do: recorded_at || 0
-  def offset(time, _recorded_at, _start, _context) when is_integer(time), do: time
+  def time_offset(:pipeline, _recorded_at, start, %{start_time: now}), do: now - start
+  def time_offset(:file, recorded_at, _start, _context), do: recorded_at || 0
+  def time_offset(time, _recorded_at, _start, _context) when is_integer(time), do: time
 
   @doc "Proposes the span of the file to the pipeline for replay, unless `start_time` is `:pipeline`."
-  @spec propose(
+  @spec propose_replay(
           Situ.Pipeline.t(),
           start_time(),
           Situ.Time.t() | nil,
           {integer(), integer() | nil}
         ) ::
           :ok
-  def propose(_pipeline, :pipeline, _recorded_at, _span), do: :ok
+  def propose_replay(_pipeline, :pipeline, _recorded_at, _span), do: :ok
 
-  def propose(pipeline, start_time, recorded_at, {from, to}) do
-    zero = offset(start_time, recorded_at, from, %{start_time: 0})
+  def propose_replay(pipeline, start_time, recorded_at, {from, to}) do
+    zero = time_offset(start_time, recorded_at, from, %{start_time: 0})
     Situ.Pipeline.propose_replay(pipeline, {zero + from, if(to, do: zero + to, else: :unbounded)})
   end
 
   @doc """
   Returns the span of the file to read: the span from the options, clipped to the pipeline's replay interval.
 
-      iex> Situ.Media.FileTime.span(100, {10, nil}, %{start_time: 130, replay_end: 150})
+      iex> Situ.Media.FileTime.read_span(100, {10, nil}, %{start_time: 130, replay_end: 150})
       {30, 51}
   """
-  @spec span(Situ.Time.t(), {integer(), integer() | nil}, map()) :: {integer(), integer() | nil}
-  def span(offset, {from, to}, %{start_time: start, replay_end: replay_end}) do
+  @spec read_span(Situ.Time.t(), {integer(), integer() | nil}, map()) ::
+          {integer(), integer() | nil}
+  def read_span(offset, {from, to}, %{start_time: start, replay_end: replay_end}) do
     last = if is_integer(replay_end), do: replay_end - offset + 1
 
     {max(from, start - offset),

@@ -16,11 +16,11 @@ defmodule Situ.Media.ImageSequence do
       doc: "Images per second, for files without stored times."
     ],
     format: [
-      type: {:optional, {:in, Image.Format.all()}},
+      type: {:optional, {:in, Image.Format.list_all()}},
       default: nil,
       doc: "Convert to this pixel format; `nil`: as in the files."
     ],
-    start_time: FileTime.option(),
+    start_time: FileTime.start_time_option(),
     on_damage: [
       type: {:in, [:error, :skip]},
       default: :error,
@@ -48,11 +48,11 @@ defmodule Situ.Media.ImageSequence do
   @doc "Adds the source and returns its stream. Raises `Situ.Error` if no image is found."
   @spec open(Situ.Pipeline.t(), Path.t() | [Path.t()], keyword()) :: Situ.Stream.t()
   def open(p, files, opts \\ []) do
-    {opts, placed} = Placement.split!([files: files] ++ opts, @schema, :component)
-    {recorded_at, [{first, _} | _] = shots} = shots!(opts)
+    {opts, placed} = Placement.split_options!([files: files] ++ opts, @schema, :component)
+    {recorded_at, [{first, _} | _] = shots} = list_shots!(opts)
     {last, _} = List.last(shots)
     stream = Situ.source(p, __MODULE__, opts ++ placed)
-    FileTime.propose(p, opts[:start_time], recorded_at, {first, last})
+    FileTime.propose_replay(p, opts[:start_time], recorded_at, {first, last})
     stream
   end
 
@@ -61,9 +61,9 @@ defmodule Situ.Media.ImageSequence do
 
   @impl true
   def handle_start(context, %{opts: opts} = state) do
-    {recorded_at, shots} = shots!(opts)
-    offset = FileTime.offset(opts[:start_time], recorded_at, 0, context)
-    {from, to} = FileTime.span(offset, {0, nil}, context)
+    {recorded_at, shots} = list_shots!(opts)
+    offset = FileTime.time_offset(opts[:start_time], recorded_at, 0, context)
+    {from, to} = FileTime.read_span(offset, {0, nil}, context)
     shots = Enum.filter(shots, fn {time, _} -> time >= from and (to == nil or time < to) end)
     {[], %{state | shots: shots, offset: offset, last: offset + from}}
   end
@@ -80,7 +80,7 @@ defmodule Situ.Media.ImageSequence do
         {[{:out, time, image}], %{state | last: time}}
 
       {:error, error} ->
-        damaged(error, context, state)
+        handle_damage(error, context, state)
     end
   end
 
@@ -91,11 +91,11 @@ defmodule Situ.Media.ImageSequence do
   @doc """
   Returns a sort key that orders files by the numbers in their names.
 
-      iex> Enum.sort_by(["a10.png", "a9.png", "b1.png"], &Situ.Media.ImageSequence.order/1)
+      iex> Enum.sort_by(["a10.png", "a9.png", "b1.png"], &Situ.Media.ImageSequence.sort_key/1)
       ["a9.png", "a10.png", "b1.png"]
   """
-  @spec order(Path.t()) :: term()
-  def order(path) do
+  @spec sort_key(Path.t()) :: term()
+  def sort_key(path) do
     for part <- Regex.split(~r/\d+/, Path.basename(path), include_captures: true) do
       case Integer.parse(part) do
         {number, ""} -> {0, number}
@@ -104,7 +104,7 @@ defmodule Situ.Media.ImageSequence do
     end
   end
 
-  defp damaged(error, context, %{opts: opts} = state) do
+  defp handle_damage(error, context, %{opts: opts} = state) do
     if opts[:on_damage] == :skip do
       Logger.warning(Exception.message(error))
       handle_demand(1, context, state)
@@ -114,42 +114,43 @@ defmodule Situ.Media.ImageSequence do
   end
 
   # `{recorded_at, [{media time, file}]}`
-  defp shots!(opts) do
-    with {:ok, files} <- files(opts[:files]), {:ok, shots} <- times(files, opts) do
+  defp list_shots!(opts) do
+    with {:ok, files} <- list_files(opts[:files]), {:ok, shots} <- assign_times(files, opts) do
       shots
     else
       {:error, error} -> raise error
     end
   end
 
-  defp files(list) when is_list(list), do: some(list, "the list of images is empty")
+  defp list_files(list) when is_list(list), do: check_any(list, "the list of images is empty")
 
-  defp files(pattern) do
+  defp list_files(pattern) do
     found =
       if File.dir?(pattern),
         do: Path.wildcard(Path.join(pattern, "*.{jpg,jpeg,png,JPG,JPEG,PNG}")),
         else: Path.wildcard(pattern)
 
-    found |> Enum.sort_by(&order/1) |> some("no images found at #{inspect(pattern)}")
+    found |> Enum.sort_by(&sort_key/1) |> check_any("no images found at #{inspect(pattern)}")
   end
 
-  defp some([], what),
+  defp check_any([], what),
     do: {:error, Error.new(:no_file, what, fix: "use JPEG or PNG files: .jpg, .jpeg, .png")}
 
-  defp some(files, _what), do: {:ok, files}
+  defp check_any(files, _what), do: {:ok, files}
 
-  defp times(files, opts) do
-    index = is_binary(opts[:files]) && Index.path(opts[:files])
+  defp assign_times(files, opts) do
+    index = is_binary(opts[:files]) && Index.index_path(opts[:files])
 
     if index && File.exists?(index) do
-      with {:ok, [{zero, _} | _] = shots} <- Index.read(index),
+      with {:ok, [{zero, _} | _] = shots} <- Index.read_shots(index),
            do: {:ok, {zero, Enum.map(shots, fn {time, file} -> {time - zero, file} end)}}
     else
       {:ok,
-       {nil, files |> Enum.with_index() |> Enum.map(fn {f, i} -> {step(i, opts[:rate]), f} end)}}
+       {nil,
+        files |> Enum.with_index() |> Enum.map(fn {f, i} -> {frame_time(i, opts[:rate]), f} end)}}
     end
   end
 
-  defp step(i, rate) when is_integer(rate), do: Situ.Media.Nut.to_ns(i, {1, rate})
-  defp step(i, rate), do: round(i * 1.0e9 / rate)
+  defp frame_time(i, rate) when is_integer(rate), do: Situ.Media.Nut.to_ns(i, {1, rate})
+  defp frame_time(i, rate), do: round(i * 1.0e9 / rate)
 end

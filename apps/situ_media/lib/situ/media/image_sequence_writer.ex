@@ -48,12 +48,12 @@ defmodule Situ.Media.ImageSequenceWriter do
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
     folder = opts[:folder]
-    path = Index.path(folder)
+    path = Index.index_path(folder)
 
     with :ok <- File.mkdir_p(folder),
          # Opens exclusively, because two recordings in one folder would mix.
          {:ok, index} <- :file.open(path, [:write, :raw, :exclusive]),
-         :ok <- :file.write(index, Index.header()) do
+         :ok <- :file.write(index, Index.header_line()) do
       {[], %{state | index: index}}
     else
       {:error, :eexist} ->
@@ -62,23 +62,23 @@ defmodule Situ.Media.ImageSequenceWriter do
               )
 
       {:error, reason} ->
-        raise failed(folder, reason)
+        raise write_error(folder, reason)
     end
   end
 
   @impl true
   def handle_message(:in, message, _context, %{opts: opts} = state) do
     n = state.count + 1
-    {ending, bytes} = encode(message.data, opts)
+    {ending, bytes} = encode_image(message.data, opts)
     name = String.pad_leading(Integer.to_string(n), round(opts[:digits]), "0") <> ending
     path = Path.join(opts[:folder], name)
 
     # Writes the image first, so that every line of the index has a file.
     with :ok <- File.write(path, bytes, [:raw]),
-         :ok <- :file.write(state.index, Index.line(name, message.originating_time)) do
+         :ok <- :file.write(state.index, Index.format_line(name, message.originating_time)) do
       {[], %{state | count: n}}
     else
-      {:error, reason} -> raise failed(path, reason)
+      {:error, reason} -> raise write_error(path, reason)
     end
   end
 
@@ -89,27 +89,27 @@ defmodule Situ.Media.ImageSequenceWriter do
   @impl true
   def describe(state), do: "#{state.count} images in #{state.opts[:folder]}"
 
-  defp encode(%EncodedImage{format: :jpeg, data: bytes}, _opts), do: {".jpg", bytes}
-  defp encode(%EncodedImage{format: :png, data: bytes}, _opts), do: {".png", bytes}
+  defp encode_image(%EncodedImage{format: :jpeg, data: bytes}, _opts), do: {".jpg", bytes}
+  defp encode_image(%EncodedImage{format: :png, data: bytes}, _opts), do: {".png", bytes}
 
-  defp encode(%Image{} = image, opts) do
+  defp encode_image(%Image{} = image, opts) do
     result =
       if opts[:type] == :png,
         do: Imaging.encode_png(image),
         else: Imaging.encode_jpeg(image, quality: opts[:quality])
 
     case result do
-      {:ok, encoded} -> encode(encoded, opts)
+      {:ok, encoded} -> encode_image(encoded, opts)
       {:error, error} -> raise error
     end
   end
 
-  defp encode(other, _opts) do
+  defp encode_image(other, _opts) do
     raise Error.new(:wrong_data, "expected an image, got: #{inspect(other, limit: 5)}",
             fix: "connect a stream of Situ.Image or Situ.EncodedImage"
           )
   end
 
-  defp failed(path, reason),
+  defp write_error(path, reason),
     do: Error.new(:cannot_write, "cannot write #{path}: #{:file.format_error(reason)}")
 end

@@ -11,51 +11,51 @@ defmodule Situ.Media.Kernel do
   @inline_limit_us 250
 
   @doc "Runs an image kernel that takes about `us` microseconds."
-  @spec picture(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
-  def picture(job, us) do
-    result(if(us < @inline_limit_us, do: Native.run(job), else: Native.run_dirty(job)), job)
+  @spec run_image(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
+  def run_image(job, us) do
+    wrap_result(if(us < @inline_limit_us, do: Native.run(job), else: Native.run_dirty(job)), job)
   rescue
-    error in [ArgumentError, ErlangError] -> refused!(error, job, __STACKTRACE__)
+    error in [ArgumentError, ErlangError] -> argument_error!(error, job, __STACKTRACE__)
   end
 
   @doc "Runs an audio kernel that takes about `us` microseconds."
-  @spec sound(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
-  def sound(job, us) do
-    result(
+  @spec run_audio(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
+  def run_audio(job, us) do
+    wrap_result(
       if(us < @inline_limit_us, do: Native.run_sound(job), else: Native.run_sound_dirty(job)),
       job
     )
   rescue
-    error in [ArgumentError, ErlangError] -> refused!(error, job, __STACKTRACE__)
+    error in [ArgumentError, ErlangError] -> argument_error!(error, job, __STACKTRACE__)
   end
 
   @doc "Runs an OpenCV kernel that takes about `us` microseconds."
-  @spec opencv(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
-  def opencv(job, us) do
-    result(if(us < @inline_limit_us, do: OpenCV.run(job), else: OpenCV.run_dirty(job)), job)
+  @spec run_opencv(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
+  def run_opencv(job, us) do
+    wrap_result(if(us < @inline_limit_us, do: OpenCV.run(job), else: OpenCV.run_dirty(job)), job)
   rescue
     error in [ArgumentError, ErlangError] ->
       if match?(%{original: :not_loaded}, error),
         do: {:error, opencv_missing(job)},
-        else: refused!(error, job, __STACKTRACE__)
+        else: argument_error!(error, job, __STACKTRACE__)
   end
 
-  defp result({:ok, value}, _job), do: {:ok, value}
+  defp wrap_result({:ok, value}, _job), do: {:ok, value}
 
-  defp result({:error, code, what}, job) do
+  defp wrap_result({:error, code, what}, job) do
     {:error, Error.new(code, "#{elem(job, 0)}: #{what}")}
   end
 
   # Converts errors of arguments that the native side could not decode, such as a number too large for its type, or a
   # list instead of a number.
-  defp refused!(%ArgumentError{}, job, _trace), do: {:error, refused(job)}
+  defp argument_error!(%ArgumentError{}, job, _trace), do: {:error, bad_argument(job)}
 
-  defp refused!(%ErlangError{original: "Could not decode field" <> _}, job, _trace),
-    do: {:error, refused(job)}
+  defp argument_error!(%ErlangError{original: "Could not decode field" <> _}, job, _trace),
+    do: {:error, bad_argument(job)}
 
-  defp refused!(error, _job, trace), do: reraise(error, trace)
+  defp argument_error!(error, _job, trace), do: reraise(error, trace)
 
-  defp refused(job) do
+  defp bad_argument(job) do
     Error.new(:bad_option, "#{elem(job, 0)}: an argument has an invalid type or is out of range",
       fix: "see the function's documentation for its arguments"
     )

@@ -20,7 +20,7 @@ defmodule Situ.Media.LiveStream do
       default: nil,
       doc: "Maximum images per second; `nil`: all images."
     ],
-    format: [type: {:in, Situ.Image.Format.all()}, default: :bgr24, doc: "Pixel format."],
+    format: [type: {:in, Situ.Image.Format.list_all()}, default: :bgr24, doc: "Pixel format."],
     audio_format: [
       type: {:optional, {:struct, AudioFormat}},
       default: nil,
@@ -70,7 +70,7 @@ defmodule Situ.Media.LiveStream do
   @doc "Adds the source and returns `%{video: stream, audio: stream}`, without streams that are turned off."
   @spec open(Situ.Pipeline.t(), keyword()) :: %{atom() => Situ.Stream.t()}
   def open(p, opts) do
-    {opts, placed} = Placement.split!(opts, @schema, :component)
+    {opts, placed} = Placement.split_options!(opts, @schema, :component)
     ports = for {kind, type} <- outputs(), opts[kind], do: {kind, type}
 
     node =
@@ -84,7 +84,8 @@ defmodule Situ.Media.LiveStream do
   end
 
   @impl true
-  def init(opts), do: Capture.new(opts[:device], wanted(opts), opts)
+  def init(opts), do: Capture.new(opts[:device], enabled_outputs(opts), opts)
 
-  defp wanted(opts), do: for(kind <- [:video, :audio], opts[kind], into: %{}, do: {kind, kind})
+  defp enabled_outputs(opts),
+    do: for(kind <- [:video, :audio], opts[kind], into: %{}, do: {kind, kind})
 end

@@ -60,8 +60,8 @@ defmodule Situ.Media.Microphone do
   def open(p, opts \\ []), do: Situ.source(p, __MODULE__, Keyword.put_new(opts, :async, true))
 
   @doc "Lists the available microphones."
-  @spec list() :: [Device.t()]
-  def list, do: Enum.filter(Device.list(), &(&1.kind == :microphone))
+  @spec list_devices() :: [Device.t()]
+  def list_devices, do: Enum.filter(Device.list(), &(&1.kind == :microphone))
 
   @impl true
   def init(opts), do: Capture.new(opts[:device], %{audio: :out}, opts)

@@ -6,7 +6,7 @@ defmodule Situ.Media.Nut do
   NUT keeps the exact time base of every stream and can be written and read without seeking. `Situ.Media.Nut.Demuxer`
   reads it, and `Situ.Media.Nut.Muxer` writes it. For the format, see <https://ffmpeg.org/~michael/nut.txt>.
 
-      iex> Situ.Media.Nut.varint(300)
+      iex> Situ.Media.Nut.encode_varint(300)
       <<0x82, 0x2C>>
       iex> Situ.Media.Nut.to_ns(1, {1, 25})
       40_000_000
@@ -56,15 +56,17 @@ defmodule Situ.Media.Nut do
   @doc """
   Encodes an unsigned number in groups of 7 bits, most significant first. All bytes but the last have the top bit set.
   """
-  @spec varint(non_neg_integer()) :: binary()
-  def varint(value) when is_integer(value) and value >= 0,
-    do: varint(value >>> 7, <<value &&& 127>>)
+  @spec encode_varint(non_neg_integer()) :: binary()
+  def encode_varint(value) when is_integer(value) and value >= 0,
+    do: encode_groups(value >>> 7, <<value &&& 127>>)
 
-  defp varint(0, bytes), do: bytes
-  defp varint(value, bytes), do: varint(value >>> 7, <<1::1, value &&& 127::7, bytes::binary>>)
+  defp encode_groups(0, bytes), do: bytes
+
+  defp encode_groups(value, bytes),
+    do: encode_groups(value >>> 7, <<1::1, value &&& 127::7, bytes::binary>>)
 
   @doc """
-  Reads a number written by `varint/1`.
+  Reads a number written by `encode_varint/1`.
 
       iex> Situ.Media.Nut.take_varint(<<0x82, 0x2C, 9>>)
       {300, <<9>>}
@@ -84,12 +86,12 @@ defmodule Situ.Media.Nut do
   @doc """
   Decodes a signed number from an unsigned one: 0, 1, -1, 2, -2 ...
 
-      iex> Enum.map(0..4, &Situ.Media.Nut.signed/1)
+      iex> Enum.map(0..4, &Situ.Media.Nut.decode_signed/1)
       [0, 1, -1, 2, -2]
   """
-  @spec signed(non_neg_integer()) :: integer()
-  def signed(value) when (value &&& 1) == 1, do: (value + 1) >>> 1
-  def signed(value), do: -(value >>> 1)
+  @spec decode_signed(non_neg_integer()) :: integer()
+  def decode_signed(value) when (value &&& 1) == 1, do: (value + 1) >>> 1
+  def decode_signed(value), do: -(value >>> 1)
 
   @doc "Converts ticks of a time base to nanoseconds, rounded to the nearest."
   @spec to_ns(integer(), time_base()) :: integer()
@@ -97,8 +99,8 @@ defmodule Situ.Media.Nut do
     do: Integer.floor_div(ticks * num * 2_000_000_000 + den, 2 * den)
 
   @doc "Converts ticks of one time base to ticks of another, rounded down as syncpoints require."
-  @spec rescale(integer(), time_base(), time_base()) :: integer()
-  def rescale(ticks, {num, den}, {to_num, to_den}),
+  @spec rescale_ticks(integer(), time_base(), time_base()) :: integer()
+  def rescale_ticks(ticks, {num, den}, {to_num, to_den}),
     do: Integer.floor_div(ticks * num * to_den, den * to_num)
 
   @poly 0x04C11DB7
@@ -113,8 +115,8 @@ defmodule Situ.Media.Nut do
   @doc """
   Computes the checksum of NUT headers: CRC-32 with polynomial 04C11DB7, most significant bit first, starting at 0.
   """
-  @spec crc(binary()) :: non_neg_integer()
-  def crc(bytes) do
+  @spec header_checksum(binary()) :: non_neg_integer()
+  def header_checksum(bytes) do
     for <<byte <- bytes>>, reduce: 0 do
       crc -> bxor(crc <<< 8 &&& 0xFFFFFFFF, elem(@table, bxor(crc >>> 24, byte)))
     end

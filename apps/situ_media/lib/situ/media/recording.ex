@@ -44,16 +44,16 @@ defmodule Situ.Media.Recording do
   end
 
   @impl true
-  def streams(recording), do: video(recording) ++ audio(recording)
+  def streams(recording), do: video_streams(recording) ++ audio_streams(recording)
 
-  defp video(%{info: %{video: nil}}), do: []
+  defp video_streams(%{info: %{video: nil}}), do: []
 
-  defp video(%{index: index, info: %{video: video}} = recording) do
-    count = Index.count(index)
+  defp video_streams(%{index: index, info: %{video: video}} = recording) do
+    count = Index.image_count(index)
     size = count * video.width * video.height * 3
 
     [
-      stream(
+      build_stream_info(
         recording,
         %{id: 1, name: "Video", type: Situ.Image, count: count},
         size,
@@ -62,14 +62,14 @@ defmodule Situ.Media.Recording do
     ]
   end
 
-  defp audio(%{sound: nil}), do: []
+  defp audio_streams(%{sound: nil}), do: []
 
-  defp audio(%{sound: sound, index: index} = recording) do
+  defp audio_streams(%{sound: sound, index: index} = recording) do
     count = div(sound.frames + sound.step - 1, sound.step)
     size = sound.frames * AudioFormat.bytes_per_frame(sound.format)
 
     [
-      stream(
+      build_stream_info(
         recording,
         %{id: 2, name: "Audio", type: AudioBuffer, count: count},
         size,
@@ -78,10 +78,10 @@ defmodule Situ.Media.Recording do
     ]
   end
 
-  defp stream(recording, %{count: count} = fields, size, stored) do
+  defp build_stream_info(recording, %{count: count} = fields, size, stored) do
     info = struct!(StreamInfo, fields)
-    first = if count > 0, do: time(recording, info, 0)
-    last = if count > 0, do: time(recording, info, count - 1)
+    first = if count > 0, do: message_time(recording, info, 0)
+    last = if count > 0, do: message_time(recording, info, count - 1)
 
     %{
       info
@@ -99,17 +99,17 @@ defmodule Situ.Media.Recording do
     }
   end
 
-  defp time(recording, %{name: "Video"}, ordinal),
-    do: recording.start + Index.time(recording.index, ordinal)
+  defp message_time(recording, %{name: "Video"}, ordinal),
+    do: recording.start + Index.image_time(recording.index, ordinal)
 
-  defp time(%{sound: sound} = recording, _info, ordinal) do
+  defp message_time(%{sound: sound} = recording, _info, ordinal) do
     finish = sound.first + min((ordinal + 1) * sound.step, sound.frames)
     recording.start + AudioFormat.frames_to_ns(sound.format, finish)
   end
 
   @impl true
   def seek(recording, %{name: "Video"}, time),
-    do: {:ok, Index.seek(recording.index, time - recording.start)}
+    do: {:ok, Index.seek_image(recording.index, time - recording.start)}
 
   def seek(%{sound: sound} = recording, info, time) do
     frame = AudioFormat.ns_to_frames(sound.format, time - recording.start) - sound.first
@@ -118,7 +118,7 @@ defmodule Situ.Media.Recording do
     near =
       Enum.find(
         max(guess - 2, 0)..(guess + 2),
-        &(&1 >= info.count or time(recording, info, &1) >= time)
+        &(&1 >= info.count or message_time(recording, info, &1) >= time)
       )
 
     {:ok, min(near || info.count, info.count)}
@@ -126,35 +126,42 @@ defmodule Situ.Media.Recording do
 
   @impl true
   def read(recording, info, ordinal, to, limit, opts) do
-    last = before(recording, info, to)
+    last = last_before(recording, info, to)
 
     cond do
-      ordinal > last -> {:ok, [], ordinal}
-      opts[:envelopes] -> envelopes(recording, info, ordinal..min(last, ordinal + limit - 1))
-      info.name == "Video" -> pictures(recording, info, ordinal, min(limit, last - ordinal + 1))
-      true -> pieces(recording, info, ordinal, min(limit, last - ordinal + 1))
+      ordinal > last ->
+        {:ok, [], ordinal}
+
+      opts[:envelopes] ->
+        read_envelopes(recording, info, ordinal..min(last, ordinal + limit - 1))
+
+      info.name == "Video" ->
+        read_images(recording, info, ordinal, min(limit, last - ordinal + 1))
+
+      true ->
+        read_audio(recording, info, ordinal, min(limit, last - ordinal + 1))
     end
   end
 
   # Returns the ordinal of the last message at or before `to`.
-  defp before(_recording, info, :unbounded), do: info.count - 1
+  defp last_before(_recording, info, :unbounded), do: info.count - 1
 
-  defp before(recording, info, to) do
+  defp last_before(recording, info, to) do
     {:ok, next} = seek(recording, info, to + 1)
     next - 1
   end
 
-  defp envelopes(recording, info, ordinals) do
-    {:ok, Enum.map(ordinals, &message(recording, info, &1, nil)), ordinals.last + 1}
+  defp read_envelopes(recording, info, ordinals) do
+    {:ok, Enum.map(ordinals, &build_message(recording, info, &1, nil)), ordinals.last + 1}
   end
 
-  defp pictures(recording, info, ordinal, limit) do
-    case Pictures.read(recording, ordinal, limit) do
+  defp read_images(recording, info, ordinal, limit) do
+    case Pictures.fetch_range(recording, ordinal, limit) do
       {:ok, []} ->
         {:ok, [], ordinal}
 
       {:ok, pictures} ->
-        messages = for {at, image} <- pictures, do: message(recording, info, at, image)
+        messages = for {at, image} <- pictures, do: build_message(recording, info, at, image)
         {:ok, messages, elem(List.last(pictures), 0) + 1}
 
       {:error, error} ->
@@ -162,18 +169,24 @@ defmodule Situ.Media.Recording do
     end
   end
 
-  defp pieces(%{sound: sound} = recording, info, ordinal, limit) do
-    {number, skip} = {div(ordinal, OpenFile.stretch()), rem(ordinal, OpenFile.stretch())}
+  defp read_audio(%{sound: sound} = recording, info, ordinal, limit) do
+    {number, skip} =
+      {div(ordinal, OpenFile.chunks_per_batch()), rem(ordinal, OpenFile.chunks_per_batch())}
 
-    with {:ok, data, error} <- Sound.read(recording, number) do
+    with {:ok, data, error} <- Sound.read_batch(recording, number) do
       size = sound.step * AudioFormat.bytes_per_frame(sound.format)
       there = div(byte_size(data) + size - 1, size)
 
       messages =
         for i <- skip..(min(skip + limit, there) - 1)//1 do
           at = ordinal + i - skip
-          piece = %AudioBuffer{format: sound.format, data: piece(recording, at, data, i * size)}
-          message(recording, info, at, piece)
+
+          piece = %AudioBuffer{
+            format: sound.format,
+            data: chunk_bytes(recording, at, data, i * size)
+          }
+
+          build_message(recording, info, at, piece)
         end
 
       # Returns the messages read so far first, and the error with the next read.
@@ -183,7 +196,7 @@ defmodule Situ.Media.Recording do
     end
   end
 
-  defp piece(%{sound: sound}, ordinal, data, from) do
+  defp chunk_bytes(%{sound: sound}, ordinal, data, from) do
     frame = AudioFormat.bytes_per_frame(sound.format)
     wanted = min(sound.step, sound.frames - ordinal * sound.step) * frame
     there = min(wanted, byte_size(data) - from)
@@ -191,8 +204,8 @@ defmodule Situ.Media.Recording do
     if there == wanted, do: part, else: part <> :binary.copy(<<0>>, wanted - there)
   end
 
-  defp message(recording, info, ordinal, data) do
-    time = time(recording, info, ordinal)
+  defp build_message(recording, info, ordinal, data) do
+    time = message_time(recording, info, ordinal)
 
     %Message{
       data: data,
@@ -205,44 +218,45 @@ defmodule Situ.Media.Recording do
 
   @impl true
   def summary(_recording, %{name: "Video"}, from, to, pixels),
-    do: {:ok, 1 <<< level(from, to, pixels), []}
+    do: {:ok, 1 <<< bin_level(from, to, pixels), []}
 
   def summary(recording, info, from, to, pixels) do
-    level = level(from, to, pixels)
+    level = bin_level(from, to, pixels)
 
-    if level >= Waveform.level() do
-      with {:ok, waveform} <- Sound.waveform(recording),
-           do: {:ok, 1 <<< level, Waveform.bins(waveform, from, to, level)}
+    if level >= Waveform.finest_level() do
+      with {:ok, waveform} <- Sound.fetch_waveform(recording),
+           do: {:ok, 1 <<< level, Waveform.list_bins(waveform, from, to, level)}
     else
       with {:ok, first} <- seek(recording, info, from),
-           {:ok, points} <- points(recording, info, first, to + OpenFile.piece(), []) do
-        {:ok, 1 <<< level, fold(points, from, to, level)}
+           {:ok, points} <-
+             collect_points(recording, info, first, to + OpenFile.chunk_duration(), []) do
+        {:ok, 1 <<< level, fold_points(points, from, to, level)}
       end
     end
   end
 
   # Returns the exponent of the largest power of two that is not wider than a pixel.
-  defp level(from, to, pixels) do
+  defp bin_level(from, to, pixels) do
     width = max(div(to - from, pixels), 1)
     length(Integer.digits(width, 2)) - 1
   end
 
   # Decodes the samples, which is fast enough for a span this short.
-  defp points(recording, info, ordinal, to, done) do
-    case read(recording, info, ordinal, to, OpenFile.stretch(), []) do
+  defp collect_points(recording, info, ordinal, to, done) do
+    case read(recording, info, ordinal, to, OpenFile.chunks_per_batch(), []) do
       {:ok, [], _} ->
         {:ok, done |> Enum.reverse() |> Enum.concat()}
 
       {:ok, messages, next} ->
         points = Enum.flat_map(messages, &Situ.Sound.points!(&1.data, &1.originating_time))
-        points(recording, info, next, to, [points | done])
+        collect_points(recording, info, next, to, [points | done])
 
       {:error, error} ->
         {:error, error}
     end
   end
 
-  defp fold(points, from, to, level) do
+  defp fold_points(points, from, to, level) do
     points
     |> Enum.filter(fn {time, _, _, _, _} -> time >= from and time <= to end)
     |> Enum.chunk_by(&(elem(&1, 0) >>> level))

@@ -45,12 +45,12 @@ defmodule Situ.Media.Speaker do
   end
 
   @doc "Lists the available speakers."
-  @spec list() :: [Device.t()]
-  def list, do: Enum.filter(Device.list(), &(&1.kind == :speaker))
+  @spec list_devices() :: [Device.t()]
+  def list_devices, do: Enum.filter(Device.list(), &(&1.kind == :speaker))
 
   @impl true
   def init(opts) do
-    with {:ok, {driver, address}} <- Device.parse(opts[:device]),
+    with {:ok, {driver, address}} <- Device.parse_name(opts[:device]),
          :ok <- can_play(driver, address) do
       {:ok, %{driver: driver, address: address, opts: opts, writer: nil, format: nil, played: 0}}
     end
@@ -58,29 +58,30 @@ defmodule Situ.Media.Speaker do
 
   @impl true
   def handle_message(:in, %{data: %AudioBuffer{} = buffer}, _context, state) do
-    state = open(buffer.format, state)
-    buffer = amplify(buffer, state.opts[:gain])
+    state = ensure_open(buffer.format, state)
+    buffer = apply_gain(buffer, state.opts[:gain])
     time = AudioFormat.frames_to_ns(buffer.format, state.played)
 
-    case Writer.write(state.writer, 0, time, buffer.data) do
-      :ok -> {[], %{state | played: state.played + AudioBuffer.frames(buffer)}}
-      {:error, error} -> raise unopened(error, state)
+    case Writer.write_frame(state.writer, 0, time, buffer.data) do
+      :ok -> {[], %{state | played: state.played + AudioBuffer.frame_count(buffer)}}
+      {:error, error} -> raise open_error(error, state)
     end
   end
 
-  defp amplify(buffer, gain) when gain in [1, 1.0], do: buffer
-  defp amplify(buffer, gain), do: Sound.gain!(buffer, gain)
+  defp apply_gain(buffer, gain) when gain in [1, 1.0], do: buffer
+  defp apply_gain(buffer, gain), do: Sound.gain!(buffer, gain)
 
   @impl true
-  def handle_closed(:in, _time, _context, state), do: {[], close(state)}
+  def handle_closed(:in, _time, _context, state), do: {[], close_writer(state)}
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def terminate(_reason, state), do: close_writer(state)
 
-  defp open(format, %{format: format, writer: writer} = state) when is_pid(writer), do: state
+  defp ensure_open(format, %{format: format, writer: writer} = state) when is_pid(writer),
+    do: state
 
-  defp open(%AudioFormat{} = format, state) do
-    state = close(state)
+  defp ensure_open(%AudioFormat{} = format, state) do
+    state = close_writer(state)
 
     with {:ok, args} <- state.driver.playback(state.address, state.opts),
          {:ok, writer} <-
@@ -101,28 +102,28 @@ defmodule Situ.Media.Speaker do
            ) do
       %{state | writer: writer, format: format, played: 0}
     else
-      {:error, error} -> raise unopened(error, state)
+      {:error, error} -> raise open_error(error, state)
     end
   end
 
   # Waits until the last buffer was played.
-  defp close(%{writer: nil} = state), do: state
+  defp close_writer(%{writer: nil} = state), do: state
 
-  defp close(state) do
-    case Writer.finish(state.writer, 30_000) do
+  defp close_writer(state) do
+    case Writer.finish_output(state.writer, 30_000) do
       :ok -> %{state | writer: nil}
-      {:error, error} -> raise unopened(error, state)
+      {:error, error} -> raise open_error(error, state)
     end
   end
 
   # FFmpeg opens a device when it writes the "header", so an error there means that the device did not open.
-  defp unopened(%{meta: %{log: log}} = error, state) do
+  defp open_error(%{meta: %{log: log}} = error, state) do
     if Enum.any?(log, &(&1 =~ "write header")),
-      do: Device.unopened(error, state.driver, state.address, :speaker),
+      do: Device.open_error(error, state.driver, state.address, :speaker),
       else: error
   end
 
-  defp unopened(error, _state), do: error
+  defp open_error(error, _state), do: error
 
   defp can_play(driver, address) do
     if Code.ensure_loaded?(driver) and function_exported?(driver, :playback, 2),

@@ -5,7 +5,7 @@ defmodule Situ.Media.VideoFile do
   @hidden [:loop]
   @schema [
             path: [type: :string, required: true, doc: "Path of the file."],
-            start_time: FileTime.option(),
+            start_time: FileTime.start_time_option(),
             on_damage: [
               type: {:in, [:error, :warn]},
               default: :error,
@@ -17,7 +17,7 @@ defmodule Situ.Media.VideoFile do
               default: nil,
               doc: "The result of `Situ.Media.FileInfo.read/1`; set by `open/3`."
             ]
-          ] ++ Keyword.drop(Decoder.options(), @hidden)
+          ] ++ Keyword.drop(Decoder.option_schema(), @hidden)
 
   @moduledoc """
   A source that reads a media file and emits synchronized images on `:video` and audio on `:audio`, with exact times.
@@ -55,13 +55,16 @@ defmodule Situ.Media.VideoFile do
           audio: Situ.Stream.t() | nil
         }
   def open(p, path, opts \\ []) do
-    info = read!(path)
-    {opts, placed} = Placement.split!([path: path, info: info] ++ opts, @schema, :component)
-    ports = ports(info, opts)
-    if ports == [], do: raise(nothing(info))
+    info = read_info!(path)
+
+    {opts, placed} =
+      Placement.split_options!([path: path, info: info] ++ opts, @schema, :component)
+
+    ports = output_ports(info, opts)
+    if ports == [], do: raise(no_stream_error(info))
     node = Situ.Pipeline.add(p, __MODULE__, [outputs: ports] ++ opts ++ placed)
 
-    FileTime.propose(
+    FileTime.propose_replay(
       p,
       opts[:start_time],
       info.recorded_at,
@@ -80,8 +83,8 @@ defmodule Situ.Media.VideoFile do
 
   @impl true
   def handle_start(context, %{opts: opts, info: info} = state) do
-    offset = FileTime.offset(opts[:start_time], info.recorded_at, opts[:start], context)
-    {from, to} = FileTime.span(offset, {opts[:start], opts[:end]}, context)
+    offset = FileTime.time_offset(opts[:start_time], info.recorded_at, opts[:start], context)
+    {from, to} = FileTime.read_span(offset, {opts[:start], opts[:end]}, context)
     state = %{state | offset: offset, last: offset + from}
 
     if (to && to <= from) || (from > opts[:start] && info.duration && from >= info.duration) do
@@ -104,25 +107,25 @@ defmodule Situ.Media.VideoFile do
 
   # Emits one message at a time, whatever the demand, because images are large.
   def handle_demand(_n, _context, state) do
-    case Decoder.next(state.decoder) do
+    case Decoder.next_item(state.decoder) do
       {:eof, decoder} ->
-        complete(%{state | decoder: decoder})
+        complete_source(%{state | decoder: decoder})
 
       {:error, error, decoder} ->
-        damaged(error, %{state | decoder: decoder})
+        handle_damage(error, %{state | decoder: decoder})
 
       {kind, time, data, decoder} ->
-        emit(kind, time + state.offset, data, %{state | decoder: decoder})
+        emit_frame(kind, time + state.offset, data, %{state | decoder: decoder})
     end
   end
 
   # All data has been delivered by now; raising the error earlier would have dropped some of it.
   @impl true
-  def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close(state)}
+  def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close_decoder(state)}
   def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def terminate(_reason, state), do: close_decoder(state)
 
   @impl true
   def describe(%{info: info, decoder: decoder}) do
@@ -130,41 +133,41 @@ defmodule Situ.Media.VideoFile do
     "#{info.name} (#{info.format}), #{dropped} images with invalid times skipped"
   end
 
-  defp emit(kind, time, data, state),
+  defp emit_frame(kind, time, data, state),
     do: {[{kind, time, data}], %{state | last: max(state.last, time)}}
 
-  defp complete(state), do: {[{:complete, state.last}], close(state)}
+  defp complete_source(state), do: {[{:complete, state.last}], close_decoder(state)}
 
-  defp damaged(error, %{opts: opts} = state) do
+  defp handle_damage(error, %{opts: opts} = state) do
     case opts[:on_damage] do
       :error ->
-        complete(%{state | damage: error})
+        complete_source(%{state | damage: error})
 
       :warn ->
         Logger.warning(Exception.message(error))
-        complete(state)
+        complete_source(state)
     end
   end
 
-  defp close(%{decoder: nil} = state), do: state
+  defp close_decoder(%{decoder: nil} = state), do: state
 
-  defp close(state) do
+  defp close_decoder(state) do
     Decoder.close(state.decoder)
     %{state | decoder: nil}
   end
 
-  defp read!(path) do
+  defp read_info!(path) do
     case FileInfo.read(path) do
       {:ok, info} -> info
       {:error, error} -> raise error
     end
   end
 
-  defp ports(info, opts) do
+  defp output_ports(info, opts) do
     for {kind, type} <- outputs(), Map.fetch!(info, kind) && opts[kind], do: {kind, type}
   end
 
-  defp nothing(info) do
+  defp no_stream_error(info) do
     Situ.Error.new(:no_stream, "#{info.name} has nothing to read with these options",
       fix: "enable at least one of video: and audio:"
     )

@@ -10,7 +10,7 @@ defmodule Situ.Media.VideoWriter do
               default: [:video, :audio],
               doc: "The connected inputs; set by `write/3`."
             ]
-          ] ++ Encoder.options()
+          ] ++ Encoder.option_schema()
 
   @moduledoc """
   A sink that writes synchronized images and audio to one media file, each frame at its own time.
@@ -60,28 +60,28 @@ defmodule Situ.Media.VideoWriter do
         seen: Map.put(state.seen, input, data)
     }
 
-    {[], if(ready?(state), do: open(state), else: state)}
+    {[], if(can_open?(state), do: open_encoder(state), else: state)}
   end
 
   def handle_message(input, message, _context, state),
-    do: {[], put(input, message.originating_time, message.data, state)}
+    do: {[], write_item(input, message.originating_time, message.data, state)}
 
   @impl true
   def handle_closed(input, _time, _context, state) do
     state = %{state | closed: [input | state.closed]}
-    state = if state.encoder == nil and state.held != [], do: open(state), else: state
-    {[], if(state.opts[:expect] -- state.closed == [], do: finish(state), else: state)}
+    state = if state.encoder == nil and state.held != [], do: open_encoder(state), else: state
+    {[], if(state.opts[:expect] -- state.closed == [], do: close_encoder(state), else: state)}
   end
 
   @impl true
-  def terminate(_reason, state), do: finish(state)
+  def terminate(_reason, state), do: close_encoder(state)
 
   @impl true
   def describe(state), do: "#{Path.basename(state.opts[:path])}, #{state.early} too early"
 
-  defp finish(%{encoder: nil} = state), do: state
+  defp close_encoder(%{encoder: nil} = state), do: state
 
-  defp finish(%{encoder: encoder} = state) do
+  defp close_encoder(%{encoder: encoder} = state) do
     case Encoder.close(encoder) do
       :ok -> %{state | encoder: nil}
       {:error, error} -> raise error
@@ -89,14 +89,14 @@ defmodule Situ.Media.VideoWriter do
   end
 
   # True if every kind has arrived, or one has waited long enough for the other.
-  defp ready?(%{seen: seen, held: held, opts: opts}) do
+  defp can_open?(%{seen: seen, held: held, opts: opts}) do
     times = Enum.map(held, &elem(&1, 1))
 
     map_size(seen) == length(opts[:expect]) or length(held) >= @most_held or
       Enum.max(times) - Enum.min(times) >= @wait
   end
 
-  defp open(state) do
+  defp open_encoder(state) do
     start = state.held |> Enum.map(&start_of/1) |> Enum.min()
     audio = state.seen[:audio]
 
@@ -111,7 +111,7 @@ defmodule Situ.Media.VideoWriter do
         state = %{state | encoder: encoder, held: [], seen: %{}}
 
         Enum.reduce(held, state, fn {input, time, data}, state ->
-          put(input, time, data, state)
+          write_item(input, time, data, state)
         end)
 
       {:error, error} ->
@@ -122,18 +122,18 @@ defmodule Situ.Media.VideoWriter do
   defp start_of({:video, time, _}), do: time
   defp start_of({:audio, time, buffer}), do: AudioBuffer.start_time(buffer, time)
 
-  defp put(input, time, data, state) do
+  defp write_item(input, time, data, state) do
     case apply(Encoder, input, [state.encoder, time, data]) do
       :ok -> state
-      {:error, %{code: :before_start} = error} -> early(error, state)
+      {:error, %{code: :before_start} = error} -> count_early(error, state)
       {:error, error} -> raise error
     end
   end
 
-  defp early(error, %{early: 0} = state) do
+  defp count_early(error, %{early: 0} = state) do
     Logger.warning(Exception.message(error))
     %{state | early: 1}
   end
 
-  defp early(_error, state), do: %{state | early: state.early + 1}
+  defp count_early(_error, state), do: %{state | early: state.early + 1}
 end

@@ -29,20 +29,20 @@ defmodule Situ.Media.Wav do
   def read(path) do
     with {:ok, reader} <- Reader.open(path, buffer: 1_000_000_000) do
       try do
-        collect(Reader.next(reader), [], reader.format)
+        collect_buffers(Reader.next_buffer(reader), [], reader.format)
       after
-        Reader.close(reader)
+        Reader.close_file(reader)
       end
     end
   end
 
-  defp collect({:ok, _time, buffer, reader}, data, format),
-    do: collect(Reader.next(reader), [data | [buffer.data]], format)
+  defp collect_buffers({:ok, _time, buffer, reader}, data, format),
+    do: collect_buffers(Reader.next_buffer(reader), [data | [buffer.data]], format)
 
-  defp collect(:eof, data, format),
+  defp collect_buffers(:eof, data, format),
     do: {:ok, %AudioBuffer{format: format, data: IO.iodata_to_binary(data)}}
 
-  defp collect({:error, error}, _data, _format), do: {:error, error}
+  defp collect_buffers({:error, error}, _data, _format), do: {:error, error}
 
   @doc """
   Writes `buffer` to a WAV file. The option `start_time:` (ns) is stored in the file and read by `Situ.Media.WavFile`.
@@ -51,8 +51,8 @@ defmodule Situ.Media.Wav do
   def write(path, %AudioBuffer{} = buffer, opts \\ []) do
     with {:ok, buffer} <- AudioBuffer.validate(buffer),
          {:ok, writer} <- Writer.open(path, buffer.format, opts),
-         {:ok, writer} <- Writer.append(writer, buffer) do
-      Writer.close(writer)
+         {:ok, writer} <- Writer.append_buffer(writer, buffer) do
+      Writer.finish_file(writer)
     end
   end
 end

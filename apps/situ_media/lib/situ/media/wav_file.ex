@@ -8,7 +8,7 @@ defmodule Situ.Media.WavFile do
     buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of an audio buffer, ns."],
     start: [type: :non_neg_integer, default: 0, doc: "Media time to begin at, ns."],
     end: [type: {:optional, :pos_integer}, default: nil, doc: "Media time to end at, ns."],
-    start_time: FileTime.option(),
+    start_time: FileTime.start_time_option(),
     on_damage: [
       type: {:in, [:error, :warn]},
       default: :error,
@@ -38,10 +38,17 @@ defmodule Situ.Media.WavFile do
   @doc "Adds the source and returns its stream. Raises `Situ.Error` if the file cannot be read."
   @spec open(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def open(p, path, opts \\ []) do
-    {opts, placed} = Placement.split!([path: path] ++ opts, @schema, :component)
-    {recorded_at, duration} = look!(path)
+    {opts, placed} = Placement.split_options!([path: path] ++ opts, @schema, :component)
+    {recorded_at, duration} = read_header!(path)
     stream = Situ.source(p, __MODULE__, opts ++ placed)
-    FileTime.propose(p, opts[:start_time], recorded_at, {opts[:start], opts[:end] || duration})
+
+    FileTime.propose_replay(
+      p,
+      opts[:start_time],
+      recorded_at,
+      {opts[:start], opts[:end] || duration}
+    )
+
     stream
   end
 
@@ -50,9 +57,9 @@ defmodule Situ.Media.WavFile do
 
   @impl true
   def handle_start(context, %{opts: opts} = state) do
-    {recorded_at, _duration} = look!(opts[:path])
-    offset = FileTime.offset(opts[:start_time], recorded_at, opts[:start], context)
-    {from, to} = FileTime.span(offset, {opts[:start], opts[:end]}, context)
+    {recorded_at, _duration} = read_header!(opts[:path])
+    offset = FileTime.time_offset(opts[:start_time], recorded_at, opts[:start], context)
+    {from, to} = FileTime.read_span(offset, {opts[:start], opts[:end]}, context)
     state = %{state | offset: offset, last: offset + from}
 
     if to && to <= from do
@@ -67,33 +74,39 @@ defmodule Situ.Media.WavFile do
 
   @impl true
   def handle_demand(_n, _context, %{reader: nil} = state), do: {[], state}
-  def handle_demand(n, _context, state), do: read(min(n, @batch), [], state)
+  def handle_demand(n, _context, state), do: read_buffers(min(n, @batch), [], state)
 
   # All data has been delivered by now; raising the error earlier would have dropped some of it.
   @impl true
-  def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close(state)}
+  def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close_reader(state)}
   def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def terminate(_reason, state), do: close_reader(state)
 
-  defp read(0, actions, state), do: {Enum.reverse(actions), state}
+  defp read_buffers(0, actions, state), do: {Enum.reverse(actions), state}
 
-  defp read(n, actions, state) do
-    case Reader.next(state.reader) do
+  defp read_buffers(n, actions, state) do
+    case Reader.next_buffer(state.reader) do
       {:ok, time, buffer, reader} ->
         time = time + state.offset
-        read(n - 1, [{:out, time, buffer} | actions], %{state | reader: reader, last: time})
+
+        read_buffers(n - 1, [{:out, time, buffer} | actions], %{
+          state
+          | reader: reader,
+            last: time
+        })
 
       :eof ->
-        {Enum.reverse([{:complete, state.last} | actions]), close(state)}
+        {Enum.reverse([{:complete, state.last} | actions]), close_reader(state)}
 
       {:error, error} ->
-        {Enum.reverse([{:complete, state.last} | actions]), error |> damaged(state) |> close()}
+        {Enum.reverse([{:complete, state.last} | actions]),
+         error |> handle_damage(state) |> close_reader()}
     end
   end
 
-  defp damaged(error, %{opts: opts} = state) do
+  defp handle_damage(error, %{opts: opts} = state) do
     if opts[:on_damage] == :error do
       %{state | damage: error}
     else
@@ -102,18 +115,18 @@ defmodule Situ.Media.WavFile do
     end
   end
 
-  defp close(%{reader: nil} = state), do: state
+  defp close_reader(%{reader: nil} = state), do: state
 
-  defp close(state) do
-    Reader.close(state.reader)
+  defp close_reader(state) do
+    Reader.close_file(state.reader)
     %{state | reader: nil}
   end
 
-  defp look!(path) do
+  defp read_header!(path) do
     case Reader.open(path) do
       {:ok, reader} ->
-        Reader.close(reader)
-        {reader.recorded_at, Reader.duration(reader)}
+        Reader.close_file(reader)
+        {reader.recorded_at, Reader.total_duration(reader)}
 
       {:error, error} ->
         raise error

@@ -41,49 +41,49 @@ defmodule Situ.Media.WavWriter do
   def handle_message(:in, message, _context, state) do
     %{data: buffer, originating_time: time} = message
     start = AudioBuffer.start_time(buffer, time)
-    state = if state.writer, do: state, else: open(buffer, start, state)
-    writer = state.writer |> fill(start - state.end, state.opts) |> append(buffer)
+    state = if state.writer, do: state, else: open_writer(buffer, start, state)
+    writer = state.writer |> fill_gap(start - state.end, state.opts) |> append_buffer(buffer)
     {[], %{state | writer: writer, end: time}}
   end
 
   @impl true
   def terminate(_reason, %{writer: nil}), do: :ok
-  def terminate(_reason, %{writer: writer}), do: Situ.Error.unwrap!(Writer.close(writer))
+  def terminate(_reason, %{writer: writer}), do: Situ.Error.unwrap!(Writer.finish_file(writer))
 
   @impl true
   def handle_closed(:in, _time, _context, %{writer: nil} = state), do: {[], state}
 
   def handle_closed(:in, _time, _context, state) do
-    Situ.Error.unwrap!(Writer.close(state.writer))
+    Situ.Error.unwrap!(Writer.finish_file(state.writer))
     {[], %{state | writer: nil}}
   end
 
-  defp open(buffer, start, state) do
+  defp open_writer(buffer, start, state) do
     case Writer.open(state.opts[:path], buffer.format, start_time: start) do
       {:ok, writer} -> %{state | writer: writer, end: start}
       {:error, error} -> raise error
     end
   end
 
-  defp fill(writer, gap, opts) do
+  defp fill_gap(writer, gap, opts) do
     if opts[:fill_gaps] and gap > 1_000_000 do
       if gap > @longest_gap, do: raise(too_long(opts[:path], gap))
-      silence(writer, Situ.AudioFormat.ns_to_frames(writer.format, gap))
+      write_silence(writer, Situ.AudioFormat.ns_to_frames(writer.format, gap))
     else
       writer
     end
   end
 
   # Writes one second at a time, because an hour of many channels would be gigabytes.
-  defp silence(%{format: format} = writer, frames) do
-    second = AudioBuffer.silence(format, format.rate)
-    rest = AudioBuffer.silence(format, rem(frames, format.rate))
+  defp write_silence(%{format: format} = writer, frames) do
+    second = AudioBuffer.build_silence(format, format.rate)
+    rest = AudioBuffer.build_silence(format, rem(frames, format.rate))
     seconds = List.duplicate(second, div(frames, format.rate))
-    Enum.reduce(seconds ++ [rest], writer, &append(&2, &1))
+    Enum.reduce(seconds ++ [rest], writer, &append_buffer(&2, &1))
   end
 
-  defp append(writer, buffer) do
-    case Writer.append(writer, buffer) do
+  defp append_buffer(writer, buffer) do
+    case Writer.append_buffer(writer, buffer) do
       {:ok, writer} -> writer
       {:error, error} -> raise error
     end

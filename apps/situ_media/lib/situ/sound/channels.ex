@@ -21,15 +21,15 @@ defmodule Situ.Sound.Channels do
   def reformat(%AudioBuffer{format: format} = buffer, opts) do
     opts = Keyword.validate!(opts, channels: format.channels, sample: format.sample)
 
-    with {:ok, gains} <- spread(format.channels, opts[:channels]),
+    with {:ok, gains} <- spread_gains(format.channels, opts[:channels]),
          do: remix(buffer, gains, sample: opts[:sample])
   end
 
-  defp spread(same, same), do: {:ok, identity(same)}
-  defp spread(1, to) when to in 1..1024, do: {:ok, List.duplicate([1.0], to)}
-  defp spread(from, 1), do: {:ok, [List.duplicate(1.0 / from, from)]}
+  defp spread_gains(same, same), do: {:ok, identity_matrix(same)}
+  defp spread_gains(1, to) when to in 1..1024, do: {:ok, List.duplicate([1.0], to)}
+  defp spread_gains(from, 1), do: {:ok, [List.duplicate(1.0 / from, from)]}
 
-  defp spread(from, to) do
+  defp spread_gains(from, to) do
     {:error,
      Error.new(:bad_option, "cannot convert #{from} channels to #{inspect(to)} without a matrix",
        fix: "use remix/3 with a matrix of gains, or select_channels/2"
@@ -52,13 +52,13 @@ defmodule Situ.Sound.Channels do
          to = %{buffer.format | channels: length(matrix), sample: sample},
          {:ok, to} <- AudioFormat.validate(to),
          :ok <- check_rows(matrix, buffer.format.channels) do
-      if to == buffer.format and matrix == identity(to.channels) do
+      if to == buffer.format and matrix == identity_matrix(to.channels) do
         {:ok, buffer}
       else
         gains = matrix |> List.flatten() |> Enum.map(&(&1 * 1.0))
-        job = {:mix, buffer.data, layout(buffer.format), layout(to), gains}
+        job = {:mix, buffer.data, native_layout(buffer.format), native_layout(to), gains}
 
-        with {:ok, data} <- Kernel.sound(job, cost(buffer)),
+        with {:ok, data} <- Kernel.run_audio(job, estimate_cost(buffer)),
              do: {:ok, %AudioBuffer{format: to, data: data}}
       end
     end
@@ -126,8 +126,8 @@ defmodule Situ.Sound.Channels do
   def mix(%AudioBuffer{format: format} = a, %AudioBuffer{format: format} = b, opts) do
     with {:ok, a} <- AudioBuffer.validate(a),
          {:ok, b} <- AudioBuffer.validate(b),
-         job = {:add, a.data, b.data, layout(format), Keyword.get(opts, :gain, 1.0) * 1.0},
-         {:ok, data} <- Kernel.sound(job, cost(a) + cost(b)) do
+         job = {:add, a.data, b.data, native_layout(format), Keyword.get(opts, :gain, 1.0) * 1.0},
+         {:ok, data} <- Kernel.run_audio(job, estimate_cost(a) + estimate_cost(b)) do
       {:ok, %AudioBuffer{format: format, data: data}}
     end
   end
@@ -149,7 +149,10 @@ defmodule Situ.Sound.Channels do
   def level(%AudioBuffer{} = buffer) do
     with {:ok, buffer} <- AudioBuffer.validate(buffer),
          {:ok, channels} <-
-           Kernel.sound({:levels, buffer.data, layout(buffer.format)}, cost(buffer))
+           Kernel.run_audio(
+             {:levels, buffer.data, native_layout(buffer.format)},
+             estimate_cost(buffer)
+           )
            |> name_bad_samples(buffer, "levels"),
          do: {:ok, Situ.Audio.Level.new(channels)}
   end
@@ -197,7 +200,11 @@ defmodule Situ.Sound.Channels do
     span = max(div(format.rate, 1000), 1)
     start = AudioBuffer.start_time(buffer, originating_time)
 
-    with {:ok, points} <- Kernel.sound({:points, buffer.data, layout(format), span}, cost(buffer)) do
+    with {:ok, points} <-
+           Kernel.run_audio(
+             {:points, buffer.data, native_layout(format), span},
+             estimate_cost(buffer)
+           ) do
       {:ok,
        for {{min, max, last, count}, i} <- Enum.with_index(points) do
          {start + AudioFormat.frames_to_ns(format, i * span), min, max, last, count}
@@ -206,16 +213,16 @@ defmodule Situ.Sound.Channels do
   end
 
   @doc false
-  @spec layout(AudioFormat.t()) :: {AudioFormat.sample(), pos_integer()}
-  def layout(%AudioFormat{} = format), do: {format.sample, format.channels}
+  @spec native_layout(AudioFormat.t()) :: {AudioFormat.sample(), pos_integer()}
+  def native_layout(%AudioFormat{} = format), do: {format.sample, format.channels}
 
   @doc false
   # Estimates about 3 ns per sample.
-  @spec cost(AudioBuffer.t()) :: float()
-  def cost(%AudioBuffer{} = buffer),
+  @spec estimate_cost(AudioBuffer.t()) :: float()
+  def estimate_cost(%AudioBuffer{} = buffer),
     do: byte_size(buffer.data) / AudioFormat.bytes_per_sample(buffer.format) * 0.003
 
-  defp identity(n), do: for(o <- 1..n, do: for(i <- 1..n, do: one_if(i == o)))
+  defp identity_matrix(n), do: for(o <- 1..n, do: for(i <- 1..n, do: one_if(i == o)))
   defp one_if(true), do: 1.0
   defp one_if(false), do: 0.0
 end

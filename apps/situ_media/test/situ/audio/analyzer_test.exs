@@ -8,8 +8,8 @@ defmodule Situ.Audio.AnalyzerTest do
 
   @format AudioFormat.pcm(16_000)
 
-  # Reference values computed with \psi's own source on one frame of 400 samples, dither off (float32 there).
-  # {log energy, zero crossings, energy, low, high, entropy (nil: NaN there), peak bin}
+  # Reference values computed with \psi's own source on one frame of 400 samples, with dither off and in float32:
+  # {log energy, zero crossings, energy, low, high, entropy (nil where \psi returns NaN), peak bin}
   @golden %{
     tone: {12.14154, 0.05, 1.920002e10, 1.920002e10, 1.450995e3, 0.2533658, 14},
     two_tones: {16.78592, 0.0, 1.996790e12, 1.919974e12, 7.681675e10, nil, 32},
@@ -43,12 +43,15 @@ defmodule Situ.Audio.AnalyzerTest do
 
   defp analyze(samples, opts \\ []) do
     {:ok, analyzer} = Analyzer.new(@format, [dither: 0, power: true, spectrum: true] ++ opts)
-    {:ok, frames} = Analyzer.analyze(analyzer, AudioBuffer.from_samples(samples, @format))
+
+    {:ok, frames} =
+      Analyzer.extract_features(analyzer, AudioBuffer.from_samples(samples, @format))
+
     frames
   end
 
   for name <- Map.keys(@golden) do
-    test "the features of #{name} are \\psi's" do
+    test "the features of #{name} match \\psi's" do
       {log_energy, zcr, energy, low, high, entropy, peak} = Map.fetch!(@golden, unquote(name))
       assert [frame] = analyze(signal(unquote(name)))
       assert_in_delta frame.log_energy, log_energy, 1.0e-4
@@ -94,7 +97,7 @@ defmodule Situ.Audio.AnalyzerTest do
   defp close?(a, b), do: abs(a - b) <= 2.0e-4 * max(abs(b), 1.0)
 
   describe "as a component" do
-    test "frames end where the samples end, however the sound is cut" do
+    test "frames end where their samples end, for any buffer sizes" do
       samples = Enum.flat_map(1..4, fn _ -> signal(:noise) end)
       expected = for k <- 0..7, do: AudioFormat.frames_to_ns(16_000, 400 + 160 * k)
 
@@ -109,10 +112,10 @@ defmodule Situ.Audio.AnalyzerTest do
       end
     end
 
-    test "dither moves silence off the floor and is the same each time" do
+    test "dither lifts silence off the floor and is deterministic" do
       out = run(cut(signal(:silence), [400]), dither: 1.0)
       assert [{_, energy}] = out.log_energy
-      # The mean square of uniform -1..1 is 1/3, of the periodic Hann window 3/8.
+      # The mean square of uniform noise in -1..1 is 1/3, and the periodic Hann window's is 3/8.
       assert_in_delta energy, :math.log(1 / 8), 0.5
       assert out == run(cut(signal(:silence), [400]), dither: 1.0)
     end
@@ -140,17 +143,17 @@ defmodule Situ.Audio.AnalyzerTest do
     end
   end
 
-  test "floats count as 16-bit numbers do" do
+  test "float samples give the same results as 16-bit samples" do
     format = AudioFormat.pcm(16_000, 1, :f32)
     floats = AudioBuffer.from_samples(Enum.map(signal(:noise), &(&1 / 32_768)), format)
     {:ok, analyzer} = Analyzer.new(format, dither: 0, mel_bands: 8)
-    {:ok, [frame]} = Analyzer.analyze(analyzer, floats)
+    {:ok, [frame]} = Analyzer.extract_features(analyzer, floats)
     [reference] = analyze(signal(:noise), mel_bands: 8)
     assert_in_delta frame.log_energy, reference.log_energy, 1.0e-6
     for {a, b} <- Enum.zip(frame.log_mel, reference.log_mel), do: assert_in_delta(a, b, 1.0e-6)
   end
 
-  test "impossible frames are refused" do
+  test "rejects impossible frame options" do
     assert {:error, %{code: :bad_option}} = Analyzer.new(@format, frame: 0.001, frame_rate: 1)
     assert {:error, %{code: :bad_option}} = Analyzer.new(@format, mel_bands: 4, mfcc: 5)
   end

@@ -6,7 +6,7 @@ defmodule Situ.Audio.DuckerTest do
   @format AudioFormat.pcm(1000)
   @ms 1_000_000
 
-  # Both arrive in the order of their times, as they do live.
+  # Both inputs arrive in time order, as in a live pipeline.
   defp duck(n, while, opts \\ []) do
     test = Situ.Test.start([:sound, :while], fn s -> Audio.duck(s.sound, s.while, opts) end)
     Situ.Test.advance(test, (n + 1) * 10 * @ms)
@@ -23,7 +23,7 @@ defmodule Situ.Audio.DuckerTest do
     Map.new(out, fn {time, buffer} -> {div(time, @ms), AudioBuffer.to_samples(buffer)} end)
   end
 
-  test "quieter while it holds, and a little longer; without steps" do
+  test "lowers the volume while the signal holds and a little longer, without steps" do
     out = duck(100, [{1, false}, {201, true}, {401, false}, {990, false}], by: 20)
     assert Enum.all?(out[200], &(&1 == 10_000))
     assert Enum.all?(out[300] ++ out[400] ++ out[500], &(&1 == 1_000))
@@ -33,7 +33,7 @@ defmodule Situ.Audio.DuckerTest do
     assert Enum.max(steps) <= 501
   end
 
-  property "never louder, never another length, whatever happens when" do
+  property "never makes audio louder or changes its length, for any input" do
     forall changes <- list({integer(1, 200), integer(0, 1)}) do
       while =
         changes

@@ -8,7 +8,7 @@ defmodule Situ.Audio.NoiseGateTest do
   @format AudioFormat.pcm(1000)
   @ms 1_000_000
 
-  # A sample a millisecond; cut into buffers of these lengths.
+  # One sample per millisecond, cut into buffers of the given lengths.
   defp gate(samples, lengths, opts) do
     {feed, _, _} =
       Enum.reduce(lengths, {[], samples, 0}, fn n, {feed, left, at} ->
@@ -28,7 +28,7 @@ defmodule Situ.Audio.NoiseGateTest do
 
   defp samples(out), do: Enum.flat_map(out, fn {_, buffer} -> AudioBuffer.to_samples(buffer) end)
 
-  test "noise is cut, speech passes, and so does a short pause in it" do
+  test "cuts noise and passes speech, including a short pause in it" do
     noise = List.duplicate(40, 100)
     speech = List.duplicate(8_000, 100)
 
@@ -46,21 +46,21 @@ defmodule Situ.Audio.NoiseGateTest do
     assert Enum.all?(quiet, &(&1 == 0))
     assert Enum.all?(first ++ second, &(&1 == 8_000))
     assert Enum.all?(pause, &(&1 == 40))
-    # Held for 150 ms, then slowly closed.
+    # Held for 150 ms, then closed slowly.
     assert Enum.all?(tail, &(&1 <= 40)) and List.last(tail) < 5
     assert Enum.all?(end_, &(&1 == 0))
   end
 
-  test "a floor lets some of the noise through; levels that contradict each other are an error" do
+  test "a floor lets some noise through, and contradictory levels are an error" do
     assert [20 | _] =
              gate(List.duplicate(40, 20), [20], floor: 20 * :math.log10(0.5)) |> samples()
 
-    assert_raise Situ.Error, ~r/would close above/, fn ->
+    assert_raise Situ.Error, ~r/must not be above/, fn ->
       gate([1], [1], open: -50, close: -40)
     end
   end
 
-  property "never louder than what came in, as long, and the same whatever the buffers" do
+  property "output is never louder, keeps its length and does not depend on buffer sizes" do
     forall {values, lengths} <- {list(integer(-20_000, 20_000)), list(integer(1, 60))} do
       samples = Enum.flat_map(values, &List.duplicate(&1, 7))
       whole = gate(samples, [length(samples)], [])
@@ -72,13 +72,13 @@ defmodule Situ.Audio.NoiseGateTest do
     end
   end
 
-  property "a ramp is between its ends" do
+  property "a ramp stays between its ends" do
     forall {sample, from, to, n} <-
              {integer(0, 32_000), integer(0, 100), integer(0, 100), integer(1, 50)} do
       {from, to} = {from / 100, to / 100}
 
       out =
-        Ramp.apply(AudioBuffer.from_samples(List.duplicate(sample, n), @format), from, to)
+        Ramp.scale_buffer(AudioBuffer.from_samples(List.duplicate(sample, n), @format), from, to)
         |> AudioBuffer.to_samples()
 
       {low, high} = {min(from, to) * sample - 1, max(from, to) * sample + 1}

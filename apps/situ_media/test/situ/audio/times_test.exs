@@ -1,5 +1,5 @@
 defmodule Situ.Audio.TimesTest do
-  # Every operator keeps the time of every sample: the index of a sample is its value, so the time it must have is
+  # Every operator must keep the time of every sample. Each sample's value is its index, so its expected time is
   # known.
   use ExUnit.Case, async: true
   use Situ.Test.Property
@@ -9,7 +9,7 @@ defmodule Situ.Audio.TimesTest do
   @rate 8000
   @format AudioFormat.pcm(@rate, 1, :s32)
 
-  # Buffers of these sizes, sample i being i.
+  # Buffers of the given sizes, in which sample i has the value i.
   defp feed(sizes, format \\ @format) do
     {feed, _} =
       Enum.map_reduce(sizes, 0, fn size, done ->
@@ -36,7 +36,7 @@ defmodule Situ.Audio.TimesTest do
     end
   end
 
-  test "reframing with a hop overlaps, a tail is kept" do
+  test "reframing with a hop overlaps frames and can keep the tail" do
     feed = feed([7, 4])
     out = run(feed, &Situ.Audio.reframe(&1, frames: 4, hop: 2))
     assert for({_, b} <- out, do: hd(AudioBuffer.to_samples(b))) == [0, 2, 4, 6]
@@ -50,7 +50,7 @@ defmodule Situ.Audio.TimesTest do
     assert at == AudioFormat.frames_to_ns(@rate, 11)
   end
 
-  property "resampling gives the same sound at the same times however it is cut" do
+  property "resampling gives the same audio at the same times for any buffer sizes" do
     forall sizes <- nonempty_list(integer(1, 400)) do
       format = AudioFormat.pcm(@rate, 1, :f32)
       total = Enum.sum(sizes)
@@ -64,18 +64,18 @@ defmodule Situ.Audio.TimesTest do
 
   defp resampled(sizes, format), do: run(feed(sizes, format), &Situ.Audio.resample(&1, 16_000))
 
-  # The end of each buffer lies at the number of frames so far.
+  # Each buffer ends at the number of frames so far.
   defp exact?(out, rate) do
     {_, right?} =
       Enum.reduce(out, {0, true}, fn {time, buffer}, {done, right?} ->
-        done = done + AudioBuffer.frames(buffer)
+        done = done + AudioBuffer.frame_count(buffer)
         {done, right? and abs(time - AudioFormat.frames_to_ns(rate, done)) <= 1}
       end)
 
     right?
   end
 
-  test "a resampled tone lies where the tone lay, 60 dB clean" do
+  test "a resampled tone keeps its position in time, with 60 dB signal-to-noise ratio" do
     sine = fn rate, n ->
       for i <- 0..(n - 1), do: 0.5 * :math.sin(2 * :math.pi() * 440 * i / rate)
     end
@@ -84,7 +84,7 @@ defmodule Situ.Audio.TimesTest do
 
     {:ok, out} = Sound.resample(AudioBuffer.from_samples(sine.(48_000, 24_000), format), 16_000)
 
-    assert AudioBuffer.frames(out) == 8000
+    assert AudioBuffer.frame_count(out) == 8000
 
     pairs =
       out |> AudioBuffer.to_samples() |> Enum.zip(sine.(16_000, 8000)) |> Enum.slice(200, 7600)
@@ -94,20 +94,20 @@ defmodule Situ.Audio.TimesTest do
     assert 10 * :math.log10(signal / noise) > 60
   end
 
-  test "u8 and s24 are resampled too, and keep their type" do
+  test "u8 and s24 audio is resampled and keeps its sample type" do
     for sample <- [:u8, :s24] do
-      buffer = AudioBuffer.silence(AudioFormat.pcm(48_000, 2, sample), 480)
+      buffer = AudioBuffer.build_silence(AudioFormat.pcm(48_000, 2, sample), 480)
       assert {:ok, out} = Sound.resample(buffer, 16_000)
       assert out.format == AudioFormat.pcm(16_000, 2, sample)
-      assert out == AudioBuffer.silence(out.format, 160)
+      assert out == AudioBuffer.build_silence(out.format, 160)
     end
   end
 
-  test "a format that changes on the way is followed" do
-    a = AudioBuffer.silence(AudioFormat.pcm(8000), 800)
-    b = AudioBuffer.silence(AudioFormat.pcm(32_000), 3200)
+  test "follows a format change in mid-stream" do
+    a = AudioBuffer.build_silence(AudioFormat.pcm(8000), 800)
+    b = AudioBuffer.build_silence(AudioFormat.pcm(32_000), 3200)
     out = run([{100_000_000, a}, {200_000_000, b}], &Situ.Audio.resample(&1, 16_000))
-    assert out |> Enum.map(&AudioBuffer.frames(elem(&1, 1))) |> Enum.sum() == 3200
+    assert out |> Enum.map(&AudioBuffer.frame_count(elem(&1, 1))) |> Enum.sum() == 3200
     assert out |> List.last() |> elem(0) == 200_000_000
   end
 
@@ -119,11 +119,11 @@ defmodule Situ.Audio.TimesTest do
                run(feed, &Situ.Audio.streamline(&1, method: :concatenate))
     end
 
-    test "pleat fills or cuts each buffer to the time since the last" do
+    test "pleat pads or cuts each buffer to the time since the previous one" do
       feed = [{1_000_000, samples(8)}, {3_000_000, samples(8)}, {3_500_000, samples(8)}]
       out = run(feed, &Situ.Audio.streamline(&1, method: :pleat))
       assert [{1_000_000, a}, {3_000_000, b}, {3_500_000, c}] = out
-      assert Enum.map([a, b, c], &AudioBuffer.frames/1) == [8, 16, 4]
+      assert Enum.map([a, b, c], &AudioBuffer.frame_count/1) == [8, 16, 4]
       assert AudioBuffer.to_samples(b) == List.duplicate(5, 8) ++ List.duplicate(0, 8)
     end
 
@@ -139,17 +139,18 @@ defmodule Situ.Audio.TimesTest do
       out = run(feed, &Situ.Audio.streamline(&1, opts))
       assert [{1_000_000, _}, {2_000_000, _}, {4_000_000, late}, {4_500_000, early}] = out
       assert AudioBuffer.to_samples(late) == List.duplicate(0, 8) ++ List.duplicate(5, 8)
-      assert AudioBuffer.frames(early) == 4
+      assert AudioBuffer.frame_count(early) == 4
     end
   end
 
   defp samples(n), do: AudioBuffer.from_samples(List.duplicate(5, n), @format)
 
-  # A clock that is set while a device runs jumps by decades; the silence would take terabytes.
+  # A clock that is set while a device is running jumps by decades; filling that gap with silence would take
+  # terabytes.
   @jump 315_360_000_000_000_000
 
   @tag :capture_log
-  test "a jump of the times is an error, not silence without end" do
+  test "a jump in time is an error instead of endless silence" do
     feed = [{1_000_000, samples(8)}, {@jump, samples(8)}]
 
     for method <- [:pleat, :unpleat] do
@@ -172,10 +173,10 @@ defmodule Situ.Audio.TimesTest do
   end
 
   @tag :capture_log
-  test "streamlining asks for one format" do
+  test "streamlining requires a single format" do
     feed = [
       {1_000_000, samples(8)},
-      {2_000_000, AudioBuffer.silence(AudioFormat.pcm(48_000), 48)}
+      {2_000_000, AudioBuffer.build_silence(AudioFormat.pcm(48_000), 48)}
     ]
 
     build = fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.streamline() end
@@ -183,7 +184,7 @@ defmodule Situ.Audio.TimesTest do
     assert Exception.message(error) =~ "48000 Hz"
   end
 
-  property "a mix has at every moment the sum of what is there" do
+  property "a mix contains the sum of all inputs at every moment" do
     track = nonempty_list({integer(1, 12), integer(1, 9)})
 
     forall {left, right} <- {track, track} do
@@ -206,7 +207,7 @@ defmodule Situ.Audio.TimesTest do
     end
   end
 
-  # Buffers of 1 kHz that end this much later than the one before: gaps and overlaps. Sample values are `scale`.
+  # Buffers at 1 kHz, each ending this much later than the previous one, with gaps and overlaps. Samples are `scale`.
   defp placed(track, scale) do
     {feed, _} =
       Enum.map_reduce(track, 20, fn {later, frames}, time ->
@@ -217,13 +218,13 @@ defmodule Situ.Audio.TimesTest do
     feed
   end
 
-  # The track's samples by millisecond; where it overlaps itself, the first ones.
+  # The track's samples by millisecond; where buffers overlap, the first samples count.
   defp track(feed) do
     for {time, buffer} <- feed,
         {value, i} <- Enum.with_index(AudioBuffer.to_samples(buffer)),
         reduce: %{} do
       track ->
-        at = div(time, 1_000_000) - AudioBuffer.frames(buffer) + i
+        at = div(time, 1_000_000) - AudioBuffer.frame_count(buffer) + i
 
         if at > Enum.max(Map.keys(track), fn -> -1 end),
           do: Map.put(track, at, value),
@@ -231,13 +232,13 @@ defmodule Situ.Audio.TimesTest do
     end
   end
 
-  # Contiguous buffers as the start and the samples of all.
+  # Joins contiguous buffers into their start time and all samples.
   defp heard([{time, first} | _] = out) do
     samples = Enum.flat_map(out, fn {_, buffer} -> AudioBuffer.to_samples(buffer) end)
-    {div(time, 1_000_000) - AudioBuffer.frames(first), samples}
+    {div(time, 1_000_000) - AudioBuffer.frame_count(first), samples}
   end
 
-  test "mixing lays sounds over each other by time, across gaps" do
+  test "mixing adds audio by time, across gaps" do
     format = AudioFormat.pcm(1000)
     b = &AudioBuffer.from_samples(&1, format)
     left = [{2_000_000, b.([1, 1])}, {6_000_000, b.([1])}]

@@ -1,12 +1,12 @@
 defmodule Situ.Imaging.BadInputTest do
-  # Any bad input gives an error that names it, and the VM lives.
+  # Any invalid input returns an error that names it, and the VM survives.
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.{AudioBuffer, AudioFormat, DepthImage, Image, Imaging, EncodedImage, Sound}
 
   @dir Application.app_dir(:situ_media, "priv/golden")
 
-  test "structs made by hand are checked by every operator" do
+  test "every operator validates structs built by hand" do
     broken = %Image{width: 100, height: 100, format: :bgr24, stride: 300, data: "short"}
 
     for result <- [
@@ -17,7 +17,7 @@ defmodule Situ.Imaging.BadInputTest do
           Imaging.rotate(broken, 10),
           Imaging.blur(broken, 1),
           Imaging.invert(broken),
-          Imaging.absdiff(Image.filled(1, 1, :gray8), broken),
+          Imaging.absdiff(Image.new_filled(1, 1, :gray8), broken),
           Imaging.statistics(broken),
           Imaging.encode_jpeg(broken),
           Imaging.encode_png(broken),
@@ -30,7 +30,7 @@ defmodule Situ.Imaging.BadInputTest do
     assert inspect(%{broken | data: nil}) == "#Situ.Image<invalid>"
   end
 
-  test "the native side checks for itself" do
+  test "the native code validates its own input" do
     broken = %Image{width: 100, height: 100, format: :bgr24, stride: 300, data: "short"}
     assert {:error, :bad_image, _} = Situ.Media.Native.run({:invert, broken})
     assert {:error, :bad_image, _} = Situ.Media.OpenCV.run({:gaussian, broken, 3, 1.0})
@@ -40,8 +40,8 @@ defmodule Situ.Imaging.BadInputTest do
     assert_raise ErlangError, fn -> Situ.Media.Native.run({:no_such, broken}) end
   end
 
-  test "results too large to make are refused before memory is taken" do
-    small = Image.filled(2, 2, :bgr24)
+  test "rejects results that would be too large before allocating memory" do
+    small = Image.new_filled(2, 2, :bgr24)
     assert {:error, %{code: :too_large}} = Imaging.resize(small, 100_000, 100_000)
 
     assert {:error, %{code: :too_large}} =
@@ -49,19 +49,19 @@ defmodule Situ.Imaging.BadInputTest do
 
     assert {:error, %{code: :bad_size}} = Imaging.resize(small, 0, 5)
     assert {:error, %{code: :bad_size}} = Imaging.resize(small, 2.5, 5)
-    assert_raise ArgumentError, fn -> Image.filled(100_000, 100_000, :bgr24) end
+    assert_raise ArgumentError, fn -> Image.new_filled(100_000, 100_000, :bgr24) end
   end
 
-  test "operators say which format they need" do
-    color = Image.filled(4, 4, :bgr24)
+  test "operators name the format they need" do
+    color = Image.new_filled(4, 4, :bgr24)
 
     for result <- [Imaging.canny(color, 1, 2), Imaging.sobel(color), Imaging.equalize(color)] do
       assert {:error, %{code: :bad_format}} = result
     end
 
     assert {:error, %{code: :bad_format}} = Imaging.convolve(color, [[1]])
-    assert {:error, %{code: :bad_format}} = Imaging.absdiff(color, Image.filled(4, 5, :bgr24))
-    assert {:error, %{code: :bad_format}} = Imaging.encode_jpeg(Image.filled(4, 4, :rgba64))
+    assert {:error, %{code: :bad_format}} = Imaging.absdiff(color, Image.new_filled(4, 5, :bgr24))
+    assert {:error, %{code: :bad_format}} = Imaging.encode_jpeg(Image.new_filled(4, 4, :rgba64))
     assert {:error, %{code: :bad_format}} = DepthImage.from_gray16(color)
     assert {:error, %{code: :bad_option}} = Imaging.blur(color, 1, size: 4)
     assert {:error, %{code: :bad_option}} = Imaging.extract_channel(color, 3)
@@ -69,8 +69,8 @@ defmodule Situ.Imaging.BadInputTest do
   end
 
   describe "JPEG and PNG" do
-    # A header that claims 65,500 x 65,500 in front of next to nothing.
-    test "headers do not decide allocations" do
+    # A header that claims 65,500 x 65,500 pixels, followed by almost no data.
+    test "headers do not determine allocations" do
       jpeg = File.read!(Path.join(@dir, "source.jpg"))
       # SOF0: marker, length, precision, height, width.
       [before, <<_::binary-size(4), rest::binary>>] = split_after(jpeg, <<0xFF, 0xC0, 0, 17, 8>>)
@@ -98,7 +98,7 @@ defmodule Situ.Imaging.BadInputTest do
       <<0x89, "PNG\r\n", 0x1A, "\n">> <> chunk.(ihdr) <> chunk.(idat) <> chunk.("IEND")
     end
 
-    test "a truncated file is an error, wherever it ends" do
+    test "a file truncated at any position is an error" do
       for {name, code} <- [{"source.jpg", :bad_jpeg}, {"gray.png", :bad_png}] do
         whole = File.read!(Path.join(@dir, name))
 
@@ -108,7 +108,7 @@ defmodule Situ.Imaging.BadInputTest do
       end
     end
 
-    property "bytes changed at random give a picture or an error", numtests: 150 do
+    property "randomly changed bytes give an image or an error", numtests: 150 do
       forall {name, changes} <-
                {one_of(["source.jpg", "gray.png", "depth.png"]),
                 nonempty_list({integer(0, 100_000), integer(0, 255)})} do
@@ -117,7 +117,7 @@ defmodule Situ.Imaging.BadInputTest do
       end
     end
 
-    property "garbage behind a signature is an error", numtests: 200 do
+    property "garbage after a signature is an error", numtests: 200 do
       forall {start, bytes} <-
                {one_of([<<0xFF, 0xD8, 0xFF>>, <<0x89, "PNG\r\n", 0x1A, "\n">>, ""]), binary()} do
         match?({:error, %Situ.Error{}}, Imaging.parse(start <> bytes))
@@ -134,9 +134,9 @@ defmodule Situ.Imaging.BadInputTest do
     defp sound?({:error, error}), do: is_exception(error)
   end
 
-  property "every kernel answers for every size, stride and format", numtests: 200 do
+  property "every kernel returns a result for every size, stride and format", numtests: 200 do
     forall {w, h, pad, format, n} <-
-             {integer(1, 40), integer(1, 20), integer(0, 9), one_of(Image.Format.all()),
+             {integer(1, 40), integer(1, 20), integer(0, 9), one_of(Image.Format.list_all()),
               integer(0, 1000)} do
       stride = w * Image.Format.bytes_per_pixel(format) + pad
       data = :binary.copy(<<7, 200, 31, 90, 255>>, div(stride * h, 5) + 1)
@@ -150,7 +150,7 @@ defmodule Situ.Imaging.BadInputTest do
           data: binary_part(data, 0, stride * h - pad)
         )
 
-      tight = %{image | stride: stride - pad, data: Image.pixels(image)}
+      tight = %{image | stride: stride - pad, data: Image.pixel_bytes(image)}
       ops = operations(n, image)
 
       # The bytes between rows make no difference.
@@ -160,7 +160,7 @@ defmodule Situ.Imaging.BadInputTest do
   end
 
   defp operations(n, image) do
-    to = Enum.at(Image.Format.all(), rem(n, 8))
+    to = Enum.at(Image.Format.list_all(), rem(n, 8))
 
     [
       &Imaging.convert!(&1, to),
@@ -180,16 +180,16 @@ defmodule Situ.Imaging.BadInputTest do
       &Imaging.paste!(&1, image, {rem(n, 50) - 25, -3}),
       fn image ->
         if image.format in [:gray16, :rgba64],
-          do: image |> Image.pixels() |> byte_size(),
+          do: image |> Image.pixel_bytes() |> byte_size(),
           else: Imaging.encode_jpeg!(image)
       end,
       &(Imaging.encode_png!(&1) |> Imaging.parse!())
     ]
   end
 
-  # Converting to the same format hands the picture back as it is, gaps and all.
+  # Converting to the same format returns the image unchanged, including its gaps.
   defp packed(%Image{} = image),
-    do: {image.width, image.height, image.format, Image.pixels(image)}
+    do: {image.width, image.height, image.format, Image.pixel_bytes(image)}
 
   defp packed(other), do: other
 
@@ -197,22 +197,22 @@ defmodule Situ.Imaging.BadInputTest do
   defp valid?(%EncodedImage{data: data}), do: byte_size(data) > 20
   defp valid?(bytes), do: is_integer(bytes)
 
-  test "sound that does not fit is refused" do
+  test "rejects invalid audio" do
     assert {:error, %{code: :bad_audio}} =
              AudioBuffer.new(format: AudioFormat.pcm(8000, 2), data: <<0>>)
 
     odd = %AudioBuffer{format: AudioFormat.pcm(8000), data: "abc"}
     assert {:error, %{code: :bad_audio}} = Sound.level(odd)
     assert {:error, %{code: :bad_audio}} = Sound.resample(odd, 16_000)
-    six = AudioBuffer.silence(AudioFormat.pcm(8000, 6), 1)
+    six = AudioBuffer.build_silence(AudioFormat.pcm(8000, 6), 1)
     assert {:error, %{code: :bad_option}} = Sound.reformat(six, channels: 2)
     assert {:error, %{code: :bad_option}} = Sound.select_channels(six, [6])
     assert {:error, %{code: :bad_option}} = Sound.resample(six, 0)
-    # libsoxr would never come back.
-    long = AudioBuffer.silence(AudioFormat.pcm(11_025), 16_544)
+    # libsoxr would never return.
+    long = AudioBuffer.build_silence(AudioFormat.pcm(11_025), 16_544)
     assert {:error, %{code: :bad_option}} = Sound.resample(long, 1, quality: :quick)
 
     assert {:error, %{code: :bad_audio}} =
-             Sound.mix(six, AudioBuffer.silence(AudioFormat.pcm(), 1))
+             Sound.mix(six, AudioBuffer.build_silence(AudioFormat.pcm(), 1))
   end
 end

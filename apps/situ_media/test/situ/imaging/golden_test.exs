@@ -1,5 +1,5 @@
 defmodule Situ.Imaging.GoldenTest do
-  # Kernels against what NumPy, OpenCV, Pillow, SciPy and soxr made of the same input: priv/golden/make_golden.py.
+  # Compares kernels with the output of NumPy, OpenCV, Pillow, SciPy and soxr: priv/golden/make_golden.py.
   use ExUnit.Case, async: true
   alias Situ.{AudioBuffer, AudioFormat, Image, Imaging, Sound}
 
@@ -11,7 +11,7 @@ defmodule Situ.Imaging.GoldenTest do
   defp numbers,
     do: @dir |> Path.join("numbers.json") |> File.read!() |> Situ.JSON.decode() |> elem(1)
 
-  # tolerance: no channel value may be further off, but for a fraction `outliers`.
+  # No channel value may differ by more than `tolerance`, except for a fraction `outliers`.
   defp assert_same(got, golden, tolerance, outliers \\ 0.0) do
     got = if golden.format == :gray8, do: got, else: Imaging.convert!(got, :bgr24)
     {:ok, result} = Imaging.compare(got, golden, tolerance: tolerance, outliers: outliers)
@@ -23,7 +23,7 @@ defmodule Situ.Imaging.GoldenTest do
     %{source: source, gray: Imaging.convert!(source, :gray8)}
   end
 
-  test "grey is \\psi's, exactly", %{source: source} do
+  test "gray matches \\psi's exactly", %{source: source} do
     assert_same(Imaging.convert!(source, :gray8), gray("gray"), 0)
     assert_same(source |> Imaging.convert!(:rgb24) |> Imaging.convert!(:gray8), gray("gray"), 0)
     assert_same(source |> Imaging.convert!(:bgra32) |> Imaging.convert!(:gray8), gray("gray"), 0)
@@ -35,11 +35,11 @@ defmodule Situ.Imaging.GoldenTest do
       assert_same(Imaging.resize!(source, 288, 192), golden("resize_up_bilinear_opencv"), 1)
     end
 
-    test "OpenCV's INTER_AREA for whole factors within 1", %{source: source} do
+    test "OpenCV's INTER_AREA for integer factors within 1", %{source: source} do
       assert_same(Imaging.resize!(source, 96, 64, filter: :area), golden("resize_area_opencv"), 1)
     end
 
-    test "Pillow's bilinear within 1, Lanczos but for 1 value in 1000, nearest exactly", %{
+    test "Pillow's bilinear within 1, Lanczos except for 1 value in 1000, nearest exactly", %{
       source: source
     } do
       assert_same(
@@ -62,12 +62,12 @@ defmodule Situ.Imaging.GoldenTest do
       )
     end
 
-    test "itself for 16 bit and for strided parts", %{gray: gray} do
+    test "itself for 16-bit and strided images", %{gray: gray} do
       wide =
         gray |> Imaging.convert!(:gray16) |> Imaging.resize!(80, 60) |> Imaging.convert!(:gray8)
 
       assert_same(wide, Imaging.resize!(gray, 80, 60), 1)
-      # A part as a view into the whole: same stride, no copy, odd offset.
+      # A view into the complete image: same stride, no copy, odd offset.
       offset = 3 * gray.stride + 5
       data = binary_part(gray.data, offset, byte_size(gray.data) - offset)
       view = %{gray | width: 101, height: 99, data: data}
@@ -76,8 +76,8 @@ defmodule Situ.Imaging.GoldenTest do
     end
   end
 
-  describe "OpenCV's own: " do
-    # Two releases of OpenCV: the fixed-point interpolation differs by 1 or 2 here and there.
+  describe "matches OpenCV's own" do
+    # Two releases of OpenCV: their fixed-point interpolation differs by 1 or 2 in places.
     test "warps", %{source: source} do
       matrix = [0.9, -0.3, 20.5, 0.25, 1.1, -10.25]
       warped = Imaging.warp_affine!(source, matrix, color: [10, 20, 30])
@@ -101,21 +101,21 @@ defmodule Situ.Imaging.GoldenTest do
     end
   end
 
-  test "a quarter turn is Pillow's, exactly", %{source: source} do
+  test "rotation by a quarter turn matches Pillow's exactly", %{source: source} do
     assert_same(Imaging.rotate!(source, 90), golden("rotate_pillow_90"), 0)
   end
 
-  test "convolution divides by the taps inside", %{gray: gray} do
+  test "convolution divides by the taps inside the image", %{gray: gray} do
     kernel = [[1, 2, 1], [0, 5, 0], [-1, -2, -1]]
     assert_same(Imaging.convolve!(gray, kernel), gray("convolve"), 0)
   end
 
-  test "a JPEG decodes as Pillow decodes it, within 2" do
+  test "decodes a JPEG like Pillow, within 2" do
     jpeg = File.read!(Path.join(@dir, "source.jpg"))
     assert_same(Imaging.parse!(jpeg), golden("jpeg_decoded_pillow"), 2)
   end
 
-  test "raw camera frames are OpenCV's within 1" do
+  test "converts raw camera frames like OpenCV, within 1" do
     i420 = File.read!(Path.join(@dir, "frame.i420"))
     assert_same(Imaging.from_yuv!(i420, 192, 128, :i420), golden("i420_opencv"), 1)
     <<luma::binary-size(24_576), u::binary-size(6144), v::binary>> = i420
@@ -133,14 +133,14 @@ defmodule Situ.Imaging.GoldenTest do
     assert {:error, %{code: :too_large}} = Imaging.from_yuv("", 100_000, 100_000, :nv12)
   end
 
-  test "a JPEG of our own is close to its source", %{source: source} do
+  test "our own JPEG is close to its source", %{source: source} do
     {:ok, jpeg} = Imaging.encode_jpeg(source, quality: 95, subsampling: :full)
     {:ok, back} = Imaging.parse(jpeg)
     assert {:ok, %{mean: mean}} = Imaging.compare(back, source)
     assert mean < 2.5
   end
 
-  test "16-bit depth comes back from OpenCV's PNG", %{gray: gray} do
+  test "16-bit depth survives OpenCV's PNG", %{gray: gray} do
     {:ok, depth} =
       @dir |> Path.join("depth.png") |> File.read!() |> Imaging.decode_depth(scale: 0.002)
 
@@ -151,7 +151,7 @@ defmodule Situ.Imaging.GoldenTest do
     assert {:ok, ^depth} = Imaging.decode_depth(png, scale: 0.002)
   end
 
-  test "statistics and histogram are NumPy's", %{source: source} do
+  test "statistics and histogram match NumPy's", %{source: source} do
     {:ok, statistics} = Imaging.statistics(source)
 
     for {name, golden} <- Enum.zip([:blue, :green, :red], numbers()["channels"]) do
@@ -165,19 +165,19 @@ defmodule Situ.Imaging.GoldenTest do
     assert blue == numbers()["histogram_blue"]
   end
 
-  describe "sound" do
-    test "resampled is soxr's" do
+  describe "audio" do
+    test "resampling matches soxr's" do
       got = Sound.resample!(sound("sweep_48k.f32", 48_000), 16_000)
       golden = sound("sweep_16k.f32", 16_000)
-      assert AudioBuffer.frames(got) == AudioBuffer.frames(golden)
+      assert AudioBuffer.frame_count(got) == AudioBuffer.frame_count(golden)
       pairs = Enum.zip(AudioBuffer.to_samples(got), AudioBuffer.to_samples(golden))
       assert Enum.all?(pairs, fn {a, b} -> abs(a - b) < 1.0e-4 end)
     end
 
-    test "log-mel and MFCC are NumPy's and SciPy's" do
-      buffer = AudioBuffer.slice(sound("sweep_16k.f32", 16_000), 0, 400)
+    test "log-mel and MFCC match NumPy's and SciPy's" do
+      buffer = AudioBuffer.slice_frames(sound("sweep_16k.f32", 16_000), 0, 400)
       {:ok, analyzer} = Situ.Audio.Analyzer.new(buffer.format, dither: 0, mel_bands: 40, mfcc: 13)
-      {:ok, [frame]} = Situ.Audio.Analyzer.analyze(analyzer, buffer)
+      {:ok, [frame]} = Situ.Audio.Analyzer.extract_features(analyzer, buffer)
 
       for {a, b} <- Enum.zip(frame.log_mel, numbers()["log_mel"]),
           do: assert_in_delta(a, b, 1.0e-4)

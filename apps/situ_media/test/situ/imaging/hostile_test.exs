@@ -1,5 +1,5 @@
 defmodule Situ.Imaging.HostileTest do
-  # Arguments and bytes that ask for more than is good: an error, in bounded time.
+  # Arguments and bytes that ask for too much work return an error in bounded time.
   use ExUnit.Case, async: true
   alias Situ.{Image, Imaging}
 
@@ -12,8 +12,8 @@ defmodule Situ.Imaging.HostileTest do
         data: for(y <- 0..(h - 1), x <- 0..(w - 1), into: <<>>, do: <<fun.(x, y)>>)
       )
 
-  test "numbers beyond anything are errors, not exceptions" do
-    image = Image.filled(8, 8, :gray8, 7)
+  test "extremely large numbers are errors, not exceptions" do
+    image = Image.new_filled(8, 8, :gray8, 7)
     huge = Integer.pow(10, 400)
 
     for call <- [
@@ -50,15 +50,15 @@ defmodule Situ.Imaging.HostileTest do
   end
 
   describe "area" do
-    test "is the mean of the pixels covered, parts of pixels counted by their share" do
+    test "is the mean of the covered pixels, weighted by their covered share" do
       image = gray(3, 1, fn x, _ -> elem({0, 90, 240}, x) end)
-      # Two pixels of 1.5 each: 0 and half of 90, half of 90 and 240.
+      # Two output pixels of 1.5 input pixels each: 0 and half of 90, then half of 90 and 240.
       assert Imaging.resize!(image, 2, 1, filter: :area).data == <<30, 190>>
       assert Imaging.resize!(image, 1, 1, filter: :area).data == <<110>>
     end
 
-    test "is the slow one's, for every size, format and alpha" do
-      for format <- Image.Format.all(), {w, h} <- [{7, 5}, {3, 2}, {13, 9}, {17, 4}] do
+    test "equals the slow reference for every size, format and alpha" do
+      for format <- Image.Format.list_all(), {w, h} <- [{7, 5}, {3, 2}, {13, 9}, {17, 4}] do
         size = 13 * 9 * Image.Format.bytes_per_pixel(format)
         data = for i <- 1..size, into: <<>>, do: <<rem(i * i * 7 + i, 256)>>
         image = Image.new!(width: 13, height: 9, format: format, data: data)
@@ -103,7 +103,7 @@ defmodule Situ.Imaging.HostileTest do
     end
   end
 
-  # A progressive JPEG of one grey picture whose last scan is repeated: small, and minutes of work.
+  # A progressive JPEG of one gray image whose last scan is repeated: it is small but takes minutes to decode.
   defp scans(bytes, n) do
     starts = for {at, 2} <- :binary.matches(bytes, <<0xFF, 0xDA>>), do: at
     last = List.last(starts)
@@ -112,7 +112,7 @@ defmodule Situ.Imaging.HostileTest do
   end
 
   @tag :tmp_dir
-  test "a JPEG of thousands of scans is refused at once", %{tmp_dir: dir} do
+  test "rejects a JPEG with thousands of scans immediately", %{tmp_dir: dir} do
     path = Path.join(dir, "p.jpg")
     File.write!(path, progressive())
     assert {:ok, _} = Imaging.read(path)
@@ -121,7 +121,8 @@ defmodule Situ.Imaging.HostileTest do
     assert error.code == :bad_jpeg and error.what =~ "scans"
   end
 
-  # 16x16 grey, one DC scan: by hand, since libjpeg-turbo's simple interface writes no progressive files here.
+  # A 16x16 gray image with one DC scan, built by hand because libjpeg-turbo's simple interface writes no progressive
+  # files here.
   defp progressive do
     quantization = <<0xFF, 0xDB, 67::16, 0>> <> :binary.copy(<<1>>, 64)
     frame = <<0xFF, 0xC2, 11::16, 8, 16::16, 16::16, 1, 1, 0x11, 0>>
@@ -131,17 +132,17 @@ defmodule Situ.Imaging.HostileTest do
     <<0xFF, 0xD8>> <> quantization <> frame <> huffman <> scan <> <<0xFF, 0xD9>>
   end
 
-  test "work is judged by what is in the file and what is read, not by its length or the result" do
+  test "cost depends on the file's content and the requested part, not its length or result" do
     alias Situ.Imaging.Cost
-    assert Cost.jpeg(progressive()) > 250
+    assert Cost.jpeg_cost(progressive()) > 250
     large = <<0xFF, 0xD8, 0xFF, 0xC0, 11::16, 8, 4000::16, 6000::16, 1, 1, 0x11, 0>>
-    assert Cost.jpeg(large) > 10_000
-    assert Cost.jpeg("no JPEG") > 250
-    small = Imaging.encode_jpeg!(Image.filled(64, 64, :gray8)).data
-    assert Cost.jpeg(small) < 250
-    twelve = %{Image.filled(1, 1, :bgr24) | width: 4000, height: 3000, stride: 12_000}
-    assert Cost.resize(twelve, 10, 10, :lanczos) > 50_000
-    assert Cost.resize(twelve, 10, 10, :area) > 10_000
-    assert Cost.resize(Image.filled(64, 64, :bgr24), 32, 32, :lanczos) < 250
+    assert Cost.jpeg_cost(large) > 10_000
+    assert Cost.jpeg_cost("no JPEG") > 250
+    small = Imaging.encode_jpeg!(Image.new_filled(64, 64, :gray8)).data
+    assert Cost.jpeg_cost(small) < 250
+    twelve = %{Image.new_filled(1, 1, :bgr24) | width: 4000, height: 3000, stride: 12_000}
+    assert Cost.resize_cost(twelve, 10, 10, :lanczos) > 50_000
+    assert Cost.resize_cost(twelve, 10, 10, :area) > 10_000
+    assert Cost.resize_cost(Image.new_filled(64, 64, :bgr24), 32, 32, :lanczos) < 250
   end
 end

@@ -1,19 +1,19 @@
 defmodule Situ.Imaging.TextTest do
-  # Drawn text against HarfBuzz and FreeType (priv/golden/make_text.py), and what must hold for any text.
+  # Compares drawn text with HarfBuzz and FreeType (priv/golden/make_text.py) and checks properties of any text.
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.{Image, Imaging}
 
   @cjk Path.expand("../../fixtures/cjk.ttf", __DIR__)
 
-  defp black(width, height, format \\ :gray8), do: Image.filled(width, height, format)
+  defp black(width, height, format \\ :gray8), do: Image.new_filled(width, height, format)
 
   defp ink(image) do
     {:ok, %{gray: %{mean: mean}}} = image |> Imaging.convert!(:gray8) |> Imaging.statistics()
     mean * image.width * image.height
   end
 
-  test "text is where HarfBuzz puts it and as FreeType draws it" do
+  test "places text like HarfBuzz and draws it like FreeType" do
     golden = :situ_media |> Application.app_dir("priv/golden/text.png") |> Imaging.read!()
     white = [255]
 
@@ -31,27 +31,27 @@ defmodule Situ.Imaging.TextTest do
         {:text, {150, 116}, "日本語中文字写真映像", size: 20, color: white, font: @cjk}
       ])
 
-    # FreeType rounds outlines to 1/64 pixel; each side has its own way to count a pixel's covered part.
+    # FreeType rounds outlines to 1/64 pixel, and the two count a pixel's covered part differently.
     {:ok, result} = Imaging.compare(drawn, golden, tolerance: 12, outliers: 0.002)
     assert result.equal?, inspect(result)
     assert result.mean < 0.3
     assert ink(golden) > 255 * 2000
   end
 
-  test "text changes nothing but where it is, in every format" do
-    for format <- Image.Format.all() do
+  test "text changes only the pixels within its bounds, in every format" do
+    for format <- Image.Format.list_all() do
       image = black(200, 60, format)
       {:ok, {width, height}} = Imaging.text_size("Žluťoučký", size: 18)
       drawn = Imaging.draw_text!(image, {20, 20}, "Žluťoučký", size: 18, color: :white)
       assert ink(Imaging.convert!(drawn, :bgr24)) > 255 * 100
-      # The caron stands above the capitals by less than half their height.
+      # The caron is above the capitals by less than half their height.
       box = {18, 10, ceil(width) + 4, ceil(height) + 12}
       blank = black(elem(box, 2), elem(box, 3), format)
       assert Imaging.paste!(drawn, blank, {18, 10}) == image
     end
   end
 
-  test "a background is behind all of the text" do
+  test "a background covers the area below all of the text" do
     image = black(240, 80, :bgr24)
 
     drawn =
@@ -62,20 +62,20 @@ defmodule Situ.Imaging.TextTest do
       )
 
     assert Image.fetch_pixel(drawn, 18, 30) == {:ok, [255, 0, 0]}
-    # Every pixel but the background is lighter, never the black around it mixed with white.
+    # Every pixel except the background is lighter; the black around it is never mixed with white.
     assert {:ok, %{green: green, blue: blue}} = Imaging.statistics(drawn, rect: {20, 28, 60, 40})
 
     assert {blue.min, green.max} == {255, 255}
   end
 
-  test "shapes and text are drawn in the order given" do
+  test "draws shapes and text in the given order" do
     text = {:text, {0, 0}, "█", size: 30, color: 50}
     box = {:fill_rectangle, {0, 0, 40, 40}, color: 200}
     assert Image.fetch_pixel(Imaging.draw!(black(40, 40), [text, box]), 10, 15) == {:ok, [200]}
     assert Image.fetch_pixel(Imaging.draw!(black(40, 40), [box, text]), 10, 15) == {:ok, [50]}
   end
 
-  test "a missing character is a box, unless another font has it" do
+  test "draws a missing character as a box unless another font has it" do
     draw = &Imaging.draw_text!(black(60, 60), {5, 15}, &1, Keyword.merge([size: 30], &2))
     assert draw.("日", []) == draw.("本", [])
     assert ink(draw.("日", [])) > 0
@@ -85,7 +85,7 @@ defmodule Situ.Imaging.TextTest do
   end
 
   @tag :tmp_dir
-  test "a file that is no font is an error that says so", %{tmp_dir: dir} do
+  test "a file that is not a font is an error that gives the reason", %{tmp_dir: dir} do
     image = black(20, 20)
     garbage = Path.join(dir, "garbage.ttf")
     File.write!(garbage, :binary.copy("font", 1000))
@@ -107,7 +107,7 @@ defmodule Situ.Imaging.TextTest do
     end
   end
 
-  test "bad text and options are refused" do
+  test "rejects invalid text and options" do
     image = black(20, 20)
     assert {:error, %{code: :bad_option}} = Imaging.draw_text(image, {0, 0}, <<200, 1>>)
     assert {:error, %{code: :bad_option}} = Imaging.text_size(<<200, 1>>)
@@ -122,7 +122,7 @@ defmodule Situ.Imaging.TextTest do
     assert_raise ArgumentError, fn -> Imaging.fill_circle(image, {0, 0}, 2, width: 2) end
   end
 
-  property "any text, anywhere, at any size: a picture, and the same as the part of a larger one",
+  property "any text, anywhere and at any size, draws the same as on a larger image",
     numtests: 150 do
     forall {chars, x, y, size} <-
              {list(one_of([integer(32, 0xD7FF), integer(0xE000, 0x10FFFF), integer(0, 255)])),

@@ -19,7 +19,7 @@ defmodule Situ.Media.CaptureTest do
     1 => %{id: 1, class: :audio, rate: 8000, channels: 1, time_base: {1, 8000}}
   }
 
-  # A capture whose reader is this process: the test says what arrives, and when.
+  # A capture whose reader is this process, so the test decides which frames arrive and when.
   defp capture(opts) do
     outputs = %{video: :video, audio: :audio}
     {:ok, capture} = Capture.new("udp://127.0.0.1:9", outputs, @opts ++ opts)
@@ -30,7 +30,7 @@ defmodule Situ.Media.CaptureTest do
   end
 
   defp arrive(capture, result, ms),
-    do: Capture.info(capture, {Reader, self(), result}, context(ms))
+    do: Capture.handle_info(capture, {Reader, self(), result}, context(ms))
 
   defp context(ms), do: %{now: Time.ms(ms), start_time: 0}
 
@@ -46,9 +46,10 @@ defmodule Situ.Media.CaptureTest do
     end)
   end
 
-  defp look(capture, ms), do: Capture.info(capture, {:timer, {:watch, self()}}, context(ms))
+  defp look(capture, ms),
+    do: Capture.handle_info(capture, {:timer, {:watch, self()}}, context(ms))
 
-  test "pictures that stop while the sound flows are reported once, and the sound goes on" do
+  test "reports stalled video once while the audio continues" do
     both = for t <- 0..40, frame <- [picture(40 * t), sound(40 * t)], do: {frame, 40 * t}
     capture = capture(reconnect: true) |> feed(both)
     only_sound = for t <- 41..120, do: {sound(40 * t), 40 * t}
@@ -57,24 +58,24 @@ defmodule Situ.Media.CaptureTest do
     log =
       capture_log(fn ->
         {[{:timer, {:watch, _}, _}], capture} = look(capture, 4_801)
-        assert Capture.describe(capture) =~ "running, 0 dropped, no video"
-        # Not again, and the device is still open.
+        assert Capture.describe_status(capture) =~ "running, 0 dropped, no video"
+        # The stall is not reported again, and the device is still open.
         {[_], capture} = look(capture, 4_900)
         send(self(), capture)
       end)
 
     assert [_, _] = String.split(log, "no video for 2.00 s")
     assert_received %Capture{} = capture
-    # Pictures that come again end it.
+    # Video frames that arrive again end the stall.
     {[], capture} = arrive(capture, picture(4_950), 4_950)
     {[_], capture} = look(capture, 4_960)
-    refute Capture.describe(capture) =~ "no video"
-    {messages, _} = Capture.demand(capture, 1_000, context(5_000))
+    refute Capture.describe_status(capture) =~ "no video"
+    {messages, _} = Capture.handle_demand(capture, 1_000, context(5_000))
     assert {:video, _, %Image{}} = List.keyfind(messages, :video, 0)
     assert Enum.count(messages, &(elem(&1, 0) == :audio)) > 50
   end
 
-  test "frames that repeat one time are a clock that ffmpeg has lost: the stream is opened again" do
+  test "reopens the stream when frames repeat one time because ffmpeg lost the clock" do
     test = self()
     reader = spawn_link(fn -> receive do: (:stop -> send(test, :stopped)) end)
     capture = %{capture(reconnect: true) | reader: reader}
@@ -84,12 +85,14 @@ defmodule Situ.Media.CaptureTest do
 
     capture =
       Enum.reduce(frames, capture, fn {frame, at}, capture ->
-        elem(Capture.info(capture, {Reader, reader, frame}, context(at)), 1)
+        elem(Capture.handle_info(capture, {Reader, reader, frame}, context(at)), 1)
       end)
 
     log =
       capture_log(fn ->
-        {actions, capture} = Capture.info(capture, {:timer, {:watch, reader}}, context(4_001))
+        {actions, capture} =
+          Capture.handle_info(capture, {:timer, {:watch, reader}}, context(4_001))
+
         assert [{:timer, :reconnect, _}] = actions
         assert capture.reader == nil
       end)
@@ -98,7 +101,7 @@ defmodule Situ.Media.CaptureTest do
     refute Process.alive?(reader)
   end
 
-  test "a jump of the clock is reported with its stream, and times continue from the arrival" do
+  test "reports a clock jump with its stream, and times continue from the arrival" do
     before = for t <- 0..20, frame <- [picture(40 * t), sound(40 * t)], do: {frame, 40 * t}
     capture = capture(reconnect: false) |> feed(before)
     step = 10_000_000_000
@@ -111,8 +114,8 @@ defmodule Situ.Media.CaptureTest do
     log = capture_log(fn -> send(self(), feed(capture, again)) end)
     assert_received %Capture{} = capture
     assert [_, _] = String.split(log, "the sender's clock jumped by -800 ms (video)")
-    assert Capture.describe(capture) =~ "its clock jumped once"
-    {messages, _} = Capture.demand(capture, 1_000, context(10_000))
+    assert Capture.describe_status(capture) =~ "its clock jumped once"
+    {messages, _} = Capture.handle_demand(capture, 1_000, context(10_000))
     times = for {:video, time, _} <- messages, do: time
     assert times == Enum.sort(Enum.uniq(times))
     assert List.last(times) in Time.ms(9_000)..Time.ms(9_800)

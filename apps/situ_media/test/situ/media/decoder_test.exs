@@ -10,17 +10,18 @@ defmodule Situ.Media.DecoderTest do
 
   @talk path("talk1.mp4")
 
-  describe "a whole file" do
-    test "gives 350 pictures at exact 40 ms steps and 14.0 s of sound in step" do
+  describe "a complete file" do
+    test "yields 350 images at exact 40 ms steps and 14.0 s of audio in sync" do
       {items, :eof} = read(@talk, size: {64, 32})
       assert times(items, :video) == for(i <- 0..349, do: Time.ms(40) * i)
       assert times(items, :audio) == for(i <- 1..700, do: Time.ms(20) * i)
       assert frames(items) == 14 * 16_000
-      # In the order of time: sound is never more than one picture and one buffer away.
+
+      # Items are in time order: audio and video are never more than one image and one buffer apart.
       assert Enum.all?(gaps(items), &(abs(&1) <= Time.ms(80)))
     end
 
-    test "gives pictures as recorded, equal to what ffmpeg decodes" do
+    test "yields images as recorded, equal to ffmpeg's own decoding" do
       {[{:video, 0, image} | _], _} = read(@talk, audio: false, end: Time.ms(40))
       assert %Image{width: 1024, height: 512, format: :bgr24, stride: 3072} = image
       assert {:ok, _} = Image.validate(image)
@@ -35,7 +36,7 @@ defmodule Situ.Media.DecoderTest do
     end
 
     test "converts to any pixel format, size and audio format" do
-      for format <- Image.Format.all() do
+      for format <- Image.Format.list_all() do
         {[{:video, 0, image} | _], _} =
           read(@talk, audio: false, end: Time.ms(40), format: format, size: {30, 16})
 
@@ -62,27 +63,27 @@ defmodule Situ.Media.DecoderTest do
   end
 
   describe "start: and end:" do
-    test "cut to the picture and to the sample, in media time" do
+    test "cut to the exact image and sample, in media time" do
       {items, :eof} = read(@talk, size: {16, 8}, start: Time.ms(3010), end: Time.ms(3100))
       assert times(items, :video) == [Time.ms(3040), Time.ms(3080)]
       assert frames(items) == 1440
       assert List.last(times(items, :audio)) == Time.ms(3100)
     end
 
-    test "give the same pictures as reading from the start" do
+    test "yield the same images as reading from the start" do
       {whole, :eof} = read(@talk, size: {16, 8}, audio: false, end: Time.s(4))
       {part, :eof} = read(@talk, size: {16, 8}, audio: false, start: Time.s(3), end: Time.s(4))
       assert part == Enum.filter(whole, fn {_, t, _} -> t >= Time.s(3) end)
     end
 
-    test "an empty span is refused, and one behind the end" do
+    test "reject an empty span and a span after the end" do
       assert {[], %{code: :bad_option}} = read(@talk, start: 5, end: 5)
       assert {[], %{code: :bad_option, why: why}} = read(@talk, start: Time.s(14))
       assert why =~ "14.0 s"
     end
   end
 
-  describe "other kinds of files" do
+  describe "other file types" do
     @describetag :tmp_dir
 
     test "AVI, MKV, WebM, MPEG-TS and FLV keep their times", %{tmp_dir: dir} do
@@ -101,7 +102,7 @@ defmodule Situ.Media.DecoderTest do
         assert {ending, length(video)} == {ending, 25}
         assert hd(video) < Time.ms(100)
 
-        # Containers count in milliseconds or in 90 kHz, and may begin a little late; steps are the frame's.
+        # Containers count in milliseconds or at 90 kHz and may begin slightly late; the steps match the frame rate.
         steps = Enum.zip_with(tl(video), video, &(&1 - &2))
         assert Enum.all?(steps, &(abs(&1 - Time.ms(40)) <= Time.ms(1)))
         assert_in_delta frames(items) / sound_rate(items), 1.0, 0.08
@@ -119,7 +120,7 @@ defmodule Situ.Media.DecoderTest do
       assert times(items, :video) == expected
     end
 
-    test "pictures that change their size in mid-stream keep the first one's", %{tmp_dir: dir} do
+    test "later images of another size are scaled to the first image's size", %{tmp_dir: dir} do
       parts =
         for size <- ["64x32", "128x48"] do
           file = Path.join(dir, size <> ".ts")
@@ -137,7 +138,7 @@ defmodule Situ.Media.DecoderTest do
              end)
     end
 
-    test "video only and sound only", %{tmp_dir: dir} do
+    test "reads video-only and audio-only files", %{tmp_dir: dir} do
       silent = Path.join(dir, "silent.mp4")
       ffmpeg!(~w(-t 1 -i #{@talk} -an -c:v copy #{silent}))
       {:ok, %{audio: nil, video: %{width: 1024}}} = FileInfo.read(silent)
@@ -155,10 +156,10 @@ defmodule Situ.Media.DecoderTest do
       do: Enum.find_value(items, fn {k, _, b} -> k == :audio && b.format.rate end)
   end
 
-  describe "bad files" do
+  describe "invalid files" do
     @describetag :tmp_dir
 
-    test "a truncated file yields what is readable, then a clear error", %{tmp_dir: dir} do
+    test "a truncated file yields its readable part, then a clear error", %{tmp_dir: dir} do
       file = Path.join(dir, "cut.mp4")
       File.write!(file, binary_part(File.read!(@talk), 0, 900_000))
       {items, error} = read(file, size: {16, 8})
@@ -166,7 +167,7 @@ defmodule Situ.Media.DecoderTest do
       assert length(video) in 100..300
       assert video == for(i <- 0..(length(video) - 1), do: i * Time.ms(40))
       assert %Situ.Error{code: :damaged_media, what: what, meta: %{log: [_ | _]}} = error
-      assert what =~ "cut.mp4 is damaged or ends too early"
+      assert what =~ "cut.mp4 is damaged or truncated"
     end
 
     test "every cut and scramble ends in data or an error, never in a crash", %{tmp_dir: dir} do
@@ -191,7 +192,7 @@ defmodule Situ.Media.DecoderTest do
       end
     end
 
-    test "what is no media file says so", %{tmp_dir: dir} do
+    test "a file that is not a media file is an error", %{tmp_dir: dir} do
       text = Path.join(dir, "notes.mp4")
       File.write!(text, "these are only notes\n")
       assert {:error, %{code: :unreadable_media}} = Decoder.open(text)
@@ -228,7 +229,7 @@ defmodule Situ.Media.DecoderTest do
         file = Path.join(dir, "#{codec}.avi")
         ffmpeg!(~w(-t 0.2 -i #{@talk} -an -s 64x32 -c:v #{codec} #{file}))
         huge = <<100_000::little-32, 100_000::little-32>>
-        # The size stands in the main header and in the stream's.
+        # The main header and the stream's header both contain the size.
         bytes =
           :binary.replace(File.read!(file), <<64::little-32, 32::little-32>>, huge, [:global])
 
@@ -239,7 +240,7 @@ defmodule Situ.Media.DecoderTest do
       end
     end
 
-    test "a picture larger than allowed is refused by the decoder" do
+    test "the decoder rejects an image larger than the limit" do
       assert {[], %{code: :unreadable_media}} = read(@talk, audio: false, max_pixels: 1000)
     end
   end
@@ -247,26 +248,29 @@ defmodule Situ.Media.DecoderTest do
   describe "processes" do
     test "closing in the middle ends ffmpeg and removes its socket" do
       {:ok, decoder} = Decoder.open(@talk, loop: true)
-      {:video, 0, _, decoder} = Decoder.next(decoder)
+      {:video, 0, _, decoder} = Decoder.next_item(decoder)
       {:ok, port} = reader_port(decoder)
       {:os_pid, os_pid} = Port.info(port, :os_pid)
-      # Its own socket, by its command line: other tests have decoders open at the same time.
+
+      # Find its own socket by its command line, because other tests have decoders open at the same time.
       [_, socket] = Regex.run(~r{unix:(/[^\0]+)}, File.read!("/proc/#{os_pid}/cmdline"))
       :ok = Decoder.close(decoder)
       assert ended?(os_pid, 200)
       refute File.exists?(Path.dirname(socket))
     end
 
-    test "nothing is read ahead of demand" do
+    test "reads nothing ahead of demand" do
       {:ok, decoder} = Decoder.open(@talk, audio: false, loop: true)
-      {:video, 0, _, decoder} = Decoder.next(decoder)
+      {:video, 0, _, decoder} = Decoder.next_item(decoder)
       {:message_queue_len, queued} = Process.info(decoder.reader, :message_queue_len)
       assert queued == 0
       Decoder.close(decoder)
     end
 
-    test "without ffmpeg the error says what to install" do
-      assert {:error, %{code: :no_ffmpeg, fix: fix}} = FFmpeg.executable("ffmpeg-that-is-absent")
+    test "without ffmpeg, the error says which package to install" do
+      assert {:error, %{code: :no_ffmpeg, fix: fix}} =
+               FFmpeg.fetch_executable("ffmpeg-that-is-absent")
+
       assert fix =~ "apt-get install ffmpeg"
     end
 
@@ -278,7 +282,7 @@ defmodule Situ.Media.DecoderTest do
     defp ok(nil), do: :error
     defp ok(port), do: {:ok, port}
 
-    # The guard kills it when the port closes; the kernel reports the end a moment later.
+    # The guard kills it when the port closes; the kernel reports the exit a moment later.
     defp ended?(_os_pid, 0), do: false
 
     defp ended?(os_pid, tries) do

@@ -23,7 +23,7 @@ defmodule Situ.Media.DeviceTest do
   end
 
   describe "simulated devices" do
-    test "a camera and a microphone replay a file in real time, in step" do
+    test "a camera and a microphone replay a file in real time and in sync" do
       got =
         collect_live(
           fn p ->
@@ -39,30 +39,30 @@ defmodule Situ.Media.DeviceTest do
       assert [{first, _, %Image{width: 64}} | _] = got.camera
       assert [{sound, _, %AudioBuffer{}} | _] = got.mic
 
-      # Both count from the pipeline's start: the first picture shows what the first sound begins with.
+      # Both count from the pipeline's start, so the first audio buffer begins at the time of the first image.
       assert sound - first == Time.ms(20)
 
-      # A busy machine may lose a picture, as with a real camera; what comes lies on the file's own grid.
+      # A busy machine may lose an image, as with a real camera. The remaining images are on the file's own grid.
       assert Enum.all?(steps(got.camera), &(rem(&1, Time.ms(40)) == 0))
       assert Enum.all?(steps(got.mic), &(&1 == Time.ms(20)))
-      # Never before its time, and not at once: one second of pictures took about one second.
+      # No image arrives before its time, and one second of video takes about one second.
       assert Enum.all?(got.camera ++ got.mic, fn {time, now, _} -> now >= time end)
       {last, now, _} = List.last(got.mic)
       assert now - first >= last - first
     end
 
-    test "one component gives both; `?once` plays once and completes" do
+    test "one component emits both streams, and `?once` plays once and completes" do
       short = path("cards_001.wav")
 
       {{:ok, _}, %{audio: audio}} =
         collect(&LiveStream.open(&1, device: "simulated:#{short}?once", video: false))
 
-      frames = Enum.sum(for {_, b} <- audio, do: AudioBuffer.frames(b))
+      frames = Enum.sum(for {_, b} <- audio, do: AudioBuffer.frame_count(b))
       assert frames == 17_526
     end
 
     @tag :capture_log
-    test "what a slow pipeline does not take is dropped, not piled up" do
+    test "drops messages that a slow pipeline cannot take instead of queueing them" do
       test = self()
 
       {:ok, pipeline} =
@@ -82,12 +82,12 @@ defmodule Situ.Media.DeviceTest do
         )
 
       assert_receive {:took, pid, first}
-      # The consumer stands still until 20 pictures later.
+      # The consumer blocks until 20 images later.
       ref = Process.send_after(self(), :later, 1_000)
       assert_receive :later
       assert is_reference(ref)
 
-      # A few pictures were on their way; the rest of that second was dropped.
+      # A few images were in flight; the rest of that second was dropped.
       taken =
         for _ <- 1..6 do
           send(pid, :go_on)
@@ -102,12 +102,12 @@ defmodule Situ.Media.DeviceTest do
       capture_log(fn -> Situ.Pipeline.stop(pipeline) end)
     end
 
-    test "a microphone's gain is that of its sound" do
+    test "a microphone's gain applies to its audio" do
       short = "simulated:" <> path("cards_001.wav") <> "?once"
 
       [whole, half] =
         for gain <- [1.0, 0.5] do
-          # It is to play once, so that its end is no loss that must be mended.
+          # It plays once, so its end is not a loss that needs a reconnect.
           {{:ok, _}, %{mic: heard}} =
             collect(&%{mic: Microphone.open(&1, device: short, gain: gain)})
 
@@ -115,11 +115,11 @@ defmodule Situ.Media.DeviceTest do
         end
 
       assert half == Enum.map(whole, &Sound.gain!(&1, 0.5))
-      assert Enum.any?(whole, &(&1 != AudioBuffer.silence(&1.format, 320)))
+      assert Enum.any?(whole, &(&1 != AudioBuffer.build_silence(&1.format, 320)))
     end
 
     @tag :capture_log
-    test "a device that is lost is tried again, and its times go on" do
+    test "reopens a lost device and continues its times" do
       short = "simulated:" <> path("cards_001.wav") <> "?once"
 
       %{audio: audio} =
@@ -133,7 +133,7 @@ defmodule Situ.Media.DeviceTest do
           audio: 70
         )
 
-      # 1.1 s of sound, then a gap of the reconnect's second, then the same sound again.
+      # 1.1 s of audio, then a gap of one second until the reconnect, then the same audio again.
       times = Enum.map(audio, &elem(&1, 0))
       assert [gap] = Enum.filter(steps(audio), &(&1 > Time.ms(100)))
       assert gap in Time.ms(900)..Time.s(5)
@@ -141,7 +141,7 @@ defmodule Situ.Media.DeviceTest do
     end
 
     @tag :capture_log
-    test "a device that fails while it runs is an error when it is not to be tried again", %{
+    test "a device that fails while running is an error unless it is to be retried", %{
       tmp_dir: dir
     } do
       file = Path.join(dir, "cut.mp4")
@@ -153,14 +153,14 @@ defmodule Situ.Media.DeviceTest do
                )
     end
 
-    test "a file that is not there is an error" do
+    test "a missing file is an error" do
       assert {:error, %{code: :no_file}} =
                run_quietly(&Camera.open(&1, device: "simulated:absent.mp4"))
     end
   end
 
-  describe "what is missing" do
-    test "a camera that is not there says so when the pipeline starts" do
+  describe "missing and invalid devices" do
+    test "a missing camera is an error when the pipeline starts" do
       assert {:error, %{code: :unreadable_media, what: what, fix: fix}} =
                run_quietly(&Camera.open(&1, device: "v4l2:/dev/video99"))
 
@@ -168,24 +168,24 @@ defmodule Situ.Media.DeviceTest do
       assert fix =~ "situ devices cameras"
     end
 
-    test "an unknown driver is refused when the pipeline is built" do
+    test "rejects an unknown driver when the pipeline is built" do
       assert {:error, %{code: :unknown_device}} = run_quietly(&Camera.open(&1, device: "v4l:x"))
     end
 
-    test "a camera cannot be a microphone, a file cannot be a speaker" do
+    test "a camera is not accepted as a microphone, nor a file as a speaker" do
       assert {:error, %{code: :bad_option}} =
                run_quietly(&Microphone.open(&1, device: "/dev/video0"))
 
       assert {:error, %{code: :bad_option}} = Speaker.init(device: "simulated:x", latency: 1)
     end
 
-    test "a camera that cannot be set says so when it is opened" do
+    test "a camera that cannot be configured is an error when it is opened" do
       assert {:error, %{code: code, what: what}} =
                run_quietly(
                  &Camera.open(&1, device: "/dev/video99", controls: [{"brightness", 1}])
                )
 
-      # With v4l2-ctl, or without.
+      # The code depends on whether v4l2-ctl is installed.
       assert code in [:bad_option, :no_v4l2_ctl]
       assert what =~ "/dev/video99"
       assert Camera.controls("simulated:talk1.mp4") == []
@@ -200,7 +200,7 @@ defmodule Situ.Media.DeviceTest do
                run_quietly(&LiveStream.open(&1, device: "concat:/etc/passwd"))
     end
 
-    test "listing never fails" do
+    test "listing devices never fails" do
       assert is_list(Device.list())
     end
 
@@ -214,7 +214,7 @@ defmodule Situ.Media.DeviceTest do
 
   defmodule Blinker do
     @moduledoc false
-    # A driver of one's own: a colour, from ffmpeg's test sources.
+    # A custom driver: a color from ffmpeg's test sources.
     @behaviour Situ.Media.Device
 
     @impl true
@@ -225,8 +225,8 @@ defmodule Situ.Media.DeviceTest do
       do: {:ok, %{args: ~w(-re -f lavfi -i color=#{color}:size=16x16:rate=50), clock: :arrival}}
   end
 
-  describe "test pictures and the network" do
-    test "a driver of one's own is a device like the others" do
+  describe "test images and the network" do
+    test "a custom driver works like a built-in one" do
       %{out: [{_, _, image} | _]} =
         collect_live(&%{out: Camera.open(&1, device: {Blinker, "red"}, size: nil)}, out: 3)
 
@@ -234,18 +234,18 @@ defmodule Situ.Media.DeviceTest do
       assert red > 240 and blue < 15 and green < 15
     end
 
-    test "any input of ffmpeg is a camera" do
+    test "any ffmpeg input can be a camera" do
       device = "lavfi:testsrc=size=64x48:rate=50"
       %{out: out} = collect_live(&%{out: Camera.open(&1, device: device, size: nil)}, out: 20)
       assert [{_, _, %Image{width: 64, height: 48}} | _] = out
       assert Enum.all?(steps(out), &(rem(&1, Time.ms(20)) == 0))
     end
 
-    test "a UDP stream arrives with pictures and sound" do
-      port = FreePort.udp()
+    test "a UDP stream delivers video and audio" do
+      port = FreePort.find_udp()
 
       sender =
-        Situ.Media.FFmpeg.start(System.find_executable("ffmpeg"), [
+        Situ.Media.FFmpeg.start_program(System.find_executable("ffmpeg"), [
           "-nostdin",
           "-v",
           "error",
@@ -271,9 +271,9 @@ defmodule Situ.Media.DeviceTest do
       Port.close(sender)
       assert [{_, _, %Image{width: 64, height: 32}} | _] = got.video
       assert [{_, _, %AudioBuffer{format: %{rate: 16_000, channels: 1}}} | _] = got.audio
-      # The sender's steps, not the network's; MPEG-TS counts in 90 kHz.
+      # The steps are the sender's, not the network's; MPEG-TS counts in 90 kHz.
       assert Enum.all?(steps(got.video), &(abs(rem(&1 + Time.ms(1), Time.ms(40))) <= Time.ms(2)))
-      # Times are near the clock.
+      # The times are near the clock.
       assert Enum.all?(got.video, fn {time, now, _} -> abs(now - time) < Time.s(10) end)
     end
   end

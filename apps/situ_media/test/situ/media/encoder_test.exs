@@ -21,14 +21,14 @@ defmodule Situ.Media.EncoderTest do
     Encoder.close(encoder)
   end
 
-  # Uneven steps, as cameras have them.
+  # Uneven steps, as from a camera.
   defp uneven(items) do
     for {kind, time, data} <- items,
         kind == :audio or rem(div(time, Time.ms(40)), 3) != 1,
         do: {kind, time, data}
   end
 
-  test "MP4, MOV, MKV and WebM give back the times of every frame, exactly", %{tmp_dir: dir} do
+  test "MP4, MOV, MKV and WebM preserve the time of every frame exactly", %{tmp_dir: dir} do
     {items, :eof} = read(path("talk1.mp4"), size: {64, 32}, end: Time.s(2))
     items = uneven(items)
 
@@ -44,17 +44,17 @@ defmodule Situ.Media.EncoderTest do
     end
   end
 
-  test "what is written is what was given, within the loss of the codec", %{tmp_dir: dir} do
+  test "written media matches its input within the loss of the codec", %{tmp_dir: dir} do
     {items, :eof} = read(path("talk1.mp4"), size: {64, 32}, end: Time.ms(400))
     file = Path.join(dir, "out.mkv")
     :ok = write(file, items, quality: 0)
     {again, :eof} = read(file)
-    # FLAC loses nothing.
+    # FLAC is lossless.
     assert sound(again) == sound(items)
     assert mean_error(items, again) < 3.0
   end
 
-  test "sound alone and pictures alone", %{tmp_dir: dir} do
+  test "writes audio-only and video-only files", %{tmp_dir: dir} do
     {items, :eof} = read(path("talk1.mp4"), video: false, end: Time.s(1))
 
     for ending <- ~w(m4a flac opus mp3 mka) do
@@ -66,11 +66,11 @@ defmodule Situ.Media.EncoderTest do
     {items, :eof} = read(path("talk1.mp4"), audio: false, size: {33, 17}, end: Time.ms(200))
     file = Path.join(dir, "odd.mp4")
     assert :ok = write(file, items)
-    # Players want even sizes, so odd ones get one more row and column.
+    # Players expect even sizes, so an odd size gets one more row and column.
     assert {:ok, %{audio: nil, video: %{width: 34, height: 18}}} = FileInfo.read(file)
   end
 
-  test "a gap in the sound becomes silence", %{tmp_dir: dir} do
+  test "a gap in the audio becomes silence", %{tmp_dir: dir} do
     {items, :eof} = read(path("talk1.mp4"), size: {64, 32}, end: Time.s(2))
 
     holed =
@@ -84,19 +84,19 @@ defmodule Situ.Media.EncoderTest do
     assert_in_delta frames(again), 32_000, 320
   end
 
-  test "what does not fit is an error that says why", %{tmp_dir: dir} do
-    image = Image.filled(16, 16, :bgr24)
+  test "unsuitable input is an error that gives the reason", %{tmp_dir: dir} do
+    image = Image.new_filled(16, 16, :bgr24)
     format = AudioFormat.pcm()
     file = Path.join(dir, "x.mp4")
     {:ok, encoder} = Encoder.open(file, video: image, audio: format, start_time: 1000)
 
     assert {:error, %{code: :bad_image}} =
-             Encoder.video(encoder, 1000, Image.filled(8, 8, :bgr24))
+             Encoder.video(encoder, 1000, Image.new_filled(8, 8, :bgr24))
 
     assert {:error, %{code: :bad_image}} =
-             Encoder.video(encoder, 1000, Image.filled(16, 16, :gray8))
+             Encoder.video(encoder, 1000, Image.new_filled(16, 16, :gray8))
 
-    other = AudioBuffer.silence(AudioFormat.pcm(8_000), 160)
+    other = AudioBuffer.build_silence(AudioFormat.pcm(8_000), 160)
     assert {:error, %{code: :bad_audio}} = Encoder.audio(encoder, 1_000_000_000, other)
     assert {:error, %{code: :before_start}} = Encoder.video(encoder, 999, image)
     assert :ok = Encoder.video(encoder, 1000, image)
@@ -109,8 +109,8 @@ defmodule Situ.Media.EncoderTest do
     assert {:error, %{code: :cannot_write}} = open.("absent/x.mp4")
   end
 
-  test "an encoder that cannot write says so", %{tmp_dir: dir} do
-    image = Image.filled(64, 64, :bgr24, 7)
+  test "an encoder that cannot write reports an error", %{tmp_dir: dir} do
+    image = Image.new_filled(64, 64, :bgr24, 7)
     folder = Path.join(dir, "taken.mp4")
     File.mkdir!(folder)
     {:ok, encoder} = Encoder.open(folder, video: image, start_time: 0)
@@ -122,7 +122,7 @@ defmodule Situ.Media.EncoderTest do
            )
   end
 
-  # The loudest moments of both lie at the same samples, give or take what a codec blurs.
+  # The loudest moments of both are at the same samples, within the blur of a codec.
   defp in_step?(again, items), do: abs(peak(again) - peak(items)) <= 16
 
   defp peak(items) do

@@ -15,16 +15,16 @@ defmodule Situ.Media.FileComponentsTest do
   defp times(messages), do: Enum.map(messages, &elem(&1, 0))
 
   describe "VideoFile" do
-    test "gives 350 pictures at exact 40 ms steps and 14.0 s of sound, the same in every run" do
+    test "emits 350 images at exact 40 ms steps and 14.0 s of audio, the same in every run" do
       run = fn -> collect(&VideoFile.open(&1, @talk, size: {32, 16})) end
       {{:ok, _}, %{video: video, audio: audio} = first} = run.()
       assert times(video) == for(i <- 0..349, do: Time.ms(40) * i)
       assert times(audio) == for(i <- 1..700, do: Time.ms(20) * i)
-      assert Enum.sum(for {_, b} <- audio, do: AudioBuffer.frames(b)) == 14 * 16_000
+      assert Enum.sum(for {_, b} <- audio, do: AudioBuffer.frame_count(b)) == 14 * 16_000
       assert {{:ok, _}, ^first} = run.()
     end
 
-    test "start_time: places media time 0; the pipeline's clock begins there" do
+    test "start_time: sets the time of media time 0, at which the pipeline's clock begins" do
       {{:ok, report}, %{video: [{first, %Image{}} | _]}} =
         collect(
           &VideoFile.open(&1, @talk,
@@ -39,7 +39,7 @@ defmodule Situ.Media.FileComponentsTest do
       assert report.start_time == @recorded + Time.s(2)
     end
 
-    test "start_time: :pipeline gives the first picture the pipeline's start" do
+    test "start_time: :pipeline places the first image at the pipeline's start" do
       {{:ok, report}, %{video: [{first, _} | _]}} =
         collect(
           &VideoFile.open(&1, @talk, audio: false, start_time: :pipeline, start: Time.s(13))
@@ -49,7 +49,7 @@ defmodule Situ.Media.FileComponentsTest do
       assert first > @recorded
     end
 
-    test "the pipeline's replay interval limits what is read" do
+    test "reads only the pipeline's replay interval" do
       interval = {Time.s(1), Time.ms(1200)}
 
       {{:ok, _}, %{video: video}} =
@@ -61,7 +61,7 @@ defmodule Situ.Media.FileComponentsTest do
     end
 
     @tag :tmp_dir
-    test "what a file lacks is nil; what is turned off is not read", %{tmp_dir: dir} do
+    test "a missing stream is nil, and a disabled stream is not read", %{tmp_dir: dir} do
       silent = Path.join(dir, "silent.mp4")
       ffmpeg!(~w(-t 1 -i #{@talk} -an -c:v copy #{silent}))
       test = self()
@@ -81,7 +81,7 @@ defmodule Situ.Media.FileComponentsTest do
     end
 
     @tag :tmp_dir
-    test "a damaged file gives what is readable, then an error (or a warning)", %{tmp_dir: dir} do
+    test "a damaged file gives its readable part, then an error or warning", %{tmp_dir: dir} do
       file = Path.join(dir, "cut.mp4")
       File.write!(file, binary_part(File.read!(@talk), 0, 900_000))
       open = &VideoFile.open(&1, file, [size: {32, 16}] ++ &2)
@@ -95,11 +95,11 @@ defmodule Situ.Media.FileComponentsTest do
              end) =~ "cut.mp4 is damaged"
     end
 
-    test "a missing file is an error of the build" do
+    test "a missing file is a build error" do
       assert {:error, %{code: :no_file}} = Situ.Pipeline.run(&VideoFile.open(&1, "absent.mp4"))
     end
 
-    test "plays in real time when asked to" do
+    test "plays in real time on request" do
       clock = fn -> System.monotonic_time(:millisecond) end
       from = clock.()
 
@@ -133,7 +133,7 @@ defmodule Situ.Media.FileComponentsTest do
       assert times(copy.audio) == times(original.audio)
     end
 
-    test "one stream alone; a late start of the other", %{tmp_dir: dir} do
+    test "writes one stream alone, or both when one starts late", %{tmp_dir: dir} do
       file = Path.join(dir, "silent.mkv")
 
       {{:ok, _}, _} =
@@ -156,7 +156,7 @@ defmodule Situ.Media.FileComponentsTest do
       assert_in_delta List.last(times(late.audio)), Time.s(1), Time.ms(70)
     end
 
-    test "pictures that change their size are an error that says so", %{tmp_dir: dir} do
+    test "images that change size are an error that gives the reason", %{tmp_dir: dir} do
       assert capture_log(fn ->
                {{:error, error}, _} =
                  collect(fn p ->
@@ -167,7 +167,7 @@ defmodule Situ.Media.FileComponentsTest do
                        clip.video,
                        fn image, message ->
                          if message.originating_time > Time.ms(500),
-                           do: Image.filled(8, 8, :bgr24),
+                           do: Image.new_filled(8, 8, :bgr24),
                            else: image
                        end,
                        type: Image
@@ -185,7 +185,7 @@ defmodule Situ.Media.FileComponentsTest do
   describe "WavFile and WavWriter" do
     @describetag :tmp_dir
 
-    test "a copy is the same file again", %{tmp_dir: dir} do
+    test "a copy is identical to the original file", %{tmp_dir: dir} do
       copy = Path.join(dir, "copy.wav")
 
       {{:ok, _}, %{out: out}} =
@@ -196,10 +196,10 @@ defmodule Situ.Media.FileComponentsTest do
       {:ok, whole} = Wav.read(path("cards_001.wav"))
       assert Wav.read(copy) == {:ok, whole}
       assert Enum.take(times(out), 2) == [Time.ms(20), Time.ms(40)]
-      assert List.last(times(out)) == AudioBuffer.duration(whole)
+      assert List.last(times(out)) == AudioBuffer.duration_ns(whole)
     end
 
-    test "the start time survives", %{tmp_dir: dir} do
+    test "preserves the start time", %{tmp_dir: dir} do
       copy = Path.join(dir, "copy.wav")
 
       collect(fn p ->
@@ -211,7 +211,7 @@ defmodule Situ.Media.FileComponentsTest do
       assert first == @recorded + Time.ms(20)
     end
 
-    test "gaps are filled when asked for", %{tmp_dir: dir} do
+    test "fills gaps on request", %{tmp_dir: dir} do
       for {fill, frames} <- [{true, 17_526}, {false, 17_526 - 1600}] do
         file = Path.join(dir, "gap#{fill}.wav")
 
@@ -227,11 +227,11 @@ defmodule Situ.Media.FileComponentsTest do
         end)
 
         assert {:ok, buffer} = Wav.read(file)
-        assert AudioBuffer.frames(buffer) == frames
+        assert AudioBuffer.frame_count(buffer) == frames
       end
     end
 
-    test "a truncated file gives its sound, then the error", %{tmp_dir: dir} do
+    test "a truncated file gives its audio, then an error", %{tmp_dir: dir} do
       file = Path.join(dir, "cut.wav")
       File.write!(file, binary_part(File.read!(path("cards_001.wav")), 0, 10_045))
 
@@ -239,12 +239,12 @@ defmodule Situ.Media.FileComponentsTest do
         assert {{:error, %{code: :damaged_media}}, %{out: out}} =
                  collect(&%{out: WavFile.open(&1, file)})
 
-        assert Enum.sum(for {_, b} <- out, do: AudioBuffer.frames(b)) == 5_000
+        assert Enum.sum(for {_, b} <- out, do: AudioBuffer.frame_count(b)) == 5_000
         assert {{:ok, _}, _} = collect(&%{out: WavFile.open(&1, file, on_damage: :warn)})
       end)
     end
 
-    test "a change of format is an error", %{tmp_dir: dir} do
+    test "a format change is an error", %{tmp_dir: dir} do
       capture_log(fn ->
         {{:error, error}, _} =
           collect(fn p ->
@@ -253,7 +253,7 @@ defmodule Situ.Media.FileComponentsTest do
             |> Situ.map(
               fn buffer, m ->
                 if m.originating_time > Time.ms(100),
-                  do: AudioBuffer.silence(AudioFormat.pcm(8_000), 160),
+                  do: AudioBuffer.build_silence(AudioFormat.pcm(8_000), 160),
                   else: buffer
               end,
               type: AudioBuffer

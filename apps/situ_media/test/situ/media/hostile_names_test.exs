@@ -1,5 +1,5 @@
 defmodule Situ.Media.HostileNamesTest do
-  # Names of files that FFmpeg would take for options, protocols or devices. The current folder is one for all.
+  # File names that FFmpeg would interpret as options, protocols or devices. Not async: the current folder is global.
   use ExUnit.Case, async: false
   alias Situ.Media.{Encoder, FileInfo}
   alias Situ.Store
@@ -7,7 +7,7 @@ defmodule Situ.Media.HostileNamesTest do
   @moduletag :tmp_dir
   @secret "secret.mp4"
 
-  # Each is a plain file's name; those with another file inside lead to it when they are read as FFmpeg reads them.
+  # Each is the name of a plain file. Names that contain another name lead to that file if FFmpeg interprets them.
   @names ["-i.mp4", "-y", "http:127.0.0.1.mp4", "subfile,,start,0,end,0,,:secret.mp4"] ++
            ["concat:secret.mp4|secret.mp4", "$(touch RAN).mp4"]
 
@@ -28,7 +28,7 @@ defmodule Situ.Media.HostileNamesTest do
     store |> Store.messages("Video") |> Enum.map(& &1.data)
   end
 
-  test "they are names of files, and of nothing else", %{tmp_dir: root} do
+  test "treats them as file names only", %{tmp_dir: root} do
     File.cd!(root, fn ->
       for name <- @names do
         assert {:error, %{code: :no_file}} = FileInfo.read(name)
@@ -41,7 +41,7 @@ defmodule Situ.Media.HostileNamesTest do
     end)
   end
 
-  test "pictures are read from such a file and written to one", %{tmp_dir: root} do
+  test "reads images from such a file and writes them to one", %{tmp_dir: root} do
     File.cd!(root, fn ->
       File.cp!(@secret, "concat:in.mp4")
       [picture | _] = pictures("concat:in.mp4")

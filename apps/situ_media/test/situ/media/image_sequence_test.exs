@@ -28,7 +28,7 @@ defmodule Situ.Media.ImageSequenceTest do
     out
   end
 
-  test "pictures come back with their originating times", %{tmp_dir: dir} do
+  test "images keep their originating times", %{tmp_dir: dir} do
     folder = Path.join(dir, "shots")
     written = write_shots(folder, type: :png)
     assert length(written) == 10
@@ -36,7 +36,7 @@ defmodule Situ.Media.ImageSequenceTest do
     assert read == written
   end
 
-  test "JPEG is smaller and nearly the same", %{tmp_dir: dir} do
+  test "JPEG files are smaller and nearly identical", %{tmp_dir: dir} do
     folder = Path.join(dir, "shots")
     written = write_shots(folder, quality: 95)
     assert File.exists?(Path.join(folder, "000010.jpg"))
@@ -45,9 +45,9 @@ defmodule Situ.Media.ImageSequenceTest do
     {_, %Image{width: 32, height: 16, format: :bgr24}} = hd(read)
   end
 
-  test "a pattern or a list gets a rate; numbers in names count", %{tmp_dir: dir} do
+  test "a pattern or a list needs a rate, and files are ordered by number", %{tmp_dir: dir} do
     for n <- 1..12,
-        do: :ok = Imaging.write(Image.filled(4, 4, :gray8, n), Path.join(dir, "s#{n}.png"))
+        do: :ok = Imaging.write(Image.new_filled(4, 4, :gray8, n), Path.join(dir, "s#{n}.png"))
 
     open = fn files, opts -> fn p -> %{out: ImageSequence.open(p, files, opts)} end end
 
@@ -62,9 +62,9 @@ defmodule Situ.Media.ImageSequenceTest do
   end
 
   @tag :capture_log
-  test "a picture that cannot be read ends with an error, or is left out", %{tmp_dir: dir} do
+  test "an unreadable image ends with an error or is skipped", %{tmp_dir: dir} do
     for n <- 1..3,
-        do: :ok = Imaging.write(Image.filled(4, 4, :gray8, n), Path.join(dir, "#{n}.png"))
+        do: :ok = Imaging.write(Image.new_filled(4, 4, :gray8, n), Path.join(dir, "#{n}.png"))
 
     File.write!(Path.join(dir, "2.png"), binary_part(File.read!(Path.join(dir, "2.png")), 0, 40))
     open = fn opts -> fn p -> %{out: ImageSequence.open(p, dir, opts)} end end
@@ -74,7 +74,7 @@ defmodule Situ.Media.ImageSequenceTest do
   end
 
   @tag :capture_log
-  test "nothing is overwritten, and a bad index is refused", %{tmp_dir: dir} do
+  test "overwrites no files and rejects an invalid index", %{tmp_dir: dir} do
     folder = Path.join(dir, "shots")
     write_shots(folder, [])
 

@@ -6,12 +6,12 @@ defmodule Situ.Media.LiveStreamTest do
   alias Situ.Media.{FFmpeg, FFmpeg.Reader, LiveStream}
   alias Situ.Test.FreePort
 
-  # Each sender shows its own colour, so that a picture shows which sender it is from.
+  # Each sender has its own color, so an image shows which sender it is from.
   @red [0, 0, 254]
   @blue [254, 0, 0]
 
   defp start_sender(port, colour, opts \\ []) do
-    FFmpeg.start(
+    FFmpeg.start_program(
       System.find_executable("ffmpeg"),
       ~w(-nostdin -v error -re -f lavfi -i color=#{colour}:size=64x48:rate=25) ++
         ~w(-re -f lavfi -i sine=sample_rate=16000 -c:v mpeg2video -g 5 -c:a mp2) ++
@@ -20,7 +20,7 @@ defmodule Situ.Media.LiveStreamTest do
   end
 
   defp start_live(opts) do
-    port = FreePort.udp()
+    port = FreePort.find_udp()
     test = self()
 
     {:ok, pipeline} =
@@ -40,7 +40,7 @@ defmodule Situ.Media.LiveStreamTest do
     {port, pipeline}
   end
 
-  # The time of the next picture with this colour, and when it was there.
+  # Returns the time of the next image with this color, and its arrival time.
   defp await_colour(colour) do
     assert_receive {:video, time, now, %Image{} = image}, 30_000
     {:ok, pixel} = Image.fetch_pixel(image, 8, 8)
@@ -50,13 +50,13 @@ defmodule Situ.Media.LiveStreamTest do
       else: await_colour(colour)
   end
 
-  # FFmpeg takes the jump from 100 s for the overflow of a 33-bit clock, so its times leap ahead.
+  # FFmpeg treats the jump from 100 s as an overflow of a 33-bit clock, so its times leap ahead.
   for from <- [50, 100] do
-    test "a sender that restarts after #{from} s is seen at once, and the times go on" do
+    test "a sender that restarts after #{from} s is detected immediately, and times continue" do
       log =
         capture_log(fn ->
           {port, pipeline} = start_live(reconnect: true)
-          # A sender that has been running for a while.
+          # The sender has been running for a while.
           first = start_sender(port, "red", from: unquote(from))
           {last_red, _} = await_colour(@red)
           assert_receive {:audio, _, _, %AudioBuffer{}}, 30_000
@@ -64,11 +64,11 @@ defmodule Situ.Media.LiveStreamTest do
           second = start_sender(port, "blue")
           {blue, now} = await_colour(@blue)
           assert blue > last_red
-          # Stamped with the time of arrival, not with the old sender's.
+          # The timestamp is the arrival time, not derived from the old sender's clock.
           assert blue <= now and now - blue < Time.s(20)
           {later, now} = await_colour(@blue)
           assert later > blue and later <= now
-          # Both streams go on with one clock.
+          # Both streams continue with one clock.
           assert {:ok, sound} = await_audio_after(blue)
           assert abs(sound - later) < Time.s(5)
           await_description(pipeline, "its clock jumped once")
@@ -95,9 +95,9 @@ defmodule Situ.Media.LiveStreamTest do
       do: await_description(pipeline, text, tries - 1)
   end
 
-  test "a network that falls silent is lost after the stall timeout, not after ffmpeg's own" do
-    # It would wait for ever: nothing arrives at this port after the first second.
-    port = FreePort.udp()
+  test "a silent network is detected after the stall timeout, before ffmpeg's own" do
+    # ffmpeg would wait forever because nothing arrives at this port after the first second.
+    port = FreePort.find_udp()
     url = "udp://127.0.0.1:#{port}"
 
     {:ok, reader} =
@@ -108,17 +108,17 @@ defmodule Situ.Media.LiveStreamTest do
       )
 
     sender = start_sender(port, "red")
-    assert {:ok, _} = Reader.streams(reader)
+    assert {:ok, _} = Reader.fetch_streams(reader)
     Port.close(sender)
     started = System.monotonic_time(:millisecond)
     assert %{code: :media_stalled} = read_to_error(reader)
-    # A wait for ffmpeg to exit by itself would take 15 s.
+    # Waiting for ffmpeg to exit by itself would take 15 s.
     assert System.monotonic_time(:millisecond) - started < 12_000
-    Reader.stop(reader)
+    Reader.stop_ffmpeg(reader)
   end
 
   defp read_to_error(reader) do
-    case Reader.next(reader) do
+    case Reader.next_frame(reader) do
       {:ok, _} -> read_to_error(reader)
       {:error, error} -> error
     end

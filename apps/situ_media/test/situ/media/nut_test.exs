@@ -13,7 +13,7 @@ defmodule Situ.Media.NutTest do
     %{id: 1, class: :audio, fourcc: <<"PSD", 16>>, rate: 16_000, channels: 1}
   ]
 
-  # Exactly as many bytes as asked for, or the end: what a socket gives.
+  # Returns exactly the requested bytes or the end, like a socket.
   defp reader(bytes) do
     {:ok, agent} = Agent.start_link(fn -> bytes end)
 
@@ -26,7 +26,7 @@ defmodule Situ.Media.NutTest do
   end
 
   defp read_all({:ok, demuxer}, frames) do
-    case Demuxer.next(demuxer) do
+    case Demuxer.next_frame(demuxer) do
       {:ok, frame, demuxer} -> read_all({:ok, demuxer}, [frame | frames])
       {:error, reason} -> {reason, Enum.reverse(frames)}
     end
@@ -34,18 +34,18 @@ defmodule Situ.Media.NutTest do
 
   defp read_all({:error, reason}, frames), do: {reason, frames}
 
-  property "numbers come back" do
+  property "numbers survive a round trip" do
     forall n <- non_neg_integer() do
-      assert Nut.take_varint(Nut.varint(n) <> "x") == {n, "x"}
+      assert Nut.take_varint(Nut.encode_varint(n) <> "x") == {n, "x"}
     end
   end
 
-  property "frames come back with their times" do
+  property "frames survive a round trip with their times" do
     forall frames <- list({integer(0, 1), integer(0, 4_000_000_000_000_000_000), binary()}) do
       bytes =
         IO.iodata_to_binary([
-          Muxer.header(@streams),
-          for({id, time, data} <- frames, do: Muxer.frame(id, time, data))
+          Muxer.encode_header(@streams),
+          for({id, time, data} <- frames, do: Muxer.encode_frame(id, time, data))
         ])
 
       {reason, read} = read_all(Demuxer.open(reader(bytes)), [])
@@ -57,8 +57,8 @@ defmodule Situ.Media.NutTest do
   property "damaged bytes never raise and end with a reason" do
     whole =
       IO.iodata_to_binary([
-        Muxer.header(@streams),
-        for(i <- 0..5, do: Muxer.frame(rem(i, 2), i * 1000, :binary.copy(<<i>>, 24)))
+        Muxer.encode_header(@streams),
+        for(i <- 0..5, do: Muxer.encode_frame(rem(i, 2), i * 1000, :binary.copy(<<i>>, 24)))
       ])
 
     forall {at, byte} <- {integer(0, byte_size(whole) - 1), integer(0, 255)} do
@@ -68,25 +68,30 @@ defmodule Situ.Media.NutTest do
     end
   end
 
-  test "garbage is refused" do
+  test "rejects garbage" do
     assert {:error, :not_nut} = Demuxer.open(reader(:binary.copy("x", 100)))
     assert {:error, :eof} = Demuxer.open(reader(""))
   end
 
-  test "a frame that claims more than allowed is refused before anything is allocated" do
-    bytes = IO.iodata_to_binary([Muxer.header(@streams), Muxer.frame(0, 0, <<0::800>>)])
+  test "rejects a frame that claims more than the limit before allocating memory" do
+    bytes =
+      IO.iodata_to_binary([Muxer.encode_header(@streams), Muxer.encode_frame(0, 0, <<0::800>>)])
+
     {:ok, demuxer} = Demuxer.open(reader(bytes), max_frame: 99)
-    assert {:error, {:frame_too_large, 100}} = Demuxer.next(demuxer)
+    assert {:error, {:frame_too_large, 100}} = Demuxer.next_frame(demuxer)
   end
 
-  test "reads what ffmpeg writes: every sample and pixel format, elided headers, exact times" do
+  test "reads ffmpeg's sample and pixel formats, elided headers and exact times" do
     {bytes, 0} =
       System.cmd("ffmpeg", ~w(-v error -f lavfi -i testsrc=size=6x4:rate=30000/1001:duration=0.2
         -f lavfi -i sine=duration=0.2:sample_rate=44100 -c:v rawvideo -pix_fmt rgb24
         -c:a pcm_s16le -f nut pipe:1))
 
     {:ok, demuxer} = Demuxer.open(reader(bytes))
-    assert %{0 => %{class: :video, width: 6, height: 4}, 1 => audio} = Demuxer.streams(demuxer)
+
+    assert %{0 => %{class: :video, width: 6, height: 4}, 1 => audio} =
+             Demuxer.list_streams(demuxer)
+
     assert %{class: :audio, rate: 44_100, channels: 1} = audio
     {:eof, frames} = read_all({:ok, demuxer}, [])
     video = for %{stream: 0} = f <- frames, do: f

@@ -12,7 +12,7 @@ defmodule Situ.Media.RecordingTest do
   @moduletag :tmp_dir
   @talk path("talk1.mp4")
 
-  # Two seconds with a key picture every 15, pictures of B-frames out of order in the file, and a tone.
+  # Two seconds with a keyframe every 15 frames, B-frames stored out of order, and a tone.
   defp clip(root, ending, codecs) do
     file = Path.join(root, "clip." <> ending)
 
@@ -30,7 +30,7 @@ defmodule Situ.Media.RecordingTest do
 
   defp wanted(items, kind), do: for({^kind, time, data} <- items, do: {time, data})
 
-  test "a video file opens by its ending, and lists what is in it" do
+  test "opens a video file by its extension and lists its streams" do
     assert Store.Formats.for_file("somewhere/CLIP.MP4") == Recording
     store = Store.open!(@talk)
     assert %{name: "talk1", closed?: true, live?: false, damage: []} = Store.info(store)
@@ -51,7 +51,7 @@ defmodule Situ.Media.RecordingTest do
     assert Store.interval(later) == {noon, noon + Time.s(14)}
   end
 
-  test "holds exactly what the source of pipelines gives, read forward and at random", %{
+  test "contains exactly the messages of the file source, read forward and at random", %{
     tmp_dir: root
   } do
     file = mp4(root)
@@ -69,7 +69,7 @@ defmodule Situ.Media.RecordingTest do
       assert {:ok, %{data: ^image}} = Store.first_at(store, "Video", time)
     end
 
-    # A process that has just read something else has other decoders and pictures at hand: the answer is the same.
+    # A process that has just read something else has other decoders and images cached. The result must be the same.
     {from, _} = Enum.at(pictures, 20)
     {to, _} = Enum.at(pictures, 27)
     {:ok, some} = Store.read(store, "Video", from: from, to: to)
@@ -77,11 +77,11 @@ defmodule Situ.Media.RecordingTest do
     assert {:ok, nil} = Store.first_at(store, "Video", Time.s(3))
   end
 
-  test "a jump decodes one picture, a step back those before it too; each is the one of a full decode",
+  test "a jump decodes one image, a step back also those before it, all equal to a full decode",
        %{
          tmp_dir: root
        } do
-    # One key picture for all: every jump has a long way to go.
+    # There is only one keyframe, so every jump decodes a long run of frames.
     file = clip(root, "mp4", ~w(-c:v libx264 -preset ultrafast -g 250 -bf 2 -pix_fmt yuv420p -an))
     {items, :eof} = read(file, audio: false)
     whole = items |> wanted(:video) |> Enum.map(&elem(&1, 1)) |> List.to_tuple()
@@ -94,43 +94,43 @@ defmodule Situ.Media.RecordingTest do
       :sys.get_state(pid).kept |> Map.keys() |> Enum.sort()
     end
 
-    assert {:ok, [{40, image}]} = Pictures.read(recording, 40, 1)
+    assert {:ok, [{40, image}]} = Pictures.fetch_range(recording, 40, 1)
     assert image == elem(whole, 40)
     assert kept.() == [40]
-    # Back by one: the 24 before it are wanted next.
-    assert {:ok, [{39, image}]} = Pictures.read(recording, 39, 1)
+    # After one step back, the 24 images before it are decoded too.
+    assert {:ok, [{39, image}]} = Pictures.fetch_range(recording, 39, 1)
     assert image == elem(whole, 39)
     assert kept.() == Enum.to_list(15..40)
 
     for i <- [59, 7, 58, 0, 31, 5, 6, 30, 29, 50] do
-      assert {:ok, [{^i, image}]} = Pictures.read(recording, i, 1)
+      assert {:ok, [{^i, image}]} = Pictures.fetch_range(recording, i, 1)
       assert image == elem(whole, i)
     end
   end
 
-  test "every container: Matroska's clock has milliseconds, MPEG leaves out times", %{
+  test "reads every container, including Matroska's millisecond times and missing MPEG times", %{
     tmp_dir: root
   } do
     file = clip(root, "mkv", ~w(-c:v libx264 -g 15 -pix_fmt yuv420p -c:a flac))
     {items, :eof} = read(file)
     store = Store.open!(file)
     assert got(store, "Video") == wanted(items, :video)
-    # Where the sound ends is known to a millisecond; what it is, exactly.
+    # The end time of the audio is accurate to a millisecond; its samples are exact.
     {times, sound} = store |> got("Audio") |> Enum.unzip()
     {wanted_times, wanted_sound} = items |> wanted(:audio) |> Enum.unzip()
     assert Enum.take(sound, 99) == Enum.take(wanted_sound, 99)
     assert Enum.zip(times, wanted_times) |> Enum.all?(fn {a, b} -> abs(a - b) <= Time.ms(1) end)
-    assert_in_delta sound |> Enum.map(&AudioBuffer.frames/1) |> Enum.sum(), 88_200, 45
+    assert_in_delta sound |> Enum.map(&AudioBuffer.frame_count/1) |> Enum.sum(), 88_200, 45
 
     file = clip(root, "mpg", ~w(-c:v mpeg2video -g 15 -bf 2 -c:a mp2))
     {items, :eof} = read(file)
     pictures = file |> Store.open!() |> got("Video")
-    # The very last has no time of its own in the file.
+    # The file stores no time for the last frame.
     assert length(pictures) >= 59
     assert pictures == items |> wanted(:video) |> Enum.take(length(pictures))
   end
 
-  test "sound alone is a recording of sound", %{tmp_dir: root} do
+  test "an audio-only file opens as an audio recording", %{tmp_dir: root} do
     file = clip(root, "flac", ~w(-vn -c:a flac))
     {items, :eof} = read(file)
     store = Store.open!(file)
@@ -138,12 +138,12 @@ defmodule Situ.Media.RecordingTest do
     assert got(store, "Audio") == wanted(items, :audio)
   end
 
-  test "a pause longer than what is decoded at once is silence, and the sound goes on", %{
+  test "a pause longer than one decoding step is silence, and the audio continues", %{
     tmp_dir: root
   } do
     file = Path.join(root, "pause.mkv")
 
-    # A tone of one second at the start, another at second 70; no packets between them.
+    # A tone of one second at the start and another at second 70, with no packets between them.
     ffmpeg!(
       ~w{-f lavfi -i sine=duration=2:sample_rate=8000 -af asetpts='if(gte(N,8000),PTS+70/TB,PTS)'} ++
         ~w{-c:a flac} ++ [file]
@@ -162,7 +162,7 @@ defmodule Situ.Media.RecordingTest do
     assert 71 in seconds
   end
 
-  test "where only times are wanted, nothing is decoded", %{tmp_dir: root} do
+  test "reading only times decodes nothing", %{tmp_dir: root} do
     store = Store.open!(mp4(root))
     {:ok, all} = Store.read(store, "Video", envelopes: true)
     assert Enum.map(all, & &1.data) == List.duplicate(nil, 60)
@@ -170,7 +170,7 @@ defmodule Situ.Media.RecordingTest do
     assert {:ok, %{originating_time: ^time, data: %Situ.Image{}}} = Store.at(store, "Video", 30)
   end
 
-  test "the waveform is that of the samples, wide or narrow", %{tmp_dir: root} do
+  test "the waveform matches the samples at wide and narrow bins", %{tmp_dir: root} do
     file = mp4(root)
     store = Store.open!(file)
     {items, :eof} = read(file, video: false)
@@ -199,7 +199,7 @@ defmodule Situ.Media.RecordingTest do
     assert extremes.(bins) == extremes.(inside)
   end
 
-  test "replays in a pipeline, from a time on", %{tmp_dir: root} do
+  test "replays in a pipeline from a given time", %{tmp_dir: root} do
     file = mp4(root)
     {items, :eof} = read(file)
     test = self()
@@ -220,7 +220,7 @@ defmodule Situ.Media.RecordingTest do
     refute_received _
   end
 
-  test "a file cut off gives what is readable, then says so; others are errors", %{tmp_dir: root} do
+  test "a truncated file gives its readable part, then an error", %{tmp_dir: root} do
     whole = clip(root, "mkv", ~w(-c:v libx264 -g 15 -pix_fmt yuv420p -an))
     cut = Path.join(root, "cut.mkv")
     bytes = File.read!(whole)
@@ -245,7 +245,7 @@ defmodule Situ.Media.RecordingTest do
     assert {:error, %{code: :changed}} = Store.at(store, "Video", 10)
   end
 
-  test "a file with wrong bytes is an error or a recording, never a crash", %{tmp_dir: root} do
+  test "a corrupted file is an error or a recording, never a crash", %{tmp_dir: root} do
     bytes = File.read!(mp4(root))
     :rand.seed(:exsss, {1, 2, 3})
     broken = Path.join(root, "broken.mp4")
@@ -256,7 +256,7 @@ defmodule Situ.Media.RecordingTest do
             into: %{},
             do: {:rand.uniform(byte_size(bytes)) - 1, :rand.uniform(256) - 1}
 
-      # The index of an MP4 is its last kilobytes: half of the hits go there.
+      # The index of an MP4 is in its last kilobytes, so half of the changes go there.
       tail =
         for _ <- 1..10,
             into: hits,
@@ -271,7 +271,7 @@ defmodule Situ.Media.RecordingTest do
         )
       )
 
-      # Another file of the same size and second, as far as the file system tells.
+      # The file system sees the same size and modification second for this different file.
       File.touch!(broken, 1_767_225_600)
 
       case Store.open(broken) do
@@ -288,7 +288,7 @@ defmodule Situ.Media.RecordingTest do
     end
   end
 
-  test "a list of packets is taken in as it comes, however it is cut or wrong" do
+  test "parses a packet list cut into any chunks, with invalid lines" do
     alias Situ.Media.Recording.Packets
 
     list =
@@ -310,7 +310,7 @@ defmodule Situ.Media.RecordingTest do
     end
   end
 
-  test "the processes behind a file end when nobody asks, and come back", %{tmp_dir: root} do
+  test "the processes of a file end when idle and restart on demand", %{tmp_dir: root} do
     store = Store.open!(mp4(root))
     {:ok, first} = Store.at(store, "Video", 0)
     key = {Recording.Pictures, store.state.path, store.state.version, store.state.print}

@@ -1,5 +1,5 @@
 defmodule Situ.Media.SoundDeviceTest do
-  # Not async: the sound systems are found through environment variables of the whole VM.
+  # Not async: the audio systems are found through environment variables of the whole VM.
   use ExUnit.Case, async: false
   import Situ.Test.Eventually
 
@@ -10,7 +10,7 @@ defmodule Situ.Media.SoundDeviceTest do
 
   @moduletag :tmp_dir
 
-  describe "ALSA (its file plugin: a microphone that is a file, a speaker that is a file)" do
+  describe "ALSA (its file plugin provides a file as microphone and a file as speaker)" do
     unless File.exists?("/usr/share/alsa/alsa.conf"), do: @describetag(skip: "no ALSA here")
 
     setup %{tmp_dir: dir} do
@@ -30,7 +30,7 @@ defmodule Situ.Media.SoundDeviceTest do
       %{sound: sound}
     end
 
-    test "the microphone gives the exact samples", %{sound: sound} do
+    test "the microphone returns the exact samples", %{sound: sound} do
       %{out: out} = collect_live(&%{out: Microphone.open(&1, device: "alsa:default")}, out: 60)
       {:ok, heard} = out |> Enum.map(&elem(&1, 2)) |> AudioBuffer.concat()
       length = min(byte_size(heard.data), byte_size(sound.data))
@@ -38,7 +38,7 @@ defmodule Situ.Media.SoundDeviceTest do
       assert binary_part(heard.data, 0, length) == binary_part(sound.data, 0, length)
     end
 
-    test "the speaker plays the exact samples, and all of them", %{sound: sound, tmp_dir: dir} do
+    test "the speaker plays all of the exact samples", %{sound: sound, tmp_dir: dir} do
       assert {:ok, _} =
                Situ.Pipeline.run(fn p ->
                  p |> WavFile.open(path("cards_001.wav")) |> Speaker.play(device: "alsa:default")
@@ -48,7 +48,7 @@ defmodule Situ.Media.SoundDeviceTest do
     end
 
     @tag :capture_log
-    test "a card that is not there is an error" do
+    test "a missing card is an error" do
       assert {:error, %{code: :unreadable_media}} =
                Situ.Pipeline.run(&Microphone.open(&1, device: "alsa:hw:99,0"))
 
@@ -61,11 +61,11 @@ defmodule Situ.Media.SoundDeviceTest do
     end
   end
 
-  describe "PulseAudio (a null sink, whose monitor is a microphone)" do
+  describe "PulseAudio (a null sink whose monitor is a microphone)" do
     unless System.find_executable("pulseaudio"), do: @describetag(skip: "no PulseAudio here")
 
     setup %{tmp_dir: _dir} do
-      # The address of a local socket is short, the test's folder is not.
+      # The path of a local socket must be short, but the test's folder is not.
       dir = Path.join(System.tmp_dir!(), "situ-pulse-#{System.unique_integer([:positive])}")
       File.mkdir_p!(dir)
       File.chmod!(dir, 0o700)
@@ -74,7 +74,7 @@ defmodule Situ.Media.SoundDeviceTest do
       put_env("PULSE_SERVER", "unix:#{dir}/native")
 
       port =
-        FFmpeg.start(
+        FFmpeg.start_program(
           System.find_executable("pulseaudio"),
           ~w(-n --daemonize=no --exit-idle-time=-1 --use-pid-file=no -L) ++
             ["module-native-protocol-unix socket=#{dir}/native auth-anonymous=1"] ++
@@ -86,15 +86,15 @@ defmodule Situ.Media.SoundDeviceTest do
       %{port: port}
     end
 
-    test "devices are listed, with the default marked" do
+    test "lists devices and marks the default" do
       assert [%{id: "pulse:virt.monitor", kind: :microphone}] =
                Enum.filter(Device.Pulse.list(), &(&1.kind == :microphone and &1.default?))
 
       assert [%Device{id: "pulse:virt", kind: :speaker, name: "Null Output" <> _}] =
-               Speaker.list() |> pulse()
+               Speaker.list_devices() |> pulse()
     end
 
-    test "what the speaker plays, the microphone hears, at the pace of the clock" do
+    test "the microphone hears the speaker at the pace of the clock" do
       got =
         collect_live(
           fn p ->
@@ -110,12 +110,12 @@ defmodule Situ.Media.SoundDeviceTest do
       samples =
         for {_, _, buffer} <- got.mic, sample <- AudioBuffer.to_samples(buffer), do: abs(sample)
 
-      # Loud as the recording is: the words went through.
+      # As loud as the recording, so the words were played.
       {:ok, original} = Wav.read(path("cards_001.wav"))
       loudest = original |> AudioBuffer.to_samples() |> Enum.map(&abs/1) |> Enum.max()
       assert Enum.max(samples) > loudest / 2
 
-      # Once it runs: 20 ms of sound every 20 ms, soon after its end, and never before it.
+      # In the steady state, 20 ms of audio arrive every 20 ms, soon after their end and never before it.
       steady = Enum.drop(got.mic, 100)
       times = Enum.map(steady, &elem(&1, 0))
       span = List.last(times) - hd(times)

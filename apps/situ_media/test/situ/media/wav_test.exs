@@ -13,24 +13,24 @@ defmodule Situ.Media.WavTest do
 
   defp read_all(path, opts \\ []) do
     case Reader.open(path, opts) do
-      {:ok, reader} -> collect(Reader.next(reader), [])
+      {:ok, reader} -> collect(Reader.next_buffer(reader), [])
       {:error, error} -> {[], error}
     end
   end
 
   defp collect({:ok, time, buffer, reader}, pieces),
-    do: collect(Reader.next(reader), [{time, buffer} | pieces])
+    do: collect(Reader.next_buffer(reader), [{time, buffer} | pieces])
 
   defp collect(:eof, pieces), do: {Enum.reverse(pieces), :eof}
   defp collect({:error, error}, pieces), do: {Enum.reverse(pieces), error}
 
-  test "reads a real recording, sample-exact times" do
+  test "reads a real recording with sample-exact times" do
     {pieces, :eof} = read_all(path("cards_001.wav"))
     {times, buffers} = Enum.unzip(pieces)
     {:ok, whole} = Wav.read(path("cards_001.wav"))
     assert {:ok, ^whole} = AudioBuffer.concat(buffers)
     assert Enum.take(times, 3) == [Time.ms(20), Time.ms(40), Time.ms(60)]
-    assert List.last(times) == AudioBuffer.duration(whole)
+    assert List.last(times) == AudioBuffer.duration_ns(whole)
     assert whole.format == AudioFormat.pcm(16_000)
   end
 
@@ -38,12 +38,12 @@ defmodule Situ.Media.WavTest do
     {:ok, whole} = Wav.read(path("cards_001.wav"))
     {pieces, :eof} = read_all(path("cards_001.wav"), start: Time.ms(105), end: Time.ms(150))
     assert {:ok, part} = AudioBuffer.concat(Enum.map(pieces, &elem(&1, 1)))
-    assert part == AudioBuffer.slice(whole, 1680, 720)
+    assert part == AudioBuffer.slice_frames(whole, 1680, 720)
     assert Enum.map(pieces, &elem(&1, 0)) == [Time.ms(125), Time.ms(145), Time.ms(150)]
   end
 
-  test "every format survives, and ffmpeg reads the same samples", %{tmp_dir: dir} do
-    for sample <- AudioFormat.samples(), channels <- [1, 2, 6] do
+  test "every format survives a round trip, and ffmpeg reads the same samples", %{tmp_dir: dir} do
+    for sample <- AudioFormat.sample_types(), channels <- [1, 2, 6] do
       format = AudioFormat.pcm(44_100, channels, sample)
 
       values =
@@ -61,7 +61,7 @@ defmodule Situ.Media.WavTest do
     end
   end
 
-  test "reads what ffmpeg writes, RF64 and streamed files too", %{tmp_dir: dir} do
+  test "reads ffmpeg's output, including RF64 and streamed files", %{tmp_dir: dir} do
     for {name, args} <- [
           plain: ~w(-c:a pcm_s16le),
           extensible: ~w(-c:a pcm_s24le -ac 3),
@@ -70,7 +70,7 @@ defmodule Situ.Media.WavTest do
       file = Path.join(dir, "#{name}.wav")
       ffmpeg!(~w(-i #{path("cards_001.wav")}) ++ args ++ [file])
       assert {:ok, %AudioBuffer{} = buffer} = Wav.read(file)
-      assert AudioBuffer.frames(buffer) == 17_526
+      assert AudioBuffer.frame_count(buffer) == 17_526
     end
 
     {streamed, 0} = System.cmd("ffmpeg", ~w(-v error -i #{path("cards_001.wav")} -f wav pipe:1))
@@ -80,39 +80,42 @@ defmodule Situ.Media.WavTest do
     assert Wav.read(path("cards_001.wav")) == {:ok, buffer}
   end
 
-  test "the start time of a recording is kept to the nanosecond", %{tmp_dir: dir} do
+  test "keeps the start time of a recording to the nanosecond", %{tmp_dir: dir} do
     file = Path.join(dir, "timed.wav")
     start = 1_700_000_000_123_456_789
-    :ok = Wav.write(file, AudioBuffer.silence(AudioFormat.pcm(), 100), start_time: start)
+    :ok = Wav.write(file, AudioBuffer.build_silence(AudioFormat.pcm(), 100), start_time: start)
     assert {:ok, %{recorded_at: ^start}} = Reader.open(file)
     assert {:ok, %{recorded_at: nil}} = Reader.open(path("cards_001.wav"))
   end
 
-  test "a file whose writer died can be read up to its end", %{tmp_dir: dir} do
+  test "reads a file whose writer died up to its end", %{tmp_dir: dir} do
     file = Path.join(dir, "dead.wav")
     {:ok, writer} = Writer.open(file, AudioFormat.pcm())
-    {:ok, writer} = Writer.append(writer, AudioBuffer.silence(AudioFormat.pcm(), 500))
+
+    {:ok, writer} =
+      Writer.append_buffer(writer, AudioBuffer.build_silence(AudioFormat.pcm(), 500))
+
     :ok = :file.close(writer.file)
     assert {:ok, buffer} = Wav.read(file)
-    assert AudioBuffer.frames(buffer) == 500
+    assert AudioBuffer.frame_count(buffer) == 500
   end
 
-  test "a truncated file yields every whole frame, then says how much is missing", %{tmp_dir: dir} do
+  test "a truncated file yields all complete frames and reports the rest", %{tmp_dir: dir} do
     file = Path.join(dir, "cut.wav")
     bytes = File.read!(path("cards_001.wav"))
     File.write!(file, binary_part(bytes, 0, 10_045))
     {pieces, error} = read_all(file)
-    assert Enum.sum(Enum.map(pieces, fn {_, b} -> AudioBuffer.frames(b) end)) == 5_000
+    assert Enum.sum(Enum.map(pieces, fn {_, b} -> AudioBuffer.frame_count(b) end)) == 5_000
     assert %Situ.Error{code: :damaged_media, why: why} = error
-    assert why =~ "announces"
+    assert why =~ "header states"
     assert {:error, %{code: :damaged_media}} = Wav.read(file)
-    # The part that is there can be read without an error.
+    # The existing part can be read without an error.
     assert {[_ | _], :eof} = read_all(file, end: Time.ms(200))
   end
 
-  test "impossible headers are refused", %{tmp_dir: dir} do
+  test "rejects impossible headers", %{tmp_dir: dir} do
     file = Path.join(dir, "bad.wav")
-    fmt = Wav.Format.encode(AudioFormat.pcm())
+    fmt = Wav.Format.encode_chunk(AudioFormat.pcm())
 
     wav = fn chunks ->
       File.write!(file, ["RIFF", <<0::32>>, "WAVE", chunks])
@@ -123,7 +126,7 @@ defmodule Situ.Media.WavTest do
     assert {:error, %{code: :unreadable_media}} = wav.([])
     assert {:error, %{code: :unreadable_media}} = wav.(chunk.("data", <<0, 0>>))
     assert {:error, %{code: :unreadable_media}} = wav.(for _ <- 1..300, do: chunk.("JUNK", <<>>))
-    # A chunk that claims four gigabytes is skipped over, not read.
+    # A chunk that claims four gigabytes is skipped, not read.
     assert {:error, %{code: :unreadable_media}} = wav.(["JUNK", <<0xFFFFFFF0::little-32>>])
 
     for <<(at <- <<2, 4, 12, 14>>)>> do
@@ -137,7 +140,7 @@ defmodule Situ.Media.WavTest do
     assert why =~ "compressed"
   end
 
-  property "any bytes after a good start end in sound or an error", context: %{tmp_dir: dir} do
+  property "any bytes after a valid start end in audio or an error", context: %{tmp_dir: dir} do
     forall {bytes, cut} <- {binary(), integer(12, 60)} do
       file = Path.join(dir, "fuzz.wav")
       start = binary_part(File.read!(path("cards_001.wav")), 0, cut)

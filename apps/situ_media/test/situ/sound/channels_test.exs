@@ -4,7 +4,7 @@ defmodule Situ.Sound.ChannelsTest do
 
   doctest Situ.Sound.Channels
 
-  test "sound with a sample that is not a number is told by that sample" do
+  test "names the first sample that is not a number" do
     for {sample, good, bad} <- [
           {:f32, <<0.5::float-little-32>>, <<0, 0, 0xC0, 0x7F>>},
           {:f64, <<0.5::float-little-64>>, <<0, 0, 0, 0, 0, 0, 0xF0, 0x7F>>}

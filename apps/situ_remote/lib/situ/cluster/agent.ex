@@ -33,13 +33,13 @@ defmodule Situ.Cluster.Agent do
   @spec deploy(GenServer.server(), Situ.Cluster.Deployment.t()) ::
           {:ok, Situ.Cluster.Deployment.t()} | {:error, Situ.Error.t()}
   def deploy(agent \\ __MODULE__, deployment) do
-    log = log(agent)
+    log = get_log(agent)
 
-    with {:ok, _plan} <- Assembly.plan(deployment),
+    with {:ok, _plan} <- Assembly.build_plan(deployment),
          {:ok, deployment} <- Deployments.put(log, deployment),
          :ok <- install_first(agent, log, deployment) do
       others = Map.keys(info(agent).members) -- [node()]
-      if others != [], do: spread(others, deployment, @spread_times)
+      if others != [], do: spread_deployment(others, deployment, @spread_times)
       {:ok, deployment}
     end
   end
@@ -55,24 +55,24 @@ defmodule Situ.Cluster.Agent do
   end
 
   # Another node must know the deployment before it counts as deployed, since this node may be lost at any moment.
-  defp spread(others, deployment, 0) do
+  defp spread_deployment(others, deployment, 0) do
     Logger.warning(
       "#{deployment.name}: none of #{inspect(others)} has confirmed the deployment yet"
     )
   end
 
-  defp spread(others, deployment, left) do
+  defp spread_deployment(others, deployment, left) do
     case GenServer.multi_call(others, __MODULE__, {:install, deployment}, @spread_ms) do
       {[_ | _], _} -> :ok
-      {[], _} -> spread(others, deployment, left - 1)
+      {[], _} -> spread_deployment(others, deployment, left - 1)
     end
   end
 
   @doc "Removes a deployment from all nodes."
-  @spec forget(GenServer.server(), String.t()) :: :ok | {:error, Situ.Error.t()}
-  def forget(agent \\ __MODULE__, name) do
+  @spec forget_deployment(GenServer.server(), String.t()) :: :ok | {:error, Situ.Error.t()}
+  def forget_deployment(agent \\ __MODULE__, name) do
     :ok = GenServer.call(agent, {:forget, name}, 60_000)
-    Deployments.forget(log(agent), name)
+    Deployments.forget(get_log(agent), name)
   end
 
   @doc "Returns the members, the deployments, and the node that runs each part."
@@ -80,38 +80,38 @@ defmodule Situ.Cluster.Agent do
   def info(agent \\ __MODULE__), do: GenServer.call(agent, :info, 30_000)
 
   @doc "Returns this node's runners of a deployment, by part."
-  @spec runners(GenServer.server(), String.t(), timeout()) :: %{String.t() => pid()}
-  def runners(agent \\ __MODULE__, name, timeout \\ 30_000),
+  @spec list_runners(GenServer.server(), String.t(), timeout()) :: %{String.t() => pid()}
+  def list_runners(agent \\ __MODULE__, name, timeout \\ 30_000),
     do: GenServer.call(agent, {:runners, name}, timeout)
 
   @doc "Returns the plan of a deployment as this node runs it."
-  @spec plan(GenServer.server(), String.t()) :: Situ.Cluster.Plan.t() | nil
-  def plan(agent \\ __MODULE__, name), do: GenServer.call(agent, {:plan, name}, 30_000)
+  @spec find_plan(GenServer.server(), String.t()) :: Situ.Cluster.Plan.t() | nil
+  def find_plan(agent \\ __MODULE__, name), do: GenServer.call(agent, {:plan, name}, 30_000)
 
   @doc "Returns the members with the properties that placement rules use."
-  @spec known(GenServer.server()) :: Placement.members()
-  def known(agent \\ __MODULE__), do: GenServer.call(agent, :known, 30_000)
+  @spec list_members(GenServer.server()) :: Placement.members()
+  def list_members(agent \\ __MODULE__), do: GenServer.call(agent, :known, 30_000)
 
   @doc "Returns the log."
-  @spec log(GenServer.server()) :: Situ.Remote.Log.t()
-  def log(agent \\ __MODULE__), do: GenServer.call(agent, :log)
+  @spec get_log(GenServer.server()) :: Situ.Remote.Log.t()
+  def get_log(agent \\ __MODULE__), do: GenServer.call(agent, :log)
 
   @impl true
   def init(opts) do
     :ok = :net_kernel.monitor_nodes(true)
-    :ok = Logs.start()
+    :ok = Logs.start_handler()
     :ok = Member.create_table()
     {:ok, _} = Vitals.start_link(opts[:devices] || [])
     for {module, arg} <- opts[:beside] || [], do: {:ok, _} = module.start_link(arg)
     {:ok, supervisor} = DynamicSupervisor.start_link(strategy: :one_for_one, max_restarts: 100)
     state = %__MODULE__{log: opts[:log], labels: opts[:labels], supervisor: supervisor}
-    for node <- Node.list(), do: hello(state, node, true)
+    for node <- Node.list(), do: send_hello(state, node, true)
     state = put_members(state, %{node() => opts[:labels]})
     {:ok, _} = DeploymentLoader.start_link({state.log, self()})
     {:ok, state}
   end
 
-  defp hello(state, node, answer?) do
+  defp send_hello(state, node, answer?) do
     own = for {part, {epoch, pid}} <- state.routes, node(pid) == node(), do: {part, epoch, pid}
     message = {:hello, node(), state.labels, Map.values(state.deployments), own, answer?}
     GenServer.cast({__MODULE__, node}, message)
@@ -119,8 +119,9 @@ defmodule Situ.Cluster.Agent do
 
   @impl true
   def handle_call({:deploy, deployment}, _from, state) do
-    with :ok <- free(state, deployment), {:ok, state} <- install(state, deployment) do
-      others(state, {:install, deployment})
+    with :ok <- check_name(state, deployment),
+         {:ok, state} <- install_deployment(state, deployment) do
+      cast_to_others(state, {:install, deployment})
       {:reply, :ok, state}
     else
       {:error, error} -> {:reply, {:error, error}, state}
@@ -128,15 +129,15 @@ defmodule Situ.Cluster.Agent do
   end
 
   def handle_call({:install, deployment}, _from, state),
-    do: {:reply, :ok, installed(state, deployment)}
+    do: {:reply, :ok, install_or_warn(state, deployment)}
 
   def handle_call({:forget, name}, from, state) do
-    others(state, {:forget, name})
-    {:noreply, remove(state, name, fn -> GenServer.reply(from, :ok) end)}
+    cast_to_others(state, {:forget, name})
+    {:noreply, remove_deployment(state, name, fn -> GenServer.reply(from, :ok) end)}
   end
 
   def handle_call({:plan, name}, _from, state), do: {:reply, state.plans[name], state}
-  def handle_call(:known, _from, state), do: {:reply, Member.all(), state}
+  def handle_call(:known, _from, state), do: {:reply, Member.list_members(), state}
 
   def handle_call({:runners, name}, _from, state) do
     {:reply, for({{^name, part}, pid} <- state.runners, into: %{}, do: {part, pid}), state}
@@ -160,7 +161,7 @@ defmodule Situ.Cluster.Agent do
   end
 
   defp put_members(state, members) do
-    Member.put_all(members)
+    Member.put_members(members)
     %{state | members: members}
   end
 
@@ -169,7 +170,7 @@ defmodule Situ.Cluster.Agent do
     %{state | deployments: deployments}
   end
 
-  defp free(%{deployments: deployments}, %{name: name} = deployment) do
+  defp check_name(%{deployments: deployments}, %{name: name} = deployment) do
     case deployments do
       %{^name => ^deployment} -> :ok
       %{^name => _another} -> {:error, Deployments.duplicate_error(name)}
@@ -179,18 +180,23 @@ defmodule Situ.Cluster.Agent do
 
   @impl true
   def handle_cast({:hello, node, labels, deployments, routes, answer?}, state) do
-    if answer?, do: hello(state, node, false)
+    if answer?, do: send_hello(state, node, false)
     state = put_members(state, Map.put(state.members, node, labels))
-    state = Enum.reduce(deployments, state, &installed(&2, &1))
-    {:noreply, Enum.reduce(routes, state, fn {p, e, pid}, state -> routed(state, p, e, pid) end)}
+    state = Enum.reduce(deployments, state, &install_or_warn(&2, &1))
+
+    {:noreply,
+     Enum.reduce(routes, state, fn {p, e, pid}, state -> put_route(state, p, e, pid) end)}
   end
 
-  def handle_cast({:install, deployment}, state), do: {:noreply, installed(state, deployment)}
-  def handle_cast({:forget, name}, state), do: {:noreply, remove(state, name, fn -> :ok end)}
+  def handle_cast({:install, deployment}, state),
+    do: {:noreply, install_or_warn(state, deployment)}
+
+  def handle_cast({:forget, name}, state),
+    do: {:noreply, remove_deployment(state, name, fn -> :ok end)}
 
   def handle_cast({:route, part, epoch, pid, how}, state) do
-    if how == :tell, do: others(state, {:route, part, epoch, pid, :told})
-    {:noreply, routed(state, part, epoch, pid)}
+    if how == :tell, do: cast_to_others(state, {:route, part, epoch, pid, :told})
+    {:noreply, put_route(state, part, epoch, pid)}
   end
 
   # The supervisor has restarted a runner. Its part may have been forgotten, or may already have another runner.
@@ -219,7 +225,10 @@ defmodule Situ.Cluster.Agent do
   @impl true
   def handle_info({:situ_cluster, :follow, part, pid}, state) do
     Process.monitor(pid)
-    with %{^part => {_, publisher}} <- state.routes, do: Member.tell(pid, part, publisher)
+
+    with %{^part => {_, publisher}} <- state.routes,
+         do: Member.send_publisher(pid, part, publisher)
+
     {:noreply, %{state | followers: Map.update(state.followers, part, [pid], &[pid | &1])}}
   end
 
@@ -229,7 +238,7 @@ defmodule Situ.Cluster.Agent do
   end
 
   def handle_info({:nodeup, node}, state) do
-    hello(state, node, true)
+    send_hello(state, node, true)
     {:noreply, state}
   end
 
@@ -237,13 +246,13 @@ defmodule Situ.Cluster.Agent do
     if is_map_key(state.members, node),
       do: Logger.warning("the node #{node} is lost: other nodes take over its parts")
 
-    for {_, runner} <- state.runners, do: Runner.down(runner, node)
+    for {_, runner} <- state.runners, do: Runner.report_node_down(runner, node)
     {:noreply, put_members(state, Map.delete(state.members, node))}
   end
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp others(state, message) do
+  defp cast_to_others(state, message) do
     for {node, _} <- state.members,
         node != node(),
         do: GenServer.cast({__MODULE__, node}, message)
@@ -251,20 +260,22 @@ defmodule Situ.Cluster.Agent do
     :ok
   end
 
-  defp routed(state, part, epoch, pid) do
+  defp put_route(state, part, epoch, pid) do
     case state.routes do
       %{^part => {newer, _}} when newer > epoch ->
         state
 
       _ ->
-        for follower <- Map.get(state.followers, part, []), do: Member.tell(follower, part, pid)
+        for follower <- Map.get(state.followers, part, []),
+            do: Member.send_publisher(follower, part, pid)
+
         %{state | routes: Map.put(state.routes, part, {epoch, pid})}
     end
   end
 
   # A deployment that this node cannot build (the module is missing) does not run here.
-  defp installed(state, deployment) do
-    case install(state, deployment) do
+  defp install_or_warn(state, deployment) do
+    case install_deployment(state, deployment) do
       {:ok, state} ->
         state
 
@@ -274,10 +285,11 @@ defmodule Situ.Cluster.Agent do
     end
   end
 
-  defp install(state, %{name: name}) when is_map_key(state.deployments, name), do: {:ok, state}
+  defp install_deployment(state, %{name: name}) when is_map_key(state.deployments, name),
+    do: {:ok, state}
 
-  defp install(state, deployment) do
-    with {:ok, plan} <- Assembly.plan(deployment) do
+  defp install_deployment(state, deployment) do
+    with {:ok, plan} <- Assembly.build_plan(deployment) do
       runners =
         for {part, _} <- plan.parts, into: state.runners do
           args = %{
@@ -299,13 +311,13 @@ defmodule Situ.Cluster.Agent do
   end
 
   # A runner may end slowly, so a task waits for the runners and calls `done`.
-  defp remove(state, name, done) do
+  defp remove_deployment(state, name, done) do
     {gone, kept} = Enum.split_with(state.runners, fn {{of, _}, _} -> of == name end)
     pids = for {_, pid} <- gone, do: pid
 
     {:ok, _} =
       Task.start_link(fn ->
-        :ok = Runners.dismiss(pids)
+        :ok = Runners.dismiss_all(pids)
         done.()
       end)
 

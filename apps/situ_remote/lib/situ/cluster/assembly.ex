@@ -6,11 +6,11 @@ defmodule Situ.Cluster.Assembly do
   alias Situ.Graph.Builder
 
   @doc "Builds the plan of a deployment. Nothing is run, and everything that `build/2` opened is closed again."
-  @spec plan(Deployment.t()) :: {:ok, Plan.t()} | {:error, Error.t()}
-  def plan(%Deployment{module: module, opts: opts} = deployment) do
+  @spec build_plan(Deployment.t()) :: {:ok, Plan.t()} | {:error, Error.t()}
+  def build_plan(%Deployment{module: module, opts: opts} = deployment) do
     {graph, _result} = Graph.build(&module.build(&1, opts))
     plan = Plan.new(graph, deployment)
-    give_up(graph)
+    abandon_graph(graph)
     plan
   rescue
     error in Error ->
@@ -22,8 +22,9 @@ defmodule Situ.Cluster.Assembly do
   end
 
   @doc "Starts a part. `links` contains the agent, the publisher and the memories to resume from."
-  @spec start(Deployment.t(), Plan.t(), String.t(), map()) :: {:ok, pid()} | {:error, Error.t()}
-  def start(%Deployment{module: module, opts: opts} = deployment, plan, part, links) do
+  @spec start_part(Deployment.t(), Plan.t(), String.t(), map()) ::
+          {:ok, pid()} | {:error, Error.t()}
+  def start_part(%Deployment{module: module, opts: opts} = deployment, plan, part, links) do
     options = %{
       inlet:
         &[
@@ -38,7 +39,11 @@ defmodule Situ.Cluster.Assembly do
 
     build = fn p ->
       module.build(p, opts)
-      Builder.run(p, &{:ok, &1 |> Cut.part(plan, part, options) |> handlers(&1, plan, part)})
+
+      Builder.update_graph(
+        p,
+        &{:ok, &1 |> Cut.build_part_graph(plan, part, options) |> keep_handlers(&1, plan, part)}
+      )
     end
 
     settings =
@@ -52,26 +57,26 @@ defmodule Situ.Cluster.Assembly do
   # Handlers close the recordings and links that `build/2` has opened. The handlers of a resource run with the
   # components that use it. A resource that only other parts use is closed here; otherwise each part would leave an
   # empty recording. All other handlers run with the main part and with parts that record.
-  defp handlers(graph, whole, plan, part) do
-    main? = part == Plan.main(plan)
+  defp keep_handlers(graph, whole, plan, part) do
+    main? = part == Plan.main_part(plan)
     records? = Enum.any?(graph.vertices, fn {_, v} -> v.module == Situ.Store.Sink end)
 
     {kept, others} =
       Enum.split_with(graph.handlers, fn {_event, fun} ->
         case graph.resources do
           %{^fun => resource} ->
-            uses?(graph, resource) or (main? and not uses?(whole, resource))
+            uses_resource?(graph, resource) or (main? and not uses_resource?(whole, resource))
 
           _ ->
             main? or records?
         end
       end)
 
-    give_up(%{graph | handlers: others})
+    abandon_graph(%{graph | handlers: others})
     %{graph | handlers: kept}
   end
 
-  defp uses?(graph, resource),
+  defp uses_resource?(graph, resource),
     do: Enum.any?(graph.vertices, fn {_, vertex} -> option_uses?(vertex.opts, resource) end)
 
   # The options of operators are not always a keyword list.
@@ -82,5 +87,5 @@ defmodule Situ.Cluster.Assembly do
 
   defp in_tuple?(value, resource), do: is_tuple(value) and resource in Tuple.to_list(value)
 
-  defp give_up(graph), do: for({:abandoned, fun} <- graph.handlers, do: fun.(nil))
+  defp abandon_graph(graph), do: for({:abandoned, fun} <- graph.handlers, do: fun.(nil))
 end

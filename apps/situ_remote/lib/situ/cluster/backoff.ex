@@ -15,7 +15,7 @@ defmodule Situ.Cluster.Backoff do
   @doc "Counts a loss at `now` (ms); a lease lasts `lease` ms."
   @spec add_loss(t(), integer(), pos_integer()) :: t()
   def add_loss(%__MODULE__{} = backoff, now, lease) do
-    count = if forgotten?(backoff, now, lease), do: 0, else: backoff.count
+    count = if losses_expired?(backoff, now, lease), do: 0, else: backoff.count
     %{backoff | count: count + 1, at: now, share: 0.5 + :rand.uniform() / 2}
   end
 
@@ -32,11 +32,11 @@ defmodule Situ.Cluster.Backoff do
   """
   @spec wait_ms(t(), integer(), pos_integer()) :: non_neg_integer()
   def wait_ms(%__MODULE__{count: count} = backoff, now, lease) do
-    if count < 2 or forgotten?(backoff, now, lease),
+    if count < 2 or losses_expired?(backoff, now, lease),
       do: 0,
       else: round(min(Integer.pow(2, min(count, 10) - 1), @most) * lease * backoff.share)
   end
 
-  defp forgotten?(%{at: nil}, _now, _lease), do: true
-  defp forgotten?(%{at: at}, now, lease), do: now - at > @forgotten * lease
+  defp losses_expired?(%{at: nil}, _now, _lease), do: true
+  defp losses_expired?(%{at: at}, now, lease), do: now - at > @forgotten * lease
 end

@@ -9,9 +9,9 @@ defmodule Situ.Cluster.Balance do
       iex> nodes = %{a@h: %{busy: 1.8, cores: 2}, b@h: %{busy: 0.1, cores: 2}}
       iex> lips = %{part: "Lips", node: :a@h, cost: 1.0, on: [:a@h, :b@h]}
       iex> parts = [lips, %{part: "Sound", node: :a@h, cost: 0.7, on: [:a@h]}]
-      iex> Situ.Cluster.Balance.move(nodes, parts)
+      iex> Situ.Cluster.Balance.choose_move(nodes, parts)
       {"Lips", :b@h}
-      iex> Situ.Cluster.Balance.move(%{nodes | a@h: %{busy: 0.15, cores: 2}}, parts)
+      iex> Situ.Cluster.Balance.choose_move(%{nodes | a@h: %{busy: 0.15, cores: 2}}, parts)
       nil
   """
 
@@ -21,14 +21,14 @@ defmodule Situ.Cluster.Balance do
   @type part :: %{part: String.t(), node: node(), cost: float(), on: [node()]}
 
   @doc "Returns the part and target node of the most effective move, or `nil`."
-  @spec move(nodes(), [part()]) :: {String.t(), node()} | nil
-  def move(nodes, parts) do
+  @spec choose_move(nodes(), [part()]) :: {String.t(), node()} | nil
+  def choose_move(nodes, parts) do
     tried =
       for %{part: part, node: from, cost: cost, on: on} <- parts,
           is_map_key(nodes, from),
           to <- on,
           to != from and is_map_key(nodes, to),
-          gain = gain(nodes[from], nodes[to], cost),
+          gain = move_gain(nodes[from], nodes[to], cost),
           gain > @least,
           do: {gain, part, to}
 
@@ -41,7 +41,7 @@ defmodule Situ.Cluster.Balance do
   end
 
   # Returns by how many cores the load of the busier node falls.
-  defp gain(from, to, cost) do
+  defp move_gain(from, to, cost) do
     before = max(from.busy / from.cores, to.busy / to.cores)
     behind = max((from.busy - cost) / from.cores, (to.busy + cost) / to.cores)
     (before - behind) * min(from.cores, to.cores)

@@ -21,15 +21,15 @@ defmodule Situ.Cluster.Balancer do
   @impl true
   def handle_info(:look, state) do
     Process.send_after(self(), :look, @look_ms)
-    first? = Member.first?()
-    wanted = for %{balance: every} = d when every != nil <- Member.deployments(), do: d
-    due = Map.new(wanted, &{&1.name, Map.get(state.due, &1.name, now() + &1.balance)})
+    first? = Member.first_member?()
+    wanted = for %{balance: every} = d when every != nil <- Member.list_deployments(), do: d
+    due = Map.new(wanted, &{&1.name, Map.get(state.due, &1.name, monotonic_ns() + &1.balance)})
 
     due =
-      for d <- wanted, first?, now() >= due[d.name], reduce: due do
+      for d <- wanted, first?, monotonic_ns() >= due[d.name], reduce: due do
         due ->
-          _ = balanced(state.balance, d)
-          Map.put(due, d.name, now() + d.balance)
+          _ = balance_deployment(state.balance, d)
+          Map.put(due, d.name, monotonic_ns() + d.balance)
       end
 
     {:noreply, %{state | due: due}}
@@ -37,7 +37,7 @@ defmodule Situ.Cluster.Balancer do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp balanced(balance, deployment) do
+  defp balance_deployment(balance, deployment) do
     case balance.(deployment) do
       {:ok, {part, to}} ->
         Logger.info("#{deployment.name}/#{part} moved to #{to}, which is less busy")
@@ -53,5 +53,5 @@ defmodule Situ.Cluster.Balancer do
     :exit, _ -> :ok
   end
 
-  defp now, do: System.monotonic_time(:nanosecond)
+  defp monotonic_ns, do: System.monotonic_time(:nanosecond)
 end

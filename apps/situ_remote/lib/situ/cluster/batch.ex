@@ -38,23 +38,24 @@ defmodule Situ.Cluster.Batch do
   end
 
   @doc "Builds a batch from messages with sequence ids, oldest first."
-  @spec pack(nonempty_list(Message.t())) :: t()
-  def pack([first | _] = messages) do
+  @spec pack_messages(nonempty_list(Message.t())) :: t()
+  def pack_messages([first | _] = messages) do
     rows = for m <- messages, do: {m.originating_time, m.creation_time, m.data}
     new(:lists.reverse(rows), first.sequence_id + length(rows) - 1)
   end
 
-  @spec count(t()) :: pos_integer()
-  def count(%__MODULE__{first: first, last: last}), do: last - first + 1
+  @spec count_messages(t()) :: pos_integer()
+  def count_messages(%__MODULE__{first: first, last: last}), do: last - first + 1
 
-  @spec messages(t()) :: [Message.t()]
-  def messages(%__MODULE__{first: first, body: body}), do: body |> rows() |> messages(first)
+  @spec to_messages(t()) :: [Message.t()]
+  def to_messages(%__MODULE__{first: first, body: body}),
+    do: body |> unpack_rows() |> rows_to_messages(first)
 
   @doc "Converts rows to messages; the first message has sequence id `first`."
-  @spec messages([row()], pos_integer()) :: [Message.t()]
-  def messages([], _first), do: []
+  @spec rows_to_messages([row()], pos_integer()) :: [Message.t()]
+  def rows_to_messages([], _first), do: []
 
-  def messages([{time, made, data} | rest], first) do
+  def rows_to_messages([{time, made, data} | rest], first) do
     message = %Message{
       data: data,
       originating_time: time,
@@ -63,26 +64,26 @@ defmodule Situ.Cluster.Batch do
       source_id: 0
     }
 
-    [message | messages(rest, first + 1)]
+    [message | rows_to_messages(rest, first + 1)]
   end
 
   @doc "Unpacks a body, which must come from a node of this cluster: by distribution, or under the cluster's seal."
-  @spec rows(body()) :: [row()]
-  def rows(body) when is_binary(body), do: :erlang.binary_to_term(body)
-  def rows(body) when is_list(body), do: body
+  @spec unpack_rows(body()) :: [row()]
+  def unpack_rows(body) when is_binary(body), do: :erlang.binary_to_term(body)
+  def unpack_rows(body) when is_list(body), do: body
 
   @doc "Returns a batch of the messages after sequence id `last`, or `nil` if there are none."
-  @spec behind(t(), non_neg_integer()) :: t() | nil
-  def behind(%__MODULE__{first: first} = batch, last) when last < first, do: batch
-  def behind(%__MODULE__{last: own}, last) when last >= own, do: nil
+  @spec take_after(t(), non_neg_integer()) :: t() | nil
+  def take_after(%__MODULE__{first: first} = batch, last) when last < first, do: batch
+  def take_after(%__MODULE__{last: own}, last) when last >= own, do: nil
 
-  def behind(%__MODULE__{} = batch, last),
-    do: batch |> messages() |> Enum.drop(last - batch.first + 1) |> pack()
+  def take_after(%__MODULE__{} = batch, last),
+    do: batch |> to_messages() |> Enum.drop(last - batch.first + 1) |> pack_messages()
 
   @doc "Splits a batch of at least two messages into two."
-  @spec halves(t()) :: {t(), t()}
-  def halves(%__MODULE__{first: first, last: last} = batch) when last > first do
-    {one, two} = batch |> messages() |> Enum.split(div(last - first + 1, 2))
-    {pack(one), pack(two)}
+  @spec split_in_half(t()) :: {t(), t()}
+  def split_in_half(%__MODULE__{first: first, last: last} = batch) when last > first do
+    {one, two} = batch |> to_messages() |> Enum.split(div(last - first + 1, 2))
+    {pack_messages(one), pack_messages(two)}
   end
 end

@@ -30,11 +30,11 @@ defmodule Situ.Cluster.Checkpoint do
         }
 
   @doc "Takes over the checkpoints for `epoch`; from now on, writes of an older owner are refused."
-  @spec take(Log.t(), String.t(), pos_integer(), map()) :: {:ok, t()} | {:error, Error.t()}
-  def take(log, key, epoch, marks) do
+  @spec take_over(Log.t(), String.t(), pos_integer(), map()) :: {:ok, t()} | {:error, Error.t()}
+  def take_over(log, key, epoch, marks) do
     Enum.reduce_while(0..(@slots - 1), {:ok, %__MODULE__{key: key}}, fn slot, {:ok, checkpoint} ->
       case take_slot(log, key, slot, epoch) do
-        {:ok, seq, entry} -> {:cont, {:ok, better(checkpoint, slot, seq, entry, marks)}}
+        {:ok, seq, entry} -> {:cont, {:ok, prefer_newer(checkpoint, slot, seq, entry, marks)}}
         error -> {:halt, error}
       end
     end)
@@ -43,9 +43,9 @@ defmodule Situ.Cluster.Checkpoint do
   defp take_slot(log, key, slot, epoch) do
     subject = {:key, "#{key}.#{slot}"}
 
-    with {:ok, last} <- Log.last(log, subject) do
-      if Entry.integer(last, "Epoch", 0) > epoch do
-        {:error, refused(key)}
+    with {:ok, last} <- Log.fetch_last(log, subject) do
+      if Entry.head_integer(last, "Epoch", 0) > epoch do
+        {:error, refused_error(key)}
       else
         entry = last || %Entry{op: ""}
         head = Map.put(entry.head, "Epoch", Integer.to_string(epoch))
@@ -60,9 +60,9 @@ defmodule Situ.Cluster.Checkpoint do
     end
   end
 
-  defp better(checkpoint, slot, seq, entry, marks) do
+  defp prefer_newer(checkpoint, slot, seq, entry, marks) do
     checkpoint = %{checkpoint | seqs: Map.put(checkpoint.seqs, slot, seq)}
-    number = Entry.integer(entry, "Number", 0)
+    number = Entry.head_integer(entry, "Number", 0)
 
     with true <- number > checkpoint.number,
          {:ok, current} <- Seal.decode_term(entry),
@@ -77,13 +77,13 @@ defmodule Situ.Cluster.Checkpoint do
     do: Enum.all?(base, fn {name, last} -> last <= Map.get(marks, name, 0) end)
 
   @doc "Returns the memories that the part continues from."
-  @spec memories(t()) :: map() | nil | :done
-  def memories(%__MODULE__{current: nil}), do: nil
-  def memories(%__MODULE__{current: %{memories: memories}}), do: memories
+  @spec saved_memories(t()) :: map() | nil | :done
+  def saved_memories(%__MODULE__{current: nil}), do: nil
+  def saved_memories(%__MODULE__{current: %{memories: memories}}), do: memories
 
   @doc "Writes the next checkpoint."
-  @spec store(t(), Log.t(), pos_integer(), current()) :: {:ok, t()} | {:error, Error.t()}
-  def store(%__MODULE__{} = checkpoint, log, epoch, current) do
+  @spec write_next(t(), Log.t(), pos_integer(), current()) :: {:ok, t()} | {:error, Error.t()}
+  def write_next(%__MODULE__{} = checkpoint, log, epoch, current) do
     number = checkpoint.number + 1
     slot = rem(number, @slots)
 
@@ -100,14 +100,14 @@ defmodule Situ.Cluster.Checkpoint do
         {:ok, %{checkpoint | number: number, seqs: seqs, current: %{current | pending: %{}}}}
 
       {:refused, _} ->
-        {:error, refused(checkpoint.key)}
+        {:error, refused_error(checkpoint.key)}
 
       error ->
         error
     end
   end
 
-  defp refused(key) do
+  defp refused_error(key) do
     Error.new(:refused, "the log refuses a checkpoint (#{key})",
       why: "another node has taken the part over"
     )

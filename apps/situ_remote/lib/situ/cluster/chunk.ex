@@ -18,33 +18,36 @@ defmodule Situ.Cluster.Chunk do
           closing: Situ.Time.t() | nil
         }
 
-  @spec start() :: mark()
-  def start, do: %{last: 0, time: nil, made: nil, closing: nil}
+  @spec empty_mark() :: mark()
+  def empty_mark, do: %{last: 0, time: nil, made: nil, closing: nil}
 
-  @spec mark(Entry.t() | nil) :: mark()
-  def mark(entry) do
+  @spec entry_mark(Entry.t() | nil) :: mark()
+  def entry_mark(entry) do
     %{
-      last: Entry.integer(entry, "Last", 0),
-      time: Entry.integer(entry, "Time", nil),
-      made: Entry.integer(entry, "Made", nil),
-      closing: Entry.integer(entry, "Closing", nil)
+      last: Entry.head_integer(entry, "Last", 0),
+      time: Entry.head_integer(entry, "Time", nil),
+      made: Entry.head_integer(entry, "Made", nil),
+      closing: Entry.head_integer(entry, "Closing", nil)
     }
   end
 
   @doc "Builds an empty entry with the position of the stream. Once it is written, writes of older epochs are refused."
-  @spec fence(mark(), pos_integer(), String.t()) :: Entry.t()
-  def fence(mark, epoch, op),
-    do: %Entry{op: op, head: Map.merge(head(mark, epoch), %{"Kind" => "fence"})}
+  @spec build_fence(mark(), pos_integer(), String.t()) :: Entry.t()
+  def build_fence(mark, epoch, op),
+    do: %Entry{op: op, head: Map.merge(encode_head(mark, epoch), %{"Kind" => "fence"})}
 
   @doc "Builds an entry of batches; `mark` is the position of the stream after them."
-  @spec data([Batch.t()], mark(), pos_integer(), String.t()) :: Entry.t()
-  def data(batches, mark, epoch, op) do
+  @spec build_data([Batch.t()], mark(), pos_integer(), String.t()) :: Entry.t()
+  def build_data(batches, mark, epoch, op) do
     first = with [%{first: id} | _] <- batches, do: id, else: (_ -> mark.last + 1)
-    head = Map.merge(head(mark, epoch), %{"Kind" => "data", "First" => Integer.to_string(first)})
+
+    head =
+      Map.merge(encode_head(mark, epoch), %{"Kind" => "data", "First" => Integer.to_string(first)})
+
     %Entry{op: op, head: head, data: Seal.encode_term(for(batch <- batches, do: batch.body))}
   end
 
-  defp head(mark, epoch) do
+  defp encode_head(mark, epoch) do
     pairs = [
       {"Epoch", epoch},
       {"Last", mark.last},
@@ -57,13 +60,13 @@ defmodule Situ.Cluster.Chunk do
   end
 
   @doc "Returns the messages of an entry that was read from a sealed log."
-  @spec messages(Entry.t()) :: {:ok, [Message.t()]} | {:error, Situ.Error.t()}
-  def messages(%Entry{data: ""}), do: {:ok, []}
+  @spec decode_messages(Entry.t()) :: {:ok, [Message.t()]} | {:error, Situ.Error.t()}
+  def decode_messages(%Entry{data: ""}), do: {:ok, []}
 
-  def messages(%Entry{} = entry) do
+  def decode_messages(%Entry{} = entry) do
     with {:ok, bodies} <- Seal.decode_term(entry) do
-      rows = Enum.flat_map(bodies, &Batch.rows/1)
-      {:ok, Batch.messages(rows, Entry.integer(entry, "First", 1))}
+      rows = Enum.flat_map(bodies, &Batch.unpack_rows/1)
+      {:ok, Batch.rows_to_messages(rows, Entry.head_integer(entry, "First", 1))}
     end
   end
 end

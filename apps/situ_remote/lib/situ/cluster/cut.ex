@@ -10,41 +10,49 @@ defmodule Situ.Cluster.Cut do
   @window 4_000
 
   @doc "Builds the graph of part `name`; the functions in `links` return the options of a stream's inlet and outlet."
-  @spec part(Graph.t(), Plan.t(), String.t(), %{inlet: fun(), outlet: fun()}) :: Graph.t()
-  def part(%Graph{} = graph, plan, name, links) do
+  @spec build_part_graph(Graph.t(), Plan.t(), String.t(), %{inlet: fun(), outlet: fun()}) ::
+          Graph.t()
+  def build_part_graph(%Graph{} = graph, plan, name, links) do
     %{ids: ids} = Map.fetch!(plan.parts, name)
     others = graph.vertices |> Map.keys() |> MapSet.new() |> MapSet.difference(ids)
-    kept = Extension.without(graph, others)
-    kept = Enum.reduce(inlets(graph, plan, ids), kept, &inlet(&1, &2, graph, links.inlet))
-    kept = Enum.reduce(Plan.outlets(plan, name), kept, &outlet(&1, &2, links.outlet))
+    kept = Extension.remove_vertices(graph, others)
+
+    kept =
+      Enum.reduce(
+        incoming_streams(graph, plan, ids),
+        kept,
+        &add_inlet(&1, &2, graph, links.inlet)
+      )
+
+    kept = Enum.reduce(Plan.outgoing_streams(plan, name), kept, &add_outlet(&1, &2, links.outlet))
 
     # A part without sources runs by the wall clock, because its inputs determine its time.
-    if sources?(graph, ids), do: kept, else: %{kept | proposals: []}
+    if has_sources?(graph, ids), do: kept, else: %{kept | proposals: []}
   end
 
   @doc "Returns whether the part contains a source."
-  @spec sources?(Graph.t(), MapSet.t(pos_integer())) :: boolean()
-  def sources?(graph, ids), do: Enum.any?(ids, &(graph.vertices[&1].inputs == []))
+  @spec has_sources?(Graph.t(), MapSet.t(pos_integer())) :: boolean()
+  def has_sources?(graph, ids), do: Enum.any?(ids, &(graph.vertices[&1].inputs == []))
 
   # Returns the streams of other parts, each with its edges into this part.
-  defp inlets(graph, plan, ids) do
+  defp incoming_streams(graph, plan, ids) do
     for {_, stream} <- plan.streams,
         not MapSet.member?(ids, elem(stream.from, 0)),
-        edges = into(graph, stream.from, ids),
+        edges = edges_into(graph, stream.from, ids),
         edges != [],
         do: {stream, edges}
   end
 
-  defp into(graph, from, ids) do
+  defp edges_into(graph, from, ids) do
     for {_, %{from: ^from, to: {to, _}} = edge} <- graph.edges, MapSet.member?(ids, to), do: edge
   end
 
-  defp inlet({stream, edges}, graph, whole, options) do
+  defp add_inlet({stream, edges}, graph, whole, options) do
     {id, output} = stream.from
     port = whole.vertices[id].outputs[output]
 
     {vertex, graph} =
-      add(graph, %Vertex{
+      add_vertex(graph, %Vertex{
         id: graph.next_vertex,
         module: Inlet,
         path: "Inlet " <> stream.name,
@@ -56,12 +64,12 @@ defmodule Situ.Cluster.Cut do
 
     edges
     |> Enum.sort_by(& &1.id)
-    |> Enum.reduce(graph, fn edge, graph -> put(graph, %{edge | from: {vertex.id, :out}}) end)
+    |> Enum.reduce(graph, fn edge, graph -> put_edge(graph, %{edge | from: {vertex.id, :out}}) end)
   end
 
-  defp outlet(stream, graph, options) do
+  defp add_outlet(stream, graph, options) do
     {vertex, graph} =
-      add(graph, %Vertex{
+      add_vertex(graph, %Vertex{
         id: graph.next_vertex,
         module: Outlet,
         path: "Outlet " <> stream.name,
@@ -78,11 +86,11 @@ defmodule Situ.Cluster.Cut do
       explicit: true
     }
 
-    put(%{graph | next_edge: edge.id + 1}, edge)
+    put_edge(%{graph | next_edge: edge.id + 1}, edge)
   end
 
   # The optional callbacks of a module can only be detected once it is loaded.
-  defp add(graph, %Vertex{module: module} = vertex) do
+  defp add_vertex(graph, %Vertex{module: module} = vertex) do
     Code.ensure_loaded!(module)
 
     {vertex,
@@ -94,7 +102,7 @@ defmodule Situ.Cluster.Cut do
      }}
   end
 
-  defp put(graph, edge) do
+  defp put_edge(graph, edge) do
     %{
       graph
       | edges: Map.put(graph.edges, edge.id, edge),

@@ -106,9 +106,9 @@ defmodule Situ.Cluster.Deployment do
   @spec new(module(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(module, opts) when is_atom(module) do
     with {:ok, opts} <- Options.validate(opts, @schema),
-         :ok <- a_pipeline(module),
-         :ok <- one_word(opts[:name]),
-         {:ok, rules} <- rules(opts[:place], []) do
+         :ok <- check_pipeline(module),
+         :ok <- check_name(opts[:name]),
+         {:ok, rules} <- parse_rules(opts[:place], []) do
       {:ok,
        %__MODULE__{
          name: opts[:name] || module |> Module.split() |> List.last(),
@@ -126,7 +126,7 @@ defmodule Situ.Cluster.Deployment do
     end
   end
 
-  defp a_pipeline(module) do
+  defp check_pipeline(module) do
     if Code.ensure_loaded?(module) and function_exported?(module, :build, 2),
       do: :ok,
       else:
@@ -139,7 +139,7 @@ defmodule Situ.Cluster.Deployment do
   end
 
   # The subjects of the log begin with the name and a dot.
-  defp one_word(name) do
+  defp check_name(name) do
     if is_binary(name) and (name == "" or String.contains?(name, ".")),
       do:
         {:error,
@@ -153,9 +153,9 @@ defmodule Situ.Cluster.Deployment do
       else: :ok
   end
 
-  defp rules([], rules), do: {:ok, Enum.reverse(rules)}
+  defp parse_rules([], rules), do: {:ok, Enum.reverse(rules)}
 
-  defp rules([{path, rule} | rest], rules) when is_binary(path) or path == :rest do
+  defp parse_rules([{path, rule} | rest], rules) when is_binary(path) or path == :rest do
     with {:ok, rule} <- Options.validate(rule, @place) do
       rule = %{
         on: List.wrap(rule[:on]),
@@ -163,11 +163,11 @@ defmodule Situ.Cluster.Deployment do
         deterministic: rule[:deterministic]
       }
 
-      rules(rest, [{path, rule} | rules])
+      parse_rules(rest, [{path, rule} | rules])
     end
   end
 
-  defp rules([other | _], _rules) do
+  defp parse_rules([other | _], _rules) do
     {:error,
      Error.new(:bad_place, "invalid rule in place: #{inspect(other, limit: 5)}",
        fix: ~s(write {"Path", on: node} or {:rest, on: "label"})

@@ -38,13 +38,13 @@ defmodule Situ.Cluster.DeploymentLoader do
   end
 
   defp load_all(log, agent) do
-    with {:ok, deployments} <- Deployments.all(log),
+    with {:ok, deployments} <- Deployments.list_active(log),
          do: Enum.find_value(deployments, :ok, &load_failure(log, agent, &1))
   end
 
   # Only an unreachable log stops the loop. A deployment with a refused entry must not keep the others from running.
   defp load_failure(log, agent, %{name: name} = deployment) do
-    case load(log, agent, deployment) do
+    case load_deployment(log, agent, deployment) do
       :ok ->
         nil
 
@@ -60,10 +60,12 @@ defmodule Situ.Cluster.DeploymentLoader do
     end
   end
 
-  defp load(log, agent, %{name: name} = deployment) do
+  defp load_deployment(log, agent, %{name: name} = deployment) do
     case Deployments.find_log(log, name, deployment.run) do
       {:ok, true} ->
-        unless ended?(log, deployment), do: GenServer.cast(agent, {:install, deployment})
+        unless all_parts_ended?(log, deployment),
+          do: GenServer.cast(agent, {:install, deployment})
+
         :ok
 
       {:ok, false} ->
@@ -74,12 +76,12 @@ defmodule Situ.Cluster.DeploymentLoader do
     end
   end
 
-  defp ended?(log, deployment) do
+  defp all_parts_ended?(log, deployment) do
     log = SealedLog.new(log, deployment.run)
 
-    with {:ok, plan} <- Assembly.plan(deployment) do
+    with {:ok, plan} <- Assembly.build_plan(deployment) do
       Enum.all?(plan.parts, fn {part, _} ->
-        state = Log.last(log, {:key, Runner.key(deployment, part, "state")})
+        state = Log.fetch_last(log, {:key, Runner.log_key(deployment, part, "state")})
         match?({:ok, %{head: %{"State" => how}}} when how in ["done", "failed"], state)
       end)
     else

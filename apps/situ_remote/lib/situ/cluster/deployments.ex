@@ -30,7 +30,7 @@ defmodule Situ.Cluster.Deployments do
   end
 
   defp put_deployment(log, %{name: name} = deployment) do
-    update(log, fn known ->
+    update_known(log, fn known ->
       with :ok <- check_same(known[name], deployment),
            {:ok, run} <- choose_run(log, name, known[name]) do
         deployment = %{deployment | run: run}
@@ -67,7 +67,8 @@ defmodule Situ.Cluster.Deployments do
   @doc "Returns whether the log of a run exists. It may have been deleted while no node was running."
   @spec find_log(Log.t(), String.t(), String.t()) :: {:ok, boolean()} | {:error, Error.t()}
   def find_log(log, name, run) do
-    with {:ok, mark} <- Log.last(SealedLog.new(log, run), mark_key(name)), do: {:ok, mark != nil}
+    with {:ok, mark} <- Log.fetch_last(SealedLog.new(log, run), mark_key(name)),
+         do: {:ok, mark != nil}
   end
 
   defp new_run, do: Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
@@ -85,9 +86,9 @@ defmodule Situ.Cluster.Deployments do
   def delete(log, name), do: change_known(log, &Map.delete(&1, name))
 
   @doc "Returns the deployments that should be running."
-  @spec all(Log.t()) :: {:ok, [Deployment.t()]} | {:error, Error.t()}
-  def all(log) do
-    with {:ok, known, _seq} <- read(sealed(log)),
+  @spec list_active(Log.t()) :: {:ok, [Deployment.t()]} | {:error, Error.t()}
+  def list_active(log) do
+    with {:ok, known, _seq} <- read_known(seal_log(log)),
          do: {:ok, for({_, %{deployment: %Deployment{} = d}} <- Enum.sort(known), do: d)}
   end
 
@@ -101,33 +102,33 @@ defmodule Situ.Cluster.Deployments do
   end
 
   defp change_known(log, change) do
-    with {:ok, :ok} <- update(log, fn known -> {:ok, change.(known), :ok} end), do: :ok
+    with {:ok, :ok} <- update_known(log, fn known -> {:ok, change.(known), :ok} end), do: :ok
   end
 
-  defp update(log, change), do: update(sealed(log), change, @tries)
+  defp update_known(log, change), do: update_known(seal_log(log), change, @tries)
 
-  defp update(log, change, left) do
-    with {:ok, known, seq} <- read(log), {:ok, changed, answer} <- change.(known) do
+  defp update_known(log, change, left) do
+    with {:ok, known, seq} <- read_known(log), {:ok, changed, answer} <- change.(known) do
       if changed == known,
         do: {:ok, answer},
-        else: write(log, {changed, seq, answer}, change, left)
+        else: write_known(log, {changed, seq, answer}, change, left)
     end
   end
 
-  defp write(log, {changed, seq, answer}, change, left) do
+  defp write_known(log, {changed, seq, answer}, change, left) do
     unique = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
     entry = %Entry{op: "deployments.#{unique}", data: Seal.encode_term(changed)}
 
-    case Log.append(log, subject(), seq, entry) do
+    case Log.append(log, log_subject(), seq, entry) do
       {:ok, _seq} -> {:ok, answer}
-      {:refused, _} when left > 0 -> update(log, change, left - 1)
+      {:refused, _} when left > 0 -> update_known(log, change, left - 1)
       {:refused, _} -> {:error, Error.new(:log_away, "the list of deployments is being written")}
       {:error, error} -> {:error, error}
     end
   end
 
-  defp read(log) do
-    case Log.last(log, subject()) do
+  defp read_known(log) do
+    case Log.fetch_last(log, log_subject()) do
       {:ok, nil} -> {:ok, %{}, 0}
       {:ok, entry} -> with {:ok, known} <- Seal.decode_term(entry), do: {:ok, known, entry.seq}
       {:error, error} -> {:error, error}
@@ -135,6 +136,6 @@ defmodule Situ.Cluster.Deployments do
   end
 
   # Two clusters with different cookies may share a log.
-  defp subject, do: {:key, "deployments." <> Seal.cluster_name()}
-  defp sealed(log), do: SealedLog.new(log, "")
+  defp log_subject, do: {:key, "deployments." <> Seal.cluster_name()}
+  defp seal_log(log), do: SealedLog.new(log, "")
 end

@@ -8,9 +8,9 @@ defmodule Situ.Cluster.Epmd do
   A node whose name has no port (`iex@host`) listens on any free port. It can connect to other nodes, but they cannot
   find it.
 
-      iex> Situ.Cluster.Epmd.port("situ-9301")
+      iex> Situ.Cluster.Epmd.parse_port("situ-9301")
       {:ok, 9301}
-      iex> Situ.Cluster.Epmd.port("situ")
+      iex> Situ.Cluster.Epmd.parse_port("situ")
       :error
   """
 
@@ -18,8 +18,8 @@ defmodule Situ.Cluster.Epmd do
   @version 6
 
   @doc "Parses the port out of a node's name (without its host)."
-  @spec port(String.t()) :: {:ok, :inet.port_number()} | :error
-  def port(name) do
+  @spec parse_port(String.t()) :: {:ok, :inet.port_number()} | :error
+  def parse_port(name) do
     with [_ | _] = parts <- String.split(name, "-"),
          {port, ""} when port in 1..65_535 <- Integer.parse(List.last(parts)) do
       {:ok, port}
@@ -40,7 +40,7 @@ defmodule Situ.Cluster.Epmd do
 
   @doc false
   def listen_port_please(name, _host) do
-    case port(to_string(name)) do
+    case parse_port(to_string(name)) do
       {:ok, port} -> {:ok, port}
       :error -> {:ok, 0}
     end
@@ -54,7 +54,7 @@ defmodule Situ.Cluster.Epmd do
 
   @doc false
   def port_please(name, _host, _timeout) do
-    case port(to_string(name)) do
+    case parse_port(to_string(name)) do
       {:ok, port} -> {:port, port, @version}
       :error -> :noport
     end

@@ -30,14 +30,14 @@ defmodule Situ.Cluster.Identity do
          fix: "delete the folder if no cluster uses it, or name another folder"
        )}
     else
-      write(folder)
+      write_identity(folder)
     end
   end
 
-  defp write(folder) do
-    issued = Certificate.issue("a cluster of Situ", days: @days)
+  defp write_identity(folder) do
+    issued = Certificate.issue_pem("a cluster of Situ", days: @days)
 
-    {of_node, of_server} = NatsIdentity.issue(@days)
+    {of_node, of_server} = NatsIdentity.issue_files(@days)
 
     files = [
       {"ca.pem", issued.authority},
@@ -48,11 +48,11 @@ defmodule Situ.Cluster.Identity do
 
     with :ok <- File.mkdir_p(folder),
          :ok <- File.chmod(folder, 0o700),
-         server = Path.join(folder, NatsIdentity.folder()),
+         server = Path.join(folder, NatsIdentity.server_folder()),
          :ok <- File.mkdir_p(server),
          :ok <- File.chmod(server, 0o700),
-         :ok <- all(of_server, server),
-         :ok <- all(of_node ++ files, folder) do
+         :ok <- write_files(of_server, server),
+         :ok <- write_files(of_node ++ files, folder) do
       :ok
     else
       {:error, reason} ->
@@ -64,7 +64,7 @@ defmodule Situ.Cluster.Identity do
   end
 
   # The permissions are set before the content is written, so that no other user can ever read a file.
-  defp all(files, folder) do
+  defp write_files(files, folder) do
     Enum.reduce_while(files, :ok, fn {name, text}, :ok ->
       path = Path.join(folder, name)
 
@@ -99,8 +99,8 @@ defmodule Situ.Cluster.Identity do
   def log_options(folder), do: NatsIdentity.log_options(folder, {&verify/3, []})
 
   @doc "Returns the cookie in a folder."
-  @spec cookie(Path.t()) :: {:ok, atom()} | {:error, Error.t()}
-  def cookie(folder) do
+  @spec read_cookie(Path.t()) :: {:ok, atom()} | {:error, Error.t()}
+  def read_cookie(folder) do
     case File.read(Path.join(folder, "cookie")) do
       {:ok, text} when byte_size(text) in 8..255 ->
         # Creating an atom is safe here: it is a single one, and the file is our own.

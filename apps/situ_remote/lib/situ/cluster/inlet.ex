@@ -29,7 +29,7 @@ defmodule Situ.Cluster.Inlet do
 
   @impl true
   def handle_start(_context, state) do
-    Member.follow(state.agent, state.part)
+    Member.follow_publisher(state.agent, state.part)
     {[], state}
   end
 
@@ -53,29 +53,34 @@ defmodule Situ.Cluster.Inlet do
     do: {[], state}
 
   def handle_info({:situ_cluster, :publisher, part, pid}, _context, %{part: part} = state),
-    do: {[], state |> leave() |> subscribe(pid)}
+    do: {[], state |> cancel_subscription() |> subscribe_to(pid)}
 
   def handle_info({:"$gen_consumer", {_, ref}, {:cancel, reason}}, _context, state)
       when state.sub.ref == ref do
     case reason do
-      {:shutdown, {:closed, time}} -> {[{:close, :out, time}], leave(state)}
-      _ -> {[], leave(state)}
+      {:shutdown, {:closed, time}} -> {[{:close, :out, time}], cancel_subscription(state)}
+      _ -> {[], cancel_subscription(state)}
     end
   end
 
   # The batch arrives packed, as for the log.
   def handle_info({:"$gen_consumer", {_, ref} = from, {:situ_batch, first, body}}, context, state)
       when state.sub.ref == ref,
-      do: handle_info({:"$gen_consumer", from, unpacked(body, first)}, context, state)
+      do: handle_info({:"$gen_consumer", from, unpack_messages(body, first)}, context, state)
 
   def handle_info({:"$gen_consumer", {_, ref}, messages}, _context, %{direct: true} = state)
       when state.sub.ref == ref and is_list(messages) and messages != [] do
-    sub = %{state.sub | asked: state.sub.asked - length(messages), window: window(messages)}
+    sub = %{
+      state.sub
+      | asked: state.sub.asked - length(messages),
+        window: demand_window(messages)
+    }
+
     fresh = Enum.drop_while(messages, &(state.time != nil and &1.originating_time <= state.time))
 
     {fresh, {last, made, time}} =
       Enum.map_reduce(fresh, {state.last, state.made, state.time}, fn m, {last, made, _} ->
-        {m, made} = made(m, made)
+        {m, made} = clamp_creation_time(m, made)
         {%{m | sequence_id: last + 1}, {last + 1, made, m.originating_time}}
       end)
 
@@ -85,17 +90,21 @@ defmodule Situ.Cluster.Inlet do
 
   def handle_info({:"$gen_consumer", {_, ref}, messages}, _context, state)
       when state.sub.ref == ref and is_list(messages) and messages != [] do
-    sub = %{state.sub | asked: state.sub.asked - length(messages), window: window(messages)}
+    sub = %{
+      state.sub
+      | asked: state.sub.asked - length(messages),
+        window: demand_window(messages)
+    }
 
     case Enum.drop_while(messages, &(&1.sequence_id <= state.last)) do
       [] ->
         {[], %{state | sub: sub}}
 
       [%{sequence_id: id} | _] when id > state.last + 1 ->
-        raise trimmed(state, id)
+        raise trimmed_error(state, id)
 
       fresh ->
-        {fresh, made} = Enum.map_reduce(fresh, state.made, &made/2)
+        {fresh, made} = Enum.map_reduce(fresh, state.made, &clamp_creation_time/2)
         {[{:out, fresh}], %{state | sub: sub, last: List.last(fresh).sequence_id, made: made}}
     end
   end
@@ -105,10 +114,11 @@ defmodule Situ.Cluster.Inlet do
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp unpacked(body, first), do: body |> Batch.rows() |> Batch.messages(first)
+  defp unpack_messages(body, first),
+    do: body |> Batch.unpack_rows() |> Batch.rows_to_messages(first)
 
   # The sequence ids of a stream have no gaps, so the log no longer contains the missing messages.
-  defp trimmed(state, id) do
+  defp trimmed_error(state, id) do
     Error.new(
       :log_trimmed,
       "#{id - state.last - 1} messages of #{state.stream} are missing in the log",
@@ -120,13 +130,15 @@ defmodule Situ.Cluster.Inlet do
 
   # After a restart, a deterministic part repeats its messages with new creation times, and this inlet may have seen
   # some of them. Creation times must not decrease.
-  defp made(%{creation_time: time} = message, made) when time >= made, do: {message, time}
-  defp made(message, made), do: {%{message | creation_time: made}, made}
+  defp clamp_creation_time(%{creation_time: time} = message, made) when time >= made,
+    do: {message, time}
+
+  defp clamp_creation_time(message, made), do: {%{message | creation_time: made}, made}
 
   @impl true
-  def terminate(_reason, state), do: leave(state)
+  def terminate(_reason, state), do: cancel_subscription(state)
 
-  defp subscribe(state, pid) do
+  defp subscribe_to(state, pid) do
     ref = Process.monitor(pid)
     opts = [stream: state.stream, from: state.last, part: state.part, reader: state.reader]
     opts = [{:batches, true}, {:time, state.time} | opts]
@@ -135,12 +147,12 @@ defmodule Situ.Cluster.Inlet do
     %{state | sub: %{pid: pid, ref: ref, asked: @least, window: @least}}
   end
 
-  defp window([%{data: data} | _]),
+  defp demand_window([%{data: data} | _]),
     do: div(@bytes, max(:erlang.external_size(data), 1)) |> max(@least) |> min(@most)
 
-  defp leave(%{sub: nil} = state), do: state
+  defp cancel_subscription(%{sub: nil} = state), do: state
 
-  defp leave(%{sub: sub} = state) do
+  defp cancel_subscription(%{sub: sub} = state) do
     Process.demonitor(sub.ref, [:flush])
     send(sub.pid, {:"$gen_producer", {self(), sub.ref}, {:cancel, :normal}})
     %{state | sub: nil}

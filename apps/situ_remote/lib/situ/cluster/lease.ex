@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.Lease do
   @moduledoc false
-  # The lease decides which node runs a part: it is a key of the log that its owner writes repeatedly. `observe/3` is
+  # The lease decides which node runs a part: it is a key of the log that its owner writes repeatedly. `judge_look/3` is
   # pure.
   #
   # Clocks are not compared: the lease is free when its number has not changed for the duration of the lease, measured
@@ -32,8 +32,8 @@ defmodule Situ.Cluster.Lease do
   Evaluates one reading of the lease: its `seq` and `owner`, and the times (ms) before and after. This observer waits
   `wait` ms longer than the lease, so that preferred nodes come first.
   """
-  @spec observe(t(), look(), map()) :: {:take | :wait, t()}
-  def observe(%__MODULE__{} = lease, {seq, owner, before, now}, %{
+  @spec judge_look(t(), look(), map()) :: {:take | :wait, t()}
+  def judge_look(%__MODULE__{} = lease, {seq, owner, before, now}, %{
         lease: ms,
         poll: poll,
         wait: wait
@@ -62,45 +62,46 @@ defmodule Situ.Cluster.Lease do
   Records that the owner has reported, over the connection between the nodes, that it wrote the lease under `seq`. The
   report arrives after the write itself, so it is safe to count from now on without a look at the log.
   """
-  @spec hear(t(), pos_integer(), String.t(), integer()) :: t()
-  def hear(%__MODULE__{} = lease, seq, owner, now),
+  @spec note_renewal(t(), pos_integer(), String.t(), integer()) :: t()
+  def note_renewal(%__MODULE__{} = lease, seq, owner, now),
     do: %{lease | seq: seq, owner: owner, since: now, looked: now, gone: false}
 
   @doc "Records that a node was reported down. This is only a hint; the fence makes the takeover safe."
-  @spec down(t(), node()) :: t()
-  def down(%__MODULE__{owner: owner} = lease, node),
+  @spec note_node_down(t(), node()) :: t()
+  def note_node_down(%__MODULE__{owner: owner} = lease, node),
     do: if(owner == Atom.to_string(node), do: %{lease | gone: true}, else: lease)
 
   @doc "Reads the lease from the log."
-  @spec look(Log.t(), String.t()) ::
+  @spec read_lease(Log.t(), String.t()) ::
           {:ok, look()} | {:error, Situ.Error.t()}
-  def look(log, key) do
-    before = now()
+  def read_lease(log, key) do
+    before = monotonic_ms()
 
-    case Log.last(log, {:key, key}) do
+    case Log.fetch_last(log, {:key, key}) do
       {:ok, entry} ->
         owner = if entry, do: Map.get(entry.head, "Node", "")
-        {:ok, {if(entry, do: entry.seq, else: 0), owner, before, now()}}
+        {:ok, {if(entry, do: entry.seq, else: 0), owner, before, monotonic_ms()}}
 
       # An intruder or an older version has written the lease. It expires like the lease of a lost node. The next
       # owner's number is larger, so the content of this entry does not matter.
       {:error, error} ->
         if Seal.refusal?(error),
-          do: {:ok, {error.meta.seq, "nobody of this cluster", before, now()}},
+          do: {:ok, {error.meta.seq, "nobody of this cluster", before, monotonic_ms()}},
           else: {:error, error}
     end
   end
 
   @doc "Acquires the lease, for `ms` at a time. Returns its number, which is the epoch."
-  @spec take(Log.t(), String.t(), non_neg_integer(), pos_integer()) ::
+  @spec acquire(Log.t(), String.t(), non_neg_integer(), pos_integer()) ::
           {:ok, pos_integer()} | {:refused, Entry.t() | nil} | {:error, Situ.Error.t()}
-  def take(log, key, seq, ms), do: write(log, key, seq, {Atom.to_string(node()), ms}, "take")
+  def acquire(log, key, seq, ms),
+    do: write_owner(log, key, seq, {Atom.to_string(node()), ms}, "take")
 
   @doc "Releases the lease."
   @spec release(Log.t(), String.t(), pos_integer()) :: term()
-  def release(log, key, seq), do: write(log, key, seq, {"", 0}, "release")
+  def release(log, key, seq), do: write_owner(log, key, seq, {"", 0}, "release")
 
-  defp write(log, key, seq, {owner, ms}, verb) do
+  defp write_owner(log, key, seq, {owner, ms}, verb) do
     unique = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
     head = %{"Node" => owner, "Ms" => Integer.to_string(ms)}
     entry = %Entry{op: "#{verb}.#{node()}.#{unique}", head: head}
@@ -115,7 +116,7 @@ defmodule Situ.Cluster.Lease do
   On the message `{:release, from}`, releases the lease and sends `:released`. Calls `tell` with each number that it
   has written, and with `:free` when it releases the lease.
   """
-  @spec keep(
+  @spec keep_renewing(
           Log.t(),
           String.t(),
           pos_integer(),
@@ -123,13 +124,18 @@ defmodule Situ.Cluster.Lease do
           {pid(), (pos_integer() | :free -> term())}
         ) ::
           no_return()
-  def keep(log, key, seq, ms, {publisher, tell}) do
+  def keep_renewing(log, key, seq, ms, {publisher, tell}) do
     Process.flag(:trap_exit, true)
     tell.(seq)
-    keep(%{log: log, key: key, ms: ms, publisher: publisher, tell: tell}, seq, now())
+
+    await_renewal(
+      %{log: log, key: key, ms: ms, publisher: publisher, tell: tell},
+      seq,
+      monotonic_ms()
+    )
   end
 
-  defp keep(lease, seq, written) do
+  defp await_renewal(lease, seq, written) do
     receive do
       {:release, from} ->
         release(lease.log, lease.key, seq)
@@ -139,41 +145,46 @@ defmodule Situ.Cluster.Lease do
       {:EXIT, _pid, reason} when reason != :normal ->
         exit(reason)
     after
-      div(lease.ms, 4) -> lease |> renew(seq, written) |> kept(lease, seq, written)
+      div(lease.ms, 4) ->
+        lease |> renew_lease(seq, written) |> handle_renewal(lease, seq, written)
     end
   end
 
   # The log may be slow to report that it is unreachable, so the write has a deadline.
-  defp renew(lease, seq, written) do
-    started = now()
+  defp renew_lease(lease, seq, written) do
+    started = monotonic_ms()
     owner = {Atom.to_string(node()), lease.ms}
-    task = Task.async(fn -> write(lease.log, lease.key, seq, owner, "beat") end)
+    task = Task.async(fn -> write_owner(lease.log, lease.key, seq, owner, "beat") end)
 
-    case Task.yield(task, max(till(lease, written) - started, 0)) ||
+    case Task.yield(task, max(renewal_deadline(lease, written) - started, 0)) ||
            Task.shutdown(task, :brutal_kill) do
       {:ok, answer} -> {answer, started}
       _ -> {:late, started}
     end
   end
 
-  defp till(lease, written), do: written + div(lease.ms * 3, 4)
+  defp renewal_deadline(lease, written), do: written + div(lease.ms * 3, 4)
 
-  defp kept({{:ok, seq}, started}, lease, _seq, _written) do
+  defp handle_renewal({{:ok, seq}, started}, lease, _seq, _written) do
     lease.tell.(seq)
-    keep(lease, seq, started)
+    await_renewal(lease, seq, started)
   end
 
-  defp kept({{:refused, _}, _started}, lease, _seq, _written), do: lost(lease)
-  defp kept({:late, _started}, lease, _seq, _written), do: lost(lease)
+  defp handle_renewal({{:refused, _}, _started}, lease, _seq, _written), do: give_up_lease(lease)
+  defp handle_renewal({:late, _started}, lease, _seq, _written), do: give_up_lease(lease)
 
-  defp kept({{:error, _}, _started}, lease, seq, written),
-    do: if(now() > till(lease, written), do: lost(lease), else: keep(lease, seq, written))
+  defp handle_renewal({{:error, _}, _started}, lease, seq, written),
+    do:
+      if(monotonic_ms() > renewal_deadline(lease, written),
+        do: give_up_lease(lease),
+        else: await_renewal(lease, seq, written)
+      )
 
-  defp lost(lease) do
+  defp give_up_lease(lease) do
     Process.exit(lease.publisher, :kill)
     # This is not a crash, because a node that is cut off is expected to step down.
     exit({:shutdown, :lease_lost})
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 end

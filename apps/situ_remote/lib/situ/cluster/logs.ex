@@ -14,8 +14,8 @@ defmodule Situ.Cluster.Logs do
   @type line :: %{n: pos_integer(), time: Situ.Time.t(), level: atom(), text: String.t()}
 
   @doc "Starts storing lines in a table that belongs to the calling process and ends with it."
-  @spec start() :: :ok
-  def start do
+  @spec start_handler() :: :ok
+  def start_handler do
     if :ets.whereis(__MODULE__) == :undefined do
       :ets.new(__MODULE__, [:named_table, :public, :ordered_set])
       :ets.insert(__MODULE__, {@counter, 0})

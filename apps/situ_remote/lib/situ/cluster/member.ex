@@ -13,71 +13,73 @@ defmodule Situ.Cluster.Member do
   @type part :: {deployment :: String.t(), part :: String.t()}
 
   @doc "Informs the agent that a part is now published by `publisher` on this node."
-  @spec route(GenServer.server(), part(), pos_integer(), pid()) :: :ok
-  def route(agent, part, epoch, publisher),
+  @spec announce_publisher(GenServer.server(), part(), pos_integer(), pid()) :: :ok
+  def announce_publisher(agent, part, epoch, publisher),
     do: GenServer.cast(agent, {:route, part, epoch, publisher, :tell})
 
   @doc "Informs the agent that process `runner` is responsible for a part on this node."
-  @spec runs(GenServer.server(), part(), pid()) :: :ok
-  def runs(agent, part, runner), do: GenServer.cast(agent, {:runs, part, runner})
+  @spec announce_runner(GenServer.server(), part(), pid()) :: :ok
+  def announce_runner(agent, part, runner), do: GenServer.cast(agent, {:runs, part, runner})
 
   @doc "Creates the agent's table of members and deployments, which all processes of the node can read."
   @spec create_table() :: :ok
   def create_table do
     :ets.new(@table, [:named_table, :protected, read_concurrency: true])
-    put_all(%{})
+    put_members(%{})
     put_deployments([])
     :ok
   end
 
   @doc "Replaces the members and their labels in the table."
-  @spec put_all(%{node() => [String.t()]}) :: true
-  def put_all(members), do: :ets.insert(@table, {:members, members})
+  @spec put_members(%{node() => [String.t()]}) :: true
+  def put_members(members), do: :ets.insert(@table, {:members, members})
 
   @doc "Replaces the deployments in the table."
   @spec put_deployments([Deployment.t()]) :: true
   def put_deployments(deployments), do: :ets.insert(@table, {:deployments, deployments})
 
   @doc "Returns the deployments that this node knows."
-  @spec deployments() :: [Deployment.t()]
-  def deployments, do: lookup(:deployments)
+  @spec list_deployments() :: [Deployment.t()]
+  def list_deployments, do: lookup_table(:deployments)
 
   @doc "Returns whether this node is the first of the members."
-  @spec first?() :: boolean()
-  def first?, do: :members |> lookup() |> Map.keys() |> Enum.min(fn -> nil end) == node()
+  @spec first_member?() :: boolean()
+  def first_member?,
+    do: :members |> lookup_table() |> Map.keys() |> Enum.min(fn -> nil end) == node()
 
-  defp lookup(key), do: :ets.lookup_element(@table, key, 2)
+  defp lookup_table(key), do: :ets.lookup_element(@table, key, 2)
 
   @doc "Returns the members with the properties that placement rules use."
-  @spec all() :: Placement.members()
-  def all do
-    vitals = Vitals.all()
+  @spec list_members() :: Placement.members()
+  def list_members do
+    vitals = Vitals.recent_vitals()
 
-    Map.new(lookup(:members), fn {node, labels} ->
-      {node, vitals |> Map.get(node, %{}) |> Map.put(:labels, labels) |> Placement.member()}
+    Map.new(lookup_table(:members), fn {node, labels} ->
+      {node, vitals |> Map.get(node, %{}) |> Map.put(:labels, labels) |> Placement.build_member()}
     end)
   end
 
   @doc "Returns this node's rank for a part (0 is the most preferred), or `nil` if it may not run the part."
-  @spec rank(map(), String.t()) :: non_neg_integer() | nil
-  def rank(rule, part), do: Placement.rank(all(), rule, part, node())
+  @spec own_rank(map(), String.t()) :: non_neg_integer() | nil
+  def own_rank(rule, part), do: Placement.node_rank(list_members(), rule, part, node())
 
   @doc """
   Reports to the runners of a part on all other nodes that this node has written or released its lease. Skips nodes
   that cannot receive immediately, since they also read the log.
   """
-  @spec tell_lease(part(), pos_integer() | :free) :: :ok
-  def tell_lease(part, seq) do
+  @spec report_lease(part(), pos_integer() | :free) :: :ok
+  def report_lease(part, seq) do
     message = {:"$gen_cast", {:lease, part, seq, Atom.to_string(node())}}
     for node <- Node.list(), do: :erlang.send({Agent, node}, message, [:nosuspend, :noconnect])
     :ok
   end
 
   @doc "Sends the caller the publisher of a part, now and whenever it changes."
-  @spec follow(pid(), part()) :: term()
-  def follow(agent, part), do: send(agent, {:situ_cluster, :follow, part, self()})
+  @spec follow_publisher(pid(), part()) :: term()
+  def follow_publisher(agent, part), do: send(agent, {:situ_cluster, :follow, part, self()})
 
   @doc "Sends the publisher of a part to a process that follows it."
-  @spec tell(pid(), part(), pid()) :: term()
-  def tell(pid, part, publisher), do: send(pid, {:situ_cluster, :publisher, part, publisher})
+  @spec send_publisher(pid(), part(), pid()) :: term()
+  def send_publisher(pid, part, publisher),
+    do: send(pid, {:situ_cluster, :publisher, part, publisher})
 end

@@ -12,14 +12,14 @@ defmodule Situ.Cluster.NatsIdentity do
   @user "situ"
 
   @doc "Returns the name of the server's folder inside the identity's folder."
-  @spec folder() :: String.t()
-  def folder, do: @folder
+  @spec server_folder() :: String.t()
+  def server_folder, do: @folder
 
   @doc "Returns the names and contents of a node's and the server's files; the certificates are valid for `days`."
-  @spec issue(pos_integer()) :: {[{String.t(), String.t()}], [{String.t(), String.t()}]}
-  def issue(days) do
-    server = Certificate.issue("the NATS server of a cluster of Situ", days: days)
-    node = Certificate.issue("a node at its NATS server", days: days)
+  @spec issue_files(pos_integer()) :: {[{String.t(), String.t()}], [{String.t(), String.t()}]}
+  def issue_files(days) do
+    server = Certificate.issue_pem("the NATS server of a cluster of Situ", days: days)
+    node = Certificate.issue_pem("a node at its NATS server", days: days)
     password = Base.encode32(:crypto.strong_rand_bytes(30), case: :lower, padding: false)
 
     {[
@@ -32,11 +32,11 @@ defmodule Situ.Cluster.NatsIdentity do
        {"server.pem", server.certificate},
        {"server.key", server.key},
        {"clients.pem", node.authority},
-       {"nats-server.conf", config(password)}
+       {"nats-server.conf", server_config(password)}
      ]}
   end
 
-  defp config(password) do
+  defp server_config(password) do
     """
     # NATS for the log of a cluster of Situ. Move this folder to the server's machine, keep it readable for its owner
     # only, and start the server in it: nats-server -c nats-server.conf

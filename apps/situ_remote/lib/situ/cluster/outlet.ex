@@ -20,13 +20,13 @@ defmodule Situ.Cluster.Outlet do
 
   @impl true
   def handle_messages(:in, messages, _context, state) do
-    :ok = Publisher.publish(state.publisher, state.stream, messages)
+    :ok = Publisher.publish_messages(state.publisher, state.stream, messages)
     {[], state}
   end
 
   @impl true
   def handle_closed(:in, time, _context, state) do
-    :ok = Publisher.close(state.publisher, state.stream, time)
+    :ok = Publisher.close_stream(state.publisher, state.stream, time)
     {[], state}
   end
 

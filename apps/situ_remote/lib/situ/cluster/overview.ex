@@ -45,15 +45,15 @@ defmodule Situ.Cluster.Overview do
     %__MODULE__{
       time: Situ.Time.now(),
       here: node(),
-      nodes: nodes(info.members),
-      parts: Enum.flat_map(Enum.sort_by(info.deployments, & &1.name), &parts(&1, nodes)),
-      links: Enum.flat_map(nodes, &links/1),
-      recordings: Recordings.all(Enum.sort(nodes))
+      nodes: describe_nodes(info.members),
+      parts: Enum.flat_map(Enum.sort_by(info.deployments, & &1.name), &list_parts(&1, nodes)),
+      links: Enum.flat_map(nodes, &list_links/1),
+      recordings: Recordings.list_all(Enum.sort(nodes))
     }
   end
 
-  defp nodes(members) do
-    vitals = Vitals.all()
+  defp describe_nodes(members) do
+    vitals = Vitals.recent_vitals()
     trips = get_in(vitals, [node(), :trips]) || %{}
 
     for {node, labels} <- Enum.sort(members) do
@@ -65,11 +65,11 @@ defmodule Situ.Cluster.Overview do
   end
 
   @doc "Returns the parts of one deployment, each with the node that runs it and the state which that node reports."
-  @spec parts(Situ.Cluster.Deployment.t(), [node()]) :: [part()]
-  def parts(deployment, nodes) do
+  @spec list_parts(Situ.Cluster.Deployment.t(), [node()]) :: [part()]
+  def list_parts(deployment, nodes) do
     infos =
-      for node <- nodes, {part, runner} <- runners(node, deployment.name) do
-        {part, node, info(runner)}
+      for node <- nodes, {part, runner} <- list_runners(node, deployment.name) do
+        {part, node, runner_info(runner)}
       end
 
     for {part, entries} <- infos |> Enum.group_by(&elem(&1, 0)) |> Enum.sort() do
@@ -78,11 +78,11 @@ defmodule Situ.Cluster.Overview do
           i[:phase] in [:running, :done, :failed]
         end)
 
-      shown(deployment.name, part, node, info)
+      describe_part(deployment.name, part, node, info)
     end
   end
 
-  defp shown(deployment, part, node, info) do
+  defp describe_part(deployment, part, node, info) do
     %{
       deployment: deployment,
       part: part,
@@ -92,13 +92,13 @@ defmodule Situ.Cluster.Overview do
       checkpoints: get_in(info, [:checkpoints, :taken]) || 0,
       error: info[:error] && Exception.message(info[:error]),
       pipeline: info[:pipeline],
-      streams: streams(info[:publisher])
+      streams: describe_streams(info[:publisher])
     }
   end
 
-  defp streams(nil), do: []
+  defp describe_streams(nil), do: []
 
-  defp streams(%{streams: streams, readers: readers}) do
+  defp describe_streams(%{streams: streams, readers: readers}) do
     for {name, stream} <- Enum.sort(streams) do
       reading =
         for %{stream: ^name} = r <- readers,
@@ -114,34 +114,34 @@ defmodule Situ.Cluster.Overview do
   Returns the pipeline that currently runs a part of a deployment, on any node, or `nil` if no node runs it, for
   example while the part is being moved.
   """
-  @spec pipeline(String.t(), String.t()) :: pid() | nil
-  def pipeline(deployment, part) do
-    with %{node: node} <- route({deployment, part}),
-         %{^part => runner} <- runners(node, deployment),
-         %{pipeline: pid} <- info(runner),
+  @spec find_pipeline(String.t(), String.t()) :: pid() | nil
+  def find_pipeline(deployment, part) do
+    with %{node: node} <- find_route({deployment, part}),
+         %{^part => runner} <- list_runners(node, deployment),
+         %{pipeline: pid} <- runner_info(runner),
          do: pid,
          else: (_ -> nil)
   end
 
-  defp route(part) do
+  defp find_route(part) do
     Agent.info().routes[part]
   catch
     :exit, _ -> nil
   end
 
-  defp runners(node, name) do
-    Agent.runners({Agent, node}, name, @answer_ms)
+  defp list_runners(node, name) do
+    Agent.list_runners({Agent, node}, name, @answer_ms)
   catch
     :exit, _ -> %{}
   end
 
-  defp info(runner) do
-    Runner.info(runner, @answer_ms)
+  defp runner_info(runner) do
+    Runner.part_info(runner, @answer_ms)
   catch
     :exit, _ -> %{}
   end
 
-  defp links(node) do
+  defp list_links(node) do
     for link <- :erpc.call(node, Situ.Remote, :links, [], 5_000), do: Map.put(link, :node, node)
   catch
     _, _ -> []

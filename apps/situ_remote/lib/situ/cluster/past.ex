@@ -9,7 +9,7 @@ defmodule Situ.Cluster.Past do
       {:ok, kept} = Situ.Cluster.Past.list(log)
       {:ok, 12} = Situ.Cluster.Past.delete(log, hd(kept))
 
-  `Situ.Cluster.kept/0` and `Situ.Cluster.prune/2` do this for the log of a cluster. On the command line, use
+  `Situ.Cluster.list_log_usage/0` and `Situ.Cluster.prune/2` do this for the log of a cluster. On the command line, use
   `bin/situ cluster kept` and `bin/situ cluster prune`.
   """
   alias Situ.Error
@@ -32,37 +32,37 @@ defmodule Situ.Cluster.Past do
   @doc "Lists the deployments that have entries in the log, by name."
   @spec list(Log.t()) :: {:ok, [t()]} | {:error, Error.t()}
   def list(log) do
-    with {:ok, all} <- Log.subjects(log) do
-      groups = all |> Enum.group_by(&deployment(&1.subject)) |> Map.delete(nil)
-      {:ok, for({name, abouts} <- Enum.sort(groups), do: summary(name, abouts))}
+    with {:ok, all} <- Log.list_subjects(log) do
+      groups = all |> Enum.group_by(&deployment_name(&1.subject)) |> Map.delete(nil)
+      {:ok, for({name, abouts} <- Enum.sort(groups), do: summarize_subjects(name, abouts))}
     end
   end
 
   @doc """
   Returns the deployment that a subject belongs to, or `nil` for other subjects.
 
-      iex> Situ.Cluster.Past.deployment({:stream, "Hall.Smooth.Window"})
+      iex> Situ.Cluster.Past.deployment_name({:stream, "Hall.Smooth.Window"})
       "Hall"
-      iex> Situ.Cluster.Past.deployment({:key, "lease.Hall.Smooth"})
+      iex> Situ.Cluster.Past.deployment_name({:key, "lease.Hall.Smooth"})
       "Hall"
-      iex> Situ.Cluster.Past.deployment({:key, "settings"})
+      iex> Situ.Cluster.Past.deployment_name({:key, "settings"})
       nil
   """
-  @spec deployment(Log.subject()) :: String.t() | nil
-  def deployment({:stream, name}) do
+  @spec deployment_name(Log.subject()) :: String.t() | nil
+  def deployment_name({:stream, name}) do
     with [deployment, _stream] <- String.split(name, ".", parts: 2),
          do: deployment,
          else: (_ -> nil)
   end
 
-  def deployment({:key, name}) do
+  def deployment_name({:key, name}) do
     case String.split(name, ".", parts: 3) do
       [kind, deployment, _part] when kind in ~w(lease state ckpt run) -> deployment
       _ -> nil
     end
   end
 
-  defp summary(name, abouts) do
+  defp summarize_subjects(name, abouts) do
     streams = for %{subject: {:stream, _}} = about <- abouts, do: about
 
     %{
@@ -78,13 +78,13 @@ defmodule Situ.Cluster.Past do
 
   # Returns the numbers of the leases, and the longest duration of a lease (ms). The numbers change while any node
   # runs a part of the deployment or serves its streams, since the owner writes a lease every quarter of its duration.
-  defp leases(log, kept) do
+  defp read_leases(log, kept) do
     keys = for {:key, "lease." <> _} = subject <- kept.subjects, do: subject
 
     Enum.reduce_while(keys, {:ok, %{}, 0}, fn key, {:ok, seqs, longest} ->
-      case Log.last(log, key) do
+      case Log.fetch_last(log, key) do
         {:ok, entry} ->
-          longest = max(longest, Entry.integer(entry, "Ms", 0))
+          longest = max(longest, Entry.head_integer(entry, "Ms", 0))
           {:cont, {:ok, Map.put(seqs, key, entry && entry.seq), longest}}
 
         {:error, error} ->
@@ -94,8 +94,8 @@ defmodule Situ.Cluster.Past do
   end
 
   @doc "Finds a deployment by its name."
-  @spec find([t()], String.t()) :: {:ok, t()} | {:error, Error.t()}
-  def find(all, name) do
+  @spec fetch_by_name([t()], String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def fetch_by_name(all, name) do
     case {Enum.find(all, &(&1.deployment == name)), Enum.map_join(all, ", ", & &1.deployment)} do
       {nil, ""} ->
         {:error,
@@ -115,13 +115,13 @@ defmodule Situ.Cluster.Past do
     end
   end
 
-  @doc "Deletes a deployment's log if no node uses it (`unused/3`); needs only the log, not a cluster."
+  @doc "Deletes a deployment's log if no node uses it (`check_unused/3`); needs only the log, not a cluster."
   @spec prune(Log.t(), String.t(), non_neg_integer()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def prune(log, name, wait) do
     with {:ok, all} <- list(log),
-         {:ok, kept} <- find(all, name),
-         :ok <- unused(log, kept, wait),
+         {:ok, kept} <- fetch_by_name(all, name),
+         :ok <- check_unused(log, kept, wait),
          do: delete(log, kept)
   end
 
@@ -145,19 +145,19 @@ defmodule Situ.Cluster.Past do
   Returns an error if any node uses the deployment, even a node outside of this cluster. Reads the leases
   twice, `wait` ms apart, or half of the longest lease if that is longer.
   """
-  @spec unused(Log.t(), t(), non_neg_integer()) :: :ok | {:error, Error.t()}
-  def unused(log, kept, wait) do
-    with {:ok, before, longest} <- leases(log, kept),
-         :ok <- pause(max(wait, min(div(longest, 2), @longest_ms))),
-         {:ok, ^before, _} <- leases(log, kept) do
+  @spec check_unused(Log.t(), t(), non_neg_integer()) :: :ok | {:error, Error.t()}
+  def check_unused(log, kept, wait) do
+    with {:ok, before, longest} <- read_leases(log, kept),
+         :ok <- wait_ms(max(wait, min(div(longest, 2), @longest_ms))),
+         {:ok, ^before, _} <- read_leases(log, kept) do
       :ok
     else
-      {:ok, _changed, _} -> {:error, in_use(kept.deployment)}
+      {:ok, _changed, _} -> {:error, in_use_error(kept.deployment)}
       {:error, error} -> {:error, error}
     end
   end
 
-  defp pause(ms) do
+  defp wait_ms(ms) do
     receive do
     after
       ms -> :ok
@@ -165,8 +165,8 @@ defmodule Situ.Cluster.Past do
   end
 
   @doc false
-  @spec in_use(String.t()) :: Error.t()
-  def in_use(name) do
+  @spec in_use_error(String.t()) :: Error.t()
+  def in_use_error(name) do
     Error.new(:in_use, "#{name} is in use, so its log was not deleted",
       why: "a node is running a part of it, and would continue to write to the log",
       fix: "stop the deployment and wait for its end, or remove it with Situ.Cluster.forget/1"

@@ -15,54 +15,56 @@ defmodule Situ.Cluster.Placement do
   # Load is rounded, so that small changes from second to second do not change the order.
   @steps 4
 
-  @spec member(map()) :: member()
-  def member(known), do: Map.merge(%{labels: [], devices: [], machine: 0.0, trips: %{}}, known)
+  @spec build_member(map()) :: member()
+  def build_member(known),
+    do: Map.merge(%{labels: [], devices: [], machine: 0.0, trips: %{}}, known)
 
   @doc "Returns the rank of `node` in the order of preference (0 is first), or `nil` when it may not run the part."
-  @spec rank(members(), map(), String.t(), node()) :: non_neg_integer() | nil
-  def rank(members, rule, part, node),
-    do: members |> order(rule, part) |> Enum.find_index(&(&1 == node))
+  @spec node_rank(members(), map(), String.t(), node()) :: non_neg_integer() | nil
+  def node_rank(members, rule, part, node),
+    do: members |> preferred_nodes(rule, part) |> Enum.find_index(&(&1 == node))
 
   @doc """
   Returns the nodes that may run a part, preferred ones first. Nodes that no rule names follow, the least busy machines
   first, with nodes of equal load ordered by a hash.
   """
-  @spec order(members(), map(), String.t()) :: [node()]
-  def order(members, rule, part) do
-    named = rule.on |> Enum.flat_map(&matching(members, &1, rule.only)) |> Enum.uniq()
+  @spec preferred_nodes(members(), map(), String.t()) :: [node()]
+  def preferred_nodes(members, rule, part) do
+    named = rule.on |> Enum.flat_map(&matching_nodes(members, &1, rule.only)) |> Enum.uniq()
 
     others =
-      members |> Map.keys() |> Enum.sort_by(&by_load(members, part, &1)) |> Kernel.--(named)
+      members |> Map.keys() |> Enum.sort_by(&load_order(members, part, &1)) |> Kernel.--(named)
 
     if rule.only and rule.on != [], do: named, else: named ++ others
   end
 
-  defp by_load(members, part, node),
+  defp load_order(members, part, node),
     do: {round(members[node].machine * @steps), :erlang.phash2({part, node})}
 
   @doc "Returns the nodes that a rule prefers equally, before all others."
-  @spec equals(members(), map()) :: [node()]
-  def equals(members, %{on: []}), do: Map.keys(members)
-  def equals(members, %{on: [first | _]}), do: matching(members, first, true)
+  @spec best_nodes(members(), map()) :: [node()]
+  def best_nodes(members, %{on: []}), do: Map.keys(members)
+  def best_nodes(members, %{on: [first | _]}), do: matching_nodes(members, first, true)
 
-  defp matching(members, node, _only) when is_atom(node),
+  defp matching_nodes(members, node, _only) when is_atom(node),
     do: if(is_map_key(members, node), do: [node], else: [])
 
   # Returns the nodes that have the device, then all others, nearest first.
-  defp matching(members, {:near, device}, only) do
+  defp matching_nodes(members, {:near, device}, only) do
     {having, others} = members |> Map.keys() |> Enum.split_with(&(device in members[&1].devices))
 
     if only or having == [],
       do: having,
-      else: having ++ Enum.sort_by(others, &far(members[&1], having))
+      else: having ++ Enum.sort_by(others, &nearest_trip(members[&1], having))
   end
 
-  defp matching(members, label, _only) do
+  defp matching_nodes(members, label, _only) do
     for {node, %{labels: labels}} <- members,
         label in labels or label == Atom.to_string(node),
         do: node
   end
 
   # Atoms are greater than numbers, so a node without a measured round trip is last.
-  defp far(member, having), do: having |> Enum.map(&Map.get(member.trips, &1, :far)) |> Enum.min()
+  defp nearest_trip(member, having),
+    do: having |> Enum.map(&Map.get(member.trips, &1, :far)) |> Enum.min()
 end

@@ -32,22 +32,22 @@ defmodule Situ.Cluster.Plan do
   def new(%Graph{} = graph, %Deployment{} = deployment) do
     names = for {path, _} <- deployment.rules, path != :rest, do: path
 
-    with :ok <- known(names, graph),
-         {:ok, published} <- ports(deployment.publish, graph),
-         {:ok, direct} <- ports(deployment.direct, graph) do
-      of = Map.new(graph.vertices, fn {id, vertex} -> {id, owner(vertex.path, names)} end)
+    with :ok <- check_known(names, graph),
+         {:ok, published} <- resolve_ports(deployment.publish, graph),
+         {:ok, direct} <- resolve_ports(deployment.direct, graph) do
+      of = Map.new(graph.vertices, fn {id, vertex} -> {id, owning_part(vertex.path, names)} end)
 
-      with :ok <- inhabited(names, of),
-           of = apart(graph, of),
-           streams = streams(graph, of, published, direct),
-           plan = %__MODULE__{parts: parts(of, deployment), streams: streams},
-           :ok <- crossing(deployment, plan),
-           :ok <- repeatable(plan),
+      with :ok <- check_not_empty(names, of),
+           of = split_sources(graph, of),
+           streams = build_streams(graph, of, published, direct),
+           plan = %__MODULE__{parts: build_parts(of, deployment), streams: streams},
+           :ok <- check_direct(deployment, plan),
+           :ok <- check_repeatable(plan),
            do: {:ok, plan}
     end
   end
 
-  defp crossing(deployment, plan) do
+  defp check_direct(deployment, plan) do
     case Enum.find(deployment.direct, &(not match?(%{^&1 => %{readers: [_ | _]}}, plan.streams))) do
       nil ->
         :ok
@@ -62,12 +62,12 @@ defmodule Situ.Cluster.Plan do
   end
 
   # A restarted part receives other messages of a direct stream than before, or none.
-  defp repeatable(plan) do
+  defp check_repeatable(plan) do
     bad =
       for {name, %{direct: true, readers: readers}} <- plan.streams,
           part <- readers,
           plan.parts[part].rule.deterministic,
-          Enum.any?(outlets(plan, part), &(not &1.direct)),
+          Enum.any?(outgoing_streams(plan, part), &(not &1.direct)),
           do: {name, part}
 
     case bad do
@@ -90,11 +90,11 @@ defmodule Situ.Cluster.Plan do
 
   # If a part waits, through other parts, for its own outputs, its sources become a separate part. A pipeline ends only
   # when all of its sources have ended, and an inlet that returns the pipeline's own outputs counts as a source.
-  defp apart(graph, of) do
+  defp split_sources(graph, of) do
     next = edges_between(graph, of)
 
     Map.new(of, fn {id, part} ->
-      alone? = graph.vertices[id].inputs == [] and reaches?(next, part, part, MapSet.new())
+      alone? = graph.vertices[id].inputs == [] and reaches_part?(next, part, part, MapSet.new())
       {id, if(alone?, do: part <> @sources, else: part)}
     end)
   end
@@ -108,20 +108,21 @@ defmodule Situ.Cluster.Plan do
     pairs |> Enum.uniq() |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
   end
 
-  defp reaches?(next, from, goal, seen) do
+  defp reaches_part?(next, from, goal, seen) do
     Enum.any?(Map.get(next, from, []), fn part ->
-      part == goal or (part not in seen and reaches?(next, part, goal, MapSet.put(seen, from)))
+      part == goal or
+        (part not in seen and reaches_part?(next, part, goal, MapSet.put(seen, from)))
     end)
   end
 
   # Returns the longest of `names` that is the path or contains it.
-  defp owner(path, names) do
+  defp owning_part(path, names) do
     names
     |> Enum.filter(&(path == &1 or String.starts_with?(path, &1 <> ".")))
     |> Enum.max_by(&String.length/1, fn -> @rest end)
   end
 
-  defp known(names, graph) do
+  defp check_known(names, graph) do
     paths = Map.keys(graph.paths) ++ Map.keys(graph.scopes)
 
     case Enum.find(names, &(&1 not in paths)) do
@@ -129,7 +130,7 @@ defmodule Situ.Cluster.Plan do
         :ok
 
       name ->
-        near = Options.nearest(name, paths)
+        near = Options.nearest_name(name, paths)
         hint = if near, do: "did you mean #{inspect(near)}? ", else: ""
 
         {:error,
@@ -139,7 +140,7 @@ defmodule Situ.Cluster.Plan do
     end
   end
 
-  defp inhabited(names, of) do
+  defp check_not_empty(names, of) do
     parts = Map.values(of)
 
     case Enum.find(names, &(&1 not in parts)) do
@@ -156,7 +157,7 @@ defmodule Situ.Cluster.Plan do
     end
   end
 
-  defp ports(names, graph) do
+  defp resolve_ports(names, graph) do
     known = Graph.stream_names(graph)
 
     case Enum.find(names, &(not is_map_key(known, &1))) do
@@ -165,8 +166,8 @@ defmodule Situ.Cluster.Plan do
     end
   end
 
-  defp parts(of, deployment) do
-    rules = Map.new(deployment.rules, fn {path, rule} -> {name(path), rule} end)
+  defp build_parts(of, deployment) do
+    rules = Map.new(deployment.rules, fn {path, rule} -> {part_name(path), rule} end)
     default = %{on: [], only: false, deterministic: false}
 
     of
@@ -177,10 +178,10 @@ defmodule Situ.Cluster.Plan do
     end)
   end
 
-  defp name(:rest), do: @rest
-  defp name(path), do: path
+  defp part_name(:rest), do: @rest
+  defp part_name(path), do: path
 
-  defp streams(graph, of, published, direct) do
+  defp build_streams(graph, of, published, direct) do
     crossing =
       for {_, %{from: {from, output}, to: {to, _}} = edge} <- graph.edges, of[from] != of[to] do
         {{from, output}, {of[to], edge.policy}}
@@ -203,37 +204,39 @@ defmodule Situ.Cluster.Plan do
          part: of[id],
          readers: edges |> Enum.map(&elem(&1, 0)) |> Enum.uniq() |> Enum.sort(),
          direct: direct?,
-         policies: if(direct?, do: policies(edges), else: %{})
+         policies: if(direct?, do: lossy_policies(edges), else: %{})
        }}
     end
   end
 
   # Returns the policy with the largest queue of each part. A part with any lossless edge has none.
-  defp policies(edges) do
+  defp lossy_policies(edges) do
     for {part, all} <- Enum.group_by(edges, &elem(&1, 0), &elem(&1, 1)),
         Enum.all?(all, &Delivery.lossy?/1),
         into: %{},
-        do: {part, widest(all)}
+        do: {part, widest_policy(all)}
   end
 
-  defp widest([policy]), do: policy
+  defp widest_policy([policy]), do: policy
   # Atoms are larger than numbers, so `:infinity` is the maximum.
-  defp widest(all), do: Delivery.max_queue(most(Enum.max(Enum.map(all, & &1.max_queue))))
+  defp widest_policy(all),
+    do: Delivery.max_queue(bounded_size(Enum.max(Enum.map(all, & &1.max_queue))))
 
-  defp most(:infinity), do: 1_000
-  defp most(n), do: n
+  defp bounded_size(:infinity), do: 1_000
+  defp bounded_size(n), do: n
 
   @doc "Returns the streams that leave a part."
-  @spec outlets(t(), String.t()) :: [stream()]
-  def outlets(plan, part),
+  @spec outgoing_streams(t(), String.t()) :: [stream()]
+  def outgoing_streams(plan, part),
     do: plan.streams |> Map.values() |> Enum.filter(&(&1.part == part)) |> Enum.sort_by(& &1.name)
 
   @doc "Returns the streams that a part reads from others."
-  @spec inlets(t(), String.t()) :: [stream()]
-  def inlets(plan, part), do: for({_, stream} <- plan.streams, part in stream.readers, do: stream)
+  @spec incoming_streams(t(), String.t()) :: [stream()]
+  def incoming_streams(plan, part),
+    do: for({_, stream} <- plan.streams, part in stream.readers, do: stream)
 
   @doc "Returns the part of the components that no rule names or, without one, the first part."
-  @spec main(t()) :: String.t()
-  def main(%__MODULE__{parts: parts}) when is_map_key(parts, @rest), do: @rest
-  def main(%__MODULE__{parts: parts}), do: parts |> Map.keys() |> Enum.min()
+  @spec main_part(t()) :: String.t()
+  def main_part(%__MODULE__{parts: parts}) when is_map_key(parts, @rest), do: @rest
+  def main_part(%__MODULE__{parts: parts}), do: parts |> Map.keys() |> Enum.min()
 end

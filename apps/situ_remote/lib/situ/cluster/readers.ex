@@ -28,24 +28,24 @@ defmodule Situ.Cluster.Readers do
   @type t :: %__MODULE__{by_ref: %{term() => map()}, seen: MapSet.t()}
 
   @doc "Adds a reader that already has all messages up to the sequence id `from`."
-  @spec join(t(), pid(), term(), Outgoing.t(), keyword()) :: t()
-  def join(%__MODULE__{} = readers, pid, ref, out, opts) do
+  @spec add_reader(t(), pid(), term(), Outgoing.t(), keyword()) :: t()
+  def add_reader(%__MODULE__{} = readers, pid, ref, out, opts) do
     reader = %{
       pid: pid,
       part: opts[:reader],
       batches: opts[:batches] == true,
       ref: ref,
       name: out.name,
-      last: from(out, opts),
+      last: start_id(out, opts),
       demand: 0,
       ahead: [],
       next: nil,
       live: out.direct,
-      queue: queue(out.policies[opts[:reader]]),
+      queue: build_queue(out.policies[opts[:reader]]),
       weight: 0,
       dropped: 0,
       told: false,
-      asked: now(),
+      asked: monotonic_ms(),
       monitor: Process.monitor(pid)
     }
 
@@ -54,66 +54,71 @@ defmodule Situ.Cluster.Readers do
   end
 
   # A reader of a direct stream numbers the messages itself, so its position is the time of its last message.
-  defp from(%{direct: true} = out, opts), do: Outgoing.till(out, opts[:time])
-  defp from(_out, opts), do: Keyword.get(opts, :from, 0)
+  defp start_id(%{direct: true} = out, opts), do: Outgoing.last_id_at(out, opts[:time])
+  defp start_id(_out, opts), do: Keyword.get(opts, :from, 0)
 
   # The reading part has its own queue with the policy. This queue limits the messages that wait to be sent there.
-  defp queue(nil), do: nil
+  defp build_queue(nil), do: nil
 
-  defp queue(%Delivery{} = policy) do
+  defp build_queue(%Delivery{} = policy) do
     most = if policy.max_queue == :infinity, do: @queued, else: policy.max_queue
     keep = if policy.guarantee, do: [guarantee: policy.guarantee], else: []
     Queue.new(Delivery.max_queue(most, keep))
   end
 
   @doc "Returns whether all `parts` have joined the stream at some time."
-  @spec seen?(t(), Outgoing.t(), [String.t()]) :: boolean()
-  def seen?(%__MODULE__{seen: seen}, out, parts),
+  @spec all_joined?(t(), Outgoing.t(), [String.t()]) :: boolean()
+  def all_joined?(%__MODULE__{seen: seen}, out, parts),
     do: Enum.all?(parts, &MapSet.member?(seen, {out.name, &1}))
 
   @doc "Returns whether every active reader has taken nearly all messages; paused readers do not count."
   @spec keeping_up?(t(), Outgoing.t()) :: boolean()
   def keeping_up?(%__MODULE__{by_ref: by_ref}, out),
     do:
-      not Enum.any?(by_ref, fn {_, reader} -> reader.name == out.name and late?(reader, out) end)
+      not Enum.any?(by_ref, fn {_, reader} ->
+        reader.name == out.name and reader_lags?(reader, out)
+      end)
 
-  defp late?(%{queue: nil, live: true} = reader, out),
-    do: much?(Outgoing.visible(out) - reader.last, reader.weight) and waiting?(reader, out.direct)
+  defp reader_lags?(%{queue: nil, live: true} = reader, out),
+    do:
+      exceeds_limits?(Outgoing.last_visible(out) - reader.last, reader.weight) and
+        within_patience?(reader, out.direct)
 
-  defp late?(_reader, _out), do: false
+  defp reader_lags?(_reader, _out), do: false
 
-  defp much?(n, weight), do: n >= @behind or n * weight >= @behind_bytes
-  defp waiting?(reader, true), do: now() - reader.asked < @direct_patience_ms
-  defp waiting?(reader, false), do: now() - reader.asked < @patience_ms
-  defp now, do: System.monotonic_time(:millisecond)
+  defp exceeds_limits?(n, weight), do: n >= @behind or n * weight >= @behind_bytes
+  defp within_patience?(reader, true), do: monotonic_ms() - reader.asked < @direct_patience_ms
+  defp within_patience?(reader, false), do: monotonic_ms() - reader.asked < @patience_ms
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 
   @doc "Offers new messages of a direct stream to the readers that may lose them."
-  @spec offer(t(), Outgoing.t(), Batch.t()) :: t()
-  def offer(%__MODULE__{by_ref: by_ref} = readers, out, batch) do
+  @spec offer_batch(t(), Outgoing.t(), Batch.t()) :: t()
+  def offer_batch(%__MODULE__{by_ref: by_ref} = readers, out, batch) do
     by_ref =
       Map.new(by_ref, fn {ref, reader} ->
         mine? = reader.name == out.name and reader.queue != nil
-        {ref, if(mine?, do: offered(reader, batch), else: reader)}
+        {ref, if(mine?, do: offer_to_reader(reader, batch), else: reader)}
       end)
 
     %{readers | by_ref: by_ref}
   end
 
-  defp offered(%{queue: %Queue{size: 0}, demand: demand} = reader, batch) when demand > 0,
-    do: give(reader, batch)
+  defp offer_to_reader(%{queue: %Queue{size: 0}, demand: demand} = reader, batch) when demand > 0,
+    do: send_batch(reader, batch)
 
-  defp offered(reader, batch) do
-    {queue, dropped} = Queue.push_all(reader.queue, Batch.messages(batch))
-    weighed(%{reader | queue: queue, dropped: reader.dropped + dropped}, batch)
+  defp offer_to_reader(reader, batch) do
+    {queue, dropped} = Queue.push_all(reader.queue, Batch.to_messages(batch))
+    put_weight(%{reader | queue: queue, dropped: reader.dropped + dropped}, batch)
   end
 
-  defp weighed(reader, batch), do: %{reader | weight: div(batch.bytes, Batch.count(batch))}
+  defp put_weight(reader, batch),
+    do: %{reader | weight: div(batch.bytes, Batch.count_messages(batch))}
 
-  @spec ask(t(), term(), pos_integer()) :: {:ok, String.t(), t()} | :error
-  def ask(%__MODULE__{by_ref: by_ref} = readers, ref, n) do
+  @spec add_demand(t(), term(), pos_integer()) :: {:ok, String.t(), t()} | :error
+  def add_demand(%__MODULE__{by_ref: by_ref} = readers, ref, n) do
     case by_ref do
       %{^ref => reader} ->
-        reader = %{reader | demand: reader.demand + n, asked: now()}
+        reader = %{reader | demand: reader.demand + n, asked: monotonic_ms()}
         {:ok, reader.name, %{readers | by_ref: %{by_ref | ref => reader}}}
 
       _ ->
@@ -121,21 +126,21 @@ defmodule Situ.Cluster.Readers do
     end
   end
 
-  @spec leave(t(), term()) :: t()
-  def leave(%__MODULE__{by_ref: by_ref} = readers, ref) do
+  @spec remove_reader(t(), term()) :: t()
+  def remove_reader(%__MODULE__{by_ref: by_ref} = readers, ref) do
     with %{^ref => reader} <- by_ref, do: Process.demonitor(reader.monitor, [:flush])
     %{readers | by_ref: Map.delete(by_ref, ref)}
   end
 
   @doc "Removes a reader whose process has ended."
-  @spec gone(t(), reference()) :: t()
-  def gone(%__MODULE__{by_ref: by_ref} = readers, monitor) do
+  @spec remove_ended(t(), reference()) :: t()
+  def remove_ended(%__MODULE__{by_ref: by_ref} = readers, monitor) do
     %{readers | by_ref: Map.reject(by_ref, fn {_, reader} -> reader.monitor == monitor end)}
   end
 
   @doc "Returns the position of each reader, for display."
-  @spec info(t()) :: [map()]
-  def info(%__MODULE__{by_ref: by_ref}) do
+  @spec reader_positions(t()) :: [map()]
+  def reader_positions(%__MODULE__{by_ref: by_ref}) do
     for {_, reader} <- by_ref,
         do: %{
           node: node(reader.pid),
@@ -148,11 +153,11 @@ defmodule Situ.Cluster.Readers do
   end
 
   @doc "Sends the readers of a stream the messages that they have requested, as far as these are available."
-  @spec serve(t(), Outgoing.t(), Log.t()) :: t()
-  def serve(%__MODULE__{by_ref: by_ref} = readers, out, log) do
+  @spec serve_stream(t(), Outgoing.t(), Log.t()) :: t()
+  def serve_stream(%__MODULE__{by_ref: by_ref} = readers, out, log) do
     by_ref =
       for {ref, reader} <- by_ref,
-          reader = if(reader.name == out.name, do: one(reader, out, log), else: reader),
+          reader = if(reader.name == out.name, do: serve_reader(reader, out, log), else: reader),
           reader != nil,
           into: %{},
           do: {ref, reader}
@@ -160,17 +165,21 @@ defmodule Situ.Cluster.Readers do
     %{readers | by_ref: by_ref}
   end
 
-  defp one(%{queue: %Queue{size: n}, demand: demand} = reader, out, log)
+  defp serve_reader(%{queue: %Queue{size: n}, demand: demand} = reader, out, log)
        when n > 0 and demand > 0 do
     {messages, _took, queue} = Queue.take(reader.queue, demand)
-    %{reader | queue: queue} |> give_all(messages) |> one(out, log)
+    %{reader | queue: queue} |> send_messages(messages) |> serve_reader(out, log)
   end
 
-  defp one(%{queue: %Queue{size: n}} = reader, _out, _log) when n > 0, do: reader
+  defp serve_reader(%{queue: %Queue{size: n}} = reader, _out, _log) when n > 0, do: reader
 
-  defp one(%{queue: %Queue{}} = reader, %{stored: %{closing: nil}}, _log), do: reader
+  defp serve_reader(%{queue: %Queue{}} = reader, %{stored: %{closing: nil}}, _log), do: reader
 
-  defp one(%{queue: queue, last: last} = reader, %{stored: %{last: end_of, closing: time}}, _log)
+  defp serve_reader(
+         %{queue: queue, last: last} = reader,
+         %{stored: %{last: end_of, closing: time}},
+         _log
+       )
        when time != nil and (queue != nil or last == end_of) do
     Process.demonitor(reader.monitor, [:flush])
 
@@ -182,66 +191,73 @@ defmodule Situ.Cluster.Readers do
     nil
   end
 
-  defp one(%{demand: demand} = reader, _out, _log) when demand <= 0, do: reader
+  defp serve_reader(%{demand: demand} = reader, _out, _log) when demand <= 0, do: reader
 
-  defp one(%{ahead: []} = reader, out, log) do
-    if reader.last >= Outgoing.visible(out) do
+  defp serve_reader(%{ahead: []} = reader, out, log) do
+    if reader.last >= Outgoing.last_visible(out) do
       reader
     else
-      case Outgoing.recall(out, reader.last + 1) do
-        {:ok, batch} -> %{reader | live: true} |> give(batch) |> one(out, log)
-        :gone when out.direct -> reader |> miss(Outgoing.till(out, nil)) |> one(out, log)
-        :gone -> %{reader | live: false} |> fetch(out, log) |> one_fetched(out, log)
+      case Outgoing.fetch_batch(out, reader.last + 1) do
+        {:ok, batch} ->
+          %{reader | live: true} |> send_batch(batch) |> serve_reader(out, log)
+
+        :gone when out.direct ->
+          reader |> skip_missed(Outgoing.last_id_at(out, nil)) |> serve_reader(out, log)
+
+        :gone ->
+          %{reader | live: false} |> fetch_entry(out, log) |> serve_fetched(out, log)
       end
     end
   end
 
-  defp one(reader, out, log) do
+  defp serve_reader(reader, out, log) do
     {now, later} = Enum.split(reader.ahead, reader.demand)
-    %{reader | ahead: later} |> give_all(now) |> one(out, log)
+    %{reader | ahead: later} |> send_messages(now) |> serve_reader(out, log)
   end
 
-  defp miss(reader, last),
+  defp skip_missed(reader, last),
     do: %{reader | last: last, dropped: reader.dropped + last - reader.last}
 
-  defp one_fetched(%{ahead: []} = reader, _out, _log), do: reader
-  defp one_fetched(reader, out, log), do: one(reader, out, log)
+  defp serve_fetched(%{ahead: []} = reader, _out, _log), do: reader
+  defp serve_fetched(reader, out, log), do: serve_reader(reader, out, log)
 
   # An inlet accepts whole batches, including messages that it already has or that exceed its demand, which it reduces
   # accordingly. For any other consumer, the rest of a batch stays in the tail.
-  defp give(%{batches: true} = reader, batch),
-    do: send_on(reader, batch, {:situ_batch, batch.first, batch.body})
+  defp send_batch(%{batches: true} = reader, batch),
+    do: send_to_reader(reader, batch, {:situ_batch, batch.first, batch.body})
 
-  defp give(reader, batch) do
-    messages = batch |> Batch.behind(reader.last) |> Batch.messages() |> Enum.take(reader.demand)
-    reader |> weighed(batch) |> give_all(messages)
+  defp send_batch(reader, batch) do
+    messages =
+      batch |> Batch.take_after(reader.last) |> Batch.to_messages() |> Enum.take(reader.demand)
+
+    reader |> put_weight(batch) |> send_messages(messages)
   end
 
-  defp give_all(reader, messages),
-    do: send_on(reader, %{first: nil, last: List.last(messages).sequence_id}, messages)
+  defp send_messages(reader, messages),
+    do: send_to_reader(reader, %{first: nil, last: List.last(messages).sequence_id}, messages)
 
-  defp send_on(reader, %{last: last} = batch, what) do
+  defp send_to_reader(reader, %{last: last} = batch, what) do
     send(reader.pid, {:"$gen_consumer", {self(), reader.ref}, what})
     n = if is_list(what), do: length(what), else: last - batch.first + 1
-    reader = if is_list(what), do: reader, else: weighed(reader, batch)
+    reader = if is_list(what), do: reader, else: put_weight(reader, batch)
     %{reader | demand: reader.demand - n, last: last}
   end
 
   # Reads the next entry with messages that the reader lacks. After an error of the log, the next request tries again.
-  defp fetch(%{next: nil} = reader, out, log) do
-    case Log.find(log, out.subject, &(Entry.integer(&1, "Last", 0) > reader.last)) do
-      {:ok, seq} when is_integer(seq) -> fetch(%{reader | next: seq}, out, log)
+  defp fetch_entry(%{next: nil} = reader, out, log) do
+    case Log.find_position(log, out.subject, &(Entry.head_integer(&1, "Last", 0) > reader.last)) do
+      {:ok, seq} when is_integer(seq) -> fetch_entry(%{reader | next: seq}, out, log)
       _ -> reader
     end
   end
 
-  defp fetch(reader, out, log) do
+  defp fetch_entry(reader, out, log) do
     with {:ok, [entry]} <- Log.read(log, out.subject, reader.next, 1),
-         {:ok, messages} <- Chunk.messages(entry) do
+         {:ok, messages} <- Chunk.decode_messages(entry) do
       reader = %{reader | next: entry.seq + 1}
 
       case Enum.drop_while(messages, &(&1.sequence_id <= reader.last)) do
-        [] when entry.seq < out.seq -> fetch(reader, out, log)
+        [] when entry.seq < out.seq -> fetch_entry(reader, out, log)
         messages -> %{reader | ahead: messages}
       end
     else

@@ -3,8 +3,8 @@ defmodule Situ.Cluster.Recordings do
   Lists the recordings on a cluster's nodes, and opens them from any node.
 
       {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log", recordings: "recordings")
-      Situ.Cluster.Recordings.all()
-      {:ok, address, opts} = Situ.Cluster.Recordings.address("situ-9302@10.0.0.2/lobby.0000")
+      Situ.Cluster.Recordings.list_all()
+      {:ok, address, opts} = Situ.Cluster.Recordings.fetch_address("situ-9302@10.0.0.2/lobby.0000")
       {:ok, store} = Situ.Store.open(address, reader_opts: opts)
 
   A node lists the stores in its folder. When a recording is requested, the node serves it over a link
@@ -33,8 +33,8 @@ defmodule Situ.Cluster.Recordings do
   def start_link(folder), do: GenServer.start_link(__MODULE__, folder, name: __MODULE__)
 
   @doc "Returns the recordings of all `nodes`, newest first on each node. Skips nodes that do not reply in time."
-  @spec all([node()]) :: [entry()]
-  def all(nodes \\ [node() | Node.list()]) do
+  @spec list_all([node()]) :: [entry()]
+  def list_all(nodes \\ [node() | Node.list()]) do
     answers = :erpc.multicall(nodes, __MODULE__, :here, [], @ask_ms)
     for {:ok, entries} <- answers, entry <- entries, do: entry
   end
@@ -44,14 +44,14 @@ defmodule Situ.Cluster.Recordings do
   def here do
     with pid when is_pid(pid) <- Process.whereis(__MODULE__),
          folder when is_binary(folder) <- GenServer.call(pid, :folder, @ask_ms) do
-      entries = for path <- Store.list(folder), do: entry(path)
+      entries = for path <- Store.list(folder), do: describe_recording(path)
       entries |> Enum.sort_by(&{-&1.changed, &1.name}) |> Enum.take(@most)
     else
       _ -> []
     end
   end
 
-  defp entry(path) do
+  defp describe_recording(path) do
     name = Path.basename(path)
     changed = with {:ok, %{mtime: at}} <- File.stat(path, time: :posix), do: at, else: (_ -> 0)
     live? = with {:ok, store} <- Store.open(path), do: Store.live?(store), else: (_ -> false)
@@ -62,18 +62,18 @@ defmodule Situ.Cluster.Recordings do
   Returns the address at which a recording can be opened now, and the options for its reader. Errors: `:not_found`,
   `:unreachable`, and the errors of `Situ.Remote.serve/2`.
   """
-  @spec address(String.t()) :: {:ok, String.t(), keyword()} | {:error, Error.t()}
-  def address(id) do
+  @spec fetch_address(String.t()) :: {:ok, String.t(), keyword()} | {:error, Error.t()}
+  def fetch_address(id) do
     with [name, recording] <- String.split(id, "/", parts: 2),
          node when node != nil <-
            Enum.find([node() | Node.list()], &(Atom.to_string(&1) == name)) do
-      asked(node, recording)
+      request_serving(node, recording)
     else
-      _ -> {:error, not_found(id)}
+      _ -> {:error, not_found_error(id)}
     end
   end
 
-  defp asked(node, recording) do
+  defp request_serving(node, recording) do
     GenServer.call({__MODULE__, node}, {:serve, recording}, @serve_ms)
   catch
     :exit, reason ->
@@ -83,7 +83,7 @@ defmodule Situ.Cluster.Recordings do
        )}
   end
 
-  defp not_found(id) do
+  defp not_found_error(id) do
     Error.new(:not_found, "no node of the cluster has a recording #{inspect(id)}",
       fix: "choose one from the list on the cluster page"
     )
@@ -105,7 +105,7 @@ defmodule Situ.Cluster.Recordings do
   end
 
   def handle_call({:serve, name}, _from, state) do
-    case served(state.folder, name) do
+    case serve_recording(state.folder, name) do
       {:ok, server, address, opts} ->
         {:reply, {:ok, address, opts}, put_in(state.serving[name], {server, address, opts})}
 
@@ -123,12 +123,12 @@ defmodule Situ.Cluster.Recordings do
   def handle_info(_other, state), do: {:noreply, state}
 
   # Only recordings in the list can be served, since a name must not be used as a path.
-  defp served(folder, name) do
+  defp serve_recording(folder, name) do
     with true <- is_binary(folder),
          path when path != nil <- Enum.find(Store.list(folder), &(Path.basename(&1) == name)),
          {:ok, store} <- Store.open(path) do
       token = Base.url_encode64(:crypto.strong_rand_bytes(18))
-      host = host()
+      host = node_host()
       tls = if host == "127.0.0.1", do: nil, else: true
 
       with {:ok, server} <-
@@ -136,12 +136,12 @@ defmodule Situ.Cluster.Recordings do
            do: {:ok, server, Remote.Server.address(server, name), token: token}
     else
       {:error, error} -> {:error, error}
-      _ -> {:error, not_found("#{node()}/#{name}")}
+      _ -> {:error, not_found_error("#{node()}/#{name}")}
     end
   end
 
   # Returns the host in the node's name. A node without a name cannot be connected to other nodes.
-  defp host do
+  defp node_host do
     case node() |> Atom.to_string() |> String.split("@") do
       [_, host] when host not in ["nohost", "localhost"] -> host
       _ -> "127.0.0.1"

@@ -35,25 +35,25 @@ defmodule Situ.Cluster.Runner do
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
   @doc "Returns the part's state, for display."
-  @spec info(pid(), timeout()) :: map()
-  def info(runner, timeout \\ 30_000), do: GenServer.call(runner, :info, timeout)
+  @spec part_info(pid(), timeout()) :: map()
+  def part_info(runner, timeout \\ 30_000), do: GenServer.call(runner, :info, timeout)
 
   @doc "Stops the sources of the part; messages already posted are still handled."
-  @spec stop(pid()) :: :ok
-  def stop(runner), do: GenServer.cast(runner, :stop)
+  @spec stop_sources(pid()) :: :ok
+  def stop_sources(runner), do: GenServer.cast(runner, :stop)
 
   @doc """
   Releases the part: takes a checkpoint, then makes the lease available to other nodes. `away` is the demotion level of
   this node from then on: 0 for none; of two drained nodes, the one with the higher level waits longer. With a process
   `mover`, the level applies only while that process is alive, and the previous one is then restored.
   """
-  @spec release(pid(), non_neg_integer(), pid() | nil) :: :ok
-  def release(runner, away, mover \\ nil),
+  @spec release_part(pid(), non_neg_integer(), pid() | nil) :: :ok
+  def release_part(runner, away, mover \\ nil),
     do: GenServer.call(runner, {:release, away, mover}, :infinity)
 
   @doc "Sets the demotion level of this node for the part. A part that is already running here stays here."
-  @spec stand(pid(), non_neg_integer(), pid() | nil) :: :ok
-  def stand(runner, away, mover \\ nil),
+  @spec set_demotion(pid(), non_neg_integer(), pid() | nil) :: :ok
+  def set_demotion(runner, away, mover \\ nil),
     do: GenServer.call(runner, {:stand, away, mover}, :infinity)
 
   @doc "Ends a runner permanently: its supervisor does not restart it."
@@ -61,12 +61,12 @@ defmodule Situ.Cluster.Runner do
   def dismiss(runner), do: GenServer.cast(runner, :dismiss)
 
   @doc "Restarts the part on the same node, from a new checkpoint; does nothing if another node runs it."
-  @spec restart(pid()) :: :ok | {:error, Error.t()}
-  def restart(runner), do: GenServer.call(runner, :restart, :infinity)
+  @spec restart_part(pid()) :: :ok | {:error, Error.t()}
+  def restart_part(runner), do: GenServer.call(runner, :restart, :infinity)
 
   @doc "Reports to the runner that a node went down."
-  @spec down(pid(), node()) :: :ok
-  def down(runner, node), do: GenServer.cast(runner, {:down, node})
+  @spec report_node_down(pid(), node()) :: :ok
+  def report_node_down(runner, node), do: GenServer.cast(runner, {:down, node})
 
   @impl true
   def init(args) do
@@ -74,7 +74,7 @@ defmodule Situ.Cluster.Runner do
     standby = Standby.new(args.deployment.lease)
     state = struct!(__MODULE__, Map.put(args, :standby, standby))
     # The supervisor may have restarted this runner, so the agent needs the new process.
-    Member.runs(state.agent, {state.deployment.name, state.part}, self())
+    Member.announce_runner(state.agent, {state.deployment.name, state.part}, self())
     send(self(), :look)
     {:ok, state}
   end
@@ -83,12 +83,12 @@ defmodule Situ.Cluster.Runner do
 
   @impl true
   def handle_info(:look, %{phase: :standby, standby: standby} = state) do
-    with rank when rank != nil <- Member.rank(rule(state), state.part),
-         {:ok, look} <- Lease.look(state.log, key(state, "lease")),
-         {:take, standby} <- Standby.observe(standby, look, rank),
-         {:ok, epoch} <- take(state, look) do
+    with rank when rank != nil <- Member.own_rank(part_rule(state), state.part),
+         {:ok, look} <- Lease.read_lease(state.log, log_key(state, "lease")),
+         {:take, standby} <- Standby.judge_look(standby, look, rank),
+         {:ok, epoch} <- take_lease(state, look) do
       log_takeover(state, elem(look, 1))
-      {:noreply, own(%{state | standby: standby, epoch: epoch})}
+      {:noreply, start_owning(%{state | standby: standby, epoch: epoch})}
     else
       {:wait, standby} -> {:noreply, %{state | standby: Standby.look_again(standby)}}
       _ -> {:noreply, %{state | standby: Standby.look_again(standby)}}
@@ -99,28 +99,31 @@ defmodule Situ.Cluster.Runner do
 
   # The owner has renewed its lease.
   def handle_info({:situ_lease, seq, owner}, %{phase: :standby} = state) when is_integer(seq),
-    do: {:noreply, %{state | standby: Standby.hear(state.standby, seq, owner)}}
+    do: {:noreply, %{state | standby: Standby.note_renewal(state.standby, seq, owner)}}
 
   def handle_info({:situ_lease, :free, _owner}, %{phase: :standby} = state),
     do: {:noreply, %{state | standby: Standby.look_in(state.standby, 0)}}
 
   def handle_info(:checkpoint, %{phase: :running} = state) do
     Process.send_after(self(), :checkpoint, div(state.deployment.checkpoint, 1_000_000))
-    {:noreply, checkpoint(state)}
+    {:noreply, take_checkpoint(state)}
   end
 
-  def handle_info(:situ_full, %{phase: :running} = state), do: {:noreply, checkpoint(state)}
+  def handle_info(:situ_full, %{phase: :running} = state), do: {:noreply, take_checkpoint(state)}
 
   def handle_info({:DOWN, ref, :process, pid, _}, %{monitor: ref, phase: :running} = state) do
     case Pipeline.await(pid, 5_000) do
-      {:ok, _report} -> {:noreply, ended(state)}
-      {:error, error} -> {:noreply, if(left?(state), do: state, else: failed(state, error))}
+      {:ok, _report} ->
+        {:noreply, finish_part(state)}
+
+      {:error, error} ->
+        {:noreply, if(publisher_ended?(state), do: state, else: fail_part(state, error))}
     end
   end
 
   # The process that moved the part has ended, successfully or not.
   def handle_info({:DOWN, ref, :process, _, _}, state),
-    do: {:noreply, %{state | standby: Standby.give_back(state.standby, ref)}}
+    do: {:noreply, %{state | standby: Standby.restore_demotion(state.standby, ref)}}
 
   def handle_info({:EXIT, pid, reason}, %{publisher: pid} = state),
     do: {:noreply, step_down(state, reason)}
@@ -132,14 +135,14 @@ defmodule Situ.Cluster.Runner do
 
   @impl true
   def handle_cast({:down, node}, %{phase: :standby} = state),
-    do: {:noreply, %{state | standby: Standby.down(state.standby, node)}}
+    do: {:noreply, %{state | standby: Standby.note_node_down(state.standby, node)}}
 
   def handle_cast({:down, _node}, state), do: {:noreply, state}
 
   def handle_cast(:dismiss, state), do: {:stop, {:shutdown, :forgotten}, state}
 
   def handle_cast(:stop, %{phase: :running, pipeline: p, plan: plan} = state) do
-    if Plan.inlets(plan, state.part) == [], do: Task.start(fn -> Pipeline.stop(p) end)
+    if Plan.incoming_streams(plan, state.part) == [], do: Task.start(fn -> Pipeline.stop(p) end)
     {:noreply, state}
   end
 
@@ -152,32 +155,32 @@ defmodule Situ.Cluster.Runner do
        part: state.part,
        phase: state.phase,
        epoch: state.epoch,
-       owner: owner(state),
+       owner: owner_name(state),
        away: state.standby.away,
        error: state.error,
        checkpoints: state.checkpoints,
-       publisher: published(state.publisher),
+       publisher: publisher_info(state.publisher),
        pipeline: if(state.phase == :running, do: state.pipeline)
      }, state}
   end
 
   def handle_call({:release, away, mover}, _from, %{phase: phase} = state)
       when phase in [:running, :done] do
-    state = if phase == :running, do: checkpoint(state), else: state
-    {:reply, :ok, let_go(lend(state, away, mover))}
+    state = if phase == :running, do: take_checkpoint(state), else: state
+    {:reply, :ok, let_go(put_demotion(state, away, mover))}
   end
 
   def handle_call({what, away, mover}, _from, state) when what in [:release, :stand],
-    do: {:reply, :ok, lend(state, away, mover)}
+    do: {:reply, :ok, put_demotion(state, away, mover)}
 
   # The code is new, but the plan is the same. A part that does not start with the new code goes to standby, and is
   # taken again once the old code is back.
   def handle_call(:restart, _from, %{phase: :running} = state) do
-    state = state |> checkpoint() |> let_go()
+    state = state |> take_checkpoint() |> let_go()
 
-    with {:ok, look} <- Lease.look(state.log, key(state, "lease")),
-         {:ok, epoch} <- take(state, look) do
-      case own(%{state | epoch: epoch}, &{:refused, &1, &2}) do
+    with {:ok, look} <- Lease.read_lease(state.log, log_key(state, "lease")),
+         {:ok, epoch} <- take_lease(state, look) do
+      case start_owning(%{state | epoch: epoch}, &{:refused, &1, &2}) do
         {:refused, state, error} -> {:reply, {:error, error}, let_go(state)}
         state -> {:reply, :ok, state}
       end
@@ -189,40 +192,47 @@ defmodule Situ.Cluster.Runner do
 
   def handle_call(:restart, _from, state), do: {:reply, :ok, state}
 
-  defp lend(state, away, mover),
-    do: %{state | standby: Standby.lend(state.standby, away, mover)}
+  defp put_demotion(state, away, mover),
+    do: %{state | standby: Standby.set_demotion(state.standby, away, mover)}
 
   # A component fails when it can no longer publish; the exit of the publisher gives the reason.
-  defp left?(%{publisher: publisher}), do: not Process.alive?(publisher)
+  defp publisher_ended?(%{publisher: publisher}), do: not Process.alive?(publisher)
 
   # The publisher may be ending; its exit message then follows.
-  defp published(nil), do: nil
+  defp publisher_info(nil), do: nil
 
-  defp published(publisher) do
-    Publisher.info(publisher)
+  defp publisher_info(publisher) do
+    Publisher.stream_info(publisher)
   catch
     :exit, _ -> nil
   end
 
   # Owning
 
-  defp own(state, failed \\ &failed/2) do
+  defp start_owning(state, failed \\ &fail_part/2) do
     args = %{
       log: state.log,
       deployment: state.deployment.name,
       part: state.part,
       epoch: state.epoch,
-      mode: mode(state),
+      mode: publish_mode(state),
       retain: state.deployment.retain,
       runner: self(),
-      streams: Plan.outlets(state.plan, state.part)
+      streams: Plan.outgoing_streams(state.plan, state.part)
     }
 
     case Publisher.start_link(args) do
       {:ok, publisher} ->
-        state = keep(%{state | publisher: publisher})
-        Member.route(state.agent, {state.deployment.name, state.part}, state.epoch, publisher)
-        run(state, Publisher.resume(publisher), failed)
+        state = start_keeper(%{state | publisher: publisher})
+
+        Member.announce_publisher(
+          state.agent,
+          {state.deployment.name, state.part},
+          state.epoch,
+          publisher
+        )
+
+        run_part(state, Publisher.saved_memories(publisher), failed)
 
       {:error, reason} ->
         handle_refusal(state, reason)
@@ -231,40 +241,43 @@ defmodule Situ.Cluster.Runner do
 
   # The seal of a refused entry remains invalid, so another attempt would fail as well.
   defp handle_refusal(state, {:shutdown, %Error{} = error} = reason),
-    do: if(Seal.refusal?(error), do: failed(state, error), else: stand_by(state, reason))
+    do: if(Seal.refusal?(error), do: fail_part(state, error), else: stand_by(state, reason))
 
   defp handle_refusal(state, reason), do: stand_by(state, reason)
 
   defp stand_by(state, reason) do
-    Logger.warning("#{name(state)}: takeover failed: #{explain(reason)}")
+    Logger.warning("#{part_name(state)}: takeover failed: #{explain_reason(reason)}")
     %{state | epoch: nil, standby: Standby.resume_after_loss(state.standby)}
   end
 
-  defp take(state, look),
-    do: Lease.take(state.log, key(state, "lease"), elem(look, 0), state.standby.ms)
+  defp take_lease(state, look),
+    do: Lease.acquire(state.log, log_key(state, "lease"), elem(look, 0), state.standby.ms)
 
   defp log_takeover(state, owner) do
     if owner not in [nil, "", Atom.to_string(node())],
-      do: Logger.warning("#{name(state)} continues here: #{owner} is no longer responding")
+      do: Logger.warning("#{part_name(state)} continues here: #{owner} is no longer responding")
   end
 
-  defp keep(state) do
+  defp start_keeper(state) do
     %{log: log, epoch: epoch, publisher: publisher} = state
-    {key, ms} = {key(state, "lease"), state.standby.ms}
+    {key, ms} = {log_key(state, "lease"), state.standby.ms}
     part = {state.deployment.name, state.part}
-    tell = &Member.tell_lease(part, &1)
-    {:ok, keeper} = Task.start_link(fn -> Lease.keep(log, key, epoch, ms, {publisher, tell}) end)
+    tell = &Member.report_lease(part, &1)
+
+    {:ok, keeper} =
+      Task.start_link(fn -> Lease.keep_renewing(log, key, epoch, ms, {publisher, tell}) end)
+
     %{state | keeper: keeper}
   end
 
   # The previous node may have been lost after its last checkpoint and before it wrote the final state.
-  defp run(state, :done, _failed) do
-    note(state, %{"State" => "done"}, "")
+  defp run_part(state, :done, _failed) do
+    write_state(state, %{"State" => "done"}, "")
     %{state | phase: :done}
   end
 
-  defp run(state, memories, failed) do
-    case Assembly.start(state.deployment, state.plan, state.part, %{
+  defp run_part(state, memories, failed) do
+    case Assembly.start_part(state.deployment, state.plan, state.part, %{
            agent: state.agent,
            publisher: state.publisher,
            memories: memories || %{}
@@ -280,37 +293,37 @@ defmodule Situ.Cluster.Runner do
   end
 
   # A part with components that cannot be carried over restarts from its inputs, so no more checkpoints are attempted.
-  defp checkpoint(%{checkpoints: %{possible?: false}} = state), do: state
+  defp take_checkpoint(%{checkpoints: %{possible?: false}} = state), do: state
 
-  defp checkpoint(state) do
-    case Pipeline.checkpoint(state.pipeline, &cut(state, &1)) do
+  defp take_checkpoint(state) do
+    case Pipeline.checkpoint(state.pipeline, &cut_outputs(state, &1)) do
       {:ok, memories} ->
-        :ok = Publisher.commit(state.publisher, memories)
+        :ok = Publisher.commit_checkpoint(state.publisher, memories)
         taken = state.checkpoints.taken + 1
         %{state | checkpoints: %{state.checkpoints | taken: taken, refused: nil}}
 
       {:error, %Error{code: :no_snapshot} = error} ->
-        if mode(state) == :outbox and Plan.outlets(state.plan, state.part) != [],
-          do: failed(state, undeclared(state, error)),
-          else: refused(put_in(state.checkpoints.possible?, false), error)
+        if publish_mode(state) == :outbox and Plan.outgoing_streams(state.plan, state.part) != [],
+          do: fail_part(state, undeclared_error(state, error)),
+          else: note_refusal(put_in(state.checkpoints.possible?, false), error)
 
       {:error, error} ->
-        refused(state, error)
+        note_refusal(state, error)
     end
   catch
     # The publisher has ended, and its exit message is in the mailbox.
     :exit, _ -> state
   end
 
-  defp cut(state, memories) do
-    :ok = Publisher.cut(state.publisher)
+  defp cut_outputs(state, memories) do
+    :ok = Publisher.begin_checkpoint(state.publisher)
     memories
   end
 
-  defp refused(state, error),
+  defp note_refusal(state, error),
     do: %{state | checkpoints: %{state.checkpoints | refused: error}}
 
-  defp undeclared(state, error) do
+  defp undeclared_error(state, error) do
     Error.new(:no_snapshot, "part #{state.part} cannot be carried over: #{error.what}",
       why: "the outputs of a part are stored with its checkpoints, unless it is deterministic",
       fix: "#{error.fix}; or declare the part deterministic: true",
@@ -318,26 +331,26 @@ defmodule Situ.Cluster.Runner do
     )
   end
 
-  defp ended(state) do
-    :ok = Publisher.commit(state.publisher, :done)
-    note(state, %{"State" => "done"}, "")
+  defp finish_part(state) do
+    :ok = Publisher.commit_checkpoint(state.publisher, :done)
+    write_state(state, %{"State" => "done"}, "")
     %{state | phase: :done, pipeline: nil, monitor: nil}
   catch
     :exit, _ -> state
   end
 
-  defp failed(state, error) do
-    Logger.error("#{name(state)} failed: #{Exception.message(error)}")
+  defp fail_part(state, error) do
+    Logger.error("#{part_name(state)} failed: #{Exception.message(error)}")
     if state.pipeline, do: Process.exit(state.pipeline, :kill)
-    note(state, %{"State" => "failed"}, Exception.message(error))
+    write_state(state, %{"State" => "failed"}, Exception.message(error))
     %{state | phase: :failed, pipeline: nil, monitor: nil, error: error}
   end
 
   # Processes that wait for the deployment to end poll this key.
-  defp note(state, head, data) do
-    subject = {:key, key(state, "state")}
+  defp write_state(state, head, data) do
+    subject = {:key, log_key(state, "state")}
 
-    with {:ok, last} <- Log.last(state.log, subject) do
+    with {:ok, last} <- Log.fetch_last(state.log, subject) do
       head = Map.put(head, "Epoch", Integer.to_string(state.epoch))
       op = "state.#{state.epoch}.#{head["State"]}"
       seq = if last, do: last.seq, else: 0
@@ -349,11 +362,11 @@ defmodule Situ.Cluster.Runner do
   defp step_down(%{phase: :failed} = state, _reason), do: %{state | publisher: nil, keeper: nil}
 
   defp step_down(state, reason) do
-    Logger.warning("#{name(state)} continues on another node: #{explain(reason)}")
-    %{kill(state) | standby: Standby.resume_after_loss(state.standby)}
+    Logger.warning("#{part_name(state)} continues on another node: #{explain_reason(reason)}")
+    %{kill_processes(state) | standby: Standby.resume_after_loss(state.standby)}
   end
 
-  defp kill(state) do
+  defp kill_processes(state) do
     for pid <- [state.keeper, state.publisher, state.pipeline], pid != nil do
       Process.unlink(pid)
       Process.exit(pid, :kill)
@@ -384,26 +397,26 @@ defmodule Situ.Cluster.Runner do
       state.standby.ms -> :ok
     end
 
-    %{kill(state) | standby: Standby.resume(state.standby)}
+    %{kill_processes(state) | standby: Standby.restart_wait(state.standby)}
   end
 
-  defp rule(state), do: state.plan.parts[state.part].rule
-  defp mode(state), do: if(rule(state).deterministic, do: :replay, else: :outbox)
-  defp owner(%{phase: :standby} = state), do: state.standby.lease.owner
-  defp owner(_state), do: Atom.to_string(node())
-  defp name(state), do: "#{state.deployment.name}/#{state.part} on #{node()}"
-  defp explain({:shutdown, %Error{} = error}), do: Exception.message(error)
-  defp explain({:shutdown, :lease_lost}), do: "this node could not renew its lease in time"
-  defp explain(reason), do: inspect(reason, limit: 8)
+  defp part_rule(state), do: state.plan.parts[state.part].rule
+  defp publish_mode(state), do: if(part_rule(state).deterministic, do: :replay, else: :outbox)
+  defp owner_name(%{phase: :standby} = state), do: state.standby.lease.owner
+  defp owner_name(_state), do: Atom.to_string(node())
+  defp part_name(state), do: "#{state.deployment.name}/#{state.part} on #{node()}"
+  defp explain_reason({:shutdown, %Error{} = error}), do: Exception.message(error)
+  defp explain_reason({:shutdown, :lease_lost}), do: "this node could not renew its lease in time"
+  defp explain_reason(reason), do: inspect(reason, limit: 8)
 
   @doc "Returns the log key of one kind of entry (`what`) of a part."
-  @spec key(Deployment.t(), String.t(), String.t()) :: String.t()
-  def key(deployment, part, what), do: "#{what}.#{deployment.name}.#{part}"
-  defp key(state, what), do: key(state.deployment, state.part, what)
+  @spec log_key(Deployment.t(), String.t(), String.t()) :: String.t()
+  def log_key(deployment, part, what), do: "#{what}.#{deployment.name}.#{part}"
+  defp log_key(state, what), do: log_key(state.deployment, state.part, what)
 
   @impl true
   def terminate(_reason, state) do
-    kill(state)
+    kill_processes(state)
     :ok
   end
 end

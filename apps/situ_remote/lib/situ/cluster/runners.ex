@@ -7,21 +7,21 @@ defmodule Situ.Cluster.Runners do
   @dismiss_ms 5_000
 
   @doc "Returns the state of each runner, or `%{}` for a runner that does not reply within `timeout` ms."
-  @spec infos([pid()], timeout()) :: [map()]
-  def infos(runners, timeout) do
+  @spec collect_infos([pid()], timeout()) :: [map()]
+  def collect_infos(runners, timeout) do
     asked = for runner <- runners, do: :gen_server.send_request(runner, :info)
-    till = now() + timeout
+    till = monotonic_ms() + timeout
 
     for request <- asked,
-        do: answer(:gen_server.receive_response(request, max(till - now(), 0)))
+        do: info_or_empty(:gen_server.receive_response(request, max(till - monotonic_ms(), 0)))
   end
 
-  defp answer({:reply, info}), do: info
-  defp answer(_timeout_or_error), do: %{}
+  defp info_or_empty({:reply, info}), do: info
+  defp info_or_empty(_timeout_or_error), do: %{}
 
   @doc "Ends the runners of a forgotten deployment, and kills any that are still alive after a few seconds."
-  @spec dismiss([pid()]) :: :ok
-  def dismiss(runners) do
+  @spec dismiss_all([pid()]) :: :ok
+  def dismiss_all(runners) do
     monitors = for runner <- runners, into: %{}, do: {Process.monitor(runner), runner}
     for runner <- runners, do: Runner.dismiss(runner)
     timer = Process.send_after(self(), :dismissed, @dismiss_ms)
@@ -43,5 +43,5 @@ defmodule Situ.Cluster.Runners do
     end
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 end

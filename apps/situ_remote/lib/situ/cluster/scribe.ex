@@ -31,22 +31,22 @@ defmodule Situ.Cluster.Scribe do
     do: GenServer.start_link(__MODULE__, struct!(__MODULE__, Map.put(args, :publisher, self())))
 
   @doc "Appends batches; `mark` is the position of the stream after them."
-  @spec append(pid(), String.t(), [Batch.t()], Chunk.mark()) :: :ok
-  def append(scribe, name, batches, mark),
+  @spec append_batches(pid(), String.t(), [Batch.t()], Chunk.mark()) :: :ok
+  def append_batches(scribe, name, batches, mark),
     do: GenServer.cast(scribe, {:append, name, batches, mark})
 
   @doc """
   Stores a checkpoint with `cut`, the outputs that precede the checkpoint and are not in the log yet. Then appends
   these outputs and replies to `from`.
   """
-  @spec commit(
+  @spec commit_checkpoint(
           pid(),
           map() | :done,
           %{String.t() => {[Batch.t()], Chunk.mark()}},
           GenServer.from()
         ) ::
           :ok
-  def commit(scribe, memories, cut, from),
+  def commit_checkpoint(scribe, memories, cut, from),
     do: GenServer.cast(scribe, {:commit, memories, cut, from})
 
   @impl true
@@ -54,7 +54,7 @@ defmodule Situ.Cluster.Scribe do
 
   @impl true
   def handle_cast({:append, name, batches, mark}, state),
-    do: {:noreply, append(state, name, {batches, mark})}
+    do: {:noreply, write_and_report(state, name, {batches, mark})}
 
   def handle_cast({:commit, memories, cut, from}, state) do
     base = Map.new(state.streams, fn {name, stream} -> {name, stream.mark.last} end)
@@ -62,92 +62,102 @@ defmodule Situ.Cluster.Scribe do
     current = %{memories: memories, base: base, pending: pending}
 
     checkpoint =
-      patiently(fn -> Checkpoint.store(state.checkpoint, state.log, state.epoch, current) end)
+      retry_write(fn ->
+        Checkpoint.write_next(state.checkpoint, state.log, state.epoch, current)
+      end)
 
     state =
       Enum.reduce(pending, %{state | checkpoint: checkpoint}, fn {name, cut}, state ->
-        append(state, name, cut)
+        write_and_report(state, name, cut)
       end)
 
     GenServer.reply(from, :ok)
     {:noreply, state}
   end
 
-  defp append(state, name, {batches, mark}) do
-    state = write(state, name, batches, mark)
+  defp write_and_report(state, name, {batches, mark}) do
+    state = write_entry(state, name, batches, mark)
     send(state.publisher, {:situ_stored, name, mark, state.streams[name].seq})
     state
   end
 
-  defp write(state, name, batches, mark) do
+  defp write_entry(state, name, batches, mark) do
     stream = state.streams[name]
     writes = state.writes + 1
 
     entry =
-      Chunk.data(batches, mark, state.epoch, "#{state.part}.#{name}.#{state.epoch}.w#{writes}")
+      Chunk.build_data(
+        batches,
+        mark,
+        state.epoch,
+        "#{state.part}.#{name}.#{state.epoch}.w#{writes}"
+      )
 
     state = %{state | writes: writes}
 
     size = :erlang.iolist_size(entry.data)
-    limit = Log.limit(state.log)
+    limit = Log.max_data_size(state.log)
 
     cond do
-      size <= limit and (size <= @entry_bytes or one?(batches)) ->
+      size <= limit and (size <= @entry_bytes or single_message?(batches)) ->
         write = fn -> Log.append(state.log, stream.subject, stream.seq, entry) end
-        stream = %{stream | seq: patiently(write, stream.subject), mark: mark}
+        stream = %{stream | seq: retry_write(write, stream.subject), mark: mark}
         %{state | streams: Map.put(state.streams, name, stream)}
 
-      one?(batches) ->
-        exit({:shutdown, too_large(name, size, limit)})
+      single_message?(batches) ->
+        exit({:shutdown, too_large_error(name, size, limit)})
 
       true ->
-        {first, second} = halves(batches)
-        state |> write(name, first, half(mark, List.last(first))) |> write(name, second, mark)
+        {first, second} = split_in_half(batches)
+
+        state
+        |> write_entry(name, first, mark_after(mark, List.last(first)))
+        |> write_entry(name, second, mark)
     end
   end
 
-  defp one?([]), do: true
-  defp one?([%{first: id, last: id}]), do: true
-  defp one?(_batches), do: false
+  defp single_message?([]), do: true
+  defp single_message?([%{first: id, last: id}]), do: true
+  defp single_message?(_batches), do: false
 
-  defp halves([batch]) do
-    {first, second} = Batch.halves(batch)
+  defp split_in_half([batch]) do
+    {first, second} = Batch.split_in_half(batch)
     {[first], [second]}
   end
 
-  defp halves(batches), do: Enum.split(batches, div(length(batches), 2))
+  defp split_in_half(batches), do: Enum.split(batches, div(length(batches), 2))
 
-  defp half(mark, batch),
+  defp mark_after(mark, batch),
     do: %{mark | last: batch.last, time: batch.time, made: batch.made, closing: nil}
 
   # The log may be unreachable for a while. The lease limits how long this is tolerated.
-  defp patiently(write, subject \\ nil) do
+  defp retry_write(write, subject \\ nil) do
     case write.() do
       {:ok, result} ->
         result
 
       {:refused, _last} ->
-        exit({:shutdown, refused(subject)})
+        exit({:shutdown, refused_error(subject)})
 
       {:error, %Error{} = error} ->
         if error.code == :refused or Seal.refusal?(error), do: exit({:shutdown, error})
 
         receive do
         after
-          @retry_ms -> patiently(write, subject)
+          @retry_ms -> retry_write(write, subject)
         end
     end
   end
 
   @doc "Returns the error for a writer whose part another node has taken over."
-  @spec refused(Log.subject() | nil) :: Error.t()
-  def refused(subject) do
+  @spec refused_error(Log.subject() | nil) :: Error.t()
+  def refused_error(subject) do
     Error.new(:refused, "the log refuses this node's writes (#{inspect(subject)})",
       why: "another node has taken the part over"
     )
   end
 
-  defp too_large(name, size, limit) do
+  defp too_large_error(name, size, limit) do
     Error.new(
       :too_large,
       "a message of #{name} has #{size} bytes; the log accepts at most #{limit}",

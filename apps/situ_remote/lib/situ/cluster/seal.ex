@@ -17,16 +17,16 @@ defmodule Situ.Cluster.Seal do
   @follows "Follows"
 
   @doc "Seals an entry that will be written after number `follows` of a subject."
-  @spec close(Entry.t(), String.t(), Log.subject(), non_neg_integer()) :: Entry.t()
-  def close(%Entry{} = entry, run, subject, follows) do
-    key = key(run)
+  @spec seal_entry(Entry.t(), String.t(), Log.subject(), non_neg_integer()) :: Entry.t()
+  def seal_entry(%Entry{} = entry, run, subject, follows) do
+    key = run_key(run)
 
     # The log treats entries with the same name as the same write, so nobody else may be able to guess the next name.
-    mark = :crypto.mac(:hmac, :sha256, key, context(subject, follows, entry.op, []))
+    mark = :crypto.mac(:hmac, :sha256, key, signed_context(subject, follows, entry.op, []))
     op = entry.op <> "." <> Base.encode16(binary_part(mark, 0, 8), case: :lower)
     head = entry.head |> Map.delete(@seal) |> Map.put(@follows, Integer.to_string(follows))
     nonce = :crypto.strong_rand_bytes(16)
-    mac = mac(key, nonce, context(subject, follows, op, head), entry.data)
+    mac = compute_mac(key, nonce, signed_context(subject, follows, op, head), entry.data)
     %{entry | op: op, head: Map.put(head, @seal, Base.encode64(nonce <> mac)), verified: false}
   end
 
@@ -35,14 +35,14 @@ defmodule Situ.Cluster.Seal do
   gaps, so their position cannot be verified from the entry alone. In that case, returns `:behind` with the number that
   the previous entry must have.
   """
-  @spec open(Entry.t(), String.t(), Log.subject()) ::
+  @spec verify_entry(Entry.t(), String.t(), Log.subject()) ::
           {:ok, Entry.t()} | {:behind, non_neg_integer(), Entry.t()} | {:error, Error.t()}
-  def open(%Entry{head: head} = entry, run, subject) do
+  def verify_entry(%Entry{head: head} = entry, run, subject) do
     with {:ok, nonce, mac} <- read_seal(head),
-         follows when is_integer(follows) <- Entry.integer(entry, @follows, nil),
+         follows when is_integer(follows) <- Entry.head_integer(entry, @follows, nil),
          signed = Map.delete(head, @seal),
-         context = context(subject, follows, entry.op, signed),
-         true <- :crypto.hash_equals(mac, mac(key(run), nonce, context, entry.data)) do
+         context = signed_context(subject, follows, entry.op, signed),
+         true <- :crypto.hash_equals(mac, compute_mac(run_key(run), nonce, context, entry.data)) do
       entry = %{entry | head: Map.delete(signed, @follows), verified: true}
       check_position(entry, subject, follows)
     else
@@ -86,25 +86,28 @@ defmodule Situ.Cluster.Seal do
   @doc "Returns the error for an entry that was written elsewhere in the log, or earlier."
   @spec moved_error(Entry.t(), Log.subject()) :: Error.t()
   def moved_error(entry, subject) do
-    refusal(:forged_entry, entry, "#{name(entry, subject)} is not where it was written",
+    refusal_error(
+      :forged_entry,
+      entry,
+      "#{entry_name(entry, subject)} is not where it was written",
       why: "somebody has copied it, written it again, or deleted entries before it",
-      fix: fix()
+      fix: fix_text()
     )
   end
 
   defp forged_error(entry, subject) do
-    refusal(
+    refusal_error(
       :forged_entry,
       entry,
-      "#{name(entry, subject)} does not have the seal of this deployment",
+      "#{entry_name(entry, subject)} does not have the seal of this deployment",
       why:
         "it was changed, or was written by somebody else, by a cluster with another cookie, or in an earlier run",
-      fix: fix()
+      fix: fix_text()
     )
   end
 
   defp unsealed_error(entry, subject) do
-    refusal(:unsealed_entry, entry, "#{name(entry, subject)} has no seal",
+    refusal_error(:unsealed_entry, entry, "#{entry_name(entry, subject)} has no seal",
       why:
         "it was written by an older version of Situ, which did not sign complete entries, or by somebody else",
       fix:
@@ -112,26 +115,26 @@ defmodule Situ.Cluster.Seal do
     )
   end
 
-  defp refusal(code, entry, what, opts),
+  defp refusal_error(code, entry, what, opts),
     do: Error.new(code, what, [meta: %{seq: entry.seq}] ++ opts)
 
-  defp fix,
+  defp fix_text,
     do:
       "restrict access to the log (`situ cluster init` creates credentials), then delete this deployment's entries" <>
         " (`situ cluster prune`) and deploy it again"
 
-  defp name(entry, nil), do: "entry #{entry.seq}"
-  defp name(entry, {kind, name}), do: "entry #{entry.seq} of the #{kind} #{name}"
+  defp entry_name(entry, nil), do: "entry #{entry.seq}"
+  defp entry_name(entry, {kind, name}), do: "entry #{entry.seq} of the #{kind} #{name}"
 
   # Returns the bytes that are signed in addition to the data. They are different for any two entries.
-  defp context({kind, name}, follows, op, head) do
+  defp signed_context({kind, name}, follows, op, head) do
     :erlang.term_to_binary({Atom.to_string(kind), name, follows, op, Enum.sort(head)},
       minor_version: 2
     )
   end
 
   # Poly1305 with a one-time key takes a seventh of the time of HMAC for an image.
-  defp mac(key, nonce, context, data) do
+  defp compute_mac(key, nonce, context, data) do
     state = :crypto.mac_init(:poly1305, :crypto.mac(:hmac, :sha256, key, nonce))
     state = :crypto.mac_update(state, [<<byte_size(context)::64>>, context])
     pieces = :erlang.iolist_to_iovec(data)
@@ -139,7 +142,7 @@ defmodule Situ.Cluster.Seal do
   end
 
   # The key is computed each time, so that no process state and no crash report contains it.
-  defp key(run) do
+  defp run_key(run) do
     cookie = :crypto.hash(:sha256, ["situ log 2 ", Atom.to_string(Node.get_cookie())])
     :crypto.mac(:hmac, :sha256, cookie, run)
   end
@@ -147,5 +150,5 @@ defmodule Situ.Cluster.Seal do
   @doc "Returns a name of this cluster that does not reveal its cookie."
   @spec cluster_name() :: String.t()
   def cluster_name,
-    do: "name" |> key() |> binary_part(0, 8) |> Base.encode16(case: :lower)
+    do: "name" |> run_key() |> binary_part(0, 8) |> Base.encode16(case: :lower)
 end

@@ -26,11 +26,11 @@ defmodule Situ.Cluster.SealedLog do
 
   @impl true
   def append(%__MODULE__{log: log, run: run} = conn, subject, expected, %Entry{} = entry) do
-    sealed = Seal.close(entry, run, subject, expected)
+    sealed = Seal.seal_entry(entry, run, subject, expected)
 
     case log.adapter.append(log.conn, subject, expected, sealed) do
       {:refused, %Entry{} = last} ->
-        with {:ok, last} <- check(conn, subject, last), do: {:refused, last}
+        with {:ok, last} <- check_entry(conn, subject, last), do: {:refused, last}
 
       # The stream is empty, but its numbers continue, and the seal includes the number.
       {:counts_from, seq} ->
@@ -43,7 +43,8 @@ defmodule Situ.Cluster.SealedLog do
 
   @impl true
   def last(%__MODULE__{log: log} = conn, subject) do
-    with {:ok, %Entry{} = entry} <- Log.last(log, subject), do: check(conn, subject, entry)
+    with {:ok, %Entry{} = entry} <- Log.fetch_last(log, subject),
+         do: check_entry(conn, subject, entry)
   end
 
   @impl true
@@ -55,12 +56,12 @@ defmodule Situ.Cluster.SealedLog do
   defp check_all(_conn, _subject, [], checked), do: {:ok, Enum.reverse(checked)}
 
   defp check_all(conn, subject, [entry | rest], checked) do
-    with {:ok, entry} <- check(conn, subject, entry),
+    with {:ok, entry} <- check_entry(conn, subject, entry),
          do: check_all(conn, subject, rest, [entry | checked])
   end
 
-  defp check(conn, subject, entry) do
-    case Seal.open(entry, conn.run, subject) do
+  defp check_entry(conn, subject, entry) do
+    case Seal.verify_entry(entry, conn.run, subject) do
       {:behind, follows, entry} -> check_previous(conn.log, subject, follows, entry)
       answer -> answer
     end
@@ -82,7 +83,7 @@ defmodule Situ.Cluster.SealedLog do
 
   # Two later writes delete the previous entry, and then this entry is no longer the last one.
   defp check_last(log, subject, entry) do
-    case Log.last(log, subject) do
+    case Log.fetch_last(log, subject) do
       {:ok, %Entry{seq: seq}} when seq != entry.seq ->
         {:error,
          Error.new(:log_away, "the key #{elem(subject, 1)} is being written", fix: "read it again")}
@@ -98,17 +99,17 @@ defmodule Situ.Cluster.SealedLog do
   @impl true
   def first(%__MODULE__{log: log} = conn, subject, from) do
     with {:ok, %Entry{} = entry} <- log.adapter.first(log.conn, subject, from),
-         do: check(conn, subject, entry)
+         do: check_entry(conn, subject, entry)
   end
 
   @impl true
   def trim(%__MODULE__{log: log}, subject, seq), do: Log.trim(log, subject, seq)
   @impl true
-  def subjects(%__MODULE__{log: log}), do: Log.subjects(log)
+  def subjects(%__MODULE__{log: log}), do: Log.list_subjects(log)
   @impl true
   def delete(%__MODULE__{log: log}, subject), do: Log.delete(log, subject)
   @impl true
-  def limit(%__MODULE__{log: log}), do: Log.limit(log)
+  def limit(%__MODULE__{log: log}), do: Log.max_data_size(log)
   @impl true
   def close(%__MODULE__{log: log}), do: Log.close(log)
 end

@@ -29,40 +29,47 @@ defmodule Situ.Cluster.Standby do
   def new(lease_ns), do: %__MODULE__{ms: max(div(lease_ns, 1_000_000), 20)}
 
   @doc "Judges one look at the lease; `rank` nodes are preferred to this one."
-  @spec observe(t(), Lease.look(), non_neg_integer()) :: {:take | :wait, t()}
-  def observe(%__MODULE__{ms: ms} = standby, look, rank) do
+  @spec judge_look(t(), Lease.look(), non_neg_integer()) :: {:take | :wait, t()}
+  def judge_look(%__MODULE__{ms: ms} = standby, look, rank) do
     # A drained node lets the others go first for some seconds, but takes a part that no other node takes.
     before = rank + @behind * standby.away
-    wait = before * div(ms, 2) + Backoff.wait_ms(standby.backoff, now(), ms)
-    {answer, lease} = Lease.observe(standby.lease, look, %{lease: ms, poll: poll(ms), wait: wait})
+    wait = before * div(ms, 2) + Backoff.wait_ms(standby.backoff, monotonic_ms(), ms)
+
+    {answer, lease} =
+      Lease.judge_look(standby.lease, look, %{lease: ms, poll: poll_interval(ms), wait: wait})
+
     {answer, %{standby | lease: lease}}
   end
 
   @doc "Records that the owner has written its lease under this number."
-  @spec hear(t(), pos_integer(), String.t()) :: t()
-  def hear(%__MODULE__{ms: ms} = standby, seq, owner),
-    do: look_in(%{standby | lease: Lease.hear(standby.lease, seq, owner, now())}, div(ms, 2))
+  @spec note_renewal(t(), pos_integer(), String.t()) :: t()
+  def note_renewal(%__MODULE__{ms: ms} = standby, seq, owner),
+    do:
+      look_in(
+        %{standby | lease: Lease.note_renewal(standby.lease, seq, owner, monotonic_ms())},
+        div(ms, 2)
+      )
 
   @doc "Records that a node was reported down."
-  @spec down(t(), node()) :: t()
-  def down(%__MODULE__{} = standby, node) do
-    standby = %{standby | lease: Lease.down(standby.lease, node)}
+  @spec note_node_down(t(), node()) :: t()
+  def note_node_down(%__MODULE__{} = standby, node) do
+    standby = %{standby | lease: Lease.note_node_down(standby.lease, node)}
     if standby.lease.gone, do: look_in(standby, 0), else: standby
   end
 
   @doc "Starts waiting again after this node has lost the part."
   @spec resume_after_loss(t()) :: t()
   def resume_after_loss(%__MODULE__{ms: ms} = standby),
-    do: resume(%{standby | backoff: Backoff.add_loss(standby.backoff, now(), ms)})
+    do: restart_wait(%{standby | backoff: Backoff.add_loss(standby.backoff, monotonic_ms(), ms)})
 
   @doc "Starts waiting again after this node has released the part."
-  @spec resume(t()) :: t()
-  def resume(%__MODULE__{} = standby), do: look_again(%{standby | lease: %Lease{}})
+  @spec restart_wait(t()) :: t()
+  def restart_wait(%__MODULE__{} = standby), do: look_again(%{standby | lease: %Lease{}})
 
   @doc "Sends this process `:look` after a delay, which is longer if the log responds slowly."
   @spec look_again(t()) :: t()
   def look_again(%__MODULE__{ms: ms, lease: lease} = standby),
-    do: look_in(standby, max(poll(ms), min(4 * lease.took, ms)))
+    do: look_in(standby, max(poll_interval(ms), min(4 * lease.took, ms)))
 
   @doc "Sends this process `:look` in `ms`, and cancels an earlier timer."
   @spec look_in(t(), non_neg_integer()) :: t()
@@ -72,26 +79,26 @@ defmodule Situ.Cluster.Standby do
   end
 
   @doc "Sets the demotion level `away`; with a process, only for the lifetime of that process."
-  @spec lend(t(), non_neg_integer(), pid() | nil) :: t()
-  def lend(%__MODULE__{loan: {ref, before}} = standby, away, mover) do
+  @spec set_demotion(t(), non_neg_integer(), pid() | nil) :: t()
+  def set_demotion(%__MODULE__{loan: {ref, before}} = standby, away, mover) do
     Process.demonitor(ref, [:flush])
-    lend(%{standby | loan: nil, away: before}, away, mover)
+    set_demotion(%{standby | loan: nil, away: before}, away, mover)
   end
 
   # A node to which the part is moved does not wait because of earlier losses.
-  def lend(standby, 0, nil), do: %{standby | away: 0, backoff: %Backoff{}}
-  def lend(standby, away, nil), do: %{standby | away: away}
+  def set_demotion(standby, 0, nil), do: %{standby | away: 0, backoff: %Backoff{}}
+  def set_demotion(standby, away, nil), do: %{standby | away: away}
 
-  def lend(standby, away, mover),
+  def set_demotion(standby, away, mover),
     do: %{standby | loan: {Process.monitor(mover), standby.away}, away: away}
 
   @doc "Restores the previous demotion level if `ref` is the monitor of the process for which it was set."
-  @spec give_back(t(), reference()) :: t()
-  def give_back(%__MODULE__{loan: {ref, before}} = standby, ref),
+  @spec restore_demotion(t(), reference()) :: t()
+  def restore_demotion(%__MODULE__{loan: {ref, before}} = standby, ref),
     do: %{standby | loan: nil, away: before}
 
-  def give_back(standby, _ref), do: standby
+  def restore_demotion(standby, _ref), do: standby
 
-  defp poll(ms), do: max(div(ms, 10), 5)
-  defp now, do: System.monotonic_time(:millisecond)
+  defp poll_interval(ms), do: max(div(ms, 10), 5)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 end

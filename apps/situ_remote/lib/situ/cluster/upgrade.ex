@@ -21,8 +21,8 @@ defmodule Situ.Cluster.Upgrade do
   @type code :: [{module(), binary()}]
 
   @doc "Returns the code of modules: from this node's files, or as given in `{module, beam}`."
-  @spec code([module() | {module(), binary()}]) :: {:ok, code()} | {:error, Error.t()}
-  def code(modules) do
+  @spec collect_code([module() | {module(), binary()}]) :: {:ok, code()} | {:error, Error.t()}
+  def collect_code(modules) do
     Enum.reduce_while(modules, {:ok, []}, fn
       {module, beam}, {:ok, code} when is_atom(module) and is_binary(beam) ->
         {:cont, {:ok, [{module, beam} | code]}}
@@ -30,33 +30,33 @@ defmodule Situ.Cluster.Upgrade do
       module, {:ok, code} when is_atom(module) ->
         case :code.get_object_code(module) do
           {_, beam, _} -> {:cont, {:ok, [{module, beam} | code]}}
-          :error -> {:halt, {:error, no_code(module)}}
+          :error -> {:halt, {:error, no_code_error(module)}}
         end
     end)
   end
 
-  defp no_code(module) do
+  defp no_code_error(module) do
     Error.new(:no_code, "this node has no file with the code of #{inspect(module)}",
       fix: "give {module, beam}, as returned by Code.compile_file/1"
     )
   end
 
   @doc "Upgrades all members, this node last. Returns the upgraded nodes."
-  @spec run(code()) :: {:ok, [node()]} | {:error, Error.t()}
-  def run(code) do
+  @spec upgrade_nodes(code()) :: {:ok, [node()]} | {:error, Error.t()}
+  def upgrade_nodes(code) do
     nodes = Enum.sort_by(Map.keys(Agent.info().members), &{&1 == node(), &1})
-    each(nodes, code, [])
+    upgrade_rest(nodes, code, [])
   end
 
-  defp each([], _code, done), do: {:ok, for({node, _} <- Enum.reverse(done), do: node)}
+  defp upgrade_rest([], _code, done), do: {:ok, for({node, _} <- Enum.reverse(done), do: node)}
 
-  defp each([node | rest], code, done) do
-    case on(node, :take, [code]) do
+  defp upgrade_rest([node | rest], code, done) do
+    case call_node(node, :take, [code]) do
       {:ok, old} ->
-        each(rest, code, [{node, old} | done])
+        upgrade_rest(rest, code, [{node, old} | done])
 
       {:error, error} ->
-        for {node, old} <- done, do: on(node, :take, [old])
+        for {node, old} <- done, do: call_node(node, :take, [old])
 
         {:error,
          %{
@@ -66,51 +66,51 @@ defmodule Situ.Cluster.Upgrade do
     end
   end
 
-  defp on(node, function, args) do
+  defp call_node(node, function, args) do
     :erpc.call(node, __MODULE__, function, args, @wait_ms)
   catch
-    :error, {:erpc, reason} -> {:error, lost(node, reason)}
-    :exit, reason -> {:error, lost(node, reason)}
+    :error, {:erpc, reason} -> {:error, lost_node_error(node, reason)}
+    :exit, reason -> {:error, lost_node_error(node, reason)}
   end
 
-  defp lost(node, reason),
+  defp lost_node_error(node, reason),
     do: Error.new(:unreachable, "#{node} is lost: #{inspect(reason, limit: 5)}")
 
   @doc false
   @spec take(code()) :: {:ok, code()} | {:error, Error.t()}
   def take(code) do
-    old = for {module, _} <- code, {^module, beam} <- [had(module)], do: {module, beam}
+    old = for {module, _} <- code, {^module, beam} <- [current_code(module)], do: {module, beam}
 
-    with :ok <- load(code),
+    with :ok <- load_modules(code),
          :ok <- same_plans(),
          :ok <- restart_parts() do
-      remember(code)
+      remember_code(code)
       {:ok, old}
     else
       {:error, error} ->
-        _ = load(old)
+        _ = load_modules(old)
         _ = restart_parts()
         {:error, error}
     end
   end
 
   # Code from an earlier upgrade is not in any file.
-  defp had(module) do
+  defp current_code(module) do
     case :persistent_term.get({__MODULE__, module}, nil) do
       nil -> with {module, beam, _} <- :code.get_object_code(module), do: {module, beam}
       beam -> {module, beam}
     end
   end
 
-  defp remember(code),
+  defp remember_code(code),
     do: for({module, beam} <- code, do: :persistent_term.put({__MODULE__, module}, beam))
 
-  defp load([]), do: :ok
+  defp load_modules([]), do: :ok
 
-  defp load([{module, beam} | rest]) do
+  defp load_modules([{module, beam} | rest]) do
     with {:purge, true} <- {:purge, :code.soft_purge(module)},
          {:module, _} <- :code.load_binary(module, ~c"upgrade", beam) do
-      load(rest)
+      load_modules(rest)
     else
       {:purge, false} ->
         {:error,
@@ -127,17 +127,17 @@ defmodule Situ.Cluster.Upgrade do
 
   defp same_plans do
     Enum.find_value(Agent.info().deployments, :ok, fn deployment ->
-      with {:ok, plan} <- Assembly.plan(deployment),
-           true <- Agent.plan(deployment.name) == plan do
+      with {:ok, plan} <- Assembly.build_plan(deployment),
+           true <- Agent.find_plan(deployment.name) == plan do
         nil
       else
         {:error, error} -> {:error, error}
-        false -> {:error, other_plan(deployment.name)}
+        false -> {:error, other_plan_error(deployment.name)}
       end
     end)
   end
 
-  defp other_plan(name) do
+  defp other_plan_error(name) do
     Error.new(:other_plan, "the new code splits #{name} into different parts or streams",
       why: "running parts are connected by their current streams",
       fix: "deploy it under another name:, and stop this one"
@@ -145,10 +145,11 @@ defmodule Situ.Cluster.Upgrade do
   end
 
   defp restart_parts do
-    runners = for d <- Agent.info().deployments, {_, runner} <- Agent.runners(d.name), do: runner
+    runners =
+      for d <- Agent.info().deployments, {_, runner} <- Agent.list_runners(d.name), do: runner
 
     Enum.reduce_while(runners, :ok, fn runner, :ok ->
-      case Runner.restart(runner) do
+      case Runner.restart_part(runner) do
         :ok -> {:cont, :ok}
         {:error, error} -> {:halt, {:error, error}}
       end

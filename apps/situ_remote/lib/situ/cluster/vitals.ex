@@ -6,7 +6,7 @@ defmodule Situ.Cluster.Vitals do
   the measurements, and the studio's cluster page shows them. A node that has been silent for five seconds is dropped.
   The others try to reconnect to it for ten minutes.
 
-      Situ.Cluster.Vitals.all()[node()].busy      # cores that this node's processes used in the last seconds
+      Situ.Cluster.Vitals.recent_vitals()[node()].busy      # cores that this node's processes used in the last seconds
   """
   use GenServer
 
@@ -36,13 +36,13 @@ defmodule Situ.Cluster.Vitals do
   def start_link(devices), do: GenServer.start_link(__MODULE__, devices, name: __MODULE__)
 
   @doc "Returns the measurements of this and all other recently active nodes; empty if this node is not a member."
-  @spec all() :: %{node() => vital()}
-  def all do
-    now = now()
-    for {node, at, vital} <- entries(), now - at < @known_ms, into: %{}, do: {node, vital}
+  @spec recent_vitals() :: %{node() => vital()}
+  def recent_vitals do
+    now = monotonic_ms()
+    for {node, at, vital} <- table_entries(), now - at < @known_ms, into: %{}, do: {node, vital}
   end
 
-  defp entries do
+  defp table_entries do
     :ets.tab2list(__MODULE__)
   rescue
     ArgumentError -> []
@@ -52,22 +52,22 @@ defmodule Situ.Cluster.Vitals do
   def init(devices) do
     table = :ets.new(__MODULE__, [:named_table, :protected, read_concurrency: true])
     send(self(), :beat)
-    {:ok, %__MODULE__{table: table, devices: devices, last: sample()}}
+    {:ok, %__MODULE__{table: table, devices: devices, last: sample_load()}}
   end
 
   @impl true
   def handle_info(:beat, state) do
     Process.send_after(self(), :beat, @every_ms)
-    state = measure(state)
-    vital = own(state)
-    :ets.insert(state.table, {node(), now(), vital})
+    state = update_load(state)
+    vital = own_vital(state)
+    :ets.insert(state.table, {node(), monotonic_ms(), vital})
     sent = System.monotonic_time()
     for node <- Node.list(), do: send({__MODULE__, node}, {:vital, node(), vital, sent})
-    {:noreply, call_lost(state)}
+    {:noreply, call_lost_nodes(state)}
   end
 
   def handle_info({:vital, node, vital, sent}, state) do
-    :ets.insert(state.table, {node, now(), vital})
+    :ets.insert(state.table, {node, monotonic_ms(), vital})
     send({__MODULE__, node}, {:heard, node(), sent})
     {:noreply, state}
   end
@@ -86,12 +86,12 @@ defmodule Situ.Cluster.Vitals do
 
   # Erlang connects nodes only when one sends a message, and no messages are sent to a lost node. Connecting can take
   # several seconds.
-  defp call_lost(state) do
+  defp call_lost_nodes(state) do
     calling = Map.filter(state.calling, fn {_, pid} -> Process.alive?(pid) end)
 
     lost =
-      for {node, at, _} <- entries(),
-          now() - at < @call_ms,
+      for {node, at, _} <- table_entries(),
+          monotonic_ms() - at < @call_ms,
           node != node(),
           node not in Node.list(),
           not is_map_key(calling, node),
@@ -101,8 +101,8 @@ defmodule Situ.Cluster.Vitals do
     %{state | calling: Map.merge(calling, called)}
   end
 
-  defp measure(state) do
-    {cpu, at, busy, total} = now = sample()
+  defp update_load(state) do
+    {cpu, at, busy, total} = now = sample_load()
     {cpu0, at0, busy0, total0} = state.last
     wall = max(at - at0, 1)
     machine = if total > total0, do: (busy - busy0) / (total - total0), else: state.machine
@@ -110,14 +110,14 @@ defmodule Situ.Cluster.Vitals do
     %{
       state
       | last: now,
-        busy: smooth(state.busy, (cpu - cpu0) / wall),
-        machine: smooth(state.machine, machine)
+        busy: smooth_load(state.busy, (cpu - cpu0) / wall),
+        machine: smooth_load(state.machine, machine)
     }
   end
 
-  defp smooth(before, now), do: before * (1 - @weight) + now * @weight
+  defp smooth_load(before, now), do: before * (1 - @weight) + now * @weight
 
-  defp own(state) do
+  defp own_vital(state) do
     %{
       busy: state.busy,
       cores: System.schedulers_online(),
@@ -134,9 +134,9 @@ defmodule Situ.Cluster.Vitals do
   end
 
   # Returns the CPU time of this VM and the current time (ms), and the busy and total ticks of the machine.
-  defp sample do
-    {busy, total} = machine(File.read("/proc/stat"))
-    {cpu_ms(File.read("/proc/self/stat")), now(), busy, total}
+  defp sample_load do
+    {busy, total} = parse_machine_ticks(File.read("/proc/stat"))
+    {cpu_ms(File.read("/proc/self/stat")), monotonic_ms(), busy, total}
   end
 
   @doc """
@@ -160,7 +160,7 @@ defmodule Situ.Cluster.Vitals do
 
   def cpu_ms({:error, _reason}), do: elem(:erlang.statistics(:runtime), 0)
 
-  defp machine({:ok, "cpu " <> text}) do
+  defp parse_machine_ticks({:ok, "cpu " <> text}) do
     ticks =
       text
       |> String.split("\n", parts: 2)
@@ -173,7 +173,7 @@ defmodule Situ.Cluster.Vitals do
     {total - idle, total}
   end
 
-  defp machine(_elsewhere), do: {0, 0}
+  defp parse_machine_ticks(_elsewhere), do: {0, 0}
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 end

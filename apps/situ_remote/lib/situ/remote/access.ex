@@ -29,29 +29,29 @@ defmodule Situ.Remote.Access do
   @spec new(Address.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def new(%Address{} = address, opts) do
     with {:ok, opts} <- Options.validate(opts, @schema),
-         {:ok, token} <- token(opts[:token], address),
+         {:ok, token} <- resolve_token(opts[:token], address),
          do: {:ok, %{token: token, tls: opts[:tls]}}
   end
 
-  defp token(token, _address) when is_binary(token), do: {:ok, token}
+  defp resolve_token(token, _address) when is_binary(token), do: {:ok, token}
 
-  defp token(nil, address) do
+  defp resolve_token(nil, address) do
     configured = Application.get_env(:situ_remote, :tokens, %{})
 
-    case {configured[address.host] || env("SITU_TOKEN"), env("SITU_TOKEN_FILE")} do
+    case {configured[address.host] || read_env("SITU_TOKEN"), read_env("SITU_TOKEN_FILE")} do
       {token, _} when is_binary(token) -> {:ok, token}
       {nil, nil} -> {:ok, ""}
-      {nil, file} -> first_line(file)
+      {nil, file} -> read_token_file(file)
     end
   end
 
-  defp env(name) do
+  defp read_env(name) do
     with "" <- System.get_env(name), do: nil
   end
 
   @doc "Reads a token from the first line of a file."
-  @spec first_line(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
-  def first_line(file) do
+  @spec read_token_file(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def read_token_file(file) do
     with {:ok, text} <- File.read(file),
          [token | _] when token != "" <- String.split(text, ["\r\n", "\n"]) do
       {:ok, token}

@@ -62,36 +62,36 @@ defmodule Situ.Remote.Address do
 
     case {uri.scheme, uri.host, uri.path} do
       {"situ+unix", _, "/" <> _ = path} ->
-        {:ok, %__MODULE__{transport: :unix, path: path, name: decoded(uri.query || "")}}
+        {:ok, %__MODULE__{transport: :unix, path: path, name: decode_name(uri.query || "")}}
 
       {scheme, host, path} when scheme in ["situ", "situs"] and host not in [nil, ""] ->
         transport = if scheme == "situ", do: :tcp, else: :tls
-        name = path |> Kernel.||("") |> String.trim_leading("/") |> decoded()
+        name = path |> Kernel.||("") |> String.trim_leading("/") |> decode_name()
         address = %__MODULE__{transport: transport, host: host, port: uri.port, name: name}
-        fingerprint(address, uri.query, text)
+        put_fingerprint(address, uri.query, text)
 
       _ ->
-        {:error, bad(text)}
+        {:error, address_error(text)}
     end
   rescue
-    _ in [ArgumentError, URI.Error] -> {:error, bad(text)}
+    _ in [ArgumentError, URI.Error] -> {:error, address_error(text)}
   end
 
-  defp fingerprint(address, nil, _text), do: {:ok, address}
+  defp put_fingerprint(address, nil, _text), do: {:ok, address}
 
-  defp fingerprint(%{transport: :tls} = address, "fingerprint=" <> digits, text) do
+  defp put_fingerprint(%{transport: :tls} = address, "fingerprint=" <> digits, text) do
     digits = digits |> URI.decode() |> String.replace(":", "") |> String.downcase()
 
     if digits =~ ~r/\A[0-9a-f]{64}\z/,
       do: {:ok, %{address | fingerprint: digits}},
-      else: {:error, bad(text)}
+      else: {:error, address_error(text)}
   end
 
-  defp fingerprint(_address, _query, text), do: {:error, bad(text)}
+  defp put_fingerprint(_address, _query, text), do: {:error, address_error(text)}
 
-  defp decoded(text), do: URI.decode(text)
+  defp decode_name(text), do: URI.decode(text)
 
-  defp bad(text) do
+  defp address_error(text) do
     Error.new(:bad_address, "invalid link address: #{inspect(text)}",
       fix: "write situ://HOST:PORT/NAME, situs://... for TLS, or situ+unix:///PATH?NAME"
     )
@@ -120,19 +120,19 @@ defmodule Situ.Remote.Address do
   def resolve(%__MODULE__{port: port} = address, _names) when port != nil, do: {:ok, address}
 
   def resolve(%__MODULE__{host: host} = address, names) do
-    case names[host] || announced(host) do
-      nil -> {:ok, service(address)}
-      text -> configured(address, text)
+    case names[host] || find_announced(host) do
+      nil -> {:ok, resolve_service(address)}
+      text -> resolve_configured(address, text)
     end
   end
 
   # If the NATS server is unreachable, the host can still be found by DNS or as a hostname.
-  defp announced(host) do
+  defp find_announced(host) do
     server = Application.get_env(:situ_remote, :nats)
-    if server != nil and not ip?(host), do: Nats.find(server, host)
+    if server != nil and not local_or_numeric?(host), do: Nats.find_address(server, host)
   end
 
-  defp configured(address, text) do
+  defp resolve_configured(address, text) do
     with {:ok, found} <- parse(text) do
       name = if address.name == "", do: found.name, else: address.name
       port = found.port || if(found.transport == :unix, do: nil, else: @default_port)
@@ -142,10 +142,15 @@ defmodule Situ.Remote.Address do
   end
 
   # SRV records with the lowest priority number are preferred and, among equals, the one with the largest weight.
-  defp service(%{host: host} = address) do
-    with false <- ip?(host),
+  defp resolve_service(%{host: host} = address) do
+    with false <- local_or_numeric?(host),
          [_ | _] = found <-
-           :inet_res.lookup(~c"_situ._tcp." ++ String.to_charlist(host), :in, :srv, servers()) do
+           :inet_res.lookup(
+             ~c"_situ._tcp." ++ String.to_charlist(host),
+             :in,
+             :srv,
+             nameserver_options()
+           ) do
       {_, _, port, target} =
         Enum.min_by(found, fn {priority, weight, _, _} -> {priority, -weight} end)
 
@@ -155,7 +160,7 @@ defmodule Situ.Remote.Address do
     end
   end
 
-  defp servers do
+  defp nameserver_options do
     case Application.get_env(:situ_remote, :nameservers) do
       nil -> []
       servers -> [nameservers: servers]
@@ -163,6 +168,8 @@ defmodule Situ.Remote.Address do
   end
 
   # DNS has no service records for localhost or for numeric addresses.
-  defp ip?("localhost"), do: true
-  defp ip?(host), do: match?({:ok, _}, host |> String.to_charlist() |> :inet.parse_address())
+  defp local_or_numeric?("localhost"), do: true
+
+  defp local_or_numeric?(host),
+    do: match?({:ok, _}, host |> String.to_charlist() |> :inet.parse_address())
 end

@@ -99,12 +99,12 @@ defmodule Situ.Remote.Log do
   @doc "Opens the log at `address`: a folder, or `nats://...`. The options are those of its adapter."
   @spec connect(String.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def connect(address, opts \\ []) when is_binary(address) do
-    with {:ok, adapter} <- adapter(address),
+    with {:ok, adapter} <- select_adapter(address),
          {:ok, conn} <- adapter.connect(address, opts),
          do: {:ok, %__MODULE__{adapter: adapter, conn: conn}}
   end
 
-  defp adapter(address) do
+  defp select_adapter(address) do
     case String.split(address, "://", parts: 2) do
       ["nats", _] ->
         {:ok, __MODULE__.Nats}
@@ -129,8 +129,9 @@ defmodule Situ.Remote.Log do
   end
 
   @doc "Returns the last entry, or `nil`."
-  @spec last(t(), subject()) :: {:ok, Entry.t() | nil} | {:error, Error.t()}
-  def last(%__MODULE__{adapter: adapter, conn: conn}, subject), do: adapter.last(conn, subject)
+  @spec fetch_last(t(), subject()) :: {:ok, Entry.t() | nil} | {:error, Error.t()}
+  def fetch_last(%__MODULE__{adapter: adapter, conn: conn}, subject),
+    do: adapter.last(conn, subject)
 
   @doc "Returns up to `most` entries, starting at number `from`."
   @spec read(t(), subject(), pos_integer(), pos_integer()) ::
@@ -149,15 +150,15 @@ defmodule Situ.Remote.Log do
       iex> root = Path.join(System.tmp_dir!(), "situ-log-doc-\#{System.unique_integer([:positive])}")
       iex> {:ok, log} = Situ.Remote.Log.connect(root)
       iex> {:ok, 1} = Situ.Remote.Log.append(log, {:stream, "a"}, 0, %Situ.Remote.Log.Entry{op: "x.1", data: "first"})
-      iex> {:ok, [%{subject: {:stream, "a"}, entries: 1}]} = Situ.Remote.Log.subjects(log)
+      iex> {:ok, [%{subject: {:stream, "a"}, entries: 1}]} = Situ.Remote.Log.list_subjects(log)
       iex> :ok = Situ.Remote.Log.delete(log, {:stream, "a"})
-      iex> Situ.Remote.Log.subjects(log)
+      iex> Situ.Remote.Log.list_subjects(log)
       {:ok, []}
       iex> File.rm_rf!(root) != []
       true
   """
-  @spec subjects(t()) :: {:ok, [about()]} | {:error, Error.t()}
-  def subjects(%__MODULE__{adapter: adapter, conn: conn}) do
+  @spec list_subjects(t()) :: {:ok, [about()]} | {:error, Error.t()}
+  def list_subjects(%__MODULE__{adapter: adapter, conn: conn}) do
     with {:ok, all} <- adapter.subjects(conn), do: {:ok, Enum.sort_by(all, & &1.subject)}
   end
 
@@ -170,8 +171,8 @@ defmodule Situ.Remote.Log do
     do: adapter.delete(conn, subject)
 
   @doc "Returns the largest size of an entry's `data` in bytes."
-  @spec limit(t()) :: pos_integer()
-  def limit(%__MODULE__{adapter: adapter, conn: conn}), do: adapter.limit(conn)
+  @spec max_data_size(t()) :: pos_integer()
+  def max_data_size(%__MODULE__{adapter: adapter, conn: conn}), do: adapter.limit(conn)
 
   @doc "Closes the log. Appended entries are kept."
   @spec close(t()) :: :ok
@@ -182,32 +183,32 @@ defmodule Situ.Remote.Log do
   Entries have headers that describe their contents. Returns the sequence number of that entry, or `nil` if there is
   none.
   """
-  @spec find(t(), subject(), (Entry.t() -> boolean())) ::
+  @spec find_position(t(), subject(), (Entry.t() -> boolean())) ::
           {:ok, pos_integer() | nil} | {:error, Error.t()}
-  def find(log, subject, enough?) do
-    with {:ok, first} <- read(log, subject, 1, 1), {:ok, last} <- last(log, subject) do
+  def find_position(log, subject, enough?) do
+    with {:ok, first} <- read(log, subject, 1, 1), {:ok, last} <- fetch_last(log, subject) do
       case {first, last} do
         {[], _} -> {:ok, nil}
         {_, nil} -> {:ok, nil}
-        {[first], last} -> bisect(log, subject, enough?, first.seq, last.seq + 1, last.seq)
+        {[first], last} -> bisect_range(log, subject, enough?, first.seq, last.seq + 1, last.seq)
       end
     end
   end
 
-  defp bisect(_log, _subject, _enough?, low, low, last),
+  defp bisect_range(_log, _subject, _enough?, low, low, last),
     do: {:ok, if(low > last, do: nil, else: low)}
 
-  defp bisect(log, subject, enough?, low, high, last) do
+  defp bisect_range(log, subject, enough?, low, high, last) do
     middle = div(low + high, 2)
 
     case read(log, subject, middle, 1) do
       {:ok, [entry]} ->
         if enough?.(entry),
-          do: bisect(log, subject, enough?, low, middle, last),
-          else: bisect(log, subject, enough?, min(entry.seq + 1, high), high, last)
+          do: bisect_range(log, subject, enough?, low, middle, last),
+          else: bisect_range(log, subject, enough?, min(entry.seq + 1, high), high, last)
 
       {:ok, []} ->
-        bisect(log, subject, enough?, low, middle, last)
+        bisect_range(log, subject, enough?, low, middle, last)
 
       error ->
         error

@@ -57,7 +57,7 @@ defmodule Situ.Remote.Position do
 
     with :ok <- File.mkdir_p(Path.dirname(path)),
          {:ok, file} <- File.open(beside, [:write, :raw, :binary]),
-         :ok <- written(file, JSON.encode(positions)),
+         :ok <- write_synced(file, JSON.encode(positions)),
          :ok <- File.rename(beside, path) do
       :ok
     else
@@ -70,7 +70,7 @@ defmodule Situ.Remote.Position do
     end
   end
 
-  defp written(file, text) do
+  defp write_synced(file, text) do
     with :ok <- :file.write(file, text), do: :file.sync(file)
   after
     File.close(file)

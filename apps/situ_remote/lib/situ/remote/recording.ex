@@ -52,7 +52,7 @@ defmodule Situ.Remote.Recording do
     with {:ok, address} <- Address.parse(text),
          {:ok, access} <- Access.new(address, opts),
          state = %__MODULE__{address: address, access: access},
-         {:ok, info} <- ask(state, %{"op" => "open"}, &Answer.info/1),
+         {:ok, info} <- fetch_decoded(state, %{"op" => "open"}, &Answer.decode_info/1),
          do: {:ok, %{state | version: info[:version]}}
   end
 
@@ -61,7 +61,7 @@ defmodule Situ.Remote.Recording do
   def within(text) do
     with {:ok, %{name: ""} = address} <- Address.parse(text),
          {:ok, access} <- Access.new(address, []),
-         {:ok, names} <- Dialing.names(address, access) do
+         {:ok, names} <- Dialing.list_recordings(address, access) do
       for name <- Enum.sort(names), do: Address.to_string(%{address | name: name})
     else
       {:ok, %Address{}} -> [text]
@@ -70,28 +70,34 @@ defmodule Situ.Remote.Recording do
   end
 
   @impl true
-  def info(state), do: state |> ask(%{"op" => "open"}, &Answer.info/1) |> Error.unwrap!()
+  def info(state),
+    do: state |> fetch_decoded(%{"op" => "open"}, &Answer.decode_info/1) |> Error.unwrap!()
 
   @impl true
   def streams(state) do
-    state |> ask(%{"op" => "streams"}, &Answer.streams(&1, where(state))) |> Error.unwrap!()
+    state
+    |> fetch_decoded(%{"op" => "streams"}, &Answer.decode_streams(&1, address_text(state)))
+    |> Error.unwrap!()
   end
 
   @impl true
   def stream_named(state, name) do
     asked = %{"op" => "stream", "stream" => name}
 
-    with {:ok, [info]} <- ask(state, asked, &Answer.streams(&1, where(state))), do: {:ok, info}
+    with {:ok, [info]} <-
+           fetch_decoded(state, asked, &Answer.decode_streams(&1, address_text(state))),
+         do: {:ok, info}
   end
 
-  defp where(state), do: Address.to_string(state.address)
+  defp address_text(state), do: Address.to_string(state.address)
 
   @impl true
   def seek(state, info, time),
-    do: of(state, info, "seek", %{"time" => clamp(time)}, &Answer.number/1)
+    do: request_stream(state, info, "seek", %{"time" => clamp(time)}, &Answer.decode_number/1)
 
   @impl true
-  def count(state, info), do: state |> of(info, "count", %{}, &Answer.number/1) |> Error.unwrap!()
+  def count(state, info),
+    do: state |> request_stream(info, "count", %{}, &Answer.decode_number/1) |> Error.unwrap!()
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
@@ -104,7 +110,8 @@ defmodule Situ.Remote.Recording do
       "skip_damage" => opts[:skip_damage] || false
     }
 
-    with {:ok, {messages, next}} <- of(state, info, "read", asked, &Answer.messages(&1, info.id)),
+    with {:ok, {messages, next}} <-
+           request_stream(state, info, "read", asked, &Answer.decode_messages(&1, info.id)),
          do: {:ok, messages, next}
   end
 
@@ -112,7 +119,8 @@ defmodule Situ.Remote.Recording do
   def summary(state, info, from, to, pixels) do
     asked = %{"from" => clamp(from), "to" => clamp(to), "pixels" => pixels}
 
-    with {:ok, {width, bins}} <- of(state, info, "summary", asked, &Answer.summary/1),
+    with {:ok, {width, bins}} <-
+           request_stream(state, info, "summary", asked, &Answer.decode_summary/1),
          do: {:ok, width, bins}
   end
 
@@ -120,35 +128,41 @@ defmodule Situ.Remote.Recording do
   def tracks(state, info, from, to, level, most) do
     asked = %{"from" => clamp(from), "to" => clamp(to), "level" => level, "most" => most}
 
-    with {:ok, {counts, tracks}} <- of(state, info, "tracks", asked, &Answer.tracks/1),
+    with {:ok, {counts, tracks}} <-
+           request_stream(state, info, "tracks", asked, &Answer.decode_tracks/1),
          do: {:ok, counts, tracks}
   end
 
   @impl true
   def gaps(state, info, least) do
-    state |> of(info, "gaps", %{"least" => clamp(least)}, &Answer.spans/1) |> Error.unwrap!()
+    state
+    |> request_stream(info, "gaps", %{"least" => clamp(least)}, &Answer.decode_spans/1)
+    |> Error.unwrap!()
   end
 
   @impl true
   def missing_files(state),
-    do: state |> ask(%{"op" => "missing_files"}, &Answer.texts/1) |> Error.unwrap!()
+    do:
+      state
+      |> fetch_decoded(%{"op" => "missing_files"}, &Answer.decode_strings/1)
+      |> Error.unwrap!()
 
   @impl true
   def await(state, known, pid, tag) do
     asked = %{"op" => "await", "known" => known, "version" => state.version}
-    Client.await(state.address, state.access, asked, {pid, tag})
+    Client.await_news(state.address, state.access, asked, {pid, tag})
   end
 
-  defp of(state, %StreamInfo{name: name}, op, asked, read),
-    do: ask(state, Map.merge(asked, %{"op" => op, "stream" => name}), read)
+  defp request_stream(state, %StreamInfo{name: name}, op, asked, read),
+    do: fetch_decoded(state, Map.merge(asked, %{"op" => op, "stream" => name}), read)
 
-  defp ask(state, asked, read) do
+  defp fetch_decoded(state, asked, read) do
     asked = Map.put(asked, "version", state.version)
 
-    with {:ok, body} <- Client.ask(state.address, state.access, asked),
+    with {:ok, body} <- Client.fetch_reply(state.address, state.access, asked),
          :error <- read.(body) do
       {:error,
-       Error.new(:bad_reply, "the reply from #{where(state)} is malformed",
+       Error.new(:bad_reply, "the reply from #{address_text(state)} is malformed",
          why: "the reply to #{asked["op"]} does not have the form that this release expects",
          fix: "install the same release of Situ on both sides"
        )}

@@ -27,7 +27,7 @@ defmodule Situ.Remote.Server do
   def start_link(listens, config) do
     with {:ok, listeners} <- listen_all(listens, []) do
       {:ok, server} = GenServer.start_link(__MODULE__, config)
-      for {_, listener} <- listeners, do: :ok = Socket.give(listener, server)
+      for {_, listener} <- listeners, do: :ok = Socket.set_owner(listener, server)
       GenServer.call(server, {:listen, listeners})
       {:ok, server}
     end
@@ -62,11 +62,11 @@ defmodule Situ.Remote.Server do
   @spec info(GenServer.server()) :: map()
   def info(server) do
     {sessions, refused} = GenServer.call(server, :sessions)
-    clients = for session <- sessions, info <- asked(session, :info), do: info
+    clients = for session <- sessions, info <- call_session(session, :info), do: info
     %{clients: clients, refused: refused}
   end
 
-  defp asked(session, question) do
+  defp call_session(session, question) do
     [GenServer.call(session, question, 30_000)]
   catch
     :exit, _ -> []
@@ -76,20 +76,24 @@ defmodule Situ.Remote.Server do
   @spec close(GenServer.server(), non_neg_integer()) :: :ok
   def close(server, timeout \\ 0) do
     until = System.monotonic_time(:millisecond) + timeout
-    await(until, fn -> Enum.all?(sessions(server), &(asked(&1, :drained?) != [false])) end)
-    if timeout > 0, do: Enum.each(sessions(server), &asked(&1, :finish))
-    await(until, fn -> sessions(server) == [] end)
+
+    poll_until(until, fn ->
+      Enum.all?(list_sessions(server), &(call_session(&1, :drained?) != [false]))
+    end)
+
+    if timeout > 0, do: Enum.each(list_sessions(server), &call_session(&1, :finish))
+    poll_until(until, fn -> list_sessions(server) == [] end)
     GenServer.stop(server, :normal, 30_000)
   catch
     :exit, _ -> :ok
   end
 
-  defp sessions(server), do: server |> GenServer.call(:sessions) |> elem(0)
+  defp list_sessions(server), do: server |> GenServer.call(:sessions) |> elem(0)
 
-  defp await(until, condition) do
+  defp poll_until(until, condition) do
     if System.monotonic_time(:millisecond) < until and not condition.() do
       Process.sleep(5)
-      await(until, condition)
+      poll_until(until, condition)
     end
   end
 
@@ -102,14 +106,16 @@ defmodule Situ.Remote.Server do
   @impl true
   def handle_call({:listen, listeners}, _from, state) do
     server = self()
-    for {_, listener} <- listeners, do: spawn_link(fn -> accept(listener, server) end)
+    for {_, listener} <- listeners, do: spawn_link(fn -> accept_clients(listener, server) end)
     {:reply, :ok, %{state | listeners: listeners}}
   end
 
   def handle_call(:port, _from, state), do: {:reply, listened(state), state}
 
   def handle_call({:address, name}, _from, %{config: config} = state) do
-    {:reply, with(port when port != nil <- listened(state), do: shown(config, port, name)), state}
+    {:reply,
+     with(port when port != nil <- listened(state), do: public_address(config, port, name)),
+     state}
   end
 
   def handle_call(:sessions, _from, state),
@@ -117,8 +123,8 @@ defmodule Situ.Remote.Server do
 
   def handle_call({:session, peer}, _from, state) do
     cond do
-      guessing?(state, peer) -> {:reply, :full, %{state | refused: state.refused + 1}}
-      full?(state, peer) -> turn_away(state)
+      too_many_guesses?(state, peer) -> {:reply, :full, %{state | refused: state.refused + 1}}
+      at_capacity?(state, peer) -> turn_away(state)
       true -> admit_session(state, peer)
     end
   end
@@ -130,8 +136,7 @@ defmodule Situ.Remote.Server do
 
   defp turn_away(%{told: told} = state) do
     if MapSet.size(told) < @most_told do
-      {:ok, session} =
-        Session.start_link(Map.put(state.config, :refusal, too_many_clients_error()))
+      {:ok, session} = Session.start_link(Map.put(state.config, :refusal, listening_port()))
 
       {:reply, {:ok, session}, %{state | told: MapSet.put(told, session)}}
     else
@@ -139,7 +144,7 @@ defmodule Situ.Remote.Server do
     end
   end
 
-  defp too_many_clients_error do
+  defp listening_port do
     Error.new(:too_many_clients, "the server of the link has no room for another client",
       why:
         "it accepts #{@most_clients} clients in total, and #{@most_per_address} from one address",
@@ -150,7 +155,7 @@ defmodule Situ.Remote.Server do
   defp listened(state),
     do: Enum.find_value(state.listeners, fn {_, listener} -> Socket.port(listener) end)
 
-  defp shown(config, port, name) do
+  defp public_address(config, port, name) do
     Address.to_string(%Address{
       transport: config.transport,
       host: if(config.interface in ["0.0.0.0", "::"], do: own_name(), else: config.interface),
@@ -165,14 +170,14 @@ defmodule Situ.Remote.Server do
     to_string(name)
   end
 
-  defp full?(state, peer) do
+  defp at_capacity?(state, peer) do
     map_size(state.sessions) >= @most_clients or
       Enum.count(state.sessions, fn {_, other} -> other == peer end) >= @most_per_address
   end
 
-  defp guessing?(state, peer), do: length(recent(state, peer)) >= @most_wrong
+  defp too_many_guesses?(state, peer), do: length(recent_wrong_tokens(state, peer)) >= @most_wrong
 
-  defp recent(state, peer) do
+  defp recent_wrong_tokens(state, peer) do
     now = System.monotonic_time(:millisecond)
     state.wrong |> Map.get(peer, []) |> Enum.filter(&(now - &1 < @minute_ms))
   end
@@ -183,8 +188,8 @@ defmodule Situ.Remote.Server do
     peer = state.sessions[session]
 
     if code == :wrong_token and peer != nil do
-      times = [System.monotonic_time(:millisecond) | recent(state, peer)]
-      {:noreply, %{state | wrong: Map.put(trimmed(state.wrong), peer, times)}}
+      times = [System.monotonic_time(:millisecond) | recent_wrong_tokens(state, peer)]
+      {:noreply, %{state | wrong: Map.put(limit_wrong_tokens(state.wrong), peer, times)}}
     else
       {:noreply, state}
     end
@@ -201,8 +206,8 @@ defmodule Situ.Remote.Server do
   end
 
   # Bounds the memory that an attacker with many addresses can use.
-  defp trimmed(wrong) when map_size(wrong) < 10_000, do: wrong
-  defp trimmed(_wrong), do: %{}
+  defp limit_wrong_tokens(wrong) when map_size(wrong) < 10_000, do: wrong
+  defp limit_wrong_tokens(_wrong), do: %{}
 
   @impl true
   def terminate(_reason, state) do
@@ -216,25 +221,25 @@ defmodule Situ.Remote.Server do
   end
 
   # Runs in a separate process.
-  defp accept(listener, server) do
+  defp accept_clients(listener, server) do
     case Socket.accept(listener) do
       {:ok, socket} ->
-        _ = admit(socket, server)
-        accept(listener, server)
+        _ = admit_client(socket, server)
+        accept_clients(listener, server)
 
       {:error, reason} when reason in [:emfile, :enfile, :econnaborted, :timeout] ->
         Process.sleep(100)
-        accept(listener, server)
+        accept_clients(listener, server)
 
       {:error, _closed} ->
         :ok
     end
   end
 
-  defp admit(socket, server) do
-    with {:ok, peer} <- Socket.peer(socket),
+  defp admit_client(socket, server) do
+    with {:ok, peer} <- Socket.peer_address(socket),
          {:ok, session} <- GenServer.call(server, {:session, peer}, :infinity) do
-      Session.adopt(session, socket)
+      Session.adopt_socket(session, socket)
     else
       _full_or_gone -> Socket.close(socket)
     end

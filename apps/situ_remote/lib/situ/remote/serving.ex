@@ -82,19 +82,21 @@ defmodule Situ.Remote.Serving do
           {:ok, pid()} | {:error, Error.t()}
   def serve(what, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {:ok, opts} <- certified(opts),
-         :ok <- closed?(opts),
-         {:ok, served} <- all(what, opts),
-         {:ok, server} <- Server.start_link(listens(opts), config(served, opts)) do
-      if p = opts[:pipeline] || pipeline(what), do: end_with(server, p, opts[:linger])
+         {:ok, opts} <- ensure_certificate(opts),
+         :ok <- check_access(opts),
+         {:ok, served} <- build_served(what, opts),
+         {:ok, server} <- Server.start_link(listener_options(opts), server_config(served, opts)) do
+      if p = opts[:pipeline] || find_pipeline(what),
+        do: close_with_pipeline(server, p, opts[:linger])
+
       {:ok, server}
     end
   end
 
-  defp certified(opts) do
+  defp ensure_certificate(opts) do
     with true <- opts[:tls],
-         {:ok, ip} <- ip(opts[:interface]),
-         {:ok, tls} <- Certificate.own(ip),
+         {:ok, ip} <- resolve_ip(opts[:interface]),
+         {:ok, tls} <- Certificate.ensure_local(ip),
          do: {:ok, Keyword.put(opts, :tls, tls)},
          else:
            (
@@ -103,27 +105,27 @@ defmodule Situ.Remote.Serving do
            )
   end
 
-  defp ip(interface) do
+  defp resolve_ip(interface) do
     with {:error, _} <- :inet.getaddr(to_charlist(interface), :inet),
          {:error, _} <- :inet.getaddr(to_charlist(interface), :inet6),
          do: {:error, Error.new(:bad_address, "invalid interface address: #{inspect(interface)}")}
   end
 
-  defp fingerprint(opts) do
+  defp certificate_fingerprint(opts) do
     with [_ | _] = tls <- opts[:tls],
          file when file != nil <- tls[:certfile],
-         {:ok, digits} <- Certificate.fingerprint(file),
+         {:ok, digits} <- Certificate.fetch_fingerprint(file),
          do: digits,
          else: (_ -> nil)
   end
 
-  defp config(served, opts) do
+  defp server_config(served, opts) do
     %{
       served: served,
       interface: opts[:interface],
       transport: if(opts[:tls], do: :tls, else: :tcp),
-      fingerprint: fingerprint(opts),
-      token: Handshake.hide(if(is_binary(opts[:token]), do: opts[:token], else: "")),
+      fingerprint: certificate_fingerprint(opts),
+      token: Handshake.hide_token(if(is_binary(opts[:token]), do: opts[:token], else: "")),
       quota: Quota.new(opts[:quota]),
       now: opts[:now] || (&Situ.Time.now/0),
       path: opts[:unix]
@@ -131,28 +133,28 @@ defmodule Situ.Remote.Serving do
   end
 
   # Finds the pipeline that the served streams belong to.
-  defp pipeline(%Situ.Stream{pipeline: p}), do: p
-  defp pipeline([{_name, %Situ.Stream{pipeline: p}} | _]), do: p
+  defp find_pipeline(%Situ.Stream{pipeline: p}), do: p
+  defp find_pipeline([{_name, %Situ.Stream{pipeline: p}} | _]), do: p
 
-  defp pipeline(%{} = map) when not is_struct(map),
-    do: Enum.find_value(map, fn {_, what} -> pipeline(what) end)
+  defp find_pipeline(%{} = map) when not is_struct(map),
+    do: Enum.find_value(map, fn {_, what} -> find_pipeline(what) end)
 
-  defp pipeline(_recording), do: nil
+  defp find_pipeline(_recording), do: nil
 
   # The server closes when the pipeline has ended and its clients have received all messages.
-  defp end_with(server, p, linger) do
+  defp close_with_pipeline(server, p, linger) do
     :ok = Pipeline.on(p, :completed, fn _report -> Server.close(server, linger) end)
     :ok = Pipeline.on(p, :abandoned, fn _error -> Server.close(server) end)
   end
 
-  defp listens(opts) do
+  defp listener_options(opts) do
     unix = if opts[:unix], do: [{:unix, path: opts[:unix]}], else: []
     internet = Keyword.take(opts, [:port, :interface, :tls])
     kind = if opts[:tls], do: :tls, else: :tcp
     if opts[:port] == :none, do: unix, else: [{kind, internet} | unix]
   end
 
-  defp closed?(opts) do
+  defp check_access(opts) do
     known? = is_binary(opts[:token]) or get_in(opts, [:tls, :verify]) == :verify_peer
 
     cond do
@@ -160,7 +162,8 @@ defmodule Situ.Remote.Serving do
         {:error,
          Error.new(:bad_option, "`port: :none` requires `unix:`", fix: "give unix: a path")}
 
-      opts[:port] == :none or loopback?(opts[:interface]) or known? or opts[:token] == :none ->
+      opts[:port] == :none or loopback_interface?(opts[:interface]) or known? or
+          opts[:token] == :none ->
         :ok
 
       true ->
@@ -173,62 +176,66 @@ defmodule Situ.Remote.Serving do
     end
   end
 
-  defp loopback?(interface) do
+  defp loopback_interface?(interface) do
     case interface |> String.to_charlist() |> :inet.getaddr(:inet) do
       {:ok, {127, _, _, _}} -> true
       _ -> interface in ["::1", "localhost"]
     end
   end
 
-  defp all(%{} = map, opts) when not is_struct(map) do
+  defp build_served(%{} = map, opts) when not is_struct(map) do
     Enum.reduce_while(map, {:ok, %{}}, fn {name, what}, {:ok, served} ->
-      case one(what, opts) do
+      case build_origin(what, opts) do
         {:ok, _name, origin} -> {:cont, {:ok, Map.put(served, name, origin)}}
         error -> {:halt, error}
       end
     end)
   end
 
-  defp all(what, opts) do
-    with {:ok, name, origin} <- one(what, opts), do: {:ok, %{name => origin}}
+  defp build_served(what, opts) do
+    with {:ok, name, origin} <- build_origin(what, opts), do: {:ok, %{name => origin}}
   end
 
-  defp one(%Handle{} = store, _opts),
-    do: {:ok, store.path |> Folder.name(), {Recording, {:store, store}}}
+  defp build_origin(%Handle{} = store, _opts),
+    do: {:ok, store.path |> Folder.store_name(), {Recording, {:store, store}}}
 
-  defp one(%Exporter{path: path}, _opts), do: {:ok, Folder.name(path), series(path)}
-  defp one(%Situ.Stream{name: name} = stream, opts), do: one([{name, stream}], opts)
+  defp build_origin(%Exporter{path: path}, _opts),
+    do: {:ok, Folder.store_name(path), series_origin(path)}
+
+  defp build_origin(%Situ.Stream{name: name} = stream, opts),
+    do: build_origin([{name, stream}], opts)
 
   # Live streams are written to a recording in memory that keeps their recent messages. Slow or briefly disconnected
   # clients read from it, so they do not hold up the pipeline.
-  defp one([{_, %Situ.Stream{pipeline: p}} | _] = streams, opts) do
+  defp build_origin([{_, %Situ.Stream{pipeline: p}} | _] = streams, opts) do
     name = "live-#{System.unique_integer([:positive])}"
     split = max(div(opts[:keep], 4), 1)
     store = Exporter.create(p, name, nil, split: split, keep: {:span, opts[:keep]})
     for {name, stream} <- streams, do: Exporter.write(stream, store, name, [])
-    {Recording, {:series, root, name}} = series(store.path)
+    {Recording, {:series, root, name}} = series_origin(store.path)
     {:ok, "live", {Recording, {:live, root, name}}}
   end
 
-  defp one(path, opts) when is_binary(path) do
+  defp build_origin(path, opts) when is_binary(path) do
     path = Path.expand(path)
 
     cond do
-      Folder.store?(path) or File.regular?(path) or Formats.for_folder(path) != nil ->
-        opened(path)
+      Folder.store_folder?(path) or File.regular?(path) or Formats.for_folder(path) != nil ->
+        open_recording(path)
 
-      Folder.resolve(path) != nil or opts[:wait] ->
-        {:ok, Path.basename(path), series(path)}
+      Folder.resolve_store(path) != nil or opts[:wait] ->
+        {:ok, Path.basename(path), series_origin(path)}
 
       true ->
-        opened(path)
+        open_recording(path)
     end
   end
 
-  defp opened(path) do
+  defp open_recording(path) do
     with {:ok, store} <- Reading.open(path),
-         do: {:ok, Folder.name(path), {Recording, {:store, store}}}
+         do: {:ok, Folder.store_name(path), {Recording, {:store, store}}}
   end
 
-  defp series(path), do: {Recording, {:series, Path.dirname(path), Folder.name(path)}}
+  defp series_origin(path),
+    do: {Recording, {:series, Path.dirname(path), Folder.store_name(path)}}
 end

@@ -45,7 +45,7 @@ defmodule Situ.Remote.Source do
        link: opts[:link],
        wanted: opts[:wanted],
        type: opts[:type],
-       envelope: Envelopes.none()
+       envelope: Envelopes.initial_envelope()
      }}
   end
 
@@ -64,15 +64,15 @@ defmodule Situ.Remote.Source do
 
   @impl true
   def handle_info({:situ_link, id, event}, _context, %{id: id} = state),
-    do: {[], arrived(state, event)}
+    do: {[], handle_event(state, event)}
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp arrived(state, {:batch, _, _, _} = batch),
+  defp handle_event(state, {:batch, _, _, _} = batch),
     do: %{state | queue: :queue.in(batch, state.queue)}
 
-  defp arrived(state, {:closed, time}), do: %{state | closed: time}
-  defp arrived(state, {:lost, n}), do: %{state | lost: state.lost + n}
+  defp handle_event(state, {:closed, time}), do: %{state | closed: time}
+  defp handle_event(state, {:lost, n}), do: %{state | lost: state.lost + n}
 
   @impl true
   def handle_demand(_n, _context, %{done: true} = state), do: {[], state}
@@ -80,10 +80,10 @@ defmodule Situ.Remote.Source do
   def handle_demand(n, context, state) do
     case :queue.out(state.queue) do
       {{:value, batch}, queue} ->
-        state |> Map.put(:queue, queue) |> read(batch) |> emitted(n, context)
+        state |> Map.put(:queue, queue) |> read_batch(batch) |> emit_messages(n, context)
 
       {:empty, _} when state.closed != nil ->
-        close(state)
+        close_output(state)
 
       {:empty, _} ->
         {[], state}
@@ -91,31 +91,36 @@ defmodule Situ.Remote.Source do
   end
 
   # If no message of a batch remains, the next batch is used.
-  defp emitted({[], state}, n, context), do: handle_demand(n, context, state)
-  defp emitted({messages, state}, _n, _context), do: {[{:out, messages}], state}
+  defp emit_messages({[], state}, n, context), do: handle_demand(n, context, state)
+  defp emit_messages({messages, state}, _n, _context), do: {[{:out, messages}], state}
 
-  defp close(state) do
+  defp close_output(state) do
     time = max(state.closed, state.posted)
     {[{:close, :out, time}], %{state | done: true}}
   end
 
-  defp read(state, {:batch, size, payload, clock}) do
+  defp read_batch(state, {:batch, size, payload, clock}) do
     case Batch.decode(payload) do
       {:ok, messages} ->
         {fresh, late} = Enum.split_with(messages, &(&1.originating_time > state.last))
         state = %{state | late: state.late + length(late)}
         last = if fresh == [], do: state.last, else: List.last(fresh).originating_time
-        Connection.taken(state.link, state.id, size, last)
-        fresh |> increasing(state) |> typed() |> by_clock(clock) |> enveloped()
+        Connection.report_consumed(state.link, state.id, size, last)
+
+        fresh
+        |> drop_unordered(state)
+        |> filter_by_type()
+        |> convert_times(clock)
+        |> forward_envelopes()
 
       {:error, why} ->
-        Connection.taken(state.link, state.id, size, nil)
+        Connection.report_consumed(state.link, state.id, size, nil)
         {[], %{state | unreadable: state.unreadable + 1, trouble: why}}
     end
   end
 
   # Times within a batch increase, unless the sender is malicious.
-  defp increasing(messages, state) do
+  defp drop_unordered(messages, state) do
     {kept, {last, out_of_order}} =
       Enum.flat_map_reduce(messages, {state.last, 0}, fn message, {last, n} ->
         if message.originating_time > last,
@@ -126,10 +131,10 @@ defmodule Situ.Remote.Source do
     {kept, %{state | last: last, late: state.late + out_of_order}}
   end
 
-  defp typed({messages, %{type: :any} = state}), do: {messages, state}
+  defp filter_by_type({messages, %{type: :any} = state}), do: {messages, state}
 
-  defp typed({messages, state}) do
-    {good, bad} = Enum.split_with(messages, &Type.valid?(state.type, &1.data))
+  defp filter_by_type({messages, state}) do
+    {good, bad} = Enum.split_with(messages, &Type.valid_value?(state.type, &1.data))
 
     trouble =
       if bad == [],
@@ -140,24 +145,24 @@ defmodule Situ.Remote.Source do
   end
 
   # The clock estimate may move backwards slightly, but the times of a stream must not.
-  defp by_clock({messages, state}, nil), do: {messages, posted(state, messages)}
+  defp convert_times({messages, state}, nil), do: {messages, record_posted(state, messages)}
 
-  defp by_clock({messages, state}, clock) do
+  defp convert_times({messages, state}, clock) do
     {messages, last} =
       Enum.map_reduce(messages, state.posted, fn message, last ->
-        time = max(ClockEstimate.to_ours(clock, message.originating_time), last + 1)
-        creation = max(ClockEstimate.to_ours(clock, message.creation_time), time)
+        time = max(ClockEstimate.to_local_time(clock, message.originating_time), last + 1)
+        creation = max(ClockEstimate.to_local_time(clock, message.creation_time), time)
         {%{message | originating_time: time, creation_time: creation}, time}
       end)
 
     {messages, %{state | posted: last}}
   end
 
-  defp posted(state, []), do: state
-  defp posted(state, messages), do: %{state | posted: List.last(messages).originating_time}
+  defp record_posted(state, []), do: state
+  defp record_posted(state, messages), do: %{state | posted: List.last(messages).originating_time}
 
-  defp enveloped({messages, state}) do
-    {messages, envelope} = Envelopes.forward(messages, state.envelope)
+  defp forward_envelopes({messages, state}) do
+    {messages, envelope} = Envelopes.make_monotonic(messages, state.envelope)
     {messages, %{state | envelope: envelope, taken: state.taken + length(messages)}}
   end
 

@@ -1,5 +1,5 @@
 defmodule Situ.Cluster.BalancerTest do
-  # There is one agent on a node.
+  # A node has only one agent.
   use ExUnit.Case, async: false
 
   alias Situ.Cluster
@@ -30,6 +30,6 @@ defmodule Situ.Cluster.BalancerTest do
     assert_receive {:balance, ^name}, 20_000
     :sys.resume(Cluster.Agent)
     assert :ok = Cluster.forget(deployment)
-    assert Cluster.Member.deployments() == []
+    assert Cluster.Member.list_deployments() == []
   end
 end

@@ -17,35 +17,35 @@ defmodule Situ.Cluster.BatchTest do
     end
   end
 
-  property "what is packed, cut and put into the log comes back" do
+  property "packed messages survive being cut and written to the log" do
     forall {first, sizes, cut} <-
              {integer(1, 100), list(integer(0, 3_000)), integer(0, 120)} do
       all = messages(first, [5 | sizes])
-      batch = Batch.pack(all)
-      behind = Batch.behind(batch, cut)
-      kept = if behind, do: Batch.messages(behind), else: []
+      batch = Batch.pack_messages(all)
+      behind = Batch.take_after(batch, cut)
+      kept = if behind, do: Batch.to_messages(behind), else: []
       mark = %{last: batch.last, time: batch.time, made: batch.made, closing: nil}
-      entry = batch |> parts() |> Chunk.data(mark, 1, "op") |> through_log()
+      entry = batch |> parts() |> Chunk.build_data(mark, 1, "op") |> through_log()
 
-      Batch.messages(batch) == all and Batch.count(batch) == length(all) and
+      Batch.to_messages(batch) == all and Batch.count_messages(batch) == length(all) and
         kept == Enum.filter(all, &(&1.sequence_id > cut)) and
-        Chunk.messages(entry) == {:ok, all} and Chunk.mark(entry) == mark
+        Chunk.decode_messages(entry) == {:ok, all} and Chunk.entry_mark(entry) == mark
     end
   end
 
   defp through_log(entry) do
-    sealed = %{Seal.close(entry, "run", {:stream, "s"}, 6) | seq: 7}
-    {:ok, entry} = Seal.open(sealed, "run", {:stream, "s"})
+    sealed = %{Seal.seal_entry(entry, "run", {:stream, "s"}, 6) | seq: 7}
+    {:ok, entry} = Seal.verify_entry(sealed, "run", {:stream, "s"})
     entry
   end
 
   defp parts(%{first: id, last: id} = batch), do: [batch]
-  defp parts(batch), do: batch |> Batch.halves() |> Tuple.to_list()
+  defp parts(batch), do: batch |> Batch.split_in_half() |> Tuple.to_list()
 
-  test "small data becomes bytes, large data is not copied" do
-    assert is_binary(Batch.pack(messages(1, [10, 10])).body)
+  test "small data becomes bytes, and large data is not copied" do
+    assert is_binary(Batch.pack_messages(messages(1, [10, 10])).body)
     [%{data: picture}] = all = messages(1, [100_000])
-    assert %{body: [{0, 1, ^picture}], bytes: bytes} = Batch.pack(all)
+    assert %{body: [{0, 1, ^picture}], bytes: bytes} = Batch.pack_messages(all)
     assert bytes > 100_000
   end
 end

@@ -21,7 +21,7 @@ defmodule Situ.Cluster.DeploymentLoaderTest do
     deployment
   end
 
-  # The agent's place is taken by the test, which sees what is installed.
+  # The test replaces the agent, so it sees which deployments are installed.
   defp installed do
     receive do
       {:"$gen_cast", {:install, deployment}} -> [deployment | installed()]
@@ -30,17 +30,17 @@ defmodule Situ.Cluster.DeploymentLoaderTest do
     end
   end
 
-  test "a deployment that is refused is logged by name, and the others run again", %{tmp_dir: dir} do
+  test "a rejected deployment is logged by name, and the others restart", %{tmp_dir: dir} do
     {:ok, log} = Log.connect(Path.join(dir, "log"))
     [first, _forged, last] = for name <- ["a", "b", "c"], do: put_deployment(log, name)
 
-    # Somebody without the cookie writes the mark of a run.
+    # A writer without the cookie writes the mark of a run.
     assert {:ok, _seq} = Log.append(log, {:key, "run.b.deployed"}, 1, %Entry{op: "deployed"})
 
     text = capture_log(fn -> assert :ok = DeploymentLoader.run(log, self(), false) end)
 
     assert installed() == [first, last]
-    assert text =~ ~s(the deployment "b" does not run again)
+    assert text =~ ~s(the deployment "b" cannot be restarted)
     assert text =~ "has no seal"
   end
 end

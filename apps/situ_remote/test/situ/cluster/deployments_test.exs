@@ -18,23 +18,23 @@ defmodule Situ.Cluster.DeploymentsTest do
     def build(p, _opts), do: Situ.from_enumerable(p, 1..3, every: 1)
   end
 
-  test "a deployment whose first attempt was interrupted is noted by the second", context do
+  test "a second attempt records a deployment whose first attempt was interrupted", context do
     {:ok, first} = Deployments.put(context.log, context.deployment)
 
-    # The log went away after the note of the deployment and before the mark of its run.
+    # The log was lost after the deployment was recorded and before its run was marked.
     :ok = Log.delete(SealedLog.new(context.log, first.run), {:key, "run.hall.deployed"})
 
     assert {:ok, second} = Deployments.put(context.log, context.deployment)
-    assert Deployments.all(context.log) == {:ok, [second]}
+    assert Deployments.list_active(context.log) == {:ok, [second]}
     assert Deployments.find_log(context.log, "hall", second.run) == {:ok, true}
   end
 
-  test "the same deployment keeps its run, another of the same name is refused", context do
+  test "the same deployment keeps its run, and another with its name is rejected", context do
     {:ok, first} = Deployments.put(context.log, context.deployment)
     assert Deployments.put(context.log, context.deployment) == {:ok, first}
 
     {:ok, other} = Deployment.new(Hall, name: "hall", opts: [rooms: 2])
     assert {:error, %{code: :duplicate_name}} = Deployments.put(context.log, other)
-    assert Deployments.all(context.log) == {:ok, [first]}
+    assert Deployments.list_active(context.log) == {:ok, [first]}
   end
 end

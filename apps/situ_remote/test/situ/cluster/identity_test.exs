@@ -9,7 +9,7 @@ defmodule Situ.Cluster.IdentityTest do
 
   @moduletag :tmp_dir
 
-  test "nobody else reads it, and it is not made twice", %{tmp_dir: dir} do
+  test "is readable by nobody else and is created once", %{tmp_dir: dir} do
     folder = Path.join(dir, "identity")
     assert :ok = Identity.create(folder)
 
@@ -20,14 +20,14 @@ defmodule Situ.Cluster.IdentityTest do
     for folder <- [folder | folders],
         do: assert(Bitwise.band(File.stat!(folder).mode, 0o777) == 0o700)
 
-    {:ok, cookie} = Identity.cookie(folder)
+    {:ok, cookie} = Identity.read_cookie(folder)
     assert byte_size(Atom.to_string(cookie)) >= 40
     assert {:error, %{code: :exists}} = Identity.create(folder)
-    assert {:ok, ^cookie} = Identity.cookie(folder)
-    assert {:error, %{code: :no_cookie}} = Identity.cookie(dir)
+    assert {:ok, ^cookie} = Identity.read_cookie(folder)
+    assert {:error, %{code: :no_cookie}} = Identity.read_cookie(dir)
   end
 
-  test "its certificates make a TLS connection with each other, and with nobody else", %{
+  test "its certificates connect over TLS with each other only", %{
     tmp_dir: dir
   } do
     {:ok, _} = Application.ensure_all_started(:ssl)
@@ -38,14 +38,14 @@ defmodule Situ.Cluster.IdentityTest do
   end
 
   if NatsServer.path() do
-    test "its NATS server lets its nodes in by TLS and a password, and nobody else", %{
+    test "its NATS server admits only its own nodes, by TLS and password", %{
       tmp_dir: dir
     } do
       [ours, theirs] = for name <- ["ours", "theirs"], do: Path.join(dir, name)
       for folder <- [ours, theirs], do: :ok = Identity.create(folder)
       server = Path.join(ours, "nats-server")
       config = Path.join(server, "nats-server.conf")
-      port = Situ.Test.FreePort.tcp()
+      port = Situ.Test.FreePort.find_tcp()
       text = File.read!(config) |> String.replace("0.0.0.0:4222", "127.0.0.1:#{port}")
       File.write!(config, text)
       running = NatsServer.run(%{dir: server, port: port, config: "nats-server.conf"})
@@ -57,7 +57,7 @@ defmodule Situ.Cluster.IdentityTest do
       assert {:ok, _seq} = Log.append(log, {:stream, "s"}, 0, %Entry{op: "x", data: "y"})
       refute inspect(:sys.get_state(log.conn.connection), limit: :infinity) =~ password(ours)
 
-      # Each half alone is not enough, and another cluster's is none.
+      # Either half alone is not enough, and neither are another cluster's credentials.
       assert {:error, _} = Log.connect(address)
       assert {:error, %{code: :refused_login}} = Log.connect(address, tls: options[:tls])
       assert {:error, _} = Log.connect(address, credentials: options[:credentials])
@@ -68,7 +68,7 @@ defmodule Situ.Cluster.IdentityTest do
       assert {:error, %{code: :refused_login}} = Log.connect(address, other_password)
     end
 
-    test "a server without TLS is not taken for one that has it", %{tmp_dir: dir} do
+    test "a server without TLS is not mistaken for one with TLS", %{tmp_dir: dir} do
       identity = Path.join(dir, "identity")
       :ok = Identity.create(identity)
       plain = NatsServer.start(Path.join(dir, "plain"))
@@ -81,16 +81,16 @@ defmodule Situ.Cluster.IdentityTest do
     end
   end
 
-  test "credentials come from a file, or from the address, and not from both", %{tmp_dir: dir} do
+  test "credentials come from a file or from the address, but not from both", %{tmp_dir: dir} do
     file = Path.join(dir, "credentials")
     File.write!(file, "ann:a:b c\nmore\n")
-    assert Servers.login(%{}, file) == {:ok, %{"user" => "ann", "pass" => "a:b c"}}
+    assert Servers.resolve_login(%{}, file) == {:ok, %{"user" => "ann", "pass" => "a:b c"}}
     File.write!(file, "t0ken")
-    assert Servers.login(%{}, file) == {:ok, %{"auth_token" => "t0ken"}}
-    assert {:error, %{code: :bad_option}} = Servers.login(%{"user" => "x"}, file)
+    assert Servers.resolve_login(%{}, file) == {:ok, %{"auth_token" => "t0ken"}}
+    assert {:error, %{code: :bad_option}} = Servers.resolve_login(%{"user" => "x"}, file)
     File.write!(file, "\n")
-    assert {:error, %{code: :no_credentials}} = Servers.login(%{}, file)
-    assert {:error, %{code: :no_credentials}} = Servers.login(%{}, file <> "x")
+    assert {:error, %{code: :no_credentials}} = Servers.resolve_login(%{}, file)
+    assert {:error, %{code: :no_credentials}} = Servers.resolve_login(%{}, file <> "x")
     assert {:ok, _, %{"user" => "u", "pass" => "p w"}} = Servers.parse("nats://u:p%20w@h:1")
   end
 
@@ -121,7 +121,7 @@ defmodule Situ.Cluster.IdentityTest do
     with {:ok, _} <- connected, do: answer
   end
 
-  # As rel/overlays/bin/cluster-flags has them.
+  # As in rel/overlays/bin/cluster-flags.
   defp options(folder) do
     file = &Path.join(folder, &1)
     files = [certfile: file.("node.pem"), keyfile: file.("node.key"), cacertfile: file.("ca.pem")]

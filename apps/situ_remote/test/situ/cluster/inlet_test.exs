@@ -22,7 +22,7 @@ defmodule Situ.Cluster.InletTest do
   defp given(state, messages),
     do: Inlet.handle_info({:"$gen_consumer", {self(), state.sub.ref}, messages}, nil, state)
 
-  test "asks for a few, and for more once it knows how much they weigh" do
+  test "asks for a few messages, and for more when it knows their size" do
     state = inlet()
     assert_receive {:"$gen_producer", _, {:subscribe, nil, opts}}
     assert {opts[:stream], opts[:from]} == {"s", 0}
@@ -32,39 +32,39 @@ defmodule Situ.Cluster.InletTest do
     assert_receive {:"$gen_producer", _, {:ask, 3998}}
   end
 
-  test "what it has had is passed over; creation times do not go back when a part makes it again" do
+  test "skips known messages, and creation times do not go back when a part repeats them" do
     {[{:out, first}], state} = given(inlet(), [message(1, 10), message(2, 500)])
     assert for(m <- first, do: m.creation_time) == [10, 500]
     {[{:out, again}], state} = given(state, [message(2, 300), message(3, 400), message(4, 600)])
     assert for(m <- again, do: {m.data, m.creation_time}) == [{3, 500}, {4, 600}]
-    # The same when it starts again itself.
+    # The same holds when the inlet itself restarts.
     {:ok, memory} = Inlet.snapshot(state)
     {:ok, fresh} = Inlet.restore(memory, inlet())
     {[{:out, more}], _} = given(fresh, [message(4, 1), message(5, 2)])
     assert for(m <- more, do: {m.data, m.creation_time}) == [{5, 600}]
   end
 
-  test "what the log lacks is an error, and not a gap" do
+  test "an entry missing in the log is an error, not a gap" do
     {[{:out, _}], state} = given(inlet(), [message(1, 10)])
     error = assert_raise Situ.Error, fn -> given(state, [message(4, 20)]) end
-    assert {error.code, error.what} == {:log_trimmed, "the log lacks 2 messages of s"}
+    assert {error.code, error.what} == {:log_trimmed, "2 messages of s are missing in the log"}
   end
 
-  test "a direct stream goes on with what is made now, numbered here" do
+  test "a direct stream continues with new messages, numbered here" do
     {:ok, state} =
       Inlet.init(agent: self(), part: {"d", "p"}, stream: "s", reader: "q", direct: true)
 
     {[], state} = Inlet.handle_info({:situ_cluster, :publisher, {"d", "p"}, self()}, nil, state)
     {[{:out, first}], state} = given(state, [message(1, 10), message(4, 20)])
     assert for(m <- first, do: {m.data, m.sequence_id}) == [{1, 1}, {4, 2}]
-    # Its part was started again elsewhere, and begins to count from one.
+    # Its part was restarted elsewhere and counts from one again.
     again = for {time, id} <- [{3, 1}, {4, 2}, {9, 3}], do: %{message(time, 30) | sequence_id: id}
     {[{:out, more}], _} = given(state, again)
     assert for(m <- more, do: {m.data, m.sequence_id}) == [{9, 3}]
   end
 
-  test "takes batches as they were packed for the log" do
-    batch = Situ.Cluster.Batch.pack([message(1, 10), message(2, 20)])
+  test "accepts batches as they were packed for the log" do
+    batch = Situ.Cluster.Batch.pack_messages([message(1, 10), message(2, 20)])
     packed = {:situ_batch, batch.first, batch.body}
     state = inlet()
 
@@ -86,13 +86,13 @@ defmodule Situ.Cluster.InletTest do
     end
   end
 
-  # This process is the agent, the part before and the publisher.
-  test "a message waits for nothing here, whatever the clock of the machine says that it comes from" do
+  # This process acts as the agent, the previous part and the publisher.
+  test "a message waits for nothing here, whatever clock its time comes from" do
     alias Situ.Cluster.{Assembly, Deployment}
     {:ok, deployment} = Deployment.new(Far, place: [{"Far", []}])
-    {:ok, plan} = Assembly.plan(deployment)
+    {:ok, plan} = Assembly.build_plan(deployment)
     links = %{agent: self(), publisher: self(), memories: %{}}
-    {:ok, pipeline} = Assembly.start(deployment, plan, "Far", links)
+    {:ok, pipeline} = Assembly.start_part(deployment, plan, "Far", links)
     assert_receive {:situ_cluster, :follow, part, inlet}, 60_000
     send(inlet, {:situ_cluster, :publisher, part, self()})
     assert_receive {:"$gen_producer", {^inlet, ref}, {:subscribe, nil, _}}, 60_000

@@ -1,5 +1,5 @@
 defmodule Situ.Cluster.LogsTest do
-  # Other tests of the same VM may log meanwhile: only the lines of this one are looked at.
+  # Other tests in this VM may log at the same time, so only the lines of this test are checked.
   use ExUnit.Case, async: false
   alias Situ.Cluster.Logs
   require Logger
@@ -9,9 +9,9 @@ defmodule Situ.Cluster.LogsTest do
   end
 
   @tag capture_log: true
-  test "the last lines are kept, numbered, and read from where one was" do
+  test "keeps the last lines, numbered, and reads from a given line" do
     assert Logs.read() == []
-    Logs.start()
+    Logs.start_handler()
     Logger.warning("the door\nis open")
     Logger.error(["caf", "é ", <<255>>])
     :logger.info("~p of ~s", [1, "x"])
@@ -22,7 +22,7 @@ defmodule Situ.Cluster.LogsTest do
     assert numbers == Enum.sort(Enum.uniq(numbers))
     refute Enum.any?(Logs.read(door.n), &(&1.n <= door.n))
 
-    # Logger itself leaves lines out when there are too many at once.
+    # Logger itself drops lines when too many arrive together.
     event = &%{level: :warning, meta: %{time: 1_000 + &1}, msg: {:string, "line #{&1}"}}
     for i <- 1..2_100, do: Logs.log(event.(i), %{})
     assert length(Logs.read(0, 5)) == 5

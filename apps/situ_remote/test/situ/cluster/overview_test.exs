@@ -1,5 +1,5 @@
 defmodule Situ.Cluster.OverviewTest do
-  # The overview of a cluster, of whole deployments and their logs; new code; a log that is trimmed.
+  # The overview of a cluster, of complete deployments and their logs; code upgrades; log trimming.
   use ExUnit.Case, async: false
   import Situ.Remote.Test.Recordings, only: [eventually: 1]
   alias Situ.{Cluster, Time}
@@ -34,7 +34,7 @@ defmodule Situ.Cluster.OverviewTest do
     deployment
   end
 
-  test "nodes, parts, streams and readers; the deployment as one pipeline", %{tmp_dir: dir} do
+  test "shows nodes, parts, streams, readers and one pipeline per deployment", %{tmp_dir: dir} do
     deployment = deployed(dir, [])
     eventually(fn -> match?(%{nodes: [%{devices: ["camera0"]}]}, Cluster.overview()) end)
     overview = Cluster.overview()
@@ -50,7 +50,7 @@ defmodule Situ.Cluster.OverviewTest do
     assert "Left" in paths and "Result" in paths
     refute Enum.any?(paths, &(&1 =~ ~r/^(In|Out)let/))
     assert paths == Enum.uniq(paths)
-    # Every edge leads from a component that is there to one that is there.
+    # Every edge connects two components of the snapshot.
     ids = for n <- snapshot.nodes, do: n.id
     assert Enum.all?(snapshot.edges, &(&1.from in ids and &1.to in ids))
 
@@ -63,15 +63,15 @@ defmodule Situ.Cluster.OverviewTest do
              Enum.find(snapshot.nodes, &(&1.id == crossing.from)).scope == "Smooth"
 
     assert {_, find} = List.keyfind(Cluster.pipelines(), "ClusterSums/Sum", 0)
-    assert is_pid(find.()) and find.() == Cluster.Overview.pipeline("ClusterSums", "Sum")
-    assert Cluster.Overview.pipeline("ClusterSums", "Nothing") == nil
-    assert Cluster.Overview.pipeline("Nothing", "Sum") == nil
+    assert is_pid(find.()) and find.() == Cluster.Overview.find_pipeline("ClusterSums", "Sum")
+    assert Cluster.Overview.find_pipeline("ClusterSums", "Nothing") == nil
+    assert Cluster.Overview.find_pipeline("Nothing", "Sum") == nil
     assert {:ok, nil} = Cluster.balance(deployment)
     assert {:ok, lines} = Cluster.logs()
     assert is_list(lines)
   end
 
-  test "new code is taken up while the parts run, and refused where the graph is another", %{
+  test "upgrades code while parts are running, and rejects code with another graph", %{
     tmp_dir: dir
   } do
     deployment = deployed(dir, [])
@@ -96,14 +96,14 @@ defmodule Situ.Cluster.OverviewTest do
     [{module, beam}] = compiled(source)
     assert {:error, error} = Cluster.upgrade([{module, beam}])
     assert error.code in [:other_plan, :unknown_component]
-    assert error.what =~ "keeps its code"
-    # The old code is back.
+    assert error.what =~ "keep the old code"
+    # The old code is restored.
     assert {:ok, %{parts: parts}} = Cluster.plan(ClusterSums, place: [{"Sum", []}])
     assert "Sum" in parts
     assert {:error, %{code: :no_code}} = Cluster.upgrade([:no_such_module])
   end
 
-  # Compiling loads it; what this test is about is what the nodes load.
+  # Compiling loads the code; this test is about the code that nodes load.
   defp compiled(source) do
     {module, beam, file} = :code.get_object_code(ClusterSums)
     Code.put_compiler_option(:ignore_module_conflict, true)
@@ -116,7 +116,7 @@ defmodule Situ.Cluster.OverviewTest do
     Code.put_compiler_option(:ignore_module_conflict, false)
   end
 
-  test "the log keeps what it is told to", %{tmp_dir: dir} do
+  test "trims the log to the configured time", %{tmp_dir: dir} do
     deployment = deployed(dir, retain: Time.ms(500))
     {:ok, log} = Log.connect(dir)
     subject = {:stream, "ClusterSums.Result"}

@@ -4,7 +4,7 @@ defmodule Situ.Cluster.PlanTest do
   alias Situ.Cluster
   alias Situ.Test.ClusterSums
 
-  test "rules cut the graph; what crosses is a stream" do
+  test "rules cut the graph, and crossing connections become streams" do
     {:ok, plan} = Cluster.plan(ClusterSums, place: [{"Sum", []}, {"Smooth", []}])
     assert plan.parts == ["Smooth", "Sum", "rest", "rest sources"]
 
@@ -16,7 +16,7 @@ defmodule Situ.Cluster.PlanTest do
            ]
   end
 
-  test "what is wrong is named, with the nearest name" do
+  test "errors name the mistake and the nearest valid name" do
     {:error, error} = Cluster.plan(ClusterSums, place: [{"Smoth", []}])
     assert error.code == :unknown_component
     assert error.fix =~ ~s("Smooth")
@@ -45,10 +45,10 @@ defmodule Situ.Cluster.PlanTest do
 
   defp planned(opts) do
     with {:ok, deployment} <- Cluster.Deployment.new(Glance, opts),
-         do: Cluster.Assembly.plan(deployment)
+         do: Cluster.Assembly.build_plan(deployment)
   end
 
-  test "a stream that all read by a lossy policy is direct, unless it is published" do
+  test "a stream with only lossy readers is direct unless it is published" do
     {:ok, plan} = planned(place: [{"Seen", []}])
     assert %{direct: true, policies: %{"Seen" => %{max_queue: 1}}} = plan.streams["Steps"]
     assert Enum.any?(plan.streams, fn {_, s} -> s.part == "Seen" and not s.direct end)
@@ -56,11 +56,12 @@ defmodule Situ.Cluster.PlanTest do
     refute plan.streams["Steps"].direct
   end
 
-  test "what cannot be repeated is not deterministic; what does not cross is not direct" do
+  test "non-repeatable is not deterministic, and streams within a part are not direct" do
     {:error, error} = planned(place: [{"Seen", deterministic: true}])
 
     assert {error.code, error.what} ==
-             {:not_deterministic, "part Seen is declared deterministic: true, and is not"}
+             {:not_deterministic,
+              "part Seen is declared deterministic: true, but is not deterministic"}
 
     assert {:error, %{code: :not_crossing}} = planned(place: [{"Seen", []}], direct: ["Result"])
 

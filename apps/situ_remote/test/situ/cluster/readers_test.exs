@@ -9,30 +9,30 @@ defmodule Situ.Cluster.ReadersTest do
           do: %Message{data: t, originating_time: t, creation_time: t, sequence_id: t}
 
     out = "s" |> Outgoing.new("d", %{})
-    {batch, out} = Outgoing.add(out, messages)
-    {Outgoing.show(out, batch), batch}
+    {batch, out} = Outgoing.add_messages(out, messages)
+    {Outgoing.make_visible(out, batch), batch}
   end
 
-  # The readers are asked for `n` messages by this process.
+  # This process asks the readers for `n` messages.
   defp served(opts, n) do
     {out, batch} = out(1..5)
-    readers = Readers.join(%Readers{}, self(), :ref, out, [reader: "far"] ++ opts)
-    {:ok, "s", readers} = Readers.ask(readers, :ref, n)
-    {Readers.serve(readers, out, nil), batch}
+    readers = Readers.add_reader(%Readers{}, self(), :ref, out, [reader: "far"] ++ opts)
+    {:ok, "s", readers} = Readers.add_demand(readers, :ref, n)
+    {Readers.serve_stream(readers, out, nil), batch}
   end
 
-  test "an inlet gets the bytes that were packed for all, not a message of them unpacked" do
+  test "an inlet receives the shared packed bytes, not unpacked messages" do
     {readers, %Batch{body: body}} = served([batches: true], 2)
     assert is_binary(body)
     assert_receive {:"$gen_consumer", {_, :ref}, {:situ_batch, 1, ^body}}
-    # It has three more than it asked for, and gets nothing until it has made up for them.
-    assert [%{last: 5, demand: -3}] = Readers.info(readers)
+    # It received three more than it asked for, and gets nothing until it has made up for them.
+    assert [%{last: 5, demand: -3}] = Readers.reader_positions(readers)
   end
 
-  test "any other consumer gets messages, as many as it asked for" do
+  test "any other consumer receives as many messages as it asked for" do
     {readers, _} = served([], 2)
     assert_receive {:"$gen_consumer", {_, :ref}, [%{data: 1}, %{data: 2, sequence_id: 2}]}
-    assert [%{last: 2, demand: 0}] = Readers.info(readers)
+    assert [%{last: 2, demand: 0}] = Readers.reader_positions(readers)
     refute_received {:"$gen_consumer", _, _}
   end
 end

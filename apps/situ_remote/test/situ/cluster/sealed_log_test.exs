@@ -1,5 +1,5 @@
 defmodule Situ.Cluster.SealedLogTest do
-  # Whoever can write to the log, but lacks the cluster's cookie, makes nothing that is believed.
+  # A writer to the log without the cluster's cookie must not be believed.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -28,7 +28,7 @@ defmodule Situ.Cluster.SealedLogTest do
     end)
   end
 
-  # One change of an entry, or of where it is read.
+  # Makes one change to an entry, or reads it from another position.
   defp changes do
     one_of([
       {:head, one_of(["Last", "Epoch", "Kind", "Follows"]), integer(0, 9)},
@@ -40,15 +40,15 @@ defmodule Situ.Cluster.SealedLogTest do
     ])
   end
 
-  property "an entry that was changed in any way, or is read elsewhere, is refused" do
+  property "rejects an entry that was changed or is read from elsewhere" do
     forall {change, follows} <- {changes(), integer(0, 9)} do
       subject = {:stream, "s"}
-      sealed = %{Seal.close(entry(follows), "run", subject, follows) | seq: follows + 1}
+      sealed = %{Seal.seal_entry(entry(follows), "run", subject, follows) | seq: follows + 1}
       {changed, run, subject} = change(change, sealed, subject)
 
       untouched? = changed == sealed and run == "run" and subject == {:stream, "s"}
 
-      case Seal.open(changed, run, subject) do
+      case Seal.verify_entry(changed, run, subject) do
         {:ok, %Entry{verified: true} = read} -> untouched? and read.data == "data #{follows}"
         {:behind, _, _} -> false
         {:error, error} -> not untouched? and Seal.refusal?(error)
@@ -70,10 +70,12 @@ defmodule Situ.Cluster.SealedLogTest do
     {%{entry | data: before <> <<Bitwise.bxor(byte, 1)>> <> rest}, "run", subject}
   end
 
-  test "no term is decoded of an entry that nobody has checked" do
-    sealed = Seal.close(%Entry{op: "x", data: Seal.encode_term(:term)}, "run", {:key, "k"}, 0)
+  test "decodes no term of an unverified entry" do
+    sealed =
+      Seal.seal_entry(%Entry{op: "x", data: Seal.encode_term(:term)}, "run", {:key, "k"}, 0)
+
     assert {:error, %{code: :forged_entry}} = Seal.decode_term(sealed)
-    {:ok, read} = Seal.open(%{sealed | seq: 1}, "run", {:key, "k"})
+    {:ok, read} = Seal.verify_entry(%{sealed | seq: 1}, "run", {:key, "k"})
     assert Seal.decode_term(read) == {:ok, :term}
   end
 
@@ -81,7 +83,7 @@ defmodule Situ.Cluster.SealedLogTest do
     describe "#{adapter}" do
       @adapter adapter
 
-      test "what was sealed is read, written again and trimmed as ever", %{tmp_dir: dir} do
+      test "sealed entries are read, rewritten and trimmed as usual", %{tmp_dir: dir} do
         {:ok, raw} = open(@adapter, dir)
         log = SealedLog.new(raw, "run")
         subject = {:stream, "s"}
@@ -91,18 +93,23 @@ defmodule Situ.Cluster.SealedLogTest do
         :ok = Log.trim(log, subject, 3)
         assert {:ok, entries} = Log.read(log, subject, 1, 9)
         assert for(e <- entries, do: {e.seq, e.data}) == for(i <- 3..5, do: {i, "data #{i}"})
-        assert {:ok, 4} = Log.find(log, subject, &(Entry.integer(&1, "Last", 0) > 3))
+
+        assert {:ok, 4} =
+                 Log.find_position(log, subject, &(Entry.head_integer(&1, "Last", 0) > 3))
 
         key = {:key, "k"}
         other = {:key, "other"}
         first = fill(log, key, 1..1)
         fill(log, other, 1..3)
         {:ok, _} = Log.append(log, key, first, entry(2))
-        assert {:ok, %Entry{data: "data 2", head: %{"Last" => "2"} = head}} = Log.last(log, key)
+
+        assert {:ok, %Entry{data: "data 2", head: %{"Last" => "2"} = head}} =
+                 Log.fetch_last(log, key)
+
         assert map_size(head) == 1
       end
 
-      test "what somebody else appends is refused, and never data", %{tmp_dir: dir} do
+      test "rejects entries of other writers, which never become data", %{tmp_dir: dir} do
         {:ok, raw} = open(@adapter, dir)
         log = SealedLog.new(raw, "run")
 
@@ -113,14 +120,14 @@ defmodule Situ.Cluster.SealedLogTest do
           {:ok, forged} =
             Log.append(raw, subject, last, %Entry{op: "x", head: %{"Epoch" => "999"}})
 
-          assert {:error, %{code: :unsealed_entry} = error} = Log.last(log, subject)
+          assert {:error, %{code: :unsealed_entry} = error} = Log.fetch_last(log, subject)
           assert error.fix =~ "prune"
           assert {:error, _} = Log.append(log, subject, last, entry(4))
           assert {:error, %{code: :unsealed_entry}} = Log.read(log, subject, forged, 1)
         end
       end
 
-      test "an entry written once more, at another place or elsewhere, is refused", %{
+      test "rejects an entry that was repeated, moved or copied", %{
         tmp_dir: dir
       } do
         {:ok, raw} = open(@adapter, dir)
@@ -129,7 +136,7 @@ defmodule Situ.Cluster.SealedLogTest do
         for {kind, n} <- [stream: 1, key: 2] do
           subject = {kind, "s#{n}"}
           first = fill(log, subject, 1..1)
-          {:ok, old} = Log.last(raw, subject)
+          {:ok, old} = Log.fetch_last(raw, subject)
 
           last =
             Enum.reduce(2..4, first, fn i, seq ->
@@ -137,17 +144,17 @@ defmodule Situ.Cluster.SealedLogTest do
             end)
 
           copy = %{old | seq: nil, op: "copy"}
-          # As it is but for the log's own name of the write; then with that, too.
+          # First without the log's own name for the write, then with it.
           {:ok, at} = Log.append(raw, subject, last, copy)
-          assert {:error, %{code: :forged_entry}} = Log.last(log, subject)
+          assert {:error, %{code: :forged_entry}} = Log.fetch_last(log, subject)
           {:ok, _} = Log.append(raw, subject, at, %{old | seq: nil})
-          assert {:error, %{code: :forged_entry}} = Log.last(log, subject)
+          assert {:error, %{code: :forged_entry}} = Log.fetch_last(log, subject)
           {:ok, _} = Log.append(raw, {kind, "elsewhere#{n}"}, 0, %{old | seq: nil})
-          assert {:error, %{code: :forged_entry}} = Log.last(log, {kind, "elsewhere#{n}"})
+          assert {:error, %{code: :forged_entry}} = Log.fetch_last(log, {kind, "elsewhere#{n}"})
         end
       end
 
-      test "a later run of the same name believes nothing of the one before", %{tmp_dir: dir} do
+      test "a later run of the same name rejects entries of an earlier run", %{tmp_dir: dir} do
         {:ok, raw} = open(@adapter, dir)
         subject = {:stream, "s"}
         fill(SealedLog.new(raw, "before"), subject, 1..3)
@@ -157,7 +164,7 @@ defmodule Situ.Cluster.SealedLogTest do
         fill(log, subject, 1..2)
         third = %{List.last(old) | seq: nil}
         {:ok, 3} = Log.append(raw, subject, 2, third)
-        assert {:error, %{code: :forged_entry}} = Log.last(log, subject)
+        assert {:error, %{code: :forged_entry}} = Log.fetch_last(log, subject)
       end
     end
   end

@@ -3,60 +3,62 @@ defmodule Situ.Cluster.StandbyTest do
   alias Situ.Cluster.Standby
 
   defp now, do: System.monotonic_time(:millisecond)
-  # The lease lasts a minute. The tests read the timers and wait for none of them.
+  # The lease lasts a minute. The tests read the timers without waiting for them.
   defp standby, do: Standby.new(60_000_000_000)
   defp lose_part(standby), do: Standby.resume_after_loss(standby)
   defp left(%{timer: timer}), do: Process.read_timer(timer)
 
-  test "an owner that is heard of is not looked for in the log" do
+  test "an owner that was heard from is not looked up in the log" do
     at = now()
-    {:wait, standby} = Standby.observe(standby(), {7, "other@host", at, at}, 0)
-    # It looks again after a tenth of the lease, as long as it has heard nothing.
+    {:wait, standby} = Standby.judge_look(standby(), {7, "other@host", at, at}, 0)
+    # It looks again after a tenth of the lease if it has heard nothing.
     assert left(Standby.look_again(standby)) <= 6_000
-    standby = Standby.hear(standby, 8, "other@host")
+    standby = Standby.note_renewal(standby, 8, "other@host")
     assert left(standby) > 20_000
-    # The lease began anew when the owner was heard, so the looks at the log count from there.
+
+    # The lease began again when the owner was heard from, so the looks at the log count from there.
     at = now()
 
     assert {:wait, standby} =
-             Standby.observe(standby, {8, "other@host", at + 59_000, at + 59_000}, 0)
+             Standby.judge_look(standby, {8, "other@host", at + 59_000, at + 59_000}, 0)
 
-    assert {:take, _} = Standby.observe(standby, {8, "other@host", at + 60_001, at + 60_001}, 0)
+    assert {:take, _} =
+             Standby.judge_look(standby, {8, "other@host", at + 60_001, at + 60_001}, 0)
   end
 
-  test "a log that takes its time is asked less often, but once in a lease" do
+  test "asks a slow log less often, but once per lease" do
     at = now()
-    {:wait, standby} = Standby.observe(standby(), {7, "other@host", at, at + 8_000}, 0)
+    {:wait, standby} = Standby.judge_look(standby(), {7, "other@host", at, at + 8_000}, 0)
     assert left(Standby.look_again(standby)) in 25_000..32_000
-    {:wait, standby} = Standby.observe(standby, {7, "other@host", at, at + 50_000}, 0)
+    {:wait, standby} = Standby.judge_look(standby, {7, "other@host", at, at + 50_000}, 0)
     assert left(Standby.look_again(standby)) in 50_000..60_000
   end
 
-  test "a node that loses the part again and again waits longer each time" do
+  test "a node that repeatedly loses the part waits longer each time" do
     standby = standby() |> lose_part() |> lose_part() |> lose_part()
     at = now()
-    {:wait, standby} = Standby.observe(standby, {7, "", at, at}, 0)
-    assert {:wait, _} = Standby.observe(standby, {7, "", at + 60_000, at + 60_000}, 0)
+    {:wait, standby} = Standby.judge_look(standby, {7, "", at, at}, 0)
+    assert {:wait, _} = Standby.judge_look(standby, {7, "", at + 60_000, at + 60_000}, 0)
     # A node that is given the part does not wait.
-    standby = Standby.lend(standby, 0, nil)
-    assert {:take, _} = Standby.observe(standby, {7, "", at + 60_000, at + 60_000}, 0)
+    standby = Standby.set_demotion(standby, 0, nil)
+    assert {:take, _} = Standby.judge_look(standby, {7, "", at + 60_000, at + 60_000}, 0)
   end
 
-  test "the log is looked at as soon as the owner's node is lost" do
+  test "looks at the log as soon as the owner's node is lost" do
     at = now()
-    {:wait, standby} = Standby.observe(standby(), {7, "other@host", at, at}, 0)
-    standby = Standby.hear(standby, 8, "other@host")
-    assert left(Standby.down(standby, :third@host)) > 20_000
-    _ = Standby.down(standby, :other@host)
+    {:wait, standby} = Standby.judge_look(standby(), {7, "other@host", at, at}, 0)
+    standby = Standby.note_renewal(standby, 8, "other@host")
+    assert left(Standby.note_node_down(standby, :third@host)) > 20_000
+    _ = Standby.note_node_down(standby, :other@host)
     assert_receive :look
   end
 
   test "a loan ends with the process that asked for it" do
     mover = spawn(fn -> :ok end)
-    standby = Standby.lend(Standby.lend(standby(), 2, nil), 5, mover)
+    standby = Standby.set_demotion(Standby.set_demotion(standby(), 2, nil), 5, mover)
     assert standby.away == 5
     assert_receive {:DOWN, ref, :process, ^mover, _}
-    assert Standby.give_back(standby, make_ref()).away == 5
-    assert Standby.give_back(standby, ref).away == 2
+    assert Standby.restore_demotion(standby, make_ref()).away == 5
+    assert Standby.restore_demotion(standby, ref).away == 2
   end
 end

@@ -5,8 +5,8 @@ defmodule Situ.Cluster.VitalsTest do
 
   doctest Vitals
 
-  test "the CPU time of a node includes what the kernel spends for it" do
-    # Zeros are made by the kernel, so this is system time nearly alone.
+  test "the CPU time of a node includes the time its kernel spends" do
+    # The kernel creates zeros, so this is almost only system time.
     {:ok, zeros} = File.open("/dev/zero", [:read, :raw, :binary])
     {user, _} = :erlang.statistics(:runtime)
     before = Vitals.cpu_ms(File.read("/proc/self/stat"))
@@ -15,7 +15,7 @@ defmodule Situ.Cluster.VitalsTest do
     assert user_after - user < 300
   end
 
-  # Ends only when system time counts.
+  # Ends only if system time counts.
   defp read_until_counted(zeros, before) do
     {:ok, _bytes} = :file.read(zeros, 16_000_000)
 
@@ -23,20 +23,20 @@ defmodule Situ.Cluster.VitalsTest do
       do: read_until_counted(zeros, before)
   end
 
-  test "a node knows how busy it is and what it has" do
-    assert Vitals.all() == %{}
+  test "a node reports its load and its devices" do
+    assert Vitals.recent_vitals() == %{}
     start_supervised!({Task, fn -> :ok end})
     {:ok, vitals} = start_supervised(%{id: Vitals, start: {Vitals, :start_link, [["camera0"]]}})
-    eventually(fn -> is_map_key(Vitals.all(), node()) end)
-    known = Vitals.all()[node()]
+    eventually(fn -> is_map_key(Vitals.recent_vitals(), node()) end)
+    known = Vitals.recent_vitals()[node()]
     assert known.devices == ["camera0"] and known.cores >= 1 and known.memory > 0
     assert known.busy >= 0 and known.machine >= 0 and known.machine <= 1
-    # The vitals of another node appear beside it, and the round trip is measured.
+    # The vitals of another node appear next to it, and the round trip is measured.
     send(vitals, {:vital, :other@h, %{known | devices: ["x"]}, System.monotonic_time()})
     send(vitals, {:heard, :other@h, System.monotonic_time()})
-    eventually(fn -> is_map_key(Vitals.all(), :other@h) end)
-    assert Vitals.all()[:other@h].devices == ["x"]
+    eventually(fn -> is_map_key(Vitals.recent_vitals(), :other@h) end)
+    assert Vitals.recent_vitals()[:other@h].devices == ["x"]
     send(vitals, :beat)
-    eventually(fn -> is_map_key(Vitals.all()[node()].trips, :other@h) end)
+    eventually(fn -> is_map_key(Vitals.recent_vitals()[node()].trips, :other@h) end)
   end
 end

@@ -1,12 +1,12 @@
 defmodule Situ.Remote.AddressTest do
-  # The setting of the name server is the application's.
+  # The name server is configured in the application's environment, so this is not async.
   use ExUnit.Case, async: false
   alias Situ.Remote.{Address, Server}
   doctest Address
 
   @moduletag :tmp_dir
 
-  # A DNS server with one zone, answering over UDP as any does: `records` of `_situ._tcp.NAME`.
+  # A DNS server with one zone that responds over UDP: `records` of `_situ._tcp.NAME`.
   defp name_server(records) do
     {:ok, socket} = :gen_udp.open(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, port} = :inet.port(socket)
@@ -27,7 +27,7 @@ defmodule Situ.Remote.AddressTest do
             do: :inet_dns.make_rr(domain: name, type: :srv, class: :in, ttl: 1, data: data)
 
       id = asked |> :inet_dns.msg(:header) |> :inet_dns.header(:id)
-      # 3: there is no such name.
+      # 3: the name does not exist.
       code = if found == [], do: 3, else: 0
       flags = [qr: true, aa: true, rd: true, ra: true, opcode: :query, rcode: code]
       header = :inet_dns.make_header([id: id] ++ flags)
@@ -41,11 +41,11 @@ defmodule Situ.Remote.AddressTest do
     with {:ok, address} <- Address.parse(text), do: Address.resolve(address, names)
   end
 
-  test "a service of DNS says host and port: the lowest priority, then the most weight" do
+  test "a DNS service gives host and port by lowest priority, then highest weight" do
     records = [{20, 99, 1, ~c"c.lab"}, {10, 1, 2, ~c"a.lab"}, {10, 5, 3, ~c"b.lab"}]
     name_server(%{"_situ._tcp.lab1" => records})
     assert {:ok, %{host: "b.lab", port: 3, name: "lobby"}} = resolve("situ://lab1/lobby")
-    # A port, a configured name, a number and a name that DNS does not know are what they were.
+    # An explicit port, a configured name, an IP address and a name unknown to DNS do not change.
     assert {:ok, %{host: "lab1", port: 4_000}} = resolve("situ://lab1:4000/lobby")
     names = %{"lab1" => "situs://10.0.0.3:11500"}
     assert {:ok, %{transport: :tls, port: 11_500}} = resolve("situ://lab1/lobby", names)

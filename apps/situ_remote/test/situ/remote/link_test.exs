@@ -1,5 +1,5 @@
 defmodule Situ.Remote.LinkTest do
-  # A link as a pipeline sees it: positions, clocks, live streams.
+  # Links as a pipeline sees them: positions, clocks and live streams.
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
   import Situ.Remote.Test.Recordings
@@ -12,7 +12,7 @@ defmodule Situ.Remote.LinkTest do
     {:ok, root: root, path: Path.join(root, "lobby")}
   end
 
-  # A pipeline that sends what comes to the test, and its link.
+  # A pipeline that sends the messages it receives to the test, and its link.
   defp follow(address, link_opts, stream_opts \\ [], more \\ fn stream, _link -> stream end) do
     me = self()
 
@@ -34,7 +34,7 @@ defmodule Situ.Remote.LinkTest do
 
   defp got(range), do: for(i <- range, do: assert_receive({:got, ^i}))
 
-  test "a position is what was taken, kept in a file, and gone on from", %{root: root, path: path} do
+  test "a position is saved to a file and resumed from", %{root: root, path: path} do
     {writer, %{"n" => stream}} = begin(root, "lobby", %{"n" => messages(1..10)})
     server = serve(path)
     position = Path.join(root, "position.json")
@@ -45,7 +45,7 @@ defmodule Situ.Remote.LinkTest do
     {:ok, _} = Pipeline.stop(pipeline)
 
     {:ok, stream} = Writer.append(stream, messages(11..15))
-    # The stream ends long before it would be time to save.
+    # The stream ends long before the next position is due.
     {pipeline, _} = follow(address(server), Keyword.put(opts, :save_every, 600_000))
     got(11..15)
     refute_received {:got, _}
@@ -54,7 +54,7 @@ defmodule Situ.Remote.LinkTest do
     eventually(fn -> Position.load(position) == {:ok, %{"n" => 15}} end)
   end
 
-  test "the end of a pipeline is a position, whenever the next one were due", %{
+  test "the end of a pipeline saves its position before the next one is due", %{
     root: root,
     path: path
   } do
@@ -67,7 +67,7 @@ defmodule Situ.Remote.LinkTest do
     eventually(fn -> Position.load(position) == {:ok, %{"n" => 10}} end)
   end
 
-  test "what is confirmed is the position", %{root: root, path: path} do
+  test "the position is the last confirmed message", %{root: root, path: path} do
     open = begin(root, "lobby", %{"n" => messages(1..10)})
     server = serve(path)
     position = Path.join(root, "position.json")
@@ -83,7 +83,7 @@ defmodule Situ.Remote.LinkTest do
     assert {:ok, _} = Pipeline.await(pipeline)
   end
 
-  test "a file that holds no positions is an error, not a start from the beginning", %{
+  test "an invalid position file is an error instead of a restart from the beginning", %{
     root: root,
     path: path
   } do
@@ -98,7 +98,7 @@ defmodule Situ.Remote.LinkTest do
              end)
   end
 
-  test "the clock of a sender that is ahead is found, and its times are brought to ours", %{
+  test "detects a sender's clock that is ahead and converts its times to ours", %{
     root: root,
     path: path
   } do
@@ -107,7 +107,7 @@ defmodule Situ.Remote.LinkTest do
     times = for i <- 1..20, do: now + ahead - Time.s(1) + Time.ms(i)
     open = begin(root, "lobby", %{"n" => messages(times)})
     server = serve(path, now: fn -> Time.now() + ahead end)
-    # The estimate needs a round trip before the first message is brought over.
+    # The estimate needs a round trip before the first message is converted.
     {pipeline, link} = follow(address(server), [from: :now], times: :local)
     eventually(fn -> match?(%{"n" => %{found?: true}}, Remote.info(link).streams) end)
     eventually(fn -> Remote.info(link).uncertainty != nil end)
@@ -125,7 +125,7 @@ defmodule Situ.Remote.LinkTest do
     assert abs(report.final_time - sent) < Time.s(60)
   end
 
-  test "live streams: many clients, one that is late, and the end", _context do
+  test "live streams serve many clients, including a late one, and end", _context do
     me = self()
     clock = Clock.manual(Time.now())
 
@@ -146,7 +146,7 @@ defmodule Situ.Remote.LinkTest do
     {first, _} = follow(address, [from: :start], type: :any)
     got([1])
 
-    # The start of live streams is the oldest message that is kept, over all pieces they are kept in.
+    # Live streams start at the oldest message that is still kept, across all segments.
     for i <- 2..5 do
       Clock.advance(clock, Time.s(10))
       post.(i)
@@ -160,16 +160,16 @@ defmodule Situ.Remote.LinkTest do
     assert {:ok, _} = Pipeline.await(late)
   end
 
-  test "a quota bounds what goes out", %{root: root, path: path} do
+  test "a quota limits outgoing data", %{root: root, path: path} do
     finish(begin(root, "lobby", %{"n" => messages(1..2_000)}))
     server = serve(path, quota: [{:messages_per_second, 4_000}, {:bytes_per_second, 10_000_000}])
     started = System.monotonic_time(:millisecond)
     assert length(received(address(server), "n")) == 2_000
-    # Half a second's worth, of which a tenth is for free; more time than that says nothing.
+    # Half a second of data, of which a tenth is free. Taking longer than that proves nothing.
     assert System.monotonic_time(:millisecond) - started >= 250
   end
 
-  test "data of another type than was asked for are left out and counted", %{
+  test "skips and counts data of another type than requested", %{
     root: root,
     path: path
   } do
@@ -183,8 +183,8 @@ defmodule Situ.Remote.LinkTest do
     assert received(address(server), "n", [from: :start], type: :integer) == [2, 4, 6]
   end
 
-  # By a path of its own: a port that was free a moment ago may be somebody else's by now.
-  test "a server that is not there yet is waited for", %{root: root, path: path} do
+  # Uses a Unix socket, because a port that was free a moment ago may be taken by now.
+  test "waits for a server that is not there yet", %{root: root, path: path} do
     finish(begin(root, "lobby", %{"n" => messages(1..3)}))
     socket = Path.join(root, "socket")
 
@@ -205,7 +205,7 @@ defmodule Situ.Remote.LinkTest do
     end)
   end
 
-  test "pictures as datagrams: each one whole, and all that is lost is told", %{
+  test "images arrive complete as datagrams, and every loss is reported", %{
     root: root,
     path: path
   } do
@@ -230,7 +230,7 @@ defmodule Situ.Remote.LinkTest do
     assert times == Enum.sort(Enum.uniq(times))
   end
 
-  test "datagrams need a policy that loses; a Unix socket goes without them", %{
+  test "datagrams need a lossy policy; a Unix socket works without them", %{
     root: root,
     path: path
   } do

@@ -48,10 +48,10 @@ defmodule Situ.Remote.LogTest do
     describe "#{adapter}" do
       @adapter adapter
 
-      test "keeps what was appended, in order, for others too", %{tmp_dir: dir} do
+      test "keeps appended entries in order, also for other clients", %{tmp_dir: dir} do
         {log, again} = open(@adapter, dir)
         subject = {:stream, "a stream/with. odd * names > é"}
-        assert {:ok, nil} = Log.last(log, subject)
+        assert {:ok, nil} = Log.fetch_last(log, subject)
         assert {:ok, []} = Log.read(log, subject, 1, 10)
 
         seqs =
@@ -68,19 +68,19 @@ defmodule Situ.Remote.LogTest do
         other = again.()
         {:ok, entries} = Log.read(other, subject, 1, 100)
         assert for(e <- entries, do: e.seq) == seqs
-        assert for(e <- entries, do: Entry.integer(e, "Last", 0)) == Enum.to_list(1..25)
+        assert for(e <- entries, do: Entry.head_integer(e, "Last", 0)) == Enum.to_list(1..25)
         assert List.last(entries).data == :binary.copy(<<25>>, 25_000)
-        assert {:ok, %Entry{op: "op.25"}} = Log.last(other, subject)
+        assert {:ok, %Entry{op: "op.25"}} = Log.fetch_last(other, subject)
 
         assert {:ok, [%Entry{op: "op.7"}, %Entry{op: "op.8"}]} =
                  Log.read(other, subject, Enum.at(seqs, 6), 2)
 
-        # Another stream in between is none of its business.
+        # Other streams may be written in between.
         {:ok, _} = Log.append(other, {:stream, "b"}, 0, entry("b.1"))
         assert {:ok, _} = Log.append(log, subject, List.last(seqs), entry("op.26"))
       end
 
-      test "refuses who does not know the last entry; the same write again is the same entry", %{
+      test "rejects a writer without the last entry, and a repeated write is one entry", %{
         tmp_dir: dir
       } do
         {log, again} = open(@adapter, dir)
@@ -96,7 +96,7 @@ defmodule Situ.Remote.LogTest do
 
           {:ok, third} = Log.append(log, subject, second, entry("a.3"))
           {:ok, fourth} = Log.append(log, subject, third, entry("a.4"))
-          # However old what it knows is.
+          # However old its last known entry is.
           for old <- [0, first, second, third],
               do:
                 assert(
@@ -106,7 +106,7 @@ defmodule Situ.Remote.LogTest do
         end
       end
 
-      test "of those that append at once behind the same entry one succeeds", %{tmp_dir: dir} do
+      test "only one of several concurrent appends succeeds", %{tmp_dir: dir} do
         {log, again} = open(@adapter, dir)
         subject = {:key, "lease"}
 
@@ -121,12 +121,12 @@ defmodule Situ.Remote.LogTest do
             |> Enum.map(fn {:ok, answer} -> answer end)
 
           assert [seq] = for({:ok, seq} <- answers, do: seq)
-          assert {:ok, %Entry{seq: ^seq}} = Log.last(log, subject)
+          assert {:ok, %Entry{seq: ^seq}} = Log.fetch_last(log, subject)
           seq
         end)
       end
 
-      test "trims, and goes on", %{tmp_dir: dir} do
+      test "trims and continues", %{tmp_dir: dir} do
         {log, _} = open(@adapter, dir)
         subject = {:stream, "s"}
 
@@ -139,12 +139,12 @@ defmodule Situ.Remote.LogTest do
         {:ok, entries} = Log.read(log, subject, 1, 100)
         assert for(e <- entries, do: e.op) == ~w(7 8 9 10)
         :ok = Log.trim(log, subject, 1_000_000)
-        assert {:ok, %Entry{op: "10"}} = Log.last(log, subject)
+        assert {:ok, %Entry{op: "10"}} = Log.fetch_last(log, subject)
         assert {:refused, _} = Log.append(log, subject, 0, entry("x"))
         assert {:ok, _} = Log.append(log, subject, List.last(seqs), entry("11"))
       end
 
-      test "a name of any length and letters is a stream of its own", %{tmp_dir: dir} do
+      test "a name of any length and letters is a separate stream", %{tmp_dir: dir} do
         {log, again} = open(@adapter, dir)
         long = String.duplicate("long ", 30)
         longer = String.duplicate("é ", 300)
@@ -159,17 +159,17 @@ defmodule Situ.Remote.LogTest do
           assert {:ok, [%Entry{op: ^op}]} = Log.read(again.(), {:stream, name}, 1, 10)
         end
 
-        {:ok, kept} = Log.subjects(again.())
+        {:ok, kept} = Log.list_subjects(again.())
         assert Enum.sort(for(%{subject: {:stream, name}} <- kept, do: name)) == Enum.sort(names)
         op = String.duplicate("a long name of a write ", 30)
         assert {:ok, 2} = Log.append(log, {:stream, longer <> "1"}, 1, entry(op))
         assert {:ok, 1} = Log.append(log, {:key, longer}, 0, entry(op))
-        assert {:ok, %Entry{op: ^op}} = Log.last(again.(), {:key, longer})
+        assert {:ok, %Entry{op: ^op}} = Log.fetch_last(again.(), {:key, longer})
       end
 
-      test "lists what it keeps, and deletes it for good", %{tmp_dir: dir} do
+      test "lists its subjects and deletes them permanently", %{tmp_dir: dir} do
         {log, again} = open(@adapter, dir)
-        assert {:ok, []} = Log.subjects(log)
+        assert {:ok, []} = Log.list_subjects(log)
         stream = {:stream, "Hall.a stream/with. odd * names > é"}
         long = {:stream, "Hall." <> String.duplicate("long ", 30)}
         key = {:key, "lease.Hall.Sum"}
@@ -182,7 +182,7 @@ defmodule Situ.Remote.LogTest do
           end)
         end
 
-        {:ok, kept} = Log.subjects(again.())
+        {:ok, kept} = Log.list_subjects(again.())
         assert Enum.map(kept, & &1.subject) == Enum.sort([stream, long, key])
         assert %{entries: 3, bytes: bytes, written: written} = about(kept, stream)
         assert bytes >= 15
@@ -193,18 +193,18 @@ defmodule Situ.Remote.LogTest do
         for subject <- [stream, key, {:stream, "Hall.never"}, {:key, "lease.Hall.never"}],
             do: assert(:ok = Log.delete(log, subject))
 
-        assert {:ok, [%{subject: ^long}]} = Log.subjects(log)
-        assert {:ok, nil} = Log.last(log, key)
+        assert {:ok, [%{subject: ^long}]} = Log.list_subjects(log)
+        assert {:ok, nil} = Log.fetch_last(log, key)
         assert {:ok, []} = Log.read(log, stream, 1, 10)
 
         for subject <- [stream, key],
             do: assert({:ok, _} = Log.append(log, subject, 0, entry("again")))
       end
 
-      test "finds the first entry that is enough", %{tmp_dir: dir} do
+      test "finds the first entry that satisfies a condition", %{tmp_dir: dir} do
         {log, _} = open(@adapter, dir)
         subject = {:stream, "s"}
-        assert {:ok, nil} = Log.find(log, subject, fn _ -> true end)
+        assert {:ok, nil} = Log.find_position(log, subject, fn _ -> true end)
 
         Enum.reduce(1..20, 0, fn i, last ->
           {:ok, _} = Log.append(log, {:stream, "other#{i}"}, 0, entry("o#{i}"))
@@ -213,17 +213,20 @@ defmodule Situ.Remote.LogTest do
         end)
 
         for time <- [0, 10, 11, 95, 200] do
-          {:ok, seq} = Log.find(log, subject, &(Entry.integer(&1, "Time", 0) >= time))
+          {:ok, seq} =
+            Log.find_position(log, subject, &(Entry.head_integer(&1, "Time", 0) >= time))
+
           {:ok, [found]} = Log.read(log, subject, seq, 1)
-          assert Entry.integer(found, "Time", 0) == max(10, div(time + 9, 10) * 10)
+          assert Entry.head_integer(found, "Time", 0) == max(10, div(time + 9, 10) * 10)
         end
 
-        assert {:ok, nil} = Log.find(log, subject, &(Entry.integer(&1, "Time", 0) >= 201))
+        assert {:ok, nil} =
+                 Log.find_position(log, subject, &(Entry.head_integer(&1, "Time", 0) >= 201))
       end
     end
   end
 
-  property "an entry is what was encoded; a changed one is refused" do
+  property "an entry survives encoding, and a changed one is rejected" do
     forall {op, data, at} <- {binary(4), binary(), non_neg_integer()} do
       entry = %Entry{op: Base.encode16(op), data: data, head: %{"A" => "1"}}
       bytes = entry |> Entry.encode() |> IO.iodata_to_binary()
@@ -237,14 +240,14 @@ defmodule Situ.Remote.LogTest do
     end
   end
 
-  test "an address that no log has is an error that says so" do
+  test "an address that no log supports is an error" do
     assert {:error, %{code: :bad_address}} = Log.connect("kafka://x")
     assert {:error, %{code: :bad_address}} = Log.connect("nats://secret:x@host:port")
     {:error, error} = Log.connect("nats://user:secret@:1")
     refute error.what =~ "secret"
 
     assert {:error, %{code: :log_away}} =
-             Log.connect("nats://127.0.0.1:#{Situ.Test.FreePort.tcp()}")
+             Log.connect("nats://127.0.0.1:#{Situ.Test.FreePort.find_tcp()}")
 
     assert {:error, %{code: :no_log}} = Log.connect("/proc/nothing/here")
   end

@@ -1,5 +1,5 @@
 defmodule Situ.Remote.RecordingTest do
-  # Recordings of another machine answer as those of this one do.
+  # Recordings on another machine must give the same results as local ones.
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
   import Situ.Remote.Test.Recordings
@@ -51,7 +51,7 @@ defmodule Situ.Remote.RecordingTest do
   # A message's source is a number within its own recording.
   defp plain(messages), do: for(m <- messages, do: %{m | source_id: 0})
 
-  test "everything that is asked of a recording is answered as here", %{root: root, path: path} do
+  test "every request to a recording returns the same as locally", %{root: root, path: path} do
     here = Store.open!(recorded(root))
     there = path |> serve() |> address() |> Store.open!()
 
@@ -90,7 +90,7 @@ defmodule Situ.Remote.RecordingTest do
     assert Store.missing_files(there) == []
   end
 
-  test "it is copied, played and listed", %{root: root, path: path} do
+  test "can be copied, played and listed", %{root: root, path: path} do
     here = Store.open!(recorded(root))
     server = serve(%{"lobby" => path, "hall" => path})
     assert {:ok, copy} = Store.copy(address(server), Path.join(root, "copy"))
@@ -100,11 +100,16 @@ defmodule Situ.Remote.RecordingTest do
 
     assert data == for(m <- Store.messages(here, "door"), do: m.data)
     whole = "situ://127.0.0.1:#{Server.port(server)}"
-    assert Enum.sort(Store.Formats.within(whole)) == [whole <> "/hall", whole <> "/lobby"]
-    assert Store.Formats.within(whole <> "/lobby") == [whole <> "/lobby"]
+
+    assert Enum.sort(Store.Formats.list_recordings(whole)) == [
+             whole <> "/hall",
+             whole <> "/lobby"
+           ]
+
+    assert Store.Formats.list_recordings(whole <> "/lobby") == [whole <> "/lobby"]
   end
 
-  test "a version stays what was opened; another one has its own address", %{
+  test "a version remains as it was opened, and another has its own address", %{
     root: root,
     path: path
   } do
@@ -123,7 +128,7 @@ defmodule Situ.Remote.RecordingTest do
     end)
   end
 
-  test "news of a live one come by themselves, and a lost link ends nothing", %{
+  test "a live recording sends updates, and a lost link ends nothing", %{
     root: root,
     path: path
   } do
@@ -148,7 +153,7 @@ defmodule Situ.Remote.RecordingTest do
     assert_receive {:situ_store, 7, {:ended, _}}, 30_000
   end
 
-  test "what is not there, or not for everybody, is an error that says so", %{
+  test "a missing or protected recording is an error", %{
     root: root,
     path: path
   } do
@@ -159,7 +164,7 @@ defmodule Situ.Remote.RecordingTest do
       assert {:error, %{code: :wrong_token}} = Store.open(address(server))
       token = [reader_opts: [token: "s3cret"]]
 
-      assert {:error, %{code: :no_recording, fix: "served: lobby"}} =
+      assert {:error, %{code: :no_recording, fix: "use one of these names: lobby"}} =
                Store.open(address(server, "hall"), token)
 
       assert {:ok, store} = Store.open(address(server), token)
@@ -172,10 +177,10 @@ defmodule Situ.Remote.RecordingTest do
     assert {:error, %{code: :no_store}} = Store.delete(address(server))
   end
 
-  test "TLS by a certificate of its own: its fingerprint is in the address, and no other counts",
+  test "TLS with a self-signed certificate accepts only the fingerprint in the address",
        %{root: root, path: path} do
     recorded(root)
-    {:ok, tls} = Situ.Certificate.ensure(Path.join(root, "tls"), ["localhost"])
+    {:ok, tls} = Situ.Certificate.ensure_files(Path.join(root, "tls"), ["localhost"])
     server = serve(path, tls: tls)
     address = Server.address(server, "lobby")
     assert address =~ ~r"\Asitus://127\.0\.0\.1:\d+/lobby\?fingerprint=[0-9a-f]{64}\z"
@@ -197,13 +202,13 @@ defmodule Situ.Remote.RecordingTest do
     end)
   end
 
-  test "a quota holds for answers, too", %{root: root, path: path} do
+  test "a quota also applies to responses", %{root: root, path: path} do
     recorded(root)
     server = serve(path, quota: {:bytes_per_second, 20_000_000})
     store = Store.open!(address(server))
     started = System.monotonic_time(:millisecond)
     assert Enum.count(Store.messages(store, "big")) == 4
-    # 12 MiB at 20 MB/s, of which a tenth of a second is for free; more time says nothing.
+    # 12 MiB at 20 MB/s, of which a tenth of a second is free. Taking longer proves nothing.
     assert System.monotonic_time(:millisecond) - started >= 400
     assert is_map(Server.info(server))
     assert Remote.peers() == []

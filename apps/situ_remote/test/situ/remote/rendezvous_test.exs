@@ -12,7 +12,7 @@ defmodule Situ.Remote.RendezvousTest do
     member
   end
 
-  test "processes come, change and go; whoever comes late hears of those that are there" do
+  test "processes join, change and leave, and a late one learns of the others" do
     {:ok, server} = Rendezvous.serve(port: 0)
     port = Rendezvous.port(server)
     desk = join(port, "desk")
@@ -33,7 +33,7 @@ defmodule Situ.Remote.RendezvousTest do
     eventually(fn -> Enum.map(Rendezvous.peers(desk), & &1.name) == ["late"] end)
   end
 
-  test "a server that was away is found again" do
+  test "reconnects to a server that was away" do
     {:ok, server} = Rendezvous.serve(port: 0)
     port = Rendezvous.port(server)
     {a, b} = {join(port, "a"), join(port, "b")}
@@ -47,7 +47,7 @@ defmodule Situ.Remote.RendezvousTest do
   end
 
   @tag capture_log: true
-  test "one whose name is another's is told, and seen when that has gone" do
+  test "a process with a taken name is notified, and visible when the name is free" do
     {:ok, server} = Rendezvous.serve(port: 0)
     port = Rendezvous.port(server)
     desk = join(port, "desk")
@@ -56,19 +56,19 @@ defmodule Situ.Remote.RendezvousTest do
     assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: [^one]}}}
     second = join(port, "robot", endpoints: [two])
     assert_receive {:situ_rendezvous, ^second, {:taken, "robot"}}
-    assert Rendezvous.error(second) =~ ~s(another process is called "robot")
+    assert Rendezvous.error(second) =~ ~s(another process is already named "robot")
     assert Rendezvous.error(first) == nil
     GenServer.stop(first)
     assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: [^two]}}}
     eventually(fn -> Rendezvous.error(second) == nil end)
-    # Its offers may change as before; it is told of nothing of its own.
+    # Its offers may still change, and it receives no notice about itself.
     :ok = Rendezvous.announce(second, [one, two])
     assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: [^one, ^two]}}}
     assert Enum.map(Rendezvous.peers(second), & &1.name) == ["desk"]
     refute_received {:situ_rendezvous, ^second, {:added, %{name: "robot"}}}
   end
 
-  test "a client of another version, a silent one and noise harm nobody" do
+  test "an incompatible client, a silent client and noise do no harm" do
     {:ok, server} = Rendezvous.serve(port: 0)
     port = Rendezvous.port(server)
     connect = fn -> elem(:gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false]), 1) end
@@ -81,7 +81,7 @@ defmodule Situ.Remote.RendezvousTest do
     for seed <- 1..200 do
       noise = connect.()
       :rand.seed(:exsss, {seed, 0, 0})
-      _ = :gen_tcp.send(noise, [<<Wire.version()::little-16>>, <<1>>, :rand.bytes(64)])
+      _ = :gen_tcp.send(noise, [<<Wire.protocol_version()::little-16>>, <<1>>, :rand.bytes(64)])
       :gen_tcp.close(noise)
     end
 
@@ -99,11 +99,11 @@ defmodule Situ.Remote.RendezvousTest do
   end
 
   defp greet(socket) do
-    :ok = :gen_tcp.send(socket, <<Wire.version()::little-16>>)
+    :ok = :gen_tcp.send(socket, <<Wire.protocol_version()::little-16>>)
     :gen_tcp.recv(socket, 2, 30_000)
   end
 
-  # An announcement of about 900 kB, but for its end.
+  # An announcement of about 900 kB without its end.
   defp long do
     streams = for i <- 1..10_000, do: {"stream #{i}", ":float"}
     endpoints = for i <- 1..5, do: {:tcp, "host", i, streams}
@@ -112,7 +112,7 @@ defmodule Situ.Remote.RendezvousTest do
     binary_part(bytes, 0, byte_size(bytes) - 3_000)
   end
 
-  test "clients that are silent, or do not end what they say, are disconnected" do
+  test "disconnects clients that are silent or do not finish an announcement" do
     {:ok, server} = Rendezvous.serve(port: 0, deadline: 200)
     port = Rendezvous.port(server)
     member = join(port, "member")
@@ -123,7 +123,7 @@ defmodule Situ.Remote.RendezvousTest do
     assert {:error, :closed} = :gen_tcp.recv(silent, 0, 30_000)
     assert {:error, :closed} = :gen_tcp.recv(half, 0, 30_000)
     assert {:error, _closed} = until_closed(begun)
-    # One that owes nothing may be silent for as long as it likes.
+    # A member with nothing unfinished may be silent for any time.
     assert Rendezvous.error(member) == nil
     _ = join(port, "late")
     assert_receive {:situ_rendezvous, ^member, {:added, %{name: "late"}}}
@@ -134,7 +134,7 @@ defmodule Situ.Remote.RendezvousTest do
     with {:ok, _bytes} <- :gen_tcp.recv(socket, 0, 30_000), do: until_closed(socket)
   end
 
-  test "a thousand silent clients shut nobody out, greeted or not" do
+  test "a thousand silent clients shut nobody out, before or after the greeting" do
     {:ok, server} = Rendezvous.serve(port: 0)
     port = Rendezvous.port(server)
     first = join(port, "first")
@@ -153,7 +153,7 @@ defmodule Situ.Remote.RendezvousTest do
     for socket <- silent, do: :gen_tcp.close(socket)
   end
 
-  test "bytes that trickle behind a long announcement cost what they weigh" do
+  test "the cost of bytes that trickle in after a long announcement is linear" do
     {:ok, server} = Rendezvous.serve(port: 0, deadline: 600_000)
     slow = raw(Rendezvous.port(server))
     {:ok, _} = greet(slow)
@@ -166,11 +166,11 @@ defmodule Situ.Remote.RendezvousTest do
     for _ <- 1..200, do: {:gen_tcp.send(slow, "x"), reductions(server)}
     eventually(fn -> :sys.get_state(server).pending == byte_size(long) + 200 end)
 
-    # As much in all as the announcement did, and not each of them.
+    # All of them together cost about as much as the announcement, not each of them.
     assert reductions(server) - whole < whole - first
   end
 
-  # The call makes it take in what is in its mailbox.
+  # The call makes the server process its mailbox first.
   defp reductions(server) do
     [] = GenServer.call(server, :processes)
     {:reductions, n} = Process.info(server, :reductions)

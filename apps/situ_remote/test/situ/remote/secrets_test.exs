@@ -1,19 +1,19 @@
 defmodule Situ.Remote.SecretsTest do
-  # Logs, dumps and observers show the states of processes.
+  # Logs, dumps and observers show the state of processes.
   use ExUnit.Case, async: true
   import Situ.Remote.Test.Recordings
   alias Situ.Remote
 
   @token "the-right-token-of-this-test"
 
-  # The states of all processes of this app.
+  # Returns the states of all processes of this app.
   defp process_states do
     for pid <- Process.list(),
         {:dictionary, dictionary} <- [Process.info(pid, :dictionary)],
         remote?(dictionary[:"$initial_call"]),
         do: inspect(:sys.get_state(pid, 5_000), limit: :infinity, printable_limit: :infinity)
   catch
-    # A process has ended meanwhile.
+    # The process ended in between.
     :exit, _ -> process_states()
   end
 
@@ -28,7 +28,7 @@ defmodule Situ.Remote.SecretsTest do
     server = serve(Path.join(root, "lobby"), token: @token)
     address = address(server)
 
-    # A recording that is read, and a link that stays open.
+    # A recording that is being read, and a link that remains open.
     {:ok, store} = Situ.Store.open(address, reader_opts: [token: @token])
     assert Situ.Store.count(store, "n") == 50
     parent = self()

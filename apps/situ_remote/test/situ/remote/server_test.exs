@@ -19,13 +19,13 @@ defmodule Situ.Remote.ServerTest do
     socket
   end
 
-  # A session that is logged in, for what a proper client would never send.
+  # A logged-in session for messages that a proper client would never send.
   defp logged_in(server, token \\ "", name \\ "lobby") do
     socket = raw(server)
-    nonce = Handshake.nonce()
-    :ok = :gen_tcp.send(socket, Frame.encode(Handshake.hello(nonce)))
+    nonce = Handshake.new_nonce()
+    :ok = :gen_tcp.send(socket, Frame.encode(Handshake.build_hello(nonce)))
     {:ok, {:hello, _, _, theirs}} = next(socket)
-    proof = Handshake.proof(token, :client, theirs, nonce)
+    proof = Handshake.build_proof(token, :client, theirs, nonce)
     :ok = :gen_tcp.send(socket, Frame.encode({:login, proof, %{"name" => name}}))
     {:ok, {:welcome, _, _}} = next(socket)
     {:ok, {:streams, _}} = next(socket)
@@ -38,7 +38,7 @@ defmodule Situ.Remote.ServerTest do
 
   defp refusal(socket) do
     case next(socket) do
-      {:ok, {:refused, map}} -> Handshake.from_map(map)
+      {:ok, {:refused, map}} -> Handshake.error_from_map(map)
       {:ok, _} -> refusal(socket)
       error -> error
     end
@@ -47,13 +47,13 @@ defmodule Situ.Remote.ServerTest do
   defp open(address, opts),
     do: Situ.to_list(fn p -> p |> Remote.open(address, opts) |> Remote.stream("n") end)
 
-  test "a wrong token is an error on both sides, and guessing is bounded", %{path: path} do
+  test "a wrong token is an error on both sides, and guesses are limited", %{path: path} do
     server = serve(path, token: "right")
 
     log =
       capture_log(fn ->
         error = assert_raise Error, fn -> open(address(server), token: "wrong") end
-        assert {error.code, error.fix} == {:wrong_token, "give both sides the same token:"}
+        assert {error.code, error.fix} == {:wrong_token, "give both sides the same `token:`"}
 
         for _ <- 1..25,
             do: assert_raise(Error, fn -> open(address(server), token: "wrong", wait: 200) end)
@@ -61,30 +61,30 @@ defmodule Situ.Remote.ServerTest do
 
     assert log =~ "the token of the link is wrong"
     eventually(fn -> Server.info(server).refused > 20 end)
-    # 20 wrong ones within a minute: the address has to wait, whatever it says.
+    # After 20 wrong tokens within a minute the address has to wait, whatever it sends.
     assert {:error, _} = next(raw(server))
   end
 
-  test "a client for which there is no room reads why", %{path: path} do
+  test "a client beyond the limit receives the reason", %{path: path} do
     server = serve(path)
 
     capture_log(fn ->
-      # From one address.
+      # The limit for one address.
       taken = for _ <- 1..250, do: raw(server)
       for socket <- taken, do: {:ok, {:hello, _, _, _}} = next(socket)
       socket = raw(server)
       {:ok, {:hello, _, _, theirs}} = next(socket)
-      nonce = Handshake.nonce()
-      :ok = :gen_tcp.send(socket, Frame.encode(Handshake.hello(nonce)))
-      proof = Handshake.proof("", :client, theirs, nonce)
+      nonce = Handshake.new_nonce()
+      :ok = :gen_tcp.send(socket, Frame.encode(Handshake.build_hello(nonce)))
+      proof = Handshake.build_proof("", :client, theirs, nonce)
       :ok = :gen_tcp.send(socket, Frame.encode({:login, proof, %{"name" => "lobby"}}))
       assert %{code: :too_many_clients, fix: fix} = refusal(socket)
-      assert fix =~ "close links"
+      assert fix =~ "close unused links"
       for socket <- taken, do: :gen_tcp.close(socket)
     end)
   end
 
-  test "a client that does not know the server's token notices", %{path: path} do
+  test "a client with another token than the server's reports it", %{path: path} do
     server = serve(path)
 
     capture_log(fn ->
@@ -93,19 +93,19 @@ defmodule Situ.Remote.ServerTest do
     end)
   end
 
-  test "another version is refused with both sides' versions", %{path: path} do
+  test "rejects another version with the versions of both sides", %{path: path} do
     server = serve(path)
     socket = raw(server)
 
     capture_log(fn ->
-      :ok = :gen_tcp.send(socket, Frame.encode({:hello, 9, 7, Handshake.nonce()}))
+      :ok = :gen_tcp.send(socket, Frame.encode({:hello, 9, 7, Handshake.new_nonce()}))
       error = refusal(socket)
       assert error.code == :wrong_version
-      assert error.why == "here 1 to 1, on the other side 7 to 9"
+      assert error.why == "this side supports 1 to 1, the other side 7 to 9"
     end)
   end
 
-  test "a name that is not served, and something that is no server", %{path: path} do
+  test "reports a name that is not served and a peer that is not a server", %{path: path} do
     server = serve(path)
 
     capture_log(fn ->
@@ -126,7 +126,7 @@ defmodule Situ.Remote.ServerTest do
     assert error.code == :no_link
   end
 
-  test "a name of another interface needs a token", %{path: path} do
+  test "another interface requires a token", %{path: path} do
     assert {:error, %{code: :open_to_all}} = Remote.serve(path, port: 0, interface: "0.0.0.0")
     server = serve(path, interface: "0.0.0.0", token: :none)
     assert Server.port(server) > 0
@@ -136,7 +136,7 @@ defmodule Situ.Remote.ServerTest do
              Remote.serve(path, port: Server.port(server), interface: "0.0.0.0", token: "t")
   end
 
-  test "20,000 frames of rubbish harm nobody", %{path: path, recording: recording} do
+  test "20,000 invalid frames do no harm", %{path: path, recording: recording} do
     server = serve(path)
     :rand.seed(:exsss, {1, 2, 3})
     atoms = :erlang.system_info(:atom_count)
@@ -147,18 +147,18 @@ defmodule Situ.Remote.ServerTest do
     end)
 
     eventually(fn -> Server.info(server).clients == [] end)
-    # Other tests of this machine make some, too.
+    # Other tests on this machine also create some atoms.
     assert :erlang.system_info(:atom_count) - atoms < 5_000
     finish(recording)
     assert received(address(server), "n") == Enum.to_list(1..500)
   end
 
-  # Some before the login, some behind it; broken copies of what is right, and noise.
+  # Some before the login and some after it: broken copies of valid frames, and noise.
   defp rubbish(server, round) do
     socket = if rem(round, 4) == 0, do: raw(server), else: logged_in(server)
     right = IO.iodata_to_binary(Frame.encode(Enum.random(good())))
     frames = for _ <- 1..50, do: broken(right, :rand.uniform(4))
-    # With its own framing all fifty go out, whatever the server thinks of the first.
+    # With its own framing all fifty are sent, whatever the server does with the first.
     :ok = :inet.setopts(socket, packet: :raw)
     _ = :gen_tcp.send(socket, for(frame <- frames, do: <<byte_size(frame)::32, frame::binary>>))
     :gen_tcp.close(socket)
@@ -176,7 +176,7 @@ defmodule Situ.Remote.ServerTest do
       {:unsubscribe, 1},
       {:ping, 0x7FFFFFFFFFFFFFFF},
       {:batch, 1, 1, 2, 3, "x"},
-      {:hello, 1, 1, Handshake.nonce()},
+      {:hello, 1, 1, Handshake.new_nonce()},
       {:request, 1, %{"what" => "everything"}}
     ]
   end
@@ -218,10 +218,10 @@ defmodule Situ.Remote.ServerTest do
     deaf =
       for _ <- 1..20 do
         socket = raw(server)
-        nonce = Handshake.nonce()
-        :ok = :gen_tcp.send(socket, Frame.encode(Handshake.hello(nonce)))
+        nonce = Handshake.new_nonce()
+        :ok = :gen_tcp.send(socket, Frame.encode(Handshake.build_hello(nonce)))
         {:ok, {:hello, _, _, theirs}} = next(socket)
-        proof = Handshake.proof("", :client, theirs, nonce)
+        proof = Handshake.build_proof("", :client, theirs, nonce)
         :ok = :gen_tcp.send(socket, Frame.encode({:login, proof, %{"name" => "big"}}))
         ask = %{"name" => "b", "from" => "start", "window" => 100_000_000}
         :ok = :gen_tcp.send(socket, Frame.encode({:subscribe, 1, ask}))
@@ -233,7 +233,7 @@ defmodule Situ.Remote.ServerTest do
     for socket <- deaf, do: :gen_tcp.close(socket)
   end
 
-  test "no more is sent than a client has room for", %{path: path} do
+  test "sends no more than a client has room for", %{path: path} do
     server = serve(path)
     socket = logged_in(server)
     ask = %{"name" => "n", "from" => "start", "window" => 100}
@@ -244,7 +244,7 @@ defmodule Situ.Remote.ServerTest do
     assert {:error, :timeout} = :gen_tcp.recv(socket, 0, 100)
   end
 
-  test "what a thin link leaves out is counted, and the newest comes", %{root: root} do
+  test "counts messages that a slow link drops, and delivers the newest", %{root: root} do
     open = begin(root, "cam", %{"c" => messages(1..50, fn t -> :binary.copy(<<t>>, 50_000) end)})
     server = serve(Path.join(root, "cam"))
     me = self()
@@ -267,7 +267,7 @@ defmodule Situ.Remote.ServerTest do
     assert %{} = link
   end
 
-  test "what is more important goes first over a thin link", %{root: root} do
+  test "sends higher priority first over a slow link", %{root: root} do
     finish(
       begin(root, "two", %{
         "bulk" => messages(1..60, fn t -> :binary.copy(<<t>>, 20_000) end),
@@ -281,13 +281,13 @@ defmodule Situ.Remote.ServerTest do
     :ok = :gen_tcp.send(socket, ask.(1, 1, %{"name" => "bulk"}))
     assert {:ok, {:subscribed, 1, _}} = next(socket)
 
-    # Room for everything, and then the other stream: what the quota lets through before that is not much.
+    # Make room for everything, then request the other stream. The quota lets little through before that.
     :ok = :gen_tcp.send(socket, Frame.encode({:credit, 1, 10_000_000}))
     :ok = :gen_tcp.send(socket, ask.(2, 10_000_000, %{"name" => "vital", "priority" => 5}))
     assert before_vital(socket, 0) <= 12
   end
 
-  # Pieces of 25 kB (50 ms of the quota) that come before the first batch of the second stream.
+  # Chunks of 25 kB (50 ms of the quota) that arrive before the first batch of the second stream.
   defp before_vital(socket, n) do
     case next(socket) do
       {:ok, {:part, 1, _, _}} -> before_vital(socket, n + 1)
@@ -296,7 +296,7 @@ defmodule Situ.Remote.ServerTest do
     end
   end
 
-  test "streams that begin later are told of and begin", %{
+  test "announces and starts streams that begin later", %{
     path: path,
     recording: {writer, streams}
   } do
@@ -320,7 +320,7 @@ defmodule Situ.Remote.ServerTest do
     assert {:ok, _} = Situ.Pipeline.await(pipeline)
   end
 
-  test "over TLS with a certificate, and not without", %{
+  test "requires TLS with a certificate when the server uses it", %{
     path: path,
     root: root,
     recording: recording
@@ -338,14 +338,14 @@ defmodule Situ.Remote.ServerTest do
 
     assert File.dir?(root)
 
-    # Signed by somebody else; of another host: refused at once, and it is said why.
+    # Certificates signed by another authority or for another host are rejected immediately, with the reason.
     %{client_config: stranger} = certificates()
     other = Keyword.take(stranger, [:cacerts])
     numbered = String.replace(address, "localhost", "127.0.0.1")
 
     for {address, tls, words} <- [
           {address, other, "not trusted"},
-          {numbered, tls, "another host"}
+          {numbered, tls, "different host"}
         ] do
       error = assert_raise Error, fn -> received(address, "n", from: :start, tls: tls) end
       assert error.code == :wrong_certificate
@@ -353,7 +353,7 @@ defmodule Situ.Remote.ServerTest do
     end
   end
 
-  test "over TLS to an address that the certificate names", %{path: path, recording: recording} do
+  test "accepts TLS to an address in the certificate", %{path: path, recording: recording} do
     finish(recording)
     address = {:Extension, {2, 5, 29, 17}, :asn1_DEFAULT, [iPAddress: <<127, 0, 0, 1>>]}
     %{server_config: served, client_config: known} = certificates(address)
@@ -378,7 +378,7 @@ defmodule Situ.Remote.ServerTest do
     })
   end
 
-  test "over a Unix socket for this user alone", %{path: path, root: root, recording: recording} do
+  test "a Unix socket is open to this user only", %{path: path, root: root, recording: recording} do
     finish(recording)
     socket = Path.join(root, "lab.sock")
     serve(path, port: :none, unix: socket)
@@ -386,7 +386,7 @@ defmodule Situ.Remote.ServerTest do
     assert length(received("situ+unix://#{socket}?lobby", "n")) == 500
   end
 
-  test "pictures larger than a frame come in pieces, also to a slow reader", %{root: root} do
+  test "images larger than a frame arrive in chunks, also at a slow reader", %{root: root} do
     data = for i <- 1..6, do: :binary.copy(<<i>>, 9_000_000)
     finish(begin(root, "wide", %{"w" => messages(1..6, &Enum.at(data, &1 - 1))}))
     server = serve(Path.join(root, "wide"))

@@ -30,7 +30,7 @@ defmodule Situ.Space.Calibration do
       iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {520, 525}, radial: [0.05, -0.02])
       iex> points = for y <- -3..3, z <- -2..2, x <- [2.0, 3.0], do: {x, y * 0.25, z * 0.25}
       iex> seen = for p <- points, {:ok, pixel} <- [Situ.Space.Camera.project(camera, p)], do: {p, pixel}
-      iex> {:ok, found} = Situ.Space.Calibration.camera(seen, {640, 480}, distortion: :radial)
+      iex> {:ok, found} = Situ.Space.Calibration.calibrate_camera(seen, {640, 480}, distortion: :radial)
       iex> {fx, fy} = found.intrinsics.focal
       iex> {Float.round(fx, 3), Float.round(fy, 3), found.error < 1.0e-6}
       {520.0, 525.0, true}
@@ -40,7 +40,7 @@ defmodule Situ.Space.Calibration do
 
   @doc false
   # Situ.Space.Chessboard offers the same option.
-  def distortion, do: @distortion
+  def distortion_option, do: @distortion
 
   @type seen :: {Vector3.t(), Camera.pixel()}
   @typedoc """
@@ -57,9 +57,9 @@ defmodule Situ.Space.Calibration do
   if the search does not converge: all points are on one plane at right angles to the view, or pixels belong to other
   points.
   """
-  @spec camera([seen()], {pos_integer(), pos_integer()}, keyword()) ::
+  @spec calibrate_camera([seen()], {pos_integer(), pos_integer()}, keyword()) ::
           {:ok, found()} | {:error, Error.t()}
-  def camera(seen, {width, height} = size, opts \\ []) when is_list(seen) do
+  def calibrate_camera(seen, {width, height} = size, opts \\ []) when is_list(seen) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          model = %{
            size: size,
@@ -67,23 +67,23 @@ defmodule Situ.Space.Calibration do
            pose?: opts[:pose],
            from: opts[:start] || Pose.identity()
          },
-         start = start(model, max(width, height) * 1.0),
-         :ok <- enough(seen, length(start)),
-         :ok <- numbers(seen),
+         start = initial_parameters(model, max(width, height) * 1.0),
+         :ok <- check_point_count(seen, length(start)),
+         :ok <- check_points(seen),
          {:ok, {values, square}} <-
-           LeastSquares.minimize(start, &residuals(&1, seen, model), opts[:rounds]) do
+           LeastSquares.minimize(start, &point_residuals(&1, seen, model), opts[:rounds]) do
       error = :math.sqrt(square / length(seen))
-      answer(values, error, model)
+      build_result(values, error, model)
     end
   end
 
-  defp start(%{size: {width, height}} = model, focal) do
+  defp initial_parameters(%{size: {width, height}} = model, focal) do
     lens = [focal, focal, width / 2, height / 2]
     bends = %{none: [], radial: [0.0, 0.0], full: [0.0, 0.0, 0.0, 0.0]}[model.distortion]
     lens ++ bends ++ if(model.pose?, do: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], else: [])
   end
 
-  defp enough(seen, count) do
+  defp check_point_count(seen, count) do
     if 2 * length(seen) >= count + 2,
       do: :ok,
       else:
@@ -95,7 +95,7 @@ defmodule Situ.Space.Calibration do
          )}
   end
 
-  defp numbers(seen) do
+  defp check_points(seen) do
     case Enum.find(seen, &(not match?({{x, y, z}, {u, v}} when is_number(x + y + z + u + v), &1))) do
       nil ->
         :ok
@@ -110,27 +110,27 @@ defmodule Situ.Space.Calibration do
 
   # Two numbers for each point: its error to the right and down. Points that the camera cannot see get a large error.
   @far 1.0e4
-  defp residuals(values, seen, model) do
-    {camera, pose} = build(values, model)
+  defp point_residuals(values, seen, model) do
+    {camera, pose} = build_camera(values, model)
     into = Pose.invert(pose)
 
     Enum.flat_map(seen, fn {point, {u, v}} ->
-      case project(camera, Pose.transform(into, point)) do
+      case project_point(camera, Pose.transform_point(into, point)) do
         {:ok, {x, y}} -> [x - u, y - v]
         :error -> [@far, @far]
       end
     end)
   end
 
-  defp project(camera, {x, y, z}) when x > 1.0e-6 do
+  defp project_point(camera, {x, y, z}) when x > 1.0e-6 do
     {nx, ny} = Camera.distort(camera, {-y / x, -z / x})
     {{fx, fy}, {cx, cy}} = {camera.focal, camera.principal}
     {:ok, {fx * nx + cx, fy * ny + cy}}
   end
 
-  defp project(_camera, _point), do: :error
+  defp project_point(_camera, _point), do: :error
 
-  defp build([fx, fy, cx, cy | more], %{size: {width, height}} = model) do
+  defp build_camera([fx, fy, cx, cy | more], %{size: {width, height}} = model) do
     {bends, pose} = Enum.split(more, %{none: 0, radial: 2, full: 4}[model.distortion])
     [k1, k2, p0, p1] = bends ++ List.duplicate(0.0, 4 - length(bends))
 
@@ -143,13 +143,13 @@ defmodule Situ.Space.Calibration do
       tangential: {p0, p1}
     }
 
-    {camera, moved(model.from, pose)}
+    {camera, offset_pose(model.from, pose)}
   end
 
   # Rotates the initial pose by a small rotation (axis times angle), then moves it.
-  defp moved(from, []), do: from
+  defp offset_pose(from, []), do: from
 
-  defp moved(from, [rx, ry, rz, x, y, z]) do
+  defp offset_pose(from, [rx, ry, rz, x, y, z]) do
     turn =
       case Vector3.normalize({rx, ry, rz}) do
         {:ok, axis} -> Quaternion.from_axis_angle(axis, Vector3.norm({rx, ry, rz}))
@@ -160,8 +160,8 @@ defmodule Situ.Space.Calibration do
   end
 
   # An error of a tenth of the image's width means that the search failed.
-  defp answer(values, error, %{size: {width, _}} = model) do
-    {camera, pose} = build(values, model)
+  defp build_result(values, error, %{size: {width, _}} = model) do
+    {camera, pose} = build_camera(values, model)
     {{fx, fy}, {cx, cy}} = {camera.focal, camera.principal}
     {k1, k2, _, _, _, _} = camera.radial
 

@@ -33,7 +33,7 @@ defmodule Situ.Space.Camera do
      y * d + p0 * (r2 + 2 * y * y) + 2 * p1 * x * y}
   end
 
-  defp radial({k1, k2, k3, k4, k5, k6}, r2),
+  defp radial_factor({k1, k2, k3, k4, k5, k6}, r2),
     do: (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
 
   @steps 100
@@ -46,26 +46,26 @@ defmodule Situ.Space.Camera do
   """
   @spec undistort(CameraIntrinsics.t(), normalized()) :: {:ok, normalized()} | :error
   def undistort(%CameraIntrinsics{} = camera, target) do
-    with {:ok, {x, y} = point} <- newton(camera, target, target, @steps),
-         do: if(radial(camera.radial, x * x + y * y) > 0, do: {:ok, point}, else: :error)
+    with {:ok, {x, y} = point} <- iterate_newton(camera, target, target, @steps),
+         do: if(radial_factor(camera.radial, x * x + y * y) > 0, do: {:ok, point}, else: :error)
   end
 
-  defp newton(_camera, _target, _guess, 0), do: :error
+  defp iterate_newton(_camera, _target, _guess, 0), do: :error
 
-  defp newton(camera, {tx, ty} = target, {x, y} = guess, steps) do
+  defp iterate_newton(camera, {tx, ty} = target, {x, y} = guess, steps) do
     {dx, dy} = distort(camera, guess)
     {ex, ey} = {dx - tx, dy - ty}
 
     if ex * ex + ey * ey < @enough do
       {:ok, guess}
     else
-      {a, b, c, d} = jacobian(camera, guess)
+      {a, b, c, d} = distortion_jacobian(camera, guess)
       determinant = a * d - b * c
 
       if abs(determinant) < @enough,
         do: :error,
         else:
-          newton(
+          iterate_newton(
             camera,
             target,
             {x - (d * ex - b * ey) / determinant, y - (a * ey - c * ex) / determinant},
@@ -77,7 +77,7 @@ defmodule Situ.Space.Camera do
   end
 
   # The derivatives of distort/2: dx/dx, dx/dy, dy/dx, dy/dy.
-  defp jacobian(%{radial: {k1, k2, k3, k4, k5, k6}, tangential: {p0, p1}}, {x, y}) do
+  defp distortion_jacobian(%{radial: {k1, k2, k3, k4, k5, k6}, tangential: {p0, p1}}, {x, y}) do
     r2 = x * x + y * y
     above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
@@ -123,7 +123,8 @@ defmodule Situ.Space.Camera do
     opts = Situ.Options.validate!(opts, @schema)
     ideal = {-y / x, -z / x}
 
-    with {:ok, {nx, ny}} <- if(opts[:distort], do: bend(camera, ideal), else: {:ok, ideal}),
+    with {:ok, {nx, ny}} <-
+           if(opts[:distort], do: apply_distortion(camera, ideal), else: {:ok, ideal}),
          {{fx, fy}, {cx, cy}} = {camera.focal, camera.principal},
          {px, py} = pixel = {fx * nx + cx, fy * ny + cy} do
       inside? = px >= 0 and py >= 0 and px < camera.width and py < camera.height
@@ -133,11 +134,11 @@ defmodule Situ.Space.Camera do
     end
   end
 
-  defp bend(%{distorts?: true} = camera, point), do: {:ok, distort(camera, point)}
-  defp bend(camera, point), do: undistort(camera, point)
+  defp apply_distortion(%{distorts?: true} = camera, point), do: {:ok, distort(camera, point)}
+  defp apply_distortion(camera, point), do: undistort(camera, point)
 
-  defp straighten(%{distorts?: true} = camera, point), do: undistort(camera, point)
-  defp straighten(camera, point), do: {:ok, distort(camera, point)}
+  defp remove_distortion(%{distorts?: true} = camera, point), do: undistort(camera, point)
+  defp remove_distortion(camera, point), do: {:ok, distort(camera, point)}
 
   @schema [
     undistort: [
@@ -164,7 +165,7 @@ defmodule Situ.Space.Camera do
   def unproject(%CameraIntrinsics{} = camera, pixel, depth, opts \\ []) do
     opts = Situ.Options.validate!(opts, @schema)
 
-    with {:ok, {nx, ny}} <- normalize(camera, pixel, opts[:undistort]) do
+    with {:ok, {nx, ny}} <- normalize_pixel(camera, pixel, opts[:undistort]) do
       d =
         if opts[:semantics] == :point,
           do: depth / :math.sqrt(nx * nx + ny * ny + 1),
@@ -174,19 +175,19 @@ defmodule Situ.Space.Camera do
     end
   end
 
-  defp normalize(%{focal: {fx, fy}, principal: {cx, cy}} = camera, {px, py}, undistort?) do
+  defp normalize_pixel(%{focal: {fx, fy}, principal: {cx, cy}} = camera, {px, py}, undistort?) do
     point = {(px - cx) / fx, (py - cy) / fy}
 
     if undistort? do
-      with :error <- straighten(camera, point), do: {:error, :not_invertible}
+      with :error <- remove_distortion(camera, point), do: {:error, :not_invertible}
     else
       {:ok, point}
     end
   end
 
   @doc "Returns the ray of the camera's frame that a pixel shows."
-  @spec ray(CameraIntrinsics.t(), pixel()) :: {:ok, Ray3.t()} | {:error, :not_invertible}
-  def ray(%CameraIntrinsics{} = camera, pixel) do
+  @spec pixel_ray(CameraIntrinsics.t(), pixel()) :: {:ok, Ray3.t()} | {:error, :not_invertible}
+  def pixel_ray(%CameraIntrinsics{} = camera, pixel) do
     with {:ok, point} <- unproject(camera, pixel, 1.0),
          {:ok, ray} <- Ray3.new({0.0, 0.0, 0.0}, point),
          do: {:ok, ray}
@@ -196,11 +197,12 @@ defmodule Situ.Space.Camera do
   @spec project_in_view(CameraView.t(), Vector3.t(), keyword()) ::
           {:ok, pixel()} | {:error, :behind | :outside}
   def project_in_view(%CameraView{} = view, point, opts \\ []),
-    do: project(view.intrinsics, Pose.transform(Pose.invert(view.pose), point), opts)
+    do: project(view.intrinsics, Pose.transform_point(Pose.invert(view.pose), point), opts)
 
   @doc "Returns the ray of the outer frame that a pixel of a view shows."
   @spec ray_in_view(CameraView.t(), pixel()) :: {:ok, Ray3.t()} | {:error, :not_invertible}
   def ray_in_view(%CameraView{} = view, pixel) do
-    with {:ok, ray} <- ray(view.intrinsics, pixel), do: {:ok, Ray3.transform(ray, view.pose)}
+    with {:ok, ray} <- pixel_ray(view.intrinsics, pixel),
+         do: {:ok, Ray3.transform(ray, view.pose)}
   end
 end

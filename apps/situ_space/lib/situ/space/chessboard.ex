@@ -43,9 +43,9 @@ defmodule Situ.Space.Chessboard do
   @spec corners(Image.t(), board(), keyword()) :: {:ok, [pixel()]} | {:error, Error.t()}
   def corners(%Image{} = picture, board, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @corners),
-         {:ok, {columns, rows}} <- board(board),
-         {:ok, gray} <- gray(picture) do
-      case OpenCV.call(opts[:session], [1, columns, rows, gray]) do
+         {:ok, {columns, rows}} <- validate_board(board),
+         {:ok, gray} <- encode_gray(picture) do
+      case OpenCV.call_program(opts[:session], [1, columns, rows, gray]) do
         {:ok, bytes} ->
           {:ok, for(<<x::little-float-64, y::little-float-64 <- bytes>>, do: {x, y})}
 
@@ -59,8 +59,8 @@ defmodule Situ.Space.Chessboard do
   end
 
   @doc false
-  @spec gray(Image.t()) :: {:ok, iodata()} | {:error, Error.t()}
-  def gray(picture) do
+  @spec encode_gray(Image.t()) :: {:ok, iodata()} | {:error, Error.t()}
+  def encode_gray(picture) do
     with {:ok, %{width: width, height: height} = gray} <- Imaging.convert(picture, :gray8) do
       rows =
         if gray.stride == width,
@@ -71,9 +71,10 @@ defmodule Situ.Space.Chessboard do
     end
   end
 
-  defp board({columns, rows}) when columns in 3..50 and rows in 3..50, do: {:ok, {columns, rows}}
+  defp validate_board({columns, rows}) when columns in 3..50 and rows in 3..50,
+    do: {:ok, {columns, rows}}
 
-  defp board(other) do
+  defp validate_board(other) do
     {:error,
      Error.new(:bad_option, "invalid number of inner corners: #{inspect(other)}",
        fix: "give {columns, rows}, each 3 to 50"
@@ -89,7 +90,7 @@ defmodule Situ.Space.Chessboard do
     )
   end
 
-  @schema [distortion: Situ.Space.Calibration.distortion()] ++ @corners
+  @schema [distortion: Situ.Space.Calibration.distortion_option()] ++ @corners
 
   @doc """
   Calibrates the camera that saw these boards, each a list of corners from `corners/3`. `square` is the width of a
@@ -103,14 +104,14 @@ defmodule Situ.Space.Chessboard do
           {:ok, found()} | {:error, Error.t()}
   def calibrate(boards, board, square, {width, height}, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, {columns, rows}} <- board(board),
-         :ok <- enough(boards, columns * rows, square) do
+         {:ok, {columns, rows}} <- validate_board(board),
+         :ok <- check_boards(boards, columns * rows, square) do
       kind = %{full: 0, none: 1, radial: 2}[opts[:distortion]]
       head = <<2, width::little-32, height::little-32, kind, length(boards)::little-32>>
       places = for y <- 0..(rows - 1), x <- 0..(columns - 1), do: {x * square, y * square}
 
-      case OpenCV.call(opts[:session], [head | Enum.map(boards, &view(&1, places))]) do
-        {:ok, bytes} -> answer(bytes, {width, height})
+      case OpenCV.call_program(opts[:session], [head | Enum.map(boards, &encode_view(&1, places))]) do
+        {:ok, bytes} -> decode_result(bytes, {width, height})
         :not_found -> {:error, not_found("OpenCV found no solution")}
         {:error, %Error{code: :opencv_failed} = error} -> {:error, not_found(error.why)}
         error -> error
@@ -118,7 +119,7 @@ defmodule Situ.Space.Chessboard do
     end
   end
 
-  defp enough(boards, count, square) do
+  defp check_boards(boards, count, square) do
     cond do
       not (is_number(square) and square > 0) ->
         {:error,
@@ -140,18 +141,18 @@ defmodule Situ.Space.Chessboard do
          )}
 
       true ->
-        numbers(boards)
+        check_pixels(boards)
     end
   end
 
-  defp numbers(boards) do
-    with true <- Enum.all?(boards, &Enum.all?(&1, fn p -> number?(p) end)),
+  defp check_pixels(boards) do
+    with true <- Enum.all?(boards, &Enum.all?(&1, fn p -> pixel?(p) end)),
          do: :ok,
          else: (_ -> not_pixels())
   end
 
-  defp number?({x, y}), do: is_number(x) and is_number(y)
-  defp number?(_other), do: false
+  defp pixel?({x, y}), do: is_number(x) and is_number(y)
+  defp pixel?(_other), do: false
 
   defp not_pixels,
     do:
@@ -160,7 +161,7 @@ defmodule Situ.Space.Chessboard do
          fix: "give {x, y} for each corner, with numbers"
        )}
 
-  defp view(pixels, places) do
+  defp encode_view(pixels, places) do
     [
       <<length(pixels)::little-32>>,
       for {{x, y}, {u, v}} <- Enum.zip(places, pixels) do
@@ -170,7 +171,7 @@ defmodule Situ.Space.Chessboard do
     ]
   end
 
-  defp answer(bytes, {width, height}) do
+  defp decode_result(bytes, {width, height}) do
     case for(<<value::little-float-64 <- bytes>>, do: value) do
       [error, fx, fy, cx, cy, k1, k2, p0, p1, _k3 | boards] when fx > 0 and fy > 0 ->
         options = [
@@ -185,7 +186,7 @@ defmodule Situ.Space.Chessboard do
         with {:ok, intrinsics} <- CameraIntrinsics.new(options) do
           boards =
             for [e, a, b, c, x, y, z] <- Enum.chunk_every(boards, 7),
-                do: %{error: e, pose: pose({a, b, c}, {x, y, z})}
+                do: %{error: e, pose: convert_pose({a, b, c}, {x, y, z})}
 
           {:ok, %{intrinsics: intrinsics, error: error, boards: boards}}
         end
@@ -205,7 +206,7 @@ defmodule Situ.Space.Chessboard do
   # OpenCV's camera looks along z, with x to the right and y down; ours looks along x, with y to the left and z up.
   @turn {0.5, -0.5, 0.5, -0.5}
 
-  defp pose(turn, {x, y, z}) do
+  defp convert_pose(turn, {x, y, z}) do
     rotation =
       case Vector3.normalize(turn) do
         {:ok, axis} -> Quaternion.from_axis_angle(axis, Vector3.norm(turn))

@@ -4,7 +4,7 @@ defmodule Situ.Space.Cloud do
 
       iex> cloud = Situ.PointCloud.from_points([{0.1, 0.1, 0.1}, {0.3, 0.1, 0.1}, {5.0, 5.0, 5.0}])
       iex> {:ok, fewer} = Situ.Space.Cloud.downsample(cloud, 1.0)
-      iex> Situ.PointCloud.count(fewer)
+      iex> Situ.PointCloud.point_count(fewer)
       2
   """
   alias Situ.{Box3, Error, Plane, PointCloud, Pose, Quaternion, Vector3}
@@ -18,7 +18,7 @@ defmodule Situ.Space.Cloud do
   """
   @spec downsample(PointCloud.t(), number()) :: result()
   def downsample(%PointCloud{} = cloud, size) when is_number(size) do
-    with {:ok, {points, _counts}} <- Kernel.call(:downsample, [cloud.points, size * 1.0]),
+    with {:ok, {points, _counts}} <- Kernel.call_native(:downsample, [cloud.points, size * 1.0]),
          do: PointCloud.new(points)
   end
 
@@ -27,20 +27,20 @@ defmodule Situ.Space.Cloud do
   This is meant for drawing, where each point represents its neighbours.
 
       iex> cloud = Situ.PointCloud.from_points(for x <- 1..6, do: {x * 1.0, 0.0, 0.0})
-      iex> {:ok, fewer} = Situ.Space.Cloud.thin(cloud, 2)
+      iex> {:ok, fewer} = Situ.Space.Cloud.limit_points(cloud, 2)
       iex> Situ.PointCloud.to_points(fewer)
       [{1.0, 0.0, 0.0}, {4.0, 0.0, 0.0}]
   """
-  @spec thin(PointCloud.t(), pos_integer()) :: result()
-  def thin(%PointCloud{} = cloud, most) when is_integer(most) and most > 0 do
-    with {:ok, points} <- Kernel.call(:thin, [cloud.points, 12, most]),
+  @spec limit_points(PointCloud.t(), pos_integer()) :: result()
+  def limit_points(%PointCloud{} = cloud, most) when is_integer(most) and most > 0 do
+    with {:ok, points} <- Kernel.call_native(:thin, [cloud.points, 12, most]),
          {:ok, colors} <- thin_extra(cloud.colors, 3, most),
          {:ok, values} <- thin_extra(cloud.values, 4, most),
          do: PointCloud.new(points, colors, values)
   end
 
   defp thin_extra(nil, _size, _most), do: {:ok, nil}
-  defp thin_extra(bytes, size, most), do: Kernel.call(:thin, [bytes, size, most])
+  defp thin_extra(bytes, size, most), do: Kernel.call_native(:thin, [bytes, size, most])
 
   @doc """
   Returns at most `most` of the points that are in front of all of these planes, and how many there are in total. Points
@@ -49,19 +49,20 @@ defmodule Situ.Space.Cloud do
   dropped.
 
       iex> cloud = Situ.PointCloud.from_points(for x <- 0..9, do: {x * 1.0, 0.0, 0.0})
-      iex> {:ok, {near, 4}} = Situ.Space.Cloud.within(cloud, [{-1.0, 0.0, 0.0, 3.0}], 2)
+      iex> {:ok, {near, 4}} = Situ.Space.Cloud.clip_to_planes(cloud, [{-1.0, 0.0, 0.0, 3.0}], 2)
       iex> Situ.PointCloud.to_points(near)
       [{0.0, 0.0, 0.0}, {2.0, 0.0, 0.0}]
   """
-  @spec within(PointCloud.t(), [{number(), number(), number(), number()}], pos_integer()) ::
+  @spec clip_to_planes(PointCloud.t(), [{number(), number(), number(), number()}], pos_integer()) ::
           {:ok, {PointCloud.t(), non_neg_integer()}} | {:error, Error.t()}
-  def within(%PointCloud{} = cloud, planes, most) when is_integer(most) and most > 0 do
+  def clip_to_planes(%PointCloud{} = cloud, planes, most) when is_integer(most) and most > 0 do
     planes = for {a, b, c, d} <- planes, do: {a * 1.0, b * 1.0, c * 1.0, d * 1.0}
 
     %{points: points, colors: colors, values: values} = cloud
     arguments = [points, colors || <<>>, values || <<>>, planes, most]
 
-    with {:ok, {points, some_colors, some_values, count}} <- Kernel.call(:within, arguments),
+    with {:ok, {points, some_colors, some_values, count}} <-
+           Kernel.call_native(:within, arguments),
          {:ok, found} <- PointCloud.new(points, colors && some_colors, values && some_values),
          do: {:ok, {found, count}}
   end
@@ -70,7 +71,7 @@ defmodule Situ.Space.Cloud do
   @spec transform(PointCloud.t(), Pose.t()) :: result()
   def transform(%PointCloud{} = cloud, %Pose{} = pose) do
     with {:ok, points} <-
-           Kernel.call(:transform, [
+           Kernel.call_native(:transform, [
              cloud.points,
              Quaternion.to_matrix(pose.rotation),
              pose.position
@@ -83,16 +84,16 @@ defmodule Situ.Space.Cloud do
   def clip(%PointCloud{} = cloud, %Box3{} = box) do
     with {:ok, local} <-
            if(box.pose, do: transform(cloud, Pose.invert(box.pose)), else: {:ok, cloud}),
-         {:ok, {_points, places}} <- Kernel.call(:clip, [local.points, box.min, box.max]),
+         {:ok, {_points, places}} <- Kernel.call_native(:clip, [local.points, box.min, box.max]),
          do:
            PointCloud.new(
-             pick(cloud.points, places, 12),
-             cloud.colors && pick(cloud.colors, places, 3),
-             cloud.values && pick(cloud.values, places, 4)
+             select_rows(cloud.points, places, 12),
+             cloud.colors && select_rows(cloud.colors, places, 3),
+             cloud.values && select_rows(cloud.values, places, 4)
            )
   end
 
-  defp pick(bytes, places, size) do
+  defp select_rows(bytes, places, size) do
     for <<place::little-32 <- places>>, into: <<>>, do: binary_part(bytes, place * size, size)
   end
 
@@ -126,7 +127,7 @@ defmodule Situ.Space.Cloud do
   def fit_plane(%PointCloud{} = cloud, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @plane),
          arguments = [cloud.points, opts[:tolerance] * 1.0, opts[:rounds], opts[:seed]],
-         {:ok, {normal, offset, places}} <- Kernel.call(:plane, arguments),
+         {:ok, {normal, offset, places}} <- Kernel.call_native(:plane, arguments),
          do: {:ok, %Plane{normal: normal, offset: offset}, places}
   end
 
@@ -135,36 +136,37 @@ defmodule Situ.Space.Cloud do
   through its neighbours within `radius` metres, pointing to the side of `viewpoint`, and the curvature of the surface
   (one float, 0 for flat, at most 1/3). The normal of a point with fewer than two neighbours is zero.
   """
-  @spec normals(PointCloud.t(), number(), Vector3.t()) ::
+  @spec estimate_normals(PointCloud.t(), number(), Vector3.t()) ::
           {:ok, {normals :: binary(), curvatures :: binary()}} | {:error, Error.t()}
-  def normals(%PointCloud{} = cloud, radius, viewpoint \\ {0.0, 0.0, 0.0}) when is_number(radius),
-    do: Kernel.call(:normals, [cloud.points, radius * 1.0, viewpoint])
+  def estimate_normals(%PointCloud{} = cloud, radius, viewpoint \\ {0.0, 0.0, 0.0})
+      when is_number(radius),
+      do: Kernel.call_native(:normals, [cloud.points, radius * 1.0, viewpoint])
 
   @doc """
   Returns the clusters of at least `least` points in which each point has another within `radius` metres, largest first.
   """
-  @spec clusters(PointCloud.t(), number(), pos_integer()) ::
+  @spec find_clusters(PointCloud.t(), number(), pos_integer()) ::
           {:ok, [PointCloud.t()]} | {:error, Error.t()}
-  def clusters(%PointCloud{} = cloud, radius, least \\ 1)
+  def find_clusters(%PointCloud{} = cloud, radius, least \\ 1)
       when is_number(radius) and is_integer(least) and least > 0 do
-    with {:ok, names} <- Kernel.call(:clusters, [cloud.points, radius * 1.0, least]) do
+    with {:ok, names} <- Kernel.call_native(:clusters, [cloud.points, radius * 1.0, least]) do
       places =
         for(<<name::little-32 <- names>>, do: name)
         |> Enum.with_index()
         |> Enum.reject(fn {name, _} -> name == 0xFFFFFFFF end)
         |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
 
-      {:ok, for({_name, places} <- Enum.sort(places), do: part(cloud, places))}
+      {:ok, for({_name, places} <- Enum.sort(places), do: select_points(cloud, places))}
     end
   end
 
-  defp part(cloud, places) do
+  defp select_points(cloud, places) do
     places = for place <- places, into: <<>>, do: <<place::little-32>>
 
     %PointCloud{
-      points: pick(cloud.points, places, 12),
-      colors: cloud.colors && pick(cloud.colors, places, 3),
-      values: cloud.values && pick(cloud.values, places, 4)
+      points: select_rows(cloud.points, places, 12),
+      colors: cloud.colors && select_rows(cloud.colors, places, 3),
+      values: cloud.values && select_rows(cloud.values, places, 4)
     }
   end
 
@@ -175,7 +177,7 @@ defmodule Situ.Space.Cloud do
   def nearest_to_ray(%PointCloud{} = cloud, ray) do
     cloud
     |> PointCloud.to_points()
-    |> Enum.map(&{&1, Situ.Ray3.distance(ray, &1)})
+    |> Enum.map(&{&1, Situ.Ray3.distance_to(ray, &1)})
     |> Enum.min_by(&elem(&1, 1), fn -> nil end)
   end
 end

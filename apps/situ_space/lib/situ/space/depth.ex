@@ -51,20 +51,21 @@ defmodule Situ.Space.Depth do
           {:ok, PointCloud.t()} | {:error, Error.t()}
   def to_cloud(%DepthImage{} = depth, camera, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @cloud),
-         {:ok, table} <- RayTable.of(camera),
-         {:ok, colors} <- tones(opts[:colors], depth),
-         arguments = [term(depth), table.rays, opts[:sparsity], opts[:robust], colors],
-         {:ok, {points, tones}} <- Kernel.call(:depth_cloud, arguments),
+         {:ok, table} <- RayTable.ensure_table(camera),
+         {:ok, colors} <- rgb_pixels(opts[:colors], depth),
+         arguments = [to_kernel_term(depth), table.rays, opts[:sparsity], opts[:robust], colors],
+         {:ok, {points, tones}} <- Kernel.call_native(:depth_cloud, arguments),
          do: PointCloud.new(points, if(opts[:colors], do: tones))
   end
 
-  defp tones(nil, _depth), do: {:ok, <<>>}
+  defp rgb_pixels(nil, _depth), do: {:ok, <<>>}
 
-  defp tones(%Situ.Image{width: w, height: h} = picture, %DepthImage{width: w, height: h}) do
-    with {:ok, rgb} <- Situ.Imaging.convert(picture, :rgb24), do: {:ok, Situ.Image.pixels(rgb)}
+  defp rgb_pixels(%Situ.Image{width: w, height: h} = picture, %DepthImage{width: w, height: h}) do
+    with {:ok, rgb} <- Situ.Imaging.convert(picture, :rgb24),
+         do: {:ok, Situ.Image.pixel_bytes(rgb)}
   end
 
-  defp tones(picture, depth) do
+  defp rgb_pixels(picture, depth) do
     {:error,
      Error.new(
        :bad_option,
@@ -90,16 +91,16 @@ defmodule Situ.Space.Depth do
   @spec to_mesh(DepthImage.t(), camera(), keyword()) :: {:ok, Mesh.t()} | {:error, Error.t()}
   def to_mesh(%DepthImage{} = depth, camera, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @mesh),
-         {:ok, table} <- RayTable.of(camera),
-         arguments = [term(depth), table.rays, opts[:edge] * 1.0, opts[:sparsity]],
-         {:ok, {vertices, indices}} <- Kernel.call(:depth_mesh, arguments),
+         {:ok, table} <- RayTable.ensure_table(camera),
+         arguments = [to_kernel_term(depth), table.rays, opts[:edge] * 1.0, opts[:sparsity]],
+         {:ok, {vertices, indices}} <- Kernel.call_native(:depth_mesh, arguments),
          do: Mesh.new(vertices, indices)
   end
 
   @doc false
   # Converts a depth image to the tuple that the native kernels expect.
-  @spec term(DepthImage.t()) :: tuple()
-  def term(%DepthImage{} = d),
+  @spec to_kernel_term(DepthImage.t()) :: tuple()
+  def to_kernel_term(%DepthImage{} = d),
     do: {d.width, d.height, d.stride, d.data, d.scale, d.semantics == :point}
 
   @march [
@@ -118,8 +119,8 @@ defmodule Situ.Space.Depth do
 
   #{Situ.Options.docs(@march)}
   """
-  @spec intersection(CameraView.t(DepthImage.t()), Ray3.t(), keyword()) :: Vector3.t() | nil
-  def intersection(%CameraView{viewed: %DepthImage{}} = view, %Ray3{} = ray, opts \\ []) do
+  @spec intersect_ray(CameraView.t(DepthImage.t()), Ray3.t(), keyword()) :: Vector3.t() | nil
+  def intersect_ray(%CameraView{viewed: %DepthImage{}} = view, %Ray3{} = ray, opts \\ []) do
     opts = Situ.Options.validate!(opts, @march)
     local = Ray3.transform(ray, Pose.invert(view.pose))
     # The small term compensates for rounding, so that 0.3 m are three steps of 0.1 m.
@@ -127,11 +128,11 @@ defmodule Situ.Space.Depth do
 
     Enum.find_value(1..max(steps, 1)//1, fn n ->
       point = Ray3.point_at(local, n * opts[:step])
-      if hidden?(view, point), do: Pose.transform(view.pose, point)
+      if behind_surface?(view, point), do: Pose.transform_point(view.pose, point)
     end)
   end
 
-  defp hidden?(%{viewed: depth, intrinsics: camera}, {x, _, _} = point) do
+  defp behind_surface?(%{viewed: depth, intrinsics: camera}, {x, _, _} = point) do
     with {:ok, {px, py}} <- Camera.project(camera, point),
          {:ok, measured} when is_number(measured) <-
            DepthImage.interpolated_distance(depth, trunc(px), trunc(py)) do

@@ -56,7 +56,7 @@ defmodule Situ.Space.DepthCamera do
 
     Situ.map(
       depth,
-      &(&1 |> cloud(opts) |> Error.unwrap!()),
+      &(&1 |> view_to_cloud(opts) |> Error.unwrap!()),
       [name: "Clouds", type: PointCloud] ++ placed
     )
   end
@@ -66,18 +66,18 @@ defmodule Situ.Space.DepthCamera do
   `Situ.Space.Depth.to_cloud/3`. `colors:` may also be the view of another camera, with its lens and pose
   (`Situ.Space.Registration`).
   """
-  @spec cloud(CameraView.t(DepthImage.t()), keyword()) ::
+  @spec view_to_cloud(CameraView.t(DepthImage.t()), keyword()) ::
           {:ok, PointCloud.t()} | {:error, Error.t()}
-  def cloud(%CameraView{viewed: %DepthImage{} = depth} = view, opts \\ []) do
-    with {:ok, opts} <- colored(view, opts[:colors], opts),
+  def view_to_cloud(%CameraView{viewed: %DepthImage{} = depth} = view, opts \\ []) do
+    with {:ok, opts} <- resolve_colors(view, opts[:colors], opts),
          {:ok, points} <- Depth.to_cloud(depth, view.intrinsics, opts),
          do: Cloud.transform(points, view.pose)
   end
 
-  defp colored(view, %CameraView{} = other, opts) do
-    with {:ok, colors} <- Registration.colors(view, other),
+  defp resolve_colors(view, %CameraView{} = other, opts) do
+    with {:ok, colors} <- Registration.register_colors(view, other),
          do: {:ok, Keyword.put(opts, :colors, colors)}
   end
 
-  defp colored(_view, _picture, opts), do: {:ok, opts}
+  defp resolve_colors(_view, _picture, opts), do: {:ok, opts}
 end

@@ -9,8 +9,8 @@ defmodule Situ.Space.Frames do
 
       iex> alias Situ.Space.Frames
       iex> {:ok, frames} = Frames.put_static(Frames.new(), "base", "world", Situ.Pose.new({1.0, 0.0, 0.0}))
-      iex> {:ok, frames} = Frames.put(frames, "camera", "base", 0, Situ.Pose.new({0.0, 0.0, 0.0}))
-      iex> {:ok, frames} = Frames.put(frames, "camera", "base", 100, Situ.Pose.new({0.0, 0.0, 2.0}))
+      iex> {:ok, frames} = Frames.put_moving(frames, "camera", "base", 0, Situ.Pose.new({0.0, 0.0, 0.0}))
+      iex> {:ok, frames} = Frames.put_moving(frames, "camera", "base", 100, Situ.Pose.new({0.0, 0.0, 2.0}))
       iex> {:ok, pose} = Frames.lookup(frames, "camera", "world", 50)
       iex> pose.position
       {1.0, 0.0, 1.0}
@@ -46,15 +46,17 @@ defmodule Situ.Space.Frames do
   @doc "Fixes `frame` at a pose in `parent`, for all times."
   @spec put_static(t(), name(), name(), Pose.t()) :: {:ok, t()} | {:error, Error.t()}
   def put_static(%__MODULE__{} = frames, frame, parent, %Pose{} = pose) do
-    with :ok <- check(frames, frame, parent, :static),
+    with :ok <- check_frame(frames, frame, parent, :static),
          do: {:ok, %{frames | frames: Map.put(frames.frames, frame, {parent, {:static, pose}})}}
   end
 
   @doc "Adds the pose of `frame` in `parent` at an originating time. Times may come in any order."
-  @spec put(t(), name(), name(), Situ.Time.t(), Pose.t()) :: {:ok, t()} | {:error, Error.t()}
-  def put(%__MODULE__{} = frames, frame, parent, time, %Pose{} = pose) when is_integer(time) do
-    with :ok <- check(frames, frame, parent, :moving) do
-      history = History.put(history(frames.frames[frame]), time, pose, frames.keep)
+  @spec put_moving(t(), name(), name(), Situ.Time.t(), Pose.t()) ::
+          {:ok, t()} | {:error, Error.t()}
+  def put_moving(%__MODULE__{} = frames, frame, parent, time, %Pose{} = pose)
+      when is_integer(time) do
+    with :ok <- check_frame(frames, frame, parent, :moving) do
+      history = History.put(frame_history(frames.frames[frame]), time, pose, frames.keep)
       {:ok, %{frames | frames: Map.put(frames.frames, frame, {parent, {:moving, history}})}}
     end
   end
@@ -64,36 +66,37 @@ defmodule Situ.Space.Frames do
 
       iex> alias Situ.Space.Frames
       iex> told = [Situ.Transform.new("arm", "robot", Situ.Pose.new({0.0, 0.0, 1.0}), static: true)]
-      iex> {:ok, frames} = Frames.take(Frames.new(), told, 0)
+      iex> {:ok, frames} = Frames.put_transforms(Frames.new(), told, 0)
       iex> Frames.list(frames)
       [{"arm", "robot", :static}]
   """
-  @spec take(t(), Situ.Transform.t() | [Situ.Transform.t()], Situ.Time.t()) ::
+  @spec put_transforms(t(), Situ.Transform.t() | [Situ.Transform.t()], Situ.Time.t()) ::
           {:ok, t()} | {:error, Error.t()}
-  def take(frames, %Situ.Transform{} = told, time), do: take(frames, [told], time)
+  def put_transforms(frames, %Situ.Transform{} = told, time),
+    do: put_transforms(frames, [told], time)
 
-  def take(frames, told, time) when is_list(told) do
+  def put_transforms(frames, told, time) when is_list(told) do
     Enum.reduce_while(told, {:ok, frames}, fn transform, {:ok, frames} ->
-      case take_one(frames, transform, time) do
+      case put_transform(frames, transform, time) do
         {:ok, frames} -> {:cont, {:ok, frames}}
         error -> {:halt, error}
       end
     end)
   end
 
-  defp take_one(frames, %Situ.Transform{static: true} = t, _time),
+  defp put_transform(frames, %Situ.Transform{static: true} = t, _time),
     do: put_static(frames, t.frame, t.parent, t.pose)
 
-  defp take_one(frames, %Situ.Transform{} = t, time),
-    do: put(frames, t.frame, t.parent, time, t.pose)
+  defp put_transform(frames, %Situ.Transform{} = t, time),
+    do: put_moving(frames, t.frame, t.parent, time, t.pose)
 
-  defp history({_parent, {:moving, history}}), do: history
-  defp history(nil), do: History.new()
+  defp frame_history({_parent, {:moving, history}}), do: history
+  defp frame_history(nil), do: History.new()
 
-  defp check(_frames, frame, frame, _kind),
+  defp check_frame(_frames, frame, frame, _kind),
     do: {:error, Error.new(:frame_cycle, "the frame #{inspect(frame)} cannot be its own parent")}
 
-  defp check(frames, frame, parent, kind) do
+  defp check_frame(frames, frame, parent, kind) do
     case frames.frames[frame] do
       {^parent, {^kind, _}} ->
         :ok
@@ -113,7 +116,7 @@ defmodule Situ.Space.Frames do
          )}
 
       nil ->
-        path = ancestors(frames, parent)
+        path = ancestor_path(frames, parent)
 
         if frame in path do
           circle = Enum.take_while(path, &(&1 != frame)) ++ [frame]
@@ -136,88 +139,88 @@ defmodule Situ.Space.Frames do
     do: Enum.sort(for {frame, {parent, {kind, _}}} <- frames, do: {frame, parent, kind})
 
   @doc """
-  Returns the pose of `frame` in `reference` at an originating time: `Situ.Pose.transform(pose, p)` converts a point of
+  Returns the pose of `frame` in `reference` at an originating time: `Situ.Pose.transform_point(pose, p)` converts a point of
   `frame` to `reference`. Both must be in one tree, and every moving frame between them must be known at that time.
   """
   @spec lookup(t(), name(), name(), Situ.Time.t()) :: {:ok, Pose.t()} | {:error, Error.t()}
   def lookup(%__MODULE__{} = frames, frame, reference, time) when is_integer(time) do
-    case straight(frames.frames, frame, reference, time, nil) do
+    case compose_upward(frames.frames, frame, reference, time, nil) do
       {:ok, nil} -> {:ok, Pose.identity()}
       {:ok, pose} -> {:ok, pose}
-      :no -> over(frames, frame, reference, time)
+      :no -> lookup_via_ancestor(frames, frame, reference, time)
     end
   end
 
   # The fast path: the reference is usually an ancestor, which needs one walk upwards and no list.
-  defp straight(_frames, same, same, _time, pose), do: {:ok, pose}
+  defp compose_upward(_frames, same, same, _time, pose), do: {:ok, pose}
 
-  defp straight(frames, frame, reference, time, inner) do
+  defp compose_upward(frames, frame, reference, time, inner) do
     with %{^frame => {parent, known}} <- frames,
-         {:ok, own} <- known_at(known, time) do
+         {:ok, own} <- interpolate_at(known, time) do
       pose = if inner, do: Pose.compose(own, inner), else: own
-      straight(frames, parent, reference, time, pose)
+      compose_upward(frames, parent, reference, time, pose)
     else
       _ -> :no
     end
   end
 
   # Combines the poses of both frames in their common ancestor, or reports why there is none.
-  defp over(frames, frame, reference, time) do
-    up = ancestors(frames, frame)
-    down = if reference in up, do: [reference], else: ancestors(frames, reference)
+  defp lookup_via_ancestor(frames, frame, reference, time) do
+    up = ancestor_path(frames, frame)
+    down = if reference in up, do: [reference], else: ancestor_path(frames, reference)
 
     case Enum.find(up, &(&1 in down)) do
       nil ->
-        {:error, not_connected(frames, frame, reference)}
+        {:error, not_connected_error(frames, frame, reference)}
 
       common ->
-        with {:ok, from} <- climb(frames, frame, common, time),
-             {:ok, to} <- climb(frames, reference, common, time),
-             do: {:ok, relative(from, to)}
+        with {:ok, from} <- pose_in_ancestor(frames, frame, common, time),
+             {:ok, to} <- pose_in_ancestor(frames, reference, common, time),
+             do: {:ok, relative_pose(from, to)}
     end
   end
 
-  defp relative(nil, nil), do: Pose.identity()
-  defp relative(from, nil), do: from
-  defp relative(nil, to), do: Pose.invert(to)
-  defp relative(from, to), do: Pose.compose(Pose.invert(to), from)
+  defp relative_pose(nil, nil), do: Pose.identity()
+  defp relative_pose(from, nil), do: from
+  defp relative_pose(nil, to), do: Pose.invert(to)
+  defp relative_pose(from, to), do: Pose.compose(Pose.invert(to), from)
 
-  defp ancestors(frames, frame) do
+  defp ancestor_path(frames, frame) do
     case frames.frames[frame] do
-      {parent, _} -> [frame | ancestors(frames, parent)]
+      {parent, _} -> [frame | ancestor_path(frames, parent)]
       nil -> [frame]
     end
   end
 
   # Returns the pose of a frame in one of its ancestors; nil for the frame itself.
-  defp climb(_frames, common, common, _time), do: {:ok, nil}
+  defp pose_in_ancestor(_frames, common, common, _time), do: {:ok, nil}
 
-  defp climb(frames, frame, common, time) do
+  defp pose_in_ancestor(frames, frame, common, time) do
     {parent, known} = :erlang.map_get(frame, frames.frames)
 
-    with {:ok, own} <- at(known, time, frame, parent),
-         {:ok, outer} <- climb(frames, parent, common, time),
+    with {:ok, own} <- fetch_pose_at(known, time, frame, parent),
+         {:ok, outer} <- pose_in_ancestor(frames, parent, common, time),
          do: {:ok, if(outer, do: Pose.compose(outer, own), else: own)}
   end
 
-  defp at(known, time, frame, parent) do
-    with :outside <- known_at(known, time) do
+  defp fetch_pose_at(known, time, frame, parent) do
+    with :outside <- interpolate_at(known, time) do
       {:moving, history} = known
-      {:error, not_known(History.span(history), time, frame, parent)}
+      {:error, unknown_time_error(History.time_span(history), time, frame, parent)}
     end
   end
 
-  defp known_at({:static, pose}, _time), do: {:ok, pose}
+  defp interpolate_at({:static, pose}, _time), do: {:ok, pose}
 
-  defp known_at({:moving, history}, time) do
-    case History.around(history, time) do
+  defp interpolate_at({:moving, history}, time) do
+    case History.lookup_around(history, time) do
       {:exact, pose} -> {:ok, pose}
       {:between, {t0, a}, {t1, b}} -> {:ok, Pose.interpolate(a, b, (time - t0) / (t1 - t0))}
       :outside -> :outside
     end
   end
 
-  defp not_known({first, last}, time, frame, parent) do
+  defp unknown_time_error({first, last}, time, frame, parent) do
     Error.new(
       :frame_unknown_at,
       "the pose of #{inspect(frame)} in #{inspect(parent)} is not known at #{time} ns",
@@ -226,8 +229,9 @@ defmodule Situ.Space.Frames do
     )
   end
 
-  defp not_connected(frames, frame, reference) do
-    {top, other} = {List.last(ancestors(frames, frame)), List.last(ancestors(frames, reference))}
+  defp not_connected_error(frames, frame, reference) do
+    {top, other} =
+      {List.last(ancestor_path(frames, frame)), List.last(ancestor_path(frames, reference))}
 
     Error.new(
       :frame_not_connected,

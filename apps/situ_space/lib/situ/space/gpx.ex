@@ -30,7 +30,7 @@ defmodule Situ.Space.Gpx do
 
   @impl true
   def open(path, _opts) do
-    with {:ok, points, untimed} <- WholeFile.read(path, @most, &parse/1),
+    with {:ok, points, untimed} <- WholeFile.read_and_parse(path, @most, &parse/1),
          do: {:ok, %__MODULE__{path: path, points: List.to_tuple(points), untimed: untimed}}
   end
 
@@ -48,64 +48,64 @@ defmodule Situ.Space.Gpx do
   def parse(bytes) do
     state = %{root?: false, point: nil, text: nil, points: [], untimed: 0}
 
-    case Xml.events(bytes, &event/3, state) do
+    case Xml.reduce_events(bytes, &handle_event/3, state) do
       {:ok, %{root?: true} = state} ->
         points = state.points |> Enum.reverse() |> Enum.sort_by(&elem(&1, 0))
         {:ok, Enum.dedup_by(points, &elem(&1, 0)), state.untimed}
 
       {:ok, _} ->
-        bad("its first element is not gpx")
+        file_error("its first element is not gpx")
 
       {:error, why} ->
-        bad(why)
+        file_error(why)
     end
   end
 
-  defp bad(what), do: {:error, Error.new(:bad_gpx, what, fix: "export the track again")}
+  defp file_error(what), do: {:error, Error.new(:bad_gpx, what, fix: "export the track again")}
 
-  defp event({:startElement, _, ~c"gpx", _, _}, _, state), do: %{state | root?: true}
+  defp handle_event({:startElement, _, ~c"gpx", _, _}, _, state), do: %{state | root?: true}
 
-  defp event({:startElement, _, ~c"trkpt", _, attributes}, _, state) do
+  defp handle_event({:startElement, _, ~c"trkpt", _, attributes}, _, state) do
     given = for {_, _, name, value} <- attributes, into: %{}, do: {name, value}
-    %{state | point: %{lat: number(given[~c"lat"]), lon: number(given[~c"lon"])}}
+    %{state | point: %{lat: parse_number(given[~c"lat"]), lon: parse_number(given[~c"lon"])}}
   end
 
-  defp event({:startElement, _, name, _, _}, _, %{point: %{}} = state)
+  defp handle_event({:startElement, _, name, _, _}, _, %{point: %{}} = state)
        when name in [~c"ele", ~c"time", ~c"hdop"],
        do: %{state | text: []}
 
-  defp event({:characters, text}, _, %{text: parts} = state) when is_list(parts),
+  defp handle_event({:characters, text}, _, %{text: parts} = state) when is_list(parts),
     do: %{state | text: [text | parts]}
 
-  defp event({:endElement, _, name, _}, _, %{text: parts, point: %{}} = state)
+  defp handle_event({:endElement, _, name, _}, _, %{text: parts, point: %{}} = state)
        when is_list(parts) and name in [~c"ele", ~c"time", ~c"hdop"] do
     text = parts |> Enum.reverse() |> Enum.concat()
     %{state | text: nil, point: Map.put(state.point, List.to_string(name), text)}
   end
 
-  defp event({:endElement, _, ~c"trkpt", _}, _, %{point: %{} = point} = state) do
+  defp handle_event({:endElement, _, ~c"trkpt", _}, _, %{point: %{} = point} = state) do
     with time when is_list(time) <- point["time"],
-         {:ok, time} <- time(List.to_string(time)),
-         {:ok, place} <- GeoPoint.new(point.lat, point.lon, height: number(point["ele"])) do
+         {:ok, time} <- parse_time(List.to_string(time)),
+         {:ok, place} <- GeoPoint.new(point.lat, point.lon, height: parse_number(point["ele"])) do
       %{state | point: nil, points: [{time, place} | state.points]}
     else
       _ -> %{state | point: nil, untimed: state.untimed + 1}
     end
   end
 
-  defp event(_event, _where, state), do: state
+  defp handle_event(_event, _where, state), do: state
 
-  defp time(text) do
+  defp parse_time(text) do
     case text |> String.trim() |> DateTime.from_iso8601() do
       {:ok, time, _} -> {:ok, DateTime.to_unix(time, :nanosecond)}
       {:error, _} -> :error
     end
   end
 
-  defp number(nil), do: nil
+  defp parse_number(nil), do: nil
 
-  defp number(text) do
-    case text |> List.to_string() |> String.trim() |> Text.float() do
+  defp parse_number(text) do
+    case text |> List.to_string() |> String.trim() |> Text.parse_float() do
       {:ok, x} -> x
       :error -> nil
     end
@@ -114,7 +114,7 @@ defmodule Situ.Space.Gpx do
   @impl true
   def info(gpx),
     do: %{
-      name: name(gpx),
+      name: recording_name(gpx),
       created: nil,
       closed?: true,
       live?: false,
@@ -122,7 +122,7 @@ defmodule Situ.Space.Gpx do
       untimed: gpx.untimed
     }
 
-  defp name(gpx), do: Path.basename(gpx.path, Path.extname(gpx.path))
+  defp recording_name(gpx), do: Path.basename(gpx.path, Path.extname(gpx.path))
 
   @impl true
   def streams(%{points: {}}), do: []
@@ -135,7 +135,7 @@ defmodule Situ.Space.Gpx do
       %StreamInfo{
         id: 1,
         name: "Track",
-        store_name: name(gpx),
+        store_name: recording_name(gpx),
         store_path: gpx.path,
         type: GeoPoint,
         type_name: inspect(GeoPoint),
@@ -152,17 +152,17 @@ defmodule Situ.Space.Gpx do
   end
 
   @impl true
-  def seek(gpx, _info, time), do: {:ok, place(gpx.points, time, 0, tuple_size(gpx.points))}
+  def seek(gpx, _info, time), do: {:ok, search_index(gpx.points, time, 0, tuple_size(gpx.points))}
 
   # Finds the first point at or after a time by binary search.
-  defp place(_points, _time, low, high) when low >= high, do: low
+  defp search_index(_points, _time, low, high) when low >= high, do: low
 
-  defp place(points, time, low, high) do
+  defp search_index(points, time, low, high) do
     middle = div(low + high, 2)
 
     if elem(elem(points, middle), 0) < time,
-      do: place(points, time, middle + 1, high),
-      else: place(points, time, low, middle)
+      do: search_index(points, time, middle + 1, high),
+      else: search_index(points, time, low, middle)
   end
 
   @impl true
@@ -174,12 +174,12 @@ defmodule Situ.Space.Gpx do
       |> Stream.iterate(&(&1 + 1))
       |> Stream.take_while(&(&1 <= last and elem(elem(gpx.points, &1), 0) <= to))
       |> Stream.take(limit)
-      |> Enum.map(&message(gpx.points, &1, info))
+      |> Enum.map(&build_message(gpx.points, &1, info))
 
     {:ok, messages, ordinal + length(messages)}
   end
 
-  defp message(points, i, info) do
+  defp build_message(points, i, info) do
     {time, place} = elem(points, i)
 
     %Message{

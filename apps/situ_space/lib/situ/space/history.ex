@@ -37,50 +37,53 @@ defmodule Situ.Space.History do
     {before, later} = Enum.split_while(all, fn {at, _} -> at < time end)
     all = before ++ [{time, pose} | Enum.drop_while(later, fn {at, _} -> at == time end)]
     {latest, _} = List.last(all)
-    %__MODULE__{sorted: all |> forget(latest - keep) |> List.to_tuple()}
+    %__MODULE__{sorted: all |> drop_older(latest - keep) |> List.to_tuple()}
   end
 
   # One pose before the span is kept, so that the whole span can be interpolated.
-  defp forget([_, {second, _} = next | rest], since) when second <= since,
-    do: forget([next | rest], since)
+  defp drop_older([_, {second, _} = next | rest], since) when second <= since,
+    do: drop_older([next | rest], since)
 
-  defp forget(entries, _since), do: entries
+  defp drop_older(entries, _since), do: entries
 
   @doc "Returns the times of the oldest and the latest pose."
-  @spec span(t()) :: {Situ.Time.t(), Situ.Time.t()}
-  def span(%__MODULE__{sorted: {}, recent: [{latest, _} | _] = recent}),
+  @spec time_span(t()) :: {Situ.Time.t(), Situ.Time.t()}
+  def time_span(%__MODULE__{sorted: {}, recent: [{latest, _} | _] = recent}),
     do: {recent |> List.last() |> elem(0), latest}
 
-  def span(%__MODULE__{sorted: sorted, recent: recent}) do
+  def time_span(%__MODULE__{sorted: sorted, recent: recent}) do
     {oldest, _} = elem(sorted, 0)
     {latest, _} = if recent == [], do: elem(sorted, tuple_size(sorted) - 1), else: hd(recent)
     {oldest, latest}
   end
 
   @doc "Returns the pose at a time, the poses on either side of it, or `:outside` if it is not between two poses."
-  @spec around(t(), Situ.Time.t()) :: {:exact, Pose.t()} | {:between, entry(), entry()} | :outside
-  def around(%__MODULE__{recent: [{latest, _} | _]}, time) when time > latest, do: :outside
+  @spec lookup_around(t(), Situ.Time.t()) ::
+          {:exact, Pose.t()} | {:between, entry(), entry()} | :outside
+  def lookup_around(%__MODULE__{recent: [{latest, _} | _]}, time) when time > latest, do: :outside
 
-  def around(%__MODULE__{recent: recent, sorted: sorted}, time),
-    do: in_recent(recent, time, nil, sorted)
+  def lookup_around(%__MODULE__{recent: recent, sorted: sorted}, time),
+    do: search_recent(recent, time, nil, sorted)
 
-  defp in_recent([{time, pose} | _], time, _later, _sorted), do: {:exact, pose}
+  defp search_recent([{time, pose} | _], time, _later, _sorted), do: {:exact, pose}
 
-  defp in_recent([{at, _} = entry | _], time, later, _sorted) when at < time,
+  defp search_recent([{at, _} = entry | _], time, later, _sorted) when at < time,
     do: {:between, entry, later}
 
-  defp in_recent([entry | rest], time, _later, sorted), do: in_recent(rest, time, entry, sorted)
-  defp in_recent([], _time, _later, {}), do: :outside
+  defp search_recent([entry | rest], time, _later, sorted),
+    do: search_recent(rest, time, entry, sorted)
 
-  defp in_recent([], time, later, sorted) do
-    case search(sorted, time, 0, tuple_size(sorted)) do
+  defp search_recent([], _time, _later, {}), do: :outside
+
+  defp search_recent([], time, later, sorted) do
+    case count_before(sorted, time, 0, tuple_size(sorted)) do
       0 ->
         if time == elem(elem(sorted, 0), 0),
           do: {:exact, elem(elem(sorted, 0), 1)},
           else: :outside
 
       n ->
-        beside(
+        pose_or_neighbors(
           elem(sorted, n - 1),
           if(n < tuple_size(sorted), do: elem(sorted, n), else: later),
           time
@@ -88,18 +91,18 @@ defmodule Situ.Space.History do
     end
   end
 
-  defp beside(_before, {time, pose}, time), do: {:exact, pose}
-  defp beside(_before, nil, _time), do: :outside
-  defp beside(before, later, _time), do: {:between, before, later}
+  defp pose_or_neighbors(_before, {time, pose}, time), do: {:exact, pose}
+  defp pose_or_neighbors(_before, nil, _time), do: :outside
+  defp pose_or_neighbors(before, later, _time), do: {:between, before, later}
 
   # Returns the number of entries before `time`.
-  defp search(_sorted, _time, low, high) when low >= high, do: low
+  defp count_before(_sorted, _time, low, high) when low >= high, do: low
 
-  defp search(sorted, time, low, high) do
+  defp count_before(sorted, time, low, high) do
     middle = div(low + high, 2)
 
     if elem(elem(sorted, middle), 0) < time,
-      do: search(sorted, time, middle + 1, high),
-      else: search(sorted, time, low, middle)
+      do: count_before(sorted, time, middle + 1, high),
+      else: count_before(sorted, time, low, middle)
   end
 end

@@ -5,8 +5,8 @@ defmodule Situ.Space.Kernel do
   alias Situ.Space.Native
 
   @doc "Calls a function of `Situ.Space.Native`."
-  @spec call(atom(), [term()]) :: {:ok, term()} | {:error, Error.t()}
-  def call(function, arguments) do
+  @spec call_native(atom(), [term()]) :: {:ok, term()} | {:error, Error.t()}
+  def call_native(function, arguments) do
     case apply(Native, function, arguments) do
       {:ok, value} -> {:ok, value}
       {:error, code, what} -> {:error, Error.new(code, what)}

@@ -20,7 +20,7 @@ defmodule Situ.Space.LeastSquares do
   @spec minimize([float()], ([float()] -> [float()]), pos_integer()) :: result()
   def minimize(start, fun, rounds) do
     results = fun.(start)
-    {:ok, step(start, results, square(results), fun, 1.0e-3, rounds)}
+    {:ok, iterate_steps(start, results, sum_of_squares(results), fun, 1.0e-3, rounds)}
   rescue
     ArithmeticError ->
       {:error,
@@ -29,45 +29,47 @@ defmodule Situ.Space.LeastSquares do
        )}
   end
 
-  defp step(values, _results, least, _fun, _damping, 0), do: {values, least}
-  defp step(values, _results, least, _fun, damping, _) when damping > @most, do: {values, least}
+  defp iterate_steps(values, _results, least, _fun, _damping, 0), do: {values, least}
 
-  defp step(values, results, least, fun, damping, rounds) do
-    columns = columns(values, fun)
-    normal = for a <- columns, do: for(b <- columns, do: dot(a, b))
-    slope = for a <- columns, do: -dot(a, results)
+  defp iterate_steps(values, _results, least, _fun, damping, _) when damping > @most,
+    do: {values, least}
 
-    case attempt(values, least, normal, slope, fun, damping) do
+  defp iterate_steps(values, results, least, fun, damping, rounds) do
+    columns = jacobian_columns(values, fun)
+    normal = for a <- columns, do: for(b <- columns, do: dot_product(a, b))
+    slope = for a <- columns, do: -dot_product(a, results)
+
+    case try_step(values, least, normal, slope, fun, damping) do
       :none ->
         {values, least}
 
       {next, results, square, damping} ->
         if least - square <= @enough * (least + @enough),
           do: {next, square},
-          else: step(next, results, square, fun, damping, rounds - 1)
+          else: iterate_steps(next, results, square, fun, damping, rounds - 1)
     end
   end
 
   # Increases the damping until a step reduces the error.
-  defp attempt(_values, _least, _normal, _slope, _fun, damping) when damping > @most, do: :none
+  defp try_step(_values, _least, _normal, _slope, _fun, damping) when damping > @most, do: :none
 
-  defp attempt(values, least, normal, slope, fun, damping) do
+  defp try_step(values, least, normal, slope, fun, damping) do
     damped =
       for {row, i} <- Enum.with_index(normal),
           do: List.update_at(row, i, &(&1 + damping * max(&1, 1.0e-12)))
 
-    with {:ok, move} <- solve(damped, slope),
+    with {:ok, move} <- solve_linear(damped, slope),
          next = Enum.zip_with(values, move, &(&1 + &2)),
          results = fun.(next),
-         square when square < least <- square(results) do
+         square when square < least <- sum_of_squares(results) do
       {next, results, square, max(damping / 10, 1.0e-12)}
     else
-      _ -> attempt(values, least, normal, slope, fun, damping * 10)
+      _ -> try_step(values, least, normal, slope, fun, damping * 10)
     end
   end
 
   # Returns the derivatives of the results by each of the values.
-  defp columns(values, fun) do
+  defp jacobian_columns(values, fun) do
     for i <- 0..(length(values) - 1) do
       h = 1.0e-6 * max(abs(Enum.at(values, i)), 1.0e-2)
       more = fun.(List.update_at(values, i, &(&1 + h)))
@@ -76,46 +78,46 @@ defmodule Situ.Space.LeastSquares do
     end
   end
 
-  defp dot(a, b), do: sum(a, b, 0.0)
-  defp sum([a | as], [b | bs], total), do: sum(as, bs, total + a * b)
-  defp sum([], [], total), do: total
+  defp dot_product(a, b), do: sum_products(a, b, 0.0)
+  defp sum_products([a | as], [b | bs], total), do: sum_products(as, bs, total + a * b)
+  defp sum_products([], [], total), do: total
 
-  defp square(results), do: dot(results, results)
+  defp sum_of_squares(results), do: dot_product(results, results)
 
   @doc """
   Solves a system of linear equations by elimination with partial pivoting. Returns `:error` for a singular system.
 
-      iex> Situ.Space.LeastSquares.solve([[0.0, 2.0], [1.0, 1.0]], [4.0, 5.0])
+      iex> Situ.Space.LeastSquares.solve_linear([[0.0, 2.0], [1.0, 1.0]], [4.0, 5.0])
       {:ok, [3.0, 2.0]}
-      iex> Situ.Space.LeastSquares.solve([[1.0, 1.0], [1.0, 1.0]], [1.0, 2.0])
+      iex> Situ.Space.LeastSquares.solve_linear([[1.0, 1.0], [1.0, 1.0]], [1.0, 2.0])
       :error
   """
-  @spec solve([[float()]], [float()]) :: {:ok, [float()]} | :error
-  def solve(rows, right) do
-    rows |> Enum.zip_with(right, &(&1 ++ [&2])) |> eliminate([])
+  @spec solve_linear([[float()]], [float()]) :: {:ok, [float()]} | :error
+  def solve_linear(rows, right) do
+    rows |> Enum.zip_with(right, &(&1 ++ [&2])) |> eliminate_rows([])
   end
 
-  defp eliminate([], done), do: {:ok, substitute(done, [])}
+  defp eliminate_rows([], done), do: {:ok, back_substitute(done, [])}
 
-  defp eliminate(rows, done) do
+  defp eliminate_rows(rows, done) do
     [pivot | rest] = Enum.sort_by(rows, &(-abs(hd(&1))))
 
     if abs(hd(pivot)) < 1.0e-300 do
       :error
     else
-      reduced = for [first | row] <- rest, do: minus(row, tl(pivot), first / hd(pivot))
-      eliminate(reduced, [pivot | done])
+      reduced = for [first | row] <- rest, do: subtract_scaled(row, tl(pivot), first / hd(pivot))
+      eliminate_rows(reduced, [pivot | done])
     end
   end
 
-  defp minus([a | as], [b | bs], by), do: [a - b * by | minus(as, bs, by)]
-  defp minus([], [], _by), do: []
+  defp subtract_scaled([a | as], [b | bs], by), do: [a - b * by | subtract_scaled(as, bs, by)]
+  defp subtract_scaled([], [], _by), do: []
 
   # Starts with the last equation, which has one unknown, and continues upwards.
-  defp substitute([], known), do: known
+  defp back_substitute([], known), do: known
 
-  defp substitute([[pivot | row] | above], known) do
+  defp back_substitute([[pivot | row] | above], known) do
     {factors, [right]} = Enum.split(row, length(known))
-    substitute(above, [(right - dot(factors, known)) / pivot | known])
+    back_substitute(above, [(right - dot_product(factors, known)) / pivot | known])
   end
 end

@@ -22,8 +22,8 @@ defmodule Situ.Space.OpenCV do
   @timeout 60_000
 
   @doc "Returns the path of the program. Error: `:no_opencv_port`."
-  @spec program() :: {:ok, Path.t()} | {:error, Error.t()}
-  def program do
+  @spec fetch_program() :: {:ok, Path.t()} | {:error, Error.t()}
+  def fetch_program do
     path =
       System.get_env("SITU_OPENCV_PORT") ||
         Path.join([:code.priv_dir(:situ_space), "opencv", "opencv_port"])
@@ -42,7 +42,7 @@ defmodule Situ.Space.OpenCV do
   @doc "Starts the program for the calling process. `timeout:` limits the time of a request, ms (default: one minute)."
   @spec open(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(opts \\ []) do
-    with {:ok, program} <- program() do
+    with {:ok, program} <- fetch_program() do
       {:ok, server} = GenServer.start(__MODULE__, {program, self()})
       {:ok, %__MODULE__{server: server, timeout: opts[:timeout] || @timeout}}
     end
@@ -57,19 +57,19 @@ defmodule Situ.Space.OpenCV do
   end
 
   @doc false
-  @spec call(t() | nil, iodata()) :: {:ok, binary()} | :not_found | {:error, Error.t()}
-  def call(nil, request) do
+  @spec call_program(t() | nil, iodata()) :: {:ok, binary()} | :not_found | {:error, Error.t()}
+  def call_program(nil, request) do
     with {:ok, session} <- open() do
-      result = call(session, request)
+      result = call_program(session, request)
       close(session)
       result
     end
   end
 
-  def call(%__MODULE__{} = session, request) do
+  def call_program(%__MODULE__{} = session, request) do
     GenServer.call(session.server, {:call, request, session.timeout}, :infinity)
   catch
-    :exit, _ -> {:error, ended("the session has ended")}
+    :exit, _ -> {:error, ended_error("the session has ended")}
   end
 
   @impl true
@@ -84,26 +84,35 @@ defmodule Situ.Space.OpenCV do
     send(port, {self(), {:command, request}})
 
     receive do
-      {^port, {:data, <<0, result::binary>>}} -> {:reply, {:ok, result}, port}
-      {^port, {:data, <<1>>}} -> {:reply, :not_found, port}
-      {^port, {:data, <<2, why::binary>>}} -> {:reply, {:error, refused(String.trim(why))}, port}
-      {^port, {:exit_status, status}} -> stop("it ended with status #{status}", port)
-      {:EXIT, ^port, reason} -> stop("it ended: #{inspect(reason)}", port)
+      {^port, {:data, <<0, result::binary>>}} ->
+        {:reply, {:ok, result}, port}
+
+      {^port, {:data, <<1>>}} ->
+        {:reply, :not_found, port}
+
+      {^port, {:data, <<2, why::binary>>}} ->
+        {:reply, {:error, refusal_error(String.trim(why))}, port}
+
+      {^port, {:exit_status, status}} ->
+        stop_session("it ended with status #{status}", port)
+
+      {:EXIT, ^port, reason} ->
+        stop_session("it ended: #{inspect(reason)}", port)
     after
-      timeout -> stop("it did not respond within #{timeout} ms", port)
+      timeout -> stop_session("it did not respond within #{timeout} ms", port)
     end
   end
 
   # A late result could be taken for the next one, so the session cannot continue.
-  defp stop(why, port), do: {:stop, :normal, {:error, ended(why)}, port}
+  defp stop_session(why, port), do: {:stop, :normal, {:error, ended_error(why)}, port}
 
   @impl true
   def handle_info(_ended, port), do: {:stop, :normal, port}
 
-  defp refused(why),
+  defp refusal_error(why),
     do: Error.new(:opencv_failed, "OpenCV rejected the request", why: String.slice(why, 0, 300))
 
-  defp ended(why),
+  defp ended_error(why),
     do:
       Error.new(:opencv_ended, "opencv_port returned no result",
         why: why,

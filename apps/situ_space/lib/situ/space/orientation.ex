@@ -64,7 +64,7 @@ defmodule Situ.Space.Orientation do
   @gap 1_000_000_000
 
   @doc false
-  def schema, do: @schema
+  def option_schema, do: @schema
 
   @doc """
   Builds a filter.
@@ -78,11 +78,11 @@ defmodule Situ.Space.Orientation do
   @spec update(t(), ImuReading.t(), Situ.Time.t()) :: t()
   def update(%__MODULE__{time: last} = o, %ImuReading{} = reading, time)
       when last == nil or time - last > @gap,
-      do: %{o | time: time, rotation: first(reading, o.opts), drift: {0.0, 0.0, 0.0}}
+      do: %{o | time: time, rotation: initial_rotation(reading, o.opts), drift: {0.0, 0.0, 0.0}}
 
   def update(%__MODULE__{} = o, %ImuReading{} = reading, time) do
     seconds = (time - o.time) / 1.0e9
-    pull = pull(reading, o)
+    pull = correction_vector(reading, o)
     drift = Vector3.add(o.drift, Vector3.scale(pull, -o.opts.drift * seconds))
 
     turn =
@@ -91,12 +91,12 @@ defmodule Situ.Space.Orientation do
       |> Vector3.add(Vector3.scale(pull, o.opts.gain))
 
     {:ok, rotation} =
-      o.rotation |> Quaternion.multiply(step(turn, seconds)) |> Quaternion.normalize()
+      o.rotation |> Quaternion.multiply(rotation_step(turn, seconds)) |> Quaternion.normalize()
 
     %{o | time: time, rotation: rotation, drift: drift}
   end
 
-  defp step(turn, seconds) do
+  defp rotation_step(turn, seconds) do
     case Vector3.normalize(turn) do
       {:ok, axis} -> Quaternion.from_axis_angle(axis, Vector3.norm(turn) * seconds)
       :error -> Quaternion.identity()
@@ -104,16 +104,19 @@ defmodule Situ.Space.Orientation do
   end
 
   # Returns the rotation (axis times sine, in the sensor's axes) between the measured directions and the estimated ones.
-  defp pull(reading, %{rotation: rotation, opts: opts}) do
-    back = Quaternion.inverse(rotation)
-    up = Quaternion.rotate(back, {0.0, 0.0, 1.0})
+  defp correction_vector(reading, %{rotation: rotation, opts: opts}) do
+    back = Quaternion.invert(rotation)
+    up = Quaternion.rotate_vector(back, {0.0, 0.0, 1.0})
 
-    with {:ok, measured} <- upwards(reading, opts) do
-      tilt = Vector3.cross(measured, up)
+    with {:ok, measured} <- measured_up(reading, opts) do
+      tilt = Vector3.cross_product(measured, up)
 
-      case west(reading, measured, opts) do
+      case measured_west(reading, measured, opts) do
         {:ok, west} ->
-          Vector3.add(tilt, Vector3.cross(west, Quaternion.rotate(back, {0.0, 1.0, 0.0})))
+          Vector3.add(
+            tilt,
+            Vector3.cross_product(west, Quaternion.rotate_vector(back, {0.0, 1.0, 0.0}))
+          )
 
         :error ->
           tilt
@@ -123,24 +126,24 @@ defmodule Situ.Space.Orientation do
     end
   end
 
-  defp upwards(%{acceleration: a}, %{still: still}) do
+  defp measured_up(%{acceleration: a}, %{still: still}) do
     if still == nil or abs(Vector3.norm(a) - @gravity) <= still * @gravity,
       do: Vector3.normalize(a),
       else: :error
   end
 
   # The field points north and down, so the cross product of up and the field points west.
-  defp west(%{magnetic_field: {_, _, _} = field}, up, %{magnetometer: true}),
-    do: up |> Vector3.cross(field) |> Vector3.normalize()
+  defp measured_west(%{magnetic_field: {_, _, _} = field}, up, %{magnetometer: true}),
+    do: up |> Vector3.cross_product(field) |> Vector3.normalize()
 
-  defp west(_reading, _up, _opts), do: :error
+  defp measured_west(_reading, _up, _opts), do: :error
 
-  defp first(_reading, %{start: {_, _, _, _} = q}), do: q
+  defp initial_rotation(_reading, %{start: {_, _, _, _} = q}), do: q
 
-  defp first(reading, opts) do
+  defp initial_rotation(reading, opts) do
     with {:ok, up} <- Vector3.normalize(reading.acceleration),
-         {:ok, west} <- sideways(reading, up, opts),
-         north = Vector3.cross(west, up),
+         {:ok, west} <- initial_west(reading, up, opts),
+         north = Vector3.cross_product(west, up),
          {:ok, q} <- Quaternion.from_matrix({north, west, up}) do
       q
     else
@@ -148,9 +151,9 @@ defmodule Situ.Space.Orientation do
     end
   end
 
-  defp sideways(reading, up, opts) do
-    with :error <- west(reading, up, opts),
-         :error <- up |> Vector3.cross({1.0, 0.0, 0.0}) |> Vector3.normalize(),
+  defp initial_west(reading, up, opts) do
+    with :error <- measured_west(reading, up, opts),
+         :error <- up |> Vector3.cross_product({1.0, 0.0, 0.0}) |> Vector3.normalize(),
          do: {:ok, {0.0, 1.0, 0.0}}
   end
 end

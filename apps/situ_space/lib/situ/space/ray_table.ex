@@ -33,12 +33,12 @@ defmodule Situ.Space.RayTable do
   def new(%CameraIntrinsics{} = c, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          camera = {c.width, c.height, c.focal, c.principal, c.radial, c.tangential, c.distorts?},
-         {:ok, rays} <- Kernel.call(:ray_table, [camera, opts[:undistort]]),
+         {:ok, rays} <- Kernel.call_native(:ray_table, [camera, opts[:undistort]]),
          do: {:ok, %__MODULE__{width: c.width, height: c.height, rays: rays}}
   end
 
   @doc "Returns a table unchanged, or builds the table of a camera."
-  @spec of(t() | CameraIntrinsics.t()) :: {:ok, t()} | {:error, Error.t()}
-  def of(%__MODULE__{} = table), do: {:ok, table}
-  def of(%CameraIntrinsics{} = camera), do: new(camera)
+  @spec ensure_table(t() | CameraIntrinsics.t()) :: {:ok, t()} | {:error, Error.t()}
+  def ensure_table(%__MODULE__{} = table), do: {:ok, table}
+  def ensure_table(%CameraIntrinsics{} = camera), do: new(camera)
 end

@@ -11,10 +11,10 @@ defmodule Situ.Space.Registration do
       iex> lens = Situ.CameraIntrinsics.new!(width: 40, height: 20, focal: {40, 40})
       iex> depth = Situ.DepthImage.new!(width: 4, height: 2, data: :binary.copy(<<2000::little-16>>, 8))
       iex> seen = Situ.CameraView.new(depth, eye, Situ.Pose.identity())
-      iex> beside = Situ.CameraView.new(Situ.Image.filled(40, 20, :rgb24, :red), lens, Situ.Pose.new({0.0, 0.1, 0.0}))
-      iex> Situ.Space.Registration.pixel(seen, beside, {2, 1})
+      iex> beside = Situ.CameraView.new(Situ.Image.new_filled(40, 20, :rgb24, :red), lens, Situ.Pose.new({0.0, 0.1, 0.0}))
+      iex> Situ.Space.Registration.project_pixel(seen, beside, {2, 1})
       {:ok, {22.0, 10.0}}
-      iex> {:ok, colors} = Situ.Space.Registration.colors(seen, beside)
+      iex> {:ok, colors} = Situ.Space.Registration.register_colors(seen, beside)
       iex> Situ.Image.fetch_pixel(colors, 2, 1)
       {:ok, [255, 0, 0]}
   """
@@ -26,15 +26,19 @@ defmodule Situ.Space.Registration do
   `:unknown` if nothing was measured there, and the errors of `Situ.Space.Camera`. It does not check for nearer objects
   that hide the point from the other camera.
   """
-  @spec pixel(CameraView.t(DepthImage.t()), CameraView.t(), {integer(), integer()}) ::
+  @spec project_pixel(CameraView.t(DepthImage.t()), CameraView.t(), {integer(), integer()}) ::
           {:ok, Camera.pixel()} | {:error, :unknown | :not_invertible | :behind | :outside}
-  def pixel(%CameraView{viewed: %DepthImage{} = depth} = seen, %CameraView{} = other, {x, y}) do
+  def project_pixel(
+        %CameraView{viewed: %DepthImage{} = depth} = seen,
+        %CameraView{} = other,
+        {x, y}
+      ) do
     case DepthImage.fetch_distance(depth, x, y) do
       {:ok, distance} when is_number(distance) ->
         opts = [semantics: depth.semantics]
 
         with {:ok, point} <- Camera.unproject(seen.intrinsics, {x, y}, distance, opts),
-             do: Camera.project_in_view(other, Pose.transform(seen.pose, point))
+             do: Camera.project_in_view(other, Pose.transform_point(seen.pose, point))
 
       _ ->
         {:error, :unknown}
@@ -43,13 +47,13 @@ defmodule Situ.Space.Registration do
 
   @doc """
   Returns the 3D point (in the frame of the poses) that a pixel of the other camera shows, or `nil` if the depth camera
-  did not see it. Takes the options of `Situ.Space.Depth.intersection/3`; the result is accurate to one `step`.
+  did not see it. Takes the options of `Situ.Space.Depth.intersect_ray/3`; the result is accurate to one `step`.
   """
-  @spec point(CameraView.t(DepthImage.t()), CameraView.t(), Camera.pixel(), keyword()) ::
+  @spec find_point(CameraView.t(DepthImage.t()), CameraView.t(), Camera.pixel(), keyword()) ::
           Vector3.t() | nil
-  def point(%CameraView{} = seen, %CameraView{} = other, pixel, opts \\ []) do
+  def find_point(%CameraView{} = seen, %CameraView{} = other, pixel, opts \\ []) do
     case Camera.ray_in_view(other, pixel) do
-      {:ok, ray} -> Depth.intersection(seen, ray, opts)
+      {:ok, ray} -> Depth.intersect_ray(seen, ray, opts)
       {:error, :not_invertible} -> nil
     end
   end
@@ -60,11 +64,11 @@ defmodule Situ.Space.Registration do
 
   `table:` is the depth camera's `Situ.Space.RayTable`, to reuse for many images.
   """
-  @spec colors(CameraView.t(DepthImage.t()), CameraView.t(Image.t()), keyword()) ::
+  @spec register_colors(CameraView.t(DepthImage.t()), CameraView.t(Image.t()), keyword()) ::
           {:ok, Image.t()} | {:error, Error.t()}
-  def colors(seen, other, opts \\ [])
+  def register_colors(seen, other, opts \\ [])
 
-  def colors(
+  def register_colors(
         %CameraView{viewed: %DepthImage{} = depth} = seen,
         %CameraView{viewed: %Image{} = picture} = other,
         opts
@@ -76,25 +80,27 @@ defmodule Situ.Space.Registration do
 
     between = Pose.compose(Pose.invert(other.pose), seen.pose)
 
-    with :ok <- fits(picture, c),
-         {:ok, table} <- RayTable.of(opts[:table] || seen.intrinsics),
+    with :ok <- check_image_size(picture, c),
+         {:ok, table} <- RayTable.ensure_table(opts[:table] || seen.intrinsics),
          {:ok, rgb} <- Imaging.convert(picture, :rgb24),
          from =
-           {lens, Image.pixels(rgb), Quaternion.to_matrix(between.rotation), between.position},
-         {:ok, data} <- Kernel.call(:depth_colors, [Depth.term(depth), table.rays, from]),
+           {lens, Image.pixel_bytes(rgb), Quaternion.to_matrix(between.rotation),
+            between.position},
+         {:ok, data} <-
+           Kernel.call_native(:depth_colors, [Depth.to_kernel_term(depth), table.rays, from]),
          do: Image.new(width: depth.width, height: depth.height, format: :rgb24, data: data)
   end
 
-  def colors(_seen, _other, _opts) do
+  def register_colors(_seen, _other, _opts) do
     {:error,
      Error.new(:bad_image, "registration needs a view of depth and a view of an image",
        fix: "decode the image first: Situ.Space.View.decode/2"
      )}
   end
 
-  defp fits(%{width: w, height: h}, %{width: w, height: h}), do: :ok
+  defp check_image_size(%{width: w, height: h}, %{width: w, height: h}), do: :ok
 
-  defp fits(picture, camera) do
+  defp check_image_size(picture, camera) do
     {:error,
      Error.new(
        :bad_camera,

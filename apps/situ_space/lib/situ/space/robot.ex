@@ -4,15 +4,15 @@ defmodule Situ.Space.Robot do
   given joint positions. `Situ.Space.Robot.Urdf` reads robots from files.
 
       {:ok, robot} = Situ.Space.Robot.Urdf.read("arm.urdf")
-      joints |> Situ.Space.Robot.posed(robot)        # a stream of Situ.JointState, for a 3D panel
-      joints |> Situ.Space.Robot.frames(robot)       # the same as a tree of frames
+      joints |> Situ.Space.Robot.shape_stream(robot)        # a stream of Situ.JointState, for a 3D panel
+      joints |> Situ.Space.Robot.frame_stream(robot)       # the same as a tree of frames
 
       iex> alias Situ.Space.Robot
       iex> {:ok, robot} = Robot.Urdf.parse(~s(<robot name="r"><link name="a"/><link name="b"/>) <>
       ...>   ~s(<joint name="j" type="prismatic"><parent link="a"/><child link="b"/>) <>
       ...>   ~s(<axis xyz="0 0 1"/></joint></robot>))
       iex> {:ok, state} = Situ.JointState.new(["j"], [0.5])
-      iex> Robot.poses(robot, state)["b"].position
+      iex> Robot.link_poses(robot, state)["b"].position
       {0.0, 0.0, 0.5}
   """
   alias Situ.{JointState, Mesh, Pose, Quaternion, Transform}
@@ -41,57 +41,57 @@ defmodule Situ.Space.Robot do
         }
 
   @doc "Converts a stream of `Situ.JointState`s to the robot's shapes by link, in the frame of its root."
-  @spec posed(Situ.Stream.t(), t(), keyword()) :: Situ.Stream.t()
-  def posed(stream, %__MODULE__{} = robot, placed \\ []),
-    do: Situ.map(stream, &shapes(robot, &1), [name: "Robot", type: :map] ++ placed)
+  @spec shape_stream(Situ.Stream.t(), t(), keyword()) :: Situ.Stream.t()
+  def shape_stream(stream, %__MODULE__{} = robot, placed \\ []),
+    do: Situ.map(stream, &link_shapes(robot, &1), [name: "Robot", type: :map] ++ placed)
 
   @doc "Converts a stream of `Situ.JointState`s to the frames of the robot's links: lists of `Situ.Transform`s."
-  @spec frames(Situ.Stream.t(), t(), keyword()) :: Situ.Stream.t()
-  def frames(stream, %__MODULE__{} = robot, placed \\ []) do
+  @spec frame_stream(Situ.Stream.t(), t(), keyword()) :: Situ.Stream.t()
+  def frame_stream(stream, %__MODULE__{} = robot, placed \\ []) do
     Situ.map(
       stream,
-      &transforms(robot, &1),
+      &link_transforms(robot, &1),
       [name: "Frames", type: {:list, Transform}] ++ placed
     )
   end
 
   @doc "Returns the pose of each link in its parent. Joints that `state` does not contain are at 0."
-  @spec transforms(t(), JointState.t() | nil) :: [Transform.t()]
-  def transforms(%__MODULE__{joints: joints}, state \\ nil) do
-    told = told(state)
+  @spec link_transforms(t(), JointState.t() | nil) :: [Transform.t()]
+  def link_transforms(%__MODULE__{joints: joints}, state \\ nil) do
+    told = joint_positions(state)
 
     for joint <- joints,
         do:
-          Transform.new(joint.child, joint.parent, place(joint, position(joint, told)),
+          Transform.new(joint.child, joint.parent, joint_pose(joint, joint_position(joint, told)),
             static: joint.kind == :fixed
           )
   end
 
   @doc "Returns the pose of each link in the root."
-  @spec poses(t(), JointState.t() | nil) :: %{String.t() => Pose.t()}
-  def poses(%__MODULE__{} = robot, state \\ nil) do
+  @spec link_poses(t(), JointState.t() | nil) :: %{String.t() => Pose.t()}
+  def link_poses(%__MODULE__{} = robot, state \\ nil) do
     robot
-    |> transforms(state)
+    |> link_transforms(state)
     |> Enum.reduce(%{robot.root => Pose.identity()}, fn transform, poses ->
       Map.put(poses, transform.frame, Pose.compose(poses[transform.parent], transform.pose))
     end)
   end
 
   @doc "Returns the shapes of each link, in the frame of the root."
-  @spec shapes(t(), JointState.t() | nil) :: %{String.t() => [shape()]}
-  def shapes(%__MODULE__{links: links} = robot, state \\ nil) do
-    poses = poses(robot, state)
+  @spec link_shapes(t(), JointState.t() | nil) :: %{String.t() => [shape()]}
+  def link_shapes(%__MODULE__{links: links} = robot, state \\ nil) do
+    poses = link_poses(robot, state)
 
     for {link, [_ | _] = shapes} <- links,
         into: %{},
-        do: {link, Enum.map(shapes, &moved(&1, poses[link]))}
+        do: {link, Enum.map(shapes, &transform_shape(&1, poses[link]))}
   end
 
-  defp moved(%Mesh{} = mesh, pose), do: Mesh.transform(mesh, pose)
-  defp moved({why, point}, pose), do: {why, Situ.Space.move(point, pose)}
+  defp transform_shape(%Mesh{} = mesh, pose), do: Mesh.transform(mesh, pose)
+  defp transform_shape({why, point}, pose), do: {why, Situ.Space.transform(point, pose)}
 
   # A recording may contain lists of different lengths, although `Situ.JointState.new/4` rejects them.
-  defp told(%JointState{names: names, positions: positions}) do
+  defp joint_positions(%JointState{names: names, positions: positions}) do
     for {name, x} <- Enum.zip(names, positions),
         is_number(x),
         abs(x) < 1.0e9,
@@ -99,22 +99,22 @@ defmodule Situ.Space.Robot do
         do: {name, x / 1}
   end
 
-  defp told(nil), do: %{}
+  defp joint_positions(nil), do: %{}
 
-  defp position(%{mimic: {name, factor, from}}, told),
+  defp joint_position(%{mimic: {name, factor, from}}, told),
     do: Map.get(told, name, 0.0) * factor + from
 
-  defp position(%{name: name}, told), do: Map.get(told, name, 0.0)
+  defp joint_position(%{name: name}, told), do: Map.get(told, name, 0.0)
 
-  defp place(%{kind: :fixed, origin: origin}, _position), do: origin
+  defp joint_pose(%{kind: :fixed, origin: origin}, _position), do: origin
 
-  defp place(%{kind: :turning} = joint, angle),
+  defp joint_pose(%{kind: :turning} = joint, angle),
     do:
       Pose.compose(
         joint.origin,
         Pose.new({0.0, 0.0, 0.0}, Quaternion.from_axis_angle(joint.axis, angle))
       )
 
-  defp place(%{kind: :sliding, axis: {x, y, z}} = joint, by),
+  defp joint_pose(%{kind: :sliding, axis: {x, y, z}} = joint, by),
     do: Pose.compose(joint.origin, Pose.new({x * by, y * by, z * by}))
 end

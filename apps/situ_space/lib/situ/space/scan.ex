@@ -47,32 +47,32 @@ defmodule Situ.Space.Scan do
 
   @impl true
   def open(path, opts) do
-    parse = &parse(String.downcase(Path.extname(path)), &1, {Path.dirname(path), opts})
+    parse = &parse_scan(String.downcase(Path.extname(path)), &1, {Path.dirname(path), opts})
 
-    with {:ok, data, origin} <- WholeFile.read(path, @most, parse),
+    with {:ok, data, origin} <- WholeFile.read_and_parse(path, @most, parse),
          do: {:ok, %__MODULE__{path: path, data: data, origin: origin}}
   end
 
-  defp parse(las, bytes, _asked) when las in [".las", ".laz"], do: Las.read(bytes)
+  defp parse_scan(las, bytes, _asked) when las in [".las", ".laz"], do: Las.parse_file(bytes)
 
-  defp parse(ending, bytes, asked) do
-    with {:ok, data} <- shape(ending, bytes, asked), do: {:ok, data, {0.0, 0.0, 0.0}}
+  defp parse_scan(ending, bytes, asked) do
+    with {:ok, data} <- parse_shape(ending, bytes, asked), do: {:ok, data, {0.0, 0.0, 0.0}}
   end
 
-  defp shape(".dae", bytes, {_folder, opts}), do: Collada.read(bytes, opts)
+  defp parse_shape(".dae", bytes, {_folder, opts}), do: Collada.parse_file(bytes, opts)
 
-  defp shape(gltf, bytes, {folder, _opts}) when gltf in [".glb", ".gltf"],
-    do: Gltf.read(bytes, folder)
+  defp parse_shape(gltf, bytes, {folder, _opts}) when gltf in [".glb", ".gltf"],
+    do: Gltf.parse_file(bytes, folder)
 
-  defp shape(".obj", bytes, _asked), do: Obj.read(bytes)
-  defp shape(".pcd", bytes, _asked), do: Pcd.read(bytes)
-  defp shape(".stl", bytes, _asked), do: Stl.read(bytes)
-  defp shape(_ply, bytes, _asked), do: Ply.read(bytes)
+  defp parse_shape(".obj", bytes, _asked), do: Obj.parse_file(bytes)
+  defp parse_shape(".pcd", bytes, _asked), do: Pcd.parse_file(bytes)
+  defp parse_shape(".stl", bytes, _asked), do: Stl.parse_file(bytes)
+  defp parse_shape(_ply, bytes, _asked), do: Ply.parse_file(bytes)
 
   @impl true
   def info(scan),
     do: %{
-      name: name(scan),
+      name: recording_name(scan),
       created: nil,
       closed?: true,
       live?: false,
@@ -80,7 +80,7 @@ defmodule Situ.Space.Scan do
       origin: scan.origin
     }
 
-  defp name(scan), do: Path.basename(scan.path, Path.extname(scan.path))
+  defp recording_name(scan), do: Path.basename(scan.path, Path.extname(scan.path))
 
   @impl true
   def streams(%{data: %module{}} = scan) do
@@ -90,7 +90,7 @@ defmodule Situ.Space.Scan do
       %StreamInfo{
         id: 1,
         name: if(module == Mesh, do: "Mesh", else: "Points"),
-        store_name: name(scan),
+        store_name: recording_name(scan),
         store_path: scan.path,
         type: module,
         type_name: inspect(module),

@@ -41,7 +41,7 @@ defmodule Situ.Space.Stereo do
   The images must be rectified: an object in a row of the left image is in the same row of the right one, further left
   by its disparity. Depth is focal length times the distance between the cameras, divided by disparity.
 
-      {:ok, depth} = Situ.Space.Stereo.depth(left, right, focal: 994.98, baseline: 0.193)
+      {:ok, depth} = Situ.Space.Stereo.compute_depth(left, right, focal: 994.98, baseline: 0.193)
       {:ok, cloud} = Situ.Space.Depth.to_cloud(depth, table)
 
   For streams, use `Situ.Space.StereoDepth`.
@@ -58,27 +58,28 @@ defmodule Situ.Space.Stereo do
   alias Situ.Space.{Chessboard, OpenCV}
 
   @doc "Returns the options, for modules that also offer them."
-  @spec schema() :: keyword()
-  def schema, do: @schema
+  @spec option_schema() :: keyword()
+  def option_schema, do: @schema
 
   @doc """
   Returns the disparity of each pixel of the left image, row by row, as 16-bit little-endian numbers in sixteenths of a
   pixel. Values below `least` mean that the disparity is unknown.
   """
-  @spec disparity(Image.t(), Image.t(), keyword()) :: {:ok, binary()} | {:error, Error.t()}
-  def disparity(%Image{} = left, %Image{} = right, opts \\ []) do
+  @spec compute_disparity(Image.t(), Image.t(), keyword()) ::
+          {:ok, binary()} | {:error, Error.t()}
+  def compute_disparity(%Image{} = left, %Image{} = right, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         :ok <- same(left, right),
-         :ok <- count(opts[:count], left.width),
-         {:ok, a} <- Chessboard.gray(left),
-         {:ok, b} <- Chessboard.gray(right) do
+         :ok <- check_same_size(left, right),
+         :ok <- check_count(opts[:count], left.width),
+         {:ok, a} <- Chessboard.encode_gray(left),
+         {:ok, b} <- Chessboard.encode_gray(right) do
       flags = for key <- [:whole, :fill], into: <<>>, do: if(opts[key], do: <<1>>, else: <<0>>)
 
       head =
         <<3, opts[:least]::little-32, opts[:count]::little-32, opts[:block]::little-32,
           flags::binary>>
 
-      OpenCV.call(opts[:session], [head, a, b])
+      OpenCV.call_program(opts[:session], [head, a, b])
     end
   end
 
@@ -97,45 +98,46 @@ defmodule Situ.Space.Stereo do
     scale: [type: :number, default: 0.001, doc: "Metres per unit of the depth image."]
   ]
 
-  @doc "Returns the options that `depth/3` takes in addition to the options of `disparity/3`."
-  @spec optics() :: keyword()
-  def optics, do: @optics
+  @doc "Returns the options that `compute_depth/3` takes in addition to the options of `compute_disparity/3`."
+  @spec optics_schema() :: keyword()
+  def optics_schema, do: @optics
 
   @doc """
   Returns the depth of each pixel of the left image.
 
   #{Situ.Options.docs(@optics)}
   """
-  @spec depth(Image.t(), Image.t(), keyword()) :: {:ok, DepthImage.t()} | {:error, Error.t()}
-  def depth(%Image{} = left, %Image{} = right, opts) do
+  @spec compute_depth(Image.t(), Image.t(), keyword()) ::
+          {:ok, DepthImage.t()} | {:error, Error.t()}
+  def compute_depth(%Image{} = left, %Image{} = right, opts) do
     {optics, search} = Keyword.split(opts, Keyword.keys(@optics))
 
     with {:ok, optics} <- Situ.Options.validate(optics, @optics),
-         {:ok, disparities} <- disparity(left, right, search) do
+         {:ok, disparities} <- compute_disparity(left, right, search) do
       least = 16 * Keyword.get(search, :least, 0)
       unit = 16 * optics[:focal] * optics[:baseline] / optics[:scale]
 
       data =
         for <<d::little-signed-16 <- disparities>>,
           into: <<>>,
-          do: unit(d, least, unit, 16 * optics[:offset])
+          do: depth_pixel(d, least, unit, 16 * optics[:offset])
 
       DepthImage.new(width: left.width, height: left.height, data: data, scale: optics[:scale])
     end
   end
 
-  defp unit(d, least, unit, offset) when d >= least and d + offset > 0 do
+  defp depth_pixel(d, least, unit, offset) when d >= least and d + offset > 0 do
     case round(unit / (d + offset)) do
       value when value <= 65_535 -> <<value::little-16>>
       _ -> <<0, 0>>
     end
   end
 
-  defp unit(_d, _least, _unit, _offset), do: <<0, 0>>
+  defp depth_pixel(_d, _least, _unit, _offset), do: <<0, 0>>
 
-  defp same(%{width: w, height: h}, %{width: w, height: h}), do: :ok
+  defp check_same_size(%{width: w, height: h}, %{width: w, height: h}), do: :ok
 
-  defp same(left, right) do
+  defp check_same_size(left, right) do
     {:error,
      Error.new(:bad_image, "the two images differ in size",
        why:
@@ -144,9 +146,9 @@ defmodule Situ.Space.Stereo do
      )}
   end
 
-  defp count(count, width) when rem(count, 16) == 0 and count < width, do: :ok
+  defp check_count(count, width) when rem(count, 16) == 0 and count < width, do: :ok
 
-  defp count(count, width) do
+  defp check_count(count, width) do
     {:error,
      Error.new(
        :bad_option,

@@ -1,5 +1,6 @@
 defmodule Situ.Space.StereoDepth do
-  @schema Situ.Space.Stereo.optics() ++ Keyword.delete(Situ.Space.Stereo.schema(), :session)
+  @schema Situ.Space.Stereo.optics_schema() ++
+            Keyword.delete(Situ.Space.Stereo.option_schema(), :session)
 
   @moduledoc """
   Computes depth images from a stream of pairs of rectified images with `Situ.Space.Stereo`, in one `opencv_port`.
@@ -21,7 +22,7 @@ defmodule Situ.Space.StereoDepth do
 
   @impl true
   def init(opts) do
-    with {:ok, _} <- OpenCV.program(), do: {:ok, %{opts: opts, session: nil}}
+    with {:ok, _} <- OpenCV.fetch_program(), do: {:ok, %{opts: opts, session: nil}}
   end
 
   # A session ends with the process that opened it, so it is opened by the component's process.
@@ -32,7 +33,7 @@ defmodule Situ.Space.StereoDepth do
   end
 
   def handle_message(:in, %{data: {left, right}, originating_time: time}, _context, state) do
-    case Stereo.depth(left, right, [session: state.session] ++ state.opts) do
+    case Stereo.compute_depth(left, right, [session: state.session] ++ state.opts) do
       {:ok, depth} -> {[{:out, time, depth}], state}
       {:error, error} -> raise error
     end

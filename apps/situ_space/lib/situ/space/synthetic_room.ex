@@ -74,15 +74,15 @@ defmodule Situ.Space.SyntheticRoom do
   end
 
   @doc "Returns the intrinsics of a camera with images of this size: 62 degrees wide, without distortion."
-  @spec intrinsics(pos_integer(), pos_integer()) :: CameraIntrinsics.t()
-  def intrinsics(width, height) do
+  @spec camera_intrinsics(pos_integer(), pos_integer()) :: CameraIntrinsics.t()
+  def camera_intrinsics(width, height) do
     focal = width * 525 / 640
     CameraIntrinsics.new!(width: width, height: height, focal: {focal, focal})
   end
 
   @impl Situ.Component
   def init(opts) do
-    intrinsics = intrinsics(opts[:width], opts[:height])
+    intrinsics = camera_intrinsics(opts[:width], opts[:height])
 
     with {:ok, table} <- RayTable.new(intrinsics) do
       {:ok,
@@ -108,65 +108,66 @@ defmodule Situ.Space.SyntheticRoom do
       last = start + div((frame - 1) * @second, opts.rate)
       {[{:complete, max(last, start)}], %{state | frame: :done}}
     else
-      {actions(frame, time, state), %{state | frame: frame + 1}}
+      {frame_actions(frame, time, state), %{state | frame: frame + 1}}
     end
   end
 
   # Returns the messages after the last image, up to and including this one.
-  defp actions(frame, time, %{opts: opts} = state) do
-    scene = Scene.at(frame / opts.rate, opts.speech, opts.sway)
-    {depth, color} = views!(scene, state)
+  defp frame_actions(frame, time, %{opts: opts} = state) do
+    scene = Scene.state_at(frame / opts.rate, opts.speech, opts.sway)
+    {depth, color} = render_views!(scene, state)
     {x, y, z} = scene.ball
 
     [
       {:depth, time, depth},
       {:color, time, color},
       {:bodies, time, scene.bodies},
-      {:pointing, time, Scene.pointing(scene)},
+      {:pointing, time, Scene.pointing_ray(scene)},
       {:ball, time, Situ.Point3.new(x, y, z)},
       {:speaking, time, Map.new(scene.people, &{&1.id, &1.speaking})}
-    ] ++ readings(frame, state) ++ sound(frame, state)
+    ] ++ imu_actions(frame, state) ++ audio_actions(frame, state)
   end
 
   @doc "Renders the depth and the colour image of a scene, each as a `Situ.CameraView`."
-  @spec views(Scene.t(), CameraIntrinsics.t(), RayTable.t()) ::
+  @spec render_views(Scene.t(), CameraIntrinsics.t(), RayTable.t()) ::
           {:ok, {CameraView.t(DepthImage.t()), CameraView.t(Image.t())}}
           | {:error, Situ.Error.t()}
-  def views(%Scene{camera: pose} = scene, intrinsics, table) do
+  def render_views(%Scene{camera: pose} = scene, intrinsics, table) do
     rotation = Situ.Quaternion.to_matrix(pose.rotation)
-    arguments = [Scene.shapes(scene), pose.position, rotation, table.rays, @scale]
+    arguments = [Scene.list_shapes(scene), pose.position, rotation, table.rays, @scale]
     size = [width: table.width, height: table.height]
 
-    with {:ok, {values, pixels}} <- Kernel.call(:render, arguments),
+    with {:ok, {values, pixels}} <- Kernel.call_native(:render, arguments),
          {:ok, depth} <- DepthImage.new([data: values, scale: @scale] ++ size),
          {:ok, color} <- Image.new([data: pixels, format: :rgb24] ++ size) do
       {:ok, {CameraView.new(depth, intrinsics, pose), CameraView.new(color, intrinsics, pose)}}
     end
   end
 
-  defp views!(scene, state),
-    do: scene |> views(state.intrinsics, state.table) |> Situ.Error.unwrap!()
+  defp render_views!(scene, state),
+    do: scene |> render_views(state.intrinsics, state.table) |> Situ.Error.unwrap!()
 
-  defp readings(frame, %{opts: opts, start: start}) do
-    for n <- span(frame, opts.imu_rate, opts.rate),
+  defp imu_actions(frame, %{opts: opts, start: start}) do
+    for n <- sample_range(frame, opts.imu_rate, opts.rate),
         do:
-          {:imu, start + div(n * @second, opts.imu_rate), Scene.imu(n / opts.imu_rate, opts.sway)}
+          {:imu, start + div(n * @second, opts.imu_rate),
+           Scene.imu_reading(n / opts.imu_rate, opts.sway)}
   end
 
   # Returns the audio between the last image and this one. Before the first image there was none.
-  defp sound(0, _state), do: []
+  defp audio_actions(0, _state), do: []
 
-  defp sound(frame, %{opts: opts, start: start}) do
-    numbers = span(frame, opts.sound_rate, opts.rate)
+  defp audio_actions(frame, %{opts: opts, start: start}) do
+    numbers = sample_range(frame, opts.sound_rate, opts.rate)
     speaks? = &Scene.speaking?(&1, &2, opts.speech)
-    samples = Voice.samples(numbers, opts.sound_rate, speaks?)
+    samples = Voice.generate_samples(numbers, opts.sound_rate, speaks?)
     time = start + div((numbers.last + 1) * @second, opts.sound_rate)
     [{:sound, time, AudioBuffer.from_samples(samples, AudioFormat.pcm(opts.sound_rate))}]
   end
 
   # Returns the sample numbers of a stream with `rate` messages per second, after the last image and until this one.
-  defp span(0, _rate, _pictures), do: 0..0
+  defp sample_range(0, _rate, _pictures), do: 0..0
 
-  defp span(frame, rate, pictures),
+  defp sample_range(frame, rate, pictures),
     do: (div((frame - 1) * rate, pictures) + 1)..div(frame * rate, pictures)//1
 end

@@ -4,7 +4,7 @@ defmodule Situ.Space.View do
   with the size of the image, so that each pixel of the new image still shows the same direction.
 
       iex> camera = Situ.CameraIntrinsics.new!(width: 64, height: 48, focal: {50, 50})
-      iex> view = Situ.CameraView.new(Situ.Image.filled(64, 48, :rgb24, :red), camera, Situ.Pose.identity())
+      iex> view = Situ.CameraView.new(Situ.Image.new_filled(64, 48, :rgb24, :red), camera, Situ.Pose.identity())
       iex> {:ok, small} = Situ.Space.View.resize(view, 32, 24)
       iex> {small.viewed.width, small.intrinsics.focal, small.intrinsics.principal}
       {32, {25.0, 25.0}, {16.0, 12.0}}
@@ -28,21 +28,21 @@ defmodule Situ.Space.View do
     opts = Keyword.put_new(opts, :filter, :nearest)
 
     depth
-    |> DepthImage.through(&Imaging.resize(&1, width, height, opts))
-    |> resized(view, width, height)
+    |> DepthImage.map_gray16(&Imaging.resize(&1, width, height, opts))
+    |> put_resized(view, width, height)
   end
 
   def resize(%CameraView{viewed: %Image{} = image} = view, width, height, opts),
-    do: image |> Imaging.resize(width, height, opts) |> resized(view, width, height)
+    do: image |> Imaging.resize(width, height, opts) |> put_resized(view, width, height)
 
   def resize(view, _width, _height, _opts), do: no_pixels(view)
 
-  defp resized({:ok, viewed}, view, width, height) do
-    intrinsics = CameraIntrinsics.resize(view.intrinsics, width, height)
+  defp put_resized({:ok, viewed}, view, width, height) do
+    intrinsics = CameraIntrinsics.resize_to(view.intrinsics, width, height)
     {:ok, %{view | viewed: viewed, intrinsics: intrinsics}}
   end
 
-  defp resized(error, _view, _width, _height), do: error
+  defp put_resized(error, _view, _width, _height), do: error
 
   @doc "Scales the image of a view by a factor. Sizes are rounded to integers, with a minimum of 1."
   @spec scale(CameraView.t(), number(), keyword()) :: result()
@@ -65,7 +65,7 @@ defmodule Situ.Space.View do
     with {:ok, viewed} <- Imaging.crop(viewed, part),
          do:
            {:ok,
-            %{view | viewed: viewed, intrinsics: CameraIntrinsics.crop(view.intrinsics, part)}}
+            %{view | viewed: viewed, intrinsics: CameraIntrinsics.crop_to(view.intrinsics, part)}}
   end
 
   def crop(view, _part), do: no_pixels(view)
@@ -73,7 +73,7 @@ defmodule Situ.Space.View do
   @doc "Converts the image of a view to another format, like `Situ.Imaging.convert/2`."
   @spec convert(CameraView.t(), Image.format()) :: result()
   def convert(%CameraView{viewed: %Image{}} = view, format),
-    do: CameraView.map(view, &Imaging.convert(&1, format))
+    do: CameraView.map_viewed(view, &Imaging.convert(&1, format))
 
   def convert(view, _format), do: no_pixels(view)
 
@@ -85,15 +85,15 @@ defmodule Situ.Space.View do
   def encode(view, opts \\ [])
 
   def encode(%CameraView{viewed: %DepthImage{}} = view, _opts),
-    do: CameraView.map(view, &Imaging.encode_png(DepthImage.to_gray16(&1)))
+    do: CameraView.map_viewed(view, &Imaging.encode_png(DepthImage.to_gray16(&1)))
 
   def encode(%CameraView{viewed: %Image{}} = view, opts) do
     case Keyword.pop(opts, :format, :jpeg) do
       {:png, opts} ->
-        CameraView.map(view, &Imaging.encode_png(&1, opts))
+        CameraView.map_viewed(view, &Imaging.encode_png(&1, opts))
 
       {:jpeg, opts} ->
-        CameraView.map(view, &Imaging.encode_jpeg(&1, opts))
+        CameraView.map_viewed(view, &Imaging.encode_jpeg(&1, opts))
 
       {other, _} ->
         {:error,
@@ -118,10 +118,10 @@ defmodule Situ.Space.View do
   def decode(view, opts \\ [])
 
   def decode(%CameraView{viewed: %EncodedImage{}} = view, depth: depth),
-    do: CameraView.map(view, &Imaging.decode_depth(&1, depth))
+    do: CameraView.map_viewed(view, &Imaging.decode_depth(&1, depth))
 
   def decode(%CameraView{viewed: %EncodedImage{}} = view, opts),
-    do: CameraView.map(view, &Imaging.parse(&1, opts))
+    do: CameraView.map_viewed(view, &Imaging.parse(&1, opts))
 
   def decode(view, _opts), do: no_pixels(view)
 

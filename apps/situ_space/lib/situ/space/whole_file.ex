@@ -7,8 +7,8 @@ defmodule Situ.Space.WholeFile do
   Calls `parse` with the bytes of a file and returns its result. Errors are `:no_file`, `:too_large` for a file of more
   than `most` bytes, and the errors of `parse`.
   """
-  @spec read(Path.t(), pos_integer(), (binary() -> tuple())) :: tuple()
-  def read(path, most, parse) do
+  @spec read_and_parse(Path.t(), pos_integer(), (binary() -> tuple())) :: tuple()
+  def read_and_parse(path, most, parse) do
     with {:ok, %{size: size}} when size <= most <- File.stat(path),
          {:ok, bytes} <- File.read(path) do
       with {:error, %Error{} = error} <- parse.(bytes),

@@ -29,13 +29,13 @@ defmodule Situ.Space.CalibrationTest do
   defp seen(camera, pose \\ Pose.identity()) do
     for point <- @points,
         {:ok, pixel} <- [Camera.project(camera, point)],
-        do: {Pose.transform(pose, point), pixel}
+        do: {Pose.transform_point(pose, point), pixel}
   end
 
   @tag numtests: 4
-  property "the camera that took the points is found" do
+  property "finds the camera that captured the points" do
     forall camera <- camera() do
-      assert {:ok, found} = Calibration.camera(seen(camera), {640, 480})
+      assert {:ok, found} = Calibration.calibrate_camera(seen(camera), {640, 480})
       assert found.error < 1.0e-4
 
       for {a, b} <- pairs(camera, found.intrinsics),
@@ -51,24 +51,24 @@ defmodule Situ.Space.CalibrationTest do
     Enum.zip(flat.(a), flat.(b))
   end
 
-  test "and where it stood" do
+  test "also finds the pose of the camera" do
     camera = CameraIntrinsics.new!(width: 640, height: 480, focal: {510, 515}, radial: [0.05])
     pose = Pose.new({0.4, -0.2, 1.3}, Quaternion.from_euler(0.3, -0.1, 0.05))
     start = Pose.new({0.2, 0.0, 1.0}, Quaternion.from_euler(0.2, 0.0, 0.0))
 
     assert {:ok, found} =
-             Calibration.camera(seen(camera, pose), {640, 480},
+             Calibration.calibrate_camera(seen(camera, pose), {640, 480},
                pose: true,
                start: start,
                distortion: :radial
              )
 
     assert Vector3.distance(found.pose.position, pose.position) < 1.0e-3
-    assert Quaternion.angle(found.pose.rotation, pose.rotation) < 1.0e-3
+    assert Quaternion.angle_between(found.pose.rotation, pose.rotation) < 1.0e-3
     assert_in_delta elem(found.intrinsics.focal, 0), 510, 0.5
   end
 
-  test "the error is that of the pixels" do
+  test "reports the error in pixels" do
     camera = CameraIntrinsics.new!(width: 640, height: 480, focal: {520, 520})
     :rand.seed(:exsss, {1, 2, 3})
 
@@ -76,27 +76,30 @@ defmodule Situ.Space.CalibrationTest do
       for {point, {u, v}} <- seen(camera),
           do: {point, {u + 0.3 * :rand.normal(), v + 0.3 * :rand.normal()}}
 
-    assert {:ok, found} = Calibration.camera(noisy, {640, 480}, distortion: :none)
+    assert {:ok, found} = Calibration.calibrate_camera(noisy, {640, 480}, distortion: :none)
     assert_in_delta found.error, 0.3 * :math.sqrt(2), 0.1
     assert_in_delta elem(found.intrinsics.focal, 0), 520, 3.0
   end
 
-  test "what cannot be told says so" do
+  test "insufficient input is an error" do
     assert {:error, %{code: :too_few}} =
-             Calibration.camera([{{1.0, 0.0, 0.0}, {1.0, 1.0}}], {640, 480})
+             Calibration.calibrate_camera([{{1.0, 0.0, 0.0}, {1.0, 1.0}}], {640, 480})
 
     assert {:error, %{code: :bad_option}} =
-             Calibration.camera(List.duplicate({{:nan, 0.0, 0.0}, {1.0, 1.0}}, 20), {640, 480})
+             Calibration.calibrate_camera(
+               List.duplicate({{:nan, 0.0, 0.0}, {1.0, 1.0}}, 20),
+               {640, 480}
+             )
 
     assert {:error, %{code: :bad_option}} =
-             Calibration.camera(List.duplicate(:point, 20), {640, 480})
+             Calibration.calibrate_camera(List.duplicate(:point, 20), {640, 480})
 
     behind =
       for {{x, y, z}, pixel} <-
             seen(CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})),
           do: {{-x, y, z}, pixel}
 
-    assert {:error, %{code: :not_found}} = Calibration.camera(behind, {640, 480})
+    assert {:error, %{code: :not_found}} = Calibration.calibrate_camera(behind, {640, 480})
     :rand.seed(:exsss, {4, 5, 6})
 
     mixed =
@@ -104,6 +107,6 @@ defmodule Situ.Space.CalibrationTest do
           do: {point, {:rand.uniform() * 640, :rand.uniform() * 480}}
 
     assert {:error, %{code: :not_found}} =
-             Calibration.camera(mixed, {640, 480}, distortion: :none, rounds: 20)
+             Calibration.calibrate_camera(mixed, {640, 480}, distortion: :none, rounds: 20)
   end
 end

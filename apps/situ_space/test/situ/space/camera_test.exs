@@ -5,7 +5,7 @@ defmodule Situ.Space.CameraTest do
   alias Situ.Space.Camera
   doctest Camera
 
-  # A wide lens as a depth camera has it.
+  # A wide lens, as in a depth camera.
   defp camera(opts \\ []) do
     CameraIntrinsics.new!(
       [
@@ -19,7 +19,7 @@ defmodule Situ.Space.CameraTest do
     )
   end
 
-  property "a pixel at a depth is the pixel that shows the point, both ways round" do
+  property "projecting a pixel at a depth and back returns the same pixel" do
     forall {px, py, depth} <- {integer(0, 639), integer(0, 575), integer(1, 800)} do
       for inverse? <- [true, false], semantics <- [:plane, :point] do
         camera = camera(distorts?: inverse?)
@@ -38,7 +38,7 @@ defmodule Situ.Space.CameraTest do
     end
   end
 
-  property "taking the distortion back finds what was distorted" do
+  property "undistorting finds the point that was distorted" do
     forall {x, y} <- {integer(-60, 60), integer(-60, 60)} do
       point = {x / 100, y / 100}
       assert {:ok, {u, v}} = Camera.undistort(camera(), Camera.distort(camera(), point))
@@ -47,15 +47,16 @@ defmodule Situ.Space.CameraTest do
     end
   end
 
-  test "the model's derivatives are right where Newton's method needs few steps" do
-    # A strong lens whose closed form folds back: beyond the fold there is no answer, and it says so.
+  test "the model's derivatives are correct where Newton's method needs few steps" do
+    # A strong lens whose closed form folds back. There is no solution beyond the fold, and the functions report
+    # this.
     strong = CameraIntrinsics.new!(width: 100, height: 100, focal: {50, 50}, radial: [-0.5])
     assert {:ok, _} = Camera.undistort(strong, {0.4, 0.2})
     assert :error = Camera.undistort(strong, {3.0, 3.0})
     assert {:error, :not_invertible} = Camera.unproject(strong, {350.0, 350.0}, 1.0)
   end
 
-  test "behind and beside the camera" do
+  test "rejects points behind the camera and outside the image" do
     assert {:error, :behind} = Camera.project(camera(), {0.0, 1.0, 1.0})
     assert {:error, :outside} = Camera.project(camera(), {1.0, 5.0, 0.0}, distort: false)
 
@@ -65,14 +66,14 @@ defmodule Situ.Space.CameraTest do
     assert x < 0
   end
 
-  property "a view's ray through a pixel passes the point that the pixel shows" do
+  property "a view's ray through a pixel passes through the point that the pixel shows" do
     forall {y, z, yaw} <- {integer(-30, 30), integer(-30, 30), integer(-314, 314)} do
       pose = Pose.new({1.0, -2.0, 0.5}, Quaternion.from_euler(yaw / 100, 0.1, -0.2))
       view = CameraView.new(:picture, camera(), pose)
-      point = Pose.transform(pose, {2.0, y / 50, z / 50})
+      point = Pose.transform_point(pose, {2.0, y / 50, z / 50})
       {:ok, pixel} = Camera.project_in_view(view, point, outside: true)
       {:ok, ray} = Camera.ray_in_view(view, pixel)
-      assert Ray3.distance(ray, point) < 1.0e-6
+      assert Ray3.distance_to(ray, point) < 1.0e-6
     end
   end
 end

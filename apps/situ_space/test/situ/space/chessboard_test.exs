@@ -6,7 +6,7 @@ defmodule Situ.Space.ChessboardTest do
   @board {7, 5}
   @square 0.03
 
-  # A board in the camera's frame: x along its rows, y along its columns, turned about three axes.
+  # A board in the camera's frame, with x along its rows and y along its columns, rotated about three axes.
   defp pose(yaw, pitch, roll, place) do
     facing = {0.5, -0.5, 0.5, -0.5}
     Pose.new(place, Quaternion.multiply(Quaternion.from_euler(yaw, pitch, roll), facing))
@@ -19,12 +19,12 @@ defmodule Situ.Space.ChessboardTest do
 
   defp pixels(camera, pose) do
     for place <- places() do
-      {:ok, pixel} = Camera.project(camera, Pose.transform(pose, place))
+      {:ok, pixel} = Camera.project(camera, Pose.transform_point(pose, place))
       pixel
     end
   end
 
-  # The board as that camera sees it: black and white squares with a white margin on grey, nine rays a pixel.
+  # The board as that camera sees it: black and white squares with a white margin on gray, with nine rays per pixel.
   defp picture(%{width: width, height: height} = camera, pose) do
     inverse = Pose.invert(pose)
     eye = inverse.position
@@ -35,7 +35,7 @@ defmodule Situ.Space.ChessboardTest do
         rays =
           for i <- -1..1, j <- -1..1 do
             ray = {1.0, -(u + i / 3 - cx) / fx, -(v + j / 3 - cy) / fy}
-            shade(eye, Quaternion.rotate(inverse.rotation, ray))
+            shade(eye, Quaternion.rotate_vector(inverse.rotation, ray))
           end
 
         <<div(Enum.sum(rays), 9)>>
@@ -58,24 +58,24 @@ defmodule Situ.Space.ChessboardTest do
   end
 
   @tag :opencv
-  test "corners are where a camera sees them, to a fraction of a pixel" do
+  test "finds corners where a camera sees them, to a fraction of a pixel" do
     camera = CameraIntrinsics.new!(width: 240, height: 180, focal: {300, 300})
     pose = pose(0.4, 0.3, 0.1, {0.45, 0.07, 0.07})
     truth = pixels(camera, pose)
     assert {:ok, corners} = Chessboard.corners(picture(camera, pose), @board)
 
-    # Which end is the first is not to be seen on a board of odd numbers.
+    # This board looks the same from either end, so both orders of the corners are correct.
     off = fn list ->
       squares = Enum.zip_with(list, truth, fn {x, y}, {u, v} -> (x - u) ** 2 + (y - v) ** 2 end)
       :math.sqrt(Enum.sum(squares) / length(squares))
     end
 
-    # The picture itself is made of nine rays a pixel.
+    # The image itself is rendered with nine rays per pixel.
     assert min(off.(corners), off.(Enum.reverse(corners))) < 0.2
   end
 
   @tag :opencv
-  test "the lens and the boards' poses are found again" do
+  test "recovers the lens and the boards' poses" do
     camera =
       CameraIntrinsics.new!(
         width: 640,
@@ -112,12 +112,12 @@ defmodule Situ.Space.ChessboardTest do
     for {%{pose: seen, error: error}, pose} <- Enum.zip(found.boards, poses) do
       assert error < 1.0e-2
       assert Vector3.norm(Vector3.subtract(seen.position, pose.position)) < 1.0e-3
-      assert Quaternion.angle(seen.rotation, pose.rotation) < 1.0e-3
+      assert Quaternion.angle_between(seen.rotation, pose.rotation) < 1.0e-3
     end
   end
 
   @tag :opencv
-  test "no board, few boards and boards of other sizes are said" do
+  test "no board, too few boards and boards of other sizes are errors" do
     camera = CameraIntrinsics.new!(width: 640, height: 480, focal: {520, 530})
 
     noise =
@@ -142,7 +142,7 @@ defmodule Situ.Space.ChessboardTest do
 
     assert {:error, %Error{code: :bad_option}} = Chessboard.corners(noise, {2, 900})
 
-    # All pixels at one place.
+    # All pixels have the same position.
     point = List.duplicate({5.0, 5.0}, 35)
 
     assert {:error, %Error{code: :not_found, fix: "tilt" <> _}} =

@@ -6,25 +6,25 @@ defmodule Situ.Space.CloudTest do
 
   doctest Cloud
 
-  test "values stay beside their points" do
+  test "values stay with their points" do
     points = for x <- 0..9, do: {x * 1.0, 0.0, 0.0}
     values = for x <- 0..9, into: <<>>, do: <<x * 10.0::little-float-32>>
     {:ok, cloud} = PointCloud.new(PointCloud.from_points(points).points, nil, values)
     numbers = fn %{values: bytes} -> for <<x::little-float-32 <- bytes>>, do: x end
-    {:ok, few} = Cloud.thin(cloud, 2)
+    {:ok, few} = Cloud.limit_points(cloud, 2)
     assert numbers.(few) == [0.0, 50.0]
-    {:ok, {near, 4}} = Cloud.within(cloud, [{-1.0, 0.0, 0.0, 3.0}], 2)
+    {:ok, {near, 4}} = Cloud.clip_to_planes(cloud, [{-1.0, 0.0, 0.0, 3.0}], 2)
     assert numbers.(near) == [0.0, 20.0]
     {:ok, part} = Cloud.clip(cloud, Situ.Box3.new!({4.5, -1.0, -1.0}, {6.5, 1.0, 1.0}))
     assert numbers.(part) == [50.0, 60.0]
-    {:ok, [all]} = Cloud.clusters(cloud, 1.5)
+    {:ok, [all]} = Cloud.find_clusters(cloud, 1.5)
     assert {:ok, %{values: ^values}} = Cloud.transform(all, Situ.Pose.new({1.0, 0.0, 0.0}))
   end
 
   defp coordinate, do: map(integer(-300, 300), &(&1 / 100))
   defp points, do: list({coordinate(), coordinate(), coordinate()})
 
-  # What 32-bit floats make of the points.
+  # The points as 32-bit floats represent them.
   defp cloud(points), do: PointCloud.from_points(points)
 
   property "a voxel's point is the mean of the points in it" do
@@ -33,7 +33,7 @@ defmodule Situ.Space.CloudTest do
       cloud = cloud(points)
       {:ok, fewer} = Cloud.downsample(cloud, size)
 
-      # The slow way, with the sizes as the kernel has them.
+      # The slow reference, with sizes in the precision of the kernel.
       <<size32::little-float-32>> = <<size::little-float-32>>
       key = fn {x, y, z} -> {floor(x / size32), floor(y / size32), floor(z / size32)} end
       groups = cloud |> PointCloud.to_points() |> Enum.group_by(key) |> Map.values()
@@ -65,17 +65,19 @@ defmodule Situ.Space.CloudTest do
       {:ok, inside} = Cloud.clip(cloud(points), box)
 
       certain =
-        Enum.filter(PointCloud.to_points(cloud(points)), &Box3.contains?(box, &1, -1.0e-4))
+        Enum.filter(PointCloud.to_points(cloud(points)), &Box3.contains_point?(box, &1, -1.0e-4))
 
       assert certain -- PointCloud.to_points(inside) == []
-      for point <- PointCloud.to_points(inside), do: assert(Box3.contains?(box, point, 1.0e-4))
+
+      for point <- PointCloud.to_points(inside),
+          do: assert(Box3.contains_point?(box, point, 1.0e-4))
     end
   end
 
-  property "clusters are the groups that touching makes" do
+  property "clusters are the groups of touching points" do
     forall points <- points() do
       cloud = cloud(points)
-      {:ok, clusters} = Cloud.clusters(cloud, 0.8)
+      {:ok, clusters} = Cloud.find_clusters(cloud, 0.8)
       groups = Enum.map(clusters, &Enum.sort(PointCloud.to_points(&1)))
       assert groups |> Enum.concat() |> Enum.sort() == Enum.sort(PointCloud.to_points(cloud))
       assert Enum.map(groups, &length/1) == Enum.sort(Enum.map(groups, &length/1), :desc)
@@ -89,14 +91,14 @@ defmodule Situ.Space.CloudTest do
     end
   end
 
-  property "any bytes are refused or computed, nothing raises" do
+  property "any bytes are rejected or computed, and nothing raises" do
     forall {bytes, number} <- {binary(), integer(-5, 5)} do
       cloud = %PointCloud{points: bytes}
 
       for call <- [
             &Cloud.downsample(&1, number / 2),
-            &Cloud.clusters(&1, number / 2),
-            &Cloud.normals(&1, number / 2),
+            &Cloud.find_clusters(&1, number / 2),
+            &Cloud.estimate_normals(&1, number / 2),
             &Cloud.fit_plane(&1, tolerance: number / 2),
             &Cloud.transform(&1, Pose.identity())
           ] do
@@ -105,9 +107,9 @@ defmodule Situ.Space.CloudTest do
     end
   end
 
-  test "a floor faces its viewer, and colours stay with their points" do
+  test "a floor faces its viewer, and colors stay with their points" do
     floor = for x <- 0..9, y <- 0..9, do: {x / 10, y / 10, 0.0}
-    {:ok, {normals, curvatures}} = Cloud.normals(cloud(floor), 0.15, {0.0, 0.0, 2.0})
+    {:ok, {normals, curvatures}} = Cloud.estimate_normals(cloud(floor), 0.15, {0.0, 0.0, 2.0})
     for {_, _, z} <- PointCloud.to_points(%PointCloud{points: normals}), do: assert(z > 0.999)
     assert byte_size(curvatures) == 400
 
@@ -118,7 +120,7 @@ defmodule Situ.Space.CloudTest do
     assert {PointCloud.to_points(part), part.colors} == {[{2.0, 0.0, 0.0}], <<2, 2, 2>>}
   end
 
-  test "the nearest point to a ray" do
+  test "finds the point nearest to a ray" do
     {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
 
     assert {{5.0, 0.5, 0.0}, 0.5} =

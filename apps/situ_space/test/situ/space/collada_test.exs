@@ -6,7 +6,7 @@ defmodule Situ.Space.Scan.ColladaTest do
   alias Situ.Space.Scan
   alias Situ.Space.Scan.Collada
 
-  # A square and a triangle, as most programs write them: places and normals with numbers of their own.
+  # A square and a triangle as most programs write them, with separate indices for positions and normals.
   @file_text """
   <?xml version="1.0" encoding="utf-8"?>
   <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
@@ -46,11 +46,11 @@ defmodule Situ.Space.Scan.ColladaTest do
 
   defp r(x), do: Float.round(x, 4) + 0.0
 
-  test "nodes in nodes, at their places, in metres" do
-    assert {:ok, mesh} = Collada.read(@file_text)
+  test "places nested nodes, in meters" do
+    assert {:ok, mesh} = Collada.parse_file(@file_text)
     assert {Mesh.vertex_count(mesh), Mesh.triangle_count(mesh)} == {8, 6}
 
-    # Stretched twice along y, a quarter turn around z, 2 m up; and 3 m to the front.
+    # Stretched twice along y, a quarter turn around z, 2 m up and 3 m forward.
     assert corners(mesh) == [
              {0.0, 0.0, 2.0},
              {0.0, 1.0, 2.0},
@@ -66,16 +66,16 @@ defmodule Situ.Space.Scan.ColladaTest do
              for(i <- [0, 1, 2, 0, 2, 3, 0, 1, 2], into: <<>>, do: <<i::little-32>>)
   end
 
-  test "with y up it is turned, unless its own axes are asked for" do
+  test "rotates a y-up file, unless axes: :own is given" do
     text = String.replace(@file_text, "Z_UP", "Y_UP")
-    assert {:ok, turned} = Collada.read(text)
-    assert {:ok, own} = Collada.read(text, axes: :own)
+    assert {:ok, turned} = Collada.parse_file(text)
+    assert {:ok, own} = Collada.parse_file(text, axes: :own)
     assert corners(turned) == for({x, y, z} <- corners(own), do: {x, -z + 0.0, y})
-    assert {:ok, ^own} = Collada.read(@file_text)
+    assert {:ok, ^own} = Collada.parse_file(@file_text)
   end
 
   @tag :tmp_dir
-  test "as a recording, and as a robot's shape", %{tmp_dir: folder} do
+  test "opens as a recording and as a robot's shape", %{tmp_dir: folder} do
     File.write!(Path.join(folder, "plate.dae"), String.replace(@file_text, "Z_UP", "Y_UP"))
     assert {:ok, store} = Store.open(Path.join(folder, "plate.dae"))
     assert [%{name: "Mesh", type: Mesh}] = Store.streams(store)
@@ -90,39 +90,39 @@ defmodule Situ.Space.Scan.ColladaTest do
     assert corners(shape) == corners(own)
   end
 
-  test "what cannot be read is said" do
+  test "an unreadable file gives the reason" do
     for {from, to, says} <- [
-          {"<p>0 0 0 1 0 2</p>", "<p>0 0 0 1 0 9</p>", "vertex that is not there"},
+          {"<p>0 0 0 1 0 2</p>", "<p>0 0 0 1 0 9</p>", "vertex that does not exist"},
           {"url=\"#plate\"/></node></library", "url=\"#none\"/></node></library",
-           "no geometry called none"},
+           "no geometry with the id none"},
           {"#part", "part.dae#part", "another file"},
-          {"100 1.e2", "100 nan", "\"nan\" is no number"},
-          {"<rotate>0 0 1 90</rotate>", "<rotate>0 0 1</rotate>", "not 4 numbers"},
-          {"<vcount>4</vcount>", "", "how many corners"},
+          {"100 1.e2", "100 nan", "\"nan\" is not a number"},
+          {"<rotate>0 0 1 90</rotate>", "<rotate>0 0 1</rotate>", "must have 4 numbers"},
+          {"<vcount>4</vcount>", "", "numbers of corners"},
           {"<instance_geometry url=\"#plate\"/></node></library_nodes>",
-           "<instance_node url=\"#part\"/></node></library_nodes>", "have no end"},
-          {"COLLADA", "COLLADO", "no Collada"},
+           "<instance_node url=\"#part\"/></node></library_nodes>", "nested too deeply"},
+          {"COLLADA", "COLLADO", "not COLLADA"},
           {"meter=\"0.01\"", "meter=\"1e11\"", nil}
         ] do
-      case Collada.read(String.replace(@file_text, from, to)) do
+      case Collada.parse_file(String.replace(@file_text, from, to)) do
         {:error, %{code: :bad_file, why: why}} when says != nil -> assert why =~ says
         other -> assert {says, elem(other, 0)} == {nil, :ok}
       end
     end
 
     assert {:error, %{why: "its scene has no surface"}} =
-             Collada.read(String.replace(@file_text, ~r/<p>.*<\/p>/, ""))
+             Collada.parse_file(String.replace(@file_text, ~r/<p>.*<\/p>/, ""))
   end
 
   @tag numtests: 200
-  property "text that was changed anywhere is read or refused, never more" do
+  property "text that was changed anywhere is read or rejected" do
     forall {at, byte, cut} <- {integer(0, 2_600), integer(32, 126), integer(0, 400)} do
       at = rem(at, byte_size(@file_text))
       <<before::binary-size(at), _, rest::binary>> = @file_text
       changed = before <> <<byte>> <> rest
-      assert elem(Collada.read(changed), 0) in [:ok, :error]
+      assert elem(Collada.parse_file(changed), 0) in [:ok, :error]
       cut = binary_part(changed, 0, byte_size(changed) - cut)
-      assert elem(Collada.read(cut), 0) in [:ok, :error]
+      assert elem(Collada.parse_file(cut), 0) in [:ok, :error]
     end
   end
 end

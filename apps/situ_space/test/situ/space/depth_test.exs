@@ -20,7 +20,7 @@ defmodule Situ.Space.DepthTest do
     DepthImage.new!(width: 8, height: 6, data: data, semantics: semantics)
   end
 
-  property "the cloud is what the camera's own arithmetic gives, pixel by pixel" do
+  property "the cloud equals the camera's own projection of each pixel" do
     forall {values, semantics} <- {list(integer(0, 5_000), 48), one_of([:plane, :point])} do
       depth = depth(values, semantics)
       {:ok, cloud} = Depth.to_cloud(depth, @camera)
@@ -40,20 +40,20 @@ defmodule Situ.Space.DepthTest do
       {:ok, mesh} = Depth.to_mesh(depth, @camera, edge: 1)
       assert Mesh.vertex_count(mesh) == length(expected)
 
-      for {{a, _, _}, {b, _, _}, {c, _, _}} <- Mesh.triangles(mesh),
+      for {{a, _, _}, {b, _, _}, {c, _, _}} <- Mesh.list_triangles(mesh),
           semantics == :plane,
           do: assert(Enum.max([a, b, c]) - Enum.min([a, b, c]) <= 1.0001)
     end
   end
 
-  test "a table serves many images, and one of another size is refused" do
+  test "a table serves many images and rejects an image of another size" do
     {:ok, table} = RayTable.new(@camera)
     depth = depth(List.duplicate(1_000, 48))
     assert Depth.to_cloud(depth, table) == Depth.to_cloud(depth, @camera)
     assert {:ok, sparse} = Depth.to_cloud(depth, table, sparsity: 2)
-    assert PointCloud.count(sparse) == 12
+    assert PointCloud.point_count(sparse) == 12
     assert {:ok, robust} = Depth.to_cloud(depth, table, robust: true)
-    assert PointCloud.count(robust) == 24
+    assert PointCloud.point_count(robust) == 24
 
     small = DepthImage.new!(width: 1, height: 1, data: <<1, 1>>)
     assert {:error, %{code: :bad_camera, what: what}} = Depth.to_cloud(small, table)
@@ -67,11 +67,11 @@ defmodule Situ.Space.DepthTest do
     pose = Pose.new({1.0, 0.0, 0.0})
     view = CameraView.new(depth(List.duplicate(2_000, 48)), camera, pose)
     {:ok, ray} = Ray3.new({1.0, 0.2, 0.1}, {1.0, 0.0, 0.0})
-    assert {x, y, _} = Depth.intersection(view, ray, step: 0.01)
+    assert {x, y, _} = Depth.intersect_ray(view, ray, step: 0.01)
     assert_in_delta x, 3.0, 0.02
     assert_in_delta y, 0.2, 1.0e-9
 
     {:ok, away} = Ray3.new({1.0, 0.0, 0.0}, {-1.0, 0.0, 0.0})
-    assert Depth.intersection(view, away) == nil
+    assert Depth.intersect_ray(view, away) == nil
   end
 end

@@ -15,7 +15,7 @@ defmodule Situ.Space.FramesTest do
 
   defp ok({:ok, value}), do: value
 
-  property "there and back is the identity, by whatever way" do
+  property "there and back is the identity along any path" do
     forall {a, b, c, point} <-
              {pose(), pose(), pose(), {coordinate(), coordinate(), coordinate()}} do
       frames =
@@ -24,29 +24,33 @@ defmodule Situ.Space.FramesTest do
         |> ok()
         |> Frames.put_static("b", "a", b)
         |> ok()
-        |> Frames.put("c", "world", 5, c)
+        |> Frames.put_moving("c", "world", 5, c)
         |> ok()
 
       there = ok(Frames.lookup(frames, "b", "c", 5))
       back = ok(Frames.lookup(frames, "c", "b", 5))
-      assert Vector3.distance(point, Pose.transform(back, Pose.transform(there, point))) < 1.0e-6
-
-      world = Pose.transform(Pose.compose(a, b), point)
 
       assert Vector3.distance(
-               Pose.transform(ok(Frames.lookup(frames, "b", "world", 0)), point),
+               point,
+               Pose.transform_point(back, Pose.transform_point(there, point))
+             ) < 1.0e-6
+
+      world = Pose.transform_point(Pose.compose(a, b), point)
+
+      assert Vector3.distance(
+               Pose.transform_point(ok(Frames.lookup(frames, "b", "world", 0)), point),
                world
              ) < 1.0e-6
     end
   end
 
-  property "poses are those of a list of all that was put, whatever the order" do
+  property "lookups match a list of all poses that were put, in any order" do
     forall {times, asked} <- {list(integer(0, 50)), integer(-5, 55)} do
       poses = times |> Enum.uniq() |> Enum.map(&{&1, Pose.new({&1 * &1 * 1.0, 0.0, 0.0})})
 
       frames =
         Enum.reduce(poses, Frames.new(keep: 1_000), fn {t, p}, f ->
-          ok(Frames.put(f, "m", "w", t, p))
+          ok(Frames.put_moving(f, "m", "w", t, p))
         end)
 
       before =
@@ -68,19 +72,19 @@ defmodule Situ.Space.FramesTest do
     end
   end
 
-  test "only the last span is kept, with one pose before it" do
+  test "keeps only the last time span, and one pose before it" do
     frames =
       Enum.reduce(
         0..100,
         Frames.new(keep: 10),
-        &ok(Frames.put(&2, "m", "w", &1, Pose.identity()))
+        &ok(Frames.put_moving(&2, "m", "w", &1, Pose.identity()))
       )
 
     assert {:ok, _} = Frames.lookup(frames, "m", "w", 90)
     assert {:error, %{code: :frame_unknown_at}} = Frames.lookup(frames, "m", "w", 89)
   end
 
-  test "cycles, second parents and lost connections name the frames" do
+  test "errors about cycles, second parents and missing connections name the frames" do
     frames = ok(Frames.put_static(Frames.new(), "b", "a", Pose.identity()))
     frames = ok(Frames.put_static(frames, "c", "b", Pose.identity()))
 
@@ -93,12 +97,13 @@ defmodule Situ.Space.FramesTest do
     assert {:error, %{code: :frame_conflict}} =
              Frames.put_static(frames, "c", "a", Pose.identity())
 
-    assert {:error, %{code: :frame_conflict}} = Frames.put(frames, "c", "b", 0, Pose.identity())
+    assert {:error, %{code: :frame_conflict}} =
+             Frames.put_moving(frames, "c", "b", 0, Pose.identity())
 
     assert {:error, %{code: :frame_not_connected, why: why}} =
              Frames.lookup(frames, "c", "elsewhere", 0)
 
-    assert why == ~s(the first hangs on "a", the second on "elsewhere")
+    assert why == ~s(the root of the first is "a", the root of the second "elsewhere")
 
     assert {:error, %{code: :frame_not_connected}} =
              frames |> Frames.delete("b") |> Frames.lookup("c", "a", 0)

@@ -4,7 +4,7 @@ defmodule Situ.Space.Scan.GltfTest do
   alias Situ.{Error, JSON, Mesh, PointCloud, Store}
   alias Situ.Space.Scan.Gltf
 
-  # A triangle in the plane of glTF's y (up) and x (left), with numbers of 16 bits, and two bytes to fill.
+  # A triangle in glTF's plane of y (up) and x (left), with 16-bit numbers and two padding bytes.
   @places for x <- [0, 0, 0, 2, 0, 0, 0, 1, 0], into: <<>>, do: <<x::little-float-32>>
   @bytes <<@places::binary, 0::little-16, 1::little-16, 2::little-16, 0, 0>>
 
@@ -51,16 +51,17 @@ defmodule Situ.Space.Scan.GltfTest do
         do: {round(x), round(y), round(z)}
       )
 
-  test "triangles at their nodes' places, with x forward and z up" do
-    assert {:ok, %Mesh{} = mesh} = Gltf.read(glb(scene()))
+  test "places triangles at their nodes, with x forward and z up" do
+    assert {:ok, %Mesh{} = mesh} = Gltf.parse_file(glb(scene()))
 
-    # Scaled upwards, a quarter turn about the forward axis, 10 m forward: 2 to the left is 2 up, and 2 up is 2 right.
+    # Scaled upwards, a quarter turn about the forward axis, 10 m forward: 2 left becomes 2 up, and 2 up becomes 2
+    # right.
     assert vertices(mesh) == [{10, 0, 0}, {10, 0, 2}, {10, -2, 0}]
     assert mesh.indices == <<0::little-32, 1::little-32, 2::little-32>>
   end
 
   @tag :tmp_dir
-  test "bytes in a file of its own folder, and in no other", %{tmp_dir: folder} do
+  test "reads bytes from a file in its own folder only", %{tmp_dir: folder} do
     own = Path.join(folder, "own")
     File.mkdir_p!(Path.join(own, "parts"))
     File.write!(Path.join([own, "parts", "two words.bin"]), @bytes)
@@ -72,9 +73,9 @@ defmodule Situ.Space.Scan.GltfTest do
       Situ.Space.Scan.read(Path.join(own, "robot.gltf"))
     end
 
-    {:ok, whole} = Gltf.read(glb(scene()))
+    {:ok, whole} = Gltf.parse_file(glb(scene()))
     assert write.("parts/two%20words.bin") == {:ok, whole}
-    assert {:error, %{why: "the file with its bytes" <> _}} = write.("parts/none.bin")
+    assert {:error, %{why: "the buffer file" <> _}} = write.("parts/none.bin")
 
     for outside <- [
           "../outside.bin",
@@ -88,21 +89,21 @@ defmodule Situ.Space.Scan.GltfTest do
         ],
         do: assert({:error, %{code: :bad_file}} = write.(outside))
 
-    assert {:error, %{why: why}} = Gltf.read(File.read!(Path.join(own, "robot.gltf")))
+    assert {:error, %{why: why}} = Gltf.parse_file(File.read!(Path.join(own, "robot.gltf")))
     assert why =~ "file"
   end
 
-  test "materials that a file needs are no hindrance, compression is" do
-    assert {:ok, _} = Gltf.read(glb(scene(%{extensionsRequired: ["KHR_materials_unlit"]})))
+  test "accepts required materials but not compression" do
+    assert {:ok, _} = Gltf.parse_file(glb(scene(%{extensionsRequired: ["KHR_materials_unlit"]})))
 
     assert {:error, %{why: why}} =
-             Gltf.read(glb(scene(%{extensionsRequired: ["KHR_draco_mesh_compression"]})))
+             Gltf.parse_file(glb(scene(%{extensionsRequired: ["KHR_draco_mesh_compression"]})))
 
     assert why =~ "KHR_draco"
-    assert {:error, _} = Gltf.read(glb(scene(%{extensionsRequired: 3})))
+    assert {:error, _} = Gltf.parse_file(glb(scene(%{extensionsRequired: 3})))
   end
 
-  test "bytes inside the text, a matrix, strips, fans and points" do
+  test "reads bytes in the text, a matrix, strips, fans and points" do
     uri = "data:application/octet-stream;base64," <> Base.encode64(@bytes)
     matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 3, 1]
 
@@ -111,50 +112,50 @@ defmodule Situ.Space.Scan.GltfTest do
         scene(%{buffers: [%{byteLength: 44, uri: uri}], nodes: [%{mesh: 0, matrix: matrix}]})
       )
 
-    assert {:ok, mesh} = Gltf.read(IO.iodata_to_binary(text))
+    assert {:ok, mesh} = Gltf.parse_file(IO.iodata_to_binary(text))
     assert vertices(mesh) == [{3, 0, 0}, {3, 2, 0}, {3, 0, 1}]
 
     for {mode, count} <- [{0, 0}, {4, 1}, {5, 1}, {6, 1}] do
       meshes = [%{primitives: [%{attributes: %{POSITION: 0}, mode: mode}]}]
-      assert {:ok, mesh} = Gltf.read(glb(scene(%{meshes: meshes})))
+      assert {:ok, mesh} = Gltf.parse_file(glb(scene(%{meshes: meshes})))
       assert Mesh.triangle_count(mesh) == count
     end
   end
 
-  test "what cannot be read is said" do
+  test "an unreadable file gives the reason" do
     for {file, says} <- [
           {"{}", "version 2"},
-          {"no json", "no JSON"},
+          {"no json", "not valid JSON"},
           {<<"glTF", 2::little-32, 9::32, 900::little-32, "JSON">>, "cut off"},
           {glb(scene(%{extensionsRequired: ["KHR_draco_mesh_compression"]})), "draco"},
           {glb(scene(%{buffers: [%{uri: "../secret.bin"}]})), "own folder"},
-          {glb(scene(%{nodes: [%{children: [0]}]})), "hangs on two"},
-          {glb(scene(%{nodes: [%{children: [7]}]})), "no number 7"},
+          {glb(scene(%{nodes: [%{children: [0]}]})), "occurs twice"},
+          {glb(scene(%{nodes: [%{children: [7]}]})), "item 7 of its nodes"},
           {glb(scene(), binary_part(@bytes, 0, 20)), "too early"},
-          {glb(scene(), <<-1::128, @bytes::binary>>), "no numbers"},
-          {glb(scene(), @places <> <<0::16, 1::little-16, 9::little-16>>), "not there"},
+          {glb(scene(), <<-1::128, @bytes::binary>>), "not finite"},
+          {glb(scene(), @places <> <<0::16, 1::little-16, 9::little-16>>), "does not exist"},
           {glb(scene(%{scenes: [%{nodes: []}]})), "no surface"},
-          {glb(scene(%{nodes: [%{mesh: 0, scale: ["x", 1, 1]}]})), "not 3 numbers"},
-          {glb(scene(%{meshes: 7})), "among its meshes"},
-          {glb(scene(%{meshes: [%{primitives: 7}]})), "is none"}
+          {glb(scene(%{nodes: [%{mesh: 0, scale: ["x", 1, 1]}]})), "must have 3 numbers"},
+          {glb(scene(%{meshes: 7})), "of its meshes"},
+          {glb(scene(%{meshes: [%{primitives: 7}]})), "is not a list"}
         ] do
-      assert {:error, %Error{code: :bad_file, why: why}} = Gltf.read(file)
+      assert {:error, %Error{code: :bad_file, why: why}} = Gltf.parse_file(file)
       assert why =~ says
     end
   end
 
-  property "a file with a changed byte is read, or refused" do
+  property "a file with a changed byte is read or rejected" do
     whole = glb(scene())
 
     forall {at, byte} <- {integer(0, byte_size(whole) - 1), integer(0, 255)} do
       <<before::binary-size(at), _, rest::binary>> = whole
-      assert {kind, _} = Gltf.read(<<before::binary, byte, rest::binary>>)
+      assert {kind, _} = Gltf.parse_file(<<before::binary, byte, rest::binary>>)
       assert kind in [:ok, :error]
     end
   end
 
   @tag :tmp_dir
-  test "as a recording", %{tmp_dir: dir} do
+  test "opens as a recording", %{tmp_dir: dir} do
     path = Path.join(dir, "chair.glb")
     File.write!(path, glb(scene()))
     assert {:ok, store} = Store.open(path)

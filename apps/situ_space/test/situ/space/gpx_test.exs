@@ -7,8 +7,8 @@ defmodule Situ.Space.GpxTest do
 
   @walk Path.expand("../../data/cerknicko-jezero.gpx", __DIR__)
 
-  # 295 track points, 293 of them with a time; the numbers of the first and last stand in the file.
-  test "a real track opens as a recording, seeks and reads in parts" do
+  # 295 track points, 293 of them with a time; the numbers of the first and last point are in the file.
+  test "opens a real track as a recording, seeks and reads in parts" do
     assert {:ok, store} = Store.open(@walk)
     assert [%{name: "Track", type: GeoPoint, count: count} = info] = Store.streams(store)
     messages = store |> Store.messages("Track") |> Enum.to_list()
@@ -25,7 +25,7 @@ defmodule Situ.Space.GpxTest do
     assert {:ok, [], ^count} = Gpx.read(gpx, info, count, info.last, 2, [])
   end
 
-  test "points without a time are counted, wrong ones too; order is that of time" do
+  test "counts points without a valid time and sorts the others by time" do
     point = fn lat, time -> ~s(<trkpt lat="#{lat}" lon="14">#{time}</trkpt>) end
     time = &"<time>2026-01-01T00:00:0#{&1}Z</time>"
 
@@ -46,7 +46,7 @@ defmodule Situ.Space.GpxTest do
     assert Enum.map(points, fn {_, p} -> p.latitude end) == [1.0, 2.0]
   end
 
-  test "what is no GPX is an error in words" do
+  test "a file that is not GPX is a readable error" do
     bomb = ~s(<!DOCTYPE gpx [<!ENTITY a "aaaa">]><gpx>&a;</gpx>)
 
     for {text, words} <- [

@@ -5,7 +5,7 @@ defmodule Situ.Space.Scan.ObjTest do
   alias Situ.Space.Scan.Obj
 
   @pyramid """
-  # a pyramid over a square
+  # A pyramid over a square.
   mtllib stone.mtl
   o Pyramid
   v -1 -1 0
@@ -23,22 +23,22 @@ defmodule Situ.Space.Scan.ObjTest do
   f -2 -5 -1
   """
 
-  test "a mesh: polygons become triangles, numbers count from both ends" do
-    assert {:ok, %Mesh{} = mesh} = Obj.read(@pyramid)
+  test "polygons of a mesh become triangles, and indices count from either end" do
+    assert {:ok, %Mesh{} = mesh} = Obj.parse_file(@pyramid)
     assert Mesh.triangle_count(mesh) == 6
     indices = for <<i::little-32 <- mesh.indices>>, do: i
 
     assert Enum.chunk_every(indices, 3) ==
              [[0, 1, 2], [0, 2, 3], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
 
-    assert Obj.read(String.replace(@pyramid, "\n", "\r\n")) == {:ok, mesh}
+    assert Obj.parse_file(String.replace(@pyramid, "\n", "\r\n")) == {:ok, mesh}
   end
 
-  test "without faces it is a cloud, with the colours that all its points have" do
-    assert {:ok, %PointCloud{} = cloud} = Obj.read("v 1 2 3 1 0 0.5\nv 4 5 6 0 2 -1\n")
+  test "a file without faces is a cloud, with colors if all points have one" do
+    assert {:ok, %PointCloud{} = cloud} = Obj.parse_file("v 1 2 3 1 0 0.5\nv 4 5 6 0 2 -1\n")
     assert PointCloud.to_points(cloud) == [{1.0, 2.0, 3.0}, {4.0, 5.0, 6.0}]
     assert cloud.colors == <<255, 0, 128, 0, 255, 0>>
-    assert {:ok, %{colors: nil}} = Obj.read("v 1 2 3 1 0 0\nv 4 5 6\n")
+    assert {:ok, %{colors: nil}} = Obj.parse_file("v 1 2 3 1 0 0\nv 4 5 6\n")
   end
 
   @tag :tmp_dir
@@ -49,27 +49,28 @@ defmodule Situ.Space.Scan.ObjTest do
     assert [%{name: "Mesh", type: Mesh, count: 1}] = Store.streams(store)
   end
 
-  test "what is damaged is an error in words" do
+  test "a damaged file is a readable error" do
     for {text, words} <- [
           {"", "no vertices"},
           {"v 1 2\n", "fewer than three numbers"},
-          {"v 1 2 left\n", ~s("left" is no number)},
+          {"v 1 2 left\n", ~s("left" is not a number)},
           {"v 1 2 1e99\n", "not finite"},
-          {"v 1 2 " <> String.duplicate("9", 400), "is no number"},
+          {"v 1 2 " <> String.duplicate("9", 400), "is not a number"},
           {"v 1 2 3\nf 1 1\n", "fewer than three vertices"},
-          {"v 1 2 3\nf 1 1 2\n", ~s(names vertex "2" of 1)},
-          {"v 1 2 3\nf 1 1 0\n", "names vertex"},
-          {"v 1 2 3\nf 1 1 -2\n", "names vertex"},
-          {"v 1 2 3\nf 1 1 1x\n", "names vertex"}
+          {"v 1 2 3\nf 1 1 2\n", ~s(refers to vertex "2" of 1)},
+          {"v 1 2 3\nf 1 1 0\n", "refers to vertex"},
+          {"v 1 2 3\nf 1 1 -2\n", "refers to vertex"},
+          {"v 1 2 3\nf 1 1 1x\n", "refers to vertex"}
         ] do
-      assert {:error, error} = Obj.read(text)
+      assert {:error, error} = Obj.parse_file(text)
       assert error.code == :bad_file and error.why =~ words, "#{text}: #{error.why}"
     end
   end
 
   property "no bytes crash it" do
     forall bytes <- binary() do
-      match?({_, _}, Obj.read(bytes)) and match?({_, _}, Obj.read("v 1 2 3\nf " <> bytes))
+      match?({_, _}, Obj.parse_file(bytes)) and
+        match?({_, _}, Obj.parse_file("v 1 2 3\nf " <> bytes))
     end
   end
 end

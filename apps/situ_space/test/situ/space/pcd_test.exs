@@ -4,7 +4,8 @@ defmodule Situ.Space.Scan.PcdTest do
   alias Situ.{PointCloud, Store}
   alias Situ.Space.Scan.Pcd
 
-  # The file of the format's own description, shortened: 4.2108e+06 is the float with the bits of (255, 255, 0) there.
+  # The file from the format's own description, shortened. 4.2108e+06 is the float with the bits of (255, 255, 0)
+  # there.
   @text """
   # .PCD v.7 - Point Cloud Data file format
   VERSION .7
@@ -30,37 +31,37 @@ defmodule Situ.Space.Scan.PcdTest do
   defp row(x, y, z, {r, g, b}),
     do: <<x::little-float-32, 1, 2, 3, y::little-float-64, z::little-float-32, b, g, r, 0>>
 
-  test "as text, with colours; what is no number is a place that is none" do
-    assert {:ok, cloud} = Pcd.read(@text)
+  test "reads text with colors, and a point with an invalid number is invalid" do
+    assert {:ok, cloud} = Pcd.parse_file(@text)
     assert [{x, y, +0.0}, {_, _, _}] = PointCloud.to_points(cloud)
     assert_in_delta x, 0.93773, 1.0e-6
     assert_in_delta y, 0.33763, 1.0e-6
-    assert PointCloud.count(cloud) == 3
+    assert PointCloud.point_count(cloud) == 3
     assert cloud.colors == <<255, 0, 0, 0, 255, 0, 0, 0, 255>>
-    assert Pcd.read(String.replace(@text, "\n", "\r\n")) == {:ok, cloud}
+    assert Pcd.parse_file(String.replace(@text, "\n", "\r\n")) == {:ok, cloud}
   end
 
-  test "the intensity is the points' value" do
+  test "reads the intensity as the points' value" do
     for {data, body} <- [
           {"ascii", "1 2 3 7.5\n4 5 6 9\n"},
           {"binary", for(v <- [1, 2, 3, 7.5, 4, 5, 6, 9], into: <<>>, do: <<v::little-float-32>>)}
         ] do
       head = "FIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nPOINTS 2\nDATA #{data}\n"
-      assert {:ok, cloud} = Pcd.read(head <> body)
+      assert {:ok, cloud} = Pcd.parse_file(head <> body)
       assert cloud.values == <<7.5::little-float-32, 9.0::little-float-32>>
       assert PointCloud.to_points(cloud) == [{1.0, 2.0, 3.0}, {4.0, 5.0, 6.0}]
     end
   end
 
-  test "as bytes, with padding, a double and colours in a float" do
+  test "reads bytes with padding, a double and packed colors" do
     rows = row(1, 2, 3, {10, 20, 30}) <> row(-1, 0.5, 0, {200, 100, 50})
-    assert {:ok, cloud} = Pcd.read(head("binary", 2) <> rows)
+    assert {:ok, cloud} = Pcd.parse_file(head("binary", 2) <> rows)
     assert PointCloud.to_points(cloud) == [{1.0, 2.0, 3.0}, {-1.0, 0.5, 0.0}]
     assert cloud.colors == <<10, 20, 30, 200, 100, 50>>
   end
 
-  # x, padding, y, z, rgb of all points one after the other; four points that repeat themselves are a copy.
-  test "compressed: literals, and copies that reach into themselves" do
+  # x, padding, y, z and rgb of all points one after another; four repeated points are stored as a copy.
+  test "reads compressed literals, and copies that overlap themselves" do
     n = 4
     x = <<1.0::little-float-32>>
     head = head("binary_compressed", n)
@@ -71,10 +72,10 @@ defmodule Situ.Space.Scan.PcdTest do
         <<0::size(n * 24)>> <> <<0::size(n * 64)>> <> <<0::size(n * 64)>>
 
     assert byte_size(plain) == size
-    # 4 literal bytes, a copy of 12 from 4 before, one 0, then copies of 0
+    # Four literal bytes, a copy of 12 from 4 before, one 0, then copies of 0.
     packed = <<3, x::binary>> <> <<7::3, 0::5, 3, 3>> <> <<0, 0>> <> <<7::3, 0::5, 66, 0>>
     body = <<byte_size(packed)::little-32, size::little-32, packed::binary>>
-    assert {:ok, cloud} = Pcd.read(head <> body)
+    assert {:ok, cloud} = Pcd.parse_file(head <> body)
     assert PointCloud.to_points(cloud) == List.duplicate({1.0, 0.0, 0.0}, n)
   end
 
@@ -86,24 +87,24 @@ defmodule Situ.Space.Scan.PcdTest do
     assert [%{name: "Points", type: PointCloud, count: 1}] = Store.streams(store)
   end
 
-  test "a number of hundreds of digits is refused" do
+  test "rejects a number of hundreds of digits" do
     text = String.replace(@text, "0.93773", String.duplicate("9", 400))
-    assert {:error, error} = Pcd.read(text)
-    assert error.code == :bad_file and error.why =~ "is no number"
+    assert {:error, error} = Pcd.parse_file(text)
+    assert error.code == :bad_file and error.why =~ "is not a number"
   end
 
-  test "what is damaged is an error in words" do
+  test "a damaged file is a readable error" do
     for {text, words} <- [
-          {"", "no line DATA"},
+          {"", "no DATA line"},
           {"FIELDS x y\nSIZE 4 4\nTYPE F F\nPOINTS 1\nDATA ascii\n1 2\n", "no x, y and z"},
           {String.replace(@text, "POINTS 3", "POINTS 4"), "cut short"},
-          {String.replace(@text, "POINTS 3", "POINTS 99999999999"), "no sensible number"},
-          {String.replace(@text, "SIZE 4 4", "SIZE 3 4"), "no size that is known"},
+          {String.replace(@text, "POINTS 3", "POINTS 99999999999"), "not a valid number"},
+          {String.replace(@text, "SIZE 4 4", "SIZE 3 4"), "invalid SIZE"},
           {String.replace(@text, "DATA ascii", "DATA morse"), "morse"},
           {head("binary", 5) <> "short", "cut short"},
           {head("binary_compressed", 1) <> <<2::little-32, 23::little-32, 32, 255>>, "damaged"}
         ] do
-      assert {:error, error} = Pcd.read(text)
+      assert {:error, error} = Pcd.parse_file(text)
       assert error.code == :bad_file and error.why =~ words, "#{inspect(error)}"
     end
   end
@@ -111,7 +112,8 @@ defmodule Situ.Space.Scan.PcdTest do
   property "no bytes crash it" do
     forall {data, bytes} <-
              {:proper_types.oneof(["ascii", "binary", "binary_compressed"]), binary()} do
-      match?({_, _}, Pcd.read(head(data, 3) <> bytes)) and match?({:error, _}, Pcd.read(bytes))
+      match?({_, _}, Pcd.parse_file(head(data, 3) <> bytes)) and
+        match?({:error, _}, Pcd.parse_file(bytes))
     end
   end
 end

@@ -5,7 +5,7 @@ defmodule Situ.Space.RegistrationTest do
   doctest Registration
   doctest View
 
-  # A moment of the synthetic room as depth, and a later one as a larger picture: the camera has swayed meanwhile.
+  # A moment of the synthetic room as depth, and a later one as a larger image, after the camera has swayed.
   defp room do
     depth = frame(80, 60, 0, & &1.depth)
     color = frame(160, 120, 4, & &1.color)
@@ -20,13 +20,13 @@ defmodule Situ.Space.RegistrationTest do
     |> Enum.at(n)
   end
 
-  test "each pixel of depth gets the colour that the other camera saw there" do
+  test "each depth pixel gets the color that the other camera saw there" do
     {depth, color} = room()
-    {:ok, colors} = Registration.colors(depth, color)
+    {:ok, colors} = Registration.register_colors(depth, color)
     assert {colors.width, colors.height} == {80, 60}
 
     for x <- 5..75//7, y <- 5..55//7 do
-      case Registration.pixel(depth, color, {x, y}) do
+      case Registration.project_pixel(depth, color, {x, y}) do
         {:ok, {px, py}} when px < 159 and py < 119 ->
           {:ok, seen} = Image.fetch_pixel(color.viewed, floor(px + 0.5), floor(py + 0.5))
           assert Image.fetch_pixel(colors, x, y) == {:ok, seen}
@@ -40,16 +40,19 @@ defmodule Situ.Space.RegistrationTest do
       end
     end
 
-    {:ok, cloud} = DepthCamera.cloud(depth, colors: color)
-    assert byte_size(cloud.colors) == 3 * PointCloud.count(cloud)
+    {:ok, cloud} = DepthCamera.view_to_cloud(depth, colors: color)
+    assert byte_size(cloud.colors) == 3 * PointCloud.point_count(cloud)
   end
 
-  test "the place that a pixel of the other camera shows lies on its ray and on what depth measured" do
+  test "the position of a color pixel is on its ray and on the measured depth" do
     {depth, color} = room()
     {:ok, ray} = Camera.ray_in_view(color, {80.0, 60.0})
-    {x, y, z} = place = Registration.point(depth, color, {80.0, 60.0}, step: 0.01, range: 10.0)
-    assert Situ.Ray3.distance(ray, place) < 1.0e-9
-    {:ok, cloud} = DepthCamera.cloud(depth)
+
+    {x, y, z} =
+      place = Registration.find_point(depth, color, {80.0, 60.0}, step: 0.01, range: 10.0)
+
+    assert Situ.Ray3.distance_to(ray, place) < 1.0e-9
+    {:ok, cloud} = DepthCamera.view_to_cloud(depth)
 
     nearest =
       cloud |> PointCloud.to_points() |> Enum.map(&Vector3.distance(&1, {x, y, z})) |> Enum.min()
@@ -57,17 +60,20 @@ defmodule Situ.Space.RegistrationTest do
     assert nearest < 0.1
   end
 
-  test "what does not fit says so" do
+  test "unsuitable input is an error" do
     {depth, color} = room()
-    small = %{color | intrinsics: CameraIntrinsics.resize(color.intrinsics, 40, 30)}
-    assert {:error, %{code: :bad_camera}} = Registration.colors(depth, small)
-    assert {:error, %{code: :bad_image}} = Registration.colors(depth, depth)
+    small = %{color | intrinsics: CameraIntrinsics.resize_to(color.intrinsics, 40, 30)}
+    assert {:error, %{code: :bad_camera}} = Registration.register_colors(depth, small)
+    assert {:error, %{code: :bad_image}} = Registration.register_colors(depth, depth)
     {:ok, encoded} = View.encode(color)
-    assert {:error, %{code: :bad_image, fix: "decode" <> _}} = Registration.colors(depth, encoded)
-    assert Registration.pixel(depth, color, {-1, 0}) == {:error, :unknown}
+
+    assert {:error, %{code: :bad_image, fix: "decode" <> _}} =
+             Registration.register_colors(depth, encoded)
+
+    assert Registration.project_pixel(depth, color, {-1, 0}) == {:error, :unknown}
   end
 
-  test "a view resized or cut shows its points where it showed them" do
+  test "a resized or cropped view shows its points at the same positions" do
     {_depth, color} = room()
     {x, y} = {color.viewed.width, color.viewed.height}
 
@@ -81,7 +87,7 @@ defmodule Situ.Space.RegistrationTest do
       )
 
     view = %{color | intrinsics: bent}
-    point = Pose.transform(view.pose, {2.0, 0.3, -0.2})
+    point = Pose.transform_point(view.pose, {2.0, 0.3, -0.2})
     {:ok, {x, y}} = Camera.project_in_view(view, point)
     {:ok, twice} = View.scale(view, 2)
     assert {twice.viewed.width, twice.viewed.height} == {320, 240}
@@ -101,7 +107,7 @@ defmodule Situ.Space.RegistrationTest do
     assert {:error, %{code: :bad_image}} = View.decode(view)
   end
 
-  test "converted, encoded and decoded" do
+  test "converts, encodes and decodes views" do
     {depth, color} = room()
     {:ok, gray} = View.convert(color, :gray8)
     assert gray.viewed.format == :gray8

@@ -5,7 +5,7 @@ defmodule Situ.Space.StereoTest do
 
   @size {160, 96}
 
-  # Random dots on a wall (disparity 6), and a box before it (disparity 20): the truth is exact.
+  # Random dots on a wall (disparity 6) with a box in front of it (disparity 20); the true disparities are exact.
   defp pair do
     {width, height} = @size
     state = :rand.seed_s(:exsss, 7)
@@ -23,7 +23,7 @@ defmodule Situ.Space.StereoTest do
       for y <- 0..(height - 1), x <- 0..(width - 1), into: <<>> do
         cond do
           near?.(x + 20, y) -> <<dot.(x + 20, y)>>
-          # Hidden to the left camera by the box.
+          # The box hides this from the left camera.
           near?.(x + 6, y) -> <<dot.(x + 6 + width, y)>>
           true -> <<dot.(x + 6, y)>>
         end
@@ -41,14 +41,14 @@ defmodule Situ.Space.StereoTest do
   end
 
   @tag :opencv
-  test "a box before a wall: disparities, and depth in metres" do
+  test "computes disparities, and depth in meters, for a box in front of a wall" do
     {left, right, truth} = pair()
-    {:ok, disparities} = Stereo.disparity(left, right, count: 32)
+    {:ok, disparities} = Stereo.compute_disparity(left, right, count: 32)
     assert share(disparities, truth, 0.5) > 0.85
-    {:ok, all} = Stereo.disparity(left, right, count: 32, fill: true, whole: true)
+    {:ok, all} = Stereo.compute_disparity(left, right, count: 32, fill: true, whole: true)
     assert share(all, truth, 0.5) > 0.95
 
-    {:ok, depth} = Stereo.depth(left, right, count: 32, focal: 100, baseline: 0.12)
+    {:ok, depth} = Stereo.compute_depth(left, right, count: 32, focal: 100, baseline: 0.12)
     assert {:ok, near} = DepthImage.fetch_distance(depth, 85, 48)
     assert_in_delta near, 12 / 20, 0.01
     assert {:ok, far} = DepthImage.fetch_distance(depth, 140, 10)
@@ -56,9 +56,9 @@ defmodule Situ.Space.StereoTest do
   end
 
   @tag :opencv
-  test "on a stream; a pair of other sizes is the component's error" do
+  test "runs on a stream, and a pair of different sizes is an error of the component" do
     {left, right, _} = pair()
-    small = Image.filled(80, 96, :gray8)
+    small = Image.new_filled(80, 96, :gray8)
 
     run = fn pairs ->
       Situ.to_list(fn p ->
@@ -74,7 +74,7 @@ defmodule Situ.Space.StereoTest do
   end
 
   @tag :opencv
-  test "options that mean nothing are refused" do
+  test "rejects meaningless options" do
     {left, right, _} = pair()
 
     for {opts, says} <- [
@@ -82,7 +82,9 @@ defmodule Situ.Space.StereoTest do
           {[count: 160], "below the width"},
           {[block: 4], "block"}
         ] do
-      assert {:error, %Error{code: :bad_option} = error} = Stereo.disparity(left, right, opts)
+      assert {:error, %Error{code: :bad_option} = error} =
+               Stereo.compute_disparity(left, right, opts)
+
       assert Exception.message(error) =~ says
     end
   end
@@ -93,13 +95,13 @@ defmodule Situ.Space.StereoTest do
   @tag :opencv
   unless File.exists?(@motorcycle), do: @tag(skip: "not here: #{@motorcycle}")
 
-  test "of a real pair with true disparities, 85 % of the pixels are within 2" do
+  test "85 % of the pixels of a real pair are within 2 of their true disparity" do
     {:ok, left} = Imaging.read(Path.join(@motorcycle, "motorcycle_left.png"))
     {:ok, right} = Imaging.read(Path.join(@motorcycle, "motorcycle_right.png"))
     archive = String.to_charlist(Path.join(@motorcycle, "motorcycle_disp.npz"))
     {:ok, [{_, npy}]} = :zip.unzip(archive, [:memory])
     <<"\x93NUMPY", _::16, length::little-16, _::binary-size(length), numbers::binary>> = npy
-    # Where the truth is not known the number is infinite, which is no float here.
+    # Unknown disparities are stored as infinity, which is not a float in Elixir.
     truth =
       for <<bits::little-32 <- numbers>> do
         case <<bits::32>> do
@@ -108,9 +110,9 @@ defmodule Situ.Space.StereoTest do
         end
       end
 
-    {:ok, found} = Stereo.disparity(left, right)
+    {:ok, found} = Stereo.compute_disparity(left, right)
     assert share(found, truth, 2) > 0.85
-    {:ok, filled} = Stereo.disparity(left, right, fill: true)
+    {:ok, filled} = Stereo.compute_disparity(left, right, fill: true)
     assert share(filled, truth, 2) > 0.9
   end
 end

@@ -19,7 +19,7 @@ defmodule Situ.Store.AtomicFile do
 
     with {:ok, device} <- :file.open(temporary, [:write, :raw, :binary, :exclusive]),
          :ok <- write_synced(device, content),
-         :ok <- rename(temporary, path) do
+         :ok <- rename_synced(temporary, path) do
       :ok
     else
       {:error, reason} ->
@@ -36,8 +36,8 @@ defmodule Situ.Store.AtomicFile do
   end
 
   @doc "Renames a file or folder and syncs the new name to disk. The content must already be on disk."
-  @spec rename(Path.t(), Path.t()) :: :ok | {:error, File.posix()}
-  def rename(from, to) do
+  @spec rename_synced(Path.t(), Path.t()) :: :ok | {:error, File.posix()}
+  def rename_synced(from, to) do
     with :ok <- File.rename(from, to) do
       if Path.dirname(from) != Path.dirname(to), do: sync_folder(Path.dirname(from))
       sync_folder(Path.dirname(to))
@@ -66,11 +66,11 @@ defmodule Situ.Store.AtomicFile do
   end
 
   defp sync_all([]), do: :ok
-  defp sync_all([path | paths]), do: with(:ok <- sync(path), do: sync_all(paths))
+  defp sync_all([path | paths]), do: with(:ok <- sync_file(path), do: sync_all(paths))
 
   @doc "Syncs a file to disk."
-  @spec sync(Path.t()) :: :ok | {:error, File.posix()}
-  def sync(path) do
+  @spec sync_file(Path.t()) :: :ok | {:error, File.posix()}
+  def sync_file(path) do
     with {:ok, device} <- :file.open(path, [:read, :raw, :binary]) do
       result = :file.sync(device)
       _ = :file.close(device)

@@ -10,22 +10,22 @@ defmodule Situ.Store.Catalog do
 
   @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
 
-  @spec encode(map()) :: binary()
-  def encode(record), do: Situ.JSON.encode(record)
+  @spec encode_record(map()) :: binary()
+  def encode_record(record), do: Situ.JSON.encode(record)
 
-  @spec parse([binary()]) :: %__MODULE__{}
-  def parse(records), do: Enum.reduce(records, %__MODULE__{}, &add/2)
+  @spec parse_records([binary()]) :: %__MODULE__{}
+  def parse_records(records), do: Enum.reduce(records, %__MODULE__{}, &add_record/2)
 
-  defp add(bytes, catalog) do
+  defp add_record(bytes, catalog) do
     {:ok, value} = Situ.JSON.decode(bytes)
-    record(value, catalog)
+    apply_record(value, catalog)
   catch
     # An invalid record must not make the other records unreadable.
     _, _ -> catalog
   end
 
   # A catalog is untrusted, so values of an unexpected type are ignored.
-  defp record(%{"kind" => "store"} = r, catalog) do
+  defp apply_record(%{"kind" => "store"} = r, catalog) do
     %{
       catalog
       | name: text_or_nil(r["name"]),
@@ -34,17 +34,17 @@ defmodule Situ.Store.Catalog do
     }
   end
 
-  defp record(%{"kind" => "stream", "id" => id, "name" => name} = r, catalog)
+  defp apply_record(%{"kind" => "stream", "id" => id, "name" => name} = r, catalog)
        when id in 1..@most and is_binary(name) do
     type_name = text_or_nil(r["type"]) || ":any"
-    {type, catalog} = type(type_name, catalog)
+    {type, catalog} = resolve_type(type_name, catalog)
 
     info = %StreamInfo{
       id: id,
       name: name,
       type: type,
       type_name: type_name,
-      opened: if(time?(r["opened"]), do: r["opened"]),
+      opened: if(valid_time?(r["opened"]), do: r["opened"]),
       large?: r["large"] == true,
       compression: @compressions[r["compression"]] || :none
     }
@@ -52,57 +52,60 @@ defmodule Situ.Store.Catalog do
     put_in(catalog.streams[id], info)
   end
 
-  defp record(%{"kind" => "codec", "id" => id, "number" => number, "name" => name} = r, catalog)
+  defp apply_record(
+         %{"kind" => "codec", "id" => id, "number" => number, "name" => name} = r,
+         catalog
+       )
        when number in 1..0xFFFF and is_binary(name) do
-    update(
+    update_stream(
       catalog,
       id,
       &%{&1 | codecs: Map.put(&1.codecs, number, {name, text_or_nil(r["module"])})}
     )
   end
 
-  defp record(%{"kind" => "fields", "id" => id, "fields" => fields} = r, catalog)
+  defp apply_record(%{"kind" => "fields", "id" => id, "fields" => fields} = r, catalog)
        when is_list(fields) do
-    update(catalog, id, fn info ->
+    update_stream(catalog, id, fn info ->
       if info.fields == nil and Enum.all?(fields, &is_binary/1),
         do: %{info | module: text_or_nil(r["module"]), fields: fields},
         else: info
     end)
   end
 
-  defp record(%{"kind" => "metadata", "id" => id, "term" => term} = r, catalog)
+  defp apply_record(%{"kind" => "metadata", "id" => id, "term" => term} = r, catalog)
        when is_binary(term) do
     type = text_or_nil(r["type"]) || ":any"
-    update(catalog, id, &%{&1 | supplemental: {type, Base.decode64!(term)}})
+    update_stream(catalog, id, &%{&1 | supplemental: {type, Base.decode64!(term)}})
   end
 
-  defp record(%{"kind" => "closed", "id" => id, "time" => time}, catalog) do
-    if time?(time), do: update(catalog, id, &%{&1 | closed: time}), else: catalog
+  defp apply_record(%{"kind" => "closed", "id" => id, "time" => time}, catalog) do
+    if valid_time?(time), do: update_stream(catalog, id, &%{&1 | closed: time}), else: catalog
   end
 
-  defp record(%{"kind" => "piece"} = r, catalog) do
+  defp apply_record(%{"kind" => "piece"} = r, catalog) do
     every = if is_integer(r["every"]) and r["every"] > 0, do: r["every"]
     before = catalog.piece || %{every: nil, full?: false}
     piece = %{every: every || before.every, full?: r["full"] == true or before.full?}
     %{catalog | piece: piece}
   end
 
-  defp record(_, catalog), do: catalog
+  defp apply_record(_, catalog), do: catalog
 
   defp text_or_nil(text) when is_binary(text), do: text
   defp text_or_nil(_), do: nil
 
   # Times have 64 bits.
-  defp time?(time),
+  defp valid_time?(time),
     do: is_integer(time) and time in -0x8000000000000000..0x7FFFFFFFFFFFFFFF
 
   # Thousands of streams share a few types, so each type name is parsed only once.
-  defp type(text, %{types: types} = catalog) when is_map_key(types, text),
+  defp resolve_type(text, %{types: types} = catalog) when is_map_key(types, text),
     do: {types[text], catalog}
 
-  defp type(text, catalog) do
+  defp resolve_type(text, catalog) do
     type =
-      case TypeName.read(text) do
+      case TypeName.parse_type(text) do
         {:ok, type} -> type
         :error -> :any
       end
@@ -110,7 +113,7 @@ defmodule Situ.Store.Catalog do
     {type, %{catalog | types: Map.put(catalog.types, text, type)}}
   end
 
-  defp update(catalog, id, fun) do
+  defp update_stream(catalog, id, fun) do
     case catalog.streams do
       %{^id => info} -> %{catalog | streams: Map.put(catalog.streams, id, fun.(info))}
       _ -> catalog

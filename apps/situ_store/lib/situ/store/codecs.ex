@@ -4,17 +4,18 @@ defmodule Situ.Store.Codecs do
 
   @key {__MODULE__, :names}
 
-  @spec find(String.t(), String.t() | nil) :: module() | nil
-  def find(name, module_name) do
-    named(module_name, name) || Map.get(names(), name) || Map.get(rescan(), name)
+  @spec find_module(String.t(), String.t() | nil) :: module() | nil
+  def find_module(name, module_name) do
+    find_named_codec(module_name, name) || Map.get(known_codecs(), name) ||
+      Map.get(rescan_modules(), name)
   end
 
   @doc "Returns the codec module that stores data like `data`, or `nil`."
-  @spec of(term()) :: module() | nil
-  def of(%module{}), do: if(codec?(module), do: module)
-  def of(_), do: nil
+  @spec module_for(term()) :: module() | nil
+  def module_for(%module{}), do: if(implements_codec?(module), do: module)
+  def module_for(_), do: nil
 
-  defp codec?(module) do
+  defp implements_codec?(module) do
     case :persistent_term.get({__MODULE__, module}, nil) do
       nil ->
         answer = Situ.Codec.implemented_by?(module)
@@ -26,10 +27,10 @@ defmodule Situ.Store.Codecs do
     end
   end
 
-  defp named(nil, _name), do: nil
+  defp find_named_codec(nil, _name), do: nil
 
-  defp named(module_name, name) do
-    with {:ok, module} <- Situ.KnownModules.fetch(module_name),
+  defp find_named_codec(module_name, name) do
+    with {:ok, module} <- Situ.KnownModules.fetch_module(module_name),
          true <- Situ.Codec.implemented_by?(module) and module.codec_name() == name do
       module
     else
@@ -37,9 +38,9 @@ defmodule Situ.Store.Codecs do
     end
   end
 
-  defp names, do: :persistent_term.get(@key, %{})
+  defp known_codecs, do: :persistent_term.get(@key, %{})
 
-  defp rescan do
+  defp rescan_modules do
     apps =
       for {app, _, _} <- Application.loaded_applications(),
           app in [:situ, :situ_types] or :situ in (Application.spec(app, :applications) || []),
@@ -49,7 +50,7 @@ defmodule Situ.Store.Codecs do
 
     case :persistent_term.get({__MODULE__, :scanned}, 0) do
       ^loaded ->
-        names()
+        known_codecs()
 
       _ ->
         found =

@@ -33,8 +33,8 @@ defmodule Situ.Store.Columns do
         }
 
   @doc "Returns the messages as pairs of originating time and value."
-  @spec pairs(t()) :: [{Situ.Time.t(), number() | boolean()}]
-  def pairs(columns) do
+  @spec to_pairs(t()) :: [{Situ.Time.t(), number() | boolean()}]
+  def to_pairs(columns) do
     times = for <<time::little-signed-64 <- columns.times>>, do: time
     Enum.zip(times, values(columns))
   end
@@ -58,11 +58,11 @@ defmodule Situ.Store.Columns do
         | count: n,
           times: binary_part(columns.times, at * 8, n * 8),
           creation_times: binary_part(columns.creation_times, at * 8, n * 8),
-          values: binary_part(columns.values, at * width(columns), n * width(columns))
+          values: binary_part(columns.values, at * value_width(columns), n * value_width(columns))
       }
     end
   end
 
-  defp width(%{kind: :boolean}), do: 1
-  defp width(_columns), do: 8
+  defp value_width(%{kind: :boolean}), do: 1
+  defp value_width(_columns), do: 8
 end

@@ -64,10 +64,10 @@ defmodule Situ.Store.Copying do
           {:ok, Path.t()} | {:error, Error.t()}
   def copy(from, to, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
-         {:ok, store} <- open(from, opts[:times]),
-         {:ok, sources} <- selected(sources(store), opts[:streams], store.path),
+         {:ok, store} <- open_source(from, opts[:times]),
+         {:ok, sources} <- select_streams(list_sources(store), opts[:streams], store.path),
          :ok <- check_interval(sources, opts) do
-      build(to, Enum.map(sources, fn {_, info} = source -> {info, [source]} end), opts)
+      build_store(to, Enum.map(sources, fn {_, info} = source -> {info, [source]} end), opts)
     end
   end
 
@@ -97,21 +97,24 @@ defmodule Situ.Store.Copying do
     opts = Keyword.put_new(opts, :durability, {:interval, 10_000})
 
     with {:ok, opts} <- Situ.Options.validate(opts, @compact_options),
-         {:ok, folder} <- own(path),
+         {:ok, folder} <- fetch_own_folder(path),
          {:ok, store} <- Reading.open(folder) do
-      parts = for source <- sources(store), do: {elem(source, 1), [source]}
-      build({Folder.name(folder), Path.dirname(folder)}, parts, [{:replace, folder} | opts])
+      parts = for source <- list_sources(store), do: {elem(source, 1), [source]}
+
+      build_store({Folder.store_name(folder), Path.dirname(folder)}, parts, [
+        {:replace, folder} | opts
+      ])
     end
   end
 
-  defp own(path) do
+  defp fetch_own_folder(path) do
     with {:ok, store} <- Reading.open(path) do
       cond do
-        not Folder.store?(store.path) ->
+        not Folder.store_folder?(store.path) ->
           {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
 
         Reading.live?(store) ->
-          {:error, Failure.error(:locked, store.path)}
+          {:error, Failure.to_error(:locked, store.path)}
 
         true ->
           {:ok, store.path}
@@ -127,7 +130,7 @@ defmodule Situ.Store.Copying do
           {:ok, Path.t()} | {:error, Error.t()}
   def crop(from, to, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @crop_options),
-         {:ok, store} <- open(from, opts[:times]) do
+         {:ok, store} <- open_source(from, opts[:times]) do
       {first, _last} = Reading.interval(store) || {0, 0}
       start = opts[:from] || first + (opts[:start] || 0)
       stop = opts[:to] || (opts[:length] && start + opts[:length])
@@ -154,16 +157,17 @@ defmodule Situ.Store.Copying do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
          {:ok, stores} <- open_all(paths, opts[:times]),
          where = Enum.map_join(stores, ", ", & &1.path),
-         {:ok, named} <- selected(Enum.flat_map(stores, &sources/1), opts[:streams], where),
+         {:ok, named} <-
+           select_streams(Enum.flat_map(stores, &list_sources/1), opts[:streams], where),
          names = named |> Enum.map(fn {_, info} -> info.name end) |> Enum.uniq(),
          parts =
            for(
              name <- names,
-             do: in_time(Enum.filter(named, fn {_, info} -> info.name == name end))
+             do: order_by_time(Enum.filter(named, fn {_, info} -> info.name == name end))
            ),
-         :ok <- check(parts),
+         :ok <- check_compatible(parts),
          :ok <- check_interval(named, opts) do
-      build(to, parts, opts)
+      build_store(to, parts, opts)
     end
   end
 
@@ -203,10 +207,10 @@ defmodule Situ.Store.Copying do
     )
   end
 
-  defp sources(store), do: Enum.map(Reading.streams(store), &{store, &1})
+  defp list_sources(store), do: Enum.map(Reading.streams(store), &{store, &1})
 
   # Opens an external file with options that preserve all of its data.
-  defp open(path, times) do
+  defp open_source(path, times) do
     reader = if File.regular?(path), do: Formats.for_file(path)
 
     if reader && function_exported?(reader, :import_options, 1),
@@ -219,21 +223,21 @@ defmodule Situ.Store.Copying do
 
   defp open_all(paths, times) do
     Enum.reduce_while(Enum.reverse(paths), {:ok, []}, fn path, {:ok, stores} ->
-      case open(path, times) do
+      case open_source(path, times) do
         {:ok, store} -> {:cont, {:ok, [store | stores]}}
         error -> {:halt, error}
       end
     end)
   end
 
-  defp in_time(sources) do
+  defp order_by_time(sources) do
     sources = Enum.sort_by(sources, fn {_, info} -> info.first || 0 end)
     {sources |> List.last() |> elem(1), sources}
   end
 
-  defp check(parts) do
+  defp check_compatible(parts) do
     Enum.find_value(parts, :ok, fn {info, sources} ->
-      check_types(info, sources) || overlap(sources)
+      check_types(info, sources) || find_overlap(sources)
     end)
   end
 
@@ -246,7 +250,7 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  defp overlap(sources) do
+  defp find_overlap(sources) do
     sources
     |> Enum.filter(fn {_, info} -> info.first end)
     |> Enum.chunk_every(2, 1, :discard)
@@ -262,14 +266,14 @@ defmodule Situ.Store.Copying do
   end
 
   # Selects by predicate, or by names and patterns (`Room.*`), each of which must match at least one stream.
-  defp selected(infos, nil, _path), do: {:ok, infos}
+  defp select_streams(infos, nil, _path), do: {:ok, infos}
 
-  defp selected(infos, fun, _path) when is_function(fun, 1),
+  defp select_streams(infos, fun, _path) when is_function(fun, 1),
     do: {:ok, Enum.filter(infos, &fun.(elem(&1, 1)))}
 
-  defp selected(infos, patterns, path) do
+  defp select_streams(infos, patterns, path) do
     names = infos |> Enum.map(fn {_, info} -> info.name end) |> Enum.uniq()
-    chosen = Map.new(patterns, &{&1, matching(&1, names)})
+    chosen = Map.new(patterns, &{&1, match_names(&1, names)})
 
     case Enum.find(patterns, &(chosen[&1] == [])) do
       nil ->
@@ -277,11 +281,11 @@ defmodule Situ.Store.Copying do
         {:ok, Enum.filter(infos, fn {_, info} -> info.name in wanted end)}
 
       unknown ->
-        {:error, Failure.no_stream(unknown, names, path)}
+        {:error, Failure.no_stream_error(unknown, names, path)}
     end
   end
 
-  defp matching(pattern, names) do
+  defp match_names(pattern, names) do
     if pattern in names do
       [pattern]
     else
@@ -293,19 +297,22 @@ defmodule Situ.Store.Copying do
   end
 
   # `parts` pairs each stream of the new store with the sources of its messages.
-  defp build(to, parts, opts) do
+  defp build_store(to, parts, opts) do
     infos = for {_, sources} <- parts, {_, info} <- sources, do: info
     report = progress_reporter(infos, opts)
 
     to
-    |> target()
-    |> Draft.make(sized(opts, infos), &Passes.write(&1, parts, opts, report))
+    |> resolve_target()
+    |> Draft.build_store(
+      put_store_defaults(opts, infos),
+      &Passes.write_streams(&1, parts, opts, report)
+    )
   end
 
   @doc false
-  @spec target(Path.t() | {String.t(), Path.t()}) :: {String.t(), Path.t()}
-  def target({name, root}), do: {name, root}
-  def target(path), do: {Folder.name(path), path |> Path.expand() |> Path.dirname()}
+  @spec resolve_target(Path.t() | {String.t(), Path.t()}) :: {String.t(), Path.t()}
+  def resolve_target({name, root}), do: {name, root}
+  def resolve_target(path), do: {Folder.store_name(path), path |> Path.expand() |> Path.dirname()}
 
   @doc false
   # Returns a function that reports `n` more messages to the caller's `progress`.
@@ -327,8 +334,8 @@ defmodule Situ.Store.Copying do
   @doc false
   # A small store needs only a small first extent, since the disk may be small, too. The copy must not be readable by
   # anyone who cannot read all of the originals.
-  @spec sized(keyword(), [StreamInfo.t()]) :: keyword()
-  def sized(opts, infos) do
+  @spec put_store_defaults(keyword(), [StreamInfo.t()]) :: keyword()
+  def put_store_defaults(opts, infos) do
     stored = infos |> Enum.map(& &1.stored) |> Enum.sum()
     mode = infos |> Enum.map(& &1.store_path) |> Enum.uniq() |> Folder.mode_of()
 

@@ -32,8 +32,10 @@ defmodule Situ.Store.Csv do
   @impl true
   def open(path, opts) do
     with {:ok, %{type: :regular, size: size}} <- File.stat(path),
-         {:ok, scan} <- Scan.run(path, opts) do
-      streams = for {index, column} <- Enum.sort(scan.columns), do: stream(index, column, path)
+         {:ok, scan} <- Scan.scan_file(path, opts) do
+      streams =
+        for {index, column} <- Enum.sort(scan.columns), do: build_stream_info(index, column, path)
+
       parts = scan.parts |> Enum.reverse() |> List.to_tuple()
       {:ok, %__MODULE__{path: path, size: size, scan: scan, streams: streams, parts: parts}}
     else
@@ -49,7 +51,7 @@ defmodule Situ.Store.Csv do
     end
   end
 
-  defp stream(index, column, path) do
+  defp build_stream_info(index, column, path) do
     type = column.kind || :any
 
     %StreamInfo{
@@ -82,9 +84,9 @@ defmodule Situ.Store.Csv do
   def seek(state, info, time) do
     at = first_part(state, time)
 
-    with {:ok, messages} <- part(state, info, at) do
+    with {:ok, messages} <- part_messages(state, info, at) do
       before = Enum.count(messages, &(&1.originating_time < time))
-      {:ok, base(state, info, at) + before}
+      {:ok, count_messages_before(state, info, at) + before}
     end
   end
 
@@ -105,22 +107,23 @@ defmodule Situ.Store.Csv do
       parts: state.parts,
       targets: filled,
       interval: interval,
-      messages: &part(state, &1, &2),
+      messages: &part_messages(state, &1, &2),
       told: told
     }
 
-    with {:error, why} when is_binary(why) <- Appending.append(job, first_part(state, from)),
-         do: {:error, changed(state, why)}
+    with {:error, why} when is_binary(why) <-
+           Appending.append_parts(job, first_part(state, from)),
+         do: {:error, changed_error(state, why)}
   end
 
   # Returns the rest of the part that contains the message, because parts are always read completely.
   defp read_part(state, info, ordinal, to, most) do
-    at = search(state.parts, &(Map.get(&1.counts, info.id - 1, 0) <= ordinal))
+    at = find_last_part(state.parts, &(Map.get(&1.counts, info.id - 1, 0) <= ordinal))
 
-    with {:ok, messages} <- part(state, info, at) do
-      case Enum.drop(messages, ordinal - base(state, info, at)) do
+    with {:ok, messages} <- part_messages(state, info, at) do
+      case Enum.drop(messages, ordinal - count_messages_before(state, info, at)) do
         [] ->
-          {:error, changed(state)}
+          {:error, changed_error(state)}
 
         messages ->
           messages = if most == :all, do: messages, else: Enum.take(messages, most)
@@ -136,43 +139,46 @@ defmodule Situ.Store.Csv do
   end
 
   # Finds the last part that begins before `time`. The requested message is in this part or is the first one after it.
-  defp first_part(state, time), do: search(state.parts, &(&1.last == nil or &1.last < time))
+  defp first_part(state, time),
+    do: find_last_part(state.parts, &(&1.last == nil or &1.last < time))
 
-  defp changed(state, why \\ nil),
+  defp changed_error(state, why \\ nil),
     do: Error.new(:damaged, "#{state.path} has changed since it was opened", why: why)
 
   # Finds the last part for which `before?` is true. It must be true for a prefix of the parts and false for the rest.
-  defp search(parts, before?), do: search(parts, before?, 0, tuple_size(parts))
-  defp search(_parts, _before?, low, high) when high - low <= 1, do: low
+  defp find_last_part(parts, before?), do: find_last_part(parts, before?, 0, tuple_size(parts))
+  defp find_last_part(_parts, _before?, low, high) when high - low <= 1, do: low
 
-  defp search(parts, before?, low, high) do
+  defp find_last_part(parts, before?, low, high) do
     middle = div(low + high, 2)
 
     if before?.(elem(parts, middle)),
-      do: search(parts, before?, middle, high),
-      else: search(parts, before?, low, middle)
+      do: find_last_part(parts, before?, middle, high),
+      else: find_last_part(parts, before?, low, middle)
   end
 
-  defp base(%{parts: {}}, _info, _at), do: 0
-  defp base(state, info, at), do: Map.get(elem(state.parts, at).counts, info.id - 1, 0)
+  defp count_messages_before(%{parts: {}}, _info, _at), do: 0
 
-  defp part(%{parts: {}}, _info, _at), do: {:ok, []}
+  defp count_messages_before(state, info, at),
+    do: Map.get(elem(state.parts, at).counts, info.id - 1, 0)
 
-  defp part(state, info, at) do
+  defp part_messages(%{parts: {}}, _info, _at), do: {:ok, []}
+
+  defp part_messages(state, info, at) do
     part = elem(state.parts, at)
 
-    case Scan.values(state.scan, part, info.id - 1) do
+    case Scan.read_values(state.scan, part, info.id - 1) do
       {:ok, values} ->
-        {:ok, messages(values, info.id, (part.counts[info.id - 1] || 0) + 1)}
+        {:ok, build_messages(values, info.id, (part.counts[info.id - 1] || 0) + 1)}
 
       {:error, why} ->
-        {:error, changed(state, why)}
+        {:error, changed_error(state, why)}
     end
   end
 
-  defp messages([], _source, _sequence), do: []
+  defp build_messages([], _source, _sequence), do: []
 
-  defp messages([{time, value} | values], source, sequence) do
+  defp build_messages([{time, value} | values], source, sequence) do
     message = %Message{
       data: value,
       originating_time: time,
@@ -181,6 +187,6 @@ defmodule Situ.Store.Csv do
       source_id: source
     }
 
-    [message | messages(values, source, sequence + 1)]
+    [message | build_messages(values, source, sequence + 1)]
   end
 end

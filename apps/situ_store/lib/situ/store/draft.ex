@@ -10,25 +10,25 @@ defmodule Situ.Store.Draft do
   Builds a store that `work.(writer)` fills. If an error occurs, the draft is deleted. With `replace: folder`, the new
   store replaces that one.
   """
-  @spec make({String.t(), Path.t()}, keyword(), (Writer.t() -> :ok | {:error, Error.t()})) ::
+  @spec build_store({String.t(), Path.t()}, keyword(), (Writer.t() -> :ok | {:error, Error.t()})) ::
           {:ok, Path.t()} | {:error, Error.t()}
-  def make({name, root}, opts, work) do
+  def build_store({name, root}, opts, work) do
     root = Path.expand(root)
-    target = target(name, root, opts)
+    target = resolve_target(name, root, opts)
     base = if elem(target, 0) == :plain, do: root, else: Path.join(root, name)
 
-    with :ok <- free(target),
-         {:ok, draft, lock} <- claim(base) do
+    with :ok <- check_available(target),
+         {:ok, draft, lock} <- claim_draft(base) do
       try do
-        sweep(base)
-        draft |> write(name, opts, work) |> finish(draft, target) |> explain_error()
+        delete_abandoned(base)
+        draft |> write_draft(name, opts, work) |> finish_draft(draft, target) |> explain_error()
       after
         FileLock.release(lock)
       end
     end
   end
 
-  defp target(name, root, opts) do
+  defp resolve_target(name, root, opts) do
     cond do
       opts[:replace] -> {:replace, opts[:replace]}
       Keyword.get(opts, :versioned, true) -> {:version, name, root}
@@ -37,16 +37,17 @@ defmodule Situ.Store.Draft do
   end
 
   # Rejects a name that is taken before the work starts.
-  defp free({:plain, name, root}) do
-    with {:ok, _} <- Folder.create(name, root, false), do: :ok
+  defp check_available({:plain, name, root}) do
+    with {:ok, _} <- Folder.create_store_folder(name, root, false), do: :ok
   end
 
-  defp free({:version, name, _root}), do: Folder.check_name(name)
-  defp free({:replace, _folder}), do: :ok
+  defp check_available({:version, name, _root}), do: Folder.check_name(name)
+  defp check_available({:replace, _folder}), do: :ok
 
   # The creator of a draft holds its lock until the store has its name, so that no other program deletes the draft.
-  defp claim(base) do
-    draft = "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished()}"
+  defp claim_draft(base) do
+    draft =
+      "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished_suffix()}"
 
     with :ok <- Folder.make_parents(base),
          {:ok, lock} <- FileLock.acquire(lock_path(draft)),
@@ -55,7 +56,7 @@ defmodule Situ.Store.Draft do
 
   defp lock_path(draft), do: draft <> ".lock"
 
-  defp write(draft, name, opts, work) do
+  defp write_draft(draft, name, opts, work) do
     options = [versioned: false] ++ Keyword.take(opts, [:durability, :first_extent, :mode])
 
     with {:ok, writer} <- Writer.create(name, draft, options) do
@@ -65,35 +66,36 @@ defmodule Situ.Store.Draft do
     end
   end
 
-  defp finish(:ok, draft, target) do
-    with :ok <- sync(draft), {:ok, path} <- place(draft, target) do
+  defp finish_draft(:ok, draft, target) do
+    with :ok <- sync_draft(draft), {:ok, path} <- publish_draft(draft, target) do
       {:ok, path}
     else
-      {:error, error} -> drop(draft, error)
+      {:error, error} -> discard_draft(draft, error)
     end
   end
 
-  defp finish({:error, error}, draft, _target), do: drop(draft, error)
+  defp finish_draft({:error, error}, draft, _target), do: discard_draft(draft, error)
 
-  defp drop(draft, error) do
-    _ = if File.dir?(draft), do: Folder.remove(draft)
+  defp discard_draft(draft, error) do
+    _ = if File.dir?(draft), do: Folder.remove_store(draft)
     {:error, error}
   end
 
   # The copy must survive a power failure even if the user deletes the original immediately after this.
-  defp sync(draft) do
+  defp sync_draft(draft) do
     with {:error, reason} <- AtomicFile.sync_files(draft),
          do: {:error, Folder.io_error("sync #{draft} to disk", reason)}
   end
 
-  defp place(draft, {:version, name, root}), do: Folder.place_version(draft, name, root)
-  defp place(draft, {:plain, _name, root}), do: move(draft, root)
-  defp place(draft, {:replace, folder}), do: Replacement.put(draft, folder)
+  defp publish_draft(draft, {:version, name, root}), do: Folder.place_version(draft, name, root)
+  defp publish_draft(draft, {:plain, _name, root}), do: move_draft(draft, root)
+  defp publish_draft(draft, {:replace, folder}), do: Replacement.replace_store(draft, folder)
 
   # If the folder already contains other files, the store's files are moved into it. The index is moved last because it
   # makes the folder a store.
-  defp move(draft, path) do
-    with {:error, reason} when reason in [:eexist, :enotempty] <- AtomicFile.rename(draft, path) do
+  defp move_draft(draft, path) do
+    with {:error, reason} when reason in [:eexist, :enotempty] <-
+           AtomicFile.rename_synced(draft, path) do
       names = draft |> File.ls!() |> Enum.sort() |> Enum.sort_by(&(&1 == "index.situ"))
       for name <- names, do: :ok = File.rename(Path.join(draft, name), Path.join(path, name))
       AtomicFile.sync_folder(path)
@@ -112,32 +114,34 @@ defmodule Situ.Store.Draft do
 
   defp explain_error(result), do: result
 
-  defp sweep(base) do
+  defp delete_abandoned(base) do
     prefix = Path.basename(base) <> "."
 
     drafts =
-      for entry <- ls(Path.dirname(base)),
+      for entry <- list_entries(Path.dirname(base)),
           String.starts_with?(entry, prefix),
           entry = String.replace_suffix(entry, ".lock", ""),
           Folder.unfinished?(entry),
           uniq: true,
           do: Path.join(Path.dirname(base), entry)
 
-    for path <- drafts, not live?(path), {:ok, lock} <- [FileLock.acquire(lock_path(path))] do
-      _ = if File.dir?(path), do: Folder.remove(path)
+    for path <- drafts,
+        not being_written?(path),
+        {:ok, lock} <- [FileLock.acquire(lock_path(path))] do
+      _ = if File.dir?(path), do: Folder.remove_store(path)
       FileLock.release(lock)
     end
   end
 
   # Drafts of older releases have only the writer's lock.
-  defp live?(path) do
+  defp being_written?(path) do
     case Reading.open(path) do
       {:ok, store} -> Reading.live?(store)
       {:error, _} -> false
     end
   end
 
-  defp ls(folder) do
+  defp list_entries(folder) do
     case File.ls(folder) do
       {:ok, entries} -> entries
       {:error, _} -> []

@@ -37,26 +37,26 @@ defmodule Situ.Store.Editing do
          {:ok, store} <- Reading.open(from),
          infos = Reading.streams(store),
          added = Enum.map(opts[:add], &new_stream/1),
-         :ok <- known(edits, infos ++ Enum.map(added, &elem(&1, 0)), store) do
-      build(to, store, infos, added, edits, opts)
+         :ok <- check_edits(edits, infos ++ Enum.map(added, &elem(&1, 0)), store) do
+      build_edited_store(to, store, infos, added, edits, opts)
     end
   end
 
   defp new_stream({name, options}),
     do: {%StreamInfo{id: -1, name: name, type: options[:type] || :any}, options}
 
-  defp known(edits, infos, store) do
+  defp check_edits(edits, infos, store) do
     names = Enum.map(infos, & &1.name)
 
     case Map.keys(edits) -- names do
-      [] -> Enum.find_value(infos, :ok, &misfit(&1, edits[&1.name] || []))
-      [name | _] -> {:error, Failure.no_stream(name, names, store.path)}
+      [] -> Enum.find_value(infos, :ok, &find_type_mismatch(&1, edits[&1.name] || []))
+      [name | _] -> {:error, Failure.no_stream_error(name, names, store.path)}
     end
   end
 
   # An edit must not violate the stream's declared type.
-  defp misfit(info, edits) do
-    wrong = &(elem(&1, 0) == :upsert and not Situ.Type.valid?(info.type, elem(&1, 2)))
+  defp find_type_mismatch(info, edits) do
+    wrong = &(elem(&1, 0) == :upsert and not Situ.Type.valid_value?(info.type, elem(&1, 2)))
 
     with {:upsert, time, data} <- Enum.find(edits, wrong) do
       {:error,
@@ -67,18 +67,25 @@ defmodule Situ.Store.Editing do
     end
   end
 
-  defp build(to, store, infos, added, edits, opts) do
+  defp build_edited_store(to, store, infos, added, edits, opts) do
     report = Copying.progress_reporter(infos, opts)
 
     to
-    |> Copying.target()
-    |> Draft.make(Copying.sized(opts, infos), fn writer ->
-      with :ok <- each(infos, &change(writer, {store, &1}, sorted(edits[&1.name]), opts, report)),
-           do: each(added, fn {info, options} -> new(writer, info, options, edits[info.name]) end)
+    |> Copying.resolve_target()
+    |> Draft.build_store(Copying.put_store_defaults(opts, infos), fn writer ->
+      with :ok <-
+             each_ok(
+               infos,
+               &write_edited_stream(writer, {store, &1}, sort_edits(edits[&1.name]), opts, report)
+             ),
+           do:
+             each_ok(added, fn {info, options} ->
+               write_new_stream(writer, info, options, edits[info.name])
+             end)
     end)
   end
 
-  defp each(list, fun) do
+  defp each_ok(list, fun) do
     Enum.reduce_while(list, :ok, fn element, :ok ->
       case fun.(element) do
         :ok -> {:cont, :ok}
@@ -88,38 +95,39 @@ defmodule Situ.Store.Editing do
   end
 
   # If several edits have the same time, the last one wins.
-  defp sorted(edits) do
+  defp sort_edits(edits) do
     (edits || [])
     |> Enum.reverse()
     |> Enum.uniq_by(&elem(&1, 1))
     |> Enum.sort_by(&elem(&1, 1))
   end
 
-  defp new(writer, info, options, edits) do
-    messages = for {:upsert, time, data} <- sorted(edits), do: inserted(time, data)
+  defp write_new_stream(writer, info, options, edits) do
+    messages = for {:upsert, time, data} <- sort_edits(edits), do: build_message(time, data)
 
     with {:ok, stream} <- Writer.stream(writer, info.name, options),
          {:ok, _} <- Writer.append(stream, messages),
          do: :ok
   end
 
-  defp change(writer, {_, info} = source, edits, opts, report) do
-    with {:ok, transfer} <- Transfer.open(writer, info, [source], opts, report),
-         {:ok, transfer, ordinal} <- merge(transfer, source, edits),
-         {:ok, transfer, _} <- Transfer.take(transfer, source, ordinal, :unbounded),
-         do: Transfer.close(transfer, closed(info.closed, edits))
+  defp write_edited_stream(writer, {_, info} = source, edits, opts, report) do
+    with {:ok, transfer} <- Transfer.open_stream(writer, info, [source], opts, report),
+         {:ok, transfer, ordinal} <- merge_edits(transfer, source, edits),
+         {:ok, transfer, _} <- Transfer.transfer_messages(transfer, source, ordinal, :unbounded),
+         do: Transfer.close_stream(transfer, closing_time(info.closed, edits))
   end
 
   # Inserting messages after the stream's end moves its end.
-  defp closed(nil, _edits), do: nil
-  defp closed(time, edits), do: Enum.max([time | for({:upsert, at, _} <- edits, do: at)])
+  defp closing_time(nil, _edits), do: nil
+  defp closing_time(time, edits), do: Enum.max([time | for({:upsert, at, _} <- edits, do: at)])
 
   # Messages between two edits are copied unchanged.
-  defp merge(transfer, source, edits) do
+  defp merge_edits(transfer, source, edits) do
     Enum.reduce_while(edits, {:ok, transfer, 0}, fn edit, {:ok, transfer, ordinal} ->
-      with {:ok, transfer, next} <- Transfer.take(transfer, source, ordinal, elem(edit, 1) - 1),
-           old = at(source, next, elem(edit, 1)),
-           {:ok, transfer} <- Transfer.append(transfer, edited(edit, old)) do
+      with {:ok, transfer, next} <-
+             Transfer.transfer_messages(transfer, source, ordinal, elem(edit, 1) - 1),
+           old = find_message_at(source, next, elem(edit, 1)),
+           {:ok, transfer} <- Transfer.append_messages(transfer, apply_edit(edit, old)) do
         {:cont, {:ok, transfer, if(old, do: next + 1, else: next)}}
       else
         error -> {:halt, error}
@@ -127,17 +135,17 @@ defmodule Situ.Store.Editing do
     end)
   end
 
-  defp at({store, info}, ordinal, time) do
+  defp find_message_at({store, info}, ordinal, time) do
     case Reading.at(store, info, ordinal) do
       {:ok, %{originating_time: ^time} = message} -> message
       _none_or_damaged -> nil
     end
   end
 
-  defp edited({:delete, _}, _old), do: []
-  defp edited({:upsert, _, data}, %Message{} = old), do: [%{old | data: data}]
-  defp edited({:upsert, time, data}, nil), do: [inserted(time, data)]
+  defp apply_edit({:delete, _}, _old), do: []
+  defp apply_edit({:upsert, _, data}, %Message{} = old), do: [%{old | data: data}]
+  defp apply_edit({:upsert, time, data}, nil), do: [build_message(time, data)]
 
-  defp inserted(time, data),
+  defp build_message(time, data),
     do: %Message{data: data, originating_time: time, creation_time: time, sequence_id: 0}
 end

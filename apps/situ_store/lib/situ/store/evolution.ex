@@ -9,18 +9,21 @@ defmodule Situ.Store.Evolution do
   alias Situ.Store.StreamInfo
 
   @doc "Returns a function that converts a batch of messages to struct `type`, or the identity function for `nil`."
-  @spec upgrade!(StreamInfo.t(), module() | nil) :: ([Situ.Message.t()] -> [Situ.Message.t()])
-  def upgrade!(_info, nil), do: & &1
+  @spec build_upgrade!(StreamInfo.t(), module() | nil) ::
+          ([Situ.Message.t()] -> [Situ.Message.t()])
+  def build_upgrade!(_info, nil), do: & &1
 
-  def upgrade!(%StreamInfo{} = info, type) do
-    case check(info, type) do
+  def build_upgrade!(%StreamInfo{} = info, type) do
+    case check_readable(info, type) do
       :ok ->
         checked =
-          if loose?(info.type) and info.type != type, do: &fit!(&1, info, type), else: & &1
+          if loose_type?(info.type) and info.type != type,
+            do: &ensure_type!(&1, info, type),
+            else: & &1
 
         if struct_module?(type),
-          do: &Enum.map(&1, fn m -> checked.(%{m | data: convert(type, m.data)}) end),
-          else: if(loose?(info.type), do: &Enum.map(&1, checked), else: & &1)
+          do: &Enum.map(&1, fn m -> checked.(%{m | data: convert_to_struct(type, m.data)}) end),
+          else: if(loose_type?(info.type), do: &Enum.map(&1, checked), else: & &1)
 
       {:error, error} ->
         raise error
@@ -28,15 +31,15 @@ defmodule Situ.Store.Evolution do
   end
 
   # A stream with a loose recorded type is checked message by message when a specific type is requested.
-  defp loose?(type) when type in [:any, :list, :tuple, :map], do: true
+  defp loose_type?(type) when type in [:any, :list, :tuple, :map], do: true
 
-  defp loose?(type) when is_tuple(type),
-    do: type |> Tuple.to_list() |> List.flatten() |> Enum.any?(&loose?/1)
+  defp loose_type?(type) when is_tuple(type),
+    do: type |> Tuple.to_list() |> List.flatten() |> Enum.any?(&loose_type?/1)
 
-  defp loose?(_type), do: false
+  defp loose_type?(_type), do: false
 
-  defp fit!(message, info, type) do
-    if Situ.Type.valid?(type, message.data) do
+  defp ensure_type!(message, info, type) do
+    if Situ.Type.valid_value?(type, message.data) do
       message
     else
       time = Situ.Time.to_iso8601(message.originating_time)
@@ -51,28 +54,32 @@ defmodule Situ.Store.Evolution do
   end
 
   @doc "Checks whether the stream can be read as `type`."
-  @spec check(StreamInfo.t(), Situ.Type.t()) :: :ok | {:error, Error.t()}
-  def check(info, type) do
+  @spec check_readable(StreamInfo.t(), Situ.Type.t()) :: :ok | {:error, Error.t()}
+  def check_readable(info, type) do
     cond do
       struct_module?(type) and info.fields != nil -> check_fields(info, type)
       Situ.Type.accepts?(type, info.type) -> :ok
-      true -> {:error, other(info, type)}
+      true -> {:error, other_type_error(info, type)}
     end
   end
 
   defp check_fields(info, module) do
     today = module |> struct() |> Map.from_struct() |> Map.keys() |> Enum.map(&to_string/1)
     gone = info.fields -- today
-    required = required(module) -- info.fields
+    required = required_fields(module) -- info.fields
 
     cond do
       gone != [] ->
         {:error,
-         mismatch(info, module, "recorded fields no longer exist: #{Enum.join(gone, ", ")}")}
+         mismatch_error(info, module, "recorded fields no longer exist: #{Enum.join(gone, ", ")}")}
 
       required != [] ->
         {:error,
-         mismatch(info, module, "required fields were not recorded: #{Enum.join(required, ", ")}")}
+         mismatch_error(
+           info,
+           module,
+           "required fields were not recorded: #{Enum.join(required, ", ")}"
+         )}
 
       true ->
         :ok
@@ -80,19 +87,19 @@ defmodule Situ.Store.Evolution do
   end
 
   # There is no way to list enforced keys, so each field is left out in turn to see whether `__struct__/1` raises.
-  defp required(module) do
+  defp required_fields(module) do
     fields = module |> struct() |> Map.from_struct() |> Map.keys()
-    for key <- fields, not makes?(module, List.delete(fields, key)), do: to_string(key)
+    for key <- fields, not builds_with?(module, List.delete(fields, key)), do: to_string(key)
   end
 
-  defp makes?(module, keys) do
+  defp builds_with?(module, keys) do
     module.__struct__(Enum.map(keys, &{&1, nil}))
     true
   rescue
     ArgumentError -> false
   end
 
-  defp convert(module, %{} = data) do
+  defp convert_to_struct(module, %{} = data) do
     fields =
       for {key, value} <- :maps.to_list(data),
           name = to_string(key),
@@ -104,20 +111,21 @@ defmodule Situ.Store.Evolution do
     end)
   end
 
-  defp convert(_module, other), do: other
+  defp convert_to_struct(_module, other), do: other
 
   defp struct_module?(type) do
-    is_atom(type) and Situ.KnownModules.load?(type) and function_exported?(type, :__struct__, 0)
+    is_atom(type) and Situ.KnownModules.ensure_loaded?(type) and
+      function_exported?(type, :__struct__, 0)
   end
 
-  defp other(info, type) do
+  defp other_type_error(info, type) do
     %{
-      mismatch(info, type, "the stream contains #{info.type_name}")
+      mismatch_error(info, type, "the stream contains #{info.type_name}")
       | fix: "read it as #{info.type_name}, or without a type"
     }
   end
 
-  defp mismatch(info, type, why) do
+  defp mismatch_error(info, type, why) do
     Error.new(:schema_mismatch, "stream #{inspect(info.name)} cannot be read as #{inspect(type)}",
       why: why,
       fix: "read it without a type, or give new fields a default and keep the old fields"

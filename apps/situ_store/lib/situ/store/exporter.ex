@@ -74,7 +74,7 @@ defmodule Situ.Store.Exporter do
 
   @doc false
   @spec create_options() :: Options.schema()
-  def create_options, do: @create_options ++ Writer.options()
+  def create_options, do: @create_options ++ Writer.create_options()
 
   @doc false
   @spec create(Pipeline.t(), String.t(), Path.t() | nil, keyword()) :: t()
@@ -82,15 +82,15 @@ defmodule Situ.Store.Exporter do
       when is_binary(name) and (is_binary(root) or root == nil) and is_list(opts) do
     {root, opts} =
       if root in [nil, ""],
-        do: {Volatile.root(), [{:volatile, true} | opts]},
+        do: {Volatile.root_folder(), [{:volatile, true} | opts]},
         else: {Path.expand(root), opts}
 
     opts = Options.validate!(opts, create_options())
     {pieces, opts} = Keyword.split(opts, [:split, :keep])
 
     if pieces[:split],
-      do: in_pieces(p, {name, root, opts}, pieces[:split], pieces[:keep]),
-      else: whole(p, name, root, opts)
+      do: create_segmented(p, {name, root, opts}, pieces[:split], pieces[:keep]),
+      else: create_single_store(p, name, root, opts)
   end
 
   def create(p, name, root, opts) do
@@ -108,24 +108,24 @@ defmodule Situ.Store.Exporter do
   end
 
   # `path` is the name without a version, which opens the newest segment.
-  defp in_pieces(p, {name, root, opts}, split, keep) do
+  defp create_segmented(p, {name, root, opts}, split, keep) do
     cut = Cut.new(split)
 
     {:ok, pieces} =
       Pieces.start_link({name, root, Keyword.put(opts, :versioned, true)}, cut, keep)
 
-    :ok = Pipeline.on(p, :completed, fn _report -> Pieces.close(pieces) end, pieces)
-    :ok = Pipeline.on(p, :abandoned, fn _error -> Pieces.close(pieces) end, pieces)
+    :ok = Pipeline.on(p, :completed, fn _report -> Pieces.close_all(pieces) end, pieces)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Pieces.close_all(pieces) end, pieces)
     eager = opts[:durability] == :each
     %__MODULE__{path: Path.join(root, name), shared: nil, pieces: {pieces, cut}, eager: eager}
   end
 
-  defp whole(p, name, root, opts) do
+  defp create_single_store(p, name, root, opts) do
     case Writer.create(name, root, opts) do
       {:ok, writer} ->
         shared = SharedWriter.new(writer)
         :ok = Pipeline.on(p, :completed, fn _report -> SharedWriter.close(shared) end, shared)
-        :ok = Pipeline.on(p, :abandoned, fn _error -> give_up(shared) end, shared)
+        :ok = Pipeline.on(p, :abandoned, fn _error -> discard_if_empty(shared) end, shared)
         %__MODULE__{path: writer.path, shared: shared, eager: opts[:durability] == :each}
 
       {:error, error} ->
@@ -143,8 +143,8 @@ defmodule Situ.Store.Exporter do
     type = opts[:type] || if(opts[:envelopes], do: :any, else: stream.type)
 
     if exporter.pieces,
-      do: write_pieces(stream, exporter, name, of_stream(opts, type), opts),
-      else: write_whole(stream, exporter, name, of_stream(opts, type), opts)
+      do: write_segmented(stream, exporter, name, stream_options_for(opts, type), opts),
+      else: write_single_store(stream, exporter, name, stream_options_for(opts, type), opts)
   end
 
   def write(stream, exporter, name, _opts) do
@@ -165,26 +165,26 @@ defmodule Situ.Store.Exporter do
             ~s|  Write: store = Situ.Store.create(p, "lobby", "recordings"); Situ.Store.write(stream, store, "Level")|
   end
 
-  defp of_stream(opts, type) do
+  defp stream_options_for(opts, type) do
     opts |> Keyword.take(Keyword.keys(Writer.stream_options())) |> Keyword.put(:type, type)
   end
 
-  defp write_pieces(stream, exporter, name, of_stream, opts) do
+  defp write_segmented(stream, exporter, name, of_stream, opts) do
     {pieces, cut} = exporter.pieces
     given = [pieces: {pieces, cut, name, of_stream}, envelopes: opts[:envelopes]]
-    Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component(name, opts))
+    Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component_options(name, opts))
     stream
   end
 
-  defp write_whole(stream, exporter, name, of_stream, opts) do
+  defp write_single_store(stream, exporter, name, of_stream, opts) do
     shared = exporter.shared
 
     case Writer.stream(shared.writer, name, of_stream) do
       {:ok, writer_stream} ->
-        SharedWriter.join(shared)
+        SharedWriter.add_user(shared)
         given = [shared: shared, stream: writer_stream, envelopes: opts[:envelopes]]
-        Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component(name, opts))
-        if opts[:keys], do: note_keys(stream, shared, writer_stream, opts[:metadata])
+        Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component_options(name, opts))
+        if opts[:keys], do: record_keys(stream, shared, writer_stream, opts[:metadata])
         stream
 
       {:error, error} ->
@@ -194,24 +194,24 @@ defmodule Situ.Store.Exporter do
 
   # A lossy default policy of the pipeline must not thin out its recording. Recordings are lossless unless the caller
   # requests otherwise.
-  defp component(name, opts) do
+  defp component_options(name, opts) do
     [policy: Situ.Delivery.unlimited(), name: "Write " <> String.replace(name, ".", " ")]
     |> Keyword.merge(Keyword.take(opts, [:policy, :name, :on_error]))
   end
 
-  defp note_keys(stream, shared, writer_stream, metadata) do
-    SharedWriter.join(shared)
+  defp record_keys(stream, shared, writer_stream, metadata) do
+    SharedWriter.add_user(shared)
     own = [shared: shared, stream: writer_stream, metadata: metadata || %{}]
     name = "Keys " <> String.replace(writer_stream.name, ".", " ")
     Situ.via(stream, Keys, own ++ [name: name, policy: Situ.Delivery.unlimited()])
   end
 
   # The pipeline never ran. An empty recording would hide the previous version.
-  defp give_up(%{writer: writer} = shared) do
+  defp discard_if_empty(%{writer: writer} = shared) do
     SharedWriter.close(shared)
 
     with {:ok, store} <- Reading.open(writer.path),
          nil <- Reading.interval(store),
-         do: Folder.remove(writer.path)
+         do: Folder.remove_store(writer.path)
   end
 end

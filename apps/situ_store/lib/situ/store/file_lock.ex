@@ -41,15 +41,15 @@ defmodule Situ.Store.FileLock do
   @spec acquire(Path.t(), non_neg_integer()) ::
           {:ok, t()} | {:held, holder()} | {:error, Error.t()}
   def acquire(path, wait_ms \\ 0) when is_binary(path) and is_integer(wait_ms),
-    do: acquire_until(path, now() + wait_ms, now() + @ending_ms)
+    do: acquire_until(path, monotonic_ms() + wait_ms, monotonic_ms() + @ending_ms)
 
   defp acquire_until(path, last, last_of_ended) do
     with {:held, text} <- Native.file_lock(path, Situ.JSON.encode(describe_self())) do
       holder = parse_holder(text)
 
-      deadline = if ended?(holder), do: max(last, last_of_ended), else: last
+      deadline = if holder_ended?(holder), do: max(last, last_of_ended), else: last
 
-      if now() < deadline do
+      if monotonic_ms() < deadline do
         receive after: (@again_ms -> acquire_until(path, last, last_of_ended))
       else
         {:held, holder}
@@ -60,15 +60,15 @@ defmodule Situ.Store.FileLock do
         {:ok, lock}
 
       {:error, reason} ->
-        {:error, Failure.error(reason, path)}
+        {:error, Failure.to_error(reason, path)}
     end
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 
   @doc "Makes the calling process the holder of the lock, replacing the process that acquired it."
-  @spec own(t()) :: :ok
-  def own(lock) do
+  @spec take_ownership(t()) :: :ok
+  def take_ownership(lock) do
     true = Native.file_lock_give(lock, self())
     :ok
   end
@@ -78,8 +78,8 @@ defmodule Situ.Store.FileLock do
   def release(lock), do: Native.file_unlock(lock)
 
   @doc "Describes the holder for users: `Anna's situ studio (process 4711 on lab3), since 2026-01-31T12:00:00Z`."
-  @spec describe(holder()) :: String.t()
-  def describe(holder) do
+  @spec describe_holder(holder()) :: String.t()
+  def describe_holder(holder) do
     who = Enum.map_join([holder.user, holder.program], ": ", &(&1 || "unknown"))
 
     "#{who} (process #{holder.os_pid || "unknown"} on #{holder.host || "an unknown computer"}), " <>
@@ -89,29 +89,29 @@ defmodule Situ.Store.FileLock do
   defp describe_self do
     %{
       os_pid: System.pid(),
-      host: host(),
+      host: host_name(),
       user: System.get_env("USER") || System.get_env("LOGNAME"),
-      program: program(),
+      program: program_name(),
       since: Situ.Time.to_iso8601(div(Situ.Time.now(), 1_000_000_000) * 1_000_000_000),
       process: self() |> :erlang.pid_to_list() |> List.to_string()
     }
   end
 
-  defp host do
+  defp host_name do
     {:ok, name} = :inet.gethostname()
     List.to_string(name)
   end
 
   # Only the first words of the command line, since options may contain secrets.
-  defp program do
-    case Enum.take_while(:init.get_plain_arguments(), &word?/1) do
+  defp program_name do
+    case Enum.take_while(:init.get_plain_arguments(), &plain_word?/1) do
       [] -> "an Elixir program"
       words -> words |> Enum.take(2) |> Enum.join(" ")
     end
   end
 
   # `:init` returns arguments that are not UTF-8 as tuples.
-  defp word?(text), do: is_list(text) and List.to_string(text) =~ ~r/\A[a-z][\w.\/-]*\z/i
+  defp plain_word?(text), do: is_list(text) and List.to_string(text) =~ ~r/\A[a-z][\w.\/-]*\z/i
 
   defp parse_holder(text) do
     found =
@@ -122,21 +122,22 @@ defmodule Situ.Store.FileLock do
 
     for key <- [:os_pid, :host, :user, :program, :since, :process],
         into: %{},
-        do: {key, printable(found[Atom.to_string(key)])}
+        do: {key, printable_text(found[Atom.to_string(key)])}
   end
 
   # Any user with access to the folder may have written the file, and terminals interpret control characters.
-  defp printable(text) when is_binary(text),
+  defp printable_text(text) when is_binary(text),
     do: text |> String.replace(~r/[^[:print:]]/u, "?") |> String.slice(0, 80)
 
-  defp printable(_), do: nil
+  defp printable_text(_), do: nil
 
   # The holder was a process of this system that has ended, so its lock is about to be released.
-  defp ended?(%{os_pid: os_pid, host: host, process: process}) do
-    os_pid == System.pid() and host == host() and process != nil and not alive?(process)
+  defp holder_ended?(%{os_pid: os_pid, host: host, process: process}) do
+    os_pid == System.pid() and host == host_name() and process != nil and
+      not process_alive?(process)
   end
 
-  defp alive?(text) do
+  defp process_alive?(text) do
     text |> String.to_charlist() |> :erlang.list_to_pid() |> Process.alive?()
   rescue
     ArgumentError -> true

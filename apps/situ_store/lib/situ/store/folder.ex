@@ -6,37 +6,39 @@ defmodule Situ.Store.Folder do
 
   @index "index.situ"
 
-  @spec store?(Path.t()) :: boolean()
-  def store?(path) do
+  @spec store_folder?(Path.t()) :: boolean()
+  def store_folder?(path) do
     File.exists?(Path.join(path, @index)) or File.exists?(Path.join(path, "data-000000.situ"))
   end
 
   @unfinished ".unfinished"
 
   @doc "Returns the suffix of an unfinished folder's name."
-  @spec unfinished() :: String.t()
-  def unfinished, do: @unfinished
+  @spec unfinished_suffix() :: String.t()
+  def unfinished_suffix, do: @unfinished
 
   @doc "Returns whether a folder is unfinished."
   @spec unfinished?(Path.t()) :: boolean()
   def unfinished?(path), do: String.ends_with?(path, @unfinished)
 
   @doc "Creates a folder for store `name` in `root`. `mode` is the mode of its files and also restricts the folder."
-  @spec create(String.t(), Path.t(), boolean(), non_neg_integer() | nil) ::
+  @spec create_store_folder(String.t(), Path.t(), boolean(), non_neg_integer() | nil) ::
           {:ok, Path.t()} | {:error, Error.t()}
-  def create(name, root, versioned?, mode \\ nil) do
+  def create_store_folder(name, root, versioned?, mode \\ nil) do
     # An existing folder belongs to the user, so its mode is not changed.
     ours? = versioned? or not File.exists?(root)
 
     with :ok <- check_name(name),
          :ok <- check_mode(mode),
-         {:ok, path} <- made(name, root, versioned?),
-         :ok <- if(ours?, do: restrict(path, mode), else: :ok),
+         {:ok, path} <- make_store_folder(name, root, versioned?),
+         :ok <- if(ours?, do: restrict_mode(path, mode), else: :ok),
          do: {:ok, path}
   end
 
-  defp made(name, root, true), do: create_version(name, root, next(name, root))
-  defp made(_name, root, false), do: create_plain(root)
+  defp make_store_folder(name, root, true),
+    do: create_version(name, root, next_version(name, root))
+
+  defp make_store_folder(_name, root, false), do: create_plain(root)
 
   # The owner may read and write; the group may read.
   @mode 0o640
@@ -44,7 +46,7 @@ defmodule Situ.Store.Folder do
   @doc "Returns the mode for a copy of these recordings: the narrowest of theirs, or `nil` for the usual mode."
   @spec mode_of([Path.t()]) :: non_neg_integer() | nil
   def mode_of(paths) do
-    modes = for path <- paths, {:ok, stat} <- [File.stat(file(path))], do: stat.mode
+    modes = for path <- paths, {:ok, stat} <- [File.stat(index_file(path))], do: stat.mode
     mode = Enum.reduce(modes, @mode, &Bitwise.band/2)
     if mode == @mode, do: nil, else: Bitwise.bor(mode, 0o600)
   end
@@ -52,7 +54,7 @@ defmodule Situ.Store.Folder do
   @doc "Gives a store's files and folder the modes of the files and folder of another store."
   @spec keep_mode(Path.t(), Path.t()) :: :ok | {:error, Error.t()}
   def keep_mode(path, like) do
-    mode = File.stat!(file(like)).mode
+    mode = File.stat!(index_file(like)).mode
     for name <- File.ls!(path), do: File.chmod!(Path.join(path, name), Bitwise.band(mode, 0o777))
     File.chmod!(path, Bitwise.band(File.stat!(like).mode, 0o777))
   rescue
@@ -61,23 +63,23 @@ defmodule Situ.Store.Folder do
        Error.new(:io, "cannot set the file mode of #{path}", why: Exception.message(error))}
   end
 
-  defp file(path), do: if(File.dir?(path), do: Path.join(path, @index), else: path)
+  defp index_file(path), do: if(File.dir?(path), do: Path.join(path, @index), else: path)
 
   # Files are created with their mode, and the folder is still empty when its mode is set.
-  defp restrict(path, mode) do
-    wanted = entering(mode || @mode)
+  defp restrict_mode(path, mode) do
+    wanted = add_search_bits(mode || @mode)
 
     with {:ok, %{mode: now}} <- File.stat(path),
          # Without an explicit mode, the process's file mode mask also applies.
          :ok <- File.chmod(path, if(mode, do: wanted, else: Bitwise.band(now, wanted))) do
       :ok
     else
-      {:error, reason} -> mkdir(path, fn -> {:error, reason} end)
+      {:error, reason} -> wrap_folder_error(path, fn -> {:error, reason} end)
     end
   end
 
   # Reading a file in a folder requires search permission on the folder.
-  defp entering(mode), do: Bitwise.bor(mode, Bitwise.bsr(Bitwise.band(mode, 0o444), 2))
+  defp add_search_bits(mode), do: Bitwise.bor(mode, Bitwise.bsr(Bitwise.band(mode, 0o444), 2))
 
   defp check_mode(nil), do: :ok
   defp check_mode(mode) when mode <= 0o777 and Bitwise.band(mode, 0o600) == 0o600, do: :ok
@@ -92,51 +94,53 @@ defmodule Situ.Store.Folder do
 
   defp create_plain(root) do
     cond do
-      store?(root) ->
+      store_folder?(root) ->
         {:error,
          Error.new(:store_exists, "#{root} already contains a store",
            fix: "keep `versioned: true`, or choose another folder"
          )}
 
       true ->
-        mkdir(root, fn -> parent(root) end)
+        wrap_folder_error(root, fn -> make_parent(root) end)
     end
   end
 
   defp create_version(name, root, version) do
-    path = Path.join(root, "#{name}.#{pad(version)}")
+    path = Path.join(root, "#{name}.#{format_version(version)}")
 
-    with :ok <- parent(Path.dirname(path)),
+    with :ok <- make_parent(Path.dirname(path)),
          # Another process took this number, so try the next one.
          {:error, :eexist} <- File.mkdir(path),
          true <- File.dir?(Path.dirname(path)) do
       create_version(name, root, version + 1)
     else
-      false -> mkdir(path, fn -> {:error, :enotdir} end)
-      result -> mkdir(path, fn -> result end)
+      false -> wrap_folder_error(path, fn -> {:error, :enotdir} end)
+      result -> wrap_folder_error(path, fn -> result end)
     end
   end
 
   # If the path is a file, "not a directory" is more helpful than "exists".
-  defp parent(path) do
+  defp make_parent(path) do
     with {:error, :eexist} <- AtomicFile.make_folder(path), do: {:error, :enotdir}
   end
 
   @doc "Creates the parent folders of a store at `path`."
   @spec make_parents(Path.t()) :: :ok | {:error, Error.t()}
   def make_parents(path) do
-    with {:ok, _} <- mkdir(Path.dirname(path), fn -> parent(Path.dirname(path)) end), do: :ok
+    with {:ok, _} <-
+           wrap_folder_error(Path.dirname(path), fn -> make_parent(Path.dirname(path)) end),
+         do: :ok
   end
 
   @doc "Renames a finished store to the next version of `name` in `root`, in one step: `{:ok, path}`."
   @spec place_version(Path.t(), String.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def place_version(from, name, root) do
     with :ok <- check_name(name),
-         do: place_version(from, name, root, next(name, root))
+         do: place_version(from, name, root, next_version(name, root))
   end
 
   defp place_version(from, name, root, version) do
-    path = Path.join(root, "#{name}.#{pad(version)}")
+    path = Path.join(root, "#{name}.#{format_version(version)}")
 
     case Native.rename_new(from, path) do
       :ok ->
@@ -148,17 +152,17 @@ defmodule Situ.Store.Folder do
         place_version(from, name, root, version + 1)
 
       :unsupported ->
-        place_over(from, name, root)
+        place_over_empty(from, name, root)
 
       {:error, reason} ->
-        {:error, Failure.error(reason, path)}
+        {:error, Failure.to_error(reason, path)}
     end
   end
 
   # An empty folder reserves the name until the store replaces it.
-  defp place_over(from, name, root) do
-    with {:ok, path} <- create_version(name, root, next(name, root)) do
-      case AtomicFile.rename(from, path) do
+  defp place_over_empty(from, name, root) do
+    with {:ok, path} <- create_version(name, root, next_version(name, root)) do
+      case AtomicFile.rename_synced(from, path) do
         :ok -> {:ok, path}
         {:error, reason} -> {:error, io_error("rename #{from}", reason)}
       end
@@ -168,56 +172,56 @@ defmodule Situ.Store.Folder do
   @doc "Returns the error for a file operation, where `what` is the operation that failed."
   @spec io_error(String.t(), File.posix()) :: Error.t()
   def io_error(what, reason) do
-    Error.new(code(reason), "cannot #{what}",
+    Error.new(error_code(reason), "cannot #{what}",
       why: to_string(:file.format_error(reason)),
       fix: "check the folder and its permissions"
     )
   end
 
-  defp mkdir(path, make) do
+  defp wrap_folder_error(path, make) do
     case make.() do
       :ok ->
         {:ok, path}
 
       {:error, reason} ->
         {:error,
-         Error.new(code(reason), "cannot create the folder #{path}",
+         Error.new(error_code(reason), "cannot create the folder #{path}",
            why: to_string(:file.format_error(reason)),
            fix: "check the path and its permissions"
          )}
     end
   end
 
-  defp code(reason) when reason in [:eacces, :erofs, :eperm], do: :not_permitted
-  defp code(:enospc), do: :disk_full
-  defp code(_), do: :io
+  defp error_code(reason) when reason in [:eacces, :erofs, :eperm], do: :not_permitted
+  defp error_code(:enospc), do: :disk_full
+  defp error_code(_), do: :io
 
   @doc "Returns the folder of the newest version of `name` in `root`, or `nil`."
-  @spec newest(String.t(), Path.t()) :: Path.t() | nil
-  def newest(name, root) do
-    case versions(name, root) do
+  @spec newest_version(String.t(), Path.t()) :: Path.t() | nil
+  def newest_version(name, root) do
+    case version_numbers(name, root) do
       [] -> nil
-      versions -> newest_of(Enum.sort(versions, :desc), name, root)
+      versions -> newest_nonempty(Enum.sort(versions, :desc), name, root)
     end
   end
 
   # A writer that was killed before it created a file leaves an empty folder, which must not hide an older recording.
-  defp newest_of(versions, name, root) do
-    paths = for version <- versions, do: Path.join(root, "#{name}.#{pad(version)}")
+  defp newest_nonempty(versions, name, root) do
+    paths = for version <- versions, do: Path.join(root, "#{name}.#{format_version(version)}")
     Enum.find(paths, hd(paths), &(File.ls(&1) != {:ok, []}))
   end
 
   @doc "Lists the folders of all versions of `name` in `root`, oldest first."
   @spec list_versions(String.t(), Path.t()) :: [Path.t()]
   def list_versions(name, root) do
-    for version <- name |> versions(root) |> Enum.sort(),
-        do: Path.join(root, "#{name}.#{pad(version)}")
+    for version <- name |> version_numbers(root) |> Enum.sort(),
+        do: Path.join(root, "#{name}.#{format_version(version)}")
   end
 
   @doc "Returns the total size of a store's files in bytes, including space allocated for later messages."
-  @spec size(Path.t()) :: non_neg_integer()
-  def size(path) do
-    for file <- ls(path),
+  @spec total_size(Path.t()) :: non_neg_integer()
+  def total_size(path) do
+    for file <- list_files(path),
         String.ends_with?(file, ".situ"),
         {:ok, %{size: size}} <- [File.stat(Path.join(path, file))],
         reduce: 0 do
@@ -225,7 +229,7 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  defp ls(path) do
+  defp list_files(path) do
     case File.ls(path) do
       {:ok, names} -> names
       {:error, _} -> []
@@ -233,37 +237,41 @@ defmodule Situ.Store.Folder do
   end
 
   @doc "Returns the store at `path`, which is the folder itself or the newest version of that name, or `nil`."
-  @spec resolve(Path.t()) :: Path.t() | nil
-  def resolve(path) do
-    if store?(path), do: path, else: newest(Path.basename(path), Path.dirname(path))
+  @spec resolve_store(Path.t()) :: Path.t() | nil
+  def resolve_store(path) do
+    if store_folder?(path),
+      do: path,
+      else: newest_version(Path.basename(path), Path.dirname(path))
   end
 
   @doc "Lists all stores in `root`, sorted by path, including external recordings that are folders."
-  @spec all(Path.t(), boolean()) :: [Path.t()]
-  def all(root, recursive?) do
+  @spec list_stores(Path.t(), boolean()) :: [Path.t()]
+  def list_stores(root, recursive?) do
     case File.ls(root) do
       {:error, _} ->
         []
 
       {:ok, names} ->
         dirs = names |> Enum.sort() |> Enum.map(&Path.join(root, &1)) |> Enum.filter(&File.dir?/1)
-        (Formats.within(root) -- [root]) ++ Enum.flat_map(dirs, &in_folder(&1, recursive?))
+
+        (Formats.list_recordings(root) -- [root]) ++
+          Enum.flat_map(dirs, &stores_in(&1, recursive?))
     end
   end
 
-  defp in_folder(dir, recursive?) do
+  defp stores_in(dir, recursive?) do
     cond do
       unfinished?(dir) -> []
-      store?(dir) -> [dir]
-      dir in Formats.within(dir) -> [dir]
-      recursive? -> all(dir, true)
+      store_folder?(dir) -> [dir]
+      dir in Formats.list_recordings(dir) -> [dir]
+      recursive? -> list_stores(dir, true)
       true -> []
     end
   end
 
   @doc "Deletes a store's files, and also its folder if it contains nothing else."
-  @spec remove(Path.t()) :: :ok | {:error, Error.t()}
-  def remove(folder) do
+  @spec remove_store(Path.t()) :: :ok | {:error, Error.t()}
+  def remove_store(folder) do
     folder
     |> File.ls!()
     |> Enum.filter(
@@ -281,32 +289,32 @@ defmodule Situ.Store.Folder do
   end
 
   @doc "Returns the store's name according to its folder."
-  @spec name(Path.t()) :: String.t()
-  def name(path), do: path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
+  @spec store_name(Path.t()) :: String.t()
+  def store_name(path), do: path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
 
   @doc """
   Returns the current name of the store in a folder. `made_as` is the original name from its catalog. A folder NAME.NNNN
   may have been renamed since, so its own name takes precedence. Other folder names say nothing about the store's name.
   """
-  @spec own_name(Path.t(), term()) :: String.t()
-  def own_name(path, made_as) do
-    if version(path) != nil or not (is_binary(made_as) and String.valid?(made_as)),
-      do: name(path),
+  @spec current_name(Path.t(), term()) :: String.t()
+  def current_name(path, made_as) do
+    if version_number(path) != nil or not (is_binary(made_as) and String.valid?(made_as)),
+      do: store_name(path),
       else: made_as
   end
 
   @doc "Returns the version number of a store's folder, or `nil`."
-  @spec version(Path.t()) :: non_neg_integer() | nil
-  def version(path) do
+  @spec version_number(Path.t()) :: non_neg_integer() | nil
+  def version_number(path) do
     case Regex.run(~r/\.(\d{4,})$/, Path.basename(path)) do
       [_, digits] -> String.to_integer(digits)
       nil -> nil
     end
   end
 
-  defp next(name, root), do: Enum.max(versions(name, root), fn -> -1 end) + 1
+  defp next_version(name, root), do: Enum.max(version_numbers(name, root), fn -> -1 end) + 1
 
-  defp versions(name, root) do
+  defp version_numbers(name, root) do
     case File.ls(root) do
       {:ok, entries} ->
         for entry <- entries,
@@ -321,7 +329,7 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  defp pad(version), do: version |> Integer.to_string() |> String.pad_leading(4, "0")
+  defp format_version(version), do: version |> Integer.to_string() |> String.pad_leading(4, "0")
 
   @doc "Checks whether a store can have this name."
   @spec check_name(term()) :: :ok | {:error, Error.t()}

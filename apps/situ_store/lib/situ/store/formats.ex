@@ -19,23 +19,23 @@ defmodule Situ.Store.Formats do
   @spec for_file(Path.t()) :: module() | nil
   def for_file(path) do
     extension = path |> Path.extname() |> String.downcase()
-    Enum.find(all(), &(extension in &1.extensions()))
+    Enum.find(list_readers(), &(extension in &1.extensions()))
   end
 
   @doc "Returns the reader of a recording that is a folder, with the folder that `path` resolves to, or `nil`."
   @spec for_folder(Path.t()) :: {module(), Path.t()} | nil
   def for_folder(path) do
-    Enum.find_value(of_folders(), fn reader ->
+    Enum.find_value(folder_readers(), fn reader ->
       resolved = reader.resolve(path)
       resolved && {reader, resolved}
     end)
   end
 
   @doc "Lists the external recordings directly in this folder, or at this address."
-  @spec within(Path.t()) :: [Path.t()]
-  def within(folder) do
+  @spec list_recordings(Path.t()) :: [Path.t()]
+  def list_recordings(folder) do
     case for_address(folder) do
-      nil -> Enum.flat_map(of_folders(), & &1.within(folder))
+      nil -> Enum.flat_map(folder_readers(), & &1.within(folder))
       reader -> reader.within(folder)
     end
   end
@@ -49,30 +49,38 @@ defmodule Situ.Store.Formats do
   @spec for_address(Path.t()) :: module() | nil
   def for_address(text) do
     with [scheme, _] <- String.split(text, "://", parts: 2) do
-      Enum.find(of_addresses(), &(scheme in &1.schemes()))
+      Enum.find(address_readers(), &(scheme in &1.schemes()))
     else
       _ -> nil
     end
   end
 
-  defp of_addresses,
-    do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :schemes, 0)))
+  defp address_readers,
+    do:
+      Enum.filter(
+        list_readers(),
+        &(Code.ensure_loaded?(&1) and function_exported?(&1, :schemes, 0))
+      )
 
   @doc """
   Expands a path like `Path.expand/1`. Addresses are returned unchanged.
 
-      iex> Situ.Store.Formats.expand("/recordings/../lobby")
+      iex> Situ.Store.Formats.expand_path("/recordings/../lobby")
       "/lobby"
   """
-  @spec expand(Path.t()) :: Path.t()
-  def expand(path), do: if(for_address(path), do: path, else: Path.expand(path))
+  @spec expand_path(Path.t()) :: Path.t()
+  def expand_path(path), do: if(for_address(path), do: path, else: Path.expand(path))
 
-  defp of_folders,
-    do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :resolve, 1)))
+  defp folder_readers,
+    do:
+      Enum.filter(
+        list_readers(),
+        &(Code.ensure_loaded?(&1) and function_exported?(&1, :resolve, 1))
+      )
 
   @doc "Lists all known readers."
-  @spec all() :: [module()]
-  def all do
+  @spec list_readers() :: [module()]
+  def list_readers do
     brought =
       for {app, _, _} <- Application.loaded_applications(),
           reader <- Application.get_env(app, :store_readers, []),

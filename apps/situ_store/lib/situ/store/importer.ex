@@ -59,12 +59,12 @@ defmodule Situ.Store.Importer do
   @type t :: %__MODULE__{}
 
   @doc false
-  def options, do: @options
+  def open_options, do: @options
   @doc false
   def stream_options, do: @stream_options
 
   @doc false
-  def open(%Situ.Graph.Handle{} = p, path, opts) do
+  def open_recording(%Situ.Graph.Handle{} = p, path, opts) do
     opts = Situ.Options.validate!(opts, @options)
     store = if is_struct(path, Handle), do: path, else: Reading.open!(path, verify: opts[:verify])
 
@@ -72,15 +72,15 @@ defmodule Situ.Store.Importer do
       store: store,
       pipeline: p,
       head: Playhead.new(),
-      period: period(p, store, opts[:loop]),
+      period: loop_period(p, store, opts[:loop]),
       keep_open: opts[:keep_open],
       skip_damage: opts[:skip_damage]
     }
   end
 
-  defp period(_p, _store, false), do: nil
+  defp loop_period(_p, _store, false), do: nil
 
-  defp period(_p, store, true) do
+  defp loop_period(_p, store, true) do
     case Reading.interval(store) do
       nil -> nil
       {first, last} -> last - first + 1_000_000
@@ -88,7 +88,7 @@ defmodule Situ.Store.Importer do
   end
 
   # Each round must begin after the previous one.
-  defp period(p, store, ns) do
+  defp loop_period(p, store, ns) do
     {from, _} = Pipeline.replay_interval(p)
 
     with {first, last} <- Reading.interval(store),
@@ -109,14 +109,17 @@ defmodule Situ.Store.Importer do
     opts = Situ.Options.validate!(opts, @stream_options)
 
     case Reading.stream_info(importer.store, name) do
-      {:ok, info} -> source(importer, info, opts)
-      {:error, error} -> if opts[:or_empty], do: empty(importer, name, opts), else: raise(error)
+      {:ok, info} ->
+        add_source(importer, info, opts)
+
+      {:error, error} ->
+        if opts[:or_empty], do: add_empty_source(importer, name, opts), else: raise(error)
     end
   end
 
-  defp source(importer, info, opts) do
+  defp add_source(importer, info, opts) do
     type = opts[:type]
-    if type, do: check!(info, type)
+    if type, do: check_type!(info, type)
     live? = Reading.live?(importer.store)
 
     last = if importer.period, do: :unbounded, else: info.last
@@ -126,37 +129,37 @@ defmodule Situ.Store.Importer do
 
     {_, asked} = Pipeline.replay_interval(importer.pipeline)
     given = [importer: importer, info: info, type: type, live: live?, to: asked]
-    add(importer, info, given, opts)
+    add_component(importer, info, given, opts)
   end
 
-  defp empty(importer, name, opts) do
+  defp add_empty_source(importer, name, opts) do
     info = %StreamInfo{id: -1, name: name}
-    add(importer, info, [importer: importer, info: info, type: nil, live: false], opts)
+    add_component(importer, info, [importer: importer, info: info, type: nil, live: false], opts)
   end
 
-  defp add(importer, info, source_opts, opts) do
+  defp add_component(importer, info, source_opts, opts) do
     name = opts[:name] || String.replace(info.name, ".", " ")
     outputs = [out: opts[:type] || info.type]
-    named(importer.pipeline, source_opts, outputs, name, if(opts[:name], do: nil, else: 2))
+    add_named(importer.pipeline, source_opts, outputs, name, if(opts[:name], do: nil, else: 2))
   end
 
   # Streams of several stores often have the same name, so a number is appended to later ones.
-  defp named(p, source_opts, outputs, name, next) do
+  defp add_named(p, source_opts, outputs, name, next) do
     Situ.source(p, Source, [name: name, outputs: outputs] ++ source_opts)
   rescue
     error in Error ->
       if error.code == :duplicate_name and next != nil,
-        do: numbered(p, source_opts, outputs, name, next),
+        do: add_numbered(p, source_opts, outputs, name, next),
         else: reraise(error, __STACKTRACE__)
   end
 
-  defp numbered(p, source_opts, outputs, name, next) do
+  defp add_numbered(p, source_opts, outputs, name, next) do
     base = String.replace_suffix(name, " #{next - 1}", "")
-    named(p, source_opts, outputs, "#{base} #{next}", next + 1)
+    add_named(p, source_opts, outputs, "#{base} #{next}", next + 1)
   end
 
-  defp check!(info, type) do
-    case Evolution.check(info, type) do
+  defp check_type!(info, type) do
+    case Evolution.check_readable(info, type) do
       :ok -> :ok
       {:error, error} -> raise error
     end
@@ -181,14 +184,14 @@ defmodule Situ.Store.Importer do
        )}
     else
       anew? = importer.period != nil
-      Clock.jump(clock, Playhead.seek(importer.head, Clock.now(clock), time, anew?))
+      Clock.jump(clock, Playhead.seek_to(importer.head, Clock.now(clock), time, anew?))
     end
   end
 
   @doc "Returns the recorded time at the position of the pipeline's clock. In a loop it keeps increasing."
   @spec position(t()) :: Situ.Time.t()
   def position(%__MODULE__{} = importer) do
-    {_version, _time, shift} = Playhead.view(importer.head)
+    {_version, _time, shift} = Playhead.read_view(importer.head)
     Clock.now(Pipeline.clock(importer.pipeline)) - shift
   end
 
@@ -199,7 +202,7 @@ defmodule Situ.Store.Importer do
   @spec step(t()) :: {:ok, Situ.Time.t() | nil} | {:error, Error.t()}
   def step(%__MODULE__{} = importer) do
     clock = Pipeline.clock(importer.pipeline)
-    {_version, _time, shift} = Playhead.view(importer.head)
+    {_version, _time, shift} = Playhead.read_view(importer.head)
     now = Clock.now(clock) - shift
 
     next =

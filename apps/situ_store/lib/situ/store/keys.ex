@@ -33,26 +33,26 @@ defmodule Situ.Store.Keys do
 
   @impl true
   def handle_message(:in, %{data: %{} = map}, _context, %{keys: keys} = state) do
-    keys = map |> plain() |> Map.keys() |> Enum.reduce(keys, &MapSet.put(&2, &1))
+    keys = map |> to_plain_map() |> Map.keys() |> Enum.reduce(keys, &MapSet.put(&2, &1))
     state = %{state | keys: keys}
-    {[], if(MapSet.size(keys) >= max(2 * state.noted, 1), do: note(state), else: state)}
+    {[], if(MapSet.size(keys) >= max(2 * state.noted, 1), do: save_keys(state), else: state)}
   end
 
   def handle_message(:in, _message, _context, state), do: {[], state}
 
-  defp plain(%_{} = struct), do: Map.from_struct(struct)
-  defp plain(map), do: map
+  defp to_plain_map(%_{} = struct), do: Map.from_struct(struct)
+  defp to_plain_map(map), do: map
 
   @impl true
-  def handle_closed(:in, _time, _context, state), do: {[], note(state)}
+  def handle_closed(:in, _time, _context, state), do: {[], save_keys(state)}
 
   @impl true
-  def terminate(_reason, state), do: SharedWriter.leave(state.shared)
+  def terminate(_reason, state), do: SharedWriter.remove_user(state.shared)
 
   @impl true
   def describe(state), do: "records the keys of #{state.stream.name}"
 
-  defp note(%{keys: keys, noted: noted} = state) do
+  defp save_keys(%{keys: keys, noted: noted} = state) do
     if MapSet.size(keys) == noted do
       state
     else

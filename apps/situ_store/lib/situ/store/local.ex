@@ -33,18 +33,18 @@ defmodule Situ.Store.Local do
     with {:ok, ref} <-
            path
            |> Native.reader_open(opts[:verify] != :small, opts[:max_unpacked] || 64 * 1024 * 1024)
-           |> lost()
-           |> Failure.wrap(path) do
+           |> explain_lost_index()
+           |> Failure.wrap_error(path) do
       {:ok, %__MODULE__{ref: ref, path: path}}
     end
   end
 
   # The folder contains data files, so it is a store without its index.
-  defp lost({:error, :no_store}), do: {:error, :index_lost}
-  defp lost(result), do: result
+  defp explain_lost_index({:error, :no_store}), do: {:error, :index_lost}
+  defp explain_lost_index(result), do: result
 
   # Loads the entries published since the last refresh, so that counts are current.
-  defp refresh(state) do
+  defp refresh_entries(state) do
     with :slow <- Native.reader_refresh(state.ref), do: Native.reader_refresh_all(state.ref)
   end
 
@@ -52,11 +52,11 @@ defmodule Situ.Store.Local do
   def info(%__MODULE__{} = state) do
     case Native.reader_state(state.ref) do
       {:ok, {entries, closed?, live?, created, synced, id}} ->
-        shelf = shelf(state)
+        shelf = store_info(state)
 
         %{
           name: shelf.name,
-          version: Folder.version(state.path),
+          version: Folder.version_number(state.path),
           created: created,
           closed?: closed?,
           live?: live?,
@@ -69,38 +69,43 @@ defmodule Situ.Store.Local do
         }
 
       {:error, reason} ->
-        raise Failure.error(reason, state.path)
+        raise Failure.to_error(reason, state.path)
     end
   end
 
   @impl true
   def streams(%__MODULE__{} = state) do
-    refresh(state)
-    state |> shelved(:all) |> Enum.map(&statistics(state, &1))
+    refresh_entries(state)
+    state |> lookup_streams(:all) |> Enum.map(&put_statistics(state, &1))
   end
 
   @impl true
   def stream_named(%__MODULE__{} = state, name) do
-    refresh(state)
+    refresh_entries(state)
 
-    case shelved(state, name) do
-      nil -> missing_stream(state, name)
-      info -> {:ok, statistics(state, info)}
+    case lookup_streams(state, name) do
+      nil -> missing_stream_error(state, name)
+      info -> {:ok, put_statistics(state, info)}
     end
   end
 
-  defp missing_stream(state, name) do
-    shelf = shelf(state)
+  defp missing_stream_error(state, name) do
+    shelf = store_info(state)
 
     error =
       if shelf.damage,
-        do: Failure.error(shelf.damage, state.path, name),
-        else: Failure.no_stream(name, Enum.map(shelved(state, :all), & &1.name), state.path)
+        do: Failure.to_error(shelf.damage, state.path, name),
+        else:
+          Failure.no_stream_error(
+            name,
+            Enum.map(lookup_streams(state, :all), & &1.name),
+            state.path
+          )
 
     {:error, error}
   end
 
-  defp statistics(state, info) do
+  defp put_statistics(state, info) do
     case Native.reader_statistics(state.ref, info.id) do
       {:ok, {count, first, last, first_creation, last_creation, size, latency, stored, _}} ->
         %{
@@ -120,36 +125,36 @@ defmodule Situ.Store.Local do
     end
   end
 
-  defp shelf(state), do: Shelf.about(state.ref, state.path)
-  defp shelved(state, name), do: Shelf.fetch(state.ref, state.path, name)
+  defp store_info(state), do: Shelf.store_info(state.ref, state.path)
+  defp lookup_streams(state, name), do: Shelf.lookup_streams(state.ref, state.path, name)
 
   defp max_time, do: 9_223_372_036_854_775_807
 
   @impl true
   def seek(state, info, time) do
-    time = clamp(time)
+    time = clamp_time(time)
 
     with :slow <- Native.reader_seek_quick(state.ref, info.id, time) do
       Native.reader_seek(state.ref, info.id, time)
     end
-    |> Failure.wrap(state.path, info.name)
+    |> Failure.wrap_error(state.path, info.name)
   end
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
     bytes = if opts[:exact], do: 0, else: @read_bytes
 
-    case Native.read(state.ref, info.id, ordinal, clamp(to), limit, bytes) do
+    case Native.read(state.ref, info.id, ordinal, clamp_time(to), limit, bytes) do
       {:ok, [{0, list}], next} ->
-        {:ok, messages(list, info.id), next}
+        {:ok, build_messages(list, info.id), next}
 
       {:ok, runs, next} ->
-        {:ok, Enum.flat_map(runs, &run(&1, info)), next}
+        {:ok, Enum.flat_map(runs, &decode_run(&1, info)), next}
 
       {:error, reason} ->
         if opts[:skip_damage],
-          do: skip(state, info, ordinal, to, limit, opts),
-          else: {:error, Failure.error(reason, state.path, info.name)}
+          do: read_after_damage(state, info, ordinal, to, limit, opts),
+          else: {:error, Failure.to_error(reason, state.path, info.name)}
     end
   end
 
@@ -157,7 +162,7 @@ defmodule Situ.Store.Local do
 
   @impl true
   def columns(state, info, ordinal, to) do
-    case Native.reader_columns(state.ref, info.id, ordinal, clamp(to), @column_bytes) do
+    case Native.reader_columns(state.ref, info.id, ordinal, clamp_time(to), @column_bytes) do
       {:ok, {kind, count, times, creation_times, values}, next} ->
         columns = %Columns{
           kind: kind,
@@ -170,14 +175,14 @@ defmodule Situ.Store.Local do
         {:ok, columns, next}
 
       {:error, reason} ->
-        {:error, Failure.error(reason, state.path, info.name)}
+        {:error, Failure.to_error(reason, state.path, info.name)}
 
       others_or_ended ->
         others_or_ended
     end
   end
 
-  defp skip(state, info, ordinal, to, limit, opts) do
+  defp read_after_damage(state, info, ordinal, to, limit, opts) do
     case Native.reader_skip(state.ref, info.id, ordinal) do
       ^ordinal -> {:ok, [], ordinal}
       next -> read(state, info, next, to, limit, opts)
@@ -185,13 +190,13 @@ defmodule Situ.Store.Local do
   end
 
   @doc false
-  @spec clamp(Situ.Time.t() | :unbounded) :: Situ.Time.t()
-  def clamp(:unbounded), do: max_time()
-  def clamp(time), do: time |> max(-max_time()) |> min(max_time())
+  @spec clamp_time(Situ.Time.t() | :unbounded) :: Situ.Time.t()
+  def clamp_time(:unbounded), do: max_time()
+  def clamp_time(time), do: time |> max(-max_time()) |> min(max_time())
 
-  defp messages(list, id), do: Enum.map(list, &message(&1, id))
+  defp build_messages(list, id), do: Enum.map(list, &build_message(&1, id))
 
-  defp message({sequence, time, creation, data}, id) do
+  defp build_message({sequence, time, creation, data}, id) do
     %Message{
       data: data,
       originating_time: time,
@@ -202,28 +207,29 @@ defmodule Situ.Store.Local do
   end
 
   # Tuples of five elements contain data that could not be decoded as a plain term.
-  defp message({sequence, time, creation, :undecodable, reason}, id),
-    do: message({sequence, time, creation, %Undecoded{reason: reason}}, id)
+  defp build_message({sequence, time, creation, :undecodable, reason}, id),
+    do: build_message({sequence, time, creation, %Undecoded{reason: reason}}, id)
 
-  defp message({sequence, time, creation, :unknown, {modules, bytes, term}}, id),
-    do: message({sequence, time, creation, Terms.known(modules, bytes, term)}, id)
+  defp build_message({sequence, time, creation, :unknown, {modules, bytes, term}}, id),
+    do: build_message({sequence, time, creation, Terms.resolve_structs(modules, bytes, term)}, id)
 
-  defp run({0, list}, info), do: messages(list, info.id)
+  defp decode_run({0, list}, info), do: build_messages(list, info.id)
 
-  defp run({number, list}, info) do
+  defp decode_run({number, list}, info) do
     {name, module_name} = Map.get(info.codecs, number, {nil, nil})
-    module = name && Codecs.find(name, module_name)
+    module = name && Codecs.find_module(name, module_name)
 
     for {sequence, time, creation, bytes} <- list,
-        do: message({sequence, time, creation, decode(module, name, bytes)}, info.id)
+        do:
+          build_message({sequence, time, creation, decode_payload(module, name, bytes)}, info.id)
   end
 
-  defp decode(nil, name, bytes) do
+  defp decode_payload(nil, name, bytes) do
     why = "no module in this system implements the codec #{inspect(name)}"
     %Undecoded{codec: name, bytes: bytes, reason: why}
   end
 
-  defp decode(module, name, bytes) do
+  defp decode_payload(module, name, bytes) do
     case module.decode(bytes) do
       {:ok, data} ->
         data
@@ -235,55 +241,56 @@ defmodule Situ.Store.Local do
 
   @impl true
   def summary(state, info, from, to, pixels) do
-    {from, to} = {clamp(from), clamp(to)}
+    {from, to} = {clamp_time(from), clamp_time(to)}
     level = Native.summary_level(from, to, pixels)
 
-    with {:ok, bins} <- signal(state, info, from, to, level),
+    with {:ok, bins} <- read_signal(state, info, from, to, level),
          do: {:ok, Bitwise.bsl(1, level), bins}
   end
 
-  defp signal(state, info, from, to, level) do
-    refresh(state)
+  defp read_signal(state, info, from, to, level) do
+    refresh_entries(state)
 
     case Native.reader_summary(state.ref, info.id, from, to, level) do
       {:ok, bins} when map_size(info.codecs) == 0 ->
         {:ok, bins}
 
       {:ok, bins} ->
-        with {:ok, rest} <- codec_summary(state, info, behind(bins, from, level), to, level),
+        with {:ok, rest} <- codec_summary(state, info, end_of_bins(bins, from, level), to, level),
              do: {:ok, bins ++ rest}
 
       {:error, reason} ->
-        {:error, Failure.error(reason, state.path, info.name)}
+        {:error, Failure.to_error(reason, state.path, info.name)}
     end
   end
 
   @impl true
   def tracks(state, info, from, to, level, most) do
-    {from, to} = {clamp(from), clamp(to)}
+    {from, to} = {clamp_time(from), clamp_time(to)}
 
     with {:ok, counts, tracks} <-
            state.ref
            |> Native.reader_tracks(info.id, from, to, level, most)
-           |> Failure.wrap(state.path, info.name),
-         {:ok, tracks} <- sound(state, info, tracks, from, to, level),
+           |> Failure.wrap_error(state.path, info.name),
+         {:ok, tracks} <- put_signal_track(state, info, tracks, from, to, level),
          do: {:ok, counts, tracks}
   end
 
   # Where the stored signal is too coarse, the codec computes the signal within messages.
-  defp sound(_state, %{codecs: codecs}, tracks, _from, _to, _level) when map_size(codecs) == 0,
-    do: {:ok, tracks}
+  defp put_signal_track(_state, %{codecs: codecs}, tracks, _from, _to, _level)
+       when map_size(codecs) == 0,
+       do: {:ok, tracks}
 
-  defp sound(state, info, tracks, from, to, level) do
-    case signal(state, info, from, to, level) do
+  defp put_signal_track(state, info, tracks, from, to, level) do
+    case read_signal(state, info, from, to, level) do
       {:ok, []} -> {:ok, tracks}
       {:ok, bins} -> {:ok, [{nil, {:numbers, bins}} | List.keydelete(tracks, nil, 0)]}
       error -> error
     end
   end
 
-  defp behind([], from, _level), do: from
-  defp behind(bins, _from, level), do: elem(List.last(bins), 0) + Bitwise.bsl(1, level)
+  defp end_of_bins([], from, _level), do: from
+  defp end_of_bins(bins, _from, level), do: elem(List.last(bins), 0) + Bitwise.bsl(1, level)
 
   # The codec computes points that are finer than the stored pyramid or not in it yet. A message may describe the second
   # before its time, because audio is timestamped with its end.
@@ -292,22 +299,27 @@ defmodule Situ.Store.Local do
 
   defp codec_summary(state, info, from, to, level) do
     with {:ok, ordinal} <- seek(state, info, from),
-         {:ok, points} <- points(state, info, max(ordinal - 1, 0), to + 1_000_000_000, []) do
+         {:ok, points} <- collect_points(state, info, max(ordinal - 1, 0), to + 1_000_000_000, []) do
       within = Enum.filter(points, fn {time, _, _, _, _} -> time >= from and time <= to end)
-      {:ok, Bins.fold(within, level)}
+      {:ok, Bins.fold_points(within, level)}
     end
   end
 
-  defp points(state, info, ordinal, to, found) do
+  defp collect_points(state, info, ordinal, to, found) do
     case read(state, info, ordinal, to, 1_000, []) do
-      {:ok, [], _} -> {:ok, found |> Enum.reverse() |> Enum.concat()}
-      {:ok, messages, next} -> points(state, info, next, to, [in_messages(messages) | found])
-      error -> error
+      {:ok, [], _} ->
+        {:ok, found |> Enum.reverse() |> Enum.concat()}
+
+      {:ok, messages, next} ->
+        collect_points(state, info, next, to, [points_in_messages(messages) | found])
+
+      error ->
+        error
     end
   end
 
-  defp in_messages(messages),
-    do: for(%{data: %_{}} = message <- messages, point <- Bins.points(message), do: point)
+  defp points_in_messages(messages),
+    do: for(%{data: %_{}} = message <- messages, point <- Bins.message_points(message), do: point)
 
   @impl true
   def await(state, known, pid, tag) do
@@ -325,7 +337,7 @@ defmodule Situ.Store.Local do
 
   @impl true
   def count(state, info) do
-    refresh(state)
+    refresh_entries(state)
     Native.reader_count(state.ref, info.id)
   end
 
@@ -344,11 +356,12 @@ defmodule Situ.Store.Local do
   end
 
   @doc false
-  @spec verify(%__MODULE__{}, (non_neg_integer(), non_neg_integer() -> any())) ::
+  @spec verify_chunks(%__MODULE__{}, (non_neg_integer(), non_neg_integer() -> any())) ::
           {:ok, [tuple()], non_neg_integer()} | {:error, Error.t()}
-  def verify(state, progress), do: verify(state, 0, Native.reader_damage(state.ref), progress)
+  def verify_chunks(state, progress),
+    do: verify_from(state, 0, Native.reader_damage(state.ref), progress)
 
-  defp verify(state, from, found, progress) do
+  defp verify_from(state, from, found, progress) do
     case Native.reader_verify(state.ref, from, 256) do
       {:ok, more, total} when from + 256 >= total ->
         progress.(total, total)
@@ -356,10 +369,10 @@ defmodule Situ.Store.Local do
 
       {:ok, more, total} ->
         progress.(from + 256, total)
-        verify(state, from + 256, found ++ more, progress)
+        verify_from(state, from + 256, found ++ more, progress)
 
       {:error, reason} ->
-        {:error, Failure.error(reason, state.path)}
+        {:error, Failure.to_error(reason, state.path)}
     end
   end
 end

@@ -25,19 +25,19 @@ defmodule Situ.Store.Mending do
   def verify(path, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @verify_options),
          {:ok, store} <- Reading.open(path),
-         :ok <- ours(store),
-         {:ok, found, total} <- Local.verify(store.state, progress(opts)),
-         do: {:ok, %{chunks: total, damage: places(Enum.uniq(found))}}
+         :ok <- check_own_format(store),
+         {:ok, found, total} <- Local.verify_chunks(store.state, progress_fun(opts)),
+         do: {:ok, %{chunks: total, damage: describe_damage(Enum.uniq(found))}}
   end
 
-  defp progress(opts), do: opts[:progress] || fn _, _ -> :ok end
+  defp progress_fun(opts), do: opts[:progress] || fn _, _ -> :ok end
 
-  defp places(found),
+  defp describe_damage(found),
     do: for({file, offset, why} <- found, do: %{file: file, offset: offset, why: why})
 
-  defp ours(%Handle{module: Local}), do: :ok
+  defp check_own_format(%Handle{module: Local}), do: :ok
 
-  defp ours(store),
+  defp check_own_format(store),
     do: {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
 
   @doc """
@@ -60,7 +60,7 @@ defmodule Situ.Store.Mending do
     with {:ok, folder} <- find_to_repair(path, opts[:dry_run]),
          {:ok, opts} <- Situ.Options.validate(opts, @repair_options),
          {:ok, {kept, dropped, recovered, unconfirmed, rebuilt?, damage}} <-
-           folder |> mend(opts[:dry_run], progress(opts)) |> Failure.wrap(folder) do
+           folder |> run_repair(opts[:dry_run], progress_fun(opts)) |> Failure.wrap_error(folder) do
       {:ok,
        %{
          kept: kept,
@@ -68,33 +68,40 @@ defmodule Situ.Store.Mending do
          recovered: recovered,
          unconfirmed: unconfirmed,
          rebuilt?: rebuilt?,
-         damage: places(damage)
+         damage: describe_damage(damage)
        }}
     end
   end
 
   # An interrupted compaction may have left the store under another name.
   defp find_to_repair(path, dry?) do
-    case {Folder.resolve(path), Replacement.find_interrupted(path)} do
-      {nil, nil} -> {:ok, path}
-      {nil, folder} when dry? == true -> {:error, Failure.error(:compaction_interrupted, folder)}
-      {nil, folder} -> with(:ok <- Replacement.restore(folder), do: {:ok, folder})
-      {folder, _} -> {:ok, folder}
+    case {Folder.resolve_store(path), Replacement.find_interrupted(path)} do
+      {nil, nil} ->
+        {:ok, path}
+
+      {nil, folder} when dry? == true ->
+        {:error, Failure.to_error(:compaction_interrupted, folder)}
+
+      {nil, folder} ->
+        with(:ok <- Replacement.restore_name(folder), do: {:ok, folder})
+
+      {folder, _} ->
+        {:ok, folder}
     end
   end
 
   # Native code runs in a separate process and sends its progress.
-  defp mend(folder, dry?, progress) do
+  defp run_repair(folder, dry?, progress) do
     {parent, tag} = {self(), make_ref()}
     task = Task.async(fn -> Native.store_repair(folder, dry?, parent, tag) end)
-    watch(task, tag, progress)
+    await_repair(task, tag, progress)
   end
 
-  defp watch(%{ref: ref} = task, tag, progress) do
+  defp await_repair(%{ref: ref} = task, tag, progress) do
     receive do
       {:situ_store, ^tag, {done, total}} ->
         progress.(done, total)
-        watch(task, tag, progress)
+        await_repair(task, tag, progress)
 
       {^ref, answer} ->
         Process.demonitor(ref, [:flush])
@@ -108,30 +115,30 @@ defmodule Situ.Store.Mending do
   @doc "Deletes a store's files, and its folder if it contains nothing else. Fails while the store is being written."
   @spec delete(Path.t()) :: :ok | {:error, Error.t()}
   def delete(path) do
-    with {:ok, folder} <- resolve(path),
-         :ok <- idle(folder),
-         do: Folder.remove(folder)
+    with {:ok, folder} <- resolve_folder(path),
+         :ok <- check_idle(folder),
+         do: Folder.remove_store(folder)
   end
 
   @doc "Renames a store (its folder, keeping the version number): `{:ok, new_path}`."
   @spec rename(Path.t(), String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def rename(path, name) do
-    with {:ok, folder} <- resolve(path),
-         :ok <- idle(folder),
+    with {:ok, folder} <- resolve_folder(path),
+         :ok <- check_idle(folder),
          do: Folder.place_version(folder, name, Path.dirname(folder))
   end
 
-  defp resolve(path) do
-    case Folder.resolve(Path.expand(path)) do
-      nil -> {:error, Failure.error(:no_store, path)}
+  defp resolve_folder(path) do
+    case Folder.resolve_store(Path.expand(path)) do
+      nil -> {:error, Failure.to_error(:no_store, path)}
       folder -> {:ok, folder}
     end
   end
 
-  defp idle(folder) do
+  defp check_idle(folder) do
     case Reading.open(folder) do
       {:ok, store} ->
-        if Reading.live?(store), do: {:error, Failure.error(:locked, folder)}, else: :ok
+        if Reading.live?(store), do: {:error, Failure.to_error(:locked, folder)}, else: :ok
 
       # The store is damaged or not readable, which must not prevent its deletion.
       {:error, _} ->

@@ -39,19 +39,21 @@ defmodule Situ.Store.Pieces do
     do: GenServer.start_link(__MODULE__, {name, root, opts, cut, keep, self()})
 
   @doc "Returns stream `name` in segment `number` (or in the oldest open segment), and that segment's number."
-  @spec stream(GenServer.server(), integer(), String.t(), keyword()) ::
+  @spec open_stream(GenServer.server(), integer(), String.t(), keyword()) ::
           {:ok, integer(), Writer.Stream.t()} | {:error, Situ.Error.t()}
-  def stream(pieces, number, name, opts),
+  def open_stream(pieces, number, name, opts),
     do: GenServer.call(pieces, {:stream, number, name, opts}, :timer.minutes(1))
 
   @doc "Reports messages up to `time` in a segment. With splitting by size, this may begin the next segment."
-  @spec appended(GenServer.server(), Cut.t(), integer(), Situ.Time.t()) :: :ok
-  def appended(_pieces, %{newest: nil}, _number, _time), do: :ok
-  def appended(pieces, _cut, number, time), do: GenServer.cast(pieces, {:appended, number, time})
+  @spec report_append(GenServer.server(), Cut.t(), integer(), Situ.Time.t()) :: :ok
+  def report_append(_pieces, %{newest: nil}, _number, _time), do: :ok
+
+  def report_append(pieces, _cut, number, time),
+    do: GenServer.cast(pieces, {:appended, number, time})
 
   @doc "Closes all open segments."
-  @spec close(GenServer.server()) :: :ok
-  def close(pieces), do: GenServer.stop(pieces, :normal, :timer.minutes(1))
+  @spec close_all(GenServer.server()) :: :ok
+  def close_all(pieces), do: GenServer.stop(pieces, :normal, :timer.minutes(1))
 
   @impl true
   def init({name, root, opts, cut, keep, owner}) do
@@ -65,20 +67,20 @@ defmodule Situ.Store.Pieces do
   def handle_continue(:find_earlier, %{keep: nil} = state), do: {:noreply, state}
 
   def handle_continue(:find_earlier, state) do
-    earlier = EarlierRuns.list_pieces(state.name, state.root, now(), Situ.Time.now())
+    earlier = EarlierRuns.list_segments(state.name, state.root, monotonic_ns(), Situ.Time.now())
     {:noreply, %{state | closed: earlier}}
   end
 
   @impl true
   def handle_call({:stream, number, name, opts}, _from, state) do
-    number = max(number, oldest(state, number))
+    number = max(number, oldest_open(state, number))
     state = warn_of_jump(state, number, name)
     new? = not is_map_key(state.open, number)
 
-    with {:ok, state} <- opened(state, number, name),
-         {:ok, stream, state} <- stream_of(state, number, name, opts) do
+    with {:ok, state} <- ensure_open(state, number, name),
+         {:ok, stream, state} <- fetch_stream(state, number, name, opts) do
       state = close_old(state)
-      {:reply, {:ok, number, stream}, if(new?, do: retain(state), else: state)}
+      {:reply, {:ok, number, stream}, if(new?, do: delete_surplus(state), else: state)}
     else
       {:error, _} = error -> {:reply, error, state}
     end
@@ -87,17 +89,17 @@ defmodule Situ.Store.Pieces do
   @impl true
   def handle_cast({:appended, number, time}, %{cut: %{every: {:bytes, most}}} = state) do
     state = %{state | ended: Map.update(state.ended, number, time + 1, &max(&1, time + 1))}
-    bytes = if open = state.open[number], do: Writer.bytes(open.writer), else: 0
-    newest = Cut.newest(state.cut)
+    bytes = if open = state.open[number], do: Writer.stored_bytes(open.writer), else: 0
+    newest = Cut.newest_number(state.cut)
 
     cond do
       # Split after the latest message of all streams, so that all messages of a segment precede the next segment.
       number == newest and bytes >= most ->
-        Cut.cut(state.cut, state.ended[number])
+        Cut.begin_segment(state.cut, state.ended[number])
 
       # One stream's times are far ahead of the others', which keep filling the segment that should have ended.
       number == newest - 1 and bytes >= most + div(most, 4) ->
-        Cut.lower(state.cut, time + 1)
+        Cut.lower_start(state.cut, time + 1)
 
       true ->
         :ok
@@ -116,18 +118,18 @@ defmodule Situ.Store.Pieces do
   def terminate(_reason, state),
     do: Enum.each(state.open, fn {_, open} -> Writer.close(open.writer) end)
 
-  defp oldest(%{open: open}, number) when map_size(open) == 0, do: number
-  defp oldest(%{open: open}, _number), do: open |> Map.keys() |> Enum.min()
+  defp oldest_open(%{open: open}, number) when map_size(open) == 0, do: number
+  defp oldest_open(%{open: open}, _number), do: open |> Map.keys() |> Enum.min()
 
-  defp opened(%{open: open} = state, number, _stream) when is_map_key(open, number),
+  defp ensure_open(%{open: open} = state, number, _stream) when is_map_key(open, number),
     do: {:ok, state}
 
-  defp opened(state, number, stream) do
+  defp ensure_open(state, number, stream) do
     every = if is_integer(state.cut.every), do: state.cut.every
     jump? = every != nil and state.open != %{} and not is_map_key(state.open, number - 1)
 
     with {:ok, writer} <- Writer.create(state.name, state.root, state.opts),
-         {:ok, _} <- Writer.catalog(writer, %{kind: "piece", every: every}) do
+         {:ok, _} <- Writer.append_catalog(writer, %{kind: "piece", every: every}) do
       piece = %{
         writer: writer,
         path: writer.path,
@@ -138,23 +140,26 @@ defmodule Situ.Store.Pieces do
       }
 
       open = state.open |> put_duration(number - 1, every) |> Map.put(number, piece)
-      jumped = if jump? and number > newest(state.open), do: {number, stream}, else: state.jumped
+
+      jumped =
+        if jump? and number > newest_open(state.open), do: {number, stream}, else: state.jumped
+
       {:ok, %{state | open: open, jumped: jumped}}
     end
   end
 
-  defp newest(open), do: open |> Map.keys() |> Enum.max()
+  defp newest_open(open), do: open |> Map.keys() |> Enum.max()
 
   defp put_duration(open, number, every) when is_map_key(open, number),
     do: put_in(open[number].duration, every)
 
   defp put_duration(open, _number, _every), do: open
 
-  defp stream_of(%{streams: streams} = state, number, name, _opts)
+  defp fetch_stream(%{streams: streams} = state, number, name, _opts)
        when is_map_key(streams, {number, name}),
        do: {:ok, streams[{number, name}], state}
 
-  defp stream_of(state, number, name, opts) do
+  defp fetch_stream(state, number, name, opts) do
     with {:ok, stream} <- Writer.stream(state.open[number].writer, name, opts),
          do: {:ok, stream, %{state | streams: Map.put(state.streams, {number, name}, stream)}}
   end
@@ -162,41 +167,47 @@ defmodule Situ.Store.Pieces do
   # Closes all segments except the two newest.
   defp close_old(state) do
     done = state.open |> Map.keys() |> Enum.sort(:desc) |> Enum.drop(2)
-    Enum.reduce(Enum.reverse(done), state, &close_piece/2)
+    Enum.reduce(Enum.reverse(done), state, &close_segment/2)
   end
 
-  defp close_piece(number, state) do
+  defp close_segment(number, state) do
     {%{writer: writer} = piece, open} = Map.pop(state.open, number)
     # A failure here only affects how much of the recording later runs keep.
-    _ = if piece.duration != 0, do: Writer.catalog(writer, %{kind: "piece", full: true})
+    _ = if piece.duration != 0, do: Writer.append_catalog(writer, %{kind: "piece", full: true})
     _ = Writer.close(writer)
 
     piece =
-      piece |> Map.delete(:writer) |> Map.merge(%{ended: now(), size: Folder.size(piece.path)})
+      piece
+      |> Map.delete(:writer)
+      |> Map.merge(%{ended: monotonic_ns(), size: Folder.total_size(piece.path)})
 
     %{
       state
       | open: open,
-        closed: Enum.sort_by([piece | state.closed], &Folder.version(&1.path)),
+        closed: Enum.sort_by([piece | state.closed], &Folder.version_number(&1.path)),
         ended: Map.delete(state.ended, number),
         streams: Map.reject(state.streams, fn {{n, _}, _} -> n == number end)
     }
   end
 
-  defp retain(state) do
+  defp delete_surplus(state) do
     open =
-      for {_, piece} <- Enum.sort_by(state.open, fn {_, piece} -> Folder.version(piece.path) end),
-          do: %{piece | size: Folder.size(piece.path)}
+      for {_, piece} <-
+            Enum.sort_by(state.open, fn {_, piece} -> Folder.version_number(piece.path) end),
+          do: %{piece | size: Folder.total_size(piece.path)}
 
     {surplus, closed} =
-      Enum.split(state.closed, Retention.count_surplus(state.keep, state.closed, open, now()))
+      Enum.split(
+        state.closed,
+        Retention.count_surplus(state.keep, state.closed, open, monotonic_ns())
+      )
 
     # A segment that cannot be deleted because another program is writing it is left to the next run.
     for piece <- surplus, do: Mending.delete(piece.path)
     %{state | closed: closed}
   end
 
-  defp now, do: System.monotonic_time(:nanosecond)
+  defp monotonic_ns, do: System.monotonic_time(:nanosecond)
 
   # Other streams still fill segments before the one that a stream has jumped to, so its clock is probably incorrect.
   # After a gap in all streams, no stream would fill earlier segments.

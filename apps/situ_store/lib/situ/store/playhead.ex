@@ -22,20 +22,20 @@ defmodule Situ.Store.Playhead do
   end
 
   @doc "Returns the version, which changes with every seek."
-  @spec version(t()) :: non_neg_integer()
-  def version(cells), do: :atomics.get(cells, 1)
+  @spec seek_version(t()) :: non_neg_integer()
+  def seek_version(cells), do: :atomics.get(cells, 1)
 
   @doc "Returns the version, time and shift of the latest seek. Waits for a seek in progress."
-  @spec view(t()) :: view()
-  def view(cells) do
-    version = version(cells)
+  @spec read_view(t()) :: view()
+  def read_view(cells) do
+    version = seek_version(cells)
     view = {version, :atomics.get(cells, 2), :atomics.get(cells, 3)}
 
-    if rem(version, 2) == 0 and version(cells) == version do
+    if rem(version, 2) == 0 and seek_version(cells) == version do
       view
     else
       :erlang.yield()
-      view(cells)
+      read_view(cells)
     end
   end
 
@@ -46,10 +46,10 @@ defmodule Situ.Store.Playhead do
   The claim is stored before the version is read again, and a seek reads the claims after it has changed the version. So
   at least one of the two sees the other.
   """
-  @spec claim(t(), Situ.Time.t(), non_neg_integer()) :: boolean()
-  def claim(cells, time, version) do
+  @spec claim_time(t(), Situ.Time.t(), non_neg_integer()) :: boolean()
+  def claim_time(cells, time, version) do
     raise_to(cells, time)
-    version(cells) == version
+    seek_version(cells) == version
   end
 
   defp raise_to(cells, time) do
@@ -64,14 +64,14 @@ defmodule Situ.Store.Playhead do
   Continues at recorded time `time` and returns the corresponding pipeline time. `now` is the clock time. `anew` forces
   a new epoch.
   """
-  @spec seek(t(), Situ.Time.t(), Situ.Time.t(), boolean()) :: Situ.Time.t()
-  def seek(cells, now, time, anew) do
-    version = version(cells)
+  @spec seek_to(t(), Situ.Time.t(), Situ.Time.t(), boolean()) :: Situ.Time.t()
+  def seek_to(cells, now, time, anew) do
+    version = seek_version(cells)
 
     if rem(version, 2) == 1 or
          :atomics.compare_exchange(cells, 1, version, version + 1) != :ok do
       :erlang.yield()
-      seek(cells, now, time, anew)
+      seek_to(cells, now, time, anew)
     else
       shift = :atomics.get(cells, 3)
       reached = max(now, :atomics.get(cells, 4))

@@ -81,7 +81,7 @@ defmodule Situ.Store.Reading do
   @spec open(Path.t(), keyword()) :: {:ok, Handle.t()} | {:error, Error.t()}
   def open(path, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @open_options),
-         {:ok, path, module} <- find(path, opts[:reader]),
+         {:ok, path, module} <- find_recording(path, opts[:reader]),
          {:ok, state} <- module.open(path, reader_opts(module, opts)) do
       {:ok, %Handle{path: path, module: module, state: state}}
     end
@@ -92,7 +92,7 @@ defmodule Situ.Store.Reading do
 
   defp reader_opts(_module, opts), do: opts[:reader_opts]
 
-  defp find(path, reader) do
+  defp find_recording(path, reader) do
     case Formats.for_address(path) do
       nil -> find_here(Path.expand(path), reader)
       module -> {:ok, path, reader || module}
@@ -100,10 +100,10 @@ defmodule Situ.Store.Reading do
   end
 
   defp find_here(path, reader) do
-    folder = Folder.resolve(path)
+    folder = Folder.resolve_store(path)
 
     cond do
-      folder && Folder.store?(folder) -> {:ok, folder, reader || Local}
+      folder && Folder.store_folder?(folder) -> {:ok, folder, reader || Local}
       reader != nil -> {:ok, path, reader}
       File.regular?(path) -> find_reader(path)
       true -> find_folder(path, folder)
@@ -121,14 +121,14 @@ defmodule Situ.Store.Reading do
 
   defp no_store_error(path) do
     case Replacement.find_interrupted(path) do
-      nil -> Failure.error(:no_store, path)
-      folder -> Failure.error(:compaction_interrupted, folder)
+      nil -> Failure.to_error(:no_store, path)
+      folder -> Failure.to_error(:compaction_interrupted, folder)
     end
   end
 
   defp find_reader(path) do
     with nil <- Formats.for_file(path) do
-      known = Formats.all() |> Enum.flat_map(& &1.extensions()) |> Enum.join(", ")
+      known = Formats.list_readers() |> Enum.flat_map(& &1.extensions()) |> Enum.join(", ")
 
       {:error,
        Error.new(:unknown_format, "no reader for #{path}",
@@ -141,7 +141,7 @@ defmodule Situ.Store.Reading do
   end
 
   @spec open!(Path.t(), keyword()) :: Handle.t()
-  def open!(path, opts \\ []), do: ok!(open(path, opts))
+  def open!(path, opts \\ []), do: unwrap!(open(path, opts))
 
   @spec info(Handle.t()) :: map()
   def info(%Handle{} = store), do: store.module.info(store.state)
@@ -161,12 +161,12 @@ defmodule Situ.Store.Reading do
   def stream_info(store, name) when is_binary(name) do
     if function_exported?(store.module, :stream_named, 2),
       do: store.module.stream_named(store.state, name),
-      else: among(streams(store), name, store)
+      else: find_by_name(streams(store), name, store)
   end
 
-  defp among(all, name, store) do
+  defp find_by_name(all, name, store) do
     case Enum.find(all, &(&1.name == name)) do
-      nil -> {:error, Failure.no_stream(name, Enum.map(all, & &1.name), store.path)}
+      nil -> {:error, Failure.no_stream_error(name, Enum.map(all, & &1.name), store.path)}
       info -> {:ok, info}
     end
   end
@@ -182,7 +182,7 @@ defmodule Situ.Store.Reading do
   @spec metadata(Handle.t(), name(), Situ.Type.t()) :: {:ok, term()} | {:error, Error.t()}
   def metadata(store, name, type) do
     with {:ok, term} <- metadata(store, name) do
-      if Situ.Type.valid?(type, term),
+      if Situ.Type.valid_value?(type, term),
         do: {:ok, term},
         else:
           {:error,
@@ -195,15 +195,15 @@ defmodule Situ.Store.Reading do
     do: in_batches(store, name, Options.validate!(opts, @message_options), @batch)
 
   defp in_batches(store, name, opts, size) do
-    info = ok!(stream_info(store, name))
+    info = unwrap!(stream_info(store, name))
     type = if opts[:envelopes], do: nil, else: opts[:type]
-    upgrade = Evolution.upgrade!(info, type)
+    upgrade = Evolution.build_upgrade!(info, type)
     to = opts[:to] || :unbounded
 
     Stream.resource(
       fn -> first_ordinal(store, info, opts) end,
       fn ordinal ->
-        case batch(store, info, ordinal, to, size, opts) do
+        case read_batch(store, info, ordinal, to, size, opts) do
           {:ok, [], _} -> {:halt, ordinal}
           {:ok, messages, next} -> {upgrade.(messages), next}
           {:error, error} -> raise error
@@ -218,13 +218,13 @@ defmodule Situ.Store.Reading do
   def first_ordinal(store, info, opts) do
     cond do
       index = opts[:index] -> if index < 0, do: max(count(store, info) + index, 0), else: index
-      from = opts[:from] -> ok!(seek(store, info, from))
+      from = opts[:from] -> unwrap!(seek_ordinal(store, info, from))
       true -> 0
     end
   end
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 
   @spec read(Handle.t(), name(), keyword()) :: {:ok, [Message.t()]} | {:error, Error.t()}
   def read(store, name, opts \\ []) do
@@ -241,16 +241,16 @@ defmodule Situ.Store.Reading do
   def at(store, name, index, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @at_options),
          {:ok, info} <- stream_info(store, name) do
-      one(store, info, if(index < 0, do: count(store, info) + index, else: index), opts)
+      read_message(store, info, if(index < 0, do: count(store, info) + index, else: index), opts)
     end
   end
 
-  defp one(store, info, ordinal, opts \\ [])
-  defp one(_store, _info, ordinal, _opts) when ordinal < 0, do: {:ok, nil}
+  defp read_message(store, info, ordinal, opts \\ [])
+  defp read_message(_store, _info, ordinal, _opts) when ordinal < 0, do: {:ok, nil}
 
-  defp one(store, info, ordinal, opts) do
+  defp read_message(store, info, ordinal, opts) do
     with {:ok, messages, _} <-
-           batch(store, info, ordinal, :unbounded, 1, [exact: true] ++ opts),
+           read_batch(store, info, ordinal, :unbounded, 1, [exact: true] ++ opts),
          do: {:ok, List.first(messages)}
   end
 
@@ -258,10 +258,10 @@ defmodule Situ.Store.Reading do
   def count(store, %StreamInfo{} = info) do
     if function_exported?(store.module, :count, 2),
       do: store.module.count(store.state, info),
-      else: ok!(stream_info(store, info.name)).count
+      else: unwrap!(stream_info(store, info.name)).count
   end
 
-  def count(store, name), do: ok!(stream_info(store, name)).count
+  def count(store, name), do: unwrap!(stream_info(store, name)).count
 
   @spec count(Handle.t(), name(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
@@ -274,32 +274,32 @@ defmodule Situ.Store.Reading do
   @spec ordinal(Handle.t(), name(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def ordinal(store, name, time) do
-    with {:ok, info} <- stream_info(store, name), do: seek(store, info, time)
+    with {:ok, info} <- stream_info(store, name), do: seek_ordinal(store, info, time)
   end
 
   @spec latest_at(Handle.t(), name(), Situ.Time.t()) ::
           {:ok, Message.t() | nil} | {:error, Error.t()}
   def latest_at(store, name, time) do
     with {:ok, info} <- stream_info(store, name),
-         {:ok, ordinal} <- seek(store, info, time + 1),
-         do: one(store, info, ordinal - 1)
+         {:ok, ordinal} <- seek_ordinal(store, info, time + 1),
+         do: read_message(store, info, ordinal - 1)
   end
 
   @spec first_at(Handle.t(), name(), Situ.Time.t()) ::
           {:ok, Message.t() | nil} | {:error, Error.t()}
   def first_at(store, name, time) do
     with {:ok, info} <- stream_info(store, name),
-         {:ok, ordinal} <- seek(store, info, time),
-         do: one(store, info, ordinal)
+         {:ok, ordinal} <- seek_ordinal(store, info, time),
+         do: read_message(store, info, ordinal)
   end
 
   @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
-  @spec seek(Handle.t(), StreamInfo.t(), Situ.Time.t()) ::
+  @spec seek_ordinal(Handle.t(), StreamInfo.t(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
-  def seek(store, info, time), do: store.module.seek(store.state, info, time)
+  def seek_ordinal(store, info, time), do: store.module.seek(store.state, info, time)
 
   @doc "Reads about `limit` messages from an ordinal on, and returns the next ordinal; see `Situ.Store.Reader`."
-  @spec batch(
+  @spec read_batch(
           Handle.t(),
           StreamInfo.t(),
           non_neg_integer(),
@@ -307,13 +307,13 @@ defmodule Situ.Store.Reading do
           pos_integer(),
           keyword()
         ) :: {:ok, [Message.t()], non_neg_integer()} | {:error, Error.t()}
-  def batch(store, info, ordinal, to, limit, opts),
+  def read_batch(store, info, ordinal, to, limit, opts),
     do: store.module.read(store.state, info, ordinal, to, limit, opts)
 
   @spec gaps(Handle.t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
   def gaps(store, name, least) do
     if function_exported?(store.module, :gaps, 3),
-      do: store.module.gaps(store.state, ok!(stream_info(store, name)), least),
+      do: store.module.gaps(store.state, unwrap!(stream_info(store, name)), least),
       else: []
   end
 
@@ -336,13 +336,13 @@ defmodule Situ.Store.Reading do
 
   @spec interval(Handle.t() | [StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
   def interval(%Handle{} = store), do: store |> streams() |> interval()
-  def interval(streams), do: span(streams, & &1.first, & &1.last)
+  def interval(streams), do: time_span(streams, & &1.first, & &1.last)
 
   @spec creation_interval(Handle.t()) :: {Situ.Time.t(), Situ.Time.t()} | nil
   def creation_interval(store),
-    do: store |> streams() |> span(& &1.first_creation, & &1.last_creation)
+    do: store |> streams() |> time_span(& &1.first_creation, & &1.last_creation)
 
-  defp span(streams, first, last) do
+  defp time_span(streams, first, last) do
     case Enum.filter(streams, & &1.first) do
       [] -> nil
       some -> {some |> Enum.map(first) |> Enum.min(), some |> Enum.map(last) |> Enum.max()}

@@ -2,7 +2,7 @@ defmodule Situ.Store.Replacement do
   @moduledoc false
   # Replaces a store with another. The two folders exchange their names in one step if the file system supports it. On
   # other file systems, such as some network file systems, the old store is briefly named NAME.before-compaction and no
-  # store has its name. If a program was killed at that point, `find_interrupted/1` finds the store and `restore/1`
+  # store has its name. If a program was killed at that point, `find_interrupted/1` finds the store and `restore_name/1`
   # repairs it.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, Failure, Folder, Native}
@@ -12,11 +12,11 @@ defmodule Situ.Store.Replacement do
   @compacted ".compacted"
 
   @doc "Replaces the store `folder` with `fresh`, which must be complete and on disk. Keeps its name and mode."
-  @spec put(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def put(fresh, folder) do
+  @spec replace_store(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def replace_store(fresh, folder) do
     with :ok <- Folder.keep_mode(fresh, folder),
-         {:ok, old} <- exchange(fresh, folder),
-         :ok <- Folder.remove(old) do
+         {:ok, old} <- exchange_folders(fresh, folder),
+         :ok <- Folder.remove_store(old) do
       keep_others(old, folder)
       {:ok, folder}
     end
@@ -33,7 +33,7 @@ defmodule Situ.Store.Replacement do
     end
   end
 
-  defp exchange(fresh, folder) do
+  defp exchange_folders(fresh, folder) do
     case Native.rename_exchange(fresh, folder) do
       :ok ->
         AtomicFile.sync_folder(Path.dirname(folder))
@@ -43,15 +43,15 @@ defmodule Situ.Store.Replacement do
         rename_both(fresh, folder)
 
       {:error, reason} ->
-        {:error, Failure.error(reason, folder)}
+        {:error, Failure.to_error(reason, folder)}
     end
   end
 
   @doc "Replaces `folder` with two renames, for file systems without an exchange. Returns the old store's new path."
   @spec rename_both(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def rename_both(fresh, folder) do
-    with :ok <- AtomicFile.rename(folder, folder <> @before),
-         :ok <- AtomicFile.rename(fresh, folder) do
+    with :ok <- AtomicFile.rename_synced(folder, folder <> @before),
+         :ok <- AtomicFile.rename_synced(fresh, folder) do
       {:ok, folder <> @before}
     else
       {:error, reason} ->
@@ -63,17 +63,17 @@ defmodule Situ.Store.Replacement do
   @doc "Returns the store whose replacement was interrupted, by its original name: `path` or its newest version."
   @spec find_interrupted(Path.t()) :: Path.t() | nil
   def find_interrupted(path) do
-    [path | versions(Path.dirname(path), Path.basename(path))]
+    [path | interrupted_versions(Path.dirname(path), Path.basename(path))]
     |> Enum.find(&(File.dir?(&1 <> @before) and not File.exists?(&1)))
   end
 
-  defp versions(root, name) do
+  defp interrupted_versions(root, name) do
     case File.ls(root) do
       {:ok, entries} ->
         for entry <- Enum.sort(entries, :desc),
             String.ends_with?(entry, @before),
             version = String.replace_suffix(entry, @before, ""),
-            Folder.version(version) != nil and Folder.name(version) == name,
+            Folder.version_number(version) != nil and Folder.store_name(version) == name,
             do: Path.join(root, version)
 
       {:error, _} ->
@@ -82,12 +82,12 @@ defmodule Situ.Store.Replacement do
   end
 
   @doc "Restores the store's original name."
-  @spec restore(Path.t()) :: :ok | {:error, Error.t()}
-  def restore(folder) do
-    case AtomicFile.rename(folder <> @before, folder) do
+  @spec restore_name(Path.t()) :: :ok | {:error, Error.t()}
+  def restore_name(folder) do
+    case AtomicFile.rename_synced(folder <> @before, folder) do
       :ok ->
         # An earlier release left this copy of the store, which may be incomplete.
-        _ = if File.dir?(folder <> @compacted), do: Folder.remove(folder <> @compacted)
+        _ = if File.dir?(folder <> @compacted), do: Folder.remove_store(folder <> @compacted)
         :ok
 
       {:error, reason} ->

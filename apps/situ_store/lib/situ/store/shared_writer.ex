@@ -11,12 +11,12 @@ defmodule Situ.Store.SharedWriter do
   def new(writer), do: %__MODULE__{writer: writer, users: :atomics.new(1, signed: true)}
 
   @doc "Adds a component that writes to the store."
-  @spec join(t()) :: :ok
-  def join(shared), do: :atomics.add(shared.users, 1, 1)
+  @spec add_user(t()) :: :ok
+  def add_user(shared), do: :atomics.add(shared.users, 1, 1)
 
   @doc "Removes a component that has ended, and closes the store after the last one."
-  @spec leave(t()) :: :ok
-  def leave(shared) do
+  @spec remove_user(t()) :: :ok
+  def remove_user(shared) do
     if :atomics.sub_get(shared.users, 1, 1) == 0, do: close(shared), else: :ok
   end
 

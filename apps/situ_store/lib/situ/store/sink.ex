@@ -62,19 +62,23 @@ defmodule Situ.Store.Sink do
   @impl true
   def handle_messages(:in, messages, _context, %{pieces: {_, cut, _, _}} = state) do
     messages
-    |> Enum.map(&{Cut.number(cut, &1.originating_time), &1})
+    |> Enum.map(&{Cut.segment_number(cut, &1.originating_time), &1})
     |> Enum.chunk_by(&elem(&1, 0))
     |> Enum.reduce({[], state}, fn [{number, _} | _] = part, {[], state} ->
       part = Enum.map(part, &elem(&1, 1))
-      take(part, if(number == state.piece, do: state, else: enter(flush(state), number)))
+
+      buffer_messages(
+        part,
+        if(number == state.piece, do: state, else: enter_segment(flush_pending(state), number))
+      )
     end)
   end
 
-  def handle_messages(:in, messages, _context, state), do: take(messages, state)
+  def handle_messages(:in, messages, _context, state), do: buffer_messages(messages, state)
 
   # Selects the segment for these times, or the oldest open segment if the other streams are far ahead.
-  defp enter(%{pieces: {pieces, _cut, name, opts}} = state, number) do
-    case Pieces.stream(pieces, number, name, opts) do
+  defp enter_segment(%{pieces: {pieces, _cut, name, opts}} = state, number) do
+    case Pieces.open_stream(pieces, number, name, opts) do
       {:ok, real, stream} ->
         # Keep the stream's noted codecs and fields: late messages make it return to a previous segment.
         stream = Map.get(state.held, real, stream)
@@ -86,78 +90,79 @@ defmodule Situ.Store.Sink do
     end
   end
 
-  defp take(messages, state) do
+  defp buffer_messages(messages, state) do
     messages = if state.envelopes, do: Enum.map(messages, &%{&1 | data: nil}), else: messages
-    {count, bytes, plain} = weigh(messages, state.count, state.bytes, state.plain)
+    {count, bytes, plain} = measure_messages(messages, state.count, state.bytes, state.plain)
     pending = [messages | state.pending]
     state = %{state | pending: pending, count: count, bytes: bytes, plain: plain}
 
     cond do
-      state.eager or count >= @most or bytes >= @bytes -> {[], flush(state)}
+      state.eager or count >= @most or bytes >= @bytes -> {[], flush_pending(state)}
       state.timer == nil -> {[], %{state | timer: Process.send_after(self(), :flush, @flush_ms)}}
       true -> {[], state}
     end
   end
 
   # Images and audio count with their payload size, so that they do not accumulate here. A struct may have a codec.
-  defp weigh([%{data: data} | rest], count, bytes, plain) when is_number(data),
-    do: weigh(rest, count + 1, bytes + 8, plain)
+  defp measure_messages([%{data: data} | rest], count, bytes, plain) when is_number(data),
+    do: measure_messages(rest, count + 1, bytes + 8, plain)
 
-  defp weigh([%{data: data} | rest], count, bytes, plain) when is_binary(data),
-    do: weigh(rest, count + 1, bytes + byte_size(data), plain)
+  defp measure_messages([%{data: data} | rest], count, bytes, plain) when is_binary(data),
+    do: measure_messages(rest, count + 1, bytes + byte_size(data), plain)
 
-  defp weigh([%{data: %_{data: data}} | rest], count, bytes, _plain) when is_binary(data),
-    do: weigh(rest, count + 1, bytes + byte_size(data), false)
+  defp measure_messages([%{data: %_{data: data}} | rest], count, bytes, _plain)
+       when is_binary(data),
+       do: measure_messages(rest, count + 1, bytes + byte_size(data), false)
 
-  defp weigh([%{data: data} | rest], count, bytes, plain),
-    do: weigh(rest, count + 1, bytes + 64, plain and not is_struct(data))
+  defp measure_messages([%{data: data} | rest], count, bytes, plain),
+    do: measure_messages(rest, count + 1, bytes + 64, plain and not is_struct(data))
 
-  defp weigh([], count, bytes, plain), do: {count, bytes, plain}
+  defp measure_messages([], count, bytes, plain), do: {count, bytes, plain}
 
   @impl true
-  def handle_info(:flush, _context, state), do: {[], flush(%{state | timer: nil})}
+  def handle_info(:flush, _context, state), do: {[], flush_pending(%{state | timer: nil})}
   def handle_info(_, _context, state), do: {[], state}
 
   @impl true
   def handle_closed(:in, time, _context, state) do
-    state = flush(state)
+    state = flush_pending(state)
 
     # In a segmented recording, only the last segment's stream is closed. It is nil if there were no messages.
-    if state.stream, do: ok!(Writer.close_stream(state.stream, time))
+    if state.stream, do: unwrap!(Writer.close_stream(state.stream, time))
     {[], state}
   end
 
   @impl true
   def terminate(_reason, state) do
     # After an error, earlier deliveries are still worth keeping. A second error would hide the first one.
-    _ = if state.pending != [], do: append(state)
-    if state.shared, do: SharedWriter.leave(state.shared), else: :ok
+    _ = if state.pending != [], do: append_pending(state)
+    if state.shared, do: SharedWriter.remove_user(state.shared), else: :ok
   end
 
   @impl true
   def describe(%{pieces: {_, _, name, _}}), do: "writes #{name} in segments"
   def describe(state), do: "writes #{state.stream.name} to #{state.shared.writer.path}"
 
-  defp flush(%{pending: []} = state), do: state
+  defp flush_pending(%{pending: []} = state), do: state
 
-  defp flush(state) do
-    {state, stream} = appended(state, append(state))
+  defp flush_pending(state) do
+    {state, stream} = finish_append(state, append_pending(state))
     _ = state.timer && Process.cancel_timer(state.timer)
     %{state | stream: stream, pending: [], count: 0, bytes: 0, plain: true, timer: nil}
   end
 
   # If the segment was closed in the meantime, pending messages go into the oldest open segment.
-  defp appended(%{pieces: {_, _, _, _}} = state, {:error, %{code: :closed}}) do
-    state = enter(%{state | held: %{}}, state.piece)
-    remember(state, ok!(append(state)))
+  defp finish_append(%{pieces: {_, _, _, _}} = state, {:error, %{code: :closed}}) do
+    state = enter_segment(%{state | held: %{}}, state.piece)
+    put_stream(state, unwrap!(append_pending(state)))
   end
 
-  defp appended(state, result), do: remember(state, ok!(result))
+  defp finish_append(state, result), do: put_stream(state, unwrap!(result))
 
-  defp remember(%{pieces: nil} = state, stream), do: {state, stream}
+  defp put_stream(%{pieces: nil} = state, stream), do: {state, stream}
 
-  defp remember(%{pieces: {pieces, cut, _, _}} = state, stream) do
-    Pieces.appended(pieces, cut, state.piece, latest(state.pending))
+  defp put_stream(%{pieces: {pieces, cut, _, _}} = state, stream) do
+    Pieces.report_append(pieces, cut, state.piece, latest_time(state.pending))
 
     held =
       Map.new(state.held, fn {n, s} -> {n, if(s.writer == stream.writer, do: stream, else: s)} end)
@@ -166,14 +171,14 @@ defmodule Situ.Store.Sink do
   end
 
   # Batches are sorted newest first.
-  defp latest([batch | _]), do: List.last(batch).originating_time
+  defp latest_time([batch | _]), do: List.last(batch).originating_time
 
-  defp append(%{plain: true} = state),
+  defp append_pending(%{plain: true} = state),
     do: Writer.append_plain(state.stream, Enum.reverse(state.pending))
 
-  defp append(state),
+  defp append_pending(state),
     do: Writer.append(state.stream, state.pending |> Enum.reverse() |> Enum.concat())
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -49,7 +49,7 @@ defmodule Situ.Store.Source do
     state = %__MODULE__{
       importer: opts[:importer],
       info: info,
-      upgrade: Evolution.upgrade!(info, opts[:type]),
+      upgrade: Evolution.build_upgrade!(info, opts[:type]),
       live: opts[:live],
       to: opts[:to]
     }
@@ -61,10 +61,10 @@ defmodule Situ.Store.Source do
   def handle_start(context, state) do
     # If the requested end is before the first message, the replay ends at its start.
     replay_end = if context.replay_end == :infinity, do: :unbounded, else: context.replay_end
-    replay_end = earlier(replay_end, if(state.to != :unbounded, do: state.to))
+    replay_end = min_time(replay_end, if(state.to != :unbounded, do: state.to))
     from = if state.live, do: nil, else: context.start_time
-    to = if state.importer.period, do: replay_end, else: earlier(replay_end, state.info.closed)
-    {:ok, ordinal} = if from, do: seek(state, from), else: {:ok, 0}
+    to = if state.importer.period, do: replay_end, else: min_time(replay_end, state.info.closed)
+    {:ok, ordinal} = if from, do: seek_ordinal(state, from), else: {:ok, 0}
 
     # While a store is being written, its end is determined by the writer. A loop ends only with the replay, and a
     # player waits at its end instead of ending.
@@ -74,39 +74,41 @@ defmodule Situ.Store.Source do
     {actions, %{state | from: from, to: to, ordinal: ordinal, last: from || context.start_time}}
   end
 
-  defp earlier(:unbounded, nil), do: :unbounded
-  defp earlier(:unbounded, closed), do: closed
-  defp earlier(to, nil), do: to
-  defp earlier(to, closed), do: min(to, closed)
+  defp min_time(:unbounded, nil), do: :unbounded
+  defp min_time(:unbounded, closed), do: closed
+  defp min_time(to, nil), do: to
+  defp min_time(to, closed), do: min(to, closed)
 
-  defp seek(%{info: %{id: -1}}, _time), do: {:ok, 0}
+  defp seek_ordinal(%{info: %{id: -1}}, _time), do: {:ok, 0}
 
-  defp seek(state, time), do: Reading.seek(state.importer.store, state.info, time)
+  defp seek_ordinal(state, time), do: Reading.seek_ordinal(state.importer.store, state.info, time)
 
   @impl true
   def handle_demand(_n, _context, %{phase: :done} = state), do: {[], state}
 
   def handle_demand(n, context, state) do
-    state = sought(state)
+    state = follow_seek(state)
 
     {actions, next} =
       case state.buffer do
-        {[], 0} -> load(n, context, state)
-        _ -> emit(n, state)
+        {[], 0} -> load_batch(n, context, state)
+        _ -> emit_buffered(n, state)
       end
 
-    if Playhead.claim(state.importer.head, next.last, state.version),
+    if Playhead.claim_time(state.importer.head, next.last, state.version),
       do: {actions, next},
       else: handle_demand(n, context, state)
   end
 
   # Applies a seek of the importer. Within the epoch it only skips messages; a new epoch may start anywhere.
-  defp sought(%{importer: %{head: head}, version: version} = state) do
-    if Playhead.version(head) == version, do: state, else: sought(state, Playhead.view(head))
+  defp follow_seek(%{importer: %{head: head}, version: version} = state) do
+    if Playhead.seek_version(head) == version,
+      do: state,
+      else: apply_seek(state, Playhead.read_view(head))
   end
 
-  defp sought(state, {version, time, shift}) do
-    {:ok, ordinal} = seek(state, later(time, state.from))
+  defp apply_seek(state, {version, time, shift}) do
+    {:ok, ordinal} = seek_ordinal(state, max_time(time, state.from))
     state = %{state | version: version}
 
     cond do
@@ -123,28 +125,28 @@ defmodule Situ.Store.Source do
     end
   end
 
-  defp later(time, nil), do: time
-  defp later(time, from), do: max(time, from)
+  defp max_time(time, nil), do: time
+  defp max_time(time, from), do: max(time, from)
 
-  defp emit(n, %{buffer: {messages, count}} = state) when n >= count,
-    do: sent(shifted(messages, state.shift), %{state | buffer: {[], 0}})
+  defp emit_buffered(n, %{buffer: {messages, count}} = state) when n >= count,
+    do: emit_messages(shift_times(messages, state.shift), %{state | buffer: {[], 0}})
 
-  defp emit(n, %{buffer: {messages, count}} = state) do
+  defp emit_buffered(n, %{buffer: {messages, count}} = state) do
     {now, later} = Enum.split(messages, n)
-    sent(shifted(now, state.shift), %{state | buffer: {later, count - n}})
+    emit_messages(shift_times(now, state.shift), %{state | buffer: {later, count - n}})
   end
 
-  defp sent([], state), do: {[], state}
+  defp emit_messages([], state), do: {[], state}
 
-  defp sent(messages, state) do
+  defp emit_messages(messages, state) do
     last = List.last(messages)
     envelope = {last.sequence_id, last.creation_time}
     {[{:out, messages}], %{state | last: last.originating_time, sent: envelope}}
   end
 
-  defp shifted(messages, 0), do: messages
+  defp shift_times(messages, 0), do: messages
 
-  defp shifted(messages, shift) do
+  defp shift_times(messages, shift) do
     for message <- messages do
       %{
         message
@@ -154,57 +156,61 @@ defmodule Situ.Store.Source do
     end
   end
 
-  defp load(n, context, %{info: %{id: -1}} = state), do: finish(n, context, state)
+  defp load_batch(n, context, %{info: %{id: -1}} = state), do: handle_end(n, context, state)
 
-  defp load(n, context, state) do
+  defp load_batch(n, context, state) do
     %{store: store, skip_damage: skip?} = state.importer
 
-    case Reading.batch(store, state.info, state.ordinal, before(state), 512, skip_damage: skip?) do
+    case Reading.read_batch(store, state.info, state.ordinal, read_limit(state), 512,
+           skip_damage: skip?
+         ) do
       {:ok, [], _} ->
-        finish(n, context, state)
+        handle_end(n, context, state)
 
       {:ok, messages, next} ->
-        {messages, envelope} = messages |> state.upgrade.() |> Envelopes.forward(state.envelope)
+        {messages, envelope} =
+          messages |> state.upgrade.() |> Envelopes.make_monotonic(state.envelope)
+
         state = %{state | envelope: envelope, ordinal: next}
-        emit(n, %{state | buffer: {messages, length(messages)}})
+        emit_buffered(n, %{state | buffer: {messages, length(messages)}})
 
       {:error, error} ->
         raise error
     end
   end
 
-  defp finish(_n, _context, %{live: true} = state), do: follow(state)
+  defp handle_end(_n, _context, %{live: true} = state), do: await_writer(state)
 
-  defp finish(n, context, %{importer: %{period: period}, info: %{count: count}} = state)
+  defp handle_end(n, context, %{importer: %{period: period}, info: %{count: count}} = state)
        when period != nil and count > 0 do
-    {:ok, ordinal} = seek(state, state.from)
+    {:ok, ordinal} = seek_ordinal(state, state.from)
     {sequence, creation} = state.envelope
     envelope = {sequence, creation - period}
     again = %{state | ordinal: ordinal, shift: state.shift + period, envelope: envelope}
-    over? = is_integer(before(again)) and before(again) < state.info.first
+    over? = is_integer(read_limit(again)) and read_limit(again) < state.info.first
 
-    if ordinal < count and not over?, do: load(n, context, again), else: close(state)
+    if ordinal < count and not over?, do: load_batch(n, context, again), else: close_output(state)
   end
 
   # A player at its end detects a seek by the clock's jump.
-  defp finish(_n, context, %{importer: %{keep_open: true}} = state) do
-    if state.phase != :listening, do: Clock.listen(Pipeline.clock(context.pipeline))
+  defp handle_end(_n, context, %{importer: %{keep_open: true}} = state) do
+    if state.phase != :listening, do: Clock.subscribe(Pipeline.clock(context.pipeline))
     {[], %{state | phase: :listening}}
   end
 
-  defp finish(_n, _context, state), do: close(state)
+  defp handle_end(_n, _context, state), do: close_output(state)
 
-  defp close(state), do: {[{:close, :out, state.last}], %{state | phase: :done}}
+  defp close_output(state), do: {[{:close, :out, state.last}], %{state | phase: :done}}
 
   # Returns the replay's end in recorded time. A loop continues until the pipeline's end time.
-  defp before(%{to: to, importer: %{period: period}} = state)
+  defp read_limit(%{to: to, importer: %{period: period}} = state)
        when is_integer(to) and period != nil,
        do: to - state.shift
 
-  defp before(%{to: to}), do: to
+  defp read_limit(%{to: to}), do: to
 
   # There are no more messages for now, so wait for a notification of the writer.
-  defp follow(state) do
+  defp await_writer(state) do
     Reading.notify(state.importer.store, state.known, @tag)
     {[], state}
   end
@@ -217,7 +223,7 @@ defmodule Situ.Store.Source do
     # The writer is gone. Its last catalog records, which may include the close, decide where the stream ends.
     info = Enum.find(Reading.streams(state.importer.store), state.info, &(&1.id == state.info.id))
 
-    {[], %{state | known: n, live: false, to: earlier(state.to, info.closed)}}
+    {[], %{state | known: n, live: false, to: min_time(state.to, info.closed)}}
   end
 
   def handle_info(_, _context, state), do: {[], state}

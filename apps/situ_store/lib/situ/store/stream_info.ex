@@ -42,11 +42,11 @@ defmodule Situ.Store.StreamInfo do
   @type t :: %__MODULE__{}
 
   @doc "Returns messages per second over the recorded time span, or `nil` for fewer than two messages."
-  @spec rate(t()) :: float() | nil
-  def rate(%{count: count, first: first, last: last}) when count > 1 and last > first,
+  @spec message_rate(t()) :: float() | nil
+  def message_rate(%{count: count, first: first, last: last}) when count > 1 and last > first,
     do: (count - 1) * 1.0e9 / (last - first)
 
-  def rate(_), do: nil
+  def message_rate(_), do: nil
 
   @doc "Returns the average payload size, or `nil`."
   @spec average_size(t()) :: float() | nil

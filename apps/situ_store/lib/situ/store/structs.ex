@@ -6,20 +6,20 @@ defmodule Situ.Store.Structs do
   alias Situ.KnownModules
 
   @doc "Loads the modules of these names that exist in this system. Returns whether there are any."
-  @spec load([String.t()]) :: boolean()
-  def load(names), do: names |> Enum.map(&find/1) |> Enum.any?()
+  @spec load_modules([String.t()]) :: boolean()
+  def load_modules(names), do: names |> Enum.map(&find_module/1) |> Enum.any?()
 
-  defp find("Elixir." <> _ = name),
-    do: with({:ok, module} <- KnownModules.fetch(name), do: module, else: (:error -> nil))
+  defp find_module("Elixir." <> _ = name),
+    do: with({:ok, module} <- KnownModules.fetch_module(name), do: module, else: (:error -> nil))
 
-  defp find(_name), do: nil
+  defp find_module(_name), do: nil
 
   @doc "Loads all modules of the applications of these structs. Returns whether any had not been loaded before."
-  @spec load_all([String.t()]) :: boolean()
-  def load_all(names) do
+  @spec load_applications([String.t()]) :: boolean()
+  def load_applications(names) do
     apps =
       for name <- names,
-          module = find(name),
+          module = find_module(name),
           app = Application.get_application(module),
           uniq: true,
           do: app

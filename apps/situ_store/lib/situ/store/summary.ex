@@ -3,7 +3,7 @@ defmodule Situ.Store.Summary do
   Summarizes a stream for a timeline, over any time span and within milliseconds, regardless of the stream's length.
 
     * `read/6`: all drawable data of a stream of any type
-    * `numbers/5`: the signal of numbers and of audio
+    * `read_numbers/5`: the signal of numbers and of audio
 
   Time is divided into bins whose width is a power of two nanoseconds, at most `(to - from) / pixels`. Bins start at
   multiples of their width, so panning reuses them. Bins are always complete, so the first and the last may extend past
@@ -96,15 +96,15 @@ defmodule Situ.Store.Summary do
     with {:ok, opts} <- Options.validate(opts, @options),
          {:ok, info} <- Reading.stream_info(store, name),
          level = Native.summary_level(from, to, pixels),
-         {:ok, counts, tracks} <- tracks(store, info, from, to, level, opts[:changes]) do
+         {:ok, counts, tracks} <- read_tracks(store, info, from, to, level, opts[:changes]) do
       {:ok, %__MODULE__{width: Bitwise.bsl(1, level), counts: counts, tracks: tracks}}
     end
   end
 
-  defp tracks(store, info, from, to, level, changes) do
+  defp read_tracks(store, info, from, to, level, changes) do
     if function_exported?(store.module, :tracks, 6),
       do: store.module.tracks(store.state, info, from, to, level, changes),
-      else: Fold.tracks(store, info, from, to, level, changes)
+      else: Fold.fold_tracks(store, info, from, to, level, changes)
   end
 
   @doc """
@@ -112,14 +112,14 @@ defmodule Situ.Store.Summary do
   `{start, min, max, last, count}`. Booleans are 0 and 1, and integers are returned as floats. The bins of audio are
   computed from its samples.
   """
-  @spec numbers(Handle.t(), Reading.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+  @spec read_numbers(Handle.t(), Reading.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, width :: pos_integer(), [bin()]} | {:error, Error.t()}
-  def numbers(store, name, from, to, pixels)
+  def read_numbers(store, name, from, to, pixels)
       when is_integer(from) and is_integer(to) and is_integer(pixels) and pixels > 0 do
     with {:ok, %StreamInfo{} = info} <- Reading.stream_info(store, name) do
       if function_exported?(store.module, :summary, 5),
         do: store.module.summary(store.state, info, from, to, pixels),
-        else: Fold.numbers(store, info, from, to, Native.summary_level(from, to, pixels))
+        else: Fold.fold_numbers(store, info, from, to, Native.summary_level(from, to, pixels))
     end
   end
 end

@@ -8,7 +8,7 @@ defmodule Situ.Store.Terms do
   def decode(bytes) do
     case Native.term_decode(bytes) do
       {:ok, term} -> {:ok, term}
-      {:unknown, modules, term} -> {:ok, known(modules, bytes, term)}
+      {:unknown, modules, term} -> {:ok, resolve_structs(modules, bytes, term)}
       {:undecodable, reason} -> {:error, reason}
     end
   end
@@ -17,21 +17,26 @@ defmodule Situ.Store.Terms do
   Resolves structs of modules that were not loaded: decodes the term again if modules could be loaded, or else returns
   it unchanged.
   """
-  @spec known([String.t()], binary(), term()) :: term()
-  def known(modules, bytes, term) do
-    if Structs.load(modules), do: once_more(bytes, term), else: term
+  @spec resolve_structs([String.t()], binary(), term()) :: term()
+  def resolve_structs(modules, bytes, term) do
+    if Structs.load_modules(modules), do: decode_again(bytes, term), else: term
   end
 
   # Values may be atoms of other modules of the same applications.
-  defp once_more(bytes, term) do
+  defp decode_again(bytes, term) do
     case Native.term_decode(bytes) do
-      {:ok, better} -> better
-      {:unknown, modules, better} -> if Structs.load_all(modules), do: last(bytes), else: better
-      {:undecodable, _} -> term
+      {:ok, better} ->
+        better
+
+      {:unknown, modules, better} ->
+        if Structs.load_applications(modules), do: decode_partly(bytes), else: better
+
+      {:undecodable, _} ->
+        term
     end
   end
 
-  defp last(bytes) do
+  defp decode_partly(bytes) do
     case Native.term_decode(bytes) do
       {:ok, term} -> term
       {:unknown, _, term} -> term

@@ -17,42 +17,44 @@ defmodule Situ.Store.Transfer do
   @doc """
   Creates the new stream, described by `info`, for the messages of `sources`. Calls `told.(n)` for every `n` messages.
   """
-  @spec open(Writer.t(), StreamInfo.t(), [source()], keyword(), (pos_integer() -> any())) ::
+  @spec open_stream(Writer.t(), StreamInfo.t(), [source()], keyword(), (pos_integer() -> any())) ::
           {:ok, t()} | {:error, Error.t()}
-  def open(writer, info, sources, opts, told) do
+  def open_stream(writer, info, sources, opts, told) do
     record = %{
-      type: type(info, sources),
+      type: stored_type(info, sources),
       opened: info.opened || Situ.Time.now(),
       large: info.large?,
       compression: opts[:compression] || info.compression
     }
 
-    with {:ok, stream} <- Writer.add(writer, info.name, record) do
+    with {:ok, stream} <- Writer.add_recorded_stream(writer, info.name, record) do
       transfer = %__MODULE__{
         stream: stream,
-        raw?: Enum.all?(sources, &raw?/1),
+        raw?: Enum.all?(sources, &raw_copy?/1),
         numbers: %{},
         skip_damage: Keyword.get(opts, :skip_damage, true),
         told: told
       }
 
-      note(transfer, Enum.map(sources, &elem(&1, 1)))
+      write_catalog(transfer, Enum.map(sources, &elem(&1, 1)))
     end
   end
 
-  defp type(info, [{%{module: Local}, _} | _]), do: info.type_name
-  defp type(info, _), do: TypeName.write(info.type)
+  defp stored_type(info, [{%{module: Local}, _} | _]), do: info.type_name
+  defp stored_type(info, _), do: TypeName.format_type(info.type)
 
-  defp raw?({%{module: Local}, info}),
+  defp raw_copy?({%{module: Local}, info}),
     do:
-      not Enum.any?(info.codecs, fn {_, {name, module}} -> signal?(Codecs.find(name, module)) end)
+      not Enum.any?(info.codecs, fn {_, {name, module}} ->
+        signal_codec?(Codecs.find_module(name, module))
+      end)
 
-  defp raw?(_foreign), do: false
+  defp raw_copy?(_foreign), do: false
 
-  defp signal?(module), do: module != nil and function_exported?(module, :points, 2)
+  defp signal_codec?(module), do: module != nil and function_exported?(module, :points, 2)
 
   # Writes the remaining catalog records about the stream.
-  defp note(transfer, infos) do
+  defp write_catalog(transfer, infos) do
     with :ok <- note_metadata(transfer, Enum.find_value(infos, & &1.supplemental)) do
       if transfer.raw?, do: note_payload(transfer, infos), else: {:ok, transfer}
     end
@@ -62,7 +64,7 @@ defmodule Situ.Store.Transfer do
 
   defp note_metadata(transfer, {type, bytes}) do
     record = %{kind: "metadata", type: type, term: Base.encode64(bytes)}
-    with {:ok, _} <- record(transfer, record), do: :ok
+    with {:ok, _} <- write_record(transfer, record), do: :ok
   end
 
   defp note_payload(transfer, infos) do
@@ -74,13 +76,14 @@ defmodule Situ.Store.Transfer do
 
     records = for({{name, module}, n} <- codecs, do: codec_record(name, module, n)) ++ fields
 
-    modules = for {{name, module}, n} <- codecs, found = Codecs.find(name, module), do: {found, n}
+    modules =
+      for {{name, module}, n} <- codecs, found = Codecs.find_module(name, module), do: {found, n}
 
     stream = %{transfer.stream | codecs: Map.new(modules), fields: shaped && shaped.fields}
 
     Enum.reduce_while(records, {:ok, %{transfer | stream: stream, numbers: Map.new(codecs)}}, fn
       record, ok ->
-        case record(transfer, record) do
+        case write_record(transfer, record) do
           {:ok, _} -> {:cont, ok}
           error -> {:halt, error}
         end
@@ -90,31 +93,36 @@ defmodule Situ.Store.Transfer do
   defp codec_record(name, nil, n), do: %{kind: "codec", number: n, name: name}
   defp codec_record(name, module, n), do: %{kind: "codec", number: n, name: name, module: module}
 
-  defp record(%{stream: stream}, record),
-    do: Writer.catalog(stream.writer, Map.put(record, :id, stream.id))
+  defp write_record(%{stream: stream}, record),
+    do: Writer.append_catalog(stream.writer, Map.put(record, :id, stream.id))
 
   @doc "Copies a source's messages from an ordinal on, up to time `to`, and returns the next ordinal."
-  @spec take(t(), source(), non_neg_integer(), Situ.Time.t() | :unbounded) ::
+  @spec transfer_messages(t(), source(), non_neg_integer(), Situ.Time.t() | :unbounded) ::
           {:ok, t(), non_neg_integer()} | {:error, Error.t()}
-  def take(%__MODULE__{raw?: false} = transfer, {store, info}, ordinal, to) do
+  def transfer_messages(%__MODULE__{raw?: false} = transfer, {store, info}, ordinal, to) do
     store
     |> Reading.messages(info, index: ordinal, to: to, skip_damage: transfer.skip_damage)
     |> Stream.chunk_every(1_000)
     |> Enum.reduce_while({:ok, transfer}, fn batch, {:ok, transfer} ->
-      case append(transfer, batch) do
+      case append_messages(transfer, batch) do
         {:ok, _} = ok -> {:cont, ok}
         error -> {:halt, error}
       end
     end)
     |> case do
-      {:ok, transfer} -> behind(transfer, store, info, to)
+      {:ok, transfer} -> next_ordinal(transfer, store, info, to)
       error -> error
     end
   rescue
     error in Error -> {:error, error}
   end
 
-  def take(%__MODULE__{stream: stream} = transfer, {store, info} = source, ordinal, to) do
+  def transfer_messages(
+        %__MODULE__{stream: stream} = transfer,
+        {store, info} = source,
+        ordinal,
+        to
+      ) do
     numbers = for {number, codec} <- info.codecs, do: {number, transfer.numbers[codec]}
     target = {stream.id, numbers}
 
@@ -122,7 +130,7 @@ defmodule Situ.Store.Transfer do
            store.state.ref,
            info.id,
            ordinal,
-           Local.clamp(to),
+           Local.clamp_time(to),
            @part_bytes,
            stream.writer.ref,
            target
@@ -132,48 +140,48 @@ defmodule Situ.Store.Transfer do
 
       {:ok, {n, next}} ->
         transfer.told.(n)
-        take(transfer, source, next, to)
+        transfer_messages(transfer, source, next, to)
 
       {:error, reason} ->
-        failed(reason, transfer, source, ordinal, to)
+        handle_failure(reason, transfer, source, ordinal, to)
     end
   end
 
-  @doc "Returns whether `take_together/2` supports this store."
+  @doc "Returns whether `transfer_together/2` supports this store."
   @spec one_pass?(Handle.t()) :: boolean()
   def one_pass?(store), do: function_exported?(store.module, :append_streams, 4)
 
   @doc "Copies the messages in an interval of several streams of one store."
-  @spec take_together([{t(), source()}], {Situ.Time.t(), Situ.Time.t()}) ::
+  @spec transfer_together([{t(), source()}], {Situ.Time.t(), Situ.Time.t()}) ::
           :ok | {:error, Error.t()}
-  def take_together([{%{told: told}, {store, _}} | _] = taken, interval) do
+  def transfer_together([{%{told: told}, {store, _}} | _] = taken, interval) do
     targets = for {transfer, {_, info}} <- taken, do: {info, transfer.stream}
     store.module.append_streams(store.state, targets, interval, told)
   end
 
-  defp behind(transfer, _store, info, :unbounded), do: {:ok, transfer, info.count}
+  defp next_ordinal(transfer, _store, info, :unbounded), do: {:ok, transfer, info.count}
 
-  defp behind(transfer, store, info, to) do
-    with {:ok, ordinal} <- Reading.seek(store, info, to + 1),
+  defp next_ordinal(transfer, store, info, to) do
+    with {:ok, ordinal} <- Reading.seek_ordinal(store, info, to + 1),
          do: {:ok, transfer, ordinal}
   end
 
   # Unreadable messages are skipped if the caller allows it. Failed writes are always errors.
-  defp failed(reason, transfer, {store, info} = source, ordinal, to)
+  defp handle_failure(reason, transfer, {store, info} = source, ordinal, to)
        when elem(reason, 0) in [:damaged, :missing_extent] do
     next = Native.reader_skip(store.state.ref, info.id, ordinal)
 
     if transfer.skip_damage and next != ordinal,
-      do: take(transfer, source, next, to),
-      else: {:error, Failure.error(reason, store.path, info.name)}
+      do: transfer_messages(transfer, source, next, to),
+      else: {:error, Failure.to_error(reason, store.path, info.name)}
   end
 
-  defp failed(reason, %{stream: stream}, _source, _ordinal, _to),
-    do: {:error, Failure.error(reason, stream.writer.path, stream.name)}
+  defp handle_failure(reason, %{stream: stream}, _source, _ordinal, _to),
+    do: {:error, Failure.to_error(reason, stream.writer.path, stream.name)}
 
   @doc "Appends other messages after the copied ones."
-  @spec append(t(), [Situ.Message.t()]) :: {:ok, t()} | {:error, Error.t()}
-  def append(transfer, messages) do
+  @spec append_messages(t(), [Situ.Message.t()]) :: {:ok, t()} | {:error, Error.t()}
+  def append_messages(transfer, messages) do
     with {:ok, stream} <- Writer.append(transfer.stream, messages) do
       transfer.told.(length(messages))
       {:ok, %{transfer | stream: stream}}
@@ -181,10 +189,10 @@ defmodule Situ.Store.Transfer do
   end
 
   @doc "Closes the stream at this time, or leaves it open for `nil`."
-  @spec close(t(), Situ.Time.t() | nil) :: :ok | {:error, Error.t()}
-  def close(_transfer, nil), do: :ok
+  @spec close_stream(t(), Situ.Time.t() | nil) :: :ok | {:error, Error.t()}
+  def close_stream(_transfer, nil), do: :ok
 
-  def close(transfer, time) do
+  def close_stream(transfer, time) do
     with {:ok, _} <- Writer.close_stream(transfer.stream, time), do: :ok
   end
 end

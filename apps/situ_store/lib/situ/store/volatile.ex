@@ -9,38 +9,41 @@ defmodule Situ.Store.Volatile do
   alias Situ.{Error, Scratch}
 
   @doc "Returns the folder of this system's stores in memory."
-  @spec root() :: Path.t()
-  def root do
+  @spec root_folder() :: Path.t()
+  def root_folder do
     case :persistent_term.get(__MODULE__, nil) do
-      nil -> make()
+      nil -> create_root()
       root -> root
     end
   end
 
   @doc "Returns the newest store in memory of this name, in any running system, or `nil`."
-  @spec find(String.t()) :: Path.t() | nil
-  def find(name) do
+  @spec find_store(String.t()) :: Path.t() | nil
+  def find_store(name) do
     # Another user may have created a folder of that name. It is not searched.
-    folders = if Scratch.claim(base()) == :ok, do: Path.wildcard(Path.join(base(), "*")), else: []
+    folders =
+      if Scratch.claim_folder(base_folder()) == :ok,
+        do: Path.wildcard(Path.join(base_folder(), "*")),
+        else: []
 
     folders
-    |> Enum.map(&Situ.Store.Folder.newest(name, &1))
+    |> Enum.map(&Situ.Store.Folder.newest_version(name, &1))
     |> Enum.reject(&is_nil/1)
     |> Enum.max_by(&File.stat!(&1, time: :posix).mtime, fn -> nil end)
   end
 
-  defp make do
-    Error.unwrap!(Scratch.claim(base()))
-    sweep()
-    root = Path.join(base(), "#{System.pid()}")
-    Error.unwrap!(Scratch.claim(root))
+  defp create_root do
+    Error.unwrap!(Scratch.claim_folder(base_folder()))
+    delete_leftovers()
+    root = Path.join(base_folder(), "#{System.pid()}")
+    Error.unwrap!(Scratch.claim_folder(root))
     :persistent_term.put(__MODULE__, root)
     root
   end
 
   # Each folder is named after its process. Folders of processes that have ended are deleted.
-  defp sweep do
-    for folder <- Path.wildcard(Path.join(base(), "*")),
+  defp delete_leftovers do
+    for folder <- Path.wildcard(Path.join(base_folder(), "*")),
         pid = Path.basename(folder),
         pid =~ ~r/\A\d+\z/,
         pid != System.pid(),
@@ -49,7 +52,7 @@ defmodule Situ.Store.Volatile do
     end
   end
 
-  defp base do
+  defp base_folder do
     memory = "/dev/shm"
     user = System.get_env("USER") || "user"
     root = if File.dir?(memory), do: memory, else: System.tmp_dir!()

@@ -95,7 +95,7 @@ defmodule Situ.Store.Writer do
   end
 
   @doc false
-  def options, do: @options
+  def create_options, do: @options
   @doc false
   def stream_options, do: @stream_options
 
@@ -103,22 +103,22 @@ defmodule Situ.Store.Writer do
   @spec create(String.t(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def create(name, root, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {:ok, path} <- Folder.create(name, root, opts[:versioned], opts[:mode]),
+         {:ok, path} <- Folder.create_store_folder(name, root, opts[:versioned], opts[:mode]),
          {:ok, ref} <-
            path
            |> Native.writer_create(
              opts[:first_extent],
              opts[:max_extent],
-             durability(opts[:durability]),
+             native_durability(opts[:durability]),
              opts[:mode]
            )
-           |> Failure.wrap(path) do
+           |> Failure.wrap_error(path) do
       # Messages on disk can only be found if the folder's name is on disk, too.
       if opts[:durability] != :none, do: AtomicFile.sync_folder(Path.dirname(path))
       writer = %__MODULE__{ref: ref, path: path, name: name}
       record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: opts[:volatile]}
 
-      case catalog(writer, record) do
+      case append_catalog(writer, record) do
         {:ok, _} -> {:ok, writer}
         error -> give_up(writer, error)
       end
@@ -128,24 +128,24 @@ defmodule Situ.Store.Writer do
   # Deletes the folder of a recording that failed to start.
   defp give_up(writer, error) do
     _ = close(writer)
-    _ = Folder.remove(writer.path)
+    _ = Folder.remove_store(writer.path)
     error
   end
 
-  defp durability({:interval, ms}), do: ms
-  defp durability(other), do: other
+  defp native_durability({:interval, ms}), do: ms
+  defp native_durability(other), do: other
 
   @doc "Adds a stream. Stream names are unique in a store."
   @spec stream(t(), String.t(), keyword()) :: {:ok, Stream.t()} | {:error, Error.t()}
   def stream(%__MODULE__{} = writer, name, opts \\ []) when is_binary(name) do
     with {:ok, opts} <- Options.validate(opts, @stream_options),
          record = %{
-           type: TypeName.write(opts[:type]),
+           type: TypeName.format_type(opts[:type]),
            opened: Situ.Time.now(),
            large: opts[:large],
            compression: opts[:compression]
          },
-         {:ok, stream} <- add(writer, name, record),
+         {:ok, stream} <- add_recorded_stream(writer, name, record),
          :ok <-
            if(Keyword.has_key?(opts, :metadata),
              do: put_metadata(stream, opts[:metadata]),
@@ -157,13 +157,14 @@ defmodule Situ.Store.Writer do
 
   @doc false
   # Adds a stream with the catalog record `record`.
-  @spec add(t(), String.t(), map()) :: {:ok, Stream.t()} | {:error, Error.t()}
-  def add(writer, name, %{compression: compression, large: large?} = record) do
+  @spec add_recorded_stream(t(), String.t(), map()) :: {:ok, Stream.t()} | {:error, Error.t()}
+  def add_recorded_stream(writer, name, %{compression: compression, large: large?} = record) do
     with {:ok, id} <-
            writer.ref
            |> Native.writer_stream(name, compression, large?)
-           |> Failure.wrap(writer.path, name),
-         {:ok, _} <- catalog(writer, Map.merge(record, %{kind: "stream", id: id, name: name})) do
+           |> Failure.wrap_error(writer.path, name),
+         {:ok, _} <-
+           append_catalog(writer, Map.merge(record, %{kind: "stream", id: id, name: name})) do
       {:ok, %Stream{writer: writer, id: id, name: name}}
     end
   end
@@ -171,14 +172,15 @@ defmodule Situ.Store.Writer do
   @doc "Sets (or replaces) the stream's supplemental metadata: any plain term."
   @spec put_metadata(Stream.t(), term()) :: :ok | {:error, Error.t()}
   def put_metadata(%Stream{} = stream, term) do
-    with {:ok, bytes} <- term |> Terms.encode() |> Failure.wrap(stream.writer.path, stream.name),
+    with {:ok, bytes} <-
+           term |> Terms.encode() |> Failure.wrap_error(stream.writer.path, stream.name),
          record = %{
            kind: "metadata",
            id: stream.id,
            type: kind_of(term),
            term: Base.encode64(bytes)
          },
-         {:ok, _} <- catalog(stream.writer, record),
+         {:ok, _} <- append_catalog(stream.writer, record),
          do: :ok
   end
 
@@ -200,12 +202,14 @@ defmodule Situ.Store.Writer do
   def append(stream, []), do: {:ok, stream}
 
   def append(%Stream{} = stream, messages) do
-    if plain?(messages), do: append_plain(stream, [messages]), else: append_runs(stream, messages)
+    if plain_data?(messages),
+      do: append_plain(stream, [messages]),
+      else: append_runs(stream, messages)
   end
 
-  defp plain?([%{data: %{__struct__: _}} | _]), do: false
-  defp plain?([_ | rest]), do: plain?(rest)
-  defp plain?([]), do: true
+  defp plain_data?([%{data: %{__struct__: _}} | _]), do: false
+  defp plain_data?([_ | rest]), do: plain_data?(rest)
+  defp plain_data?([]), do: true
 
   @doc false
   # Appends lists of messages without structs, unchanged.
@@ -213,14 +217,14 @@ defmodule Situ.Store.Writer do
   def append_plain(stream, batches) do
     case Native.writer_append(stream.writer.ref, stream.id, batches) do
       {:ok, _} -> {:ok, stream}
-      {:error, reason} -> {:error, Failure.error(reason, stream.writer.path, stream.name)}
+      {:error, reason} -> {:error, Failure.to_error(reason, stream.writer.path, stream.name)}
     end
   rescue
-    error in ArgumentError -> refused(batches, stream, error, __STACKTRACE__)
+    error in ArgumentError -> explain_refusal(batches, stream, error, __STACKTRACE__)
   end
 
   # Times in a store have 64 bits; recordings of other systems may have any time.
-  defp refused(batches, stream, error, stack) do
+  defp explain_refusal(batches, stream, error, stack) do
     times = for batch <- batches, m <- batch, do: [m.originating_time, m.creation_time]
     far? = &(is_integer(&1) and abs(&1) > 0x7FFFFFFFFFFFFFFF)
 
@@ -239,24 +243,24 @@ defmodule Situ.Store.Writer do
 
   # Appends runs of messages with the same codec (or with none) in one commit.
   defp append_runs(stream, messages) do
-    runs = Enum.chunk_by(messages, &Codecs.of(&1.data))
+    runs = Enum.chunk_by(messages, &Codecs.module_for(&1.data))
 
-    with {:ok, stream} <- noted(stream, runs),
-         runs = Enum.map(runs, &run(&1, stream)),
+    with {:ok, stream} <- record_runs(stream, runs),
+         runs = Enum.map(runs, &encode_run(&1, stream)),
          {:ok, _} <-
            stream.writer.ref
            |> Native.writer_append_runs(stream.id, runs)
-           |> Failure.wrap(stream.writer.path, stream.name),
+           |> Failure.wrap_error(stream.writer.path, stream.name),
          do: {:ok, stream}
   rescue
-    error in ArgumentError -> refused([messages], stream, error, __STACKTRACE__)
+    error in ArgumentError -> explain_refusal([messages], stream, error, __STACKTRACE__)
   end
 
   # Records codecs and fields, which readers need before the first message that uses them.
-  defp noted(stream, runs) do
+  defp record_runs(stream, runs) do
     Enum.reduce_while(runs, {:ok, stream}, fn [first | _] = run, {:ok, stream} ->
       result =
-        case Codecs.of(first.data) do
+        case Codecs.module_for(first.data) do
           nil -> note_fields(stream, run)
           module -> note_codec(stream, module)
         end
@@ -265,8 +269,8 @@ defmodule Situ.Store.Writer do
     end)
   end
 
-  defp run([first | _] = messages, stream) do
-    case Codecs.of(first.data) do
+  defp encode_run([first | _] = messages, stream) do
+    case Codecs.module_for(first.data) do
       nil ->
         {0, messages, []}
 
@@ -275,17 +279,17 @@ defmodule Situ.Store.Writer do
           for m <- messages,
               do: {m.sequence_id, m.originating_time, m.creation_time, module.encode(m.data)}
 
-        {Map.fetch!(stream.codecs, module), encoded, points(module, messages)}
+        {Map.fetch!(stream.codecs, module), encoded, signal_points(module, messages)}
     end
   end
 
-  defp points(module, messages) do
+  defp signal_points(module, messages) do
     if function_exported?(module, :points, 2),
-      do: Enum.flat_map(messages, &signal(module, &1)),
+      do: Enum.flat_map(messages, &message_points(module, &1)),
       else: []
   end
 
-  defp signal(module, message) do
+  defp message_points(module, message) do
     for {time, min, max, last, count} <- module.points(message.data, message.originating_time),
         do: {time, min / 1, max / 1, last / 1, count}
   end
@@ -304,7 +308,7 @@ defmodule Situ.Store.Writer do
       module: Atom.to_string(module)
     }
 
-    with {:ok, _} <- catalog(stream.writer, record),
+    with {:ok, _} <- append_catalog(stream.writer, record),
          do: {:ok, %{stream | codecs: Map.put(codecs, module, number)}}
   end
 
@@ -324,7 +328,8 @@ defmodule Situ.Store.Writer do
           fields: fields
         }
 
-        with {:ok, _} <- catalog(stream.writer, record), do: {:ok, %{stream | fields: fields}}
+        with {:ok, _} <- append_catalog(stream.writer, record),
+             do: {:ok, %{stream | fields: fields}}
     end
   end
 
@@ -333,34 +338,36 @@ defmodule Situ.Store.Writer do
   @doc "Records that the stream closed at this originating time. Later messages are not replayed."
   @spec close_stream(Stream.t(), Situ.Time.t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def close_stream(%Stream{} = stream, time),
-    do: catalog(stream.writer, %{kind: "closed", id: stream.id, time: time})
+    do: append_catalog(stream.writer, %{kind: "closed", id: stream.id, time: time})
 
   @doc "Returns the number of bytes written, without the space allocated for later data."
-  @spec bytes(t()) :: non_neg_integer()
-  def bytes(%__MODULE__{} = writer), do: Native.writer_bytes(writer.ref)
+  @spec stored_bytes(t()) :: non_neg_integer()
+  def stored_bytes(%__MODULE__{} = writer), do: Native.writer_bytes(writer.ref)
 
   @doc "Waits until all committed data is on disk."
   @spec sync(t()) :: :ok | {:error, Error.t()}
   def sync(%__MODULE__{} = writer) do
-    with {:ok, _} <- writer.ref |> Native.writer_sync() |> Failure.wrap(writer.path), do: :ok
+    with {:ok, _} <- writer.ref |> Native.writer_sync() |> Failure.wrap_error(writer.path),
+         do: :ok
   end
 
   @doc "Closes the store: trims unused space, marks it as closed, and releases the lock. May be called repeatedly."
   @spec close(t()) :: :ok | {:error, Error.t()}
   def close(%__MODULE__{} = writer) do
-    with {:ok, _} <- writer.ref |> Native.writer_close() |> Failure.wrap(writer.path), do: :ok
+    with {:ok, _} <- writer.ref |> Native.writer_close() |> Failure.wrap_error(writer.path),
+         do: :ok
   end
 
   @doc false
   # Appends a record to stream 0, whose times must increase even if the clock is set back.
-  @spec catalog(t(), map()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
-  def catalog(writer, record) do
+  @spec append_catalog(t(), map()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
+  def append_catalog(writer, record) do
     {:ok, {last, n}} = Native.writer_position(writer.ref, 0)
     now = Situ.Time.now()
     time = if last, do: max(now, last + 1), else: now
 
     message = %Message{
-      data: Catalog.encode(record),
+      data: Catalog.encode_record(record),
       originating_time: time,
       creation_time: time,
       sequence_id: n + 1
@@ -368,8 +375,8 @@ defmodule Situ.Store.Writer do
 
     case Native.writer_append(writer.ref, 0, [[message]]) do
       # Another record was appended at the same time, so try again with a later time.
-      {:error, {:not_increasing, 0, _, _}} -> catalog(writer, record)
-      result -> Failure.wrap(result, writer.path)
+      {:error, {:not_increasing, 0, _, _}} -> append_catalog(writer, record)
+      result -> Failure.wrap_error(result, writer.path)
     end
   end
 end

@@ -3,12 +3,15 @@ defmodule Situ.Store.CatalogTest do
   alias Situ.Store.{Catalog, StreamInfo}
 
   defp parse(records),
-    do: Catalog.parse(Enum.map(records, &if(is_map(&1), do: Catalog.encode(&1), else: &1)))
+    do:
+      Catalog.parse_records(
+        Enum.map(records, &if(is_map(&1), do: Catalog.encode_record(&1), else: &1))
+      )
 
   defp stream(id, name, more \\ %{}),
     do: Map.merge(%{kind: "stream", id: id, name: name, type: ":integer"}, more)
 
-  test "records say what streams there are; the last one of a thing wins" do
+  test "records describe the streams, and the last record of a kind wins" do
     catalog =
       parse([
         %{kind: "store", name: "walk", writer: "situ", volatile: true},
@@ -36,12 +39,12 @@ defmodule Situ.Store.CatalogTest do
              supplemental: {":map", "new"}
            } = catalog.streams[1]
 
-    # The first struct met is what the fields are of.
+    # The fields are those of the first struct.
     assert %{type: :any, type_name: "Situ.No.Such.Module", fields: ["a"], module: "Elixir.M"} =
              catalog.streams[2]
   end
 
-  test "what nobody understands takes nothing else with it" do
+  test "ignores unknown records and keeps the rest" do
     catalog =
       parse([
         stream(1, "A"),
@@ -67,7 +70,7 @@ defmodule Situ.Store.CatalogTest do
   @odd [nil, true, -1, 0, 1.5, 1.0e300, 12_345_678_901_234_567_890_123, "text", "", "\e[2J"] ++
          [[], [1], ["a"], %{}, %{"a" => 1}, "9", 1]
 
-  test "whatever a value is, what comes out of the catalog is what it is to be" do
+  test "the catalog contains only valid values, whatever the records contain" do
     records = [
       %{"kind" => "store", "name" => "x", "writer" => "y", "volatile" => false},
       %{"kind" => "stream", "id" => 1, "name" => "B", "type" => ":integer", "opened" => 5}

@@ -7,13 +7,13 @@ defmodule Situ.Store.CodecsTest do
 
   @moduletag :tmp_dir
 
-  test "a codec is found by its name alone, also one of Situ's own types" do
-    assert Codecs.find("situ.image", nil) == Situ.Image
-    assert Codecs.find("situ.image", "Elixir.Situ.Gone.Since") == Situ.Image
-    assert Codecs.find("nobody.has.this", nil) == nil
+  test "finds a codec by its name alone, including codecs of Situ's own types" do
+    assert Codecs.find_module("situ.image", nil) == Situ.Image
+    assert Codecs.find_module("situ.image", "Elixir.Situ.Gone.Since") == Situ.Image
+    assert Codecs.find_module("nobody.has.this", nil) == nil
   end
 
-  test "an unknown codec gives the bytes", %{tmp_dir: root} do
+  test "an unknown codec returns the bytes", %{tmp_dir: root} do
     path = store(root, [{"P", messages([%Picture{width: 9, data: "abc"}]), []}])
     store = Store.open!(path)
     {:ok, info} = Store.stream_info(store, "P")
@@ -23,15 +23,15 @@ defmodule Situ.Store.CodecsTest do
              Store.at(store, gone, 0)
   end
 
-  test "a codec is found by the module named, or by its own name" do
-    assert Codecs.of(%Picture{}) == Picture
-    assert Codecs.of(%Person{}) == nil
-    assert Codecs.of(5) == nil
-    assert Codecs.find("test.sound", "Elixir.Situ.Store.Test.Sound") == Sound
-    # A module that has another codec now, one that is none, one that was never there.
-    refute Codecs.find("test.sound", "Elixir.Situ.Store.Test.Picture") == Picture
-    assert Codecs.find("nobody.knows", "Elixir.Situ.Store.Test.Person") == nil
-    assert Codecs.find("nobody.knows", "Elixir.Nobody.Knows.This.Module") == nil
+  test "finds a codec by its module or by its own name" do
+    assert Codecs.module_for(%Picture{}) == Picture
+    assert Codecs.module_for(%Person{}) == nil
+    assert Codecs.module_for(5) == nil
+    assert Codecs.find_module("test.sound", "Elixir.Situ.Store.Test.Sound") == Sound
+    # The module now has a different codec, is not a codec, or never existed.
+    refute Codecs.find_module("test.sound", "Elixir.Situ.Store.Test.Picture") == Picture
+    assert Codecs.find_module("nobody.knows", "Elixir.Situ.Store.Test.Person") == nil
+    assert Codecs.find_module("nobody.knows", "Elixir.Nobody.Knows.This.Module") == nil
 
     assert_raise ArgumentError, fn ->
       String.to_existing_atom("Elixir.Nobody.Knows.This.Module")

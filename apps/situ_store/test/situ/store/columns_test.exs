@@ -8,7 +8,7 @@ defmodule Situ.Store.ColumnsTest do
 
   @moduletag :tmp_dir
 
-  # A stream of these values, one millisecond apart, in appends of some length.
+  # Records a stream of these values, one millisecond apart, in appends of the given length.
   defp recorded(dir, values, opts \\ []) do
     {:ok, writer} = Writer.create("t", dir)
     {:ok, stream} = Writer.stream(writer, "V", Keyword.take(opts, [:compression]))
@@ -33,13 +33,13 @@ defmodule Situ.Store.ColumnsTest do
     Store.open!(writer.path)
   end
 
-  # Columns and lists as `{time, creation time, value}`.
+  # Flattens columns and lists into `{time, creation time, value}`.
   defp flat(parts) do
     Enum.flat_map(parts, fn
       %Columns{} = columns ->
         creations = for <<time::little-signed-64 <- columns.creation_times>>, do: time
         assert byte_size(columns.times) == 8 * columns.count
-        pairs = Columns.pairs(columns)
+        pairs = Columns.to_pairs(columns)
         assert length(pairs) == columns.count
         for {{time, value}, creation} <- Enum.zip(pairs, creations), do: {time, creation, value}
 
@@ -52,7 +52,7 @@ defmodule Situ.Store.ColumnsTest do
     for m <- Store.messages(store, "V", opts), do: {m.originating_time, m.creation_time, m.data}
   end
 
-  property "columns hold what messages do, whatever the values", numtests: 40 do
+  property "columns contain the same values as messages", numtests: 40 do
     value =
       one_of([
         list(integer(-(2 ** 63), 2 ** 63 - 1)),
@@ -71,12 +71,12 @@ defmodule Situ.Store.ColumnsTest do
     end
   end
 
-  test "numbers come many at once", %{tmp_dir: dir} do
+  test "returns many numbers in one column", %{tmp_dir: dir} do
     store = recorded(dir, for(n <- 1..50_000, do: n / 3), append: 5_000)
     assert [%Columns{kind: :float, count: 50_000}] = Enum.to_list(Store.columns(store, "V"))
   end
 
-  test "a part of the time", %{tmp_dir: dir} do
+  test "returns a time interval", %{tmp_dir: dir} do
     store = recorded(dir, Enum.to_list(1..5_000))
     span = [from: 1_500_000_000, to: 3_000_500_000]
 
@@ -88,7 +88,7 @@ defmodule Situ.Store.ColumnsTest do
     assert Enum.to_list(Store.columns(store, "V", to: 5)) == []
   end
 
-  test "split at any length", %{tmp_dir: dir} do
+  test "splits columns at any length", %{tmp_dir: dir} do
     for values <- [[1, 2, 3, 4, 5], [true, false, true]], most <- 1..6 do
       store = recorded(Path.join(dir, "#{most}"), values)
       [columns] = Enum.to_list(Store.columns(store, "V"))
@@ -98,7 +98,7 @@ defmodule Situ.Store.ColumnsTest do
     end
   end
 
-  test "damage is an error, or passed over when that is wanted", %{tmp_dir: dir} do
+  test "damage raises an error, or is skipped with skip_damage: true", %{tmp_dir: dir} do
     store = recorded(dir, Enum.to_list(1..20_000))
     file = Path.join(store.path, "data-000000.situ")
     {:ok, device} = :file.open(file, [:read, :write, :raw, :binary])

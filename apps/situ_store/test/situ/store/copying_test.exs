@@ -1,5 +1,5 @@
 defmodule Situ.Store.CopyingTest do
-  # Stores out of stores: what is kept, and what is refused.
+  # Stores derived from other stores: which properties are kept, and which requests are refused.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
   alias Situ.Store
@@ -22,7 +22,7 @@ defmodule Situ.Store.CopyingTest do
     ]
   end
 
-  test "a type, its fields and metadata of modules that are not here are kept", %{tmp_dir: root} do
+  test "keeps a type, its fields and metadata of unknown modules", %{tmp_dir: root} do
     options = [type: Person, metadata: %{unit: "m"}]
     path = store(root, [{"P", messages([%Person{name: "Ada"}]), options}])
     Raw.replace(path, ~s("type":"Situ.Store.Test.Person"), ~s("type":"Situ.Store.Test.Nobody"))
@@ -52,7 +52,7 @@ defmodule Situ.Store.CopyingTest do
     end
   end
 
-  test "every kind of message, its envelope, statistics and pyramid", %{tmp_dir: root} do
+  test "keeps every kind of message with its envelope, statistics and pyramid", %{tmp_dir: root} do
     mixed = [1, 2.5, true, nil, "x", {:a, [1]}, %Picture{width: 1, data: "p"}, %Person{age: 3}]
     numbers = for i <- 0..5_000, do: message(i * 0.5, i * 1_000, i * 1_000 + rem(i, 7), i * 2 + 1)
     sound = for i <- 0..200, do: %Sound{samples: Enum.to_list(i..(i + 15))}
@@ -91,7 +91,7 @@ defmodule Situ.Store.CopyingTest do
     end
   end
 
-  test "an interval within chunks, a chunk that is damaged", %{tmp_dir: root} do
+  test "crops within chunks and skips a damaged chunk", %{tmp_dir: root} do
     values = for i <- 0..2_999, do: {i, "some text"}
     path = store(root, [{"T", messages(values), []}])
     {:ok, cropped} = Store.crop(path, {"c", root}, from: 1_234_000, to: 1_300_500)
@@ -113,7 +113,7 @@ defmodule Situ.Store.CopyingTest do
     assert Path.wildcard(Path.join(root, "*.unfinished")) == []
   end
 
-  test "streams by name and by pattern; one that is not there is an error", %{tmp_dir: root} do
+  test "selects streams by name or pattern, and refuses unknown streams", %{tmp_dir: root} do
     streams = for name <- ["Room.A", "Room.B", "Hall.A"], do: {name, messages([1]), []}
     path = store(root, streams)
     names = fn path -> path |> Store.open!() |> Store.streams() |> Enum.map(& &1.name) end
@@ -129,7 +129,7 @@ defmodule Situ.Store.CopyingTest do
     assert {:error, %{code: :no_stream}} = Store.concat([path], {"c", root}, streams: ["X*"])
   end
 
-  test "what makes no sense is refused before anything is made", %{tmp_dir: root} do
+  test "refuses invalid requests before creating anything", %{tmp_dir: root} do
     path = store(root, [{"N", messages([1]), []}])
     out = {"out", root}
     assert {:error, %{code: :unknown_option, fix: fix}} = Store.crop(path, out, strat: 5)
@@ -140,7 +140,7 @@ defmodule Situ.Store.CopyingTest do
     assert Store.newest("out", root) == nil
   end
 
-  test "compacting makes full chunks of many small commits, in place", %{tmp_dir: root} do
+  test "compacting merges many small commits into full chunks in place", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("small", root)
     {:ok, stream} = Writer.stream(writer, "N", type: :integer, metadata: %{"unit" => "m"})
 

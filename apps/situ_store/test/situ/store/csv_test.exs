@@ -4,7 +4,7 @@ defmodule Situ.Store.CsvTest do
 
   @moduletag :tmp_dir
 
-  test "CSV columns are streams; a pipeline replays them, a store is made of them", %{
+  test "a pipeline can replay CSV columns as streams, and a store can be copied from them", %{
     tmp_dir: root
   } do
     path = Path.join(root, "imu.csv")
@@ -59,7 +59,7 @@ defmodule Situ.Store.CsvTest do
     for source <- [path, copy], v <- [0.5, 1.0, 2.25], do: assert_received({^source, ^v})
   end
 
-  test "CSV times: ISO 8601, units, no heading, a named column", %{tmp_dir: root} do
+  test "reads times as ISO 8601, with units, and from a named column", %{tmp_dir: root} do
     times = fn text, opts ->
       path = Path.join(root, "t#{:erlang.phash2({text, opts})}.csv")
       File.write!(path, text)
@@ -82,7 +82,7 @@ defmodule Situ.Store.CsvTest do
     assert {:error, %{code: :not_csv}} = times.("", [])
   end
 
-  test "CSV of any length: line breaks in quotes, part after part, the same by time, by index and from the front",
+  test "reads long files with quoted line breaks by time, by index and from the start",
        %{tmp_dir: root} do
     path = Path.join(root, "long.csv")
     n = 3_500
@@ -105,7 +105,7 @@ defmodule Situ.Store.CsvTest do
            ] = Store.streams(store)
 
     assert [{_, line, "line " <> _}, _, _] = Store.info(store).damage
-    # 1,000 rows and 143 further breaks within quotes before the late one, behind the heading.
+    # The late row follows the heading, 1,000 rows and 143 additional line breaks within quotes.
     assert line == 1 + 1_000 + 143 + 1
     assert [{0, "line 0,\r\nand \"more\""}, {1_000_000, "n1"}] = values(store, "note", 2)
 
@@ -129,7 +129,7 @@ defmodule Situ.Store.CsvTest do
     for m <- Enum.take(Store.messages(store, name), n), do: {m.originating_time, m.data}
   end
 
-  test "CSV that is none says where and why", %{tmp_dir: root} do
+  test "an error for an invalid CSV file says where and why", %{tmp_dir: root} do
     why = fn text, opts ->
       path = Path.join(root, "bad#{:erlang.phash2({text, opts})}.csv")
       File.write!(path, text)
@@ -144,11 +144,11 @@ defmodule Situ.Store.CsvTest do
     assert why.(["t,x\n1,2\n2,\"", String.duplicate("x", 40_000_000)], []) =~
              "line 3: a row of more"
 
-    # Texts of a column of texts stay as written.
+    # The strings of a string column stay as written.
     path = Path.join(root, "codes.csv")
     File.write!(path, "t,code\n0,007\n1,x\n")
     assert [{0, "007"}, {1_000_000_000, "x"}] = path |> Store.open!() |> values("code", 9)
-    # A file that was cut since is an error, no crash.
+    # A file that was truncated after opening is an error, not a crash.
     store = Store.open!(path)
     File.write!(path, "t,code\n")
     assert {:error, %{code: :damaged}} = Store.read(store, "code")

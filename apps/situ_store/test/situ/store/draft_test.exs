@@ -1,5 +1,5 @@
 defmodule Situ.Store.DraftTest do
-  # Stores on their way: what has no name yet, and what becomes of it when there will be none.
+  # Unfinished stores: they have no name yet, and are removed if they will never be completed.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
   alias Situ.Store
@@ -10,11 +10,11 @@ defmodule Situ.Store.DraftTest do
   defp data(path, stream),
     do: path |> Store.open!() |> Store.messages(stream) |> Enum.map(& &1.data)
 
-  test "what is not whole has no name, and goes with the next of its name", %{tmp_dir: root} do
+  test "an incomplete store has no name, and the next store removes it", %{tmp_dir: root} do
     path = store(root, [{"N", messages(Enum.to_list(1..10)), []}])
     test = self()
 
-    # Killed in the middle, as by a Ctrl-C.
+    # The writer is killed in the middle, as by Ctrl-C.
     {pid, monitor} =
       spawn_monitor(fn ->
         Store.copy(path, {"out", root},
@@ -35,7 +35,7 @@ defmodule Situ.Store.DraftTest do
     assert Path.wildcard(Path.join(root, "out.*.lock")) == []
   end
 
-  # The dead process gives its lock up when its memory is collected.
+  # The dead process releases its lock when its memory is collected.
   defp swept(path, root) do
     Enum.any?(1..100, fn _ ->
       :erlang.garbage_collect()
@@ -44,7 +44,7 @@ defmodule Situ.Store.DraftTest do
     end)
   end
 
-  test "a draft that is whole and waits for its name is not swept away", %{tmp_dir: root} do
+  test "a complete draft that waits for its name is not removed", %{tmp_dir: root} do
     path = store(root, [{"N", messages([1, 2]), []}])
     test = self()
 
@@ -68,7 +68,7 @@ defmodule Situ.Store.DraftTest do
     assert data(path, "N") == [1, 2]
   end
 
-  test "an empty folder that a killed writer left hides no recording", %{tmp_dir: root} do
+  test "an empty folder left by a killed writer does not hide a recording", %{tmp_dir: root} do
     path = store(root, [{"N", messages([1, 2]), []}])
     {:ok, copy} = Store.copy(path, {"out", root})
     File.mkdir!(Path.join(root, "out.0001"))
@@ -77,7 +77,7 @@ defmodule Situ.Store.DraftTest do
     assert Path.basename(next) == "out.0002"
   end
 
-  test "a store that cannot even begin leaves no folder behind", %{tmp_dir: root} do
+  test "a store that cannot be created leaves no folder", %{tmp_dir: root} do
     disk = Path.join(root, "disk")
     File.mkdir_p!(disk)
 
@@ -90,7 +90,7 @@ defmodule Situ.Store.DraftTest do
           File.write!(ballast, :binary.copy(<<1>>, 1_040_000))
           assert {:error, %{code: :disk_full}} = Writer.create("big", disk)
           assert File.ls!(disk) == ["ballast"]
-          # A disk that is nearly full takes what it has room for.
+          # A nearly full disk accepts as much as fits.
           File.write!(ballast, :binary.copy(<<1>>, 900_000))
           assert {:ok, writer} = Writer.create("little", disk)
           assert {:ok, stream} = Writer.stream(writer, "S")
@@ -119,7 +119,7 @@ defmodule Situ.Store.DraftTest do
     end
   end
 
-  test "a folder of its own choice, also one that holds other things", %{tmp_dir: root} do
+  test "a copy can be written to a given folder, even next to other files", %{tmp_dir: root} do
     path = store(root, [{"N", messages([1, 2]), []}])
     target = Path.join(root, "mine")
     assert {:ok, ^target} = Store.copy(path, {"n", target}, versioned: false)

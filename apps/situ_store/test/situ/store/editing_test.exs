@@ -6,7 +6,7 @@ defmodule Situ.Store.EditingTest do
 
   @moduletag :tmp_dir
 
-  # {"never_heard_of_this_atom", 1} with an atom that is in no system: the tag of a small atom is 119.
+  # {"never_heard_of_this_atom", 1} with an atom that no system knows; 119 is the tag of a small atom.
   @foreign <<131, 104, 2, 119, 25, "never_heard_of_this_at0m_", 97, 1>>
 
   defp data(path, stream),
@@ -16,7 +16,7 @@ defmodule Situ.Store.EditingTest do
     path |> Path.join("data-*") |> Path.wildcard() |> Enum.any?(&(File.read!(&1) =~ bytes))
   end
 
-  test "edits: replaced, inserted, deleted, the rest untouched", %{tmp_dir: root} do
+  test "replaces, inserts and deletes messages and leaves the rest unchanged", %{tmp_dir: root} do
     path = Raw.written(root, @foreign)
     edits = %{"T" => [{:upsert, -5, "before"}, {:upsert, 7, "behind"}, {:delete, 99}]}
     {:ok, edited} = Store.edit(path, {"e", root}, edits)
@@ -30,9 +30,7 @@ defmodule Situ.Store.EditingTest do
     assert %{data: 20, sequence_id: 2, creation_time: 1_005} = changed
   end
 
-  test "an edit that is not of the stream's type is refused, and nothing is made", %{
-    tmp_dir: root
-  } do
+  test "refuses an edit of the wrong type and creates nothing", %{tmp_dir: root} do
     path = store(root, [{"N", messages([1, 2, 3]), [type: :integer]}])
     edits = %{"N" => [{:upsert, 0, "one"}]}
     assert {:error, %{code: :type_mismatch, why: why}} = Store.edit(path, {"e", root}, edits)
@@ -40,7 +38,7 @@ defmodule Situ.Store.EditingTest do
     assert Store.newest("e", root) == nil
   end
 
-  test "what is inserted behind a stream's end is replayed, and is in copies", %{tmp_dir: root} do
+  test "messages inserted after a stream's end are replayed and copied", %{tmp_dir: root} do
     path = store(root, [{"N", messages([1, 2, 3]), [type: :integer]}])
 
     {:ok, edited} =

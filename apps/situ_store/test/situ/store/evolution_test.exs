@@ -6,7 +6,7 @@ defmodule Situ.Store.EvolutionTest do
 
   @moduletag :tmp_dir
 
-  test "what was recorded as anything is checked when it is read as something", %{tmp_dir: root} do
+  test "values recorded as :any are checked when read with a type", %{tmp_dir: root} do
     streams = [{"Mixed", messages([1, 2, :odd]), []}, {"Typed", messages([1]), [type: :integer]}]
     store = Store.open!(store(root, streams))
     assert Enum.count(Store.messages(store, "Mixed", type: {:or, [:integer, :atom]})) == 3
@@ -28,7 +28,7 @@ defmodule Situ.Store.EvolutionTest do
     assert error.why =~ "it is 1"
   end
 
-  test "a newer struct reads older recordings, an incompatible one says why", %{tmp_dir: root} do
+  test "reads older recordings with a compatible newer struct only", %{tmp_dir: root} do
     path = store(root, [{"p", messages([%Person{name: "Ada", age: 3}]), [type: Person]}])
     store = Store.open!(path)
 

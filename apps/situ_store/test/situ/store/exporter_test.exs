@@ -1,12 +1,12 @@
 defmodule Situ.Store.ExporterTest do
-  # Stores written by pipelines, and what stops them.
+  # Stores written by pipelines, and errors that stop them.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Play
   alias Situ.{Pipeline, Store}
 
   @moduletag :tmp_dir
 
-  test "arguments in another order are an error that says the right one", %{tmp_dir: root} do
+  test "an error for misordered arguments shows the right order", %{tmp_dir: root} do
     Pipeline.run(fn p ->
       for args <- [["x", p, root], [p, :x, root], [p, "x", :here], [p, "x", root, :fast]] do
         error = assert_raise ArgumentError, fn -> apply(Store, :create, args) end
@@ -25,7 +25,7 @@ defmodule Situ.Store.ExporterTest do
     end)
   end
 
-  test "a pipeline records, another replays the same messages", %{tmp_dir: root} do
+  test "one pipeline records, and another replays the same messages", %{tmp_dir: root} do
     path = record(root, "rec", 0..4_999)
     store = Store.open!(path)
     assert %{closed?: true, live?: false} = Store.info(store)
@@ -41,7 +41,7 @@ defmodule Situ.Store.ExporterTest do
     assert Enum.map(got, & &1.creation_time) == Enum.map(written, & &1.creation_time)
   end
 
-  test "a lossy default policy loses nothing on the way to the disk", %{tmp_dir: root} do
+  test "recording loses nothing under a lossy default policy", %{tmp_dir: root} do
     {:ok, report} =
       Pipeline.run(
         fn p ->
@@ -55,7 +55,7 @@ defmodule Situ.Store.ExporterTest do
     assert [%{count: 20_000}] = report.result |> Store.open!() |> Store.streams()
   end
 
-  test "a pipeline that could not be built leaves no recording of nothing", %{tmp_dir: root} do
+  test "a pipeline that fails to build leaves no empty recording", %{tmp_dir: root} do
     kept = record(root, "walk", 1..3)
 
     build = fn p ->
@@ -110,7 +110,7 @@ defmodule Situ.Store.ExporterTest do
              end)
   end
 
-  test "an optional stream and an optional recording need no condition", %{tmp_dir: root} do
+  test "accepts nil for an optional stream or recording", %{tmp_dir: root} do
     {:ok, _} =
       Pipeline.run(fn p ->
         store = Store.create(p, "some", root)
@@ -123,7 +123,7 @@ defmodule Situ.Store.ExporterTest do
     assert ["N"] = Enum.map(Store.streams(Store.open!(Path.join(root, "some"))), & &1.name)
   end
 
-  test "an unknown option is an error that names the nearest one", %{tmp_dir: root} do
+  test "an error for an unknown option suggests the nearest one", %{tmp_dir: root} do
     assert {:error, %Situ.Error{code: :unknown_option, fix: fix}} =
              Pipeline.run(fn p ->
                store = Store.create(p, "typo", root)

@@ -1,5 +1,5 @@
 defmodule Situ.Store.FailureTest do
-  # Recordings under faults: full disks, odd clocks, deleted files, other programs.
+  # Recordings under faults: full disks, clock changes, deleted files and read-only folders.
   use ExUnit.Case, async: true
   import Situ.Test.Eventually
   import Situ.Store.Test.Record
@@ -8,7 +8,7 @@ defmodule Situ.Store.FailureTest do
 
   @moduletag :tmp_dir
 
-  # A disk of two megabytes; only root may mount one, elsewhere there is nothing to test with.
+  # Mounts a small disk. Only root may do so; otherwise the test is skipped.
   defp with_small_disk(root, options, fun) do
     disk = Path.join(root, "disk")
     File.mkdir_p!(disk)
@@ -26,7 +26,7 @@ defmodule Situ.Store.FailureTest do
     end
   end
 
-  test "a full disk is an error that tells the pipeline; what was written stays whole", %{
+  test "a full disk fails the pipeline, and the data written before stays intact", %{
     tmp_dir: root
   } do
     with_small_disk(root, "size=2m", fn disk ->
@@ -46,7 +46,7 @@ defmodule Situ.Store.FailureTest do
           send(test, {:path, exporter.path})
         end)
 
-      assert Exception.message(error) =~ "no room left on the disk"
+      assert Exception.message(error) =~ "no space left on the disk"
       assert_received {:path, path}
       store = Store.open!(path)
       numbers = for %{data: {i, _}} <- Store.messages(store, "s"), do: i
@@ -57,7 +57,7 @@ defmodule Situ.Store.FailureTest do
     end)
   end
 
-  test "after a full disk was cleared the same writer goes on", %{tmp_dir: root} do
+  test "a writer continues after a full disk was cleared", %{tmp_dir: root} do
     with_small_disk(root, "size=1m", fn disk ->
       {:ok, writer} = Writer.create("w", disk, first_extent: 65_536, max_extent: 65_536)
       {:ok, stream} = Writer.stream(writer, "s")
@@ -69,7 +69,8 @@ defmodule Situ.Store.FailureTest do
       assert fix =~ "space"
       File.rm!(ballast)
 
-      # On a busy machine the disk was full for a moment longer than the file was there (once in some hundred runs).
+      # On a busy machine, the disk stays full for a moment after the file was deleted (about once in several hundred
+      # runs).
       again = fn -> with {:error, _} <- Writer.append(stream, Enum.take(big, 10)), do: nil end
       assert {:ok, stream} = eventually(again)
       {:ok, _} = Writer.close_stream(stream, 99_000_000)
@@ -83,7 +84,7 @@ defmodule Situ.Store.FailureTest do
     end)
   end
 
-  test "a read-only folder: writing is refused, reading works", %{tmp_dir: root} do
+  test "a read-only folder refuses writes and allows reads", %{tmp_dir: root} do
     with_small_disk(root, "size=8m", fn disk ->
       path = store(disk, [{"s", messages([1, 2, 3]), []}])
       {_, 0} = System.cmd("mount", ["-o", "remount,ro", disk])
@@ -93,16 +94,16 @@ defmodule Situ.Store.FailureTest do
     end)
   end
 
-  test "a deleted folder is noticed within a second", %{tmp_dir: root} do
+  test "notices a deleted folder", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("gone", root)
     {:ok, stream} = Writer.stream(writer, "s")
     {:ok, stream} = Writer.append(stream, messages([1]))
     reader = Store.open!(writer.path)
-    # Pages looked at once stay mapped.
+    # Pages that were read once stay mapped.
     {:ok, _} = Store.at(reader, "s", 0)
     File.rm_rf!(writer.path)
 
-    # The check is made at most twice a second: keep writing until then.
+    # The check runs at most twice per second, so keep writing until then.
     error =
       Enum.find_value(Stream.iterate(1, &(&1 + 1)), fn n ->
         receive(do: (:never -> nil), after: (20 -> nil))
@@ -117,9 +118,10 @@ defmodule Situ.Store.FailureTest do
     assert {:ok, %{data: 1}} = Store.at(reader, "s", 0)
   end
 
-  test "a clock that is set back or forth changes nothing", %{tmp_dir: root} do
+  test "clock changes affect creation times only", %{tmp_dir: root} do
     day = 86_400_000_000_000
-    # Creation times as a clock that jumps by days gives them; originating times go on increasing.
+
+    # These creation times come from a clock that jumps by days; originating times keep increasing.
     creations = [day, 2 * day, day, 0, 5 * day]
     written = for {c, i} <- Enum.with_index(creations), do: message(i, i * 1_000, c, i + 1)
     path = store(root, [{"s", written, []}])

@@ -9,7 +9,7 @@ defmodule Situ.Store.FileLockTest do
     if root = context[:tmp_dir], do: %{path: Path.join(root, "x.lock")}, else: :ok
   end
 
-  test "a process that ends gives its lock back, however it ends", %{path: path} do
+  test "a lock is released when its process ends, even if it is killed", %{path: path} do
     parent = self()
 
     for _ <- 1..20 do
@@ -20,7 +20,7 @@ defmodule Situ.Store.FileLockTest do
           receive do: (:never -> FileLock.release(lock))
         end)
 
-      # The lock's term lives on here: what counts is the process.
+      # The lock's term stays alive in this process; only the owner process counts.
       assert_receive {:held, ^holder, _lock}
       assert {:held, told} = FileLock.acquire(path)
       assert told.process == holder |> :erlang.pid_to_list() |> to_string()
@@ -34,7 +34,7 @@ defmodule Situ.Store.FileLockTest do
     refute File.exists?(path)
   end
 
-  test "a lock goes over to another process", %{path: path} do
+  test "a lock can be transferred to another process", %{path: path} do
     parent = self()
 
     taker =
@@ -50,7 +50,7 @@ defmodule Situ.Store.FileLockTest do
 
     owner =
       spawn(fn ->
-        receive do: (:own -> FileLock.own(mine))
+        receive do: (:own -> FileLock.take_ownership(mine))
         send(parent, :owned)
         receive do: (:stop -> :ok)
       end)
@@ -66,7 +66,7 @@ defmodule Situ.Store.FileLockTest do
     assert {:ok, _} = FileLock.acquire(path, 5_000)
   end
 
-  test "another program's lock is respected, waited for, and gone with that program", ctx do
+  test "another program's lock is respected, awaited, and released when that program ends", ctx do
     File.write!(
       ctx.path,
       ~s({"os_pid": "4711", "host": "lab\\u001b[2J", "program": "situ studio"})
@@ -80,13 +80,13 @@ defmodule Situ.Store.FileLockTest do
 
     assert_receive {^program, {:data, "held" <> _}}, 10_000
     assert {:held, holder} = FileLock.acquire(ctx.path)
-    assert FileLock.describe(holder) =~ "situ studio (process 4711 on lab?[2J)"
+    assert FileLock.describe_holder(holder) =~ "situ studio (process 4711 on lab?[2J)"
     waiting = Task.async(fn -> elem(FileLock.acquire(ctx.path, 60_000), 0) end)
     Port.command(program, "go\n")
     assert Task.await(waiting, 60_000) == :ok
   end
 
-  test "a lock that cannot be made is an error, and links are not followed", %{path: path} do
+  test "returns an error if a lock cannot be created, and does not follow links", %{path: path} do
     assert {:error, %Situ.Error{}} = FileLock.acquire(Path.join(path, "nowhere"))
     File.ln_s!(path <> ".target", path)
     assert {:error, %Situ.Error{}} = FileLock.acquire(path)

@@ -10,37 +10,37 @@ defmodule Situ.Store.FolderTest do
   defp mode(path), do: File.stat!(path).mode &&& 0o777
   defp modes(path), do: path |> File.ls!() |> Enum.map(&mode(Path.join(path, &1))) |> Enum.uniq()
 
-  test "versions count up, the newest is found by its name", %{tmp_dir: root} do
-    assert {:ok, first} = Folder.create("walk", root, true)
-    assert {:ok, second} = Folder.create("walk", root, true)
+  test "versions count up, and the newest is found by name", %{tmp_dir: root} do
+    assert {:ok, first} = Folder.create_store_folder("walk", root, true)
+    assert {:ok, second} = Folder.create_store_folder("walk", root, true)
     File.mkdir_p!(Path.join(root, "walk.old"))
     File.mkdir_p!(Path.join(root, "walking.0007"))
     assert {Path.basename(first), Path.basename(second)} == {"walk.0000", "walk.0001"}
-    assert Folder.newest("walk", root) == second
-    assert Folder.newest("run", root) == nil
-    assert {Folder.name(second), Folder.version(second)} == {"walk", 1}
-    assert {Folder.name("a.b"), Folder.version("a.b")} == {"a.b", nil}
-    assert Folder.resolve(Path.join(root, "walk")) == second
+    assert Folder.newest_version("walk", root) == second
+    assert Folder.newest_version("run", root) == nil
+    assert {Folder.store_name(second), Folder.version_number(second)} == {"walk", 1}
+    assert {Folder.store_name("a.b"), Folder.version_number("a.b")} == {"a.b", nil}
+    assert Folder.resolve_store(Path.join(root, "walk")) == second
   end
 
-  test "names that are none, and folders that cannot be", %{tmp_dir: root} do
+  test "refuses invalid names and folders", %{tmp_dir: root} do
     for name <- ["", ".", "..", "a/b", "a\0", String.duplicate("x", 201), 5],
-        do: assert({:error, %{code: :bad_name}} = Folder.create(name, root, true))
+        do: assert({:error, %{code: :bad_name}} = Folder.create_store_folder(name, root, true))
 
     file = Path.join(root, "file")
     File.write!(file, "")
-    assert {:error, %{code: :io}} = Folder.create("walk", file, true)
+    assert {:error, %{code: :io}} = Folder.create_store_folder("walk", file, true)
   end
 
-  test "a deleted store leaves what is not its own", %{tmp_dir: root} do
+  test "deleting a store keeps files that are not part of it", %{tmp_dir: root} do
     path = store(root, [{"N", messages([1]), []}])
     notes = Path.join(path, "notes.txt")
     File.write!(notes, "mine")
-    assert :ok = Folder.remove(path)
+    assert :ok = Folder.remove_store(path)
     assert File.ls!(path) == ["notes.txt"]
   end
 
-  test "a recording is its owner's and readable by its group, or what was asked for", %{
+  test "only the owner and group can read a recording, unless a mode is given", %{
     tmp_dir: root
   } do
     path = store(root, [{"N", messages([1]), []}])
@@ -63,7 +63,7 @@ defmodule Situ.Store.FolderTest do
     assert {:error, %{code: :bad_option}} = Writer.create("m", root, mode: "rw")
   end
 
-  test "a copy is no wider than what it is of, a compacted store as wide", %{tmp_dir: root} do
+  test "a copy has its sources' narrowest mode, and compaction keeps it", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("private", root, mode: 0o600)
     {:ok, stream} = Writer.stream(writer, "N")
     {:ok, _} = Writer.append(stream, messages([1]))
@@ -82,7 +82,7 @@ defmodule Situ.Store.FolderTest do
     assert modes(path) == [0o664] and mode(path) == 0o775
   end
 
-  test "a folder that was there keeps its mode", %{tmp_dir: root} do
+  test "an existing folder keeps its mode", %{tmp_dir: root} do
     mine = Path.join(root, "mine")
     File.mkdir_p!(mine)
     File.chmod!(mine, 0o755)

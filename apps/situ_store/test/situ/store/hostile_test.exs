@@ -1,8 +1,8 @@
 defmodule Situ.Store.HostileTest do
-  # Damaged stores, and stores that lie with right checksums: an error or less data, little memory, and no scheduler
-  # held up. `SITU_MUTATIONS` and `SITU_LIES` say how many of each (150); `SITU_LONG_SCHEDULE` how many ms a scheduler
-  # may be held (500: on a busy machine the system itself holds them; with 5 run it as `chrt -r 10 mix test ...`, before
-  # all others); `SITU_SEED` begins elsewhere (0), so that a long run can be cut into several.
+  # Damaged stores, and stores with false contents but valid checksums, must return an error or less data, use little
+  # memory and block no scheduler. `SITU_MUTATIONS` and `SITU_LIES` set the number of each (150). `SITU_LONG_SCHEDULE`
+  # sets how many ms a scheduler may be blocked (500, because a busy machine blocks schedulers itself; for 5, run
+  # `chrt -r 10 mix test ...`). `SITU_SEED` sets the first seed (0), so that a long run can be divided.
   use ExUnit.Case, async: false
   alias Situ.Store
   alias Situ.Store.Writer
@@ -33,14 +33,14 @@ defmodule Situ.Store.HostileTest do
 
   @names ~w(ints flags terms packed quick large)
 
-  # The data of message `i` of a stream.
+  # Returns the data of message `i` of a stream.
   defp data("ints", i), do: i
   defp data("flags", i), do: rem(i, 7) < 3
   defp data("terms", i), do: %{"k" => i, l: [1, 2, {i}], t: {:ok, 1.5}}
   defp data("large", i), do: :binary.copy(<<i>>, 5_000)
   defp data(_texts, i), do: String.duplicate("abc#{i}", 50)
 
-  # Overwrites some bytes and makes every checksum right again, so that the reader has to judge what they say.
+  # Overwrites some bytes and corrects every checksum, so that the reader has to validate the contents.
   defp lie(path, target) do
     File.rm_rf!(target)
     File.cp_r!(path, target)
@@ -70,7 +70,7 @@ defmodule Situ.Store.HostileTest do
     end
   end
 
-  # Damages files as disks, programs and people do: flips bits, overwrites ranges, cuts the end, swaps parts of files.
+  # Damages files as disks, programs and people do: flips bits, overwrites ranges, truncates files and swaps parts.
   defp mutate(files, target) do
     mutated = Enum.reduce(1..:rand.uniform(4), files, fn _, files -> wound(files) end)
     for {name, bytes} <- mutated, do: File.write!(Path.join(target, name), bytes)
@@ -106,7 +106,7 @@ defmodule Situ.Store.HostileTest do
           put(bytes, at, binary_part(stretch, 0, min(byte_size(stretch), size - at)))
 
         6 ->
-          # The number of entries and the state of the index, which no checksum covers.
+          # These bytes are the number of entries and the state of the index, which no checksum covers.
           if size > 96,
             do: put(bytes, 63 + :rand.uniform(32), <<:rand.uniform(256) - 1>>),
             else: bytes
@@ -150,7 +150,7 @@ defmodule Situ.Store.HostileTest do
     put(chunk, 4, <<crc(binary_part(chunk, 8, covered - 8))::little-32>>)
   end
 
-  # CRC-32C by a table.
+  # A lookup table for CRC-32C.
   @table List.to_tuple(
            for byte <- 0..255 do
              Enum.reduce(1..8, byte, fn _, c ->
@@ -170,7 +170,7 @@ defmodule Situ.Store.HostileTest do
     |> bxor(0xFFFFFFFF)
   end
 
-  # `check`: whether every message has to be one that was written.
+  # With `check`, every message must be one that was written.
   defp ask(path, check) do
     with {:ok, store} <- Store.open(path) do
       Store.info(store)
@@ -200,15 +200,15 @@ defmodule Situ.Store.HostileTest do
 
     :asked
   rescue
-    # Damage raises where a stream of messages is read.
+    # Reading a stream of messages raises on damage.
     error in Situ.Error -> error.code
   end
 
-  defp pairs(%Store.Columns{} = columns), do: Store.Columns.pairs(columns)
+  defp pairs(%Store.Columns{} = columns), do: Store.Columns.to_pairs(columns)
   defp pairs(messages), do: for(m <- messages, do: {m.originating_time, m.data})
 
-  # Asks `rounds` stores that `make` leaves in a folder, and looks at what that did to this system. Answers what they
-  # said, and which schedulers were held.
+  # Reads the store that `make` writes, `rounds` times, and checks memory and atoms. Returns the results and the
+  # blocked schedulers.
   defp unharmed(rounds, target, check, make) do
     watch = self()
     limit = setting("SITU_LONG_SCHEDULE", 500)
@@ -234,20 +234,19 @@ defmodule Situ.Store.HostileTest do
 
   @codes ~w(asked damaged missing_extent not_a_store newer_version io no_store index_lost)a
 
-  test "lying stores take little memory and hold up no scheduler", %{tmp_dir: root} do
+  test "false contents use little memory and block no scheduler", %{tmp_dir: root} do
     path = base(root)
     target = Path.join(root, "lie.0000")
     :rand.seed(:exsss, {1, 2, 3 + setting("SITU_SEED", 0)})
     lies = setting("SITU_LIES", 150)
     {answers, long} = unharmed(lies, target, false, fn -> lie(path, target) end)
     assert Map.keys(answers) -- @codes == []
-    # Last, so that it hides nothing else: a busy machine may hold a scheduler, too.
+
+    # This check is last so that it hides no other failure: a busy machine may block a scheduler, too.
     assert long == []
   end
 
-  test "damaged stores give nothing but what was written, and hold up no scheduler", %{
-    tmp_dir: root
-  } do
+  test "damaged stores return only written data and block no scheduler", %{tmp_dir: root} do
     path = base(root)
 
     files =
@@ -275,7 +274,7 @@ defmodule Situ.Store.HostileTest do
     end
   end
 
-  # Of this system, in KiB.
+  # Returns the resident memory of this VM in KiB.
   defp resident do
     [_, kib] = Regex.run(~r/VmRSS:\s+(\d+)/, File.read!("/proc/self/status"))
     String.to_integer(kib)

@@ -1,12 +1,12 @@
 defmodule Situ.Store.ImporterTest do
-  # Stores played by pipelines: intervals, clocks, speeds, several at once, again and again.
+  # Pipelines replay stores: intervals, clocks, speeds, several stores at a time, and loops.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Play
   alias Situ.{Pipeline, Store}
 
   @moduletag :tmp_dir
 
-  test "an interval, both ends included, also beyond the ends", %{tmp_dir: root} do
+  test "replays an interval with both ends, also beyond the recording", %{tmp_dir: root} do
     path = record(root, "rec", 0..99)
     ms = &(&1 * 1_000_000)
 
@@ -21,7 +21,7 @@ defmodule Situ.Store.ImporterTest do
     assert values.({ms.(1_000), ms.(2_000)}) == []
   end
 
-  test "the clock of the replay is the recording's, at any speed", %{tmp_dir: root} do
+  test "a replay follows the recording's times at any speed", %{tmp_dir: root} do
     path = record(root, "rec", 0..99)
 
     for {speed, least} <- [{1.0, 95}, {4.0, 22}] do
@@ -74,7 +74,7 @@ defmodule Situ.Store.ImporterTest do
     for speed <- [1.0, 4.0], do: assert(derive.(speed: speed) == reference)
   end
 
-  test "under a manual clock messages come exactly when it reaches their times", %{tmp_dir: root} do
+  test "messages arrive exactly when a manual clock reaches their times", %{tmp_dir: root} do
     path = record(root, "rec", 0..9)
     clock = Situ.Clock.manual(0)
     test = self()
@@ -100,7 +100,7 @@ defmodule Situ.Store.ImporterTest do
     assert {:ok, _} = Pipeline.await(p, 30_000)
   end
 
-  test "several stores on one clock, in order of time across them at real speed", %{tmp_dir: root} do
+  test "replays several stores on one clock", %{tmp_dir: root} do
     a = record(root, "a", 0..49)
     b = record(root, "b", 100..149)
 
@@ -141,7 +141,7 @@ defmodule Situ.Store.ImporterTest do
     refute_received {:got, _, _}
   end
 
-  test "a loop shorter than the recording is refused when it is built", %{tmp_dir: root} do
+  test "refuses a loop shorter than the recording at build time", %{tmp_dir: root} do
     path = record(root, "rec", 0..99)
     build = fn p -> p |> Store.importer(path, loop: 99_000_000) |> Store.stream("seq") end
     assert {:error, %{code: :bad_option, why: why}} = Pipeline.run(build)

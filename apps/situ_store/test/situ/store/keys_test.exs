@@ -4,7 +4,7 @@ defmodule Situ.Store.KeysTest do
 
   @moduletag :tmp_dir
 
-  test "the keys of a stream's maps are kept in its metadata", %{tmp_dir: root} do
+  test "stores the keys of a stream's maps in its metadata", %{tmp_dir: root} do
     maps = for i <- 1..100, do: {i * 1_000, if(i == 50, do: :none, else: %{rem(i, 7) => i})}
 
     {:ok, report} =

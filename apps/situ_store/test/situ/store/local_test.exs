@@ -1,5 +1,5 @@
 defmodule Situ.Store.LocalTest do
-  # Stores read while they are written, here and in another process of the system.
+  # Reads stores while they are being written, by this VM and by another operating system process.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
   alias Situ.{Pipeline, Store}
@@ -7,12 +7,12 @@ defmodule Situ.Store.LocalTest do
 
   @moduletag :tmp_dir
 
-  test "a reader follows a live store, in memory too, and ends with its writer", %{tmp_dir: root} do
+  test "a reader follows a live store and ends with its writer", %{tmp_dir: root} do
     for root <- [root, nil] do
       {:ok, writer} =
         if root,
           do: Store.Writer.create("live", root),
-          else: Store.Writer.create("live", Store.Volatile.root())
+          else: Store.Writer.create("live", Store.Volatile.root_folder())
 
       {:ok, stream} = Store.Writer.stream(writer, "seq", type: :integer)
       test = self()
@@ -41,7 +41,7 @@ defmodule Situ.Store.LocalTest do
     end
   end
 
-  test "a store written by another operating system process is followed, and its death ends it",
+  test "a reader follows a store written by another OS process, and ends when that process dies",
        %{tmp_dir: root} do
     code = """
     {:ok, writer} = Situ.Store.Writer.create("other", #{inspect(root)})
@@ -90,7 +90,7 @@ defmodule Situ.Store.LocalTest do
              root |> Path.join("other") |> Store.open!() |> Store.info()
   end
 
-  test "thousands wait for one store in one thread", %{tmp_dir: root} do
+  test "thousands of requests wait for one store in one thread", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("wait", root)
     {:ok, stream} = Writer.stream(writer, "N", type: :integer)
     store = Store.open!(writer.path)
@@ -98,12 +98,12 @@ defmodule Situ.Store.LocalTest do
     threads = fn -> length(File.ls!("/proc/self/task")) end
     before = threads.()
     for tag <- 1..2_000, do: :ok = Store.notify(store, known, tag)
-    # Other tests run threads of their own.
+    # Other tests run their own threads.
     assert threads.() - before < 20
     {:ok, _} = Writer.append(stream, messages([1]))
     for tag <- 1..2_000, do: assert_receive({:situ_store, ^tag, {:published, _}}, 2_000)
     :ok = Writer.close(writer)
-    # Old news is answered at once.
+    # A commit that already happened is reported immediately.
     :ok = Store.notify(store, known, 1)
     assert_receive {:situ_store, 1, {:published, n}} when n > known
   end

@@ -6,7 +6,8 @@ defmodule Situ.Store.MendingTest do
 
   @moduletag :tmp_dir
 
-  # A batch of texts with an integer at its end: written as texts at first, then taken back and written as terms.
+  # Writes a batch of strings that ends with an integer: the writer starts with strings, then rewrites the batch as
+  # terms.
   defp mixed(root) do
     {:ok, writer} = Writer.create("mixed", root)
     {:ok, texts} = Writer.stream(writer, "Texts")
@@ -23,7 +24,7 @@ defmodule Situ.Store.MendingTest do
 
   defp data(path, name), do: path |> Store.open!() |> Store.messages(name) |> Enum.map(& &1.data)
 
-  # The entry of the first chunk of a stream's messages in the index: 64 bytes behind a page.
+  # Finds the index entry of a stream's first chunk of messages; entries have 64 bytes and start after one page.
   defp entry_at(index, stream) do
     Enum.find(Stream.iterate(4_096, &(&1 + 64)), fn at ->
       <<_::binary-size(at), _crc::32, id::little-32, level, _::binary>> = index
@@ -37,7 +38,7 @@ defmodule Situ.Store.MendingTest do
     File.write!(path, [before, Bitwise.bxor(byte, 1), rest])
   end
 
-  test "damage in the entry of one stream costs another nothing", %{tmp_dir: root} do
+  test "damage in the index entry of one stream does not affect other streams", %{tmp_dir: root} do
     path = mixed(root)
     before = data(path, "Texts")
     index = Path.join(path, "index.situ")
@@ -49,7 +50,7 @@ defmodule Situ.Store.MendingTest do
     assert {:ok, %{damage: []}} = Store.verify(path)
   end
 
-  test "an index that is some bytes short costs no message", %{tmp_dir: root} do
+  test "no message is lost if the index is some bytes short", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("short", root)
     {:ok, stream} = Writer.stream(writer, "N", type: :integer)
 
@@ -62,7 +63,7 @@ defmodule Situ.Store.MendingTest do
     path = writer.path
     index = File.read!(Path.join(path, "index.situ"))
 
-    # Of what an interrupted copy leaves, sound entries are read; repair has the others out of the data.
+    # After an interrupted copy, readers use the intact index entries; repair recovers the others from the data.
     for missing <- [3, 2_000, 4_096, 10_000] do
       File.write!(
         Path.join(path, "index.situ"),
@@ -78,7 +79,7 @@ defmodule Situ.Store.MendingTest do
     end
   end
 
-  test "a lost index is rebuilt without what was never acknowledged", %{tmp_dir: root} do
+  test "a lost index is rebuilt without unacknowledged data", %{tmp_dir: root} do
     path = mixed(root)
     before = data(path, "Texts")
     File.rm!(Path.join(path, "index.situ"))
@@ -88,7 +89,7 @@ defmodule Situ.Store.MendingTest do
     assert data(path, "Other") == Enum.to_list(1..10)
   end
 
-  test "a dry run tells the same and changes nothing", %{tmp_dir: root} do
+  test "a dry run reports the same result and changes nothing", %{tmp_dir: root} do
     path = mixed(root)
     index = File.read!(Path.join(path, "index.situ"))
     <<offset::little-64>> = binary_part(index, entry_at(index, 1) + 16, 8)
@@ -99,14 +100,14 @@ defmodule Situ.Store.MendingTest do
     assert files.() == before
     assert {:ok, ^told} = Store.repair(path)
     assert told.dropped > 0 and told.rebuilt?
-    # Each repair keeps the index it found.
+    # Each repair keeps the index that it found.
     flip(Path.join(path, "index.situ"), 4_100)
     assert {:ok, _} = Store.repair(path)
     assert File.exists?(Path.join(path, "index.situ.before-repair-2"))
     assert {:error, %{code: :unknown_option}} = Store.repair(path, dryrun: true)
   end
 
-  test "a store of version 1 is read, and repaired", %{tmp_dir: root} do
+  test "reads and repairs a store of version 1", %{tmp_dir: root} do
     golden = Path.expand("../../../../../priv/golden/store-v1.0000", __DIR__)
     path = Path.join(root, "store-v1.0000")
     File.cp_r!(golden, path)
@@ -130,7 +131,7 @@ defmodule Situ.Store.MendingTest do
     for {name, data} <- expected, do: assert(data(path, name) == data)
   end
 
-  test "a file that is cut while it is open is an error, and the system lives", %{tmp_dir: root} do
+  test "truncating an open file is an error and does not crash the VM", %{tmp_dir: root} do
     for file <- ["data-000000.situ", "index.situ"], length <- [0, 4_096] do
       {:ok, writer} = Writer.create("cut", root)
       {:ok, stream} = Writer.stream(writer, "S")

@@ -6,7 +6,7 @@ defmodule Situ.Store.ReadingTest do
 
   @moduletag :tmp_dir
 
-  test "reading by time, index, range", %{tmp_dir: root} do
+  test "reads by time, index and range", %{tmp_dir: root} do
     store = Store.open!(store(root, [{"S", messages(Enum.to_list(0..4_999)), []}]))
     assert {:ok, %{data: 17}} = Store.at(store, "S", 17)
     assert {:ok, %{data: 4_999}} = Store.at(store, "S", -1)
@@ -25,7 +25,7 @@ defmodule Situ.Store.ReadingTest do
     assert fix =~ "S"
   end
 
-  test "reading from the end, and options that are none", %{tmp_dir: root} do
+  test "reads from the end and refuses unknown options", %{tmp_dir: root} do
     store = Store.open!(store(root, [{"N", messages(Enum.to_list(0..9)), []}]))
     data = fn opts -> store |> Store.messages("N", opts) |> Enum.map(& &1.data) end
     assert data.(index: -2) == [8, 9]
@@ -35,7 +35,7 @@ defmodule Situ.Store.ReadingTest do
     assert_raise Situ.Error, fn -> Store.messages(store, "N", limit: 3) end
   end
 
-  test "news of commits reach a waiting process without polling", %{tmp_dir: root} do
+  test "notifies a waiting process of commits without polling", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("tail", root)
     {:ok, stream} = Writer.stream(writer, "S", type: :integer)
     store = Store.open!(writer.path)
@@ -53,7 +53,7 @@ defmodule Situ.Store.ReadingTest do
     assert_receive {:situ_store, 8, {:ended, _}}
   end
 
-  test "gaps are those between messages, however they were written", %{tmp_dir: root} do
+  test "reports the same gaps between messages, however they were written", %{tmp_dir: root} do
     seconds = Enum.to_list(0..99) ++ Enum.to_list(160..259)
     messages = for t <- seconds, do: message(t, t * 1_000_000_000)
     path = store(root, [{"S", messages, []}])

@@ -1,5 +1,5 @@
 defmodule Situ.Store.ReplacementTest do
-  # Wherever a compaction is killed, the recording has its name, or repair restores it.
+  # After a compaction is killed at any point, the recording still has its name, or repair restores it.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
   alias Situ.Store
@@ -15,7 +15,7 @@ defmodule Situ.Store.ReplacementTest do
 
   defp data(path), do: path |> Store.open!() |> Store.messages("N") |> Enum.map(& &1.data)
 
-  test "killed while the new store is written, or before the names are exchanged", ctx do
+  test "keeps the recording if killed before the names are exchanged", ctx do
     test = self()
     writing = fn _, _ -> send(test, :writing) && receive(do: (:never -> :ok)) end
     {pid, monitor} = spawn_monitor(fn -> Store.compact(ctx.path, progress: writing) end)
@@ -26,9 +26,9 @@ defmodule Situ.Store.ReplacementTest do
     assert Store.list(ctx.root) == [ctx.path]
   end
 
-  test "killed after the exchange: the old store is left as an unfinished one", ctx do
+  test "leaves the old store as an unfinished one if killed after the exchange", ctx do
     {:ok, old} = Store.copy(ctx.path, {"old", ctx.root})
-    left = Path.join(ctx.root, "#{Store.Folder.name(ctx.path)}.4711-1.unfinished")
+    left = Path.join(ctx.root, "#{Store.Folder.store_name(ctx.path)}.4711-1.unfinished")
     File.rename!(old, left)
     assert Store.list(ctx.root) == [ctx.path]
     assert {:ok, _} = Store.compact(ctx.path)
@@ -36,11 +36,11 @@ defmodule Situ.Store.ReplacementTest do
     assert data(ctx.path) == Enum.to_list(1..50)
   end
 
-  test "killed between two renames, where names cannot be exchanged", %{path: path, root: root} do
+  test "repairs a store if killed between two renames", %{path: path, root: root} do
     File.cp_r!(path, path <> ".compacted")
     File.rename!(path, path <> ".before-compaction")
 
-    for asked <- [path, Path.join(root, Store.Folder.name(path))] do
+    for asked <- [path, Path.join(root, Store.Folder.store_name(path))] do
       assert {:error, %{code: :compaction_interrupted, fix: fix}} = Store.open(asked)
       assert fix =~ "situ store repair"
     end
@@ -48,13 +48,13 @@ defmodule Situ.Store.ReplacementTest do
     assert {:error, %{code: :compaction_interrupted}} = Store.repair(path, dry_run: true)
 
     assert {:ok, %{dropped: 0, damage: []}} =
-             Store.repair(Path.join(root, Store.Folder.name(path)))
+             Store.repair(Path.join(root, Store.Folder.store_name(path)))
 
     assert data(path) == Enum.to_list(1..50)
     assert File.ls!(root) == [Path.basename(path)]
   end
 
-  test "killed after both renames: the recording has its name", %{path: path} do
+  test "keeps the recording's name if killed after both renames", %{path: path} do
     fresh = path <> ".fresh"
     File.cp_r!(path, fresh)
     assert {:ok, old} = Replacement.rename_both(fresh, path)
@@ -63,12 +63,12 @@ defmodule Situ.Store.ReplacementTest do
     assert Replacement.find_interrupted(path) == nil
   end
 
-  test "two renames of which the second fails leave all as it was", %{path: path} do
+  test "changes nothing if the second of two renames fails", %{path: path} do
     assert {:error, %Situ.Error{}} = Replacement.rename_both(path <> ".nothing", path)
     assert data(path) == Enum.to_list(1..50)
   end
 
-  test "other files in the folder of the recording stay there", %{path: path} do
+  test "keeps other files in the recording's folder", %{path: path} do
     File.write!(Path.join(path, "notes.txt"), "mine")
     assert {:ok, ^path} = Store.compact(path)
     assert File.read!(Path.join(path, "notes.txt")) == "mine"

@@ -1,11 +1,11 @@
 defmodule Situ.Store.SinkTest do
-  # A sink writes the messages that arrive, and keeps those that came before an error.
+  # A sink writes the messages that arrive, and keeps those written before an error.
   use ExUnit.Case, async: true
   alias Situ.{Pipeline, Store}
 
   @moduletag :tmp_dir
 
-  test "a failing pipeline leaves a whole, closed store", %{tmp_dir: root} do
+  test "a failing pipeline leaves an intact, closed store", %{tmp_dir: root} do
     {:error, _} =
       Pipeline.run(fn p ->
         exporter = Store.create(p, "failing", root)

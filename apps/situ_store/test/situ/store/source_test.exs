@@ -1,5 +1,5 @@
 defmodule Situ.Store.SourceTest do
-  # Importers moved while they play.
+  # Importers that seek during playback.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Play
   import Situ.Store.Test.Record
@@ -7,7 +7,7 @@ defmodule Situ.Store.SourceTest do
 
   @moduletag :tmp_dir
 
-  test "pause, step, seek, resume", %{tmp_dir: root} do
+  test "pauses, steps, seeks and resumes", %{tmp_dir: root} do
     path = record(root, "rec", 0..999)
     test = self()
 
@@ -39,7 +39,7 @@ defmodule Situ.Store.SourceTest do
     assert {:ok, _} = Pipeline.await(p, 30_000)
   end
 
-  # A player of two streams, halted at 0; `expect.(n)` takes the messages up to and with `n` of both.
+  # Starts a player of two streams, paused at 0.
   defp player(root, opts) do
     test = self()
     {:ok, writer} = Store.Writer.create("two", root)
@@ -72,24 +72,21 @@ defmodule Situ.Store.SourceTest do
     {p, importer}
   end
 
-  # The joined messages from the one of recorded time `from` ms on, up to and with that of `to` ms, and their times in
-  # the pipeline.
+  # Receives the joined messages with recorded times from `from` to `to` ms, and returns their pipeline times.
   defp joined(from, to) do
     for i <- from..to do
       assert_receive {:got, {^i, ^i}, m}
-      # Latency is the recording's all the time.
+      # Latency always stays that of the recording.
       assert m.creation_time >= m.originating_time
       m.originating_time
     end
   end
 
-  test "a seek back begins a new epoch, the same for all streams of the importer", %{
-    tmp_dir: root
-  } do
+  test "a seek backward starts a new epoch for all streams of the importer", %{tmp_dir: root} do
     {p, importer} = player(root, [])
     :ok = Store.Importer.seek(importer, 500_000_000)
     [at] = joined(500, 500)
-    # Forward, beyond all that was handed out: pipeline time is recorded time.
+    # After a seek past all delivered messages, pipeline time is recorded time.
     assert at == 500_000_000
     assert {:ok, 501_000_000} = Store.Importer.step(importer)
     [at] = joined(501, 501)
@@ -98,14 +95,14 @@ defmodule Situ.Store.SourceTest do
     [back] = joined(100, 100)
     assert back > at
     assert Store.Importer.position(importer) == 100_000_000
-    # Within the epoch the distances are those of the recording.
+    # Within the epoch, time differences are those of the recording.
     assert {:ok, 101_000_000} = Store.Importer.step(importer)
     assert joined(101, 101) == [back + 1_000_000]
     refute_received {:got, {102, _}, _}
     :ok = Store.Importer.seek(importer, 900_000_000)
     assert joined(900, 900) == [back + 800_000_000]
 
-    # Again and again, also to before the beginning.
+    # Seeks several times, also to before the beginning.
     for target <- [3, 700, 2, -5, 0, 998] do
       :ok = Store.Importer.seek(importer, target * 1_000_000)
       if target >= 0, do: assert([_] = joined(target, target))
@@ -117,7 +114,7 @@ defmodule Situ.Store.SourceTest do
     assert {:ok, _} = Pipeline.await(p, 30_000)
   end
 
-  test "a player waits at its end to be sought", %{tmp_dir: root} do
+  test "a player with keep_open: true waits at its end for a seek", %{tmp_dir: root} do
     {p, importer} = player(root, keep_open: true)
     :ok = Store.Importer.seek(importer, 990_000_000)
     :ok = Pipeline.set_speed(p, 1_000.0)
@@ -133,7 +130,7 @@ defmodule Situ.Store.SourceTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  test "seeks while it plays at full speed: times increase, nothing is out of order, the last part is whole",
+  test "after seeks at full speed, times still increase and the last part is complete",
        %{tmp_dir: root} do
     path = record(root, "rec", 0..9_999)
     test = self()
@@ -154,11 +151,11 @@ defmodule Situ.Store.SourceTest do
     assert_receive {:importer, importer}
     got = played(100, [])
 
-    # Without an enforced clock a stream is where its consumers let it be: every target is honoured all the same.
+    # At maximum speed, the position depends on the consumers, but every seek must still take effect.
     targets = [50, 9_000, 20, 5_000, 10]
     for target <- targets, do: :ok = Store.Importer.seek(importer, target * 1_000_000)
     got = whole(played(9_999, got))
-    # Every step is the next message, or a seek.
+    # Each message is followed by the next one, or by the target of a seek.
     jumps = for [{b, _}, {a, _}] <- Enum.chunk_every(got, 2, 1, :discard), b != a + 1, do: b
     assert hd(jumps) == 10 and jumps -- targets == []
     times = got |> Enum.map(&elem(&1, 1)) |> Enum.reverse()
@@ -166,8 +163,8 @@ defmodule Situ.Store.SourceTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  # The end may have been that of an earlier seek, or of the play before them all: the last one's has 10 to 9,999 before
-  # it, and does not come from 9.
+  # The end may belong to an earlier seek or to the initial playback. After the last seek come messages 10 to 9,999,
+  # and the message before them is not 9.
   defp whole(got) do
     case Enum.split(got, 9_990) do
       {last, [{before, _} | _]} when before != 9 -> if last?(last), do: got, else: more(got)

@@ -2,7 +2,7 @@ defmodule Situ.Store.StreamInfoTest do
   use ExUnit.Case, async: true
   alias Situ.Store.StreamInfo
 
-  test "rates and means are of what was recorded, and nothing of nothing" do
+  test "computes rates and means of the recorded messages, and nil without messages" do
     info = %StreamInfo{
       id: 1,
       name: "S",
@@ -13,7 +13,7 @@ defmodule Situ.Store.StreamInfoTest do
       latency_sum: 55
     }
 
-    assert StreamInfo.rate(info) == 2.0
+    assert StreamInfo.message_rate(info) == 2.0
     assert StreamInfo.average_size(info) == 20.0
     assert StreamInfo.average_latency(info) == 5.0
     assert StreamInfo.duration(info) == 5_000_000_000
@@ -21,13 +21,13 @@ defmodule Situ.Store.StreamInfoTest do
     assert StreamInfo.closed?(%{info | closed: 0})
 
     one = %{info | count: 1, last: info.first}
-    assert StreamInfo.rate(one) == nil and StreamInfo.duration(one) == 0
+    assert StreamInfo.message_rate(one) == nil and StreamInfo.duration(one) == 0
     none = %StreamInfo{id: 1, name: "S"}
-    assert StreamInfo.rate(none) == nil and StreamInfo.duration(none) == 0
+    assert StreamInfo.message_rate(none) == nil and StreamInfo.duration(none) == 0
     assert StreamInfo.average_size(none) == nil and StreamInfo.average_latency(none) == nil
   end
 
-  test "metadata are plain data, whatever stands in the file" do
+  test "metadata is plain data, whatever the file contains" do
     info = %StreamInfo{id: 1, name: "S"}
     assert {:error, %{code: :no_metadata}} = StreamInfo.metadata(info)
     with_term = fn bytes -> %{info | supplemental: {":any", bytes}} end

@@ -1,5 +1,5 @@
 defmodule Situ.Store.StructsTest do
-  # Structs of modules that are there but that nobody has loaded.
+  # Structs of modules that exist but are not loaded.
   use ExUnit.Case, async: true
 
   @moduletag :tmp_dir
@@ -11,7 +11,7 @@ defmodule Situ.Store.StructsTest do
       atom.(field)::binary, 97, value>>
   end
 
-  # As a release or Mix makes an application of them.
+  # Lists the modules in an application, as a release or Mix does.
   defp list_modules(modules) do
     app = :"later_app_#{System.unique_integer([:positive])}"
     spec = {:application, app, vsn: '1', modules: modules, applications: [], registered: []}
@@ -19,7 +19,7 @@ defmodule Situ.Store.StructsTest do
     on_exit(fn -> Application.unload(app) end)
   end
 
-  test "a recording does not choose which code is loaded", %{tmp_dir: root} do
+  test "a recording does not determine which code is loaded", %{tmp_dir: root} do
     n = System.unique_integer([:positive])
     source = Path.join(root, "evil.ex")
     mark = Path.join(root, "ran")
@@ -32,18 +32,18 @@ defmodule Situ.Store.StructsTest do
     end
     """)
 
-    # Compiling runs it too, in that system.
+    # Compiling also runs the function, in the compiling system.
     {_, 0} = System.cmd("elixirc", ["-o", root, source])
     File.rm(mark)
     true = Code.prepend_path(root)
     name = "Elixir.Evil#{n}"
     term = struct_term(name, "evil_#{n}", 5)
 
-    # Neither a name nobody has heard of nor one that is known as an atom makes a file of the code path be loaded.
+    # Neither an unknown name nor an existing atom may load a file from the code path.
     for store <- ["unknown", "known"] do
       assert %{"__struct__" => ^name} = Situ.Store.Test.Raw.decode(Path.join(root, store), term)
-      _ = Situ.Store.TypeName.read("Evil#{n}")
-      _ = Situ.Store.TypeName.read("{:list, Evil#{n}}")
+      _ = Situ.Store.TypeName.parse_type("Evil#{n}")
+      _ = Situ.Store.TypeName.parse_type("{:list, Evil#{n}}")
 
       module =
         if store == "unknown", do: String.to_atom(name), else: String.to_existing_atom(name)
@@ -56,26 +56,26 @@ defmodule Situ.Store.StructsTest do
     Code.delete_path(root)
   end
 
-  test "a struct whose module is there but was not loaded yet is the struct", %{tmp_dir: root} do
+  test "decodes a struct whose module exists but was not loaded yet", %{tmp_dir: root} do
     n = System.unique_integer([:positive])
     name = "Elixir.LoadedLater#{n}"
     source = Path.join(root, "later.ex")
     File.write!(source, "defmodule LoadedLater#{n} do defstruct [:later_#{n}] end")
-    # Compiled by another system: here nobody has heard of its field.
+    # The module is compiled by another system, so this VM does not know its field.
     {_, 0} = System.cmd("elixirc", ["-o", root, source])
     term = struct_term(name, "later_#{n}", 5)
 
     assert %{"__struct__" => ^name} = Situ.Store.Test.Raw.decode(Path.join(root, "a"), term)
     assert_raise ArgumentError, fn -> String.to_existing_atom("later_#{n}") end
 
-    # An application's list of modules names it, as a release's does.
+    # Now an application's module list contains it, as in a release.
     module = String.to_atom(name)
     true = Code.append_path(root)
     list_modules([module])
     assert decoded = Situ.Store.Test.Raw.decode(Path.join(root, "b"), term)
     assert %{__struct__: ^module} = decoded
     assert Map.values(Map.from_struct(decoded)) == [5]
-    # So do structs within other terms.
+    # Structs within other terms are decoded, too.
     <<131, inner::binary>> = struct_term(name, "later_#{n}", 6)
 
     assert [%{__struct__: ^module}] =
@@ -87,9 +87,7 @@ defmodule Situ.Store.StructsTest do
     Code.delete_path(root)
   end
 
-  test "structs within structs of modules that are there are structs from the first read on", %{
-    tmp_dir: root
-  } do
+  test "decodes nested structs of existing modules on the first read", %{tmp_dir: root} do
     n = System.unique_integer([:positive])
     source = Path.join(root, "nested.ex")
 
@@ -101,7 +99,7 @@ defmodule Situ.Store.StructsTest do
     {_, 0} = System.cmd("elixirc", ["-o", root, source])
     inner = struct_term("Elixir.Inner#{n}", "deep_#{n}", 7)
     <<131, body::binary>> = struct_term("Elixir.Outer#{n}", "inner_#{n}", 0)
-    # The small integer 0 at the end gives way to the struct.
+    # Replaces the small integer 0 at the end with the inner struct.
     outer =
       <<131, binary_part(body, 0, byte_size(body) - 2)::binary,
         binary_part(inner, 1, byte_size(inner) - 1)::binary>>

@@ -16,9 +16,7 @@ defmodule Situ.Store.SummaryTest do
     summary
   end
 
-  test "states tell their changes where there are few, and counts where there are many", %{
-    tmp_dir: root
-  } do
+  test "summarizes few states as changes and many as counts", %{tmp_dir: root} do
     states = for i <- 0..99, do: if(rem(div(i, 10), 2) == 0, do: :idle, else: :busy)
     store = store(root, states)
     assert %{tracks: [{nil, {:changes, changes}}]} = read!(store, 15_000, 45_000, 2)
@@ -37,7 +35,7 @@ defmodule Situ.Store.SummaryTest do
     assert bins |> Enum.flat_map(&elem(&1, 2)) |> Enum.map(&elem(&1, 1)) |> Enum.sum() == 100
   end
 
-  test "the state in force at the beginning is told though its message lies before", %{
+  test "includes the state at the start of the interval, even if its message is earlier", %{
     tmp_dir: root
   } do
     store = store(root, ["a", "b", "b", "c"])
@@ -45,7 +43,7 @@ defmodule Situ.Store.SummaryTest do
     assert changes == [{1_000, "b"}, {3_000, "c"}]
   end
 
-  test "maps have a track for each key, numbers and states apart", %{tmp_dir: root} do
+  test "maps have one track per key, of numbers or states", %{tmp_dir: root} do
     maps = for i <- 0..9, do: %{x: i, who: if(i < 5, do: "ann", else: :nobody), pose: [i]}
     store = store(root, maps)
     %{tracks: tracks, counts: counts} = read!(store, 0, 9_000, 1)
@@ -56,13 +54,13 @@ defmodule Situ.Store.SummaryTest do
     assert {:numbers, [{0, 0.0, 8.0, 8.0, 9}, {8_192, 9.0, 9.0, 9.0, 1}]} = tracks.x
   end
 
-  test "whatever is neither number nor state has counts", %{tmp_dir: root} do
+  test "values that are neither numbers nor states have counts only", %{tmp_dir: root} do
     store = store(root, for(i <- 1..50, do: {i, String.duplicate("long", 40)}))
     assert %{tracks: [], counts: counts} = read!(store, 0, 49_000, 4)
     assert Enum.sum(for {_, n} <- counts, do: n) == 50
   end
 
-  test "a stream that is not there is an error", %{tmp_dir: root} do
+  test "returns an error for an unknown stream or option", %{tmp_dir: root} do
     store = store(root, [1])
     assert {:error, %{code: :no_stream}} = Summary.read(store, "T", 0, 1, 1)
     assert {:error, %{code: :unknown_option}} = Summary.read(store, "S", 0, 1, 1, chnages: 1)

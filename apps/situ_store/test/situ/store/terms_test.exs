@@ -7,7 +7,7 @@ defmodule Situ.Store.TermsTest do
 
   @moduletag :tmp_dir
 
-  property "a term that may be stored is read back as it was" do
+  property "every storable term round-trips" do
     forall term <- term() do
       case Terms.encode(term) do
         {:ok, bytes} -> Terms.decode(bytes) == {:ok, term}
@@ -16,7 +16,7 @@ defmodule Situ.Store.TermsTest do
     end
   end
 
-  property "no bytes raise, or make anything alive" do
+  property "decodes any bytes without raising, and only to storable terms" do
     forall bytes <- binary() do
       case Terms.decode(<<131>> <> bytes) do
         {:ok, term} -> match?({:ok, _}, Terms.encode(term))
@@ -25,14 +25,14 @@ defmodule Situ.Store.TermsTest do
     end
   end
 
-  test "what is alive is neither written nor read" do
+  test "processes, references, functions and ports are neither encoded nor decoded" do
     for alive <- [self(), make_ref(), fn -> 1 end, &:erlang.halt/0, hd(Port.list())] do
       assert {:error, {:not_storable, _}} = Terms.encode([%{a: {alive}}])
       assert {:error, _} = Terms.decode(:erlang.term_to_binary(alive))
     end
   end
 
-  test "compressed terms and terms of many small parts are refused" do
+  test "refuses compressed terms and terms of many small parts" do
     zeros = :binary.copy(<<0>>, 10_000_000)
 
     assert {:error, "a compressed term"} =
@@ -43,7 +43,7 @@ defmodule Situ.Store.TermsTest do
     assert {:error, "a term that takes more than 64 MiB" <> _} = Terms.decode(small)
   end
 
-  test "no stored value passes for a mark of the reader", %{tmp_dir: root} do
+  test "no stored value is mistaken for a marker of the reader", %{tmp_dir: root} do
     function = :erlang.term_to_binary(&:erlang.halt/1)
     {:ok, writer} = Writer.create("marks", root)
     {:ok, stream} = Writer.stream(writer, "S")
@@ -67,7 +67,7 @@ defmodule Situ.Store.TermsTest do
     assert Store.metadata(store, "S") == {:ok, hd(marks)}
   end
 
-  test "messages are read a few megabytes at a time, unpacked", %{tmp_dir: root} do
+  test "reads messages a few unpacked megabytes at a time", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("masks", root)
     {:ok, stream} = Writer.stream(writer, "Mask", compression: :zstd, large: true)
     mask = :binary.copy(<<0>>, 2_000_000)
@@ -76,16 +76,16 @@ defmodule Situ.Store.TermsTest do
     store = Store.open!(writer.path)
     {:ok, info} = Store.stream_info(store, "Mask")
     assert info.stored < 100_000
-    assert {:ok, batch, 3} = Store.Reading.batch(store, info, 0, :unbounded, 1_000, [])
+    assert {:ok, batch, 3} = Store.Reading.read_batch(store, info, 0, :unbounded, 1_000, [])
     assert length(batch) == 3
     assert Enum.count(Store.messages(store, "Mask")) == 40
-    # Whoever distrusts the file more may say so.
+    # A caller can set a stricter limit for untrusted files.
     strict = Store.open!(writer.path, max_unpacked: 1_000_000)
     assert {:error, %{code: :damaged, why: why}} = Store.at(strict, "Mask", 0)
     assert why =~ "unpacks to more"
   end
 
-  test "a refused term is a value that says why", %{tmp_dir: root} do
+  test "a refused term is returned as a value with the reason", %{tmp_dir: root} do
     assert %Undecoded{reason: "a function"} =
              Situ.Store.Test.Raw.decode(root, :erlang.term_to_binary(&:lists.reverse/1))
   end

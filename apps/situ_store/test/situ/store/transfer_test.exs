@@ -1,5 +1,5 @@
 defmodule Situ.Store.TransferTest do
-  # Bytes on their way from store to store: taken over as they are, known here or not.
+  # Data copied from store to store stays unchanged, whether its types are known or not.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
   alias Situ.Store
@@ -8,7 +8,7 @@ defmodule Situ.Store.TransferTest do
 
   @moduletag :tmp_dir
 
-  # {"never_heard_of_this_atom", 1} with an atom that is in no system: the tag of a small atom is 119.
+  # {"never_heard_of_this_atom", 1} with an atom that no system knows; 119 is the tag of a small atom.
   @foreign <<131, 104, 2, 119, 25, "never_heard_of_this_at0m_", 97, 1>>
 
   defp data(path, stream),
@@ -27,7 +27,7 @@ defmodule Situ.Store.TransferTest do
     ]
   end
 
-  test "terms with atoms this system has never heard of are kept byte by byte", %{tmp_dir: root} do
+  test "terms with unknown atoms are copied byte by byte", %{tmp_dir: root} do
     path = Raw.written(root, @foreign)
     assert data(path, "T") == [{"never_heard_of_this_at0m_", 1}]
 
@@ -38,7 +38,7 @@ defmodule Situ.Store.TransferTest do
     end
   end
 
-  test "bytes of a codec that is not here stay its bytes", %{tmp_dir: root} do
+  test "data of an unknown codec is copied unchanged", %{tmp_dir: root} do
     pictures = for i <- 1..3, do: %Picture{width: i, data: :binary.copy(<<i>>, 40_000)}
     path = store(root, [{"Pic", messages(pictures), []}])
 
@@ -53,7 +53,7 @@ defmodule Situ.Store.TransferTest do
     end
   end
 
-  test "codecs of several stores get numbers of their own", %{tmp_dir: root} do
+  test "codecs from several stores get distinct numbers", %{tmp_dir: root} do
     other = %Picture{width: 9, data: "late"}
 
     a =

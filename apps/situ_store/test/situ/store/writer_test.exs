@@ -9,7 +9,7 @@ defmodule Situ.Store.WriterTest do
 
   @moduletag :tmp_dir
 
-  test "messages of several kinds are appended all or none", %{tmp_dir: root} do
+  test "an append of several kinds of messages writes all of them or none", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("mixed", root)
     {:ok, stream} = Writer.stream(writer, "S")
     picture = %Picture{width: 3, data: <<1, 2, 3>>}
@@ -28,7 +28,7 @@ defmodule Situ.Store.WriterTest do
     assert data == [picture, "text", 7, picture, sound]
   end
 
-  test "metadata that cannot be read back is refused", %{tmp_dir: root} do
+  test "refuses metadata that cannot be read back", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("meta", root)
     {:ok, stream} = Writer.stream(writer, "S")
     assert {:error, %{code: :not_storable, what: what}} = Writer.put_metadata(stream, self())

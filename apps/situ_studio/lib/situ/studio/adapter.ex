@@ -48,11 +48,11 @@ defmodule Situ.Studio.Adapter do
       ...>   def about, do: %Situ.Studio.Adapter{id: "doubled", title: "Doubled", from: [:text], to: :boolean}
       ...> end
       iex> visualizers = Situ.Studio.Visualizers.all()
-      iex> for v <- Situ.Studio.Adapter.visualizers(Doubled, visualizers), do: {v.id, v.title, v.shapes}
+      iex> for v <- Situ.Studio.Adapter.adapted_visualizers(Doubled, visualizers), do: {v.id, v.title, v.shapes}
       [{"states@doubled", "States (Doubled)", [:text]}, {"line@doubled", "Line (Doubled)", [:text]}]
   """
-  @spec visualizers(module(), [Visualizer.t()]) :: [Visualizer.t()]
-  def visualizers(module, visualizers) do
+  @spec adapted_visualizers(module(), [Visualizer.t()]) :: [Visualizer.t()]
+  def adapted_visualizers(module, visualizers) do
     %{id: id, title: title, from: from, to: to} = module.about()
 
     for %{shapes: shapes} = v <- visualizers, shapes != :any, to in shapes, v.adapter == nil do

@@ -23,15 +23,15 @@ defmodule Situ.Studio.Alerts do
         }
 
   @doc """
-  Starts the alerts of the studio `:id`. With `tick: false`, the caller triggers each evaluation (`look/2`); `of:`
+  Starts the alerts of the studio `:id`. With `tick: false`, the caller triggers each evaluation (`evaluate_rules/2`); `of:`
   names a different studio to evaluate.
   """
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
 
   @doc "Returns the alerts of the item `title`: active alerts first, then the newest."
-  @spec of(Catalog.id(), String.t()) :: [alert()]
-  def of(id, title) do
+  @spec list_alerts(Catalog.id(), String.t()) :: [alert()]
+  def list_alerts(id, title) do
     case Registry.lookup(Situ.Studio.Registry, {id, :alerts}) do
       [{_, table}] ->
         for({_, alert} <- :ets.match_object(table, {{title, :_}, :_}), do: alert)
@@ -46,12 +46,12 @@ defmodule Situ.Studio.Alerts do
   end
 
   @doc "Returns the number of active alerts of the item `title`."
-  @spec count(Catalog.id(), String.t()) :: non_neg_integer()
-  def count(id, title), do: id |> of(title) |> Enum.count(&(&1.cleared == nil))
+  @spec count_active(Catalog.id(), String.t()) :: non_neg_integer()
+  def count_active(id, title), do: id |> list_alerts(title) |> Enum.count(&(&1.cleared == nil))
 
   @doc "Evaluates the rules for the running pipelines at time `now`."
-  @spec look(GenServer.server(), Situ.Time.t()) :: :ok
-  def look(server, now), do: GenServer.call(server, {:look, now}, 30_000)
+  @spec evaluate_rules(GenServer.server(), Situ.Time.t()) :: :ok
+  def evaluate_rules(server, now), do: GenServer.call(server, {:look, now}, 30_000)
 
   @impl true
   def init(opts) do
@@ -62,22 +62,27 @@ defmodule Situ.Studio.Alerts do
   end
 
   @impl true
-  def handle_call({:look, now}, _from, state), do: {:reply, :ok, looked(state, now)}
+  def handle_call({:look, now}, _from, state), do: {:reply, :ok, update_alerts(state, now)}
 
   @impl true
   def handle_info(:tick, state) do
     Process.send_after(self(), :tick, @tick_ms)
-    {:noreply, looked(state, Situ.Time.now())}
+    {:noreply, update_alerts(state, Situ.Time.now())}
   end
 
   def handle_info(_, state), do: {:noreply, state}
 
-  defp looked(%{id: id, table: table} = state, now) do
-    case Rule.read(Settings.load(Catalog.settings(id).layouts).alerts) do
+  defp update_alerts(%{id: id, table: table} = state, now) do
+    case Rule.parse_rules(Settings.load(Catalog.settings(id).layouts).alerts) do
       {:ok, [_ | _] = rules} ->
         running = for %{kind: :pipeline, live: true} = item <- Catalog.list(id), do: item.id
-        forget(table, running, rules)
-        seen = for title <- running, into: %{}, do: {title, held(state, title, rules, now)}
+        delete_stale_alerts(table, running, rules)
+
+        seen =
+          for title <- running,
+              into: %{},
+              do: {title, evaluate_pipeline(state, title, rules, now)}
+
         %{state | earlier: Map.reject(seen, fn {_, snapshot} -> snapshot == nil end)}
 
       _ ->
@@ -87,7 +92,7 @@ defmodule Situ.Studio.Alerts do
   end
 
   # Removes the alerts of rules that were deleted or changed, and of pipelines that are no longer running.
-  defp forget(table, running, rules) do
+  defp delete_stale_alerts(table, running, rules) do
     known = MapSet.new(rules, &{&1.name, &1.expression.source})
 
     for {{title, _} = key, alert} <- :ets.tab2list(table),
@@ -96,14 +101,21 @@ defmodule Situ.Studio.Alerts do
   end
 
   # A pipeline that has just ended has no snapshot, so its rules are skipped.
-  defp held(state, title, rules, now) do
-    with {:ok, _item, source} <- Catalog.open(state.id, title),
+  defp evaluate_pipeline(state, title, rules, now) do
+    with {:ok, _item, source} <- Catalog.open_source(state.id, title),
          {:ok, {:live, _} = feed} <- Feed.open(source),
-         {:ok, %Snapshot{} = snapshot, at} <- Feed.now(feed) do
-      sample = Stats.sample(snapshot, at, state.earlier[title])
+         {:ok, %Snapshot{} = snapshot, at} <- Feed.fetch_latest(feed) do
+      sample = Stats.compute_sample(snapshot, at, state.earlier[title])
 
       for rule <- rules,
-          do: put(state.table, {title, rule.name}, rule, env(rule, source, snapshot, sample), now)
+          do:
+            update_alert(
+              state.table,
+              {title, rule.name},
+              rule,
+              build_env(rule, source, snapshot, sample),
+              now
+            )
 
       {snapshot, at}
     else
@@ -111,16 +123,18 @@ defmodule Situ.Studio.Alerts do
     end
   end
 
-  defp env(rule, source, snapshot, sample) do
+  defp build_env(rule, source, snapshot, sample) do
     statistics =
-      for {name, id, path} <- Rule.statistics(rule),
+      for {name, id, path} <- Rule.referenced_statistics(rule),
           into: %{},
-          do: {name, statistic(snapshot, sample, id, path)}
+          do: {name, statistic_value(snapshot, sample, id, path)}
 
-    for stream <- Rule.streams(rule), into: statistics, do: {stream, latest(source, stream)}
+    for stream <- Rule.referenced_streams(rule),
+        into: statistics,
+        do: {stream, latest_value(source, stream)}
   end
 
-  defp statistic(snapshot, sample, id, path) do
+  defp statistic_value(snapshot, sample, id, path) do
     {:ok, %{of: of}} = Stats.fetch(id)
     nodes = for node <- snapshot.nodes, node.path == path, do: node.id
 
@@ -130,19 +144,19 @@ defmodule Situ.Studio.Alerts do
         :edge -> for e <- snapshot.edges, e.to in nodes, do: sample.edges[e.id]
       end
 
-    Stats.merge(Enum.reject(values, &is_nil/1))[id]
+    Stats.merge_values(Enum.reject(values, &is_nil/1))[id]
   end
 
-  defp latest(source, stream) do
+  defp latest_value(source, stream) do
     with {:ok, extent} <- Source.call(source, :extent, []),
          {:ok, message} <- Source.call(source, :latest_at, [stream, extent.to]) do
-      Value.plain(message.data)
+      Value.to_plain(message.data)
     else
       _ -> nil
     end
   end
 
-  defp put(table, key, rule, env, now) do
+  defp update_alert(table, key, rule, env, now) do
     raised? = Rule.true?(rule, env)
 
     case {:ets.lookup(table, key), raised?} do
@@ -153,13 +167,13 @@ defmodule Situ.Studio.Alerts do
         :ets.insert(table, {key, %{alert | cleared: now}})
 
       {_, true} ->
-        :ets.insert(table, {key, alert(rule, now)})
+        :ets.insert(table, {key, new_alert(rule, now)})
 
       {_, false} ->
         :ok
     end
   end
 
-  defp alert(rule, now),
+  defp new_alert(rule, now),
     do: %{rule: rule.name, text: rule.expression.source, raised: now, cleared: nil}
 end

@@ -7,10 +7,10 @@ defmodule Situ.Studio.Annotating do
   modified. Every edit is written to disk before it is acknowledged (`Situ.Annotation.Editor`), so a crash of the page
   or the server loses nothing.
 
-      iex> {:ok, schema} = Situ.Studio.Annotating.schema("Speech", "speaks 1 #1f77b4\\nlaughs 2")
+      iex> {:ok, schema} = Situ.Studio.Annotating.parse_schema("Speech", "speaks 1 #1f77b4\\nlaughs 2")
       iex> for v <- hd(schema.attributes).values, do: {v.value, v.key, v.fill}
       [{"speaks", "1", "#1f77b4"}, {"laughs", "2", nil}]
-      iex> {:error, error} = Situ.Studio.Annotating.schema("Speech", "a 1\\nb 1")
+      iex> {:error, error} = Situ.Studio.Annotating.parse_schema("Speech", "a 1\\nb 1")
       iex> error.code
       :bad_schema
   """
@@ -22,12 +22,12 @@ defmodule Situ.Studio.Annotating do
   @most 20_000
 
   @doc "Parses a schema of one attribute from text: one value per line, followed by its key and its color."
-  @spec schema(String.t(), String.t()) :: {:ok, Schema.t()} | {:error, Error.t()}
-  def schema(name, text) do
+  @spec parse_schema(String.t(), String.t()) :: {:ok, Schema.t()} | {:error, Error.t()}
+  def parse_schema(name, text) do
     values =
       for line <- String.split(text, ~r/[\n,;]/, trim: true),
           String.trim(line) != "",
-          do: value(line)
+          do: parse_value(line)
 
     attribute =
       if values == [],
@@ -37,9 +37,9 @@ defmodule Situ.Studio.Annotating do
     Schema.parse(%{"name" => name, "attributes" => [attribute]})
   end
 
-  defp value(line) do
+  defp parse_value(line) do
     {marks, words} =
-      line |> String.split() |> Enum.reverse() |> Enum.split_while(&(mark(&1) != nil))
+      line |> String.split() |> Enum.reverse() |> Enum.split_while(&(parse_mark(&1) != nil))
 
     # A line that contains only a key or a color still needs a value: the first word is the value.
     {marks, words} =
@@ -47,18 +47,18 @@ defmodule Situ.Studio.Annotating do
 
     for mark <- marks,
         into: %{"value" => words |> Enum.reverse() |> Enum.join(" ")},
-        do: mark(mark)
+        do: parse_mark(mark)
   end
 
-  defp mark("#" <> _ = fill), do: {"fill", fill}
-  defp mark(<<_::utf8>> = key), do: {"key", key}
-  defp mark(_), do: nil
+  defp parse_mark("#" <> _ = fill), do: {"fill", fill}
+  defp parse_mark(<<_::utf8>> = key), do: {"key", key}
+  defp parse_mark(_), do: nil
 
   @doc """
   Builds the schema of boxes or points on images: positions are numbers in pixels, and each annotation is a key frame.
   """
-  @spec spatial(String.t(), :box | :point) :: Schema.t()
-  def spatial(name, kind) do
+  @spec build_spatial_schema(String.t(), :box | :point) :: Schema.t()
+  def build_spatial_schema(name, kind) do
     names = if kind == :box, do: ~w(x y width height), else: ~w(x y)
     numbers = for n <- names, do: %{"name" => n, "kind" => "number"}
     {:ok, schema} = Schema.parse(%{"name" => name, "attributes" => numbers})
@@ -68,16 +68,16 @@ defmodule Situ.Studio.Annotating do
   @doc """
   Returns the editor of a stream of annotations, and starts it on the first call. `schema` creates a missing stream.
   """
-  @spec open(Catalog.id(), Path.t(), String.t(), Schema.t() | nil) ::
+  @spec open_editor(Catalog.id(), Path.t(), String.t(), Schema.t() | nil) ::
           {:ok, pid()} | {:error, Error.t()}
-  def open(studio, path, stream, schema) do
+  def open_editor(studio, path, stream, schema) do
     name = {:via, Registry, {Situ.Studio.Registry, {studio, :annotation, path, stream}}}
-    opts = [path: Shelf.store(path, stream), stream: stream, schema: schema, name: name]
+    opts = [path: Shelf.store_path(path, stream), stream: stream, schema: schema, name: name]
     child = %{id: Editor, start: {Editor, :start_link, [opts]}, restart: :temporary}
 
-    case DynamicSupervisor.start_child(Catalog.watches(studio), child) do
+    case DynamicSupervisor.start_child(Catalog.watch_supervisor(studio), child) do
       {:ok, pid} ->
-        kept(pid, schema)
+        save_new_schema(pid, schema)
 
       {:error, {:already_started, pid}} ->
         {:ok, pid}
@@ -91,23 +91,23 @@ defmodule Situ.Studio.Annotating do
   end
 
   # The journal does not contain the schema, so a new stream is saved immediately.
-  defp kept(pid, nil), do: {:ok, pid}
+  defp save_new_schema(pid, nil), do: {:ok, pid}
 
-  defp kept(pid, _schema) do
+  defp save_new_schema(pid, _schema) do
     with {:ok, _} <- Editor.save(pid), do: {:ok, pid}
   end
 
   @doc "Returns everything that the page needs to draw the annotations of a stream."
-  @spec told(pid(), String.t()) :: map()
-  def told(editor, stream) do
-    layer = Editor.layer(editor)
+  @spec page_state(pid(), String.t()) :: map()
+  def page_state(editor, stream) do
+    layer = Editor.current_layer(editor)
     status = Editor.status(editor)
 
     %{
       stream: stream,
-      attributes: Enum.map(layer.schema.attributes, &attribute/1),
-      tracks: Layer.tracks(layer),
-      items: layer |> Layer.annotations() |> Enum.take(@most) |> Enum.map(&item/1),
+      attributes: Enum.map(layer.schema.attributes, &attribute_to_map/1),
+      tracks: Layer.track_names(layer),
+      items: layer |> Layer.annotations() |> Enum.take(@most) |> Enum.map(&annotation_to_map/1),
       undo: status.undo,
       redo: status.redo,
       unsaved: status.unsaved?,
@@ -116,13 +116,13 @@ defmodule Situ.Studio.Annotating do
     }
   end
 
-  defp attribute(a) do
+  defp attribute_to_map(a) do
     values = for v <- a.values, do: Map.take(v, [:value, :fill, :key])
     %{name: a.name, kind: a.kind, default: a.default, fill: a.fill, values: values}
   end
 
   # Times are strings because JavaScript numbers cannot represent ns since 1970 exactly.
-  defp item(a) do
+  defp annotation_to_map(a) do
     %{
       id: a.id,
       from: Integer.to_string(a.from),
@@ -137,18 +137,18 @@ defmodule Situ.Studio.Annotating do
   end
 
   @doc "Applies an edit from the page; an error names the rule that the edit would break."
-  @spec edit(pid(), map()) :: :ok | {:error, Error.t()}
-  def edit(editor, %{"do" => "undo"}), do: done(Editor.undo(editor))
-  def edit(editor, %{"do" => "redo"}), do: done(Editor.redo(editor))
-  def edit(editor, %{"do" => "save"}), do: done(Editor.save(editor))
+  @spec apply_edit(pid(), map()) :: :ok | {:error, Error.t()}
+  def apply_edit(editor, %{"do" => "undo"}), do: edit_result(Editor.undo(editor))
+  def apply_edit(editor, %{"do" => "redo"}), do: edit_result(Editor.redo(editor))
+  def apply_edit(editor, %{"do" => "save"}), do: edit_result(Editor.save(editor))
 
-  def edit(editor, %{"do" => name} = params),
-    do: done(Editor.edit(editor, &Request.change(name, &1, params)))
+  def apply_edit(editor, %{"do" => name} = params),
+    do: edit_result(Editor.edit(editor, &Request.apply_change(name, &1, params)))
 
-  def edit(_, _), do: bad()
+  def apply_edit(_, _), do: invalid_edit()
 
-  defp done({:ok, _}), do: :ok
-  defp done(error), do: error
+  defp edit_result({:ok, _}), do: :ok
+  defp edit_result(error), do: error
 
   @doc """
   Replaces the schema of a stream of annotations with the draft that was edited in the page. Annotations follow
@@ -156,12 +156,13 @@ defmodule Situ.Studio.Annotating do
   """
   @spec put_schema(pid(), [SchemaForm.attribute()]) :: :ok | {:error, Error.t()}
   def put_schema(editor, draft) do
-    with {:ok, schema, renamed} <- SchemaForm.schema(Editor.layer(editor).schema.name, draft),
+    with {:ok, schema, renamed} <-
+           SchemaForm.build_schema(Editor.current_layer(editor).schema.name, draft),
          names = Enum.map(schema.attributes, & &1.name),
-         do: done(Editor.put_schema(editor, schema, &renamed(&1, renamed, names)))
+         do: edit_result(Editor.put_schema(editor, schema, &rename_values(&1, renamed, names)))
   end
 
-  defp renamed(annotation, renamed, names) do
+  defp rename_values(annotation, renamed, names) do
     values =
       Enum.reduce(renamed, annotation.values, fn {was, now, names}, values ->
         case Map.pop(values, was) do
@@ -177,37 +178,37 @@ defmodule Situ.Studio.Annotating do
   Adds proposals from a stream's intervals, one track per lane, and returns `{:ok, count}`. A state or text that the
   schema knows becomes the value; unknown ones are skipped, as are proposals that overlap with annotations.
   """
-  @spec propose(pid(), [Proposals.t()], String.t()) ::
+  @spec add_proposals(pid(), [Proposals.t()], String.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
-  def propose(editor, found, stream) do
+  def add_proposals(editor, found, stream) do
     short = stream |> String.split(".") |> List.last()
-    before = editor |> Editor.layer() |> Layer.annotations() |> length()
+    before = editor |> Editor.current_layer() |> Layer.annotations() |> length()
 
     edit = fn layer ->
       proposals =
-        for one <- found, values = proposed(layer.schema, one.label) do
+        for one <- found, values = proposed_values(layer.schema, one.label) do
           track = if one.lane == "", do: short, else: one.lane
           more = [proposed?: true, by: stream, confidence: one.confidence]
           Annotation.new(one.from, one.to, track, values, more)
         end
 
-      Edit.propose(layer, proposals)
+      Edit.add_proposals(layer, proposals)
     end
 
     with {:ok, layer} <- Editor.edit(editor, edit),
          do: {:ok, length(Layer.annotations(layer)) - before}
   end
 
-  defp proposed(schema, ""), do: Schema.defaults(schema)
+  defp proposed_values(schema, ""), do: Schema.default_values(schema)
 
-  defp proposed(%{attributes: attributes} = schema, label) do
+  defp proposed_values(%{attributes: attributes} = schema, label) do
     known = Enum.find(attributes, fn a -> Enum.any?(a.values, &(&1.value == label)) end)
 
     case known || Enum.find(attributes, &(&1.kind == :text)) do
       nil -> nil
-      attribute -> Map.put(Schema.defaults(schema), attribute.name, label)
+      attribute -> Map.put(Schema.default_values(schema), attribute.name, label)
     end
   end
 
-  defp bad, do: {:error, Error.new(:bad_request, "invalid annotation edit")}
+  defp invalid_edit, do: {:error, Error.new(:bad_request, "invalid annotation edit")}
 end

@@ -30,14 +30,14 @@ defmodule Situ.Studio.Batch do
   `opts`: `:output` (default: the task's output), `:overwrite`, `:parallel`. Errors: `:no_task`, invalid options, and
   `:busy` when a run with the same output is in progress.
   """
-  @spec start(String.t(), {pid(), Path.t()}, String.t(), [String.t()], map(), keyword()) ::
+  @spec start_run(String.t(), {pid(), Path.t()}, String.t(), [String.t()], map(), keyword()) ::
           {:ok, pos_integer()} | {:error, Error.t()}
-  def start(studio, {server, file}, task, sessions, config, opts \\ []) do
-    with {:ok, module} <- Task.fetch(task),
+  def start_run(studio, {server, file}, task, sessions, config, opts \\ []) do
+    with {:ok, module} <- Task.fetch_task(task),
          %{options: schema, output: output} = module.task(),
-         {:ok, options} <- Task.options(schema, config),
-         {:ok, dataset} <- Datasets.refresh(server, file),
-         {:ok, chosen} <- chosen(dataset, sessions) do
+         {:ok, options} <- Task.parse_options(schema, config),
+         {:ok, dataset} <- Datasets.reload_dataset(server, file),
+         {:ok, chosen} <- select_sessions(dataset, sessions) do
       opts = Keyword.put_new(opts, :output, output)
       note = %{task: task, sessions: Enum.map(chosen, & &1.name), config: config}
       note = Map.merge(note, %{output: opts[:output], parallel: opts[:parallel] || 1})
@@ -46,7 +46,7 @@ defmodule Situ.Studio.Batch do
     end
   end
 
-  defp chosen(dataset, names) do
+  defp select_sessions(dataset, names) do
     case Enum.filter(dataset.sessions, &(&1.name in names)) do
       [] -> {:error, Error.new(:no_session, "no session is selected", fix: "select at least one")}
       sessions -> {:ok, sessions}
@@ -54,8 +54,8 @@ defmodule Situ.Studio.Batch do
   end
 
   @doc "Cancels a run; finished sessions keep their output."
-  @spec cancel(String.t(), pos_integer()) :: :ok
-  def cancel(studio, id), do: GenServer.call(via(studio), {:cancel, id})
+  @spec cancel_run(String.t(), pos_integer()) :: :ok
+  def cancel_run(studio, id), do: GenServer.call(via(studio), {:cancel, id})
 
   @impl true
   def init(_id), do: {:ok, %{runs: [], tasks: %{}, next: 1, subscribers: %{}, told: 0, due: nil}}
@@ -64,7 +64,7 @@ defmodule Situ.Studio.Batch do
   def handle_call({:subscribe, file, pid}, _from, state) do
     monitor = Process.monitor(pid)
     subscribers = Map.put(state.subscribers, monitor, {pid, file})
-    {:reply, of(state, file), %{state | subscribers: subscribers}}
+    {:reply, runs_of_file(state, file), %{state | subscribers: subscribers}}
   end
 
   def handle_call(
@@ -74,8 +74,8 @@ defmodule Situ.Studio.Batch do
       ) do
     job = {module, sessions, opts}
 
-    if busy?(state, file, opts[:output]) do
-      {:reply, {:error, busy(opts[:output] || task)}, state}
+    if output_busy?(state, file, opts[:output]) do
+      {:reply, {:error, busy_error(opts[:output] || task)}, state}
     else
       cancel = :counters.new(1, [])
       id = state.next
@@ -87,13 +87,15 @@ defmodule Situ.Studio.Batch do
         output: opts[:output],
         sessions: Enum.map(sessions, & &1.name),
         cancel: cancel,
-        began: now()
+        began: monotonic_ms()
       }
 
-      :ok = Left.note(file, note)
-      %{ref: ref} = work(self(), id, dataset, job, cancel)
+      :ok = Left.record_start(file, note)
+      %{ref: ref} = start_task(self(), id, dataset, job, cancel)
       state = %{state | next: id + 1, tasks: Map.put(state.tasks, ref, id)}
-      {:reply, {:ok, id}, tell(%{state | runs: Enum.take([run | state.runs], @kept)})}
+
+      {:reply, {:ok, id},
+       notify_subscribers(%{state | runs: Enum.take([run | state.runs], @kept)})}
     end
   end
 
@@ -102,13 +104,13 @@ defmodule Situ.Studio.Batch do
     {:reply, :ok, state}
   end
 
-  defp busy?(state, file, output),
+  defp output_busy?(state, file, output),
     do: Enum.any?(state.runs, &match?(%{file: ^file, output: ^output, status: :running}, &1))
 
-  defp busy(name),
+  defp busy_error(name),
     do: Error.new(:busy, "#{name} is already being computed", fix: "wait for it, or cancel it")
 
-  defp work(owner, id, {server, file}, {module, sessions, opts}, cancel) do
+  defp start_task(owner, id, {server, file}, {module, sessions, opts}, cancel) do
     commit = fn server, session, partition ->
       with {:ok, _} <- Datasets.put_partition(server, file, session.name, partition),
            do: {:ok, server}
@@ -121,57 +123,66 @@ defmodule Situ.Studio.Batch do
       ] ++ opts
 
     Elixir.Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn ->
-      Derivation.run(sessions, module, Server.get(server).file, {server, commit}, opts)
+      Derivation.run(sessions, module, Server.get_dataset(server).file, {server, commit}, opts)
     end)
   end
 
   @impl true
   def handle_info({:progress, id, progress}, state),
-    do: {:noreply, state |> change(id, &Run.progress(&1, progress)) |> later()}
+    do:
+      {:noreply, state |> update_run(id, &Run.update_progress(&1, progress)) |> schedule_update()}
 
   def handle_info({ref, result}, %{tasks: tasks} = state) when is_map_key(tasks, ref) do
     Process.demonitor(ref, [:flush])
-    {:noreply, over(state, ref, result)}
+    {:noreply, finish_run(state, ref, result)}
   end
 
   def handle_info({:DOWN, ref, _, _, reason}, %{tasks: tasks} = state)
       when is_map_key(tasks, ref) do
     error = Error.new(:run_crashed, "the run crashed: #{inspect(reason, limit: 10)}")
-    {:noreply, over(state, ref, {:error, error})}
+    {:noreply, finish_run(state, ref, {:error, error})}
   end
 
   def handle_info({:DOWN, monitor, _, _, _}, state),
     do: {:noreply, %{state | subscribers: Map.delete(state.subscribers, monitor)}}
 
-  def handle_info(:tell, state), do: {:noreply, tell(state)}
+  def handle_info(:tell, state), do: {:noreply, notify_subscribers(state)}
   def handle_info(_stray, state), do: {:noreply, state}
 
-  defp over(state, ref, result) do
+  defp finish_run(state, ref, result) do
     {id, tasks} = Map.pop!(state.tasks, ref)
-    for %Run{id: ^id, file: file, output: output} <- state.runs, do: Left.forget(file, output)
-    tell(change(%{state | tasks: tasks}, id, &Run.finish(&1, result, now())))
+
+    for %Run{id: ^id, file: file, output: output} <- state.runs,
+        do: Left.delete_record(file, output)
+
+    notify_subscribers(
+      update_run(%{state | tasks: tasks}, id, &Run.finish(&1, result, monotonic_ms()))
+    )
   end
 
-  defp change(state, id, fun),
+  defp update_run(state, id, fun),
     do: %{state | runs: Enum.map(state.runs, &if(&1.id == id, do: fun.(&1), else: &1))}
 
   # Limits updates to a rate that pages can draw.
-  defp later(%{due: nil} = state) do
-    case now() - state.told do
-      ago when ago >= @tell_ms -> tell(state)
+  defp schedule_update(%{due: nil} = state) do
+    case monotonic_ms() - state.told do
+      ago when ago >= @tell_ms -> notify_subscribers(state)
       ago -> %{state | due: Process.send_after(self(), :tell, @tell_ms - ago)}
     end
   end
 
-  defp later(state), do: state
+  defp schedule_update(state), do: state
 
-  defp tell(state) do
+  defp notify_subscribers(state) do
     if state.due, do: Process.cancel_timer(state.due)
-    for {_, {pid, file}} <- state.subscribers, do: send(pid, {:batch, file, of(state, file)})
-    %{state | told: now(), due: nil}
+
+    for {_, {pid, file}} <- state.subscribers,
+        do: send(pid, {:batch, file, runs_of_file(state, file)})
+
+    %{state | told: monotonic_ms(), due: nil}
   end
 
-  defp of(state, file), do: Enum.filter(state.runs, &(&1.file == file))
+  defp runs_of_file(state, file), do: Enum.filter(state.runs, &(&1.file == file))
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 end

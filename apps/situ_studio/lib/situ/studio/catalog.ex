@@ -61,7 +61,7 @@ defmodule Situ.Studio.Catalog do
   defp via(id), do: {:via, Registry, {Situ.Studio.Registry, id}}
 
   @doc false
-  def watches(id), do: via({id, :watches})
+  def watch_supervisor(id), do: via({id, :watches})
 
   @doc """
   Returns the settings for pages: `:path`, `:read_only`, `:visualizers`, `:layouts`, `:tiles`, `:problems` of
@@ -79,22 +79,22 @@ defmodule Situ.Studio.Catalog do
   def list(id), do: GenServer.call(via(id), :list, 30_000)
 
   @doc "Discards the list of recordings, so that the next list includes a recording that was just written."
-  @spec look_again(id()) :: :ok
-  def look_again(id), do: GenServer.call(via(id), :look_again, 30_000)
+  @spec invalidate_recordings(id()) :: :ok
+  def invalidate_recordings(id), do: GenServer.call(via(id), :look_again, 30_000)
 
   @doc "Opens an item by its id. An id that is not a string is not found."
-  @spec open(id(), term()) :: {:ok, Item.t(), Source.t()} | {:error, Error.t()}
-  def open(id, item_id) when is_binary(item_id),
+  @spec open_source(id(), term()) :: {:ok, Item.t(), Source.t()} | {:error, Error.t()}
+  def open_source(id, item_id) when is_binary(item_id),
     do: GenServer.call(via(id), {:open, item_id}, 60_000)
 
-  def open(_id, item_id), do: {:error, not_found(item_id)}
+  def open_source(_id, item_id), do: {:error, not_found(item_id)}
 
   @doc "Returns an item by its id without opening it."
-  @spec find(id(), term()) :: {:ok, Item.t()} | {:error, Error.t()}
-  def find(id, item_id) when is_binary(item_id),
+  @spec fetch_item(id(), term()) :: {:ok, Item.t()} | {:error, Error.t()}
+  def fetch_item(id, item_id) when is_binary(item_id),
     do: GenServer.call(via(id), {:find, item_id}, 60_000)
 
-  def find(_id, item_id), do: {:error, not_found(item_id)}
+  def fetch_item(_id, item_id), do: {:error, not_found(item_id)}
 
   @impl true
   def init(opts) do
@@ -116,23 +116,23 @@ defmodule Situ.Studio.Catalog do
 
   @impl true
   def handle_call(:list, from, state) do
-    case look(state) do
+    case refresh_stores(state) do
       %{stores: nil} = state -> {:noreply, %{state | waiting: [from | state.waiting]}}
-      state -> {:reply, items(state), state}
+      state -> {:reply, list_items(state), state}
     end
   end
 
   def handle_call(:look_again, _from, state) do
     if state.looking, do: Task.shutdown(state.looking, :brutal_kill)
     state = %{state | looking: nil, looked_at: nil, stores: nil}
-    {:reply, :ok, if(state.waiting == [], do: state, else: look(state))}
+    {:reply, :ok, if(state.waiting == [], do: state, else: refresh_stores(state))}
   end
 
-  def handle_call({:find, id}, _from, state), do: {:reply, found(state, id), state}
+  def handle_call({:find, id}, _from, state), do: {:reply, resolve_item(state, id), state}
 
   def handle_call({:open, id}, _from, state) do
-    with {:ok, item} <- found(state, id),
-         {:ok, source, state} <- source(state, item) do
+    with {:ok, item} <- resolve_item(state, id),
+         {:ok, source, state} <- fetch_source(state, item) do
       {:reply, {:ok, item, Source.Derived.wrap(source)}, state}
     else
       {:error, error} -> {:reply, {:error, error}, state}
@@ -143,8 +143,8 @@ defmodule Situ.Studio.Catalog do
   def handle_info({task, stores}, %{looking: %Task{ref: task}} = state) do
     Process.demonitor(task, [:flush])
     waiting = state.waiting
-    state = %{state | stores: stores, looking: nil, looked_at: now(), waiting: []}
-    {:noreply, answer(state, waiting)}
+    state = %{state | stores: stores, looking: nil, looked_at: monotonic_ms(), waiting: []}
+    {:noreply, reply_to_waiting(state, waiting)}
   end
 
   # If the scan crashed, the previous list stays in use.
@@ -155,39 +155,41 @@ defmodule Situ.Studio.Catalog do
       state
       | stores: state.stores || {[], []},
         looking: nil,
-        looked_at: now(),
+        looked_at: monotonic_ms(),
         waiting: []
     }
 
-    {:noreply, answer(state, waiting)}
+    {:noreply, reply_to_waiting(state, waiting)}
   end
 
   def handle_info(_stray, state), do: {:noreply, state}
 
-  defp answer(state, waiting) do
-    items = items(state)
+  defp reply_to_waiting(state, waiting) do
+    items = list_items(state)
     Enum.each(waiting, &GenServer.reply(&1, items))
     state
   end
 
   # Scans the folder, unless a scan is running or has just finished.
-  defp look(%{looking: nil, looked_at: at, path: path} = state) do
-    if at == nil or now() - at >= @fresh_ms,
+  defp refresh_stores(%{looking: nil, looked_at: at, path: path} = state) do
+    if at == nil or monotonic_ms() - at >= @fresh_ms,
       do: %{
         state
-        | looking: Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn -> Stores.all(path) end)
+        | looking:
+            Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn -> Stores.list_all(path) end)
       },
       else: state
   end
 
-  defp look(state), do: state
+  defp refresh_stores(state), do: state
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 
   # An address contains an item's id, never a path, so only recordings in the folder can be opened.
-  defp found(state, id) do
-    case Enum.find(given(state), &(&1.id == id)) || store(state, id) || of_dataset(state, id) ||
-           of_node(state, id) do
+  defp resolve_item(state, id) do
+    case Enum.find(source_items(state), &(&1.id == id)) || find_store_item(state, id) ||
+           find_dataset_item(state, id) ||
+           find_node_item(state, id) do
       nil ->
         {:error, not_found(id)}
 
@@ -204,20 +206,20 @@ defmodule Situ.Studio.Catalog do
     )
   end
 
-  defp store(state, id) do
-    with {:ok, path} <- Stores.find(state.path, id),
+  defp find_store_item(state, id) do
+    with {:ok, path} <- Stores.fetch_recording(state.path, id),
          do: store_item(id, path),
          else: (:error -> nil)
   end
 
-  defp store_item(id, path), do: %Item{id: id, title: id, kind: kind(path), path: path}
-  defp kind(path), do: if(Formats.for_address(path), do: :elsewhere, else: :store)
+  defp store_item(id, path), do: %Item{id: id, title: id, kind: store_kind(path), path: path}
+  defp store_kind(path), do: if(Formats.for_address(path), do: :elsewhere, else: :store)
   defp dataset_item(id, path), do: %Item{id: id, title: id, kind: :dataset, path: path}
 
   # The id of a recording on another cluster node is `NODE/NAME`; the node is asked when it is opened.
-  defp of_node(%{nodes: nil}, _id), do: nil
+  defp find_node_item(%{nodes: nil}, _id), do: nil
 
-  defp of_node(_state, id) do
+  defp find_node_item(_state, id) do
     case String.split(id, "/") do
       [node, name] when name != "" ->
         if String.contains?(node, "@"),
@@ -229,15 +231,15 @@ defmodule Situ.Studio.Catalog do
   end
 
   # Resolves a dataset, one of its sessions, or a recording of a session, whose path is in the dataset.
-  defp of_dataset(state, id) do
-    case Stores.dataset(state.path, id) do
+  defp find_dataset_item(state, id) do
+    case Stores.fetch_dataset(state.path, id) do
       {:ok, path} -> dataset_item(id, path)
-      :error -> Enum.find_value(Place.splits(id), &part(state, id, &1))
+      :error -> Enum.find_value(Place.split_id(id), &find_part_item(state, id, &1))
     end
   end
 
-  defp part(state, id, {dataset, [session | partition]}) do
-    with {:ok, file} <- Stores.dataset(state.path, dataset),
+  defp find_part_item(state, id, {dataset, [session | partition]}) do
+    with {:ok, file} <- Stores.fetch_dataset(state.path, dataset),
          {:ok, loaded} <- Dataset.load(file),
          {:ok, session} <- Dataset.session(loaded, session),
          do: part_item(id, dataset, session, partition),
@@ -245,7 +247,7 @@ defmodule Situ.Studio.Catalog do
   end
 
   defp part_item(id, dataset, session, [name]) do
-    with {:ok, partition} <- Session.partition(session, name) do
+    with {:ok, partition} <- Session.fetch_partition(session, name) do
       title = "#{session.name}: #{name}"
       %{store_item(id, partition.path) | title: title, dataset: dataset}
     else
@@ -262,19 +264,19 @@ defmodule Situ.Studio.Catalog do
     %Item{id: id, title: session.name, kind: :session, parts: parts, dataset: dataset}
   end
 
-  defp items(state) do
+  defp list_items(state) do
     {recordings, datasets} = state.stores || {[], []}
 
     for({id, path} <- datasets, do: dataset_item(id, path)) ++
-      given(state) ++ for {id, path} <- recordings, do: store_item(id, path)
+      source_items(state) ++ for {id, path} <- recordings, do: store_item(id, path)
   end
 
   # Returns all items except the recordings of the folder.
-  defp given(state) do
+  defp source_items(state) do
     given = for {id, _} <- state.given, do: %Item{id: id, title: id, kind: :source}
 
     running =
-      for {id, _} <- Situ.Studio.Source.Pipeline.running(state.pipelines),
+      for {id, _} <- Situ.Studio.Source.Pipeline.list_running(state.pipelines),
           do: %Item{id: id, title: id, kind: :pipeline, live: true}
 
     # A pipeline that was open when it ended stays listed, because the data that was received is still available.
@@ -286,13 +288,14 @@ defmodule Situ.Studio.Catalog do
     Enum.sort_by(given, & &1.title) ++ running ++ ended
   end
 
-  defp source(state, %Item{kind: :source, id: id}), do: {:ok, Map.fetch!(state.given, id), state}
+  defp fetch_source(state, %Item{kind: :source, id: id}),
+    do: {:ok, Map.fetch!(state.given, id), state}
 
-  defp source(_state, %Item{kind: :dataset, id: id}),
+  defp fetch_source(_state, %Item{kind: :dataset, id: id}),
     do: {:error, Error.new(:is_dataset, "#{id} is a dataset", fix: "open one of its sessions")}
 
-  defp source(state, %Item{} = item) do
-    with {:ok, source} <- Map.fetch(state.open, key(item)),
+  defp fetch_source(state, %Item{} = item) do
+    with {:ok, source} <- Map.fetch(state.open, cache_key(item)),
          {:ok, _} <- Source.call(source, :extent, []) do
       {:ok, source, state}
     else
@@ -301,31 +304,31 @@ defmodule Situ.Studio.Catalog do
   end
 
   # The path is part of the key because a dataset may have been edited to refer to another path.
-  defp key(%Item{id: id, path: path, parts: parts}), do: {id, path, parts}
+  defp cache_key(%Item{id: id, path: path, parts: parts}), do: {id, path, parts}
 
   defp open_item(state, %Item{kind: :session} = item) do
     with {:ok, source} <- Source.Session.open(item.parts) do
-      {:ok, source, put_in(state.open[key(item)], source)}
+      {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end
 
   defp open_item(state, %Item{kind: :node} = item) do
     with {:ok, address, opts} <- state.nodes.(item.id),
          {:ok, source} <- Situ.Studio.Source.Store.open(address, opts) do
-      {:ok, source, put_in(state.open[key(item)], source)}
+      {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end
 
   defp open_item(state, %Item{kind: kind} = item) when kind in [:store, :elsewhere] do
     with {:ok, source} <- Situ.Studio.Source.Store.open(item.path) do
-      {:ok, source, put_in(state.open[key(item)], source)}
+      {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end
 
   defp open_item(state, %Item{kind: :pipeline} = item) do
     with {:ok, source} <-
-           Situ.Studio.Source.Pipeline.open(state.pipelines, item.id, watches(state.id)) do
-      {:ok, source, put_in(state.open[key(item)], source)}
+           Situ.Studio.Source.Pipeline.open(state.pipelines, item.id, watch_supervisor(state.id)) do
+      {:ok, source, put_in(state.open[cache_key(item)], source)}
     end
   end
 end

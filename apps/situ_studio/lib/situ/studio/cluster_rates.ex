@@ -8,25 +8,30 @@ defmodule Situ.Studio.ClusterRates do
       iex> before = %Situ.Cluster.Overview{time: 0, parts: [part]}
       iex> later = put_in(part.streams, [%{name: "Mouth", messages: 160, readers: []}])
       iex> now = %Situ.Cluster.Overview{time: 2_000_000_000, parts: [later]}
-      iex> ClusterRates.streams(before, now)
+      iex> ClusterRates.stream_rates(before, now)
       %{{"Hall", "Lips", "Mouth"} => 30.0}
-      iex> ClusterRates.streams(nil, now)
+      iex> ClusterRates.stream_rates(nil, now)
       %{}
   """
   alias Situ.Cluster.Overview
 
   @doc "Returns messages per second by deployment, part and stream, for streams that are in both snapshots."
-  @spec streams(Overview.t() | nil, Overview.t()) :: %{
+  @spec stream_rates(Overview.t() | nil, Overview.t()) :: %{
           {String.t(), String.t(), String.t()} => float()
         }
-  def streams(before, now), do: rates(before, now, &counts/1)
+  def stream_rates(before, now), do: compute_rates(before, now, &message_counts/1)
 
   @doc "Returns bytes per second by node and address."
-  @spec links(Overview.t() | nil, Overview.t()) :: %{{node(), String.t()} => float()}
-  def links(before, now),
-    do: rates(before, now, &for(l <- &1.links, into: %{}, do: {{l.node, l.address}, l.bytes}))
+  @spec link_rates(Overview.t() | nil, Overview.t()) :: %{{node(), String.t()} => float()}
+  def link_rates(before, now),
+    do:
+      compute_rates(
+        before,
+        now,
+        &for(l <- &1.links, into: %{}, do: {{l.node, l.address}, l.bytes})
+      )
 
-  defp counts(overview) do
+  defp message_counts(overview) do
     for p <- overview.parts,
         s <- p.streams,
         into: %{},
@@ -34,7 +39,8 @@ defmodule Situ.Studio.ClusterRates do
   end
 
   # A count that decreased was reset by a restart of its part, so it has no rate.
-  defp rates(%Overview{time: from} = before, %Overview{time: to} = now, counts) when to > from do
+  defp compute_rates(%Overview{time: from} = before, %Overview{time: to} = now, counts)
+       when to > from do
     earlier = counts.(before)
 
     for {key, n} <- counts.(now),
@@ -44,7 +50,7 @@ defmodule Situ.Studio.ClusterRates do
         do: {key, (n - m) * 1.0e9 / (to - from)}
   end
 
-  defp rates(_none, _now, _counts), do: %{}
+  defp compute_rates(_none, _now, _counts), do: %{}
 
   @doc """
   Returns whether a reader is catching up: it lags by more than one second of messages and by more than 100 messages.

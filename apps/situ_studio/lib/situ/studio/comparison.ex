@@ -20,11 +20,11 @@ defmodule Situ.Studio.Comparison do
         }
 
   @doc "Opens an item, together with the item that `params` compares it with, if any."
-  @spec open(Catalog.id(), term(), map()) ::
+  @spec open_item(Catalog.id(), term(), map()) ::
           {:ok, Catalog.Item.t(), Source.t(), t() | nil} | {:error, Error.t()}
-  def open(studio, id, %{"with" => other} = params) when is_binary(other) and other != "" do
-    with {:ok, item, {Derived, %{source: first}}} <- Catalog.open(studio, id),
-         {:ok, compared, {Derived, %{source: second}}} <- Catalog.open(studio, other),
+  def open_item(studio, id, %{"with" => other} = params) when is_binary(other) and other != "" do
+    with {:ok, item, {Derived, %{source: first}}} <- Catalog.open_source(studio, id),
+         {:ok, compared, {Derived, %{source: second}}} <- Catalog.open_source(studio, other),
          {:ok, a} <- Source.call(first, :extent, []),
          {:ok, b} <- Source.call(second, :extent, []) do
       offset =
@@ -41,20 +41,20 @@ defmodule Situ.Studio.Comparison do
         second: b
       }
 
-      {:ok, item, Derived.wrap(Beside.of(first, second, offset)), told}
+      {:ok, item, Derived.wrap(Beside.combine_sources(first, second, offset)), told}
     end
   end
 
-  def open(studio, id, _params) do
-    with {:ok, item, source} <- Catalog.open(studio, id), do: {:ok, item, source, nil}
+  def open_item(studio, id, _params) do
+    with {:ok, item, source} <- Catalog.open_source(studio, id), do: {:ok, item, source, nil}
   end
 
   @doc "Changes the time offset of the compared source; other sources are returned unchanged."
-  @spec align(Source.t(), Situ.Time.duration()) :: Source.t()
-  def align({Derived, %{source: {Beside, beside}}}, offset),
+  @spec set_offset(Source.t(), Situ.Time.duration()) :: Source.t()
+  def set_offset({Derived, %{source: {Beside, beside}}}, offset),
     do: Derived.wrap({Beside, %{beside | offset: offset}})
 
-  def align(source, _offset), do: source
+  def set_offset(source, _offset), do: source
 
   @doc """
   Adds to each stream of the first recording the stream with the same name of the second: lines and lanes in the same
@@ -62,20 +62,24 @@ defmodule Situ.Studio.Comparison do
   not added again. `names` contains all streams.
 
       iex> alias Situ.Studio.{Comparison, Layout}
-      iex> {:ok, layout, _} = Layout.add(Layout.new(""), "Level", "line", :plot, "")
-      iex> {:ok, layout, _} = Layout.add(layout, "Image", "image", :image, "")
-      iex> both = Comparison.layout(layout, ["Level", "Image", "Compared.Level", "Compared.Image"])
+      iex> {:ok, layout, _} = Layout.add_stream(Layout.new(""), "Level", "line", :plot, "")
+      iex> {:ok, layout, _} = Layout.add_stream(layout, "Image", "image", :image, "")
+      iex> both = Comparison.add_compared_streams(layout, ["Level", "Image", "Compared.Level", "Compared.Image"])
       iex> for p <- both.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
       [{:image, ["Image"]}, {:image, ["Compared.Image"]}, {:plot, ["Level", "Compared.Level"]}]
   """
-  @spec layout(Layout.t(), Enumerable.t()) :: Layout.t()
-  def layout(%Layout{} = layout, names) do
+  @spec add_compared_streams(Layout.t(), Enumerable.t()) :: Layout.t()
+  def add_compared_streams(%Layout{} = layout, names) do
     shown =
       for panel <- layout.rows, v <- panel.vis, into: MapSet.new(), do: {v.viz, v.stream, v.path}
 
     names = MapSet.new(names)
-    twins = fn v -> Enum.reject(twin(v, names), &({&1.viz, &1.stream, &1.path} in shown)) end
-    {panels, vis} = Layout.limits()
+
+    twins = fn v ->
+      Enum.reject(compared_visualizations(v, names), &({&1.viz, &1.stream, &1.path} in shown))
+    end
+
+    {panels, vis} = Layout.size_limits()
 
     {rows, next} =
       Enum.flat_map_reduce(layout.rows, layout.next, fn panel, next ->
@@ -96,8 +100,8 @@ defmodule Situ.Studio.Comparison do
     %{layout | rows: Enum.take(rows, panels), next: next}
   end
 
-  defp twin(vis, names) do
-    name = Beside.name(vis.stream)
+  defp compared_visualizations(vis, names) do
+    name = Beside.compared_name(vis.stream)
 
     if name in names,
       do: [%{vis | stream: name, props: Map.delete(vis.props, "color")}],

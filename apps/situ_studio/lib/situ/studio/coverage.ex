@@ -7,9 +7,9 @@ defmodule Situ.Studio.Coverage do
       ...>   %Situ.Studio.StreamInfo{name: name, shape: :signal, first: first, last: last, count: 99}
       ...> end
       iex> streams = [stream.("Whole", 0, 1_000), stream.("Late", 400, 998), stream.("Short", 0, 700)]
-      iex> Situ.Studio.Coverage.of(streams, %{from: 0, to: 1_000, live: false})
+      iex> Situ.Studio.Coverage.find_partial_streams(streams, %{from: 0, to: 1_000, live: false})
       %{"Late" => %{"first" => "400"}, "Short" => %{"last" => "700"}}
-      iex> Situ.Studio.Coverage.of([%{stream.("Now and then", 0, 700) | count: 4}], %{from: 0, to: 1_000, live: false})
+      iex> Situ.Studio.Coverage.find_partial_streams([%{stream.("Now and then", 0, 700) | count: 4}], %{from: 0, to: 1_000, live: false})
       %{}
   """
   alias Situ.Studio.{Source, StreamInfo}
@@ -22,13 +22,13 @@ defmodule Situ.Studio.Coverage do
   @type t :: %{optional(stream :: String.t()) => %{optional(String.t()) => String.t()}}
 
   @doc "Returns the late and early times by stream; empty for live sources, whose streams have not ended yet."
-  @spec of([StreamInfo.t()], Source.extent() | map()) :: t()
-  def of(_, %{live: true}), do: %{}
+  @spec find_partial_streams([StreamInfo.t()], Source.extent() | map()) :: t()
+  def find_partial_streams(_, %{live: true}), do: %{}
 
-  def of(streams, %{from: from, to: to}) do
+  def find_partial_streams(streams, %{from: from, to: to}) do
     for %{first: first, last: last, count: count} = s when first != nil and count > 1 <- streams,
         slack = max((to - from) * @part, @periods * (last - first) / (count - 1)),
-        ends = ends(first - from > slack && first, to - last > slack && last),
+        ends = format_ends(first - from > slack && first, to - last > slack && last),
         ends != %{},
         into: %{},
         do: {s.name, ends}
@@ -38,15 +38,15 @@ defmodule Situ.Studio.Coverage do
   Returns the time of the first and the last message of all streams as strings, or `nil` if no stream has messages.
 
       iex> stream = fn first, last -> %Situ.Studio.StreamInfo{name: "", shape: :signal, first: first, last: last} end
-      iex> Situ.Studio.Coverage.whole([stream.(5, 9), stream.(nil, nil), stream.(7, nil)])
+      iex> Situ.Studio.Coverage.total_extent([stream.(5, 9), stream.(nil, nil), stream.(7, nil)])
       %{from: "5", to: "9"}
-      iex> Situ.Studio.Coverage.whole([stream.(5, 5)])
+      iex> Situ.Studio.Coverage.total_extent([stream.(5, 5)])
       %{from: "5", to: "6"}
-      iex> Situ.Studio.Coverage.whole([stream.(nil, nil)])
+      iex> Situ.Studio.Coverage.total_extent([stream.(nil, nil)])
       nil
   """
-  @spec whole([StreamInfo.t()]) :: %{from: String.t(), to: String.t()} | nil
-  def whole(streams) do
+  @spec total_extent([StreamInfo.t()]) :: %{from: String.t(), to: String.t()} | nil
+  def total_extent(streams) do
     case for %{first: first, last: last} when first != nil <- streams, do: {first, last || first} do
       [] ->
         nil
@@ -58,7 +58,7 @@ defmodule Situ.Studio.Coverage do
     end
   end
 
-  defp ends(first, last) do
+  defp format_ends(first, last) do
     for {name, time} when is_integer(time) <- [{"first", first}, {"last", last}],
         into: %{},
         do: {name, Integer.to_string(time)}

@@ -47,14 +47,20 @@ defmodule Situ.Studio.DataSession do
   def new(source, visualizers \\ []), do: %__MODULE__{source: source, visualizers: visualizers}
 
   @doc "Returns the reply to one request. After `{:error, error}`, which rejects malformed input, close the socket."
-  @spec handle(binary(), t()) :: {:ok, iodata(), t()} | {:error, Error.t()}
-  def handle(text, %__MODULE__{} = session) do
-    with {:ok, request} <- decode(text) do
-      {state, session} = session |> align(request["offset"]) |> refresh()
-      session = session |> close(request["close"]) |> open(request["open"]) |> show()
-      time = cursor(session, request)
-      windows = windows(session, request["series"])
-      {instants, session} = instants(session, request["instant"], time)
+  @spec handle_request(binary(), t()) :: {:ok, iodata(), t()} | {:error, Error.t()}
+  def handle_request(text, %__MODULE__{} = session) do
+    with {:ok, request} <- decode_request(text) do
+      {state, session} = session |> align_sources(request["offset"]) |> refresh_extent()
+
+      session =
+        session
+        |> close_channels(request["close"])
+        |> open_channels(request["open"])
+        |> request_shown_streams()
+
+      time = cursor_time(session, request)
+      windows = draw_windows(session, request["series"])
+      {instants, session} = draw_instants(session, request["instant"], time)
 
       meta = %{
         request: request["req"],
@@ -67,60 +73,60 @@ defmodule Situ.Studio.DataSession do
         time: time
       }
 
-      {:ok, Frame.reply(windows ++ instants, meta), session}
+      {:ok, Frame.encode_reply(windows ++ instants, meta), session}
     end
   end
 
-  defp decode(text) do
+  defp decode_request(text) do
     case Situ.JSON.decode(text) do
       {:ok, %{"req" => req} = request} when is_integer(req) and req in 0..4_294_967_295 ->
         {:ok, request}
 
       _ ->
-        malformed()
+        malformed_request()
     end
   end
 
   # Shifts the second of two compared recordings.
-  defp align(session, offset) do
+  defp align_sources(session, offset) do
     case WholeNumber.parse(offset) do
-      {:ok, offset} -> %{session | source: Comparison.align(session.source, offset)}
+      {:ok, offset} -> %{session | source: Comparison.set_offset(session.source, offset)}
       :error -> session
     end
   end
 
-  defp malformed, do: {:error, Error.new(:bad_request, "invalid data request")}
+  defp malformed_request, do: {:error, Error.new(:bad_request, "invalid data request")}
 
   # A source that disappeared keeps its extent, so that the page does not move.
-  defp refresh(session) do
+  defp refresh_extent(session) do
     case Source.call(session.source, :extent, []) do
       {:ok, extent} -> {:there, %{session | extent: extent}}
-      {:error, %{code: :replaced}} -> {:replaced, ended(session)}
-      {:error, _} -> {:gone, ended(session)}
+      {:error, %{code: :replaced}} -> {:replaced, mark_ended(session)}
+      {:error, _} -> {:gone, mark_ended(session)}
     end
   end
 
-  defp ended(session), do: %{session | extent: %{session.extent | live: false}}
+  defp mark_ended(session), do: %{session | extent: %{session.extent | live: false}}
 
   # A page requests only windows with new data, but needs all streams that it shows to be captured.
-  defp show(%{extent: %{live: true}, channels: channels} = session) do
+  defp request_shown_streams(%{extent: %{live: true}, channels: channels} = session) do
     streams = for {_, {%{stream: stream}, _}} <- channels, uniq: true, do: stream
-    Source.wanted(session.source, streams)
+    Source.request_streams(session.source, streams)
     session
   end
 
-  defp show(session), do: session
+  defp request_shown_streams(session), do: session
 
-  defp close(session, ids) when is_list(ids),
+  defp close_channels(session, ids) when is_list(ids),
     do: %{session | channels: Map.drop(session.channels, ids)}
 
-  defp close(session, _), do: session
+  defp close_channels(session, _), do: session
 
-  defp open(session, wanted) when is_list(wanted) do
+  defp open_channels(session, wanted) when is_list(wanted) do
     Enum.reduce(wanted, session, fn
       [id, spec], session when is_integer(id) and id in 0..4_294_967_295 and is_map(spec) ->
         if map_size(session.channels) < @max_channels,
-          do: put_in(session.channels[id], {spec(spec, session.visualizers), nil}),
+          do: put_in(session.channels[id], {parse_spec(spec, session.visualizers), nil}),
           else: session
 
       _, session ->
@@ -128,12 +134,12 @@ defmodule Situ.Studio.DataSession do
     end)
   end
 
-  defp open(session, _), do: session
+  defp open_channels(session, _), do: session
 
-  defp spec(%{"stream" => stream, "viz" => id} = spec, extra)
+  defp parse_spec(%{"stream" => stream, "viz" => id} = spec, extra)
        when is_binary(stream) and is_binary(id) do
     with {:ok, path} <- Studio.Path.parse(spec["path"] || ""),
-         {:ok, viz} <- Visualizers.named(id, extra) do
+         {:ok, viz} <- Visualizers.fetch_by_id(id, extra) do
       props = if is_map(spec["props"]), do: spec["props"], else: %{}
       %{stream: stream, viz: viz, path: path, props: props}
     else
@@ -142,11 +148,11 @@ defmodule Situ.Studio.DataSession do
     end
   end
 
-  defp spec(_, _), do: {:error, "a channel needs \"stream\" and \"viz\""}
+  defp parse_spec(_, _), do: {:error, "a channel needs \"stream\" and \"viz\""}
 
-  defp cursor(%{extent: extent}, %{"live" => true}), do: extent.to
+  defp cursor_time(%{extent: extent}, %{"live" => true}), do: extent.to
 
-  defp cursor(session, request) do
+  defp cursor_time(session, request) do
     time =
       case WholeNumber.parse(request["at"]) do
         {:ok, time} -> time
@@ -154,46 +160,46 @@ defmodule Situ.Studio.DataSession do
       end
 
     with stream when is_binary(stream) <- request["snap"],
-         {:ok, message} <- Source.nearest(session.source, stream, time) do
+         {:ok, message} <- Source.fetch_nearest(session.source, stream, time) do
       message.originating_time
     else
       _ -> time
     end
   end
 
-  defp windows(session, wants) when is_list(wants) do
+  defp draw_windows(session, wants) when is_list(wants) do
     {frames, _bins} =
       wants
       |> Enum.take(@max_wants)
       |> Enum.map_reduce(0, fn want, bins ->
-        bins = bins + bins(want)
-        {if(bins > @max_bins_at_once, do: too_many(want), else: window(session, want)), bins}
+        bins = bins + count_bins(want)
+        {if(bins > @max_bins_at_once, do: too_many(want), else: draw_window(session, want)), bins}
       end)
 
     Enum.reject(frames, &is_nil/1)
   end
 
-  defp windows(_, _), do: []
+  defp draw_windows(_, _), do: []
 
-  defp bins([_id, from, to, bin]) when is_number(bin) and bin >= 1 do
+  defp count_bins([_id, from, to, bin]) when is_number(bin) and bin >= 1 do
     case {WholeNumber.parse(from), WholeNumber.parse(to)} do
       {{:ok, from}, {:ok, to}} when to > from -> div(to - from, trunc(bin)) + 1
       _ -> 0
     end
-    |> affordable()
+    |> allowed_bins()
   end
 
-  defp bins(_want), do: 0
+  defp count_bins(_want), do: 0
 
   # A window that exceeds the limit on its own is rejected anyway, so it does not count.
-  defp affordable(bins), do: if(bins > @max_bins + 1, do: 0, else: bins)
+  defp allowed_bins(bins), do: if(bins > @max_bins + 1, do: 0, else: bins)
 
   defp too_many([id | _]) when is_integer(id) and id in 0..4_294_967_295,
     do: Frame.error(id, "the windows of this request have too many bins in total")
 
   defp too_many(_want), do: nil
 
-  defp window(session, [id, from, to, bin]) do
+  defp draw_window(session, [id, from, to, bin]) do
     with {:ok, {spec, _}} <- Map.fetch(session.channels, id),
          {:ok, from} <- WholeNumber.parse(from),
          {:ok, to} when to >= from <- WholeNumber.parse(to),
@@ -203,16 +209,16 @@ defmodule Situ.Studio.DataSession do
       cond do
         match?({:error, _}, spec) -> Frame.error(id, elem(spec, 1))
         div(to - from, bin) > @max_bins -> Frame.error(id, "this window has too many bins")
-        true -> Draw.window(session.source, id, spec, from, to, bin)
+        true -> Draw.draw_window(session.source, id, spec, from, to, bin)
       end
     else
       _ -> nil
     end
   end
 
-  defp window(_, _), do: nil
+  defp draw_window(_, _), do: nil
 
-  defp instants(session, ids, time) when is_list(ids) do
+  defp draw_instants(session, ids, time) when is_list(ids) do
     ids
     |> Enum.take(@max_wants)
     |> Enum.flat_map_reduce(session, fn id, session ->
@@ -221,7 +227,7 @@ defmodule Situ.Studio.DataSession do
           {[Frame.error(id, what)], session}
 
         %{^id => {spec, last}} ->
-          {frame, last} = Draw.instant(session.source, id, spec, time, last)
+          {frame, last} = Draw.draw_instant(session.source, id, spec, time, last)
           {[frame], put_in(session.channels[id], {spec, last})}
 
         _ ->
@@ -230,5 +236,5 @@ defmodule Situ.Studio.DataSession do
     end)
   end
 
-  defp instants(session, _, _), do: {[], session}
+  defp draw_instants(session, _, _), do: {[], session}
 end

@@ -9,25 +9,25 @@ defmodule Situ.Studio.Datasets do
   alias Situ.Studio.Catalog
 
   @doc "Returns the process of the dataset in `file` and subscribes the caller, see `Situ.Dataset.Server`."
-  @spec open(Catalog.id(), Path.t()) :: {:ok, pid()} | {:error, Error.t()}
-  def open(studio, file) do
+  @spec open_server(Catalog.id(), Path.t()) :: {:ok, pid()} | {:error, Error.t()}
+  def open_server(studio, file) do
     name = {:via, Registry, {Situ.Studio.Registry, {studio, :dataset, file}}}
 
     with {:ok, dataset} <- Dataset.load(file, autosave: true),
-         {:ok, server} <- started(studio, name, dataset) do
+         {:ok, server} <- start_server(studio, name, dataset) do
       :ok = Server.subscribe(server)
       {:ok, server}
     end
   end
 
-  defp started(studio, name, dataset) do
+  defp start_server(studio, name, dataset) do
     child = %{
       id: Server,
       start: {Server, :start_link, [[dataset: dataset, name: name]]},
       restart: :temporary
     }
 
-    case DynamicSupervisor.start_child(Catalog.watches(studio), child) do
+    case DynamicSupervisor.start_child(Catalog.watch_supervisor(studio), child) do
       {:ok, pid} -> {:ok, pid}
       {:error, {:already_started, pid}} -> {:ok, pid}
       {:error, reason} -> {:error, Error.new(:not_opened, "no dataset: #{inspect(reason)}")}
@@ -47,8 +47,8 @@ defmodule Situ.Studio.Datasets do
   defp current(_held, file), do: Dataset.load(file, autosave: true)
 
   @doc "Reloads the file."
-  @spec refresh(GenServer.server(), Path.t()) :: Dataset.result()
-  def refresh(server, file), do: Server.edit(server, &current(&1, file))
+  @spec reload_dataset(GenServer.server(), Path.t()) :: Dataset.result()
+  def reload_dataset(server, file), do: Server.edit(server, &current(&1, file))
 
   @doc "Adds a partition to a session, and replaces a partition with the same name."
   @spec put_partition(GenServer.server(), Path.t(), String.t(), Situ.Dataset.Partition.t()) ::
@@ -56,9 +56,9 @@ defmodule Situ.Studio.Datasets do
   def put_partition(server, file, session, partition) do
     edit(server, file, fn dataset ->
       Dataset.update_session(dataset, session, fn session ->
-        case Session.partition(session, partition.name) do
-          {:ok, _} -> Session.replace(session, partition)
-          {:error, _} -> Session.add(session, partition)
+        case Session.fetch_partition(session, partition.name) do
+          {:ok, _} -> Session.replace_partition(session, partition)
+          {:error, _} -> Session.add_partition(session, partition)
         end
       end)
     end)

@@ -7,7 +7,7 @@ defmodule Situ.Studio.Draw do
   alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
 
   @doc "Returns the frame of the window `from..to` with bins of `bin` nanoseconds."
-  @spec window(
+  @spec draw_window(
           Source.t(),
           Frame.channel(),
           Visualizer.spec(),
@@ -15,29 +15,34 @@ defmodule Situ.Studio.Draw do
           Situ.Time.t(),
           pos_integer()
         ) :: Frame.t()
-  def window(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, from, to, bin),
-    do: drawn(source, channel, spec, from, to, bin)
+  def draw_window(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, from, to, bin),
+    do: window_frame(source, channel, spec, from, to, bin)
 
   # Code of plug-ins runs in a separate process, so that a failure affects only its panel.
-  def window(source, channel, %{viz: viz} = spec, from, to, bin) do
+  def draw_window(source, channel, %{viz: viz} = spec, from, to, bin) do
     work = fn ->
-      source |> Adapted.of(viz.adapter) |> drawn(channel, spec, from, to, bin) |> whole()
+      source
+      |> Adapted.with_adapter(viz.adapter)
+      |> window_frame(channel, spec, from, to, bin)
+      |> flatten_frame()
     end
 
     case Guard.run(work) do
       {:ok, frame} -> frame
-      {:error, what} -> Frame.error(channel, blame(viz, what))
+      {:error, what} -> Frame.error(channel, describe_failure(viz, what))
     end
   end
 
   # Converts a plug-in's frame to a binary here, because invalid iodata would break the reply with all frames.
-  defp whole(frame), do: IO.iodata_to_binary(frame)
+  defp flatten_frame(frame), do: IO.iodata_to_binary(frame)
 
-  defp blame(%{plugin: nil, adapter: adapter}, what), do: "#{inspect(adapter)}: #{what}"
-  defp blame(%{plugin: plugin}, what), do: "the plug-in #{plugin}: #{what}"
+  defp describe_failure(%{plugin: nil, adapter: adapter}, what),
+    do: "#{inspect(adapter)}: #{what}"
 
-  defp drawn(source, channel, %{viz: viz} = spec, from, to, bin) do
-    if draws?(viz, :window, 6) do
+  defp describe_failure(%{plugin: plugin}, what), do: "the plug-in #{plugin}: #{what}"
+
+  defp window_frame(source, channel, %{viz: viz} = spec, from, to, bin) do
+    if implements?(viz, :window, 6) do
       case viz.module.window(source, channel, spec, from, to, bin) do
         {:error, error} -> Frame.error(channel, error.what)
         frame -> frame
@@ -48,29 +53,31 @@ defmodule Situ.Studio.Draw do
   end
 
   @doc "Returns the frame of the message at the cursor; `last` is the state that this channel returned last."
-  @spec instant(Source.t(), Frame.channel(), Visualizer.spec(), Situ.Time.t(), term()) ::
+  @spec draw_instant(Source.t(), Frame.channel(), Visualizer.spec(), Situ.Time.t(), term()) ::
           {Frame.t(), last :: term()}
-  def instant(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, time, last),
-    do: at(source, channel, spec, time, last)
+  def draw_instant(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, time, last),
+    do: instant_frame(source, channel, spec, time, last)
 
-  def instant(source, channel, %{viz: viz} = spec, time, last) do
+  def draw_instant(source, channel, %{viz: viz} = spec, time, last) do
     work = fn ->
-      {frame, last} = source |> Adapted.of(viz.adapter) |> at(channel, spec, time, last)
-      {whole(frame), last}
+      {frame, last} =
+        source |> Adapted.with_adapter(viz.adapter) |> instant_frame(channel, spec, time, last)
+
+      {flatten_frame(frame), last}
     end
 
     case Guard.run(work) do
       {:ok, answer} -> answer
-      {:error, what} -> {Frame.error(channel, blame(viz, what)), nil}
+      {:error, what} -> {Frame.error(channel, describe_failure(viz, what)), nil}
     end
   end
 
-  defp at(source, channel, %{viz: viz} = spec, time, last) do
+  defp instant_frame(source, channel, %{viz: viz} = spec, time, last) do
     cond do
-      draws?(viz, :value_at, 4) ->
+      implements?(viz, :value_at, 4) ->
         value_at_cursor(source, channel, spec, time, last)
 
-      draws?(viz, :instant, 3) or draws?(viz, :instant, 4) ->
+      implements?(viz, :instant, 3) or implements?(viz, :instant, 4) ->
         message_at_cursor(source, channel, spec, time, last)
 
       true ->
@@ -81,10 +88,10 @@ defmodule Situ.Studio.Draw do
   # Draws the value at the cursor of a visualizer that draws over time.
   defp value_at_cursor(source, channel, %{viz: viz} = spec, time, last) do
     case viz.module.value_at(source, channel, spec, time) do
-      {:ok, ^last, _frame} -> {Frame.same(channel), last}
+      {:ok, ^last, _frame} -> {Frame.same_message(channel), last}
       {:ok, mark, frame} -> {frame, mark}
-      :none when last == :none -> {Frame.same(channel), :none}
-      :none -> {Frame.none(channel), :none}
+      :none when last == :none -> {Frame.same_message(channel), :none}
+      :none -> {Frame.no_message(channel), :none}
       {:error, error} -> {Frame.error(channel, error.what), nil}
     end
   end
@@ -92,22 +99,24 @@ defmodule Situ.Studio.Draw do
   defp message_at_cursor(source, channel, %{stream: stream} = spec, time, last) do
     {last, kept} = last || {nil, %{}}
 
-    case message(source, stream, time, Map.get(spec, :props, %{})) do
+    case cursor_message(source, stream, time, Map.get(spec, :props, %{})) do
       {:ok, %{data: %Hole{}}} ->
-        {if(last == :hole, do: Frame.same(channel), else: Frame.none(channel)), {:hole, kept}}
+        {if(last == :hole, do: Frame.same_message(channel), else: Frame.no_message(channel)),
+         {:hole, kept}}
 
       {:ok, message} ->
         mark = {message.originating_time, message.sequence_id}
 
         if mark == last do
-          {Frame.same(channel), {last, kept}}
+          {Frame.same_message(channel), {last, kept}}
         else
-          {frame, kept} = encode(source, channel, spec, message, kept)
+          {frame, kept} = encode_instant(source, channel, spec, message, kept)
           {frame, {mark, kept}}
         end
 
       :none ->
-        {if(last == :none, do: Frame.same(channel), else: Frame.none(channel)), {:none, kept}}
+        {if(last == :none, do: Frame.same_message(channel), else: Frame.no_message(channel)),
+         {:none, kept}}
 
       {:error, error} ->
         {Frame.error(channel, error.what), {nil, kept}}
@@ -115,25 +124,32 @@ defmodule Situ.Studio.Draw do
   end
 
   # Returns the last message at or before the cursor, or the nearest message within the page's `past` and `future`.
-  defp message(source, stream, time, props) do
+  defp cursor_message(source, stream, time, props) do
     before = Source.call(source, :latest_at, [stream, time])
 
-    case {span(props["past"], :infinity), span(props["future"], 0)} do
-      {:infinity, 0} -> before
-      {past, 0} -> nearest([{before, past}], time)
-      {past, future} -> nearest([{before, past}, {after_it(source, stream, time), future}], time)
+    case {seconds_to_ns(props["past"], :infinity), seconds_to_ns(props["future"], 0)} do
+      {:infinity, 0} ->
+        before
+
+      {past, 0} ->
+        nearest_message([{before, past}], time)
+
+      {past, future} ->
+        nearest_message([{before, past}, {next_message(source, stream, time), future}], time)
     end
   end
 
-  defp after_it(source, stream, time), do: Source.call(source, :next_after, [stream, time])
+  defp next_message(source, stream, time), do: Source.call(source, :next_after, [stream, time])
 
-  defp span(seconds, _) when is_number(seconds) and seconds >= 0, do: round(seconds * 1.0e9)
-  defp span(_, usual), do: usual
+  defp seconds_to_ns(seconds, _) when is_number(seconds) and seconds >= 0,
+    do: round(seconds * 1.0e9)
+
+  defp seconds_to_ns(_, usual), do: usual
 
   # `away <= span` also holds for a span of `:infinity`, because atoms sort after numbers.
-  defp nearest([{{:error, _} = error, _} | _], _time), do: error
+  defp nearest_message([{{:error, _} = error, _} | _], _time), do: error
 
-  defp nearest(found, time) do
+  defp nearest_message(found, time) do
     near =
       for {{:ok, message}, span} <- found,
           away = abs(time - message.originating_time),
@@ -146,15 +162,15 @@ defmodule Situ.Studio.Draw do
     end
   end
 
-  defp draws?(%{module: module}, function, arity),
+  defp implements?(%{module: module}, function, arity),
     do: Code.ensure_loaded?(module) and function_exported?(module, function, arity)
 
   # Returns the frame, and the parts of messages that the page caches after it.
-  defp encode(source, channel, %{path: path} = spec, message, kept) do
+  defp encode_instant(source, channel, %{path: path} = spec, message, kept) do
     context = %{source: source, spec: spec, kept: kept}
 
     with {:ok, data} <- Path.fetch(message.data, path),
-         {:error, what} <- frame(context, channel, data, message) do
+         {:error, what} <- call_instant(context, channel, data, message) do
       {Frame.error(channel, what), kept}
     else
       :error -> {Frame.error(channel, "this message does not have a value at this path"), kept}
@@ -168,8 +184,8 @@ defmodule Situ.Studio.Draw do
       {Frame.error(channel, "this message cannot be drawn: #{Exception.message(error)}"), kept}
   end
 
-  defp frame(%{spec: %{viz: %{module: module} = viz}} = context, channel, data, message) do
-    if draws?(viz, :instant, 4),
+  defp call_instant(%{spec: %{viz: %{module: module} = viz}} = context, channel, data, message) do
+    if implements?(viz, :instant, 4),
       do: module.instant(channel, data, message, context),
       else: module.instant(channel, data, message)
   end

@@ -69,8 +69,8 @@ defmodule Situ.Studio.Export do
   def duration(%__MODULE__{from: from, to: to}), do: to - from
 
   @doc "Writes the export next to the recording and returns `{:ok, path}` when all data is copied."
-  @spec run(t(), Item.t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def run(%__MODULE__{} = export, %Item{kind: :store, path: path}) do
+  @spec write_recording(t(), Item.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def write_recording(%__MODULE__{} = export, %Item{kind: :store, path: path}) do
     some = if export.streams == :all, do: [], else: [streams: export.streams]
 
     Situ.Store.crop(
@@ -80,7 +80,7 @@ defmodule Situ.Studio.Export do
     )
   end
 
-  def run(_, %Item{title: title}) do
+  def write_recording(_, %Item{title: title}) do
     {:error, Error.new(:no_store, "#{title} is not a recording on disk", fix: "open a recording")}
   end
 end

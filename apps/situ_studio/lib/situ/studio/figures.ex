@@ -6,11 +6,11 @@ defmodule Situ.Studio.Figures do
       iex> s = 1_000_000_000
       iex> level = %StreamInfo{name: "A", shape: :signal, count: 101, bytes: 808, latency: 2.0e6, first: 0, last: s}
       iex> image = %StreamInfo{name: "Image", shape: :image, count: 1, bytes: 192, latency: 4.0e6, first: 0, last: 0}
-      iex> both = Figures.sum([level, image])
+      iex> both = Figures.sum_streams([level, image])
       iex> for choice <- [:count, :size, :average_size, :bytes_per_second, :rate, :streams, :duration],
-      ...>     do: Figures.text(choice, both)
+      ...>     do: Figures.format_figure(choice, both)
       ["102", "1.0 kB", "9.8 B", "1.0 kB/s", "101/s", "2 streams", "1.00 s"]
-      iex> Figures.text(:latency, both)
+      iex> Figures.format_figure(:latency, both)
       "2.02 ms"
   """
   alias Situ.Studio.StreamInfo
@@ -59,19 +59,19 @@ defmodule Situ.Studio.Figures do
   @second 1_000_000_000
 
   @doc "Returns all choices with their titles."
-  @spec choices() :: [{atom(), String.t()}]
-  def choices, do: @choices
+  @spec list_choices() :: [{atom(), String.t()}]
+  def list_choices, do: @choices
 
   @doc """
   Returns the choice with the given name from a form or a file, or the default.
 
-      iex> Situ.Studio.Figures.choice("size", :rate)
+      iex> Situ.Studio.Figures.parse_choice("size", :rate)
       :size
-      iex> Situ.Studio.Figures.choice("weight", :rate)
+      iex> Situ.Studio.Figures.parse_choice("weight", :rate)
       :rate
   """
-  @spec choice(term(), atom()) :: atom()
-  def choice(text, usual) do
+  @spec parse_choice(term(), atom()) :: atom()
+  def parse_choice(text, usual) do
     case Enum.find(@choices, fn {name, _} -> Atom.to_string(name) == text end) do
       {name, _} -> name
       nil -> usual
@@ -79,8 +79,8 @@ defmodule Situ.Studio.Figures do
   end
 
   @doc "Summarizes streams; the mean latency is weighted by the number of messages."
-  @spec sum([StreamInfo.t()]) :: t()
-  def sum(streams) do
+  @spec sum_streams([StreamInfo.t()]) :: t()
+  def sum_streams(streams) do
     timed =
       for %{first: first, last: last} when first != nil <- streams, do: {first, last || first}
 
@@ -97,49 +97,49 @@ defmodule Situ.Studio.Figures do
       to: to,
       length: from && to - from,
       rate:
-        if(match?([_], streams), do: hd(streams).rate, else: StreamInfo.rate(count, from, to)),
-      latency: latency(streams)
+        if(match?([_], streams), do: hd(streams).rate, else: StreamInfo.mean_rate(count, from, to)),
+      latency: mean_latency(streams)
     }
   end
 
   @doc "Sets the length of a summary to the sum of the lengths of its sessions."
-  @spec in_turn(t(), [t()]) :: t()
-  def in_turn(%__MODULE__{} = all, parts) do
+  @spec add_lengths(t(), [t()]) :: t()
+  def add_lengths(%__MODULE__{} = all, parts) do
     lengths = for %{length: length} when length != nil <- parts, do: length
     %{all | length: if(lengths == [], do: all.length, else: Enum.sum(lengths))}
   end
 
-  defp latency(streams) do
+  defp mean_latency(streams) do
     known = for %{latency: ns, count: n} when ns != nil and n > 0 <- streams, do: {ns, n}
     total = known |> Enum.map(&elem(&1, 1)) |> Enum.sum()
     if total > 0, do: (known |> Enum.map(fn {ns, n} -> ns * n end) |> Enum.sum()) / total
   end
 
   @doc "Formats a statistic as text; empty if it is unknown. Times are UTC."
-  @spec text(atom(), t()) :: String.t()
-  def text(:none, _), do: ""
+  @spec format_figure(atom(), t()) :: String.t()
+  def format_figure(:none, _), do: ""
   # A recording that cannot be opened has no streams and no statistics.
-  def text(_, %{streams: 0}), do: ""
-  def text(:count, f), do: Integer.to_string(f.count)
-  def text(:streams, %{streams: 1}), do: "1 stream"
-  def text(:streams, f), do: "#{f.streams} streams"
-  def text(:size, f), do: bytes(f.bytes)
-  def text(:average_size, %{count: 0}), do: ""
-  def text(:average_size, f), do: bytes(f.bytes / f.count)
-  def text(:bytes_per_second, f), do: speed(f, 1, "s")
-  def text(:bytes_per_minute, f), do: speed(f, 60, "min")
-  def text(:bytes_per_hour, f), do: speed(f, 3_600, "h")
-  def text(:rate, f), do: rate(f)
-  def text(:per_minute, f), do: often(f, 60, "min")
-  def text(:per_hour, f), do: often(f, 3_600, "h")
-  def text(:latency, %{latency: nil}), do: ""
-  def text(:latency, f), do: latency_text(f.latency)
-  def text(_, %{from: nil}), do: ""
-  def text(:duration, f), do: Situ.Time.format_duration(f.length)
-  def text(:span, f), do: Situ.Time.format_duration(f.to - f.from)
-  def text(:began, f), do: f.from |> clock() |> String.slice(0, 19)
-  def text(:date, f), do: f.from |> clock() |> String.slice(0, 10)
-  def text(:time, f), do: f.from |> clock() |> String.slice(11, 8)
+  def format_figure(_, %{streams: 0}), do: ""
+  def format_figure(:count, f), do: Integer.to_string(f.count)
+  def format_figure(:streams, %{streams: 1}), do: "1 stream"
+  def format_figure(:streams, f), do: "#{f.streams} streams"
+  def format_figure(:size, f), do: format_bytes(f.bytes)
+  def format_figure(:average_size, %{count: 0}), do: ""
+  def format_figure(:average_size, f), do: format_bytes(f.bytes / f.count)
+  def format_figure(:bytes_per_second, f), do: throughput_text(f, 1, "s")
+  def format_figure(:bytes_per_minute, f), do: throughput_text(f, 60, "min")
+  def format_figure(:bytes_per_hour, f), do: throughput_text(f, 3_600, "h")
+  def format_figure(:rate, f), do: rate_text(f)
+  def format_figure(:per_minute, f), do: rate_per(f, 60, "min")
+  def format_figure(:per_hour, f), do: rate_per(f, 3_600, "h")
+  def format_figure(:latency, %{latency: nil}), do: ""
+  def format_figure(:latency, f), do: format_latency(f.latency)
+  def format_figure(_, %{from: nil}), do: ""
+  def format_figure(:duration, f), do: Situ.Time.format_duration(f.length)
+  def format_figure(:span, f), do: Situ.Time.format_duration(f.to - f.from)
+  def format_figure(:began, f), do: f.from |> format_time() |> String.slice(0, 19)
+  def format_figure(:date, f), do: f.from |> format_time() |> String.slice(0, 10)
+  def format_figure(:time, f), do: f.from |> format_time() |> String.slice(11, 8)
 
   # The assumed upper bound for the clock skew between two machines.
   @skew 100_000_000
@@ -149,53 +149,54 @@ defmodule Situ.Studio.Figures do
   Formats a mean latency. Returns "not real time" if the messages were not created in real time, as in a replayed
   recording or a simulation.
 
-      iex> Enum.map([2_020_000, -5_000_000, -1_470_000_000], &Situ.Studio.Figures.latency_text/1)
+      iex> Enum.map([2_020_000, -5_000_000, -1_470_000_000], &Situ.Studio.Figures.format_latency/1)
       ["2.02 ms", "-5.00 ms", "not real time"]
   """
-  @spec latency_text(number()) :: String.t()
-  def latency_text(ns) when ns < -@skew or ns > @day, do: "not real time"
-  def latency_text(ns), do: Situ.Time.format_duration(round(ns))
+  @spec format_latency(number()) :: String.t()
+  def format_latency(ns) when ns < -@skew or ns > @day, do: "not real time"
+  def format_latency(ns), do: Situ.Time.format_duration(round(ns))
 
-  defp clock(time), do: time |> Situ.Time.to_iso8601() |> String.replace("T", " ")
+  defp format_time(time), do: time |> Situ.Time.to_iso8601() |> String.replace("T", " ")
 
-  defp rate(%{rate: nil, count: 1}), do: "1"
-  defp rate(%{rate: nil}), do: ""
-  defp rate(%{rate: hz}), do: how_often(hz)
+  defp rate_text(%{rate: nil, count: 1}), do: "1"
+  defp rate_text(%{rate: nil}), do: ""
+  defp rate_text(%{rate: hz}), do: format_rate(hz)
 
   @doc """
   Formats a rate, given per second, in a readable unit.
 
-      iex> Enum.map([3.0e9, 48_000, 25, 0.5, 1 / 3600, 2 / 86_400], &Situ.Studio.Figures.how_often/1)
+      iex> Enum.map([3.0e9, 48_000, 25, 0.5, 1 / 3600, 2 / 86_400], &Situ.Studio.Figures.format_rate/1)
       ["3.0 G/s", "48.0 k/s", "25.0/s", "30.0/min", "1.0/h", "2.0/d"]
   """
-  @spec how_often(number()) :: String.t()
-  def how_often(hz) when hz >= 1.0e9, do: "#{number(hz / 1.0e9)} G/s"
-  def how_often(hz) when hz >= 1.0e6, do: "#{number(hz / 1.0e6)} M/s"
-  def how_often(hz) when hz >= 1.0e4, do: "#{number(hz / 1.0e3)} k/s"
-  def how_often(hz) when hz >= 1, do: "#{number(hz)}/s"
-  def how_often(hz) when hz >= 1 / 60, do: "#{number(hz * 60)}/min"
-  def how_often(hz) when hz >= 1 / 3600, do: "#{number(hz * 3600)}/h"
-  def how_often(hz), do: "#{number(hz * 86_400)}/d"
+  @spec format_rate(number()) :: String.t()
+  def format_rate(hz) when hz >= 1.0e9, do: "#{format_number(hz / 1.0e9)} G/s"
+  def format_rate(hz) when hz >= 1.0e6, do: "#{format_number(hz / 1.0e6)} M/s"
+  def format_rate(hz) when hz >= 1.0e4, do: "#{format_number(hz / 1.0e3)} k/s"
+  def format_rate(hz) when hz >= 1, do: "#{format_number(hz)}/s"
+  def format_rate(hz) when hz >= 1 / 60, do: "#{format_number(hz * 60)}/min"
+  def format_rate(hz) when hz >= 1 / 3600, do: "#{format_number(hz * 3600)}/h"
+  def format_rate(hz), do: "#{format_number(hz * 86_400)}/d"
 
-  defp often(%{rate: nil}, _, _), do: ""
-  defp often(%{rate: hz}, seconds, unit), do: "#{number(hz * seconds)}/#{unit}"
+  defp rate_per(%{rate: nil}, _, _), do: ""
+  defp rate_per(%{rate: hz}, seconds, unit), do: "#{format_number(hz * seconds)}/#{unit}"
 
-  defp speed(%{length: length, bytes: bytes}, seconds, unit) when length != nil and length > 0,
-    do: "#{bytes(bytes * seconds * @second / length)}/#{unit}"
+  defp throughput_text(%{length: length, bytes: bytes}, seconds, unit)
+       when length != nil and length > 0,
+       do: "#{format_bytes(bytes * seconds * @second / length)}/#{unit}"
 
-  defp speed(_, _, _), do: ""
+  defp throughput_text(_, _, _), do: ""
 
   @doc "Formats a size in bytes with a decimal unit."
-  @spec bytes(number()) :: String.t()
-  def bytes(n) when is_integer(n) and n < 1_000, do: "#{n} B"
-  def bytes(n) when n < 1_000, do: "#{number(n)} B"
-  def bytes(n) when n < 1_000_000, do: "#{number(n / 1.0e3)} kB"
-  def bytes(n) when n < 1_000_000_000, do: "#{number(n / 1.0e6)} MB"
-  def bytes(n), do: "#{number(n / 1.0e9)} GB"
+  @spec format_bytes(number()) :: String.t()
+  def format_bytes(n) when is_integer(n) and n < 1_000, do: "#{n} B"
+  def format_bytes(n) when n < 1_000, do: "#{format_number(n)} B"
+  def format_bytes(n) when n < 1_000_000, do: "#{format_number(n / 1.0e3)} kB"
+  def format_bytes(n) when n < 1_000_000_000, do: "#{format_number(n / 1.0e6)} MB"
+  def format_bytes(n), do: "#{format_number(n / 1.0e9)} GB"
 
   @doc "Formats a number with about three digits."
-  @spec number(number()) :: String.t()
-  def number(x) when x >= 100, do: Integer.to_string(round(x))
-  def number(x) when x >= 10, do: :erlang.float_to_binary(x / 1, [:compact, decimals: 1])
-  def number(x), do: :erlang.float_to_binary(x / 1, [:compact, decimals: 2])
+  @spec format_number(number()) :: String.t()
+  def format_number(x) when x >= 100, do: Integer.to_string(round(x))
+  def format_number(x) when x >= 10, do: :erlang.float_to_binary(x / 1, [:compact, decimals: 1])
+  def format_number(x), do: :erlang.float_to_binary(x / 1, [:compact, decimals: 2])
 end

@@ -6,10 +6,10 @@ defmodule Situ.Studio.Film do
   Each image is shown from its own time until the next one; the first is the image at the start time. An image whose
   size differs from the first one is resized.
 
-      iex> image = Situ.Image.filled(32, 16, :bgr24)
+      iex> image = Situ.Image.new_filled(32, 16, :bgr24)
       iex> rects = [%Situ.Rect{x: 4, y: 4, width: 8, height: 8}]
       iex> film = %Situ.Studio.Film{pictures: "Camera", from: 0, to: 1}
-      iex> drawn = Situ.Studio.Film.over(film, image, [{rects, 2}])
+      iex> drawn = Situ.Studio.Film.draw_overlays(film, image, [{rects, 2}])
       iex> Situ.Image.fetch_pixel(drawn, 4, 8)
       {:ok, [138, 195, 76]}
   """
@@ -56,10 +56,10 @@ defmodule Situ.Studio.Film do
   Writes the file. Calls `progress` with the completed fraction, 0.0 to 1.0, about once per second of video. Errors:
   `:no_pictures`, and errors of `Situ.Media.Encoder`.
   """
-  @spec write(t(), Source.t(), Path.t(), (float() -> term())) :: :ok | {:error, Error.t()}
-  def write(%__MODULE__{} = film, source, path, progress) do
-    with {:ok, first} <- first(film, source),
-         format = sound_format(film, source),
+  @spec write_video(t(), Source.t(), Path.t(), (float() -> term())) :: :ok | {:error, Error.t()}
+  def write_video(%__MODULE__{} = film, source, path, progress) do
+    with {:ok, first} <- first_image(film, source),
+         format = audio_format(film, source),
          {:ok, encoder} <-
            Encoder.open(path, video: first, audio: format, start_time: film.from) do
       turns = for a <- film.from..(film.to - 1)//@turn, do: {a, min(a + @turn, film.to)}
@@ -68,44 +68,44 @@ defmodule Situ.Studio.Film do
       |> Enum.reduce_while({:ok, nil}, fn {a, b}, {:ok, last} ->
         progress.((a - film.from) / (film.to - film.from))
 
-        with {:ok, last} <- pictures(film, source, encoder, first, a, b, last),
-             :ok <- sounds(film, source, encoder, format, a, b) do
+        with {:ok, last} <- write_images(film, source, encoder, first, a, b, last),
+             :ok <- write_audio(film, source, encoder, format, a, b) do
           {:cont, {:ok, last}}
         else
           error -> {:halt, error}
         end
       end)
-      |> finished(film, encoder)
+      |> close_encoder(film, encoder)
     end
   end
 
-  defp finished({:ok, last}, film, encoder) do
-    with :ok <- hold(last, film, encoder), do: Encoder.close(encoder)
+  defp close_encoder({:ok, last}, film, encoder) do
+    with :ok <- extend_last_image(last, film, encoder), do: Encoder.close(encoder)
   end
 
-  defp finished(error, _film, encoder) do
+  defp close_encoder(error, _film, encoder) do
     _ = Encoder.close(encoder)
     error
   end
 
   # The last image is repeated near the end time, so that it is shown until then.
-  defp hold({time, image}, %{to: to}, encoder) when to - @frame > time + @frame,
+  defp extend_last_image({time, image}, %{to: to}, encoder) when to - @frame > time + @frame,
     do: Encoder.video(encoder, to - @frame, image)
 
-  defp hold(_, _, _), do: :ok
+  defp extend_last_image(_, _, _), do: :ok
 
   # Returns the image at the start time, or else the first image after it.
-  defp first(film, source) do
-    with {:ok, message} <- start(film, source),
-         {:ok, image} <- picture(message.data) do
+  defp first_image(film, source) do
+    with {:ok, message} <- fetch_first_message(film, source),
+         {:ok, image} <- decode_image(message.data) do
       {:ok, image}
     else
       {:error, error} -> {:error, error}
-      _ -> none(film)
+      _ -> no_images_error(film)
     end
   end
 
-  defp start(film, source) do
+  defp fetch_first_message(film, source) do
     with {:ok, %{data: data} = message} when is_struct(data) <-
            Source.call(source, :latest_at, [film.pictures, film.from]) do
       {:ok, message}
@@ -114,52 +114,60 @@ defmodule Situ.Studio.Film do
     end
   end
 
-  defp none(film) do
+  defp no_images_error(film) do
     {:error,
      Error.new(:no_pictures, "#{film.pictures} has no images between these times",
        fix: "select an interval that contains images"
      )}
   end
 
-  defp picture(%EncodedImage{} = encoded), do: Imaging.parse(encoded, format: :bgr24)
-  defp picture(%Image{} = image), do: Imaging.convert(image, :bgr24)
-  defp picture(_), do: :none
+  defp decode_image(%EncodedImage{} = encoded), do: Imaging.parse(encoded, format: :bgr24)
+  defp decode_image(%Image{} = image), do: Imaging.convert(image, :bgr24)
+  defp decode_image(_), do: :none
 
   # The first slice starts with the image at its start time.
-  defp pictures(film, source, encoder, first, a, b, nil) do
+  defp write_images(film, source, encoder, first, a, b, nil) do
     opening =
       case Source.call(source, :latest_at, [film.pictures, a]) do
         {:ok, message} -> [%{message | originating_time: a}]
         _ -> []
       end
 
-    with {:ok, last} <- each(opening, film, source, encoder, first, nil),
-         do: pages(film, source, encoder, first, {a + 1, b}, last)
+    with {:ok, last} <- encode_messages(opening, film, source, encoder, first, nil),
+         do: write_pages(film, source, encoder, first, {a + 1, b}, last)
   end
 
-  defp pictures(film, source, encoder, first, a, b, last),
-    do: pages(film, source, encoder, first, {a + 1, b}, last)
+  defp write_images(film, source, encoder, first, a, b, last),
+    do: write_pages(film, source, encoder, first, {a + 1, b}, last)
 
-  defp pages(film, source, encoder, first, {a, b}, last) do
+  defp write_pages(film, source, encoder, first, {a, b}, last) do
     with {:ok, messages, more} <- Source.call(source, :messages, [film.pictures, a, b, @page]),
-         {:ok, last} <- each(messages, film, source, encoder, first, last) do
+         {:ok, last} <- encode_messages(messages, film, source, encoder, first, last) do
       if more == :more and messages != [],
         do:
-          pages(film, source, encoder, first, {List.last(messages).originating_time + 1, b}, last),
+          write_pages(
+            film,
+            source,
+            encoder,
+            first,
+            {List.last(messages).originating_time + 1, b},
+            last
+          ),
         else: {:ok, last}
     end
   end
 
-  defp each(messages, film, source, encoder, first, last) do
+  defp encode_messages(messages, film, source, encoder, first, last) do
     Enum.reduce_while(messages, {:ok, last}, fn message, {:ok, last} ->
       time = message.originating_time
 
-      with {:ok, image} <- picture(message.data),
-           {:ok, image} <- sized(image, first),
-           found = found(film, source, time),
-           image = masked(image, found),
+      with {:ok, image} <- decode_image(message.data),
+           {:ok, image} <- resize_image(image, first),
+           found = fetch_masks(film, source, time),
+           image = draw_masks(image, found),
            {:ok, image} <- if(film.flip, do: Imaging.flip(image, :vertical), else: {:ok, image}),
-           image = over(film, image, boxed(found) ++ shown(film, source, time)),
+           image =
+             draw_overlays(film, image, mask_labels(found) ++ overlay_data(film, source, time)),
            :ok <- Encoder.video(encoder, time, image) do
         {:cont, {:ok, {time, image}}}
       else
@@ -171,41 +179,43 @@ defmodule Situ.Studio.Film do
     end)
   end
 
-  defp sized(%{width: w, height: h} = image, %{width: w, height: h}), do: {:ok, image}
-  defp sized(image, %{width: w, height: h}), do: Imaging.resize(image, w, h)
+  defp resize_image(%{width: w, height: h} = image, %{width: w, height: h}), do: {:ok, image}
+  defp resize_image(image, %{width: w, height: h}), do: Imaging.resize(image, w, h)
 
-  defp shown(film, source, time) do
+  defp overlay_data(film, source, time) do
     for {stream, color} <- film.over,
         {:ok, message} <- [Source.call(source, :latest_at, [stream, time])],
         do: {message.data, color}
   end
 
-  defp found(film, source, time) do
+  defp fetch_masks(film, source, time) do
     for {stream, color, props} <- film.masks,
         {:ok, message} <- [Source.call(source, :latest_at, [stream, time])],
-        {:ok, found} <- [Found.found(message.data, source, stream, message.originating_time)],
+        {:ok, found} <- [
+          Found.fetch_masks(message.data, source, stream, message.originating_time)
+        ],
         do: {found, color, props}
   end
 
   # Masks are drawn before the image is mirrored, so that they are mirrored with it.
-  defp masked(image, found) do
+  defp draw_masks(image, found) do
     Enum.reduce(found, image, fn {found, color, props}, image ->
-      Masks.over(image, found, color, @colors, props)
+      Masks.draw_masks(image, found, color, @colors, props)
     end)
   end
 
-  defp boxed(found) do
+  defp mask_labels(found) do
     for {{:objects, objects}, color, props} <- found,
         props["labels"] != false,
         do: {{:labels, Enum.map(objects, &elem(&1, 0))}, color}
   end
 
   @doc "Draws overlays on an image: the data of each stream's message, with the number of its color."
-  @spec over(t(), Image.t(), [{term(), non_neg_integer()}]) :: Image.t()
-  def over(_film, image, []), do: image
+  @spec draw_overlays(t(), Image.t(), [{term(), non_neg_integer()}]) :: Image.t()
+  def draw_overlays(_film, image, []), do: image
 
-  def over(film, image, data) do
-    shapes = Enum.flat_map(data, fn {term, color} -> drawn(film, image, term, color) end)
+  def draw_overlays(film, image, data) do
+    shapes = Enum.flat_map(data, fn {term, color} -> build_shapes(film, image, term, color) end)
 
     case Imaging.draw(image, shapes) do
       {:ok, drawn} -> drawn
@@ -215,11 +225,11 @@ defmodule Situ.Studio.Film do
   end
 
   # Objects with masks are labeled but not framed.
-  defp drawn(film, image, {:labels, rects}, own),
-    do: film |> drawn(image, rects, own) |> Enum.reject(&match?({:rectangle, _, _}, &1))
+  defp build_shapes(film, image, {:labels, rects}, own),
+    do: film |> build_shapes(image, rects, own) |> Enum.reject(&match?({:rectangle, _, _}, &1))
 
-  defp drawn(film, image, term, own) do
-    shapes = Shapes.of(term)
+  defp build_shapes(film, image, term, own) do
+    shapes = Shapes.collect_shapes(term)
 
     rects =
       for {[x, y, w, h, label, score, id], i} <- Enum.with_index(shapes["rects"]) do
@@ -227,7 +237,7 @@ defmodule Situ.Studio.Film do
         x = if film.flip, do: image.width - x - w, else: x
 
         text =
-          text([
+          join_label([
             label,
             id && to_string(id),
             score && :erlang.float_to_binary(score / 1, decimals: 2)
@@ -263,34 +273,34 @@ defmodule Situ.Studio.Film do
     List.flatten(rects) ++ lines ++ points ++ texts
   end
 
-  defp text(parts), do: parts |> Enum.reject(&(&1 in [nil, ""])) |> Enum.join("  ")
+  defp join_label(parts), do: parts |> Enum.reject(&(&1 in [nil, ""])) |> Enum.join("  ")
 
-  defp sound_format(%{sound: nil}, _source), do: nil
+  defp audio_format(%{sound: nil}, _source), do: nil
 
-  defp sound_format(film, source) do
+  defp audio_format(film, source) do
     case Source.call(source, :next_after, [film.sound, film.from]) do
       {:ok, %{data: %AudioBuffer{format: format}}} -> format
       _ -> nil
     end
   end
 
-  defp sounds(_film, _source, _encoder, nil, _a, _b), do: :ok
+  defp write_audio(_film, _source, _encoder, nil, _a, _b), do: :ok
 
-  defp sounds(film, source, encoder, format, a, b) do
+  defp write_audio(film, source, encoder, format, a, b) do
     with {:ok, messages, _} <- Source.call(source, :messages, [film.sound, a + 1, b, 100_000]) do
       for %{data: %AudioBuffer{format: ^format} = buffer, originating_time: time} <- messages,
           reduce: :ok do
-        :ok -> Encoder.audio(encoder, time, since(buffer, time, film.from))
+        :ok -> Encoder.audio(encoder, time, trim_buffer(buffer, time, film.from))
         error -> error
       end
     end
   end
 
   # A buffer's timestamp is its end, so part of the first buffer may be from before the start of the video.
-  defp since(buffer, time, from) do
+  defp trim_buffer(buffer, time, from) do
     early = max(from - AudioBuffer.start_time(buffer, time), 0)
     skip = if early == 0, do: 0, else: AudioFormat.ns_to_frames(buffer.format, early) + 1
-    skip = min(skip, AudioBuffer.frames(buffer))
-    AudioBuffer.slice(buffer, skip, AudioBuffer.frames(buffer) - skip)
+    skip = min(skip, AudioBuffer.frame_count(buffer))
+    AudioBuffer.slice_frames(buffer, skip, AudioBuffer.frame_count(buffer) - skip)
   end
 end

@@ -44,8 +44,8 @@ defmodule Situ.Studio.Frame do
   | 11 scene | 3D objects, see `Situ.Studio.Scene.pack/2` |
   | 12 sounds | audio chunks of equal length, one per row: their times relative to the base (64-bit floats), then 32-bit float samples |
 
-      iex> frame = Situ.Studio.Frame.none(7)
-      iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
+      iex> frame = Situ.Studio.Frame.no_message(7)
+      iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.encode_reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
       iex> {byte_size(bytes), :binary.at(bytes, 0)}
       {72, 1}
   """
@@ -68,9 +68,9 @@ defmodule Situ.Studio.Frame do
   Encodes a reply: the header and its frames. `meta` contains `:request`, `:from`, `:to`, `:time` and optionally
   `:live`, `:gone`, `:replaced` and `:version`.
   """
-  @spec reply([t()], map()) :: iodata()
-  def reply(frames, %{request: request, from: from, to: to, time: time} = meta) do
-    flags = bit(meta[:live], 1) + bit(meta[:gone], 2) + bit(meta[:replaced], 4)
+  @spec encode_reply([t()], map()) :: iodata()
+  def encode_reply(frames, %{request: request, from: from, to: to, time: time} = meta) do
+    flags = flag_bit(meta[:live], 1) + flag_bit(meta[:gone], 2) + flag_bit(meta[:replaced], 4)
 
     [
       <<@version, 0, flags::little-16, request::little-32, from::little-signed-64,
@@ -87,7 +87,15 @@ defmodule Situ.Studio.Frame do
         ) :: t()
   def series(channel, points, raw?, opts \\ []) do
     base = first_time(points)
-    frame(:series, channel, columns(points, base), length(points), base, flags(raw?, opts))
+
+    build_frame(
+      :series,
+      channel,
+      encode_columns(points, base),
+      length(points),
+      base,
+      flag_bits(raw?, opts)
+    )
   end
 
   @doc "Encodes several named signals of one stream; `more` is the number of omitted signals."
@@ -102,24 +110,32 @@ defmodule Situ.Studio.Frame do
       for {name, points} <- lines do
         size = byte_size(name)
         head = <<size::little-32, length(points)::little-32>>
-        [head, name, padding(rem(size, 8)), columns(points, base)]
+        [head, name, padding_bytes(rem(size, 8)), encode_columns(points, base)]
       end
 
-    frame(:lines, channel, payload, length(lines), base, flags(raw?, opts), opts[:more] || 0)
+    build_frame(
+      :lines,
+      channel,
+      payload,
+      length(lines),
+      base,
+      flag_bits(raw?, opts),
+      opts[:more] || 0
+    )
   end
 
-  defp columns(points, base) do
+  defp encode_columns(points, base) do
     [
       for({t, _, _, _, _} <- points, into: <<>>, do: <<t - base::little-float-64>>),
-      for({_, min, _, _, _} <- points, into: <<>>, do: float(min)),
-      for({_, _, max, _, _} <- points, into: <<>>, do: float(max)),
-      for({_, _, _, last, _} <- points, into: <<>>, do: float(last)),
+      for({_, min, _, _, _} <- points, into: <<>>, do: encode_float(min)),
+      for({_, _, max, _, _} <- points, into: <<>>, do: encode_float(max)),
+      for({_, _, _, last, _} <- points, into: <<>>, do: encode_float(last)),
       for({_, _, _, _, count} <- points, into: <<>>, do: <<count::little-float-64>>)
     ]
   end
 
-  defp float(nil), do: @nan
-  defp float(x), do: <<x::little-float-64>>
+  defp encode_float(nil), do: @nan
+  defp encode_float(x), do: <<x::little-float-64>>
 
   @doc "Encodes lanes, lane by lane in time order, as segments `{from, to | nil, label, class, lane}` up to `newest`."
   @spec segments(channel(), [segment()], Situ.Time.t() | nil, sampled: boolean()) :: t()
@@ -132,7 +148,15 @@ defmodule Situ.Studio.Frame do
         [from - base, to && to - base, label, class | if(lane == "", do: [], else: [lane])]
       end
 
-    frame(:segments, channel, encode(json), length(rows), base, flags(false, opts), own)
+    build_frame(
+      :segments,
+      channel,
+      encode_json(json),
+      length(rows),
+      base,
+      flag_bits(false, opts),
+      own
+    )
   end
 
   @doc "Encodes message marks: `{originating time, latency}`."
@@ -145,7 +169,7 @@ defmodule Situ.Studio.Frame do
       for({_, latency} <- rows, into: <<>>, do: <<latency::little-float-64>>)
     ]
 
-    frame(:marks, channel, payload, length(rows), base, bit(raw?, 1))
+    build_frame(:marks, channel, payload, length(rows), base, flag_bit(raw?, 1))
   end
 
   @doc "Encodes an image, see `Situ.Studio.Draw.Picture`."
@@ -153,30 +177,30 @@ defmodule Situ.Studio.Frame do
   def image(channel, time, {pixels, width, height, data, unit}) do
     code = Keyword.fetch!(@pixels, pixels)
     head = <<width::little-32, height::little-32, code::little-32, unit::little-32>>
-    frame(:image, channel, [head, data], 1, time)
+    build_frame(:image, channel, [head, data], 1, time)
   end
 
   @doc "Encodes 3D objects, and the problems of objects that could not be shown."
   @spec scene(channel(), Situ.Time.t(), [Situ.Studio.Scene.item()], [String.t()]) :: t()
   def scene(channel, time, items, problems),
-    do: frame(:scene, channel, Situ.Studio.Scene.pack(items, problems), length(items), time)
+    do: build_frame(:scene, channel, Situ.Studio.Scene.pack(items, problems), length(items), time)
 
   @doc "Returns the number of a pixel format in the page's protocol."
-  @spec pixels(atom()) :: 1..8
-  def pixels(format), do: Keyword.fetch!(@pixels, format)
+  @spec pixel_code(atom()) :: 1..8
+  def pixel_code(format), do: Keyword.fetch!(@pixels, format)
 
   @doc "Encodes any term that JSON can represent."
   @spec json(channel(), Situ.Time.t(), term()) :: t()
-  def json(channel, time, term), do: frame(:json, channel, encode(term), 1, time)
+  def json(channel, time, term), do: build_frame(:json, channel, encode_json(term), 1, time)
 
   @doc "Encodes audio: interleaved 32-bit float samples."
   @spec pcm(channel(), Situ.Time.t(), pos_integer(), binary(), pos_integer()) :: t()
   def pcm(channel, time, rate, samples, channels \\ 1),
-    do: frame(:pcm, channel, samples, div(byte_size(samples), 4 * channels), time, 0, rate)
+    do: build_frame(:pcm, channel, samples, div(byte_size(samples), 4 * channels), time, 0, rate)
 
   @doc "Encodes audio chunks of one channel and equal length: `{time, 32-bit float samples}`."
-  @spec sounds(channel(), [{Situ.Time.t(), binary()}], pos_integer()) :: t()
-  def sounds(channel, pieces, rate) do
+  @spec audio_chunks(channel(), [{Situ.Time.t(), binary()}], pos_integer()) :: t()
+  def audio_chunks(channel, pieces, rate) do
     base = first_time(pieces)
 
     payload = [
@@ -184,42 +208,43 @@ defmodule Situ.Studio.Frame do
       for({_, samples} <- pieces, do: samples)
     ]
 
-    frame(:sounds, channel, payload, length(pieces), base, 0, rate)
+    build_frame(:sounds, channel, payload, length(pieces), base, 0, rate)
   end
 
   @doc "Encodes the absence of a message at this time."
-  @spec none(channel()) :: t()
-  def none(channel), do: frame(:none, channel, "", 0, 0)
+  @spec no_message(channel()) :: t()
+  def no_message(channel), do: build_frame(:none, channel, "", 0, 0)
 
   @doc "Encodes that the last message on this channel is still current."
-  @spec same(channel()) :: t()
-  def same(channel), do: frame(:same, channel, "", 0, 0)
+  @spec same_message(channel()) :: t()
+  def same_message(channel), do: build_frame(:same, channel, "", 0, 0)
 
   @doc "Encodes an error message for the channel."
   @spec error(channel(), String.t()) :: t()
-  def error(channel, text), do: frame(:error, channel, text, 0, 0)
+  def error(channel, text), do: build_frame(:error, channel, text, 0, 0)
 
-  defp frame(kind, channel, payload, rows, base, flags \\ 0, own \\ 0) do
+  defp build_frame(kind, channel, payload, rows, base, flags \\ 0, own \\ 0) do
     size = IO.iodata_length(payload)
     code = Keyword.fetch!(@kinds, kind)
 
     [
       <<code::little-16, flags::little-16, channel::little-32, size::little-32, rows::little-32,
         base::little-signed-64, own::little-signed-64>>,
-      payload | padding(rem(size, 8))
+      payload | padding_bytes(rem(size, 8))
     ]
   end
 
-  defp padding(0), do: []
-  defp padding(over), do: <<0::size((8 - over) * 8)>>
+  defp padding_bytes(0), do: []
+  defp padding_bytes(over), do: <<0::size((8 - over) * 8)>>
 
-  defp encode(term), do: Situ.JSON.encode(term)
+  defp encode_json(term), do: Situ.JSON.encode(term)
 
   defp first_time([]), do: 0
   defp first_time([row | _]), do: elem(row, 0)
 
-  defp flags(raw?, opts), do: bit(raw?, 1) + bit(opts[:sampled], 2) + bit(opts[:together], 4)
+  defp flag_bits(raw?, opts),
+    do: flag_bit(raw?, 1) + flag_bit(opts[:sampled], 2) + flag_bit(opts[:together], 4)
 
-  defp bit(true, value), do: value
-  defp bit(_, _), do: 0
+  defp flag_bit(true, value), do: value
+  defp flag_bit(_, _), do: 0
 end

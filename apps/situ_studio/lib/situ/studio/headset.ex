@@ -28,7 +28,7 @@ defmodule Situ.Studio.Headset do
   | `:left`, `:right` | a tracked hand: `Situ.Skeleton` of 26 joints with the `id` `:left` or `:right` |
   | `:gaze` | the gaze direction, `Situ.Ray3`, if the headset reports it |
   | `:select` | `%{left: boolean, right: boolean}`, which hand pinches (or which trigger is pulled), on every change |
-  | `:planes` | floors, walls and tables, `Situ.Studio.Headset.Packet.plane/0`, on every change |
+  | `:planes` | floors, walls and tables, `Situ.Studio.Headset.Packet.parse_plane/0`, on every change |
   | `:clock` | the offset of the browser's clock in ms, after every measurement |
 
   Axes are x forward, y left, z up, in meters; the origin is on the floor, where the session started. The x axis of
@@ -81,19 +81,19 @@ defmodule Situ.Studio.Headset do
        Inbox.new(__MODULE__, opts[:page], credited: :head, ahead: @ahead, buffer: opts[:buffer])}
 
   @impl Situ.Component
-  def handle_start(_context, inbox), do: Inbox.start(inbox)
+  def handle_start(_context, inbox), do: Inbox.register_sensor(inbox)
 
   @impl Situ.Component
-  def handle_info(message, _context, inbox), do: {[], Inbox.info(inbox, message)}
+  def handle_info(message, _context, inbox), do: {[], Inbox.handle_message(inbox, message)}
 
   @impl Situ.Component
-  def handle_demand(n, _context, inbox), do: Inbox.take(inbox, n)
+  def handle_demand(n, _context, inbox), do: Inbox.take_actions(inbox, n)
 
   @impl Situ.Component
   def handle_stop(_final_time, _context, inbox), do: {[], inbox}
 
   @impl Situ.Component
-  def terminate(_reason, inbox), do: Inbox.ended(inbox)
+  def terminate(_reason, inbox), do: Inbox.notify_ended(inbox)
 
   @impl Situ.Component
   def describe(inbox), do: Inbox.describe(inbox)

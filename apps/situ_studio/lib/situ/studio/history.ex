@@ -39,8 +39,8 @@ defmodule Situ.Studio.History do
   end
 
   @doc "Adds a stream before its first message; `type` as in `Situ.Type`."
-  @spec open(t(), String.t(), Situ.Type.t()) :: :ok
-  def open(%__MODULE__{streams: streams}, name, type) do
+  @spec open_stream(t(), String.t(), Situ.Type.t()) :: :ok
+  def open_stream(%__MODULE__{streams: streams}, name, type) do
     :ets.insert_new(streams, {name, type, 0, 0, nil, nil, 0, 0})
     :ok
   end
@@ -48,28 +48,28 @@ defmodule Situ.Studio.History do
   @doc "Appends a message of size `bytes`, and drops messages that exceed the limits."
   @spec put(t(), String.t(), Situ.Message.t(), non_neg_integer()) :: :ok
   def put(%__MODULE__{} = history, name, %Situ.Message{} = message, bytes) do
-    open(history, name, :any)
+    open_stream(history, name, :any)
     key = {name, message.originating_time}
-    known? = said?(:ets.lookup(history.messages, key))
+    known? = known_message?(:ets.lookup(history.messages, key))
     :ets.insert(history.messages, {key, message, bytes})
-    if not known?, do: count(history, name, message.originating_time, bytes)
+    if not known?, do: count_message(history, name, message.originating_time, bytes)
     :ok
   end
 
   # A pipeline that resumes from a checkpoint repeats messages; they are counted once and do not lower the last time.
-  defp said?([{_, %{data: %Situ.Studio.Hole{}}, _}]), do: false
-  defp said?(rows), do: rows != []
+  defp known_message?([{_, %{data: %Situ.Studio.Hole{}}, _}]), do: false
+  defp known_message?(rows), do: rows != []
 
-  defp count(history, name, time, bytes) do
+  defp count_message(history, name, time, bytes) do
     [{_, type, count, held, first, last, total, kept}] = :ets.lookup(history.streams, name)
     {first, last} = {min(first || time, time), max(last || time, time)}
     row = {name, type, count + 1, held + bytes, first, last, total + bytes, kept + 1}
-    :ets.insert(history.streams, forget(history, row))
+    :ets.insert(history.streams, drop_old(history, row))
   end
 
   @doc "Returns the time of the newest message of a stream, or `nil` before the first."
-  @spec last(t(), String.t()) :: Situ.Time.t() | nil
-  def last(%__MODULE__{streams: streams}, name) do
+  @spec last_time(t(), String.t()) :: Situ.Time.t() | nil
+  def last_time(%__MODULE__{streams: streams}, name) do
     case :ets.lookup(streams, name) do
       [{_, _, _, _, _, last, _, _}] -> last
       [] -> nil
@@ -80,16 +80,16 @@ defmodule Situ.Studio.History do
   Marks the start of a gap after the message at `last`: the stream was not captured until its next message. The gap is
   not counted; its data is a `Situ.Studio.Hole`.
   """
-  @spec interrupt(t(), String.t(), Situ.Time.t() | nil) :: :ok
-  def interrupt(%__MODULE__{}, _name, nil), do: :ok
+  @spec mark_gap(t(), String.t(), Situ.Time.t() | nil) :: :ok
+  def mark_gap(%__MODULE__{}, _name, nil), do: :ok
 
-  def interrupt(%__MODULE__{} = history, name, last) do
+  def mark_gap(%__MODULE__{} = history, name, last) do
     hole = %Situ.Message{data: %Situ.Studio.Hole{}, originating_time: last + 1}
     :ets.insert_new(history.messages, {{name, last + 1}, hole, 0})
     :ok
   end
 
-  defp forget(history, {name, type, count, held, first, last, total, kept} = row) do
+  defp drop_old(history, {name, type, count, held, first, last, total, kept} = row) do
     if held > history.max_bytes or last - first > history.max_age do
       case :ets.lookup(history.messages, {name, first}) do
         [{key, _, bytes}] ->
@@ -98,7 +98,7 @@ defmodule Situ.Studio.History do
 
           case next do
             {^name, time} ->
-              forget(history, {name, type, count, held - bytes, time, last, total, kept - 1})
+              drop_old(history, {name, type, count, held - bytes, time, last, total, kept - 1})
 
             _ ->
               {name, type, count, 0, last, last, total, 1}
@@ -113,9 +113,9 @@ defmodule Situ.Studio.History do
   end
 
   @doc "Estimates the size of a term in bytes cheaply: the byte size of binaries, the size in words of other terms."
-  @spec weigh(term()) :: non_neg_integer()
-  def weigh(%{data: data}) when is_binary(data), do: byte_size(data)
-  def weigh(data) when is_binary(data), do: byte_size(data)
-  def weigh(data) when is_number(data) or is_atom(data), do: 16
-  def weigh(data), do: :erts_debug.flat_size(data) * 8
+  @spec estimate_size(term()) :: non_neg_integer()
+  def estimate_size(%{data: data}) when is_binary(data), do: byte_size(data)
+  def estimate_size(data) when is_binary(data), do: byte_size(data)
+  def estimate_size(data) when is_number(data) or is_atom(data), do: 16
+  def estimate_size(data), do: :erts_debug.flat_size(data) * 8
 end

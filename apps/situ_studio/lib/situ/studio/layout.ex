@@ -4,8 +4,8 @@ defmodule Situ.Studio.Layout do
   A layout is pure data with a JSON form (`Situ.Studio.Layout.Text`), so it can be saved to a file or written by hand.
 
       iex> layout = Situ.Studio.Layout.new("mine")
-      iex> {:ok, layout, id} = Situ.Studio.Layout.add(layout, "A.level", "line", :plot, "")
-      iex> {:ok, again} = layout |> Situ.Studio.Layout.Text.write() |> Situ.Studio.Layout.Text.read()
+      iex> {:ok, layout, id} = Situ.Studio.Layout.add_stream(layout, "A.level", "line", :plot, "")
+      iex> {:ok, again} = layout |> Situ.Studio.Layout.Text.to_json() |> Situ.Studio.Layout.Text.parse_json()
       iex> {again == layout, id, hd(layout.rows).panel}
       {true, "p1", :plot}
   """
@@ -90,12 +90,12 @@ defmodule Situ.Studio.Layout do
   @max_lanes 12
 
   @doc "Returns the kinds of panels."
-  @spec panels() :: [atom()]
-  def panels, do: @panels
+  @spec panel_kinds() :: [atom()]
+  def panel_kinds, do: @panels
 
   @doc "Returns the maximum number of panels in a layout and of streams in a panel."
-  @spec limits() :: {pos_integer(), pos_integer()}
-  def limits, do: {@max_panels, @max_vis}
+  @spec size_limits() :: {pos_integer(), pos_integer()}
+  def size_limits, do: {@max_panels, @max_vis}
 
   @doc "Creates an empty layout."
   @spec new(String.t()) :: t()
@@ -108,31 +108,43 @@ defmodule Situ.Studio.Layout do
   @doc """
   Adds a stream to the panel `into` if its kind fits, else to a new panel. Shapes are added to the first image panel.
   """
-  @spec add(t(), String.t(), String.t(), atom(), String.t(), keyword()) ::
+  @spec add_stream(t(), String.t(), String.t(), atom(), String.t(), keyword()) ::
           {:ok, t(), panel_id :: String.t()} | {:error, Error.t()}
-  def add(%__MODULE__{} = layout, stream, viz, panel, into, opts \\ []) do
+  def add_stream(%__MODULE__{} = layout, stream, viz, panel, into, opts \\ []) do
     vis = %Vis{viz: viz, stream: stream, path: opts[:path] || "", props: opts[:props] || %{}}
-    target = Enum.find(layout.rows, &(&1.id == into and joins?(&1.panel, panel)))
-    target = target || if(over?(viz, panel), do: Enum.find(layout.rows, &(&1.panel == :image)))
+    target = Enum.find(layout.rows, &(&1.id == into and shares_panel?(&1.panel, panel)))
+    target = target || if(overlay?(viz, panel), do: Enum.find(layout.rows, &(&1.panel == :image)))
 
     cond do
-      target != nil and length(target.vis) >= @max_vis -> full("panel", @max_vis)
-      target != nil -> {:ok, update(layout, target.id, &%{&1 | vis: &1.vis ++ [vis]}), target.id}
-      length(layout.rows) >= @max_panels -> full("layout", @max_panels)
-      true -> add_panel(layout, panel, vis, opts[:row])
+      target != nil and length(target.vis) >= @max_vis ->
+        full_error("panel", @max_vis)
+
+      target != nil ->
+        {:ok, update_panel(layout, target.id, &%{&1 | vis: &1.vis ++ [vis]}), target.id}
+
+      length(layout.rows) >= @max_panels ->
+        full_error("layout", @max_panels)
+
+      true ->
+        add_panel(layout, panel, vis, opts[:row])
     end
   end
 
   # Visualizers of image panels other than images and depth images are drawn as overlays.
-  defp over?(viz, panel), do: panel == :image and viz not in ["image", "depth"]
+  defp overlay?(viz, panel), do: panel == :image and viz not in ["image", "depth"]
 
   # Values and charts show one stream per panel; lines, lanes and images show several.
-  defp joins?(panel, panel), do: panel in [:plot, :lanes, :image, :space, :map, :xy]
-  defp joins?(_, _), do: false
+  defp shares_panel?(panel, panel), do: panel in [:plot, :lanes, :image, :space, :map, :xy]
+  defp shares_panel?(_, _), do: false
 
   defp add_panel(layout, panel, vis, row) do
     id = "p#{layout.next}"
-    row = if panel in @timeline, do: nil, else: row || cell_row(layout) || Rows.free(layout.rows)
+
+    row =
+      if panel in @timeline,
+        do: nil,
+        else: row || cell_row(layout) || Rows.unused_row_name(layout.rows)
+
     new = %Panel{id: id, panel: panel, row: row, vis: [vis]}
     {:ok, %{layout | rows: Rows.insert(layout.rows, new), next: layout.next + 1}, id}
   end
@@ -148,128 +160,133 @@ defmodule Situ.Studio.Layout do
   end
 
   @doc "Applies `fun` to one panel."
-  @spec update(t(), String.t(), (Panel.t() -> Panel.t())) :: t()
-  def update(%__MODULE__{rows: rows} = layout, id, fun),
+  @spec update_panel(t(), String.t(), (Panel.t() -> Panel.t())) :: t()
+  def update_panel(%__MODULE__{rows: rows} = layout, id, fun),
     do: %{layout | rows: Enum.map(rows, fn p -> if p.id == id, do: fun.(p), else: p end)}
 
   @doc "Returns the panel `id`, or `nil`."
-  @spec panel(t(), String.t() | nil) :: Panel.t() | nil
-  def panel(%__MODULE__{rows: rows}, id), do: Enum.find(rows, &(&1.id == id))
+  @spec find_panel(t(), String.t() | nil) :: Panel.t() | nil
+  def find_panel(%__MODULE__{rows: rows}, id), do: Enum.find(rows, &(&1.id == id))
 
   @doc "Removes a panel."
-  @spec remove(t(), String.t()) :: t()
-  def remove(%__MODULE__{rows: rows} = layout, id),
+  @spec remove_panel(t(), String.t()) :: t()
+  def remove_panel(%__MODULE__{rows: rows} = layout, id),
     do: %{layout | rows: Enum.reject(rows, &(&1.id == id))}
 
   @doc "Removes one stream from a panel, and the panel if it was the last stream."
   @spec remove_vis(t(), String.t(), non_neg_integer()) :: t()
   def remove_vis(layout, id, index) do
-    case panel(layout, id) do
-      %Panel{vis: [_]} when index == 0 -> remove(layout, id)
-      _ -> update(layout, id, &%{&1 | vis: List.delete_at(&1.vis, index)})
+    case find_panel(layout, id) do
+      %Panel{vis: [_]} when index == 0 -> remove_panel(layout, id)
+      _ -> update_panel(layout, id, &%{&1 | vis: List.delete_at(&1.vis, index)})
     end
   end
 
   @doc "Sets the height of a row, that is, of a panel or of every cell in a line."
-  @spec resize(t(), String.t(), integer()) :: t()
-  def resize(%__MODULE__{rows: rows} = layout, row_id, height) do
+  @spec resize_row(t(), String.t(), integer()) :: t()
+  def resize_row(%__MODULE__{rows: rows} = layout, row_id, height) do
     height = height |> max(28) |> min(2_000)
 
-    rows = Enum.map(rows, fn p -> if Rows.id(p) == row_id, do: %{p | height: height}, else: p end)
+    rows =
+      Enum.map(rows, fn p ->
+        if Rows.panel_row(p) == row_id, do: %{p | height: height}, else: p
+      end)
 
     %{layout | rows: rows}
   end
 
   @doc "Moves a row up (-1) or down (1)."
-  @spec move(t(), String.t(), -1 | 1) :: t()
-  def move(%__MODULE__{} = layout, row_id, by),
-    do: %{layout | rows: Rows.move(layout.rows, row_id, by)}
+  @spec move_row(t(), String.t(), -1 | 1) :: t()
+  def move_row(%__MODULE__{} = layout, row_id, by),
+    do: %{layout | rows: Rows.move_row(layout.rows, row_id, by)}
 
   @doc """
   Moves a panel above or below a row or, if both are cells, to the left or right of another cell. An unknown id
   changes nothing; a full row is an error.
 
       iex> layout = Situ.Studio.Layout.new("")
-      iex> {:ok, layout, a} = Situ.Studio.Layout.add(layout, "A", "line", :plot, "")
-      iex> {:ok, layout, b} = Situ.Studio.Layout.add(layout, "B", "line", :plot, "")
-      iex> {:ok, layout} = Situ.Studio.Layout.place(layout, b, {:above, a})
+      iex> {:ok, layout, a} = Situ.Studio.Layout.add_stream(layout, "A", "line", :plot, "")
+      iex> {:ok, layout, b} = Situ.Studio.Layout.add_stream(layout, "B", "line", :plot, "")
+      iex> {:ok, layout} = Situ.Studio.Layout.move_panel(layout, b, {:above, a})
       iex> for p <- layout.rows, do: hd(p.vis).stream
       ["B", "A"]
   """
-  @spec place(t(), String.t(), Rows.place()) :: {:ok, t()} | {:error, Error.t()}
-  def place(%__MODULE__{} = layout, id, where) do
-    with {:ok, rows} <- Rows.place(layout.rows, id, where), do: {:ok, %{layout | rows: rows}}
+  @spec move_panel(t(), String.t(), Rows.place()) :: {:ok, t()} | {:error, Error.t()}
+  def move_panel(%__MODULE__{} = layout, id, where) do
+    with {:ok, rows} <- Rows.place_panel(layout.rows, id, where),
+         do: {:ok, %{layout | rows: rows}}
   end
 
   @doc "Moves a panel one step: timelines move up and down; cells also move left and right, out of and into rows."
-  @spec shift(t(), String.t(), :up | :down | :left | :right) :: {:ok, t()} | {:error, Error.t()}
-  def shift(%__MODULE__{} = layout, id, way) do
-    with {:ok, rows} <- Rows.shift(layout.rows, id, way), do: {:ok, %{layout | rows: rows}}
+  @spec shift_panel(t(), String.t(), :up | :down | :left | :right) ::
+          {:ok, t()} | {:error, Error.t()}
+  def shift_panel(%__MODULE__{} = layout, id, way) do
+    with {:ok, rows} <- Rows.shift_panel(layout.rows, id, way), do: {:ok, %{layout | rows: rows}}
   end
 
   @doc "Returns the rows as displayed: lists of panels that are side by side."
-  @spec lines(t()) :: [[Panel.t(), ...]]
-  def lines(%__MODULE__{rows: rows}), do: Rows.lines(rows)
+  @spec panel_lines(t()) :: [[Panel.t(), ...]]
+  def panel_lines(%__MODULE__{rows: rows}), do: Rows.group_rows(rows)
 
   @doc "Moves the cells to a column next to the timelines, or back above them."
-  @spec beside(t()) :: t()
-  def beside(%__MODULE__{} = layout), do: %{layout | beside: not layout.beside}
+  @spec toggle_cell_column(t()) :: t()
+  def toggle_cell_column(%__MODULE__{} = layout), do: %{layout | beside: not layout.beside}
 
   @doc """
   Returns the CSS of a line's height: the height that the user set, or a minimum height and a share of the rest.
 
-      iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new(""), "A", "line", :plot, "")
-      iex> [line] = Situ.Studio.Layout.lines(layout)
-      iex> Situ.Studio.Layout.style(line, %{})
+      iex> {:ok, layout, _} = Situ.Studio.Layout.add_stream(Situ.Studio.Layout.new(""), "A", "line", :plot, "")
+      iex> [line] = Situ.Studio.Layout.panel_lines(layout)
+      iex> Situ.Studio.Layout.line_style(line, %{})
       "flex: 4 0 84px"
-      iex> [line] = layout |> Situ.Studio.Layout.resize("p1", 300) |> Situ.Studio.Layout.lines()
-      iex> Situ.Studio.Layout.style(line, %{})
+      iex> [line] = layout |> Situ.Studio.Layout.resize_row("p1", 300) |> Situ.Studio.Layout.panel_lines()
+      iex> Situ.Studio.Layout.line_style(line, %{})
       "flex: 0 0 300px"
   """
-  @spec style([Panel.t(), ...], map()) :: String.t()
-  def style(line, lanes) do
+  @spec line_style([Panel.t(), ...], map()) :: String.t()
+  def line_style(line, lanes) do
     if Enum.any?(line, & &1.height) do
-      "flex: 0 0 #{height(line, lanes)}px"
+      "flex: 0 0 #{line_height(line, lanes)}px"
     else
       weight = line |> Enum.map(&@weights[&1.panel]) |> Enum.max()
-      "flex: #{weight} 0 #{height(line, lanes)}px#{most(line, lanes)}"
+      "flex: #{weight} 0 #{line_height(line, lanes)}px#{max_height_style(line, lanes)}"
     end
   end
 
-  defp most([%Panel{panel: :lanes, vis: [_ | _] = vis}], lanes),
-    do: "; max-height: #{rows(vis, lanes) * @lane_most + 8}px"
+  defp max_height_style([%Panel{panel: :lanes, vis: [_ | _] = vis}], lanes),
+    do: "; max-height: #{count_lanes(vis, lanes) * @lane_most + 8}px"
 
-  defp most(_, _), do: ""
+  defp max_height_style(_, _), do: ""
 
   @doc """
   Returns the minimum height of a line in pixels. `lanes` contains the number of lanes by stream, for streams with
   more than one.
 
-      iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new(""), "A", "states", :lanes, "")
-      iex> [line] = Situ.Studio.Layout.lines(layout)
-      iex> {Situ.Studio.Layout.height(line), Situ.Studio.Layout.height(line, %{"A" => 3})}
+      iex> {:ok, layout, _} = Situ.Studio.Layout.add_stream(Situ.Studio.Layout.new(""), "A", "states", :lanes, "")
+      iex> [line] = Situ.Studio.Layout.panel_lines(layout)
+      iex> {Situ.Studio.Layout.line_height(line), Situ.Studio.Layout.line_height(line, %{"A" => 3})}
       {34, 86}
-      iex> Situ.Studio.Layout.style(line, %{"A" => 3})
+      iex> Situ.Studio.Layout.line_style(line, %{"A" => 3})
       "flex: 1 0 86px; max-height: 116px"
   """
-  @spec height([Panel.t(), ...], %{optional(String.t()) => pos_integer()}) :: pos_integer()
-  def height(line, lanes \\ %{})
+  @spec line_height([Panel.t(), ...], %{optional(String.t()) => pos_integer()}) :: pos_integer()
+  def line_height(line, lanes \\ %{})
 
-  def height([%Panel{height: nil, panel: :lanes, vis: vis} | _], lanes) do
-    min(rows(vis, lanes), @max_lanes) * @lane + 8
+  def line_height([%Panel{height: nil, panel: :lanes, vis: vis} | _], lanes) do
+    min(count_lanes(vis, lanes), @max_lanes) * @lane + 8
   end
 
-  def height(line, _lanes) do
+  def line_height(line, _lanes) do
     Enum.find_value(line, & &1.height) || line |> Enum.map(&@heights[&1.panel]) |> Enum.max()
   end
 
-  defp rows(vis, lanes), do: vis |> Enum.map(&lanes_of(&1, lanes)) |> Enum.sum()
+  defp count_lanes(vis, lanes), do: vis |> Enum.map(&lanes_of(&1, lanes)) |> Enum.sum()
 
   # Message marks always use one lane.
   defp lanes_of(%Vis{viz: "messages"}, _), do: 1
   defp lanes_of(%Vis{stream: stream, path: path}, lanes), do: Map.get(lanes, stream <> path, 1)
 
-  defp full(what, n) do
+  defp full_error(what, n) do
     {:error, Error.new(:full, "a #{what} holds at most #{n}", fix: "remove something first")}
   end
 end

@@ -17,16 +17,17 @@ defmodule Situ.Studio.Layouts do
   end
 
   @doc "Returns the names of the layouts in `dir`; files that do not contain a layout are skipped."
-  @spec names(Path.t()) :: [String.t()]
-  def names(dir) do
-    dir |> all() |> Enum.map(& &1.name) |> Enum.uniq() |> Enum.sort()
+  @spec list_names(Path.t()) :: [String.t()]
+  def list_names(dir) do
+    dir |> load_all() |> Enum.map(& &1.name) |> Enum.uniq() |> Enum.sort()
   end
 
   @doc "Loads the layout `name`. Errors: `:no_layout`, and `:bad_layout` if the file with that name is invalid."
   @spec load(Path.t(), String.t()) :: {:ok, Layout.t()} | {:error, Error.t()}
   def load(dir, name) do
-    with nil <- Enum.find(all(dir), &(&1.name == name)),
-         nil <- Enum.find_value(broken(dir), fn {_, said, e} -> if said == name, do: e end) do
+    with nil <- Enum.find(load_all(dir), &(&1.name == name)),
+         nil <-
+           Enum.find_value(list_broken_files(dir), fn {_, said, e} -> if said == name, do: e end) do
       {:error,
        Error.new(:no_layout, "there is no layout named #{inspect(name)}",
          fix: "choose a layout from the list"
@@ -38,11 +39,11 @@ defmodule Situ.Studio.Layouts do
   end
 
   @doc "Returns the files in `dir` that are not valid layouts, with the error, such as an unknown version."
-  @spec problems(Path.t()) :: [{Path.t(), Error.t()}]
-  def problems(dir), do: for({path, _, error} <- broken(dir), do: {path, error})
+  @spec list_problems(Path.t()) :: [{Path.t(), Error.t()}]
+  def list_problems(dir), do: for({path, _, error} <- list_broken_files(dir), do: {path, error})
 
-  defp broken(dir) do
-    for {path, json} <- texts(dir), {:error, error} <- [Layout.Text.read(json)] do
+  defp list_broken_files(dir) do
+    for {path, json} <- read_files(dir), {:error, error} <- [Layout.Text.parse_json(json)] do
       name =
         case Situ.JSON.decode(json) do
           {:ok, %{"name" => name}} -> name
@@ -57,11 +58,11 @@ defmodule Situ.Studio.Layouts do
   @spec save(Path.t(), Layout.t()) :: :ok | {:error, Error.t()}
   def save(dir, %Layout{name: name} = layout) do
     with :ok <- check_name(name) do
-      path = Path.join(dir, file(name))
+      path = Path.join(dir, file_name(name))
       temporary = path <> ".#{System.unique_integer([:positive])}.tmp"
 
       with :ok <- File.mkdir_p(dir),
-           :ok <- File.write(temporary, Layout.Text.write(layout)),
+           :ok <- File.write(temporary, Layout.Text.to_json(layout)),
            :ok <- File.rename(temporary, path) do
         :ok
       else
@@ -79,7 +80,7 @@ defmodule Situ.Studio.Layouts do
   @doc "Deletes the layout `name`."
   @spec delete(Path.t(), String.t()) :: :ok
   def delete(dir, name) do
-    for {path, layout} <- files(dir), layout.name == name, do: File.rm(path)
+    for {path, layout} <- load_files(dir), layout.name == name, do: File.rm(path)
     :ok
   end
 
@@ -92,23 +93,23 @@ defmodule Situ.Studio.Layouts do
   end
 
   # A hash keeps file names distinct when layout names differ only in characters that are not valid in file names.
-  defp file(name) do
+  defp file_name(name) do
     plain = name |> String.downcase() |> String.replace(~r/[^a-z0-9]+/, "-") |> String.trim("-")
     hash = name |> :erlang.phash2() |> Integer.to_string(36) |> String.downcase()
     "#{String.slice(plain, 0, 40)}-#{hash}.json"
   end
 
-  defp all(dir), do: for({_, layout} <- files(dir), do: layout)
+  defp load_all(dir), do: for({_, layout} <- load_files(dir), do: layout)
 
-  defp files(dir),
+  defp load_files(dir),
     do:
       for(
-        {path, json} <- texts(dir),
-        {:ok, layout} <- [Layout.Text.read(json)],
+        {path, json} <- read_files(dir),
+        {:ok, layout} <- [Layout.Text.parse_json(json)],
         do: {path, layout}
       )
 
-  defp texts(dir) do
+  defp read_files(dir) do
     for path <- dir |> Path.join("*.json") |> Path.wildcard() |> Enum.sort() |> Enum.take(500),
         {:ok, %{size: size}} when size <= @max_bytes <- [File.stat(path)],
         {:ok, json} <- [File.read(path)],

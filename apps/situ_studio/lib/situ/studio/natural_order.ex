@@ -2,7 +2,7 @@ defmodule Situ.Studio.NaturalOrder do
   @moduledoc """
   Sorts names in natural order, in which numbers within a name are compared by value.
 
-      iex> Enum.sort_by(["Sensor10", "Sensor9", "B", "Sensor9.x"], &Situ.Studio.NaturalOrder.key/1)
+      iex> Enum.sort_by(["Sensor10", "Sensor9", "B", "Sensor9.x"], &Situ.Studio.NaturalOrder.sort_key/1)
       ["B", "Sensor9", "Sensor9.x", "Sensor10"]
   """
   # Longer runs of digits are unlikely to be numbers, so they are compared as text.
@@ -11,13 +11,14 @@ defmodule Situ.Studio.NaturalOrder do
   @type key :: [{0, non_neg_integer()} | {1, String.t()}]
 
   @doc "Returns the sort key of a name."
-  @spec key(String.t()) :: key()
-  def key(name) do
-    for part <- Regex.split(~r/[0-9]+/, name, include_captures: true, trim: true), do: part(part)
+  @spec sort_key(String.t()) :: key()
+  def sort_key(name) do
+    for part <- Regex.split(~r/[0-9]+/, name, include_captures: true, trim: true),
+        do: part_key(part)
   end
 
-  defp part(<<c, _::binary>> = part) when c in ?0..?9 and byte_size(part) <= @digits,
+  defp part_key(<<c, _::binary>> = part) when c in ?0..?9 and byte_size(part) <= @digits,
     do: {0, String.to_integer(part)}
 
-  defp part(part), do: {1, part}
+  defp part_key(part), do: {1, part}
 end

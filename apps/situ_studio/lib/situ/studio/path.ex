@@ -25,7 +25,7 @@ defmodule Situ.Studio.Path do
   @doc "Parses a path into its steps; `\"\"` is the message itself."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(text) when is_binary(text) and byte_size(text) <= @max_bytes do
-    case steps(text, []) do
+    case parse_steps(text, []) do
       {:ok, path} ->
         {:ok, path}
 
@@ -39,30 +39,30 @@ defmodule Situ.Studio.Path do
 
   def parse(_), do: {:error, Error.new(:bad_path, "a path has at most #{@max_bytes} bytes")}
 
-  defp steps("", path), do: {:ok, Enum.reverse(path)}
+  defp parse_steps("", path), do: {:ok, Enum.reverse(path)}
 
-  defp steps("." <> rest, path) do
+  defp parse_steps("." <> rest, path) do
     case Regex.run(~r/\A([^.\[\]"]+)(.*)\z/su, rest, capture: :all_but_first) do
-      [name, rest] -> steps(rest, [{:name, name} | path])
+      [name, rest] -> parse_steps(rest, [{:name, name} | path])
       nil -> :error
     end
   end
 
-  defp steps("[\"" <> rest, path) do
+  defp parse_steps("[\"" <> rest, path) do
     case String.split(rest, "\"]", parts: 2) do
-      [name, rest] -> steps(rest, [{:name, name} | path])
+      [name, rest] -> parse_steps(rest, [{:name, name} | path])
       _ -> :error
     end
   end
 
-  defp steps("[" <> rest, path) do
+  defp parse_steps("[" <> rest, path) do
     case Regex.run(~r/\A(\d{1,9})\](.*)\z/s, rest, capture: :all_but_first) do
-      [index, rest] -> steps(rest, [{:at, String.to_integer(index)} | path])
+      [index, rest] -> parse_steps(rest, [{:at, String.to_integer(index)} | path])
       nil -> :error
     end
   end
 
-  defp steps(_, _), do: :error
+  defp parse_steps(_, _), do: :error
 
   @doc "Returns the value at `path` in `term`."
   @spec fetch(term(), t()) :: {:ok, term()} | :error
@@ -71,7 +71,7 @@ defmodule Situ.Studio.Path do
   def fetch(%_{} = struct, path), do: struct |> Map.from_struct() |> fetch(path)
 
   def fetch(map, [{:name, name} | rest]) when is_map(map) do
-    case Enum.find(map, fn {key, _} -> name(key) == name end) do
+    case Enum.find(map, fn {key, _} -> key_name(key) == name end) do
       {_, value} -> fetch(value, rest)
       nil -> :error
     end
@@ -98,16 +98,16 @@ defmodule Situ.Studio.Path do
   @doc """
   Appends a step to a path, for a child of a displayed value; `nil` if the key cannot be written in a path.
 
-      iex> Situ.Studio.Path.child(".a", :b)
+      iex> Situ.Studio.Path.child_path(".a", :b)
       ".a.b"
-      iex> Situ.Studio.Path.child("", "with space.and dot")
+      iex> Situ.Studio.Path.child_path("", "with space.and dot")
       ~s(["with space.and dot"])
   """
-  @spec child(String.t(), term()) :: String.t() | nil
-  def child(path, index) when is_integer(index) and index >= 0, do: "#{path}[#{index}]"
+  @spec child_path(String.t(), term()) :: String.t() | nil
+  def child_path(path, index) when is_integer(index) and index >= 0, do: "#{path}[#{index}]"
 
-  def child(path, key) when is_atom(key) or is_binary(key) do
-    name = name(key)
+  def child_path(path, key) when is_atom(key) or is_binary(key) do
+    name = key_name(key)
 
     cond do
       name =~ ~r/\A[\w?!-]+\z/u -> "#{path}.#{name}"
@@ -116,9 +116,9 @@ defmodule Situ.Studio.Path do
     end
   end
 
-  def child(_, _), do: nil
+  def child_path(_, _), do: nil
 
-  defp name(key) when is_atom(key), do: Atom.to_string(key)
-  defp name(key) when is_binary(key), do: key
-  defp name(_), do: nil
+  defp key_name(key) when is_atom(key), do: Atom.to_string(key)
+  defp key_name(key) when is_binary(key), do: key
+  defp key_name(_), do: nil
 end

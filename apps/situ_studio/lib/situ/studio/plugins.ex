@@ -66,26 +66,26 @@ defmodule Situ.Studio.Plugins do
   @spec load([Path.t()]) :: [Plugin.t()]
   def load(folders) do
     folders
-    |> Enum.flat_map(&within/1)
+    |> Enum.flat_map(&plugin_folders/1)
     |> Enum.uniq()
     |> Enum.map(&plugin/1)
-    |> Enum.reduce([], &if(taken?(&2, &1), do: [twice(&1) | &2], else: [&1 | &2]))
+    |> Enum.reduce([], &if(duplicate?(&2, &1), do: [mark_duplicate(&1) | &2], else: [&1 | &2]))
     |> Enum.reverse()
   end
 
-  defp within(folder) do
+  defp plugin_folders(folder) do
     folder = Path.expand(folder)
 
-    if File.regular?(manifest(folder)),
+    if File.regular?(manifest_path(folder)),
       do: [folder],
       else: folder |> Path.join("*/plugin.json") |> Path.wildcard() |> Enum.map(&Path.dirname/1)
   end
 
-  defp manifest(folder), do: Path.join(folder, "plugin.json")
+  defp manifest_path(folder), do: Path.join(folder, "plugin.json")
 
-  defp taken?(plugins, %{id: id}), do: Enum.any?(plugins, &(&1.id == id))
+  defp duplicate?(plugins, %{id: id}), do: Enum.any?(plugins, &(&1.id == id))
 
-  defp twice(plugin) do
+  defp mark_duplicate(plugin) do
     problem = "another plug-in has the same id, #{plugin.id}"
     %{plugin | problem: problem, visualizers: [], modules: []}
   end
@@ -95,9 +95,9 @@ defmodule Situ.Studio.Plugins do
   def plugin(folder) do
     folder = Path.expand(folder)
 
-    case Manifest.load(manifest(folder)) do
+    case Manifest.load(manifest_path(folder)) do
       {:ok, manifest} ->
-        with_code(manifest, folder)
+        load_code(manifest, folder)
 
       {:error, error} ->
         name = Path.basename(folder)
@@ -105,100 +105,112 @@ defmodule Situ.Studio.Plugins do
     end
   end
 
-  defp with_code(manifest, folder) do
+  defp load_code(manifest, folder) do
     plugin = %Plugin{id: manifest.id, title: manifest.title, folder: folder}
 
-    with {:ok, modules} <- Code.load(folder),
-         {:ok, parts} <- parts(manifest.parts, modules, folder) do
-      %{plugin | modules: modules, visualizers: parts ++ own(modules, parts, plugin)}
+    with {:ok, modules} <- Code.load_modules(folder),
+         {:ok, parts} <- resolve_parts(manifest.parts, modules, folder) do
+      %{
+        plugin
+        | modules: modules,
+          visualizers: parts ++ standalone_visualizers(modules, parts, plugin)
+      }
     else
       {:error, %Error{what: what}} ->
-        broken = for part <- manifest.parts, do: broken(part.visualizer, what)
+        broken = for part <- manifest.parts, do: broken_visualizer(part.visualizer, what)
         %{plugin | problem: what, visualizers: broken}
     end
   end
 
   # A broken visualizer stays in its panel and shows the problem.
-  defp broken(visualizer, what) do
+  defp broken_visualizer(visualizer, what) do
     panel = if visualizer.panel in [:plot, :lanes], do: visualizer.panel, else: :own
     %{visualizer | panel: panel, drawer: "broken", module: Visualizers.Broken, problem: what}
   end
 
-  defp parts(parts, modules, folder) do
-    Error.map(parts, fn %{visualizer: v} = part ->
-      with {:ok, module} <- module(part.module, modules),
-           {:ok, script} <- script(part, folder),
+  defp resolve_parts(parts, modules, folder) do
+    Error.map_ok(parts, fn %{visualizer: v} = part ->
+      with {:ok, module} <- resolve_module(part.module, modules),
+           {:ok, script} <- resolve_script(part, folder),
            do: {:ok, %{v | module: module || v.module, script: script}}
     end)
   end
 
-  defp module(nil, _modules), do: {:ok, nil}
+  defp resolve_module(nil, _modules), do: {:ok, nil}
 
-  defp module(name, modules) do
+  defp resolve_module(name, modules) do
     case Enum.find(modules, &(inspect(&1) == name)) do
       nil -> {:error, Error.new(:bad_plugin, "its manifest names #{name}, which is not in lib/")}
       module -> {:ok, module}
     end
   end
 
-  defp script(%{script: nil}, _folder), do: {:ok, nil}
+  defp resolve_script(%{script: nil}, _folder), do: {:ok, nil}
 
-  defp script(%{script: "web/" <> rest = path, visualizer: v}, folder) do
+  defp resolve_script(%{script: "web/" <> rest = path, visualizer: v}, folder) do
     if File.regular?(Path.join(folder, path)),
       do: {:ok, "/plugins/#{v.plugin}/#{rest}"},
       else: {:error, Error.new(:bad_plugin, "the script #{path} does not exist")}
   end
 
   # Returns the visualizer modules that the manifest does not name.
-  defp own(modules, parts, plugin) do
-    for module <- Code.of(modules, Visualizer),
+  defp standalone_visualizers(modules, parts, plugin) do
+    for module <- Code.filter_by_behaviour(modules, Visualizer),
         not Enum.any?(parts, &(&1.module == module)) do
-      %{Visualizer.of(module) | plugin: plugin.id}
+      %{Visualizer.to_visualizer(module) | plugin: plugin.id}
     end
   end
 
   @doc "Returns the visualizers of plug-ins and applications, and the visualizers that adapters add."
-  @spec visualizers([Plugin.t()], [Visualizer.given()], [module()]) :: [Visualizer.t()]
-  def visualizers(plugins, given \\ [], adapters \\ []) do
+  @spec list_visualizers([Plugin.t()], [Visualizer.given()], [module()]) :: [Visualizer.t()]
+  def list_visualizers(plugins, given \\ [], adapters \\ []) do
     own =
-      Enum.map(given ++ brought(:studio_visualizers), &Visualizer.of/1) ++
+      Enum.map(given ++ configured_modules(:studio_visualizers), &Visualizer.to_visualizer/1) ++
         Enum.flat_map(plugins, & &1.visualizers)
 
     all = own ++ Visualizers.all()
 
     own ++
-      Enum.flat_map(adapters ++ brought(:studio_adapters), &Adapter.visualizers(&1, all)) ++
+      Enum.flat_map(
+        adapters ++ configured_modules(:studio_adapters),
+        &Adapter.adapted_visualizers(&1, all)
+      ) ++
       for plugin <- plugins,
-          adapter <- Code.of(plugin.modules, Adapter),
-          v <- Adapter.visualizers(adapter, all),
+          adapter <- Code.filter_by_behaviour(plugin.modules, Adapter),
+          v <- Adapter.adapted_visualizers(adapter, all),
           do: %{v | plugin: v.plugin || plugin.id}
   end
 
   # Returns the modules that loaded applications list in their configuration.
-  defp brought(key) do
+  defp configured_modules(key) do
     for {app, _, _} <- Application.loaded_applications(),
         module <- Application.get_env(app, key, []),
         do: module
   end
 
   @doc "Registers the readers and tasks of plug-ins with stores and datasets in this VM."
-  @spec register([Plugin.t()]) :: :ok
-  def register(plugins) do
+  @spec register_modules([Plugin.t()]) :: :ok
+  def register_modules(plugins) do
     modules = Enum.flat_map(plugins, & &1.modules)
-    add(:situ_store, :readers, Code.of(modules, Situ.Store.Reader))
-    add(:situ_dataset, :dataset_tasks, Code.of(modules, Situ.Dataset.Task))
+    append_env(:situ_store, :readers, Code.filter_by_behaviour(modules, Situ.Store.Reader))
+
+    append_env(
+      :situ_dataset,
+      :dataset_tasks,
+      Code.filter_by_behaviour(modules, Situ.Dataset.Task)
+    )
   end
 
-  defp add(_app, _key, []), do: :ok
+  defp append_env(_app, _key, []), do: :ok
 
-  defp add(app, key, modules) do
+  defp append_env(app, key, modules) do
     Application.load(app)
     Application.put_env(app, key, Enum.uniq(Application.get_env(app, key, []) ++ modules))
   end
 
   @doc "Returns the routes that serve the plug-ins' scripts."
-  @spec routes([Plugin.t()]) :: [tuple()]
-  def routes(plugins) do
+  @spec script_routes([Plugin.t()]) :: [tuple()]
+  def script_routes(plugins) do
     for %{problem: nil} = plugin <- plugins,
         do: {:static, "/plugins/#{plugin.id}", Path.join(plugin.folder, "web"), cache: "no-cache"}
   end

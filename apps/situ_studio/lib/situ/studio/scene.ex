@@ -17,7 +17,7 @@ defmodule Situ.Studio.Scene do
   Units are meters, with x forward, y left and z up. `names` contains the names that the pointer shows, one per
   element.
 
-      iex> item = Situ.Studio.Scene.item(:points, 1, [position: Situ.Studio.Scene.floats([1.0, 2.0, 3.0])])
+      iex> item = Situ.Studio.Scene.new_item(:points, 1, [position: Situ.Studio.Scene.encode_floats([1.0, 2.0, 3.0])])
       iex> <<size::little-32, 0::32, json::binary-size(size), _::binary>> =
       ...>   IO.iodata_to_binary(Situ.Studio.Scene.pack([item]))
       iex> {:ok, %{"items" => [%{"kind" => "points", "count" => 1}]}} = Situ.JSON.decode(json)
@@ -41,29 +41,31 @@ defmodule Situ.Studio.Scene do
         }
 
   @doc "Returns the kinds of items."
-  @spec kinds() :: [kind()]
-  def kinds, do: @kinds
+  @spec item_kinds() :: [kind()]
+  def item_kinds, do: @kinds
 
   @doc "Creates an item with `count` elements of a kind."
-  @spec item(kind(), non_neg_integer(), [{atom(), iodata()}], map()) :: item()
-  def item(kind, count, numbers, meta \\ %{}) when kind in @kinds,
+  @spec new_item(kind(), non_neg_integer(), [{atom(), iodata()}], map()) :: item()
+  def new_item(kind, count, numbers, meta \\ %{}) when kind in @kinds,
     do: %__MODULE__{kind: kind, count: count, numbers: numbers, meta: meta}
 
   @doc """
   Encodes numbers as 32-bit floats. Any other term becomes NaN, which the page skips and counts.
 
-      iex> Situ.Studio.Scene.floats([1, :nan]) |> IO.iodata_to_binary()
+      iex> Situ.Studio.Scene.encode_floats([1, :nan]) |> IO.iodata_to_binary()
       <<0, 0, 128, 63, 0, 0, 192, 127>>
   """
-  @spec floats([term()]) :: iodata()
-  def floats(values), do: for(value <- values, into: <<>>, do: float(value))
+  @spec encode_floats([term()]) :: iodata()
+  def encode_floats(values), do: for(value <- values, into: <<>>, do: encode_float(value))
 
-  defp float(x) when is_number(x) and x <= @largest and x >= -@largest, do: <<x::little-float-32>>
-  defp float(_other), do: @nan
+  defp encode_float(x) when is_number(x) and x <= @largest and x >= -@largest,
+    do: <<x::little-float-32>>
+
+  defp encode_float(_other), do: @nan
 
   @doc "Encodes 32-bit unsigned integers."
-  @spec integers([0..4_294_967_295]) :: binary()
-  def integers(values), do: for(value <- values, into: <<>>, do: <<value::little-32>>)
+  @spec encode_integers([0..4_294_967_295]) :: binary()
+  def encode_integers(values), do: for(value <- values, into: <<>>, do: <<value::little-32>>)
 
   # The maximum total size of a page's mesh cache, and the minimum size of a mesh that is cached, in bytes.
   @most_kept 67_108_864
@@ -74,20 +76,20 @@ defmodule Situ.Studio.Scene do
   their sizes. A new mesh is sent with its numbers and a name to cache it under, if the cache has room. If `kept` is
   `nil`, nothing is cached.
 
-      iex> mesh = Situ.Studio.Scene.item(:meshes, 1, position: <<0::9600>>, index: <<0::96>>)
-      iex> {[%{numbers: [_, _], meta: %{"keep" => name}}], kept} = Situ.Studio.Scene.keep([mesh], %{})
-      iex> {[%{numbers: [], meta: %{"held" => ^name}}], ^kept} = Situ.Studio.Scene.keep([mesh], kept)
+      iex> mesh = Situ.Studio.Scene.new_item(:meshes, 1, position: <<0::9600>>, index: <<0::96>>)
+      iex> {[%{numbers: [_, _], meta: %{"keep" => name}}], kept} = Situ.Studio.Scene.cache_meshes([mesh], %{})
+      iex> {[%{numbers: [], meta: %{"held" => ^name}}], ^kept} = Situ.Studio.Scene.cache_meshes([mesh], kept)
       iex> map_size(kept)
       1
   """
-  @spec keep([item()], kept | nil) :: {[item()], kept | nil}
+  @spec cache_meshes([item()], kept | nil) :: {[item()], kept | nil}
         when kept: %{binary() => pos_integer()}
-  def keep(items, nil), do: {items, nil}
-  def keep(items, kept), do: Enum.map_reduce(items, kept, &keep_one/2)
+  def cache_meshes(items, nil), do: {items, nil}
+  def cache_meshes(items, kept), do: Enum.map_reduce(items, kept, &cache_mesh/2)
 
-  defp keep_one(%{kind: :meshes, numbers: numbers} = item, kept) do
+  defp cache_mesh(%{kind: :meshes, numbers: numbers} = item, kept) do
     size = IO.iodata_length(Keyword.values(numbers))
-    name = if size >= @least_kept, do: name(numbers)
+    name = if size >= @least_kept, do: mesh_name(numbers)
 
     cond do
       name == nil ->
@@ -104,9 +106,9 @@ defmodule Situ.Studio.Scene do
     end
   end
 
-  defp keep_one(item, kept), do: {item, kept}
+  defp cache_mesh(item, kept), do: {item, kept}
 
-  defp name(numbers) do
+  defp mesh_name(numbers) do
     sizes = for {_, bytes} <- numbers, do: <<IO.iodata_length(bytes)::64>>
     Base.encode16(:crypto.hash(:sha256, [sizes | Keyword.values(numbers)]))
   end
@@ -114,18 +116,18 @@ defmodule Situ.Studio.Scene do
   @doc "Encodes items for the page: the size of a JSON text (32 bits, then 32 zero bits), the text, the numbers."
   @spec pack([item()], [String.t()]) :: iodata()
   def pack(items, problems \\ []) do
-    {rows, {_, blobs}} = Enum.map_reduce(items, {0, []}, &place/2)
+    {rows, {_, blobs}} = Enum.map_reduce(items, {0, []}, &pack_item/2)
     json = Situ.JSON.encode(%{"items" => rows, "problems" => problems})
     size = byte_size(json)
-    [<<size::little-32, 0::32>>, json, padding(size), Enum.reverse(blobs)]
+    [<<size::little-32, 0::32>>, json, padding_bytes(size), Enum.reverse(blobs)]
   end
 
   # Computes the offsets of the item's numbers after the JSON text, aligned to 8 bytes.
-  defp place(item, {at, blobs}) do
+  defp pack_item(item, {at, blobs}) do
     {parts, {at, blobs}} =
       Enum.map_reduce(item.numbers, {at, blobs}, fn {name, bytes}, {at, blobs} ->
         size = IO.iodata_length(bytes)
-        padded = [bytes, padding(size)]
+        padded = [bytes, padding_bytes(size)]
         {{Atom.to_string(name), [at, size]}, {at + IO.iodata_length(padded), [padded | blobs]}}
       end)
 
@@ -133,5 +135,5 @@ defmodule Situ.Studio.Scene do
     {Map.merge(item.meta, own), {at, blobs}}
   end
 
-  defp padding(size), do: <<0::size(rem(8 - rem(size, 8), 8) * 8)>>
+  defp padding_bytes(size), do: <<0::size(rem(8 - rem(size, 8), 8) * 8)>>
 end

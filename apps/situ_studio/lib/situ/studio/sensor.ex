@@ -68,19 +68,19 @@ defmodule Situ.Studio.Sensor do
        )}
 
   @impl Situ.Component
-  def handle_start(_context, inbox), do: Inbox.start(inbox)
+  def handle_start(_context, inbox), do: Inbox.register_sensor(inbox)
 
   @impl Situ.Component
-  def handle_info(message, _context, inbox), do: {[], Inbox.info(inbox, message)}
+  def handle_info(message, _context, inbox), do: {[], Inbox.handle_message(inbox, message)}
 
   @impl Situ.Component
-  def handle_demand(n, _context, inbox), do: Inbox.take(inbox, n)
+  def handle_demand(n, _context, inbox), do: Inbox.take_actions(inbox, n)
 
   @impl Situ.Component
   def handle_stop(_final_time, _context, inbox), do: {[], inbox}
 
   @impl Situ.Component
-  def terminate(_reason, inbox), do: Inbox.ended(inbox)
+  def terminate(_reason, inbox), do: Inbox.notify_ended(inbox)
 
   @impl Situ.Component
   def describe(inbox), do: Inbox.describe(inbox)
@@ -89,7 +89,7 @@ defmodule Situ.Studio.Sensor do
   @impl Situ.Studio.Sensor.Packet
   def parse(<<1, _::24, w::little-16, h::little-16, ms::little-float-64, jpeg::binary>>)
       when w > 0 and h > 0 do
-    with {:ok, :jpeg} <- EncodedImage.sniff(jpeg),
+    with {:ok, :jpeg} <- EncodedImage.detect_format(jpeg),
          do: {ms, video: %EncodedImage{format: :jpeg, width: w, height: h, data: jpeg}},
          else: (_ -> :error)
   end

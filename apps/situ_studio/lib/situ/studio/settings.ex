@@ -15,7 +15,7 @@ defmodule Situ.Studio.Settings do
   |---|---|---|
   | `layout` | the initial layout of a recording whose address does not name one | `Automatic` |
   | `keep` | `:by_hand`: layouts are saved on request; `:at_once`: with each change; `:ask`: on request, with a warning when a page with unsaved changes is closed | `:by_hand` |
-  | `info` | the statistic next to stream names, one of `Situ.Studio.Figures.choices/0` | `:rate` |
+  | `info` | the statistic next to stream names, one of `Situ.Studio.Figures.list_choices/0` | `:rate` |
   | `alerts` | alert rules for running pipelines, one per line (`Situ.Studio.Alerts.Rule`) | none |
   """
   alias Situ.Error
@@ -23,10 +23,10 @@ defmodule Situ.Studio.Settings do
   alias Situ.Studio.Layout
 
   @keeps [:by_hand, :at_once, :ask]
-  @infos Keyword.keys(Situ.Studio.Figures.choices())
+  @infos Keyword.keys(Situ.Studio.Figures.list_choices())
   @max_bytes 100_000
 
-  defstruct layout: Layout.Auto.name(), keep: :by_hand, info: :rate, alerts: ""
+  defstruct layout: Layout.Auto.layout_name(), keep: :by_hand, info: :rate, alerts: ""
 
   @type t :: %__MODULE__{
           layout: String.t(),
@@ -36,17 +36,17 @@ defmodule Situ.Studio.Settings do
         }
 
   @doc "Returns the choices of a setting."
-  @spec choices(:keep | :info) :: [atom()]
-  def choices(:keep), do: @keeps
-  def choices(:info), do: @infos
+  @spec setting_choices(:keep | :info) :: [atom()]
+  def setting_choices(:keep), do: @keeps
+  def setting_choices(:info), do: @infos
 
   @doc "Loads the settings that belong to the folder of layouts."
   @spec load(Path.t()) :: t()
   def load(layouts) do
-    with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(path(layouts)),
-         {:ok, text} <- File.read(path(layouts)),
+    with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(settings_path(layouts)),
+         {:ok, text} <- File.read(settings_path(layouts)),
          {:ok, %{} = given} <- Situ.JSON.decode(text) do
-      put(%__MODULE__{}, given)
+      put_values(%__MODULE__{}, given)
     else
       _ -> %__MODULE__{}
     end
@@ -55,36 +55,37 @@ defmodule Situ.Studio.Settings do
   @doc """
   Updates the settings with the valid values from a form or a file.
 
-      iex> Situ.Studio.Settings.put(%Situ.Studio.Settings{}, %{"info" => "count", "keep" => "sometimes"})
+      iex> Situ.Studio.Settings.put_values(%Situ.Studio.Settings{}, %{"info" => "count", "keep" => "sometimes"})
       %Situ.Studio.Settings{layout: "Automatic", keep: :by_hand, info: :count, alerts: ""}
   """
-  @spec put(t(), map()) :: t()
-  def put(%__MODULE__{} = settings, given) do
+  @spec put_values(t(), map()) :: t()
+  def put_values(%__MODULE__{} = settings, given) do
     layout = given["layout"]
 
     %{
       settings
       | layout:
           if(is_binary(layout) and String.valid?(layout), do: layout, else: settings.layout),
-        keep: one(@keeps, given["keep"], settings.keep),
-        info: one(@infos, given["info"], settings.info),
-        alerts: alerts(given["alerts"], settings.alerts)
+        keep: find_choice(@keeps, given["keep"], settings.keep),
+        info: find_choice(@infos, given["info"], settings.info),
+        alerts: valid_alerts(given["alerts"], settings.alerts)
     }
   end
 
   # A file that was edited by hand may contain invalid rules, which are ignored.
-  defp alerts(text, usual) when is_binary(text) do
-    if String.valid?(text) and match?({:ok, _}, Rule.read(text)), do: text, else: usual
+  defp valid_alerts(text, usual) when is_binary(text) do
+    if String.valid?(text) and match?({:ok, _}, Rule.parse_rules(text)), do: text, else: usual
   end
 
-  defp alerts(_, usual), do: usual
+  defp valid_alerts(_, usual), do: usual
 
-  defp one(choices, text, usual), do: Enum.find(choices, usual, &(Atom.to_string(&1) == text))
+  defp find_choice(choices, text, usual),
+    do: Enum.find(choices, usual, &(Atom.to_string(&1) == text))
 
   @doc "Saves the settings atomically."
   @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
   def save(layouts, %__MODULE__{} = settings) do
-    path = path(layouts)
+    path = settings_path(layouts)
     temporary = "#{path}.#{System.unique_integer([:positive])}.tmp"
     text = settings |> Map.from_struct() |> Situ.JSON.encode()
 
@@ -104,5 +105,5 @@ defmodule Situ.Studio.Settings do
     end
   end
 
-  defp path(layouts), do: Path.join(Path.dirname(layouts), "settings.json")
+  defp settings_path(layouts), do: Path.join(Path.dirname(layouts), "settings.json")
 end

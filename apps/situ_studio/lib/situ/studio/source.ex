@@ -112,8 +112,8 @@ defmodule Situ.Studio.Source do
   def call({module, handle}, function, args), do: apply(module, function, [handle | args])
 
   @doc "Announces the streams that a page shows, see `c:wanted/2`."
-  @spec wanted(t(), [String.t()]) :: :ok
-  def wanted({module, handle}, streams) do
+  @spec request_streams(t(), [String.t()]) :: :ok
+  def request_streams({module, handle}, streams) do
     if streams != [] and function_exported?(module, :wanted, 2),
       do: module.wanted(handle, streams)
 
@@ -121,31 +121,31 @@ defmodule Situ.Studio.Source do
   end
 
   @doc "Returns the damage of the source, see `c:damage/1`."
-  @spec damage(t()) :: [String.t()]
-  def damage({module, handle}) do
+  @spec list_damage(t()) :: [String.t()]
+  def list_damage({module, handle}) do
     if function_exported?(module, :damage, 1), do: module.damage(handle), else: []
   end
 
   @doc "Returns the summary of a stream, see `c:summary/5`, or `:none` if the source does not support summaries."
-  @spec summary(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+  @spec fetch_summary(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, Situ.Store.Summary.t()} | :none | {:error, Situ.Error.t()}
-  def summary({module, handle}, stream, from, to, bins) do
+  def fetch_summary({module, handle}, stream, from, to, bins) do
     if function_exported?(module, :summary, 5),
       do: module.summary(handle, stream, from, to, bins),
       else: :none
   end
 
   @doc "Returns about `n` or fewer messages between two times with their positions, see `c:sample/5`."
-  @spec sample(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+  @spec sample_messages(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, [{integer(), Situ.Message.t()}]} | {:error, Situ.Error.t()}
-  def sample({module, handle} = source, stream, from, to, n) do
+  def sample_messages({module, handle} = source, stream, from, to, n) do
     if function_exported?(module, :sample, 5),
       do: module.sample(handle, stream, from, to, n),
-      else: {:ok, over_time(source, stream, from, to, n)}
+      else: {:ok, sample_by_time(source, stream, from, to, n)}
   end
 
   # Messages between the samples are unknown, so positions differ by two: no two samples count as adjacent.
-  defp over_time(source, stream, from, to, n) do
+  defp sample_by_time(source, stream, from, to, n) do
     messages =
       for i <- 1..n,
           {:ok, message} <- [
@@ -162,19 +162,19 @@ defmodule Situ.Studio.Source do
   Returns at most `n` messages before or after a time, nearest first; `[]` if the stream cannot be read. See
   `c:neighbours/5`.
   """
-  @spec neighbours(t(), String.t(), :before | :after, Situ.Time.t(), pos_integer()) ::
+  @spec list_neighbours(t(), String.t(), :before | :after, Situ.Time.t(), pos_integer()) ::
           [Situ.Message.t()]
-  def neighbours({module, handle} = source, stream, side, time, n) do
+  def list_neighbours({module, handle} = source, stream, side, time, n) do
     with true <- function_exported?(module, :neighbours, 5),
          {:ok, messages} <- module.neighbours(handle, stream, side, time, n) do
       messages
     else
       # Reading one by one returns the messages up to the first damaged one.
-      _ -> one_by_one(source, stream, side, time, n)
+      _ -> collect_neighbours(source, stream, side, time, n)
     end
   end
 
-  defp one_by_one(source, stream, side, time, n) do
+  defp collect_neighbours(source, stream, side, time, n) do
     next = fn
       time when side == :before -> call(source, :latest_at, [stream, time - 1])
       time -> call(source, :next_after, [stream, time])
@@ -190,9 +190,9 @@ defmodule Situ.Studio.Source do
   end
 
   @doc "Returns the message whose originating time is nearest to `time`."
-  @spec nearest(t(), String.t(), Situ.Time.t()) ::
+  @spec fetch_nearest(t(), String.t(), Situ.Time.t()) ::
           {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}
-  def nearest(source, stream, time) do
+  def fetch_nearest(source, stream, time) do
     before = Source.call(source, :latest_at, [stream, time])
     later = Source.call(source, :next_after, [stream, time])
 

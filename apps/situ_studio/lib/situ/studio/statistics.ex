@@ -5,7 +5,7 @@ defmodule Situ.Studio.Statistics do
 
       iex> pairs = [{0, 1}, {10, 2}, {20, 3}, {40, 10}]
       iex> messages = for {t, v} <- pairs, do: %Situ.Message{data: v, originating_time: t}
-      iex> stats = Map.new(Situ.Studio.Statistics.of(messages, []))
+      iex> stats = Map.new(Situ.Studio.Statistics.compute_statistics(messages, []))
       iex> {stats["n"], stats["mean"], stats["min"], stats["median"], stats["max"]}
       {4, 4.0, 1, 2, 10}
       iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
@@ -40,22 +40,22 @@ defmodule Situ.Studio.Statistics do
   `name`, the `values` as `[name, number]`, and `all`, whether every message is included (false if there are more than
   two million, of which the first are used). The row of an unreadable stream contains the `error`.
   """
-  @spec within(
+  @spec compute_rows(
           Source.t(),
           %{:stream => String.t(), :path => String.t(), optional(atom()) => term()},
           Situ.Time.t(),
           Situ.Time.t()
         ) :: [row()]
-  def within(source, vis, from, to) do
+  def compute_rows(source, vis, from, to) do
     with {:ok, path} <- Path.parse(vis.path),
-         {:ok, pairs, all?} <- read(source, vis.stream, path, {from, to}) do
-      for {name, pairs} <- parts(pairs) do
-        numbers = numbers(pairs)
+         {:ok, pairs, all?} <- read_values(source, vis.stream, path, {from, to}) do
+      for {name, pairs} <- split_by_key(pairs) do
+        numbers = collect_numbers(pairs)
 
         %{
           name: String.trim_trailing("#{vis.stream}#{vis.path}  #{name}"),
           all: all?,
-          values: for({name, value} <- told(pairs, numbers), do: [name, value]),
+          values: for({name, value} <- statistic_pairs(pairs, numbers), do: [name, value]),
           histogram: histogram(numbers)
         }
       end
@@ -72,13 +72,13 @@ defmodule Situ.Studio.Statistics do
   Computes the statistics of all streams that a panel draws. Reading millions of messages takes a while, so another
   process does it and sends `{:statistics, rows}` to the caller.
   """
-  @spec begin(Source.t(), [map()], Situ.Time.t(), Situ.Time.t()) :: :ok
-  def begin(source, vis, from, to) do
+  @spec compute_async(Source.t(), [map()], Situ.Time.t(), Situ.Time.t()) :: :ok
+  def compute_async(source, vis, from, to) do
     caller = self()
 
     {:ok, _} =
       Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
-        rows = vis |> Enum.take(@streams) |> Enum.flat_map(&within(source, &1, from, to))
+        rows = vis |> Enum.take(@streams) |> Enum.flat_map(&compute_rows(source, &1, from, to))
         send(caller, {:statistics, Enum.take(rows, @rows)})
       end)
 
@@ -86,31 +86,40 @@ defmodule Situ.Studio.Statistics do
   end
 
   # Returns `{time, value}` for every message. Only numbers are kept, so that images do not stay in memory.
-  defp read(source, stream, path, range), do: read(source, stream, path, range, [], 0)
+  defp read_values(source, stream, path, range),
+    do: read_values(source, stream, path, range, [], 0)
 
-  defp read(source, stream, path, {from, to} = range, read, n) do
+  defp read_values(source, stream, path, {from, to} = range, read, n) do
     case Source.call(source, :messages, [stream, from, to, @page]) do
       {:ok, messages, :more} when messages != [] and n + length(messages) < @most ->
         next = List.last(messages).originating_time + 1
         range = put_elem(range, 0, next)
-        read(source, stream, path, range, [slim(messages, path) | read], n + length(messages))
+
+        read_values(
+          source,
+          stream,
+          path,
+          range,
+          [extract_values(messages, path) | read],
+          n + length(messages)
+        )
 
       {:ok, messages, more} ->
-        {:ok, Enum.concat(Enum.reverse([slim(messages, path) | read])), more == :all}
+        {:ok, Enum.concat(Enum.reverse([extract_values(messages, path) | read])), more == :all}
 
       error ->
         error
     end
   end
 
-  defp slim(messages, path) do
+  defp extract_values(messages, path) do
     for m <- messages do
       case Path.fetch(m.data, path) do
         {:ok, map} when is_map(map) and not is_struct(map) ->
-          {m.originating_time, numbers_of(map)}
+          {m.originating_time, map_numbers(map)}
 
         {:ok, value} ->
-          {m.originating_time, number(value)}
+          {m.originating_time, to_number(value)}
 
         :error ->
           {m.originating_time, nil}
@@ -118,38 +127,40 @@ defmodule Situ.Studio.Statistics do
     end
   end
 
-  defp numbers_of(map), do: for({k, v} <- map, n = number(v), into: %{}, do: {k, n})
+  defp map_numbers(map), do: for({k, v} <- map, n = to_number(v), into: %{}, do: {k, n})
 
-  defp number(value) do
-    case Bins.number(value) do
+  defp to_number(value) do
+    case Bins.to_number(value) do
       {:ok, number} -> number
       :error -> nil
     end
   end
 
   # Splits maps into one part per key, with the messages that contain the key.
-  defp parts(pairs) do
+  defp split_by_key(pairs) do
     case for({_, %{} = map} <- pairs, key <- Map.keys(map), uniq: true, do: key) do
       [] ->
         [{"", pairs}]
 
       keys ->
-        for key <- keys |> Key.sort() |> Enum.take(@keys),
-            do: {Key.text(key), for({t, %{^key => number}} <- pairs, do: {t, number})}
+        for key <- keys |> Key.sort_keys() |> Enum.take(@keys),
+            do: {Key.key_name(key), for({t, %{^key => number}} <- pairs, do: {t, number})}
     end
   end
 
-  defp numbers(pairs), do: for({_, number} when is_number(number) <- pairs, do: number)
+  defp collect_numbers(pairs), do: for({_, number} when is_number(number) <- pairs, do: number)
 
   @doc "Returns names and values in display order; `path` selects a part of the messages."
-  @spec of([Situ.Message.t()], Path.t()) :: [{String.t(), number()}]
-  def of(messages, path) do
-    pairs = slim(messages, path)
-    told(pairs, numbers(pairs))
+  @spec compute_statistics([Situ.Message.t()], Path.t()) :: [{String.t(), number()}]
+  def compute_statistics(messages, path) do
+    pairs = extract_values(messages, path)
+    statistic_pairs(pairs, collect_numbers(pairs))
   end
 
-  defp told(pairs, numbers),
-    do: [{"n", length(pairs)}] ++ pace(Enum.map(pairs, &elem(&1, 0))) ++ spread(numbers)
+  defp statistic_pairs(pairs, numbers),
+    do:
+      [{"n", length(pairs)}] ++
+        timing_statistics(Enum.map(pairs, &elem(&1, 0))) ++ value_statistics(numbers)
 
   @doc """
   Counts the numbers in equal-width bins from the minimum to the maximum. Returns `nil` if the list is empty or all
@@ -177,54 +188,54 @@ defmodule Situ.Studio.Statistics do
     end
   end
 
-  defp pace([first, _ | _] = times) do
+  defp timing_statistics([first, _ | _] = times) do
     pauses = times |> Enum.zip(tl(times)) |> Enum.map(fn {a, b} -> b - a end)
-    sorted = sorted(pauses)
-    usual = rank(sorted, 0.5)
+    sorted = sort_to_tuple(pauses)
+    usual = nearest_rank(sorted, 0.5)
     span = List.last(times) - first
 
     [
       {"rate_hz", length(pauses) * 1.0e9 / max(span, 1)},
       {"period_ns", usual},
-      {"jitter_ns", pauses |> moments() |> elem(1)},
+      {"jitter_ns", pauses |> mean_and_sd() |> elem(1)},
       {"longest_pause_ns", elem(sorted, tuple_size(sorted) - 1)},
       {"gaps", Enum.count(pauses, &(&1 > @gap * usual))}
     ]
   end
 
-  defp pace(_), do: []
+  defp timing_statistics(_), do: []
 
-  defp spread([]), do: []
+  defp value_statistics([]), do: []
 
-  defp spread(values) do
-    sorted = sorted(values)
-    {mean, sd} = moments(values)
+  defp value_statistics(values) do
+    sorted = sort_to_tuple(values)
+    {mean, sd} = mean_and_sd(values)
 
     [
       {"mean", mean},
       {"sd", sd},
       {"min", elem(sorted, 0)},
-      {"p1", rank(sorted, 0.01)},
-      {"p5", rank(sorted, 0.05)},
-      {"p25", rank(sorted, 0.25)},
-      {"median", rank(sorted, 0.5)},
-      {"p75", rank(sorted, 0.75)},
-      {"p95", rank(sorted, 0.95)},
-      {"p99", rank(sorted, 0.99)},
+      {"p1", nearest_rank(sorted, 0.01)},
+      {"p5", nearest_rank(sorted, 0.05)},
+      {"p25", nearest_rank(sorted, 0.25)},
+      {"median", nearest_rank(sorted, 0.5)},
+      {"p75", nearest_rank(sorted, 0.75)},
+      {"p95", nearest_rank(sorted, 0.95)},
+      {"p99", nearest_rank(sorted, 0.99)},
       {"max", elem(sorted, tuple_size(sorted) - 1)}
     ]
   end
 
-  defp sorted(values), do: values |> Enum.sort() |> List.to_tuple()
+  defp sort_to_tuple(values), do: values |> Enum.sort() |> List.to_tuple()
 
-  defp rank(sorted, part), do: elem(sorted, max(ceil(part * tuple_size(sorted)) - 1, 0))
+  defp nearest_rank(sorted, part), do: elem(sorted, max(ceil(part * tuple_size(sorted)) - 1, 0))
 
   # Computes mean and standard deviation from the differences to the first value, which keeps precision for large
   # values with small differences. Very large values are scaled down before they are squared.
-  defp moments([first | _] = values) do
+  defp mean_and_sd([first | _] = values) do
     case Enum.reduce(values, 0.0, &max(abs(&1), &2)) do
       most when most > @large ->
-        {mean, sd} = moments(Enum.map(values, &(&1 / most)))
+        {mean, sd} = mean_and_sd(Enum.map(values, &(&1 / most)))
         {mean * most, sd * most}
 
       _ ->

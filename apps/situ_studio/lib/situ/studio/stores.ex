@@ -14,28 +14,28 @@ defmodule Situ.Studio.Stores do
   @type name :: String.t()
 
   @doc "Returns the recordings at or below a path: at most 5,000, at most eight folders deep."
-  @spec discover(Path.t() | nil) :: [{name(), Path.t()}]
-  def discover(path), do: path |> all() |> elem(0)
+  @spec list_recordings(Path.t() | nil) :: [{name(), Path.t()}]
+  def list_recordings(path), do: path |> list_all() |> elem(0)
 
   @doc "Returns the recordings and the datasets at or below a path."
-  @spec all(Path.t() | nil) :: {[{name(), Path.t()}], [{name(), Path.t()}]}
-  def all(nil), do: {[], []}
+  @spec list_all(Path.t() | nil) :: {[{name(), Path.t()}], [{name(), Path.t()}]}
+  def list_all(nil), do: {[], []}
 
-  def all(path) do
-    root = Formats.expand(path)
+  def list_all(path) do
+    root = Formats.expand_path(path)
 
     cond do
       Formats.for_address(path) ->
-        {for(address <- Formats.within(path), do: {named(address), address}), []}
+        {for(address <- Formats.list_recordings(path), do: {address_name(address), address}), []}
 
-      Document.dataset?(root) ->
+      Document.dataset_file?(root) ->
         {[], [{Path.basename(root), root}]}
 
       recording?(root) ->
         {[{Path.basename(root), root}], []}
 
       File.dir?(root) ->
-        root |> below() |> Enum.split_with(fn {_, p} -> not Document.dataset?(p) end)
+        root |> scan_folder() |> Enum.split_with(fn {_, p} -> not Document.dataset_file?(p) end)
 
       true ->
         {[], []}
@@ -43,35 +43,43 @@ defmodule Situ.Studio.Stores do
   end
 
   @doc "Returns the recording with that name, without scanning the others."
-  @spec find(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
-  def find(path, name), do: at(path, name, &(recording?(&1) and not Document.dataset?(&1)))
+  @spec fetch_recording(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
+  def fetch_recording(path, name),
+    do: fetch_path(path, name, &(recording?(&1) and not Document.dataset_file?(&1)))
 
   @doc "Returns the dataset with that name."
-  @spec dataset(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
-  def dataset(path, name), do: at(path, name, &Document.dataset?/1)
+  @spec fetch_dataset(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
+  def fetch_dataset(path, name), do: fetch_path(path, name, &Document.dataset_file?/1)
 
-  defp at(nil, _name, _kind?), do: :error
+  defp fetch_path(nil, _name, _kind?), do: :error
 
-  defp at(path, name, kind?) do
-    root = Formats.expand(path)
+  defp fetch_path(path, name, kind?) do
+    root = Formats.expand_path(path)
 
     cond do
-      Formats.for_address(path) -> if(kind?.(root), do: elsewhere(path, name), else: :error)
-      kind?.(root) -> if name == Path.basename(root), do: {:ok, root}, else: :error
-      inside?(root, name) and kind?.(Path.join(root, name)) -> {:ok, Path.join(root, name)}
-      true -> :error
+      Formats.for_address(path) ->
+        if(kind?.(root), do: fetch_remote_address(path, name), else: :error)
+
+      kind?.(root) ->
+        if name == Path.basename(root), do: {:ok, root}, else: :error
+
+      safe_name?(root, name) and kind?.(Path.join(root, name)) ->
+        {:ok, Path.join(root, name)}
+
+      true ->
+        :error
     end
   end
 
   # A server has a flat list of names.
-  defp elsewhere(path, name) do
-    case Enum.find(Formats.within(path), &(named(&1) == name)) do
+  defp fetch_remote_address(path, name) do
+    case Enum.find(Formats.list_recordings(path), &(address_name(&1) == name)) do
       nil -> :error
       address -> {:ok, address}
     end
   end
 
-  defp named(address) do
+  defp address_name(address) do
     uri = URI.parse(address)
     name = if uri.scheme == "situ+unix", do: uri.query || "", else: Path.basename(uri.path || "")
     if name == "", do: uri.host || "recording", else: URI.decode(name)
@@ -82,28 +90,28 @@ defmodule Situ.Studio.Stores do
   defp known_file?(path), do: Formats.for_file(path) != nil and File.regular?(path)
 
   # Every segment of the name must be a plain path segment, and must not be a symbolic link.
-  defp inside?(root, name) do
+  defp safe_name?(root, name) do
     parts = String.split(name, "/")
 
     String.valid?(name) and not String.contains?(name, <<0>>) and length(parts) <= @depth + 1 and
       Enum.all?(parts, &(&1 not in ["", ".", ".."])) and
       parts
       |> Enum.scan(&Path.join(&2, &1))
-      |> Enum.all?(&(kind(Path.join(root, &1)) != :symlink))
+      |> Enum.all?(&(file_type(Path.join(root, &1)) != :symlink))
   end
 
-  defp below(root) do
-    {found, _budget} = walk(root, @depth, {[], @entries})
+  defp scan_folder(root) do
+    {found, _budget} = walk_folder(root, @depth, {[], @entries})
 
     found
-    |> newest()
+    |> keep_newest_versions()
     |> Enum.take(@most)
     |> Enum.map(&{Path.relative_to(&1, root), &1})
-    |> Enum.sort_by(fn {name, _} -> NaturalOrder.key(name) end)
+    |> Enum.sort_by(fn {name, _} -> NaturalOrder.sort_key(name) end)
   end
 
   # Every save of annotations creates a version; the list contains only the latest, but an address can name any.
-  defp newest(paths) do
+  defp keep_newest_versions(paths) do
     {annotations, others} = Enum.split_with(paths, &(Path.basename(&1) =~ "-annotation-"))
 
     last =
@@ -114,33 +122,36 @@ defmodule Situ.Studio.Stores do
     others ++ last
   end
 
-  defp walk(_folder, _depth, {found, budget}) when budget <= 0 or length(found) >= @most,
+  defp walk_folder(_folder, _depth, {found, budget}) when budget <= 0 or length(found) >= @most,
     do: {found, 0}
 
-  defp walk(folder, depth, {found, budget}) do
+  defp walk_folder(folder, depth, {found, budget}) do
     names = with {:ok, names} <- File.ls(folder), do: Enum.sort(names), else: (_ -> [])
 
     entries =
-      for name <- Enum.take(names, budget), path = Path.join(folder, name), do: {kind(path), path}
+      for name <- Enum.take(names, budget),
+          path = Path.join(folder, name),
+          do: {file_type(path), path}
 
-    stores = folder |> Situ.Store.list() |> Enum.reject(&(kind(&1) == :symlink))
+    stores = folder |> Situ.Store.list() |> Enum.reject(&(file_type(&1) == :symlink))
     files = for {:regular, path} <- entries, known_ending?(path), do: path
     folders = for {:directory, path} <- entries, path not in stores, depth > 0, do: path
 
     Enum.reduce(
       folders,
       {Enum.uniq(stores ++ files) ++ found, budget - length(entries)},
-      &walk(&1, depth - 1, &2)
+      &walk_folder(&1, depth - 1, &2)
     )
   end
 
   defp known_ending?(path),
-    do: (Formats.for_file(path) != nil and whole?(path)) or Document.dataset?(path)
+    do: (Formats.for_file(path) != nil and recording_file?(path)) or Document.dataset_file?(path)
 
   # A JSON store is listed by its catalog; other JSON files (statistics, settings) are not recordings.
-  defp whole?(path), do: Path.extname(path) != ".json" or String.ends_with?(path, ".Catalog.json")
+  defp recording_file?(path),
+    do: Path.extname(path) != ".json" or String.ends_with?(path, ".Catalog.json")
 
-  defp kind(path) do
+  defp file_type(path) do
     case File.lstat(path) do
       {:ok, %{type: type}} -> type
       {:error, _} -> :none

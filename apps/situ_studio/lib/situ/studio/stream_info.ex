@@ -8,11 +8,11 @@ defmodule Situ.Studio.StreamInfo do
   clouds, skeletons and so on), `:frames` (`Situ.Transform`s), `:place` (geographic positions) or `:value` (any other
   term).
 
-      iex> Situ.Studio.StreamInfo.shape({:list, Situ.Rect})
+      iex> Situ.Studio.StreamInfo.shape_of_type({:list, Situ.Rect})
       :shapes
-      iex> Situ.Studio.StreamInfo.shape({:optional, :float})
+      iex> Situ.Studio.StreamInfo.shape_of_type({:optional, :float})
       :signal
-      iex> Situ.Studio.StreamInfo.shape({:map, :any, :boolean})
+      iex> Situ.Studio.StreamInfo.shape_of_type({:map, :any, :boolean})
       :states
       iex> Situ.Studio.StreamInfo.shape_of(%{"a" => 1.5})
       :signals
@@ -21,7 +21,7 @@ defmodule Situ.Studio.StreamInfo do
   alias Situ.Studio.Scene.Terms
   alias Situ.Studio.Visualizers.{Bars, Shapes, Spans}
 
-  @in_space Terms.shapes()
+  @in_space Terms.spatial_structs()
 
   @enforce_keys [:name, :shape]
   defstruct [
@@ -77,8 +77,8 @@ defmodule Situ.Studio.StreamInfo do
         }
 
   @doc "Returns all shapes."
-  @spec shapes() :: [shape()]
-  def shapes do
+  @spec list_shapes() :: [shape()]
+  def list_shapes do
     [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :masks, :bars, :signals] ++
       [:states, :spans, :space, :frames, :place, :value]
   end
@@ -86,30 +86,33 @@ defmodule Situ.Studio.StreamInfo do
   @doc """
   Returns the mean rate of `count` messages between two times per second, or `nil` if it is undefined.
 
-      iex> Situ.Studio.StreamInfo.rate(101, 0, 1_000_000_000)
+      iex> Situ.Studio.StreamInfo.mean_rate(101, 0, 1_000_000_000)
       100.0
   """
-  @spec rate(non_neg_integer(), Situ.Time.t() | nil, Situ.Time.t() | nil) :: float() | nil
-  def rate(count, first, last) when count > 1 and first != nil and last > first,
+  @spec mean_rate(non_neg_integer(), Situ.Time.t() | nil, Situ.Time.t() | nil) :: float() | nil
+  def mean_rate(count, first, last) when count > 1 and first != nil and last > first,
     do: (count - 1) * 1.0e9 / (last - first)
 
-  def rate(_, _, _), do: nil
+  def mean_rate(_, _, _), do: nil
 
   @doc "Returns the shape of a declared type; for `:any`, `shape_of/1` of a message is more precise."
-  @spec shape(Situ.Type.t() | nil) :: shape()
-  def shape(type) when type in [:integer, :float, :number], do: :signal
-  def shape(:boolean), do: :boolean
-  def shape(:atom), do: :state
-  def shape({:in, values}), do: if(Enum.all?(values, &is_number/1), do: :signal, else: :state)
-  def shape(:string), do: :text
-  def shape(Situ.AudioBuffer), do: :audio
-  def shape(type) when type in [Situ.Image, Situ.EncodedImage], do: :image
-  def shape(Situ.DepthImage), do: :depth
-  def shape(type) when type in [Situ.Rect, Situ.Point2], do: :shapes
-  def shape({:optional, type}), do: shape(type)
+  @spec shape_of_type(Situ.Type.t() | nil) :: shape()
+  def shape_of_type(type) when type in [:integer, :float, :number], do: :signal
+  def shape_of_type(:boolean), do: :boolean
+  def shape_of_type(:atom), do: :state
 
-  def shape({:list, type}) do
-    case shape(type) do
+  def shape_of_type({:in, values}),
+    do: if(Enum.all?(values, &is_number/1), do: :signal, else: :state)
+
+  def shape_of_type(:string), do: :text
+  def shape_of_type(Situ.AudioBuffer), do: :audio
+  def shape_of_type(type) when type in [Situ.Image, Situ.EncodedImage], do: :image
+  def shape_of_type(Situ.DepthImage), do: :depth
+  def shape_of_type(type) when type in [Situ.Rect, Situ.Point2], do: :shapes
+  def shape_of_type({:optional, type}), do: shape_of_type(type)
+
+  def shape_of_type({:list, type}) do
+    case shape_of_type(type) do
       :signal -> :bars
       :image -> :masks
       shape when shape in [:shapes, :spans, :space, :frames] -> shape
@@ -117,8 +120,8 @@ defmodule Situ.Studio.StreamInfo do
     end
   end
 
-  def shape({:map, _key, type}) do
-    case shape(type) do
+  def shape_of_type({:map, _key, type}) do
+    case shape_of_type(type) do
       :signal -> :signals
       shape when shape in [:boolean, :state, :text] -> :states
       shape when shape in [:spans, :space] -> shape
@@ -126,18 +129,18 @@ defmodule Situ.Studio.StreamInfo do
     end
   end
 
-  def shape(Situ.Transform), do: :frames
-  def shape(Situ.GeoPoint), do: :place
+  def shape_of_type(Situ.Transform), do: :frames
+  def shape_of_type(Situ.GeoPoint), do: :place
 
-  def shape(type) when is_atom(type) and type not in [nil, :any] do
+  def shape_of_type(type) when is_atom(type) and type not in [nil, :any] do
     cond do
       type in @in_space -> :space
-      Spans.struct?(type) -> :spans
+      Spans.interval_struct?(type) -> :spans
       true -> :value
     end
   end
 
-  def shape(_), do: :value
+  def shape_of_type(_), do: :value
 
   @doc """
   Returns the shape of a type given as text in the format of `Situ.Type.to_string/1`.
@@ -148,25 +151,25 @@ defmodule Situ.Studio.StreamInfo do
       :signals
   """
   @spec shape_of_text(String.t()) :: shape()
-  def shape_of_text(text), do: text |> read() |> shape()
+  def shape_of_text(text), do: text |> parse_type() |> shape_of_type()
 
   @simple ~w(integer float number boolean atom string)
 
   # Parses only the parts of a type that determine its shape. A name is converted only if its atom already exists.
-  defp read("list of " <> type), do: {:list, read(type)}
-  defp read("one of :" <> _), do: :atom
-  defp read(text) when text in @simple, do: String.to_existing_atom(text)
+  defp parse_type("list of " <> type), do: {:list, parse_type(type)}
+  defp parse_type("one of :" <> _), do: :atom
+  defp parse_type(text) when text in @simple, do: String.to_existing_atom(text)
 
-  defp read("map of " <> rest) do
+  defp parse_type("map of " <> rest) do
     case String.split(rest, " to ", parts: 2) do
-      [_, value] -> {:map, :any, read(value)}
+      [_, value] -> {:map, :any, parse_type(value)}
       _ -> :any
     end
   end
 
-  defp read(text) do
+  defp parse_type(text) do
     case String.split(text, " or nil", parts: 2) do
-      [type, ""] when type != "" -> {:optional, read(type)}
+      [type, ""] when type != "" -> {:optional, parse_type(type)}
       _ -> String.to_existing_atom("Elixir." <> text)
     end
   rescue
@@ -176,26 +179,28 @@ defmodule Situ.Studio.StreamInfo do
   @doc """
   Refines the shape with some messages: infers the shape if it is `:value`, and the lanes of maps and intervals.
 
-      iex> Situ.Studio.StreamInfo.look_inside(:value, [%{}, %{left: true}, %{right: false}])
+      iex> Situ.Studio.StreamInfo.refine_shape(:value, [%{}, %{left: true}, %{right: false}])
       {:states, ["left", "right"]}
   """
-  @spec look_inside(shape(), [term()]) :: {shape(), [String.t()]}
-  def look_inside(:value, data) do
+  @spec refine_shape(shape(), [term()]) :: {shape(), [String.t()]}
+  def refine_shape(:value, data) do
     case data |> Enum.map(&shape_of/1) |> Enum.find(:value, &(&1 != :value)) do
       :value -> {:value, []}
-      shape -> look_inside(shape, data)
+      shape -> refine_shape(shape, data)
     end
   end
 
-  def look_inside(:states, data),
-    do: {:states, data |> Enum.flat_map(&Segments.lanes/1) |> Enum.uniq() |> Key.sort()}
+  def refine_shape(:states, data),
+    do: {:states, data |> Enum.flat_map(&Segments.lane_names/1) |> Enum.uniq() |> Key.sort_keys()}
 
-  def look_inside(:spans, data) do
-    lanes = for value <- data, {_, _, _, _, lane} <- Spans.of(value, 0), lane != "", do: lane
-    {:spans, lanes |> Enum.uniq() |> Key.sort()}
+  def refine_shape(:spans, data) do
+    lanes =
+      for value <- data, {_, _, _, _, lane} <- Spans.find_spans(value, 0), lane != "", do: lane
+
+    {:spans, lanes |> Enum.uniq() |> Key.sort_keys()}
   end
 
-  def look_inside(shape, _), do: {shape, []}
+  def refine_shape(shape, _), do: {shape, []}
 
   @doc "Returns the shape of a message's data."
   @spec shape_of(term()) :: shape()
@@ -214,27 +219,27 @@ defmodule Situ.Studio.StreamInfo do
   def shape_of([{%Situ.Rect{}, %Situ.Image{}} | _]), do: :masks
 
   def shape_of(map) when is_map(map) and not is_struct(map) and map_size(map) > 0 do
-    if match?({:ok, _}, Situ.GeoPoint.of(map)), do: :place, else: shape_of_values(map)
+    if match?({:ok, _}, Situ.GeoPoint.from_data(map)), do: :place, else: shape_of_values(map)
   end
 
-  def shape_of(data), do: composite(data)
+  def shape_of(data), do: shape_of_composite(data)
 
   defp shape_of_values(map) do
     case map |> Map.values() |> Enum.reject(&is_nil/1) |> Enum.map(&shape_of/1) |> Enum.uniq() do
       [:signal] -> :signals
       [shape] when shape in [:boolean, :state, :text] -> :states
       [:spans] -> :spans
-      _ -> composite(map)
+      _ -> shape_of_composite(map)
     end
   end
 
-  defp composite(data) do
+  defp shape_of_composite(data) do
     cond do
-      Bars.of(data) != [] -> :bars
+      Bars.bar_rows(data) != [] -> :bars
       Shapes.any?(data) -> :shapes
       Terms.any?(data) -> :space
-      Spans.of(data, 0) != [] -> :spans
-      Bars.series(data) != [] -> :bars
+      Spans.find_spans(data, 0) != [] -> :spans
+      Bars.named_series(data) != [] -> :bars
       true -> :value
     end
   end

@@ -10,14 +10,14 @@ defmodule Situ.Studio.Thumbnail do
   @bins 160
 
   @doc "Returns the media type and the bytes, or `:none` if the recording has no image and no signal."
-  @spec of(Source.t()) :: {:ok, String.t(), iodata()} | :none
-  def of(source) do
+  @spec render_thumbnail(Source.t()) :: {:ok, String.t(), iodata()} | :none
+  def render_thumbnail(source) do
     with {:ok, streams} <- Source.call(source, :streams, []),
          {:ok, extent} <- Source.call(source, :extent, []) do
       middle = div(extent.from + extent.to, 2)
 
-      picture(source, named(streams, [:image]), middle) ||
-        line(source, named(streams, [:audio, :signal]), extent) || :none
+      image_thumbnail(source, streams_with_shape(streams, [:image]), middle) ||
+        signal_thumbnail(source, streams_with_shape(streams, [:audio, :signal]), extent) || :none
     else
       {:error, _} -> :none
     end
@@ -30,61 +30,62 @@ defmodule Situ.Studio.Thumbnail do
       ~s(<path d="M60 45H100" stroke="#8b949e" stroke-width="2" stroke-dasharray="4 4"/></svg>)
   end
 
-  defp named(streams, shapes), do: for(s <- streams, s.shape in shapes, s.count > 0, do: s)
+  defp streams_with_shape(streams, shapes),
+    do: for(s <- streams, s.shape in shapes, s.count > 0, do: s)
 
-  defp picture(source, streams, middle) do
+  defp image_thumbnail(source, streams, middle) do
     Enum.find_value(streams, fn stream ->
-      with {:ok, message} <- Source.nearest(source, stream.name, middle),
-           {:ok, small} <- small(message.data),
+      with {:ok, message} <- Source.fetch_nearest(source, stream.name, middle),
+           {:ok, small} <- shrink_image(message.data),
            {:ok, data} <- Draw.Jpeg.encode(small, 80) do
         {:ok, "image/jpeg", data}
       else
-        _ -> encoded(source, stream, middle)
+        _ -> stored_image(source, stream, middle)
       end
     end)
   end
 
-  defp small(%Image{width: w, height: h} = image) do
+  defp shrink_image(%Image{width: w, height: h} = image) do
     k = min(min(@width / w, @height / h), 1.0)
     Imaging.Geometry.resize(image, max(round(w * k), 1), max(round(h * k), 1))
   end
 
-  defp small(_), do: :error
+  defp shrink_image(_), do: :error
 
   # A stored JPEG or PNG is sent unchanged, because browsers scale it themselves.
-  defp encoded(source, stream, middle) do
-    with {:ok, message} <- Source.nearest(source, stream.name, middle),
+  defp stored_image(source, stream, middle) do
+    with {:ok, message} <- Source.fetch_nearest(source, stream.name, middle),
          {:ok, {format, _, _, data, _}} when format in [:jpeg, :png] <-
-           Draw.Picture.of(message.data) do
+           Draw.Picture.to_browser_image(message.data) do
       {:ok, "image/#{format}", data}
     else
       _ -> nil
     end
   end
 
-  defp line(source, streams, extent) do
+  defp signal_thumbnail(source, streams, extent) do
     Enum.find_value(streams, fn stream ->
       from = max(stream.first || extent.from, extent.from)
       to = min(stream.last || extent.to, extent.to)
 
       with {:ok, [_ | _] = points, _} <-
              Source.call(source, :series, [stream.name, from, to, max(div(to - from, @bins), 1)]),
-           ends when ends != nil <- ends(points) do
-        {:ok, "image/svg+xml", svg(points, ends, from, to)}
+           ends when ends != nil <- value_range(points) do
+        {:ok, "image/svg+xml", render_svg(points, ends, from, to)}
       else
         _ -> nil
       end
     end)
   end
 
-  defp ends(points) do
+  defp value_range(points) do
     lows = for {_, low, _, _, _} when is_number(low) <- points, do: low
     highs = for {_, _, high, _, _} when is_number(high) <- points, do: high
     if lows == [] or highs == [], do: nil, else: {Enum.min(lows), Enum.max(highs)}
   end
 
   # Draws a stroke from the minimum to the maximum of each row, and joins adjacent rows except across gaps.
-  defp svg(points, {low, high}, from, to) do
+  defp render_svg(points, {low, high}, from, to) do
     x = fn t -> @width * (t - from) / max(to - from, 1) end
     # Quarters avoid an overflow in the difference of very large floats.
     y = fn v -> 4 + (@height - 8) * (1 - (v / 4 - low / 4) / max(high / 4 - low / 4, 1.0e-12)) end
@@ -94,8 +95,8 @@ defmodule Situ.Studio.Thumbnail do
     points =
       if match?([_], points), do: [hd(points), put_elem(hd(points), 0, to + 1)], else: points
 
-    after_holes = points |> find_holes() |> MapSet.new(&elem(&1, 1))
-    [first | rest] = for point <- points, do: {elem(point, 0), stroke(point, x, y)}
+    after_holes = points |> find_gaps() |> MapSet.new(&elem(&1, 1))
+    [first | rest] = for point <- points, do: {elem(point, 0), stroke_path(point, x, y)}
     lines = for {t, at} <- rest, do: [if(t in after_holes, do: "M", else: "L"), at]
 
     [
@@ -106,10 +107,10 @@ defmodule Situ.Studio.Thumbnail do
     ]
   end
 
-  defp find_holes(points), do: Draw.Rhythm.holes(for {t, _, _, _, n} <- points, do: {t, n})
+  defp find_gaps(points), do: Draw.Rhythm.find_gaps(for {t, _, _, _, n} <- points, do: {t, n})
 
-  defp stroke({t, low, high, _, _}, x, y),
-    do: "#{tenths(x.(t))} #{tenths(y.(high))}V#{tenths(y.(low))}"
+  defp stroke_path({t, low, high, _, _}, x, y),
+    do: "#{round_tenths(x.(t))} #{round_tenths(y.(high))}V#{round_tenths(y.(low))}"
 
-  defp tenths(x), do: Float.round(x / 1, 1)
+  defp round_tenths(x), do: Float.round(x / 1, 1)
 end

@@ -4,7 +4,7 @@ defmodule Situ.Studio.Tiles do
   policy allows tiles only from that origin, and requests contain nothing but tile numbers.
 
       iex> {:ok, tiles} = Situ.Studio.Tiles.new("https://tile.example.org/{z}/{x}/{y}.png", "Example's maps")
-      iex> {Situ.Studio.Tiles.origins(tiles), tiles.credit}
+      iex> {Situ.Studio.Tiles.allowed_origins(tiles), tiles.credit}
       {["https://tile.example.org"], "Example's maps"}
       iex> {:error, error} = Situ.Studio.Tiles.new("https://tile.example.org/", nil)
       iex> error.what
@@ -30,39 +30,43 @@ defmodule Situ.Studio.Tiles do
     uri = URI.parse(text)
 
     cond do
-      uri.scheme in ["http", "https"] and plain?(uri.host) ->
-        address(text, uri, credit)
+      uri.scheme in ["http", "https"] and valid_host?(uri.host) ->
+        from_address(text, uri, credit)
 
       File.dir?(text) ->
         {:ok, %__MODULE__{url: "/tiles/{z}/{x}/{y}.png", credit: credit, folder: text}}
 
       true ->
-        bad("map tiles must be an existing folder or an http(s) address, not #{inspect(text)}")
+        tiles_error(
+          "map tiles must be an existing folder or an http(s) address, not #{inspect(text)}"
+        )
     end
   end
 
   # The host is written into a header, so it must not contain special characters.
-  defp plain?(host), do: is_binary(host) and host =~ ~r/\A[A-Za-z0-9.-]+\z/
+  defp valid_host?(host), do: is_binary(host) and host =~ ~r/\A[A-Za-z0-9.-]+\z/
 
-  defp address(text, uri, credit) do
+  defp from_address(text, uri, credit) do
     if Enum.all?(["{z}", "{x}", "{y}"], &String.contains?(text, &1)) do
       port = if uri.port in [80, 443, nil], do: "", else: ":#{uri.port}"
       {:ok, %__MODULE__{url: text, credit: credit, origin: "#{uri.scheme}://#{uri.host}#{port}"}}
     else
-      bad("a map tile address must contain {z}, {x} and {y}: #{inspect(text)}")
+      tiles_error("a map tile address must contain {z}, {x} and {y}: #{inspect(text)}")
     end
   end
 
-  defp bad(what),
+  defp tiles_error(what),
     do: {:error, Error.new(:bad_tiles, what, fix: "use the form https://.../{z}/{x}/{y}.png")}
 
   @doc "Returns the origins that tiles may be loaded from."
-  @spec origins(t() | nil) :: [String.t()]
-  def origins(%__MODULE__{origin: origin}) when origin != nil, do: [origin]
-  def origins(_), do: []
+  @spec allowed_origins(t() | nil) :: [String.t()]
+  def allowed_origins(%__MODULE__{origin: origin}) when origin != nil, do: [origin]
+  def allowed_origins(_), do: []
 
   @doc "Returns the route that serves a folder of tiles, if any."
-  @spec routes(t() | nil) :: [tuple()]
-  def routes(%__MODULE__{folder: folder}) when folder != nil, do: [{:static, "/tiles", folder}]
-  def routes(_), do: []
+  @spec tile_routes(t() | nil) :: [tuple()]
+  def tile_routes(%__MODULE__{folder: folder}) when folder != nil,
+    do: [{:static, "/tiles", folder}]
+
+  def tile_routes(_), do: []
 end

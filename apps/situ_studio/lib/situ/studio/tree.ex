@@ -4,7 +4,7 @@ defmodule Situ.Studio.Tree do
   stream and a group. Pure.
 
       iex> tree = Situ.Studio.Tree.build(["A.x", "A.y", "B"], & &1)
-      iex> for row <- Situ.Studio.Tree.rows(tree, MapSet.new()), do: {row.depth, row.label, row.item}
+      iex> for row <- Situ.Studio.Tree.visible_rows(tree, MapSet.new()), do: {row.depth, row.label, row.item}
       [{0, "A", nil}, {1, "x", "A.x"}, {1, "y", "A.y"}, {0, "B", "B"}]
   """
 
@@ -33,33 +33,33 @@ defmodule Situ.Studio.Tree do
   @doc "Builds the tree of `items`; `name` returns an item's dotted name."
   @spec build([item], (item -> String.t())) :: t() when item: term()
   def build(items, name) do
-    Enum.reduce(items, %{}, fn item, tree -> put(tree, segments(name.(item)), item) end)
+    Enum.reduce(items, %{}, fn item, tree -> put_item(tree, split_name(name.(item)), item) end)
   end
 
-  defp put(tree, [last], item) do
+  defp put_item(tree, [last], item) do
     Map.update(tree, last, {item, %{}}, fn {_, children} -> {item, children} end)
   end
 
-  defp put(tree, [first | rest], item) do
+  defp put_item(tree, [first | rest], item) do
     {own, children} = Map.get(tree, first, {nil, %{}})
-    Map.put(tree, first, {own, put(children, rest, item)})
+    Map.put(tree, first, {own, put_item(children, rest, item)})
   end
 
   # Names with empty segments, such as "a..b" and ".a", are not split, so that nothing is hidden.
   # Dots in an expression are not separators.
-  defp segments("= " <> _ = name), do: [name]
+  defp split_name("= " <> _ = name), do: [name]
 
-  defp segments(name) do
+  defp split_name(name) do
     parts = String.split(name, ".")
     if "" in parts, do: [name], else: parts
   end
 
   @doc "Returns the visible rows in order; the paths in `closed` hide everything below them."
-  @spec rows(t(), MapSet.t(String.t())) :: [Row.t()]
-  def rows(tree, closed), do: tree |> rows("", 0, closed) |> List.flatten()
+  @spec visible_rows(t(), MapSet.t(String.t())) :: [Row.t()]
+  def visible_rows(tree, closed), do: tree |> collect_rows("", 0, closed) |> List.flatten()
 
-  defp rows(tree, prefix, depth, closed) do
-    for {label, {item, children}} <- Enum.sort_by(tree, &NaturalOrder.key(elem(&1, 0))) do
+  defp collect_rows(tree, prefix, depth, closed) do
+    for {label, {item, children}} <- Enum.sort_by(tree, &NaturalOrder.sort_key(elem(&1, 0))) do
       path = prefix <> label
       leaf? = children == %{}
       open? = if leaf?, do: nil, else: path not in closed
@@ -70,15 +70,15 @@ defmodule Situ.Studio.Tree do
         depth: depth,
         item: item,
         open?: open?,
-        under: items(children)
+        under: list_items(children)
       }
 
-      [row | if(open?, do: rows(children, path <> ".", depth + 1, closed), else: [])]
+      [row | if(open?, do: collect_rows(children, path <> ".", depth + 1, closed), else: [])]
     end
   end
 
-  defp items(tree) do
-    Enum.flat_map(tree, fn {_, {item, children}} -> List.wrap(item) ++ items(children) end)
+  defp list_items(tree) do
+    Enum.flat_map(tree, fn {_, {item, children}} -> List.wrap(item) ++ list_items(children) end)
   end
 
   @doc """

@@ -6,7 +6,7 @@ defmodule Situ.Studio.ValueTree do
   The tree is bounded: deep, long or large values are truncated and marked. Texts are plain and must not be
   interpreted as HTML.
 
-      iex> Situ.Studio.ValueTree.of(%{x: 1.5, on: true})
+      iex> Situ.Studio.ValueTree.build(%{x: 1.5, on: true})
       ["map", "2 keys", [["on", ["boolean", "true", nil], ".on"], ["x", ["number", "1.5", nil], ".x"]]]
   """
   alias Situ.Studio.Path
@@ -18,91 +18,100 @@ defmodule Situ.Studio.ValueTree do
   @max_text 400
 
   @doc "Builds the tree of `term`."
-  @spec of(term()) :: tree()
-  def of(term), do: node(term, "", 0)
+  @spec build(term()) :: tree()
+  def build(term), do: build_node(term, "", 0)
 
-  defp node(term, _path, _depth) when is_number(term), do: ["number", number(term), nil]
-  defp node(term, _, _) when is_boolean(term), do: ["boolean", Atom.to_string(term), nil]
-  defp node(nil, _, _), do: ["atom", "nil", nil]
-  defp node(term, _, _) when is_atom(term), do: ["atom", inspect(term), nil]
-  defp node(term, _, _) when is_binary(term), do: binary(term)
-  defp node(term, _, _) when is_bitstring(term), do: ["binary", "#{bit_size(term)} bits", nil]
+  defp build_node(term, _path, _depth) when is_number(term),
+    do: ["number", format_number(term), nil]
 
-  defp node(%module{} = struct, path, depth) do
-    fields = struct |> Map.from_struct() |> Enum.sort_by(&order(elem(&1, 0)))
-    branch("struct", inspect(module), fields, path, depth)
+  defp build_node(term, _, _) when is_boolean(term), do: ["boolean", Atom.to_string(term), nil]
+  defp build_node(nil, _, _), do: ["atom", "nil", nil]
+  defp build_node(term, _, _) when is_atom(term), do: ["atom", inspect(term), nil]
+  defp build_node(term, _, _) when is_binary(term), do: binary_node(term)
+
+  defp build_node(term, _, _) when is_bitstring(term),
+    do: ["binary", "#{bit_size(term)} bits", nil]
+
+  defp build_node(%module{} = struct, path, depth) do
+    fields = struct |> Map.from_struct() |> Enum.sort_by(&field_order(elem(&1, 0)))
+    build_branch("struct", inspect(module), fields, path, depth)
   end
 
-  defp node(map, path, depth) when is_map(map) do
+  defp build_node(map, path, depth) when is_map(map) do
     entries = map |> Enum.take(@max_children + 1) |> Enum.sort()
-    branch("map", count(map_size(map), "key"), entries, path, depth)
+    build_branch("map", pluralize(map_size(map), "key"), entries, path, depth)
   end
 
-  defp node(list, path, depth) when is_list(list) do
+  defp build_node(list, path, depth) when is_list(list) do
     case proper_length(list, 0) do
       nil ->
-        ["list", cut(inspect(list, limit: 20, printable_limit: 100)), nil]
+        ["list", truncate(inspect(list, limit: 20, printable_limit: 100)), nil]
 
       n ->
         entries = list |> Enum.take(@max_children + 1) |> Enum.with_index(fn v, i -> {i, v} end)
-        branch("list", count(n, "element"), entries, path, depth)
+        build_branch("list", pluralize(n, "element"), entries, path, depth)
     end
   end
 
-  defp node(tuple, path, depth) when is_tuple(tuple) do
+  defp build_node(tuple, path, depth) when is_tuple(tuple) do
     entries = tuple |> Tuple.to_list() |> Enum.with_index(fn v, i -> {i, v} end)
-    branch("tuple", "{#{tuple_size(tuple)}}", entries, path, depth)
+    build_branch("tuple", "{#{tuple_size(tuple)}}", entries, path, depth)
   end
 
-  defp node(other, _, _), do: ["other", cut(inspect(other)), nil]
+  defp build_node(other, _, _), do: ["other", truncate(inspect(other)), nil]
 
-  defp branch(kind, text, _entries, _path, @max_depth), do: [kind, text <> " ...", nil]
-  defp branch(kind, text, [], _path, _depth), do: [kind, text, nil]
+  defp build_branch(kind, text, _entries, _path, @max_depth), do: [kind, text <> " ...", nil]
+  defp build_branch(kind, text, [], _path, _depth), do: [kind, text, nil]
 
-  defp branch(kind, text, entries, path, depth) do
+  defp build_branch(kind, text, entries, path, depth) do
     {shown, more} = Enum.split(entries, @max_children)
 
     children =
       for {key, value} <- shown do
         # A child whose key cannot be written in a path can be shown but not plotted.
-        child = path && Path.child(path, key)
-        [key(key), node(value, child, depth + 1), child]
+        child = path && Path.child_path(path, key)
+        [format_key(key), build_node(value, child, depth + 1), child]
       end
 
     more = if more == [], do: [], else: [["...", ["other", "more is not shown", nil], nil]]
     [kind, text, children ++ more]
   end
 
-  defp binary(bytes) do
+  defp binary_node(bytes) do
     if String.printable?(bytes, @max_text) and String.valid?(binary_part(bytes, 0, 0)) do
-      ["string", cut(inspect(bytes, printable_limit: @max_text)), nil]
+      ["string", truncate(inspect(bytes, printable_limit: @max_text)), nil]
     else
-      ["binary", "#{byte_size(bytes)} bytes #{preview(bytes)}", nil]
+      ["binary", "#{byte_size(bytes)} bytes #{hex_preview(bytes)}", nil]
     end
   end
 
-  defp preview(bytes) do
+  defp hex_preview(bytes) do
     head = binary_part(bytes, 0, min(byte_size(bytes), 12))
     Base.encode16(head, case: :lower) <> if(byte_size(bytes) > 12, do: "...", else: "")
   end
 
   # Shows the most commonly needed fields first.
-  defp order(key),
+  defp field_order(key),
     do: {Enum.find_index([:x, :y, :width, :height, :label], &(&1 == key)) || 9, key}
 
-  defp number(x) when is_integer(x), do: Integer.to_string(x)
-  defp number(x), do: :erlang.float_to_binary(x, [:short])
+  defp format_number(x) when is_integer(x), do: Integer.to_string(x)
+  defp format_number(x), do: :erlang.float_to_binary(x, [:short])
 
-  defp key(key) when is_atom(key), do: Atom.to_string(key)
-  defp key(key) when is_binary(key), do: if(String.valid?(key), do: cut(key), else: inspect(key))
-  defp key(key) when is_integer(key), do: Integer.to_string(key)
-  defp key(key), do: cut(inspect(key))
+  defp format_key(key) when is_atom(key), do: Atom.to_string(key)
 
-  defp count(1, noun), do: "1 " <> noun
-  defp count(n, noun), do: "#{n} #{noun}s"
+  defp format_key(key) when is_binary(key),
+    do: if(String.valid?(key), do: truncate(key), else: inspect(key))
 
-  defp cut(text) when byte_size(text) > @max_text, do: String.slice(text, 0, @max_text) <> "..."
-  defp cut(text), do: text
+  defp format_key(key) when is_integer(key), do: Integer.to_string(key)
+  defp format_key(key), do: truncate(inspect(key))
+
+  defp pluralize(1, noun), do: "1 " <> noun
+  defp pluralize(n, noun), do: "#{n} #{noun}s"
+
+  defp truncate(text) when byte_size(text) > @max_text,
+    do: String.slice(text, 0, @max_text) <> "..."
+
+  defp truncate(text), do: text
 
   defp proper_length([], n), do: n
   defp proper_length([_ | rest], n), do: proper_length(rest, n + 1)

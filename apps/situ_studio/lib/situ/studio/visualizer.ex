@@ -18,7 +18,7 @@ defmodule Situ.Studio.Visualizer do
 
         @impl true
         def window(source, channel, spec, from, to, _bin) do
-          with {:ok, messages} <- Draw.Messages.around(source, spec, from, to) do
+          with {:ok, messages} <- Draw.Messages.fetch_around(source, spec, from, to) do
             points = for m <- messages, do: Draw.Bins.point(m.originating_time, (m.data - 32) / 1.8)
             Frame.series(channel, points, true)
           end
@@ -116,11 +116,11 @@ defmodule Situ.Studio.Visualizer do
   @optional_callbacks window: 6, instant: 3, instant: 4, value_at: 4
 
   @doc "Returns the complete description of a visualizer, given a module or a description."
-  @spec of(given()) :: t()
-  def of(%__MODULE__{} = visualizer),
+  @spec to_visualizer(given()) :: t()
+  def to_visualizer(%__MODULE__{} = visualizer),
     do: %{visualizer | drawer: visualizer.drawer || visualizer.id}
 
-  def of(module) do
+  def to_visualizer(module) do
     about = module.about()
     %{about | module: module, drawer: about.drawer || about.id}
   end
@@ -129,13 +129,13 @@ defmodule Situ.Studio.Visualizer do
   Returns the properties that apply, given the values of all properties.
 
       iex> {:ok, depth} = Situ.Studio.Visualizers.fetch("depth", :depth)
-      iex> Keyword.has_key?(Situ.Studio.Visualizer.options(depth, %{}), :min)
+      iex> Keyword.has_key?(Situ.Studio.Visualizer.active_options(depth, %{}), :min)
       false
-      iex> Keyword.has_key?(Situ.Studio.Visualizer.options(depth, %{"range" => "fixed"}), :min)
+      iex> Keyword.has_key?(Situ.Studio.Visualizer.active_options(depth, %{"range" => "fixed"}), :min)
       true
   """
-  @spec options(t(), map()) :: keyword()
-  def options(%__MODULE__{options: options}, props) do
+  @spec active_options(t(), map()) :: keyword()
+  def active_options(%__MODULE__{options: options}, props) do
     Enum.filter(options, fn {_, option} ->
       case option[:only] do
         nil -> true
@@ -147,27 +147,27 @@ defmodule Situ.Studio.Visualizer do
   @doc """
   Returns the value of every property: the page's value (untrusted JSON) if it is valid, otherwise the default.
 
-      iex> {:ok, trail} = Situ.Studio.Visualizers.named("trail", [])
-      iex> settings = Situ.Studio.Visualizer.settings(trail, %{"seconds" => 2, "opacity" => "much"})
+      iex> {:ok, trail} = Situ.Studio.Visualizers.fetch_by_id("trail", [])
+      iex> settings = Situ.Studio.Visualizer.property_values(trail, %{"seconds" => 2, "opacity" => "much"})
       iex> {settings.seconds, settings.opacity}
       {2, 100}
   """
-  @spec settings(t(), map()) :: %{atom() => term()}
-  def settings(%__MODULE__{options: options}, props) do
+  @spec property_values(t(), map()) :: %{atom() => term()}
+  def property_values(%__MODULE__{options: options}, props) do
     Map.new(options, fn {key, option} ->
       value = Map.get(props, Atom.to_string(key))
-      {key, if(fits?(option[:type], value), do: value, else: option[:default])}
+      {key, if(valid_value?(option[:type], value), do: value, else: option[:default])}
     end)
   end
 
-  defp fits?(:boolean, value), do: is_boolean(value)
-  defp fits?({:range, low, high}, x), do: is_number(x) and x >= low and x <= high
-  defp fits?({:in, values}, value), do: List.keymember?(choices(values), value, 0)
-  defp fits?(_text, value), do: is_binary(value)
+  defp valid_value?(:boolean, value), do: is_boolean(value)
+  defp valid_value?({:range, low, high}, x), do: is_number(x) and x >= low and x <= high
+  defp valid_value?({:in, values}, value), do: List.keymember?(choice_pairs(values), value, 0)
+  defp valid_value?(_text, value), do: is_binary(value)
 
   @doc "Returns the values of a choice with their titles."
-  @spec choices([String.t() | {String.t(), String.t()}]) :: [{String.t(), String.t()}]
-  def choices(values) do
+  @spec choice_pairs([String.t() | {String.t(), String.t()}]) :: [{String.t(), String.t()}]
+  def choice_pairs(values) do
     Enum.map(values, fn
       {value, title} -> {value, title}
       value -> {value, value}
@@ -178,13 +178,13 @@ defmodule Situ.Studio.Visualizer do
   Validates and converts the value of one property from a form.
 
       iex> {:ok, line} = Situ.Studio.Visualizers.fetch("line", :signal)
-      iex> Situ.Studio.Visualizer.cast(line, "width", "2.5")
+      iex> Situ.Studio.Visualizer.cast_property(line, "width", "2.5")
       {:ok, 2.5}
-      iex> Situ.Studio.Visualizer.cast(line, "width", "thick")
+      iex> Situ.Studio.Visualizer.cast_property(line, "width", "thick")
       :error
   """
-  @spec cast(t(), String.t(), String.t()) :: {:ok, term()} | :error
-  def cast(%__MODULE__{options: options}, name, text) do
+  @spec cast_property(t(), String.t(), String.t()) :: {:ok, term()} | :error
+  def cast_property(%__MODULE__{options: options}, name, text) do
     case Enum.find(options, fn {key, _} -> Atom.to_string(key) == name end) do
       {_, option} -> cast_type(option[:type], text)
       nil -> :error
@@ -196,7 +196,7 @@ defmodule Situ.Studio.Visualizer do
   defp cast_type(:text, text) when byte_size(text) <= 40, do: {:ok, text}
 
   defp cast_type({:in, values}, text),
-    do: if(List.keymember?(choices(values), text, 0), do: {:ok, text}, else: :error)
+    do: if(List.keymember?(choice_pairs(values), text, 0), do: {:ok, text}, else: :error)
 
   defp cast_type(:color, text),
     do: if(text =~ ~r/\A#[0-9a-fA-F]{6}\z/, do: {:ok, text}, else: :error)

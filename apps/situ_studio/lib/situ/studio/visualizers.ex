@@ -39,7 +39,7 @@ defmodule Situ.Studio.Visualizers do
 
   @doc "Returns all visualizers; the `extra` modules come first."
   @spec all([Visualizer.given()]) :: [Visualizer.t()]
-  def all(extra \\ []), do: Enum.map(extra ++ @modules, &Visualizer.of/1)
+  def all(extra \\ []), do: Enum.map(extra ++ @modules, &Visualizer.to_visualizer/1)
 
   @doc "Returns the visualizers for a stream of this shape, the default first."
   @spec for_shape(StreamInfo.shape(), [Visualizer.given()]) :: [Visualizer.t()]
@@ -49,19 +49,19 @@ defmodule Situ.Studio.Visualizers do
   @doc "Returns the visualizer `id` if it accepts this shape."
   @spec fetch(String.t(), StreamInfo.shape(), [Visualizer.given()]) ::
           {:ok, Visualizer.t()} | :error
-  def fetch(id, shape, extra \\ []), do: shape |> for_shape(extra) |> find(id)
+  def fetch(id, shape, extra \\ []), do: shape |> for_shape(extra) |> fetch_from_list(id)
 
   @doc "Returns the visualizer of a layout entry; a part of a message (a path) may use any visualizer."
-  @spec of(String.t(), String.t(), StreamInfo.shape(), [Visualizer.given()]) ::
+  @spec fetch_for_path(String.t(), String.t(), StreamInfo.shape(), [Visualizer.given()]) ::
           {:ok, Visualizer.t()} | :error
-  def of(id, "", shape, extra), do: fetch(id, shape, extra)
-  def of(id, _path, _shape, extra), do: find(all(extra), id)
+  def fetch_for_path(id, "", shape, extra), do: fetch(id, shape, extra)
+  def fetch_for_path(id, _path, _shape, extra), do: fetch_from_list(all(extra), id)
 
   @doc "Returns the built-in or `extra` visualizer `id`."
-  @spec named(String.t(), [Visualizer.given()]) :: {:ok, Visualizer.t()} | :error
-  def named(id, extra), do: find(all(extra), id)
+  @spec fetch_by_id(String.t(), [Visualizer.given()]) :: {:ok, Visualizer.t()} | :error
+  def fetch_by_id(id, extra), do: fetch_from_list(all(extra), id)
 
-  defp find(visualizers, id) do
+  defp fetch_from_list(visualizers, id) do
     case Enum.find(visualizers, &(&1.id == id)) do
       nil -> :error
       visualizer -> {:ok, visualizer}

@@ -36,28 +36,28 @@ defmodule Situ.Studio.Watch do
   def start_link(target), do: GenServer.start_link(__MODULE__, target)
 
   @doc "Returns the handle for readers."
-  @spec handle(pid()) :: t()
-  def handle(pid), do: GenServer.call(pid, :handle)
+  @spec reader_handle(pid()) :: t()
+  def reader_handle(pid), do: GenServer.call(pid, :handle)
 
   @doc "Records that a page needs this stream, and taps it if it is not tapped yet."
-  @spec want(t(), String.t()) :: :ok | {:error, Error.t()}
-  def want(%__MODULE__{uses: uses} = watch, stream) do
-    if :ets.update_element(uses, stream, {2, now()}),
+  @spec request_stream(t(), String.t()) :: :ok | {:error, Error.t()}
+  def request_stream(%__MODULE__{uses: uses} = watch, stream) do
+    if :ets.update_element(uses, stream, {2, monotonic_ms()}),
       do: :ok,
       else: GenServer.call(watch.pid, {:tap, stream})
   rescue
-    ArgumentError -> gone()
+    ArgumentError -> gone_error()
   catch
-    :exit, _ -> gone()
+    :exit, _ -> gone_error()
   end
 
   @doc "Returns the named outputs as `{stream, type as text}`, and whether the pipeline is still running."
-  @spec streams(t()) ::
+  @spec list_streams(t()) ::
           {:ok, [{String.t(), String.t()}], running? :: boolean()} | {:error, Error.t()}
-  def streams(%__MODULE__{uses: uses, pid: pid}) do
+  def list_streams(%__MODULE__{uses: uses, pid: pid}) do
     case :ets.lookup(uses, :streams) do
       [{:streams, until, streams, running?}] ->
-        if now() < until,
+        if monotonic_ms() < until,
           do: {:ok, streams, running?},
           else: GenServer.call(pid, :streams)
 
@@ -65,25 +65,26 @@ defmodule Situ.Studio.Watch do
         GenServer.call(pid, :streams)
     end
   rescue
-    ArgumentError -> gone()
+    ArgumentError -> gone_error()
   catch
-    :exit, _ -> gone()
+    :exit, _ -> gone_error()
   end
 
   @doc "Returns the pipeline's current graph and statistics."
-  @spec snapshot(t()) :: {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
-  def snapshot(%__MODULE__{pid: pid}) do
+  @spec fetch_snapshot(t()) :: {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
+  def fetch_snapshot(%__MODULE__{pid: pid}) do
     GenServer.call(pid, :snapshot)
   catch
-    :exit, _ -> gone()
+    :exit, _ -> gone_error()
   end
 
   @doc "Returns the path through the pipeline of the message with an originating time (`Situ.trace/2`)."
-  @spec trace(t(), Situ.Time.t()) :: {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
-  def trace(%__MODULE__{pid: pid}, time) do
+  @spec trace_message(t(), Situ.Time.t()) ::
+          {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
+  def trace_message(%__MODULE__{pid: pid}, time) do
     GenServer.call(pid, {:trace, time})
   catch
-    :exit, _ -> gone()
+    :exit, _ -> gone_error()
   end
 
   @doc "Returns the time of the pipeline's clock, or the wall-clock time if the pipeline has ended."
@@ -94,7 +95,7 @@ defmodule Situ.Studio.Watch do
     :exit, _ -> Situ.Time.now()
   end
 
-  defp gone, do: {:error, Error.new(:gone, "the pipeline is no longer watched")}
+  defp gone_error, do: {:error, Error.new(:gone, "the pipeline is no longer watched")}
 
   @impl true
   def init(target) do
@@ -102,7 +103,7 @@ defmodule Situ.Studio.Watch do
     history = History.new(seconds: @seconds)
     Process.send_after(self(), :sweep, @sweep_ms)
     state = %{target: target, history: history, uses: uses, taps: %{}, streams: []}
-    {:ok, Map.merge(state, %{ran: now(), away: now()})}
+    {:ok, Map.merge(state, %{ran: monotonic_ms(), away: monotonic_ms()})}
   end
 
   @impl true
@@ -115,39 +116,39 @@ defmodule Situ.Studio.Watch do
 
   # Pages repeat a request many times a second, so a failed target is retried only after a delay.
   def handle_call({:tap, stream}, _from, state) do
-    if now() < state.away do
-      {:reply, {:error, ended()}, state}
+    if monotonic_ms() < state.away do
+      {:reply, {:error, ended_error()}, state}
     else
-      {answer, state} = begin(state, stream)
+      {answer, state} = start_tap(state, stream)
       {:reply, answer, state}
     end
   end
 
-  def handle_call(:now, _from, state), do: {:reply, clock(state.target), state}
+  def handle_call(:now, _from, state), do: {:reply, pipeline_now(state.target), state}
 
   def handle_call(:streams, _from, state) do
-    {found, state} = look(state)
+    {found, state} = refresh_outputs(state)
 
     {streams, running?, state} =
       case found do
-        {:ok, streams} -> {streams, true, %{state | ran: now()}}
-        :ended -> {state.streams, returns?(state), state}
+        {:ok, streams} -> {streams, true, %{state | ran: monotonic_ms()}}
+        :ended -> {state.streams, may_return?(state), state}
       end
 
-    :ets.insert(state.uses, {:streams, now() + @look_ms, streams, running?})
+    :ets.insert(state.uses, {:streams, monotonic_ms() + @look_ms, streams, running?})
     {:reply, {:ok, streams, running?}, %{state | streams: streams}}
   end
 
-  def handle_call(:snapshot, _from, state), do: {:reply, info(state.target), state}
+  def handle_call(:snapshot, _from, state), do: {:reply, fetch_info(state.target), state}
 
   def handle_call({:trace, time}, _from, state) do
     answer =
       try do
-        {:ok, ask(target(state.target), :trace, [time])}
+        {:ok, call_pipeline(resolve_target(state.target), :trace, [time])}
       rescue
         error in Error -> {:error, error}
       catch
-        _, _ -> {:error, ended()}
+        _, _ -> {:error, ended_error()}
       end
 
     {:reply, answer, state}
@@ -156,97 +157,100 @@ defmodule Situ.Studio.Watch do
   @impl true
   def handle_info(:sweep, state) do
     Process.send_after(self(), :sweep, @sweep_ms)
-    old = now() - @idle_ms
+    old = monotonic_ms() - @idle_ms
 
     idle =
       for {stream, _} <- state.taps,
           [{_, used}] <- [:ets.lookup(state.uses, stream)],
           used < old do
-        History.interrupt(state.history, stream, History.last(state.history, stream))
+        History.mark_gap(state.history, stream, History.last_time(state.history, stream))
         stream
       end
 
-    {:noreply, let_go(state, idle)}
+    {:noreply, remove_taps(state, idle)}
   end
 
   # The replacement pipeline is tapped when a page requests the stream again.
   def handle_info({:DOWN, _, :process, pipeline, _}, state),
-    do: {:noreply, let_go(state, tapped(state, &(&1 == pipeline)))}
+    do: {:noreply, remove_taps(state, list_tapped(state, &(&1 == pipeline)))}
 
   def handle_info(_, state), do: {:noreply, state}
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 
   # Returns the current streams. Removes taps on a pipeline that was replaced: its node may be suspended while the
   # part is running on another node.
-  defp look(%{target: target} = state) do
-    case target(target) do
+  defp refresh_outputs(%{target: target} = state) do
+    case resolve_target(target) do
       pid when is_function(target, 0) and is_pid(pid) ->
-        {outputs(pid), let_go(state, tapped(state, &(&1 != pid)))}
+        {fetch_outputs(pid), remove_taps(state, list_tapped(state, &(&1 != pid)))}
 
       target ->
-        {outputs(target), state}
+        {fetch_outputs(target), state}
     end
   end
 
-  defp returns?(%{target: target, ran: ran}),
-    do: is_function(target, 0) and now() < ran + @return_ms
+  defp may_return?(%{target: target, ran: ran}),
+    do: is_function(target, 0) and monotonic_ms() < ran + @return_ms
 
-  defp begin(%{history: history} = state, stream) do
-    keep = fn message -> History.put(history, stream, message, History.weigh(message.data)) end
-    last = History.last(history, stream)
+  defp start_tap(%{history: history} = state, stream) do
+    keep = fn message ->
+      History.put(history, stream, message, History.estimate_size(message.data))
+    end
 
-    case attach(state.target, stream, keep) do
+    last = History.last_time(history, stream)
+
+    case attach_tap(state.target, stream, keep) do
       {:ok, tap} ->
         # The time since the stream was last tapped is unknown.
-        History.interrupt(history, stream, last)
-        :ets.insert(state.uses, {stream, now()})
+        History.mark_gap(history, stream, last)
+        :ets.insert(state.uses, {stream, monotonic_ms()})
         {:ok, put_in(state.taps[stream], {tap, Process.monitor(tap.pipeline)})}
 
       {:error, %{code: :not_running} = error} ->
-        {{:error, error}, %{state | away: now() + @look_ms}}
+        {{:error, error}, %{state | away: monotonic_ms() + @look_ms}}
 
       {:error, error} ->
         {{:error, error}, state}
     end
   end
 
-  defp tapped(state, which?),
+  defp list_tapped(state, which?),
     do: for({stream, {tap, _}} <- state.taps, which?.(tap.pipeline), do: stream)
 
-  defp let_go(state, streams) do
+  defp remove_taps(state, streams) do
     {gone, taps} = Map.split(state.taps, streams)
 
     for {stream, {tap, monitor}} <- gone do
       :ets.delete(state.uses, stream)
       Process.demonitor(monitor, [:flush])
-      detach(tap)
+      detach_tap(tap)
     end
 
     %{state | taps: taps}
   end
 
   # A pipeline may end at any time, so attaching and detaching may exit.
-  defp attach(target, stream, keep) do
-    Situ.attach_tap({target(target), stream}, keep, name: "Studio: " <> stream)
+  defp attach_tap(target, stream, keep) do
+    Situ.attach_tap({resolve_target(target), stream}, keep, name: "Studio: " <> stream)
   catch
-    :exit, _ -> {:error, ended()}
+    :exit, _ -> {:error, ended_error()}
   end
 
   # A remote tap is detached in a task, so that the watcher never waits for another node.
-  defp detach(%{pipeline: pid} = tap) when node(pid) != node(),
-    do: Task.start(fn -> take_away(tap) end)
+  defp detach_tap(%{pipeline: pid} = tap) when node(pid) != node(),
+    do: Task.start(fn -> detach_ignoring_exit(tap) end)
 
-  defp detach(tap), do: take_away(tap)
+  defp detach_tap(tap), do: detach_ignoring_exit(tap)
 
-  defp take_away(tap) do
+  defp detach_ignoring_exit(tap) do
     Situ.detach_tap(tap)
   catch
     :exit, _ -> :ok
   end
 
-  defp outputs(target) do
-    case info(target) do
+  defp fetch_outputs(target) do
+    case fetch_info(target) do
       {:ok, %{state: state} = info} when state != :completed ->
         streams =
           for node <- info.nodes,
@@ -261,36 +265,36 @@ defmodule Situ.Studio.Watch do
     end
   end
 
-  defp info(target) do
-    {:ok, ask(target(target), :info, [])}
+  defp fetch_info(target) do
+    {:ok, call_pipeline(resolve_target(target), :info, [])}
   rescue
     error in Error -> {:error, error}
   catch
-    _, _ -> {:error, ended()}
+    _, _ -> {:error, ended_error()}
   end
 
-  defp ended, do: Error.new(:not_running, "the pipeline has ended")
+  defp ended_error, do: Error.new(:not_running, "the pipeline has ended")
 
-  defp clock(target) do
-    ask(target(target), :now, [])
+  defp pipeline_now(target) do
+    call_pipeline(resolve_target(target), :now, [])
   rescue
     Error -> Situ.Time.now()
   catch
     _, _ -> Situ.Time.now()
   end
 
-  defp ask(pid, function, args) when is_pid(pid) and node(pid) != node(),
+  defp call_pipeline(pid, function, args) when is_pid(pid) and node(pid) != node(),
     do: :erpc.call(node(pid), Situ.Pipeline, function, [pid | args], @answer_ms)
 
-  defp ask(target, function, args), do: apply(Situ.Pipeline, function, [target | args])
+  defp call_pipeline(target, function, args), do: apply(Situ.Pipeline, function, [target | args])
 
   # The process that the function calls may also have exited.
   @doc false
-  def target(fun) when is_function(fun, 0) do
+  def resolve_target(fun) when is_function(fun, 0) do
     fun.()
   catch
     _, _ -> nil
   end
 
-  def target(target), do: target
+  def resolve_target(target), do: target
 end

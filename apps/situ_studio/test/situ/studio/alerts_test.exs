@@ -1,5 +1,5 @@
 defmodule Situ.Studio.AlertsTest do
-  # Rules held against a pipeline that runs: raised and cleared at the times that are told.
+  # Evaluates rules against a running pipeline. Alerts are raised and cleared at the given times.
   use ExUnit.Case, async: true
 
   alias Situ.Studio.{Alerts, Catalog, Settings}
@@ -28,59 +28,59 @@ defmodule Situ.Studio.AlertsTest do
       if Process.alive?(pipeline), do: Situ.Pipeline.stop(pipeline)
     end)
 
-    # a second one under another name, so that the test says when it looks
+    # A second instance under another name, so that the test decides when it evaluates.
     {:ok, alerts} = Alerts.start_link(id: id <> "-by-hand", of: id, tick: false)
     %{id: id, by_hand: id <> "-by-hand", alerts: alerts, layouts: layouts, connector: connector}
   end
 
-  # Delivers a number, and looks until it has come through.
+  # Delivers a number and waits until it has passed through the pipeline.
   defp level(%{id: id, connector: connector}, value) do
     now = System.os_time()
     message = %Situ.Message{data: value, originating_time: now, creation_time: now}
-    {:ok, _, source} = Catalog.open(id, "Mill")
+    {:ok, _, source} = Catalog.open_source(id, "Mill")
     _ = Situ.Studio.Source.call(source, :latest_at, ["Level", now])
-    Situ.Connector.deliver(connector, [message])
+    Situ.Connector.deliver_messages(connector, [message])
 
     Stream.repeatedly(fn -> Situ.Studio.Source.call(source, :latest_at, ["Level", now]) end)
     |> Enum.find(&match?({:ok, %{data: ^value}}, &1))
   end
 
-  test "an alert is raised, lasts, is cleared, and is gone with its rule", context do
+  test "raises an alert, keeps it, clears it, and removes it with its rule", context do
     %{by_hand: by_hand, alerts: alerts, layouts: layouts} = context
 
     :ok =
       Settings.save(layouts, %Settings{alerts: "high: Level > 10\nnever: `errors(Level)` > 0"})
 
     level(context, 5)
-    :ok = Alerts.look(alerts, 100)
-    assert Alerts.of(by_hand, "Mill") == []
+    :ok = Alerts.evaluate_rules(alerts, 100)
+    assert Alerts.list_alerts(by_hand, "Mill") == []
     level(context, 50)
-    :ok = Alerts.look(alerts, 200)
+    :ok = Alerts.evaluate_rules(alerts, 200)
 
     assert [%{rule: "high", text: "Level > 10", raised: 200, cleared: nil}] =
-             Alerts.of(by_hand, "Mill")
+             Alerts.list_alerts(by_hand, "Mill")
 
-    :ok = Alerts.look(alerts, 300)
-    assert [%{raised: 200, cleared: nil}] = Alerts.of(by_hand, "Mill")
-    assert Alerts.count(by_hand, "Mill") == 1
+    :ok = Alerts.evaluate_rules(alerts, 300)
+    assert [%{raised: 200, cleared: nil}] = Alerts.list_alerts(by_hand, "Mill")
+    assert Alerts.count_active(by_hand, "Mill") == 1
     level(context, 7)
-    :ok = Alerts.look(alerts, 400)
-    assert [%{raised: 200, cleared: 400}] = Alerts.of(by_hand, "Mill")
-    assert Alerts.count(by_hand, "Mill") == 0
+    :ok = Alerts.evaluate_rules(alerts, 400)
+    assert [%{raised: 200, cleared: 400}] = Alerts.list_alerts(by_hand, "Mill")
+    assert Alerts.count_active(by_hand, "Mill") == 0
     level(context, 70)
-    :ok = Alerts.look(alerts, 500)
-    assert [%{raised: 500, cleared: nil}] = Alerts.of(by_hand, "Mill")
+    :ok = Alerts.evaluate_rules(alerts, 500)
+    assert [%{raised: 500, cleared: nil}] = Alerts.list_alerts(by_hand, "Mill")
     :ok = Settings.save(layouts, %Settings{alerts: "high: Level > 1000"})
-    :ok = Alerts.look(alerts, 600)
-    assert Alerts.of(by_hand, "Mill") == []
+    :ok = Alerts.evaluate_rules(alerts, 600)
+    assert Alerts.list_alerts(by_hand, "Mill") == []
   end
 
-  test "statistics of components and of their connections are known by their names", context do
+  test "finds statistics of components and their connections by name", context do
     text = "a: `emitted(Level)` >= 0\nb: `memory(Level)` > 0\nc: `queue(Nobody)` >= 0"
     :ok = Settings.save(context.layouts, %Settings{alerts: text})
     level(context, 5)
-    :ok = Alerts.look(context.alerts, 100)
-    assert "b" in Enum.map(Alerts.of(context.by_hand, "Mill"), & &1.rule)
-    refute "c" in Enum.map(Alerts.of(context.by_hand, "Mill"), & &1.rule)
+    :ok = Alerts.evaluate_rules(context.alerts, 100)
+    assert "b" in Enum.map(Alerts.list_alerts(context.by_hand, "Mill"), & &1.rule)
+    refute "c" in Enum.map(Alerts.list_alerts(context.by_hand, "Mill"), & &1.rule)
   end
 end

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.DataSessionTest do
-  # A page's questions and their answers, message by message.
+  # Sends a page's requests and checks the replies, message by message.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -11,12 +11,12 @@ defmodule Situ.Studio.DataSessionTest do
 
   setup do: {:ok, session: session()}
 
-  test "the first answer tells the extents", %{session: session} do
+  test "the first reply contains the time range", %{session: session} do
     {reply, _} = ask(session, %{"req" => 9})
     assert %{req: 9, from: 1_000_000_000, to: 1_999_000_000, frames: [], flags: 0} = reply
   end
 
-  test "a picture is sent once while it holds", %{session: session} do
+  test "sends an image once while it is current", %{session: session} do
     open = %{"open" => [[3, %{"stream" => "image", "viz" => "image"}]], "instant" => [3]}
     {first, session} = ask(session, Map.put(open, "at", "1250000000"))
     assert [%{kind: 4, base: 1_200_000_000, payload: payload}] = first.frames
@@ -29,7 +29,7 @@ defmodule Situ.Studio.DataSessionTest do
     assert [%{kind: 6}] = before.frames
   end
 
-  test "depth goes as it is, with its unit in micrometres", %{session: session} do
+  test "sends depth unchanged, with its unit in micrometers", %{session: session} do
     {_, history} = session.source
     data = <<500::little-16, 0::16, 65_535::little-16>>
     depth = Situ.DepthImage.new!(width: 3, height: 1, data: data, scale: 0.001)
@@ -41,14 +41,14 @@ defmodule Situ.Studio.DataSessionTest do
              frame.payload
   end
 
-  test "a snapped cursor is moved to the nearest message", %{session: session} do
+  test "moves a snapped cursor to the nearest message", %{session: session} do
     {reply, _} = ask(session, %{"at" => "1260000000", "snap" => "image"})
     assert reply.time == 1_300_000_000
     {reply, _} = ask(session, %{"at" => "1260000000", "snap" => "nothing"})
     assert reply.time == 1_260_000_000
   end
 
-  test "what is asked for wrongly is said on its channel, and the others are answered", %{
+  test "reports invalid requests on their channel, and serves the others", %{
     session: session
   } do
     {reply, _} =
@@ -71,7 +71,7 @@ defmodule Situ.Studio.DataSessionTest do
     assert [8, 8, 8, 1, 1] = Enum.map(reply.frames, & &1.kind)
   end
 
-  test "a source that is gone says so and keeps its extents", %{session: session} do
+  test "reports a source that is gone, and keeps its time range", %{session: session} do
     {_, session} = ask(session, %{})
     {_, history} = session.source
     :ets.delete(history.streams)
@@ -88,7 +88,7 @@ defmodule Situ.Studio.DataSessionTest do
     assert [%{kind: 8}] = reply.frames
   end
 
-  test "messages that are not what they claim to be are shown as such", %{session: session} do
+  test "shows malformed messages as they are", %{session: session} do
     {_, history} = session.source
 
     broken = [
@@ -124,22 +124,24 @@ defmodule Situ.Studio.DataSessionTest do
     assert {:ok, _} = Source.call(session.source, :streams, [])
   end
 
-  property "whatever bytes come, there is an answer or a refusal" do
+  property "replies to any bytes, or refuses them" do
     forall bytes <- binary() do
-      case DataSession.handle(bytes, DataSession.new({Source.History, History.new()})) do
+      case DataSession.handle_request(bytes, DataSession.new({Source.History, History.new()})) do
         {:ok, _, _} -> true
         {:error, %Situ.Error{code: :bad_request}} -> true
       end
     end
   end
 
-  property "whatever JSON comes, there is an answer or a refusal" do
+  property "replies to any JSON, or refuses it" do
     forall fields <- list({key(), value()}) do
       history = History.new()
       History.put(history, "s", message(5, 1.0, 1), 8)
       request = Map.merge(%{"req" => 1}, Map.new(fields))
       text = Situ.JSON.encode(request)
-      assert {:ok, _, _} = DataSession.handle(text, DataSession.new({Source.History, history}))
+
+      assert {:ok, _, _} =
+               DataSession.handle_request(text, DataSession.new({Source.History, history}))
     end
   end
 
@@ -148,9 +150,9 @@ defmodule Situ.Studio.DataSessionTest do
   defp scalar, do: one_of([integer(), boolean(), nil, "1", float(), "s", "line"])
   defp spec, do: one_of([constant(%{"stream" => "s", "viz" => "line"}), constant(%{})])
 
-  test "sizes are as documented", %{session: session} do
-    {:ok, reply, _} = DataSession.handle(~s({"req": 1}), session)
+  test "the sizes are as documented", %{session: session} do
+    {:ok, reply, _} = DataSession.handle_request(~s({"req": 1}), session)
     assert IO.iodata_length(reply) == @head
-    assert IO.iodata_length(Situ.Studio.Frame.none(1)) == @frame
+    assert IO.iodata_length(Situ.Studio.Frame.no_message(1)) == @frame
   end
 end

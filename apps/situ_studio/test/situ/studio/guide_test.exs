@@ -1,5 +1,5 @@
 defmodule Situ.Studio.GuideTest do
-  # Starts servers under names of their own.
+  # Not async, because the snippets start servers under their own names.
   use ExUnit.Case, async: true
 
   @guide Path.expand("../../../../../docs/guides/studio.md", __DIR__)
@@ -11,7 +11,7 @@ defmodule Situ.Studio.GuideTest do
     |> Enum.concat()
 
   for {code, i} <- Enum.with_index(snippets, 1) do
-    test "snippet #{i} of the guide runs" do
+    test "runs snippet #{i} of the guide" do
       Process.flag(:trap_exit, true)
       assert {_, bindings} = Code.eval_string(unquote(code), [], file: @guide)
 

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.HeadsetTest do
-  # A page of the test's own, over a real WebSocket: moments, and drawings that wait for one another.
+  # A page of this test sends moments over a real WebSocket, and acknowledges drawings one by one.
   use ExUnit.Case, async: true
   alias Situ.{Box3, JSON, Pose}
   alias Situ.Studio.Headset
@@ -25,7 +25,7 @@ defmodule Situ.Studio.HeadsetTest do
       end)
 
     on_exit(fn -> Situ.Pipeline.stop(pipeline, timeout: 1_000) end)
-    Page.poll(fn -> Inbox.find(Headset, name) != :error end)
+    Page.poll(fn -> Inbox.fetch_sensor(Headset, name) != :error end)
     %{port: Situ.Studio.port(studio), name: name}
   end
 
@@ -39,17 +39,17 @@ defmodule Situ.Studio.HeadsetTest do
   defp moment(flags, rows, planes \\ ""),
     do: IO.iodata_to_binary([<<4, flags, 0::48, Page.now_ms()::little-float-64>>, rows, planes])
 
-  # Joints in a row, away from the wearer.
+  # Returns joints in a row that leads away from the wearer.
   defp hand, do: for(i <- 0..24, do: row({0.1, 1.0, -i / 100}))
 
-  test "head, hands, gaze, selections and planes come as what they are", context do
+  test "receives head, hands, gaze, selections and planes", context do
     {"HTTP/1.1 101" <> _, socket} = connect(context)
     assert Page.json(socket) == %{"credit" => 4}
     Page.text(socket, %{offset: 0})
     half = :math.sqrt(0.5)
     floor = %{label: "floor", pose: [0, 0, -2, 0, 0, 0, 1], polygon: [[-1, -3], [1, -3], [1, 3]]}
 
-    # turned a quarter to the left, hand, gaze to the right, a pinch of the right hand
+    # The head is turned a quarter to the left, the gaze points right, and the right hand pinches.
     head = row({0.0, 1.6, -2.0}, {0.0, half, 0.0, half})
     right = row({0.0, 1.6, -2.0}, {0.0, -half, 0.0, half})
     bytes = moment(2 + 4 + 8 + 32 + 64, [head, hand(), right], JSON.encode([floor]))
@@ -57,15 +57,15 @@ defmodule Situ.Studio.HeadsetTest do
 
     assert_receive {:head, %Pose{} = pose}
     assert near?(pose.position, {2.0, 0.0, 1.6})
-    {ahead, _, up} = Pose.axes(pose)
+    {ahead, _, up} = Pose.axis_directions(pose)
     assert near?(ahead, {0.0, 1.0, 0.0}) and near?(up, {0.0, 0.0, 1.0})
     assert_receive {:right, skeleton}
     assert map_size(skeleton.joints) == 26 and skeleton.id == :right
-    assert Enum.sort(Map.keys(skeleton.joints)) == Enum.sort(Packet.joints())
+    assert Enum.sort(Map.keys(skeleton.joints)) == Enum.sort(Packet.hand_joints())
     assert length(skeleton.bones) == 25
     assert near?(skeleton.joints.wrist.position, {0.0, -0.1, 1.0})
     assert near?(skeleton.joints.pinky_finger_tip.position, {0.24, -0.1, 1.0})
-    # of the middle finger, joints 10 and 11
+    # The palm is between joints 10 and 11 of the middle finger.
     assert near?(skeleton.joints.palm.position, {0.105, -0.1, 1.0})
     assert_receive {:gaze, ray}
     assert near?(ray.origin, {2.0, 0.0, 1.6}) and near?(ray.direction, {0.0, -1.0, 0.0})
@@ -75,8 +75,13 @@ defmodule Situ.Studio.HeadsetTest do
     assert_in_delta rectangle.width, 2.0, 1.0e-6
     assert_in_delta rectangle.height, 6.0, 1.0e-6
     assert near?(rectangle.pose.position, {2.0, 0.0, 0.0})
-    assert near?(rectangle |> Situ.Rectangle3.plane() |> Map.fetch!(:normal), {0.0, 0.0, 1.0})
-    corners = Situ.Rectangle3.corners(rectangle)
+
+    assert near?(
+             rectangle |> Situ.Rectangle3.containing_plane() |> Map.fetch!(:normal),
+             {0.0, 0.0, 1.0}
+           )
+
+    corners = Situ.Rectangle3.corner_points(rectangle)
     assert Enum.any?(corners, &near?(&1, {5.0, 1.0, 0.0}))
     assert Page.json(socket) == %{"credit" => 1}
     refute_received {:left, _}
@@ -85,7 +90,7 @@ defmodule Situ.Studio.HeadsetTest do
   defp near?({a, b, c}, {x, y, z}),
     do: abs(a - x) < 1.0e-5 and abs(b - y) < 1.0e-5 and abs(c - z) < 1.0e-5
 
-  test "of drawings that come while one is on its way the newest follows it", context do
+  test "sends only the newest drawing after one is acknowledged", context do
     {_, socket} = connect(context)
     Page.text(socket, %{offset: 0})
     head = row({0.0, 1.6, 0.0})
@@ -94,15 +99,15 @@ defmodule Situ.Studio.HeadsetTest do
 
     for flags <- [64, 64, 16 + 64], i = System.unique_integer([:positive]) do
       Page.push(socket, 2, moment(flags, row({0.0, 1.6, i / 1.0e9})))
-      # times have to grow
+      # Times must increase.
       assert_receive {:head, _}
     end
 
-    # However many of the three find one on its way, the last of them is drawn in the end.
+    # However many of the three arrive while one is in flight, the last one is drawn in the end.
     assert newest(socket, 3) == ["boxes", "texts"]
     Page.text(socket, %{drawn: "said"})
 
-    # a page that comes later gets what was shown last
+    # A page that connects later gets the last drawing.
     :gen_tcp.close(socket)
     {first, socket} = Page.again(fn -> connect(context) end)
     assert %{"layer" => "said", "items" => ["boxes", "texts"]} = drawing(socket, first)
@@ -135,7 +140,7 @@ defmodule Situ.Studio.HeadsetTest do
     end
   end
 
-  test "bytes that are no moment end the connection, and the pipeline goes on", context do
+  test "invalid bytes end the connection, and the pipeline continues", context do
     nan = <<0, 0, 0xC0, 0x7F>>
     head = row({0.0, 1.6, 0.0})
     plane = %{label: "x", pose: [0, 0, 0, 0, 0, 0, 1], polygon: [[0, 0]]}
@@ -154,7 +159,7 @@ defmodule Situ.Studio.HeadsetTest do
       moment(8, head, JSON.encode([%{plane | label: 7}])),
       moment(8, head, JSON.encode(List.duplicate(plane, 300))),
       <<4, 0, 0::48, 1.0::little-float-64>> <> head,
-      # what a camera's page sends
+      # This is what a camera's page sends.
       <<1, 0::24, 1::little-16, 1::little-16, Page.now_ms()::little-float-64>> <> <<0xFF, 0xD8>>
     ]
 
@@ -172,7 +177,7 @@ defmodule Situ.Studio.HeadsetTest do
     assert_receive {:head, _}
   end
 
-  test "two drawings of one name, and a colour that is none, are errors" do
+  test "rejects two drawings with the same name, and an invalid color" do
     twice = fn p ->
       numbers = Situ.from_enumerable(p, 1..3)
       Display.show(numbers, page: "twice", as: "a")
@@ -182,7 +187,7 @@ defmodule Situ.Studio.HeadsetTest do
     assert {:error, error} = Situ.Pipeline.run(twice)
     assert Exception.message(error) =~ ~s(shown as "a" in "twice" already)
 
-    assert_raise Situ.Error, ~r/"red" is no colour/, fn ->
+    assert_raise Situ.Error, ~r/invalid colour "red"/, fn ->
       Situ.Pipeline.run(fn p -> p |> Situ.from_enumerable(1..3) |> Display.show(color: "red") end)
       |> elem(1)
       |> raise()

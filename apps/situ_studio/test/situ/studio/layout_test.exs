@@ -10,32 +10,32 @@ defmodule Situ.Studio.LayoutTest do
   @actions [:add, :remove, :resize, :move, :remove_vis, :threshold, :place, :shift]
   @panels [:plot, :lanes, :image, :value, :bars]
 
-  property "any editing gives a layout that its file and its link bring back" do
+  property "any edited layout is restored from its file and its link" do
     forall actions <- list({one_of(@actions), integer(1, 12), one_of(@panels)}) do
       layout = Enum.reduce(actions, Layout.new("x"), &edit/2)
 
-      assert Layout.Text.read(Layout.Text.write(layout)) == {:ok, renumber(layout)}
+      assert Layout.Text.parse_json(Layout.Text.to_json(layout)) == {:ok, renumber(layout)}
       assert Link.decode(Link.encode(layout)) == {:ok, renumber(layout)}
-      assert Enum.all?(Layout.lines(layout), &(&1 != []))
-      # every row stands once, and holds either one timeline or cells
-      names = for [p | _] <- Layout.lines(layout), do: p.row || p.id
+      assert Enum.all?(Layout.panel_lines(layout), &(&1 != []))
+      # Every row occurs once, and contains either one timeline or cells.
+      names = for [p | _] <- Layout.panel_lines(layout), do: p.row || p.id
       assert names == Enum.uniq(names)
-      assert Enum.all?(Layout.lines(layout), &(length(&1) <= 5))
+      assert Enum.all?(Layout.panel_lines(layout), &(length(&1) <= 5))
     end
   end
 
-  property "the recording compared with, and the shift of its times, are in the file" do
+  property "the file keeps the compared recording and its time offset" do
     forall {bytes, offset} <- {binary(), integer()} do
       id = Base.url_encode64(bytes)
 
       for offset <- [offset, offset * 1_000_000_007, 1_700_000_000_000_000_001] do
         layout = %{Layout.new("x") | compared: {id, offset}}
-        assert Layout.Text.read(Layout.Text.write(layout)) == {:ok, layout}
+        assert Layout.Text.parse_json(Layout.Text.to_json(layout)) == {:ok, layout}
       end
     end
   end
 
-  test "a comparison that makes no sense is none" do
+  test "ignores an invalid comparison" do
     for compared <- [
           ~s(7),
           ~s({"with": "a"}),
@@ -43,55 +43,59 @@ defmodule Situ.Studio.LayoutTest do
           ~s({"with": "a", "offset": "1e9"})
         ] do
       json = ~s({"version": 1, "name": "x", "panels": [], "compared": #{compared}})
-      assert {:ok, %{compared: nil}} = Layout.Text.read(json)
+      assert {:ok, %{compared: nil}} = Layout.Text.parse_json(json)
     end
   end
 
-  # The number of the next panel is found anew from those that are there.
+  # The next panel number is derived from the existing panels.
   defp renumber(layout) do
     numbers = for %{id: "p" <> n} <- layout.rows, do: String.to_integer(n)
     %{layout | next: Enum.max(numbers, fn -> 0 end) + 1}
   end
 
   defp edit({:add, n, panel}, layout) do
-    case Layout.add(layout, "S#{n}", "line", panel, "p#{n}") do
+    case Layout.add_stream(layout, "S#{n}", "line", panel, "p#{n}") do
       {:ok, layout, _} -> layout
       {:error, %{code: :full}} -> layout
     end
   end
 
-  defp edit({:remove, n, _}, layout), do: Layout.remove(layout, "p#{n}")
+  defp edit({:remove, n, _}, layout), do: Layout.remove_panel(layout, "p#{n}")
   defp edit({:remove_vis, n, _}, layout), do: Layout.remove_vis(layout, "p#{n}", 0)
 
   defp edit({:threshold, n, _}, layout) do
     side = if rem(n, 2) == 0, do: :below, else: :above
-    Layout.update(layout, "p#{n}", &%{&1 | threshold: {side, n / 3}})
+    Layout.update_panel(layout, "p#{n}", &%{&1 | threshold: {side, n / 3}})
   end
 
-  defp edit({:resize, n, _}, layout), do: Layout.resize(layout, "p#{n}", n * 100 - 200)
+  defp edit({:resize, n, _}, layout), do: Layout.resize_row(layout, "p#{n}", n * 100 - 200)
 
   defp edit({:move, n, _}, layout),
-    do: Layout.move(layout, "p#{n}", if(rem(n, 2) == 0, do: 1, else: -1))
+    do: Layout.move_row(layout, "p#{n}", if(rem(n, 2) == 0, do: 1, else: -1))
 
   defp edit({:place, n, panel}, layout) do
     side = Enum.at([:above, :below, :left, :right], rem(n, 4))
     target = if side in [:left, :right], do: "p#{rem(n * 5, 12) + 1}", else: row(layout, n * 7)
-    same_panels(layout, Layout.place(layout, "p#{n}", {side, target || Atom.to_string(panel)}))
+
+    same_panels(
+      layout,
+      Layout.move_panel(layout, "p#{n}", {side, target || Atom.to_string(panel)})
+    )
   end
 
   defp edit({:shift, n, _}, layout),
     do:
       same_panels(
         layout,
-        Layout.shift(layout, "p#{n}", Enum.at([:up, :down, :left, :right], rem(n, 4)))
+        Layout.shift_panel(layout, "p#{n}", Enum.at([:up, :down, :left, :right], rem(n, 4)))
       )
 
   defp row(layout, n) do
-    lines = Layout.lines(layout)
+    lines = Layout.panel_lines(layout)
     with [p | _] <- Enum.at(lines, rem(n, max(length(lines), 1))), do: p.row || p.id
   end
 
-  # Moving loses nothing and makes nothing.
+  # Moving neither loses nor creates panels.
   defp same_panels(before, {:ok, layout}) do
     strip = fn l -> l.rows |> Enum.map(&%{&1 | row: nil, height: nil}) |> Enum.sort() end
     assert strip.(layout) == strip.(before)
@@ -101,7 +105,7 @@ defmodule Situ.Studio.LayoutTest do
   defp same_panels(before, {:error, %{code: :full}}), do: before
 
   @tag :tmp_dir
-  test "files that are no layouts are named with the reason; a layout of another version is not taken for none",
+  test "reports files that are not layouts with the reason, and ignores other versions",
        %{tmp_dir: dir} do
     panel = %{"id" => "p1", "panel" => "plot", "vis" => []}
     text = &Situ.JSON.encode(%{"version" => &1, "name" => &2, "panels" => &3})
@@ -109,23 +113,25 @@ defmodule Situ.Studio.LayoutTest do
     File.write!(Path.join(dir, "b.json"), text.(99, "Future", []))
     File.write!(Path.join(dir, "c.json"), text.(1, "Twice", [panel, panel]))
     File.write!(Path.join(dir, "d.json"), text.(1, "Good", [panel]))
-    assert Layouts.names(dir) == ["Good"]
+    assert Layouts.list_names(dir) == ["Good"]
 
-    assert for({path, error} <- Layouts.problems(dir), do: {Path.basename(path), error.what}) == [
-             {"a.json", "this file is not a layout: it is not JSON"},
-             {"b.json", "this file is not a layout: it is of version 99, this studio reads 1"},
-             {"c.json", "this file is not a layout: two panels have the id p1"}
-           ]
+    assert for({path, error} <- Layouts.list_problems(dir), do: {Path.basename(path), error.what}) ==
+             [
+               {"a.json", "this file is not a layout: it is not JSON"},
+               {"b.json",
+                "this file is not a layout: it has version 99, but this studio reads 1"},
+               {"c.json", "this file is not a layout: two panels have the id p1"}
+             ]
 
     assert {:error, %{code: :bad_layout}} = Layouts.load(dir, "Future")
     assert {:error, %{code: :no_layout}} = Layouts.load(dir, "None")
   end
 
   describe "moving panels" do
-    # r1: A B | r2: C | plots P, Q
+    # The layout is r1: A B | r2: C | plots P, Q.
     setup do
       add = fn layout, stream, panel, row ->
-        {:ok, layout, _} = Layout.add(layout, stream, "x", panel, "", row: row)
+        {:ok, layout, _} = Layout.add_stream(layout, stream, "x", panel, "", row: row)
         layout
       end
 
@@ -141,19 +147,21 @@ defmodule Situ.Studio.LayoutTest do
     end
 
     defp streams({:ok, layout}), do: streams(layout)
-    defp streams(l), do: for(line <- Layout.lines(l), do: Enum.map(line, &hd(&1.vis).stream))
+
+    defp streams(l),
+      do: for(line <- Layout.panel_lines(l), do: Enum.map(line, &hd(&1.vis).stream))
 
     defp id(layout, stream), do: Enum.find(layout.rows, &(hd(&1.vis).stream == stream)).id
 
-    test "a timeline goes above or below any row", %{layout: l} do
-      assert streams(Layout.place(l, id(l, "Q"), {:above, "r1"})) == [
+    test "puts a timeline above or below any row", %{layout: l} do
+      assert streams(Layout.move_panel(l, id(l, "Q"), {:above, "r1"})) == [
                ["Q"],
                ["A", "B"],
                ["C"],
                ["P"]
              ]
 
-      assert streams(Layout.place(l, id(l, "P"), {:below, id(l, "Q")})) == [
+      assert streams(Layout.move_panel(l, id(l, "P"), {:below, id(l, "Q")})) == [
                ["A", "B"],
                ["C"],
                ["Q"],
@@ -161,65 +169,86 @@ defmodule Situ.Studio.LayoutTest do
              ]
     end
 
-    test "a timeline does not stand beside anything", %{layout: l} do
-      assert Layout.place(l, id(l, "P"), {:left, id(l, "A")}) == {:ok, l}
-      assert Layout.place(l, id(l, "A"), {:left, id(l, "P")}) == {:ok, l}
+    test "does not put a timeline next to another panel", %{layout: l} do
+      assert Layout.move_panel(l, id(l, "P"), {:left, id(l, "A")}) == {:ok, l}
+      assert Layout.move_panel(l, id(l, "A"), {:left, id(l, "P")}) == {:ok, l}
     end
 
-    test "a cell goes beside another and takes the height of its row", %{layout: l} do
-      l = Layout.resize(l, "r1", 500)
-      {:ok, moved} = Layout.place(l, id(l, "C"), {:right, id(l, "A")})
+    test "puts a cell next to another one, at the height of its row", %{layout: l} do
+      l = Layout.resize_row(l, "r1", 500)
+      {:ok, moved} = Layout.move_panel(l, id(l, "C"), {:right, id(l, "A")})
       assert streams(moved) == [["A", "C", "B"], ["P"], ["Q"]]
-      assert Layout.panel(moved, id(l, "C")).height == 500
+      assert Layout.find_panel(moved, id(l, "C")).height == 500
     end
 
-    test "a cell goes into a row of its own", %{layout: l} do
-      {:ok, moved} = Layout.place(l, id(l, "A"), {:below, id(l, "P")})
+    test "puts a cell into its own row", %{layout: l} do
+      {:ok, moved} = Layout.move_panel(l, id(l, "A"), {:below, id(l, "P")})
       assert streams(moved) == [["B"], ["C"], ["P"], ["A"], ["Q"]]
 
-      assert streams(Layout.place(l, id(l, "A"), {:below, "r1"})) |> Enum.take(2) == [
+      assert streams(Layout.move_panel(l, id(l, "A"), {:below, "r1"})) |> Enum.take(2) == [
                ["B"],
                ["A"]
              ]
     end
 
-    test "keys move a cell past its neighbour, out of its row and into the next", %{layout: l} do
-      assert streams(Layout.shift(l, id(l, "A"), :right)) |> hd() == ["B", "A"]
-      assert streams(Layout.shift(l, id(l, "B"), :right)) == [["A"], ["B", "C"], ["P"], ["Q"]]
-      assert streams(Layout.shift(l, id(l, "C"), :left)) == [["A", "B", "C"], ["P"], ["Q"]]
-      assert streams(Layout.shift(l, id(l, "B"), :up)) == [["B"], ["A"], ["C"], ["P"], ["Q"]]
-      assert streams(Layout.shift(l, id(l, "C"), :down)) == [["A", "B"], ["P"], ["C"], ["Q"]]
-      assert streams(Layout.shift(l, id(l, "P"), :up)) == [["A", "B"], ["P"], ["C"], ["Q"]]
+    test "moves a cell by keys, also out of its row and into the next", %{layout: l} do
+      assert streams(Layout.shift_panel(l, id(l, "A"), :right)) |> hd() == ["B", "A"]
+
+      assert streams(Layout.shift_panel(l, id(l, "B"), :right)) == [
+               ["A"],
+               ["B", "C"],
+               ["P"],
+               ["Q"]
+             ]
+
+      assert streams(Layout.shift_panel(l, id(l, "C"), :left)) == [["A", "B", "C"], ["P"], ["Q"]]
+
+      assert streams(Layout.shift_panel(l, id(l, "B"), :up)) == [
+               ["B"],
+               ["A"],
+               ["C"],
+               ["P"],
+               ["Q"]
+             ]
+
+      assert streams(Layout.shift_panel(l, id(l, "C"), :down)) == [
+               ["A", "B"],
+               ["P"],
+               ["C"],
+               ["Q"]
+             ]
+
+      assert streams(Layout.shift_panel(l, id(l, "P"), :up)) == [["A", "B"], ["P"], ["C"], ["Q"]]
     end
 
-    test "what cannot move stays", %{layout: l} do
+    test "leaves panels that cannot move", %{layout: l} do
       for {stream, way} <- [{"A", :left}, {"C", :right}, {"P", :left}, {"Q", :down}],
-          do: assert(Layout.shift(l, id(l, stream), way) == {:ok, l})
+          do: assert(Layout.shift_panel(l, id(l, stream), way) == {:ok, l})
 
-      assert Layout.shift(l, "p99", :up) == {:ok, l}
-      assert Layout.place(l, "p99", {:above, "r1"}) == {:ok, l}
-      assert Layout.place(l, id(l, "A"), {:above, "r99"}) == {:ok, l}
+      assert Layout.shift_panel(l, "p99", :up) == {:ok, l}
+      assert Layout.move_panel(l, "p99", {:above, "r1"}) == {:ok, l}
+      assert Layout.move_panel(l, id(l, "A"), {:above, "r99"}) == {:ok, l}
     end
 
-    test "a row that is full says so", %{layout: l} do
+    test "reports a full row", %{layout: l} do
       l =
         Enum.reduce(1..3, l, fn i, l ->
-          {:ok, l, _} = Layout.add(l, "X#{i}", "x", :value, "", row: "r1")
+          {:ok, l, _} = Layout.add_stream(l, "X#{i}", "x", :value, "", row: "r1")
           l
         end)
 
-      assert {:error, %{code: :full}} = Layout.place(l, id(l, "C"), {:left, id(l, "A")})
+      assert {:error, %{code: :full}} = Layout.move_panel(l, id(l, "C"), {:left, id(l, "A")})
     end
   end
 
-  property "no bytes make reading a layout or a link raise" do
+  property "reading a layout or a link never raises for any bytes" do
     forall bytes <- binary() do
-      assert {:error, %Situ.Error{}} = Layout.Text.read(bytes)
+      assert {:error, %Situ.Error{}} = Layout.Text.parse_json(bytes)
       assert {:error, %Situ.Error{}} = Link.decode(bytes)
     end
   end
 
-  test "a link cannot blow up into a large text" do
+  test "a link cannot expand into a large text" do
     bomb = Base.url_encode64(:zlib.zip(:binary.copy("a", 5_000_000)), padding: false)
     assert byte_size(bomb) < 8_000
     assert {:error, %{code: :bad_link}} = Link.decode(bomb)
@@ -228,27 +257,27 @@ defmodule Situ.Studio.LayoutTest do
   describe "files" do
     @describetag :tmp_dir
 
-    test "are saved, listed, loaded and deleted by name, whatever the name", %{tmp_dir: dir} do
+    test "are saved, listed, loaded and deleted by any name", %{tmp_dir: dir} do
       names = ["Mine", "mine", "../../etc/passwd", "a/b", "Größe 1", "<b>"]
       for name <- names, do: assert(:ok = Layouts.save(dir, Layout.new(name)))
-      assert Layouts.names(dir) == Enum.sort(names)
+      assert Layouts.list_names(dir) == Enum.sort(names)
       assert dir |> Path.join("*") |> Path.wildcard() |> length() == length(names)
       assert {:ok, %Layout{name: "a/b"}} = Layouts.load(dir, "a/b")
       :ok = Layouts.delete(dir, "a/b")
       assert {:error, %{code: :no_layout}} = Layouts.load(dir, "a/b")
     end
 
-    test "that are no layouts are passed over; empty names are refused", %{tmp_dir: dir} do
+    test "that are not layouts are ignored, and empty names are rejected", %{tmp_dir: dir} do
       File.write!(Path.join(dir, "x.json"), "{}")
-      assert Layouts.names(dir) == []
+      assert Layouts.list_names(dir) == []
       assert {:error, %{code: :bad_name}} = Layouts.save(dir, Layout.new("  "))
       assert {:error, %{code: :not_saved}} = Layouts.save("/proc/nothing", Layout.new("a"))
     end
   end
 
-  test "a layout of another version or with nonsense in it is refused with the reason" do
+  test "rejects a layout of another version or with invalid panels, with the reason" do
     assert {:error, %{why: nil, what: what}} =
-             Layout.Text.read(~s({"version": 9, "name": "x", "panels": []}))
+             Layout.Text.parse_json(~s({"version": 9, "name": "x", "panels": []}))
 
     assert what =~ "version 9"
 
@@ -260,22 +289,22 @@ defmodule Situ.Studio.LayoutTest do
           "17"
         ] do
       json = ~s({"version": 1, "name": "x", "panels": [#{panel}]})
-      assert {:error, %{code: :bad_layout}} = Layout.Text.read(json)
+      assert {:error, %{code: :bad_layout}} = Layout.Text.parse_json(json)
     end
   end
 
-  test "the automatic layout shows something of any stream, and pictures with their shapes" do
+  test "the automatic layout shows any stream, and images with their shapes" do
     shapes =
       [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :bars, :value] ++
         [:signals, :states, :spans]
 
     for shape <- shapes do
-      layout = Layout.Auto.layout([%StreamInfo{name: "A.b", shape: shape}])
+      layout = Layout.Auto.build_layout([%StreamInfo{name: "A.b", shape: shape}])
       assert layout.rows != [], "nothing of a #{shape}"
     end
 
     layout =
-      Layout.Auto.layout([
+      Layout.Auto.build_layout([
         %StreamInfo{name: "Left.Image", shape: :image},
         %StreamInfo{name: "Right.Image", shape: :image},
         %StreamInfo{name: "Right.Faces", shape: :shapes}
@@ -284,10 +313,10 @@ defmodule Situ.Studio.LayoutTest do
     assert [["Left.Image"], ["Right.Image", "Right.Faces"]] =
              for(p <- layout.rows, do: Enum.map(p.vis, & &1.stream))
 
-    assert Layout.Auto.layout([]).rows == []
+    assert Layout.Auto.build_layout([]).rows == []
   end
 
-  test "a wide picture stands above the timelines in a row of its own, others side by side" do
+  test "puts a wide image in its own row above the timelines, and others side by side" do
     streams = [
       %StreamInfo{name: "Pan", shape: :image},
       %StreamInfo{name: "Left", shape: :image},
@@ -302,41 +331,41 @@ defmodule Situ.Studio.LayoutTest do
       "Right" => %Look{width: 640, height: 480}
     }
 
-    assert %{beside: false} = layout = Layout.Auto.layout(streams, looks)
+    assert %{beside: false} = layout = Layout.Auto.build_layout(streams, looks)
 
     assert [["Pan"], ["Left", "Right"], ["Sound"], ["Level"]] =
-             for(line <- Layout.lines(layout), do: for(p <- line, do: hd(p.vis).stream))
+             for(line <- Layout.panel_lines(layout), do: for(p <- line, do: hd(p.vis).stream))
 
-    assert %{beside: true} = Layout.Auto.layout(streams, Map.delete(looks, "Pan"))
+    assert %{beside: true} = Layout.Auto.build_layout(streams, Map.delete(looks, "Pan"))
   end
 
-  test "pictures of class numbers are coloured: over a camera's picture, or alone" do
+  test "colors images of class numbers: over a camera's image, or alone" do
     streams = for n <- ["Cam.Image", "Cam.Classes"], do: %StreamInfo{name: n, shape: :image}
     looks = %{"Cam.Classes" => %Look{width: 640, height: 480, classes: true}}
 
     assert [%{vis: [%{viz: "image", stream: "Cam.Image"}, %{viz: "masks"}]}] =
-             Layout.Auto.layout(streams, looks).rows
+             Layout.Auto.build_layout(streams, looks).rows
 
     alone = for n <- ["A", "B"], do: %StreamInfo{name: n, shape: :image}
     looks = Map.new(["A", "B"], &{&1, %Look{width: 640, height: 480, classes: true}})
 
     assert [[%{viz: "masks", stream: "A"}], [%{viz: "masks", stream: "B"}]] =
-             for(p <- Layout.Auto.layout(alone, looks).rows, do: p.vis)
+             for(p <- Layout.Auto.build_layout(alone, looks).rows, do: p.vis)
   end
 
-  test "a dark picture is none of class numbers, and neither is one of one shade" do
+  test "a dark or uniform image is not an image of class numbers" do
     :rand.seed(:exsss, {1, 2, 3})
     noise = for _ <- 1..4_800, into: <<>>, do: <<:rand.uniform(12)>>
     even = :binary.copy(<<7>>, 4_800)
     labels = for y <- 0..59, x <- 0..79, into: <<>>, do: <<div(x, 20) + div(y, 30) * 4>>
 
-    look = &Look.of(Situ.Image.new!(width: 80, height: 60, format: :gray8, data: &1))
+    look = &Look.detect_look(Situ.Image.new!(width: 80, height: 60, format: :gray8, data: &1))
     assert Enum.map([noise, even, labels], &look.(&1).classes) == [false, false, true]
 
-    assert Look.of("no picture") == nil
+    assert Look.detect_look("no picture") == nil
   end
 
-  test "the automatic layout of a talk: who speaks and when in lanes, openings as lines" do
+  test "the automatic layout of a talk puts speakers in lanes and openings in lines" do
     streams = [
       %StreamInfo{name: "Talk.Pictures", shape: :image},
       %StreamInfo{name: "Talk.Faces", shape: :shapes},
@@ -347,7 +376,7 @@ defmodule Situ.Studio.LayoutTest do
       %StreamInfo{name: "Talk.Voice.Probability", shape: :signal}
     ]
 
-    layout = Layout.Auto.layout(streams)
+    layout = Layout.Auto.build_layout(streams)
 
     assert [
              {:image, ["image", "shapes"]},
@@ -357,8 +386,11 @@ defmodule Situ.Studio.LayoutTest do
              {:plot, ["line"]}
            ] = for(p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.viz)})
 
-    # the page is 720 high, and its bars and the navigator take 118 of it
-    heights = for line <- Layout.lines(layout), do: Layout.height(line, %{"Talk.Speaking" => 2})
+    # The page is 720 pixels high, and its bars and the navigator use 118 of them.
+    heights =
+      for line <- Layout.panel_lines(layout),
+          do: Layout.line_height(line, %{"Talk.Speaking" => 2})
+
     assert Enum.sum(heights) <= 720 - 118
   end
 end

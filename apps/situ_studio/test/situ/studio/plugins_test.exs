@@ -1,12 +1,12 @@
 defmodule Situ.Studio.PluginsTest do
-  # Compiles modules into this VM and registers readers and tasks in it.
+  # Not async, because it compiles modules into this VM and registers readers and tasks.
   use ExUnit.Case, async: false
 
   alias Situ.Studio.{Asking, DataSession, GuidePlugin, History, Plugins, Source}
 
   @moduletag :tmp_dir
 
-  # The next test has the guide's module from another folder.
+  # The next test loads the guide's module from another folder.
   setup do
     on_exit(fn ->
       :code.purge(Gaze.Angles)
@@ -39,7 +39,7 @@ defmodule Situ.Studio.PluginsTest do
     Plugins.plugin(folder)
   end
 
-  test "the guide's plug-in is whole: its visualizer, its adapter, its script", %{tmp_dir: dir} do
+  test "loads the guide's visualizer, adapter and script", %{tmp_dir: dir} do
     folder = Path.join(dir, "gaze-heat-map")
     assert length(GuidePlugin.write(folder)) == 5
     assert [plugin] = Plugins.load([dir])
@@ -50,16 +50,16 @@ defmodule Situ.Studio.PluginsTest do
     assert heat.script == "/plugins/gaze-heat-map/heat.js"
     assert heat.asks == [:seconds]
 
-    ids = for v <- Plugins.visualizers([plugin]), do: {v.id, v.shapes}
+    ids = for v <- Plugins.list_visualizers([plugin]), do: {v.id, v.shapes}
     assert {"gaze-heat-map/heat", [:shapes]} in ids
     assert {"shapes@gaze-angles", [:signals]} in ids
-    # loaded twice is loaded once
+    # A second load returns the same modules.
     assert Plugins.plugin(folder).modules == plugin.modules
   end
 
-  test "the past of a stream comes as rows, through the adapter too", %{tmp_dir: dir} do
+  test "sends the history of a stream as rows, also through the adapter", %{tmp_dir: dir} do
     GuidePlugin.write(dir)
-    extra = Plugins.visualizers([Plugins.plugin(dir)])
+    extra = Plugins.list_visualizers([Plugins.plugin(dir)])
     history = History.new(live: false)
 
     for i <- 0..20 do
@@ -79,20 +79,21 @@ defmodule Situ.Studio.PluginsTest do
     assert_in_delta y, 120 - 300 * :math.tan(:math.pi() / 18), 1.0e-9
   end
 
-  test "a manifest that is wrong is a problem in words", %{tmp_dir: dir} do
+  test "explains errors in a manifest", %{tmp_dir: dir} do
     for {text, words} <- [
           {"{", "not JSON"},
-          {"{}", ~s(must begin with "plugin": 1)},
+          {"{}", ~s(must contain "plugin": 1)},
           {~s({"plugin": 2, "id": "a"}), "reads version 1"},
-          {manifest([part(%{"panel" => "plot"})]), "others need a \"module\""},
+          {manifest([part(%{"panel" => "plot"})]), "other panels need a \"module\""},
           {manifest([part(%{"script" => "../../etc/passwd.js"})]), "below web/"},
           {manifest([part(%{"script" => "web/../../x.js"})]), "below web/"},
           {manifest([part(%{"script" => "https://example.org/x.js"})]), "below web/"},
           {manifest([part(%{"types" => []})]), "\"types\""},
-          {manifest([part(%{"options" => %{"A b" => %{"type" => "text"}}})]), "small letters"},
+          {manifest([part(%{"options" => %{"A b" => %{"type" => "text"}}})]),
+           "lowercase letters"},
           {manifest([part(%{"options" => %{"a" => %{"type" => "range"}}})]), "needs \"min\""},
           {manifest([part(%{"kind" => "spell"})]), "\"kind\""},
-          {manifest([part(%{})]), "there is no web/v.js"},
+          {manifest([part(%{})]), "the script web/v.js does not exist"},
           {manifest([part(%{"module" => "Nobody.Here"})]), "names Nobody.Here"}
         ] do
       assert %{problem: problem} = plugin(dir, [{"plugin.json", text}])
@@ -100,14 +101,14 @@ defmodule Situ.Studio.PluginsTest do
     end
   end
 
-  test "code that does not compile leaves its visualizers, which say why", %{tmp_dir: dir} do
+  test "code that does not compile leaves visualizers that show the reason", %{tmp_dir: dir} do
     files = [{"plugin.json", manifest([part(%{})])}, {"web/v.js", ""}]
 
     for {code, words} <- [
           {"defmodule Odd.A do", "missing terminator"},
           {"defmodule Odd.B do\n  def f, do: g()\nend", "undefined function g/0"},
-          {"defmodule Situ.Studio.Draw do\nend", "which is there already"},
-          {"exit(:no)", "ended while it was loaded"}
+          {"defmodule Situ.Studio.Draw do\nend", "which already exists"},
+          {"exit(:no)", "failed while it was loaded"}
         ] do
       assert %{problem: problem, visualizers: [v]} = plugin(dir, [{"lib/a.ex", code} | files])
       assert problem =~ words
@@ -123,7 +124,7 @@ defmodule Situ.Studio.PluginsTest do
     end
   end
 
-  test "of two with one id the second has a problem; folders that are none have none", %{
+  test "reports the second plug-in with the same id, and ignores other folders", %{
     tmp_dir: dir
   } do
     for name <- ["a", "b"] do
@@ -132,10 +133,10 @@ defmodule Situ.Studio.PluginsTest do
 
     File.mkdir_p!(Path.join(dir, "empty"))
     assert [%{problem: nil}, %{problem: problem}] = Plugins.load([dir])
-    assert problem =~ "another plug-in is called same"
+    assert problem =~ "another plug-in has the same id, same"
   end
 
-  test "one that raises, hangs or gives no bytes costs its channel only", %{tmp_dir: dir} do
+  test "a failing visualizer disables only its own channel", %{tmp_dir: dir} do
     code = """
     defmodule Odd.Wild do
       @behaviour Situ.Studio.Visualizer
@@ -149,7 +150,7 @@ defmodule Situ.Studio.PluginsTest do
     """
 
     plugin = plugin(dir, [{"plugin.json", manifest([])}, {"lib/wild.ex", code}])
-    session = DataSession.new(Asking.session().source, Plugins.visualizers([plugin]))
+    session = DataSession.new(Asking.session().source, Plugins.list_visualizers([plugin]))
     wild = %{"stream" => "level", "viz" => "wild"}
     fine = %{"stream" => "level", "viz" => "value"}
 
@@ -165,7 +166,7 @@ defmodule Situ.Studio.PluginsTest do
     end
   end
 
-  test "readers and tasks of a plug-in are known to stores and datasets", %{tmp_dir: dir} do
+  test "registers a plug-in's readers and tasks with stores and datasets", %{tmp_dir: dir} do
     code = """
     defmodule Odd.Task do
       @behaviour Situ.Dataset.Task
@@ -179,19 +180,19 @@ defmodule Situ.Studio.PluginsTest do
     before = Application.get_env(:situ_dataset, :dataset_tasks)
     on_exit(fn -> Application.put_env(:situ_dataset, :dataset_tasks, before) end)
     plugin = plugin(dir, [{"plugin.json", manifest([])}, {"lib/task.ex", code}])
-    assert Plugins.register([plugin]) == :ok
-    assert {:ok, module} = Situ.Dataset.Task.fetch("odd-task")
+    assert Plugins.register_modules([plugin]) == :ok
+    assert {:ok, module} = Situ.Dataset.Task.fetch_task("odd-task")
     assert inspect(module) == "Odd.Task"
   end
 
-  test "the template makes a plug-in that is whole", %{tmp_dir: dir} do
+  test "the template writes a complete plug-in", %{tmp_dir: dir} do
     assert {:ok, folder, files} = Plugins.Template.write("my-lamp", dir)
     assert "plugin.json" in files
     assert %{problem: nil, visualizers: [%{id: "my-lamp/recent"}]} = Plugins.plugin(folder)
     assert {:error, %{code: :exists}} = Plugins.Template.write("my-lamp", dir)
   end
 
-  test "an adapter makes signals of anything, over time and at the cursor" do
+  test "an adapter turns any data into signals, over time and at the cursor" do
     defmodule Tenth do
       @behaviour Situ.Studio.Adapter
       @impl true
@@ -203,7 +204,7 @@ defmodule Situ.Studio.PluginsTest do
       def adapt(_, _), do: :error
     end
 
-    extra = Plugins.visualizers([], [], [Tenth])
+    extra = Plugins.list_visualizers([], [], [Tenth])
     {Source.History, _} = source = Asking.session().source
     session = DataSession.new(source, extra)
     spec = %{"stream" => "level", "viz" => "line@tenth"}

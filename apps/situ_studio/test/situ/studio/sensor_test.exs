@@ -1,5 +1,6 @@
 defmodule Situ.Studio.SensorTest do
-  # A page of the test's own, over a real WebSocket: what it sends, well and badly, and what a slow pipeline does to it.
+  # A page of this test uses a real WebSocket. It sends valid and invalid data, also to a slow
+  # pipeline.
   use ExUnit.Case, async: true
 
   alias Situ.{AudioBuffer, AudioFormat, EncodedImage}
@@ -31,7 +32,7 @@ defmodule Situ.Studio.SensorTest do
       end)
 
     on_exit(fn -> Situ.Pipeline.stop(pipeline, timeout: 1_000) end)
-    poll(fn -> Inbox.find(Sensor, name) != :error end)
+    poll(fn -> Inbox.fetch_sensor(Sensor, name) != :error end)
     %{port: Situ.Studio.port(studio), name: name, pipeline: pipeline}
   end
 
@@ -46,13 +47,13 @@ defmodule Situ.Studio.SensorTest do
       <<2, 0::24, 48_000::little-32, ms::little-float-64>> <>
         for(s <- samples, into: "", do: <<s::little-signed-16>>)
 
-  test "clocks are compared, pictures and sound come at their times, sound goes back", context do
+  test "compares clocks, receives images and audio at their times, and sends audio", context do
     {"HTTP/1.1 101" <> _, socket} = camera(context.port, context.name)
     assert json(socket) == %{"credit" => 2}
     text(socket, %{ping: 5})
     assert %{"pong" => 5, "now" => now} = json(socket)
     assert abs(now - now_ms()) < 60_000
-    # A picture that comes before the clocks are compared has no time.
+    # An image that arrives before the clocks are compared has no time.
     push(socket, 2, picture(now))
     text(socket, %{offset: 1_000})
     assert_receive {:clock, 1_000.0}
@@ -83,7 +84,7 @@ defmodule Situ.Studio.SensorTest do
   end
 
   @tag :slow
-  test "a pipeline that does not take pictures gives the page no leave for more", context do
+  test "a pipeline that does not take images grants the page no more credit", context do
     {_, socket} = camera(context.port, context.name)
     assert json(socket) == %{"credit" => 2}
     text(socket, %{offset: 0})
@@ -92,9 +93,10 @@ defmodule Situ.Studio.SensorTest do
     for i <- 1..900, do: push(socket, 2, sound(ms + i, [1]))
     text(socket, %{ping: 1})
 
-    # The handler answers the ping after all earlier frames; then the sensor still has to take them.
+    # The handler replies to the ping after all earlier frames. The sensor must still process
+    # them.
     before = credits(socket, 0)
-    {:ok, sensor} = Inbox.find(Sensor, context.name)
+    {:ok, sensor} = Inbox.fetch_sensor(Sensor, context.name)
     poll(fn -> Process.info(sensor, :message_queue_len) == {:message_queue_len, 0} end)
     text(socket, %{ping: 1})
     assert before + credits(socket, 0) < 20
@@ -107,7 +109,7 @@ defmodule Situ.Studio.SensorTest do
     end
   end
 
-  test "one page for a sensor; bytes that are none of it end the connection, and the next page may come",
+  test "accepts one page for a sensor, and another after invalid bytes ended the connection",
        context do
     {_, nobody} = camera(context.port, "nobody")
     assert {8, <<1008::16, "no pipeline" <> _>>} = pull(nobody)
@@ -148,7 +150,7 @@ defmodule Situ.Studio.SensorTest do
     socket
   end
 
-  test "who may only look is refused by every sensor's socket", context do
+  test "refuses viewers on every sensor's socket", context do
     owner = "the-token-of-owners"
     viewer = "the-token-of-viewers"
     opts = [port: 0, id: context.name <> "-shared", token: owner, viewer_token: viewer]
@@ -159,11 +161,11 @@ defmodule Situ.Studio.SensorTest do
 
     for path <- [path, "/headset/socket?name=headset"] do
       {"HTTP/1.1 101" <> _, socket} = connect(port, path, bearer.(viewer))
-      assert {8, <<1008::16, "who may only look is no sensor">>} = pull(socket)
+      assert {8, <<1008::16, "a view-only link cannot be a sensor">>} = pull(socket)
       {"HTTP/1.1 401" <> _, _} = connect(port, path, [])
     end
 
-    # neither took the sensor's place: its owner gets it
+    # Neither attempt occupied the sensor, so its owner can connect.
     {_, socket} = connect(port, path, bearer.(owner))
     assert json(socket) == %{"credit" => 2}
     text(socket, %{offset: 0})

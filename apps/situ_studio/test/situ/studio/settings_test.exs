@@ -6,7 +6,7 @@ defmodule Situ.Studio.SettingsTest do
 
   @moduletag :tmp_dir
 
-  test "what is no settings file is as usual", %{tmp_dir: root} do
+  test "loads the defaults from an invalid file", %{tmp_dir: root} do
     layouts = Path.join(root, "layouts")
     assert Settings.load(layouts) == %Settings{}
     file = Path.join(root, "settings.json")
@@ -20,7 +20,7 @@ defmodule Situ.Studio.SettingsTest do
     assert Settings.load(layouts) == %Settings{info: :latency, layout: "Tuned"}
   end
 
-  test "a folder that cannot be written says so", %{tmp_dir: root} do
+  test "reports a folder that cannot be written", %{tmp_dir: root} do
     File.write!(Path.join(root, "file"), "")
 
     assert {:error, %{code: :not_saved, why: why}} =

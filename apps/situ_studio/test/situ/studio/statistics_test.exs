@@ -5,7 +5,7 @@ defmodule Situ.Studio.StatisticsTest do
 
   defp rows(rows) do
     for row <-
-          Statistics.within(
+          Statistics.compute_rows(
             Asking.source("S", rows),
             %{stream: "S", path: ""},
             0,
@@ -14,7 +14,7 @@ defmodule Situ.Studio.StatisticsTest do
         do: {row, Map.new(row.values, &List.to_tuple/1)}
   end
 
-  test "every message counts, however many there are" do
+  test "counts every message, however many there are" do
     n = 250_000
     [{row, stats}] = rows(for i <- 0..(n - 1), do: {i * 1_000, rem(i, 2) == 0})
 
@@ -24,7 +24,7 @@ defmodule Situ.Studio.StatisticsTest do
     assert Enum.sum(row.histogram.counts) == n
   end
 
-  test "numbers of any size have a mean and a deviation" do
+  test "computes mean and deviation of numbers of any size" do
     [{row, huge}] = rows(for i <- 0..3, do: {i, Enum.at([-9.0e307, 9.0e307, 0.0, 1.0], i)})
     assert_in_delta huge["mean"] / 1.0e307, 0.0, 1.0e-9
     assert_in_delta huge["sd"] / 1.0e307, 7.348469228349534, 1.0e-9
@@ -37,7 +37,7 @@ defmodule Situ.Studio.StatisticsTest do
     assert big["mean"] == 0.0
   end
 
-  test "maps of numbers have a row for each key, by the messages that have it" do
+  test "returns a row for each key of maps, over the messages that have it" do
     assert [{%{name: "S  a"}, a}, {%{name: "S  b"}, b}] =
              rows([
                {0, %{"a" => 1}},
@@ -49,8 +49,8 @@ defmodule Situ.Studio.StatisticsTest do
     assert %{"n" => 1, "mean" => 7.0, "sd" => 0.0} = b
   end
 
-  test "a path that is none says so" do
+  test "reports an invalid path" do
     assert [%{error: "" <> _, values: []}] =
-             Statistics.within(Asking.source("S", []), %{stream: "S", path: "["}, 0, 1)
+             Statistics.compute_rows(Asking.source("S", []), %{stream: "S", path: "["}, 0, 1)
   end
 end

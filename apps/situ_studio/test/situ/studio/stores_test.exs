@@ -10,7 +10,7 @@ defmodule Situ.Studio.StoresTest do
   end
 
   @tag :tmp_dir
-  test "of annotations the last version is listed; JSON that is no store is no recording", %{
+  test "lists only the latest version of annotations, and ignores JSON that is not a store", %{
     tmp_dir: tmp
   } do
     for name <-
@@ -21,7 +21,7 @@ defmodule Situ.Studio.StoresTest do
     File.write!(Path.join(tmp, "Notes.Catalog.json"), "[]")
     File.write!(Path.join(tmp, "Notes.Data.json"), "[]")
 
-    assert tmp |> Stores.discover() |> Enum.map(&elem(&1, 0)) |> Enum.sort() == [
+    assert tmp |> Stores.list_recordings() |> Enum.map(&elem(&1, 0)) |> Enum.sort() == [
              "Notes.Catalog.json",
              "Talk.0000",
              "Talk.0000-annotation-A.0001",
@@ -29,11 +29,11 @@ defmodule Situ.Studio.StoresTest do
              "Talk.0001"
            ]
 
-    assert {:ok, _} = Stores.find(tmp, "Talk.0000-annotation-A.0000")
+    assert {:ok, _} = Stores.fetch_recording(tmp, "Talk.0000-annotation-A.0000")
   end
 
   @tag :tmp_dir
-  test "recordings are listed without following links, and found by their names alone", %{
+  test "lists recordings without following links, and finds only listed names", %{
     tmp_dir: tmp
   } do
     root = Path.join(tmp, "recordings")
@@ -45,9 +45,11 @@ defmodule Situ.Studio.StoresTest do
     File.ln_s!("../elsewhere", Path.join(root, "out"))
     File.ln_s!("../elsewhere/Secret.0000", Path.join(root, "Linked.0000"))
 
-    assert [{"Talk.0000", talk}, {"may/Walk.0000", walk}] = Enum.sort(Stores.discover(root))
-    assert {:ok, ^talk} = Stores.find(root, "Talk.0000")
-    assert {:ok, ^walk} = Stores.find(root, "may/Walk.0000")
+    assert [{"Talk.0000", talk}, {"may/Walk.0000", walk}] =
+             Enum.sort(Stores.list_recordings(root))
+
+    assert {:ok, ^talk} = Stores.fetch_recording(root, "Talk.0000")
+    assert {:ok, ^walk} = Stores.fetch_recording(root, "may/Walk.0000")
 
     for name <- [
           "out/Secret.0000",
@@ -63,21 +65,21 @@ defmodule Situ.Studio.StoresTest do
           <<255>>,
           "none"
         ] do
-      assert {name, Stores.find(root, name)} == {name, :error}
+      assert {name, Stores.fetch_recording(root, name)} == {name, :error}
     end
   end
 
   @tag :tmp_dir
-  test "a path that is a recording itself has its own name", %{tmp_dir: tmp} do
+  test "a path that is a recording has its own name", %{tmp_dir: tmp} do
     record("Talk", tmp)
     path = Path.join(tmp, "Talk.0000")
-    assert Stores.discover(path) == [{"Talk.0000", path}]
-    assert Stores.find(path, "Talk.0000") == {:ok, path}
-    assert Stores.find(path, "Other") == :error
+    assert Stores.list_recordings(path) == [{"Talk.0000", path}]
+    assert Stores.fetch_recording(path, "Talk.0000") == {:ok, path}
+    assert Stores.fetch_recording(path, "Other") == :error
   end
 
   @tag :tmp_dir
-  test "recordings of another machine are listed, found and drawn", %{tmp_dir: tmp} do
+  test "lists, finds and draws recordings of another machine", %{tmp_dir: tmp} do
     {:ok, writer} = Writer.create("lobby", tmp)
     {:ok, stream} = Writer.stream(writer, "n", type: :float)
 
@@ -93,13 +95,18 @@ defmodule Situ.Studio.StoresTest do
     {:ok, server} = Situ.Remote.serve(%{"lobby" => path, "hall" => path}, port: 0)
     whole = "situ://127.0.0.1:#{Situ.Remote.Server.port(server)}"
 
-    assert Stores.all(whole) == {[{"hall", whole <> "/hall"}, {"lobby", whole <> "/lobby"}], []}
-    assert Stores.all(whole <> "/lobby") == {[{"lobby", whole <> "/lobby"}], []}
-    assert Stores.find(whole, "lobby") == {:ok, whole <> "/lobby"}
-    assert Stores.find(whole, "../lobby") == :error
+    assert Stores.list_all(whole) ==
+             {[{"hall", whole <> "/hall"}, {"lobby", whole <> "/lobby"}], []}
+
+    assert Stores.list_all(whole <> "/lobby") == {[{"lobby", whole <> "/lobby"}], []}
+    assert Stores.fetch_recording(whole, "lobby") == {:ok, whole <> "/lobby"}
+    assert Stores.fetch_recording(whole, "../lobby") == :error
 
     start_supervised!({Situ.Studio, path: whole, port: 0, id: "elsewhere"})
-    assert {:ok, %{kind: :elsewhere}, source} = Situ.Studio.Catalog.open("elsewhere", "lobby")
+
+    assert {:ok, %{kind: :elsewhere}, source} =
+             Situ.Studio.Catalog.open_source("elsewhere", "lobby")
+
     call = &Situ.Studio.Source.call(source, &1, &2)
     assert {:ok, %{from: 1_000_000, to: 100_000_000, live: false}} = call.(:extent, [])
     assert {:ok, [%{name: "n", count: 100}]} = call.(:streams, [])

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.TableTest do
-  # The exports of a selection: CSV, Parquet and WAV.
+  # Exports a selection as CSV, Parquet and WAV.
   use ExUnit.Case, async: true
 
   alias Situ.{AudioBuffer, AudioFormat, Message}
@@ -16,9 +16,13 @@ defmodule Situ.Studio.TableTest do
   end
 
   defp csv(source, streams, from, to),
-    do: source |> Table.csv(streams, from, to) |> Enum.join() |> String.split("\r\n", trim: true)
+    do:
+      source
+      |> Table.csv_chunks(streams, from, to)
+      |> Enum.join()
+      |> String.split("\r\n", trim: true)
 
-  test "all messages of long streams, in order, both ends included" do
+  test "exports all messages of long streams in order, including both ends" do
     rows = for i <- 0..4_999, do: {i * 10, i}
     source = source(%{"A" => rows, "B" => [{15, "x,\"y\"\nz"}]})
     [header | lines] = csv(source, ["A"], 10, 49_980)
@@ -26,13 +30,13 @@ defmodule Situ.Studio.TableTest do
     assert length(lines) == 4_998
     assert hd(lines) == "10,1970-01-01T00:00:00.000000010Z,A,1"
     assert List.last(lines) == "49980,1970-01-01T00:00:00.000049980Z,A,4998"
-    text = source |> Table.csv(["B"], 0, 100) |> Enum.join()
+    text = source |> Table.csv_chunks(["B"], 0, 100) |> Enum.join()
     assert text =~ ~s(,B,"x,""y""\nz"\r\n)
     assert csv(source, ["none"], 0, 100) == [header]
   end
 
-  test "a text that a table program would run is none, numbers stay numbers" do
-    row = &Table.row("S", %Message{data: &1, originating_time: 0})
+  test "neutralizes text that a spreadsheet would run, and keeps numbers" do
+    row = &Table.csv_row("S", %Message{data: &1, originating_time: 0})
     assert row.("=1+1") =~ ~s("'=1+1")
     assert row.(-1.5) =~ ",-1.5\r\n"
     assert row.(true) =~ ",true\r\n"
@@ -42,27 +46,27 @@ defmodule Situ.Studio.TableTest do
     assert row.(self()) =~ "PID"
   end
 
-  test "sound has the samples of the interval, gaps are silence" do
+  test "exports the audio of the interval, with silence in gaps" do
     format = AudioFormat.pcm(1_000, 1)
     data = :binary.copy(<<16_384::little-16>>, 500)
     s = 1_000_000_000
     buffers = for t <- [s, 2 * s], do: {t, %AudioBuffer{format: format, data: data}}
-    {:ok, wav} = Table.wav(source(%{"Mic" => buffers}), "Mic", 0, 2 * s)
+    {:ok, wav} = Table.encode_wav(source(%{"Mic" => buffers}), "Mic", 0, 2 * s)
     wav = IO.iodata_to_binary(wav)
     assert <<"RIFF", size::little-32, "WAVE", _::binary>> = wav
     assert size + 8 == byte_size(wav)
     samples = for <<x::little-float-32 <- binary_part(wav, 58, byte_size(wav) - 58)>>, do: x
     assert length(samples) == 2_000
     assert Enum.map([100, 600, 1_200, 1_700], &Enum.at(samples, &1)) == [0.0, 0.5, 0.0, 0.5]
-    assert {:error, %{code: :silent}} = Table.wav(source(%{"Mic" => []}), "Mic", 0, s)
+    assert {:error, %{code: :silent}} = Table.encode_wav(source(%{"Mic" => []}), "Mic", 0, s)
   end
 
-  test "sound keeps its channels, and its place behind a long silence" do
+  test "keeps the channels of audio, and its position after a long silence" do
     s = 1_000_000_000
     format = AudioFormat.pcm(1_000, 2)
     data = :binary.copy(<<16_384::little-16, -8_192::little-signed-16>>, 1_000)
     buffers = for t <- [s, 26 * s], do: {t, %AudioBuffer{format: format, data: data}}
-    {:ok, wav} = Table.wav(source(%{"Mic" => buffers}), "Mic", 0, 30 * s)
+    {:ok, wav} = Table.encode_wav(source(%{"Mic" => buffers}), "Mic", 0, 30 * s)
     wav = IO.iodata_to_binary(wav)
 
     assert <<_::binary-22, 2::little-16, 1_000::little-32, 8_000::little-32, 8::little-16,
@@ -79,15 +83,15 @@ defmodule Situ.Studio.TableTest do
   end
 
   @tag :tmp_dir
-  test "a Parquet file has the rows of all streams; pictures are no table", %{tmp_dir: dir} do
+  test "a Parquet file has the rows of all streams, except images", %{tmp_dir: dir} do
     rows = for i <- 0..4_999, do: {i * 10, i / 2}
-    image = Situ.Image.filled(2, 2, :gray8)
+    image = Situ.Image.new_filled(2, 2, :gray8)
     source = source(%{"A" => rows, "B" => [{15, 7.0}], "Camera" => [{20, image}]})
     path = Path.join(dir, "part.parquet")
-    assert {:ok, 4_999} = Table.parquet(source, ["A", "B", "Camera"], 10, 49_980, path)
-    # those of B are earlier than the last of A, so that the reader leaves them out
+    assert {:ok, 4_999} = Table.write_parquet(source, ["A", "B", "Camera"], 10, 49_980, path)
+    # The messages of B are earlier than A's last message, so the reader skips them.
     read = for {time, %{"value" => v}} <- Situ.Bridge.Parquet.messages(path), do: {time, v}
     assert read == Enum.slice(rows, 1, 4_998)
-    assert {:error, %{code: :no_table}} = Table.parquet(source, ["Camera"], 0, 100, path)
+    assert {:error, %{code: :no_table}} = Table.write_parquet(source, ["Camera"], 0, 100, path)
   end
 end

@@ -22,14 +22,14 @@ defmodule Situ.Studio.WatchTest do
   end
 
   defp feed(connector, times) do
-    Situ.Connector.deliver(
+    Situ.Connector.deliver_messages(
       connector,
       for(t <- times, do: %Situ.Message{data: t, originating_time: t})
     )
   end
 
-  test "lists named streams, taps one when it is asked for, and keeps what was seen", context do
-    assert [{"Test", _}] = Source.Pipeline.running([context.pipeline])
+  test "lists named streams, taps a requested one, and keeps its messages", context do
+    assert [{"Test", _}] = Source.Pipeline.list_running([context.pipeline])
     {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
     {Source.Pipeline, watch} = source
     {:ok, streams} = Source.call(source, :streams, [])
@@ -51,25 +51,25 @@ defmodule Situ.Studio.WatchTest do
     :ets.delete(watch.uses, :streams)
     assert {:ok, %{live: false, to: 10}} = Source.call(source, :extent, [])
     assert {:ok, %{data: 20.0}} = latest(source, 100)
-    assert [] = Source.Pipeline.running([context.pipeline])
+    assert [] = Source.Pipeline.list_running([context.pipeline])
   end
 
-  test "lets go of what nobody has asked for in a while", context do
+  test "releases a stream that was not requested for a while", context do
     {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
     {_, watch} = source
     :none = Source.call(source, :latest_at, ["Doubled", 100])
     long_ago = System.monotonic_time(:millisecond) - 60_000
     :ets.update_element(watch.uses, "Doubled", {2, long_ago})
     send(watch.pid, :sweep)
-    # a call is answered after the sweep
-    %Watch{} = Watch.handle(watch.pid)
+    # The call returns after the sweep.
+    %Watch{} = Watch.reader_handle(watch.pid)
     assert taps(context.pipeline) == []
     :none = Source.call(source, :latest_at, ["Doubled", 100])
     assert ["Studio: Doubled"] = taps(context.pipeline)
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
   end
 
-  test "a pipeline that is away for a moment keeps its past, and is not over yet", context do
+  test "keeps the history of a pipeline that is missing for a moment", context do
     there = :counters.new(1, [])
 
     find = fn ->
@@ -87,8 +87,8 @@ defmodule Situ.Studio.WatchTest do
     assert eventually(fn -> match?({:ok, %{data: 20.0}}, latest(source, 100)) end)
     :counters.add(there, 1, 1)
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
-    # it has heard of the end
-    %Watch{} = Watch.handle(watch.pid)
+    # It has processed the end of the pipeline.
+    %Watch{} = Watch.reader_handle(watch.pid)
 
     for _ <- 1..2 do
       :ets.delete(watch.uses, :streams)
@@ -99,7 +99,7 @@ defmodule Situ.Studio.WatchTest do
     end
   end
 
-  test "keeps what a page shows although nothing comes and the page asks for no window",
+  test "keeps a stream that a page shows, although no window is requested",
        context do
     {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
     {_, watch} = source
@@ -110,15 +110,15 @@ defmodule Situ.Studio.WatchTest do
     :ets.update_element(watch.uses, "Doubled", {2, long_ago})
     {_, session} = Situ.Studio.Asking.ask(session, %{"live" => true})
     send(watch.pid, :sweep)
-    %Watch{} = Watch.handle(watch.pid)
+    %Watch{} = Watch.reader_handle(watch.pid)
     assert ["Studio: Doubled"] = taps(context.pipeline)
-    # also the streams that a derived one is made of
+    # The same holds for the streams of a derived one.
     derived = %{session | source: Source.Derived.wrap(source), channels: %{}}
     :ets.update_element(watch.uses, "Doubled", {2, long_ago})
     open = %{"open" => [[1, %{"stream" => "= Doubled + 1", "viz" => "line"}]]}
     Situ.Studio.Asking.ask(derived, open)
     send(watch.pid, :sweep)
-    %Watch{} = Watch.handle(watch.pid)
+    %Watch{} = Watch.reader_handle(watch.pid)
     assert ["Studio: Doubled"] = taps(context.pipeline)
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
   end
@@ -135,7 +135,7 @@ defmodule Situ.Studio.WatchTest do
   end
 
   @tag :capture_log
-  test "a page sees a pipeline again that its supervisor has restarted", context do
+  test "a page shows a pipeline again after its supervisor restarted it", context do
     children = [{Restarted, connector: context.connector}]
 
     {:ok, keeper} =
@@ -150,12 +150,12 @@ defmodule Situ.Studio.WatchTest do
     {Source.Pipeline, watch} = source
     session = Situ.Studio.DataSession.new(source)
 
-    # what the page asks at each picture: the window at the end of a line
+    # The page sends this request for each frame: the window at the end of a line.
     ask = fn session, from ->
       request =
         ~s({"req":1,"open":[[1,{"stream":"Doubled","viz":"line"}]],"series":[[1,"#{from}","#{from + 50}",1]]})
 
-      {:ok, reply, session} = Situ.Studio.DataSession.handle(request, session)
+      {:ok, reply, session} = Situ.Studio.DataSession.handle_request(request, session)
 
       <<_::binary-24, 1::little-32, _::binary-12, kind::little-16, _::binary-10, rows::little-32,
         _::binary>> = IO.iodata_to_binary(reply)
@@ -174,23 +174,23 @@ defmodule Situ.Studio.WatchTest do
 
     assert eventually(fn ->
              is_pid(find.()) and find.() != before and
-               match?([{"again", _}], Source.Pipeline.running([{"again", find}]))
+               match?([{"again", _}], Source.Pipeline.list_running([{"again", find}]))
            end)
 
-    # the next sweep lets go of the tap that went with it, and the next request taps what is there now
+    # The next sweep releases the old tap, and the next request taps the new pipeline.
     send(watch.pid, :sweep)
-    %Watch{} = Watch.handle(watch.pid)
+    %Watch{} = Watch.reader_handle(watch.pid)
     {_, session} = ask.(session, 0)
     assert ["Studio: Doubled"] = taps(find.())
     feed(context.connector, 101..110)
 
-    # the ten before it are told too, and the hole between
+    # The ten earlier messages are included, and the gap between them.
     assert eventually(fn -> match?({21, _}, ask.(session, 101)) end)
     assert {:ok, %{live: true, from: 1, to: 110}} = Source.call(source, :extent, [])
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
   end
 
-  test "a stream that is not there is an error of its own", context do
+  test "returns specific errors for an unknown stream and a stopped pipeline", context do
     {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
     assert {:error, %Situ.Error{}} = Source.call(source, :latest_at, ["Nothing", 1])
     assert {:error, %{code: :not_running}} = Source.Pipeline.open([], "Test", context.supervisor)

@@ -6,11 +6,11 @@ defmodule Situ.Image.Color do
   `{r, g, b}` / `{r, g, b, a}` with values of 0..255. Tuples and names work with every format: they are converted to
   grey for grey images, and widened for 16-bit channels.
 
-      iex> Situ.Image.Color.values(:bgr24, :red)
+      iex> Situ.Image.Color.channel_values(:bgr24, :red)
       [0, 0, 255]
-      iex> Situ.Image.Color.values(:gray8, {255, 255, 255})
+      iex> Situ.Image.Color.channel_values(:gray8, {255, 255, 255})
       [254]
-      iex> Situ.Image.Color.values(:rgba64, {255, 0, 0, 128})
+      iex> Situ.Image.Color.channel_values(:rgba64, {255, 0, 0, 128})
       [65535, 0, 0, 32896]
   """
   alias Situ.Image.Format
@@ -36,14 +36,14 @@ defmodule Situ.Image.Color do
           | atom()
 
   @doc "Returns the channel values of a colour in a format; raises `ArgumentError` if it is not a colour."
-  @spec values(Format.t(), t()) :: [non_neg_integer()]
-  def values(format, color) when is_list(color) or is_integer(color),
-    do: Format.unpack(format, Format.pack!(format, color))
+  @spec channel_values(Format.t(), t()) :: [non_neg_integer()]
+  def channel_values(format, color) when is_list(color) or is_integer(color),
+    do: Format.unpack_pixel(format, Format.pack_pixel!(format, color))
 
-  def values(format, name) when is_atom(name) do
+  def channel_values(format, name) when is_atom(name) do
     case Keyword.fetch(@names, name) do
       {:ok, rgb} ->
-        values(format, rgb)
+        channel_values(format, rgb)
 
       :error ->
         raise ArgumentError,
@@ -51,39 +51,39 @@ defmodule Situ.Image.Color do
     end
   end
 
-  def values(format, {r, g, b}), do: values(format, {r, g, b, 255})
+  def channel_values(format, {r, g, b}), do: channel_values(format, {r, g, b, 255})
 
-  def values(format, {r, g, b, a} = color) do
+  def channel_values(format, {r, g, b, a} = color) do
     unless Enum.all?([r, g, b, a], &(&1 in 0..255)) do
       raise ArgumentError, "colour values must be in 0..255, got: #{inspect(color)}"
     end
 
     scale = if Format.bits_per_channel(format) == 16, do: 257, else: 1
-    Enum.map(Format.channels(format), &(channel(&1, color) * scale))
+    Enum.map(Format.channels(format), &(channel_value(&1, color) * scale))
   end
 
   @doc """
   Encodes a colour as the bytes of one pixel.
 
-      iex> Situ.Image.Color.pack(:bgra32, :blue)
+      iex> Situ.Image.Color.pack_pixel(:bgra32, :blue)
       <<255, 0, 0, 255>>
   """
-  @spec pack(Format.t(), t()) :: binary()
-  def pack(format, color), do: Format.pack!(format, values(format, color))
+  @spec pack_pixel(Format.t(), t()) :: binary()
+  def pack_pixel(format, color), do: Format.pack_pixel!(format, channel_values(format, color))
 
   @doc false
-  @spec scalar(Format.t(), t()) :: {float(), float(), float(), float()}
-  def scalar(format, color) do
-    [a, b, c, d] = Enum.take(values(format, color) ++ [0, 0, 0], 4)
+  @spec to_opencv_scalar(Format.t(), t()) :: {float(), float(), float(), float()}
+  def to_opencv_scalar(format, color) do
+    [a, b, c, d] = Enum.take(channel_values(format, color) ++ [0, 0, 0], 4)
     {a * 1.0, b * 1.0, c * 1.0, d * 1.0}
   end
 
-  defp channel(:red, {r, _, _, _}), do: r
-  defp channel(:green, {_, g, _, _}), do: g
-  defp channel(:blue, {_, _, b, _}), do: b
-  defp channel(:alpha, {_, _, _, a}), do: a
-  defp channel(:unused, _), do: 255
+  defp channel_value(:red, {r, _, _, _}), do: r
+  defp channel_value(:green, {_, g, _, _}), do: g
+  defp channel_value(:blue, {_, _, b, _}), do: b
+  defp channel_value(:alpha, {_, _, _, a}), do: a
+  defp channel_value(:unused, _), do: 255
 
-  defp channel(:gray, {r, g, b, _}),
+  defp channel_value(:gray, {r, g, b, _}),
     do: Bitwise.bsr(4897 * r + 9617 * g + 1868 * b, 14)
 end

@@ -23,8 +23,8 @@ defmodule Situ.Image.Format do
   ]
 
   @doc "Lists all formats."
-  @spec all() :: [t()]
-  def all, do: unquote(Enum.map(@table, &elem(&1, 0)))
+  @spec list_all() :: [t()]
+  def list_all, do: unquote(Enum.map(@table, &elem(&1, 0)))
 
   @doc "Returns the number of bytes in one pixel."
   @spec bytes_per_pixel(t()) :: pos_integer()
@@ -60,22 +60,22 @@ defmodule Situ.Image.Format do
     do: {:error, Situ.Error.new(:bad_image, "pixel format code #{code} is unknown")}
 
   @doc "Returns whether the format has an alpha channel."
-  @spec alpha?(t()) :: boolean()
-  def alpha?(format), do: :alpha in channels(format)
+  @spec has_alpha?(t()) :: boolean()
+  def has_alpha?(format), do: :alpha in channels(format)
 
   @doc """
   Encodes channel values, in memory order, as the bytes of one pixel. One number is used for every channel.
 
-      iex> Situ.Image.Format.pack!(:gray16, 1)
+      iex> Situ.Image.Format.pack_pixel!(:gray16, 1)
       <<1, 0>>
-      iex> Situ.Image.Format.pack!(:bgr24, [1, 2])
+      iex> Situ.Image.Format.pack_pixel!(:bgr24, [1, 2])
       ** (ArgumentError) :bgr24 takes 3 channel values of 0..255, got: [1, 2]
   """
-  @spec pack!(t(), non_neg_integer() | [non_neg_integer()]) :: binary()
-  def pack!(format, value) when is_integer(value),
-    do: pack!(format, List.duplicate(value, length(channels(format))))
+  @spec pack_pixel!(t(), non_neg_integer() | [non_neg_integer()]) :: binary()
+  def pack_pixel!(format, value) when is_integer(value),
+    do: pack_pixel!(format, List.duplicate(value, length(channels(format))))
 
-  def pack!(format, values) when is_list(values) do
+  def pack_pixel!(format, values) when is_list(values) do
     bits = bits_per_channel(format)
     max = Bitwise.bsl(1, bits) - 1
     count = length(channels(format))
@@ -90,8 +90,8 @@ defmodule Situ.Image.Format do
   end
 
   @doc "Decodes the bytes of one pixel to its channel values."
-  @spec unpack(t(), binary()) :: [non_neg_integer()]
-  def unpack(format, bytes) do
+  @spec unpack_pixel(t(), binary()) :: [non_neg_integer()]
+  def unpack_pixel(format, bytes) do
     case bits_per_channel(format) do
       8 -> :binary.bin_to_list(bytes)
       16 -> for <<v::little-16 <- bytes>>, do: v

@@ -25,14 +25,14 @@ defmodule Situ.Image.Nx do
     with {:ok, image} <- Image.validate(image) do
       channels = length(Format.channels(image.format))
       type = {:u, Format.bits_per_channel(image.format)}
-      tensor(Image.pixels(image), type, {image.height, image.width, channels})
+      build_tensor(Image.pixel_bytes(image), type, {image.height, image.width, channels})
     end
   end
 
   def to_nx(%DepthImage{} = depth) do
     with {:ok, depth} <- DepthImage.validate(depth) do
       image = DepthImage.to_gray16(depth)
-      tensor(Image.pixels(image), {:u, 16}, {image.height, image.width})
+      build_tensor(Image.pixel_bytes(image), {:u, 16}, {image.height, image.width})
     end
   end
 
@@ -43,21 +43,26 @@ defmodule Situ.Image.Nx do
   def to_nx(%AudioBuffer{} = buffer) do
     with {:ok, buffer} <- AudioBuffer.validate(buffer) do
       type = Map.fetch!(@types, buffer.format.sample)
-      tensor(buffer.data, type, {AudioBuffer.frames(buffer), buffer.format.channels})
+      build_tensor(buffer.data, type, {AudioBuffer.frame_count(buffer), buffer.format.channels})
     end
   end
 
   @doc "Converts a tensor (height x width x channels, or height x width for grey) to an image of this format."
   @spec to_image(struct(), Format.t()) :: Image.result()
   def to_image(tensor, format) do
-    with {:ok, nx} <- nx() do
+    with {:ok, nx} <- fetch_nx() do
       type = {:u, Format.bits_per_channel(format)}
       channels = length(Format.channels(format))
 
       case {apply(nx, :type, [tensor]), apply(nx, :shape, [tensor])} do
-        {^type, {height, width, ^channels}} -> image(nx, tensor, {width, height}, format)
-        {^type, {height, width}} when channels == 1 -> image(nx, tensor, {width, height}, format)
-        other -> {:error, unfit(other, format, type, channels)}
+        {^type, {height, width, ^channels}} ->
+          image_from_tensor(nx, tensor, {width, height}, format)
+
+        {^type, {height, width}} when channels == 1 ->
+          image_from_tensor(nx, tensor, {width, height}, format)
+
+        other ->
+          {:error, mismatch_error(other, format, type, channels)}
       end
     end
   end
@@ -65,8 +70,8 @@ defmodule Situ.Image.Nx do
   @doc "Converts a tensor (frames x channels, or frames) to audio. Its type must match a sample type."
   @spec to_audio(struct(), pos_integer()) :: AudioBuffer.result()
   def to_audio(tensor, rate) do
-    with {:ok, nx} <- nx(),
-         {:ok, sample} <- sample(apply(nx, :type, [tensor])) do
+    with {:ok, nx} <- fetch_nx(),
+         {:ok, sample} <- fetch_sample_type(apply(nx, :type, [tensor])) do
       channels =
         if tuple_size(shape = apply(nx, :shape, [tensor])) == 2, do: elem(shape, 1), else: 1
 
@@ -75,14 +80,14 @@ defmodule Situ.Image.Nx do
     end
   end
 
-  defp sample(type) do
+  defp fetch_sample_type(type) do
     case Enum.find(@types, fn {_, t} -> t == type end) do
       {sample, _} -> {:ok, sample}
       nil -> {:error, Error.new(:bad_audio, "no sample type matches #{inspect(type)}")}
     end
   end
 
-  defp image(nx, tensor, {width, height}, format),
+  defp image_from_tensor(nx, tensor, {width, height}, format),
     do:
       Image.new(
         width: width,
@@ -91,12 +96,12 @@ defmodule Situ.Image.Nx do
         data: apply(nx, :to_binary, [tensor])
       )
 
-  defp tensor(binary, type, shape) do
-    with {:ok, nx} <- nx(),
+  defp build_tensor(binary, type, shape) do
+    with {:ok, nx} <- fetch_nx(),
          do: {:ok, apply(nx, :reshape, [apply(nx, :from_binary, [binary, type]), shape])}
   end
 
-  defp nx do
+  defp fetch_nx do
     if Code.ensure_loaded?(Nx) do
       {:ok, Nx}
     else
@@ -107,7 +112,7 @@ defmodule Situ.Image.Nx do
     end
   end
 
-  defp unfit({type, shape}, format, wanted, channels) do
+  defp mismatch_error({type, shape}, format, wanted, channels) do
     Error.new(
       :bad_format,
       "a tensor of type #{inspect(type)} and shape #{inspect(shape)} cannot become #{inspect(format)}",

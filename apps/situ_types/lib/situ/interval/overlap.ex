@@ -7,8 +7,8 @@ defmodule Situ.Interval.Overlap do
   @type ends :: {Situ.Interval.bound(), boolean(), Situ.Interval.bound(), boolean()}
 
   @doc "Returns the ends of the intersection of two non-empty intervals, or `nil` if they are disjoint."
-  @spec common(interval(), interval()) :: ends() | nil
-  def common(a, b) do
+  @spec common_ends(interval(), interval()) :: ends() | nil
+  def common_ends(a, b) do
     {left, left_inclusive} = later_left(a, b)
     {right, right_inclusive} = earlier_right(a, b)
 
@@ -20,14 +20,14 @@ defmodule Situ.Interval.Overlap do
   end
 
   @doc "Returns whether `b` contains every point of `a`, which must not be empty."
-  @spec within?(interval(), interval()) :: boolean()
-  def within?(a, b), do: left_within?(a, b) and right_within?(a, b)
+  @spec fits_within?(interval(), interval()) :: boolean()
+  def fits_within?(a, b), do: left_within?(a, b) and right_within?(a, b)
 
   @doc "Returns the ends of the smallest interval that contains both."
-  @spec cover(interval(), interval()) :: ends()
-  def cover(a, b) do
-    {left, left_inclusive} = if left_within?(a, b), do: left(b), else: left(a)
-    {right, right_inclusive} = if right_within?(a, b), do: right(b), else: right(a)
+  @spec covering_ends(interval(), interval()) :: ends()
+  def covering_ends(a, b) do
+    {left, left_inclusive} = if left_within?(a, b), do: left_end(b), else: left_end(a)
+    {right, right_inclusive} = if right_within?(a, b), do: right_end(b), else: right_end(a)
     {left, left_inclusive, right, right_inclusive}
   end
 
@@ -65,6 +65,6 @@ defmodule Situ.Interval.Overlap do
   defp right_within?(a, b),
     do: a.right < b.right or (a.right == b.right and (b.right_inclusive or not a.right_inclusive))
 
-  defp left(i), do: {i.left, i.left_inclusive}
-  defp right(i), do: {i.right, i.right_inclusive}
+  defp left_end(i), do: {i.left, i.left_inclusive}
+  defp right_end(i), do: {i.right, i.right_inclusive}
 end

@@ -6,40 +6,44 @@ defmodule Situ.Interval.Scale do
   @type amount :: {:by, Situ.Interval.point()} | {:factor, number()}
 
   @doc "Moves each end outwards by its amount, both based on the original span."
-  @spec both(Situ.Interval.t(), span(), amount(), amount()) :: Situ.Interval.t()
-  def both(interval, span, left, right) do
+  @spec scale_ends(Situ.Interval.t(), span(), amount(), amount()) :: Situ.Interval.t()
+  def scale_ends(interval, span, left, right) do
     %{
       interval
-      | left: move(interval.left, negate(growth(span, left))),
-        right: move(interval.right, growth(span, right))
+      | left: move_bound(interval.left, negate_amount(growth_amount(span, left))),
+        right: move_bound(interval.right, growth_amount(span, right))
     }
   end
 
   @doc "Moves each end outwards by half the amount; halves of odd integers are rounded outwards."
-  @spec center(Situ.Interval.t(), span(), amount()) :: Situ.Interval.t()
-  def center(interval, span, amount) do
-    half = {:by, span |> growth(amount) |> halve()}
-    both(interval, span, half, half)
+  @spec scale_around_center(Situ.Interval.t(), span(), amount()) :: Situ.Interval.t()
+  def scale_around_center(interval, span, amount) do
+    half = {:by, span |> growth_amount(amount) |> halve_amount()}
+    scale_ends(interval, span, half, half)
   end
 
   @doc "Moves one end by `by`."
-  @spec move(Situ.Interval.bound(), Situ.Interval.point() | :infinity) :: Situ.Interval.bound()
-  def move(:unbounded, _by), do: :unbounded
-  def move(bound, :infinity), do: bound
-  def move(bound, by), do: bound + by
+  @spec move_bound(Situ.Interval.bound(), Situ.Interval.point() | :infinity) ::
+          Situ.Interval.bound()
+  def move_bound(:unbounded, _by), do: :unbounded
+  def move_bound(bound, :infinity), do: bound
+  def move_bound(bound, by), do: bound + by
 
-  defp growth(_span, {:by, amount}), do: amount
-  defp growth(:infinity, {:factor, _factor}), do: :infinity
-  defp growth(span, {:factor, factor}) when is_integer(span), do: round(span * (factor - 1))
-  defp growth(span, {:factor, factor}), do: span * (factor - 1)
+  defp growth_amount(_span, {:by, amount}), do: amount
+  defp growth_amount(:infinity, {:factor, _factor}), do: :infinity
 
-  defp negate(:infinity), do: :infinity
-  defp negate(amount), do: -amount
+  defp growth_amount(span, {:factor, factor}) when is_integer(span),
+    do: round(span * (factor - 1))
 
-  defp halve(:infinity), do: :infinity
-  defp halve(amount) when is_integer(amount), do: div(amount + sign(amount), 2)
-  defp halve(amount), do: amount / 2
+  defp growth_amount(span, {:factor, factor}), do: span * (factor - 1)
 
-  defp sign(n) when n < 0, do: -1
-  defp sign(_n), do: 1
+  defp negate_amount(:infinity), do: :infinity
+  defp negate_amount(amount), do: -amount
+
+  defp halve_amount(:infinity), do: :infinity
+  defp halve_amount(amount) when is_integer(amount), do: div(amount + rounding_step(amount), 2)
+  defp halve_amount(amount), do: amount / 2
+
+  defp rounding_step(n) when n < 0, do: -1
+  defp rounding_step(_n), do: 1
 end

@@ -2,8 +2,9 @@ defmodule Situ.Interval.Text do
   @moduledoc false
   # Parses and formats the usual notation of intervals: [0,10), (-inf,0].
 
-  @spec parse(String.t()) :: {:ok, Situ.Interval.Overlap.ends()} | {:error, Situ.Error.t()}
-  def parse(text) do
+  @spec parse_notation(String.t()) ::
+          {:ok, Situ.Interval.Overlap.ends()} | {:error, Situ.Error.t()}
+  def parse_notation(text) do
     with [_, open, left, right, close] <- Regex.run(~r/^\s*([\[(])(.+),(.+)([\])])\s*$/, text),
          {:ok, left} <- parse_bound(String.trim(left), "-inf"),
          {:ok, right} <- parse_bound(String.trim(right), "inf") do
@@ -17,8 +18,8 @@ defmodule Situ.Interval.Text do
     end
   end
 
-  @spec format(Situ.Interval.t()) :: String.t()
-  def format(i) do
+  @spec format_notation(Situ.Interval.t()) :: String.t()
+  def format_notation(i) do
     open = if i.left_inclusive, do: "[", else: "("
     close = if i.right_inclusive, do: "]", else: ")"
     left = if i.left == :unbounded, do: "-inf", else: "#{i.left}"

@@ -5,27 +5,27 @@ defmodule Situ.Test.Budget do
       for _ <- 1..Situ.Test.Budget.mutations(500), do: ...
 
   ExUnit seeds the random numbers of each test from its `--seed`, so a search in the test's process needs no seed. For
-  other processes, `seed/0` derives a seed from ExUnit's.
+  other processes, `random_seed/0` derives a seed from ExUnit's.
   """
 
   @doc """
   Returns how many times longer than usual a search lasts: the environment variable `SITU_TIMES`, 1 by default.
 
-      iex> Situ.Test.Budget.times() >= 1
+      iex> Situ.Test.Budget.repeat_factor() >= 1
       true
   """
-  @spec times() :: pos_integer()
-  def times, do: "SITU_TIMES" |> System.get_env("1") |> String.to_integer() |> max(1)
+  @spec repeat_factor() :: pos_integer()
+  def repeat_factor, do: "SITU_TIMES" |> System.get_env("1") |> String.to_integer() |> max(1)
 
   @doc """
   Returns the number of corrupted inputs that a test tries: `usual`, or the number in the environment variable
   `SITU_MUTATIONS`. Raises `ArgumentError` if that is not an integer.
   """
-  @spec mutations(pos_integer()) :: pos_integer()
-  def mutations(usual),
+  @spec mutation_count(pos_integer()) :: pos_integer()
+  def mutation_count(usual),
     do: "SITU_MUTATIONS" |> System.get_env("#{usual}") |> String.to_integer()
 
   @doc "Returns a seed for `:rand.seed(:exsss, seed)` in a process that a test starts."
-  @spec seed() :: non_neg_integer()
-  def seed, do: :rand.uniform(1_000_000_000)
+  @spec random_seed() :: non_neg_integer()
+  def random_seed, do: :rand.uniform(1_000_000_000)
 end

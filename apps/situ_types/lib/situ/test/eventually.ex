@@ -16,20 +16,20 @@ defmodule Situ.Test.Eventually do
       nil
   """
   @spec eventually((() -> value), non_neg_integer()) :: value when value: term()
-  def eventually(fun, within \\ 30_000), do: look(fun, now() + within)
+  def eventually(fun, within \\ 30_000), do: poll_until(fun, monotonic_ms() + within)
 
-  defp look(fun, till) do
+  defp poll_until(fun, till) do
     value = fun.()
 
-    if value || now() > till do
+    if value || monotonic_ms() > till do
       value
     else
       receive do
       after
-        5 -> look(fun, till)
+        5 -> poll_until(fun, till)
       end
     end
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
 end

@@ -4,14 +4,14 @@ defmodule Situ.Test.FreePort do
 
   A port is free when it is returned, but another program may take it before the test does.
 
-      iex> Situ.Test.FreePort.tcp() in 1..65_535 and Situ.Test.FreePort.udp() in 1..65_535
+      iex> Situ.Test.FreePort.find_tcp() in 1..65_535 and Situ.Test.FreePort.find_udp() in 1..65_535
       true
   """
   @loopback [ip: {127, 0, 0, 1}]
 
   @doc "Returns a free TCP port."
-  @spec tcp() :: :inet.port_number()
-  def tcp do
+  @spec find_tcp() :: :inet.port_number()
+  def find_tcp do
     {:ok, socket} = :gen_tcp.listen(0, @loopback)
     {:ok, port} = :inet.port(socket)
     :gen_tcp.close(socket)
@@ -19,8 +19,8 @@ defmodule Situ.Test.FreePort do
   end
 
   @doc "Returns a free UDP port."
-  @spec udp() :: :inet.port_number()
-  def udp do
+  @spec find_udp() :: :inet.port_number()
+  def find_udp do
     {:ok, socket} = :gen_udp.open(0, @loopback)
     {:ok, port} = :inet.port(socket)
     :gen_udp.close(socket)

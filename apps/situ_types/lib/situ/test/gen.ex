@@ -48,8 +48,8 @@ defmodule Situ.Test.Gen do
   def binary(bytes), do: :proper_types.binary(bytes)
 
   @doc "Generates strings of printable ASCII characters."
-  @spec text() :: t()
-  def text, do: map(list(integer(32, 126)), &List.to_string/1)
+  @spec ascii_text() :: t()
+  def ascii_text, do: map(list(integer(32, 126)), &List.to_string/1)
 
   @doc "Generates terms."
   @spec term() :: t()
@@ -99,8 +99,8 @@ defmodule Situ.Test.Gen do
   Generates the messages of a stream, `[{originating_time, value}]`, with strictly increasing times in steps of 1 to
   `max_step` ns.
   """
-  @spec timed(t(), pos_integer()) :: t()
-  def timed(generator, max_step \\ 10) do
+  @spec timed_values(t(), pos_integer()) :: t()
+  def timed_values(generator, max_step \\ 10) do
     map(list({integer(1, max_step), generator}), fn steps ->
       {messages, _} =
         Enum.map_reduce(steps, 0, fn {step, value}, time ->
@@ -112,16 +112,16 @@ defmodule Situ.Test.Gen do
   end
 
   @doc "Splits `items` into non-empty batches of random sizes, as a scheduler may deliver them."
-  @spec batches([term()]) :: t()
-  def batches(items) do
-    map(list(integer(1, 8)), &cut(items, &1))
+  @spec random_batches([term()]) :: t()
+  def random_batches(items) do
+    map(list(integer(1, 8)), &cut_batches(items, &1))
   end
 
-  defp cut([], _sizes), do: []
-  defp cut(items, []), do: [items]
+  defp cut_batches([], _sizes), do: []
+  defp cut_batches(items, []), do: [items]
 
-  defp cut(items, [size | sizes]) do
+  defp cut_batches(items, [size | sizes]) do
     {batch, rest} = Enum.split(items, size)
-    [batch | cut(rest, sizes)]
+    [batch | cut_batches(rest, sizes)]
   end
 end

@@ -9,7 +9,7 @@ defmodule Situ.Test.Guide do
         @guide Path.expand("../../../docs/guides/links.md", __DIR__)
 
         test "every block of the guide returns the value in its comment" do
-          assert Situ.Test.Guide.run(@guide) > 5
+          assert Situ.Test.Guide.run_blocks(@guide) > 5
         end
       end
   """
@@ -18,22 +18,22 @@ defmodule Situ.Test.Guide do
   Runs the blocks of the Markdown file at `path` and returns their number. `bindings:` are variables for the first
   block. Raises `ExUnit.AssertionError` with the line in the guide, the block, and its result or exception.
   """
-  @spec run(Path.t(), keyword()) :: non_neg_integer()
-  def run(path, opts \\ []) do
+  @spec run_blocks(Path.t(), keyword()) :: non_neg_integer()
+  def run_blocks(path, opts \\ []) do
     env = Code.env_for_eval(file: path)
-    blocks = blocks(File.read!(path))
-    Enum.reduce(blocks, {Keyword.get(opts, :bindings, []), env}, &block/2)
+    blocks = list_blocks(File.read!(path))
+    Enum.reduce(blocks, {Keyword.get(opts, :bindings, []), env}, &run_block/2)
     length(blocks)
   end
 
   @doc """
   Lists the Elixir blocks of a Markdown text, each with the number of its first line.
 
-      iex> Situ.Test.Guide.blocks("One:\\n\\n```elixir\\n1 + 1\\n# => 2\\n```\\n")
+      iex> Situ.Test.Guide.list_blocks("One:\\n\\n```elixir\\n1 + 1\\n# => 2\\n```\\n")
       [{4, "1 + 1\\n# => 2\\n"}]
   """
-  @spec blocks(String.t()) :: [{pos_integer(), String.t()}]
-  def blocks(text) do
+  @spec list_blocks(String.t()) :: [{pos_integer(), String.t()}]
+  def list_blocks(text) do
     for [{at, length}] <-
           Regex.scan(~r/^```elixir\n\K.*?(?=^```)/ms, text, return: :index) do
       before = binary_part(text, 0, at)
@@ -41,7 +41,7 @@ defmodule Situ.Test.Guide do
     end
   end
 
-  defp block({line, code}, {bindings, env}) do
+  defp run_block({line, code}, {bindings, env}) do
     quoted = Code.string_to_quoted!(code, file: env.file, line: line)
     {value, bindings, env} = Code.eval_quoted_with_env(quoted, bindings, env)
 

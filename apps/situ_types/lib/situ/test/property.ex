@@ -40,7 +40,7 @@ defmodule Situ.Test.Property do
 
     quote do
       test unquote(name), unquote(context) do
-        Situ.Test.Property.check(unquote(body), unquote(opts))
+        Situ.Test.Property.check_forall(unquote(body), unquote(opts))
       end
     end
   end
@@ -55,57 +55,62 @@ defmodule Situ.Test.Property do
   @doc """
   Checks `{generator, fun}` and raises `ExUnit.AssertionError` with the shrunk counterexample.
 
-      iex> Situ.Test.Property.check({Situ.Test.Gen.integer(), fn n -> n + 0 == n end}, numtests: 20)
+      iex> Situ.Test.Property.check_forall({Situ.Test.Gen.integer(), fn n -> n + 0 == n end}, numtests: 20)
       :ok
   """
-  @spec check({term(), (term() -> term())}, keyword()) :: :ok
-  def check({generator, fun}, opts \\ []) do
+  @spec check_forall({term(), (term() -> term())}, keyword()) :: :ok
+  def check_forall({generator, fun}, opts \\ []) do
     flags = [
       :quiet,
       :long_result,
-      {:numtests, Keyword.get(opts, :numtests, 100) * Situ.Test.Budget.times()},
+      {:numtests, Keyword.get(opts, :numtests, 100) * Situ.Test.Budget.repeat_factor()},
       {:max_size, Keyword.get(opts, :max_size, 42)}
     ]
 
     # PropEr uses the random number generator of the current process, so seed it here.
     :rand.seed(:exsplus, {ExUnit.configuration()[:seed] || 0, 0, 0})
 
-    case :proper.quickcheck(:proper.forall(generator, &holds?(fun, &1)), flags) do
-      true -> :ok
-      {:error, reason} -> fail("the property could not be checked: #{inspect(reason)}", [])
-      [input | _] -> explain(fun, input)
+    case :proper.quickcheck(:proper.forall(generator, &holds_for?(fun, &1)), flags) do
+      true ->
+        :ok
+
+      {:error, reason} ->
+        raise_failure("the property could not be checked: #{inspect(reason)}", [])
+
+      [input | _] ->
+        raise_counterexample(fun, input)
     end
   end
 
-  defp holds?(fun, input) do
+  defp holds_for?(fun, input) do
     fun.(input) != false
   rescue
     _ -> false
   end
 
   # Runs the property again, because the first error belongs to the input before shrinking.
-  @spec explain((term() -> term()), term()) :: no_return()
-  defp explain(fun, input) do
+  @spec raise_counterexample((term() -> term()), term()) :: no_return()
+  defp raise_counterexample(fun, input) do
     shown = "input: " <> inspect(input, charlists: :as_lists, limit: 200, pretty: true)
 
     try do
       fun.(input)
     rescue
       error ->
-        fail("#{shown}\n\n#{Exception.format(:error, error)}", __STACKTRACE__)
+        raise_failure("#{shown}\n\n#{Exception.format(:error, error)}", __STACKTRACE__)
     else
       false ->
-        fail("#{shown}\n\nthe property returned false", [])
+        raise_failure("#{shown}\n\nthe property returned false", [])
 
       _ ->
-        fail(
+        raise_failure(
           "#{shown}\n\nit failed, then passed with the same input: it depends on more than its input",
           []
         )
     end
   end
 
-  defp fail(message, stacktrace) do
+  defp raise_failure(message, stacktrace) do
     error = struct!(ExUnit.AssertionError, message: "property does not hold\n" <> message)
     :erlang.raise(:error, error, stacktrace)
   end

@@ -24,7 +24,7 @@ defmodule Situ.Test.SlowestTests do
       do: {:noreply, [test | tests]}
 
   def handle_cast({:suite_finished, _times_us}, tests) do
-    tests |> slowest() |> Enum.each(&IO.puts(describe(&1)))
+    tests |> take_slowest() |> Enum.each(&IO.puts(format_line(&1)))
     {:noreply, []}
   end
 
@@ -34,16 +34,16 @@ defmodule Situ.Test.SlowestTests do
   Returns the ten slowest of `tests`, slowest first.
 
       iex> tests = [%{time: 1}, %{time: 3}, %{time: 2}]
-      iex> Situ.Test.SlowestTests.slowest(tests)
+      iex> Situ.Test.SlowestTests.take_slowest(tests)
       [%{time: 3}, %{time: 2}, %{time: 1}]
   """
-  @spec slowest([map()]) :: [map()]
-  def slowest(tests), do: tests |> Enum.sort_by(& &1.time, :desc) |> Enum.take(@count)
+  @spec take_slowest([map()]) :: [map()]
+  def take_slowest(tests), do: tests |> Enum.sort_by(& &1.time, :desc) |> Enum.take(@count)
 
   @doc """
   Returns the line that `bin/test` collects for a test.
 
-      iex> Situ.Test.SlowestTests.describe(%{
+      iex> Situ.Test.SlowestTests.format_line(%{
       ...>   time: 2_340_000,
       ...>   module: MyTest,
       ...>   name: :"test it",
@@ -51,8 +51,8 @@ defmodule Situ.Test.SlowestTests do
       ...> })
       "slow: 2.3 s  MyTest, test it (test/my_test.exs:7)"
   """
-  @spec describe(map()) :: String.t()
-  def describe(%{time: time_us, module: module, name: name, tags: tags}) do
+  @spec format_line(map()) :: String.t()
+  def format_line(%{time: time_us, module: module, name: name, tags: tags}) do
     seconds = :erlang.float_to_binary(time_us / 1_000_000, decimals: 1)
     place = "#{Path.relative_to_cwd(tags.file)}:#{tags.line}"
     "slow: #{seconds} s  #{inspect(module)}, #{name} (#{place})"

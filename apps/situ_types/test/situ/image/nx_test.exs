@@ -1,6 +1,6 @@
 defmodule Situ.Image.NxTest do
-  # Nx cannot be a dependency; these are the functions of Nx that are called, with its argument order and result shapes,
-  # in a module that is only there while a test runs.
+  # Nx cannot be a dependency. This module defines the Nx functions that are called, with the same argument order and
+  # result shapes, and exists only while a test runs.
   use ExUnit.Case, async: false
   alias Situ.{AudioBuffer, AudioFormat, DepthImage, Image}
 
@@ -25,11 +25,11 @@ defmodule Situ.Image.NxTest do
                 end
             )
 
-  test "without Nx the answer says so" do
-    assert {:error, %{code: :nx_missing}} = Image.Nx.to_nx(Image.filled(1, 1, :gray8))
+  test "returns an error without Nx" do
+    assert {:error, %{code: :nx_missing}} = Image.Nx.to_nx(Image.new_filled(1, 1, :gray8))
   end
 
-  test "pictures, depth and sound become tensors and come back" do
+  test "converts images, depth images and audio to tensors and back" do
     Code.eval_quoted(@stand_in)
 
     on_exit(fn ->
@@ -37,7 +37,7 @@ defmodule Situ.Image.NxTest do
       :code.delete(Nx)
     end)
 
-    image = Image.filled(3, 2, :bgr24, [1, 2, 3])
+    image = Image.new_filled(3, 2, :bgr24, [1, 2, 3])
     assert {:ok, %{shape: {2, 3, 3}, type: {:u, 8}} = tensor} = Image.Nx.to_nx(image)
     assert Image.Nx.to_image(tensor, :bgr24) == {:ok, image}
     assert {:error, %{code: :bad_format}} = Image.Nx.to_image(tensor, :gray8)
@@ -45,9 +45,11 @@ defmodule Situ.Image.NxTest do
     depth = DepthImage.new!(width: 2, height: 1, data: <<1, 0, 2, 0>>)
     assert {:ok, %{shape: {1, 2}, type: {:u, 16}}} = Image.Nx.to_nx(depth)
 
-    buffer = AudioBuffer.silence(AudioFormat.pcm(8000, 2, :f32), 5)
+    buffer = AudioBuffer.build_silence(AudioFormat.pcm(8000, 2, :f32), 5)
     assert {:ok, %{shape: {5, 2}, type: {:f, 32}} = tensor} = Image.Nx.to_nx(buffer)
     assert Image.Nx.to_audio(tensor, 8000) == {:ok, buffer}
-    assert {:error, _} = Image.Nx.to_nx(AudioBuffer.silence(AudioFormat.pcm(8000, 1, :s24), 1))
+
+    assert {:error, _} =
+             Image.Nx.to_nx(AudioBuffer.build_silence(AudioFormat.pcm(8000, 1, :s24), 1))
   end
 end

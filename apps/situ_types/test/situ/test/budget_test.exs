@@ -1,5 +1,5 @@
 defmodule Situ.Test.BudgetTest do
-  # The environment is the whole system's.
+  # Not async, because the environment is global.
   use ExUnit.Case, async: false
   alias Situ.Test.Budget
 
@@ -15,12 +15,12 @@ defmodule Situ.Test.BudgetTest do
     end)
   end
 
-  test "the environment sets how many damaged inputs are tried" do
+  test "the environment sets the number of damaged inputs" do
     System.delete_env("SITU_MUTATIONS")
-    assert Budget.mutations(500) == 500
+    assert Budget.mutation_count(500) == 500
     System.put_env("SITU_MUTATIONS", "7")
-    assert Budget.mutations(500) == 7
+    assert Budget.mutation_count(500) == 7
     System.put_env("SITU_MUTATIONS", "many")
-    assert_raise ArgumentError, fn -> Budget.mutations(500) end
+    assert_raise ArgumentError, fn -> Budget.mutation_count(500) end
   end
 end

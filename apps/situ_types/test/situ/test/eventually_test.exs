@@ -3,7 +3,7 @@ defmodule Situ.Test.EventuallyTest do
   doctest Situ.Test.Eventually
   import Situ.Test.Eventually
 
-  test "looks until it is so" do
+  test "polls until the condition is true" do
     counter = :counters.new(1, [])
     seen = fn -> :counters.add(counter, 1, 1) == :ok and :counters.get(counter, 1) == 4 end
     assert eventually(seen)

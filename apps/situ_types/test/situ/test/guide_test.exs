@@ -12,7 +12,7 @@ defmodule Situ.Test.GuideTest do
     path
   end
 
-  test "blocks share variables and aliases, and give what they say", %{tmp_dir: dir} do
+  test "blocks share variables and aliases, and return the values they show", %{tmp_dir: dir} do
     path =
       guide(dir, """
       ```elixir
@@ -29,18 +29,18 @@ defmodule Situ.Test.GuideTest do
       ```
       """)
 
-    assert Guide.run(path, bindings: [start: 3]) == 2
+    assert Guide.run_blocks(path, bindings: [start: 3]) == 2
   end
 
-  test "a block that gives something else is told with its line", %{tmp_dir: dir} do
+  test "reports the line of a block that returns a different value", %{tmp_dir: dir} do
     path = guide(dir, "# One\n\n```elixir\n1 + 1\n# => 3\n```\n")
-    error = assert_raise ExUnit.AssertionError, fn -> Guide.run(path) end
-    assert error.message == "guide.md:4: it gave 2\n1 + 1\n# => 3\n"
+    error = assert_raise ExUnit.AssertionError, fn -> Guide.run_blocks(path) end
+    assert error.message == "guide.md:4: the result is 2\n1 + 1\n# => 3\n"
   end
 
-  test "a block that raises is told as well", %{tmp_dir: dir} do
+  test "reports the line of a block that raises", %{tmp_dir: dir} do
     path = guide(dir, "```elixir\n:ok\nraise \"no\"\n```\n")
-    error = assert_raise ExUnit.AssertionError, fn -> Guide.run(path) end
+    error = assert_raise ExUnit.AssertionError, fn -> Guide.run_blocks(path) end
     assert error.message =~ "guide.md:2: no\n"
   end
 end

@@ -4,14 +4,14 @@ defmodule Situ.Test.PropertyTest do
   doctest Situ.Test.Property
   doctest Situ.Test.Gen
 
-  property "holds for what is true" do
+  property "a true property passes" do
     forall {xs, ys} <- {list(integer()), list(integer())} do
       assert length(xs ++ ys) == length(xs) + length(ys)
     end
   end
 
-  property "timed/2 gives strictly increasing times" do
-    forall messages <- timed(integer()) do
+  property "timed/2 generates strictly increasing times" do
+    forall messages <- timed_values(integer()) do
       times = Enum.map(messages, &elem(&1, 0))
       assert times == Enum.uniq(Enum.sort(times))
     end
@@ -19,7 +19,7 @@ defmodule Situ.Test.PropertyTest do
 
   property "batches/1 loses nothing" do
     forall {batches, items} <-
-             map(list(integer()), fn items -> {batches(items), constant(items)} end) do
+             map(list(integer()), fn items -> {random_batches(items), constant(items)} end) do
       assert Enum.concat(batches) == items
     end
   end
@@ -27,17 +27,17 @@ defmodule Situ.Test.PropertyTest do
   test "a failure shows the shrunk input and its error" do
     error =
       assert_raise ExUnit.AssertionError, fn ->
-        Situ.Test.Property.check({list(integer()), fn xs -> assert length(xs) < 3 end})
+        Situ.Test.Property.check_forall({list(integer()), fn xs -> assert length(xs) < 3 end})
       end
 
     assert error.message =~ "input: [0, 0, 0]"
     assert error.message =~ "length(xs) < 3"
   end
 
-  test "false is a counterexample too" do
+  test "false is also a counterexample" do
     error =
       assert_raise ExUnit.AssertionError, fn ->
-        Situ.Test.Property.check({integer(), fn n -> n < 1_000_000 and n > -1 end})
+        Situ.Test.Property.check_forall({integer(), fn n -> n < 1_000_000 and n > -1 end})
       end
 
     assert error.message =~ "returned false"

@@ -9,7 +9,7 @@ defmodule Situ.Test.SlowestTestsTest do
   defp finished_test(time_us, name),
     do: %{time: time_us, module: __MODULE__, name: name, tags: %{file: __ENV__.file, line: 1}}
 
-  test "only tests that took a second are printed, the slowest first, at most ten" do
+  test "prints at most ten tests that took a second or more, slowest first" do
     times_ms = [999, 1000, 7000] ++ Enum.map(1..12, &(&1 * 100 + 2000))
 
     {:ok, state} = SlowestTests.init([])

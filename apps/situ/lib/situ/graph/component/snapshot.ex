@@ -13,25 +13,27 @@ defmodule Situ.Component.Snapshot do
   @type t :: {:own, term()} | {:plain, term()}
 
   @doc "Takes the snapshot of `core`, the state of a component at `path`."
-  @spec take(module(), term(), String.t()) :: {:ok, t()} | {:error, Error.t()}
-  def take(module, core, path) do
+  @spec take_snapshot(module(), term(), String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def take_snapshot(module, core, path) do
     if function_exported?(module, :snapshot, 1) do
-      with {:ok, own} <- own(module.snapshot(core), path), do: {:ok, {:own, own}}
+      with {:ok, own} <- check_snapshot(module.snapshot(core), path), do: {:ok, {:own, own}}
     else
-      with {:ok, plain} <- plain(core, path), do: {:ok, {:plain, plain}}
+      with {:ok, plain} <- to_plain_data(core, path), do: {:ok, {:plain, plain}}
     end
   rescue
-    error -> {:error, failed(path, "snapshot", Exception.message(error))}
+    error -> {:error, bad_snapshot_error(path, "snapshot", Exception.message(error))}
   end
 
-  defp own({:ok, own}, _path), do: {:ok, own}
-  defp own({:error, %Error{} = error}, _path), do: {:error, error}
-  defp own(other, path), do: {:error, failed(path, "snapshot", "it returned #{brief(other)}")}
+  defp check_snapshot({:ok, own}, _path), do: {:ok, own}
+  defp check_snapshot({:error, %Error{} = error}, _path), do: {:error, error}
+
+  defp check_snapshot(other, path),
+    do: {:error, bad_snapshot_error(path, "snapshot", "it returned #{inspect_briefly(other)}")}
 
   @doc "Returns a state of plain data with each function replaced by a placeholder."
-  @spec plain(term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
-  def plain(term, path) do
-    {:ok, strip(term)}
+  @spec to_plain_data(term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
+  def to_plain_data(term, path) do
+    {:ok, strip_functions(term)}
   catch
     {:situ_not_data, what} ->
       {:error,
@@ -43,23 +45,28 @@ defmodule Situ.Component.Snapshot do
   end
 
   @doc "Restores the snapshot into `fresh`, the state of a component that has just started."
-  @spec put(module(), t(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
-  def put(_module, {:plain, plain}, fresh, path), do: fill(plain, fresh, path)
+  @spec restore_state(module(), t(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
+  def restore_state(_module, {:plain, plain}, fresh, path), do: fill_functions(plain, fresh, path)
 
-  def put(module, {:own, own}, fresh, path) do
+  def restore_state(module, {:own, own}, fresh, path) do
     case module.restore(own, fresh) do
-      {:ok, core} -> {:ok, core}
-      {:error, %Error{} = error} -> {:error, error}
-      other -> {:error, failed(path, "restore", "it returned #{brief(other)}")}
+      {:ok, core} ->
+        {:ok, core}
+
+      {:error, %Error{} = error} ->
+        {:error, error}
+
+      other ->
+        {:error, bad_snapshot_error(path, "restore", "it returned #{inspect_briefly(other)}")}
     end
   rescue
-    error -> {:error, failed(path, "restore", Exception.message(error))}
+    error -> {:error, bad_snapshot_error(path, "restore", Exception.message(error))}
   end
 
   @doc "Replaces the placeholders in `plain` with the functions at the same positions in `fresh`."
-  @spec fill(term(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
-  def fill(plain, fresh, path) do
-    {:ok, patch(plain, fresh)}
+  @spec fill_functions(term(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
+  def fill_functions(plain, fresh, path) do
+    {:ok, patch_functions(plain, fresh)}
   catch
     :situ_no_function ->
       {:error,
@@ -71,44 +78,53 @@ defmodule Situ.Component.Snapshot do
        )}
   end
 
-  defp strip(fun) when is_function(fun) do
+  defp strip_functions(fun) when is_function(fun) do
     if :erlang.fun_info(fun, :type) == {:type, :external}, do: fun, else: @hole
   end
 
-  defp strip([head | tail]), do: [strip(head) | strip(tail)]
-  defp strip(tuple) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> strip() |> to_tuple()
-  defp strip(map) when is_map(map), do: :maps.from_list(strip(:maps.to_list(map)))
-  defp strip(pid) when is_pid(pid), do: throw({:situ_not_data, "a process"})
-  defp strip(port) when is_port(port), do: throw({:situ_not_data, "a port"})
-  defp strip(ref) when is_reference(ref), do: throw({:situ_not_data, "a reference"})
-  defp strip(data), do: data
+  defp strip_functions([head | tail]), do: [strip_functions(head) | strip_functions(tail)]
+
+  defp strip_functions(tuple) when is_tuple(tuple),
+    do: tuple |> Tuple.to_list() |> strip_functions() |> to_tuple()
+
+  defp strip_functions(map) when is_map(map),
+    do: :maps.from_list(strip_functions(:maps.to_list(map)))
+
+  defp strip_functions(pid) when is_pid(pid), do: throw({:situ_not_data, "a process"})
+  defp strip_functions(port) when is_port(port), do: throw({:situ_not_data, "a port"})
+  defp strip_functions(ref) when is_reference(ref), do: throw({:situ_not_data, "a reference"})
+  defp strip_functions(data), do: data
 
   defp to_tuple(list), do: List.to_tuple(list)
 
-  defp patch(@hole, fun) when is_function(fun), do: fun
-  defp patch(@hole, _other), do: throw(:situ_no_function)
-  defp patch([head | tail], [h | t]), do: [patch(head, h) | patch(tail, t)]
-  defp patch([head | tail], _other), do: [patch(head, nil) | patch(tail, nil)]
+  defp patch_functions(@hole, fun) when is_function(fun), do: fun
+  defp patch_functions(@hole, _other), do: throw(:situ_no_function)
 
-  defp patch(tuple, fresh) when is_tuple(tuple) and is_tuple(fresh),
-    do: tuple |> Tuple.to_list() |> patch(Tuple.to_list(fresh)) |> to_tuple()
+  defp patch_functions([head | tail], [h | t]),
+    do: [patch_functions(head, h) | patch_functions(tail, t)]
 
-  defp patch(tuple, _fresh) when is_tuple(tuple),
-    do: tuple |> Tuple.to_list() |> patch(nil) |> to_tuple()
+  defp patch_functions([head | tail], _other),
+    do: [patch_functions(head, nil) | patch_functions(tail, nil)]
 
-  defp patch(map, fresh) when is_map(map) do
+  defp patch_functions(tuple, fresh) when is_tuple(tuple) and is_tuple(fresh),
+    do: tuple |> Tuple.to_list() |> patch_functions(Tuple.to_list(fresh)) |> to_tuple()
+
+  defp patch_functions(tuple, _fresh) when is_tuple(tuple),
+    do: tuple |> Tuple.to_list() |> patch_functions(nil) |> to_tuple()
+
+  defp patch_functions(map, fresh) when is_map(map) do
     fresh = if is_map(fresh), do: fresh, else: %{}
-    :maps.map(fn key, value -> patch(value, Map.get(fresh, key)) end, map)
+    :maps.map(fn key, value -> patch_functions(value, Map.get(fresh, key)) end, map)
   end
 
-  defp patch(data, _fresh), do: data
+  defp patch_functions(data, _fresh), do: data
 
-  defp failed(path, callback, why) do
+  defp bad_snapshot_error(path, callback, why) do
     Error.new(:bad_snapshot, "#{path}: #{callback} failed: #{why}",
       fix: "return {:ok, data} from snapshot/1, {:ok, state} from restore/2, or {:error, error}",
       meta: %{component: path}
     )
   end
 
-  defp brief(term), do: inspect(term, limit: 8, printable_limit: 80)
+  defp inspect_briefly(term), do: inspect(term, limit: 8, printable_limit: 80)
 end

@@ -40,31 +40,31 @@ defmodule Situ.Delivery.Queue do
   def new(%Delivery{} = policy), do: %__MODULE__{policy: policy}
 
   @doc "Replaces the guarantee, the function that decides which data is never dropped."
-  @spec guarantee(t(), (term() -> boolean())) :: t()
-  def guarantee(%__MODULE__{policy: policy} = queue, keep?),
+  @spec put_guarantee(t(), (term() -> boolean())) :: t()
+  def put_guarantee(%__MODULE__{policy: policy} = queue, keep?),
     do: %{queue | policy: %{policy | guarantee: keep?}}
 
   @doc "Appends an entry; returns the queue and the messages that were dropped, oldest first."
   @spec push(t(), entry()) :: {t(), [Message.t()]}
   def push(%__MODULE__{} = queue, {:closed, time} = closed) do
-    {queue, late} = cut(queue, time)
-    {append(queue, closed, :kept), late}
+    {queue, late} = drop_after(queue, time)
+    {append_entry(queue, closed, :kept), late}
   end
 
   def push(%__MODULE__{policy: %{guarantee: nil} = policy} = queue, message) do
-    queue = append(queue, message, :free)
-    if queue.size > policy.max_queue, do: overflow(queue), else: {queue, []}
+    queue = append_entry(queue, message, :free)
+    if queue.size > policy.max_queue, do: drop_oldest(queue), else: {queue, []}
   end
 
   def push(%__MODULE__{policy: policy, size: size} = queue, message) do
     class = if policy.guarantee.(message.data) == true, do: :kept, else: :free
 
     cond do
-      size < policy.max_queue -> {append(queue, message, class), []}
+      size < policy.max_queue -> {append_entry(queue, message, class), []}
       size > policy.max_queue and class == :free -> {queue, [message]}
-      size > policy.max_queue -> {append(queue, message, class), []}
-      queue.free != {[], []} -> queue |> append(message, class) |> overflow()
-      class == :kept -> {append(queue, message, class), []}
+      size > policy.max_queue -> {append_entry(queue, message, class), []}
+      queue.free != {[], []} -> queue |> append_entry(message, class) |> drop_oldest()
+      class == :kept -> {append_entry(queue, message, class), []}
       true -> {queue, [message]}
     end
   end
@@ -82,46 +82,46 @@ defmodule Situ.Delivery.Queue do
 
   @doc "Takes the first entry that has not expired at clock time `now`; also returns the expired messages."
   @spec pop(t(), Situ.Time.t()) :: {entry() | nil, t(), [Message.t()]}
-  def pop(%__MODULE__{} = queue, now), do: pop(queue, now, [])
+  def pop(%__MODULE__{} = queue, now), do: pop_unexpired(queue, now, [])
 
   @doc "Takes up to `n` entries regardless of their age; returns `{entries, count, queue}`."
   @spec take(t(), non_neg_integer() | :infinity) :: {[entry()], non_neg_integer(), t()}
-  def take(%__MODULE__{} = queue, n), do: take(queue, n, [], 0)
+  def take(%__MODULE__{} = queue, n), do: take_entries(queue, n, [], 0)
 
-  defp take(queue, n, taken, count) when count < n do
-    case shift(queue) do
+  defp take_entries(queue, n, taken, count) when count < n do
+    case shift_oldest(queue) do
       {nil, _class, queue} -> {:lists.reverse(taken), count, queue}
-      {entry, _class, queue} -> take(queue, n, [entry | taken], count + 1)
+      {entry, _class, queue} -> take_entries(queue, n, [entry | taken], count + 1)
     end
   end
 
-  defp take(queue, _n, taken, count), do: {:lists.reverse(taken), count, queue}
+  defp take_entries(queue, _n, taken, count), do: {:lists.reverse(taken), count, queue}
 
   @doc "Drops messages from the front that have expired at clock time `now`."
-  @spec expire(t(), Situ.Time.t()) :: {t(), [Message.t()]}
-  def expire(%__MODULE__{policy: %{max_latency: :infinity}} = queue, _now), do: {queue, []}
-  def expire(%__MODULE__{} = queue, now), do: expire(queue, now, [])
+  @spec drop_expired(t(), Situ.Time.t()) :: {t(), [Message.t()]}
+  def drop_expired(%__MODULE__{policy: %{max_latency: :infinity}} = queue, _now), do: {queue, []}
+  def drop_expired(%__MODULE__{} = queue, now), do: drop_expired(queue, now, [])
 
-  defp expire(queue, now, dropped) do
-    case shift(queue) do
+  defp drop_expired(queue, now, dropped) do
+    case shift_oldest(queue) do
       {nil, _class, queue} ->
         {queue, Enum.reverse(dropped)}
 
       {entry, class, rest} ->
         if class == :free and too_old?(entry, now, queue.policy),
-          do: expire(rest, now, [entry | dropped]),
+          do: drop_expired(rest, now, [entry | dropped]),
           else: {queue, Enum.reverse(dropped)}
     end
   end
 
   @doc "Drops messages from the front that are later than `time`, at which the stream closes."
-  @spec cut(t(), Situ.Time.t()) :: {t(), [Message.t()]}
-  def cut(%__MODULE__{} = queue, time), do: cut(queue, time, [])
+  @spec drop_after(t(), Situ.Time.t()) :: {t(), [Message.t()]}
+  def drop_after(%__MODULE__{} = queue, time), do: drop_after(queue, time, [])
 
-  defp cut(queue, time, late) do
-    case shift(queue) do
+  defp drop_after(queue, time, late) do
+    case shift_oldest(queue) do
       {%Message{originating_time: t} = entry, _class, rest} when t > time ->
-        cut(rest, time, [entry | late])
+        drop_after(rest, time, [entry | late])
 
       _ ->
         {queue, Enum.reverse(late)}
@@ -131,52 +131,53 @@ defmodule Situ.Delivery.Queue do
   @doc "Returns the first entry regardless of its age."
   @spec peek(t()) :: entry() | nil
   def peek(%__MODULE__{size: 0}), do: nil
-  def peek(%__MODULE__{} = queue), do: queue |> shift() |> elem(0)
+  def peek(%__MODULE__{} = queue), do: queue |> shift_oldest() |> elem(0)
 
   @doc "Returns all waiting entries, oldest first."
   @spec to_list(t()) :: [entry()]
   def to_list(%__MODULE__{size: 0}), do: []
   def to_list(%__MODULE__{} = queue), do: queue |> take(:infinity) |> elem(0)
 
-  defp pop(queue, now, dropped) do
-    case shift(queue) do
+  defp pop_unexpired(queue, now, dropped) do
+    case shift_oldest(queue) do
       {nil, _class, queue} ->
         {nil, queue, Enum.reverse(dropped)}
 
       {entry, class, rest} ->
         if class == :free and too_old?(entry, now, queue.policy),
-          do: pop(rest, now, [entry | dropped]),
+          do: pop_unexpired(rest, now, [entry | dropped]),
           else: {entry, rest, Enum.reverse(dropped)}
     end
   end
 
-  defp overflow(%{free: {[{_, oldest} | front], rear}, size: size} = queue),
-    do: {%{queue | free: balance(front, rear), size: size - 1}, [oldest]}
+  defp drop_oldest(%{free: {[{_, oldest} | front], rear}, size: size} = queue),
+    do: {%{queue | free: balance_fifo(front, rear), size: size - 1}, [oldest]}
 
-  defp append(%{next: next, size: size} = queue, entry, :free),
-    do: %{queue | free: enter(queue.free, {next, entry}), size: size + 1, next: next + 1}
+  defp append_entry(%{next: next, size: size} = queue, entry, :free),
+    do: %{queue | free: push_rear(queue.free, {next, entry}), size: size + 1, next: next + 1}
 
-  defp append(%{next: next, size: size} = queue, entry, :kept),
-    do: %{queue | kept: enter(queue.kept, {next, entry}), size: size + 1, next: next + 1}
+  defp append_entry(%{next: next, size: size} = queue, entry, :kept),
+    do: %{queue | kept: push_rear(queue.kept, {next, entry}), size: size + 1, next: next + 1}
 
   # The front is empty only if the whole queue is empty.
-  defp enter({[], []}, entry), do: {[entry], []}
-  defp enter({front, rear}, entry), do: {front, [entry | rear]}
+  defp push_rear({[], []}, entry), do: {[entry], []}
+  defp push_rear({front, rear}, entry), do: {front, [entry | rear]}
 
-  defp balance([], rear), do: {:lists.reverse(rear), []}
-  defp balance(front, rear), do: {front, rear}
+  defp balance_fifo([], rear), do: {:lists.reverse(rear), []}
+  defp balance_fifo(front, rear), do: {front, rear}
 
   # Removes the oldest entry and returns it with its class.
-  defp shift(%{free: {[], _}, kept: {[], _}} = queue), do: {nil, :free, queue}
+  defp shift_oldest(%{free: {[], _}, kept: {[], _}} = queue), do: {nil, :free, queue}
 
-  defp shift(%{free: {[{i, entry} | front], rear}, kept: {[{j, _} | _], _}} = queue) when i < j,
-    do: {entry, :free, %{queue | free: balance(front, rear), size: queue.size - 1}}
+  defp shift_oldest(%{free: {[{i, entry} | front], rear}, kept: {[{j, _} | _], _}} = queue)
+       when i < j,
+       do: {entry, :free, %{queue | free: balance_fifo(front, rear), size: queue.size - 1}}
 
-  defp shift(%{free: {[{_, entry} | front], rear}, kept: {[], _}} = queue),
-    do: {entry, :free, %{queue | free: balance(front, rear), size: queue.size - 1}}
+  defp shift_oldest(%{free: {[{_, entry} | front], rear}, kept: {[], _}} = queue),
+    do: {entry, :free, %{queue | free: balance_fifo(front, rear), size: queue.size - 1}}
 
-  defp shift(%{kept: {[{_, entry} | front], rear}} = queue),
-    do: {entry, :kept, %{queue | kept: balance(front, rear), size: queue.size - 1}}
+  defp shift_oldest(%{kept: {[{_, entry} | front], rear}} = queue),
+    do: {entry, :kept, %{queue | kept: balance_fifo(front, rear), size: queue.size - 1}}
 
   defp too_old?({:closed, _}, _now, _policy), do: false
   defp too_old?(_message, _now, %{max_latency: :infinity}), do: false

@@ -27,13 +27,13 @@ defmodule Situ.Operator.Chain do
   @doc "Compiles the chain of `vertices`, which start at index `first` of their stage."
   @spec compile([Situ.Graph.Vertex.t()], non_neg_integer()) :: t()
   def compile(vertices, first) do
-    steps = vertices |> Enum.map(& &1.opts) |> new(first)
+    steps = vertices |> Enum.map(& &1.opts) |> build_steps(first)
     %__MODULE__{steps: steps, fast: not stateful?(steps)}
   end
 
   @doc "Updates the steps of the chain with `fun`."
-  @spec update(t(), (steps() -> steps())) :: t()
-  def update(%__MODULE__{} = chain, fun) do
+  @spec update_steps(t(), (steps() -> steps())) :: t()
+  def update_steps(%__MODULE__{} = chain, fun) do
     steps = fun.(chain.steps)
     %{chain | steps: steps, fast: not stateful?(steps)}
   end
@@ -41,10 +41,10 @@ defmodule Situ.Operator.Chain do
   @doc """
   Replaces the step of the operator at `index`. The state of the old step is discarded, or kept with `{:keep, step}`.
   """
-  @spec exchange(t(), non_neg_integer(), Situ.Operator.step() | {:keep, Situ.Operator.step()}) ::
+  @spec replace_step(t(), non_neg_integer(), Situ.Operator.step() | {:keep, Situ.Operator.step()}) ::
           t()
-  def exchange(chain, index, {:keep, {:step, fun, _state}}) do
-    update(chain, fn steps ->
+  def replace_step(chain, index, {:keep, {:step, fun, _state}}) do
+    update_steps(chain, fn steps ->
       Enum.map(steps, fn
         {:step, _old, ^index, state} -> {:step, fun, index, state}
         other -> other
@@ -52,21 +52,24 @@ defmodule Situ.Operator.Chain do
     end)
   end
 
-  def exchange(chain, index, {:keep, step}), do: exchange(chain, index, step)
+  def replace_step(chain, index, {:keep, step}), do: replace_step(chain, index, step)
 
-  def exchange(chain, index, step) do
-    [fresh] = new([step], index)
-    update(chain, fn steps -> Enum.map(steps, &if(elem(&1, 2) == index, do: fresh, else: &1)) end)
+  def replace_step(chain, index, step) do
+    [fresh] = build_steps([step], index)
+
+    update_steps(chain, fn steps ->
+      Enum.map(steps, &if(elem(&1, 2) == index, do: fresh, else: &1))
+    end)
   end
 
   @doc "Builds the steps of operators, in order; `first` is the index of the first operator's vertex in its stage."
-  @spec new([Situ.Operator.step()], non_neg_integer()) :: steps()
-  def new(steps, first \\ 0) do
+  @spec build_steps([Situ.Operator.step()], non_neg_integer()) :: steps()
+  def build_steps(steps, first \\ 0) do
     steps
     |> Enum.with_index(first)
     |> Enum.map(fn
       {{:step, fun, state}, i} -> {:step, fun, i, state}
-      {{kind, fun}, i} -> {kind(kind, fun), fun, i}
+      {{kind, fun}, i} -> {step_kind(kind, fun), fun, i}
     end)
   end
 
@@ -75,23 +78,23 @@ defmodule Situ.Operator.Chain do
   def stateful?(steps), do: Enum.any?(steps, &(tuple_size(&1) == 4))
 
   @doc "Runs stateless steps on a message; returns data or `skip/0`. Throws `{:situ_step, index, kind, reason, stack}`."
-  @spec run(steps(), term(), Situ.Message.t()) :: term()
-  def run([], data, _message), do: data
+  @spec run_stateless(steps(), term(), Situ.Message.t()) :: term()
+  def run_stateless([], data, _message), do: data
 
-  def run([{:map, fun, i} | rest], data, message) do
+  def run_stateless([{:map, fun, i} | rest], data, message) do
     value =
       try do
         fun.(data)
       catch
-        kind, reason -> failed(i, kind, reason, __STACKTRACE__)
+        kind, reason -> throw_failure(i, kind, reason, __STACKTRACE__)
       end
 
-    run(rest, value, message)
+    run_stateless(rest, value, message)
   end
 
-  def run([step | rest], data, message) do
+  def run_stateless([step | rest], data, message) do
     case apply_step(step, data, message) do
-      {:emit, value} -> run(rest, value, message)
+      {:emit, value} -> run_stateless(rest, value, message)
       @skip -> @skip
     end
   end
@@ -105,7 +108,7 @@ defmodule Situ.Operator.Chain do
       try do
         fun.(data, message, state)
       catch
-        kind, reason -> failed(i, kind, reason, __STACKTRACE__)
+        kind, reason -> throw_failure(i, kind, reason, __STACKTRACE__)
       end
 
     case result do
@@ -117,7 +120,7 @@ defmodule Situ.Operator.Chain do
         {@skip, [{:step, fun, i, state} | rest]}
 
       other ->
-        failed(i, :error, rubbish(other), [])
+        throw_failure(i, :error, bad_return_error(other), [])
     end
   end
 
@@ -142,24 +145,25 @@ defmodule Situ.Operator.Chain do
         :map2 -> {:emit, fun.(data, message)}
         :filter -> if fun.(data), do: {:emit, data}, else: @skip
         :filter2 -> if fun.(data, message), do: {:emit, data}, else: @skip
-        :each -> effect(fun.(data), data)
-        :each2 -> effect(fun.(data, message), data)
+        :each -> emit_data(fun.(data), data)
+        :each2 -> emit_data(fun.(data, message), data)
       end
     catch
-      kind, reason -> failed(i, kind, reason, __STACKTRACE__)
+      kind, reason -> throw_failure(i, kind, reason, __STACKTRACE__)
     end
   end
 
-  defp effect(_result, data), do: {:emit, data}
+  defp emit_data(_result, data), do: {:emit, data}
 
-  defp failed(index, kind, reason, stack), do: throw({:situ_step, index, kind, reason, stack})
+  defp throw_failure(index, kind, reason, stack),
+    do: throw({:situ_step, index, kind, reason, stack})
 
-  defp kind(kind, fun) when is_function(fun, 1), do: kind
-  defp kind(:map, _fun), do: :map2
-  defp kind(:filter, _fun), do: :filter2
-  defp kind(:each, _fun), do: :each2
+  defp step_kind(kind, fun) when is_function(fun, 1), do: kind
+  defp step_kind(:map, _fun), do: :map2
+  defp step_kind(:filter, _fun), do: :filter2
+  defp step_kind(:each, _fun), do: :each2
 
-  defp rubbish(other) do
+  defp bad_return_error(other) do
     ArgumentError.exception(
       "a step must return {:emit, data, state} or {:skip, state}, got: #{inspect(other, limit: 8)}"
     )

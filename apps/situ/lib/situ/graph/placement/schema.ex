@@ -49,9 +49,9 @@ defmodule Situ.Graph.Placement.Schema do
     doc: "Delivery policy of its inputs, or a list with one policy per input, primary first."
   ]
 
-  @spec of(Situ.Graph.Placement.kind()) :: Options.schema()
-  def of(kind), do: Enum.map(Map.fetch!(@keys, kind), &entry/1)
+  @spec options_for(Situ.Graph.Placement.kind()) :: Options.schema()
+  def options_for(kind), do: Enum.map(Map.fetch!(@keys, kind), &option_entry/1)
 
-  defp entry(:policies), do: {:policy, @policies}
-  defp entry(key), do: {key, @schema[key]}
+  defp option_entry(:policies), do: {:policy, @policies}
+  defp option_entry(key), do: {key, @schema[key]}
 end

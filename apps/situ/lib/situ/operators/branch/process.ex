@@ -38,27 +38,27 @@ defmodule Situ.Branch.Process do
 
     @impl true
     def handle_info({:situ_feed, entries}, _context, gate),
-      do: {[], %{gate | queue: put(gate.queue, waiting(entries))}}
+      do: {[], %{gate | queue: append_entries(gate.queue, collect_pending_entries(entries))}}
 
     def handle_info(_other, _context, gate), do: {[], gate}
 
     # Takes all entries that are already in the mailbox, in one time slice.
-    defp waiting(entries) do
+    defp collect_pending_entries(entries) do
       receive do
-        {:situ_feed, more} -> waiting(entries ++ more)
+        {:situ_feed, more} -> collect_pending_entries(entries ++ more)
       after
         0 -> entries
       end
     end
 
-    defp put([], entries), do: entries
-    defp put(queue, entries), do: queue ++ entries
+    defp append_entries([], entries), do: entries
+    defp append_entries(queue, entries), do: queue ++ entries
 
     @doc """
     Reports an output of the branch. An output emitted in this process is reported with the next `passed` time; any
     other output is reported immediately.
     """
-    def report(to, id, time, data) do
+    def report_output(to, id, time, data) do
       case Process.get({__MODULE__, id}) do
         nil -> send(to, {:situ_branch, id, {:outputs, [{time, data}], nil}})
         untold -> Process.put({__MODULE__, id}, [{time, data} | untold])
@@ -69,16 +69,16 @@ defmodule Situ.Branch.Process do
     # larger. A slow branch gets small slices, so that its counters show progress.
     @impl true
     def handle_demand(n, _context, gate) do
-      gate = gate |> tell() |> resize()
-      {actions, gate} = take(min(n, gate.slice), gate, [])
-      gate = if actions == [], do: tell(gate), else: gate
+      gate = gate |> report_passed() |> resize_slice()
+      {actions, gate} = take_entries(min(n, gate.slice), gate, [])
+      gate = if actions == [], do: report_passed(gate), else: gate
       since = if gate.queue != [], do: System.monotonic_time(:microsecond)
-      {actions ++ over(gate), %{gate | since: since}}
+      {actions ++ stopped_actions(gate), %{gate | since: since}}
     end
 
-    defp resize(%{since: nil} = gate), do: gate
+    defp resize_slice(%{since: nil} = gate), do: gate
 
-    defp resize(gate) do
+    defp resize_slice(gate) do
       if System.monotonic_time(:microsecond) - gate.since < @quick_us,
         do: %{gate | slice: min(2 * gate.slice, @most)},
         else: %{gate | slice: 1}
@@ -93,32 +93,33 @@ defmodule Situ.Branch.Process do
 
     # Outputs emitted before a failure count.
     @impl true
-    def terminate(_reason, gate), do: tell(gate)
+    def terminate(_reason, gate), do: report_passed(gate)
 
-    defp tell(%{passed: nil} = gate), do: gate
+    defp report_passed(%{passed: nil} = gate), do: gate
 
-    defp tell(gate) do
+    defp report_passed(gate) do
       untold = Process.put({__MODULE__, gate.id}, [])
       send(gate.to, {:situ_branch, gate.id, {:outputs, :lists.reverse(untold), gate.passed}})
       %{gate | passed: nil}
     end
 
-    defp take(n, gate, actions) do
-      {queue, passed, actions} = entries(n, gate.queue, gate.passed, actions)
+    defp take_entries(n, gate, actions) do
+      {queue, passed, actions} = collect_actions(n, gate.queue, gate.passed, actions)
       {:lists.reverse(actions), %{gate | queue: queue, passed: passed}}
     end
 
-    defp entries(0, queue, passed, actions), do: {queue, passed, actions}
-    defp entries(_n, [], passed, actions), do: {[], passed, actions}
+    defp collect_actions(0, queue, passed, actions), do: {queue, passed, actions}
+    defp collect_actions(_n, [], passed, actions), do: {[], passed, actions}
 
-    defp entries(n, [{time, data} | rest], _passed, actions),
-      do: entries(n - 1, rest, time, [{:out, time, data} | actions])
+    defp collect_actions(n, [{time, data} | rest], _passed, actions),
+      do: collect_actions(n - 1, rest, time, [{:out, time, data} | actions])
 
-    defp entries(n, [time | rest], _passed, actions), do: entries(n, rest, time, actions)
+    defp collect_actions(n, [time | rest], _passed, actions),
+      do: collect_actions(n, rest, time, actions)
 
     # The source may stop only after the results of the last entries have been reported.
-    defp over(%{stopping: true, queue: [], passed: nil}), do: [:stopped]
-    defp over(_gate), do: []
+    defp stopped_actions(%{stopping: true, queue: [], passed: nil}), do: [:stopped]
+    defp stopped_actions(_gate), do: []
   end
 
   @type built :: %{pid: pid(), output?: boolean(), immediate?: boolean()}
@@ -127,15 +128,16 @@ defmodule Situ.Branch.Process do
   Builds and starts the branch of `fun`, beginning at `timing.start`. `timing` describes the surrounding pipeline: its
   clock, whether that clock is enforced, and the end of the replay. Raises any error raised by building the branch.
   """
-  @spec start!((Stream.t() -> term()), reference(), String.t(), Situ.Type.t(), map()) :: built()
-  def start!(fun, id, path, type, timing) do
+  @spec start_pipeline!((Stream.t() -> term()), reference(), String.t(), Situ.Type.t(), map()) ::
+          built()
+  def start_pipeline!(fun, id, path, type, timing) do
     to = self()
-    replay = [interval: interval(timing), speed: if(timing.enforce, do: 1.0, else: :max)]
+    replay = [interval: replay_interval(timing), speed: if(timing.enforce, do: 1.0, else: :max)]
     settings = [name: path, clock: timing.clock, replay: replay]
     settings = if timing[:policy], do: [default_policy: timing.policy] ++ settings, else: settings
-    spec = fn p -> build(p, fun, {to, id}, path, type) end
+    spec = fn p -> build_pipeline(p, fun, {to, id}, path, type) end
 
-    case Launcher.start_answering(spec, [pipeline: settings], id) do
+    case Launcher.start_with_reply(spec, [pipeline: settings], id) do
       {:ok, pid} ->
         receive do
           {:situ_branch, ^id, {:built, built}} -> Map.put(built, :pid, pid)
@@ -149,34 +151,34 @@ defmodule Situ.Branch.Process do
   @typedoc "A part for the branch, or a time at which it receives no part."
   @type entry :: {Situ.Time.t(), term()} | Situ.Time.t()
 
-  @spec feed(pid(), [entry()]) :: term()
-  def feed(gate, entries), do: send(gate, {:situ_feed, entries})
+  @spec send_entries(pid(), [entry()]) :: term()
+  def send_entries(gate, entries), do: send(gate, {:situ_feed, entries})
 
   @doc "Ends the branch at `time`, after it has handled all entries sent to it."
-  @spec stop(pid(), Situ.Time.t()) :: term()
-  def stop(pid, time), do: send(pid, {:situ_stop, time})
+  @spec request_stop(pid(), Situ.Time.t()) :: term()
+  def request_stop(pid, time), do: send(pid, {:situ_stop, time})
 
-  defp interval(%{start: start, replay_end: :infinity}), do: {start, :unbounded}
-  defp interval(%{start: start, replay_end: time}), do: {start, max(start, time)}
+  defp replay_interval(%{start: start, replay_end: :infinity}), do: {start, :unbounded}
+  defp replay_interval(%{start: start, replay_end: time}), do: {start, max(start, time)}
 
   # The scope makes errors and processes inside carry the branch's name.
-  defp build(p, fun, {to, id}, path, type) do
+  defp build_pipeline(p, fun, {to, id}, path, type) do
     p = %{p | scope: path}
     gate = Pipeline.add(p, Gate, to: to, id: id, name: "In", outputs: [out: type])
     result = fun.(Situ.Node.output(gate, :out))
 
     if is_struct(result, Stream) do
-      tell = fn data, message -> Gate.report(to, id, message.originating_time, data) end
+      tell = fn data, message -> Gate.report_output(to, id, message.originating_time, data) end
       Operator.attach(result, "Out", {:each, tell})
     end
 
-    immediate? = Builder.run(p, &together(&1, gate.id))
+    immediate? = Builder.update_graph(p, &merge_into_one_stage(&1, gate.id))
     built = %{output?: is_struct(result, Stream), immediate?: immediate?}
     send(to, {:situ_branch, id, {:built, built}})
   end
 
   # A chain of light operators shares the source's process, so the result of each part is known immediately.
-  defp together(graph, gate) do
+  defp merge_into_one_stage(graph, gate) do
     edges =
       Map.new(graph.edges, fn
         {id, %{from: {^gate, _}, explicit: false} = edge} ->

@@ -6,7 +6,7 @@ defmodule Situ.Filter.Fir do
 
   The transition bands are about 3.3 times the rate divided by the order wide, so a narrow band needs a high order.
 
-      iex> taps = Situ.Filter.Fir.taps(:lowpass, 1_000, [50], 40)
+      iex> taps = Situ.Filter.Fir.design_taps(:lowpass, 1_000, [50], 40)
       iex> length(taps)
       41
       iex> Float.round(Enum.sum(taps), 9)
@@ -27,7 +27,7 @@ defmodule Situ.Filter.Fir do
   @doc "Builds a filter. `rate` and `edges` (one, or low and high) are in Hz, and `order` is even."
   @spec new(shape(), number(), [number()], pos_integer()) :: t()
   def new(shape, rate, edges, order) do
-    taps = taps(shape, rate, edges, order)
+    taps = design_taps(shape, rate, edges, order)
     %__MODULE__{taps: taps, past: List.duplicate(0.0, length(taps))}
   end
 
@@ -35,49 +35,52 @@ defmodule Situ.Filter.Fir do
   @spec step(t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{taps: taps, past: past, strange: 0} = filter, sample)
       when is_number(sample) do
-    {sum, past} = dot(taps, [sample | past], 0.0, [])
+    {sum, past} = dot_and_shift(taps, [sample | past], 0.0, [])
     {sum, %{filter | past: past}}
   rescue
     # The result was too large for a float.
-    ArithmeticError -> strange(filter, sample, 0)
+    ArithmeticError -> step_non_finite(filter, sample, 0)
   end
 
   def step(%__MODULE__{} = filter, sample) when is_number(sample),
-    do: strange(filter, sample, filter.strange - 1)
+    do: step_non_finite(filter, sample, filter.strange - 1)
 
-  def step(%__MODULE__{} = filter, sample), do: strange(filter, sample, length(filter.taps) - 1)
+  def step(%__MODULE__{} = filter, sample),
+    do: step_non_finite(filter, sample, length(filter.taps) - 1)
 
-  defp strange(%{taps: taps, past: past} = filter, sample, left) do
+  defp step_non_finite(%{taps: taps, past: past} = filter, sample, left) do
     past = Enum.take([sample | past], length(taps))
-    {Number.dot(taps, past), %{filter | past: past, strange: left}}
+    {Number.dot_product(taps, past), %{filter | past: past, strange: left}}
   end
 
   @doc "Returns the impulse response of `order + 1` values (an odd order is raised by one)."
-  @spec taps(shape(), number(), [number()], pos_integer()) :: [float()]
-  def taps(shape, rate, edges, order) do
+  @spec design_taps(shape(), number(), [number()], pos_integer()) :: [float()]
+  def design_taps(shape, rate, edges, order) do
     half = div(order + 1, 2)
     edges = Enum.map(edges, &(&1 / rate))
 
     # `at` is the frequency in the pass bands at which the gain is 1. Both are in cycles per sample.
-    {bands, at} = bands(shape, edges)
-    raw = for n <- -half..half, do: ideal(bands, n) * hamming(n, half)
+    {bands, at} = pass_bands(shape, edges)
+    raw = for n <- -half..half, do: ideal_response(bands, n) * hamming_weight(n, half)
     gain = Enum.sum(Enum.zip_with(raw, -half..half, &(&1 * :math.cos(2 * :math.pi() * at * &2))))
     Enum.map(raw, &(&1 / gain))
   end
 
-  defp bands(:lowpass, [cutoff]), do: {[{0.0, cutoff}], 0.0}
-  defp bands(:highpass, [cutoff]), do: {[{cutoff, 0.5}], 0.5}
-  defp bands(:bandpass, [low, high]), do: {[{low, high}], (low + high) / 2}
-  defp bands(:bandstop, [low, high]), do: {[{0.0, low}, {high, 0.5}], 0.0}
+  defp pass_bands(:lowpass, [cutoff]), do: {[{0.0, cutoff}], 0.0}
+  defp pass_bands(:highpass, [cutoff]), do: {[{cutoff, 0.5}], 0.5}
+  defp pass_bands(:bandpass, [low, high]), do: {[{low, high}], (low + high) / 2}
+  defp pass_bands(:bandstop, [low, high]), do: {[{0.0, low}, {high, 0.5}], 0.0}
 
-  defp ideal(bands, n),
+  defp ideal_response(bands, n),
     do: bands |> Enum.map(fn {low, high} -> sinc(n, high) - sinc(n, low) end) |> Enum.sum()
 
   defp sinc(0, cutoff), do: 2 * cutoff
   defp sinc(n, cutoff), do: :math.sin(2 * :math.pi() * cutoff * n) / (:math.pi() * n)
 
-  defp hamming(n, half), do: 0.54 + 0.46 * :math.cos(:math.pi() * n / half)
+  defp hamming_weight(n, half), do: 0.54 + 0.46 * :math.cos(:math.pi() * n / half)
 
-  defp dot([tap | taps], [x | past], sum, kept), do: dot(taps, past, sum + tap * x, [x | kept])
-  defp dot([], _past, sum, kept), do: {sum, :lists.reverse(kept)}
+  defp dot_and_shift([tap | taps], [x | past], sum, kept),
+    do: dot_and_shift(taps, past, sum + tap * x, [x | kept])
+
+  defp dot_and_shift([], _past, sum, kept), do: {sum, :lists.reverse(kept)}
 end

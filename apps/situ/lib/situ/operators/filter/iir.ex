@@ -25,32 +25,32 @@ defmodule Situ.Filter.Iir do
   @doc "Builds a filter. `rate` and `edges` (one, or low and high) are in Hz."
   @spec new(Situ.Filter.Fir.shape(), number(), [number()], pos_integer()) :: t()
   def new(shape, rate, edges, order) do
-    sections = Butterworth.sections(shape, Enum.map(edges, &(&1 / rate)), order)
+    sections = Butterworth.design_sections(shape, Enum.map(edges, &(&1 / rate)), order)
     %__MODULE__{sections: Enum.map(sections, &{&1, {0.0, 0.0}})}
   end
 
   @doc "Filters one sample. The filter has infinite memory: after `:nan` or an infinity, it returns `:nan`."
   @spec step(t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{sections: sections} = filter, sample) do
-    {sections, out} = Enum.map_reduce(sections, sample, &section/2)
+    {sections, out} = Enum.map_reduce(sections, sample, &step_section/2)
     {out, %{filter | sections: sections}}
   end
 
   # Transposed direct form II.
-  defp section({{b0, b1, b2, a1, a2} = coefficients, {z1, z2}} = section, x)
+  defp step_section({{b0, b1, b2, a1, a2} = coefficients, {z1, z2}} = section, x)
        when is_number(x) and is_number(z1) and is_number(z2) do
     y = b0 * x + z1
     {{coefficients, {b1 * x - a1 * y + z2, b2 * x - a2 * y}}, y}
   rescue
     # The result was too large for a float.
-    ArithmeticError -> strange(section, x)
+    ArithmeticError -> step_non_finite(section, x)
   end
 
-  defp section(section, x), do: strange(section, x)
+  defp step_section(section, x), do: step_non_finite(section, x)
 
-  defp strange({{b0, b1, b2, a1, a2} = coefficients, {z1, z2}}, x) do
-    y = Number.dot([b0, 1.0], [x, z1])
-    z = {Number.dot([b1, -a1, 1.0], [x, y, z2]), Number.dot([b2, -a2], [x, y])}
+  defp step_non_finite({{b0, b1, b2, a1, a2} = coefficients, {z1, z2}}, x) do
+    y = Number.dot_product([b0, 1.0], [x, z1])
+    z = {Number.dot_product([b1, -a1, 1.0], [x, y, z2]), Number.dot_product([b2, -a2], [x, y])}
     {{coefficients, z}, y}
   end
 end

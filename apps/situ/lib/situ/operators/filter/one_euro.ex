@@ -39,8 +39,8 @@ defmodule Situ.Filter.OneEuro do
   def new(opts \\ []), do: struct!(__MODULE__, Situ.Options.validate!(opts, @options))
 
   @doc false
-  @spec options() :: Situ.Options.schema()
-  def options, do: @options
+  @spec option_schema() :: Situ.Options.schema()
+  def option_schema, do: @options
 
   @doc """
   Filters a sample with its time (ns). The first sample passes unchanged. After an output that is `:nan` or infinite,
@@ -55,17 +55,20 @@ defmodule Situ.Filter.OneEuro do
   def step(%__MODULE__{previous: {before, out}} = filter, time, sample) do
     rate = 1.0e9 / (time - before)
     change = sample |> Number.subtract(out) |> Number.multiply(rate)
-    derivative = blend(change, filter.derivative, alpha(rate, filter.derivative_cutoff))
+
+    derivative =
+      blend_values(change, filter.derivative, smoothing_factor(rate, filter.derivative_cutoff))
+
     speed = Number.multiply(filter.slope, Number.abs(derivative))
-    out = blend(sample, out, alpha(rate, Number.add(filter.min_cutoff, speed)))
+    out = blend_values(sample, out, smoothing_factor(rate, Number.add(filter.min_cutoff, speed)))
     {out, %{filter | previous: {time, out}, derivative: derivative}}
   end
 
-  defp blend(new, old, alpha),
+  defp blend_values(new, old, alpha),
     do: Number.add(Number.multiply(alpha, new), Number.multiply(Number.subtract(1, alpha), old))
 
   # 1 / (1 + rate / (2 pi cutoff))
-  defp alpha(rate, cutoff) do
+  defp smoothing_factor(rate, cutoff) do
     constant = Number.multiply(2 * :math.pi(), cutoff)
     Number.divide(1, Number.add(1, Number.divide(rate, constant)))
   end

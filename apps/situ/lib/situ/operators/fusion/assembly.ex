@@ -8,72 +8,84 @@ defmodule Situ.Fusion.Assembly do
   @type options :: {keyword(), keyword()}
 
   @doc "Adds a join or fuse in any of their forms."
-  @spec fuse(String.t(), Arguments.streams(), Interpolator.t() | [Interpolator.t()], options()) ::
+  @spec attach_fusion(
+          String.t(),
+          Arguments.streams(),
+          Interpolator.t() | [Interpolator.t()],
+          options()
+        ) ::
           Stream.t()
-  def fuse(name, {:keyed, _, keyed} = streams, %Interpolator{} = interpolator, options) do
+  def attach_fusion(name, {:keyed, _, keyed} = streams, %Interpolator{} = interpolator, options) do
     members =
       for {key, index} <- Enum.with_index(Map.keys(keyed)),
-          do: {input(index), key, interpolator, []}
+          do: {input_name(index), key, interpolator, []}
 
-    fuse(name, streams, members, [interpolator: interpolator], options)
+    attach_members(name, streams, members, [interpolator: interpolator], options)
   end
 
-  def fuse(_name, {:keyed, _, _}, _interpolators, _options),
+  def attach_fusion(_name, {:keyed, _, _}, _interpolators, _options),
     do: raise(ArgumentError, "a map of streams takes one interpolator for all")
 
-  def fuse(name, streams, interpolator, {own, _placed} = options) do
+  def attach_fusion(name, streams, interpolator, {own, _placed} = options) do
     if own[:ended] == :leave,
       do: raise(ArgumentError, "ended: :leave needs a map of streams")
 
-    {_primary, secondaries} = Arguments.sides(streams)
-    interpolators = Arguments.each(interpolator, length(secondaries))
+    {_primary, secondaries} = Arguments.split_sides(streams)
+    interpolators = Arguments.interpolator_per_stream(interpolator, length(secondaries))
 
     members =
-      for {one, index} <- Enum.with_index(interpolators), do: {input(index), index, one, []}
+      for {one, index} <- Enum.with_index(interpolators), do: {input_name(index), index, one, []}
 
-    fuse(name, streams, members, [], options)
+    attach_members(name, streams, members, [], options)
   end
 
-  defp fuse(name, streams, members, more, {own, placed}) do
-    {primary, secondaries} = Arguments.sides(streams)
+  defp attach_members(name, streams, members, more, {own, placed}) do
+    {primary, secondaries} = Arguments.split_sides(streams)
     interpolators = Enum.map(members, &elem(&1, 2))
-    {creator, type, values} = Output.plan(streams, interpolators, own)
+    {creator, type, values} = Output.plan_output(streams, interpolators, own)
     options = [members: members, values: values, creator: creator, reproducible: name == "Join"]
     options = options ++ more ++ Keyword.take(own, [:give_up_after, :max_queue, :ended])
-    inputs = [{:primary, primary} | named(secondaries)]
-    Operator.through(inputs, name, {Fuse, options}, placed, type)
+    inputs = [{:primary, primary} | name_inputs(secondaries)]
+    Operator.attach_component(inputs, name, {Fuse, options}, placed, type)
   end
 
   @doc "Pairs each message of one stream with the latest message of another."
-  @spec pair(Stream.t(), Stream.t(), options()) :: Stream.t()
-  def pair(primary, secondary, {own, placed}) do
+  @spec attach_pair(Stream.t(), Stream.t(), options()) :: Stream.t()
+  def attach_pair(primary, secondary, {own, placed}) do
     initial = with {:ok, value} <- Keyword.fetch(own, :initial), do: {:value, value}
     default = if initial == :error, do: :none, else: initial
-    {creator, type} = Output.creator(primary.type, {secondary.type, default}, own)
+    {creator, type} = Output.output_creator(primary.type, {secondary.type, default}, own)
     pair = {Pair, [creator: creator] ++ Keyword.take(own, [:initial])}
-    Operator.through([primary: primary, secondary: secondary], "Pair", pair, placed, type)
+
+    Operator.attach_component(
+      [primary: primary, secondary: secondary],
+      "Pair",
+      pair,
+      placed,
+      type
+    )
   end
 
   @doc "Groups messages of equal times."
-  @spec zip([Stream.t()], keyword()) :: Stream.t()
-  def zip(streams, placed) do
-    inputs = named(streams)
+  @spec attach_zip([Stream.t()], keyword()) :: Stream.t()
+  def attach_zip(streams, placed) do
+    inputs = name_inputs(streams)
     zipper = {Zipper, [names: Keyword.keys(inputs)]}
-    Operator.through(inputs, "Zip", zipper, placed, {:list, common(streams)})
+    Operator.attach_component(inputs, "Zip", zipper, placed, {:list, common_stream_type(streams)})
   end
 
   @doc "Merges all messages in order of arrival."
-  @spec merge([Stream.t()], keyword()) :: Stream.t()
-  def merge(streams, placed) do
-    inputs = named(streams)
+  @spec attach_merge([Stream.t()], keyword()) :: Stream.t()
+  def attach_merge(streams, placed) do
+    inputs = name_inputs(streams)
     members = for {{input, _}, index} <- Enum.with_index(inputs), do: {input, index}
-    type = {:message, common(streams)}
-    Operator.through(inputs, "Merge", {Merger, [members: members]}, placed, type)
+    type = {:message, common_stream_type(streams)}
+    Operator.attach_component(inputs, "Merge", {Merger, [members: members]}, placed, type)
   end
 
   @doc "Emits a stream's values at the ticks of a clock."
-  @spec tick(String.t(), Stream.t(), term(), Interpolator.t(), options()) :: Stream.t()
-  def tick(name, %Stream{} = stream, %Stream{} = clock, interpolator, {own, placed}) do
+  @spec attach_ticks(String.t(), Stream.t(), term(), Interpolator.t(), options()) :: Stream.t()
+  def attach_ticks(name, %Stream{} = stream, %Stream{} = clock, interpolator, {own, placed}) do
     if own[:align],
       do: raise(ArgumentError, "align: needs an interval, not a stream, as the clock")
 
@@ -84,30 +96,30 @@ defmodule Situ.Fusion.Assembly do
     ]
 
     options = options ++ Keyword.take(own, [:give_up_after, :max_queue])
-    type = Interpolator.type(interpolator, stream.type)
-    Operator.through([primary: clock, s0: stream], name, {Fuse, options}, placed, type)
+    type = Interpolator.value_type(interpolator, stream.type)
+    Operator.attach_component([primary: clock, s0: stream], name, {Fuse, options}, placed, type)
   end
 
-  def tick(name, %Stream{} = stream, interval, interpolator, {own, placed})
+  def attach_ticks(name, %Stream{} = stream, interval, interpolator, {own, placed})
       when is_integer(interval) and interval > 0 do
     if own[:give_up_after] || own[:max_queue],
       do: raise(ArgumentError, "give_up_after: and max_queue: need a stream as the clock")
 
     options = [interpolator: interpolator, interval: interval] ++ Keyword.take(own, [:align])
-    type = Interpolator.type(interpolator, stream.type)
-    Operator.through(stream, name, {Sampler, options}, placed, type)
+    type = Interpolator.value_type(interpolator, stream.type)
+    Operator.attach_component(stream, name, {Sampler, options}, placed, type)
   end
 
-  def tick(_name, _stream, clock, _interpolator, _options) do
+  def attach_ticks(_name, _stream, clock, _interpolator, _options) do
     raise ArgumentError,
           "the clock must be a stream or an interval of 1 ns or more, got: #{inspect(clock)}"
   end
 
-  defp common(streams), do: streams |> Enum.map(& &1.type) |> Output.common()
+  defp common_stream_type(streams), do: streams |> Enum.map(& &1.type) |> Output.common_type()
 
-  defp named(streams),
-    do: for({stream, index} <- Enum.with_index(streams), do: {input(index), stream})
+  defp name_inputs(streams),
+    do: for({stream, index} <- Enum.with_index(streams), do: {input_name(index), stream})
 
   # Graphs are built by programs, so there are only as many atoms as their inputs.
-  defp input(index), do: :"s#{index}"
+  defp input_name(index), do: :"s#{index}"
 end

@@ -30,11 +30,11 @@ defmodule Situ.Fusion.Balance do
         }
 
   @doc "Records that messages of `input` have arrived."
-  @spec seen(t(), input(), [Situ.Message.t()]) :: t()
-  def seen(balance, input, messages),
+  @spec note_arrival(t(), input(), [Situ.Message.t()]) :: t()
+  def note_arrival(balance, input, messages),
     do: %{
       balance
-      | newest: Map.put(balance.newest, input, MessageQueue.last(messages).sequence_id),
+      | newest: Map.put(balance.newest, input, MessageQueue.last_message(messages).sequence_id),
         idle: 0
     }
 
@@ -47,7 +47,7 @@ defmodule Situ.Fusion.Balance do
           {[term()], state}
         when state: %{:balance => t(), optional(atom()) => term()}
   def after_step(outputs, state, heads, awaited) do
-    case actions(state.balance, heads, awaited) do
+    case hold_actions(state.balance, heads, awaited) do
       {[], balance} -> {outputs, %{state | balance: balance}}
       {actions, balance} -> {outputs ++ actions, %{state | balance: balance}}
     end
@@ -57,15 +57,15 @@ defmodule Situ.Fusion.Balance do
   @spec handle_info(term(), state) :: {[term()], state}
         when state: %{:balance => t(), optional(atom()) => term()}
   def handle_info({:hold_ended, input}, state) do
-    {actions, balance} = ended(state.balance, input, busy?())
+    {actions, balance} = end_hold(state.balance, input, vm_busy?())
     {actions, %{state | balance: balance}}
   end
 
   def handle_info(_other, state), do: {[], state}
 
   @doc "Forgets an input that was removed."
-  @spec forget(t(), input()) :: t()
-  def forget(balance, input) do
+  @spec forget_input(t(), input()) :: t()
+  def forget_input(balance, input) do
     %{
       balance
       | newest: Map.delete(balance.newest, input),
@@ -77,43 +77,44 @@ defmodule Situ.Fusion.Balance do
   Returns the holds and resumes of inputs as actions. `heads` are the inputs' queues, `{input, sequence id of the first
   message | nil}`. `awaited` are the inputs that the operator is waiting for.
   """
-  @spec actions(t(), [{input(), non_neg_integer() | nil}], [input()]) :: {list(), t()}
-  def actions(balance, heads, awaited) do
-    ahead = for {input, head} <- heads, head != nil, ahead?(balance, input, head), do: input
+  @spec hold_actions(t(), [{input(), non_neg_integer() | nil}], [input()]) :: {list(), t()}
+  def hold_actions(balance, heads, awaited) do
+    ahead =
+      for {input, head} <- heads, head != nil, too_far_ahead?(balance, input, head), do: input
 
     case {Enum.reject(ahead, &(&1 in awaited)), balance.held} do
       {[], []} -> {[], balance}
       {same, same} -> {Enum.map(same, &{:hold, &1}), balance}
-      {hold, held} -> {change(hold, held), %{balance | held: hold}}
+      {hold, held} -> {hold_changes(hold, held), %{balance | held: hold}}
     end
   end
 
   @doc "Ends a hold of `input` during which nothing arrived: extends it if the VM was busy, and otherwise releases it."
-  @spec ended(t(), input(), boolean()) :: {list(), t()}
-  def ended(%{idle: idle} = balance, input, true) when idle < @patience do
+  @spec end_hold(t(), input(), boolean()) :: {list(), t()}
+  def end_hold(%{idle: idle} = balance, input, true) when idle < @patience do
     if input in balance.held,
       do: {[{:hold, input}], %{balance | idle: idle + 1}},
       else: {[], balance}
   end
 
-  def ended(balance, input, _busy?) do
+  def end_hold(balance, input, _busy?) do
     held = List.delete(balance.held, input)
     {[], %{balance | held: held, limit: balance.limit * 2, idle: 0}}
   end
 
   @doc "Returns whether messages are in flight: this process has unread messages, or other processes are running."
-  @spec busy?() :: boolean()
-  def busy? do
+  @spec vm_busy?() :: boolean()
+  def vm_busy? do
     Process.info(self(), :message_queue_len) != {:message_queue_len, 0} or
       :erlang.statistics(:total_active_tasks) > 1
   end
 
-  defp ahead?(balance, input, head) do
+  defp too_far_ahead?(balance, input, head) do
     limit = if input in balance.held, do: div(balance.limit, 2), else: balance.limit
     Map.get(balance.newest, input, 0) - head > limit
   end
 
-  defp change(hold, held) do
+  defp hold_changes(hold, held) do
     Enum.map(hold, &{:hold, &1}) ++ Enum.map(held -- hold, &{:resume, &1})
   end
 end

@@ -13,24 +13,24 @@ defmodule Situ.Fusion.Core do
 
       iex> core = Situ.Fusion.Core.new(&{&1, &2}, members: [{:s0, 0, Situ.Reproducible.exact(), []}], values: :one)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
-      iex> {[], core} = Situ.Fusion.Core.primary(core, [message.(1, :a), message.(2, :b)])
-      iex> {outputs, _core} = Situ.Fusion.Core.secondary(core, :s0, [message.(2, :x)])
+      iex> {[], core} = Situ.Fusion.Core.push_primary(core, [message.(1, :a), message.(2, :b)])
+      iex> {outputs, _core} = Situ.Fusion.Core.push_secondary(core, :s0, [message.(2, :x)])
       iex> outputs
       [{:out, 2, {:b, :x}}]
 
   Secondaries can be added and removed. Each takes part for a span of originating times: a primary at time t needs a
   value from each member with `from <= t < until`, and from no other. A member's messages before `from` are ignored.
   So the outputs depend only on the spans, and not on when a member was added or removed, as long as no primary of the
-  span had arrived by then. `add/5` and `remove/3` reject changes to decisions that may already have been made.
+  span had arrived by then. `add_member/5` and `remove_member/3` reject changes to decisions that may already have been made.
 
       iex> core = Situ.Fusion.Core.new(&{&1, &2}, values: :map)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
-      iex> {outputs, core} = Situ.Fusion.Core.primary(core, [message.(1, :a)])
+      iex> {outputs, core} = Situ.Fusion.Core.push_primary(core, [message.(1, :a)])
       iex> outputs
       [{:out, 1, {:a, %{}}}]
-      iex> {:ok, 2, core} = Situ.Fusion.Core.add(core, :s0, "ann", Situ.Reproducible.exact(), from: 2)
-      iex> {[], core} = Situ.Fusion.Core.primary(core, [message.(2, :b)])
-      iex> {outputs, _core} = Situ.Fusion.Core.secondary(core, :s0, [message.(2, :x)])
+      iex> {:ok, 2, core} = Situ.Fusion.Core.add_member(core, :s0, "ann", Situ.Reproducible.exact(), from: 2)
+      iex> {[], core} = Situ.Fusion.Core.push_primary(core, [message.(2, :b)])
+      iex> {outputs, _core} = Situ.Fusion.Core.push_secondary(core, :s0, [message.(2, :x)])
       iex> outputs
       [{:out, 2, {:b, %{"ann" => :x}}}]
   """
@@ -72,7 +72,7 @@ defmodule Situ.Fusion.Core do
   @doc """
   Builds a fusion whose outputs are `creator.(primary, values)`.
 
-    * `members:` `{input, key, interpolator, span}` for each secondary, with the span as options of `add/5`
+    * `members:` `{input, key, interpolator, span}` for each secondary, with the span as options of `add_member/5`
     * `values:` `:one` (the only secondary's value), `:list` or `:map` (by key)
     * `give_up_after:` maximum wait, ns. When a primary this much later has arrived, a waiting primary is decided using
       the messages that have arrived. This bounds memory when a secondary falls silent, and makes the result depend on
@@ -83,27 +83,27 @@ defmodule Situ.Fusion.Core do
   @spec new((term(), term() -> term()), keyword()) :: t()
   def new(creator, opts) do
     {members, opts} = Keyword.pop(opts, :members, [])
-    Enum.reduce(members, struct!(__MODULE__, [creator: creator] ++ opts), &member/2)
+    Enum.reduce(members, struct!(__MODULE__, [creator: creator] ++ opts), &add_initial_member/2)
   end
 
-  defp member({input, key, interpolator, span}, core) do
-    {:ok, _from, core} = add(core, input, key, interpolator, span)
+  defp add_initial_member({input, key, interpolator, span}, core) do
+    {:ok, _from, core} = add_member(core, input, key, interpolator, span)
     core
   end
 
   @doc """
   Adds a member. `from:` is the first time that needs it. The default, and the earliest time allowed, is after the last
   primary that has arrived and after `after:`, the last message of the member that was missed. Returns that time, or
-  `:start` if nothing has arrived yet. `until:` has the same meaning as in `remove/3`.
+  `:start` if nothing has arrived yet. `until:` has the same meaning as in `remove_member/3`.
   """
-  @spec add(t(), input(), term(), Interpolator.t(), keyword()) ::
+  @spec add_member(t(), input(), term(), Interpolator.t(), keyword()) ::
           {:ok, Situ.Time.t() | :start, t()} | {:error, Error.t()}
-  def add(core, input, key, interpolator, opts) do
+  def add_member(core, input, key, interpolator, opts) do
     earlier = for %{key: ^key, until: until} <- core.members, until != nil, do: until - 1
-    earliest = Span.behind([arrived(core), opts[:after] | earlier])
+    earliest = Span.first_time_after([last_arrival_time(core), opts[:after] | earlier])
 
-    with :ok <- Keys.free(keys(core), key),
-         {:ok, from} <- Span.possible(opts[:from], earliest, "take part from") do
+    with :ok <- Keys.check_free(active_keys(core), key),
+         {:ok, from} <- Span.validate_time(opts[:from], earliest, "take part from") do
       span = [from: from, until: opts[:until]]
       member = struct!(%Member{input: input, key: key, interpolator: interpolator}, span)
       {:ok, from || :start, %{core | members: core.members ++ [member]}}
@@ -114,30 +114,30 @@ defmodule Situ.Fusion.Core do
   Removes the member with this key. It is not needed from `until:` on. The default, and the earliest time allowed, is
   after the last primary that has arrived. Returns `:start` if no primary has arrived yet.
   """
-  @spec remove(t(), term(), keyword()) ::
+  @spec remove_member(t(), term(), keyword()) ::
           {:ok, Situ.Time.t() | :start, [Component.action()], t()} | {:error, Error.t()}
-  def remove(core, key, opts) do
-    earliest = Span.behind([arrived(core)])
+  def remove_member(core, key, opts) do
+    earliest = Span.first_time_after([last_arrival_time(core)])
 
-    with {:ok, member} <- find(core, key),
-         {:ok, until} <- Span.possible(opts[:until], earliest, "be left out from") do
-      until = until || Span.beginning()
-      {outputs, core} = Decision.run(change(core, member, until: until))
-      {:ok, if(until == Span.beginning(), do: :start, else: until), outputs, core}
+    with {:ok, member} <- fetch_member(core, key),
+         {:ok, until} <- Span.validate_time(opts[:until], earliest, "be left out from") do
+      until = until || Span.before_all_times()
+      {outputs, core} = Decision.decide_waiting(update_member(core, member, until: until))
+      {:ok, if(until == Span.before_all_times(), do: :start, else: until), outputs, core}
     end
   end
 
   @doc "Adds primary messages and returns the outputs they cause."
-  @spec primary(t(), [Message.t()]) :: {[Component.action()], t()}
-  def primary(core, []), do: {[], core}
+  @spec push_primary(t(), [Message.t()]) :: {[Component.action()], t()}
+  def push_primary(core, []), do: {[], core}
 
-  def primary(core, messages) do
-    arrived = MessageQueue.last(messages)
+  def push_primary(core, messages) do
+    arrived = MessageQueue.last_message(messages)
     core = %{core | queue: MessageQueue.push(core.queue, messages), arrived: arrived}
 
     # A primary can only decide another one if the wait is bounded.
     if core.waiting == nil or core.give_up_after != nil or core.max_queue != nil,
-      do: Decision.run(core),
+      do: Decision.decide_waiting(core),
       else: {[], core}
   end
 
@@ -146,31 +146,31 @@ defmodule Situ.Fusion.Core do
   def close_primary(core), do: %{core | closed: true}
 
   @doc "Adds messages of a member and returns the outputs they cause. Messages of removed members are ignored."
-  @spec secondary(t(), input(), [Message.t()]) :: {[Component.action()], t()}
-  def secondary(
+  @spec push_secondary(t(), input(), [Message.t()]) :: {[Component.action()], t()}
+  def push_secondary(
         %{members: [%{input: input, from: nil} = member]} = core,
         input,
         [_ | _] = messages
       ) do
     {queue, dropped} = Secondary.push(member.queue, messages, core.max_queue)
     core = %{core | members: [%{member | queue: queue}], dropped: core.dropped + dropped}
-    awake(core, input, Secondary.reached(queue))
+    decide_if_reached(core, input, Secondary.reached_time(queue))
   end
 
-  def secondary(core, input, messages) do
+  def push_secondary(core, input, messages) do
     with %Member{} = member <- Enum.find(core.members, &(&1.input == input)),
-         [_ | _] = messages <- Member.since(messages, member.from) do
+         [_ | _] = messages <- Member.messages_since(messages, member.from) do
       {queue, dropped} = Secondary.push(member.queue, messages, core.max_queue)
-      core = change(%{core | dropped: core.dropped + dropped}, member, queue: queue)
-      awake(core, input, Secondary.reached(queue))
+      core = update_member(%{core | dropped: core.dropped + dropped}, member, queue: queue)
+      decide_if_reached(core, input, Secondary.reached_time(queue))
     else
       _ -> {[], core}
     end
   end
 
   @doc "Marks a member's stream as ended at `time`."
-  @spec close(t(), input(), Situ.Time.t()) :: {[Component.action()], t()}
-  def close(core, input, time) do
+  @spec close_secondary(t(), input(), Situ.Time.t()) :: {[Component.action()], t()}
+  def close_secondary(core, input, time) do
     case Enum.find(core.members, &(&1.input == input)) do
       nil ->
         {[], core}
@@ -178,72 +178,87 @@ defmodule Situ.Fusion.Core do
       member ->
         queue = Secondary.close(member.queue, time)
         until = if core.ended == :leave, do: min(time + 1, member.until), else: member.until
-        Decision.run(change(core, member, queue: queue, until: until))
+        Decision.decide_waiting(update_member(core, member, queue: queue, until: until))
     end
   end
 
   @doc "Removes the members that no primary can need any more, and returns their inputs."
-  @spec gone(t()) :: {[input()], t()}
-  def gone(%{values: :map} = core) do
-    case Enum.split_with(core.members, &over?(&1, core)) do
+  @spec take_finished_inputs(t()) :: {[input()], t()}
+  def take_finished_inputs(%{values: :map} = core) do
+    case Enum.split_with(core.members, &member_finished?(&1, core)) do
       {[], _} -> {[], core}
       {over, kept} -> {Enum.map(over, & &1.input), %{core | members: kept}}
     end
   end
 
-  def gone(core), do: {[], core}
+  def take_finished_inputs(core), do: {[], core}
 
   @doc "Returns the input that the next decision is waiting for, or `:primary`."
-  @spec awaited(t()) :: input()
-  def awaited(%{waiting: {input, _until}}), do: input
-  def awaited(_core), do: :primary
+  @spec awaited_input(t()) :: input()
+  def awaited_input(%{waiting: {input, _until}}), do: input
+  def awaited_input(_core), do: :primary
 
   @doc "Returns the sequence id of the first waiting message per input."
-  @spec heads(t()) :: [{input(), non_neg_integer() | nil}]
-  def heads(core) do
+  @spec head_ids(t()) :: [{input(), non_neg_integer() | nil}]
+  def head_ids(core) do
     secondary =
       for %{input: input, queue: {front, rear, _, _}} <- core.members,
-          do: {input, MessageQueue.head({front, rear})}
+          do: {input, MessageQueue.head_id({front, rear})}
 
-    [{:primary, MessageQueue.head(core.queue)} | secondary]
+    [{:primary, MessageQueue.head_id(core.queue)} | secondary]
   end
 
   @doc "Returns the number of waiting primaries, and of waiting messages per key."
-  @spec queued(t()) :: %{primary: non_neg_integer(), secondary: [{term(), non_neg_integer()}]}
-  def queued(core) do
+  @spec queue_lengths(t()) :: %{
+          primary: non_neg_integer(),
+          secondary: [{term(), non_neg_integer()}]
+        }
+  def queue_lengths(core) do
     %{
-      primary: MessageQueue.count(core.queue),
-      secondary: for(m <- core.members, do: {m.key, MessageQueue.count(Secondary.queue(m.queue))})
+      primary: MessageQueue.message_count(core.queue),
+      secondary:
+        for(
+          m <- core.members,
+          do: {m.key, MessageQueue.message_count(Secondary.message_queue(m.queue))}
+        )
     }
   end
 
   # A waiting primary is only reconsidered when the stream it is waiting for has advanced far enough.
-  defp awake(%{waiting: nil} = core, _input, _last), do: Decision.run(core)
-  defp awake(%{waiting: {input, nil}} = core, input, _last), do: Decision.run(core)
+  defp decide_if_reached(%{waiting: nil} = core, _input, _last), do: Decision.decide_waiting(core)
 
-  defp awake(%{waiting: {input, until}} = core, input, last) when last >= until,
-    do: Decision.run(core)
+  defp decide_if_reached(%{waiting: {input, nil}} = core, input, _last),
+    do: Decision.decide_waiting(core)
 
-  defp awake(core, _input, _last), do: {[], core}
+  defp decide_if_reached(%{waiting: {input, until}} = core, input, last) when last >= until,
+    do: Decision.decide_waiting(core)
 
-  defp arrived(%{arrived: nil}), do: nil
-  defp arrived(%{arrived: message}), do: message.originating_time
+  defp decide_if_reached(core, _input, _last), do: {[], core}
+
+  defp last_arrival_time(%{arrived: nil}), do: nil
+  defp last_arrival_time(%{arrived: message}), do: message.originating_time
 
   # Members that have an end no longer occupy their key.
-  defp keys(core), do: for(%{until: nil, key: key} <- core.members, do: key)
+  defp active_keys(core), do: for(%{until: nil, key: key} <- core.members, do: key)
 
-  defp find(core, key) do
+  defp fetch_member(core, key) do
     case Enum.find(core.members, &(&1.key == key and &1.until == nil)) do
-      nil -> Keys.unknown(keys(core), key)
+      nil -> Keys.unknown_key_error(active_keys(core), key)
       member -> {:ok, member}
     end
   end
 
-  defp change(core, %{input: input}, changes) do
+  defp update_member(core, %{input: input}, changes) do
     members = Enum.map(core.members, &if(&1.input == input, do: struct!(&1, changes), else: &1))
     %{core | members: members}
   end
 
-  defp over?(member, core),
-    do: Span.over?({member.from, member.until}, arrived(core), core.closed, core.queue)
+  defp member_finished?(member, core),
+    do:
+      Span.no_longer_needed?(
+        {member.from, member.until},
+        last_arrival_time(core),
+        core.closed,
+        core.queue
+      )
 end

@@ -6,52 +6,52 @@ defmodule Situ.Fusion.DynamicInputs do
   @policy [policy: [type: {:struct, Situ.Delivery}]]
 
   @doc "Adds an input, see `Situ.Fusion.add_input/4`."
-  @spec add(term(), term(), Stream.t() | String.t(), keyword()) ::
+  @spec add_input(term(), term(), Stream.t() | String.t(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
-  def add(fused, key, stream, opts) do
+  def add_input(fused, key, stream, opts) do
     {policy, request} = Keyword.split(opts, [:policy])
     policy = Options.validate!(policy, @policy)[:policy]
-    {pipeline, taker} = at(fused)
-    from = of_pipeline(pipeline, stream)
+    {pipeline, taker} = locate_operator(fused)
+    from = locate_stream(pipeline, stream)
 
     asked = %{
       taker: taker,
       stream: from,
       policy: policy,
       request: {key, request},
-      input: &input/1
+      input: &input_name/1
     }
 
     Pipeline.Client.call(pipeline, {:attach, asked})
   end
 
   @doc "Removes an input, see `Situ.Fusion.remove_input/3`."
-  @spec remove(term(), term(), keyword()) ::
+  @spec remove_input(term(), term(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
-  def remove(fused, key, opts) do
-    {pipeline, taker} = at(fused)
+  def remove_input(fused, key, opts) do
+    {pipeline, taker} = locate_operator(fused)
     Pipeline.Client.call(pipeline, {:detach, %{taker: taker, request: {key, opts}}})
   end
 
-  defp input(index), do: :"s#{index}"
+  defp input_name(index), do: :"s#{index}"
 
-  defp at(%Stream{} = stream), do: {stream.pipeline, {stream.node, stream.output}}
-  defp at({pipeline, name}) when is_binary(name), do: {pipeline, name}
+  defp locate_operator(%Stream{} = stream), do: {stream.pipeline, {stream.node, stream.output}}
+  defp locate_operator({pipeline, name}) when is_binary(name), do: {pipeline, name}
 
-  defp at(other) do
+  defp locate_operator(other) do
     takes = "the stream of a join, fusion or merge, or {pipeline, its_name}"
-    Argument.refuse!(other, takes, "Situ.add_input(joined, :left, stream)")
+    Argument.raise_invalid!(other, takes, "Situ.add_input(joined, :left, stream)")
   end
 
-  defp of_pipeline(_pipeline, name) when is_binary(name), do: name
+  defp locate_stream(_pipeline, name) when is_binary(name), do: name
 
-  defp of_pipeline(_pipeline, other) when not is_struct(other, Stream) do
+  defp locate_stream(_pipeline, other) when not is_struct(other, Stream) do
     takes = "a stream, or its name, as its third argument"
-    Argument.refuse!(other, takes, "Situ.add_input(joined, :left, stream)")
+    Argument.raise_invalid!(other, takes, "Situ.add_input(joined, :left, stream)")
   end
 
-  defp of_pipeline(pipeline, stream) do
-    if Pipeline.Client.pid(pipeline) == stream.pipeline.pid do
+  defp locate_stream(pipeline, stream) do
+    if Pipeline.Client.resolve_pid(pipeline) == stream.pipeline.pid do
       {stream.node, stream.output}
     else
       raise Error.new(

@@ -44,25 +44,33 @@ defmodule Situ.Fusion.Fuse do
 
   @impl true
   def handle_messages(:primary, messages, _context, state),
-    do: done(Core.primary(state.core, messages), seen(state, :primary, messages))
+    do:
+      finish_step(
+        Core.push_primary(state.core, messages),
+        note_arrival(state, :primary, messages)
+      )
 
   def handle_messages(input, messages, _context, state),
-    do: done(Core.secondary(state.core, input, messages), seen(state, input, messages))
+    do:
+      finish_step(
+        Core.push_secondary(state.core, input, messages),
+        note_arrival(state, input, messages)
+      )
 
   @impl true
   def handle_closed(:primary, _time, _context, state),
-    do: done({[], Core.close_primary(state.core)}, state)
+    do: finish_step({[], Core.close_primary(state.core)}, state)
 
   def handle_closed(input, time, _context, state),
-    do: done(Core.close(state.core, input, time), state)
+    do: finish_step(Core.close_secondary(state.core, input, time), state)
 
   @impl true
   def handle_attach(input, {key, opts}, last, _context, state) do
-    with :ok <- map!(state),
+    with :ok <- check_keyed(state),
          {:ok, opts} <- Options.validate(opts, @adding),
-         {:ok, interpolator} <- interpolator(opts[:interpolator], state.opts),
+         {:ok, interpolator} <- resolve_interpolator(opts[:interpolator], state.opts),
          span = [from: opts[:from], after: last],
-         {:ok, from, core} <- Core.add(state.core, input, key, interpolator, span) do
+         {:ok, from, core} <- Core.add_member(state.core, input, key, interpolator, span) do
       entry = {input, key, interpolator, if(from == :start, do: [], else: [from: from])}
       opts = Keyword.update!(state.opts, :members, &(&1 ++ [entry]))
       {:ok, from, opts, [], %{state | core: core, opts: opts}}
@@ -71,11 +79,11 @@ defmodule Situ.Fusion.Fuse do
 
   @impl true
   def handle_detach({key, opts}, _context, state) do
-    with :ok <- map!(state),
+    with :ok <- check_keyed(state),
          {:ok, opts} <- Options.validate(opts, @removing),
-         {:ok, until, outputs, core} <- Core.remove(state.core, key, opts) do
-      opts = Keyword.update!(state.opts, :members, &leaving(&1, key, until))
-      {actions, state} = done({outputs, core}, %{state | opts: opts})
+         {:ok, until, outputs, core} <- Core.remove_member(state.core, key, opts) do
+      opts = Keyword.update!(state.opts, :members, &put_until(&1, key, until))
+      {actions, state} = finish_step({outputs, core}, %{state | opts: opts})
       {:ok, until, state.opts, actions, state}
     end
   end
@@ -83,7 +91,7 @@ defmodule Situ.Fusion.Fuse do
   @impl true
   def handle_info(message, _context, state), do: Balance.handle_info(message, state)
 
-  defp map!(%{opts: opts}) do
+  defp check_keyed(%{opts: opts}) do
     if opts[:values] == :map,
       do: :ok,
       else:
@@ -93,8 +101,8 @@ defmodule Situ.Fusion.Fuse do
          )}
   end
 
-  defp leaving(entries, key, until) do
-    until = if until == :start, do: Span.beginning(), else: until
+  defp put_until(entries, key, until) do
+    until = if until == :start, do: Span.before_all_times(), else: until
 
     Enum.map(entries, fn
       {input, ^key, interpolator, span} ->
@@ -105,34 +113,34 @@ defmodule Situ.Fusion.Fuse do
     end)
   end
 
-  defp interpolator(nil, own), do: {:ok, own[:interpolator]}
+  defp resolve_interpolator(nil, own), do: {:ok, own[:interpolator]}
 
-  defp interpolator(given, own) do
-    interpolator = Arguments.interpolator(given)
+  defp resolve_interpolator(given, own) do
+    interpolator = Arguments.to_interpolator(given)
 
     if own[:reproducible] and not interpolator.reproducible,
-      do: {:error, Arguments.not_reproducible(interpolator)},
+      do: {:error, Arguments.not_reproducible_error(interpolator)},
       else: {:ok, interpolator}
   end
 
-  defp seen(state, input, messages),
-    do: %{state | balance: Balance.seen(state.balance, input, messages)}
+  defp note_arrival(state, input, messages),
+    do: %{state | balance: Balance.note_arrival(state.balance, input, messages)}
 
-  defp done({outputs, core}, state) do
-    {gone, core} = Core.gone(core)
-    state = Enum.reduce(gone, %{state | core: core}, &forget/2)
+  defp finish_step({outputs, core}, state) do
+    {gone, core} = Core.take_finished_inputs(core)
+    state = Enum.reduce(gone, %{state | core: core}, &forget_input/2)
     leave = for input <- gone, do: {:detach, input, state.opts}
-    Balance.after_step(outputs ++ leave, state, Core.heads(core), [Core.awaited(core)])
+    Balance.after_step(outputs ++ leave, state, Core.head_ids(core), [Core.awaited_input(core)])
   end
 
-  defp forget(input, state) do
+  defp forget_input(input, state) do
     opts = Keyword.update!(state.opts, :members, &List.keydelete(&1, input, 0))
-    %{state | opts: opts, balance: Balance.forget(state.balance, input)}
+    %{state | opts: opts, balance: Balance.forget_input(state.balance, input)}
   end
 
   @impl true
   def describe(%{core: core}) do
-    queued = Core.queued(core)
+    queued = Core.queue_lengths(core)
     named? = core.values == :map
 
     waiting =

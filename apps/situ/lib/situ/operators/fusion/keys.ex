@@ -4,8 +4,8 @@ defmodule Situ.Fusion.Keys do
   alias Situ.Error
 
   @doc "Checks that `key` is not among the keys in use."
-  @spec free([term()], term()) :: :ok | {:error, Error.t()}
-  def free(taken, key) do
+  @spec check_free([term()], term()) :: :ok | {:error, Error.t()}
+  def check_free(taken, key) do
     if key in taken do
       {:error,
        Error.new(:duplicate_input, "an input #{inspect(key)} already exists",
@@ -17,8 +17,8 @@ defmodule Situ.Fusion.Keys do
   end
 
   @doc "Returns the error for a key that does not exist."
-  @spec unknown([term()], term()) :: {:error, Error.t()}
-  def unknown(known, key) do
+  @spec unknown_key_error([term()], term()) :: {:error, Error.t()}
+  def unknown_key_error(known, key) do
     {:error,
      Error.new(:unknown_input, "input #{inspect(key)} does not exist",
        fix: "existing inputs: " <> Enum.map_join(known, ", ", &inspect/1)

@@ -18,8 +18,11 @@ defmodule Situ.Fusion.Member do
         }
 
   @doc "Returns the messages at or after `from`, which are the ones the member uses."
-  @spec since([Situ.Message.t()], Situ.Time.t() | nil) :: [Situ.Message.t()]
-  def since(messages, nil), do: messages
-  def since([%{originating_time: time} | rest], from) when time < from, do: since(rest, from)
-  def since(messages, _from), do: messages
+  @spec messages_since([Situ.Message.t()], Situ.Time.t() | nil) :: [Situ.Message.t()]
+  def messages_since(messages, nil), do: messages
+
+  def messages_since([%{originating_time: time} | rest], from) when time < from,
+    do: messages_since(rest, from)
+
+  def messages_since(messages, _from), do: messages
 end

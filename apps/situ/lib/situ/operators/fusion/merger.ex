@@ -21,7 +21,8 @@ defmodule Situ.Fusion.Merger do
 
   @impl true
   def handle_attach(input, {key, opts}, last, _context, {reached, members}) do
-    with {:ok, []} <- Options.validate(opts, []), :ok <- Keys.free(keys(members), key) do
+    with {:ok, []} <- Options.validate(opts, []),
+         :ok <- Keys.check_free(member_keys(members), key) do
       members = members ++ [{input, key}]
       from = if last == nil, do: :start, else: last + 1
       {:ok, from, [members: members], [], {reached, members}}
@@ -30,18 +31,18 @@ defmodule Situ.Fusion.Merger do
 
   @impl true
   def handle_detach({key, opts}, context, {reached, members}) do
-    with {:ok, []} <- Options.validate(opts, []), {:ok, input} <- find(members, key) do
+    with {:ok, []} <- Options.validate(opts, []), {:ok, input} <- fetch_input(members, key) do
       opts = [members: List.keydelete(members, input, 0)]
       {:ok, context.now, opts, [{:detach, input, opts}], {reached, opts[:members]}}
     end
   end
 
-  defp keys(members), do: Enum.map(members, &elem(&1, 1))
+  defp member_keys(members), do: Enum.map(members, &elem(&1, 1))
 
-  defp find(members, key) do
+  defp fetch_input(members, key) do
     case List.keyfind(members, key, 1) do
       {input, _} -> {:ok, input}
-      nil -> Keys.unknown(keys(members), key)
+      nil -> Keys.unknown_key_error(member_keys(members), key)
     end
   end
 end

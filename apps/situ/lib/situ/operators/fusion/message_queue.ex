@@ -14,15 +14,15 @@ defmodule Situ.Fusion.MessageQueue do
   def push({front, rear}, messages), do: {front, [messages | rear]}
 
   @doc "Merges all batches into one list."
-  @spec whole(t()) :: t()
-  def whole({_front, []} = queue), do: queue
-  def whole({[], [messages]}), do: {messages, []}
-  def whole({front, rear}), do: {front ++ :lists.append(:lists.reverse(rear)), []}
+  @spec merge_batches(t()) :: t()
+  def merge_batches({_front, []} = queue), do: queue
+  def merge_batches({[], [messages]}), do: {messages, []}
+  def merge_batches({front, rear}), do: {front ++ :lists.append(:lists.reverse(rear)), []}
 
   @doc "Drops `n` messages from the front."
-  @spec drop(t(), non_neg_integer()) :: t()
-  def drop(queue, n) do
-    {messages, []} = whole(queue)
+  @spec drop_first(t(), non_neg_integer()) :: t()
+  def drop_first(queue, n) do
+    {messages, []} = merge_batches(queue)
     {Enum.drop(messages, n), []}
   end
 
@@ -30,12 +30,12 @@ defmodule Situ.Fusion.MessageQueue do
   Takes the messages up to and including `time`, and returns the rest of the queue. Later batches are searched only if
   the first list has no message after `time`.
   """
-  @spec take(t(), Situ.Time.t()) :: {[Message.t()], t()}
-  def take({front, rear}, time) do
-    case split(front, time, []) do
+  @spec take_until(t(), Situ.Time.t()) :: {[Message.t()], t()}
+  def take_until({front, rear}, time) do
+    case split_until(front, time, []) do
       {taken, []} when rear != [] ->
-        {later, []} = whole({[], rear})
-        {more, kept} = split(later, time, [])
+        {later, []} = merge_batches({[], rear})
+        {more, kept} = split_until(later, time, [])
         {taken ++ more, {kept, []}}
 
       {taken, kept} ->
@@ -44,34 +44,34 @@ defmodule Situ.Fusion.MessageQueue do
   end
 
   @doc "Returns the sequence id of the first message."
-  @spec head(t()) :: non_neg_integer() | nil
-  def head({[%{sequence_id: id} | _], _rear}), do: id
-  def head({[], []}), do: nil
-  def head({[], rear}), do: rear |> List.last() |> hd() |> Map.fetch!(:sequence_id)
+  @spec head_id(t()) :: non_neg_integer() | nil
+  def head_id({[%{sequence_id: id} | _], _rear}), do: id
+  def head_id({[], []}), do: nil
+  def head_id({[], rear}), do: rear |> List.last() |> hd() |> Map.fetch!(:sequence_id)
 
-  @spec count(t()) :: non_neg_integer()
-  def count({front, rear}), do: length(front) + Enum.reduce(rear, 0, &(length(&1) + &2))
+  @spec message_count(t()) :: non_neg_integer()
+  def message_count({front, rear}), do: length(front) + Enum.reduce(rear, 0, &(length(&1) + &2))
 
   @doc "Returns the number of messages beyond `max`. `newest` is the sequence id of the last message."
   # Ids increase by at least one, so a span of ids within the limit needs no counting.
-  @spec excess(t(), non_neg_integer(), pos_integer() | nil) :: non_neg_integer()
-  def excess(_queue, _newest, nil), do: 0
+  @spec excess_count(t(), non_neg_integer(), pos_integer() | nil) :: non_neg_integer()
+  def excess_count(_queue, _newest, nil), do: 0
 
-  def excess(queue, newest, max) do
-    case head(queue) do
+  def excess_count(queue, newest, max) do
+    case head_id(queue) do
       nil -> 0
       head when newest - head < max -> 0
-      _head -> max(count(queue) - max, 0)
+      _head -> max(message_count(queue) - max, 0)
     end
   end
 
   @doc "Returns the last message of a list."
-  @spec last([Message.t(), ...]) :: Message.t()
-  def last([message]), do: message
-  def last([_ | rest]), do: last(rest)
+  @spec last_message([Message.t(), ...]) :: Message.t()
+  def last_message([message]), do: message
+  def last_message([_ | rest]), do: last_message(rest)
 
-  defp split([%{originating_time: at} = message | rest], time, taken) when at <= time,
-    do: split(rest, time, [message | taken])
+  defp split_until([%{originating_time: at} = message | rest], time, taken) when at <= time,
+    do: split_until(rest, time, [message | taken])
 
-  defp split(rest, _time, taken), do: {:lists.reverse(taken), rest}
+  defp split_until(rest, _time, taken), do: {:lists.reverse(taken), rest}
 end

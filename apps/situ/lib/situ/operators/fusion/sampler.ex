@@ -29,10 +29,12 @@ defmodule Situ.Fusion.Sampler do
   end
 
   def handle_messages(:in, messages, _context, sampling),
-    do: go_on(Sampling.push(sampling, messages))
+    do: continue_ticks(Sampling.push(sampling, messages))
 
   @impl true
-  def handle_info({:continue, :ticks}, _context, sampling), do: go_on(Sampling.more(sampling))
+  def handle_info({:continue, :ticks}, _context, sampling),
+    do: continue_ticks(Sampling.next_ticks(sampling))
+
   def handle_info(_other, _context, sampling), do: {[], sampling}
 
   @impl true
@@ -45,14 +47,15 @@ defmodule Situ.Fusion.Sampler do
       interpolator ->
         start = min(context.start_time, time)
         sampling = Sampling.new(interpolator, opts[:interval], start, opts[:align])
-        go_on(Sampling.close(sampling, time))
+        continue_ticks(Sampling.close(sampling, time))
     end
   end
 
-  def handle_closed(:in, time, _context, sampling), do: go_on(Sampling.close(sampling, time))
+  def handle_closed(:in, time, _context, sampling),
+    do: continue_ticks(Sampling.close(sampling, time))
 
-  defp go_on({outputs, %{more?: true} = sampling}),
+  defp continue_ticks({outputs, %{more?: true} = sampling}),
     do: {outputs ++ [{:continue, :ticks}], sampling}
 
-  defp go_on(done), do: done
+  defp continue_ticks(done), do: done
 end

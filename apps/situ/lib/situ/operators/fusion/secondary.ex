@@ -19,10 +19,10 @@ defmodule Situ.Fusion.Secondary do
   @doc "Adds messages, keeps at most `max` (`nil`: all), and returns the number of dropped messages."
   @spec push(t(), [Message.t(), ...], pos_integer() | nil) :: {t(), non_neg_integer()}
   def push({front, rear, _last, closed}, messages, max) do
-    last = MessageQueue.last(messages)
+    last = MessageQueue.last_message(messages)
     queue = MessageQueue.push({front, rear}, messages)
-    dropped = MessageQueue.excess(queue, last.sequence_id, max)
-    {front, rear} = if dropped == 0, do: queue, else: MessageQueue.drop(queue, dropped)
+    dropped = MessageQueue.excess_count(queue, last.sequence_id, max)
+    {front, rear} = if dropped == 0, do: queue, else: MessageQueue.drop_first(queue, dropped)
     {{front, rear, last.originating_time, closed}, dropped}
   end
 
@@ -31,12 +31,12 @@ defmodule Situ.Fusion.Secondary do
   def close(secondary, time), do: put_elem(secondary, 3, time)
 
   @doc "Returns the time of the last message that arrived."
-  @spec reached(t()) :: Situ.Time.t() | nil
-  def reached({_front, _rear, last, _closed}), do: last
+  @spec reached_time(t()) :: Situ.Time.t() | nil
+  def reached_time({_front, _rear, last, _closed}), do: last
 
   @doc "Returns the queue of waiting messages."
-  @spec queue(t()) :: MessageQueue.t()
-  def queue({front, rear, _last, _closed}), do: {front, rear}
+  @spec message_queue(t()) :: MessageQueue.t()
+  def message_queue({front, rear, _last, _closed}), do: {front, rear}
 
   @doc """
   Returns the value at `time`. Before `limit` (a time, or `nil`) it does not wait and uses the messages that have
@@ -44,30 +44,30 @@ defmodule Situ.Fusion.Secondary do
   """
   # The end of `front` is the end of the queue only when `rear` is empty. An interpolator that does not wait, or any
   # interpolator on a closed stream, must see all messages.
-  @spec ask(Interpolator.t(), Situ.Time.t(), t(), Situ.Time.t() | nil) :: answer()
-  def ask(interpolator, time, {_front, rear, last, closed} = secondary, limit) do
+  @spec resolve_value(Interpolator.t(), Situ.Time.t(), t(), Situ.Time.t() | nil) :: answer()
+  def resolve_value(interpolator, time, {_front, rear, last, closed} = secondary, limit) do
     closed = closed || if limit != nil and time < limit, do: last || time
 
     if rear != [] and (closed != nil or not interpolator.reproducible),
-      do: answer(interpolator, time, whole(secondary), closed, limit),
-      else: answer(interpolator, time, secondary, closed, limit)
+      do: interpolate_at(interpolator, time, merge_batches(secondary), closed, limit),
+      else: interpolate_at(interpolator, time, secondary, closed, limit)
   end
 
-  defp answer(interpolator, time, {front, rear, _, _} = secondary, closed, limit) do
+  defp interpolate_at(interpolator, time, {front, rear, _, _} = secondary, closed, limit) do
     %{module: module, config: config, default: default} = interpolator
 
     case module.interpolate(time, front, closed, config) do
       {:created, value, obsolete} ->
-        {:created, value, trim(secondary, obsolete)}
+        {:created, value, drop_obsolete(secondary, obsolete)}
 
       {:does_not_exist, obsolete} when default != :none ->
-        {:created, elem(default, 1), trim(secondary, obsolete)}
+        {:created, elem(default, 1), drop_obsolete(secondary, obsolete)}
 
       {:does_not_exist, obsolete} ->
-        gone(secondary, obsolete, closed)
+        no_value_result(secondary, obsolete, closed)
 
       _undecided when rear != [] ->
-        ask(interpolator, time, whole(secondary), limit)
+        resolve_value(interpolator, time, merge_batches(secondary), limit)
 
       {:wait, until} ->
         {:wait, until, secondary}
@@ -78,23 +78,24 @@ defmodule Situ.Fusion.Secondary do
   end
 
   # The stream is closed, or is only treated as closed for this primary because it waited too long.
-  defp gone({_, _, _, nil} = secondary, obsolete, closed) when closed != nil,
-    do: {:given_up, trim(secondary, obsolete)}
+  defp no_value_result({_, _, _, nil} = secondary, obsolete, closed) when closed != nil,
+    do: {:given_up, drop_obsolete(secondary, obsolete)}
 
-  defp gone(secondary, obsolete, _closed), do: {:does_not_exist, trim(secondary, obsolete)}
+  defp no_value_result(secondary, obsolete, _closed),
+    do: {:does_not_exist, drop_obsolete(secondary, obsolete)}
 
-  defp whole({front, rear, last, closed}) do
-    {front, rear} = MessageQueue.whole({front, rear})
+  defp merge_batches({front, rear, last, closed}) do
+    {front, rear} = MessageQueue.merge_batches({front, rear})
     {front, rear, last, closed}
   end
 
-  defp trim(secondary, nil), do: secondary
+  defp drop_obsolete(secondary, nil), do: secondary
 
-  defp trim({front, rear, last, closed}, obsolete),
-    do: {drop(front, obsolete), rear, last, closed}
+  defp drop_obsolete({front, rear, last, closed}, obsolete),
+    do: {drop_before(front, obsolete), rear, last, closed}
 
-  defp drop([%{originating_time: time} | rest], obsolete) when time < obsolete,
-    do: drop(rest, obsolete)
+  defp drop_before([%{originating_time: time} | rest], obsolete) when time < obsolete,
+    do: drop_before(rest, obsolete)
 
-  defp drop(front, _obsolete), do: front
+  defp drop_before(front, _obsolete), do: front
 end

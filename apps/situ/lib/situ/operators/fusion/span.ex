@@ -6,12 +6,12 @@ defmodule Situ.Fusion.Span do
   # Earlier than every possible time.
   @beginning -0x8000000000000000
 
-  @spec beginning() :: Situ.Time.t()
-  def beginning, do: @beginning
+  @spec before_all_times() :: Situ.Time.t()
+  def before_all_times, do: @beginning
 
   @doc "Returns the first time after all of these times, or `nil` if there are none."
-  @spec behind([Situ.Time.t() | nil]) :: Situ.Time.t() | nil
-  def behind(times) do
+  @spec first_time_after([Situ.Time.t() | nil]) :: Situ.Time.t() | nil
+  def first_time_after(times) do
     case Enum.reject(times, &is_nil/1) do
       [] -> nil
       times -> Enum.max(times) + 1
@@ -19,13 +19,13 @@ defmodule Situ.Fusion.Span do
   end
 
   @doc "Returns the requested time, or the earliest one if none was requested. Rejects times before the earliest."
-  @spec possible(Situ.Time.t() | nil, Situ.Time.t() | nil, String.t()) ::
+  @spec validate_time(Situ.Time.t() | nil, Situ.Time.t() | nil, String.t()) ::
           {:ok, Situ.Time.t() | nil} | {:error, Error.t()}
-  def possible(nil, earliest, _what), do: {:ok, earliest}
-  def possible(time, nil, _what), do: {:ok, time}
-  def possible(time, earliest, _what) when time >= earliest, do: {:ok, time}
+  def validate_time(nil, earliest, _what), do: {:ok, earliest}
+  def validate_time(time, nil, _what), do: {:ok, time}
+  def validate_time(time, earliest, _what) when time >= earliest, do: {:ok, time}
 
-  def possible(time, earliest, what) do
+  def validate_time(time, earliest, what) do
     {:error,
      Error.new(:too_late, "an input cannot #{what} #{time} ns",
        why: "messages up to #{earliest - 1} ns have already been handled",
@@ -38,23 +38,25 @@ defmodule Situ.Fusion.Span do
   Returns whether no later primary can need the span: it never began, or all primaries before its end have been
   handled and no more can arrive.
   """
-  @spec over?(
+  @spec no_longer_needed?(
           {Situ.Time.t() | nil, Situ.Time.t() | nil},
           Situ.Time.t() | nil,
           boolean(),
           {[Message.t()], [[Message.t()]]}
         ) :: boolean()
-  def over?({_from, nil}, _arrived, _closed, _waiting), do: false
-  def over?({_from, @beginning}, _arrived, _closed, _waiting), do: true
+  def no_longer_needed?({_from, nil}, _arrived, _closed, _waiting), do: false
+  def no_longer_needed?({_from, @beginning}, _arrived, _closed, _waiting), do: true
 
-  def over?({from, until}, _arrived, _closed, _waiting) when from != nil and until <= from,
-    do: true
+  def no_longer_needed?({from, until}, _arrived, _closed, _waiting)
+      when from != nil and until <= from,
+      do: true
 
-  def over?({_from, until}, arrived, closed, {front, rear}) do
-    (closed or (arrived != nil and arrived >= until - 1)) and not waits?(front, rear, until)
+  def no_longer_needed?({_from, until}, arrived, closed, {front, rear}) do
+    (closed or (arrived != nil and arrived >= until - 1)) and
+      not waiting_before?(front, rear, until)
   end
 
-  defp waits?([%{originating_time: time} | _], _rear, until), do: time < until
-  defp waits?([], [], _until), do: false
-  defp waits?([], rear, until), do: waits?(List.last(rear), [], until)
+  defp waiting_before?([%{originating_time: time} | _], _rear, until), do: time < until
+  defp waiting_before?([], [], _until), do: false
+  defp waiting_before?([], rear, until), do: waiting_before?(List.last(rear), [], until)
 end

@@ -39,82 +39,92 @@ defmodule Situ.Fusion.Zip do
   def push(zip, _index, []), do: {[], zip}
 
   def push(zip, index, messages) do
-    %Message{originating_time: last} = MessageQueue.last(messages)
+    %Message{originating_time: last} = MessageQueue.last_message(messages)
 
     inputs =
       List.update_at(zip.inputs, index, fn {queue, _} ->
         {MessageQueue.push(queue, messages), last}
       end)
 
-    release(%{zip | inputs: inputs})
+    release_groups(%{zip | inputs: inputs})
   end
 
   @doc "Marks input number `index` as ended and returns the groups that are complete."
   @spec close(t(), non_neg_integer()) :: {[Component.action()], t()}
   def close(zip, index) do
-    release(%{zip | inputs: List.update_at(zip.inputs, index, &put_elem(&1, 1, :closed))})
+    release_groups(%{zip | inputs: List.update_at(zip.inputs, index, &put_elem(&1, 1, :closed))})
   end
 
   @doc "Returns the indices of the inputs that delay the others."
-  @spec awaited(t()) :: [non_neg_integer()]
-  def awaited(zip) do
-    least = frontier(zip.inputs, :closed)
+  @spec awaited_indices(t()) :: [non_neg_integer()]
+  def awaited_indices(zip) do
+    least = lowest_frontier(zip.inputs, :closed)
     for {{_, reached}, index} <- Enum.with_index(zip.inputs), reached == least, do: index
   end
 
   @doc "Returns the sequence id of the first waiting message per input."
-  @spec heads(t()) :: [non_neg_integer() | nil]
-  def heads(zip), do: for({queue, _} <- zip.inputs, do: MessageQueue.head(queue))
+  @spec head_ids(t()) :: [non_neg_integer() | nil]
+  def head_ids(zip), do: for({queue, _} <- zip.inputs, do: MessageQueue.head_id(queue))
 
   @doc "Returns the number of waiting messages per input."
-  @spec queued(t()) :: [non_neg_integer()]
-  def queued(zip), do: for({queue, _} <- zip.inputs, do: MessageQueue.count(queue))
+  @spec queue_lengths(t()) :: [non_neg_integer()]
+  def queue_lengths(zip), do: for({queue, _} <- zip.inputs, do: MessageQueue.message_count(queue))
 
-  defp release(%{frontier: frontier} = zip) do
-    case frontier(zip.inputs, :closed) do
+  defp release_groups(%{frontier: frontier} = zip) do
+    case lowest_frontier(zip.inputs, :closed) do
       ^frontier -> {[], zip}
       :nothing -> {[], zip}
-      new -> emit(%{zip | frontier: new})
+      new -> emit_groups(%{zip | frontier: new})
     end
   end
 
-  defp emit(%{inputs: inputs, frontier: frontier} = zip) do
-    {released, kept} = inputs |> Enum.map(&split(&1, frontier)) |> Enum.unzip()
-    {group(:lists.reverse(released)), %{zip | inputs: kept}}
+  defp emit_groups(%{inputs: inputs, frontier: frontier} = zip) do
+    {released, kept} = inputs |> Enum.map(&split_queue(&1, frontier)) |> Enum.unzip()
+    {group_by_time(:lists.reverse(released)), %{zip | inputs: kept}}
   end
 
   # `:closed` is an atom and so sorts after every time. An input that has not sent a message delays all others.
-  defp frontier([], least), do: least
-  defp frontier([{_, :nothing} | _], _least), do: :nothing
-  defp frontier([{_, reached} | inputs], least), do: frontier(inputs, min(reached, least))
+  defp lowest_frontier([], least), do: least
+  defp lowest_frontier([{_, :nothing} | _], _least), do: :nothing
+
+  defp lowest_frontier([{_, reached} | inputs], least),
+    do: lowest_frontier(inputs, min(reached, least))
 
   # An input at the frontier delays the others, so its whole queue can be emitted.
-  defp split({queue, reached}, frontier) when frontier == :closed or frontier == reached do
-    {released, []} = MessageQueue.whole(queue)
+  defp split_queue({queue, reached}, frontier) when frontier == :closed or frontier == reached do
+    {released, []} = MessageQueue.merge_batches(queue)
     {released, {MessageQueue.new(), reached}}
   end
 
-  defp split({queue, reached}, frontier) do
-    {released, queue} = MessageQueue.take(queue, frontier)
+  defp split_queue({queue, reached}, frontier) do
+    {released, queue} = MessageQueue.take_until(queue, frontier)
     {released, {queue, reached}}
   end
 
   # Goes through the inputs from last to first, so that each value can be prepended.
-  defp group([last | others]) do
+  defp group_by_time([last | others]) do
     groups = for %{originating_time: time, data: data} <- last, do: {:out, time, [data]}
-    Enum.reduce(others, groups, &weave(&1, &2))
+    Enum.reduce(others, groups, &merge_into_groups(&1, &2))
   end
 
-  defp weave([], groups), do: groups
-  defp weave(messages, []), do: for(m <- messages, do: {:out, m.originating_time, [m.data]})
+  defp merge_into_groups([], groups), do: groups
 
-  defp weave([%{originating_time: time} = message | messages], [{:out, at, values} | groups])
+  defp merge_into_groups(messages, []),
+    do: for(m <- messages, do: {:out, m.originating_time, [m.data]})
+
+  defp merge_into_groups([%{originating_time: time} = message | messages], [
+         {:out, at, values} | groups
+       ])
        when time == at,
-       do: [{:out, at, [message.data | values]} | weave(messages, groups)]
+       do: [{:out, at, [message.data | values]} | merge_into_groups(messages, groups)]
 
-  defp weave([%{originating_time: time} = message | messages], [{:out, at, _} | _] = groups)
+  defp merge_into_groups(
+         [%{originating_time: time} = message | messages],
+         [{:out, at, _} | _] = groups
+       )
        when time < at,
-       do: [{:out, time, [message.data]} | weave(messages, groups)]
+       do: [{:out, time, [message.data]} | merge_into_groups(messages, groups)]
 
-  defp weave(messages, [group | groups]), do: [group | weave(messages, groups)]
+  defp merge_into_groups(messages, [group | groups]),
+    do: [group | merge_into_groups(messages, groups)]
 end

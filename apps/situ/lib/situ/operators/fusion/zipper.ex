@@ -24,23 +24,23 @@ defmodule Situ.Fusion.Zipper do
 
   @impl true
   def handle_messages(input, messages, _context, state) do
-    state = %{state | balance: Balance.seen(state.balance, input, messages)}
-    done(Zip.push(state.zip, Map.fetch!(state.indices, input), messages), state)
+    state = %{state | balance: Balance.note_arrival(state.balance, input, messages)}
+    finish_step(Zip.push(state.zip, Map.fetch!(state.indices, input), messages), state)
   end
 
   @impl true
   def handle_closed(input, _time, _context, state),
-    do: done(Zip.close(state.zip, Map.fetch!(state.indices, input)), state)
+    do: finish_step(Zip.close(state.zip, Map.fetch!(state.indices, input)), state)
 
   @impl true
   def handle_info(message, _context, state), do: Balance.handle_info(message, state)
 
-  defp done({outputs, zip}, state) do
-    heads = Enum.zip(state.names, Zip.heads(zip))
-    awaited = Enum.map(Zip.awaited(zip), &Enum.at(state.names, &1))
+  defp finish_step({outputs, zip}, state) do
+    heads = Enum.zip(state.names, Zip.head_ids(zip))
+    awaited = Enum.map(Zip.awaited_indices(zip), &Enum.at(state.names, &1))
     Balance.after_step(outputs, %{state | zip: zip}, heads, awaited)
   end
 
   @impl true
-  def describe(%{zip: zip}), do: "waiting: " <> Enum.join(Zip.queued(zip), " + ")
+  def describe(%{zip: zip}), do: "waiting: " <> Enum.join(Zip.queue_lengths(zip), " + ")
 end

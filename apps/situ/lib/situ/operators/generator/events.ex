@@ -35,36 +35,36 @@ defmodule Situ.Generator.Events do
 
   @impl true
   def handle_info({:situ_event, ref, time, data}, _context, %{ref: ref} = state),
-    do: posted(time, data, state)
+    do: emit_posted(time, data, state)
 
   def handle_info(_other, _context, state), do: {[], state}
 
   @impl true
-  def handle_stop(_final, _context, state), do: state |> release() |> waiting([])
+  def handle_stop(_final, _context, state), do: state |> call_unsubscribe() |> drain_posted([])
 
   @impl true
-  def terminate(_reason, state), do: release(state)
+  def terminate(_reason, state), do: call_unsubscribe(state)
 
   # All messages in the mailbox were posted before the stop.
-  defp waiting(%{ref: ref} = state, actions) do
+  defp drain_posted(%{ref: ref} = state, actions) do
     receive do
       {:situ_event, ^ref, time, data} ->
-        {[action], state} = posted(time, data, state)
-        waiting(state, [action | actions])
+        {[action], state} = emit_posted(time, data, state)
+        drain_posted(state, [action | actions])
     after
       0 -> {Enum.reverse(actions), state}
     end
   end
 
   # A poster may be interrupted between reading the clock and sending; its message then follows the other poster's.
-  defp posted(time, data, %{last: last} = state) do
+  defp emit_posted(time, data, %{last: last} = state) do
     time = if last != nil and time < last, do: last + 1, else: time
     {[{:out, time, data}], %{state | last: time}}
   end
 
-  defp release(%{active: false} = state), do: state
+  defp call_unsubscribe(%{active: false} = state), do: state
 
-  defp release(state) do
+  defp call_unsubscribe(state) do
     if unsubscribe = state.opts[:unsubscribe], do: unsubscribe.(state.handle)
     %{state | active: false}
   end

@@ -56,7 +56,7 @@ defmodule Situ.Generator.Source do
   def handle_demand(n, context, state) do
     # An atom sorts after every time, so without an end all items are included.
     till = min(context.replay_end, state.final || :infinity)
-    produce(n, till, state, [])
+    produce_items(n, till, state, [])
   end
 
   @impl true
@@ -77,15 +77,15 @@ defmodule Situ.Generator.Source do
   @impl true
   def restore(data, fresh) do
     Feed.close(fresh.feed)
-    feed = pass_over(fresh.make.(data.started), data.taken)
+    feed = skip_items(fresh.make.(data.started), data.taken)
     {:ok, fresh |> struct!(data) |> struct!(feed: feed, ahead: nil)}
   end
 
-  defp pass_over(feed, 0), do: feed
+  defp skip_items(feed, 0), do: feed
 
-  defp pass_over(feed, n) do
-    case Feed.next(feed) do
-      {_time, _value, feed} -> pass_over(feed, n - 1)
+  defp skip_items(feed, n) do
+    case Feed.next_item(feed) do
+      {_time, _value, feed} -> skip_items(feed, n - 1)
       :done -> feed
     end
   end
@@ -94,62 +94,65 @@ defmodule Situ.Generator.Source do
   def terminate(_reason, %{feed: nil}), do: :ok
   def terminate(_reason, state), do: Feed.close(state.feed)
 
-  defp produce(n, till, state, actions),
-    do: give(n, till, state, {state.ahead, state.feed, state.last, state.taken}, actions)
+  defp produce_items(n, till, state, actions),
+    do: emit_items(n, till, state, {state.ahead, state.feed, state.last, state.taken}, actions)
 
   # The progress is written to the state once per demand.
   # If the feed is known to have ended, the end is emitted together with the last item.
-  defp give(0, till, state, {nil, feed, _last, _taken} = reached, actions) do
-    if Feed.ended?(feed, till),
-      do: give(1, till, state, reached, actions),
-      else: {:lists.reverse(actions), at(state, reached)}
+  defp emit_items(0, till, state, {nil, feed, _last, _taken} = reached, actions) do
+    if Feed.known_ended?(feed, till),
+      do: emit_items(1, till, state, reached, actions),
+      else: {:lists.reverse(actions), put_progress(state, reached)}
   end
 
-  defp give(0, _till, state, reached, actions), do: {:lists.reverse(actions), at(state, reached)}
+  defp emit_items(0, _till, state, reached, actions),
+    do: {:lists.reverse(actions), put_progress(state, reached)}
 
-  defp give(n, till, %{from: from} = state, {ahead, feed, last, taken} = reached, actions) do
-    case ahead || Feed.next(feed) do
+  defp emit_items(n, till, %{from: from} = state, {ahead, feed, last, taken} = reached, actions) do
+    case ahead || Feed.next_item(feed) do
       :done ->
-        finish(at(state, reached), actions)
+        finish_feed(put_progress(state, reached), actions)
 
       {time, _value, _feed} = item when time > till ->
-        late(item, at(state, reached), actions)
+        finish_with_ahead(item, put_progress(state, reached), actions)
 
       {time, _value, feed} when from != nil and time < from ->
-        give(n, till, state, {nil, feed, last, taken + 1}, actions)
+        emit_items(n, till, state, {nil, feed, last, taken + 1}, actions)
 
       {time, _value, _feed}
       when last != nil and (time < last or (time == last and not state.equal)) ->
-        stumble(time, at(state, reached), actions)
+        fail_not_increasing(time, put_progress(state, reached), actions)
 
       {time, value, feed} ->
-        give(n - 1, till, state, {nil, feed, time, taken + 1}, [{:out, time, value} | actions])
+        emit_items(n - 1, till, state, {nil, feed, time, taken + 1}, [
+          {:out, time, value} | actions
+        ])
     end
   end
 
-  defp at(state, {ahead, feed, last, taken}),
+  defp put_progress(state, {ahead, feed, last, taken}),
     do: %{state | ahead: ahead, feed: feed, last: last, taken: taken}
 
   # The next item is after the end. A stop may move the end, but only to an earlier time.
-  defp late(item, state, actions), do: finish(%{state | ahead: item}, actions)
+  defp finish_with_ahead(item, state, actions), do: finish_feed(%{state | ahead: item}, actions)
 
-  defp finish(%{final: final} = state, actions) when final != nil,
+  defp finish_feed(%{final: final} = state, actions) when final != nil,
     do: {:lists.reverse(actions, [:stopped]), %{state | phase: :done}}
 
-  defp finish(%{keep_open: true} = state, actions),
+  defp finish_feed(%{keep_open: true} = state, actions),
     do: {:lists.reverse(actions), %{state | phase: :done}}
 
   # The time of the last item may have been nudged, and only the output knows the result.
-  defp finish(%{equal: true, last: last} = state, actions) when last != nil,
+  defp finish_feed(%{equal: true, last: last} = state, actions) when last != nil,
     do: {:lists.reverse(actions, [{:close, :out}]), %{state | phase: :done}}
 
   # Closing also marks the output as complete, so that waiting operators can decide immediately.
-  defp finish(state, actions) do
+  defp finish_feed(state, actions) do
     {:lists.reverse(actions, [{:close, :out, state.last || state.started}]),
      %{state | phase: :done}}
   end
 
-  defp stumble(time, state, actions) do
+  defp fail_not_increasing(time, state, actions) do
     error =
       Situ.Error.new(
         :time_not_increasing,

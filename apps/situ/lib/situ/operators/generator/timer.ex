@@ -15,7 +15,7 @@ defmodule Situ.Generator.Timer do
   @impl true
   def handle_start(context, state) do
     ending = if context.replay_end == :infinity, do: [{:complete, :infinity}], else: []
-    {ending ++ next(context.start_time, context, state), state}
+    {ending ++ schedule_tick(context.start_time, context, state), state}
   end
 
   @impl true
@@ -24,12 +24,12 @@ defmodule Situ.Generator.Timer do
     data = state.fun.(time, time - context.start_time)
     # Missed ticks are skipped.
     missed = div(max(context.now - due, 0), state.every) * state.every
-    {[{:out, time, data} | next(due + missed, context, state)], %{state | last: time}}
+    {[{:out, time, data} | schedule_tick(due + missed, context, state)], %{state | last: time}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp next(after_time, context, state) do
+  defp schedule_tick(after_time, context, state) do
     due = after_time + state.every
 
     if due > context.replay_end,

@@ -8,19 +8,34 @@ defmodule Situ.Interpolator.Adjacent do
 
   @impl true
   def interpolate(time, messages, closed, {fun, max_span}) do
-    scan(messages, nil, time, closed, fun, max_span)
+    find_neighbors(messages, nil, time, closed, fun, max_span)
   end
 
-  defp scan([%Message{originating_time: at} = message | rest], _previous, time, closed, fun, span)
+  defp find_neighbors(
+         [%Message{originating_time: at} = message | rest],
+         _previous,
+         time,
+         closed,
+         fun,
+         span
+       )
        when at < time,
-       do: scan(rest, message, time, closed, fun, span)
+       do: find_neighbors(rest, message, time, closed, fun, span)
 
-  defp scan([%Message{originating_time: time, data: data} | _], _previous, time, _, _fun, _span),
-    do: {:created, data, time}
+  defp find_neighbors(
+         [%Message{originating_time: time, data: data} | _],
+         _previous,
+         time,
+         _,
+         _fun,
+         _span
+       ),
+       do: {:created, data, time}
 
-  defp scan([_message | _], nil, _time, _closed, _fun, _span), do: {:does_not_exist, nil}
+  defp find_neighbors([_message | _], nil, _time, _closed, _fun, _span),
+    do: {:does_not_exist, nil}
 
-  defp scan([message | _], previous, time, _closed, fun, max_span) do
+  defp find_neighbors([message | _], previous, time, _closed, fun, max_span) do
     gap = message.originating_time - previous.originating_time
 
     # An atom sorts after every number, so :infinity is wider than any gap.
@@ -32,7 +47,9 @@ defmodule Situ.Interpolator.Adjacent do
     end
   end
 
-  defp scan([], _previous, time, nil, _fun, _span), do: {:wait, time}
-  defp scan([], nil, _time, _closed, _fun, _span), do: {:does_not_exist, nil}
-  defp scan([], last, _time, _closed, _fun, _span), do: {:does_not_exist, last.originating_time}
+  defp find_neighbors([], _previous, time, nil, _fun, _span), do: {:wait, time}
+  defp find_neighbors([], nil, _time, _closed, _fun, _span), do: {:does_not_exist, nil}
+
+  defp find_neighbors([], last, _time, _closed, _fun, _span),
+    do: {:does_not_exist, last.originating_time}
 end

@@ -18,12 +18,12 @@ defmodule Situ.Interpolator.First do
          ) do
       nil when waits? and closed == nil -> {:wait, low}
       nil -> {:does_not_exist, low}
-      %Message{originating_time: at, data: data} -> inside(at, data, time, low, window)
+      %Message{originating_time: at, data: data} -> value_if_inside(at, data, time, low, window)
     end
   end
 
   # `at` is the first message after the left end. If it is past the right end, the window is empty.
-  defp inside(at, data, time, low, window) do
+  defp value_if_inside(at, data, time, low, window) do
     if Interval.before_right?(
          at,
          Situ.Interval.translate(window, time).right,

@@ -11,31 +11,31 @@ defmodule Situ.Interpolator.Last do
 
   def interpolate(time, messages, closed, {window, waits?}) do
     frame = Interval.translate(window, time)
-    scan(messages, frame, waits? and closed == nil, nil)
+    scan_messages(messages, frame, waits? and closed == nil, nil)
   end
 
-  defp scan([%Message{originating_time: at} = message | rest], frame, waits?, best) do
+  defp scan_messages([%Message{originating_time: at} = message | rest], frame, waits?, best) do
     cond do
       not Interval.before_right?(at, frame.right, frame.right_inclusive) ->
-        decide(best, frame)
+        decide_value(best, frame)
 
       Interval.after_left?(at, frame.left, frame.left_inclusive) ->
-        scan(rest, frame, waits?, message)
+        scan_messages(rest, frame, waits?, message)
 
       true ->
-        scan(rest, frame, waits?, best)
+        scan_messages(rest, frame, waits?, best)
     end
   end
 
-  defp scan([], frame, true, best) do
+  defp scan_messages([], frame, true, best) do
     if best != nil and frame.right_inclusive and best.originating_time == frame.right,
-      do: decide(best, frame),
+      do: decide_value(best, frame),
       else: {:wait, if(frame.right == :unbounded, do: :infinity, else: frame.right)}
   end
 
-  defp scan([], frame, false, best), do: decide(best, frame)
+  defp scan_messages([], frame, false, best), do: decide_value(best, frame)
 
-  defp decide(nil, %{left: :unbounded}), do: {:does_not_exist, nil}
-  defp decide(nil, %{left: left}), do: {:does_not_exist, left}
-  defp decide(%Message{data: data, originating_time: at}, _frame), do: {:created, data, at}
+  defp decide_value(nil, %{left: :unbounded}), do: {:does_not_exist, nil}
+  defp decide_value(nil, %{left: left}), do: {:does_not_exist, left}
+  defp decide_value(%Message{data: data, originating_time: at}, _frame), do: {:created, data, at}
 end

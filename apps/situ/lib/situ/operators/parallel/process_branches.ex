@@ -38,14 +38,14 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   @doc "Returns the keys of these parts that have no branch."
-  @spec unknown(t(), list() | map()) :: [term()]
-  def unknown(pool, parts) do
-    for {key, _} <- Parts.pairs(parts), not is_map_key(pool.keys, key), do: key
+  @spec keys_without_branch(t(), list() | map()) :: [term()]
+  def keys_without_branch(pool, parts) do
+    for {key, _} <- Parts.to_pairs(parts), not is_map_key(pool.keys, key), do: key
   end
 
   @doc "Adds the started branch of `key`. The first branch shows whether branches have outputs."
-  @spec started(t(), term(), id(), boolean()) :: t()
-  def started(pool, key, id, output?) do
+  @spec put_branch(t(), term(), id(), boolean()) :: t()
+  def put_branch(pool, key, id, output?) do
     %{
       pool
       | keys: Map.put(pool.keys, key, {id, nil, 0}),
@@ -56,22 +56,25 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   @doc "Handles the parts of one message. Every key must have a branch."
-  @spec push(t(), Message.t(), list() | map()) :: {[order()], outputs(), t()}
-  def push(pool, message, parts) do
+  @spec push_message(t(), Message.t(), list() | map()) :: {[order()], outputs(), t()}
+  def push_message(pool, message, parts) do
     time = message.originating_time
     before = pool.keys
-    {feeds, pool} = Enum.map_reduce(Parts.pairs(parts), pool, &feed(&1, &2, message))
-    {stops, pool} = terminate(pool, parts, time)
+    {feeds, pool} = Enum.map_reduce(Parts.to_pairs(parts), pool, &feed_branch(&1, &2, message))
+    {stops, pool} = stop_branches(pool, parts, time)
 
     if pool.output == false do
       {feeds ++ stops, [], pool}
     else
-      live = live(pool, parts)
-      keys = PendingOutputs.keys(live)
-      passes = for key <- keys, not part?(parts, key), do: {:pass, id(before, key), time}
-      pool = Enum.reduce(keys, pool, &wait(&2, id(before, &1), time))
-      entries = PendingOutputs.add(pool.entries, time, live, %{}, length(keys))
-      {outputs, pool} = flush(%{pool | entries: entries})
+      live = live_branches(pool, parts)
+      keys = PendingOutputs.live_keys(live)
+
+      passes =
+        for key <- keys, not has_part?(parts, key), do: {:pass, branch_id(before, key), time}
+
+      pool = Enum.reduce(keys, pool, &add_waiting_time(&2, branch_id(before, &1), time))
+      entries = PendingOutputs.add_time(pool.entries, time, live, %{}, length(keys))
+      {outputs, pool} = flush_outputs(%{pool | entries: entries})
       {feeds ++ passes ++ stops, outputs, pool}
     end
   end
@@ -80,13 +83,15 @@ defmodule Situ.Parallel.ProcessBranches do
   Adds outputs of a branch, in order. If `passed` is a time, the branch has handled all parts up to it and has no more
   outputs for them.
   """
-  @spec reported(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
-  def reported(pool, id, reported, passed) do
+  @spec add_outputs(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
+  def add_outputs(pool, id, reported, passed) do
     case pool.branches do
       %{^id => {key, {front, rear}}} ->
-        {entries, waiting} = settle(reported, passed, whole(front, rear), key, pool.entries)
+        {entries, waiting} =
+          settle_times(reported, passed, merge_waiting(front, rear), key, pool.entries)
+
         branches = Map.put(pool.branches, id, {key, {waiting, []}})
-        flush(%{pool | branches: branches, entries: entries})
+        flush_outputs(%{pool | branches: branches, entries: entries})
 
       _ ->
         {[], pool}
@@ -94,58 +99,75 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   # Compares the times that wait for the branch with the times of its outputs; both are in order.
-  defp settle([{at, value} | reported], passed, [time | waiting], key, entries) when at == time,
-    do: settle(reported, passed, waiting, key, PendingOutputs.found(entries, time, key, value))
+  defp settle_times([{at, value} | reported], passed, [time | waiting], key, entries)
+       when at == time,
+       do:
+         settle_times(
+           reported,
+           passed,
+           waiting,
+           key,
+           PendingOutputs.put_value(entries, time, key, value)
+         )
 
-  defp settle([{at, _} | _] = reported, passed, [time | waiting], key, entries) when time < at,
-    do: settle(reported, passed, waiting, key, PendingOutputs.lost(entries, [time]))
+  defp settle_times([{at, _} | _] = reported, passed, [time | waiting], key, entries)
+       when time < at,
+       do:
+         settle_times(
+           reported,
+           passed,
+           waiting,
+           key,
+           PendingOutputs.mark_missing(entries, [time])
+         )
 
-  defp settle([_not_asked_for | reported], passed, waiting, key, entries),
-    do: settle(reported, passed, waiting, key, entries)
+  defp settle_times([_not_asked_for | reported], passed, waiting, key, entries),
+    do: settle_times(reported, passed, waiting, key, entries)
 
-  defp settle([], passed, [time | waiting], key, entries) when passed != nil and time <= passed,
-    do: settle([], passed, waiting, key, PendingOutputs.lost(entries, [time]))
+  defp settle_times([], passed, [time | waiting], key, entries)
+       when passed != nil and time <= passed,
+       do: settle_times([], passed, waiting, key, PendingOutputs.mark_missing(entries, [time]))
 
-  defp settle([], _passed, waiting, _key, entries), do: {entries, waiting}
+  defp settle_times([], _passed, waiting, _key, entries), do: {entries, waiting}
 
-  defp whole(front, []), do: front
-  defp whole(front, rear), do: front ++ :lists.reverse(rear)
+  defp merge_waiting(front, []), do: front
+  defp merge_waiting(front, rear), do: front ++ :lists.reverse(rear)
 
   @doc "Removes a branch that has ended. All its outputs must have been added."
-  @spec ended(t(), id()) :: {outputs(), t()}
-  def ended(pool, id) do
+  @spec remove_branch(t(), id()) :: {outputs(), t()}
+  def remove_branch(pool, id) do
     case Map.pop(pool.branches, id) do
       {nil, _} ->
         {[], pool}
 
       {{key, waiting}, branches} ->
-        keys = if id(pool.keys, key) == id, do: Map.delete(pool.keys, key), else: pool.keys
+        keys = if branch_id(pool.keys, key) == id, do: Map.delete(pool.keys, key), else: pool.keys
         {front, rear} = waiting
-        entries = PendingOutputs.lost(pool.entries, whole(front, rear))
-        flush(%{pool | branches: branches, keys: keys, entries: entries})
+        entries = PendingOutputs.mark_missing(pool.entries, merge_waiting(front, rear))
+        flush_outputs(%{pool | branches: branches, keys: keys, entries: entries})
     end
   end
 
   @doc "Closes the input, which ends every branch."
-  @spec close(t(), Situ.Time.t()) :: {[order()], t()}
-  def close(pool, time) do
-    stops = for {_key, {id, seen, _}} <- pool.keys, do: {:stop, id, last(time, seen)}
+  @spec close_input(t(), Situ.Time.t()) :: {[order()], t()}
+  def close_input(pool, time) do
+    stops = for {_key, {id, seen, _}} <- pool.keys, do: {:stop, id, stop_time(time, seen)}
     {stops, %{pool | keys: %{}}}
   end
 
   @doc "Returns the key of a branch."
-  @spec key(t(), id()) :: {:ok, term()} | :error
-  def key(pool, id) do
+  @spec fetch_key(t(), id()) :: {:ok, term()} | :error
+  def fetch_key(pool, id) do
     with {:ok, {key, _waiting}} <- Map.fetch(pool.branches, id), do: {:ok, key}
   end
 
   @doc "Returns the branches that the first undecided time is waiting for."
-  @spec awaited(t()) :: [id()]
-  def awaited(pool) do
-    case PendingOutputs.first(pool.entries) do
+  @spec awaited_branches(t()) :: [id()]
+  def awaited_branches(pool) do
+    case PendingOutputs.first_time(pool.entries) do
       {:value, time} ->
         for {id, {_key, {front, rear}}} <- pool.branches,
-            match?([^time | _], whole(front, rear)),
+            match?([^time | _], merge_waiting(front, rear)),
             do: id
 
       :empty ->
@@ -154,63 +176,64 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   # Branches of lists do not need the time at which they were last seen.
-  defp feed({key, data}, %{form: form} = pool, message) when form not in [:sparse, :present] do
+  defp feed_branch({key, data}, %{form: form} = pool, message)
+       when form not in [:sparse, :present] do
     {id, _seen, _absent} = Map.fetch!(pool.keys, key)
     {{:feed, id, {message.originating_time, data}}, pool}
   end
 
-  defp feed({key, data}, pool, message) do
+  defp feed_branch({key, data}, pool, message) do
     {id, _seen, _absent} = Map.fetch!(pool.keys, key)
     keys = Map.put(pool.keys, key, {id, message.originating_time, 0})
     {{:feed, id, {message.originating_time, data}}, %{pool | keys: keys}}
   end
 
-  defp terminate(%{form: form} = pool, _parts, _time) when form not in [:sparse, :present],
+  defp stop_branches(%{form: form} = pool, _parts, _time) when form not in [:sparse, :present],
     do: {[], pool}
 
-  defp terminate(%{termination: rule} = pool, parts, time) do
+  defp stop_branches(%{termination: rule} = pool, parts, time) do
     rule
-    |> Termination.asked(pool.keys, parts)
+    |> Termination.keys_to_check(pool.keys, parts)
     |> Enum.reduce({[], pool}, fn key, {stops, pool} ->
       {id, seen, absent} = Map.fetch!(pool.keys, key)
 
-      case Termination.decide(rule, key, {seen, absent}, parts, time) do
+      case Termination.decide_branch(rule, key, {seen, absent}, parts, time) do
         :keep -> {stops, pool}
         {:absent, n} -> {stops, %{pool | keys: Map.put(pool.keys, key, {id, time, n})}}
-        {:close, at} -> {[{:stop, id, last(at, seen)} | stops], without(pool, key)}
+        {:close, at} -> {[{:stop, id, stop_time(at, seen)} | stops], delete_key(pool, key)}
       end
     end)
   end
 
   # A branch ends after the last message sent to it, even if its rule names an earlier time.
-  defp last(at, nil), do: at
-  defp last(at, seen), do: max(at, seen)
+  defp stop_time(at, nil), do: at
+  defp stop_time(at, seen), do: max(at, seen)
 
-  defp without(pool, key), do: %{pool | keys: Map.delete(pool.keys, key)}
+  defp delete_key(pool, key), do: %{pool | keys: Map.delete(pool.keys, key)}
 
-  defp live(%{form: {:fixed, n}}, _parts), do: n
-  defp live(%{form: :variable}, parts), do: length(parts)
-  defp live(%{form: :present}, parts), do: Map.keys(parts)
-  defp live(%{form: :sparse} = pool, _parts), do: Map.keys(pool.keys)
+  defp live_branches(%{form: {:fixed, n}}, _parts), do: n
+  defp live_branches(%{form: :variable}, parts), do: length(parts)
+  defp live_branches(%{form: :present}, parts), do: Map.keys(parts)
+  defp live_branches(%{form: :sparse} = pool, _parts), do: Map.keys(pool.keys)
 
   # Lists have a part for each live position.
-  defp part?(parts, _position) when is_list(parts), do: true
-  defp part?(parts, key), do: is_map_key(parts, key)
+  defp has_part?(parts, _position) when is_list(parts), do: true
+  defp has_part?(parts, key), do: is_map_key(parts, key)
 
-  defp id(keys, key) do
+  defp branch_id(keys, key) do
     case keys do
       %{^key => {id, _, _}} -> id
       _ -> nil
     end
   end
 
-  defp wait(pool, id, time) do
+  defp add_waiting_time(pool, id, time) do
     {key, {front, rear}} = Map.fetch!(pool.branches, id)
     %{pool | branches: Map.put(pool.branches, id, {key, {front, [time | rear]}})}
   end
 
-  defp flush(pool) do
-    {outputs, entries} = PendingOutputs.flush(pool.entries)
+  defp flush_outputs(pool) do
+    {outputs, entries} = PendingOutputs.take_decided(pool.entries)
     {outputs, %{pool | entries: entries}}
   end
 end

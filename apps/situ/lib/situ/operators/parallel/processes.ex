@@ -55,24 +55,30 @@ defmodule Situ.Parallel.Processes do
   @impl true
   def handle_messages(_input, messages, context, state) do
     {orders, outputs, after_all} =
-      Enum.reduce(messages, {[], [], state}, &push(&1, &2, context, state))
+      Enum.reduce(messages, {[], [], state}, &push_message(&1, &2, context, state))
 
     orders = orders |> :lists.reverse() |> :lists.append()
     outputs = outputs |> :lists.reverse() |> :lists.append()
-    balance(outputs, carry_out(after_all, orders))
+    hold_or_resume(outputs, carry_out_orders(after_all, orders))
   end
 
   # Nothing is sent until all messages are known to be valid.
-  defp push(message, {orders, outputs, state}, context, before) do
+  defp push_message(message, {orders, outputs, state}, context, before) do
     or_abandon(state, before, fn ->
-      parts = Parts.of(state.opts.form, state.opts[:split], message.data)
+      parts = Parts.split_parts(state.opts.form, state.opts[:split], message.data)
       at = {context.path, message.originating_time}
 
       begun =
-        Enum.reduce(ProcessBranches.unknown(state.pool, parts), state, &begin(&2, &1, at, before))
+        Enum.reduce(
+          ProcessBranches.keys_without_branch(state.pool, parts),
+          state,
+          &start_branch(&2, &1, at, before)
+        )
 
       {more, came, pool} =
-        or_abandon(begun, before, fn -> ProcessBranches.push(begun.pool, message, parts) end)
+        or_abandon(begun, before, fn ->
+          ProcessBranches.push_message(begun.pool, message, parts)
+        end)
 
       {[more | orders], [came | outputs], %{begun | pool: pool}}
     end)
@@ -80,24 +86,24 @@ defmodule Situ.Parallel.Processes do
 
   @impl true
   def handle_info({:situ_branch, id, said}, _context, state) do
-    {outputs, state} = listen(said(said, id, state))
-    balance(outputs, state)
+    {outputs, state} = drain_branch_messages(handle_branch_message(said, id, state))
+    hold_or_resume(outputs, state)
   end
 
   def handle_info({:situ_branch_failed, error}, _context, _state), do: raise(error)
 
   def handle_info({:hold_ended, :in}, _context, %{held: true} = state) do
     if state.moved or
-         RunningBranches.at_work?(state.branches, ProcessBranches.awaited(state.pool)),
+         RunningBranches.at_work?(state.branches, ProcessBranches.awaited_branches(state.pool)),
        do: {[{:hold, :in}], %{state | moved: false}},
        else: {[], %{state | held: false, limit: state.limit * 2}}
   end
 
   def handle_info(message, _context, state) do
-    case RunningBranches.ended(message, state.branches) do
+    case RunningBranches.find_ended(message, state.branches) do
       {id, result} ->
-        {outputs, state} = over(id, result, state)
-        balance(outputs, state)
+        {outputs, state} = handle_branch_end(id, result, state)
+        hold_or_resume(outputs, state)
 
       nil ->
         {[], state}
@@ -107,21 +113,21 @@ defmodule Situ.Parallel.Processes do
   # The outputs of parts that are still in the branches must be emitted before this operator ends.
   @impl true
   def handle_closed(_input, time, context, state) do
-    {orders, pool} = ProcessBranches.close(state.pool, time)
-    state = carry_out(%{state | pool: pool}, orders)
+    {orders, pool} = ProcessBranches.close_input(state.pool, time)
+    state = carry_out_orders(%{state | pool: pool}, orders)
     monitors = for {_, branch} <- state.branches, into: %{}, do: {branch.monitor, true}
-    drain(state, {context.pipeline, monitors}, nil, [])
+    drain_branches(state, {context.pipeline, monitors}, nil, [])
   end
 
   @impl true
   def terminate(_reason, state) do
-    RunningBranches.abandon(state.branches, %{})
+    RunningBranches.stop_new_branches(state.branches, %{})
   end
 
   @impl true
   def describe(%{pool: pool} = state) do
     failed = if pool.failed > 0, do: ", #{pool.failed} failed and restarted", else: ""
-    waiting = PendingOutputs.size(pool.entries)
+    waiting = PendingOutputs.waiting_count(pool.entries)
     waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
     ending = map_size(state.branches) - map_size(pool.keys)
     ends = if ending > 0, do: ", #{ending} ending", else: ""
@@ -130,19 +136,22 @@ defmodule Situ.Parallel.Processes do
   end
 
   @doc "Returns the pipelines of the branches."
-  @spec pipelines(term()) :: [pid()]
-  def pipelines(%__MODULE__{branches: branches}), do: for({_, branch} <- branches, do: branch.pid)
+  @spec branch_pipelines(term()) :: [pid()]
+  def branch_pipelines(%__MODULE__{branches: branches}),
+    do: for({_, branch} <- branches, do: branch.pid)
 
-  defp begin(state, key, {path, time}, before) do
+  defp start_branch(state, key, {path, time}, before) do
     id = make_ref()
     timing = Map.merge(state.timing, %{start: time, policy: state.opts[:branch_policy]})
     at = {Situ.Branch.Path.to_string({path, key}), state.opts.type, timing}
-    fun = of_key(state.opts.fun, key)
+    fun = bind_key(state.opts.fun, key)
 
     running =
-      or_abandon(state, before, fn -> RunningBranches.begin(state.branches, id, fun, at) end)
+      or_abandon(state, before, fn ->
+        RunningBranches.start_branch(state.branches, id, fun, at)
+      end)
 
-    pool = ProcessBranches.started(state.pool, key, id, running[id].output?)
+    pool = ProcessBranches.put_branch(state.pool, key, id, running[id].output?)
     %{state | pool: pool, branches: running}
   end
 
@@ -151,65 +160,65 @@ defmodule Situ.Parallel.Processes do
     fun.()
   rescue
     error ->
-      RunningBranches.abandon(state.branches, before.branches)
+      RunningBranches.stop_new_branches(state.branches, before.branches)
       reraise error, __STACKTRACE__
   end
 
-  defp of_key(fun, _key) when is_function(fun, 1), do: fun
-  defp of_key(fun, key), do: &fun.(key, &1)
+  defp bind_key(fun, _key) when is_function(fun, 1), do: fun
+  defp bind_key(fun, key), do: &fun.(key, &1)
 
-  defp carry_out(state, orders),
+  defp carry_out_orders(state, orders),
     do: %{state | branches: RunningBranches.carry_out(orders, state.branches)}
 
   # Handles all branch messages that are already in the mailbox, in one time slice.
-  defp listen({outputs, state}) do
+  defp drain_branch_messages({outputs, state}) do
     receive do
       {:situ_branch, id, said} ->
-        {more, state} = said(said, id, state)
-        listen({outputs ++ more, state})
+        {more, state} = handle_branch_message(said, id, state)
+        drain_branch_messages({outputs ++ more, state})
     after
       0 -> {outputs, state}
     end
   end
 
-  defp said({:open, gate}, id, state) when is_map_key(state.branches, id),
-    do: {[], %{state | branches: RunningBranches.opened(state.branches, id, gate)}}
+  defp handle_branch_message({:open, gate}, id, state) when is_map_key(state.branches, id),
+    do: {[], %{state | branches: RunningBranches.put_gate(state.branches, id, gate)}}
 
-  defp said({:outputs, reported, passed}, id, %{branches: branches} = state) do
+  defp handle_branch_message({:outputs, reported, passed}, id, %{branches: branches} = state) do
     passed = if match?(%{^id => %{immediate?: true}}, branches), do: passed
-    {outputs, pool} = ProcessBranches.reported(state.pool, id, reported, passed)
+    {outputs, pool} = ProcessBranches.add_outputs(state.pool, id, reported, passed)
     {outputs, %{state | pool: pool, moved: true}}
   end
 
-  defp said(_of_a_branch_that_is_gone, _id, state), do: {[], state}
+  defp handle_branch_message(_of_a_branch_that_is_gone, _id, state), do: {[], state}
 
   # A branch has ended, either as requested or because it failed.
-  defp over(id, result, state) do
-    {outputs, pool} = ProcessBranches.ended(state.pool, id)
+  defp handle_branch_end(id, result, state) do
+    {outputs, pool} = ProcessBranches.remove_branch(state.pool, id)
 
     state = %{
       state
-      | branches: RunningBranches.remove(state.branches, id),
+      | branches: RunningBranches.remove_branch(state.branches, id),
         pool: pool,
         moved: true
     }
 
-    {outputs, failed(result, state)}
+    {outputs, handle_branch_result(result, state)}
   end
 
-  defp failed({:ok, _report}, state), do: state
+  defp handle_branch_result({:ok, _report}, state), do: state
 
-  defp failed({:error, _error}, %{opts: %{on_branch_error: :restart}} = state),
+  defp handle_branch_result({:error, _error}, %{opts: %{on_branch_error: :restart}} = state),
     do: put_in(state.pool.failed, state.pool.failed + 1)
 
   # The error is raised with the next message, so that the state without the branch is kept for any `on_error:`.
-  defp failed({:error, error}, state) do
+  defp handle_branch_result({:error, error}, state) do
     send(self(), {:situ_branch_failed, error})
     state
   end
 
-  defp balance(outputs, state) do
-    waiting = PendingOutputs.size(state.pool.entries)
+  defp hold_or_resume(outputs, state) do
+    waiting = PendingOutputs.waiting_count(state.pool.entries)
 
     cond do
       not state.held and waiting >= state.limit ->
@@ -225,34 +234,34 @@ defmodule Situ.Parallel.Processes do
 
   # Waits until every branch has ended, however long the branches take for their remaining messages. It keeps reporting
   # progress to the surrounding pipeline.
-  defp drain(%{branches: branches} = state, _around, _marks, outputs)
+  defp drain_branches(%{branches: branches} = state, _around, _marks, outputs)
        when map_size(branches) == 0,
-       do: drained(state, outputs)
+       do: finish_drain(state, outputs)
 
-  defp drain(state, {pipeline, monitors} = around, marks, outputs) do
+  defp drain_branches(state, {pipeline, monitors} = around, marks, outputs) do
     receive do
       {:situ_branch, id, said} ->
-        {more, state} = said(said, id, state)
-        Client.moving(pipeline)
-        drain(state, around, marks, [more | outputs])
+        {more, state} = handle_branch_message(said, id, state)
+        Client.report_movement(pipeline)
+        drain_branches(state, around, marks, [more | outputs])
 
       {id, result} when is_map_key(state.branches, id) ->
-        {more, state} = over(id, result, state)
-        drain(state, around, marks, [more | outputs])
+        {more, state} = handle_branch_end(id, result, state)
+        drain_branches(state, around, marks, [more | outputs])
 
       {:DOWN, monitor, :process, _, _} = down when is_map_key(monitors, monitor) ->
-        {id, result} = RunningBranches.ended(down, state.branches)
-        {more, state} = over(id, result, state)
-        drain(state, around, marks, [more | outputs])
+        {id, result} = RunningBranches.find_ended(down, state.branches)
+        {more, state} = handle_branch_end(id, result, state)
+        drain_branches(state, around, marks, [more | outputs])
     after
       1_000 ->
-        now = RunningBranches.marks(state.branches)
-        if now != marks, do: Client.moving(pipeline)
-        drain(state, around, now, outputs)
+        now = RunningBranches.progress_marks(state.branches)
+        if now != marks, do: Client.report_movement(pipeline)
+        drain_branches(state, around, now, outputs)
     end
   end
 
-  defp drained(state, outputs) do
+  defp finish_drain(state, outputs) do
     receive do
       {:situ_branch_failed, error} -> raise error
     after

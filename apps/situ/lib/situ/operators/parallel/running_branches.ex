@@ -9,24 +9,24 @@ defmodule Situ.Parallel.RunningBranches do
 
   @type t :: %{ProcessBranches.id() => map()}
 
-  @doc "Starts a branch, with `timing` as in `Situ.Branch.Process.start!/5`."
-  @spec begin(
+  @doc "Starts a branch, with `timing` as in `Situ.Branch.Process.start_pipeline!/5`."
+  @spec start_branch(
           t(),
           ProcessBranches.id(),
           (Situ.Stream.t() -> term()),
           {String.t(), Situ.Type.t(), map()}
         ) ::
           t()
-  def begin(running, id, fun, {path, type, timing}) do
-    built = Branch.start!(fun, id, path, type, timing)
+  def start_branch(running, id, fun, {path, type, timing}) do
+    built = Branch.start_pipeline!(fun, id, path, type, timing)
     monitor = Process.monitor(built.pid)
     shell = %{monitor: monitor, path: path, gate: nil, early: [], stop: nil}
     Map.put(running, id, Map.merge(built, shell))
   end
 
   @doc "Ends all branches that are not in `before`."
-  @spec abandon(t(), t()) :: :ok
-  def abandon(running, before) do
+  @spec stop_new_branches(t(), t()) :: :ok
+  def stop_new_branches(running, before) do
     for {id, branch} <- running, not is_map_key(before, id) do
       Process.demonitor(branch.monitor, [:flush])
       send(branch.pid, :situ_stop)
@@ -39,69 +39,72 @@ defmodule Situ.Parallel.RunningBranches do
   @spec carry_out([ProcessBranches.order()], t()) :: t()
   def carry_out(orders, running) do
     {running, entries} = Enum.reduce(orders, {running, %{}}, &carry_out_one/2)
-    Enum.reduce(entries, running, fn {id, entries}, running -> feed(running, id, entries) end)
+
+    Enum.reduce(entries, running, fn {id, entries}, running ->
+      feed_branch(running, id, entries)
+    end)
   end
 
   defp carry_out_one({:feed, id, entry}, {running, entries}),
-    do: {running, later(entries, id, entry)}
+    do: {running, prepend_entry(entries, id, entry)}
 
   # Only chains of light operators report the times they have passed.
   defp carry_out_one({:pass, id, time}, {running, entries}) do
     if Map.fetch!(running, id).immediate?,
-      do: {running, later(entries, id, time)},
+      do: {running, prepend_entry(entries, id, time)},
       else: {running, entries}
   end
 
   defp carry_out_one({:stop, id, time}, {running, entries}) do
     {mine, entries} = Map.pop(entries, id, [])
-    {running |> feed(id, mine) |> stop(id, time), entries}
+    {running |> feed_branch(id, mine) |> stop_branch(id, time), entries}
   end
 
-  defp later(entries, id, entry) do
+  defp prepend_entry(entries, id, entry) do
     case entries do
       %{^id => before} -> %{entries | id => [entry | before]}
       _ -> Map.put(entries, id, [entry])
     end
   end
 
-  defp stop(running, id, time) do
+  defp stop_branch(running, id, time) do
     case Map.fetch!(running, id) do
       %{gate: nil} = branch ->
         %{running | id => %{branch | stop: time}}
 
       branch ->
-        Branch.stop(branch.pid, time)
+        Branch.request_stop(branch.pid, time)
         running
     end
   end
 
   @doc "Records that a branch has opened its input, and sends it the waiting entries."
-  @spec opened(t(), ProcessBranches.id(), pid()) :: t()
-  def opened(running, id, gate) do
+  @spec put_gate(t(), ProcessBranches.id(), pid()) :: t()
+  def put_gate(running, id, gate) do
     branch = Map.fetch!(running, id)
-    if branch.early != [], do: Branch.feed(gate, Enum.reverse(branch.early))
-    if branch.stop, do: Branch.stop(branch.pid, branch.stop)
+    if branch.early != [], do: Branch.send_entries(gate, Enum.reverse(branch.early))
+    if branch.stop, do: Branch.request_stop(branch.pid, branch.stop)
     %{running | id => %{branch | gate: gate, early: []}}
   end
 
   @doc "Removes a branch that has ended."
-  @spec remove(t(), ProcessBranches.id()) :: t()
-  def remove(running, id) do
+  @spec remove_branch(t(), ProcessBranches.id()) :: t()
+  def remove_branch(running, id) do
     {branch, running} = Map.pop!(running, id)
     Process.demonitor(branch.monitor, [:flush])
     running
   end
 
   @doc "Returns the branch and its result if this message reports the end of a branch, otherwise `nil`."
-  @spec ended(term(), t()) :: {ProcessBranches.id(), Situ.Pipeline.result()} | nil
-  def ended({id, result}, running) when is_map_key(running, id), do: {id, result}
+  @spec find_ended(term(), t()) :: {ProcessBranches.id(), Situ.Pipeline.result()} | nil
+  def find_ended({id, result}, running) when is_map_key(running, id), do: {id, result}
 
-  def ended({:DOWN, _monitor, :process, pid, reason}, running) do
+  def find_ended({:DOWN, _monitor, :process, pid, reason}, running) do
     with {id, branch} <- Enum.find(running, fn {_, branch} -> branch.pid == pid end),
-         do: {id, {:error, killed(branch.path, reason)}}
+         do: {id, {:error, killed_error(branch.path, reason)}}
   end
 
-  def ended(_other, _fleet), do: nil
+  def find_ended(_other, _fleet), do: nil
 
   @doc "Returns whether any of these branches is working. Chains of light operators count, since they report when done."
   @spec at_work?(t(), [ProcessBranches.id()]) :: boolean()
@@ -113,25 +116,26 @@ defmodule Situ.Parallel.RunningBranches do
   end
 
   @doc "Returns the counters of the running branches, which change while any branch makes progress."
-  @spec marks(t()) :: term()
-  def marks(running), do: for({id, branch} <- running, do: {id, Client.call(branch.pid, :mark)})
+  @spec progress_marks(t()) :: term()
+  def progress_marks(running),
+    do: for({id, branch} <- running, do: {id, Client.call(branch.pid, :mark)})
 
   # Entries are newest first.
-  defp feed(running, _id, []), do: running
+  defp feed_branch(running, _id, []), do: running
 
-  defp feed(running, id, entries) do
+  defp feed_branch(running, id, entries) do
     case Map.fetch!(running, id) do
       %{gate: nil} = branch ->
         %{running | id => %{branch | early: entries ++ branch.early}}
 
       %{gate: gate} ->
-        Branch.feed(gate, :lists.reverse(entries))
+        Branch.send_entries(gate, :lists.reverse(entries))
         running
     end
   end
 
-  defp killed(path, reason) do
+  defp killed_error(path, reason) do
     what = "#{path} was killed: #{inspect(reason, limit: 8)}"
-    %{Errors.crashed(reason) | code: :branch_killed, what: what}
+    %{Errors.pipeline_crashed(reason) | code: :branch_killed, what: what}
   end
 end

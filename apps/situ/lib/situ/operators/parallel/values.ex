@@ -24,13 +24,13 @@ defmodule Situ.Parallel.Values do
   def init(opts), do: {:ok, {nil, Map.new(opts)}}
 
   @impl true
-  def handle_start(context, {nil, opts}), do: {[], {core(opts, context), opts}}
+  def handle_start(context, {nil, opts}), do: {[], {build_core(opts, context), opts}}
 
   @impl true
   def handle_message(_input, message, _context, {core, opts}) do
-    parts = Parts.of(opts.form, opts[:split], message.data)
+    parts = Parts.split_parts(opts.form, opts[:split], message.data)
     make_room(core, parts)
-    {outputs, core} = ValueBranches.push(core, message, parts)
+    {outputs, core} = ValueBranches.push_message(core, message, parts)
     {outputs, {core, opts}}
   end
 
@@ -38,9 +38,9 @@ defmodule Situ.Parallel.Values do
   def handle_messages(_input, messages, _context, {core, opts}) do
     {outputs, core} =
       Enum.flat_map_reduce(messages, core, fn message, core ->
-        parts = Parts.of(opts.form, opts[:split], message.data)
+        parts = Parts.split_parts(opts.form, opts[:split], message.data)
         make_room(core, parts)
-        ValueBranches.push(core, message, parts)
+        ValueBranches.push_message(core, message, parts)
       end)
 
     {outputs, {core, opts}}
@@ -48,7 +48,7 @@ defmodule Situ.Parallel.Values do
 
   @impl true
   def handle_closed(_input, time, _context, {core, opts}) do
-    {outputs, core} = ValueBranches.close(core, time)
+    {outputs, core} = ValueBranches.close_input(core, time)
     {outputs, {core, opts}}
   end
 
@@ -57,7 +57,7 @@ defmodule Situ.Parallel.Values do
 
   def describe({core, _opts}) do
     failed = if core.failed > 0, do: ", #{core.failed} failed and restarted", else: ""
-    waiting = Situ.Parallel.PendingOutputs.size(core.entries)
+    waiting = Situ.Parallel.PendingOutputs.waiting_count(core.entries)
     waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
     "#{map_size(core.branches)} branches live, #{core.started} started#{failed}#{waits}"
   end
@@ -77,9 +77,9 @@ defmodule Situ.Parallel.Values do
 
   defp make_room(_core, _parts), do: :ok
 
-  defp core(opts, context) do
+  defp build_core(opts, context) do
     ValueBranches.new(
-      start: starter(opts, context),
+      start: branch_starter(opts, context),
       form: opts.form,
       termination: opts.termination,
       missing: opts.missing,
@@ -88,8 +88,8 @@ defmodule Situ.Parallel.Values do
     )
   end
 
-  defp starter(%{fun: fun, type: type}, context) do
-    shared = [seed: Situ.Branch.seed(type), context: context]
+  defp branch_starter(%{fun: fun, type: type}, context) do
+    shared = [seed: Situ.Branch.build_seed(type), context: context]
     start = fn key, fun -> Situ.Branch.start(fun, [path: {context.path, key}] ++ shared) end
 
     if is_function(fun, 1),

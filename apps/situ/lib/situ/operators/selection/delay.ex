@@ -12,26 +12,27 @@ defmodule Situ.Selection.Delay do
 
   # If the clock is not enforced, messages pass immediately.
   @impl true
-  def handle_message(_input, message, %{enforced?: false}, state), do: {[output(message)], state}
+  def handle_message(_input, message, %{enforced?: false}, state),
+    do: {[output_action(message)], state}
 
   def handle_message(_input, message, context, {duration, held}) do
     due = message.creation_time + duration
 
     cond do
       not :queue.is_empty(held) -> {[], {duration, :queue.in({due, message}, held)}}
-      due <= context.now -> {[output(message)], {duration, held}}
+      due <= context.now -> {[output_action(message)], {duration, held}}
       true -> {[{:timer, :due, due}], {duration, :queue.in({due, message}, held)}}
     end
   end
 
   @impl true
   def handle_info({:timer, :due}, context, {duration, held}) do
-    {outputs, held} = release(held, context.now, [])
+    {outputs, held} = release_due(held, context.now, [])
     {outputs, {duration, held}}
   end
 
   def handle_info({:linger, :end}, _context, {duration, held}),
-    do: {all(held) ++ [{:linger, false}], {duration, :queue.new()}}
+    do: {output_all(held) ++ [{:linger, false}], {duration, :queue.new()}}
 
   def handle_info(_other, _context, state), do: {[], state}
 
@@ -39,12 +40,13 @@ defmodule Situ.Selection.Delay do
   def handle_closed(_input, _time, _context, {_duration, held} = state),
     do: {if(:queue.is_empty(held), do: [], else: [{:linger, true}]), state}
 
-  defp all(held), do: for({_due, message} <- :queue.to_list(held), do: output(message))
+  defp output_all(held),
+    do: for({_due, message} <- :queue.to_list(held), do: output_action(message))
 
-  defp release(held, now, outputs) do
+  defp release_due(held, now, outputs) do
     case :queue.peek(held) do
       {:value, {due, message}} when due <= now ->
-        release(:queue.drop(held), now, [output(message) | outputs])
+        release_due(:queue.drop(held), now, [output_action(message) | outputs])
 
       {:value, {due, _message}} ->
         {Enum.reverse([{:timer, :due, due} | outputs]), held}
@@ -54,5 +56,5 @@ defmodule Situ.Selection.Delay do
     end
   end
 
-  defp output(message), do: {:out, message.originating_time, message.data}
+  defp output_action(message), do: {:out, message.originating_time, message.data}
 end

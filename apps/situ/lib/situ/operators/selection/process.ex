@@ -16,14 +16,14 @@ defmodule Situ.Selection.Process do
   @impl true
   def handle_message(_input, message, _context, {fun, on_close, state}) do
     {outputs, state} = fun.(message, state)
-    {actions(outputs), {fun, on_close, state}}
+    {output_actions(outputs), {fun, on_close, state}}
   end
 
   @impl true
   def handle_closed(_input, _time, _context, {_fun, nil, _state} = core), do: {[], core}
 
   def handle_closed(_input, time, _context, {_fun, on_close, state} = core),
-    do: {actions(on_close.(time, state)), core}
+    do: {output_actions(on_close.(time, state)), core}
 
-  defp actions(outputs), do: Enum.map(outputs, fn {time, data} -> {:out, time, data} end)
+  defp output_actions(outputs), do: Enum.map(outputs, fn {time, data} -> {:out, time, data} end)
 end

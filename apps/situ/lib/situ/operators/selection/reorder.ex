@@ -19,35 +19,35 @@ defmodule Situ.Selection.Reorder do
     time = state.opts.time.(message)
 
     cond do
-      state.sent != nil and time <= state.sent -> late(time, state)
+      state.sent != nil and time <= state.sent -> handle_late(time, state)
       :gb_trees.is_defined(time, state.held) -> {[], state}
-      true -> held(time, message.data, state)
+      true -> hold_message(time, message.data, state)
     end
   end
 
   @impl true
-  def handle_closed(_input, _time, _context, state), do: release(state, :infinity, [])
+  def handle_closed(_input, _time, _context, state), do: release_before(state, :infinity, [])
 
-  defp held(time, data, state) do
+  defp hold_message(time, data, state) do
     # `nil` is an atom and would sort after any time.
     newest = if state.newest == nil, do: time, else: max(time, state.newest)
     state = %{state | held: :gb_trees.insert(time, data, state.held), newest: newest}
-    release(state, newest - state.opts.lateness, [])
+    release_before(state, newest - state.opts.lateness, [])
   end
 
   # Emits everything before `limit`. A message may still arrive at the limit itself.
-  defp release(state, limit, outputs) do
+  defp release_before(state, limit, outputs) do
     with false <- :gb_trees.is_empty(state.held),
          {time, data, rest} when time < limit <- :gb_trees.take_smallest(state.held) do
-      release(%{state | held: rest, sent: time}, limit, [{:out, time, data} | outputs])
+      release_before(%{state | held: rest, sent: time}, limit, [{:out, time, data} | outputs])
     else
       _ -> {Enum.reverse(outputs), state}
     end
   end
 
-  defp late(_time, %{opts: %{late: :drop}} = state), do: {[], state}
+  defp handle_late(_time, %{opts: %{late: :drop}} = state), do: {[], state}
 
-  defp late(time, state) do
+  defp handle_late(time, state) do
     raise Situ.Error.new(:late, "a message at #{time} ns arrived after one at #{state.sent} ns",
             why: "it is more than #{state.opts.lateness} ns late",
             fix: "increase the lateness, or drop late messages with late: :drop"

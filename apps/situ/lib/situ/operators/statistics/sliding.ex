@@ -4,9 +4,9 @@ defmodule Situ.Statistics.Sliding do
   available in constant time for any window size.
 
       iex> window = Enum.reduce([5, 1, 4], Situ.Statistics.Sliding.new(:max), &Situ.Statistics.Sliding.push(&2, 0, &1))
-      iex> Situ.Statistics.Sliding.result(window)
+      iex> Situ.Statistics.Sliding.current_result(window)
       5
-      iex> window |> Situ.Statistics.Sliding.pop() |> Situ.Statistics.Sliding.result()
+      iex> window |> Situ.Statistics.Sliding.pop() |> Situ.Statistics.Sliding.current_result()
       4
 
   The window is two stacks of partial results (Tangwongsan, Hirzel, Schneider, Wu: General incremental sliding-window
@@ -44,8 +44,13 @@ defmodule Situ.Statistics.Sliding do
   @doc "Adds the newest value with its time."
   @spec push(t(), Situ.Time.t(), term()) :: t()
   def push(%__MODULE__{} = window, time, value) do
-    one = lift(window.kind, value)
-    result = if window.back_result == :none, do: one, else: join(window, window.back_result, one)
+    one = lift_value(window.kind, value)
+
+    result =
+      if window.back_result == :none,
+        do: one,
+        else: combine_results(window, window.back_result, one)
+
     %{window | back: [{time, value} | window.back], back_result: result, size: window.size + 1}
   end
 
@@ -54,79 +59,82 @@ defmodule Situ.Statistics.Sliding do
   def pop(%__MODULE__{front: [_oldest | front]} = window),
     do: %{window | front: front, size: window.size - 1}
 
-  def pop(%__MODULE__{back: [_ | _]} = window), do: window |> turn() |> pop()
+  def pop(%__MODULE__{back: [_ | _]} = window), do: window |> move_back_to_front() |> pop()
 
   @doc "Removes the values before `time`."
-  @spec since(t(), Situ.Time.t()) :: t()
-  def since(%__MODULE__{front: [{at, _} | _]} = window, time) when at < time,
-    do: window |> pop() |> since(time)
+  @spec drop_before(t(), Situ.Time.t()) :: t()
+  def drop_before(%__MODULE__{front: [{at, _} | _]} = window, time) when at < time,
+    do: window |> pop() |> drop_before(time)
 
-  def since(%__MODULE__{front: [], back: [_ | _]} = window, time),
-    do: window |> turn() |> since(time)
+  def drop_before(%__MODULE__{front: [], back: [_ | _]} = window, time),
+    do: window |> move_back_to_front() |> drop_before(time)
 
-  def since(window, _time), do: window
+  def drop_before(window, _time), do: window
 
   @doc "Returns the statistic of the values in the window, which must not be empty."
-  @spec result(t()) :: term()
-  def result(%__MODULE__{front: [], back_result: back} = window), do: final(window, back)
+  @spec current_result(t()) :: term()
+  def current_result(%__MODULE__{front: [], back_result: back} = window),
+    do: final_result(window, back)
 
-  def result(%__MODULE__{front: [{_, front} | _], back_result: :none} = window),
-    do: final(window, front)
+  def current_result(%__MODULE__{front: [{_, front} | _], back_result: :none} = window),
+    do: final_result(window, front)
 
-  def result(%__MODULE__{front: [{_, front} | _], back_result: back} = window),
-    do: final(window, join(window, front, back))
+  def current_result(%__MODULE__{front: [{_, front} | _], back_result: back} = window),
+    do: final_result(window, combine_results(window, front, back))
 
   # Moves the back to the front, as partial results from each value to the newest.
-  defp turn(%{back: [{time, value} | older]} = window) do
-    newest = {time, lift(window.kind, value)}
-    %{window | front: suffixes(older, [newest], window), back: [], back_result: :none}
+  defp move_back_to_front(%{back: [{time, value} | older]} = window) do
+    newest = {time, lift_value(window.kind, value)}
+    %{window | front: suffix_results(older, [newest], window), back: [], back_result: :none}
   end
 
-  defp suffixes([], front, _window), do: front
+  defp suffix_results([], front, _window), do: front
 
-  defp suffixes([{time, value} | older], [{_, result} | _] = front, window) do
-    result = join(window, lift(window.kind, value), result)
-    suffixes(older, [{time, result} | front], window)
+  defp suffix_results([{time, value} | older], [{_, result} | _] = front, window) do
+    result = combine_results(window, lift_value(window.kind, value), result)
+    suffix_results(older, [{time, result} | front], window)
   end
 
-  defp lift(:count, _value), do: 1
-  defp lift(:sum, nil), do: 0
-  defp lift(:sum, value), do: Number.add(value, 0)
-  defp lift(:average, nil), do: {0, 0}
-  defp lift(:average, value), do: {1, Number.add(value, 0)}
-  defp lift(:std, nil), do: {0, 0.0, 0.0}
-  defp lift(:std, value), do: {1, Number.add(value, 0), 0.0}
-  defp lift(_least_or_greatest, value), do: value
+  defp lift_value(:count, _value), do: 1
+  defp lift_value(:sum, nil), do: 0
+  defp lift_value(:sum, value), do: Number.add(value, 0)
+  defp lift_value(:average, nil), do: {0, 0}
+  defp lift_value(:average, value), do: {1, Number.add(value, 0)}
+  defp lift_value(:std, nil), do: {0, 0.0, 0.0}
+  defp lift_value(:std, value), do: {1, Number.add(value, 0), 0.0}
+  defp lift_value(_least_or_greatest, value), do: value
 
-  defp join(%{kind: :count}, a, b), do: a + b
-  defp join(%{kind: :sum}, a, b), do: Number.add(a, b)
-  defp join(%{kind: :average}, {n, a}, {m, b}), do: {n + m, Number.add(a, b)}
-  defp join(%{kind: :std}, {0, _, _}, b), do: b
-  defp join(%{kind: :std}, a, {0, _, _}), do: a
+  defp combine_results(%{kind: :count}, a, b), do: a + b
+  defp combine_results(%{kind: :sum}, a, b), do: Number.add(a, b)
+  defp combine_results(%{kind: :average}, {n, a}, {m, b}), do: {n + m, Number.add(a, b)}
+  defp combine_results(%{kind: :std}, {0, _, _}, b), do: b
+  defp combine_results(%{kind: :std}, a, {0, _, _}), do: a
 
-  defp join(%{kind: :std}, {n, mean, squares}, {m, other, more}) do
+  defp combine_results(%{kind: :std}, {n, mean, squares}, {m, other, more}) do
     size = n + m
     apart = Number.subtract(other, mean)
     mean = Number.add(mean, Number.multiply(apart, m / size))
-    {size, mean, Number.add(Number.add(squares, more), between(apart, n * m / size))}
+    {size, mean, Number.add(Number.add(squares, more), squares_between(apart, n * m / size))}
   end
 
-  defp join(%{kind: _least_or_greatest}, nil, b), do: b
-  defp join(%{kind: _least_or_greatest}, a, nil), do: a
-  defp join(%{kind: kind, opts: opts}, a, b), do: Statistics.better(kind, a, b, opts)
+  defp combine_results(%{kind: _least_or_greatest}, nil, b), do: b
+  defp combine_results(%{kind: _least_or_greatest}, a, nil), do: a
+
+  defp combine_results(%{kind: kind, opts: opts}, a, b),
+    do: Statistics.pick_better(kind, a, b, opts)
 
   # Deviations from an infinite mean are undefined.
-  defp between(apart, weight) when is_number(apart),
+  defp squares_between(apart, weight) when is_number(apart),
     do: Number.multiply(Number.multiply(apart, apart), weight)
 
-  defp between(_not_finite, _weight), do: :nan
+  defp squares_between(_not_finite, _weight), do: :nan
 
-  defp final(%{kind: :average}, {0, _}), do: nil
-  defp final(%{kind: :average}, {n, sum}), do: Number.divide(sum, n)
-  defp final(%{kind: :std}, {n, _, _}) when n < 2, do: 0.0
+  defp final_result(%{kind: :average}, {0, _}), do: nil
+  defp final_result(%{kind: :average}, {n, sum}), do: Number.divide(sum, n)
+  defp final_result(%{kind: :std}, {n, _, _}) when n < 2, do: 0.0
 
-  defp final(%{kind: :std}, {n, _, squares}),
+  defp final_result(%{kind: :std}, {n, _, squares}),
     do: squares |> Number.divide(n - 1) |> Number.sqrt()
 
-  defp final(_window, result), do: result
+  defp final_result(_window, result), do: result
 end

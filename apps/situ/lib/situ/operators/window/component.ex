@@ -25,9 +25,10 @@ defmodule Situ.Window.Component do
     do: Relative.push(core, messages)
 
   def handle_messages(:in, messages, _context, %Dynamic{} = core),
-    do: Dynamic.source(core, messages)
+    do: Dynamic.push_source(core, messages)
 
-  def handle_messages(:windows, messages, _context, core), do: Dynamic.window(core, messages)
+  def handle_messages(:windows, messages, _context, core),
+    do: Dynamic.push_windows(core, messages)
 
   @impl true
   def handle_closed(:in, _time, _context, %Relative{} = core), do: Relative.close(core)

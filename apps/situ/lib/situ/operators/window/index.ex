@@ -47,28 +47,28 @@ defmodule Situ.Window.Index do
     if count < need do
       {[], %{window | queue: queue, count: count}}
     else
-      {outputs, queue} = slide(queue, count - need + 1, window, [])
+      {outputs, queue} = slide_window(queue, count - need + 1, window, [])
       {outputs, %{window | queue: queue, count: need - 1}}
     end
   end
 
-  defp slide(queue, 0, _window, outputs), do: {:lists.reverse(outputs), queue}
+  defp slide_window(queue, 0, _window, outputs), do: {:lists.reverse(outputs), queue}
 
-  defp slide([_ | rest] = queue, left, window, outputs) do
-    %{originating_time: time} = nth(queue, window.anchor)
-    content = content(nth_tail(queue, window.skip), window.size, window.with)
+  defp slide_window([_ | rest] = queue, left, window, outputs) do
+    %{originating_time: time} = nth_message(queue, window.anchor)
+    content = window_content(nth_tail(queue, window.skip), window.size, window.with)
     value = if window.fun == nil, do: content, else: window.fun.(content)
-    slide(rest, left - 1, window, [{:out, time, value} | outputs])
+    slide_window(rest, left - 1, window, [{:out, time, value} | outputs])
   end
 
-  defp content(list, size, :data), do: data(list, size)
-  defp content(list, size, :messages), do: Enum.take(list, size)
+  defp window_content(list, size, :data), do: take_data(list, size)
+  defp window_content(list, size, :messages), do: Enum.take(list, size)
 
-  defp data(_list, 0), do: []
-  defp data([%{data: data} | rest], left), do: [data | data(rest, left - 1)]
+  defp take_data(_list, 0), do: []
+  defp take_data([%{data: data} | rest], left), do: [data | take_data(rest, left - 1)]
 
-  defp nth([head | _], 0), do: head
-  defp nth([_ | rest], n), do: nth(rest, n - 1)
+  defp nth_message([head | _], 0), do: head
+  defp nth_message([_ | rest], n), do: nth_message(rest, n - 1)
 
   defp nth_tail(list, 0), do: list
   defp nth_tail([_ | rest], n), do: nth_tail(rest, n - 1)

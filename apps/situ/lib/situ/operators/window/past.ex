@@ -13,7 +13,7 @@ defmodule Situ.Window.Past do
       if count < n - 1 do
         {:skip, {count + 1, [item | kept]}}
       else
-        kept = [item | head(kept, n - 1)]
+        kept = [item | take_newest(kept, n - 1)]
         list = :lists.reverse(kept)
         {:emit, if(fun == nil, do: list, else: fun.(list)), {count, kept}}
       end
@@ -26,24 +26,24 @@ defmodule Situ.Window.Past do
   def by_time(%Interval{left: left, left_inclusive: inclusive}, fun, with) do
     step = fn data, %{originating_time: time} = message, kept ->
       item = if with == :data, do: data, else: %{message | data: data}
-      kept = [{time, item} | since(kept, time + left, inclusive)]
-      list = items(kept, [])
+      kept = [{time, item} | take_since(kept, time + left, inclusive)]
+      list = reverse_items(kept, [])
       {:emit, if(fun == nil, do: list, else: fun.(list)), kept}
     end
 
     {:step, step, []}
   end
 
-  defp head(_list, 0), do: []
-  defp head([item | rest], n), do: [item | head(rest, n - 1)]
-  defp head([], _n), do: []
+  defp take_newest(_list, 0), do: []
+  defp take_newest([item | rest], n), do: [item | take_newest(rest, n - 1)]
+  defp take_newest([], _n), do: []
 
-  defp since([{time, _} = entry | rest], low, inclusive)
+  defp take_since([{time, _} = entry | rest], low, inclusive)
        when time > low or (inclusive and time == low),
-       do: [entry | since(rest, low, inclusive)]
+       do: [entry | take_since(rest, low, inclusive)]
 
-  defp since(_older, _low, _inclusive), do: []
+  defp take_since(_older, _low, _inclusive), do: []
 
-  defp items([{_time, item} | rest], list), do: items(rest, [item | list])
-  defp items([], list), do: list
+  defp reverse_items([{_time, item} | rest], list), do: reverse_items(rest, [item | list])
+  defp reverse_items([], list), do: list
 end

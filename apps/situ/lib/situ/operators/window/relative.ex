@@ -25,7 +25,7 @@ defmodule Situ.Window.Relative do
   @spec new(Interval.t(), (list() -> term()) | nil, keyword()) :: t()
   def new(%Interval{} = interval, fun, opts \\ []) do
     %__MODULE__{
-      interval: Interval.ordered(interval),
+      interval: Interval.sort_ends(interval),
       fun: fun,
       with: Keyword.get(opts, :with, :data)
     }
@@ -38,67 +38,70 @@ defmodule Situ.Window.Relative do
   def push(window, messages) do
     newest = List.last(messages).originating_time
     queue = window.queue ++ messages
-    run(%{window | anchors: window.anchors ++ messages}, queue, newest)
+    emit_windows(%{window | anchors: window.anchors ++ messages}, queue, newest)
   end
 
   @doc "Marks the stream as ended and returns the remaining windows."
   @spec close(t()) :: {[Situ.Component.action()], t()}
-  def close(window), do: run(window, window.queue, :closed)
+  def close(window), do: emit_windows(window, window.queue, :closed)
 
-  defp run(window, queue, newest) do
-    {outputs, anchors, queue} = slide(window.anchors, queue, newest, window, [])
+  defp emit_windows(window, queue, newest) do
+    {outputs, anchors, queue} = slide_anchors(window.anchors, queue, newest, window, [])
     {outputs, %{window | anchors: anchors, queue: queue}}
   end
 
-  defp slide([%{originating_time: time} | rest] = anchors, queue, newest, window, outputs) do
+  defp slide_anchors([%{originating_time: time} | rest] = anchors, queue, newest, window, outputs) do
     %{left: left, right: right} = window.interval
 
     # `:closed` is an atom and so sorts after every time.
     if newest == :closed or (right != :unbounded and newest >= time + right) do
-      queue = drop(queue, time, left, window.interval.left_inclusive)
-      content = take(queue, edge(time, right), window.interval.right_inclusive, window.with)
+      queue = drop_before_window(queue, time, left, window.interval.left_inclusive)
+
+      content =
+        take_window(queue, right_edge(time, right), window.interval.right_inclusive, window.with)
+
       value = if window.fun == nil, do: content, else: window.fun.(content)
-      slide(rest, queue, newest, window, [{:out, time, value} | outputs])
+      slide_anchors(rest, queue, newest, window, [{:out, time, value} | outputs])
     else
       {:lists.reverse(outputs), anchors, queue}
     end
   end
 
-  defp slide([], queue, _newest, window, outputs),
-    do: {:lists.reverse(outputs), [], trim(queue, window.interval)}
+  defp slide_anchors([], queue, _newest, window, outputs),
+    do: {:lists.reverse(outputs), [], trim_queue(queue, window.interval)}
 
   # If no anchors are left, drops messages that no later anchor can need.
-  defp trim([], _interval), do: []
+  defp trim_queue([], _interval), do: []
 
-  defp trim(queue, %{left: left, left_inclusive: inclusive}) do
+  defp trim_queue(queue, %{left: left, left_inclusive: inclusive}) do
     case queue do
       [_only] -> queue
       _ when left == :unbounded -> queue
-      _ -> drop(queue, List.last(queue).originating_time, left, inclusive)
+      _ -> drop_before_window(queue, List.last(queue).originating_time, left, inclusive)
     end
   end
 
-  defp drop(queue, _time, :unbounded, _inclusive), do: queue
+  defp drop_before_window(queue, _time, :unbounded, _inclusive), do: queue
 
-  defp drop([%{originating_time: at} | rest] = queue, time, left, inclusive) do
+  defp drop_before_window([%{originating_time: at} | rest] = queue, time, left, inclusive) do
     if Interval.after_left?(at, time + left, inclusive),
       do: queue,
-      else: drop(rest, time, left, inclusive)
+      else: drop_before_window(rest, time, left, inclusive)
   end
 
-  defp drop([], _time, _left, _inclusive), do: []
+  defp drop_before_window([], _time, _left, _inclusive), do: []
 
-  defp take([%{originating_time: at} = message | rest], right, inclusive, with) do
+  defp take_window([%{originating_time: at} = message | rest], right, inclusive, with) do
     if Interval.before_right?(at, right, inclusive) do
       item = if with == :data, do: message.data, else: message
-      [item | take(rest, right, inclusive, with)]
+      [item | take_window(rest, right, inclusive, with)]
     else
       []
     end
   end
 
-  defp take([], _right, _inclusive, _with), do: []
+  defp take_window([], _right, _inclusive, _with), do: []
 
-  defp edge(_time, :unbounded), do: :unbounded
-  defp edge(time, right), do: time + right
+  defp right_edge(_time, :unbounded), do: :unbounded
+  defp right_edge(time, right), do: time + right
 end

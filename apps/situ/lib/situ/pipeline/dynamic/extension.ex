@@ -10,17 +10,19 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   @numbers 1_000_000
 
   @doc "Returns a copy of the graph to build on, and reserves ids for it."
-  @spec offer(State.t()) :: {Graph.t(), State.t()}
-  def offer(%{graph: graph} = state),
-    do: {graph, %{state | graph: Extension.advance(graph, @numbers)}}
+  @spec reserve_ids(State.t()) :: {Graph.t(), State.t()}
+  def reserve_ids(%{graph: graph} = state),
+    do: {graph, %{state | graph: Extension.reserve_ids(graph, @numbers)}}
 
   @doc "Returns the new components as a plan for the life cycle, or an error if they do not fit the running graph."
-  @spec take(State.t(), Graph.t()) :: {:ok, State.t(), map()} | {:error, Error.t()}
-  def take(state, added) do
-    with {:ok, graph, fresh} <- Extension.merge(state.graph, added),
-         {:ok, plan} <- Plan.extend(graph, fresh),
-         {:ok, lent} <- lent(state, plan) do
-      {state, members} = Stages.add(%{state | graph: graph}, plan, Map.new(lent), added?: true)
+  @spec add_components(State.t(), Graph.t()) :: {:ok, State.t(), map()} | {:error, Error.t()}
+  def add_components(state, added) do
+    with {:ok, graph, fresh} <- Extension.merge_additions(state.graph, added),
+         {:ok, plan} <- Plan.compile_part(graph, fresh),
+         {:ok, lent} <- find_lent_edges(state, plan) do
+      {state, members} =
+        Stages.add_plan(%{state | graph: graph}, plan, Map.new(lent), added?: true)
+
       links = Map.take(state.wires.links, Enum.map(plan.edges, & &1.id))
       lent = Enum.map(lent, fn {id, _} -> id end)
       {:ok, state, %{members: members, links: links, lent: lent}}
@@ -28,12 +30,12 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   end
 
   # Returns the edges from streams of the running graph, each with the stage that owns the output.
-  defp lent(state, plan) do
+  defp find_lent_edges(state, plan) do
     new = for stage <- plan.stages, vertex <- stage.vertices, into: MapSet.new(), do: vertex.id
 
     Enum.reduce_while(plan.edges, {:ok, []}, fn %{from: {from, _}} = edge, {:ok, lent} ->
       with false <- MapSet.member?(new, from),
-           {:ok, stage} <- State.outlet(state, from) do
+           {:ok, stage} <- State.fetch_output_stage(state, from) do
         {:cont, {:ok, [{edge.id, stage.id} | lent]}}
       else
         true -> {:cont, {:ok, lent}}
@@ -43,19 +45,19 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   end
 
   @doc "Asks the producer to add a new stage without demand; the stage misses no message from then on."
-  @spec lend(State.t(), term()) :: State.t()
-  def lend(state, tag) do
+  @spec lend_output(State.t(), term()) :: State.t()
+  def lend_output(state, tag) do
     link = state.wires.links[tag]
     counters = state.wires.counters[tag]
     pid = state.stages[link.to].pid
-    Stages.tell(state, link.from, {:lend, tag, link.output, pid, counters, link.policy})
+    Stages.send_request(state, link.from, {:lend, tag, link.output, pid, counters, link.policy})
   end
 
   @doc """
   Removes stages from the graph. The life cycle drops each of them after its process has ended.
   """
-  @spec forget(State.t(), [pos_integer()]) :: State.t()
-  def forget(state, ids) do
+  @spec remove_vertices(State.t(), [pos_integer()]) :: State.t()
+  def remove_vertices(state, ids) do
     gone =
       for id <- ids,
           %{vertices: vertices} <- [state.stages[id]],
@@ -63,12 +65,12 @@ defmodule Situ.Pipeline.Dynamic.Extension do
           into: MapSet.new(),
           do: vertex.id
 
-    %{state | graph: Extension.without(state.graph, gone)}
+    %{state | graph: Extension.remove_vertices(state.graph, gone)}
   end
 
   @doc "Returns whether a stage was removed and its process has ended."
-  @spec forgotten?(State.t(), pos_integer()) :: boolean()
-  def forgotten?(state, id) do
+  @spec stage_removed?(State.t(), pos_integer()) :: boolean()
+  def stage_removed?(state, id) do
     case state.stages do
       %{^id => %{vertices: [head | _]}} -> not is_map_key(state.graph.vertices, head.id)
       _ -> false

@@ -9,20 +9,23 @@ defmodule Situ.Pipeline.Dynamic.Guarantee do
   @spec reload(State.t(), Graph.t()) :: State.t()
   def reload(state, graph) do
     fresh =
-      for {_, edge} <- graph.edges, into: %{}, do: {ends(graph, edge), edge.policy.guarantee}
+      for {_, edge} <- graph.edges, into: %{}, do: {edge_key(graph, edge), edge.policy.guarantee}
 
     Enum.reduce(state.graph.edges, state, fn {id, edge}, state ->
-      case fresh[ends(state.graph, edge)] do
-        keep? when keep? != nil and keep? != edge.policy.guarantee -> exchange(state, id, keep?)
-        _ -> state
+      case fresh[edge_key(state.graph, edge)] do
+        keep? when keep? != nil and keep? != edge.policy.guarantee ->
+          replace_guarantee(state, id, keep?)
+
+        _ ->
+          state
       end
     end)
   end
 
-  defp ends(graph, %{from: {from, output}, to: {to, input}}),
+  defp edge_key(graph, %{from: {from, output}, to: {to, input}}),
     do: {graph.vertices[from].path, output, graph.vertices[to].path, input}
 
-  defp exchange(state, id, keep?) do
+  defp replace_guarantee(state, id, keep?) do
     state = put_in(state.graph.edges[id].policy.guarantee, keep?)
 
     case state.wires.links do
@@ -31,7 +34,7 @@ defmodule Situ.Pipeline.Dynamic.Guarantee do
 
         for stage <- [link.from, link.to],
             reduce: %{state | wires: %{state.wires | links: links}} do
-          state -> Stages.tell(state, stage, {:guarantee, id, keep?})
+          state -> Stages.send_request(state, stage, {:guarantee, id, keep?})
         end
 
       _ ->

@@ -17,37 +17,42 @@ defmodule Situ.Pipeline.Dynamic.Input do
   @doc "Adds an input, connected to the stream `stream`, to the component that emits the stream `taker`."
   @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
   def attach(state, asked, from) do
-    with {:ok, {id, _}} <- State.port(state, asked.taker),
-         {:ok, taker} <- taker(state, id),
-         {:ok, {origin, output}} <- State.port(state, asked.stream),
-         {:ok, source} <- State.outlet(state, origin),
-         :ok <- upstream(state.graph, id, origin) do
-      {lend(state, {id, taker}, {origin, output, source}, asked, from), []}
+    with {:ok, {id, _}} <- State.fetch_port(state, asked.taker),
+         {:ok, taker} <- fetch_taker(state, id),
+         {:ok, {origin, output}} <- State.fetch_port(state, asked.stream),
+         {:ok, source} <- State.fetch_output_stage(state, origin),
+         :ok <- check_no_cycle(state.graph, id, origin) do
+      {lend_output(state, {id, taker}, {origin, output, source}, asked, from), []}
     else
-      {:error, error} -> refuse(state, from, error)
+      {:error, error} -> reject_caller(state, from, error)
     end
   end
 
   @doc "Removes an added input."
   @spec detach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
   def detach(state, asked, from) do
-    with {:ok, {id, _}} <- State.port(state, asked.taker), {:ok, stage} <- taker(state, id) do
+    with {:ok, {id, _}} <- State.fetch_port(state, asked.taker),
+         {:ok, stage} <- fetch_taker(state, id) do
       ref = make_ref()
-      Stages.tell(state, stage.id, {:detach, ref, asked.request})
-      {ask(state, ref, %{from: from, stages: [stage.id], link: nil}), []}
+      Stages.send_request(state, stage.id, {:detach, ref, asked.request})
+      {put_request(state, ref, %{from: from, stages: [stage.id], link: nil}), []}
     else
-      {:error, error} -> refuse(state, from, error)
+      {:error, error} -> reject_caller(state, from, error)
     end
   end
 
-  defp refuse(state, from, error) do
+  defp reject_caller(state, from, error) do
     GenServer.reply(from, {:error, error})
     {state, []}
   end
 
   @doc "Handles a source that has added the subscriber: asks the component to accept the input."
-  @spec lent(State.t(), term(), term()) :: {State.t(), events()}
-  def lent(%{life: %{phase: :running}, dynamic: %{inputs: inputs}} = state, tag, how)
+  @spec request_attachment(State.t(), term(), term()) :: {State.t(), events()}
+  def request_attachment(
+        %{life: %{phase: :running}, dynamic: %{inputs: inputs}} = state,
+        tag,
+        how
+      )
       when is_map_key(inputs, tag) do
     %{link: link, request: request} = asked = inputs[tag]
 
@@ -61,61 +66,68 @@ defmodule Situ.Pipeline.Dynamic.Input do
       end: how
     }
 
-    Stages.tell(state, link.to, {:attach, request, elem(how, 1), wiring})
-    state = ask(state, tag, %{asked | stages: [link.to]})
-    {wire(state, &%{&1 | links: Map.put(&1.links, tag, link)}), [{:linked, tag, link}]}
+    Stages.send_request(state, link.to, {:attach, request, elem(how, 1), wiring})
+    state = put_request(state, tag, %{asked | stages: [link.to]})
+    {update_wires(state, &%{&1 | links: Map.put(&1.links, tag, link)}), [{:linked, tag, link}]}
   end
 
-  def lent(state, tag, _how), do: refused(state, tag, Errors.not_running())
+  def request_attachment(state, tag, _how), do: fail_request(state, tag, Errors.not_running())
 
   @doc "Handles the component's reply."
-  @spec answered(State.t(), term(), pos_integer(), term(), keyword()) :: {State.t(), events()}
-  def answered(state, ref, id, {:ok, reply}, opts) do
+  @spec handle_attach_reply(State.t(), term(), pos_integer(), term(), keyword()) ::
+          {State.t(), events()}
+  def handle_attach_reply(state, ref, id, {:ok, reply}, opts) do
     {asked, inputs} = Map.pop(state.dynamic.inputs, ref)
     if asked, do: GenServer.reply(asked.from, {:ok, reply})
     state = %{state | dynamic: %{state.dynamic | inputs: inputs}}
-    added = fn vertex -> %{vertex | opts: opts, inputs: added(vertex, asked && asked.link)} end
-    {change(state, id, added), []}
+
+    added = fn vertex ->
+      %{vertex | opts: opts, inputs: extended_inputs(vertex, asked && asked.link)}
+    end
+
+    {update_head_vertex(state, id, added), []}
   end
 
-  def answered(state, ref, _id, {:error, error}, _opts), do: refused(state, ref, error)
+  def handle_attach_reply(state, ref, _id, {:error, error}, _opts),
+    do: fail_request(state, ref, error)
 
   @doc "Handles a component that has detached an input."
-  @spec detached(State.t(), pos_integer(), atom(), keyword()) :: {State.t(), events()}
-  def detached(state, id, input, opts) do
-    state = change(state, id, &%{&1 | opts: opts, inputs: Keyword.delete(&1.inputs, input)})
+  @spec handle_detached(State.t(), pos_integer(), atom(), keyword()) :: {State.t(), events()}
+  def handle_detached(state, id, input, opts) do
+    state =
+      update_head_vertex(state, id, &%{&1 | opts: opts, inputs: Keyword.delete(&1.inputs, input)})
 
     case Enum.find(state.wires.links, fn {_, link} -> link.to == id and link.input == input end) do
-      {tag, _} -> {forget(state, tag), [{:unlinked, tag}]}
+      {tag, _} -> {delete_edge(state, tag), [{:unlinked, tag}]}
       nil -> {state, []}
     end
   end
 
   @doc "Fails the requests that wait for a stage whose process has ended."
-  @spec interrupted(State.t(), pos_integer()) :: {State.t(), events()}
-  def interrupted(state, id) do
-    error = Errors.interrupted(hd(state.stages[id].vertices).path)
+  @spec fail_pending(State.t(), pos_integer()) :: {State.t(), events()}
+  def fail_pending(state, id) do
+    error = Errors.component_restarted(hd(state.stages[id].vertices).path)
 
     for {ref, %{stages: stages}} <- state.dynamic.inputs, id in stages, reduce: {state, []} do
       {state, events} ->
-        {state, more} = refused(state, ref, error)
+        {state, more} = fail_request(state, ref, error)
         {state, events ++ more}
     end
   end
 
-  defp lend(state, {id, taker}, {origin, output, source}, asked, from) do
+  defp lend_output(state, {id, taker}, {origin, output, source}, asked, from) do
     tag = state.graph.next_edge
-    input = free(state, id, asked.input)
+    input = free_input_name(state, id, asked.input)
     policy = asked.policy || state.graph.default_policy || Delivery.unlimited()
     edge = %Edge{id: tag, from: {origin, output}, to: {id, input}, policy: policy, explicit: true}
-    link = Stages.link(edge, source.id, taker.id)
+    link = Stages.build_link(edge, source.id, taker.id)
     counters = Counters.new()
-    Stages.tell(state, source.id, {:lend, tag, output, taker.pid, counters, policy})
+    Stages.send_request(state, source.id, {:lend, tag, output, taker.pid, counters, policy})
     edges = Map.put(state.graph.edges, tag, edge)
     state = %{state | graph: %{state.graph | edges: edges, next_edge: tag + 1}}
-    state = wire(state, &%{&1 | counters: Map.put(&1.counters, tag, counters)})
+    state = update_wires(state, &%{&1 | counters: Map.put(&1.counters, tag, counters)})
 
-    ask(state, tag, %{
+    put_request(state, tag, %{
       from: from,
       stages: [source.id, taker.id],
       link: link,
@@ -123,65 +135,65 @@ defmodule Situ.Pipeline.Dynamic.Input do
     })
   end
 
-  defp ask(state, ref, asked),
+  defp put_request(state, ref, asked),
     do: %{state | dynamic: %{state.dynamic | inputs: Map.put(state.dynamic.inputs, ref, asked)}}
 
-  defp wire(state, change), do: %{state | wires: change.(state.wires)}
+  defp update_wires(state, change), do: %{state | wires: change.(state.wires)}
 
   # The smallest free name is used, so that there are only as many atoms as inputs at the same time.
-  defp free(state, id, name) do
+  defp free_input_name(state, id, name) do
     asked = for {_, %{link: %{to: ^id, input: input}}} <- state.dynamic.inputs, do: input
     taken = asked ++ Keyword.keys(state.graph.vertices[id].inputs)
 
     Stream.iterate(0, &(&1 + 1)) |> Stream.map(name) |> Enum.find(&(&1 not in taken))
   end
 
-  defp taker(state, id) do
-    with {:ok, stage, index} <- State.stage(state, id) do
+  defp fetch_taker(state, id) do
+    with {:ok, stage, index} <- State.fetch_stage(state, id) do
       vertex = state.graph.vertices[id]
 
       if index == 0 and vertex.module != :operator and
            function_exported?(vertex.module, :handle_attach, 5),
          do: {:ok, stage},
-         else: {:error, fixed(vertex)}
+         else: {:error, fixed_inputs_error(vertex)}
     end
   end
 
   # A component that depends on its own output would wait for itself.
-  defp upstream(graph, id, origin) do
+  defp check_no_cycle(graph, id, origin) do
     next = Enum.group_by(graph.edges, fn {_, e} -> elem(e.from, 0) end, &elem(elem(&1, 1).to, 0))
 
-    if origin in downstream([id], next, []),
-      do: {:error, cycle(graph.vertices[origin])},
+    if origin in collect_downstream([id], next, []),
+      do: {:error, cycle_error(graph.vertices[origin])},
       else: :ok
   end
 
-  defp downstream([], _next, seen), do: seen
+  defp collect_downstream([], _next, seen), do: seen
 
-  defp downstream([id | rest], next, seen) do
+  defp collect_downstream([id | rest], next, seen) do
     if id in seen,
-      do: downstream(rest, next, seen),
-      else: downstream(Map.get(next, id, []) ++ rest, next, [id | seen])
+      do: collect_downstream(rest, next, seen),
+      else: collect_downstream(Map.get(next, id, []) ++ rest, next, [id | seen])
   end
 
-  defp added(vertex, nil), do: vertex.inputs
+  defp extended_inputs(vertex, nil), do: vertex.inputs
 
-  defp added(vertex, link),
+  defp extended_inputs(vertex, link),
     do: vertex.inputs ++ [{link.input, %{type: :any, optional: true}}]
 
   # Changes the first vertex of a stage, which a restart begins with, and also in the graph unless it was removed there.
-  defp change(state, id, fun) do
+  defp update_head_vertex(state, id, fun) do
     stage = Map.fetch!(state.stages, id)
     [head | rest] = stage.vertices
-    vertices = replace(state.graph.vertices, head.id, fun.(head))
+    vertices = replace_existing(state.graph.vertices, head.id, fun.(head))
     stages = Map.put(state.stages, id, %{stage | vertices: [fun.(head) | rest]})
     %{state | graph: %{state.graph | vertices: vertices}, stages: stages}
   end
 
-  defp replace(map, key, value) when is_map_key(map, key), do: %{map | key => value}
-  defp replace(map, _key, _value), do: map
+  defp replace_existing(map, key, value) when is_map_key(map, key), do: %{map | key => value}
+  defp replace_existing(map, _key, _value), do: map
 
-  defp refused(state, ref, error) do
+  defp fail_request(state, ref, error) do
     case Map.pop(state.dynamic.inputs, ref) do
       {nil, _} ->
         {state, []}
@@ -189,19 +201,19 @@ defmodule Situ.Pipeline.Dynamic.Input do
       {asked, inputs} ->
         GenServer.reply(asked.from, {:error, error})
         state = %{state | dynamic: %{state.dynamic | inputs: inputs}}
-        if asked.link, do: cut(state, asked.link), else: {state, []}
+        if asked.link, do: cut_link(state, asked.link), else: {state, []}
     end
   end
 
-  defp cut(state, link) do
-    Stages.tell(state, link.from, {:untap, link.id})
-    {forget(state, link.id), [{:unlinked, link.id}]}
+  defp cut_link(state, link) do
+    Stages.send_request(state, link.from, {:untap, link.id})
+    {delete_edge(state, link.id), [{:unlinked, link.id}]}
   end
 
-  defp forget(state, tag),
+  defp delete_edge(state, tag),
     do: %{state | graph: %{state.graph | edges: Map.delete(state.graph.edges, tag)}}
 
-  defp fixed(vertex) do
+  defp fixed_inputs_error(vertex) do
     Error.new(:fixed_inputs, "#{vertex.path} does not accept new inputs while it is running",
       why: "its inputs are fixed when the pipeline starts",
       fix: "build it on a map of streams (Situ.join/4), or with Situ.merge/3",
@@ -209,7 +221,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
     )
   end
 
-  defp cycle(vertex) do
+  defp cycle_error(vertex) do
     Error.new(:circle, "#{vertex.path} depends on the operator that would receive its stream",
       why: "each would wait for the other",
       fix: "use a stream upstream of the operator",

@@ -13,9 +13,9 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   @doc "Attaches a tap; the caller receives its reply when messages can arrive, or immediately after an error."
   @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
   def attach(state, %{stream: which, component: component, opts: opts}, from) do
-    with {:ok, {id, output}} <- State.port(state, which),
-         {:ok, stage, index} <- State.stage(state, id) do
-      add(state, {id, output, stage, index}, component, opts, from)
+    with {:ok, {id, output}} <- State.fetch_port(state, which),
+         {:ok, stage, index} <- State.fetch_stage(state, id) do
+      add_tap(state, {id, output, stage, index}, component, opts, from)
     else
       {:error, error} ->
         GenServer.reply(from, {:error, error})
@@ -24,12 +24,12 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   end
 
   @doc "Confirms a tap that its source has added as a subscriber."
-  @spec opened(State.t(), term()) :: State.t()
-  def opened(state, tag) do
+  @spec confirm_attached(State.t(), term()) :: State.t()
+  def confirm_attached(state, tag) do
     case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.tag == tag and tap.from != nil end) do
       {id, tap} ->
         GenServer.reply(tap.from, {:ok, {self(), id}})
-        put(state, id, %{tap | from: nil})
+        put_tap(state, id, %{tap | from: nil})
 
       nil ->
         state
@@ -43,9 +43,9 @@ defmodule Situ.Pipeline.Dynamic.Tap do
       %{^id => tap} ->
         Process.demonitor(tap.monitor, [:flush])
 
-        Stages.tell(state, tap.source, {:untap, tap.tag})
-        Stages.tell(state, id, :quit)
-        {forget(state, id, tap), [{:left, id}]}
+        Stages.send_request(state, tap.source, {:untap, tap.tag})
+        Stages.send_request(state, id, :quit)
+        {remove_from_graph(state, id, tap), [{:left, id}]}
 
       _ ->
         {state, []}
@@ -53,8 +53,8 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   end
 
   @doc "Detaches the tap whose owner process has ended."
-  @spec owner_down(State.t(), reference()) :: {State.t(), events()}
-  def owner_down(state, monitor) do
+  @spec handle_owner_down(State.t(), reference()) :: {State.t(), events()}
+  def handle_owner_down(state, monitor) do
     case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.monitor == monitor end) do
       {id, _} -> detach(state, id)
       nil -> {state, []}
@@ -62,13 +62,13 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   end
 
   @doc "Fails the requests of callers that wait for a tap on a stage whose process has ended."
-  @spec interrupted(State.t(), pos_integer()) :: {State.t(), events()}
-  def interrupted(state, id) do
+  @spec fail_pending(State.t(), pos_integer()) :: {State.t(), events()}
+  def fail_pending(state, id) do
     Enum.reduce(state.dynamic.taps, {state, []}, fn {tap_id, tap}, {state, events} ->
       if tap.from != nil and id in [tap.source, tap_id] do
         path = hd(state.stages[tap.source].vertices).path
-        GenServer.reply(tap.from, {:error, Errors.interrupted(path)})
-        {state, more} = detach(put(state, tap_id, %{tap | from: nil}), tap_id)
+        GenServer.reply(tap.from, {:error, Errors.component_restarted(path)})
+        {state, more} = detach(put_tap(state, tap_id, %{tap | from: nil}), tap_id)
         {state, events ++ more}
       else
         {state, events}
@@ -77,17 +77,23 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   end
 
   @doc "Returns the output that another process may subscribe to, as `{pid, [output: name]}`."
-  @spec subscription(State.t(), term()) :: {:ok, {pid(), keyword()}} | {:error, Error.t()}
-  def subscription(state, which) do
-    with {:ok, {id, output}} <- State.port(state, which),
-         {:ok, stage} <- State.outlet(state, id),
+  @spec fetch_subscription(State.t(), term()) :: {:ok, {pid(), keyword()}} | {:error, Error.t()}
+  def fetch_subscription(state, which) do
+    with {:ok, {id, output}} <- State.fetch_port(state, which),
+         {:ok, stage} <- State.fetch_output_stage(state, id),
          do: {:ok, {stage.pid, [output: output]}}
   end
 
-  defp add(state, {from, output, source, index}, {module, component}, opts, {owner, _} = caller) do
+  defp add_tap(
+         state,
+         {from, output, source, index},
+         {module, component},
+         opts,
+         {owner, _} = caller
+       ) do
     id = state.graph.next_vertex
     tag = state.graph.next_edge
-    name = unique(state.graph, opts[:name] || "Tap")
+    name = unique_name(state.graph, opts[:name] || "Tap")
 
     vertex = %Vertex{
       id: id,
@@ -100,7 +106,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
 
     policy = opts[:policy] || Delivery.max_queue(1_000)
     edge = %Edge{id: tag, from: {from, output}, to: {id, :in}, policy: policy, explicit: true}
-    link = Stages.link(edge, source.id, id)
+    link = Stages.build_link(edge, source.id, id)
 
     tap = %{
       tag: tag,
@@ -120,7 +126,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
         next_edge: tag + 1
     }
 
-    stage = Stages.entry(id, [vertex])
+    stage = Stages.build_entry(id, [vertex])
     wires = state.wires
 
     state = %{
@@ -133,13 +139,13 @@ defmodule Situ.Pipeline.Dynamic.Tap do
         }
     }
 
-    state = state |> put(id, tap) |> Stages.spawn([id])
-    {state, [{:joined, Stages.member(stage, tap?: true)}, {:linked, tag, link}]}
+    state = state |> put_tap(id, tap) |> Stages.spawn_stages([id])
+    {state, [{:joined, Stages.build_member(stage, tap?: true)}, {:linked, tag, link}]}
   end
 
   @doc "Connects a tap whose stage is started, so that it receives messages."
-  @spec open(State.t(), pos_integer()) :: State.t()
-  def open(state, id) do
+  @spec connect_tap(State.t(), pos_integer()) :: State.t()
+  def connect_tap(state, id) do
     tap = Map.fetch!(state.dynamic.taps, id)
     pid = state.stages[id].pid
     last = length(state.stages[tap.source].vertices) - 1
@@ -154,15 +160,15 @@ defmodule Situ.Pipeline.Dynamic.Tap do
       policy: state.wires.links[tap.tag].policy
     }
 
-    Stages.tell(state, tap.source, {:tap, wiring})
-    Stages.tell(state, id, :run)
+    Stages.send_request(state, tap.source, {:tap, wiring})
+    Stages.send_request(state, id, :run)
   end
 
-  defp put(state, id, tap),
+  defp put_tap(state, id, tap),
     do: %{state | dynamic: update_taps(state.dynamic, &Map.put(&1, id, tap))}
 
   # Frees the tap's name. Everything else that belongs to its stage stays until the life cycle drops the stage.
-  defp forget(state, id, tap) do
+  defp remove_from_graph(state, id, tap) do
     {vertex, vertices} = Map.pop(state.graph.vertices, id)
 
     graph = %{
@@ -176,15 +182,15 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   end
 
   @doc "Deletes the tap of a stage that is being dropped, if the stage belongs to a tap."
-  @spec drop(State.t(), pos_integer()) :: State.t()
-  def drop(%{dynamic: %{taps: taps} = dynamic} = state, id) do
+  @spec delete_tap(State.t(), pos_integer()) :: State.t()
+  def delete_tap(%{dynamic: %{taps: taps} = dynamic} = state, id) do
     with %{^id => %{monitor: monitor}} <- taps, do: Process.demonitor(monitor, [:flush])
     %{state | dynamic: update_taps(dynamic, &Map.delete(&1, id))}
   end
 
   defp update_taps(dynamic, change), do: %{dynamic | taps: change.(dynamic.taps)}
 
-  defp unique(graph, name) do
+  defp unique_name(graph, name) do
     Stream.iterate(2, &(&1 + 1))
     |> Stream.map(&(name <> Integer.to_string(&1)))
     |> then(&Stream.concat([name], &1))

@@ -7,14 +7,14 @@ defmodule Situ.Delivery.QueuePropertyTest do
   alias Situ.Fixture.Count
   alias Situ.Ports.{Output, Posting, Subscriber}
 
-  # A policy as plain data, so that it can shrink: {max_queue | nil, max_latency | nil, guarantee even?}.
+  # Represents a policy as plain data so that it can shrink: {max_queue | nil, max_latency | nil, guarantee even?}.
   defp policy({max, latency, guarantee}) do
     base = if max == 0, do: Delivery.unlimited(), else: Delivery.max_queue(max)
     base = if latency == 0, do: base, else: %{base | max_latency: latency}
     if guarantee, do: Delivery.with_guarantee(base, &(rem(&1, 2) == 0)), else: base
   end
 
-  property "a queue loses nothing it does not report, keeps the order, its size and its guarantees",
+  property "a queue reports every loss and keeps its order, size limit and guarantees",
     numtests: 300 do
     forall {spec, steps} <- {{integer(0, 4), integer(0, 6), boolean()}, list(integer(0, 2))} do
       policy = policy(spec)
@@ -34,7 +34,7 @@ defmodule Situ.Delivery.QueuePropertyTest do
     end
   end
 
-  # 0 and 1 push, 2 pops; time is the number of the message.
+  # Steps 0 and 1 push, step 2 pops; a message's time is its number.
   defp step(2, {queue, out, lost, n}, _policy) do
     {entry, queue, dropped} = Queue.pop(queue, n)
     {queue, if(entry, do: [entry | out], else: out), dropped ++ lost, n}
@@ -45,7 +45,7 @@ defmodule Situ.Delivery.QueuePropertyTest do
     {queue, out, dropped ++ lost, n + 1}
   end
 
-  property "an output hands over no more than was asked, in order, and everything before it ends" do
+  property "an output emits no more than requested, in order, and everything before it ends" do
     forall steps <- list({boolean(), integer(1, 5)}) do
       tag = make_ref()
 
@@ -72,9 +72,9 @@ defmodule Situ.Delivery.QueuePropertyTest do
   end
 
   defp ask(outlet, tag, n) do
-    case Output.ask(outlet, {self(), tag}, n) do
+    case Output.add_demand(outlet, {self(), tag}, n) do
       {:ok, outlet} -> outlet
-      # It is closed, and nobody is left.
+      # The output is closed and has no subscribers left.
       :error -> outlet
     end
   end
@@ -96,7 +96,7 @@ defmodule Situ.Delivery.QueuePropertyTest do
     end
   end
 
-  property "lossless policies in any mixture lose nothing and keep the order", numtests: 40 do
+  property "any mixture of lossless policies loses nothing and keeps the order", numtests: 40 do
     forall kinds <- list(integer(0, 4)) do
       me = self()
       tag = make_ref()

@@ -8,7 +8,7 @@ defmodule Situ.Delivery.QueueTest do
 
   defp message(t), do: %Message{data: t, originating_time: t}
 
-  # The rules of a bounded queue, written over a plain list.
+  # A reference implementation of a bounded queue, on a plain list.
   defmodule Model do
     def push(waiting, max, keep?, m) do
       n = length(waiting)
@@ -28,7 +28,7 @@ defmodule Situ.Delivery.QueueTest do
     end
   end
 
-  property "pushes and pops do what the rules say, with and without a guarantee" do
+  property "pushes and pops follow the reference model, with and without a guarantee" do
     forall {max, modulo, steps} <- {integer(1, 5), integer(0, 3), list(integer(0, 3))} do
       keep? = if modulo == 0, do: fn _ -> false end, else: &(rem(&1, modulo + 1) == 0)
       opts = if modulo == 0, do: [], else: [guarantee: keep?]
@@ -51,7 +51,7 @@ defmodule Situ.Delivery.QueueTest do
     end
   end
 
-  # Reductions, not time: the machine may be busy.
+  # Counts reductions, since wall time varies on a busy machine.
   defp cost(fun) do
     {:reductions, before} = Process.info(self(), :reductions)
     fun.()
@@ -67,26 +67,26 @@ defmodule Situ.Delivery.QueueTest do
 
   defp push(t, queue), do: queue |> Queue.push(message(t)) |> elem(0)
 
-  test "a push into a full queue costs the same whatever the queue's size" do
+  test "the cost of a push into a full queue does not depend on the queue's size" do
     for opts <- [[], [guarantee: &(rem(&1, 2) == 0)], [guarantee: &(rem(&1, 100) == 0)]] do
       assert cost_of_a_push(10_000, opts) < 4 * cost_of_a_push(10, opts) + 20
     end
   end
 
-  test "what is too old goes from the front, what is protected stays" do
+  test "expires old messages from the front and keeps protected ones" do
     policy = Delivery.max_latency(10, guarantee: &(&1 == 1))
     queue = Enum.reduce(1..30, Queue.new(policy), &push/2)
-    assert {^queue, []} = Queue.expire(queue, 30)
+    assert {^queue, []} = Queue.drop_expired(queue, 30)
     queue = elem(Queue.take(queue, 1), 2)
-    {queue, lost} = Queue.expire(queue, 30)
+    {queue, lost} = Queue.drop_expired(queue, 30)
     assert Enum.map(lost, & &1.data) == Enum.to_list(2..19)
     assert Queue.peek(queue).data == 20
   end
 
-  test "closing drops what is later from the front only" do
+  test "closing drops messages after the closing time only from the front" do
     queue = Enum.reduce(1..5, Queue.new(Delivery.max_queue(5)), &push/2)
-    assert {rest, late} = Queue.cut(queue, 0)
+    assert {rest, late} = Queue.drop_after(queue, 0)
     assert {[], 5} = {Queue.to_list(rest), length(late)}
-    assert {_, []} = Queue.cut(queue, 3)
+    assert {_, []} = Queue.drop_after(queue, 3)
   end
 end

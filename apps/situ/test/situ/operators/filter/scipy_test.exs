@@ -1,12 +1,12 @@
 defmodule Situ.Filter.SciPyTest do
-  # The magnitude responses of every kind of filter, held against SciPy's (fixtures/make_scipy_filters.py).
+  # Compares the magnitude responses of every kind of filter with SciPy's (fixtures/make_scipy_filters.py).
   use ExUnit.Case, async: true
   alias Situ.Filter.{Fir, Iir}
 
   @rows "../../../fixtures/scipy_filters.json" |> Path.expand(__DIR__) |> File.read!()
   @external_resource Path.expand("../../../fixtures/scipy_filters.json", __DIR__)
 
-  # Below this nothing is left to be compared but rounding.
+  # Below this level, only rounding errors would be compared.
   @floor -120.0
 
   defp rows(design) do
@@ -24,22 +24,22 @@ defmodule Situ.Filter.SciPyTest do
     end
   end
 
-  test "infinite filters are SciPy's Butterworth within 0.1 dB" do
+  test "infinite filters match SciPy's Butterworth within 0.1 dB" do
     for row <- rows("butter") do
       filter = Iir.new(row["kind"], row["rate"], row["edges"], row["order"])
       check(row, fn w -> filter.sections |> Enum.map(&section(elem(&1, 0), w)) |> Enum.sum() end)
     end
   end
 
-  test "finite filters are SciPy's firwin with a Hamming window within 0.1 dB" do
+  test "finite filters match SciPy's firwin with a Hamming window within 0.1 dB" do
     for row <- rows("firwin") do
-      taps = Fir.taps(row["kind"], row["rate"], row["edges"], row["order"])
+      taps = Fir.design_taps(row["kind"], row["rate"], row["edges"], row["order"])
       assert length(taps) == row["order"] + 1
       check(row, fn w -> taps |> transform(w) |> db() end)
     end
   end
 
-  test "what a filter does to a tone is what its response says" do
+  test "a filter changes a tone as its response predicts" do
     for {module, order} <- [{Iir, 4}, {Fir, 400}],
         {f, least, most} <- [{50, 0.97, 1.03}, {30, 0.0, 0.01}] do
       filter = module.new(:bandpass, 1000, [45, 55], order)

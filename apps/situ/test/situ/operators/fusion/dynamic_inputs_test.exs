@@ -1,12 +1,12 @@
 defmodule Situ.Fusion.InputsTest do
-  # Inputs of a fusion that come and go while it runs.
+  # Adds and removes inputs of a fusion while it runs.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
   alias Situ.{Error, Fusion, Reproducible, Test}
 
   @moduletag :capture_log
-  # The clock stands later than every message: nothing is held back.
+  # The clock is later than every message, so nothing is held back.
   @later [start: 1_000_000]
 
   defp gathering(opts \\ []) do
@@ -17,7 +17,7 @@ defmodule Situ.Fusion.InputsTest do
     end)
   end
 
-  # The values the pipeline's build returned, as handles for later.
+  # Starts the pipeline and returns the values of its build function as handles.
   defp start(inputs, build) do
     me = self()
 
@@ -39,7 +39,7 @@ defmodule Situ.Fusion.InputsTest do
   defp out(test), do: Test.outputs(test).out
 
   describe "join/4 over a map" do
-    test "gives maps of values, and of nothing without inputs" do
+    test "emits maps of values, and empty maps without inputs" do
       inputs = [p: [{0, 1}, {10, 2}], a: [{0, :x}, {10, :y}], b: [{10, :z}]]
 
       assert {:ok, [[{10, {2, %{a: :y, b: :z}}}], [{0, {1, %{}}}, {10, {2, %{}}}]]} =
@@ -48,7 +48,7 @@ defmodule Situ.Fusion.InputsTest do
                end)
     end
 
-    test "takes with:, a tolerance, or_default and give_up_after:" do
+    test "accepts with:, a tolerance and or_default" do
       inputs = [p: [{0, 1}, {10, 2}], a: [{1, :x}], b: [{11, :z}]]
 
       build = fn s ->
@@ -59,7 +59,7 @@ defmodule Situ.Fusion.InputsTest do
       assert Test.run(inputs, build) == {:ok, [{0, {1, :x, :none}}, {10, {2, :none, :z}}]}
     end
 
-    test "leaves out an input that has ended with ended: :leave, and waits for none with :stay" do
+    test "omits an ended input with ended: :leave, and drops unmatched primaries by default" do
       inputs = [p: Enum.map(0..3, &{&1 * 10, &1}), a: [{0, :x}, {10, :y}]]
       joined = [{0, {0, %{a: :x}}}, {10, {1, %{a: :y}}}]
       assert Test.run(inputs, &Situ.join(&1.p, %{a: &1.a})) == {:ok, joined}
@@ -70,7 +70,7 @@ defmodule Situ.Fusion.InputsTest do
   end
 
   describe "add_input/4" do
-    test "takes part from behind the last primary that has arrived" do
+    test "the input takes part after the last primary that has arrived" do
       {test, s} = gathering()
       Test.feed(test, :p, [{1, 1}, {2, 2}])
       Test.feed(test, :a, [{1, :x}])
@@ -83,7 +83,7 @@ defmodule Situ.Fusion.InputsTest do
       assert {:ok, _} = Test.stop(test)
     end
 
-    test "takes part from behind the last message that will not come" do
+    test "the input takes part after the last message it has missed" do
       {test, s} = gathering()
       Test.feed(test, :b, [{5, :early}])
       Test.feed(test, :p, [{1, 1}])
@@ -95,7 +95,7 @@ defmodule Situ.Fusion.InputsTest do
       Test.stop(test)
     end
 
-    test "says :start when nothing has been yet, and takes a time later than need be" do
+    test "returns :start before any message, and accepts a later time" do
       {test, s} = gathering()
       assert {:ok, :start} = Situ.add_input(s.out, "b", s.b)
       assert {:ok, :start} = Situ.remove_input(s.out, "b")
@@ -110,7 +110,7 @@ defmodule Situ.Fusion.InputsTest do
       Test.stop(test)
     end
 
-    test "refuses with a reason" do
+    test "refuses invalid inputs with a reason" do
       {test, s} = gathering()
       Test.feed(test, :p, [{7, 1}])
 
@@ -126,7 +126,7 @@ defmodule Situ.Fusion.InputsTest do
       assert {:error, %Error{code: :unknown_option}} = Situ.add_input(s.out, :b, s.b, form: 9)
       assert {:error, %Error{code: :unknown_input}} = Situ.remove_input(s.out, :b)
 
-      # A refused input leaves nothing behind: its stream flows on, and the graph is as it was.
+      # A refused input has no effect: its stream continues and the graph is unchanged.
       Test.feed(test, :b, [{1, :y}])
       assert %{b: [{1, :y}]} = Test.outputs(test)
       assert [_, _, _, _] = Situ.Pipeline.info(test.pipeline).edges
@@ -134,7 +134,7 @@ defmodule Situ.Fusion.InputsTest do
       assert {:error, %Error{code: :not_running}} = Situ.add_input(s.out, :b, s.b)
     end
 
-    test "a stream inside of a chain has no output to connect to" do
+    test "a stream inside a chain has no output to connect to" do
       {test, s} =
         start([:p, :b], fn s ->
           b = s.b |> Situ.map(& &1, name: "Middle") |> Situ.map(& &1)
@@ -146,7 +146,7 @@ defmodule Situ.Fusion.InputsTest do
       Test.stop(test)
     end
 
-    test "an input whose stream has ended is one that has ended" do
+    test "an input whose stream has ended counts as ended" do
       {test, s} = gathering(ended: :leave)
       Test.feed(test, :b, [{1, :y}])
       Test.close(test, :b)
@@ -157,7 +157,7 @@ defmodule Situ.Fusion.InputsTest do
       assert {:ok, _} = Test.stop(test)
     end
 
-    test "is there again when the fusion is restarted" do
+    test "the input is restored when the fusion is restarted" do
       boom = fn p, m -> if p == :boom, do: raise("boom"), else: {p, m} end
       {test, s} = gathering(on_error: :restart, with: boom)
       assert {:ok, 5} = Situ.add_input(s.out, :b, s.b, from: 5)
@@ -172,7 +172,7 @@ defmodule Situ.Fusion.InputsTest do
       Test.stop(test)
     end
 
-    test "is there again when the fusion's process is killed and begun anew" do
+    test "the input is restored when the fusion's process is killed and restarted" do
       {test, s} = gathering(on_error: :restart)
       assert {:ok, 5} = Situ.add_input(s.out, :b, s.b, from: 5)
       assert {:ok, 8} = Situ.remove_input(s.out, :a, until: 8)
@@ -195,7 +195,7 @@ defmodule Situ.Fusion.InputsTest do
       assert {:ok, _} = Test.stop(test)
     end
 
-    test "is shown in the graph, with its counters" do
+    test "the input is shown in the graph with its counters" do
       {test, s} = gathering()
       {:ok, _} = Situ.add_input(s.out, :b, s.b)
       Test.feed(test, :b, [{1, :y}, {2, :y}])
@@ -212,7 +212,7 @@ defmodule Situ.Fusion.InputsTest do
   end
 
   describe "remove_input/3" do
-    test "primaries that have arrived still wait for it, later ones do not; the connection goes" do
+    test "arrived primaries still wait for the input, later ones do not, and the connection is removed" do
       {test, s} = gathering()
       Test.feed(test, :p, [{1, 1}, {2, 2}])
       assert {:ok, 3} = Situ.remove_input(s.out, :a)
@@ -220,14 +220,14 @@ defmodule Situ.Fusion.InputsTest do
       assert out(test) == []
       Test.feed(test, :a, [{1, :x}, {2, :y}])
       assert out(test) == [{1, {1, %{a: :x}}}, {2, {2, %{a: :y}}}, {3, {3, %{}}}]
-      # Nothing holds the stream back any more.
+      # Nothing holds the stream back now.
       Test.feed(test, :a, Enum.map(3..5_000, &{&1, :more}))
       Test.feed(test, :p, [{4, 4}])
       assert out(test) == [{4, {4, %{}}}]
       assert {:ok, _} = Test.stop(test)
     end
 
-    test "the key is free again at once, from the time on that the first one leaves" do
+    test "the key can be reused immediately, from the time at which the removed input ends" do
       {test, s} = gathering()
       Test.feed(test, :p, [{1, 1}])
       assert {:ok, 5} = Situ.remove_input(s.out, :a, until: 5)
@@ -243,7 +243,7 @@ defmodule Situ.Fusion.InputsTest do
       Test.stop(test)
     end
 
-    test "names are used again: as many atoms as there are inputs at once" do
+    test "names are reused, so the number of atoms does not grow" do
       {test, s} = gathering()
 
       for n <- 1..50 do
@@ -260,7 +260,7 @@ defmodule Situ.Fusion.InputsTest do
   end
 
   describe "merge/3" do
-    test "takes and leaves inputs" do
+    test "adds and removes inputs" do
       {test, s} =
         start([:a, :b], fn s ->
           %{out: Situ.map(Situ.merge([s.a]), & &1.data), b: s.b}
@@ -274,7 +274,7 @@ defmodule Situ.Fusion.InputsTest do
       assert {:ok, _} = Situ.remove_input(merged, 0)
       Test.feed(test, :a, [{2, :gone}])
       Test.feed(test, :b, [{3, :b}])
-      # One stamp a nanosecond, from the clock's on.
+      # Merge assigns one time per nanosecond, starting at the clock's time.
       Test.advance(test, 10)
       assert Enum.map(out(test), &elem(&1, 1)) == [:b, :a, :b]
       assert {:error, %Error{code: :unknown_input}} = Situ.remove_input(merged, 0)
@@ -282,14 +282,15 @@ defmodule Situ.Fusion.InputsTest do
     end
   end
 
-  describe "whatever the schedule" do
-    # The fusion that is built with the input and ignores it before `from` (and, the other way round, an input until
-    # then).
-    property "an input added at a time is one that was there and was ignored before it",
+  describe "for any schedule" do
+    # The reference fusion is built with the input but ignores its messages before `from` (for a removed input, its
+    # messages from `until`).
+    property "an input added at a time acts as if it had existed but was ignored before",
       numtests: 60 do
       forall {p, a, b, from, window, order, place} <-
-               {timed(integer(), 5), timed(integer(), 5), timed(integer(), 5), integer(1, 60),
-                integer(0, 8), list(integer(0, 2), 60), integer(0, 100)} do
+               {timed_values(integer(), 5), timed_values(integer(), 5),
+                timed_values(integer(), 5), integer(1, 60), integer(0, 8),
+                list(integer(0, 2), 60), integer(0, 100)} do
         {test, s} = gathering(interpolator: Reproducible.nearest(window))
         {before, later} = schedule([p: p, a: a, b: b], from, order)
         {first, second} = Enum.split(before, div(length(before) * place, 100))
@@ -309,10 +310,11 @@ defmodule Situ.Fusion.InputsTest do
       end
     end
 
-    property "an input taken away at a time is one that was ignored from then on", numtests: 60 do
+    property "an input removed at a time acts as if it were ignored from then on", numtests: 60 do
       forall {p, a, b, until, order, place} <-
-               {timed(integer(), 5), timed(integer(), 5), timed(integer(), 5), integer(1, 60),
-                list(integer(0, 2), 60), integer(0, 100)} do
+               {timed_values(integer(), 5), timed_values(integer(), 5),
+                timed_values(integer(), 5), integer(1, 60), list(integer(0, 2), 60),
+                integer(0, 100)} do
         {test, s} =
           start([:p, :a, :b], fn s ->
             %{out: Situ.join(s.p, %{a: s.a, b: s.b}, Reproducible.last(), name: "Join")}
@@ -355,7 +357,7 @@ defmodule Situ.Fusion.InputsTest do
            do: {:ok, {one, other}}
     end
 
-    # Single messages in a random order among the streams; what must come after the change stands apart.
+    # Mixes single messages of the streams in random order and splits off those that must follow the change.
     defp schedule(streams, time, order) do
       mixed = mix(Map.new(streams), order, [])
 

@@ -1,5 +1,5 @@
 defmodule Situ.Fusion.OutputTest do
-  # Outputs are checked against their declared type by the next input: zip, here.
+  # The next input (here: zip) checks outputs against their declared type.
   use ExUnit.Case, async: true
 
   alias Situ.Reproducible
@@ -19,7 +19,7 @@ defmodule Situ.Fusion.OutputTest do
 
   @none Reproducible.nearest(3, or_default: :none)
 
-  test "a default is of the output's type in every form" do
+  test "a default matches the output type in every form" do
     assert zipped(&Situ.join(&1, &2, @none, flatten: false)) == [{:a1, :none}]
     assert zipped(&Situ.join(&1, &2, @none)) == [{:a1, :none, :none}]
     assert zipped(&Situ.join(&1, [&2, &2], @none)) == [{:a1, [:none, :none]}]
@@ -37,7 +37,7 @@ defmodule Situ.Fusion.OutputTest do
     assert zipped(&Situ.interpolate(&2, &1, @none)) == [:none]
   end
 
-  test "values that an interpolator computes are of any shape" do
+  test "values computed by an interpolator may have any shape" do
     three = Reproducible.adjacent(&{&1, &2, &3})
     inputs = [a: [{25, :a}], x: [{0, 1}, {50, 2}], c: [{25, :c}]]
 
@@ -47,24 +47,24 @@ defmodule Situ.Fusion.OutputTest do
              end)
   end
 
-  test "so is the initial value of pair" do
+  test "the initial value of pair may have any shape" do
     for {opts, wanted} <- [
           {[initial: :nothing, flatten: false], {:a1, :nothing}},
           {[initial: :nothing], {:a1, :nothing, :nothing}},
           {[initial: {0, 0}], {:a1, 0, 0}}
         ] do
-      # A pair takes what has come last: a message at 50 might have come before the one at 1.
+      # A pair uses the latest message, and a message at 50 might arrive before the one at 1.
       assert zipped(&Situ.pair(&1, &2, opts), x: [], y: []) == [wanted]
     end
   end
 
-  test "the output of parallel with a default" do
+  test "the output of parallel may contain a default" do
     inputs = [l: [{1, [1, 2]}], c: [{1, :c}]]
 
     assert {:ok, [{1, [[:none, :none], :c]}]} =
              Situ.Test.run(inputs, fn s ->
                s.l
-               |> Situ.Stream.as({:list, :integer})
+               |> Situ.Stream.with_type({:list, :integer})
                |> Situ.parallel(&Situ.filter(&1, fn n -> n > 5 end), or_default: :none, size: 2)
                |> Situ.zip(s.c)
              end)

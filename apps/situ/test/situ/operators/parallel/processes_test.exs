@@ -1,5 +1,5 @@
 defmodule Situ.Parallel.ProcessesTest do
-  # parallel with branches that are pipelines of their own.
+  # Tests parallel with branches that are separate pipelines.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -15,8 +15,8 @@ defmodule Situ.Parallel.ProcessesTest do
 
   defp indexed(list), do: Enum.with_index(list, fn item, i -> {i, item} end)
 
-  describe "the forms" do
-    test "sparse: a branch per key, for as long as the key is there" do
+  describe "forms" do
+    test "the sparse form has one branch per key while the key is present" do
       inputs = [m: [{0, %{ann: 1, bob: 5}}, {10, %{ann: 3}}, {20, %{ann: 4, bob: 9}}]]
       build = &Situ.parallel(&1.m, fn _key, s -> Situ.sum(s) end, @processes)
 
@@ -27,7 +27,7 @@ defmodule Situ.Parallel.ProcessesTest do
              ]
     end
 
-    test "fixed and variable" do
+    test "the fixed and variable forms sum each element" do
       inputs = [l: [{0, [1, 2]}, {1, [3, 4]}]]
       build = &Situ.parallel(&1.l, fn s -> Situ.sum(s) end, [size: 2] ++ @processes)
       assert run(inputs, build) == [{0, [1, 2]}, {1, [4, 6]}]
@@ -37,7 +37,7 @@ defmodule Situ.Parallel.ProcessesTest do
       assert run(inputs, build) == [{0, [1, 2]}, {1, []}, {2, [4, 6, 5]}, {3, [10]}]
     end
 
-    test "without a stream nothing comes out, and all of it is done by the end" do
+    test "without a result stream nothing is emitted, and all work is done by the end" do
       me = self()
 
       build = fn s ->
@@ -55,15 +55,15 @@ defmodule Situ.Parallel.ProcessesTest do
       for seen <- [{:a, 1}, {:a, 2}, {:b, 3}], do: assert_received(^seen)
     end
 
-    test "what a branch gives while it ends counts" do
+    test "messages that a branch emits while it ends count" do
       inputs = [m: [{0, %{a: 1}}, {1, %{a: 2}}, {2, %{}}]]
       build = &Situ.parallel(&1.m, fn _key, s -> Situ.last(s) end, @processes)
       assert run(inputs, build) == [{1, %{a: 2}}, {2, %{}}]
     end
   end
 
-  describe "what a value cannot hold" do
-    test "sources, which begin with the branch" do
+  describe "features that require branch processes" do
+    test "sources start with the branch" do
       inputs = [m: [{5, %{a: 1}}, {15, %{a: 2, b: 3}}, {25, %{b: 4}}]]
 
       build = fn s ->
@@ -90,7 +90,7 @@ defmodule Situ.Parallel.ProcessesTest do
       assert fix =~ "branches: :processes"
     end
 
-    test "delays, by the clock of the pipeline around it" do
+    test "delays follow the clock of the surrounding pipeline" do
       test = Test.start([:m], &Situ.parallel(&1.m, fn _, s -> Situ.delay(s, 50) end, @processes))
 
       Test.feed(test, :m, [{0, %{a: 1, b: 2}}])
@@ -102,7 +102,7 @@ defmodule Situ.Parallel.ProcessesTest do
       assert {:ok, _} = Test.stop(test)
     end
 
-    test "work in processes of its own, one for each branch" do
+    test "operators run in separate processes for each branch" do
       inputs = [m: [{0, %{a: 1, b: 2}}, {1, %{a: 1, b: 2}}]]
 
       build =
@@ -121,7 +121,7 @@ defmodule Situ.Parallel.ProcessesTest do
       refute Enum.any?([a1, a2, b1, b2], &Process.alive?/1)
     end
 
-    test "branches inside of branches" do
+    test "branches can be nested" do
       inputs = [m: [{0, %{a: %{x: 1}, b: %{y: 2}}}, {1, %{a: %{x: 3, z: 4}}}]]
       inner = fn opts -> fn _, s -> Situ.parallel(s, fn _, s -> Situ.sum(s) end, opts) end end
 
@@ -135,8 +135,8 @@ defmodule Situ.Parallel.ProcessesTest do
     end
   end
 
-  describe "how long it waits" do
-    test "not at all for a run of light operators that gives nothing" do
+  describe "waiting" do
+    test "does not wait for a chain of light operators that emits nothing" do
       test =
         Test.start(
           [:m],
@@ -155,7 +155,7 @@ defmodule Situ.Parallel.ProcessesTest do
       Test.stop(test)
     end
 
-    test "a branch that needs more messages than are let in at once gets them" do
+    test "a branch that needs more messages than fit in one window receives them" do
       inputs = [l: indexed(for n <- 1..1_500, do: [n])]
 
       build = fn s ->
@@ -171,7 +171,7 @@ defmodule Situ.Parallel.ProcessesTest do
       assert Enum.all?(outputs, fn {_, [n]} -> n == 701 end)
     end
 
-    test "a slow branch holds its input back" do
+    test "a slow branch holds back its input" do
       me = self()
 
       build = fn p ->
@@ -195,14 +195,14 @@ defmodule Situ.Parallel.ProcessesTest do
       assert_receive {:stuck, branch}
       at_rest(stages(pipeline), nil)
       edges = Situ.Pipeline.info(pipeline).edges
-      # Two demand windows, and what the operator holds.
+      # The limit is two demand windows plus the messages that the operator holds.
       assert Enum.max(Enum.map(edges, & &1.emitted)) < 3_500
       send(branch, :go_on)
       assert_receive {:counted, 5_000}, 60_000
       Situ.Pipeline.await(pipeline)
     end
 
-    # All but the operator itself, which looks at its hold again and again.
+    # Returns all stages except the operator itself, which polls its held messages.
     defp stages(pipeline) do
       {:links, links} = Process.info(pipeline, :links)
 
@@ -213,7 +213,7 @@ defmodule Situ.Parallel.ProcessesTest do
           do: pid
     end
 
-    # They wait for demand that does not come: no message in a mailbox, and no work done since the last look.
+    # Waits until the processes are idle: empty mailboxes and no work since the last check.
     defp at_rest(pids, before) do
       now = Enum.map(pids, &Process.info(&1, [:status, :message_queue_len, :reductions]))
       waiting? = Enum.all?(now, &match?([{:status, :waiting}, {:message_queue_len, 0}, _], &1))
@@ -221,8 +221,8 @@ defmodule Situ.Parallel.ProcessesTest do
     end
   end
 
-  describe "the end" do
-    test "waits for branches that are at work; they are not taken for stuck" do
+  describe "at the end" do
+    test "waits for busy branches and does not treat them as stuck" do
       me = self()
 
       slow = fn n ->
@@ -240,7 +240,7 @@ defmodule Situ.Parallel.ProcessesTest do
 
       {:ok, pipeline} = Situ.Pipeline.start(build, pipeline: [replay: [speed: :max]])
 
-      # By its mark the pipeline knows whether anything moves while it ends: after each part it is another one.
+      # The pipeline detects progress by this mark, which must change after each step.
       Enum.reduce(0..2, nil, fn n, before ->
         assert_receive {:at, ^n, branch}
         ending(pipeline)
@@ -262,8 +262,8 @@ defmodule Situ.Parallel.ProcessesTest do
       do: if(Situ.Pipeline.state(pipeline) != :stopping, do: ending(pipeline), else: :ok)
   end
 
-  describe "a branch that fails" do
-    test "fails the operator, and is named" do
+  describe "a failing branch" do
+    test "fails the operator with an error that names the branch" do
       build =
         &Situ.parallel(
           &1.m,
@@ -275,7 +275,7 @@ defmodule Situ.Parallel.ProcessesTest do
       assert error.what =~ "Parallel[:bad].Invert"
     end
 
-    test "while it is built, too, and takes those with it that began with it" do
+    test "ends the branches that started with it if it fails while being built" do
       me = self()
 
       build = fn s ->
@@ -301,7 +301,7 @@ defmodule Situ.Parallel.ProcessesTest do
       assert {:ok, %{skipped: %{"Parallel" => 1}}} = Test.stop(test)
     end
 
-    test "begins anew alone with on_branch_error: :restart; what was on its way into it is missing" do
+    test "restarts alone with on_branch_error: :restart and loses its messages in flight" do
       test =
         Test.start(
           [:m],
@@ -327,12 +327,12 @@ defmodule Situ.Parallel.ProcessesTest do
       described = Situ.Pipeline.info(test.pipeline).nodes |> Enum.find(&(&1.id == node.id))
 
       assert described.description =~
-               "2 branches live, each a pipeline of its own, 3 started, 1 failed"
+               "2 branches live, each its own pipeline, 3 started, 1 failed"
 
       Test.stop(test)
     end
 
-    test "by a kill is one like any other: on_error decides" do
+    test "that is killed is handled by on_error" do
       for {on_error, ends} <- [stop: :error, skip: :ok] do
         test =
           Test.start(
@@ -357,7 +357,7 @@ defmodule Situ.Parallel.ProcessesTest do
       end
     end
 
-    test "the operator's death is its branches' death" do
+    test "ends when the operator is killed" do
       me = self()
 
       build = fn s ->
@@ -390,12 +390,12 @@ defmodule Situ.Parallel.ProcessesTest do
     end
   end
 
-  describe "both forms" do
+  describe "branches as values and as processes" do
     @kinds [:sum, :filter, :last, :window, :delta, :later, :async, :drop_all, :average]
 
-    property "give the same outputs at the same times", numtests: 60 do
+    property "emit the same maps at the same times", numtests: 60 do
       forall {kind, maps, until, default, present} <-
-               {one_of(@kinds), timed(keyed(), 4),
+               {one_of(@kinds), timed_values(keyed(), 4),
                 one_of([:absent, {:absent, 1}, {:absent, 3}, :never]), one_of([:drop, 0]),
                 boolean()} do
         opts = [of: :maps, until: until, only_present: present]
@@ -404,9 +404,9 @@ defmodule Situ.Parallel.ProcessesTest do
       end
     end
 
-    property "give the same lists", numtests: 30 do
+    property "emit the same lists", numtests: 30 do
       forall {kind, lists, default} <-
-               {one_of(@kinds), timed(list(integer(-9, 9)), 4), one_of([:drop, 0])} do
+               {one_of(@kinds), timed_values(list(integer(-9, 9)), 4), one_of([:drop, 0])} do
         opts = if default == :drop, do: [of: :lists], else: [of: :lists, or_default: default]
         assert both([m: lists], kind, opts)
       end

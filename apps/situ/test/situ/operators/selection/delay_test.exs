@@ -26,7 +26,7 @@ defmodule Situ.Selection.DelayTest do
     end
   end
 
-  test "gives every message with its time, whatever the speed of the replay" do
+  test "emits every message with its time at any replay speed" do
     wanted = for i <- 1..20, do: {Time.ms(2 * i), i}
 
     for speed <- [:max, 1.0, 10.0] do
@@ -35,7 +35,7 @@ defmodule Situ.Selection.DelayTest do
     end
   end
 
-  # A finite stream by a manual clock, behind a delay of 50; the first of its two messages has been made.
+  # Runs a finite stream with a manual clock and a delay of 50, and waits until the first of two messages was emitted.
   defp ending(clock, stop_timeout) do
     me = self()
 
@@ -55,11 +55,11 @@ defmodule Situ.Selection.DelayTest do
     p
   end
 
-  test "holds what it has when the stream ends as long as everything else" do
+  test "keeps holding messages after the stream ends, despite the stop timeout" do
     clock = Situ.Clock.manual(0)
     p = ending(clock, 200)
 
-    # The last message of the source: it ends. The wait for the clock is longer than the stop's limit.
+    # This is the source's last message, so it ends. The clock then pauses for longer than the stop timeout.
     Situ.Clock.set(clock, 20)
     assert_receive {:made, :b}, 30_000
     refute_receive {:got, _, _}, 500
@@ -71,7 +71,7 @@ defmodule Situ.Selection.DelayTest do
     assert {:ok, %{errors: []}} = Pipeline.await(p, 30_000)
   end
 
-  test "gives what it has when the pipeline is stopped, also when that was about to end" do
+  test "emits held messages when the pipeline is stopped, even shortly before its end" do
     for made <- [[], [:b]] do
       clock = Situ.Clock.manual(0)
       p = ending(clock, 30_000)
@@ -84,7 +84,7 @@ defmodule Situ.Selection.DelayTest do
     end
   end
 
-  test "holds each until its creation time and the duration have passed" do
+  test "holds each message until its creation time plus the duration" do
     test = Situ.Test.start([:in], fn s -> Situ.delay(s.in, 50) end)
     Situ.Test.feed(test, :in, [{0, :a}])
     Situ.Test.advance(test, 20)

@@ -11,7 +11,7 @@ defmodule Situ.Statistics.SlidingTest do
     do:
       frequency([{6, integer()}, {4, float(-1.0e3, 1.0e3)}, {1, nil}, {1, :nan}, {1, :infinity}])
 
-  # The last n of the values up to each one, by the slow reference.
+  # Computes the statistics of the last n values at each position with the slow reference.
   defp expected(kind, values, n) do
     for i <- n..length(values)//1, do: Statistics.of_list(kind, Enum.slice(values, i - n, n))
   end
@@ -21,7 +21,7 @@ defmodule Situ.Statistics.SlidingTest do
       Enum.map_reduce(values, Sliding.new(kind), fn value, window ->
         window = if Sliding.size(window) == n, do: Sliding.pop(window), else: window
         window = Sliding.push(window, 0, value)
-        {if(Sliding.size(window) == n, do: {:some, Sliding.result(window)}), window}
+        {if(Sliding.size(window) == n, do: {:some, Sliding.current_result(window)}), window}
       end)
 
     for {:some, result} <- results, do: result
@@ -33,7 +33,7 @@ defmodule Situ.Statistics.SlidingTest do
   defp near?(a, b), do: a == b
 
   for kind <- [:count, :sum, :min, :max, :average] do
-    property "#{kind} of a sliding window is that of the list" do
+    property "#{kind} of a sliding window equals that of the list" do
       forall {values, n} <- {list(value()), integer(1, 9)} do
         got = sliding(unquote(kind), values, n)
         wanted = expected(unquote(kind), values, n)
@@ -43,20 +43,20 @@ defmodule Situ.Statistics.SlidingTest do
     end
   end
 
-  property "the deviation of a sliding window of finite numbers is that of the list" do
+  property "the deviation of a sliding window of finite numbers equals that of the list" do
     forall {values, n} <- {list(one_of([integer(), float(-1.0e3, 1.0e3), nil])), integer(1, 9)} do
       for {a, b} <- Enum.zip(sliding(:std, values, n), expected(:std, values, n)),
           do: assert(abs(a - b) <= 1.0e-6 * max(1.0, b), inspect({a, b}))
     end
   end
 
-  test "nothing drifts, and NaN is forgotten when it leaves" do
+  test "results do not drift, and NaN is forgotten when it leaves the window" do
     values = [1.0e16, :nan, 1.0] ++ List.duplicate(0.1, 10)
     assert List.last(sliding(:sum, values, 2)) == 0.2
     assert List.last(sliding(:std, values, 4)) == 0.0
   end
 
-  test "the work of a value does not depend on the window's size" do
+  test "the cost of a value does not depend on the window's size" do
     work = fn n ->
       values = Enum.to_list(1..20_000)
       {:reductions, before} = Process.info(self(), :reductions)

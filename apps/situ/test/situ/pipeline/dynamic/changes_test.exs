@@ -1,5 +1,5 @@
 defmodule Situ.Pipeline.Dynamic.ChangesTest do
-  # Changes of a running pipeline that meet its end, or each other.
+  # Changes to a running pipeline that coincide with its end or with each other.
   use ExUnit.Case, async: true
   import Situ.Test.Eventually
 
@@ -21,7 +21,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       end
     end
 
-  # A consumer that stands still does not hold up the source.
+  # A consumer that blocks does not hold up the source.
   defp lossy, do: [async: true, policy: Situ.Delivery.latest()]
 
   defp stage_ids(p), do: Map.keys(:sys.get_state(p).stages)
@@ -34,7 +34,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
     end)
   end
 
-  test "a tap that is detached while the outputs of its pipeline close" do
+  test "a tap can be detached while the outputs of its pipeline close" do
     me = self()
 
     {:ok, p} = start(fn p -> p |> numbers() |> Situ.each(stand_still(me, :slow), lossy()) end)
@@ -51,7 +51,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
     assert {:ok, %{errors: []}} = Task.await(stop, 30_000)
   end
 
-  test "a tap whose owner dies while the outputs of its pipeline close" do
+  test "a tap's owner can die while the outputs of its pipeline close" do
     me = self()
 
     {:ok, p} = start(fn p -> p |> numbers() |> Situ.each(stand_still(me, :slow), lossy()) end)
@@ -70,7 +70,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
     assert {:ok, %{errors: []}} = Task.await(stop, 30_000)
   end
 
-  test "a tap that is removed by its name, and then detached" do
+  test "a tap can be removed by name and then detached" do
     {:ok, p} = start(&numbers/1)
     me = self()
     {:ok, tap} = Situ.attach_tap({p, "Count"}, &send(me, {:seen, &1.data}), name: "Look")
@@ -83,7 +83,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
   end
 
   describe "remove/3" do
-    test "a part that was stopped is removed, and its name is free" do
+    test "removes a stopped part and frees its name" do
       {:ok, p} = start(&numbers/1)
       [main] = stage_ids(p)
 
@@ -101,7 +101,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       assert {:ok, %{errors: []}} = Pipeline.stop(p)
     end
 
-    test "a part with a component that was stopped before is removed as a whole" do
+    test "removes a part completely even if one of its components was stopped before" do
       {:ok, p} = start(&numbers/1)
 
       assert {:ok, :ok} =
@@ -118,7 +118,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       assert {:ok, %{errors: []}} = Pipeline.stop(p)
     end
 
-    test "a part that another process is stopping" do
+    test "removes a part that another process is stopping" do
       me = self()
       {:ok, p} = start(&numbers/1)
       assert {:ok, :ok} = extend(p, "Side", &Situ.each(&1, stand_still(me, :side), async: true))
@@ -133,7 +133,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       assert {:ok, %{errors: []}} = Pipeline.stop(p)
     end
 
-    test "a composite that has failed and closed by itself" do
+    test "removes a composite that failed and closed by itself" do
       {:ok, p} = start(&numbers/1)
 
       assert {:ok, :ok} =
@@ -160,7 +160,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
       assert {:ok, _} = Pipeline.stop(p)
     end
 
-    test "a listener outside of it sees the end of its stream, and is closed" do
+    test "a consumer outside the part sees the end of its stream and is closed" do
       me = self()
       {:ok, p} = start(&numbers/1)
 
@@ -186,7 +186,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
     end
   end
 
-  test "two components of an extension that both refuse to start do not end the pipeline" do
+  test "two components of an extension that refuse to start do not end the pipeline" do
     {:ok, p} = start(&numbers/1)
 
     assert {:error, %{code: :refused}} =
@@ -206,7 +206,7 @@ defmodule Situ.Pipeline.Dynamic.ChangesTest do
     def init(_opts), do: {:error, Situ.Error.new(:refused, "no")}
   end
 
-  test "a request that the pipeline cannot answer is an error for its caller alone" do
+  test "an invalid request returns an error to its caller only" do
     {:ok, p} = start(&numbers/1)
     assert Pipeline.clock(p)
 

@@ -25,7 +25,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
   end
 
   defmodule Clockwork do
-    # Tells what it is told when it starts, and raises when it is asked to.
+    # Reports its times when it starts, and raises on request.
     use Situ.Component,
       inputs: [in: :any],
       options: [to: [type: :pid, required: true], k: [type: :integer, default: 1]]
@@ -75,7 +75,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
 
   defp names(p), do: Enum.map(Pipeline.info(p).nodes, & &1.path)
 
-  test "a component begins when it is added, and is told the time when it starts again" do
+  test "an added component starts when it is added, and receives the current time when it restarts" do
     p = start()
     assert_receive {:main, 20}, 30_000
     me = self()
@@ -97,13 +97,13 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert now >= before
 
     before = Pipeline.now(p)
-    Situ.Connector.deliver(input, [message(:raise, before)])
+    Situ.Connector.deliver_messages(input, [message(:raise, before)])
     assert_receive {:began, 2, ^start, now}, 30_000
     assert now >= before
     {:ok, _} = Pipeline.stop(p)
   end
 
-  test "a source that is added begins now, not at the pipeline's start" do
+  test "an added source starts now, not at the pipeline's start" do
     p = start()
     assert_receive {:main, 20}, 30_000
     me = self()
@@ -126,7 +126,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
   defp message(data, time),
     do: %Situ.Message{data: data, originating_time: time, creation_time: time}
 
-  test "what is added sees every message from its first on" do
+  test "an added consumer receives every message from its first one" do
     p = start()
     assert_receive {:main, 0}
     me = self()
@@ -136,7 +136,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
         count = Pipeline.stream(p, "Count")
         doubled = count |> Situ.map(&(&1 * 2), name: "Double") |> Situ.via(Pass, name: "Pass")
         Situ.each(doubled, &send(me, {:added, &1}), name: "Told")
-        # Two ways that meet again.
+        # These two paths join again.
         count |> Situ.join(doubled) |> Situ.each(&send(me, {:joined, &1}), name: "Joined")
       end)
 
@@ -144,19 +144,19 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert_receive {:added, _}
     assert {:ok, report} = Pipeline.stop(p)
     added = [first | all(:added)]
-    # One that was taken out between the two.
+    # The second message was already received above.
     first = hd(added)
     assert Enum.all?(all(:joined), fn {v, doubled} -> doubled == 2 * v end)
     assert Enum.all?(added, &(rem(&1, 2) == 0))
     assert added -- Enum.to_list(first..List.last(added)//2) == []
     assert report.errors == []
     for name <- ~w(Double Pass Told Joined), do: assert(name in report.closed)
-    # Upstream first, as everywhere.
+    # Upstream components close first, as always.
     place = report.closed |> Enum.with_index() |> Map.new()
     assert place["Count"] < place["Double"] and place["Double"] < place["Pass"]
   end
 
-  test "no message is lost and none comes twice, wherever it is cut, under load" do
+  test "under load no message is lost or duplicated, wherever a part is added or removed" do
     me = self()
 
     {:ok, p} =
@@ -192,7 +192,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert {:ok, _} = Pipeline.stop(p, catch_up: 0)
   end
 
-  test "a source that is added runs, is waited for, and does not end the rest" do
+  test "an added source runs to its end and does not end the rest" do
     p = start()
 
     {:ok, stream} =
@@ -209,7 +209,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  test "a stream that has ended is seen to have ended" do
+  test "an extension of an ended stream sees its end" do
     {:ok, p} =
       Pipeline.start(
         fn p ->
@@ -238,7 +238,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     end
   end
 
-  test "what is wrong is returned, and nothing of it is left" do
+  test "an invalid extension returns an error and leaves the graph unchanged" do
     p = start()
     me = self()
 
@@ -262,10 +262,10 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
   end
 
-  # The processes of what was refused have ended.
+  # Waits until the processes of the refused extension have ended.
   defp gone(p), do: if(map_size(:sys.get_state(p).stages) == 2, do: :ok, else: gone(p))
 
-  test "many at once, from many processes" do
+  test "many processes can extend a pipeline at the same time" do
     p = start()
     me = self()
 
@@ -285,7 +285,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
   end
 
-  test "names are free again once it is removed" do
+  test "names are free again after a removal" do
     p = start()
 
     for _ <- 1..3 do
@@ -304,7 +304,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
-  test "what is removed while something is added does not come back, nor its names" do
+  test "a part removed during an extension stays removed, along with its names" do
     p = start()
 
     assert {:ok, _} =
@@ -331,7 +331,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
              Enum.any?(n.outputs, &(&1.stream == "Old stream"))
            end)
 
-    # A part of something that was removed is an error, and nothing of it runs.
+    # Extending a part that was removed is an error, and nothing of the extension runs.
     assert {:ok, _} =
              Pipeline.extend(p, fn p ->
                Situ.composite(Pipeline.stream(p, "Count"), "Old", fn s -> told(s, :old) end)
@@ -350,7 +350,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert {:ok, %{errors: []}} = Pipeline.stop(p)
   end
 
-  test "a pipeline that is stopped meanwhile says so, and ends" do
+  test "an extension returns an error if the pipeline is stopped in the meantime" do
     p = start()
     me = self()
 

@@ -1,5 +1,5 @@
 defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
-  # Random changes at random moments, from two processes, while messages flow: what was there before must not notice.
+  # Two processes make random changes at random moments while messages flow; existing streams must not be affected.
   # The seed is ExUnit's (`mix test --seed`); `SITU_TIMES=50` tries fifty times as many pipelines.
   use ExUnit.Case, async: true
 
@@ -11,9 +11,9 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
   @count 2_000
   @changes 25
   @count_per_change div(@count, 2 * @changes)
-  @rounds 2 * Situ.Test.Budget.times()
+  @rounds 2 * Situ.Test.Budget.repeat_factor()
 
-  # A source that is slow enough for changes to happen, and three streams of it.
+  # Builds a source that is slow enough for changes to happen, and streams derived from it.
   defp build(to, changed) do
     fn p ->
       numbers =
@@ -32,7 +32,8 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
     end
   end
 
-  # The source cannot run ahead: a pipeline whose sources have ended answers some changes only at its end.
+  # The source must not run ahead, because a pipeline whose sources have ended replies to some changes only at its
+  # end.
   defp gate, do: [async: true, policy: Situ.Delivery.throttle(1), name: "Gate"]
 
   # Every change lets more messages through, so that all changes happen while messages flow.
@@ -90,7 +91,7 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
   defp answered?(_answer), do: true
 
   defp stream(p), do: "s#{:rand.uniform(4) - 1}" |> then(&Pipeline.stream(p, &1))
-  # One of the names that this process has added, or once had.
+  # Returns a name that this process has added, now or earlier.
   defp pick_added(at), do: Enum.random([name_of(at) | Process.get(:added, [])])
   defp name_of({worker, n}), do: "Added#{worker}_#{n}"
 
@@ -124,7 +125,7 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
     end
   end
 
-  # Its owner goes, and with it the tap.
+  # When its owner ends, the tap is removed.
   defp change(8, p, _at) do
     fun = fn -> Situ.attach_tap({p, "s#{:rand.uniform(4) - 1}"}, fn _ -> :ok end) end
     Task.await(Task.async(fun), 60_000)
@@ -137,7 +138,7 @@ defmodule Situ.Pipeline.Dynamic.RandomChangesTest do
     with {:ok, paths} <- Pipeline.checkpoint(p, &Map.keys/1, timeout: 50), do: {:ok, paths}
   end
 
-  test "what was there before runs on as if nothing had been added, removed, tapped or replaced" do
+  test "existing streams are not affected by random additions, removals, taps and replacements" do
     {{:ok, _}, undisturbed, []} =
       run(fn _p, changed ->
         changed.(@count)

@@ -1,5 +1,5 @@
 defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
-  # Replacements that are asked for at once, or of components that die meanwhile.
+  # Replacements that are requested concurrently, or whose component dies before they are done.
   use ExUnit.Case, async: true
 
   alias Situ.Fixture.Count
@@ -8,7 +8,7 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
   @moduletag :capture_log
 
   defmodule Slow do
-    # Waits for a word with every message.
+    # Waits for permission at every message.
     use Situ.Component,
       inputs: [in: :any],
       outputs: [out: :any],
@@ -46,7 +46,7 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
     {p, pid}
   end
 
-  # Lets it go on until it says that it has become `k`.
+  # Releases messages until the component reports that it has become `k`.
   defp until(k) do
     receive do
       {:at, _pid, ^k} ->
@@ -61,8 +61,8 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
   end
 
   describe "replace/4" do
-    test "several at once come one after another" do
-      # Lets every message pass.
+    test "several requests are handled one after another" do
+      # The driver lets every message pass.
       driver = spawn_link(fn -> pass() end)
 
       {:ok, p} =
@@ -88,7 +88,7 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
       end
     end
 
-    test "two operators of one chain at once" do
+    test "two operators of one chain can be replaced at the same time" do
       me = self()
 
       {:ok, p} =
@@ -109,11 +109,11 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
       assert {:ok, _} = Pipeline.stop(p)
     end
 
-    test "is answered when the component dies before it has done it" do
+    test "returns an error if the component dies before it is replaced" do
       {p, pid} = slow(on_error: :restart)
       tasks = for k <- 1..3, do: Task.async(fn -> Pipeline.replace(p, "Slow", k: k, to: pid) end)
       tap = Task.async(fn -> Situ.attach_tap({p, "Slow"}, fn _ -> :ok end) end)
-      # All have been asked.
+      # All requests have arrived.
       waiting(p, 3)
       Process.exit(pid, :kill)
 
@@ -125,14 +125,14 @@ defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
       Process.exit(p, :kill)
     end
 
-    test "gives up waiting after its timeout" do
+    test "stops waiting after its timeout" do
       {p, pid} = slow()
 
       assert {:error, %{code: :timeout}} =
                Pipeline.replace(p, "Slow", [k: 7, to: self()], timeout: 20)
 
       send(pid, :go)
-      # It goes on all the same.
+      # The replacement happens anyway.
       until(7)
       Process.exit(p, :kill)
     end

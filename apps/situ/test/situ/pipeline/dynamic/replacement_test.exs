@@ -4,7 +4,7 @@ defmodule Situ.Pipeline.Dynamic.ReplacementTest do
   alias Situ.{Connector, Message, Pipeline}
 
   defmodule Gain do
-    # Multiplies, numbers what it emits; the count survives a replacement.
+    # Multiplies and numbers its messages; the count survives a replacement.
     use Situ.Component,
       inputs: [in: :integer],
       outputs: [out: :any],
@@ -53,7 +53,7 @@ defmodule Situ.Pipeline.Dynamic.ReplacementTest do
     %{p: p, connector: connector}
   end
 
-  test "new options: nothing is lost, doubled or out of order, and the state is carried over",
+  test "new options keep the state, and no message is lost, duplicated or reordered",
        %{p: p} = c do
     post(c, 0..999)
     assert_receive {:got, first}
@@ -67,7 +67,7 @@ defmodule Situ.Pipeline.Dynamic.ReplacementTest do
     assert length(factors) == 1_999
   end
 
-  test "another module whose ports fit; a fresh state where there is no migrate", %{p: p} = c do
+  test "a different module with matching ports starts fresh without migrate/3", %{p: p} = c do
     :ok = Pipeline.replace(p, "Gain", {Other, []})
     post(c, 0..2)
     assert Enum.any?(Pipeline.info(p).nodes, &(&1.module =~ "Other"))
@@ -75,14 +75,14 @@ defmodule Situ.Pipeline.Dynamic.ReplacementTest do
     assert got() == [other: 0, other: 1, other: 2]
   end
 
-  test "an operator's function", %{p: p} = c do
+  test "replaces an operator's function", %{p: p} = c do
     :ok = Pipeline.replace(p, "Same", {:map, fn {n, v} -> {n, -v} end})
     post(c, 1..2)
     {:ok, _} = Pipeline.stop(p)
     assert got() == [{0, -2}, {1, -4}]
   end
 
-  test "what does not fit is refused with a reason and changes nothing", %{p: p} = c do
+  test "refuses an invalid replacement with a reason and changes nothing", %{p: p} = c do
     assert {:error, %{code: :type_mismatch, what: what}} = Pipeline.replace(p, "Gain", {Text, []})
     assert what =~ "Gain"
     assert {:error, %{code: :unknown_option}} = Pipeline.replace(p, "Gain", factr: 3)
@@ -100,7 +100,10 @@ defmodule Situ.Pipeline.Dynamic.ReplacementTest do
   end
 
   defp post(%{connector: connector}, values) do
-    Connector.deliver(connector, for(v <- values, do: %Message{data: v, originating_time: v}))
+    Connector.deliver_messages(
+      connector,
+      for(v <- values, do: %Message{data: v, originating_time: v})
+    )
   end
 
   defp got do

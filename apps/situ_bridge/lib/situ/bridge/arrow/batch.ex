@@ -17,8 +17,8 @@ defmodule Situ.Bridge.Arrow.Batch do
   @type dictionaries :: %{integer() => tuple()}
 
   @doc "Reads the metadata of a message of this kind; returns its bytes and the offset of its header."
-  @spec metadata(block(), kind :: 1..3, Input.read()) :: {binary(), non_neg_integer()}
-  def metadata({at, n, _body}, kind, read) when n in 8..@most_metadata and at >= 0 do
+  @spec read_metadata(block(), kind :: 1..3, Input.read()) :: {binary(), non_neg_integer()}
+  def read_metadata({at, n, _body}, kind, read) when n in 8..@most_metadata and at >= 0 do
     # Files written before Arrow 0.15 have no 0xFFFFFFFF before the length.
     bytes =
       case read.(at, n) do
@@ -26,39 +26,41 @@ defmodule Situ.Bridge.Arrow.Batch do
         <<_length::32, bytes::binary>> -> bytes
       end
 
-    root = FlatBuffer.root(bytes)
+    root = FlatBuffer.root_offset(bytes)
 
-    if FlatBuffer.number(bytes, root, 1, :u8, 0) != kind,
-      do: fail("a message is of a different kind than the footer says")
+    if FlatBuffer.read_number(bytes, root, 1, :u8, 0) != kind,
+      do: throw_malformed("a message is of a different kind than the footer says")
 
-    {bytes, FlatBuffer.object(bytes, root, 2) || fail("a message has no header")}
+    {bytes,
+     FlatBuffer.object_offset(bytes, root, 2) || throw_malformed("a message has no header")}
   end
 
-  def metadata(_block, _kind, _read), do: fail("the position of a batch is invalid")
+  def read_metadata(_block, _kind, _read),
+    do: throw_malformed("the position of a batch is invalid")
 
   @doc "Starts reading the batch of a message; `batch` is the offset of its table in the metadata."
-  @spec start(block(), {binary(), non_neg_integer()}, Input.read()) :: t()
-  def start({at, metadata, size}, {bytes, batch}, read) do
+  @spec start_reading(block(), {binary(), non_neg_integer()}, Input.read()) :: t()
+  def start_reading({at, metadata, size}, {bytes, batch}, read) do
     buffers =
       for <<at::little-signed-64, length::little-signed-64>> <-
-            FlatBuffer.structs(bytes, batch, 2, 16),
+            FlatBuffer.read_structs(bytes, batch, 2, 16),
           do: {at, length}
 
     # Overlapping buffers could expand a small file into a huge number of values.
     if buffers |> Enum.map(&elem(&1, 1)) |> Enum.sum() > size,
-      do: fail("the buffers of a batch are larger than its body")
+      do: throw_malformed("the buffers of a batch are larger than its body")
 
-    compression = FlatBuffer.object(bytes, batch, 3)
+    compression = FlatBuffer.object_offset(bytes, batch, 3)
 
     %__MODULE__{
       read: read_body(at + metadata, size, read),
       body_size: size,
-      rows: FlatBuffer.number(bytes, batch, 0, :i64, 0),
-      nodes: bytes |> FlatBuffer.structs(batch, 1, 16) |> List.to_tuple(),
+      rows: FlatBuffer.read_number(bytes, batch, 0, :i64, 0),
+      nodes: bytes |> FlatBuffer.read_structs(batch, 1, 16) |> List.to_tuple(),
       buffers: buffers,
       views:
-        for(<<n::little-signed-64>> <- FlatBuffer.structs(bytes, batch, 4, 8), do: max(n, 0)),
-      codec: compression && FlatBuffer.number(bytes, compression, 0, :u8, 0)
+        for(<<n::little-signed-64>> <- FlatBuffer.read_structs(bytes, batch, 4, 8), do: max(n, 0)),
+      codec: compression && FlatBuffer.read_number(bytes, compression, 0, :u8, 0)
     }
   end
 
@@ -74,12 +76,15 @@ defmodule Situ.Bridge.Arrow.Batch do
   Returns the buffers of a top-level column, which has as many rows as the batch. Nested columns have as many rows as
   their lists have elements.
   """
-  @spec column(t(), Schema.column(), dictionaries()) :: Values.column()
-  def column(batch, column, dictionaries) do
+  @spec resolve_column(t(), Schema.column(), dictionaries()) :: Values.column()
+  def resolve_column(batch, column, dictionaries) do
     found = find_column(batch, column, dictionaries)
 
     if found.rows != batch.rows,
-      do: fail("the column #{inspect(column.name)} does not have as many rows as its batch")
+      do:
+        throw_malformed(
+          "the column #{inspect(column.name)} does not have as many rows as its batch"
+        )
 
     found
   end
@@ -87,9 +92,9 @@ defmodule Situ.Bridge.Arrow.Batch do
   defp find_column(batch, column, dictionaries) do
     type = if column.dictionary, do: column.index, else: column.type
 
-    case node(batch.nodes, column.node) do
+    case column_node(batch.nodes, column.node) do
       <<rows::little-signed-64, missing::little-signed-64>> when rows >= 0 ->
-        {presence, buffers} = batch |> buffers(column, type) |> split_presence(type)
+        {presence, buffers} = batch |> column_buffers(column, type) |> split_presence(type)
 
         %{
           type: type,
@@ -102,35 +107,35 @@ defmodule Situ.Bridge.Arrow.Batch do
         }
 
       _ ->
-        fail("the column #{inspect(column.name)} is not in its batch")
+        throw_malformed("the column #{inspect(column.name)} is not in its batch")
     end
   end
 
-  defp node(nodes, at) when at < tuple_size(nodes), do: elem(nodes, at)
-  defp node(_nodes, _at), do: nil
+  defp column_node(nodes, at) when at < tuple_size(nodes), do: elem(nodes, at)
+  defp column_node(_nodes, _at), do: nil
 
   defp split_presence([], :null), do: {nil, []}
   defp split_presence([presence | buffers], _type), do: {presence, buffers}
-  defp split_presence([], _type), do: fail("the buffers of a column are missing")
+  defp split_presence([], _type), do: throw_malformed("the buffers of a column are missing")
 
-  defp buffers(batch, column, type) do
+  defp column_buffers(batch, column, type) do
     # Preceding string-view columns have a variable number of buffers, which shifts this column's buffers.
     from = column.buffer + (batch.views |> Enum.take(column.view) |> Enum.sum())
-    count = count(type, Enum.at(batch.views, column.view) || 0)
+    count = buffer_count(type, Enum.at(batch.views, column.view) || 0)
 
     for {at, length} <- Enum.slice(batch.buffers, from, count) do
       if at < 0 or length < 0 or at + length > batch.body_size,
-        do: fail("a buffer of the column #{inspect(column.name)} is outside its batch")
+        do: throw_malformed("a buffer of the column #{inspect(column.name)} is outside its batch")
 
-      Buffer.unpack({length, &batch.read.(at + &1, &2)}, batch.codec)
+      Buffer.unpack_buffer({length, &batch.read.(at + &1, &2)}, batch.codec)
     end
   end
 
-  defp count(:null, _views), do: 0
-  defp count(type, _views) when type == :struct or elem(type, 0) == :lists, do: 1
-  defp count({:view, _}, views), do: 2 + views
-  defp count({kind, _bits}, _views) when kind in [:text, :bytes], do: 3
-  defp count(_type, _views), do: 2
+  defp buffer_count(:null, _views), do: 0
+  defp buffer_count(type, _views) when type == :struct or elem(type, 0) == :lists, do: 1
+  defp buffer_count({:view, _}, views), do: 2 + views
+  defp buffer_count({kind, _bits}, _views) when kind in [:text, :bytes], do: 3
+  defp buffer_count(_type, _views), do: 2
 
-  defp fail(why), do: throw({:not_arrow, why})
+  defp throw_malformed(why), do: throw({:not_arrow, why})
 end

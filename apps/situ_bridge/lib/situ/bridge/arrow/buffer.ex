@@ -16,40 +16,42 @@ defmodule Situ.Bridge.Arrow.Buffer do
   def from_binary(bytes), do: {byte_size(bytes), &binary_part(bytes, &1, &2)}
 
   @doc "Returns the uncompressed buffer."
-  @spec unpack(t(), codec :: integer() | nil) :: t()
-  def unpack(buffer, nil), do: buffer
-  def unpack({0, _read} = buffer, _codec), do: buffer
+  @spec unpack_buffer(t(), codec :: integer() | nil) :: t()
+  def unpack_buffer(buffer, nil), do: buffer
+  def unpack_buffer({0, _read} = buffer, _codec), do: buffer
 
-  def unpack({size, read}, codec) when size >= 8 and is_map_key(@codecs, codec) do
+  def unpack_buffer({size, read}, codec) when size >= 8 and is_map_key(@codecs, codec) do
     case read.(0, 8) do
       <<-1::little-signed-64>> -> {size - 8, &read.(&1 + 8, &2)}
-      <<n::little-signed-64>> -> from_binary(unpacked(@codecs[codec], read.(8, size - 8), n))
+      <<n::little-signed-64>> -> from_binary(unpack_bytes(@codecs[codec], read.(8, size - 8), n))
     end
   end
 
-  def unpack(_buffer, _codec), do: fail("a buffer is compressed with an unknown codec")
+  def unpack_buffer(_buffer, _codec),
+    do: throw_malformed("a buffer is compressed with an unknown codec")
 
-  defp unpacked(codec, bytes, size) when size in 0..@most do
+  defp unpack_bytes(codec, bytes, size) when size in 0..@most do
     case Native.unpack(codec, bytes, size) do
       {:ok, unpacked} when byte_size(unpacked) == size -> unpacked
-      {:ok, _} -> fail("a buffer does not unpack to its declared size")
-      {:error, why} -> fail("a buffer cannot be unpacked: #{inspect(why)}")
+      {:ok, _} -> throw_malformed("a buffer does not unpack to its declared size")
+      {:error, why} -> throw_malformed("a buffer cannot be unpacked: #{inspect(why)}")
     end
   end
 
-  defp unpacked(_codec, _bytes, size), do: fail("a buffer claims to unpack to #{size} bytes")
+  defp unpack_bytes(_codec, _bytes, size),
+    do: throw_malformed("a buffer claims to unpack to #{size} bytes")
 
   @doc """
   Reads `n` bytes at the offset `at`.
 
       iex> alias Situ.Bridge.Arrow.Buffer
-      iex> Buffer.read(Buffer.from_binary("abcdef"), 2, 3)
+      iex> Buffer.read_bytes(Buffer.from_binary("abcdef"), 2, 3)
       "cde"
   """
-  @spec read(t(), integer(), integer()) :: binary()
-  def read(_buffer, _at, 0), do: ""
-  def read({size, read}, at, n) when at >= 0 and n > 0 and at + n <= size, do: read.(at, n)
-  def read(_buffer, _at, _n), do: fail("a buffer is too short for its rows")
+  @spec read_bytes(t(), integer(), integer()) :: binary()
+  def read_bytes(_buffer, _at, 0), do: ""
+  def read_bytes({size, read}, at, n) when at >= 0 and n > 0 and at + n <= size, do: read.(at, n)
+  def read_bytes(_buffer, _at, _n), do: throw_malformed("a buffer is too short for its rows")
 
-  defp fail(why), do: throw({:not_arrow, why})
+  defp throw_malformed(why), do: throw({:not_arrow, why})
 end

@@ -28,77 +28,84 @@ defmodule Situ.Bridge.Arrow.File do
 
   # Errors: `:io`, `:not_arrow`.
   @impl true
-  def open(path), do: Input.read(path, @format, &table(path, &1))
+  def open(path), do: Input.with_file(path, @format, &read_table(path, &1))
 
-  defp table(path, {size, read}) do
+  defp read_table(path, {size, read}) do
     {{bytes, at, version}, messages} =
       case read.(0, min(8, size)) do
-        "ARROW1" <> _ -> footer(size, read)
-        <<0xFFFFFFFF::32, _::binary>> -> messages(size, read)
-        _ -> fail("it does not begin like an Arrow file or an Arrow stream")
+        "ARROW1" <> _ -> read_footer(size, read)
+        <<0xFFFFFFFF::32, _::binary>> -> read_messages(size, read)
+        _ -> throw_malformed("it does not begin like an Arrow file or an Arrow stream")
       end
 
-    {columns, left_out, dictionaries} = Schema.decode(bytes, at, version)
+    {columns, left_out, dictionaries} = Schema.decode_columns(bytes, at, version)
 
     %__MODULE__{
       path: path,
       columns: columns,
       left_out: left_out,
       times: for(%{time?: true, name: name} <- columns, do: name),
-      groups: groups(messages, dictionaries, read)
+      groups: group_batches(messages, dictionaries, read)
     }
   end
 
-  defp footer(size, read) do
-    if size < 20, do: fail("it is too short")
+  defp read_footer(size, read) do
+    if size < 20, do: throw_malformed("it is too short")
 
     n =
       case read.(size - 10, 10) do
         <<n::little-32, "ARROW1">> when n <= @most_metadata and n + 18 <= size -> n
-        _ -> fail("it does not end in ARROW1: it was truncated or never finished")
+        _ -> throw_malformed("it does not end in ARROW1: it was truncated or never finished")
       end
 
     bytes = read.(size - 10 - n, n)
-    root = FlatBuffer.root(bytes)
-    schema = FlatBuffer.object(bytes, root, 1) || fail("it has no schema")
-    list_blocks = fn kind, slot -> for block <- blocks(bytes, root, slot), do: {kind, block} end
-    version = FlatBuffer.number(bytes, root, 0, :i16, 0)
+    root = FlatBuffer.root_offset(bytes)
+    schema = FlatBuffer.object_offset(bytes, root, 1) || throw_malformed("it has no schema")
+
+    list_blocks = fn kind, slot ->
+      for block <- list_blocks(bytes, root, slot), do: {kind, block}
+    end
+
+    version = FlatBuffer.read_number(bytes, root, 0, :i16, 0)
     {{bytes, schema, version}, list_blocks.(@dictionary, 2) ++ list_blocks.(@batch, 3)}
   end
 
-  defp blocks(bytes, root, slot) do
+  defp list_blocks(bytes, root, slot) do
     for <<at::little-signed-64, metadata::little-signed-32, _::32, body::little-signed-64>> <-
-          FlatBuffer.structs(bytes, root, slot, 24) do
+          FlatBuffer.read_structs(bytes, root, slot, 24) do
       {at, metadata, body}
     end
   end
 
   # A stream ends at its end marker, or at the point where it was truncated.
-  defp messages(size, read) do
-    found = message({size, read}, 0, [])
+  defp read_messages(size, read) do
+    found = collect_messages({size, read}, 0, [])
 
     case Enum.find(found, &(elem(&1, 0) == @schema)) do
       {_, bytes, header, _block} ->
-        version = FlatBuffer.number(bytes, FlatBuffer.root(bytes), 0, :i16, 0)
+        version = FlatBuffer.read_number(bytes, FlatBuffer.root_offset(bytes), 0, :i16, 0)
         {{bytes, header, version}, for({kind, _, _, block} <- found, do: {kind, block})}
 
       nil ->
-        fail("it has no schema")
+        throw_malformed("it has no schema")
     end
   end
 
-  defp message({size, read} = file, at, found) when at + 8 <= size do
+  defp collect_messages({size, read} = file, at, found) when at + 8 <= size do
     case read.(at, 8) do
       <<0xFFFFFFFF::32, n::little-32>> when n in 1..@most_metadata and at + 8 + n <= size ->
         bytes = read.(at + 8, n)
-        root = FlatBuffer.root(bytes)
-        kind = FlatBuffer.number(bytes, root, 1, :u8, 0)
-        body = FlatBuffer.number(bytes, root, 3, :i64, 0)
-        header = FlatBuffer.object(bytes, root, 2) || fail("a message has no header")
+        root = FlatBuffer.root_offset(bytes)
+        kind = FlatBuffer.read_number(bytes, root, 1, :u8, 0)
+        body = FlatBuffer.read_number(bytes, root, 3, :i64, 0)
+
+        header =
+          FlatBuffer.object_offset(bytes, root, 2) || throw_malformed("a message has no header")
+
         next = at + 8 + n + body
 
         if body in 0..@most_body and next <= size,
-          do: message(file, next, [{kind, bytes, header, {at, n + 8, body}} | found]),
+          do: collect_messages(file, next, [{kind, bytes, header, {at, n + 8, body}} | found]),
           else: Enum.reverse(found)
 
       _ ->
@@ -106,10 +113,10 @@ defmodule Situ.Bridge.Arrow.File do
     end
   end
 
-  defp message(_file, _at, found), do: Enum.reverse(found)
+  defp collect_messages(_file, _at, found), do: Enum.reverse(found)
 
   # A stream may replace a dictionary for the batches that follow.
-  defp groups(messages, dictionaries, read) do
+  defp group_batches(messages, dictionaries, read) do
     {groups, _known} =
       Enum.flat_map_reduce(messages, %{}, fn
         {@dictionary, block}, known -> {[], put_dictionary(known, block, dictionaries, read)}
@@ -122,15 +129,19 @@ defmodule Situ.Bridge.Arrow.File do
 
   # Adds the entries of a dictionary. A delta extends the known entries, otherwise they are replaced.
   defp put_dictionary(known, block, dictionaries, read) do
-    {bytes, root} = Batch.metadata(block, @dictionary, read)
-    id = FlatBuffer.number(bytes, root, 0, :i64, 0)
-    at = FlatBuffer.object(bytes, root, 1) || fail("a dictionary has no entries")
+    {bytes, root} = Batch.read_metadata(block, @dictionary, read)
+    id = FlatBuffer.read_number(bytes, root, 0, :i64, 0)
+
+    at =
+      FlatBuffer.object_offset(bytes, root, 1) || throw_malformed("a dictionary has no entries")
 
     case dictionaries do
       %{^id => column} ->
-        entries = block |> Batch.start({bytes, at}, read) |> Batch.column(column, %{})
-        entries = Values.read(entries, 0, entries.rows)
-        delta? = FlatBuffer.number(bytes, root, 2, :u8, 0) == 1
+        entries =
+          block |> Batch.start_reading({bytes, at}, read) |> Batch.resolve_column(column, %{})
+
+        entries = Values.read_rows(entries, 0, entries.rows)
+        delta? = FlatBuffer.read_number(bytes, root, 2, :u8, 0) == 1
         before = if delta?, do: known |> Map.get(id, {}) |> Tuple.to_list(), else: []
         Map.put(known, id, List.to_tuple(before ++ entries))
 
@@ -141,11 +152,11 @@ defmodule Situ.Bridge.Arrow.File do
 
   @impl true
   def stream_rows(table, group, columns),
-    do: Input.stream(table.path, @format, &start(group, columns, &1), &next_rows/1)
+    do: Input.stream_rows(table.path, @format, &start_rows(group, columns, &1), &next_rows/1)
 
-  defp start({block, dictionaries}, columns, {_size, read}) do
-    batch = Batch.start(block, Batch.metadata(block, @batch, read), read)
-    columns = Enum.map(columns, &Batch.column(batch, &1, dictionaries))
+  defp start_rows({block, dictionaries}, columns, {_size, read}) do
+    batch = Batch.start_reading(block, Batch.read_metadata(block, @batch, read), read)
+    columns = Enum.map(columns, &Batch.resolve_column(batch, &1, dictionaries))
     %{columns: columns, rows: batch.rows, from: 0}
   end
 
@@ -153,9 +164,9 @@ defmodule Situ.Bridge.Arrow.File do
 
   defp next_rows(%{from: from, rows: rows} = state) do
     n = min(@slice, rows - from)
-    columns = Enum.map(state.columns, &Values.read(&1, from, n))
+    columns = Enum.map(state.columns, &Values.read_rows(&1, from, n))
     {Enum.zip_with(columns, & &1), %{state | from: from + n}}
   end
 
-  defp fail(why), do: throw({:not_arrow, why})
+  defp throw_malformed(why), do: throw({:not_arrow, why})
 end

@@ -53,12 +53,12 @@ defmodule Situ.Bridge.Arrow.Schema do
         }
 
   @doc "Encodes the schema of these columns."
-  @spec encode([Column.t()]) :: FlatBuffer.t()
-  def encode(columns),
-    do: {:table, [{0, {:i16, 0}}, {1, {:ref, {:vector, Enum.map(columns, &field/1)}}}]}
+  @spec encode_columns([Column.t()]) :: FlatBuffer.t()
+  def encode_columns(columns),
+    do: {:table, [{0, {:i16, 0}}, {1, {:ref, {:vector, Enum.map(columns, &encode_field/1)}}}]}
 
-  defp field(column) do
-    {number, fields} = type(column.kind)
+  defp encode_field(column) do
+    {number, fields} = encode_type(column.kind)
 
     {:table,
      [
@@ -70,60 +70,61 @@ defmodule Situ.Bridge.Arrow.Schema do
      ]}
   end
 
-  defp type(:integer), do: {2, [{0, {:i32, 64}}, {1, {:bool, true}}]}
-  defp type(:float), do: {3, [{0, {:i16, 2}}]}
-  defp type(:boolean), do: {6, []}
-  defp type(:time), do: {10, [{0, {:i16, 3}}, {1, {:ref, {:string, "UTC"}}}]}
-  defp type(:bytes), do: {19, []}
-  defp type(:text), do: {20, []}
+  defp encode_type(:integer), do: {2, [{0, {:i32, 64}}, {1, {:bool, true}}]}
+  defp encode_type(:float), do: {3, [{0, {:i16, 2}}]}
+  defp encode_type(:boolean), do: {6, []}
+  defp encode_type(:time), do: {10, [{0, {:i16, 3}}, {1, {:ref, {:string, "UTC"}}}]}
+  defp encode_type(:bytes), do: {19, []}
+  defp encode_type(:text), do: {20, []}
 
   @doc """
   Returns the readable columns, the names and types of the other columns, and for each dictionary id the column that
   holds its entries. If several columns have the same name, the later ones are numbered.
   """
-  @spec decode(binary(), non_neg_integer(), version :: integer()) ::
+  @spec decode_columns(binary(), non_neg_integer(), version :: integer()) ::
           {[column()], [{name :: String.t(), type :: String.t()}], %{integer() => column()}}
-  def decode(bytes, schema, version) do
-    if FlatBuffer.number(bytes, schema, 0, :i16, 0) != 0,
+  def decode_columns(bytes, schema, version) do
+    if FlatBuffer.read_number(bytes, schema, 0, :i16, 0) != 0,
       do: throw({:not_arrow, "its numbers are big-endian"})
 
-    fields = FlatBuffer.tables(bytes, schema, 1)
-    {found, _places} = Enum.map_reduce(fields, {0, 0, 0}, &column(bytes, &1, &2, 0))
+    fields = FlatBuffer.table_offsets(bytes, schema, 1)
+    {found, _places} = Enum.map_reduce(fields, {0, 0, 0}, &decode_column(bytes, &1, &2, 0))
 
     # Before version 5, unions had an additional buffer, which would shift the buffers of all later columns.
-    if version < @version_1_0 and Enum.any?(fields, &union?(bytes, &1)),
+    if version < @version_1_0 and Enum.any?(fields, &contains_union?(bytes, &1)),
       do: throw({:not_arrow, "it has unions in the format used before Arrow 1.0"})
 
-    found = Names.distinguish(found)
+    found = Names.number_duplicates(found)
     {left_out, columns} = Enum.split_with(found, &is_map_key(&1, :left_out))
     left_out = for column <- left_out, do: {column.name, column.left_out}
-    {columns, left_out, columns |> Enum.flat_map(&entries/1) |> Map.new()}
+    {columns, left_out, columns |> Enum.flat_map(&dictionary_columns/1) |> Map.new()}
   end
 
-  defp union?(bytes, field) do
-    FlatBuffer.number(bytes, field, 2, :u8, 0) == 14 or
-      bytes |> FlatBuffer.tables(field, 5) |> Enum.any?(&union?(bytes, &1))
+  defp contains_union?(bytes, field) do
+    FlatBuffer.read_number(bytes, field, 2, :u8, 0) == 14 or
+      bytes |> FlatBuffer.table_offsets(field, 5) |> Enum.any?(&contains_union?(bytes, &1))
   end
 
-  defp entries(%{dictionary: nil, children: children}), do: Enum.flat_map(children, &entries/1)
+  defp dictionary_columns(%{dictionary: nil, children: children}),
+    do: Enum.flat_map(children, &dictionary_columns/1)
 
   # The batch of a dictionary contains only this column.
-  defp entries(%{dictionary: id} = column) do
+  defp dictionary_columns(%{dictionary: id} = column) do
     first = %{node: 0, buffer: 0, view: 0, dictionary: nil, index: nil, time?: false}
     [{id, Map.merge(column, Map.put(first, :name, "dictionary #{id}"))}]
   end
 
-  defp column(_bytes, _field, _place, depth) when depth > @deepest,
+  defp decode_column(_bytes, _field, _place, depth) when depth > @deepest,
     do: throw({:not_arrow, "its fields are nested too deeply"})
 
-  defp column(bytes, field, {node, buffer, view} = place, depth) do
-    name = FlatBuffer.string(bytes, field, 0) || ""
-    type = type(bytes, field)
-    {id, index} = dictionary(bytes, field)
-    next_place = next_place(bytes, field, place, 0)
-    children = if id == nil, do: children(type, bytes, field, place, depth), else: []
+  defp decode_column(bytes, field, {node, buffer, view} = place, depth) do
+    name = FlatBuffer.read_string(bytes, field, 0) || ""
+    type = decode_type(bytes, field)
+    {id, index} = decode_dictionary(bytes, field)
+    next_place = skip_field(bytes, field, place, 0)
+    children = if id == nil, do: decode_children(type, bytes, field, place, depth), else: []
 
-    case left_out(bytes, field, {type, id, index, children}) do
+    case unreadable_kind(bytes, field, {type, id, index, children}) do
       nil ->
         column = %{
           children: children,
@@ -145,13 +146,13 @@ defmodule Situ.Bridge.Arrow.Schema do
   end
 
   # Describes the type of an unreadable column; returns `nil` if the column is readable.
-  defp left_out(bytes, field, {type, id, index, children}) do
-    kind = kind_name(FlatBuffer.number(bytes, field, 2, :u8, 0))
+  defp unreadable_kind(bytes, field, {type, id, index, children}) do
+    kind = kind_name(FlatBuffer.read_number(bytes, field, 2, :u8, 0))
 
     cond do
       type == :unknown -> kind
       index == :unknown -> "dictionary of unknown numbers"
-      id != nil and nests?(type) -> "dictionary of #{kind}s"
+      id != nil and nested_type?(type) -> "dictionary of #{kind}s"
       match?({:left_out, _}, children) -> "#{kind} of #{elem(children, 1)}"
       true -> nil
     end
@@ -160,17 +161,17 @@ defmodule Situ.Bridge.Arrow.Schema do
   defp kind_name(kind), do: Map.get(@kinds, kind, "type #{kind}")
 
   # Decodes the columns inside a list, map or struct. The first one follows the parent's own buffers.
-  defp children(type, bytes, field, {node, buffer, view}, depth) do
-    if nests?(type) do
-      kind = FlatBuffer.number(bytes, field, 2, :u8, 0)
-      place = {node + 1, buffer + buffers(kind, bytes, field), view}
+  defp decode_children(type, bytes, field, {node, buffer, view}, depth) do
+    if nested_type?(type) do
+      kind = FlatBuffer.read_number(bytes, field, 2, :u8, 0)
+      place = {node + 1, buffer + buffer_count(kind, bytes, field), view}
 
       {found, _} =
         bytes
-        |> FlatBuffer.tables(field, 5)
-        |> Enum.map_reduce(place, &column(bytes, &1, &2, depth + 1))
+        |> FlatBuffer.table_offsets(field, 5)
+        |> Enum.map_reduce(place, &decode_column(bytes, &1, &2, depth + 1))
 
-      check_children(type, Names.distinguish(found))
+      check_children(type, Names.number_duplicates(found))
     else
       []
     end
@@ -186,55 +187,57 @@ defmodule Situ.Bridge.Arrow.Schema do
     end
   end
 
-  defp nests?(type), do: type in [:struct, :map] or match?({l, _} when l in [:list, :lists], type)
+  defp nested_type?(type),
+    do: type in [:struct, :map] or match?({l, _} when l in [:list, :lists], type)
 
-  defp dictionary(bytes, field) do
-    case FlatBuffer.object(bytes, field, 4) do
+  defp decode_dictionary(bytes, field) do
+    case FlatBuffer.object_offset(bytes, field, 4) do
       nil ->
         {nil, nil}
 
       encoding ->
-        index = FlatBuffer.object(bytes, encoding, 1)
-        type = if index, do: number_type(bytes, 2, index), else: {:integer, 32, true}
-        {FlatBuffer.number(bytes, encoding, 0, :i64, 0), type}
+        index = FlatBuffer.object_offset(bytes, encoding, 1)
+        type = if index, do: decode_number_type(bytes, 2, index), else: {:integer, 32, true}
+        {FlatBuffer.read_number(bytes, encoding, 0, :i64, 0), type}
     end
   end
 
   # Counts the nodes, buffers and string views of a field and its descendants.
-  defp next_place(_bytes, _field, _place, depth) when depth > @deepest,
+  defp skip_field(_bytes, _field, _place, depth) when depth > @deepest,
     do: throw({:not_arrow, "its fields are nested too deeply"})
 
-  defp next_place(bytes, field, {node, buffer, view}, depth) do
-    kind = FlatBuffer.number(bytes, field, 2, :u8, 0)
+  defp skip_field(bytes, field, {node, buffer, view}, depth) do
+    kind = FlatBuffer.read_number(bytes, field, 2, :u8, 0)
 
-    if FlatBuffer.object(bytes, field, 4) do
+    if FlatBuffer.object_offset(bytes, field, 4) do
       {node + 1, buffer + 2, view}
     else
-      place = {node + 1, buffer + buffers(kind, bytes, field), view + views(kind)}
+      place = {node + 1, buffer + buffer_count(kind, bytes, field), view + view_count(kind)}
 
       bytes
-      |> FlatBuffer.tables(field, 5)
-      |> Enum.reduce(place, &next_place(bytes, &1, &2, depth + 1))
+      |> FlatBuffer.table_offsets(field, 5)
+      |> Enum.reduce(place, &skip_field(bytes, &1, &2, depth + 1))
     end
   end
 
   # Null and run-end encoded columns have no buffers; structs and fixed-size lists have only a validity bitmap.
-  defp buffers(kind, _bytes, _field) when kind in [1, 22], do: 0
-  defp buffers(kind, _bytes, _field) when kind in [13, 16], do: 1
-  defp buffers(kind, _bytes, _field) when kind in [4, 5, 19, 20, 25, 26], do: 3
+  defp buffer_count(kind, _bytes, _field) when kind in [1, 22], do: 0
+  defp buffer_count(kind, _bytes, _field) when kind in [13, 16], do: 1
+  defp buffer_count(kind, _bytes, _field) when kind in [4, 5, 19, 20, 25, 26], do: 3
 
-  defp buffers(14, bytes, field) do
-    union = FlatBuffer.object(bytes, field, 3)
-    if union && FlatBuffer.number(bytes, union, 0, :i16, 0) == 1, do: 2, else: 1
+  defp buffer_count(14, bytes, field) do
+    union = FlatBuffer.object_offset(bytes, field, 3)
+    if union && FlatBuffer.read_number(bytes, union, 0, :i16, 0) == 1, do: 2, else: 1
   end
 
-  defp buffers(_kind, _bytes, _field), do: 2
+  defp buffer_count(_kind, _bytes, _field), do: 2
 
-  defp views(kind) when kind in [23, 24], do: 1
-  defp views(_kind), do: 0
+  defp view_count(kind) when kind in [23, 24], do: 1
+  defp view_count(_kind), do: 0
 
-  defp type(bytes, field) do
-    case {FlatBuffer.number(bytes, field, 2, :u8, 0), FlatBuffer.object(bytes, field, 3)} do
+  defp decode_type(bytes, field) do
+    case {FlatBuffer.read_number(bytes, field, 2, :u8, 0),
+          FlatBuffer.object_offset(bytes, field, 3)} do
       {1, _} -> :null
       {4, _} -> {:bytes, 32}
       {5, _} -> {:text, 32}
@@ -248,65 +251,65 @@ defmodule Situ.Bridge.Arrow.Schema do
       {23, _} -> {:view, :bytes}
       {24, _} -> {:view, :text}
       {_, nil} -> :unknown
-      {kind, type} -> number_type(bytes, kind, type)
+      {kind, type} -> decode_number_type(bytes, kind, type)
     end
   end
 
-  defp number_type(bytes, 2, type) do
-    bits = FlatBuffer.number(bytes, type, 0, :i32, 0)
+  defp decode_number_type(bytes, 2, type) do
+    bits = FlatBuffer.read_number(bytes, type, 0, :i32, 0)
 
     if bits in [8, 16, 32, 64],
-      do: {:integer, bits, FlatBuffer.number(bytes, type, 1, :u8, 0) == 1},
+      do: {:integer, bits, FlatBuffer.read_number(bytes, type, 1, :u8, 0) == 1},
       else: :unknown
   end
 
-  defp number_type(bytes, 3, type) do
-    case FlatBuffer.number(bytes, type, 0, :i16, 0) do
+  defp decode_number_type(bytes, 3, type) do
+    case FlatBuffer.read_number(bytes, type, 0, :i16, 0) do
       precision when precision in 0..2 -> {:float, elem({16, 32, 64}, precision)}
       _ -> :unknown
     end
   end
 
-  defp number_type(bytes, 7, type) do
-    scale = FlatBuffer.number(bytes, type, 1, :i32, 0)
-    bits = FlatBuffer.number(bytes, type, 2, :i32, 128)
+  defp decode_number_type(bytes, 7, type) do
+    scale = FlatBuffer.read_number(bytes, type, 1, :i32, 0)
+    bits = FlatBuffer.read_number(bytes, type, 2, :i32, 128)
     if scale in 0..76 and bits in [32, 64, 128, 256], do: {:decimal, bits, scale}, else: :unknown
   end
 
   # Dates are stored as days or as milliseconds.
-  defp number_type(bytes, 8, type) do
-    if FlatBuffer.number(bytes, type, 0, :i16, 1) == 0,
+  defp decode_number_type(bytes, 8, type) do
+    if FlatBuffer.read_number(bytes, type, 0, :i16, 1) == 0,
       do: {:times, 32, 86_400_000_000_000, false},
       else: {:times, 64, 1_000_000, false}
   end
 
   # Times of day are 32 or 64 bits wide.
-  defp number_type(bytes, 9, type) do
-    bits = FlatBuffer.number(bytes, type, 1, :i32, 32)
-    if bits in [32, 64], do: times(bytes, type, bits, 1, false), else: :unknown
+  defp decode_number_type(bytes, 9, type) do
+    bits = FlatBuffer.read_number(bytes, type, 1, :i32, 32)
+    if bits in [32, 64], do: decode_time_type(bytes, type, bits, 1, false), else: :unknown
   end
 
-  defp number_type(bytes, 10, type), do: times(bytes, type, 64, 0, true)
-  defp number_type(bytes, 18, type), do: times(bytes, type, 64, 1, false)
+  defp decode_number_type(bytes, 10, type), do: decode_time_type(bytes, type, 64, 0, true)
+  defp decode_number_type(bytes, 18, type), do: decode_time_type(bytes, type, 64, 1, false)
 
-  defp number_type(bytes, 15, type) do
-    case FlatBuffer.number(bytes, type, 0, :i32, 0) do
+  defp decode_number_type(bytes, 15, type) do
+    case FlatBuffer.read_number(bytes, type, 0, :i32, 0) do
       size when size in 1..1_048_576 -> {:fixed, size}
       _ -> :unknown
     end
   end
 
-  defp number_type(bytes, 16, type) do
-    case FlatBuffer.number(bytes, type, 0, :i32, 0) do
+  defp decode_number_type(bytes, 16, type) do
+    case FlatBuffer.read_number(bytes, type, 0, :i32, 0) do
       size when size in 1..1_048_576 -> {:lists, size}
       _ -> :unknown
     end
   end
 
-  defp number_type(_bytes, _other, _type), do: :unknown
+  defp decode_number_type(_bytes, _other, _type), do: :unknown
 
-  defp times(bytes, type, bits, default, time?) do
-    case @nanoseconds[FlatBuffer.number(bytes, type, 0, :i16, default)] do
+  defp decode_time_type(bytes, type, bits, default, time?) do
+    case @nanoseconds[FlatBuffer.read_number(bytes, type, 0, :i16, default)] do
       nil -> :unknown
       factor -> {:times, bits, factor, time?}
     end

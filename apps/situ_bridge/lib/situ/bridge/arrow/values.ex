@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Arrow.Values do
   @moduledoc false
   # Reads a range of values of one column from the buffers of a batch. Pure, except for the reads of the buffers.
   # Throws `{:not_arrow, why}`.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Arrow.Buffer
 
   @most 1_073_741_824
@@ -29,22 +29,23 @@ defmodule Situ.Bridge.Arrow.Values do
       iex> item = Map.merge(item, %{children: [], entries: nil})
       iex> lists = %{item | type: {:lists, 2}, rows: 2, presence: Buffer.from_binary(<<1>>), buffers: []}
       iex> lists = %{lists | children: [{"item", item}]}
-      iex> {Values.read(lists, 0, 2), Values.read(lists, 1, 1)}
+      iex> {Values.read_rows(lists, 0, 2), Values.read_rows(lists, 1, 1)}
       {[[1, 2], nil], [nil]}
   """
-  @spec read(column(), from :: integer(), n :: integer()) :: [term()]
-  def read(%{rows: rows}, from, n) when from < 0 or n < 0 or from + n > rows,
-    do: fail("a list extends beyond its items")
+  @spec read_rows(column(), from :: integer(), n :: integer()) :: [term()]
+  def read_rows(%{rows: rows}, from, n) when from < 0 or n < 0 or from + n > rows,
+    do: throw_malformed("a list extends beyond its items")
 
-  def read(%{type: :null, rows: rows}, _from, n) when rows <= @most_missing,
+  def read_rows(%{type: :null, rows: rows}, _from, n) when rows <= @most_missing,
     do: List.duplicate(nil, n)
 
-  def read(%{type: :null, rows: rows}, _from, _n), do: fail("a column has #{rows} missing values")
+  def read_rows(%{type: :null, rows: rows}, _from, _n),
+    do: throw_malformed("a column has #{rows} missing values")
 
-  def read(%{presence: presence} = column, from, n) do
-    values = column.type |> nested(column, from, n) |> put_entries(column.entries)
-    bits = if presence == nil, do: List.duplicate(true, n), else: bits(presence, from, n)
-    if presence == nil and column.entries == nil, do: values, else: present(bits, values)
+  def read_rows(%{presence: presence} = column, from, n) do
+    values = column.type |> read_nested(column, from, n) |> put_entries(column.entries)
+    bits = if presence == nil, do: List.duplicate(true, n), else: read_bits(presence, from, n)
+    if presence == nil and column.entries == nil, do: values, else: mask_missing(bits, values)
   end
 
   defp put_entries(values, nil), do: values
@@ -55,153 +56,169 @@ defmodule Situ.Bridge.Arrow.Values do
         do: if(i in 0..(tuple_size(entries) - 1)//1, do: elem(entries, i), else: :beyond)
   end
 
-  defp nested(:struct, column, from, n) do
+  defp read_nested(:struct, column, from, n) do
     names = Enum.map(column.children, &elem(&1, 0))
 
     if Enum.any?(column.children, fn {_, child} -> child.rows != column.rows end),
-      do: fail("the members of a struct column differ in their number of rows")
+      do: throw_malformed("the members of a struct column differ in their number of rows")
 
     column.children
-    |> Enum.map(fn {_, child} -> read(child, from, n) end)
+    |> Enum.map(fn {_, child} -> read_rows(child, from, n) end)
     |> Enum.zip_with(&(names |> Enum.zip(&1) |> Map.new()))
   end
 
-  defp nested({:lists, size}, %{children: [{_, items}]}, from, n),
-    do: items |> read(from * size, n * size) |> Enum.chunk_every(size)
+  defp read_nested({:lists, size}, %{children: [{_, items}]}, from, n),
+    do: items |> read_rows(from * size, n * size) |> Enum.chunk_every(size)
 
-  defp nested({:list, bits}, %{buffers: [ends], children: [{_, items}]}, from, n),
-    do: lists(ends, bits, {from, n}, items)
+  defp read_nested({:list, bits}, %{buffers: [ends], children: [{_, items}]}, from, n),
+    do: read_lists(ends, bits, {from, n}, items)
 
   # The entries of a map are structs with two members.
-  defp nested(:map, %{buffers: [ends], children: [{_, pairs}]}, from, n) do
+  defp read_nested(:map, %{buffers: [ends], children: [{_, pairs}]}, from, n) do
     [{key, _}, {value, _}] = pairs.children
 
-    for pairs <- lists(ends, 32, {from, n}, pairs),
+    for pairs <- read_lists(ends, 32, {from, n}, pairs),
         do: for(%{^key => name, ^value => held} <- pairs, into: %{}, do: {name, held})
   end
 
-  defp nested(type, %{buffers: buffers}, from, n), do: values(type, buffers, from, n)
+  defp read_nested(type, %{buffers: buffers}, from, n), do: read_flat(type, buffers, from, n)
 
-  defp lists(ends, bits, {from, n}, items) do
-    [first | ends] = ends(ends, bits, from, n)
+  defp read_lists(ends, bits, {from, n}, items) do
+    [first | ends] = read_ends(ends, bits, from, n)
     last = List.last(ends, first)
-    {lists, _} = Enum.map_reduce(ends, {first, read(items, first, last - first)}, &list/2)
+
+    {lists, _} =
+      Enum.map_reduce(ends, {first, read_rows(items, first, last - first)}, &split_list/2)
+
     lists
   end
 
   # N values have N + 1 offsets, but writers may omit the offset of an empty column.
-  defp ends(_ends, _bits, _from, 0), do: [0]
+  defp read_ends(_ends, _bits, _from, 0), do: [0]
 
-  defp ends(ends, bits, from, n) do
-    for <<x::little-signed-known(bits) <- records(ends, from, n + 1, bits)>>, do: x
+  defp read_ends(ends, bits, from, n) do
+    for <<x::little-signed-pinned_size(bits) <- record_bytes(ends, from, n + 1, bits)>>, do: x
   end
 
-  defp list(ends, {at, items}) do
-    if ends < at, do: fail("a list ends before it begins")
+  defp split_list(ends, {at, items}) do
+    if ends < at, do: throw_malformed("a list ends before it begins")
     {list, rest} = Enum.split(items, ends - at)
-    if length(list) != ends - at, do: fail("a list extends beyond its items")
+    if length(list) != ends - at, do: throw_malformed("a list extends beyond its items")
     {list, {ends, rest}}
   end
 
-  defp present([true | _], [:beyond | _]), do: fail("an index is outside its dictionary")
-  defp present([true | bits], [value | values]), do: [value | present(bits, values)]
-  defp present([false | bits], [_ | values]), do: [nil | present(bits, values)]
-  defp present([], []), do: []
+  defp mask_missing([true | _], [:beyond | _]),
+    do: throw_malformed("an index is outside its dictionary")
 
-  defp values(:boolean, [bytes], from, n), do: bits(bytes, from, n)
+  defp mask_missing([true | bits], [value | values]), do: [value | mask_missing(bits, values)]
+  defp mask_missing([false | bits], [_ | values]), do: [nil | mask_missing(bits, values)]
+  defp mask_missing([], []), do: []
 
-  defp values({:integer, bits, true}, [bytes], from, n),
-    do: for(<<x::little-signed-known(bits) <- records(bytes, from, n, bits)>>, do: x)
+  defp read_flat(:boolean, [bytes], from, n), do: read_bits(bytes, from, n)
 
-  defp values({:integer, bits, false}, [bytes], from, n),
-    do: for(<<x::little-known(bits) <- records(bytes, from, n, bits)>>, do: x)
+  defp read_flat({:integer, bits, true}, [bytes], from, n),
+    do: for(<<x::little-signed-pinned_size(bits) <- record_bytes(bytes, from, n, bits)>>, do: x)
 
-  defp values({:times, bits, factor, _}, [bytes], from, n),
-    do: for(<<x::little-signed-known(bits) <- records(bytes, from, n, bits)>>, do: x * factor)
+  defp read_flat({:integer, bits, false}, [bytes], from, n),
+    do: for(<<x::little-pinned_size(bits) <- record_bytes(bytes, from, n, bits)>>, do: x)
 
-  defp values({:decimal, bits, scale}, [bytes], from, n) do
+  defp read_flat({:times, bits, factor, _}, [bytes], from, n),
+    do:
+      for(<<x::little-signed-pinned_size(bits) <- record_bytes(bytes, from, n, bits)>>,
+        do: x * factor
+      )
+
+  defp read_flat({:decimal, bits, scale}, [bytes], from, n) do
     unit = Integer.pow(10, scale)
-    for <<x::little-signed-known(bits) <- records(bytes, from, n, bits)>>, do: x / unit
+    for <<x::little-signed-pinned_size(bits) <- record_bytes(bytes, from, n, bits)>>, do: x / unit
   end
 
-  defp values({:float, bits}, [bytes], from, n),
-    do: for(<<x::bitstring-known(bits) <- records(bytes, from, n, bits)>>, do: float(x))
+  defp read_flat({:float, bits}, [bytes], from, n),
+    do:
+      for(<<x::bitstring-pinned_size(bits) <- record_bytes(bytes, from, n, bits)>>,
+        do: decode_float(x)
+      )
 
-  defp values({:fixed, size}, [bytes], from, n),
-    do: for(<<x::binary-known(size) <- records(bytes, from, n, size * 8)>>, do: :binary.copy(x))
+  defp read_flat({:fixed, size}, [bytes], from, n),
+    do:
+      for(<<x::binary-pinned_size(size) <- record_bytes(bytes, from, n, size * 8)>>,
+        do: :binary.copy(x)
+      )
 
-  defp values({kind, bits}, [ends, bytes], from, n)
+  defp read_flat({kind, bits}, [ends, bytes], from, n)
        when kind in [:text, :bytes] and bits in [32, 64] do
-    [first | ends] = ends(ends, bits, from, n)
-    if List.last(ends, first) < first, do: fail("a string is outside its buffer")
-    bytes = Buffer.read(bytes, first, List.last(ends, first) - first)
+    [first | ends] = read_ends(ends, bits, from, n)
+    if List.last(ends, first) < first, do: throw_malformed("a string is outside its buffer")
+    bytes = Buffer.read_bytes(bytes, first, List.last(ends, first) - first)
 
     {values, _} =
       Enum.map_reduce(ends, 0, fn ends, at ->
-        {:binary.copy(text(kind, bytes, at, ends - first - at)), ends - first}
+        {:binary.copy(slice_text(kind, bytes, at, ends - first - at)), ends - first}
       end)
 
     values
   end
 
-  defp values({:view, kind}, [views | data], from, n) do
-    views = records(views, from, n, 128)
+  defp read_flat({:view, kind}, [views | data], from, n) do
+    views = record_bytes(views, from, n, 128)
     # Views may overlap, so a small file could describe a huge amount of data.
     all = for <<size::little-32, _::96 <- views>>, reduce: 0, do: (sum -> sum + size)
-    if all > @most, do: fail("the strings of one batch have #{all} bytes")
+    if all > @most, do: throw_malformed("the strings of one batch have #{all} bytes")
     data = List.to_tuple(data)
-    for <<view::binary-16 <- views>>, do: view(kind, view, data)
+    for <<view::binary-16 <- views>>, do: resolve_view(kind, view, data)
   end
 
-  defp values(_type, _buffers, _from, _n), do: fail("the buffers of a column are missing")
+  defp read_flat(_type, _buffers, _from, _n),
+    do: throw_malformed("the buffers of a column are missing")
 
   # Strings of up to twelve bytes are stored in the view itself.
-  defp view(kind, <<n::little-32, bytes::binary-12>>, _data) when n <= 12,
-    do: kind |> text(bytes, 0, n) |> :binary.copy()
+  defp resolve_view(kind, <<n::little-32, bytes::binary-12>>, _data) when n <= 12,
+    do: kind |> slice_text(bytes, 0, n) |> :binary.copy()
 
-  defp view(kind, <<n::little-32, _prefix::32, which::little-32, at::little-32>>, data)
+  defp resolve_view(kind, <<n::little-32, _prefix::32, which::little-32, at::little-32>>, data)
        when which < tuple_size(data),
-       do: text(kind, data |> elem(which) |> Buffer.read(at, n), 0, n)
+       do: slice_text(kind, data |> elem(which) |> Buffer.read_bytes(at, n), 0, n)
 
-  defp view(_kind, _view, _data), do: fail("a string is in a buffer that does not exist")
+  defp resolve_view(_kind, _view, _data),
+    do: throw_malformed("a string is in a buffer that does not exist")
 
-  defp text(kind, bytes, at, n) when at >= 0 and n >= 0 and at + n <= byte_size(bytes) do
+  defp slice_text(kind, bytes, at, n) when at >= 0 and n >= 0 and at + n <= byte_size(bytes) do
     text = binary_part(bytes, at, n)
 
     if kind == :text and not String.valid?(text),
-      do: fail("a string is not valid UTF-8"),
+      do: throw_malformed("a string is not valid UTF-8"),
       else: text
   end
 
-  defp text(_kind, _bytes, _at, _n), do: fail("a string is outside its buffer")
+  defp slice_text(_kind, _bytes, _at, _n), do: throw_malformed("a string is outside its buffer")
 
   # The first value of a byte is in its lowest bit.
-  defp bits(buffer, from, n) do
+  defp read_bits(buffer, from, n) do
     before = rem(from, 8)
 
     for(
       <<a::1, b::1, c::1, d::1, e::1, f::1, g::1,
         h::1 <-
-          Buffer.read(buffer, div(from, 8), div(before + n + 7, 8))>>,
+          Buffer.read_bytes(buffer, div(from, 8), div(before + n + 7, 8))>>,
       bit <- [h, g, f, e, d, c, b, a],
       do: bit == 1
     )
     |> Enum.slice(before, n)
   end
 
-  defp records(buffer, from, n, bits),
-    do: Buffer.read(buffer, from * div(bits, 8), n * div(bits, 8))
+  defp record_bytes(buffer, from, n, bits),
+    do: Buffer.read_bytes(buffer, from * div(bits, 8), n * div(bits, 8))
 
-  defp float(<<x::little-float-64>>), do: x
-  defp float(<<x::little-float-32>>), do: x
-  defp float(<<x::little-float-16>>), do: x
-  defp float(<<0::48, 0xF0, 0x7F>>), do: :infinity
-  defp float(<<0::48, 0xF0, 0xFF>>), do: :neg_infinity
-  defp float(<<0, 0, 0x80, 0x7F>>), do: :infinity
-  defp float(<<0, 0, 0x80, 0xFF>>), do: :neg_infinity
-  defp float(<<0, 0x7C>>), do: :infinity
-  defp float(<<0, 0xFC>>), do: :neg_infinity
-  defp float(_), do: :nan
+  defp decode_float(<<x::little-float-64>>), do: x
+  defp decode_float(<<x::little-float-32>>), do: x
+  defp decode_float(<<x::little-float-16>>), do: x
+  defp decode_float(<<0::48, 0xF0, 0x7F>>), do: :infinity
+  defp decode_float(<<0::48, 0xF0, 0xFF>>), do: :neg_infinity
+  defp decode_float(<<0, 0, 0x80, 0x7F>>), do: :infinity
+  defp decode_float(<<0, 0, 0x80, 0xFF>>), do: :neg_infinity
+  defp decode_float(<<0, 0x7C>>), do: :infinity
+  defp decode_float(<<0, 0xFC>>), do: :neg_infinity
+  defp decode_float(_), do: :nan
 
-  defp fail(why), do: throw({:not_arrow, why})
+  defp throw_malformed(why), do: throw({:not_arrow, why})
 end

@@ -14,16 +14,16 @@ defmodule Situ.Bridge.Arrow.Writer do
 
   @impl true
   def create(path, columns, :none) do
-    head = ["ARROW1", 0, 0, message(1, Schema.encode(columns), 0)]
+    head = ["ARROW1", 0, 0, encode_message(1, Schema.encode_columns(columns), 0)]
 
-    with {:ok, output} <- Output.create(path, head),
+    with {:ok, output} <- Output.create_file(path, head),
          do: {:ok, %__MODULE__{output: output, columns: columns}}
   end
 
   # A message is 0xFFFFFFFF, the length and the metadata, padded together to a multiple of 8 bytes.
-  defp message(kind, header, body) do
+  defp encode_message(kind, header, body) do
     metadata =
-      FlatBuffer.encode(
+      FlatBuffer.encode_table(
         {:table,
          [
            {0, {:i16, @version}},
@@ -33,7 +33,7 @@ defmodule Situ.Bridge.Arrow.Writer do
          ]}
       )
 
-    padding = padding(byte_size(metadata))
+    padding = padding_bytes(byte_size(metadata))
     [<<0xFFFFFFFF::32, byte_size(metadata) + byte_size(padding)::little-32>>, metadata, padding]
   end
 
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Arrow.Writer do
     {columns, nodes} =
       writer.columns
       |> Enum.zip(values)
-      |> Enum.map(fn {column, values} -> buffers(column, values, rows) end)
+      |> Enum.map(fn {column, values} -> column_buffers(column, values, rows) end)
       |> Enum.unzip()
 
     {buffers, body} =
@@ -50,7 +50,7 @@ defmodule Situ.Bridge.Arrow.Writer do
       |> Enum.concat()
       |> Enum.map_reduce(0, fn bytes, at ->
         size = IO.iodata_length(bytes)
-        {{bytes, at, size}, at + size + byte_size(padding(size))}
+        {{bytes, at, size}, at + size + byte_size(padding_bytes(size))}
       end)
 
     batch =
@@ -61,29 +61,29 @@ defmodule Situ.Bridge.Arrow.Writer do
          {2, {:ref, {:structs, for({_, at, n} <- buffers, do: <<at::little-64, n::little-64>>)}}}
        ]}
 
-    head = message(3, batch, body)
-    bytes = for {bytes, _at, size} <- buffers, do: [bytes, padding(size)]
+    head = encode_message(3, batch, body)
+    bytes = for {bytes, _at, size} <- buffers, do: [bytes, padding_bytes(size)]
 
     block =
       <<writer.output.at::little-64, IO.iodata_length(head)::little-32, 0::32, body::little-64>>
 
-    with {:ok, output} <- Output.write(writer.output, [head, bytes]),
+    with {:ok, output} <- Output.append_bytes(writer.output, [head, bytes]),
          do:
            {:ok,
             %{writer | output: output, rows: writer.rows + rows, blocks: [block | writer.blocks]}}
   end
 
   # Returns the buffers of a column and the number of missing values.
-  defp buffers(column, {:bytes, bytes, _n}, _rows),
+  defp column_buffers(column, {:bytes, bytes, _n}, _rows),
     do: {["", Column.pack_bytes(column.kind, bytes)], 0}
 
-  defp buffers(column, values, rows) do
+  defp column_buffers(column, values, rows) do
     missing = Enum.count(values, &is_nil/1)
-    presence = if missing == 0, do: "", else: Column.presence(values)
-    {[presence | packed(column.kind, values, rows)], missing}
+    presence = if missing == 0, do: "", else: Column.presence_bits(values)
+    {[presence | pack_buffers(column.kind, values, rows)], missing}
   end
 
-  defp packed(kind, values, _rows) when kind in [:text, :bytes] do
+  defp pack_buffers(kind, values, _rows) when kind in [:text, :bytes] do
     {ends, _} =
       Enum.map_reduce(values, 0, fn value, at ->
         at = at + byte_size(value || "")
@@ -94,30 +94,30 @@ defmodule Situ.Bridge.Arrow.Writer do
   end
 
   # Missing values take up space, too; their content is arbitrary.
-  defp packed(kind, values, _rows) do
+  defp pack_buffers(kind, values, _rows) do
     zero = if kind == :boolean, do: false, else: 0
-    [Column.pack(kind, Enum.map(values, &if(&1 == nil, do: zero, else: &1)))]
+    [Column.pack_values(kind, Enum.map(values, &if(&1 == nil, do: zero, else: &1)))]
   end
 
   @impl true
   def finish(writer) do
     footer =
-      FlatBuffer.encode(
+      FlatBuffer.encode_table(
         {:table,
          [
            {0, {:i16, @version}},
-           {1, {:ref, Schema.encode(writer.columns)}},
+           {1, {:ref, Schema.encode_columns(writer.columns)}},
            {2, {:ref, {:structs, []}}},
            {3, {:ref, {:structs, Enum.reverse(writer.blocks)}}}
          ]}
       )
 
     tail = [<<0xFFFFFFFF::32, 0::32>>, footer, <<byte_size(footer)::little-32>>, "ARROW1"]
-    with :ok <- Output.finish(writer.output, tail), do: {:ok, writer.rows}
+    with :ok <- Output.finish_file(writer.output, tail), do: {:ok, writer.rows}
   end
 
   @impl true
-  def abandon(writer), do: Output.abandon(writer.output)
+  def abandon(writer), do: Output.delete_unfinished(writer.output)
 
-  defp padding(size), do: <<0::size(rem(8 - rem(size, 8), 8) * 8)>>
+  defp padding_bytes(size), do: <<0::size(rem(8 - rem(size, 8), 8) * 8)>>
 end

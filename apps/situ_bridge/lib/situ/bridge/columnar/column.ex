@@ -19,34 +19,34 @@ defmodule Situ.Bridge.Columnar.Column do
   }
 
   @doc "Packs numbers into 8 bytes each, and booleans into one bit each, starting with the lowest bit of a byte."
-  @spec pack(kind(), [term()]) :: iodata()
-  def pack(kind, values) when kind in [:time, :integer],
+  @spec pack_values(kind(), [term()]) :: iodata()
+  def pack_values(kind, values) when kind in [:time, :integer],
     do: for(n <- values, into: <<>>, do: <<n::little-signed-64>>)
 
-  def pack(:float, values) do
+  def pack_values(:float, values) do
     for x <- values,
         into: <<>>,
         do: if(is_number(x), do: <<x::little-float-64>>, else: @special[x])
   end
 
-  def pack(:boolean, values),
-    do: bits(for(b <- values, into: <<>>, do: if(b, do: <<1::1>>, else: <<0::1>>)))
+  def pack_values(:boolean, values),
+    do: pack_bits(for(b <- values, into: <<>>, do: if(b, do: <<1::1>>, else: <<0::1>>)))
 
   @doc "Packs values that are already bytes; see `t:values/0`."
   @spec pack_bytes(kind(), binary()) :: iodata()
-  def pack_bytes(:boolean, bytes), do: bits(for(<<b <- bytes>>, into: <<>>, do: <<b::1>>))
+  def pack_bytes(:boolean, bytes), do: pack_bits(for(<<b <- bytes>>, into: <<>>, do: <<b::1>>))
   def pack_bytes(_number, bytes), do: bytes
 
   @doc "Returns one bit for each value: 1 if it is present."
-  @spec presence([term()]) :: iodata()
-  def presence(values),
-    do: bits(for(v <- values, into: <<>>, do: if(v == nil, do: <<0::1>>, else: <<1::1>>)))
+  @spec presence_bits([term()]) :: iodata()
+  def presence_bits(values),
+    do: pack_bits(for(v <- values, into: <<>>, do: if(v == nil, do: <<0::1>>, else: <<1::1>>)))
 
   @doc "Packs bits into bytes, starting with the lowest bit, and pads them with zeros."
-  @spec bits(bitstring()) :: iodata()
-  def bits(<<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1, rest::bitstring>>),
-    do: [<<h::1, g::1, f::1, e::1, d::1, c::1, b::1, a::1>> | bits(rest)]
+  @spec pack_bits(bitstring()) :: iodata()
+  def pack_bits(<<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1, rest::bitstring>>),
+    do: [<<h::1, g::1, f::1, e::1, d::1, c::1, b::1, a::1>> | pack_bits(rest)]
 
-  def bits(<<>>), do: []
-  def bits(few), do: bits(<<few::bitstring, 0::size(8 - bit_size(few))>>)
+  def pack_bits(<<>>), do: []
+  def pack_bits(few), do: pack_bits(<<few::bitstring, 0::size(8 - bit_size(few))>>)
 end

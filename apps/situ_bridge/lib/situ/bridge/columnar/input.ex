@@ -11,11 +11,11 @@ defmodule Situ.Bridge.Columnar.Input do
   @type t :: {size :: non_neg_integer(), read()}
 
   @doc "Calls `fun` with the open file and returns its result. Errors: `:io`, and the error of the format."
-  @spec read(Path.t(), format(), (t() -> value)) :: {:ok, value} | {:error, Error.t()}
+  @spec with_file(Path.t(), format(), (t() -> value)) :: {:ok, value} | {:error, Error.t()}
         when value: term()
-  def read(path, format, fun) do
+  def with_file(path, format, fun) do
     catch_errors(path, format, fn ->
-      {file, input} = open(path, format)
+      {file, input} = open_file(path, format)
 
       try do
         fun.(input)
@@ -29,12 +29,12 @@ defmodule Situ.Bridge.Columnar.Input do
   Returns rows as a lazy enumerable. `start` turns the open file into a state; `next` returns some rows and the next
   state, or `:done`. Raises `Situ.Error`: `:io`, or the error of the format.
   """
-  @spec stream(Path.t(), format(), (t() -> state), (state -> {[row], state} | :done)) ::
+  @spec stream_rows(Path.t(), format(), (t() -> state), (state -> {[row], state} | :done)) ::
           Enumerable.t()
         when state: term(), row: term()
-  def stream(path, format, start, next) do
+  def stream_rows(path, format, start, next) do
     Stream.resource(
-      fn -> raise_errors(path, format, fn -> start(path, format, start) end) end,
+      fn -> raise_errors(path, format, fn -> start_reader(path, format, start) end) end,
       fn {file, state} ->
         raise_errors(path, format, fn ->
           case next.(state) do
@@ -48,8 +48,8 @@ defmodule Situ.Bridge.Columnar.Input do
   end
 
   # If `start` throws, `Stream.resource/3` never calls the function that closes the file.
-  defp start(path, format, start) do
-    {file, input} = open(path, format)
+  defp start_reader(path, format, start) do
+    {file, input} = open_file(path, format)
 
     try do
       {file, start.(input)}
@@ -60,7 +60,7 @@ defmodule Situ.Bridge.Columnar.Input do
     end
   end
 
-  defp open(path, {kind, _name}) do
+  defp open_file(path, {kind, _name}) do
     with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
          {:ok, size} <- :file.position(file, :eof) do
       {file, {size, &read_bytes(file, {size, kind}, &1, &2)}}

@@ -26,24 +26,24 @@ defmodule Situ.Bridge.Columnar.Joined do
   ]
 
   @doc "Returns the schema of a join's options."
-  @spec options() :: keyword()
-  def options, do: @options
+  @spec join_options() :: keyword()
+  def join_options, do: @options
 
   @doc """
   Returns lists of messages whose data are maps from stream names to values. Enumerating them reads the recording.
   `names` are the streams to join to `on`; `reading` are options of `Situ.Store.messages/3`.
   """
-  @spec parts(Store.t(), String.t(), [String.t()], keyword(), keyword()) :: Enumerable.t()
-  def parts(store, on, names, opts, reading) do
+  @spec stream_parts(Store.t(), String.t(), [String.t()], keyword(), keyword()) :: Enumerable.t()
+  def stream_parts(store, on, names, opts, reading) do
     store
     |> Store.messages(on, reading)
     |> Stream.chunk_every(@rows)
     |> Stream.map(fn rows ->
       times = Enum.map(rows, & &1.originating_time)
-      picked = for name <- names, do: picked(store, name, times, opts, reading)
+      picked = for name <- names, do: pick_values(store, name, times, opts, reading)
 
       rows
-      |> Enum.zip(zipped(picked, length(rows)))
+      |> Enum.zip(zip_streams(picked, length(rows)))
       |> Enum.map(fn {message, values} ->
         others = names |> Enum.zip(values) |> Map.new()
         %{message | data: Map.put(others, on, message.data)}
@@ -51,42 +51,42 @@ defmodule Situ.Bridge.Columnar.Joined do
     end)
   end
 
-  defp zipped([], n), do: List.duplicate([], n)
-  defp zipped(picked, _n), do: Enum.zip_with(picked, & &1)
+  defp zip_streams([], n), do: List.duplicate([], n)
+  defp zip_streams(picked, _n), do: Enum.zip_with(picked, & &1)
 
   # Reads the messages of the other stream once and keeps only the picked values.
-  defp picked(store, name, [first | _] = times, opts, reading) do
+  defp pick_values(store, name, [first | _] = times, opts, reading) do
     last = List.last(times)
     between = Keyword.merge(Keyword.take(reading, [:skip_damage]), from: first, to: last)
-    before = found(Store.latest_at(store, name, first - 1))
+    before = message_or_nil(Store.latest_at(store, name, first - 1))
 
     {done, left, held} =
       store
       |> Store.messages(name, between)
       |> Enum.reduce({[], times, before}, fn message, {done, left, held} ->
         {now, left} = Enum.split_while(left, &(&1 < message.originating_time))
-        {Enum.reduce(now, done, &[pick(held, message, &1, opts) | &2]), left, message}
+        {Enum.reduce(now, done, &[pick_value(held, message, &1, opts) | &2]), left, message}
       end)
 
-    behind = if left != [], do: found(Store.first_at(store, name, last + 1))
-    done = Enum.reduce(left, done, &[pick(held, behind, &1, opts) | &2])
+    behind = if left != [], do: message_or_nil(Store.first_at(store, name, last + 1))
+    done = Enum.reduce(left, done, &[pick_value(held, behind, &1, opts) | &2])
     Enum.reverse(done)
   end
 
-  defp found({:ok, %Message{} = message}), do: message
-  defp found(_), do: nil
+  defp message_or_nil({:ok, %Message{} = message}), do: message
+  defp message_or_nil(_), do: nil
 
-  defp pick(held, next, time, opts) do
-    one = if opts[:take] == :latest, do: held, else: nearest(held, next, time)
-    if one && close?(one, time, opts[:within]), do: one.data
+  defp pick_value(held, next, time, opts) do
+    one = if opts[:take] == :latest, do: held, else: nearest_message(held, next, time)
+    if one && within_range?(one, time, opts[:within]), do: one.data
   end
 
-  defp nearest(nil, next, _time), do: next
-  defp nearest(held, nil, _time), do: held
+  defp nearest_message(nil, next, _time), do: next
+  defp nearest_message(held, nil, _time), do: held
 
-  defp nearest(held, next, time),
+  defp nearest_message(held, next, time),
     do: if(next.originating_time - time < time - held.originating_time, do: next, else: held)
 
-  defp close?(_one, _time, nil), do: true
-  defp close?(one, time, within), do: abs(one.originating_time - time) <= within
+  defp within_range?(_one, _time, nil), do: true
+  defp within_range?(one, time, within), do: abs(one.originating_time - time) <= within
 end

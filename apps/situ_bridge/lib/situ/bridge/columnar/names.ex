@@ -6,18 +6,18 @@ defmodule Situ.Bridge.Columnar.Names do
   Appends numbers to duplicate column names, so that all names are different.
 
       iex> columns = for name <- ["x", "x", "x_1", "x"], do: %{name: name}
-      iex> for column <- Situ.Bridge.Columnar.Names.distinguish(columns), do: column.name
+      iex> for column <- Situ.Bridge.Columnar.Names.number_duplicates(columns), do: column.name
       ["x", "x_2", "x_1", "x_3"]
   """
-  @spec distinguish([column]) :: [column]
+  @spec number_duplicates([column]) :: [column]
         when column: %{required(:name) => String.t(), optional(atom()) => term()}
-  def distinguish(columns) do
+  def number_duplicates(columns) do
     taken = MapSet.new(columns, & &1.name)
-    {columns, _} = Enum.map_reduce(columns, {MapSet.new(), taken, %{}}, &rename/2)
+    {columns, _} = Enum.map_reduce(columns, {MapSet.new(), taken, %{}}, &rename_duplicate/2)
     columns
   end
 
-  defp rename(%{name: name} = column, {seen, taken, numbers}) do
+  defp rename_duplicate(%{name: name} = column, {seen, taken, numbers}) do
     if name in seen do
       {free, n} = free_name(name, taken, Map.get(numbers, name, 0) + 1)
       {%{column | name: free}, {seen, MapSet.put(taken, free), Map.put(numbers, name, n)}}

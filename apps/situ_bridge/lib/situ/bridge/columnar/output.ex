@@ -7,47 +7,48 @@ defmodule Situ.Bridge.Columnar.Output do
   defstruct [:path, :file, at: 0]
   @type t :: %__MODULE__{path: Path.t(), file: :file.fd(), at: non_neg_integer()}
 
-  @spec create(Path.t(), iodata()) :: {:ok, t()} | {:error, Error.t()}
-  def create(path, head) do
-    case :file.open(unfinished(path), [:write, :raw, :binary]) do
-      {:ok, file} -> write(%__MODULE__{path: path, file: file}, head)
-      {:error, reason} -> {:error, failed(path, reason)}
+  @spec create_file(Path.t(), iodata()) :: {:ok, t()} | {:error, Error.t()}
+  def create_file(path, head) do
+    case :file.open(unfinished_path(path), [:write, :raw, :binary]) do
+      {:ok, file} -> append_bytes(%__MODULE__{path: path, file: file}, head)
+      {:error, reason} -> {:error, write_error(path, reason)}
     end
   end
 
-  defp unfinished(path), do: path <> ".unfinished"
+  defp unfinished_path(path), do: path <> ".unfinished"
 
   @doc "Appends bytes and advances `at`, the offset of the end."
-  @spec write(t(), iodata()) :: {:ok, t()} | {:error, Error.t()}
-  def write(output, bytes) do
+  @spec append_bytes(t(), iodata()) :: {:ok, t()} | {:error, Error.t()}
+  def append_bytes(output, bytes) do
     case :file.write(output.file, bytes) do
       :ok -> {:ok, %{output | at: output.at + IO.iodata_length(bytes)}}
-      {:error, reason} -> {:error, failed(output.path, reason)}
+      {:error, reason} -> {:error, write_error(output.path, reason)}
     end
   end
 
   @doc "Writes the tail, closes the file and renames it to its final name."
-  @spec finish(t(), iodata()) :: :ok | {:error, Error.t()}
-  def finish(output, tail) do
+  @spec finish_file(t(), iodata()) :: :ok | {:error, Error.t()}
+  def finish_file(output, tail) do
     with :ok <- :file.write(output.file, tail),
          :ok <- :file.close(output.file),
-         :ok <- :file.rename(unfinished(output.path), output.path) do
+         :ok <- :file.rename(unfinished_path(output.path), output.path) do
       :ok
     else
-      {:error, reason} -> {:error, failed(output.path, reason)}
+      {:error, reason} -> {:error, write_error(output.path, reason)}
     end
   end
 
   @doc "Closes and deletes the unfinished file."
-  @spec abandon(t()) :: :ok
-  def abandon(output) do
+  @spec delete_unfinished(t()) :: :ok
+  def delete_unfinished(output) do
     :file.close(output.file)
-    :file.delete(unfinished(output.path))
+    :file.delete(unfinished_path(output.path))
     :ok
   end
 
-  defp failed(path, :enospc), do: Error.new(:disk_full, "no space left on the disk of #{path}")
+  defp write_error(path, :enospc),
+    do: Error.new(:disk_full, "no space left on the disk of #{path}")
 
-  defp failed(path, reason),
+  defp write_error(path, reason),
     do: Error.new(:io, "cannot write #{path}", why: to_string(:file.format_error(reason)))
 end

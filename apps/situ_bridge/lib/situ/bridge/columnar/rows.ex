@@ -13,85 +13,97 @@ defmodule Situ.Bridge.Columnar.Rows do
   @type kinds :: %{String.t() => Column.kind() | nil}
 
   @doc "Merges the kinds of another part of a stream into the kinds of the columns."
-  @spec part(kinds(), Columns.t() | [Situ.Message.t()]) :: kinds()
-  def part(kinds, %Columns{kind: kind}), do: merge(kinds, "value", kind)
-  def part(kinds, messages), do: Enum.reduce(messages, kinds, &add(&2, &1.data))
+  @spec merge_part_kinds(kinds(), Columns.t() | [Situ.Message.t()]) :: kinds()
+  def merge_part_kinds(kinds, %Columns{kind: kind}), do: merge_kind(kinds, "value", kind)
+
+  def merge_part_kinds(kinds, messages),
+    do: Enum.reduce(messages, kinds, &merge_data_kinds(&2, &1.data))
 
   @doc "Merges the kinds of another message's data into the kinds of the columns."
-  @spec add(kinds(), term()) :: kinds()
-  def add(kinds, data) do
+  @spec merge_data_kinds(kinds(), term()) :: kinds()
+  def merge_data_kinds(kinds, data) do
     data
-    |> flat()
-    |> Enum.reduce(kinds, fn {name, value}, kinds -> merge(kinds, name, kind(value)) end)
+    |> flatten_data()
+    |> Enum.reduce(kinds, fn {name, value}, kinds ->
+      merge_kind(kinds, name, value_kind(value))
+    end)
   end
 
-  defp merge(kinds, name, kind) do
+  defp merge_kind(kinds, name, kind) do
     case kinds do
-      %{^name => known} -> put(kinds, name, known, wider(known, kind))
+      %{^name => known} -> put_kind(kinds, name, known, common_kind(known, kind))
       _ when map_size(kinds) >= @most_columns -> throw({:not_writable, :too_many_columns})
       _ -> Map.put(kinds, name, kind)
     end
   end
 
-  defp put(kinds, _name, same, same), do: kinds
-  defp put(kinds, name, _known, wider), do: Map.put(kinds, name, wider)
+  defp put_kind(kinds, _name, same, same), do: kinds
+  defp put_kind(kinds, name, _known, wider), do: Map.put(kinds, name, wider)
 
   @doc "Returns the columns that follow the times, sorted by name. A column that never had a value is text."
-  @spec columns(kinds()) :: [Column.t()]
-  def columns(kinds) do
+  @spec build_columns(kinds()) :: [Column.t()]
+  def build_columns(kinds) do
     for {name, kind} <- Enum.sort(kinds), do: %Column{name: name, kind: kind || :text}
   end
 
   @doc "Returns the values of a message for these columns."
-  @spec row(term(), [Column.t()]) :: [term()]
-  def row(data, [%Column{name: "value"} = column]) when not is_map(data),
-    do: [cell(data, column.kind)]
+  @spec row_values(term(), [Column.t()]) :: [term()]
+  def row_values(data, [%Column{name: "value"} = column]) when not is_map(data),
+    do: [cell_value(data, column.kind)]
 
-  def row(data, columns) do
-    values = data |> flat() |> Map.new()
-    for %{name: name, kind: kind} <- columns, do: cell(values[name], kind)
+  def row_values(data, columns) do
+    values = data |> flatten_data() |> Map.new()
+    for %{name: name, kind: kind} <- columns, do: cell_value(values[name], kind)
   end
 
-  defp cell(nil, _kind), do: nil
-  defp cell(n, kind) when kind == :integer and is_integer(n), do: n
-  defp cell(x, :float) when is_number(x) or x in @special, do: x
-  defp cell(b, :boolean) when is_boolean(b), do: b
-  defp cell(bytes, kind) when kind in [:text, :bytes] and is_binary(bytes), do: bytes
-  defp cell(value, _kind), do: value |> Value.plain() |> Situ.JSON.encode()
+  defp cell_value(nil, _kind), do: nil
+  defp cell_value(n, kind) when kind == :integer and is_integer(n), do: n
+  defp cell_value(x, :float) when is_number(x) or x in @special, do: x
+  defp cell_value(b, :boolean) when is_boolean(b), do: b
+  defp cell_value(bytes, kind) when kind in [:text, :bytes] and is_binary(bytes), do: bytes
+  defp cell_value(value, _kind), do: value |> Value.to_plain() |> Situ.JSON.encode()
 
-  defp kind(nil), do: nil
-  defp kind(b) when is_boolean(b), do: :boolean
-  defp kind(n) when is_integer(n) and n in -0x8000000000000000..0x7FFFFFFFFFFFFFFF, do: :integer
-  defp kind(x) when is_float(x) or x in @special, do: :float
-  defp kind(bytes) when is_binary(bytes), do: if(String.valid?(bytes), do: :text, else: :bytes)
-  defp kind(_other), do: :text
+  defp value_kind(nil), do: nil
+  defp value_kind(b) when is_boolean(b), do: :boolean
 
-  defp wider(same, same), do: same
-  defp wider(nil, kind), do: kind
-  defp wider(kind, nil), do: kind
-  defp wider(:integer, :float), do: :float
-  defp wider(:float, :integer), do: :float
-  defp wider(:text, :bytes), do: :bytes
-  defp wider(:bytes, :text), do: :bytes
-  defp wider(_, _), do: :text
+  defp value_kind(n) when is_integer(n) and n in -0x8000000000000000..0x7FFFFFFFFFFFFFFF,
+    do: :integer
 
-  defp flat(%_{} = struct), do: struct |> Map.from_struct() |> members("")
-  defp flat(map) when is_map(map), do: members(map, "")
-  defp flat(value), do: [{"value", value}]
+  defp value_kind(x) when is_float(x) or x in @special, do: :float
 
-  defp members(map, prefix) do
+  defp value_kind(bytes) when is_binary(bytes),
+    do: if(String.valid?(bytes), do: :text, else: :bytes)
+
+  defp value_kind(_other), do: :text
+
+  defp common_kind(same, same), do: same
+  defp common_kind(nil, kind), do: kind
+  defp common_kind(kind, nil), do: kind
+  defp common_kind(:integer, :float), do: :float
+  defp common_kind(:float, :integer), do: :float
+  defp common_kind(:text, :bytes), do: :bytes
+  defp common_kind(:bytes, :text), do: :bytes
+  defp common_kind(_, _), do: :text
+
+  defp flatten_data(%_{} = struct), do: struct |> Map.from_struct() |> flatten_members("")
+  defp flatten_data(map) when is_map(map), do: flatten_members(map, "")
+  defp flatten_data(value), do: [{"value", value}]
+
+  defp flatten_members(map, prefix) do
     Enum.flat_map(map, fn {key, value} ->
-      name = prefix <> name(key)
+      name = prefix <> member_name(key)
 
       case value do
-        %_{} = struct -> struct |> Map.from_struct() |> members(name <> ".")
-        map when is_map(map) and map_size(map) > 0 -> members(map, name <> ".")
+        %_{} = struct -> struct |> Map.from_struct() |> flatten_members(name <> ".")
+        map when is_map(map) and map_size(map) > 0 -> flatten_members(map, name <> ".")
         value -> [{name, value}]
       end
     end)
   end
 
-  defp name(key) when is_binary(key), do: if(String.valid?(key), do: key, else: inspect(key))
-  defp name(key) when is_atom(key), do: Atom.to_string(key)
-  defp name(key), do: inspect(key)
+  defp member_name(key) when is_binary(key),
+    do: if(String.valid?(key), do: key, else: inspect(key))
+
+  defp member_name(key) when is_atom(key), do: Atom.to_string(key)
+  defp member_name(key), do: inspect(key)
 end

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Format.Json do
   @moduledoc false
   # Encodes messages as JSON; a file is an array of them.
   @behaviour Situ.Bridge.Format
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Format.{Stamp, Value}
 
   # Real messages are not larger than this; without a limit, an unclosed bracket would fill the memory.
@@ -10,17 +10,17 @@ defmodule Situ.Bridge.Format.Json do
 
   @impl true
   def encode(value, time) do
-    ordered = {[{"originatingTime", Stamp.iso8601(time)}, {"message", Value.plain(value)}]}
+    ordered = {[{"originatingTime", Stamp.to_iso8601(time)}, {"message", Value.to_plain(value)}]}
     Situ.JSON.encode(ordered)
   end
 
   @impl true
   def decode(bytes, opts) do
     with {:ok, {pairs}} <- Situ.JSON.decode(bytes, objects: :pairs),
-         {:ok, stamp} when is_binary(stamp) <- Value.fetch(pairs, "originatingTime"),
-         {:ok, value} <- Value.fetch(pairs, "message"),
+         {:ok, stamp} when is_binary(stamp) <- Value.fetch_member(pairs, "originatingTime"),
+         {:ok, value} <- Value.fetch_member(pairs, "message"),
          {:ok, time} <- Situ.Time.parse(stamp) do
-      {:ok, {time, Value.shaped(value, opts)}}
+      {:ok, {time, Value.shape_objects(value, opts)}}
     else
       {:error, :bad_json} -> {:error, "it is not JSON"}
       {:error, %Situ.Error{what: what}} -> {:error, "its originatingTime is #{what}"}
@@ -43,72 +43,88 @@ defmodule Situ.Bridge.Format.Json do
   # The states: `:before` the array's bracket, `:first` (a value or the end), `:within` (a value), `:next` (a comma or
   # the end), and the state after the array.
   @impl true
-  def split(bytes, state, last?, opts), do: split(bytes, state, last?, opts, [])
+  def split(bytes, state, last?, opts), do: split_messages(bytes, state, last?, opts, [])
 
-  defp split(<<c, rest::binary>>, state, last?, opts, found) when c in ~c" \t\r\n",
-    do: split(rest, state, last?, opts, found)
+  defp split_messages(<<c, rest::binary>>, state, last?, opts, found) when c in ~c" \t\r\n",
+    do: split_messages(rest, state, last?, opts, found)
 
-  defp split(<<0xEF, 0xBB, 0xBF, rest::binary>>, :before, last?, opts, found),
-    do: split(rest, :before, last?, opts, found)
+  defp split_messages(<<0xEF, 0xBB, 0xBF, rest::binary>>, :before, last?, opts, found),
+    do: split_messages(rest, :before, last?, opts, found)
 
-  defp split("[" <> rest, :before, last?, opts, found),
-    do: split(rest, :first, last?, opts, found)
+  defp split_messages("[" <> rest, :before, last?, opts, found),
+    do: split_messages(rest, :first, last?, opts, found)
 
-  defp split("]" <> rest, state, last?, opts, found) when state in [:first, :next],
-    do: split(rest, :behind, last?, opts, found)
+  defp split_messages("]" <> rest, state, last?, opts, found) when state in [:first, :next],
+    do: split_messages(rest, :behind, last?, opts, found)
 
-  defp split("," <> rest, :next, last?, opts, found), do: split(rest, :within, last?, opts, found)
+  defp split_messages("," <> rest, :next, last?, opts, found),
+    do: split_messages(rest, :within, last?, opts, found)
 
-  defp split("{" <> _ = bytes, state, last?, opts, found) when state in [:first, :within] do
-    case object(bytes) do
+  defp split_messages("{" <> _ = bytes, state, last?, opts, found)
+       when state in [:first, :within] do
+    case object_size(bytes) do
       {:ok, size} ->
-        <<text::binary-known(size), rest::binary>> = bytes
+        <<text::binary-pinned_size(size), rest::binary>> = bytes
 
         with {:ok, timed} <- decode(text, opts),
-             do: split(rest, :next, last?, opts, [timed | found])
+             do: split_messages(rest, :next, last?, opts, [timed | found])
 
       :more when byte_size(bytes) > @most ->
         {:error, "a message is longer than #{@most} bytes"}
 
       :more when last? ->
-        ended(found)
+        end_of_file(found)
 
       :more ->
         {:ok, Enum.reverse(found), {bytes, state}}
     end
   end
 
-  defp split("", :behind, _last?, _opts, found), do: {:ok, Enum.reverse(found), {"", :behind}}
-  defp split("", _state, true, _opts, found), do: ended(found)
-  defp split("", state, false, _opts, found), do: {:ok, Enum.reverse(found), {"", state}}
+  defp split_messages("", :behind, _last?, _opts, found),
+    do: {:ok, Enum.reverse(found), {"", :behind}}
 
-  defp split(<<c, _::binary>>, _state, _last?, _opts, []),
+  defp split_messages("", _state, true, _opts, found), do: end_of_file(found)
+  defp split_messages("", state, false, _opts, found), do: {:ok, Enum.reverse(found), {"", state}}
+
+  defp split_messages(<<c, _::binary>>, _state, _last?, _opts, []),
     do: {:error, "it has #{inspect(<<c>>)} where a message, a comma or the end is expected"}
 
-  defp split(bytes, state, _last?, _opts, found), do: {:ok, Enum.reverse(found), {bytes, state}}
+  defp split_messages(bytes, state, _last?, _opts, found),
+    do: {:ok, Enum.reverse(found), {bytes, state}}
 
   # A truncated file, whose writer was killed, ends after its last complete message.
-  defp ended(found), do: {:ok, Enum.reverse(found), {"", :behind}}
+  defp end_of_file(found), do: {:ok, Enum.reverse(found), {"", :behind}}
 
   # Returns the length of the object at the beginning of `bytes`.
-  defp object(bytes), do: object(bytes, 0, 0)
+  defp object_size(bytes), do: object_size(bytes, 0, 0)
 
-  defp object(bytes, at, depth) do
+  defp object_size(bytes, at, depth) do
     case bytes do
-      <<_::binary-known(at), c, _::binary>> when c in ~c"{[" -> object(bytes, at + 1, depth + 1)
-      <<_::binary-known(at), c, _::binary>> when c in ~c"}]" and depth == 1 -> {:ok, at + 1}
-      <<_::binary-known(at), c, _::binary>> when c in ~c"}]" -> object(bytes, at + 1, depth - 1)
-      <<_::binary-known(at), ?", _::binary>> -> string(bytes, at + 1, depth)
-      <<_::binary-known(at), _, _::binary>> -> object(bytes, at + 1, depth)
-      _ -> :more
+      <<_::binary-pinned_size(at), c, _::binary>> when c in ~c"{[" ->
+        object_size(bytes, at + 1, depth + 1)
+
+      <<_::binary-pinned_size(at), c, _::binary>> when c in ~c"}]" and depth == 1 ->
+        {:ok, at + 1}
+
+      <<_::binary-pinned_size(at), c, _::binary>> when c in ~c"}]" ->
+        object_size(bytes, at + 1, depth - 1)
+
+      <<_::binary-pinned_size(at), ?", _::binary>> ->
+        skip_string(bytes, at + 1, depth)
+
+      <<_::binary-pinned_size(at), _, _::binary>> ->
+        object_size(bytes, at + 1, depth)
+
+      _ ->
+        :more
     end
   end
 
-  defp string(bytes, at, depth) do
+  defp skip_string(bytes, at, depth) do
     case bytes do
-      <<_::binary-known(at), ?\\, _, _::binary>> -> string(bytes, at + 2, depth)
-      <<_::binary-known(at), ?", _::binary>> -> object(bytes, at + 1, depth)
-      <<_::binary-known(at), _, _::binary>> -> string(bytes, at + 1, depth)
+      <<_::binary-pinned_size(at), ?\\, _, _::binary>> -> skip_string(bytes, at + 2, depth)
+      <<_::binary-pinned_size(at), ?", _::binary>> -> object_size(bytes, at + 1, depth)
+      <<_::binary-pinned_size(at), _, _::binary>> -> skip_string(bytes, at + 1, depth)
       _ -> :more
     end
   end

@@ -20,34 +20,34 @@ defmodule Situ.Bridge.Format.JsonLines do
 
   @impl true
   def split(bytes, _state, last?, opts) do
-    {lines, rest} = lines(bytes, last?)
+    {lines, rest} = split_lines(bytes, last?)
 
     cond do
       byte_size(rest) > @most -> {:error, "a line is longer than #{@most} bytes"}
-      true -> decoded(lines, rest, last?, opts, [])
+      true -> decode_lines(lines, rest, last?, opts, [])
     end
   end
 
-  defp lines(bytes, true), do: {String.split(bytes, "\n"), ""}
+  defp split_lines(bytes, true), do: {String.split(bytes, "\n"), ""}
 
-  defp lines(bytes, false) do
+  defp split_lines(bytes, false) do
     {rest, lines} =
       bytes |> String.split("\n") |> List.pop_at(-1) |> then(fn {r, l} -> {r, l} end)
 
     {lines, rest}
   end
 
-  defp decoded([], rest, _last?, _opts, found), do: {:ok, Enum.reverse(found), {rest, nil}}
+  defp decode_lines([], rest, _last?, _opts, found), do: {:ok, Enum.reverse(found), {rest, nil}}
 
-  defp decoded([line | lines], rest, last?, opts, found) do
+  defp decode_lines([line | lines], rest, last?, opts, found) do
     case {String.trim(line), lines} do
       {"", _} ->
-        decoded(lines, rest, last?, opts, found)
+        decode_lines(lines, rest, last?, opts, found)
 
       {text, lines} ->
         case decode(text, opts) do
           {:ok, timed} ->
-            decoded(lines, rest, last?, opts, [timed | found])
+            decode_lines(lines, rest, last?, opts, [timed | found])
 
           # A truncated last line has no line break.
           {:error, _} when last? and lines == [] ->

@@ -10,23 +10,29 @@ defmodule Situ.Bridge.Format.MessagePack do
   def encode(value, time) do
     {ticks, rest} = Stamp.to_ticks(time)
     fine = if rest == 0, do: [], else: [{"nanoseconds", rest}]
-    MessagePack.encode({[{"message", value(value)}, {"originatingTime", ticks}] ++ fine})
+    MessagePack.encode({[{"message", convert_value(value)}, {"originatingTime", ticks}] ++ fine})
   end
 
-  defp value(value) when value in [:nan, :infinity, :neg_infinity], do: value
-  defp value(list) when is_list(list), do: Enum.map(list, &value/1)
-  defp value(%_{} = struct), do: Value.plain(struct)
-  defp value(map) when is_map(map), do: Map.new(map, fn {k, v} -> {k, value(v)} end)
-  defp value({pairs}) when is_list(pairs), do: {Enum.map(pairs, fn {k, v} -> {k, value(v)} end)}
-  defp value(tuple) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> value()
-  defp value(other), do: other
+  defp convert_value(value) when value in [:nan, :infinity, :neg_infinity], do: value
+  defp convert_value(list) when is_list(list), do: Enum.map(list, &convert_value/1)
+  defp convert_value(%_{} = struct), do: Value.to_plain(struct)
+
+  defp convert_value(map) when is_map(map),
+    do: Map.new(map, fn {k, v} -> {k, convert_value(v)} end)
+
+  defp convert_value({pairs}) when is_list(pairs),
+    do: {Enum.map(pairs, fn {k, v} -> {k, convert_value(v)} end)}
+
+  defp convert_value(tuple) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> convert_value()
+  defp convert_value(other), do: other
 
   @impl true
   def decode(bytes, opts) do
     with {:ok, {pairs}, ""} <- MessagePack.decode(bytes, objects: :pairs),
-         {:ok, ticks} when is_integer(ticks) <- Value.fetch(pairs, "originatingTime"),
-         {:ok, value} <- Value.fetch(pairs, "message") do
-      {:ok, {Stamp.from_ticks(ticks) + fine(pairs), Value.shaped(value, opts)}}
+         {:ok, ticks} when is_integer(ticks) <- Value.fetch_member(pairs, "originatingTime"),
+         {:ok, value} <- Value.fetch_member(pairs, "message") do
+      {:ok,
+       {Stamp.from_ticks(ticks) + extra_nanoseconds(pairs), Value.shape_objects(value, opts)}}
     else
       {:error, why} -> {:error, why}
       {:ok, _, _} -> {:error, "it is not a map, or bytes follow it"}
@@ -34,19 +40,19 @@ defmodule Situ.Bridge.Format.MessagePack do
     end
   end
 
-  defp fine(pairs) do
-    case Value.fetch(pairs, "nanoseconds") do
+  defp extra_nanoseconds(pairs) do
+    case Value.fetch_member(pairs, "nanoseconds") do
       {:ok, n} when n in 0..99 -> n
       _ -> 0
     end
   end
 
   @impl true
-  def record(value, time, _n), do: value |> encode(time) |> Frames.frame()
+  def record(value, time, _n), do: value |> encode(time) |> Frames.encode_frame()
   @impl true
-  def finish(_n), do: Frames.finish()
+  def finish(_n), do: Frames.end_marker()
   @impl true
-  def start, do: Frames.start()
+  def start, do: Frames.initial_state()
   @impl true
-  def split(bytes, state, _last?, opts), do: Frames.split(bytes, state, &decode(&1, opts))
+  def split(bytes, state, _last?, opts), do: Frames.split_frames(bytes, state, &decode(&1, opts))
 end

@@ -9,30 +9,30 @@ defmodule Situ.Bridge.Format.Situ do
 
   @impl true
   def encode(value, time) do
-    {name, payload} = payload(value, Codecs.of(value))
+    {name, payload} = encode_payload(value, Codecs.module_for(value))
     [<<time::little-signed-64, byte_size(name), name::binary>>, payload]
   end
 
-  defp payload(value, nil) do
+  defp encode_payload(value, nil) do
     case Terms.encode(value) do
       {:ok, bytes} -> {"", bytes}
       {:error, _} -> throw({:not_writable, value})
     end
   end
 
-  defp payload(value, codec), do: {codec.codec_name(), codec.encode(value)}
+  defp encode_payload(value, codec), do: {codec.codec_name(), codec.encode(value)}
 
   @impl true
   def decode(<<time::little-signed-64, n, name::binary-size(n), payload::binary>>, _opts) do
-    with {:ok, value} <- value(name, payload), do: {:ok, {time, value}}
+    with {:ok, value} <- decode_payload(name, payload), do: {:ok, {time, value}}
   end
 
   def decode(_bytes, _opts), do: {:error, "it is too short"}
 
-  defp value("", term), do: Terms.decode(term)
+  defp decode_payload("", term), do: Terms.decode(term)
 
-  defp value(name, payload) do
-    case Codecs.find(name, nil) do
+  defp decode_payload(name, payload) do
+    case Codecs.find_module(name, nil) do
       nil ->
         {:error, "the codec #{inspect(name)} is unknown"}
 
@@ -43,11 +43,11 @@ defmodule Situ.Bridge.Format.Situ do
   end
 
   @impl true
-  def record(value, time, _n), do: value |> encode(time) |> Frames.frame()
+  def record(value, time, _n), do: value |> encode(time) |> Frames.encode_frame()
   @impl true
-  def finish(_n), do: Frames.finish()
+  def finish(_n), do: Frames.end_marker()
   @impl true
-  def start, do: Frames.start()
+  def start, do: Frames.initial_state()
   @impl true
-  def split(bytes, state, _last?, opts), do: Frames.split(bytes, state, &decode(&1, opts))
+  def split(bytes, state, _last?, opts), do: Frames.split_frames(bytes, state, &decode(&1, opts))
 end

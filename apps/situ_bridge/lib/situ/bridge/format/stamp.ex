@@ -8,13 +8,13 @@ defmodule Situ.Bridge.Format.Stamp do
   @doc """
   Formats a time as ISO 8601 with seven decimals, or nine if the time is not a multiple of 100 ns.
 
-      iex> Situ.Bridge.Format.Stamp.iso8601(1_234_567_800)
+      iex> Situ.Bridge.Format.Stamp.to_iso8601(1_234_567_800)
       "1970-01-01T00:00:01.2345678Z"
-      iex> Situ.Bridge.Format.Stamp.iso8601(-1)
+      iex> Situ.Bridge.Format.Stamp.to_iso8601(-1)
       "1969-12-31T23:59:59.999999999Z"
   """
-  @spec iso8601(Situ.Time.t()) :: String.t()
-  def iso8601(time) do
+  @spec to_iso8601(Situ.Time.t()) :: String.t()
+  def to_iso8601(time) do
     text = Situ.Time.to_iso8601(time)
     if rem(time, 100) == 0, do: String.replace_suffix(text, "00Z", "Z"), else: text
   end

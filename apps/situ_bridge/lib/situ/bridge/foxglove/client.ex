@@ -32,29 +32,32 @@ defmodule Situ.Bridge.Foxglove.Client do
 
   @impl true
   def handle_info({:adopt, tcp}, state) do
-    :inet.setopts(tcp, [active: :once] ++ Outbox.options())
+    :inet.setopts(tcp, [active: :once] ++ Outbox.socket_options())
     {:noreply, %{state | tcp: tcp}}
   end
 
   def handle_info({:tcp, _, bytes}, %{session: nil} = state) do
     said = state.said <> bytes
 
-    case Handshake.admit(said, origins: state.origins, protocols: Session.protocols()) do
+    case Handshake.admit_client(said,
+           origins: state.origins,
+           protocols: Session.supported_protocols()
+         ) do
       {:ok, answer, protocol, _path, rest} ->
-        open(answer, protocol, %{state | said: rest})
+        open_session(answer, protocol, %{state | said: rest})
 
       :more ->
-        listen(%{state | said: said})
+        resume_reading(%{state | said: said})
 
       {:refuse, answer} ->
-        say(answer, state, fn state -> {:stop, {:shutdown, :refused}, state} end)
+        send_bytes(answer, state, fn state -> {:stop, {:shutdown, :refused}, state} end)
     end
   end
 
   def handle_info({:tcp, _, bytes}, state) do
-    case Frames.split(state.said <> bytes, state.begun, true, @most) do
+    case Frames.split_messages(state.said <> bytes, state.begun, true, @most) do
       {:ok, events, rest, begun} ->
-        hear(events, limit_message(%{state | said: rest, begun: begun}, events))
+        handle_events(events, limit_message(%{state | said: rest, begun: begun}, events))
 
       {:error, why} ->
         {:stop, {:shutdown, why}, state}
@@ -74,7 +77,7 @@ defmodule Situ.Bridge.Foxglove.Client do
   def handle_info(:tick, state) do
     {frames, session} = Session.tick(state.session, System.monotonic_time(:nanosecond))
 
-    say(written(frames), %{state | session: session}, fn state ->
+    send_bytes(encode_frames(frames), %{state | session: session}, fn state ->
       Process.send_after(self(), :tick, @every)
       {:noreply, state}
     end)
@@ -87,50 +90,52 @@ defmodule Situ.Bridge.Foxglove.Client do
   defp limit_message(state, _events),
     do: %{state | deadline: :erlang.start_timer(state.message_ms, self(), :message)}
 
-  defp open(answer, protocol, state) do
+  defp open_session(answer, protocol, state) do
     {frames, session} = Session.open(Source.new(state.store), state.name, protocol)
     send(self(), :tick)
-    say([answer | written(frames)], %{state | session: session}, &listen/1)
+    send_bytes([answer | encode_frames(frames)], %{state | session: session}, &resume_reading/1)
   end
 
-  defp hear(events, state) do
+  defp handle_events(events, state) do
     now = System.monotonic_time(:nanosecond)
 
     Enum.reduce_while(events, {[], state}, fn
       {kind, _} = frame, {out, state} when kind in [:text, :binary] ->
-        {frames, session} = Session.hear(state.session, frame, now)
-        {:cont, {[out | written(frames)], %{state | session: session}}}
+        {frames, session} = Session.handle_frame(state.session, frame, now)
+        {:cont, {[out | encode_frames(frames)], %{state | session: session}}}
 
       {:ping, data}, {out, state} ->
-        {:cont, {[out, Frames.frame(:pong, data)], state}}
+        {:cont, {[out, Frames.encode_frame(:pong, data)], state}}
 
       {:pong, _}, acc ->
         {:cont, acc}
 
       {:close, code}, {out, state} ->
         {:halt,
-         {:close, [out, Frames.frame(:close, binary_part(code, 0, min(byte_size(code), 2)))],
+         {:close,
+          [out, Frames.encode_frame(:close, binary_part(code, 0, min(byte_size(code), 2)))],
           state}}
     end)
     |> case do
       {:close, out, state} ->
-        say(out, state, fn state -> {:stop, {:shutdown, :closed}, state} end)
+        send_bytes(out, state, fn state -> {:stop, {:shutdown, :closed}, state} end)
 
       {out, state} ->
-        say(out, state, &listen/1)
+        send_bytes(out, state, &resume_reading/1)
     end
   end
 
-  defp written(frames), do: for({kind, payload} <- frames, do: Frames.frame(kind, payload))
+  defp encode_frames(frames),
+    do: for({kind, payload} <- frames, do: Frames.encode_frame(kind, payload))
 
-  defp say(bytes, state, next) do
+  defp send_bytes(bytes, state, next) do
     case bytes == [] || :gen_tcp.send(state.tcp, bytes) do
       {:error, reason} -> {:stop, {:shutdown, reason}, state}
       _ -> next.(state)
     end
   end
 
-  defp listen(state) do
+  defp resume_reading(state) do
     :inet.setopts(state.tcp, active: :once)
     {:noreply, state}
   end

@@ -7,26 +7,26 @@ defmodule Situ.Bridge.Foxglove.Messages do
   @text File.read!(path)
 
   @doc "Returns `{messages, enums}` in the form that `Schema.new/2` takes."
-  @spec types() :: {list(), list()}
-  def types do
+  @spec load_types() :: {list(), list()}
+  def load_types do
     with :none <- :persistent_term.get({__MODULE__, :types}, :none) do
-      {:ok, messages, enums} = Text.types(@text)
+      {:ok, messages, enums} = Text.parse_types(@text)
       :persistent_term.put({__MODULE__, :types}, {messages, enums})
       {messages, enums}
     end
   end
 
   @doc "Returns the schema with all of Foxglove's messages."
-  @spec schema() :: Schema.t()
-  def schema do
+  @spec load_schema() :: Schema.t()
+  def load_schema do
     with :none <- :persistent_term.get(__MODULE__, :none) do
-      {:ok, schema} = Text.parse(@text, [Descriptor.google()])
+      {:ok, schema} = Text.parse(@text, [Descriptor.google_types()])
       :persistent_term.put(__MODULE__, schema)
       schema
     end
   end
 
   @doc "Returns whether Foxglove defines a message of this name."
-  @spec known?(String.t()) :: boolean()
-  def known?(name), do: is_map_key(schema().messages, name)
+  @spec message_type?(String.t()) :: boolean()
+  def message_type?(name), do: is_map_key(load_schema().messages, name)
 end

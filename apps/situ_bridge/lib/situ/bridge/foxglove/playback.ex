@@ -25,24 +25,24 @@ defmodule Situ.Bridge.Foxglove.Playback do
   end
 
   @doc "Moves the position back to a time that was reached; later messages wait."
-  @spec only_to(t(), Situ.Time.t()) :: t()
-  def only_to(p, time), do: %{p | at: min(p.at, time)}
+  @spec rewind_to(t(), Situ.Time.t()) :: t()
+  def rewind_to(p, time), do: %{p | at: min(p.at, time)}
 
   @spec seek(t(), Situ.Time.t()) :: t()
   def seek(p, time), do: %{p | at: time |> max(p.from) |> min(p.to)}
 
   @doc "Plays at the given speed, at most 1,000 times real time; a speed of 0 keeps the current one."
   @spec play(t(), number()) :: t()
-  def play(p, speed), do: %{p | paused: false, speed: speed(p, speed)}
+  def play(p, speed), do: %{p | paused: false, speed: limit_speed(p, speed)}
 
   @spec pause(t()) :: t()
   def pause(p), do: %{p | paused: true}
 
-  @spec at_speed(t(), number()) :: t()
-  def at_speed(p, speed), do: %{p | speed: speed(p, speed)}
+  @spec set_speed(t(), number()) :: t()
+  def set_speed(p, speed), do: %{p | speed: limit_speed(p, speed)}
 
-  defp speed(_p, speed) when is_number(speed) and speed > 0, do: min(speed / 1, @fastest)
-  defp speed(p, _speed), do: p.speed
+  defp limit_speed(_p, speed) when is_number(speed) and speed > 0, do: min(speed / 1, @fastest)
+  defp limit_speed(p, _speed), do: p.speed
 
   @spec status(t()) :: :playing | :paused | :ended
   def status(%{at: at, to: to}) when at >= to, do: :ended

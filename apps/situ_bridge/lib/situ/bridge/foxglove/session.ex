@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Foxglove.Session do
   @moduledoc false
   # One client, with its subscriptions and the time up to which each was served. It is not a process: `open/3`,
-  # `hear/3` and `tick/2` return the frames to send and the next state. `now` is a monotonic clock in nanoseconds.
+  # `handle_frame/3` and `tick/2` return the frames to send and the next state. `now` is a monotonic clock in nanoseconds.
   alias Situ.Bridge.Foxglove.{Playback, Source, Wire}
 
   @protocols ["foxglove.sdk.v1", "foxglove.websocket.v1"]
@@ -24,22 +24,22 @@ defmodule Situ.Bridge.Foxglove.Session do
   @type t :: %__MODULE__{}
 
   @doc "Returns the supported subprotocols, the preferred one first."
-  def protocols, do: @protocols
+  def supported_protocols, do: @protocols
 
   @doc "Returns the first frames for a client, and the state; `name` is the name of the server."
   @spec open(Source.t(), String.t(), protocol :: String.t()) :: {[Wire.frame()], t()}
   def open(source, name, protocol) do
-    {from, to} = Source.extent(source)
+    {from, to} = Source.time_range(source)
     playback = Playback.new(from, to)
     # A client that joins a live recording receives only new messages.
     playback = if source.live?, do: Playback.seek(playback, to), else: playback
     session = %__MODULE__{source: source, playback: playback, sdk?: protocol == "foxglove.sdk.v1"}
-    {advertise, session} = advertise(session)
-    warnings = for {_, why} <- source.skipped, do: Wire.status(1, why)
-    {[info(session, name) | advertise ++ warnings], session}
+    {advertise, session} = advertise_channels(session)
+    warnings = for {_, why} <- source.skipped, do: Wire.encode_status(1, why)
+    {[server_info(session, name) | advertise ++ warnings], session}
   end
 
-  defp info(session, name) do
+  defp server_info(session, name) do
     capabilities = ["time", "parameters", "parametersSubscribe"]
 
     members = %{
@@ -51,196 +51,222 @@ defmodule Situ.Bridge.Foxglove.Session do
 
     if session.sdk? and not session.source.live?,
       do:
-        Wire.op(
+        Wire.encode_op(
           "serverInfo",
           Map.merge(members, %{
             capabilities: capabilities ++ ["playbackControl"],
-            dataStartTime: stamp(session.playback.from),
-            dataEndTime: stamp(session.playback.to)
+            dataStartTime: encode_time(session.playback.from),
+            dataEndTime: encode_time(session.playback.to)
           })
         ),
-      else: Wire.op("serverInfo", Map.put(members, :capabilities, capabilities))
+      else: Wire.encode_op("serverInfo", Map.put(members, :capabilities, capabilities))
   end
 
-  defp stamp(time),
+  defp encode_time(time),
     do: %{sec: div(max(time, 0), 1_000_000_000), nsec: rem(max(time, 0), 1_000_000_000)}
 
-  defp advertise(session) do
+  defp advertise_channels(session) do
     new =
       for {id, {_, channel}} <- session.source.channels, id not in session.told, do: {id, channel}
 
     told = Enum.into(new, session.told, &elem(&1, 0))
-    channels = for {id, channel} <- Enum.sort(new), do: Source.advertised(id, channel)
+    channels = for {id, channel} <- Enum.sort(new), do: Source.describe_channel(id, channel)
 
-    {if(new == [], do: [], else: [Wire.op("advertise", channels: channels)]),
+    {if(new == [], do: [], else: [Wire.encode_op("advertise", channels: channels)]),
      %{session | told: told}}
   end
 
   @doc "Handles a frame from the client."
-  @spec hear(t(), {:text | :binary, binary()}, now :: integer()) :: {[Wire.frame()], t()}
-  def hear(session, frame, _now) do
-    case Wire.read(frame) do
-      {:op, op, message} -> op(session, op, message)
-      {:playback, command, speed, seek, id} -> control(session, command, speed, seek, id)
-      {:error, why} -> {[Wire.status(2, why)], session}
+  @spec handle_frame(t(), {:text | :binary, binary()}, now :: integer()) :: {[Wire.frame()], t()}
+  def handle_frame(session, frame, _now) do
+    case Wire.parse_frame(frame) do
+      {:op, op, message} -> handle_op(session, op, message)
+      {:playback, command, speed, seek, id} -> control_playback(session, command, speed, seek, id)
+      {:error, why} -> {[Wire.encode_status(2, why)], session}
     end
   end
 
-  defp op(session, "subscribe", %{"subscriptions" => list}) when is_list(list),
-    do: each(list, session, &subscribe/2)
+  defp handle_op(session, "subscribe", %{"subscriptions" => list}) when is_list(list),
+    do: collect_frames(list, session, &add_subscription/2)
 
-  defp op(session, "unsubscribe", %{"subscriptionIds" => ids}) when is_list(ids),
+  defp handle_op(session, "unsubscribe", %{"subscriptionIds" => ids}) when is_list(ids),
     do: {[], %{session | wanted: Map.drop(session.wanted, ids)}}
 
-  defp op(session, "getParameters", %{"parameterNames" => names} = message) when is_list(names),
-    do: {[values(session, names, message)], session}
+  defp handle_op(session, "getParameters", %{"parameterNames" => names} = message)
+       when is_list(names),
+       do: {[parameter_values(session, names, message)], session}
 
-  defp op(session, "setParameters", %{"parameters" => list} = message) when is_list(list) do
-    {frames, session} = each(list, session, &set/2)
+  defp handle_op(session, "setParameters", %{"parameters" => list} = message)
+       when is_list(list) do
+    {frames, session} = collect_frames(list, session, &set_parameter/2)
     names = for %{"name" => name} <- list, name in @parameters, do: name
-    answer = if message["id"], do: [values(session, names, message)], else: []
-    {frames ++ answer ++ changed(session, names), session}
+    answer = if message["id"], do: [parameter_values(session, names, message)], else: []
+    {frames ++ answer ++ parameter_updates(session, names), session}
   end
 
-  defp op(session, "subscribeParameterUpdates", %{"parameterNames" => names}) when is_list(names),
-    do: {[], %{session | watched: Enum.into(known(names), session.watched)}}
+  defp handle_op(session, "subscribeParameterUpdates", %{"parameterNames" => names})
+       when is_list(names),
+       do: {[], %{session | watched: Enum.into(known_parameters(names), session.watched)}}
 
-  defp op(session, "unsubscribeParameterUpdates", %{"parameterNames" => names})
+  defp handle_op(session, "unsubscribeParameterUpdates", %{"parameterNames" => names})
        when is_list(names),
        do:
-         {[], %{session | watched: MapSet.difference(session.watched, MapSet.new(known(names)))}}
+         {[],
+          %{
+            session
+            | watched: MapSet.difference(session.watched, MapSet.new(known_parameters(names)))
+          }}
 
-  defp op(session, op, _message),
+  defp handle_op(session, op, _message),
     do:
       {[
-         Wire.status(
+         Wire.encode_status(
            2,
            "#{inspect(op, limit: 50, printable_limit: 50)} is not supported, or lacks a required member"
          )
        ], session}
 
-  defp each(list, session, fun) do
+  defp collect_frames(list, session, fun) do
     {frames, session} = Enum.map_reduce(list, session, fun)
     {Enum.concat(frames), session}
   end
 
   # A new subscriber first receives the latest message at the playback's position.
-  defp subscribe(%{"id" => id, "channelId" => channel}, session)
+  defp add_subscription(%{"id" => id, "channelId" => channel}, session)
        when is_integer(id) and id in 0..0xFFFFFFFF do
     cond do
       not is_map_key(session.source.channels, channel) ->
-        {[Wire.status(2, "the channel id #{inspect(channel, limit: 5)} does not exist")], session}
+        {[Wire.encode_status(2, "the channel id #{inspect(channel, limit: 5)} does not exist")],
+         session}
 
       is_map_key(session.wanted, id) ->
-        {[Wire.status(2, "the subscription id #{id} is already in use")], session}
+        {[Wire.encode_status(2, "the subscription id #{id} is already in use")], session}
 
       true ->
         at = session.playback.at
-        {frames, session} = held(put_in(session.wanted[id], {channel, at}), id)
+        {frames, session} = latest_frames(put_in(session.wanted[id], {channel, at}), id)
         {frames, session}
     end
   end
 
-  defp subscribe(_other, session),
-    do: {[Wire.status(2, "a subscription requires an integer `id` and a `channelId`")], session}
+  defp add_subscription(_other, session),
+    do:
+      {[Wire.encode_status(2, "a subscription requires an integer `id` and a `channelId`")],
+       session}
 
-  defp held(session, id) do
+  defp latest_frames(session, id) do
     {channel, at} = session.wanted[id]
-    session.source |> Source.latest(channel, at) |> frames(session, id)
+    session.source |> Source.latest_message(channel, at) |> message_frames(session, id)
   end
 
-  defp frames(messages, session, id) do
+  defp message_frames(messages, session, id) do
     Enum.flat_map_reduce(messages, session, fn
-      {time, {:ok, bytes}}, session -> {[Wire.data(id, time, bytes)], session}
-      {_time, {:error, why}}, session -> warn(session, id, why)
+      {time, {:ok, bytes}}, session -> {[Wire.encode_message(id, time, bytes)], session}
+      {_time, {:error, why}}, session -> warn_once(session, id, why)
     end)
   end
 
   # An error is reported once per subscription, even if it repeats.
-  defp warn(session, id, why) do
+  defp warn_once(session, id, why) do
     if id in session.warned,
       do: {[], session},
-      else: {[Wire.status(1, why)], %{session | warned: MapSet.put(session.warned, id)}}
+      else: {[Wire.encode_status(1, why)], %{session | warned: MapSet.put(session.warned, id)}}
   end
 
   # Parameters serve clients that do not support playback control.
 
-  defp known(names), do: Enum.filter(names, &(&1 in @parameters))
-  defp named([]), do: @parameters
-  defp named(names), do: known(names)
+  defp known_parameters(names), do: Enum.filter(names, &(&1 in @parameters))
+  defp requested_parameters([]), do: @parameters
+  defp requested_parameters(names), do: known_parameters(names)
 
-  defp values(session, names, message) do
+  defp parameter_values(session, names, message) do
     id = if is_binary(message["id"]), do: %{id: message["id"]}, else: %{}
 
-    Wire.op(
+    Wire.encode_op(
       "parameterValues",
-      Map.put(id, :parameters, for(name <- named(names), do: value(session, name)))
+      Map.put(
+        id,
+        :parameters,
+        for(name <- requested_parameters(names), do: parameter_value(session, name))
+      )
     )
   end
 
-  defp value(%{playback: p}, "situ.paused"), do: %{name: "situ.paused", value: p.paused}
+  defp parameter_value(%{playback: p}, "situ.paused"), do: %{name: "situ.paused", value: p.paused}
 
-  defp value(%{playback: p}, "situ.speed"),
+  defp parameter_value(%{playback: p}, "situ.speed"),
     do: %{name: "situ.speed", value: p.speed, type: "float64"}
 
-  defp value(%{playback: p}, "situ.position"),
+  defp parameter_value(%{playback: p}, "situ.position"),
     do: %{name: "situ.position", value: max(p.at - p.from, 0) / 1.0e9, type: "float64"}
 
-  defp set(%{"name" => "situ.paused", "value" => true}, session), do: command(session, :pause, 0)
+  defp set_parameter(%{"name" => "situ.paused", "value" => true}, session),
+    do: apply_command(session, :pause, 0)
 
-  defp set(%{"name" => "situ.paused", "value" => false}, session), do: command(session, :play, 0)
+  defp set_parameter(%{"name" => "situ.paused", "value" => false}, session),
+    do: apply_command(session, :play, 0)
 
-  defp set(%{"name" => "situ.speed", "value" => speed}, session)
+  defp set_parameter(%{"name" => "situ.speed", "value" => speed}, session)
        when is_number(speed) and speed > 0,
-       do: {[], update_in(session.playback, &Playback.at_speed(&1, speed))}
+       do: {[], update_in(session.playback, &Playback.set_speed(&1, speed))}
 
-  defp set(%{"name" => "situ.position", "value" => s}, session)
+  defp set_parameter(%{"name" => "situ.position", "value" => s}, session)
        when is_number(s) and s >= 0 and s < 1.0e9,
-       do: seek(session, session.playback.from + round(s * 1.0e9))
+       do: seek_playback(session, session.playback.from + round(s * 1.0e9))
 
-  defp set(other, session),
+  defp set_parameter(other, session),
     do:
       {[
-         Wire.status(
+         Wire.encode_status(
            2,
            "the parameter does not exist, or its value is invalid: #{inspect(other, limit: 5)}"
          )
        ], session}
 
-  defp changed(session, names) do
+  defp parameter_updates(session, names) do
     case Enum.filter(names, &(&1 in session.watched)) do
       [] -> []
-      names -> [values(session, names, %{})]
+      names -> [parameter_values(session, names, %{})]
     end
   end
 
-  defp control(%{sdk?: true} = session, command, speed, seek, id) do
-    {sought, session} = if seek, do: seek(session, seek), else: {[], session}
-    {frames, session} = command(session, command, speed)
-    {[state(session.playback, seek != nil, id) | sought ++ frames], session}
+  defp control_playback(%{sdk?: true} = session, command, speed, seek, id) do
+    {sought, session} = if seek, do: seek_playback(session, seek), else: {[], session}
+    {frames, session} = apply_command(session, command, speed)
+    {[playback_state(session.playback, seek != nil, id) | sought ++ frames], session}
   end
 
-  defp control(session, _command, _speed, _seek, _id),
-    do: {[Wire.status(2, "playback control requires the subprotocol foxglove.sdk.v1")], session}
+  defp control_playback(session, _command, _speed, _seek, _id),
+    do:
+      {[Wire.encode_status(2, "playback control requires the subprotocol foxglove.sdk.v1")],
+       session}
 
   # A playback that has ended restarts from the beginning.
-  defp command(session, :play, speed) do
+  defp apply_command(session, :play, speed) do
     ended? = Playback.status(session.playback) == :ended and not session.source.live?
-    {frames, session} = if ended?, do: seek(session, session.playback.from), else: {[], session}
+
+    {frames, session} =
+      if ended?, do: seek_playback(session, session.playback.from), else: {[], session}
+
     {frames, update_in(session.playback, &Playback.play(&1, speed))}
   end
 
-  defp command(session, :pause, speed),
-    do: {[], update_in(session.playback, &(&1 |> Playback.at_speed(speed) |> Playback.pause()))}
+  defp apply_command(session, :pause, speed),
+    do: {[], update_in(session.playback, &(&1 |> Playback.set_speed(speed) |> Playback.pause()))}
 
-  defp state(playback, seek?, id),
-    do: Wire.playback_is(Playback.status(playback), playback.at, playback.speed, seek?, id)
+  defp playback_state(playback, seek?, id),
+    do: Wire.encode_playback(Playback.status(playback), playback.at, playback.speed, seek?, id)
 
   # Every subscriber receives the latest message at the new position, and continues from there.
-  defp seek(session, time) do
+  defp seek_playback(session, time) do
     playback = Playback.seek(session.playback, time)
     wanted = Map.new(session.wanted, fn {id, {channel, _}} -> {id, {channel, playback.at}} end)
-    each(Map.keys(wanted), %{session | playback: playback, wanted: wanted}, &held(&2, &1))
+
+    collect_frames(
+      Map.keys(wanted),
+      %{session | playback: playback, wanted: wanted},
+      &latest_frames(&2, &1)
+    )
   end
 
   @doc """
@@ -248,20 +274,22 @@ defmodule Situ.Bridge.Foxglove.Session do
   """
   @spec tick(t(), now :: integer()) :: {[Wire.frame()], t()}
   def tick(session, now) do
-    {news, session} = look(session, now)
+    {news, session} = refresh_source(session, now)
     before = Playback.status(session.playback)
-    playback = moved(session, now)
-    {messages, session} = due(%{session | playback: playback})
+    playback = advance_playback(session, now)
+    {messages, session} = take_due_messages(%{session | playback: playback})
 
     {frames, session} =
-      each(messages, session, fn {_, id, message}, session -> frames([message], session, id) end)
+      collect_frames(messages, session, fn {_, id, message}, session ->
+        message_frames([message], session, id)
+      end)
 
-    time = if before == :playing, do: [Wire.time_is(session.playback.at)], else: []
-    {news ++ frames ++ time ++ ended(session, before), session}
+    time = if before == :playing, do: [Wire.encode_time(session.playback.at)], else: []
+    {news ++ frames ++ time ++ report_end(session, before), session}
   end
 
-  defp moved(%{source: %{live?: true}} = session, _now) do
-    {_, to} = Source.extent(session.source)
+  defp advance_playback(%{source: %{live?: true}} = session, _now) do
+    {_, to} = Source.time_range(session.source)
 
     %{
       session.playback
@@ -270,28 +298,28 @@ defmodule Situ.Bridge.Foxglove.Session do
     }
   end
 
-  defp moved(session, now), do: Playback.advance(session.playback, now)
+  defp advance_playback(session, now), do: Playback.advance(session.playback, now)
 
-  defp look(session, now) do
+  defp refresh_source(session, now) do
     if session.looked == nil or (session.source.live? and now - session.looked >= @look_every),
-      do: advertise(%{session | source: Source.look(session.source), looked: now}),
+      do: advertise_channels(%{session | source: Source.refresh(session.source), looked: now}),
       else: {[], session}
   end
 
-  defp ended(%{sdk?: true} = session, :playing) do
+  defp report_end(%{sdk?: true} = session, :playing) do
     if Playback.status(session.playback) == :ended and not session.source.live?,
-      do: [state(session.playback, false, "")],
+      do: [playback_state(session.playback, false, "")],
       else: []
   end
 
-  defp ended(_session, _before), do: []
+  defp report_end(_session, _before), do: []
 
   # Messages are sent in order of time. If there are too many, the playback advances only to the last one sent.
-  defp due(%{playback: %{at: at}} = session) do
+  defp take_due_messages(%{playback: %{at: at}} = session) do
     {lists, ends} =
       session.wanted
       |> Enum.map(fn {id, {channel, from}} ->
-        {messages, all?} = Source.between(session.source, channel, from, at)
+        {messages, all?} = Source.messages_between(session.source, channel, from, at)
 
         {Enum.map(messages, &{elem(&1, 0), id, &1}),
          if(all?, do: at, else: messages |> List.last() |> elem(0))}
@@ -299,15 +327,18 @@ defmodule Situ.Bridge.Foxglove.Session do
       |> Enum.unzip()
 
     reached = Enum.min([at | ends])
-    {messages, reached} = lists |> Enum.concat() |> Enum.sort_by(&elem(&1, 0)) |> within(reached)
+
+    {messages, reached} =
+      lists |> Enum.concat() |> Enum.sort_by(&elem(&1, 0)) |> limit_messages(reached)
 
     wanted =
       Map.new(session.wanted, fn {id, {channel, from}} -> {id, {channel, max(from, reached)}} end)
 
-    {messages, %{session | wanted: wanted, playback: Playback.only_to(session.playback, reached)}}
+    {messages,
+     %{session | wanted: wanted, playback: Playback.rewind_to(session.playback, reached)}}
   end
 
-  defp within(messages, reached) do
+  defp limit_messages(messages, reached) do
     messages
     |> Enum.take_while(&(elem(&1, 0) <= reached))
     |> Enum.reduce_while({[], 0, nil}, fn {time, _, {_, result}} = message,
@@ -315,7 +346,7 @@ defmodule Situ.Bridge.Foxglove.Session do
       # Messages with the same time are sent together.
       if bytes > @most_at_once and time != last,
         do: {:halt, {taken, :full, last}},
-        else: {:cont, {[message | taken], bytes + size(result), time}}
+        else: {:cont, {[message | taken], bytes + message_size(result), time}}
     end)
     |> case do
       {taken, :full, last} -> {Enum.reverse(taken), last}
@@ -323,6 +354,6 @@ defmodule Situ.Bridge.Foxglove.Session do
     end
   end
 
-  defp size({:ok, bytes}), do: byte_size(bytes)
-  defp size({:error, _}), do: 0
+  defp message_size({:ok, bytes}), do: byte_size(bytes)
+  defp message_size({:error, _}), do: 0
 end

@@ -13,16 +13,16 @@ defmodule Situ.Bridge.Foxglove.Source do
   @type t :: %__MODULE__{}
 
   @spec new(Store.t()) :: t()
-  def new(store), do: look(%__MODULE__{store: store, live?: Store.live?(store)})
+  def new(store), do: refresh(%__MODULE__{store: store, live?: Store.live?(store)})
 
   @doc "Adds the streams that have received their first message since the last call."
-  @spec look(t()) :: t()
-  def look(source) do
+  @spec refresh(t()) :: t()
+  def refresh(source) do
     new =
       for info <- Store.streams(source.store),
           info.count > 0,
           not is_map_key(source.channels, info.id) and not is_map_key(source.skipped, info.id),
-          do: {info, channel(source.store, info)}
+          do: {info, build_channel(source.store, info)}
 
     Enum.reduce(new, %{source | live?: Store.live?(source.store)}, fn
       {info, {:ok, channel}}, source ->
@@ -33,17 +33,17 @@ defmodule Situ.Bridge.Foxglove.Source do
     end)
   end
 
-  defp channel(store, info) do
+  defp build_channel(store, info) do
     with {:ok, message} when message != nil <- Store.at(store, info.name, 0),
-         do: Channel.new(topic(info.name), [encoding: :auto], message.data)
+         do: Channel.new(topic_name(info.name), [encoding: :auto], message.data)
   end
 
-  defp topic("/" <> _ = name), do: name
-  defp topic(name), do: "/" <> String.replace(name, ~r/[. ]/, "/")
+  defp topic_name("/" <> _ = name), do: name
+  defp topic_name(name), do: "/" <> String.replace(name, ~r/[. ]/, "/")
 
   @doc "Returns a channel as it is advertised to clients."
-  @spec advertised(non_neg_integer(), Channel.t()) :: map()
-  def advertised(id, channel) do
+  @spec describe_channel(non_neg_integer(), Channel.t()) :: map()
+  def describe_channel(id, channel) do
     {name, _language, schema} = channel.schema
 
     %{
@@ -57,40 +57,43 @@ defmodule Situ.Bridge.Foxglove.Source do
   end
 
   @doc "Returns the first and last time of the recording, or zeros if it is empty."
-  @spec extent(t()) :: {Situ.Time.t(), Situ.Time.t()}
-  def extent(source), do: Store.interval(source.store) || {0, 0}
+  @spec time_range(t()) :: {Situ.Time.t(), Situ.Time.t()}
+  def time_range(source), do: Store.interval(source.store) || {0, 0}
 
   @doc """
   Returns a channel's messages after `from`, up to `to`, as `{time, {:ok, bytes} | {:error, reason}}`, and whether
   these are all of them.
   """
-  @spec between(t(), non_neg_integer(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec messages_between(t(), non_neg_integer(), Situ.Time.t(), Situ.Time.t()) ::
           {[{Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}], all? :: boolean()}
-  def between(_source, _id, from, to) when from >= to, do: {[], true}
+  def messages_between(_source, _id, from, to) when from >= to, do: {[], true}
 
-  def between(source, id, from, to) do
+  def messages_between(source, id, from, to) do
     {name, channel} = Map.fetch!(source.channels, id)
 
     case Store.read(source.store, name, from: from + 1, to: to, limit: @batch) do
-      {:ok, messages} -> {Enum.map(messages, &written(&1, channel)), length(messages) < @batch}
-      {:error, error} -> {[{to, {:error, Exception.message(error)}}], true}
+      {:ok, messages} ->
+        {Enum.map(messages, &encode_message(&1, channel)), length(messages) < @batch}
+
+      {:error, error} ->
+        {[{to, {:error, Exception.message(error)}}], true}
     end
   end
 
   @doc "Returns the channel's latest message at a time as a list, which is empty if there is none."
-  @spec latest(t(), non_neg_integer(), Situ.Time.t()) :: [
+  @spec latest_message(t(), non_neg_integer(), Situ.Time.t()) :: [
           {Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}
         ]
-  def latest(source, id, time) do
+  def latest_message(source, id, time) do
     {name, channel} = Map.fetch!(source.channels, id)
 
     case Store.latest_at(source.store, name, time) do
-      {:ok, message} when message != nil -> [written(message, channel)]
+      {:ok, message} when message != nil -> [encode_message(message, channel)]
       _ -> []
     end
   end
 
-  defp written(message, channel) do
+  defp encode_message(message, channel) do
     case Channel.encode(channel, message.data, message.originating_time) do
       {:ok, bytes} -> {message.originating_time, {:ok, bytes}}
       {:error, error} -> {message.originating_time, {:error, Exception.message(error)}}

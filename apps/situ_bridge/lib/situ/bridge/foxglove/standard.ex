@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
   | `Log` | export only, from strings |
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Format.Fitting
   alias Situ.Bridge.Ros.{Optics, Pixels, Sensors}
 
@@ -41,70 +41,70 @@ defmodule Situ.Bridge.Foxglove.Standard do
   @colours ~w(red green blue)
 
   @doc "Returns the `Situ.Type` of the values that messages of a Foxglove type are converted to."
-  @spec type(String.t()) :: Situ.Type.t()
-  def type(@package <> name), do: own(name)
-  def type(_), do: :map
+  @spec situ_type(String.t()) :: Situ.Type.t()
+  def situ_type(@package <> name), do: package_type(name)
+  def situ_type(_), do: :map
 
-  defp own("RawImage"), do: {:or, [Image, DepthImage, :map]}
-  defp own("CompressedImage"), do: {:or, [EncodedImage, :map]}
-  defp own("PointCloud"), do: {:or, [PointCloud, :map]}
-  defp own("FrameTransform"), do: {:or, [Transform, :map]}
-  defp own("FrameTransforms"), do: {:or, [{:list, Transform}, :map]}
-  defp own(pose) when pose in ["Pose", "PoseInFrame"], do: {:or, [Pose, :map]}
-  defp own(point) when point in ["Point3", "Vector3"], do: {:or, [Point3, :map]}
-  defp own("CameraCalibration"), do: {:or, [CameraIntrinsics, :map]}
-  defp own("LocationFix"), do: {:or, [GeoPoint, :map]}
-  defp own("JointStates"), do: {:or, [JointState, :map]}
-  defp own("RawAudio"), do: {:or, [AudioBuffer, :map]}
-  defp own(_), do: :map
+  defp package_type("RawImage"), do: {:or, [Image, DepthImage, :map]}
+  defp package_type("CompressedImage"), do: {:or, [EncodedImage, :map]}
+  defp package_type("PointCloud"), do: {:or, [PointCloud, :map]}
+  defp package_type("FrameTransform"), do: {:or, [Transform, :map]}
+  defp package_type("FrameTransforms"), do: {:or, [{:list, Transform}, :map]}
+  defp package_type(pose) when pose in ["Pose", "PoseInFrame"], do: {:or, [Pose, :map]}
+  defp package_type(point) when point in ["Point3", "Vector3"], do: {:or, [Point3, :map]}
+  defp package_type("CameraCalibration"), do: {:or, [CameraIntrinsics, :map]}
+  defp package_type("LocationFix"), do: {:or, [GeoPoint, :map]}
+  defp package_type("JointStates"), do: {:or, [JointState, :map]}
+  defp package_type("RawAudio"), do: {:or, [AudioBuffer, :map]}
+  defp package_type(_), do: :map
 
   @doc "Converts a message to Situ's type; an invalid message, or one without a Situ type, stays a map."
-  @spec from(String.t(), map()) :: term()
-  def from(@package <> name, message) do
-    case Fitting.try(fn -> make(name, message) end) do
+  @spec from_message(String.t(), map()) :: term()
+  def from_message(@package <> name, message) do
+    case Fitting.try_build(fn -> build_value(name, message) end) do
       {:ok, value} -> value
       _ -> message
     end
   end
 
-  def from(_name, message), do: message
+  def from_message(_name, message), do: message
 
-  defp make("RawImage", m), do: Pixels.from(m, "width", "height", "step")
+  defp build_value("RawImage", m), do: Pixels.from_message(m, "width", "height", "step")
 
-  defp make("CompressedImage", %{"data" => data}) do
-    with {:ok, format} <- EncodedImage.sniff(data),
+  defp build_value("CompressedImage", %{"data" => data}) do
+    with {:ok, format} <- EncodedImage.detect_format(data),
          do: EncodedImage.new(format: format, data: data)
   end
 
-  defp make("PointCloud", m), do: cloud(m)
+  defp build_value("PointCloud", m), do: parse_cloud(m)
 
-  defp make("FrameTransform", m) do
-    with {:ok, pose} <- pose(m["translation"], m["rotation"]),
+  defp build_value("FrameTransform", m) do
+    with {:ok, pose} <- parse_pose(m["translation"], m["rotation"]),
          do: {:ok, Transform.new(m["child_frame_id"], m["parent_frame_id"], pose)}
   end
 
-  defp make("FrameTransforms", %{"transforms" => list}) do
-    made = for m <- list, {:ok, transform} <- [make("FrameTransform", m)], do: transform
+  defp build_value("FrameTransforms", %{"transforms" => list}) do
+    made = for m <- list, {:ok, transform} <- [build_value("FrameTransform", m)], do: transform
     if length(made) == length(list), do: {:ok, made}, else: :error
   end
 
-  defp make("PoseInFrame", %{"pose" => %{} = pose}), do: make("Pose", pose)
-  defp make("Pose", m), do: pose(m["position"], m["orientation"])
+  defp build_value("PoseInFrame", %{"pose" => %{} = pose}), do: build_value("Pose", pose)
+  defp build_value("Pose", m), do: parse_pose(m["position"], m["orientation"])
 
-  defp make(point, %{"x" => x, "y" => y, "z" => z})
+  defp build_value(point, %{"x" => x, "y" => y, "z" => z})
        when point in ["Point3", "Vector3"] and is_float(x) and is_float(y) and is_float(z),
        do: {:ok, %Point3{x: x, y: y, z: z}}
 
-  defp make("CameraCalibration", m), do: Optics.from(m)
+  defp build_value("CameraCalibration", m), do: Optics.from_message(m)
 
-  defp make("LocationFix", m),
+  defp build_value("LocationFix", m),
     do:
       GeoPoint.new(m["latitude"], m["longitude"],
-        height: Sensors.altitude(m),
-        accuracy: Sensors.accuracy(m)
+        height: Sensors.parse_altitude(m),
+        accuracy: Sensors.parse_accuracy(m)
       )
 
-  defp make("JointStates", %{"joints" => joints}) do
+  defp build_value("JointStates", %{"joints" => joints}) do
     [names | lists] =
       for key <- ~w(name position velocity effort), do: Enum.map(joints, & &1[key])
 
@@ -113,16 +113,16 @@ defmodule Situ.Bridge.Foxglove.Standard do
     JointState.new(names, p, v, e)
   end
 
-  defp make("RawAudio", %{"format" => "pcm-s16", "data" => data} = m) do
+  defp build_value("RawAudio", %{"format" => "pcm-s16", "data" => data} = m) do
     with {:ok, format} <-
            AudioFormat.new(rate: m["sample_rate"], channels: m["number_of_channels"]),
          do: AudioBuffer.new(format: format, data: data)
   end
 
-  defp make(_name, _message), do: :error
+  defp build_value(_name, _message), do: :error
 
   # A missing position is the origin; a missing rotation is the identity.
-  defp pose(position, rotation) do
+  defp parse_pose(position, rotation) do
     p = position || %{"x" => 0.0, "y" => 0.0, "z" => 0.0}
     q = rotation || %{"x" => 0.0, "y" => 0.0, "z" => 0.0, "w" => 1.0}
 
@@ -134,25 +134,27 @@ defmodule Situ.Bridge.Foxglove.Standard do
          else: (_ -> :error)
   end
 
-  defp cloud(%{"point_stride" => step, "fields" => fields, "data" => data, "pose" => pose}) do
+  defp parse_cloud(%{"point_stride" => step, "fields" => fields, "data" => data, "pose" => pose}) do
     at = Map.new(fields, &{&1["name"], {&1["offset"], &1["type"]}})
 
-    with true <- plain?(pose) and step > 0 and rem(byte_size(data), step) == 0,
+    with true <- identity_pose?(pose) and step > 0 and rem(byte_size(data), step) == 0,
          %{"x" => {x, @float32}, "y" => {y, @float32}, "z" => {z, @float32}} <- at,
          true <- y == x + 4 and z == x + 8 and x + 12 <= step do
-      PointCloud.new(Pixels.every(data, step, x, 12), colours(data, step, at))
+      PointCloud.new(Pixels.slice_every(data, step, x, 12), read_colors(data, step, at))
     else
       _ -> :error
     end
   end
 
   # Only clouds with an identity pose are converted: the points of others would have to be transformed first.
-  defp plain?(nil), do: true
-  defp plain?(m), do: pose(m["position"], m["orientation"]) == {:ok, Pose.identity()}
+  defp identity_pose?(nil), do: true
 
-  defp colours(data, step, at) do
+  defp identity_pose?(m),
+    do: parse_pose(m["position"], m["orientation"]) == {:ok, Pose.identity()}
+
+  defp read_colors(data, step, at) do
     with [r, g, b] <- for(c <- @colours, {o, "UINT8"} <- [at[c]], o < step, do: o) do
-      for <<point::binary-known(step) <- data>>, into: <<>> do
+      for <<point::binary-pinned_size(step) <- data>>, into: <<>> do
         <<:binary.at(point, r), :binary.at(point, g), :binary.at(point, b)>>
       end
     else
@@ -163,7 +165,10 @@ defmodule Situ.Bridge.Foxglove.Standard do
   @doc "Returns the name of the Foxglove type that fits data, or `nil`."
   @spec message_type(term()) :: String.t() | nil
   def message_type(%DepthImage{}), do: @package <> "RawImage"
-  def message_type(%Image{} = image), do: if(Pixels.name(image), do: @package <> "RawImage")
+
+  def message_type(%Image{} = image),
+    do: if(Pixels.encoding_name(image), do: @package <> "RawImage")
+
   def message_type(%EncodedImage{}), do: @package <> "CompressedImage"
   def message_type(%PointCloud{}), do: @package <> "PointCloud"
   def message_type(%Transform{}), do: @package <> "FrameTransform"
@@ -181,36 +186,37 @@ defmodule Situ.Bridge.Foxglove.Standard do
   Converts data to a message of a type. Situ's types become Foxglove's, with `time` as their timestamp and `frame` as
   their frame of reference; maps and other values are returned unchanged.
   """
-  @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: term()
-  def to(name, value, time, frame \\ "")
+  @spec to_message(String.t(), term(), Situ.Time.t(), String.t()) :: term()
+  def to_message(name, value, time, frame \\ "")
 
-  def to(_name, %Image{} = image, time, frame),
-    do: image |> Pixels.to("step") |> in_frame(time, frame)
+  def to_message(_name, %Image{} = image, time, frame),
+    do: image |> Pixels.to_message("step") |> put_frame(time, frame)
 
-  def to(_name, %DepthImage{} = depth, time, frame),
-    do: depth |> Pixels.to("step") |> in_frame(time, frame)
+  def to_message(_name, %DepthImage{} = depth, time, frame),
+    do: depth |> Pixels.to_message("step") |> put_frame(time, frame)
 
-  def to(_name, %EncodedImage{} = image, time, frame),
-    do: in_frame(%{"format" => Atom.to_string(image.format), "data" => image.data}, time, frame)
+  def to_message(_name, %EncodedImage{} = image, time, frame),
+    do: put_frame(%{"format" => Atom.to_string(image.format), "data" => image.data}, time, frame)
 
-  def to(_name, %PointCloud{} = cloud, time, frame),
-    do: cloud |> points() |> in_frame(time, frame)
+  def to_message(_name, %PointCloud{} = cloud, time, frame),
+    do: cloud |> encode_cloud() |> put_frame(time, frame)
 
-  def to(_name, %Transform{} = transform, time, _frame), do: transform(transform, time)
+  def to_message(_name, %Transform{} = transform, time, _frame),
+    do: encode_transform(transform, time)
 
-  def to(_name, [%Transform{} | _] = list, time, _frame),
-    do: %{"transforms" => Enum.map(list, &transform(&1, time))}
+  def to_message(_name, [%Transform{} | _] = list, time, _frame),
+    do: %{"transforms" => Enum.map(list, &encode_transform(&1, time))}
 
-  def to(@package <> "PoseInFrame", %Pose{} = pose, time, frame),
-    do: in_frame(%{"pose" => placed(pose)}, time, frame)
+  def to_message(@package <> "PoseInFrame", %Pose{} = pose, time, frame),
+    do: put_frame(%{"pose" => encode_pose(pose)}, time, frame)
 
-  def to(_name, %Pose{} = pose, _time, _frame), do: placed(pose)
-  def to(_name, %Point3{x: x, y: y, z: z}, _time, _frame), do: xyz({x, y, z})
+  def to_message(_name, %Pose{} = pose, _time, _frame), do: encode_pose(pose)
+  def to_message(_name, %Point3{x: x, y: y, z: z}, _time, _frame), do: encode_vector({x, y, z})
 
-  def to(_name, %CameraIntrinsics{} = optics, time, frame),
-    do: optics |> Optics.to() |> in_frame(time, frame)
+  def to_message(_name, %CameraIntrinsics{} = optics, time, frame),
+    do: optics |> Optics.to_message() |> put_frame(time, frame)
 
-  def to(_name, %AudioBuffer{format: format, data: data}, time, _frame) do
+  def to_message(_name, %AudioBuffer{format: format, data: data}, time, _frame) do
     %{
       "timestamp" => time,
       "data" => data,
@@ -220,10 +226,10 @@ defmodule Situ.Bridge.Foxglove.Standard do
     }
   end
 
-  def to(_name, %GeoPoint{} = place, time, frame) do
-    {covariance, type} = Sensors.covariance(place.accuracy)
+  def to_message(_name, %GeoPoint{} = place, time, frame) do
+    {covariance, type} = Sensors.encode_covariance(place.accuracy)
 
-    in_frame(
+    put_frame(
       %{
         "latitude" => place.latitude,
         "longitude" => place.longitude,
@@ -236,7 +242,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
     )
   end
 
-  def to(_name, %JointState{} = s, time, _frame) do
+  def to_message(_name, %JointState{} = s, time, _frame) do
     lists =
       for list <- [s.positions, s.velocities, s.efforts],
           do: Stream.concat(list, Stream.cycle([nil]))
@@ -248,16 +254,16 @@ defmodule Situ.Bridge.Foxglove.Standard do
     %{"timestamp" => time, "joints" => joints}
   end
 
-  def to(@package <> "Log", text, time, _frame) when is_binary(text),
+  def to_message(@package <> "Log", text, time, _frame) when is_binary(text),
     do: %{"timestamp" => time, "level" => "INFO", "message" => text}
 
-  def to(_name, map, _time, _frame), do: map
+  def to_message(_name, map, _time, _frame), do: map
 
-  defp in_frame(message, time, frame),
+  defp put_frame(message, time, frame),
     do: Map.merge(message, %{"timestamp" => time, "frame_id" => frame})
 
-  defp transform(%Transform{pose: pose} = t, time) do
-    %{"position" => position, "orientation" => rotation} = placed(pose)
+  defp encode_transform(%Transform{pose: pose} = t, time) do
+    %{"position" => position, "orientation" => rotation} = encode_pose(pose)
 
     %{
       "timestamp" => time,
@@ -268,29 +274,36 @@ defmodule Situ.Bridge.Foxglove.Standard do
     }
   end
 
-  defp placed(%Pose{position: position, rotation: {w, i, j, k}}),
-    do: %{"position" => xyz(position), "orientation" => Map.put(xyz({i, j, k}), "w", w)}
+  defp encode_pose(%Pose{position: position, rotation: {w, i, j, k}}),
+    do: %{
+      "position" => encode_vector(position),
+      "orientation" => Map.put(encode_vector({i, j, k}), "w", w)
+    }
 
-  defp xyz({x, y, z}), do: %{"x" => x, "y" => y, "z" => z}
+  defp encode_vector({x, y, z}), do: %{"x" => x, "y" => y, "z" => z}
 
-  defp points(%PointCloud{colors: nil, points: points}),
+  defp encode_cloud(%PointCloud{colors: nil, points: points}),
     do:
-      laid(12, points, for({name, i} <- Enum.with_index(~w(x y z)), do: {name, 4 * i, @float32}))
+      build_cloud(
+        12,
+        points,
+        for({name, i} <- Enum.with_index(~w(x y z)), do: {name, 4 * i, @float32})
+      )
 
-  defp points(%PointCloud{colors: colors, points: points}) do
+  defp encode_cloud(%PointCloud{colors: colors, points: points}) do
     fields = for({name, i} <- Enum.with_index(~w(x y z)), do: {name, 4 * i, @float32})
     more = for({name, i} <- Enum.with_index(@colours), do: {name, 12 + i, "UINT8"})
-    laid(16, Pixels.woven(points, colors), fields ++ more)
+    build_cloud(16, Pixels.interleave_points(points, colors), fields ++ more)
   end
 
-  defp laid(step, data, fields) do
+  defp build_cloud(step, data, fields) do
     fields = for {name, at, type} <- fields, do: %{"name" => name, "offset" => at, "type" => type}
 
     %{
       "point_stride" => step,
       "fields" => fields,
       "data" => data,
-      "pose" => placed(Pose.identity())
+      "pose" => encode_pose(Pose.identity())
     }
   end
 end

@@ -12,8 +12,8 @@ defmodule Situ.Bridge.Foxglove.Wire do
           | {:error, String.t()}
 
   @doc "Parses a frame from a client."
-  @spec read({:text | :binary, binary()}) :: heard()
-  def read({:text, text}) do
+  @spec parse_frame({:text | :binary, binary()}) :: heard()
+  def parse_frame({:text, text}) do
     case Situ.JSON.decode(text) do
       {:ok, %{"op" => op} = message} when is_binary(op) -> {:op, op, message}
       {:ok, _} -> {:error, "the message has no `op`"}
@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Foxglove.Wire do
     end
   end
 
-  def read(
+  def parse_frame(
         {:binary,
          <<3, command, speed::binary-4, seek?, time::little-64, n::little-32, id::binary-size(n)>>}
       )
@@ -36,43 +36,43 @@ defmodule Situ.Bridge.Foxglove.Wire do
     end
   end
 
-  def read({:binary, <<op, _::binary>>}),
+  def parse_frame({:binary, <<op, _::binary>>}),
     do: {:error, "binary messages with opcode #{op} are not supported"}
 
-  def read({:binary, ""}), do: {:error, "the message is empty"}
+  def parse_frame({:binary, ""}), do: {:error, "the message is empty"}
 
   @doc """
   Encodes a JSON message.
 
-      iex> Situ.Bridge.Foxglove.Wire.op("unadvertise", channelIds: [1])
+      iex> Situ.Bridge.Foxglove.Wire.encode_op("unadvertise", channelIds: [1])
       {:text, ~s({"op":"unadvertise","channelIds":[1]})}
   """
-  @spec op(String.t(), Enumerable.t()) :: frame()
-  def op(name, members),
+  @spec encode_op(String.t(), Enumerable.t()) :: frame()
+  def encode_op(name, members),
     do: {:text, members |> Map.new() |> Map.put(:op, name) |> Situ.JSON.encode()}
 
   @doc "Encodes a warning (level 1) or an error (level 2) that the client shows to its user."
-  @spec status(1 | 2, String.t()) :: frame()
-  def status(level, text), do: op("status", level: level, message: text)
+  @spec encode_status(1 | 2, String.t()) :: frame()
+  def encode_status(level, text), do: encode_op("status", level: level, message: text)
 
-  @spec data(non_neg_integer(), Situ.Time.t(), iodata()) :: frame()
-  def data(subscription, time, payload),
-    do: {:binary, [<<1, subscription::little-32, time(time)::little-64>>, payload]}
+  @spec encode_message(non_neg_integer(), Situ.Time.t(), iodata()) :: frame()
+  def encode_message(subscription, time, payload),
+    do: {:binary, [<<1, subscription::little-32, clamp_time(time)::little-64>>, payload]}
 
-  @spec time_is(Situ.Time.t()) :: frame()
-  def time_is(time), do: {:binary, <<2, time(time)::little-64>>}
+  @spec encode_time(Situ.Time.t()) :: frame()
+  def encode_time(time), do: {:binary, <<2, clamp_time(time)::little-64>>}
 
-  @spec playback_is(:playing | :paused | :ended, Situ.Time.t(), float(), boolean(), binary()) ::
+  @spec encode_playback(:playing | :paused | :ended, Situ.Time.t(), float(), boolean(), binary()) ::
           frame()
-  def playback_is(status, time, speed, seek?, id) do
+  def encode_playback(status, time, speed, seek?, id) do
     number = %{playing: 0, paused: 1, ended: 3}[status]
     seek = if seek?, do: 1, else: 0
 
     {:binary,
-     <<5, number, time(time)::little-64, speed::little-float-32, seek, byte_size(id)::little-32,
-       id::binary>>}
+     <<5, number, clamp_time(time)::little-64, speed::little-float-32, seek,
+       byte_size(id)::little-32, id::binary>>}
   end
 
   # The protocol has no times before 1970.
-  defp time(time), do: time |> max(0) |> min(@most_time)
+  defp clamp_time(time), do: time |> max(0) |> min(@most_time)
 end

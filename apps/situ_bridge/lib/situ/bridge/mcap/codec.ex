@@ -44,8 +44,8 @@ defmodule Situ.Bridge.Mcap.Codec do
   ]
 
   @doc "Returns the options of readers."
-  @spec options() :: Situ.Options.schema()
-  def options, do: @schema
+  @spec reader_options() :: Situ.Options.schema()
+  def reader_options, do: @schema
 
   @doc "Returns the option of bags that selects their originating times."
   @spec time_options() :: Situ.Options.schema()
@@ -55,47 +55,51 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec new(String.t(), schema(), String.t()) :: {t(), Situ.Type.t(), String.t() | nil}
   def new(encoding, schema, topic \\ "")
   def new("json", _schema, topic), do: {%__MODULE__{kind: :json, topic: topic}, :any, nil}
-  def new("ros1", {name, "ros1msg", text}, topic), do: ros(name, text, :ros1, topic)
-  def new("cdr", {name, "ros2msg", text}, topic), do: ros(name, text, :cdr, topic)
+  def new("ros1", {name, "ros1msg", text}, topic), do: ros_codec(name, text, :ros1, topic)
+  def new("cdr", {name, "ros2msg", text}, topic), do: ros_codec(name, text, :cdr, topic)
 
   def new("protobuf", {name, "protobuf", set}, topic) do
-    case Protobuf.schema(set) do
+    case Protobuf.parse_schema(set) do
       {:ok, %{messages: messages} = schema} when is_map_key(messages, name) ->
         codec = %__MODULE__{kind: :protobuf, by: schema, name: name, topic: topic}
-        {codec, Foxglove.Standard.type(name), nil}
+        {codec, Foxglove.Standard.situ_type(name), nil}
 
       {:ok, _} ->
-        bytes(
+        bytes_codec(
           topic,
           "its definition does not contain the message #{name}, so its messages stay bytes"
         )
 
       {:error, error} ->
-        bytes(topic, Exception.message(error))
+        bytes_codec(topic, Exception.message(error))
     end
   end
 
   def new(encoding, schema, topic) do
     what = if schema, do: "#{elem(schema, 0)} in #{elem(schema, 1)}", else: "no schema"
-    bytes(topic, "its messages are encoded as #{inspect(encoding)} (#{what}) and stay bytes")
+
+    bytes_codec(
+      topic,
+      "its messages are encoded as #{inspect(encoding)} (#{what}) and stay bytes"
+    )
   end
 
-  defp bytes(topic, note), do: {%__MODULE__{kind: :bytes, topic: topic}, :binary, note}
+  defp bytes_codec(topic, note), do: {%__MODULE__{kind: :bytes, topic: topic}, :binary, note}
 
-  defp ros(name, text, encoding, topic) do
+  defp ros_codec(name, text, encoding, topic) do
     case Definition.parse(name, text, if(encoding == :ros1, do: :ros1, else: :ros2)) do
       {:ok, definition} ->
         codec = %__MODULE__{kind: encoding, by: definition, name: definition.name, topic: topic}
-        {codec, Standard.type(definition.name), nil}
+        {codec, Standard.situ_type(definition.name), nil}
 
       {:error, why} ->
-        bytes(topic, "its definition is invalid: #{why}")
+        bytes_codec(topic, "its definition is invalid: #{why}")
     end
   end
 
   @doc "Returns the encoding of the header that the channel's messages begin with, or `nil` if they have none."
-  @spec stamps(t()) :: :ros1_header | :cdr_header | nil
-  def stamps(%{kind: kind, by: definition}) when kind in [:ros1, :cdr] do
+  @spec stamp_encoding(t()) :: :ros1_header | :cdr_header | nil
+  def stamp_encoding(%{kind: kind, by: definition}) when kind in [:ros1, :cdr] do
     case definition.types[definition.name].fields do
       [{_, {:message, "std_msgs/Header"}} | _] when kind == :cdr -> :cdr_header
       [{_, {:message, "std_msgs/Header"}} | _] -> :ros1_header
@@ -103,11 +107,11 @@ defmodule Situ.Bridge.Mcap.Codec do
     end
   end
 
-  def stamps(_), do: nil
+  def stamp_encoding(_), do: nil
 
   @doc "Returns the codec that decodes messages as the option `messages:` requires."
-  @spec shaped(t(), :situ | :maps | :apart) :: t()
-  def shaped(codec, messages), do: %{codec | maps?: messages == :maps}
+  @spec set_message_mode(t(), :situ | :maps | :apart) :: t()
+  def set_message_mode(codec, messages), do: %{codec | maps?: messages == :maps}
 
   @doc "Returns the options with which an import opens a file."
   @spec import_options(times :: atom()) :: keyword()
@@ -120,8 +124,8 @@ defmodule Situ.Bridge.Mcap.Codec do
   def lossy?(_codec, _type), do: false
 
   @doc "Returns the codec of the second stream, which holds the fields that Situ's types cannot hold."
-  @spec extra(t()) :: t()
-  def extra(codec), do: %{codec | maps?: false, extra?: true}
+  @spec extra_codec(t()) :: t()
+  def extra_codec(codec), do: %{codec | maps?: false, extra?: true}
 
   @doc "Adds the times of a message to the data of a second stream (`Situ.Bridge.Mcap.Extra.put_times/3`)."
   @spec put_times(term(), t(), Situ.Time.t(), {recorded :: Situ.Time.t(), sent :: Situ.Time.t()}) ::
@@ -135,7 +139,7 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec decode(t(), binary()) :: {:ok, term()} | {:error, String.t()}
   def decode(%{extra?: true} = codec, bytes) do
     with {:ok, message} <- decode(%{codec | extra?: false, maps?: true}, bytes),
-         do: {:ok, Extra.take(message, rewrite(codec, message))}
+         do: {:ok, Extra.take_extra(message, rewrite_message(codec, message))}
   end
 
   def decode(%{kind: :bytes}, bytes), do: {:ok, bytes}
@@ -148,28 +152,28 @@ defmodule Situ.Bridge.Mcap.Codec do
     with {:ok, message} <- Protobuf.Reader.decode(codec.by, codec.name, bytes) do
       if codec.maps?,
         do: {:ok, message},
-        else: {:ok, Foxglove.Standard.from(codec.name, message)}
+        else: {:ok, Foxglove.Standard.from_message(codec.name, message)}
     end
   end
 
   def decode(codec, bytes), do: decode_ros(codec, bytes)
 
   # Returns the message that an export of its value alone would write.
-  defp rewrite(%{kind: :protobuf, name: name}, message) do
-    value = Foxglove.Standard.from(name, message)
-    Foxglove.Standard.to(name, value, 0)
+  defp rewrite_message(%{kind: :protobuf, name: name}, message) do
+    value = Foxglove.Standard.from_message(name, message)
+    Foxglove.Standard.to_message(name, value, 0)
   end
 
-  defp rewrite(%{name: name, topic: topic}, message) do
-    value = Standard.from(name, message, topic)
-    Standard.to(name, value, 0)
+  defp rewrite_message(%{name: name, topic: topic}, message) do
+    value = Standard.from_message(name, message, topic)
+    Standard.to_message(name, value, 0)
   end
 
   defp decode_ros(codec, bytes) do
     with {:ok, message} <- Wire.decode(codec.by, bytes, codec.kind) do
       if codec.maps?,
         do: {:ok, message},
-        else: {:ok, Standard.from(codec.name, message, codec.topic)}
+        else: {:ok, Standard.from_message(codec.name, message, codec.topic)}
     end
   end
 end

@@ -47,29 +47,29 @@ defmodule Situ.Bridge.Mcap.Copy do
                default: nil,
                doc: "How chunks are compressed; default: as in the original."
              ]
-           ] ++ Keyword.take(Options.file(), [:chunk, :attachments, :metadata])
+           ] ++ Keyword.take(Options.file_options(), [:chunk, :attachments, :metadata])
 
-  @spec options() :: Situ.Options.schema()
-  def options, do: @options
+  @spec copy_options() :: Situ.Options.schema()
+  def copy_options, do: @options
 
-  @spec copy(struct(), Path.t(), keyword()) ::
+  @spec copy_file(struct(), Path.t(), keyword()) ::
           {:ok, %{messages: non_neg_integer(), left_out: [String.t()]}} | {:error, Error.t()}
-  def copy(state, path, opts) do
+  def copy_file(state, path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
-         {:ok, {copy, writer}} <- begin(state, path, opts) do
+         {:ok, {copy, writer}} <- begin_copy(state, path, opts) do
       # The error of a step names the original file, unless the disk is full.
-      with {:ok, copied} <- steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
-           :ok <- Writer.carry(writer, opts, path),
-           {:ok, _} <- Failure.wrap(Native.mcap_finish(writer), path),
+      with {:ok, copied} <- run_steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
+           :ok <- Writer.write_extras(writer, opts, path),
+           {:ok, _} <- Failure.wrap_result(Native.mcap_finish(writer), path),
            do: {:ok, copied}
     end
   end
 
-  defp begin(state, path, opts) do
+  defp begin_copy(state, path, opts) do
     packing = {opts[:profile], opts[:compression], opts[:chunk]}
     order = if opts[:order] == :time, do: :log, else: :file
 
-    with {:ok, channels} <- channels(state, opts[:streams]) do
+    with {:ok, channels} <- channel_ids(state, opts[:streams]) do
       # A metadata record from the options replaces the records of that name.
       replaced = for {name, _} <- opts[:metadata], do: to_string(name)
       times = {opts[:from] || 0, opts[:to] || :unbounded}
@@ -77,13 +77,13 @@ defmodule Situ.Bridge.Mcap.Copy do
 
       state.ref
       |> Native.mcap_copy_begin(path, packing, selection)
-      |> Failure.wrap(state.path)
+      |> Failure.wrap_result(state.path)
     end
   end
 
-  defp channels(_state, nil), do: {:ok, nil}
+  defp channel_ids(_state, nil), do: {:ok, nil}
 
-  defp channels(state, names) do
+  defp channel_ids(state, names) do
     ids = Map.new(state.streams, &{&1.name, &1.id})
 
     case Enum.reject(names, &is_map_key(ids, &1)) do
@@ -95,15 +95,15 @@ defmodule Situ.Bridge.Mcap.Copy do
     end
   end
 
-  defp steps(copy, progress, path) do
-    case Failure.wrap(Native.mcap_copy_step(copy), path) do
+  defp run_steps(copy, progress, path) do
+    case Failure.wrap_result(Native.mcap_copy_step(copy), path) do
       {:ok, {true, messages, left_out}} ->
         progress.(messages)
         {:ok, %{messages: messages, left_out: left_out}}
 
       {:ok, {false, messages, _}} ->
         progress.(messages)
-        steps(copy, progress, path)
+        run_steps(copy, progress, path)
 
       {:error, error} ->
         {:error, error}

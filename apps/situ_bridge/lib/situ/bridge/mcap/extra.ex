@@ -13,18 +13,18 @@ defmodule Situ.Bridge.Mcap.Extra do
   @type schema :: {name :: String.t(), language :: String.t(), definition :: binary()}
 
   @doc "Returns the name of the second stream."
-  @spec name(String.t()) :: String.t()
-  def name(name), do: name <> @ending
+  @spec stream_name(String.t()) :: String.t()
+  def stream_name(name), do: name <> @ending
 
   @doc "Returns the number of the second stream."
-  @spec number(non_neg_integer()) :: non_neg_integer()
-  def number(id), do: id + @number
+  @spec stream_number(non_neg_integer()) :: non_neg_integer()
+  def stream_number(id), do: id + @number
 
   @doc "Returns the metadata that an import stores with a stream: the original writer's pairs, and the schema."
-  @spec metadata([{String.t(), String.t()}], schema() | nil) :: {String.t(), binary()} | nil
-  def metadata([], nil), do: nil
+  @spec build_metadata([{String.t(), String.t()}], schema() | nil) :: {String.t(), binary()} | nil
+  def build_metadata([], nil), do: nil
 
-  def metadata(pairs, schema),
+  def build_metadata(pairs, schema),
     do: {"map", pairs |> Map.new() |> put_schema(schema) |> :erlang.term_to_binary()}
 
   defp put_schema(metadata, nil), do: metadata
@@ -35,37 +35,37 @@ defmodule Situ.Bridge.Mcap.Extra do
   end
 
   @doc "Returns the header of a message, and the fields that `rewritten` lacks or in which it differs."
-  @spec take(map(), map()) :: map()
-  def take(message, rewritten) do
-    extra = without(message, rewritten)
+  @spec take_extra(map(), map()) :: map()
+  def take_extra(message, rewritten) do
+    extra = missing_fields(message, rewritten)
     if header = message["header"], do: Map.put(extra, "header", header), else: extra
   end
 
-  defp without(message, rewritten) do
-    for {key, value} <- message, rest = differing(value, Map.get(rewritten, key)), into: %{} do
+  defp missing_fields(message, rewritten) do
+    for {key, value} <- message, rest = diff_value(value, Map.get(rewritten, key)), into: %{} do
       {:rest, rest} = rest
       {key, rest}
     end
   end
 
-  defp differing(value, value), do: nil
+  defp diff_value(value, value), do: nil
 
-  defp differing(%{} = value, %{} = other)
+  defp diff_value(%{} = value, %{} = other)
        when not is_struct(value) and not is_struct(other) do
-    rest = without(value, other)
+    rest = missing_fields(value, other)
     if rest == %{}, do: nil, else: {:rest, rest}
   end
 
-  defp differing(value, _other), do: {:rest, value}
+  defp diff_value(value, _other), do: {:rest, value}
 
   @doc "Puts the extra fields into a message."
-  @spec put(term(), map()) :: term()
-  def put(message, extra) when extra == %{} or not is_map(message), do: message
+  @spec put_fields(term(), map()) :: term()
+  def put_fields(message, extra) when extra == %{} or not is_map(message), do: message
 
-  def put(message, extra) do
+  def put_fields(message, extra) do
     Map.merge(message, extra, fn
       _key, %{} = value, %{} = more when not is_struct(value) and not is_struct(more) ->
-        put(value, more)
+        put_fields(value, more)
 
       _key, _value, more ->
         more
@@ -76,18 +76,18 @@ defmodule Situ.Bridge.Mcap.Extra do
   Returns the streams of extra fields by the names of the streams they belong to. The value is `:empty` for an imported
   stream that has no extra fields.
   """
-  @spec streams([StreamInfo.t()]) :: %{String.t() => StreamInfo.t() | :empty}
-  def streams(infos) do
+  @spec find_streams([StreamInfo.t()]) :: %{String.t() => StreamInfo.t() | :empty}
+  def find_streams(infos) do
     by_name = Map.new(infos, &{&1.name, &1})
 
-    for info <- infos, extra = extra(info, by_name[name(info.name)]), into: %{} do
+    for info <- infos, extra = find_extra(info, by_name[stream_name(info.name)]), into: %{} do
       {info.name, extra}
     end
   end
 
-  defp extra(%{count: count}, %{count: count} = extra), do: extra
+  defp find_extra(%{count: count}, %{count: count} = extra), do: extra
 
-  defp extra(info, _none) do
+  defp find_extra(info, _none) do
     if match?({:ok, %{"schema" => _}}, StreamInfo.metadata(info)), do: :empty
   end
 
@@ -95,14 +95,14 @@ defmodule Situ.Bridge.Mcap.Extra do
   Joins messages from `ordinal` on with their extra fields: the data become `{:with_extra, data, extra}`. Messages of a
   stream that was not imported are returned unchanged.
   """
-  @spec join([Message.t()], Store.t(), StreamInfo.t() | :empty | nil, non_neg_integer()) ::
+  @spec join_extra([Message.t()], Store.t(), StreamInfo.t() | :empty | nil, non_neg_integer()) ::
           [Message.t()]
-  def join(messages, _store, nil, _ordinal), do: messages
+  def join_extra(messages, _store, nil, _ordinal), do: messages
 
-  def join(messages, _store, :empty, _ordinal),
+  def join_extra(messages, _store, :empty, _ordinal),
     do: for(message <- messages, do: %{message | data: {:with_extra, message.data, %{}}})
 
-  def join(messages, store, info, ordinal) do
+  def join_extra(messages, store, info, ordinal) do
     extras =
       store
       |> Store.messages(info, index: ordinal)
@@ -144,7 +144,7 @@ defmodule Situ.Bridge.Mcap.Extra do
   end
 
   @doc "Splits data into the value and its extra fields."
-  @spec split(term()) :: {term(), map()}
-  def split({:with_extra, value, extra}), do: {value, extra}
-  def split(value), do: {value, %{}}
+  @spec split_data(term()) :: {term(), map()}
+  def split_data({:with_extra, value, extra}), do: {value, extra}
+  def split_data(value), do: {value, %{}}
 end

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Mcap.Options do
   @moduledoc false
   # The options of MCAP writers.
 
-  def file do
+  def file_options do
     [
       profile: [type: :string, default: "", doc: "The profile of the file, such as \"ros1\"."],
       compression: [
@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Mcap.Options do
     ]
   end
 
-  def topic do
+  def topic_options do
     [
       encoding: [
         type: {:in, [:auto, :json, :ros1, :cdr, :protobuf]},

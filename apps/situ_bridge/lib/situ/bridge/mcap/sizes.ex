@@ -4,10 +4,10 @@ defmodule Situ.Bridge.Mcap.Sizes do
   alias Situ.Bridge.Mcap.Failure
   alias Situ.Bridge.Native
 
-  @spec sum(struct(), non_neg_integer(), map(), map()) ::
+  @spec sum_sizes(struct(), non_neg_integer(), map(), map()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Situ.Error.t()}
-  def sum(state, chunk, topics, sums) do
-    case Failure.wrap(Native.mcap_sizes(state.ref, chunk), state.path) do
+  def sum_sizes(state, chunk, topics, sums) do
+    case Failure.wrap_result(Native.mcap_sizes(state.ref, chunk), state.path) do
       {:ok, nil} ->
         {:ok, sums}
 
@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Mcap.Sizes do
             sums -> Map.update!(sums, topic, &(&1 + bytes))
           end
 
-        sum(state, chunk + 1, topics, sums)
+        sum_sizes(state, chunk + 1, topics, sums)
 
       error ->
         error

@@ -12,46 +12,46 @@ defmodule Situ.Bridge.Mcap.Writer do
   @type t :: %__MODULE__{}
 
   @impl true
-  defdelegate file_options, to: Options, as: :file
+  defdelegate file_options, to: Options
   @impl true
-  defdelegate topic_options, to: Options, as: :topic
+  defdelegate topic_options, to: Options
 
   @impl true
   @spec create(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def create(path, opts \\ []) do
-    with {:ok, opts} <- Situ.Options.validate(opts, Options.file()),
+    with {:ok, opts} <- Situ.Options.validate(opts, Options.file_options()),
          {:ok, ref} <-
-           Failure.wrap(
+           Failure.wrap_result(
              Native.mcap_create(path, opts[:profile], opts[:compression], opts[:chunk]),
              path
            ),
-         :ok <- carry(ref, opts, path),
+         :ok <- write_extras(ref, opts, path),
          do: {:ok, %__MODULE__{path: path, ref: ref}}
   end
 
   @doc "Appends the attachments and the metadata of the options."
-  @spec carry(reference(), keyword(), Path.t()) :: :ok | {:error, Error.t()}
-  def carry(ref, opts, path) do
-    with :ok <- attach(ref, opts[:attachments], path),
-         do: describe(ref, opts[:metadata], path)
+  @spec write_extras(reference(), keyword(), Path.t()) :: :ok | {:error, Error.t()}
+  def write_extras(ref, opts, path) do
+    with :ok <- write_attachments(ref, opts[:attachments], path),
+         do: write_metadata(ref, opts[:metadata], path)
   end
 
-  defp attach(ref, attachments, path) do
-    each(attachments, fn attachment ->
-      with {:ok, {name, media_type, time, data}} <- attachment(attachment),
-           do: Failure.wrap(Native.mcap_attach(ref, name, media_type, time, data), path)
+  defp write_attachments(ref, attachments, path) do
+    each_ok(attachments, fn attachment ->
+      with {:ok, {name, media_type, time, data}} <- load_attachment(attachment),
+           do: Failure.wrap_result(Native.mcap_attach(ref, name, media_type, time, data), path)
     end)
   end
 
-  defp attachment({name, media_type, time, data} = attachment)
+  defp load_attachment({name, media_type, time, data} = attachment)
        when is_binary(name) and is_binary(media_type) and is_binary(data) and
               time in 0..0xFFFF_FFFF_FFFF_FFFF,
        do: {:ok, attachment}
 
-  defp attachment(file) when is_binary(file) do
+  defp load_attachment(file) when is_binary(file) do
     case File.read(file) do
       {:ok, data} ->
-        {:ok, {Path.basename(file), "application/octet-stream", stamp(file), data}}
+        {:ok, {Path.basename(file), "application/octet-stream", modified_time(file), data}}
 
       {:error, reason} ->
         {:error,
@@ -59,7 +59,7 @@ defmodule Situ.Bridge.Mcap.Writer do
     end
   end
 
-  defp attachment(other) do
+  defp load_attachment(other) do
     {:error,
      Error.new(:bad_option, "invalid attachment: #{inspect(other, limit: 5)}",
        fix: "pass a path, or {name, media_type, time, bytes}"
@@ -67,21 +67,21 @@ defmodule Situ.Bridge.Mcap.Writer do
   end
 
   # Attachments from files use the modification time.
-  defp stamp(file) do
+  defp modified_time(file) do
     case File.stat(file, time: :posix) do
       {:ok, %{mtime: mtime}} -> max(mtime, 0) * 1_000_000_000
       _ -> 0
     end
   end
 
-  defp describe(ref, records, path) do
-    each(records, fn {name, pairs} ->
+  defp write_metadata(ref, records, path) do
+    each_ok(records, fn {name, pairs} ->
       pairs = for {key, value} <- pairs, do: {to_string(key), to_string(value)}
-      Failure.wrap(Native.mcap_metadata(ref, to_string(name), pairs), path)
+      Failure.wrap_result(Native.mcap_metadata(ref, to_string(name), pairs), path)
     end)
   end
 
-  defp each(list, fun) do
+  defp each_ok(list, fun) do
     Enum.reduce_while(list, :ok, fn one, :ok ->
       case fun.(one) do
         {:ok, _} -> {:cont, :ok}
@@ -91,17 +91,17 @@ defmodule Situ.Bridge.Mcap.Writer do
   end
 
   @impl true
-  @doc "Appends a message; `opts` (`Options.topic/0`) apply to the first message of a topic."
+  @doc "Appends a message; `opts` (`Options.topic_options/0`) apply to the first message of a topic."
   @spec write(t(), String.t(), Situ.Message.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def write(writer, topic, message, opts) do
-    with {:ok, channel, sequence} <- channel(writer, topic, message.data, opts),
+    with {:ok, channel, sequence} <- ensure_channel(writer, topic, message.data, opts),
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
          {recorded, sent} = Extra.fetch_times(message),
-         {:ok, recorded} <- time(topic, recorded),
-         {:ok, sent} <- time(topic, sent) do
+         {:ok, recorded} <- check_time(topic, recorded),
+         {:ok, sent} <- check_time(topic, sent) do
       row = {channel.id, rem(sequence, 0x1_0000_0000), recorded, sent, bytes}
 
-      hand_over(%{
+      flush_if_full(%{
         writer
         | channels: Map.put(writer.channels, topic, {channel, sequence + 1}),
           count: writer.count + 1,
@@ -115,43 +115,43 @@ defmodule Situ.Bridge.Mcap.Writer do
   @most_waiting 500
   @most_bytes 256 * 1024
 
-  defp hand_over(%{waiting: waiting, bytes: bytes} = writer)
+  defp flush_if_full(%{waiting: waiting, bytes: bytes} = writer)
        when waiting < @most_waiting and bytes < @most_bytes,
        do: {:ok, writer}
 
-  defp hand_over(writer), do: hand_over_all(writer)
+  defp flush_if_full(writer), do: flush_rows(writer)
 
-  defp hand_over_all(%{rows: []} = writer), do: {:ok, writer}
+  defp flush_rows(%{rows: []} = writer), do: {:ok, writer}
 
-  defp hand_over_all(writer) do
+  defp flush_rows(writer) do
     rows = Enum.reverse(writer.rows)
 
-    with {:ok, _} <- Failure.wrap(Native.mcap_write(writer.ref, rows), writer.path),
+    with {:ok, _} <- Failure.wrap_result(Native.mcap_write(writer.ref, rows), writer.path),
          do: {:ok, %{writer | rows: [], waiting: 0, bytes: 0}}
   end
 
-  defp time(_topic, time) when time in 0..0xFFFF_FFFF_FFFF_FFFF, do: {:ok, time}
+  defp check_time(_topic, time) when time in 0..0xFFFF_FFFF_FFFF_FFFF, do: {:ok, time}
 
-  defp time(topic, time),
+  defp check_time(topic, time),
     do:
       {:error,
        Error.new(:not_writable, "a message of #{topic} is from #{Situ.Time.to_iso8601(time)}",
          why: "MCAP supports times from 1970 to 2554"
        )}
 
-  defp channel(writer, topic, data, opts) do
+  defp ensure_channel(writer, topic, data, opts) do
     case writer.channels do
       %{^topic => {channel, sequence}} -> {:ok, channel, sequence}
-      _ -> add(writer, topic, data, opts)
+      _ -> add_channel(writer, topic, data, opts)
     end
   end
 
-  defp add(writer, topic, data, opts) do
-    with {:ok, opts} <- Situ.Options.validate(opts, Options.topic()),
+  defp add_channel(writer, topic, data, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, Options.topic_options()),
          {:ok, channel} <- Channel.new(topic, opts, data),
          encoding = Atom.to_string(channel.encoding),
          {:ok, id} <-
-           Failure.wrap(
+           Failure.wrap_result(
              Native.mcap_channel(writer.ref, topic, encoding, channel.schema, channel.metadata),
              writer.path
            ),
@@ -161,15 +161,15 @@ defmodule Situ.Bridge.Mcap.Writer do
   @impl true
   @doc "Passes all messages so far to the operating system as complete chunks."
   def flush(writer) do
-    with {:ok, writer} <- hand_over_all(writer),
-         {:ok, _} <- Failure.wrap(Native.mcap_flush(writer.ref), writer.path),
+    with {:ok, writer} <- flush_rows(writer),
+         {:ok, _} <- Failure.wrap_result(Native.mcap_flush(writer.ref), writer.path),
          do: {:ok, writer}
   end
 
   @impl true
   @doc "Writes the index and closes the file."
   def finish(writer) do
-    with {:ok, writer} <- hand_over_all(writer),
-         do: Failure.wrap(Native.mcap_finish(writer.ref), writer.path)
+    with {:ok, writer} <- flush_rows(writer),
+         do: Failure.wrap_result(Native.mcap_finish(writer.ref), writer.path)
   end
 end

@@ -29,7 +29,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   @doc """
   Starts the publisher. `opts` are host, port, tls, topic, qos, retain, high_water_mark, and the options of
-  `Wire.connect/1`.
+  `Wire.encode_connect/1`.
   """
   @spec start_link(keyword()) :: {:ok, pid()}
   def start_link(opts) do
@@ -70,10 +70,14 @@ defmodule Situ.Bridge.Mqtt.Publisher do
         state = %{state | id: id, n: state.n + 1, kept: :queue.in({id, payload}, state.kept)}
 
         {:reply, :ok,
-         if(state.up?, do: say(packet({id, payload}, false, opts), state), else: state)}
+         if(state.up?,
+           do: send_packet(encode_publish({id, payload}, false, opts), state),
+           else: state
+         )}
 
       state.up? ->
-        {:reply, :ok, say(Wire.publish(opts[:topic], payload, retain: opts[:retain]), state)}
+        {:reply, :ok,
+         send_packet(Wire.encode_publish(opts[:topic], payload, retain: opts[:retain]), state)}
 
       state.was_up? ->
         {:reply, :ok, %{state | dropped: state.dropped + 1}}
@@ -84,27 +88,28 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.drain(from, until, state.n)
+    Linger.reply_when_drained(from, until, state.n)
     {:noreply, state}
   end
 
-  defp packet({id, payload}, again?, opts) do
+  defp encode_publish({id, payload}, again?, opts) do
     given = [qos: 1, id: id, retain: opts[:retain], again: again?]
-    Wire.publish(opts[:topic], payload, given)
+    Wire.encode_publish(opts[:topic], payload, given)
   end
 
   @impl true
   def handle_info(:connect, %{opts: opts} = state) do
-    with {:ok, tcp} <- Dial.connect(opts[:host], opts[:port], opts[:tls], Outbox.options()),
-         :ok <- Dial.send(tcp, Wire.connect(opts)) do
+    with {:ok, tcp} <-
+           Dial.connect(opts[:host], opts[:port], opts[:tls], Outbox.socket_options()),
+         :ok <- Dial.send_bytes(tcp, Wire.encode_connect(opts)) do
       {:noreply, %{state | tcp: tcp, said: ""}}
     else
-      {:error, reason} -> {:noreply, again(state, reason)}
+      {:error, reason} -> {:noreply, schedule_reconnect(state, reason)}
     end
   end
 
   def handle_info({:drain, from, until}, state) do
-    Linger.drain(from, until, state.n)
+    Linger.reply_when_drained(from, until, state.n)
     {:noreply, state}
   end
 
@@ -113,40 +118,41 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
 
   def handle_info(message, state) do
-    case Dial.heard(message, state.tcp) do
+    case Dial.match_message(message, state.tcp) do
       {:ok, bytes} ->
-        state = hear(%{state | said: state.said <> bytes})
-        if state.tcp, do: Dial.next(state.tcp)
+        state = handle_packets(%{state | said: state.said <> bytes})
+        if state.tcp, do: Dial.activate_once(state.tcp)
         {:noreply, state}
 
       {:gone, reason} ->
-        {:noreply, again(state, reason)}
+        {:noreply, schedule_reconnect(state, reason)}
 
       :other ->
         {:noreply, state}
     end
   end
 
-  defp hear(%{tcp: nil} = state), do: state
+  defp handle_packets(%{tcp: nil} = state), do: state
 
-  defp hear(state) do
-    case Wire.read(state.said, @most) do
-      {:ok, packet, rest} -> packet |> heard(%{state | said: rest}) |> hear()
+  defp handle_packets(state) do
+    case Wire.parse_packet(state.said, @most) do
+      {:ok, packet, rest} -> packet |> handle_packet(%{state | said: rest}) |> handle_packets()
       :more -> state
-      {:error, why} -> again(state, why)
+      {:error, why} -> schedule_reconnect(state, why)
     end
   end
 
-  defp heard({:connack, 0}, state) do
+  defp handle_packet({:connack, 0}, state) do
     state = %{state | up?: true, was_up?: true, wait: @first_wait, told: nil}
     waiting = :queue.to_list(state.kept)
-    say(Enum.map(waiting, &packet(&1, true, state.opts)), state)
+    send_packet(Enum.map(waiting, &encode_publish(&1, true, state.opts)), state)
   end
 
-  defp heard({:connack, code}, state), do: again(state, "the broker: " <> Wire.refusal(code))
+  defp handle_packet({:connack, code}, state),
+    do: schedule_reconnect(state, "the broker: " <> Wire.describe_refusal(code))
 
   # A broker nearly always acknowledges messages in order.
-  defp heard({:puback, id}, state) do
+  defp handle_packet({:puback, id}, state) do
     case :queue.peek(state.kept) do
       {:value, {^id, _}} ->
         %{state | n: state.n - 1, kept: :queue.drop(state.kept)}
@@ -157,17 +163,17 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     end
   end
 
-  defp heard(_other, state), do: state
+  defp handle_packet(_other, state), do: state
 
-  defp say(bytes, state) do
-    case Dial.send(state.tcp, bytes) do
+  defp send_packet(bytes, state) do
+    case Dial.send_bytes(state.tcp, bytes) do
       :ok -> state
-      {:error, reason} -> again(state, reason)
+      {:error, reason} -> schedule_reconnect(state, reason)
     end
   end
 
   # A repeated error is logged once, not at every attempt.
-  defp again(state, reason) do
+  defp schedule_reconnect(state, reason) do
     if state.tcp, do: Dial.close(state.tcp)
 
     if state.told != reason and reason != :closed,
@@ -181,7 +187,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def terminate(_reason, %{tcp: nil}), do: :ok
 
   def terminate(_reason, %{tcp: tcp}) do
-    Dial.send(tcp, Wire.disconnect())
+    Dial.send_bytes(tcp, Wire.encode_disconnect())
     Dial.close(tcp)
   end
 end

@@ -31,7 +31,7 @@ defmodule Situ.Bridge.Mqtt.Sink do
               default: nil,
               doc: "The password, or a function that returns it."
             ]
-          ] ++ Dial.options() ++ Keyword.drop(Outlet.options(), [:listening, :wait_for])
+          ] ++ Dial.tls_options() ++ Keyword.drop(Outlet.options(), [:listening, :wait_for])
   @moduledoc false
   # Publishes a stream to a topic.
   use Situ.Component, inputs: [in: :any], options: @schema
@@ -48,10 +48,10 @@ defmodule Situ.Bridge.Mqtt.Sink do
     id = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
     port = opts[:port] || if(opts[:tls] in [nil, false], do: 1_883, else: 8_883)
     {:ok, publisher} = Publisher.start_link([id: id, port: port] ++ opts)
-    {[], Outlet.open(outlet, Publisher, publisher, nil)}
+    {[], Outlet.attach_door(outlet, Publisher, publisher, nil)}
   end
 
   @impl true
   def handle_message(:in, message, _context, outlet),
-    do: Outlet.take(outlet, Outlet.payload(message, outlet.opts))
+    do: Outlet.send_payload(outlet, Outlet.encode_payload(message, outlet.opts))
 end

@@ -7,30 +7,30 @@ defmodule Situ.Bridge.Mqtt.Subscription do
   # MQTT allows a client to subscribe before the broker has accepted its connection.
   @impl true
   def hello(_host, _port, arg),
-    do: {[Wire.connect(arg), Wire.subscribe(1, arg[:topic], arg[:qos])], ""}
+    do: {[Wire.encode_connect(arg), Wire.encode_subscribe(1, arg[:topic], arg[:qos])], ""}
 
   @impl true
-  def read(bytes, said, most), do: packets(said <> bytes, most, [], [])
+  def read(bytes, said, most), do: read_packets(said <> bytes, most, [], [])
 
   @impl true
-  defdelegate missing(said), to: Wire
+  defdelegate missing(said), to: Wire, as: :missing_bytes
 
-  defp packets(bytes, most, payloads, answers) do
-    case Wire.read(bytes, most) do
+  defp read_packets(bytes, most, payloads, answers) do
+    case Wire.parse_packet(bytes, most) do
       {:ok, {:publish, _topic, payload, 0, _}, rest} ->
-        packets(rest, most, [payload | payloads], answers)
+        read_packets(rest, most, [payload | payloads], answers)
 
       {:ok, {:publish, _topic, payload, _qos, id}, rest} ->
-        packets(rest, most, [payload | payloads], [answers, Wire.puback(id)])
+        read_packets(rest, most, [payload | payloads], [answers, Wire.encode_puback(id)])
 
       {:ok, {:connack, code}, _rest} when code != 0 ->
-        {:error, "the broker: " <> Wire.refusal(code)}
+        {:error, "the broker: " <> Wire.describe_refusal(code)}
 
       {:ok, {:suback, <<0x80>>}, _rest} ->
         {:error, "the broker refuses the subscription"}
 
       {:ok, _other, rest} ->
-        packets(rest, most, payloads, answers)
+        read_packets(rest, most, payloads, answers)
 
       :more ->
         {:ok, Enum.reverse(payloads), IO.iodata_to_binary(answers), bytes}

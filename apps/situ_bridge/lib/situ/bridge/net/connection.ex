@@ -21,8 +21,8 @@ defmodule Situ.Bridge.Net.Connection do
 
   @impl true
   def handle_info({:adopt, tcp}, state) do
-    :inet.setopts(tcp, Outbox.options())
-    admit(%{state | tcp: tcp})
+    :inet.setopts(tcp, Outbox.socket_options())
+    admit_client(%{state | tcp: tcp})
   end
 
   def handle_info({:send, frame}, state) do
@@ -37,11 +37,11 @@ defmodule Situ.Bridge.Net.Connection do
       do: {:stop, {:shutdown, :noise}, state}
 
   def handle_info({:tcp, _tcp, bytes}, %{open?: false} = state),
-    do: admit(%{state | said: state.said <> bytes})
+    do: admit_client(%{state | said: state.said <> bytes})
 
   def handle_info({:tcp, _tcp, bytes}, %{protocol: {module, arg}} = state) do
     case module.heard(state.said <> bytes, arg) do
-      {:ok, answer, rest} -> answer(answer, %{state | said: rest})
+      {:ok, answer, rest} -> send_reply(answer, %{state | said: rest})
       :close -> {:stop, {:shutdown, :closed}, state}
     end
   end
@@ -51,16 +51,16 @@ defmodule Situ.Bridge.Net.Connection do
   def handle_info(:too_slow, %{open?: true} = state), do: {:noreply, state}
   def handle_info(:too_slow, state), do: {:stop, {:shutdown, :too_slow}, state}
 
-  defp admit(%{protocol: {module, arg}} = state) do
+  defp admit_client(%{protocol: {module, arg}} = state) do
     case module.admit(state.said, arg) do
       {:ok, answer, rest} ->
-        with {:noreply, state} <- answer(answer, %{state | said: rest, open?: true}) do
+        with {:noreply, state} <- send_reply(answer, %{state | said: rest, open?: true}) do
           send(state.server, {:open, self()})
           {:noreply, state}
         end
 
       :more ->
-        answer("", state)
+        send_reply("", state)
 
       {:refuse, answer} ->
         :gen_tcp.send(state.tcp, answer)
@@ -68,7 +68,7 @@ defmodule Situ.Bridge.Net.Connection do
     end
   end
 
-  defp answer(answer, state) do
+  defp send_reply(answer, state) do
     case answer == "" || :gen_tcp.send(state.tcp, answer) do
       {:error, reason} ->
         {:stop, {:shutdown, reason}, state}

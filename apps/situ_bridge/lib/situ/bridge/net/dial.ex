@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Net.Dial do
   @moduledoc false
   # A plain or TLS connection to a server, with one interface to both. Bytes from the server arrive as
-  # `{:tcp | :ssl, socket, bytes}`, for `heard/2`.
+  # `{:tcp | :ssl, socket, bytes}`, for `match_message/2`.
 
   @options [
     tls: [
@@ -19,8 +19,8 @@ defmodule Situ.Bridge.Net.Dial do
   @type tls :: boolean() | keyword()
 
   @doc "Returns the TLS option of clients."
-  @spec options() :: Situ.Options.schema()
-  def options, do: @options
+  @spec tls_options() :: Situ.Options.schema()
+  def tls_options, do: @options
 
   @doc "Connects; the socket is active once. Error reasons come from `:gen_tcp` and `:ssl`, or are sentences."
   @spec connect(String.t(), :inet.port_number(), tls(), keyword()) ::
@@ -32,21 +32,21 @@ defmodule Situ.Bridge.Net.Dial do
       with {:ok, tcp} <- :gen_tcp.connect(String.to_charlist(host), port, options, 2_000),
            do: {:ok, {:gen_tcp, tcp}}
     else
-      secure(host, port, if(tls == true, do: [], else: tls), options)
+      connect_tls(host, port, if(tls == true, do: [], else: tls), options)
     end
   end
 
-  defp secure(host, port, tls, options) do
-    with :ok <- known(tls),
-         {:ok, trusted} <- trusted(tls[:authorities]),
+  defp connect_tls(host, port, tls, options) do
+    with :ok <- check_options(tls),
+         {:ok, trusted} <- authority_options(tls[:authorities]),
          {:ok, _} <- Application.ensure_all_started(:ssl),
-         checked = trusted ++ own(tls) ++ named(tls[:name] || host),
+         checked = trusted ++ client_certificate(tls) ++ verify_options(tls[:name] || host),
          {:ok, ssl} <-
            :ssl.connect(String.to_charlist(host), port, options ++ checked, 5_000),
          do: {:ok, {:ssl, ssl}}
   end
 
-  defp known(tls) do
+  defp check_options(tls) do
     case Keyword.keys(tls) -- @known do
       [] ->
         :ok
@@ -56,19 +56,19 @@ defmodule Situ.Bridge.Net.Dial do
     end
   end
 
-  defp trusted(nil) do
+  defp authority_options(nil) do
     {:ok, [cacerts: :public_key.cacerts_get()]}
   rescue
     _ -> {:error, "this system has no list of authorities; pass tls: [authorities: FILE]"}
   end
 
-  defp trusted(file) do
+  defp authority_options(file) do
     if File.regular?(file),
       do: {:ok, [cacertfile: file]},
       else: {:error, "#{file}, the file of trusted authorities, does not exist"}
   end
 
-  defp own(tls) do
+  defp client_certificate(tls) do
     case {tls[:certificate], tls[:key]} do
       {nil, nil} -> []
       {certificate, nil} -> [certfile: certificate]
@@ -76,18 +76,18 @@ defmodule Situ.Bridge.Net.Dial do
     end
   end
 
-  defp named(name) do
+  defp verify_options(name) do
     [
       verify: :verify_peer,
       depth: 5,
       server_name_indication: String.to_charlist(name),
-      customize_hostname_check: [match_fun: &names?/2],
+      customize_hostname_check: [match_fun: &host_matches?/2],
       log_level: :error
     ]
   end
 
   # OTP's match function does not match IP addresses in the certificate with a host given as text.
-  defp names?({:dns_id, host}, {:iPAddress, bytes}) do
+  defp host_matches?({:dns_id, host}, {:iPAddress, bytes}) do
     case :inet.parse_strict_address(host) do
       {:ok, {a, b, c, d}} ->
         IO.iodata_to_binary(bytes) == <<a, b, c, d>>
@@ -100,29 +100,30 @@ defmodule Situ.Bridge.Net.Dial do
     end
   end
 
-  defp names?(wanted, presented),
+  defp host_matches?(wanted, presented),
     do: :public_key.pkix_verify_hostname_match_fun(:https).(wanted, presented)
 
-  @spec send(t(), iodata()) :: :ok | {:error, term()}
-  def send({module, socket}, bytes), do: module.send(socket, bytes)
+  @spec send_bytes(t(), iodata()) :: :ok | {:error, term()}
+  def send_bytes({module, socket}, bytes), do: module.send(socket, bytes)
 
   @doc "Allows the socket to deliver the next bytes."
-  @spec next(t()) :: :ok | {:error, term()}
-  def next({:gen_tcp, tcp}), do: :inet.setopts(tcp, active: :once)
-  def next({:ssl, ssl}), do: :ssl.setopts(ssl, active: :once)
+  @spec activate_once(t()) :: :ok | {:error, term()}
+  def activate_once({:gen_tcp, tcp}), do: :inet.setopts(tcp, active: :once)
+  def activate_once({:ssl, ssl}), do: :ssl.setopts(ssl, active: :once)
 
   @spec close(t()) :: term()
   def close({module, socket}), do: module.close(socket)
 
   @doc "Matches a process message with this connection: its bytes, its end, or an unrelated message."
-  @spec heard(term(), t() | nil) :: {:ok, binary()} | {:gone, term()} | :other
-  def heard({kind, socket, bytes}, {_, socket}) when kind in [:tcp, :ssl], do: {:ok, bytes}
+  @spec match_message(term(), t() | nil) :: {:ok, binary()} | {:gone, term()} | :other
+  def match_message({kind, socket, bytes}, {_, socket}) when kind in [:tcp, :ssl],
+    do: {:ok, bytes}
 
-  def heard({kind, socket}, {_, socket}) when kind in [:tcp_closed, :ssl_closed],
+  def match_message({kind, socket}, {_, socket}) when kind in [:tcp_closed, :ssl_closed],
     do: {:gone, :closed}
 
-  def heard({kind, socket, reason}, {_, socket}) when kind in [:tcp_error, :ssl_error],
+  def match_message({kind, socket, reason}, {_, socket}) when kind in [:tcp_error, :ssl_error],
     do: {:gone, reason}
 
-  def heard(_other, _socket), do: :other
+  def match_message(_other, _socket), do: :other
 end

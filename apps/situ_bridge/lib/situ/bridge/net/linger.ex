@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Net.Linger do
   @moduledoc false
   # Closes a server after a bounded wait for its peers to receive all messages. The server passes `{:drain, ...}`, as a
-  # call and as a message, to `drain/3`.
+  # call and as a message, to `reply_when_drained/3`.
 
   require Logger
 
@@ -13,7 +13,7 @@ defmodule Situ.Bridge.Net.Linger do
   """
   @spec close(pid(), non_neg_integer()) :: non_neg_integer()
   def close(server, timeout) do
-    left = GenServer.call(server, {:drain, now() + timeout}, timeout + 5_000)
+    left = GenServer.call(server, {:drain, now_ms() + timeout}, timeout + 5_000)
     GenServer.stop(server)
     left
   catch
@@ -24,16 +24,16 @@ defmodule Situ.Bridge.Net.Linger do
   Replies when no messages are left, or when the time is over. A server that may lose messages (`lossy?`) logs their
   number and replies with 0.
   """
-  @spec drain(
+  @spec reply_when_drained(
           GenServer.from(),
           until :: integer(),
           left :: non_neg_integer(),
           lossy? :: boolean()
         ) ::
           :ok
-  def drain(from, until, left, lossy? \\ false) do
+  def reply_when_drained(from, until, left, lossy? \\ false) do
     cond do
-      left > 0 and now() < until ->
+      left > 0 and now_ms() < until ->
         Process.send_after(self(), {:drain, from, until}, @look_again)
 
       left > 0 and lossy? ->
@@ -47,5 +47,5 @@ defmodule Situ.Bridge.Net.Linger do
     :ok
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp now_ms, do: System.monotonic_time(:millisecond)
 end

@@ -12,7 +12,7 @@ defmodule Situ.Bridge.Net.Outbox do
   def new, do: :atomics.new(1, [])
 
   @doc "Returns the socket options of a connection."
-  def options, do: [nodelay: true, send_timeout: @send_timeout, send_timeout_close: true]
+  def socket_options, do: [nodelay: true, send_timeout: @send_timeout, send_timeout_close: true]
 
   @spec put(t(), pid(), iodata(), most :: pos_integer()) :: :ok | :full
   def put(outbox, connection, bytes, most) do
@@ -26,22 +26,22 @@ defmodule Situ.Bridge.Net.Outbox do
   end
 
   @doc "Returns the number of waiting messages."
-  @spec waiting(t()) :: non_neg_integer()
-  def waiting(outbox), do: :atomics.get(outbox, 1)
+  @spec count_waiting(t()) :: non_neg_integer()
+  def count_waiting(outbox), do: :atomics.get(outbox, 1)
 
   @doc "Sends `bytes` and all other waiting messages in one system call."
   @spec flush(t(), :gen_tcp.socket(), iodata()) :: :ok | {:error, term()}
   def flush(outbox, tcp, bytes) do
-    {n, all} = gather(1, [bytes])
+    {n, all} = gather_messages(1, [bytes])
 
     with :ok <- :gen_tcp.send(tcp, Enum.reverse(all)), do: :atomics.sub(outbox, 1, n)
   end
 
-  defp gather(n, all) when n >= @most_at_once, do: {n, all}
+  defp gather_messages(n, all) when n >= @most_at_once, do: {n, all}
 
-  defp gather(n, all) do
+  defp gather_messages(n, all) do
     receive do
-      {:send, bytes} -> gather(n + 1, [bytes | all])
+      {:send, bytes} -> gather_messages(n + 1, [bytes | all])
     after
       0 -> {n, all}
     end

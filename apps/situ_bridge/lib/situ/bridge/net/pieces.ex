@@ -18,31 +18,36 @@ defmodule Situ.Bridge.Net.Pieces do
         }
 
   @doc "Returns the value of the socket option `buffer:`, bytes."
-  @spec buffer() :: pos_integer()
-  def buffer, do: @buffer
+  @spec buffer_size() :: pos_integer()
+  def buffer_size, do: @buffer
 
   @doc """
   Adds a received segment; the reader lacks at least `missing` bytes.
 
       iex> alias Situ.Bridge.Net.Pieces
-      iex> {:more, pieces} = Pieces.add(%Pieces{}, "ab", 4)
-      iex> Pieces.add(pieces, "cde", 4)
+      iex> {:more, pieces} = Pieces.add_bytes(%Pieces{}, "ab", 4)
+      iex> Pieces.add_bytes(pieces, "cde", 4)
       {:ok, "abcde", %Pieces{}}
   """
-  @spec add(t(), binary(), missing :: integer()) :: {:ok, binary(), t()} | {:more, t()}
-  def add(%__MODULE__{size: 0} = none, bytes, missing) when byte_size(bytes) >= missing,
+  @spec add_bytes(t(), binary(), missing :: integer()) :: {:ok, binary(), t()} | {:more, t()}
+  def add_bytes(%__MODULE__{size: 0} = none, bytes, missing) when byte_size(bytes) >= missing,
     do: {:ok, bytes, none}
 
-  def add(pieces, bytes, missing) do
+  def add_bytes(pieces, bytes, missing) do
     grown = %{pieces | pieces: [bytes | pieces.pieces], n: pieces.n + 1}
     grown = %{grown | size: pieces.size + byte_size(bytes)}
 
     cond do
-      grown.size >= missing -> {:ok, joined(grown.pieces ++ grown.blocks), %__MODULE__{}}
-      grown.n < @most -> {:more, grown}
-      true -> {:more, %{grown | n: 0, pieces: [], blocks: [joined(grown.pieces) | grown.blocks]}}
+      grown.size >= missing ->
+        {:ok, join_bytes(grown.pieces ++ grown.blocks), %__MODULE__{}}
+
+      grown.n < @most ->
+        {:more, grown}
+
+      true ->
+        {:more, %{grown | n: 0, pieces: [], blocks: [join_bytes(grown.pieces) | grown.blocks]}}
     end
   end
 
-  defp joined(newest_first), do: newest_first |> Enum.reverse() |> IO.iodata_to_binary()
+  defp join_bytes(newest_first), do: newest_first |> Enum.reverse() |> IO.iodata_to_binary()
 end

@@ -55,7 +55,7 @@ defmodule Situ.Bridge.Net.Server do
 
   @impl true
   def handle_call(:port, _from, state), do: {:reply, Listener.port(state.listener), state}
-  def handle_call(:ready, _from, state), do: {:reply, length(open(state)), state}
+  def handle_call(:ready, _from, state), do: {:reply, length(open_clients(state)), state}
   def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
 
   def handle_call(:adopt, _from, state) when map_size(state.clients) >= @most_clients,
@@ -71,7 +71,7 @@ defmodule Situ.Bridge.Net.Server do
     frame = module.frame(payload, arg)
 
     dropped =
-      Enum.count(open(state), fn {pid, c} ->
+      Enum.count(open_clients(state), fn {pid, c} ->
         Outbox.put(c.outbox, pid, frame, state.most) == :full
       end)
 
@@ -80,21 +80,21 @@ defmodule Situ.Bridge.Net.Server do
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.drain(from, until, waiting(state), true)
+    Linger.reply_when_drained(from, until, count_waiting(state), true)
     {:noreply, state}
   end
 
-  defp open(state), do: Enum.filter(state.clients, fn {_, client} -> client.open? end)
+  defp open_clients(state), do: Enum.filter(state.clients, fn {_, client} -> client.open? end)
 
-  defp waiting(state),
-    do: state.clients |> Enum.map(fn {_, c} -> Outbox.waiting(c.outbox) end) |> Enum.sum()
+  defp count_waiting(state),
+    do: state.clients |> Enum.map(fn {_, c} -> Outbox.count_waiting(c.outbox) end) |> Enum.sum()
 
   @impl true
   def handle_info(:begin, state),
-    do: {:noreply, %{state | acceptor: Listener.begin(state.listener, self())}}
+    do: {:noreply, %{state | acceptor: Listener.start_acceptor(state.listener, self())}}
 
   def handle_info({:drain, from, until}, state) do
-    Linger.drain(from, until, waiting(state), true)
+    Linger.reply_when_drained(from, until, count_waiting(state), true)
     {:noreply, state}
   end
 

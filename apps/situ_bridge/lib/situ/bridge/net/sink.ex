@@ -19,13 +19,13 @@ defmodule Situ.Bridge.Net.Sink do
   def schema, do: @schema
 
   @doc "Serves a stream with a protocol; returns the stream."
-  def serve(stream, protocol, port, opts) do
+  def serve_stream(stream, protocol, port, opts) do
     Situ.via(stream, __MODULE__, [protocol: protocol, port: port] ++ opts)
     stream
   end
 
   @doc "Returns the documentation of the options for users."
-  def docs, do: @schema |> Keyword.drop([:port, :protocol]) |> Situ.Options.docs()
+  def option_docs, do: @schema |> Keyword.drop([:port, :protocol]) |> Situ.Options.docs()
 
   @impl true
   def init(opts), do: {:ok, Outlet.new(opts)}
@@ -33,12 +33,12 @@ defmodule Situ.Bridge.Net.Sink do
   @impl true
   def handle_start(_context, %{opts: opts} = outlet) do
     case Server.open(opts[:interface], opts[:port], opts[:high_water_mark], opts[:protocol]) do
-      {:ok, server} -> {[], Outlet.open(outlet, Server, server, Server.port(server))}
+      {:ok, server} -> {[], Outlet.attach_door(outlet, Server, server, Server.port(server))}
       {:error, error} -> raise error
     end
   end
 
   @impl true
   def handle_message(:in, message, _context, outlet),
-    do: Outlet.take(outlet, Outlet.payload(message, outlet.opts))
+    do: Outlet.send_payload(outlet, Outlet.encode_payload(message, outlet.opts))
 end

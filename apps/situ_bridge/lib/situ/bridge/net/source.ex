@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Net.Source do
               default: 64 * 1024 * 1024,
               doc: "The largest message, bytes; a server that sends a larger one is disconnected."
             ]
-          ] ++ Dial.options() ++ Inlet.options()
+          ] ++ Dial.tls_options() ++ Inlet.options()
   @moduledoc false
   # A connection to a server as an endless source. The component's process owns the socket: nothing is read while the
   # component is busy, so the server waits or drops messages.
@@ -30,7 +30,8 @@ defmodule Situ.Bridge.Net.Source do
   end
 
   @doc "Returns the documentation of the options for users."
-  def docs, do: @schema |> Keyword.drop([:host, :port, :protocol, :tls]) |> Situ.Options.docs()
+  def option_docs,
+    do: @schema |> Keyword.drop([:host, :port, :protocol, :tls]) |> Situ.Options.docs()
 
   @impl true
   def init(opts) do
@@ -49,70 +50,74 @@ defmodule Situ.Bridge.Net.Source do
     {module, arg} = opts[:protocol]
     {hello, wire} = module.hello(opts[:host], opts[:port], arg)
 
-    with {:ok, tcp} <- dial(opts),
-         :ok <- said(tcp, hello) do
+    with {:ok, tcp} <- open_connection(opts),
+         :ok <- send_hello(tcp, hello) do
       {[], %{state | tcp: tcp, wire: wire, pieces: %Pieces{}}}
     else
-      {:error, reason} -> {[], again(state, reason)}
+      {:error, reason} -> {[], schedule_reconnect(state, reason)}
     end
   end
 
   def handle_info(message, context, state) do
-    case Dial.heard(message, state.tcp) do
-      {:ok, bytes} -> heard(bytes, context, state)
-      {:gone, reason} -> {[], again(state, reason)}
+    case Dial.match_message(message, state.tcp) do
+      {:ok, bytes} -> handle_bytes(bytes, context, state)
+      {:gone, reason} -> {[], schedule_reconnect(state, reason)}
       :other -> {[], state}
     end
   end
 
-  defp heard(bytes, context, %{opts: opts} = state) do
-    case Pieces.add(state.pieces, bytes, missing(elem(opts[:protocol], 0), state.wire)) do
+  defp handle_bytes(bytes, context, %{opts: opts} = state) do
+    case Pieces.add_bytes(
+           state.pieces,
+           bytes,
+           missing_bytes(elem(opts[:protocol], 0), state.wire)
+         ) do
       {:ok, bytes, pieces} ->
-        read(bytes, context, %{state | pieces: pieces})
+        read_payloads(bytes, context, %{state | pieces: pieces})
 
       {:more, pieces} ->
-        Dial.next(state.tcp)
+        Dial.activate_once(state.tcp)
         {[], %{state | pieces: pieces}}
     end
   end
 
-  defp missing(module, wire),
+  defp missing_bytes(module, wire),
     do: if(function_exported?(module, :missing, 1), do: module.missing(wire), else: 1)
 
-  defp read(bytes, context, %{tcp: tcp, opts: opts} = state) do
+  defp read_payloads(bytes, context, %{tcp: tcp, opts: opts} = state) do
     case elem(opts[:protocol], 0).read(bytes, state.wire, opts[:most]) do
       {:ok, payloads, answer, wire} ->
-        {actions, inlet} = Inlet.take(state.inlet, payloads, context.now)
-        if answer != "", do: Dial.send(tcp, answer)
-        Dial.next(tcp)
-        {actions, well(%{state | wire: wire, inlet: inlet}, payloads)}
+        {actions, inlet} = Inlet.take_payloads(state.inlet, payloads, context.now)
+        if answer != "", do: Dial.send_bytes(tcp, answer)
+        Dial.activate_once(tcp)
+        {actions, reset_backoff(%{state | wire: wire, inlet: inlet}, payloads)}
 
       {:error, why} ->
         Dial.close(tcp)
-        {[], again(state, why)}
+        {[], schedule_reconnect(state, why)}
     end
   end
 
-  defp dial(opts) do
-    options = [nodelay: true, buffer: Pieces.buffer()]
+  defp open_connection(opts) do
+    options = [nodelay: true, buffer: Pieces.buffer_size()]
     Dial.connect(opts[:host], opts[:port], opts[:tls], options)
   end
 
-  defp said(_tcp, ""), do: :ok
+  defp send_hello(_tcp, ""), do: :ok
 
-  defp said(tcp, hello) do
-    with {:error, _} = error <- Dial.send(tcp, hello) do
+  defp send_hello(tcp, hello) do
+    with {:error, _} = error <- Dial.send_bytes(tcp, hello) do
       Dial.close(tcp)
       error
     end
   end
 
   # After a readable message the server is known to work: the next reconnect starts with the shortest wait.
-  defp well(state, []), do: state
-  defp well(state, _payloads), do: %{state | wait: @first_wait, told: nil}
+  defp reset_backoff(state, []), do: state
+  defp reset_backoff(state, _payloads), do: %{state | wait: @first_wait, told: nil}
 
   # A repeated error is logged once, not at every attempt. A partially received message is lost.
-  defp again(state, reason) do
+  defp schedule_reconnect(state, reason) do
     if state.told != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
 
@@ -121,16 +126,16 @@ defmodule Situ.Bridge.Net.Source do
   end
 
   @impl true
-  def handle_stop(_final_time, _context, state), do: {[], close(state)}
+  def handle_stop(_final_time, _context, state), do: {[], close_connection(state)}
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def terminate(_reason, state), do: close_connection(state)
 
-  defp close(state) do
+  defp close_connection(state) do
     if state.tcp, do: Dial.close(state.tcp)
     %{state | tcp: nil, open: false}
   end
 
   @impl true
-  def describe(state), do: Inlet.describe(state.inlet)
+  def describe(state), do: Inlet.describe_counts(state.inlet)
 end

@@ -27,8 +27,8 @@ defmodule Situ.Bridge.Parquet.Chunk do
   @typedoc "`left` is the number of values in unread pages, `row` the entries of an incomplete row."
   @type t :: %__MODULE__{}
 
-  @spec start(Leaf.t(), place(), Input.read()) :: t()
-  def start(leaf, place, read) do
+  @spec start_reading(Leaf.t(), place(), Input.read()) :: t()
+  def start_reading(leaf, place, read) do
     %__MODULE__{
       leaf: leaf,
       read: read_chunk(place, read),
@@ -52,12 +52,12 @@ defmodule Situ.Bridge.Parquet.Chunk do
   @spec take_rows(t(), pos_integer()) :: {[term()], t()}
   def take_rows(chunk, most), do: take_rows(chunk, most, [])
 
-  defp take_rows(chunk, 0, found), do: {concat(found), chunk}
+  defp take_rows(chunk, 0, found), do: {concat_reversed(found), chunk}
 
   defp take_rows(%{page: nil, left: 0} = chunk, _missing, found) do
     case chunk.row do
-      [] -> {concat(found), chunk}
-      row -> {concat([[Enum.reverse(row)] | found]), %{chunk | row: [], row_size: 0}}
+      [] -> {concat_reversed(found), chunk}
+      row -> {concat_reversed([[Enum.reverse(row)] | found]), %{chunk | row: [], row_size: 0}}
     end
   end
 
@@ -81,15 +81,17 @@ defmodule Situ.Bridge.Parquet.Chunk do
     take_rows(chunk, missing - length(rows), [rows | found])
   end
 
-  defp concat(found), do: found |> Enum.reverse() |> Enum.concat()
+  defp concat_reversed(found), do: found |> Enum.reverse() |> Enum.concat()
 
   # An entry with repetition level 0 begins a new row.
   defp put_entry({0, _, _} = entry, {[], 0, rows}), do: {[entry], 1, rows}
   defp put_entry({0, _, _} = entry, {row, _, rows}), do: {[entry], 1, [Enum.reverse(row) | rows]}
-  defp put_entry(_entry, {[], 0, _rows}), do: fail("a column begins in the middle of a row")
+
+  defp put_entry(_entry, {[], 0, _rows}),
+    do: throw_malformed("a column begins in the middle of a row")
 
   defp put_entry(_entry, {_row, size, _rows}) when size >= @most_entries,
-    do: fail("a row has more than #{@most_entries} values")
+    do: throw_malformed("a row has more than #{@most_entries} values")
 
   defp put_entry(entry, {row, size, rows}), do: {[entry | row], size + 1, rows}
 
@@ -105,7 +107,7 @@ defmodule Situ.Bridge.Parquet.Chunk do
     else
       column = {leaf, chunk.packing, chunk.dictionary}
 
-      case Page.start(head, body, column, chunk.left) do
+      case Page.start_decoding(head, body, column, chunk.left) do
         nil -> read_page(chunk)
         page -> %{chunk | page: page, left: chunk.left - page.left}
       end
@@ -117,12 +119,12 @@ defmodule Situ.Bridge.Parquet.Chunk do
     bytes = chunk.read.(at, min(most, ends - at))
 
     try do
-      {head, rest} = Thrift.read(bytes)
+      {head, rest} = Thrift.decode_struct(bytes)
       {head, at + byte_size(bytes) - byte_size(rest)}
     catch
       {:not_parquet, _cut_short} when most < ends - at -> read_head(chunk, most * 16)
     end
   end
 
-  defp fail(why), do: throw({:not_parquet, why})
+  defp throw_malformed(why), do: throw({:not_parquet, why})
 end

@@ -9,58 +9,63 @@ defmodule Situ.Bridge.Parquet.Column do
   # Parquet's physical types.
   @physical %{time: 2, integer: 2, float: 5, boolean: 0, text: 6, bytes: 6}
   @doc "Returns the number of the column's physical type."
-  @spec physical(Column.t()) :: non_neg_integer()
-  def physical(column), do: @physical[column.kind]
+  @spec physical_type(Column.t()) :: non_neg_integer()
+  def physical_type(column), do: @physical[column.kind]
 
   @doc "Returns the column's element of the file's schema."
-  @spec element(Column.t()) :: {:struct, list()}
-  def element(column) do
+  @spec schema_element(Column.t()) :: {:struct, list()}
+  def schema_element(column) do
     logical =
       case column.kind do
         :time ->
-          [{10, record([{8, record([{1, {:bool, true}}, {2, record([{3, record([])}])}])}])}]
+          [
+            {10,
+             struct_term([
+               {8, struct_term([{1, {:bool, true}}, {2, struct_term([{3, struct_term([])}])}])}
+             ])}
+          ]
 
         :text ->
-          [{6, {:i32, 0}}, {10, record([{1, record([])}])}]
+          [{6, {:i32, 0}}, {10, struct_term([{1, struct_term([])}])}]
 
         _ ->
           []
       end
 
-    record([
-      {1, {:i32, physical(column)}},
+    struct_term([
+      {1, {:i32, physical_type(column)}},
       {3, {:i32, if(column.optional?, do: 1, else: 0)}},
       {4, {:binary, column.name}} | logical
     ])
   end
 
-  defp record(fields), do: {:struct, fields}
+  defp struct_term(fields), do: {:struct, fields}
 
   @doc "Encodes the body of a page: the levels and the values."
-  @spec page(Column.t(), Column.values()) :: iodata()
-  def page(%{optional?: false}, {:bytes, bytes, _n}), do: bytes
+  @spec encode_page(Column.t(), Column.values()) :: iodata()
+  def encode_page(%{optional?: false}, {:bytes, bytes, _n}), do: bytes
 
-  def page(column, {:bytes, bytes, n}) do
-    levels = levels([], n, n)
+  def encode_page(column, {:bytes, bytes, n}) do
+    levels = encode_levels([], n, n)
     [<<IO.iodata_length(levels)::little-32>>, levels, Column.pack_bytes(column.kind, bytes)]
   end
 
-  def page(%{optional?: false} = column, values), do: plain(column.kind, values)
+  def encode_page(%{optional?: false} = column, values), do: encode_plain(column.kind, values)
 
-  def page(column, values) do
+  def encode_page(column, values) do
     there = Enum.reject(values, &is_nil/1)
-    levels = levels(values, length(values), length(there))
-    [<<IO.iodata_length(levels)::little-32>>, levels, plain(column.kind, there)]
+    levels = encode_levels(values, length(values), length(there))
+    [<<IO.iodata_length(levels)::little-32>>, levels, encode_plain(column.kind, there)]
   end
 
   # If no value is missing, the levels are one run. Otherwise each level is one bit, in groups of eight.
-  defp levels(_values, n, n), do: [Thrift.varint(n <<< 1), 1]
+  defp encode_levels(_values, n, n), do: [Thrift.encode_varint(n <<< 1), 1]
 
-  defp levels(values, n, _there),
-    do: [Thrift.varint(div(n + 7, 8) <<< 1 ||| 1), Column.presence(values)]
+  defp encode_levels(values, n, _there),
+    do: [Thrift.encode_varint(div(n + 7, 8) <<< 1 ||| 1), Column.presence_bits(values)]
 
-  defp plain(kind, values) when kind in [:text, :bytes],
+  defp encode_plain(kind, values) when kind in [:text, :bytes],
     do: for(text <- values, do: [<<byte_size(text)::little-32>>, text])
 
-  defp plain(kind, values), do: Column.pack(kind, values)
+  defp encode_plain(kind, values), do: Column.pack_values(kind, values)
 end

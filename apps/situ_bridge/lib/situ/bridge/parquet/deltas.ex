@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Parquet.Deltas do
   # Decodes strings with separate lengths (DELTA_LENGTH_BYTE_ARRAY), strings that share a prefix with the previous
   # string (DELTA_BYTE_ARRAY), and values with separated bytes (BYTE_STREAM_SPLIT). Pure. Throws
   # `{:not_parquet, why}`.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Parquet.Runs
 
   # The maximum size of a decoded page: shared prefixes can expand a few bytes into a huge amount of data.
@@ -17,11 +17,11 @@ defmodule Situ.Bridge.Parquet.Deltas do
     {texts, _rest} =
       Enum.map_reduce(lengths, rest, fn length, rest ->
         case rest do
-          <<text::binary-known(length), rest::binary>> when length >= 0 ->
+          <<text::binary-pinned_size(length), rest::binary>> when length >= 0 ->
             {:binary.copy(text), rest}
 
           _ ->
-            fail("a string is truncated")
+            throw_malformed("a string is truncated")
         end
       end)
 
@@ -34,7 +34,8 @@ defmodule Situ.Bridge.Parquet.Deltas do
     {lengths, rest} = Runs.decode_deltas(bytes, most, 32)
     suffixes = decode_texts(rest, most)
 
-    if length(lengths) != length(suffixes), do: fail("strings have a prefix but no suffix")
+    if length(lengths) != length(suffixes),
+      do: throw_malformed("strings have a prefix but no suffix")
 
     {texts, _} =
       lengths
@@ -43,7 +44,7 @@ defmodule Situ.Bridge.Parquet.Deltas do
         size = size + shared + byte_size(suffix)
 
         if shared not in 0..byte_size(before) or size > @most,
-          do: fail("the shared prefix of a string is too long")
+          do: throw_malformed("the shared prefix of a string is too long")
 
         text = binary_part(before, 0, shared) <> suffix
         {text, {text, size}}
@@ -68,7 +69,7 @@ defmodule Situ.Bridge.Parquet.Deltas do
           binary()
   def join_bytes(bytes, width, from, n) do
     count = div(byte_size(bytes), width)
-    if from + n > count, do: fail("a page has too few values")
+    if from + n > count, do: throw_malformed("a page has too few values")
 
     for(
       i <- 0..(width - 1)//1,
@@ -78,5 +79,5 @@ defmodule Situ.Bridge.Parquet.Deltas do
     |> IO.iodata_to_binary()
   end
 
-  defp fail(why), do: throw({:not_parquet, why})
+  defp throw_malformed(why), do: throw({:not_parquet, why})
 end

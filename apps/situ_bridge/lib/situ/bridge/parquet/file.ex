@@ -24,22 +24,22 @@ defmodule Situ.Bridge.Parquet.File do
 
   # Reads only the footer. Errors: `:io`, `:not_parquet`.
   @impl true
-  def open(path), do: Input.read(path, @format, &footer(&1, path))
+  def open(path), do: Input.with_file(path, @format, &read_footer(&1, path))
 
-  defp footer({size, read}, path) do
-    if size < 12, do: fail("it is too short")
+  defp read_footer({size, read}, path) do
+    if size < 12, do: throw_malformed("it is too short")
 
     n =
       case read.(size - 8, 8) do
         <<n::little-32, "PAR1">> when n <= @most_footer and n + 12 <= size -> n
-        <<_::32, "PARE">> -> fail("it is encrypted")
-        _ -> fail("it does not end in PAR1")
+        <<_::32, "PARE">> -> throw_malformed("it is encrypted")
+        _ -> throw_malformed("it does not end in PAR1")
       end
 
-    {meta, _} = Thrift.read(read.(size - 8 - n, n))
+    {meta, _} = Thrift.decode_struct(read.(size - 8 - n, n))
 
     with %{2 => [_root | elements], 3 => rows, 4 => groups} when is_list(groups) <- meta do
-      columns = Tree.columns(elements)
+      columns = Tree.build_columns(elements)
 
       %__MODULE__{
         path: path,
@@ -51,51 +51,58 @@ defmodule Situ.Bridge.Parquet.File do
         times: for(%{time?: true, name: name} <- columns, do: name)
       }
     else
-      _ -> fail("its footer is malformed")
+      _ -> throw_malformed("its footer is malformed")
     end
   end
 
   @impl true
   def stream_rows(parquet, group, columns) do
-    Input.stream(parquet.path, @format, &start(parquet, group, columns, &1), &next_rows/1)
+    Input.stream_rows(
+      parquet.path,
+      @format,
+      &start_rows(parquet, group, columns, &1),
+      &next_rows/1
+    )
   end
 
-  defp start(parquet, %{1 => chunks, 3 => rows}, columns, {_size, read})
+  defp start_rows(parquet, %{1 => chunks, 3 => rows}, columns, {_size, read})
        when is_list(chunks) and rows >= 0 do
-    places = for column <- columns, do: {column, places(column, chunks, rows, parquet.packed?)}
+    places =
+      for column <- columns, do: {column, locate_chunks(column, chunks, rows, parquet.packed?)}
 
     columns =
       for {column, leaves} <- places,
-          do: {column, for({leaf, place} <- leaves, do: Chunk.start(leaf, place, read))}
+          do: {column, for({leaf, place} <- leaves, do: Chunk.start_reading(leaf, place, read))}
 
     %{columns: columns, left: rows}
   end
 
-  defp start(_parquet, _group, _columns, _input), do: fail("a row group is malformed")
+  defp start_rows(_parquet, _group, _columns, _input),
+    do: throw_malformed("a row group is malformed")
 
   defp next_rows(%{left: 0}), do: :done
 
   defp next_rows(%{left: left} = state) do
     n = min(@slice, left)
-    taken = for {column, chunks} <- state.columns, do: take(column, chunks, n)
+    taken = for {column, chunks} <- state.columns, do: take_column(column, chunks, n)
     rows = taken |> Enum.map(&elem(&1, 0)) |> Enum.zip_with(& &1)
     columns = for {_values, column, chunks} <- taken, do: {column, chunks}
     {rows, %{state | columns: columns, left: left - n}}
   end
 
-  defp take(column, chunks, n) do
+  defp take_column(column, chunks, n) do
     {rows, chunks} = chunks |> Enum.map(&Chunk.take_rows(&1, n)) |> Enum.unzip()
 
     if Enum.any?(rows, &(length(&1) != n)),
-      do: fail("#{inspect(column.name)} does not have as many rows as its group")
+      do: throw_malformed("#{inspect(column.name)} does not have as many rows as its group")
 
-    {values(column, rows), column, chunks}
+    {column_values(column, rows), column, chunks}
   end
 
-  defp values(%{tree: tree}, rows), do: Enum.zip_with(rows, &Tree.row_value(tree, &1))
-  defp values(_leaf, [values]), do: values
+  defp column_values(%{tree: tree}, rows), do: Enum.zip_with(rows, &Tree.row_value(tree, &1))
+  defp column_values(_leaf, [values]), do: values
 
-  defp places(column, chunks, rows, packed?) do
+  defp locate_chunks(column, chunks, rows, packed?) do
     nested? = is_map_key(column, :tree)
 
     for leaf <- if(nested?, do: column.tree.leaves, else: [column]) do
@@ -115,10 +122,10 @@ defmodule Situ.Bridge.Parquet.File do
            }}
 
         _ ->
-          fail("the chunk of #{inspect(leaf.name)} is missing or malformed")
+          throw_malformed("the chunk of #{inspect(leaf.name)} is missing or malformed")
       end
     end
   end
 
-  defp fail(why), do: throw({:not_parquet, why})
+  defp throw_malformed(why), do: throw({:not_parquet, why})
 end

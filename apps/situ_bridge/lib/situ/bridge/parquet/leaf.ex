@@ -41,35 +41,44 @@ defmodule Situ.Bridge.Parquet.Leaf do
       length: if(is_integer(element[2]), do: element[2], else: 0),
       definition: definition,
       repetition: repetition,
-      as: if(element[1] in [6, 7], do: bytes(element), else: number(element)),
+      as: if(element[1] in [6, 7], do: bytes_meaning(element), else: number_meaning(element)),
       time?: time?
     }
   end
 
-  defp bytes(%{6 => 5, 7 => scale}) when scale in 0..@most_digits, do: {:decimal, scale}
-  defp bytes(%{10 => %{5 => decimal}}) when is_map(decimal), do: scale(:decimal, decimal)
-  defp bytes(%{10 => %{14 => _}, 2 => 16}), do: :uuid
-  defp bytes(%{10 => %{15 => _}, 2 => 2}), do: :half
-  defp bytes(_), do: nil
+  defp bytes_meaning(%{6 => 5, 7 => scale}) when scale in 0..@most_digits, do: {:decimal, scale}
+
+  defp bytes_meaning(%{10 => %{5 => decimal}}) when is_map(decimal),
+    do: decimal_scale(:decimal, decimal)
+
+  defp bytes_meaning(%{10 => %{14 => _}, 2 => 16}), do: :uuid
+  defp bytes_meaning(%{10 => %{15 => _}, 2 => 2}), do: :half
+  defp bytes_meaning(_), do: nil
 
   # Timestamps and times of day.
-  defp number(%{10 => %{8 => %{2 => unit}}}) when map_size(unit) == 1, do: unit(unit)
-  defp number(%{10 => %{7 => %{2 => unit}}}) when map_size(unit) == 1, do: unit(unit)
-  defp number(%{6 => 5, 7 => scale}) when scale in 0..38, do: {:scale, scale}
-  defp number(%{6 => kind}) when is_map_key(@unsigned, kind), do: {:unsigned, @unsigned[kind]}
-  defp number(%{6 => kind}) when is_map_key(@old_kinds, kind), do: @old_kinds[kind]
-  defp number(%{10 => %{5 => decimal}}) when is_map(decimal), do: scale(:scale, decimal)
-  # Some writers no longer set the legacy converted types.
-  defp number(%{10 => %{6 => date}}) when is_map(date), do: @old_kinds[6]
+  defp number_meaning(%{10 => %{8 => %{2 => unit}}}) when map_size(unit) == 1, do: time_unit(unit)
+  defp number_meaning(%{10 => %{7 => %{2 => unit}}}) when map_size(unit) == 1, do: time_unit(unit)
+  defp number_meaning(%{6 => 5, 7 => scale}) when scale in 0..38, do: {:scale, scale}
 
-  defp number(%{10 => %{10 => %{1 => bits, 2 => false}}}) when bits in [8, 16, 32, 64],
+  defp number_meaning(%{6 => kind}) when is_map_key(@unsigned, kind),
+    do: {:unsigned, @unsigned[kind]}
+
+  defp number_meaning(%{6 => kind}) when is_map_key(@old_kinds, kind), do: @old_kinds[kind]
+
+  defp number_meaning(%{10 => %{5 => decimal}}) when is_map(decimal),
+    do: decimal_scale(:scale, decimal)
+
+  # Some writers no longer set the legacy converted types.
+  defp number_meaning(%{10 => %{6 => date}}) when is_map(date), do: @old_kinds[6]
+
+  defp number_meaning(%{10 => %{10 => %{1 => bits, 2 => false}}}) when bits in [8, 16, 32, 64],
     do: {:unsigned, bits}
 
-  defp number(_), do: nil
+  defp number_meaning(_), do: nil
 
-  defp unit(unit), do: @units[unit |> Map.keys() |> hd()]
+  defp time_unit(unit), do: @units[unit |> Map.keys() |> hd()]
 
-  defp scale(kind, decimal) do
+  defp decimal_scale(kind, decimal) do
     scale = decimal[1] || 0
     if scale in 0..@most_digits, do: {kind, scale}
   end
@@ -78,22 +87,22 @@ defmodule Situ.Bridge.Parquet.Leaf do
   Converts the bytes of a value according to their meaning.
 
       iex> alias Situ.Bridge.Parquet.Leaf
-      iex> {Leaf.meant(<<255, 6>>, {:decimal, 2}), Leaf.meant(<<0, 0x3E>>, :half), Leaf.meant("x", nil)}
+      iex> {Leaf.convert_bytes(<<255, 6>>, {:decimal, 2}), Leaf.convert_bytes(<<0, 0x3E>>, :half), Leaf.convert_bytes("x", nil)}
       {-2.5, 1.5, "x"}
   """
-  @spec meant(binary(), atom() | {atom(), term()}) :: term()
-  def meant(bytes, {:decimal, scale}) when byte_size(bytes) in 1..32 do
+  @spec convert_bytes(binary(), atom() | {atom(), term()}) :: term()
+  def convert_bytes(bytes, {:decimal, scale}) when byte_size(bytes) in 1..32 do
     size = bit_size(bytes)
     <<n::signed-size(size)>> = bytes
     n / Integer.pow(10, scale)
   end
 
-  def meant(<<a::binary-4, b::binary-2, c::binary-2, d::binary-2, e::binary-6>>, :uuid),
+  def convert_bytes(<<a::binary-4, b::binary-2, c::binary-2, d::binary-2, e::binary-6>>, :uuid),
     do: Enum.map_join([a, b, c, d, e], "-", &Base.encode16(&1, case: :lower))
 
-  def meant(<<x::little-float-16>>, :half), do: x
-  def meant(<<0, 0x7C>>, :half), do: :infinity
-  def meant(<<0, 0xFC>>, :half), do: :neg_infinity
-  def meant(_, :half), do: :nan
-  def meant(bytes, _), do: bytes
+  def convert_bytes(<<x::little-float-16>>, :half), do: x
+  def convert_bytes(<<0, 0x7C>>, :half), do: :infinity
+  def convert_bytes(<<0, 0xFC>>, :half), do: :neg_infinity
+  def convert_bytes(_, :half), do: :nan
+  def convert_bytes(bytes, _), do: bytes
 end

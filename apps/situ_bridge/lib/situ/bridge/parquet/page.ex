@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Parquet.Page do
   @moduledoc false
   # One page of a column's values: its levels and its values, taken a few at a time. Pure, except for unpacking.
   # Throws `{:not_parquet, why}`.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Parquet.{Leaf, Packed, Runs, Values}
 
   @most_bytes 1_073_741_824
@@ -31,54 +31,65 @@ defmodule Situ.Bridge.Parquet.Page do
       when stored in 0..room//1 and size in 0..@most_bytes,
       do: stored
 
-  def stored_size(head, room), do: fail("a page of #{inspect(head[3])} bytes in #{room} bytes")
+  def stored_size(head, room),
+    do: throw_malformed("a page of #{inspect(head[3])} bytes in #{room} bytes")
 
   @doc "Decodes the entries of a dictionary page."
   @spec decode_dictionary(map(), binary(), Leaf.t(), packing()) :: Values.dictionary()
   def decode_dictionary(%{2 => size, 7 => %{1 => n}}, body, leaf, packing)
       when is_integer(n) and n >= 0 do
-    Values.start_dictionary(leaf, Packed.undo(packing.codec, body, size), n)
+    Values.start_dictionary(leaf, Packed.unpack_page(packing.codec, body, size), n)
   end
 
-  def decode_dictionary(_head, _body, _leaf, _packing), do: fail("a page's header is malformed")
+  def decode_dictionary(_head, _body, _leaf, _packing),
+    do: throw_malformed("a page's header is malformed")
 
   @doc "Starts decoding a page of at most `most` entries; returns `nil` if the page holds no values."
-  @spec start(
+  @spec start_decoding(
           map(),
           binary(),
           {Leaf.t(), packing(), Values.dictionary() | nil},
           most :: pos_integer()
         ) ::
           t() | nil
-  def start(%{1 => 0, 2 => size, 5 => %{1 => n, 2 => encoding}}, body, column, most)
+  def start_decoding(%{1 => 0, 2 => size, 5 => %{1 => n, 2 => encoding}}, body, column, most)
       when n in 0..most//1 do
     {leaf, packing, dictionary} = column
-    bytes = Packed.undo(packing.codec, body, size)
+    bytes = Packed.unpack_page(packing.codec, body, size)
     {repeats, bytes} = split_levels(bytes, leaf.repetition)
     {defines, bytes} = split_levels(bytes, leaf.definition)
-    page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary})
+    build_page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary})
   end
 
   # The levels of a version 2 data page are not compressed.
-  def start(%{1 => 3, 2 => size, 8 => %{1 => n, 4 => encoding} = head}, body, column, most)
+  def start_decoding(
+        %{1 => 3, 2 => size, 8 => %{1 => n, 4 => encoding} = head},
+        body,
+        column,
+        most
+      )
       when n in 0..most//1 do
     {leaf, packing, dictionary} = column
     {repeats, defines} = {head[6] || 0, head[5] || 0}
 
     unless repeats in 0..byte_size(body) and defines in 0..(byte_size(body) - repeats)//1,
-      do: fail("the levels do not fit into their page")
+      do: throw_malformed("the levels do not fit into their page")
 
-    <<repeat::binary-known(repeats), define::binary-known(defines), rest::binary>> = body
+    <<repeat::binary-pinned_size(repeats), define::binary-pinned_size(defines), rest::binary>> =
+      body
+
     size = max(size - defines - repeats, 0)
 
     # pyarrow before version 3 compresses such pages but declares them as uncompressed; the sizes reveal it.
     plain? = head[7] == false and not packing.packed? and size == byte_size(rest)
-    bytes = if plain?, do: rest, else: Packed.undo(packing.codec, rest, size)
-    page(leaf, n, {repeat, define}, {encoding, bytes, dictionary})
+    bytes = if plain?, do: rest, else: Packed.unpack_page(packing.codec, rest, size)
+    build_page(leaf, n, {repeat, define}, {encoding, bytes, dictionary})
   end
 
-  def start(%{1 => kind}, _body, _column, _most) when kind not in [0, 2, 3], do: nil
-  def start(_head, _body, _column, _most), do: fail("a page's header is malformed")
+  def start_decoding(%{1 => kind}, _body, _column, _most) when kind not in [0, 2, 3], do: nil
+
+  def start_decoding(_head, _body, _column, _most),
+    do: throw_malformed("a page's header is malformed")
 
   # If the maximum level is 0, no levels are written.
   defp split_levels(bytes, 0), do: {"", bytes}
@@ -86,33 +97,33 @@ defmodule Situ.Bridge.Parquet.Page do
   defp split_levels(<<n::little-32, levels::binary-size(n), bytes::binary>>, _most),
     do: {levels, bytes}
 
-  defp split_levels(_bytes, _most), do: fail("the levels do not fit into their page")
+  defp split_levels(_bytes, _most), do: throw_malformed("the levels do not fit into their page")
 
-  defp page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary}) do
+  defp build_page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary}) do
     %__MODULE__{
       leaf: leaf,
       left: n,
-      repeats: Runs.start(repeats, width(leaf.repetition)),
-      defines: Runs.start(defines, width(leaf.definition)),
-      values: Values.start(leaf, encoding, bytes, n, dictionary)
+      repeats: Runs.from_bytes(repeats, level_width(leaf.repetition)),
+      defines: Runs.from_bytes(defines, level_width(leaf.definition)),
+      values: Values.start_decoding(leaf, encoding, bytes, n, dictionary)
     }
   end
 
-  defp width(0), do: 0
-  defp width(most), do: most |> Integer.digits(2) |> length()
+  defp level_width(0), do: 0
+  defp level_width(most), do: most |> Integer.digits(2) |> length()
 
   @doc "Takes the next `n` values of a flat column, `nil` where one is missing."
   @spec take_values(t(), non_neg_integer()) :: {[term()], t()}
   def take_values(%{leaf: %{definition: 0}} = page, n) do
-    {values, left} = Values.take(page.values, n)
-    {values, taken(%{page | values: left}, n)}
+    {values, left} = Values.take_next(page.values, n)
+    {values, count_taken(%{page | values: left}, n)}
   end
 
   def take_values(page, n) do
-    {defines, defines_left} = Runs.take(page.defines, n)
-    {values, values_left} = Values.take(page.values, Enum.count(defines, &(&1 == 1)))
+    {defines, defines_left} = Runs.take_numbers(page.defines, n)
+    {values, values_left} = Values.take_next(page.values, Enum.count(defines, &(&1 == 1)))
     page = %{page | defines: defines_left, values: values_left}
-    {put_missing(defines, values), taken(page, n)}
+    {put_missing(defines, values), count_taken(page, n)}
   end
 
   defp put_missing([1 | defines], [value | values]), do: [value | put_missing(defines, values)]
@@ -122,11 +133,11 @@ defmodule Situ.Bridge.Parquet.Page do
   @doc "Takes the next `n` values of a nested column, with their levels."
   @spec take_entries(t(), non_neg_integer()) :: {[entry()], t()}
   def take_entries(%{leaf: %{definition: most}} = page, n) do
-    {repeats, repeats_left} = Runs.take(page.repeats, n)
-    {defines, defines_left} = Runs.take(page.defines, n)
-    {values, values_left} = Values.take(page.values, Enum.count(defines, &(&1 == most)))
+    {repeats, repeats_left} = Runs.take_numbers(page.repeats, n)
+    {defines, defines_left} = Runs.take_numbers(page.defines, n)
+    {values, values_left} = Values.take_next(page.values, Enum.count(defines, &(&1 == most)))
     page = %{page | repeats: repeats_left, defines: defines_left, values: values_left}
-    {put_levels(repeats, defines, most, values), taken(page, n)}
+    {put_levels(repeats, defines, most, values), count_taken(page, n)}
   end
 
   defp put_levels([r | repeats], [d | defines], d, [value | values]),
@@ -136,14 +147,18 @@ defmodule Situ.Bridge.Parquet.Page do
     do: [{r, d, nil} | put_levels(repeats, defines, most, values)]
 
   defp put_levels([], [], _most, []), do: []
-  defp put_levels(_, _, _, _), do: fail("a level exceeds the maximum level of its column")
 
-  defp taken(%{left: n} = page, n) do
-    if Values.left_over?(page.values), do: fail("a page has more values than it declares")
+  defp put_levels(_, _, _, _),
+    do: throw_malformed("a level exceeds the maximum level of its column")
+
+  defp count_taken(%{left: n} = page, n) do
+    if Values.left_over?(page.values),
+      do: throw_malformed("a page has more values than it declares")
+
     %{page | left: 0}
   end
 
-  defp taken(page, n), do: %{page | left: page.left - n}
+  defp count_taken(page, n), do: %{page | left: page.left - n}
 
-  defp fail(why), do: throw({:not_parquet, why})
+  defp throw_malformed(why), do: throw({:not_parquet, why})
 end

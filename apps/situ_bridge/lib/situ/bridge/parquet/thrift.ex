@@ -6,119 +6,126 @@ defmodule Situ.Bridge.Parquet.Thrift do
   # Encodes `{:i32 | :i64, n}`, `{:bool, b}`, `{:binary, bytes}`, `{:list, [value]}` and `{:struct, [{id, value}]}`,
   # whose fields are in the order of their ids. Decodes numbers, booleans, binaries, lists, and structs as maps by
   # field id.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   import Bitwise
 
   @types %{i32: 5, i64: 6, binary: 8, list: 9, struct: 12}
   @deepest 32
 
   @doc "Encodes a struct."
-  @spec write({:struct, [{pos_integer(), term()}]}) :: iodata()
-  def write({:struct, fields}) do
+  @spec encode_struct({:struct, [{pos_integer(), term()}]}) :: iodata()
+  def encode_struct({:struct, fields}) do
     {parts, _} =
       Enum.map_reduce(fields, 0, fn {id, value}, last ->
-        {[field(id - last, value), body(value)], id}
+        {[field_header(id - last, value), encode_value(value)], id}
       end)
 
     [parts, 0]
   end
 
-  defp field(delta, {:bool, value}), do: <<delta::4, if(value, do: 1, else: 2)::4>>
-  defp field(delta, {type, _}), do: <<delta::4, @types[type]::4>>
+  defp field_header(delta, {:bool, value}), do: <<delta::4, if(value, do: 1, else: 2)::4>>
+  defp field_header(delta, {type, _}), do: <<delta::4, @types[type]::4>>
 
-  defp body({:bool, _}), do: []
-  defp body({int, n}) when int in [:i32, :i64], do: varint(zigzag(n))
-  defp body({:binary, bytes}), do: [varint(byte_size(bytes)), bytes]
-  defp body({:struct, _} = struct), do: write(struct)
+  defp encode_value({:bool, _}), do: []
+  defp encode_value({int, n}) when int in [:i32, :i64], do: encode_varint(encode_zigzag(n))
+  defp encode_value({:binary, bytes}), do: [encode_varint(byte_size(bytes)), bytes]
+  defp encode_value({:struct, _} = struct), do: encode_struct(struct)
 
-  defp body({:list, [{type, _} | _] = list}) do
+  defp encode_value({:list, [{type, _} | _] = list}) do
     n = length(list)
-    head = if n < 15, do: <<n::4, @types[type]::4>>, else: [<<15::4, @types[type]::4>>, varint(n)]
-    [head | Enum.map(list, &body/1)]
+
+    head =
+      if n < 15,
+        do: <<n::4, @types[type]::4>>,
+        else: [<<15::4, @types[type]::4>>, encode_varint(n)]
+
+    [head | Enum.map(list, &encode_value/1)]
   end
 
-  defp body({:list, []}), do: <<0::4, 12::4>>
+  defp encode_value({:list, []}), do: <<0::4, 12::4>>
 
-  defp zigzag(n), do: bxor(n <<< 1, n >>> 63) &&& 0xFFFFFFFFFFFFFFFF
+  defp encode_zigzag(n), do: bxor(n <<< 1, n >>> 63) &&& 0xFFFFFFFFFFFFFFFF
 
   @doc "Encodes a number with seven bits per byte, the lowest bits first."
-  @spec varint(non_neg_integer()) :: iodata()
-  def varint(n) when n < 128, do: <<n>>
-  def varint(n), do: [<<1::1, n::7>>, varint(n >>> 7)]
+  @spec encode_varint(non_neg_integer()) :: iodata()
+  def encode_varint(n) when n < 128, do: <<n>>
+  def encode_varint(n), do: [<<1::1, n::7>>, encode_varint(n >>> 7)]
 
   @doc "Decodes the struct at the start of `bytes`; also returns the remaining bytes. Throws `{:not_parquet, why}`."
-  @spec read(binary()) :: {map(), binary()}
-  def read(bytes), do: members(bytes, 0, %{}, 0)
+  @spec decode_struct(binary()) :: {map(), binary()}
+  def decode_struct(bytes), do: decode_fields(bytes, 0, %{}, 0)
 
-  defp members(_bytes, _last, _found, depth) when depth > @deepest,
-    do: fail("it is nested too deeply")
+  defp decode_fields(_bytes, _last, _found, depth) when depth > @deepest,
+    do: throw_malformed("it is nested too deeply")
 
-  defp members(<<0, rest::binary>>, _last, found, _depth), do: {found, rest}
+  defp decode_fields(<<0, rest::binary>>, _last, found, _depth), do: {found, rest}
 
-  defp members(<<0::4, type::4, rest::binary>>, _last, found, depth) do
-    {id, rest} = int(rest)
-    member(id, type, rest, found, depth)
+  defp decode_fields(<<0::4, type::4, rest::binary>>, _last, found, depth) do
+    {id, rest} = decode_zigzag(rest)
+    decode_field(id, type, rest, found, depth)
   end
 
-  defp members(<<delta::4, type::4, rest::binary>>, last, found, depth),
-    do: member(last + delta, type, rest, found, depth)
+  defp decode_fields(<<delta::4, type::4, rest::binary>>, last, found, depth),
+    do: decode_field(last + delta, type, rest, found, depth)
 
-  defp members("", _last, _found, _depth), do: fail("it is truncated")
+  defp decode_fields("", _last, _found, _depth), do: throw_malformed("it is truncated")
 
-  defp member(id, type, rest, found, depth) do
-    {value, rest} = value(type, rest, depth)
-    members(rest, id, Map.put(found, id, value), depth)
+  defp decode_field(id, type, rest, found, depth) do
+    {value, rest} = decode_value(type, rest, depth)
+    decode_fields(rest, id, Map.put(found, id, value), depth)
   end
 
-  defp value(1, rest, _), do: {true, rest}
-  defp value(2, rest, _), do: {false, rest}
-  defp value(3, <<n::signed, rest::binary>>, _), do: {n, rest}
-  defp value(type, rest, _) when type in [4, 5, 6], do: int(rest)
-  defp value(7, <<x::little-float-64, rest::binary>>, _), do: {x, rest}
-  defp value(7, <<_::64, rest::binary>>, _), do: {nil, rest}
+  defp decode_value(1, rest, _), do: {true, rest}
+  defp decode_value(2, rest, _), do: {false, rest}
+  defp decode_value(3, <<n::signed, rest::binary>>, _), do: {n, rest}
+  defp decode_value(type, rest, _) when type in [4, 5, 6], do: decode_zigzag(rest)
+  defp decode_value(7, <<x::little-float-64, rest::binary>>, _), do: {x, rest}
+  defp decode_value(7, <<_::64, rest::binary>>, _), do: {nil, rest}
 
-  defp value(8, rest, _) do
-    {n, rest} = unsigned(rest)
+  defp decode_value(8, rest, _) do
+    {n, rest} = decode_varint(rest)
 
     case rest do
-      <<bytes::binary-known(n), rest::binary>> -> {bytes, rest}
-      _ -> fail("it is truncated")
+      <<bytes::binary-pinned_size(n), rest::binary>> -> {bytes, rest}
+      _ -> throw_malformed("it is truncated")
     end
   end
 
-  defp value(type, <<head, rest::binary>>, depth) when type in [9, 10] do
-    {n, rest} = if head >>> 4 == 15, do: unsigned(rest), else: {head >>> 4, rest}
+  defp decode_value(type, <<head, rest::binary>>, depth) when type in [9, 10] do
+    {n, rest} = if head >>> 4 == 15, do: decode_varint(rest), else: {head >>> 4, rest}
     # Every element takes at least one byte.
-    if n > byte_size(rest), do: fail("a list of #{n} elements in #{byte_size(rest)} bytes")
-    elements(n, head &&& 15, rest, depth, [])
+    if n > byte_size(rest),
+      do: throw_malformed("a list of #{n} elements in #{byte_size(rest)} bytes")
+
+    decode_elements(n, head &&& 15, rest, depth, [])
   end
 
-  defp value(12, rest, depth), do: members(rest, 0, %{}, depth + 1)
-  defp value(_type, _rest, _depth), do: fail("a value of an unknown type")
+  defp decode_value(12, rest, depth), do: decode_fields(rest, 0, %{}, depth + 1)
+  defp decode_value(_type, _rest, _depth), do: throw_malformed("a value of an unknown type")
 
-  defp elements(0, _type, rest, _depth, found), do: {Enum.reverse(found), rest}
+  defp decode_elements(0, _type, rest, _depth, found), do: {Enum.reverse(found), rest}
 
-  defp elements(n, type, <<bool, rest::binary>>, depth, found) when type in [1, 2],
-    do: elements(n - 1, type, rest, depth, [bool == 1 | found])
+  defp decode_elements(n, type, <<bool, rest::binary>>, depth, found) when type in [1, 2],
+    do: decode_elements(n - 1, type, rest, depth, [bool == 1 | found])
 
-  defp elements(n, type, rest, depth, found) do
-    {value, rest} = value(type, rest, depth)
-    elements(n - 1, type, rest, depth, [value | found])
+  defp decode_elements(n, type, rest, depth, found) do
+    {value, rest} = decode_value(type, rest, depth)
+    decode_elements(n - 1, type, rest, depth, [value | found])
   end
 
-  defp int(bytes) do
-    {n, rest} = unsigned(bytes)
+  defp decode_zigzag(bytes) do
+    {n, rest} = decode_varint(bytes)
     {bxor(n >>> 1, -(n &&& 1)), rest}
   end
 
-  @doc "Decodes a number encoded by `varint/1`; also returns the remaining bytes."
-  def unsigned(bytes), do: unsigned(bytes, 0, 0)
-  defp unsigned(<<0::1, n::7, rest::binary>>, shift, sum), do: {sum + (n <<< shift), rest}
+  @doc "Decodes a number encoded by `encode_varint/1`; also returns the remaining bytes."
+  def decode_varint(bytes), do: decode_varint(bytes, 0, 0)
+  defp decode_varint(<<0::1, n::7, rest::binary>>, shift, sum), do: {sum + (n <<< shift), rest}
 
-  defp unsigned(<<1::1, n::7, rest::binary>>, shift, sum) when shift < 63,
-    do: unsigned(rest, shift + 7, sum + (n <<< shift))
+  defp decode_varint(<<1::1, n::7, rest::binary>>, shift, sum) when shift < 63,
+    do: decode_varint(rest, shift + 7, sum + (n <<< shift))
 
-  defp unsigned(_, _, _), do: fail("a variable-length number is malformed")
+  defp decode_varint(_, _, _), do: throw_malformed("a variable-length number is malformed")
 
-  defp fail(why), do: throw({:not_parquet, why})
+  defp throw_malformed(why), do: throw({:not_parquet, why})
 end

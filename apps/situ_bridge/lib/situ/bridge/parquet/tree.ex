@@ -24,26 +24,26 @@ defmodule Situ.Bridge.Parquet.Tree do
   @type entry :: {non_neg_integer(), non_neg_integer(), term()}
 
   @doc "Builds the columns of a schema from its elements without the root. Duplicate names are numbered."
-  @spec columns([map()]) :: [column()]
-  def columns(elements), do: elements |> columns(0, []) |> Names.distinguish()
+  @spec build_columns([map()]) :: [column()]
+  def build_columns(elements), do: elements |> collect_columns(0, []) |> Names.number_duplicates()
 
-  defp columns([], _at, found), do: Enum.reverse(found)
+  defp collect_columns([], _at, found), do: Enum.reverse(found)
 
-  defp columns(elements, at, found) do
-    {tree, rest, at} = node(elements, at, {0, 0}, 0)
-    columns(rest, at, [column(tree) | found])
+  defp collect_columns(elements, at, found) do
+    {tree, rest, at} = build_node(elements, at, {0, 0}, 0)
+    collect_columns(rest, at, [leaf_or_tree(tree) | found])
   end
 
-  defp column(%{kind: :leaf, repetition: repetition, leaves: [leaf]})
+  defp leaf_or_tree(%{kind: :leaf, repetition: repetition, leaves: [leaf]})
        when repetition != @repeated,
        do: leaf
 
-  defp column(tree), do: %{name: tree.name, time?: false, tree: tree}
+  defp leaf_or_tree(tree), do: %{name: tree.name, time?: false, tree: tree}
 
-  defp node(_elements, _at, _levels, depth) when depth > @deepest,
-    do: fail("its columns are nested too deeply")
+  defp build_node(_elements, _at, _levels, depth) when depth > @deepest,
+    do: throw_malformed("its columns are nested too deeply")
 
-  defp node([%{4 => name} = element | rest], at, {definition, level}, depth)
+  defp build_node([%{4 => name} = element | rest], at, {definition, level}, depth)
        when is_binary(name) do
     repetition = element[3] || 0
     definition = if repetition == 0, do: definition, else: definition + 1
@@ -51,12 +51,15 @@ defmodule Situ.Bridge.Parquet.Tree do
     base = %{name: name, repetition: repetition, definition: definition, level: level}
 
     if is_integer(element[5]) do
-      {children, rest, at} = children(element[5], rest, at, {definition, level}, depth + 1, [])
-      leaves = Enum.flat_map(children, & &1.leaves)
-      if leaves == [], do: fail("a group has no columns")
-      children = Names.distinguish(children)
+      {children, rest, at} =
+        build_children(element[5], rest, at, {definition, level}, depth + 1, [])
 
-      tree = Map.merge(base, %{kind: kind(element, children), children: children, leaves: leaves})
+      leaves = Enum.flat_map(children, & &1.leaves)
+      if leaves == [], do: throw_malformed("a group has no columns")
+      children = Names.number_duplicates(children)
+
+      tree =
+        Map.merge(base, %{kind: group_kind(element, children), children: children, leaves: leaves})
 
       {tree, rest, at}
     else
@@ -65,19 +68,20 @@ defmodule Situ.Bridge.Parquet.Tree do
     end
   end
 
-  defp node(_other, _at, _levels, _depth), do: fail("its schema is malformed")
+  defp build_node(_other, _at, _levels, _depth), do: throw_malformed("its schema is malformed")
 
-  defp children(0, rest, at, _levels, _depth, found), do: {Enum.reverse(found), rest, at}
+  defp build_children(0, rest, at, _levels, _depth, found), do: {Enum.reverse(found), rest, at}
 
-  defp children(n, rest, at, levels, depth, found) when n > 0 do
-    {child, rest, at} = node(rest, at, levels, depth)
-    children(n - 1, rest, at, levels, depth, [child | found])
+  defp build_children(n, rest, at, levels, depth, found) when n > 0 do
+    {child, rest, at} = build_node(rest, at, levels, depth)
+    build_children(n - 1, rest, at, levels, depth, [child | found])
   end
 
-  defp children(_n, _rest, _at, _levels, _depth, _found), do: fail("its schema is malformed")
+  defp build_children(_n, _rest, _at, _levels, _depth, _found),
+    do: throw_malformed("its schema is malformed")
 
   # Lists and maps are groups whose only child is a repeated group.
-  defp kind(element, [%{repetition: @repeated}]) do
+  defp group_kind(element, [%{repetition: @repeated}]) do
     cond do
       element[6] == 3 or match?(%{3 => _}, element[10]) -> :list
       element[6] in [1, 2] or match?(%{2 => _}, element[10]) -> :map
@@ -85,19 +89,19 @@ defmodule Situ.Bridge.Parquet.Tree do
     end
   end
 
-  defp kind(_element, _children), do: :struct
+  defp group_kind(_element, _children), do: :struct
 
   @doc "Returns the value of one row, assembled from the entries of each leaf."
   @spec row_value(tree(), [[entry()]]) :: term()
   def row_value(tree, rows) do
     places = Enum.map(tree.leaves, & &1.at)
-    value(tree, places |> Enum.zip(rows) |> Map.new())
+    node_value(tree, places |> Enum.zip(rows) |> Map.new())
   end
 
   # A repetition level up to `level` begins a new element.
-  defp split([], _level), do: []
+  defp split_entries([], _level), do: []
 
-  defp split([first | rest], level) do
+  defp split_entries([first | rest], level) do
     {last, done} =
       Enum.reduce(rest, {[first], []}, fn {at, _, _} = entry, {element, done} ->
         if at <= level,
@@ -108,54 +112,59 @@ defmodule Situ.Bridge.Parquet.Tree do
     Enum.reverse([Enum.reverse(last) | done])
   end
 
-  defp value(%{repetition: @repeated} = node, held),
-    do: for(held <- elements(node, held), do: content(node, held))
+  defp node_value(%{repetition: @repeated} = node, held),
+    do: for(held <- node_elements(node, held), do: node_content(node, held))
 
-  defp value(node, held), do: if(there?(node, held), do: content(node, held))
+  defp node_value(node, held), do: if(defined?(node, held), do: node_content(node, held))
 
-  defp there?(%{definition: definition, leaves: [leaf | _]}, held) do
+  defp defined?(%{definition: definition, leaves: [leaf | _]}, held) do
     [{_, defined, _} | _] = Map.fetch!(held, leaf.at)
     defined >= definition
   end
 
-  defp elements(node, held) do
-    if there?(node, held) do
+  defp node_elements(node, held) do
+    if defined?(node, held) do
       places = Enum.map(node.leaves, & &1.at)
 
       places
-      |> Enum.map(&split(Map.fetch!(held, &1), node.level))
+      |> Enum.map(&split_entries(Map.fetch!(held, &1), node.level))
       |> Enum.zip_with(&(places |> Enum.zip(&1) |> Map.new()))
     else
       []
     end
   end
 
-  defp content(%{kind: :leaf, leaves: [leaf]}, held) do
+  defp node_content(%{kind: :leaf, leaves: [leaf]}, held) do
     [{_, _, value} | _] = Map.fetch!(held, leaf.at)
     value
   end
 
-  defp content(%{kind: :struct, children: children}, held),
-    do: Map.new(children, &{&1.name, value(&1, held)})
+  defp node_content(%{kind: :struct, children: children}, held),
+    do: Map.new(children, &{&1.name, node_value(&1, held)})
 
-  defp content(%{kind: :list, name: name, children: [repeated]}, held) do
-    for held <- elements(repeated, held), do: element(repeated, name, held)
+  defp node_content(%{kind: :list, name: name, children: [repeated]}, held) do
+    for held <- node_elements(repeated, held), do: list_element(repeated, name, held)
   end
 
-  defp content(%{kind: :map, children: [%{children: [key, value]} = pairs]}, held),
-    do: for(held <- elements(pairs, held), into: %{}, do: {value(key, held), value(value, held)})
+  defp node_content(%{kind: :map, children: [%{children: [key, value]} = pairs]}, held),
+    do:
+      for(
+        held <- node_elements(pairs, held),
+        into: %{},
+        do: {node_value(key, held), node_value(value, held)}
+      )
 
-  defp content(%{kind: :map, children: [pairs]}, held),
-    do: for(held <- elements(pairs, held), do: content(pairs, held))
+  defp node_content(%{kind: :map, children: [pairs]}, held),
+    do: for(held <- node_elements(pairs, held), do: node_content(pairs, held))
 
   # Old writers omit the group between the list and its elements.
-  defp element(%{kind: :struct, children: [one], name: between}, name, held) do
+  defp list_element(%{kind: :struct, children: [one], name: between}, name, held) do
     if between in ["array", name <> "_tuple"],
-      do: %{one.name => value(one, held)},
-      else: value(one, held)
+      do: %{one.name => node_value(one, held)},
+      else: node_value(one, held)
   end
 
-  defp element(repeated, _name, held), do: content(repeated, held)
+  defp list_element(repeated, _name, held), do: node_content(repeated, held)
 
-  defp fail(why), do: throw({:not_parquet, why})
+  defp throw_malformed(why), do: throw({:not_parquet, why})
 end

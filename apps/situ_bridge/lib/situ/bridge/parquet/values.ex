@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Parquet.Values do
   @moduledoc false
   # The values of one page, decoded a few at a time: a page of one megabyte has 131,072 floats, and each is four times
   # as large as a term. Pure. Throws `{:not_parquet, why}`.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Parquet.{Deltas, Leaf, Runs}
 
   # The number of bytes of a value, by Parquet's physical type.
@@ -41,91 +41,114 @@ defmodule Situ.Bridge.Parquet.Values do
     {:decoded, List.to_tuple(values)}
   end
 
-  defp entry({:packed, leaf, width, bytes}, place) when (place + 1) * width <= byte_size(bytes) do
+  defp dictionary_entry({:packed, leaf, width, bytes}, place)
+       when (place + 1) * width <= byte_size(bytes) do
     {[value], ""} = decode_plain(leaf, binary_part(bytes, place * width, width), 1)
     value
   end
 
-  defp entry({:decoded, values}, place) when place < tuple_size(values), do: elem(values, place)
-  defp entry(_dictionary, _place), do: fail("an index is outside the dictionary")
+  defp dictionary_entry({:decoded, values}, place) when place < tuple_size(values),
+    do: elem(values, place)
+
+  defp dictionary_entry(_dictionary, _place),
+    do: throw_malformed("an index is outside the dictionary")
 
   @doc "Starts decoding the values of a page with at most `n` rows."
-  @spec start(Leaf.t(), encoding :: integer(), binary(), n :: pos_integer(), dictionary() | nil) ::
+  @spec start_decoding(
+          Leaf.t(),
+          encoding :: integer(),
+          binary(),
+          n :: pos_integer(),
+          dictionary() | nil
+        ) ::
           t()
-  def start(%{type: 0}, 0, bytes, _n, _dictionary), do: {:bits, bytes, []}
-  def start(leaf, 0, bytes, _n, _dictionary), do: {:plain, leaf, bytes}
-  def start(_leaf, encoding, "", _n, _dictionary) when encoding in [2, 8], do: {:decoded, []}
+  def start_decoding(%{type: 0}, 0, bytes, _n, _dictionary), do: {:bits, bytes, []}
+  def start_decoding(leaf, 0, bytes, _n, _dictionary), do: {:plain, leaf, bytes}
 
-  def start(_leaf, encoding, <<width, bytes::binary>>, _n, dictionary)
+  def start_decoding(_leaf, encoding, "", _n, _dictionary) when encoding in [2, 8],
+    do: {:decoded, []}
+
+  def start_decoding(_leaf, encoding, <<width, bytes::binary>>, _n, dictionary)
       when encoding in [2, 8] and dictionary != nil,
-      do: {:entries, Runs.start(bytes, width), dictionary}
+      do: {:entries, Runs.from_bytes(bytes, width), dictionary}
 
-  def start(%{type: 0}, 3, <<size::little-32, bytes::binary-size(size), _::binary>>, _n, _),
-    do: {:booleans, Runs.start(bytes, 1)}
+  def start_decoding(
+        %{type: 0},
+        3,
+        <<size::little-32, bytes::binary-size(size), _::binary>>,
+        _n,
+        _
+      ),
+      do: {:booleans, Runs.from_bytes(bytes, 1)}
 
-  def start(%{type: type} = leaf, 5, bytes, n, _dictionary) when type in [1, 2] do
+  def start_decoding(%{type: type} = leaf, 5, bytes, n, _dictionary) when type in [1, 2] do
     {values, _rest} = Runs.decode_deltas(bytes, n, if(type == 1, do: 32, else: 64))
-    {:decoded, Enum.map(values, &convert(&1, leaf.as))}
+    {:decoded, Enum.map(values, &convert_number(&1, leaf.as))}
   end
 
-  def start(%{type: 6} = leaf, 6, bytes, n, _dictionary),
-    do: {:decoded, bytes |> Deltas.decode_texts(n) |> Enum.map(&Leaf.meant(&1, leaf.as))}
+  def start_decoding(%{type: 6} = leaf, 6, bytes, n, _dictionary),
+    do: {:decoded, bytes |> Deltas.decode_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.as))}
 
-  def start(%{type: type} = leaf, 7, bytes, n, _dictionary) when type in [6, 7],
-    do: {:decoded, bytes |> Deltas.decode_prefixed_texts(n) |> Enum.map(&Leaf.meant(&1, leaf.as))}
+  def start_decoding(%{type: type} = leaf, 7, bytes, n, _dictionary) when type in [6, 7],
+    do:
+      {:decoded,
+       bytes |> Deltas.decode_prefixed_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.as))}
 
-  def start(leaf, 9, bytes, _n, _dictionary) do
-    width = width(leaf)
-    if rem(byte_size(bytes), width) != 0, do: fail("a byte stream does not have whole values")
+  def start_decoding(leaf, 9, bytes, _n, _dictionary) do
+    width = value_width(leaf)
+
+    if rem(byte_size(bytes), width) != 0,
+      do: throw_malformed("a byte stream does not have whole values")
+
     {:apart, leaf, width, bytes, 0}
   end
 
-  def start(_leaf, encoding, _bytes, _n, _dictionary) do
+  def start_decoding(_leaf, encoding, _bytes, _n, _dictionary) do
     name = @encodings[encoding] || inspect(encoding)
-    fail("the encoding #{name} is not supported")
+    throw_malformed("the encoding #{name} is not supported")
   end
 
-  defp width(%{type: type}) when type in [1, 4], do: 4
-  defp width(%{type: type}) when type in [2, 5], do: 8
-  defp width(%{type: 7, length: length}) when length > 0, do: length
-  defp width(_leaf), do: fail("a byte stream has values without a size")
+  defp value_width(%{type: type}) when type in [1, 4], do: 4
+  defp value_width(%{type: type}) when type in [2, 5], do: 8
+  defp value_width(%{type: 7, length: length}) when length > 0, do: length
+  defp value_width(_leaf), do: throw_malformed("a byte stream has values without a size")
 
   @doc "Takes the next `n` values."
-  @spec take(t(), non_neg_integer()) :: {[term()], t()}
-  def take(values, 0), do: {[], values}
+  @spec take_next(t(), non_neg_integer()) :: {[term()], t()}
+  def take_next(values, 0), do: {[], values}
 
-  def take({:plain, leaf, bytes}, n) do
+  def take_next({:plain, leaf, bytes}, n) do
     {values, rest} = decode_plain(leaf, bytes, n)
     {values, {:plain, leaf, rest}}
   end
 
   # A byte holds eight booleans, so some may be left over.
-  def take({:bits, bytes, held}, n) do
+  def take_next({:bits, bytes, held}, n) do
     {packed, rest} = split_bytes(bytes, div(max(n - length(held), 0) + 7, 8))
-    {values, held} = Enum.split(held ++ bits(packed), n)
+    {values, held} = Enum.split(held ++ unpack_bits(packed), n)
     {values, {:bits, rest, held}}
   end
 
-  def take({:entries, runs, dictionary}, n) do
-    {places, runs} = Runs.take(runs, n)
+  def take_next({:entries, runs, dictionary}, n) do
+    {places, runs} = Runs.take_numbers(runs, n)
 
-    values = for place <- places, do: entry(dictionary, place)
+    values = for place <- places, do: dictionary_entry(dictionary, place)
     {values, {:entries, runs, dictionary}}
   end
 
-  def take({:booleans, runs}, n) do
-    {bits, runs} = Runs.take(runs, n)
+  def take_next({:booleans, runs}, n) do
+    {bits, runs} = Runs.take_numbers(runs, n)
     {Enum.map(bits, &(&1 == 1)), {:booleans, runs}}
   end
 
-  def take({:apart, leaf, width, bytes, from}, n) do
+  def take_next({:apart, leaf, width, bytes, from}, n) do
     {values, ""} = decode_plain(leaf, Deltas.join_bytes(bytes, width, from, n), n)
     {values, {:apart, leaf, width, bytes, from + n}}
   end
 
-  def take({:decoded, values}, n) do
+  def take_next({:decoded, values}, n) do
     {taken, values} = Enum.split(values, n)
-    if length(taken) < n, do: fail("a page has fewer values than it declares")
+    if length(taken) < n, do: throw_malformed("a page has fewer values than it declares")
     {taken, {:decoded, values}}
   end
 
@@ -137,70 +160,76 @@ defmodule Situ.Bridge.Parquet.Values do
   @spec decode_plain(Leaf.t(), binary(), non_neg_integer()) :: {[term()], binary()}
   def decode_plain(%{type: 0}, bytes, n) do
     {packed, rest} = split_bytes(bytes, div(n + 7, 8))
-    {packed |> bits() |> Enum.take(n), rest}
+    {packed |> unpack_bits() |> Enum.take(n), rest}
   end
 
-  def decode_plain(%{type: 6, as: as}, bytes, n), do: texts(bytes, n, as, [])
+  def decode_plain(%{type: 6, as: as}, bytes, n), do: decode_texts(bytes, n, as, [])
 
   def decode_plain(%{type: 7, length: length, as: as}, bytes, n) when length > 0 do
     {packed, rest} = split_bytes(bytes, n * length)
 
-    values = for <<x::binary-known(length) <- packed>>, do: x |> :binary.copy() |> Leaf.meant(as)
+    values =
+      for <<x::binary-pinned_size(length) <- packed>>,
+        do: x |> :binary.copy() |> Leaf.convert_bytes(as)
 
     {values, rest}
   end
 
   def decode_plain(%{type: type, as: as}, bytes, n) when type in 1..5 do
     {packed, rest} = split_bytes(bytes, n * @widths[type])
-    {numbers(type, packed, as), rest}
+    {decode_numbers(type, packed, as), rest}
   end
 
-  def decode_plain(_leaf, _bytes, _n), do: fail("fixed-size values have no size")
+  def decode_plain(_leaf, _bytes, _n), do: throw_malformed("fixed-size values have no size")
 
-  defp numbers(1, packed, as), do: for(<<x::little-signed-32 <- packed>>, do: convert(x, as))
-  defp numbers(2, packed, as), do: for(<<x::little-signed-64 <- packed>>, do: convert(x, as))
+  defp decode_numbers(1, packed, as),
+    do: for(<<x::little-signed-32 <- packed>>, do: convert_number(x, as))
 
-  defp numbers(3, packed, _as) do
+  defp decode_numbers(2, packed, as),
+    do: for(<<x::little-signed-64 <- packed>>, do: convert_number(x, as))
+
+  defp decode_numbers(3, packed, _as) do
     for <<ns::little-64, day::little-32 <- packed>>,
       do: (day - 2_440_588) * 86_400_000_000_000 + ns
   end
 
-  defp numbers(4, packed, _as), do: for(<<x::binary-4 <- packed>>, do: float(x))
-  defp numbers(5, packed, _as), do: for(<<x::binary-8 <- packed>>, do: float(x))
+  defp decode_numbers(4, packed, _as), do: for(<<x::binary-4 <- packed>>, do: decode_float(x))
+  defp decode_numbers(5, packed, _as), do: for(<<x::binary-8 <- packed>>, do: decode_float(x))
 
-  defp bits(packed) do
+  defp unpack_bits(packed) do
     for <<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1 <- packed>>,
         bit <- [h, g, f, e, d, c, b, a],
         do: bit == 1
   end
 
   defp split_bytes(bytes, n) when n in 0..byte_size(bytes)//1 do
-    <<part::binary-known(n), rest::binary>> = bytes
+    <<part::binary-pinned_size(n), rest::binary>> = bytes
     {part, rest}
   end
 
-  defp split_bytes(_bytes, _n), do: fail("a page has too few values")
+  defp split_bytes(_bytes, _n), do: throw_malformed("a page has too few values")
 
-  defp texts(bytes, 0, _as, found), do: {Enum.reverse(found), bytes}
+  defp decode_texts(bytes, 0, _as, found), do: {Enum.reverse(found), bytes}
 
-  defp texts(<<n::little-32, text::binary-size(n), rest::binary>>, left, as, found),
-    do: texts(rest, left - 1, as, [text |> :binary.copy() |> Leaf.meant(as) | found])
+  defp decode_texts(<<n::little-32, text::binary-size(n), rest::binary>>, left, as, found),
+    do:
+      decode_texts(rest, left - 1, as, [text |> :binary.copy() |> Leaf.convert_bytes(as) | found])
 
-  defp texts(_short, _left, _as, _found), do: fail("a string is truncated")
+  defp decode_texts(_short, _left, _as, _found), do: throw_malformed("a string is truncated")
 
-  defp float(<<x::little-float-64>>), do: x
-  defp float(<<x::little-float-32>>), do: x
-  defp float(<<0::48, 0xF0, 0x7F>>), do: :infinity
-  defp float(<<0::48, 0xF0, 0xFF>>), do: :neg_infinity
-  defp float(<<0, 0, 0x80, 0x7F>>), do: :infinity
-  defp float(<<0, 0, 0x80, 0xFF>>), do: :neg_infinity
-  defp float(_), do: :nan
+  defp decode_float(<<x::little-float-64>>), do: x
+  defp decode_float(<<x::little-float-32>>), do: x
+  defp decode_float(<<0::48, 0xF0, 0x7F>>), do: :infinity
+  defp decode_float(<<0::48, 0xF0, 0xFF>>), do: :neg_infinity
+  defp decode_float(<<0, 0, 0x80, 0x7F>>), do: :infinity
+  defp decode_float(<<0, 0, 0x80, 0xFF>>), do: :neg_infinity
+  defp decode_float(_), do: :nan
 
-  defp convert(n, nil), do: n
-  defp convert(n, {:times, factor}), do: n * factor
-  defp convert(n, {:scale, scale}), do: n / Integer.pow(10, scale)
-  defp convert(n, {:unsigned, bits}) when n < 0, do: n + Integer.pow(2, bits)
-  defp convert(n, {:unsigned, _}), do: n
+  defp convert_number(n, nil), do: n
+  defp convert_number(n, {:times, factor}), do: n * factor
+  defp convert_number(n, {:scale, scale}), do: n / Integer.pow(10, scale)
+  defp convert_number(n, {:unsigned, bits}) when n < 0, do: n + Integer.pow(2, bits)
+  defp convert_number(n, {:unsigned, _}), do: n
 
-  defp fail(why), do: throw({:not_parquet, why})
+  defp throw_malformed(why), do: throw({:not_parquet, why})
 end

@@ -13,7 +13,7 @@ defmodule Situ.Bridge.Parquet.Writer do
 
   @impl true
   def create(path, columns, codec) do
-    with {:ok, output} <- Output.create(path, "PAR1"),
+    with {:ok, output} <- Output.create_file(path, "PAR1"),
          do: {:ok, %__MODULE__{output: output, columns: columns, codec: codec}}
   end
 
@@ -23,11 +23,11 @@ defmodule Situ.Bridge.Parquet.Writer do
       writer.columns
       |> Enum.zip(values)
       |> Enum.map_reduce(from, fn {column, values}, at ->
-        {bytes, meta} = chunk(column, values, rows, at, writer.codec)
+        {bytes, meta} = encode_chunk(column, values, rows, at, writer.codec)
         {{bytes, meta}, at + IO.iodata_length(bytes)}
       end)
 
-    with {:ok, output} <- Output.write(writer.output, Enum.map(chunks, &elem(&1, 0))) do
+    with {:ok, output} <- Output.append_bytes(writer.output, Enum.map(chunks, &elem(&1, 0))) do
       group =
         {:struct,
          [
@@ -40,19 +40,21 @@ defmodule Situ.Bridge.Parquet.Writer do
     end
   end
 
-  defp chunk(column, values, rows, at, codec) do
-    body = Column.page(column, values)
+  defp encode_chunk(column, values, rows, at, codec) do
+    body = Column.encode_page(column, values)
     packed = if codec == :gzip, do: :zlib.gzip(body), else: body
     {size, stored} = {IO.iodata_length(body), IO.iodata_length(packed)}
     page = {:struct, [{1, {:i32, rows}}, {2, {:i32, 0}}, {3, {:i32, 3}}, {4, {:i32, 3}}]}
 
     head =
-      Thrift.write({:struct, [{1, {:i32, 0}}, {2, {:i32, size}}, {3, {:i32, stored}}, {5, page}]})
+      Thrift.encode_struct(
+        {:struct, [{1, {:i32, 0}}, {2, {:i32, size}}, {3, {:i32, stored}}, {5, page}]}
+      )
 
     n = IO.iodata_length(head)
 
     meta = [
-      {1, {:i32, Column.physical(column)}},
+      {1, {:i32, Column.physical_type(column)}},
       {2, {:list, [{:i32, 0}, {:i32, 3}]}},
       {3, {:list, [{:binary, column.name}]}},
       {4, {:i32, @codecs[codec]}},
@@ -70,11 +72,11 @@ defmodule Situ.Bridge.Parquet.Writer do
     root = {:struct, [{4, {:binary, "situ"}}, {5, {:i32, length(writer.columns)}}]}
 
     footer =
-      Thrift.write(
+      Thrift.encode_struct(
         {:struct,
          [
            {1, {:i32, 2}},
-           {2, {:list, [root | Enum.map(writer.columns, &Column.element/1)]}},
+           {2, {:list, [root | Enum.map(writer.columns, &Column.schema_element/1)]}},
            {3, {:i64, writer.rows}},
            {4, {:list, Enum.reverse(writer.groups)}},
            {6, {:binary, "situ"}}
@@ -82,9 +84,9 @@ defmodule Situ.Bridge.Parquet.Writer do
       )
 
     tail = [footer, <<IO.iodata_length(footer)::little-32>>, "PAR1"]
-    with :ok <- Output.finish(writer.output, tail), do: {:ok, writer.rows}
+    with :ok <- Output.finish_file(writer.output, tail), do: {:ok, writer.rows}
   end
 
   @impl true
-  def abandon(writer), do: Output.abandon(writer.output)
+  def abandon(writer), do: Output.delete_unfinished(writer.output)
 end

@@ -29,7 +29,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   @numbers Map.new(@types, fn {number, type} -> {type, number} end)
   @deepest 50
 
-  defp own do
+  defp descriptor_schema do
     with :none <- :persistent_term.get(__MODULE__, :none) do
       {:ok, schema} = Text.parse(@google)
       :persistent_term.put(__MODULE__, schema)
@@ -38,73 +38,73 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   end
 
   @doc "Returns Google's types, for definitions that import them, as `{messages, enums}` for `Schema.new/2`."
-  @spec google() :: {list(), list()}
-  def google do
-    {:ok, messages, enums} = Text.types(@google)
+  @spec google_types() :: {list(), list()}
+  def google_types do
+    {:ok, messages, enums} = Text.parse_types(@google)
     {messages, enums}
   end
 
   @doc "Parses the bytes of a FileDescriptorSet to a schema."
-  @spec read(binary()) :: {:ok, Schema.t()} | {:error, String.t()}
-  def read(bytes) do
-    with {:ok, %{"file" => files}} <- Reader.decode(own(), @set, bytes) do
-      {messages, enums} = files |> Enum.map(&file/1) |> Enum.unzip()
+  @spec parse_set(binary()) :: {:ok, Schema.t()} | {:error, String.t()}
+  def parse_set(bytes) do
+    with {:ok, %{"file" => files}} <- Reader.decode(descriptor_schema(), @set, bytes) do
+      {messages, enums} = files |> Enum.map(&parse_file/1) |> Enum.unzip()
       Schema.new(messages |> Enum.concat() |> Enum.uniq_by(&elem(&1, 0)), Enum.concat(enums))
     end
   catch
     {:not_proto, why} -> {:error, why}
   end
 
-  defp file(file) do
+  defp parse_file(file) do
     scope = file["package"] || ""
     proto3? = file["syntax"] == "proto3"
     explicit? = not proto3?
     style = %{explicit?: explicit?, packed?: file["syntax"] in ["proto3", "editions"]}
-    messages = Enum.flat_map(file["message_type"], &messages(&1, scope, style, 0))
-    inner = Enum.flat_map(file["message_type"], &enums(&1, scope, 0))
-    {messages, Enum.map(file["enum_type"], &enum(&1, scope)) ++ inner}
+    messages = Enum.flat_map(file["message_type"], &parse_messages(&1, scope, style, 0))
+    inner = Enum.flat_map(file["message_type"], &parse_enums(&1, scope, 0))
+    {messages, Enum.map(file["enum_type"], &parse_enum(&1, scope)) ++ inner}
   end
 
-  defp whole("", name), do: name || ""
-  defp whole(scope, name), do: scope <> "." <> (name || "")
+  defp full_name("", name), do: name || ""
+  defp full_name(scope, name), do: scope <> "." <> (name || "")
 
-  defp messages(_message, scope, _style, @deepest),
+  defp parse_messages(_message, scope, _style, @deepest),
     do: throw({:not_proto, "#{scope} is nested #{@deepest} deep"})
 
-  defp messages(message, scope, style, depth) do
-    name = whole(scope, message["name"])
+  defp parse_messages(message, scope, style, depth) do
+    name = full_name(scope, message["name"])
     map? = (message["options"] || %{})["map_entry"] == true
     oneofs = message["oneof_decl"] |> Enum.map(& &1["name"]) |> List.to_tuple()
-    fields = Enum.flat_map(message["field"], &field(&1, name, style, oneofs))
+    fields = Enum.flat_map(message["field"], &parse_field(&1, name, style, oneofs))
 
     [
       {name, fields, map?}
-      | Enum.flat_map(message["nested_type"], &messages(&1, name, style, depth + 1))
+      | Enum.flat_map(message["nested_type"], &parse_messages(&1, name, style, depth + 1))
     ]
   end
 
-  defp enums(_message, scope, @deepest),
+  defp parse_enums(_message, scope, @deepest),
     do: throw({:not_proto, "#{scope} is nested #{@deepest} deep"})
 
-  defp enums(message, scope, depth) do
-    name = whole(scope, message["name"])
+  defp parse_enums(message, scope, depth) do
+    name = full_name(scope, message["name"])
 
-    Enum.map(message["enum_type"], &enum(&1, name)) ++
-      Enum.flat_map(message["nested_type"], &enums(&1, name, depth + 1))
+    Enum.map(message["enum_type"], &parse_enum(&1, name)) ++
+      Enum.flat_map(message["nested_type"], &parse_enums(&1, name, depth + 1))
   end
 
-  defp enum(enum, scope),
+  defp parse_enum(enum, scope),
     do:
-      {whole(scope, enum["name"]),
+      {full_name(scope, enum["name"]),
        for(v <- enum["value"], do: {v["name"] || "", v["number"] || 0})}
 
   # The reader skips groups.
-  defp field(%{"type" => 10}, _scope, _style, _oneofs), do: []
+  defp parse_field(%{"type" => 10}, _scope, _style, _oneofs), do: []
 
-  defp field(f, scope, style, oneofs) do
+  defp parse_field(f, scope, style, oneofs) do
     repeated? = f["label"] == 3
-    type = type(f, scope)
-    oneof = oneof(f, oneofs)
+    type = parse_type(f, scope)
+    oneof = oneof_name(f, oneofs)
 
     [
       %Field{
@@ -120,15 +120,15 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
     ]
   end
 
-  defp type(%{"type" => 11, "type_name" => name}, _scope) when is_binary(name),
+  defp parse_type(%{"type" => 11, "type_name" => name}, _scope) when is_binary(name),
     do: {:message, String.trim_leading(name, ".")}
 
-  defp type(%{"type" => 14, "type_name" => name}, _scope) when is_binary(name),
+  defp parse_type(%{"type" => 14, "type_name" => name}, _scope) when is_binary(name),
     do: {:enum, String.trim_leading(name, ".")}
 
-  defp type(%{"type" => number}, _scope) when is_map_key(@types, number), do: @types[number]
+  defp parse_type(%{"type" => number}, _scope) when is_map_key(@types, number), do: @types[number]
 
-  defp type(f, scope),
+  defp parse_type(f, scope),
     do:
       throw(
         {:not_proto,
@@ -136,11 +136,11 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
       )
 
   # Proto3 represents an optional field as a oneof with one member, which is not a oneof to users.
-  defp oneof(%{"oneof_index" => n, "proto3_optional" => optional}, oneofs)
+  defp oneof_name(%{"oneof_index" => n, "proto3_optional" => optional}, oneofs)
        when is_integer(n) and n >= 0 and n < tuple_size(oneofs) and optional != true,
        do: elem(oneofs, n)
 
-  defp oneof(_field, _oneofs), do: nil
+  defp oneof_name(_field, _oneofs), do: nil
 
   defp packable?(type), do: not match?({:message, _}, type) and type not in [:string, :bytes]
 
@@ -148,37 +148,40 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   defp packed?(_field, style), do: style.packed?
 
   @doc "Encodes a FileDescriptorSet of the message `name` and all types it uses, with one file per package."
-  @spec write(Schema.t(), String.t()) :: binary()
-  def write(schema, name) do
-    names = needed([name], schema, MapSet.new())
-    by_package = names |> Enum.sort() |> Enum.group_by(&package(&1, schema))
+  @spec encode_set(Schema.t(), String.t()) :: binary()
+  def encode_set(schema, name) do
+    names = collect_types([name], schema, MapSet.new())
+    by_package = names |> Enum.sort() |> Enum.group_by(&package_of(&1, schema))
 
     files =
       for {package, names} <- by_package do
         %{
-          "name" => filed(package),
+          "name" => file_name(package),
           "package" => package,
           "syntax" => "proto3",
-          "dependency" => Enum.map(Enum.sort(dependencies(names, package, schema)), &filed/1),
-          "message_type" => nested(names, package, schema),
-          "enum_type" => own_enums(names, package, schema)
+          "dependency" =>
+            Enum.map(Enum.sort(package_dependencies(names, package, schema)), &file_name/1),
+          "message_type" => describe_messages(names, package, schema),
+          "enum_type" => describe_enums(names, package, schema)
         }
       end
 
     {:ok, bytes} =
-      Writer.encode(own(), @set, %{"file" => Enum.sort_by(files, &length(&1["dependency"]))})
+      Writer.encode(descriptor_schema(), @set, %{
+        "file" => Enum.sort_by(files, &length(&1["dependency"]))
+      })
 
     bytes
   end
 
-  defp filed("google.protobuf"), do: "google/protobuf/timestamp.proto"
-  defp filed(package), do: String.replace(package, ".", "/") <> ".proto"
+  defp file_name("google.protobuf"), do: "google/protobuf/timestamp.proto"
+  defp file_name(package), do: String.replace(package, ".", "/") <> ".proto"
 
-  defp needed([], _schema, found), do: found
+  defp collect_types([], _schema, found), do: found
 
-  defp needed([name | rest], schema, found) do
+  defp collect_types([name | rest], schema, found) do
     if name in found do
-      needed(rest, schema, found)
+      collect_types(rest, schema, found)
     else
       inner =
         case schema.messages do
@@ -187,102 +190,102 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
         end
 
       # The enclosing types of a nested type are included, too.
-      above = for above <- above(name), is_map_key(schema.messages, above), do: above
-      needed(inner ++ above ++ rest, schema, MapSet.put(found, name))
+      above = for above <- outer_names(name), is_map_key(schema.messages, above), do: above
+      collect_types(inner ++ above ++ rest, schema, MapSet.put(found, name))
     end
   end
 
-  defp above(name) do
+  defp outer_names(name) do
     name |> String.split(".") |> Enum.scan(&(&2 <> "." <> &1)) |> Enum.drop(-1)
   end
 
   # The package is the scope of the outermost type.
-  defp package(name, schema) do
+  defp package_of(name, schema) do
     outermost =
       Enum.find(
-        above(name) ++ [name],
+        outer_names(name) ++ [name],
         &(is_map_key(schema.messages, &1) or is_map_key(schema.enums, &1))
       )
 
-    scope(outermost)
+    parent_scope(outermost)
   end
 
-  defp scope(name), do: name |> String.split(".") |> Enum.drop(-1) |> Enum.join(".")
-  defp last(name), do: name |> String.split(".") |> List.last()
+  defp parent_scope(name), do: name |> String.split(".") |> Enum.drop(-1) |> Enum.join(".")
+  defp short_name(name), do: name |> String.split(".") |> List.last()
 
-  defp dependencies(names, package, schema) do
+  defp package_dependencies(names, package, schema) do
     for name <- names,
         %{fields: fields} <- List.wrap(schema.messages[name]),
         %{type: {_, type}} <- fields,
-        other = package(type, schema),
+        other = package_of(type, schema),
         other != package,
         into: MapSet.new(),
         do: other
   end
 
-  defp nested(names, scope, schema) do
-    for name <- names, is_map_key(schema.messages, name), scope(name) == scope do
+  defp describe_messages(names, scope, schema) do
+    for name <- names, is_map_key(schema.messages, name), parent_scope(name) == scope do
       message = schema.messages[name]
 
       %{
-        "name" => last(name),
-        "field" => described_fields(message.fields),
-        "oneof_decl" => for(oneof <- oneofs(message.fields), do: %{"name" => oneof}),
-        "nested_type" => nested(names, name, schema),
-        "enum_type" => own_enums(names, name, schema),
+        "name" => short_name(name),
+        "field" => describe_fields(message.fields),
+        "oneof_decl" => for(oneof <- oneof_names(message.fields), do: %{"name" => oneof}),
+        "nested_type" => describe_messages(names, name, schema),
+        "enum_type" => describe_enums(names, name, schema),
         "options" => if(message.map?, do: %{"map_entry" => true})
       }
     end
   end
 
-  defp own_enums(names, scope, schema) do
-    for name <- names, is_map_key(schema.enums, name), scope(name) == scope do
+  defp describe_enums(names, scope, schema) do
+    for name <- names, is_map_key(schema.enums, name), parent_scope(name) == scope do
       values =
         for {value, n} <- Enum.sort_by(schema.enums[name].numbers, &elem(&1, 1)),
             do: %{"name" => value, "number" => n}
 
       # The first value of a proto3 enumeration must be zero.
       {zero, others} = Enum.split_with(values, &(&1["number"] == 0))
-      %{"name" => last(name), "value" => zero ++ others}
+      %{"name" => short_name(name), "value" => zero ++ others}
     end
   end
 
   # Lists the oneofs of the definition, and then one for each field that is optional in proto3.
-  defp oneofs(fields) do
+  defp oneof_names(fields) do
     real = for %{oneof: oneof} <- fields, oneof != nil, uniq: true, do: oneof
-    real ++ for(field <- fields, synthetic?(field), do: "_" <> field.name)
+    real ++ for(field <- fields, synthetic_oneof?(field), do: "_" <> field.name)
   end
 
-  defp synthetic?(field),
+  defp synthetic_oneof?(field),
     do: field.presence? and field.oneof == nil and not match?({:message, _}, field.type)
 
-  defp described_fields(fields) do
-    oneofs = fields |> oneofs() |> Enum.with_index() |> Map.new()
+  defp describe_fields(fields) do
+    oneofs = fields |> oneof_names() |> Enum.with_index() |> Map.new()
 
     for field <- fields do
-      optional? = synthetic?(field)
+      optional? = synthetic_oneof?(field)
       oneof = if optional?, do: "_" <> field.name, else: field.oneof
 
       %{
         "name" => field.name,
         "number" => field.number,
         "label" => if(field.repeated?, do: 3, else: 1),
-        "type" => number(field.type),
+        "type" => type_number(field.type),
         "type_name" => if(is_tuple(field.type), do: "." <> elem(field.type, 1)),
         "oneof_index" => oneofs[oneof],
         "proto3_optional" => if(optional?, do: true),
-        "options" => packing(field)
+        "options" => packing_options(field)
       }
     end
   end
 
-  defp number({:message, _}), do: 11
-  defp number({:enum, _}), do: 14
-  defp number(type), do: @numbers[type]
+  defp type_number({:message, _}), do: 11
+  defp type_number({:enum, _}), do: 14
+  defp type_number(type), do: @numbers[type]
 
-  defp packing(%{repeated?: true, packed?: false, type: type}) do
+  defp packing_options(%{repeated?: true, packed?: false, type: type}) do
     if packable?(type), do: %{"packed" => false}
   end
 
-  defp packing(_field), do: nil
+  defp packing_options(_field), do: nil
 end

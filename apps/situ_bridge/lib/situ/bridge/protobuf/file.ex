@@ -89,8 +89,8 @@ defmodule Situ.Bridge.Protobuf.File do
         {state, n + 1}
       end)
 
-    close(state)
-    for ending <- [".desc", ""], do: renamed!(unfinished <> ending, path <> ending)
+    close_file(state)
+    for ending <- [".desc", ""], do: rename_file!(unfinished <> ending, path <> ending)
     {:ok, n}
   rescue
     error in Error ->
@@ -98,11 +98,11 @@ defmodule Situ.Bridge.Protobuf.File do
       {:error, error}
   end
 
-  defp renamed!(unfinished, path),
+  defp rename_file!(unfinished, path),
     do:
       with(
         {:error, reason} <- File.rename(unfinished, path),
-        do: raise(Delimited.io(path, reason))
+        do: raise(Delimited.io_error(path, reason))
       )
 
   @doc """
@@ -112,7 +112,7 @@ defmodule Situ.Bridge.Protobuf.File do
   #{Situ.Options.docs(@read)}
   """
   @spec read(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
-  def read(p, path, opts), do: Situ.Bridge.File.replayed(p, messages(path, opts), path)
+  def read(p, path, opts), do: Situ.Bridge.File.replay_source(p, messages(path, opts), path)
 
   @doc "Calls `write/3`; every bridge has a function `sink`."
   @spec sink(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
@@ -129,35 +129,40 @@ defmodule Situ.Bridge.Protobuf.File do
   @spec messages(Path.t(), keyword()) :: Enumerable.t()
   def messages(path, opts) do
     opts = Situ.Options.validate!(opts, @read)
-    schema = schema!(path, opts)
-    stamp = if opts[:every], do: nil, else: Stamp.find!(schema, opts[:type], opts[:time])
+    schema = load_schema!(path, opts)
+    stamp = if opts[:every], do: nil, else: Stamp.find_field!(schema, opts[:type], opts[:time])
 
     path
-    |> Delimited.payloads()
+    |> Delimited.stream_payloads()
     |> Stream.with_index()
     |> Stream.map(fn {{at, bytes}, n} ->
       case Protobuf.Reader.decode(schema, opts[:type], bytes) do
-        {:ok, message} -> {time(message, stamp, n, opts), value(message, opts)}
-        {:error, why} -> raise Delimited.bad(path, at, why)
+        {:ok, message} -> {message_time(message, stamp, n, opts), convert_value(message, opts)}
+        {:error, why} -> raise Delimited.bad_file_error(path, at, why)
       end
     end)
   end
 
-  defp time(_message, nil, n, opts), do: opts[:start] + n * opts[:every]
-  defp time(message, stamp, _n, _opts), do: Stamp.get(message, stamp)
+  defp message_time(_message, nil, n, opts), do: opts[:start] + n * opts[:every]
+  defp message_time(message, stamp, _n, _opts), do: Stamp.get_time(message, stamp)
 
-  defp value(message, opts) do
-    if opts[:messages] == :maps, do: message, else: Standard.from(opts[:type], message)
+  defp convert_value(message, opts) do
+    if opts[:messages] == :maps, do: message, else: Standard.from_message(opts[:type], message)
   end
 
-  defp schema!(path, opts) do
+  defp load_schema!(path, opts) do
     beside = path <> ".desc"
 
     schema =
       cond do
-        opts[:definition] -> Error.unwrap!(Protobuf.schema(opts[:definition]))
-        File.regular?(beside) -> beside |> File.read!() |> Protobuf.schema() |> Error.unwrap!()
-        true -> Messages.schema()
+        opts[:definition] ->
+          Error.unwrap!(Protobuf.parse_schema(opts[:definition]))
+
+        File.regular?(beside) ->
+          beside |> File.read!() |> Protobuf.parse_schema() |> Error.unwrap!()
+
+        true ->
+          Messages.load_schema()
       end
 
     # Decoding returns the error that lists the existing types.
@@ -173,52 +178,56 @@ defmodule Situ.Bridge.Protobuf.File do
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
     # An existing definition at the path belongs to another file, so the path is not used here.
-    schema = schema!("", opts)
-    stamp = Stamp.find!(schema, opts[:type], opts[:time])
+    schema = load_schema!("", opts)
+    stamp = Stamp.find_field!(schema, opts[:type], opts[:time])
 
-    with :ok <- File.write(opts[:path] <> ".desc", Descriptor.write(schema, opts[:type])),
+    with :ok <- File.write(opts[:path] <> ".desc", Descriptor.encode_set(schema, opts[:type])),
          {:ok, file} <-
            :file.open(opts[:path], [:write, :raw, :binary, {:delayed_write, @chunk, 1_000}]) do
       {[], %{state | file: file, schema: schema, stamp: stamp}}
     else
-      {:error, reason} -> raise Delimited.io(opts[:path], reason)
+      {:error, reason} -> raise Delimited.io_error(opts[:path], reason)
     end
   end
 
   @impl true
   def handle_message(:in, message, _context, %{opts: opts} = state) do
     time = message.originating_time
-    data = Standard.to(opts[:type], message.data, time)
+    data = Standard.to_message(opts[:type], message.data, time)
 
-    if not is_map(data), do: raise(unwritable(opts, "its data are not a map"))
+    if not is_map(data), do: raise(not_writable_error(opts, "its data are not a map"))
 
-    case Protobuf.Writer.encode(state.schema, opts[:type], Stamp.put(data, state.stamp, time)) do
-      {:ok, bytes} -> append(state, Delimited.frame(bytes))
-      {:error, why} -> raise unwritable(opts, why)
+    case Protobuf.Writer.encode(
+           state.schema,
+           opts[:type],
+           Stamp.put_time(data, state.stamp, time)
+         ) do
+      {:ok, bytes} -> append_bytes(state, Delimited.encode_frame(bytes))
+      {:error, why} -> raise not_writable_error(opts, why)
     end
 
     {[], state}
   end
 
-  defp unwritable(opts, why),
+  defp not_writable_error(opts, why),
     do: Error.new(:not_writable, "cannot write a message as #{opts[:type]}", why: why)
 
-  defp append(state, bytes) do
+  defp append_bytes(state, bytes) do
     with {:error, reason} <- :file.write(state.file, bytes),
-         do: raise(Delimited.io(state.opts[:path], reason))
+         do: raise(Delimited.io_error(state.opts[:path], reason))
   end
 
   @impl true
-  def handle_closed(:in, _time, _context, state), do: {[], close(state)}
+  def handle_closed(:in, _time, _context, state), do: {[], close_file(state)}
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def terminate(_reason, state), do: close_file(state)
 
-  defp close(%{file: nil} = state), do: state
+  defp close_file(%{file: nil} = state), do: state
 
-  defp close(state) do
+  defp close_file(state) do
     with {:error, reason} <- :file.close(state.file),
-         do: raise(Delimited.io(state.opts[:path], reason))
+         do: raise(Delimited.io_error(state.opts[:path], reason))
 
     %{state | file: nil}
   end

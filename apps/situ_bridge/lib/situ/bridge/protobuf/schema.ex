@@ -40,8 +40,8 @@ defmodule Situ.Bridge.Protobuf.Schema do
   @most_fields 2_000
 
   @doc "Returns the scalar type of a name."
-  @spec scalar(String.t()) :: {:ok, atom()} | :error
-  def scalar(name), do: Map.fetch(@names, name)
+  @spec fetch_scalar(String.t()) :: {:ok, atom()} | :error
+  def fetch_scalar(name), do: Map.fetch(@names, name)
 
   @doc """
   Builds a schema of messages (`{name, fields, map?}`) and enumerations (`{name, [{name, number}]}`). Errors are
@@ -50,18 +50,18 @@ defmodule Situ.Bridge.Protobuf.Schema do
   @spec new([{String.t(), [Field.t()], boolean()}], [{String.t(), [{String.t(), integer()}]}]) ::
           {:ok, t()} | {:error, String.t()}
   def new(messages, enums) do
-    enums = Map.new(enums, fn {name, values} -> {name, enum(values)} end)
+    enums = Map.new(enums, fn {name, values} -> {name, build_enum(values)} end)
     known = MapSet.new(messages, &elem(&1, 0))
 
-    with :ok <- bounded(messages, enums),
-         :ok <- sound(messages, known, enums) do
+    with :ok <- check_limits(messages, enums),
+         :ok <- check_fields(messages, known, enums) do
       schema = %__MODULE__{messages: %{}, enums: enums}
       maps = for {name, _, true} <- messages, into: MapSet.new(), do: name
-      {:ok, %{schema | messages: Map.new(messages, &message(&1, enums, maps))}}
+      {:ok, %{schema | messages: Map.new(messages, &build_message(&1, enums, maps))}}
     end
   end
 
-  defp enum(values) do
+  defp build_enum(values) do
     # If several names share a number, the first name is used.
     %{
       names: values |> Enum.reverse() |> Map.new(fn {name, number} -> {number, name} end),
@@ -69,7 +69,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
     }
   end
 
-  defp bounded(messages, enums) do
+  defp check_limits(messages, enums) do
     cond do
       length(messages) + map_size(enums) > @most_types ->
         {:error, "it has more than #{@most_types} types"}
@@ -82,75 +82,75 @@ defmodule Situ.Bridge.Protobuf.Schema do
     end
   end
 
-  defp sound(messages, known, enums) do
+  defp check_fields(messages, known, enums) do
     Enum.find_value(messages, :ok, fn {name, fields, _} ->
       Enum.find_value(fields, fn field ->
-        with why when is_binary(why) <- trouble(field, known, enums),
+        with why when is_binary(why) <- find_problem(field, known, enums),
              do: {:error, "the field #{inspect(field.name)} of #{name} #{why}"}
       end)
     end)
   end
 
-  defp trouble(%{number: n}, _known, _enums) when n not in 1..536_870_911,
+  defp find_problem(%{number: n}, _known, _enums) when n not in 1..536_870_911,
     do: "has the number #{inspect(n)}"
 
-  defp trouble(%{type: {:message, type}}, known, _enums),
+  defp find_problem(%{type: {:message, type}}, known, _enums),
     do: if(type not in known, do: "has the unknown type #{type}")
 
-  defp trouble(%{type: {:enum, type}}, _known, enums),
+  defp find_problem(%{type: {:enum, type}}, _known, enums),
     do: if(not is_map_key(enums, type), do: "has the unknown type #{type}")
 
-  defp trouble(_field, _known, _enums), do: nil
+  defp find_problem(_field, _known, _enums), do: nil
 
-  defp message({name, fields, map?}, enums, maps) do
-    fields = Enum.map(fields, &alone/1)
+  defp build_message({name, fields, map?}, enums, maps) do
+    fields = Enum.map(fields, &clear_presence/1)
 
     {name,
      %{
        fields: fields,
        by_number: Map.new(fields, &{&1.number, &1}),
-       empty: Map.new(fields, &{&1.name, absent(&1, enums, maps)}),
+       empty: Map.new(fields, &{&1.name, default_value(&1, enums, maps)}),
        map?: map?,
        oneofs?: Enum.any?(fields, &(&1.oneof != nil))
      }}
   end
 
   # A missing message is `nil` in any case.
-  defp alone(%{type: {:message, _}} = field), do: %{field | presence?: false}
-  defp alone(field), do: field
+  defp clear_presence(%{type: {:message, _}} = field), do: %{field | presence?: false}
+  defp clear_presence(field), do: field
 
-  defp absent(%{repeated?: true, type: {:message, type}}, _enums, maps),
+  defp default_value(%{repeated?: true, type: {:message, type}}, _enums, maps),
     do: if(type in maps, do: %{}, else: [])
 
-  defp absent(%{repeated?: true}, _enums, _maps), do: []
-  defp absent(%{type: {:message, _}}, _enums, _maps), do: nil
-  defp absent(%{presence?: true}, _enums, _maps), do: nil
-  defp absent(%{type: {:enum, name}}, enums, _maps), do: Map.get(enums[name].names, 0, 0)
-  defp absent(%{type: type}, _enums, _maps), do: zero(type)
+  defp default_value(%{repeated?: true}, _enums, _maps), do: []
+  defp default_value(%{type: {:message, _}}, _enums, _maps), do: nil
+  defp default_value(%{presence?: true}, _enums, _maps), do: nil
+  defp default_value(%{type: {:enum, name}}, enums, _maps), do: Map.get(enums[name].names, 0, 0)
+  defp default_value(%{type: type}, _enums, _maps), do: zero_value(type)
 
   @doc "Returns the wire type of a type: 0, 1, 2 or 5."
-  @spec wire(atom() | {:message | :enum, String.t()}) :: 0 | 1 | 2 | 5
-  def wire({:message, _}), do: 2
-  def wire({:enum, _}), do: 0
-  def wire(type) when type in [:string, :bytes], do: 2
-  def wire(type) when type in [:double, :fixed64, :sfixed64], do: 1
-  def wire(type) when type in [:float, :fixed32, :sfixed32], do: 5
-  def wire(_varint), do: 0
+  @spec wire_type(atom() | {:message | :enum, String.t()}) :: 0 | 1 | 2 | 5
+  def wire_type({:message, _}), do: 2
+  def wire_type({:enum, _}), do: 0
+  def wire_type(type) when type in [:string, :bytes], do: 2
+  def wire_type(type) when type in [:double, :fixed64, :sfixed64], do: 1
+  def wire_type(type) when type in [:float, :fixed32, :sfixed32], do: 5
+  def wire_type(_varint), do: 0
 
   @doc "Returns the kind (`Situ.Bridge.Ros.Number`) and size in bytes of a fixed-size number, or `nil` for other types."
-  @spec fixed(atom() | tuple()) :: {atom(), 4 | 8} | nil
-  def fixed(:double), do: {:float64, 8}
-  def fixed(:fixed64), do: {:uint64, 8}
-  def fixed(:sfixed64), do: {:int64, 8}
-  def fixed(:float), do: {:float32, 4}
-  def fixed(:fixed32), do: {:uint32, 4}
-  def fixed(:sfixed32), do: {:int32, 4}
-  def fixed(_type), do: nil
+  @spec fixed_kind(atom() | tuple()) :: {atom(), 4 | 8} | nil
+  def fixed_kind(:double), do: {:float64, 8}
+  def fixed_kind(:fixed64), do: {:uint64, 8}
+  def fixed_kind(:sfixed64), do: {:int64, 8}
+  def fixed_kind(:float), do: {:float32, 4}
+  def fixed_kind(:fixed32), do: {:uint32, 4}
+  def fixed_kind(:sfixed32), do: {:int32, 4}
+  def fixed_kind(_type), do: nil
 
   @doc "Returns the value of a scalar field that is not encoded."
-  @spec zero(atom()) :: term()
-  def zero(type) when type in [:double, :float], do: 0.0
-  def zero(:bool), do: false
-  def zero(type) when type in [:string, :bytes], do: ""
-  def zero(_integer), do: 0
+  @spec zero_value(atom()) :: term()
+  def zero_value(type) when type in [:double, :float], do: 0.0
+  def zero_value(:bool), do: false
+  def zero_value(type) when type in [:string, :bytes], do: ""
+  def zero_value(_integer), do: 0
 end

@@ -10,37 +10,38 @@ defmodule Situ.Bridge.Protobuf.Stamp do
   @type t :: [String.t(), ...]
 
   @doc "Returns the path of the field `name`, or of the first field with a usual name. Raises `Situ.Error`, `:no_time`."
-  @spec find!(Schema.t(), String.t(), String.t() | nil) :: t()
-  def find!(schema, type, nil) do
-    Enum.find(@usual, &time?(schema, type, &1)) ||
-      raise none(
+  @spec find_field!(Schema.t(), String.t(), String.t() | nil) :: t()
+  def find_field!(schema, type, nil) do
+    Enum.find(@usual, &time_field?(schema, type, &1)) ||
+      raise no_time_error(
               type,
               "none of #{Enum.map_join(@usual, ", ", fn path -> Enum.join(path, ".") end)} exists as a time field"
             )
   end
 
-  def find!(schema, type, name) do
+  def find_field!(schema, type, name) do
     path = String.split(name, ".")
 
-    if time?(schema, type, path),
+    if time_field?(schema, type, path),
       do: path,
-      else: raise(none(type, "#{name} is not a Timestamp or a 64-bit integer in this type"))
+      else:
+        raise(no_time_error(type, "#{name} is not a Timestamp or a 64-bit integer in this type"))
   end
 
-  defp none(type, why) do
+  defp no_time_error(type, why) do
     Error.new(:no_time, "#{type} has no field for the originating time",
       why: why,
       fix: "name a field with time:, or read the file with every:"
     )
   end
 
-  defp time?(schema, type, [name | deeper]) do
+  defp time_field?(schema, type, [name | deeper]) do
     with %{fields: fields} <- schema.messages[type],
          %{repeated?: false, type: inner} <- Enum.find(fields, &(&1.name == name)) do
       case {inner, deeper} do
         {{:message, "google.protobuf.Timestamp"}, []} -> true
         {integer, []} -> integer in @integers
-        {{:message, inner}, _} -> time?(schema, inner, deeper)
+        {{:message, inner}, _} -> time_field?(schema, inner, deeper)
         _ -> false
       end
     else
@@ -49,14 +50,14 @@ defmodule Situ.Bridge.Protobuf.Stamp do
   end
 
   @doc "Returns the time in a message, or 0 if it is missing, which is Protobuf's default."
-  @spec get(map(), t()) :: Situ.Time.t()
-  def get(message, [name]), do: message[name] || 0
-  def get(message, [name | deeper]), do: get(message[name] || %{}, deeper)
+  @spec get_time(map(), t()) :: Situ.Time.t()
+  def get_time(message, [name]), do: message[name] || 0
+  def get_time(message, [name | deeper]), do: get_time(message[name] || %{}, deeper)
 
   @doc "Puts a time into a message."
-  @spec put(map(), t(), Situ.Time.t()) :: map()
-  def put(message, [name], time), do: Map.put(message, name, time)
+  @spec put_time(map(), t(), Situ.Time.t()) :: map()
+  def put_time(message, [name], time), do: Map.put(message, name, time)
 
-  def put(message, [name | deeper], time),
-    do: Map.put(message, name, put(message[name] || %{}, deeper, time))
+  def put_time(message, [name | deeper], time),
+    do: Map.put(message, name, put_time(message[name] || %{}, deeper, time))
 end

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Psi.Blocks do
   @moduledoc false
   # Folds over the blocks of all files (extents) of one kind, in order. A block is a length and a payload that is padded
   # to a multiple of 4 bytes. A length of 0 marks the end of the written data; a negative length names the next extent.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Psi.Files
 
   @window 1_048_576
@@ -18,22 +18,22 @@ defmodule Situ.Bridge.Psi.Blocks do
           {acc, [String.t()]}
         when acc: term()
   def reduce({folder, name, kind}, head, acc, fun) do
-    extents = Files.extents(folder, name, kind)
+    extents = Files.extent_sizes(folder, name, kind)
     context = %{files: {folder, name, kind}, extents: extents, head: head, fun: fun}
 
     case Map.keys(extents) do
       [] -> {acc, []}
-      numbers -> extent(Enum.min(numbers), context, {acc, []})
+      numbers -> reduce_extent(Enum.min(numbers), context, {acc, []})
     end
   end
 
-  defp extent(number, context, {acc, damage}) do
+  defp reduce_extent(number, context, {acc, damage}) do
     {folder, name, kind} = context.files
-    path = Files.path(folder, name, kind, number)
+    path = Files.extent_path(folder, name, kind, number)
 
     case :file.open(path, [:read, :raw, :binary]) do
       {:ok, file} ->
-        result = window(file, 0, Map.put(context, :extent, number), acc)
+        result = read_window(file, 0, Map.put(context, :extent, number), acc)
         :file.close(file)
         after_extent(result, path, number, context, damage)
 
@@ -45,7 +45,7 @@ defmodule Situ.Bridge.Psi.Blocks do
   defp after_extent({:next, next, acc}, path, number, context, damage) do
     cond do
       next <= number -> {acc, ["#{path} links to itself or to an earlier file" | damage]}
-      is_map_key(context.extents, next) -> extent(next, context, {acc, damage})
+      is_map_key(context.extents, next) -> reduce_extent(next, context, {acc, damage})
       true -> go_on(number, context, acc, ["the file after #{path} is missing" | damage])
     end
   end
@@ -61,24 +61,25 @@ defmodule Situ.Bridge.Psi.Blocks do
   defp go_on(number, context, acc, damage) do
     case context.extents |> Map.keys() |> Enum.filter(&(&1 > number)) do
       [] -> {acc, damage}
-      later -> extent(Enum.min(later), context, {acc, damage})
+      later -> reduce_extent(Enum.min(later), context, {acc, damage})
     end
   end
 
-  defp window(file, at, context, acc) do
+  defp read_window(file, at, context, acc) do
     case :file.pread(file, at, @window) do
-      {:ok, bytes} -> blocks(bytes, at, file, context, acc)
+      {:ok, bytes} -> fold_blocks(bytes, at, file, context, acc)
       _ -> {:end, acc}
     end
   end
 
-  defp blocks(<<0::32, _::binary>>, _at, _file, _context, acc), do: {:end, acc}
+  defp fold_blocks(<<0::32, _::binary>>, _at, _file, _context, acc), do: {:end, acc}
 
-  defp blocks(<<next::little-signed-32, _::binary>>, _at, _file, _context, acc) when next < 0,
-    do: {:next, -next, acc}
+  defp fold_blocks(<<next::little-signed-32, _::binary>>, _at, _file, _context, acc)
+       when next < 0,
+       do: {:next, -next, acc}
 
-  defp blocks(<<n::little-signed-32, rest::binary>>, at, file, context, acc) do
-    stored = n + padding(n)
+  defp fold_blocks(<<n::little-signed-32, rest::binary>>, at, file, context, acc) do
+    stored = n + padding_size(n)
     size = Map.fetch!(context.extents, context.extent)
 
     cond do
@@ -87,33 +88,33 @@ defmodule Situ.Bridge.Psi.Blocks do
 
       byte_size(rest) >= stored ->
         head = binary_part(rest, 0, min(n, context.head))
-        <<_::binary-known(stored), rest::binary>> = rest
+        <<_::binary-pinned_size(stored), rest::binary>> = rest
         acc = context.fun.({context.extent, at + 4, n, head}, acc)
 
         if rest == "",
-          do: window(file, at + 4 + stored, context, acc),
-          else: blocks(rest, at + 4 + stored, file, context, acc)
+          do: read_window(file, at + 4 + stored, context, acc),
+          else: fold_blocks(rest, at + 4 + stored, file, context, acc)
 
       byte_size(rest) >= min(n, context.head) ->
         head = binary_part(rest, 0, min(n, context.head))
         acc = context.fun.({context.extent, at + 4, n, head}, acc)
-        window(file, at + 4 + stored, context, acc)
+        read_window(file, at + 4 + stored, context, acc)
 
       true ->
         # The head of the block reaches beyond this window, so the next window begins with the block.
-        window(file, at, context, acc)
+        read_window(file, at, context, acc)
     end
   end
 
   # Fewer than 4 bytes remain, either at the end of the file or at the end of the window.
-  defp blocks(rest, at, file, context, acc) do
+  defp fold_blocks(rest, at, file, context, acc) do
     if at + 4 <= Map.fetch!(context.extents, context.extent),
-      do: window(file, at, context, acc),
-      else: {if(rest == "", do: :end, else: :cut), at, acc} |> ended()
+      do: read_window(file, at, context, acc),
+      else: {if(rest == "", do: :end, else: :cut), at, acc} |> drop_position()
   end
 
-  defp ended({:end, _at, acc}), do: {:end, acc}
-  defp ended(cut), do: cut
+  defp drop_position({:end, _at, acc}), do: {:end, acc}
+  defp drop_position(cut), do: cut
 
-  defp padding(n), do: rem(4 - rem(n, 4), 4)
+  defp padding_size(n), do: rem(4 - rem(n, 4), 4)
 end

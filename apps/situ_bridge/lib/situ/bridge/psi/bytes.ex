@@ -12,35 +12,36 @@ defmodule Situ.Bridge.Psi.Bytes do
   Converts a .NET time to nanoseconds since 1970. The top two bits hold the kind (UTC, local, unspecified) and are
   ignored.
 
-      iex> Situ.Bridge.Psi.Bytes.time(0x48D924F4C841A000)
+      iex> Situ.Bridge.Psi.Bytes.parse_time(0x48D924F4C841A000)
       1622548800000000000
-      iex> Situ.Bridge.Psi.Bytes.time(0)
+      iex> Situ.Bridge.Psi.Bytes.parse_time(0)
       -62135596800000000000
   """
-  @spec time(integer()) :: Situ.Time.t()
-  def time(binary), do: ((binary &&& @kind_bits) - @epoch) * 100
+  @spec parse_time(integer()) :: Situ.Time.t()
+  def parse_time(binary), do: ((binary &&& @kind_bits) - @epoch) * 100
 
   @doc """
   Returns whether .NET can represent the time, that is, whether it is between the years 1 and 9999.
 
-      iex> Situ.Bridge.Psi.Bytes.time?(0x48D924F4C841A000)
+      iex> Situ.Bridge.Psi.Bytes.valid_time?(0x48D924F4C841A000)
       true
-      iex> Situ.Bridge.Psi.Bytes.time?(0xFFFF_FFFF_FFFF_FFFF)
+      iex> Situ.Bridge.Psi.Bytes.valid_time?(0xFFFF_FFFF_FFFF_FFFF)
       false
   """
-  @spec time?(integer()) :: boolean()
-  def time?(binary), do: (binary &&& @kind_bits) <= @never
+  @spec valid_time?(integer()) :: boolean()
+  def valid_time?(binary), do: (binary &&& @kind_bits) <= @never
 
-  @doc "Converts a .NET time like `time/1`, but returns nil for the maximum time, which means \"not yet\"."
-  @spec time_or_nil(integer()) :: Situ.Time.t() | nil
-  def time_or_nil(binary), do: if((binary &&& @kind_bits) == @never, do: nil, else: time(binary))
+  @doc "Converts a .NET time like `parse_time/1`, but returns nil for the maximum time, which means \"not yet\"."
+  @spec parse_optional_time(integer()) :: Situ.Time.t() | nil
+  def parse_optional_time(binary),
+    do: if((binary &&& @kind_bits) == @never, do: nil, else: parse_time(binary))
 
   @doc "Parses a string, which may be nil, and returns it with the remaining bytes."
-  @spec string(binary()) :: {:ok, String.t() | nil, binary()} | :error
-  def string(<<-1::little-signed-32, rest::binary>>), do: {:ok, nil, rest}
+  @spec parse_string(binary()) :: {:ok, String.t() | nil, binary()} | :error
+  def parse_string(<<-1::little-signed-32, rest::binary>>), do: {:ok, nil, rest}
 
-  def string(<<n::little-signed-32, text::binary-size(n), rest::binary>>) when n >= 0,
+  def parse_string(<<n::little-signed-32, text::binary-size(n), rest::binary>>) when n >= 0,
     do: {:ok, :binary.copy(text), rest}
 
-  def string(_), do: :error
+  def parse_string(_), do: :error
 end

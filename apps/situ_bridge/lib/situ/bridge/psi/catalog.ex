@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Psi.Catalog do
   @spec read(Path.t(), String.t()) :: {t(), [String.t()]}
   def read(folder, name) do
     Blocks.reduce({folder, name, :catalog}, @most, %__MODULE__{}, fn {_, _, _, bytes}, catalog ->
-      add(catalog, bytes)
+      add_entry(catalog, bytes)
     end)
   end
 
@@ -54,19 +54,19 @@ defmodule Situ.Bridge.Psi.Catalog do
       end)
 
   @doc "Adds an entry to the catalog. Invalid entries are ignored."
-  @spec add(t(), binary()) :: t()
-  def add(catalog, bytes) do
-    with {:ok, header, rest} <- header(bytes) do
-      entry(header.kind, header, rest, catalog)
+  @spec add_entry(t(), binary()) :: t()
+  def add_entry(catalog, bytes) do
+    with {:ok, header, rest} <- parse_header(bytes) do
+      put_entry(header.kind, header, rest, catalog)
     else
       :error -> catalog
     end
   end
 
-  defp header(bytes) do
-    with {:ok, name, <<id::little-signed-32, rest::binary>>} <- Bytes.string(bytes),
-         {:ok, type, <<version::little-signed-32, rest::binary>>} <- Bytes.string(rest),
-         {:ok, serializer, rest} <- Bytes.string(rest),
+  defp parse_header(bytes) do
+    with {:ok, name, <<id::little-signed-32, rest::binary>>} <- Bytes.parse_string(bytes),
+         {:ok, type, <<version::little-signed-32, rest::binary>>} <- Bytes.parse_string(rest),
+         {:ok, serializer, rest} <- Bytes.parse_string(rest),
          <<system::little-signed-32, flags::little-16, kind::little-16, rest::binary>> <- rest do
       header = %{name: name || "", id: id, type_name: type || "", version: version}
 
@@ -78,42 +78,42 @@ defmodule Situ.Bridge.Psi.Catalog do
     end
   end
 
-  defp entry(0, header, rest, catalog) do
-    case stream(header, rest) do
+  defp put_entry(0, header, rest, catalog) do
+    case parse_stream(header, rest) do
       {:ok, entry} -> put_in(catalog.streams[header.id], entry)
       :error -> catalog
     end
   end
 
-  defp entry(1, header, _rest, catalog), do: %{catalog | runtime: header.name}
+  defp put_entry(1, header, _rest, catalog), do: %{catalog | runtime: header.name}
 
-  defp entry(2, header, rest, catalog) do
+  defp put_entry(2, header, rest, catalog) do
     case Schema.parse(header, rest) do
       {:ok, schema} -> put_in(catalog.schemas[header.name], schema)
       :error -> catalog
     end
   end
 
-  defp entry(_kind, _header, _rest, catalog), do: catalog
+  defp put_entry(_kind, _header, _rest, catalog), do: catalog
 
-  defp stream(header, <<opened::little-64, closed::little-64, rest::binary>>) do
+  defp parse_stream(header, <<opened::little-64, closed::little-64, rest::binary>>) do
     entry = %Entry{
       name: header.name,
       id: header.id,
       type_name: header.type_name,
       flags: header.flags,
-      opened: Bytes.time_or_nil(opened),
-      closed: Bytes.time_or_nil(closed)
+      opened: Bytes.parse_optional_time(opened),
+      closed: Bytes.parse_optional_time(closed)
     }
 
-    with {:ok, entry, rest} <- statistics(header.version, entry, rest),
+    with {:ok, entry, rest} <- parse_statistics(header.version, entry, rest),
          {:ok, entry, rest} <- runtime_types(entry, rest),
-         do: {:ok, supplemental(header.version, entry, rest)}
+         do: {:ok, parse_supplemental(header.version, entry, rest)}
   end
 
-  defp stream(_header, _rest), do: :error
+  defp parse_stream(_header, _rest), do: :error
 
-  defp statistics(version, entry, rest) when version >= 2 do
+  defp parse_statistics(version, entry, rest) when version >= 2 do
     case rest do
       <<count::little-signed-64, size::little-signed-64, latency::little-signed-64,
         _times::binary-32, rest::binary>> ->
@@ -125,7 +125,7 @@ defmodule Situ.Bridge.Psi.Catalog do
   end
 
   # Before version 2, the catalog stored averages (of bytes and microseconds) instead of sums.
-  defp statistics(
+  defp parse_statistics(
          _old,
          entry,
          <<count::little-signed-32, _times::binary-32, size::little-signed-32,
@@ -134,7 +134,7 @@ defmodule Situ.Bridge.Psi.Catalog do
     {:ok, %{entry | count: count, size: count * size, latency_ticks: count * latency * 10}, rest}
   end
 
-  defp statistics(_old, _entry, _rest), do: :error
+  defp parse_statistics(_old, _entry, _rest), do: :error
 
   defp runtime_types(%{flags: flags} = entry, <<n::little-signed-32, rest::binary>>)
        when (flags &&& 8) != 0 and n >= 0 do
@@ -147,18 +147,18 @@ defmodule Situ.Bridge.Psi.Catalog do
   defp runtime_types(entry, 0, rest), do: {:ok, entry, rest}
 
   defp runtime_types(entry, n, <<id::little-signed-32, rest::binary>>) do
-    with {:ok, name, rest} <- Bytes.string(rest),
+    with {:ok, name, rest} <- Bytes.parse_string(rest),
          do: runtime_types(put_in(entry.runtime_types[id], name), n - 1, rest)
   end
 
   defp runtime_types(_entry, _n, _rest), do: :error
 
-  defp supplemental(0, entry, _rest), do: entry
+  defp parse_supplemental(0, entry, _rest), do: entry
 
-  defp supplemental(_version, entry, rest) do
+  defp parse_supplemental(_version, entry, rest) do
     with {:ok, type, <<n::little-signed-32, bytes::binary-size(n), _::binary>>}
          when type != nil and n >= 0 <-
-           Bytes.string(rest) do
+           Bytes.parse_string(rest) do
       %{entry | supplemental_type: type, supplemental: :binary.copy(bytes)}
     else
       _ -> entry

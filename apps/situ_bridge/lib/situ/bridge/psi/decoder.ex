@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Psi.Decoder do
   # the terms share memory. A reference from inside the object itself (a cycle), or to an object that contains such a
   # reference, becomes `%{"$ref" => n}`. The referenced object then has the key "$id" => n; a list or another value
   # that is not a map becomes `%{"$id" => n, "$value" => value}`.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   import Bitwise
   alias Situ.Bridge.Psi.{Bytes, Layout, Shapes, Types}
 
@@ -41,31 +41,37 @@ defmodule Situ.Bridge.Psi.Decoder do
   def decode(bytes, handler, types, opts \\ [])
 
   def decode(bytes, {:value, {:raw, layout}}, _types, opts) do
-    size = Layout.size(layout)
+    size = Layout.value_size(layout)
 
     cond do
-      byte_size(bytes) < size -> {:error, "#{byte_size(bytes)} bytes are too few for its type"}
-      byte_size(bytes) > size + most(bytes, opts) -> left_over(byte_size(bytes) - size)
-      true -> {:ok, Layout.read(layout, binary_part(bytes, 0, size))}
+      byte_size(bytes) < size ->
+        {:error, "#{byte_size(bytes)} bytes are too few for its type"}
+
+      byte_size(bytes) > size + max_padding(bytes, opts) ->
+        left_over_error(byte_size(bytes) - size)
+
+      true ->
+        {:ok, Layout.read_value(layout, binary_part(bytes, 0, size))}
     end
   end
 
   def decode(bytes, handler, types, opts) do
-    most = most(bytes, opts)
+    most = max_padding(bytes, opts)
 
-    with {:ok, value, %{needed: needed}} <- run(bytes, handler, %__MODULE__{types: types}, most),
+    with {:ok, value, %{needed: needed}} <-
+           decode_bytes(bytes, handler, %__MODULE__{types: types}, most),
          {:ok, value, _} <-
-           named(bytes, handler, %__MODULE__{types: types, known: needed}, most, value),
+           decode_with_ids(bytes, handler, %__MODULE__{types: types, known: needed}, most, value),
          do: {:ok, value}
   end
 
-  defp most(bytes, opts), do: if(opts[:rest] == :any, do: byte_size(bytes), else: 3)
-  defp left_over(bytes), do: {:error, "#{bytes} bytes are left over"}
+  defp max_padding(bytes, opts), do: if(opts[:rest] == :any, do: byte_size(bytes), else: 3)
+  defp left_over_error(bytes), do: {:error, "#{bytes} bytes are left over"}
 
   @doc "Decodes a message of a stream with this .NET type name. Returns the same as `decode/4`."
-  @spec message(binary(), String.t(), Types.handler(), Types.t()) ::
+  @spec decode_message(binary(), String.t(), Types.handler(), Types.t()) ::
           {:ok, term()} | {:error, String.t()}
-  def message(bytes, type_name, handler, types) do
+  def decode_message(bytes, type_name, handler, types) do
     with {:error, why} <- decode(bytes, handler, types) do
       # Enums in plain structs have no schema, so their width is unknown. The right width uses all the bytes.
       Enum.find_value(types.others, {:error, why}, fn types ->
@@ -75,52 +81,53 @@ defmodule Situ.Bridge.Psi.Decoder do
   end
 
   # The objects that need an id are known only after decoding, so the bytes are decoded a second time.
-  defp named(bytes, handler, state, most, value) do
+  defp decode_with_ids(bytes, handler, state, most, value) do
     if MapSet.size(state.known) == 0,
       do: {:ok, value, state},
-      else: run(bytes, handler, state, most)
+      else: decode_bytes(bytes, handler, state, most)
   end
 
   # Decoding is deeply recursive, so errors are thrown from the inner functions and caught here.
-  defp run(bytes, handler, state, most) do
-    {value, rest, state} = read(handler, bytes, state)
+  defp decode_bytes(bytes, handler, state, most) do
+    {value, rest, state} = read_value(handler, bytes, state)
 
     if byte_size(rest) <= most,
       do: {:ok, value, state},
-      else: left_over(byte_size(rest))
+      else: left_over_error(byte_size(rest))
   catch
     {:not_psi, why} -> {:error, why}
   end
 
-  defp fail(why), do: throw({:not_psi, why})
+  defp fail_decoding(why), do: throw({:not_psi, why})
 
-  defp read({:value, plan}, bytes, state), do: content(resolve(plan, state), bytes, state)
+  defp read_value({:value, plan}, bytes, state),
+    do: read_content(resolve_plan(plan, state), bytes, state)
 
-  defp read({:object, plan}, <<prefix::little-32, rest::binary>>, state) do
+  defp read_value({:object, plan}, <<prefix::little-32, rest::binary>>, state) do
     case prefix &&& @typed do
       0 when prefix == 0 -> {nil, rest, state}
-      @reference -> reference(prefix &&& @low_bits, rest, state)
-      @new when plan != nil -> object(resolve(plan, state), nil, rest, state)
-      @typed -> typed(prefix &&& @low_bits, rest, state)
-      @new -> fail("an object has a type that no schema describes")
-      _ -> fail("an object begins with bytes that are not a reference")
+      @reference -> read_reference(prefix &&& @low_bits, rest, state)
+      @new when plan != nil -> read_object(resolve_plan(plan, state), nil, rest, state)
+      @typed -> read_typed_object(prefix &&& @low_bits, rest, state)
+      @new -> fail_decoding("an object has a type that no schema describes")
+      _ -> fail_decoding("an object begins with bytes that are not a reference")
     end
   end
 
-  defp read({:object, _plan}, _bytes, _state),
-    do: fail("the data ends at the beginning of an object")
+  defp read_value({:object, _plan}, _bytes, _state),
+    do: fail_decoding("the data ends at the beginning of an object")
 
-  defp resolve({:type, name}, state), do: Map.fetch!(state.types.by_name, name)
-  defp resolve(plan, _state), do: plan
+  defp resolve_plan({:type, name}, state), do: Map.fetch!(state.types.by_name, name)
+  defp resolve_plan(plan, _state), do: plan
 
-  defp typed(id, bytes, state) do
+  defp read_typed_object(id, bytes, state) do
     case state.types.by_id do
-      %{^id => plan} -> object(plan, state.types.names[id], bytes, state)
-      _ -> fail("an object has the type number #{id}, which no schema describes")
+      %{^id => plan} -> read_object(plan, state.types.names[id], bytes, state)
+      _ -> fail_decoding("an object has the type number #{id}, which no schema describes")
     end
   end
 
-  defp reference(id, rest, state) do
+  defp read_reference(id, rest, state) do
     case state.objects do
       %{^id => {value, nodes}} when nodes + state.nodes < @most_shared ->
         {value, rest, %{state | nodes: state.nodes + nodes}}
@@ -130,14 +137,14 @@ defmodule Situ.Bridge.Psi.Decoder do
         {%{"$ref" => id}, rest, %{state | needed: needed, refs: state.refs + 1}}
 
       _ ->
-        fail("a reference points to an object that does not exist yet")
+        fail_decoding("a reference points to an object that does not exist yet")
     end
   end
 
-  defp object(plan, type, bytes, %{next: id, nodes: nodes, refs: refs} = state) do
+  defp read_object(plan, type, bytes, %{next: id, nodes: nodes, refs: refs} = state) do
     state = %{state | next: id + 1, nodes: nodes + 1, objects: Map.put(state.objects, id, :open)}
-    {value, rest, state} = content(plan, bytes, state)
-    state = closed(plan, id, refs, state)
+    {value, rest, state} = read_content(plan, bytes, state)
+    state = forget_node_references(plan, id, refs, state)
     value = value |> with_type(type, plan) |> with_id(id, state)
 
     # An object that contains references by number cannot be repeated in another place.
@@ -146,12 +153,12 @@ defmodule Situ.Bridge.Psi.Decoder do
   end
 
   # The nodes of a linked list refer to each other and to the list. The list's items contain none of these references.
-  defp closed({:fields, _, :linked}, id, refs, state) do
+  defp forget_node_references({:fields, _, :linked}, id, refs, state) do
     needed = state.needed |> Enum.filter(&(&1 < id)) |> MapSet.new()
     %{state | refs: refs, needed: needed}
   end
 
-  defp closed(_plan, _id, _refs, state), do: state
+  defp forget_node_references(_plan, _id, _refs, state), do: state
 
   # Adds the type of an object if the member's type does not determine it. Dictionaries are skipped, because their keys
   # are data.
@@ -171,91 +178,96 @@ defmodule Situ.Bridge.Psi.Decoder do
     end
   end
 
-  defp content({:raw, layout}, bytes, state) do
-    size = Layout.size(layout)
+  defp read_content({:raw, layout}, bytes, state) do
+    size = Layout.value_size(layout)
 
     case bytes do
-      <<value::binary-known(size), rest::binary>> -> {Layout.read(layout, value), rest, state}
-      _ -> fail("the data ends within a value")
+      <<value::binary-pinned_size(size), rest::binary>> ->
+        {Layout.read_value(layout, value), rest, state}
+
+      _ ->
+        fail_decoding("the data ends within a value")
     end
   end
 
-  defp content(:string, bytes, state) do
-    case Bytes.string(bytes) do
+  defp read_content(:string, bytes, state) do
+    case Bytes.parse_string(bytes) do
       {:ok, text, rest} -> {text, rest, state}
-      :error -> fail("the data ends within a string")
+      :error -> fail_decoding("the data ends within a string")
     end
   end
 
-  defp content(:bytes, <<n::little-signed-32, data::binary-size(n), rest::binary>>, state)
+  defp read_content(:bytes, <<n::little-signed-32, data::binary-size(n), rest::binary>>, state)
        when n >= 0,
        do: {data, rest, state}
 
-  defp content({:raw_array, layout}, <<n::little-signed-32, rest::binary>>, state) when n >= 0 do
-    size = n * Layout.size(layout)
+  defp read_content({:raw_array, layout}, <<n::little-signed-32, rest::binary>>, state)
+       when n >= 0 do
+    size = n * Layout.value_size(layout)
 
     case rest do
-      <<values::binary-known(size), rest::binary>> ->
+      <<values::binary-pinned_size(size), rest::binary>> ->
         {Layout.read_all(layout, values), rest, %{state | nodes: state.nodes + n}}
 
       _ ->
-        fail("the data ends within an array")
+        fail_decoding("the data ends within an array")
     end
   end
 
   # Each element takes at least one byte, so a count larger than the number of bytes is invalid.
-  defp content(:strings, <<n::little-signed-32, rest::binary>>, state)
+  defp read_content(:strings, <<n::little-signed-32, rest::binary>>, state)
        when n >= 0 and n <= byte_size(rest) do
-    {values, {rest, state}} = times(n, {rest, state}, &content(:string, &1, &2))
+    {values, {rest, state}} = repeat_read(n, {rest, state}, &read_content(:string, &1, &2))
     {values, rest, state}
   end
 
-  defp content({:array, handler}, <<n::little-signed-32, rest::binary>>, state)
+  defp read_content({:array, handler}, <<n::little-signed-32, rest::binary>>, state)
        when n >= 0 and n <= byte_size(rest) do
-    {values, {rest, state}} = times(n, {rest, state}, &read(handler, &1, &2))
+    {values, {rest, state}} = repeat_read(n, {rest, state}, &read_value(handler, &1, &2))
     {values, rest, %{state | nodes: state.nodes + n}}
   end
 
-  defp content({:fields, [{"compression", handler} | members], shape}, bytes, state)
+  defp read_content({:fields, [{"compression", handler} | members], shape}, bytes, state)
        when shape in [:image, :depth_image] do
-    case read(handler, bytes, state) do
-      {@uncompressed, rest, state} -> fields(members, shape, rest, state)
-      {_method, rest, state} -> compressed(shape, members, rest, state)
+    case read_value(handler, bytes, state) do
+      {@uncompressed, rest, state} -> read_fields(members, shape, rest, state)
+      {_method, rest, state} -> read_compressed(shape, members, rest, state)
     end
   end
 
-  defp content({:fields, members, shape}, bytes, state), do: fields(members, shape, bytes, state)
+  defp read_content({:fields, members, shape}, bytes, state),
+    do: read_fields(members, shape, bytes, state)
 
-  defp content(_plan, _bytes, _state),
-    do: fail("the data ends within an array, or the length of an array is invalid")
+  defp read_content(_plan, _bytes, _state),
+    do: fail_decoding("the data ends within an array, or the length of an array is invalid")
 
   # The compressed image replaces the first five members; depth images have more members after it.
-  defp compressed(shape, members, bytes, state) do
+  defp read_compressed(shape, members, bytes, state) do
     kind = if shape == :image, do: "EncodedImage", else: "EncodedDepthImage"
     name = "Microsoft.Psi.Shared`1[[Microsoft.Psi.Imaging.#{kind}]]"
 
     case state.types.by_name do
       %{^name => plan} ->
-        {picture, rest, state} = read({:object, plan}, bytes, state)
-        {_, rest, state} = fields(Enum.drop(members, 5), :map, rest, state)
+        {picture, rest, state} = read_value({:object, plan}, bytes, state)
+        {_, rest, state} = read_fields(Enum.drop(members, 5), :map, rest, state)
         {picture, rest, state}
 
       _ ->
-        fail("an image is compressed in a way that no schema describes")
+        fail_decoding("an image is compressed in a way that no schema describes")
     end
   end
 
-  defp fields(members, shape, bytes, state) do
+  defp read_fields(members, shape, bytes, state) do
     {values, {rest, state}} =
       Enum.map_reduce(members, {bytes, state}, fn {name, handler}, {bytes, state} ->
-        {value, rest, state} = read(handler, bytes, state)
+        {value, rest, state} = read_value(handler, bytes, state)
         {{name, value}, {rest, state}}
       end)
 
-    {Shapes.value(shape, values), rest, state}
+    {Shapes.build_value(shape, values), rest, state}
   end
 
-  defp times(n, acc, fun) do
+  defp repeat_read(n, acc, fun) do
     Enum.map_reduce(1..n//1, acc, fn _, {bytes, state} ->
       {value, rest, state} = fun.(bytes, state)
       {value, {rest, state}}

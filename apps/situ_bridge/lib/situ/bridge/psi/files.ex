@@ -9,8 +9,8 @@ defmodule Situ.Bridge.Psi.Files do
   @kinds %{catalog: "Catalog", data: "Data", large: "LargeData"}
 
   @doc "Returns the names of the stores in a folder."
-  @spec names(Path.t()) :: [String.t()]
-  def names(folder) do
+  @spec store_names(Path.t()) :: [String.t()]
+  def store_names(folder) do
     case File.ls(folder) do
       {:ok, files} ->
         for file <- Enum.sort(files),
@@ -26,27 +26,27 @@ defmodule Situ.Bridge.Psi.Files do
   Finds the store at `path` and returns its folder and name. `path` is a folder that contains one store, or
   `folder/NAME` for a store in a folder or for the newest version, `folder/NAME.VVVV`.
   """
-  @spec find(Path.t()) :: {:ok, Path.t(), String.t()} | :error
-  def find(path) do
+  @spec find_store(Path.t()) :: {:ok, Path.t(), String.t()} | :error
+  def find_store(path) do
     {folder, name} = {Path.dirname(path), Path.basename(path)}
 
-    case names(path) do
+    case store_names(path) do
       [only] ->
         {:ok, path, only}
 
       _ ->
-        if File.regular?(path(folder, name, :catalog, 0)),
+        if File.regular?(extent_path(folder, name, :catalog, 0)),
           do: {:ok, folder, name},
-          else: newest(folder, name)
+          else: find_newest_version(folder, name)
     end
   end
 
-  defp newest(folder, name) do
+  defp find_newest_version(folder, name) do
     versions =
-      for entry <- ls(folder),
+      for entry <- list_folder(folder),
           [_, digits] <- [Regex.run(~r/\A#{Regex.escape(name)}\.(\d{4})\z/, entry)],
           version = Path.join(folder, entry),
-          File.regular?(path(version, name, :catalog, 0)),
+          File.regular?(extent_path(version, name, :catalog, 0)),
           do: {digits, version}
 
     case Enum.max(versions, fn -> nil end) do
@@ -55,7 +55,7 @@ defmodule Situ.Bridge.Psi.Files do
     end
   end
 
-  defp ls(folder) do
+  defp list_folder(folder) do
     case File.ls(folder) do
       {:ok, entries} -> entries
       {:error, _} -> []
@@ -63,18 +63,18 @@ defmodule Situ.Bridge.Psi.Files do
   end
 
   @doc "Returns the path of the file that contains an extent."
-  @spec path(Path.t(), String.t(), kind(), non_neg_integer()) :: Path.t()
-  def path(folder, name, kind, extent) do
+  @spec extent_path(Path.t(), String.t(), kind(), non_neg_integer()) :: Path.t()
+  def extent_path(folder, name, kind, extent) do
     number = extent |> Integer.to_string() |> String.pad_leading(6, "0")
     Path.join(folder, "#{name}.#{@kinds[kind]}_#{number}.psi")
   end
 
   @doc "Returns the sizes of the existing extents in bytes, by extent number."
-  @spec extents(Path.t(), String.t(), kind()) :: %{non_neg_integer() => non_neg_integer()}
-  def extents(folder, name, kind) do
+  @spec extent_sizes(Path.t(), String.t(), kind()) :: %{non_neg_integer() => non_neg_integer()}
+  def extent_sizes(folder, name, kind) do
     pattern = ~r/\A#{Regex.escape(name)}\.#{@kinds[kind]}_(\d{6})\.psi\z/
 
-    for entry <- ls(folder),
+    for entry <- list_folder(folder),
         [_, digits] <- [Regex.run(pattern, entry)],
         {:ok, %{type: :regular, size: size}} <- [File.stat(Path.join(folder, entry))],
         into: %{},

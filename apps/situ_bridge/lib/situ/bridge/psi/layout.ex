@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Psi.Layout do
   @moduledoc false
   # Reads plain values in the memory layout of .NET: primitives, and structs of primitives with alignment gaps.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Psi.Bytes
 
   @type t ::
@@ -51,125 +51,129 @@ defmodule Situ.Bridge.Psi.Layout do
   }
 
   @doc "Returns the layout of a primitive by its .NET name, or nil."
-  @spec primitive(String.t()) :: atom() | nil
-  def primitive(name), do: @names[name]
+  @spec find_primitive(String.t()) :: atom() | nil
+  def find_primitive(name), do: @names[name]
 
   @doc "Returns whether the type is a primitive in .NET, where times, decimals and Guids are structs."
   @spec clr_primitive?(String.t()) :: boolean()
   def clr_primitive?(name),
-    do: primitive(name) not in [nil, :datetime, :timespan, :decimal, :guid]
+    do: find_primitive(name) not in [nil, :datetime, :timespan, :decimal, :guid]
 
   @doc "Returns the size of a value in bytes, including the alignment gap after it in an array."
-  @spec size(t()) :: pos_integer()
-  def size({_struct, size, _align, _fields}), do: size
-  def size(primitive), do: elem(Map.fetch!(@primitives, primitive), 0)
+  @spec value_size(t()) :: pos_integer()
+  def value_size({_struct, size, _align, _fields}), do: size
+  def value_size(primitive), do: elem(Map.fetch!(@primitives, primitive), 0)
 
-  defp alignment({_struct, _size, align, _fields}), do: align
-  defp alignment(primitive), do: elem(Map.fetch!(@primitives, primitive), 1)
+  defp value_alignment({_struct, _size, align, _fields}), do: align
+  defp value_alignment(primitive), do: elem(Map.fetch!(@primitives, primitive), 1)
 
   @doc """
   Returns the layout of a struct. Its fields are in order, each at a multiple of its alignment.
 
-      iex> Situ.Bridge.Psi.Layout.struct([{"hasValue", :bool}, {"value", :float64}])
+      iex> Situ.Bridge.Psi.Layout.struct_layout([{"hasValue", :bool}, {"value", :float64}])
       {:struct, 16, 8, [{"hasValue", 0, :bool}, {"value", 8, :float64}]}
   """
-  @spec struct([{String.t(), t()}]) :: t()
-  def struct(fields) do
+  @spec struct_layout([{String.t(), t()}]) :: t()
+  def struct_layout(fields) do
     {placed, finish} =
       Enum.map_reduce(fields, 0, fn {name, layout}, at ->
-        at = align(at, alignment(layout))
-        {{name, at, layout}, at + size(layout)}
+        at = align_offset(at, value_alignment(layout))
+        {{name, at, layout}, at + value_size(layout)}
       end)
 
-    most = fields |> Enum.map(&alignment(elem(&1, 1))) |> Enum.max(fn -> 1 end)
-    {:struct, max(align(finish, most), 1), most, placed}
+    most = fields |> Enum.map(&value_alignment(elem(&1, 1))) |> Enum.max(fn -> 1 end)
+    {:struct, max(align_offset(finish, most), 1), most, placed}
   end
 
   @doc """
   Returns the layout of a tuple. The runtime orders its items by size; the decoded tuple has them in their own order.
 
-      iex> Situ.Bridge.Psi.Layout.tuple([{"Item1", :bool}, {"Item2", :float64}])
+      iex> Situ.Bridge.Psi.Layout.tuple_layout([{"Item1", :bool}, {"Item2", :float64}])
       {:tuple, 16, 8, [{"Item1", 8, :bool}, {"Item2", 0, :float64}]}
   """
-  @spec tuple([{String.t(), t()}]) :: t()
-  def tuple(fields) do
+  @spec tuple_layout([{String.t(), t()}]) :: t()
+  def tuple_layout(fields) do
     {:struct, size, align, placed} =
-      fields |> Enum.sort_by(fn {_, layout} -> -size(layout) end) |> __MODULE__.struct()
+      fields
+      |> Enum.sort_by(fn {_, layout} -> -value_size(layout) end)
+      |> __MODULE__.struct_layout()
 
     {:tuple, size, align, for({name, _} <- fields, do: List.keyfind(placed, name, 0))}
   end
 
-  defp align(at, to), do: div(at + to - 1, to) * to
+  defp align_offset(at, to), do: div(at + to - 1, to) * to
 
   @doc """
-  Reads the value in `bytes`, whose size must be `size/1`. A struct with the single field `value__` is an enum and
+  Reads the value in `bytes`, whose size must be `value_size/1`. A struct with the single field `value__` is an enum and
   returns an integer.
   """
-  @spec read(t(), binary()) :: term()
-  def read({:struct, _, _, [{"value__", 0, layout}]}, bytes), do: read(layout, bytes)
-  def read({:struct, _, _, [{"m_value", 0, layout}]}, bytes), do: read(layout, bytes)
+  @spec read_value(t(), binary()) :: term()
+  def read_value({:struct, _, _, [{"value__", 0, layout}]}, bytes), do: read_value(layout, bytes)
+  def read_value({:struct, _, _, [{"m_value", 0, layout}]}, bytes), do: read_value(layout, bytes)
 
-  def read({:struct, _, _, [{"hasValue", 0, :bool}, {"value", at, layout}]}, bytes) do
+  def read_value({:struct, _, _, [{"hasValue", 0, :bool}, {"value", at, layout}]}, bytes) do
     if :binary.first(bytes) == 0,
       do: nil,
-      else: read(layout, binary_part(bytes, at, size(layout)))
+      else: read_value(layout, binary_part(bytes, at, value_size(layout)))
   end
 
-  def read({:tuple, _, _, fields}, bytes) do
+  def read_value({:tuple, _, _, fields}, bytes) do
     fields
-    |> Enum.map(fn {_, at, layout} -> read(layout, binary_part(bytes, at, size(layout))) end)
+    |> Enum.map(fn {_, at, layout} ->
+      read_value(layout, binary_part(bytes, at, value_size(layout)))
+    end)
     |> List.to_tuple()
   end
 
-  def read({:struct, _, _, fields}, bytes) do
+  def read_value({:struct, _, _, fields}, bytes) do
     Map.new(fields, fn {name, at, layout} ->
-      {name, read(layout, binary_part(bytes, at, size(layout)))}
+      {name, read_value(layout, binary_part(bytes, at, value_size(layout)))}
     end)
   end
 
-  def read(:bool, <<b>>), do: b != 0
-  def read(:int8, <<n::signed-8>>), do: n
-  def read(:uint8, <<n>>), do: n
-  def read(:int16, <<n::little-signed-16>>), do: n
-  def read(:uint16, <<n::little-16>>), do: n
-  def read(:int32, <<n::little-signed-32>>), do: n
-  def read(:uint32, <<n::little-32>>), do: n
-  def read(:int64, <<n::little-signed-64>>), do: n
-  def read(:uint64, <<n::little-64>>), do: n
-  def read(:float32, <<x::little-float-32>>), do: x
-  def read(:float32, bytes), do: special32(bytes)
-  def read(:float64, <<x::little-float-64>>), do: x
-  def read(:float64, <<bits::little-64>>), do: special(bits, 63, 52)
-  def read(:datetime, <<n::little-64>>), do: Bytes.time(n)
-  def read(:timespan, <<n::little-signed-64>>), do: n * 100
+  def read_value(:bool, <<b>>), do: b != 0
+  def read_value(:int8, <<n::signed-8>>), do: n
+  def read_value(:uint8, <<n>>), do: n
+  def read_value(:int16, <<n::little-signed-16>>), do: n
+  def read_value(:uint16, <<n::little-16>>), do: n
+  def read_value(:int32, <<n::little-signed-32>>), do: n
+  def read_value(:uint32, <<n::little-32>>), do: n
+  def read_value(:int64, <<n::little-signed-64>>), do: n
+  def read_value(:uint64, <<n::little-64>>), do: n
+  def read_value(:float32, <<x::little-float-32>>), do: x
+  def read_value(:float32, bytes), do: special_f32(bytes)
+  def read_value(:float64, <<x::little-float-64>>), do: x
+  def read_value(:float64, <<bits::little-64>>), do: special_float(bits, 63, 52)
+  def read_value(:datetime, <<n::little-64>>), do: Bytes.parse_time(n)
+  def read_value(:timespan, <<n::little-signed-64>>), do: n * 100
 
-  def read(:char, <<c::little-16>>) when c in 0xD800..0xDFFF, do: "\uFFFD"
-  def read(:char, <<c::little-16>>), do: <<c::utf8>>
+  def read_value(:char, <<c::little-16>>) when c in 0xD800..0xDFFF, do: "\uFFFD"
+  def read_value(:char, <<c::little-16>>), do: <<c::utf8>>
 
-  def read(:guid, <<a::little-32, b::little-16, c::little-16, d::binary-2, e::binary-6>>) do
+  def read_value(:guid, <<a::little-32, b::little-16, c::little-16, d::binary-2, e::binary-6>>) do
     [<<a::32>>, <<b::16>>, <<c::16>>, d, e]
     |> Enum.map_join("-", &Base.encode16(&1, case: :lower))
   end
 
   # The sign and the number of decimals come first, followed by a 96-bit integer.
-  def read(:decimal, <<_::16, scale, sign, high::little-32, low::little-64>>) do
+  def read_value(:decimal, <<_::16, scale, sign, high::little-32, low::little-64>>) do
     digits = Integer.to_string(Bitwise.bsl(high, 64) + low)
     minus = if Bitwise.band(sign, 0x80) != 0, do: "-", else: ""
-    minus <> point(digits, scale)
+    minus <> insert_point(digits, scale)
   end
 
-  defp point(digits, 0), do: digits
+  defp insert_point(digits, 0), do: digits
 
-  defp point(digits, scale) do
+  defp insert_point(digits, scale) do
     digits = String.pad_leading(digits, scale + 1, "0")
     {whole, fraction} = String.split_at(digits, -scale)
     whole <> "." <> fraction
   end
 
-  defp special32(<<bits::little-32>>), do: special(bits, 31, 23)
+  defp special_f32(<<bits::little-32>>), do: special_float(bits, 31, 23)
 
   # IEEE 754 has these values, but Elixir's floats do not.
-  defp special(bits, sign, mantissa) do
+  defp special_float(bits, sign, mantissa) do
     cond do
       Bitwise.band(bits, Bitwise.bsl(1, mantissa) - 1) != 0 -> :nan
       Bitwise.bsr(bits, sign) == 1 -> :neg_infinity
@@ -180,22 +184,22 @@ defmodule Situ.Bridge.Psi.Layout do
   @doc "Reads all values in `bytes` and returns them as a list."
   @spec read_all(t(), binary()) :: [term()]
   def read_all(:float64, bytes),
-    do: floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
+    do: complete_floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
 
   def read_all(:float32, bytes),
-    do: floats(for(<<x::little-float-32 <- bytes>>, do: x), :float32, bytes)
+    do: complete_floats(for(<<x::little-float-32 <- bytes>>, do: x), :float32, bytes)
 
   def read_all(:int32, bytes), do: for(<<n::little-signed-32 <- bytes>>, do: n)
   def read_all(:int16, bytes), do: for(<<n::little-signed-16 <- bytes>>, do: n)
   def read_all(:uint16, bytes), do: for(<<n::little-16 <- bytes>>, do: n)
-  def read_all(layout, bytes), do: each(layout, size(layout), bytes)
+  def read_all(layout, bytes), do: read_each(layout, value_size(layout), bytes)
 
   # The comprehension skips NaN and infinities. If it skipped any, every value is read separately.
-  defp floats(all, layout, bytes) do
-    size = size(layout)
-    if length(all) * size == byte_size(bytes), do: all, else: each(layout, size, bytes)
+  defp complete_floats(all, layout, bytes) do
+    size = value_size(layout)
+    if length(all) * size == byte_size(bytes), do: all, else: read_each(layout, size, bytes)
   end
 
-  defp each(layout, size, bytes),
-    do: for(<<value::binary-known(size) <- bytes>>, do: read(layout, value))
+  defp read_each(layout, size, bytes),
+    do: for(<<value::binary-pinned_size(size) <- bytes>>, do: read_value(layout, value))
 end

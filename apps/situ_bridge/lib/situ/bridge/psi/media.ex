@@ -41,33 +41,39 @@ defmodule Situ.Bridge.Psi.Media do
   }
 
   @doc "Returns the Situ type of a \\psi type, or nil."
-  @spec type(String.t()) :: Situ.Type.t() | nil
-  def type(name), do: @types[name]
+  @spec situ_type(String.t()) :: Situ.Type.t() | nil
+  def situ_type(name), do: @types[name]
 
   @doc "Builds the value of a shape from its members. Returns the members if they are not valid."
-  @spec value(atom(), map()) :: term()
-  def value(shape, fields) do
-    case make(shape, fields) do
+  @spec build_value(atom(), map()) :: term()
+  def build_value(shape, fields) do
+    case build_media(shape, fields) do
       {:ok, value} -> value
       _ -> fields
     end
   end
 
-  defp make(:image, %{"image" => data, "pixelFormat" => code} = fields) when is_binary(data),
-    do: fields |> size() |> Keyword.merge(format: @formats[code], data: data) |> Situ.Image.new()
+  defp build_media(:image, %{"image" => data, "pixelFormat" => code} = fields)
+       when is_binary(data),
+       do:
+         fields
+         |> image_size()
+         |> Keyword.merge(format: @formats[code], data: data)
+         |> Situ.Image.new()
 
-  defp make(:depth_image, %{"image" => data} = fields) when is_binary(data),
-    do: (size(fields) ++ depth(fields) ++ [data: data]) |> Situ.DepthImage.new()
+  defp build_media(:depth_image, %{"image" => data} = fields) when is_binary(data),
+    do: (image_size(fields) ++ depth_options(fields) ++ [data: data]) |> Situ.DepthImage.new()
 
   # Rows that are compressed with gzip are not an image file, so they are unpacked.
-  defp make(:encoded_image, %{
+  defp build_media(:encoded_image, %{
          "stream" => <<0x1F, 0x8B, _::binary>> = packed,
          "Width" => w,
          "Height" => h,
          "pixelFormat" => code
        })
        when is_integer(w) and w > 0 and is_integer(h) and h > 0 do
-    with {:ok, rows} <- Situ.Bridge.Gzip.unpack(packed, min(h * (w * 8 + 64), @most_unpacked)),
+    with {:ok, rows} <-
+           Situ.Bridge.Gzip.unpack_limited(packed, min(h * (w * 8 + 64), @most_unpacked)),
          do:
            Situ.Image.new(
              width: w,
@@ -78,13 +84,13 @@ defmodule Situ.Bridge.Psi.Media do
            )
   end
 
-  defp make(:encoded_image, %{"stream" => data, "Width" => w, "Height" => h})
+  defp build_media(:encoded_image, %{"stream" => data, "Width" => w, "Height" => h})
        when is_binary(data) do
-    with {:ok, format} <- Situ.EncodedImage.sniff(data),
+    with {:ok, format} <- Situ.EncodedImage.detect_format(data),
          do: Situ.EncodedImage.new(format: format, width: w, height: h, data: data)
   end
 
-  defp make(:audio, %{"format" => %{"FormatTag" => tag} = wave, "data" => data})
+  defp build_media(:audio, %{"format" => %{"FormatTag" => tag} = wave, "data" => data})
        when is_binary(data) do
     sample = @samples[{tag, wave["BitsPerSample"]}]
     format = [rate: wave["SamplesPerSec"], channels: wave["Channels"], sample: sample]
@@ -93,12 +99,12 @@ defmodule Situ.Bridge.Psi.Media do
          do: Situ.AudioBuffer.new(format: format, data: data)
   end
 
-  defp make(_shape, _fields), do: :error
+  defp build_media(_shape, _fields), do: :error
 
-  defp size(fields),
+  defp image_size(fields),
     do: [width: fields["width"], height: fields["height"], stride: fields["stride"]]
 
-  defp depth(fields) do
+  defp depth_options(fields) do
     semantics = if (fields["depthValueSemantics"] || 0) == 1, do: :point, else: :plane
     [semantics: semantics, scale: fields["depthValueToMetersScaleFactor"] || 0.001]
   end

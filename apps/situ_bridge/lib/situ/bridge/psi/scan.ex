@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Psi.Scan do
     @place 28
 
     @doc "Returns the position of the message with this ordinal."
-    def place(%{places: places}, ordinal) do
+    def position_at(%{places: places}, ordinal) do
       <<large::1, extent::31, at::64, length::32, time::signed-96>> =
         binary_part(places, ordinal * @place, @place)
 
@@ -35,20 +35,20 @@ defmodule Situ.Bridge.Psi.Scan do
     end
 
     @doc "Returns the ordinal of the first message at or after `time`."
-    def seek(track, time), do: seek(track, time, 0, track.count)
+    def seek(track, time), do: search_time(track, time, 0, track.count)
 
-    defp seek(_track, _time, low, high) when low >= high, do: low
+    defp search_time(_track, _time, low, high) when low >= high, do: low
 
-    defp seek(track, time, low, high) do
+    defp search_time(track, time, low, high) do
       middle = div(low + high, 2)
 
-      if place(track, middle).time < time,
-        do: seek(track, time, middle + 1, high),
-        else: seek(track, time, low, middle)
+      if position_at(track, middle).time < time,
+        do: search_time(track, time, middle + 1, high),
+        else: search_time(track, time, low, middle)
     end
 
     @doc false
-    def pack(large?, extent, at, length, time),
+    def pack_position(large?, extent, at, length, time),
       do: <<if(large?, do: 1, else: 0)::1, extent::31, at::64, length::32, time::signed-96>>
   end
 
@@ -56,26 +56,26 @@ defmodule Situ.Bridge.Psi.Scan do
   @closing 0x7FFF_FFFF
 
   @doc "Scans all streams. Returns their tracks by stream id, and sentences that describe the damage found."
-  @spec run(Path.t(), String.t(), %{integer() => Entry.t()}) ::
+  @spec scan_store(Path.t(), String.t(), %{integer() => Entry.t()}) ::
           {%{integer() => Track.t()}, [String.t()]}
-  def run(folder, name, entries) do
-    large = Files.extents(folder, name, :large)
+  def scan_store(folder, name, entries) do
+    large = Files.extent_sizes(folder, name, :large)
     indexed = for {id, entry} <- entries, Entry.indexed?(entry), into: MapSet.new(), do: id
     acc = %{found: %{}, large: MapSet.new(), indexed: indexed, timeless: 0}
 
-    {acc, damage} = Blocks.reduce({folder, name, :data}, 48, acc, &message/2)
-    {whole, lost} = whole_large(folder, name, large, acc.large)
+    {acc, damage} = Blocks.reduce({folder, name, :data}, 48, acc, &add_message/2)
+    {whole, lost} = complete_large_blocks(folder, name, large, acc.large)
 
     {tracks, behind} =
       Enum.map_reduce(acc.found, 0, fn {id, found}, behind ->
-        {track, left_out} = track(found, whole)
+        {track, left_out} = build_track(found, whole)
         {{id, track}, behind + left_out}
       end)
 
-    {Map.new(tracks), notes(lost, behind, acc.timeless) ++ damage}
+    {Map.new(tracks), report_losses(lost, behind, acc.timeless) ++ damage}
   end
 
-  defp notes(lost, behind, timeless) do
+  defp report_losses(lost, behind, timeless) do
     for {n, sentence} <- [
           {timeless, "messages have an invalid time and are left out"},
           {lost, "messages have lost their payload in the files for large messages"},
@@ -86,74 +86,86 @@ defmodule Situ.Bridge.Psi.Scan do
         do: "#{n} #{sentence}"
   end
 
-  defp message(
+  defp add_message(
          {extent, at, length,
           <<id::little-signed-32, seq::little-signed-32, time::little-64, created::little-64,
             rest::binary>>},
          acc
        )
        when seq != @closing do
-    times = {Bytes.time(time), Bytes.time(created)}
+    times = {Bytes.parse_time(time), Bytes.parse_time(created)}
 
     cond do
-      not (Bytes.time?(time) and Bytes.time?(created)) -> %{acc | timeless: acc.timeless + 1}
-      MapSet.member?(acc.indexed, id) -> large(id, times, rest, acc)
-      true -> put(acc, id, {times, {:data, extent, at, length}})
+      not (Bytes.valid_time?(time) and Bytes.valid_time?(created)) ->
+        %{acc | timeless: acc.timeless + 1}
+
+      MapSet.member?(acc.indexed, id) ->
+        add_large_message(id, times, rest, acc)
+
+      true ->
+        put_position(acc, id, {times, {:data, extent, at, length}})
     end
   end
 
-  defp message(_block, acc), do: acc
+  defp add_message(_block, acc), do: acc
 
   # A message of an indexed stream has a position in the files for large messages instead of data: an extent (as an
   # offset from the smallest integer) and a byte position.
-  defp large(id, times, <<extent::little-signed-32, at::little-signed-32, _::binary>>, acc)
+  defp add_large_message(
+         id,
+         times,
+         <<extent::little-signed-32, at::little-signed-32, _::binary>>,
+         acc
+       )
        when extent < 0 and at >= 0 do
     place = {extent + 0x8000_0000, at}
     acc = %{acc | large: MapSet.put(acc.large, place)}
     {extent, at} = place
-    put(acc, id, {times, {:large, extent, at}})
+    put_position(acc, id, {times, {:large, extent, at}})
   end
 
-  defp large(_id, _times, _rest, acc), do: acc
+  defp add_large_message(_id, _times, _rest, acc), do: acc
 
-  defp put(acc, id, found), do: %{acc | found: Map.update(acc.found, id, [found], &[found | &1])}
+  defp put_position(acc, id, found),
+    do: %{acc | found: Map.update(acc.found, id, [found], &[found | &1])}
 
   # Finds the complete large messages. The result maps `{extent, position of the block}` to
   # `{extent, position of the payload, length}`.
-  defp whole_large(folder, name, sizes, places) do
+  defp complete_large_blocks(folder, name, sizes, places) do
     context = %{folder: folder, name: name, sizes: sizes}
 
     whole =
       for {extent, positions} <- Enum.group_by(places, &elem(&1, 0), &elem(&1, 1)),
-          {at, block} <- whole_blocks(context, extent, Enum.sort(positions)),
+          {at, block} <- complete_blocks(context, extent, Enum.sort(positions)),
           into: %{},
           do: {{extent, at}, block}
 
     {whole, MapSet.size(places) - map_size(whole)}
   end
 
-  defp whole_blocks(context, extent, positions) do
-    for {at, length} <- lengths(context, extent, positions),
-        block = block(context, extent, at, length),
+  defp complete_blocks(context, extent, positions) do
+    for {at, length} <- read_lengths(context, extent, positions),
+        block = find_block(context, extent, at, length),
         do: {at, block}
   end
 
-  defp block(context, extent, at, length) when length >= 24,
+  defp find_block(context, extent, at, length) when length >= 24,
     do: if(at + 4 + length <= context.sizes[extent], do: {extent, at + 4, length})
 
   # The message did not fit at the end of this extent, so it is at the beginning of the next extent.
-  defp block(context, extent, _at, next) when next < 0 and -next > extent do
-    with [{0, length}] when length >= 24 <- lengths(context, -next, [0]),
-         do: block(context, -next, 0, length),
+  defp find_block(context, extent, _at, next) when next < 0 and -next > extent do
+    with [{0, length}] when length >= 24 <- read_lengths(context, -next, [0]),
+         do: find_block(context, -next, 0, length),
          else: (_ -> nil)
   end
 
-  defp block(_context, _extent, _at, _length), do: nil
+  defp find_block(_context, _extent, _at, _length), do: nil
 
-  defp lengths(%{sizes: sizes}, extent, _positions) when not is_map_key(sizes, extent), do: []
+  defp read_lengths(%{sizes: sizes}, extent, _positions) when not is_map_key(sizes, extent),
+    do: []
 
-  defp lengths(context, extent, positions) do
-    path = Files.path(context.folder, context.name, :large, extent)
+  defp read_lengths(context, extent, positions) do
+    path = Files.extent_path(context.folder, context.name, :large, extent)
 
     with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
          result = :file.pread(file, Enum.map(positions, &{&1, 4})),
@@ -166,31 +178,33 @@ defmodule Situ.Bridge.Psi.Scan do
   end
 
   # Messages are found in the order in which they were written. Within a stream, this is normally the order of time.
-  defp track(found, whole) do
+  defp build_track(found, whole) do
     messages =
       found
       |> Enum.reverse()
-      |> Enum.flat_map(&placed(&1, whole))
+      |> Enum.flat_map(&pack_message(&1, whole))
       |> Enum.sort_by(&elem(&1, 0))
 
     kept = Enum.dedup_by(messages, &elem(&1, 0))
-    {Enum.reduce(kept, %Track{}, &add/2) |> packed(kept), length(messages) - length(kept)}
+
+    {Enum.reduce(kept, %Track{}, &count_message/2) |> put_positions(kept),
+     length(messages) - length(kept)}
   end
 
-  defp placed({{time, created}, {:data, extent, at, length}}, _whole),
-    do: [{time, created, length, Track.pack(false, extent, at, length, time)}]
+  defp pack_message({{time, created}, {:data, extent, at, length}}, _whole),
+    do: [{time, created, length, Track.pack_position(false, extent, at, length, time)}]
 
-  defp placed({{time, created}, {:large, extent, at}}, whole) do
+  defp pack_message({{time, created}, {:large, extent, at}}, whole) do
     case whole do
       %{{^extent, ^at} => {extent, at, length}} ->
-        [{time, created, length, Track.pack(true, extent, at, length, time)}]
+        [{time, created, length, Track.pack_position(true, extent, at, length, time)}]
 
       _ ->
         []
     end
   end
 
-  defp add({time, created, length, _place}, track) do
+  defp count_message({time, created, length, _place}, track) do
     %{
       track
       | count: track.count + 1,
@@ -203,5 +217,5 @@ defmodule Situ.Bridge.Psi.Scan do
     }
   end
 
-  defp packed(track, kept), do: %{track | places: for(m <- kept, into: "", do: elem(m, 3))}
+  defp put_positions(track, kept), do: %{track | places: for(m <- kept, into: "", do: elem(m, 3))}
 end

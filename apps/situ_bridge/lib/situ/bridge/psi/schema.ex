@@ -22,15 +22,15 @@ defmodule Situ.Bridge.Psi.Schema do
   @doc "Parses the schema that follows the header of an entry."
   @spec parse(map(), binary()) :: {:ok, t()} | :error
   def parse(header, <<n::little-signed-32, rest::binary>>) when n in 0..@most_members do
-    with {:ok, members, rest} <- members(n, rest, []) do
+    with {:ok, members, rest} <- parse_members(n, rest, []) do
       {:ok,
        %__MODULE__{
          id: header.id &&& 0x3FFF_FFFF,
          name: header.name,
          type_name: header.type_name,
-         serializer: serializer(header.serializer),
+         serializer: serializer_name(header.serializer),
          version: header.version,
-         flags: flags(header.version, n, rest),
+         flags: parse_flags(header.version, n, rest),
          members: members
        }}
     end
@@ -38,36 +38,38 @@ defmodule Situ.Bridge.Psi.Schema do
 
   def parse(_header, _rest), do: :error
 
-  defp members(0, rest, found), do: {:ok, Enum.reverse(found), rest}
+  defp parse_members(0, rest, found), do: {:ok, Enum.reverse(found), rest}
 
-  defp members(n, bytes, found) do
-    with {:ok, name, rest} when is_binary(name) <- Bytes.string(bytes),
-         {:ok, type, <<_required, rest::binary>>} when is_binary(type) <- Bytes.string(rest) do
-      members(n - 1, rest, [{field(name), type} | found])
+  defp parse_members(n, bytes, found) do
+    with {:ok, name, rest} when is_binary(name) <- Bytes.parse_string(bytes),
+         {:ok, type, <<_required, rest::binary>>} when is_binary(type) <- Bytes.parse_string(rest) do
+      parse_members(n - 1, rest, [{property_name(name), type} | found])
     else
       _ -> :error
     end
   end
 
   # The compiler wraps the names of automatic properties as `<Name>k__BackingField`.
-  defp field("<" <> rest = name) do
+  defp property_name("<" <> rest = name) do
     case String.split(rest, ">") do
       [property, "k__BackingField"] -> property
       _ -> name
     end
   end
 
-  defp field(name), do: name
+  defp property_name(name), do: name
 
   # "Microsoft.Psi.Serialization.ClassSerializer`1[[...]]" -> "ClassSerializer"
-  defp serializer(name) do
+  defp serializer_name(name) do
     TypeName.parse(name).name
     |> String.replace_prefix("Microsoft.Psi.Serialization.", "")
     |> String.replace(~r/`\d+/, "")
   end
 
-  defp flags(version, n, <<flags::little-32, _::binary>>) when version >= 2 and n > 0, do: flags
-  defp flags(_version, _n, _rest), do: 0
+  defp parse_flags(version, n, <<flags::little-32, _::binary>>) when version >= 2 and n > 0,
+    do: flags
+
+  defp parse_flags(_version, _n, _rest), do: 0
 
   def enum?(%{members: members}), do: match?([{"value__", _}], members)
   def class?(%{flags: flags}), do: (flags &&& 0x0D) != 0

@@ -42,11 +42,11 @@ defmodule Situ.Bridge.Psi.Shapes do
   @deepest 10_000
 
   @doc "Returns the shape of a type, given its name and the names of its members."
-  @spec of(String.t(), [String.t()]) :: atom()
-  def of("System.Tuple`" <> _, _members), do: :tuple
-  def of("System.ValueTuple`" <> _, _members), do: :tuple
+  @spec shape_of(String.t(), [String.t()]) :: atom()
+  def shape_of("System.Tuple`" <> _, _members), do: :tuple
+  def shape_of("System.ValueTuple`" <> _, _members), do: :tuple
 
-  def of(name, members) do
+  def shape_of(name, members) do
     case Map.get(@shapes, name, :map) do
       :dictionary when members != ["Comparer", "KeyValuePairs"] -> :old_dictionary
       shape -> shape
@@ -65,92 +65,92 @@ defmodule Situ.Bridge.Psi.Shapes do
         name in [@generic <> "IDictionary`2", @generic <> "IReadOnlyDictionary`2"]
 
   @doc "Builds the value of a shape from its members. Returns the members as a map if they are not valid."
-  @spec value(atom(), [{String.t(), term()}]) :: term()
-  def value(:map, members), do: Map.new(members)
-  def value(:tuple, members), do: members |> Enum.map(&elem(&1, 1)) |> List.to_tuple()
-  def value(:shared, [{_, inner}]), do: inner
-  def value(:nullable, [{_, has?}, {_, value}]), do: if(has?, do: value)
+  @spec build_value(atom(), [{String.t(), term()}]) :: term()
+  def build_value(:map, members), do: Map.new(members)
+  def build_value(:tuple, members), do: members |> Enum.map(&elem(&1, 1)) |> List.to_tuple()
+  def build_value(:shared, [{_, inner}]), do: inner
+  def build_value(:nullable, [{_, has?}, {_, value}]), do: if(has?, do: value)
 
-  def value(:dictionary, [_comparer, {_, pairs}] = members) do
+  def build_value(:dictionary, [_comparer, {_, pairs}] = members) do
     if is_list(pairs) and Enum.all?(pairs, &match?(%{"key" => _, "value" => _}, &1)),
       do: Map.new(pairs, &{&1["key"], &1["value"]}),
       else: Map.new(members)
   end
 
-  def value(shape, members) do
-    plain = Map.new(members, fn {name, value} -> {plain(name), value} end)
+  def build_value(shape, members) do
+    plain = Map.new(members, fn {name, value} -> {strip_prefix(name), value} end)
 
-    case collection(shape, plain) do
+    case build_collection(shape, plain) do
       {:ok, value} -> value
-      :error -> members |> Map.new() |> media(shape)
+      :error -> members |> Map.new() |> build_media(shape)
     end
   end
 
-  defp media(members, shape), do: Media.value(shape, members)
+  defp build_media(members, shape), do: Media.build_value(shape, members)
 
   # "_items" and "m_items" become "items".
-  defp plain("m_" <> name), do: name
-  defp plain("_" <> name), do: name
-  defp plain(name), do: name
+  defp strip_prefix("m_" <> name), do: name
+  defp strip_prefix("_" <> name), do: name
+  defp strip_prefix(name), do: name
 
-  defp collection(:list, %{"items" => items, "size" => size}), do: first(items, size)
+  defp build_collection(:list, %{"items" => items, "size" => size}), do: take_first(items, size)
 
-  defp collection(:stack, %{"array" => items, "size" => size}) do
-    with {:ok, items} <- first(items, size), do: {:ok, Enum.reverse(items)}
+  defp build_collection(:stack, %{"array" => items, "size" => size}) do
+    with {:ok, items} <- take_first(items, size), do: {:ok, Enum.reverse(items)}
   end
 
-  defp collection(:queue, %{"array" => items, "head" => head, "size" => size})
+  defp build_collection(:queue, %{"array" => items, "head" => head, "size" => size})
        when is_list(items) and is_integer(head) and head >= 0 do
     {before, behind} = Enum.split(items, head)
-    first(behind ++ before, size)
+    take_first(behind ++ before, size)
   end
 
-  defp collection(:old_dictionary, %{"entries" => entries}) when is_list(entries),
+  defp build_collection(:old_dictionary, %{"entries" => entries}) when is_list(entries),
     do: {:ok, for(entry <- entries, used?(entry), into: %{}, do: {entry["key"], entry["value"]})}
 
-  defp collection(:old_dictionary, _), do: {:ok, %{}}
+  defp build_collection(:old_dictionary, _), do: {:ok, %{}}
 
-  defp collection(:set, %{"entries" => entries, "count" => count})
+  defp build_collection(:set, %{"entries" => entries, "count" => count})
        when is_list(entries) and is_integer(count),
-       do: {:ok, entries |> Enum.take(max(count, 0)) |> items()}
+       do: {:ok, entries |> Enum.take(max(count, 0)) |> collect_items()}
 
-  defp collection(:set, %{"slots" => slots, "lastIndex" => count})
+  defp build_collection(:set, %{"slots" => slots, "lastIndex" => count})
        when is_list(slots) and is_integer(count),
-       do: {:ok, slots |> Enum.take(max(count, 0)) |> items()}
+       do: {:ok, slots |> Enum.take(max(count, 0)) |> collect_items()}
 
   # A set that was never filled has no table.
-  defp collection(:set, %{"count" => 0}), do: {:ok, []}
+  defp build_collection(:set, %{"count" => 0}), do: {:ok, []}
 
-  defp collection(:linked, %{"head" => nil}), do: {:ok, []}
-  defp collection(:linked, %{"head" => %{} = head}), do: {:ok, linked(head, [])}
+  defp build_collection(:linked, %{"head" => nil}), do: {:ok, []}
+  defp build_collection(:linked, %{"head" => %{} = head}), do: {:ok, collect_linked(head, [])}
 
-  defp collection(:tree, %{"root" => root}),
-    do: {:ok, root |> walk([], 0) |> Enum.map(& &1["item"])}
+  defp build_collection(:tree, %{"root" => root}),
+    do: {:ok, root |> walk_tree([], 0) |> Enum.map(& &1["item"])}
 
-  defp collection(:tree_map, %{"set" => pairs}) when is_list(pairs), do: pairs(pairs)
+  defp build_collection(:tree_map, %{"set" => pairs}) when is_list(pairs), do: pairs_to_map(pairs)
 
-  defp collection(:sorted_list, %{"keys" => keys, "values" => values, "size" => size})
+  defp build_collection(:sorted_list, %{"keys" => keys, "values" => values, "size" => size})
        when is_list(keys) and is_list(values) and is_integer(size),
        do: {:ok, keys |> Enum.zip(values) |> Enum.take(max(size, 0)) |> Map.new()}
 
-  defp collection(:concurrent, %{"tables" => tables}) when is_map(tables) do
-    case named(tables, "buckets") do
+  defp build_collection(:concurrent, %{"tables" => tables}) when is_map(tables) do
+    case get_member(tables, "buckets") do
       buckets when is_list(buckets) ->
-        {:ok, for(bucket <- buckets, pair <- chain(bucket, 0), into: %{}, do: pair)}
+        {:ok, for(bucket <- buckets, pair <- collect_chain(bucket, 0), into: %{}, do: pair)}
 
       _ ->
         :error
     end
   end
 
-  defp collection(:wrapped, %{"items" => items}) when is_list(items), do: {:ok, items}
-  defp collection(:wrapped, %{"list" => items}) when is_list(items), do: {:ok, items}
-  defp collection(_shape, _members), do: :error
+  defp build_collection(:wrapped, %{"items" => items}) when is_list(items), do: {:ok, items}
+  defp build_collection(:wrapped, %{"list" => items}) when is_list(items), do: {:ok, items}
+  defp build_collection(_shape, _members), do: :error
 
-  defp first(items, size) when is_list(items) and is_integer(size) and size >= 0,
+  defp take_first(items, size) when is_list(items) and is_integer(size) and size >= 0,
     do: {:ok, Enum.take(items, size)}
 
-  defp first(_items, _size), do: :error
+  defp take_first(_items, _size), do: :error
 
   # Empty slots of a hash table have a negative hash (.NET Framework) or a negative link (.NET).
   defp used?(%{"next" => next, "key" => key} = entry),
@@ -158,16 +158,16 @@ defmodule Situ.Bridge.Psi.Shapes do
 
   defp used?(_), do: false
 
-  defp items(entries) do
-    for entry <- entries, is_map(entry), held?(entry), do: named(entry, "value")
+  defp collect_items(entries) do
+    for entry <- entries, is_map(entry), occupied?(entry), do: get_member(entry, "value")
   end
 
   # In .NET the hash may be negative, and a link below -1 marks an empty slot.
-  defp held?(%{"Next" => next}), do: next >= -1
-  defp held?(%{"hashCode" => hash}), do: hash >= 0
-  defp held?(_), do: false
+  defp occupied?(%{"Next" => next}), do: next >= -1
+  defp occupied?(%{"hashCode" => hash}), do: hash >= 0
+  defp occupied?(_), do: false
 
-  defp named(map, name) do
+  defp get_member(map, name) do
     key =
       Enum.find([name, "_" <> name, "m_" <> name, String.capitalize(name)], &is_map_key(map, &1))
 
@@ -175,31 +175,36 @@ defmodule Situ.Bridge.Psi.Shapes do
   end
 
   # The last node refers to the first one, which ends the list.
-  defp linked(%{"item" => item, "next" => next}, found), do: linked(next, [item | found])
-  defp linked(_reference, found), do: Enum.reverse(found)
+  defp collect_linked(%{"item" => item, "next" => next}, found),
+    do: collect_linked(next, [item | found])
 
-  defp walk(%{} = node, found, depth) when depth < @deepest do
-    item = named(node, "item")
-    found = node |> named("right") |> walk(found, depth + 1)
-    node |> named("left") |> walk([%{"item" => item} | found], depth + 1)
+  defp collect_linked(_reference, found), do: Enum.reverse(found)
+
+  defp walk_tree(%{} = node, found, depth) when depth < @deepest do
+    item = get_member(node, "item")
+    found = node |> get_member("right") |> walk_tree(found, depth + 1)
+    node |> get_member("left") |> walk_tree([%{"item" => item} | found], depth + 1)
   end
 
-  defp walk(_nothing, found, _depth), do: found
+  defp walk_tree(_nothing, found, _depth), do: found
 
-  defp pairs(pairs) do
+  defp pairs_to_map(pairs) do
     if Enum.all?(pairs, &match?(%{"key" => _, "value" => _}, &1)),
       do: {:ok, Map.new(pairs, &{&1["key"], &1["value"]})},
       else: :error
   end
 
   # A bucket is a node, or a struct whose only member is a node. Each node links to the next one.
-  defp chain(%{"_node" => node}, depth), do: chain(node, depth)
+  defp collect_chain(%{"_node" => node}, depth), do: collect_chain(node, depth)
 
-  defp chain(%{} = node, depth) when depth < @deepest do
+  defp collect_chain(%{} = node, depth) when depth < @deepest do
     if Enum.any?(["_key", "m_key"], &is_map_key(node, &1)),
-      do: [{named(node, "key"), named(node, "value")} | chain(named(node, "next"), depth + 1)],
+      do: [
+        {get_member(node, "key"), get_member(node, "value")}
+        | collect_chain(get_member(node, "next"), depth + 1)
+      ],
       else: []
   end
 
-  defp chain(_nothing, _depth), do: []
+  defp collect_chain(_nothing, _depth), do: []
 end

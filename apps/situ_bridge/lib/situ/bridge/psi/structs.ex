@@ -27,10 +27,11 @@ defmodule Situ.Bridge.Psi.Structs do
              do: "Microsoft.Psi.Imaging." <> name
 
   @doc "Returns whether the type with this name (without assemblies) is a struct."
-  @spec known?(String.t()) :: boolean()
-  def known?(name), do: String.starts_with?(name, @generic) or MapSet.member?(@structs, name)
+  @spec struct_name?(String.t()) :: boolean()
+  def struct_name?(name),
+    do: String.starts_with?(name, @generic) or MapSet.member?(@structs, name)
 
   @doc "Returns the names of the 32-bit enums that images use."
-  @spec enums() :: [String.t()]
-  def enums, do: @enums
+  @spec enum_names() :: [String.t()]
+  def enum_names, do: @enums
 end

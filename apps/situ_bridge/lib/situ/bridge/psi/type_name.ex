@@ -22,70 +22,70 @@ defmodule Situ.Bridge.Psi.TypeName do
   """
   @spec parse(String.t()) :: t()
   def parse(text) do
-    {type, _rest} = type(text, 0)
+    {type, _rest} = parse_type(text, 0)
     type
   end
 
   @doc """
   Returns the name without assemblies.
 
-      iex> Situ.Bridge.Psi.TypeName.short("System.Nullable`1[[System.Double, mscorlib]], mscorlib")
+      iex> Situ.Bridge.Psi.TypeName.short_name("System.Nullable`1[[System.Double, mscorlib]], mscorlib")
       "System.Nullable`1[[System.Double]]"
   """
-  @spec short(String.t() | t()) :: String.t()
-  def short(text) when is_binary(text), do: text |> parse() |> short()
+  @spec short_name(String.t() | t()) :: String.t()
+  def short_name(text) when is_binary(text), do: text |> parse() |> short_name()
 
-  def short(%__MODULE__{name: name, args: args, arrays: arrays}) do
+  def short_name(%__MODULE__{name: name, args: args, arrays: arrays}) do
     arguments =
-      if args == [], do: "", else: "[" <> Enum.map_join(args, ",", &"[#{short(&1)}]") <> "]"
+      if args == [], do: "", else: "[" <> Enum.map_join(args, ",", &"[#{short_name(&1)}]") <> "]"
 
     name <> arguments <> String.duplicate("[]", arrays)
   end
 
   @doc "Returns the type of an array's elements."
-  @spec element(t()) :: t()
-  def element(%{arrays: n} = type) when n > 0, do: %{type | arrays: n - 1}
+  @spec element_type(t()) :: t()
+  def element_type(%{arrays: n} = type) when n > 0, do: %{type | arrays: n - 1}
 
-  defp type(text, depth) when depth > @deepest, do: {%__MODULE__{name: text}, ""}
+  defp parse_type(text, depth) when depth > @deepest, do: {%__MODULE__{name: text}, ""}
 
-  defp type(text, depth) do
-    {name, rest} = name(text)
-    {args, rest} = arguments(rest, depth)
-    {arrays, rest} = arrays(rest, 0)
-    {%__MODULE__{name: name, args: args, arrays: arrays}, assembly(rest)}
+  defp parse_type(text, depth) do
+    {name, rest} = split_name(text)
+    {args, rest} = parse_arguments(rest, depth)
+    {arrays, rest} = count_arrays(rest, 0)
+    {%__MODULE__{name: name, args: args, arrays: arrays}, skip_assembly(rest)}
   end
 
-  defp name(text) do
+  defp split_name(text) do
     case :binary.match(text, ["[", "]", ","]) do
       {at, _} -> {binary_part(text, 0, at), binary_part(text, at, byte_size(text) - at)}
       :nomatch -> {text, ""}
     end
   end
 
-  defp arguments("[[" <> rest, depth), do: arguments(rest, depth, [])
-  defp arguments(rest, _depth), do: {[], rest}
+  defp parse_arguments("[[" <> rest, depth), do: collect_arguments(rest, depth, [])
+  defp parse_arguments(rest, _depth), do: {[], rest}
 
-  defp arguments(text, depth, found) do
-    {type, rest} = type(text, depth + 1)
+  defp collect_arguments(text, depth, found) do
+    {type, rest} = parse_type(text, depth + 1)
     found = [type | found]
 
     case rest do
-      "],[" <> rest -> arguments(rest, depth, found)
+      "],[" <> rest -> collect_arguments(rest, depth, found)
       "]]" <> rest -> {Enum.reverse(found), rest}
       rest -> {Enum.reverse(found), rest}
     end
   end
 
-  defp arrays("[]" <> rest, n), do: arrays(rest, n + 1)
-  defp arrays(rest, n), do: {n, rest}
+  defp count_arrays("[]" <> rest, n), do: count_arrays(rest, n + 1)
+  defp count_arrays(rest, n), do: {n, rest}
 
   # An assembly name extends to the bracket that closes the type argument.
-  defp assembly("," <> _ = text) do
+  defp skip_assembly("," <> _ = text) do
     case :binary.match(text, "]") do
       {at, _} -> binary_part(text, at, byte_size(text) - at)
       :nomatch -> ""
     end
   end
 
-  defp assembly(rest), do: rest
+  defp skip_assembly(rest), do: rest
 end

@@ -29,23 +29,26 @@ defmodule Situ.Bridge.Psi.Types do
       for schema <- schemas,
           name <- [schema.type_name, schema.name],
           into: %{},
-          do: {TypeName.short(name), schema}
+          do: {TypeName.short_name(name), schema}
 
-    told = for {id, name} <- runtime, is_binary(name), into: %{}, do: {id, TypeName.short(name)}
-    names = Map.merge(told, Map.new(schemas, &{&1.id, TypeName.short(&1.type_name)}))
-    types = planned(%__MODULE__{schemas: by_name, names: names})
+    told =
+      for {id, name} <- runtime, is_binary(name), into: %{}, do: {id, TypeName.short_name(name)}
+
+    names = Map.merge(told, Map.new(schemas, &{&1.id, TypeName.short_name(&1.type_name)}))
+    types = put_plans(%__MODULE__{schemas: by_name, names: names})
 
     others =
       for enum <- [:uint8, :int16, :int64],
-          other = planned(%{types | enum: enum}),
+          other = put_plans(%{types | enum: enum}),
           other.by_name != types.by_name,
           do: other
 
     %{types | others: others}
   end
 
-  defp planned(types) do
-    plans = Map.new(types.schemas, fn {name, schema} -> {name, plan(types, name, schema)} end)
+  defp put_plans(types) do
+    plans =
+      Map.new(types.schemas, fn {name, schema} -> {name, build_plan(types, name, schema)} end)
 
     by_id =
       Map.new(types.names, fn {id, name} -> {id, plans[name] || elem(handler(types, name), 1)} end)
@@ -55,83 +58,86 @@ defmodule Situ.Bridge.Psi.Types do
 
   @doc "Returns the handler of a stream or member with this .NET type name."
   @spec handler(t(), String.t()) :: handler()
-  def handler(types, name), do: handle(types, TypeName.parse(name))
+  def handler(types, name), do: build_handler(types, TypeName.parse(name))
 
-  defp handle(types, parsed) do
-    short = TypeName.short(parsed)
-    primitive = Layout.primitive(short)
+  defp build_handler(types, parsed) do
+    short = TypeName.short_name(parsed)
+    primitive = Layout.find_primitive(short)
 
     cond do
       primitive -> {:value, {:raw, primitive}}
       short == "System.String" -> {:object, :string}
-      schema = types.schemas[short] -> {reference(short, schema), {:type, short}}
-      true -> unlisted(types, parsed)
+      schema = types.schemas[short] -> {reference_kind(short, schema), {:type, short}}
+      true -> unlisted_handler(types, parsed)
     end
   end
 
   # Handles types without a schema. Arrays, nullables and buffers need none. Any other type can only be an object, and
   # its prefix identifies the type.
-  defp unlisted(types, %{arrays: n} = parsed) when n > 0,
-    do: {:object, array(types, TypeName.element(parsed))}
+  defp unlisted_handler(types, %{arrays: n} = parsed) when n > 0,
+    do: {:object, array_plan(types, TypeName.element_type(parsed))}
 
   # Only .NET primitives are copied together with their `hasValue` flag as one block of memory.
-  defp unlisted(types, %{name: "System.Nullable`1", args: [inner]}) do
-    if plain?(types, TypeName.short(inner)) do
+  defp unlisted_handler(types, %{name: "System.Nullable`1", args: [inner]}) do
+    if blittable?(types, TypeName.short_name(inner)) do
       {:value, {:raw, nullable_layout(types, inner)}}
     else
-      members = [{"hasValue", {:value, {:raw, :bool}}}, {"value", handle(types, inner)}]
+      members = [{"hasValue", {:value, {:raw, :bool}}}, {"value", build_handler(types, inner)}]
       {:value, {:fields, members, :nullable}}
     end
   end
 
-  defp unlisted(_types, %{name: name})
+  defp unlisted_handler(_types, %{name: name})
        when name in ["Microsoft.Psi.Common.UnmanagedBuffer", "Microsoft.Psi.Common.BufferReader"],
        do: {:object, :bytes}
 
-  defp unlisted(_types, %{name: name}),
-    do: if(name in Structs.enums(), do: {:value, {:raw, :int32}}, else: {:object, nil})
+  defp unlisted_handler(_types, %{name: name}),
+    do: if(name in Structs.enum_names(), do: {:value, {:raw, :int32}}, else: {:object, nil})
 
-  defp array(types, element) do
-    case {TypeName.short(element), handle(types, element)} do
+  defp array_plan(types, element) do
+    case {TypeName.short_name(element), build_handler(types, element)} do
       {"System.Byte", _} -> :bytes
       {"System.String", _} -> :strings
       {_, {:value, {:raw, layout}}} -> {:raw_array, layout}
-      {name, {:value, {:type, _}} = handler} -> raw_array(types, name, handler)
+      {name, {:value, {:type, _}} = handler} -> raw_array_plan(types, name, handler)
       {_, handler} -> {:array, handler}
     end
   end
 
-  defp raw_array(types, name, handler) do
+  defp raw_array_plan(types, name, handler) do
     case types.schemas[name] do
-      %{serializer: "SimpleSerializer"} = schema -> {:raw_array, layout(types, name, schema, 0)}
-      _ -> {:array, handler}
+      %{serializer: "SimpleSerializer"} = schema ->
+        {:raw_array, build_layout(types, name, schema, 0)}
+
+      _ ->
+        {:array, handler}
     end
   end
 
   # Schemas of old stores do not distinguish classes from structs. A type that is written as plain memory is a struct.
-  defp reference(_short, %{serializer: "SimpleSerializer"}), do: :value
+  defp reference_kind(_short, %{serializer: "SimpleSerializer"}), do: :value
 
-  defp reference(short, schema) do
+  defp reference_kind(short, schema) do
     cond do
       Schema.struct?(schema) -> :value
       Schema.class?(schema) -> :object
-      Schema.enum?(schema) or Structs.known?(short) -> :value
+      Schema.enum?(schema) or Structs.struct_name?(short) -> :value
       true -> :object
     end
   end
 
-  defp plan(types, name, schema) do
+  defp build_plan(types, name, schema) do
     parsed = TypeName.parse(name)
 
     case schema.serializer do
       "SimpleSerializer" ->
-        {:raw, layout(types, name, schema, 0)}
+        {:raw, build_layout(types, name, schema, 0)}
 
       serializer when serializer in ["ByteArraySerializer", "BufferSerializer"] ->
         :bytes
 
       "MemoryStreamSerializer" <> _ ->
-        if schema.version > 2, do: :bytes, else: fields(types, parsed, schema)
+        if schema.version > 2, do: :bytes, else: fields_plan(types, parsed, schema)
 
       "StringSerializer" ->
         :string
@@ -140,84 +146,87 @@ defmodule Situ.Bridge.Psi.Types do
         :strings
 
       "SimpleArraySerializer" ->
-        array(types, element(parsed, schema))
+        array_plan(types, element_type(parsed, schema))
 
       array when array in ["ArraySerializer", "EnumerableSerializer"] ->
-        array(types, element(parsed, schema))
+        array_plan(types, element_type(parsed, schema))
 
       "" ->
-        unsigned(types, name, parsed, schema)
+        unsigned_plan(types, name, parsed, schema)
 
       _ ->
-        by_name(types, parsed, schema)
+        plan_by_name(types, parsed, schema)
     end
   end
 
   # Without a serializer in the schema, a struct that contains only primitives is copied as memory.
-  defp unsigned(types, name, parsed, schema) do
-    if reference(name, schema) == :value and schema.members != [] and
-         Enum.all?(schema.members, fn {_, type} -> plain?(types, TypeName.short(type)) end),
-       do: {:raw, layout(types, name, schema, 0)},
-       else: by_name(types, parsed, schema)
+  defp unsigned_plan(types, name, parsed, schema) do
+    if reference_kind(name, schema) == :value and schema.members != [] and
+         Enum.all?(schema.members, fn {_, type} ->
+           blittable?(types, TypeName.short_name(type))
+         end),
+       do: {:raw, build_layout(types, name, schema, 0)},
+       else: plan_by_name(types, parsed, schema)
   end
 
-  defp plain?(types, name) do
+  defp blittable?(types, name) do
     cond do
       Layout.clr_primitive?(name) -> true
-      Layout.primitive(name) -> false
+      Layout.find_primitive(name) -> false
       schema = types.schemas[name] -> Schema.enum?(schema)
-      true -> name in Structs.enums()
+      true -> name in Structs.enum_names()
     end
   end
 
   # Handles catalogs from before serializers were recorded.
-  defp by_name(_types, %{name: "System.String", arrays: 0}, _schema), do: :string
+  defp plan_by_name(_types, %{name: "System.String", arrays: 0}, _schema), do: :string
 
-  defp by_name(types, %{arrays: n} = parsed, _schema) when n > 0,
-    do: array(types, TypeName.element(parsed))
+  defp plan_by_name(types, %{arrays: n} = parsed, _schema) when n > 0,
+    do: array_plan(types, TypeName.element_type(parsed))
 
-  defp by_name(_types, %{name: "Microsoft.Psi.Common.UnmanagedBuffer"}, _schema), do: :bytes
-  defp by_name(types, parsed, schema), do: fields(types, parsed, schema)
+  defp plan_by_name(_types, %{name: "Microsoft.Psi.Common.UnmanagedBuffer"}, _schema), do: :bytes
+  defp plan_by_name(types, parsed, schema), do: fields_plan(types, parsed, schema)
 
-  defp element(_parsed, %{members: [{_, type}]}), do: TypeName.parse(type)
-  defp element(%{arrays: n} = parsed, _schema) when n > 0, do: TypeName.element(parsed)
-  defp element(%{args: [inner | _]}, _schema), do: inner
-  defp element(_parsed, _schema), do: %TypeName{name: "System.Object"}
+  defp element_type(_parsed, %{members: [{_, type}]}), do: TypeName.parse(type)
+  defp element_type(%{arrays: n} = parsed, _schema) when n > 0, do: TypeName.element_type(parsed)
+  defp element_type(%{args: [inner | _]}, _schema), do: inner
+  defp element_type(_parsed, _schema), do: %TypeName{name: "System.Object"}
 
-  defp fields(types, parsed, schema) do
-    shape = Shapes.of(parsed.name, Enum.map(schema.members, &elem(&1, 0)))
+  defp fields_plan(types, parsed, schema) do
+    shape = Shapes.shape_of(parsed.name, Enum.map(schema.members, &elem(&1, 0)))
 
-    {:fields, for({name, type} <- schema.members, do: {name, member(types, shape, name, type)}),
+    {:fields,
+     for({name, type} <- schema.members, do: {name, member_handler(types, shape, name, type)}),
      shape}
   end
 
   # The schema of depth images declares the scale as a number, but both of these members are nullable.
-  defp member(_types, :depth_image, "depthValueSemantics", _type),
-    do: {:value, {:raw, Layout.struct([{"hasValue", :bool}, {"value", :int32}])}}
+  defp member_handler(_types, :depth_image, "depthValueSemantics", _type),
+    do: {:value, {:raw, Layout.struct_layout([{"hasValue", :bool}, {"value", :int32}])}}
 
-  defp member(_types, :depth_image, "depthValueToMetersScaleFactor", _type),
-    do: {:value, {:raw, Layout.struct([{"hasValue", :bool}, {"value", :float64}])}}
+  defp member_handler(_types, :depth_image, "depthValueToMetersScaleFactor", _type),
+    do: {:value, {:raw, Layout.struct_layout([{"hasValue", :bool}, {"value", :float64}])}}
 
-  defp member(types, _shape, _name, type), do: handler(types, type)
+  defp member_handler(types, _shape, _name, type), do: handler(types, type)
 
-  defp layout(types, name, schema, depth) do
+  defp build_layout(types, name, schema, depth) do
     fields =
       for {member, type} <- schema.members,
-          do: {member, member_layout(types, TypeName.short(type), depth + 1)}
+          do: {member, member_layout(types, TypeName.short_name(type), depth + 1)}
 
-    Layout.primitive(name) || laid_out(name, fields)
+    Layout.find_primitive(name) || choose_layout(name, fields)
   end
 
-  defp laid_out("System.ValueTuple`" <> _, [_ | _] = fields), do: Layout.tuple(fields)
-  defp laid_out(_name, fields), do: Layout.struct(fields)
+  defp choose_layout("System.ValueTuple`" <> _, [_ | _] = fields), do: Layout.tuple_layout(fields)
+  defp choose_layout(_name, fields), do: Layout.struct_layout(fields)
 
   defp member_layout(types, name, depth) do
-    primitive = Layout.primitive(name)
+    primitive = Layout.find_primitive(name)
     schema = types.schemas[name]
 
     cond do
       primitive -> primitive
-      schema && depth < @deepest -> layout(types, name, schema, depth)
+      schema && depth < @deepest -> build_layout(types, name, schema, depth)
       true -> unlisted_layout(types, TypeName.parse(name), depth)
     end
   end
@@ -231,22 +240,22 @@ defmodule Situ.Bridge.Psi.Types do
   defp unlisted_layout(types, _parsed, _depth), do: types.enum
 
   defp nullable_layout(types, inner, depth \\ 0) do
-    value = member_layout(types, TypeName.short(inner), depth)
-    Layout.struct([{"hasValue", :bool}, {"value", value}])
+    value = member_layout(types, TypeName.short_name(inner), depth)
+    Layout.struct_layout([{"hasValue", :bool}, {"value", value}])
   end
 
   @doc "Returns the `Situ.Type` of decoded values. Any object may also be nil; .NET does not declare nullability."
-  @spec situ(t(), String.t()) :: Situ.Type.t()
-  def situ(types, name), do: situ(types, TypeName.parse(name), 0)
+  @spec situ_type(t(), String.t()) :: Situ.Type.t()
+  def situ_type(types, name), do: convert_type(types, TypeName.parse(name), 0)
 
-  defp situ(_types, _parsed, depth) when depth > 8, do: :any
-  defp situ(_types, %{name: "System.Byte", arrays: 1}, _), do: :binary
+  defp convert_type(_types, _parsed, depth) when depth > 8, do: :any
+  defp convert_type(_types, %{name: "System.Byte", arrays: 1}, _), do: :binary
 
-  defp situ(types, %{arrays: n} = parsed, depth) when n > 0,
-    do: {:list, situ(types, TypeName.element(parsed), depth + 1)}
+  defp convert_type(types, %{arrays: n} = parsed, depth) when n > 0,
+    do: {:list, convert_type(types, TypeName.element_type(parsed), depth + 1)}
 
-  defp situ(types, %{name: name, args: args} = parsed, depth) do
-    inner = fn -> Enum.map(args, &situ(types, &1, depth + 1)) end
+  defp convert_type(types, %{name: name, args: args} = parsed, depth) do
+    inner = fn -> Enum.map(args, &convert_type(types, &1, depth + 1)) end
 
     case {name, args} do
       {"System.String", _} ->
@@ -262,10 +271,12 @@ defmodule Situ.Bridge.Psi.Types do
         {:optional, hd(inner.())}
 
       {"System.Collections." <> _ = many, [_]} ->
-        if Shapes.list?(many), do: {:list, hd(inner.())}, else: plain(types, parsed)
+        if Shapes.list?(many), do: {:list, hd(inner.())}, else: plain_type(types, parsed)
 
       {"System.Collections." <> _ = many, [_, _]} ->
-        if Shapes.map?(many), do: List.to_tuple([:map | inner.()]), else: plain(types, parsed)
+        if Shapes.map?(many),
+          do: List.to_tuple([:map | inner.()]),
+          else: plain_type(types, parsed)
 
       {"System.Tuple`" <> _, _} ->
         {:tuple, inner.()}
@@ -277,14 +288,14 @@ defmodule Situ.Bridge.Psi.Types do
         hd(inner.())
 
       _ ->
-        Situ.Bridge.Psi.Media.type(name) || plain(types, parsed)
+        Situ.Bridge.Psi.Media.situ_type(name) || plain_type(types, parsed)
     end
   end
 
-  defp plain(types, parsed) do
-    short = TypeName.short(parsed)
+  defp plain_type(types, parsed) do
+    short = TypeName.short_name(parsed)
 
-    case {Layout.primitive(short), types.by_name[short]} do
+    case {Layout.find_primitive(short), types.by_name[short]} do
       {nil, {:raw, {:struct, _, _, [{"value__", 0, _}]}}} -> :integer
       {nil, nil} -> :any
       {nil, _} -> :map

@@ -16,7 +16,7 @@ defmodule Situ.Bridge.Recorder.Exporter do
 
   def write(stream, %__MODULE__{} = exporter, topic, opts) do
     {given, placement} = Keyword.split(opts, Keyword.keys(exporter.writer.topic_options()))
-    Server.expect(exporter.server)
+    Server.expect_stream(exporter.server)
 
     Situ.via(
       stream,

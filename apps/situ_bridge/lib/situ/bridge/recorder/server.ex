@@ -10,13 +10,16 @@ defmodule Situ.Bridge.Recorder.Server do
   @doc "Starts the server without a link, so that it can still write the index after a pipeline crashes."
   def start(pipeline, file), do: GenServer.start(__MODULE__, {pipeline, file})
 
-  def expect(server), do: GenServer.call(server, :expect)
-  def open(server), do: call(server, :open)
-  def write(server, topic, messages, opts), do: call(server, {:write, topic, messages, opts})
-  def done(server), do: call(server, :done)
+  def expect_stream(server), do: GenServer.call(server, :expect)
+  def open_file(server), do: call_server(server, :open)
+
+  def write_messages(server, topic, messages, opts),
+    do: call_server(server, {:write, topic, messages, opts})
+
+  def finish_stream(server), do: call_server(server, :done)
 
   # Disks may be slow, so calls have no timeout.
-  defp call(server, request) do
+  defp call_server(server, request) do
     GenServer.call(server, request, :infinity)
   catch
     :exit, _ -> {:error, Error.new(:closed, "the file is closed")}
@@ -45,19 +48,19 @@ defmodule Situ.Bridge.Recorder.Server do
   def handle_call(:open, _from, state), do: {:reply, {:ok, nil}, state}
 
   def handle_call({:write, topic, messages, opts}, _from, state) do
-    case append(state, topic, messages, opts) do
+    case append_messages(state, topic, messages, opts) do
       {:ok, writer} -> {:reply, {:ok, nil}, %{state | writer: writer, dirty: true}}
       error -> {:reply, error, state}
     end
   end
 
   def handle_call(:done, _from, %{streams: 1} = state),
-    do: {:stop, :normal, finish(state), %{state | writer: nil}}
+    do: {:stop, :normal, finish_file(state), %{state | writer: nil}}
 
   def handle_call(:done, _from, state),
     do: {:reply, {:ok, nil}, %{state | streams: state.streams - 1}}
 
-  defp append(%{module: module, writer: writer}, topic, messages, opts) do
+  defp append_messages(%{module: module, writer: writer}, topic, messages, opts) do
     Enum.reduce_while(messages, {:ok, writer}, fn message, {:ok, writer} ->
       case module.write(writer, topic, message, opts) do
         {:ok, writer} -> {:cont, {:ok, writer}}
@@ -71,22 +74,22 @@ defmodule Situ.Bridge.Recorder.Server do
 
   def handle_info(:flush, state) do
     Process.send_after(self(), :flush, @flush)
-    {:noreply, if(state.dirty, do: flush(state), else: state)}
+    {:noreply, if(state.dirty, do: flush_writer(state), else: state)}
   end
 
   def handle_info({:DOWN, _, :process, _, _}, state) do
-    finish(state)
+    finish_file(state)
     {:stop, :normal, %{state | writer: nil}}
   end
 
   # A failed flush fails again on the next write, which reports the error.
-  defp flush(state) do
+  defp flush_writer(state) do
     case state.module.flush(state.writer) do
       {:ok, writer} -> %{state | writer: writer, dirty: false}
       {:error, _} -> state
     end
   end
 
-  defp finish(%{writer: nil}), do: {:ok, nil}
-  defp finish(state), do: state.module.finish(state.writer)
+  defp finish_file(%{writer: nil}), do: {:ok, nil}
+  defp finish_file(state), do: state.module.finish(state.writer)
 end

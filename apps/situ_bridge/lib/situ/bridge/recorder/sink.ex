@@ -16,7 +16,7 @@ defmodule Situ.Bridge.Recorder.Sink do
 
   @impl true
   def handle_start(_context, state) do
-    Situ.Error.unwrap!(Server.open(state.server))
+    Situ.Error.unwrap!(Server.open_file(state.server))
     {[], state}
   end
 
@@ -26,17 +26,17 @@ defmodule Situ.Bridge.Recorder.Sink do
 
   @impl true
   def handle_messages(:in, messages, _context, state) do
-    Situ.Error.unwrap!(Server.write(state.server, state.topic, messages, state.given))
+    Situ.Error.unwrap!(Server.write_messages(state.server, state.topic, messages, state.given))
     {[], state}
   end
 
   @impl true
   def handle_closed(:in, _time, _context, state) do
-    Situ.Error.unwrap!(Server.done(state.server))
+    Situ.Error.unwrap!(Server.finish_stream(state.server))
     {[], %{state | open: false}}
   end
 
   @impl true
   def terminate(_reason, %{open: false}), do: :ok
-  def terminate(_reason, state), do: Server.done(state.server)
+  def terminate(_reason, state), do: Server.finish_stream(state.server)
 end

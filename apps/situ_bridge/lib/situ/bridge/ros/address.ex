@@ -36,29 +36,29 @@ defmodule Situ.Bridge.Ros.Address do
 
     %__MODULE__{
       master: master,
-      host: host || own(URI.parse(master).host),
-      node: named(opts[:node])
+      host: host || default_host(URI.parse(master).host),
+      node: node_name(opts[:node])
     }
   end
 
-  defp own(master) when master in ["localhost", "127.0.0.1", "::1", nil], do: "127.0.0.1"
+  defp default_host(master) when master in ["localhost", "127.0.0.1", "::1", nil], do: "127.0.0.1"
 
-  defp own(_elsewhere) do
+  defp default_host(_elsewhere) do
     {:ok, name} = :inet.gethostname()
     List.to_string(name)
   end
 
-  defp named(nil), do: "/situ_" <> Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
-  defp named("/" <> _ = name), do: name
-  defp named(name), do: "/" <> name
+  defp node_name(nil), do: "/situ_" <> Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
+  defp node_name("/" <> _ = name), do: name
+  defp node_name(name), do: "/" <> name
 
   @doc "Returns the absolute name of a topic or service."
-  @spec whole(String.t()) :: String.t()
-  def whole("/" <> _ = name), do: name
-  def whole(name), do: "/" <> name
+  @spec resolve_name(String.t()) :: String.t()
+  def resolve_name("/" <> _ = name), do: name
+  def resolve_name(name), do: "/" <> name
 
   @doc "Returns the interface to listen on: only loopback if other nodes reach this host by a loopback name, else all."
-  @spec interface(t()) :: String.t()
-  def interface(%{host: host}) when host in ["127.0.0.1", "localhost"], do: "127.0.0.1"
-  def interface(_), do: "*"
+  @spec listen_interface(t()) :: String.t()
+  def listen_interface(%{host: host}) when host in ["127.0.0.1", "localhost"], do: "127.0.0.1"
+  def listen_interface(_), do: "*"
 end

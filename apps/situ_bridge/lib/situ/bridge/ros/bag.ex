@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Ros.Bag do
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
 
-  @schema Codec.time_options() ++ Codec.options()
+  @schema Codec.time_options() ++ Codec.reader_options()
 
   @moduledoc """
   Opens ROS 1 bags (version 2.0) as recordings: `Situ.Store.open("drive.bag")`. The studio, `bin/situ store` and replay
@@ -40,7 +40,7 @@ defmodule Situ.Bridge.Ros.Bag do
   @impl true
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, %{size: size}} <- stat(path),
+         {:ok, %{size: size}} <- stat_file(path),
          {:ok, contents} <- with_file(path, &Contents.read(&1, size)) do
       state = %__MODULE__{
         path: path,
@@ -49,13 +49,13 @@ defmodule Situ.Bridge.Ros.Bag do
         contents: contents
       }
 
-      with {:ok, tracks} <- tracks(state, opts),
-           do: {:ok, listed(%{state | tracks: tracks})}
+      with {:ok, tracks} <- build_tracks(state, opts),
+           do: {:ok, put_streams(%{state | tracks: tracks})}
     end
   end
 
-  defp stat(path) do
-    with {:error, reason} <- File.stat(path), do: {:error, error({:io, reason}, path)}
+  defp stat_file(path) do
+    with {:error, reason} <- File.stat(path), do: {:error, build_error({:io, reason}, path)}
   end
 
   # Any process may call a reader, but a raw file belongs to one process, so the file is opened for each call.
@@ -66,20 +66,20 @@ defmodule Situ.Bridge.Ros.Bag do
         :file.close(file)
 
         with {:error, reason} when not is_struct(reason, Error) <- result,
-             do: {:error, error(reason, path)}
+             do: {:error, build_error(reason, path)}
 
       {:error, reason} ->
-        {:error, error({:io, reason}, path)}
+        {:error, build_error({:io, reason}, path)}
     end
   end
 
-  defp error({:io, reason}, path),
+  defp build_error({:io, reason}, path),
     do: Error.new(:io, "cannot read #{path}", why: to_string(:file.format_error(reason)))
 
-  defp error(:not_bag, path),
+  defp build_error(:not_bag, path),
     do: Error.new(:not_bag, "#{path} is not a bag", why: "it does not begin with #ROSBAG V2.0")
 
-  defp error({:version, version}, path),
+  defp build_error({:version, version}, path),
     do:
       Error.new(:not_bag, "#{path} is a bag of version #{version}",
         why: "only version 2.0 can be read",
@@ -87,7 +87,7 @@ defmodule Situ.Bridge.Ros.Bag do
       )
 
   # Connections with the same topic and type form one stream.
-  defp tracks(state, opts) do
+  defp build_tracks(state, opts) do
     times = opts[:times]
 
     groups =
@@ -108,15 +108,15 @@ defmodule Situ.Bridge.Ros.Bag do
             do: row
 
       recorded = places |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {nil, nil} end)
-      stamps? = times == :header and Codec.stamps(codec) != nil
-      places = if stamps?, do: stamped(state, places), else: places
+      stamps? = times == :header and Codec.stamp_encoding(codec) != nil
+      places = if stamps?, do: put_stamps(state, places), else: places
 
       track = %{
         id: elem(hd(connections), 0),
         topic: topic,
         type: type,
         situ: situ,
-        codec: Codec.shaped(codec, opts[:messages]),
+        codec: Codec.set_message_mode(codec, opts[:messages]),
         note: note,
         count: length(places),
         places: Places.pack(places),
@@ -128,40 +128,42 @@ defmodule Situ.Bridge.Ros.Bag do
       {:cont, {:ok, Enum.reverse(Track.add_extra(track, opts[:messages]), tracks)}}
     end)
     |> then(fn {:ok, tracks} ->
-      {:ok, tracks |> Enum.reverse() |> RealSense.tracks(&first(state, &1))}
+      {:ok, tracks |> Enum.reverse() |> RealSense.put_depth_units(&read_first(state, &1))}
     end)
   end
 
-  defp first(state, track) do
+  defp read_first(state, track) do
     with %{count: count} when count > 0 <- track,
-         {:ok, [{_, {_, bytes}}]} <- messages(state, [Places.at(track.places, 0)]),
+         {:ok, [{_, {_, bytes}}]} <- read_messages(state, [Places.row_at(track.places, 0)]),
          {:ok, data} <- Codec.decode(track.codec, bytes),
          do: data,
          else: (_ -> nil)
   end
 
-  defp stamped(state, places) do
-    case messages(state, Enum.sort_by(places, fn {_, chunk, offset} -> {chunk, offset} end)) do
+  defp put_stamps(state, places) do
+    case read_messages(state, Enum.sort_by(places, fn {_, chunk, offset} -> {chunk, offset} end)) do
       {:ok, found} ->
         for {{time, chunk, offset}, {_, bytes}} <- found,
-            do: {stamp(bytes) || time, chunk, offset}
+            do: {parse_stamp(bytes) || time, chunk, offset}
 
       {:error, _} ->
         places
     end
   end
 
-  defp stamp(<<_seq::32, 0::64, _::binary>>), do: nil
-  defp stamp(<<_seq::32, stamp::binary-8, _::binary>>), do: Record.time(stamp)
-  defp stamp(_), do: nil
+  defp parse_stamp(<<_seq::32, 0::64, _::binary>>), do: nil
+  defp parse_stamp(<<_seq::32, stamp::binary-8, _::binary>>), do: Record.parse_time(stamp)
+  defp parse_stamp(_), do: nil
 
-  defp listed(state) do
-    {streams, _taken} = Enum.map_reduce(state.tracks, MapSet.new(), &stream(state, &1, &2))
+  defp put_streams(state) do
+    {streams, _taken} =
+      Enum.map_reduce(state.tracks, MapSet.new(), &describe_stream(state, &1, &2))
+
     notes = for %{note: note} = track <- state.tracks, note != nil, do: "#{track.topic}: #{note}"
     %{state | streams: streams, notes: notes, tracks: Map.new(state.tracks, &{&1.id, &1})}
   end
 
-  defp stream(state, track, taken) do
+  defp describe_stream(state, track, taken) do
     name =
       if MapSet.member?(taken, track.topic),
         do: "#{track.topic} (#{track.type})",
@@ -170,7 +172,8 @@ defmodule Situ.Bridge.Ros.Bag do
     {first, last} =
       if track.count > 0,
         do:
-          {elem(Places.at(track.places, 0), 0), elem(Places.at(track.places, track.count - 1), 0)},
+          {elem(Places.row_at(track.places, 0), 0),
+           elem(Places.row_at(track.places, track.count - 1), 0)},
         else: {nil, nil}
 
     {first_recorded, last_recorded} = track.recorded
@@ -189,7 +192,7 @@ defmodule Situ.Bridge.Ros.Bag do
       last: last,
       first_creation: first_recorded,
       last_creation: last_recorded,
-      supplemental: Extra.metadata([], track.schema)
+      supplemental: Extra.build_metadata([], track.schema)
     }
 
     {info, MapSet.put(taken, name)}
@@ -201,7 +204,9 @@ defmodule Situ.Bridge.Ros.Bag do
   @doc false
   # Makes `Situ.Bridge.Recorder.Export` read all the fields of a message, as maps.
   def as_maps(%__MODULE__{tracks: tracks} = state) do
-    maps = Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.shaped(t.codec, :maps)}} end)
+    maps =
+      Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.set_message_mode(t.codec, :maps)}} end)
+
     %{state | tracks: maps}
   end
 
@@ -238,21 +243,21 @@ defmodule Situ.Bridge.Ros.Bag do
         {:ok, [], ordinal}
 
       opts[:envelopes] && not track.stamps? ->
-        {:ok, envelopes(track, places, ordinal), ordinal + length(places)}
+        {:ok, build_envelopes(track, places, ordinal), ordinal + length(places)}
 
       true ->
-        decoded(state, track, places, ordinal, opts[:envelopes] == true)
+        decode_messages(state, track, places, ordinal, opts[:envelopes] == true)
     end
   end
 
   # Builds envelopes without reading the messages, so both times are the recording time.
-  defp envelopes(track, places, ordinal) do
+  defp build_envelopes(track, places, ordinal) do
     for {{time, _, _}, at} <- Enum.with_index(places, ordinal),
-        do: message(track, {time, time}, at, nil)
+        do: build_message(track, {time, time}, at, nil)
   end
 
-  defp decoded(state, track, places, ordinal, envelopes?) do
-    with {:ok, found} <- messages(state, places) do
+  defp decode_messages(state, track, places, ordinal, envelopes?) do
+    with {:ok, found} <- read_messages(state, places) do
       messages =
         for {{{time, _, _}, {recorded, bytes}}, at} <- Enum.with_index(found, ordinal) do
           recorded = if track.stamps? and recorded != nil, do: recorded, else: time
@@ -260,19 +265,19 @@ defmodule Situ.Bridge.Ros.Bag do
           data =
             if not envelopes? do
               bytes
-              |> data(track.codec)
-              |> RealSense.data(track.unit)
+              |> decode_data(track.codec)
+              |> RealSense.convert_depth(track.unit)
               |> Codec.put_times(track.codec, time, {recorded, recorded})
             end
 
-          message(track, {time, recorded}, at, data)
+          build_message(track, {time, recorded}, at, data)
         end
 
       {:ok, messages, ordinal + length(messages)}
     end
   end
 
-  defp message(track, {time, recorded}, ordinal, data),
+  defp build_message(track, {time, recorded}, ordinal, data),
     do: %Message{
       data: data,
       originating_time: time,
@@ -281,7 +286,7 @@ defmodule Situ.Bridge.Ros.Bag do
       source_id: track.id
     }
 
-  defp data(bytes, codec) do
+  defp decode_data(bytes, codec) do
     case Codec.decode(codec, bytes) do
       {:ok, value} -> value
       {:error, why} -> %Undecoded{codec: "ros1", bytes: bytes, reason: why}
@@ -290,7 +295,7 @@ defmodule Situ.Bridge.Ros.Bag do
 
   # Reads the recording times and bytes of as many messages as fit into a batch. A chunk is unpacked once for
   # consecutive messages.
-  defp messages(state, places) do
+  defp read_messages(state, places) do
     with_file(state.path, fn file ->
       places
       |> Enum.chunk_by(&elem(&1, 1))
@@ -300,7 +305,7 @@ defmodule Situ.Bridge.Ros.Bag do
             {:halt, {:ok, found, bytes}}
 
           {:ok, records} ->
-            within(records, group, found, bytes, at)
+            collect_group(records, group, found, bytes, at)
 
           {:error, why} ->
             {:halt,
@@ -317,8 +322,8 @@ defmodule Situ.Bridge.Ros.Bag do
     end
   end
 
-  defp within(records, group, found, bytes, at) do
-    rows = for {_, _, offset} = place <- group, do: {place, body(records, offset)}
+  defp collect_group(records, group, found, bytes, at) do
+    rows = for {_, _, offset} = place <- group, do: {place, parse_record(records, offset)}
 
     if Enum.any?(rows, &(elem(&1, 1) == nil)),
       do:
@@ -330,14 +335,14 @@ defmodule Situ.Bridge.Ros.Bag do
          {:ok, [rows | found], bytes + Enum.sum(for {_, {_, data}} <- rows, do: byte_size(data))}}
   end
 
-  defp body(records, offset) when offset < byte_size(records) do
-    case Record.take(binary_part(records, offset, byte_size(records) - offset)) do
-      {:ok, :message, fields, data, _rest} -> {Record.time(fields["time"]), data}
+  defp parse_record(records, offset) when offset < byte_size(records) do
+    case Record.take_record(binary_part(records, offset, byte_size(records) - offset)) do
+      {:ok, :message, fields, data, _rest} -> {Record.parse_time(fields["time"]), data}
       _ -> nil
     end
   end
 
-  defp body(_records, _offset), do: nil
+  defp parse_record(_records, _offset), do: nil
 
   # Writing
 
@@ -364,5 +369,5 @@ defmodule Situ.Bridge.Ros.Bag do
   """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
-  def export(store, path, opts \\ []), do: Export.export(Writer, store, path, opts)
+  def export(store, path, opts \\ []), do: Export.export_store(Writer, store, path, opts)
 end

@@ -7,8 +7,8 @@ defmodule Situ.Bridge.Ros.Cloud do
   @float32 7
 
   @doc "Returns the cloud if x, y and z are consecutive float32 fields, which is nearly always the case. Else `:error`."
-  @spec from(map()) :: {:ok, PointCloud.t()} | :error
-  def from(
+  @spec from_message(map()) :: {:ok, PointCloud.t()} | :error
+  def from_message(
         %{"is_bigendian" => false, "point_step" => step, "data" => data, "fields" => fields} = m
       )
       when is_binary(data) do
@@ -19,12 +19,12 @@ defmodule Situ.Bridge.Ros.Cloud do
 
     with %{"x" => {x, @float32}, "y" => {y, @float32}, "z" => {z, @float32}} <- at,
          true <- y == x + 4 and z == x + 8 and x + 12 <= step,
-         {:ok, data} <- rows(data, m["height"], m["width"] * step, m["row_step"]),
+         {:ok, data} <- join_rows(data, m["height"], m["width"] * step, m["row_step"]),
          {:ok, cloud} <-
            PointCloud.new(
-             Pixels.every(data, step, x, 12),
-             colors(data, step, at),
-             values(data, step, at)
+             Pixels.slice_every(data, step, x, 12),
+             read_colors(data, step, at),
+             read_values(data, step, at)
            ) do
       {:ok, cloud}
     else
@@ -32,45 +32,47 @@ defmodule Situ.Bridge.Ros.Cloud do
     end
   end
 
-  def from(_), do: :error
+  def from_message(_), do: :error
 
   # Rows may be padded after their points.
-  defp rows(data, height, row, row) when byte_size(data) == height * row, do: {:ok, data}
+  defp join_rows(data, height, row, row) when byte_size(data) == height * row, do: {:ok, data}
 
-  defp rows(data, height, row, stride) when row <= stride and byte_size(data) == height * stride,
-    do: {:ok, Pixels.every(data, stride, 0, row)}
+  defp join_rows(data, height, row, stride)
+       when row <= stride and byte_size(data) == height * stride,
+       do: {:ok, Pixels.slice_every(data, stride, 0, row)}
 
-  defp rows(_data, _height, _row, _stride), do: :error
+  defp join_rows(_data, _height, _row, _stride), do: :error
 
   # The bytes are blue, green, red and one unused byte, whatever the declared type is.
-  defp colors(data, step, fields) do
+  defp read_colors(data, step, fields) do
     case fields["rgb"] || fields["rgba"] do
       {at, _kind} when at + 4 <= step ->
-        for <<b, g, r, _ <- Pixels.every(data, step, at, 4)>>, into: <<>>, do: <<r, g, b>>
+        for <<b, g, r, _ <- Pixels.slice_every(data, step, at, 4)>>, into: <<>>, do: <<r, g, b>>
 
       _ ->
         nil
     end
   end
 
-  defp values(data, step, fields) do
+  defp read_values(data, step, fields) do
     case fields["intensity"] do
-      {at, @float32} when at + 4 <= step -> Pixels.every(data, step, at, 4)
-      {at, 4} when at + 2 <= step -> integers(Pixels.every(data, step, at, 2), 16)
-      {at, 2} when at + 1 <= step -> integers(Pixels.every(data, step, at, 1), 8)
+      {at, @float32} when at + 4 <= step -> Pixels.slice_every(data, step, at, 4)
+      {at, 4} when at + 2 <= step -> integers_to_floats(Pixels.slice_every(data, step, at, 2), 16)
+      {at, 2} when at + 1 <= step -> integers_to_floats(Pixels.slice_every(data, step, at, 1), 8)
       _ -> nil
     end
   end
 
-  defp integers(bytes, 8), do: for(<<x <- bytes>>, into: <<>>, do: <<x::little-float-32>>)
+  defp integers_to_floats(bytes, 8),
+    do: for(<<x <- bytes>>, into: <<>>, do: <<x::little-float-32>>)
 
-  defp integers(bytes, 16),
+  defp integers_to_floats(bytes, 16),
     do: for(<<x::little-16 <- bytes>>, into: <<>>, do: <<x::little-float-32>>)
 
   @doc "Converts a cloud to the fields of a message."
-  @spec to(PointCloud.t()) :: map()
-  def to(%PointCloud{points: points, colors: colors} = cloud) do
-    n = PointCloud.count(cloud)
+  @spec to_message(PointCloud.t()) :: map()
+  def to_message(%PointCloud{points: points, colors: colors} = cloud) do
+    n = PointCloud.point_count(cloud)
     values = Map.get(cloud, :values)
     tones = if colors, do: for(<<r, g, b <- colors>>, into: <<>>, do: <<b, g, r, 0>>)
 
@@ -78,7 +80,7 @@ defmodule Situ.Bridge.Ros.Cloud do
       for {bytes, size} <- [{points, 12}, {tones, 4}, {values, 4}], bytes, do: {bytes, size}
 
     step = columns |> Enum.map(&elem(&1, 1)) |> Enum.sum()
-    data = woven(columns, n)
+    data = interleave_columns(columns, n)
 
     names =
       ~w(x y z) ++ if(colors, do: ["rgb"], else: []) ++ if(values, do: ["intensity"], else: [])
@@ -99,9 +101,9 @@ defmodule Situ.Bridge.Ros.Cloud do
     }
   end
 
-  defp woven([{bytes, _}], _n), do: bytes
+  defp interleave_columns([{bytes, _}], _n), do: bytes
 
-  defp woven(columns, n) do
+  defp interleave_columns(columns, n) do
     for i <- 0..(n - 1)//1,
         {bytes, size} <- columns,
         into: <<>>,

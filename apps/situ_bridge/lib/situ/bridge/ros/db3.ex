@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Db3 do
   alias Situ.Bridge.Mcap.{Codec, Extra}
 
-  @schema Codec.time_options() ++ Codec.options()
+  @schema Codec.time_options() ++ Codec.reader_options()
   @moduledoc """
   Opens ROS 2 bags in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`. The studio,
   `bin/situ store` and replay open them too.
@@ -40,43 +40,51 @@ defmodule Situ.Bridge.Ros.Db3 do
              path,
              "select id, name, type, serialization_format from topics order by id"
            ),
-         {:ok, definitions} <- definitions(path),
+         {:ok, definitions} <- read_definitions(path),
          {:ok, rows} <-
            Sqlite.query(path, "select topic_id, timestamp, id, length(data) from messages") do
-      places = rows |> Enum.flat_map(&place/1) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+      places =
+        rows |> Enum.flat_map(&parse_position/1) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
 
       tracks =
-        for topic <- topics, track = track(topic, definitions, places, opts[:messages]), do: track
+        for topic <- topics,
+            track = build_track(topic, definitions, places, opts[:messages]),
+            do: track
 
       with {:ok, tracks} <- put_stamps(tracks, path, opts[:times]),
-           do: {:ok, new(path, Enum.flat_map(tracks, &Track.add_extra(&1, opts[:messages])))}
+           do:
+             {:ok,
+              build_state(path, Enum.flat_map(tracks, &Track.add_extra(&1, opts[:messages])))}
     end
   end
 
-  defp new(path, tracks) do
+  defp build_state(path, tracks) do
     name = Path.basename(path, ".db3")
 
     %__MODULE__{
       path: path,
       name: name,
       tracks: Map.new(tracks, &{&1.id, &1}),
-      streams: Enum.map(tracks, &stream(&1, name, path)),
+      streams: Enum.map(tracks, &describe_stream(&1, name, path)),
       notes: for(%{note: note} = track <- tracks, note != nil, do: "#{track.topic}: #{note}")
     }
   end
 
   # Parses the topic and position of a message. SQLite allows text in numeric columns; such rows are skipped.
-  defp place(row) do
-    for [topic, time, id, size] <- numbers(row), id >= 0, size >= 0, do: {topic, {time, id, size}}
+  defp parse_position(row) do
+    for [topic, time, id, size] <- parse_numbers(row),
+        id >= 0,
+        size >= 0,
+        do: {topic, {time, id, size}}
   end
 
-  defp numbers(row) do
+  defp parse_numbers(row) do
     parsed = Enum.map(row, &Integer.parse/1)
     if Enum.all?(parsed, &match?({_, ""}, &1)), do: [Enum.map(parsed, &elem(&1, 0))], else: []
   end
 
   # Files from before Iron contain no definitions.
-  defp definitions(path) do
+  defp read_definitions(path) do
     there = "select name from sqlite_master where type = 'table' and name = 'message_definitions'"
     all = "select topic_type, encoding, hex(encoded_message_definition) from message_definitions"
 
@@ -94,10 +102,10 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp track([id, topic, type, format], definitions, places, messages) do
+  defp build_track([id, topic, type, format], definitions, places, messages) do
     case Integer.parse(id) do
       {id, ""} ->
-        plain = Definition.plain(type)
+        plain = Definition.strip_kind(type)
 
         schema =
           case {definitions, Library.fetch(plain, :ros2)} do
@@ -107,7 +115,7 @@ defmodule Situ.Bridge.Ros.Db3 do
           end
 
         {codec, situ, note} = Codec.new(format, schema, topic)
-        codec = Codec.shaped(codec, messages)
+        codec = Codec.set_message_mode(codec, messages)
 
         rows = Map.get(places, id, [])
 
@@ -129,11 +137,11 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp track(_other, _definitions, _places, _messages), do: nil
+  defp build_track(_other, _definitions, _places, _messages), do: nil
 
   # Takes originating times from the headers of messages that begin with one.
   defp put_stamps(tracks, path, :header) do
-    case for(%{id: id, codec: codec} <- tracks, Codec.stamps(codec), do: id) do
+    case for(%{id: id, codec: codec} <- tracks, Codec.stamp_encoding(codec), do: id) do
       [] ->
         {:ok, tracks}
 
@@ -144,22 +152,24 @@ defmodule Situ.Bridge.Ros.Db3 do
 
         with {:ok, rows} <- Sqlite.query(path, sql) do
           stamped =
-            rows |> Enum.flat_map(&stamped_place/1) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+            rows
+            |> Enum.flat_map(&parse_stamped_position/1)
+            |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
 
-          {:ok, for(track <- tracks, do: put_places(track, stamped[track.id]))}
+          {:ok, for(track <- tracks, do: put_positions(track, stamped[track.id]))}
         end
     end
   end
 
   defp put_stamps(tracks, _path, :log), do: {:ok, tracks}
 
-  defp stamped_place([topic, time, id, size, start]) do
-    for {topic, {recorded, id, size}} <- place([topic, time, id, size]),
+  defp parse_stamped_position([topic, time, id, size, start]) do
+    for {topic, {recorded, id, size}} <- parse_position([topic, time, id, size]),
         {:ok, bytes} <- [Base.decode16(start)],
         do: {topic, {read_stamp(bytes) || recorded, id, size}}
   end
 
-  defp stamped_place(_row), do: []
+  defp parse_stamped_position(_row), do: []
 
   # CDR begins with a byte of padding, the byte order and two bytes of options. Seconds and nanoseconds follow. A zero
   # stamp means that the time is missing.
@@ -170,12 +180,15 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   defp join_stamp(seconds, ns), do: seconds * 1_000_000_000 + ns
 
-  defp put_places(track, nil), do: track
-  defp put_places(track, rows), do: %{track | places: Places.pack(rows), stamps?: true}
+  defp put_positions(track, nil), do: track
+  defp put_positions(track, rows), do: %{track | places: Places.pack(rows), stamps?: true}
 
-  defp stream(track, name, path) do
-    count = Places.count(track.places)
-    {first, last} = if count > 0, do: {time(track, 0), time(track, count - 1)}, else: {nil, nil}
+  defp describe_stream(track, name, path) do
+    count = Places.count_rows(track.places)
+
+    {first, last} =
+      if count > 0, do: {time_at(track, 0), time_at(track, count - 1)}, else: {nil, nil}
+
     {first_recorded, last_recorded} = track.recorded
 
     %StreamInfo{
@@ -192,11 +205,11 @@ defmodule Situ.Bridge.Ros.Db3 do
       last: last,
       first_creation: first_recorded,
       last_creation: last_recorded,
-      supplemental: Extra.metadata([], track.schema)
+      supplemental: Extra.build_metadata([], track.schema)
     }
   end
 
-  defp time(track, n), do: track.places |> Places.at(n) |> elem(0)
+  defp time_at(track, n), do: track.places |> Places.row_at(n) |> elem(0)
 
   @impl true
   defdelegate import_options(times), to: Codec
@@ -204,7 +217,9 @@ defmodule Situ.Bridge.Ros.Db3 do
   @doc false
   # Makes `Situ.Bridge.Recorder.Export` read all the fields of a message, as maps.
   def as_maps(%__MODULE__{tracks: tracks} = state) do
-    maps = Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.shaped(t.codec, :maps)}} end)
+    maps =
+      Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.set_message_mode(t.codec, :maps)}} end)
+
     %{state | tracks: maps}
   end
 
@@ -233,7 +248,7 @@ defmodule Situ.Bridge.Ros.Db3 do
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
     track = Map.fetch!(state.tracks, info.id)
-    rows = track.places |> Places.slice(ordinal, to, limit) |> within(0)
+    rows = track.places |> Places.slice(ordinal, to, limit) |> take_batch(0)
 
     cond do
       rows == [] ->
@@ -241,21 +256,21 @@ defmodule Situ.Bridge.Ros.Db3 do
 
       opts[:envelopes] && not track.stamps? ->
         found = for {time, id, _size} <- rows, into: %{}, do: {id, {time, nil}}
-        {:ok, messages(rows, ordinal, track, found), ordinal + length(rows)}
+        {:ok, build_messages(rows, ordinal, track, found), ordinal + length(rows)}
 
       true ->
-        with {:ok, found} <- fetch(state, track, rows, opts[:envelopes] == true),
-             do: {:ok, messages(rows, ordinal, track, found), ordinal + length(rows)}
+        with {:ok, found} <- fetch_messages(state, track, rows, opts[:envelopes] == true),
+             do: {:ok, build_messages(rows, ordinal, track, found), ordinal + length(rows)}
     end
   end
 
-  defp within([row | rows], bytes) when bytes < @most,
-    do: [row | within(rows, bytes + elem(row, 2))]
+  defp take_batch([row | rows], bytes) when bytes < @most,
+    do: [row | take_batch(rows, bytes + elem(row, 2))]
 
-  defp within(_rows, _bytes), do: []
+  defp take_batch(_rows, _bytes), do: []
 
   # Fetches the recording times and the data of messages, by message id.
-  defp fetch(state, track, rows, envelopes?) do
+  defp fetch_messages(state, track, rows, envelopes?) do
     ids = Enum.map_join(rows, ",", &elem(&1, 1))
     column = if envelopes?, do: "''", else: "hex(data)"
     sql = "select id, timestamp, #{column} from messages where id in (#{ids})"
@@ -264,15 +279,15 @@ defmodule Situ.Bridge.Ros.Db3 do
       {:ok,
        for(
          [id, recorded, hex] <- found,
-         [id, recorded] <- numbers([id, recorded]),
+         [id, recorded] <- parse_numbers([id, recorded]),
          {:ok, bytes} <- [Base.decode16(hex)],
          into: %{},
-         do: {id, {recorded, if(not envelopes?, do: data(bytes, track.codec))}}
+         do: {id, {recorded, if(not envelopes?, do: decode_data(bytes, track.codec))}}
        )}
     end
   end
 
-  defp messages(rows, ordinal, track, found) do
+  defp build_messages(rows, ordinal, track, found) do
     for {{time, id, _}, n} <- Enum.with_index(rows, ordinal) do
       {recorded, data} = Map.get(found, id, {time, @gone})
       recorded = if track.stamps?, do: recorded, else: time
@@ -287,7 +302,7 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp data(bytes, codec) do
+  defp decode_data(bytes, codec) do
     case Codec.decode(codec, bytes) do
       {:ok, value} -> value
       {:error, why} -> %Undecoded{codec: "cdr", bytes: bytes, reason: why}

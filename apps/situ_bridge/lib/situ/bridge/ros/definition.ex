@@ -58,19 +58,19 @@ defmodule Situ.Bridge.Ros.Definition do
   """
   @spec parse(String.t(), String.t(), Library.dialect()) :: {:ok, t()} | {:error, String.t()}
   def parse(name, text, dialect \\ :ros1) do
-    name = plain(name)
+    name = strip_kind(name)
 
-    with {:ok, types} <- sections(name, text),
-         {:ok, types} <- complete({name, dialect}, types, [name]),
-         :ok <- finite(name, types, []) do
-      {:ok, %__MODULE__{name: name, types: never_empty(types, dialect), text: text}}
+    with {:ok, types} <- parse_sections(name, text),
+         {:ok, types} <- resolve_types({name, dialect}, types, [name]),
+         :ok <- check_finite(name, types, []) do
+      {:ok, %__MODULE__{name: name, types: fill_empty_types(types, dialect), text: text}}
     end
   end
 
   # ROS 2 adds a member to a type whose definition is empty.
-  defp never_empty(types, :ros1), do: types
+  defp fill_empty_types(types, :ros1), do: types
 
-  defp never_empty(types, :ros2) do
+  defp fill_empty_types(types, :ros2) do
     Map.new(types, fn
       {name, %{fields: []} = type} ->
         {name,
@@ -86,20 +86,20 @@ defmodule Situ.Bridge.Ros.Definition do
   ROS 1 needs.
 
       iex> text = "bool data\\n---\\nbool success\\nstring message"
-      iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("std_srvs/SetBool", text)
+      iex> {:ok, service} = Situ.Bridge.Ros.Definition.parse_service("std_srvs/SetBool", text)
       iex> service.md5
       "09fb03525b03e7ea1fd3992bafd87e16"
   """
-  @spec service(String.t(), String.t(), Library.dialect()) ::
+  @spec parse_service(String.t(), String.t(), Library.dialect()) ::
           {:ok, %{request: t(), response: t(), md5: String.t()}} | {:error, String.t()}
-  def service(name, text, dialect \\ :ros1) do
-    name = if dialect == :ros1, do: name, else: plain(name) <> "_"
+  def parse_service(name, text, dialect \\ :ros1) do
+    name = if dialect == :ros1, do: name, else: strip_kind(name) <> "_"
 
     with [request, response] <- Regex.split(~r/^---\s*$/m, text, parts: 2),
          {:ok, request} <- parse(name <> "Request", request, dialect),
          {:ok, response} <- parse(name <> "Response", response, dialect) do
       texts = for d <- [request, response], do: md5_text(d.name, d.types)
-      {:ok, %{request: request, response: response, md5: sum(texts)}}
+      {:ok, %{request: request, response: response, md5: hash_text(texts)}}
     else
       [_] -> {:error, "the line --- between the request and the response is missing"}
       error -> error
@@ -107,40 +107,47 @@ defmodule Situ.Bridge.Ros.Definition do
   end
 
   @doc "Returns a type's name without `msg/` or `srv/`."
-  @spec plain(String.t()) :: String.t()
-  def plain(name) do
+  @spec strip_kind(String.t()) :: String.t()
+  def strip_kind(name) do
     case String.split(name, "/") do
       [package, kind, type] when kind in ["msg", "srv", "action"] -> package <> "/" <> type
       _ -> name
     end
   end
 
-  defp sections(name, text) do
+  defp parse_sections(name, text) do
     [first | rest] = Regex.split(~r/^={20,}\s*$/m, text)
-    with {:ok, types} <- section(name, first, %{}), do: others(rest, types)
+    with {:ok, types} <- parse_section(name, first, %{}), do: parse_other_sections(rest, types)
   end
 
-  defp others(parts, types) do
+  defp parse_other_sections(parts, types) do
     Enum.reduce_while(parts, {:ok, types}, fn part, {:ok, types} ->
       case Regex.run(~r/\A\s*(?:MSG|IDL):\s*(\S+)[^\n]*\n?(.*)\z/s, part) do
-        [_, name, body] -> name |> plain() |> section(body, types) |> go_on()
-        nil -> {:halt, {:error, "a part of the definition does not begin with MSG:"}}
+        [_, name, body] ->
+          name |> strip_kind() |> parse_section(body, types) |> check_type_count()
+
+        nil ->
+          {:halt, {:error, "a part of the definition does not begin with MSG:"}}
       end
     end)
   end
 
-  defp go_on({:ok, types}) when map_size(types) <= @most_types, do: {:cont, {:ok, types}}
-  defp go_on({:ok, _}), do: {:halt, {:error, "the definition has more than #{@most_types} types"}}
-  defp go_on(error), do: {:halt, error}
+  defp check_type_count({:ok, types}) when map_size(types) <= @most_types,
+    do: {:cont, {:ok, types}}
 
-  defp section(name, text, types) do
+  defp check_type_count({:ok, _}),
+    do: {:halt, {:error, "the definition has more than #{@most_types} types"}}
+
+  defp check_type_count(error), do: {:halt, error}
+
+  defp parse_section(name, text, types) do
     package = name |> String.split("/") |> hd()
 
     text
     |> String.split(["\r\n", "\n"])
     |> Enum.reduce_while({:ok, %{fields: [], spelled: [], constants: []}}, fn line,
                                                                               {:ok, message} ->
-      case line(line, package) do
+      case parse_line(line, package) do
         nil ->
           {:cont, {:ok, message}}
 
@@ -166,99 +173,111 @@ defmodule Situ.Bridge.Ros.Definition do
   end
 
   # A string constant extends to the end of its line, including any `#`.
-  defp line(line, package) do
+  defp parse_line(line, package) do
     case Regex.run(~r/\A\s*w?string(?:<=\d+)?\s+([A-Za-z]\w*)\s*=(.*)\z/, line) do
-      [_, name, value] -> {:constant, {"string", name, String.trim(value)}}
-      nil -> line |> String.split("#", parts: 2) |> hd() |> String.trim() |> statement(package)
+      [_, name, value] ->
+        {:constant, {"string", name, String.trim(value)}}
+
+      nil ->
+        line |> String.split("#", parts: 2) |> hd() |> String.trim() |> parse_statement(package)
     end
   end
 
-  defp statement("", _package), do: nil
+  defp parse_statement("", _package), do: nil
 
-  defp statement(text, package) do
+  defp parse_statement(text, package) do
     case Regex.run(
            ~r/\A([\w\/]+(?:<=\d+)?(?:\[[^\]]*\])?)\s+([A-Za-z]\w*)\s*(?:(=)\s*(\S.*)|\s(\S.*))?\z/,
            text
          ) do
       [_, type, name, "=", value] -> {:constant, {type, name, String.trim(value)}}
-      [_, type, name | _default] -> field(type, name, package)
+      [_, type, name | _default] -> parse_field(type, name, package)
       nil -> :error
     end
   end
 
-  defp field(type, name, package) do
-    with {:field, {name, parsed}} <- parsed(type, name, package),
+  defp parse_field(type, name, package) do
+    with {:field, {name, parsed}} <- parse_field_type(type, name, package),
          do: {:field, {name, parsed}, type}
   end
 
-  defp parsed(type, name, package) do
+  defp parse_field_type(type, name, package) do
     case Regex.run(~r/\A([\w\/]+?)(?:<=\d+)?(?:\[(<=)?(\d*)\])?\z/, type) do
-      [_, base] -> {:field, {name, base(base, package)}}
-      [_, base, _, ""] -> {:field, {name, {:list, base(base, package)}}}
-      [_, base, "<=", _] -> {:field, {name, {:list, base(base, package)}}}
-      [_, base, "", n] -> {:field, {name, {:array, base(base, package), String.to_integer(n)}}}
-      nil -> :error
+      [_, base] ->
+        {:field, {name, base_type(base, package)}}
+
+      [_, base, _, ""] ->
+        {:field, {name, {:list, base_type(base, package)}}}
+
+      [_, base, "<=", _] ->
+        {:field, {name, {:list, base_type(base, package)}}}
+
+      [_, base, "", n] ->
+        {:field, {name, {:array, base_type(base, package), String.to_integer(n)}}}
+
+      nil ->
+        :error
     end
   end
 
-  defp base(name, package) do
+  defp base_type(name, package) do
     cond do
       is_map_key(@primitives, name) -> @primitives[name]
       name == "Header" -> {:message, "std_msgs/Header"}
-      String.contains?(name, "/") -> {:message, plain(name)}
+      String.contains?(name, "/") -> {:message, strip_kind(name)}
       true -> {:message, package <> "/" <> name}
     end
   end
 
   # Ensures that every type in use is defined by the text or is a standard type.
-  defp complete(_root, types, []), do: {:ok, types}
+  defp resolve_types(_root, types, []), do: {:ok, types}
 
-  defp complete(root, types, [name | rest]) do
-    with {:ok, types} <- known(name, types, elem(root, 1)) do
+  defp resolve_types(root, types, [name | rest]) do
+    with {:ok, types} <- ensure_type(name, types, elem(root, 1)) do
       new =
         for {_, type} <- types[name].fields,
-            inner = inner(type),
+            inner = inner_type(type),
             not is_map_key(types, inner),
             do: inner
 
       nested =
         for {_, type} <- types[name].fields,
-            inner = inner(type),
+            inner = inner_type(type),
             is_map_key(types, inner),
             not visited?(types, inner),
             do: inner
 
-      complete(root, mark(types, name), Enum.uniq(new ++ nested) ++ rest)
+      resolve_types(root, mark_visited(types, name), Enum.uniq(new ++ nested) ++ rest)
     end
   end
 
   defp visited?(types, name), do: Map.get(types[name], :visited, false)
-  defp mark(types, name), do: Map.update!(types, name, &Map.put(&1, :visited, true))
+  defp mark_visited(types, name), do: Map.update!(types, name, &Map.put(&1, :visited, true))
 
-  defp known(name, types, _dialect) when is_map_key(types, name), do: {:ok, types}
+  defp ensure_type(name, types, _dialect) when is_map_key(types, name), do: {:ok, types}
 
-  defp known(name, types, dialect) do
+  defp ensure_type(name, types, dialect) do
     case Library.fetch(name, dialect) do
-      {:ok, text} when map_size(types) <= @most_types -> section(name, text, types)
+      {:ok, text} when map_size(types) <= @most_types -> parse_section(name, text, types)
       _ -> {:error, "the type #{name} is not defined"}
     end
   end
 
-  defp inner({:message, name}), do: name
-  defp inner({:array, type, _}), do: inner(type)
-  defp inner({:list, type}), do: inner(type)
-  defp inner(_primitive), do: nil
+  defp inner_type({:message, name}), do: name
+  defp inner_type({:array, type, _}), do: inner_type(type)
+  defp inner_type({:list, type}), do: inner_type(type)
+  defp inner_type(_primitive), do: nil
 
-  defp finite(name, types, above) do
+  defp check_finite(name, types, above) do
     if name in above do
       {:error, "the type #{name} contains itself"}
     else
       types[name].fields
-      |> Enum.map(&inner(elem(&1, 1)))
+      |> Enum.map(&inner_type(elem(&1, 1)))
       |> Enum.uniq()
       |> Enum.reject(&is_nil/1)
       |> Enum.reduce_while(:ok, fn inner, :ok ->
-        case finite(inner, types, [name | above]) do
+        case check_finite(inner, types, [name | above]) do
           :ok -> {:cont, :ok}
           error -> {:halt, error}
         end
@@ -268,10 +287,10 @@ defmodule Situ.Bridge.Ros.Definition do
 
   @doc "Returns the MD5 sum with which ROS 1 checks that both sides use the same type."
   @spec md5(t()) :: String.t()
-  def md5(%__MODULE__{name: name, types: types}), do: md5(name, types)
+  def md5(%__MODULE__{name: name, types: types}), do: hash_type(name, types)
 
-  defp md5(name, types), do: name |> md5_text(types) |> sum()
-  defp sum(text), do: :md5 |> :crypto.hash(text) |> Base.encode16(case: :lower)
+  defp hash_type(name, types), do: name |> md5_text(types) |> hash_text()
+  defp hash_text(text), do: :md5 |> :crypto.hash(text) |> Base.encode16(case: :lower)
 
   defp md5_text(name, types) do
     %{fields: fields, spelled: spelled, constants: constants} = Map.fetch!(types, name)
@@ -281,9 +300,9 @@ defmodule Situ.Bridge.Ros.Definition do
 
   # A field with a message type is hashed with the MD5 sum of that type, without array brackets.
   defp md5_line({name, type}, spelled, types) do
-    case inner(type) do
+    case inner_type(type) do
       nil -> "#{spelled |> String.split("<=") |> hd()} #{name}"
-      message -> "#{md5(message, types)} #{name}"
+      message -> "#{hash_type(message, types)} #{name}"
     end
   end
 end

@@ -32,6 +32,6 @@ defmodule Situ.Bridge.Ros.Library do
   def fetch(name, :ros2), do: Map.fetch(@newer, name)
 
   @doc "Returns the names of all ROS 1 types."
-  @spec names() :: [String.t()]
-  def names, do: @definitions |> Map.keys() |> Enum.sort()
+  @spec type_names() :: [String.t()]
+  def type_names, do: @definitions |> Map.keys() |> Enum.sort()
 end

@@ -12,8 +12,8 @@ defmodule Situ.Bridge.Ros.Link do
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
   @doc "Lets the link end as soon as it is silent, because its publisher has unregistered."
-  @spec leave(pid()) :: :ok
-  def leave(link), do: GenServer.cast(link, :leave)
+  @spec close_when_silent(pid()) :: :ok
+  def close_when_silent(link), do: GenServer.cast(link, :leave)
 
   @impl true
   def init(args),
@@ -29,12 +29,12 @@ defmodule Situ.Bridge.Ros.Link do
            :gen_tcp.connect(
              String.to_charlist(host),
              port,
-             [:binary, active: false, nodelay: true, buffer: Pieces.buffer()],
+             [:binary, active: false, nodelay: true, buffer: Pieces.buffer_size()],
              @timeout
            ),
-         {hello, wire} = TcpRos.hello(host, port, fields(state)),
+         {hello, wire} = TcpRos.hello(host, port, header_fields(state)),
          :ok <- :gen_tcp.send(tcp, hello) do
-      {:noreply, arm(%{state | tcp: tcp, wire: wire})}
+      {:noreply, arm_socket(%{state | tcp: tcp, wire: wire})}
     else
       {:error, %Situ.Error{} = error} -> {:stop, {:shutdown, Exception.message(error)}, state}
       {:error, reason} -> {:stop, {:shutdown, reason}, state}
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Ros.Link do
     end
   end
 
-  defp fields(state),
+  defp header_fields(state),
     do: %{
       "callerid" => state.caller,
       "topic" => state.topic,
@@ -55,37 +55,37 @@ defmodule Situ.Bridge.Ros.Link do
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
     state = %{state | seen: state.seen + 1}
 
-    case Pieces.add(state.pieces, bytes, TcpRos.missing(state.wire)) do
-      {:ok, bytes, pieces} -> read(bytes, %{state | pieces: pieces})
-      {:more, pieces} -> {:noreply, arm(%{state | pieces: pieces})}
+    case Pieces.add_bytes(state.pieces, bytes, TcpRos.missing(state.wire)) do
+      {:ok, bytes, pieces} -> read_frames(bytes, %{state | pieces: pieces})
+      {:more, pieces} -> {:noreply, arm_socket(%{state | pieces: pieces})}
     end
   end
 
   def handle_info({:tcp_closed, _}, state), do: {:stop, {:shutdown, :closed}, state}
   def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
-  def handle_info(:arm, state), do: {:noreply, arm(state)}
+  def handle_info(:arm, state), do: {:noreply, arm_socket(state)}
 
   def handle_info({:look, seen}, %{seen: seen} = state),
     do: {:stop, {:shutdown, :closed}, state}
 
-  def handle_info({:look, _seen}, state), do: {:noreply, look_again(state)}
+  def handle_info({:look, _seen}, state), do: {:noreply, schedule_silence_check(state)}
 
   @impl true
-  def handle_cast(:leave, state), do: {:noreply, look_again(state)}
+  def handle_cast(:leave, state), do: {:noreply, schedule_silence_check(state)}
 
   # A publisher that leaves normally closes the connection. If it does not, the link ends when it is silent, unless this
   # side has stopped reading.
-  defp look_again(state) do
+  defp schedule_silence_check(state) do
     waits? = :atomics.get(state.untaken, 1) >= state.high_water_mark
     seen = if waits?, do: :waits, else: state.seen
     Process.send_after(self(), {:look, seen}, @silent)
     state
   end
 
-  defp read(bytes, state) do
+  defp read_frames(bytes, state) do
     case TcpRos.read(bytes, state.wire, state.most) do
       {:ok, payloads, _, wire} ->
-        {:noreply, %{state | wire: wire} |> hand_over(payloads) |> arm()}
+        {:noreply, %{state | wire: wire} |> hand_over(payloads) |> arm_socket()}
 
       {:error, why} ->
         {:stop, {:shutdown, why}, state}
@@ -101,7 +101,7 @@ defmodule Situ.Bridge.Ros.Link do
     state
   end
 
-  defp arm(state) do
+  defp arm_socket(state) do
     if :atomics.get(state.untaken, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)

@@ -37,7 +37,7 @@ defmodule Situ.Bridge.Ros.Node do
   @doc "Starts a node for the calling process. Errors: `:bad_address`, `:address_in_use`."
   @spec start_link(Address.t(), role()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(address, role) do
-    with {:ok, listener} <- Listener.listen(Address.interface(address), 0) do
+    with {:ok, listener} <- Listener.listen(Address.listen_interface(address), 0) do
       {:ok, node} = GenServer.start_link(__MODULE__, {address, role, listener, self()})
       :ok = :gen_tcp.controlling_process(listener, node)
       send(node, :begin)
@@ -46,8 +46,8 @@ defmodule Situ.Bridge.Ros.Node do
   end
 
   @doc "Returns the number of publishers that a subscriber is connected to."
-  @spec linked(pid()) :: non_neg_integer()
-  def linked(node), do: GenServer.call(node, :linked)
+  @spec count_links(pid()) :: non_neg_integer()
+  def count_links(node), do: GenServer.call(node, :linked)
 
   @doc "Unregisters the node from the master and stops it."
   @spec stop(pid()) :: :ok
@@ -74,36 +74,43 @@ defmodule Situ.Bridge.Ros.Node do
   end
 
   def handle_call({:slave, method, arguments}, _from, state) do
-    {answer, state} = slave(method, arguments, state)
+    {answer, state} = handle_slave_call(method, arguments, state)
     {:reply, answer, state}
   end
 
-  defp slave(
+  defp handle_slave_call(
          "requestTopic",
          [_caller, topic, _protocols],
          %{role: {:publisher, topic, _type, port}} = state
        ),
        do: {[1, "ready", ["TCPROS", state.address.host, port]], state}
 
-  defp slave("requestTopic", _arguments, state),
+  defp handle_slave_call("requestTopic", _arguments, state),
     do: {[0, "this node does not publish the topic", 0], state}
 
-  defp slave(
+  defp handle_slave_call(
          "publisherUpdate",
          [_caller, topic, publishers],
          %{role: {:subscriber, topic, _, _}} = state
        )
        when is_list(publishers),
-       do: {[1, "", 0], linking(state, publishers)}
+       do: {[1, "", 0], update_links(state, publishers)}
 
-  defp slave("getPid", _, state), do: {[1, "", System.pid() |> String.to_integer()], state}
-  defp slave("getMasterUri", _, state), do: {[1, "", state.address.master], state}
-  defp slave("getBusStats", _, state), do: {[1, "", [[], [], []]], state}
-  defp slave("getBusInfo", _, state), do: {[1, "", []], state}
-  defp slave("getPublications", _, state), do: {[1, "", topics(state.role, :publisher)], state}
-  defp slave("getSubscriptions", _, state), do: {[1, "", topics(state.role, :subscriber)], state}
+  defp handle_slave_call("getPid", _, state),
+    do: {[1, "", System.pid() |> String.to_integer()], state}
+
+  defp handle_slave_call("getMasterUri", _, state), do: {[1, "", state.address.master], state}
+  defp handle_slave_call("getBusStats", _, state), do: {[1, "", [[], [], []]], state}
+  defp handle_slave_call("getBusInfo", _, state), do: {[1, "", []], state}
+
+  defp handle_slave_call("getPublications", _, state),
+    do: {[1, "", list_topics(state.role, :publisher)], state}
+
+  defp handle_slave_call("getSubscriptions", _, state),
+    do: {[1, "", list_topics(state.role, :subscriber)], state}
+
   # The master sends this to the first node when another node takes its name.
-  defp slave("shutdown", [_caller, why], state) do
+  defp handle_slave_call("shutdown", [_caller, why], state) do
     Logger.warning(
       "ROS: the master asks #{state.address.node} to shut down: #{inspect(why, limit: 50)}"
     )
@@ -111,22 +118,24 @@ defmodule Situ.Bridge.Ros.Node do
     {[1, "", 0], state}
   end
 
-  defp slave(_method, _arguments, state), do: {[1, "", 0], state}
+  defp handle_slave_call(_method, _arguments, state), do: {[1, "", 0], state}
 
-  defp topics({role, topic, type, _}, role), do: [[topic, type]]
-  defp topics(_role, _other), do: []
+  defp list_topics({role, topic, type, _}, role), do: [[topic, type]]
+  defp list_topics(_role, _other), do: []
 
   @impl true
   def handle_info(:begin, state) do
     registrar = Registrar.start_link(self(), state.address, state.role, state.uri)
-    {:noreply, %{state | acceptor: Listener.begin(state.listener, self()), registrar: registrar}}
+
+    {:noreply,
+     %{state | acceptor: Listener.start_acceptor(state.listener, self()), registrar: registrar}}
   end
 
-  def handle_info({:publishers, uris}, state), do: {:noreply, linking(state, uris)}
+  def handle_info({:publishers, uris}, state), do: {:noreply, update_links(state, uris)}
 
   def handle_info({:link, uri}, state) do
     if uri in state.publishers and not is_map_key(state.links, uri),
-      do: {:noreply, link(state, uri)},
+      do: {:noreply, open_link(state, uri)},
       else: {:noreply, state}
   end
 
@@ -142,7 +151,7 @@ defmodule Situ.Bridge.Ros.Node do
         {:noreply, %{state | leaving: MapSet.delete(state.leaving, pid)}}
 
       uri = Enum.find_value(state.links, fn {uri, link} -> link == pid && uri end) ->
-        {:noreply, unlinked(state, uri, reason)}
+        {:noreply, schedule_relink(state, uri, reason)}
 
       true ->
         {:stop, reason, state}
@@ -150,20 +159,20 @@ defmodule Situ.Bridge.Ros.Node do
   end
 
   # Links to publishers that left end after all the data they sent has been read. New publishers are linked.
-  defp linking(%{role: {:subscriber, _, _, _}} = state, uris) do
+  defp update_links(%{role: {:subscriber, _, _, _}} = state, uris) do
     uris = Enum.filter(uris, &is_binary/1)
     {stay, go} = Map.split(state.links, uris)
     go = Map.values(go)
-    Enum.each(go, &Link.leave/1)
+    Enum.each(go, &Link.close_when_silent/1)
     leaving = MapSet.union(state.leaving, MapSet.new(go))
     waits = Map.take(state.waits, uris)
     state = %{state | links: stay, leaving: leaving, publishers: uris, waits: waits}
-    Enum.reduce(uris -- Map.keys(stay), state, &link(&2, &1))
+    Enum.reduce(uris -- Map.keys(stay), state, &open_link(&2, &1))
   end
 
-  defp linking(state, _uris), do: state
+  defp update_links(state, _uris), do: state
 
-  defp link(%{role: {:subscriber, topic, type, how}} = state, uri) do
+  defp open_link(%{role: {:subscriber, topic, type, how}} = state, uri) do
     {:ok, link} =
       Link.start_link(
         Map.merge(how, %{
@@ -180,7 +189,7 @@ defmodule Situ.Bridge.Ros.Node do
   end
 
   # The same error is logged once, not at every attempt.
-  defp unlinked(state, uri, reason) do
+  defp schedule_relink(state, uri, reason) do
     {wait, told} = Map.get(state.waits, uri, {@first_wait, nil})
 
     if told != reason and reason != {:shutdown, :closed},
@@ -194,7 +203,7 @@ defmodule Situ.Bridge.Ros.Node do
   @impl true
   def terminate(_reason, state) do
     if state.registrar, do: Process.exit(state.registrar, :kill)
-    Registrar.unregister(state.address, state.role, state.uri)
+    Registrar.unregister_node(state.address, state.role, state.uri)
 
     for pid <- Map.values(state.links) ++ Enum.concat(state.leaving, state.slaves),
         do: Process.exit(pid, :shutdown)

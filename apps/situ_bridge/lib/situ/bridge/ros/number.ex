@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Ros.Number do
   @moduledoc false
   # Decodes and encodes numbers of fixed size in either byte order. Float values that Elixir does not have are `:nan`,
   # `:infinity` and `:neg_infinity`.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
   @sizes %{
     bool: 1,
@@ -22,30 +22,30 @@ defmodule Situ.Bridge.Ros.Number do
   @type order :: :little | :big
 
   @doc "Returns the size of a number in bytes, or nil for other types."
-  @spec size(term()) :: 1 | 2 | 4 | 8 | nil
-  def size(kind), do: Map.get(@sizes, kind)
+  @spec number_size(term()) :: 1 | 2 | 4 | 8 | nil
+  def number_size(kind), do: Map.get(@sizes, kind)
 
-  @doc "Decodes the number in `bytes`, whose size must be `size/1`."
-  @spec read(kind(), binary(), order()) :: term()
-  def read(kind, bytes, :big), do: read(kind, reversed(bytes), :little)
-  def read(:bool, <<b>>, _), do: b != 0
-  def read(:int8, <<n::signed-8>>, _), do: n
-  def read(:uint8, <<n>>, _), do: n
-  def read(:int16, <<n::little-signed-16>>, _), do: n
-  def read(:uint16, <<n::little-16>>, _), do: n
-  def read(:int32, <<n::little-signed-32>>, _), do: n
-  def read(:uint32, <<n::little-32>>, _), do: n
-  def read(:int64, <<n::little-signed-64>>, _), do: n
-  def read(:uint64, <<n::little-64>>, _), do: n
-  def read(:float32, <<x::little-float-32>>, _), do: x
-  def read(:float64, <<x::little-float-64>>, _), do: x
-  def read(:float32, <<bits::little-32>>, _), do: special(bits, 31, 23)
-  def read(:float64, <<bits::little-64>>, _), do: special(bits, 63, 52)
+  @doc "Decodes the number in `bytes`, whose size must be `number_size/1`."
+  @spec decode(kind(), binary(), order()) :: term()
+  def decode(kind, bytes, :big), do: decode(kind, reverse_bytes(bytes), :little)
+  def decode(:bool, <<b>>, _), do: b != 0
+  def decode(:int8, <<n::signed-8>>, _), do: n
+  def decode(:uint8, <<n>>, _), do: n
+  def decode(:int16, <<n::little-signed-16>>, _), do: n
+  def decode(:uint16, <<n::little-16>>, _), do: n
+  def decode(:int32, <<n::little-signed-32>>, _), do: n
+  def decode(:uint32, <<n::little-32>>, _), do: n
+  def decode(:int64, <<n::little-signed-64>>, _), do: n
+  def decode(:uint64, <<n::little-64>>, _), do: n
+  def decode(:float32, <<x::little-float-32>>, _), do: x
+  def decode(:float64, <<x::little-float-64>>, _), do: x
+  def decode(:float32, <<bits::little-32>>, _), do: special_float(bits, 31, 23)
+  def decode(:float64, <<bits::little-64>>, _), do: special_float(bits, 63, 52)
 
-  defp reversed(bytes),
+  defp reverse_bytes(bytes),
     do: bytes |> :binary.bin_to_list() |> Enum.reverse() |> :binary.list_to_bin()
 
-  defp special(bits, sign, mantissa) do
+  defp special_float(bits, sign, mantissa) do
     cond do
       Bitwise.band(bits, Bitwise.bsl(1, mantissa) - 1) != 0 -> :nan
       Bitwise.bsr(bits, sign) == 1 -> :neg_infinity
@@ -54,61 +54,63 @@ defmodule Situ.Bridge.Ros.Number do
   end
 
   @doc "Decodes all numbers in `bytes`. Lists of 8-bit integers are returned as a binary."
-  @spec read_all(kind(), binary(), order()) :: [term()] | binary()
-  def read_all(kind, bytes, _) when kind in [:uint8, :int8], do: :binary.copy(bytes)
+  @spec decode_all(kind(), binary(), order()) :: [term()] | binary()
+  def decode_all(kind, bytes, _) when kind in [:uint8, :int8], do: :binary.copy(bytes)
 
-  def read_all(:float64, bytes, :little),
-    do: floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
+  def decode_all(:float64, bytes, :little),
+    do: complete_floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
 
-  def read_all(:float32, bytes, :little),
-    do: floats(for(<<x::little-float-32 <- bytes>>, do: x), :float32, bytes)
+  def decode_all(:float32, bytes, :little),
+    do: complete_floats(for(<<x::little-float-32 <- bytes>>, do: x), :float32, bytes)
 
-  def read_all(:int32, bytes, :little), do: for(<<n::little-signed-32 <- bytes>>, do: n)
-  def read_all(:uint16, bytes, :little), do: for(<<n::little-16 <- bytes>>, do: n)
-  def read_all(kind, bytes, order), do: each(kind, bytes, order)
+  def decode_all(:int32, bytes, :little), do: for(<<n::little-signed-32 <- bytes>>, do: n)
+  def decode_all(:uint16, bytes, :little), do: for(<<n::little-16 <- bytes>>, do: n)
+  def decode_all(kind, bytes, order), do: decode_each(kind, bytes, order)
 
   # The comprehension skips NaN and infinities. If it skipped any, every value is decoded separately.
-  defp floats(all, kind, bytes) do
-    if length(all) * size(kind) == byte_size(bytes), do: all, else: each(kind, bytes, :little)
+  defp complete_floats(all, kind, bytes) do
+    if length(all) * number_size(kind) == byte_size(bytes),
+      do: all,
+      else: decode_each(kind, bytes, :little)
   end
 
-  defp each(kind, bytes, order) do
-    size = size(kind)
-    for <<one::binary-known(size) <- bytes>>, do: read(kind, one, order)
+  defp decode_each(kind, bytes, order) do
+    size = number_size(kind)
+    for <<one::binary-pinned_size(size) <- bytes>>, do: decode(kind, one, order)
   end
 
   @doc "Encodes a number in little-endian order. Throws `{:not_writable, value}` if the value is out of range."
-  @spec write(kind(), term()) :: binary()
-  def write(:bool, b) when is_boolean(b), do: <<if(b, do: 1, else: 0)>>
+  @spec encode(kind(), term()) :: binary()
+  def encode(:bool, b) when is_boolean(b), do: <<if(b, do: 1, else: 0)>>
 
-  def write(kind, b) when is_boolean(b) and kind in [:uint8, :int8],
-    do: write(kind, if(b, do: 1, else: 0))
+  def encode(kind, b) when is_boolean(b) and kind in [:uint8, :int8],
+    do: encode(kind, if(b, do: 1, else: 0))
 
-  def write(:bool, n) when n in [0, 1], do: <<n>>
-  def write(:int8, n) when n in -0x80..0xFF, do: <<n::8>>
-  def write(:uint8, n) when n in 0..0xFF, do: <<n>>
-  def write(:int16, n) when n in -0x8000..0x7FFF, do: <<n::little-16>>
-  def write(:uint16, n) when n in 0..0xFFFF, do: <<n::little-16>>
-  def write(:int32, n) when n in -0x8000_0000..0x7FFF_FFFF, do: <<n::little-32>>
-  def write(:uint32, n) when n in 0..0xFFFF_FFFF, do: <<n::little-32>>
+  def encode(:bool, n) when n in [0, 1], do: <<n>>
+  def encode(:int8, n) when n in -0x80..0xFF, do: <<n::8>>
+  def encode(:uint8, n) when n in 0..0xFF, do: <<n>>
+  def encode(:int16, n) when n in -0x8000..0x7FFF, do: <<n::little-16>>
+  def encode(:uint16, n) when n in 0..0xFFFF, do: <<n::little-16>>
+  def encode(:int32, n) when n in -0x8000_0000..0x7FFF_FFFF, do: <<n::little-32>>
+  def encode(:uint32, n) when n in 0..0xFFFF_FFFF, do: <<n::little-32>>
 
-  def write(:int64, n) when n in -0x8000_0000_0000_0000..0x7FFF_FFFF_FFFF_FFFF,
+  def encode(:int64, n) when n in -0x8000_0000_0000_0000..0x7FFF_FFFF_FFFF_FFFF,
     do: <<n::little-64>>
 
-  def write(:uint64, n) when n in 0..0xFFFF_FFFF_FFFF_FFFF, do: <<n::little-64>>
+  def encode(:uint64, n) when n in 0..0xFFFF_FFFF_FFFF_FFFF, do: <<n::little-64>>
 
-  def write(:float32, x) when is_number(x) and abs(x) <= 3.4028234663852886e38,
+  def encode(:float32, x) when is_number(x) and abs(x) <= 3.4028234663852886e38,
     do: <<x::little-float-32>>
 
-  def write(:float32, x) when is_number(x),
-    do: write(:float32, if(x > 0, do: :infinity, else: :neg_infinity))
+  def encode(:float32, x) when is_number(x),
+    do: encode(:float32, if(x > 0, do: :infinity, else: :neg_infinity))
 
-  def write(:float64, x) when is_number(x), do: <<x::little-float-64>>
-  def write(:float32, :nan), do: <<0x7FC00000::little-32>>
-  def write(:float32, :infinity), do: <<0x7F800000::little-32>>
-  def write(:float32, :neg_infinity), do: <<0xFF800000::little-32>>
-  def write(:float64, :nan), do: <<0x7FF8000000000000::little-64>>
-  def write(:float64, :infinity), do: <<0x7FF0000000000000::little-64>>
-  def write(:float64, :neg_infinity), do: <<0xFFF0000000000000::little-64>>
-  def write(_kind, value), do: throw({:not_writable, value})
+  def encode(:float64, x) when is_number(x), do: <<x::little-float-64>>
+  def encode(:float32, :nan), do: <<0x7FC00000::little-32>>
+  def encode(:float32, :infinity), do: <<0x7F800000::little-32>>
+  def encode(:float32, :neg_infinity), do: <<0xFF800000::little-32>>
+  def encode(:float64, :nan), do: <<0x7FF8000000000000::little-64>>
+  def encode(:float64, :infinity), do: <<0x7FF0000000000000::little-64>>
+  def encode(:float64, :neg_infinity), do: <<0xFFF0000000000000::little-64>>
+  def encode(_kind, value), do: throw({:not_writable, value})
 end

@@ -5,11 +5,12 @@ defmodule Situ.Bridge.Ros.Optics do
   alias Situ.{CameraIntrinsics, Error}
 
   @doc "Returns the intrinsics of a calibrated camera, or `:error` if the camera is not calibrated."
-  @spec from(map()) :: {:ok, CameraIntrinsics.t()} | {:error, Error.t()} | :error
-  def from(%{"width" => width, "height" => height} = m) do
+  @spec from_message(map()) :: {:ok, CameraIntrinsics.t()} | {:error, Error.t()} | :error
+  def from_message(%{"width" => width, "height" => height} = m) do
     with [fx, _, cx, _, fy, cy, _, _, _] <- m["K"] || m["k"],
          true <- Enum.all?([fx, fy, cx, cy], &is_number/1) and width > 0 and height > 0,
-         {:ok, radial, tangential, distorts?} <- lens(m["D"] || m["d"], m["distortion_model"]) do
+         {:ok, radial, tangential, distorts?} <-
+           parse_distortion(m["D"] || m["d"], m["distortion_model"]) do
       CameraIntrinsics.new(
         width: width,
         height: height,
@@ -24,13 +25,13 @@ defmodule Situ.Bridge.Ros.Optics do
     end
   end
 
-  def from(_), do: :error
+  def from_message(_), do: :error
 
   # The last two are the names of the RealSense SDK. Its inverse model maps distorted to undistorted coordinates.
   @inverse "Inverse Brown Conrady"
   @models ["plumb_bob", "rational_polynomial", "", "Brown Conrady", @inverse]
 
-  defp lens(d, model) when is_list(d) do
+  defp parse_distortion(d, model) when is_list(d) do
     case {Enum.all?(d, &is_number/1), d} do
       {true, [k1, k2, p1, p2 | more]} when length(more) <= 4 and model in @models ->
         {:ok, [k1, k2 | more], {p1, p2}, model != @inverse}
@@ -47,11 +48,11 @@ defmodule Situ.Bridge.Ros.Optics do
     end
   end
 
-  defp lens(_d, _model), do: :error
+  defp parse_distortion(_d, _model), do: :error
 
   @doc "Renames the fields D, K, R and P to the upper or lower case that the encoding uses."
-  @spec spelled(map(), :ros1 | :cdr) :: map()
-  def spelled(message, encoding) do
+  @spec rename_matrices(map(), :ros1 | :cdr) :: map()
+  def rename_matrices(message, encoding) do
     Enum.reduce(~w(d k r p), message, fn small, message ->
       large = String.upcase(small)
       {from, to} = if encoding == :cdr, do: {large, small}, else: {small, large}
@@ -64,8 +65,8 @@ defmodule Situ.Bridge.Ros.Optics do
   end
 
   @doc "Converts intrinsics to the fields of a message. Raises `Situ.Error` (`:not_writable`) for an inverse model."
-  @spec to(CameraIntrinsics.t()) :: map()
-  def to(%CameraIntrinsics{distorts?: false, radial: radial, tangential: tangential} = c)
+  @spec to_message(CameraIntrinsics.t()) :: map()
+  def to_message(%CameraIntrinsics{distorts?: false, radial: radial, tangential: tangential} = c)
       when radial != {0.0, 0.0, 0.0, 0.0, 0.0, 0.0} or tangential != {0.0, 0.0} do
     raise Error.new(
             :not_writable,
@@ -75,7 +76,7 @@ defmodule Situ.Bridge.Ros.Optics do
           )
   end
 
-  def to(%CameraIntrinsics{focal: {fx, fy}, principal: {cx, cy}} = c) do
+  def to_message(%CameraIntrinsics{focal: {fx, fy}, principal: {cx, cy}} = c) do
     {k1, k2, k3, k4, k5, k6} = c.radial
     {p1, p2} = c.tangential
     rational? = {k4, k5, k6} != {0.0, 0.0, 0.0}

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Pixels do
   @moduledoc false
   # Converts images to and from the encodings of ROS and Foxglove, and extracts bytes from rows of points. Pure.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.{DepthImage, Image}
 
   @encodings %{
@@ -24,16 +24,16 @@ defmodule Situ.Bridge.Ros.Pixels do
   }
 
   @doc "Returns the name of an image's encoding, or `nil`."
-  @spec name(Image.t()) :: String.t() | nil
-  def name(%Image{format: format}), do: @formats[format]
+  @spec encoding_name(Image.t()) :: String.t() | nil
+  def encoding_name(%Image{format: format}), do: @formats[format]
 
   @doc """
   Builds the image of a message with the fields `encoding` and `data`. `width`, `height` and `step` are the names of the
   other fields. Pixels are little-endian unless the message sets `is_bigendian`.
   """
-  @spec from(map(), String.t(), String.t(), String.t()) ::
+  @spec from_message(map(), String.t(), String.t(), String.t()) ::
           {:ok, struct()} | {:error, term()} | :error
-  def from(%{"encoding" => encoding, "data" => data} = m, width, height, step) do
+  def from_message(%{"encoding" => encoding, "data" => data} = m, width, height, step) do
     size = [width: m[width], height: m[height], stride: m[step], data: data]
     big? = m["is_bigendian"] == 1
 
@@ -46,38 +46,43 @@ defmodule Situ.Bridge.Ros.Pixels do
   end
 
   @doc "Converts an image to the fields of a message. `step` is the name of the field for the bytes per row."
-  @spec to(Image.t() | DepthImage.t(), String.t()) :: map()
-  def to(%{} = image, step) do
+  @spec to_message(Image.t() | DepthImage.t(), String.t()) :: map()
+  def to_message(%{} = image, step) do
     %{
       "width" => image.width,
       "height" => image.height,
       step => image.stride,
-      "encoding" => encoding(image),
+      "encoding" => encoding_of(image),
       "data" => image.data
     }
   end
 
-  defp encoding(%DepthImage{}), do: "16UC1"
-  defp encoding(%Image{} = image), do: name(image)
+  defp encoding_of(%DepthImage{}), do: "16UC1"
+  defp encoding_of(%Image{} = image), do: encoding_name(image)
 
   @doc "Returns the `n` bytes at offset `at` of every `step` bytes, joined."
-  @spec every(binary(), pos_integer(), non_neg_integer(), pos_integer()) :: binary()
-  def every(data, n, 0, n), do: data
+  @spec slice_every(binary(), pos_integer(), non_neg_integer(), pos_integer()) :: binary()
+  def slice_every(data, n, 0, n), do: data
 
-  def every(data, step, at, n) do
+  def slice_every(data, step, at, n) do
     rest = step - at - n
 
-    for <<_::binary-known(at), part::binary-known(n), _::binary-known(rest) <- data>>,
-      into: <<>>,
-      do: part
+    for <<_::binary-pinned_size(at), part::binary-pinned_size(n),
+          _::binary-pinned_size(rest) <- data>>,
+        into: <<>>,
+        do: part
   end
 
   @doc "Interleaves 12-byte points and 3-byte colors as 16 bytes each; the last byte is zero."
-  @spec woven(binary(), binary()) :: binary()
-  def woven(points, colors), do: woven(points, colors, [])
+  @spec interleave_points(binary(), binary()) :: binary()
+  def interleave_points(points, colors), do: interleave_step(points, colors, [])
 
-  defp woven(<<point::binary-12, points::binary>>, <<rgb::binary-3, colors::binary>>, all),
-    do: woven(points, colors, [[point, rgb, 0] | all])
+  defp interleave_step(
+         <<point::binary-12, points::binary>>,
+         <<rgb::binary-3, colors::binary>>,
+         all
+       ),
+       do: interleave_step(points, colors, [[point, rgb, 0] | all])
 
-  defp woven("", "", all), do: all |> Enum.reverse() |> IO.iodata_to_binary()
+  defp interleave_step("", "", all), do: all |> Enum.reverse() |> IO.iodata_to_binary()
 end

@@ -14,62 +14,67 @@ defmodule Situ.Bridge.Ros.Registrar do
   def start_link(node, address, role, uri),
     do:
       spawn_link(fn ->
-        register(%{node: node, address: address, role: role, uri: uri, told: nil})
+        register_node(%{node: node, address: address, role: role, uri: uri, told: nil})
       end)
 
-  defp register(state) do
+  defp register_node(state) do
     with {:ok, pid} <- master_pid(state),
          {:ok, publishers} <-
-           call(state.address, registering(state.role), arguments(state) ++ [state.uri]) do
+           call_master(
+             state.address,
+             register_method(state.role),
+             register_arguments(state) ++ [state.uri]
+           ) do
       if elem(state.role, 0) == :subscriber, do: send(state.node, {:publishers, publishers})
 
       if state.told,
         do: Logger.info("ROS: the master at #{state.address.master} is reachable again")
 
-      watch(%{state | told: nil}, pid)
+      watch_master(%{state | told: nil}, pid)
     else
       {:error, error} ->
         if state.told != error.code, do: Logger.warning("ROS: #{Exception.message(error)}")
         Process.sleep(@every)
-        register(%{state | told: error.code})
+        register_node(%{state | told: error.code})
     end
   end
 
-  defp watch(state, pid) do
+  defp watch_master(state, pid) do
     Process.sleep(@every)
 
     case master_pid(state) do
-      {:ok, ^pid} -> watch(state, pid)
-      _ -> register(state)
+      {:ok, ^pid} -> watch_master(state, pid)
+      _ -> register_node(state)
     end
   end
 
-  defp master_pid(state), do: call(state.address, "getPid", [state.address.node])
+  defp master_pid(state), do: call_master(state.address, "getPid", [state.address.node])
 
-  defp registering({:publisher, _, _, _}), do: "registerPublisher"
-  defp registering({:subscriber, _, _, _}), do: "registerSubscriber"
+  defp register_method({:publisher, _, _, _}), do: "registerPublisher"
+  defp register_method({:subscriber, _, _, _}), do: "registerSubscriber"
 
-  defp arguments(%{address: address, role: {_, topic, type, _}}), do: [address.node, topic, type]
+  defp register_arguments(%{address: address, role: {_, topic, type, _}}),
+    do: [address.node, topic, type]
 
   @doc "Unregisters the node with a short timeout."
-  def unregister(address, {role, topic, _, _}, uri) do
+  def unregister_node(address, {role, topic, _, _}, uri) do
     method = if role == :publisher, do: "unregisterPublisher", else: "unregisterSubscriber"
     XmlRpc.call(address.master, method, [address.node, topic, uri], @goodbye)
   end
 
   @doc "Calls a method of the master, which replies with `[code, text, value]`, and returns the value."
-  @spec call(Situ.Bridge.Ros.Address.t(), String.t(), list()) ::
+  @spec call_master(Situ.Bridge.Ros.Address.t(), String.t(), list()) ::
           {:ok, term()} | {:error, Situ.Error.t()}
-  def call(address, method, arguments) do
+  def call_master(address, method, arguments) do
     with {:ok, [code, text, value]} <- XmlRpc.call(address.master, method, arguments) do
-      if code == 1, do: {:ok, value}, else: {:error, refused(address, method, text)}
+      if code == 1, do: {:ok, value}, else: {:error, refused_error(address, method, text)}
     else
-      {:ok, other} -> {:error, refused(address, method, inspect(other, limit: 10))}
+      {:ok, other} -> {:error, refused_error(address, method, inspect(other, limit: 10))}
       error -> error
     end
   end
 
-  defp refused(address, method, why),
+  defp refused_error(address, method, why),
     do:
       Situ.Error.new(:ros_refused, "the master at #{address.master} refused #{method}",
         why: to_string(why)

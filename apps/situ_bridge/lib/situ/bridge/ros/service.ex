@@ -12,26 +12,26 @@ defmodule Situ.Bridge.Ros.Service do
   def call(service, text, request, opts \\ []) do
     {timeout, opts} = Keyword.pop(opts, :timeout, @timeout)
     address = Address.new(opts)
-    name = Address.whole(service)
+    name = Address.resolve_name(service)
 
-    with {:ok, definition} <- definition(name, text),
-         {:ok, bytes} <- encode(name, definition.request, request),
-         {:ok, uri} <- Registrar.call(address, "lookupService", [address.node, name]),
+    with {:ok, definition} <- parse_definition(name, text),
+         {:ok, bytes} <- encode_message(name, definition.request, request),
+         {:ok, uri} <- Registrar.call_master(address, "lookupService", [address.node, name]),
          %URI{host: host, port: port} when is_binary(host) and is_integer(port) <- URI.parse(uri),
-         {:ok, tcp} <- connect(host, port, timeout) do
-      result = exchange(tcp, bytes, header(name, definition, address), timeout)
+         {:ok, tcp} <- connect_to_server(host, port, timeout) do
+      result = exchange_messages(tcp, bytes, header_fields(name, definition, address), timeout)
       :gen_tcp.close(tcp)
-      answered(result, name, definition)
+      decode_response(result, name, definition)
     else
-      %URI{} -> {:error, refused(name, "the master returned a malformed address")}
+      %URI{} -> {:error, refused_error(name, "the master returned a malformed address")}
       error -> error
     end
   end
 
-  defp header(name, definition, address),
+  defp header_fields(name, definition, address),
     do: %{"callerid" => address.node, "service" => name, "md5sum" => definition.md5}
 
-  defp connect(host, port, timeout) do
+  defp connect_to_server(host, port, timeout) do
     with {:error, reason} <-
            :gen_tcp.connect(
              String.to_charlist(host),
@@ -44,10 +44,10 @@ defmodule Situ.Bridge.Ros.Service do
             Error.new(:ros_unreachable, "no response from #{host}:#{port}", why: inspect(reason))}
   end
 
-  defp exchange(tcp, bytes, header, timeout) do
-    with :ok <- :gen_tcp.send(tcp, TcpRos.header(header)),
+  defp exchange_messages(tcp, bytes, header, timeout) do
+    with :ok <- :gen_tcp.send(tcp, TcpRos.encode_header(header)),
          {:ok, %{} = theirs} <- read_header(tcp, "", timeout),
-         nil <- theirs["error"] || TcpRos.differs(theirs, header),
+         nil <- theirs["error"] || TcpRos.find_mismatch(theirs, header),
          :ok <- :gen_tcp.send(tcp, TcpRos.frame(bytes, nil)),
          {:ok, <<ok>>} <- :gen_tcp.recv(tcp, 1, timeout),
          {:ok, answer} <- read_frame(tcp, timeout) do
@@ -81,33 +81,33 @@ defmodule Situ.Bridge.Ros.Service do
     end
   end
 
-  defp answered({:ok, bytes}, name, definition) do
+  defp decode_response({:ok, bytes}, name, definition) do
     with {:error, why} <- Wire.decode(definition.response, bytes, :ros1),
-         do: {:error, refused(name, why)}
+         do: {:error, refused_error(name, why)}
   end
 
-  defp answered({:error, why}, name, _) when is_binary(why),
-    do: {:error, refused(name, printable(why))}
+  defp decode_response({:error, why}, name, _) when is_binary(why),
+    do: {:error, refused_error(name, printable_text(why))}
 
-  defp answered(why, name, _) when is_binary(why), do: {:error, refused(name, why)}
+  defp decode_response(why, name, _) when is_binary(why), do: {:error, refused_error(name, why)}
 
-  defp answered({:error, reason}, name, _),
+  defp decode_response({:error, reason}, name, _),
     do:
       {:error,
        Error.new(:ros_unreachable, "the service #{name} is not responding", why: inspect(reason))}
 
-  defp printable(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
+  defp printable_text(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
 
-  defp refused(name, why),
+  defp refused_error(name, why),
     do: Error.new(:ros_refused, "the service #{name} refused the call", why: why)
 
-  defp definition(name, text) do
-    with {:error, why} <- Definition.service(name, text),
+  defp parse_definition(name, text) do
+    with {:error, why} <- Definition.parse_service(name, text),
          do:
            {:error, Error.new(:bad_definition, "the definition of #{name} is invalid", why: why)}
   end
 
-  defp encode(name, definition, message) do
+  defp encode_message(name, definition, message) do
     with {:error, why} <- Wire.encode(definition, message, :ros1),
          do:
            {:error, Error.new(:not_writable, "a message of #{name} cannot be written", why: why)}
@@ -117,14 +117,15 @@ defmodule Situ.Bridge.Ros.Service do
 
   def serve(service, type, text, fun, opts \\ []) do
     address = Address.new(opts)
-    name = Address.whole(service)
+    name = Address.resolve_name(service)
 
-    with {:ok, definition} <- definition(type, text),
-         {:ok, listener} <- Listener.listen(Address.interface(address), 0),
+    with {:ok, definition} <- parse_definition(type, text),
+         {:ok, listener} <- Listener.listen(Address.listen_interface(address), 0),
          uri = "rosrpc://#{address.host}:#{Listener.port(listener)}",
-         {:ok, _} <- Registrar.call(address, "registerService", [address.node, name, uri, uri]) do
+         {:ok, _} <-
+           Registrar.call_master(address, "registerService", [address.node, name, uri, uri]) do
       header =
-        Map.merge(header(name, definition, address), %{
+        Map.merge(header_fields(name, definition, address), %{
           "type" => type,
           "request_type" => type <> "Request",
           "response_type" => type <> "Response"
@@ -159,13 +160,13 @@ defmodule Situ.Bridge.Ros.Service do
 
   @impl true
   def handle_call(:adopt, _from, state) do
-    caller = spawn_link(fn -> adopted(state) end)
+    caller = spawn_link(fn -> serve_caller(state) end)
     {:reply, caller, %{state | callers: MapSet.put(state.callers, caller)}}
   end
 
   @impl true
   def handle_info(:begin, state),
-    do: {:noreply, %{state | acceptor: Listener.begin(state.listener, self())}}
+    do: {:noreply, %{state | acceptor: Listener.start_acceptor(state.listener, self())}}
 
   def handle_info({:EXIT, pid, reason}, %{acceptor: pid} = state), do: {:stop, reason, state}
 
@@ -177,42 +178,46 @@ defmodule Situ.Bridge.Ros.Service do
 
   @impl true
   def terminate(_reason, state) do
-    Registrar.call(state.address, "unregisterService", [state.address.node, state.name, state.uri])
+    Registrar.call_master(state.address, "unregisterService", [
+      state.address.node,
+      state.name,
+      state.uri
+    ])
 
     for caller <- state.callers, do: Process.exit(caller, :kill)
     :gen_tcp.close(state.listener)
   end
 
   # Runs in a caller's process: reads its header, then handles one request after another.
-  defp adopted(state) do
+  defp serve_caller(state) do
     receive do
-      {:adopt, tcp} -> greeted(tcp, read_header(tcp, "", @timeout), state)
+      {:adopt, tcp} -> greet_caller(tcp, read_header(tcp, "", @timeout), state)
     after
       @timeout -> :ok
     end
   end
 
-  defp greeted(tcp, {:ok, theirs}, state) do
-    case TcpRos.differs(theirs, state.header) do
+  defp greet_caller(tcp, {:ok, theirs}, state) do
+    case TcpRos.find_mismatch(theirs, state.header) do
       nil ->
-        :gen_tcp.send(tcp, TcpRos.header(state.header))
+        :gen_tcp.send(tcp, TcpRos.encode_header(state.header))
         # A probe only checks whether the service exists.
-        unless theirs["probe"] == "1", do: requests(tcp, state)
+        unless theirs["probe"] == "1", do: serve_requests(tcp, state)
 
       why ->
-        :gen_tcp.send(tcp, TcpRos.header(%{"error" => why}))
+        :gen_tcp.send(tcp, TcpRos.encode_header(%{"error" => why}))
     end
   end
 
-  defp greeted(_tcp, _other, _state), do: :ok
+  defp greet_caller(_tcp, _other, _state), do: :ok
 
-  defp requests(tcp, state) do
+  defp serve_requests(tcp, state) do
     with {:ok, bytes} <- read_frame(tcp, :infinity),
-         :ok <- :gen_tcp.send(tcp, response(bytes, state)),
-         do: requests(tcp, state)
+         :ok <- :gen_tcp.send(tcp, build_response(bytes, state)),
+         do: serve_requests(tcp, state)
   end
 
-  defp response(bytes, state) do
+  defp build_response(bytes, state) do
     with {:ok, request} <- Wire.decode(state.definition.request, bytes, :ros1),
          {:ok, response} <- state.fun.(request),
          {:ok, answer} <- Wire.encode(state.definition.response, response, :ros1) do

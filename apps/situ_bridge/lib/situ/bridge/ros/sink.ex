@@ -40,12 +40,12 @@ defmodule Situ.Bridge.Ros.Sink do
 
   @impl true
   def handle_start(_context, state) do
-    if state.opts[:ros_type], do: {[], open(state, nil)}, else: {[], state}
+    if state.opts[:ros_type], do: {[], open_topic(state, nil)}, else: {[], state}
   end
 
-  defp open(%{opts: opts} = state, first) do
+  defp open_topic(%{opts: opts} = state, first) do
     address = Address.new(opts)
-    topic = Address.whole(opts[:topic])
+    topic = Address.resolve_name(opts[:topic])
 
     given = [
       type: opts[:ros_type],
@@ -55,9 +55,13 @@ defmodule Situ.Bridge.Ros.Sink do
     ]
 
     with {:ok, channel} <- Channel.new(topic, given, first),
-         arg = fields(channel, address, topic, opts),
+         arg = header_fields(channel, address, topic, opts),
          {:ok, server} <-
-           Server.open(Address.interface(address), 0, opts[:high_water_mark], {TcpRos, arg},
+           Server.open(
+             Address.listen_interface(address),
+             0,
+             opts[:high_water_mark],
+             {TcpRos, arg},
              latch: opts[:latch]
            ),
          role = {:publisher, topic, arg["type"], Server.port(server)},
@@ -66,14 +70,14 @@ defmodule Situ.Bridge.Ros.Sink do
         state
         | channel: channel,
           node: node,
-          outlet: Outlet.open(state.outlet, Server, server, nil)
+          outlet: Outlet.attach_door(state.outlet, Server, server, nil)
       }
     else
       {:error, error} -> raise error
     end
   end
 
-  defp fields(channel, address, topic, opts) do
+  defp header_fields(channel, address, topic, opts) do
     {type, _, text} = channel.schema
 
     %{
@@ -88,18 +92,18 @@ defmodule Situ.Bridge.Ros.Sink do
 
   @impl true
   def handle_message(:in, message, context, %{channel: nil} = state),
-    do: handle_message(:in, message, context, open(state, message.data))
+    do: handle_message(:in, message, context, open_topic(state, message.data))
 
   def handle_message(:in, message, _context, state) do
     bytes =
       Situ.Error.unwrap!(Channel.encode(state.channel, message.data, message.originating_time))
 
-    state.outlet |> Outlet.take(bytes) |> with_outlet(state)
+    state.outlet |> Outlet.send_payload(bytes) |> with_outlet(state)
   end
 
   @impl true
   def handle_info(message, _context, state),
-    do: state.outlet |> Outlet.told(message) |> with_outlet(state)
+    do: state.outlet |> Outlet.handle_stage_message(message) |> with_outlet(state)
 
   defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
 
@@ -115,9 +119,9 @@ defmodule Situ.Bridge.Ros.Sink do
   @impl true
   def terminate(_reason, state) do
     if state.node, do: Node.stop(state.node)
-    Outlet.abandon(state.outlet)
+    Outlet.close_now(state.outlet)
   end
 
   @impl true
-  def describe(state), do: Outlet.describe(state.outlet)
+  def describe(state), do: Outlet.describe_peers(state.outlet)
 end

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Ros.Slave do
   @moduledoc false
   # Handles one HTTP call to a node: reads the request, sends the response, and closes the connection.
   use GenServer, restart: :temporary
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.XmlRpc
   alias Situ.Bridge.WebSocket.Handshake
 
@@ -24,9 +24,9 @@ defmodule Situ.Bridge.Ros.Slave do
   def handle_info({:tcp, tcp, bytes}, state) do
     said = state.said <> bytes
 
-    case body(said) do
+    case parse_body(said) do
       {:ok, body} ->
-        :gen_tcp.send(tcp, answer(body, state.fun))
+        :gen_tcp.send(tcp, build_reply(body, state.fun))
         {:stop, :normal, state}
 
       :more when byte_size(said) <= @most ->
@@ -44,16 +44,17 @@ defmodule Situ.Bridge.Ros.Slave do
   @doc """
   Returns the body of a complete HTTP request.
 
-      iex> Situ.Bridge.Ros.Slave.body("POST / HTTP/1.1\\r\\nContent-length: 2\\r\\n\\r\\nab")
+      iex> Situ.Bridge.Ros.Slave.parse_body("POST / HTTP/1.1\\r\\nContent-length: 2\\r\\n\\r\\nab")
       {:ok, "ab"}
   """
-  @spec body(binary()) :: {:ok, binary()} | :more | :error
-  def body(said) do
+  @spec parse_body(binary()) :: {:ok, binary()} | :more | :error
+  def parse_body(said) do
     with [head, rest] <- :binary.split(said, "\r\n\r\n"),
          [_ | lines] <- String.split(head, "\r\n"),
-         {n, ""} when n >= 0 <- Integer.parse(Handshake.headers(lines)["content-length"] || "") do
+         {n, ""} when n >= 0 <-
+           Integer.parse(Handshake.parse_headers(lines)["content-length"] || "") do
       case rest do
-        <<body::binary-known(n), _::binary>> -> {:ok, body}
+        <<body::binary-pinned_size(n), _::binary>> -> {:ok, body}
         _ -> :more
       end
     else
@@ -62,17 +63,17 @@ defmodule Situ.Bridge.Ros.Slave do
     end
   end
 
-  defp answer(body, fun) do
+  defp build_reply(body, fun) do
     case XmlRpc.read_request(body) do
       {:ok, method, arguments} ->
-        fun.(method, arguments) |> XmlRpc.response() |> http("200 OK")
+        fun.(method, arguments) |> XmlRpc.encode_response() |> build_http("200 OK")
 
       {:error, why} ->
-        http(why, "400 Bad Request")
+        build_http(why, "400 Bad Request")
     end
   end
 
-  defp http(body, status) do
+  defp build_http(body, status) do
     length = Integer.to_string(IO.iodata_length(body))
 
     [

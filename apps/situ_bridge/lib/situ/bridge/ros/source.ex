@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Ros.Source do
                 "Maximum message size in bytes. A publisher that sends a larger message is disconnected."
             ],
             type: [type: :any, default: :any, doc: "The type of the stream."]
-          ] ++ Codec.options() ++ Address.options()
+          ] ++ Codec.reader_options() ++ Address.options()
   @moduledoc false
   # Subscribes to a topic. The source never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
@@ -76,18 +76,19 @@ defmodule Situ.Bridge.Ros.Source do
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
-    ours = definition(opts)
+    ours = load_definition(opts)
     type = if ours, do: ours.name, else: "*"
 
     sum = if ours, do: Definition.md5(ours), else: "*"
-    node = node!(opts, opts[:topic], type, sum, state.untaken)
+    node = start_node!(opts, opts[:topic], type, sum, state.untaken)
 
-    clock = if opts[:sim_time], do: node!(opts, "/clock", @clock, @clock_sum, state.clock_untaken)
+    clock =
+      if opts[:sim_time], do: start_node!(opts, "/clock", @clock, @clock_sum, state.clock_untaken)
 
     {[{:complete, :infinity}], %{state | node: node, clock_node: clock, ours: ours}}
   end
 
-  defp node!(opts, topic, type, sum, untaken) do
+  defp start_node!(opts, topic, type, sum, untaken) do
     link = %{
       md5sum: sum,
       untaken: untaken,
@@ -97,11 +98,11 @@ defmodule Situ.Bridge.Ros.Source do
 
     opts
     |> Address.new()
-    |> Node.start_link({:subscriber, Address.whole(topic), type, link})
+    |> Node.start_link({:subscriber, Address.resolve_name(topic), type, link})
     |> Situ.Error.unwrap!()
   end
 
-  defp definition(opts) do
+  defp load_definition(opts) do
     if opts[:ros_type] do
       given = [type: opts[:ros_type], definition: opts[:definition], encoding: :ros1]
       Situ.Error.unwrap!(Channel.new(opts[:topic], given, nil)).definition
@@ -122,19 +123,20 @@ defmodule Situ.Bridge.Ros.Source do
 
   def handle_info({:ros, theirs, payloads}, context, state) do
     :atomics.sub(state.untaken, 1, length(payloads))
-    {definition, state} = known(theirs, state)
+    {definition, state} = ensure_definition(theirs, state)
     now = if state.opts[:sim_time], do: state.clock, else: context.now
-    read = Enum.map(payloads, &read(&1, definition, state.opts, now))
-    {actions, inlet} = Inlet.take_read(state.inlet, read)
+    read = Enum.map(payloads, &decode_payload(&1, definition, state.opts, now))
+    {actions, inlet} = Inlet.take_decoded(state.inlet, read)
     {actions, %{state | inlet: inlet}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
 
   # Parses each publisher's definition only once.
-  defp known(_theirs, %{ours: ours} = state) when ours != nil, do: {{:ok, ours}, state}
+  defp ensure_definition(_theirs, %{ours: ours} = state) when ours != nil,
+    do: {{:ok, ours}, state}
 
-  defp known(theirs, state) do
+  defp ensure_definition(theirs, state) do
     key = {theirs["type"], theirs["message_definition"]}
 
     case state.known do
@@ -154,43 +156,44 @@ defmodule Situ.Bridge.Ros.Source do
     end
   end
 
-  defp read(_payload, {:error, why}, _opts, _now), do: {:error, why}
+  defp decode_payload(_payload, {:error, why}, _opts, _now), do: {:error, why}
 
-  defp read(payload, {:ok, definition}, opts, now) do
+  defp decode_payload(payload, {:ok, definition}, opts, now) do
     with {:ok, message} <- Wire.decode(definition, payload, :ros1) do
-      time = if opts[:times] == :header, do: stamp(message)
-      timed(time, now, value(definition.name, message, opts))
+      time = if opts[:times] == :header, do: header_stamp(message)
+      add_time(time, now, convert_value(definition.name, message, opts))
     end
   end
 
-  defp timed(nil, nil, _value), do: {:error, "no message on /clock has arrived yet"}
-  defp timed(time, now, value), do: {:ok, {time || now, time != nil, value}}
+  defp add_time(nil, nil, _value), do: {:error, "no message on /clock has arrived yet"}
+  defp add_time(time, now, value), do: {:ok, {time || now, time != nil, value}}
 
-  defp value(name, message, opts) do
+  defp convert_value(name, message, opts) do
     if opts[:messages] == :maps,
       do: message,
-      else: Standard.from(name, message, Address.whole(opts[:topic]))
+      else: Standard.from_message(name, message, Address.resolve_name(opts[:topic]))
   end
 
-  defp stamp(%{"header" => %{"stamp" => stamp}}) when is_integer(stamp) and stamp in 1..@latest,
-    do: stamp
+  defp header_stamp(%{"header" => %{"stamp" => stamp}})
+       when is_integer(stamp) and stamp in 1..@latest,
+       do: stamp
 
-  defp stamp(_message), do: nil
-
-  @impl true
-  def handle_stop(_final_time, _context, state), do: {[], close(state)}
+  defp header_stamp(_message), do: nil
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def handle_stop(_final_time, _context, state), do: {[], stop_nodes(state)}
 
-  defp close(%{node: nil} = state), do: state
+  @impl true
+  def terminate(_reason, state), do: stop_nodes(state)
 
-  defp close(state) do
+  defp stop_nodes(%{node: nil} = state), do: state
+
+  defp stop_nodes(state) do
     Node.stop(state.node)
     if state.clock_node, do: Node.stop(state.clock_node)
     %{state | node: nil, clock_node: nil}
   end
 
   @impl true
-  def describe(state), do: Inlet.describe(state.inlet)
+  def describe(state), do: Inlet.describe_counts(state.inlet)
 end

@@ -48,66 +48,72 @@ defmodule Situ.Bridge.Ros.Standard do
   @trees ["tf/tfMessage", "tf2_msgs/TFMessage"]
 
   @doc "Returns the `Situ.Type` of converted messages of a ROS type."
-  @spec type(String.t()) :: Situ.Type.t()
-  def type("sensor_msgs/Image"), do: {:or, [Image, DepthImage, :map]}
-  def type("sensor_msgs/CompressedImage"), do: {:or, [EncodedImage, :map]}
-  def type("sensor_msgs/PointCloud2"), do: {:or, [PointCloud, :map]}
-  def type("sensor_msgs/CameraInfo"), do: {:or, [CameraIntrinsics, :map]}
-  def type("sensor_msgs/Imu"), do: {:or, [ImuReading, :map]}
-  def type("sensor_msgs/NavSatFix"), do: {:or, [GeoPoint, :map]}
-  def type("sensor_msgs/JointState"), do: {:or, [JointState, :map]}
-  def type("geometry_msgs/TransformStamped"), do: {:or, [Transform, :map]}
-  def type(tree) when tree in @trees, do: {:or, [{:list, Transform}, :map]}
-  def type("rosgraph_msgs/Clock"), do: :integer
-  def type(pose) when pose in @poses, do: {:or, [Pose, :map]}
-  def type(point) when point in @points, do: Point3
-  def type("std_msgs/String"), do: :string
-  def type("std_msgs/Bool"), do: :boolean
-  def type("std_msgs/Float" <> _), do: :float
-  def type(number) when number in @numbers, do: :integer
-  def type(_), do: :map
+  @spec situ_type(String.t()) :: Situ.Type.t()
+  def situ_type("sensor_msgs/Image"), do: {:or, [Image, DepthImage, :map]}
+  def situ_type("sensor_msgs/CompressedImage"), do: {:or, [EncodedImage, :map]}
+  def situ_type("sensor_msgs/PointCloud2"), do: {:or, [PointCloud, :map]}
+  def situ_type("sensor_msgs/CameraInfo"), do: {:or, [CameraIntrinsics, :map]}
+  def situ_type("sensor_msgs/Imu"), do: {:or, [ImuReading, :map]}
+  def situ_type("sensor_msgs/NavSatFix"), do: {:or, [GeoPoint, :map]}
+  def situ_type("sensor_msgs/JointState"), do: {:or, [JointState, :map]}
+  def situ_type("geometry_msgs/TransformStamped"), do: {:or, [Transform, :map]}
+  def situ_type(tree) when tree in @trees, do: {:or, [{:list, Transform}, :map]}
+  def situ_type("rosgraph_msgs/Clock"), do: :integer
+  def situ_type(pose) when pose in @poses, do: {:or, [Pose, :map]}
+  def situ_type(point) when point in @points, do: Point3
+  def situ_type("std_msgs/String"), do: :string
+  def situ_type("std_msgs/Bool"), do: :boolean
+  def situ_type("std_msgs/Float" <> _), do: :float
+  def situ_type(number) when number in @numbers, do: :integer
+  def situ_type(_), do: :map
 
   @doc """
   Converts a message to a Situ type. Messages with invalid values, or with a standard name but other fields,
   stay maps. Transforms on `/tf_static` are marked as static.
   """
-  @spec from(String.t(), map(), String.t()) :: term()
-  def from(name, message, topic \\ "") do
-    case Fitting.try(fn -> make(name, message) end) do
-      {:ok, value} -> if topic == "/tf_static", do: Sensors.static(value), else: value
+  @spec from_message(String.t(), map(), String.t()) :: term()
+  def from_message(name, message, topic \\ "") do
+    case Fitting.try_build(fn -> build_value(name, message) end) do
+      {:ok, value} -> if topic == "/tf_static", do: Sensors.mark_static(value), else: value
       _ -> message
     end
   end
 
-  defp make("sensor_msgs/Image", m), do: Pixels.from(m, "width", "height", "step")
-  defp make("sensor_msgs/Imu", m), do: Sensors.imu(m)
-  defp make("sensor_msgs/NavSatFix", m), do: Sensors.fix(m)
-  defp make("sensor_msgs/JointState", m), do: Sensors.joints(m)
-  defp make("geometry_msgs/TransformStamped", m), do: Sensors.transform(m)
-  defp make(tree, %{"transforms" => list}) when tree in @trees, do: Sensors.transforms(list)
-  defp make("rosgraph_msgs/Clock", %{"clock" => time}), do: {:ok, time}
+  defp build_value("sensor_msgs/Image", m), do: Pixels.from_message(m, "width", "height", "step")
+  defp build_value("sensor_msgs/Imu", m), do: Sensors.parse_imu(m)
+  defp build_value("sensor_msgs/NavSatFix", m), do: Sensors.parse_fix(m)
+  defp build_value("sensor_msgs/JointState", m), do: Sensors.parse_joints(m)
+  defp build_value("geometry_msgs/TransformStamped", m), do: Sensors.parse_transform(m)
 
-  defp make("sensor_msgs/CompressedImage", %{"data" => data}) do
-    with {:ok, format} <- EncodedImage.sniff(data),
+  defp build_value(tree, %{"transforms" => list}) when tree in @trees,
+    do: Sensors.parse_transforms(list)
+
+  defp build_value("rosgraph_msgs/Clock", %{"clock" => time}), do: {:ok, time}
+
+  defp build_value("sensor_msgs/CompressedImage", %{"data" => data}) do
+    with {:ok, format} <- EncodedImage.detect_format(data),
          do: EncodedImage.new(format: format, data: data)
   end
 
-  defp make("sensor_msgs/PointCloud2", m), do: Cloud.from(m)
-  defp make("sensor_msgs/CameraInfo", m), do: Optics.from(m)
-  defp make("geometry_msgs/PoseStamped", %{"pose" => pose}), do: make("geometry_msgs/Pose", pose)
+  defp build_value("sensor_msgs/PointCloud2", m), do: Cloud.from_message(m)
+  defp build_value("sensor_msgs/CameraInfo", m), do: Optics.from_message(m)
 
-  defp make("geometry_msgs/Pose", %{"position" => p, "orientation" => q}), do: Sensors.pose(p, q)
+  defp build_value("geometry_msgs/PoseStamped", %{"pose" => pose}),
+    do: build_value("geometry_msgs/Pose", pose)
 
-  defp make(point, %{"x" => x, "y" => y, "z" => z})
+  defp build_value("geometry_msgs/Pose", %{"position" => p, "orientation" => q}),
+    do: Sensors.parse_pose(p, q)
+
+  defp build_value(point, %{"x" => x, "y" => y, "z" => z})
        when point in @points and is_float(x) and is_float(y) and is_float(z),
        do: {:ok, %Point3{x: x, y: y, z: z}}
 
-  defp make(number, %{"data" => value}) when number in @numbers, do: {:ok, value}
-  defp make(_name, _message), do: :error
+  defp build_value(number, %{"data" => value}) when number in @numbers, do: {:ok, value}
+  defp build_value(_name, _message), do: :error
 
   @doc "Returns the ROS type that fits the data, or `nil`."
   @spec ros_type(term()) :: String.t() | nil
-  def ros_type(%Image{} = image), do: if(Pixels.name(image), do: "sensor_msgs/Image")
+  def ros_type(%Image{} = image), do: if(Pixels.encoding_name(image), do: "sensor_msgs/Image")
   def ros_type(%DepthImage{}), do: "sensor_msgs/Image"
   def ros_type(%EncodedImage{}), do: "sensor_msgs/CompressedImage"
   def ros_type(%Point3{}), do: "geometry_msgs/Point"
@@ -133,9 +139,9 @@ defmodule Situ.Bridge.Ros.Standard do
   Converts data to a message of a ROS type. Headers get `time` as the stamp and `frame` as the frame of reference. Maps
   are used as they are.
   """
-  @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: map()
-  def to(name, data, time, frame \\ "") do
-    case plain(name, data, time) do
+  @spec to_message(String.t(), term(), Situ.Time.t(), String.t()) :: map()
+  def to_message(name, data, time, frame \\ "") do
+    case build_fields(name, data, time) do
       {:headed, message} ->
         Map.put(message, "header", %{"stamp" => max(time, 0), "frame_id" => frame})
 
@@ -144,34 +150,46 @@ defmodule Situ.Bridge.Ros.Standard do
     end
   end
 
-  defp plain(_name, %Image{} = image, _time), do: {:headed, Pixels.to(image, "step")}
-  defp plain(_name, %DepthImage{} = depth, _time), do: {:headed, Pixels.to(depth, "step")}
+  defp build_fields(_name, %Image{} = image, _time),
+    do: {:headed, Pixels.to_message(image, "step")}
 
-  defp plain(_name, %EncodedImage{} = image, _time),
+  defp build_fields(_name, %DepthImage{} = depth, _time),
+    do: {:headed, Pixels.to_message(depth, "step")}
+
+  defp build_fields(_name, %EncodedImage{} = image, _time),
     do: {:headed, %{"format" => Atom.to_string(image.format), "data" => image.data}}
 
-  defp plain(_name, %Point3{x: x, y: y, z: z}, _time), do: %{"x" => x, "y" => y, "z" => z}
-  defp plain(_name, %PointCloud{} = cloud, _time), do: {:headed, Cloud.to(cloud)}
-  defp plain(_name, %CameraIntrinsics{} = optics, _time), do: {:headed, Optics.to(optics)}
-  defp plain(_name, %ImuReading{} = imu, _time), do: {:headed, Sensors.to(imu)}
-  defp plain(_name, %GeoPoint{} = place, _time), do: {:headed, Sensors.to(place)}
-  defp plain(_name, %JointState{} = joints, _time), do: {:headed, Sensors.to(joints)}
+  defp build_fields(_name, %Point3{x: x, y: y, z: z}, _time), do: %{"x" => x, "y" => y, "z" => z}
+  defp build_fields(_name, %PointCloud{} = cloud, _time), do: {:headed, Cloud.to_message(cloud)}
 
-  defp plain(tree, %Transform{} = transform, time) when tree in @trees,
-    do: plain(tree, [transform], time)
+  defp build_fields(_name, %CameraIntrinsics{} = optics, _time),
+    do: {:headed, Optics.to_message(optics)}
 
-  defp plain(_name, %Transform{} = transform, time), do: Sensors.stamped(transform, time)
+  defp build_fields(_name, %ImuReading{} = imu, _time), do: {:headed, Sensors.to_message(imu)}
+  defp build_fields(_name, %GeoPoint{} = place, _time), do: {:headed, Sensors.to_message(place)}
 
-  defp plain(_name, [%Transform{} | _] = list, time),
-    do: %{"transforms" => Enum.map(list, &Sensors.stamped(&1, time))}
+  defp build_fields(_name, %JointState{} = joints, _time),
+    do: {:headed, Sensors.to_message(joints)}
 
-  defp plain(_name, %AudioBuffer{data: data}, _time), do: %{"data" => data}
+  defp build_fields(tree, %Transform{} = transform, time) when tree in @trees,
+    do: build_fields(tree, [transform], time)
 
-  defp plain("geometry_msgs/PoseStamped", %Pose{} = pose, _time),
-    do: {:headed, %{"pose" => Sensors.to(pose)}}
+  defp build_fields(_name, %Transform{} = transform, time),
+    do: Sensors.encode_transform(transform, time)
 
-  defp plain(_name, %Pose{} = pose, _time), do: Sensors.to(pose)
-  defp plain("rosgraph_msgs/Clock", time, _time) when is_integer(time), do: %{"clock" => time}
-  defp plain(_name, map, _time) when is_map(map), do: map
-  defp plain(_name, value, _time), do: %{"data" => value}
+  defp build_fields(_name, [%Transform{} | _] = list, time),
+    do: %{"transforms" => Enum.map(list, &Sensors.encode_transform(&1, time))}
+
+  defp build_fields(_name, %AudioBuffer{data: data}, _time), do: %{"data" => data}
+
+  defp build_fields("geometry_msgs/PoseStamped", %Pose{} = pose, _time),
+    do: {:headed, %{"pose" => Sensors.to_message(pose)}}
+
+  defp build_fields(_name, %Pose{} = pose, _time), do: Sensors.to_message(pose)
+
+  defp build_fields("rosgraph_msgs/Clock", time, _time) when is_integer(time),
+    do: %{"clock" => time}
+
+  defp build_fields(_name, map, _time) when is_map(map), do: map
+  defp build_fields(_name, value, _time), do: %{"data" => value}
 end

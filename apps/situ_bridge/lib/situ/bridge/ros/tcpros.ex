@@ -12,12 +12,12 @@ defmodule Situ.Bridge.Ros.TcpRos do
   Encodes a header.
 
       iex> alias Situ.Bridge.Ros.TcpRos
-      iex> bytes = IO.iodata_to_binary(TcpRos.header(%{"topic" => "/a"}))
+      iex> bytes = IO.iodata_to_binary(TcpRos.encode_header(%{"topic" => "/a"}))
       iex> TcpRos.read_header(bytes <> "rest")
       {:ok, %{"topic" => "/a"}, "rest"}
   """
-  @spec header(%{String.t() => String.t()}) :: iodata()
-  def header(fields) do
+  @spec encode_header(%{String.t() => String.t()}) :: iodata()
+  def encode_header(fields) do
     lines =
       for {name, value} <- fields,
           line = [name, "=", value],
@@ -32,25 +32,26 @@ defmodule Situ.Bridge.Ros.TcpRos do
     do: {:error, "the header has #{n} bytes, which is too large"}
 
   def read_header(<<n::little-32, fields::binary-size(n), rest::binary>>) do
-    with {:ok, fields} <- fields(fields, %{}), do: {:ok, fields, rest}
+    with {:ok, fields} <- parse_fields(fields, %{}), do: {:ok, fields, rest}
   end
 
   def read_header(_short), do: :more
 
-  defp fields("", found), do: {:ok, found}
+  defp parse_fields("", found), do: {:ok, found}
 
-  defp fields(<<n::little-32, line::binary-size(n), rest::binary>>, found) do
+  defp parse_fields(<<n::little-32, line::binary-size(n), rest::binary>>, found) do
     case :binary.split(line, "=") do
-      [name, value] -> fields(rest, Map.put(found, :binary.copy(name), :binary.copy(value)))
+      [name, value] -> parse_fields(rest, Map.put(found, :binary.copy(name), :binary.copy(value)))
       [_] -> {:error, "a field of the header has no ="}
     end
   end
 
-  defp fields(_, _found), do: {:error, "a field of the header is longer than the header"}
+  defp parse_fields(_, _found), do: {:error, "a field of the header is longer than the header"}
 
   @doc "Returns nil if both sides agree on the topic (or service) and type, else a sentence with the difference."
-  @spec differs(%{String.t() => String.t()}, %{String.t() => String.t()}) :: String.t() | nil
-  def differs(theirs, ours) do
+  @spec find_mismatch(%{String.t() => String.t()}, %{String.t() => String.t()}) ::
+          String.t() | nil
+  def find_mismatch(theirs, ours) do
     Enum.find_value(["topic", "service", "md5sum"], fn field ->
       {their, our} = {theirs[field], ours[field]}
 
@@ -62,13 +63,13 @@ defmodule Situ.Bridge.Ros.TcpRos do
   @impl Protocol
   def admit(bytes, ours) do
     with {:ok, theirs, rest} <- read_header(bytes) do
-      case differs(theirs, ours) do
-        nil -> {:ok, header(Map.delete(ours, "port")), rest}
+      case find_mismatch(theirs, ours) do
+        nil -> {:ok, encode_header(Map.delete(ours, "port")), rest}
         why -> {:error, why}
       end
     end
     |> case do
-      {:error, why} -> {:refuse, header(%{"error" => why})}
+      {:error, why} -> {:refuse, encode_header(%{"error" => why})}
       other -> other
     end
   end
@@ -80,20 +81,28 @@ defmodule Situ.Bridge.Ros.TcpRos do
   def heard(_bytes, _ours), do: {:ok, "", ""}
 
   @impl Protocol
-  def hello(_host, _port, fields), do: {header(fields), %{fields: fields, theirs: nil, rest: ""}}
+  def hello(_host, _port, fields),
+    do: {encode_header(fields), %{fields: fields, theirs: nil, rest: ""}}
 
   @impl Protocol
   def read(bytes, %{theirs: nil} = state, most) do
     case read_header(state.rest <> bytes) do
-      {:ok, %{"error" => why}, _rest} -> {:error, "the publisher refused: #{inspect(why)}"}
-      {:ok, theirs, rest} -> agreed(differs(theirs, state.fields), theirs, rest, state, most)
-      :more -> {:ok, [], "", %{state | rest: state.rest <> bytes}}
-      error -> error
+      {:ok, %{"error" => why}, _rest} ->
+        {:error, "the publisher refused: #{inspect(why)}"}
+
+      {:ok, theirs, rest} ->
+        accept_header(find_mismatch(theirs, state.fields), theirs, rest, state, most)
+
+      :more ->
+        {:ok, [], "", %{state | rest: state.rest <> bytes}}
+
+      error ->
+        error
     end
   end
 
   def read(bytes, state, most) do
-    with {:ok, payloads, rest} <- Frames.split(state.rest <> bytes, most),
+    with {:ok, payloads, rest} <- Frames.split_frames(state.rest <> bytes, most),
          do: {:ok, payloads, "", %{state | rest: rest}}
   end
 
@@ -101,8 +110,8 @@ defmodule Situ.Bridge.Ros.TcpRos do
   def missing(%{theirs: nil}), do: 1
   def missing(%{rest: rest}), do: Frames.missing(rest)
 
-  defp agreed(nil, theirs, rest, state, most),
+  defp accept_header(nil, theirs, rest, state, most),
     do: read(rest, %{state | theirs: theirs, rest: ""}, most)
 
-  defp agreed(why, _theirs, _rest, _state, _most), do: {:error, why}
+  defp accept_header(why, _theirs, _rest, _state, _most), do: {:error, why}
 end

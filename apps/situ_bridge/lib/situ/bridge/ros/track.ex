@@ -17,10 +17,10 @@ defmodule Situ.Bridge.Ros.Track do
   defp extra_track(track) do
     %{
       track
-      | id: Extra.number(track.id),
-        topic: Extra.name(track.topic),
+      | id: Extra.stream_number(track.id),
+        topic: Extra.stream_name(track.topic),
         type: "map",
-        codec: Codec.extra(track.codec),
+        codec: Codec.extra_codec(track.codec),
         situ: :map,
         note: nil,
         schema: nil

@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Ros.Wire do
   Decoding never allocates more than the input justifies. CDR is read in both byte orders and written in little-endian
   order, with the alignment of version 1, which ROS 2 uses.
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.{Definition, Number}
 
   @type encoding :: :ros1 | :cdr
@@ -28,81 +28,84 @@ defmodule Situ.Bridge.Ros.Wire do
   @doc "Decodes the message in `bytes`. Returns a sentence with the reason if that fails."
   @spec decode(Definition.t(), binary(), encoding()) :: {:ok, map()} | {:error, String.t()}
   def decode(definition, bytes, encoding) do
-    {value, _cursor} = message(definition.name, definition.types, cursor(bytes, encoding))
+    {value, _cursor} =
+      read_message(definition.name, definition.types, new_cursor(bytes, encoding))
+
     {:ok, value}
   catch
     {:not_ros, why} -> {:error, why}
   end
 
-  defp cursor(bytes, :ros1), do: %Cursor{bytes: bytes, encoding: :ros1}
-  defp cursor(<<0, 1, _::16, rest::binary>>, :cdr), do: %Cursor{bytes: rest, encoding: :cdr}
+  defp new_cursor(bytes, :ros1), do: %Cursor{bytes: bytes, encoding: :ros1}
+  defp new_cursor(<<0, 1, _::16, rest::binary>>, :cdr), do: %Cursor{bytes: rest, encoding: :cdr}
 
-  defp cursor(<<0, 0, _::16, rest::binary>>, :cdr),
+  defp new_cursor(<<0, 0, _::16, rest::binary>>, :cdr),
     do: %Cursor{bytes: rest, encoding: :cdr, order: :big}
 
-  defp cursor(<<_, kind, _::binary>>, :cdr),
-    do: fail("the CDR encapsulation has the kind #{kind}, but only version 1 can be read")
+  defp new_cursor(<<_, kind, _::binary>>, :cdr),
+    do:
+      fail_decoding("the CDR encapsulation has the kind #{kind}, but only version 1 can be read")
 
-  defp cursor(_, :cdr), do: fail("the data is too short for CDR")
+  defp new_cursor(_, :cdr), do: fail_decoding("the data is too short for CDR")
 
-  defp fail(why), do: throw({:not_ros, why})
+  defp fail_decoding(why), do: throw({:not_ros, why})
 
   # In ROS 2, times are messages.
-  defp message(name, _types, cursor)
+  defp read_message(name, _types, cursor)
        when name in ["builtin_interfaces/Time", "builtin_interfaces/Duration"],
-       do: stamp(cursor, :int32)
+       do: read_stamp(cursor, :int32)
 
-  defp message(name, types, cursor) do
+  defp read_message(name, types, cursor) do
     {pairs, cursor} =
       Enum.map_reduce(Map.fetch!(types, name).fields, cursor, fn {field, type}, cursor ->
-        {value, cursor} = value(type, types, cursor)
+        {value, cursor} = read_value(type, types, cursor)
         {{field, value}, cursor}
       end)
 
     {Map.new(pairs), cursor}
   end
 
-  defp value({:message, name}, types, cursor), do: message(name, types, cursor)
-  defp value({:array, type, n}, types, cursor), do: values(n, type, types, cursor)
+  defp read_value({:message, name}, types, cursor), do: read_message(name, types, cursor)
+  defp read_value({:array, type, n}, types, cursor), do: read_values(n, type, types, cursor)
 
-  defp value({:list, type}, types, cursor) do
-    {n, cursor} = number(:uint32, cursor)
-    values(n, type, types, cursor)
+  defp read_value({:list, type}, types, cursor) do
+    {n, cursor} = read_number(:uint32, cursor)
+    read_values(n, type, types, cursor)
   end
 
-  defp value(:string, _types, %{encoding: :ros1} = cursor) do
-    {n, cursor} = number(:uint32, cursor)
-    {text, cursor} = take(n, cursor)
+  defp read_value(:string, _types, %{encoding: :ros1} = cursor) do
+    {n, cursor} = read_number(:uint32, cursor)
+    {text, cursor} = take_bytes(n, cursor)
     {:binary.copy(text), cursor}
   end
 
   # In CDR, the length includes a terminating zero.
-  defp value(:string, _types, cursor) do
-    {n, cursor} = number(:uint32, cursor)
-    {text, cursor} = take(n, cursor)
+  defp read_value(:string, _types, cursor) do
+    {n, cursor} = read_number(:uint32, cursor)
+    {text, cursor} = take_bytes(n, cursor)
     {text |> String.trim_trailing(<<0>>) |> :binary.copy(), cursor}
   end
 
-  defp value(:wstring, _types, cursor) do
-    {n, cursor} = number(:uint32, cursor)
-    {text, cursor} = take(n * 2, cursor)
+  defp read_value(:wstring, _types, cursor) do
+    {n, cursor} = read_number(:uint32, cursor)
+    {text, cursor} = take_bytes(n * 2, cursor)
     order = {:utf16, cursor.order}
 
     case :unicode.characters_to_binary(text, order) do
       text when is_binary(text) -> {text, cursor}
-      _ -> fail("a wide string is not valid UTF-16")
+      _ -> fail_decoding("a wide string is not valid UTF-16")
     end
   end
 
-  defp value(:time, _types, cursor), do: stamp(cursor, :uint32)
-  defp value(:duration, _types, cursor), do: stamp(cursor, :int32)
-  defp value(kind, _types, cursor), do: number(kind, cursor)
+  defp read_value(:time, _types, cursor), do: read_stamp(cursor, :uint32)
+  defp read_value(:duration, _types, cursor), do: read_stamp(cursor, :int32)
+  defp read_value(kind, _types, cursor), do: read_number(kind, cursor)
 
-  defp stamp(cursor, seconds) do
-    {s, cursor} = number(seconds, cursor)
+  defp read_stamp(cursor, seconds) do
+    {s, cursor} = read_number(seconds, cursor)
 
     {ns, cursor} =
-      number(
+      read_number(
         if(cursor.encoding == :ros1 and seconds == :int32, do: :int32, else: :uint32),
         cursor
       )
@@ -110,50 +113,52 @@ defmodule Situ.Bridge.Ros.Wire do
     {s * 1_000_000_000 + ns, cursor}
   end
 
-  defp values(n, type, types, cursor) do
-    case Number.size(type) do
-      nil -> each(n, type, types, cursor)
-      size -> numbers(n, type, size, cursor)
+  defp read_values(n, type, types, cursor) do
+    case Number.number_size(type) do
+      nil -> read_each(n, type, types, cursor)
+      size -> read_numbers(n, type, size, cursor)
     end
   end
 
   # CDR writes no alignment padding for an empty list.
-  defp numbers(0, type, _size, cursor), do: {Number.read_all(type, "", cursor.order), cursor}
+  defp read_numbers(0, type, _size, cursor),
+    do: {Number.decode_all(type, "", cursor.order), cursor}
 
-  defp numbers(n, type, size, cursor) do
-    {bytes, cursor} = cursor |> align(size) |> then(&take(n * size, &1))
-    {Number.read_all(type, bytes, cursor.order), cursor}
+  defp read_numbers(n, type, size, cursor) do
+    {bytes, cursor} = cursor |> align_cursor(size) |> then(&take_bytes(n * size, &1))
+    {Number.decode_all(type, bytes, cursor.order), cursor}
   end
 
   # Rejects impossible lengths: an element takes at least one byte. Lists of messages without fields are not supported.
-  defp each(n, _type, _types, cursor) when n > byte_size(cursor.bytes),
-    do: fail("a list of #{n} elements does not fit into #{byte_size(cursor.bytes)} bytes")
+  defp read_each(n, _type, _types, cursor) when n > byte_size(cursor.bytes),
+    do:
+      fail_decoding("a list of #{n} elements does not fit into #{byte_size(cursor.bytes)} bytes")
 
-  defp each(n, type, types, cursor),
-    do: Enum.map_reduce(1..n//1, cursor, fn _, cursor -> value(type, types, cursor) end)
+  defp read_each(n, type, types, cursor),
+    do: Enum.map_reduce(1..n//1, cursor, fn _, cursor -> read_value(type, types, cursor) end)
 
-  defp number(kind, cursor) do
-    size = Number.size(kind)
-    {bytes, cursor} = cursor |> align(size) |> then(&take(size, &1))
-    {Number.read(kind, bytes, cursor.order), cursor}
+  defp read_number(kind, cursor) do
+    size = Number.number_size(kind)
+    {bytes, cursor} = cursor |> align_cursor(size) |> then(&take_bytes(size, &1))
+    {Number.decode(kind, bytes, cursor.order), cursor}
   end
 
-  defp align(%{encoding: :ros1} = cursor, _size), do: cursor
+  defp align_cursor(%{encoding: :ros1} = cursor, _size), do: cursor
 
-  defp align(cursor, size) do
+  defp align_cursor(cursor, size) do
     case rem(size - rem(cursor.at, size), size) do
       0 -> cursor
-      gap -> cursor |> then(&take(gap, &1)) |> elem(1)
+      gap -> cursor |> then(&take_bytes(gap, &1)) |> elem(1)
     end
   end
 
-  defp take(n, cursor) do
+  defp take_bytes(n, cursor) do
     case cursor.bytes do
-      <<taken::binary-known(n), rest::binary>> ->
+      <<taken::binary-pinned_size(n), rest::binary>> ->
         {taken, %{cursor | bytes: rest, at: cursor.at + n}}
 
       bytes ->
-        fail("the data ends after #{cursor.at + byte_size(bytes)} bytes, within a field")
+        fail_decoding("the data ends after #{cursor.at + byte_size(bytes)} bytes, within a field")
     end
   end
 
@@ -173,49 +178,57 @@ defmodule Situ.Bridge.Ros.Wire do
 
   defp put_message(name, types, message, out, encoding) when is_map(message) or is_nil(message) do
     Enum.reduce(Map.fetch!(types, name).fields, out, fn {field, type}, out ->
-      put(type, types, message && Map.get(message, field), out, encoding)
+      put_value(type, types, message && Map.get(message, field), out, encoding)
     end)
   end
 
   defp put_message(_name, _types, other, _out, _encoding), do: throw({:not_writable, other})
 
-  defp put({:message, name}, types, value, out, encoding),
+  defp put_value({:message, name}, types, value, out, encoding),
     do: put_message(name, types, value, out, encoding)
 
-  defp put({:array, type, n}, types, value, out, encoding) do
-    if value != nil and count(value) != n, do: throw({:not_writable, value})
-    put_values(type, types, value || zeros(type, n), out, encoding)
+  defp put_value({:array, type, n}, types, value, out, encoding) do
+    if value != nil and count_elements(value) != n, do: throw({:not_writable, value})
+    put_values(type, types, value || zero_elements(type, n), out, encoding)
   end
 
-  defp put({:list, type}, types, value, out, encoding) do
+  defp put_value({:list, type}, types, value, out, encoding) do
     value = value || []
-    put_values(type, types, value, put_number(:uint32, count(value), out, encoding), encoding)
+
+    put_values(
+      type,
+      types,
+      value,
+      put_number(:uint32, count_elements(value), out, encoding),
+      encoding
+    )
   end
 
-  defp put(:string, _types, value, out, :ros1) do
-    text = text(value)
-    append(text, put_number(:uint32, byte_size(text), out, :ros1))
+  defp put_value(:string, _types, value, out, :ros1) do
+    text = check_text(value)
+    append_bytes(text, put_number(:uint32, byte_size(text), out, :ros1))
   end
 
-  defp put(:string, _types, value, out, :cdr) do
-    text = text(value) <> <<0>>
-    append(text, put_number(:uint32, byte_size(text), out, :cdr))
+  defp put_value(:string, _types, value, out, :cdr) do
+    text = check_text(value) <> <<0>>
+    append_bytes(text, put_number(:uint32, byte_size(text), out, :cdr))
   end
 
-  defp put(:wstring, _types, value, out, encoding) do
-    text = :unicode.characters_to_binary(text(value), :utf8, {:utf16, :little})
-    append(text, put_number(:uint32, div(byte_size(text), 2), out, encoding))
+  defp put_value(:wstring, _types, value, out, encoding) do
+    text = :unicode.characters_to_binary(check_text(value), :utf8, {:utf16, :little})
+    append_bytes(text, put_number(:uint32, div(byte_size(text), 2), out, encoding))
   end
 
-  defp put(:time, _types, value, out, encoding), do: put_stamp(value || 0, :uint32, out, encoding)
+  defp put_value(:time, _types, value, out, encoding),
+    do: put_stamp(value || 0, :uint32, out, encoding)
 
-  defp put(:duration, _types, value, out, encoding),
+  defp put_value(:duration, _types, value, out, encoding),
     do: put_stamp(value || 0, :int32, out, encoding)
 
-  defp put(kind, _types, nil, out, encoding),
+  defp put_value(kind, _types, nil, out, encoding),
     do: put_number(kind, if(kind == :bool, do: false, else: 0), out, encoding)
 
-  defp put(kind, _types, value, out, encoding), do: put_number(kind, value, out, encoding)
+  defp put_value(kind, _types, value, out, encoding), do: put_number(kind, value, out, encoding)
 
   defp put_stamp(ns, seconds, out, encoding) when is_integer(ns) do
     out = put_number(seconds, Integer.floor_div(ns, 1_000_000_000), out, encoding)
@@ -226,36 +239,36 @@ defmodule Situ.Bridge.Ros.Wire do
 
   defp put_values(kind, _types, bytes, out, _encoding)
        when is_binary(bytes) and kind in [:uint8, :int8],
-       do: append(bytes, out)
+       do: append_bytes(bytes, out)
 
   defp put_values(_type, _types, value, _out, _encoding) when not is_list(value),
     do: throw({:not_writable, value})
 
   defp put_values(type, types, list, out, encoding),
-    do: Enum.reduce(list, out, &put(type, types, &1, &2, encoding))
+    do: Enum.reduce(list, out, &put_value(type, types, &1, &2, encoding))
 
-  defp count(bytes) when is_binary(bytes), do: byte_size(bytes)
-  defp count(list) when is_list(list), do: length(list)
-  defp count(other), do: throw({:not_writable, other})
+  defp count_elements(bytes) when is_binary(bytes), do: byte_size(bytes)
+  defp count_elements(list) when is_list(list), do: length(list)
+  defp count_elements(other), do: throw({:not_writable, other})
 
-  defp zeros(kind, n) when kind in [:uint8, :int8], do: :binary.copy(<<0>>, n)
-  defp zeros(_type, n), do: List.duplicate(nil, n)
+  defp zero_elements(kind, n) when kind in [:uint8, :int8], do: :binary.copy(<<0>>, n)
+  defp zero_elements(_type, n), do: List.duplicate(nil, n)
 
-  defp text(nil), do: ""
-  defp text(text) when is_binary(text), do: text
-  defp text(other), do: throw({:not_writable, other})
+  defp check_text(nil), do: ""
+  defp check_text(text) when is_binary(text), do: text
+  defp check_text(other), do: throw({:not_writable, other})
 
   defp put_number(kind, value, {parts, at}, :cdr) do
-    size = Number.size(kind)
+    size = Number.number_size(kind)
     gap = rem(size - rem(at, size), size)
 
-    append(
-      Number.write(kind, value),
+    append_bytes(
+      Number.encode(kind, value),
       {if(gap == 0, do: parts, else: [<<0::size(gap)-unit(8)>> | parts]), at + gap}
     )
   end
 
-  defp put_number(kind, value, out, :ros1), do: append(Number.write(kind, value), out)
+  defp put_number(kind, value, out, :ros1), do: append_bytes(Number.encode(kind, value), out)
 
-  defp append(bytes, {parts, at}), do: {[bytes | parts], at + byte_size(bytes)}
+  defp append_bytes(bytes, {parts, at}), do: {[bytes | parts], at + byte_size(bytes)}
 end

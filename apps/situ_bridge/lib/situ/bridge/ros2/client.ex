@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Ros2.Client do
     {timeout, opts} = Keyword.pop(opts, :timeout, 5_000)
 
     with {:ok, client} <- start_link(service, type, text, opts) do
-      answer = ask(client, request, timeout)
+      answer = send_request(client, request, timeout)
       stop(client)
       answer
     end
@@ -34,18 +34,18 @@ defmodule Situ.Bridge.Ros2.Client do
   def start_link(service, type, text, opts) do
     opts = Situ.Options.validate!(opts, Zenoh.options())
 
-    with {:ok, about} <- about(service, type, text),
-         {:ok, program} <- Zenoh.program(),
+    with {:ok, about} <- describe_service(service, type, text),
+         {:ok, program} <- Zenoh.find_program(),
          do: GenServer.start_link(__MODULE__, Map.merge(about, %{opts: opts, program: program}))
   end
 
   @doc "Returns the name, types and hash of a service, which its client and server share."
-  @spec about(String.t(), String.t(), String.t()) :: {:ok, map()} | {:error, Error.t()}
-  def about(service, type, text) do
+  @spec describe_service(String.t(), String.t(), String.t()) :: {:ok, map()} | {:error, Error.t()}
+  def describe_service(service, type, text) do
     with {:ok, type} <- type_name(type),
-         {:ok, definition} <- Definition.service(type, text, :ros2) do
+         {:ok, definition} <- Definition.parse_service(type, text, :ros2) do
       name = "/" <> String.trim_leading(service, "/")
-      hash = TypeHash.of_service(type, definition)
+      hash = TypeHash.hash_service(type, definition)
       {:ok, %{name: name, type: type, definition: definition, hash: hash}}
     else
       {:error, why} ->
@@ -59,12 +59,12 @@ defmodule Situ.Bridge.Ros2.Client do
 
   defp type_name(type) do
     if Regex.match?(~r/\A\w+\/(srv\/)?\w+\z/, type),
-      do: {:ok, Definition.plain(type)},
+      do: {:ok, Definition.strip_kind(type)},
       else: {:error, "#{inspect(type)} is not a type name"}
   end
 
-  @spec ask(pid(), map(), pos_integer()) :: {:ok, map()} | {:error, Error.t()}
-  def ask(client, request, timeout),
+  @spec send_request(pid(), map(), pos_integer()) :: {:ok, map()} | {:error, Error.t()}
+  def send_request(client, request, timeout),
     do: GenServer.call(client, {:ask, request, timeout}, :infinity)
 
   @impl true
@@ -80,7 +80,7 @@ defmodule Situ.Bridge.Ros2.Client do
   def handle_call({:ask, request, timeout}, from, state) do
     case Wire.encode(state.definition.request, request, :cdr) do
       {:ok, bytes} ->
-        {:noreply, asked(state, from, bytes, timeout)}
+        {:noreply, schedule_request(state, from, bytes, timeout)}
 
       {:error, why} ->
         what = "a request of #{state.name} cannot be written"
@@ -88,28 +88,28 @@ defmodule Situ.Bridge.Ros2.Client do
     end
   end
 
-  defp asked(%{next: id} = state, from, bytes, timeout) do
+  defp schedule_request(%{next: id} = state, from, bytes, timeout) do
     timer = Process.send_after(self(), {:late, id, timeout}, timeout)
     next = if id == @last, do: @first, else: id + 1
     state = %{state | asked: Map.put(state.asked, id, {from, timer}), next: next}
 
     if state.up?,
-      do: send_off(state, {id, bytes, timeout}),
+      do: send_query(state, {id, bytes, timeout}),
       else: %{state | waiting: [{id, bytes, timeout} | state.waiting]}
   end
 
   # Zenoh waits a little longer than the caller, so that the caller's timer decides.
-  defp send_off(%{opts: opts} = state, {id, bytes, timeout}) do
+  defp send_query(%{opts: opts} = state, {id, bytes, timeout}) do
     state = %{state | sequence: state.sequence + 1}
-    key = Keys.service(opts[:domain], state.name, state.type, state.hash)
-    attachment = Keys.attachment(state.sequence, System.os_time(:nanosecond), state.gid)
-    Zenoh.ask(state.port, id, key, attachment, bytes, timeout + 1_000)
+    key = Keys.service_key(opts[:domain], state.name, state.type, state.hash)
+    attachment = Keys.build_attachment(state.sequence, System.os_time(:nanosecond), state.gid)
+    Zenoh.send_query(state.port, id, key, attachment, bytes, timeout + 1_000)
     state
   end
 
   @impl true
   def handle_info({port, {:data, frame}}, %{port: port} = state),
-    do: {:noreply, frame |> Zenoh.read() |> heard(state)}
+    do: {:noreply, frame |> Zenoh.parse_frame() |> handle_frame(state)}
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
     error = Error.new(:ros_unreachable, "zenoh_port ended with status #{status}")
@@ -128,57 +128,68 @@ defmodule Situ.Bridge.Ros2.Client do
            "start `rmw_zenohd`, or name another router with `router:`"}
 
     error = Error.new(:ros_unreachable, what, why: "after #{timeout} ms", fix: fix)
-    {:noreply, answered(state, id, {:error, error})}
+    {:noreply, reply_to_caller(state, id, {:error, error})}
   end
 
   # The port exits when it is closed. If the process that started the client exits, the client exits too.
   def handle_info({:EXIT, from, reason}, state) when is_pid(from), do: {:stop, reason, state}
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp heard({:open, session}, %{opts: opts, port: port} = state) do
+  defp handle_frame({:open, session}, %{opts: opts, port: port} = state) do
     about = {state.name, state.type, state.hash, nil}
-    Zenoh.token(port, @node, Keys.node(opts[:domain], session, state.node))
-    Zenoh.token(port, @token, Keys.token(:client, opts[:domain], session, state.node, about))
+    Zenoh.declare_token(port, @node, Keys.node_token(opts[:domain], session, state.node))
+
+    Zenoh.declare_token(
+      port,
+      @token,
+      Keys.endpoint_token(:client, opts[:domain], session, state.node, about)
+    )
+
     waiting = Enum.reverse(state.waiting)
-    Enum.reduce(waiting, %{state | up?: true, waiting: []}, &send_off(&2, &1))
+    Enum.reduce(waiting, %{state | up?: true, waiting: []}, &send_query(&2, &1))
   end
 
-  defp heard({:answer, id, _attachment, payload}, state) do
+  defp handle_frame({:answer, id, _attachment, payload}, state) do
     answer =
       with {:error, why} <- Wire.decode(state.definition.response, payload, :cdr),
-           do: {:error, refused("the response of #{state.name} cannot be decoded", why)}
+           do: {:error, refused_error("the response of #{state.name} cannot be decoded", why)}
 
-    answered(state, id, answer)
+    reply_to_caller(state, id, answer)
   end
 
-  defp heard({:refusal, id, why}, state),
+  defp handle_frame({:refusal, id, why}, state),
     do:
-      answered(
+      reply_to_caller(
         state,
         id,
-        {:error, refused("the service #{state.name} refused the call", printable(why))}
+        {:error, refused_error("the service #{state.name} refused the call", printable_text(why))}
       )
 
   # This frame ends a query. If the request is still open, no server has replied.
-  defp heard({:answered, id}, state) do
+  defp handle_frame({:answered, id}, state) do
     error =
       Error.new(:ros_refused, "no server offers the service #{state.name}",
         why: "the client uses #{state.type}, #{state.hash}",
         fix: "start the server, or correct the definition: both sides must use the same type"
       )
 
-    answered(state, id, {:error, error})
+    reply_to_caller(state, id, {:error, error})
   end
 
-  defp heard({:trouble, id, why}, state),
-    do: answered(state, id, {:error, refused("Zenoh cannot call #{state.name}", printable(why))})
+  defp handle_frame({:trouble, id, why}, state),
+    do:
+      reply_to_caller(
+        state,
+        id,
+        {:error, refused_error("Zenoh cannot call #{state.name}", printable_text(why))}
+      )
 
-  defp heard(_other, state), do: state
+  defp handle_frame(_other, state), do: state
 
-  defp refused(what, why), do: Error.new(:ros_refused, what, why: why)
-  defp printable(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
+  defp refused_error(what, why), do: Error.new(:ros_refused, what, why: why)
+  defp printable_text(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
 
-  defp answered(state, id, answer) do
+  defp reply_to_caller(state, id, answer) do
     case Map.pop(state.asked, id) do
       {nil, _} ->
         state

@@ -17,15 +17,15 @@ defmodule Situ.Bridge.Ros2.Server do
     {timeout, opts} = Keyword.pop(opts, :timeout, @patience)
     opts = Situ.Options.validate!(opts, Zenoh.options())
 
-    with {:ok, about} <- Client.about(service, type, text),
-         {:ok, program} <- Zenoh.program() do
+    with {:ok, about} <- Client.describe_service(service, type, text),
+         {:ok, program} <- Zenoh.find_program() do
       given = %{opts: opts, program: program, fun: fun, node: Zenoh.node_name(opts)}
       {:ok, server} = GenServer.start_link(__MODULE__, Map.merge(about, given))
-      ready(server, timeout, opts)
+      await_ready(server, timeout, opts)
     end
   end
 
-  defp ready(server, timeout, opts) do
+  defp await_ready(server, timeout, opts) do
     if GenServer.call(server, {:ready, timeout}, :infinity) do
       {:ok, server}
     else
@@ -56,7 +56,7 @@ defmodule Situ.Bridge.Ros2.Server do
 
   @impl true
   def handle_info({port, {:data, frame}}, %{port: port} = state),
-    do: {:noreply, frame |> Zenoh.read() |> heard(state)}
+    do: {:noreply, frame |> Zenoh.parse_frame() |> handle_frame(state)}
 
   # Callers whose requests are lost get an error from Zenoh.
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
@@ -68,12 +68,12 @@ defmodule Situ.Bridge.Ros2.Server do
   def handle_info(:again, state),
     do: {:noreply, %{state | port: Zenoh.open(state.program, state.opts[:router])}}
 
-  def handle_info(:late, state), do: {:noreply, waited(state, false)}
+  def handle_info(:late, state), do: {:noreply, reply_ready(state, false)}
 
   def handle_info({:EXIT, worker, reason}, %{at_work: at_work} = state)
       when is_map_key(at_work, worker) do
     {{request, attachment}, at_work} = Map.pop(at_work, worker)
-    answer(state, request, attachment, result(reason))
+    send_answer(state, request, attachment, worker_result(reason))
     {:noreply, %{state | at_work: at_work}}
   end
 
@@ -86,54 +86,60 @@ defmodule Situ.Bridge.Ros2.Server do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp result({:answer, answer}), do: answer
-  defp result(reason), do: {:error, "the server failed: #{inspect(reason, limit: 20)}"}
+  defp worker_result({:answer, answer}), do: answer
+  defp worker_result(reason), do: {:error, "the server failed: #{inspect(reason, limit: 20)}"}
 
-  defp answer(state, request, attachment, {:ok, bytes}),
-    do: Zenoh.answer(state.port, @service, request, {:ok, attachment, bytes})
+  defp send_answer(state, request, attachment, {:ok, bytes}),
+    do: Zenoh.send_answer(state.port, @service, request, {:ok, attachment, bytes})
 
-  defp answer(state, request, _attachment, {:error, why}),
-    do: Zenoh.answer(state.port, @service, request, {:error, to_string(why)})
+  defp send_answer(state, request, _attachment, {:error, why}),
+    do: Zenoh.send_answer(state.port, @service, request, {:error, to_string(why)})
 
-  defp heard({:open, session}, %{opts: opts, port: port} = state) do
+  defp handle_frame({:open, session}, %{opts: opts, port: port} = state) do
     about = {state.name, state.type, state.hash, nil}
-    key = Keys.service(opts[:domain], state.name, state.type, state.hash)
-    Zenoh.token(port, @node, Keys.node(opts[:domain], session, state.node))
-    Zenoh.service(port, @service, key)
-    Zenoh.token(port, @token, Keys.token(:server, opts[:domain], session, state.node, about))
-    waited(%{state | up?: true}, true)
+    key = Keys.service_key(opts[:domain], state.name, state.type, state.hash)
+    Zenoh.declare_token(port, @node, Keys.node_token(opts[:domain], session, state.node))
+    Zenoh.declare_service(port, @service, key)
+
+    Zenoh.declare_token(
+      port,
+      @token,
+      Keys.endpoint_token(:server, opts[:domain], session, state.node, about)
+    )
+
+    reply_ready(%{state | up?: true}, true)
   end
 
-  defp heard({:asked, _id, request, attachment, payload}, state) do
-    case Keys.reply(attachment, System.os_time(:nanosecond)) do
+  defp handle_frame({:asked, _id, request, attachment, payload}, state) do
+    case Keys.reply_attachment(attachment, System.os_time(:nanosecond)) do
       {:ok, attachment} ->
-        worker = spawn_link(fn -> exit({:answer, worked(state, payload)}) end)
+        worker = spawn_link(fn -> exit({:answer, run_request(state, payload)}) end)
         %{state | at_work: Map.put(state.at_work, worker, {request, attachment})}
 
       :error ->
         why =
           "a ROS 2 request must have an attachment with its number, its time and the id of the client"
 
-        Zenoh.answer(state.port, @service, request, {:error, why})
+        Zenoh.send_answer(state.port, @service, request, {:error, why})
         state
     end
   end
 
-  defp heard({:trouble, _id, why}, state) do
+  defp handle_frame({:trouble, _id, why}, state) do
     Logger.warning("Zenoh: #{why}")
     state
   end
 
-  defp heard(_other, state), do: state
+  defp handle_frame(_other, state), do: state
 
-  defp waited(%{wait: nil} = state, _up?), do: state
+  defp reply_ready(%{wait: nil} = state, _up?), do: state
 
-  defp waited(state, up?) do
+  defp reply_ready(state, up?) do
     GenServer.reply(state.wait, up?)
     %{state | wait: nil}
   end
 
-  defp worked(%{definition: definition, fun: fun}, payload) do
+  defp run_request(%{definition: definition, fun: fun}, payload) do
     with {:ok, request} <- Wire.decode(definition.request, payload, :cdr),
          {:ok, response} <- fun.(request),
          do: Wire.encode(definition.response, response, :cdr)

@@ -35,7 +35,7 @@ defmodule Situ.Bridge.Ros2.Session do
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
-    with {:ok, program} <- Zenoh.program(),
+    with {:ok, program} <- Zenoh.find_program(),
          do: GenServer.start_link(__MODULE__, {self(), [program: program] ++ opts})
   end
 
@@ -60,10 +60,10 @@ defmodule Situ.Bridge.Ros2.Session do
   def init({owner, opts}) do
     Process.flag(:trap_exit, true)
     state = %__MODULE__{owner: owner, opts: opts, gid: :crypto.strong_rand_bytes(16)}
-    {:ok, begin(state)}
+    {:ok, start_program(state)}
   end
 
-  defp begin(%{opts: opts} = state),
+  defp start_program(%{opts: opts} = state),
     do: %{state | port: Zenoh.open(opts[:program], opts[:router]), up?: false, on_way: 0}
 
   @impl true
@@ -72,7 +72,7 @@ defmodule Situ.Bridge.Ros2.Session do
 
   def handle_call({:put, time, payload}, _from, %{opts: opts} = state) do
     if state.up? and state.on_way < opts[:high_water_mark] do
-      attachment = Keys.attachment(state.sequence + 1, time, state.gid)
+      attachment = Keys.build_attachment(state.sequence + 1, time, state.gid)
       Zenoh.put(state.port, @topic, attachment, payload)
       {:reply, :ok, %{state | sequence: state.sequence + 1, on_way: state.on_way + 1}}
     else
@@ -80,16 +80,16 @@ defmodule Situ.Bridge.Ros2.Session do
     end
   end
 
-  def handle_call({:drain, until}, from, state), do: drain(from, until, state)
+  def handle_call({:drain, until}, from, state), do: drain_samples(from, until, state)
 
-  defp drain(from, until, state) do
-    Linger.drain(from, until, state.on_way)
+  defp drain_samples(from, until, state) do
+    Linger.reply_when_drained(from, until, state.on_way)
     {:noreply, state}
   end
 
   @impl true
   def handle_info({port, {:data, frame}}, %{port: port} = state),
-    do: {:noreply, frame |> Zenoh.read() |> heard(state)}
+    do: {:noreply, frame |> Zenoh.parse_frame() |> handle_frame(state)}
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
     Logger.warning("zenoh_port ended with status #{status}; restarting it")
@@ -97,30 +97,35 @@ defmodule Situ.Bridge.Ros2.Session do
     {:noreply, %{state | port: nil, up?: false}}
   end
 
-  def handle_info(:again, state), do: {:noreply, begin(state)}
-  def handle_info({:drain, from, until}, state), do: drain(from, until, state)
+  def handle_info(:again, state), do: {:noreply, start_program(state)}
+  def handle_info({:drain, from, until}, state), do: drain_samples(from, until, state)
   def handle_info({:EXIT, owner, reason}, %{owner: owner} = state), do: {:stop, reason, state}
   def handle_info(_other, state), do: {:noreply, state}
 
   # The session is open, so the node and its topic can be declared.
-  defp heard({:open, session}, %{opts: opts, port: port} = state) do
+  defp handle_frame({:open, session}, %{opts: opts, port: port} = state) do
     {domain, topic, type, depth} = {opts[:domain], opts[:topic], opts[:type], opts[:depth]}
-    key = Keys.topic(domain, topic, type, opts[:hash])
-    Zenoh.token(port, @node, Keys.node(domain, session, opts[:node]))
+    key = Keys.topic_key(domain, topic, type, opts[:hash])
+    Zenoh.declare_token(port, @node, Keys.node_token(domain, session, opts[:node]))
 
     if opts[:role] == :publisher,
-      do: Zenoh.publisher(port, @topic, key, depth),
-      else: Zenoh.subscriber(port, @topic, key, depth)
+      do: Zenoh.declare_publisher(port, @topic, key, depth),
+      else: Zenoh.declare_subscriber(port, @topic, key, depth)
 
     if type do
       about = {topic, type, opts[:hash], depth}
-      Zenoh.token(port, @token, Keys.token(opts[:role], domain, session, opts[:node], about))
+
+      Zenoh.declare_token(
+        port,
+        @token,
+        Keys.endpoint_token(opts[:role], domain, session, opts[:node], about)
+      )
     end
 
     %{state | up?: true}
   end
 
-  defp heard({:sample, _id, key, attachment, payload}, state) do
+  defp handle_frame({:sample, _id, key, attachment, payload}, state) do
     untaken = state.opts[:untaken]
 
     if :atomics.get(untaken, 1) < state.opts[:high_water_mark] do
@@ -132,14 +137,14 @@ defmodule Situ.Bridge.Ros2.Session do
     end
   end
 
-  defp heard({:put, _id}, state), do: %{state | on_way: max(state.on_way - 1, 0)}
+  defp handle_frame({:put, _id}, state), do: %{state | on_way: max(state.on_way - 1, 0)}
 
-  defp heard({:trouble, _id, why}, state) do
+  defp handle_frame({:trouble, _id, why}, state) do
     Logger.warning("Zenoh: #{why}")
     state
   end
 
-  defp heard(_other, state), do: state
+  defp handle_frame(_other, state), do: state
 
   @impl true
   def terminate(_reason, state), do: Zenoh.close(state.port)

@@ -13,7 +13,8 @@ defmodule Situ.Bridge.Ros2.Sink do
                   "See `depth:` for their number."
             ]
           ] ++
-            Source.common() ++ Keyword.drop(Outlet.options(), [:format, :listening, :wait_for])
+            Source.common_options() ++
+            Keyword.drop(Outlet.options(), [:format, :listening, :wait_for])
   @moduledoc false
   # Publishes a stream as a topic as soon as its type is known from the options or from the first message.
   use Situ.Component, inputs: [in: :any], options: @schema
@@ -28,10 +29,10 @@ defmodule Situ.Bridge.Ros2.Sink do
 
   @impl true
   def handle_start(_context, state) do
-    if state.opts[:ros_type], do: {[], open(state, nil)}, else: {[], state}
+    if state.opts[:ros_type], do: {[], open_topic(state, nil)}, else: {[], state}
   end
 
-  defp open(%{opts: opts} = state, first) do
+  defp open_topic(%{opts: opts} = state, first) do
     given = [
       type: opts[:ros_type],
       definition: opts[:definition],
@@ -45,9 +46,9 @@ defmodule Situ.Bridge.Ros2.Sink do
     about = [
       role: :publisher,
       node: Zenoh.node_name(opts),
-      depth: Source.depth(opts),
+      depth: Source.latch_depth(opts),
       type: definition.name,
-      hash: TypeHash.of(definition)
+      hash: TypeHash.hash_definition(definition)
     ]
 
     session =
@@ -55,22 +56,22 @@ defmodule Situ.Bridge.Ros2.Sink do
       |> Session.start_link()
 
     session = Situ.Error.unwrap!(session)
-    %{state | channel: channel, outlet: Outlet.open(state.outlet, Session, session, nil)}
+    %{state | channel: channel, outlet: Outlet.attach_door(state.outlet, Session, session, nil)}
   end
 
   @impl true
   def handle_message(:in, message, context, %{channel: nil} = state),
-    do: handle_message(:in, message, context, open(state, message.data))
+    do: handle_message(:in, message, context, open_topic(state, message.data))
 
   def handle_message(:in, message, _context, state) do
     time = message.originating_time
     bytes = Situ.Error.unwrap!(Channel.encode(state.channel, message.data, time))
-    state.outlet |> Outlet.take({time, bytes}) |> with_outlet(state)
+    state.outlet |> Outlet.send_payload({time, bytes}) |> with_outlet(state)
   end
 
   @impl true
   def handle_info(message, _context, state),
-    do: state.outlet |> Outlet.told(message) |> with_outlet(state)
+    do: state.outlet |> Outlet.handle_stage_message(message) |> with_outlet(state)
 
   defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
 
@@ -81,8 +82,8 @@ defmodule Situ.Bridge.Ros2.Sink do
     do: {[], %{state | outlet: Outlet.close(state.outlet)}}
 
   @impl true
-  def terminate(_reason, state), do: Outlet.abandon(state.outlet)
+  def terminate(_reason, state), do: Outlet.close_now(state.outlet)
 
   @impl true
-  def describe(state), do: Outlet.describe(state.outlet)
+  def describe(state), do: Outlet.describe_peers(state.outlet)
 end

@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Ros2.Source do
                 "Also receives the last messages sent before, if the publisher keeps them (durability TRANSIENT_LOCAL)."
             ],
             type: [type: :any, default: :any, doc: "The type of the stream."]
-          ] ++ @common ++ Codec.options()
+          ] ++ @common ++ Codec.reader_options()
   @moduledoc false
   # Subscribes to a topic. The source never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
@@ -51,10 +51,10 @@ defmodule Situ.Bridge.Ros2.Source do
   alias Situ.Bridge.Ros2.{Keys, Session, TypeHash}
 
   def schema, do: @schema
-  def common, do: @common
+  def common_options, do: @common
 
   @doc "Returns the depth of the session according to `latch:` and `depth:`, or nil."
-  def depth(opts), do: if(opts[:latch], do: opts[:depth])
+  def latch_depth(opts), do: if(opts[:latch], do: opts[:depth])
 
   @impl true
   def init(opts) do
@@ -64,23 +64,23 @@ defmodule Situ.Bridge.Ros2.Source do
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
-    {known, about} = expected(opts)
+    {known, about} = expected_type(opts)
 
     given = [role: :subscriber, untaken: state.untaken, node: Zenoh.node_name(opts)]
-    given = [depth: depth(opts)] ++ given ++ about
+    given = [depth: latch_depth(opts)] ++ given ++ about
     given = given ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark])
     session = given |> Session.start_link() |> Situ.Error.unwrap!()
     {[{:complete, :infinity}], %{state | session: session, known: known}}
   end
 
   # If the options name a type, only that type is accepted.
-  defp expected(opts) do
+  defp expected_type(opts) do
     if opts[:ros_type] do
-      type = Definition.plain(opts[:ros_type])
+      type = Definition.strip_kind(opts[:ros_type])
 
-      case definition(type, opts[:definition]) do
+      case find_definition(type, opts[:definition]) do
         {:ok, definition} ->
-          {%{type => {:ok, definition}}, [type: type, hash: TypeHash.of(definition)]}
+          {%{type => {:ok, definition}}, [type: type, hash: TypeHash.hash_definition(definition)]}
 
         {:error, why} ->
           raise Situ.Error.new(:bad_definition, "the definition of #{type} is invalid",
@@ -94,73 +94,77 @@ defmodule Situ.Bridge.Ros2.Source do
   end
 
   @doc false
-  def definition(type, nil) do
+  def find_definition(type, nil) do
     case Library.fetch(type, :ros2) do
       {:ok, text} -> Definition.parse(type, text, :ros2)
       :error -> {:error, "it is not a standard ROS type"}
     end
   end
 
-  def definition(type, text), do: Definition.parse(type, text, :ros2)
+  def find_definition(type, text), do: Definition.parse(type, text, :ros2)
 
   @impl true
   def handle_info({:ros2, {key, attachment, payload}}, context, state) do
     :atomics.sub(state.untaken, 1, 1)
-    {definition, state} = known(Keys.type(key), state)
-    read = read(payload, definition, Keys.time(attachment), context.now, state.opts)
-    {actions, inlet} = Inlet.take_read(state.inlet, [read])
+    {definition, state} = ensure_definition(Keys.parse_type(key), state)
+
+    read =
+      decode_payload(payload, definition, Keys.parse_time(attachment), context.now, state.opts)
+
+    {actions, inlet} = Inlet.take_decoded(state.inlet, [read])
     {actions, %{state | inlet: inlet}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp known(:error, state), do: {{:error, "the key of the message contains no type"}, state}
+  defp ensure_definition(:error, state),
+    do: {{:error, "the key of the message contains no type"}, state}
 
-  defp known({:ok, type}, %{known: known} = state) do
+  defp ensure_definition({:ok, type}, %{known: known} = state) do
     case known do
       %{^type => definition} ->
         {definition, state}
 
       _ ->
-        definition = definition(type, state.opts[:definition])
+        definition = find_definition(type, state.opts[:definition])
         # A topic has one type, so a small cache is enough.
         known = if map_size(known) < 16, do: known, else: %{}
         {definition, %{state | known: Map.put(known, type, definition)}}
     end
   end
 
-  defp read(_payload, {:error, why}, _sent, _now, _opts), do: {:error, why}
+  defp decode_payload(_payload, {:error, why}, _sent, _now, _opts), do: {:error, why}
 
-  defp read(payload, {:ok, definition}, sent, now, opts) do
+  defp decode_payload(payload, {:ok, definition}, sent, now, opts) do
     with {:ok, message} <- Wire.decode(definition, payload, :cdr) do
-      time = time(opts[:times], message, sent)
-      {:ok, {time || now, time != nil, value(definition.name, message, opts)}}
+      time = choose_time(opts[:times], message, sent)
+      {:ok, {time || now, time != nil, convert_value(definition.name, message, opts)}}
     end
   end
 
-  defp time(:header, %{"header" => %{"stamp" => stamp}}, _sent) when stamp > 0, do: stamp
-  defp time(:arrival, _message, _sent), do: nil
-  defp time(_times, _message, sent), do: sent
+  defp choose_time(:header, %{"header" => %{"stamp" => stamp}}, _sent) when stamp > 0, do: stamp
+  defp choose_time(:arrival, _message, _sent), do: nil
+  defp choose_time(_times, _message, sent), do: sent
 
-  defp value(name, message, opts) do
+  defp convert_value(name, message, opts) do
     if opts[:messages] == :maps,
       do: message,
-      else: Standard.from(name, message, "/" <> String.trim_leading(opts[:topic], "/"))
+      else: Standard.from_message(name, message, "/" <> String.trim_leading(opts[:topic], "/"))
   end
 
   @impl true
-  def handle_stop(_final_time, _context, state), do: {[], close(state)}
+  def handle_stop(_final_time, _context, state), do: {[], stop_session(state)}
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def terminate(_reason, state), do: stop_session(state)
 
-  defp close(%{session: nil} = state), do: state
+  defp stop_session(%{session: nil} = state), do: state
 
-  defp close(state) do
+  defp stop_session(state) do
     Session.stop(state.session)
     %{state | session: nil}
   end
 
   @impl true
-  def describe(state), do: Inlet.describe(state.inlet)
+  def describe(state), do: Inlet.describe_counts(state.inlet)
 end

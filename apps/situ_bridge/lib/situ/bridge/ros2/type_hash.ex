@@ -27,26 +27,26 @@ defmodule Situ.Bridge.Ros2.TypeHash do
   Returns the hash of a ROS 2 definition.
 
       iex> {:ok, text} = Situ.Bridge.Ros.Definition.parse("std_msgs/String", "string data", :ros2)
-      iex> Situ.Bridge.Ros2.TypeHash.of(text)
+      iex> Situ.Bridge.Ros2.TypeHash.hash_definition(text)
       "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
   """
-  @spec of(Definition.t()) :: String.t()
-  def of(%Definition{name: name, types: types}), do: hash(name, types, [])
+  @spec hash_definition(Definition.t()) :: String.t()
+  def hash_definition(%Definition{name: name, types: types}), do: hash_type(name, types, [])
 
   @doc """
   Returns the hash of a service, which covers its request, its response, and the event message about its calls.
 
       iex> text = "int64 a\\nint64 b\\n---\\nint64 sum"
-      iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("example_interfaces/AddTwoInts", text, :ros2)
-      iex> Situ.Bridge.Ros2.TypeHash.of_service("example_interfaces/AddTwoInts", service)
+      iex> {:ok, service} = Situ.Bridge.Ros.Definition.parse_service("example_interfaces/AddTwoInts", text, :ros2)
+      iex> Situ.Bridge.Ros2.TypeHash.hash_service("example_interfaces/AddTwoInts", service)
       "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
   """
-  @spec of_service(String.t(), %{
+  @spec hash_service(String.t(), %{
           :request => Definition.t(),
           :response => Definition.t(),
           optional(atom()) => term()
         }) :: String.t()
-  def of_service(name, %{request: request, response: response}) do
+  def hash_service(name, %{request: request, response: response}) do
     parts = [
       "#{request.name} request_message\n#{response.name} response_message\n#{name}_Event event_message",
       "MSG: #{name}_Event\nservice_msgs/ServiceEventInfo info\n" <>
@@ -57,61 +57,61 @@ defmodule Situ.Bridge.Ros2.TypeHash do
 
     text = Enum.join(parts, "\n" <> String.duplicate("=", 80) <> "\n")
     {:ok, definition} = Definition.parse(name, text, :ros2)
-    hash(name, definition.types, [name | for(part <- @parts, do: name <> part)])
+    hash_type(name, definition.types, [name | for(part <- @parts, do: name <> part)])
   end
 
   # `services` contains the types that belong to a service; their full names contain `/srv/`.
-  defp hash(name, types, services) do
-    others = name |> needed(types, MapSet.new()) |> MapSet.delete(name)
-    referenced = others |> Enum.sort_by(&spelled(&1, services))
+  defp hash_type(name, types, services) do
+    others = name |> collect_types(types, MapSet.new()) |> MapSet.delete(name)
+    referenced = others |> Enum.sort_by(&full_name(&1, services))
 
     json = [
       ~s({"type_description": ),
-      described(name, types, services),
+      describe_type(name, types, services),
       ~s(, "referenced_type_descriptions": [),
-      referenced |> Enum.map(&described(&1, types, services)) |> Enum.intersperse(", "),
+      referenced |> Enum.map(&describe_type(&1, types, services)) |> Enum.intersperse(", "),
       "]}"
     ]
 
     "RIHS01_" <> Base.encode16(:crypto.hash(:sha256, json), case: :lower)
   end
 
-  defp needed(name, types, found) do
+  defp collect_types(name, types, found) do
     if name in found do
       found
     else
       for {_, type} <- types[name].fields,
-          {:message, inner} <- [innermost(type)],
+          {:message, inner} <- [element_type(type)],
           reduce: MapSet.put(found, name) do
-        found -> needed(inner, types, found)
+        found -> collect_types(inner, types, found)
       end
     end
   end
 
-  defp innermost({:array, type, _}), do: type
-  defp innermost({:list, type}), do: type
-  defp innermost(type), do: type
+  defp element_type({:array, type, _}), do: type
+  defp element_type({:list, type}), do: type
+  defp element_type(type), do: type
 
-  defp spelled(name, services) do
+  defp full_name(name, services) do
     kind = if name in services, do: "/srv/", else: "/msg/"
     String.replace(name, "/", kind, global: false)
   end
 
-  defp described(name, types, services) do
+  defp describe_type(name, types, services) do
     %{fields: fields, spelled: spelled} = types[name]
-    fields = Enum.zip_with(fields, spelled, &field(&1, &2, services))
+    fields = Enum.zip_with(fields, spelled, &describe_field(&1, &2, services))
 
     [
-      ~s({"type_name": "#{spelled(name, services)}", "fields": [),
+      ~s({"type_name": "#{full_name(name, services)}", "fields": [),
       Enum.intersperse(fields, ", "),
       "]}"
     ]
   end
 
-  defp field({name, type}, spelled, services) do
-    {id, nested} = id(innermost(type), spelled, services)
-    {text, list?, bound} = bounds(spelled)
-    {above, capacity} = array(type, list?, bound)
+  defp describe_field({name, type}, spelled, services) do
+    {id, nested} = type_id(element_type(type), spelled, services)
+    {text, list?, bound} = parse_bounds(spelled)
+    {above, capacity} = array_capacity(type, list?, bound)
     # Bounded strings have separate type ids.
     id = if text > 0, do: id + 4, else: id
 
@@ -119,26 +119,26 @@ defmodule Situ.Bridge.Ros2.TypeHash do
       ~s("string_capacity": #{text}, "nested_type_name": "#{nested}"}})
   end
 
-  defp id({:message, name}, _spelled, services), do: {1, spelled(name, services)}
-  defp id(:int8, "byte" <> _, _services), do: {16, ""}
-  defp id(type, _spelled, _services), do: {Map.fetch!(@ids, type), ""}
+  defp type_id({:message, name}, _spelled, services), do: {1, full_name(name, services)}
+  defp type_id(:int8, "byte" <> _, _services), do: {16, ""}
+  defp type_id(type, _spelled, _services), do: {Map.fetch!(@ids, type), ""}
 
   # Parses the maximum lengths of a string and of a list.
-  defp bounds(spelled) do
+  defp parse_bounds(spelled) do
     [_, text, bounded, n] =
       ~r/\A[\w\/]+?(?:<=(\d+))?(?:\[(<=)?(\d*)\])?\z/
       |> Regex.run(spelled)
       |> Kernel.++(["", "", "", ""])
       |> Enum.take(4)
 
-    {number(text), bounded != "", number(n)}
+    {parse_number(text), bounded != "", parse_number(n)}
   end
 
-  defp number(""), do: 0
-  defp number(digits), do: String.to_integer(digits)
+  defp parse_number(""), do: 0
+  defp parse_number(digits), do: String.to_integer(digits)
 
-  defp array({:array, _, n}, _bounded?, _n), do: {48, n}
-  defp array({:list, _}, true, n), do: {96, n}
-  defp array({:list, _}, false, _n), do: {144, 0}
-  defp array(_type, _bounded?, _n), do: {0, 0}
+  defp array_capacity({:array, _, n}, _bounded?, _n), do: {48, n}
+  defp array_capacity({:list, _}, true, n), do: {96, n}
+  defp array_capacity({:list, _}, false, _n), do: {144, 0}
+  defp array_capacity(_type, _bounded?, _n), do: {0, 0}
 end

@@ -40,8 +40,8 @@ defmodule Situ.Bridge.Ros2.Zenoh do
     do: opts[:node] || "situ_" <> Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
 
   @doc "Finds the program. Error: `:no_zenoh_port`."
-  @spec program() :: {:ok, Path.t()} | {:error, Error.t()}
-  def program do
+  @spec find_program() :: {:ok, Path.t()} | {:error, Error.t()}
+  def find_program do
     built = Path.join([:code.priv_dir(:situ_bridge), "zenoh", "zenoh_port"])
     path = System.get_env("SITU_ZENOH_PORT") || built
 
@@ -74,64 +74,74 @@ defmodule Situ.Bridge.Ros2.Zenoh do
   end
 
   @doc "Declares a publisher that keeps the last `depth` samples for later subscribers, or none if `depth` is nil."
-  @spec publisher(port(), id(), String.t(), depth :: pos_integer() | nil) :: true
-  def publisher(port, id, key, nil), do: tell(port, 1, id, key)
-  def publisher(port, id, key, depth), do: tell(port, 7, id, [<<depth::32>>, key])
+  @spec declare_publisher(port(), id(), String.t(), depth :: pos_integer() | nil) :: true
+  def declare_publisher(port, id, key, nil), do: send_command(port, 1, id, key)
+  def declare_publisher(port, id, key, depth), do: send_command(port, 7, id, [<<depth::32>>, key])
 
   @doc "Declares a subscriber that also gets the last `depth` earlier samples, or none if `depth` is nil."
-  @spec subscriber(port(), id(), String.t(), depth :: pos_integer() | nil) :: true
-  def subscriber(port, id, key, nil), do: tell(port, 3, id, key)
-  def subscriber(port, id, key, depth), do: tell(port, 8, id, [<<depth::32>>, key])
+  @spec declare_subscriber(port(), id(), String.t(), depth :: pos_integer() | nil) :: true
+  def declare_subscriber(port, id, key, nil), do: send_command(port, 3, id, key)
+
+  def declare_subscriber(port, id, key, depth),
+    do: send_command(port, 8, id, [<<depth::32>>, key])
 
   @spec put(port(), id(), attachment :: binary(), payload :: iodata()) :: true
-  def put(port, id, attachment, payload), do: tell(port, 2, id, [sized(attachment), payload])
+  def put(port, id, attachment, payload),
+    do: send_command(port, 2, id, [with_size(attachment), payload])
 
   @doc "Declares the liveliness token of a node or of an end of a topic or service."
-  @spec token(port(), id(), String.t()) :: true
-  def token(port, id, key), do: tell(port, 4, id, key)
+  @spec declare_token(port(), id(), String.t()) :: true
+  def declare_token(port, id, key), do: send_command(port, 4, id, key)
 
-  @spec service(port(), id(), String.t()) :: true
-  def service(port, id, key), do: tell(port, 9, id, key)
+  @spec declare_service(port(), id(), String.t()) :: true
+  def declare_service(port, id, key), do: send_command(port, 9, id, key)
 
-  @spec ask(port(), id(), String.t(), binary(), iodata(), timeout :: pos_integer()) :: true
-  def ask(port, id, key, attachment, payload, timeout),
-    do: tell(port, 10, id, [<<timeout::32>>, sized(key), sized(attachment), payload])
+  @spec send_query(port(), id(), String.t(), binary(), iodata(), timeout :: pos_integer()) :: true
+  def send_query(port, id, key, attachment, payload, timeout),
+    do:
+      send_command(port, 10, id, [<<timeout::32>>, with_size(key), with_size(attachment), payload])
 
-  @spec answer(port(), id(), request :: id(), {:ok, binary(), iodata()} | {:error, String.t()}) ::
+  @spec send_answer(
+          port(),
+          id(),
+          request :: id(),
+          {:ok, binary(), iodata()} | {:error, String.t()}
+        ) ::
           true
-  def answer(port, id, request, {:ok, attachment, payload}),
-    do: tell(port, 11, id, [<<request::32>>, sized(attachment), payload])
+  def send_answer(port, id, request, {:ok, attachment, payload}),
+    do: send_command(port, 11, id, [<<request::32>>, with_size(attachment), payload])
 
-  def answer(port, id, request, {:error, why}), do: tell(port, 12, id, [<<request::32>>, why])
+  def send_answer(port, id, request, {:error, why}),
+    do: send_command(port, 12, id, [<<request::32>>, why])
 
-  defp tell(port, what, id, rest), do: Port.command(port, [what, <<id::32>>, rest])
-  defp sized(part), do: [<<byte_size(part)::16>>, part]
+  defp send_command(port, what, id, rest), do: Port.command(port, [what, <<id::32>>, rest])
+  defp with_size(part), do: [<<byte_size(part)::16>>, part]
 
   @doc """
   Parses a frame from the program.
 
-      iex> Situ.Bridge.Ros2.Zenoh.read(<<4, 7::32>>)
+      iex> Situ.Bridge.Ros2.Zenoh.parse_frame(<<4, 7::32>>)
       {:put, 7}
   """
-  @spec read(binary()) :: heard()
-  def read(<<1, session::binary>>), do: {:open, session}
+  @spec parse_frame(binary()) :: heard()
+  def parse_frame(<<1, session::binary>>), do: {:open, session}
 
-  def read(
+  def parse_frame(
         <<2, id::32, n::16, key::binary-size(n), m::16, attached::binary-size(m),
           payload::binary>>
       ),
       do: {:sample, id, key, attached, payload}
 
-  def read(<<4, id::32>>), do: {:put, id}
+  def parse_frame(<<4, id::32>>), do: {:put, id}
 
-  def read(<<5, id::32, request::32, n::16, attached::binary-size(n), payload::binary>>),
+  def parse_frame(<<5, id::32, request::32, n::16, attached::binary-size(n), payload::binary>>),
     do: {:asked, id, request, attached, payload}
 
-  def read(<<6, id::32, n::16, attached::binary-size(n), payload::binary>>),
+  def parse_frame(<<6, id::32, n::16, attached::binary-size(n), payload::binary>>),
     do: {:answer, id, attached, payload}
 
-  def read(<<7, id::32, why::binary>>), do: {:refusal, id, why}
-  def read(<<8, id::32>>), do: {:answered, id}
-  def read(<<255, id::32, why::binary>>), do: {:trouble, id, why}
-  def read(_other), do: :unknown
+  def parse_frame(<<7, id::32, why::binary>>), do: {:refusal, id, why}
+  def parse_frame(<<8, id::32>>), do: {:answered, id}
+  def parse_frame(<<255, id::32, why::binary>>), do: {:trouble, id, why}
+  def parse_frame(_other), do: :unknown
 end

@@ -7,25 +7,26 @@ defmodule Situ.Bridge.Tcp.Frames do
   @doc """
   Splits `bytes` into complete payloads and the remaining bytes.
 
-      iex> Situ.Bridge.Tcp.Frames.split(<<2, 0, 0, 0, "ab", 9>>, 100)
+      iex> Situ.Bridge.Tcp.Frames.split_frames(<<2, 0, 0, 0, "ab", 9>>, 100)
       {:ok, ["ab"], <<9>>}
-      iex> Situ.Bridge.Tcp.Frames.split(<<200, 0, 0, 0>>, 100)
+      iex> Situ.Bridge.Tcp.Frames.split_frames(<<200, 0, 0, 0>>, 100)
       {:error, "a frame of 200 bytes; the limit is 100"}
   """
-  @spec split(binary(), pos_integer()) :: {:ok, [binary()], binary()} | {:error, String.t()}
-  def split(bytes, most), do: split(bytes, most, [])
+  @spec split_frames(binary(), pos_integer()) ::
+          {:ok, [binary()], binary()} | {:error, String.t()}
+  def split_frames(bytes, most), do: collect_payloads(bytes, most, [])
 
-  defp split(<<n::little-32, _::binary>>, most, _found) when n > most,
+  defp collect_payloads(<<n::little-32, _::binary>>, most, _found) when n > most,
     do: {:error, "a frame of #{n} bytes; the limit is #{most}"}
 
-  defp split(<<n::little-32, payload::binary-size(n), rest::binary>>, most, found),
-    do: split(rest, most, [alone(payload, rest) | found])
+  defp collect_payloads(<<n::little-32, payload::binary-size(n), rest::binary>>, most, found),
+    do: collect_payloads(rest, most, [copy_payload(payload, rest) | found])
 
-  defp split(rest, _most, found), do: {:ok, Enum.reverse(found), rest}
+  defp collect_payloads(rest, _most, found), do: {:ok, Enum.reverse(found), rest}
 
   # Copying a payload releases the received binary. A payload that makes up most of its binary is not copied.
-  defp alone(payload, rest) when byte_size(payload) > byte_size(rest) + 65_536, do: payload
-  defp alone(payload, _rest), do: :binary.copy(payload)
+  defp copy_payload(payload, rest) when byte_size(payload) > byte_size(rest) + 65_536, do: payload
+  defp copy_payload(payload, _rest), do: :binary.copy(payload)
 
   @doc "Encodes a payload as a frame."
   @impl Protocol
@@ -43,7 +44,7 @@ defmodule Situ.Bridge.Tcp.Frames do
 
   @impl Protocol
   def read(bytes, rest, most) do
-    with {:ok, payloads, rest} <- split(rest <> bytes, most), do: {:ok, payloads, "", rest}
+    with {:ok, payloads, rest} <- split_frames(rest <> bytes, most), do: {:ok, payloads, "", rest}
   end
 
   # An empty payload never waits for bytes: it is returned together with its length.

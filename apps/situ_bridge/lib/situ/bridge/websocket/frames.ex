@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.WebSocket.Frames do
   @moduledoc false
   # Encodes and decodes WebSocket frames (RFC 6455, section 5). Pure.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   import Bitwise
 
   @opcodes %{1 => :text, 2 => :binary, 8 => :close, 9 => :ping, 10 => :pong}
@@ -14,26 +14,28 @@ defmodule Situ.Bridge.WebSocket.Frames do
   @doc """
   Encodes one frame; a client masks it with four random bytes.
 
-      iex> Situ.Bridge.WebSocket.Frames.frame(:text, "hi") |> IO.iodata_to_binary()
+      iex> Situ.Bridge.WebSocket.Frames.encode_frame(:text, "hi") |> IO.iodata_to_binary()
       <<0x81, 2, "hi">>
   """
-  @spec frame(atom(), iodata(), mask :: binary() | nil) :: iodata()
-  def frame(kind, payload, mask \\ nil) do
+  @spec encode_frame(atom(), iodata(), mask :: binary() | nil) :: iodata()
+  def encode_frame(kind, payload, mask \\ nil) do
     head = <<1::1, 0::3, @numbers[kind]::4>>
-    [head, length(IO.iodata_length(payload), mask) | body(payload, mask)]
+    [head, encode_length(IO.iodata_length(payload), mask) | encode_body(payload, mask)]
   end
 
-  defp length(n, mask) when n < 126, do: <<bit(mask)::1, n::7>>
-  defp length(n, mask) when n < 65_536, do: <<bit(mask)::1, 126::7, n::16>>
-  defp length(n, mask), do: <<bit(mask)::1, 127::7, n::64>>
+  defp encode_length(n, mask) when n < 126, do: <<mask_bit(mask)::1, n::7>>
+  defp encode_length(n, mask) when n < 65_536, do: <<mask_bit(mask)::1, 126::7, n::16>>
+  defp encode_length(n, mask), do: <<mask_bit(mask)::1, 127::7, n::64>>
 
-  defp bit(nil), do: 0
-  defp bit(_mask), do: 1
+  defp mask_bit(nil), do: 0
+  defp mask_bit(_mask), do: 1
 
-  defp body(payload, nil), do: [payload]
-  defp body(payload, mask), do: [mask, payload |> IO.iodata_to_binary() |> masked(mask)]
+  defp encode_body(payload, nil), do: [payload]
 
-  defp masked(payload, mask) do
+  defp encode_body(payload, mask),
+    do: [mask, payload |> IO.iodata_to_binary() |> apply_mask(mask)]
+
+  defp apply_mask(payload, mask) do
     n = byte_size(payload)
     :crypto.exor(payload, binary_part(:binary.copy(mask, div(n, 4) + 1), 0, n))
   end
@@ -42,12 +44,13 @@ defmodule Situ.Bridge.WebSocket.Frames do
   Splits `bytes` into complete messages; returns them with the remaining bytes and the incomplete message, if any.
   Frames must be masked (sent by a client) if `masked?` is true, and unmasked otherwise. Errors are sentences.
   """
-  @spec split(binary(), begun(), masked? :: boolean(), most :: pos_integer()) ::
+  @spec split_messages(binary(), begun(), masked? :: boolean(), most :: pos_integer()) ::
           {:ok, [event()], binary(), begun()} | {:error, String.t()}
-  def split(bytes, begun, masked?, most), do: all(bytes, begun, {masked?, most}, [])
+  def split_messages(bytes, begun, masked?, most),
+    do: collect_events(bytes, begun, {masked?, most}, [])
 
-  defp all(bytes, begun, {masked?, most} = how, found) do
-    case one(bytes, most) do
+  defp collect_events(bytes, begun, {masked?, most} = how, found) do
+    case parse_frame(bytes, most) do
       :more ->
         {:ok, Enum.reverse(found), bytes, begun}
 
@@ -55,39 +58,39 @@ defmodule Situ.Bridge.WebSocket.Frames do
         {:error, "a frame that is #{if masked?, do: "not ", else: ""}masked"}
 
       {:ok, fin, opcode, mask, payload, rest} ->
-        payload = if mask, do: masked(payload, mask), else: :binary.copy(payload)
+        payload = if mask, do: apply_mask(payload, mask), else: :binary.copy(payload)
 
-        with {:ok, event, begun} <- take(opcode, fin, payload, begun, most),
-             do: all(rest, begun, how, List.wrap(event) ++ found)
+        with {:ok, event, begun} <- add_frame(opcode, fin, payload, begun, most),
+             do: collect_events(rest, begun, how, List.wrap(event) ++ found)
 
       error ->
         error
     end
   end
 
-  defp one(<<_fin::1, reserved::3, _::bitstring>>, _most) when reserved != 0,
+  defp parse_frame(<<_fin::1, reserved::3, _::bitstring>>, _most) when reserved != 0,
     do: {:error, "a frame with reserved bits"}
 
-  defp one(<<fin::1, 0::3, opcode::4, m::1, 127::7, n::64, rest::binary>>, most),
-    do: sized(fin, opcode, m, n, rest, most)
+  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, 127::7, n::64, rest::binary>>, most),
+    do: split_frame(fin, opcode, m, n, rest, most)
 
-  defp one(<<fin::1, 0::3, opcode::4, m::1, 126::7, n::16, rest::binary>>, most),
-    do: sized(fin, opcode, m, n, rest, most)
+  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, 126::7, n::16, rest::binary>>, most),
+    do: split_frame(fin, opcode, m, n, rest, most)
 
-  defp one(<<fin::1, 0::3, opcode::4, m::1, n::7, rest::binary>>, most) when n < 126,
-    do: sized(fin, opcode, m, n, rest, most)
+  defp parse_frame(<<fin::1, 0::3, opcode::4, m::1, n::7, rest::binary>>, most) when n < 126,
+    do: split_frame(fin, opcode, m, n, rest, most)
 
-  defp one(_short, _most), do: :more
+  defp parse_frame(_short, _most), do: :more
 
-  defp sized(_fin, _opcode, _m, n, _rest, most) when n > most,
+  defp split_frame(_fin, _opcode, _m, n, _rest, most) when n > most,
     do: {:error, "a frame of #{n} bytes; the limit is #{most}"}
 
-  defp sized(fin, opcode, m, n, bytes, _most) do
+  defp split_frame(fin, opcode, m, n, bytes, _most) do
     case bytes do
-      <<mask::binary-4, payload::binary-known(n), rest::binary>> when m == 1 ->
+      <<mask::binary-4, payload::binary-pinned_size(n), rest::binary>> when m == 1 ->
         {:ok, fin, opcode, mask, payload, rest}
 
-      <<payload::binary-known(n), rest::binary>> when m == 0 ->
+      <<payload::binary-pinned_size(n), rest::binary>> when m == 0 ->
         {:ok, fin, opcode, nil, payload, rest}
 
       _ ->
@@ -96,16 +99,16 @@ defmodule Situ.Bridge.WebSocket.Frames do
   end
 
   @doc "Returns the minimum number of bytes that an incomplete frame lacks."
-  @spec missing(binary()) :: pos_integer()
-  def missing(<<_, m::1, 127::7, n::64, rest::binary>>), do: left(m, n, rest)
-  def missing(<<_, m::1, 126::7, n::16, rest::binary>>), do: left(m, n, rest)
-  def missing(<<_, m::1, n::7, rest::binary>>) when n < 126, do: left(m, n, rest)
-  def missing(_short), do: 1
+  @spec missing_bytes(binary()) :: pos_integer()
+  def missing_bytes(<<_, m::1, 127::7, n::64, rest::binary>>), do: remaining_bytes(m, n, rest)
+  def missing_bytes(<<_, m::1, 126::7, n::16, rest::binary>>), do: remaining_bytes(m, n, rest)
+  def missing_bytes(<<_, m::1, n::7, rest::binary>>) when n < 126, do: remaining_bytes(m, n, rest)
+  def missing_bytes(_short), do: 1
 
-  defp left(masked, n, rest), do: max(4 * masked + n - byte_size(rest), 1)
+  defp remaining_bytes(masked, n, rest), do: max(4 * masked + n - byte_size(rest), 1)
 
   # Control frames are never fragmented, and may arrive between the parts of a message.
-  defp take(opcode, fin, payload, begun, _most) when (opcode &&& 8) != 0 do
+  defp add_frame(opcode, fin, payload, begun, _most) when (opcode &&& 8) != 0 do
     case @opcodes[opcode] do
       kind when kind != nil and fin == 1 and byte_size(payload) < 126 ->
         {:ok, {kind, payload}, begun}
@@ -115,10 +118,10 @@ defmodule Situ.Bridge.WebSocket.Frames do
     end
   end
 
-  defp take(0, _fin, _payload, nil, _most),
+  defp add_frame(0, _fin, _payload, nil, _most),
     do: {:error, "a continuation frame without a first frame"}
 
-  defp take(0, fin, payload, {kind, parts}, most) do
+  defp add_frame(0, fin, payload, {kind, parts}, most) do
     parts = [payload | parts]
 
     cond do
@@ -133,12 +136,12 @@ defmodule Situ.Bridge.WebSocket.Frames do
     end
   end
 
-  defp take(opcode, fin, payload, nil, _most) when opcode in [1, 2] do
+  defp add_frame(opcode, fin, payload, nil, _most) when opcode in [1, 2] do
     if fin == 1,
       do: {:ok, {@opcodes[opcode], payload}, nil},
       else: {:ok, nil, {@opcodes[opcode], [payload]}}
   end
 
-  defp take(opcode, _fin, _payload, _begun, _most),
+  defp add_frame(opcode, _fin, _payload, _begun, _most),
     do: {:error, "an unexpected frame with opcode #{opcode}"}
 end

@@ -13,75 +13,82 @@ defmodule Situ.Bridge.WebSocket.Handshake do
   one first (`[]` accepts any and names none). Returns the response, the protocol, the path of the request, and the
   bytes after it.
   """
-  @spec admit(binary(), keyword()) ::
+  @spec admit_client(binary(), keyword()) ::
           {:ok, iodata(), protocol :: String.t() | nil, path :: String.t(), rest :: binary()}
           | :more
           | {:refuse, iodata()}
-  def admit(bytes, opts) do
+  def admit_client(bytes, opts) do
     case :binary.split(bytes, "\r\n\r\n") do
-      [head, rest] -> judged(head, rest, opts)
-      [_] when byte_size(bytes) > @most -> refuse("431 Request Header Fields Too Large", "")
-      [_] -> :more
+      [head, rest] ->
+        check_request(head, rest, opts)
+
+      [_] when byte_size(bytes) > @most ->
+        refuse_request("431 Request Header Fields Too Large", "")
+
+      [_] ->
+        :more
     end
   end
 
-  defp judged(head, rest, opts) do
+  defp check_request(head, rest, opts) do
     [line | lines] = String.split(head, "\r\n")
-    headers = headers(lines)
+    headers = parse_headers(lines)
     key = headers["sec-websocket-key"]
 
     with ["GET", path, "HTTP/1.1"] <- String.split(line, " "),
-         {:upgrade, true} <- {:upgrade, upgrade?(headers) and key != nil},
-         {:origin, true} <- {:origin, known?(headers["origin"], opts[:origins] || [])},
-         {:ok, protocol} <- protocol(headers, opts[:protocols] || []) do
-      {:ok, response(key, protocol), protocol, path, rest}
+         {:upgrade, true} <- {:upgrade, upgrade_request?(headers) and key != nil},
+         {:origin, true} <- {:origin, allowed_origin?(headers["origin"], opts[:origins] || [])},
+         {:ok, protocol} <- choose_protocol(headers, opts[:protocols] || []) do
+      {:ok, build_response(key, protocol), protocol, path, rest}
     else
       {:upgrade, false} ->
-        refuse("426 Upgrade Required", "This address only serves WebSockets.\n")
+        refuse_request("426 Upgrade Required", "This address only serves WebSockets.\n")
 
       {:origin, false} ->
-        refuse(
+        refuse_request(
           "403 Forbidden",
           "Pages of this site may not connect; see the option `origins:`.\n"
         )
 
       {:error, wanted} ->
-        refuse(
+        refuse_request(
           "400 Bad Request",
           "Request a supported subprotocol: #{Enum.join(wanted, ", ")}.\n"
         )
 
       _ ->
-        refuse("400 Bad Request", "")
+        refuse_request("400 Bad Request", "")
     end
   end
 
   @doc "Parses the headers of a request or a response, with lower-case names."
-  @spec headers([String.t()]) :: %{String.t() => String.t()}
-  def headers(lines) do
+  @spec parse_headers([String.t()]) :: %{String.t() => String.t()}
+  def parse_headers(lines) do
     for line <- lines,
         [name, value] <- [:binary.split(line, ":")],
         into: %{},
-        do: {name |> ascii() |> String.downcase(), value |> ascii() |> String.trim()}
+        do:
+          {name |> printable_ascii() |> String.downcase(),
+           value |> printable_ascii() |> String.trim()}
   end
 
   # String functions fail on bytes that are not valid UTF-8.
-  defp ascii(text), do: for(<<byte <- text>>, byte in 32..126, into: "", do: <<byte>>)
+  defp printable_ascii(text), do: for(<<byte <- text>>, byte in 32..126, into: "", do: <<byte>>)
 
-  defp upgrade?(headers), do: String.downcase(headers["upgrade"] || "") == "websocket"
+  defp upgrade_request?(headers), do: String.downcase(headers["upgrade"] || "") == "websocket"
 
-  defp known?(nil, _origins), do: true
+  defp allowed_origin?(nil, _origins), do: true
 
-  defp known?(origin, origins) do
+  defp allowed_origin?(origin, origins) do
     host = URI.parse(origin).host
     origin in origins or host in ["localhost", "127.0.0.1", "::1"]
   rescue
     URI.Error -> false
   end
 
-  defp protocol(_headers, []), do: {:ok, nil}
+  defp choose_protocol(_headers, []), do: {:ok, nil}
 
-  defp protocol(headers, ours) do
+  defp choose_protocol(headers, ours) do
     theirs =
       (headers["sec-websocket-protocol"] || "") |> String.split(",") |> Enum.map(&String.trim/1)
 
@@ -91,20 +98,20 @@ defmodule Situ.Bridge.WebSocket.Handshake do
     end
   end
 
-  defp response(key, protocol) do
+  defp build_response(key, protocol) do
     [
       "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: ",
-      accept(key),
+      accept_key(key),
       if(protocol, do: ["\r\nSec-WebSocket-Protocol: ", protocol], else: []),
       "\r\n\r\n"
     ]
   end
 
-  defp accept(key), do: Base.encode64(:crypto.hash(:sha, key <> @salt))
+  defp accept_key(key), do: Base.encode64(:crypto.hash(:sha, key <> @salt))
 
   @doc "Builds an HTTP response that ends the connection."
-  @spec refuse(String.t(), String.t()) :: {:refuse, iodata()}
-  def refuse(status, text) do
+  @spec refuse_request(String.t(), String.t()) :: {:refuse, iodata()}
+  def refuse_request(status, text) do
     head =
       "\r\nConnection: close\r\nContent-Type: text/plain\r\nContent-Length: #{byte_size(text)}\r\n\r\n"
 
@@ -112,8 +119,9 @@ defmodule Situ.Bridge.WebSocket.Handshake do
   end
 
   @doc "Builds a client's request and its key."
-  @spec request(String.t(), :inet.port_number(), String.t()) :: {iodata(), key :: String.t()}
-  def request(host, port, path) do
+  @spec build_request(String.t(), :inet.port_number(), String.t()) ::
+          {iodata(), key :: String.t()}
+  def build_request(host, port, path) do
     key = Base.encode64(:crypto.strong_rand_bytes(16))
 
     {[
@@ -123,9 +131,9 @@ defmodule Situ.Bridge.WebSocket.Handshake do
   end
 
   @doc "Checks the response to a client's request."
-  @spec accepted(binary(), key :: String.t()) ::
+  @spec check_response(binary(), key :: String.t()) ::
           {:ok, rest :: binary()} | :more | {:error, String.t()}
-  def accepted(bytes, key) do
+  def check_response(bytes, key) do
     case :binary.split(bytes, "\r\n\r\n") do
       [head, rest] ->
         [status | lines] = String.split(head, "\r\n")
@@ -134,7 +142,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
           not String.starts_with?(status, "HTTP/1.1 101") ->
             {:error, "the server responded with #{inspect(status)}"}
 
-          headers(lines)["sec-websocket-accept"] != accept(key) ->
+          parse_headers(lines)["sec-websocket-accept"] != accept_key(key) ->
             {:error, "the server is not a WebSocket server"}
 
           true ->

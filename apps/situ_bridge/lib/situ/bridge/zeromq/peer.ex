@@ -23,32 +23,32 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   @impl true
   def handle_info(:connect, %{address: {host, port}} = state) do
     case :gen_tcp.connect(host, port, tcp_options(), @handshake) do
-      {:ok, tcp} -> begin(tcp, state)
+      {:ok, tcp} -> begin_handshake(tcp, state)
       {:error, reason} -> {:stop, {:shutdown, {:unreachable, reason}}, state}
     end
   end
 
   def handle_info({:adopt, tcp}, state) do
     :inet.setopts(tcp, tcp_options())
-    begin(tcp, state)
+    begin_handshake(tcp, state)
   end
 
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
-    missing = if state.phase == :open, do: Wire.missing(state.buffer), else: 1
+    missing = if state.phase == :open, do: Wire.missing_bytes(state.buffer), else: 1
 
-    with {:ok, bytes, pieces} <- Pieces.add(state.pieces, bytes, missing),
+    with {:ok, bytes, pieces} <- Pieces.add_bytes(state.pieces, bytes, missing),
          state = %{state | buffer: state.buffer <> bytes, pieces: pieces},
-         {:ok, state} <- read(state) do
-      {:noreply, arm(state)}
+         {:ok, state} <- handle_buffer(state) do
+      {:noreply, arm_socket(state)}
     else
-      {:more, pieces} -> {:noreply, arm(%{state | pieces: pieces})}
+      {:more, pieces} -> {:noreply, arm_socket(%{state | pieces: pieces})}
       {:error, why} -> {:stop, {:shutdown, {:refused, why}}, state}
     end
   end
 
   def handle_info({:tcp_closed, _}, state), do: {:stop, {:shutdown, :closed}, state}
   def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
-  def handle_info(:arm, state), do: {:noreply, arm(state)}
+  def handle_info(:arm, state), do: {:noreply, arm_socket(state)}
   def handle_info(:too_slow, %{phase: :open} = state), do: {:noreply, state}
 
   def handle_info(:too_slow, state),
@@ -62,19 +62,19 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   end
 
   defp tcp_options,
-    do: [mode: :binary, active: false, buffer: Pieces.buffer()] ++ Outbox.options()
+    do: [mode: :binary, active: false, buffer: Pieces.buffer_size()] ++ Outbox.socket_options()
 
-  defp begin(tcp, state) do
+  defp begin_handshake(tcp, state) do
     case :gen_tcp.send(tcp, Wire.greeting()) do
-      :ok -> {:noreply, arm(%{state | tcp: tcp})}
+      :ok -> {:noreply, arm_socket(%{state | tcp: tcp})}
       {:error, reason} -> {:stop, {:shutdown, reason}, state}
     end
   end
 
   # While the component has too many unprocessed messages, nothing more is read, so the other side queues or drops them.
-  defp arm(%{tcp: nil} = state), do: state
+  defp arm_socket(%{tcp: nil} = state), do: state
 
-  defp arm(state) do
+  defp arm_socket(state) do
     if :atomics.get(state.untaken, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)
@@ -82,11 +82,11 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     state
   end
 
-  defp read(%{phase: :greeting} = state) do
-    case Wire.greeted(state.buffer) do
+  defp handle_buffer(%{phase: :greeting} = state) do
+    case Wire.parse_greeting(state.buffer) do
       {:ok, rest} ->
-        :ok = ok(:gen_tcp.send(state.tcp, Wire.ready(state.type)))
-        read(%{state | phase: :ready, buffer: rest})
+        :ok = ignore_result(:gen_tcp.send(state.tcp, Wire.encode_ready(state.type)))
+        handle_buffer(%{state | phase: :ready, buffer: rest})
 
       :more ->
         {:ok, state}
@@ -96,14 +96,17 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     end
   end
 
-  defp read(%{phase: :ready} = state) do
-    case Wire.readied(state.buffer, state.type, 65_536) do
+  defp handle_buffer(%{phase: :ready} = state) do
+    case Wire.parse_ready(state.buffer, state.type, 65_536) do
       {:ok, rest} ->
         for prefix <- state.subscriptions,
-            do: ok(:gen_tcp.send(state.tcp, Wire.subscription(:subscribe, prefix)))
+            do:
+              ignore_result(
+                :gen_tcp.send(state.tcp, Wire.encode_subscription(:subscribe, prefix))
+              )
 
         send(state.socket, {:peer, self(), :open})
-        read(%{state | phase: :open, buffer: rest})
+        handle_buffer(%{state | phase: :open, buffer: rest})
 
       :more ->
         {:ok, state}
@@ -113,9 +116,9 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     end
   end
 
-  defp read(%{phase: :open} = state) do
+  defp handle_buffer(%{phase: :open} = state) do
     with {:ok, events, parts, rest} <-
-           Wire.events(state.buffer, state.parts, state.type, state.most) do
+           Wire.parse_events(state.buffer, state.parts, state.type, state.most) do
       messages = for {:message, frames} <- events, do: frames
 
       for {kind, prefix} when kind != :message <- events,
@@ -131,5 +134,5 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   end
 
   # A broken connection is reported when it closes.
-  defp ok(_result), do: :ok
+  defp ignore_result(_result), do: :ok
 end

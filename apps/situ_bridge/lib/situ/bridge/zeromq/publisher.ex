@@ -22,13 +22,13 @@ defmodule Situ.Bridge.ZeroMQ.Publisher do
   end
 
   @doc "Registers another stream."
-  @spec expect(t()) :: :ok
-  def expect(%__MODULE__{server: server}), do: GenServer.call(server, :expect)
+  @spec expect_stream(t()) :: :ok
+  def expect_stream(%__MODULE__{server: server}), do: GenServer.call(server, :expect)
 
   @doc "Opens the socket for a stream; returns its handle and the listening port. Errors: see `Socket.open/3`."
-  @spec open(t()) ::
+  @spec open_stream(t()) ::
           {:ok, {pid(), pid()}, :inet.port_number() | nil} | {:error, Error.t()}
-  def open(%__MODULE__{server: server}), do: GenServer.call(server, :open, :infinity)
+  def open_stream(%__MODULE__{server: server}), do: GenServer.call(server, :open, :infinity)
 
   @impl Outlet
   def ready({_server, socket}), do: Socket.ready(socket)
@@ -55,12 +55,12 @@ defmodule Situ.Bridge.ZeroMQ.Publisher do
 
   def handle_call(:open, _from, %{socket: nil} = state) do
     case Socket.open(:pub, state.address, [most: @most] ++ state.opts) do
-      {:ok, socket} -> {:reply, opened(socket, state), %{state | socket: socket}}
+      {:ok, socket} -> {:reply, open_reply(socket, state), %{state | socket: socket}}
       error -> {:reply, error, state}
     end
   end
 
-  def handle_call(:open, _from, state), do: {:reply, opened(state.socket, state), state}
+  def handle_call(:open, _from, state), do: {:reply, open_reply(state.socket, state), state}
 
   def handle_call({:done, timeout}, _from, %{streams: 1} = state) do
     lost = if state.socket, do: Socket.close(state.socket, timeout), else: 0
@@ -70,7 +70,7 @@ defmodule Situ.Bridge.ZeroMQ.Publisher do
   def handle_call({:done, _timeout}, _from, state),
     do: {:reply, 0, %{state | streams: state.streams - 1}}
 
-  defp opened(socket, state),
+  defp open_reply(socket, state),
     do: {:ok, {self(), socket}, if(state.opts[:bind], do: Socket.port(socket))}
 
   @impl GenServer

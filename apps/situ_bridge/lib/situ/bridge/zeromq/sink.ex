@@ -32,23 +32,23 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
 
   @impl true
   def handle_start(_context, outlet) do
-    if outlet.opts[:shared], do: shared(outlet), else: own(outlet)
+    if outlet.opts[:shared], do: open_shared(outlet), else: open_own(outlet)
   end
 
-  defp shared(%{opts: opts} = outlet) do
-    case Publisher.open(opts[:shared]) do
-      {:ok, door, port} -> {[], Outlet.open(outlet, Publisher, door, port)}
+  defp open_shared(%{opts: opts} = outlet) do
+    case Publisher.open_stream(opts[:shared]) do
+      {:ok, door, port} -> {[], Outlet.attach_door(outlet, Publisher, door, port)}
       {:error, error} -> raise error
     end
   end
 
-  defp own(%{opts: opts} = outlet) do
+  defp open_own(%{opts: opts} = outlet) do
     given = Keyword.take(opts, [:bind, :high_water_mark])
 
     case Socket.open(opts[:socket], opts[:address], [most: @most] ++ given) do
       {:ok, socket} ->
         port = if opts[:bind], do: Socket.port(socket)
-        {[], Outlet.open(outlet, Socket, socket, port)}
+        {[], Outlet.attach_door(outlet, Socket, socket, port)}
 
       {:error, error} ->
         raise error
@@ -57,10 +57,10 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
 
   @impl true
   def handle_message(:in, message, _context, outlet),
-    do: Outlet.take(outlet, frames(message, outlet.opts))
+    do: Outlet.send_payload(outlet, build_frames(message, outlet.opts))
 
-  defp frames(message, opts) do
-    payload = Outlet.payload(message, opts)
+  defp build_frames(message, opts) do
+    payload = Outlet.encode_payload(message, opts)
     if opts[:socket] == :pub, do: [opts[:topic], payload], else: [payload]
   end
 end

@@ -31,8 +31,8 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @doc "Opens a socket that listens or connects. Errors: `:bad_address`, `:address_in_use`."
   @spec open(Wire.type(), String.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def open(type, address, opts) do
-    with {:ok, parsed} <- parse(address),
-         {:ok, listener} <- listen(parsed, opts[:bind]) do
+    with {:ok, parsed} <- parse_address(address),
+         {:ok, listener} <- open_listener(parsed, opts[:bind]) do
       args = %{type: type, address: parsed, listener: listener, owner: self(), opts: opts}
       {:ok, socket} = GenServer.start_link(__MODULE__, args)
       if listener, do: :ok = :gen_tcp.controlling_process(listener, socket)
@@ -44,14 +44,15 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @doc """
   Parses an address to a host and a port.
 
-      iex> Situ.Bridge.ZeroMQ.Socket.parse("tcp://127.0.0.1:5555")
+      iex> Situ.Bridge.ZeroMQ.Socket.parse_address("tcp://127.0.0.1:5555")
       {:ok, {'127.0.0.1', 5555}}
-      iex> {:error, error} = Situ.Bridge.ZeroMQ.Socket.parse("ipc:///tmp/x")
+      iex> {:error, error} = Situ.Bridge.ZeroMQ.Socket.parse_address("ipc:///tmp/x")
       iex> error.code
       :bad_address
   """
-  @spec parse(String.t()) :: {:ok, {charlist(), :inet.port_number()}} | {:error, Error.t()}
-  def parse(address) do
+  @spec parse_address(String.t()) ::
+          {:ok, {charlist(), :inet.port_number()}} | {:error, Error.t()}
+  def parse_address(address) do
     with [_, host, port] <-
            Regex.run(~r"\Atcp://([^:/]+|\[[0-9a-fA-F:]+\]):(\d{1,5})\z", address),
          port when port <= 65_535 <- String.to_integer(port) do
@@ -82,17 +83,17 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def dropped(socket), do: GenServer.call(socket, :dropped)
 
   @doc "Records that the owner has taken `n` messages."
-  def taken(socket_state, n), do: :atomics.sub(socket_state, 1, n)
+  def subtract_taken(socket_state, n), do: :atomics.sub(socket_state, 1, n)
 
-  @doc "Returns the counter of untaken messages, which `taken/2` decrements."
-  def untaken(socket), do: GenServer.call(socket, :untaken)
+  @doc "Returns the counter of untaken messages, which `subtract_taken/2` decrements."
+  def untaken_counter(socket), do: GenServer.call(socket, :untaken)
 
   @doc "Waits until everything has been handed to the network, at most `timeout` ms, and closes."
   @impl Outlet
   defdelegate close(socket, timeout), to: Linger
 
-  defp listen(_parsed, false), do: {:ok, nil}
-  defp listen({host, port}, true), do: Listener.listen(to_string(host), port)
+  defp open_listener(_parsed, false), do: {:ok, nil}
+  defp open_listener({host, port}, true), do: Listener.listen(to_string(host), port)
 
   @impl true
   def init(args) do
@@ -105,7 +106,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def handle_call(:port, _from, state), do: {:reply, Listener.port(state.listener), state}
 
   def handle_call(:adopt, _from, state) do
-    {pid, state} = peer(state, nil)
+    {pid, state} = start_peer(state, nil)
     {:reply, pid, state}
   end
 
@@ -121,7 +122,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     do: {:reply, Enum.count(state.peers, fn {_, p} -> p.open? end), state}
 
   def handle_call({:put, [topic | _] = frames}, _from, %{type: :pub} = state) do
-    bytes = Wire.message(frames)
+    bytes = Wire.encode_message(frames)
 
     wanting =
       for {pid, peer} <- state.peers,
@@ -129,7 +130,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
           Enum.any?(peer.wants, &String.starts_with?(topic, &1)),
           do: {pid, peer}
 
-    dropped = Enum.count(wanting, &(put(&1, bytes, state) == :full))
+    dropped = Enum.count(wanting, &(put_message(&1, bytes, state) == :full))
     {:reply, :ok, %{state | dropped: state.dropped + dropped}}
   end
 
@@ -137,53 +138,54 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def handle_call({:put, frames}, _from, %{type: :push} = state) do
     open = Enum.filter(state.peers, fn {_, peer} -> peer.open? end)
     {before, from} = Enum.split(open, rem(state.turn, max(length(open), 1)))
-    bytes = Wire.message(frames)
-    sent = Enum.any?(from ++ before, &(put(&1, bytes, state) == :ok))
+    bytes = Wire.encode_message(frames)
+    sent = Enum.any?(from ++ before, &(put_message(&1, bytes, state) == :ok))
     {:reply, if(sent, do: :ok, else: :full), %{state | turn: state.turn + 1}}
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.drain(from, until, waiting(state), state.type == :pub)
+    Linger.reply_when_drained(from, until, count_waiting(state), state.type == :pub)
     {:noreply, state}
   end
 
-  defp waiting(state),
-    do: state.peers |> Enum.map(fn {_, p} -> Outbox.waiting(p.queued) end) |> Enum.sum()
+  defp count_waiting(state),
+    do: state.peers |> Enum.map(fn {_, p} -> Outbox.count_waiting(p.queued) end) |> Enum.sum()
 
-  defp put({pid, peer}, bytes, state),
+  defp put_message({pid, peer}, bytes, state),
     do: Outbox.put(peer.queued, pid, bytes, state.opts[:high_water_mark])
 
   @impl true
   def handle_info(:begin, %{bind?: true} = state),
-    do: {:noreply, %{state | acceptor: Listener.begin(state.listener, self())}}
+    do: {:noreply, %{state | acceptor: Listener.start_acceptor(state.listener, self())}}
 
-  def handle_info(:begin, state), do: {:noreply, connect(state)}
+  def handle_info(:begin, state), do: {:noreply, connect_peer(state)}
 
   def handle_info({:drain, from, until}, state) do
-    Linger.drain(from, until, waiting(state), state.type == :pub)
+    Linger.reply_when_drained(from, until, count_waiting(state), state.type == :pub)
     {:noreply, state}
   end
 
   def handle_info({:peer, pid, :open}, state),
-    do: {:noreply, update(%{state | wait: @first_wait, told: nil}, pid, &%{&1 | open?: true})}
+    do:
+      {:noreply, update_peer(%{state | wait: @first_wait, told: nil}, pid, &%{&1 | open?: true})}
 
   def handle_info({:peer, pid, {:subscribe, prefix}}, state),
-    do: {:noreply, update(state, pid, &%{&1 | wants: [prefix | &1.wants]})}
+    do: {:noreply, update_peer(state, pid, &%{&1 | wants: [prefix | &1.wants]})}
 
   def handle_info({:peer, pid, {:unsubscribe, prefix}}, state),
-    do: {:noreply, update(state, pid, &%{&1 | wants: List.delete(&1.wants, prefix)})}
+    do: {:noreply, update_peer(state, pid, &%{&1 | wants: List.delete(&1.wants, prefix)})}
 
   def handle_info({:EXIT, pid, reason}, %{acceptor: pid} = state), do: {:stop, reason, state}
 
   def handle_info({:EXIT, pid, reason}, state) when is_map_key(state.peers, pid) do
-    state = state |> Map.update!(:peers, &Map.delete(&1, pid)) |> tell(reason)
+    state = state |> Map.update!(:peers, &Map.delete(&1, pid)) |> report_failure(reason)
     unless state.bind?, do: Process.send_after(self(), :again, state.wait)
     {:noreply, %{state | wait: min(state.wait * 2, @longest_wait)}}
   end
 
   def handle_info({:EXIT, pid, reason}, %{owner: pid} = state), do: {:stop, reason, state}
   def handle_info({:EXIT, _pid, _reason}, state), do: {:noreply, state}
-  def handle_info(:again, state), do: {:noreply, connect(state)}
+  def handle_info(:again, state), do: {:noreply, connect_peer(state)}
 
   # A normal exit does not propagate through links, so the connections are stopped explicitly.
   @impl true
@@ -192,14 +194,15 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     if state.listener, do: :gen_tcp.close(state.listener)
   end
 
-  defp update(state, pid, fun) do
+  defp update_peer(state, pid, fun) do
     if is_map_key(state.peers, pid),
       do: %{state | peers: Map.update!(state.peers, pid, fun)},
       else: state
   end
 
   # A repeated error is logged once, not at every attempt.
-  defp tell(state, {:shutdown, {kind, _} = reason}) when kind in [:refused, :unreachable] do
+  defp report_failure(state, {:shutdown, {kind, _} = reason})
+       when kind in [:refused, :unreachable] do
     if state.told != reason,
       do:
         Logger.warning(
@@ -209,11 +212,11 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     %{state | told: reason}
   end
 
-  defp tell(state, _reason), do: state
+  defp report_failure(state, _reason), do: state
 
-  defp connect(state), do: state |> peer(state.address) |> elem(1)
+  defp connect_peer(state), do: state |> start_peer(state.address) |> elem(1)
 
-  defp peer(state, address) do
+  defp start_peer(state, address) do
     queued = Outbox.new()
 
     {:ok, pid} =

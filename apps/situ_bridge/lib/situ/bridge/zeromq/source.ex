@@ -52,7 +52,8 @@ defmodule Situ.Bridge.ZeroMQ.Source do
         if opts[:listening] && opts[:bind],
           do: send(opts[:listening], {:listening, Socket.port(socket)})
 
-        {[{:complete, :infinity}], %{state | socket: socket, untaken: Socket.untaken(socket)}}
+        {[{:complete, :infinity}],
+         %{state | socket: socket, untaken: Socket.untaken_counter(socket)}}
 
       {:error, error} ->
         raise error
@@ -61,17 +62,17 @@ defmodule Situ.Bridge.ZeroMQ.Source do
 
   @impl true
   def handle_info({:zeromq, messages}, context, state) do
-    Socket.taken(state.untaken, length(messages))
-    payloads = Enum.flat_map(messages, &payload(&1, state.opts))
-    {actions, inlet} = Inlet.take(state.inlet, payloads, context.now)
+    Socket.subtract_taken(state.untaken, length(messages))
+    payloads = Enum.flat_map(messages, &take_payload(&1, state.opts))
+    {actions, inlet} = Inlet.take_payloads(state.inlet, payloads, context.now)
     {actions, %{state | inlet: inlet}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp payload([payload], opts), do: if(opts[:socket] == :pull, do: [payload], else: [])
+  defp take_payload([payload], opts), do: if(opts[:socket] == :pull, do: [payload], else: [])
 
-  defp payload([topic, payload], opts) do
+  defp take_payload([topic, payload], opts) do
     cond do
       opts[:socket] == :pull -> [payload]
       topic == opts[:topic] or opts[:prefix] -> [payload]
@@ -79,21 +80,21 @@ defmodule Situ.Bridge.ZeroMQ.Source do
     end
   end
 
-  defp payload(_frames, _opts), do: [""]
+  defp take_payload(_frames, _opts), do: [""]
 
   @impl true
-  def handle_stop(_final_time, _context, state), do: {[], close(state)}
+  def handle_stop(_final_time, _context, state), do: {[], close_socket(state)}
 
   @impl true
-  def terminate(_reason, state), do: close(state)
+  def terminate(_reason, state), do: close_socket(state)
 
-  defp close(%{socket: nil} = state), do: state
+  defp close_socket(%{socket: nil} = state), do: state
 
-  defp close(state) do
+  defp close_socket(state) do
     Socket.close(state.socket, 0)
     %{state | socket: nil}
   end
 
   @impl true
-  def describe(state), do: Inlet.describe(state.inlet)
+  def describe(state), do: Inlet.describe_counts(state.inlet)
 end

@@ -15,8 +15,8 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   def greeting, do: @greeting
 
   @doc "Checks the greeting of the other side."
-  @spec greeted(binary()) :: {:ok, rest :: binary()} | :more | {:error, String.t()}
-  def greeted(
+  @spec parse_greeting(binary()) :: {:ok, rest :: binary()} | :more | {:error, String.t()}
+  def parse_greeting(
         <<0xFF, _::64, 0x7F, major, _minor, mechanism::binary-20, _::binary-32, rest::binary>>
       ) do
     cond do
@@ -32,25 +32,25 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
     end
   end
 
-  def greeted(<<0xFF, _::binary>> = short) when byte_size(short) < 64, do: :more
-  def greeted(""), do: :more
-  def greeted(_), do: {:error, "its greeting is not ZMTP"}
+  def parse_greeting(<<0xFF, _::binary>> = short) when byte_size(short) < 64, do: :more
+  def parse_greeting(""), do: :more
+  def parse_greeting(_), do: {:error, "its greeting is not ZMTP"}
 
   @doc "Encodes the command that announces the type of this socket."
-  @spec ready(type()) :: iodata()
-  def ready(type) do
+  @spec encode_ready(type()) :: iodata()
+  def encode_ready(type) do
     name = @names[type]
     body = <<5, "READY", 11, "Socket-Type", byte_size(name)::32, name::binary>>
     [<<0x04, byte_size(body)>>, body]
   end
 
   @doc "Checks the READY command of the other side, whose socket type must be compatible with `type`."
-  @spec readied(binary(), type(), pos_integer()) ::
+  @spec parse_ready(binary(), type(), pos_integer()) ::
           {:ok, rest :: binary()} | :more | {:error, String.t()}
-  def readied(bytes, type, most) do
-    case frame(bytes, most) do
+  def parse_ready(bytes, type, most) do
+    case parse_frame(bytes, most) do
       {:ok, {flags, <<5, "READY", properties::binary>>}, rest} when (flags &&& 4) != 0 ->
-        theirs = property(properties, "socket-type")
+        theirs = find_property(properties, "socket-type")
 
         if theirs in @peers[type],
           do: {:ok, rest},
@@ -70,22 +70,25 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
     end
   end
 
-  defp property(<<n, name::binary-size(n), m::32, value::binary-size(m), rest::binary>>, wanted),
-    do: if(String.downcase(name) == wanted, do: value, else: property(rest, wanted))
+  defp find_property(
+         <<n, name::binary-size(n), m::32, value::binary-size(m), rest::binary>>,
+         wanted
+       ),
+       do: if(String.downcase(name) == wanted, do: value, else: find_property(rest, wanted))
 
-  defp property(_, _wanted), do: nil
+  defp find_property(_, _wanted), do: nil
 
   @doc "Encodes a message of several frames."
-  @spec message([iodata()]) :: iodata()
-  def message([last]), do: encode(last, 0)
-  def message([frame | frames]), do: [encode(frame, 1) | message(frames)]
+  @spec encode_message([iodata()]) :: iodata()
+  def encode_message([last]), do: encode_frame(last, 0)
+  def encode_message([frame | frames]), do: [encode_frame(frame, 1) | encode_message(frames)]
 
   @doc "Encodes a subscription or its end, for topics that begin with `prefix`."
-  @spec subscription(:subscribe | :unsubscribe, binary()) :: iodata()
-  def subscription(:subscribe, prefix), do: message([<<1, prefix::binary>>])
-  def subscription(:unsubscribe, prefix), do: message([<<0, prefix::binary>>])
+  @spec encode_subscription(:subscribe | :unsubscribe, binary()) :: iodata()
+  def encode_subscription(:subscribe, prefix), do: encode_message([<<1, prefix::binary>>])
+  def encode_subscription(:unsubscribe, prefix), do: encode_message([<<0, prefix::binary>>])
 
-  defp encode(frame, flags) do
+  defp encode_frame(frame, flags) do
     case IO.iodata_length(frame) do
       n when n < 256 -> [<<flags, n>>, frame]
       n -> [<<flags ||| 2, n::64>>, frame]
@@ -96,20 +99,22 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   Parses the complete messages in `bytes`; `parts` are the frames of an incomplete message. Returns the messages in
   order, the frames of the incomplete message, and the remaining bytes.
   """
-  @spec events(binary(), [binary()], type(), pos_integer()) ::
+  @spec parse_events(binary(), [binary()], type(), pos_integer()) ::
           {:ok, [event()], [binary()], binary()} | {:error, String.t()}
-  def events(bytes, parts, type, most), do: events(bytes, parts, type, most, [])
+  def parse_events(bytes, parts, type, most), do: collect_events(bytes, parts, type, most, [])
 
-  defp events(bytes, parts, type, most, found) do
-    case frame(bytes, most - size(parts)) do
+  defp collect_events(bytes, parts, type, most, found) do
+    case parse_frame(bytes, most - parts_size(parts)) do
       {:ok, {flags, body}, rest} when (flags &&& 4) != 0 ->
-        events(rest, parts, type, most, command(body) ++ found)
+        collect_events(rest, parts, type, most, parse_command(body) ++ found)
 
       {:ok, {flags, body}, rest} when (flags &&& 1) != 0 ->
-        events(rest, [body | parts], type, most, found)
+        collect_events(rest, [body | parts], type, most, found)
 
       {:ok, {_flags, body}, rest} ->
-        events(rest, [], type, most, [event(type, Enum.reverse([body | parts])) | found])
+        collect_events(rest, [], type, most, [
+          to_event(type, Enum.reverse([body | parts])) | found
+        ])
 
       :more ->
         {:ok, Enum.reverse(found), parts, bytes}
@@ -120,38 +125,40 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   end
 
   @doc "Returns the minimum number of bytes that an incomplete frame lacks."
-  @spec missing(binary()) :: pos_integer()
-  def missing(<<flags, n::64, rest::binary>>) when (flags &&& 2) != 0,
+  @spec missing_bytes(binary()) :: pos_integer()
+  def missing_bytes(<<flags, n::64, rest::binary>>) when (flags &&& 2) != 0,
     do: max(n - byte_size(rest), 1)
 
-  def missing(<<_flags, n, rest::binary>>), do: max(n - byte_size(rest), 1)
-  def missing(_short), do: 1
+  def missing_bytes(<<_flags, n, rest::binary>>), do: max(n - byte_size(rest), 1)
+  def missing_bytes(_short), do: 1
 
-  defp size(parts), do: parts |> Enum.map(&(byte_size(&1) + 9)) |> Enum.sum()
+  defp parts_size(parts), do: parts |> Enum.map(&(byte_size(&1) + 9)) |> Enum.sum()
 
-  defp event(:pub, [<<1, prefix::binary>>]), do: {:subscribe, prefix}
-  defp event(:pub, [<<0, prefix::binary>>]), do: {:unsubscribe, prefix}
-  defp event(_type, frames), do: {:message, frames}
+  defp to_event(:pub, [<<1, prefix::binary>>]), do: {:subscribe, prefix}
+  defp to_event(:pub, [<<0, prefix::binary>>]), do: {:unsubscribe, prefix}
+  defp to_event(_type, frames), do: {:message, frames}
 
   # ZMTP 3.1 peers may use commands to subscribe.
-  defp command(<<9, "SUBSCRIBE", prefix::binary>>), do: [{:subscribe, prefix}]
-  defp command(<<6, "CANCEL", prefix::binary>>), do: [{:unsubscribe, prefix}]
-  defp command(_other), do: []
+  defp parse_command(<<9, "SUBSCRIBE", prefix::binary>>), do: [{:subscribe, prefix}]
+  defp parse_command(<<6, "CANCEL", prefix::binary>>), do: [{:unsubscribe, prefix}]
+  defp parse_command(_other), do: []
 
-  defp frame(<<flags, _::binary>>, _most) when flags > 7,
+  defp parse_frame(<<flags, _::binary>>, _most) when flags > 7,
     do: {:error, "a frame with the reserved flags #{flags}"}
 
-  defp frame(<<flags, n::64, _::binary>>, most) when (flags &&& 2) != 0 and n > most,
+  defp parse_frame(<<flags, n::64, _::binary>>, most) when (flags &&& 2) != 0 and n > most,
     do: {:error, "a message of more than #{most} bytes"}
 
-  defp frame(<<flags, n::64, body::binary-size(n), rest::binary>>, _most) when (flags &&& 2) != 0,
-    do: {:ok, {flags, :binary.copy(body)}, rest}
+  defp parse_frame(<<flags, n::64, body::binary-size(n), rest::binary>>, _most)
+       when (flags &&& 2) != 0,
+       do: {:ok, {flags, :binary.copy(body)}, rest}
 
-  defp frame(<<flags, n, _::binary>>, most) when (flags &&& 2) == 0 and n > most,
+  defp parse_frame(<<flags, n, _::binary>>, most) when (flags &&& 2) == 0 and n > most,
     do: {:error, "a message of more bytes than allowed"}
 
-  defp frame(<<flags, n, body::binary-size(n), rest::binary>>, _most) when (flags &&& 2) == 0,
-    do: {:ok, {flags, :binary.copy(body)}, rest}
+  defp parse_frame(<<flags, n, body::binary-size(n), rest::binary>>, _most)
+       when (flags &&& 2) == 0,
+       do: {:ok, {flags, :binary.copy(body)}, rest}
 
-  defp frame(_short, _most), do: :more
+  defp parse_frame(_short, _most), do: :more
 end

@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.Foxglove.ClientTest do
-  # Clients that take their time.
+  # Tests slow clients.
   use ExUnit.Case, async: true
   alias Situ.Bridge.Foxglove.Client
   alias Situ.Store.Writer
 
   @moduletag :tmp_dir
 
-  # A client's process with a socket of ours on the other side, past the handshake.
+  # Starts a client process that is past the handshake, and returns the socket of the other side.
   defp connect(root, args) do
     {:ok, writer} = Writer.create("talk", root)
     :ok = Writer.close(writer)
@@ -33,16 +33,16 @@ defmodule Situ.Bridge.Foxglove.ClientTest do
     {socket, monitor}
   end
 
-  # The beginning of a text of 1,000 bytes.
+  # The beginning of a text message of 1,000 bytes.
   @begun <<1::1, 0::3, 1::4, 1::1, 126::7, 1_000::16, 0::32>>
 
-  test "a message that is begun and never ended ends its connection", %{tmp_dir: root} do
+  test "closes the connection if a message is never completed", %{tmp_dir: root} do
     {socket, monitor} = connect(root, %{message_ms: 20})
     :ok = :gen_tcp.send(socket, @begun)
     assert_receive {:DOWN, ^monitor, _, _, {:shutdown, :too_slow}}, 5_000
   end
 
-  test "bytes that trickle do not prolong it, and a whole message does not count", %{
+  test "is not delayed by trickling bytes, and ignores complete messages", %{
     tmp_dir: root
   } do
     {socket, monitor} = connect(root, %{message_ms: 300})
@@ -52,7 +52,7 @@ defmodule Situ.Bridge.Foxglove.ClientTest do
     assert_receive {:DOWN, ^monitor, _, _, {:shutdown, :too_slow}}, 5_000
   end
 
-  # Until the other side has closed.
+  # Sends bytes until the other side closes.
   defp trickle(socket) do
     with :ok <- :gen_tcp.send(socket, "x"),
          {:error, :timeout} <- drain(socket),

@@ -36,7 +36,8 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
     {hd(ops), Map.new(channels, &{&1["topic"], &1}), session}
   end
 
-  defp hear(session, message), do: Session.hear(session, {:text, Situ.JSON.encode(message)}, 0)
+  defp hear(session, message),
+    do: Session.handle_frame(session, {:text, Situ.JSON.encode(message)}, 0)
 
   defp values(frames),
     do: for({id, time, json} <- data(frames), id == 7, do: {time, decoded(json)["n"]})
@@ -47,7 +48,7 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
         do: {id, time, payload}
   end
 
-  # Ticks of 10 ms until `done?` says so of all frames.
+  # Ticks every 10 ms from `from` to `to` and collects all frames.
   defp play(session, from, to, frames \\ []) do
     Enum.reduce(from..to//10_000_000, {frames, session}, fn now, {frames, session} ->
       {more, session} = Session.tick(session, now)
@@ -55,7 +56,7 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
     end)
   end
 
-  test "channels have the schemas of ROS, or are JSON", %{source: source} do
+  test "advertises channels with ROS schemas or as JSON", %{source: source} do
     {info, channels, _} = open(source)
     assert info["op"] == "serverInfo"
     refute "playbackControl" in info["capabilities"]
@@ -63,7 +64,7 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
     assert %{"encoding" => "ros1", "schemaName" => "sensor_msgs/Image"} = channels["/Camera/Left"]
   end
 
-  test "subscribers get all messages once, in order, at the pace of the playback", %{
+  test "sends subscribers all messages once, in order, at playback speed", %{
     source: source
   } do
     {_, channels, session} = open(source)
@@ -80,7 +81,7 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
     assert values(frames) == for(i <- 0..99, do: {1_000_000_000 + i * 10_000_000, i})
   end
 
-  test "playback pauses, seeks and changes its speed by parameters", %{source: source} do
+  test "pauses, seeks and changes speed through parameters", %{source: source} do
     {_, channels, session} = open(source)
 
     {[], session} =
@@ -116,7 +117,7 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
     assert %{"id" => "x", "parameters" => [_, %{"value" => 0.5}, _]} = decoded(text)
   end
 
-  test "the app's own controls work, and tell of the end", %{source: source} do
+  test "supports the app's own controls, and reports the end", %{source: source} do
     {info, channels, session} = open(source, "foxglove.sdk.v1")
     assert %{"sec" => 1, "nsec" => 0} = info["dataStartTime"]
 
@@ -127,7 +128,7 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
       })
 
     request = <<3, 0, 2.0::little-float-32, 1, 1_800_000_000::little-64, 2::little-32, "id">>
-    {frames, session} = Session.hear(session, {:binary, request}, 0)
+    {frames, session} = Session.handle_frame(session, {:binary, request}, 0)
     assert values(frames) == [{1_800_000_000, 80}]
 
     assert {:binary,
@@ -136,20 +137,20 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
     {frames, session} = play(session, 0, 150_000_000)
     assert values(frames) |> Enum.map(&elem(&1, 1)) == Enum.to_list(81..99)
     assert Enum.any?(frames, &match?({:binary, <<5, 3, _::binary>>}, &1))
-    # Played again it begins again.
+    # Playing again after the end starts over.
     {first, session} =
-      Session.hear(session, {:binary, <<3, 0, 1.0::little-float-32, 0, 0::64, 0::32>>}, 0)
+      Session.handle_frame(session, {:binary, <<3, 0, 1.0::little-float-32, 0, 0::64, 0::32>>}, 0)
 
     {frames, _} = play(session, 160_000_000, 300_000_000, first)
     assert [{_, 0}, {_, 1} | _] = values(frames)
   end
 
-  test "a client that takes nothing for long finds its playback where it was" do
+  test "does not skip ahead for a client that was idle for long" do
     p = Playback.new(0, 10_000_000_000) |> Playback.advance(0) |> Playback.advance(9_000_000_000)
     assert p.at <= 250_000_000
   end
 
-  test "what is hostile is told so, or let go", %{source: source} do
+  test "reports or ignores invalid requests", %{source: source} do
     {_, _, session} = open(source)
 
     for message <- [
@@ -169,13 +170,13 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
     end
   end
 
-  property "no bytes break a session" do
+  property "survives any bytes" do
     session = %Session{source: %Source{live?: false}, playback: Playback.new(0, 10), sdk?: true}
 
     forall {kind, bytes} <- {one_of([:text, :binary]), binary()} do
-      {frames, _} = Session.hear(session, {kind, bytes}, 0)
+      {frames, _} = Session.handle_frame(session, {kind, bytes}, 0)
       assert is_list(frames)
-      {frames, _} = Session.hear(session, {:binary, <<3, bytes::binary>>}, 0)
+      {frames, _} = Session.handle_frame(session, {:binary, <<3, bytes::binary>>}, 0)
       assert is_list(frames)
     end
   end

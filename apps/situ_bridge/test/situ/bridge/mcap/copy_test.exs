@@ -6,8 +6,8 @@ defmodule Situ.Bridge.Mcap.CopyTest do
   @moduletag :tmp_dir
   @real Path.expand("../../../data/ros1_imu_gps_cam.mcap", __DIR__)
 
-  # Everything that a file may hold: types that nobody here knows, no schema, one topic twice, equal and unordered
-  # times, a publish time apart, sequences with holes, private records.
+  # Builds a file with everything that is allowed: unknown types, no schema, a topic twice, equal
+  # and unordered times, different publish times, gaps in sequences and private records.
   defp file do
     messages =
       for i <- 0..10 do
@@ -50,7 +50,7 @@ defmodule Situ.Bridge.Mcap.CopyTest do
   defp by_time(messages), do: Enum.sort_by(messages, & &1.log)
 
   for order <- [:file, :time] do
-    test "a file of any make is the same file afterwards, in order of #{order}", %{tmp_dir: dir} do
+    test "copies any valid file without changes, in order of #{order}", %{tmp_dir: dir} do
       for features <- McapRecords.variants(),
           compression <- if(:chunked in features, do: [:none, :lz4], else: [:none]) do
         file = %{file() | compression: compression}
@@ -64,7 +64,7 @@ defmodule Situ.Bridge.Mcap.CopyTest do
                  Map.take(file, [:messages, :attachments])
 
         store = Store.open!(path)
-        assert length(Mcap.attachments(store)) == 2, inspect(features)
+        assert length(Mcap.list_attachments(store)) == 2, inspect(features)
         assert %{damage: [], metadata: [_, _]} = Store.info(store)
 
         assert {:ok, %{messages: 11, left_out: []}} = Mcap.copy(store, out, order: unquote(order))
@@ -74,7 +74,7 @@ defmodule Situ.Bridge.Mcap.CopyTest do
         assert {features, compare(got, unquote(order))} ==
                  {features, compare(want, unquote(order))}
 
-        # The new file opens by its own index.
+        # The new file opens with its own index.
         assert %{closed?: true, damage: []} = Store.info(Store.open!(out))
       end
     end
@@ -83,13 +83,13 @@ defmodule Situ.Bridge.Mcap.CopyTest do
   defp compare(file, :file),
     do: %{file | schemas: Enum.sort(file.schemas), channels: Enum.sort(file.channels)}
 
-  # Private records have no place in an order of time.
+  # Private records are dropped in time order.
   defp compare(file, :time) do
     file = compare(file, :file)
     %{file | messages: by_time(file.messages), private: []}
   end
 
-  test "some streams, an interval, another compression, and things added", %{tmp_dir: dir} do
+  test "copies some streams and an interval, recompresses, and adds records", %{tmp_dir: dir} do
     path = Path.join(dir, "in.mcap")
     File.write!(path, McapRecords.build(file(), [:chunked, :indexed, :summary]))
     store = Store.open!(path)
@@ -106,8 +106,8 @@ defmodule Situ.Bridge.Mcap.CopyTest do
              )
 
     copy = Store.open!(out)
-    assert [%{compression: "zstd"} | _] = Mcap.chunks(copy)
-    assert Enum.map(Mcap.attachments(copy), & &1.name) == ["map.png", "", "note"]
+    assert [%{compression: "zstd"} | _] = Mcap.list_chunks(copy)
+    assert Enum.map(Mcap.list_attachments(copy), & &1.name) == ["map.png", "", "note"]
     assert [{"car", _}, {"car", _}, {"robot", %{"serial" => "7"}}] = Store.info(copy).metadata
 
     got = for m <- messages(copy), do: {m.originating_time, m.sequence_id}
@@ -121,9 +121,9 @@ defmodule Situ.Bridge.Mcap.CopyTest do
   defp messages(store),
     do: for(info <- Store.streams(store), message <- Store.messages(store, info), do: message)
 
-  test "a damaged file is an error, or what is in front of and behind the damage", %{tmp_dir: dir} do
+  test "rejects a damaged file, or copies everything around the damage", %{tmp_dir: dir} do
     bytes = File.read!(@real)
-    chunks = @real |> Store.open!() |> Mcap.chunks()
+    chunks = @real |> Store.open!() |> Mcap.list_chunks()
     [first | _] = chunks
     path = Path.join(dir, "in.mcap")
     out = Path.join(dir, "out.mcap")
@@ -139,7 +139,7 @@ defmodule Situ.Bridge.Mcap.CopyTest do
     assert sentence =~ "left out" and n < 545
     lost = 545 - n
 
-    # Read one by one, the same are missing.
+    # Reading the streams one by one skips the same messages.
     read =
       for info <- Store.streams(store),
           message <- Store.messages(store, info, skip_damage: true),
@@ -149,7 +149,7 @@ defmodule Situ.Bridge.Mcap.CopyTest do
     assert_raise Situ.Error, fn -> messages(store) end
   end
 
-  test "an index that points at nothing is left aside, with a word", %{tmp_dir: dir} do
+  test "ignores an index that points to the wrong place, and reports it", %{tmp_dir: dir} do
     bytes = McapRecords.build(file(), [:chunked, :indexed, :summary])
     [%{offset: at, size: size} | _] = chunks(bytes, dir)
     at = at + size
@@ -162,14 +162,14 @@ defmodule Situ.Bridge.Mcap.CopyTest do
     assert length(messages(store)) == 11
   end
 
-  test "an index that leaves out messages is not believed", %{tmp_dir: dir} do
-    # Messages outside of chunks, beside chunks with an index of their own.
+  test "does not trust an index that leaves out messages", %{tmp_dir: dir} do
+    # A message outside of the chunks, in a file whose chunks have an index.
     bytes = McapRecords.build(file(), [:chunked, :indexed, :summary])
     loose = <<5, 25::little-64, 7::little-16, 1::little-32, 5::little-64, 6::little-64, "abc">>
     [%{offset: at} | _] = chunks(bytes, dir)
     <<before::binary-size(at), rest::binary>> = bytes
     path = Path.join(dir, "loose.mcap")
-    # It lies behind all that the summary points at by offset: in front of the end of the data.
+    # It is not in any part that the summary points to, but directly before the end of the data.
     tail = byte_size(rest)
     rest = put_before_end(rest, tail, loose)
     File.write!(path, before <> rest)
@@ -180,14 +180,14 @@ defmodule Situ.Bridge.Mcap.CopyTest do
   defp chunks(bytes, dir) do
     path = Path.join(dir, "chunks.mcap")
     File.write!(path, bytes)
-    path |> Store.open!() |> Mcap.chunks()
+    path |> Store.open!() |> Mcap.list_chunks()
   end
 
   defp put_before_end(rest, size, loose) do
     end_of_data = <<15, 4::little-64, 0::32>>
     [{at, _}] = :binary.matches(rest, end_of_data)
     <<data::binary-size(at), behind::binary>> = rest
-    # The footer says where the summary begins.
+    # The footer contains the start of the summary, which must be moved.
     body = size - at - 8 - 20
     <<summary::binary-size(body), start::little-64, footer::binary>> = behind
     data <> loose <> summary <> <<start + byte_size(loose)::little-64>> <> footer

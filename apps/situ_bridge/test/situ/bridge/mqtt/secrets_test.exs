@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.Mqtt.SecretsTest do
-  # Logs, dumps and observers show the graph and the states of processes.
-  # Looks at all processes that were started since the test began.
+  # Logs, dumps and observers show the graph and the states of processes, so the test inspects
+  # every process that was started since it began.
   use ExUnit.Case, async: false
   alias Situ.Bridge.Mqtt
 
   @password "the-password-of-this-test"
   @login [username: "sensor", password: @password]
 
-  test "the broker gets the password, no process of a publisher or subscriber shows it" do
+  test "sends the password to the broker, and shows it in no process state" do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, ip: {127, 0, 0, 1}, active: false])
     {:ok, port} = :inet.port(listener)
     earlier = Process.list()

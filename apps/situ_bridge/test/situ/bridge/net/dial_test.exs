@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Net.DialTest do
   @moduletag :tmp_dir
   @moduletag :capture_log
 
-  # An authority of its own, and a server with a certificate for "broker" by it.
+  # Creates a certificate authority, and a server with its certificate for "broker".
   setup %{tmp_dir: dir} do
     {:ok, _} = Application.ensure_all_started(:ssl)
 
@@ -43,7 +43,7 @@ defmodule Situ.Bridge.Net.DialTest do
     %{ca: ca, other: Path.join(dir, "other.pem"), listener: listener, port: port}
   end
 
-  # Greets whoever comes, and says again what is said.
+  # Accepts one connection and echoes the first message.
   defp serve(listener) do
     Task.start_link(fn ->
       {:ok, transport} = :ssl.transport_accept(listener, 10_000)
@@ -54,14 +54,14 @@ defmodule Situ.Bridge.Net.DialTest do
     end)
   end
 
-  test "by an authority of one's own, for the address and for the name", context do
+  test "connects by address and by name with a custom certificate authority", context do
     for tls <- [[authorities: context.ca], [authorities: context.ca, name: "broker"]] do
       serve(context.listener)
 
       assert {:ok, {:ssl, _} = dialled} =
                Dial.connect("127.0.0.1", context.port, tls, nodelay: true)
 
-      :ok = Dial.send(dialled, "hello")
+      :ok = Dial.send_bytes(dialled, "hello")
       assert collected(dialled, "") == "you said hello"
       Dial.close(dialled)
     end
@@ -70,9 +70,9 @@ defmodule Situ.Bridge.Net.DialTest do
   defp collected(dialled, text) do
     receive do
       message ->
-        case Dial.heard(message, dialled) do
+        case Dial.match_message(message, dialled) do
           {:ok, bytes} ->
-            Dial.next(dialled)
+            Dial.activate_once(dialled)
 
             if text <> bytes == "you said hello",
               do: text <> bytes,
@@ -86,7 +86,7 @@ defmodule Situ.Bridge.Net.DialTest do
     end
   end
 
-  test "another authority, another name, no authority: no connection", context do
+  test "refuses another authority, another name and a missing authority", context do
     for tls <- [
           [authorities: context.other],
           [authorities: context.ca, name: "elsewhere"],
@@ -103,18 +103,18 @@ defmodule Situ.Bridge.Net.DialTest do
              Dial.connect("127.0.0.1", 1, [verify: false], [])
   end
 
-  test "without TLS as ever" do
+  test "connects without TLS" do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, active: false, ip: {127, 0, 0, 1}])
     {:ok, port} = :inet.port(listener)
     {:ok, {:gen_tcp, _} = dialled} = Dial.connect("127.0.0.1", port, false, [])
     {:ok, socket} = :gen_tcp.accept(listener)
     :ok = :gen_tcp.send(socket, "x")
     assert_receive message = {:tcp, _, "x"}
-    assert Dial.heard(message, dialled) == {:ok, "x"}
+    assert Dial.match_message(message, dialled) == {:ok, "x"}
     :gen_tcp.close(socket)
-    :ok = Dial.next(dialled)
+    :ok = Dial.activate_once(dialled)
     assert_receive message = {:tcp_closed, _}
-    assert Dial.heard(message, dialled) == {:gone, :closed}
-    assert Dial.heard(:something, nil) == :other
+    assert Dial.match_message(message, dialled) == {:gone, :closed}
+    assert Dial.match_message(:something, nil) == :other
   end
 end

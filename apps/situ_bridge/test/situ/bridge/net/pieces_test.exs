@@ -6,23 +6,23 @@ defmodule Situ.Bridge.Net.PiecesTest do
   alias Situ.Bridge.Tcp.Frames
   doctest Pieces
 
-  property "frames come out of pieces of any size as they went in" do
+  property "returns frames unchanged from chunks of any size" do
     forall {payloads, size, sizes} <- {list(binary()), integer(1, 40), list(integer(1, 40))} do
       bytes = payloads |> Enum.map(&Frames.frame/1) |> IO.iodata_to_binary()
-      {got, _reads} = through(Frames, cut(bytes, [size | sizes]), "")
+      {got, _reads} = through(Frames, cut_batches(bytes, [size | sizes]), "")
       assert got == payloads
     end
   end
 
-  test "a large frame in small pieces is read once, when it is there" do
+  test "parses a large frame once, when it is complete" do
     payload = :crypto.strong_rand_bytes(3_000_000)
     bytes = payload |> Frames.frame() |> IO.iodata_to_binary()
-    {got, reads} = through(Frames, cut(bytes, [1_460]), "")
+    {got, reads} = through(Frames, cut_batches(bytes, [1_460]), "")
     assert got == [payload]
     assert reads == 2
 
-    published = IO.iodata_to_binary(Situ.Bridge.Mqtt.Wire.publish("t", payload, qos: 0))
-    {got, reads} = through(Subscription, cut(published, [1_460]), "")
+    published = IO.iodata_to_binary(Situ.Bridge.Mqtt.Wire.encode_publish("t", payload, qos: 0))
+    {got, reads} = through(Subscription, cut_batches(published, [1_460]), "")
     assert got == [payload]
     assert reads == 2
   end
@@ -32,14 +32,14 @@ defmodule Situ.Bridge.Net.PiecesTest do
   defp cut(bytes, [size | sizes]) do
     size = min(size, byte_size(bytes))
     <<piece::binary-size(size), rest::binary>> = bytes
-    [piece | cut(rest, sizes ++ [size])]
+    [piece | cut_batches(rest, sizes ++ [size])]
   end
 
-  # As a source does it: the payloads, and how often the protocol was asked.
+  # Reads like a source: returns the payloads, and how often the protocol was called.
   defp through(module, cut, state) do
     {_pieces, _state, got, reads} =
       Enum.reduce(cut, {%Pieces{}, state, [], 0}, fn bytes, {pieces, state, got, reads} ->
-        case Pieces.add(pieces, bytes, module.missing(state)) do
+        case Pieces.add_bytes(pieces, bytes, module.missing(state)) do
           {:more, pieces} ->
             {pieces, state, got, reads}
 

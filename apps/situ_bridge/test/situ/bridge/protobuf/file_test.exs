@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Protobuf.FileTest do
-  # Not beside others, whose atoms would be counted.
+  # Not async, because other tests would add to the counted atoms.
   use ExUnit.Case, async: false
   alias Situ.Bridge.Protobuf
   alias Situ.Test.Budget
@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Protobuf.FileTest do
            %{"header" => %{"who" => "me"}, "volts" => i / 4, "raw" => [i, -i]}}
   end
 
-  test "what is written is read, by the definition beside it, times to the nanosecond", %{
+  test "reads written messages with the definition next to the file, to the nanosecond", %{
     tmp_dir: dir
   } do
     path = Path.join(dir, "levels.pb")
@@ -43,7 +43,7 @@ defmodule Situ.Bridge.Protobuf.FileTest do
     assert Situ.to_list(source, times: true) == read
   end
 
-  test "Foxglove's messages are Situ's types", %{tmp_dir: dir} do
+  test "maps Foxglove's messages to Situ's types", %{tmp_dir: dir} do
     path = Path.join(dir, "poses.pb")
 
     poses =
@@ -56,9 +56,9 @@ defmodule Situ.Bridge.Protobuf.FileTest do
              poses
   end
 
-  test "messages without a time take their turn, or are refused", %{tmp_dir: dir} do
+  test "spaces messages without a time by every:, or rejects them", %{tmp_dir: dir} do
     path = Path.join(dir, "bare.pb")
-    {:ok, schema} = Protobuf.schema(@lab)
+    {:ok, schema} = Protobuf.parse_schema(@lab)
     {:ok, bytes} = Protobuf.encode(schema, "lab.Bare", %{"volts" => 1.5})
     File.write!(path, for(_ <- 1..3, do: [byte_size(bytes), bytes]))
     opts = [type: "lab.Bare", definition: @lab]
@@ -75,7 +75,7 @@ defmodule Situ.Bridge.Protobuf.FileTest do
     end
   end
 
-  test "a file that is cut short, or no such file, is read to the fault and is an error there", %{
+  test "reads a truncated file up to the fault, and reports it there", %{
     tmp_dir: dir
   } do
     path = Path.join(dir, "levels.pb")
@@ -84,10 +84,10 @@ defmodule Situ.Bridge.Protobuf.FileTest do
     File.write!(path, binary_part(whole, 0, byte_size(whole) - 1))
     read = Protobuf.File.messages(path, type: "lab.Level")
     assert read |> Enum.take(999) |> length() == 999
-    assert_raise Situ.Error, ~r/cut short/, fn -> Enum.count(read) end
+    assert_raise Situ.Error, ~r/ends within a message/, fn -> Enum.count(read) end
     File.write!(path, [whole, :binary.copy(<<255>>, 20)])
     assert read |> Enum.take(1_000) |> length() == 1_000
-    assert_raise Situ.Error, ~r/no length/, fn -> Enum.count(read) end
+    assert_raise Situ.Error, ~r/length of a message is invalid/, fn -> Enum.count(read) end
     File.write!(path, "")
     assert Enum.to_list(read) == []
 
@@ -99,14 +99,14 @@ defmodule Situ.Bridge.Protobuf.FileTest do
              end)
   end
 
-  test "mutations are messages or errors", %{tmp_dir: dir} do
+  test "reads mutated files as messages or errors", %{tmp_dir: dir} do
     path = Path.join(dir, "levels.pb")
     written(path, Enum.take(levels(), 20), type: "lab.Level", definition: @lab)
     whole = File.read!(path)
     read = Protobuf.File.messages(path, type: "lab.Level")
     atoms = :erlang.system_info(:atom_count)
 
-    for _ <- 1..Budget.mutations(500) do
+    for _ <- 1..Budget.mutation_count(500) do
       at = :rand.uniform(byte_size(whole)) - 1
       <<before::binary-size(at), _, rest::binary>> = whole
       File.write!(path, [before, Enum.random([<<255>>, <<0>>, <<:rand.uniform(255)>>, ""]), rest])

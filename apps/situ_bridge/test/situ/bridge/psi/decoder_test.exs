@@ -28,14 +28,14 @@ defmodule Situ.Bridge.Psi.DecoderTest do
       %{types: types([class(7, "Node", [{"Name", "System.String"}, {"Next", "Node"}])])}
     end
 
-    test "one met again is the same value", %{types: types} do
+    test "decode to the same value at every reference", %{types: types} do
       pair =
         types([
           class(7, "Node", [{"Name", "System.String"}, {"Next", "Node"}]),
           class(8, "Pair", [{"A", "Node"}, {"B", "Node"}])
         ])
 
-      # pair 0, node 1, string 2
+      # The numbers are: pair 0, node 1, string 2.
       bytes = [@new, @new, @new, <<1::little-32, "x">>, @null, <<1, 0, 0, 0x40>>]
       node = %{"Name" => "x", "Next" => nil}
 
@@ -45,22 +45,23 @@ defmodule Situ.Bridge.Psi.DecoderTest do
       assert {:error, _} = decode(types, "Node", <<0x40000001::little-32>>)
     end
 
-    test "in a cycle it is named", %{types: types} do
+    test "are numbered if they are in a cycle", %{types: types} do
       bytes = IO.iodata_to_binary([@new, @null, @new, @null, <<0, 0, 0, 0x40>>])
 
       assert {:ok, %{"$id" => 0, "Name" => nil, "Next" => %{"Next" => %{"$ref" => 0}}}} =
                decode(types, "Node", bytes)
     end
 
-    test "one of a type that nothing tells of is an error" do
+    test "of an unknown type are an error" do
       assert {:error, why} = decode(types([]), "Unknown", @new)
       assert why =~ "no schema"
       assert {:error, _} = decode(types([]), "Unknown", <<5, 0, 0, 0xC0>>)
       assert decode(types([]), "Unknown", @null) == {:ok, nil}
     end
 
-    test "few bytes that stand for very many objects stay few" do
-      # A list of two references to the list before, forty times: written out, 2^40 elements.
+    test "stay small if few bytes reference very many of them" do
+      # Each list holds two references to the previous one, forty times: expanded, these are 2^40
+      # elements.
       types = types([class(1, "Pair", [{"A", "Pair"}, {"B", "Pair"}])])
       nested = Enum.reduce(1..40, @null, fn _, inner -> [@new, inner, @null] end)
       assert {:ok, _} = decode(types, "Pair", IO.iodata_to_binary(nested))
@@ -74,7 +75,7 @@ defmodule Situ.Bridge.Psi.DecoderTest do
   end
 
   describe "old layouts" do
-    test "a dictionary written field by field" do
+    test "include a dictionary written field by field" do
       entry = "System.Collections.Generic.Dictionary`2+Entry[[System.Int32],[System.Int32]]"
 
       types =
@@ -121,7 +122,7 @@ defmodule Situ.Bridge.Psi.DecoderTest do
   end
 
   describe "counts" do
-    test "beyond what the bytes can hold are refused before anything is made" do
+    test "beyond the available bytes are rejected before memory is allocated" do
       types = types([class(1, "Empty", [], flags: 2, serializer: "StructSerializer")])
       huge = @new <> <<0x7FFFFFFF::little-32>>
 
@@ -129,7 +130,7 @@ defmodule Situ.Bridge.Psi.DecoderTest do
           do: assert({:error, _} = decode(types, name, huge <> "abcdef"))
     end
 
-    test "what is left over is told" do
+    test "that leave bytes over are reported" do
       assert {:error, why} =
                decode(types([]), "System.String", @new <> <<1::little-32, "a", 0::64>>)
 
@@ -137,7 +138,7 @@ defmodule Situ.Bridge.Psi.DecoderTest do
     end
   end
 
-  # All genuine messages of a store by stream: `{handler, types, bytes}`.
+  # Returns all genuine messages of a store, stream by stream, as `{handler, types, bytes}`.
   defp genuine(folder, name) do
     {catalog, []} = Catalog.read(Path.join(@data, folder), name)
     types = Types.new(Map.values(catalog.schemas))
@@ -146,15 +147,20 @@ defmodule Situ.Bridge.Psi.DecoderTest do
 
     for {id, entry} <- catalog.streams,
         ordinal <- 0..(Map.fetch!(places, id).count - 1)//1,
-        place = Situ.Bridge.Psi.Scan.Track.place(places[id], ordinal),
+        place = Situ.Bridge.Psi.Scan.Track.position_at(places[id], ordinal),
         file =
-          Situ.Bridge.Psi.Files.path(Path.join(@data, folder), name, place.file, place.extent),
+          Situ.Bridge.Psi.Files.extent_path(
+            Path.join(@data, folder),
+            name,
+            place.file,
+            place.extent
+          ),
         <<_::binary-24, bytes::binary>> = binary_part(File.read!(file), place.at, place.length),
         do: {Types.handler(types, entry.type_name), types, bytes}
   end
 
   @tag timeout: 300_000
-  test "20,000 mutations of genuine messages are values or errors, in bounded memory and without atoms" do
+  test "decodes 20,000 mutated messages to values or errors in bounded memory, without atoms" do
     messages =
       genuine("objects", "Objects") ++
         Enum.take(genuine("diagnostics", "Diagnostics"), -3) ++
@@ -162,7 +168,7 @@ defmodule Situ.Bridge.Psi.DecoderTest do
 
     :rand.seed(:exsss, {4, 5, 6})
     messages = List.to_tuple(messages)
-    # Other tests load modules meanwhile; a name made of each mutant would be many more.
+    # Other tests may load modules in parallel. A name for each mutant would add many more atoms.
     atoms = :erlang.system_info(:atom_count)
 
     mutants = fn ->

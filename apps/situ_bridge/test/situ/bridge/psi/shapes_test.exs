@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Psi.ShapesTest do
-  # Types that no genuine store here has, written by \psi's rules of serialization.
+  # Types that do not occur in the genuine stores, written by \psi's serialization rules.
   use ExUnit.Case, async: true
   alias Situ.Bridge.Psi.{Decoder, Schema, Shapes, Types}
 
@@ -21,12 +21,12 @@ defmodule Situ.Bridge.Psi.ShapesTest do
     }
   end
 
-  # Of types whose names do not begin with System.
+  # Sets members with type names that do not begin with System.
   defp typed(schema, members), do: %{schema | members: members}
 
   defp decode(schemas, name, parts) do
     types = Types.new(schemas)
-    Decoder.message(IO.iodata_to_binary(parts), name, Types.handler(types, name), types)
+    Decoder.decode_message(IO.iodata_to_binary(parts), name, Types.handler(types, name), types)
   end
 
   defp i32(n), do: <<n::little-signed-32>>
@@ -35,7 +35,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
   describe "tuples of plain values" do
     @pair "System.ValueTuple`2[[System.Int32],[System.Double]]"
 
-    test "lie in memory by size and are tuples in their order" do
+    test "are ordered by size in memory, and decode in their own order" do
       pair =
         schema(@pair, [{"Item1", "Int32"}, {"Item2", "Double"}],
           by: "SimpleSerializer",
@@ -47,7 +47,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
       array = @pair <> "[]"
       bytes = [@new, i32(2), f64(1.5), i32(7), i32(0), f64(-2.5), i32(8), i32(0)]
       assert decode([pair], array, bytes) == {:ok, [{7, 1.5}, {8, -2.5}]}
-      assert Types.situ(Types.new([pair]), array) == {:list, {:tuple, [:integer, :float]}}
+      assert Types.situ_type(Types.new([pair]), array) == {:list, {:tuple, [:integer, :float]}}
     end
   end
 
@@ -55,7 +55,8 @@ defmodule Situ.Bridge.Psi.ShapesTest do
     @depth @imaging <> "DepthImage"
     @encoded @imaging <> "EncodedDepthImage"
 
-    # As the runtime writes the schema: it calls the scale a number, and writes a nullable one.
+    # The schema as the runtime writes it: it declares the scale a number, but writes a nullable
+    # one.
     defp depth_schema do
       typed(schema(@depth, [], by: @depth <> "+CustomSerializer", version: 5), [
         {"compression", @imaging <> "CompressionMethod"},
@@ -79,7 +80,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
         rest
       ]
 
-    test "tell what they measure" do
+    test "have the semantics and scale of the message" do
       rest = [i32(2), i32(2), i32(4), i32(2), i32(1), i32(1), [<<1, 0::56>>, f64(0.00025)]]
 
       assert {:ok, %Situ.DepthImage{} = depth} =
@@ -90,20 +91,20 @@ defmodule Situ.Bridge.Psi.ShapesTest do
       assert depth.data == <<1::little-16, 2::little-16, 3::little-16, 4::little-16>>
     end
 
-    test "that do not tell it are planes of millimetres" do
+    test "default to planes in millimeters" do
       rest = [i32(2), i32(2), i32(4), i32(2), i32(0), i32(0), <<0::128>>]
 
       assert {:ok, %{semantics: :plane, scale: 0.001}} =
                decode([depth_schema()], @depth, plain_depth(rest))
     end
 
-    test "of the version before have neither" do
+    test "of the previous version have neither semantics nor scale" do
       old = %{depth_schema() | version: 4, members: Enum.take(depth_schema().members, 6)}
       rest = [i32(2), i32(2), i32(4), i32(2)]
       assert {:ok, %Situ.DepthImage{scale: 0.001}} = decode([old], @depth, plain_depth(rest))
     end
 
-    test "that are compressed, and encoded ones, are the file's bytes" do
+    test "contain the file's bytes if they are compressed or encoded" do
       shared = "Microsoft.Psi.Shared`1[[#{@encoded}]]"
       container = "Microsoft.Psi.SharedContainer`1[[#{@encoded}]]"
 
@@ -153,7 +154,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
     end
   end
 
-  describe "pictures packed by gzip" do
+  describe "images compressed with gzip" do
     @encoded_image @imaging <> "EncodedImage"
 
     defp packed(rows, w, h) do
@@ -184,20 +185,20 @@ defmodule Situ.Bridge.Psi.ShapesTest do
       ])
     end
 
-    test "are pictures" do
+    test "decode to images" do
       rows = <<1, 2, 3, 4, 5, 6, 0, 0, 7, 8, 9, 10, 11, 12, 0, 0>>
 
       assert {:ok, %Situ.Image{format: :bgr24, width: 2, height: 2, stride: 8, data: ^rows}} =
                packed(rows, 2, 2)
     end
 
-    test "stay members when they unpack to more than the picture has" do
+    test "stay maps if they unpack to more bytes than the image has" do
       assert {:ok, %{"Width" => 2, "stream" => _}} = packed(:binary.copy(<<0>>, 1_000_000), 2, 2)
     end
   end
 
   describe "collections" do
-    test "a hash set has the items that are held" do
+    test "include hash sets, without their free entries" do
       entry = "System.Collections.Generic.HashSet`1+Entry[[System.Int32]]"
       set = "System.Collections.Generic.HashSet`1[[System.Int32]]"
 
@@ -218,10 +219,10 @@ defmodule Situ.Bridge.Psi.ShapesTest do
             do: [i32(hash), i32(next), i32(value)]
 
       assert decode(schemas, set, [@new, @null, @new, i32(4), entries, i32(3)]) == {:ok, [-5, 7]}
-      assert Types.situ(Types.new(schemas), set) == {:list, :integer}
+      assert Types.situ_type(Types.new(schemas), set) == {:list, :integer}
     end
 
-    test "a queue begins at its head, a stack at its top" do
+    test "include queues, from their head, and stacks, from their top" do
       members = [
         {"_array", "Int32[]"},
         {"_head", "Int32"},
@@ -244,7 +245,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
       assert decode([stack], stack.name, [@new, array, i32(2)]) == {:ok, [0, 3]}
     end
 
-    test "a linked list has the items of its nodes, which refer to one another" do
+    test "include linked lists, whose nodes refer to one another" do
       list = "System.Collections.Generic.LinkedList`1[[System.String]]"
       node = "System.Collections.Generic.LinkedListNode`1[[System.String]]"
 
@@ -261,7 +262,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
 
       ref = fn id -> <<id, 0, 0, 0x40>> end
       text = fn text -> [@new, i32(byte_size(text)), text] end
-      # Of the objects the list is the second (1), the nodes 2 and 3, the texts 4 and 5.
+      # The objects are numbered: the list is 1, the nodes are 2 and 3, the strings 4 and 5.
       second = [@new, ref.(1), ref.(2), ref.(2), text.("b")]
       first = [@new, ref.(1), second, ref.(3), text.("a")]
       bytes = [@new, [@new, first, i32(2)], ref.(1)]
@@ -269,7 +270,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
       assert decode(schemas, list, [@new, @null, i32(0)]) == {:ok, []}
     end
 
-    test "a concurrent dictionary has the pairs of its chains" do
+    test "include concurrent dictionaries, with the pairs of their chains" do
       base = "System.Collections.Concurrent.ConcurrentDictionary`2"
       of = "[[System.Int32],[System.Boolean]]"
       node = base <> "+Node" <> of
@@ -290,7 +291,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
       assert decode(schemas, base <> of, bytes) == {:ok, %{1 => true, 2 => false}}
     end
 
-    test "a sorted dictionary has the pairs of its tree" do
+    test "include sorted dictionaries, with the pairs of their tree" do
       generic = "System.Collections.Generic."
       of = "[[System.Int32],[System.Double]]"
       pair = generic <> "KeyValuePair`2" <> of
@@ -314,7 +315,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
                {:ok, %{1 => 0.5, 2 => 1.0, 3 => 1.5}}
     end
 
-    test "members that make no sense together stay members" do
+    test "stay maps if their members are inconsistent" do
       junk = [nil, "text", 7, -1, [], [nil, 5, %{"Next" => "x"}], %{"root" => nil}, {1}, 1.5]
 
       names =
@@ -328,11 +329,11 @@ defmodule Situ.Bridge.Psi.ShapesTest do
 
       for shape <- shapes, _ <- 1..500 do
         members = for name <- Enum.take_random(names, 4), do: {name, Enum.random(junk)}
-        _ = Shapes.value(shape, members)
+        _ = Shapes.build_value(shape, members)
       end
     end
 
-    test "a dictionary behind an interface has its own keys alone" do
+    test "include dictionaries declared by an interface, with only their own keys" do
       generic = "System.Collections.Generic."
       of = "[[System.Int32],[System.Int32]]"
       pair = generic <> "KeyValuePair`2" <> of
@@ -355,7 +356,7 @@ defmodule Situ.Bridge.Psi.ShapesTest do
   end
 
   describe "enums in plain structs, which have no schema" do
-    test "have the width with which all bytes have a meaning" do
+    test "get the width that accounts for all bytes" do
       reading =
         typed(schema("Reading", [], by: "SimpleSerializer", flags: @struct), [
           {"Level", "Level"},
@@ -378,10 +379,10 @@ defmodule Situ.Bridge.Psi.ShapesTest do
   end
 
   describe "schemas of old versions" do
-    # They tell neither who wrote a type nor whether it is a class.
+    # These schemas contain neither the serializer nor whether the type is a class.
     defp old(schema), do: %{schema | serializer: "", flags: 0, version: 1}
 
-    test "structs and enums are known by their names and members" do
+    test "recognize structs and enums by their names and members" do
       schemas = [
         old(
           typed(schema("Microsoft.Psi.Audio.AudioBuffer", []), [
@@ -415,19 +416,24 @@ defmodule Situ.Bridge.Psi.ShapesTest do
                ])
     end
 
-    test "types that only a stream tells of are found by their number" do
+    test "find types that only a stream declares by their number" do
       types = Types.new([], %{5 => "System.Double[], mscorlib", 6 => "System.String, mscorlib"})
       handler = Types.handler(types, "System.Object")
       bytes = IO.iodata_to_binary([<<5, 0, 0, 0xC0>>, i32(1), f64(2.5)])
-      assert Decoder.message(bytes, "System.Object", handler, types) == {:ok, [2.5]}
+      assert Decoder.decode_message(bytes, "System.Object", handler, types) == {:ok, [2.5]}
 
-      assert Decoder.message(<<6, 0, 0, 0xC0, 1, 0, 0, 0, "x">>, "System.Object", handler, types) ==
+      assert Decoder.decode_message(
+               <<6, 0, 0, 0xC0, 1, 0, 0, 0, "x">>,
+               "System.Object",
+               handler,
+               types
+             ) ==
                {:ok, "x"}
     end
   end
 
   describe "nullable values without a schema" do
-    test "are one piece of memory when they are primitives, a flag and a value otherwise" do
+    test "are one block of memory for primitives, and a flag and a value otherwise" do
       assert decode([], "System.Nullable`1[[System.Double]]", [<<1, 0::56>>, f64(2.5)]) ==
                {:ok, 2.5}
 

@@ -29,9 +29,9 @@ defmodule Situ.Bridge.Recorder.ExportTest do
     def finish(state), do: {:ok, state}
   end
 
-  test "messages go by time, and streams of one rate take turns", %{tmp_dir: root} do
+  test "writes messages by time, and alternates streams of the same rate", %{tmp_dir: root} do
     {:ok, writer} = Writer.create("merged", root)
-    # More than are read at once, at equal and at different rates.
+    # There are more messages than one read returns, at equal and at different rates.
     periods = [{"a", 2}, {"b", 2}, {"c", 3}, {"late", 7}]
 
     wanted =
@@ -58,11 +58,11 @@ defmodule Situ.Bridge.Recorder.ExportTest do
     :ok = Writer.close(writer)
     store = Store.open!(writer.path)
     n = length(wanted)
-    assert {:ok, ^n} = Recorder.Export.export(Listed, store, "unused", [])
+    assert {:ok, ^n} = Recorder.Export.export_store(Listed, store, "unused", [])
     written = written()
     assert Enum.map(written, &elem(&1, 0)) == wanted |> Enum.map(&elem(&1, 0)) |> Enum.sort()
     assert Enum.sort(written) == Enum.sort(wanted)
-    # Streams of one rate take turns.
+    # Streams of the same rate alternate.
     assert for({_, name, _} <- written, name in ["a", "b"], do: name) ==
              List.flatten(List.duplicate(["a", "b"], 2_500))
   end

@@ -4,13 +4,13 @@ defmodule Situ.Bridge.Ros.BagTest do
   alias Situ.Store
 
   @moduletag :tmp_dir
-  # Recorded by ROS 1's own `rosbag record`; the .mcap beside it holds the same messages.
+  # Recorded by ROS 1's own `rosbag record`. The .mcap file next to it contains the same messages.
   @real Path.expand("../../../data/ros1_imu_gps_cam.bag", __DIR__)
 
   defp data(store, name),
     do: for(m <- Store.messages(store, name), do: {m.originating_time, m.data})
 
-  test "a real bag has what the MCAP file made of it has" do
+  test "reads the same messages from a real bag as from its MCAP conversion" do
     bag = Store.open!(@real)
     mcap = Store.open!(String.replace_suffix(@real, ".bag", ".mcap"))
 
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Ros.BagTest do
     assert m.originating_time == m.data["header"]["stamp"]
   end
 
-  test "a bag is written and read back", %{tmp_dir: dir} do
+  test "writes a bag and reads it back", %{tmp_dir: dir} do
     path = Path.join(dir, "copy.bag")
     store = Store.open!(@real)
 
@@ -45,7 +45,7 @@ defmodule Situ.Bridge.Ros.BagTest do
     assert packed < 0.7 * plain
   end
 
-  test "a pipeline records pictures, texts and maps of a type of one's own", %{tmp_dir: dir} do
+  test "records images, strings and maps of a custom type", %{tmp_dir: dir} do
     path = Path.join(dir, "own.bag")
 
     {:ok, image} =
@@ -72,7 +72,7 @@ defmodule Situ.Bridge.Ros.BagTest do
     assert data(store, "/own") == [{7, %{"a" => 1, "b" => [0.5]}}]
   end
 
-  test "a bag cut anywhere, or without its index, has what is whole", %{tmp_dir: dir} do
+  test "reads the complete messages of a truncated or unindexed bag", %{tmp_dir: dir} do
     path = Path.join(dir, "whole.bag")
     {:ok, 545} = Bag.export(Store.open!(@real), path, chunk: 5_000)
     want = data(Store.open!(path), "/imu/mag")
@@ -87,7 +87,7 @@ defmodule Situ.Bridge.Ros.BagTest do
     end
   end
 
-  test "other files are refused, damaged ones read as far as they go", %{tmp_dir: dir} do
+  test "rejects other files, and reads damaged ones as far as possible", %{tmp_dir: dir} do
     path = Path.join(dir, "x.bag")
     File.write!(path, "#ROSBAG V1.2\n")
     assert {:error, %{code: :not_bag, what: what}} = Store.open(path)

@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Ros.Db3Test do
     bytes
   end
 
-  test "topics are streams, by the types that ROS 2 has", %{tmp_dir: dir} do
+  test "opens topics as streams with their ROS 2 types", %{tmp_dir: dir} do
     rows = for i <- 1..50, do: insert(100 - i, 1, 1_000 + div(i, 2), float(i / 4))
 
     path =
@@ -63,7 +63,7 @@ defmodule Situ.Bridge.Ros.Db3Test do
     assert {:ok, [%{data: %Undecoded{}}]} = Store.read(store, "/values", from: 2_000)
   end
 
-  test "an import takes times from headers, and keeps times of recording and all fields",
+  test "imports header times, and keeps recording times and all fields",
        context do
     definition = "geometry_msgs/PoseStamped"
     {:ok, text} = Library.fetch(definition, :ros2)
@@ -88,7 +88,7 @@ defmodule Situ.Bridge.Ros.Db3Test do
     assert {:ok, [first, second]} = Store.read(store, "/pose")
     assert %{data: %Situ.Pose{}, originating_time: 2_000_000_900} = first
     assert first.creation_time == 3_000_000_500
-    # Without a stamp the time of recording is the originating time.
+    # Without a stamp, the time of recording is the originating time.
     assert %{originating_time: 3_000_000_600, creation_time: 3_000_000_600} = second
     assert {:ok, %{data: extra}} = Store.at(store, "/pose.extra", 0)
     assert extra["header"]["frame_id"] == "map"
@@ -99,7 +99,7 @@ defmodule Situ.Bridge.Ros.Db3Test do
              copy |> Store.open!() |> Store.at("/pose", 0)
   end
 
-  test "rows with other values than numbers are left out", %{tmp_dir: dir} do
+  test "skips rows with values that are not numbers", %{tmp_dir: dir} do
     {:ok, text} = Library.fetch("geometry_msgs/PoseStamped", :ros2)
     {:ok, parsed} = Definition.parse("geometry_msgs/PoseStamped", text, :ros2)
     message = %{"header" => %{"stamp" => 2_000}, "pose" => %{"orientation" => %{"w" => 1.0}}}
@@ -122,7 +122,7 @@ defmodule Situ.Bridge.Ros.Db3Test do
     end
   end
 
-  test "what is no bag is an error that says why", %{tmp_dir: dir} do
+  test "rejects a file that is not a bag, and says why", %{tmp_dir: dir} do
     path = Path.join(dir, "x.db3")
     File.write!(path, "no database at all, but long enough to be looked at")
     assert {:error, %{code: :not_bag}} = Store.open(path)

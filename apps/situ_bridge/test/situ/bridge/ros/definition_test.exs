@@ -9,8 +9,8 @@ defmodule Situ.Bridge.Ros.DefinitionTest do
     Definition.md5(definition)
   end
 
-  # As ROS 1 (noetic) has them.
-  test "the sums of ROS's own types" do
+  # ROS 1 (noetic) computed these sums.
+  test "computes the MD5 sums of ROS's own types" do
     for {name, sum} <- [
           {"std_msgs/Header", "2176decaecbce78abc3b96ef049fabed"},
           {"std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1"},
@@ -23,11 +23,11 @@ defmodule Situ.Bridge.Ros.DefinitionTest do
         do: assert(md5(name) == sum, name)
   end
 
-  test "every type of the library is whole" do
-    for name <- Library.names(), do: assert(byte_size(md5(name)) == 32)
+  test "has a complete definition of every type in the library" do
+    for name <- Library.type_names(), do: assert(byte_size(md5(name)) == 32)
   end
 
-  test "constants, comments, defaults, bounds and names of ROS 2" do
+  test "parses constants, comments, defaults, bounds and names of ROS 2" do
     text = """
     # a comment
     string NAME=a # no comment
@@ -53,11 +53,11 @@ defmodule Situ.Bridge.Ros.DefinitionTest do
            ]
   end
 
-  test "what cannot be used is told" do
+  test "rejects unusable definitions, and says why" do
     assert {:error, why} = Definition.parse("a/A", "b/Nobody x")
     assert why =~ "b/Nobody"
     assert {:error, why} = Definition.parse("a/A", "A next")
-    assert why =~ "made of itself"
+    assert why =~ "contains itself"
     assert {:error, why} = Definition.parse("a/A", "int32 1x")
     assert why =~ "1x"
     assert {:error, _} = Definition.parse("a/A", "<xml>")
@@ -66,7 +66,7 @@ defmodule Situ.Bridge.Ros.DefinitionTest do
              Definition.parse("a/A", "int32 x\n" <> String.duplicate("=", 80) <> "\nno MSG here")
   end
 
-  test "20,000 mutations of a definition are definitions or errors" do
+  test "parses 20,000 mutations to definitions or errors" do
     {:ok, text} = Library.fetch("visualization_msgs/Marker")
     :rand.seed(:exsss, {3, 2, 1})
 

@@ -6,15 +6,15 @@ defmodule Situ.Bridge.Ros.StandardTest do
   alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, DepthImage, Image, PointCloud, Pose}
   doctest Definition
 
-  # Through the bytes of ROS, there and back.
+  # Encodes the value as ROS 1 bytes and decodes it.
   defp there_and_back(value) do
     {:ok, channel} = Channel.new("/x", [encoding: :ros1], value)
     {:ok, bytes} = Channel.encode(channel, value, 5)
     {:ok, message} = Wire.decode(channel.definition, bytes, :ros1)
-    {message, Standard.from(channel.definition.name, message)}
+    {message, Standard.from_message(channel.definition.name, message)}
   end
 
-  test "Situ's types come back as they were, and carry their time as a stamp" do
+  test "keeps Situ's types, with their time as a stamp" do
     for value <- [
           Image.new!(width: 2, height: 1, format: :bgr24, data: <<1, 2, 3, 4, 5, 6>>),
           DepthImage.new!(width: 1, height: 2, data: <<1, 0, 2, 0>>),
@@ -47,8 +47,7 @@ defmodule Situ.Bridge.Ros.StandardTest do
     end
   end
 
-  # By ROS 1 and by ROS 2.
-  test "what sensors and joints say comes back as it was, of ROS 1 and of ROS 2" do
+  test "keeps the values of sensors and joints, in ROS 1 and in ROS 2" do
     pose = %Pose{position: {1.0, 2.0, 3.0}, rotation: {0.5, 0.5, 0.5, -0.5}}
     {:ok, place} = Situ.GeoPoint.new(46.05, 14.5, height: 300.0, accuracy: {1.0, 2.0, 3.0})
     {:ok, nowhere_high} = Situ.GeoPoint.new(-46.05, 14.5)
@@ -74,7 +73,7 @@ defmodule Situ.Bridge.Ros.StandardTest do
       spelled = if encoding == :ros1, do: "ros1", else: "cdr"
       {codec, _type, nil} = Codec.new(spelled, {name, language, text}, "/x")
       assert Codec.decode(codec, bytes) == {:ok, value}
-      {:ok, map} = Codec.decode(Codec.shaped(codec, :maps), bytes)
+      {:ok, map} = Codec.decode(Codec.set_message_mode(codec, :maps), bytes)
 
       with %{"header" => header} <- map do
         assert header["stamp"] == 7_000_000_005
@@ -84,28 +83,28 @@ defmodule Situ.Bridge.Ros.StandardTest do
     end
   end
 
-  test "transforms of /tf_static hold at all times; a receiver without a fix, and time itself" do
+  test "reads static transforms, a receiver without a fix, and the clock" do
     transform = Situ.Transform.new("camera", "robot", Pose.identity())
-    message = Standard.to("tf2_msgs/TFMessage", [transform], 5)
+    message = Standard.to_message("tf2_msgs/TFMessage", [transform], 5)
 
     assert [%{static: true, frame: "camera"}] =
-             Standard.from("tf2_msgs/TFMessage", message, "/tf_static")
+             Standard.from_message("tf2_msgs/TFMessage", message, "/tf_static")
 
-    assert [%{static: false}] = Standard.from("tf/tfMessage", message, "/tf")
+    assert [%{static: false}] = Standard.from_message("tf/tfMessage", message, "/tf")
 
     assert %{"status" => _} =
-             Standard.from("sensor_msgs/NavSatFix", %{"status" => %{"status" => -1}})
+             Standard.from_message("sensor_msgs/NavSatFix", %{"status" => %{"status" => -1}})
 
-    assert Standard.to("rosgraph_msgs/Clock", 12, 5) == %{"clock" => 12}
-    assert Standard.from("rosgraph_msgs/Clock", %{"clock" => 12}) == 12
+    assert Standard.to_message("rosgraph_msgs/Clock", 12, 5) == %{"clock" => 12}
+    assert Standard.from_message("rosgraph_msgs/Clock", %{"clock" => 12}) == 12
   end
 
-  test "sound goes out as its bytes" do
+  test "writes audio as its bytes" do
     {message, back} = there_and_back(AudioBuffer.from_samples([1, -1], AudioFormat.pcm(16_000)))
     assert message == back and message["data"] == <<1, 0, -1::little-16>>
   end
 
-  test "clouds have points with more to them, and rows with more than points" do
+  test "reads clouds whose points and rows have extra bytes" do
     field = fn name, at -> %{"name" => name, "offset" => at, "datatype" => 7, "count" => 1} end
 
     point = fn x ->
@@ -130,20 +129,20 @@ defmodule Situ.Bridge.Ros.StandardTest do
       "data" => point.(1.0) <> <<0::32>> <> point.(2.0) <> <<0::32>>
     }
 
-    assert {:ok, cloud} = Cloud.from(message)
+    assert {:ok, cloud} = Cloud.from_message(message)
     assert PointCloud.to_points(cloud) == [{1.0, 0.0, 0.0}, {2.0, 0.0, 0.0}]
     assert cloud.colors == <<7, 8, 9, 7, 8, 9>>
-    assert Cloud.from(%{message | "data" => "short"}) == :error
-    assert Cloud.from(%{message | "fields" => tl(tl(fields))}) == :error
+    assert Cloud.from_message(%{message | "data" => "short"}) == :error
+    assert Cloud.from_message(%{message | "fields" => tl(tl(fields))}) == :error
   end
 
-  test "messages that make no sense stay maps" do
+  test "leaves inconsistent messages as maps" do
     pose = %{
       "position" => %{"x" => 0.0, "y" => 0.0, "z" => 0.0},
       "orientation" => %{"x" => 0.0, "y" => 0.0, "z" => 0.0, "w" => 0.0}
     }
 
-    assert Standard.from("geometry_msgs/Pose", pose) == pose
+    assert Standard.from_message("geometry_msgs/Pose", pose) == pose
 
     info = %{
       "width" => 1,
@@ -153,15 +152,18 @@ defmodule Situ.Bridge.Ros.StandardTest do
       "distortion_model" => ""
     }
 
-    assert Standard.from("sensor_msgs/CameraInfo", info) == info
-    assert Standard.from("sensor_msgs/PointCloud2", %{}) == %{}
+    assert Standard.from_message("sensor_msgs/CameraInfo", info) == info
+    assert Standard.from_message("sensor_msgs/PointCloud2", %{}) == %{}
   end
 
-  test "a definition that has a standard name and other fields gives maps" do
+  test "leaves messages as maps if a standard name has other fields" do
     imu = %{"angular_veIocity" => %{"x" => 1.0, "y" => 0.0, "z" => 0.0}, "header" => %{}}
-    assert Standard.from("sensor_msgs/Imu", imu) == imu
+    assert Standard.from_message("sensor_msgs/Imu", imu) == imu
 
-    assert Standard.from("sensor_msgs/Imu", %{"linear_acceleration" => 5, "angular_velocity" => 6})
+    assert Standard.from_message("sensor_msgs/Imu", %{
+             "linear_acceleration" => 5,
+             "angular_velocity" => 6
+           })
 
     for name <-
           ~w(sensor_msgs/NavSatFix sensor_msgs/JointState sensor_msgs/Image tf2_msgs/TFMessage) do
@@ -171,11 +173,11 @@ defmodule Situ.Bridge.Ros.StandardTest do
             %{"name" => 1},
             %{"width" => nil}
           ],
-          do: assert(Standard.from(name, message) == message)
+          do: assert(Standard.from_message(name, message) == message)
     end
 
     transform = %{"translation" => %{}, "child_frame_id" => nil, "parent_frame_id" => 7}
     name = "foxglove.FrameTransform"
-    assert Situ.Bridge.Foxglove.Standard.from(name, transform) == transform
+    assert Situ.Bridge.Foxglove.Standard.from_message(name, transform) == transform
   end
 end

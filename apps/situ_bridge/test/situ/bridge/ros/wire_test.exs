@@ -31,7 +31,7 @@ defmodule Situ.Bridge.Ros.WireTest do
       :proper_types.tuple([
         integer(0, 255),
         float(),
-        text(),
+        ascii_text(),
         list(integer(-32_768, 32_767)),
         list(boolean(), 3),
         binary(),
@@ -64,7 +64,7 @@ defmodule Situ.Bridge.Ros.WireTest do
   end
 
   for encoding <- [:ros1, :cdr] do
-    property "#{encoding} gives back any message" do
+    property "#{encoding} decodes any encoded message" do
       forall message <- message() do
         {:ok, bytes} = Wire.encode(definition(), message, unquote(encoding))
         assert Wire.decode(definition(), bytes, unquote(encoding)) == {:ok, message}
@@ -72,8 +72,8 @@ defmodule Situ.Bridge.Ros.WireTest do
     end
   end
 
-  # Laid out by hand from the rules of CDR: each number at a multiple of its size.
-  test "CDR has ROS 2's alignment, in both byte orders" do
+  # The bytes are written by hand from the rules of CDR: each number is aligned to its size.
+  test "follows ROS 2's CDR alignment, in both byte orders" do
     {:ok, d} = Definition.parse("t/T", "uint8 a\nfloat64 b\nstring s\nuint16 c")
 
     little =
@@ -86,7 +86,7 @@ defmodule Situ.Bridge.Ros.WireTest do
     assert Wire.encode(d, want, :cdr) == {:ok, little}
   end
 
-  test "numbers beyond their field and things that are none are refused" do
+  test "rejects numbers beyond the range of their field, and other values" do
     {:ok, d} = Definition.parse("t/T", "uint8 a\nfloat32 x")
     assert {:error, why} = Wire.encode(d, %{"a" => 256}, :ros1)
     assert why =~ "256"
@@ -96,14 +96,14 @@ defmodule Situ.Bridge.Ros.WireTest do
     assert Wire.decode(d, bytes, :ros1) == {:ok, %{"a" => 0, "x" => :nan}}
   end
 
-  test "counts beyond the bytes are refused at once, and so are lists of nothing" do
+  test "rejects counts beyond the bytes, and lists of empty types, immediately" do
     {:ok, d} = Definition.parse("t/T", "E[] es\n#{String.duplicate("=", 80)}\nMSG: t/E\n")
     assert {:error, _} = Wire.decode(d, <<0xFFFFFFFF::32>>, :ros1)
     {:ok, d} = Definition.parse("t/T", "float64[] es")
     assert {:error, _} = Wire.decode(d, <<0xFFFFFFFF::32, 0::64>>, :ros1)
   end
 
-  test "20,000 mutations of messages are values or errors" do
+  test "decodes 20,000 mutated messages to values or errors" do
     message = %{
       "a" => 1,
       "b" => 2.5,

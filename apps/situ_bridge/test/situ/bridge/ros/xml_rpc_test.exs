@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Ros.XmlRpcTest do
-  # Counts atoms.
+  # Not async, because it counts atoms.
   use ExUnit.Case, async: false
   alias Situ.Bridge.Ros.{Slave, TcpRos, XmlRpc}
   doctest XmlRpc
@@ -23,12 +23,12 @@ defmodule Situ.Bridge.Ros.XmlRpcTest do
     nil
   ]
 
-  test "every value comes back" do
-    document = IO.iodata_to_binary(XmlRpc.response(@values))
+  test "decodes every encoded value" do
+    document = IO.iodata_to_binary(XmlRpc.encode_response(@values))
     assert XmlRpc.read_response(document) == {:ok, @values}
   end
 
-  test "Python's own documents are read" do
+  test "reads Python's documents" do
     document = """
     <?xml version='1.0'?>
     <methodResponse>
@@ -51,10 +51,10 @@ defmodule Situ.Bridge.Ros.XmlRpcTest do
     struct = "<struct><member><name>faultCode</name><value><int>1</int></value></member></struct>"
     fault = "<methodResponse><fault><value>#{struct}</value></fault></methodResponse>"
 
-    assert {:error, "it refuses" <> _} = XmlRpc.read_response(fault)
+    assert {:error, "the server refused" <> _} = XmlRpc.read_response(fault)
   end
 
-  test "entities are not followed, and nesting has an end" do
+  test "does not expand entities, and limits nesting" do
     bomb =
       ~s(<!DOCTYPE x [<!ENTITY a "aaaa">]><methodCall><methodName>&a;</methodName></methodCall>)
 
@@ -63,12 +63,12 @@ defmodule Situ.Bridge.Ros.XmlRpcTest do
     assert {:error, _} = XmlRpc.read_response("<methodResponse><params><param><value>" <> deep)
   end
 
-  test "documents and headers with bytes changed are read or refused, and make no atoms" do
-    request = IO.iodata_to_binary(XmlRpc.request("m", @values))
-    header = IO.iodata_to_binary(TcpRos.header(%{"topic" => "/a", "md5sum" => "*"}))
+  test "reads or rejects mutated documents and headers, and creates no atoms" do
+    request = IO.iodata_to_binary(XmlRpc.encode_request("m", @values))
+    header = IO.iodata_to_binary(TcpRos.encode_header(%{"topic" => "/a", "md5sum" => "*"}))
     :rand.seed(:exsss, {1, 2, 3})
     change = fn -> change(request, header) end
-    # The first changes load all modules, whose atoms must not count.
+    # The first mutations load all modules, whose atoms must not count.
     for _ <- 1..500, do: change.()
     atoms = :erlang.system_info(:atom_count)
     for _ <- 1..4_000, do: change.()

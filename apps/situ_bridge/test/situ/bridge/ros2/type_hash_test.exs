@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Ros2.TypeHashTest do
   alias Situ.Bridge.Ros2.TypeHash
   doctest TypeHash
 
-  # By rosbags 0.11.9.
+  # Computed by rosbags 0.11.9.
   @theirs %{
     "std_msgs/Bool" => "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9",
     "std_msgs/Empty" => "20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312",
@@ -22,20 +22,20 @@ defmodule Situ.Bridge.Ros2.TypeHashTest do
       "26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e"
   }
 
-  test "the sums are ROS 2's, of lists, arrays, bounds and types in types" do
+  test "computes ROS 2's hashes for lists, arrays, bounds and nested types" do
     for {name, sum} <- @theirs do
       {:ok, text} = Library.fetch(name, :ros2)
       {:ok, definition} = Definition.parse(name, text, :ros2)
-      assert {name, TypeHash.of(definition)} == {name, "RIHS01_" <> sum}
+      assert {name, TypeHash.hash_definition(definition)} == {name, "RIHS01_" <> sum}
     end
   end
 
-  test "a service without a request has one member all the same" do
+  test "gives an empty service request one member" do
     {:ok, service} =
-      Definition.service("std_srvs/srv/Trigger", "---\nbool success\nstring message", :ros2)
+      Definition.parse_service("std_srvs/srv/Trigger", "---\nbool success\nstring message", :ros2)
 
-    # By zenoh-ros2-sdk 0.1.8, and field by field what ROS 2 has.
-    assert TypeHash.of_service("std_srvs/Trigger", service) ==
+    # Computed by zenoh-ros2-sdk 0.1.8, and equal to ROS 2 field by field.
+    assert TypeHash.hash_service("std_srvs/Trigger", service) ==
              "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
 
     assert [{_, :uint8}] = service.request.types["std_srvs/Trigger_Request"].fields

@@ -6,44 +6,51 @@ defmodule Situ.CLI.Dataset.Listing do
   alias Situ.Time
 
   @doc "Lists the sessions selected by `--tag` and `--name`. Returns status 1 if any of their recordings is unreadable."
-  @spec dataset(Dataset.t(), keyword()) :: 0 | 1
-  def dataset(dataset, opts) do
-    sessions = Dataset.select(dataset, tags: opts[:tag], name: opts[:name] || "*")
+  @spec list_sessions(Dataset.t(), keyword()) :: 0 | 1
+  def list_sessions(dataset, opts) do
+    sessions = Dataset.select_sessions(dataset, tags: opts[:tag], name: opts[:name] || "*")
     shown = %{dataset | sessions: sessions}
-    summaries = Dataset.summaries(shown)
-    if opts[:json], do: Output.json(json(shown, summaries)), else: text(shown, summaries)
+    summaries = Dataset.session_summaries(shown)
+
+    if opts[:json],
+      do: Output.print_json(dataset_json(shown, summaries)),
+      else: print_dataset(shown, summaries)
+
     if Enum.any?(summaries, fn {_, s} -> s.unknown > 0 end), do: 1, else: 0
   end
 
   @doc "Lists the recordings of one session and their streams."
-  @spec session(Session.t(), keyword()) :: 0
-  def session(session, opts) do
+  @spec show_session(Session.t(), keyword()) :: 0
+  def show_session(session, opts) do
     if opts[:json],
-      do: Output.json(session_json(session, Session.summary(session))),
-      else: session_text(session)
+      do: Output.print_json(session_json(session, Session.summary(session))),
+      else: print_session(session)
 
     0
   end
 
-  defp text(dataset, summaries) do
+  defp print_dataset(dataset, summaries) do
     Output.puts("#{dataset.name}  (#{dataset.file || "not saved"})")
     total = Summary.sum(Enum.map(summaries, &elem(&1, 1)))
     length = Time.format_duration(Enum.sum(for {_, s} <- summaries, do: Summary.duration(s)))
 
     Output.puts(
-      "  #{Output.number(length(summaries), "session")}, #{Output.number(total.messages, "message")} in " <>
-        "#{Output.number(total.streams, "stream")}, #{Output.bytes(total.size)}, #{length} in all"
+      "  #{Output.format_count(length(summaries), "session")}, #{Output.format_count(total.messages, "message")} in " <>
+        "#{Output.format_count(total.streams, "stream")}, #{Output.format_bytes(total.size)}, #{length} in all"
     )
 
     head = ["session", "tags", "from", "length", "partitions", "streams", "messages", "size", ""]
-    rows = for {session, {_, s}} <- Enum.zip(dataset.sessions, summaries), do: row(session, s)
-    if rows != [], do: Output.table([head | rows], 3)
 
-    for {session, partition, error} <- unreadable(dataset, summaries),
+    rows =
+      for {session, {_, s}} <- Enum.zip(dataset.sessions, summaries), do: session_row(session, s)
+
+    if rows != [], do: Output.print_table([head | rows], 3)
+
+    for {session, partition, error} <- unreadable_partitions(dataset, summaries),
         do: Output.warn("#{session}/#{partition}: #{error.what}")
   end
 
-  defp row(session, s) do
+  defp session_row(session, s) do
     from =
       if s.messages > 0,
         do: s.originating.left |> Time.to_iso8601() |> String.slice(0, 19),
@@ -56,12 +63,12 @@ defmodule Situ.CLI.Dataset.Listing do
         "#{length(session.partitions)}",
         "#{s.streams}",
         "#{s.messages}",
-        Output.bytes(s.size),
+        Output.format_bytes(s.size),
         state
       ]
   end
 
-  defp unreadable(dataset, summaries) do
+  defp unreadable_partitions(dataset, summaries) do
     for {session, {_, %{unknown: n}}} <- Enum.zip(dataset.sessions, summaries),
         n > 0,
         partition <- session.partitions,
@@ -69,7 +76,7 @@ defmodule Situ.CLI.Dataset.Listing do
         do: {session.name, partition.name, error}
   end
 
-  defp json(dataset, summaries) do
+  defp dataset_json(dataset, summaries) do
     %{
       name: dataset.name,
       file: dataset.file,
@@ -88,7 +95,7 @@ defmodule Situ.CLI.Dataset.Listing do
       for p <- session.partitions do
         state =
           case Partition.summary(p) do
-            {:ok, s} -> numbers(s)
+            {:ok, s} -> summary_json(s)
             {:error, error} -> %{error: error.what}
           end
 
@@ -98,7 +105,7 @@ defmodule Situ.CLI.Dataset.Listing do
         )
       end
 
-    Map.merge(numbers(summary), %{
+    Map.merge(summary_json(summary), %{
       name: session.name,
       tags: session.tags,
       metadata: session.metadata,
@@ -106,14 +113,14 @@ defmodule Situ.CLI.Dataset.Listing do
     })
   end
 
-  defp numbers(s) do
+  defp summary_json(s) do
     {from, to} =
       if s.messages > 0, do: {s.originating.left, s.originating.right}, else: {nil, nil}
 
     %{from: from, to: to, streams: s.streams, messages: s.messages, size: s.size}
   end
 
-  defp session_text(session) do
+  defp print_session(session) do
     Output.puts("#{session.name}  #{Enum.map_join(session.tags, " ", &("#" <> &1))}")
 
     for {key, value} <- Enum.sort(session.metadata),
@@ -122,23 +129,26 @@ defmodule Situ.CLI.Dataset.Listing do
     rows =
       for p <- session.partitions do
         case Partition.summary(p) do
-          {:ok, s} -> [p.name, p.path, "#{s.streams}", "#{s.messages}", Output.bytes(s.size), ""]
-          {:error, error} -> [p.name, p.path, "-", "-", "-", error.what]
+          {:ok, s} ->
+            [p.name, p.path, "#{s.streams}", "#{s.messages}", Output.format_bytes(s.size), ""]
+
+          {:error, error} ->
+            [p.name, p.path, "-", "-", "-", error.what]
         end
       end
 
-    Output.table([["partition", "path", "streams", "messages", "size", ""] | rows], 2)
+    Output.print_table([["partition", "path", "streams", "messages", "size", ""] | rows], 2)
     open = OpenSession.open(session)
 
     streams =
-      for {partition, info} <- OpenSession.streams(open) do
+      for {partition, info} <- OpenSession.list_streams(open) do
         [
-          OpenSession.address(open, partition, info.name),
+          OpenSession.shortest_address(open, partition, info.name),
           info.type_name,
           "#{info.count}"
         ]
       end
 
-    if streams != [], do: Output.table([["stream", "type", "messages"] | streams], 2)
+    if streams != [], do: Output.print_table([["stream", "type", "messages"] | streams], 2)
   end
 end

@@ -23,12 +23,12 @@ defmodule Situ.CLI.Store.Attachments do
           )
         ],
         examples: ["situ store attachments drive.mcap calibration.yaml -o calibration.yaml"],
-        run: &run/2
+        run: &run_attachments/2
       }
     ]
   end
 
-  defp run(%{path: path, name: name}, opts) do
+  defp run_attachments(%{path: path, name: name}, opts) do
     store = Recording.open!(path)
 
     unless store.module == Mcap,
@@ -39,29 +39,38 @@ defmodule Situ.CLI.Store.Attachments do
           )
         )
 
-    if name, do: take(store, name, opts), else: list(store, opts)
+    if name, do: extract_attachment(store, name, opts), else: list_attachments(store, opts)
   end
 
-  defp list(store, opts) do
-    all = Mcap.attachments(store)
+  defp list_attachments(store, opts) do
+    all = Mcap.list_attachments(store)
 
     cond do
-      opts[:json] -> Output.json(all)
-      all == [] -> Output.puts("#{store.path} has no attachments.")
-      true -> Output.table([["attachment", "type", "time", "size"] | Enum.map(all, &row/1)], 2)
+      opts[:json] ->
+        Output.print_json(all)
+
+      all == [] ->
+        Output.puts("#{store.path} has no attachments.")
+
+      true ->
+        Output.print_table(
+          [["attachment", "type", "time", "size"] | Enum.map(all, &attachment_row/1)],
+          2
+        )
     end
 
     0
   end
 
-  defp row(a), do: [a.name, a.media_type, Time.to_iso8601(a.time), Output.bytes(a.size)]
+  defp attachment_row(a),
+    do: [a.name, a.media_type, Time.to_iso8601(a.time), Output.format_bytes(a.size)]
 
-  defp take(store, name, opts) do
-    bytes = Error.unwrap!(Mcap.attachment(store, name))
+  defp extract_attachment(store, name, opts) do
+    bytes = Error.unwrap!(Mcap.read_attachment(store, name))
 
     case opts[:output] do
       nil ->
-        Output.raw(bytes)
+        Output.write_raw(bytes)
 
       file ->
         with {:error, reason} <- File.write(file, bytes) do
@@ -70,7 +79,7 @@ defmodule Situ.CLI.Store.Attachments do
                 )
         end
 
-        if opts[:json], do: Output.json(%{name: name, file: file, size: byte_size(bytes)})
+        if opts[:json], do: Output.print_json(%{name: name, file: file, size: byte_size(bytes)})
     end
 
     0

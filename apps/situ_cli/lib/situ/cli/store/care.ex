@@ -19,7 +19,9 @@ defmodule Situ.CLI.Store.Care do
         summary: "check all checksums; status 1 if anything is damaged",
         arguments: [path: Keyword.put(@store, :many, true)],
         examples: ["situ store verify 'recordings/*'"],
-        run: fn %{path: paths}, opts -> Health.verify(Recording.expand(paths), opts) end
+        run: fn %{path: paths}, opts ->
+          Health.verify_paths(Recording.expand_patterns(paths), opts)
+        end
       },
       %Verb{
         words: ["store", "repair"],
@@ -38,7 +40,9 @@ defmodule Situ.CLI.Store.Care do
           "situ store repair recordings/lobby.0007",
           "situ store repair broken.mcap whole.mcap"
         ],
-        run: fn %{path: path} = arguments, opts -> Health.repair(path, arguments[:out], opts) end
+        run: fn %{path: path} = arguments, opts ->
+          Health.repair_path(path, arguments[:out], opts)
+        end
       },
       %Verb{
         words: ["store", "compact"],
@@ -62,59 +66,64 @@ defmodule Situ.CLI.Store.Care do
           )
         ],
         examples: ["situ store compact recordings/lobby.0000"],
-        run: fn %{path: paths}, opts -> compact(Recording.expand(paths), opts) end
+        run: fn %{path: paths}, opts -> compact_stores(Recording.expand_patterns(paths), opts) end
       },
       %Verb{
         words: ["store", "delete"],
         summary: "delete a store (asks first)",
         arguments: [path: @store],
         options: [Option.new(:yes, :flag, "do not ask", short: :y)],
-        run: &delete/2
+        run: &delete_store/2
       },
       %Verb{
         words: ["store", "rename"],
         summary: "rename a store",
         arguments: [path: @store, name: [kind: :text, doc: "the new name"]],
         examples: ["situ store rename recordings/lobby.0000 entrance"],
-        run: &rename/2
+        run: &rename_store/2
       }
     ]
   end
 
-  defp compact(paths, opts) do
+  defp compact_stores(paths, opts) do
     done =
       for path <- paths do
-        folder = folder!(path)
+        folder = store_folder!(path)
         UnfinishedOutput.remove_store_at_exit(folder)
-        before = Recording.size(folder)
-        copying = Arguments.copying(opts, fn _, _ -> :ok end)
+        before = Recording.disk_size(folder)
+        copying = Arguments.copy_options(opts, fn _, _ -> :ok end)
 
-        Progress.show("compact", opts, fn progress ->
-          ok!(Store.compact(folder, [progress: progress] ++ Keyword.delete(copying, :progress)))
+        Progress.with_progress("compact", opts, fn progress ->
+          unwrap!(
+            Store.compact(folder, [progress: progress] ++ Keyword.delete(copying, :progress))
+          )
         end)
 
-        %{path: folder, before: before, size: Recording.size(folder)}
+        %{path: folder, before: before, size: Recording.disk_size(folder)}
       end
 
-    if opts[:json], do: Output.json(done), else: Enum.each(done, &print_compacted/1)
+    if opts[:json], do: Output.print_json(done), else: Enum.each(done, &print_compacted/1)
     0
   end
 
   defp print_compacted(%{path: path, before: before, size: size}),
-    do: Output.puts("#{path}: #{Output.bytes(before)} before, #{Output.bytes(size)} now")
+    do:
+      Output.puts(
+        "#{path}: #{Output.format_bytes(before)} before, #{Output.format_bytes(size)} now"
+      )
 
-  defp rename(%{path: path, name: name}, opts) do
-    path = ok!(Store.rename(path, name))
-    if opts[:json], do: Output.json(%{path: path}), else: Output.puts(path)
+  defp rename_store(%{path: path, name: name}, opts) do
+    path = unwrap!(Store.rename(path, name))
+    if opts[:json], do: Output.print_json(%{path: path}), else: Output.puts(path)
     0
   end
 
-  defp delete(%{path: path}, opts) do
-    folder = folder!(path)
+  defp delete_store(%{path: path}, opts) do
+    folder = store_folder!(path)
 
-    if opts[:yes] || sure?(folder) do
-      :ok = ok!(Store.delete(folder))
-      if opts[:json], do: Output.json(%{deleted: folder})
+    if opts[:yes] || confirm_deletion?(folder) do
+      :ok = unwrap!(Store.delete(folder))
+      if opts[:json], do: Output.print_json(%{deleted: folder})
       0
     else
       Output.warn("Nothing deleted.")
@@ -123,19 +132,19 @@ defmodule Situ.CLI.Store.Care do
   end
 
   # A store that is too damaged to open can still be deleted.
-  defp folder!(path) do
+  defp store_folder!(path) do
     case Store.open(path) do
       {:ok, store} -> store.path
       {:error, error} -> if Store.exists?(path), do: Path.expand(path), else: raise(error)
     end
   end
 
-  defp sure?(folder) do
-    answer = IO.gets("Delete #{Output.name(folder)}? [y/N] ")
+  defp confirm_deletion?(folder) do
+    answer = IO.gets("Delete #{Output.format_name(folder)}? [y/N] ")
     is_binary(answer) and String.trim(answer) in ["y", "Y", "yes"]
   end
 
-  defp ok!(:ok), do: :ok
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!(:ok), do: :ok
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -6,11 +6,11 @@ defmodule Situ.CLI.Store.Contents do
   alias Situ.{Error, Store, Time}
 
   @doc "Returns the names of the parts that can be shown."
-  @spec parts() :: [String.t()]
-  def parts, do: ~w(channels schemas chunks attachments metadata sizes)
+  @spec part_names() :: [String.t()]
+  def part_names, do: ~w(channels schemas chunks attachments metadata sizes)
 
-  @spec show([Path.t()], String.t(), keyword()) :: 0
-  def show(paths, part, opts) do
+  @spec show_part([Path.t()], String.t(), keyword()) :: 0
+  def show_part(paths, part, opts) do
     for path <- paths do
       store = Store.open!(path)
 
@@ -23,15 +23,15 @@ defmodule Situ.CLI.Store.Contents do
             )
           )
 
-      shown(part, store, opts)
+      print_part(part, store, opts)
     end
 
     0
   end
 
-  defp shown("channels", store, opts) do
-    rows(
-      Mcap.channels(store),
+  defp print_part("channels", store, opts) do
+    print_rows(
+      Mcap.list_channels(store),
       opts,
       ~w(channel topic encoding schema messages metadata),
       4,
@@ -42,12 +42,18 @@ defmodule Situ.CLI.Store.Contents do
     )
   end
 
-  defp shown("schemas", store, opts) do
-    case {Mcap.schemas(store), opts[:stream]} do
+  defp print_part("schemas", store, opts) do
+    case {Mcap.list_schemas(store), opts[:stream]} do
       {schemas, nil} ->
-        rows(Enum.map(schemas, &plain/1), opts, ~w(schema name encoding size), 3, fn s ->
-          ["#{s.id}", s.name, s.encoding, Output.bytes(s.size)]
-        end)
+        print_rows(
+          Enum.map(schemas, &printable_schema/1),
+          opts,
+          ~w(schema name encoding size),
+          3,
+          fn s ->
+            ["#{s.id}", s.name, s.encoding, Output.format_bytes(s.size)]
+          end
+        )
 
       {schemas, name} ->
         case Enum.find(schemas, &(&1.name == name)) do
@@ -59,21 +65,23 @@ defmodule Situ.CLI.Store.Contents do
                   )
 
           schema ->
-            if opts[:json], do: Output.json(plain(schema)), else: Output.raw(schema.definition)
+            if opts[:json],
+              do: Output.print_json(printable_schema(schema)),
+              else: Output.write_raw(schema.definition)
         end
     end
   end
 
-  defp shown("chunks", store, opts) do
+  defp print_part("chunks", store, opts) do
     head = ~w(offset size compression data packed ratio first last)
 
-    rows(Mcap.chunks(store), opts, head, 0, fn c ->
+    print_rows(Mcap.list_chunks(store), opts, head, 0, fn c ->
       [
         "#{c.offset}",
-        Output.bytes(c.size),
+        Output.format_bytes(c.size),
         if(c.compression == "", do: "none", else: c.compression),
-        Output.bytes(c.unpacked),
-        Output.bytes(c.packed),
+        Output.format_bytes(c.unpacked),
+        Output.format_bytes(c.packed),
         if(c.unpacked > 0, do: "#{Float.round(c.packed / c.unpacked, 2)}", else: "-"),
         Time.to_iso8601(c.first),
         Time.to_iso8601(c.last)
@@ -81,35 +89,35 @@ defmodule Situ.CLI.Store.Contents do
     end)
   end
 
-  defp shown("attachments", store, opts) do
-    rows(Mcap.attachments(store), opts, ~w(attachment type time size), 2, fn a ->
-      [a.name, a.media_type, Time.to_iso8601(a.time), Output.bytes(a.size)]
+  defp print_part("attachments", store, opts) do
+    print_rows(Mcap.list_attachments(store), opts, ~w(attachment type time size), 2, fn a ->
+      [a.name, a.media_type, Time.to_iso8601(a.time), Output.format_bytes(a.size)]
     end)
   end
 
-  defp shown("metadata", store, opts) do
+  defp print_part("metadata", store, opts) do
     records = for {name, pairs} <- Store.info(store).metadata, do: %{name: name, metadata: pairs}
 
-    rows(records, opts, ~w(record metadata), 2, fn r ->
+    print_rows(records, opts, ~w(record metadata), 2, fn r ->
       [r.name, Enum.map_join(r.metadata, ", ", fn {key, value} -> "#{key}=#{value}" end)]
     end)
   end
 
-  defp shown("sizes", store, opts) do
-    sizes = Error.unwrap!(Mcap.sizes(store))
+  defp print_part("sizes", store, opts) do
+    sizes = Error.unwrap!(Mcap.topic_sizes(store))
     all = sizes |> Map.values() |> Enum.sum()
 
     sizes
     |> Enum.sort_by(fn {_, bytes} -> -bytes end)
     |> Enum.map(fn {topic, bytes} -> %{topic: topic, bytes: bytes} end)
-    |> rows(opts, ~w(topic data share), 1, fn r ->
+    |> print_rows(opts, ~w(topic data share), 1, fn r ->
       share = if all == 0, do: 0.0, else: 100 * r.bytes / all
-      [r.topic, Output.bytes(r.bytes), "#{Float.round(share, 1)} %"]
+      [r.topic, Output.format_bytes(r.bytes), "#{Float.round(share, 1)} %"]
     end)
   end
 
   # A definition may be binary, for example a set of Protobuf descriptors.
-  defp plain(schema) do
+  defp printable_schema(schema) do
     text? = String.valid?(schema.definition) and String.printable?(schema.definition)
     size = byte_size(schema.definition)
 
@@ -118,9 +126,9 @@ defmodule Situ.CLI.Store.Contents do
     |> Map.put(:definition, if(text?, do: schema.definition))
   end
 
-  defp rows(items, opts, head, left, row) do
+  defp print_rows(items, opts, head, left, row) do
     if opts[:json],
-      do: Output.json(items),
-      else: Output.table([head | Enum.map(items, row)], left)
+      do: Output.print_json(items),
+      else: Output.print_table([head | Enum.map(items, row)], left)
   end
 end

@@ -7,62 +7,64 @@ defmodule Situ.CLI.Store.Details do
 
   @not_real "not real time"
 
-  @spec print(Store.Handle.t(), String.t(), boolean()) :: :ok
-  def print(store, name, json?) do
+  @spec print_stream(Store.Handle.t(), String.t(), boolean()) :: :ok
+  def print_stream(store, name, json?) do
     case Store.stream_info(store, name) do
-      {:ok, info} when json? -> store |> json(info) |> Output.json()
-      {:ok, info} -> text(store, info)
+      {:ok, info} when json? -> store |> stream_json(info) |> Output.print_json()
+      {:ok, info} -> print_text(store, info)
       {:error, error} -> raise error
     end
   end
 
-  defp text(store, info) do
+  defp print_text(store, info) do
     Output.puts("#{info.name}  (stream #{info.id} of #{store.path})")
 
-    for {label, value} <- rows(store, info),
+    for {label, value} <- detail_rows(store, info),
         do: Output.puts("  #{String.pad_trailing(label, 12)}#{value}")
 
     :ok
   end
 
-  defp rows(store, info) do
+  defp detail_rows(store, info) do
     [
-      {"type", info.type_name <> fields(info)},
-      {"metadata", supplemental(store, info)},
-      {"opened", time(info.opened)},
-      {"closed", closed(info)},
-      {"messages", "#{info.count}, #{rate(info)}"},
-      {"happened", span(info.first, info.last)},
-      {"created", span(info.first_creation, info.last_creation)},
-      {"size", size(store, info)},
-      {"latency", latency_in_all(store, info)},
-      {"stored", stored(info)}
+      {"type", info.type_name <> field_list(info)},
+      {"metadata", metadata_text(store, info)},
+      {"opened", format_time(info.opened)},
+      {"closed", closed_text(info)},
+      {"messages", "#{info.count}, #{format_rate(info)}"},
+      {"happened", format_interval(info.first, info.last)},
+      {"created", format_interval(info.first_creation, info.last_creation)},
+      {"size", size_text(store, info)},
+      {"latency", total_latency(store, info)},
+      {"stored", storage_text(info)}
     ]
   end
 
-  defp fields(%{fields: nil}), do: ""
-  defp fields(info), do: " (#{Enum.join(info.fields, ", ")})"
+  defp field_list(%{fields: nil}), do: ""
+  defp field_list(info), do: " (#{Enum.join(info.fields, ", ")})"
 
-  defp supplemental(_store, %{supplemental: nil}), do: "none"
+  defp metadata_text(_store, %{supplemental: nil}), do: "none"
 
-  defp supplemental(store, %{supplemental: {type, _}} = info) do
+  defp metadata_text(store, %{supplemental: {type, _}} = info) do
     case Store.metadata(store, info) do
-      {:ok, term} -> "#{Data.text(term)} (#{type})"
+      {:ok, term} -> "#{Data.format_line(term)} (#{type})"
       {:error, _} -> "of type #{type}, which is not known on this machine"
     end
   end
 
-  defp time(nil), do: "-"
-  defp time(time), do: Time.to_iso8601(time)
+  defp format_time(nil), do: "-"
+  defp format_time(time), do: Time.to_iso8601(time)
 
-  defp closed(%{closed: nil}), do: "no"
-  defp closed(info), do: "at #{time(info.closed)}"
+  defp closed_text(%{closed: nil}), do: "no"
+  defp closed_text(info), do: "at #{format_time(info.closed)}"
 
-  defp span(nil, _), do: "-"
-  defp span(from, to), do: "#{time(from)} .. #{time(to)}, #{Time.format_duration(to - from)}"
+  defp format_interval(nil, _), do: "-"
 
-  defp size(store, info) do
-    if known?(store, info, info.size) or known?(store, info, info.stored) do
+  defp format_interval(from, to),
+    do: "#{format_time(from)} .. #{format_time(to)}, #{Time.format_duration(to - from)}"
+
+  defp size_text(store, info) do
+    if value_known?(store, info, info.size) or value_known?(store, info, info.stored) do
       "#{format_bytes(store, info, info.size)}, #{format_bytes(store, info, StreamInfo.average_size(info))} each; " <>
         "#{format_bytes(store, info, info.stored)} on disk"
     else
@@ -70,8 +72,8 @@ defmodule Situ.CLI.Store.Details do
     end
   end
 
-  defp latency_in_all(store, info) do
-    case latency(store, info) do
+  defp total_latency(store, info) do
+    case format_latency(store, info) do
       @not_real -> @not_real <> ": the messages were not created when they happened"
       "-" -> "unknown"
       average -> "#{average} on average, #{Time.format_duration(info.latency_sum)} in total"
@@ -79,27 +81,27 @@ defmodule Situ.CLI.Store.Details do
   end
 
   # Readers of external files set unknown sizes and creation times to 0 or nil.
-  defp known?(%{module: Store.Local}, _info, _value), do: true
-  defp known?(_foreign, %{count: 0}, _value), do: true
-  defp known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
+  defp value_known?(%{module: Store.Local}, _info, _value), do: true
+  defp value_known?(_foreign, %{count: 0}, _value), do: true
+  defp value_known?(_foreign, _info, value), do: value not in [nil, 0, 0.0]
 
   @doc "Formats a size, or returns `-` if the reader does not know it."
   @spec format_bytes(Store.Handle.t(), StreamInfo.t(), number() | nil) :: String.t()
   def format_bytes(store, info, size) do
-    if known?(store, info, size), do: Output.bytes(round(size || 0)), else: "-"
+    if value_known?(store, info, size), do: Output.format_bytes(round(size || 0)), else: "-"
   end
 
-  defp nil_if_unknown(store, info, value), do: if(known?(store, info, value), do: value)
+  defp nil_if_unknown(store, info, value), do: if(value_known?(store, info, value), do: value)
 
-  defp stored(info) do
+  defp storage_text(info) do
     lane = if info.large?, do: "each message separately", else: "in chunks"
     codecs = for {_, {name, _}} <- info.codecs, do: ", codec #{name}"
     "#{lane}, compression #{info.compression}#{codecs}"
   end
 
   @doc "Returns the properties of a stream for JSON output. Unknown values are `nil`."
-  @spec json(Store.Handle.t(), StreamInfo.t()) :: map()
-  def json(store, info) do
+  @spec stream_json(Store.Handle.t(), StreamInfo.t()) :: map()
+  def stream_json(store, info) do
     info
     |> Map.take([:id, :name, :store_name, :store_path, :count, :first, :last])
     |> Map.merge(Map.take(info, [:first_creation, :last_creation, :opened, :closed]))
@@ -111,26 +113,26 @@ defmodule Situ.CLI.Store.Details do
       type: info.type_name,
       large: info.large?,
       codecs: for({_, {name, _}} <- info.codecs, do: name),
-      metadata: metadata(info),
-      rate: StreamInfo.rate(info),
+      metadata: metadata_json(info),
+      rate: StreamInfo.message_rate(info),
       average_size: nil_if_unknown(store, info, StreamInfo.average_size(info)),
       average_latency: nil_if_unknown(store, info, StreamInfo.average_latency(info))
     })
   end
 
-  defp metadata(%{supplemental: nil}), do: nil
+  defp metadata_json(%{supplemental: nil}), do: nil
 
-  defp metadata(%{supplemental: {type, _}} = info) do
+  defp metadata_json(%{supplemental: {type, _}} = info) do
     case StreamInfo.metadata(info) do
-      {:ok, term} -> term |> Data.json() |> Map.put(:type, type)
+      {:ok, term} -> term |> Data.to_json() |> Map.put(:type, type)
       {:error, error} -> %{type: type, damage: error.why}
     end
   end
 
   @doc "Formats the number of messages per second."
-  @spec rate(StreamInfo.t()) :: String.t()
-  def rate(info) do
-    case StreamInfo.rate(info) do
+  @spec format_rate(StreamInfo.t()) :: String.t()
+  def format_rate(info) do
+    case StreamInfo.message_rate(info) do
       nil -> "-"
       hz when hz >= 1_000 -> "#{Float.round(hz / 1_000, 2)} kHz"
       hz -> "#{Float.round(hz, 2)} Hz"
@@ -141,12 +143,12 @@ defmodule Situ.CLI.Store.Details do
   Formats the average latency. It is meaningless if a replay ran at full speed, because its messages have creation times
   before their originating times.
   """
-  @spec latency(Store.Handle.t(), StreamInfo.t()) :: String.t()
-  def latency(store, info) do
+  @spec format_latency(Store.Handle.t(), StreamInfo.t()) :: String.t()
+  def format_latency(store, info) do
     average = StreamInfo.average_latency(info)
 
     cond do
-      average == nil or not known?(store, info, average) -> "-"
+      average == nil or not value_known?(store, info, average) -> "-"
       average < 0 -> @not_real
       true -> Time.format_duration(round(average))
     end

@@ -5,23 +5,23 @@ defmodule Situ.CLI.Store.Difference do
   alias Situ.Store
 
   @doc "Returns the differences of each stream. `envelopes: true` also compares creation times and sequence numbers."
-  @spec of(Store.Handle.t(), Store.Handle.t(), keyword()) :: [map()]
-  def of(a, b, opts) do
+  @spec compare_stores(Store.Handle.t(), Store.Handle.t(), keyword()) :: [map()]
+  def compare_stores(a, b, opts) do
     left = Map.new(Store.streams(a), &{&1.name, &1})
     right = Map.new(Store.streams(b), &{&1.name, &1})
 
     for name <- Enum.uniq(Map.keys(left) ++ Map.keys(right)) |> Enum.sort() do
-      stream(name, {a, left[name]}, {b, right[name]}, opts)
+      compare_stream(name, {a, left[name]}, {b, right[name]}, opts)
     end
   end
 
-  defp stream(name, {_, nil}, {_, info}, _opts), do: alone(name, :second, info)
-  defp stream(name, {_, info}, {_, nil}, _opts), do: alone(name, :first, info)
+  defp compare_stream(name, {_, nil}, {_, info}, _opts), do: only_in_one(name, :second, info)
+  defp compare_stream(name, {_, info}, {_, nil}, _opts), do: only_in_one(name, :first, info)
 
-  defp stream(name, {a, left}, {b, right}, opts) do
-    tapes = {tape(a, left), tape(b, right)}
+  defp compare_stream(name, {a, left}, {b, right}, opts) do
+    tapes = {open_tape(a, left), open_tape(b, right)}
     start = %{equal: 0, different: 0, only_first: 0, only_second: 0, at: nil}
-    counted = walk(tapes, start, opts)
+    counted = compare_tapes(tapes, start, opts)
     types = if left.type_name != right.type_name, do: [left.type_name, right.type_name]
 
     counted
@@ -29,40 +29,57 @@ defmodule Situ.CLI.Store.Difference do
     |> Map.put(:same, counted.at == nil and types == nil)
   end
 
-  defp alone(name, where, info),
+  defp only_in_one(name, where, info),
     do: %{stream: name, only: where, messages: info.count, same: false}
 
-  defp tape(store, info), do: store |> Store.messages(info) |> Tape.open() |> Tape.next()
+  defp open_tape(store, info),
+    do: store |> Store.messages(info) |> Tape.open() |> Tape.next_item()
 
-  defp walk({nil, nil}, counted, _opts), do: counted
+  defp compare_tapes({nil, nil}, counted, _opts), do: counted
 
-  defp walk({{m, rest}, nil}, c, opts),
-    do: walk({Tape.next(rest), nil}, note(c, :only_first, m), opts)
+  defp compare_tapes({{m, rest}, nil}, c, opts),
+    do: compare_tapes({Tape.next_item(rest), nil}, count_difference(c, :only_first, m), opts)
 
-  defp walk({nil, {m, rest}}, c, opts),
-    do: walk({nil, Tape.next(rest)}, note(c, :only_second, m), opts)
+  defp compare_tapes({nil, {m, rest}}, c, opts),
+    do: compare_tapes({nil, Tape.next_item(rest)}, count_difference(c, :only_second, m), opts)
 
-  defp walk({{a, left}, {b, right}} = tapes, counted, opts) do
+  defp compare_tapes({{a, left}, {b, right}} = tapes, counted, opts) do
     cond do
       a.originating_time < b.originating_time ->
-        walk({Tape.next(left), elem(tapes, 1)}, note(counted, :only_first, a), opts)
+        compare_tapes(
+          {Tape.next_item(left), elem(tapes, 1)},
+          count_difference(counted, :only_first, a),
+          opts
+        )
 
       a.originating_time > b.originating_time ->
-        walk({elem(tapes, 0), Tape.next(right)}, note(counted, :only_second, b), opts)
+        compare_tapes(
+          {elem(tapes, 0), Tape.next_item(right)},
+          count_difference(counted, :only_second, b),
+          opts
+        )
 
-      same?(a, b, opts) ->
-        walk({Tape.next(left), Tape.next(right)}, %{counted | equal: counted.equal + 1}, opts)
+      same_message?(a, b, opts) ->
+        compare_tapes(
+          {Tape.next_item(left), Tape.next_item(right)},
+          %{counted | equal: counted.equal + 1},
+          opts
+        )
 
       true ->
-        walk({Tape.next(left), Tape.next(right)}, note(counted, :different, a), opts)
+        compare_tapes(
+          {Tape.next_item(left), Tape.next_item(right)},
+          count_difference(counted, :different, a),
+          opts
+        )
     end
   end
 
-  defp note(counted, key, message) do
+  defp count_difference(counted, key, message) do
     counted |> Map.update!(key, &(&1 + 1)) |> Map.update!(:at, &(&1 || message.originating_time))
   end
 
-  defp same?(a, b, opts) do
+  defp same_message?(a, b, opts) do
     a.data === b.data and
       (not opts[:envelopes] or
          {a.creation_time, a.sequence_id} == {b.creation_time, b.sequence_id})

@@ -7,10 +7,10 @@ defmodule Situ.CLI.Store.Foreign do
 
   @type report :: %{messages: non_neg_integer(), damage: [%{why: String.t()}]}
 
-  @spec verify(Path.t(), (non_neg_integer(), non_neg_integer() -> any())) ::
+  @spec verify_file(Path.t(), (non_neg_integer(), non_neg_integer() -> any())) ::
           {:ok, report()} | {:error, Error.t()}
-  def verify(path, progress) do
-    Recording.ready([path])
+  def verify_file(path, progress) do
+    Recording.prepare_readers([path])
 
     with {:ok, store} <- Store.open(path) do
       streams = Store.streams(store)
@@ -18,18 +18,18 @@ defmodule Situ.CLI.Store.Foreign do
 
       {read, found} =
         Enum.reduce(streams, {0, []}, fn info, acc ->
-          stream(store, info, acc, &progress.(&1, total))
+          read_stream(store, info, acc, &progress.(&1, total))
         end)
 
-      of_file = for place <- Store.info(store).damage, do: %{why: told(place)}
+      of_file = for place <- Store.info(store).damage, do: %{why: describe_damage(place)}
       {:ok, %{messages: read, damage: of_file ++ Enum.reverse(found)}}
     end
   end
 
-  defp told(sentence) when is_binary(sentence), do: sentence
-  defp told(place), do: "at byte #{place[:offset]}: #{place[:why]}"
+  defp describe_damage(sentence) when is_binary(sentence), do: sentence
+  defp describe_damage(place), do: "at byte #{place[:offset]}: #{place[:why]}"
 
-  defp stream(store, info, {read, found}, progress) do
+  defp read_stream(store, info, {read, found}, progress) do
     {n, bad, why} =
       store
       |> Store.messages(info)
@@ -42,13 +42,13 @@ defmodule Situ.CLI.Store.Foreign do
         end
       end)
 
-    {read + n, undecoded(info, bad, why) ++ found}
+    {read + n, undecoded_damage(info, bad, why) ++ found}
   rescue
     error in Error -> {read, [%{why: "#{info.name}: #{Exception.message(error)}"} | found]}
   end
 
-  defp undecoded(_info, 0, _why), do: []
+  defp undecoded_damage(_info, 0, _why), do: []
 
-  defp undecoded(info, bad, why),
+  defp undecoded_damage(info, bad, why),
     do: [%{why: "#{info.name}: #{bad} messages do not match their schema (#{why})"}]
 end

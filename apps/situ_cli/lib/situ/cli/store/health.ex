@@ -5,58 +5,61 @@ defmodule Situ.CLI.Store.Health do
   alias Situ.CLI.Store.{Foreign, Saving}
   alias Situ.{Error, Store}
 
-  @spec verify([Path.t()], keyword()) :: 0 | 1
-  def verify(paths, opts) do
-    reports = for path <- paths, do: {path, checked(path, opts, length(paths))}
-    if opts[:json], do: json(reports)
+  @spec verify_paths([Path.t()], keyword()) :: 0 | 1
+  def verify_paths(paths, opts) do
+    reports = for path <- paths, do: {path, verify_path(path, opts, length(paths))}
+    if opts[:json], do: print_reports_json(reports)
     if Enum.all?(reports, &match?({_, {:ok, %{damage: []}}}, &1)), do: 0, else: 1
   end
 
   # A path that is not a store must not prevent the others from being checked.
-  defp checked(path, opts, n) do
+  defp verify_path(path, opts, n) do
     result =
-      Progress.show("verify", opts, fn progress ->
+      Progress.with_progress("verify", opts, fn progress ->
         if File.regular?(path),
-          do: Foreign.verify(path, progress),
+          do: Foreign.verify_file(path, progress),
           else: Store.verify(path, progress: progress)
       end)
 
-    if n == 1, do: ok!(result)
-    if not (opts[:json] || false), do: text(if(n > 1, do: path <> ": ", else: ""), path, result)
+    if n == 1, do: unwrap!(result)
+
+    if not (opts[:json] || false),
+      do: print_result(if(n > 1, do: path <> ": ", else: ""), path, result)
+
     result
   end
 
-  defp text(prefix, _path, {:ok, %{chunks: chunks, damage: []}}),
+  defp print_result(prefix, _path, {:ok, %{chunks: chunks, damage: []}}),
     do: Output.puts("#{prefix}#{chunks} chunks, all intact")
 
-  defp text(prefix, _path, {:ok, %{messages: messages, damage: []}}),
+  defp print_result(prefix, _path, {:ok, %{messages: messages, damage: []}}),
     do: Output.puts("#{prefix}#{messages} messages, all readable")
 
-  defp text(prefix, path, {:ok, %{messages: _, damage: damage}}) do
+  defp print_result(prefix, path, {:ok, %{messages: _, damage: damage}}) do
     Output.puts(prefix <> "DAMAGED")
     for %{why: why} <- damage, do: Output.puts("  " <> why)
-    Output.puts(foreign_error(path, nil).fix)
+    Output.puts(external_file_error(path, nil).fix)
   end
 
-  defp text(prefix, path, {:ok, %{damage: damage}}) do
+  defp print_result(prefix, path, {:ok, %{damage: damage}}) do
     Output.puts(prefix <> "DAMAGED")
-    places(damage)
+    print_damage(damage)
     Output.puts("`situ store repair '#{path}'` keeps the intact data.")
   end
 
-  defp text(prefix, _path, {:error, error}), do: Output.puts(prefix <> error.what)
+  defp print_result(prefix, _path, {:error, error}), do: Output.puts(prefix <> error.what)
 
   # For repeated damage in one file, prints only the first position and the number of others.
-  defp places(damage) do
+  defp print_damage(damage) do
     for [first | more] <- Enum.chunk_by(damage, &{&1.file, &1.why}) do
       also = if more == [], do: "", else: " (and at #{length(more)} more positions)"
       Output.puts("  #{first.file} at byte #{first.offset}: #{first.why}#{also}")
     end
   end
 
-  defp json([{_, {:ok, report}}]), do: Output.json(report)
+  defp print_reports_json([{_, {:ok, report}}]), do: Output.print_json(report)
 
-  defp json(reports) do
+  defp print_reports_json(reports) do
     all =
       for {path, result} <- reports do
         case result do
@@ -65,32 +68,32 @@ defmodule Situ.CLI.Store.Health do
         end
       end
 
-    Output.json(all)
+    Output.print_json(all)
   end
 
-  @spec repair(Path.t(), Path.t() | nil, keyword()) :: 0
-  def repair(path, out, opts) do
+  @spec repair_path(Path.t(), Path.t() | nil, keyword()) :: 0
+  def repair_path(path, out, opts) do
     cond do
-      File.regular?(path) and mcap?(path) and out != nil and mcap?(out) ->
-        recover(path, out, opts)
+      File.regular?(path) and mcap_file?(path) and out != nil and mcap_file?(out) ->
+        recover_mcap(path, out, opts)
 
       File.regular?(path) ->
-        raise foreign_error(path, out)
+        raise external_file_error(path, out)
 
       out != nil ->
         raise in_place_error(path)
 
       true ->
-        repair(path, opts)
+        repair_store(path, opts)
     end
   end
 
-  defp mcap?(path), do: Saving.format(path) == :mcap
+  defp mcap_file?(path), do: Saving.format_from_extension(path) == :mcap
 
-  defp foreign_error(path, out) do
+  defp external_file_error(path, out) do
     fix =
       cond do
-        not mcap?(path) ->
+        not mcap_file?(path) ->
           "run `situ store import --skip-damage '#{path}' NAME` to save the readable data in a store"
 
         out == nil ->
@@ -110,51 +113,51 @@ defmodule Situ.CLI.Store.Health do
     )
   end
 
-  defp recover(path, out, opts) do
+  defp recover_mcap(path, out, opts) do
     if opts[:dry_run] do
       throw(
         {:usage, "--dry-run is only for stores; `situ store verify '#{path}'` shows the damage"}
       )
     end
 
-    Saving.save(%{path: path, file: out}, [{:skip_damage, true} | opts])
+    Saving.save_file(%{path: path, file: out}, [{:skip_damage, true} | opts])
   end
 
-  defp repair(path, opts) do
+  defp repair_store(path, opts) do
     dry? = opts[:dry_run] == true
 
     report =
-      Progress.show("repair", opts, fn progress ->
-        ok!(Store.repair(path, dry_run: dry?, progress: progress))
+      Progress.with_progress("repair", opts, fn progress ->
+        unwrap!(Store.repair(path, dry_run: dry?, progress: progress))
       end)
 
     if opts[:json] do
-      Output.json(report)
+      Output.print_json(report)
     else
       Output.puts(
         "#{report.kept} chunks kept (#{report.recovered} of them recovered), #{report.dropped} lost"
       )
 
-      places(report.damage)
-      if report.unconfirmed > 0, do: Output.puts(describe_unconfirmed(report.unconfirmed))
-      Output.puts(done(report, dry?))
+      print_damage(report.damage)
+      if report.unconfirmed > 0, do: Output.puts(unconfirmed_note(report.unconfirmed))
+      Output.puts(repair_outcome(report, dry?))
     end
 
     0
   end
 
-  defp describe_unconfirmed(n) do
-    "#{Output.number(n, "chunk")} at the end omitted. Its data is intact, but without the lost index it is unknown " <>
+  defp unconfirmed_note(n) do
+    "#{Output.format_count(n, "chunk")} at the end omitted. Its data is intact, but without the lost index it is unknown " <>
       "whether the writer had acknowledged it."
   end
 
-  defp done(_report, true), do: "Nothing was changed (--dry-run)."
+  defp repair_outcome(_report, true), do: "Nothing was changed (--dry-run)."
 
-  defp done(%{rebuilt?: true}, _dry?),
+  defp repair_outcome(%{rebuilt?: true}, _dry?),
     do: "The index was rebuilt; an old one is kept as index.situ.before-repair."
 
-  defp done(_report, _dry?), do: "The store is complete and closed."
+  defp repair_outcome(_report, _dry?), do: "The store is complete and closed."
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

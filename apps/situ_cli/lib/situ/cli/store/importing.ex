@@ -50,7 +50,7 @@ defmodule Situ.CLI.Store.Importing do
             Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "the format of tables",
               short: :m
             )
-          ] ++ copying() ++ Protobuf.reading(),
+          ] ++ copy_option_specs() ++ Protobuf.read_options(),
         examples: [
           "situ store import drive.mcap recordings/drive",
           "situ store import 'tables/*.parquet' recordings/tables",
@@ -78,19 +78,19 @@ defmodule Situ.CLI.Store.Importing do
               value: "NAME",
               many?: true
             )
-          ] ++ copying() ++ Arguments.carried() ++ Protobuf.reading(),
+          ] ++ copy_option_specs() ++ Arguments.mcap_options() ++ Protobuf.read_options(),
         examples: [
           "situ store convert drive.bag drive.mcap --compression zstd",
           "situ store convert level.parquet level.csv"
         ],
-        run: &convert/2
+        run: &convert_file/2
       }
     ]
   end
 
-  defp copying do
+  defp copy_option_specs do
     [
-      Arguments.exclude(),
+      Arguments.exclude_option(),
       Option.new(:from, :time, "start at this originating time"),
       Option.new(:to, :time, "end at this originating time; both ends are included"),
       Option.new(:compression, ["none", "gzip", "lz4", "zstd"], "the compression of the output"),
@@ -106,16 +106,16 @@ defmodule Situ.CLI.Store.Importing do
   defp import_files(%{path: paths, out: out}, opts) do
     UnfinishedOutput.remove_store_at_exit(out)
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
-    paths = Recording.expand(paths)
+    paths = Recording.expand_patterns(paths)
     forced = opts[:format] && @formats[opts[:format]]
-    formats = for path <- paths, do: {path, forced || format(path)}
+    formats = for path <- paths, do: {path, forced || table_format(path)}
 
     case Enum.split_with(formats, &elem(&1, 1)) do
       {tables, []} ->
-        tables(tables, out, opts)
+        import_tables(tables, out, opts)
 
       {[], _} ->
-        recordings(paths, out, opts)
+        import_recordings(paths, out, opts)
 
       _both ->
         throw(
@@ -124,10 +124,10 @@ defmodule Situ.CLI.Store.Importing do
     end
   end
 
-  defp format("-"), do: throw({:usage, "standard input needs a format: give --format"})
-  defp format(path), do: if(File.regular?(path), do: Tables.format(path))
+  defp table_format("-"), do: throw({:usage, "standard input needs a format: give --format"})
+  defp table_format(path), do: if(File.regular?(path), do: Tables.detect_format(path))
 
-  defp tables(tables, out, opts) do
+  defp import_tables(tables, out, opts) do
     given? = fn name -> opts[name] not in [nil, false, []] end
 
     if name = Enum.find([:from, :to, :compression, :exclude], given?),
@@ -138,39 +138,41 @@ defmodule Situ.CLI.Store.Importing do
 
     named =
       case {tables, opts[:stream]} do
-        {_, []} -> for {path, format} <- tables, do: {Tables.name(path), path, format}
+        {_, []} -> for {path, format} <- tables, do: {Tables.stream_name(path), path, format}
         {[{path, format}], [name]} -> [{name, path, format}]
         _ -> throw({:usage, "--stream names the stream of a single table"})
       end
 
-    named = for {name, path, format} <- named, do: {name(name), path, table(format, opts)}
+    named =
+      for {name, path, format} <- named,
+          do: {stream_name(name), path, with_table_options(format, opts)}
 
-    case Progress.show("import", opts, fn _progress -> imported(named, out) end) do
-      {:ok, path, counts} -> told(path, Enum.sum(Map.values(counts)), opts)
+    case Progress.with_progress("import", opts, fn _progress -> import_sources(named, out) end) do
+      {:ok, path, counts} -> report_import(path, Enum.sum(Map.values(counts)), opts)
       {:error, error} -> raise error
     end
   end
 
-  defp table(:protobuf, opts), do: {:protobuf, Protobuf.given(opts)}
-  defp table(format, _opts), do: format
+  defp with_table_options(:protobuf, opts), do: {:protobuf, Protobuf.parse_options(opts)}
+  defp with_table_options(format, _opts), do: format
 
-  defp name("-"), do: "Imported"
-  defp name(name), do: name
+  defp stream_name("-"), do: "Imported"
+  defp stream_name(name), do: name
 
-  defp imported([{name, "-", format}], out),
-    do: Input.spooled(&import_named([{name, &1, format}], out))
+  defp import_sources([{name, "-", format}], out),
+    do: Input.with_spooled_file(&import_named([{name, &1, format}], out))
 
-  defp imported(named, out), do: import_named(named, out)
+  defp import_sources(named, out), do: import_named(named, out)
 
   # Prints a warning about each column that the table cannot keep.
   defp import_named(named, out), do: Tables.import(named, out, notice: &Output.warn/1)
 
-  defp recordings(paths, out, opts) do
-    Recording.ready(paths)
+  defp import_recordings(paths, out, opts) do
+    Recording.prepare_readers(paths)
 
     result =
-      Progress.show("import", opts, fn progress ->
-        copying = [{:empty, :refuse} | Arguments.copying(opts, progress)]
+      Progress.with_progress("import", opts, fn progress ->
+        copying = [{:empty, :refuse} | Arguments.copy_options(opts, progress)]
 
         case paths do
           [path] -> Store.copy(path, out, copying)
@@ -179,36 +181,36 @@ defmodule Situ.CLI.Store.Importing do
       end)
 
     case result do
-      {:ok, path} -> told(path, messages(path), opts)
+      {:ok, path} -> report_import(path, count_messages(path), opts)
       {:error, error} -> raise error
     end
   end
 
-  defp messages(path),
+  defp count_messages(path),
     do: path |> Store.open!() |> Store.streams() |> Enum.map(& &1.count) |> Enum.sum()
 
-  defp told(path, n, opts) do
-    if opts[:json], do: Output.json(%{path: path, messages: n}), else: Output.puts(path)
+  defp report_import(path, n, opts) do
+    if opts[:json], do: Output.print_json(%{path: path, messages: n}), else: Output.puts(path)
     0
   end
 
-  defp convert(%{path: path, out: out}, opts) do
+  defp convert_file(%{path: path, out: out}, opts) do
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
 
     cond do
-      Saving.format(out) == nil -> import_files(%{path: [path], out: out}, opts)
-      Tables.table?(path) -> through_store(path, out, opts)
-      true -> Saving.save(%{path: path, file: out}, opts)
+      Saving.format_from_extension(out) == nil -> import_files(%{path: [path], out: out}, opts)
+      Tables.table?(path) -> convert_via_store(path, out, opts)
+      true -> Saving.save_file(%{path: path, file: out}, opts)
     end
   end
 
   # A table is not a recording, so it is first imported into a temporary store.
-  defp through_store(path, out, opts) do
+  defp convert_via_store(path, out, opts) do
     Situ.Scratch.with_folder("convert", fn root ->
-      format = table(Tables.format(path), opts)
+      format = with_table_options(Tables.detect_format(path), opts)
 
-      case import_named([{Tables.name(path), path, format}], Path.join(root, "t")) do
-        {:ok, store, _} -> Saving.save(%{path: store, file: out}, opts)
+      case import_named([{Tables.stream_name(path), path, format}], Path.join(root, "t")) do
+        {:ok, store, _} -> Saving.save_file(%{path: store, file: out}, opts)
         {:error, %Error{} = error} -> raise error
       end
     end)

@@ -8,71 +8,74 @@ defmodule Situ.CLI.Store.Info do
   alias Situ.Store.StreamInfo
 
   @doc "Prints the details of one recording, or one line for each of several recordings or those in a folder."
-  @spec run([Path.t()], keyword()) :: 0 | 1
-  def run([path], opts) do
-    if folder?(path) or (opts[:json] && opts[:stream] == nil),
-      do: list([path], opts),
-      else: one(path, opts)
+  @spec show_recordings([Path.t()], keyword()) :: 0 | 1
+  def show_recordings([path], opts) do
+    if recordings_folder?(path) or (opts[:json] && opts[:stream] == nil),
+      do: list_recordings([path], opts),
+      else: show_recording(path, opts)
   end
 
-  def run(paths, opts), do: list(paths, opts)
+  def show_recordings(paths, opts), do: list_recordings(paths, opts)
 
-  defp folder?(path),
+  defp recordings_folder?(path),
     do: File.dir?(path) and not Store.exists?(path)
 
   # Unreadable recordings are listed as errors. If the only given recording is unreadable, the command fails.
-  defp list(paths, opts) do
+  defp list_recordings(paths, opts) do
     stores =
-      Enum.flat_map(paths, &if(folder?(&1), do: Store.list(&1, recursive: true), else: [&1]))
+      Enum.flat_map(
+        paths,
+        &if(recordings_folder?(&1), do: Store.list(&1, recursive: true), else: [&1])
+      )
 
     opened = for path <- stores, do: {path, Store.open(path)}
     with {[path], [{path, {:error, error}}]} <- {paths, opened}, do: raise(error)
 
     if opts[:json] do
-      Output.json(Enum.map(opened, &entry/1))
+      Output.print_json(Enum.map(opened, &entry_json/1))
     else
       if stores == [], do: Output.puts("No stores in #{Enum.join(paths, ", ")}.")
-      Enum.each(opened, &Output.puts(short(&1)))
+      Enum.each(opened, &Output.puts(short_line(&1)))
     end
 
     if Enum.all?(opened, &match?({_, {:ok, _}}, &1)), do: 0, else: 1
   end
 
-  defp entry({_path, {:ok, store}}), do: json(store)
-  defp entry({path, {:error, error}}), do: %{path: path, error: error.what}
+  defp entry_json({_path, {:ok, store}}), do: store_json(store)
+  defp entry_json({path, {:error, error}}), do: %{path: path, error: error.what}
 
-  defp short({path, opened}) do
+  defp short_line({path, opened}) do
     case opened do
       {:ok, store} ->
         streams = Store.streams(store)
 
-        "#{store.path}  #{Output.number(length(streams), "stream")}, #{span(streams)}, " <>
-          "#{Output.bytes(Recording.size(store.path))}, #{state(Store.info(store))}"
+        "#{store.path}  #{Output.format_count(length(streams), "stream")}, #{format_length(streams)}, " <>
+          "#{Output.format_bytes(Recording.disk_size(store.path))}, #{store_state(Store.info(store))}"
 
       {:error, error} ->
         "#{path}  #{error.what}"
     end
   end
 
-  defp one(path, opts) do
+  defp show_recording(path, opts) do
     store = Store.open!(path)
 
     if name = opts[:stream],
-      do: Details.print(store, name, opts[:json] == true),
-      else: text(store)
+      do: Details.print_stream(store, name, opts[:json] == true),
+      else: print_overview(store)
 
     0
   end
 
-  defp text(store) do
+  defp print_overview(store) do
     info = Store.info(store)
     streams = Store.streams(store)
     Output.puts("#{info.name}  (#{store.path})")
 
     Output.puts(
-      "  #{state(info)}; #{Output.number(length(streams), "stream")}, " <>
-        "#{Output.number(count(streams), "message")}, " <>
-        "#{Output.bytes(Recording.size(store.path))} on disk"
+      "  #{store_state(info)}; #{Output.format_count(length(streams), "stream")}, " <>
+        "#{Output.format_count(count_messages(streams), "message")}, " <>
+        "#{Output.format_bytes(Recording.disk_size(store.path))} on disk"
     )
 
     case Store.interval(streams) do
@@ -86,11 +89,11 @@ defmodule Situ.CLI.Store.Info do
         )
     end
 
-    for line <- pieces(store, info), do: Output.puts("  " <> line)
-    table(store, streams)
-    for line <- foreign(store, info), do: Output.puts("  " <> line)
+    for line <- segment_lines(store, info), do: Output.puts("  " <> line)
+    print_streams(store, streams)
+    for line <- external_lines(store, info), do: Output.puts("  " <> line)
 
-    for line <- damage(store, info), do: Output.puts("  DAMAGED " <> line)
+    for line <- damage_lines(store, info), do: Output.puts("  DAMAGED " <> line)
 
     for file <- Store.missing_files(store) do
       Output.puts("  DAMAGED: #{file} is missing; `situ store verify '#{store.path}'`")
@@ -98,9 +101,9 @@ defmodule Situ.CLI.Store.Info do
   end
 
   # The name of a recording with several segments opens the newest segment.
-  defp pieces(store, %{piece: %{}, name: name}) do
+  defp segment_lines(store, %{piece: %{}, name: name}) do
     root = Path.dirname(store.path)
-    count = Enum.count(Store.list(root), &(Store.Folder.name(&1) == name))
+    count = Enum.count(Store.list(root), &(Store.Folder.store_name(&1) == name))
 
     if count > 1,
       do: [
@@ -109,76 +112,76 @@ defmodule Situ.CLI.Store.Info do
       else: []
   end
 
-  defp pieces(_store, _info), do: []
+  defp segment_lines(_store, _info), do: []
 
   # Describes properties that external files contain about themselves.
-  defp foreign(store, info) do
+  defp external_lines(store, info) do
     written =
       [info[:written_by], info[:profile]]
       |> Enum.reject(&(&1 in [nil, ""]))
       |> Enum.join(", profile ")
 
     [
-      written != "" && "written by #{Output.name(written)}",
-      attachments(store) != [] &&
-        "#{Output.number(length(attachments(store)), "attachment")}: `situ store attachments '#{store.path}'`"
+      written != "" && "written by #{Output.format_name(written)}",
+      list_attachments(store) != [] &&
+        "#{Output.format_count(length(list_attachments(store)), "attachment")}: `situ store attachments '#{store.path}'`"
     ]
     |> Enum.filter(& &1)
     |> Kernel.++(
       for {name, pairs} <- info[:metadata] || [],
-          do: "metadata #{Output.name(name)}: #{pairs(pairs)}"
+          do: "metadata #{Output.format_name(name)}: #{format_pairs(pairs)}"
     )
-    |> Kernel.++(for note <- info[:notes] || [], do: "note: #{Output.name(note)}")
+    |> Kernel.++(for note <- info[:notes] || [], do: "note: #{Output.format_name(note)}")
   end
 
-  defp pairs(pairs),
-    do: Enum.map_join(pairs, ", ", fn {key, value} -> Output.name("#{key}=#{value}") end)
+  defp format_pairs(pairs),
+    do: Enum.map_join(pairs, ", ", fn {key, value} -> Output.format_name("#{key}=#{value}") end)
 
-  defp attachments(%{module: Mcap} = store), do: Mcap.attachments(store)
-  defp attachments(_store), do: []
+  defp list_attachments(%{module: Mcap} = store), do: Mcap.list_attachments(store)
+  defp list_attachments(_store), do: []
 
   # Only Situ's own files have checksums to verify. For an external file, the first damaged positions are listed.
-  defp damage(_store, %{damage: []}), do: []
+  defp damage_lines(_store, %{damage: []}), do: []
 
-  defp damage(%{module: Store.Local} = store, info),
+  defp damage_lines(%{module: Store.Local} = store, info),
     do: [
-      "in #{Output.number(length(info.damage), "position")}: `situ store verify '#{store.path}'`"
+      "in #{Output.format_count(length(info.damage), "position")}: `situ store verify '#{store.path}'`"
     ]
 
-  defp damage(_store, info) do
-    shown = for place <- Enum.take(info.damage, 5), do: told(place)
+  defp damage_lines(_store, info) do
+    shown = for place <- Enum.take(info.damage, 5), do: describe_damage(place)
 
     more = length(info.damage) - length(shown)
-    shown ++ if(more > 0, do: ["at #{Output.number(more, "more position")}"], else: [])
+    shown ++ if(more > 0, do: ["at #{Output.format_count(more, "more position")}"], else: [])
   end
 
   # Some readers of external files describe damage as a sentence.
-  defp told(sentence) when is_binary(sentence), do: sentence
-  defp told(place), do: "at byte #{place[:offset]}: #{place[:why]}"
+  defp describe_damage(sentence) when is_binary(sentence), do: sentence
+  defp describe_damage(place), do: "at byte #{place[:offset]}: #{place[:why]}"
 
-  defp table(_store, []), do: :ok
+  defp print_streams(_store, []), do: :ok
 
-  defp table(store, streams) do
+  defp print_streams(store, streams) do
     head = ~w(stream type messages rate size avg latency gaps)
-    Output.table([head | Enum.map(streams, &row(store, &1))], 2)
+    Output.print_table([head | Enum.map(streams, &stream_row(store, &1))], 2)
   end
 
-  defp row(store, info) do
+  defp stream_row(store, info) do
     [
       info.name <> if(info.large?, do: "*", else: ""),
       info.type_name,
       Integer.to_string(info.count),
-      Details.rate(info),
+      Details.format_rate(info),
       Details.format_bytes(store, info, info.stored),
       Details.format_bytes(store, info, StreamInfo.average_size(info)),
-      Details.latency(store, info),
-      gaps(store, info)
+      Details.format_latency(store, info),
+      format_gaps(store, info)
     ]
   end
 
   # A gap is longer than ten times the average period, and at least 100 ms.
-  defp gaps(store, info) do
-    case StreamInfo.rate(info) do
+  defp format_gaps(store, info) do
+    case StreamInfo.message_rate(info) do
       nil ->
         "-"
 
@@ -196,22 +199,22 @@ defmodule Situ.CLI.Store.Info do
     end
   end
 
-  defp count(streams), do: streams |> Enum.map(& &1.count) |> Enum.sum()
+  defp count_messages(streams), do: streams |> Enum.map(& &1.count) |> Enum.sum()
 
-  defp span(streams) do
+  defp format_length(streams) do
     case Store.interval(streams) do
       nil -> "empty"
       {first, last} -> Time.format_duration(last - first)
     end
   end
 
-  defp state(%{live?: true}), do: "being written"
-  defp state(%{closed?: true}), do: "closed"
+  defp store_state(%{live?: true}), do: "being written"
+  defp store_state(%{closed?: true}), do: "closed"
 
-  defp state(_),
+  defp store_state(_),
     do: "not closed (its writer was killed; it is readable, and `situ store repair` closes it)"
 
-  defp json(store) do
+  defp store_json(store) do
     info = Store.info(store)
 
     %{
@@ -220,14 +223,16 @@ defmodule Situ.CLI.Store.Info do
       closed: info.closed?,
       live: info.live?,
       created: info.created,
-      size: Recording.size(store.path),
+      size: Recording.disk_size(store.path),
       damage: length(info.damage),
       missing_files: Store.missing_files(store),
-      streams: Enum.map(Store.streams(store), &Details.json(store, &1))
+      streams: Enum.map(Store.streams(store), &Details.stream_json(store, &1))
     }
     |> Map.merge(
       if(info[:metadata] in [nil, []], do: %{}, else: %{metadata: Map.new(info.metadata)})
     )
-    |> Map.merge(if(attachments(store) == [], do: %{}, else: %{attachments: attachments(store)}))
+    |> Map.merge(
+      if(list_attachments(store) == [], do: %{}, else: %{attachments: list_attachments(store)})
+    )
   end
 end

@@ -6,8 +6,8 @@ defmodule Situ.CLI.Store.Lag do
   alias Situ.Store
 
   @doc "Returns `[%{stream, average, most, messages}]` in ns, sorted by `order`, greatest lag first."
-  @spec of(Store.Handle.t(), :average | :most) :: [map()]
-  def of(store, order) do
+  @spec measure_lags(Store.Handle.t(), :average | :most) :: [map()]
+  def measure_lags(store, order) do
     tagged =
       for info <- Store.streams(store),
           do: {info.name, Store.messages(store, info, envelopes: true, skip_damage: true)}

@@ -33,7 +33,7 @@ defmodule Situ.CLI.Store.Looking do
           ),
           Option.new(
             :show,
-            Contents.parts(),
+            Contents.part_names(),
             "MCAP: show this part of the file instead of the streams"
           )
         ],
@@ -42,7 +42,7 @@ defmodule Situ.CLI.Store.Looking do
           "situ store info recordings --json",
           "situ store info drive.mcap --show chunks"
         ],
-        run: &info/2
+        run: &show_info/2
       },
       %Verb{
         words: ["store", "messages"],
@@ -74,7 +74,7 @@ defmodule Situ.CLI.Store.Looking do
           "situ store messages recordings/lobby",
           "situ store messages recordings/lobby -s Lobby.Speaking -n 0 --json"
         ],
-        run: &messages/2
+        run: &show_messages/2
       },
       %Verb{
         words: ["store", "stats"],
@@ -90,7 +90,7 @@ defmodule Situ.CLI.Store.Looking do
           )
         ],
         examples: ["situ store stats recordings/lobby --gap 1s"],
-        run: &stats/2
+        run: &show_statistics/2
       },
       %Verb{
         words: ["store", "analyze"],
@@ -105,7 +105,7 @@ defmodule Situ.CLI.Store.Looking do
           )
         ],
         examples: ["situ store analyze recordings/lobby -o max"],
-        run: &analyze/2
+        run: &analyze_lags/2
       },
       %Verb{
         words: ["store", "diff"],
@@ -115,37 +115,41 @@ defmodule Situ.CLI.Store.Looking do
           Option.new(:envelopes, :flag, "also compare creation times and sequence numbers")
         ],
         examples: ["situ store diff recordings/lobby.0000 recordings/lobby.0001"],
-        run: &diff/2
+        run: &compare_recordings/2
       }
     ]
   end
 
-  defp info(%{path: paths}, opts) do
-    paths = Recording.expand(paths)
-    Recording.ready(paths)
+  defp show_info(%{path: paths}, opts) do
+    paths = Recording.expand_patterns(paths)
+    Recording.prepare_readers(paths)
 
     if opts[:show],
-      do: Contents.show(paths, opts[:show], opts),
-      else: Info.run(paths, opts)
+      do: Contents.show_part(paths, opts[:show], opts),
+      else: Info.show_recordings(paths, opts)
   end
 
-  defp messages(%{path: path}, opts) do
+  defp show_messages(%{path: path}, opts) do
     if (opts[:number] || 0) < 0, do: throw({:usage, "--number must be 0 or greater"})
     store = Recording.open!(path)
-    names = for info <- Arguments.chosen!(store, opts), do: info.name
-    Messages.run(store, names, opts)
+    names = for info <- Arguments.select_streams!(store, opts), do: info.name
+    Messages.print_messages(store, names, opts)
   end
 
-  defp stats(%{path: path}, opts) do
+  defp show_statistics(%{path: path}, opts) do
     store = Recording.open!(path)
-    stats = for info <- chosen(store, opts[:stream]), do: Statistics.of(store, info, opts[:gap])
-    if opts[:json], do: Output.json(stats), else: table(stats)
+
+    stats =
+      for info <- resolve_streams(store, opts[:stream]),
+          do: Statistics.measure_stream(store, info, opts[:gap])
+
+    if opts[:json], do: Output.print_json(stats), else: print_statistics(stats)
     0
   end
 
-  defp chosen(store, []), do: Store.streams(store)
+  defp resolve_streams(store, []), do: Store.streams(store)
 
-  defp chosen(store, names) do
+  defp resolve_streams(store, names) do
     for name <- names do
       case Store.stream_info(store, name) do
         {:ok, info} -> info
@@ -154,7 +158,7 @@ defmodule Situ.CLI.Store.Looking do
     end
   end
 
-  defp table(stats) do
+  defp print_statistics(stats) do
     head = [
       "stream",
       "messages",
@@ -174,53 +178,56 @@ defmodule Situ.CLI.Store.Looking do
         [
           s.stream,
           "#{s.messages}",
-          rate(s.rate),
-          span(s.period_mean),
-          span(s.period_deviation),
-          span(s.period_p99)
+          format_rate(s.rate),
+          format_span(s.period_mean),
+          format_span(s.period_deviation),
+          format_span(s.period_p99)
         ] ++
           [
-            span(s.period_most),
-            gaps(s),
-            span(s.latency_p50),
-            span(s.latency_p95),
-            span(s.latency_p99)
+            format_span(s.period_most),
+            format_gaps(s),
+            format_span(s.latency_p50),
+            format_span(s.latency_p95),
+            format_span(s.latency_p99)
           ]
       end
 
-    Output.table([head | rows], 1)
+    Output.print_table([head | rows], 1)
   end
 
-  defp rate(nil), do: "-"
-  defp rate(hz), do: "#{Float.round(hz, 2)} Hz"
-  defp span(nil), do: "-"
-  defp span(ns), do: Time.format_duration(round(ns))
-  defp gaps(%{gaps: 0}), do: "-"
-  defp gaps(s), do: "#{s.gaps} (#{Time.format_duration(s.gap_time)})"
+  defp format_rate(nil), do: "-"
+  defp format_rate(hz), do: "#{Float.round(hz, 2)} Hz"
+  defp format_span(nil), do: "-"
+  defp format_span(ns), do: Time.format_duration(round(ns))
+  defp format_gaps(%{gaps: 0}), do: "-"
+  defp format_gaps(s), do: "#{s.gaps} (#{Time.format_duration(s.gap_time)})"
 
-  defp analyze(%{path: path}, opts) do
+  defp analyze_lags(%{path: path}, opts) do
     lags =
-      path |> Recording.open!() |> Lag.of(if(opts[:order] == "max", do: :most, else: :average))
+      path
+      |> Recording.open!()
+      |> Lag.measure_lags(if(opts[:order] == "max", do: :most, else: :average))
 
     if opts[:json] do
-      Output.json(lags)
+      Output.print_json(lags)
     else
       rows =
-        for lag <- lags, do: [lag.stream, "#{lag.messages}", span(lag.average), span(lag.most)]
+        for lag <- lags,
+            do: [lag.stream, "#{lag.messages}", format_span(lag.average), format_span(lag.most)]
 
-      Output.table([["stream", "messages", "average lag", "greatest"] | rows], 1)
+      Output.print_table([["stream", "messages", "average lag", "greatest"] | rows], 1)
     end
 
     0
   end
 
-  defp diff(%{first: first, second: second}, opts) do
-    differences = Difference.of(Recording.open!(first), Recording.open!(second), opts)
+  defp compare_recordings(%{first: first, second: second}, opts) do
+    differences = Difference.compare_stores(Recording.open!(first), Recording.open!(second), opts)
     same? = Enum.all?(differences, & &1.same)
 
     if opts[:json],
-      do: Output.json(%{same: same?, streams: differences}),
-      else: for(d <- differences, do: Output.puts(difference(d)))
+      do: Output.print_json(%{same: same?, streams: differences}),
+      else: for(d <- differences, do: Output.puts(describe_difference(d)))
 
     if same?, do: 0, else: 1
   rescue
@@ -228,17 +235,18 @@ defmodule Situ.CLI.Store.Looking do
     error in Error -> raise error
   end
 
-  defp difference(%{only: where} = d) when where != nil,
-    do: "#{Output.name(d.stream)}: only in the #{where} (#{Output.number(d.messages, "message")})"
+  defp describe_difference(%{only: where} = d) when where != nil,
+    do:
+      "#{Output.format_name(d.stream)}: only in the #{where} (#{Output.format_count(d.messages, "message")})"
 
-  defp difference(%{same: true} = d),
-    do: "#{Output.name(d.stream)}: the same (#{Output.number(d.equal, "message")})"
+  defp describe_difference(%{same: true} = d),
+    do: "#{Output.format_name(d.stream)}: the same (#{Output.format_count(d.equal, "message")})"
 
-  defp difference(d) do
+  defp describe_difference(d) do
     types = if d.types, do: "types #{Enum.join(d.types, " and ")}; ", else: ""
     at = if d.at, do: "; the first difference at #{Time.to_iso8601(d.at)}", else: ""
 
-    "#{Output.name(d.stream)}: #{types}#{d.equal} equal, #{d.different} different, " <>
+    "#{Output.format_name(d.stream)}: #{types}#{d.equal} equal, #{d.different} different, " <>
       "#{d.only_first} only in the first, #{d.only_second} only in the second#{at}"
   end
 end

@@ -22,7 +22,7 @@ defmodule Situ.CLI.Store.Making do
 
   @impl true
   def verbs do
-    copies() ++
+    copy_verbs() ++
       [
         %Verb{
           words: ["store", "crop"],
@@ -33,9 +33,9 @@ defmodule Situ.CLI.Store.Making do
             [
               Option.new(:start, :span, "start this long after the recording's first message"),
               Option.new(:length, :span, "the length of the interval")
-            ] ++ interval() ++ Arguments.streams() ++ storing(),
+            ] ++ interval_options() ++ Arguments.stream_options() ++ storage_options(),
           examples: ["situ store crop recordings/lobby lunch --start 30m --length 10m"],
-          run: &crop/2
+          run: &crop_recording/2
         },
         %Verb{
           words: ["store", "concat"],
@@ -44,12 +44,12 @@ defmodule Situ.CLI.Store.Making do
             "concatenate several recordings into one store; streams of the same name are joined",
           about: @about,
           arguments: [path: Keyword.put(@recording, :many, true), out: @new],
-          options: Arguments.streams() ++ interval() ++ storing(),
+          options: Arguments.stream_options() ++ interval_options() ++ storage_options(),
           examples: ["situ store concat monday tuesday week"],
           run: fn %{path: paths, out: out}, opts ->
             check_store!("concat", out)
-            paths = Recording.expand(paths)
-            made(paths, out, opts, &Store.concat(paths, out, copying(opts, &1)))
+            paths = Recording.expand_patterns(paths)
+            write_store(paths, out, opts, &Store.concat(paths, out, copy_options(opts, &1)))
           end
         },
         %Verb{
@@ -59,9 +59,9 @@ defmodule Situ.CLI.Store.Making do
           arguments: [path: @recording, out: @new],
           options:
             [Option.new(:every, :span, "the length of each store")] ++
-              Arguments.streams() ++ storing(),
+              Arguments.stream_options() ++ storage_options(),
           examples: ["situ store split recordings/day hours --every 1h"],
-          run: &split/2
+          run: &split_recording/2
         },
         %Verb{
           words: ["store", "remove"],
@@ -72,9 +72,9 @@ defmodule Situ.CLI.Store.Making do
             path: @recording,
             stream: [kind: :text, many: true, doc: "names or patterns of streams"]
           ],
-          options: storing(),
+          options: storage_options(),
           examples: ["situ store remove recordings/lobby 'Lobby.Debug.*'"],
-          run: &remove/2
+          run: &remove_streams/2
         },
         %Verb{
           words: ["store", "edit"],
@@ -95,12 +95,12 @@ defmodule Situ.CLI.Store.Making do
           examples: [
             "situ store edit recordings/lobby mended --set 'Words@2026-01-31T12:00:00Z=\"five\"'"
           ],
-          run: &edit/2
+          run: &edit_messages/2
         }
       ]
   end
 
-  defp copies do
+  defp copy_verbs do
     [
       copy_verb("copy", "create a store or file with all or some streams of a recording", [
         "situ store copy talk1.mp4 recordings/talk",
@@ -126,9 +126,9 @@ defmodule Situ.CLI.Store.Making do
       summary: summary,
       about: @about <> @mcap,
       arguments: [path: @recording, out: @new_file],
-      options: Arguments.streams() ++ interval() ++ storing(),
+      options: Arguments.stream_options() ++ interval_options() ++ storage_options(),
       examples: examples,
-      run: fn arguments, opts -> copy(arguments, put_defaults(word, opts)) end
+      run: fn arguments, opts -> copy_recording(arguments, put_defaults(word, opts)) end
     }
   end
 
@@ -138,15 +138,15 @@ defmodule Situ.CLI.Store.Making do
   defp put_defaults("copy", opts), do: opts
 
   # The file's extension selects the format, as with `situ store save`.
-  defp copy(%{path: path, out: out}, opts) do
-    if Saving.format(out),
-      do: Saving.save(%{path: path, file: out}, opts),
-      else: made([path], out, opts, &Store.copy(path, out, copying(opts, &1)))
+  defp copy_recording(%{path: path, out: out}, opts) do
+    if Saving.format_from_extension(out),
+      do: Saving.save_file(%{path: path, file: out}, opts),
+      else: write_store([path], out, opts, &Store.copy(path, out, copy_options(opts, &1)))
   end
 
   # Some verbs can only create stores.
   defp check_store!(verb, out) do
-    if Saving.format(out) do
+    if Saving.format_from_extension(out) do
       raise Error.new(
               :not_a_store,
               "`situ store #{verb}` creates a store, not #{Path.basename(out)}",
@@ -157,14 +157,14 @@ defmodule Situ.CLI.Store.Making do
     end
   end
 
-  defp interval do
+  defp interval_options do
     [
       Option.new(:from, :time, "start at this originating time"),
       Option.new(:to, :time, "end at this originating time; both ends are included")
     ]
   end
 
-  defp storing do
+  defp storage_options do
     [
       Option.new(:compression, ["none", "lz4", "zstd"], "for the new store (default: unchanged)"),
       skip_damage()
@@ -174,26 +174,27 @@ defmodule Situ.CLI.Store.Making do
   defp skip_damage,
     do: Option.new(:skip_damage, :flag, "omit damaged data; without this flag it is an error")
 
-  defp copying(opts, progress), do: [{:empty, :refuse} | Arguments.copying(opts, progress)]
+  defp copy_options(opts, progress),
+    do: [{:empty, :refuse} | Arguments.copy_options(opts, progress)]
 
-  defp crop(%{path: path, out: out}, opts) do
+  defp crop_recording(%{path: path, out: out}, opts) do
     if Keyword.take(opts, [:from, :to, :start, :length]) == [],
       do: throw({:usage, "no interval given: give --start and --length, or --from and --to"})
 
-    if Saving.format(out),
-      do: Saving.save(%{path: path, file: out}, Arguments.absolute_interval!(path, opts)),
-      else: made([path], out, opts, &Store.crop(path, out, copying(opts, &1)))
+    if Saving.format_from_extension(out),
+      do: Saving.save_file(%{path: path, file: out}, Arguments.parse_interval!(path, opts)),
+      else: write_store([path], out, opts, &Store.crop(path, out, copy_options(opts, &1)))
   end
 
-  defp made(paths, out, opts, make) do
-    Recording.ready(paths)
+  defp write_store(paths, out, opts, make) do
+    Recording.prepare_readers(paths)
     UnfinishedOutput.remove_store_at_exit(out)
-    path = Progress.show("write", opts, fn progress -> ok!(make.(progress)) end)
-    if opts[:json], do: Output.json(%{path: path}), else: Output.puts(path)
+    path = Progress.with_progress("write", opts, fn progress -> unwrap!(make.(progress)) end)
+    if opts[:json], do: Output.print_json(%{path: path}), else: Output.puts(path)
     0
   end
 
-  defp split(%{path: path, out: out}, opts) do
+  defp split_recording(%{path: path, out: out}, opts) do
     every = opts[:every] || throw({:usage, "no length given: give --every SPAN"})
     check_store!("split", out)
     if every <= 0, do: throw({:usage, "--every must be greater than 0"})
@@ -202,14 +203,14 @@ defmodule Situ.CLI.Store.Making do
     paths =
       case Store.interval(store) do
         nil -> []
-        {first, last} -> parts(path, out, {first, last, every}, opts)
+        {first, last} -> make_parts(path, out, {first, last, every}, opts)
       end
 
-    if opts[:json], do: Output.json(%{paths: paths}), else: Enum.each(paths, &Output.puts/1)
+    if opts[:json], do: Output.print_json(%{paths: paths}), else: Enum.each(paths, &Output.puts/1)
     0
   end
 
-  defp parts(path, out, {first, last, every}, opts) do
+  defp make_parts(path, out, {first, last, every}, opts) do
     for {from, n} <- Enum.with_index(first..last//every, 1),
         name = "#{out}-#{n |> Integer.to_string() |> String.pad_leading(3, "0")}",
         made = make_part(path, name, {from, min(from + every - 1, last)}, opts),
@@ -220,19 +221,19 @@ defmodule Situ.CLI.Store.Making do
   defp make_part(path, name, {from, to}, opts) do
     UnfinishedOutput.remove_store_at_exit(name)
 
-    Progress.show(Path.basename(name), opts, fn progress ->
-      case Store.copy(path, name, [from: from, to: to] ++ copying(opts, progress)) do
+    Progress.with_progress(Path.basename(name), opts, fn progress ->
+      case Store.copy(path, name, [from: from, to: to] ++ copy_options(opts, progress)) do
         {:error, %Error{code: :empty_interval}} -> nil
-        result -> ok!(result)
+        result -> unwrap!(result)
       end
     end)
   end
 
-  defp remove(%{path: path, stream: unwanted}, opts) do
+  defp remove_streams(%{path: path, stream: unwanted}, opts) do
     store = Recording.open!(path)
     name = Store.info(store).name
     out = Path.join(Path.dirname(store.path), name)
-    streams = Arguments.copying([exclude: unwanted], fn _, _ -> :ok end)[:streams]
+    streams = Arguments.copy_options([exclude: unwanted], fn _, _ -> :ok end)[:streams]
     kept = Enum.filter(Store.streams(store), streams)
 
     if length(kept) == length(Store.streams(store)) do
@@ -243,28 +244,28 @@ defmodule Situ.CLI.Store.Making do
             )
     end
 
-    made([path], out, opts, fn progress ->
-      Store.copy(store.path, out, [streams: streams] ++ copying(opts, progress))
+    write_store([path], out, opts, fn progress ->
+      Store.copy(store.path, out, [streams: streams] ++ copy_options(opts, progress))
     end)
   end
 
-  defp edit(%{path: path, out: out}, opts) do
+  defp edit_messages(%{path: path, out: out}, opts) do
     check_store!("edit", out)
 
-    case Arguments.edits!(Recording.open!(path), opts) do
+    case Arguments.parse_edits!(Recording.open!(path), opts) do
       none when none == %{} ->
         throw({:usage, "no changes given: give --set or --delete"})
 
       edits ->
-        made(
+        write_store(
           [path],
           out,
           opts,
-          &Store.edit(path, out, edits, Arguments.damage(opts) ++ [progress: &1])
+          &Store.edit(path, out, edits, Arguments.damage_options(opts) ++ [progress: &1])
         )
     end
   end
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -5,38 +5,41 @@ defmodule Situ.CLI.Store.Messages do
   alias Situ.CLI.Store.{Arguments, Tape}
   alias Situ.{Message, Store, Time}
 
-  @spec run(Store.Handle.t(), [String.t()], keyword()) :: 0
-  def run(store, streams, opts) do
-    reading = Arguments.damage(opts) ++ Arguments.times(opts)
+  @spec print_messages(Store.Handle.t(), [String.t()], keyword()) :: 0
+  def print_messages(store, streams, opts) do
+    reading = Arguments.damage_options(opts) ++ Arguments.time_options(opts)
     all = for name <- streams, do: {name, Store.messages(store, name, reading)}
     several? = length(streams) > 1
 
     all
     |> Tape.merge(& &1.originating_time)
-    |> limited(opts[:number])
+    |> limit_messages(opts[:number])
     |> Enum.each(fn {name, message} ->
       name = if several?, do: name
-      if opts[:json], do: Output.json(json(message, name)), else: Output.puts(line(message, name))
+
+      if opts[:json],
+        do: Output.print_json(message_json(message, name)),
+        else: Output.puts(format_message(message, name))
     end)
 
     0
   end
 
-  defp limited(messages, 0), do: messages
-  defp limited(messages, n), do: Stream.take(messages, n)
+  defp limit_messages(messages, 0), do: messages
+  defp limit_messages(messages, n), do: Stream.take(messages, n)
 
-  defp line(message, name) do
+  defp format_message(message, name) do
     latency = Message.latency(message)
     sign = if latency < 0, do: "", else: "+"
-    name = if name, do: "#{Output.name(name)}  ", else: ""
+    name = if name, do: "#{Output.format_name(name)}  ", else: ""
     time = Time.to_iso8601(message.originating_time)
-    "#{time}  #{sign}#{Time.format_duration(latency)}  #{name}#{Data.text(message.data)}"
+    "#{time}  #{sign}#{Time.format_duration(latency)}  #{name}#{Data.format_line(message.data)}"
   end
 
-  defp json(message, name) do
+  defp message_json(message, name) do
     message
     |> Map.take([:originating_time, :creation_time, :sequence_id])
-    |> Map.merge(Data.json(message.data))
+    |> Map.merge(Data.to_json(message.data))
     |> Map.merge(if(name, do: %{stream: name}, else: %{}))
   end
 end

@@ -6,8 +6,8 @@ defmodule Situ.CLI.Store.Protobuf do
   alias Situ.Error
 
   @doc "Returns the options of verbs that read or write Protobuf files."
-  @spec options() :: [Option.t()]
-  def options do
+  @spec file_options() :: [Option.t()]
+  def file_options do
     [
       Option.new(:type, :string, "Protobuf: the type of the messages", value: "PACKAGE.MESSAGE"),
       Option.new(
@@ -26,26 +26,26 @@ defmodule Situ.CLI.Store.Protobuf do
   end
 
   @doc "Returns these options and `every:`, for files whose messages have no time."
-  @spec reading() :: [Option.t()]
-  def reading do
-    options() ++
+  @spec read_options() :: [Option.t()]
+  def read_options do
+    file_options() ++
       [Option.new(:every, :span, "Protobuf: the interval between messages that have no time")]
   end
 
   @doc "Converts the verb's options to options of `Situ.Bridge.Protobuf.File`."
-  @spec given(keyword()) :: keyword()
-  def given(opts) do
+  @spec parse_options(keyword()) :: keyword()
+  def parse_options(opts) do
     unless opts[:type],
       do: throw({:usage, "the type of the messages is missing: give --type PACKAGE.MESSAGE"})
 
-    definition = if path = opts[:definition], do: read!(path)
+    definition = if path = opts[:definition], do: read_definition!(path)
 
     for {name, value} <- [definition: definition] ++ Keyword.take(opts, [:type, :time, :every]),
         value != nil,
         do: {name, value}
   end
 
-  defp read!(path) do
+  defp read_definition!(path) do
     case File.read(path) do
       {:ok, text} ->
         text
@@ -59,7 +59,7 @@ defmodule Situ.CLI.Store.Protobuf do
   end
 
   @doc "Writes a stream's messages to a file; `reading` has the options of `Situ.Store.messages/3`."
-  @spec save(
+  @spec save_stream(
           Situ.Store.t(),
           Situ.Store.StreamInfo.t(),
           Path.t(),
@@ -67,10 +67,10 @@ defmodule Situ.CLI.Store.Protobuf do
           {keyword(), function()}
         ) ::
           %{messages: non_neg_integer(), stream: String.t()}
-  def save(store, info, file, opts, {reading, progress}) do
+  def save_stream(store, info, file, opts, {reading, progress}) do
     messages = Situ.Store.messages(store, info.name, reading)
     told = &progress.(&1, info.count)
-    n = Error.unwrap!(Protobuf.File.save(messages, file, [progress: told] ++ given(opts)))
+    n = Error.unwrap!(Protobuf.File.save(messages, file, [progress: told] ++ parse_options(opts)))
     %{messages: n, stream: info.name}
   end
 end

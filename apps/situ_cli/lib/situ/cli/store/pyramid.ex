@@ -25,7 +25,7 @@ defmodule Situ.CLI.Store.Pyramid do
           ]
         ],
         options:
-          Arguments.streams() ++
+          Arguments.stream_options() ++
             [
               Option.new(:from, :time, "start at this originating time"),
               Option.new(:to, :time, "end at this originating time"),
@@ -39,44 +39,44 @@ defmodule Situ.CLI.Store.Pyramid do
           "situ store pyramid recordings/lobby -s Lobby.Level --pixels 60 --json",
           "situ store pyramid drive.mcap --build recordings/drive"
         ],
-        run: &run/2
+        run: &run_pyramid/2
       }
     ]
   end
 
-  defp run(%{path: path}, opts) do
+  defp run_pyramid(%{path: path}, opts) do
     unless opts[:pixels] in 1..100_000, do: throw({:usage, "--pixels must be 1 to 100000"})
     store = Recording.open!(path)
-    chosen = Arguments.chosen!(store, opts)
-    if opts[:build], do: build(path, opts), else: look(store, chosen, opts)
+    chosen = Arguments.select_streams!(store, opts)
+    if opts[:build], do: build_pyramids(path, opts), else: show_summaries(store, chosen, opts)
   end
 
-  defp build(path, opts) do
+  defp build_pyramids(path, opts) do
     copied =
-      Progress.show("build", opts, fn progress ->
+      Progress.with_progress("build", opts, fn progress ->
         # Recording times are kept, so that the bins match the bins of the file itself.
-        Store.copy(path, opts[:build], [times: :record] ++ Arguments.copying(opts, progress))
+        Store.copy(path, opts[:build], [times: :record] ++ Arguments.copy_options(opts, progress))
       end)
 
     made = Error.unwrap!(copied)
-    if opts[:json], do: Output.json(%{path: made}), else: Output.puts(made)
+    if opts[:json], do: Output.print_json(%{path: made}), else: Output.puts(made)
     0
   end
 
-  defp look(store, chosen, opts) do
+  defp show_summaries(store, chosen, opts) do
     stored? = store.module == Local
-    found = for info <- chosen, info.count > 0, do: summary(store, info, stored?, opts)
+    found = for info <- chosen, info.count > 0, do: read_summary(store, info, stored?, opts)
 
     cond do
-      opts[:json] -> Output.json(found)
-      match?([_], found) and opts[:stream] != [] -> bins(hd(found))
-      true -> table(found)
+      opts[:json] -> Output.print_json(found)
+      match?([_], found) and opts[:stream] != [] -> print_bins(hd(found))
+      true -> print_overview(found)
     end
 
     0
   end
 
-  defp summary(store, info, stored?, opts) do
+  defp read_summary(store, info, stored?, opts) do
     {from, to} = {opts[:from] || info.first, opts[:to] || info.last}
     if from > to, do: throw({:usage, "no messages between the given times"})
     began = System.monotonic_time(:microsecond)
@@ -88,38 +88,38 @@ defmodule Situ.CLI.Store.Pyramid do
       width: summary.width,
       took_us: System.monotonic_time(:microsecond) - began,
       counts: Enum.map(summary.counts, &Tuple.to_list/1),
-      tracks: Enum.map(summary.tracks, &track/1)
+      tracks: Enum.map(summary.tracks, &track_json/1)
     }
   end
 
-  defp track({key, {:numbers, bins}}) do
+  defp track_json({key, {:numbers, bins}}) do
     bins =
       for {start, least, most, last, n} <- bins,
           do: %{start: start, min: least, max: most, last: last, count: n}
 
-    %{key: key(key), kind: "numbers", bins: bins}
+    %{key: key_text(key), kind: "numbers", bins: bins}
   end
 
-  defp track({key, {:changes, changes}}) do
+  defp track_json({key, {:changes, changes}}) do
     changes = for {time, state} <- changes, do: %{time: time, state: state}
-    %{key: key(key), kind: "changes", bins: changes}
+    %{key: key_text(key), kind: "changes", bins: changes}
   end
 
-  defp track({key, {:states, bins}}) do
+  defp track_json({key, {:states, bins}}) do
     bins =
       for {start, last, counts} <- bins do
         counts = for {state, n} <- counts, do: %{state: state, count: n}
         %{start: start, last: last, counts: counts}
       end
 
-    %{key: key(key), kind: "states", bins: bins}
+    %{key: key_text(key), kind: "states", bins: bins}
   end
 
-  defp key(nil), do: nil
-  defp key(key) when is_binary(key) or is_atom(key), do: to_string(key)
-  defp key(key), do: inspect(key)
+  defp key_text(nil), do: nil
+  defp key_text(key) when is_binary(key) or is_atom(key), do: to_string(key)
+  defp key_text(key), do: inspect(key)
 
-  defp table(found) do
+  defp print_overview(found) do
     head = ["stream", "pyramid", "tracks", "column", "columns", "took"]
 
     rows =
@@ -133,41 +133,41 @@ defmodule Situ.CLI.Store.Pyramid do
         [s.stream, from, tracks, Time.format_duration(s.width), "#{length(s.counts)}", took]
       end
 
-    Output.table([head | rows], 3)
+    Output.print_table([head | rows], 3)
   end
 
-  defp bins(%{tracks: []} = s) do
+  defp print_bins(%{tracks: []} = s) do
     rows = for [start, n] <- s.counts, do: [Time.to_iso8601(start), "#{n}"]
-    Output.table([["from", "messages"] | rows], 1)
+    Output.print_table([["from", "messages"] | rows], 1)
   end
 
-  defp bins(s) do
+  defp print_bins(s) do
     for track <- s.tracks do
       if track.key, do: Output.puts("#{track.key}:")
-      rows(track)
+      print_track(track)
     end
   end
 
-  defp rows(%{kind: "numbers", bins: bins}) do
+  defp print_track(%{kind: "numbers", bins: bins}) do
     rows =
       for b <- bins,
           do: [Time.to_iso8601(b.start), "#{b.min}", "#{b.max}", "#{b.last}", "#{b.count}"]
 
-    Output.table([["from", "least", "greatest", "last", "count"] | rows], 1)
+    Output.print_table([["from", "least", "greatest", "last", "count"] | rows], 1)
   end
 
-  defp rows(%{kind: "changes", bins: changes}) do
+  defp print_track(%{kind: "changes", bins: changes}) do
     rows = for c <- changes, do: [Time.to_iso8601(c.time), "#{inspect(c.state)}"]
-    Output.table([["at", "state"] | rows], 2)
+    Output.print_table([["at", "state"] | rows], 2)
   end
 
-  defp rows(%{kind: "states", bins: bins}) do
+  defp print_track(%{kind: "states", bins: bins}) do
     rows =
       for b <- bins do
         counts = Enum.map_join(b.counts, ", ", &"#{inspect(&1.state)} #{&1.count}")
         [Time.to_iso8601(b.start), counts]
       end
 
-    Output.table([["from", "messages by state"] | rows], 2)
+    Output.print_table([["from", "messages by state"] | rows], 2)
   end
 end

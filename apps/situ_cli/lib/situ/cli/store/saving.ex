@@ -61,7 +61,7 @@ defmodule Situ.CLI.Store.Saving do
           ]
         ],
         options:
-          Arguments.streams("this stream, or a pattern ('Room.*'); default: all") ++
+          Arguments.stream_options("this stream, or a pattern ('Room.*'); default: all") ++
             [
               Option.new(
                 :format,
@@ -97,134 +97,156 @@ defmodule Situ.CLI.Store.Saving do
                 :flag,
                 "omit damaged data; without this flag it is an error"
               )
-            ] ++ Arguments.carried() ++ Protobuf.options(),
+            ] ++ Arguments.mcap_options() ++ Protobuf.file_options(),
         examples: [
           "situ store save recordings/lobby levels.csv -s Lobby.Level",
           "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",
           "situ store save recordings/drive drive.parquet --on Speed -s Pose --within 50ms",
           "situ store save recordings/lobby lobby.mcap -x 'Lobby.Video*'"
         ],
-        run: &save/2
+        run: &save_file/2
       }
     ]
   end
 
   @doc "Returns the format of a file by its extension, or `nil`."
-  @spec format(Path.t()) :: atom()
-  def format(file), do: @endings[file |> Path.extname() |> String.downcase()]
+  @spec format_from_extension(Path.t()) :: atom()
+  def format_from_extension(file), do: @endings[file |> Path.extname() |> String.downcase()]
 
   @doc "Writes the file; takes the arguments and options of the verb."
-  @spec save(map(), keyword()) :: 0
-  def save(%{path: path, file: file}, opts) do
-    format = @formats[opts[:format]] || format(file)
+  @spec save_file(map(), keyword()) :: 0
+  def save_file(%{path: path, file: file}, opts) do
+    format = @formats[opts[:format]] || format_from_extension(file)
 
     unless format,
-      do: throw({:usage, "unknown format: give --format, or a file that ends in #{endings()}"})
+      do:
+        throw(
+          {:usage, "unknown format: give --format, or a file that ends in #{known_extensions()}"}
+        )
 
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     store = Recording.open!(path)
-    chosen = Arguments.chosen!(store, opts)
+    chosen = Arguments.select_streams!(store, opts)
     if file != "-", do: UnfinishedOutput.remove_file_at_exit(file)
 
     saved =
-      Progress.show("save", opts, fn progress ->
-        save(format, store, chosen, file, opts, progress)
+      Progress.with_progress("save", opts, fn progress ->
+        write_format(format, store, chosen, file, opts, progress)
       end)
 
     if opts[:json] && file != "-",
-      do: Output.json(Map.merge(%{file: file, format: format}, saved))
+      do: Output.print_json(Map.merge(%{file: file, format: format}, saved))
 
     0
   end
 
   # An MCAP file is copied to another MCAP file record by record.
-  defp save(:mcap, %{module: Mcap} = store, chosen, file, opts, progress) do
-    alone!(opts)
+  defp write_format(:mcap, %{module: Mcap} = store, chosen, file, opts, progress) do
+    reject_join!(opts)
     refuse_stdout!(file, :mcap)
     total = chosen |> Enum.map(& &1.count) |> Enum.sum()
     all? = length(chosen) == length(Store.streams(store))
     names = unless all?, do: Enum.map(chosen, & &1.name)
-    carried = [attachments: opts[:attach] || [], metadata: given_metadata(opts)]
-    written = [progress: &progress.(&1, total)] ++ compression(:mcap, opts[:compression])
-    copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ reading(opts)
+    carried = [attachments: opts[:attach] || [], metadata: metadata_records(opts)]
+    written = [progress: &progress.(&1, total)] ++ compression_option(:mcap, opts[:compression])
+    copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ read_options(opts)
 
-    copied = write_whole!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
+    copied = write_then_rename!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
     for sentence <- copied.left_out, do: Output.warn("Omitted: " <> sentence)
     Map.put(copied, :streams, length(chosen))
   end
 
-  defp save(format, store, chosen, file, opts, progress) when is_map_key(@recordings, format) do
-    alone!(opts)
+  defp write_format(format, store, chosen, file, opts, progress)
+       when is_map_key(@recordings, format) do
+    reject_join!(opts)
     refuse_stdout!(file, format)
     total = chosen |> Enum.map(& &1.count) |> Enum.sum()
     names = Enum.map(chosen, & &1.name)
-    written = [progress: &progress.(&1, total)] ++ compression(format, opts[:compression])
+    written = [progress: &progress.(&1, total)] ++ compression_option(format, opts[:compression])
 
-    exporting = [streams: names] ++ reading(opts) ++ written ++ carried(format, opts)
+    exporting = [streams: names] ++ read_options(opts) ++ written ++ carried_options(format, opts)
 
-    count = write_whole!(file, &@recordings[format].export(store, &1, exporting))
+    count = write_then_rename!(file, &@recordings[format].export(store, &1, exporting))
     %{messages: count, streams: length(names)}
   end
 
-  defp save(format, store, chosen, file, opts, progress) when is_map_key(@tables, format) do
-    [] = carried(format, opts)
+  defp write_format(format, store, chosen, file, opts, progress)
+       when is_map_key(@tables, format) do
+    [] = carried_options(format, opts)
     refuse_stdout!(file, format)
-    info = if opts[:on], do: stream!(store, opts[:on]), else: one(store, chosen)
-    written = [progress: &progress.(&1, info.count)] ++ compression(format, opts[:compression])
-    table(opts[:on], @tables[format], {store, info, chosen}, file, opts, reading(opts) ++ written)
+    info = if opts[:on], do: fetch_stream!(store, opts[:on]), else: single_stream!(store, chosen)
+
+    written =
+      [progress: &progress.(&1, info.count)] ++ compression_option(format, opts[:compression])
+
+    write_table(
+      opts[:on],
+      @tables[format],
+      {store, info, chosen},
+      file,
+      opts,
+      read_options(opts) ++ written
+    )
   end
 
-  defp save(:protobuf, store, chosen, file, opts, progress) do
-    alone!(opts)
-    [] = carried(:protobuf, opts) ++ compression(:protobuf, opts[:compression])
+  defp write_format(:protobuf, store, chosen, file, opts, progress) do
+    reject_join!(opts)
+    [] = carried_options(:protobuf, opts) ++ compression_option(:protobuf, opts[:compression])
     refuse_stdout!(file, :protobuf)
-    Protobuf.save(store, one(store, chosen), file, opts, {reading(opts), progress})
+
+    Protobuf.save_stream(
+      store,
+      single_stream!(store, chosen),
+      file,
+      opts,
+      {read_options(opts), progress}
+    )
   end
 
-  defp save(format, store, chosen, file, opts, progress) do
-    alone!(opts)
-    [] = carried(format, opts)
-    unless compression(format, opts[:compression]) == [], do: unpackable(format)
-    info = one(store, chosen)
-    out = out(file)
+  defp write_format(format, store, chosen, file, opts, progress) do
+    reject_join!(opts)
+    [] = carried_options(format, opts)
+    unless compression_option(format, opts[:compression]) == [], do: reject_compression(format)
+    info = single_stream!(store, chosen)
+    out = open_output(file)
 
     place =
       store
-      |> Store.columns(info, reading(opts))
+      |> Store.columns(info, read_options(opts))
       |> Enum.reduce(0, fn part, place ->
-        {records, place} = records(format, part, place, out)
-        put(out, records)
-        progress.(Format.count(place), info.count)
+        {records, place} = encode_records(format, part, place, out)
+        write_bytes(out, records)
+        progress.(Format.record_count(place), info.count)
         place
       end)
 
-    put(out, Format.module!(format).finish(place))
-    close(out)
-    %{messages: Format.count(place), stream: info.name}
+    write_bytes(out, Format.fetch_module!(format).finish(place))
+    close_output(out)
+    %{messages: Format.record_count(place), stream: info.name}
   end
 
-  defp table(nil, module, {store, info, _chosen}, file, _opts, written),
-    do: %{messages: ok!(module.write(store, info.name, file, written)), stream: info.name}
+  defp write_table(nil, module, {store, info, _chosen}, file, _opts, written),
+    do: %{messages: unwrap!(module.write(store, info.name, file, written)), stream: info.name}
 
-  defp table(on, module, {store, _info, chosen}, file, opts, written) do
+  defp write_table(on, module, {store, _info, chosen}, file, opts, written) do
     # If no streams are selected, the table contains every stream that fits into a table.
     all? = (opts[:stream] || []) == [] and (opts[:exclude] || []) == []
     joining = [on: on, streams: unless(all?, do: Enum.map(chosen, & &1.name))]
     joining = [take: if(opts[:latest], do: :latest, else: :nearest)] ++ joining
     joining = Keyword.take(opts, [:within]) ++ joining
-    %{messages: ok!(module.join(store, file, joining ++ written)), stream: on}
+    %{messages: unwrap!(module.join(store, file, joining ++ written)), stream: on}
   end
 
-  defp stream!(store, name), do: Error.unwrap!(Store.stream_info(store, name))
+  defp fetch_stream!(store, name), do: Error.unwrap!(Store.stream_info(store, name))
 
-  defp alone!(opts) do
+  defp reject_join!(opts) do
     if opts[:on], do: throw({:usage, "--on needs a table: Parquet or Arrow"})
   end
 
-  defp carried(:mcap, opts),
-    do: [attachments: opts[:attach] || [], metadata: given_metadata(opts)]
+  defp carried_options(:mcap, opts),
+    do: [attachments: opts[:attach] || [], metadata: metadata_records(opts)]
 
-  defp carried(format, opts) do
+  defp carried_options(format, opts) do
     if (opts[:attach] || []) != [] or (opts[:metadata] || []) != [],
       do:
         throw({:usage, "#{format} files cannot contain attachments or metadata; MCAP files can"})
@@ -232,33 +254,33 @@ defmodule Situ.CLI.Store.Saving do
     []
   end
 
-  defp given_metadata(opts), do: Arguments.records!(opts[:metadata] || [])
+  defp metadata_records(opts), do: Arguments.parse_records!(opts[:metadata] || [])
 
   # A record that cannot be encoded stops the export, and the incomplete file is deleted.
-  defp records(format, part, place, out) do
-    Format.records(format, part, place)
+  defp encode_records(format, part, place, out) do
+    Format.encode_records(format, part, place)
   rescue
     error in Error ->
-      discard(out)
+      discard_output(out)
       reraise error, __STACKTRACE__
   end
 
-  defp endings, do: @endings |> Map.keys() |> Enum.sort() |> Enum.join(", ")
+  defp known_extensions, do: @endings |> Map.keys() |> Enum.sort() |> Enum.join(", ")
 
-  defp reading(opts),
+  defp read_options(opts),
     do: [skip_damage: opts[:skip_damage] == true] ++ Keyword.take(opts, [:from, :to])
 
   @packed %{parquet: ~w(none gzip), mcap: ~w(none lz4 zstd), bag: ~w(none lz4)}
 
-  defp compression(_format, nil), do: []
+  defp compression_option(_format, nil), do: []
 
-  defp compression(format, word) do
+  defp compression_option(format, word) do
     if word in Map.get(@packed, format, []),
       do: [compression: String.to_existing_atom(word)],
-      else: unpackable(format)
+      else: reject_compression(format)
   end
 
-  defp unpackable(format) do
+  defp reject_compression(format) do
     known = Map.get(@packed, format, [])
 
     fix = if known == [], do: "compress the file with gzip", else: "use #{Enum.join(known, ", ")}"
@@ -277,12 +299,12 @@ defmodule Situ.CLI.Store.Saving do
   defp refuse_stdout!(_file, _format), do: :ok
 
   # Writes to a temporary file first, because the output may be the recording that is being read.
-  defp write_whole!(file, write) do
+  defp write_then_rename!(file, write) do
     unfinished = file <> ".unfinished"
 
     case write.(unfinished) do
       {:ok, result} ->
-        renamed(unfinished, file)
+        sync_and_rename(unfinished, file)
         result
 
       {:error, error} ->
@@ -291,9 +313,9 @@ defmodule Situ.CLI.Store.Saving do
     end
   end
 
-  defp one(_store, [one]), do: one
+  defp single_stream!(_store, [one]), do: one
 
-  defp one(store, several) do
+  defp single_stream!(store, several) do
     names = several |> Enum.take(8) |> Enum.map_join(", ", & &1.name)
 
     raise Error.new(:ambiguous_stream, "#{store.path} has #{length(several)} streams",
@@ -302,20 +324,20 @@ defmodule Situ.CLI.Store.Saving do
   end
 
   # A temporary file is renamed when it is complete. Standard output is opened as a raw file, which is faster than IO.
-  defp out("-"), do: {:stdout, open!("/dev/stdout", [:append])}
-  defp out(path), do: {path, open!(path <> ".unfinished", [:write])}
+  defp open_output("-"), do: {:stdout, open_device!("/dev/stdout", [:append])}
+  defp open_output(path), do: {path, open_device!(path <> ".unfinished", [:write])}
 
-  defp open!(path, modes) do
+  defp open_device!(path, modes) do
     case :file.open(path, [:raw, :binary | modes]) do
       {:ok, device} -> device
-      {:error, reason} -> raise not_saved(path, reason)
+      {:error, reason} -> raise write_error(path, reason)
     end
   end
 
-  defp not_saved(path, reason),
+  defp write_error(path, reason),
     do: Error.new(:not_saved, "cannot write #{path}", why: to_string(:file.format_error(reason)))
 
-  defp put({_, device} = out, bytes) do
+  defp write_bytes({_, device} = out, bytes) do
     case :file.write(device, bytes) do
       :ok ->
         :ok
@@ -324,7 +346,7 @@ defmodule Situ.CLI.Store.Saving do
         exit(:terminated)
 
       {:error, reason} ->
-        discard(out)
+        discard_output(out)
 
         raise Error.new(:not_saved, "the file cannot be written",
                 why: to_string(:file.format_error(reason)),
@@ -333,30 +355,31 @@ defmodule Situ.CLI.Store.Saving do
     end
   end
 
-  defp close({:stdout, device}), do: :file.close(device)
+  defp close_output({:stdout, device}), do: :file.close(device)
 
-  defp close({path, device}) do
-    with {:error, reason} <- :file.close(device), do: raise(not_saved(path, reason))
-    renamed(path <> ".unfinished", path)
+  defp close_output({path, device}) do
+    with {:error, reason} <- :file.close(device), do: raise(write_error(path, reason))
+    sync_and_rename(path <> ".unfinished", path)
   end
 
   # The file is synced before it is renamed, because the user may delete the original next.
-  defp renamed(unfinished, path) do
-    with :ok <- AtomicFile.sync(unfinished), :ok <- AtomicFile.rename(unfinished, path) do
+  defp sync_and_rename(unfinished, path) do
+    with :ok <- AtomicFile.sync_file(unfinished),
+         :ok <- AtomicFile.rename_synced(unfinished, path) do
       :ok
     else
-      {:error, reason} -> raise not_saved(path, reason)
+      {:error, reason} -> raise write_error(path, reason)
     end
   end
 
-  defp discard({:stdout, _}), do: :ok
+  defp discard_output({:stdout, _}), do: :ok
 
-  defp discard({path, device}) do
+  defp discard_output({path, device}) do
     _ = :file.close(device)
     _ = File.rm(path <> ".unfinished")
     :ok
   end
 
-  defp ok!({:ok, value}), do: value
-  defp ok!({:error, error}), do: raise(error)
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
 end

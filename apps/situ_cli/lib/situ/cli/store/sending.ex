@@ -24,8 +24,8 @@ defmodule Situ.CLI.Store.Sending do
         """,
         arguments: [path: @recording],
         options:
-          Arguments.streams("this stream, or a pattern ('Room.*'); default: all") ++
-            Wire.options() ++
+          Arguments.stream_options("this stream, or a pattern ('Room.*'); default: all") ++
+            Wire.wire_options() ++
             [
               Option.new(:topic, :string, "the topic, or the prefix of all topics", short: :t),
               Option.new(
@@ -57,7 +57,7 @@ defmodule Situ.CLI.Store.Sending do
           "situ store send drive.mcap --system ros --loop",
           "situ store send recordings/lobby -x '*.Video' --system mqtt -a broker:1883 -t lobby/"
         ],
-        run: &send_out/2
+        run: &send_recording/2
       },
       %Verb{
         words: ["store", "record"],
@@ -71,7 +71,7 @@ defmodule Situ.CLI.Store.Sending do
           topic: [kind: :text, many: true, doc: "the topics (MQTT: + and # are allowed)"]
         ],
         options:
-          Wire.options() ++
+          Wire.wire_options() ++
             [
               Option.new(:length, :span, "stop after this time"),
               Option.new(:number, :integer, "stop after this many messages", short: :n)
@@ -80,21 +80,21 @@ defmodule Situ.CLI.Store.Sending do
           "situ store record recordings/drive /imu /camera/image_raw --system ros --length 1m",
           "situ store record recordings/lab 'lab/+/level' --system mqtt -a broker"
         ],
-        run: &record/2
+        run: &record_topics/2
       }
     ]
   end
 
-  defp send_out(%{path: path}, opts) do
+  defp send_recording(%{path: path}, opts) do
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
-    Recording.ready([path])
-    store = Wire.open!(path, opts)
-    streams = Enum.filter(Arguments.chosen!(store, opts), &(&1.count > 0))
+    Recording.prepare_readers([path])
+    store = Wire.open_recording!(path, opts)
+    streams = Enum.filter(Arguments.select_streams!(store, opts), &(&1.count > 0))
 
     if streams == [],
       do: raise(Error.new(:no_messages, "#{path} has no messages to send"))
 
-    interval = interval(store, streams, opts)
+    interval = interval_option(store, streams, opts)
     speed = if opts[:speed] == 0.0, do: :max, else: opts[:speed]
     sent = :counters.new(1, [])
 
@@ -105,13 +105,13 @@ defmodule Situ.CLI.Store.Sending do
           skip_damage: opts[:skip_damage] == true
         )
 
-      publish = Wire.sender(p, opts)
+      publish = Wire.stream_publisher(p, opts)
 
       for info <- streams do
         importer
         |> Store.stream(info.name)
-        |> Situ.map(&counted(&1, sent))
-        |> publish.(topic(info.name, streams, opts), info)
+        |> Situ.map(&count_message(&1, sent))
+        |> publish.(topic_name(info.name, streams, opts), info)
       end
     end
 
@@ -119,7 +119,7 @@ defmodule Situ.CLI.Store.Sending do
       {:ok, _} ->
         names = Enum.map(streams, & &1.name)
         told = %{streams: names, messages: :counters.get(sent, 1), system: opts[:system]}
-        if opts[:json], do: Output.json(Map.put(told, :address, Wire.address(opts)))
+        if opts[:json], do: Output.print_json(Map.put(told, :address, Wire.resolve_address(opts)))
         0
 
       {:error, error} ->
@@ -127,17 +127,20 @@ defmodule Situ.CLI.Store.Sending do
     end
   end
 
-  defp counted(data, counter) do
+  defp count_message(data, counter) do
     :counters.add(counter, 1, 1)
     data
   end
 
-  defp topic(_name, [_], %{topic: topic}) when topic != nil, do: topic
-  defp topic(name, streams, opts) when is_list(opts), do: topic(name, streams, Map.new(opts))
-  defp topic(name, _streams, opts), do: (opts[:topic] || "") <> name
+  defp topic_name(_name, [_], %{topic: topic}) when topic != nil, do: topic
+
+  defp topic_name(name, streams, opts) when is_list(opts),
+    do: topic_name(name, streams, Map.new(opts))
+
+  defp topic_name(name, _streams, opts), do: (opts[:topic] || "") <> name
 
   # Returns the pipeline's option for the interval of the recording that is played.
-  defp interval(store, streams, opts) do
+  defp interval_option(store, streams, opts) do
     {first, last} = Store.interval(streams) || Store.interval(store)
     from = opts[:from] || (opts[:start] && first + opts[:start])
     to = opts[:to] || (opts[:length] && (from || first) + opts[:length])
@@ -157,7 +160,7 @@ defmodule Situ.CLI.Store.Sending do
     end
   end
 
-  defp record(%{out: out, topic: topics}, opts) do
+  defp record_topics(%{out: out, topic: topics}, opts) do
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     me = self()
     came = :counters.new(1, [])
@@ -168,7 +171,7 @@ defmodule Situ.CLI.Store.Sending do
 
       for topic <- Enum.uniq(topics) do
         p
-        |> Wire.receiver(topic, opts)
+        |> Wire.subscribe_topic(topic, opts)
         |> Situ.map(fn data ->
           :counters.add(came, 1, 1)
           if :counters.get(came, 1) >= most, do: send(me, :enough)
@@ -181,17 +184,17 @@ defmodule Situ.CLI.Store.Sending do
     end
 
     with {:ok, p} <- Pipeline.start(build, []),
-         {:ok, report} <- ended(p, opts[:length]) do
+         {:ok, report} <- await_end(p, opts[:length]) do
       path = report.result.path
       told = %{path: path, messages: :counters.get(came, 1), streams: Enum.uniq(topics)}
-      if opts[:json], do: Output.json(told), else: Output.puts(path)
+      if opts[:json], do: Output.print_json(told), else: Output.puts(path)
       0
     else
       {:error, error} -> raise error
     end
   end
 
-  defp ended(p, length) do
+  defp await_end(p, length) do
     monitor = Process.monitor(p)
 
     receive do

@@ -19,31 +19,31 @@ defmodule Situ.CLI.Store.Statistics do
             back: 0
 
   @doc "Measures periods (mean, deviation, percentiles), gaps longer than `gap` ns, and latencies, all in ns."
-  @spec of(Store.Handle.t(), Store.StreamInfo.t(), pos_integer() | nil) :: map()
-  def of(store, info, gap) do
+  @spec measure_stream(Store.Handle.t(), Store.StreamInfo.t(), pos_integer() | nil) :: map()
+  def measure_stream(store, info, gap) do
     gap = gap || default_gap(info)
     messages = Store.messages(store, info, envelopes: true, skip_damage: true)
-    messages |> Enum.reduce(%__MODULE__{}, &add(&1, &2, gap)) |> summary(info, gap)
+    messages |> Enum.reduce(%__MODULE__{}, &add_message(&1, &2, gap)) |> summarize(info, gap)
   end
 
   # Returns ten times the average period, and at least 100 ms.
   defp default_gap(info) do
-    case Store.StreamInfo.rate(info) do
+    case Store.StreamInfo.message_rate(info) do
       nil -> 100_000_000
       rate -> max(round(10.0e9 / rate), 100_000_000)
     end
   end
 
-  defp add(message, stats, gap) do
+  defp add_message(message, stats, gap) do
     latency = message.creation_time - message.originating_time
-    stats = %{stats | count: stats.count + 1, latencies: put(stats.latencies, latency)}
+    stats = %{stats | count: stats.count + 1, latencies: count_value(stats.latencies, latency)}
     stats = if latency < 0, do: %{stats | back: stats.back + 1}, else: stats
-    period(stats, message.originating_time, gap)
+    add_period(stats, message.originating_time, gap)
   end
 
-  defp period(%{last: nil} = stats, time, _gap), do: %{stats | last: time}
+  defp add_period(%{last: nil} = stats, time, _gap), do: %{stats | last: time}
 
-  defp period(stats, time, gap) do
+  defp add_period(stats, time, gap) do
     period = time - stats.last
 
     {gaps, gap_time} =
@@ -54,7 +54,7 @@ defmodule Situ.CLI.Store.Statistics do
     %{
       stats
       | last: time,
-        periods: put(stats.periods, period),
+        periods: count_value(stats.periods, period),
         sum: stats.sum + period,
         squares: stats.squares + period * period / 1,
         shortest: min(stats.shortest || period, period),
@@ -65,24 +65,24 @@ defmodule Situ.CLI.Store.Statistics do
   end
 
   # Zero has a separate bucket, and negative values have mirrored buckets.
-  defp put(buckets, value), do: Map.update(buckets, bucket(value), 1, &(&1 + 1))
-  defp bucket(0), do: {0, 0}
-  defp bucket(value) when value > 0, do: {1, floor(:math.log(value) / @width)}
-  defp bucket(value), do: {-1, -floor(:math.log(-value) / @width)}
+  defp count_value(buckets, value), do: Map.update(buckets, bucket_index(value), 1, &(&1 + 1))
+  defp bucket_index(0), do: {0, 0}
+  defp bucket_index(value) when value > 0, do: {1, floor(:math.log(value) / @width)}
+  defp bucket_index(value), do: {-1, -floor(:math.log(-value) / @width)}
 
-  defp middle({0, 0}), do: 0
-  defp middle({1, n}), do: round(:math.exp((n + 0.5) * @width))
-  defp middle({-1, n}), do: -round(:math.exp((-n + 0.5) * @width))
+  defp bucket_middle({0, 0}), do: 0
+  defp bucket_middle({1, n}), do: round(:math.exp((n + 0.5) * @width))
+  defp bucket_middle({-1, n}), do: -round(:math.exp((-n + 0.5) * @width))
 
-  defp summary(stats, info, gap) do
+  defp summarize(stats, info, gap) do
     periods = stats.count - 1
 
     %{
       stream: info.name,
       messages: stats.count,
-      rate: Store.StreamInfo.rate(info),
+      rate: Store.StreamInfo.message_rate(info),
       period_mean: if(periods > 0, do: stats.sum / periods),
-      period_deviation: if(periods > 1, do: deviation(stats, periods)),
+      period_deviation: if(periods > 1, do: standard_deviation(stats, periods)),
       period_least: stats.shortest,
       period_most: stats.longest,
       period_p50: percentile(stats.periods, periods, 0.5),
@@ -98,7 +98,7 @@ defmodule Situ.CLI.Store.Statistics do
     }
   end
 
-  defp deviation(stats, n) do
+  defp standard_deviation(stats, n) do
     mean = stats.sum / n
     :math.sqrt(max((stats.squares - n * mean * mean) / (n - 1), 0.0))
   end
@@ -113,6 +113,6 @@ defmodule Situ.CLI.Store.Statistics do
     |> Enum.reduce_while(0, fn {bucket, count}, seen ->
       if seen + count >= wanted, do: {:halt, {:at, bucket}}, else: {:cont, seen + count}
     end)
-    |> then(fn {:at, bucket} -> middle(bucket) end)
+    |> then(fn {:at, bucket} -> bucket_middle(bucket) end)
   end
 end

@@ -5,14 +5,14 @@ defmodule Situ.CLI.Store.Tape do
   @type t :: function() | nil
 
   @doc "Returns the next item and the rest, or `nil` at the end."
-  @spec next(Enumerable.t() | t()) :: {term(), t()} | nil
-  def next(tape) when is_function(tape, 1), do: step(tape)
-  def next(nil), do: nil
+  @spec next_item(Enumerable.t() | t()) :: {term(), t()} | nil
+  def next_item(tape) when is_function(tape, 1), do: resume_tape(tape)
+  def next_item(nil), do: nil
 
   @spec open(Enumerable.t()) :: t()
   def open(enumerable), do: &Enumerable.reduce(enumerable, &1, fn item, _ -> {:suspend, item} end)
 
-  defp step(tape) do
+  defp resume_tape(tape) do
     case tape.({:cont, nil}) do
       {:suspended, item, rest} -> {item, rest}
       {:done, _} -> nil
@@ -26,7 +26,7 @@ defmodule Situ.CLI.Store.Tape do
     Stream.resource(
       fn ->
         for {tag, enumerable} <- tagged,
-            {item, rest} <- [next(open(enumerable))],
+            {item, rest} <- [next_item(open(enumerable))],
             do: {tag, item, rest}
       end,
       fn
@@ -37,7 +37,7 @@ defmodule Situ.CLI.Store.Tape do
           {tag, item, rest} = first = Enum.min_by(heads, fn {_, item, _} -> key.(item) end)
           others = List.delete(heads, first)
 
-          case next(rest) do
+          case next_item(rest) do
             nil -> {[{tag, item}], others}
             {following, rest} -> {[{tag, item}], [{tag, following, rest} | others]}
           end

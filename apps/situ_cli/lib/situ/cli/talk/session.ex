@@ -13,9 +13,9 @@ defmodule Situ.CLI.Talk.Session do
 
   @impl true
   def build(p, opts) do
-    sound = listen(p, opts[:input])
+    sound = open_audio(p, opts[:input])
     assistant = Situ.Assistant.attach(sound, opts[:assistant])
-    speak(assistant.sound, opts[:output])
+    play_speech(assistant.sound, opts[:output])
 
     store = Situ.Store.create(p, "Assistant", opts[:path])
 
@@ -27,7 +27,7 @@ defmodule Situ.CLI.Talk.Session do
     record.(assistant.voice, "Heard.Voice")
     record.(assistant.heard, "Heard.Utterance")
     record.(assistant.partial, "Heard.Partial")
-    record.(text(assistant.heard), "Heard.Text")
+    record.(to_text(assistant.heard), "Heard.Text")
     record.(assistant.intent, "Intent")
     record.(assistant.said, "Said.Text")
     record.(assistant.chat, "Said.Chat")
@@ -36,38 +36,39 @@ defmodule Situ.CLI.Talk.Session do
     record.(assistant.stop, "Interrupted")
     record.(Situ.Diagnostics.stream(p), "Diagnostics")
 
-    watch(Map.put(assistant, :listening, Situ.first(assistant.voice)), opts[:watcher])
+    watch_streams(Map.put(assistant, :listening, Situ.first(assistant.voice)), opts[:watcher])
     store
   end
 
-  defp listen(p, "page") do
+  defp open_audio(p, "page") do
     p |> Sensor.open(page: "talk") |> Map.fetch!(:audio) |> Situ.Audio.resample(16_000)
   end
 
-  defp listen(p, input) do
+  defp open_audio(p, input) do
     if File.regular?(input),
-      do: sound!(VideoFile.open(p, input, video: false, audio_format: @format).audio, input),
+      do:
+        require_audio!(VideoFile.open(p, input, video: false, audio_format: @format).audio, input),
       else: Microphone.open(p, device: input, audio_format: @format, name: "Microphone")
   end
 
-  defp speak(_sound, nil), do: :ok
-  defp speak(sound, "page"), do: Sensor.Speaker.play(sound, page: "talk")
-  defp speak(sound, device), do: Speaker.play(sound, device: device, name: "Speaker")
+  defp play_speech(_sound, nil), do: :ok
+  defp play_speech(sound, "page"), do: Sensor.Speaker.play(sound, page: "talk")
+  defp play_speech(sound, device), do: Speaker.play(sound, device: device, name: "Speaker")
 
-  defp sound!(nil, input) do
+  defp require_audio!(nil, input) do
     raise Situ.Error.new(:no_sound, "#{input} has no audio",
             fix: "name a file with audio, or a microphone"
           )
   end
 
-  defp sound!(stream, _input), do: stream
+  defp require_audio!(stream, _input), do: stream
 
-  defp text(heard), do: Situ.map(heard, & &1.text, type: :string, name: "Text")
+  defp to_text(heard), do: Situ.map(heard, & &1.text, type: :string, name: "Text")
 
   # The watcher receives `{:talk, what, data, time, clock}`.
-  defp watch(_assistant, nil), do: :ok
+  defp watch_streams(_assistant, nil), do: :ok
 
-  defp watch(assistant, watcher) do
+  defp watch_streams(assistant, watcher) do
     for key <- [:listening, :heard, :intent, :said, :chat, :speaking, :stop],
         stream = assistant[key] do
       Situ.each(stream, &send(watcher, {:talk, key, &1, &2.originating_time, &2.creation_time}))

@@ -17,7 +17,7 @@ defmodule Situ.CLI.Store.AttachmentsTest do
 
   defp situ(argv), do: with_io(fn -> Situ.CLI.run(["store" | argv]) end)
 
-  test "they are listed, and what is in their names reaches no terminal", %{path: path} do
+  test "lists attachments, and escapes control characters in names", %{path: path} do
     assert {0, said} = situ(["attachments", path])
     assert said =~ "calibration.yaml" and said =~ "text/yaml" and said =~ "11 B"
     refute said =~ "\e"
@@ -27,7 +27,7 @@ defmodule Situ.CLI.Store.AttachmentsTest do
              Situ.JSON.decode(json)
   end
 
-  test "one is taken out", %{path: path, tmp_dir: root} do
+  test "extracts one attachment", %{path: path, tmp_dir: root} do
     assert situ(["attachments", path, "calibration.yaml"]) == {0, "focal: 600\n"}
     out = Path.join(root, "c.yaml")
     assert {0, _} = situ(["attachments", path, "calibration.yaml", "-o", out])
@@ -41,7 +41,7 @@ defmodule Situ.CLI.Store.AttachmentsTest do
     assert said =~ "no attachment"
   end
 
-  test "info tells of them, and of the file's metadata", %{path: path} do
+  test "info shows attachments and the metadata of the file", %{path: path} do
     assert {0, said} = situ(["info", path])
 
     assert said =~ "2 attachments" and said =~ "metadata robot: serial=42" and
@@ -53,10 +53,10 @@ defmodule Situ.CLI.Store.AttachmentsTest do
              Situ.JSON.decode(json)
   end
 
-  test "only MCAP files have any", %{tmp_dir: root} do
+  test "rejects files that are not MCAP files", %{tmp_dir: root} do
     wav = Path.join(root, "a.csv")
     File.write!(wav, "time,x\n1,2\n")
     said = capture_io(:stderr, fn -> assert Situ.CLI.run(["store", "attachments", wav]) == 1 end)
-    assert said =~ "no MCAP file"
+    assert said =~ "not an MCAP file"
   end
 end

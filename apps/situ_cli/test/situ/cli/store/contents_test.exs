@@ -15,7 +15,7 @@ defmodule Situ.CLI.Store.ContentsTest do
 
   defp shown(file, part), do: json(["list", file, "--show", part])
 
-  test "channels, schemas and their definitions" do
+  test "shows channels, schemas and their definitions" do
     channels = shown(@drive, "channels")
 
     assert %{"schema" => "sensor_msgs/Imu", "messages" => 250, "encoding" => "ros1"} =
@@ -32,7 +32,7 @@ defmodule Situ.CLI.Store.ContentsTest do
     assert table =~ "/gps/fix" and table =~ "sensor_msgs/NavSatFix"
   end
 
-  test "chunks cover the file, by its index and without it", %{tmp_dir: root} do
+  test "shows chunks that cover the file, with and without its index", %{tmp_dir: root} do
     chunks = shown(@drive, "chunks")
     assert chunks != []
 
@@ -47,14 +47,14 @@ defmodule Situ.CLI.Store.ContentsTest do
     assert shown(torn, "chunks") == chunks
   end
 
-  test "the bytes of every topic" do
+  test "shows the bytes of every topic" do
     sizes = Map.new(shown(@drive, "sizes"), &{&1["topic"], &1["bytes"]})
-    # A header of 12 bytes and a text.
+    # A message is a header of 12 bytes and a string.
     assert sizes["/imu/data_raw"] > sizes["/chatter"] and sizes["/chatter"] > 0
     assert map_size(sizes) == 5
   end
 
-  test "attachments and metadata are put in, and survive a conversion", %{tmp_dir: root} do
+  test "adds attachments and metadata, which survive a conversion", %{tmp_dir: root} do
     note = Path.join(root, "note.txt")
     File.write!(note, "left wheel squeaks")
     [one, two] = for n <- ~w(one two), do: Path.join(root, n <> ".mcap")
@@ -77,7 +77,7 @@ defmodule Situ.CLI.Store.ContentsTest do
     assert said =~ "no attachments"
   end
 
-  test "other recordings have no such parts", %{tmp_dir: root} do
+  test "rejects recordings that have no such parts", %{tmp_dir: root} do
     assert {0, _} = situ(["copy", @drive, Path.join(root, "drive"), "-s", "/chatter"])
 
     said =
@@ -85,6 +85,6 @@ defmodule Situ.CLI.Store.ContentsTest do
         assert {1, _} = situ(["list", Path.join(root, "drive"), "--show", "chunks"])
       end)
 
-    assert said =~ "no MCAP file"
+    assert said =~ "not an MCAP file"
   end
 end

@@ -7,9 +7,9 @@ defmodule Situ.CLI.Store.ForeignTest do
 
   defp situ(argv), do: with_io(fn -> Situ.CLI.run(["store" | argv]) end)
 
-  test "a sound file is read to its end", %{tmp_dir: root} do
+  test "reads an intact file to its end", %{tmp_dir: root} do
     assert {0, said} = situ(["verify", @drive])
-    assert said =~ "545 messages, all can be read"
+    assert said =~ "545 messages, all readable"
     copy = Path.join(root, "copy.mcap")
     File.cp!(@drive, copy)
     assert {0, said} = situ(["doctor", @drive, copy, "--json"])
@@ -18,7 +18,7 @@ defmodule Situ.CLI.Store.ForeignTest do
              Situ.JSON.decode(said)
   end
 
-  test "one that is cut short or altered is told to be damaged, with the way out", %{
+  test "reports a truncated or altered file as damaged, and how to recover it", %{
     tmp_dir: root
   } do
     bytes = File.read!(@drive)
@@ -35,8 +35,8 @@ defmodule Situ.CLI.Store.ForeignTest do
     assert {:ok, %{"damage" => [_ | _]}} = Situ.JSON.decode(said)
   end
 
-  test "repair leaves such files alone, and says so" do
-    assert failed(["repair", @drive]) =~ "left as it is"
+  test "repair does not change external files, and says so" do
+    assert failed(["repair", @drive]) =~ "never changed"
     assert failed(["repair", @drive]) =~ "situ store recover"
     bag = Path.rootname(@drive) <> ".bag"
     assert failed(["repair", bag]) =~ "situ store import --skip-damage"
@@ -47,7 +47,7 @@ defmodule Situ.CLI.Store.ForeignTest do
   defp failed(argv),
     do: capture_io(:stderr, fn -> assert Situ.CLI.run(["store" | argv]) == 1 end)
 
-  test "what can be read of a damaged MCAP file goes into a new one", %{tmp_dir: root} do
+  test "recovers the readable part of a damaged MCAP file into a new one", %{tmp_dir: root} do
     sound = Path.join(root, "sound.mcap")
     {:ok, _} = @drive |> Situ.Store.open!() |> Situ.Bridge.Mcap.copy(sound, chunk: 20_000)
     bytes = File.read!(sound)
@@ -55,7 +55,7 @@ defmodule Situ.CLI.Store.ForeignTest do
     whole = Path.join(root, "whole.mcap")
     at = div(byte_size(bytes), 3)
     <<before::binary-size(at), _::binary-20, rest::binary>> = bytes
-    # Without its end there is no index either.
+    # Without its end, the file has no index.
     File.write!(broken, [
       before,
       :binary.copy(<<0xAA>>, 20),
@@ -69,14 +69,14 @@ defmodule Situ.CLI.Store.ForeignTest do
         assert n > 100
       end)
 
-    assert said =~ "Left out: "
+    assert said =~ "Omitted: "
     assert {0, said} = situ(["verify", whole])
-    assert said =~ "all can be read"
+    assert said =~ "all readable"
 
-    assert failed(["recover", root, whole]) =~ "repaired in its place"
+    assert failed(["recover", root, whole]) =~ "repaired in place"
   end
 
-  test "a file named like an MCAP file is one, with the bytes of the original", %{tmp_dir: root} do
+  test "writes a file named .mcap as MCAP with the original bytes", %{tmp_dir: root} do
     want = raw(@drive)
 
     for {verb, more} <- [
@@ -96,19 +96,19 @@ defmodule Situ.CLI.Store.ForeignTest do
     end
   end
 
-  # The messages of all channels as the file has them.
+  # Returns the undecoded messages of all channels.
   defp raw(path) do
     store = Situ.Store.open!(path)
     %{state: %{ref: ref}} = store
 
-    for channel <- Situ.Bridge.Mcap.channels(store), into: %{} do
+    for channel <- Situ.Bridge.Mcap.list_channels(store), into: %{} do
       what = {{channel.id, :log}, 0, :unbounded, {10_000, 1_000_000_000}, {false, false}}
       {:ok, {messages, _}} = Situ.Bridge.Native.mcap_read(ref, what)
       {channel, messages}
     end
   end
 
-  test "verbs that only make stores refuse the name of a file", %{tmp_dir: root} do
+  test "verbs that only create stores reject the name of a file", %{tmp_dir: root} do
     out = Path.join(root, "out.mcap")
 
     for argv <- [
@@ -116,7 +116,7 @@ defmodule Situ.CLI.Store.ForeignTest do
           ["split", @drive, out, "--every", "1s"],
           ["edit", @drive, out, "--set", "/chatter@0=1"]
         ] do
-      assert failed(argv) =~ "makes a store"
+      assert failed(argv) =~ "creates a store"
     end
 
     assert File.ls!(root) == []

@@ -41,7 +41,7 @@ defmodule Situ.CLI.Store.ImportingTest do
   defp data(store, name),
     do: for(m <- Store.messages(store, name), do: {m.originating_time, m.data})
 
-  test "Protobuf files go out and come back by their definition", %{tmp_dir: root} do
+  test "saves Protobuf files and imports them by their definition", %{tmp_dir: root} do
     levels = for i <- 1..2_500, do: %{"volts" => i / 8, "name" => "ä#{i}"}
     path = recorded(root, %{"Level" => levels})
     proto = Path.join(root, "lab.proto")
@@ -51,7 +51,7 @@ defmodule Situ.CLI.Store.ImportingTest do
 
     situ(["save", path, file, "-s", "Level", "--type", "lab.Level", "--definition", proto])
     refute File.exists?(file <> ".unfinished")
-    # Its definition lies beside it.
+    # The definition is next to the file.
     back = String.trim(situ(["import", file, Path.join(root, "back"), "--type", "lab.Level"]))
 
     expected =
@@ -59,7 +59,7 @@ defmodule Situ.CLI.Store.ImportingTest do
 
     assert data(Store.open!(back), "levels") == expected
 
-    # Also on the way into another kind.
+    # The definition also works for a conversion to another format.
     jsonl = Path.join(root, "levels.jsonl")
     situ(["convert", file, jsonl, "--type", "lab.Level"])
     assert jsonl |> File.stream!() |> Enum.count() == 2_500
@@ -77,7 +77,7 @@ defmodule Situ.CLI.Store.ImportingTest do
              "a.B",
              "--definition",
              "/no/a.proto"
-           ]) =~ "--definition names"
+           ]) =~ "--definition needs"
 
     assert refused([
              "save",
@@ -96,7 +96,7 @@ defmodule Situ.CLI.Store.ImportingTest do
     assert Path.wildcard(Path.join(root, "x.*")) == []
   end
 
-  test "what is saved comes back, whatever the format, with its type", %{tmp_dir: root} do
+  test "keeps values and types in every format", %{tmp_dir: root} do
     streams = %{
       "Level" => {:float, for(i <- 1..2_500, do: i / 8)},
       "Count" => {:integer, Enum.to_list(1..9)},
@@ -121,7 +121,7 @@ defmodule Situ.CLI.Store.ImportingTest do
 
       for {name, {type, values}} <- streams do
         assert Enum.map(data(store, name), &elem(&1, 1)) == values
-        # A whole number in CSV is 1, whatever it was; a column of a table is of one kind.
+        # A whole number in CSV has no decimal point, and a table column has one type.
         type =
           Map.get(
             %{{:float, "csv"} => :number, {:number, "parquet"} => :float},
@@ -137,7 +137,7 @@ defmodule Situ.CLI.Store.ImportingTest do
     end
   end
 
-  test "a recording, several, and one table by a name of its own", %{tmp_dir: root} do
+  test "imports a recording, several streams, or a table by another name", %{tmp_dir: root} do
     situ(["import", @drive, Path.join(root, "drive"), "-s", "/imu/*", "-x", "*mag"])
 
     assert [%{name: "/imu/data_raw", count: 250}, %{name: "/imu/data_raw.extra", count: 250}] =
@@ -148,7 +148,7 @@ defmodule Situ.CLI.Store.ImportingTest do
     situ(["save", path, table])
     situ(["import", table, Path.join(root, "one"), "-s", "Mine"])
     assert data(Store.open!(Path.join(root, "one")), "Mine") == [{100, 1}, {200, 2}]
-    assert refused(["import", table, @drive, Path.join(root, "x")]) =~ "one kind"
+    assert refused(["import", table, @drive, Path.join(root, "x")]) =~ "import them separately"
     assert refused(["import", table, Path.join(root, "x"), "--from", "5"]) =~ "--from"
     assert refused(["import", "-", Path.join(root, "x")]) =~ "--format"
     File.write!(table, File.read!(table) <> File.read!(table))
@@ -158,7 +158,7 @@ defmodule Situ.CLI.Store.ImportingTest do
     assert refused(["import", table, Path.join(root, "x")]) =~ "a.jsonl"
   end
 
-  test "any file becomes one of another kind", %{tmp_dir: root} do
+  test "converts any file to another format", %{tmp_dir: root} do
     file = &Path.join(root, &1)
     situ(["convert", @drive, file.("drive.bag"), "-s", "/chatter"])
 

@@ -12,7 +12,7 @@ defmodule Situ.CLI.Store.PyramidTest do
     value
   end
 
-  test "the columns of a stored pyramid hold every message", %{tmp_dir: root} do
+  test "the columns of a stored pyramid cover every message", %{tmp_dir: root} do
     {:ok, writer} = Store.Writer.create("r", root)
     {:ok, stream} = Store.Writer.stream(writer, "Level", type: :float)
 
@@ -35,7 +35,7 @@ defmodule Situ.CLI.Store.PyramidTest do
     assert capture_io(fn -> assert Situ.CLI.run(argv) == 0 end) =~ "least"
   end
 
-  test "a foreign file's are built by a copy", %{tmp_dir: root} do
+  test "builds the pyramids of an external file in a copy", %{tmp_dir: root} do
     out = Path.join(root, "drive")
     chosen = ["-s", "/gps/fix", "-s", "/chatter"]
     read = json([@drive | chosen])
@@ -43,11 +43,11 @@ defmodule Situ.CLI.Store.PyramidTest do
     assert %{"path" => path} = json([@drive, "--build", out | chosen])
     built = json([path])
     assert Enum.map(built, & &1["stored"]) == [true, true]
-    # The same messages in the same bins.
+    # The bins contain the same messages.
     assert Enum.map(built, & &1["counts"]) == Enum.map(read, & &1["counts"])
   end
 
-  test "columns without end are refused", %{tmp_dir: root} do
+  test "rejects a width without pixels", %{tmp_dir: root} do
     argv = ["store", "pyramid", root, "--pixels", "0"]
     assert capture_io(:stderr, fn -> assert Situ.CLI.run(argv) == 2 end) =~ "--pixels"
   end

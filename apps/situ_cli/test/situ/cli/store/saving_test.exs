@@ -24,7 +24,7 @@ defmodule Situ.CLI.Store.SavingTest do
     %{path: writer.path}
   end
 
-  test "a stream as a file of each format, and the file read back", %{path: path, tmp_dir: root} do
+  test "saves a stream in each format and reads it back", %{path: path, tmp_dir: root} do
     for {ending, format} <- [csv: :csv, json: :json, jsonl: :json_lines, msgpack: :message_pack] do
       file = Path.join(root, "a.#{ending}")
 
@@ -38,7 +38,7 @@ defmodule Situ.CLI.Store.SavingTest do
     end
   end
 
-  test "which stream, which format, where to: told when it is not clear", %{
+  test "reports an unclear stream, format or target", %{
     path: path,
     tmp_dir: root
   } do
@@ -55,7 +55,7 @@ defmodule Situ.CLI.Store.SavingTest do
     end
   end
 
-  test "streams joined on time are one table", %{tmp_dir: root} do
+  test "joins streams on time into one table", %{tmp_dir: root} do
     for {more, row} <- [
           {[], %{"Room.A" => 1, "Room.B" => 101}},
           {["-x", "Room.B"], %{"Room.A" => 1}},
@@ -85,7 +85,7 @@ defmodule Situ.CLI.Store.SavingTest do
     writer.path
   end
 
-  test "a stream as a Parquet table", %{path: path, tmp_dir: root} do
+  test "saves a stream as a Parquet table", %{path: path, tmp_dir: root} do
     file = Path.join(root, "a.parquet")
     argv = ["store", "save", path, file, "-s", "A", "--compression", "gzip", "--json"]
     assert {0, said} = with_io(fn -> Situ.CLI.run(argv) end)
@@ -96,7 +96,7 @@ defmodule Situ.CLI.Store.SavingTest do
     assert Enum.to_list(Bridge.Parquet.messages(file)) == for(i <- 1..5, do: {i * 1_000, i / 2})
   end
 
-  test "a recording as an MCAP file and as a bag, whole and in part", %{tmp_dir: root} do
+  test "saves a recording as MCAP and as a bag, entirely or in part", %{tmp_dir: root} do
     path = both(root)
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
 
@@ -120,7 +120,7 @@ defmodule Situ.CLI.Store.SavingTest do
     end
   end
 
-  test "a file that is saved onto itself is not lost, nor one that cannot be written", %{
+  test "keeps the file when saving it to itself, or when a message cannot be written", %{
     tmp_dir: root
   } do
     path = both(root)
@@ -152,12 +152,12 @@ defmodule Situ.CLI.Store.SavingTest do
     refute File.exists?(file <> ".unfinished")
   end
 
-  test "what goes only into a file is not printed, what cannot be packed is not", %{path: path} do
+  test "rejects files on standard output, and unsupported compressions", %{path: path} do
     for {argv, said} <- [
-          {["-", "--format", "mcap"], "not to standard output"},
-          {["-", "--format", "parquet", "-s", "A"], "not to standard output"},
-          {["x.csv", "-s", "A", "--compression", "zstd"], "no such --compression"},
-          {["x.parquet", "-s", "A", "--compression", "lz4"], "it may be none, gzip"}
+          {["-", "--format", "mcap"], "cannot be written to standard output"},
+          {["-", "--format", "parquet", "-s", "A"], "cannot be written to standard output"},
+          {["x.csv", "-s", "A", "--compression", "zstd"], "does not support this --compression"},
+          {["x.parquet", "-s", "A", "--compression", "lz4"], "use none, gzip"}
         ] do
       assert capture_io(:stderr, fn ->
                assert Situ.CLI.run(["store", "save", path | argv]) == 2

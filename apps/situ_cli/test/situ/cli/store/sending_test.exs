@@ -58,7 +58,7 @@ defmodule Situ.CLI.Store.SendingTest do
     on_exit(fn -> Pipeline.stop(subscriber) end)
   end
 
-  test "a stream is sent when the subscriber is there, and all of it comes", %{path: path} do
+  test "waits for the subscriber, then sends the entire stream", %{path: path} do
     address = address()
     subscriber(address, ["a"])
     argv = ["store", "send", path, "-s", "A", "-a", address, "-t", "a", "--speed", "0"]
@@ -66,9 +66,9 @@ defmodule Situ.CLI.Store.SendingTest do
     for i <- 1..5, x = i / 2, do: assert_receive({"a", ^x})
   end
 
-  test "all streams go, each on its topic, over one address", %{path: path} do
+  test "sends all streams, each on its topic, from one address", %{path: path} do
     address = address()
-    # Two subscribers: each wants one topic, and nothing is sent before both are there.
+    # Each of the two subscribers wants one topic. Nothing is sent before both are connected.
     subscriber(address, ["lab/A", "lab/B"])
     argv = ["store", "send", path, "-a", address, "-t", "lab/", "--speed", "0", "--json"]
     argv = argv ++ ["--subscribers", "2"]
@@ -80,7 +80,7 @@ defmodule Situ.CLI.Store.SendingTest do
     for i <- 1..5, do: assert_receive({"lab/B", ^i})
   end
 
-  test "a part of it, over and over", %{path: path} do
+  test "sends a part in a loop", %{path: path} do
     address = address()
     subscriber(address, ["A"])
     argv = ["store", "send", path, "-s", "A", "-a", address, "--speed", "0.05", "--loop"]
@@ -89,10 +89,12 @@ defmodule Situ.CLI.Store.SendingTest do
     for _ <- 1..3, x <- [2.0, 2.5], do: assert_receive({"A", ^x}, 20_000)
     Task.shutdown(sending, :brutal_kill)
     argv = ["store", "send", path, "--loop", "--to", "3000"]
-    assert capture_io(:stderr, fn -> assert Situ.CLI.run(argv) == 2 end) =~ "crop it first"
+
+    assert capture_io(:stderr, fn -> assert Situ.CLI.run(argv) == 2 end) =~
+             "crop the recording first"
   end
 
-  test "what is sent is recorded", %{path: path, tmp_dir: root} do
+  test "records the sent messages", %{path: path, tmp_dir: root} do
     address = address()
     out = Path.join(root, "came")
     argv = ["store", "record", out, "A", "B", "-a", address, "-n", "10", "--json"]
@@ -106,7 +108,7 @@ defmodule Situ.CLI.Store.SendingTest do
     assert {:ok, %{data: 0.5, originating_time: 1_000}} = Store.at(came, "A", 0)
   end
 
-  test "a stream that is not there, and nothing to send", %{path: path} do
+  test "rejects an unknown stream, and one without messages", %{path: path} do
     for {argv, said} <- [{["-s", "Nowhere"], "Nowhere"}, {["-s", "Pids"], "no messages"}] do
       assert capture_io(:stderr, fn ->
                assert Situ.CLI.run(["store", "send", path | argv]) == 1

@@ -23,13 +23,19 @@ defmodule Situ.Annotation.Exchange.Coco do
   def encode(layer, opts) do
     {boxes, others} = layer |> Layer.annotations() |> Enum.split_with(&box?/1)
     {lasting, frames} = Enum.split_with(boxes, &(&1.from < &1.to))
-    shown = frames |> Enum.group_by(& &1.track) |> Enum.flat_map(&on_pictures(&1, opts[:times]))
-    shown = shown ++ Enum.flat_map(lasting, &for_its_time(&1, opts[:times]))
+
+    shown =
+      frames |> Enum.group_by(& &1.track) |> Enum.flat_map(&boxes_on_images(&1, opts[:times]))
+
+    shown = shown ++ Enum.flat_map(lasting, &still_boxes(&1, opts[:times]))
 
     by = Enum.find(layer.schema.attributes, &(&1.kind == :finite))
-    categories = numbered(if by, do: Enum.map(by.values, & &1.value), else: [layer.schema.name])
-    pictures = shown |> Enum.map(& &1.from) |> Enum.uniq() |> Enum.sort() |> numbered()
-    tracks = numbered(Layer.tracks(layer))
+
+    categories =
+      number_values(if by, do: Enum.map(by.values, & &1.value), else: [layer.schema.name])
+
+    pictures = shown |> Enum.map(& &1.from) |> Enum.uniq() |> Enum.sort() |> number_values()
+    tracks = number_values(Layer.track_names(layer))
 
     file = %{
       "info" => %{
@@ -37,35 +43,35 @@ defmodule Situ.Annotation.Exchange.Coco do
         "situ" => %{"schema" => Schema.to_json(layer.schema), "origin" => opts[:origin]}
       },
       "licenses" => [],
-      "images" => for({time, id} <- in_order(pictures), do: picture(time, id, opts)),
+      "images" => for({time, id} <- sort_by_id(pictures), do: encode_image(time, id, opts)),
       "categories" =>
         for(
-          {name, id} <- in_order(categories),
+          {name, id} <- sort_by_id(categories),
           do: %{"id" => id, "name" => name, "supercategory" => ""}
         ),
       "annotations" =>
         for {a, id} <- shown |> Enum.sort_by(&{&1.from, &1.track}) |> Enum.with_index(1) do
           category = if by, do: a.values[by.name], else: layer.schema.name
           ids = {id, pictures[a.from], categories[category], tracks[a.track]}
-          annotation(a, ids, Map.drop(a.values, @place))
+          encode_annotation(a, ids, Map.drop(a.values, @place))
         end
     }
 
-    {Situ.JSON.pretty(file) <> "\n", losses(others, lasting, opts[:times])}
+    {Situ.JSON.encode_pretty(file) <> "\n", describe_losses(others, lasting, opts[:times])}
   end
 
   defp box?(a), do: Enum.all?(@place, &is_number(a.values[&1]))
 
-  defp numbered(values), do: values |> Enum.with_index(1) |> Map.new()
-  defp in_order(ids), do: Enum.sort_by(ids, &elem(&1, 1))
+  defp number_values(values), do: values |> Enum.with_index(1) |> Map.new()
+  defp sort_by_id(ids), do: Enum.sort_by(ids, &elem(&1, 1))
 
-  defp picture(time, id, opts) do
+  defp encode_image(time, id, opts) do
     seconds = :erlang.float_to_binary((time - opts[:origin]) / @second, decimals: 6)
     name = if opts[:media], do: "#{opts[:media]}##{seconds}", else: "#{time}.jpg"
     %{"id" => id, "file_name" => name, "time_ns" => time}
   end
 
-  defp annotation(a, {id, picture, category, track}, attributes) do
+  defp encode_annotation(a, {id, picture, category, track}, attributes) do
     [_, _, width, height] = box = Enum.map(@place, &a.values[&1])
 
     %{
@@ -88,27 +94,28 @@ defmodule Situ.Annotation.Exchange.Coco do
   end
 
   # The boxes of a track: its key frames, or one per image between the first and the last key frame.
-  defp on_pictures({_track, frames}, nil), do: frames
+  defp boxes_on_images({_track, frames}, nil), do: frames
 
-  defp on_pictures({_track, frames}, times) do
+  defp boxes_on_images({_track, frames}, times) do
     frames = Enum.sort_by(frames, & &1.from)
     {first, last} = {hd(frames).from, List.last(frames).from}
     within = times |> Enum.filter(&(&1 >= first and &1 <= last)) |> Enum.sort()
-    between(within, frames, [])
+    interpolate_frames(within, frames, [])
   end
 
-  defp between([], _frames, done), do: Enum.reverse(done)
+  defp interpolate_frames([], _frames, done), do: Enum.reverse(done)
 
-  defp between([time | _] = times, [_, %{from: next} = after_it | rest], done) when next <= time,
-    do: between(times, [after_it | rest], done)
+  defp interpolate_frames([time | _] = times, [_, %{from: next} = after_it | rest], done)
+       when next <= time,
+       do: interpolate_frames(times, [after_it | rest], done)
 
-  defp between([time | times], [frame | rest] = frames, done),
-    do: between(times, frames, [at(frame, List.first(rest), time) | done])
+  defp interpolate_frames([time | times], [frame | rest] = frames, done),
+    do: interpolate_frames(times, frames, [box_at(frame, List.first(rest), time) | done])
 
-  defp at(%{from: time} = frame, _next, time), do: frame
-  defp at(frame, nil, time), do: %{frame | from: time, to: time}
+  defp box_at(%{from: time} = frame, _next, time), do: frame
+  defp box_at(frame, nil, time), do: %{frame | from: time, to: time}
 
-  defp at(frame, next, time) do
+  defp box_at(frame, next, time) do
     part = (time - frame.from) / (next.from - frame.from)
 
     place =
@@ -121,12 +128,12 @@ defmodule Situ.Annotation.Exchange.Coco do
   end
 
   # A box that does not move.
-  defp for_its_time(a, nil), do: [%{a | to: a.from}]
+  defp still_boxes(a, nil), do: [%{a | to: a.from}]
 
-  defp for_its_time(a, times),
+  defp still_boxes(a, times),
     do: for(time <- times, time >= a.from and time <= a.to, do: %{a | from: time, to: time})
 
-  defp losses(others, lasting, times) do
+  defp describe_losses(others, lasting, times) do
     [
       others != [] &&
         "COCO stores only boxes: #{length(others)} annotations without x, y, width and height are left out",
@@ -145,7 +152,7 @@ defmodule Situ.Annotation.Exchange.Coco do
       {:ok,
        %{"images" => images, "annotations" => annotations, "categories" => categories} = file}
       when is_list(images) and is_list(annotations) and is_list(categories) ->
-        read(file, names(categories), opts)
+        decode_file(file, category_names(categories), opts)
 
       {:ok, _} ->
         {:error, "it does not have the \"images\", \"annotations\" and \"categories\" of COCO"}
@@ -155,21 +162,21 @@ defmodule Situ.Annotation.Exchange.Coco do
     end
   end
 
-  defp names(categories) do
+  defp category_names(categories) do
     for %{"id" => id, "name" => name} <- categories,
         is_integer(id) and is_binary(name),
         into: %{},
         do: {id, name}
   end
 
-  defp read(file, categories, opts) do
-    own = situ(file["info"])
+  defp decode_file(file, categories, opts) do
+    own = situ_metadata(file["info"])
     origin = opts[:origin] || if(is_integer(own["origin"]), do: own["origin"], else: 0)
     moved = if is_integer(own["origin"]), do: origin - own["origin"], else: 0
-    schema = opts[:schema] || schema(own["schema"], categories)
-    {times, untimed} = times(file["images"], origin, moved)
+    schema = opts[:schema] || parse_schema(own["schema"], categories)
+    {times, untimed} = image_times(file["images"], origin, moved)
 
-    found = Enum.map(file["annotations"], &box(&1, {categories, times, schema}))
+    found = Enum.map(file["annotations"], &decode_box(&1, {categories, times, schema}))
     boxes = for {:ok, a} <- found, do: a
     bad = length(found) - length(boxes)
 
@@ -185,17 +192,17 @@ defmodule Situ.Annotation.Exchange.Coco do
     {:ok, schema, Enum.sort_by(boxes, &{&1.from, &1.track}), losses}
   end
 
-  defp situ(%{"situ" => %{} = own}), do: own
-  defp situ(_), do: %{}
+  defp situ_metadata(%{"situ" => %{} = own}), do: own
+  defp situ_metadata(_), do: %{}
 
-  defp schema(json, categories) do
+  defp parse_schema(json, categories) do
     case json && Schema.parse(json) do
       {:ok, schema} -> schema
-      _ -> boxes(categories |> Map.values() |> Enum.uniq() |> Enum.sort())
+      _ -> build_box_schema(categories |> Map.values() |> Enum.uniq() |> Enum.sort())
     end
   end
 
-  defp boxes(names) do
+  defp build_box_schema(names) do
     numbers = for name <- @place, do: %{"name" => name, "kind" => "number"}
     names = if names == [], do: ["box"], else: names
     values = for name <- names, do: %{"value" => name}
@@ -205,7 +212,7 @@ defmodule Situ.Annotation.Exchange.Coco do
   end
 
   # Returns the time of each image by its id.
-  defp times(images, origin, moved) do
+  defp image_times(images, origin, moved) do
     {timed, untimed} =
       images
       |> Enum.filter(&match?(%{"id" => _}, &1))
@@ -213,15 +220,15 @@ defmodule Situ.Annotation.Exchange.Coco do
 
     spaced =
       for {image, k} <-
-            untimed |> Enum.sort_by(&to_string_or_empty(&1["file_name"])) |> Enum.with_index(),
+            untimed |> Enum.sort_by(&string_or_empty(&1["file_name"])) |> Enum.with_index(),
           do: {image["id"], origin + k * @second}
 
     {Map.new(spaced ++ for(i <- timed, do: {i["id"], i["time_ns"] + moved})), length(untimed)}
   end
 
-  defp to_string_or_empty(text), do: if(is_binary(text), do: text, else: "")
+  defp string_or_empty(text), do: if(is_binary(text), do: text, else: "")
 
-  defp box(
+  defp decode_box(
          %{"bbox" => [x, y, w, h] = place, "image_id" => image} = json,
          {categories, times, schema}
        )
@@ -239,29 +246,29 @@ defmodule Situ.Annotation.Exchange.Coco do
       |> Map.take(known)
 
     with {:ok, time} <- Map.fetch(times, image),
-         :ok <- Schema.check(schema, values),
+         :ok <- Schema.check_values(schema, values),
          annotation = %Annotation{
            from: time,
            to: time,
-           track: track(json, name),
+           track: track_name(json, name),
            values: values,
-           by: text(json["by"]),
-           note: text(json["note"]),
+           by: string_or_nil(json["by"]),
+           note: string_or_nil(json["note"]),
            confidence: if(is_number(json["score"]), do: json["score"]),
            proposed?: json["proposed"] == true
          },
-         :ok <- Annotation.check(annotation) do
+         :ok <- Annotation.check_fields(annotation) do
       {:ok, annotation}
     else
       _ -> :error
     end
   end
 
-  defp box(_json, _known), do: :error
+  defp decode_box(_json, _known), do: :error
 
-  defp track(%{"track" => track}, _name) when is_binary(track) and track != "", do: track
-  defp track(%{"track_id" => id}, name) when is_integer(id), do: "#{name || "box"} #{id}"
-  defp track(_json, name), do: name || "box"
+  defp track_name(%{"track" => track}, _name) when is_binary(track) and track != "", do: track
+  defp track_name(%{"track_id" => id}, name) when is_integer(id), do: "#{name || "box"} #{id}"
+  defp track_name(_json, name), do: name || "box"
 
-  defp text(value), do: if(is_binary(value), do: value)
+  defp string_or_nil(value), do: if(is_binary(value), do: value)
 end

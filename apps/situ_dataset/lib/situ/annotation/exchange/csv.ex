@@ -19,17 +19,17 @@ defmodule Situ.Annotation.Exchange.Csv do
 
     head =
       ~w(from to from_s to_s track) ++
-        Enum.map(attributes, &column/1) ++ ~w(by confidence proposed note)
+        Enum.map(attributes, &column_name/1) ++ ~w(by confidence proposed note)
 
-    rows = for a <- Layer.annotations(layer), do: row(a, attributes, opts[:origin])
-    {Enum.map([head | rows], &line/1), []}
+    rows = for a <- Layer.annotations(layer), do: build_row(a, attributes, opts[:origin])
+    {Enum.map([head | rows], &encode_line/1), []}
   end
 
   # An attribute with the name of a fixed column gets a prefix.
-  defp column(name), do: if(name in @own, do: "value." <> name, else: name)
+  defp column_name(name), do: if(name in @own, do: "value." <> name, else: name)
 
-  defp row(a, attributes, origin) do
-    values = for name <- attributes, do: Rows.text(a.values[name])
+  defp build_row(a, attributes, origin) do
+    values = for name <- attributes, do: Rows.value_to_text(a.values[name])
 
     seconds =
       for time <- [a.from, a.to],
@@ -41,9 +41,10 @@ defmodule Situ.Annotation.Exchange.Csv do
       [a.by || "", to_string(a.confidence || ""), to_string(a.proposed?), a.note || ""]
   end
 
-  defp line(cells), do: [cells |> Enum.map(&cell/1) |> Enum.intersperse(","), "\r\n"]
+  defp encode_line(cells),
+    do: [cells |> Enum.map(&encode_cell/1) |> Enum.intersperse(","), "\r\n"]
 
-  defp cell(text) do
+  defp encode_cell(text) do
     if text =~ ~r/[",\r\n]/ or String.trim(text) != text,
       do: ["\"", String.replace(text, "\"", "\"\""), "\""],
       else: text
@@ -51,11 +52,11 @@ defmodule Situ.Annotation.Exchange.Csv do
 
   @impl true
   def decode(text, opts) do
-    with {:ok, [head | rows]} <- table(text),
-         :ok <- columns(head) do
+    with {:ok, [head | rows]} <- parse_table(text),
+         :ok <- check_columns(head) do
       {annotations, bad} =
         Enum.flat_map_reduce(rows, 0, fn cells, bad ->
-          case annotation(Map.new(Enum.zip(head, cells)), opts) do
+          case parse_annotation(Map.new(Enum.zip(head, cells)), opts) do
             {:ok, annotation} -> {[annotation], bad}
             :error -> {[], bad + 1}
           end
@@ -73,7 +74,7 @@ defmodule Situ.Annotation.Exchange.Csv do
     end
   end
 
-  defp columns(head) do
+  defp check_columns(head) do
     cond do
       "track" not in head ->
         {:error, "it has no column \"track\""}
@@ -87,105 +88,105 @@ defmodule Situ.Annotation.Exchange.Csv do
     end
   end
 
-  defp annotation(row, opts) do
-    with {:ok, from} <- time(row["from"], row["from_s"], opts),
-         {:ok, to} <- time(row["to"], row["to_s"], opts),
-         {:ok, values} <- values(Map.drop(row, @own), opts[:schema]),
+  defp parse_annotation(row, opts) do
+    with {:ok, from} <- parse_time(row["from"], row["from_s"], opts),
+         {:ok, to} <- parse_time(row["to"], row["to_s"], opts),
+         {:ok, values} <- parse_values(Map.drop(row, @own), opts[:schema]),
          annotation = %Annotation{
            from: from,
            to: to,
            track: row["track"],
            values: values,
-           by: said(row["by"]),
-           note: said(row["note"]),
-           confidence: confidence(said(row["confidence"])),
+           by: non_empty_text(row["by"]),
+           note: non_empty_text(row["note"]),
+           confidence: parse_confidence(non_empty_text(row["confidence"])),
            proposed?: row["proposed"] == "true"
          },
-         :ok <- Annotation.check(annotation) do
+         :ok <- Annotation.check_fields(annotation) do
       {:ok, annotation}
     else
       _ -> :error
     end
   end
 
-  defp said(text) when text in [nil, ""], do: nil
-  defp said(text), do: text
+  defp non_empty_text(text) when text in [nil, ""], do: nil
+  defp non_empty_text(text), do: text
 
-  defp time(ns, s, opts) do
-    case {whole(ns), s && Float.parse(s)} do
+  defp parse_time(ns, s, opts) do
+    case {parse_integer(ns), s && Float.parse(s)} do
       {{:ok, ns}, _} -> {:ok, ns}
       {_, {seconds, ""}} -> {:ok, round(seconds * 1.0e9) + (opts[:origin] || 0)}
       _ -> :error
     end
   end
 
-  defp whole(nil), do: :error
+  defp parse_integer(nil), do: :error
 
-  defp whole(text) do
+  defp parse_integer(text) do
     case Integer.parse(text) do
       {n, ""} -> {:ok, n}
       _ -> :error
     end
   end
 
-  defp confidence(nil), do: nil
+  defp parse_confidence(nil), do: nil
 
-  defp confidence(text) do
+  defp parse_confidence(text) do
     case Float.parse(text) do
       {x, ""} -> x
       _ -> text
     end
   end
 
-  defp values(cells, schema) do
+  defp parse_values(cells, schema) do
     Enum.reduce_while(cells, {:ok, %{}}, fn {column, text}, {:ok, values} ->
       name = String.replace_prefix(column, "value.", "")
 
-      case value(schema, name, text) do
+      case parse_value(schema, name, text) do
         {:ok, value} -> {:cont, {:ok, Map.put(values, name, value)}}
         _ -> {:halt, :error}
       end
     end)
   end
 
-  defp value(nil, _name, text), do: {:ok, text}
-  defp value(schema, name, text), do: Schema.read(schema, name, text)
+  defp parse_value(nil, _name, text), do: {:ok, text}
+  defp parse_value(schema, name, text), do: Schema.parse_value(schema, name, text)
 
-  defp table(<<0xEF, 0xBB, 0xBF, text::binary>>), do: table(text)
+  defp parse_table(<<0xEF, 0xBB, 0xBF, text::binary>>), do: parse_table(text)
 
-  defp table(text) do
-    if String.valid?(text), do: rows(text, [], []), else: {:error, "it is not UTF-8"}
+  defp parse_table(text) do
+    if String.valid?(text), do: parse_rows(text, [], []), else: {:error, "it is not UTF-8"}
   end
 
-  defp rows("", [], rows), do: {:ok, Enum.reverse(rows)}
+  defp parse_rows("", [], rows), do: {:ok, Enum.reverse(rows)}
 
-  defp rows(text, cells, rows) do
+  defp parse_rows(text, cells, rows) do
     case take_cell(text) do
-      {:ok, cell, "," <> rest} -> rows(rest, [cell | cells], rows)
-      {:ok, cell, rest} -> next_row(rest, ended([cell | cells], rows))
+      {:ok, cell, "," <> rest} -> parse_rows(rest, [cell | cells], rows)
+      {:ok, cell, rest} -> next_row(rest, add_row([cell | cells], rows))
       :error -> {:error, "a quoted cell has no closing quotation mark"}
     end
   end
 
-  defp ended([""], rows), do: rows
-  defp ended(cells, rows), do: [Enum.reverse(cells) | rows]
+  defp add_row([""], rows), do: rows
+  defp add_row(cells, rows), do: [Enum.reverse(cells) | rows]
 
-  defp next_row("\r\n" <> rest, rows), do: rows(rest, [], rows)
-  defp next_row("\n" <> rest, rows), do: rows(rest, [], rows)
-  defp next_row("\r" <> rest, rows), do: rows(rest, [], rows)
+  defp next_row("\r\n" <> rest, rows), do: parse_rows(rest, [], rows)
+  defp next_row("\n" <> rest, rows), do: parse_rows(rest, [], rows)
+  defp next_row("\r" <> rest, rows), do: parse_rows(rest, [], rows)
   defp next_row("", rows), do: {:ok, Enum.reverse(rows)}
   defp next_row(_, _rows), do: {:error, "a quoted cell is followed by other text"}
 
-  defp take_cell("\"" <> text), do: quoted(text, "")
+  defp take_cell("\"" <> text), do: take_quoted(text, "")
 
   defp take_cell(text) do
     [cell] = Regex.run(~r/\A[^,\r\n]*/u, text)
     {:ok, cell, binary_part(text, byte_size(cell), byte_size(text) - byte_size(cell))}
   end
 
-  defp quoted(text, value) do
+  defp take_quoted(text, value) do
     case String.split(text, "\"", parts: 2) do
-      [part, "\"" <> rest] -> quoted(rest, value <> part <> "\"")
+      [part, "\"" <> rest] -> take_quoted(rest, value <> part <> "\"")
       [part, rest] -> {:ok, value <> part, rest}
       [_] -> :error
     end

@@ -8,11 +8,11 @@ defmodule Situ.Annotation.Exchange.Cues do
   @ms 1_000_000
 
   @doc "Returns the cues of a layer, `{from_ms, to_ms, track, text}`, and the losses; points last one millisecond."
-  @spec of(Layer.t(), integer(), String.t()) :: {[tuple()], [String.t()]}
-  def of(layer, origin, format) do
+  @spec build_cues(Layer.t(), integer(), String.t()) :: {[tuple()], [String.t()]}
+  def build_cues(layer, origin, format) do
     annotations = layer |> Layer.annotations() |> Enum.sort_by(&{&1.from, &1.to, &1.track})
-    cues = for a <- annotations, do: cue(a, layer.schema, origin)
-    points = Enum.count(annotations, &(ms(&1.from) == ms(&1.to)))
+    cues = for a <- annotations, do: build_cue(a, layer.schema, origin)
+    points = Enum.count(annotations, &(ns_to_ms(&1.from) == ns_to_ms(&1.to)))
     short = if points > 0, do: ["#{format} has no points: #{points} points last 1 ms"], else: []
     before = Enum.count(annotations, &(&1.from < origin))
 
@@ -22,26 +22,32 @@ defmodule Situ.Annotation.Exchange.Cues do
         else: []
 
     {Enum.reject(cues, &(elem(&1, 0) < 0)),
-     Rows.losses(annotations, [:fine, :by, :confidence, :note, :proposed?], format) ++
+     Rows.describe_losses(annotations, [:fine, :by, :confidence, :note, :proposed?], format) ++
        short ++ early}
   end
 
-  defp cue(a, schema, origin) do
-    from = ms(a.from - origin)
-    {from, max(ms(a.to - origin), from + 1), a.track, text(a.values, schema)}
+  defp build_cue(a, schema, origin) do
+    from = ns_to_ms(a.from - origin)
+    {from, max(ns_to_ms(a.to - origin), from + 1), a.track, cue_text(a.values, schema)}
   end
 
-  defp ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
+  defp ns_to_ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
 
   # Each of several attributes has its own line.
-  defp text(values, %{attributes: [attribute]}), do: Rows.text(values[attribute.name])
+  defp cue_text(values, %{attributes: [attribute]}),
+    do: Rows.value_to_text(values[attribute.name])
 
-  defp text(values, schema),
-    do: Enum.map_join(schema.attributes, "\n", &"#{&1.name}: #{Rows.text(values[&1.name])}")
+  defp cue_text(values, schema),
+    do:
+      Enum.map_join(
+        schema.attributes,
+        "\n",
+        &"#{&1.name}: #{Rows.value_to_text(values[&1.name])}"
+      )
 
   @doc "Formats a time as `HH:MM:SS`, then `mark` and the milliseconds."
-  @spec time(non_neg_integer(), String.t()) :: String.t()
-  def time(ms, mark) do
+  @spec format_time(non_neg_integer(), String.t()) :: String.t()
+  def format_time(ms, mark) do
     pad = fn n, width -> n |> Integer.to_string() |> String.pad_leading(width, "0") end
     seconds = div(ms, 1_000)
 
@@ -50,10 +56,10 @@ defmodule Situ.Annotation.Exchange.Cues do
   end
 
   @doc "Splits a file into its blocks, which are lists of lines."
-  @spec blocks(binary()) :: {:ok, [[String.t()]]} | {:error, String.t()}
-  def blocks(<<0xEF, 0xBB, 0xBF, text::binary>>), do: blocks(text)
+  @spec split_blocks(binary()) :: {:ok, [[String.t()]]} | {:error, String.t()}
+  def split_blocks(<<0xEF, 0xBB, 0xBF, text::binary>>), do: split_blocks(text)
 
-  def blocks(text) do
+  def split_blocks(text) do
     if String.valid?(text),
       do:
         {:ok,
@@ -65,21 +71,21 @@ defmodule Situ.Annotation.Exchange.Cues do
   end
 
   @doc "Parses the cue of a block to `{from_ms, to_ms, text}`; returns `nil` if no line contains times."
-  @spec cue([String.t()]) :: {integer(), integer(), String.t()} | nil
-  def cue(lines) do
+  @spec parse_cue([String.t()]) :: {integer(), integer(), String.t()} | nil
+  def parse_cue(lines) do
     time = ~S"(?:(\d+):)?(\d\d):(\d\d)[.,](\d{3})"
     {_, rest} = Enum.split_while(lines, &(not (&1 =~ "-->")))
 
     with [line | text] <- rest,
          [_ | parts] <- Regex.run(~r/\A\s*#{time}\s*-->\s*#{time}(?:\s|\z)/, line) do
       {from, to} = Enum.split(parts, 4)
-      {milliseconds(from), milliseconds(to), Enum.join(text, "\n")}
+      {parse_milliseconds(from), parse_milliseconds(to), Enum.join(text, "\n")}
     else
       _ -> nil
     end
   end
 
-  defp milliseconds([h, m, s, ms]) do
+  defp parse_milliseconds([h, m, s, ms]) do
     [h, m, s, ms] =
       for text <- [h, m, s, ms], do: if(text == "", do: 0, else: String.to_integer(text))
 
@@ -87,10 +93,15 @@ defmodule Situ.Annotation.Exchange.Cues do
   end
 
   @doc "Builds an annotation from a cue."
-  @spec annotation({integer(), integer(), String.t()}, String.t(), Schema.t() | nil, integer()) ::
+  @spec build_annotation(
+          {integer(), integer(), String.t()},
+          String.t(),
+          Schema.t() | nil,
+          integer()
+        ) ::
           {:ok, Annotation.t()} | :error
-  def annotation({from, to, text}, track, schema, origin) do
-    with true <- to >= from, {:ok, values} <- values(text, schema) do
+  def build_annotation({from, to, text}, track, schema, origin) do
+    with true <- to >= from, {:ok, values} <- parse_values(text, schema) do
       {:ok,
        %Annotation{from: from * @ms + origin, to: to * @ms + origin, track: track, values: values}}
     else
@@ -98,23 +109,23 @@ defmodule Situ.Annotation.Exchange.Cues do
     end
   end
 
-  defp values(text, nil), do: {:ok, %{"Value" => text}}
+  defp parse_values(text, nil), do: {:ok, %{"Value" => text}}
 
-  defp values(text, %{attributes: [attribute]} = schema) do
-    with {:ok, value} <- Schema.read(schema, attribute.name, text),
+  defp parse_values(text, %{attributes: [attribute]} = schema) do
+    with {:ok, value} <- Schema.parse_value(schema, attribute.name, text),
          do: {:ok, %{attribute.name => value}}
   end
 
   # A line that does not start with an attribute name continues the value of the line before it.
-  defp values(text, schema) do
+  defp parse_values(text, schema) do
     names = Enum.map(schema.attributes, & &1.name)
 
     text
     |> String.split("\n")
-    |> Enum.chunk_while([], &collect(&1, &2, names), &{:cont, Enum.reverse(&1), []})
+    |> Enum.chunk_while([], &collect_value_lines(&1, &2, names), &{:cont, Enum.reverse(&1), []})
     |> Enum.reduce_while({:ok, %{}}, fn lines, {:ok, values} ->
       with [name, value] <- lines |> Enum.join("\n") |> String.split(": ", parts: 2),
-           {:ok, value} <- Schema.read(schema, name, value) do
+           {:ok, value} <- Schema.parse_value(schema, name, value) do
         {:cont, {:ok, Map.put(values, name, value)}}
       else
         _ -> {:halt, :error}
@@ -122,7 +133,7 @@ defmodule Situ.Annotation.Exchange.Cues do
     end)
   end
 
-  defp collect(line, lines, names) do
+  defp collect_value_lines(line, lines, names) do
     if lines != [] and Enum.any?(names, &String.starts_with?(line, &1 <> ": ")),
       do: {:cont, Enum.reverse(lines), [line]},
       else: {:cont, [line | lines]}

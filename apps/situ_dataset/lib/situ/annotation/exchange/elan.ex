@@ -14,8 +14,8 @@ defmodule Situ.Annotation.Exchange.Elan do
 
   @impl true
   def encode(layer, opts) do
-    rows = Rows.of(layer)
-    slots = slots(rows, opts[:origin])
+    rows = Rows.layer_rows(layer)
+    slots = slot_times(rows, opts[:origin])
     ids = slots |> Map.keys() |> Enum.sort() |> Enum.with_index(1) |> Map.new()
 
     text = [
@@ -23,40 +23,46 @@ defmodule Situ.Annotation.Exchange.Elan do
       ~s(<ANNOTATION_DOCUMENT AUTHOR="" DATE="1970-01-01T00:00:00+00:00" FORMAT="3.0" VERSION="3.0" ),
       ~s(xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" ),
       ~s(xsi:noNamespaceSchemaLocation="http://www.mpi.nl/tools/elan/EAFv3.0.xsd">\n),
-      header(layer.schema, opts),
-      ["    <TIME_ORDER>\n", times(ids), "    </TIME_ORDER>\n"],
+      encode_header(layer.schema, opts),
+      ["    <TIME_ORDER>\n", encode_time_slots(ids), "    </TIME_ORDER>\n"],
       rows
-      |> Enum.zip(offsets(rows))
-      |> Enum.map(&tier(&1, layer.schema, ids, opts[:origin])),
-      types(layer.schema),
-      vocabularies(layer.schema),
+      |> Enum.zip(annotation_offsets(rows))
+      |> Enum.map(&encode_tier(&1, layer.schema, ids, opts[:origin])),
+      encode_types(layer.schema),
+      encode_vocabularies(layer.schema),
       "</ANNOTATION_DOCUMENT>\n"
     ]
 
-    {text, Rows.losses(Layer.annotations(layer), [:fine, :confidence, :note, :proposed?], "ELAN")}
+    {text,
+     Rows.describe_losses(
+       Layer.annotations(layer),
+       [:fine, :confidence, :note, :proposed?],
+       "ELAN"
+     )}
   end
 
-  defp slots(rows, origin) do
+  defp slot_times(rows, origin) do
     for {_, _, labels} <- rows,
         {a, _} <- labels,
         time <- [a.from, a.to],
         into: %{},
-        do: {ms(time - origin), true}
+        do: {ns_to_ms(time - origin), true}
   end
 
   # All times are rounded in the same way, so that annotations that touch keep touching.
-  defp ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
+  defp ns_to_ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
 
-  defp times(ids) do
+  defp encode_time_slots(ids) do
     for {ms, id} <- Enum.sort(ids),
         do: ~s(        <TIME_SLOT TIME_SLOT_ID="ts#{id}" TIME_VALUE="#{ms}"/>\n)
   end
 
-  defp header(schema, opts) do
+  defp encode_header(schema, opts) do
     media =
       if opts[:media] do
         url = Xml.escape("file://" <> Path.expand(opts[:media]))
-        ~s(        <MEDIA_DESCRIPTOR MEDIA_URL="#{url}" MIME_TYPE="#{mime(opts[:media])}"/>\n)
+
+        ~s(        <MEDIA_DESCRIPTOR MEDIA_URL="#{url}" MIME_TYPE="#{mime_type(opts[:media])}"/>\n)
       else
         ""
       end
@@ -70,40 +76,40 @@ defmodule Situ.Annotation.Exchange.Elan do
     ]
   end
 
-  defp mime(path),
+  defp mime_type(path),
     do: if(Path.extname(path) in [".wav", ".WAV"], do: "audio/x-wav", else: "video/mp4")
 
-  defp offsets(rows) do
+  defp annotation_offsets(rows) do
     rows
     |> Enum.map(fn {_, _, labels} -> length(labels) end)
     |> Enum.scan(&+/2)
     |> then(&[0 | &1])
   end
 
-  defp tier({{track, name, labels}, offset}, schema, ids, origin) do
+  defp encode_tier({{track, name, labels}, offset}, schema, ids, origin) do
     attribute =
       Enum.find(schema.attributes, hd(schema.attributes), &(name == "#{track}.#{&1.name}"))
 
     [
       ~s(    <TIER LINGUISTIC_TYPE_REF="#{Xml.escape(attribute.name)}" TIER_ID="#{Xml.escape(name)}"),
-      annotator(labels) <> ">\n",
+      encode_annotator(labels) <> ">\n",
       labels
       |> Enum.with_index(offset + 1)
-      |> Enum.map(&annotation(&1, ids, origin)),
+      |> Enum.map(&encode_annotation(&1, ids, origin)),
       "    </TIER>\n"
     ]
   end
 
   # ELAN stores one annotator per tier.
-  defp annotator(labels) do
+  defp encode_annotator(labels) do
     case labels |> Enum.map(fn {a, _} -> a.by end) |> Enum.uniq() do
       [by] when is_binary(by) -> ~s( ANNOTATOR="#{Xml.escape(by)}")
       _ -> ""
     end
   end
 
-  defp annotation({{a, text}, n}, ids, origin) do
-    [from, to] = for time <- [a.from, a.to], do: Map.fetch!(ids, ms(time - origin))
+  defp encode_annotation({{a, text}, n}, ids, origin) do
+    [from, to] = for time <- [a.from, a.to], do: Map.fetch!(ids, ns_to_ms(time - origin))
 
     """
             <ANNOTATION>
@@ -114,7 +120,7 @@ defmodule Situ.Annotation.Exchange.Elan do
     """
   end
 
-  defp types(schema) do
+  defp encode_types(schema) do
     for attribute <- schema.attributes do
       name = Xml.escape(attribute.name)
 
@@ -126,7 +132,7 @@ defmodule Situ.Annotation.Exchange.Elan do
     end
   end
 
-  defp vocabularies(schema) do
+  defp encode_vocabularies(schema) do
     if Enum.any?(schema.attributes, &(&1.kind == :finite)) do
       [
         ~s(    <LANGUAGE LANG_DEF="http://cdb.iso.org/lg/CDB-00130975-001" LANG_ID="und" LANG_LABEL="undetermined"/>\n),
@@ -151,30 +157,30 @@ defmodule Situ.Annotation.Exchange.Elan do
   @impl true
   def decode(text, opts) do
     with {:ok, {"ANNOTATION_DOCUMENT", _, _} = document} <- Xml.parse(text) do
-      properties = properties(document)
-      schema = opts[:schema] || schema(properties["situ.schema"])
-      origin = opts[:origin] || whole(properties["situ.origin"]) || 0
-      slots = slots(document)
-      {rows, missing} = document |> Xml.children("TIER") |> rows(slots, origin)
-      {annotations, losses} = Rows.annotations(rows, schema)
-      annotations = annotators(annotations, document, schema)
-      {:ok, schema, annotations, losses ++ untimed(missing)}
+      properties = header_properties(document)
+      schema = opts[:schema] || parse_schema(properties["situ.schema"])
+      origin = opts[:origin] || parse_integer(properties["situ.origin"]) || 0
+      slots = parse_time_slots(document)
+      {rows, missing} = document |> Xml.list_children("TIER") |> parse_rows(slots, origin)
+      {annotations, losses} = Rows.rows_to_annotations(rows, schema)
+      annotations = put_annotators(annotations, document, schema)
+      {:ok, schema, annotations, losses ++ describe_untimed(missing)}
     else
       {:ok, {name, _, _}} -> {:error, "its root is #{inspect(name)}, not ANNOTATION_DOCUMENT"}
       {:error, why} -> {:error, why}
     end
   end
 
-  defp properties(document) do
-    for header <- Xml.children(document, "HEADER"),
-        {_, %{"NAME" => name}, _} = property <- Xml.children(header, "PROPERTY"),
+  defp header_properties(document) do
+    for header <- Xml.list_children(document, "HEADER"),
+        {_, %{"NAME" => name}, _} = property <- Xml.list_children(header, "PROPERTY"),
         into: %{},
-        do: {name, Xml.text(property)}
+        do: {name, Xml.text_content(property)}
   end
 
-  defp schema(nil), do: nil
+  defp parse_schema(nil), do: nil
 
-  defp schema(text) do
+  defp parse_schema(text) do
     with {:ok, json} <- Situ.JSON.decode(text), {:ok, schema} <- Schema.parse(json) do
       schema
     else
@@ -182,27 +188,27 @@ defmodule Situ.Annotation.Exchange.Elan do
     end
   end
 
-  defp whole(nil), do: nil
+  defp parse_integer(nil), do: nil
 
-  defp whole(text) do
+  defp parse_integer(text) do
     case Integer.parse(String.trim(text)) do
       {n, ""} -> n
       _ -> nil
     end
   end
 
-  defp slots(document) do
-    for order <- Xml.children(document, "TIME_ORDER"),
+  defp parse_time_slots(document) do
+    for order <- Xml.list_children(document, "TIME_ORDER"),
         {_, %{"TIME_SLOT_ID" => id, "TIME_VALUE" => value}, _} <-
-          Xml.children(order, "TIME_SLOT"),
-        ms = whole(value),
+          Xml.list_children(order, "TIME_SLOT"),
+        ms = parse_integer(value),
         into: %{},
         do: {id, ms * @ms}
   end
 
   # An annotation that refers to another one has its times; the other one may itself refer to a third.
-  defp rows(tiers, slots, origin) do
-    found = for {_, %{"TIER_ID" => name}, _} = tier <- tiers, do: {name, annotations(tier)}
+  defp parse_rows(tiers, slots, origin) do
+    found = for {_, %{"TIER_ID" => name}, _} = tier <- tiers, do: {name, parse_annotations(tier)}
 
     parents =
       for {_, all} <- found, {id, parent, _, _} <- all, parent, into: %{}, do: {id, parent}
@@ -212,7 +218,7 @@ defmodule Situ.Annotation.Exchange.Elan do
     Enum.map_reduce(found, 0, fn {name, all}, missing ->
       labels =
         for {id, _, _, text} <- all,
-            {from, to} <- [aligned[root(id, parents, 0)]],
+            {from, to} <- [aligned[root_annotation(id, parents, 0)]],
             is_map_key(slots, from) and is_map_key(slots, to),
             do: {slots[from] + origin, slots[to] + origin, text}
 
@@ -221,18 +227,18 @@ defmodule Situ.Annotation.Exchange.Elan do
   end
 
   # The limit stops the search in a cycle of references.
-  defp root(id, parents, depth) do
+  defp root_annotation(id, parents, depth) do
     case parents do
-      %{^id => parent} when depth < 100 -> root(parent, parents, depth + 1)
+      %{^id => parent} when depth < 100 -> root_annotation(parent, parents, depth + 1)
       _ -> id
     end
   end
 
-  defp annotations(tier) do
-    for annotation <- Xml.children(tier, "ANNOTATION"),
+  defp parse_annotations(tier) do
+    for annotation <- Xml.list_children(tier, "ANNOTATION"),
         {_, _, inner} = annotation,
         {kind, attributes, _} = a <- inner do
-      text = a |> Xml.children("ANNOTATION_VALUE") |> Enum.map_join(&Xml.text/1)
+      text = a |> Xml.list_children("ANNOTATION_VALUE") |> Enum.map_join(&Xml.text_content/1)
 
       if kind == "REF_ANNOTATION",
         do: {attributes["ANNOTATION_ID"], attributes["ANNOTATION_REF"], nil, text},
@@ -242,12 +248,12 @@ defmodule Situ.Annotation.Exchange.Elan do
     end
   end
 
-  defp untimed(0), do: []
-  defp untimed(n), do: ["#{n} annotations have no times and are left out"]
+  defp describe_untimed(0), do: []
+  defp describe_untimed(n), do: ["#{n} annotations have no times and are left out"]
 
-  defp annotators(annotations, document, schema) do
+  defp put_annotators(annotations, document, schema) do
     by =
-      for {_, %{"TIER_ID" => name, "ANNOTATOR" => by}, _} <- Xml.children(document, "TIER"),
+      for {_, %{"TIER_ID" => name, "ANNOTATOR" => by}, _} <- Xml.list_children(document, "TIER"),
           by != "",
           into: %{},
           do: {name, by}

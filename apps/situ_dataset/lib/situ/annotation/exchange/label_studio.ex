@@ -23,23 +23,23 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
       },
       "annotations" =>
         for {by, all} <- Enum.sort(Enum.group_by(given, & &1.by)) do
-          %{"result" => Enum.flat_map(all, &results(&1, layer.schema, opts[:origin]))}
+          %{"result" => Enum.flat_map(all, &encode_results(&1, layer.schema, opts[:origin]))}
           |> Map.merge(if(by, do: %{"completed_by" => %{"email" => by}}, else: %{}))
         end,
       "predictions" =>
         for {by, all} <- Enum.sort(Enum.group_by(proposed, & &1.by)) do
           %{
             "model_version" => by || "situ",
-            "result" => Enum.flat_map(all, &results(&1, layer.schema, opts[:origin]))
+            "result" => Enum.flat_map(all, &encode_results(&1, layer.schema, opts[:origin]))
           }
         end
     }
 
-    {Situ.JSON.pretty([task]) <> "\n",
-     Rows.losses(Layer.annotations(layer), [:note], "Label Studio")}
+    {Situ.JSON.encode_pretty([task]) <> "\n",
+     Rows.describe_losses(Layer.annotations(layer), [:note], "Label Studio")}
   end
 
-  defp results(a, schema, origin) do
+  defp encode_results(a, schema, origin) do
     span = %{
       "start" => (a.from - origin) / 1.0e9,
       "end" => (a.to - origin) / 1.0e9,
@@ -60,12 +60,12 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
       track
       | for(
           attribute <- schema.attributes,
-          do: result(attribute, a.values[attribute.name], span, base)
+          do: encode_result(attribute, a.values[attribute.name], span, base)
         )
     ]
   end
 
-  defp result(attribute, value, span, base) do
+  defp encode_result(attribute, value, span, base) do
     {type, values} =
       case attribute.kind do
         :finite -> {"labels", [value]}
@@ -87,13 +87,13 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
   def decode(text, opts) do
     case Situ.JSON.decode(text) do
       {:ok, [%{} = task]} ->
-        task(task, opts)
+        decode_task(task, opts)
 
       {:ok, %{"images" => _, "annotations" => _}} ->
         {:error, "it is a COCO file: pass format: :coco"}
 
       {:ok, %{} = task} ->
-        task(task, opts)
+        decode_task(task, opts)
 
       {:ok, [_, _ | _]} ->
         {:error, "it contains several tasks; export a single task"}
@@ -106,24 +106,27 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
     end
   end
 
-  defp task(task, opts) do
-    own = situ(task)
-    schema = opts[:schema] || schema(own["schema"])
+  defp decode_task(task, opts) do
+    own = situ_metadata(task)
+    schema = opts[:schema] || parse_schema(own["schema"])
     origin = opts[:origin] || if(is_integer(own["origin"]), do: own["origin"], else: 0)
 
     given =
-      for %{} = entry <- list(task["annotations"]),
-          do: {email(entry["completed_by"]), false, list(entry["result"])}
+      for %{} = entry <- list_or_empty(task["annotations"]),
+          do: {annotator_email(entry["completed_by"]), false, list_or_empty(entry["result"])}
 
     proposed =
-      for %{} = entry <- list(task["predictions"]),
-          do: {said(entry["model_version"]), true, list(entry["result"])}
+      for %{} = entry <- list_or_empty(task["predictions"]),
+          do: {model_name(entry["model_version"]), true, list_or_empty(entry["result"])}
 
     {annotations, bad} =
       Enum.flat_map_reduce(given ++ proposed, 0, fn {by, proposed?, results}, bad ->
-        regions = results |> Enum.filter(&region?/1) |> Enum.group_by(& &1["id"])
+        regions = results |> Enum.filter(&time_region?/1) |> Enum.group_by(& &1["id"])
         strange = length(results) - (regions |> Map.values() |> Enum.map(&length/1) |> Enum.sum())
-        read = for {_, region} <- regions, do: annotation(region, schema, origin, {by, proposed?})
+
+        read =
+          for {_, region} <- regions, do: decode_region(region, schema, origin, {by, proposed?})
+
         {for({:ok, a} <- read, do: a), bad + strange + Enum.count(read, &(&1 == :error))}
       end)
 
@@ -137,29 +140,29 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
     {:ok, schema, Enum.sort_by(annotations, &{&1.from, &1.to, &1.track}), losses}
   end
 
-  defp situ(%{"meta" => %{"situ" => %{} = own}}), do: own
-  defp situ(_), do: %{}
+  defp situ_metadata(%{"meta" => %{"situ" => %{} = own}}), do: own
+  defp situ_metadata(_), do: %{}
 
-  defp schema(nil), do: nil
+  defp parse_schema(nil), do: nil
 
-  defp schema(json) do
+  defp parse_schema(json) do
     case Schema.parse(json) do
       {:ok, schema} -> schema
       {:error, _} -> nil
     end
   end
 
-  defp list(value), do: if(is_list(value), do: value, else: [])
-  defp email(%{"email" => email}) when is_binary(email), do: email
-  defp email(_), do: nil
-  defp said(text), do: if(is_binary(text) and text != "situ", do: text)
+  defp list_or_empty(value), do: if(is_list(value), do: value, else: [])
+  defp annotator_email(%{"email" => email}) when is_binary(email), do: email
+  defp annotator_email(_), do: nil
+  defp model_name(text), do: if(is_binary(text) and text != "situ", do: text)
 
-  defp region?(%{"id" => id, "type" => type, "value" => %{"start" => from, "end" => to}}),
+  defp time_region?(%{"id" => id, "type" => type, "value" => %{"start" => from, "end" => to}}),
     do: is_binary(id) and is_binary(type) and is_number(from) and is_number(to)
 
-  defp region?(_), do: false
+  defp time_region?(_), do: false
 
-  defp annotation(
+  defp decode_region(
          [%{"value" => %{"start" => from, "end" => to}} = first | _] = region,
          schema,
          origin,
@@ -171,7 +174,7 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
     track =
       for %{"value" => %{"choices" => [track | _]}} when is_binary(track) <- tracks, do: track
 
-    with {:ok, values} <- values(others, schema),
+    with {:ok, values} <- decode_values(others, schema),
          annotation = %Annotation{
            from: round(from * 1.0e9) + origin,
            to: round(to * 1.0e9) + origin,
@@ -181,19 +184,19 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
            confidence: if(is_number(first["score"]), do: first["score"]),
            proposed?: proposed?
          },
-         :ok <- Annotation.check(annotation) do
+         :ok <- Annotation.check_fields(annotation) do
       {:ok, annotation}
     else
       _ -> :error
     end
   end
 
-  defp values(results, schema) do
+  defp decode_values(results, schema) do
     Enum.reduce_while(results, {:ok, %{}}, fn result, {:ok, values} ->
       name = if is_binary(result["from_name"]), do: result["from_name"], else: "Value"
 
-      with {:ok, value} <- value(result["type"], result["value"]),
-           {:ok, value} <- fit(schema, name, value) do
+      with {:ok, value} <- result_value(result["type"], result["value"]),
+           {:ok, value} <- check_value(schema, name, value) do
         {:cont, {:ok, Map.put(values, name, value)}}
       else
         _ -> {:halt, :error}
@@ -201,18 +204,20 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
     end)
   end
 
-  defp value("labels", %{"labels" => [label | _]}), do: {:ok, label}
-  defp value("timeserieslabels", %{"timeserieslabels" => [label | _]}), do: {:ok, label}
-  defp value("textarea", %{"text" => [text | _]}), do: {:ok, text}
-  defp value("textarea", %{"text" => text}), do: {:ok, text}
-  defp value("number", %{"number" => number}), do: {:ok, number}
-  defp value("choices", %{"choices" => [choice | _]}), do: {:ok, choice}
-  defp value(_, _), do: :error
+  defp result_value("labels", %{"labels" => [label | _]}), do: {:ok, label}
+  defp result_value("timeserieslabels", %{"timeserieslabels" => [label | _]}), do: {:ok, label}
+  defp result_value("textarea", %{"text" => [text | _]}), do: {:ok, text}
+  defp result_value("textarea", %{"text" => text}), do: {:ok, text}
+  defp result_value("number", %{"number" => number}), do: {:ok, number}
+  defp result_value("choices", %{"choices" => [choice | _]}), do: {:ok, choice}
+  defp result_value(_, _), do: :error
 
-  defp fit(nil, _name, value) when is_binary(value) or is_number(value), do: {:ok, value}
-  defp fit(nil, _name, _value), do: :error
-  defp fit(schema, name, value) when is_binary(value), do: Schema.read(schema, name, value)
+  defp check_value(nil, _name, value) when is_binary(value) or is_number(value), do: {:ok, value}
+  defp check_value(nil, _name, _value), do: :error
 
-  defp fit(schema, name, value),
-    do: with(:ok <- Schema.check(schema, %{name => value}), do: {:ok, value})
+  defp check_value(schema, name, value) when is_binary(value),
+    do: Schema.parse_value(schema, name, value)
+
+  defp check_value(schema, name, value),
+    do: with(:ok <- Schema.check_values(schema, %{name => value}), do: {:ok, value})
 end

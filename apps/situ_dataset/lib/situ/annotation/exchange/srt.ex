@@ -8,7 +8,7 @@ defmodule Situ.Annotation.Exchange.Srt do
 
   @impl true
   def encode(layer, opts) do
-    {cues, losses} = Cues.of(layer, opts[:origin], "SubRip")
+    {cues, losses} = Cues.build_cues(layer, opts[:origin], "SubRip")
 
     text =
       for {{from, to, track, text}, n} <- Enum.with_index(cues, 1) do
@@ -17,7 +17,8 @@ defmodule Situ.Annotation.Exchange.Srt do
           text |> String.replace(~r/\r\n?/, "\n") |> String.replace(~r/\n(?=\n|\z)/, "\n\u00A0")
 
         name = String.replace(track, ~r/[\]\s]+/u, " ")
-        "#{n}\n#{Cues.time(from, ",")} --> #{Cues.time(to, ",")}\n[#{name}] #{text}\n\n"
+
+        "#{n}\n#{Cues.format_time(from, ",")} --> #{Cues.format_time(to, ",")}\n[#{name}] #{text}\n\n"
       end
 
     {text, losses}
@@ -25,13 +26,13 @@ defmodule Situ.Annotation.Exchange.Srt do
 
   @impl true
   def decode(text, opts) do
-    with {:ok, blocks} <- Cues.blocks(text) do
+    with {:ok, blocks} <- Cues.split_blocks(text) do
       {annotations, bad} =
         Enum.flat_map_reduce(blocks, 0, fn block, bad ->
-          with {from, to, text} <- Cues.cue(block),
-               {track, text} = speaker(String.replace(text, "\u00A0", "")),
+          with {from, to, text} <- Cues.parse_cue(block),
+               {track, text} = split_speaker(String.replace(text, "\u00A0", "")),
                {:ok, annotation} <-
-                 Cues.annotation({from, to, text}, track, opts[:schema], opts[:origin] || 0) do
+                 Cues.build_annotation({from, to, text}, track, opts[:schema], opts[:origin] || 0) do
             {[annotation], bad}
           else
             _ -> {[], bad + 1}
@@ -52,7 +53,7 @@ defmodule Situ.Annotation.Exchange.Srt do
     end
   end
 
-  defp speaker(text) do
+  defp split_speaker(text) do
     case Regex.run(~r/\A\[([^\]]+)\] ?(.*)\z/s, text) do
       [_, track, rest] -> {track, rest}
       nil -> {"Cues", text}

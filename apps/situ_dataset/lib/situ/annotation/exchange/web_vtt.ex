@@ -11,14 +11,14 @@ defmodule Situ.Annotation.Exchange.WebVtt do
 
   @impl true
   def encode(layer, opts) do
-    {cues, losses} = Cues.of(layer, opts[:origin], "WebVTT")
+    {cues, losses} = Cues.build_cues(layer, opts[:origin], "WebVTT")
 
     text =
       for {{from, to, track, text}, n} <- Enum.with_index(cues, 1) do
         # A blank line would end the cue.
         text = text |> escape() |> String.replace(~r/\n(?=\n|\z)/, "\n&nbsp;")
 
-        "\n#{n}\n#{Cues.time(from, ".")} --> #{Cues.time(to, ".")}\n<v #{voice(track)}>#{text}</v>\n"
+        "\n#{n}\n#{Cues.format_time(from, ".")} --> #{Cues.format_time(to, ".")}\n<v #{voice_name(track)}>#{text}</v>\n"
       end
 
     {["WEBVTT\n", text], losses}
@@ -32,14 +32,14 @@ defmodule Situ.Annotation.Exchange.WebVtt do
     |> String.replace(~r/\r\n?/, "\n")
   end
 
-  defp voice(track), do: track |> escape() |> String.replace(~r/\s+/u, " ")
+  defp voice_name(track), do: track |> escape() |> String.replace(~r/\s+/u, " ")
 
   @impl true
   def decode(text, opts) do
-    case Cues.blocks(text) do
+    case Cues.split_blocks(text) do
       {:ok, [["WEBVTT" <> rest | _] | blocks]}
       when rest == "" or binary_part(rest, 0, 1) in [" ", "\t"] ->
-        read(blocks, opts)
+        decode_cues(blocks, opts)
 
       {:ok, _} ->
         {:error, "it does not start with WEBVTT"}
@@ -49,17 +49,20 @@ defmodule Situ.Annotation.Exchange.WebVtt do
     end
   end
 
-  defp read(blocks, opts) do
-    cues = for block <- blocks, cue = Cues.cue(block), do: cue
+  defp decode_cues(blocks, opts) do
+    cues = for block <- blocks, cue = Cues.parse_cue(block), do: cue
 
     notes =
-      Enum.count(blocks, &(Cues.cue(&1) == nil and not (hd(&1) =~ ~r/\A(NOTE|STYLE|REGION)\b/)))
+      Enum.count(
+        blocks,
+        &(Cues.parse_cue(&1) == nil and not (hd(&1) =~ ~r/\A(NOTE|STYLE|REGION)\b/))
+      )
 
     {annotations, bad} =
       Enum.flat_map_reduce(cues, notes, fn {from, to, text}, bad ->
-        {track, text} = voiced(text)
+        {track, text} = split_voice(text)
 
-        case Cues.annotation({from, to, text}, track, opts[:schema], opts[:origin] || 0) do
+        case Cues.build_annotation({from, to, text}, track, opts[:schema], opts[:origin] || 0) do
           {:ok, annotation} -> {[annotation], bad}
           :error -> {[], bad + 1}
         end
@@ -73,14 +76,14 @@ defmodule Situ.Annotation.Exchange.WebVtt do
     {:ok, nil, annotations, losses}
   end
 
-  defp voiced(text) do
+  defp split_voice(text) do
     case Regex.run(~r/\A<v(?:\.[^\s>]*)?[ \t]+([^>]+)>(.*)\z/s, text) do
-      [_, track, rest] -> {plain(track), plain(rest)}
-      nil -> {"Cues", plain(text)}
+      [_, track, rest] -> {strip_tags(track), strip_tags(rest)}
+      nil -> {"Cues", strip_tags(text)}
     end
   end
 
-  defp plain(text) do
+  defp strip_tags(text) do
     text
     |> String.replace(~r/<[^>]*>/, "")
     |> String.replace("&nbsp;", "")

@@ -9,9 +9,9 @@ defmodule Situ.Annotation.Exchange.Xml do
 
   @spec parse(binary()) :: {:ok, element()} | {:error, String.t()}
   def parse(text) do
-    options = [event_fun: &event/3, event_state: [], continuation_fun: &finished/1]
+    options = [event_fun: &handle_event/3, event_state: [], continuation_fun: &end_of_input/1]
 
-    case :xmerl_sax_parser.stream(unmarked(text), options) do
+    case :xmerl_sax_parser.stream(strip_bom(text), options) do
       {:ok, [{:root, element}], _rest} ->
         {:ok, element}
 
@@ -29,23 +29,23 @@ defmodule Situ.Annotation.Exchange.Xml do
     kind, _ when kind in [:error, :exit] -> {:error, "it is not valid XML"}
   end
 
-  defp unmarked(<<0xEF, 0xBB, 0xBF, text::binary>>), do: text
-  defp unmarked(text), do: text
+  defp strip_bom(<<0xEF, 0xBB, 0xBF, text::binary>>), do: text
+  defp strip_bom(text), do: text
 
   # The parser asks for more input; there is none after the text.
-  defp finished(state), do: {<<>>, state}
+  defp end_of_input(state), do: {<<>>, state}
 
   defp text_of(reason) when is_list(reason), do: reason |> :lists.flatten() |> to_string()
   defp text_of(reason), do: inspect(reason)
 
-  defp event({:startDTD, _, _, _}, _location, _stack),
+  defp handle_event({:startDTD, _, _, _}, _location, _stack),
     do:
       throw(
         {:refused,
          "it has a document type (<!DOCTYPE): annotation files do not need one, and its entities can be an attack"}
       )
 
-  defp event({:startElement, _, name, _, attributes}, _location, stack) do
+  defp handle_event({:startElement, _, name, _, attributes}, _location, stack) do
     if length(stack) > @deepest,
       do: throw({:refused, "its elements are nested more than #{@deepest} deep"})
 
@@ -55,7 +55,7 @@ defmodule Situ.Annotation.Exchange.Xml do
     [{to_string(name), attributes, []} | stack]
   end
 
-  defp event({:endElement, _, _, _}, _location, [{name, attributes, children} | stack]) do
+  defp handle_event({:endElement, _, _, _}, _location, [{name, attributes, children} | stack]) do
     element = {name, attributes, Enum.reverse(children)}
 
     case stack do
@@ -64,18 +64,19 @@ defmodule Situ.Annotation.Exchange.Xml do
     end
   end
 
-  defp event({:characters, text}, _location, [{name, attributes, children} | stack]),
+  defp handle_event({:characters, text}, _location, [{name, attributes, children} | stack]),
     do: [{name, attributes, [to_string(text) | children]} | stack]
 
-  defp event(_event, _location, stack), do: stack
+  defp handle_event(_event, _location, stack), do: stack
 
   @doc "Returns the child elements with that name."
-  @spec children(element(), String.t()) :: [element()]
-  def children({_, _, children}, name), do: for({^name, _, _} = child <- children, do: child)
+  @spec list_children(element(), String.t()) :: [element()]
+  def list_children({_, _, children}, name), do: for({^name, _, _} = child <- children, do: child)
 
   @doc "Returns the text of an element."
-  @spec text(element()) :: String.t()
-  def text({_, _, children}), do: for(text when is_binary(text) <- children, into: "", do: text)
+  @spec text_content(element()) :: String.t()
+  def text_content({_, _, children}),
+    do: for(text when is_binary(text) <- children, into: "", do: text)
 
   @doc "Escapes text for XML and removes the characters that XML cannot represent."
   @spec escape(String.t()) :: String.t()

@@ -12,23 +12,23 @@ defmodule Situ.Dataset.Derivation.Job do
 
   @spec new(Session.t(), compute(), keyword()) :: t()
   def new(session, compute, opts) do
-    path = opts[:output] && place(session, opts)
+    path = opts[:output] && output_path(session, opts)
 
     %__MODULE__{
       session: session,
       compute: compute,
       output: opts[:output],
       path: path,
-      draft: path && Version.draft(path),
+      draft: path && Version.draft_path(path),
       options: opts[:options],
       settings: Keyword.put_new(opts[:pipeline], :replay, speed: :max)
     }
   end
 
-  defp place(session, opts) do
+  defp output_path(session, opts) do
     folder =
       case opts[:path] do
-        nil -> beside(session.partitions)
+        nil -> session_folder(session.partitions)
         fun when is_function(fun) -> fun.(session)
         path -> Path.join(path, session.name)
       end
@@ -36,10 +36,10 @@ defmodule Situ.Dataset.Derivation.Job do
     Path.join(Path.expand(folder), opts[:store] || opts[:output])
   end
 
-  defp beside([%Partition{path: path} | rest]),
-    do: if(StoredPath.windows?(path), do: beside(rest), else: Path.dirname(path))
+  defp session_folder([%Partition{path: path} | rest]),
+    do: if(StoredPath.windows_path?(path), do: session_folder(rest), else: Path.dirname(path))
 
-  defp beside([]), do: "."
+  defp session_folder([]), do: "."
 
   @doc "Runs the session in the calling process: sends its pipeline to the coordinator and exits with the result."
   @spec run(t(), pid()) :: no_return()
@@ -50,7 +50,7 @@ defmodule Situ.Dataset.Derivation.Job do
       Pipeline.run(
         fn p ->
           send(coordinator, {:pipeline, me, p})
-          build(p, job)
+          build_pipeline(p, job)
         end,
         pipeline: job.settings
       )
@@ -61,49 +61,49 @@ defmodule Situ.Dataset.Derivation.Job do
     end
   end
 
-  defp build(p, job) do
+  defp build_pipeline(p, job) do
     importer = Importer.open(p, job.session)
-    there!(importer.session)
+    require_stores!(importer.session)
     exporter = job.draft && Store.create(p, Path.basename(job.path), job.draft, versioned: false)
-    computed(job.compute, p, importer, exporter, job)
+    call_compute(job.compute, p, importer, exporter, job)
   end
 
   # Without any readable recording, an empty output would look like a valid result.
-  defp there!(%{stores: [], troubles: [{_, error} | _]}), do: raise(error)
-  defp there!(_), do: :ok
+  defp require_stores!(%{stores: [], troubles: [{_, error} | _]}), do: raise(error)
+  defp require_stores!(_), do: :ok
 
-  defp computed(fun, p, importer, exporter, _job) when is_function(fun, 3),
+  defp call_compute(fun, p, importer, exporter, _job) when is_function(fun, 3),
     do: fun.(p, importer, exporter)
 
   # These options do not refer to modules of this application, so that tasks may be in applications below it.
-  defp computed(module, p, importer, exporter, job) when is_atom(module) do
+  defp call_compute(module, p, importer, exporter, job) when is_atom(module) do
     given = [
       pipeline: p,
       importer: importer,
       exporter: exporter,
       session: job.session,
       open: &Importer.stream(importer, &1),
-      has: &Importer.has?(importer, &1),
+      has: &Importer.has_stream?(importer, &1),
       write: &Store.write(&1, exporter, &2),
       # The partition of an earlier run will be replaced, so it is not an input.
       streams:
         for(
-          {name, _} = stream <- OpenSession.streams(importer.session),
+          {name, _} = stream <- OpenSession.list_streams(importer.session),
           name != job.output,
           do: stream
         ),
-      folder: beside(job.session.partitions)
+      folder: session_folder(job.session.partitions)
     ]
 
     module.build(p, given ++ job.options)
   end
 
   @doc "Gives the output its final name."
-  @spec publish(t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def publish(%__MODULE__{} = job), do: Version.publish(job.draft, job.path)
+  @spec publish_output(t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def publish_output(%__MODULE__{} = job), do: Version.publish_draft(job.draft, job.path)
 
   @doc "Deletes the output of a session that failed or was cancelled."
-  @spec discard(t()) :: :ok
-  def discard(%__MODULE__{draft: nil}), do: :ok
-  def discard(%__MODULE__{draft: draft}), do: Version.discard(draft)
+  @spec discard_output(t()) :: :ok
+  def discard_output(%__MODULE__{draft: nil}), do: :ok
+  def discard_output(%__MODULE__{draft: draft}), do: Version.discard_draft(draft)
 end

@@ -17,9 +17,13 @@ defmodule Situ.Dataset.Derivation.Log do
 
   def open(file, output, opts) do
     path = "#{file}.#{String.replace(output, ~r/[^\w.-]/u, "_")}.run"
-    lines = read(path)
+    lines = read_entries(path)
     done = for %{"done" => session, "path" => folder} <- lines, into: %{}, do: {session, folder}
-    for %{"begun" => _, "draft" => draft} <- lines, is_binary(draft), do: Version.discard(draft)
+
+    for %{"begun" => _, "draft" => draft} <- lines,
+        is_binary(draft),
+        do: Version.discard_draft(draft)
+
     log = %__MODULE__{path: path}
 
     over? = Enum.any?(lines, &is_map_key(&1, "ended"))
@@ -30,7 +34,7 @@ defmodule Situ.Dataset.Derivation.Log do
   end
 
   # The last line may be truncated.
-  defp read(path) do
+  defp read_entries(path) do
     case File.read(path) do
       {:ok, text} ->
         for line <- String.split(text, "\n"),
@@ -42,19 +46,19 @@ defmodule Situ.Dataset.Derivation.Log do
     end
   end
 
-  @spec begun(t(), String.t(), Path.t() | nil) :: :ok | {:error, Error.t()}
-  def begun(log, session, draft), do: append(log, %{begun: session, draft: draft})
+  @spec record_start(t(), String.t(), Path.t() | nil) :: :ok | {:error, Error.t()}
+  def record_start(log, session, draft), do: append_entry(log, %{begun: session, draft: draft})
 
-  @spec done(t(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
-  def done(log, session, folder), do: append(log, %{done: session, path: folder})
+  @spec record_done(t(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
+  def record_done(log, session, folder), do: append_entry(log, %{done: session, path: folder})
 
   @doc "Records that the run ended although some sessions were not completed."
-  @spec ended(t()) :: :ok | {:error, Error.t()}
-  def ended(log), do: append(log, %{ended: true})
+  @spec record_end(t()) :: :ok | {:error, Error.t()}
+  def record_end(log), do: append_entry(log, %{ended: true})
 
-  defp append(%{path: nil}, _entry), do: :ok
+  defp append_entry(%{path: nil}, _entry), do: :ok
 
-  defp append(%{path: path}, entry) do
+  defp append_entry(%{path: path}, entry) do
     # The leading line feed separates the entry from a line that a crash truncated.
     line = ["\n", Situ.JSON.encode(entry), "\n"]
 

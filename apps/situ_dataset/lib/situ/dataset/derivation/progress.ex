@@ -13,20 +13,20 @@ defmodule Situ.Dataset.Derivation.Progress do
   @spec new([{String.t(), pos_integer()}], [String.t()]) :: t()
   def new(weights, kept) do
     progress = %__MODULE__{weights: Map.new(weights), total: length(weights)}
-    Enum.reduce(kept, progress, &finish(&2, &1))
+    Enum.reduce(kept, progress, &finish_session(&2, &1))
   end
 
   @doc false
-  @spec finish(t(), String.t()) :: t()
-  def finish(progress, name) do
+  @spec finish_session(t(), String.t()) :: t()
+  def finish_session(progress, name) do
     over = MapSet.put(progress.over, name)
     running = List.keydelete(progress.running, name, 0)
-    update(%{progress | over: over, finished: MapSet.size(over)}, running)
+    update_running(%{progress | over: over, finished: MapSet.size(over)}, running)
   end
 
   @doc false
-  @spec update(t(), [{String.t(), float()}]) :: t()
-  def update(progress, running) do
+  @spec update_running(t(), [{String.t(), float()}]) :: t()
+  def update_running(progress, running) do
     all = progress.weights |> Map.values() |> Enum.sum()
     over = progress.over |> Enum.map(&Map.get(progress.weights, &1, 0)) |> Enum.sum()
 
@@ -42,10 +42,10 @@ defmodule Situ.Dataset.Derivation.Progress do
 
   @doc false
   # Closing and renaming the store after the pipeline counts for the last 5 %.
-  @spec of(Pipeline.t() | nil) :: float()
-  def of(nil), do: 0.0
+  @spec pipeline_fraction(Pipeline.t() | nil) :: float()
+  def pipeline_fraction(nil), do: 0.0
 
-  def of(pipeline) do
+  def pipeline_fraction(pipeline) do
     0.95 * Pipeline.progress(pipeline)
   rescue
     Situ.Error -> 0.95

@@ -21,7 +21,7 @@ defmodule Situ.Dataset.Task.DropStreams do
 
   @impl true
   def build(_p, opts) do
-    patterns = Enum.map(opts[:drop], &pattern/1)
+    patterns = Enum.map(opts[:drop], &compile_pattern/1)
 
     kept =
       Enum.reject(opts[:streams], fn {_, info} -> Enum.any?(patterns, &(info.name =~ &1)) end)
@@ -39,7 +39,7 @@ defmodule Situ.Dataset.Task.DropStreams do
     end
   end
 
-  defp pattern(text) do
+  defp compile_pattern(text) do
     source = text |> String.split("*") |> Enum.map_join(".*", &Regex.escape/1)
     Regex.compile!("\\A" <> source <> "\\z", "su")
   end

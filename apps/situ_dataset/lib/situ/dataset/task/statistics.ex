@@ -33,32 +33,34 @@ defmodule Situ.Dataset.Task.Statistics do
 
       key
       |> opts[:open].()
-      |> Situ.scan(nil, &add/2)
+      |> Situ.scan(nil, &add_value/2)
       |> Situ.each(&:ets.insert(totals, {key, &1}))
     end
 
     Situ.Pipeline.on(opts[:pipeline], :completed, fn _report ->
-      all = for {key, total} <- :ets.tab2list(totals), into: %{}, do: {key, summary(total)}
-      :ok = File.write(Path.join(folder, name), Situ.JSON.pretty(all) <> "\n")
+      all =
+        for {key, total} <- :ets.tab2list(totals), into: %{}, do: {key, summarize_totals(total)}
+
+      :ok = File.write(Path.join(folder, name), Situ.JSON.encode_pretty(all) <> "\n")
     end)
   end
 
   # Welford's running mean and sum of squared differences.
-  defp add(value, total), do: number(value) |> fold(total)
+  defp add_value(value, total), do: to_number(value) |> update_totals(total)
 
-  defp number(true), do: 1
-  defp number(false), do: 0
-  defp number(n), do: n
+  defp to_number(true), do: 1
+  defp to_number(false), do: 0
+  defp to_number(n), do: n
 
-  defp fold(x, nil), do: {1, x / 1, 0.0, x, x}
+  defp update_totals(x, nil), do: {1, x / 1, 0.0, x, x}
 
-  defp fold(x, {n, mean, squares, least, most}) do
+  defp update_totals(x, {n, mean, squares, least, most}) do
     delta = x - mean
     mean = mean + delta / (n + 1)
     {n + 1, mean, squares + delta * (x - mean), min(least, x), max(most, x)}
   end
 
-  defp summary({n, mean, squares, least, most}) do
+  defp summarize_totals({n, mean, squares, least, most}) do
     %{
       count: n,
       mean: mean,

@@ -27,7 +27,7 @@ defmodule Situ.Annotation.Exchange.CocoTest do
 
   defp plain(layer), do: for(a <- Layer.annotations(layer), do: %{a | id: nil})
 
-  test "boxes are those of COCO, and the rest stands beside them" do
+  test "writes COCO boxes, and the other attributes next to them" do
     a = box(5 * @s, "Anna", [10, 20, 30.5, 40], by: "ada", confidence: 0.5, note: "left")
     b = box(7 * @s, "Ben", [1, 2, 3, 4], proposed?: true)
     {:ok, text, []} = Exchange.encode(layer([a, b]), :coco)
@@ -52,7 +52,7 @@ defmodule Situ.Annotation.Exchange.CocoTest do
     assert again.schema == schema()
   end
 
-  property "boxes come back as they were" do
+  property "decodes boxes as they were encoded" do
     number = one_of([integer(0, 4_000), float(0.0, 4_000.0)])
     items = list({integer(0, 100), one_of(["P1", "Ü<&"]), number, number, number, number})
 
@@ -68,7 +68,7 @@ defmodule Situ.Annotation.Exchange.CocoTest do
     end
   end
 
-  test "each picture between key frames has a box when their times are given" do
+  test "writes a box for each image between key frames if times are given" do
     layer = layer([box(0, "A", [0, 0, 10, 10]), box(4 * @s, "A", [40, 8, 10, 30])])
     times = for k <- -1..6, do: k * @s
     {:ok, text, [loss]} = Exchange.encode(layer, :coco, times: times)
@@ -79,10 +79,10 @@ defmodule Situ.Annotation.Exchange.CocoTest do
              for(k <- 0..4, do: [k * 10, k * 2, 10, 10 + k * 5])
   end
 
-  test "what lasts or is no box is told" do
+  test "reports annotations that have a duration or are not boxes" do
     lasting = %{box(0, "A", [1, 1, 1, 1]) | to: 2 * @s}
     {:ok, text, [loss]} = Exchange.encode(layer([lasting]), :coco)
-    assert loss =~ "1 that last are at their beginnings only"
+    assert loss =~ "1 annotations with a duration are only at their start"
     {:ok, %{"annotations" => [%{"bbox" => [1, 1, 1, 1]}]}} = Situ.JSON.decode(text)
     {:ok, text, _} = Exchange.encode(layer([lasting]), :coco, times: [-1, 0, @s, 3 * @s])
     {:ok, %{"annotations" => [_, _]}} = Situ.JSON.decode(text)
@@ -90,11 +90,11 @@ defmodule Situ.Annotation.Exchange.CocoTest do
     {:ok, words} =
       Layer.new(Schema.text("Words"), [Annotation.new(0, 1, "A", %{"Words" => "hi"})])
 
-    assert {:ok, _, ["COCO holds boxes: 1 annotations without" <> _]} =
+    assert {:ok, _, ["COCO stores only boxes: 1 annotations without" <> _]} =
              Exchange.encode(words, :coco)
   end
 
-  test "files of other programs" do
+  test "reads files of other programs" do
     file = %{
       "images" => [
         %{"id" => 8, "file_name" => "b.jpg", "width" => 640, "height" => 480},
@@ -123,7 +123,7 @@ defmodule Situ.Annotation.Exchange.CocoTest do
            ] = losses
   end
 
-  property "what is altered is refused or read, and never raises", numtests: 200 do
+  property "rejects or reads altered text, and never raises", numtests: 200 do
     {:ok, text, _} =
       Exchange.encode(layer([box(0, "A", [1, 2, 3, 4]), box(9, "B", [1, 2, 3, 4])]), :coco)
 
@@ -140,10 +140,10 @@ defmodule Situ.Annotation.Exchange.CocoTest do
     end
   end
 
-  test "the ending tells it" do
-    assert Exchange.format("x/boxes.COCO.json") == {:ok, :coco}
-    assert Exchange.format("x/boxes.json") == {:ok, :label_studio}
+  test "detects the format by extension" do
+    assert Exchange.detect_format("x/boxes.COCO.json") == {:ok, :coco}
+    assert Exchange.detect_format("x/boxes.json") == {:ok, :label_studio}
     {:ok, text, _} = Exchange.encode(layer([box(0, "A", [1, 2, 3, 4])]), :coco)
-    assert {:error, %{why: "it is COCO's" <> _}} = Exchange.decode(text, :label_studio)
+    assert {:error, %{why: "it is a COCO file" <> _}} = Exchange.decode(text, :label_studio)
   end
 end

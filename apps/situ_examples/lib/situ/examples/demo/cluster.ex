@@ -30,7 +30,7 @@ defmodule Situ.Examples.Demo.Cluster do
   @minutes 10
 
   @doc """
-  Runs the demo and returns the exit status. `record` runs the same job on one machine (`Situ.Examples.Demo.record/1`).
+  Runs the demo and returns the exit status. `record` runs the same job on one machine (`Situ.Examples.Demo.record_clip/1`).
   """
   @spec run(
           [String.t()],
@@ -43,77 +43,85 @@ defmodule Situ.Examples.Demo.Cluster do
     argv = argv -- ["--"]
 
     case OptionParser.parse(argv, strict: switches, aliases: [h: :help]) do
-      {_, _, [{switch, _} | _]} -> wrong("unknown or incomplete option #{switch}")
-      {_, [extra | _], _} -> wrong("unexpected argument #{extra}")
-      {opts, [], []} -> if opts[:help], do: help(), else: start(opts, record)
+      {_, _, [{switch, _} | _]} -> print_usage_error("unknown or incomplete option #{switch}")
+      {_, [extra | _], _} -> print_usage_error("unexpected argument #{extra}")
+      {opts, [], []} -> if opts[:help], do: print_usage(), else: validate_and_run(opts, record)
     end
   end
 
-  defp help do
+  defp print_usage do
     IO.puts(@usage)
     0
   end
 
-  defp wrong(text) do
+  defp print_usage_error(text) do
     IO.puts(:stderr, "#{text}\n  Fix: see bin/demo --cluster --help")
     2
   end
 
-  defp start(opts, record) do
+  defp validate_and_run(opts, record) do
     kill = opts[:kill] || "lips"
-    input = Path.expand(opts[:input] || Options.clip())
+    input = Path.expand(opts[:input] || Options.default_clip())
     out = Path.expand(opts[:out] || "recordings/cluster")
 
     cond do
-      kill != "none" and not is_map_key(@parts, kill) -> wrong("--kill #{kill}: no such part")
-      not File.regular?(input) -> wrong("cannot find the file #{input}")
-      true -> demo(input, out, kill, record)
+      kill != "none" and not is_map_key(@parts, kill) ->
+        print_usage_error("--kill #{kill}: no such part")
+
+      not File.regular?(input) ->
+        print_usage_error("cannot find the file #{input}")
+
+      true ->
+        run_and_compare(input, out, kill, record)
     end
   end
 
-  defp demo(input, out, kill, record) do
-    log = Error.unwrap!(Situ.Scratch.create("demo"))
+  defp run_and_compare(input, out, kill, record) do
+    log = Error.unwrap!(Situ.Scratch.create_folder("demo"))
     Process.put(:nodes, [])
 
     try do
-      say("on one machine ...")
+      print_progress("on one machine ...")
 
       with {:ok, report, _s} <- record.(input: input, out: Path.join(out, "one")) do
-        compare(report.result.path, apart(input, Path.join(out, "three"), log, kill))
+        compare_recordings(
+          report.result.path,
+          run_on_three_nodes(input, Path.join(out, "three"), log, kill)
+        )
       end
-      |> told()
+      |> exit_status()
     after
-      for {_, node} <- Process.get(:nodes), do: kill(node)
-      Situ.Scratch.remove(log)
+      for {_, node} <- Process.get(:nodes), do: kill_node(node)
+      Situ.Scratch.remove_folder(log)
     end
   end
 
-  defp told({:error, error}) do
+  defp exit_status({:error, error}) do
     IO.puts(:stderr, Exception.message(error))
     1
   end
 
-  defp told(status), do: status
+  defp exit_status(status), do: status
 
   # On three nodes
 
-  defp apart(input, out, log, kill) do
-    say("starting three nodes ...")
+  defp run_on_three_nodes(input, out, log, kill) do
+    print_progress("starting three nodes ...")
     cookie = Base.encode16(:crypto.strong_rand_bytes(16))
-    nodes = for name <- Map.keys(@parts), into: %{}, do: {name, node(name, cookie)}
+    nodes = for name <- Map.keys(@parts), into: %{}, do: {name, start_node(name, cookie)}
     first = nodes["recording"]
 
     for {name, node} <- nodes do
-      unless node == first, do: true = call(node, Node, :connect, [first.name])
-      {:ok, _} = call(node, Application, :ensure_all_started, [:situ_examples])
-      {:ok, _} = call(node, Cluster, :join, [[log: log, labels: [name]]])
+      unless node == first, do: true = call_node(node, Node, :connect, [first.name])
+      {:ok, _} = call_node(node, Application, :ensure_all_started, [:situ_examples])
+      {:ok, _} = call_node(node, Cluster, :join, [[log: log, labels: [name]]])
     end
 
     # Decoding and inference are deterministic, so the outputs need not wait for a checkpoint.
-    place = for {label, part} <- @parts, do: {rule(part), on: label, deterministic: true}
+    place = for {label, part} <- @parts, do: {part_selector(part), on: label, deterministic: true}
 
     {:ok, deployment} =
-      call(first, Cluster, :deploy, [
+      call_node(first, Cluster, :deploy, [
         MultimodalVoiceActivity,
         [
           name: "Talk",
@@ -124,34 +132,35 @@ defmodule Situ.Examples.Demo.Cluster do
         ]
       ])
 
-    say(
+    print_progress(
       "on three nodes: " <> Enum.map_join(nodes, ", ", fn {name, n} -> "#{name} (#{n.pid})" end)
     )
 
-    nodes = if kill == "none", do: nodes, else: lose(nodes, deployment, kill)
+    nodes = if kill == "none", do: nodes, else: kill_node_midway(nodes, deployment, kill)
     {_, any} = Enum.at(nodes, 0)
 
-    with :ok <- call(any, Cluster, :await, [deployment, @minutes * 60_000]),
+    with :ok <- call_node(any, Cluster, :await, [deployment, @minutes * 60_000]),
          do: {:ok, Store.newest("Talk", out)}
   end
 
-  defp rule("rest"), do: :rest
-  defp rule(path), do: path
+  defp part_selector("rest"), do: :rest
+  defp part_selector(path), do: path
 
   # Waits until 40 messages of the mouths have been published (more than a second of video), then kills the node.
-  defp lose(nodes, deployment, name) do
+  defp kill_node_midway(nodes, deployment, name) do
     {_, watcher} = Enum.find(nodes, fn {other, _} -> other != name end)
     wait_for_messages(watcher, deployment, 40)
-    say("kill -9 #{nodes[name].pid}: the node of #{name}")
-    kill(nodes[name])
+    print_progress("kill -9 #{nodes[name].pid}: the node of #{name}")
+    kill_node(nodes[name])
     Map.delete(nodes, name)
   end
 
   defp wait_for_messages(node, deployment, n) do
-    %{parts: parts} = call(node, Cluster, :status, [deployment])
+    %{parts: parts} = call_node(node, Cluster, :status, [deployment])
     streams = get_in(parts, ["MouthShape", :publisher, :streams]) || %{}
 
-    unless Enum.any?(streams, fn {_, stream} -> stream.messages >= n end) or ended?(parts) do
+    unless Enum.any?(streams, fn {_, stream} -> stream.messages >= n end) or
+             any_part_ended?(parts) do
       receive do
       after
         50 -> wait_for_messages(node, deployment, n)
@@ -159,10 +168,11 @@ defmodule Situ.Examples.Demo.Cluster do
     end
   end
 
-  defp ended?(parts), do: Enum.any?(parts, fn {_, part} -> part.phase in [:done, :failed] end)
+  defp any_part_ended?(parts),
+    do: Enum.any?(parts, fn {_, part} -> part.phase in [:done, :failed] end)
 
   # A node is an OS process that runs the same code as this one and is connected only to the other nodes.
-  defp node(name, cookie) do
+  defp start_node(name, cookie) do
     port = free_port()
     paths = for path <- :code.get_path(), path != ~c".", arg <- [~c"-pa", path], do: arg
 
@@ -208,10 +218,10 @@ defmodule Situ.Examples.Demo.Cluster do
     {~c"/bin/sh", Enum.map(start, &to_charlist/1)}
   end
 
-  defp call(node, module, function, args),
+  defp call_node(node, module, function, args),
     do: :peer.call(node.peer, module, function, args, (@minutes + 1) * 60_000)
 
-  defp kill(%{pid: pid}), do: System.cmd("kill", ["-KILL", pid], stderr_to_stdout: true)
+  defp kill_node(%{pid: pid}), do: System.cmd("kill", ["-KILL", pid], stderr_to_stdout: true)
 
   defp free_port do
     {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
@@ -222,16 +232,16 @@ defmodule Situ.Examples.Demo.Cluster do
 
   # Comparison
 
-  defp compare(_one, {:error, error}), do: {:error, error}
+  defp compare_recordings(_one, {:error, error}), do: {:error, error}
 
-  defp compare(one, {:ok, three}) do
+  defp compare_recordings(one, {:ok, three}) do
     stores = for path <- [one, three], do: Store.open!(path)
-    [names, others] = for store <- stores, do: names(store)
-    different = for name <- Enum.uniq(names ++ others), not same?(stores, name), do: name
+    [names, others] = for store <- stores, do: stream_names(store)
+    different = for name <- Enum.uniq(names ++ others), not same_stream?(stores, name), do: name
 
     if different == [] do
       IO.puts(
-        "equal: #{length(names)} streams, #{total(hd(stores), names)} messages: #{one} and #{three}"
+        "equal: #{length(names)} streams, #{count_messages(hd(stores), names)} messages: #{one} and #{three}"
       )
 
       0
@@ -242,21 +252,23 @@ defmodule Situ.Examples.Demo.Cluster do
   end
 
   # Diagnostics differ from run to run.
-  defp names(store),
+  defp stream_names(store),
     do: for(s <- Store.streams(store), s.name != "Talk.Diagnostics", do: s.name) |> Enum.sort()
 
-  defp same?(stores, name) do
-    [one, three] = for store <- stores, do: Store.has_stream?(store, name) && content(store, name)
+  defp same_stream?(stores, name) do
+    [one, three] =
+      for store <- stores, do: Store.has_stream?(store, name) && stream_content(store, name)
+
     one == three
   end
 
-  defp content(store, name) do
+  defp stream_content(store, name) do
     store
     |> Store.messages(name)
     |> Enum.map(&{&1.originating_time, &1.sequence_id, &1.data})
     |> :erlang.term_to_binary()
   end
 
-  defp total(store, names), do: names |> Enum.map(&Store.count(store, &1)) |> Enum.sum()
-  defp say(text), do: IO.puts(:stderr, text)
+  defp count_messages(store, names), do: names |> Enum.map(&Store.count(store, &1)) |> Enum.sum()
+  defp print_progress(text), do: IO.puts(:stderr, text)
 end

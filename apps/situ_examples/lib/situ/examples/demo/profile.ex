@@ -16,19 +16,19 @@ defmodule Situ.Examples.Demo.Profile do
         }
 
   @doc "Returns one row for each component that was busy for a millisecond or more, sorted by busy time."
-  @spec rows(Snapshot.t()) :: [row()]
-  def rows(%Snapshot{} = snapshot) do
+  @spec component_rows(Snapshot.t()) :: [row()]
+  def component_rows(%Snapshot{} = snapshot) do
     nodes = Map.new(snapshot.nodes, &{&1.id, &1})
 
     snapshot.edges
     |> Enum.filter(&(&1.kind == :process))
     |> Enum.group_by(& &1.to)
-    |> Enum.map(fn {id, edges} -> row(nodes[id], edges) end)
+    |> Enum.map(fn {id, edges} -> build_row(nodes[id], edges) end)
     |> Enum.filter(&(&1.busy_s >= 0.001))
     |> Enum.sort_by(&{-&1.busy_s, &1.path})
   end
 
-  defp row(node, edges) do
+  defp build_row(node, edges) do
     busy = edges |> Enum.map(& &1.busy) |> Enum.sum()
     calls = edges |> Enum.map(& &1.processed) |> Enum.sum()
     mean = if calls > 0, do: busy / calls / 1.0e6, else: 0.0
@@ -40,14 +40,14 @@ defmodule Situ.Examples.Demo.Profile do
   def render(%Snapshot{} = snapshot, wall_s) do
     [
       "    busy  share    calls  ms each  component\n",
-      for row <- rows(snapshot) do
+      for row <- component_rows(snapshot) do
         [
-          pad(row.busy_s, 7, 2),
+          format_number(row.busy_s, 7, 2),
           " s",
-          pad(100 * row.busy_s / max(wall_s, 1.0e-9), 5, 0),
+          format_number(100 * row.busy_s / max(wall_s, 1.0e-9), 5, 0),
           " %",
           String.pad_leading(to_string(row.calls), 9),
-          pad(row.mean_ms, 9, 2),
+          format_number(row.mean_ms, 9, 2),
           "  ",
           row.path,
           if(row.about in [nil, ""], do: "", else: ["  (", row.about, ")"]),
@@ -57,7 +57,7 @@ defmodule Situ.Examples.Demo.Profile do
     ]
   end
 
-  defp pad(number, width, decimals),
+  defp format_number(number, width, decimals),
     do:
       number
       |> Kernel.*(1.0)

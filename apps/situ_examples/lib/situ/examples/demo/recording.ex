@@ -34,22 +34,24 @@ defmodule Situ.Examples.Demo.Recording do
   def read(path) do
     with {:ok, store} <- Store.open(path) do
       names = store |> Store.streams() |> Enum.map(& &1.name)
-      speaking = messages(store, names, "Talk.Speaking")
-      mouths = pairs(store, names, "Talk.Mouths")
-      voices = pairs(store, names, "Talk.Voice")
+      speaking = read_messages(store, names, "Talk.Speaking")
+      mouths = read_pairs(store, names, "Talk.Mouths")
+      voices = read_pairs(store, names, "Talk.Voice")
       pictures = picture_times(store, names)
-      zero = Enum.min(Enum.take(pictures, 1) ++ times(Enum.take(speaking, 1)), fn -> 0 end)
+
+      zero =
+        Enum.min(Enum.take(pictures, 1) ++ originating_times(Enum.take(speaking, 1)), fn -> 0 end)
 
       {:ok,
        %__MODULE__{
          frames: length(speaking),
          media_s: media_s(speaking),
-         found: found(speaking, Map.new(mouths), pictures, zero),
-         sync: Situ.Infer.LipSync.estimate(mouths, voices),
+         found: find_faces(speaking, Map.new(mouths), pictures, zero),
+         sync: Situ.Infer.LipSync.estimate_shift(mouths, voices),
          start: zero,
-         spoken: spoken(speaking, zero),
-         latency_ms: latency(speaking),
-         utterances: utterances(messages(store, names, "Talk.Transcript"), zero),
+         spoken: speaking_intervals(speaking, zero),
+         latency_ms: latency_percentiles(speaking),
+         utterances: shift_utterances(read_messages(store, names, "Talk.Transcript"), zero),
          missing:
            for(
              {name, what} <- [{"Talk.Sound", :sound}, {"Talk.Pictures", :pictures}],
@@ -60,28 +62,28 @@ defmodule Situ.Examples.Demo.Recording do
     end
   end
 
-  defp messages(store, names, name),
+  defp read_messages(store, names, name),
     do: if(name in names, do: store |> Store.messages(name) |> Enum.to_list(), else: [])
 
-  defp pairs(store, names, name),
-    do: for(m <- messages(store, names, name), do: {m.originating_time, m.data})
+  defp read_pairs(store, names, name),
+    do: for(m <- read_messages(store, names, name), do: {m.originating_time, m.data})
 
   # Without video or decisions `zero` is 0, and the utterances keep their times.
-  defp utterances(said, zero),
+  defp shift_utterances(said, zero),
     do: for(%{data: u} <- said, do: %{u | from: u.from - zero, to: u.to - zero})
 
   defp picture_times(store, names) do
     if "Talk.Pictures" in names do
       {:ok, messages} = Store.read(store, "Talk.Pictures", envelopes: true)
-      times(messages)
+      originating_times(messages)
     else
       []
     end
   end
 
-  defp times(messages), do: Enum.map(messages, & &1.originating_time)
+  defp originating_times(messages), do: Enum.map(messages, & &1.originating_time)
 
-  defp found(speaking, mouths, pictures, zero) do
+  defp find_faces(speaking, mouths, pictures, zero) do
     decided =
       Map.new(speaking, fn message ->
         faces = Map.get(mouths, message.originating_time, %{})
@@ -95,7 +97,7 @@ defmodule Situ.Examples.Demo.Recording do
     |> Enum.map(&{&1 - zero, Map.get(decided, &1, [])})
   end
 
-  defp spoken(speaking, zero) do
+  defp speaking_intervals(speaking, zero) do
     ids = speaking |> Enum.flat_map(&Map.keys(&1.data)) |> Enum.uniq() |> Enum.sort()
 
     ids
@@ -119,9 +121,9 @@ defmodule Situ.Examples.Demo.Recording do
 
   defp media_s(_), do: 0.0
 
-  defp latency([]), do: {nil, nil}
+  defp latency_percentiles([]), do: {nil, nil}
 
-  defp latency(speaking) do
+  defp latency_percentiles(speaking) do
     sorted = speaking |> Enum.map(&(Situ.Message.latency(&1) / 1.0e6)) |> Enum.sort()
     at = fn q -> Enum.at(sorted, min(round(q * length(sorted)), length(sorted) - 1)) end
     {at.(0.5), at.(0.95)}

@@ -46,19 +46,19 @@ defmodule Situ.Examples.Demo.Scene do
 
     case OptionParser.parse(argv, strict: @switches, aliases: [h: :help]) do
       {_, _, [{switch, _} | _]} ->
-        fail("unknown or incomplete option #{switch}\n  Fix: see --scene --help", 2)
+        print_failure("unknown or incomplete option #{switch}\n  Fix: see --scene --help", 2)
 
       {_, [extra | _], _} ->
-        fail("unexpected argument #{extra}", 2)
+        print_failure("unexpected argument #{extra}", 2)
 
       {opts, [], []} ->
-        if opts[:help], do: usage(), else: record(opts)
+        if opts[:help], do: print_usage(), else: record_and_serve(opts)
     end
   rescue
-    error in Error -> fail(Exception.message(error), 1)
+    error in Error -> print_failure(Exception.message(error), 1)
   end
 
-  defp usage do
+  defp print_usage do
     IO.puts(@usage)
     0
   end
@@ -67,8 +67,8 @@ defmodule Situ.Examples.Demo.Scene do
   Records the room. Options are `seconds:`, `out:` and `fast:`. `result.path` of the report is the path of the
   recording.
   """
-  @spec pipeline(keyword()) :: {:ok, Situ.Pipeline.Report.t()} | {:error, Error.t()}
-  def pipeline(opts) do
+  @spec record_room(keyword()) :: {:ok, Situ.Pipeline.Report.t()} | {:error, Error.t()}
+  def record_room(opts) do
     {:ok, _} = Application.ensure_all_started(:situ_examples)
     speed = if opts[:fast], do: :max, else: 1.0
     now = System.os_time(:nanosecond)
@@ -86,27 +86,27 @@ defmodule Situ.Examples.Demo.Scene do
     )
   end
 
-  defp record(opts) do
-    case pipeline(opts) do
+  defp record_and_serve(opts) do
+    case record_room(opts) do
       {:ok, %{result: %{path: path}}} ->
-        IO.puts(told(path, opts))
-        if opts[:headless], do: 0, else: serve(path, opts)
+        IO.puts(format_recording(path, opts))
+        if opts[:headless], do: 0, else: serve_studio(path, opts)
 
       {:error, error} ->
-        fail(Exception.message(error), 1)
+        print_failure(Exception.message(error), 1)
     end
   end
 
-  defp told(path, opts) do
+  defp format_recording(path, opts) do
     store = Store.open!(path)
     streams = for s <- Store.streams(store), do: {s.name, s.count}
-    if opts[:json], do: json(path, streams), else: table(path, streams)
+    if opts[:json], do: encode_streams(path, streams), else: format_streams(path, streams)
   end
 
-  defp json(path, streams),
+  defp encode_streams(path, streams),
     do: Situ.JSON.encode(%{"recording" => path, "streams" => Map.new(streams)})
 
-  defp table(path, streams) do
+  defp format_streams(path, streams) do
     width = streams |> Enum.map(fn {name, _} -> String.length(name) end) |> Enum.max()
 
     rows =
@@ -117,8 +117,8 @@ defmodule Situ.Examples.Demo.Scene do
   end
 
   @doc "Copies the layout to a folder that the studio can load, and returns the folder."
-  @spec layouts(Path.t()) :: Path.t()
-  def layouts(path) do
+  @spec write_layout_folder(Path.t()) :: Path.t()
+  def write_layout_folder(path) do
     folder = path <> ".layouts"
     File.mkdir_p!(folder)
     shipped = Path.join([to_string(:code.priv_dir(:situ_examples)), "scene", "scene.json"])
@@ -126,21 +126,25 @@ defmodule Situ.Examples.Demo.Scene do
     folder
   end
 
-  defp serve(path, opts) do
-    case Situ.Studio.start_link(path: path, port: opts[:port] || 4040, layouts: layouts(path)) do
+  defp serve_studio(path, opts) do
+    case Situ.Studio.start_link(
+           path: path,
+           port: opts[:port] || 4040,
+           layouts: write_layout_folder(path)
+         ) do
       {:ok, studio} ->
         url = Situ.Studio.url(studio, Situ.Studio.only_item(studio))
         url = url <> if(url =~ "?", do: "&", else: "?") <> "layout=#{@layout}"
         IO.puts(:stderr, "The room is at #{url} (Ctrl-C to stop)")
-        if opts[:open] != false, do: Situ.CLI.Desktop.open(url)
+        if opts[:open] != false, do: Situ.CLI.Desktop.open_url(url)
         Process.sleep(:infinity)
 
       {:error, error} ->
-        fail(Exception.message(error), 1)
+        print_failure(Exception.message(error), 1)
     end
   end
 
-  defp fail(text, status) do
+  defp print_failure(text, status) do
     IO.puts(:stderr, "bin/demo: " <> text)
     status
   end

@@ -15,7 +15,7 @@ defmodule Situ.Examples.Demo.Score do
       iex> {:ok, truth} = Situ.Examples.Demo.Truth.parse(json)
       iex> rect = Situ.Rect.new!(1, 1, 9, 9)
       iex> found = for i <- 0..8, do: {i * 100_000_000, [{rect, i != 5}]}
-      iex> score = Situ.Examples.Demo.Score.of(truth, found)
+      iex> score = Situ.Examples.Demo.Score.score_decisions(truth, found)
       iex> {score.frames, score.scored_frames, score.frame_accuracy, score.missed_speech_s, score.false_speech_s}
       {10, 5, 0.8, 0.1, 0.0}
   """
@@ -35,15 +35,17 @@ defmodule Situ.Examples.Demo.Score do
   @type t :: %__MODULE__{}
 
   @doc "Returns the score of decisions whose times are relative to the start of the clip."
-  @spec of(Truth.t(), found()) :: t()
-  def of(%Truth{} = truth, found) do
+  @spec score_decisions(Truth.t(), found()) :: t()
+  def score_decisions(%Truth{} = truth, found) do
     rows =
       for {i, faces} <- hold_decisions(found, truth),
           not Truth.near_edge?(truth, i / truth.fps) do
-        {Truth.speakers(truth, i / truth.fps), said(truth, faces)}
+        {Truth.speakers_at(truth, i / truth.fps), speaking_ids(truth, faces)}
       end
 
-    per_face = Map.new(truth.faces, fn {id, _} -> {to_string(id), face(rows, id, truth.fps)} end)
+    per_face =
+      Map.new(truth.faces, fn {id, _} -> {to_string(id), score_face(rows, id, truth.fps)} end)
+
     # Strangers count too: attributing a voice to a picture on the wall is false speech.
     false_frames =
       rows |> Enum.map(fn {true_ids, ids} -> length(ids -- true_ids) end) |> Enum.sum()
@@ -53,9 +55,9 @@ defmodule Situ.Examples.Demo.Score do
     %__MODULE__{
       frames: truth.frames,
       scored_frames: length(rows),
-      frame_accuracy: share(Enum.count(rows, fn {a, b} -> a == b end), length(rows)),
-      false_speech_s: seconds(false_frames, truth.fps),
-      missed_speech_s: seconds(missed, truth.fps),
+      frame_accuracy: share_of(Enum.count(rows, fn {a, b} -> a == b end), length(rows)),
+      false_speech_s: frames_to_seconds(false_frames, truth.fps),
+      missed_speech_s: frames_to_seconds(missed, truth.fps),
       per_face: per_face
     }
   end
@@ -76,13 +78,13 @@ defmodule Situ.Examples.Demo.Score do
     rows ++ if(shown_at <= last, do: [{shown_at, shown_faces} | rest], else: [])
   end
 
-  defp said(truth, faces) do
+  defp speaking_ids(truth, faces) do
     for({rect, true} <- faces, do: Truth.face_at(truth, rect) || :stranger)
     |> Enum.uniq()
     |> Enum.sort()
   end
 
-  defp face(rows, id, fps) do
+  defp score_face(rows, id, fps) do
     {spoken, false_frames, missed, right} =
       Enum.reduce(rows, {0, 0, 0, 0}, fn {true_ids, ids}, {s, f, m, r} ->
         case {id in true_ids, id in ids} do
@@ -94,16 +96,16 @@ defmodule Situ.Examples.Demo.Score do
       end)
 
     %{
-      "frame_accuracy" => share(right, length(rows)),
-      "speech_s" => seconds(spoken, fps),
-      "false_speech_s" => seconds(false_frames, fps),
-      "missed_speech_s" => seconds(missed, fps)
+      "frame_accuracy" => share_of(right, length(rows)),
+      "speech_s" => frames_to_seconds(spoken, fps),
+      "false_speech_s" => frames_to_seconds(false_frames, fps),
+      "missed_speech_s" => frames_to_seconds(missed, fps)
     }
   end
 
   # A clip without scored images has no errors.
-  defp share(_n, 0), do: 1.0
-  defp share(n, of), do: Float.round(n / of, 4)
+  defp share_of(_n, 0), do: 1.0
+  defp share_of(n, of), do: Float.round(n / of, 4)
 
-  defp seconds(frames, fps), do: Float.round(frames / fps, 3)
+  defp frames_to_seconds(frames, fps), do: Float.round(frames / fps, 3)
 end

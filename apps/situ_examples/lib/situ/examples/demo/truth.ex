@@ -10,9 +10,9 @@ defmodule Situ.Examples.Demo.Truth do
       ...>   "speech": [{"face": 0, "speech_start": 0.5, "speech_end": 1.5},
       ...>              {"face": null, "speech_start": 1.6, "speech_end": 1.9}]})
       iex> {:ok, truth} = Situ.Examples.Demo.Truth.parse(json)
-      iex> Situ.Examples.Demo.Truth.speakers(truth, 1.0)
+      iex> Situ.Examples.Demo.Truth.speakers_at(truth, 1.0)
       [0]
-      iex> {Situ.Examples.Demo.Truth.speakers(truth, 1.7), Situ.Examples.Demo.Truth.near_edge?(truth, 1.45)}
+      iex> {Situ.Examples.Demo.Truth.speakers_at(truth, 1.7), Situ.Examples.Demo.Truth.near_edge?(truth, 1.45)}
       {[], true}
   """
   alias Situ.{Error, Rect}
@@ -53,24 +53,25 @@ defmodule Situ.Examples.Demo.Truth do
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
   def parse(json) do
     with {:ok, %{"fps" => fps, "frames" => frames} = map}
-         when is_number(fps) and fps > 0 and is_integer(frames) and frames > 0 <- decode(json),
-         {:ok, faces} <- all(map["faces"], &face/1),
-         {:ok, speech} <- all(map["speech"], &speech/1) do
+         when is_number(fps) and fps > 0 and is_integer(frames) and frames > 0 <-
+           decode_json(json),
+         {:ok, faces} <- parse_all(map["faces"], &parse_face/1),
+         {:ok, speech} <- parse_all(map["speech"], &parse_speech/1) do
       said =
         for %{"text" => text} = s when is_binary(text) <- map["speech"],
-            {:ok, {f, a, b}} <- [speech(s)],
+            {:ok, {f, a, b}} <- [parse_speech(s)],
             do: {f, a, b, text}
 
       {:ok, %__MODULE__{fps: fps, frames: frames, faces: faces, speech: speech, said: said}}
     else
       {:error, %Error{} = error} -> {:error, error}
-      {:ok, _} -> bad("fps and frames must be numbers above 0")
+      {:ok, _} -> invalid_truth("fps and frames must be numbers above 0")
     end
   end
 
   @doc "Returns the sorted ids of the faces that speak at `time_s` seconds."
-  @spec speakers(t(), number()) :: [term()]
-  def speakers(%__MODULE__{} = truth, time_s) do
+  @spec speakers_at(t(), number()) :: [term()]
+  def speakers_at(%__MODULE__{} = truth, time_s) do
     for({face, from, to} <- truth.speech, face != nil, time_s >= from, time_s < to, do: face)
     |> Enum.uniq()
     |> Enum.sort()
@@ -95,11 +96,11 @@ defmodule Situ.Examples.Demo.Truth do
     if overlap > 0.0, do: id
   end
 
-  defp decode(json) do
-    with {:error, :bad_json} <- Situ.JSON.decode(json), do: bad("the file is not JSON")
+  defp decode_json(json) do
+    with {:error, :bad_json} <- Situ.JSON.decode(json), do: invalid_truth("the file is not JSON")
   end
 
-  defp all(list, parse) when is_list(list) do
+  defp parse_all(list, parse) when is_list(list) do
     Enum.reduce_while(list, {:ok, []}, fn item, {:ok, done} ->
       case parse.(item) do
         {:ok, parsed} -> {:cont, {:ok, [parsed | done]}}
@@ -109,20 +110,20 @@ defmodule Situ.Examples.Demo.Truth do
     |> then(fn result -> with {:ok, done} <- result, do: {:ok, Enum.reverse(done)} end)
   end
 
-  defp all(_, _parse), do: bad("faces and speech must be lists")
+  defp parse_all(_, _parse), do: invalid_truth("faces and speech must be lists")
 
-  defp face(%{"id" => id, "box" => [x0, y0, x1, y1]})
+  defp parse_face(%{"id" => id, "box" => [x0, y0, x1, y1]})
        when is_number(x0) and is_number(y0) and is_number(x1) and is_number(y1) and x1 >= x0 and
               y1 >= y0,
        do: {:ok, {id, Rect.new!(x0, y0, x1 - x0, y1 - y0)}}
 
-  defp face(_), do: bad("a face needs an id and a box [left, top, right, bottom]")
+  defp parse_face(_), do: invalid_truth("a face needs an id and a box [left, top, right, bottom]")
 
-  defp speech(%{"speech_start" => from, "speech_end" => to} = s)
+  defp parse_speech(%{"speech_start" => from, "speech_end" => to} = s)
        when is_number(from) and is_number(to),
        do: {:ok, {s["face"], from, to}}
 
-  defp speech(_), do: bad("speech needs speech_start and speech_end in seconds")
+  defp parse_speech(_), do: invalid_truth("speech needs speech_start and speech_end in seconds")
 
-  defp bad(why), do: {:error, Error.new(:bad_truth, "invalid truth file", why: why)}
+  defp invalid_truth(why), do: {:error, Error.new(:bad_truth, "invalid truth file", why: why)}
 end

@@ -10,11 +10,11 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
   @closed_share 0.125
 
   @doc "Returns the best-scoring face, its score, and all scores; `{nil, 0.0, %{}}` without faces."
-  @spec best([Moment.t()], float()) :: {term(), float(), %{term() => float()}}
-  def best([], _clear), do: {nil, 0.0, %{}}
+  @spec best_face([Moment.t()], float()) :: {term(), float(), %{term() => float()}}
+  def best_face([], _clear), do: {nil, 0.0, %{}}
 
-  def best([newest | _] = window, clear) do
-    scores = Map.new(newest.mouths, fn {id, _} -> {id, score(window, id, clear)} end)
+  def best_face([newest | _] = window, clear) do
+    scores = Map.new(newest.mouths, fn {id, _} -> {id, score_agreement(window, id, clear)} end)
 
     # Comparing ids as well makes the result unique when scores are equal.
     case Enum.sort_by(scores, fn {id, score} -> {-score, id} end) do
@@ -23,15 +23,15 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
     end
   end
 
-  @spec score([Moment.t()], term(), float()) :: float()
-  def score(window, id, clear) do
+  @spec score_agreement([Moment.t()], term(), float()) :: float()
+  def score_agreement(window, id, clear) do
     pairs = for m <- window, mouth = m.mouths[id], do: {mouth.opening, m.loudness}
 
     if length(pairs) < @min_pairs do
       0.0
     else
       {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max()
-      correlation(pairs) * min(1.0, (high - low) / clear)
+      pearson_correlation(pairs) * min(1.0, (high - low) / clear)
     end
   end
 
@@ -40,8 +40,8 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
   closed in an eighth of the loud moments. (A low correlation alone proves little, because a mesh measures poorly how
   wide a wide-open mouth is.)
   """
-  @spec contradicts?([Moment.t()], term(), float(), float()) :: boolean()
-  def contradicts?(window, id, clear, doubt) do
+  @spec contradicts_voice?([Moment.t()], term(), float(), float()) :: boolean()
+  def contradicts_voice?(window, id, clear, doubt) do
     pairs = for m <- window, mouth = m.mouths[id], do: {mouth.opening, m.loudness}
 
     baseline =
@@ -50,7 +50,7 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
     {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {0.0, 0.0} end)
     low = min(low, baseline)
 
-    high - low > clear and correlation(pairs) < doubt and
+    high - low > clear and pearson_correlation(pairs) < doubt and
       closed_share(pairs, low + @closed * (high - low)) >= @closed_share
   end
 
@@ -61,8 +61,8 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
   end
 
   @doc "Computes Pearson's correlation; returns 0.0 if one side is constant."
-  @spec correlation([{float(), float()}]) :: float()
-  def correlation(pairs) do
+  @spec pearson_correlation([{float(), float()}]) :: float()
+  def pearson_correlation(pairs) do
     n = length(pairs)
     {sx, sy} = Enum.reduce(pairs, {0.0, 0.0}, fn {x, y}, {sx, sy} -> {sx + x, sy + y} end)
     {mx, my} = {sx / n, sy / n}

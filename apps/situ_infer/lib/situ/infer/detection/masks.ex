@@ -60,10 +60,11 @@ defmodule Situ.Infer.Detection.Masks do
   Returns a `:gray8` image for each box, 255 where the object is. It is the part of the prototypes under the box; the
   prototypes cover the whole input image. `side` is the side of the network's input.
   """
-  @spec cut(t(), [map()], Tensor.t(), pos_integer()) :: {:ok, [Image.t()]} | {:error, Error.t()}
-  def cut(_masks, [], _prototypes, _side), do: {:ok, []}
+  @spec cut_masks(t(), [map()], Tensor.t(), pos_integer()) ::
+          {:ok, [Image.t()]} | {:error, Error.t()}
+  def cut_masks(_masks, [], _prototypes, _side), do: {:ok, []}
 
-  def cut(%__MODULE__{size: {w, h}} = masks, boxes, prototypes, side) do
+  def cut_masks(%__MODULE__{size: {w, h}} = masks, boxes, prototypes, side) do
     weights =
       Tensor.from_list(Enum.flat_map(boxes, & &1.mask), :f32, {length(boxes), masks.kinds})
 
@@ -71,20 +72,20 @@ defmodule Situ.Infer.Detection.Masks do
            Model.run(masks.model, %{"weights" => weights, "prototypes" => prototypes}) do
       {:ok,
        for {box, i} <- Enum.with_index(boxes) do
-         part(binary_part(all.data, i * w * h, w * h), {w, h}, box, side)
+         crop_mask(binary_part(all.data, i * w * h, w * h), {w, h}, box, side)
        end}
     end
   end
 
-  defp part(plane, {w, h}, box, side) do
-    {x0, x1} = within(box.x, box.width, w / side, w)
-    {y0, y1} = within(box.y, box.height, h / side, h)
+  defp crop_mask(plane, {w, h}, box, side) do
+    {x0, x1} = pixel_range(box.x, box.width, w / side, w)
+    {y0, y1} = pixel_range(box.y, box.height, h / side, h)
     rows = for y <- y0..(y1 - 1), into: "", do: binary_part(plane, y * w + x0, x1 - x0)
     Image.new!(width: x1 - x0, height: y1 - y0, format: :gray8, data: rows)
   end
 
   # The range has at least one pixel, and all of its pixels are within the image.
-  defp within(from, length, scale, most) do
+  defp pixel_range(from, length, scale, most) do
     low = from |> Kernel.*(scale) |> floor() |> max(0) |> min(most - 1)
     high = (from + length) |> Kernel.*(scale) |> ceil() |> max(low + 1) |> min(most)
     {low, high}

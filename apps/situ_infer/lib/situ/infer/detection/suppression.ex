@@ -19,20 +19,25 @@ defmodule Situ.Infer.Detection.Suppression do
 
     boxes
     |> Enum.sort_by(&{-&1.score, &1.class, &1.x, &1.y})
-    |> keep([], 0, limit, any?, most)
+    |> keep_boxes([], 0, limit, any?, most)
   end
 
-  defp keep([], kept, _n, _limit, _any?, _most), do: Enum.reverse(kept)
-  defp keep(_boxes, kept, most, _limit, _any?, most), do: Enum.reverse(kept)
+  defp keep_boxes([], kept, _n, _limit, _any?, _most), do: Enum.reverse(kept)
+  defp keep_boxes(_boxes, kept, most, _limit, _any?, most), do: Enum.reverse(kept)
 
-  defp keep([best | rest], kept, n, limit, any?, most) do
-    rest = Enum.reject(rest, &((any? or &1.class == best.class) and overlap(&1, best) > limit))
-    keep(rest, [best | kept], n + 1, limit, any?, most)
+  defp keep_boxes([best | rest], kept, n, limit, any?, most) do
+    rest =
+      Enum.reject(
+        rest,
+        &((any? or &1.class == best.class) and intersection_over_union(&1, best) > limit)
+      )
+
+    keep_boxes(rest, [best | kept], n + 1, limit, any?, most)
   end
 
   @doc "Computes the intersection over union, 0..1."
-  @spec overlap(map(), map()) :: float()
-  def overlap(a, b) do
+  @spec intersection_over_union(map(), map()) :: float()
+  def intersection_over_union(a, b) do
     w = min(a.x + a.width, b.x + b.width) - max(a.x, b.x)
     h = min(a.y + a.height, b.y + b.height) - max(a.y, b.y)
     common = if w > 0 and h > 0, do: w * h, else: 0.0

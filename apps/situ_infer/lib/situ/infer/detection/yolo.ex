@@ -12,11 +12,11 @@ defmodule Situ.Infer.Detection.Yolo do
   Formulas: Redmon and Farhadi, "YOLO9000" (2017), for v2; the exporters' documentation for the other versions.
 
       iex> row = [50.0, 40.0, 20.0, 10.0, 0.9, 0.1, 0.8]
-      iex> boxes = Situ.Infer.Detection.Yolo.parse(Situ.Tensor.from_list(row, :f32, {1, 1, 7}), :v5, 0.5)
+      iex> boxes = Situ.Infer.Detection.Yolo.parse_boxes(Situ.Tensor.from_list(row, :f32, {1, 1, 7}), :v5, 0.5)
       iex> for b <- boxes, do: {b.x, b.y, b.width, b.height, b.class, Float.round(b.score, 2)}
       [{40.0, 35.0, 20.0, 10.0, 1, 0.72}]
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Tensor
 
   @anchors [{1.08, 1.19}, {3.42, 4.41}, {6.63, 11.38}, {9.42, 5.11}, {16.62, 10.52}]
@@ -34,108 +34,116 @@ defmodule Situ.Infer.Detection.Yolo do
         }
 
   @doc "Returns the supported versions."
-  @spec versions() :: [version()]
-  def versions, do: [:v2_tiny, :v5, :v8, :v10]
+  @spec supported_versions() :: [version()]
+  def supported_versions, do: [:v2_tiny, :v5, :v8, :v10]
 
   @doc "Returns whether an output's shape fits that version; a v8 output has `masks` mask coefficients per box."
-  @spec fits?(version(), tuple(), non_neg_integer()) :: boolean()
-  def fits?(version, shape, masks \\ 0)
-  def fits?(:v2_tiny, {_, 125, h, w}, _), do: h in [-1, 13] and w in [-1, 13]
-  def fits?(:v5, {_, _, row}, _), do: row == -1 or row > 5
-  def fits?(:v8, {_, column, _}, masks), do: column == -1 or column > 4 + masks
-  def fits?(:v10, {_, _, row}, _), do: row in [-1, 6]
-  def fits?(_version, _shape, _masks), do: false
+  @spec shape_matches?(version(), tuple(), non_neg_integer()) :: boolean()
+  def shape_matches?(version, shape, masks \\ 0)
+  def shape_matches?(:v2_tiny, {_, 125, h, w}, _), do: h in [-1, 13] and w in [-1, 13]
+  def shape_matches?(:v5, {_, _, row}, _), do: row == -1 or row > 5
+  def shape_matches?(:v8, {_, column, _}, masks), do: column == -1 or column > 4 + masks
+  def shape_matches?(:v10, {_, _, row}, _), do: row in [-1, 6]
+  def shape_matches?(_version, _shape, _masks), do: false
 
   @doc """
-  Returns the boxes with a score of at least `min_score`, in no particular order; for `masks`, see `fits?/3`. Boxes that
+  Returns the boxes with a score of at least `min_score`, in no particular order; for `masks`, see `shape_matches?/3`. Boxes that
   have no size or contain values that are not numbers are left out.
   """
-  @spec parse(Tensor.t(), version(), float(), non_neg_integer()) :: [box()]
-  def parse(tensor, version, min_score, masks \\ 0)
+  @spec parse_boxes(Tensor.t(), version(), float(), non_neg_integer()) :: [box()]
+  def parse_boxes(tensor, version, min_score, masks \\ 0)
 
-  def parse(%Tensor{type: :f32, shape: {1, _, row}, data: data}, :v5, min_score, _masks) do
+  def parse_boxes(%Tensor{type: :f32, shape: {1, _, row}, data: data}, :v5, min_score, _masks) do
     rest = (row - 5) * 4
 
     for <<cx::float-native-32, cy::float-native-32, w::float-native-32, h::float-native-32,
-          object::float-native-32, classes::binary-known(rest) <- data>>,
+          object::float-native-32, classes::binary-pinned_size(rest) <- data>>,
         object >= min_score,
-        {class, p} <- [best(classes, 0, {0, 0.0})],
+        {class, p} <- [best_class(classes, 0, {0, 0.0})],
         object * p >= min_score,
         w > 0,
         h > 0,
-        do: box(cx - w / 2, cy - h / 2, w, h, class, object * p)
+        do: build_box(cx - w / 2, cy - h / 2, w, h, class, object * p)
   end
 
-  def parse(%Tensor{type: :f32, shape: {1, _, 6}, data: data}, :v10, min_score, _masks) do
+  def parse_boxes(%Tensor{type: :f32, shape: {1, _, 6}, data: data}, :v10, min_score, _masks) do
     for <<x1::float-native-32, y1::float-native-32, x2::float-native-32, y2::float-native-32,
           score::float-native-32, class::float-native-32 <- data>>,
         score >= min_score,
         x2 > x1,
         y2 > y1,
         class >= 0,
-        do: box(x1, y1, x2 - x1, y2 - y1, round(class), score)
+        do: build_box(x1, y1, x2 - x1, y2 - y1, round(class), score)
   end
 
   # Each box is a column and each class is a row, so that a scan over rows touches few numbers.
-  def parse(%Tensor{type: :f32, shape: {1, rows, n}, data: data}, :v8, min_score, masks) do
+  def parse_boxes(%Tensor{type: :f32, shape: {1, rows, n}, data: data}, :v8, min_score, masks) do
     classes = rows - 4 - masks
 
     0..(classes - 1)//1
     |> Enum.reduce(%{}, fn class, found ->
-      data |> binary_part((4 + class) * n * 4, n * 4) |> likely(0, class, min_score, found)
+      data
+      |> binary_part((4 + class) * n * 4, n * 4)
+      |> update_best_classes(0, class, min_score, found)
     end)
     |> Enum.flat_map(fn {i, {score, class}} ->
-      column(data, i, n, classes, masks, class, score)
+      parse_box_column(data, i, n, classes, masks, class, score)
     end)
   end
 
-  def parse(%Tensor{type: :f32, shape: {1, 125, 13, 13}, data: data}, :v2_tiny, min_score, _masks) do
+  def parse_boxes(
+        %Tensor{type: :f32, shape: {1, 125, 13, 13}, data: data},
+        :v2_tiny,
+        min_score,
+        _masks
+      ) do
     for {{aw, ah}, anchor} <- Enum.with_index(@anchors),
         y <- 0..12,
         x <- 0..12,
-        at = &number(data, ((anchor * 25 + &1) * 13 + y) * 13 + x),
+        at = &float_at(data, ((anchor * 25 + &1) * 13 + y) * 13 + x),
         [tx, ty, tw, th, to] = Enum.map(0..4, at),
         Enum.all?([tx, ty, tw, th, to], &is_float/1),
         object = sigmoid(to),
         object >= min_score,
         {class, p} = softmax_best(Enum.map(5..24, at)),
         object * p >= min_score do
-      {w, h} = {stretch(tw) * aw * @cell, stretch(th) * ah * @cell}
+      {w, h} = {bounded_exp(tw) * aw * @cell, bounded_exp(th) * ah * @cell}
       {cx, cy} = {(x + sigmoid(tx)) * @cell, (y + sigmoid(ty)) * @cell}
-      box(cx - w / 2, cy - h / 2, w, h, class, object * p)
+      build_box(cx - w / 2, cy - h / 2, w, h, class, object * p)
     end
   end
 
-  defp box(x, y, w, h, class, score, mask \\ []),
+  defp build_box(x, y, w, h, class, score, mask \\ []),
     do: %{x: x, y: y, width: w, height: h, class: class, score: score, mask: mask}
 
   # The float pattern does not match NaN and infinity, so the next clause skips them.
-  defp best(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
-    do: best(rest, i + 1, {i, p})
+  defp best_class(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
+    do: best_class(rest, i + 1, {i, p})
 
-  defp best(<<_::32, rest::binary>>, i, found), do: best(rest, i + 1, found)
-  defp best(<<>>, _i, found), do: found
+  defp best_class(<<_::32, rest::binary>>, i, found), do: best_class(rest, i + 1, found)
+  defp best_class(<<>>, _i, found), do: found
 
-  defp likely(<<p::float-native-32, rest::binary>>, i, class, min, found) when p >= min do
+  defp update_best_classes(<<p::float-native-32, rest::binary>>, i, class, min, found)
+       when p >= min do
     found = Map.update(found, i, {p, class}, &if(p > elem(&1, 0), do: {p, class}, else: &1))
-    likely(rest, i + 1, class, min, found)
+    update_best_classes(rest, i + 1, class, min, found)
   end
 
-  defp likely(<<_::32, rest::binary>>, i, class, min, found),
-    do: likely(rest, i + 1, class, min, found)
+  defp update_best_classes(<<_::32, rest::binary>>, i, class, min, found),
+    do: update_best_classes(rest, i + 1, class, min, found)
 
-  defp likely(<<>>, _i, _class, _min, found), do: found
+  defp update_best_classes(<<>>, _i, _class, _min, found), do: found
 
-  defp column(data, i, n, classes, masks, class, score) do
-    [cx, cy, w, h] = for row <- 0..3, do: number(data, row * n + i)
-    mask = for row <- 0..(masks - 1)//1, do: number(data, (4 + classes + row) * n + i)
+  defp parse_box_column(data, i, n, classes, masks, class, score) do
+    [cx, cy, w, h] = for row <- 0..3, do: float_at(data, row * n + i)
+    mask = for row <- 0..(masks - 1)//1, do: float_at(data, (4 + classes + row) * n + i)
 
     if Enum.all?([cx, cy, w, h | mask], &is_float/1) and w > 0 and h > 0,
-      do: [box(cx - w / 2, cy - h / 2, w, h, class, score, mask)],
+      do: [build_box(cx - w / 2, cy - h / 2, w, h, class, score, mask)],
       else: []
   end
 
-  defp number(data, i) do
+  defp float_at(data, i) do
     case binary_part(data, i * 4, 4) do
       <<x::float-native-32>> -> x
       _ -> nil
@@ -149,5 +157,5 @@ defmodule Situ.Infer.Detection.Yolo do
   end
 
   defp sigmoid(x), do: 1 / (1 + :math.exp(min(max(-x, -80.0), 80.0)))
-  defp stretch(x), do: :math.exp(min(max(x, -20.0), 20.0))
+  defp bounded_exp(x), do: :math.exp(min(max(x, -20.0), 20.0))
 end

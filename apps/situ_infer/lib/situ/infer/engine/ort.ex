@@ -7,7 +7,7 @@ defmodule Situ.Infer.Engine.Ort do
   needs a model returns `:no_onnxruntime` with the fix. A failed attempt is not remembered, so models work as soon as
   the library is installed.
 
-      {:ok, version} = Situ.Infer.Engine.Ort.version()
+      {:ok, version} = Situ.Infer.Engine.Ort.library_version()
   """
   @behaviour Situ.Infer.Engine
 
@@ -28,30 +28,34 @@ defmodule Situ.Infer.Engine.Ort do
 
   @doc "Returns whether the library is loaded or can be loaded."
   @spec available?() :: boolean()
-  def available?, do: open() == :ok
+  def available?, do: ensure_library() == :ok
 
   @doc "Returns the library's build string."
-  @spec version() :: {:ok, String.t()} | {:error, Error.t()}
-  def version do
-    with :ok <- open(), do: {:ok, Native.runtime_version()}
+  @spec library_version() :: {:ok, String.t()} | {:error, Error.t()}
+  def library_version do
+    with :ok <- ensure_library(), do: {:ok, Native.runtime_version()}
   end
 
   @impl true
   def load(bytes, opts) do
-    with :ok <- open(),
+    with :ok <- ensure_library(),
          {:ok, {handle, inputs, outputs}} <-
            Native.load_model(
              bytes,
              opts[:threads],
              opts[:sessions],
-             device(opts[:provider]),
+             device_id(opts[:provider]),
              opts[:folder]
            ) do
       {:ok,
-       %{handle: handle, inputs: Enum.map(inputs, &port/1), outputs: Enum.map(outputs, &port/1)}}
+       %{
+         handle: handle,
+         inputs: Enum.map(inputs, &decode_port/1),
+         outputs: Enum.map(outputs, &decode_port/1)
+       }}
     else
       {:error, %Error{}} = error -> error
-      {:error, {kind, text}} -> {:error, error(kind, text)}
+      {:error, {kind, text}} -> {:error, native_error(kind, text)}
     end
   end
 
@@ -59,37 +63,37 @@ defmodule Situ.Infer.Engine.Ort do
   def run(handle, inputs, where) do
     rows = for {name, t} <- inputs, do: {name, to_string(t.type), Tuple.to_list(t.shape), t.data}
 
-    case call(where, handle, rows) do
-      {:ok, outputs, spent} -> {:ok, Map.new(outputs, &tensor/1), spent}
-      {:error, {kind, text}} -> {:error, error(kind, text)}
+    case run_native(where, handle, rows) do
+      {:ok, outputs, spent} -> {:ok, Map.new(outputs, &decode_tensor/1), spent}
+      {:error, {kind, text}} -> {:error, native_error(kind, text)}
     end
   end
 
   # A second caller must not block a normal scheduler, so it waits on a dirty one.
-  defp call(:dirty, handle, rows), do: Native.run_dirty(handle, rows)
+  defp run_native(:dirty, handle, rows), do: Native.run_dirty(handle, rows)
 
-  defp call(:inline, handle, rows) do
+  defp run_native(:inline, handle, rows) do
     with :busy <- Native.run_inline(handle, rows), do: Native.run_dirty(handle, rows)
   end
 
-  defp open do
+  defp ensure_library do
     path = library_path()
 
     cond do
       Native.runtime_version() -> :ok
-      File.regular?(path) -> open(path)
-      true -> {:error, missing(path)}
+      File.regular?(path) -> load_library(path)
+      true -> {:error, missing_library(path)}
     end
   end
 
-  defp open(path) do
+  defp load_library(path) do
     case Native.load_runtime(path) do
       :ok -> :ok
-      {:error, {kind, text}} -> {:error, error(kind, text)}
+      {:error, {kind, text}} -> {:error, native_error(kind, text)}
     end
   end
 
-  defp missing(path) do
+  defp missing_library(path) do
     Error.new(:no_onnxruntime, "ONNX Runtime is not installed: no file #{path}",
       why: "models run in ONNX Runtime, which is loaded together with the first model",
       fix:
@@ -97,14 +101,14 @@ defmodule Situ.Infer.Engine.Ort do
     )
   end
 
-  defp error(:library, text) do
+  defp native_error(:library, text) do
     Error.new(:no_onnxruntime, "ONNX Runtime cannot be opened: #{text}",
       why: "the file is not an ONNX Runtime library for this machine, or it is older than 1.24",
       fix: "run bin/setup again, or set SITU_ONNXRUNTIME to a working libonnxruntime.so"
     )
   end
 
-  defp error(:model, "External data" <> _ = text) do
+  defp native_error(:model, "External data" <> _ = text) do
     Error.new(:bad_model, "the model's weights cannot be read: #{text}",
       why:
         "the model file refers to another file that contains its weights (ONNX's external data)",
@@ -112,7 +116,7 @@ defmodule Situ.Infer.Engine.Ort do
     )
   end
 
-  defp error(:model, text) do
+  defp native_error(:model, text) do
     Error.new(:bad_model, "not a usable ONNX model: #{text}",
       why:
         "the file is truncated or corrupt, or needs operators that this ONNX Runtime does not have",
@@ -120,15 +124,15 @@ defmodule Situ.Infer.Engine.Ort do
     )
   end
 
-  defp error(:provider, text) do
+  defp native_error(:provider, text) do
     Error.new(:no_provider, "the execution provider cannot be used: #{text}",
       fix: "use provider: :cpu, or a library built with CUDA through SITU_ONNXRUNTIME"
     )
   end
 
-  defp error(:input, text), do: Error.new(:bad_tensor, text)
+  defp native_error(:input, text), do: Error.new(:bad_tensor, text)
 
-  defp error(:run, text) do
+  defp native_error(:run, text) do
     Error.new(:model_failed, "the model failed: #{text}",
       why: "ONNX Runtime stopped in the middle of a run",
       fix:
@@ -136,13 +140,13 @@ defmodule Situ.Infer.Engine.Ort do
     )
   end
 
-  defp device(:cpu), do: -1
-  defp device({:cuda, device}), do: device
+  defp device_id(:cpu), do: -1
+  defp device_id({:cuda, device}), do: device
 
-  defp port({name, type, shape}),
+  defp decode_port({name, type, shape}),
     do: {name, Map.get(@types, type, :unsupported), List.to_tuple(shape)}
 
-  defp tensor({name, type, shape, data}) do
+  defp decode_tensor({name, type, shape, data}) do
     {name, %Tensor{type: Map.fetch!(@types, type), shape: List.to_tuple(shape), data: data}}
   end
 end

@@ -17,11 +17,11 @@ defmodule Situ.Infer.Face.Blaze do
   @count length(@anchors)
   @row 16 * 4
 
-  @spec size() :: pos_integer()
-  def size, do: @size
+  @spec input_size() :: pos_integer()
+  def input_size, do: @size
 
   @doc "Returns the inputs and outputs that the model file must have."
-  def ports do
+  def required_ports do
     [
       inputs: %{"input" => {:f32, {1, @size, @size, 3}}},
       outputs: %{
@@ -32,34 +32,37 @@ defmodule Situ.Infer.Face.Blaze do
   end
 
   @doc "Returns the faces that the network found in `patch`, in image pixels, best first, before any merging."
-  @spec decode(%{String.t() => Tensor.t()}, Patch.t(), float()) :: [Face.t()]
-  def decode(%{"regressors" => boxes, "classificators" => scores}, patch, min_score) do
+  @spec decode_faces(%{String.t() => Tensor.t()}, Patch.t(), float()) :: [Face.t()]
+  def decode_faces(%{"regressors" => boxes, "classificators" => scores}, patch, min_score) do
     logit = logit(min_score)
 
-    candidates(scores.data, logit, 0, [])
+    collect_candidates(scores.data, logit, 0, [])
     |> Enum.sort_by(fn {index, score} -> {-score, index} end)
-    |> Enum.map(fn {index, score} -> face(boxes.data, index, sigmoid(score), patch) end)
+    |> Enum.map(fn {index, score} -> build_face(boxes.data, index, sigmoid(score), patch) end)
   end
 
   # Scores that are not finite numbers do not count as faces.
-  defp candidates(<<score::float-native-32, rest::binary>>, min, i, found) when score > min,
-    do: candidates(rest, min, i + 1, [{i, score} | found])
+  defp collect_candidates(<<score::float-native-32, rest::binary>>, min, i, found)
+       when score > min,
+       do: collect_candidates(rest, min, i + 1, [{i, score} | found])
 
-  defp candidates(<<_::32, rest::binary>>, min, i, found),
-    do: candidates(rest, min, i + 1, found)
+  defp collect_candidates(<<_::32, rest::binary>>, min, i, found),
+    do: collect_candidates(rest, min, i + 1, found)
 
-  defp candidates(<<>>, _min, _i, found), do: found
+  defp collect_candidates(<<>>, _min, _i, found), do: found
 
-  defp face(boxes, index, score, patch) do
-    {ax, ay} = anchor(index)
+  defp build_face(boxes, index, score, patch) do
+    {ax, ay} = anchor_center(index)
     row = for <<v::float-native-32 <- binary_part(boxes, index * @row, @row)>>, do: v
     [cx, cy, w, h | points] = row
 
     [right, left, nose, mouth, right_ear, left_ear] =
-      points |> Enum.chunk_every(2) |> Enum.map(fn [x, y] -> place(patch, x + ax, y + ay) end)
+      points
+      |> Enum.chunk_every(2)
+      |> Enum.map(fn [x, y] -> to_image_point(patch, x + ax, y + ay) end)
 
-    {x0, y0} = place(patch, cx + ax - w / 2, cy + ay - h / 2)
-    {x1, y1} = place(patch, cx + ax + w / 2, cy + ay + h / 2)
+    {x0, y0} = to_image_point(patch, cx + ax - w / 2, cy + ay - h / 2)
+    {x1, y1} = to_image_point(patch, cx + ax + w / 2, cy + ay + h / 2)
 
     %Face{
       rect: %Situ.Rect{
@@ -78,12 +81,12 @@ defmodule Situ.Infer.Face.Blaze do
   end
 
   # Offsets measure areas and patches map pixel centres, so the two differ by half a pixel on either side.
-  defp place(patch, x, y) do
+  defp to_image_point(patch, x, y) do
     {px, py} = Patch.to_picture(patch, {x - 0.5, y - 0.5})
     {px + 0.5, py + 0.5}
   end
 
-  defp anchor(index), do: elem(unquote(Macro.escape(List.to_tuple(@anchors))), index)
+  defp anchor_center(index), do: elem(unquote(Macro.escape(List.to_tuple(@anchors))), index)
 
   defp sigmoid(x) when x < -80.0, do: 0.0
   defp sigmoid(x) when x > 80.0, do: 1.0

@@ -4,11 +4,11 @@ defmodule Situ.Infer.Face.Overlap do
   alias Situ.Rect
 
   @doc "Keeps the faces that do not overlap an earlier kept face by `limit` (intersection over union) or more."
-  @spec suppress([Situ.Infer.Face.t()], float()) :: [Situ.Infer.Face.t()]
-  def suppress(faces, limit) do
+  @spec suppress_overlaps([Situ.Infer.Face.t()], float()) :: [Situ.Infer.Face.t()]
+  def suppress_overlaps(faces, limit) do
     faces
     |> Enum.reduce([], fn face, kept ->
-      if free?(face, kept, limit), do: [face | kept], else: kept
+      if no_overlap?(face, kept, limit), do: [face | kept], else: kept
     end)
     |> Enum.reverse()
   end
@@ -16,15 +16,15 @@ defmodule Situ.Infer.Face.Overlap do
   @doc """
   Returns whether `face` overlaps none of `others`. A face inside another one counts as the same face at another scale.
   """
-  @spec free?(Situ.Infer.Face.t(), [Situ.Infer.Face.t()], float()) :: boolean()
-  def free?(face, others, limit) do
+  @spec no_overlap?(Situ.Infer.Face.t(), [Situ.Infer.Face.t()], float()) :: boolean()
+  def no_overlap?(face, others, limit) do
     Enum.all?(others, fn other ->
-      Rect.iou(face.rect, other.rect) < limit and cover(face.rect, other.rect) < 0.7
+      Rect.iou(face.rect, other.rect) < limit and covered_share(face.rect, other.rect) < 0.7
     end)
   end
 
   # Returns the share of the smaller rectangle that the other one covers.
-  defp cover(a, b) do
+  defp covered_share(a, b) do
     smaller = min(Rect.area(a), Rect.area(b))
 
     case Rect.intersect(a, b) do

@@ -2,7 +2,7 @@ defmodule Situ.Infer.Http.Decoder do
   @moduledoc false
   # Decodes the bytes of an HTTP/1.1 response (RFC 9112), split at arbitrary positions, into events. The lengths of the
   # head and of a chunk's size line are limited, and no input creates an atom.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
   @head_bytes 65_536
   @line_bytes 4_096
@@ -18,34 +18,37 @@ defmodule Situ.Infer.Http.Decoder do
   @doc "Decodes the bytes and returns the completed events, with `:done` at the end of the response."
   @spec push(t(), binary()) :: {:ok, [event()], t()} | {:error, String.t()}
   def push(%__MODULE__{} = decoder, bytes),
-    do: step(%{decoder | buffer: decoder.buffer <> bytes}, [])
+    do: decode_next(%{decoder | buffer: decoder.buffer <> bytes}, [])
 
   @doc "Checks whether the response is complete when the server closes the connection."
   @spec close(t()) :: :ok | {:error, :cut_off}
   def close(%__MODULE__{state: state}) when state in [:until_close, :done], do: :ok
   def close(_decoder), do: {:error, :cut_off}
 
-  defp step(%{state: state, buffer: buffer} = d, events) when state in [:status, :headers] do
+  defp decode_next(%{state: state, buffer: buffer} = d, events)
+       when state in [:status, :headers] do
     kind = if state == :status, do: :http_bin, else: :httph_bin
 
     case :erlang.decode_packet(kind, buffer, []) do
       {:more, _} when d.head + byte_size(buffer) > @head_bytes -> too_long()
       {:more, _} -> {:ok, Enum.reverse(events), d}
-      {:ok, packet, rest} -> head(packet, taken(d, rest), events)
+      {:ok, packet, rest} -> handle_head(packet, consume_head(d, rest), events)
       {:error, _} -> {:error, "its head is malformed"}
     end
   end
 
-  defp step(%{state: :done} = d, events), do: {:ok, Enum.reverse(events), %{d | buffer: ""}}
-  defp step(%{buffer: ""} = d, events), do: {:ok, Enum.reverse(events), d}
+  defp decode_next(%{state: :done} = d, events),
+    do: {:ok, Enum.reverse(events), %{d | buffer: ""}}
 
-  defp step(%{state: :until_close} = d, events),
+  defp decode_next(%{buffer: ""} = d, events), do: {:ok, Enum.reverse(events), d}
+
+  defp decode_next(%{state: :until_close} = d, events),
     do: {:ok, Enum.reverse([{:data, d.buffer} | events]), %{d | buffer: ""}}
 
-  defp step(%{state: {kind, left}} = d, events) when kind in [:length, :chunk] do
+  defp decode_next(%{state: {kind, left}} = d, events) when kind in [:length, :chunk] do
     case d.buffer do
-      <<data::binary-known(left), rest::binary>> ->
-        after_data(kind, %{d | buffer: rest}, data(data, events))
+      <<data::binary-pinned_size(left), rest::binary>> ->
+        after_data(kind, %{d | buffer: rest}, add_data(data, events))
 
       data ->
         d = %{d | buffer: "", state: {kind, left - byte_size(data)}}
@@ -53,54 +56,63 @@ defmodule Situ.Infer.Http.Decoder do
     end
   end
 
-  defp step(%{state: line} = d, events) when line in [:size, :gap, :trailer] do
+  defp decode_next(%{state: line} = d, events) when line in [:size, :gap, :trailer] do
     case :binary.split(d.buffer, "\n") do
-      [text, rest] -> line(line, String.trim_trailing(text, "\r"), %{d | buffer: rest}, events)
-      [text] when byte_size(text) > @line_bytes -> {:error, "one of its lines is too long"}
-      _ -> {:ok, Enum.reverse(events), d}
+      [text, rest] ->
+        handle_line(line, String.trim_trailing(text, "\r"), %{d | buffer: rest}, events)
+
+      [text] when byte_size(text) > @line_bytes ->
+        {:error, "one of its lines is too long"}
+
+      _ ->
+        {:ok, Enum.reverse(events), d}
     end
   end
 
-  defp taken(d, rest),
+  defp consume_head(d, rest),
     do: %{d | head: d.head + byte_size(d.buffer) - byte_size(rest), buffer: rest}
 
   defp too_long, do: {:error, "its head is longer than #{@head_bytes} bytes"}
 
-  defp head({:http_response, {1, _}, status, _}, %{state: :status} = d, events),
-    do: step(%{d | state: :headers, status: status, headers: []}, events)
+  defp handle_head({:http_response, {1, _}, status, _}, %{state: :status} = d, events),
+    do: decode_next(%{d | state: :headers, status: status, headers: []}, events)
 
-  defp head({:http_header, _, name, _, value}, %{state: :headers} = d, events) do
+  defp handle_head({:http_header, _, name, _, value}, %{state: :headers} = d, events) do
     if d.head > @head_bytes,
       do: too_long(),
-      else: step(%{d | headers: [{String.downcase(to_string(name)), value} | d.headers]}, events)
+      else:
+        decode_next(
+          %{d | headers: [{String.downcase(to_string(name)), value} | d.headers]},
+          events
+        )
   end
 
   # A 1xx response precedes the final response.
-  defp head(:http_eoh, %{status: status} = d, events) when status in 100..199,
-    do: step(%{d | state: :status}, events)
+  defp handle_head(:http_eoh, %{status: status} = d, events) when status in 100..199,
+    do: decode_next(%{d | state: :status}, events)
 
-  defp head(:http_eoh, d, events) do
+  defp handle_head(:http_eoh, d, events) do
     headers = Enum.reverse(d.headers)
 
-    case body(d.status, headers) do
+    case body_state(d.status, headers) do
       {:error, why} ->
         {:error, why}
 
       :done ->
-        step(%{d | state: :done}, [:done, {:status, d.status, headers} | events])
+        decode_next(%{d | state: :done}, [:done, {:status, d.status, headers} | events])
 
       state ->
-        step(%{d | state: state}, [{:status, d.status, headers} | events])
+        decode_next(%{d | state: state}, [{:status, d.status, headers} | events])
     end
   end
 
-  defp head(_other, _d, _events), do: {:error, "its head is not HTTP"}
+  defp handle_head(_other, _d, _events), do: {:error, "its head is not HTTP"}
 
-  defp body(status, _headers) when status in [204, 304], do: :done
+  defp body_state(status, _headers) when status in [204, 304], do: :done
 
-  defp body(_status, headers) do
-    coding = headers |> value("transfer-encoding", "") |> String.downcase()
-    length = value(headers, "content-length", nil)
+  defp body_state(_status, headers) do
+    coding = headers |> header_value("transfer-encoding", "") |> String.downcase()
+    length = header_value(headers, "content-length", nil)
 
     cond do
       coding == "chunked" -> :size
@@ -112,35 +124,39 @@ defmodule Situ.Infer.Http.Decoder do
     end
   end
 
-  defp value(headers, name, default) do
+  defp header_value(headers, name, default) do
     case List.keyfind(headers, name, 0) do
       {_, value} -> value
       nil -> default
     end
   end
 
-  defp line(:size, text, d, events) do
+  defp handle_line(:size, text, d, events) do
     case Regex.run(~r/\A([0-9a-fA-F]{1,8})[ \t]*(;.*)?\z/, text) do
-      [_, hex | _] -> size(String.to_integer(hex, 16), d, events)
+      [_, hex | _] -> start_chunk(String.to_integer(hex, 16), d, events)
       nil -> {:error, "one of its chunks has no size"}
     end
   end
 
-  defp line(:gap, "", d, events), do: step(%{d | state: :size}, events)
-  defp line(:gap, _text, _d, _events), do: {:error, "one of its chunks is longer than announced"}
-  defp line(:trailer, "", d, events), do: step(%{d | state: :done}, [:done | events])
+  defp handle_line(:gap, "", d, events), do: decode_next(%{d | state: :size}, events)
 
-  defp line(:trailer, text, d, events) do
+  defp handle_line(:gap, _text, _d, _events),
+    do: {:error, "one of its chunks is longer than announced"}
+
+  defp handle_line(:trailer, "", d, events),
+    do: decode_next(%{d | state: :done}, [:done | events])
+
+  defp handle_line(:trailer, text, d, events) do
     head = d.head + byte_size(text)
-    if head > @head_bytes, do: too_long(), else: step(%{d | head: head}, events)
+    if head > @head_bytes, do: too_long(), else: decode_next(%{d | head: head}, events)
   end
 
-  defp size(0, d, events), do: step(%{d | state: :trailer}, events)
-  defp size(n, d, events), do: step(%{d | state: {:chunk, n}}, events)
+  defp start_chunk(0, d, events), do: decode_next(%{d | state: :trailer}, events)
+  defp start_chunk(n, d, events), do: decode_next(%{d | state: {:chunk, n}}, events)
 
-  defp after_data(:length, d, events), do: step(%{d | state: :done}, [:done | events])
-  defp after_data(:chunk, d, events), do: step(%{d | state: :gap}, events)
+  defp after_data(:length, d, events), do: decode_next(%{d | state: :done}, [:done | events])
+  defp after_data(:chunk, d, events), do: decode_next(%{d | state: :gap}, events)
 
-  defp data("", events), do: events
-  defp data(data, events), do: [{:data, data} | events]
+  defp add_data("", events), do: events
+  defp add_data(data, events), do: [{:data, data} | events]
 end

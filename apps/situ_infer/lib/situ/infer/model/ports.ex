@@ -6,8 +6,8 @@ defmodule Situ.Infer.Model.Ports do
   @type ports :: %{String.t() => {atom(), tuple()}}
 
   @doc "Checks that no input takes text, sequences or maps, as models of classical machine learning do."
-  @spec numbers(ports(), Path.t()) :: :ok | {:error, Error.t()}
-  def numbers(inputs, path) do
+  @spec check_numeric(ports(), Path.t()) :: :ok | {:error, Error.t()}
+  def check_numeric(inputs, path) do
     case for {name, {:unsupported, _}} <- inputs, do: inspect(name) do
       [] ->
         :ok
@@ -24,17 +24,17 @@ defmodule Situ.Infer.Model.Ports do
   end
 
   @doc "Checks that a model has the expected ports; `what` is \"input\" or \"output\"."
-  @spec check(ports(), map(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
-  def check(has, wanted, what, path) do
+  @spec check_ports(ports(), map(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
+  def check_ports(has, wanted, what, path) do
     Enum.find_value(wanted, :ok, fn {name, {type, shape}} ->
       case has do
         %{^name => {^type, have}} ->
-          if fits?(have, shape),
+          if shape_matches?(have, shape),
             do: nil,
-            else: mismatch(what, name, {type, have}, {type, shape}, path)
+            else: port_mismatch(what, name, {type, have}, {type, shape}, path)
 
         %{^name => have} ->
-          mismatch(what, name, have, {type, shape}, path)
+          port_mismatch(what, name, have, {type, shape}, path)
 
         _ ->
           {:error,
@@ -46,22 +46,22 @@ defmodule Situ.Infer.Model.Ports do
     end)
   end
 
-  defp mismatch(what, name, have, wanted, path) do
+  defp port_mismatch(what, name, have, wanted, path) do
     {:error,
      Error.new(
        :model_shape,
-       "#{what} #{inspect(name)} is #{show(have)}, expected #{show(wanted)} (#{path})",
+       "#{what} #{inspect(name)} is #{format_port(have)}, expected #{format_port(wanted)} (#{path})",
        fix: "use the model file this component is made for"
      )}
   end
 
   @doc "Formats a type and shape for people."
-  @spec show({atom(), tuple()}) :: String.t()
-  def show({type, shape}), do: "#{type} #{inspect(shape)}"
+  @spec format_port({atom(), tuple()}) :: String.t()
+  def format_port({type, shape}), do: "#{type} #{inspect(shape)}"
 
   @doc "Returns whether a shape matches the expected one. A free dimension is -1 in the file, and nil in `wanted`."
-  @spec fits?(tuple(), tuple()) :: boolean()
-  def fits?(have, wanted) do
+  @spec shape_matches?(tuple(), tuple()) :: boolean()
+  def shape_matches?(have, wanted) do
     tuple_size(have) == tuple_size(wanted) and
       Enum.zip(Tuple.to_list(have), Tuple.to_list(wanted))
       |> Enum.all?(fn {h, w} -> h == -1 or w == nil or h == w end)

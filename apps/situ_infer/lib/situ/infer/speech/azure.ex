@@ -60,7 +60,7 @@ defmodule Situ.Infer.Speech.Azure do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, stt, tts} <- urls(opts[:region], opts[:url]),
+         {:ok, stt, tts} <- service_urls(opts[:region], opts[:url]),
          own = Keyword.take(opts, Keyword.keys(Service.schema())),
          {:ok, recognizer} <- Service.new(stt, own, @key_header),
          {:ok, synthesizer} <- Service.new(tts, own, @key_header),
@@ -69,12 +69,12 @@ defmodule Situ.Infer.Speech.Azure do
             %__MODULE__{recognizer: recognizer, synthesizer: synthesizer, opts: Map.new(opts)}}
   end
 
-  defp urls(nil, nil),
+  defp service_urls(nil, nil),
     do: {:error, Error.new(:bad_option, "neither region: nor url: is given", fix: "set either")}
 
-  defp urls(nil, url), do: {:ok, url, url}
+  defp service_urls(nil, url), do: {:ok, url, url}
 
-  defp urls(region, _url) do
+  defp service_urls(region, _url) do
     if region =~ ~r/^[a-z0-9]+$/,
       do:
         {:ok, "https://#{region}.stt.speech.microsoft.com",
@@ -98,24 +98,24 @@ defmodule Situ.Infer.Speech.Azure do
     path = "/speech/recognition/conversation/cognitiveservices/v1?" <> query
     type = "audio/wav; codecs=audio/pcm; samplerate=16000"
 
-    with :ok <- short(sound),
-         {:ok, wav} <- Upload.wav(sound),
+    with :ok <- check_duration(sound),
+         {:ok, wav} <- Upload.encode_wav(sound),
          headers = [{"content-type", type}, {"accept", "application/json"}],
          {:ok, %{body: body}} <- Service.post(azure.recognizer, path, headers, wav),
-         do: result(Situ.JSON.decode(body))
+         do: parse_result(Situ.JSON.decode(body))
   end
 
-  defp short(sound) do
-    if AudioBuffer.duration(sound) <= @longest,
+  defp check_duration(sound) do
+    if AudioBuffer.duration_ns(sound) <= @longest,
       do: :ok,
       else: {:error, Error.new(:too_long, "the audio exceeds 60 s", fix: "split it at a pause")}
   end
 
-  defp result({:ok, %{"RecognitionStatus" => "Success", "NBest" => [best | others]}}) do
-    with {:ok, best} <- candidate(best) do
+  defp parse_result({:ok, %{"RecognitionStatus" => "Success", "NBest" => [best | others]}}) do
+    with {:ok, best} <- parse_candidate(best) do
       alternatives =
         for other <- others,
-            {:ok, other} <- [candidate(other)],
+            {:ok, other} <- [parse_candidate(other)],
             do: Map.take(other, [:text, :confidence])
 
       {:ok, Map.put(best, :alternatives, alternatives)}
@@ -123,11 +123,11 @@ defmodule Situ.Infer.Speech.Azure do
   end
 
   # The service recognized no speech.
-  defp result({:ok, %{"RecognitionStatus" => status}})
+  defp parse_result({:ok, %{"RecognitionStatus" => status}})
        when status in ["NoMatch", "InitialSilenceTimeout", "BabbleTimeout", "Success"],
        do: {:ok, %{text: "", confidence: 0.0, words: [], alternatives: []}}
 
-  defp result({:ok, %{"RecognitionStatus" => status}}) when is_binary(status),
+  defp parse_result({:ok, %{"RecognitionStatus" => status}}) when is_binary(status),
     do:
       {:error,
        Error.new(
@@ -135,9 +135,9 @@ defmodule Situ.Infer.Speech.Azure do
          "the service could not recognize the speech: #{String.slice(status, 0, 40)}"
        )}
 
-  defp result(_), do: {:error, Upload.bad_answer()}
+  defp parse_result(_), do: {:error, Upload.bad_answer()}
 
-  defp candidate(%{"Confidence" => p, "Display" => text} = json)
+  defp parse_candidate(%{"Confidence" => p, "Display" => text} = json)
        when is_number(p) and is_binary(text) do
     words =
       for %{"Word" => word, "Offset" => at, "Duration" => length} <- List.wrap(json["Words"]),
@@ -147,5 +147,5 @@ defmodule Situ.Infer.Speech.Azure do
     {:ok, %{text: text, confidence: p |> max(0) |> min(1) |> Kernel./(1), words: words}}
   end
 
-  defp candidate(_), do: {:error, Upload.bad_answer()}
+  defp parse_candidate(_), do: {:error, Upload.bad_answer()}
 end

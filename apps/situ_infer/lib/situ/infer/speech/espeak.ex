@@ -51,7 +51,7 @@ defmodule Situ.Infer.Speech.Espeak do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, program} <- program() do
+         {:ok, program} <- find_program() do
       [rate, pitch] = for key <- [:rate, :pitch], do: "#{round(opts[key])}"
 
       arguments =
@@ -65,7 +65,7 @@ defmodule Situ.Infer.Speech.Espeak do
     end
   end
 
-  defp program do
+  defp find_program do
     case System.find_executable("espeak-ng") do
       nil ->
         {:error,
@@ -82,9 +82,9 @@ defmodule Situ.Infer.Speech.Espeak do
   @impl true
   @spec speak(t(), String.t()) :: AudioBuffer.result()
   def speak(%__MODULE__{} = voice, text) do
-    case check(voice, text) do
-      {:ok, text} -> run(voice, text)
-      :nothing -> silence()
+    case prepare_text(voice, text) do
+      {:ok, text} -> run_espeak(voice, text)
+      :nothing -> silent_audio()
       error -> error
     end
   end
@@ -92,67 +92,68 @@ defmodule Situ.Infer.Speech.Espeak do
   @impl true
   @spec speak_marked(t(), String.t()) :: {:ok, AudioBuffer.t(), [Mark.t()]} | {:error, Error.t()}
   def speak_marked(%__MODULE__{} = voice, text) do
-    case check(voice, text) do
-      {:ok, text} -> mark(voice, text)
-      :nothing -> with {:ok, sound} <- silence(), do: {:ok, sound, []}
+    case prepare_text(voice, text) do
+      {:ok, text} -> speak_with_marks(voice, text)
+      :nothing -> with {:ok, sound} <- silent_audio(), do: {:ok, sound, []}
       error -> error
     end
   end
 
   # Returns the text to pass to espeak-ng.
-  defp check(voice, text) do
-    text = if "-m" in voice.arguments, do: harmless(text), else: text
-    with :ok <- check(text), do: {:ok, text}
+  defp prepare_text(voice, text) do
+    text = if "-m" in voice.arguments, do: remove_audio_tags(text), else: text
+    with :ok <- check_text(text), do: {:ok, text}
   end
 
   # Removing a tag may form a new tag from the surrounding text, so this repeats until nothing changes.
-  defp harmless(text) do
+  defp remove_audio_tags(text) do
     if String.valid?(text) do
       case String.replace(text, ~r{<\s*/?\s*audio\b[^>]*(>|\z)}i, "") do
         ^text -> text
-        less -> harmless(less)
+        less -> remove_audio_tags(less)
       end
     else
       text
     end
   end
 
-  defp check(text) do
+  defp check_text(text) do
     cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not valid text")
-      byte_size(text) > @longest -> bad("it has more than #{@longest} bytes")
+      not String.valid?(text) or String.contains?(text, <<0>>) -> bad_text("it is not valid text")
+      byte_size(text) > @longest -> bad_text("it has more than #{@longest} bytes")
       # A text without letters, numbers or symbols contains nothing to speak.
       not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
       true -> :ok
     end
   end
 
-  defp silence, do: AudioBuffer.new(format: Situ.AudioFormat.pcm(22_050), data: "")
+  defp silent_audio, do: AudioBuffer.new(format: Situ.AudioFormat.pcm(22_050), data: "")
 
-  defp bad(why),
+  defp bad_text(why),
     do:
       {:error,
        Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split it into sentences")}
 
-  defp run(voice, text) do
-    case command([voice.program, "--stdout"] ++ voice.arguments ++ ["--", text]) do
-      {wav, 0} -> sound(wav)
-      {_, status} -> {:error, failed(voice, status)}
+  defp run_espeak(voice, text) do
+    case run_command([voice.program, "--stdout"] ++ voice.arguments ++ ["--", text]) do
+      {wav, 0} -> parse_wav(wav)
+      {_, status} -> {:error, synthesis_error(voice, status)}
     end
   end
 
   # The program's error output is discarded because it would go to the terminal.
-  defp command(command) do
+  defp run_command(command) do
     limited = ["timeout", "-k", "1", "#{@seconds}" | command]
     System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | limited])
   end
 
-  defp mark(voice, text) do
+  defp speak_with_marks(voice, text) do
     program = Application.app_dir(:situ_infer, "priv/native/situ_speak")
 
-    case command([program | voice.marker] ++ [text]) do
+    case run_command([program | voice.marker] ++ [text]) do
       {bytes, 0} ->
-        with :error <- Frames.parse(bytes, text), do: {:error, failed(voice, "0, cut short")}
+        with :error <- Frames.parse(bytes, text),
+             do: {:error, synthesis_error(voice, "0, cut short")}
 
       {_, 3} ->
         {:error,
@@ -162,31 +163,31 @@ defmodule Situ.Infer.Speech.Espeak do
          )}
 
       {_, 4} ->
-        {:error, failed(voice, 1)}
+        {:error, synthesis_error(voice, 1)}
 
       {_, status} ->
-        {:error, failed(voice, status)}
+        {:error, synthesis_error(voice, status)}
     end
   end
 
   # The header is written before the data and announces a size that is too large.
-  defp sound(
+  defp parse_wav(
          <<"RIFF", _::32, "WAVEfmt ", 16::little-32, format::binary-16, "data", _::32,
            data::binary>>
        ) do
-    with {:ok, format} <- Format.parse(format) do
+    with {:ok, format} <- Format.parse_chunk(format) do
       AudioBuffer.new(format: format, data: binary_part(data, 0, div(byte_size(data), 2) * 2))
     end
   end
 
-  defp sound(_), do: silence()
+  defp parse_wav(_), do: silent_audio()
 
-  defp failed(%{arguments: ["-v", voice | _]}, 1) do
+  defp synthesis_error(%{arguments: ["-v", voice | _]}, 1) do
     Error.new(:bad_voice, "espeak-ng has no voice #{inspect(voice)}",
       fix: "use a voice listed by `espeak-ng --voices`"
     )
   end
 
-  defp failed(_voice, status),
+  defp synthesis_error(_voice, status),
     do: Error.new(:synthesis_failed, "espeak-ng exited with status #{status}")
 end

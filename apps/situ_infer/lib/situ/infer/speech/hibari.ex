@@ -66,10 +66,10 @@ defmodule Situ.Infer.Speech.Hibari do
     ]
 
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         :ok <- Phonemes.ready(),
-         {:ok, path} <- file(opts[:folder], "hibari.onnx"),
-         {:ok, vocabulary} <- vocabulary(opts[:folder]),
-         {:ok, model} <- Model.shared(path, settings),
+         :ok <- Phonemes.check_installed(),
+         {:ok, path} <- model_path(opts[:folder], "hibari.onnx"),
+         {:ok, vocabulary} <- load_vocabulary(opts[:folder]),
+         {:ok, model} <- Model.load_shared(path, settings),
          {:ok, vocoder} <- Vocoder.load() do
       {:ok,
        %__MODULE__{
@@ -81,11 +81,11 @@ defmodule Situ.Infer.Speech.Hibari do
     end
   end
 
-  defp file(nil, name), do: ModelStore.fetch(@name, name)
-  defp file(folder, name), do: {:ok, Path.join(folder, name)}
+  defp model_path(nil, name), do: ModelStore.fetch_path(@name, name)
+  defp model_path(folder, name), do: {:ok, Path.join(folder, name)}
 
-  defp vocabulary(folder) do
-    with {:ok, path} <- file(folder, "vocab.json"),
+  defp load_vocabulary(folder) do
+    with {:ok, path} <- model_path(folder, "vocab.json"),
          {:read, {:ok, text}} <- {:read, File.read(path)},
          {:json, {:ok, %{} = vocabulary}} <- {:json, Situ.JSON.decode(text)},
          true <- Enum.all?(vocabulary, fn {_, id} -> is_integer(id) and id >= 0 end) do
@@ -95,61 +95,67 @@ defmodule Situ.Infer.Speech.Hibari do
         error
 
       _ ->
-        {:error, Error.new(:bad_model, "invalid vocabulary of #{@name}", fix: fetch_again())}
+        {:error, Error.new(:bad_model, "invalid vocabulary of #{@name}", fix: download_hint())}
     end
   end
 
-  defp fetch_again, do: "download the model again with bin/lib/fetch-model #{@name}"
+  defp download_hint, do: "download the model again with bin/lib/fetch-model #{@name}"
 
   @impl true
   @spec speak(t(), String.t()) :: AudioBuffer.result()
   def speak(%__MODULE__{} = voice, text) do
     cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not valid text")
-      byte_size(text) > @longest -> bad("it has more than #{@longest} bytes")
-      true -> with {:ok, sentences} <- Phonemes.sentences(text), do: sentences(voice, sentences)
+      not String.valid?(text) or String.contains?(text, <<0>>) ->
+        bad_text("it is not valid text")
+
+      byte_size(text) > @longest ->
+        bad_text("it has more than #{@longest} bytes")
+
+      true ->
+        with {:ok, sentences} <- Phonemes.sentence_phonemes(text),
+             do: speak_sentences(voice, sentences)
     end
   end
 
-  defp bad(why),
+  defp bad_text(why),
     do:
       {:error,
        Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split it into sentences")}
 
-  defp sentences(voice, sentences) do
+  defp speak_sentences(voice, sentences) do
     sentences
-    |> Enum.flat_map(&pieces(ids(voice, &1)))
+    |> Enum.flat_map(&split_ids(phoneme_ids(voice, &1)))
     |> Enum.reduce_while({:ok, []}, fn ids, {:ok, sounds} ->
-      case sentence(voice, ids) do
+      case speak_ids(voice, ids) do
         {:ok, sound} -> {:cont, {:ok, [sound | sounds]}}
         error -> {:halt, error}
       end
     end)
-    |> joined()
+    |> join_audio()
   end
 
   # Unknown symbols are skipped.
-  defp ids(voice, phonemes) do
+  defp phoneme_ids(voice, phonemes) do
     for sign <- String.codepoints(phonemes), id = voice.vocabulary[sign], do: id
   end
 
-  defp pieces(ids), do: Enum.chunk_every(ids, @most_phonemes)
+  defp split_ids(ids), do: Enum.chunk_every(ids, @most_phonemes)
 
-  defp sentence(voice, ids) do
+  defp speak_ids(voice, ids) do
     inputs = %{
       "ids" => Tensor.from_list([0 | ids] ++ [0], :s64, {1, length(ids) + 2}),
       "speed" => Tensor.from_list([voice.speed], :f32, {1})
     }
 
     with {:ok, spectrum} <- Model.run(voice.model, inputs),
-         {:ok, floats} <- Vocoder.sound(voice.vocoder, spectrum),
+         {:ok, floats} <- Vocoder.synthesize_audio(voice.vocoder, spectrum),
          do: {:ok, floats}
   end
 
-  defp joined({:error, _} = error), do: error
+  defp join_audio({:error, _} = error), do: error
 
-  defp joined({:ok, sounds}) do
-    rate = Vocoder.rate()
+  defp join_audio({:ok, sounds}) do
+    rate = Vocoder.sample_rate()
     pause = :binary.copy(<<0::32>>, round(@pause * rate))
     data = sounds |> Enum.reverse() |> Enum.intersperse(pause) |> IO.iodata_to_binary()
     AudioBuffer.new(format: %AudioFormat{rate: rate, channels: 1, sample: :f32}, data: data)

@@ -59,24 +59,25 @@ defmodule Situ.Infer.Speech.Moonshine do
     settings = [warm_up: 0, schedule: :dirty, sessions: 1]
 
     with {:ok, opts} <- Situ.Options.validate(opts, schema),
-         {:ok, encoder} <- file(opts[:folder], "encoder_model.ort"),
-         {:ok, decoder} <- file(opts[:folder], "decoder_model_merged.ort"),
-         {:ok, vocabulary} <- file(opts[:folder], "tokenizer.bin"),
-         {:ok, tokenizer} <- tokenizer(vocabulary),
-         {:ok, encoder} <- Model.shared(encoder, settings),
-         {:ok, decoder} <- Model.shared(decoder, settings) do
+         {:ok, encoder} <- model_path(opts[:folder], "encoder_model.ort"),
+         {:ok, decoder} <- model_path(opts[:folder], "decoder_model_merged.ort"),
+         {:ok, vocabulary} <- model_path(opts[:folder], "tokenizer.bin"),
+         {:ok, tokenizer} <- load_tokenizer(vocabulary),
+         {:ok, encoder} <- Model.load_shared(encoder, settings),
+         {:ok, decoder} <- Model.load_shared(decoder, settings) do
       moonshine = %__MODULE__{encoder: encoder, decoder: decoder, tokenizer: tokenizer}
 
       # The first recognition is slow, so silence is recognized now, before anybody speaks.
-      with {:ok, _} <- transcribe(moonshine, AudioBuffer.silence(AudioFormat.pcm(@rate), @rate)),
+      with {:ok, _} <-
+             transcribe(moonshine, AudioBuffer.build_silence(AudioFormat.pcm(@rate), @rate)),
            do: {:ok, %{moonshine | alternatives: round(opts[:alternatives])}}
     end
   end
 
-  defp file(nil, name), do: ModelStore.fetch(@name, name)
-  defp file(folder, name), do: {:ok, Path.join(folder, name)}
+  defp model_path(nil, name), do: ModelStore.fetch_path(@name, name)
+  defp model_path(folder, name), do: {:ok, Path.join(folder, name)}
 
-  defp tokenizer(path) do
+  defp load_tokenizer(path) do
     with {:ok, bytes} <- File.read(path),
          {:ok, tokenizer} <- Tokenizer.parse(bytes) do
       {:ok, tokenizer}
@@ -96,13 +97,13 @@ defmodule Situ.Infer.Speech.Moonshine do
   @impl true
   @spec transcribe(t(), AudioBuffer.t()) :: {:ok, result()} | {:error, Error.t()}
   def transcribe(%__MODULE__{} = moonshine, %AudioBuffer{} = buffer) do
-    with :ok <- Samples.check(buffer),
+    with :ok <- Samples.check_buffer(buffer),
          {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :f32),
          {:ok, %{data: data} = sound} <- Sound.resample(mono, @rate) do
-      case AudioBuffer.frames(sound) do
+      case AudioBuffer.frame_count(sound) do
         n when n < @shortest -> {:ok, %{text: "", confidence: 0.0, alternatives: []}}
         n when n > @longest_s * @rate -> {:error, too_long(n)}
-        n -> decode(moonshine, Tensor.new(data, :f32, {1, n}), n)
+        n -> decode_audio(moonshine, Tensor.new(data, :f32, {1, n}), n)
       end
     end
   end
@@ -113,29 +114,29 @@ defmodule Situ.Infer.Speech.Moonshine do
     )
   end
 
-  defp decode(moonshine, sound, n) do
-    inputs = for {name, {:s64, _}} <- moonshine.encoder.inputs, do: {name, ones(n)}
+  defp decode_audio(moonshine, sound, n) do
+    inputs = for {name, {:s64, _}} <- moonshine.encoder.inputs, do: {name, ones_tensor(n)}
     [wave] = for {name, {:f32, _}} <- moonshine.encoder.inputs, do: name
 
     with {:ok, encoded} <- Model.run(moonshine.encoder, Map.new([{wave, sound} | inputs])) do
       [{_, hidden}] = Enum.to_list(encoded)
 
       fixed =
-        %{"encoder_hidden_states" => hidden, "encoder_attention_mask" => ones(n)}
+        %{"encoder_hidden_states" => hidden, "encoder_attention_mask" => ones_tensor(n)}
         |> Map.take(Map.keys(moonshine.decoder.inputs))
 
       past =
         for {"past" <> _ = name, {:f32, shape}} <- moonshine.decoder.inputs,
-            do: {name, nothing(shape)}
+            do: {name, empty_past(shape)}
 
       state = %{fixed: fixed, past: Map.new(past), left: ceil(n / @rate * @tokens_a_second) + 2}
 
-      with {:ok, steps} <- write(moonshine, state, @begin, false, [], []),
-           {:ok, others} <- others(moonshine, state, steps) do
-        best = result(moonshine, steps)
+      with {:ok, steps} <- generate_tokens(moonshine, state, @begin, false, [], []),
+           {:ok, others} <- decode_alternatives(moonshine, state, steps) do
+        best = build_result(moonshine, steps)
 
         others =
-          for(steps <- others, do: result(moonshine, steps))
+          for(steps <- others, do: build_result(moonshine, steps))
           |> Enum.uniq_by(& &1.text)
           |> Enum.reject(&(&1.text in ["", best.text]))
 
@@ -145,9 +146,9 @@ defmodule Situ.Infer.Speech.Moonshine do
   end
 
   # Decodes again from each of the least certain positions, with the second likeliest token there.
-  defp others(%{alternatives: 0}, _state, _steps), do: {:ok, []}
+  defp decode_alternatives(%{alternatives: 0}, _state, _steps), do: {:ok, []}
 
-  defp others(moonshine, state, steps) do
+  defp decode_alternatives(moonshine, state, steps) do
     tokens = Enum.map(steps, fn {token, _, _} -> token end)
 
     steps
@@ -155,23 +156,30 @@ defmodule Situ.Infer.Speech.Moonshine do
     |> Enum.sort_by(fn {{_, _, {_, p}}, _} -> -p end)
     |> Enum.take(moonshine.alternatives)
     |> Enum.reduce_while({:ok, []}, fn {{_, _, {second, _}}, place}, {:ok, others} ->
-      case write(moonshine, state, @begin, false, Enum.take(tokens, place) ++ [second], []) do
+      case generate_tokens(
+             moonshine,
+             state,
+             @begin,
+             false,
+             Enum.take(tokens, place) ++ [second],
+             []
+           ) do
         {:ok, steps} -> {:cont, {:ok, [steps | others]}}
         error -> {:halt, error}
       end
     end)
   end
 
-  defp ones(n), do: Tensor.new(:binary.copy(<<1::64-native>>, n), :s64, {1, n})
+  defp ones_tensor(n), do: Tensor.new(:binary.copy(<<1::64-native>>, n), :s64, {1, n})
 
   # The first step ignores the past, but its tensors must exist.
-  defp nothing(shape) do
+  defp empty_past(shape) do
     [_, heads, _, width] = Tuple.to_list(shape)
     Tensor.zeros(:f32, {1, heads, 1, width})
   end
 
   # A step is a token with its probability, and the second likeliest token with its own. `forced` are the first tokens.
-  defp write(moonshine, state, token, again?, forced, steps) do
+  defp generate_tokens(moonshine, state, token, again?, forced, steps) do
     inputs =
       state.fixed
       |> Map.merge(state.past)
@@ -179,20 +187,20 @@ defmodule Situ.Infer.Speech.Moonshine do
       |> Map.put("use_cache_branch", Tensor.from_list([again?], :bool, {1}))
 
     with {:ok, %{"logits" => logits} = outputs} <- Model.run(moonshine.decoder, inputs) do
-      {{next, _, _} = step, forced} = step(logits, forced)
+      {{next, _, _} = step, forced} = choose_token(logits, forced)
       steps = [step | steps]
 
       if next == @finish or state.left <= 1 do
         {:ok, Enum.reverse(steps)}
       else
-        state = %{state | past: remember(state.past, outputs, again?), left: state.left - 1}
-        write(moonshine, state, next, true, forced, steps)
+        state = %{state | past: update_past(state.past, outputs, again?), left: state.left - 1}
+        generate_tokens(moonshine, state, next, true, forced, steps)
       end
     end
   end
 
-  defp step(logits, forced) do
-    {best, second, of} = likeliest(logits)
+  defp choose_token(logits, forced) do
+    {best, second, of} = top_two_tokens(logits)
 
     case forced do
       [] -> {{best, of.(best), {second, of.(second)}}, []}
@@ -201,7 +209,7 @@ defmodule Situ.Infer.Speech.Moonshine do
   end
 
   # The encoder's part of the past does not change after the first step.
-  defp remember(past, outputs, again?) do
+  defp update_past(past, outputs, again?) do
     for {"present" <> rest, tensor} <- outputs,
         not again? or not String.contains?(rest, "encoder"),
         into: past,
@@ -210,44 +218,44 @@ defmodule Situ.Infer.Speech.Moonshine do
 
   # Returns the tokens of the two largest logits and a function for the probability of any token. The vocabulary is
   # traversed once for the logits and once for the sum.
-  defp likeliest(%Tensor{data: data, shape: shape}) do
+  defp top_two_tokens(%Tensor{data: data, shape: shape}) do
     row = 4 * elem(shape, tuple_size(shape) - 1)
     data = binary_part(data, byte_size(data) - row, row)
-    {most, best, _, second, _} = largest(data, {-1.0e30, 0, -1.0e30, 0, 0})
-    total = total(data, most, 0.0)
-    {best, second, fn token -> :math.exp(max(logit(data, token) - most, -80.0)) / total end}
+    {most, best, _, second, _} = find_largest(data, {-1.0e30, 0, -1.0e30, 0, 0})
+    total = sum_exponentials(data, most, 0.0)
+    {best, second, fn token -> :math.exp(max(read_logit(data, token) - most, -80.0)) / total end}
   end
 
-  defp logit(data, token) do
+  defp read_logit(data, token) do
     case binary_part(data, 4 * token, 4) do
       <<v::float-native-32>> -> v
       _ -> -1.0e30
     end
   end
 
-  defp largest(<<v::float-native-32, rest::binary>>, {most, best, _next, _second, i})
+  defp find_largest(<<v::float-native-32, rest::binary>>, {most, best, _next, _second, i})
        when v > most,
-       do: largest(rest, {v, i, most, best, i + 1})
+       do: find_largest(rest, {v, i, most, best, i + 1})
 
-  defp largest(<<v::float-native-32, rest::binary>>, {most, best, next, _second, i})
+  defp find_largest(<<v::float-native-32, rest::binary>>, {most, best, next, _second, i})
        when v > next,
-       do: largest(rest, {most, best, v, i, i + 1})
+       do: find_largest(rest, {most, best, v, i, i + 1})
 
-  defp largest(<<_::32, rest::binary>>, {most, best, next, second, i}),
-    do: largest(rest, {most, best, next, second, i + 1})
+  defp find_largest(<<_::32, rest::binary>>, {most, best, next, second, i}),
+    do: find_largest(rest, {most, best, next, second, i + 1})
 
-  defp largest(<<>>, found), do: found
+  defp find_largest(<<>>, found), do: found
 
-  defp total(<<v::float-native-32, rest::binary>>, best, sum) when best - v < 20.0,
-    do: total(rest, best, sum + :math.exp(v - best))
+  defp sum_exponentials(<<v::float-native-32, rest::binary>>, best, sum) when best - v < 20.0,
+    do: sum_exponentials(rest, best, sum + :math.exp(v - best))
 
-  defp total(<<_::32, rest::binary>>, best, sum), do: total(rest, best, sum)
-  defp total(<<>>, _best, sum), do: max(sum, 1.0)
+  defp sum_exponentials(<<_::32, rest::binary>>, best, sum), do: sum_exponentials(rest, best, sum)
+  defp sum_exponentials(<<>>, _best, sum), do: max(sum, 1.0)
 
-  defp result(moonshine, steps) do
+  defp build_result(moonshine, steps) do
     tokens = for {token, _, _} <- steps, token != @finish, do: token
     log = for {_, p, _} <- steps, reduce: 0.0, do: (log -> log + :math.log(max(p, 1.0e-9)))
-    text = Tokenizer.text(moonshine.tokenizer, tokens)
+    text = Tokenizer.decode_tokens(moonshine.tokenizer, tokens)
     %{text: text, confidence: :math.exp(log / length(steps))}
   end
 end

@@ -67,7 +67,7 @@ defmodule Situ.Infer.Speech.OpenAI do
   @spec transcribe(t(), AudioBuffer.t()) ::
           {:ok, Situ.Infer.Speech.Recognizer.result()} | {:error, Error.t()}
   def transcribe(%__MODULE__{service: service, opts: opts}, %AudioBuffer{} = sound) do
-    with {:ok, wav} <- Upload.wav(sound) do
+    with {:ok, wav} <- Upload.encode_wav(sound) do
       fields = [
         {"model", opts.recognizer},
         {"response_format", "verbose_json"},
@@ -76,33 +76,33 @@ defmodule Situ.Infer.Speech.OpenAI do
         | if(opts.language, do: [{"language", opts.language}], else: [])
       ]
 
-      {type, body} = Upload.form(fields, {"file", "speech.wav", "audio/wav", wav})
+      {type, body} = Upload.encode_form(fields, {"file", "speech.wav", "audio/wav", wav})
 
       with {:ok, %{body: body}} <-
              Service.post(service, "/audio/transcriptions", [{"content-type", type}], body),
-           do: result(Situ.JSON.decode(body))
+           do: parse_result(Situ.JSON.decode(body))
     end
   end
 
-  defp result({:ok, %{"text" => text} = json}) when is_binary(text) do
+  defp parse_result({:ok, %{"text" => text} = json}) when is_binary(text) do
     words =
-      for %{"word" => word, "start" => from, "end" => to} <- list(json["words"]),
+      for %{"word" => word, "start" => from, "end" => to} <- list_or_empty(json["words"]),
           is_binary(word) and is_number(from) and is_number(to) and from >= 0 and to >= from,
           do: %{text: String.trim(word), from: round(from * 1.0e9), to: round(to * 1.0e9)}
 
     {:ok,
      %{
        text: String.trim(text),
-       confidence: confidence(text, json),
+       confidence: mean_confidence(text, json),
        words: words,
        alternatives: []
      }}
   end
 
-  defp result(_), do: {:error, Upload.bad_answer()}
+  defp parse_result(_), do: {:error, Upload.bad_answer()}
 
-  defp confidence(text, json) do
-    logs = for %{"avg_logprob" => log} <- list(json["segments"]), is_number(log), do: log
+  defp mean_confidence(text, json) do
+    logs = for %{"avg_logprob" => log} <- list_or_empty(json["segments"]), is_number(log), do: log
 
     cond do
       String.trim(text) == "" ->
@@ -116,6 +116,6 @@ defmodule Situ.Infer.Speech.OpenAI do
     end
   end
 
-  defp list(list) when is_list(list), do: list
-  defp list(_), do: []
+  defp list_or_empty(list) when is_list(list), do: list
+  defp list_or_empty(_), do: []
 end

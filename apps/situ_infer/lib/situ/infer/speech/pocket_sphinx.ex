@@ -79,10 +79,10 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, program} <- program(@program),
-         {:ok, listener} <- program(@listener),
-         {:ok, phones} <- phones(),
-         {:ok, grammar} <- grammar(opts[:grammar]) do
+         {:ok, program} <- find_program(@program),
+         {:ok, listener} <- find_program(@listener),
+         {:ok, phones} <- find_phone_model(),
+         {:ok, grammar} <- load_grammar(opts[:grammar]) do
       {:ok,
        %__MODULE__{
          program: program,
@@ -96,14 +96,14 @@ defmodule Situ.Infer.Speech.PocketSphinx do
     end
   end
 
-  defp program(name) do
+  defp find_program(name) do
     case System.find_executable(name) do
-      nil -> {:error, missing("the program #{name} is not installed")}
+      nil -> {:error, not_installed_error("the program #{name} is not installed")}
       path -> {:ok, path}
     end
   end
 
-  defp phones do
+  defp find_phone_model do
     folders = [System.get_env("POCKETSPHINX_PATH"), "/usr/share/pocketsphinx/model"]
 
     folders
@@ -111,26 +111,28 @@ defmodule Situ.Infer.Speech.PocketSphinx do
     |> Enum.map(&Path.join([&1, @phone_model]))
     |> Enum.find(&File.regular?/1)
     |> case do
-      nil -> {:error, missing("PocketSphinx has no English model")}
+      nil -> {:error, not_installed_error("PocketSphinx has no English model")}
       path -> {:ok, path}
     end
   end
 
-  defp missing(what) do
+  defp not_installed_error(what) do
     Error.new(:no_pocketsphinx, what,
       fix: "install it: apt-get install pocketsphinx pocketsphinx-en-us"
     )
   end
 
-  defp grammar(nil), do: {:ok, nil}
+  defp load_grammar(nil), do: {:ok, nil}
 
-  defp grammar(given) do
-    with {:ok, text} <- text(given), {:ok, jsgf} <- Jsgf.parse(text), do: {:ok, {text, jsgf}}
+  defp load_grammar(given) do
+    with {:ok, text} <- read_grammar(given),
+         {:ok, jsgf} <- Jsgf.parse(text),
+         do: {:ok, {text, jsgf}}
   end
 
-  defp text("#JSGF" <> _ = text), do: {:ok, text}
+  defp read_grammar("#JSGF" <> _ = text), do: {:ok, text}
 
-  defp text(path) do
+  defp read_grammar(path) do
     with {:error, why} <- File.read(path) do
       what = "cannot read a grammar: #{:file.format_error(why)}"
       {:error, Error.new(:no_grammar, what, fix: "check the path #{path}")}
@@ -141,62 +143,78 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   @spec transcribe(t(), Situ.AudioBuffer.t()) ::
           {:ok, Situ.Infer.Speech.Recognizer.result()} | {:error, Error.t()}
   def transcribe(%__MODULE__{} = sphinx, buffer) do
-    with :ok <- Situ.Infer.Samples.check(buffer),
+    with :ok <- Situ.Infer.Samples.check_buffer(buffer),
          {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :s16),
          {:ok, sound} <- Sound.resample(mono, 16_000) do
       Situ.Scratch.with_folder("sphinx", fn folder ->
         File.write!(Path.join(folder, "sound.raw"), sound.data)
         File.write!(Path.join(folder, "list"), "sound\n")
-        hear(sphinx, folder)
+        recognize_file(sphinx, folder)
       end)
     end
   end
 
-  defp hear(%{keyword: keyword} = sphinx, folder) when is_binary(keyword) do
+  defp recognize_file(%{keyword: keyword} = sphinx, folder) when is_binary(keyword) do
     arguments = ["-infile", Path.join(folder, "sound.raw"), "-time", "yes"]
     phrase = ["-keyphrase", keyword, "-kws_threshold", Float.to_string(sphinx.threshold)]
 
-    with {:ok, heard} <- run(sphinx.listener, arguments ++ phrase),
-         do: {:ok, Output.keyword(heard)}
+    with {:ok, heard} <- run_program(sphinx.listener, arguments ++ phrase),
+         do: {:ok, Output.parse_keyword_output(heard)}
   end
 
-  defp hear(sphinx, folder) do
+  defp recognize_file(sphinx, folder) do
     several = ["-nbest", "#{40 * sphinx.alternatives}", "-nbestdir", folder]
 
-    with {:ok, _} <- decode(sphinx, folder, "said", search(sphinx, folder) ++ several) do
-      said = Output.segments(read(folder, "said"))
-      others = folder |> read("sound.hyp") |> Output.alternatives() |> whole(sphinx.grammar)
-      result(said, others, sphinx, folder)
+    with {:ok, _} <-
+           run_decoder(sphinx, folder, "said", search_arguments(sphinx, folder) ++ several) do
+      said = Output.parse_segments(read_output(folder, "said"))
+
+      others =
+        folder
+        |> read_output("sound.hyp")
+        |> Output.parse_alternatives()
+        |> filter_complete(sphinx.grammar)
+
+      build_result(said, others, sphinx, folder)
     end
   end
 
-  defp result(%{words: []}, _others, _sphinx, _folder),
+  defp build_result(%{words: []}, _others, _sphinx, _folder),
     do: {:ok, %{text: "", confidence: 0.0, words: [], alternatives: []}}
 
-  defp result(said, others, %{grammar: nil} = sphinx, _folder),
-    do: {:ok, Output.result(said, others, Output.share(said, others), sphinx.alternatives)}
+  defp build_result(said, others, %{grammar: nil} = sphinx, _folder),
+    do:
+      {:ok,
+       Output.build_result(said, others, Output.result_share(said, others), sphinx.alternatives)}
 
-  defp result(said, others, sphinx, folder) do
-    with {:ok, _} <- decode(sphinx, folder, "phones", ["-allphone", sphinx.phones | @phones]) do
-      phones = Output.segments(read(folder, "phones"))
-      {:ok, Output.result(said, others, Output.confidence(said, phones), sphinx.alternatives)}
+  defp build_result(said, others, sphinx, folder) do
+    with {:ok, _} <- run_decoder(sphinx, folder, "phones", ["-allphone", sphinx.phones | @phones]) do
+      phones = Output.parse_segments(read_output(folder, "phones"))
+
+      {:ok,
+       Output.build_result(
+         said,
+         others,
+         Output.phone_confidence(said, phones),
+         sphinx.alternatives
+       )}
     end
   end
 
-  defp decode(sphinx, folder, name, search) do
+  defp run_decoder(sphinx, folder, name, search) do
     sound = ["-adcin", "yes", "-cepdir", folder, "-cepext", ".raw", "-ctl", "#{folder}/list"]
     results = ["-hyp", "#{folder}/#{name}.text", "-hypseg", Path.join(folder, name)]
-    run(sphinx.program, sound ++ results ++ search)
+    run_program(sphinx.program, sound ++ results ++ search)
   end
 
-  defp read(folder, name) do
+  defp read_output(folder, name) do
     case File.read(Path.join(folder, name)) do
       {:ok, text} -> text
       {:error, _} -> ""
     end
   end
 
-  defp run(program, arguments) do
+  defp run_program(program, arguments) do
     command = ["timeout", "-k", "1", "#{@seconds}", program, "-logfn", "/dev/null" | arguments]
 
     case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
@@ -212,26 +230,26 @@ defmodule Situ.Infer.Speech.PocketSphinx do
     end
   end
 
-  defp search(%{grammar: nil}, _folder), do: []
+  defp search_arguments(%{grammar: nil}, _folder), do: []
 
-  defp search(%{grammar: {grammar, _}} = sphinx, folder) do
+  defp search_arguments(%{grammar: {grammar, _}} = sphinx, folder) do
     path = Path.join(folder, "grammar.gram")
     File.write!(path, grammar)
     ["-jsgf", path | if(sphinx.alternatives > 0, do: @wide, else: [])]
   end
 
   # PocketSphinx also lists incomplete sentences, which are removed.
-  defp whole(others, nil), do: others
+  defp filter_complete(others, nil), do: others
 
-  defp whole(others, {_, jsgf}) do
+  defp filter_complete(others, {_, jsgf}) do
     for {text, _} = other <- others,
         words = text |> String.split() |> List.to_tuple(),
         Enum.any?(
           jsgf.public,
-          &match?([{n, _} | _] when n == tuple_size(words), ends(jsgf, &1, words))
+          &match?([{n, _} | _] when n == tuple_size(words), match_ends(jsgf, &1, words))
         ),
         do: other
   end
 
-  defp ends(jsgf, rule, words), do: Matcher.ends(jsgf, rule, words, 0)
+  defp match_ends(jsgf, rule, words), do: Matcher.find_ends(jsgf, rule, words, 0)
 end

@@ -6,38 +6,38 @@ defmodule Situ.Infer.Speech.Tokenizer do
   `(first - 128) + second * 128`. `▁` (U+2581) represents a space.
 
       iex> {:ok, tokenizer} = Situ.Infer.Speech.Tokenizer.parse(<<0, 5, "▁go", 3, "ing">>)
-      iex> Situ.Infer.Speech.Tokenizer.text(tokenizer, [1, 2])
+      iex> Situ.Infer.Speech.Tokenizer.decode_tokens(tokenizer, [1, 2])
       "going"
       iex> Situ.Infer.Speech.Tokenizer.parse(<<9, "short">>)
       :error
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
   @type t :: tuple()
 
   @doc "Parses a vocabulary file."
   @spec parse(binary()) :: {:ok, t()} | :error
-  def parse(bytes), do: entries(bytes, [])
+  def parse(bytes), do: parse_entries(bytes, [])
 
-  defp entries(<<>>, found), do: {:ok, found |> Enum.reverse() |> List.to_tuple()}
+  defp parse_entries(<<>>, found), do: {:ok, found |> Enum.reverse() |> List.to_tuple()}
 
-  defp entries(<<size, token::binary-size(size), rest::binary>>, found) when size < 128,
-    do: entries(rest, [token | found])
+  defp parse_entries(<<size, token::binary-size(size), rest::binary>>, found) when size < 128,
+    do: parse_entries(rest, [token | found])
 
-  defp entries(<<low, high, rest::binary>>, found) when low >= 128 do
+  defp parse_entries(<<low, high, rest::binary>>, found) when low >= 128 do
     size = low - 128 + high * 128
 
     case rest do
-      <<token::binary-known(size), rest::binary>> -> entries(rest, [token | found])
+      <<token::binary-pinned_size(size), rest::binary>> -> parse_entries(rest, [token | found])
       _ -> :error
     end
   end
 
-  defp entries(_, _found), do: :error
+  defp parse_entries(_, _found), do: :error
 
   @doc "Decodes tokens to text; numbers outside the vocabulary and incomplete characters are skipped."
-  @spec text(t(), [non_neg_integer()]) :: String.t()
-  def text(tokenizer, tokens) do
+  @spec decode_tokens(t(), [non_neg_integer()]) :: String.t()
+  def decode_tokens(tokenizer, tokens) do
     for(t <- tokens, t < tuple_size(tokenizer), into: "", do: elem(tokenizer, t))
     |> String.codepoints()
     |> Enum.filter(&String.valid?/1)

@@ -7,8 +7,8 @@ defmodule Situ.Infer.Speech.Upload do
   @longest_text 20_000
 
   @doc "Encodes audio as a 16 kHz mono WAV file."
-  @spec wav(AudioBuffer.t()) :: {:ok, binary()} | {:error, Error.t()}
-  def wav(sound) do
+  @spec encode_wav(AudioBuffer.t()) :: {:ok, binary()} | {:error, Error.t()}
+  def encode_wav(sound) do
     with {:ok, mono} <- Sound.reformat(sound, channels: 1, sample: :s16),
          {:ok, %{data: data}} <- Sound.resample(mono, @rate) do
       size = byte_size(data)
@@ -21,9 +21,9 @@ defmodule Situ.Infer.Speech.Upload do
   end
 
   @doc "Encodes a form with a file; returns its content type and body."
-  @spec form([{String.t(), String.t()}], {String.t(), String.t(), String.t(), binary()}) ::
+  @spec encode_form([{String.t(), String.t()}], {String.t(), String.t(), String.t(), binary()}) ::
           {String.t(), iodata()}
-  def form(fields, {name, file, type, bytes}) do
+  def encode_form(fields, {name, file, type, bytes}) do
     # A random boundary of 128 bits does not occur in the audio.
     border = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(16))
 
@@ -51,17 +51,17 @@ defmodule Situ.Infer.Speech.Upload do
   end
 
   @doc "Checks that a text can be spoken; returns `:nothing` if it contains nothing to speak."
-  @spec text(String.t()) :: :ok | :nothing | {:error, Error.t()}
-  def text(text) do
+  @spec check_text(String.t()) :: :ok | :nothing | {:error, Error.t()}
+  def check_text(text) do
     cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not valid text")
-      byte_size(text) > @longest_text -> bad("it has more than #{@longest_text} bytes")
+      not String.valid?(text) or String.contains?(text, <<0>>) -> bad_text("it is not valid text")
+      byte_size(text) > @longest_text -> bad_text("it has more than #{@longest_text} bytes")
       not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
       true -> :ok
     end
   end
 
-  defp bad(why) do
+  defp bad_text(why) do
     {:error, Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split the text")}
   end
 
@@ -74,8 +74,8 @@ defmodule Situ.Infer.Speech.Upload do
   end
 
   @doc "Escapes text for an XML document."
-  @spec escape(String.t()) :: String.t()
-  def escape(text) do
+  @spec escape_xml(String.t()) :: String.t()
+  def escape_xml(text) do
     text
     |> String.replace(~r/[\x00-\x08\x0b\x0c\x0e-\x1f]/, "")
     |> String.replace("&", "&amp;")

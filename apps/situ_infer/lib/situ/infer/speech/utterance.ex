@@ -7,7 +7,7 @@ defmodule Situ.Infer.Speech.Utterance do
   texts, likeliest first. Otherwise both are empty.
 
       iex> said = %Situ.Infer.Speech.Utterance{text: "Ten of clubs.", from: 0, to: 900_000_000, confidence: 0.9}
-      iex> Situ.Infer.Speech.Utterance.words(said.text)
+      iex> Situ.Infer.Speech.Utterance.normalize_words(said.text)
       ["ten", "of", "clubs"]
   """
   alias Situ.Intent.Number
@@ -28,25 +28,25 @@ defmodule Situ.Infer.Speech.Utterance do
   @doc """
   Splits a text into words for comparison, without case and punctuation, and with numbers and titles written out.
 
-      iex> Situ.Infer.Speech.Utterance.words("Mr. Dashwood, 10 meters!")
+      iex> Situ.Infer.Speech.Utterance.normalize_words("Mr. Dashwood, 10 meters!")
       ["mister", "dashwood", "ten", "meters"]
   """
-  @spec words(String.t()) :: [String.t()]
-  def words(text) do
+  @spec normalize_words(String.t()) :: [String.t()]
+  def normalize_words(text) do
     text
     |> String.downcase()
     |> String.replace(~r/[^\p{L}\p{N}' ]/u, " ")
     |> String.split()
-    |> Enum.flat_map(&spoken/1)
+    |> Enum.flat_map(&spell_out/1)
   end
 
-  defp spoken("mr"), do: ["mister"]
-  defp spoken("mrs"), do: ["missus"]
-  defp spoken("dr"), do: ["doctor"]
+  defp spell_out("mr"), do: ["mister"]
+  defp spell_out("mrs"), do: ["missus"]
+  defp spell_out("dr"), do: ["doctor"]
 
-  defp spoken(word) do
+  defp spell_out(word) do
     if word =~ ~r/\A(0|[1-9][0-9]{0,2})\z/,
-      do: word |> String.to_integer() |> Number.words() |> String.split(),
+      do: word |> String.to_integer() |> Number.to_words() |> String.split(),
       else: [word]
   end
 
@@ -61,25 +61,25 @@ defmodule Situ.Infer.Speech.Utterance do
   """
   @spec error_rate(String.t(), String.t()) :: float()
   def error_rate(truth, heard) do
-    {truth, heard} = {words(truth), words(heard)}
-    distance(truth, heard) / max(length(truth), 1)
+    {truth, heard} = {normalize_words(truth), normalize_words(heard)}
+    edit_distance(truth, heard) / max(length(truth), 1)
   end
 
   # Computes the Levenshtein distance one row at a time.
-  defp distance(truth, heard) do
+  defp edit_distance(truth, heard) do
     first = Enum.to_list(0..length(heard))
 
     truth
     |> Enum.reduce(first, fn word, [corner | above] ->
-      row(word, heard, above, corner, [corner + 1])
+      distance_row(word, heard, above, corner, [corner + 1])
     end)
     |> List.last()
   end
 
-  defp row(_word, [], [], _corner, row), do: Enum.reverse(row)
+  defp distance_row(_word, [], [], _corner, row), do: Enum.reverse(row)
 
-  defp row(word, [other | heard], [up | above], corner, [left | _] = row) do
+  defp distance_row(word, [other | heard], [up | above], corner, [left | _] = row) do
     change = if word == other, do: corner, else: corner + 1
-    row(word, heard, above, up, [Enum.min([change, up + 1, left + 1]) | row])
+    distance_row(word, heard, above, up, [Enum.min([change, up + 1, left + 1]) | row])
   end
 end

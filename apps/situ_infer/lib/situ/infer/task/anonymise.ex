@@ -5,7 +5,7 @@ defmodule Situ.Infer.Task.Anonymise do
 
   Faces are found by a detector that may miss some (`Situ.Infer.FaceBlur`), so check the result before you share it.
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.{AudioBuffer, AudioFormat}
 
   @second 1_000_000_000
@@ -54,8 +54,8 @@ defmodule Situ.Infer.Task.Anonymise do
   @doc "Builds the pipeline of one session."
   @spec build(Situ.Graph.Handle.t(), keyword()) :: term()
   def build(_p, opts) do
-    spans = spans(opts[:mute], start(opts[:streams]))
-    kept = Enum.reject(opts[:streams], fn {_, info} -> fits?(info.name, opts[:drop]) end)
+    spans = parse_spans(opts[:mute], session_start(opts[:streams]))
+    kept = Enum.reject(opts[:streams], fn {_, info} -> matches_any?(info.name, opts[:drop]) end)
     names = for {_, info} <- kept, do: info.name
 
     for {partition, info} <- kept do
@@ -67,22 +67,22 @@ defmodule Situ.Infer.Task.Anonymise do
 
       "[#{partition}]:#{info.name}"
       |> opts[:open].()
-      |> changed(info, spans, opts)
+      |> anonymise_stream(info, spans, opts)
       |> opts[:write].(name)
     end
   end
 
-  defp changed(stream, %{type: AudioBuffer}, [_ | _] = spans, _opts),
-    do: Situ.map(stream, &muted(&1, &2.originating_time, spans), type: AudioBuffer)
+  defp anonymise_stream(stream, %{type: AudioBuffer}, [_ | _] = spans, _opts),
+    do: Situ.map(stream, &mute_spans(&1, &2.originating_time, spans), type: AudioBuffer)
 
-  defp changed(stream, %{type: type} = info, _spans, opts)
+  defp anonymise_stream(stream, %{type: type} = info, _spans, opts)
        when type in [Situ.Image, Situ.EncodedImage] do
-    if fits?(info.name, opts[:blur]), do: blurred(stream, type, opts), else: stream
+    if matches_any?(info.name, opts[:blur]), do: blur_faces(stream, type, opts), else: stream
   end
 
-  defp changed(stream, _info, _spans, _opts), do: stream
+  defp anonymise_stream(stream, _info, _spans, _opts), do: stream
 
-  defp blurred(stream, type, opts) do
+  defp blur_faces(stream, type, opts) do
     pictures = if type == Situ.EncodedImage, do: Situ.Vision.decode(stream), else: stream
     detector = [min_score: opts[:min_score], tile_score: max(opts[:min_score], 0.5), every: 0]
 
@@ -92,25 +92,26 @@ defmodule Situ.Infer.Task.Anonymise do
     |> Situ.Vision.encode_jpeg(quality: opts[:quality])
   end
 
-  defp start(streams) do
+  defp session_start(streams) do
     streams
     |> Enum.map(fn {_, info} -> info.first end)
     |> Enum.reject(&is_nil/1)
     |> Enum.min(fn -> 0 end)
   end
 
-  defp spans(texts, start), do: for(text <- texts, do: text |> span!() |> later(start))
+  defp parse_spans(texts, start),
+    do: for(text <- texts, do: text |> parse_span!() |> shift_span(start))
 
-  defp later({from, to}, start), do: {start + from, start + to}
+  defp shift_span({from, to}, start), do: {start + from, start + to}
 
   @doc """
   Parses a time span such as `12.5-14` into nanoseconds; raises `Situ.Error`, `:bad_option`.
 
-      iex> Situ.Infer.Task.Anonymise.span!("12.5-14")
+      iex> Situ.Infer.Task.Anonymise.parse_span!("12.5-14")
       {12_500_000_000, 14_000_000_000}
   """
-  @spec span!(String.t()) :: {Situ.Time.duration(), Situ.Time.duration()}
-  def span!(text) do
+  @spec parse_span!(String.t()) :: {Situ.Time.duration(), Situ.Time.duration()}
+  def parse_span!(text) do
     with [from, to] <- String.split(text, "-"),
          {from, ""} <- Float.parse(String.trim(from)),
          {to, ""} <- Float.parse(String.trim(to)),
@@ -124,9 +125,9 @@ defmodule Situ.Infer.Task.Anonymise do
     end
   end
 
-  defp fits?(name, patterns), do: Enum.any?(patterns, &(name =~ pattern(&1)))
+  defp matches_any?(name, patterns), do: Enum.any?(patterns, &(name =~ compile_pattern(&1)))
 
-  defp pattern(text) do
+  defp compile_pattern(text) do
     source = text |> String.split("*") |> Enum.map_join(".*", &Regex.escape/1)
     Regex.compile!("\\A" <> source <> "\\z", "su")
   end
@@ -135,12 +136,13 @@ defmodule Situ.Infer.Task.Anonymise do
   Mutes an audio buffer that ends at `time` within the spans (in ns, the end excluded).
 
       iex> buffer = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(4))
-      iex> muted = Situ.Infer.Task.Anonymise.muted(buffer, 1_000_000_000, [{250_000_000, 750_000_000}])
+      iex> muted = Situ.Infer.Task.Anonymise.mute_spans(buffer, 1_000_000_000, [{250_000_000, 750_000_000}])
       iex> Situ.AudioBuffer.to_samples(muted)
       [1, 0, 0, 4]
   """
-  @spec muted(AudioBuffer.t(), Situ.Time.t(), [{Situ.Time.t(), Situ.Time.t()}]) :: AudioBuffer.t()
-  def muted(%AudioBuffer{format: format, data: data} = buffer, time, spans) do
+  @spec mute_spans(AudioBuffer.t(), Situ.Time.t(), [{Situ.Time.t(), Situ.Time.t()}]) ::
+          AudioBuffer.t()
+  def mute_spans(%AudioBuffer{format: format, data: data} = buffer, time, spans) do
     size = AudioFormat.bytes_per_frame(format)
     frames = div(byte_size(data), size)
 
@@ -148,20 +150,20 @@ defmodule Situ.Infer.Task.Anonymise do
       Enum.reduce(spans, data, fn {from, to}, data ->
         first = frames + Integer.floor_div((from - time) * format.rate, @second)
         behind = frames - Integer.floor_div((time - to) * format.rate, @second)
-        {first, behind} = {within(first, frames), within(behind, frames)}
-        silent(data, first * size, (behind - first) * size, format.sample)
+        {first, behind} = {clamp_frame(first, frames), clamp_frame(behind, frames)}
+        silence_bytes(data, first * size, (behind - first) * size, format.sample)
       end)
 
     %{buffer | data: data}
   end
 
   # A frame that is partly within a span is muted.
-  defp within(frame, frames), do: frame |> max(0) |> min(frames)
+  defp clamp_frame(frame, frames), do: frame |> max(0) |> min(frames)
 
-  defp silent(data, _at, 0, _sample), do: data
+  defp silence_bytes(data, _at, 0, _sample), do: data
 
-  defp silent(data, at, length, sample) do
-    <<before::binary-known(at), _::binary-known(length), rest::binary>> = data
+  defp silence_bytes(data, at, length, sample) do
+    <<before::binary-pinned_size(at), _::binary-pinned_size(length), rest::binary>> = data
     silence = if sample == :u8, do: <<128>>, else: <<0>>
     IO.iodata_to_binary([before, :binary.copy(silence, length), rest])
   end

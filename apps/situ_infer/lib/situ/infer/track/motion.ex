@@ -18,8 +18,8 @@ defmodule Situ.Infer.Track.Motion do
 
   @spec new(Rect.t()) :: t()
   def new(rect) do
-    {cx, cy, w, h} = numbers(rect)
-    size = size(rect)
+    {cx, cy, w, h} = center_and_size(rect)
+    size = longer_side(rect)
     moving = &Kalman.new(&1, @error * size, &2 * size)
     {moving.(cx, @speed), moving.(cy, @speed), moving.(w, @size_speed), moving.(h, @size_speed)}
   end
@@ -36,20 +36,20 @@ defmodule Situ.Infer.Track.Motion do
 
   @spec correct(t(), Rect.t()) :: t()
   def correct({cx, cy, w, h}, rect) do
-    {x, y, width, height} = numbers(rect)
-    e = @error * size(rect)
+    {x, y, width, height} = center_and_size(rect)
+    e = @error * longer_side(rect)
 
     {Kalman.correct(cx, x, e), Kalman.correct(cy, y, e), Kalman.correct(w, width, e),
      Kalman.correct(h, height, e)}
   end
 
   @doc "Returns `rect` with the position and size that are expected now."
-  @spec rect(t(), Rect.t()) :: Rect.t()
-  def rect({cx, cy, w, h}, rect) do
+  @spec expected_rect(t(), Rect.t()) :: Rect.t()
+  def expected_rect({cx, cy, w, h}, rect) do
     {width, height} = {max(w.value, 0.0), max(h.value, 0.0)}
     %{rect | x: cx.value - width / 2, y: cy.value - height / 2, width: width, height: height}
   end
 
-  defp numbers(r), do: {r.x + r.width / 2, r.y + r.height / 2, r.width / 1, r.height / 1}
-  defp size(r), do: r.width |> max(r.height) |> max(1.0)
+  defp center_and_size(r), do: {r.x + r.width / 2, r.y + r.height / 2, r.width / 1, r.height / 1}
+  defp longer_side(r), do: r.width |> max(r.height) |> max(1.0)
 end

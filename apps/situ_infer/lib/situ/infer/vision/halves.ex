@@ -18,10 +18,10 @@ defmodule Situ.Infer.Vision.Halves do
 
   def new(_port), do: {:ok, nil}
 
-  @spec floats(t(), Tensor.t()) :: {:ok, Tensor.t()} | {:error, Error.t()}
-  def floats(nil, tensor), do: {:ok, tensor}
+  @spec to_floats(t(), Tensor.t()) :: {:ok, Tensor.t()} | {:error, Error.t()}
+  def to_floats(nil, tensor), do: {:ok, tensor}
 
-  def floats(model, tensor) do
+  def to_floats(model, tensor) do
     with {:ok, %{"floats" => floats}} <- Model.run(model, %{"halves" => tensor}),
          do: {:ok, floats}
   end

@@ -57,14 +57,14 @@ defmodule Situ.Infer.Vision.PictureInput do
   @spec new(Model.t(), keyword(), pos_integer() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new(%Model{} = model, opts \\ [], side \\ nil) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         :ok <- three(opts),
-         {:ok, name, layout, side} <- input(model, side),
+         :ok <- check_normalization(opts),
+         {:ok, name, layout, side} <- find_input(model, side),
          {type, _shape} = model.inputs[name],
-         {:ok, glue} <- glue(layout, type, side, opts),
+         {:ok, glue} <- build_glue(layout, type, side, opts),
          do: {:ok, %__MODULE__{name: name, side: side, glue: glue, fit: opts[:fit]}}
   end
 
-  defp three(opts) do
+  defp check_normalization(opts) do
     if length(opts[:mean]) == 3 and length(opts[:std]) == 3 and Enum.all?(opts[:std], &(&1 != 0)),
       do: :ok,
       else:
@@ -75,26 +75,27 @@ defmodule Situ.Infer.Vision.PictureInput do
          )}
   end
 
-  defp input(model, side) do
+  defp find_input(model, side) do
     ports =
       for {name, {type, {_, _, _, _} = shape}} when type in [:f32, :f16] <- model.inputs,
           do: {name, shape}
 
     case ports do
-      [{name, {_, 3, h, w}}] -> square(name, :planes, h, w, side, model)
-      [{name, {_, h, w, 3}}] -> square(name, :pixels, h, w, side, model)
-      _ -> {:error, not_a_picture(model)}
+      [{name, {_, 3, h, w}}] -> check_square(name, :planes, h, w, side, model)
+      [{name, {_, h, w, 3}}] -> check_square(name, :pixels, h, w, side, model)
+      _ -> {:error, not_an_image(model)}
     end
   end
 
-  defp square(name, layout, -1, -1, side, _model) when side != nil, do: {:ok, name, layout, side}
+  defp check_square(name, layout, -1, -1, side, _model) when side != nil,
+    do: {:ok, name, layout, side}
 
-  defp square(name, layout, h, h, side, _model) when h > 0 and side in [nil, h],
+  defp check_square(name, layout, h, h, side, _model) when h > 0 and side in [nil, h],
     do: {:ok, name, layout, h}
 
-  defp square(_name, _layout, _h, _w, _side, model), do: {:error, not_a_picture(model)}
+  defp check_square(_name, _layout, _h, _w, _side, model), do: {:error, not_an_image(model)}
 
-  defp not_a_picture(model) do
+  defp not_an_image(model) do
     shapes =
       Enum.map_join(model.inputs, ", ", fn {name, {type, s}} ->
         "#{name}: #{type} #{inspect(s)}"
@@ -108,7 +109,7 @@ defmodule Situ.Infer.Vision.PictureInput do
   end
 
   # ONNX Runtime also normalises and rearranges the pixels, since there may be a million numbers.
-  defp glue(layout, type, side, opts) do
+  defp build_glue(layout, type, side, opts) do
     {mean, std} =
       if opts[:order] == :bgr,
         do: {Enum.reverse(opts[:mean]), Enum.reverse(opts[:std])},
@@ -140,12 +141,12 @@ defmodule Situ.Infer.Vision.PictureInput do
   end
 
   @doc "Returns the network's input for an image of an 8-bit format, and the patch that maps results back to the image."
-  @spec tensor(t(), Image.t()) :: {:ok, Tensor.t(), Patch.t()} | {:error, Error.t()}
-  def tensor(%__MODULE__{} = input, %Image{width: w, height: h} = image) do
+  @spec to_tensor(t(), Image.t()) :: {:ok, Tensor.t(), Patch.t()} | {:error, Error.t()}
+  def to_tensor(%__MODULE__{} = input, %Image{width: w, height: h} = image) do
     side = if input.fit == :pad, do: max(w, h), else: min(w, h)
-    patch = Patch.square({(w - side) / 2, (h - side) / 2}, side / 1, input.side)
+    patch = Patch.from_square({(w - side) / 2, (h - side) / 2}, side / 1, input.side)
 
-    with {:ok, pixels} <- Patch.cut(patch, image, 1.0, 0.0),
+    with {:ok, pixels} <- Patch.cut_tensor(patch, image, 1.0, 0.0),
          {:ok, %{"input" => tensor}} <- Model.run(input.glue, %{"picture" => pixels}),
          do: {:ok, tensor, patch}
   end

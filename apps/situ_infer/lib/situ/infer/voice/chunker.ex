@@ -20,13 +20,13 @@ defmodule Situ.Infer.Voice.Chunker do
           {:ok, [{Situ.Time.t(), binary()}], gap? :: boolean(), %__MODULE__{}}
           | {:error, Error.t()}
   def push(chunker, %AudioBuffer{format: format} = buffer, time) do
-    with :ok <- check(format), :ok <- Samples.check(buffer) do
-      start = time - AudioBuffer.frames(buffer) * @sample_ns
+    with :ok <- check_format(format), :ok <- Samples.check_buffer(buffer) do
+      start = time - AudioBuffer.frame_count(buffer) * @sample_ns
       gap? = chunker.end != nil and start - chunker.end > @gap_ns
       rest = if gap?, do: <<>>, else: chunker.rest
-      bytes = rest <> floats(buffer)
-      {chunks, rest} = cut(bytes, chunker.samples * 4, [])
-      {chunks, last} = stamp(chunks, time - div(byte_size(rest), 4) * @sample_ns, chunker)
+      bytes = rest <> to_floats(buffer)
+      {chunks, rest} = cut_chunks(bytes, chunker.samples * 4, [])
+      {chunks, last} = stamp_chunks(chunks, time - div(byte_size(rest), 4) * @sample_ns, chunker)
       {:ok, chunks, gap?, %{chunker | rest: rest, end: time, last: last}}
     end
   end
@@ -35,22 +35,23 @@ defmodule Situ.Infer.Voice.Chunker do
   def length_ns(%__MODULE__{samples: samples}), do: samples * @sample_ns
 
   @doc "Computes the root mean square of a chunk of floats."
-  @spec level(binary()) :: float()
-  def level(floats), do: :math.sqrt(power(floats, 0.0) / max(div(byte_size(floats), 4), 1))
+  @spec rms_level(binary()) :: float()
+  def rms_level(floats),
+    do: :math.sqrt(sum_squares(floats, 0.0) / max(div(byte_size(floats), 4), 1))
 
-  defp power(<<x::float-native-32, rest::binary>>, sum), do: power(rest, sum + x * x)
-  defp power(<<_::32, rest::binary>>, sum), do: power(rest, sum)
-  defp power(<<>>, sum), do: sum
+  defp sum_squares(<<x::float-native-32, rest::binary>>, sum), do: sum_squares(rest, sum + x * x)
+  defp sum_squares(<<_::32, rest::binary>>, sum), do: sum_squares(rest, sum)
+  defp sum_squares(<<>>, sum), do: sum
 
-  defp cut(bytes, size, chunks) when byte_size(bytes) >= size do
+  defp cut_chunks(bytes, size, chunks) when byte_size(bytes) >= size do
     rest = binary_part(bytes, size, byte_size(bytes) - size)
-    cut(rest, size, [binary_part(bytes, 0, size) | chunks])
+    cut_chunks(rest, size, [binary_part(bytes, 0, size) | chunks])
   end
 
-  defp cut(rest, _size, chunks), do: {chunks, :binary.copy(rest)}
+  defp cut_chunks(rest, _size, chunks), do: {chunks, :binary.copy(rest)}
 
   # Takes the newest chunk first and returns the oldest first. Times always increase, even if a device clock steps back.
-  defp stamp(newest_first, end_time, chunker) do
+  defp stamp_chunks(newest_first, end_time, chunker) do
     step = length_ns(chunker)
 
     newest_first
@@ -62,16 +63,17 @@ defmodule Situ.Infer.Voice.Chunker do
     end)
   end
 
-  defp floats(%AudioBuffer{format: %{sample: :f32}, data: data}), do: data
+  defp to_floats(%AudioBuffer{format: %{sample: :f32}, data: data}), do: data
 
-  defp floats(%AudioBuffer{data: data}) do
+  defp to_floats(%AudioBuffer{data: data}) do
     for <<s::little-signed-16 <- data>>, into: <<>>, do: <<s / 32_768::float-native-32>>
   end
 
-  defp check(%AudioFormat{rate: @rate, channels: 1, sample: sample}) when sample in [:s16, :f32],
-    do: :ok
+  defp check_format(%AudioFormat{rate: @rate, channels: 1, sample: sample})
+       when sample in [:s16, :f32],
+       do: :ok
 
-  defp check(format) do
+  defp check_format(format) do
     {:error,
      Error.new(
        :bad_audio_format,

@@ -24,16 +24,17 @@ defmodule Situ.Infer.Voice.Silero do
   @enforce_keys [:model]
   defstruct [:model, :state, :context]
 
-  def chunk, do: @chunk
+  def chunk_samples, do: @chunk
 
   @impl true
   @spec load(keyword()) :: {:ok, %__MODULE__{}} | {:error, Situ.Error.t()}
   def load(opts) do
-    path = opts[:model] || Model.path("silero_vad.onnx")
+    path = opts[:model] || Model.bundled_path("silero_vad.onnx")
 
     settings = [{:example, %{"sr" => unquote(@rate)}} | @ports]
 
-    with {:ok, model} <- Model.shared(path, Keyword.merge(opts[:model_options] || [], settings)),
+    with {:ok, model} <-
+           Model.load_shared(path, Keyword.merge(opts[:model_options] || [], settings)),
          do: {:ok, reset(%__MODULE__{model: model})}
   end
 

@@ -13,7 +13,7 @@ defmodule Situ.Infer.Http.DecoderTest do
     end)
   end
 
-  # Data may come in other pieces; all of it, and the rest, is the same.
+  # Data may arrive in other pieces, but all of it and the rest must be the same.
   defp result({:error, _}), do: :error
 
   defp result({events, decoder}) do
@@ -45,18 +45,18 @@ defmodule Situ.Infer.Http.DecoderTest do
       chunks <> rest <> "0\r\nTrailer: 1\r\n\r\n"
   end
 
-  property "the same whatever the pieces it comes in" do
+  property "the result does not depend on how the bytes are cut" do
     forall {kind, body, places} <-
              {one_of(Enum.map([:length, :close, :chunked], &constant/1)), binary(),
               list(non_neg_integer())} do
       bytes = response(kind, body)
       whole = result(feed([bytes]))
       {_, data, closed} = whole
-      data == body and closed == :ok and result(feed(cut(bytes, places))) == whole
+      data == body and closed == :ok and result(feed(cut_batches(bytes, places))) == whole
     end
   end
 
-  property "a response cut short is not whole" do
+  property "a truncated response is incomplete" do
     forall {kind, n} <- {one_of(Enum.map([:length, :chunked], &constant/1)), non_neg_integer()} do
       bytes = response(kind, "some words")
       part = binary_part(bytes, 0, rem(n, byte_size(bytes)))
@@ -65,14 +65,14 @@ defmodule Situ.Infer.Http.DecoderTest do
     end
   end
 
-  property "any bytes are an answer, an error, or not enough" do
+  property "any bytes are a response, an error or incomplete" do
     forall bytes <- binary() do
       result(feed([bytes])) != :raised and
         result(feed(["HTTP/1.1 200 OK\r\n" <> bytes])) != :raised
     end
   end
 
-  test "what has no end is refused, and names of headers make no atoms" do
+  test "rejects endless parts, and header names create no atoms" do
     assert {:error, _} = feed(List.duplicate(String.duplicate("x", 10_000), 10))
     line = "X-Some: " <> String.duplicate("y", 1_000) <> "\r\n"
     assert {:error, _} = feed(["HTTP/1.1 200 OK\r\n" | List.duplicate(line, 100)])

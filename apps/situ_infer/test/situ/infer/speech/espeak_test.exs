@@ -6,9 +6,9 @@ defmodule Situ.Infer.Speech.EspeakTest do
   alias Situ.Infer.Speech.Espeak
 
   @tag :tmp_dir
-  test "SSML plays no files of this machine, and broken markup is no error", %{tmp_dir: dir} do
+  test "SSML plays no local files, and broken markup is not an error", %{tmp_dir: dir} do
     file = Path.join(dir, "a.wav")
-    noise = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(22_050), 5 * 22_050)
+    noise = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(22_050), 5 * 22_050)
     :ok = Situ.Media.Wav.write(file, noise)
     {:ok, voice} = Espeak.load(ssml: true)
     {:ok, expected} = Espeak.speak(voice, "hello")
@@ -22,19 +22,19 @@ defmodule Situ.Infer.Speech.EspeakTest do
         ] do
       assert {:ok, sound} = Espeak.speak(voice, text)
 
-      assert Situ.AudioBuffer.duration(sound) <
-               Situ.AudioBuffer.duration(expected) + 1_000_000_000
+      assert Situ.AudioBuffer.duration_ns(sound) <
+               Situ.AudioBuffer.duration_ns(expected) + 1_000_000_000
 
       assert {:ok, _, [_ | _]} = Espeak.speak_marked(voice, text)
     end
   end
 
-  test "speaks faster and higher when asked, and SSML with its pauses" do
+  test "speaks faster and higher on request, and SSML with its pauses" do
     {:ok, slow} = Espeak.load(rate: 100)
     {:ok, fast} = Espeak.load(rate: 300)
 
     length = fn voice, text ->
-      voice |> Espeak.speak(text) |> elem(1) |> AudioBuffer.duration()
+      voice |> Espeak.speak(text) |> elem(1) |> AudioBuffer.duration_ns()
     end
 
     assert length.(slow, "one two three four") > 2 * length.(fast, "one two three four")
@@ -46,7 +46,7 @@ defmodule Situ.Infer.Speech.EspeakTest do
              plain + Situ.Time.ms(1_500)
   end
 
-  test "says what is spoken when: sentences, words, sounds, and the marks of SSML" do
+  test "reports the times of sentences, words, phonemes and SSML marks" do
     {:ok, voice} = Espeak.load(ssml: true)
     text = ~s(<speak>Go <mark name="here"/><break time="500ms"/>on.</speak>)
     {:ok, sound, marks} = Espeak.speak_marked(voice, text)
@@ -55,14 +55,14 @@ defmodule Situ.Infer.Speech.EspeakTest do
     assert [%{text: "here", from: here, to: here}] = of.(:mark)
     assert go.to <= here and on.from >= here + 250_000_000
     assert Enum.map_join(of.(:phoneme), & &1.text) == "ɡoʊɔn"
-    assert Enum.all?(marks, &(&1.from <= &1.to and &1.to <= AudioBuffer.duration(sound)))
+    assert Enum.all?(marks, &(&1.from <= &1.to and &1.to <= AudioBuffer.duration_ns(sound)))
     assert {:ok, %{data: data}} = Espeak.speak(voice, text)
-    # The program and the library say the same.
+    # The program and the library produce the same audio.
     assert_in_delta byte_size(sound.data), byte_size(data), 4_000
     assert {:ok, %{data: ""}, []} = Espeak.speak_marked(voice, "...")
   end
 
-  test "what a program writes that is cut short is no answer" do
+  test "truncated program output is an error" do
     alias Situ.Infer.Speech.Espeak.Frames
     good = <<"r", 4::little-32, 22_050::little-32, "a", 2::little-32, 1::16>>
     assert {:ok, _, []} = Frames.parse(good, "a")
@@ -74,7 +74,7 @@ defmodule Situ.Infer.Speech.EspeakTest do
     assert Frames.parse(good <> <<"z", 0::32>>, "a") == :error
   end
 
-  test "what cannot be said is nothing, what is wrong an error" do
+  test "unspeakable text gives no audio, and invalid text or options are errors" do
     {:ok, voice} = Espeak.load()
     assert {:ok, %{data: ""}} = Espeak.speak(voice, "  ...  \n")
     assert {:error, %{code: :bad_text}} = Espeak.speak(voice, <<255>>)

@@ -5,22 +5,22 @@ defmodule Situ.Infer.Speech.HibariTest do
   alias Situ.Infer.Speech.Hibari.{Phonemes, Vocoder}
   doctest Situ.Infer.Speech.Hibari.Phonemes
 
-  test "text becomes signs, a sentence at a time, with its punctuation" do
+  test "converts text to phonetic symbols by sentence, keeping punctuation" do
     assert {:ok, ["həlˈO ðˈɛɹ!", "ɡˌO ˈɔn, plˈiz."]} =
-             Phonemes.sentences("Hello there! Go on, please.")
+             Phonemes.sentence_phonemes("Hello there! Go on, please.")
 
-    assert {:ok, []} = Phonemes.sentences(" ...\n\n ")
-    # Text that looks like an option or a command is only text.
-    assert {:ok, [signs]} = Phonemes.sentences("--help $(id)")
+    assert {:ok, []} = Phonemes.sentence_phonemes(" ...\n\n ")
+    # Text that looks like an option or a command is treated as text.
+    assert {:ok, [signs]} = Phonemes.sentence_phonemes("--help $(id)")
     assert signs =~ "hˈɛlp"
   end
 
-  test "pulses have the pitch they are asked for, and none below a voice's" do
+  test "pulses have the requested pitch, and none below the range of a voice" do
     f0 = Tensor.from_list(List.duplicate(200.0, 20) ++ List.duplicate(0.0, 20), :f32, {1, 40})
-    pulses = for <<x::float-native-32 <- Vocoder.pulses(f0)>>, do: x
+    pulses = for <<x::float-native-32 <- Vocoder.pulse_train(f0)>>, do: x
     assert length(pulses) == 40 * 300
     {voiced, silent} = Enum.split(pulses, 20 * 300)
-    # 200 Hz at 24 kHz: a pulse every 120 samples, 50 of them in 6,000.
+    # 200 Hz at 24 kHz is a pulse every 120 samples, so 50 of them in 6,000.
     peaks =
       voiced
       |> Enum.chunk_every(3, 1, :discard)
@@ -30,7 +30,7 @@ defmodule Situ.Infer.Speech.HibariTest do
     assert Enum.all?(Enum.drop(silent, 300), &(&1 == 0.0))
   end
 
-  test "a spectrum of a pitch alone is sound of that pitch" do
+  test "a spectrum of only a pitch gives audio of that pitch" do
     {:ok, vocoder} = Vocoder.load()
     frames = 40
 
@@ -47,22 +47,22 @@ defmodule Situ.Infer.Speech.HibariTest do
       "phi" => flat.(0.0)
     }
 
-    {:ok, floats} = Vocoder.sound(vocoder, spectrum)
+    {:ok, floats} = Vocoder.synthesize_audio(vocoder, spectrum)
     samples = for <<x::float-native-32 <- floats>>, do: x
     assert length(samples) == frames * 300
     middle = Enum.slice(samples, 3_000, 4_800)
     # It repeats after 96 samples, the period of 250 Hz, and not after 60.
     assert likeness(middle, 96) > 0.98
     assert likeness(middle, 60) < 0.5
-    # The pulses pass unchanged but for their strength: an inverse that is one.
-    pulses = for <<x::float-native-32 <- Vocoder.pulses(spectrum["f0"])>>, do: x
+    # The pulses pass unchanged except for their strength, so the inverse transform is correct.
+    pulses = for <<x::float-native-32 <- Vocoder.pulse_train(spectrum["f0"])>>, do: x
     strength = :math.exp(-4.0) / 300
 
     for {x, pulse} <- Enum.zip(middle, Enum.slice(pulses, 3_000, 4_800)),
         do: assert_in_delta(x, pulse * strength, 2.0e-3)
 
     assert {:error, %{code: :synthesis_failed}} =
-             Vocoder.sound(vocoder, %{"f0" => Tensor.from_list([1.0], :f32, {1, 1})})
+             Vocoder.synthesize_audio(vocoder, %{"f0" => Tensor.from_list([1.0], :f32, {1, 1})})
   end
 
   defp likeness(samples, lag) do
@@ -72,7 +72,7 @@ defmodule Situ.Infer.Speech.HibariTest do
   end
 
   @tag :tmp_dir
-  test "what is no model is an error", %{tmp_dir: dir} do
+  test "an invalid model folder is an error", %{tmp_dir: dir} do
     assert {:error, _} = Hibari.load(folder: dir)
     File.write!(Path.join(dir, "vocab.json"), "[1]")
     assert {:error, %{code: :bad_model}} = Hibari.load(folder: dir)
@@ -86,7 +86,7 @@ defmodule Situ.Infer.Speech.HibariTest do
   describe "with the model" do
     @describetag :hibari
 
-    test "the same text sounds the same; faster is shorter; nothing to say is nothing" do
+    test "the same text sounds the same, faster is shorter, and empty text is empty" do
       {:ok, voice} = Hibari.load()
       {:ok, sound} = Hibari.speak(voice, "Go forward ten meters.")
       assert {:ok, ^sound} = Hibari.speak(voice, "Go forward ten meters.")
@@ -95,13 +95,13 @@ defmodule Situ.Infer.Speech.HibariTest do
       assert peak > 0.05 and peak < 1.0
       {:ok, quick} = Hibari.load(speed: 1.5)
       {:ok, short} = Hibari.speak(quick, "Go forward ten meters.")
-      assert AudioBuffer.duration(short) < 0.8 * AudioBuffer.duration(sound)
+      assert AudioBuffer.duration_ns(short) < 0.8 * AudioBuffer.duration_ns(sound)
       assert {:ok, %{data: ""}} = Hibari.speak(voice, " ... ")
       assert {:error, %{code: :bad_text}} = Hibari.speak(voice, <<255>>)
     end
 
     @tag :moonshine
-    test "the recogniser understands 80 % of the words" do
+    test "the recognizer understands 80 % of the words" do
       {:ok, voice} = Hibari.load()
       {:ok, moonshine} = Moonshine.load()
 

@@ -11,7 +11,7 @@ defmodule Situ.Infer.Speech.MoonshineTest do
   end
 
   @tag :tmp_dir
-  test "what is no model is an error", %{tmp_dir: dir} do
+  test "an invalid model folder is an error", %{tmp_dir: dir} do
     assert {:error, %{code: :bad_model}} = Moonshine.load(folder: dir)
     File.write!(Path.join(dir, "tokenizer.bin"), <<200, 200, 1>>)
     assert {:error, %{code: :bad_model}} = Moonshine.load(folder: dir)
@@ -24,7 +24,7 @@ defmodule Situ.Infer.Speech.MoonshineTest do
   describe "with the model" do
     @describetag :moonshine
 
-    test "recognises the recordings: 6 % of read words wrong, 12 % of commands" do
+    test "recognizes the recordings with 6 % of read words and 12 % of commands wrong" do
       {:ok, moonshine} = Moonshine.load()
 
       {:ok, truth} =
@@ -51,7 +51,7 @@ defmodule Situ.Infer.Speech.MoonshineTest do
       end
     end
 
-    test "tells what else it may have been" do
+    test "returns alternatives" do
       {:ok, moonshine} = Moonshine.load(alternatives: 3)
       {:ok, plain} = Moonshine.load()
       sound = wav("cards_002.wav")
@@ -63,16 +63,16 @@ defmodule Situ.Infer.Speech.MoonshineTest do
       assert [%{text: other, confidence: next} | _] = heard.alternatives
       assert other != text and next <= best
       assert heard.alternatives == Enum.sort_by(heard.alternatives, &(-&1.confidence))
-      # "clubs" is heard as "gloves" or "cloves": the word is among them.
+      # "clubs" is heard as "gloves" or "cloves", but the correct word is among the alternatives.
       assert Enum.any?([heard | heard.alternatives], &(&1.text =~ ~r/queen of/i))
     end
 
-    test "takes other rates and channels; too short is nothing, too long an error" do
+    test "accepts other rates and channels; short audio gives no text, long audio an error" do
       {:ok, moonshine} = Moonshine.load()
       sound = wav("goforward.wav") |> Sound.resample!(48_000) |> Sound.reformat!(channels: 2)
       assert {:ok, %{text: text}} = Moonshine.transcribe(moonshine, sound)
       assert Utterance.error_rate("go forward ten meters", text) == 0.0
-      silence = &AudioBuffer.silence(AudioFormat.pcm(16_000), &1)
+      silence = &AudioBuffer.build_silence(AudioFormat.pcm(16_000), &1)
       assert {:ok, %{text: ""}} = Moonshine.transcribe(moonshine, silence.(100))
       assert {:error, %{code: :too_long}} = Moonshine.transcribe(moonshine, silence.(65 * 16_000))
     end

@@ -1,5 +1,5 @@
 defmodule Situ.Infer.Speech.PocketSphinxTest do
-  # A person's voice (PocketSphinx's own test data, BSD): cards.
+  # A real voice from PocketSphinx's own test data (BSD license): card names.
   use ExUnit.Case, async: true
   doctest Situ.Infer.Speech.PocketSphinx.Output
 
@@ -22,7 +22,7 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
     do:
       @moduletag(skip: "not here: pocketsphinx (apt-get install pocketsphinx pocketsphinx-en-us)")
 
-  test "it hears what the grammar allows, and another grammar while it runs" do
+  test "recognizes sentences of the grammar, and accepts another grammar while running" do
     {:ok, sound} = Wav.read(@clip)
     {:ok, sphinx} = PocketSphinx.load(grammar: @cards)
     assert {:ok, %{text: "ten of clubs"} = heard} = PocketSphinx.transcribe(sphinx, sound)
@@ -31,7 +31,7 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
 
     assert Enum.all?(
              heard.words,
-             &(&1.from < &1.to and &1.to <= Situ.AudioBuffer.duration(sound))
+             &(&1.from < &1.to and &1.to <= Situ.AudioBuffer.duration_ns(sound))
            )
 
     opts = [recognizer: PocketSphinx, recognizer_options: [grammar: @cards], partial: nil]
@@ -43,7 +43,7 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
 
     s = 1_000_000_000
     Situ.Test.advance(test, 60 * s)
-    length = Situ.AudioBuffer.duration(sound)
+    length = Situ.AudioBuffer.duration_ns(sound)
 
     heard = fn at ->
       speaking = for t <- (at - length + 1)..(at - 300_000_000)//100_000_000, do: {t, true}
@@ -53,7 +53,7 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
 
     heard.(10 * s)
 
-    # The inputs do not wait for one another: the first is here before the other grammar.
+    # The inputs do not wait for each other: the first utterance is recognized before the grammar changes.
     Situ.Test.settle(test)
     Situ.Test.feed(test, :options, [{15 * s, [grammar: @other]}])
     heard.(30 * s)
@@ -61,14 +61,14 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
     Situ.Test.close(test, :speaking)
     said = for {_, utterance} <- Situ.Test.outputs(test), do: utterance
     assert [%{text: "ten of clubs", words: words} = first | rest] = said
-    # Times of words are those of the stream.
+    # Word times are in the time of the stream.
     assert hd(words).from >= first.from - 150_000_000 and List.last(words).to <= 10 * s
-    # The other grammar knows other sentences: it hears one of them, and does not believe it.
+    # The other grammar contains other sentences, so the match has low confidence.
     assert Enum.all?(rest, &(&1.text =~ "good" and &1.confidence < 0.3))
     Situ.Test.stop(test)
   end
 
-  test "what else of the grammar it may have been" do
+  test "returns alternatives from the grammar" do
     grammar =
       "#JSGF V1.0; grammar g; public <g> = (ten | five | nine) of (clubs | spades | hearts);"
 
@@ -80,7 +80,7 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
     assert next <= heard.confidence and length(heard.alternatives) <= 2
   end
 
-  test "of speech that no sentence of the grammar fits it is not sure" do
+  test "has low confidence in speech that no sentence of the grammar fits" do
     {:ok, sphinx} = PocketSphinx.load(grammar: @cards)
 
     for name <- ~w(goforward sense_and_sensibility_01_austen_64kb-0930) do
@@ -90,7 +90,7 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
     end
   end
 
-  test "a keyword is found where it is said, and nowhere else" do
+  test "finds a keyword only where it is spoken" do
     {:ok, sound} = Wav.read(Path.join(@fixtures, "goforward.wav"))
     {:ok, sphinx} = PocketSphinx.load(keyword: "forward", threshold: 1.0e-20)
 
@@ -103,7 +103,7 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
     assert {:ok, %{text: "", confidence: 0.0}} = PocketSphinx.transcribe(sphinx, cards)
   end
 
-  test "free speech: most words, and what else they may have been" do
+  test "recognizes most words of free speech, with alternatives" do
     {:ok, sound} = Wav.read(Path.join(@fixtures, "goforward.wav"))
     {:ok, sphinx} = PocketSphinx.load(alternatives: 5)
 
@@ -114,13 +114,13 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
     assert length(heard.alternatives) in 1..5
   end
 
-  test "a word that its dictionary lacks is an error" do
+  test "a word that the dictionary lacks is an error" do
     {:ok, sphinx} = PocketSphinx.load(grammar: "#JSGF V1.0; grammar g; public <g> = zzyzxq;")
     {:ok, sound} = Wav.read(@clip)
     assert {:error, %{code: :recognition_failed}} = PocketSphinx.transcribe(sphinx, sound)
   end
 
-  test "silence is nothing, and a grammar that is none is an error" do
+  test "silence gives no text, and an invalid grammar is an error" do
     {:ok, sphinx} = PocketSphinx.load(grammar: @cards)
 
     silence =

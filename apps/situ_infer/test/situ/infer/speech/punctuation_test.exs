@@ -16,13 +16,13 @@ defmodule Situ.Infer.Speech.PunctuationTest do
     end)
   end
 
-  test "on a stream: all but the text stays" do
+  test "changes only the text of a stream's messages" do
     assert [one, two] = run(["is it true that i'm late", "Stop!"], [])
     assert one == said("Is it true that I'm late?")
     assert two.text == "Stop!"
   end
 
-  test "by a language model, as long as it keeps the words" do
+  test "uses a language model's result only if it keeps the words" do
     answers = %{
       "yes we can he said" => "Yes, we can, he said.",
       "tell me more" => "Here is more: ..."
@@ -39,7 +39,7 @@ defmodule Situ.Infer.Speech.PunctuationTest do
              run(Map.keys(answers) |> Enum.sort(:desc), opts) |> Enum.map(& &1.text)
   end
 
-  test "a model that is not there is the component's error" do
+  test "a missing model is an error of the component" do
     opts = [
       punctuation: Model,
       options: [url: "http://127.0.0.1:1/v1", model: "small", retries: 0]

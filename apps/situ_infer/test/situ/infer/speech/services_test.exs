@@ -1,5 +1,5 @@
 defmodule Situ.Infer.Speech.ServicesTest do
-  # Conversations as the services' documentation has them, with a server that takes them apart.
+  # Follows the conversations in the services' documentation, with a server that parses the requests.
   use ExUnit.Case, async: true
   alias Situ.{AudioBuffer, AudioFormat}
   alias Situ.Infer.Speech.{Azure, OpenAI, Upload}
@@ -36,7 +36,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
   }
 
   describe "OpenAI's protocol" do
-    test "recognition: a form with the sound as WAV; words with times, confidence" do
+    test "recognition sends a form with WAV audio and returns word times and confidence" do
       service =
         open_ai(fn _, _ -> ChatServer.json(@heard) end, language: "en", recognizer: "small")
 
@@ -62,10 +62,10 @@ defmodule Situ.Infer.Speech.ServicesTest do
       assert {:ok, ^sound} = Situ.Media.Wav.read(path)
     end
 
-    test "in a pipeline: each utterance is a request" do
+    test "in a pipeline, each utterance is a request" do
       server = ChatServer.start(fn _, _ -> ChatServer.json(@heard) end)
       sound = wav("goforward.wav")
-      length = AudioBuffer.duration(sound)
+      length = AudioBuffer.duration_ns(sound)
       options = [url: server.url, key: nil]
 
       [said] =
@@ -86,7 +86,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
       assert hd(said.words).from == said.from - 150_000_000 + 500_000_000
     end
 
-    test "synthesis: raw sound, cut streams and all" do
+    test "synthesis returns raw audio, even from a stream cut into odd pieces" do
       data = :binary.copy(<<1, 0>>, 240)
 
       service =
@@ -102,7 +102,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
       assert {:error, %{code: :bad_text}} = OpenAI.Voice.speak(service, <<255>>)
     end
 
-    test "what is no answer is an error" do
+    test "an invalid response is an error" do
       for answer <- [
             ChatServer.json([1]),
             ChatServer.json(%{text: 1}),
@@ -117,7 +117,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
       assert {:error, %{code: :refused}} = OpenAI.Voice.speak(service, "Hello.")
     end
 
-    test "a dead service: the pipeline lives when on_error says so" do
+    test "on_error: decides whether a dead service stops the pipeline" do
       opts = [
         synthesizer: OpenAI.Voice,
         synthesizer_options: [url: "http://127.0.0.1:1/v1", key: nil, retries: 0],
@@ -150,7 +150,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
       Words: [%{Word: "go", Offset: 5_000_000, Duration: 2_000_000}]
     }
 
-    test "recognition: alternatives, confidence, words" do
+    test "recognition returns alternatives, confidence and words" do
       answer = %{
         RecognitionStatus: "Success",
         NBest: [@best, %{Confidence: 0.4, Display: "Go for word."}]
@@ -170,7 +170,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
       assert headers["content-type"] =~ "samplerate=16000"
     end
 
-    test "nothing understood is nothing; other states are errors; too much sound is not sent" do
+    test "no speech is empty text, other states are errors, and too much audio is not sent" do
       status = fn status ->
         azure(fn _, _ -> ChatServer.json(%{RecognitionStatus: status}) end)
       end
@@ -183,11 +183,11 @@ defmodule Situ.Infer.Speech.ServicesTest do
       assert {:error, %{code: :bad_answer}} =
                Azure.transcribe(azure(fn _, _ -> ChatServer.json(%{}) end), sound)
 
-      long = AudioBuffer.silence(AudioFormat.pcm(16_000), 61 * 16_000)
+      long = AudioBuffer.build_silence(AudioFormat.pcm(16_000), 61 * 16_000)
       assert {:error, %{code: :too_long}} = Azure.transcribe(status.("NoMatch"), long)
     end
 
-    test "synthesis: the text is text, whatever it holds" do
+    test "synthesis escapes the text, whatever it contains" do
       service =
         azure(fn _, _ -> ChatServer.answer("audio/basic", <<1, 0, 2, 0>>) end,
           voice: "en-GB-RyanNeural"
@@ -203,7 +203,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
       assert ssml =~ ~s(<voice name="en-GB-RyanNeural">a &lt; b &amp; &quot;c&quot;</voice>)
     end
 
-    test "where it is must be said" do
+    test "requires a valid region" do
       assert {:error, %{code: :bad_option}} = Azure.load([])
       assert {:error, %{code: :bad_option}} = Azure.load(region: "evil.example/")
 
@@ -212,9 +212,9 @@ defmodule Situ.Infer.Speech.ServicesTest do
     end
   end
 
-  test "sound of any format becomes 16 kHz mono" do
-    sound = AudioBuffer.silence(AudioFormat.pcm(48_000, 2), 4_800)
-    assert {:ok, <<"RIFF", size::little-32, _::binary>> = wav} = Upload.wav(sound)
+  test "audio of any format becomes 16 kHz mono" do
+    sound = AudioBuffer.build_silence(AudioFormat.pcm(48_000, 2), 4_800)
+    assert {:ok, <<"RIFF", size::little-32, _::binary>> = wav} = Upload.encode_wav(sound)
     assert size == byte_size(wav) - 8
     assert_in_delta byte_size(wav) - 44, 3_200, 400
   end

@@ -4,7 +4,7 @@ defmodule Situ.Infer.Speech.UtteranceTest do
   alias Situ.Infer.Speech.Utterance
   doctest Situ.Infer.Speech.Utterance
 
-  property "no error in the same words, and as many as words put in, left out or exchanged" do
+  property "the error rate counts inserted, deleted and replaced words" do
     forall {truth, extra, at} <-
              {list(one_of(["a", "b", "c"])), list(integer(0, 9)), integer(0, 20)} do
       text = Enum.join(truth, " ")

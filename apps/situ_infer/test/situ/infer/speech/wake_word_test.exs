@@ -7,7 +7,7 @@ defmodule Situ.Infer.Speech.WakeWordTest do
 
   defp sentences(texts) do
     {:ok, voice} = Espeak.load(rate: 140)
-    pause = AudioBuffer.silence(AudioFormat.pcm(16_000), 16_000)
+    pause = AudioBuffer.build_silence(AudioFormat.pcm(16_000), 16_000)
 
     sounds =
       for text <- texts do
@@ -21,9 +21,9 @@ defmodule Situ.Infer.Speech.WakeWordTest do
 
   defp heard(sound, opts) do
     feed =
-      for from <- 0..(AudioBuffer.frames(sound) - 1)//320 do
-        part = AudioBuffer.slice(sound, from, 320)
-        {AudioFormat.frames_to_ns(sound.format, from + AudioBuffer.frames(part)), part}
+      for from <- 0..(AudioBuffer.frame_count(sound) - 1)//320 do
+        part = AudioBuffer.slice_frames(sound, from, 320)
+        {AudioFormat.frames_to_ns(sound.format, from + AudioBuffer.frame_count(part)), part}
       end
 
     Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.Infer.wake_word(opts) end)
@@ -32,20 +32,20 @@ defmodule Situ.Infer.Speech.WakeWordTest do
   @texts ["The weather is fine today.", "Hey computer, what time is it?", "We had a good dinner."]
 
   @tag :moonshine
-  test "a name among recognised words, once, in the sentence that has it" do
+  test "finds a name among recognized words, once, in the sentence that contains it" do
     sound = sentences(@texts)
     assert [%{text: "computer", confidence: p} = called] = heard(sound, phrase: "computer")
     assert p > 0.5
-    length = AudioBuffer.duration(sound)
+    length = AudioBuffer.duration_ns(sound)
     assert called.from > length / 4 and called.to < length * 3 / 4
     assert heard(sentences(["The weather is fine today."]), phrase: "computer") == []
   end
 
   if System.find_executable("pocketsphinx_continuous") do
-    test "a name by its sounds, of a person, and not in other speech" do
+    test "finds a name by its sound in a real voice, and not in other speech" do
       opts = [phrase: "Forward", spotter: Keyword]
       {:ok, sound} = Situ.Media.Wav.read(Path.expand("../../../fixtures/goforward.wav", __DIR__))
-      pause = AudioBuffer.silence(sound.format, 16_000)
+      pause = AudioBuffer.build_silence(sound.format, 16_000)
       {:ok, whole} = AudioBuffer.concat([pause, sound, pause])
       assert [%{text: "Forward", words: [word], confidence: p}] = heard(whole, opts)
       # The word begins 0.64 s into the recording.

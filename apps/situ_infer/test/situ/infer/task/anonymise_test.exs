@@ -8,7 +8,7 @@ defmodule Situ.Infer.Task.AnonymiseTest do
 
   @s 1_000_000_000
 
-  property "what lies in a span is silent, and all else as it was" do
+  property "mutes the audio within a span and leaves the rest unchanged" do
     forall {rate, sample, from, length} <-
              {one_of([100, 8_000, 44_100]), one_of([:u8, :s16, :s24, :f32]), integer(-500, 1_500),
               integer(1, 900)} do
@@ -17,13 +17,13 @@ defmodule Situ.Infer.Task.AnonymiseTest do
       frames = div(rate, 2)
       buffer = AudioBuffer.new!(format: format, data: :binary.copy(<<7>>, frames * size))
       {from, to} = {from * 1_000_000, (from + length) * 1_000_000}
-      muted = Anonymise.muted(buffer, @s, [{from, to}])
+      muted = Anonymise.mute_spans(buffer, @s, [{from, to}])
       silence = :binary.copy(if(sample == :u8, do: <<128>>, else: <<0>>), size)
       assert byte_size(muted.data) == byte_size(buffer.data)
 
       for i <- 0..(frames - 1), reduce: true do
         ok ->
-          # This frame lasts from here to there, in parts of a nanosecond.
+          # This frame spans this interval, in fractions of a nanosecond.
           begins = @s * rate - (frames - i) * @s
           ends = begins + @s
           silent? = from * rate < ends and begins < to * rate
@@ -32,9 +32,9 @@ defmodule Situ.Infer.Task.AnonymiseTest do
     end
   end
 
-  test "a span that is none is refused with an example" do
+  test "an invalid span is rejected with an example" do
     for text <- ["", "5", "5-4", "a-b", "1-2-3", "1-1"] do
-      error = assert_raise Situ.Error, fn -> Anonymise.span!(text) end
+      error = assert_raise Situ.Error, fn -> Anonymise.parse_span!(text) end
       assert error.code == :bad_option and error.fix =~ "12.5-14"
     end
   end

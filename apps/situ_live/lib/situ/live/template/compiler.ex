@@ -13,17 +13,17 @@ defmodule Situ.Live.Template.Compiler do
   # tracked.
 
   @spec compile([tuple()], [{atom(), atom()}]) :: Macro.t()
-  def compile(nodes, variables), do: rendered(nodes, {:top, variables})
+  def compile(nodes, variables), do: compile_nodes(nodes, {:top, variables})
 
-  defp rendered(nodes, level) do
-    {static, values} = nodes |> trim() |> pieces() |> join([""], [])
+  defp compile_nodes(nodes, level) do
+    {static, values} = nodes |> trim_nodes() |> nodes_to_parts() |> join_parts([""], [])
 
     {vars, binds} =
       values
       |> Enum.with_index()
       |> Enum.map(fn {ast, i} ->
         var = Macro.var(:"v#{i}", __MODULE__)
-        {var, quote(do: unquote(var) = unquote(value(ast, level)))}
+        {var, quote(do: unquote(var) = unquote(compile_value(ast, level)))}
       end)
       |> Enum.unzip()
 
@@ -33,18 +33,18 @@ defmodule Situ.Live.Template.Compiler do
       %Rendered{
         static: unquote(static),
         dynamic: unquote(vars),
-        fingerprint: unquote(fingerprint(static, values)),
-        root?: unquote(root?(nodes))
+        fingerprint: unquote(template_fingerprint(static, values)),
+        root?: unquote(single_root?(nodes))
       }
     end
   end
 
-  defp fingerprint(static, values) do
+  defp template_fingerprint(static, values) do
     :erlang.phash2({static, Macro.to_string(values)}, 4_294_967_296)
   end
 
   # White space at the start and end comes from the heredoc, not from the author.
-  defp trim(nodes) do
+  defp trim_nodes(nodes) do
     nodes
     |> trim_first(&String.trim_leading/1)
     |> Enum.reverse()
@@ -61,8 +61,8 @@ defmodule Situ.Live.Template.Compiler do
 
   defp trim_first(nodes, _), do: nodes
 
-  defp root?(nodes) do
-    case trim(nodes) do
+  defp single_root?(nodes) do
+    case trim_nodes(nodes) do
       [{:element, <<c, _::binary>>, attributes, _, _}] when c in ?a..?z ->
         not Enum.any?(attributes, &match?({special, _} when special in [":if", ":for"], &1))
 
@@ -73,10 +73,10 @@ defmodule Situ.Live.Template.Compiler do
 
   # -- values
 
-  defp value(ast, level) do
-    made = quote(do: unquote(Html).escape(unquote(assigns(ast))))
+  defp compile_value(ast, level) do
+    made = quote(do: unquote(Html).escape(unquote(expand_assigns(ast))))
 
-    case reads(ast, level) do
+    case list_read_assigns(ast, level) do
       :all ->
         made
 
@@ -91,16 +91,16 @@ defmodule Situ.Live.Template.Compiler do
 
   # Returns the names read as @name, or :all if `assigns` itself is used. Templates nested in the value are already
   # compiled, so the assigns that they read are found, too.
-  defp reads(_, :inner), do: :all
+  defp list_read_assigns(_, :inner), do: :all
 
-  defp reads(ast, {:top, variables}) do
+  defp list_read_assigns(ast, {:top, variables}) do
     {_, names} =
       Macro.prewalk(ast, [], fn
         {:@, _, [{name, _, context}]} = node, acc when is_atom(name) and is_atom(context) ->
-          {node, add(name, acc)}
+          {node, add_name(name, acc)}
 
         {{:., _, [Runtime, :fetch!]}, _, [_assigns, name]}, acc ->
-          {nil, add(name, acc)}
+          {nil, add_name(name, acc)}
 
         {:sigil_H, _, _}, _ ->
           {nil, :all}
@@ -115,10 +115,10 @@ defmodule Situ.Live.Template.Compiler do
     if is_list(names), do: names |> Enum.uniq() |> Enum.sort(), else: :all
   end
 
-  defp add(_, :all), do: :all
-  defp add(name, names), do: [name | names]
+  defp add_name(_, :all), do: :all
+  defp add_name(name, names), do: [name | names]
 
-  defp assigns(ast) do
+  defp expand_assigns(ast) do
     Macro.prewalk(ast, fn
       {:@, meta, [{name, _, context}]} when is_atom(name) and is_atom(context) ->
         quote line: meta[:line] || 0 do
@@ -132,12 +132,12 @@ defmodule Situ.Live.Template.Compiler do
 
   # -- parts: {:text, text} and {:value, ast}
 
-  defp pieces(nodes), do: Enum.flat_map(nodes, &piece/1)
+  defp nodes_to_parts(nodes), do: Enum.flat_map(nodes, &node_to_parts/1)
 
-  defp piece({:text, text}), do: [{:text, text}]
-  defp piece({:expr, ast}), do: [{:value, ast}]
+  defp node_to_parts({:text, text}), do: [{:text, text}]
+  defp node_to_parts({:expr, ast}), do: [{:value, ast}]
 
-  defp piece({:element, name, attributes, children, at}) do
+  defp node_to_parts({:element, name, attributes, children, at}) do
     {special, rest} = Enum.split_with(attributes, &match?({":" <> _, _}, &1))
     special = Map.new(special)
     check_special(special, name, at)
@@ -146,43 +146,45 @@ defmodule Situ.Live.Template.Compiler do
       %{":for" => {:expr, generator}} ->
         inner = attributes |> List.keydelete(":for", 0) |> List.keydelete(":key", 0)
         inner = List.keydelete(inner, ":if", 0)
-        [{:value, loop(generator, special, {:element, name, inner, children, at}, at)}]
+        [{:value, compile_loop(generator, special, {:element, name, inner, children, at}, at)}]
 
       %{":if" => {:expr, condition}} ->
         inner = {:element, name, List.keydelete(attributes, ":if", 0), children, at}
-        body = rendered([inner], :inner)
+        body = compile_nodes([inner], :inner)
         [{:value, quote(line: at.line, do: if(unquote(condition), do: unquote(body)))}]
 
       _ ->
-        element(name, rest, special, children, at)
+        element_to_parts(name, rest, special, children, at)
     end
   end
 
   defp check_special(special, name, at) do
     for {key, value} <- special do
       unless key in [":if", ":for", ":key", ":let"],
-        do: Parser.error(at, "unknown #{key} on <#{name}>: expected :if, :for, :key or :let")
+        do:
+          Parser.raise_error(at, "unknown #{key} on <#{name}>: expected :if, :for, :key or :let")
 
-      unless match?({:expr, _}, value), do: Parser.error(at, "#{key} on <#{name}> needs braces")
+      unless match?({:expr, _}, value),
+        do: Parser.raise_error(at, "#{key} on <#{name}> needs braces")
     end
 
     if special[":key"] && !special[":for"],
-      do: Parser.error(at, ":key on <#{name}> without :for")
+      do: Parser.raise_error(at, ":key on <#{name}> without :for")
   end
 
   # On a tag with `:for`, `:if` filters the entries.
-  defp loop(generator, special, element, at) do
-    {static, values} = [element] |> pieces() |> join([""], [])
-    fingerprint = fingerprint(static, values)
-    entry = Enum.map(values, &value(&1, :inner))
+  defp compile_loop(generator, special, element, at) do
+    {static, values} = [element] |> nodes_to_parts() |> join_parts([""], [])
+    fingerprint = template_fingerprint(static, values)
+    entry = Enum.map(values, &compile_value(&1, :inner))
     key = with {:expr, key} <- special[":key"], do: key
     filter = with {:expr, condition} <- special[":if"], do: condition
-    {pattern, enumerable} = generator(generator, at)
+    {pattern, enumerable} = split_generator(generator, at)
 
     filters = if filter, do: [filter], else: []
     clauses = [{:<-, [line: at.line], [pattern, Macro.var(:entries, __MODULE__)]} | filters]
     entries = {:for, [line: at.line], clauses ++ [[do: {:{}, [], [key, entry]}]]}
-    entries = Macro.prewalk(entries, &two_tuple/1)
+    entries = Macro.prewalk(entries, &simplify_tuple/1)
 
     quote do
       unquote(Runtime).comprehension(
@@ -193,80 +195,87 @@ defmodule Situ.Live.Template.Compiler do
     end
   end
 
-  defp two_tuple({:{}, _, [a, b]}), do: {a, b}
-  defp two_tuple(node), do: node
+  defp simplify_tuple({:{}, _, [a, b]}), do: {a, b}
+  defp simplify_tuple(node), do: node
 
-  defp generator({:<-, _, [pattern, enumerable]}, _at), do: {pattern, enumerable}
-  defp generator(_, at), do: Parser.error(at, ":for requires a generator: :for={x <- @xs}")
+  defp split_generator({:<-, _, [pattern, enumerable]}, _at), do: {pattern, enumerable}
 
-  defp join([{:text, text} | rest], [last | static], values),
-    do: join(rest, [last <> text | static], values)
+  defp split_generator(_, at),
+    do: Parser.raise_error(at, ":for requires a generator: :for={x <- @xs}")
 
-  defp join([{:value, ast} | rest], static, values),
-    do: join(rest, ["" | static], [ast | values])
+  defp join_parts([{:text, text} | rest], [last | static], values),
+    do: join_parts(rest, [last <> text | static], values)
 
-  defp join([], static, values), do: {Enum.reverse(static), Enum.reverse(values)}
+  defp join_parts([{:value, ast} | rest], static, values),
+    do: join_parts(rest, ["" | static], [ast | values])
+
+  defp join_parts([], static, values), do: {Enum.reverse(static), Enum.reverse(values)}
 
   # -- tags and components
 
-  defp element("." <> name, attributes, special, children, at) do
+  defp element_to_parts("." <> name, attributes, special, children, at) do
     fun = {:&, [], [{:/, [], [{String.to_atom(name), [line: at.line], nil}, 1]}]}
-    component(fun, attributes, special, children, at)
+    component_to_parts(fun, attributes, special, children, at)
   end
 
-  defp element(<<c, _::binary>> = name, attributes, special, children, at) when c in ?A..?Z do
+  defp element_to_parts(<<c, _::binary>> = name, attributes, special, children, at)
+       when c in ?A..?Z do
     case Code.string_to_quoted(name <> "()", file: at.file, line: at.line) do
       {:ok, {{:., _, _} = dot, _, []}} ->
         fun = {:&, [], [{:/, [], [{dot, [no_parens: true, line: at.line], []}, 1]}]}
-        component(fun, attributes, special, children, at)
+        component_to_parts(fun, attributes, special, children, at)
 
       _ ->
-        Parser.error(at, "<#{name}> does not call a component; write <Module.function>")
+        Parser.raise_error(at, "<#{name}> does not call a component; write <Module.function>")
     end
   end
 
-  defp element(":" <> name, _, _, _, at),
-    do: Parser.error(at, "the slot <:#{name}> must be directly inside a component")
+  defp element_to_parts(":" <> name, _, _, _, at),
+    do: Parser.raise_error(at, "the slot <:#{name}> must be directly inside a component")
 
-  defp element(name, attributes, special, children, at) do
+  defp element_to_parts(name, attributes, special, children, at) do
     if special != %{},
-      do: Parser.error(at, ":let on <#{name}> works only on components and slots")
+      do: Parser.raise_error(at, ":let on <#{name}> works only on components and slots")
 
-    open = [{:text, "<" <> name} | Enum.flat_map(attributes, &attribute/1)]
+    open = [{:text, "<" <> name} | Enum.flat_map(attributes, &attribute_to_parts/1)]
 
     case children do
       :void when name in ["script", "style"] -> open ++ [{:text, "></#{name}>"}]
-      :void -> open ++ [{:text, if(Parser.void?(name), do: ">", else: "></#{name}>")}]
-      children -> open ++ [{:text, ">"}] ++ pieces(children) ++ [{:text, "</#{name}>"}]
+      :void -> open ++ [{:text, if(Parser.void_element?(name), do: ">", else: "></#{name}>")}]
+      children -> open ++ [{:text, ">"}] ++ nodes_to_parts(children) ++ [{:text, "</#{name}>"}]
     end
   end
 
-  defp attribute({:spread, ast}),
+  defp attribute_to_parts({:spread, ast}),
     do: [{:value, quote(do: unquote(Html).attributes(unquote(ast)))}]
 
-  defp attribute({name, true}), do: [{:text, " " <> name}]
-  defp attribute({name, text}) when is_binary(text), do: [{:text, " #{name}=\"#{quoted(text)}\""}]
+  defp attribute_to_parts({name, true}), do: [{:text, " " <> name}]
+
+  defp attribute_to_parts({name, text}) when is_binary(text),
+    do: [{:text, " #{name}=\"#{escape_quotes(text)}\""}]
 
   # Empty class and style attributes are kept: stylesheets may select them, and the diff is shorter.
-  defp attribute({name, {:expr, ast}}) when name in ["class", "style"] do
+  defp attribute_to_parts({name, {:expr, ast}}) when name in ["class", "style"] do
     value = quote(do: unquote(Html).attribute_value(unquote(ast)))
     [{:text, " #{name}=\""}, {:value, value}, {:text, "\""}]
   end
 
-  defp attribute({name, {:expr, ast}}) do
+  defp attribute_to_parts({name, {:expr, ast}}) do
     [{:value, quote(do: unquote(Html).attribute_text(unquote(" " <> name), unquote(ast)))}]
   end
 
   # A value in single quotes may contain double quotes.
-  defp quoted(text), do: String.replace(text, "\"", "&quot;")
+  defp escape_quotes(text), do: String.replace(text, "\"", "&quot;")
 
-  defp component(fun, attributes, special, children, at) do
+  defp component_to_parts(fun, attributes, special, children, at) do
     children = if children == :void, do: [], else: children
     {slots, inner} = Enum.split_with(children, &match?({:element, ":" <> _, _, _, _}, &1))
-    named = slots |> Enum.group_by(&elem(&1, 1)) |> Enum.map(&slots/1)
-    inner_block = if blank?(inner), do: [], else: [slot("inner_block", special, [], inner)]
+    named = slots |> Enum.group_by(&elem(&1, 1)) |> Enum.map(&compile_slots/1)
 
-    pairs = [inner_block: inner_block] ++ named ++ pairs(attributes)
+    inner_block =
+      if blank_nodes?(inner), do: [], else: [compile_slot("inner_block", special, [], inner)]
+
+    pairs = [inner_block: inner_block] ++ named ++ attribute_pairs(attributes)
     map = {:%{}, [], [{:__changed__, nil} | pairs]}
 
     map =
@@ -277,54 +286,57 @@ defmodule Situ.Live.Template.Compiler do
     [{:value, quote(line: at.line, do: unquote(fun).(unquote(map)))}]
   end
 
-  defp blank?(nodes) do
+  defp blank_nodes?(nodes) do
     Enum.all?(nodes, &match?({:text, _}, &1)) and
       nodes |> Enum.map_join(&elem(&1, 1)) |> String.trim() == ""
   end
 
-  defp slots({":" <> name, elements}) do
+  defp compile_slots({":" <> name, elements}) do
     lists =
       for {:element, _, attributes, children, at} <- elements do
         {special, attributes} = Enum.split_with(attributes, &match?({":" <> _, _}, &1))
         special = Map.new(special)
         check_special(special, ":" <> name, at)
-        one = slot(name, special, attributes, if(children == :void, do: [], else: children))
-        repeated(one, special, at)
+
+        one =
+          compile_slot(name, special, attributes, if(children == :void, do: [], else: children))
+
+        repeat_slot(one, special, at)
       end
 
     {String.to_atom(name), quote(do: Enum.concat(unquote(lists)))}
   end
 
-  defp repeated(slot, %{":for" => {:expr, generator}} = special, at) do
-    {pattern, enumerable} = generator(generator, at)
-    clauses = [{:<-, [], [pattern, enumerable]} | filter(special)]
+  defp repeat_slot(slot, %{":for" => {:expr, generator}} = special, at) do
+    {pattern, enumerable} = split_generator(generator, at)
+    clauses = [{:<-, [], [pattern, enumerable]} | if_filter(special)]
     {:for, [], clauses ++ [[do: slot]]}
   end
 
-  defp repeated(slot, %{":if" => {:expr, condition}}, _at),
+  defp repeat_slot(slot, %{":if" => {:expr, condition}}, _at),
     do: quote(do: if(unquote(condition), do: [unquote(slot)], else: []))
 
-  defp repeated(slot, _, _), do: [slot]
+  defp repeat_slot(slot, _, _), do: [slot]
 
-  defp filter(%{":if" => {:expr, condition}}), do: [condition]
-  defp filter(_), do: []
+  defp if_filter(%{":if" => {:expr, condition}}), do: [condition]
+  defp if_filter(_), do: []
 
-  defp slot(name, special, attributes, children) do
+  defp compile_slot(name, special, attributes, children) do
     argument =
       case special do
         %{":let" => {:expr, pattern}} -> pattern
         _ -> Macro.var(:_, nil)
       end
 
-    body = rendered(children, :inner)
+    body = compile_nodes(children, :inner)
     fun = {:fn, [], [{:->, [], [[argument], body]}]}
-    pairs = [__slot__: String.to_atom(name), inner_block: fun] ++ pairs(attributes)
+    pairs = [__slot__: String.to_atom(name), inner_block: fun] ++ attribute_pairs(attributes)
     {:%{}, [], pairs}
   end
 
-  defp pairs(attributes) do
+  defp attribute_pairs(attributes) do
     for {name, value} <- attributes, is_binary(name) do
-      {name |> String.replace("-", "_") |> attribute_atom(name), literal(value)}
+      {name |> String.replace("-", "_") |> attribute_atom(name), attribute_ast(value)}
     end
   end
 
@@ -333,6 +345,6 @@ defmodule Situ.Live.Template.Compiler do
     if name =~ ~r/\A(phx|data|aria)-/, do: String.to_atom(name), else: String.to_atom(underscored)
   end
 
-  defp literal({:expr, ast}), do: ast
-  defp literal(value), do: value
+  defp attribute_ast({:expr, ast}), do: ast
+  defp attribute_ast(value), do: value
 end

@@ -16,76 +16,77 @@ defmodule Situ.Live.Template.Parser do
 
   @spec parse(String.t(), map()) :: [ast_node()]
   def parse(source, position) do
-    {nodes, "", _} = nodes(source, Map.put(position, :curly?, true), nil, [])
+    {nodes, "", _} = parse_nodes(source, Map.put(position, :curly?, true), nil, [])
     nodes
   end
 
-  defp nodes("", ctx, nil, acc), do: {Enum.reverse(acc), "", ctx}
-  defp nodes("", _ctx, {tag, at}, _), do: error(at, "<#{tag}> is not closed")
+  defp parse_nodes("", ctx, nil, acc), do: {Enum.reverse(acc), "", ctx}
+  defp parse_nodes("", _ctx, {tag, at}, _), do: raise_error(at, "<#{tag}> is not closed")
 
-  defp nodes("<%!--" <> rest, ctx, tag, acc) do
-    {skipped, rest} = upto(rest, "--%>", ctx, "<%!--")
-    nodes(rest, advance(ctx, "<%!--" <> skipped <> "--%>"), tag, acc)
+  defp parse_nodes("<%!--" <> rest, ctx, tag, acc) do
+    {skipped, rest} = take_until(rest, "--%>", ctx, "<%!--")
+    parse_nodes(rest, advance_position(ctx, "<%!--" <> skipped <> "--%>"), tag, acc)
   end
 
-  defp nodes("<%=" <> rest, ctx, tag, acc) do
-    {code, rest} = upto(rest, "%>", ctx, "<%=")
-    ast = quoted(code, advance(ctx, "<%="))
-    nodes(rest, advance(ctx, "<%=" <> code <> "%>"), tag, [{:expr, ast} | acc])
+  defp parse_nodes("<%=" <> rest, ctx, tag, acc) do
+    {code, rest} = take_until(rest, "%>", ctx, "<%=")
+    ast = parse_code(code, advance_position(ctx, "<%="))
+    parse_nodes(rest, advance_position(ctx, "<%=" <> code <> "%>"), tag, [{:expr, ast} | acc])
   end
 
-  defp nodes("<%" <> _, ctx, _, _),
-    do: error(ctx, "blocks (<% ... %>) are not supported in ~H: use :if, :for or a component")
+  defp parse_nodes("<%" <> _, ctx, _, _),
+    do:
+      raise_error(ctx, "blocks (<% ... %>) are not supported in ~H: use :if, :for or a component")
 
-  defp nodes("<!--" <> rest, ctx, tag, acc) do
-    {comment, rest} = upto(rest, "-->", ctx, "<!--")
+  defp parse_nodes("<!--" <> rest, ctx, tag, acc) do
+    {comment, rest} = take_until(rest, "-->", ctx, "<!--")
     text = "<!--" <> comment <> "-->"
-    nodes(rest, advance(ctx, text), tag, [{:text, text} | acc])
+    parse_nodes(rest, advance_position(ctx, text), tag, [{:text, text} | acc])
   end
 
-  defp nodes("<!" <> rest, ctx, tag, acc) do
-    {declaration, rest} = upto(rest, ">", ctx, "<!")
+  defp parse_nodes("<!" <> rest, ctx, tag, acc) do
+    {declaration, rest} = take_until(rest, ">", ctx, "<!")
     text = "<!" <> declaration <> ">"
-    nodes(rest, advance(ctx, text), tag, [{:text, text} | acc])
+    parse_nodes(rest, advance_position(ctx, text), tag, [{:text, text} | acc])
   end
 
-  defp nodes("</" <> rest, ctx, open, acc) do
-    {name, rest} = upto(rest, ">", ctx, "</")
+  defp parse_nodes("</" <> rest, ctx, open, acc) do
+    {name, rest} = take_until(rest, ">", ctx, "</")
 
     case {String.trim(name), open} do
       {name, {name, _}} ->
-        {Enum.reverse(acc), rest, advance(ctx, "</" <> name <> ">")}
+        {Enum.reverse(acc), rest, advance_position(ctx, "</" <> name <> ">")}
 
       {name, nil} ->
-        error(ctx, "</#{name}> closes nothing")
+        raise_error(ctx, "</#{name}> closes nothing")
 
       {name, {tag, at}} ->
-        error(ctx, "</#{name}> where <#{tag}> of line #{at.line} must be closed")
+        raise_error(ctx, "</#{name}> where <#{tag}> of line #{at.line} must be closed")
     end
   end
 
-  defp nodes(<<"<", c, _::binary>> = source, ctx, tag, acc)
+  defp parse_nodes(<<"<", c, _::binary>> = source, ctx, tag, acc)
        when c in ?a..?z or c in ?A..?Z or c in [?., ?:] do
-    {element, rest, ctx} = element(source, ctx)
-    nodes(rest, ctx, tag, [element | acc])
+    {element, rest, ctx} = parse_element(source, ctx)
+    parse_nodes(rest, ctx, tag, [element | acc])
   end
 
-  defp nodes("\\{" <> rest, ctx, tag, acc),
-    do: nodes(rest, advance(ctx, "\\{"), tag, [{:text, "{"} | acc])
+  defp parse_nodes("\\{" <> rest, ctx, tag, acc),
+    do: parse_nodes(rest, advance_position(ctx, "\\{"), tag, [{:text, "{"} | acc])
 
-  defp nodes("{" <> rest, %{curly?: true} = ctx, tag, acc) do
-    {ast, rest, ctx} = braces(rest, advance(ctx, "{"))
-    nodes(rest, ctx, tag, [{:expr, ast} | acc])
+  defp parse_nodes("{" <> rest, %{curly?: true} = ctx, tag, acc) do
+    {ast, rest, ctx} = parse_braces(rest, advance_position(ctx, "{"))
+    parse_nodes(rest, ctx, tag, [{:expr, ast} | acc])
   end
 
-  defp nodes(source, ctx, tag, acc) do
+  defp parse_nodes(source, ctx, tag, acc) do
     stops = if ctx.curly?, do: ["<", "{", "\\{"], else: ["<"]
-    {text, rest} = text(source, stops)
-    nodes(rest, advance(ctx, text), tag, [{:text, text} | acc])
+    {text, rest} = take_text(source, stops)
+    parse_nodes(rest, advance_position(ctx, text), tag, [{:text, text} | acc])
   end
 
   # Takes at least one character, so that a lone `<` is text.
-  defp text(source, stops) do
+  defp take_text(source, stops) do
     scope = {1, byte_size(source) - 1}
 
     case :binary.match(source, stops, scope: scope) do
@@ -94,9 +95,11 @@ defmodule Situ.Live.Template.Parser do
     end
   end
 
-  defp element("<" <> source, ctx) do
+  defp parse_element("<" <> source, ctx) do
     {name, rest} = take_name(source)
-    {attributes, how, rest, inner} = attributes(rest, advance(ctx, "<" <> name), ctx, [])
+
+    {attributes, how, rest, inner} =
+      parse_attributes(rest, advance_position(ctx, "<" <> name), ctx, [])
 
     {no_curly, attributes} =
       Enum.split_with(attributes, &match?({"phx-no-curly-interpolation", _}, &1))
@@ -109,56 +112,56 @@ defmodule Situ.Live.Template.Parser do
         {{:element, name, attributes, :void, at}, rest, %{inner | curly?: ctx.curly?}}
 
       name in ["script", "style"] ->
-        {raw, rest} = upto(rest, "</#{name}>", ctx, "<#{name}>")
-        inner = advance(inner, raw <> "</#{name}>")
+        {raw, rest} = take_until(rest, "</#{name}>", ctx, "<#{name}>")
+        inner = advance_position(inner, raw <> "</#{name}>")
         {{:element, name, attributes, [{:text, raw}], at}, rest, %{inner | curly?: ctx.curly?}}
 
       true ->
-        {children, rest, inner} = nodes(rest, inner, {name, ctx}, [])
+        {children, rest, inner} = parse_nodes(rest, inner, {name, ctx}, [])
         {{:element, name, attributes, children, at}, rest, %{inner | curly?: ctx.curly?}}
     end
   end
 
-  defp attributes(source, ctx, tag_at, acc) do
+  defp parse_attributes(source, ctx, tag_at, acc) do
     {space, source} = take_space(source)
-    ctx = advance(ctx, space)
+    ctx = advance_position(ctx, space)
 
     case source do
       "/>" <> rest ->
-        {Enum.reverse(acc), :closed, rest, advance(ctx, "/>")}
+        {Enum.reverse(acc), :closed, rest, advance_position(ctx, "/>")}
 
       ">" <> rest ->
-        {Enum.reverse(acc), :open, rest, advance(ctx, ">")}
+        {Enum.reverse(acc), :open, rest, advance_position(ctx, ">")}
 
       "{" <> rest ->
-        {ast, rest, ctx} = braces(rest, advance(ctx, "{"))
-        attributes(rest, ctx, tag_at, [{:spread, ast} | acc])
+        {ast, rest, ctx} = parse_braces(rest, advance_position(ctx, "{"))
+        parse_attributes(rest, ctx, tag_at, [{:spread, ast} | acc])
 
       "" ->
-        error(tag_at, "this tag has no closing >")
+        raise_error(tag_at, "this tag has no closing >")
 
       _ ->
-        {attribute, rest, ctx} = attribute(source, ctx)
-        attributes(rest, ctx, tag_at, [attribute | acc])
+        {attribute, rest, ctx} = parse_attribute(source, ctx)
+        parse_attributes(rest, ctx, tag_at, [attribute | acc])
     end
   end
 
-  defp attribute(source, ctx) do
+  defp parse_attribute(source, ctx) do
     {name, rest} = take_name(source)
-    if name == "", do: error(ctx, "expected an attribute name")
-    ctx = advance(ctx, name)
+    if name == "", do: raise_error(ctx, "expected an attribute name")
+    ctx = advance_position(ctx, name)
 
     case rest do
       "={" <> rest ->
-        {ast, rest, ctx} = braces(rest, advance(ctx, "={"))
+        {ast, rest, ctx} = parse_braces(rest, advance_position(ctx, "={"))
         {{name, {:expr, ast}}, rest, ctx}
 
       <<"=", quote, rest::binary>> when quote in [?", ?'] ->
-        {value, rest} = upto(rest, <<quote>>, ctx, <<quote>>)
-        {{name, value}, rest, advance(ctx, <<"=", quote, value::binary, quote>>)}
+        {value, rest} = take_until(rest, <<quote>>, ctx, <<quote>>)
+        {{name, value}, rest, advance_position(ctx, <<"=", quote, value::binary, quote>>)}
 
       "=" <> _ ->
-        error(ctx, "the value of #{name} must be in quotes or braces")
+        raise_error(ctx, "the value of #{name} must be in quotes or braces")
 
       _ ->
         {{name, true}, rest, ctx}
@@ -166,52 +169,52 @@ defmodule Situ.Live.Template.Parser do
   end
 
   # The expression ends at the first `}` before which the code is valid Elixir.
-  defp braces(source, ctx, from \\ 0) do
+  defp parse_braces(source, ctx, from \\ 0) do
     case :binary.match(source, "}", scope: {from, byte_size(source) - from}) do
       :nomatch ->
-        quoted(source |> String.split("\n") |> hd(), ctx)
-        error(ctx, "{ is not closed")
+        parse_code(source |> String.split("\n") |> hd(), ctx)
+        raise_error(ctx, "{ is not closed")
 
       {at, 1} ->
         code = binary_part(source, 0, at)
 
-        case Code.string_to_quoted(code, options(ctx)) do
+        case Code.string_to_quoted(code, code_options(ctx)) do
           {:ok, ast} ->
             rest = binary_part(source, at + 1, byte_size(source) - at - 1)
-            {ast, rest, advance(ctx, code <> "}")}
+            {ast, rest, advance_position(ctx, code <> "}")}
 
           {:error, _} ->
-            braces(source, ctx, at + 1)
+            parse_braces(source, ctx, at + 1)
         end
     end
   end
 
-  defp quoted(code, ctx), do: Code.string_to_quoted!(code, options(ctx))
+  defp parse_code(code, ctx), do: Code.string_to_quoted!(code, code_options(ctx))
 
-  defp options(ctx) do
+  defp code_options(ctx) do
     [file: ctx.file, line: ctx.line, column: ctx.column, columns: true, emit_warnings: false]
   end
 
-  defp take_name(source), do: take(source, 0, &(&1 not in @name_end))
-  defp take_space(source), do: take(source, 0, &(&1 in @space))
+  defp take_name(source), do: take_while(source, 0, &(&1 not in @name_end))
+  defp take_space(source), do: take_while(source, 0, &(&1 in @space))
 
-  defp take(source, n, wanted?) do
+  defp take_while(source, n, wanted?) do
     if n < byte_size(source) and wanted?.(:binary.at(source, n)),
-      do: take(source, n + 1, wanted?),
-      else: split(source, n)
+      do: take_while(source, n + 1, wanted?),
+      else: split_at(source, n)
   end
 
-  defp split(source, n),
+  defp split_at(source, n),
     do: {binary_part(source, 0, n), binary_part(source, n, byte_size(source) - n)}
 
-  defp upto(source, stop, ctx, start) do
+  defp take_until(source, stop, ctx, start) do
     case :binary.split(source, stop) do
       [left, right] -> {left, right}
-      [_] -> error(ctx, "#{start} has no #{stop}")
+      [_] -> raise_error(ctx, "#{start} has no #{stop}")
     end
   end
 
-  defp advance(ctx, text) do
+  defp advance_position(ctx, text) do
     case :binary.matches(text, "\n") do
       [] ->
         %{ctx | column: ctx.column + String.length(text)}
@@ -225,11 +228,11 @@ defmodule Situ.Live.Template.Parser do
   end
 
   @doc false
-  @spec error(position(), String.t()) :: no_return()
-  def error(at, what) do
+  @spec raise_error(position(), String.t()) :: no_return()
+  def raise_error(at, what) do
     raise SyntaxError, file: at.file, line: at.line, column: at.column, description: what
   end
 
   @doc false
-  def void?(name), do: name in @void
+  def void_element?(name), do: name in @void
 end

@@ -21,7 +21,11 @@ defmodule Situ.Live.Template.Runtime do
   end
 
   def comprehension(%Stream{} = stream, entries, %Comprehension{} = comprehension) do
-    %{comprehension | entries: entries.(Stream.inserts(stream)), stream: Stream.wire(stream)}
+    %{
+      comprehension
+      | entries: entries.(Stream.inserted_items(stream)),
+        stream: Stream.to_wire(stream)
+    }
   end
 
   def comprehension(enumerable, entries, %Comprehension{} = comprehension) do

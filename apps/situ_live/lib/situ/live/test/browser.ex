@@ -30,7 +30,7 @@ defmodule Situ.Live.Test.Browser do
     {:noreply, %{state | ref: state.ref + 1, waiting: Map.put(state.waiting, ref, from)}}
   end
 
-  def handle_call(:html, _from, state), do: {:reply, Tree.html(state.tree, state.rows), state}
+  def handle_call(:html, _from, state), do: {:reply, Tree.to_html(state.tree, state.rows), state}
   def handle_call(:view, _from, state), do: {:reply, {state.view, state.down}, state}
   def handle_call(:title, _from, state), do: {:reply, state.title, state}
   def handle_call(:visits, _from, state), do: {:reply, Enum.reverse(state.visits), state}
@@ -45,7 +45,7 @@ defmodule Situ.Live.Test.Browser do
   @impl true
   def handle_info({:situ_live, _topic, _ref, text}, state) do
     {:ok, [_join_ref, ref, _, event, payload]} = JSON.decode(text)
-    {:noreply, message(event, ref, payload, state)}
+    {:noreply, handle_message(event, ref, payload, state)}
   end
 
   def handle_info({:DOWN, _, _, _, reason}, state) do
@@ -55,24 +55,24 @@ defmodule Situ.Live.Test.Browser do
      %{state | down: reason, waiting: %{}, join: state.join || {:error, {:view_down, reason}}}}
   end
 
-  defp message("phx_reply", "join", %{"status" => status, "response" => response}, state) do
+  defp handle_message("phx_reply", "join", %{"status" => status, "response" => response}, state) do
     result = if status == "ok", do: :ok, else: {:error, response}
     state = state |> apply_diff(response["rendered"] || %{}) |> Map.put(:join, result)
-    answer(state, "join", result)
+    reply_to_waiting(state, "join", result)
   end
 
-  defp message("phx_reply", ref, %{"status" => status, "response" => response}, state) do
+  defp handle_message("phx_reply", ref, %{"status" => status, "response" => response}, state) do
     diff = response["diff"] || %{}
     state = apply_diff(state, diff)
-    answer(state, ref, {:"#{status}", diff["r"] || Map.delete(response, "diff")})
+    reply_to_waiting(state, ref, {:"#{status}", diff["r"] || Map.delete(response, "diff")})
   end
 
-  defp message("diff", _, diff, state), do: apply_diff(state, diff)
+  defp handle_message("diff", _, diff, state), do: apply_diff(state, diff)
 
-  defp message(kind, _, %{"to" => to}, state),
+  defp handle_message(kind, _, %{"to" => to}, state),
     do: %{state | visits: [{String.to_existing_atom(kind), to} | state.visits]}
 
-  defp answer(state, ref, result) do
+  defp reply_to_waiting(state, ref, result) do
     {from, waiting} = Map.pop(state.waiting, ref)
     if from, do: GenServer.reply(from, result)
     %{state | waiting: waiting}
@@ -84,12 +84,12 @@ defmodule Situ.Live.Test.Browser do
     {acks, events} = diff |> Map.get("e", []) |> Enum.split_with(&match?(["situ:ack" | _], &1))
     payload = %{"event" => "situ:ack", "type" => "hook", "value" => %{}}
     for _ <- acks, do: send(state.view, {:situ_live, "ack", "event", payload})
-    tree = Tree.merge(state.tree, diff)
-    rows = Enum.reduce(Tree.streams(tree), state.rows, &stream/2)
+    tree = Tree.merge_diff(state.tree, diff)
+    rows = Enum.reduce(Tree.stream_updates(tree), state.rows, &apply_stream/2)
 
     %{
       state
-      | tree: Tree.drained(tree),
+      | tree: Tree.clear_streams(tree),
         rows: rows,
         events: Enum.reverse(events) ++ state.events,
         title: diff["t"] || state.title
@@ -97,7 +97,7 @@ defmodule Situ.Live.Test.Browser do
   end
 
   # Only the page keeps the rows of a stream.
-  defp stream({[ref, inserts, deletes | reset], htmls}, rows) do
+  defp apply_stream({[ref, inserts, deletes | reset], htmls}, rows) do
     kept = if reset == [true], do: [], else: Map.get(rows, ref, [])
     kept = Enum.reject(kept, fn {id, _} -> id in deletes end)
 
@@ -105,13 +105,13 @@ defmodule Situ.Live.Test.Browser do
       inserts
       |> Enum.zip(htmls)
       |> Enum.reduce(kept, fn {[id, at, limit, _], html}, kept ->
-        insert(kept, {id, html}, at, limit)
+        insert_row(kept, {id, html}, at, limit)
       end)
 
     Map.put(rows, ref, kept)
   end
 
-  defp insert(rows, {id, _} = row, at, limit) do
+  defp insert_row(rows, {id, _} = row, at, limit) do
     rows =
       if List.keymember?(rows, id, 0),
         do: List.keyreplace(rows, id, 0, row),

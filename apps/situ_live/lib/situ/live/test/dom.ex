@@ -10,60 +10,60 @@ defmodule Situ.Live.Test.Dom do
 
   @spec parse(String.t()) :: [t()]
   def parse(html) do
-    {nodes, _rest} = children(html, nil, [])
+    {nodes, _rest} = parse_children(html, nil, [])
     nodes
   end
 
-  defp children("", _tag, acc), do: {Enum.reverse(acc), ""}
+  defp parse_children("", _tag, acc), do: {Enum.reverse(acc), ""}
 
-  defp children("<!--" <> rest, tag, acc) do
+  defp parse_children("<!--" <> rest, tag, acc) do
     [_, rest] = :binary.split(rest, "-->")
-    children(rest, tag, acc)
+    parse_children(rest, tag, acc)
   end
 
-  defp children("<!" <> rest, tag, acc) do
+  defp parse_children("<!" <> rest, tag, acc) do
     [_, rest] = :binary.split(rest, ">")
-    children(rest, tag, acc)
+    parse_children(rest, tag, acc)
   end
 
-  defp children("</" <> rest, _tag, acc) do
+  defp parse_children("</" <> rest, _tag, acc) do
     [_name, rest] = :binary.split(rest, ">")
     {Enum.reverse(acc), rest}
   end
 
-  defp children("<" <> rest, tag, acc) do
+  defp parse_children("<" <> rest, tag, acc) do
     [name, rest] = Regex.run(~r/\A([a-zA-Z][^\s\/>]*)(.*)\z/s, rest, capture: :all_but_first)
-    {attributes, rest} = attributes(rest, %{})
+    {attributes, rest} = parse_attributes(rest, %{})
 
     {inner, rest} =
       cond do
         name in @void -> {[], rest}
-        name in ["script", "style"] -> raw(rest, name)
-        true -> children(rest, name, [])
+        name in ["script", "style"] -> take_raw_text(rest, name)
+        true -> parse_children(rest, name, [])
       end
 
-    children(rest, tag, [{name, attributes, inner} | acc])
+    parse_children(rest, tag, [{name, attributes, inner} | acc])
   end
 
-  defp children(text, tag, acc) do
+  defp parse_children(text, tag, acc) do
     {text, rest} =
       case :binary.match(text, "<") do
-        {at, _} -> split(text, at)
+        {at, _} -> split_at(text, at)
         :nomatch -> {text, ""}
       end
 
-    children(rest, tag, [unescape(text) | acc])
+    parse_children(rest, tag, [unescape_entities(text) | acc])
   end
 
-  defp split(text, at),
+  defp split_at(text, at),
     do: {binary_part(text, 0, at), binary_part(text, at, byte_size(text) - at)}
 
-  defp raw(html, name) do
+  defp take_raw_text(html, name) do
     [text, rest] = :binary.split(html, "</#{name}>")
     {[text], rest}
   end
 
-  defp attributes(html, acc) do
+  defp parse_attributes(html, acc) do
     case String.trim_leading(html) do
       ">" <> rest ->
         {acc, rest}
@@ -74,11 +74,11 @@ defmodule Situ.Live.Test.Dom do
       html ->
         [_, name, value, rest] = Regex.run(~r/\A([^\s=\/>]+)(?:="([^"]*)")?(.*)\z/s, html)
 
-        attributes(rest, Map.put(acc, name, unescape(value)))
+        parse_attributes(rest, Map.put(acc, name, unescape_entities(value)))
     end
   end
 
-  defp unescape(text) do
+  defp unescape_entities(text) do
     text
     |> String.replace("&lt;", "<")
     |> String.replace("&gt;", ">")
@@ -87,25 +87,25 @@ defmodule Situ.Live.Test.Dom do
     |> String.replace("&amp;", "&")
   end
 
-  @spec all([t()], String.t()) :: [t()]
-  def all(nodes, selector) do
+  @spec find_all([t()], String.t()) :: [t()]
+  def find_all(nodes, selector) do
     selector
     |> String.split()
-    |> Enum.map(&compound/1)
+    |> Enum.map(&parse_compound/1)
     |> Enum.reduce(nodes, fn
       wanted, ^nodes ->
-        below(nodes, wanted)
+        find_below(nodes, wanted)
 
       wanted, found ->
-        found |> Enum.flat_map(fn {_, _, inner} -> below(inner, wanted) end) |> Enum.uniq()
+        found |> Enum.flat_map(fn {_, _, inner} -> find_below(inner, wanted) end) |> Enum.uniq()
     end)
   end
 
-  defp below(nodes, wanted) do
+  defp find_below(nodes, wanted) do
     Enum.flat_map(nodes, fn
       {_, _, inner} = element ->
-        here = if Enum.all?(wanted, &fits?(&1, element)), do: [element], else: []
-        here ++ below(inner, wanted)
+        here = if Enum.all?(wanted, &matches_part?(&1, element)), do: [element], else: []
+        here ++ find_below(inner, wanted)
 
       _text ->
         []
@@ -114,7 +114,7 @@ defmodule Situ.Live.Test.Dom do
 
   @part ~r/#([\w:.-]+?)(?=[#.\[]|\z)|\.([\w:-]+)|\[([\w:-]+)(?:=["']?([^"'\]]*)["']?)?\]|([a-zA-Z][\w-]*)/
 
-  defp compound(text) do
+  defp parse_compound(text) do
     parts = Regex.scan(@part, text)
 
     if parts |> Enum.map_join(&hd/1) != text,
@@ -129,17 +129,17 @@ defmodule Situ.Live.Test.Dom do
     end)
   end
 
-  defp fits?({:tag, tag}, {tag, _, _}), do: true
-  defp fits?({:has, name}, {_, attributes, _}), do: is_map_key(attributes, name)
-  defp fits?({:attribute, name, value}, {_, attributes, _}), do: attributes[name] == value
+  defp matches_part?({:tag, tag}, {tag, _, _}), do: true
+  defp matches_part?({:has, name}, {_, attributes, _}), do: is_map_key(attributes, name)
+  defp matches_part?({:attribute, name, value}, {_, attributes, _}), do: attributes[name] == value
 
-  defp fits?({:class, class}, {_, attributes, _}),
+  defp matches_part?({:class, class}, {_, attributes, _}),
     do: class in String.split(Map.get(attributes, "class", ""))
 
-  defp fits?(_, _), do: false
+  defp matches_part?(_, _), do: false
 
-  @spec text(t() | [t()]) :: String.t()
-  def text(nodes) when is_list(nodes), do: Enum.map_join(nodes, &text/1)
-  def text({_, _, inner}), do: text(inner)
-  def text(text), do: text
+  @spec text_content(t() | [t()]) :: String.t()
+  def text_content(nodes) when is_list(nodes), do: Enum.map_join(nodes, &text_content/1)
+  def text_content({_, _, inner}), do: text_content(inner)
+  def text_content(text), do: text
 end

@@ -11,18 +11,24 @@ defmodule Situ.Live.Yaws.Answer do
   @type socket :: :gen_tcp.socket() | {:ssl, :ssl.sslsocket()}
 
   @doc "Sends `100 Continue` to a client that waits for it before it sends the body."
-  @spec continue(socket()) :: :ok | {:error, term()}
-  def continue(socket), do: send_bytes(socket, "HTTP/1.1 100 Continue\r\n\r\n")
+  @spec send_continue(socket()) :: :ok | {:error, term()}
+  def send_continue(socket), do: send_bytes(socket, "HTTP/1.1 100 Continue\r\n\r\n")
 
   @doc "Writes `response`; returns `:done` to keep the connection or `:closed` to end it."
-  @spec write(socket(), map(), Request.t(), Response.t(), boolean()) :: :done | :closed
-  def write(socket, config, request, %Response{} = response, keep?) do
-    {framing, body} = framing(response.body, request, response.status, keep?)
+  @spec write_response(socket(), map(), Request.t(), Response.t(), boolean()) :: :done | :closed
+  def write_response(socket, config, request, %Response{} = response, keep?) do
+    {framing, body} = choose_framing(response.body, request, response.status, keep?)
     keep? = keep? and framing != :until_close
 
     head = [
-      ["HTTP/1.1 ", Integer.to_string(response.status), " ", reason(response.status), "\r\n"],
-      Enum.map(response.headers ++ config.headers, &header/1),
+      [
+        "HTTP/1.1 ",
+        Integer.to_string(response.status),
+        " ",
+        reason_phrase(response.status),
+        "\r\n"
+      ],
+      Enum.map(response.headers ++ config.headers, &format_header/1),
       framing_header(framing),
       if(keep?, do: [], else: "connection: close\r\n"),
       "\r\n"
@@ -37,19 +43,19 @@ defmodule Situ.Live.Yaws.Answer do
   end
 
   # A line break in a header would begin another header.
-  defp header({name, value}) do
+  defp format_header({name, value}) do
     value = :binary.replace(IO.iodata_to_binary(value), ["\r", "\n"], " ", [:global])
     [name, ": ", value, "\r\n"]
   end
 
-  defp framing(_, _, status, _) when status in [204, 304] or status < 200, do: {:none, ""}
-  defp framing({:chunks, _}, %{method: "HEAD"}, _, _), do: {:none, ""}
-  defp framing({:chunks, chunks}, _, _, true), do: {:chunked, {:chunks, chunks}}
-  defp framing({:chunks, chunks}, _, _, false), do: {:until_close, {:chunks, chunks}}
-  defp framing({:file, _, _, n}, %{method: "HEAD"}, _, _), do: {{:length, n}, ""}
-  defp framing({:file, _, _, n} = body, _, _, _), do: {{:length, n}, body}
+  defp choose_framing(_, _, status, _) when status in [204, 304] or status < 200, do: {:none, ""}
+  defp choose_framing({:chunks, _}, %{method: "HEAD"}, _, _), do: {:none, ""}
+  defp choose_framing({:chunks, chunks}, _, _, true), do: {:chunked, {:chunks, chunks}}
+  defp choose_framing({:chunks, chunks}, _, _, false), do: {:until_close, {:chunks, chunks}}
+  defp choose_framing({:file, _, _, n}, %{method: "HEAD"}, _, _), do: {{:length, n}, ""}
+  defp choose_framing({:file, _, _, n} = body, _, _, _), do: {{:length, n}, body}
 
-  defp framing(body, request, _, _) do
+  defp choose_framing(body, request, _, _) do
     length = {:length, IO.iodata_length(body)}
     if request.method == "HEAD", do: {length, ""}, else: {length, body}
   end
@@ -99,7 +105,7 @@ defmodule Situ.Live.Yaws.Answer do
   defp send_file({:ssl, socket}, path, from, length) do
     File.open(path, [:read, :raw, :binary], fn file ->
       {:ok, _} = :file.position(file, from)
-      copy(file, socket, length)
+      send_file_chunks(file, socket, length)
     end)
     |> case do
       {:ok, result} -> result
@@ -115,12 +121,12 @@ defmodule Situ.Live.Yaws.Answer do
     end
   end
 
-  defp copy(_file, _socket, 0), do: :ok
+  defp send_file_chunks(_file, _socket, 0), do: :ok
 
-  defp copy(file, socket, length) do
+  defp send_file_chunks(file, socket, length) do
     with {:ok, bytes} <- :file.read(file, min(length, @piece)),
          :ok <- :ssl.send(socket, bytes) do
-      copy(file, socket, length - byte_size(bytes))
+      send_file_chunks(file, socket, length - byte_size(bytes))
     else
       _ -> :error
     end
@@ -130,8 +136,11 @@ defmodule Situ.Live.Yaws.Answer do
   defp send_bytes(socket, bytes), do: :gen_tcp.send(socket, bytes)
 
   # Yaws knows only the older status codes.
-  defp reason(421), do: "Misdirected Request"
-  defp reason(status) when status in 200..417, do: :yaws_api.code_to_phrase(status)
-  defp reason(status) when status in [500, 501, 502, 503], do: :yaws_api.code_to_phrase(status)
-  defp reason(_), do: "Status"
+  defp reason_phrase(421), do: "Misdirected Request"
+  defp reason_phrase(status) when status in 200..417, do: :yaws_api.code_to_phrase(status)
+
+  defp reason_phrase(status) when status in [500, 501, 502, 503],
+    do: :yaws_api.code_to_phrase(status)
+
+  defp reason_phrase(_), do: "Status"
 end

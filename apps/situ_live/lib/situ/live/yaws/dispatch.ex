@@ -23,47 +23,47 @@ defmodule Situ.Live.Yaws.Dispatch do
     limit = Process.flag(:max_heap_size, 0)
 
     try do
-      case Endpoint.fetch(ref) do
-        {:ok, config} -> dispatch(arg, config)
+      case Endpoint.fetch_config(ref) do
+        {:ok, config} -> dispatch_request(arg, config)
         :error -> :closed
       end
     after
-      limit_again(limit)
+      restore_heap_limit(limit)
     end
   end
 
   # The handler's garbage must not count against the next head.
-  defp limit_again(%{size: size} = limit) do
+  defp restore_heap_limit(%{size: size} = limit) do
     {:total_heap_size, held} = Process.info(self(), :total_heap_size)
     if size > 0 and held > div(size, 8), do: :erlang.garbage_collect()
     Process.flag(:max_heap_size, limit)
   end
 
-  defp dispatch(arg, config) do
+  defp dispatch_request(arg, config) do
     arg(req: http_request(version: version)) = arg
 
-    with {:ok, request} <- request(arg, config),
+    with {:ok, request} <- build_request(arg, config),
          {:ok, length} <- body_length(request) do
-      keep? = keep?(version, request)
+      keep? = keep_alive?(version, request)
 
-      case Endpoint.admit(config, request) do
+      case Endpoint.admit_request(config, request) do
         {:respond, response} ->
           keep? = keep? and length == 0
-          write(arg, config, request, response, keep?)
+          write_response(arg, config, request, response, keep?)
 
         route ->
           with_body(arg, config, route, length, keep?)
       end
     else
-      {:error, status} -> write(arg, config, %Request{}, Response.error(status), false)
+      {:error, status} -> write_response(arg, config, %Request{}, Response.error(status), false)
     end
   end
 
   defp with_body(arg, config, {_, request} = route, 0, keep?),
-    do: answer(arg, config, route, request, keep?)
+    do: send_result(arg, config, route, request, keep?)
 
   defp with_body(arg, config, {_, _, request} = route, 0, keep?),
-    do: answer(arg, config, route, request, keep?)
+    do: send_result(arg, config, route, request, keep?)
 
   defp with_body(arg, config, route, length, keep?) do
     request = elem(route, tuple_size(route) - 1)
@@ -71,25 +71,25 @@ defmodule Situ.Live.Yaws.Dispatch do
     with true <- length <= Endpoint.max_body(config, route) or {:error, 413},
          {:ok, body} <- read_body(arg, request, length, config.body_ms) do
       request = %{request | body: body}
-      answer(arg, config, put_elem(route, tuple_size(route) - 1, request), request, keep?)
+      send_result(arg, config, put_elem(route, tuple_size(route) - 1, request), request, keep?)
     else
-      {:error, status} -> write(arg, config, request, Response.error(status), false)
+      {:error, status} -> write_response(arg, config, request, Response.error(status), false)
     end
   end
 
-  defp answer(arg, config, route, request, keep?) do
-    case run(config, route) do
+  defp send_result(arg, config, route, request, keep?) do
+    case run_handler(config, route) do
       {:upgrade, handler, handler_arg, opts, request} ->
-        upgrade(arg, config, {handler, handler_arg, opts, request})
+        start_websocket(arg, config, {handler, handler_arg, opts, request})
 
       %Response{} = response ->
-        write(arg, config, request, response, keep?)
+        write_response(arg, config, request, response, keep?)
     end
   end
 
   # An exception in a handler affects only its own request.
-  defp run(config, route) do
-    case Endpoint.run(config, route) do
+  defp run_handler(config, route) do
+    case Endpoint.run_route(config, route) do
       %Response{} = response -> response
       {:upgrade, _, _, _, _} = upgrade -> upgrade
       other -> raise "a handler must return a Situ.Live.Response, got: #{inspect(other)}"
@@ -102,15 +102,15 @@ defmodule Situ.Live.Yaws.Dispatch do
 
   # -- WebSockets
 
-  defp upgrade(arg, config, {_, _, opts, request} = handler) do
+  defp start_websocket(arg, config, {_, _, opts, request} = handler) do
     cond do
-      Request.header(request, "sec-websocket-version") != "13" or
-          Request.header(request, "sec-websocket-key") == nil ->
+      Request.get_header(request, "sec-websocket-version") != "13" or
+          Request.get_header(request, "sec-websocket-key") == nil ->
         response = Response.error(426) |> Response.put_header("sec-websocket-version", "13")
-        write(arg, config, request, response, false)
+        write_response(arg, config, request, response, false)
 
       Connections.count(config.ref) >= config.max_sockets ->
-        write(arg, config, request, Response.error(503, "too many connections"), false)
+        write_response(arg, config, request, Response.error(503, "too many connections"), false)
 
       true ->
         max = opts[:max_frame] || 65_536
@@ -127,19 +127,19 @@ defmodule Situ.Live.Yaws.Dispatch do
     end
   end
 
-  defp write(arg(clisock: socket), config, request, response, keep?),
-    do: Answer.write(socket, config, request, response, keep?)
+  defp write_response(arg(clisock: socket), config, request, response, keep?),
+    do: Answer.write_response(socket, config, request, response, keep?)
 
   # -- reading
 
-  defp request(arg(headers: headers, req: req, client_ip_port: peer), config) do
+  defp build_request(arg(headers: headers, req: req, client_ip_port: peer), config) do
     http_request(method: method, path: path) = req
 
     case path do
       {:abs_path, target} ->
         fields = [scheme: config.scheme, peer: peer, endpoint: config.ref]
 
-        case Request.new(to_string(method), bytes(target), header_map(headers), fields) do
+        case Request.new(to_string(method), to_binary(target), header_map(headers), fields) do
           {:ok, request} -> {:ok, request}
           {:error, :bad_request} -> {:error, 400}
         end
@@ -158,47 +158,47 @@ defmodule Situ.Live.Yaws.Dispatch do
 
     named =
       for field <- @named, (value = values[field]) not in [nil, :undefined], into: %{} do
-        {field |> Atom.to_string() |> String.replace("_", "-"), bytes(value)}
+        {field |> Atom.to_string() |> String.replace("_", "-"), to_binary(value)}
       end
 
     others =
       for {:http_header, _, name, _, value} <- other, into: named do
-        {name |> to_string() |> String.downcase(), bytes(value)}
+        {name |> to_string() |> String.downcase(), to_binary(value)}
       end
 
     others
-    |> put(
+    |> put_present(
       "cookie",
-      if(cookies == [], do: nil, else: cookies |> Enum.map(&bytes/1) |> Enum.join("; "))
+      if(cookies == [], do: nil, else: cookies |> Enum.map(&to_binary/1) |> Enum.join("; "))
     )
-    |> put("authorization", authorization(auth))
-    |> put("host", host(host))
+    |> put_present("authorization", authorization_value(auth))
+    |> put_present("host", host_value(host))
   end
 
-  defp put(map, _name, nil), do: map
-  defp put(map, name, value), do: Map.put(map, name, value)
+  defp put_present(map, _name, nil), do: map
+  defp put_present(map, name, value), do: Map.put(map, name, value)
 
-  defp authorization({_user, _password, original}), do: bytes(original)
-  defp authorization(none) when none in [nil, :undefined], do: nil
-  defp authorization(value), do: bytes(value)
+  defp authorization_value({_user, _password, original}), do: to_binary(original)
+  defp authorization_value(none) when none in [nil, :undefined], do: nil
+  defp authorization_value(value), do: to_binary(value)
 
   # If there are several host headers, none of them is used.
-  defp host(none) when none in [nil, :undefined], do: nil
-  defp host({_several}), do: ""
-  defp host(host), do: bytes(host)
+  defp host_value(none) when none in [nil, :undefined], do: nil
+  defp host_value({_several}), do: ""
+  defp host_value(host), do: to_binary(host)
 
-  defp bytes(value) when is_binary(value), do: value
-  defp bytes(value), do: :erlang.iolist_to_binary(value)
+  defp to_binary(value) when is_binary(value), do: value
+  defp to_binary(value), do: :erlang.iolist_to_binary(value)
 
-  defp keep?(version, request) do
-    connection = request |> Request.header("connection") |> to_string() |> String.downcase()
+  defp keep_alive?(version, request) do
+    connection = request |> Request.get_header("connection") |> to_string() |> String.downcase()
     version == {1, 1} and connection != "close"
   end
 
   defp body_length(request) do
     cond do
-      Request.header(request, "transfer-encoding") != nil -> {:error, 411}
-      (length = Request.header(request, "content-length")) != nil -> parse_length(length)
+      Request.get_header(request, "transfer-encoding") != nil -> {:error, 411}
+      (length = Request.get_header(request, "content-length")) != nil -> parse_length(length)
       true -> {:ok, 0}
     end
   end
@@ -208,24 +208,25 @@ defmodule Situ.Live.Yaws.Dispatch do
   end
 
   defp read_body(arg(clisock: socket), request, length, body_ms) do
-    expect = request |> Request.header("expect") |> to_string() |> String.downcase()
-    if expect == "100-continue", do: Answer.continue(socket)
+    expect = request |> Request.get_header("expect") |> to_string() |> String.downcase()
+    if expect == "100-continue", do: Answer.send_continue(socket)
     deadline = System.monotonic_time(:millisecond) + body_ms
-    read(socket, length, deadline, [])
+    read_chunks(socket, length, deadline, [])
   end
 
   # The deadline applies to the whole body, so that a client cannot hold the connection by sending a byte now and then.
-  defp read(_socket, 0, _deadline, acc), do: {:ok, acc |> Enum.reverse() |> IO.iodata_to_binary()}
+  defp read_chunks(_socket, 0, _deadline, acc),
+    do: {:ok, acc |> Enum.reverse() |> IO.iodata_to_binary()}
 
-  defp read(socket, length, deadline, acc) do
+  defp read_chunks(socket, length, deadline, acc) do
     left_ms = deadline - System.monotonic_time(:millisecond)
 
-    case left_ms > 0 and recv(socket, min(length, @piece), left_ms) do
-      {:ok, bytes} -> read(socket, length - byte_size(bytes), deadline, [bytes | acc])
+    case left_ms > 0 and receive_bytes(socket, min(length, @piece), left_ms) do
+      {:ok, bytes} -> read_chunks(socket, length - byte_size(bytes), deadline, [bytes | acc])
       _ -> {:error, 408}
     end
   end
 
-  defp recv({:ssl, socket}, n, timeout_ms), do: :ssl.recv(socket, n, timeout_ms)
-  defp recv(socket, n, timeout_ms), do: :gen_tcp.recv(socket, n, timeout_ms)
+  defp receive_bytes({:ssl, socket}, n, timeout_ms), do: :ssl.recv(socket, n, timeout_ms)
+  defp receive_bytes(socket, n, timeout_ms), do: :gen_tcp.recv(socket, n, timeout_ms)
 end

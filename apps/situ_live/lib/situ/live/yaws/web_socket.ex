@@ -21,18 +21,19 @@ defmodule Situ.Live.Yaws.WebSocket do
   end
 
   def handle_open(wire, %__MODULE__{} = socket) do
-    case guard(socket, fn -> socket.handler.init(socket.request, socket.arg) end) do
-      {:ok, state} -> {:ok, opened(socket, state)}
-      {:push, frames, state} -> push_first(wire, frames, opened(socket, state))
+    case with_crash_guard(socket, fn -> socket.handler.init(socket.request, socket.arg) end) do
+      {:ok, state} -> {:ok, put_open_state(socket, state)}
+      {:push, frames, state} -> push_first(wire, frames, put_open_state(socket, state))
       {:error, reason} when is_binary(reason) -> {:error, {1008, reason}}
       _ -> {:error, {1011, "internal error"}}
     end
   end
 
-  defp opened(socket, state), do: %{socket | state: state, open?: true, request: nil, arg: nil}
+  defp put_open_state(socket, state),
+    do: %{socket | state: state, open?: true, request: nil, arg: nil}
 
   defp push_first(wire, frames, socket) do
-    Enum.each(frames(frames), &:yaws_websockets.send(wire, &1))
+    Enum.each(to_frames(frames), &:yaws_websockets.send(wire, &1))
     {:ok, socket}
   end
 
@@ -40,8 +41,8 @@ defmodule Situ.Live.Yaws.WebSocket do
     Connections.touch(socket.seen)
 
     socket
-    |> guard(fn -> socket.handler.handle_in({data, opcode: opcode}, socket.state) end)
-    |> result(socket)
+    |> with_crash_guard(fn -> socket.handler.handle_in({data, opcode: opcode}, socket.state) end)
+    |> to_yaws_result(socket)
   end
 
   def handle_message({:close, status, _reason}, socket) do
@@ -55,8 +56,8 @@ defmodule Situ.Live.Yaws.WebSocket do
 
       function_exported?(socket.handler, :handle_info, 2) ->
         socket
-        |> guard(fn -> socket.handler.handle_info(message, socket.state) end)
-        |> result(socket)
+        |> with_crash_guard(fn -> socket.handler.handle_info(message, socket.state) end)
+        |> to_yaws_result(socket)
 
       true ->
         {:noreply, socket}
@@ -65,40 +66,42 @@ defmodule Situ.Live.Yaws.WebSocket do
 
   def terminate(reason, %__MODULE__{open?: true} = socket) do
     if function_exported?(socket.handler, :terminate, 2),
-      do: guard(socket, fn -> socket.handler.terminate(reason, socket.state) end)
+      do: with_crash_guard(socket, fn -> socket.handler.terminate(reason, socket.state) end)
   end
 
   def terminate(_, _), do: :ok
 
-  defp result({:ok, state}, socket), do: {:noreply, %{socket | state: state}}
+  defp to_yaws_result({:ok, state}, socket), do: {:noreply, %{socket | state: state}}
 
-  defp result({:push, frames, state}, socket),
-    do: {:reply, frames(frames), %{socket | state: state}}
+  defp to_yaws_result({:push, frames, state}, socket),
+    do: {:reply, to_frames(frames), %{socket | state: state}}
 
-  defp result({:stop, :normal, state}, socket), do: {:close, :normal, %{socket | state: state}}
+  defp to_yaws_result({:stop, :normal, state}, socket),
+    do: {:close, :normal, %{socket | state: state}}
 
-  defp result({:stop, {code, reason}, state}, socket) when is_integer(code) and is_binary(reason),
-    do: {:close, {code, reason}, %{socket | state: state}}
+  defp to_yaws_result({:stop, {code, reason}, state}, socket)
+       when is_integer(code) and is_binary(reason),
+       do: {:close, {code, reason}, %{socket | state: state}}
 
-  defp result({:stop, _, state}, socket),
+  defp to_yaws_result({:stop, _, state}, socket),
     do: {:close, {1011, "internal error"}, %{socket | state: state}}
 
-  defp result(:raised, socket), do: {:close, {1011, "internal error"}, socket}
+  defp to_yaws_result(:raised, socket), do: {:close, {1011, "internal error"}, socket}
 
-  defp result(other, socket) do
+  defp to_yaws_result(other, socket) do
     Logger.error("invalid result of #{inspect(socket.handler)}: #{inspect(other, limit: 5)}")
     {:close, {1011, "internal error"}, socket}
   end
 
-  defp frames(frames) when is_list(frames), do: Enum.map(frames, &frame/1)
-  defp frames(frame), do: [frame(frame)]
+  defp to_frames(frames) when is_list(frames), do: Enum.map(frames, &to_frame/1)
+  defp to_frames(frame), do: [to_frame(frame)]
 
   # Yaws requires one binary per frame.
-  defp frame({opcode, data}) when opcode in [:text, :binary],
+  defp to_frame({opcode, data}) when opcode in [:text, :binary],
     do: {opcode, IO.iodata_to_binary(data)}
 
   # An uncaught exception would be reported with the state of the process, including cookies and tokens.
-  defp guard(_socket, fun) do
+  defp with_crash_guard(_socket, fun) do
     fun.()
   catch
     kind, reason ->

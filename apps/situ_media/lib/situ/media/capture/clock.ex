@@ -43,19 +43,19 @@ defmodule Situ.Media.Capture.Clock do
   Returns the time, `:wait` while the sender's delay is measured (the frame is skipped because the sender's backlog
   arrives in a burst), or `:jump` for the first frame after the clock jumped by `by` nanoseconds.
   """
-  @spec place(t(), atom(), integer(), Situ.Time.t()) ::
+  @spec place_frame(t(), atom(), integer(), Situ.Time.t()) ::
           {:ok, Situ.Time.t(), t()} | {:wait, t()} | {:jump, by :: integer(), t()}
-  def place(%__MODULE__{fixed: offset} = clock, _kind, out, _now) when is_integer(offset),
+  def place_frame(%__MODULE__{fixed: offset} = clock, _kind, out, _now) when is_integer(offset),
     do: {:ok, out + offset, clock}
 
-  def place(%__MODULE__{} = clock, kind, out, now) do
+  def place_frame(%__MODULE__{} = clock, kind, out, now) do
     case clock.streams do
       %{^kind => stream} ->
         marks = max(round((out - stream.out) / @step), 0)
         raw = out - (stream.marks + marks) * @step
         moved = %{stream | out: out, raw: raw, marks: stream.marks + marks}
 
-        if marks > 0 or ahead?(clock, stream, raw, now),
+        if marks > 0 or jumped_ahead?(clock, stream, raw, now),
           do: follow_jump(clock, kind, moved, raw - stream.raw, now),
           else: clock |> put_stream(kind, moved) |> read_time(kind, now)
 
@@ -108,7 +108,7 @@ defmodule Situ.Media.Capture.Clock do
   end
 
   # Streams that arrive in large segments (HLS) are always ahead, but in small steps; a jump is one large step.
-  defp ahead?(clock, stream, raw, now) do
+  defp jumped_ahead?(clock, stream, raw, now) do
     case Map.fetch!(clock.epochs, stream.epoch) do
       {:set, offset} -> raw - stream.raw > @ahead and raw + offset > now + @ahead
       _settling -> false

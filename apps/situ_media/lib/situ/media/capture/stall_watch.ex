@@ -18,8 +18,8 @@ defmodule Situ.Media.Capture.StallWatch do
   end
 
   @doc "Records that a frame arrived at `now`. `time` is its originating time, or `nil` if it has none yet."
-  @spec note(t(), atom(), Situ.Time.t() | nil, Situ.Time.t()) :: t()
-  def note(%__MODULE__{} = watch, kind, time, now) do
+  @spec note_frame(t(), atom(), Situ.Time.t() | nil, Situ.Time.t()) :: t()
+  def note_frame(%__MODULE__{} = watch, kind, time, now) do
     seen = %{Map.fetch!(watch.streams, kind) | arrived: now}
 
     moved =
@@ -33,8 +33,8 @@ defmodule Situ.Media.Capture.StallWatch do
   end
 
   @doc "Returns the streams without a frame for longer than the timeout, and the streams whose times are stuck."
-  @spec check(t(), Situ.Time.t()) :: %{silent: [atom()], stuck: [atom()]}
-  def check(%__MODULE__{timeout: timeout} = watch, now) do
+  @spec find_stalls(t(), Situ.Time.t()) :: %{silent: [atom()], stuck: [atom()]}
+  def find_stalls(%__MODULE__{timeout: timeout} = watch, now) do
     {silent, heard} =
       Enum.split_with(watch.streams, fn {_, seen} -> now - seen.arrived > timeout end)
 

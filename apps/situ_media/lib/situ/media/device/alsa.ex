@@ -7,7 +7,7 @@ defmodule Situ.Media.Device.Alsa do
   alias Situ.Media.Device
 
   @impl true
-  def list, do: cards("arecord", :microphone) ++ cards("aplay", :speaker)
+  def list, do: list_cards("arecord", :microphone) ++ list_cards("aplay", :speaker)
 
   @impl true
   def capture(address, :microphone, opts) do
@@ -38,11 +38,11 @@ defmodule Situ.Media.Device.Alsa do
   Parses the output of `arecord -l`.
 
       iex> text = "card 1: PCH [HDA Intel PCH], device 0: ALC256 Analog [ALC256 Analog]\\n"
-      iex> for d <- Situ.Media.Device.Alsa.parse(text, :speaker), do: {d.id, d.name}
+      iex> for d <- Situ.Media.Device.Alsa.parse_cards(text, :speaker), do: {d.id, d.name}
       [{"alsa:plughw:CARD=PCH,DEV=0", "HDA Intel PCH, ALC256 Analog"}]
   """
-  @spec parse(String.t(), Device.kind()) :: [Device.t()]
-  def parse(text, kind) do
+  @spec parse_cards(String.t(), Device.kind()) :: [Device.t()]
+  def parse_cards(text, kind) do
     for line <- String.split(text, "\n"),
         [_, card, name, device, label] <-
           [Regex.run(~r/^card \d+: (\S+) \[(.*?)\], device (\d+): .*\[(.*?)\]/, line)] do
@@ -50,5 +50,5 @@ defmodule Situ.Media.Device.Alsa do
     end
   end
 
-  defp cards(program, kind), do: parse(Device.run(program, ["-l"]), kind)
+  defp list_cards(program, kind), do: parse_cards(Device.run_program(program, ["-l"]), kind)
 end

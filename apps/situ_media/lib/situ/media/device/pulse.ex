@@ -60,11 +60,11 @@ defmodule Situ.Media.Device.Pulse do
   Parses the output of `ffmpeg -sources pulse`.
 
       iex> text = "Auto-detected sources for pulse:\\n* virt.monitor [Monitor of Null Output] (none)\\n  mic [Mic]\\n"
-      iex> for d <- Situ.Media.Device.Pulse.parse(text, :microphone), do: {d.id, d.name, d.default?}
+      iex> for d <- Situ.Media.Device.Pulse.parse_devices(text, :microphone), do: {d.id, d.name, d.default?}
       [{"pulse:virt.monitor", "Monitor of Null Output", true}, {"pulse:mic", "Mic", false}]
   """
-  @spec parse(String.t(), Device.kind(), String.t()) :: [Device.t()]
-  def parse(text, kind, driver \\ "pulse") do
+  @spec parse_devices(String.t(), Device.kind(), String.t()) :: [Device.t()]
+  def parse_devices(text, kind, driver \\ "pulse") do
     for line <- String.split(text, "\n"),
         [_, star, address, name] <- [Regex.run(~r/^([* ]) (\S+) \[(.*?)\]/, line)] do
       %Device{id: "#{driver}:#{address}", kind: kind, name: name, default?: star == "*"}
@@ -72,5 +72,5 @@ defmodule Situ.Media.Device.Pulse do
   end
 
   defp list_kind(kind, option),
-    do: parse(Device.run("ffmpeg", ["-hide_banner", option, "pulse"]), kind)
+    do: parse_devices(Device.run_program("ffmpeg", ["-hide_banner", option, "pulse"]), kind)
 end

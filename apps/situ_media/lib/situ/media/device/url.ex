@@ -19,7 +19,7 @@ defmodule Situ.Media.Device.Url do
     scheme = url |> String.split("://") |> hd() |> String.downcase()
 
     if scheme in @schemes do
-      {:ok, %{args: options(scheme) ++ (opts[:args] || []) ++ ["-i", url], clock: :arrival}}
+      {:ok, %{args: input_options(scheme) ++ (opts[:args] || []) ++ ["-i", url], clock: :arrival}}
     else
       Device.driver_error(
         url,
@@ -30,6 +30,6 @@ defmodule Situ.Media.Device.Url do
   end
 
   # Minimizes the delay; a short analysis is enough to identify the stream.
-  defp options("rtsp" <> _), do: ~w(-rtsp_transport tcp -fflags nobuffer -flags low_delay)
-  defp options(_scheme), do: ~w(-fflags nobuffer -flags low_delay -analyzeduration 1000000)
+  defp input_options("rtsp" <> _), do: ~w(-rtsp_transport tcp -fflags nobuffer -flags low_delay)
+  defp input_options(_scheme), do: ~w(-fflags nobuffer -flags low_delay -analyzeduration 1000000)
 end

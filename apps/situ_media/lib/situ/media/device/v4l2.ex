@@ -15,20 +15,20 @@ defmodule Situ.Media.Device.V4L2 do
   @doc """
   Parses sizes and rates from the output of `v4l2-ctl --list-formats-ext`.
 
-      iex> Situ.Media.Device.V4L2.modes(\"\"\"
+      iex> Situ.Media.Device.V4L2.parse_modes(\"\"\"
       ...> [0]: 'MJPG' (Motion-JPEG, compressed)
       ...>   Size: Discrete 1280x720
       ...>     Interval: Discrete 0.033s (30.000 fps)
       ...> \"\"\")
       ["MJPG 1280x720 30 fps"]
   """
-  @spec modes(String.t()) :: [String.t()]
-  def modes(listing) do
-    {modes, _} = listing |> String.split("\n") |> Enum.reduce({[], {"?", "?"}}, &line/2)
+  @spec parse_modes(String.t()) :: [String.t()]
+  def parse_modes(listing) do
+    {modes, _} = listing |> String.split("\n") |> Enum.reduce({[], {"?", "?"}}, &parse_line/2)
     Enum.reverse(modes)
   end
 
-  defp line(line, {modes, {format, size} = kept}) do
+  defp parse_line(line, {modes, {format, size} = kept}) do
     cond do
       match = Regex.run(~r/\[\d+\]: '(.{4})'/, line) ->
         {modes, {Enum.at(match, 1), size}}
@@ -59,8 +59,9 @@ defmodule Situ.Media.Device.V4L2 do
         }
 
   @doc "Lists the controls of the camera at `path`, or `[]` without a camera or without `v4l2-ctl`."
-  @spec controls(Path.t()) :: [control()]
-  def controls(path), do: parse_controls(Device.run("v4l2-ctl", ["-d", path, "--list-ctrls"]))
+  @spec list_controls(Path.t()) :: [control()]
+  def list_controls(path),
+    do: parse_controls(Device.run_program("v4l2-ctl", ["-d", path, "--list-ctrls"]))
 
   @doc """
   Parses the output of `v4l2-ctl --list-ctrls`.
@@ -98,9 +99,9 @@ defmodule Situ.Media.Device.V4L2 do
   end
 
   # Controls are set before the camera is opened, so that an unknown control is reported as an error.
-  defp set(_path, []), do: :ok
+  defp set_controls(_path, []), do: :ok
 
-  defp set(path, controls) do
+  defp set_controls(path, controls) do
     settings = Enum.map_join(controls, ",", fn {name, value} -> "#{name}=#{value}" end)
 
     with program when is_binary(program) <- System.find_executable("v4l2-ctl"),
@@ -127,20 +128,20 @@ defmodule Situ.Media.Device.V4L2 do
     for path <- Enum.sort(Path.wildcard("/sys/class/video4linux/video*")),
         device = "/dev/" <> Path.basename(path),
         # A camera has several nodes; nodes without images (metadata) list no format.
-        modes = modes(Device.run("v4l2-ctl", ["-d", device, "--list-formats-ext"])),
+        modes = parse_modes(Device.run_program("v4l2-ctl", ["-d", device, "--list-formats-ext"])),
         modes != [] or System.find_executable("v4l2-ctl") == nil do
-      %Device{id: "v4l2:" <> device, kind: :camera, name: name(path), modes: modes}
+      %Device{id: "v4l2:" <> device, kind: :camera, name: read_name(path), modes: modes}
     end
     |> mark_default()
   end
 
   @impl true
   def capture("/dev/" <> _ = path, :camera, opts) do
-    size = if opts[:size], do: ["-video_size", join(opts[:size])], else: []
+    size = if opts[:size], do: ["-video_size", format_size(opts[:size])], else: []
     rate = if opts[:rate], do: ["-framerate", to_string(opts[:rate])], else: []
     input = if opts[:input_format], do: ["-input_format", opts[:input_format]], else: []
 
-    with :ok <- set(path, opts[:controls] || []) do
+    with :ok <- set_controls(path, opts[:controls] || []) do
       {:ok,
        %{
          args:
@@ -162,9 +163,9 @@ defmodule Situ.Media.Device.V4L2 do
   def capture(address, _kind, _opts),
     do: Device.driver_error(address, :bad_option, "a camera provides images only")
 
-  defp join({width, height}), do: "#{width}x#{height}"
+  defp format_size({width, height}), do: "#{width}x#{height}"
 
-  defp name(path) do
+  defp read_name(path) do
     case File.read(Path.join(path, "name")) do
       {:ok, name} -> String.trim(name)
       {:error, _} -> nil

@@ -24,15 +24,15 @@ defmodule Situ.Media.Encoder.Arguments do
 
   @type kind :: %{ending: String.t(), video: atom() | nil, audio: atom()}
 
-  @spec codecs() :: [atom()]
-  def codecs, do: Keyword.keys(@codecs)
+  @spec video_codecs() :: [atom()]
+  def video_codecs, do: Keyword.keys(@codecs)
 
-  @spec sounds() :: [atom()]
-  def sounds, do: Keyword.keys(@sounds)
+  @spec audio_codecs() :: [atom()]
+  def audio_codecs, do: Keyword.keys(@sounds)
 
   @doc "Returns the file format for the extension, with its codecs."
-  @spec kind(Path.t(), keyword()) :: {:ok, kind()} | {:error, Error.t()}
-  def kind(path, opts) do
+  @spec resolve_kind(Path.t(), keyword()) :: {:ok, kind()} | {:error, Error.t()}
+  def resolve_kind(path, opts) do
     ending = path |> Path.extname() |> String.downcase()
 
     case @kinds do
@@ -58,20 +58,22 @@ defmodule Situ.Media.Encoder.Arguments do
       Error.new(:bad_option, "#{Path.basename(path)} cannot contain images", fix: "name it .mp4")
 
   @doc "Builds all arguments after the input: codecs, quality, tags and the file."
-  @spec build(Path.t(), kind(), Situ.Image.t() | nil, keyword()) :: [String.t()]
-  def build(path, kind, video, opts) do
+  @spec build_args(Path.t(), kind(), Situ.Image.t() | nil, keyword()) :: [String.t()]
+  def build_args(path, kind, video, opts) do
     ~w(-threads #{opts[:threads]}) ++
       if(video, do: video_options(video, kind, opts), else: ["-vn"]) ++
       if(opts[:audio], do: audio_options(kind.audio, opts), else: ["-an"]) ++
-      tags(kind, opts) ++ ["file:" <> path]
+      tag_args(kind, opts) ++ ["file:" <> path]
   end
 
   defp video_options(video, %{video: codec} = kind, opts) do
-    rate = if opts[:bitrate], do: ~w(-b:v #{opts[:bitrate]}), else: quality(codec, opts[:quality])
+    rate =
+      if opts[:bitrate], do: ~w(-b:v #{opts[:bitrate]}), else: quality_args(codec, opts[:quality])
+
     # Frames keep their own times, in ticks of a clock that is divisible by every common rate.
     ~w(-c:v #{@codecs[codec]} -fps_mode passthrough -enc_time_base 1:90000) ++
       last_frame(kind, opts) ++
-      rate ++ effort(codec, opts[:preset]) ++ key_frames(opts) ++ pixels(video, codec)
+      rate ++ preset_args(codec, opts[:preset]) ++ key_frames(opts) ++ pixel_args(video, codec)
   end
 
   # An MP4 player skips a frame of duration 0.
@@ -80,14 +82,14 @@ defmodule Situ.Media.Encoder.Arguments do
 
   defp last_frame(_kind, _opts), do: []
 
-  defp quality(codec, quality) when codec in [:h264, :h265], do: ~w(-crf #{quality})
-  defp quality(:vp9, quality), do: ~w(-crf #{quality} -b:v 0)
+  defp quality_args(codec, quality) when codec in [:h264, :h265], do: ~w(-crf #{quality})
+  defp quality_args(:vp9, quality), do: ~w(-crf #{quality} -b:v 0)
   # Other codecs use a separate scale from 1 (best) to 31.
-  defp quality(_codec, quality), do: ~w(-q:v #{max(div(quality * 31, 51), 1)})
+  defp quality_args(_codec, quality), do: ~w(-q:v #{max(div(quality * 31, 51), 1)})
 
-  defp effort(codec, preset) when codec in [:h264, :h265], do: ~w(-preset #{preset})
-  defp effort(:vp9, _preset), do: ~w(-deadline realtime -cpu-used 6 -row-mt 1)
-  defp effort(_codec, _preset), do: []
+  defp preset_args(codec, preset) when codec in [:h264, :h265], do: ~w(-preset #{preset})
+  defp preset_args(:vp9, _preset), do: ~w(-deadline realtime -cpu-used 6 -row-mt 1)
+  defp preset_args(_codec, _preset), do: []
 
   defp key_frames(opts) do
     seconds = opts[:keyframe_every] / 1.0e9
@@ -95,7 +97,7 @@ defmodule Situ.Media.Encoder.Arguments do
   end
 
   # Half-resolution color, which every player supports, needs even sizes.
-  defp pixels(%{width: w, height: h}, codec) do
+  defp pixel_args(%{width: w, height: h}, codec) do
     pad =
       if rem(w, 2) == 1 or rem(h, 2) == 1,
         do: ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2"],
@@ -110,7 +112,7 @@ defmodule Situ.Media.Encoder.Arguments do
     ~w(-c:a #{@sounds[codec]} -af aresample=async=1:min_hard_comp=0.04:first_pts=0) ++ rate
   end
 
-  defp tags(kind, opts) do
+  defp tag_args(kind, opts) do
     start = opts[:start_time]
 
     flags =

@@ -7,10 +7,10 @@ defmodule Situ.Media.FFmpeg.Reader do
 
       {:ok, reader} = Situ.Media.FFmpeg.Reader.start_link(
         args: Situ.Media.FFmpeg.local_file("talk.mp4") ++ ~w(-c:v rawvideo -pix_fmt bgr24 -an), name: "talk.mp4")
-      {:ok, streams} = Situ.Media.FFmpeg.Reader.streams(reader)
-      {:ok, %{stream: 0, time: 0, data: pixels}} = Situ.Media.FFmpeg.Reader.next(reader)
+      {:ok, streams} = Situ.Media.FFmpeg.Reader.fetch_streams(reader)
+      {:ok, %{stream: 0, time: 0, data: pixels}} = Situ.Media.FFmpeg.Reader.next_frame(reader)
 
-  Pull frames with `next/2`, or let the reader push them: after `ask(reader, n)` the owner receives up to `n` messages
+  Pull frames with `next_frame/2`, or let the reader push them: after `ask(reader, n)` the owner receives up to `n` messages
   `{Situ.Media.FFmpeg.Reader, reader, result}`. `result` is `{:streams, streams}` (sent first, and not counted),
   `{:frame, frame}`, `:eof` or `{:error, error}`.
 
@@ -68,26 +68,26 @@ defmodule Situ.Media.FFmpeg.Reader do
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, program} <- FFmpeg.executable("ffmpeg") do
+         {:ok, program} <- FFmpeg.fetch_executable("ffmpeg") do
       GenServer.start_link(__MODULE__, {self(), program, opts})
     end
   end
 
   @doc "Waits until `ffmpeg` has opened the input, and returns its streams."
-  @spec streams(pid(), timeout()) :: {:ok, map()} | {:error, Error.t()}
-  def streams(reader, timeout \\ 60_000), do: GenServer.call(reader, :streams, timeout)
+  @spec fetch_streams(pid(), timeout()) :: {:ok, map()} | {:error, Error.t()}
+  def fetch_streams(reader, timeout \\ 60_000), do: GenServer.call(reader, :streams, timeout)
 
   @doc "Waits for the next frame and returns it."
-  @spec next(pid(), timeout()) :: result()
-  def next(reader, timeout \\ 60_000), do: GenServer.call(reader, :next, timeout)
+  @spec next_frame(pid(), timeout()) :: result()
+  def next_frame(reader, timeout \\ 60_000), do: GenServer.call(reader, :next, timeout)
 
   @doc "Requests `n` more frames as messages to the owner."
-  @spec ask(pid(), pos_integer()) :: :ok
-  def ask(reader, n) when n > 0, do: GenServer.cast(reader, {:ask, n})
+  @spec request_frames(pid(), pos_integer()) :: :ok
+  def request_frames(reader, n) when n > 0, do: GenServer.cast(reader, {:ask, n})
 
   @doc "Stops the reader and its `ffmpeg` immediately, even in the middle of a frame."
-  @spec stop(pid()) :: :ok
-  def stop(reader) do
+  @spec stop_ffmpeg(pid()) :: :ok
+  def stop_ffmpeg(reader) do
     Process.unlink(reader)
     ref = Process.monitor(reader)
     Process.exit(reader, :kill)
@@ -111,30 +111,30 @@ defmodule Situ.Media.FFmpeg.Reader do
 
   @impl true
   def handle_continue({:open, program, args}, state) do
-    case Socket.listen() do
+    case Socket.open_listener() do
       {:ok, socket} ->
         out = ~w(-f nut -write_index 0 -flush_packets 1 -max_interleave_delta 500000
-                 -max_muxing_queue_size 4096) ++ [Socket.url(socket)]
+                 -max_muxing_queue_size 4096) ++ [Socket.ffmpeg_url(socket)]
 
-        port = FFmpeg.start(program, FFmpeg.global_options() ++ args ++ out)
-        {:noreply, connect(%{state | port: port}, socket)}
+        port = FFmpeg.start_program(program, FFmpeg.global_options() ++ args ++ out)
+        {:noreply, connect_ffmpeg(%{state | port: port}, socket)}
 
       {:error, error} ->
         {:noreply, %{state | finished: {:error, error}}}
     end
   end
 
-  def handle_continue(:pump, state), do: pump(state)
+  def handle_continue(:pump, state), do: push_frames(state)
 
   @impl true
   def handle_call(:streams, _from, %{demuxer: nil, finished: finished} = state),
     do: {:reply, finished, state}
 
   def handle_call(:streams, _from, state),
-    do: {:reply, {:ok, Demuxer.streams(state.demuxer)}, state}
+    do: {:reply, {:ok, Demuxer.list_streams(state.demuxer)}, state}
 
   def handle_call(:next, _from, state) do
-    {result, state} = read(state)
+    {result, state} = read_frame(state)
     {:reply, result, state}
   end
 
@@ -144,22 +144,22 @@ defmodule Situ.Media.FFmpeg.Reader do
 
   @impl true
   def handle_info({port, {:data, {_eol, line}}}, %{port: port} = state),
-    do: {:noreply, %{state | log: Log.add(state.log, line)}}
+    do: {:noreply, %{state | log: Log.add_line(state.log, line)}}
 
   # Its remaining output is still in the socket, so reading continues until the end of the output.
   def handle_info({port, {:exit_status, status}}, %{port: port} = state),
     do: {:noreply, %{state | status: status}}
 
-  defp connect(state, socket) do
-    drain = fn log -> Log.drain(log, state.port) end
-    {result, log} = Socket.accept(socket, state.port, state.connect, state.log, drain)
+  defp connect_ffmpeg(state, socket) do
+    drain = fn log -> Log.take_lines(log, state.port) end
+    {result, log} = Socket.accept_ffmpeg(socket, state.port, state.connect, state.log, drain)
     state = %{state | log: log}
 
     with {:ok, socket} <- result,
          {:ok, demuxer} <- Demuxer.open(fn n -> receive_bytes(socket, n, state.stall) end) do
       %{state | socket: socket, demuxer: demuxer}
     else
-      {:error, reason} -> %{state | finished: {:error, open_error(reason, close(state))}}
+      {:error, reason} -> %{state | finished: {:error, open_error(reason, close_ffmpeg(state))}}
     end
   end
 
@@ -174,61 +174,63 @@ defmodule Situ.Media.FFmpeg.Reader do
          do: {:ok, first <> rest}
   end
 
-  defp pump(%{announced: false} = state) do
+  defp push_frames(%{announced: false} = state) do
     case state.finished do
-      nil -> tell(state, {:streams, Demuxer.streams(state.demuxer)})
+      nil -> send_result(state, {:streams, Demuxer.list_streams(state.demuxer)})
       _ -> :ok
     end
 
-    pump(%{state | announced: true})
+    push_frames(%{state | announced: true})
   end
 
-  defp pump(%{credits: 0} = state), do: {:noreply, state}
+  defp push_frames(%{credits: 0} = state), do: {:noreply, state}
 
-  defp pump(state) do
-    case read(state) do
+  defp push_frames(state) do
+    case read_frame(state) do
       {{:ok, frame}, state} ->
-        tell(state, {:frame, frame})
+        send_result(state, {:frame, frame})
         {:noreply, %{state | credits: state.credits - 1}, {:continue, :pump}}
 
       {ended, state} ->
-        tell(state, ended)
+        send_result(state, ended)
         {:noreply, %{state | credits: 0}}
     end
   end
 
-  defp tell(state, result), do: send(state.owner, {__MODULE__, self(), result})
+  defp send_result(state, result), do: send(state.owner, {__MODULE__, self(), result})
 
-  defp read(%{finished: nil} = state) do
-    state = %{state | log: Log.drain(state.log, state.port)}
+  defp read_frame(%{finished: nil} = state) do
+    state = %{state | log: Log.take_lines(state.log, state.port)}
 
-    case Demuxer.next(state.demuxer) do
+    case Demuxer.next_frame(state.demuxer) do
       {:ok, frame, demuxer} -> {{:ok, frame}, %{state | demuxer: demuxer}}
-      {:error, reason} -> finish(reason, state)
+      {:error, reason} -> finish_reading(reason, state)
     end
   end
 
-  defp read(state), do: {state.finished, state}
+  defp read_frame(state), do: {state.finished, state}
 
   # FFmpeg is about to exit only if its output has ended. After a stall, or output that cannot be parsed, it may never
   # exit by itself.
-  defp finish(reason, state) do
-    {status, state} = if reason == :eof, do: exit_status(state), else: {:none, close(state)}
+  defp finish_reading(reason, state) do
+    {status, state} =
+      if reason == :eof, do: exit_status(state), else: {:none, close_ffmpeg(state)}
+
     :gen_tcp.close(state.socket)
-    result = verdict(reason, status, state)
+    result = end_result(reason, status, state)
     {result, %{state | finished: result}}
   end
 
-  defp verdict(:eof, 0, %{log: %{count: 0}}), do: :eof
+  defp end_result(:eof, 0, %{log: %{count: 0}}), do: :eof
 
-  defp verdict(:timeout, _status, state) do
+  defp end_result(:timeout, _status, state) do
     {:error,
      Log.to_error(state.log, :media_stalled, "#{state.name} stopped sending data",
        why: "no data for #{state.stall} ms"
      )}
   end
 
-  defp verdict(reason, status, state) do
+  defp end_result(reason, status, state) do
     {:error,
      Log.to_error(state.log, :damaged_media, "#{state.name} is damaged or truncated",
        meta: [status: status, reason: reason]
@@ -248,23 +250,23 @@ defmodule Situ.Media.FFmpeg.Reader do
   end
 
   defp exit_status(%{status: status} = state) when status != nil,
-    do: {status, %{state | log: Log.drain(state.log, state.port)}}
+    do: {status, %{state | log: Log.take_lines(state.log, state.port)}}
 
   defp exit_status(%{port: port} = state) do
     receive do
       {^port, {:exit_status, status}} ->
-        {status, %{state | log: Log.drain(state.log, port)}}
+        {status, %{state | log: Log.take_lines(state.log, port)}}
 
       {^port, {:data, {_eol, line}}} ->
-        exit_status(%{state | log: Log.add(state.log, line)})
+        exit_status(%{state | log: Log.add_line(state.log, line)})
     after
-      15_000 -> {:none, close(state)}
+      15_000 -> {:none, close_ffmpeg(state)}
     end
   end
 
-  defp close(state) do
+  defp close_ffmpeg(state) do
     close_port(state.port)
-    %{state | log: Log.drain(state.log, state.port)}
+    %{state | log: Log.take_lines(state.log, state.port)}
   end
 
   # The program, and with it its port, may end at any moment.

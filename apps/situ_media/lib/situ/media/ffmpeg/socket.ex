@@ -10,12 +10,12 @@ defmodule Situ.Media.FFmpeg.Socket do
   # The address of a local socket is limited to 107 bytes: "/situ-media-", a random name of 20 bytes, and "/s" take 34.
   @longest_parent 107 - 34
 
-  @spec listen(keyword()) :: {:ok, t()} | {:error, Situ.Error.t()}
-  def listen(opts \\ []) do
+  @spec open_listener(keyword()) :: {:ok, t()} | {:error, Situ.Error.t()}
+  def open_listener(opts \\ []) do
     parent = System.tmp_dir() || "/tmp"
     parent = if byte_size(parent) > @longest_parent, do: "/tmp", else: parent
 
-    with {:ok, folder} <- Situ.Scratch.create("media", parent),
+    with {:ok, folder} <- Situ.Scratch.create_folder("media", parent),
          path = Path.join(folder, "s"),
          settings = [:binary, active: false, ifaddr: {:local, path}, backlog: 1] ++ opts,
          {:ok, listen} <- :gen_tcp.listen(0, settings) do
@@ -33,30 +33,30 @@ defmodule Situ.Media.FFmpeg.Socket do
   end
 
   @doc "Returns the address in ffmpeg's syntax."
-  @spec url(t()) :: String.t()
-  def url(%__MODULE__{path: path}), do: "unix:" <> path
+  @spec ffmpeg_url(t()) :: String.t()
+  def ffmpeg_url(%__MODULE__{path: path}), do: "unix:" <> path
 
   @doc """
   Waits until ffmpeg connects, exits (`{:error, {:exit, status}}`), or `timeout` ms have passed. Calls `drain`
   repeatedly to receive the program's messages.
   """
-  @spec accept(t(), port(), timeout(), state, (state -> state)) ::
+  @spec accept_ffmpeg(t(), port(), timeout(), state, (state -> state)) ::
           {{:ok, :gen_tcp.socket()} | {:error, term()}, state}
         when state: term()
-  def accept(%__MODULE__{} = socket, port, timeout, state, drain) do
+  def accept_ffmpeg(%__MODULE__{} = socket, port, timeout, state, drain) do
     deadline =
       if timeout == :infinity,
         do: :infinity,
         else: System.monotonic_time(:millisecond) + timeout
 
     try do
-      poll(socket, port, deadline, state, drain)
+      poll_accept(socket, port, deadline, state, drain)
     after
-      close(socket)
+      close_listener(socket)
     end
   end
 
-  defp poll(socket, port, deadline, state, drain) do
+  defp poll_accept(socket, port, deadline, state, drain) do
     state = drain.(state)
 
     receive do
@@ -67,7 +67,7 @@ defmodule Situ.Media.FFmpeg.Socket do
           {:error, :timeout} ->
             if deadline != :infinity and System.monotonic_time(:millisecond) > deadline,
               do: {{:error, :timeout}, state},
-              else: poll(socket, port, deadline, state, drain)
+              else: poll_accept(socket, port, deadline, state, drain)
 
           result ->
             {result, state}
@@ -76,8 +76,8 @@ defmodule Situ.Media.FFmpeg.Socket do
   end
 
   @doc "Stops listening and removes the socket's folder."
-  @spec close(t()) :: :ok
-  def close(%__MODULE__{} = socket) do
+  @spec close_listener(t()) :: :ok
+  def close_listener(%__MODULE__{} = socket) do
     :gen_tcp.close(socket.listen)
     _ = File.rm(socket.path)
     _ = File.rmdir(socket.folder)

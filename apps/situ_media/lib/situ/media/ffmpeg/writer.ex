@@ -5,11 +5,11 @@ defmodule Situ.Media.FFmpeg.Writer do
       {:ok, writer} = Situ.Media.FFmpeg.Writer.start_link(
         streams: [%{id: 0, class: :video, fourcc: <<"BGR", 24>>, width: 640, height: 480}],
         args: ~w(-c:v libx264 out.mp4), name: "out.mp4")
-      :ok = Situ.Media.FFmpeg.Writer.write(writer, 0, 40_000_000, pixels)
-      :ok = Situ.Media.FFmpeg.Writer.finish(writer)
+      :ok = Situ.Media.FFmpeg.Writer.write_frame(writer, 0, 40_000_000, pixels)
+      :ok = Situ.Media.FFmpeg.Writer.finish_output(writer)
 
-  `write/4` waits while `ffmpeg` is busy (about one image is in flight), so a slow encoder slows its pipeline down. If
-  the writer ends without `finish/2`, `ffmpeg` still sees the end of its input and finishes the file.
+  `write_frame/4` waits while `ffmpeg` is busy (about one image is in flight), so a slow encoder slows its pipeline down. If
+  the writer ends without `finish_output/2`, `ffmpeg` still sees the end of its input and finishes the file.
   """
   use GenServer, restart: :temporary, shutdown: 1_000
 
@@ -45,20 +45,20 @@ defmodule Situ.Media.FFmpeg.Writer do
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, program} <- FFmpeg.executable("ffmpeg") do
+         {:ok, program} <- FFmpeg.fetch_executable("ffmpeg") do
       GenServer.start_link(__MODULE__, {program, opts})
     end
   end
 
   @doc "Writes one frame of stream `id` at `time` ns (0 or more), and waits while `ffmpeg` is busy."
-  @spec write(pid(), non_neg_integer(), non_neg_integer(), binary(), timeout()) ::
+  @spec write_frame(pid(), non_neg_integer(), non_neg_integer(), binary(), timeout()) ::
           :ok | {:error, Error.t()}
-  def write(writer, id, time, data, timeout \\ :infinity),
-    do: GenServer.call(writer, {:write, Muxer.frame(id, time, data)}, timeout)
+  def write_frame(writer, id, time, data, timeout \\ :infinity),
+    do: GenServer.call(writer, {:write, Muxer.encode_frame(id, time, data)}, timeout)
 
   @doc "Ends the input, waits until `ffmpeg` has finished the output, and stops the writer."
-  @spec finish(pid(), timeout()) :: :ok | {:error, Error.t()}
-  def finish(writer, timeout \\ 120_000) do
+  @spec finish_output(pid(), timeout()) :: :ok | {:error, Error.t()}
+  def finish_output(writer, timeout \\ 120_000) do
     result = GenServer.call(writer, {:finish, timeout}, :infinity)
     GenServer.stop(writer)
     result
@@ -73,8 +73,8 @@ defmodule Situ.Media.FFmpeg.Writer do
     buffer =
       if opts[:buffer], do: [sndbuf: opts[:buffer], high_watermark: 1, low_watermark: 0], else: []
 
-    case Socket.listen(buffer) do
-      {:ok, socket} -> {:noreply, connect(state, socket, program, opts)}
+    case Socket.open_listener(buffer) do
+      {:ok, socket} -> {:noreply, connect_ffmpeg(state, socket, program, opts)}
       {:error, error} -> {:noreply, %{state | failed: error}}
     end
   end
@@ -86,11 +86,11 @@ defmodule Situ.Media.FFmpeg.Writer do
   def handle_call({:write, frame}, _from, state) do
     case :gen_tcp.send(state.socket, frame) do
       :ok ->
-        {:reply, :ok, %{state | log: Log.drain(state.log, state.port)}}
+        {:reply, :ok, %{state | log: Log.take_lines(state.log, state.port)}}
 
       {:error, _closed} ->
         {status, state} = exit_status(state, 2_000)
-        state = fail(state, status)
+        state = mark_failed(state, status)
         {:reply, {:error, state.failed}, state}
     end
   end
@@ -101,50 +101,50 @@ defmodule Situ.Media.FFmpeg.Writer do
 
     case exit_status(state, timeout) do
       {0, state} -> {:reply, :ok, state}
-      {status, state} -> {:reply, {:error, error(state, status)}, state}
+      {status, state} -> {:reply, {:error, write_error(state, status)}, state}
     end
   end
 
   @impl true
   def handle_info({port, {:data, {_eol, line}}}, %{port: port} = state),
-    do: {:noreply, %{state | log: Log.add(state.log, line)}}
+    do: {:noreply, %{state | log: Log.add_line(state.log, line)}}
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state),
-    do: {:noreply, fail(state, status)}
+    do: {:noreply, mark_failed(state, status)}
 
-  defp connect(state, socket, program, opts) do
+  defp connect_ffmpeg(state, socket, program, opts) do
     # The header describes the input completely, so ffmpeg does not have to probe it, which would cause a delay.
     input = ~w(-copyts -probesize 32 -analyzeduration 0 -fpsprobesize 0 -f nut -i)
-    args = FFmpeg.global_options() ++ input ++ [Socket.url(socket) | opts[:args]]
-    port = FFmpeg.start(program, args, bound: opts[:bound])
-    drain = fn log -> Log.drain(log, port) end
-    {result, log} = Socket.accept(socket, port, opts[:connect_timeout], %Log{}, drain)
+    args = FFmpeg.global_options() ++ input ++ [Socket.ffmpeg_url(socket) | opts[:args]]
+    port = FFmpeg.start_program(program, args, bound: opts[:bound])
+    drain = fn log -> Log.take_lines(log, port) end
+    {result, log} = Socket.accept_ffmpeg(socket, port, opts[:connect_timeout], %Log{}, drain)
     state = %{state | port: port, log: log}
 
     with {:ok, accepted} <- result,
-         :ok <- :gen_tcp.send(accepted, Muxer.header(opts[:streams])) do
+         :ok <- :gen_tcp.send(accepted, Muxer.encode_header(opts[:streams])) do
       %{state | socket: accepted}
     else
-      {:error, reason} -> fail(state, reason)
+      {:error, reason} -> mark_failed(state, reason)
     end
   end
 
-  defp fail(state, status), do: %{state | failed: error(state, status)}
+  defp mark_failed(state, status), do: %{state | failed: write_error(state, status)}
 
-  defp error(state, :timeout),
+  defp write_error(state, :timeout),
     do: Log.to_error(state.log, :media_timeout, "writing #{state.name} timed out")
 
-  defp error(state, status),
+  defp write_error(state, status),
     do:
       Log.to_error(state.log, :cannot_write, "cannot write #{state.name}", meta: [status: status])
 
   defp exit_status(%{port: port} = state, timeout) do
     receive do
       {^port, {:exit_status, status}} ->
-        {status, %{state | log: Log.drain(state.log, port)}}
+        {status, %{state | log: Log.take_lines(state.log, port)}}
 
       {^port, {:data, {_eol, line}}} ->
-        exit_status(%{state | log: Log.add(state.log, line)}, timeout)
+        exit_status(%{state | log: Log.add_line(state.log, line)}, timeout)
     after
       timeout -> {:timeout, state}
     end

@@ -6,7 +6,7 @@ defmodule Situ.Media.Nut.Demuxer do
   that the socket allocated, without copies.
 
       {:ok, demuxer} = Situ.Media.Nut.Demuxer.open(fn n -> :gen_tcp.recv(socket, n) end)
-      {:ok, %{stream: 0, time: 40_000_000, data: pixels}, demuxer} = Situ.Media.Nut.Demuxer.next(demuxer)
+      {:ok, %{stream: 0, time: 40_000_000, data: pixels}, demuxer} = Situ.Media.Nut.Demuxer.next_frame(demuxer)
 
   Input is not trusted: every length is limited (`:max_frame`, default 512 MiB), and header checksums are verified.
   """
@@ -37,68 +37,68 @@ defmodule Situ.Media.Nut.Demuxer do
   @opaque t :: %__MODULE__{}
 
   @max_header 1_048_576
-  @bits Map.new(Headers.flags())
+  @bits Map.new(Headers.flag_bits())
 
   @doc "Reads the headers. Returns `{:error, :eof}` if the stream ends before the first header."
   @spec open(read(), max_frame: pos_integer()) :: {:ok, t()} | {:error, term()}
   def open(read, opts \\ []) when is_function(read, 1) do
     demuxer = struct!(%__MODULE__{read: read}, opts)
 
-    with {:ok, id} <- read(demuxer, byte_size(Nut.file_id())),
-         :ok <- check(id == Nut.file_id(), :not_nut) do
-      headers(demuxer)
+    with {:ok, id} <- read_bytes(demuxer, byte_size(Nut.file_id())),
+         :ok <- check_condition(id == Nut.file_id(), :not_nut) do
+      read_headers(demuxer)
     end
   end
 
   @doc "Returns the streams by number. The times of frames are already in nanoseconds."
-  @spec streams(t()) :: %{non_neg_integer() => Nut.stream()}
-  def streams(%__MODULE__{streams: streams}), do: streams
+  @spec list_streams(t()) :: %{non_neg_integer() => Nut.stream()}
+  def list_streams(%__MODULE__{streams: streams}), do: streams
 
   @doc "Returns the next frame, `{:error, :eof}` at the end, or `{:error, reason}` if the stream is malformed."
-  @spec next(t()) :: {:ok, frame(), t()} | {:error, term()}
-  def next(%__MODULE__{} = demuxer) do
-    with {:ok, <<code>>} <- read(demuxer, 1), do: frame_or_packet(code, demuxer)
+  @spec next_frame(t()) :: {:ok, frame(), t()} | {:error, term()}
+  def next_frame(%__MODULE__{} = demuxer) do
+    with {:ok, <<code>>} <- read_bytes(demuxer, 1), do: frame_or_packet(code, demuxer)
   end
 
   defp frame_or_packet(?N, demuxer) do
-    with {:ok, rest} <- read(demuxer, 7),
-         {:ok, demuxer} <- packet(<<?N, rest::binary>>, demuxer),
-         do: next(demuxer)
+    with {:ok, rest} <- read_bytes(demuxer, 7),
+         {:ok, demuxer} <- read_packet(<<?N, rest::binary>>, demuxer),
+         do: next_frame(demuxer)
   end
 
   defp frame_or_packet(code, demuxer) do
-    case frame(elem(demuxer.codes, code), <<code>>, demuxer) do
-      {:skip, demuxer} -> next(demuxer)
+    case read_frame(elem(demuxer.codes, code), <<code>>, demuxer) do
+      {:skip, demuxer} -> next_frame(demuxer)
       result -> result
     end
   end
 
   # Reads headers up to the first syncpoint, which precedes the first frame.
-  defp headers(demuxer) do
-    with {:ok, startcode} <- read(demuxer, 8),
-         {:ok, demuxer} <- packet(startcode, demuxer) do
+  defp read_headers(demuxer) do
+    with {:ok, startcode} <- read_bytes(demuxer, 8),
+         {:ok, demuxer} <- read_packet(startcode, demuxer) do
       cond do
-        Nut.startcode_name(startcode) != {:ok, :syncpoint} -> headers(demuxer)
+        Nut.startcode_name(startcode) != {:ok, :syncpoint} -> read_headers(demuxer)
         map_size(demuxer.streams) == demuxer.count and demuxer.count > 0 -> {:ok, demuxer}
         true -> {:error, :missing_headers}
       end
     end
   end
 
-  defp packet(startcode, demuxer) do
-    with {:ok, name} <- named(startcode),
+  defp read_packet(startcode, demuxer) do
+    with {:ok, name} <- packet_name(startcode),
          {:ok, size, size_bytes} <- read_varint(demuxer, <<>>),
-         :ok <- check(size in 4..@max_header, {:bad_header_size, size}),
+         :ok <- check_condition(size in 4..@max_header, {:bad_header_size, size}),
          :ok <- check_header(size, startcode <> size_bytes, demuxer),
-         {:ok, bytes} <- read(demuxer, size),
+         {:ok, bytes} <- read_bytes(demuxer, size),
          body = binary_part(bytes, 0, size - 4),
          <<sum::32>> = binary_part(bytes, size - 4, 4),
-         :ok <- check(Nut.crc(body) == sum, {:bad_checksum, name}) do
-      parse(name, body, demuxer)
+         :ok <- check_condition(Nut.header_checksum(body) == sum, {:bad_checksum, name}) do
+      parse_packet(name, body, demuxer)
     end
   end
 
-  defp named(startcode) do
+  defp packet_name(startcode) do
     case Nut.startcode_name(startcode) do
       {:ok, name} -> {:ok, name}
       :error -> {:error, :lost_sync}
@@ -108,60 +108,60 @@ defmodule Situ.Media.Nut.Demuxer do
   defp check_header(size, _bytes, _demuxer) when size <= 4096, do: :ok
 
   defp check_header(_size, bytes, demuxer) do
-    with {:ok, <<sum::32>>} <- read(demuxer, 4),
-         do: check(Nut.crc(bytes) == sum, {:bad_checksum, :header})
+    with {:ok, <<sum::32>>} <- read_bytes(demuxer, 4),
+         do: check_condition(Nut.header_checksum(bytes) == sum, {:bad_checksum, :header})
   end
 
-  defp parse(:main, body, demuxer) do
-    with {:ok, main} <- Headers.main(body), do: {:ok, struct!(demuxer, main)}
+  defp parse_packet(:main, body, demuxer) do
+    with {:ok, main} <- Headers.decode_main(body), do: {:ok, struct!(demuxer, main)}
   end
 
-  defp parse(:stream, body, demuxer) do
-    with {:ok, stream} <- Headers.stream(body, demuxer.count, demuxer.time_bases),
+  defp parse_packet(:stream, body, demuxer) do
+    with {:ok, stream} <- Headers.decode_stream(body, demuxer.count, demuxer.time_bases),
          do: {:ok, put_in(demuxer.streams[stream.id], stream)}
   end
 
-  defp parse(:syncpoint, body, demuxer) do
-    with {:ok, last} <- Headers.syncpoint(body, demuxer.time_bases, demuxer.streams),
+  defp parse_packet(:syncpoint, body, demuxer) do
+    with {:ok, last} <- Headers.decode_syncpoint(body, demuxer.time_bases, demuxer.streams),
          do: {:ok, %{demuxer | last: last}}
   end
 
-  defp parse(_info_or_index, _body, demuxer), do: {:ok, demuxer}
+  defp parse_packet(_info_or_index, _body, demuxer), do: {:ok, demuxer}
 
-  defp frame(code, first, demuxer) do
-    with :ok <- check(not has?(code.flags, :invalid), :lost_sync),
+  defp read_frame(code, first, demuxer) do
+    with :ok <- check_condition(not flag_set?(code.flags, :invalid), :lost_sync),
          {:ok, flags, seen} <- coded_flags(code.flags, first, demuxer),
-         {:ok, id, seen} <- optional(flags, :stream_id, code.stream, seen, demuxer),
-         {:ok, coded, seen} <- optional(flags, :coded_pts, nil, seen, demuxer),
-         {:ok, msb, seen} <- optional(flags, :size_msb, 0, seen, demuxer),
-         {:ok, _match, seen} <- optional(flags, :match_time, 0, seen, demuxer),
-         {:ok, index, seen} <- optional(flags, :header_index, code.index, seen, demuxer),
-         {:ok, reserved, seen} <- optional(flags, :reserved, code.reserved, seen, demuxer),
+         {:ok, id, seen} <- read_optional(flags, :stream_id, code.stream, seen, demuxer),
+         {:ok, coded, seen} <- read_optional(flags, :coded_pts, nil, seen, demuxer),
+         {:ok, msb, seen} <- read_optional(flags, :size_msb, 0, seen, demuxer),
+         {:ok, _match, seen} <- read_optional(flags, :match_time, 0, seen, demuxer),
+         {:ok, index, seen} <- read_optional(flags, :header_index, code.index, seen, demuxer),
+         {:ok, reserved, seen} <- read_optional(flags, :reserved, code.reserved, seen, demuxer),
          {:ok, seen} <- skip_varints(reserved, seen, demuxer),
          :ok <- frame_checksum(flags, seen, demuxer),
-         {:ok, stream} <- known(id, demuxer) do
+         {:ok, stream} <- fetch_stream(id, demuxer) do
       size = code.size + code.mul * msb
 
       pts =
         if coded,
-          do: pts(coded, demuxer.last[id], stream.shift),
+          do: decode_pts(coded, demuxer.last[id], stream.shift),
           else: demuxer.last[id] + code.pts
 
       demuxer = put_in(demuxer.last[id], pts)
-      payload(flags, stream, pts, size, index, demuxer)
+      read_payload(flags, stream, pts, size, index, demuxer)
     end
   end
 
   defp coded_flags(flags, seen, demuxer) do
-    if has?(flags, :coded) do
+    if flag_set?(flags, :coded) do
       with {:ok, coded, seen} <- read_varint(demuxer, seen), do: {:ok, bxor(flags, coded), seen}
     else
       {:ok, flags, seen}
     end
   end
 
-  defp optional(flags, name, default, seen, demuxer) do
-    if has?(flags, name), do: read_varint(demuxer, seen), else: {:ok, default, seen}
+  defp read_optional(flags, name, default, seen, demuxer) do
+    if flag_set?(flags, name), do: read_varint(demuxer, seen), else: {:ok, default, seen}
   end
 
   defp skip_varints(0, seen, _demuxer), do: {:ok, seen}
@@ -173,15 +173,15 @@ defmodule Situ.Media.Nut.Demuxer do
   defp skip_varints(_n, _seen, _demuxer), do: {:error, :lost_sync}
 
   defp frame_checksum(flags, seen, demuxer) do
-    if has?(flags, :checksum) do
-      with {:ok, <<sum::32>>} <- read(demuxer, 4),
-           do: check(Nut.crc(seen) == sum, {:bad_checksum, :frame})
+    if flag_set?(flags, :checksum) do
+      with {:ok, <<sum::32>>} <- read_bytes(demuxer, 4),
+           do: check_condition(Nut.header_checksum(seen) == sum, {:bad_checksum, :frame})
     else
       :ok
     end
   end
 
-  defp known(id, demuxer) do
+  defp fetch_stream(id, demuxer) do
     case demuxer.streams do
       %{^id => stream} when is_map_key(demuxer.last, id) -> {:ok, stream}
       _ -> {:error, :lost_sync}
@@ -189,15 +189,15 @@ defmodule Situ.Media.Nut.Demuxer do
   end
 
   # A writer stores only the low bits of a time if they are unambiguous.
-  defp pts(coded, _last, shift) when coded >= 1 <<< shift, do: coded - (1 <<< shift)
+  defp decode_pts(coded, _last, shift) when coded >= 1 <<< shift, do: coded - (1 <<< shift)
 
-  defp pts(coded, last, shift) do
+  defp decode_pts(coded, last, shift) do
     mask = (1 <<< shift) - 1
     delta = last - div(mask, 2)
     (coded - delta &&& mask) + delta
   end
 
-  defp payload(flags, stream, pts, size, index, demuxer) do
+  defp read_payload(flags, stream, pts, size, index, demuxer) do
     prefix =
       if size > 4096 or index >= tuple_size(demuxer.elisions),
         do: <<>>,
@@ -205,28 +205,28 @@ defmodule Situ.Media.Nut.Demuxer do
 
     length = size - byte_size(prefix)
 
-    with :ok <- check(size <= demuxer.max_frame, {:frame_too_large, size}),
-         :ok <- check(length >= 0 and not has?(flags, :side_data), :lost_sync),
-         {:ok, data} <- read(demuxer, length) do
+    with :ok <- check_condition(size <= demuxer.max_frame, {:frame_too_large, size}),
+         :ok <- check_condition(length >= 0 and not flag_set?(flags, :side_data), :lost_sync),
+         {:ok, data} <- read_bytes(demuxer, length) do
       frame = %{
         stream: stream.id,
         time: Nut.to_ns(pts, stream.time_base),
         ticks: pts,
-        data: prepend(prefix, data)
+        data: prepend_elision(prefix, data)
       }
 
-      if has?(flags, :eor), do: {:skip, demuxer}, else: {:ok, frame, demuxer}
+      if flag_set?(flags, :eor), do: {:skip, demuxer}, else: {:ok, frame, demuxer}
     end
   end
 
-  defp prepend(<<>>, data), do: data
-  defp prepend(prefix, data), do: prefix <> data
+  defp prepend_elision(<<>>, data), do: data
+  defp prepend_elision(prefix, data), do: prefix <> data
 
-  defp has?(flags, name), do: (flags &&& Map.fetch!(@bits, name)) != 0
+  defp flag_set?(flags, name), do: (flags &&& Map.fetch!(@bits, name)) != 0
 
-  defp read(_demuxer, 0), do: {:ok, <<>>}
+  defp read_bytes(_demuxer, 0), do: {:ok, <<>>}
 
-  defp read(%{read: read}, n) do
+  defp read_bytes(%{read: read}, n) do
     case read.(n) do
       {:ok, bytes} when byte_size(bytes) == n -> {:ok, bytes}
       {:ok, _fewer} -> {:error, :eof}
@@ -238,7 +238,7 @@ defmodule Situ.Media.Nut.Demuxer do
   defp read_varint(demuxer, seen), do: read_varint(demuxer, seen, 0, 0)
 
   defp read_varint(demuxer, seen, value, n) do
-    with {:ok, <<more::1, group::7>> = byte} <- read(demuxer, 1) do
+    with {:ok, <<more::1, group::7>> = byte} <- read_bytes(demuxer, 1) do
       value = value <<< 7 ||| group
 
       cond do
@@ -249,6 +249,6 @@ defmodule Situ.Media.Nut.Demuxer do
     end
   end
 
-  defp check(true, _reason), do: :ok
-  defp check(false, reason), do: {:error, reason}
+  defp check_condition(true, _reason), do: :ok
+  defp check_condition(false, reason), do: {:error, reason}
 end

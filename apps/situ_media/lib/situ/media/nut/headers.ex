@@ -21,46 +21,47 @@ defmodule Situ.Media.Nut.Headers do
   @type reason :: {:bad_header, term()}
 
   @doc "Returns the bits of a frame's flags by name."
-  @spec flags() :: keyword(pos_integer())
-  def flags, do: @flags
+  @spec flag_bits() :: keyword(pos_integer())
+  def flag_bits, do: @flags
 
   @doc """
   Parses the main header: the time bases, the meaning of each frame's first byte, the elided prefixes, and the number of
   streams.
   """
-  @spec main(binary()) :: {:ok, map()} | {:error, reason()}
-  def main(body), do: guarded(fn -> parse_main(body) end)
+  @spec decode_main(binary()) :: {:ok, map()} | {:error, reason()}
+  def decode_main(body), do: catch_bad_header(fn -> parse_main(body) end)
 
   @doc "Parses the header of a stream."
-  @spec stream(binary(), pos_integer(), tuple()) :: {:ok, Nut.stream()} | {:error, reason()}
-  def stream(body, count, time_bases),
-    do: guarded(fn -> parse_stream(body, count, time_bases) end)
+  @spec decode_stream(binary(), pos_integer(), tuple()) ::
+          {:ok, Nut.stream()} | {:error, reason()}
+  def decode_stream(body, count, time_bases),
+    do: catch_bad_header(fn -> parse_stream(body, count, time_bases) end)
 
   @doc "Parses a syncpoint and returns the time of each stream in its own ticks."
-  @spec syncpoint(binary(), tuple(), map()) :: {:ok, map()} | {:error, reason()}
-  def syncpoint(body, time_bases, streams),
-    do: guarded(fn -> parse_syncpoint(body, time_bases, streams) end)
+  @spec decode_syncpoint(binary(), tuple(), map()) :: {:ok, map()} | {:error, reason()}
+  def decode_syncpoint(body, time_bases, streams),
+    do: catch_bad_header(fn -> parse_syncpoint(body, time_bases, streams) end)
 
   # The parsers below throw at the first invalid number.
-  defp guarded(fun) do
+  defp catch_bad_header(fun) do
     {:ok, fun.()}
   catch
     {:bad_header, what} -> {:error, {:bad_header, what}}
   end
 
   defp parse_main(body) do
-    {version, body} = v(body)
+    {version, body} = read_varint(body)
     if version not in 2..4, do: throw({:bad_header, {:version, version}})
-    {_minor, body} = if version > 3, do: v(body), else: {0, body}
-    {count, body} = v(body)
-    {_max_distance, body} = v(body)
-    {bases, body} = v(body)
+    {_minor, body} = if version > 3, do: read_varint(body), else: {0, body}
+    {count, body} = read_varint(body)
+    {_max_distance, body} = read_varint(body)
+    {bases, body} = read_varint(body)
     if count not in 1..64 or bases not in 1..64, do: throw({:bad_header, :counts})
-    {time_bases, body} = repeat(bases, body, &time_base/1)
+    {time_bases, body} = read_list(bases, body, &time_base/1)
     {codes, body} = frame_codes([], 0, {0, 1, 0, 0}, body)
-    {elided, body} = v(body)
+    {elided, body} = read_varint(body)
     if elided > 255, do: throw({:bad_header, :elision})
-    {elisions, _flags} = repeat(elided, body, &bytes/1)
+    {elisions, _flags} = read_list(elided, body, &read_bytes/1)
 
     %{
       time_bases: List.to_tuple(time_bases),
@@ -71,8 +72,8 @@ defmodule Situ.Media.Nut.Headers do
   end
 
   defp time_base(body) do
-    {num, body} = v(body)
-    {den, body} = v(body)
+    {num, body} = read_varint(body)
+    {den, body} = read_varint(body)
     if num == 0 or den == 0, do: throw({:bad_header, :time_base})
     {{num, den}, body}
   end
@@ -81,18 +82,18 @@ defmodule Situ.Media.Nut.Headers do
   defp frame_codes(codes, 256, _kept, body), do: {Enum.reverse(codes), body}
 
   defp frame_codes(codes, n, {pts, mul, stream, index}, body) do
-    {flags, body} = v(body)
-    {fields, body} = v(body)
-    {pts, body} = if fields > 0, do: s(body), else: {pts, body}
-    {mul, body} = if fields > 1, do: v(body), else: {mul, body}
-    {stream, body} = if fields > 2, do: v(body), else: {stream, body}
-    {size, body} = if fields > 3, do: v(body), else: {0, body}
-    {reserved, body} = if fields > 4, do: v(body), else: {0, body}
-    {run, body} = if fields > 5, do: v(body), else: {mul - size, body}
-    {_match, body} = if fields > 6, do: s(body), else: {0, body}
-    {index, body} = if fields > 7, do: v(body), else: {index, body}
+    {flags, body} = read_varint(body)
+    {fields, body} = read_varint(body)
+    {pts, body} = if fields > 0, do: read_signed(body), else: {pts, body}
+    {mul, body} = if fields > 1, do: read_varint(body), else: {mul, body}
+    {stream, body} = if fields > 2, do: read_varint(body), else: {stream, body}
+    {size, body} = if fields > 3, do: read_varint(body), else: {0, body}
+    {reserved, body} = if fields > 4, do: read_varint(body), else: {0, body}
+    {run, body} = if fields > 5, do: read_varint(body), else: {mul - size, body}
+    {_match, body} = if fields > 6, do: read_signed(body), else: {0, body}
+    {index, body} = if fields > 7, do: read_varint(body), else: {index, body}
     if fields > 256 or run < 0, do: throw({:bad_header, :frame_codes})
-    {_, body} = repeat(max(fields - 8, 0), body, &v/1)
+    {_, body} = read_list(max(fields - 8, 0), body, &read_varint/1)
 
     code = %{
       flags: flags,
@@ -104,90 +105,93 @@ defmodule Situ.Media.Nut.Headers do
       index: index
     }
 
-    {codes, next} = fill(codes, n, run, code)
+    {codes, next} = fill_codes(codes, n, run, code)
     # An empty run would make the loop endless.
     if next == n, do: throw({:bad_header, :frame_codes})
     frame_codes(codes, next, {pts, mul, stream, index}, body)
   end
 
   # The byte "N" begins start codes, so it never begins a frame and runs do not count it.
-  defp fill(codes, ?N, run, code),
-    do: fill([%{code | flags: @flags[:invalid]} | codes], ?N + 1, run, code)
+  defp fill_codes(codes, ?N, run, code),
+    do: fill_codes([%{code | flags: @flags[:invalid]} | codes], ?N + 1, run, code)
 
-  defp fill(codes, n, run, _code) when run == 0 or n == 256, do: {codes, n}
+  defp fill_codes(codes, n, run, _code) when run == 0 or n == 256, do: {codes, n}
 
-  defp fill(codes, n, run, code),
-    do: fill([code | codes], n + 1, run - 1, %{code | size: code.size + 1})
+  defp fill_codes(codes, n, run, code),
+    do: fill_codes([code | codes], n + 1, run - 1, %{code | size: code.size + 1})
 
   defp parse_stream(body, count, time_bases) do
-    {id, body} = v(body)
-    {class, body} = v(body)
-    {fourcc, body} = bytes(body)
-    {base, body} = v(body)
-    {shift, body} = v(body)
-    {_max_pts_distance, body} = v(body)
-    {_decode_delay, body} = v(body)
-    {_flags, body} = v(body)
-    {_specific, body} = bytes(body)
+    {id, body} = read_varint(body)
+    {class, body} = read_varint(body)
+    {fourcc, body} = read_bytes(body)
+    {base, body} = read_varint(body)
+    {shift, body} = read_varint(body)
+    {_max_pts_distance, body} = read_varint(body)
+    {_decode_delay, body} = read_varint(body)
+    {_flags, body} = read_varint(body)
+    {_specific, body} = read_bytes(body)
 
     if id >= count or base >= tuple_size(time_bases) or shift > 16,
       do: throw({:bad_header, :stream})
 
     Map.merge(
       %{id: id, fourcc: fourcc, time_base: elem(time_bases, base), shift: shift},
-      shape(class, body)
+      parse_shape(class, body)
     )
   end
 
-  defp shape(0, body) do
-    {width, body} = v(body)
-    {height, _body} = v(body)
+  defp parse_shape(0, body) do
+    {width, body} = read_varint(body)
+    {height, _body} = read_varint(body)
     if width == 0 or height == 0, do: throw({:bad_header, :size})
     %{class: :video, width: width, height: height}
   end
 
-  defp shape(1, body) do
-    {num, body} = v(body)
-    {den, body} = v(body)
-    {channels, _body} = v(body)
+  defp parse_shape(1, body) do
+    {num, body} = read_varint(body)
+    {den, body} = read_varint(body)
+    {channels, _body} = read_varint(body)
     if num == 0 or den == 0 or channels == 0, do: throw({:bad_header, :audio})
     %{class: :audio, rate: div(num, den), channels: channels}
   end
 
-  defp shape(_class, _body), do: %{class: :other}
+  defp parse_shape(_class, _body), do: %{class: :other}
 
   defp parse_syncpoint(body, time_bases, streams) do
-    {time, _body} = v(body)
+    {time, _body} = read_varint(body)
     bases = tuple_size(time_bases)
     if bases == 0, do: throw({:bad_header, :syncpoint})
     base = elem(time_bases, rem(time, bases))
-    Map.new(streams, fn {id, s} -> {id, Nut.rescale(div(time, bases), base, s.time_base)} end)
+
+    Map.new(streams, fn {id, s} ->
+      {id, Nut.rescale_ticks(div(time, bases), base, s.time_base)}
+    end)
   end
 
-  defp v(body) do
+  defp read_varint(body) do
     case Nut.take_varint(body) do
       {value, rest} -> {value, rest}
       :error -> throw({:bad_header, :short})
     end
   end
 
-  defp s(body) do
-    {value, rest} = v(body)
-    {Nut.signed(value), rest}
+  defp read_signed(body) do
+    {value, rest} = read_varint(body)
+    {Nut.decode_signed(value), rest}
   end
 
-  defp bytes(body) do
-    {size, rest} = v(body)
+  defp read_bytes(body) do
+    {size, rest} = read_varint(body)
 
     if size > byte_size(rest), do: throw({:bad_header, :short})
     {binary_part(rest, 0, size), binary_part(rest, size, byte_size(rest) - size)}
   end
 
-  defp repeat(n, body, fun), do: repeat(n, body, fun, [])
-  defp repeat(0, body, _fun, acc), do: {Enum.reverse(acc), body}
+  defp read_list(n, body, fun), do: read_items(n, body, fun, [])
+  defp read_items(0, body, _fun, acc), do: {Enum.reverse(acc), body}
 
-  defp repeat(n, body, fun, acc) do
+  defp read_items(n, body, fun, acc) do
     {value, body} = fun.(body)
-    repeat(n - 1, body, fun, [value | acc])
+    read_items(n - 1, body, fun, [value | acc])
   end
 end

@@ -1,16 +1,16 @@
 defmodule Situ.Media.Nut.Muxer do
   @moduledoc """
-  Writes a NUT stream: `header/1` once, then `frame/3` for each image or audio buffer. Both return iodata in which the
+  Writes a NUT stream: `encode_header/1` once, then `encode_frame/3` for each image or audio buffer. Both return iodata in which the
   payload is not copied.
 
   All times are nanoseconds and must not be negative.
 
       iex> alias Situ.Media.Nut.{Demuxer, Muxer}
       iex> streams = [%{id: 0, class: :video, fourcc: "Y800", width: 2, height: 1}]
-      iex> bytes = IO.iodata_to_binary([Muxer.header(streams), Muxer.frame(0, 40_000_000, <<1, 2>>)])
+      iex> bytes = IO.iodata_to_binary([Muxer.encode_header(streams), Muxer.encode_frame(0, 40_000_000, <<1, 2>>)])
       iex> {:ok, file} = StringIO.open(bytes, encoding: :latin1)
       iex> {:ok, demuxer} = Demuxer.open(fn n -> {:ok, IO.binread(file, n)} end)
-      iex> {:ok, frame, _} = Demuxer.next(demuxer)
+      iex> {:ok, frame, _} = Demuxer.next_frame(demuxer)
       iex> {frame.time, frame.data}
       {40_000_000, <<1, 2>>}
   """
@@ -41,69 +41,114 @@ defmodule Situ.Media.Nut.Muxer do
             }
 
   @doc "Encodes the file id, the main header and one header per stream. The first frame's syncpoint ends the headers."
-  @spec header([stream(), ...]) :: iodata()
-  def header(streams) do
+  @spec encode_header([stream(), ...]) :: iodata()
+  def encode_header(streams) do
     [
       Nut.file_id(),
-      packet(:main, main(length(streams))),
-      Enum.map(streams, &packet(:stream, stream(&1)))
+      build_packet(:main, main_header(length(streams))),
+      Enum.map(streams, &build_packet(:stream, stream_header(&1)))
     ]
   end
 
   @doc "Encodes one frame of stream `id` at `time` (nanoseconds, 0 or more)."
-  @spec frame(non_neg_integer(), non_neg_integer(), binary()) :: iodata()
-  def frame(id, time, data) when is_integer(time) and time >= 0 do
+  @spec encode_frame(non_neg_integer(), non_neg_integer(), binary()) :: iodata()
+  def encode_frame(id, time, data) when is_integer(time) and time >= 0 do
     # An offset of 2^shift distinguishes a complete time from its low bits.
     head =
       IO.iodata_to_binary([
         @frame_code,
-        v(id),
-        v(time + Bitwise.bsl(1, @shift)),
-        v(byte_size(data))
+        encode_varint(id),
+        encode_varint(time + Bitwise.bsl(1, @shift)),
+        encode_varint(byte_size(data))
       ])
 
     # A reader requires a syncpoint every 64 KiB; one before each frame costs 30 bytes. Two in a row would make FFmpeg
     # resynchronize, which works in a socket only by chance.
-    [packet(:syncpoint, [v(time), v(0)]), head, <<Nut.crc(head)::32>>, data]
+    [
+      build_packet(:syncpoint, [encode_varint(time), encode_varint(0)]),
+      head,
+      <<Nut.header_checksum(head)::32>>,
+      data
+    ]
   end
 
-  defp main(count) do
+  defp main_header(count) do
     [
-      v(3),
-      v(count),
-      v(@max_distance),
+      encode_varint(3),
+      encode_varint(count),
+      encode_varint(@max_distance),
       # All streams share one time base: nanoseconds.
-      [v(1), v(1), v(1_000_000_000)],
+      [encode_varint(1), encode_varint(1), encode_varint(1_000_000_000)],
       # Frame code 0 is invalid; codes 1 to 255 define one kind of frame with all fields written out.
-      [v(8192), v(6), v(0), v(1), v(0), v(0), v(0), v(1)],
-      [v(@frame_flags), v(6), v(0), v(1), v(0), v(0), v(0), v(254)],
+      [
+        encode_varint(8192),
+        encode_varint(6),
+        encode_varint(0),
+        encode_varint(1),
+        encode_varint(0),
+        encode_varint(0),
+        encode_varint(0),
+        encode_varint(1)
+      ],
+      [
+        encode_varint(@frame_flags),
+        encode_varint(6),
+        encode_varint(0),
+        encode_varint(1),
+        encode_varint(0),
+        encode_varint(0),
+        encode_varint(0),
+        encode_varint(254)
+      ],
       # No elided headers.
-      v(0),
-      v(0)
+      encode_varint(0),
+      encode_varint(0)
     ]
   end
 
-  defp stream(%{class: class, id: id, fourcc: fourcc} = stream) do
+  defp stream_header(%{class: class, id: id, fourcc: fourcc} = stream) do
     [
-      [v(id), v(if(class == :video, do: 0, else: 1)), v(byte_size(fourcc)), fourcc],
+      [
+        encode_varint(id),
+        encode_varint(if(class == :video, do: 0, else: 1)),
+        encode_varint(byte_size(fourcc)),
+        fourcc
+      ],
       # time base, shift, max pts distance, decode delay, flags, codec data
-      [v(0), v(@shift), v(1_000_000_000), v(0), v(0), v(0)],
-      shape(stream)
+      [
+        encode_varint(0),
+        encode_varint(@shift),
+        encode_varint(1_000_000_000),
+        encode_varint(0),
+        encode_varint(0),
+        encode_varint(0)
+      ],
+      stream_shape(stream)
     ]
   end
 
-  defp shape(%{class: :video} = s), do: [v(s.width), v(s.height), v(0), v(0), v(0)]
-  defp shape(%{class: :audio} = s), do: [v(s.rate), v(1), v(s.channels)]
+  defp stream_shape(%{class: :video} = s),
+    do: [
+      encode_varint(s.width),
+      encode_varint(s.height),
+      encode_varint(0),
+      encode_varint(0),
+      encode_varint(0)
+    ]
 
-  defp packet(name, body) do
+  defp stream_shape(%{class: :audio} = s),
+    do: [encode_varint(s.rate), encode_varint(1), encode_varint(s.channels)]
+
+  defp build_packet(name, body) do
     body = IO.iodata_to_binary(body)
-    size = v(byte_size(body) + 4)
+    size = encode_varint(byte_size(body) + 4)
     start = Nut.startcode(name)
 
-    guard = if byte_size(body) + 4 > 4096, do: <<Nut.crc(start <> size)::32>>, else: <<>>
+    guard =
+      if byte_size(body) + 4 > 4096, do: <<Nut.header_checksum(start <> size)::32>>, else: <<>>
 
-    [start, size, guard, body, <<Nut.crc(body)::32>>]
+    [start, size, guard, body, <<Nut.header_checksum(body)::32>>]
   end
 
-  defp v(value), do: Nut.varint(value)
+  defp encode_varint(value), do: Nut.encode_varint(value)
 end

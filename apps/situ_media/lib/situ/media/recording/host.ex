@@ -8,8 +8,8 @@ defmodule Situ.Media.Recording.Host do
   @registry Situ.Media.Recording.Registry
   @supervisor Situ.Media.Recording.Supervisor
 
-  @spec children() :: [Supervisor.child_spec() | {module(), keyword()}]
-  def children do
+  @spec child_specs() :: [Supervisor.child_spec() | {module(), keyword()}]
+  def child_specs do
     [
       {Registry, keys: :unique, name: @registry},
       {DynamicSupervisor, name: @supervisor, strategy: :one_for_one}
@@ -17,30 +17,30 @@ defmodule Situ.Media.Recording.Host do
   end
 
   @doc "Sends a request to the process of `module` that reads this recording, and starts it if necessary."
-  @spec ask(module(), Situ.Media.Recording.OpenFile.t(), term()) :: term()
-  def ask(module, recording, question, tries \\ 3) do
-    with {:ok, pid} <- find(module, recording) do
+  @spec call_server(module(), Situ.Media.Recording.OpenFile.t(), term()) :: term()
+  def call_server(module, recording, question, tries \\ 3) do
+    with {:ok, pid} <- find_or_start(module, recording) do
       try do
         GenServer.call(pid, question, :infinity)
       catch
         # The process was about to end.
         :exit, {reason, _} when reason in [:normal, :noproc] and tries > 1 ->
-          ask(module, recording, question, tries - 1)
+          call_server(module, recording, question, tries - 1)
       end
     end
   end
 
-  defp find(module, recording) do
+  defp find_or_start(module, recording) do
     key = {module, recording.path, recording.version, recording.print}
 
     # Unlike a lookup, this ignores a process that has just ended.
     case Registry.whereis_name({@registry, key}) do
-      :undefined -> start(module, recording, key)
+      :undefined -> start_server(module, recording, key)
       pid -> {:ok, pid}
     end
   end
 
-  defp start(module, recording, key) do
+  defp start_server(module, recording, key) do
     spec = %{
       id: module,
       start:

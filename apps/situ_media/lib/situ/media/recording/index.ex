@@ -9,9 +9,9 @@ defmodule Situ.Media.Recording.Index do
       iex> index = %Situ.Media.Recording.Index{
       ...>   pictures: <<0::64, 40::64, 80::64, 120::64>>, keys: <<0::32, 2::32>>}
       iex> alias Situ.Media.Recording.Index
-      iex> {Index.count(index), Index.time(index, 2), Index.seek(index, 41)}
+      iex> {Index.image_count(index), Index.image_time(index, 2), Index.seek_image(index, 41)}
       {4, 80, 2}
-      iex> {Index.nearest(index, 55), Index.key(index, 3)}
+      iex> {Index.nearest_image(index, 55), Index.key_image(index, 3)}
       {1, 2}
   """
   alias Situ.Error
@@ -35,27 +35,28 @@ defmodule Situ.Media.Recording.Index do
   @frames "frame=best_effort_timestamp,key_frame"
 
   @doc "Builds the index from the packets of the file. Gives up after two minutes."
-  @spec read(Path.t(), FileInfo.t()) :: {:ok, t()} | {:error, Error.t()}
-  def read(path, %FileInfo{} = info) do
+  @spec read_packets(Path.t(), FileInfo.t()) :: {:ok, t()} | {:error, Error.t()}
+  def read_packets(path, %FileInfo{} = info) do
     new = Packets.new(info.video && info.video.index, info.audio && info.audio.index)
 
-    with {:ok, packets} <- probe(path, info, ["-show_entries", @packets], new) do
-      {:ok, build(info, if(packets.vague?, do: frames(path, info, packets), else: packets))}
+    with {:ok, packets} <- run_ffprobe(path, info, ["-show_entries", @packets], new) do
+      {:ok,
+       build_index(info, if(packets.vague?, do: read_frames(path, info, packets), else: packets))}
     end
   end
 
   # Some old containers (AVI, MPEG-PS) omit times, and only a decoder knows the order of the images. If decoding takes
   # too long, the order of the packets is used.
-  defp frames(path, info, packets) do
+  defp read_frames(path, info, packets) do
     args = ["-select_streams", "#{info.video.index}", "-show_entries", @frames]
 
-    case probe(path, info, args, %{packets | rest: ""}) do
+    case run_ffprobe(path, info, args, %{packets | rest: ""}) do
       {:ok, %{frames: [_ | _]} = packets} -> %{packets | pictures: packets.frames}
       _ -> packets
     end
   end
 
-  defp probe(path, info, entries, into) do
+  defp run_ffprobe(path, info, entries, into) do
     args =
       ~w(-k 1 #{@seconds} ffprobe -hide_banner -loglevel quiet -of csv) ++
         entries ++ FFmpeg.local_file(path)
@@ -63,18 +64,18 @@ defmodule Situ.Media.Recording.Index do
     case System.cmd("timeout", args, env: [], into: into) do
       # The packets that ffprobe listed are usable, even if it failed at the end.
       {packets, status} when status not in [124, 137] -> {:ok, packets}
-      {_, _} -> {:error, unreadable(info)}
+      {_, _} -> {:error, unreadable_error(info)}
     end
   end
 
-  defp build(info, packets) do
+  defp build_index(info, packets) do
     video = packets.bases[packets.video]
     audio = packets.bases[packets.audio]
     zero = if info.exact?, do: 0, else: packets.zero
 
     pictures =
       for {ticks, key?} <- if(video, do: packets.pictures, else: []),
-          time = time(ticks, video, zero),
+          time = ticks_to_ns(ticks, video, zero),
           time >= 0 and time < @longest,
           do: {time, key?}
 
@@ -98,17 +99,17 @@ defmodule Situ.Media.Recording.Index do
        do: stated
 
   defp sound_end(_info, ticks, base, zero) when ticks != nil and base != nil,
-    do: ticks |> time(base, zero) |> max(0) |> min(@longest)
+    do: ticks |> ticks_to_ns(base, zero) |> max(0) |> min(@longest)
 
   defp sound_end(_info, _ticks, _base, _zero), do: 0
 
   # Shifts like ffmpeg's `-start_at_zero`: by the file's start in microseconds, rounded to the stream's ticks.
-  defp time(ticks, {num, den} = base, zero) do
+  defp ticks_to_ns(ticks, {num, den} = base, zero) do
     shift = Integer.floor_div(2 * zero * den + num * 1_000_000, 2 * num * 1_000_000)
     Nut.to_ns(ticks - shift, base)
   end
 
-  defp unreadable(info) do
+  defp unreadable_error(info) do
     Error.new(:unreadable_media, "cannot list the packets of #{info.name}",
       why: "FFmpeg found no packets in it, or took longer than #{@seconds} s",
       fix: "check that the file is complete: ffprobe #{info.name}"
@@ -116,40 +117,42 @@ defmodule Situ.Media.Recording.Index do
   end
 
   @doc "Returns the number of images."
-  @spec count(t()) :: non_neg_integer()
-  def count(index), do: div(byte_size(index.pictures), 8)
+  @spec image_count(t()) :: non_neg_integer()
+  def image_count(index), do: div(byte_size(index.pictures), 8)
 
   @doc "Returns the media time of an image."
-  @spec time(t(), non_neg_integer()) :: Situ.Time.t()
-  def time(index, ordinal) do
+  @spec image_time(t(), non_neg_integer()) :: Situ.Time.t()
+  def image_time(index, ordinal) do
     <<time::64>> = binary_part(index.pictures, ordinal * 8, 8)
     time
   end
 
   @doc "Returns the ordinal of the first image at or after a media time, or the count if there is none."
-  @spec seek(t(), integer()) :: non_neg_integer()
-  def seek(index, time), do: search(&(time(index, &1) >= time), 0, count(index))
+  @spec seek_image(t(), integer()) :: non_neg_integer()
+  def seek_image(index, time),
+    do: binary_search(&(image_time(index, &1) >= time), 0, image_count(index))
 
   @doc "Returns the ordinal of the image whose time is nearest."
-  @spec nearest(t(), integer()) :: non_neg_integer()
-  def nearest(index, time) do
-    case seek(index, time) do
+  @spec nearest_image(t(), integer()) :: non_neg_integer()
+  def nearest_image(index, time) do
+    case seek_image(index, time) do
       0 ->
         0
 
       after_it ->
         before = after_it - 1
 
-        if after_it < count(index) and time(index, after_it) - time <= time - time(index, before),
-          do: after_it,
-          else: before
+        if after_it < image_count(index) and
+             image_time(index, after_it) - time <= time - image_time(index, before),
+           do: after_it,
+           else: before
     end
   end
 
   @doc "Returns the ordinal of the last key frame at or before `ordinal`, or 0 if none is marked."
-  @spec key(t(), non_neg_integer()) :: non_neg_integer()
-  def key(index, ordinal) do
-    later = search(&(key_at(index, &1) > ordinal), 0, div(byte_size(index.keys), 4))
+  @spec key_image(t(), non_neg_integer()) :: non_neg_integer()
+  def key_image(index, ordinal) do
+    later = binary_search(&(key_at(index, &1) > ordinal), 0, div(byte_size(index.keys), 4))
     if later == 0, do: 0, else: key_at(index, later - 1)
   end
 
@@ -159,10 +162,13 @@ defmodule Situ.Media.Recording.Index do
   end
 
   # Returns the first i in low..high-1 for which the monotonic predicate `holds?` is true, or `high` if there is none.
-  defp search(_holds?, low, low), do: low
+  defp binary_search(_holds?, low, low), do: low
 
-  defp search(holds?, low, high) do
+  defp binary_search(holds?, low, high) do
     middle = div(low + high, 2)
-    if holds?.(middle), do: search(holds?, low, middle), else: search(holds?, middle + 1, high)
+
+    if holds?.(middle),
+      do: binary_search(holds?, low, middle),
+      else: binary_search(holds?, middle + 1, high)
   end
 end

@@ -39,23 +39,23 @@ defmodule Situ.Media.Recording.OpenFile do
   @stretch 1_500
 
   @doc "Returns the length of an audio buffer, ns."
-  @spec piece() :: Situ.Time.duration()
-  def piece, do: @piece
+  @spec chunk_duration() :: Situ.Time.duration()
+  def chunk_duration, do: @piece
 
   @doc "Returns the number of audio buffers that are decoded together."
-  @spec stretch() :: pos_integer()
-  def stretch, do: @stretch
+  @spec chunks_per_batch() :: pos_integer()
+  def chunks_per_batch, do: @stretch
 
   @doc "Opens the file, lists its packets and decodes the first audio buffer."
   @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, info} <- FileInfo.read(path),
-         {:ok, version} <- version(path),
-         {:ok, index} <- Index.read(path, info),
-         {:ok, sound} <- sound(path, info, index) do
-      start = FileTime.offset(opts[:start], info.recorded_at, 0, %{start_time: 0})
-      info = if Index.count(index) == 0, do: %{info | video: nil}, else: info
+         {:ok, version} <- file_version(path),
+         {:ok, index} <- Index.read_packets(path, info),
+         {:ok, sound} <- locate_audio(path, info, index) do
+      start = FileTime.time_offset(opts[:start], info.recorded_at, 0, %{start_time: 0})
+      info = if Index.image_count(index) == 0, do: %{info | video: nil}, else: info
 
       recording = %__MODULE__{
         path: path,
@@ -69,7 +69,7 @@ defmodule Situ.Media.Recording.OpenFile do
     end
   end
 
-  defp version(path) do
+  defp file_version(path) do
     case File.stat(path, time: :posix) do
       {:ok, stat} -> {:ok, {stat.size, stat.mtime}}
       {:error, reason} -> {:error, Error.new(:no_file, "cannot read #{path}: #{reason}")}
@@ -77,9 +77,9 @@ defmodule Situ.Media.Recording.OpenFile do
   end
 
   @doc "Checks that the file has not changed since it was opened."
-  @spec unchanged(t()) :: :ok | {:error, Error.t()}
-  def unchanged(%{path: path, version: version}) do
-    case version(path) do
+  @spec check_unchanged(t()) :: :ok | {:error, Error.t()}
+  def check_unchanged(%{path: path, version: version}) do
+    case file_version(path) do
       {:ok, ^version} -> :ok
       {:ok, _} -> {:error, Error.new(:changed, "#{path} has changed since it was opened")}
       error -> error
@@ -87,16 +87,16 @@ defmodule Situ.Media.Recording.OpenFile do
   end
 
   # Finds the start of the audio in its first buffer, because containers describe the lead-in of codecs differently.
-  defp sound(_path, %{audio: nil}, _index), do: {:ok, nil}
+  defp locate_audio(_path, %{audio: nil}, _index), do: {:ok, nil}
 
-  defp sound(path, info, index) do
+  defp locate_audio(path, info, index) do
     with {:ok, decoder} <- Decoder.open(path, info, video: false, audio_buffer: @piece) do
-      item = Decoder.next(decoder)
+      item = Decoder.next_item(decoder)
       Decoder.close(decoder)
 
       case item do
         {:audio, time, %{format: format} = buffer, _} ->
-          first = AudioFormat.ns_to_frames(format, time) - AudioBuffer.frames(buffer)
+          first = AudioFormat.ns_to_frames(format, time) - AudioBuffer.frame_count(buffer)
           frames = AudioFormat.ns_to_frames(format, index.sound_end) - first
           step = max(AudioFormat.ns_to_frames(format, @piece), 1)
           {:ok, %{format: format, first: first, frames: max(frames, 0), step: step}}

@@ -13,51 +13,54 @@ defmodule Situ.Media.Recording.Packets do
 
   @doc "Builds an empty packet list for the streams with these indexes (`nil` if there is none)."
   @spec new(non_neg_integer() | nil, non_neg_integer() | nil) :: t()
-  def new(video, audio), do: %__MODULE__{video: index(video), audio: index(audio)}
+  def new(video, audio), do: %__MODULE__{video: index_text(video), audio: index_text(audio)}
 
-  defp index(nil), do: nil
-  defp index(n), do: Integer.to_string(n)
+  defp index_text(nil), do: nil
+  defp index_text(n), do: Integer.to_string(n)
 
   @doc "Adds the next bytes of the list."
   @spec feed(t(), binary()) :: t()
   def feed(packets, bytes) do
     lines = String.split(packets.rest <> bytes, "\n")
     {whole, [rest]} = Enum.split(lines, -1)
-    Enum.reduce(whole, %{packets | rest: rest}, &line/2)
+    Enum.reduce(whole, %{packets | rest: rest}, &add_line/2)
   end
 
-  defp line(line, packets), do: line |> String.split(",") |> row(packets)
+  defp add_line(line, packets), do: line |> String.split(",") |> add_row(packets)
 
-  defp row(["packet", id, pts, dts, _duration, size, flags | _], %{video: id} = packets) do
-    packets = %{packets | picture_bytes: packets.picture_bytes + (number(size) || 0)}
-    ticks = number(pts)
+  defp add_row(["packet", id, pts, dts, _duration, size, flags | _], %{video: id} = packets) do
+    packets = %{packets | picture_bytes: packets.picture_bytes + (parse_number(size) || 0)}
+    ticks = parse_number(pts)
 
     cond do
       # Skips packets that are decoded but never shown.
       String.contains?(flags, "D") -> packets
-      ticks == nil -> picture(%{packets | vague?: true}, number(dts), flags)
-      true -> picture(packets, ticks, flags)
+      ticks == nil -> add_image(%{packets | vague?: true}, parse_number(dts), flags)
+      true -> add_image(packets, ticks, flags)
     end
   end
 
-  defp row(["packet", id, pts, dts, duration, size, flags | _], %{audio: id} = packets) do
-    ticks = number(pts) || number(dts)
-    packets = %{packets | sound_bytes: packets.sound_bytes + (number(size) || 0)}
+  defp add_row(["packet", id, pts, dts, duration, size, flags | _], %{audio: id} = packets) do
+    ticks = parse_number(pts) || parse_number(dts)
+    packets = %{packets | sound_bytes: packets.sound_bytes + (parse_number(size) || 0)}
 
     if ticks && not String.contains?(flags, "D"),
-      do: %{packets | sound_end: later(ticks + (number(duration) || 0), packets.sound_end)},
+      do: %{
+        packets
+        | sound_end: max_ticks(ticks + (parse_number(duration) || 0), packets.sound_end)
+      },
       else: packets
   end
 
-  defp row(["frame", key, ticks | _], packets) do
-    case number(ticks) do
+  defp add_row(["frame", key, ticks | _], packets) do
+    case parse_number(ticks) do
       nil -> packets
       ticks -> %{packets | frames: [{ticks, key == "1"} | packets.frames]}
     end
   end
 
-  defp row(["stream", id, base | _], packets) do
-    case base |> String.split("/") |> Enum.map(&number/1) do
+  defp add_row(["stream", id, base | _], packets) do
+    case base |> String.split("/") |> Enum.map(&parse_number/1) do
       [num, den] when is_integer(num) and is_integer(den) and num > 0 and den > 0 ->
         %{packets | bases: Map.put(packets.bases, id, {num, den})}
 
@@ -66,28 +69,28 @@ defmodule Situ.Media.Recording.Packets do
     end
   end
 
-  defp row(["format", start | _], packets) do
+  defp add_row(["format", start | _], packets) do
     case Float.parse(start) do
       {seconds, ""} when abs(seconds) < 1.0e9 -> %{packets | zero: round(seconds * 1.0e6)}
       _ -> packets
     end
   end
 
-  defp row(_, packets), do: packets
+  defp add_row(_, packets), do: packets
 
-  defp picture(%{count: count} = packets, ticks, _flags) when ticks == nil or count >= @most,
+  defp add_image(%{count: count} = packets, ticks, _flags) when ticks == nil or count >= @most,
     do: packets
 
-  defp picture(packets, ticks, flags) do
+  defp add_image(packets, ticks, flags) do
     entry = {ticks, String.starts_with?(flags, "K")}
     %{packets | pictures: [entry | packets.pictures], count: packets.count + 1}
   end
 
-  defp later(ticks, nil), do: ticks
-  defp later(ticks, last), do: max(ticks, last)
+  defp max_ticks(ticks, nil), do: ticks
+  defp max_ticks(ticks, last), do: max(ticks, last)
 
   # Ignores numbers beyond 63 bits, which no valid file contains.
-  defp number(text) do
+  defp parse_number(text) do
     case Integer.parse(text) do
       {n, ""} when abs(n) < 0x7FFFFFFFFFFFFFFF -> n
       _ -> nil

@@ -28,9 +28,10 @@ defmodule Situ.Media.Recording.Pictures do
   Returns up to `limit` images from `ordinal` as `{:ok, [{ordinal, image}]}`. Large images are returned in smaller
   numbers, and the list is empty at the end.
   """
-  @spec read(OpenFile.t(), non_neg_integer(), pos_integer()) ::
+  @spec fetch_range(OpenFile.t(), non_neg_integer(), pos_integer()) ::
           {:ok, [{non_neg_integer(), Situ.Image.t()}]} | {:error, Situ.Error.t()}
-  def read(recording, ordinal, limit), do: Host.ask(__MODULE__, recording, {ordinal, limit})
+  def fetch_range(recording, ordinal, limit),
+    do: Host.call_server(__MODULE__, recording, {ordinal, limit})
 
   @impl true
   def init(recording) do
@@ -42,8 +43,8 @@ defmodule Situ.Media.Recording.Pictures do
   @impl true
   def handle_call({ordinal, limit}, _from, state) do
     {result, state} =
-      case OpenFile.unchanged(state.recording) do
-        :ok -> answer(state, ordinal, min(limit, most(state.recording)))
+      case OpenFile.check_unchanged(state.recording) do
+        :ok -> fetch_images(state, ordinal, min(limit, max_images(state.recording)))
         error -> {error, state}
       end
 
@@ -57,17 +58,17 @@ defmodule Situ.Media.Recording.Pictures do
   @impl true
   def terminate(_reason, state), do: Enum.each(state.decoders, &Decoder.close(elem(&1, 1)))
 
-  defp answer(state, ordinal, limit) do
-    case kept(state, ordinal, limit) do
-      [] -> decode(state, ordinal, limit)
+  defp fetch_images(state, ordinal, limit) do
+    case cached_images(state, ordinal, limit) do
+      [] -> decode_images(state, ordinal, limit)
       pictures -> {{:ok, pictures}, state}
     end
   end
 
-  defp most(%{info: %{video: video}}),
+  defp max_images(%{info: %{video: video}}),
     do: max(div(@answer_bytes, max(video.width * video.height * 3, 1)), 1)
 
-  defp kept(state, ordinal, limit) do
+  defp cached_images(state, ordinal, limit) do
     ordinal
     |> Stream.iterate(&(&1 + 1))
     |> Stream.take_while(&is_map_key(state.kept, &1))
@@ -75,10 +76,10 @@ defmodule Situ.Media.Recording.Pictures do
     |> Enum.map(&{&1, state.kept[&1]})
   end
 
-  defp decode(state, ordinal, limit) do
-    case decoder(state, ordinal) do
+  defp decode_images(state, ordinal, limit) do
+    case take_decoder(state, ordinal) do
       {:ok, {next, decoder}, others} ->
-        run(%{state | decoders: others}, next, decoder, {ordinal, limit}, [])
+        decode_until(%{state | decoders: others}, next, decoder, {ordinal, limit}, [])
 
       {:error, error} ->
         {{:error, error}, state}
@@ -86,18 +87,18 @@ defmodule Situ.Media.Recording.Pictures do
   end
 
   # Takes a decoder that is close enough to the image, or opens a new one.
-  defp decoder(%{recording: %{index: index}} = state, ordinal) do
-    key = Index.key(index, ordinal)
+  defp take_decoder(%{recording: %{index: index}} = state, ordinal) do
+    key = Index.key_image(index, ordinal)
     at = Enum.filter(state.decoders, fn {next, _} -> next <= ordinal end)
     nearest = Enum.max_by(at, &elem(&1, 0), fn -> nil end)
 
-    if nearest && near?(state.recording, ordinal - elem(nearest, 0), ordinal - key),
+    if nearest && worth_continuing?(state.recording, ordinal - elem(nearest, 0), ordinal - key),
       do: {:ok, nearest, List.delete(state.decoders, nearest)},
-      else: open(state, first_wanted(state, ordinal, key))
+      else: open_decoder(state, first_wanted(state, ordinal, key))
   end
 
   # A running decoder returns every image up to the target, while a new one skips them but begins at the key frame.
-  defp near?(%{info: %{video: video}}, ahead, from_key) do
+  defp worth_continuing?(%{info: %{video: video}}, ahead, from_key) do
     pixels = video.width * video.height
     ahead * pixels * (@skip_ns + @read_ns) <= @start_ns + from_key * pixels * @skip_ns
   end
@@ -108,10 +109,10 @@ defmodule Situ.Media.Recording.Pictures do
 
   defp first_wanted(_state, ordinal, _key), do: ordinal
 
-  defp open(%{recording: recording} = state, from) do
+  defp open_decoder(%{recording: recording} = state, from) do
     {keep, close} = Enum.split(state.decoders, @decoders - 1)
     Enum.each(close, &Decoder.close(elem(&1, 1)))
-    opts = [start: before(recording.index, from), audio: false]
+    opts = [start: seek_time(recording.index, from), audio: false]
 
     case Decoder.open(recording.path, recording.info, opts) do
       {:ok, decoder} -> {:ok, {from, decoder}, keep}
@@ -120,31 +121,33 @@ defmodule Situ.Media.Recording.Pictures do
   end
 
   # Seeks to a time between the image and the previous one, since ffmpeg seeks in microseconds.
-  defp before(_index, 0), do: 0
+  defp seek_time(_index, 0), do: 0
 
-  defp before(index, ordinal) do
-    time = Index.time(index, ordinal)
-    time - min(div(time - Index.time(index, ordinal - 1), 2), 1_000_000)
+  defp seek_time(index, ordinal) do
+    time = Index.image_time(index, ordinal)
+    time - min(div(time - Index.image_time(index, ordinal - 1), 2), 1_000_000)
   end
 
-  defp run(state, next, decoder, {_, limit}, found) when length(found) == limit,
+  defp decode_until(state, next, decoder, {_, limit}, found) when length(found) == limit,
     do: {{:ok, Enum.reverse(found)}, %{state | decoders: [{next, decoder} | state.decoders]}}
 
-  defp run(state, next, decoder, {ordinal, _} = wanted, found) do
-    case Decoder.next(decoder) do
+  defp decode_until(state, next, decoder, {ordinal, _} = wanted, found) do
+    case Decoder.next_item(decoder) do
       {:video, time, image, decoder} ->
-        at = max(Index.nearest(state.recording.index, time), next)
+        at = max(Index.nearest_image(state.recording.index, time), next)
 
         cond do
           # The file has more images than its packets stated.
-          at >= Index.count(state.recording.index) ->
-            run(state, at, decoder, wanted, found)
+          at >= Index.image_count(state.recording.index) ->
+            decode_until(state, at, decoder, wanted, found)
 
           at >= ordinal ->
-            run(keep(state, at, image), at + 1, decoder, wanted, [{at, image} | found])
+            decode_until(cache_image(state, at, image), at + 1, decoder, wanted, [
+              {at, image} | found
+            ])
 
           true ->
-            run(keep(state, at, image), at + 1, decoder, wanted, found)
+            decode_until(cache_image(state, at, image), at + 1, decoder, wanted, found)
         end
 
       {:eof, decoder} ->
@@ -158,10 +161,11 @@ defmodule Situ.Media.Recording.Pictures do
     end
   end
 
-  defp keep(%{kept: kept} = state, ordinal, _image) when is_map_key(kept, ordinal), do: state
+  defp cache_image(%{kept: kept} = state, ordinal, _image) when is_map_key(kept, ordinal),
+    do: state
 
-  defp keep(state, ordinal, image) do
-    shrink(%{
+  defp cache_image(state, ordinal, image) do
+    evict_oldest(%{
       state
       | kept: Map.put(state.kept, ordinal, image),
         order: :queue.in(ordinal, state.order),
@@ -169,12 +173,13 @@ defmodule Situ.Media.Recording.Pictures do
     })
   end
 
-  defp shrink(%{bytes: bytes} = state) when bytes <= @kept_bytes or map_size(state.kept) == 1,
-    do: state
+  defp evict_oldest(%{bytes: bytes} = state)
+       when bytes <= @kept_bytes or map_size(state.kept) == 1,
+       do: state
 
-  defp shrink(state) do
+  defp evict_oldest(state) do
     {{:value, ordinal}, order} = :queue.out(state.order)
     {image, kept} = Map.pop!(state.kept, ordinal)
-    shrink(%{state | kept: kept, order: order, bytes: state.bytes - byte_size(image.data)})
+    evict_oldest(%{state | kept: kept, order: order, bytes: state.bytes - byte_size(image.data)})
   end
 end

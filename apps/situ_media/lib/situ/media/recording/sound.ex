@@ -20,12 +20,13 @@ defmodule Situ.Media.Recording.Sound do
   Returns one section of audio, counted from 0, as `{:ok, data, error}`. The data is short if there is no more audio,
   and then `error` is the reason or `nil`.
   """
-  @spec read(OpenFile.t(), non_neg_integer()) ::
+  @spec read_batch(OpenFile.t(), non_neg_integer()) ::
           {:ok, binary(), Situ.Error.t() | nil} | {:error, Situ.Error.t()}
-  def read(recording, number), do: Host.ask(__MODULE__, recording, {:stretch, number})
+  def read_batch(recording, number),
+    do: Host.call_server(__MODULE__, recording, {:stretch, number})
 
-  @spec waveform(OpenFile.t()) :: {:ok, Waveform.t()} | {:error, Situ.Error.t()}
-  def waveform(recording), do: Host.ask(__MODULE__, recording, :waveform)
+  @spec fetch_waveform(OpenFile.t()) :: {:ok, Waveform.t()} | {:error, Situ.Error.t()}
+  def fetch_waveform(recording), do: Host.call_server(__MODULE__, recording, :waveform)
 
   @impl true
   def init(recording) do
@@ -36,7 +37,7 @@ defmodule Situ.Media.Recording.Sound do
   @impl true
   def handle_call({:stretch, number}, _from, state) do
     with nil <- List.keyfind(state.stretches, number, 0),
-         {:ok, data, error} <- decode(state.recording, number) do
+         {:ok, data, error} <- decode_batch(state.recording, number) do
       kept = Enum.take([{number, data, error} | state.stretches], @kept)
       {:reply, {:ok, data, error}, %{state | stretches: kept}, @idle_ms}
     else
@@ -46,7 +47,7 @@ defmodule Situ.Media.Recording.Sound do
   end
 
   def handle_call(:waveform, _from, %{waveform: nil} = state) do
-    case draw(state.recording) do
+    case build_waveform(state.recording) do
       {:ok, waveform} -> {:reply, {:ok, waveform}, %{state | waveform: waveform}, @idle_ms}
       {:error, error} -> {:reply, {:error, error}, state, @idle_ms}
     end
@@ -58,25 +59,25 @@ defmodule Situ.Media.Recording.Sound do
   def handle_info(:timeout, state), do: {:stop, :normal, state}
   def handle_info(_, state), do: {:noreply, state, @idle_ms}
 
-  defp decode(recording, number) do
+  defp decode_batch(recording, number) do
     %{format: format} = sound = recording.sound
-    size = sound.step * OpenFile.stretch()
+    size = sound.step * OpenFile.chunks_per_batch()
     first = sound.first + number * size
     last = min(first + size, sound.first + sound.frames)
     from = max(AudioFormat.frames_to_ns(format, first) - @lead, 0)
     span = [start: from, end: AudioFormat.frames_to_ns(format, last) + @lead]
 
-    with :ok <- OpenFile.unchanged(recording),
-         {:ok, decoder} <- open(recording, span),
-         {:ok, data, nil} <- gather(Decoder.next(decoder), last, format, {first, []}) do
+    with :ok <- OpenFile.check_unchanged(recording),
+         {:ok, decoder} <- open_decoder(recording, span),
+         {:ok, data, nil} <- collect_audio(Decoder.next_item(decoder), last, format, {first, []}) do
       # Fills a pause, since the audio continues in a later section.
       more? = last < sound.first + sound.frames
       missing = last - first - div(byte_size(data), AudioFormat.bytes_per_frame(format))
-      {:ok, if(more?, do: data <> silence(format, missing), else: data), nil}
+      {:ok, if(more?, do: data <> build_silence(format, missing), else: data), nil}
     end
   end
 
-  defp open(recording, opts) do
+  defp open_decoder(recording, opts) do
     opts =
       [video: false, audio_format: recording.sound.format, audio_buffer: 1_000_000_000] ++ opts
 
@@ -85,8 +86,8 @@ defmodule Situ.Media.Recording.Sound do
 
   # Places each buffer at its time: gaps are filled with silence, and audio outside the section is skipped. Differences
   # below @jitter are rounding of the container (1 ms in Matroska), and the audio is treated as contiguous.
-  defp gather({:audio, time, buffer, decoder}, last, format, {at, parts}) do
-    n = AudioBuffer.frames(buffer)
+  defp collect_audio({:audio, time, buffer, decoder}, last, format, {at, parts}) do
+    n = AudioBuffer.frame_count(buffer)
     start = AudioFormat.ns_to_frames(format, time) - n
     start = if parts != [] and abs(start - at) <= div(format.rate, @jitter), do: at, else: start
     gap = min(max(start - at, 0), last - at)
@@ -94,48 +95,49 @@ defmodule Situ.Media.Recording.Sound do
     n = min(n - from, last - at - gap)
 
     if n > 0 do
-      parts = [AudioBuffer.slice(buffer, from, n).data, silence(format, gap) | parts]
-      gather(Decoder.next(decoder), last, format, {at + gap + n, parts})
+      parts = [AudioBuffer.slice_frames(buffer, from, n).data, build_silence(format, gap) | parts]
+      collect_audio(Decoder.next_item(decoder), last, format, {at + gap + n, parts})
     else
-      gather(Decoder.next(decoder), last, format, {at, parts})
+      collect_audio(Decoder.next_item(decoder), last, format, {at, parts})
     end
   end
 
-  defp gather({:eof, decoder}, _last, _format, {_at, parts}),
-    do: gathered(decoder, parts, nil)
+  defp collect_audio({:eof, decoder}, _last, _format, {_at, parts}),
+    do: finish_collecting(decoder, parts, nil)
 
   # ffmpeg returned no data and reported no error, so this span contains no audio.
-  defp gather({:error, %{meta: %{log_lines: 0}}, decoder}, _last, _format, {_at, []}),
-    do: gathered(decoder, [], nil)
+  defp collect_audio({:error, %{meta: %{log_lines: 0}}, decoder}, _last, _format, {_at, []}),
+    do: finish_collecting(decoder, [], nil)
 
-  defp gather({:error, error, decoder}, _last, _format, {_at, parts}),
-    do: gathered(decoder, parts, error)
+  defp collect_audio({:error, error, decoder}, _last, _format, {_at, parts}),
+    do: finish_collecting(decoder, parts, error)
 
-  defp gathered(decoder, parts, error) do
+  defp finish_collecting(decoder, parts, error) do
     Decoder.close(decoder)
-    {:ok, join(parts), error}
+    {:ok, join_parts(parts), error}
   end
 
-  defp join(parts), do: parts |> Enum.reverse() |> IO.iodata_to_binary()
-  defp silence(format, n), do: :binary.copy(<<0>>, n * AudioFormat.bytes_per_frame(format))
+  defp join_parts(parts), do: parts |> Enum.reverse() |> IO.iodata_to_binary()
+  defp build_silence(format, n), do: :binary.copy(<<0>>, n * AudioFormat.bytes_per_frame(format))
 
-  defp draw(recording) do
-    with {:ok, decoder} <- open(recording, []) do
-      draw(Decoder.next(decoder), recording.start, Waveform.new())
+  defp build_waveform(recording) do
+    with {:ok, decoder} <- open_decoder(recording, []) do
+      add_all_points(Decoder.next_item(decoder), recording.start, Waveform.new())
     end
   end
 
-  defp draw({:audio, time, buffer, decoder}, start, waveform) do
+  defp add_all_points({:audio, time, buffer, decoder}, start, waveform) do
     points = Situ.Sound.points!(buffer, start + time)
-    draw(Decoder.next(decoder), start, Waveform.add(waveform, points))
+    add_all_points(Decoder.next_item(decoder), start, Waveform.add_points(waveform, points))
   end
 
-  defp draw({:eof, decoder}, _start, waveform), do: drawn(decoder, waveform)
+  defp add_all_points({:eof, decoder}, _start, waveform), do: finish_waveform(decoder, waveform)
   # On an error, returns the waveform of the readable part.
-  defp draw({:error, _error, decoder}, _start, waveform), do: drawn(decoder, waveform)
+  defp add_all_points({:error, _error, decoder}, _start, waveform),
+    do: finish_waveform(decoder, waveform)
 
-  defp drawn(decoder, waveform) do
+  defp finish_waveform(decoder, waveform) do
     Decoder.close(decoder)
-    {:ok, Waveform.finish(waveform)}
+    {:ok, Waveform.pack_bins(waveform)}
   end
 end

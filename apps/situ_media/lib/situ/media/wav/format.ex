@@ -13,13 +13,13 @@ defmodule Situ.Media.Wav.Format do
   @doc """
   Encodes the body of a `fmt ` chunk for a format.
 
-      iex> chunk = Situ.Media.Wav.Format.encode(Situ.AudioFormat.pcm(44_100, 2, :f32))
-      iex> {:ok, format} = Situ.Media.Wav.Format.parse(chunk)
+      iex> chunk = Situ.Media.Wav.Format.encode_chunk(Situ.AudioFormat.pcm(44_100, 2, :f32))
+      iex> {:ok, format} = Situ.Media.Wav.Format.parse_chunk(chunk)
       iex> format
       #Situ.AudioFormat<44100 Hz, 2 ch, :f32>
   """
-  @spec encode(AudioFormat.t()) :: binary()
-  def encode(%AudioFormat{} = format) do
+  @spec encode_chunk(AudioFormat.t()) :: binary()
+  def encode_chunk(%AudioFormat{} = format) do
     tag = if format.sample in [:f32, :f64], do: @float, else: @pcm
     bits = 8 * AudioFormat.bytes_per_sample(format)
 
@@ -37,47 +37,49 @@ defmodule Situ.Media.Wav.Format do
   end
 
   @doc "Parses the body of a `fmt ` chunk to a format."
-  @spec parse(binary()) :: {:ok, AudioFormat.t()} | {:error, Error.t()}
-  def parse(
+  @spec parse_chunk(binary()) :: {:ok, AudioFormat.t()} | {:error, Error.t()}
+  def parse_chunk(
         <<@extensible::little-16, plain::binary-size(14), _size::little-16, _valid::little-16,
           _mask::little-32, tag::little-16, _guid::binary-size(14), _::binary>>
       ),
       do: parse_plain(tag, plain)
 
-  def parse(<<tag::little-16, plain::binary-size(14), _::binary>>),
+  def parse_chunk(<<tag::little-16, plain::binary-size(14), _::binary>>),
     do: parse_plain(tag, plain)
 
-  def parse(bytes), do: bad("the fmt chunk has only #{byte_size(bytes)} bytes")
+  def parse_chunk(bytes), do: bad_wav("the fmt chunk has only #{byte_size(bytes)} bytes")
 
   defp parse_plain(
          tag,
          <<channels::little-16, rate::little-32, _::32, block::little-16, bits::little-16>>
        ) do
-    with {:ok, sample} <- sample(tag, bits),
+    with {:ok, sample} <- sample_type(tag, bits),
          {:ok, format} <-
            AudioFormat.validate(%AudioFormat{rate: rate, channels: channels, sample: sample}) do
       if block == AudioFormat.bytes_per_frame(format),
         do: {:ok, format},
-        else: bad("a frame of #{channels} channels with #{bits} bits cannot have #{block} bytes")
+        else:
+          bad_wav("a frame of #{channels} channels with #{bits} bits cannot have #{block} bytes")
     else
-      {:error, %{what: what}} -> bad(what)
+      {:error, %{what: what}} -> bad_wav(what)
     end
   end
 
-  defp sample(@pcm, 8), do: {:ok, :u8}
-  defp sample(@pcm, 16), do: {:ok, :s16}
-  defp sample(@pcm, 24), do: {:ok, :s24}
-  defp sample(@pcm, 32), do: {:ok, :s32}
-  defp sample(@float, 32), do: {:ok, :f32}
-  defp sample(@float, 64), do: {:ok, :f64}
+  defp sample_type(@pcm, 8), do: {:ok, :u8}
+  defp sample_type(@pcm, 16), do: {:ok, :s16}
+  defp sample_type(@pcm, 24), do: {:ok, :s24}
+  defp sample_type(@pcm, 32), do: {:ok, :s32}
+  defp sample_type(@float, 32), do: {:ok, :f32}
+  defp sample_type(@float, 64), do: {:ok, :f64}
 
-  defp sample(tag, bits) when tag in [@pcm, @float],
+  defp sample_type(tag, bits) when tag in [@pcm, @float],
     do: {:error, Error.new(:bad_wav, "samples of #{bits} bits are not supported")}
 
-  defp sample(tag, _bits) do
+  defp sample_type(tag, _bits) do
     {:error,
      Error.new(:bad_wav, "the audio is compressed (format tag #{tag}); read it with VideoFile")}
   end
 
-  defp bad(why), do: {:error, Error.new(:bad_wav, "invalid or unsupported WAV file", why: why)}
+  defp bad_wav(why),
+    do: {:error, Error.new(:bad_wav, "invalid or unsupported WAV file", why: why)}
 end

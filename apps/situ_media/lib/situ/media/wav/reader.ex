@@ -3,10 +3,10 @@ defmodule Situ.Media.Wav.Reader do
   Reads a WAV file in buffers, from any time.
 
       {:ok, reader} = Situ.Media.Wav.Reader.open("talk.wav", buffer: Situ.Time.ms(20))
-      {:ok, 20_000_000, %Situ.AudioBuffer{}, reader} = Situ.Media.Wav.Reader.next(reader)
+      {:ok, 20_000_000, %Situ.AudioBuffer{}, reader} = Situ.Media.Wav.Reader.next_buffer(reader)
 
   The time of a buffer is its end, counted in samples from the start of the file, so it is exact to the sample at any
-  rate. After the last complete frame `next/1` returns `:eof`, or an error if the file is shorter than its header
+  rate. After the last complete frame `next_buffer/1` returns `:eof`, or an error if the file is shorter than its header
   states.
   """
   alias Situ.{AudioBuffer, AudioFormat, Error}
@@ -48,9 +48,9 @@ defmodule Situ.Media.Wav.Reader do
   def open(path, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, file} <- open_file(path) do
-      case header(file, Path.basename(path)) do
+      case read_header(file, Path.basename(path)) do
         {:ok, reader} ->
-          {:ok, span(reader, opts)}
+          {:ok, apply_span(reader, opts)}
 
         {:error, error} ->
           :file.close(file)
@@ -60,26 +60,27 @@ defmodule Situ.Media.Wav.Reader do
   end
 
   @doc "Returns the length of the audio, ns."
-  @spec duration(t()) :: Situ.Time.duration()
-  def duration(%__MODULE__{} = reader), do: AudioFormat.frames_to_ns(reader.format, total(reader))
+  @spec total_duration(t()) :: Situ.Time.duration()
+  def total_duration(%__MODULE__{} = reader),
+    do: AudioFormat.frames_to_ns(reader.format, total_frames(reader))
 
   @doc "Returns the number of frames in the file."
-  @spec frames(t()) :: non_neg_integer()
-  def frames(%__MODULE__{} = reader), do: total(reader)
+  @spec frame_count(t()) :: non_neg_integer()
+  def frame_count(%__MODULE__{} = reader), do: total_frames(reader)
 
   @doc "Returns the number of audio bytes that the header states but the file does not contain."
-  @spec missing(t()) :: non_neg_integer()
-  def missing(%__MODULE__{} = reader), do: reader.claimed - reader.bytes
+  @spec missing_bytes(t()) :: non_neg_integer()
+  def missing_bytes(%__MODULE__{} = reader), do: reader.claimed - reader.bytes
 
   @doc "Reopens the file in the calling process and keeps the parsed header."
-  @spec reopen(t(), Path.t()) :: {:ok, t()} | {:error, Error.t()}
-  def reopen(%__MODULE__{} = reader, path) do
+  @spec reopen_file(t(), Path.t()) :: {:ok, t()} | {:error, Error.t()}
+  def reopen_file(%__MODULE__{} = reader, path) do
     with {:ok, file} <- open_file(path), do: {:ok, %{reader | file: file}}
   end
 
   @doc "Reads `count` frames from frame `first`. Returns an error if the file has become shorter."
-  @spec slice(t(), non_neg_integer(), non_neg_integer()) :: AudioBuffer.result()
-  def slice(%__MODULE__{format: format} = reader, first, count) do
+  @spec read_slice(t(), non_neg_integer(), non_neg_integer()) :: AudioBuffer.result()
+  def read_slice(%__MODULE__{format: format} = reader, first, count) do
     size = AudioFormat.bytes_per_frame(format)
 
     case :file.pread(reader.file, reader.data + first * size, count * size) do
@@ -87,16 +88,17 @@ defmodule Situ.Media.Wav.Reader do
         {:ok, %AudioBuffer{format: format, data: data}}
 
       {:error, reason} ->
-        {:error, unreadable(reader.name, :file.format_error(reason))}
+        {:error, unreadable_error(reader.name, :file.format_error(reason))}
 
       _ ->
-        {:error, truncated(reader)}
+        {:error, truncated_error(reader)}
     end
   end
 
   @doc "Reads the next buffer."
-  @spec next(t()) :: {:ok, Situ.Time.t(), AudioBuffer.t(), t()} | :eof | {:error, Error.t()}
-  def next(%__MODULE__{frame: frame, last: last} = reader) when frame < last do
+  @spec next_buffer(t()) ::
+          {:ok, Situ.Time.t(), AudioBuffer.t(), t()} | :eof | {:error, Error.t()}
+  def next_buffer(%__MODULE__{frame: frame, last: last} = reader) when frame < last do
     size = AudioFormat.bytes_per_frame(reader.format)
     want = min(reader.step, last - frame)
 
@@ -104,35 +106,37 @@ defmodule Situ.Media.Wav.Reader do
       {:ok, bytes} ->
         read = div(byte_size(bytes), size)
         # Reads nothing if the file was shortened after it was opened.
-        if read == 0, do: {:error, truncated(reader)}, else: piece(bytes, read, size, reader)
+        if read == 0,
+          do: {:error, truncated_error(reader)},
+          else: build_buffer(bytes, read, size, reader)
 
       :eof ->
-        {:error, truncated(reader)}
+        {:error, truncated_error(reader)}
 
       {:error, reason} ->
-        {:error, unreadable(reader.name, :file.format_error(reason))}
+        {:error, unreadable_error(reader.name, :file.format_error(reason))}
     end
   end
 
-  def next(%__MODULE__{cut?: true} = reader), do: {:error, truncated(reader)}
-  def next(%__MODULE__{}), do: :eof
+  def next_buffer(%__MODULE__{cut?: true} = reader), do: {:error, truncated_error(reader)}
+  def next_buffer(%__MODULE__{}), do: :eof
 
   @doc "Closes the file."
-  @spec close(t()) :: :ok
-  def close(%__MODULE__{file: file}) do
+  @spec close_file(t()) :: :ok
+  def close_file(%__MODULE__{file: file}) do
     _ = :file.close(file)
     :ok
   end
 
-  defp piece(bytes, read, size, reader) do
+  defp build_buffer(bytes, read, size, reader) do
     frame = reader.frame + read
     data = if read * size == byte_size(bytes), do: bytes, else: binary_part(bytes, 0, read * size)
     buffer = %AudioBuffer{format: reader.format, data: data}
     {:ok, AudioFormat.frames_to_ns(reader.format, frame), buffer, %{reader | frame: frame}}
   end
 
-  defp span(reader, opts) do
-    total = total(reader)
+  defp apply_span(reader, opts) do
+    total = total_frames(reader)
     limit = if opts[:end], do: AudioFormat.ns_to_frames(reader.format, opts[:end]), else: total
 
     %{
@@ -144,7 +148,7 @@ defmodule Situ.Media.Wav.Reader do
     }
   end
 
-  defp total(reader), do: div(reader.bytes, AudioFormat.bytes_per_frame(reader.format))
+  defp total_frames(reader), do: div(reader.bytes, AudioFormat.bytes_per_frame(reader.format))
 
   defp open_file(path) do
     # Rejects FIFOs, for which `open` would wait for a writer, and devices, which never end.
@@ -152,58 +156,64 @@ defmodule Situ.Media.Wav.Reader do
          {:ok, file} <- :file.open(path, [:read, :raw, :binary]) do
       {:ok, file}
     else
-      {:ok, %{type: type}} -> {:error, unreadable(path, "the path is a #{type}")}
+      {:ok, %{type: type}} -> {:error, unreadable_error(path, "the path is a #{type}")}
       {:error, reason} -> {:error, no_file(path, reason)}
     end
   end
 
-  defp header(file, name) do
+  defp read_header(file, name) do
     case :file.pread(file, 0, 12) do
       {:ok, <<riff::binary-size(4), _size::32, "WAVE">>} when riff in ["RIFF", "RF64", "BW64"] ->
-        chunks(file, 12, @max_chunks, %{name: name, format: nil, size64: nil, recorded_at: nil})
+        read_chunks(file, 12, @max_chunks, %{
+          name: name,
+          format: nil,
+          size64: nil,
+          recorded_at: nil
+        })
 
       {:ok, _} ->
-        {:error, unreadable(name, "the file does not begin with a WAV header")}
+        {:error, unreadable_error(name, "the file does not begin with a WAV header")}
 
       :eof ->
-        {:error, unreadable(name, "the file is empty")}
+        {:error, unreadable_error(name, "the file is empty")}
 
       {:error, reason} ->
-        {:error, unreadable(name, :file.format_error(reason))}
+        {:error, unreadable_error(name, :file.format_error(reason))}
     end
   end
 
-  defp chunks(_file, _at, 0, %{name: name}),
+  defp read_chunks(_file, _at, 0, %{name: name}),
     do:
-      {:error, unreadable(name, "the file has more than #{@max_chunks} chunks before its audio")}
+      {:error,
+       unreadable_error(name, "the file has more than #{@max_chunks} chunks before its audio")}
 
-  defp chunks(file, at, left, seen) do
+  defp read_chunks(file, at, left, seen) do
     case :file.pread(file, at, 8) do
       {:ok, <<"data", size::little-32>>} ->
-        data(file, at + 8, size, seen)
+        read_data_chunk(file, at + 8, size, seen)
 
       {:ok, <<id::binary-size(4), size::little-32>>} ->
-        with {:ok, seen} <- chunk(id, size, file, at + 8, seen) do
+        with {:ok, seen} <- read_chunk(id, size, file, at + 8, seen) do
           # Chunks begin at even offsets.
-          chunks(file, at + 8 + size + rem(size, 2), left - 1, seen)
+          read_chunks(file, at + 8 + size + rem(size, 2), left - 1, seen)
         end
 
       _ ->
-        {:error, unreadable(seen.name, "the file ends before its audio begins")}
+        {:error, unreadable_error(seen.name, "the file ends before its audio begins")}
     end
   end
 
-  defp chunk("fmt ", size, file, at, seen) do
+  defp read_chunk("fmt ", size, file, at, seen) do
     with {:ok, bytes} <- :file.pread(file, at, min(size, 40)),
-         {:ok, format} <- Format.parse(bytes) do
+         {:ok, format} <- Format.parse_chunk(bytes) do
       {:ok, %{seen | format: format}}
     else
       {:error, %Error{} = error} -> {:error, %{error | what: "cannot read #{seen.name}"}}
-      _ -> {:error, unreadable(seen.name, "the fmt chunk is truncated")}
+      _ -> {:error, unreadable_error(seen.name, "the fmt chunk is truncated")}
     end
   end
 
-  defp chunk("ds64", size, file, at, seen) when size >= 24 do
+  defp read_chunk("ds64", size, file, at, seen) when size >= 24 do
     case :file.pread(file, at, 24) do
       {:ok, <<_riff::little-64, data::little-64, _samples::little-64>>} ->
         {:ok, %{seen | size64: data}}
@@ -214,7 +224,7 @@ defmodule Situ.Media.Wav.Reader do
   end
 
   # LIST INFO contains the recording time as ICRD.
-  defp chunk("LIST", size, file, at, seen) when size >= 12 and size <= @max_text do
+  defp read_chunk("LIST", size, file, at, seen) when size >= 12 and size <= @max_text do
     case :file.pread(file, at, size) do
       {:ok, <<"INFO", items::binary>>} ->
         {:ok, %{seen | recorded_at: recorded_at(items) || seen.recorded_at}}
@@ -224,7 +234,7 @@ defmodule Situ.Media.Wav.Reader do
     end
   end
 
-  defp chunk(_id, _size, _file, _at, seen), do: {:ok, seen}
+  defp read_chunk(_id, _size, _file, _at, seen), do: {:ok, seen}
 
   defp recorded_at(<<"ICRD", size::little-32, text::binary-size(size), _::binary>>) do
     case text |> String.trim_trailing(<<0>>) |> Situ.Time.parse() do
@@ -241,10 +251,10 @@ defmodule Situ.Media.Wav.Reader do
 
   defp recorded_at(_), do: nil
 
-  defp data(_file, _at, _size, %{format: nil, name: name}),
-    do: {:error, unreadable(name, "the audio comes before the fmt chunk")}
+  defp read_data_chunk(_file, _at, _size, %{format: nil, name: name}),
+    do: {:error, unreadable_error(name, "the audio comes before the fmt chunk")}
 
-  defp data(file, at, size, seen) do
+  defp read_data_chunk(file, at, size, seen) do
     {:ok, file_size} = :file.position(file, :eof)
     there = max(file_size - at, 0)
 
@@ -270,7 +280,7 @@ defmodule Situ.Media.Wav.Reader do
      }}
   end
 
-  defp truncated(reader) do
+  defp truncated_error(reader) do
     missing = reader.claimed - reader.bytes
 
     Error.new(:damaged_media, "#{reader.name} is truncated",
@@ -280,7 +290,7 @@ defmodule Situ.Media.Wav.Reader do
     )
   end
 
-  defp unreadable(name, why),
+  defp unreadable_error(name, why),
     do: Error.new(:unreadable_media, "cannot read #{Path.basename(name)}", why: to_string(why))
 
   defp no_file(path, reason) do

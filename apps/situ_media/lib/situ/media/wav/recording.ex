@@ -34,52 +34,55 @@ defmodule Situ.Media.Wav.Recording do
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, reader} <- Reader.open(path),
-         :ok <- Reader.close(reader),
-         {:ok, stat} <- stat(path) do
+         :ok <- Reader.close_file(reader),
+         {:ok, stat} <- file_version(path) do
       step = max(AudioFormat.ns_to_frames(reader.format, @piece), 1)
       start = opts[:start] || reader.recorded_at || 0
       {:ok, %__MODULE__{path: path, reader: reader, stat: stat, step: step, start: start}}
     end
   end
 
-  defp stat(path) do
+  defp file_version(path) do
     case File.stat(path, time: :posix) do
       {:ok, stat} -> {:ok, {stat.size, stat.mtime}}
-      {:error, _} -> changed(path)
+      {:error, _} -> changed_error(path)
     end
   end
 
-  defp changed(path) do
+  defp changed_error(path) do
     {:error,
      Error.new(:changed, "#{path} has changed since it was opened", fix: "open the file again")}
   end
 
   @impl true
   def info(%{reader: reader} = recording) do
-    damage = if Reader.missing(reader) > 0, do: [damage(reader)], else: []
-    name = name(recording)
+    damage = if Reader.missing_bytes(reader) > 0, do: [describe_damage(reader)], else: []
+    name = recording_name(recording)
     %{name: name, created: reader.recorded_at, closed?: true, live?: false, damage: damage}
   end
 
-  defp damage(reader) do
-    {Reader.frames(reader),
-     "the header states #{Reader.missing(reader)} bytes more than the file contains"}
+  defp describe_damage(reader) do
+    {Reader.frame_count(reader),
+     "the header states #{Reader.missing_bytes(reader)} bytes more than the file contains"}
   end
 
-  defp name(recording), do: Path.basename(recording.path, Path.extname(recording.path))
+  defp recording_name(recording), do: Path.basename(recording.path, Path.extname(recording.path))
 
   @impl true
   def streams(recording) do
-    count = count(recording)
-    size = Reader.frames(recording.reader) * AudioFormat.bytes_per_frame(recording.reader.format)
-    first = if count > 0, do: time(recording, 0)
-    last = if count > 0, do: time(recording, count - 1)
+    count = message_count(recording)
+
+    size =
+      Reader.frame_count(recording.reader) * AudioFormat.bytes_per_frame(recording.reader.format)
+
+    first = if count > 0, do: message_time(recording, 0)
+    last = if count > 0, do: message_time(recording, count - 1)
 
     [
       %StreamInfo{
         id: 1,
         name: "Audio",
-        store_name: name(recording),
+        store_name: recording_name(recording),
         store_path: recording.path,
         type: AudioBuffer,
         type_name: inspect(AudioBuffer),
@@ -96,55 +99,55 @@ defmodule Situ.Media.Wav.Recording do
     ]
   end
 
-  defp count(%{step: step} = recording),
-    do: div(Reader.frames(recording.reader) + step - 1, step)
+  defp message_count(%{step: step} = recording),
+    do: div(Reader.frame_count(recording.reader) + step - 1, step)
 
-  defp time(%{reader: reader} = recording, ordinal),
-    do: recording.start + AudioFormat.frames_to_ns(reader.format, finish(recording, ordinal))
+  defp message_time(%{reader: reader} = recording, ordinal),
+    do: recording.start + AudioFormat.frames_to_ns(reader.format, end_frame(recording, ordinal))
 
   # Returns the frame after the last frame of a buffer.
-  defp finish(recording, ordinal),
-    do: min((ordinal + 1) * recording.step, Reader.frames(recording.reader))
+  defp end_frame(recording, ordinal),
+    do: min((ordinal + 1) * recording.step, Reader.frame_count(recording.reader))
 
   @impl true
   def seek(recording, _info, time) do
     frame = AudioFormat.ns_to_frames(recording.reader.format, max(time - recording.start, 0))
     guess = div(frame, recording.step)
-    last = count(recording)
+    last = message_count(recording)
     # Rounding can make the guess off by one in either direction.
     near = max(guess - 2, 0)..(guess + 2)
-    {:ok, Enum.find(near, last, &(&1 < last and time(recording, &1) >= time))}
+    {:ok, Enum.find(near, last, &(&1 < last and message_time(recording, &1) >= time))}
   end
 
   @impl true
   def read(recording, info, ordinal, to, limit, _opts) do
-    last = min(count(recording), ordinal + min(limit, @most)) - 1
-    within? = &(to == :unbounded or time(recording, &1) <= to)
+    last = min(message_count(recording), ordinal + min(limit, @most)) - 1
+    within? = &(to == :unbounded or message_time(recording, &1) <= to)
 
     case Enum.take_while(ordinal..last//1, within?) do
       [] -> {:ok, [], ordinal}
-      ordinals -> load(recording, info, ordinals)
+      ordinals -> load_messages(recording, info, ordinals)
     end
   end
 
-  defp load(recording, info, [first | _] = ordinals) do
+  defp load_messages(recording, info, [first | _] = ordinals) do
     last = List.last(ordinals)
     from = first * recording.step
 
-    with {:ok, sound} <- sound(recording, from, finish(recording, last) - from) do
+    with {:ok, sound} <- read_audio(recording, from, end_frame(recording, last) - from) do
       messages =
         for ordinal <- ordinals do
           at = ordinal * recording.step
-          piece = AudioBuffer.slice(sound, at - from, finish(recording, ordinal) - at)
-          message(recording, info, ordinal, piece)
+          piece = AudioBuffer.slice_frames(sound, at - from, end_frame(recording, ordinal) - at)
+          build_message(recording, info, ordinal, piece)
         end
 
       {:ok, messages, last + 1}
     end
   end
 
-  defp message(recording, info, ordinal, piece) do
-    time = time(recording, ordinal)
+  defp build_message(recording, info, ordinal, piece) do
+    time = message_time(recording, ordinal)
 
     %Message{
       data: piece,
@@ -156,15 +159,15 @@ defmodule Situ.Media.Wav.Recording do
   end
 
   # Opens the file only during a read, so that any process can read a recording.
-  defp sound(%{path: path, stat: stat} = recording, from, count) do
-    with {:ok, ^stat} <- stat(path),
-         {:ok, reader} <- Reader.reopen(recording.reader, path) do
-      result = Reader.slice(reader, from, count)
-      Reader.close(reader)
+  defp read_audio(%{path: path, stat: stat} = recording, from, count) do
+    with {:ok, ^stat} <- file_version(path),
+         {:ok, reader} <- Reader.reopen_file(recording.reader, path) do
+      result = Reader.read_slice(reader, from, count)
+      Reader.close_file(reader)
       result
     else
       {:error, error} -> {:error, error}
-      {:ok, _other} -> changed(path)
+      {:ok, _other} -> changed_error(path)
     end
   end
 end

@@ -6,11 +6,11 @@ defmodule Situ.Media.Capture.ClockTest do
   @ms 1_000_000
   @step 10_000_000 * 1_000_000_000
 
-  # Frames as `{kind, time in ms, arrival in ms}`; what becomes of each: its time in ms, `:wait` or `:jump`.
+  # Takes frames as `{kind, time in ms, arrival in ms}` and returns for each its time in ms, `:wait` or `:jump`.
   defp place(frames, clock \\ Clock.new(nil)) do
     {placed, _} =
       Enum.map_reduce(frames, clock, fn {kind, out, now}, clock ->
-        case Clock.place(clock, kind, round(out * @ms), now * @ms) do
+        case Clock.place_frame(clock, kind, round(out * @ms), now * @ms) do
           {:ok, time, clock} -> {div(time, @ms), clock}
           {:wait, clock} -> {:wait, clock}
           {:jump, by, clock} -> {{:jump, div(by, @ms)}, clock}
@@ -26,16 +26,16 @@ defmodule Situ.Media.Capture.ClockTest do
     assert place([{:video, -5, 0}, {:video, 7, 1}], Clock.new(3 * @ms)) == [-2, 10]
   end
 
-  test "a sender's clock is set by the smallest delay of the first moments" do
+  test "sets a sender's clock by the smallest delay of the first moments" do
     assert place([{:video, 50_000, 900}, {:audio, 50_100, 930}, {:video, 50_200, 1_250}]) ==
              [:wait, :wait, 1_030]
   end
 
-  test "a clock that goes back begins again at the time of arrival, for both streams" do
+  test "a clock that goes back restarts at the arrival time for both streams" do
     before = [{:video, 100, 1_000}, {:video, 500, 1_400}, {:audio, 510, 1_410}]
     assert place(before) == [:wait, 1_400, 1_410]
 
-    # Eight seconds later: pictures and sound restart, and the sound is let through with the clock of the pictures.
+    # Eight seconds later video and audio restart; the audio is accepted with the clock of the video.
     again = [
       {:video, marked(20), 9_400},
       {:audio, marked(30), 9_405},
@@ -47,7 +47,7 @@ defmodule Situ.Media.Capture.ClockTest do
              [:wait, 1_400, 1_410, {:jump, -480}, :wait, 9_795, 9_805]
   end
 
-  test "a stream that goes on with the old clock keeps it" do
+  test "a stream that continues with the old clock keeps it" do
     frames = [
       {:video, 0, 1_000},
       {:video, 400, 1_400},
@@ -60,7 +60,7 @@ defmodule Situ.Media.Capture.ClockTest do
     assert place(frames) == [:wait, 1_400, 1_400, {:jump, -400}, 5_400, 5_000]
   end
 
-  test "two restarts of one stream before the other's first are two clocks" do
+  test "two restarts of one stream before the first of the other are two clocks" do
     frames = [
       {:video, 0, 1_000},
       {:audio, 400, 1_400},
@@ -70,15 +70,15 @@ defmodule Situ.Media.Capture.ClockTest do
       {:audio, marked(90_000), 100_000}
     ]
 
-    # The sound's time is where the pictures' clock expects it: it is theirs.
+    # The audio time is where the video clock expects it, so it belongs to that clock.
     assert List.last(place(frames)) == 100_000
 
-    # Here it is a minute off, so that it cannot be the same clock.
+    # Here it is a minute off, so it cannot belong to the same clock.
     other = List.replace_at(frames, 5, {:audio, marked(30_000), 100_000})
     assert {:jump, 29_600} == List.last(place(other))
   end
 
-  test "a leap ahead of the present is a jump; small steps ahead, as of a segment, and late frames are none" do
+  test "a leap ahead is a jump; small steps ahead, as of a segment, and late frames are not" do
     start = [{:video, 0, 1_000}, {:video, 400, 1_400}]
     assert place(start ++ [{:video, 90_000, 1_440}]) == [:wait, 1_400, {:jump, 89_600}]
     burst = for i <- 1..50, do: {:video, 400 + 40 * i, 1_400 + i}
@@ -89,8 +89,8 @@ defmodule Situ.Media.Capture.ClockTest do
   test "many restarts keep no history" do
     clock =
       Enum.reduce(0..200, Clock.new(nil), fn i, clock ->
-        # Each restart goes back by a second and comes ten seconds later.
-        result = Clock.place(clock, :video, i * (@step - 1_000 * @ms), i * 10_000 * @ms)
+        # Each restart goes back by a second and arrives ten seconds later.
+        result = Clock.place_frame(clock, :video, i * (@step - 1_000 * @ms), i * 10_000 * @ms)
         assert elem(result, 0) == if(i == 0, do: :wait, else: :jump)
         elem(result, tuple_size(result) - 1)
       end)

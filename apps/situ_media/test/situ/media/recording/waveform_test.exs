@@ -5,20 +5,20 @@ defmodule Situ.Media.Recording.WaveformTest do
   import Bitwise
   alias Situ.Media.Recording.Waveform
 
-  defp waveform(points), do: Waveform.new() |> Waveform.add(points) |> Waveform.finish()
+  defp waveform(points), do: Waveform.new() |> Waveform.add_points(points) |> Waveform.pack_bins()
 
-  test "a gap takes no room, whatever time a file claims" do
+  test "a gap takes no memory, whatever time a file claims" do
     ten_years = 315_360_000_000_000_000
     waveform = waveform([{0, -1.0, 1.0, 0.5, 8}, {ten_years, -2.0, 2.0, 1.0, 4}])
     assert byte_size(waveform.data) < 100
 
     assert [{0, -1.0, 1.0, 0.5, 8}, {_, -2.0, 2.0, 1.0, 4}] =
-             Waveform.bins(waveform, 0, ten_years, 40)
+             Waveform.list_bins(waveform, 0, ten_years, 40)
 
-    assert Waveform.bins(waveform, 1 <<< 41, ten_years - (1 <<< 41), 40) == []
+    assert Waveform.list_bins(waveform, 1 <<< 41, ten_years - (1 <<< 41), 40) == []
   end
 
-  property "bins are those of the points, grouped by time" do
+  property "bins contain the points grouped by time" do
     forall {steps, level, from, span} <-
              {list({integer(0, 200), integer(-9, 9)}), integer(24, 28), integer(0, 2_000),
               integer(0, 2_000)} do
@@ -43,7 +43,8 @@ defmodule Situ.Media.Recording.WaveformTest do
            2 * length(group)}
         end)
 
-      assert Waveform.bins(waveform(points), from * ms, (from + span) * ms, level) == expected
+      assert Waveform.list_bins(waveform(points), from * ms, (from + span) * ms, level) ==
+               expected
     end
   end
 end

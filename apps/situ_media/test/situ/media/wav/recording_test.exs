@@ -24,7 +24,7 @@ defmodule Situ.Media.Wav.RecordingTest do
     {path, samples}
   end
 
-  test "a WAV file opens, lists, seeks and reads like a store", %{tmp_dir: root} do
+  test "opens, lists, seeks and reads a WAV file like a store", %{tmp_dir: root} do
     {path, samples} = wav(root, 1.01)
     store = Store.open!(path)
     assert %{name: "sound", closed?: true, live?: false} = Store.info(store)
@@ -44,7 +44,7 @@ defmodule Situ.Media.Wav.RecordingTest do
     assert {:ok, %{originating_time: 20_001_000}} = Store.at(later, "Audio", 0)
   end
 
-  test "every seek of a WAV whose rate does not divide a second is exact", %{tmp_dir: root} do
+  test "every seek is exact when the rate does not divide a second", %{tmp_dir: root} do
     {path, _} = wav(root, 1.0, rate: 11_025)
     store = Store.open!(path)
     all = Enum.to_list(Store.messages(store, "Audio"))
@@ -56,14 +56,14 @@ defmodule Situ.Media.Wav.RecordingTest do
     end
   end
 
-  test "a WAV cut short is read as far as it goes; a broken one is an error", %{tmp_dir: root} do
+  test "reads a truncated WAV file up to its end and rejects a broken one", %{tmp_dir: root} do
     {path, samples} = wav(root, 1.0)
     bytes = File.read!(path)
     File.write!(path, binary_part(bytes, 0, 5_000))
     {:ok, messages} = path |> Store.open!() |> Store.read("Audio")
     got = messages |> Enum.map(& &1.data.data) |> IO.iodata_to_binary()
     assert [{frames, why}] = path |> Store.open!() |> Store.info() |> Map.fetch!(:damage)
-    assert frames == div(byte_size(got), 2) and why =~ "more than there are"
+    assert frames == div(byte_size(got), 2) and why =~ "more than the file contains"
     assert got == binary_part(samples, 0, byte_size(got)) and byte_size(got) > 4_900
 
     for cut <- 0..55 do
@@ -73,7 +73,7 @@ defmodule Situ.Media.Wav.RecordingTest do
     end
   end
 
-  test "a file that changes under an open recording is an error, not other sound", %{
+  test "a file that changes under an open recording is an error, not different audio", %{
     tmp_dir: root
   } do
     {path, _} = wav(root, 1.0)
@@ -84,7 +84,7 @@ defmodule Situ.Media.Wav.RecordingTest do
     assert {:error, %{code: :changed}} = Store.read(store, "Audio")
   end
 
-  test "a flood of chunks and impossible rates are refused at once", %{tmp_dir: root} do
+  test "rejects a flood of chunks and impossible rates immediately", %{tmp_dir: root} do
     path = Path.join(root, "flood.wav")
     File.write!(path, ["RIFF", <<0::32>>, "WAVE", :binary.copy(<<"JUNK", 0::32>>, 2_000_000)])
     {us, {:error, error}} = :timer.tc(fn -> Store.open(path) end)
@@ -97,7 +97,7 @@ defmodule Situ.Media.Wav.RecordingTest do
     assert {:error, %{code: :bad_wav}} = Store.open(path)
   end
 
-  test "a pipeline replays it, any process reads it", %{tmp_dir: root} do
+  test "a pipeline can replay it and any process can read it", %{tmp_dir: root} do
     {path, samples} = wav(root, 0.5)
     store = Store.open!(path)
     {:ok, messages} = Task.await(Task.async(fn -> Store.read(store, "Audio") end))

@@ -5,9 +5,9 @@ defmodule Situ.Remote.Connection.Channel do
       iex> alias Situ.Remote.Connection.Channel
       iex> wanted = %{name: "imu", from: :start, policy: nil, priority: 0, window: 1_000, times: :sender}
       iex> channel = Channel.new(1, self(), wanted)
-      iex> {:ok, channel} = Channel.delivered(channel, 600, 20, 3)
-      iex> {:again, channel} = Channel.delivered(channel, 100, 20, 1)
-      iex> {map, _} = Channel.ask(channel)
+      iex> {:ok, channel} = Channel.accept_batch(channel, 600, 20, 3)
+      iex> {:again, channel} = Channel.accept_batch(channel, 100, 20, 1)
+      iex> {map, _} = Channel.build_request(channel)
       iex> map["from"]
       %{"after" => 20}
   """
@@ -53,14 +53,14 @@ defmodule Situ.Remote.Connection.Channel do
     do: struct!(%__MODULE__{id: id, pid: pid, name: "", from: :now, window: 1}, wanted)
 
   @doc "Builds the request to a server: from the configured start, or after the last message received."
-  @spec ask(t()) :: {map(), t()}
-  def ask(%__MODULE__{} = channel) do
+  @spec build_request(t()) :: {map(), t()}
+  def build_request(%__MODULE__{} = channel) do
     from = if channel.last, do: {:after, channel.last}, else: channel.from
     window = max(channel.window - channel.under_way, 1)
 
     map = %{
       "name" => channel.name,
-      "from" => from(from),
+      "from" => encode_start(from),
       "policy" => channel.policy,
       "priority" => channel.priority,
       "window" => window
@@ -71,18 +71,18 @@ defmodule Situ.Remote.Connection.Channel do
     {map, %{channel | unpaid: 0, parts: [], parts_size: 0}}
   end
 
-  defp from({kind, time}), do: %{to_string(kind) => time}
-  defp from(word), do: to_string(word)
+  defp encode_start({kind, time}), do: %{to_string(kind) => time}
+  defp encode_start(word), do: to_string(word)
 
   @doc "Records that the server has found the stream and will send its messages after `time`."
-  @spec subscribed(t(), Situ.Time.t()) :: t()
-  def subscribed(%__MODULE__{last: nil} = channel, time), do: %{channel | last: time}
-  def subscribed(%__MODULE__{} = channel, _time), do: channel
+  @spec mark_subscribed(t(), Situ.Time.t()) :: t()
+  def mark_subscribed(%__MODULE__{last: nil} = channel, time), do: %{channel | last: time}
+  def mark_subscribed(%__MODULE__{} = channel, _time), do: channel
 
   @doc "Accepts a batch that ends at time `last`. Returns `:again` for a batch that was received before."
-  @spec delivered(t(), non_neg_integer(), Situ.Time.t(), non_neg_integer()) ::
+  @spec accept_batch(t(), non_neg_integer(), Situ.Time.t(), non_neg_integer()) ::
           {:ok | :again, t()} | {:error, String.t()}
-  def delivered(%__MODULE__{} = channel, size, last, count) do
+  def accept_batch(%__MODULE__{} = channel, size, last, count) do
     cond do
       channel.last != nil and last <= channel.last ->
         {:again, %{channel | unpaid: channel.unpaid + size, again: channel.again + count}}
@@ -100,16 +100,16 @@ defmodule Situ.Remote.Connection.Channel do
   Adds one part of a batch. Its bytes are credited immediately, before the other parts arrive, because a message may be
   larger than the window.
   """
-  @spec part(t(), boolean(), binary()) ::
+  @spec add_part(t(), boolean(), binary()) ::
           {:more, t()} | {:whole, binary(), t()} | {:error, String.t()}
-  def part(%__MODULE__{} = channel, last?, bytes) do
+  def add_part(%__MODULE__{} = channel, last?, bytes) do
     size = channel.parts_size + byte_size(bytes)
     parts = [channel.parts, bytes]
 
     cond do
       size > @most_message -> {:error, "a message is larger than 1 GiB"}
       last? -> {:whole, IO.iodata_to_binary(parts), %{channel | parts: [], parts_size: 0}}
-      true -> {:more, unpaid(%{channel | parts: parts, parts_size: size}, byte_size(bytes))}
+      true -> {:more, add_unpaid(%{channel | parts: parts, parts_size: size}, byte_size(bytes))}
     end
   end
 
@@ -117,11 +117,11 @@ defmodule Situ.Remote.Connection.Channel do
   @spec full?(t()) :: boolean()
   def full?(%__MODULE__{under_way: under_way, window: window}), do: under_way > window
 
-  defp unpaid(channel, bytes), do: %{channel | unpaid: channel.unpaid + bytes}
+  defp add_unpaid(channel, bytes), do: %{channel | unpaid: channel.unpaid + bytes}
 
   @doc "Records that the subscriber has consumed `bytes`, up to the time `last`."
-  @spec taken(t(), non_neg_integer(), Situ.Time.t() | nil) :: t()
-  def taken(%__MODULE__{} = channel, bytes, last) do
+  @spec record_consumed(t(), non_neg_integer(), Situ.Time.t() | nil) :: t()
+  def record_consumed(%__MODULE__{} = channel, bytes, last) do
     unpaid = channel.unpaid + bytes
 
     %{
@@ -133,18 +133,19 @@ defmodule Situ.Remote.Connection.Channel do
   end
 
   @doc "Returns the credit to send to the server, or 0 while it is too small to justify a frame."
-  @spec credit(t()) :: {non_neg_integer(), t()}
-  def credit(%__MODULE__{unpaid: unpaid, window: window} = channel) when unpaid * 4 >= window,
-    do: {min(unpaid, 0xFFFFFFFF), %{channel | unpaid: max(unpaid - 0xFFFFFFFF, 0)}}
+  @spec take_credit(t()) :: {non_neg_integer(), t()}
+  def take_credit(%__MODULE__{unpaid: unpaid, window: window} = channel)
+      when unpaid * 4 >= window,
+      do: {min(unpaid, 0xFFFFFFFF), %{channel | unpaid: max(unpaid - 0xFFFFFFFF, 0)}}
 
-  def credit(%__MODULE__{} = channel), do: {0, channel}
+  def take_credit(%__MODULE__{} = channel), do: {0, channel}
 
-  @spec event(t(), {:closed, Situ.Time.t()} | {:lost, pos_integer()}) :: t()
-  def event(%__MODULE__{} = channel, {:closed, _time}), do: %{channel | ended: true}
-  def event(%__MODULE__{} = channel, {:lost, n}), do: %{channel | lost: channel.lost + n}
+  @spec apply_event(t(), {:closed, Situ.Time.t()} | {:lost, pos_integer()}) :: t()
+  def apply_event(%__MODULE__{} = channel, {:closed, _time}), do: %{channel | ended: true}
+  def apply_event(%__MODULE__{} = channel, {:lost, n}), do: %{channel | lost: channel.lost + n}
 
-  @spec info(t()) :: map()
-  def info(%__MODULE__{} = channel) do
+  @spec channel_stats(t()) :: map()
+  def channel_stats(%__MODULE__{} = channel) do
     channel
     |> Map.take([:received, :lost, :again, :ended, :under_way])
     |> Map.merge(%{position: channel.taken, found?: channel.last != nil})

@@ -17,11 +17,11 @@ defmodule Situ.Remote.Connection.Datagrams do
   def start_link(id, key), do: GenServer.start_link(__MODULE__, {self(), id, key})
 
   @doc "Adds the datagram options to a stream's request and starts its receiver, with a new key each time."
-  @spec ask({map(), Channel.t()}) :: {map(), Channel.t()}
-  def ask({map, %{datagram: nil} = channel}), do: {map, channel}
+  @spec add_datagram_request({map(), Channel.t()}) :: {map(), Channel.t()}
+  def add_datagram_request({map, %{datagram: nil} = channel}), do: {map, channel}
 
-  def ask({map, %{datagram: size} = channel}) do
-    leave(channel)
+  def add_datagram_request({map, %{datagram: size} = channel}) do
+    stop_receiver(channel)
     key = :crypto.strong_rand_bytes(16)
     {:ok, pid} = start_link(channel.id, key)
     udp = %{"key" => Base.encode16(key, case: :lower), "size" => size}
@@ -29,25 +29,27 @@ defmodule Situ.Remote.Connection.Datagrams do
   end
 
   @doc "Stops the receiver process of a stream."
-  @spec leave(Channel.t()) :: term()
-  def leave(%{aside: nil}), do: :ok
-  def leave(%{aside: pid}), do: Process.exit(pid, :shutdown)
+  @spec stop_receiver(Channel.t()) :: term()
+  def stop_receiver(%{aside: nil}), do: :ok
+  def stop_receiver(%{aside: pid}), do: Process.exit(pid, :shutdown)
 
   @doc "Handles the server's reply to a subscription. The reply may contain the UDP port of the server."
-  @spec subscribed(Channel.t(), map(), Socket.t()) :: term()
-  def subscribed(%{aside: pid}, %{"udp" => port}, socket) when pid != nil and port in 1..65_535 do
-    with {:ok, ip} when is_tuple(ip) <- Socket.peer(socket), do: begin(pid, {ip, port})
+  @spec handle_subscribed(Channel.t(), map(), Socket.t()) :: term()
+  def handle_subscribed(%{aside: pid}, %{"udp" => port}, socket)
+      when pid != nil and port in 1..65_535 do
+    with {:ok, ip} when is_tuple(ip) <- Socket.peer_address(socket),
+         do: start_receiving(pid, {ip, port})
   end
 
-  def subscribed(_channel, _map, _socket), do: :ok
+  def handle_subscribed(_channel, _map, _socket), do: :ok
 
   @doc "Starts receiving from the address `to`, which the server has announced over the connection."
-  @spec begin(pid(), {:inet.ip_address(), :inet.port_number()}) :: :ok
-  def begin(pid, to), do: GenServer.cast(pid, {:begin, to})
+  @spec start_receiving(pid(), {:inet.ip_address(), :inet.port_number()}) :: :ok
+  def start_receiving(pid, to), do: GenServer.cast(pid, {:begin, to})
 
   @impl true
   def init({connection, id, key}) do
-    receiver = Datagrams.receiver(key)
+    receiver = Datagrams.new_receiver(key)
     {:ok, %__MODULE__{connection: connection, id: id, key: key, receiver: receiver}}
   end
 
@@ -56,11 +58,11 @@ defmodule Situ.Remote.Connection.Datagrams do
     family = if tuple_size(ip) == 8, do: :inet6, else: :inet
     options = [:binary, family, active: @at_once, recbuf: 8 * 1024 * 1024]
     {:ok, socket} = :gen_udp.open(0, options)
-    {:noreply, here(%{state | socket: socket, to: to})}
+    {:noreply, send_hello(%{state | socket: socket, to: to})}
   end
 
   @impl true
-  def handle_info(:here, state), do: {:noreply, here(state)}
+  def handle_info(:here, state), do: {:noreply, send_hello(state)}
 
   def handle_info({:udp_passive, socket}, state) do
     _ = :inet.setopts(socket, active: @at_once)
@@ -68,7 +70,7 @@ defmodule Situ.Remote.Connection.Datagrams do
   end
 
   def handle_info({:udp, socket, ip, port, bytes}, %{socket: socket, to: {ip, port}} = state) do
-    {frames, receiver} = Datagrams.take(state.receiver, bytes)
+    {frames, receiver} = Datagrams.receive_datagram(state.receiver, bytes)
 
     for {lost, body} <- frames,
         do: send(state.connection, {:situ_datagrams, state.id, lost, body})
@@ -79,9 +81,9 @@ defmodule Situ.Remote.Connection.Datagrams do
   def handle_info(_other, state), do: {:noreply, state}
 
   # The first hellos are sent in quick succession, since any of them may be lost.
-  defp here(state) do
+  defp send_hello(state) do
     {ip, port} = state.to
-    _ = :gen_udp.send(state.socket, ip, port, Datagrams.hello(state.key, state.seq))
+    _ = :gen_udp.send(state.socket, ip, port, Datagrams.encode_hello(state.key, state.seq))
     Process.send_after(self(), :here, if(state.seq < 10, do: @first_ms, else: @here_ms))
     %{state | seq: state.seq + 1}
   end

@@ -15,8 +15,8 @@ defmodule Situ.Remote.Connection.Positions do
         }
 
   @doc "Makes the position of a stream its last confirmed message."
-  @spec confirming(t(), String.t()) :: t()
-  def confirming(%__MODULE__{} = positions, name),
+  @spec enable_confirmation(t(), String.t()) :: t()
+  def enable_confirmation(%__MODULE__{} = positions, name),
     do: %{positions | confirmed: Map.put_new(positions.confirmed, name, nil)}
 
   @spec confirm(t(), String.t(), Situ.Time.t()) :: t()
@@ -24,23 +24,24 @@ defmodule Situ.Remote.Connection.Positions do
     do: %{positions | confirmed: Map.put(positions.confirmed, name, time)}
 
   @doc "Keeps the final position of a stream that is no longer subscribed: messages up to `time` were consumed."
-  @spec leave(t(), String.t(), Situ.Time.t() | nil) :: t()
-  def leave(%__MODULE__{} = positions, _name, nil), do: positions
+  @spec retain_position(t(), String.t(), Situ.Time.t() | nil) :: t()
+  def retain_position(%__MODULE__{} = positions, _name, nil), do: positions
 
-  def leave(%__MODULE__{} = positions, name, time),
+  def retain_position(%__MODULE__{} = positions, name, time),
     do: %{positions | left: Map.put(positions.left, name, time)}
 
   @doc "Writes changed positions to the file. `taken` holds the positions of the subscribed streams."
-  @spec save(t(), Path.t(), [{String.t(), Situ.Time.t() | nil}]) ::
+  @spec save_changes(t(), Path.t(), [{String.t(), Situ.Time.t() | nil}]) ::
           {:ok | {:error, Error.t()}, t()}
-  def save(%__MODULE__{} = positions, path, taken) do
-    known = positions.left |> Map.merge(known(taken)) |> Map.merge(positions.confirmed)
-    now = Map.merge(positions.saved, known(known))
+  def save_changes(%__MODULE__{} = positions, path, taken) do
+    known = positions.left |> Map.merge(reject_nil_times(taken)) |> Map.merge(positions.confirmed)
+    now = Map.merge(positions.saved, reject_nil_times(known))
 
     if now == positions.saved,
       do: {:ok, positions},
       else: {Position.save(path, now), %{positions | saved: now}}
   end
 
-  defp known(times), do: for({name, time} <- times, time != nil, into: %{}, do: {name, time})
+  defp reject_nil_times(times),
+    do: for({name, time} <- times, time != nil, into: %{}, do: {name, time})
 end

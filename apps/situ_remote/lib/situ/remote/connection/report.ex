@@ -4,8 +4,8 @@ defmodule Situ.Remote.Connection.Report do
   alias Situ.Remote.Connection.Channel
   alias Situ.Remote.Link.ClockEstimate
 
-  @spec of(map()) :: map()
-  def of(state) do
+  @spec build_link_info(map()) :: map()
+  def build_link_info(state) do
     now = state.opts.now.()
 
     %{
@@ -13,12 +13,16 @@ defmodule Situ.Remote.Connection.Report do
       connections: state.connected,
       error: state.error,
       bytes: state.received,
-      offset: ClockEstimate.offset(state.clock, now),
+      offset: ClockEstimate.offset_at(state.clock, now),
       drift: state.clock.drift,
-      uncertainty: ClockEstimate.uncertainty(state.clock, now),
+      uncertainty: ClockEstimate.uncertainty_at(state.clock, now),
       round_trip: state.clock.rtt,
       streams:
-        for({_, channel} <- state.channels, into: %{}, do: {channel.name, Channel.info(channel)})
+        for(
+          {_, channel} <- state.channels,
+          into: %{},
+          do: {channel.name, Channel.channel_stats(channel)}
+        )
     }
   end
 end

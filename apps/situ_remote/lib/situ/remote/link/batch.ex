@@ -35,35 +35,39 @@ defmodule Situ.Remote.Link.Batch do
   Encodes messages as payloads of at most about 256 KiB, or of a single larger message.
 
   Does not check the data: messages that contain more than plain data are decoded as `Situ.Store.Undecoded`; see
-  `plain/1`.
+  `split_encodable/1`.
   """
   @spec encode([Message.t()]) :: [part()]
   def encode([]), do: []
 
   def encode(messages) do
     messages
-    |> Enum.chunk_by(&kind(&1.data))
-    |> Enum.flat_map(fn [first | _] = run -> run(kind(first.data), run) end)
+    |> Enum.chunk_by(&payload_codec(&1.data))
+    |> Enum.flat_map(fn [first | _] = run -> encode_run(payload_codec(first.data), run) end)
   end
 
-  defp kind(data) when is_binary(data), do: if(byte_size(data) >= @least_bytes, do: @bytes)
-  defp kind(%_{} = data), do: Codecs.of(data)
-  defp kind(_data), do: nil
+  defp payload_codec(data) when is_binary(data),
+    do: if(byte_size(data) >= @least_bytes, do: @bytes)
 
-  defp run(nil, messages) do
+  defp payload_codec(%_{} = data), do: Codecs.module_for(data)
+  defp payload_codec(_data), do: nil
+
+  defp encode_run(nil, messages) do
     tuples = for m <- messages, do: {m.sequence_id, m.originating_time, m.creation_time, m.data}
 
-    [part(messages, length(messages), [<<0>>, :erlang.term_to_iovec(tuples)])]
+    [build_part(messages, length(messages), [<<0>>, :erlang.term_to_iovec(tuples)])]
   end
 
-  defp run(@bytes, messages), do: raw(@bytes, messages, & &1)
-  defp run(module, messages), do: raw(module.codec_name(), messages, &module.encode/1)
+  defp encode_run(@bytes, messages), do: encode_records(@bytes, messages, & &1)
 
-  defp raw(name, messages, encode) do
+  defp encode_run(module, messages),
+    do: encode_records(module.codec_name(), messages, &module.encode/1)
+
+  defp encode_records(name, messages, encode) do
     head = <<byte_size(name), name::binary>>
 
     messages
-    |> Enum.map(&{&1, record(&1, encode.(&1.data))})
+    |> Enum.map(&{&1, encode_record(&1, encode.(&1.data))})
     |> Enum.chunk_while(
       {0, []},
       fn {_, {size, _}} = one, {sum, taken} ->
@@ -75,11 +79,11 @@ defmodule Situ.Remote.Link.Batch do
     )
     |> Enum.map(fn group ->
       {messages, records} = Enum.unzip(group)
-      part(messages, length(messages), [head | Enum.map(records, &elem(&1, 1))])
+      build_part(messages, length(messages), [head | Enum.map(records, &elem(&1, 1))])
     end)
   end
 
-  defp record(m, bytes) do
+  defp encode_record(m, bytes) do
     size = IO.iodata_length(bytes)
 
     {size + 28,
@@ -89,12 +93,12 @@ defmodule Situ.Remote.Link.Batch do
      ]}
   end
 
-  defp part([first | _] = messages, count, payload),
+  defp build_part([first | _] = messages, count, payload),
     do: {first.originating_time, List.last(messages).originating_time, count, payload}
 
   @doc "Returns the messages that can be sent, and the number of others (they hold functions, processes or the like)."
-  @spec plain([Message.t()]) :: {[Message.t()], non_neg_integer()}
-  def plain(messages) do
+  @spec split_encodable([Message.t()]) :: {[Message.t()], non_neg_integer()}
+  def split_encodable(messages) do
     case Terms.encode(for %{data: data} <- messages, do: data) do
       {:ok, _} ->
         {messages, 0}
@@ -109,20 +113,20 @@ defmodule Situ.Remote.Link.Batch do
   @spec decode(binary()) :: {:ok, [Message.t()]} | {:error, String.t()}
   def decode(<<0, bytes::binary>>) do
     with {:ok, list} when is_list(list) <- Terms.decode(bytes),
-         do: terms(list, []),
+         do: terms_to_messages(list, []),
          else: (_ -> {:error, "the payload is not a list of messages"})
   end
 
   def decode(<<n, name::binary-size(n), records::binary>>) do
-    case decoder(name) do
+    case find_decoder(name) do
       nil -> {:error, "the codec name is not valid UTF-8"}
-      decode -> records(records, decode, [])
+      decode -> decode_records(records, decode, [])
     end
   end
 
   def decode(_bytes), do: {:error, "a payload cut short"}
 
-  defp terms([{sequence, time, creation, data} | rest], done)
+  defp terms_to_messages([{sequence, time, creation, data} | rest], done)
        when is_integer(sequence) and sequence >= 0 and is_integer(time) and is_integer(creation) do
     message = %Message{
       data: data,
@@ -131,27 +135,27 @@ defmodule Situ.Remote.Link.Batch do
       sequence_id: sequence
     }
 
-    terms(rest, [message | done])
+    terms_to_messages(rest, [message | done])
   end
 
-  defp terms([], done), do: {:ok, Enum.reverse(done)}
-  defp terms(_other, _done), do: {:error, "the payload is not a list of messages"}
+  defp terms_to_messages([], done), do: {:ok, Enum.reverse(done)}
+  defp terms_to_messages(_other, _done), do: {:error, "the payload is not a list of messages"}
 
-  defp decoder(@bytes), do: & &1
+  defp find_decoder(@bytes), do: & &1
 
-  defp decoder(name) do
+  defp find_decoder(name) do
     if String.valid?(name) do
-      module = Codecs.find(name, nil)
-      &decoded(module, name, &1)
+      module = Codecs.find_module(name, nil)
+      &decode_data(module, name, &1)
     end
   end
 
-  defp decoded(nil, name, bytes) do
+  defp decode_data(nil, name, bytes) do
     why = "no loaded module has the codec #{inspect(name)}"
     %Undecoded{codec: name, bytes: bytes, reason: why}
   end
 
-  defp decoded(module, name, bytes) do
+  defp decode_data(module, name, bytes) do
     case module.decode(bytes) do
       {:ok, data} ->
         data
@@ -161,7 +165,7 @@ defmodule Situ.Remote.Link.Batch do
     end
   end
 
-  defp records(
+  defp decode_records(
          <<sequence::64, time::signed-64, creation::signed-64, size::32, bytes::binary-size(size),
            rest::binary>>,
          decode,
@@ -174,9 +178,9 @@ defmodule Situ.Remote.Link.Batch do
       sequence_id: sequence
     }
 
-    records(rest, decode, [message | done])
+    decode_records(rest, decode, [message | done])
   end
 
-  defp records(<<>>, _decode, done), do: {:ok, Enum.reverse(done)}
-  defp records(_rest, _decode, _done), do: {:error, "a payload cut short"}
+  defp decode_records(<<>>, _decode, done), do: {:ok, Enum.reverse(done)}
+  defp decode_records(_rest, _decode, _done), do: {:error, "a payload cut short"}
 end

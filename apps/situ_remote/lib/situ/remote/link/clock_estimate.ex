@@ -9,8 +9,8 @@ defmodule Situ.Remote.Link.ClockEstimate do
   longer it took than the quickest one. If one of the clocks was set, earlier samples are discarded.
 
       iex> alias Situ.Remote.Link.ClockEstimate
-      iex> clock = ClockEstimate.add(ClockEstimate.new(), {1_000, 6_100, 6_200, 1_300})
-      iex> {ClockEstimate.offset(clock, 1_300), ClockEstimate.uncertainty(clock, 1_300)}
+      iex> clock = ClockEstimate.add_round_trip(ClockEstimate.new(), {1_000, 6_100, 6_200, 1_300})
+      iex> {ClockEstimate.offset_at(clock, 1_300), ClockEstimate.uncertainty_at(clock, 1_300)}
       {5_000, 100}
   """
   # About four minutes, at one round trip a second.
@@ -31,47 +31,47 @@ defmodule Situ.Remote.Link.ClockEstimate do
   def new, do: %__MODULE__{}
 
   @doc "Adds a round trip and updates the estimate. Round trips with a negative duration are ignored."
-  @spec add(t(), trip()) :: t()
-  def add(%__MODULE__{} = clock, {t0, t1, t2, t3}) when t3 >= t0 and t2 >= t1 do
+  @spec add_round_trip(t(), trip()) :: t()
+  def add_round_trip(%__MODULE__{} = clock, {t0, t1, t2, t3}) when t3 >= t0 and t2 >= t1 do
     rtt = max(t3 - t0 - (t2 - t1), 0)
     offset = (t1 - t0 + (t2 - t3)) / 2
-    clock |> stepped({t3, offset, rtt}) |> take({t3, offset, rtt})
+    clock |> detect_step({t3, offset, rtt}) |> add_sample({t3, offset, rtt})
   end
 
-  def add(%__MODULE__{} = clock, _trip), do: clock
+  def add_round_trip(%__MODULE__{} = clock, _trip), do: clock
 
   # Three unexplained samples in a row mean that a clock was set.
-  defp stepped(%{at: nil} = clock, _sample), do: clock
+  defp detect_step(%{at: nil} = clock, _sample), do: clock
 
-  defp stepped(clock, {at, offset, rtt}) do
-    possible = rtt / 2 + uncertainty(clock, at) + 1_000_000
+  defp detect_step(clock, {at, offset, rtt}) do
+    possible = rtt / 2 + uncertainty_at(clock, at) + 1_000_000
 
     cond do
-      Kernel.abs(offset - offset(clock, at)) <= possible -> %{clock | odd: 0}
+      Kernel.abs(offset - offset_at(clock, at)) <= possible -> %{clock | odd: 0}
       clock.odd + 1 >= @steps -> %{new() | samples: Enum.take(clock.samples, @steps - 1)}
       true -> %{clock | odd: clock.odd + 1}
     end
   end
 
-  defp take(clock, sample),
-    do: fit(%{clock | samples: Enum.take([sample | clock.samples], @most)})
+  defp add_sample(clock, sample),
+    do: update_estimate(%{clock | samples: Enum.take([sample | clock.samples], @most)})
 
-  defp fit(%{samples: [{at, _, _} | _] = samples} = clock) do
+  defp update_estimate(%{samples: [{at, _, _} | _] = samples} = clock) do
     rtt = samples |> Enum.map(&elem(&1, 2)) |> Enum.min()
     {oldest, _, _} = List.last(samples)
 
     if length(samples) >= @least_for_drift and at - oldest >= @least_span,
-      do: line(%{clock | at: at, rtt: rtt}),
-      else: quickest(%{clock | at: at, rtt: rtt})
+      do: fit_line(%{clock | at: at, rtt: rtt}),
+      else: use_quickest_trip(%{clock | at: at, rtt: rtt})
   end
 
   # If two trips were equally quick, `Enum.min_by/2` returns the later one, which is first in the list.
-  defp quickest(clock) do
+  defp use_quickest_trip(clock) do
     {at, offset, rtt} = Enum.min_by(clock.samples, &elem(&1, 2))
     %{clock | offset: offset, drift: 0.0, at: at, error: rtt / 2}
   end
 
-  defp line(%{samples: samples, rtt: quickest, at: at} = clock) do
+  defp fit_line(%{samples: samples, rtt: quickest, at: at} = clock) do
     weighted =
       for {t, offset, rtt} <- samples do
         late = (rtt - quickest) / 2 + quickest / 20 + 1_000
@@ -90,24 +90,27 @@ defmodule Situ.Remote.Link.ClockEstimate do
   end
 
   @doc "Returns the offset (remote minus local clock, ns) at the local time `now`, or 0 before the first round trip."
-  @spec offset(t(), Situ.Time.t()) :: integer()
-  def offset(%__MODULE__{at: nil}, _now), do: 0
-  def offset(%__MODULE__{} = clock, now), do: round(clock.offset + clock.drift * (now - clock.at))
+  @spec offset_at(t(), Situ.Time.t()) :: integer()
+  def offset_at(%__MODULE__{at: nil}, _now), do: 0
+
+  def offset_at(%__MODULE__{} = clock, now),
+    do: round(clock.offset + clock.drift * (now - clock.at))
 
   @doc """
   Returns the uncertainty of the offset in ns: half of the quickest round trip, and 20 ppm of the time since the
   estimate. Returns `nil` before the first round trip.
   """
-  @spec uncertainty(t(), Situ.Time.t()) :: non_neg_integer() | nil
-  def uncertainty(%__MODULE__{at: nil}, _now), do: nil
+  @spec uncertainty_at(t(), Situ.Time.t()) :: non_neg_integer() | nil
+  def uncertainty_at(%__MODULE__{at: nil}, _now), do: nil
 
-  def uncertainty(%__MODULE__{} = clock, now),
+  def uncertainty_at(%__MODULE__{} = clock, now),
     do: round(clock.error + 20.0e-6 * Kernel.abs(now - clock.at))
 
   @doc "Converts a time of the remote clock to the local clock."
-  @spec to_ours(t(), Situ.Time.t()) :: Situ.Time.t()
-  def to_ours(%__MODULE__{at: nil}, time), do: time
+  @spec to_local_time(t(), Situ.Time.t()) :: Situ.Time.t()
+  def to_local_time(%__MODULE__{at: nil}, time), do: time
 
   # The offset is a function of the local time, which is the unknown. One step is exact to the square of the drift.
-  def to_ours(%__MODULE__{} = clock, time), do: time - offset(clock, time - round(clock.offset))
+  def to_local_time(%__MODULE__{} = clock, time),
+    do: time - offset_at(clock, time - round(clock.offset))
 end

@@ -19,16 +19,16 @@ defmodule Situ.Remote.Link.Datagrams do
 
       iex> alias Situ.Remote.Link.Datagrams
       iex> key = <<7::128>>
-      iex> sender = Datagrams.sender(key, 80)
-      iex> {[a, b], _} = Datagrams.split(sender, "a frame that is longer than its datagrams are", 3)
-      iex> receiver = Datagrams.receiver(key)
-      iex> {[], receiver} = Datagrams.take(receiver, b)
-      iex> {[], receiver} = Datagrams.take(receiver, b)
-      iex> {[{0, frame}], _} = Datagrams.take(receiver, a)
+      iex> sender = Datagrams.new_sender(key, 80)
+      iex> {[a, b], _} = Datagrams.split_frame(sender, "a frame that is longer than its datagrams are", 3)
+      iex> receiver = Datagrams.new_receiver(key)
+      iex> {[], receiver} = Datagrams.receive_datagram(receiver, b)
+      iex> {[], receiver} = Datagrams.receive_datagram(receiver, b)
+      iex> {[{0, frame}], _} = Datagrams.receive_datagram(receiver, a)
       iex> frame
       "a frame that is longer than its datagrams are"
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
   @head 20
   @tag 16
@@ -53,25 +53,25 @@ defmodule Situ.Remote.Link.Datagrams do
   @type receiver :: %Receiver{}
 
   @doc "Returns the smallest and the largest size of a datagram in bytes."
-  @spec sizes() :: {pos_integer(), pos_integer()}
-  def sizes, do: {@least, @most}
+  @spec size_range() :: {pos_integer(), pos_integer()}
+  def size_range, do: {@least, @most}
 
   @doc "Returns a sender for datagrams of at most `size` bytes."
-  @spec sender(<<_::128>>, pos_integer()) :: sender()
-  def sender(<<key::binary-16>>, size) when size in @least..@most,
+  @spec new_sender(<<_::128>>, pos_integer()) :: sender()
+  def new_sender(<<key::binary-16>>, size) when size in @least..@most,
     do: %Sender{key: key, piece: size - @overhead}
 
-  @spec receiver(<<_::128>>) :: receiver()
-  def receiver(<<key::binary-16>>), do: %Receiver{key: key}
+  @spec new_receiver(<<_::128>>) :: receiver()
+  def new_receiver(<<key::binary-16>>), do: %Receiver{key: key}
 
   @doc """
   Splits a frame that holds the given number of messages into datagrams.
 
   A frame that would need more than 65,535 of them is lost, and the list is empty.
   """
-  @spec split(sender(), iodata(), non_neg_integer()) :: {[binary()], sender()}
-  def split(%Sender{} = sender, frame, messages) do
-    pieces = frame |> IO.iodata_to_binary() |> cut(sender.piece)
+  @spec split_frame(sender(), iodata(), non_neg_integer()) :: {[binary()], sender()}
+  def split_frame(%Sender{} = sender, frame, messages) do
+    pieces = frame |> IO.iodata_to_binary() |> split_bytes(sender.piece)
     count = length(pieces)
     later = %{sender | set: sender.set + 1, messages: sender.messages + messages}
 
@@ -81,54 +81,56 @@ defmodule Situ.Remote.Link.Datagrams do
       {sent, seq} =
         Enum.map_reduce(Enum.with_index(pieces), sender.seq, fn {piece, number}, seq ->
           head = <<sender.set::32, number::16, count::16, sender.messages::64, messages::32>>
-          {seal(sender.key, 0, seq, [head, piece]), seq + 1}
+          {encrypt_datagram(sender.key, 0, seq, [head, piece]), seq + 1}
         end)
 
       {sent, %{later | seq: seq}}
     end
   end
 
-  defp cut(bytes, size) when byte_size(bytes) <= size, do: [bytes]
+  defp split_bytes(bytes, size) when byte_size(bytes) <= size, do: [bytes]
 
-  defp cut(bytes, size) do
-    <<piece::binary-known(size), rest::binary>> = bytes
-    [piece | cut(rest, size)]
+  defp split_bytes(bytes, size) do
+    <<piece::binary-pinned_size(size), rest::binary>> = bytes
+    [piece | split_bytes(rest, size)]
   end
 
   @doc "Adds a datagram. Returns the frames it completes, in order, each with the number of messages lost before it."
-  @spec take(receiver(), binary()) :: {[{non_neg_integer(), binary()}], receiver()}
-  def take(%Receiver{} = receiver, datagram) do
+  @spec receive_datagram(receiver(), binary()) :: {[{non_neg_integer(), binary()}], receiver()}
+  def receive_datagram(%Receiver{} = receiver, datagram) do
     with {:ok, <<set::32, number::16, count::16, before::64, messages::32, piece::binary>>} <-
-           open(receiver.key, 0, datagram),
+           decrypt_datagram(receiver.key, 0, datagram),
          true <- number < count and set >= receiver.next do
-      receiver |> put(set, number, count, {before, messages}, piece) |> whole([])
+      receiver
+      |> put_segment(set, number, count, {before, messages}, piece)
+      |> take_complete_frames([])
     else
       # The datagram is from another sender, or it is too late.
       _ -> {[], receiver}
     end
   end
 
-  defp put(receiver, set, number, count, told, piece) do
+  defp put_segment(receiver, set, number, count, told, piece) do
     new = %{count: count, told: told, pieces: %{}}
     one = Map.get(receiver.sets, set, new)
 
     if one.count == count and one.told == told do
       one = %{one | pieces: Map.put(one.pieces, number, piece)}
-      bounded(%{receiver | sets: Map.put(receiver.sets, set, one)})
+      limit_open_sets(%{receiver | sets: Map.put(receiver.sets, set, one)})
     else
       receiver
     end
   end
 
   # Bounds the memory that a sender can claim by beginning many sets without completing them.
-  defp bounded(%{sets: sets} = receiver) when map_size(sets) > @open do
+  defp limit_open_sets(%{sets: sets} = receiver) when map_size(sets) > @open do
     oldest = sets |> Map.keys() |> Enum.min()
     %{receiver | sets: Map.delete(sets, oldest), next: max(receiver.next, oldest + 1)}
   end
 
-  defp bounded(receiver), do: receiver
+  defp limit_open_sets(receiver), do: receiver
 
-  defp whole(receiver, frames) do
+  defp take_complete_frames(receiver, frames) do
     done = for {set, one} <- receiver.sets, map_size(one.pieces) == one.count, do: set
 
     case Enum.sort(done) do
@@ -137,7 +139,7 @@ defmodule Situ.Remote.Link.Datagrams do
 
       [first | later] ->
         if first == receiver.next or length(later) >= @patience or none_before?(receiver, first),
-          do: receiver |> out(first, frames),
+          do: receiver |> take_set(first, frames),
           else: {Enum.reverse(frames), receiver}
     end
   end
@@ -148,31 +150,31 @@ defmodule Situ.Remote.Link.Datagrams do
 
   defp none_before?(_receiver, _first), do: false
 
-  defp out(receiver, set, frames) do
+  defp take_set(receiver, set, frames) do
     %{count: count, told: {before, messages}, pieces: pieces} = receiver.sets[set]
     frame = for(n <- 0..(count - 1), do: pieces[n]) |> IO.iodata_to_binary()
     lost = max(before - receiver.messages, 0)
     sets = Map.reject(receiver.sets, fn {other, _} -> other <= set end)
     receiver = %{receiver | sets: sets, next: set + 1, messages: before + messages}
-    whole(receiver, [{lost, frame} | frames])
+    take_complete_frames(receiver, [{lost, frame} | frames])
   end
 
   @doc "Encodes the datagram that shows the server the address of the receiver."
-  @spec hello(<<_::128>>, non_neg_integer()) :: binary()
-  def hello(key, seq), do: seal(key, 1, seq, "here")
+  @spec encode_hello(<<_::128>>, non_neg_integer()) :: binary()
+  def encode_hello(key, seq), do: encrypt_datagram(key, 1, seq, "here")
 
   @spec hello?(<<_::128>>, binary()) :: boolean()
-  def hello?(key, datagram), do: open(key, 1, datagram) == {:ok, "here"}
+  def hello?(key, datagram), do: decrypt_datagram(key, 1, datagram) == {:ok, "here"}
 
-  defp seal(key, side, seq, plain) do
+  defp encrypt_datagram(key, side, seq, plain) do
     nonce = <<side::32, seq::64>>
     {bytes, tag} = :crypto.crypto_one_time_aead(:aes_128_gcm, key, nonce, plain, "", @tag, true)
     <<seq::64, bytes::binary, tag::binary>>
   end
 
-  defp open(key, side, <<seq::64, rest::binary>>) when byte_size(rest) >= @tag do
+  defp decrypt_datagram(key, side, <<seq::64, rest::binary>>) when byte_size(rest) >= @tag do
     size = byte_size(rest) - @tag
-    <<bytes::binary-known(size), tag::binary>> = rest
+    <<bytes::binary-pinned_size(size), tag::binary>> = rest
     nonce = <<side::32, seq::64>>
 
     case :crypto.crypto_one_time_aead(:aes_128_gcm, key, nonce, bytes, "", tag, false) do
@@ -181,5 +183,5 @@ defmodule Situ.Remote.Link.Datagrams do
     end
   end
 
-  defp open(_key, _side, _short), do: :error
+  defp decrypt_datagram(_key, _side, _short), do: :error
 end

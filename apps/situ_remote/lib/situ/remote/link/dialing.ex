@@ -14,16 +14,16 @@ defmodule Situ.Remote.Link.Dialing do
   def most_bytes, do: @most_bytes
 
   @doc "Tries to connect once. The caller receives `{:dialed, dialer, {:ok, socket, welcome} | {:error, error}}`."
-  @spec start(Remote.Address.t(), map()) :: pid()
-  def start(address, opts) do
+  @spec start_dialer(Remote.Address.t(), map()) :: pid()
+  def start_dialer(address, opts) do
     caller = self()
 
     spawn_link(fn ->
-      case dial(address, opts) do
+      case connect_and_login(address, opts) do
         {:ok, socket, welcome} ->
-          case Socket.give(socket, caller) do
+          case Socket.set_owner(socket, caller) do
             :ok -> send(caller, {:dialed, self(), {:ok, socket, welcome}})
-            {:error, _} -> send(caller, {:dialed, self(), {:error, gone()}})
+            {:error, _} -> send(caller, {:dialed, self(), {:error, connection_ended_error()}})
           end
 
         {:error, error} ->
@@ -33,35 +33,35 @@ defmodule Situ.Remote.Link.Dialing do
   end
 
   @doc "Returns the names of all recordings of a server. The name in the address is ignored."
-  @spec names(Remote.Address.t(), map()) :: {:ok, [String.t()]} | {:error, Error.t()}
-  def names(address, opts) do
-    with {:ok, socket, welcome} <- dial(address, Map.put(opts, :list, true)) do
+  @spec list_recordings(Remote.Address.t(), map()) :: {:ok, [String.t()]} | {:error, Error.t()}
+  def list_recordings(address, opts) do
+    with {:ok, socket, welcome} <- connect_and_login(address, Map.put(opts, :list, true)) do
       Socket.close(socket)
       {:ok, for(name <- List.wrap(welcome["names"]), is_binary(name), do: name)}
     end
   end
 
-  defp dial(address, opts) do
+  defp connect_and_login(address, opts) do
     with {:ok, found} <- Remote.Address.resolve(address),
          {:ok, socket} <- Socket.connect(found, opts.tls, @timeout_ms) do
-      with {:error, error} <- login(socket, found, opts) do
+      with {:error, error} <- log_in(socket, found, opts) do
         Socket.close(socket)
         {:error, error}
       end
     end
   end
 
-  defp login(socket, address, opts) do
-    nonce = Handshake.nonce()
+  defp log_in(socket, address, opts) do
+    nonce = Handshake.new_nonce()
 
-    with :ok <- Socket.send(socket, Frame.encode(Handshake.hello(nonce))),
-         {:ok, {:hello, version, oldest, server_nonce}} <- next(socket),
+    with :ok <- Socket.send(socket, Frame.encode(Handshake.build_hello(nonce))),
+         {:ok, {:hello, version, oldest, server_nonce}} <- receive_frame(socket),
          {:ok, _version} <- Handshake.check_version(version, oldest),
-         proof = Handshake.proof(opts.token, :client, server_nonce, nonce),
-         :ok <- Socket.send(socket, Frame.encode({:login, proof, wish(address, opts)})),
-         {:ok, {:welcome, shown, map}} <- next(socket),
+         proof = Handshake.build_proof(opts.token, :client, server_nonce, nonce),
+         :ok <- Socket.send(socket, Frame.encode({:login, proof, login_request(address, opts)})),
+         {:ok, {:welcome, shown, map}} <- receive_frame(socket),
          {:proved, true} <-
-           {:proved, Handshake.proves?(opts.token, :server, server_nonce, nonce, shown)} do
+           {:proved, Handshake.valid_proof?(opts.token, :server, server_nonce, nonce, shown)} do
       {:ok, socket, map}
     else
       {:proved, false} ->
@@ -72,35 +72,37 @@ defmodule Situ.Remote.Link.Dialing do
          )}
 
       {:ok, {:refused, map}} ->
-        {:error, Handshake.from_map(map)}
+        {:error, Handshake.error_from_map(map)}
 
       {:ok, frame} ->
-        {:error, not_situ("received the frame #{elem(frame, 0)} instead of a greeting")}
+        {:error,
+         wrong_protocol_error("received the frame #{elem(frame, 0)} instead of a greeting")}
 
       {:error, %Error{} = error} ->
         {:error, error}
 
       {:error, reason} when is_binary(reason) ->
-        {:error, not_situ(reason)}
+        {:error, wrong_protocol_error(reason)}
 
       {:error, reason} ->
-        {:error, not_situ(Socket.reason_text(reason))}
+        {:error, wrong_protocol_error(Socket.reason_text(reason))}
     end
   end
 
-  defp wish(_address, %{list: true}), do: %{"list" => true}
-  defp wish(address, _opts), do: %{"name" => address.name}
+  defp login_request(_address, %{list: true}), do: %{"list" => true}
+  defp login_request(address, _opts), do: %{"name" => address.name}
 
-  defp next(socket) do
+  defp receive_frame(socket) do
     with {:ok, body} <- Socket.receive(socket, @timeout_ms), do: Frame.decode(body)
   end
 
-  defp not_situ(why) do
+  defp wrong_protocol_error(why) do
     Error.new(:no_link, "the program at that port does not speak the link protocol",
       why: why,
       fix: "check host and port, and use TLS (situs://) on both sides or on neither"
     )
   end
 
-  defp gone, do: Error.new(:unreachable, "the connection was closed right after the login")
+  defp connection_ended_error,
+    do: Error.new(:unreachable, "the connection was closed right after the login")
 end

@@ -61,8 +61,8 @@ defmodule Situ.Remote.Link.Frame do
           | {:reply, 0..0xFFFFFFFF, iodata()}
 
   @doc "Returns the protocol version of this release."
-  @spec version() :: 0..0xFFFF
-  def version, do: @version
+  @spec protocol_version() :: 0..0xFFFF
+  def protocol_version, do: @version
 
   @doc "Encodes the body of a frame."
   @spec encode(t()) :: iodata()

@@ -8,9 +8,9 @@ defmodule Situ.Remote.Link.Quota do
 
       iex> alias Situ.Remote.Link.Quota
       iex> quota = Quota.new({:bytes_per_second, 1_000_000})
-      iex> {Quota.take(quota, 100_000, 1, 0), Quota.take(quota, 50_000, 1, 0)}
+      iex> {Quota.charge_sent(quota, 100_000, 1, 0), Quota.charge_sent(quota, 50_000, 1, 0)}
       {0, 50_000_000}
-      iex> Quota.take(Quota.new(nil), 1_000_000, 1, 0)
+      iex> Quota.charge_sent(Quota.new(nil), 1_000_000, 1, 0)
       0
   """
   @burst_ns 100_000_000
@@ -25,12 +25,14 @@ defmodule Situ.Remote.Link.Quota do
   def new(nil), do: %__MODULE__{}
 
   def new(limits) do
-    limits = for {unit, rate} <- List.wrap(limits), do: {unit_of(unit), 1.0e9 / rate, paid()}
+    limits =
+      for {unit, rate} <- List.wrap(limits), do: {unit_of(unit), 1.0e9 / rate, new_paid_until()}
+
     %__MODULE__{limits: limits}
   end
 
   # The monotonic clock may be negative, so the start value must be below any of its times.
-  defp paid do
+  defp new_paid_until do
     paid = :atomics.new(1, signed: true)
     :atomics.put(paid, 1, -0x7FFFFFFFFFFFFFFF)
     paid
@@ -40,31 +42,31 @@ defmodule Situ.Remote.Link.Quota do
   defp unit_of(:messages_per_second), do: :messages
 
   @doc "Charges data sent at `now` (ns, monotonic). Returns how long to wait before sending more, in ns."
-  @spec take(t(), non_neg_integer(), non_neg_integer(), integer()) :: non_neg_integer()
-  def take(%__MODULE__{limits: []}, _bytes, _messages, _now), do: 0
+  @spec charge_sent(t(), non_neg_integer(), non_neg_integer(), integer()) :: non_neg_integer()
+  def charge_sent(%__MODULE__{limits: []}, _bytes, _messages, _now), do: 0
 
-  def take(%__MODULE__{limits: limits}, bytes, messages, now) do
+  def charge_sent(%__MODULE__{limits: limits}, bytes, messages, now) do
     limits
     |> Enum.map(fn
-      {:bytes, cost, paid} -> pay(paid, round(bytes * cost), now)
-      {:messages, cost, paid} -> pay(paid, round(messages * cost), now)
+      {:bytes, cost, paid} -> advance_paid_until(paid, round(bytes * cost), now)
+      {:messages, cost, paid} -> advance_paid_until(paid, round(messages * cost), now)
     end)
     |> Enum.max()
   end
 
-  defp pay(paid, cost, now) do
+  defp advance_paid_until(paid, cost, now) do
     before = :atomics.get(paid, 1)
     until = max(before, now) + cost
 
     case :atomics.compare_exchange(paid, 1, before, until) do
       :ok -> max(until - now - @burst_ns, 0)
-      _other -> pay(paid, cost, now)
+      _other -> advance_paid_until(paid, cost, now)
     end
   end
 
   @doc "Returns a part size, at most `most` bytes, that delays more important data by no more than 50 ms."
-  @spec piece(t(), pos_integer()) :: pos_integer()
-  def piece(%__MODULE__{limits: limits}, most) do
+  @spec segment_size(t(), pos_integer()) :: pos_integer()
+  def segment_size(%__MODULE__{limits: limits}, most) do
     case List.keyfind(limits, :bytes, 0) do
       {:bytes, cost, _} -> (0.05 * 1.0e9 / cost) |> round() |> max(4_096) |> min(most)
       nil -> most

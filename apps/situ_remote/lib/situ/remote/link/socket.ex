@@ -29,7 +29,7 @@ defmodule Situ.Remote.Link.Socket do
   @spec listen(:unix | :tcp | :tls, keyword()) :: {:ok, t()} | {:error, Error.t()}
   def listen(:unix, opts) do
     path = opts[:path]
-    clear(path)
+    remove_stale_socket(path)
 
     with {:ok, listener} <- :gen_tcp.listen(0, [ifaddr: {:local, path}, backlog: 128] ++ @framed),
          :ok <- File.chmod(path, 0o600) do
@@ -42,8 +42,9 @@ defmodule Situ.Remote.Link.Socket do
   def listen(kind, opts) do
     where = "#{opts[:interface]}:#{opts[:port]}"
 
-    with {:ok, ip} <- address(opts[:interface]),
-         options = [family(ip), ip: ip, reuseaddr: true, backlog: 128] ++ @internet ++ @framed,
+    with {:ok, ip} <- resolve_ip(opts[:interface]),
+         options =
+           [address_family(ip), ip: ip, reuseaddr: true, backlog: 128] ++ @internet ++ @framed,
          {:ok, listener} <- listen_at(kind, opts, options) do
       {:ok, listener}
     else
@@ -51,16 +52,17 @@ defmodule Situ.Remote.Link.Socket do
     end
   end
 
-  defp listen_at(:tcp, opts, options), do: wrap(:gen_tcp, :gen_tcp.listen(opts[:port], options))
+  defp listen_at(:tcp, opts, options),
+    do: tag_socket(:gen_tcp, :gen_tcp.listen(opts[:port], options))
 
   defp listen_at(:tls, opts, options),
-    do: wrap(:ssl, :ssl.listen(opts[:port], options ++ opts[:tls]))
+    do: tag_socket(:ssl, :ssl.listen(opts[:port], options ++ opts[:tls]))
 
-  defp wrap(module, {:ok, socket}), do: {:ok, {module, socket}}
-  defp wrap(_module, error), do: error
+  defp tag_socket(module, {:ok, socket}), do: {:ok, {module, socket}}
+  defp tag_socket(_module, error), do: error
 
   # A killed server leaves its socket file in the folder.
-  defp clear(path) do
+  defp remove_stale_socket(path) do
     case :gen_tcp.connect({:local, path}, 0, [], 1_000) do
       {:ok, socket} ->
         :gen_tcp.close(socket)
@@ -78,43 +80,46 @@ defmodule Situ.Remote.Link.Socket do
     do: Error.new(:address_in_use, "#{where} is in use", fix: "choose another port or path")
 
   defp cannot_listen(where, reason),
-    do: Error.new(refusal(reason), "cannot listen on #{where}", why: reason_text(reason))
+    do:
+      Error.new(listen_error_code(reason), "cannot listen on #{where}", why: reason_text(reason))
 
-  defp refusal({:options, _}), do: :bad_tls
-  defp refusal(:options), do: :bad_tls
-  defp refusal(_reason), do: :bad_address
+  defp listen_error_code({:options, _}), do: :bad_tls
+  defp listen_error_code(:options), do: :bad_tls
+  defp listen_error_code(_reason), do: :bad_address
 
-  @doc "Accepts the next connection, without its TLS handshake (see `established/2`)."
+  @doc "Accepts the next connection, without its TLS handshake (see `complete_handshake/2`)."
   @spec accept(t()) :: {:ok, t()} | {:error, term()}
-  def accept({:gen_tcp, listener}), do: wrap(:gen_tcp, :gen_tcp.accept(listener))
-  def accept({:ssl, listener}), do: wrap(:ssl, :ssl.transport_accept(listener))
+  def accept({:gen_tcp, listener}), do: tag_socket(:gen_tcp, :gen_tcp.accept(listener))
+  def accept({:ssl, listener}), do: tag_socket(:ssl, :ssl.transport_accept(listener))
 
   @doc "Completes the TLS handshake. The process of the connection calls this, so a slow peer delays no other client."
-  @spec established(t(), timeout()) :: {:ok, t()} | {:error, term()}
-  def established({:gen_tcp, _} = socket, _timeout), do: {:ok, socket}
-  def established({:ssl, socket}, timeout), do: wrap(:ssl, :ssl.handshake(socket, timeout))
+  @spec complete_handshake(t(), timeout()) :: {:ok, t()} | {:error, term()}
+  def complete_handshake({:gen_tcp, _} = socket, _timeout), do: {:ok, socket}
+
+  def complete_handshake({:ssl, socket}, timeout),
+    do: tag_socket(:ssl, :ssl.handshake(socket, timeout))
 
   @doc "Connects to an address. Errors: `:unreachable`, `:wrong_certificate`."
   @spec connect(Address.t(), keyword(), timeout()) :: {:ok, t()} | {:error, Error.t()}
   def connect(%Address{} = address, tls, timeout) do
     case connect_to(address, tls, timeout) do
       {:ok, socket} ->
-        pinned(socket, address)
+        check_fingerprint(socket, address)
 
       {:error, {:tls_alert, {kind, text}} = reason} when kind in @certificate_alerts ->
-        {:error, untrusted(address, to_string(text), reason_text(reason))}
+        {:error, certificate_error(address, to_string(text), reason_text(reason))}
 
       {:error, {:tls_alert, {:handshake_failure, text}} = reason} ->
         if to_string(text) =~ "hostname_check_failed",
-          do: {:error, untrusted(address, to_string(text), reason_text(reason))},
-          else: {:error, unreachable(address, reason)}
+          do: {:error, certificate_error(address, to_string(text), reason_text(reason))},
+          else: {:error, unreachable_error(address, reason)}
 
       {:error, reason} ->
-        {:error, unreachable(address, reason)}
+        {:error, unreachable_error(address, reason)}
     end
   end
 
-  defp unreachable(address, reason) do
+  defp unreachable_error(address, reason) do
     Error.new(:unreachable, "cannot connect to #{Address.to_string(%{address | name: ""})}",
       why: reason_text(reason),
       fix:
@@ -123,7 +128,7 @@ defmodule Situ.Remote.Link.Socket do
   end
 
   # Trying again cannot help. The alert was sent by the server or describes a problem found on this side.
-  defp untrusted(address, text, why) do
+  defp certificate_error(address, text, why) do
     where = Address.to_string(%{address | name: "", fingerprint: nil})
 
     cond do
@@ -153,36 +158,44 @@ defmodule Situ.Remote.Link.Socket do
   end
 
   defp connect_to(%{transport: :unix, path: path}, _tls, timeout),
-    do: wrap(:gen_tcp, :gen_tcp.connect({:local, path}, 0, @framed, timeout))
+    do: tag_socket(:gen_tcp, :gen_tcp.connect({:local, path}, 0, @framed, timeout))
 
   defp connect_to(%{host: host, port: port} = address, tls, timeout) do
-    with {:ok, ip} <- address(host) do
-      options = [family(ip)] ++ @internet ++ @framed
-      connect_at(address.transport, {ip, port}, host, options, trusted(tls, address), timeout)
+    with {:ok, ip} <- resolve_ip(host) do
+      options = [address_family(ip)] ++ @internet ++ @framed
+
+      connect_at(
+        address.transport,
+        {ip, port},
+        host,
+        options,
+        trust_options(tls, address),
+        timeout
+      )
     end
   end
 
   defp connect_at(:tcp, {ip, port}, _host, options, _tls, timeout),
-    do: wrap(:gen_tcp, :gen_tcp.connect(ip, port, options, timeout))
+    do: tag_socket(:gen_tcp, :gen_tcp.connect(ip, port, options, timeout))
 
   # The certificate must name the requested host, not its resolved address.
   defp connect_at(:tls, {ip, port}, host, options, tls, timeout) do
     name = ServerName.tls_options(host)
-    wrap(:ssl, :ssl.connect(ip, port, options ++ Keyword.merge(name, tls), timeout))
+    tag_socket(:ssl, :ssl.connect(ip, port, options ++ Keyword.merge(name, tls), timeout))
   end
 
   # By default a server is verified by the system's certificate authorities or, if given, by its fingerprint alone.
-  defp trusted(tls, %{fingerprint: digits}) when digits != nil,
+  defp trust_options(tls, %{fingerprint: digits}) when digits != nil,
     do: Keyword.merge([verify: :verify_none], tls)
 
-  defp trusted(tls, %{transport: :tls}) do
+  defp trust_options(tls, %{transport: :tls}) do
     given? = Enum.any?([:verify, :cacerts, :cacertfile], &Keyword.has_key?(tls, &1))
-    if given?, do: Keyword.put_new(tls, :verify, :verify_peer), else: authorities() ++ tls
+    if given?, do: Keyword.put_new(tls, :verify, :verify_peer), else: system_authorities() ++ tls
   end
 
-  defp trusted(tls, _address), do: tls
+  defp trust_options(tls, _address), do: tls
 
-  defp authorities do
+  defp system_authorities do
     [verify: :verify_peer, cacerts: :public_key.cacerts_get()]
   rescue
     # This system has no authorities, so no server is trusted.
@@ -190,10 +203,10 @@ defmodule Situ.Remote.Link.Socket do
   end
 
   # The handshake has proved that the server owns the key of its certificate.
-  defp pinned(socket, %{fingerprint: nil}), do: {:ok, socket}
+  defp check_fingerprint(socket, %{fingerprint: nil}), do: {:ok, socket}
 
-  defp pinned({:ssl, ssl} = socket, %{fingerprint: digits}) do
-    case shown(ssl) do
+  defp check_fingerprint({:ssl, ssl} = socket, %{fingerprint: digits}) do
+    case peer_fingerprint(ssl) do
       ^digits ->
         {:ok, socket}
 
@@ -214,20 +227,20 @@ defmodule Situ.Remote.Link.Socket do
     end
   end
 
-  defp shown(ssl) do
+  defp peer_fingerprint(ssl) do
     case :ssl.peercert(ssl) do
       {:ok, der} -> Certificate.fingerprint_of(der)
       _ -> nil
     end
   end
 
-  defp address(host) do
+  defp resolve_ip(host) do
     chars = String.to_charlist(host)
     with {:error, _} <- :inet.getaddr(chars, :inet), do: :inet.getaddr(chars, :inet6)
   end
 
-  defp family(ip) when tuple_size(ip) == 8, do: :inet6
-  defp family(_ip), do: :inet
+  defp address_family(ip) when tuple_size(ip) == 8, do: :inet6
+  defp address_family(_ip), do: :inet
 
   @spec send(t(), iodata()) :: :ok | {:error, term()}
   def send({module, socket}, frame), do: module.send(socket, frame)
@@ -239,21 +252,21 @@ defmodule Situ.Remote.Link.Socket do
   Delivers the next frame as a message, `{:tcp | :ssl, socket, body}`, and accepts frames of up to `most` bytes from now
   on.
   """
-  @spec open_up(t(), pos_integer()) :: :ok | {:error, term()}
-  def open_up(socket, most), do: setopts(socket, active: :once, packet_size: most)
+  @spec enable_frames(t(), pos_integer()) :: :ok | {:error, term()}
+  def enable_frames(socket, most), do: set_options(socket, active: :once, packet_size: most)
 
-  @spec once(t()) :: :ok | {:error, term()}
-  def once(socket), do: setopts(socket, active: :once)
+  @spec activate_once(t()) :: :ok | {:error, term()}
+  def activate_once(socket), do: set_options(socket, active: :once)
 
-  defp setopts({:gen_tcp, socket}, opts), do: :inet.setopts(socket, opts)
-  defp setopts({:ssl, socket}, opts), do: :ssl.setopts(socket, opts)
+  defp set_options({:gen_tcp, socket}, opts), do: :inet.setopts(socket, opts)
+  defp set_options({:ssl, socket}, opts), do: :ssl.setopts(socket, opts)
 
-  @spec give(t(), pid()) :: :ok | {:error, term()}
-  def give({module, socket}, pid), do: module.controlling_process(socket, pid)
+  @spec set_owner(t(), pid()) :: :ok | {:error, term()}
+  def set_owner({module, socket}, pid), do: module.controlling_process(socket, pid)
 
   @doc "Sends the remaining data and closes the sending direction."
-  @spec finish(t()) :: :ok
-  def finish({module, socket}) do
+  @spec finish_sending(t()) :: :ok
+  def finish_sending({module, socket}) do
     _ = module.shutdown(socket, :write)
     :ok
   end
@@ -265,25 +278,25 @@ defmodule Situ.Remote.Link.Socket do
   end
 
   @spec port(t()) :: :inet.port_number() | nil
-  def port({:gen_tcp, socket}), do: number(:inet.sockname(socket))
-  def port({:ssl, socket}), do: number(:ssl.sockname(socket))
+  def port({:gen_tcp, socket}), do: port_number(:inet.sockname(socket))
+  def port({:ssl, socket}), do: port_number(:ssl.sockname(socket))
 
-  defp number({:ok, {ip, port}}) when is_tuple(ip), do: port
-  defp number(_local), do: nil
+  defp port_number({:ok, {ip, port}}) when is_tuple(ip), do: port
+  defp port_number(_local), do: nil
 
   @doc "Returns the peer's address: an IP, or `:local` for Unix sockets."
-  @spec peer(t()) :: {:ok, :inet.ip_address() | :local} | {:error, term()}
-  def peer({:gen_tcp, socket}), do: ip(:inet.peername(socket))
-  def peer({:ssl, socket}), do: ip(:ssl.peername(socket))
+  @spec peer_address(t()) :: {:ok, :inet.ip_address() | :local} | {:error, term()}
+  def peer_address({:gen_tcp, socket}), do: peer_ip(:inet.peername(socket))
+  def peer_address({:ssl, socket}), do: peer_ip(:ssl.peername(socket))
 
-  defp ip({:ok, {:local, _}}), do: {:ok, :local}
-  defp ip({:ok, {ip, _port}}), do: {:ok, ip}
-  defp ip(error), do: error
+  defp peer_ip({:ok, {:local, _}}), do: {:ok, :local}
+  defp peer_ip({:ok, {ip, _port}}), do: {:ok, ip}
+  defp peer_ip(error), do: error
 
   @doc "Returns the local IP address, or `nil` if there is none."
-  @spec local(t()) :: :inet.ip_address() | nil
-  def local({:gen_tcp, socket}), do: local_ip(:inet.sockname(socket))
-  def local({:ssl, socket}), do: local_ip(:ssl.sockname(socket))
+  @spec local_address(t()) :: :inet.ip_address() | nil
+  def local_address({:gen_tcp, socket}), do: local_ip(:inet.sockname(socket))
+  def local_address({:ssl, socket}), do: local_ip(:ssl.sockname(socket))
 
   defp local_ip({:ok, {ip, port}}) when is_tuple(ip) and is_integer(port), do: ip
   defp local_ip(_none), do: nil

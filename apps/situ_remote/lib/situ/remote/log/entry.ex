@@ -4,7 +4,7 @@ defmodule Situ.Remote.Log.Entry do
   position on the subject (`nil` before it is written), and `verified` says whether its author was checked.
 
       iex> entry = %Situ.Remote.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "..."}
-      iex> Situ.Remote.Log.Entry.integer(entry, "Last", 0)
+      iex> Situ.Remote.Log.Entry.head_integer(entry, "Last", 0)
       17
       iex> bytes = entry |> Situ.Remote.Log.Entry.encode() |> IO.iodata_to_binary()
       iex> Situ.Remote.Log.Entry.decode(bytes, 5)
@@ -26,10 +26,10 @@ defmodule Situ.Remote.Log.Entry do
         }
 
   @doc "Returns an integer field of the head, or `default`."
-  @spec integer(t() | nil, String.t(), default) :: integer() | default when default: term()
-  def integer(nil, _key, default), do: default
+  @spec head_integer(t() | nil, String.t(), default) :: integer() | default when default: term()
+  def head_integer(nil, _key, default), do: default
 
-  def integer(%__MODULE__{head: head}, key, default) do
+  def head_integer(%__MODULE__{head: head}, key, default) do
     with %{^key => text} <- head, {number, ""} <- Integer.parse(text) do
       number
     else
@@ -52,7 +52,7 @@ defmodule Situ.Remote.Log.Entry do
   def decode(<<@magic, crc::32, rest::binary>>, seq) do
     with true <- :erlang.crc32(rest) == crc,
          <<length::32, head::binary-size(length), data::binary>> <- rest do
-      {op, head} = head |> lines() |> Map.pop("Op", "")
+      {op, head} = head |> parse_head() |> Map.pop("Op", "")
       {:ok, %__MODULE__{seq: seq, op: op, head: head, data: data}}
     else
       _ -> {:error, "checksum mismatch: the entry was truncated or modified"}
@@ -61,7 +61,7 @@ defmodule Situ.Remote.Log.Entry do
 
   def decode(_bytes, _seq), do: {:error, "the file is not a log entry"}
 
-  defp lines(head) do
+  defp parse_head(head) do
     for line <- String.split(head, "\n", trim: true),
         [key, value] <- [String.split(line, ": ", parts: 2)],
         into: %{},

@@ -39,14 +39,14 @@ defmodule Situ.Remote.Log.Folder do
     root = Path.expand(root)
 
     with {:ok, opts} <- Options.validate(opts, @schema),
-         :ok <- made(File.mkdir_p(Path.join(root, "tmp")), root),
-         :ok <- made(File.chmod(root, 0o700), root),
+         :ok <- check_created(File.mkdir_p(Path.join(root, "tmp")), root),
+         :ok <- check_created(File.chmod(root, 0o700), root),
          do: {:ok, %__MODULE__{root: root, sync: opts[:sync]}}
   end
 
-  defp made(:ok, _root), do: :ok
+  defp check_created(:ok, _root), do: :ok
 
-  defp made({:error, reason}, root) do
+  defp check_created({:error, reason}, root) do
     {:error,
      Error.new(:no_log, "cannot create a log in #{inspect(root)}: #{:file.format_error(reason)}",
        fix: "choose a folder that you can write to"
@@ -55,26 +55,26 @@ defmodule Situ.Remote.Log.Folder do
 
   @impl true
   def append(%__MODULE__{} = log, subject, expected, %Entry{} = entry) do
-    target = path(log, subject, expected + 1)
-    tmp = Path.join([log.root, "tmp", unique()])
+    target = entry_path(log, subject, expected + 1)
+    tmp = Path.join([log.root, "tmp", unique_name()])
 
-    with :ok <- write(log, tmp, Entry.encode(entry)),
-         answer <- link(tmp, target, subject),
+    with :ok <- write_file(log, tmp, Entry.encode(entry)),
+         answer <- link_entry(tmp, target, subject),
          _ <- File.rm(tmp) do
       case answer do
-        :ok -> linked(log, subject, expected, target)
-        {:error, :eexist} -> taken(log, subject, expected + 1, entry)
-        {:error, reason} -> {:error, failed(target, reason)}
+        :ok -> confirm_link(log, subject, expected, target)
+        {:error, :eexist} -> resolve_conflict(log, subject, expected + 1, entry)
+        {:error, reason} -> {:error, file_error(target, reason)}
       end
     end
   end
 
   # The name may be free because its entry was deleted long ago. In that case the previous entry was deleted, too.
-  defp linked(log, subject, expected, target) do
-    if expected == 0 or File.exists?(path(log, subject, expected)) do
-      if expected == 0 and numbers(log, subject) != [1],
+  defp confirm_link(log, subject, expected, target) do
+    if expected == 0 or File.exists?(entry_path(log, subject, expected)) do
+      if expected == 0 and latest_numbers(log, subject) != [1],
         do: take_back(log, subject, target),
-        else: kept(log, subject, expected + 1)
+        else: finish_append(log, subject, expected + 1)
     else
       take_back(log, subject, target)
     end
@@ -85,15 +85,15 @@ defmodule Situ.Remote.Log.Folder do
     with {:ok, last} <- last(log, subject), do: {:refused, last}
   end
 
-  defp kept(log, {:key, _} = subject, seq) do
-    if seq > 2, do: File.rm(path(log, subject, seq - 2))
+  defp finish_append(log, {:key, _} = subject, seq) do
+    if seq > 2, do: File.rm(entry_path(log, subject, seq - 2))
     {:ok, seq}
   end
 
-  defp kept(_log, _subject, seq), do: {:ok, seq}
+  defp finish_append(_log, _subject, seq), do: {:ok, seq}
 
-  defp taken(log, subject, seq, entry) do
-    case fetch(log, subject, seq) do
+  defp resolve_conflict(log, subject, seq, entry) do
+    case fetch_entry(log, subject, seq) do
       {:ok, %Entry{op: op}} when op == entry.op -> {:ok, seq}
       {:error, error} -> {:error, error}
       _ -> with {:ok, last} <- last(log, subject), do: {:refused, last}
@@ -102,43 +102,50 @@ defmodule Situ.Remote.Log.Folder do
 
   @impl true
   def last(%__MODULE__{} = log, subject) do
-    case numbers(log, subject) do
+    case latest_numbers(log, subject) do
       [] ->
         {:ok, nil}
 
       seqs ->
         # The entry may be deleted after it was listed. In that case a later entry exists.
-        with {:ok, nil} <- fetch(log, subject, Enum.max(seqs)), do: last(log, subject)
+        with {:ok, nil} <- fetch_entry(log, subject, Enum.max(seqs)), do: last(log, subject)
     end
   end
 
   @impl true
   def read(%__MODULE__{} = log, subject, from, most) do
-    case fetch(log, subject, from) do
+    case fetch_entry(log, subject, from) do
       {:ok, %Entry{} = entry} ->
-        if most == 1, do: {:ok, [entry]}, else: more(log, subject, from + 1, most - 1, [entry])
+        if most == 1,
+          do: {:ok, [entry]},
+          else: read_following(log, subject, from + 1, most - 1, [entry])
 
       {:ok, nil} ->
-        skip(log, subject, from, most)
+        read_from_first(log, subject, from, most)
 
       error ->
         error
     end
   end
 
-  defp more(_log, _subject, _seq, 0, entries), do: {:ok, Enum.reverse(entries)}
+  defp read_following(_log, _subject, _seq, 0, entries), do: {:ok, Enum.reverse(entries)}
 
-  defp more(log, subject, seq, most, entries) do
-    case fetch(log, subject, seq) do
-      {:ok, %Entry{} = entry} -> more(log, subject, seq + 1, most - 1, [entry | entries])
-      {:ok, nil} -> {:ok, Enum.reverse(entries)}
-      error -> error
+  defp read_following(log, subject, seq, most, entries) do
+    case fetch_entry(log, subject, seq) do
+      {:ok, %Entry{} = entry} ->
+        read_following(log, subject, seq + 1, most - 1, [entry | entries])
+
+      {:ok, nil} ->
+        {:ok, Enum.reverse(entries)}
+
+      error ->
+        error
     end
   end
 
   # The first entries may have been trimmed.
-  defp skip(log, subject, from, most) do
-    case first(log, subject) do
+  defp read_from_first(log, subject, from, most) do
+    case first_number(log, subject) do
       first when is_integer(first) and first > from -> read(log, subject, first, most)
       _ -> {:ok, []}
     end
@@ -151,10 +158,12 @@ defmodule Situ.Remote.Log.Folder do
 
   @impl true
   def trim(%__MODULE__{} = log, subject, seq) do
-    first = first(log, subject)
-    last = Enum.max(numbers(log, subject), fn -> 0 end)
+    first = first_number(log, subject)
+    last = Enum.max(latest_numbers(log, subject), fn -> 0 end)
     # Entries are deleted in order: if an entry does not exist, no earlier one does.
-    if first, do: for(n <- first..(min(seq, last) - 1)//1, do: File.rm(path(log, subject, n)))
+    if first,
+      do: for(n <- first..(min(seq, last) - 1)//1, do: File.rm(entry_path(log, subject, n)))
+
     :ok
   end
 
@@ -163,25 +172,25 @@ defmodule Situ.Remote.Log.Folder do
     found =
       for {kind, folder} <- [stream: "streams", key: "keys"],
           folder = Path.join(log.root, folder),
-          name <- names(folder),
-          subject = subject(folder, name),
-          do: about(log, {kind, subject})
+          name <- list_folder(folder),
+          subject = decode_subject(folder, name),
+          do: describe_subject(log, {kind, subject})
 
     {:ok, found}
   end
 
-  defp subject(_folder, "s-" <> name), do: URI.decode(name)
+  defp decode_subject(_folder, "s-" <> name), do: URI.decode(name)
 
-  defp subject(folder, "h-" <> _ = name) do
+  defp decode_subject(folder, "h-" <> _ = name) do
     case File.read(Path.join([folder, name, "name"])) do
       {:ok, subject} -> subject
       {:error, _} -> nil
     end
   end
 
-  defp subject(_folder, _name), do: nil
+  defp decode_subject(_folder, _name), do: nil
 
-  defp names(folder) do
+  defp list_folder(folder) do
     case File.ls(folder) do
       {:ok, names} -> names
       {:error, _} -> []
@@ -189,8 +198,12 @@ defmodule Situ.Remote.Log.Folder do
   end
 
   # Only the last entry of a key counts.
-  defp about(log, {kind, _} = subject) do
-    files = if kind == :key, do: subject |> newest(log) |> List.wrap(), else: files(log, subject)
+  defp describe_subject(log, {kind, _} = subject) do
+    files =
+      if kind == :key,
+        do: subject |> newest_file(log) |> List.wrap(),
+        else: list_files(log, subject)
+
     stats = for file <- files, {:ok, stat} <- [File.stat(file, time: :posix)], do: stat
 
     %{
@@ -201,21 +214,22 @@ defmodule Situ.Remote.Log.Folder do
     }
   end
 
-  defp newest(subject, log) do
-    with [_ | _] = seqs <- numbers(log, subject), do: path(log, subject, Enum.max(seqs))
+  defp newest_file(subject, log) do
+    with [_ | _] = seqs <- latest_numbers(log, subject),
+         do: entry_path(log, subject, Enum.max(seqs))
   end
 
-  defp files(log, subject) do
-    folder = folder(log, subject)
-    buckets = for n <- integers(folder), do: Path.join(folder, Integer.to_string(n))
-    for bucket <- buckets, n <- integers(bucket), do: Path.join(bucket, Integer.to_string(n))
+  defp list_files(log, subject) do
+    folder = subject_folder(log, subject)
+    buckets = for n <- list_numbers(folder), do: Path.join(folder, Integer.to_string(n))
+    for bucket <- buckets, n <- list_numbers(bucket), do: Path.join(bucket, Integer.to_string(n))
   end
 
   @impl true
   def delete(%__MODULE__{} = log, subject) do
-    case File.rm_rf(folder(log, subject)) do
+    case File.rm_rf(subject_folder(log, subject)) do
       {:ok, _} -> :ok
-      {:error, reason, path} -> {:error, failed(path, reason)}
+      {:error, reason, path} -> {:error, file_error(path, reason)}
     end
   end
 
@@ -227,12 +241,12 @@ defmodule Situ.Remote.Log.Folder do
 
   # Files
 
-  defp fetch(log, subject, seq) do
-    path = path(log, subject, seq)
+  defp fetch_entry(log, subject, seq) do
+    path = entry_path(log, subject, seq)
 
     case :file.open(path, [:read, :raw, :binary]) do
       {:ok, io} ->
-        bytes = all(io, [])
+        bytes = read_all(io, [])
         :file.close(io)
 
         case Entry.decode(bytes, seq) do
@@ -244,19 +258,19 @@ defmodule Situ.Remote.Log.Folder do
         {:ok, nil}
 
       {:error, reason} ->
-        {:error, failed(path, reason)}
+        {:error, file_error(path, reason)}
     end
   end
 
-  defp all(io, read) do
+  defp read_all(io, read) do
     case :file.read(io, 262_144) do
-      {:ok, bytes} when byte_size(bytes) == 262_144 -> all(io, [read, bytes])
+      {:ok, bytes} when byte_size(bytes) == 262_144 -> read_all(io, [read, bytes])
       {:ok, bytes} -> IO.iodata_to_binary([read, bytes])
       _ -> IO.iodata_to_binary(read)
     end
   end
 
-  defp write(log, path, bytes) do
+  defp write_file(log, path, bytes) do
     with {:ok, io} <- :file.open(path, [:write, :raw, :binary, :exclusive]),
          :ok <- :file.write(io, bytes),
          :ok <- if(log.sync, do: :file.datasync(io), else: :ok),
@@ -265,19 +279,19 @@ defmodule Situ.Remote.Log.Folder do
     else
       {:error, reason} ->
         File.rm(path)
-        {:error, failed(path, reason)}
+        {:error, file_error(path, reason)}
     end
   end
 
-  defp link(tmp, target, subject) do
+  defp link_entry(tmp, target, subject) do
     with {:error, :enoent} <- :file.make_link(tmp, target),
          :ok <- File.mkdir_p(Path.dirname(target)),
-         :ok <- named(subject, target),
+         :ok <- write_name_file(subject, target),
          do: :file.make_link(tmp, target)
   end
 
   # A folder named by a hash stores the name of its subject in a file.
-  defp named({kind, subject}, target) do
+  defp write_name_file({kind, subject}, target) do
     up = if kind == :key, do: 1, else: 2
     folder = Enum.reduce(1..up, target, fn _, path -> Path.dirname(path) end)
 
@@ -286,65 +300,69 @@ defmodule Situ.Remote.Log.Folder do
       else: :ok
   end
 
-  defp failed(path, reason) do
+  defp file_error(path, reason) do
     Error.new(:log_failed, "#{path}: #{:file.format_error(reason)}",
       why: "the log is a folder that all processes of this machine write to",
       fix: "free disk space, or give the processes write permission"
     )
   end
 
-  defp numbers(log, {:key, _} = subject), do: integers(folder(log, subject))
+  defp latest_numbers(log, {:key, _} = subject), do: list_numbers(subject_folder(log, subject))
 
   # Lists only the newest nonempty bucket, which contains the last entry.
-  defp numbers(log, subject) do
-    folder = folder(log, subject)
+  defp latest_numbers(log, subject) do
+    folder = subject_folder(log, subject)
 
     folder
-    |> integers()
+    |> list_numbers()
     |> Enum.sort(:desc)
     |> Enum.find_value([], fn bucket ->
-      with [] <- integers(Path.join(folder, Integer.to_string(bucket))), do: nil
+      with [] <- list_numbers(Path.join(folder, Integer.to_string(bucket))), do: nil
     end)
   end
 
-  defp first(log, {:key, _} = subject), do: Enum.min(numbers(log, subject), fn -> nil end)
+  defp first_number(log, {:key, _} = subject),
+    do: Enum.min(latest_numbers(log, subject), fn -> nil end)
 
-  defp first(log, subject) do
-    folder = folder(log, subject)
+  defp first_number(log, subject) do
+    folder = subject_folder(log, subject)
 
     folder
-    |> integers()
+    |> list_numbers()
     |> Enum.sort()
     |> Enum.find_value(fn bucket ->
-      folder |> Path.join(Integer.to_string(bucket)) |> integers() |> Enum.min(fn -> nil end)
+      folder |> Path.join(Integer.to_string(bucket)) |> list_numbers() |> Enum.min(fn -> nil end)
     end)
   end
 
-  defp integers(folder) do
+  defp list_numbers(folder) do
     case File.ls(folder) do
       {:ok, names} -> for name <- names, {number, ""} <- [Integer.parse(name)], do: number
       {:error, _} -> []
     end
   end
 
-  defp path(log, {:key, _} = subject, seq),
-    do: Path.join(folder(log, subject), Integer.to_string(seq))
+  defp entry_path(log, {:key, _} = subject, seq),
+    do: Path.join(subject_folder(log, subject), Integer.to_string(seq))
 
-  defp path(log, subject, seq) do
+  defp entry_path(log, subject, seq) do
     bucket = Integer.to_string(div(seq, @bucket))
-    Path.join([folder(log, subject), bucket, Integer.to_string(seq)])
+    Path.join([subject_folder(log, subject), bucket, Integer.to_string(seq)])
   end
 
-  defp folder(log, {:stream, subject}), do: Path.join([log.root, "streams", name(subject)])
-  defp folder(log, {:key, subject}), do: Path.join([log.root, "keys", name(subject)])
+  defp subject_folder(log, {:stream, subject}),
+    do: Path.join([log.root, "streams", folder_name(subject)])
+
+  defp subject_folder(log, {:key, subject}),
+    do: Path.join([log.root, "keys", folder_name(subject)])
 
   # Subjects are escaped so that they cannot act as paths, and file names are limited to 255 bytes.
-  defp name(subject) do
+  defp folder_name(subject) do
     case URI.encode(subject, &(URI.char_unreserved?(&1) and &1 != ?~)) do
       name when byte_size(name) <= 240 -> "s-" <> name
       _ -> "h-" <> Base.encode16(:crypto.hash(:sha256, subject), case: :lower)
     end
   end
 
-  defp unique, do: Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
+  defp unique_name, do: Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
 end

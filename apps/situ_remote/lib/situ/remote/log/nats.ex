@@ -93,8 +93,8 @@ defmodule Situ.Remote.Log.Nats do
   def connect(address, opts) do
     with {:ok, opts} <- Options.validate(opts, @schema),
          {:ok, servers, login} <- Servers.parse(address),
-         {:ok, login} <- Servers.login(login, opts[:credentials]),
-         :ok <- Servers.domain(opts[:domain]),
+         {:ok, login} <- Servers.resolve_login(login, opts[:credentials]),
+         :ok <- Servers.validate_domain(opts[:domain]),
          own? = opts[:domain] == nil,
          settings = [
            servers: servers,
@@ -103,13 +103,13 @@ defmodule Situ.Remote.Log.Nats do
            jetstream: own?,
            wait: opts[:wait]
          ],
-         {:ok, connection} <- start(settings),
+         {:ok, connection} <- start_connection(settings),
          log = %__MODULE__{
            connection: connection,
            api: if(own?, do: "$JS.API.", else: "$JS.#{opts[:domain]}.API."),
            stream: opts[:stream],
            timeout: opts[:timeout],
-           config: Layout.config(opts),
+           config: Layout.stream_config(opts),
            prepared: :atomics.new(1, [])
          },
          :ok <- log |> prepare_once() |> allow_away(opts[:wait]) do
@@ -125,11 +125,11 @@ defmodule Situ.Remote.Log.Nats do
     if :atomics.get(prepared, 1) == 1 do
       :ok
     else
-      with :ok <- Layout.prepare(log), do: :atomics.put(prepared, 1, 1)
+      with :ok <- Layout.prepare_streams(log), do: :atomics.put(prepared, 1, 1)
     end
   end
 
-  defp start(opts) do
+  defp start_connection(opts) do
     case Connection.start(opts) do
       {:ok, connection} ->
         {:ok, connection}
@@ -145,47 +145,50 @@ defmodule Situ.Remote.Log.Nats do
   @impl true
   def append(%__MODULE__{} = log, subject, expected, %Entry{} = entry) do
     with :ok <- prepare_once(log),
-         :ok <- fits(log, entry),
-         {:ok, answer} <- publish(log, subject, expected, entry) do
-      appended(answer, log, subject, expected, entry)
+         :ok <- check_size(log, entry),
+         {:ok, answer} <- publish_entry(log, subject, expected, entry) do
+      handle_append_reply(answer, log, subject, expected, entry)
     end
   end
 
   # No server replies for a stream without entries, nor during a leader election.
-  defp publish(log, {:stream, _} = subject, expected, entry) do
-    with :silent <- published(log, subject, expected, entry),
-         stream = stream(log, subject),
-         {:error, %Error{code: :no_stream}} <- Api.info(log, stream, soon(log, expected)),
-         config = %{"name" => stream, "subjects" => [name(subject)]},
-         :ok <- Api.made(log, Map.merge(log.config, config)) do
-      log |> published(subject, expected, entry) |> Api.heard()
+  defp publish_entry(log, {:stream, _} = subject, expected, entry) do
+    with :silent <- request_append(log, subject, expected, entry),
+         stream = stream_name(log, subject),
+         {:error, %Error{code: :no_stream}} <-
+           Api.stream_info(log, stream, info_timeout(log, expected)),
+         config = %{"name" => stream, "subjects" => [subject_name(subject)]},
+         :ok <- Api.create_stream(log, Map.merge(log.config, config)) do
+      log |> request_append(subject, expected, entry) |> Api.reject_silence()
     else
       # The stream exists, but currently has no leader.
-      {:ok, %{"config" => _}} -> Api.heard(:silent)
+      {:ok, %{"config" => _}} -> Api.reject_silence(:silent)
       answer -> answer
     end
   end
 
-  defp publish(log, subject, expected, entry),
-    do: log |> published(subject, expected, entry) |> Api.heard()
+  defp publish_entry(log, subject, expected, entry),
+    do: log |> request_append(subject, expected, entry) |> Api.reject_silence()
 
   # A stream that had entries most likely still exists. Waiting too long during a leader election would lose the reply.
-  defp soon(log, 0), do: log.timeout
-  defp soon(log, _expected), do: max(div(log.timeout, 8), 1)
+  defp info_timeout(log, 0), do: log.timeout
+  defp info_timeout(log, _expected), do: max(div(log.timeout, 8), 1)
 
-  defp published(log, subject, expected, entry) do
+  defp request_append(log, subject, expected, entry) do
     headers =
-      [{condition(subject), Integer.to_string(expected)}, {"Situ-Op", entry.op}] ++
+      [{condition_header(subject), Integer.to_string(expected)}, {"Situ-Op", entry.op}] ++
         for({key, value} <- entry.head, do: {"Situ-" <> key, value})
 
-    Api.answer(log, name(subject), headers, entry.data, log.timeout)
+    Api.try_request(log, subject_name(subject), headers, entry.data, log.timeout)
   end
 
-  defp condition({:stream, _}), do: "Nats-Expected-Last-Sequence"
-  defp condition({:key, _}), do: "Nats-Expected-Last-Subject-Sequence"
+  defp condition_header({:stream, _}), do: "Nats-Expected-Last-Sequence"
+  defp condition_header({:key, _}), do: "Nats-Expected-Last-Subject-Sequence"
 
   # Another writer was faster, or this is a repetition of a write whose acknowledgement was lost.
-  defp appended(%{"error" => %{"err_code" => 10_071}}, log, subject, expected, %{op: op}) do
+  defp handle_append_reply(%{"error" => %{"err_code" => 10_071}}, log, subject, expected, %{
+         op: op
+       }) do
     case last(log, subject) do
       {:ok, %Entry{op: ^op, seq: seq}} -> {:ok, seq}
       {:ok, nil} when expected == 0 -> find_last_number(log, subject)
@@ -194,18 +197,19 @@ defmodule Situ.Remote.Log.Nats do
     end
   end
 
-  defp appended(%{"error" => error}, _log, _subject, _expected, _entry),
-    do: {:error, Api.refusal(error)}
+  defp handle_append_reply(%{"error" => error}, _log, _subject, _expected, _entry),
+    do: {:error, Api.server_error(error)}
 
-  defp appended(%{"seq" => seq}, _log, _subject, _expected, _entry) when seq > 0, do: {:ok, seq}
+  defp handle_append_reply(%{"seq" => seq}, _log, _subject, _expected, _entry) when seq > 0,
+    do: {:ok, seq}
 
-  defp appended(_answer, _log, _subject, _expected, _entry),
-    do: {:error, Api.away("the reply is incomplete")}
+  defp handle_append_reply(_answer, _log, _subject, _expected, _entry),
+    do: {:error, Api.away_error("the reply is incomplete")}
 
   # All its entries have expired, so the stream is empty, but its numbers continue.
   defp find_last_number(log, subject) do
     with {:ok, %{"state" => %{"last_seq" => seq}}} when seq > 0 <-
-           Api.info(log, stream(log, subject)) do
+           Api.stream_info(log, stream_name(log, subject)) do
       {:counts_from, seq}
     else
       {:error, error} -> {:error, error}
@@ -213,7 +217,7 @@ defmodule Situ.Remote.Log.Nats do
     end
   end
 
-  defp fits(log, entry) do
+  defp check_size(log, entry) do
     size = :erlang.iolist_size(entry.data)
 
     if size <= limit(log),
@@ -231,27 +235,30 @@ defmodule Situ.Remote.Log.Nats do
   # Asks the leader of the stream, because a replica may not have the entry yet.
   @impl true
   def last(%__MODULE__{} = log, subject),
-    do: get(log, subject, %{"last_by_subj" => name(subject)})
+    do: fetch_message(log, subject, %{"last_by_subj" => subject_name(subject)})
 
   @impl true
   def first(%__MODULE__{} = log, subject, from),
-    do: get(log, subject, %{"seq" => from, "next_by_subj" => name(subject)})
+    do: fetch_message(log, subject, %{"seq" => from, "next_by_subj" => subject_name(subject)})
 
-  defp get(log, subject, question) do
+  defp fetch_message(log, subject, question) do
     body = JSON.encode(question)
 
     with :ok <- prepare_once(log),
          {:ok, answer} <-
-           Api.ask(log, log.api <> "STREAM.MSG.GET." <> stream(log, subject), body),
-         do: message(answer)
+           Api.request_json(log, log.api <> "STREAM.MSG.GET." <> stream_name(log, subject), body),
+         do: decode_reply(answer)
   end
 
-  defp message(%{"message" => message}), do: decoded(message)
-  defp message(%{"error" => %{"err_code" => code}}) when code in [10_037, 10_059], do: {:ok, nil}
-  defp message(%{"error" => error}), do: {:error, Api.refusal(error)}
-  defp message(_other), do: {:error, Api.away("the reply is incomplete")}
+  defp decode_reply(%{"message" => message}), do: decode_message(message)
 
-  defp decoded(message) do
+  defp decode_reply(%{"error" => %{"err_code" => code}}) when code in [10_037, 10_059],
+    do: {:ok, nil}
+
+  defp decode_reply(%{"error" => error}), do: {:error, Api.server_error(error)}
+  defp decode_reply(_other), do: {:error, Api.away_error("the reply is incomplete")}
+
+  defp decode_message(message) do
     with {:ok, head} <- Base.decode64(message["hdrs"] || ""),
          {:ok, data} <- Base.decode64(message["data"] || "") do
       headers =
@@ -260,13 +267,13 @@ defmodule Situ.Remote.Log.Nats do
             into: %{},
             do: {key, value}
 
-      {:ok, entry(headers, data, message["seq"])}
+      {:ok, build_entry(headers, data, message["seq"])}
     else
-      _ -> {:error, Api.away("the reply is not valid Base64")}
+      _ -> {:error, Api.away_error("the reply is not valid Base64")}
     end
   end
 
-  defp entry(headers, data, seq) do
+  defp build_entry(headers, data, seq) do
     {op, headers} = Map.pop(headers, "Situ-Op", "")
     head = for {"Situ-" <> key, value} <- headers, into: %{}, do: {key, value}
     %Entry{seq: seq, op: op, head: head, data: data}
@@ -275,49 +282,50 @@ defmodule Situ.Remote.Log.Nats do
   @impl true
   def read(%__MODULE__{} = log, {:stream, _} = subject, 1, most) do
     # The server does not reply to direct reads of a stream that does not exist.
-    case Api.info(log, stream(log, subject)) do
-      {:ok, _info} -> read(log, subject, 1, most, [])
+    case Api.stream_info(log, stream_name(log, subject)) do
+      {:ok, _info} -> read_entries(log, subject, 1, most, [])
       {:error, %Error{code: :no_stream}} -> {:ok, []}
       {:error, error} -> {:error, error}
     end
   end
 
-  def read(%__MODULE__{} = log, subject, from, most), do: read(log, subject, from, most, [])
+  def read(%__MODULE__{} = log, subject, from, most),
+    do: read_entries(log, subject, from, most, [])
 
-  defp read(_log, _subject, _from, 0, entries), do: {:ok, Enum.reverse(entries)}
+  defp read_entries(_log, _subject, _from, 0, entries), do: {:ok, Enum.reverse(entries)}
 
-  defp read(log, subject, from, most, entries) do
-    body = JSON.encode(%{"seq" => from, "next_by_subj" => name(subject)})
-    target = log.api <> "DIRECT.GET." <> stream(log, subject)
+  defp read_entries(log, subject, from, most, entries) do
+    body = JSON.encode(%{"seq" => from, "next_by_subj" => subject_name(subject)})
+    target = log.api <> "DIRECT.GET." <> stream_name(log, subject)
 
     case Connection.request(log.connection, target, [], body, log.timeout) do
       {:ok, %{status: status}} when status in ["404", "408"] ->
         {:ok, Enum.reverse(entries)}
 
       {:ok, %{status: "503"}} ->
-        {:error, Api.away("JetStream is not responding")}
+        {:error, Api.away_error("JetStream is not responding")}
 
       {:ok, %{headers: %{"Nats-Sequence" => seq} = headers, data: data}} ->
-        entry = entry(headers, data, String.to_integer(seq))
-        read(log, subject, entry.seq + 1, most - 1, [entry | entries])
+        entry = build_entry(headers, data, String.to_integer(seq))
+        read_entries(log, subject, entry.seq + 1, most - 1, [entry | entries])
 
       {:ok, _other} ->
-        {:error, Api.away("the reply is incomplete")}
+        {:error, Api.away_error("the reply is incomplete")}
 
       {:error, reason} ->
-        {:error, Api.away(reason)}
+        {:error, Api.away_error(reason)}
     end
   end
 
   @impl true
   def trim(%__MODULE__{} = log, subject, seq) do
     with {:ok, %Entry{} = last} <- last(log, subject) do
-      body = JSON.encode(Map.put(filter(subject), "seq", min(seq, last.seq)))
+      body = JSON.encode(Map.put(purge_filter(subject), "seq", min(seq, last.seq)))
 
-      case Api.ask(log, log.api <> "STREAM.PURGE." <> stream(log, subject), body) do
+      case Api.request_json(log, log.api <> "STREAM.PURGE." <> stream_name(log, subject), body) do
         {:ok, %{"success" => true}} -> :ok
-        {:ok, %{"error" => error}} -> {:error, Api.refusal(error)}
-        {:ok, _} -> {:error, Api.away("the reply is incomplete")}
+        {:ok, %{"error" => error}} -> {:error, Api.server_error(error)}
+        {:ok, _} -> {:error, Api.away_error("the reply is incomplete")}
         {:error, error} -> {:error, error}
       end
     else
@@ -326,22 +334,23 @@ defmodule Situ.Remote.Log.Nats do
     end
   end
 
-  defp filter({:stream, _}), do: %{}
-  defp filter(subject), do: %{"filter" => name(subject)}
+  defp purge_filter({:stream, _}), do: %{}
+  defp purge_filter(subject), do: %{"filter" => subject_name(subject)}
 
   @impl true
-  def subjects(%__MODULE__{} = log), do: Kept.all(log, log.stream <> "_S_", log.stream <> "_KEYS")
+  def subjects(%__MODULE__{} = log),
+    do: Kept.list_subjects(log, log.stream <> "_S_", log.stream <> "_KEYS")
 
   @impl true
   def delete(%__MODULE__{} = log, {:stream, _} = subject),
-    do: Kept.delete(log, stream(log, subject))
+    do: Kept.delete_stream(log, stream_name(log, subject))
 
   def delete(%__MODULE__{} = log, subject),
-    do: Kept.purge(log, stream(log, subject), name(subject))
+    do: Kept.purge_subject(log, stream_name(log, subject), subject_name(subject))
 
   @impl true
   def limit(%__MODULE__{} = log) do
-    payload = (Connection.info(log.connection) || %{})["max_payload"] || 1_048_576
+    payload = (Connection.server_info(log.connection) || %{})["max_payload"] || 1_048_576
     max(payload - @reserve, 1_024)
   end
 
@@ -352,18 +361,20 @@ defmodule Situ.Remote.Log.Nats do
     :exit, _ -> :ok
   end
 
-  defp stream(log, {:stream, name}), do: log.stream <> "_S_" <> short(token(name))
-  defp stream(log, {:key, _}), do: log.stream <> "_KEYS"
+  defp stream_name(log, {:stream, name}),
+    do: log.stream <> "_S_" <> shorten_token(encode_token(name))
+
+  defp stream_name(log, {:key, _}), do: log.stream <> "_KEYS"
 
   # A name becomes a single token, so that its characters cannot change the structure of the subject.
-  defp name({:stream, name}), do: "situ.s." <> token(name)
-  defp name({:key, name}), do: "situ.k." <> token(name)
+  defp subject_name({:stream, name}), do: "situ.s." <> encode_token(name)
+  defp subject_name({:key, name}), do: "situ.k." <> encode_token(name)
 
   # The name of a JetStream stream is also a folder name, limited to 255 characters.
-  defp short(token) when byte_size(token) <= 200, do: String.replace(token, "%", "=")
-  defp short(token), do: Base.encode16(:crypto.hash(:sha256, token), case: :lower)
+  defp shorten_token(token) when byte_size(token) <= 200, do: String.replace(token, "%", "=")
+  defp shorten_token(token), do: Base.encode16(:crypto.hash(:sha256, token), case: :lower)
 
-  defp token(name) do
+  defp encode_token(name) do
     URI.encode(name, fn c -> c in ?a..?z or c in ?A..?Z or c in ?0..?9 or c in [?_, ?-] end)
   end
 end

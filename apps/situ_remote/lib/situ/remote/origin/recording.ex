@@ -30,9 +30,9 @@ defmodule Situ.Remote.Origin.Recording do
   def open({:series, root, name}) do
     state = %__MODULE__{series: {root, name}}
 
-    case Versions.newest(root, name) do
+    case Versions.newest_version(root, name) do
       {version, path} ->
-        with {:ok, store} <- Reading.open(path), do: {:ok, at(state, version, store)}
+        with {:ok, store} <- Reading.open(path), do: {:ok, set_version(state, version, store)}
 
       nil ->
         {:ok, state}
@@ -45,31 +45,33 @@ defmodule Situ.Remote.Origin.Recording do
   def version({:live, root, name}, version), do: version({:series, root, name}, version)
 
   def version({:series, root, name}, version) do
-    with path when path != nil <- Versions.path(root, name, version),
+    with path when path != nil <- Versions.version_path(root, name, version),
          {:ok, store} <- Reading.open(path),
          do: {:ok, {:store, store}},
          else: (_ -> :error)
   end
 
-  defp at(state, version, store),
+  defp set_version(state, version, store),
     do: %{state | version: version, store: store, known: 0, awaiting: :no, catalog: -1}
 
   @impl true
   def streams(%{store: nil} = state), do: {:same, state}
 
   def streams(state) do
-    case records(state.store) do
+    case count_records(state.store) do
       n when n == state.catalog and n != nil ->
         {:same, state}
 
       n ->
-        entries = for info <- Reading.streams(state.store), do: entry(info)
+        entries = for info <- Reading.streams(state.store), do: catalog_entry(info)
         {entries, %{state | catalog: n}}
     end
   end
 
-  defp entry(%{module: nil} = info), do: %{name: info.name, type: TypeName.write(info.type)}
-  defp entry(info), do: %{name: info.name, type: info.type_name}
+  defp catalog_entry(%{module: nil} = info),
+    do: %{name: info.name, type: TypeName.format_type(info.type)}
+
+  defp catalog_entry(info), do: %{name: info.name, type: info.type_name}
 
   @impl true
   def store(%{store: nil, series: {_, name}}, _version),
@@ -82,7 +84,7 @@ defmodule Situ.Remote.Origin.Recording do
   def store(%{store: store}, nil), do: {:ok, store}
 
   def store(%{series: {root, name}}, version) when is_integer(version) do
-    case Versions.path(root, name, version) do
+    case Versions.version_path(root, name, version) do
       nil -> {:error, Error.new(:no_store, "version #{version} of #{name} no longer exists")}
       path -> Reading.open(path)
     end
@@ -92,8 +94,10 @@ defmodule Situ.Remote.Origin.Recording do
     do: {:error, Error.new(:bad_request, "invalid version: #{inspect(version, limit: 5)}")}
 
   # Stream 0 has a record for each new stream and for each end of a stream.
-  defp records(%{module: Local} = store), do: Reading.count(store, %StreamInfo{id: 0, name: ""})
-  defp records(_foreign), do: 0
+  defp count_records(%{module: Local} = store),
+    do: Reading.count(store, %StreamInfo{id: 0, name: ""})
+
+  defp count_records(_foreign), do: 0
 
   @impl true
   def cursor(%{store: nil}, _name, _from), do: :unknown
@@ -103,8 +107,8 @@ defmodule Situ.Remote.Origin.Recording do
 
   def cursor(state, name, from) when from in [:now, :start] do
     case Reading.stream_info(state.store, name) do
-      {:ok, info} when from == :start -> {:ok, place(state, info, 0), @before_all}
-      {:ok, info} -> {:ok, place(state, info, info.count), last(state, name)}
+      {:ok, info} when from == :start -> {:ok, build_cursor(state, info, 0), @before_all}
+      {:ok, info} -> {:ok, build_cursor(state, info, info.count), last_time(state, name)}
       {:error, _} -> :unknown
     end
   end
@@ -113,47 +117,48 @@ defmodule Situ.Remote.Origin.Recording do
 
   def cursor(%{series: nil} = state, name, {:at, time}) do
     with {:ok, info} <- Reading.stream_info(state.store, name),
-         {:ok, ordinal} <- Reading.seek(state.store, info, time) do
-      {:ok, place(state, info, ordinal), time - 1}
+         {:ok, ordinal} <- Reading.seek_ordinal(state.store, info, time) do
+      {:ok, build_cursor(state, info, ordinal), time - 1}
     else
       {:error, _} -> :unknown
     end
   end
 
   def cursor(%{series: {root, name}} = state, stream, {:at, time}) do
-    case Versions.holding(root, name, stream, time) do
+    case Versions.find_containing(root, name, stream, time) do
       {version, store, info} ->
-        {:ok, ordinal} = Reading.seek(store, info, time)
-        {:ok, place(%{state | version: version, store: store}, info, ordinal), time - 1}
+        {:ok, ordinal} = Reading.seek_ordinal(store, info, time)
+        {:ok, build_cursor(%{state | version: version, store: store}, info, ordinal), time - 1}
 
       nil ->
         :unknown
     end
   end
 
-  defp place(state, info, ordinal),
+  defp build_cursor(state, info, ordinal),
     do: %{version: state.version, store: state.store, info: info, ordinal: ordinal, last: nil}
 
   # Uses the newest version in which the stream has messages.
-  defp last(%{series: nil} = state, name), do: last_of(Reading.stream_info(state.store, name))
+  defp last_time(%{series: nil} = state, name),
+    do: last_or_before_all(Reading.stream_info(state.store, name))
 
-  defp last(%{series: {root, name}}, stream) do
+  defp last_time(%{series: {root, name}}, stream) do
     case Versions.with_messages(root, name, stream) do
       nil -> @before_all
       {_version, _store, info} -> info.last
     end
   end
 
-  defp last_of({:ok, %{last: last}}) when last != nil, do: last
-  defp last_of(_), do: @before_all
+  defp last_or_before_all({:ok, %{last: last}}) when last != nil, do: last
+  defp last_or_before_all(_), do: @before_all
 
   @impl true
   def read(state, cursor) do
-    case Reading.batch(cursor.store, cursor.info, cursor.ordinal, :unbounded, @messages,
+    case Reading.read_batch(cursor.store, cursor.info, cursor.ordinal, :unbounded, @messages,
            skip_damage: true
          ) do
       {:ok, [], ordinal} ->
-        behind(state, %{cursor | ordinal: ordinal})
+        read_next_version(state, %{cursor | ordinal: ordinal})
 
       {:ok, messages, ordinal} ->
         last = List.last(messages).originating_time
@@ -165,22 +170,23 @@ defmodule Situ.Remote.Origin.Recording do
   end
 
   # The cursor is at the end of its version: a later version continues the stream, it has ended, or more will arrive.
-  defp behind(%{series: nil} = state, cursor), do: ended(state, cursor, current(cursor))
+  defp read_next_version(%{series: nil} = state, cursor),
+    do: check_end(state, cursor, current_info(cursor))
 
-  defp behind(%{series: {root, name}} = state, cursor) do
-    case state.version > cursor.version && Versions.next(root, name, cursor) do
+  defp read_next_version(%{series: {root, name}} = state, cursor) do
+    case state.version > cursor.version && Versions.find_next(root, name, cursor) do
       {version, store, info} ->
         {:ok, ordinal} =
-          if cursor.last, do: Reading.seek(store, info, cursor.last + 1), else: {:ok, 0}
+          if cursor.last, do: Reading.seek_ordinal(store, info, cursor.last + 1), else: {:ok, 0}
 
         read(state, %{cursor | version: version, store: store, info: info, ordinal: ordinal})
 
       _ ->
-        ended(state, cursor, current(cursor))
+        check_end(state, cursor, current_info(cursor))
     end
   end
 
-  defp current(%{store: store, info: info}) do
+  defp current_info(%{store: store, info: info}) do
     case Reading.stream_info(store, info.name) do
       {:ok, info} -> info
       {:error, _} -> info
@@ -188,7 +194,7 @@ defmodule Situ.Remote.Origin.Recording do
   end
 
   # If a killed writer left a recording open, a later version may continue it.
-  defp ended(state, cursor, info) do
+  defp check_end(state, cursor, info) do
     newest? = cursor.version == state.version
     whole? = cursor.ordinal >= info.count
 
@@ -202,20 +208,20 @@ defmodule Situ.Remote.Origin.Recording do
 
   @impl true
   def skip(_state, cursor, %{max_queue: n}, _now) when is_integer(n) do
-    forward(cursor, Reading.count(cursor.store, cursor.info) - n)
+    advance_cursor(cursor, Reading.count(cursor.store, cursor.info) - n)
   end
 
   def skip(_state, cursor, %{max_latency: d}, now) when is_integer(d) do
-    {:ok, ordinal} = Reading.seek(cursor.store, cursor.info, now - d)
-    forward(cursor, ordinal)
+    {:ok, ordinal} = Reading.seek_ordinal(cursor.store, cursor.info, now - d)
+    advance_cursor(cursor, ordinal)
   end
 
   def skip(_state, cursor, _lossless, _now), do: {0, cursor}
 
-  defp forward(%{ordinal: ordinal} = cursor, to) when to > ordinal,
+  defp advance_cursor(%{ordinal: ordinal} = cursor, to) when to > ordinal,
     do: {to - ordinal, %{cursor | ordinal: to}}
 
-  defp forward(cursor, _to), do: {0, cursor}
+  defp advance_cursor(cursor, _to), do: {0, cursor}
 
   # The tag contains the version, so that a late notice about an older version is ignored. A version that has ended is
   # complete, and no notice about it is awaited.
@@ -241,10 +247,10 @@ defmodule Situ.Remote.Origin.Recording do
   def look(%{series: nil} = state), do: {state.awaiting == :no, state}
 
   def look(%{series: {root, name}} = state) do
-    case Versions.newest(root, name) do
+    case Versions.newest_version(root, name) do
       {version, path} when state.store == nil or version > state.version ->
         case Reading.open(path) do
-          {:ok, store} -> {true, at(state, version, store)}
+          {:ok, store} -> {true, set_version(state, version, store)}
           {:error, _unfinished} -> {false, state}
         end
 

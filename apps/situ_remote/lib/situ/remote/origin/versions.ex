@@ -5,21 +5,22 @@ defmodule Situ.Remote.Origin.Versions do
 
   @type found :: {non_neg_integer(), Handle.t(), StreamInfo.t()}
 
-  @spec newest(Path.t(), String.t()) :: {non_neg_integer(), Path.t()} | nil
-  def newest(root, name) do
-    with path when path != nil <- Folder.newest(name, root), do: {Folder.version(path), path}
+  @spec newest_version(Path.t(), String.t()) :: {non_neg_integer(), Path.t()} | nil
+  def newest_version(root, name) do
+    with path when path != nil <- Folder.newest_version(name, root),
+         do: {Folder.version_number(path), path}
   end
 
   @doc "Returns the path of a version, or `nil` if it does not exist."
-  @spec path(Path.t(), String.t(), non_neg_integer()) :: Path.t() | nil
-  def path(root, name, version),
-    do: Enum.find_value(paths(root, name), fn {v, path} -> v == version && path end)
+  @spec version_path(Path.t(), String.t(), non_neg_integer()) :: Path.t() | nil
+  def version_path(root, name, version),
+    do: Enum.find_value(version_paths(root, name), fn {v, path} -> v == version && path end)
 
   @doc "Finds the newest version whose `stream` begins at or before `time`, or else the oldest that has the stream."
-  @spec holding(Path.t(), String.t(), String.t(), Situ.Time.t()) :: found() | nil
-  def holding(root, name, stream, time) do
+  @spec find_containing(Path.t(), String.t(), String.t(), Situ.Time.t()) :: found() | nil
+  def find_containing(root, name, stream, time) do
     root
-    |> having(name, stream, :desc)
+    |> versions_with_stream(name, stream, :desc)
     |> Enum.reduce_while(nil, fn {_, _, info} = found, _oldest ->
       if info.first != nil and info.first <= time, do: {:halt, found}, else: {:cont, found}
     end)
@@ -28,15 +29,21 @@ defmodule Situ.Remote.Origin.Versions do
   @doc "Finds the newest version in which `stream` has messages."
   @spec with_messages(Path.t(), String.t(), String.t()) :: found() | nil
   def with_messages(root, name, stream),
-    do: root |> having(name, stream, :desc) |> Enum.find(fn {_, _, info} -> info.count > 0 end)
+    do:
+      root
+      |> versions_with_stream(name, stream, :desc)
+      |> Enum.find(fn {_, _, info} -> info.count > 0 end)
 
   @doc """
   Finds the version that continues the stream of a cursor which has read all of its version. A version still being
   written, such as a segment of a recording, is left only when the stream has begun in a later one.
   """
-  @spec next(Path.t(), String.t(), map()) :: found() | nil
-  def next(root, name, %{version: version, store: store, info: %{name: stream}}) do
-    later = root |> having(name, stream, :asc) |> Stream.filter(fn {v, _, _} -> v > version end)
+  @spec find_next(Path.t(), String.t(), map()) :: found() | nil
+  def find_next(root, name, %{version: version, store: store, info: %{name: stream}}) do
+    later =
+      root
+      |> versions_with_stream(name, stream, :asc)
+      |> Stream.filter(fn {v, _, _} -> v > version end)
 
     case Enum.find(later, fn {_, _, info} -> info.count > 0 end) do
       nil -> if Reading.live?(store), do: nil, else: later |> Enum.to_list() |> List.last()
@@ -44,9 +51,9 @@ defmodule Situ.Remote.Origin.Versions do
     end
   end
 
-  defp having(root, name, stream, order) do
+  defp versions_with_stream(root, name, stream, order) do
     root
-    |> paths(name)
+    |> version_paths(name)
     |> Enum.sort(order)
     |> Stream.flat_map(fn {version, path} ->
       with {:ok, store} <- Reading.open(path),
@@ -59,13 +66,13 @@ defmodule Situ.Remote.Origin.Versions do
     end)
   end
 
-  defp paths(root, name) do
+  defp version_paths(root, name) do
     case File.ls(root) do
       {:ok, entries} ->
         for entry <- entries,
             path = Path.join(root, entry),
-            version = Folder.version(path),
-            Folder.name(path) == name,
+            version = Folder.version_number(path),
+            Folder.store_name(path) == name,
             do: {version, path}
 
       {:error, _} ->

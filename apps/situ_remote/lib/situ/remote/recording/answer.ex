@@ -12,9 +12,9 @@ defmodule Situ.Remote.Recording.Answer do
   @numbers [:id, :count, :size, :stored, :latency_sum]
   @times [:opened, :closed, :first, :last, :first_creation, :last_creation]
 
-  @spec info(binary()) :: answer(map())
-  def info(body) do
-    with {:ok, %{name: name, live?: live?, closed?: closed?} = info} <- term(body),
+  @spec decode_info(binary()) :: answer(map())
+  def decode_info(body) do
+    with {:ok, %{name: name, live?: live?, closed?: closed?} = info} <- decode_term(body),
          true <- is_binary(name) and is_boolean(live?) and is_boolean(closed?),
          true <- info[:version] == nil or is_integer(info[:version]) do
       {:ok, Map.put(info, :damage, List.wrap(info[:damage]))}
@@ -23,38 +23,41 @@ defmodule Situ.Remote.Recording.Answer do
     end
   end
 
-  @spec streams(binary(), String.t()) :: answer([StreamInfo.t()])
-  def streams(body, where) do
-    with {:ok, list} when is_list(list) <- term(body), true <- Enum.all?(list, &stream?/1) do
-      {:ok, for(map <- list, do: stream(map, where))}
+  @spec decode_streams(binary(), String.t()) :: answer([StreamInfo.t()])
+  def decode_streams(body, where) do
+    with {:ok, list} when is_list(list) <- decode_term(body),
+         true <- Enum.all?(list, &valid_stream?/1) do
+      {:ok, for(map <- list, do: build_stream_info(map, where))}
     else
       _ -> :error
     end
   end
 
-  defp stream?(%{name: name, type_name: type} = map) do
+  defp valid_stream?(%{name: name, type_name: type} = map) do
     is_binary(name) and is_binary(type) and Enum.all?(@numbers, &is_number(map[&1])) and
       Enum.all?(@times, &(map[&1] == nil or is_integer(map[&1]))) and is_map(map[:codecs]) and
       match?(s when s == nil or tuple_size(s) == 2, map[:supplemental])
   end
 
-  defp stream?(_other), do: false
+  defp valid_stream?(_other), do: false
 
-  defp stream(map, where) do
+  defp build_stream_info(map, where) do
     info = struct!(StreamInfo, Map.take(map, @fields))
-    type = with {:ok, type} <- TypeName.read(info.type_name), do: type, else: (_ -> :any)
+    type = with {:ok, type} <- TypeName.parse_type(info.type_name), do: type, else: (_ -> :any)
     %{info | type: type, store_path: where}
   end
 
-  @spec number(binary()) :: answer(non_neg_integer())
-  def number(body) do
-    with {:ok, n} when is_integer(n) and n >= 0 <- term(body), do: {:ok, n}, else: (_ -> :error)
+  @spec decode_number(binary()) :: answer(non_neg_integer())
+  def decode_number(body) do
+    with {:ok, n} when is_integer(n) and n >= 0 <- decode_term(body),
+         do: {:ok, n},
+         else: (_ -> :error)
   end
 
-  @spec summary(binary()) :: answer({pos_integer(), [tuple()]})
-  def summary(body) do
+  @spec decode_summary(binary()) :: answer({pos_integer(), [tuple()]})
+  def decode_summary(body) do
     with {:ok, {width, bins}} when is_integer(width) and width > 0 and is_list(bins) <-
-           term(body),
+           decode_term(body),
          true <-
            Enum.all?(bins, &match?({s, _, _, _, n} when is_integer(s) and is_integer(n), &1)) do
       {:ok, {width, bins}}
@@ -63,9 +66,9 @@ defmodule Situ.Remote.Recording.Answer do
     end
   end
 
-  @spec tracks(binary()) :: answer({[tuple()], [tuple()]})
-  def tracks(body) do
-    with {:ok, {counts, tracks}} when is_list(counts) and is_list(tracks) <- term(body),
+  @spec decode_tracks(binary()) :: answer({[tuple()], [tuple()]})
+  def decode_tracks(body) do
+    with {:ok, {counts, tracks}} when is_list(counts) and is_list(tracks) <- decode_term(body),
          true <- Enum.all?(counts, &match?({s, n} when is_integer(s) and is_integer(n), &1)),
          true <-
            Enum.all?(
@@ -78,50 +81,51 @@ defmodule Situ.Remote.Recording.Answer do
     end
   end
 
-  @spec spans(binary()) :: answer([{Situ.Time.t(), Situ.Time.t()}])
-  def spans(body), do: list(body, &match?({a, b} when is_integer(a) and is_integer(b), &1))
+  @spec decode_spans(binary()) :: answer([{Situ.Time.t(), Situ.Time.t()}])
+  def decode_spans(body),
+    do: decode_list(body, &match?({a, b} when is_integer(a) and is_integer(b), &1))
 
-  @spec texts(binary()) :: answer([String.t()])
-  def texts(body), do: list(body, &is_binary/1)
+  @spec decode_strings(binary()) :: answer([String.t()])
+  def decode_strings(body), do: decode_list(body, &is_binary/1)
 
-  defp list(body, good?) do
-    with {:ok, list} when is_list(list) <- term(body), true <- Enum.all?(list, good?) do
+  defp decode_list(body, good?) do
+    with {:ok, list} when is_list(list) <- decode_term(body), true <- Enum.all?(list, good?) do
       {:ok, list}
     else
       _ -> :error
     end
   end
 
-  @spec news(binary()) :: answer({:published | :ended, non_neg_integer()})
-  def news(body) do
-    with {:ok, {kind, n}} when kind in [:published, :ended] and is_integer(n) <- term(body) do
+  @spec decode_news(binary()) :: answer({:published | :ended, non_neg_integer()})
+  def decode_news(body) do
+    with {:ok, {kind, n}} when kind in [:published, :ended] and is_integer(n) <- decode_term(body) do
       {:ok, {kind, n}}
     else
       _ -> :error
     end
   end
 
-  @spec messages(binary(), integer()) :: answer({[Message.t()], non_neg_integer()})
-  def messages(<<next::64, batches::binary>>, id) do
-    with {:ok, messages} <- batches(batches, []) do
+  @spec decode_messages(binary(), integer()) :: answer({[Message.t()], non_neg_integer()})
+  def decode_messages(<<next::64, batches::binary>>, id) do
+    with {:ok, messages} <- decode_batches(batches, []) do
       {:ok, {for(%Message{} = message <- messages, do: %{message | source_id: id}), next}}
     end
   end
 
-  def messages(_body, _id), do: :error
+  def decode_messages(_body, _id), do: :error
 
-  defp batches(<<>>, lists), do: {:ok, lists |> Enum.reverse() |> Enum.concat()}
+  defp decode_batches(<<>>, lists), do: {:ok, lists |> Enum.reverse() |> Enum.concat()}
 
-  defp batches(<<size::32, payload::binary-size(size), rest::binary>>, lists) do
+  defp decode_batches(<<size::32, payload::binary-size(size), rest::binary>>, lists) do
     case Batch.decode(payload) do
-      {:ok, messages} -> batches(rest, [messages | lists])
+      {:ok, messages} -> decode_batches(rest, [messages | lists])
       {:error, _} -> :error
     end
   end
 
-  defp batches(_cut, _lists), do: :error
+  defp decode_batches(_cut, _lists), do: :error
 
-  defp term(body) do
+  defp decode_term(body) do
     with {:error, _} <- Terms.decode(body), do: :error
   end
 end

@@ -29,8 +29,8 @@ defmodule Situ.Remote.Recording.Client do
     next: 1
   ]
 
-  @spec children() :: [Supervisor.child_spec() | {module(), keyword()}]
-  def children do
+  @spec child_specs() :: [Supervisor.child_spec() | {module(), keyword()}]
+  def child_specs do
     [
       {Registry, keys: :unique, name: @registry},
       {DynamicSupervisor, name: @supervisor, strategy: :one_for_one}
@@ -38,27 +38,27 @@ defmodule Situ.Remote.Recording.Client do
   end
 
   @doc "Sends a request and returns the body of the reply. Errors: the server's own, `:unreachable`, `:link_lost` ..."
-  @spec ask(Address.t(), Access.t(), map()) :: {:ok, binary()} | {:error, Error.t()}
-  def ask(address, access, asked), do: call(address, access, {:ask, asked})
+  @spec fetch_reply(Address.t(), Access.t(), map()) :: {:ok, binary()} | {:error, Error.t()}
+  def fetch_reply(address, access, asked), do: call_client(address, access, {:ask, asked})
 
   @doc "Sends `{:situ_store, tag, news}` to `pid` once there is news. It survives the loss of the link."
-  @spec await(Address.t(), Access.t(), map(), {pid(), non_neg_integer()}) :: :ok
-  def await(address, access, asked, to) do
-    {:ok, pid} = find(address, access)
+  @spec await_news(Address.t(), Access.t(), map(), {pid(), non_neg_integer()}) :: :ok
+  def await_news(address, access, asked, to) do
+    {:ok, pid} = find_or_start(address, access)
     GenServer.cast(pid, {:await, asked, to})
   end
 
-  defp call(address, access, question, tries \\ 3) do
-    {:ok, pid} = find(address, access)
+  defp call_client(address, access, question, tries \\ 3) do
+    {:ok, pid} = find_or_start(address, access)
     GenServer.call(pid, question, :infinity)
   catch
     # The process was ending because it was idle, so the call starts a new one.
     :exit, {reason, _} when reason in [:normal, :noproc] and tries > 1 ->
-      call(address, access, question, tries - 1)
+      call_client(address, access, question, tries - 1)
   end
 
-  defp find(address, access) do
-    key = {address, %{access | token: Handshake.hide(access.token)}}
+  defp find_or_start(address, access) do
+    key = {address, %{access | token: Handshake.hide_token(access.token)}}
 
     case Registry.whereis_name({@registry, key}) do
       :undefined ->
@@ -83,145 +83,158 @@ defmodule Situ.Remote.Recording.Client do
   end
 
   @impl true
-  def handle_call({:ask, asked}, from, state), do: {:noreply, begin(state, {:call, from, asked})}
+  def handle_call({:ask, asked}, from, state),
+    do: {:noreply, begin_request(state, {:call, from, asked})}
 
   @impl true
   def handle_cast({:await, asked, {pid, _} = to}, state) do
     Process.monitor(pid)
-    {:noreply, begin(state, {:await, asked, to})}
+    {:noreply, begin_request(state, {:await, asked, to})}
   end
 
   # Sends the request if there is a connection. Otherwise it is queued, and the connection is opened first.
-  defp begin(%{socket: nil} = state, question),
-    do: dial(%{state | queued: [question | state.queued]})
+  defp begin_request(%{socket: nil} = state, question),
+    do: start_dialer(%{state | queued: [question | state.queued]})
 
-  defp begin(state, question) do
+  defp begin_request(state, question) do
     id = state.next
-    frame = {:request, id, asked(question)}
+    frame = {:request, id, request_map(question)}
     timer = Process.send_after(self(), {:late, id}, @answer_ms)
     _ = Socket.send(state.socket, Frame.encode(frame))
     under_way = Map.put(state.under_way, id, {question, timer})
     %{state | next: rem(id, 0x7FFFFFFF) + 1, under_way: under_way}
   end
 
-  defp asked({:call, _from, asked}), do: asked
-  defp asked({:await, asked, _to}), do: asked
+  defp request_map({:call, _from, asked}), do: asked
+  defp request_map({:await, asked, _to}), do: asked
 
-  defp dial(%{dialer: nil} = state) do
-    %{state | dialer: Dialing.start(state.address, state.access)}
+  defp start_dialer(%{dialer: nil} = state) do
+    %{state | dialer: Dialing.start_dialer(state.address, state.access)}
   end
 
-  defp dial(state), do: state
+  defp start_dialer(state), do: state
 
   @impl true
   def handle_info({:dialed, dialer, {:ok, socket, _welcome}}, %{dialer: dialer} = state) do
-    case Socket.open_up(socket, Dialing.most_bytes()) do
+    case Socket.enable_frames(socket, Dialing.most_bytes()) do
       :ok ->
         queued = Enum.reverse(state.queued)
         state = %{state | socket: socket, dialer: nil, queued: []}
-        rest(Enum.reduce(queued, state, &begin(&2, &1)))
+        noreply_or_idle(Enum.reduce(queued, state, &begin_request(&2, &1)))
 
       {:error, reason} ->
-        failed(%{state | socket: socket}, Socket.reason_text(reason))
+        handle_link_loss(%{state | socket: socket}, Socket.reason_text(reason))
     end
   end
 
   def handle_info({:dialed, dialer, {:error, error}}, %{dialer: dialer} = state) do
     {waiting, others} = Enum.split_with(state.queued, &match?({:await, _, _}, &1))
-    for question <- others, do: answer(question, {:error, error})
-    rest(wait(%{state | dialer: nil, queued: waiting}))
+    for question <- others, do: deliver_result(question, {:error, error})
+    noreply_or_idle(schedule_reconnect(%{state | dialer: nil, queued: waiting}))
   end
 
-  def handle_info(:dial, %{socket: nil} = state), do: {:noreply, dial(state)}
+  def handle_info(:dial, %{socket: nil} = state), do: {:noreply, start_dialer(state)}
 
   def handle_info({kind, socket, body}, %{socket: {_, socket}} = state)
       when kind in [:tcp, :ssl] do
-    _ = Socket.once(state.socket)
+    _ = Socket.activate_once(state.socket)
 
     case Frame.decode(body) do
-      {:ok, {:reply, id, piece}} -> rest(piece(state, id, piece))
-      {:ok, {:refused, map}} -> failed(state, map |> Handshake.from_map() |> Exception.message())
+      {:ok, {:reply, id, piece}} ->
+        noreply_or_idle(handle_reply_part(state, id, piece))
+
+      {:ok, {:refused, map}} ->
+        handle_link_loss(state, map |> Handshake.error_from_map() |> Exception.message())
+
       # The server also sends the catalogue, which is not needed here.
-      {:ok, _other} -> rest(state)
-      {:error, why} -> failed(state, why)
+      {:ok, _other} ->
+        noreply_or_idle(state)
+
+      {:error, why} ->
+        handle_link_loss(state, why)
     end
   end
 
   def handle_info({kind, socket}, %{socket: {_, socket}} = state)
       when kind in [:tcp_closed, :ssl_closed],
-      do: failed(state, "the other side closed the connection")
+      do: handle_link_loss(state, "the other side closed the connection")
 
   def handle_info({kind, socket, reason}, %{socket: {_, socket}} = state)
       when kind in [:tcp_error, :ssl_error],
-      do: failed(state, Socket.reason_text(reason))
+      do: handle_link_loss(state, Socket.reason_text(reason))
 
   # Only calls time out. A request that awaits news may take any time.
   def handle_info({:late, id}, state) do
     case state.under_way do
       %{^id => {{:call, _, _}, _}} ->
-        failed(state, "no reply within #{div(@answer_ms, 1_000)} s")
+        handle_link_loss(state, "no reply within #{div(@answer_ms, 1_000)} s")
 
       _ ->
-        rest(state)
+        noreply_or_idle(state)
     end
   end
 
   def handle_info({:DOWN, _, :process, pid, _}, state) do
     mine? = &match?({:await, _, {^pid, _}}, &1)
     under_way = Map.reject(state.under_way, fn {_, {question, _}} -> mine?.(question) end)
-    rest(%{state | under_way: under_way, queued: Enum.reject(state.queued, mine?)})
+    noreply_or_idle(%{state | under_way: under_way, queued: Enum.reject(state.queued, mine?)})
   end
 
   def handle_info(:timeout, %{under_way: under_way, queued: []} = state)
       when map_size(under_way) == 0,
       do: {:stop, :normal, state}
 
-  def handle_info(_other, state), do: rest(state)
+  def handle_info(_other, state), do: noreply_or_idle(state)
 
   # When no request is pending, the idle timeout begins.
-  defp rest(%{under_way: under_way, queued: [], dialer: nil} = state)
+  defp noreply_or_idle(%{under_way: under_way, queued: [], dialer: nil} = state)
        when map_size(under_way) == 0,
        do: {:noreply, state, @idle_ms}
 
-  defp rest(state), do: {:noreply, state}
+  defp noreply_or_idle(state), do: {:noreply, state}
 
-  defp piece(state, id, <<0, bytes::binary>>) when is_map_key(state.under_way, id) do
+  defp handle_reply_part(state, id, <<0, bytes::binary>>) when is_map_key(state.under_way, id) do
     {size, parts} = Map.get(state.parts, id, {0, []})
     size = size + byte_size(bytes)
 
     if size > @most_answer,
-      do: whole(state, id, {:error, Error.new(:bad_reply, "the reply is larger than 1 GiB")}),
+      do:
+        finish_request(
+          state,
+          id,
+          {:error, Error.new(:bad_reply, "the reply is larger than 1 GiB")}
+        ),
       else: %{state | parts: Map.put(state.parts, id, {size, [parts, bytes]})}
   end
 
-  defp piece(state, id, <<1, bytes::binary>>) when is_map_key(state.under_way, id) do
+  defp handle_reply_part(state, id, <<1, bytes::binary>>) when is_map_key(state.under_way, id) do
     body =
       case state.parts do
         %{^id => {_, parts}} -> IO.iodata_to_binary([parts, bytes])
         _ -> bytes
       end
 
-    whole(state, id, {:ok, body})
+    finish_request(state, id, {:ok, body})
   end
 
-  defp piece(state, id, <<2, json::binary>>) when is_map_key(state.under_way, id) do
+  defp handle_reply_part(state, id, <<2, json::binary>>) when is_map_key(state.under_way, id) do
     map = with {:ok, %{} = map} <- JSON.decode(json), do: map, else: (_ -> %{})
-    whole(state, id, {:error, Handshake.from_map(map)})
+    finish_request(state, id, {:error, Handshake.error_from_map(map)})
   end
 
-  defp piece(state, _id, _piece), do: state
+  defp handle_reply_part(state, _id, _piece), do: state
 
-  defp whole(state, id, result) do
+  defp finish_request(state, id, result) do
     {{question, timer}, under_way} = Map.pop(state.under_way, id)
     _ = Process.cancel_timer(timer)
-    answer(question, result)
+    deliver_result(question, result)
     %{state | under_way: under_way, parts: Map.delete(state.parts, id)}
   end
 
-  defp answer({:call, from, _asked}, result), do: GenServer.reply(from, result)
+  defp deliver_result({:call, from, _asked}, result), do: GenServer.reply(from, result)
 
-  defp answer({:await, %{"known" => known}, {pid, tag}}, result) do
-    with {:ok, body} <- result, {:ok, news} <- Answer.news(body) do
+  defp deliver_result({:await, %{"known" => known}, {pid, tag}}, result) do
+    with {:ok, body} <- result, {:ok, news} <- Answer.decode_news(body) do
       send(pid, {:situ_store, tag, news})
     else
       # The server no longer has the recording.
@@ -230,7 +243,7 @@ defmodule Situ.Remote.Recording.Client do
   end
 
   # When the link is lost, requests that await news are kept and sent again. All other requests return an error.
-  defp failed(state, why) do
+  defp handle_link_loss(state, why) do
     if state.socket, do: Socket.close(state.socket)
     where = Address.to_string(state.address)
     error = Error.new(:link_lost, "the link to #{where} was lost", why: why)
@@ -242,17 +255,19 @@ defmodule Situ.Remote.Recording.Client do
         if match?({:await, _, _}, question) do
           [question]
         else
-          answer(question, {:error, error})
+          deliver_result(question, {:error, error})
           []
         end
       end)
 
-    rest(wait(%{state | socket: nil, under_way: %{}, parts: %{}, queued: waiting}))
+    noreply_or_idle(
+      schedule_reconnect(%{state | socket: nil, under_way: %{}, parts: %{}, queued: waiting})
+    )
   end
 
-  defp wait(%{queued: []} = state), do: state
+  defp schedule_reconnect(%{queued: []} = state), do: state
 
-  defp wait(state) do
+  defp schedule_reconnect(state) do
     Process.send_after(self(), :dial, @again_ms)
     state
   end

@@ -4,9 +4,9 @@ defmodule Situ.Remote.Rendezvous.Directory do
 
       iex> alias Situ.Remote.Rendezvous.Directory
       iex> robot = %{name: "robot", version: "1", endpoints: []}
-      iex> {[{:add, ^robot}], directory} = Directory.apply(Directory.new(), :a, {:add, robot})
-      iex> {[], directory} = Directory.apply(directory, :b, {:remove, "robot"})
-      iex> {told, _} = Directory.gone(directory, :a)
+      iex> {[{:add, ^robot}], directory} = Directory.apply_update(Directory.new(), :a, {:add, robot})
+      iex> {[], directory} = Directory.apply_update(directory, :b, {:remove, "robot"})
+      iex> {told, _} = Directory.remove_owner(directory, :a)
       iex> told
       [{:remove, "robot"}]
   """
@@ -23,13 +23,13 @@ defmodule Situ.Remote.Rendezvous.Directory do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @spec processes(t()) :: [Wire.process()]
-  def processes(%__MODULE__{processes: processes}),
+  @spec list_processes(t()) :: [Wire.process()]
+  def list_processes(%__MODULE__{processes: processes}),
     do: for({_name, {_owner, process}} <- Enum.sort(processes), do: process)
 
   @doc "Returns the clients that have announced at least one process."
-  @spec owners(t()) :: MapSet.t()
-  def owners(%__MODULE__{processes: processes}),
+  @spec list_owners(t()) :: MapSet.t()
+  def list_owners(%__MODULE__{processes: processes}),
     do: MapSet.new(processes, fn {_name, {owner, _process}} -> owner end)
 
   @doc """
@@ -37,66 +37,67 @@ defmodule Situ.Remote.Rendezvous.Directory do
   different endpoints is sent as a removal and an addition, which every client understands. An update for a name that
   belongs to another client is ignored.
   """
-  @spec apply(t(), term(), Wire.update()) :: {[Wire.update()], t()}
-  def apply(%__MODULE__{} = directory, owner, {:add, %{name: name} = process}) do
+  @spec apply_update(t(), term(), Wire.update()) :: {[Wire.update()], t()}
+  def apply_update(%__MODULE__{} = directory, owner, {:add, %{name: name} = process}) do
     case directory.processes do
       %{^name => {^owner, ^process}} ->
         {[], directory}
 
       %{^name => {^owner, _other}} ->
-        directory = remove(directory, name)
+        directory = remove_process(directory, name)
 
-        if room?(directory, owner, process),
-          do: {[{:remove, name}, {:add, process}], put(directory, owner, process)},
+        if has_room?(directory, owner, process),
+          do: {[{:remove, name}, {:add, process}], put_process(directory, owner, process)},
           else: {[{:remove, name}], directory}
 
       %{^name => _somebody_elses} ->
         {[], directory}
 
       _ ->
-        if room?(directory, owner, process),
-          do: {[{:add, process}], put(directory, owner, process)},
+        if has_room?(directory, owner, process),
+          do: {[{:add, process}], put_process(directory, owner, process)},
           else: {[], directory}
     end
   end
 
-  def apply(%__MODULE__{} = directory, owner, {:remove, name}) do
+  def apply_update(%__MODULE__{} = directory, owner, {:remove, name}) do
     case directory.processes do
-      %{^name => {^owner, _}} -> {[{:remove, name}], remove(directory, name)}
+      %{^name => {^owner, _}} -> {[{:remove, name}], remove_process(directory, name)}
       _ -> {[], directory}
     end
   end
 
-  def apply(%__MODULE__{} = directory, owner, :disconnect), do: gone(directory, owner)
+  def apply_update(%__MODULE__{} = directory, owner, :disconnect),
+    do: remove_owner(directory, owner)
 
-  defp room?(%{processes: processes, bytes: bytes}, owner, process) do
+  defp has_room?(%{processes: processes, bytes: bytes}, owner, process) do
     map_size(processes) < @most and bytes + :erlang.external_size(process) <= @most_bytes and
       Enum.count(processes, fn {_, {whose, _}} -> whose == owner end) < @most_each
   end
 
-  defp put(directory, owner, process) do
+  defp put_process(directory, owner, process) do
     processes = Map.put(directory.processes, process.name, {owner, process})
     bytes = directory.bytes + :erlang.external_size(process)
     %{directory | processes: processes, bytes: bytes}
   end
 
-  defp remove(directory, name) do
+  defp remove_process(directory, name) do
     {{_owner, process}, processes} = Map.pop!(directory.processes, name)
     bytes = directory.bytes - :erlang.external_size(process)
     %{directory | processes: processes, bytes: bytes}
   end
 
   @doc "Removes a client that has left, with all its processes."
-  @spec gone(t(), term()) :: {[Wire.update()], t()}
-  def gone(%__MODULE__{processes: processes} = directory, owner) do
+  @spec remove_owner(t(), term()) :: {[Wire.update()], t()}
+  def remove_owner(%__MODULE__{processes: processes} = directory, owner) do
     names = for {name, {^owner, _}} <- processes, do: name
     told = for name <- Enum.sort(names), do: {:remove, name}
-    {told, Enum.reduce(names, directory, &remove(&2, &1))}
+    {told, Enum.reduce(names, directory, &remove_process(&2, &1))}
   end
 
   @doc "Describes for people that a name is taken: of two processes with the same name, the first counts."
-  @spec taken(String.t()) :: String.t()
-  def taken(name),
+  @spec name_taken_text(String.t()) :: String.t()
+  def name_taken_text(name),
     do:
       "another process is already named #{inspect(name)}, and the others see only that one; give each a unique name"
 end

@@ -44,13 +44,15 @@ defmodule Situ.Remote.Rendezvous.Member do
     do: {:reply, for({_name, process} <- Enum.sort(state.peers), do: process), state}
 
   def handle_call(:error, _from, state) do
-    error = if state.name == :taken, do: Directory.taken(state.own.name), else: state.error
+    error =
+      if state.name == :taken, do: Directory.name_taken_text(state.own.name), else: state.error
+
     {:reply, error, state}
   end
 
   def handle_call({:announce, endpoints}, _from, state) do
     state = %{state | own: %{state.own | endpoints: endpoints}}
-    announce(state)
+    send_announcement(state)
     {:reply, :ok, state}
   end
 
@@ -60,67 +62,79 @@ defmodule Situ.Remote.Rendezvous.Member do
 
     case :gen_tcp.connect(String.to_charlist(state.host), state.port, options, 5_000) do
       {:ok, socket} ->
-        _ = :gen_tcp.send(socket, <<Wire.version()::little-signed-16>>)
+        _ = :gen_tcp.send(socket, <<Wire.protocol_version()::little-signed-16>>)
         Process.send_after(self(), {:greeted?, socket}, @greet_ms)
         {:noreply, %{state | socket: socket, stage: :greeting, buffer: "", continue: nil}}
 
       {:error, reason} ->
-        {:noreply, again(state, to_string(:inet.format_error(reason)))}
+        {:noreply, schedule_reconnect(state, to_string(:inet.format_error(reason)))}
     end
   end
 
   def handle_info({:tcp, socket, bytes}, %{socket: socket} = state) do
     _ = :inet.setopts(socket, active: :once)
-    {:noreply, read(%{state | buffer: state.buffer <> bytes})}
+    {:noreply, handle_buffer(%{state | buffer: state.buffer <> bytes})}
   end
 
   def handle_info({:greeted?, socket}, %{socket: socket, stage: stage} = state)
       when stage != :open,
-      do: {:noreply, again(state, "no greeting within 10 s: is it a rendezvous server?")}
+      do:
+        {:noreply,
+         schedule_reconnect(state, "no greeting within 10 s: is it a rendezvous server?")}
 
   def handle_info({kind, socket}, %{socket: socket} = state) when kind == :tcp_closed,
-    do: {:noreply, again(state, "the server closed the connection")}
+    do: {:noreply, schedule_reconnect(state, "the server closed the connection")}
 
   def handle_info({:tcp_error, socket, reason}, %{socket: socket} = state),
-    do: {:noreply, again(state, inspect(reason))}
+    do: {:noreply, schedule_reconnect(state, inspect(reason))}
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp read(%{stage: :greeting, buffer: <<version::little-signed-16, rest::binary>>} = state) do
-    if version == Wire.version(),
-      do: read(%{state | stage: :listed, buffer: rest}),
+  defp handle_buffer(
+         %{stage: :greeting, buffer: <<version::little-signed-16, rest::binary>>} = state
+       ) do
+    if version == Wire.protocol_version(),
+      do: handle_buffer(%{state | stage: :listed, buffer: rest}),
       else:
-        again(state, "the server uses protocol version #{version}, this client #{Wire.version()}")
+        schedule_reconnect(
+          state,
+          "the server uses protocol version #{version}, this client #{Wire.protocol_version()}"
+        )
   end
 
   # Skips the address of this client as seen by the server, and the number of processes. Peers of the previous
   # connection are discarded.
-  defp read(%{stage: :listed, buffer: buffer} = state) do
+  defp handle_buffer(%{stage: :listed, buffer: buffer} = state) do
     with {:ok, _address, rest} <- Wire.read_text(buffer),
          {:ok, _count, rest} <- Wire.read_int(rest) do
       state = %{state | stage: :open, buffer: rest, wait: @first_wait, error: nil, name: nil}
       state = %{state | peers: %{}}
-      announce(state)
-      read(state)
+      send_announcement(state)
+      handle_buffer(state)
     else
       :more -> state
-      {:error, why} -> again(state, why)
+      {:error, why} -> schedule_reconnect(state, why)
     end
   end
 
-  defp read(%{stage: :open, buffer: ""} = state), do: state
+  defp handle_buffer(%{stage: :open, buffer: ""} = state), do: state
 
-  defp read(%{stage: :open, buffer: buffer} = state) do
+  defp handle_buffer(%{stage: :open, buffer: buffer} = state) do
     case (state.continue || (&Wire.feed/1)).(buffer) do
-      {:ok, update, rest} -> read(updated(%{state | buffer: rest, continue: nil}, update))
-      {:more, continue} -> %{state | buffer: "", continue: continue}
-      {:error, why} -> again(state, why)
+      {:ok, update, rest} ->
+        handle_buffer(handle_update(%{state | buffer: rest, continue: nil}, update))
+
+      {:more, continue} ->
+        %{state | buffer: "", continue: continue}
+
+      {:error, why} ->
+        schedule_reconnect(state, why)
     end
   end
 
-  defp read(state), do: state
+  defp handle_buffer(state), do: state
 
-  defp updated(%{own: %{name: name}} = state, {:add, %{name: name} = process}) do
+  defp handle_update(%{own: %{name: name}} = state, {:add, %{name: name} = process}) do
     cond do
       state.name == :ours or process == state.own ->
         %{state | name: :ours}
@@ -129,7 +143,7 @@ defmodule Situ.Remote.Rendezvous.Member do
         state
 
       true ->
-        Logger.warning("situ rendezvous: " <> Directory.taken(name))
+        Logger.warning("situ rendezvous: " <> Directory.name_taken_text(name))
         if state.listener, do: send(state.listener, {:situ_rendezvous, self(), {:taken, name}})
         %{state | name: :taken}
     end
@@ -137,34 +151,34 @@ defmodule Situ.Remote.Rendezvous.Member do
 
   # The entry of another process, or of a lost connection, was removed, so the name is free. If it was this process
   # changing its endpoints, the server ignores the second announcement.
-  defp updated(%{own: %{name: name}} = state, {:remove, name}) do
-    announce(state)
+  defp handle_update(%{own: %{name: name}} = state, {:remove, name}) do
+    send_announcement(state)
     %{state | name: nil}
   end
 
-  defp updated(state, {:add, process}) do
-    tell(state, {:added, process})
+  defp handle_update(state, {:add, process}) do
+    notify_listener(state, {:added, process})
     %{state | peers: Map.put(state.peers, process.name, process)}
   end
 
-  defp updated(state, {:remove, name}) do
-    tell(state, {:removed, name})
+  defp handle_update(state, {:remove, name}) do
+    notify_listener(state, {:removed, name})
     %{state | peers: Map.delete(state.peers, name)}
   end
 
-  defp updated(state, :disconnect), do: state
+  defp handle_update(state, :disconnect), do: state
 
-  defp tell(%{listener: nil}, _event), do: :ok
-  defp tell(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
+  defp notify_listener(%{listener: nil}, _event), do: :ok
+  defp notify_listener(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
 
-  defp announce(%{stage: :open, socket: socket} = state),
+  defp send_announcement(%{stage: :open, socket: socket} = state),
     do: :gen_tcp.send(socket, Wire.encode({:add, state.own}))
 
-  defp announce(_state), do: :ok
+  defp send_announcement(_state), do: :ok
 
-  defp again(state, why) do
+  defp schedule_reconnect(state, why) do
     if state.socket, do: :gen_tcp.close(state.socket)
-    for {name, _} <- state.peers, do: tell(state, {:removed, name})
+    for {name, _} <- state.peers, do: notify_listener(state, {:removed, name})
     Process.send_after(self(), :connect, state.wait)
 
     %{

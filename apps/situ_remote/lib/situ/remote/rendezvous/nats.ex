@@ -28,12 +28,12 @@ defmodule Situ.Remote.Rendezvous.Nats do
   end
 
   @doc "Finds the address of the link that the process `name` offers. Returns `nil` if there is none, or no connection."
-  @spec find(String.t(), String.t()) :: String.t() | nil
-  def find(server, name) do
+  @spec find_address(String.t(), String.t()) :: String.t() | nil
+  def find_address(server, name) do
     with {:ok, servers, login} <- Servers.parse(server),
          {:ok, connection} <-
            Connection.start(servers: servers, login: fn -> login end, jetstream: false) do
-      answer = Connection.request(connection, subject(name), [], "", @find_ms)
+      answer = Connection.request(connection, peer_subject(name), [], "", @find_ms)
       GenServer.stop(connection)
 
       case answer do
@@ -46,7 +46,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
   end
 
   # Escapes the name so that it is always a single token.
-  defp subject(name),
+  defp peer_subject(name),
     do: "situ.peer." <> URI.encode(name, &(&1 in ?a..?z or &1 in ?A..?Z or &1 in ?0..?9))
 
   @impl true
@@ -54,7 +54,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
     Process.flag(:trap_exit, true)
     {:ok, servers, login} = Servers.parse(opts[:address])
     own = %{name: opts[:name], version: opts[:version], endpoints: opts[:endpoints]}
-    subjects = [@all, subject(own.name)]
+    subjects = [@all, peer_subject(own.name)]
 
     start = [
       servers: servers,
@@ -65,7 +65,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
     ]
 
     id = "_INBOX.peer." <> Base.encode16(:crypto.strong_rand_bytes(10))
-    connect(start)
+    start_connecting(start)
     Process.send_after(self(), :beat, opts[:beat])
 
     {:ok,
@@ -73,7 +73,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
   end
 
   # Connects in a separate process, because an unresponsive address takes seconds.
-  defp connect(opts) do
+  defp start_connecting(opts) do
     me = self()
 
     spawn_link(fn ->
@@ -90,20 +90,20 @@ defmodule Situ.Remote.Rendezvous.Nats do
     do: {:reply, for({_, {_, _, process}} <- Enum.sort(state.peers), do: process), state}
 
   def handle_call(:error, _from, state) do
-    taken = if state.rival, do: Directory.taken(state.own.name)
+    taken = if state.rival, do: Directory.name_taken_text(state.own.name)
     {:reply, state.error || taken, state}
   end
 
   def handle_call({:announce, endpoints}, _from, state) do
     state = %{state | own: %{state.own | endpoints: endpoints}}
-    say(state, {:add, state.own})
+    publish_update(state, {:add, state.own})
     {:reply, :ok, state}
   end
 
   @impl true
   def handle_info({:connected, connection}, state) do
     Process.link(connection)
-    {:noreply, here(%{state | connection: connection, error: nil})}
+    {:noreply, announce_arrival(%{state | connection: connection, error: nil})}
   end
 
   def handle_info({:failed, why}, state) do
@@ -112,20 +112,20 @@ defmodule Situ.Remote.Rendezvous.Nats do
   end
 
   def handle_info(:connect, state) do
-    connect(state.start)
+    start_connecting(state.start)
     {:noreply, state}
   end
 
   # The connection was lost and has been restored.
   def handle_info({:nats, connection, :up}, %{connection: connection} = state),
-    do: {:noreply, here(state)}
+    do: {:noreply, announce_arrival(state)}
 
   def handle_info({:nats, _, %{subject: @all, reply: id}}, %{id: id} = state),
     do: {:noreply, state}
 
   def handle_info({:nats, _, %{subject: @all} = message}, state) do
     case Wire.decode(message.data) do
-      {:ok, update, ""} -> {:noreply, heard(state, update, message.reply)}
+      {:ok, update, ""} -> {:noreply, handle_update(state, update, message.reply)}
       _noise -> {:noreply, state}
     end
   end
@@ -138,57 +138,58 @@ defmodule Situ.Remote.Rendezvous.Nats do
 
   def handle_info(:beat, state) do
     Process.send_after(self(), :beat, state.beat)
-    say(state, {:add, state.own})
-    late = now() - div(state.beat * 7, 2)
+    publish_update(state, {:add, state.own})
+    late = now_ms() - div(state.beat * 7, 2)
     {gone, kept} = Enum.split_with(state.peers, fn {_, {_, seen, _}} -> seen < late end)
-    for {name, _} <- gone, do: tell(state, {:removed, name})
+    for {name, _} <- gone, do: notify_listener(state, {:removed, name})
     rival = if state.rival && state.rival >= late, do: state.rival
     {:noreply, %{state | peers: Map.new(kept), rival: rival}}
   end
 
   def handle_info({:EXIT, connection, reason}, %{connection: connection} = state) do
-    connect(state.start)
+    start_connecting(state.start)
     {:noreply, %{state | connection: nil, error: inspect(reason, limit: 5)}}
   end
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp here(state) do
-    say(state, :disconnect)
-    say(state, {:add, state.own})
+  defp announce_arrival(state) do
+    publish_update(state, :disconnect)
+    publish_update(state, {:add, state.own})
     state
   end
 
-  defp say(%{connection: nil}, _update), do: :ok
+  defp publish_update(%{connection: nil}, _update), do: :ok
 
-  defp say(state, update),
+  defp publish_update(state, update),
     do: Connection.publish(state.connection, @all, state.id, Wire.encode(update))
 
-  defp heard(state, :disconnect, _who) do
-    say(state, {:add, state.own})
+  defp handle_update(state, :disconnect, _who) do
+    publish_update(state, {:add, state.own})
     state
   end
 
-  defp heard(%{own: %{name: name}} = state, {:add, %{name: name}}, _who) do
+  defp handle_update(%{own: %{name: name}} = state, {:add, %{name: name}}, _who) do
     if state.rival == nil do
-      Logger.warning("situ rendezvous: " <> Directory.taken(name))
-      tell(state, {:taken, name})
+      Logger.warning("situ rendezvous: " <> Directory.name_taken_text(name))
+      notify_listener(state, {:taken, name})
     end
 
-    %{state | rival: now()}
+    %{state | rival: now_ms()}
   end
 
-  defp heard(%{own: %{name: name}} = state, {:remove, name}, _who), do: %{state | rival: nil}
+  defp handle_update(%{own: %{name: name}} = state, {:remove, name}, _who),
+    do: %{state | rival: nil}
 
-  defp heard(state, {:add, %{name: name} = process}, who) do
+  defp handle_update(state, {:add, %{name: name} = process}, who) do
     case state.peers do
       %{^name => {^who, _seen, ^process}} ->
-        put(state, who, process)
+        put_peer(state, who, process)
 
       %{^name => {^who, _seen, _other}} ->
-        tell(state, {:removed, name})
-        tell(state, {:added, process})
-        put(state, who, process)
+        notify_listener(state, {:removed, name})
+        notify_listener(state, {:added, process})
+        put_peer(state, who, process)
 
       %{^name => _somebody_elses} ->
         state
@@ -197,15 +198,15 @@ defmodule Situ.Remote.Rendezvous.Nats do
         state
 
       _ ->
-        tell(state, {:added, process})
-        put(state, who, process)
+        notify_listener(state, {:added, process})
+        put_peer(state, who, process)
     end
   end
 
-  defp heard(state, {:remove, name}, who) do
+  defp handle_update(state, {:remove, name}, who) do
     case state.peers do
       %{^name => {^who, _, _}} ->
-        tell(state, {:removed, name})
+        notify_listener(state, {:removed, name})
         %{state | peers: Map.delete(state.peers, name)}
 
       _ ->
@@ -213,19 +214,19 @@ defmodule Situ.Remote.Rendezvous.Nats do
     end
   end
 
-  defp put(state, who, process),
-    do: %{state | peers: Map.put(state.peers, process.name, {who, now(), process})}
+  defp put_peer(state, who, process),
+    do: %{state | peers: Map.put(state.peers, process.name, {who, now_ms(), process})}
 
-  defp tell(%{listener: nil}, _event), do: :ok
-  defp tell(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
+  defp notify_listener(%{listener: nil}, _event), do: :ok
+  defp notify_listener(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp now_ms, do: System.monotonic_time(:millisecond)
 
   @impl true
   def terminate(_reason, %{connection: nil}), do: :ok
 
   def terminate(_reason, state) do
-    say(state, {:remove, state.own.name})
+    publish_update(state, {:remove, state.own.name})
     GenServer.stop(state.connection)
   catch
     :exit, _ -> :ok

@@ -59,14 +59,14 @@ defmodule Situ.Remote.Rendezvous.Server do
   @impl true
   def handle_call(:begin, _from, state) do
     {server, listener} = {self(), state.listener}
-    spawn_link(fn -> accept(listener, server) end)
+    spawn_link(fn -> accept_clients(listener, server) end)
     {:reply, :ok, state}
   end
 
   def handle_call(:port, _from, state), do: {:reply, elem(:inet.port(state.listener), 1), state}
 
   def handle_call(:processes, _from, state),
-    do: {:reply, Directory.processes(state.directory), state}
+    do: {:reply, Directory.list_processes(state.directory), state}
 
   # A client has: `stage` (:greeting or :open), `continue` (the function that reads its next bytes), `bytes` of the
   # current update, `owes` (since when the rest is due, or `nil`), and `came` (when it connected).
@@ -76,7 +76,7 @@ defmodule Situ.Remote.Rendezvous.Server do
 
     if map_size(state.clients) < @most_clients do
       :ok = :inet.setopts(socket, active: :once)
-      now = now()
+      now = now_ms()
       client = %{stage: :greeting, continue: nil, bytes: 0, owes: now, came: now}
       {:noreply, %{state | clients: Map.put(state.clients, socket, client)}}
     else
@@ -87,104 +87,115 @@ defmodule Situ.Remote.Rendezvous.Server do
 
   def handle_info({:tcp, socket, bytes}, state) when is_map_key(state.clients, socket) do
     _ = :inet.setopts(socket, active: :once)
-    {:noreply, read(state, socket, state.clients[socket], bytes)}
+    {:noreply, handle_bytes(state, socket, state.clients[socket], bytes)}
   end
 
   def handle_info(:look, state) do
     Process.send_after(self(), :look, min(@look_ms, state.deadline))
-    late = now() - state.deadline
+    late = now_ms() - state.deadline
     slow = for {socket, %{owes: owes}} <- state.clients, owes != nil and owes <= late, do: socket
-    {:noreply, Enum.reduce(slow, state, &drop(&2, &1))}
+    {:noreply, Enum.reduce(slow, state, &disconnect_client(&2, &1))}
   end
 
-  def handle_info({:tcp_closed, socket}, state), do: {:noreply, gone(state, socket)}
-  def handle_info({:tcp_error, socket, _}, state), do: {:noreply, gone(state, socket)}
+  def handle_info({:tcp_closed, socket}, state), do: {:noreply, remove_client(state, socket)}
+  def handle_info({:tcp_error, socket, _}, state), do: {:noreply, remove_client(state, socket)}
   def handle_info({:EXIT, _, reason}, state), do: {:stop, reason, state}
   def handle_info(_other, state), do: {:noreply, state}
 
   defp make_room(%{clients: clients} = state) when map_size(clients) < @most_clients, do: state
 
   defp make_room(%{clients: clients} = state) do
-    owners = Directory.owners(state.directory)
+    owners = Directory.list_owners(state.directory)
     idle = for {socket, client} <- clients, socket not in owners, do: {client.came, socket}
 
     case Enum.min(idle, fn -> nil end) do
-      {_came, socket} -> drop(state, socket)
+      {_came, socket} -> disconnect_client(state, socket)
       nil -> state
     end
   end
 
   # A client with a different version receives ours, as it expects, and is disconnected.
-  defp read(state, socket, %{stage: :greeting} = client, bytes) do
+  defp handle_bytes(state, socket, %{stage: :greeting} = client, bytes) do
     case (client.continue || "") <> bytes do
-      <<version::little-signed-16, rest::binary>> -> greet(state, socket, {client, version}, rest)
-      short -> put(state, socket, %{client | continue: short})
+      <<version::little-signed-16, rest::binary>> ->
+        greet_client(state, socket, {client, version}, rest)
+
+      short ->
+        put_client(state, socket, %{client | continue: short})
     end
   end
 
-  defp read(state, socket, client, ""), do: put(state, socket, client)
+  defp handle_bytes(state, socket, client, ""), do: put_client(state, socket, client)
 
-  defp read(state, socket, %{bytes: before} = client, bytes) do
+  defp handle_bytes(state, socket, %{bytes: before} = client, bytes) do
     client = %{client | bytes: before + byte_size(bytes)}
 
     case (client.continue || (&Wire.feed/1)).(bytes) do
       {:ok, :disconnect, _rest} ->
-        drop(state, socket)
+        disconnect_client(state, socket)
 
       {:ok, update, rest} ->
-        {told, directory} = Directory.apply(state.directory, socket, update)
+        {told, directory} = Directory.apply_update(state.directory, socket, update)
         client = %{client | continue: nil, bytes: 0, owes: nil}
 
         %{state | directory: directory}
-        |> put(socket, client)
-        |> tell(told)
-        |> read(socket, client, rest)
+        |> put_client(socket, client)
+        |> broadcast_updates(told)
+        |> handle_bytes(socket, client, rest)
 
       {:more, continue} ->
-        wait(state, socket, %{client | continue: continue, owes: client.owes || now()})
+        put_pending_client(state, socket, %{
+          client
+          | continue: continue,
+            owes: client.owes || now_ms()
+        })
 
       {:error, _why} ->
-        drop(state, socket)
+        disconnect_client(state, socket)
     end
   end
 
-  defp greet(state, socket, {client, version}, rest) do
-    _ = :gen_tcp.send(socket, <<Wire.version()::little-signed-16>>)
+  defp greet_client(state, socket, {client, version}, rest) do
+    _ = :gen_tcp.send(socket, <<Wire.protocol_version()::little-signed-16>>)
 
-    if version == Wire.version() do
+    if version == Wire.protocol_version() do
       client = %{client | stage: :open, continue: nil, owes: nil}
-      state |> put(socket, client) |> welcome(socket) |> read(socket, client, rest)
+
+      state
+      |> put_client(socket, client)
+      |> send_welcome(socket)
+      |> handle_bytes(socket, client, rest)
     else
-      drop(state, socket)
+      disconnect_client(state, socket)
     end
   end
 
-  defp wait(state, socket, client) do
-    state = put(state, socket, client)
+  defp put_pending_client(state, socket, client) do
+    state = put_client(state, socket, client)
 
     if client.bytes > @most_bytes or state.pending > @most_pending,
-      do: drop(state, socket),
+      do: disconnect_client(state, socket),
       else: state
   end
 
-  defp put(state, socket, client) do
+  defp put_client(state, socket, client) do
     before = with %{bytes: bytes} <- state.clients[socket], do: bytes
     pending = state.pending + client.bytes - (before || 0)
     %{state | pending: pending, clients: Map.put(state.clients, socket, client)}
   end
 
-  defp welcome(state, socket) do
+  defp send_welcome(state, socket) do
     address =
       with {:ok, {ip, _}} <- :inet.peername(socket),
            do: to_string(:inet.ntoa(ip)),
            else: (_ -> "")
 
-    processes = Directory.processes(state.directory)
+    processes = Directory.list_processes(state.directory)
     updates = for process <- processes, do: Wire.encode({:add, process})
 
     _ =
       :gen_tcp.send(socket, [
-        Wire.text(address),
+        Wire.encode_text(address),
         <<length(processes)::little-signed-32>> | updates
       ])
 
@@ -192,27 +203,27 @@ defmodule Situ.Remote.Rendezvous.Server do
   end
 
   # Updates go to all clients, including the one that sent them, as in the reference implementation.
-  defp tell(state, []), do: state
+  defp broadcast_updates(state, []), do: state
 
-  defp tell(state, updates) do
+  defp broadcast_updates(state, updates) do
     bytes = Enum.map(updates, &Wire.encode/1)
     for {socket, %{stage: :open}} <- state.clients, do: :gen_tcp.send(socket, bytes)
     state
   end
 
-  defp drop(state, socket) do
+  defp disconnect_client(state, socket) do
     :gen_tcp.close(socket)
-    gone(state, socket)
+    remove_client(state, socket)
   end
 
-  defp gone(state, socket) do
-    {told, directory} = Directory.gone(state.directory, socket)
+  defp remove_client(state, socket) do
+    {told, directory} = Directory.remove_owner(state.directory, socket)
     {client, clients} = Map.pop(state.clients, socket)
     pending = state.pending - if(client, do: client.bytes, else: 0)
-    tell(%{state | clients: clients, pending: pending, directory: directory}, told)
+    broadcast_updates(%{state | clients: clients, pending: pending, directory: directory}, told)
   end
 
-  defp now, do: System.monotonic_time(:millisecond)
+  defp now_ms, do: System.monotonic_time(:millisecond)
 
   @impl true
   def terminate(_reason, state) do
@@ -221,17 +232,17 @@ defmodule Situ.Remote.Rendezvous.Server do
   end
 
   # Runs in a separate process.
-  defp accept(listener, server) do
+  defp accept_clients(listener, server) do
     case :gen_tcp.accept(listener) do
       {:ok, socket} ->
         with :ok <- :gen_tcp.controlling_process(socket, server),
              do: send(server, {:client, socket})
 
-        accept(listener, server)
+        accept_clients(listener, server)
 
       {:error, :emfile} ->
         Process.sleep(100)
-        accept(listener, server)
+        accept_clients(listener, server)
 
       {:error, _closed} ->
         :ok

@@ -23,7 +23,7 @@ defmodule Situ.Remote.Rendezvous.Wire do
       iex> Wire.decode(<<7>>)
       {:error, "no update begins with the byte 7"}
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
   @version 2
   @most_text 4_096
@@ -39,36 +39,48 @@ defmodule Situ.Remote.Rendezvous.Wire do
   @type process :: %{name: String.t(), version: String.t(), endpoints: [endpoint()]}
   @type update :: :disconnect | {:add, process()} | {:remove, String.t()}
 
-  @spec version() :: 2
-  def version, do: @version
+  @spec protocol_version() :: 2
+  def protocol_version, do: @version
 
   @spec encode(update()) :: iodata()
   def encode(:disconnect), do: <<0>>
-  def encode({:remove, name}), do: [2, text(name)]
+  def encode({:remove, name}), do: [2, encode_text(name)]
 
   def encode({:add, %{name: name, version: version, endpoints: endpoints}}) do
-    [1, text(name), text(version), int(length(endpoints)) | Enum.map(endpoints, &endpoint/1)]
+    [
+      1,
+      encode_text(name),
+      encode_text(version),
+      encode_int(length(endpoints)) | Enum.map(endpoints, &encode_endpoint/1)
+    ]
   end
 
-  defp endpoint({:tcp, host, port, streams}), do: [0, text(host), int(port) | streams(streams)]
-  defp endpoint({:address, address, streams}), do: [1, text(address) | streams(streams)]
+  defp encode_endpoint({:tcp, host, port, streams}),
+    do: [0, encode_text(host), encode_int(port) | encode_streams(streams)]
 
-  defp endpoint({:exporter, host, port, transport, streams}),
-    do: [2, text(host), int(port), int(transport) | streams(streams)]
+  defp encode_endpoint({:address, address, streams}),
+    do: [1, encode_text(address) | encode_streams(streams)]
 
-  defp endpoint({:clock, host, port, streams}), do: [3, text(host), int(port) | streams(streams)]
+  defp encode_endpoint({:exporter, host, port, transport, streams}),
+    do: [2, encode_text(host), encode_int(port), encode_int(transport) | encode_streams(streams)]
 
-  defp streams(streams),
-    do: [int(length(streams)) | for({name, type} <- streams, do: [text(name), text(type)])]
+  defp encode_endpoint({:clock, host, port, streams}),
+    do: [3, encode_text(host), encode_int(port) | encode_streams(streams)]
 
-  defp int(n), do: <<n::little-signed-32>>
+  defp encode_streams(streams),
+    do: [
+      encode_int(length(streams))
+      | for({name, type} <- streams, do: [encode_text(name), encode_text(type)])
+    ]
+
+  defp encode_int(n), do: <<n::little-signed-32>>
 
   @doc "Encodes a string."
-  @spec text(String.t()) :: iodata()
-  def text(text), do: [varint(byte_size(text)), text]
+  @spec encode_text(String.t()) :: iodata()
+  def encode_text(text), do: [encode_length(byte_size(text)), text]
 
-  defp varint(n) when n < 128, do: <<n>>
-  defp varint(n), do: <<1::1, rem(n, 128)::7, varint(div(n, 128))::binary>>
+  defp encode_length(n) when n < 128, do: <<n>>
+  defp encode_length(n), do: <<1::1, rem(n, 128)::7, encode_length(div(n, 128))::binary>>
 
   @typedoc "Continues decoding an incomplete update with the bytes that arrive next."
   @type continuation :: (binary() -> result())
@@ -194,7 +206,7 @@ defmodule Situ.Remote.Rendezvous.Wire do
 
   defp take_text(n, bytes) do
     case bytes do
-      <<text::binary-known(n), rest::binary>> ->
+      <<text::binary-pinned_size(n), rest::binary>> ->
         if String.valid?(text),
           do: {:ok, text, rest},
           else: {:error, "a string is not valid UTF-8"}

@@ -13,9 +13,9 @@ defmodule Situ.Remote.Server.Datagrams do
   defstruct [:socket, :session, :id, :key, :sender, :to, queue: :queue.new(), paused: false]
 
   @doc "Starts a sender that ends with the session. Returns `{:ok, pid, port}`."
-  @spec start(:inet.ip_address(), non_neg_integer(), binary(), pos_integer()) ::
+  @spec start_sender(:inet.ip_address(), non_neg_integer(), binary(), pos_integer()) ::
           {:ok, pid(), :inet.port_number()} | {:error, term()}
-  def start(ip, id, key, size) do
+  def start_sender(ip, id, key, size) do
     with {:ok, pid} <- GenServer.start_link(__MODULE__, {self(), id, key, size}),
          {:ok, port} <- GenServer.call(pid, {:open, ip}),
          do: {:ok, pid, port}
@@ -27,7 +27,8 @@ defmodule Situ.Remote.Server.Datagrams do
 
   @impl true
   def init({session, id, key, size}) do
-    {:ok, %__MODULE__{session: session, id: id, key: key, sender: Datagrams.sender(key, size)}}
+    {:ok,
+     %__MODULE__{session: session, id: id, key: key, sender: Datagrams.new_sender(key, size)}}
   end
 
   @impl true
@@ -45,40 +46,40 @@ defmodule Situ.Remote.Server.Datagrams do
 
   @impl true
   def handle_cast({:frame, frame, messages}, state) do
-    {sent, sender} = Datagrams.split(state.sender, frame, messages)
+    {sent, sender} = Datagrams.split_frame(state.sender, frame, messages)
     entries = Enum.map(sent, &{:datagram, &1}) ++ [{:done, IO.iodata_length(frame)}]
     queue = Enum.reduce(entries, state.queue, &:queue.in/2)
-    {:noreply, run(%{state | sender: sender, queue: queue}, @burst)}
+    {:noreply, send_queued(%{state | sender: sender, queue: queue}, @burst)}
   end
 
   @impl true
   def handle_info({:udp, socket, ip, port, bytes}, %{socket: socket} = state) do
     _ = :inet.setopts(socket, active: :once)
     here? = Datagrams.hello?(state.key, bytes)
-    {:noreply, if(here?, do: run(%{state | to: {ip, port}}, @burst), else: state)}
+    {:noreply, if(here?, do: send_queued(%{state | to: {ip, port}}, @burst), else: state)}
   end
 
-  def handle_info(:go, state), do: {:noreply, run(%{state | paused: false}, @burst)}
+  def handle_info(:go, state), do: {:noreply, send_queued(%{state | paused: false}, @burst)}
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp run(%{to: nil} = state, _left), do: state
-  defp run(%{paused: true} = state, _left), do: state
+  defp send_queued(%{to: nil} = state, _left), do: state
+  defp send_queued(%{paused: true} = state, _left), do: state
 
-  defp run(state, left) when left <= 0 do
+  defp send_queued(state, left) when left <= 0 do
     Process.send_after(self(), :go, @pause_ms)
     %{state | paused: true}
   end
 
-  defp run(state, left) do
+  defp send_queued(state, left) do
     case :queue.out(state.queue) do
       {{:value, {:datagram, bytes}}, queue} ->
         # A datagram that cannot be sent counts as lost in transit.
         _ = :gen_udp.send(state.socket, elem(state.to, 0), elem(state.to, 1), bytes)
-        run(%{state | queue: queue}, left - byte_size(bytes))
+        send_queued(%{state | queue: queue}, left - byte_size(bytes))
 
       {{:value, {:done, size}}, queue} ->
         send(state.session, {:situ_sent, state.id, size})
-        run(%{state | queue: queue}, left)
+        send_queued(%{state | queue: queue}, left)
 
       {:empty, _} ->
         state

@@ -2,7 +2,7 @@ defmodule Situ.Remote.Server.Pump do
   @moduledoc false
   # Sends the messages of a session, one frame of the scheduled channel at a time, so that a more important channel
   # never waits for more than one frame. Operates on the state of the session.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Delivery
   alias Situ.Remote.Link.{Frame, Quota, Schedule, Socket}
   alias Situ.Remote.Server.{Channel, Datagrams}
@@ -16,15 +16,15 @@ defmodule Situ.Remote.Server.Pump do
   @type state :: map()
 
   @doc "Opens the stream of a new channel, if a stream of that name exists."
-  @spec open(state(), Frame.channel()) :: state()
-  def open(state, id) do
+  @spec open_channel(state(), Frame.channel()) :: state()
+  def open_channel(state, id) do
     channel = state.channels[id]
 
     case state.module.cursor(state.origin, channel.name, channel.from) do
       {:ok, cursor, before} ->
-        {channel, told} = aside(channel, state.socket)
+        {channel, told} = start_datagrams(channel, state.socket)
         _ = send_frame(state, {:subscribed, id, Map.put(told, "after", before)})
-        put(state, %{channel | cursor: cursor, state: :open})
+        put_channel(state, %{channel | cursor: cursor, state: :open})
 
       :unknown ->
         state
@@ -32,38 +32,39 @@ defmodule Situ.Remote.Server.Pump do
   end
 
   # Uses datagrams if the client asked for them and the connection is over a network.
-  defp aside(%{udp: {key, size}} = channel, socket) do
-    with ip when ip != nil <- Socket.local(socket),
-         {:ok, pid, port} <- Datagrams.start(ip, channel.id, key, size) do
+  defp start_datagrams(%{udp: {key, size}} = channel, socket) do
+    with ip when ip != nil <- Socket.local_address(socket),
+         {:ok, pid, port} <- Datagrams.start_sender(ip, channel.id, key, size) do
       {%{channel | datagrams: pid}, %{"udp" => port}}
     else
       _ -> {channel, %{}}
     end
   end
 
-  defp aside(channel, _socket), do: {channel, %{}}
+  defp start_datagrams(channel, _socket), do: {channel, %{}}
 
   @doc "Opens the channels whose streams did not exist before."
   @spec open_waiting(state()) :: state()
   def open_waiting(state) do
-    for({id, %{state: :waiting}} <- state.channels, do: id) |> Enum.reduce(state, &open(&2, &1))
+    for({id, %{state: :waiting}} <- state.channels, do: id)
+    |> Enum.reduce(state, &open_channel(&2, &1))
   end
 
   @doc "Stores a changed channel, and schedules it if it can send."
-  @spec put(state(), Channel.t()) :: state()
-  def put(state, channel) do
+  @spec put_channel(state(), Channel.t()) :: state()
+  def put_channel(state, channel) do
     state = %{state | channels: Map.put(state.channels, channel.id, channel)}
 
-    if Channel.ready?(channel),
+    if Channel.can_send?(channel),
       do: %{state | schedule: Schedule.put(state.schedule, channel.id, channel.priority)},
       else: state
   end
 
   @doc "Schedules all channels that can send, since every stream may have new messages."
-  @spec wake(state()) :: state()
-  def wake(state) do
+  @spec schedule_all(state()) :: state()
+  def schedule_all(state) do
     schedule =
-      for {id, channel} <- state.channels, Channel.ready?(channel), reduce: state.schedule do
+      for {id, channel} <- state.channels, Channel.can_send?(channel), reduce: state.schedule do
         schedule -> Schedule.put(schedule, id, channel.priority)
       end
 
@@ -75,25 +76,25 @@ defmodule Situ.Remote.Server.Pump do
   def drained?(state) do
     state.stage != :open or
       Enum.all?(state.channels, fn {_, channel} ->
-        channel.state != :open or (channel.out == [] and idle?(state, channel))
+        channel.state != :open or (channel.out == [] and channel_idle?(state, channel))
       end)
   end
 
   # The channel has no unsent messages, and the client knows about the end of the stream.
-  defp idle?(state, channel),
+  defp channel_idle?(state, channel),
     do: match?({:idle, _}, state.module.read(state.origin, channel.cursor))
 
   @doc "Sends the queued replies, as far as the quota allows."
-  @spec replies(state()) ::
+  @spec send_replies(state()) ::
           {:sent, state()} | {:wait, pos_integer(), state()} | {:error, term(), state()}
-  def replies(state) do
+  def send_replies(state) do
     with {{:value, {id, piece}}, rest} <- :queue.out(state.replies),
          size = IO.iodata_length(piece),
          {:sending, :ok} <- {:sending, send_frame(state, {:reply, id, piece})} do
       state = %{state | replies: rest, sent: state.sent + size}
 
-      case Quota.take(state.config.quota, size, 0, System.monotonic_time(:nanosecond)) do
-        0 -> replies(state)
+      case Quota.charge_sent(state.config.quota, size, 0, System.monotonic_time(:nanosecond)) do
+        0 -> send_replies(state)
         ns -> {:wait, ns, state}
       end
     else
@@ -106,68 +107,73 @@ defmodule Situ.Remote.Server.Pump do
   Sends messages for one time slice. Returns whether more is left to send, the quota requires a pause, or nothing is
   left for now.
   """
-  @spec run(state()) ::
+  @spec send_frames(state()) ::
           {:more, state()}
           | {:wait, pos_integer(), state()}
           | {:idle, state()}
           | {:error, term(), state()}
-  def run(state), do: run(state, @turn_bytes, @turn_reads)
+  def send_frames(state), do: send_scheduled(state, @turn_bytes, @turn_reads)
 
-  defp run(state, bytes, reads) when bytes <= 0 or reads <= 0, do: {:more, state}
+  defp send_scheduled(state, bytes, reads) when bytes <= 0 or reads <= 0, do: {:more, state}
 
-  defp run(state, bytes, reads) do
+  defp send_scheduled(state, bytes, reads) do
     case Schedule.take(state.schedule) do
       :empty ->
         {:idle, state}
 
       {id, schedule} ->
-        turn(%{state | schedule: schedule}, state.channels[id], bytes, reads)
+        serve_channel(%{state | schedule: schedule}, state.channels[id], bytes, reads)
     end
   end
 
   # The channel may be gone, or may have no credit left.
-  defp turn(state, nil, bytes, reads), do: run(state, bytes, reads)
+  defp serve_channel(state, nil, bytes, reads), do: send_scheduled(state, bytes, reads)
 
-  defp turn(state, channel, bytes, reads) do
-    if Channel.ready?(channel),
-      do: state |> step(channel) |> stepped(bytes, reads),
-      else: run(state, bytes, reads)
+  defp serve_channel(state, channel, bytes, reads) do
+    if Channel.can_send?(channel),
+      do: state |> send_next(channel) |> continue_after(bytes, reads),
+      else: send_scheduled(state, bytes, reads)
   end
 
-  defp stepped({:sent, 0, 0, state}, bytes, reads), do: run(state, bytes, reads - 1)
+  defp continue_after({:sent, 0, 0, state}, bytes, reads),
+    do: send_scheduled(state, bytes, reads - 1)
 
-  defp stepped({:sent, size, messages, state}, bytes, reads) do
+  defp continue_after({:sent, size, messages, state}, bytes, reads) do
     state = %{state | sent: state.sent + size, messages: state.messages + messages}
 
-    case Quota.take(state.config.quota, size, messages, System.monotonic_time(:nanosecond)) do
-      0 -> run(state, bytes - size, reads - 1)
+    case Quota.charge_sent(state.config.quota, size, messages, System.monotonic_time(:nanosecond)) do
+      0 -> send_scheduled(state, bytes - size, reads - 1)
       ns -> {:wait, ns, state}
     end
   end
 
-  defp stepped({:error, reason, state}, _bytes, _reads), do: {:error, reason, state}
+  defp continue_after({:error, reason, state}, _bytes, _reads), do: {:error, reason, state}
 
-  defp step(state, %{out: [{frame, size, messages} | out]} = channel) do
-    case transmit(state, channel, frame, messages) do
+  defp send_next(state, %{out: [{frame, size, messages} | out]} = channel) do
+    case send_data(state, channel, frame, messages) do
       :ok ->
         sent = channel.sent + messages
         channel = %{channel | out: out, credit: channel.credit - size, sent: sent}
-        {:sent, size, messages, put(state, channel)}
+        {:sent, size, messages, put_channel(state, channel)}
 
       {:error, reason} ->
         {:error, reason, state}
     end
   end
 
-  defp step(state, %{out: []} = channel) do
-    {state, channel} = lighten(state, channel)
+  defp send_next(state, %{out: []} = channel) do
+    {state, channel} = skip_messages(state, channel)
 
     case state.module.read(state.origin, channel.cursor) do
       {:parts, parts, lost, cursor} ->
-        most = if channel.datagrams, do: :any, else: Quota.piece(state.config.quota, @most_piece)
-        out = Enum.flat_map(parts, &frames(&1, channel.id, most))
-        state = told_lost(state, channel, lost)
-        step(state, %{channel | out: out, cursor: cursor, dropped: channel.dropped + lost})
+        most =
+          if channel.datagrams,
+            do: :any,
+            else: Quota.segment_size(state.config.quota, @most_piece)
+
+        out = Enum.flat_map(parts, &batch_to_frames(&1, channel.id, most))
+        state = report_lost(state, channel, lost)
+        send_next(state, %{channel | out: out, cursor: cursor, dropped: channel.dropped + lost})
 
       {:idle, cursor} ->
         # The channel is not scheduled until new data arrives.
@@ -176,50 +182,50 @@ defmodule Situ.Remote.Server.Pump do
 
       {:ended, time} ->
         _ = send_frame(state, {:closed, channel.id, time})
-        {:sent, 0, 0, put(state, %{channel | state: :ended})}
+        {:sent, 0, 0, put_channel(state, %{channel | state: :ended})}
     end
   end
 
-  defp transmit(state, %{datagrams: nil}, frame, _messages), do: Socket.send(state.socket, frame)
+  defp send_data(state, %{datagrams: nil}, frame, _messages), do: Socket.send(state.socket, frame)
 
-  defp transmit(_state, channel, frame, messages),
+  defp send_data(_state, channel, frame, messages),
     do: Datagrams.send_frame(channel.datagrams, frame, messages)
 
   # A lossy policy skips messages only when the stream is about to be sent, when the capacity of the link is known.
-  defp lighten(state, %{policy: policy} = channel) do
+  defp skip_messages(state, %{policy: policy} = channel) do
     if Delivery.lossy?(policy) do
       {skipped, cursor} =
         state.module.skip(state.origin, channel.cursor, policy, state.config.now.())
 
-      state = told_lost(state, channel, skipped)
+      state = report_lost(state, channel, skipped)
       {state, %{channel | cursor: cursor, dropped: channel.dropped + skipped}}
     else
       {state, channel}
     end
   end
 
-  defp told_lost(state, _channel, 0), do: state
+  defp report_lost(state, _channel, 0), do: state
 
-  defp told_lost(state, channel, n) do
+  defp report_lost(state, channel, n) do
     _ = send_frame(state, {:lost, channel.id, n})
     state
   end
 
-  defp frames({first, last, count, payload}, id, most) do
+  defp batch_to_frames({first, last, count, payload}, id, most) do
     frame = Frame.encode({:batch, id, first, last, count, payload})
     size = IO.iodata_length(frame)
 
     if size <= most,
       do: [{frame, size, count}],
-      else: pieces(IO.iodata_to_binary(frame), id, count, most)
+      else: split_frame(IO.iodata_to_binary(frame), id, count, most)
   end
 
-  defp pieces(bytes, id, count, most) when byte_size(bytes) <= most,
+  defp split_frame(bytes, id, count, most) when byte_size(bytes) <= most,
     do: [{Frame.encode({:part, id, true, bytes}), byte_size(bytes), count}]
 
-  defp pieces(bytes, id, count, most) do
-    <<piece::binary-known(most), rest::binary>> = bytes
-    [{Frame.encode({:part, id, false, piece}), most, 0} | pieces(rest, id, count, most)]
+  defp split_frame(bytes, id, count, most) do
+    <<piece::binary-pinned_size(most), rest::binary>> = bytes
+    [{Frame.encode({:part, id, false, piece}), most, 0} | split_frame(rest, id, count, most)]
   end
 
   defp send_frame(state, frame), do: Socket.send(state.socket, Frame.encode(frame))

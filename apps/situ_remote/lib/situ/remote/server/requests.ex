@@ -31,120 +31,130 @@ defmodule Situ.Remote.Server.Requests do
   Handles a request. Returns the segments of the reply or, for `await`, the number above which the client wants to be
   notified.
   """
-  @spec answer(Handle.t(), map()) :: {:ok, [iodata()]} | {:await, non_neg_integer()}
-  def answer(%Handle{} = store, %{"op" => "await"} = asked) do
-    with {:ok, known} <- number(asked["known"], 0, 0xFFFFFFFFFFFF),
+  @spec handle_request(Handle.t(), map()) :: {:ok, [iodata()]} | {:await, non_neg_integer()}
+  def handle_request(%Handle{} = store, %{"op" => "await"} = asked) do
+    with {:ok, known} <- parse_number(asked["known"], 0, 0xFFFFFFFFFFFF),
          true <- function_exported?(store.module, :await, 4) do
       {:await, known}
     else
-      _ -> {:ok, term({:ended, 0})}
+      _ -> {:ok, term_reply({:ended, 0})}
     end
   end
 
-  def answer(%Handle{} = store, asked) do
-    case act(asked["op"], store, asked) do
+  def handle_request(%Handle{} = store, asked) do
+    case run_operation(asked["op"], store, asked) do
       {:ok, body} -> {:ok, body}
-      {:error, %Error{} = error} -> {:ok, error |> discreet(store) |> error()}
-      {:error, why} -> {:ok, error(bad(why))}
+      {:error, %Error{} = error} -> {:ok, error |> hide_path(store) |> error_reply()}
+      {:error, why} -> {:ok, error_reply(bad_request_error(why))}
     end
   rescue
-    error in Error -> {:ok, error |> discreet(store) |> error()}
+    error in Error -> {:ok, error |> hide_path(store) |> error_reply()}
   end
 
   # Clients must not see paths of this machine.
-  defp discreet(error, store) do
+  defp hide_path(error, store) do
     hide = &(&1 && String.replace(&1, store.path, Path.basename(store.path)))
     %{error | what: hide.(error.what), why: hide.(error.why), fix: hide.(error.fix)}
   end
 
   @doc "Builds the reply for an error."
-  @spec error(Error.t()) :: [iodata()]
-  def error(%Error{} = error), do: [[2, JSON.encode(Handshake.to_map(error))]]
+  @spec error_reply(Error.t()) :: [iodata()]
+  def error_reply(%Error{} = error), do: [[2, JSON.encode(Handshake.error_to_map(error))]]
 
   @doc "Builds the reply for a term."
-  @spec term(term()) :: [iodata()]
-  def term(term), do: term |> :erlang.term_to_binary() |> pieces()
+  @spec term_reply(term()) :: [iodata()]
+  def term_reply(term), do: term |> :erlang.term_to_binary() |> split_body()
 
-  defp act("open", store, _asked) do
+  defp run_operation("open", store, _asked) do
     info = Reading.info(store)
     known = [:name, :version, :created, :closed?, :live?, :volatile?, :entries, :damage, :id]
-    {:ok, info |> Map.take(known) |> term()}
+    {:ok, info |> Map.take(known) |> term_reply()}
   end
 
-  defp act("streams", store, _asked), do: {:ok, store |> Reading.streams() |> shown() |> term()}
-  defp act("missing_files", store, _asked), do: {:ok, store |> Reading.missing_files() |> term()}
+  defp run_operation("streams", store, _asked),
+    do: {:ok, store |> Reading.streams() |> streams_to_maps() |> term_reply()}
 
-  defp act(op, store, %{"stream" => name} = asked) when is_binary(name) do
-    with {:ok, info} <- Reading.stream_info(store, name), do: of_stream(op, store, info, asked)
+  defp run_operation("missing_files", store, _asked),
+    do: {:ok, store |> Reading.missing_files() |> term_reply()}
+
+  defp run_operation(op, store, %{"stream" => name} = asked) when is_binary(name) do
+    with {:ok, info} <- Reading.stream_info(store, name),
+         do: run_stream_operation(op, store, info, asked)
   end
 
-  defp act(op, _store, _asked), do: {:error, "the operation #{inspect(op)} needs a stream"}
+  defp run_operation(op, _store, _asked),
+    do: {:error, "the operation #{inspect(op)} needs a stream"}
 
-  defp of_stream("stream", _store, info, _asked), do: {:ok, [info] |> shown() |> term()}
-  defp of_stream("count", store, info, _asked), do: {:ok, store |> Reading.count(info) |> term()}
+  defp run_stream_operation("stream", _store, info, _asked),
+    do: {:ok, [info] |> streams_to_maps() |> term_reply()}
 
-  defp of_stream("seek", store, info, asked) do
-    with {:ok, time} <- time(asked["time"]),
-         {:ok, ordinal} <- Reading.seek(store, info, time),
-         do: {:ok, term(ordinal)}
+  defp run_stream_operation("count", store, info, _asked),
+    do: {:ok, store |> Reading.count(info) |> term_reply()}
+
+  defp run_stream_operation("seek", store, info, asked) do
+    with {:ok, time} <- parse_time(asked["time"]),
+         {:ok, ordinal} <- Reading.seek_ordinal(store, info, time),
+         do: {:ok, term_reply(ordinal)}
   end
 
-  defp of_stream("gaps", store, info, asked) do
-    with {:ok, least} <- time(asked["least"]),
-         do: {:ok, store |> Reading.gaps(info, least) |> term()}
+  defp run_stream_operation("gaps", store, info, asked) do
+    with {:ok, least} <- parse_time(asked["least"]),
+         do: {:ok, store |> Reading.gaps(info, least) |> term_reply()}
   end
 
-  defp of_stream("read", store, info, asked) do
+  defp run_stream_operation("read", store, info, asked) do
     exact? = asked["exact"] == true
     flags = [exact: exact?, envelopes: asked["envelopes"] == true]
     opts = [skip_damage: asked["skip_damage"] == true] ++ flags
 
-    with {:ok, ordinal} <- number(asked["ordinal"], 0, 0xFFFFFFFFFFFFFF),
-         {:ok, to} <- if(asked["to"] == nil, do: {:ok, :unbounded}, else: time(asked["to"])),
-         {:ok, limit} <- number(asked["limit"], 1, 0xFFFFFFFF),
+    with {:ok, ordinal} <- parse_number(asked["ordinal"], 0, 0xFFFFFFFFFFFFFF),
+         {:ok, to} <-
+           if(asked["to"] == nil, do: {:ok, :unbounded}, else: parse_time(asked["to"])),
+         {:ok, limit} <- parse_number(asked["limit"], 1, 0xFFFFFFFF),
          limit = min(limit, if(exact?, do: @most_exact, else: @most)),
-         {:ok, messages, next} <- Reading.batch(store, info, ordinal, to, limit, opts) do
+         {:ok, messages, next} <- Reading.read_batch(store, info, ordinal, to, limit, opts) do
       batches =
         for {_, _, _, payload} <- Batch.encode(messages),
             do: [<<IO.iodata_length(payload)::32>>, payload]
 
-      {:ok, pieces(IO.iodata_to_binary([<<next::64>> | batches]))}
+      {:ok, split_body(IO.iodata_to_binary([<<next::64>> | batches]))}
     end
   end
 
-  defp of_stream("summary", store, info, asked) do
-    with {:ok, from} <- time(asked["from"]),
-         {:ok, to} <- time(asked["to"]),
-         {:ok, pixels} <- number(asked["pixels"], 1, @most_pixels),
-         :ok <- can(store, :summary, 5),
+  defp run_stream_operation("summary", store, info, asked) do
+    with {:ok, from} <- parse_time(asked["from"]),
+         {:ok, to} <- parse_time(asked["to"]),
+         {:ok, pixels} <- parse_number(asked["pixels"], 1, @most_pixels),
+         :ok <- check_supported(store, :summary, 5),
          {:ok, width, bins} <- store.module.summary(store.state, info, from, to, pixels),
-         do: {:ok, term({width, bins})}
+         do: {:ok, term_reply({width, bins})}
   end
 
-  defp of_stream("tracks", store, info, asked) do
-    with {:ok, from} <- time(asked["from"]),
-         {:ok, to} <- time(asked["to"]),
-         {:ok, level} <- number(asked["level"], 0, 62),
+  defp run_stream_operation("tracks", store, info, asked) do
+    with {:ok, from} <- parse_time(asked["from"]),
+         {:ok, to} <- parse_time(asked["to"]),
+         {:ok, level} <- parse_number(asked["level"], 0, 62),
          true <- Bitwise.bsr(max(to - from, 0), level) <= @most_pixels,
-         {:ok, most} <- number(asked["most"], 0, @most_pixels),
-         :ok <- can(store, :tracks, 6),
+         {:ok, most} <- parse_number(asked["most"], 0, @most_pixels),
+         :ok <- check_supported(store, :tracks, 6),
          {:ok, counts, tracks} <- store.module.tracks(store.state, info, from, to, level, most) do
-      {:ok, term({counts, tracks})}
+      {:ok, term_reply({counts, tracks})}
     else
       false -> {:error, "the request covers more than #{@most_pixels} bins"}
       error -> error
     end
   end
 
-  defp of_stream(op, _store, _info, _asked), do: {:error, "unknown operation: #{inspect(op)}"}
+  defp run_stream_operation(op, _store, _info, _asked),
+    do: {:error, "unknown operation: #{inspect(op)}"}
 
-  defp shown(infos) do
+  defp streams_to_maps(infos) do
     for %StreamInfo{} = info <- infos do
       info |> Map.from_struct() |> Map.drop([:store_path, :type])
     end
   end
 
-  defp can(store, function, arity) do
+  defp check_supported(store, function, arity) do
     if function_exported?(store.module, function, arity),
       do: :ok,
       else:
@@ -154,17 +164,17 @@ defmodule Situ.Remote.Server.Requests do
          )}
   end
 
-  defp time(n), do: number(n, -0x7FFFFFFFFFFFFFFF, 0x7FFFFFFFFFFFFFFF)
+  defp parse_time(n), do: parse_number(n, -0x7FFFFFFFFFFFFFFF, 0x7FFFFFFFFFFFFFFF)
 
-  defp number(n, least, most) when is_integer(n) and n >= least and n <= most, do: {:ok, n}
-  defp number(_n, least, most), do: {:error, "a number is not between #{least} and #{most}"}
+  defp parse_number(n, least, most) when is_integer(n) and n >= least and n <= most, do: {:ok, n}
+  defp parse_number(_n, least, most), do: {:error, "a number is not between #{least} and #{most}"}
 
-  defp pieces(bytes) when byte_size(bytes) <= @piece, do: [[1, bytes]]
+  defp split_body(bytes) when byte_size(bytes) <= @piece, do: [[1, bytes]]
 
-  defp pieces(bytes) do
+  defp split_body(bytes) do
     <<piece::binary-size(@piece), rest::binary>> = bytes
-    [[0, piece] | pieces(rest)]
+    [[0, piece] | split_body(rest)]
   end
 
-  defp bad(why), do: Error.new(:bad_request, "the request is malformed", why: why)
+  defp bad_request_error(why), do: Error.new(:bad_request, "the request is malformed", why: why)
 end

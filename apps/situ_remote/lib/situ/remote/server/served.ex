@@ -10,11 +10,12 @@ defmodule Situ.Remote.Server.Served do
 
   Errors: `:no_recording`.
   """
-  @spec find(served(), String.t()) :: {:ok, {module(), term()}} | {:error, Error.t()}
-  def find(served, "") when map_size(served) == 1, do: {:ok, served |> Map.values() |> hd()}
+  @spec fetch_recording(served(), String.t()) :: {:ok, {module(), term()}} | {:error, Error.t()}
+  def fetch_recording(served, "") when map_size(served) == 1,
+    do: {:ok, served |> Map.values() |> hd()}
 
-  def find(served, name) do
-    with :error <- Map.fetch(served, name), :error <- version(served, name) do
+  def fetch_recording(served, name) do
+    with :error <- Map.fetch(served, name), :error <- fetch_version(served, name) do
       {:error,
        Error.new(:no_recording, "the server has no recording named #{inspect(name)}",
          fix: "use one of these names: #{served |> Map.keys() |> Enum.join(", ")}"
@@ -23,7 +24,7 @@ defmodule Situ.Remote.Server.Served do
   end
 
   # The name may end with a version of a served recording.
-  defp version(served, name) do
+  defp fetch_version(served, name) do
     with [_, name, version] <- Regex.run(~r/\A(.+)\.(\d{4,9})\z/s, name),
          {:ok, {module, spec}} <- Map.fetch(served, name),
          {:ok, spec} <- module.version(spec, String.to_integer(version)) do

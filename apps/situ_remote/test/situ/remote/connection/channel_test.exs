@@ -6,51 +6,54 @@ defmodule Situ.Remote.Connection.ChannelTest do
 
   defp channel(window), do: Channel.new(1, self(), %{name: "s", from: :start, window: window})
 
-  property "room that is told never exceeds what was used up, and all of it is told in the end" do
+  property "announced room never exceeds the used room, and all is announced in the end" do
     forall {window, sizes} <- {integer(1, 1_000), list(integer(1, 300))} do
       {channel, told} =
         sizes
         |> Enum.with_index(1)
         |> Enum.reduce({channel(window), 0}, fn {size, time}, {channel, told} ->
-          {:ok, channel} = Channel.delivered(channel, size, time, 1)
-          {bytes, channel} = channel |> Channel.taken(size, time) |> Channel.credit()
+          {:ok, channel} = Channel.accept_batch(channel, size, time, 1)
+
+          {bytes, channel} =
+            channel |> Channel.record_consumed(size, time) |> Channel.take_credit()
+
           assert told + bytes <= Enum.sum(sizes)
           {channel, told + bytes}
         end)
 
-      # The credit not sent yet is less than a quarter of the window.
+      # The credit that was not sent yet is less than a quarter of the window.
       assert channel.under_way == 0
       assert (Enum.sum(sizes) - told) * 4 < window
     end
   end
 
-  property "pieces make the batch again, and are paid for but for the last" do
+  property "chunks form the batch again, and all but the last are paid for" do
     forall pieces <- nonempty_list(binary()) do
       {last, before} = List.pop_at(pieces, -1)
 
       channel =
         Enum.reduce(before, channel(10), fn piece, channel ->
-          {:more, channel} = Channel.part(channel, false, piece)
+          {:more, channel} = Channel.add_part(channel, false, piece)
           channel
         end)
 
-      {:whole, body, channel} = Channel.part(channel, true, last)
+      {:whole, body, channel} = Channel.add_part(channel, true, last)
       assert body == IO.iodata_to_binary(pieces)
       assert channel.unpaid == IO.iodata_length(before)
     end
   end
 
-  test "a server that ignores how much room there is is left" do
-    {:ok, channel} = Channel.delivered(channel(10), 200 * 1024 * 1024, 1, 1)
-    assert {:error, _} = Channel.delivered(channel, 1, 2, 1)
+  test "disconnects from a server that ignores the available room" do
+    {:ok, channel} = Channel.accept_batch(channel(10), 200 * 1024 * 1024, 1, 1)
+    assert {:error, _} = Channel.accept_batch(channel, 1, 2, 1)
   end
 
-  test "asked again: from behind what came, with the room that is left" do
+  test "a repeated request continues after the last message with the remaining room" do
     channel = channel(1_000)
-    assert {%{"from" => "start", "window" => 1_000}, channel} = Channel.ask(channel)
-    channel = Channel.subscribed(channel, -5)
-    assert {%{"from" => %{"after" => -5}}, channel} = Channel.ask(channel)
-    {:ok, channel} = Channel.delivered(channel, 400, 30, 3)
-    assert {%{"from" => %{"after" => 30}, "window" => 600}, _} = Channel.ask(channel)
+    assert {%{"from" => "start", "window" => 1_000}, channel} = Channel.build_request(channel)
+    channel = Channel.mark_subscribed(channel, -5)
+    assert {%{"from" => %{"after" => -5}}, channel} = Channel.build_request(channel)
+    {:ok, channel} = Channel.accept_batch(channel, 400, 30, 3)
+    assert {%{"from" => %{"after" => 30}, "window" => 600}, _} = Channel.build_request(channel)
   end
 end

@@ -10,10 +10,10 @@ defmodule Situ.Remote.Link.BatchTest do
     Image.new!(width: n, height: 2, format: :gray8, data: :binary.copy(<<n>>, 2 * n))
   end
 
-  # Plain data of every kind that a store takes.
+  # Plain data of every kind that a store accepts.
   defp data do
     simple =
-      one_of([integer(), float(), text(), boolean(), binary(), constant(nil), constant(:ok)])
+      one_of([integer(), float(), ascii_text(), boolean(), binary(), constant(nil), constant(:ok)])
 
     image = map(integer(1, 4), &gray/1)
     large = map(integer(500, 600), &:binary.copy("x", &1))
@@ -34,7 +34,7 @@ defmodule Situ.Remote.Link.BatchTest do
     end)
   end
 
-  property "what is written is read, in order, and the frames say what is in them" do
+  property "messages survive a round trip in order, and the frames describe them" do
     forall messages <- messages() do
       parts = Batch.encode(messages)
 
@@ -51,7 +51,7 @@ defmodule Situ.Remote.Link.BatchTest do
     end
   end
 
-  property "a payload that was cut or changed is messages or an error in words", numtests: 300 do
+  property "a truncated or changed payload gives messages or a readable error", numtests: 300 do
     forall {messages, at, byte} <- {messages(), integer(0, 400), integer(0, 255)} do
       for {_, _, _, payload} <- Batch.encode(messages) do
         bytes = IO.iodata_to_binary(payload)
@@ -68,7 +68,7 @@ defmodule Situ.Remote.Link.BatchTest do
     end
   end
 
-  test "atoms and structs that nobody here knows are text and maps; functions are refused" do
+  test "unknown atoms and structs become text and maps, and functions are rejected" do
     term = fn bytes -> Batch.decode(<<0, bytes::binary>>) end
 
     atom =
@@ -82,7 +82,7 @@ defmodule Situ.Remote.Link.BatchTest do
     assert {:error, _} = term.(fun)
   end
 
-  test "an unknown codec is data that are undecoded, and the stream goes on" do
+  test "an unknown codec gives undecoded data, and the stream continues" do
     record = <<1::64, 10::64, 11::64, 3::32, "abc">>
 
     assert {:ok, [%{data: %Undecoded{bytes: "abc"}}]} =
@@ -99,9 +99,9 @@ defmodule Situ.Remote.Link.BatchTest do
     assert :binary.referenced_byte_size(data) == byte_size(bytes)
   end
 
-  test "what may not travel is told apart" do
+  test "separates data that may not be sent" do
     messages = for data <- [1, self(), "a"], do: %Message{data: data, originating_time: 1}
-    assert {[%{data: 1}, %{data: "a"}], 1} = Batch.plain(messages)
-    assert {[_], 0} = Batch.plain([hd(messages)])
+    assert {[%{data: 1}, %{data: "a"}], 1} = Batch.split_encodable(messages)
+    assert {[_], 0} = Batch.split_encodable([hd(messages)])
   end
 end

@@ -6,8 +6,8 @@ defmodule Situ.Remote.Link.ClockEstimateTest do
 
   @second 1_000_000_000
 
-  # Round trips once a second over a link whose ways there and back take `base` and up to `noise` ns more, to a clock
-  # that is `offset` ahead at our time 0 and gains `drift`.
+  # Round trips once a second over a link whose two directions take `base` and up to `noise` ns more, to a clock that
+  # is `offset` ahead at our time 0 and gains `drift`.
   defp trips(n, offset, drift, base, delays) do
     for {{there, back}, i} <- Enum.with_index(Enum.take(Stream.cycle(delays), n)) do
       t0 = i * @second
@@ -19,9 +19,10 @@ defmodule Situ.Remote.Link.ClockEstimateTest do
     end
   end
 
-  defp estimate(trips), do: Enum.reduce(trips, ClockEstimate.new(), &ClockEstimate.add(&2, &1))
+  defp estimate(trips),
+    do: Enum.reduce(trips, ClockEstimate.new(), &ClockEstimate.add_round_trip(&2, &1))
 
-  property "the offset is as near as the quickest round trip allows, whatever the noise",
+  property "the offset is as accurate as the fastest round trip allows, whatever the noise",
     numtests: 60 do
     forall {offset, base, delays} <-
              {integer(-1_000_000_000_000, 1_000_000_000_000), integer(1_000, 50_000_000),
@@ -29,42 +30,42 @@ defmodule Situ.Remote.Link.ClockEstimateTest do
       trips = trips(6, offset, 0.0, base, delays)
       clock = estimate(trips)
       now = 6 * @second
-      error = abs(ClockEstimate.offset(clock, now) - offset)
-      assert error <= ClockEstimate.uncertainty(clock, now) + 2
+      error = abs(ClockEstimate.offset_at(clock, now) - offset)
+      assert error <= ClockEstimate.uncertainty_at(clock, now) + 2
     end
   end
 
-  test "drift is found over minutes, and foretells" do
+  test "estimates drift over minutes and predicts with it" do
     delays = for i <- 1..40, do: {rem(i * 7919, 400_000), rem(i * 104_729, 400_000)}
 
     for drift <- [40.0e-6, -120.0e-6] do
       clock = estimate(trips(240, 5 * @second, drift, 200_000, delays))
       now = 300 * @second
       assert_in_delta clock.drift, drift, 1.0e-6
-      assert_in_delta ClockEstimate.offset(clock, now), 5 * @second + drift * now, 250_000
+      assert_in_delta ClockEstimate.offset_at(clock, now), 5 * @second + drift * now, 250_000
 
       ours = 299 * @second
       theirs = round(ours + 5 * @second + drift * ours)
-      assert_in_delta ClockEstimate.to_ours(clock, theirs), ours, 250_000
+      assert_in_delta ClockEstimate.to_local_time(clock, theirs), ours, 250_000
     end
   end
 
-  test "a clock that is set is followed after three round trips" do
+  test "follows a clock change after three round trips" do
     before = estimate(trips(30, 0, 0.0, 100_000, [{0, 0}]))
 
     later =
       for {t0, t1, t2, t3} <- Enum.drop(trips(40, 7 * @second, 0.0, 100_000, [{0, 0}]), 30),
           do: {t0, t1, t2, t3}
 
-    clock = Enum.reduce(Enum.take(later, 3), before, &ClockEstimate.add(&2, &1))
-    assert_in_delta ClockEstimate.offset(clock, 33 * @second), 7 * @second, 1_000_000
+    clock = Enum.reduce(Enum.take(later, 3), before, &ClockEstimate.add_round_trip(&2, &1))
+    assert_in_delta ClockEstimate.offset_at(clock, 33 * @second), 7 * @second, 1_000_000
   end
 
-  test "impossible round trips change nothing" do
+  test "ignores impossible round trips" do
     clock = estimate(trips(3, 0, 0.0, 1_000, [{0, 0}]))
-    assert ClockEstimate.add(clock, {10, 5, 4, 20}) == clock
-    assert ClockEstimate.add(clock, {10, 5, 6, 9}) == clock
-    assert ClockEstimate.uncertainty(ClockEstimate.new(), 0) == nil
-    assert ClockEstimate.to_ours(ClockEstimate.new(), 7) == 7
+    assert ClockEstimate.add_round_trip(clock, {10, 5, 4, 20}) == clock
+    assert ClockEstimate.add_round_trip(clock, {10, 5, 6, 9}) == clock
+    assert ClockEstimate.uncertainty_at(ClockEstimate.new(), 0) == nil
+    assert ClockEstimate.to_local_time(ClockEstimate.new(), 7) == 7
   end
 end

@@ -8,8 +8,9 @@ defmodule Situ.Remote.Link.DatagramsTest do
 
   defp sent(frames, size) do
     {datagrams, _} =
-      Enum.flat_map_reduce(frames, Datagrams.sender(@key, size), fn {frame, messages}, sender ->
-        {sent, sender} = Datagrams.split(sender, frame, messages)
+      Enum.flat_map_reduce(frames, Datagrams.new_sender(@key, size), fn {frame, messages},
+                                                                        sender ->
+        {sent, sender} = Datagrams.split_frame(sender, frame, messages)
         {Enum.map(sent, &{frame, &1}), sender}
       end)
 
@@ -17,15 +18,15 @@ defmodule Situ.Remote.Link.DatagramsTest do
   end
 
   defp received(datagrams) do
-    Enum.flat_map_reduce(datagrams, Datagrams.receiver(@key), fn datagram, receiver ->
-      Datagrams.take(receiver, datagram)
+    Enum.flat_map_reduce(datagrams, Datagrams.new_receiver(@key), fn datagram, receiver ->
+      Datagrams.receive_datagram(receiver, datagram)
     end)
     |> elem(0)
   end
 
   defp frames, do: list({binary(), integer(0, 5)})
 
-  property "every size of a frame comes through datagrams of any size", numtests: 300 do
+  property "a frame of any size survives datagrams of any size", numtests: 300 do
     forall {frames, size} <- {frames(), integer(46, 200)} do
       datagrams = for {_, datagram} <- sent(frames, size), do: datagram
 
@@ -34,8 +35,8 @@ defmodule Situ.Remote.Link.DatagramsTest do
     end
   end
 
-  # The sizes at which the reference cut messages short.
-  test "frames about as long as one and two datagrams" do
+  # The sizes at which the reference truncated messages.
+  test "sends frames about as long as one and two datagrams" do
     for size <- [46, 1_200, 65_507],
         times <- 1..2,
         around <- -50..50,
@@ -47,7 +48,7 @@ defmodule Situ.Remote.Link.DatagramsTest do
     end
   end
 
-  property "lost, doubled and swapped datagrams: frames come whole, in order, once, and every loss is told",
+  property "with lost, duplicated and swapped datagrams, frames arrive intact and losses are reported",
     numtests: 300 do
     forall {numbers, chances, size} <- {list(integer(1, 4)), list(integer(0, 9)), integer(46, 90)} do
       frames =
@@ -59,7 +60,7 @@ defmodule Situ.Remote.Link.DatagramsTest do
       indices = for {_, <<i::32, _::binary>>} <- out, do: i
       messages = Enum.map(frames, &elem(&1, 1))
 
-      # Up to the last frame that came, what came and what was told lost are all there was.
+      # Up to the last frame received, the received and the reported lost frames are all frames.
       came = indices |> Enum.map(&Enum.at(messages, &1)) |> Enum.sum()
       lost = out |> Enum.map(&elem(&1, 0)) |> Enum.sum()
       last = List.last(indices)
@@ -87,24 +88,34 @@ defmodule Situ.Remote.Link.DatagramsTest do
     |> Enum.flat_map(fn {pair, chance} -> if chance > 6, do: Enum.reverse(pair), else: pair end)
   end
 
-  property "whatever comes, it is taken or left, and never raises", numtests: 300 do
+  property "any datagram is accepted or ignored, and never raises", numtests: 300 do
     forall {bytes, size} <- {binary(), integer(46, 200)} do
-      {[], receiver} = Datagrams.take(Datagrams.receiver(@key), bytes)
-      other = Datagrams.split(Datagrams.sender(<<9::128>>, size), "of another key", 1) |> elem(0)
+      {[], receiver} = Datagrams.receive_datagram(Datagrams.new_receiver(@key), bytes)
 
-      Enum.all?(other, &match?({[], _}, Datagrams.take(receiver, &1))) and
+      other =
+        Datagrams.split_frame(Datagrams.new_sender(<<9::128>>, size), "of another key", 1)
+        |> elem(0)
+
+      Enum.all?(other, &match?({[], _}, Datagrams.receive_datagram(receiver, &1))) and
         not Datagrams.hello?(@key, bytes)
     end
   end
 
-  test "a sender that begins frames and ends none fills no memory" do
+  test "a sender that never completes its frames does not fill memory" do
     datagrams =
       for {frame, datagram} <- sent(for(i <- 1..1_000, do: {<<i::16, 0::400>>, 1}), 60),
           frame != nil,
           do: datagram
 
     firsts = datagrams |> Enum.chunk_every(4) |> Enum.map(&hd/1)
-    receiver = Enum.reduce(firsts, Datagrams.receiver(@key), &elem(Datagrams.take(&2, &1), 1))
+
+    receiver =
+      Enum.reduce(
+        firsts,
+        Datagrams.new_receiver(@key),
+        &elem(Datagrams.receive_datagram(&2, &1), 1)
+      )
+
     assert map_size(receiver.sets) <= 16
   end
 end

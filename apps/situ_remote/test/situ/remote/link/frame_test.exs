@@ -8,8 +8,8 @@ defmodule Situ.Remote.Link.FrameTest do
   defp time, do: integer(-0x8000000000000000, 0x7FFFFFFFFFFFFFFF)
 
   defp json do
-    value = one_of([integer(), text(), boolean(), list(text())])
-    map(list({text(), value}), &Map.new/1)
+    value = one_of([integer(), ascii_text(), boolean(), list(ascii_text())])
+    map(list({ascii_text(), value}), &Map.new/1)
   end
 
   defp frame do
@@ -36,13 +36,13 @@ defmodule Situ.Remote.Link.FrameTest do
 
   defp bytes(frame), do: frame |> Frame.encode() |> IO.iodata_to_binary()
 
-  property "a frame read back is the frame that was written", numtests: 500 do
+  property "a frame survives a round trip", numtests: 500 do
     forall frame <- frame() do
       assert Frame.decode(bytes(frame)) == {:ok, frame}
     end
   end
 
-  property "any bytes are a frame or an error in words", numtests: 500 do
+  property "any bytes are a frame or a readable error", numtests: 500 do
     forall {kind, rest} <- {integer(0, 20), binary()} do
       case Frame.decode(<<kind, rest::binary>>) do
         {:ok, frame} -> assert bytes(frame) != ""
@@ -51,7 +51,7 @@ defmodule Situ.Remote.Link.FrameTest do
     end
   end
 
-  property "a frame cut short is an error or a shorter payload, never a raise", numtests: 300 do
+  property "a truncated frame is an error or has a shorter payload", numtests: 300 do
     forall {frame, keep} <- {frame(), integer(0, 60)} do
       whole = bytes(frame)
       assert {kind, _} = Frame.decode(binary_part(whole, 0, min(keep, byte_size(whole))))

@@ -4,13 +4,13 @@ defmodule Situ.Remote.Link.QuotaTest do
   alias Situ.Remote.Link.Quota
   doctest Quota
 
-  property "whoever waits as long as is said sends no more than the rate and a tenth of a second of it" do
+  property "a sender that waits as asked exceeds the rate by at most a tenth of a second" do
     forall {rate, sizes} <- {integer(1_000, 1_000_000), list(integer(1, 50_000))} do
       quota = Quota.new({:bytes_per_second, rate})
       now = -5_000_000_000
 
       finished =
-        Enum.reduce(sizes, now, fn size, now -> now + Quota.take(quota, size, 1, now) end)
+        Enum.reduce(sizes, now, fn size, now -> now + Quota.charge_sent(quota, size, 1, now) end)
 
       least = Enum.sum(sizes) * 1.0e9 / rate - 100_000_000
       assert finished - now >= least - length(sizes) - 1
@@ -18,14 +18,14 @@ defmodule Situ.Remote.Link.QuotaTest do
     end
   end
 
-  test "the stricter of two limits holds" do
+  test "the stricter of two limits applies" do
     quota = Quota.new([{:bytes_per_second, 1_000_000_000}, {:messages_per_second, 10}])
-    assert Quota.take(quota, 10, 2, 0) == 100_000_000
+    assert Quota.charge_sent(quota, 10, 2, 0) == 100_000_000
   end
 
-  test "pieces last 50 ms" do
-    assert Quota.piece(Quota.new({:bytes_per_second, 1_000_000}), 4_000_000) == 50_000
-    assert Quota.piece(Quota.new({:bytes_per_second, 10}), 4_000_000) == 4_096
-    assert Quota.piece(Quota.new(nil), 4_000_000) == 4_000_000
+  test "chunks last 50 ms" do
+    assert Quota.segment_size(Quota.new({:bytes_per_second, 1_000_000}), 4_000_000) == 50_000
+    assert Quota.segment_size(Quota.new({:bytes_per_second, 10}), 4_000_000) == 4_096
+    assert Quota.segment_size(Quota.new(nil), 4_000_000) == 4_000_000
   end
 end

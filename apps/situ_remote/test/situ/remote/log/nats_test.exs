@@ -10,7 +10,7 @@ defmodule Situ.Remote.Log.NatsTest do
   doctest Situ.Remote.Log.Nats.Wire
 
   @moduletag :tmp_dir
-  # Said once, by the tests of the log.
+  # The tests of the log report once that nats-server is missing.
   @server if(NatsServer.path(), do: [], else: [skip: "there is no nats-server"])
 
   defp server(dir, opts \\ []) do
@@ -21,7 +21,7 @@ defmodule Situ.Remote.Log.NatsTest do
 
   defp entry(i, data), do: %Entry{op: "op.#{i}", data: data, head: %{"Last" => "#{i}"}}
 
-  # As a publisher does: until it is written, or refused.
+  # Retries until the entry is written or rejected, as a publisher does.
   defp patiently(log, subject, last, entry, left \\ 600) do
     case Log.append(log, subject, last, entry) do
       {:error, %{code: :log_away}} when left > 0 ->
@@ -36,7 +36,7 @@ defmodule Situ.Remote.Log.NatsTest do
   defp everything(log, subject, from, left \\ 600) do
     case Log.read(log, subject, from, 1_000) do
       {:ok, entries} ->
-        for e <- entries, do: Entry.integer(e, "Last", 0)
+        for e <- entries, do: Entry.head_integer(e, "Last", 0)
 
       {:error, %{code: :log_away}} when left > 0 ->
         Process.sleep(50)
@@ -47,7 +47,7 @@ defmodule Situ.Remote.Log.NatsTest do
   describe "a server" do
     @describetag @server
 
-    test "that is killed and comes back has lost nothing and got nothing twice", %{tmp_dir: dir} do
+    test "that is killed and restarts has lost and duplicated nothing", %{tmp_dir: dir} do
       server = server(dir)
       {:ok, log} = Log.connect(server.url, timeout: 500)
       subject = {:stream, "s"}
@@ -70,17 +70,17 @@ defmodule Situ.Remote.Log.NatsTest do
       assert everything(log, subject, 1) == Enum.to_list(1..300)
     end
 
-    test "is told by name: too large, full, no JetStream, wrong password", %{tmp_dir: dir} do
+    test "names its error: too large, log full, no JetStream, wrong password", %{tmp_dir: dir} do
       server = server(Path.join(dir, "a"), settings: "max_payload: 100000")
       {:ok, log} = Log.connect(server.url, max_bytes: 300_000, when_full: :refuse)
       big = :binary.copy("x", 99_000)
       assert {:error, %{code: :too_large}} = Log.append(log, {:stream, "s"}, 0, entry(1, big))
-      fits = :binary.copy("x", Log.limit(log))
+      fits = :binary.copy("x", Log.max_data_size(log))
       {:ok, 1} = Log.append(log, {:stream, "s"}, 0, entry(1, fits))
       {:ok, 2} = Log.append(log, {:stream, "s"}, 1, entry(2, fits))
       {:ok, 3} = Log.append(log, {:stream, "s"}, 2, entry(3, fits))
       assert {:error, %{code: :log_full}} = Log.append(log, {:stream, "s"}, 3, entry(4, fits))
-      assert {:ok, %Entry{op: "op.3"}} = Log.last(log, {:stream, "s"})
+      assert {:ok, %Entry{op: "op.3"}} = Log.fetch_last(log, {:stream, "s"})
 
       plain = server(Path.join(dir, "b"), jetstream: false)
       assert {:error, %{code: :no_jetstream}} = Log.connect(plain.url)
@@ -91,7 +91,7 @@ defmodule Situ.Remote.Log.NatsTest do
       assert {:ok, _log} = Log.connect("nats://s3cret@" <> host)
     end
 
-    test "refuses the layout of an older version, by name", %{tmp_dir: dir} do
+    test "rejects the layout of an older version by name", %{tmp_dir: dir} do
       server = server(dir)
       {:ok, log} = Log.connect(server.url)
       older = Situ.JSON.encode(%{"name" => "SITU", "subjects" => ["situ.s.>"]})
@@ -100,7 +100,7 @@ defmodule Situ.Remote.Log.NatsTest do
       assert fix =~ "SITU"
     end
 
-    test "a stream whose entries were all too old goes on counting", %{tmp_dir: dir} do
+    test "continues counting in a stream whose entries have all expired", %{tmp_dir: dir} do
       server = server(dir)
       {:ok, log} = Log.connect(server.url)
       subject = {:stream, "s"}
@@ -110,9 +110,9 @@ defmodule Situ.Remote.Log.NatsTest do
           Log.append(log, subject, seq, entry(i, "x"))
         end)
 
-      # As max_age does it.
+      # Has the same effect as max_age.
       assert %{"success" => true} = asked(log, "$JS.API.STREAM.PURGE.SITU_S_s", "")
-      assert {:ok, nil} = Log.last(log, subject)
+      assert {:ok, nil} = Log.fetch_last(log, subject)
       assert {:refused, nil} = Log.append(log, subject, 2, entry(4, "x"))
       assert {:ok, 4} = Log.append(log, subject, 3, entry(4, "x"))
       assert %{"success" => true} = asked(log, "$JS.API.STREAM.PURGE.SITU_S_s", "")
@@ -120,7 +120,7 @@ defmodule Situ.Remote.Log.NatsTest do
       assert {:refused, %Entry{seq: 5}} = Log.append(log, subject, 0, entry(6, "x"))
     end
 
-    test "says that it has no handles left for a further stream", %{tmp_dir: dir} do
+    test "reports that no handles are left for another stream", %{tmp_dir: dir} do
       server = server(dir, settings: "")
       {:ok, log} = Log.connect(server.url)
       {_, 0} = System.cmd("prlimit", ["--pid", "#{server.pid}", "--nofile=40:40"])
@@ -132,9 +132,9 @@ defmodule Situ.Remote.Log.NatsTest do
       assert fix =~ "open files"
     end
 
-    # A site with a server of its own, which calls the hub. The one keeps no log, the other its own one.
-    test "a log at a hub is written to from a site, over a leaf link", %{tmp_dir: dir} do
-      leaf = Situ.Test.FreePort.tcp()
+    # A site with its own server that connects to the hub. One site keeps no log, the other keeps its own.
+    test "a site writes to a log at a hub over a leaf link", %{tmp_dir: dir} do
+      leaf = Situ.Test.FreePort.find_tcp()
       listen = ~s(leafnodes { listen: "127.0.0.1:#{leaf}" })
       hub = domain(Path.join(dir, "hub"), "hub", listen)
       remote = ~s(leafnodes { remotes: [ { url: "nats://127.0.0.1:#{leaf}" } ] })
@@ -153,12 +153,12 @@ defmodule Situ.Remote.Log.NatsTest do
 
       NatsServer.kill(hub)
       log = %{at_hub | conn: elem(Log.connect(edge.url), 1).conn}
-      assert {:ok, []} = Log.subjects(log)
+      assert {:ok, []} = Log.list_subjects(log)
       assert {:error, %{code: :bad_option}} = Log.connect(edge.url, domain: "a.b")
     end
 
-    test "three servers: the leader is killed, nothing is lost", %{tmp_dir: dir} do
-      ports = for _ <- 1..3, do: {Situ.Test.FreePort.tcp(), Situ.Test.FreePort.tcp()}
+    test "three servers: nothing is lost when the leader is killed", %{tmp_dir: dir} do
+      ports = for _ <- 1..3, do: {Situ.Test.FreePort.find_tcp(), Situ.Test.FreePort.find_tcp()}
       routes = Enum.map_join(ports, ", ", fn {_, route} -> ~s("nats://127.0.0.1:#{route}") end)
 
       servers =
@@ -183,7 +183,7 @@ defmodule Situ.Remote.Log.NatsTest do
 
       assert_receive :half
 
-      # One that does not know the last entry is refused by a cluster too, and does no harm.
+      # A writer that does not know the last entry is rejected by a cluster too, and does no harm.
       assert {:refused, %Entry{}} = patiently(log, subject, 3, entry(0, "late"))
       assert %{"cluster" => %{"leader" => "n" <> n}} = asked(log, "$JS.API.STREAM.INFO.SITU_S_s")
       servers |> Enum.at(String.to_integer(n) - 1) |> NatsServer.kill()
@@ -197,7 +197,7 @@ defmodule Situ.Remote.Log.NatsTest do
     server(dir, jetstream: false, settings: js <> "\n" <> settings)
   end
 
-  # The leaf link needs a moment until it is there.
+  # The leaf link needs a moment to connect.
   defp linked(address, left) do
     case Log.connect(address, domain: "hub", timeout: 2_000) do
       {:ok, log} ->
@@ -209,8 +209,8 @@ defmodule Situ.Remote.Log.NatsTest do
     end
   end
 
-  # Its first line is all that counts; a whole server of 2.8 is no package of Debian's.
-  test "a server of an old version is refused by name" do
+  # Only a server's first line counts, so a fake server is enough; Debian has no package of version 2.8.
+  test "rejects a server of an old version by name" do
     {:ok, listener} = :gen_tcp.listen(0, [:binary, active: false, ip: {127, 0, 0, 1}])
     {:ok, port} = :inet.port(listener)
 
@@ -223,7 +223,10 @@ defmodule Situ.Remote.Log.NatsTest do
         end)
 
       assert {:error, %{code: ^code} = error} = Log.connect("nats://127.0.0.1:#{port}")
-      if code == :old_server, do: assert(error.what =~ "is #{version}" and error.fix =~ "2.9")
+
+      if code == :old_server,
+        do: assert(error.what =~ "has version #{version}" and error.fix =~ "2.9")
+
       Task.await(greeter, 30_000)
     end
   end
@@ -236,7 +239,7 @@ defmodule Situ.Remote.Log.NatsTest do
     answer
   end
 
-  # A cluster needs a while until it has a leader.
+  # A cluster needs a while to elect a leader.
   defp connected(address, left) do
     case Log.connect(address, replicas: 3, timeout: 2_000) do
       {:ok, log} ->
@@ -248,9 +251,9 @@ defmodule Situ.Remote.Log.NatsTest do
     end
   end
 
-  property "whatever bytes come, the parser answers" do
+  property "the parser handles any bytes" do
     forall bytes <- binary() do
-      case Wire.parse("MSG a 1 " <> bytes, 1_000) do
+      case Wire.parse_frame("MSG a 1 " <> bytes, 1_000) do
         :more -> true
         {:ok, _, rest} -> is_binary(rest)
         {:error, text} -> is_binary(text)
@@ -258,18 +261,18 @@ defmodule Situ.Remote.Log.NatsTest do
     end
   end
 
-  property "a message is what was published, however the bytes are cut" do
+  property "a message equals the published one, however the bytes are cut" do
     forall {data, at} <- {binary(), non_neg_integer()} do
       "HPUB a.b _R " <> rest =
-        IO.iodata_to_binary(Wire.publish("a.b", "_R", [{"K", "v w"}], data))
+        IO.iodata_to_binary(Wire.encode_publish("a.b", "_R", [{"K", "v w"}], data))
 
       bytes = "HMSG a.b 1 _R " <> rest
       at = rem(at, byte_size(bytes))
 
-      Wire.parse(binary_part(bytes, 0, at), 100_000) == :more and
+      Wire.parse_frame(binary_part(bytes, 0, at), 100_000) == :more and
         match?(
           {:ok, {:message, %{data: ^data, headers: %{"K" => "v w"}, reply: "_R"}}, "next"},
-          Wire.parse(bytes <> "next", 100_000)
+          Wire.parse_frame(bytes <> "next", 100_000)
         )
     end
   end

@@ -27,7 +27,7 @@ defmodule Situ.Remote.Origin.RecordingTest do
     end
   end
 
-  test "versions are read as one row, from any time, whichever of them has the stream", %{
+  test "versions are read as one recording from any time, whichever has the stream", %{
     root: root
   } do
     finish(begin(root, "r", %{"n" => messages(1..5)}), 5)
@@ -51,7 +51,7 @@ defmodule Situ.Remote.Origin.RecordingTest do
     {:ok, alone, _} = Recording.cursor(state, "other", {:at, 0})
     assert {[6, 7], {:idle, _}} = times(state, alone)
 
-    # Pieces of live streams are one recording.
+    # The segments of live streams are one recording.
     {:ok, live} = Recording.open({:live, root, "r"})
     {:ok, cursor, before} = Recording.cursor(live, "n", :start)
     assert before == Recording.before_all()
@@ -60,7 +60,7 @@ defmodule Situ.Remote.Origin.RecordingTest do
     assert {[9, 10, 11, 12], {:ended, 20}} = times(state, newest)
   end
 
-  test "what a lossy policy keeps", %{root: root} do
+  test "a lossy policy keeps only its messages", %{root: root} do
     finish(begin(root, "r", %{"n" => messages(1..100)}), 100)
     {:ok, state} = Recording.open({:series, root, "r"})
     {:ok, cursor, _} = Recording.cursor(state, "n", :start)
@@ -74,7 +74,7 @@ defmodule Situ.Remote.Origin.RecordingTest do
     assert {0, ^cursor} = Recording.skip(state, cursor, Delivery.unlimited(), 0)
   end
 
-  test "news of a commit, and of the end", %{root: root} do
+  test "reports a commit and the end", %{root: root} do
     {writer, %{"n" => stream}} = begin(root, "r", %{"n" => messages(1..3)})
     {:ok, state} = Recording.open({:series, root, "r"})
     {[%{name: "n"}], state} = Recording.streams(state)

@@ -1,5 +1,5 @@
 defmodule Situ.Remote.Recording.AnswerTest do
-  # A malformed answer of a server never raises, and is never accepted.
+  # A malformed response from a server must never raise and never be accepted.
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.Remote.Recording.Answer
@@ -8,31 +8,31 @@ defmodule Situ.Remote.Recording.AnswerTest do
 
   defp all(body) do
     for(name <- @readers, do: apply(Answer, name, [body])) ++
-      [Answer.streams(body, "here"), Answer.messages(body, 1)]
+      [Answer.decode_streams(body, "here"), Answer.decode_messages(body, 1)]
   end
 
   defp one_of_two?(answers), do: Enum.all?(answers, &(&1 == :error or match?({:ok, _}, &1)))
 
-  property "any bytes are an answer or none", numtests: 500 do
+  property "any bytes are a response or rejected", numtests: 500 do
     forall body <- binary() do
       one_of_two?(all(body))
     end
   end
 
-  property "any term is an answer or none", numtests: 500 do
+  property "any term is a response or rejected", numtests: 500 do
     forall term <- term() do
       one_of_two?(all(:erlang.term_to_binary(term)))
     end
   end
 
-  test "a stream's entry is taken whole or not at all" do
+  test "a stream's entry is accepted completely or not at all" do
     good = %{Map.from_struct(%Situ.Store.StreamInfo{id: 1, name: "n"}) | type_name: ":float"}
     body = &:erlang.term_to_binary/1
 
     assert {:ok, [%{name: "n", type: :float, store_path: "there"}]} =
-             Answer.streams(body.([good]), "there")
+             Answer.decode_streams(body.([good]), "there")
 
     for {key, bad} <- [name: 1, id: nil, first: "x", codecs: [], supplemental: 3, type_name: nil],
-        do: assert(Answer.streams(body.([Map.put(good, key, bad)]), "there") == :error)
+        do: assert(Answer.decode_streams(body.([Map.put(good, key, bad)]), "there") == :error)
   end
 end

@@ -3,39 +3,39 @@ defmodule Situ.Remote.Rendezvous.DirectoryTest do
   alias Situ.Remote.Rendezvous.Directory
   doctest Directory
 
-  test "another's name is left alone, one's own may change" do
+  test "keeps another client's name, and a client may change its own" do
     one = %{name: "a", version: "1", endpoints: []}
     two = %{one | endpoints: [{:clock, "h", 1, []}]}
-    {[{:add, ^one}], directory} = Directory.apply(Directory.new(), :x, {:add, one})
-    assert {[], ^directory} = Directory.apply(directory, :x, {:add, one})
-    assert {[], ^directory} = Directory.apply(directory, :y, {:add, two})
+    {[{:add, ^one}], directory} = Directory.apply_update(Directory.new(), :x, {:add, one})
+    assert {[], ^directory} = Directory.apply_update(directory, :x, {:add, one})
+    assert {[], ^directory} = Directory.apply_update(directory, :y, {:add, two})
 
     assert {[{:remove, "a"}, {:add, ^two}], directory} =
-             Directory.apply(directory, :x, {:add, two})
+             Directory.apply_update(directory, :x, {:add, two})
 
-    assert Directory.processes(directory) == [two]
-    assert {[], ^directory} = Directory.gone(directory, :y)
+    assert Directory.list_processes(directory) == [two]
+    assert {[], ^directory} = Directory.remove_owner(directory, :y)
   end
 
-  test "one client has only so many names, and all of them only so much room" do
+  test "limits the names of one client and the memory of all clients" do
     add = fn directory, owner, name, streams ->
       endpoints = [
         {:address, "a", for(i <- 1..streams//1, do: {String.duplicate("x", 4_000 + i), "t"})}
       ]
 
       process = %{name: name, version: "1", endpoints: endpoints}
-      Directory.apply(directory, owner, {:add, process})
+      Directory.apply_update(directory, owner, {:add, process})
     end
 
     directory = Enum.reduce(1..150, Directory.new(), &elem(add.(&2, :x, "x#{&1}", 0), 1))
-    assert length(Directory.processes(directory)) == 100
+    assert length(Directory.list_processes(directory)) == 100
     assert {[_], directory} = add.(directory, :y, "y", 0)
-    assert MapSet.equal?(Directory.owners(directory), MapSet.new([:x, :y]))
-    {_, directory} = Directory.gone(directory, :x)
+    assert MapSet.equal?(Directory.list_owners(directory), MapSet.new([:x, :y]))
+    {_, directory} = Directory.remove_owner(directory, :x)
     full = Enum.reduce(1..100, directory, &elem(add.(&2, {:z, &1}, "z#{&1}", 100), 1))
-    assert length(Directory.processes(full)) < 100
+    assert length(Directory.list_processes(full)) < 100
     assert {[], ^full} = add.(full, :last, "last", 100)
-    emptied = Enum.reduce(1..100, full, &elem(Directory.gone(&2, {:z, &1}), 1))
+    emptied = Enum.reduce(1..100, full, &elem(Directory.remove_owner(&2, {:z, &1}), 1))
     assert emptied == directory
   end
 end

@@ -1,5 +1,5 @@
 defmodule Situ.Remote.Rendezvous.NatsTest do
-  # The setting of the name server is the application's.
+  # The name server is configured in the application's environment, so this is not async.
   use ExUnit.Case, async: false
   import Situ.Remote.Test.Recordings, only: [eventually: 1]
   alias Situ.Remote.{Address, Rendezvous}
@@ -7,7 +7,7 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
   alias Situ.Test.NatsServer
 
   @moduletag :tmp_dir
-  # Said once, by the tests of the log.
+  # The tests of the log report once that nats-server is missing.
   unless NatsServer.path(), do: @moduletag(skip: "there is no nats-server")
 
   defp server(dir, opts \\ []) do
@@ -25,7 +25,7 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
   defp names(member), do: Enum.map(Rendezvous.peers(member), & &1.name)
   defp offer(name), do: {:address, "situ://10.0.0.7:4000/#{name}", [{"imu", ":float"}]}
 
-  test "processes come, change and go; whoever comes late hears of those that are there", %{
+  test "processes join, change and leave, and a late one learns of the others", %{
     tmp_dir: dir
   } do
     server = server(dir)
@@ -44,13 +44,13 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
 
     GenServer.stop(robot)
     assert_receive {:situ_rendezvous, ^late, {:removed, "robot"}}, 5_000
-    # One that is killed says no farewell.
+    # A killed process sends no farewell.
     Process.unlink(desk)
     Process.exit(desk, :kill)
     assert_receive {:situ_rendezvous, ^late, {:removed, "desk"}}, 5_000
   end
 
-  test "a server that is killed and comes back finds all there again", %{tmp_dir: dir} do
+  test "a server that is killed and restarts finds all processes again", %{tmp_dir: dir} do
     server = server(dir)
     {a, b} = {join(server, "a"), join(server, "b")}
     eventually(fn -> {names(a), names(b)} == {["b"], ["a"]} end)
@@ -62,18 +62,18 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
     eventually(fn -> names(b) == ["a"] end)
   end
 
-  test "one that is not there yet is waited for, and it is said", %{tmp_dir: dir} do
-    port = Situ.Test.FreePort.tcp()
+  test "waits for a missing server and reports it", %{tmp_dir: dir} do
+    port = Situ.Test.FreePort.find_tcp()
     member = join(%{url: "nats://127.0.0.1:#{port}"}, "a")
     eventually(fn -> Rendezvous.error(member) end)
-    assert Rendezvous.error(member) =~ "no NATS server"
+    assert Rendezvous.error(member) =~ "cannot connect to a NATS server"
     server(dir, port: port)
     eventually(fn -> Rendezvous.error(member) == nil end)
     assert {:error, %{code: :bad_address}} = Rendezvous.join("nats://", name: "a")
   end
 
   @tag capture_log: true
-  test "of two with one name the first counts, and both are told; noise harms nobody", %{
+  test "with a duplicate name the first counts, both are notified, and noise is ignored", %{
     tmp_dir: dir
   } do
     server = server(dir)
@@ -83,7 +83,7 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
     other = join(server, "robot", endpoints: [offer("two")])
     assert_receive {:situ_rendezvous, ^one, {:taken, "robot"}}, 5_000
     assert_receive {:situ_rendezvous, ^other, {:taken, "robot"}}, 5_000
-    assert Rendezvous.error(other) =~ ~s(another process is called "robot")
+    assert Rendezvous.error(other) =~ ~s(another process is already named "robot")
 
     {:ok, noisy} = Connection.start_link(servers: [{"127.0.0.1", server.port}], jetstream: false)
 
@@ -102,9 +102,9 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
     eventually(fn -> Rendezvous.error(other) == nil end)
   end
 
-  # An edge site with a server of its own, which calls the hub: a leaf link.
-  test "names reach over a leaf link, and are names of links", %{tmp_dir: dir} do
-    leaf = Situ.Test.FreePort.tcp()
+  # An edge site with its own server that connects to the hub: a leaf link.
+  test "names reach across a leaf link and resolve to addresses", %{tmp_dir: dir} do
+    leaf = Situ.Test.FreePort.find_tcp()
     hub = server(Path.join(dir, "hub"), settings: ~s(leafnodes { listen: "127.0.0.1:#{leaf}" }))
     remotes = ~s(leafnodes { remotes: [ { url: "nats://127.0.0.1:#{leaf}" } ] })
     edge = server(Path.join(dir, "edge"), settings: remotes)

@@ -4,28 +4,28 @@ defmodule Situ.Remote.Rendezvous.WireTest do
   alias Situ.Remote.Rendezvous.Wire
   doctest Wire
 
-  defp streams, do: list({text(), text()})
+  defp streams, do: list({ascii_text(), ascii_text()})
   defp port, do: integer(0, 65_535)
 
   defp endpoint do
     one_of([
-      {:tcp, text(), port(), streams()},
-      {:address, text(), streams()},
-      {:exporter, text(), port(), integer(0, 2), streams()},
-      {:clock, text(), port(), []}
+      {:tcp, ascii_text(), port(), streams()},
+      {:address, ascii_text(), streams()},
+      {:exporter, ascii_text(), port(), integer(0, 2), streams()},
+      {:clock, ascii_text(), port(), []}
     ])
   end
 
   defp update do
     process =
-      map({text(), text(), list(endpoint())}, fn {name, version, endpoints} ->
+      map({ascii_text(), ascii_text(), list(endpoint())}, fn {name, version, endpoints} ->
         %{name: name, version: version, endpoints: endpoints}
       end)
 
-    one_of([:disconnect, {:remove, text()}, {:add, process}])
+    one_of([:disconnect, {:remove, ascii_text()}, {:add, process}])
   end
 
-  property "updates come back whole, however the bytes are cut", numtests: 25 do
+  property "updates survive a round trip, however the bytes are cut", numtests: 25 do
     forall {updates, cut} <- {list(update()), integer(0, 1_000)} do
       bytes = updates |> Enum.map(&Wire.encode/1) |> IO.iodata_to_binary()
       assert read(bytes, []) == {updates, ""}
@@ -42,7 +42,7 @@ defmodule Situ.Remote.Rendezvous.WireTest do
     end
   end
 
-  property "fed byte by byte, updates are the same", numtests: 50 do
+  property "parses the same updates byte by byte", numtests: 50 do
     forall update <- update() do
       bytes = IO.iodata_to_binary(Wire.encode(update))
 
@@ -59,7 +59,7 @@ defmodule Situ.Remote.Rendezvous.WireTest do
   defp step({:more, continue}), do: {nil, continue}
   defp step(done), do: {done, nil}
 
-  property "noise is an update, more to come, or an error in words", numtests: 500 do
+  property "noise is an update, incomplete or a readable error", numtests: 500 do
     forall {kind, noise} <- {integer(0, 5), binary()} do
       case Wire.decode(<<kind, noise::binary>>) do
         {:ok, _update, rest} -> assert is_binary(rest)
@@ -69,7 +69,7 @@ defmodule Situ.Remote.Rendezvous.WireTest do
     end
   end
 
-  test "as the reference writes it" do
+  test "encodes like the reference" do
     process = %{name: "p", version: "v", endpoints: [{:exporter, "h", 11_411, 1, [{"s", "t"}]}]}
 
     expected =
@@ -78,6 +78,6 @@ defmodule Situ.Remote.Rendezvous.WireTest do
 
     assert IO.iodata_to_binary(Wire.encode({:add, process})) == expected
     long = String.duplicate("x", 300)
-    assert IO.iodata_to_binary(Wire.text(long)) == <<0xAC, 0x02, long::binary>>
+    assert IO.iodata_to_binary(Wire.encode_text(long)) == <<0xAC, 0x02, long::binary>>
   end
 end

@@ -4,7 +4,7 @@ defmodule Situ.Remote.Server.ChannelTest do
 
   @good %{"name" => "imu", "from" => "start", "window" => 1_000}
 
-  test "what a client may ask for" do
+  test "accepts valid requests of a client" do
     assert {:ok, %{name: "imu", from: :start, credit: 1_000, priority: 0}} = Channel.new(1, @good)
     assert {:ok, %{from: {:after, 7}}} = Channel.new(1, %{@good | "from" => %{"after" => 7}})
 
@@ -14,7 +14,7 @@ defmodule Situ.Remote.Server.ChannelTest do
     assert {:ok, %{priority: -4}} = Channel.new(1, Map.put(@good, "priority", -4))
   end
 
-  test "and what is a sentence" do
+  test "returns a sentence for an invalid request" do
     for wrong <- [
           %{},
           %{@good | "name" => 5},

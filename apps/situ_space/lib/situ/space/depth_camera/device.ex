@@ -73,38 +73,38 @@ defmodule Situ.Space.DepthCamera.Device do
         format: :gray16,
         # FFmpeg's name for V4L2's Z16
         input_format: "gray16le",
-        args: asked(opts.device, lens)
+        args: size_arguments(opts.device, lens)
       )
       |> Situ.map(
         fn picture ->
-          depth = picture |> sized(lens) |> depth(opts) |> Error.unwrap!()
+          depth = picture |> ensure_size(lens) |> to_depth_image(opts) |> Error.unwrap!()
           CameraView.new(depth, lens, pose)
         end,
         name: "Depth",
         type: CameraView
       )
 
-    %DepthCamera{depth: depth, color: opts.color && color(p, opts, color_lens, pose)}
+    %DepthCamera{depth: depth, color: opts.color && open_color(p, opts, color_lens, pose)}
   end
 
   # A camera may support several sizes, so the size of the intrinsics is requested.
-  defp asked(device, lens) do
-    case Device.parse(device) do
+  defp size_arguments(device, lens) do
+    case Device.parse_name(device) do
       {:ok, {Device.V4L2, _}} -> ["-video_size", "#{lens.width}x#{lens.height}"]
       _ -> []
     end
   end
 
-  defp color(p, opts, lens, pose) do
+  defp open_color(p, opts, lens, pose) do
     p
     |> Camera.open(device: opts.color, size: {lens.width, lens.height}, rate: opts.rate)
     |> Situ.map(&CameraView.new(&1, lens, pose), name: "Color", type: CameraView)
   end
 
-  defp sized(%Image{width: w, height: h} = picture, %CameraIntrinsics{width: w, height: h}),
+  defp ensure_size(%Image{width: w, height: h} = picture, %CameraIntrinsics{width: w, height: h}),
     do: picture
 
-  defp sized(%Image{} = picture, lens) do
+  defp ensure_size(%Image{} = picture, lens) do
     raise Error.new(
             :bad_camera,
             "the camera gives images of #{picture.width}x#{picture.height}, its intrinsics are " <>
@@ -113,7 +113,7 @@ defmodule Situ.Space.DepthCamera.Device do
           )
   end
 
-  defp depth(%Image{} = picture, opts) do
+  defp to_depth_image(%Image{} = picture, opts) do
     DepthImage.new(
       width: picture.width,
       height: picture.height,

@@ -42,7 +42,7 @@ defmodule Situ.Space.DepthCamera.Library do
       kinect = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Library, device: "freenect:0"})
 
   The libraries run in the separate program `depth_port`, which `bin/setup --with depth` builds, so a crash ends only
-  that program. `list/0` and `situ devices` list the connected cameras. `"fakenect:FOLDER"` plays a folder written by
+  that program. `list_cameras/0` and `situ devices` list the connected cameras. `"fakenect:FOLDER"` plays a folder written by
   libfreenect's `fakenect-record`, at its original speed.
 
   Depth is in millimetres. libfreenect registers a Kinect's depth to its colour image (but not the depth of a folder).
@@ -68,7 +68,7 @@ defmodule Situ.Space.DepthCamera.Library do
   @impl true
   def open(p, opts) do
     opts = Situ.Options.validate!(opts, @schema)
-    Error.unwrap!(Program.arguments(opts[:device]))
+    Error.unwrap!(Program.device_arguments(opts[:device]))
     opts = Keyword.update!(opts, :pose, &(&1 || Pose.identity()))
     seen = Situ.source(p, Reader, opts ++ [name: "Depth camera", async: true])
     %DepthCamera{depth: seen.depth, color: seen.color}
@@ -76,12 +76,12 @@ defmodule Situ.Space.DepthCamera.Library do
 
   @doc "Returns whether `depth_port` was built."
   @spec available?() :: boolean()
-  def available?, do: match?({:ok, _}, Program.path())
+  def available?, do: match?({:ok, _}, Program.fetch_path())
 
   @doc "Lists the cameras that the libraries find; empty if `depth_port` was not built."
-  @spec list() :: [Device.t()]
-  def list do
-    for line <- Program.list(), [driver, address, name] <- [String.split(line, "\t")] do
+  @spec list_cameras() :: [Device.t()]
+  def list_cameras do
+    for line <- Program.list_cameras(), [driver, address, name] <- [String.split(line, "\t")] do
       %Device{id: "#{driver}:#{address}", kind: :depth_camera, name: String.trim(name)}
     end
   end

@@ -64,18 +64,18 @@ defmodule Situ.Space.DepthCamera.Recorded do
     opts = Situ.Options.validate!(opts, @schema)
     recording = Store.open!(opts[:path])
     names = for info <- Store.streams(recording), do: info.name
-    depth = depth!(names, opts)
+    depth = find_depth_stream!(names, opts)
     color = opts[:color] || Enum.find(names, &(&1 == "Color"))
     store = Store.importer(p, opts[:path])
 
     %DepthCamera{
-      depth: views(recording, store, depth, opts),
+      depth: depth_views(recording, store, depth, opts),
       color: color && Store.stream(store, color, type: CameraView),
       others: Map.new(opts[:others], fn {name, stream} -> {name, Store.stream(store, stream)} end)
     }
   end
 
-  defp depth!(names, opts) do
+  defp find_depth_stream!(names, opts) do
     wanted = opts[:depth] || "Depth"
     real_sense = if opts[:depth] == nil, do: Enum.find(names, &(&1 =~ @real_sense))
 
@@ -95,24 +95,24 @@ defmodule Situ.Space.DepthCamera.Recorded do
   end
 
   # Views are used unchanged; depth images are converted to views.
-  defp views(recording, store, depth, opts) do
-    case first(recording, depth) do
+  defp depth_views(recording, store, depth, opts) do
+    case first_data(recording, depth) do
       %DepthImage{} ->
-        lens = lens!(recording, depth, opts)
+        lens = resolve_lens!(recording, depth, opts)
         pose = opts[:pose] || Pose.identity()
 
         store
         |> Store.stream(depth)
-        |> Situ.map(&view(&1, lens, pose), name: "Views", type: CameraView)
+        |> Situ.map(&build_view(&1, lens, pose), name: "Views", type: CameraView)
 
       _views_or_nothing ->
         Store.stream(store, depth, type: CameraView)
     end
   end
 
-  defp view(%DepthImage{} = depth, lens, pose), do: CameraView.new(depth, lens, pose)
+  defp build_view(%DepthImage{} = depth, lens, pose), do: CameraView.new(depth, lens, pose)
 
-  defp view(other, _lens, _pose) do
+  defp build_view(other, _lens, _pose) do
     raise Error.new(
             :wrong_data,
             "expected a depth image, got #{inspect(other, limit: 5, printable_limit: 80)}",
@@ -120,24 +120,25 @@ defmodule Situ.Space.DepthCamera.Recorded do
           )
   end
 
-  defp first(recording, stream),
+  defp first_data(recording, stream),
     do: recording |> Store.messages(stream) |> Enum.find_value(& &1.data)
 
-  defp lens!(recording, depth, opts) do
-    opts[:intrinsics] || told!(recording, opts[:lens] || beside(depth), depth)
+  defp resolve_lens!(recording, depth, opts) do
+    opts[:intrinsics] ||
+      read_intrinsics!(recording, opts[:lens] || camera_info_stream(depth), depth)
   end
 
-  defp beside(depth) do
+  defp camera_info_stream(depth) do
     case Regex.run(@real_sense, depth) do
       [_, stream] -> stream <> "/info/camera_info"
       nil -> nil
     end
   end
 
-  defp told!(recording, lens, depth) do
+  defp read_intrinsics!(recording, lens, depth) do
     known? = lens != nil and Enum.any?(Store.streams(recording), &(&1.name == lens))
 
-    case known? && first(recording, lens) do
+    case known? && first_data(recording, lens) do
       %CameraIntrinsics{} = intrinsics ->
         intrinsics
 

@@ -12,13 +12,15 @@ defmodule Situ.Space.Robot.Solid do
     corners = for k <- [-z / 2, z / 2], j <- [-y / 2, y / 2], i <- [-x / 2, x / 2], do: {i, j, k}
 
     sides = [{0, 2, 3, 1}, {4, 5, 7, 6}, {0, 1, 5, 4}, {2, 6, 7, 3}, {0, 4, 6, 2}, {1, 3, 7, 5}]
-    mesh(corners, Enum.flat_map(sides, fn {a, b, c, d} -> [{a, b, c}, {a, c, d}] end))
+    build_mesh(corners, Enum.flat_map(sides, fn {a, b, c, d} -> [{a, b, c}, {a, c, d}] end))
   end
 
   @doc "Builds a cylinder along the z axis."
   @spec cylinder(number(), number()) :: Mesh.t()
   def cylinder(radius, length) do
-    ends = for z <- [-length / 2, length / 2], angle <- angles(), do: ring(angle, radius, z)
+    ends =
+      for z <- [-length / 2, length / 2], angle <- ring_angles(), do: ring_point(angle, radius, z)
+
     caps = [{0.0, 0.0, -length / 2}, {0.0, 0.0, length / 2}]
 
     triangles =
@@ -29,15 +31,15 @@ defmodule Situ.Space.Robot.Solid do
           [{j, i, 2 * low}, {i + low, j + low, low + high}]
       end
 
-    mesh(ends ++ caps, List.flatten(triangles))
+    build_mesh(ends ++ caps, List.flatten(triangles))
   end
 
   @spec sphere(number()) :: Mesh.t()
   def sphere(radius) do
     points =
-      for r <- 0..@rings, angle <- angles() do
+      for r <- 0..@rings, angle <- ring_angles() do
         tilt = :math.pi() * r / @rings
-        ring(angle, radius * :math.sin(tilt), -radius * :math.cos(tilt))
+        ring_point(angle, radius * :math.sin(tilt), -radius * :math.cos(tilt))
       end
 
     triangles =
@@ -46,12 +48,14 @@ defmodule Situ.Space.Robot.Solid do
         [{a, b, b + @around}, {a, b + @around, a + @around}]
       end
 
-    mesh(points, List.flatten(triangles))
+    build_mesh(points, List.flatten(triangles))
   end
 
-  defp angles, do: for(i <- 0..(@around - 1), do: 2 * :math.pi() * i / @around)
+  defp ring_angles, do: for(i <- 0..(@around - 1), do: 2 * :math.pi() * i / @around)
 
-  defp ring(angle, radius, z), do: {radius * :math.cos(angle), radius * :math.sin(angle), z / 1}
+  defp ring_point(angle, radius, z),
+    do: {radius * :math.cos(angle), radius * :math.sin(angle), z / 1}
 
-  defp mesh(points, triangles), do: points |> Mesh.from_lists(triangles) |> Situ.Error.unwrap!()
+  defp build_mesh(points, triangles),
+    do: points |> Mesh.from_lists(triangles) |> Situ.Error.unwrap!()
 end

@@ -36,160 +36,179 @@ defmodule Situ.Space.Robot.Urdf do
 
   @doc "Reads the robot of a file. Errors: `:no_file`, `:too_large`, `:bad_file`."
   @spec read(Path.t()) :: {:ok, Robot.t()} | {:error, Error.t()}
-  def read(path), do: WholeFile.read(path, @most, &parse(&1, Path.dirname(path)))
+  def read(path), do: WholeFile.read_and_parse(path, @most, &parse(&1, Path.dirname(path)))
 
   @doc "Parses a robot from text. Without a folder, meshes are not loaded."
   @spec parse(binary(), Path.t() | nil) :: {:ok, Robot.t()} | {:error, Error.t()}
   def parse(xml, folder \\ nil) do
-    case Xml.tree(xml) do
-      {:ok, {"robot", given, parts}} -> {:ok, robot(given, parts, folder)}
-      {:ok, {other, _, _}} -> bad("its first element is #{String.slice(other, 0, 40)}, not robot")
-      {:error, why} -> bad(why)
+    case Xml.parse_tree(xml) do
+      {:ok, {"robot", given, parts}} ->
+        {:ok, build_robot(given, parts, folder)}
+
+      {:ok, {other, _, _}} ->
+        file_error("its first element is #{String.slice(other, 0, 40)}, not robot")
+
+      {:error, why} ->
+        file_error(why)
     end
   catch
-    {:bad, why} -> bad(why)
+    {:bad, why} -> file_error(why)
   end
 
-  defp bad(why),
+  defp file_error(why),
     do: {:error, Error.new(:bad_file, "invalid URDF file", why: why)}
 
-  defp no!(why), do: throw({:bad, why})
+  defp reject_file!(why), do: throw({:bad, why})
 
-  defp robot(given, parts, folder) do
-    if length(parts) > @most_parts, do: no!("it has more than #{@most_parts} parts")
+  defp build_robot(given, parts, folder) do
+    if length(parts) > @most_parts, do: reject_file!("it has more than #{@most_parts} parts")
 
-    links = for {"link", _, inner} = link <- parts, do: {named(link), shapes(inner, folder)}
+    links =
+      for {"link", _, inner} = link <- parts, do: {fetch_name!(link), parse_shapes(inner, folder)}
 
-    joints = for {"joint", _, _} = joint <- parts, do: joint(joint)
-    twice(Enum.map(links, &elem(&1, 0)), "links")
-    twice(Enum.map(joints, & &1.name), "joints")
-    twice(Enum.map(joints, & &1.child), "joints with the child link")
+    joints = for {"joint", _, _} = joint <- parts, do: parse_joint(joint)
+    reject_duplicates!(Enum.map(links, &elem(&1, 0)), "links")
+    reject_duplicates!(Enum.map(joints, & &1.name), "joints")
+    reject_duplicates!(Enum.map(joints, & &1.child), "joints with the child link")
     links = Map.new(links)
 
     for %{parent: parent, child: child, name: name} <- joints, link <- [parent, child] do
       if not is_map_key(links, link),
         do:
-          no!(
+          reject_file!(
             "the joint #{inspect(name)} refers to the link #{inspect(link)}, which does not exist"
           )
     end
 
     case Map.keys(links) -- Enum.map(joints, & &1.child) do
       [root] ->
-        ordered = order([root], Enum.group_by(joints, & &1.parent))
-        if length(ordered) < length(joints), do: no!("some of its links form a cycle")
+        ordered = order_joints([root], Enum.group_by(joints, & &1.parent))
+        if length(ordered) < length(joints), do: reject_file!("some of its links form a cycle")
         %Robot{name: given["name"] || "robot", root: root, links: links, joints: ordered}
 
       [] ->
-        no!("it has no root link: its links form a cycle, or there are none")
+        reject_file!("it has no root link: its links form a cycle, or there are none")
 
       roots ->
-        no!("it has #{length(roots)} root links instead of one: #{inspect(roots, limit: 5)}")
+        reject_file!(
+          "it has #{length(roots)} root links instead of one: #{inspect(roots, limit: 5)}"
+        )
     end
   end
 
-  defp twice(names, of) do
+  defp reject_duplicates!(names, of) do
     case names -- Enum.uniq(names) do
       [] -> :ok
-      [name | _] -> no!("there are two #{of} #{inspect(name)}")
+      [name | _] -> reject_file!("there are two #{of} #{inspect(name)}")
     end
   end
 
   # Sorts joints so that parents come first.
-  defp order([], _by_parent), do: []
+  defp order_joints([], _by_parent), do: []
 
-  defp order([link | more], by_parent) do
+  defp order_joints([link | more], by_parent) do
     here = Map.get(by_parent, link, [])
-    here ++ order(Enum.map(here, & &1.child) ++ more, by_parent)
+    here ++ order_joints(Enum.map(here, & &1.child) ++ more, by_parent)
   end
 
-  defp named({kind, given, _}),
-    do: given["name"] || no!("a #{kind} has no name")
+  defp fetch_name!({kind, given, _}),
+    do: given["name"] || reject_file!("a #{kind} has no name")
 
-  defp joint({_, given, inner} = joint) do
-    name = named(joint)
-    kind = @kinds[given["type"]] || no!("the joint #{inspect(name)} has an unknown type")
+  defp parse_joint({_, given, inner} = joint) do
+    name = fetch_name!(joint)
+    kind = @kinds[given["type"]] || reject_file!("the joint #{inspect(name)} has an unknown type")
 
     axis =
-      case inner |> only("axis") |> numbers("xyz", {1.0, 0.0, 0.0}) |> Vector3.normalize() do
+      case inner
+           |> find_child("axis")
+           |> parse_vector("xyz", {1.0, 0.0, 0.0})
+           |> Vector3.normalize() do
         {:ok, axis} -> axis
-        :error -> no!("the axis of the joint #{inspect(name)} has no length")
+        :error -> reject_file!("the axis of the joint #{inspect(name)} has no length")
       end
 
     %{
       name: name,
       kind: kind,
       axis: axis,
-      parent: attribute(inner, "parent", "link", name),
-      child: attribute(inner, "child", "link", name),
-      origin: origin(inner),
-      mimic: mimic(only(inner, "mimic"))
+      parent: fetch_attribute!(inner, "parent", "link", name),
+      child: fetch_attribute!(inner, "child", "link", name),
+      origin: parse_origin(inner),
+      mimic: parse_mimic(find_child(inner, "mimic"))
     }
   end
 
-  defp attribute(inner, element, key, joint) do
-    with {_, %{^key => value}, _} <- only(inner, element),
+  defp fetch_attribute!(inner, element, key, joint) do
+    with {_, %{^key => value}, _} <- find_child(inner, element),
          do: value,
-         else: (_ -> no!("the joint #{inspect(joint)} has no #{element}"))
+         else: (_ -> reject_file!("the joint #{inspect(joint)} has no #{element}"))
   end
 
-  defp mimic({_, %{"joint" => name} = given, _}),
-    do: {name, number(given["multiplier"] || "1"), number(given["offset"] || "0")}
+  defp parse_mimic({_, %{"joint" => name} = given, _}),
+    do: {name, parse_number(given["multiplier"] || "1"), parse_number(given["offset"] || "0")}
 
-  defp mimic(_none), do: nil
+  defp parse_mimic(_none), do: nil
 
-  defp only(inner, name), do: Enum.find(inner, &(elem(&1, 0) == name))
+  defp find_child(inner, name), do: Enum.find(inner, &(elem(&1, 0) == name))
 
-  defp origin(inner) do
-    found = only(inner, "origin")
-    {roll, pitch, yaw} = numbers(found, "rpy", {0.0, 0.0, 0.0})
-    Pose.new(numbers(found, "xyz", {0.0, 0.0, 0.0}), Quaternion.from_euler(yaw, pitch, roll))
+  defp parse_origin(inner) do
+    found = find_child(inner, "origin")
+    {roll, pitch, yaw} = parse_vector(found, "rpy", {0.0, 0.0, 0.0})
+    Pose.new(parse_vector(found, "xyz", {0.0, 0.0, 0.0}), Quaternion.from_euler(yaw, pitch, roll))
   end
 
-  defp numbers({name, given, _}, key, _default) when is_map_key(given, key) do
+  defp parse_vector({name, given, _}, key, _default) when is_map_key(given, key) do
     case String.split(given[key]) do
-      [_, _, _] = words -> words |> Enum.map(&number/1) |> List.to_tuple()
-      _ -> no!("`#{key}` of the element #{name} must have three numbers")
+      [_, _, _] = words -> words |> Enum.map(&parse_number/1) |> List.to_tuple()
+      _ -> reject_file!("`#{key}` of the element #{name} must have three numbers")
     end
   end
 
-  defp numbers(_element, _key, default), do: default
+  defp parse_vector(_element, _key, default), do: default
 
-  defp number(text) do
-    case text |> to_string() |> String.trim() |> Text.float() do
-      {:ok, x} when abs(x) < 1.0e6 -> x
-      _ -> no!("#{inspect(String.slice(to_string(text), 0, 40))} is not a number below a million")
+  defp parse_number(text) do
+    case text |> to_string() |> String.trim() |> Text.parse_float() do
+      {:ok, x} when abs(x) < 1.0e6 ->
+        x
+
+      _ ->
+        reject_file!(
+          "#{inspect(String.slice(to_string(text), 0, 40))} is not a number below a million"
+        )
     end
   end
 
-  defp shapes(inner, folder) do
-    for {"visual", _, visual} <- inner, {_, _, geometry} <- [only(visual, "geometry")] do
-      origin = origin(visual)
+  defp parse_shapes(inner, folder) do
+    for {"visual", _, visual} <- inner, {_, _, geometry} <- [find_child(visual, "geometry")] do
+      origin = parse_origin(visual)
 
       case geometry do
-        [{kind, given, _} | _] -> placed(shape(kind, given, folder), origin)
-        [] -> no!("a geometry contains no shape")
+        [{kind, given, _} | _] -> put_origin(build_shape(kind, given, folder), origin)
+        [] -> reject_file!("a geometry contains no shape")
       end
     end
   end
 
-  defp placed(%Mesh{} = mesh, origin), do: %{mesh | pose: origin}
+  defp put_origin(%Mesh{} = mesh, origin), do: %{mesh | pose: origin}
 
-  defp placed(why, %Pose{position: {x, y, z}}) when is_binary(why), do: {why, Point3.new(x, y, z)}
+  defp put_origin(why, %Pose{position: {x, y, z}}) when is_binary(why),
+    do: {why, Point3.new(x, y, z)}
 
-  defp shape("box", given, _), do: Solid.box(numbers({"box", given, []}, "size", {1.0, 1.0, 1.0}))
+  defp build_shape("box", given, _),
+    do: Solid.box(parse_vector({"box", given, []}, "size", {1.0, 1.0, 1.0}))
 
-  defp shape("cylinder", given, _),
-    do: Solid.cylinder(number(given["radius"]), number(given["length"]))
+  defp build_shape("cylinder", given, _),
+    do: Solid.cylinder(parse_number(given["radius"]), parse_number(given["length"]))
 
-  defp shape("sphere", given, _), do: Solid.sphere(number(given["radius"]))
+  defp build_shape("sphere", given, _), do: Solid.sphere(parse_number(given["radius"]))
 
-  defp shape("mesh", %{"filename" => name} = given, folder) do
-    scale = numbers({"mesh", given, []}, "scale", {1.0, 1.0, 1.0})
+  defp build_shape("mesh", %{"filename" => name} = given, folder) do
+    scale = parse_vector({"mesh", given, []}, "scale", {1.0, 1.0, 1.0})
 
-    with {:ok, path} <- find(name, folder),
+    with {:ok, path} <- resolve_file(name, folder),
          {:ok, %Mesh{} = mesh} <- Scan.read(path, axes: :own) do
-      with why when is_binary(why) <- scaled(mesh, scale), do: "#{Path.basename(name)}: #{why}"
+      with why when is_binary(why) <- scale_mesh(mesh, scale),
+           do: "#{Path.basename(name)}: #{why}"
     else
       {:ok, _cloud} -> "#{Path.basename(name)} has no surface"
       {:error, %Error{} = error} -> "#{Path.basename(name)}: #{error.why || error.what}"
@@ -197,9 +216,9 @@ defmodule Situ.Space.Robot.Urdf do
     end
   end
 
-  defp shape(kind, _given, _folder), do: "unknown shape #{String.slice(kind, 0, 40)}"
+  defp build_shape(kind, _given, _folder), do: "unknown shape #{String.slice(kind, 0, 40)}"
 
-  defp scaled(mesh, {sx, sy, sz}) do
+  defp scale_mesh(mesh, {sx, sy, sz}) do
     vertices =
       for <<x::little-float-32, y::little-float-32, z::little-float-32 <- mesh.vertices>>,
           abs(x) + abs(y) + abs(z) < 1.0e9,
@@ -212,9 +231,9 @@ defmodule Situ.Space.Robot.Urdf do
   end
 
   # A robot file is untrusted, so it may only refer to files in its own folders.
-  defp find(_name, nil), do: {:error, "no folder to look in"}
+  defp resolve_file(_name, nil), do: {:error, "no folder to look in"}
 
-  defp find(name, folder) do
+  defp resolve_file(name, folder) do
     {package, path} =
       case name do
         "package://" <> rest -> {true, rest}
@@ -232,15 +251,15 @@ defmodule Situ.Space.Robot.Urdf do
         {:error, "this file format is not supported"}
 
       true ->
-        candidates(folder, parts, package)
+        candidate_paths(folder, parts, package)
         |> Enum.find(&File.regular?/1)
         |> then(&if(&1, do: {:ok, &1}, else: {:error, "the file does not exist"}))
     end
   end
 
-  defp candidates(folder, parts, false), do: [Path.join([folder | parts])]
+  defp candidate_paths(folder, parts, false), do: [Path.join([folder | parts])]
 
-  defp candidates(folder, parts, true) do
+  defp candidate_paths(folder, parts, true) do
     folder
     |> Path.expand()
     |> Stream.iterate(&Path.dirname/1)
@@ -257,9 +276,9 @@ defmodule Situ.Space.Robot.Urdf do
 
   @impl true
   def info(urdf),
-    do: %{name: name(urdf), created: nil, closed?: true, live?: false, damage: []}
+    do: %{name: recording_name(urdf), created: nil, closed?: true, live?: false, damage: []}
 
-  defp name(urdf), do: Path.basename(urdf.path, Path.extname(urdf.path))
+  defp recording_name(urdf), do: Path.basename(urdf.path, Path.extname(urdf.path))
 
   @impl true
   def streams(urdf) do
@@ -267,7 +286,7 @@ defmodule Situ.Space.Robot.Urdf do
       %StreamInfo{
         id: id,
         name: name,
-        store_name: name(urdf),
+        store_name: recording_name(urdf),
         store_path: urdf.path,
         type: type,
         type_name: Situ.Type.to_string(type),
@@ -290,7 +309,9 @@ defmodule Situ.Space.Robot.Urdf do
   @impl true
   def read(urdf, info, 0, to, limit, _opts) when to >= 0 and limit > 0 do
     data =
-      if info.name == "Robot", do: Robot.shapes(urdf.robot), else: Robot.transforms(urdf.robot)
+      if info.name == "Robot",
+        do: Robot.link_shapes(urdf.robot),
+        else: Robot.link_transforms(urdf.robot)
 
     message = %Message{
       data: data,

@@ -8,23 +8,23 @@ defmodule Situ.Space.Scan.Obj do
   @most 50_000_000
 
   @doc "Returns a mesh if there are faces, otherwise a point cloud."
-  @spec read(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
-  def read(text) do
+  @spec parse_file(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
+  def parse_file(text) do
     {vertices, colors, faces, count} =
       text
       |> join_lines()
       |> String.split(["\r\n", "\n"], trim: true)
-      |> Enum.reduce({[], [], [], 0}, &line(String.split(&1), &2))
+      |> Enum.reduce({[], [], [], 0}, &parse_line(String.split(&1), &2))
 
     points = vertices |> Enum.reverse() |> IO.iodata_to_binary()
 
     cond do
-      count == 0 -> bad("it has no vertices")
-      faces == [] -> PointCloud.new(points, colors(colors, count))
+      count == 0 -> file_error("it has no vertices")
+      faces == [] -> PointCloud.new(points, encode_colors(colors, count))
       true -> Mesh.new(points, faces |> Enum.reverse() |> IO.iodata_to_binary())
     end
   catch
-    {:bad, why} -> bad(why)
+    {:bad, why} -> file_error(why)
   end
 
   # A backslash at the end of a line continues it on the next line.
@@ -34,21 +34,21 @@ defmodule Situ.Space.Scan.Obj do
       else: String.replace(text, ["\\\r\n", "\\\n"], " ")
   end
 
-  defp bad(why),
+  defp file_error(why),
     do: {:error, Error.new(:bad_file, "invalid OBJ file", why: why)}
 
-  defp line(["v", x, y, z | more], {vertices, colors, faces, count}) when count < @most do
+  defp parse_line(["v", x, y, z | more], {vertices, colors, faces, count}) when count < @most do
     place =
       for word <- [x, y, z], into: <<>>, do: <<Text.parse_coordinate!(word)::little-float-32>>
 
-    {[place | vertices], color(more, colors), faces, count + 1}
+    {[place | vertices], add_color(more, colors), faces, count + 1}
   end
 
-  defp line(["v" | _], _acc), do: throw({:bad, "a vertex has fewer than three numbers"})
+  defp parse_line(["v" | _], _acc), do: throw({:bad, "a vertex has fewer than three numbers"})
 
   # Polygons are split into fans of triangles.
-  defp line(["f", a, b, c | more], {vertices, colors, faces, count}) do
-    [a | others] = Enum.map([a, b, c | more], &index(&1, count))
+  defp parse_line(["f", a, b, c | more], {vertices, colors, faces, count}) do
+    [a | others] = Enum.map([a, b, c | more], &parse_index(&1, count))
 
     fan =
       for {b, c} <- Enum.zip(others, tl(others)),
@@ -58,16 +58,16 @@ defmodule Situ.Space.Scan.Obj do
     {vertices, colors, [fan | faces], count}
   end
 
-  defp line(["f" | _], _acc), do: throw({:bad, "a face has fewer than three vertices"})
-  defp line(_words, acc), do: acc
+  defp parse_line(["f" | _], _acc), do: throw({:bad, "a face has fewer than three vertices"})
+  defp parse_line(_words, acc), do: acc
 
-  defp color([r, g, b], colors),
-    do: [for(word <- [r, g, b], into: <<>>, do: <<tone(word)>>) | colors]
+  defp add_color([r, g, b], colors),
+    do: [for(word <- [r, g, b], into: <<>>, do: <<parse_color_byte(word)>>) | colors]
 
-  defp color(_weight, colors), do: colors
+  defp add_color(_weight, colors), do: colors
 
   # Scanners write NaN for colours that were not measured.
-  defp tone(word) do
+  defp parse_color_byte(word) do
     case Text.parse_number(word) do
       {:ok, x} when is_float(x) -> round(255 * (x |> max(0.0) |> min(1.0)))
       {:ok, :infinity} -> 255
@@ -77,12 +77,12 @@ defmodule Situ.Space.Scan.Obj do
   end
 
   # If only some vertices have colours, they cannot be assigned to vertices.
-  defp colors(colors, count) when length(colors) == count,
+  defp encode_colors(colors, count) when length(colors) == count,
     do: colors |> Enum.reverse() |> IO.iodata_to_binary()
 
-  defp colors(_colors, _count), do: nil
+  defp encode_colors(_colors, _count), do: nil
 
-  defp index(word, count) do
+  defp parse_index(word, count) do
     case Integer.parse(word) do
       {n, rest} when n in 1..count//1 and (rest == "" or binary_part(rest, 0, 1) == "/") ->
         n - 1

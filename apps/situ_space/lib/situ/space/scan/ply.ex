@@ -2,7 +2,7 @@ defmodule Situ.Space.Scan.Ply do
   @moduledoc false
   # Parses PLY, as text or binary: vertices with x, y, z and optionally red, green, blue, intensity; faces as lists of
   # vertices. Source: G. Turk, The PLY Polygon File Format, 1994.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.{Error, Mesh, PointCloud}
   alias Situ.Space.Kernel
   alias Situ.Space.Scan.Text
@@ -28,33 +28,34 @@ defmodule Situ.Space.Scan.Ply do
   @most 100_000_000
 
   @doc "Returns a mesh if there are faces, otherwise a point cloud."
-  @spec read(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
-  def read(<<"ply", _::binary>> = file) do
+  @spec parse_file(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
+  def parse_file(<<"ply", _::binary>> = file) do
     with [head, body] <- String.split(file, ~r/end_header\r?\n/, parts: 2),
-         {:ok, format, elements} <- header(String.split(head, ~r/\r?\n/, trim: true)),
-         {:ok, rows} <- body(format, elements, body) do
-      shape(rows, elements)
+         {:ok, format, elements} <- parse_header(String.split(head, ~r/\r?\n/, trim: true)),
+         {:ok, rows} <- parse_body(format, elements, body) do
+      build_shape(rows, elements)
     else
-      [_] -> bad("its header has no end")
+      [_] -> file_error("its header has no end")
       {:error, %Error{}} = error -> error
-      {:error, why} -> bad(why)
+      {:error, why} -> file_error(why)
     end
   end
 
-  def read(_file), do: bad("it does not begin with \"ply\"")
+  def parse_file(_file), do: file_error("it does not begin with \"ply\"")
 
-  defp header(["ply" | lines]), do: Enum.reduce_while(lines, {:ok, nil, []}, &line/2) |> ordered()
+  defp parse_header(["ply" | lines]),
+    do: Enum.reduce_while(lines, {:ok, nil, []}, &parse_line/2) |> restore_order()
 
-  defp header(_lines), do: {:error, "its first line is not \"ply\""}
+  defp parse_header(_lines), do: {:error, "its first line is not \"ply\""}
 
-  defp ordered({:ok, nil, _}), do: {:error, "its header has no format"}
+  defp restore_order({:ok, nil, _}), do: {:error, "its header has no format"}
 
-  defp ordered({:ok, format, elements}),
+  defp restore_order({:ok, format, elements}),
     do: {:ok, format, for({n, c, p} <- Enum.reverse(elements), do: {n, c, Enum.reverse(p)})}
 
-  defp ordered(error), do: error
+  defp restore_order(error), do: error
 
-  defp line(line, {:ok, format, elements}) do
+  defp parse_line(line, {:ok, format, elements}) do
     case {String.split(line), elements} do
       {["format", "ascii", _], _} ->
         {:cont, {:ok, :ascii, elements}}
@@ -69,13 +70,13 @@ defmodule Situ.Space.Scan.Ply do
         {:halt, {:error, "its format #{other} is unknown"}}
 
       {["element", name, count], _} ->
-        element(name, Integer.parse(count), format, elements)
+        add_element(name, Integer.parse(count), format, elements)
 
       {["property", "list", size, type, name], [{n, c, p} | rest]} ->
-        property({:list, @types[size], @types[type]}, name, format, {n, c, p}, rest)
+        add_property({:list, @types[size], @types[type]}, name, format, {n, c, p}, rest)
 
       {["property", type, name], [{n, c, p} | rest]} ->
-        property(@types[type], name, format, {n, c, p}, rest)
+        add_property(@types[type], name, format, {n, c, p}, rest)
 
       {[word | _], _} when word in ["comment", "obj_info"] ->
         {:cont, {:ok, format, elements}}
@@ -85,20 +86,20 @@ defmodule Situ.Space.Scan.Ply do
     end
   end
 
-  defp element(name, {count, ""}, format, elements) when count in 0..@most,
+  defp add_element(name, {count, ""}, format, elements) when count in 0..@most,
     do: {:cont, {:ok, format, [{name, count, []} | elements]}}
 
-  defp element(name, _count, _format, _elements),
+  defp add_element(name, _count, _format, _elements),
     do: {:halt, {:error, "its number of #{name} elements is invalid"}}
 
-  defp property(type, name, format, {n, c, p}, rest) do
+  defp add_property(type, name, format, {n, c, p}, rest) do
     if type == nil or match?({:list, a, b} when a == nil or b == nil, type),
       do: {:halt, {:error, "the type of its property #{name} is unknown"}},
       else: {:cont, {:ok, format, [{n, c, [{name, type} | p]} | rest]}}
   end
 
   # Returns the rows of each element, as lists of values in the order of its properties.
-  defp body(:ascii, elements, text) do
+  defp parse_body(:ascii, elements, text) do
     lines = text |> String.split(~r/\r?\n/, trim: true) |> Enum.map(&String.split/1)
 
     elements
@@ -106,24 +107,25 @@ defmodule Situ.Space.Scan.Ply do
       {own, rest} = Enum.split(lines, count)
 
       if length(own) == count,
-        do: {:cont, {:ok, Map.put(rows, name, Enum.map(own, &words(&1, properties))), rest}},
+        do:
+          {:cont, {:ok, Map.put(rows, name, Enum.map(own, &parse_words(&1, properties))), rest}},
         else: {:halt, {:error, "it is cut short"}}
     end)
-    |> rows()
+    |> drop_rest()
   catch
     :no_number -> {:error, "a line has missing or invalid numbers"}
   end
 
   # The native kernel reads records of fixed size, because there may be millions of them.
-  defp body(order, [{"vertex", count, [_ | _] = properties} | elements], bytes) do
+  defp parse_body(order, [{"vertex", count, [_ | _] = properties} | elements], bytes) do
     if Enum.any?(properties, &match?({_, {:list, _, _}}, &1)) do
-      each(order, [{"vertex", count, properties} | elements], bytes)
+      read_binary_rows(order, [{"vertex", count, properties} | elements], bytes)
     else
       size = properties |> Enum.map(fn {_, {_, size}} -> size end) |> Enum.sum()
 
       case bytes do
-        <<own::binary-known(count * size), rest::binary>> ->
-          with {:ok, rows} <- each(order, elements, rest),
+        <<own::binary-pinned_size(count * size), rest::binary>> ->
+          with {:ok, rows} <- read_binary_rows(order, elements, rest),
                do: {:ok, Map.put(rows, "vertex", {:packed, own, size, order == :big})}
 
         _ ->
@@ -132,43 +134,45 @@ defmodule Situ.Space.Scan.Ply do
     end
   end
 
-  defp body(order, elements, bytes), do: each(order, elements, bytes)
+  defp parse_body(order, elements, bytes), do: read_binary_rows(order, elements, bytes)
 
-  defp each(order, elements, bytes) do
+  defp read_binary_rows(order, elements, bytes) do
     elements
     |> Enum.reduce({:ok, %{}, bytes}, fn {name, count, properties}, {:ok, rows, bytes} ->
       # Every row has at least one byte, so the remaining bytes bound the number of rows that the header states.
       if count > byte_size(bytes), do: throw(:short)
-      {own, rest} = repeat(count, bytes, &values(properties, &1, order, []))
+      {own, rest} = repeat_read(count, bytes, &read_values(properties, &1, order, []))
       {:ok, Map.put(rows, name, own), rest}
     end)
-    |> rows()
+    |> drop_rest()
   catch
     :short -> {:error, "it is cut short"}
   end
 
-  defp repeat(count, bytes, fun),
+  defp repeat_read(count, bytes, fun),
     do: Enum.map_reduce(List.duplicate(nil, count), bytes, fn _, bytes -> fun.(bytes) end)
 
-  defp rows({:ok, rows, _rest}), do: {:ok, rows}
-  defp rows(error), do: error
+  defp drop_rest({:ok, rows, _rest}), do: {:ok, rows}
+  defp drop_rest(error), do: error
 
-  defp words([], []), do: []
+  defp parse_words([], []), do: []
 
-  defp words([n | words], [{_, {:list, _, _}} | properties]) do
-    {own, rest} = Enum.split(words, count(n))
-    [Enum.map(own, &number/1) | words(rest, properties)]
+  defp parse_words([n | words], [{_, {:list, _, _}} | properties]) do
+    {own, rest} = Enum.split(words, parse_count(n))
+    [Enum.map(own, &parse_number/1) | parse_words(rest, properties)]
   end
 
   # Float properties stay floats, because a float colour of 1 means 255.
-  defp words([word | words], [{_, {:float, _}} | properties]),
-    do: [float_number(word) | words(words, properties)]
+  defp parse_words([word | words], [{_, {:float, _}} | properties]),
+    do: [float_number(word) | parse_words(words, properties)]
 
-  defp words([word | words], [_ | properties]), do: [number(word) | words(words, properties)]
-  defp words(_words, []), do: []
-  defp words([], _properties), do: throw(:no_number)
+  defp parse_words([word | words], [_ | properties]),
+    do: [parse_number(word) | parse_words(words, properties)]
 
-  defp number(word) do
+  defp parse_words(_words, []), do: []
+  defp parse_words([], _properties), do: throw(:no_number)
+
+  defp parse_number(word) do
     case Integer.parse(word) do
       {n, ""} -> n
       _ -> float_number(word)
@@ -178,52 +182,59 @@ defmodule Situ.Space.Scan.Ply do
   defp float_number(word),
     do: with({:ok, x} <- Text.parse_number(word), do: x, else: (:error -> throw(:no_number)))
 
-  defp count(word) do
+  defp parse_count(word) do
     case Integer.parse(word) do
       {n, ""} when n >= 0 -> n
       _ -> throw(:no_number)
     end
   end
 
-  defp values([], bytes, _order, row), do: {Enum.reverse(row), bytes}
+  defp read_values([], bytes, _order, row), do: {Enum.reverse(row), bytes}
 
-  defp values([{_, {:list, size, type}} | rest], bytes, order, row) do
-    {count, bytes} = value(size, bytes, order)
+  defp read_values([{_, {:list, size, type}} | rest], bytes, order, row) do
+    {count, bytes} = read_value(size, bytes, order)
     if not is_integer(count) or count < 0 or count > byte_size(bytes), do: throw(:short)
 
-    {list, bytes} = repeat(count, bytes, &value(type, &1, order))
+    {list, bytes} = repeat_read(count, bytes, &read_value(type, &1, order))
 
-    values(rest, bytes, order, [list | row])
+    read_values(rest, bytes, order, [list | row])
   end
 
-  defp values([{_, type} | rest], bytes, order, row) do
-    {value, bytes} = value(type, bytes, order)
-    values(rest, bytes, order, [value | row])
+  defp read_values([{_, type} | rest], bytes, order, row) do
+    {value, bytes} = read_value(type, bytes, order)
+    read_values(rest, bytes, order, [value | row])
   end
 
-  defp value({kind, size}, bytes, order) do
+  defp read_value({kind, size}, bytes, order) do
     case bytes do
-      <<own::binary-known(size), rest::binary>> -> {number(kind, 8 * size, own, order), rest}
-      _ -> throw(:short)
+      <<own::binary-pinned_size(size), rest::binary>> ->
+        {decode_number(kind, 8 * size, own, order), rest}
+
+      _ ->
+        throw(:short)
     end
   end
 
-  defp number(:float, bits, bytes, order) do
+  defp decode_number(:float, bits, bytes, order) do
     case {order, bytes} do
-      {:little, <<x::little-float-known(bits)>>} -> x
-      {:big, <<x::float-known(bits)>>} -> x
+      {:little, <<x::little-float-pinned_size(bits)>>} -> x
+      {:big, <<x::float-pinned_size(bits)>>} -> x
       _ -> :nan
     end
   end
 
-  defp number(:int, bits, bytes, :little),
-    do: with(<<x::little-signed-known(bits)>> <- bytes, do: x)
+  defp decode_number(:int, bits, bytes, :little),
+    do: with(<<x::little-signed-pinned_size(bits)>> <- bytes, do: x)
 
-  defp number(:int, bits, bytes, :big), do: with(<<x::signed-known(bits)>> <- bytes, do: x)
-  defp number(:uint, bits, bytes, :little), do: with(<<x::little-known(bits)>> <- bytes, do: x)
-  defp number(:uint, bits, bytes, :big), do: with(<<x::known(bits)>> <- bytes, do: x)
+  defp decode_number(:int, bits, bytes, :big),
+    do: with(<<x::signed-pinned_size(bits)>> <- bytes, do: x)
 
-  defp shape(rows, elements) do
+  defp decode_number(:uint, bits, bytes, :little),
+    do: with(<<x::little-pinned_size(bits)>> <- bytes, do: x)
+
+  defp decode_number(:uint, bits, bytes, :big), do: with(<<x::pinned_size(bits)>> <- bytes, do: x)
+
+  defp build_shape(rows, elements) do
     {_, _, properties} = List.keyfind(elements, "vertex", 0) || {nil, 0, []}
     names = Enum.map(properties, &elem(&1, 0))
     places = for name <- ["x", "y", "z"], do: Enum.find_index(names, &(&1 == name))
@@ -237,60 +248,66 @@ defmodule Situ.Space.Scan.Ply do
 
     vertices = rows["vertex"] || []
 
-    columns = &fields(properties, &1)
+    columns = &field_layout(properties, &1)
 
     cond do
       nil in places ->
-        bad("its vertices have no x, y and z")
+        file_error("its vertices have no x, y and z")
 
-      faces = faces(rows, elements) ->
-        points = points(vertices, columns.(places))
-        mesh(points, faces, div(byte_size(points), 12))
+      faces = find_faces(rows, elements) ->
+        points = encode_points(vertices, columns.(places))
+        build_mesh(points, faces, div(byte_size(points), 12))
 
       true ->
         PointCloud.new(
-          points(vertices, columns.(places)),
-          if(nil not in tones, do: colors(vertices, columns.(tones))),
-          value && points(vertices, columns.([value]))
+          encode_points(vertices, columns.(places)),
+          if(nil not in tones, do: encode_colors(vertices, columns.(tones))),
+          value && encode_points(vertices, columns.([value]))
         )
     end
   end
 
   # Returns the index, byte offset and type of each of these vertex properties.
-  defp fields(properties, places) do
+  defp field_layout(properties, places) do
     for place <- places do
       before = for {_, {_, size}} <- Enum.take(properties, place), is_integer(size), do: size
       {place, Enum.sum(before), properties |> Enum.at(place) |> elem(1)}
     end
   end
 
-  defp points({:packed, bytes, row, big?}, fields) do
+  defp encode_points({:packed, bytes, row, big?}, fields) do
     fields = for {_, at, type} <- fields, do: {at, type}
-    Error.unwrap!(Kernel.call(:record_floats, [bytes, row, fields, big?]))
+    Error.unwrap!(Kernel.call_native(:record_floats, [bytes, row, fields, big?]))
   end
 
-  defp points(vertices, fields) do
-    for row <- vertices, {place, _, _} <- fields, into: <<>>, do: float(Enum.at(row, place))
+  defp encode_points(vertices, fields) do
+    for row <- vertices,
+        {place, _, _} <- fields,
+        into: <<>>,
+        do: encode_float(Enum.at(row, place))
   end
 
-  defp float(x) when is_number(x) and abs(x) < 3.4e38, do: <<x::little-float-32>>
-  defp float(_), do: <<0, 0, 0xC0, 0x7F>>
+  defp encode_float(x) when is_number(x) and abs(x) < 3.4e38, do: <<x::little-float-32>>
+  defp encode_float(_), do: <<0, 0, 0xC0, 0x7F>>
 
-  defp colors({:packed, bytes, row, big?}, fields) do
+  defp encode_colors({:packed, bytes, row, big?}, fields) do
     fields = for {_, at, type} <- fields, do: {at, type}
-    Error.unwrap!(Kernel.call(:record_tones, [bytes, row, fields, big?]))
+    Error.unwrap!(Kernel.call_native(:record_tones, [bytes, row, fields, big?]))
   end
 
-  defp colors(vertices, fields) do
-    for row <- vertices, {place, _, _} <- fields, into: <<>>, do: <<tone(Enum.at(row, place))>>
+  defp encode_colors(vertices, fields) do
+    for row <- vertices,
+        {place, _, _} <- fields,
+        into: <<>>,
+        do: <<color_byte(Enum.at(row, place))>>
   end
 
-  defp tone(x) when is_integer(x), do: x |> max(0) |> min(255)
-  defp tone(x) when is_float(x), do: round(255 * (x |> max(0.0) |> min(1.0)))
-  defp tone(:infinity), do: 255
-  defp tone(_), do: 0
+  defp color_byte(x) when is_integer(x), do: x |> max(0) |> min(255)
+  defp color_byte(x) when is_float(x), do: round(255 * (x |> max(0.0) |> min(1.0)))
+  defp color_byte(:infinity), do: 255
+  defp color_byte(_), do: 0
 
-  defp faces(rows, elements) do
+  defp find_faces(rows, elements) do
     with {_, _, properties} <- List.keyfind(elements, "face", 0),
          at when at != nil <-
            Enum.find_index(properties, &(elem(&1, 0) in ["vertex_indices", "vertex_index"])),
@@ -300,7 +317,7 @@ defmodule Situ.Space.Scan.Ply do
   end
 
   # Polygons are split into fans of triangles.
-  defp mesh(vertices, faces, count) do
+  defp build_mesh(vertices, faces, count) do
     triangles =
       for [a | others] when length(others) >= 2 <- faces,
           {b, c} <- Enum.zip(others, tl(others)),
@@ -311,9 +328,9 @@ defmodule Situ.Space.Scan.Ply do
        end),
        do:
          Mesh.new(vertices, for(i <- List.flatten(triangles), into: <<>>, do: <<i::little-32>>)),
-       else: bad("a face refers to a vertex that does not exist")
+       else: file_error("a face refers to a vertex that does not exist")
   end
 
-  defp bad(why),
+  defp file_error(why),
     do: {:error, Error.new(:bad_file, "invalid PLY file", why: why)}
 end

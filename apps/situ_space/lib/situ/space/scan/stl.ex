@@ -7,47 +7,47 @@ defmodule Situ.Space.Scan.Stl do
 
   @most 20_000_000
 
-  @spec read(binary()) :: {:ok, Mesh.t()} | {:error, Error.t()}
+  @spec parse_file(binary()) :: {:ok, Mesh.t()} | {:error, Error.t()}
   # Some programs begin binary files with "solid" as well, so the size decides.
-  def read(<<_head::binary-size(80), count::little-32, body::binary>>)
+  def parse_file(<<_head::binary-size(80), count::little-32, body::binary>>)
       when byte_size(body) == count * 50 and count in 1..@most do
     corners =
       for <<_normal::binary-size(12), corners::binary-size(36), _::16 <- body>>,
         into: <<>>,
         do: corners
 
-    if finite?(corners),
-      do: joined(for <<corner::binary-size(12) <- corners>>, do: corner),
-      else: bad("a corner's coordinates are not finite")
+    if all_finite?(corners),
+      do: build_mesh(for <<corner::binary-size(12) <- corners>>, do: corner),
+      else: file_error("a corner's coordinates are not finite")
   end
 
-  def read("solid" <> _ = text) do
+  def parse_file("solid" <> _ = text) do
     corners =
       for ["vertex" | numbers] <- text |> String.split("\n") |> Stream.map(&String.split/1),
-          do: corner(numbers)
+          do: parse_corner(numbers)
 
     if corners != [] and rem(length(corners), 3) == 0,
-      do: joined(corners),
-      else: bad("its vertices do not form triangles")
+      do: build_mesh(corners),
+      else: file_error("its vertices do not form triangles")
   catch
-    {:bad, why} -> bad(why)
+    {:bad, why} -> file_error(why)
   end
 
-  def read(_bytes), do: bad("its size does not match its number of triangles")
+  def parse_file(_bytes), do: file_error("its size does not match its number of triangles")
 
-  defp bad(why),
+  defp file_error(why),
     do: {:error, Error.new(:bad_file, "invalid STL file", why: why)}
 
-  defp finite?(<<_::little-float-32, rest::binary>>), do: finite?(rest)
-  defp finite?(rest), do: rest == ""
+  defp all_finite?(<<_::little-float-32, rest::binary>>), do: all_finite?(rest)
+  defp all_finite?(rest), do: rest == ""
 
-  defp corner([_, _, _] = words) do
+  defp parse_corner([_, _, _] = words) do
     for word <- words, into: <<>>, do: <<Text.parse_coordinate!(word)::little-float-32>>
   end
 
-  defp corner(_words), do: throw({:bad, "a vertex does not have three numbers"})
+  defp parse_corner(_words), do: throw({:bad, "a vertex does not have three numbers"})
 
-  defp joined(corners) do
+  defp build_mesh(corners) do
     {indices, {vertices, _}} =
       Enum.map_reduce(corners, {[], %{}}, fn corner, {vertices, places} ->
         case places do

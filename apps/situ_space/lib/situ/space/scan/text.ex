@@ -11,15 +11,15 @@ defmodule Situ.Space.Scan.Text do
   @doc """
   Parses a finite number, with or without a fraction, with nothing after it.
 
-      iex> Situ.Space.Scan.Text.float("1e-3")
+      iex> Situ.Space.Scan.Text.parse_float("1e-3")
       {:ok, 0.001}
-      iex> for text <- [".5", "-1.", "2.e3"], do: elem(Situ.Space.Scan.Text.float(text), 1)
+      iex> for text <- [".5", "-1.", "2.e3"], do: elem(Situ.Space.Scan.Text.parse_float(text), 1)
       [0.5, -1.0, 2.0e3]
-      iex> for text <- [String.duplicate("9", 400), "1e400", "nan"], do: Situ.Space.Scan.Text.float(text)
+      iex> for text <- [String.duplicate("9", 400), "1e400", "nan"], do: Situ.Space.Scan.Text.parse_float(text)
       [:error, :error, :error]
   """
-  @spec float(String.t()) :: {:ok, float()} | :error
-  def float(text) do
+  @spec parse_float(String.t()) :: {:ok, float()} | :error
+  def parse_float(text) do
     with {:ok, x} when is_atom(x) <- parse_number(text), do: :error
   end
 
@@ -50,17 +50,22 @@ defmodule Situ.Space.Scan.Text do
   @spec parse_coordinate!(String.t()) :: float()
   def parse_coordinate!(word) do
     case parse_number(word) do
-      {:ok, x} when is_float(x) and abs(x) < 3.4e38 -> x
-      {:ok, _} -> throw({:bad, "a vertex is at #{shorten(word)}, which is not finite in 32 bits"})
-      :error -> throw_no_number(word)
+      {:ok, x} when is_float(x) and abs(x) < 3.4e38 ->
+        x
+
+      {:ok, _} ->
+        throw({:bad, "a vertex is at #{shorten_word(word)}, which is not finite in 32 bits"})
+
+      :error ->
+        throw_no_number(word)
     end
   end
 
   @doc "Throws `{:bad, why}` for a word that is not a number."
   @spec throw_no_number(String.t()) :: no_return()
-  def throw_no_number(word), do: throw({:bad, "#{inspect(shorten(word))} is not a number"})
+  def throw_no_number(word), do: throw({:bad, "#{inspect(shorten_word(word))} is not a number"})
 
-  defp shorten(word), do: String.slice(word, 0, 40)
+  defp shorten_word(word), do: String.slice(word, 0, 40)
 
   # Many programs omit the zero before or after the decimal point, which Elixir's parser rejects.
   defp parse_other(text) do
@@ -76,7 +81,7 @@ defmodule Situ.Space.Scan.Text do
 
   # The text has the form of a number, so parsing fails only if the number is too large.
   defp parse_whole(sign, whole, part, exponent) do
-    case Float.parse("#{sign}#{zero(whole)}.#{zero(part)}#{exponent}") do
+    case Float.parse("#{sign}#{zero_if_empty(whole)}.#{zero_if_empty(part)}#{exponent}") do
       {x, ""} -> x
       _ -> if sign == "-", do: :neg_infinity, else: :infinity
     end
@@ -90,6 +95,6 @@ defmodule Situ.Space.Scan.Text do
   defp parse_word(word) when word in ["-inf", "-infinity"], do: {:ok, :neg_infinity}
   defp parse_word(_word), do: :error
 
-  defp zero(""), do: "0"
-  defp zero(digits), do: digits
+  defp zero_if_empty(""), do: "0"
+  defp zero_if_empty(digits), do: digits
 end

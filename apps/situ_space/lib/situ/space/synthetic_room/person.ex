@@ -3,8 +3,8 @@ defmodule Situ.Space.SyntheticRoom.Person do
   A person in the synthetic room at one time: the joints, and the limbs around them.
 
       iex> alias Situ.Space.SyntheticRoom.Person
-      iex> body = Person.skeleton(Person.standing(7, {2.0, 0.0, 0.0}, 0.0))
-      iex> {body.id, map_size(body.joints), Situ.Skeleton.position(body, :head)}
+      iex> body = Person.to_skeleton(Person.new_standing(7, {2.0, 0.0, 0.0}, 0.0))
+      iex> {body.id, map_size(body.joints), Situ.Skeleton.joint_position(body, :head)}
       {7, 15, {2.0, 0.0, 1.62}}
   """
   alias Situ.{Pose, Quaternion, Skeleton, Vector3}
@@ -46,25 +46,25 @@ defmodule Situ.Space.SyntheticRoom.Person do
   @shin 0.42
 
   @doc "Builds a standing person at a position."
-  @spec standing(term(), Vector3.t(), float()) :: t()
-  def standing(id, place, heading), do: %__MODULE__{id: id, place: place, heading: heading}
+  @spec new_standing(term(), Vector3.t(), float()) :: t()
+  def new_standing(id, place, heading), do: %__MODULE__{id: id, place: place, heading: heading}
 
   @doc "Returns the joints in the room's frame; each has the rotation of the body."
-  @spec skeleton(t()) :: Skeleton.t()
-  def skeleton(%__MODULE__{} = person) do
+  @spec to_skeleton(t()) :: Skeleton.t()
+  def to_skeleton(%__MODULE__{} = person) do
     turn = Quaternion.from_axis_angle({0.0, 0.0, 1.0}, person.heading)
 
     joints =
       person
-      |> joints(Pose.new(person.place, turn))
+      |> joint_positions(Pose.new(person.place, turn))
       |> Map.new(fn {name, position} -> {name, %Pose{position: position, rotation: turn}} end)
 
     Skeleton.new!(joints, @bones, id: person.id)
   end
 
-  defp joints(person, body) do
+  defp joint_positions(person, body) do
     swing = 0.55 * :math.sin(person.stride)
-    at = &Pose.transform(body, &1)
+    at = &Pose.transform_point(body, &1)
 
     trunk = %{
       head: at.({0.0, 0.0, 1.62}),
@@ -77,42 +77,43 @@ defmodule Situ.Space.SyntheticRoom.Person do
     }
 
     trunk
-    |> Map.merge(leg(at, :left, 0.1, swing))
-    |> Map.merge(leg(at, :right, -0.1, -swing))
-    |> Map.merge(arm(at, :left, 0.22, -swing))
-    |> Map.merge(right_arm(person, trunk.right_shoulder, at, swing))
+    |> Map.merge(leg_joints(at, :left, 0.1, swing))
+    |> Map.merge(leg_joints(at, :right, -0.1, -swing))
+    |> Map.merge(arm_joints(at, :left, 0.22, -swing))
+    |> Map.merge(right_arm_joints(person, trunk.right_shoulder, at, swing))
   end
 
-  defp leg(at, side, y, swing) do
+  defp leg_joints(at, side, y, swing) do
     bend = if swing < 0, do: -swing, else: 0.0
     {kx, kz} = {@thigh * :math.sin(swing), 0.88 - @thigh * :math.cos(swing)}
     foot = {kx + @shin * :math.sin(swing - bend), y, kz - @shin * :math.cos(swing - bend)}
-    %{joint(side, :knee) => at.({kx, y, kz}), joint(side, :foot) => at.(foot)}
+    %{joint_name(side, :knee) => at.({kx, y, kz}), joint_name(side, :foot) => at.(foot)}
   end
 
-  defp arm(at, side, y, swing) do
+  defp arm_joints(at, side, y, swing) do
     {ex, ez} = {@arm * :math.sin(swing), 1.38 - @arm * :math.cos(swing)}
     bend = swing + 0.3
     hand = {ex + @arm * :math.sin(bend), y, ez - @arm * :math.cos(bend)}
-    %{joint(side, :elbow) => at.({ex, y, ez}), joint(side, :hand) => at.(hand)}
+    %{joint_name(side, :elbow) => at.({ex, y, ez}), joint_name(side, :hand) => at.(hand)}
   end
 
-  defp right_arm(%{reach: nil}, _shoulder, at, swing), do: arm(at, :right, -0.22, swing)
+  defp right_arm_joints(%{reach: nil}, _shoulder, at, swing),
+    do: arm_joints(at, :right, -0.22, swing)
 
-  defp right_arm(%{reach: target}, shoulder, _at, _swing) do
+  defp right_arm_joints(%{reach: target}, shoulder, _at, _swing) do
     {:ok, way} = target |> Vector3.subtract(shoulder) |> Vector3.normalize()
     along = &Vector3.add(shoulder, Vector3.scale(way, &1))
     %{right_elbow: along.(@arm), right_hand: along.(2 * @arm)}
   end
 
-  defp joint(:left, :knee), do: :left_knee
-  defp joint(:right, :knee), do: :right_knee
-  defp joint(:left, :foot), do: :left_foot
-  defp joint(:right, :foot), do: :right_foot
-  defp joint(:left, :elbow), do: :left_elbow
-  defp joint(:right, :elbow), do: :right_elbow
-  defp joint(:left, :hand), do: :left_hand
-  defp joint(:right, :hand), do: :right_hand
+  defp joint_name(:left, :knee), do: :left_knee
+  defp joint_name(:right, :knee), do: :right_knee
+  defp joint_name(:left, :foot), do: :left_foot
+  defp joint_name(:right, :foot), do: :right_foot
+  defp joint_name(:left, :elbow), do: :left_elbow
+  defp joint_name(:right, :elbow), do: :right_elbow
+  defp joint_name(:left, :hand), do: :left_hand
+  defp joint_name(:right, :hand), do: :right_hand
 
   @skin {224, 172, 132}
   @lit {255, 236, 170}
@@ -120,11 +121,11 @@ defmodule Situ.Space.SyntheticRoom.Person do
   @trousers {52, 56, 66}
 
   @doc "Returns the limbs as shapes for the renderer. A speaking person has a brighter head."
-  @spec shapes(t(), Skeleton.t()) :: [tuple()]
-  def shapes(%__MODULE__{} = person, %Skeleton{} = body) do
+  @spec body_shapes(t(), Skeleton.t()) :: [tuple()]
+  def body_shapes(%__MODULE__{} = person, %Skeleton{} = body) do
     shirt = Enum.at(@clothes, :erlang.phash2(person.id, length(@clothes)))
     head = if person.speaking, do: @lit, else: @skin
-    p = &Skeleton.position(body, &1)
+    p = &Skeleton.joint_position(body, &1)
     limb = fn a, b, radius, color -> {:capsule, p.(a), p.(b), radius, color} end
 
     [

@@ -4,10 +4,10 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   They take turns speaking.
 
       iex> alias Situ.Space.SyntheticRoom.Scene
-      iex> scene = Scene.at(1.0)
+      iex> scene = Scene.state_at(1.0)
       iex> for person <- scene.people, do: {person.id, person.speaking}
       [{0, true}, {1, false}]
-      iex> Scene.at(1.0) == scene
+      iex> Scene.state_at(1.0) == scene
       true
   """
   alias Situ.{ImuReading, Pose, Quaternion, Ray3, Skeleton, Vector3}
@@ -35,21 +35,21 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   Returns the room at `t` seconds. `speech` lists when each person speaks. By default the two take turns of two seconds,
   half a second apart. `sway` is how far (metres, and radians) the camera moves around its position.
   """
-  @spec at(number(), speech() | nil, number()) :: t()
-  def at(t, speech \\ nil, sway \\ 0.0) do
-    ball = ball(t)
+  @spec state_at(number(), speech() | nil, number()) :: t()
+  def state_at(t, speech \\ nil, sway \\ 0.0) do
+    ball = ball_position(t)
     speaks? = &speaking?(&1, t, speech)
 
     people = [
-      %{walker(t) | speaking: speaks?.(0)},
-      %{Person.standing(1, {3.4, -1.0, 0.0}, 2.6) | reach: ball, speaking: speaks?.(1)}
+      %{walking_person(t) | speaking: speaks?.(0)},
+      %{Person.new_standing(1, {3.4, -1.0, 0.0}, 2.6) | reach: ball, speaking: speaks?.(1)}
     ]
 
     %__MODULE__{
       people: people,
-      bodies: Enum.map(people, &Person.skeleton/1),
+      bodies: Enum.map(people, &Person.to_skeleton/1),
       ball: ball,
-      camera: camera(t, sway)
+      camera: camera_pose(t, sway)
     }
   end
 
@@ -64,7 +64,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
     do: Enum.any?(speech, fn {who, from, to} -> who == id and t >= from and t < to end)
 
   # The person walks to and fro along y, and the feet move at the speed of the body.
-  defp walker(t) do
+  defp walking_person(t) do
     place = fn t -> {3.0 + 0.35 * :math.cos(0.5 * t), 0.2 + 0.9 * :math.sin(0.5 * t), 0.0} end
     {x, y, _} = Vector3.subtract(place.(t + @step), place.(t))
 
@@ -76,12 +76,12 @@ defmodule Situ.Space.SyntheticRoom.Scene do
     }
   end
 
-  defp ball(t) do
+  defp ball_position(t) do
     {2.5 + 0.25 * :math.sin(0.9 * t), 0.1 + 0.7 * :math.cos(0.6 * t),
      1.5 + 0.25 * :math.sin(1.3 * t)}
   end
 
-  defp camera(t, sway) do
+  defp camera_pose(t, sway) do
     position = {
       0.2 + sway * :math.sin(1.1 * t),
       sway * :math.sin(0.7 * t),
@@ -94,17 +94,17 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   end
 
   @doc "Returns all visible shapes for the renderer: walls, furniture, ball, people."
-  @spec shapes(t()) :: [tuple()]
-  def shapes(%__MODULE__{} = scene) do
+  @spec list_shapes(t()) :: [tuple()]
+  def list_shapes(%__MODULE__{} = scene) do
     limbs =
       scene.people
       |> Enum.zip(scene.bodies)
-      |> Enum.flat_map(fn {p, b} -> Person.shapes(p, b) end)
+      |> Enum.flat_map(fn {p, b} -> Person.body_shapes(p, b) end)
 
-    furniture() ++ [{:capsule, scene.ball, scene.ball, @ball, {240, 150, 30}} | limbs]
+    furniture_shapes() ++ [{:capsule, scene.ball, scene.ball, @ball, {240, 150, 30}} | limbs]
   end
 
-  defp furniture do
+  defp furniture_shapes do
     [
       {:box, {-1.0, -2.2, 0.0}, {5.0, 2.2, 2.8}, {188, 184, 174}},
       {:box, {-0.9, -2.1, -0.1}, {4.9, 2.1, 0.01}, {120, 104, 88}},
@@ -120,30 +120,33 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   end
 
   @doc "Returns the ray along which the second person points, in the direction from the shoulder to the hand."
-  @spec pointing(t()) :: Ray3.t()
-  def pointing(%__MODULE__{bodies: [_, body]}) do
-    shoulder = Skeleton.position(body, :right_shoulder)
-    hand = Skeleton.position(body, :right_hand)
+  @spec pointing_ray(t()) :: Ray3.t()
+  def pointing_ray(%__MODULE__{bodies: [_, body]}) do
+    shoulder = Skeleton.joint_position(body, :right_shoulder)
+    hand = Skeleton.joint_position(body, :right_hand)
     {:ok, ray} = Ray3.new(hand, Vector3.subtract(hand, shoulder))
     ray
   end
 
   @doc "Returns the reading of an inertial sensor in the camera at `t` seconds, from its poses within 20 ms."
-  @spec imu(number(), number()) :: ImuReading.t()
-  def imu(t, sway) do
+  @spec imu_reading(number(), number()) :: ImuReading.t()
+  def imu_reading(t, sway) do
     h = 1.0e-2
-    {before, now, later} = {camera(t - h, sway), camera(t, sway), camera(t + h, sway)}
+
+    {before, now, later} =
+      {camera_pose(t - h, sway), camera_pose(t, sway), camera_pose(t + h, sway)}
+
     sum = Vector3.add(before.position, later.position)
     moved = Vector3.subtract(sum, Vector3.scale(now.position, 2.0))
     force = Vector3.add(Vector3.scale(moved, 1 / (h * h)), {0.0, 0.0, @gravity})
-    inverse = Quaternion.inverse(now.rotation)
+    inverse = Quaternion.invert(now.rotation)
 
     {axis, angle} =
       before.rotation
-      |> Quaternion.inverse()
+      |> Quaternion.invert()
       |> Quaternion.multiply(later.rotation)
       |> Quaternion.to_axis_angle()
 
-    ImuReading.new(Quaternion.rotate(inverse, force), Vector3.scale(axis, angle / (2 * h)))
+    ImuReading.new(Quaternion.rotate_vector(inverse, force), Vector3.scale(axis, angle / (2 * h)))
   end
 end

@@ -4,7 +4,7 @@ defmodule Situ.Space.SyntheticRoom.Voice do
   depend only on their number, so the audio is the same however it is split into buffers.
 
       iex> alias Situ.Space.SyntheticRoom.Voice
-      iex> Voice.samples(0..3, 16_000, fn _id, _t -> false end)
+      iex> Voice.generate_samples(0..3, 16_000, fn _id, _t -> false end)
       [0, 0, 0, 0]
   """
   @pitches %{0 => 118.0, 1 => 205.0}
@@ -12,15 +12,19 @@ defmodule Situ.Space.SyntheticRoom.Voice do
   @loudness 5_200
 
   @doc "Returns the 16-bit samples with these numbers at `rate` per second; calls `speaks?` with an id and seconds."
-  @spec samples(Range.t(), pos_integer(), (term(), float() -> boolean())) :: [integer()]
-  def samples(numbers, rate, speaks?) do
+  @spec generate_samples(Range.t(), pos_integer(), (term(), float() -> boolean())) :: [integer()]
+  def generate_samples(numbers, rate, speaks?) do
     for n <- numbers do
       t = n / rate
-      round(@loudness * Enum.sum(for {id, pitch} <- @pitches, speaks?.(id, t), do: hum(t, pitch)))
+
+      round(
+        @loudness *
+          Enum.sum(for {id, pitch} <- @pitches, speaks?.(id, t), do: hum_sample(t, pitch))
+      )
     end
   end
 
-  defp hum(t, pitch) do
+  defp hum_sample(t, pitch) do
     syllable = :math.pow(:math.sin(:math.pi() * 4 * t), 2)
     glide = pitch * t + 3.0 * :math.sin(2 * :math.pi() * 0.6 * t)
 

@@ -1,17 +1,17 @@
 defmodule Situ.Space.DepthCamera.DeviceTest do
-  # A device that FFmpeg computes stands where a camera's node would: the same program, pixels and path.
+  # A device that FFmpeg computes replaces a camera's node: the program, pixels and code path are the same.
   use ExUnit.Case, async: true
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, PointCloud, Pose}
   alias Situ.Space.DepthCamera
 
   @moduletag :capture_log
-  # 1,000 in the first column, 10 more in each that follows
+  # 1,000 in the first column, and 10 more in each following column.
   @ramp "lavfi:nullsrc=size=32x24:rate=50,format=gray16le,geq=lum='1000+10*X'"
 
   defp lens(width \\ 32),
     do: CameraIntrinsics.new!(width: width, height: 24, focal: {30, 30}, principal: {16, 12})
 
-  test "depth and colour as views, with the values that the device gave" do
+  test "emits depth and color as views with the device's values" do
     pose = Pose.new({0.0, 0.0, 2.0})
 
     opts = [
@@ -39,12 +39,12 @@ defmodule Situ.Space.DepthCamera.DeviceTest do
     assert {:ok, far} = DepthImage.fetch_distance(seen, 31, 5)
     assert_in_delta near, 0.5, 1.0e-9
     assert_in_delta far, 0.655, 1.0e-9
-    {:ok, cloud} = DepthCamera.cloud(view)
-    assert PointCloud.count(cloud) == 32 * 24
+    {:ok, cloud} = DepthCamera.view_to_cloud(view)
+    assert PointCloud.point_count(cloud) == 32 * 24
     assert color.viewed.format == :bgr24
   end
 
-  test "a picture of another size than the lens has is an error that names both" do
+  test "an image of another size than the lens is an error that names both" do
     opts = [device: @ramp, intrinsics: lens(64)]
 
     assert {:error, error} =
@@ -52,10 +52,10 @@ defmodule Situ.Space.DepthCamera.DeviceTest do
                Situ.each(DepthCamera.open(p, {DepthCamera.Device, opts}).depth, fn _ -> :ok end)
              end)
 
-    assert Exception.message(error) =~ "gives pictures of 32x24, its intrinsics are for 64x24"
+    assert Exception.message(error) =~ "gives images of 32x24, its intrinsics are for 64x24"
   end
 
-  test "a camera that is not there is an error" do
+  test "a missing camera is an error" do
     opts = [device: "/dev/video-none", intrinsics: lens()]
 
     assert {:error, error} =

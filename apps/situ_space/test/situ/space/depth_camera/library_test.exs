@@ -1,5 +1,5 @@
 defmodule Situ.Space.DepthCamera.LibraryTest do
-  # The libraries themselves: OpenNI's dummy device, and a folder as libfreenect's fakenect-record writes it.
+  # Tests the libraries themselves: OpenNI's dummy device, and a folder as libfreenect's fakenect-record writes it.
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Pipeline, Pose}
@@ -26,7 +26,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
   describe "OpenNI 2" do
     @describetag :depth_port
 
-    test "depth and colour as views, in order, as the device gives them" do
+    test "emits depth and color as views, in order, as the device delivers them" do
       pose = Pose.new({0.0, 0.0, 2.0})
       before = Situ.Time.now()
       {:ok, pipeline} = start(device: @dummy, intrinsics: lens(), pose: pose)
@@ -35,7 +35,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
         for _ <- 1..5 do
           assert_receive {:depth, %CameraView{viewed: depth, pose: ^pose} = view, message}
           assert view.intrinsics == lens()
-          # Half of it is 2 m, the rest not known.
+          # Half of it is at 2 m, and the rest is unknown.
           assert {:ok, distance} = DepthImage.fetch_distance(depth, 0, 0)
           assert_in_delta distance, 2.0, 1.0e-9
           message.originating_time
@@ -51,7 +51,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
       Pipeline.stop(pipeline)
     end
 
-    test "its program is killed: the camera comes back" do
+    test "the camera recovers when its program is killed" do
       {:ok, pipeline} = start(device: @dummy, intrinsics: lens())
       assert_receive {:depth, _, %{originating_time: first}}
       kill_programs(pipeline)
@@ -61,7 +61,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
       Pipeline.stop(pipeline)
     end
 
-    test "a camera that is not there, a lens that nobody tells, pictures of another size" do
+    test "a missing camera, an unknown lens and images of another size are errors" do
       assert {:error, %Error{code: :no_camera} = error} = outcome(device: "openni2:nowhere")
       assert Exception.message(error) =~ "nowhere"
       assert {:error, %Error{code: :no_intrinsics}} = outcome(device: @dummy)
@@ -73,23 +73,23 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
       assert Exception.message(error) =~ "640x240"
     end
 
-    test "no Kinect is there" do
+    test "a missing Kinect is an error" do
       assert {:error, %Error{code: :no_camera} = error} = outcome(device: "freenect:7")
       assert Exception.message(error) =~ "index 7"
-      assert Library.list() |> Enum.all?(&(&1.kind == :depth_camera))
+      assert Library.list_cameras() |> Enum.all?(&(&1.kind == :depth_camera))
     end
   end
 
-  describe "a folder of fakenect-record" do
+  describe "a folder written by fakenect-record" do
     @describetag :depth_port
     @describetag :tmp_dir
 
-    test "the sensor's numbers become millimetres; the pipeline ends with the folder", %{
+    test "converts sensor values to millimeters and ends with the folder", %{
       tmp_dir: folder
     } do
       record(folder, for(raw <- [0, 500, 800, 1000, 2047], do: raw))
 
-      # A camera does not wait: on a busy machine a picture may be lost, so it is played until a run lost none.
+      # A camera does not wait, so a busy machine may lose an image. Play it until a run has lost none.
       {depth, color} =
         Enum.find_value(1..20, fn _ ->
           {depth, _} = all = play(folder)
@@ -110,7 +110,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
           end
         end
 
-      # By another formula that is fitted to measurements: 0.1236 tan(raw / 2842.5 + 1.1863) m, S. Magnenat.
+      # Another formula, fitted to measurements: 0.1236 tan(raw / 2842.5 + 1.1863) m, by S. Magnenat.
       for {raw, distance} <- Enum.zip([500, 800, 1000], Enum.slice(distances, 1, 3)) do
         assert_in_delta distance, 0.1236 * :math.tan(raw / 2842.5 + 1.1863), 0.03 * distance
       end
@@ -119,7 +119,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
       assert [%CameraView{viewed: %{format: :rgb24, data: <<1, 2, 3, _::binary>>}} | _] = color
     end
 
-    test "no such folder, and one that is cut short", %{tmp_dir: folder} do
+    test "a missing or truncated folder is an error", %{tmp_dir: folder} do
       assert {:error, %Error{code: :no_camera} = error} = outcome(device: "fakenect:/nowhere")
       assert Exception.message(error) =~ "INDEX.txt"
       record(folder, [500, 600])
@@ -129,7 +129,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
     end
   end
 
-  test "devices that no driver knows" do
+  test "a device that no driver knows is an error" do
     for device <- ["kinect", "freenect:x", "freenect:-1", ""] do
       assert_raise Error, fn ->
         Pipeline.run(fn p -> DepthCamera.open(p, {Library, device: device}) end) |> unwrap()
@@ -137,9 +137,9 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
     end
   end
 
-  property "no packet but the program's own is taken for one" do
+  property "accepts only the program's own packets" do
     forall packet <- binary() do
-      case Program.decode(packet) do
+      case Program.decode_packet(packet) do
         {:picture, kind, _, _, {w, h}, pixels} ->
           byte_size(pixels) == w * h * if(kind == :depth, do: 2, else: 3)
 
@@ -165,7 +165,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
     end)
   end
 
-  # The views of depth and of colour that a folder gives.
+  # Returns the depth and color views from a folder.
   defp play(folder) do
     me = self()
     ref = make_ref()
@@ -190,7 +190,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
     end
   end
 
-  # "P5 640 480 65535", a line, then the sensor's numbers; colour likewise.
+  # "P5 640 480 65535", a line break, then the sensor's numbers; the same for color.
   defp record(folder, values) do
     names =
       for {raw, i} <- Enum.with_index(values), kind <- ["d", "r"] do

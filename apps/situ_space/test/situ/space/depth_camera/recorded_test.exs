@@ -35,7 +35,7 @@ defmodule Situ.Space.DepthCamera.RecordedTest do
     Situ.PointCloud.to_points(cloud)
   end
 
-  test "depth of a RealSense recording has the lens that the recording tells", %{tmp_dir: root} do
+  test "depth of a RealSense recording has the lens stored in the recording", %{tmp_dir: root} do
     path =
       recorded(root, [
         {@sensor <> "/image/data", depth()},
@@ -46,12 +46,12 @@ defmodule Situ.Space.DepthCamera.RecordedTest do
     assert %CameraView{viewed: %DepthImage{}, pose: pose} = view
     assert pose == Pose.identity()
     assert view.intrinsics == lens()
-    # One metre and two ahead, left and right of the middle.
+    # At one and two meters ahead, left and right of the center.
     assert [{1.0, y1, _}, {2.0, y2, _}] = points(path: path)
     assert y1 > 0 and y2 < 0
   end
 
-  test "a camera that stood elsewhere, and a lens that is given", %{tmp_dir: root} do
+  test "accepts another camera pose and a given lens", %{tmp_dir: root} do
     path = recorded(root, [{"Far", depth()}])
     at = Pose.new({10.0, 0.0, 0.0})
 
@@ -59,7 +59,7 @@ defmodule Situ.Space.DepthCamera.RecordedTest do
              points(path: path, depth: "Far", intrinsics: lens(), pose: at)
   end
 
-  test "what is missing is told with the way out", %{tmp_dir: root} do
+  test "an error about missing data suggests a fix", %{tmp_dir: root} do
     path = recorded(root, [{"Far", depth()}, {"Lens", %{"K" => 1}}])
 
     open = fn opts ->
@@ -69,8 +69,8 @@ defmodule Situ.Space.DepthCamera.RecordedTest do
     for {opts, code, said} <- [
           {[], :no_such_stream, "depth:"},
           {[depth: "Far"], :no_intrinsics, "lens:"},
-          {[depth: "Far", lens: "Lenz"], :no_intrinsics, "no stream"},
-          {[depth: "Far", lens: "Lens"], :no_intrinsics, "which are none"}
+          {[depth: "Far", lens: "Lenz"], :no_intrinsics, "does not exist"},
+          {[depth: "Far", lens: "Lens"], :no_intrinsics, "instead of intrinsics"}
         ] do
       error = assert_raise Situ.Error, fn -> open.(opts) end
       assert error.code == code

@@ -8,7 +8,7 @@ defmodule Situ.Space.Robot.UrdfTest do
   doctest Situ.Space.Robot
   doctest Situ.Space.Xml
 
-  # An arm of two links on a sliding foot, a hand that mirrors the elbow, and a shape from a file.
+  # An arm with two links on a sliding foot, a hand that mirrors the elbow, and a shape from a file.
   @arm """
   <?xml version="1.0"?>
   <robot name="arm">
@@ -64,41 +64,41 @@ defmodule Situ.Space.Robot.UrdfTest do
 
   defp near?({a, b, c}, {x, y, z}), do: Enum.all?([a - x, b - y, c - z], &(abs(&1) < 1.0e-5))
 
-  test "links stand where the joints say" do
+  test "places links at the positions given by the joints" do
     {:ok, robot} = Urdf.parse(@arm)
     assert {robot.name, robot.root} == {"arm", "rail"}
     quarter = :math.pi() / 2
     {:ok, state} = JointState.new(["slide", "shoulder", "elbow"], [0.3, quarter, quarter])
-    poses = Robot.poses(robot, state)
-    # up the arm: ahead by the rail, then to the left, then back
+    poses = Robot.link_poses(robot, state)
+    # Up the arm: forward along the rail, then to the left, then back.
     assert near?(poses["upper"].position, {0.3, 0.0, 0.5})
     assert near?(poses["lower"].position, {0.3, 1.0, 0.5})
     assert near?(poses["hand"].position, {-0.7, 1.0, 0.5})
     {yaw, _, _} = Quaternion.to_euler(poses["hand"].rotation)
     assert_in_delta yaw, quarter + 0.5, 1.0e-9
-    # joints of which nobody says anything are at 0; the mirroring one at its offset
-    assert near?(Robot.poses(robot)["hand"].position, {2.0, 0.0, 0.5})
+    # Joints without a state are at 0, and the mirroring joint is at its offset.
+    assert near?(Robot.link_poses(robot)["hand"].position, {2.0, 0.0, 0.5})
   end
 
-  test "shapes lie at their links; a mesh is read from beside, one that is not there is told in its place" do
+  test "places shapes at their links; a mesh is read from the same folder or reported in its place" do
     {:ok, robot} = Urdf.read(Path.join(folder(), "arm/urdf/arm.urdf"))
-    shapes = Robot.shapes(robot)
+    shapes = Robot.link_shapes(robot)
     assert Map.keys(shapes) == ["hand", "lower", "rail", "upper"]
     assert bounds(shapes["rail"]) == {{-1.0, -0.1, -0.05}, {1.0, 0.1, 0.05}}
-    # the cylinder lies along x, the sphere at the shoulder
+    # The cylinder is along x, the sphere at the shoulder.
     [cylinder, sphere] = shapes["upper"]
     assert close?(bounds([cylinder]), {{0.0, -0.05, 0.45}, {1.0, 0.05, 0.55}})
     assert close?(bounds([sphere]), {{-0.1, -0.1, 0.4}, {0.1, 0.1, 0.6}})
-    # from x = 1.25, twice as wide as in its file
+    # From x = 1.25, twice as wide as in its file.
     [plate] = shapes["lower"]
     assert {Mesh.vertex_count(plate), Mesh.triangle_count(plate)} == {4, 2}
     assert close?(bounds([plate]), {{1.25, 0.0, 0.5}, {2.25, 0.5, 0.5}})
-    assert [{"none.stl: it is not there", %Situ.Point3{} = point}] = shapes["hand"]
+    assert [{"none.stl: the file does not exist", %Situ.Point3{} = point}] = shapes["hand"]
     assert near?({point.x, point.y, point.z}, {2.0, 0.0, 0.5})
   end
 
   defp bounds(meshes) do
-    corners = meshes |> Enum.flat_map(&Mesh.triangles/1) |> Enum.flat_map(&Tuple.to_list/1)
+    corners = meshes |> Enum.flat_map(&Mesh.list_triangles/1) |> Enum.flat_map(&Tuple.to_list/1)
     sides = for i <- 0..2, do: corners |> Enum.map(&elem(&1, i)) |> Enum.min_max()
     {low, high} = Enum.unzip(sides)
     {rounded(low), rounded(high)}
@@ -109,14 +109,14 @@ defmodule Situ.Space.Robot.UrdfTest do
   defp close?({a, b}, {c, d}),
     do: Vector3.distance(a, c) < 1.0e-3 and Vector3.distance(b, d) < 1.0e-3
 
-  test "as a recording: shapes and frames; a stream of joint states moves both" do
+  test "a recording contains shapes and frames, and a stream of joint states moves both" do
     path = Path.join(folder(), "arm/urdf/arm.urdf")
     {:ok, store} = Store.open(path)
     assert Enum.map(Store.streams(store), & &1.name) == ["Robot", "Frames"]
     [%{data: shapes}] = store |> Store.messages("Robot") |> Enum.to_list()
     assert is_map_key(shapes, "upper")
     [%{data: transforms}] = store |> Store.messages("Frames") |> Enum.to_list()
-    {:ok, frames} = Frames.take(Frames.new(), transforms, 0)
+    {:ok, frames} = Frames.put_transforms(Frames.new(), transforms, 0)
     assert {:ok, %Pose{position: at}} = Frames.lookup(frames, "hand", "rail", 0)
     assert near?(at, {2.0, 0.0, 0.5})
 
@@ -124,18 +124,22 @@ defmodule Situ.Space.Robot.UrdfTest do
     states = for x <- [0.0, 0.5], do: JointState.new(["slide"], [x]) |> elem(1)
 
     moved =
-      Situ.to_list(fn p -> p |> Situ.from_enumerable(states, every: 10) |> Robot.posed(robot) end)
+      Situ.to_list(fn p ->
+        p |> Situ.from_enumerable(states, every: 10) |> Robot.shape_stream(robot)
+      end)
 
     assert [{0.0, _, _}, {0.5, _, _}] =
              for(%{"upper" => [mesh | _]} <- moved, do: elem(bounds([mesh]), 0))
 
     [_, last] =
-      Situ.to_list(fn p -> p |> Situ.from_enumerable(states, every: 10) |> Robot.frames(robot) end)
+      Situ.to_list(fn p ->
+        p |> Situ.from_enumerable(states, every: 10) |> Robot.frame_stream(robot)
+      end)
 
     assert %{pose: %{position: {0.5, 0.0, 0.0}}} = Enum.find(last, &(&1.frame == "foot"))
   end
 
-  test "files that are none, and robots that cannot stand, are errors that say why" do
+  test "invalid files and impossible robots are errors that give the reason" do
     link = &~s(<link name="#{&1}"/>)
 
     joint = fn name, a, b ->
@@ -145,21 +149,21 @@ defmodule Situ.Space.Robot.UrdfTest do
     in_box = &~s(<link name="a"><visual>#{&1}</visual></link>)
 
     for {body, why} <- [
-          {"", "no link of it is the first"},
-          {link.("a") <> link.("b"), "2 of its links hang on none"},
+          {"", "no root link"},
+          {link.("a") <> link.("b"), "2 root links"},
           {link.("a") <> link.("a"), ~s(two links "a")},
-          {link.("a") <> joint.("j", "a", "x"), ~s(names the link "x", which is not there)},
+          {link.("a") <> joint.("j", "a", "x"), ~s(refers to the link "x", which does not exist)},
           {link.("a") <> link.("b") <> joint.("j", "a", "b") <> joint.("k", "a", "b"),
            "two joints"},
           {Enum.map_join(~w(a b c), link) <> joint.("j", "b", "c") <> joint.("k", "c", "b"),
-           "hang on themselves"},
-          {link.("a") <> link.("b") <> ~s(<joint name="j" type="odd"/>), "of no known type"},
+           "form a cycle"},
+          {link.("a") <> link.("b") <> ~s(<joint name="j" type="odd"/>), "an unknown type"},
           {link.("a") <> link.("b") <> ~s(<joint name="j" type="fixed"/>), "has no parent"},
           {"<link/>", "a link has no name"},
-          {in_box.(~s(<geometry><box size="1 2"/></geometry>)), "not three numbers"},
-          {in_box.(~s(<geometry><sphere radius="1e99"/></geometry>)), "no number of a robot"},
-          {in_box.(~s(<geometry><sphere/></geometry>)), "no number of a robot"},
-          {in_box.("<geometry/>"), "holds no shape"},
+          {in_box.(~s(<geometry><box size="1 2"/></geometry>)), "must have three numbers"},
+          {in_box.(~s(<geometry><sphere radius="1e99"/></geometry>)), "is not a number"},
+          {in_box.(~s(<geometry><sphere/></geometry>)), "is not a number"},
+          {in_box.("<geometry/>"), "contains no shape"},
           {"<link", "not well-formed"},
           {~s(<!DOCTYPE x [<!ENTITY y "z">]>), "document type"}
         ] do
@@ -170,10 +174,10 @@ defmodule Situ.Space.Robot.UrdfTest do
     assert {:error, %{why: "its first element is sdf, not robot"}} = Urdf.parse("<sdf/>")
     deep = String.duplicate("<a>", 1_000) <> String.duplicate("</a>", 1_000)
     assert {:error, %{why: why}} = Urdf.parse(deep)
-    assert why =~ "without end"
+    assert why =~ "nested too deeply"
   end
 
-  test "a mesh's name leads nowhere else" do
+  test "a mesh name cannot lead outside the robot's folders" do
     folder = folder()
     File.write!(Path.join(folder, "secret.stl"), @plate)
 
@@ -190,28 +194,28 @@ defmodule Situ.Space.Robot.UrdfTest do
         ~s(<robot><link name="a"><visual><geometry><mesh filename="#{name}"/></geometry></visual></link></robot>)
 
       {:ok, robot} = Urdf.parse(xml, Path.join(folder, "arm"))
-      assert %{"a" => [{text, _}]} = Robot.shapes(robot)
-      assert text =~ "own files" or text =~ "cannot be read", "#{name}: #{text}"
+      assert %{"a" => [{text, _}]} = Robot.link_shapes(robot)
+      assert text =~ "outside the robot's folders" or text =~ "not supported", "#{name}: #{text}"
     end
   end
 
-  test "solids are closed, and turned outwards" do
+  test "solids are closed and face outwards" do
     for {mesh, volume} <- [
           {Solid.box({1, 2, 3}), 6.0},
           {Solid.cylinder(0.5, 2), :math.pi() * 0.25 * 2},
           {Solid.sphere(1), 4 / 3 * :math.pi()}
         ] do
       found =
-        for {a, b, c} <- Mesh.triangles(mesh), reduce: 0.0 do
-          sum -> sum + Vector3.dot(a, Vector3.cross(b, c)) / 6
+        for {a, b, c} <- Mesh.list_triangles(mesh), reduce: 0.0 do
+          sum -> sum + Vector3.dot_product(a, Vector3.cross_product(b, c)) / 6
         end
 
-      # 32 corners around are a little less than a circle
+      # 32 corners around the axis enclose slightly less than a circle.
       assert found / volume > 0.97 and found / volume < 1.0 + 1.0e-6
     end
   end
 
-  test "STL as bytes, whose head may say solid; what is none is an error" do
+  test "reads binary STL, even if its header says solid, and rejects invalid files" do
     triangle =
       for v <- [0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0], into: <<>>, do: <<v::little-float-32>>
 
@@ -219,16 +223,16 @@ defmodule Situ.Space.Robot.UrdfTest do
     path = Path.join(folder(), "one.stl")
     File.write!(path, bytes)
     assert {:ok, %Mesh{} = mesh} = Scan.read(path)
-    assert Mesh.triangles(mesh) == [{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}}]
+    assert Mesh.list_triangles(mesh) == [{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}}]
     nan = String.replace(bytes, <<1.0::little-float-32>>, <<0, 0, 0xC0, 0x7F>>)
 
     for {bad, why} <- [
-          {binary_part(bytes, 0, 100), "no triangles"},
-          {<<0::640, 9::little-32>>, "not that of its triangles"},
-          {nan, "no numbers"},
-          {"solid\nvertex 1 2 x\n", "no number"},
+          {binary_part(bytes, 0, 100), "do not form triangles"},
+          {<<0::640, 9::little-32>>, "does not match its number of triangles"},
+          {nan, "not finite"},
+          {"solid\nvertex 1 2 x\n", "not a number"},
           {"solid\nvertex 1 2\n", "three numbers"},
-          {"solid\nvertex 1 2 3\n", "no triangles"}
+          {"solid\nvertex 1 2 3\n", "do not form triangles"}
         ] do
       File.write!(path, bad)
       assert {:error, %{code: :bad_file, why: said}} = Scan.read(path)
@@ -236,12 +240,12 @@ defmodule Situ.Space.Robot.UrdfTest do
     end
   end
 
-  property "damaged files are read or refused, nothing else" do
+  property "damaged files are read or rejected" do
     forall {at, byte} <- {integer(0, byte_size(@arm) - 1), integer(0, 255)} do
       <<head::binary-size(at), _, rest::binary>> = @arm
 
       case Urdf.parse(head <> <<byte>> <> rest) do
-        {:ok, robot} -> is_map(Robot.shapes(robot))
+        {:ok, robot} -> is_map(Robot.link_shapes(robot))
         {:error, %Situ.Error{code: :bad_file}} -> true
       end
     end

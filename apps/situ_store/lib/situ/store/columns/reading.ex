@@ -6,8 +6,8 @@ defmodule Situ.Store.Columns.Reading do
 
   @options Keyword.take(Reading.message_options(), [:from, :to, :index, :skip_damage])
 
-  @spec options() :: Options.schema()
-  def options, do: @options
+  @spec column_options() :: Options.schema()
+  def column_options, do: @options
 
   @spec columns(Handle.t(), Reading.name(), keyword()) :: Enumerable.t()
   def columns(store, name, opts \\ []) do
@@ -18,7 +18,7 @@ defmodule Situ.Store.Columns.Reading do
     Stream.resource(
       fn -> Reading.first_ordinal(store, info, opts) end,
       fn ordinal ->
-        case part(store, info, ordinal, to, opts) do
+        case read_part(store, info, ordinal, to, opts) do
           {:ok, [], _} -> {:halt, ordinal}
           {:ok, found, next} -> {[found], next}
           {:error, error} -> raise error
@@ -29,9 +29,15 @@ defmodule Situ.Store.Columns.Reading do
   end
 
   # Reads messages if the data is not numeric or is damaged. Reading messages then reports the damage or skips it.
-  @spec part(Handle.t(), StreamInfo.t(), non_neg_integer(), Situ.Time.t() | :unbounded, keyword()) ::
+  @spec read_part(
+          Handle.t(),
+          StreamInfo.t(),
+          non_neg_integer(),
+          Situ.Time.t() | :unbounded,
+          keyword()
+        ) ::
           {:ok, Columns.t() | [Message.t()], non_neg_integer()} | {:error, Situ.Error.t()}
-  defp part(store, info, ordinal, to, opts) do
+  defp read_part(store, info, ordinal, to, opts) do
     found =
       if function_exported?(store.module, :columns, 4),
         do: store.module.columns(store.state, info, ordinal, to),
@@ -40,7 +46,7 @@ defmodule Situ.Store.Columns.Reading do
     case found do
       {:ok, _, _} -> found
       :ended -> {:ok, [], ordinal}
-      _others_or_damage -> Reading.batch(store, info, ordinal, to, 1_000, opts)
+      _others_or_damage -> Reading.read_batch(store, info, ordinal, to, 1_000, opts)
     end
   end
 end

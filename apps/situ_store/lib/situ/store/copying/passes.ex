@@ -8,20 +8,20 @@ defmodule Situ.Store.Copying.Passes do
   @latest 0x7FFFFFFFFFFFFFFF
 
   @doc "Writes streams, each from the sources of its messages. Calls `report.(n)` for every `n` messages."
-  @spec write(
+  @spec write_streams(
           Writer.t(),
           [{StreamInfo.t(), [Transfer.source()]}],
           keyword(),
           (pos_integer() -> any())
         ) :: :ok | {:error, Error.t()}
-  def write(writer, parts, opts, report) do
+  def write_streams(writer, parts, opts, report) do
     parts
-    |> Enum.chunk_by(&pass/1)
+    |> Enum.chunk_by(&pass_key/1)
     |> each_ok(&write_pass(writer, &1, opts, report))
   end
 
   # Streams that can be read in one pass over the same files are written together; every other stream is separate.
-  defp pass({info, sources}) do
+  defp pass_key({info, sources}) do
     if one_pass?(sources),
       do: {:files, for({store, _} <- sources, do: store.path)},
       else: {:stream, info.name}
@@ -31,22 +31,22 @@ defmodule Situ.Store.Copying.Passes do
 
   defp write_pass(writer, parts, opts, report) do
     with {:ok, transfers} <- open_transfers(writer, parts, opts, report),
-         {:ok, transfers} <- take(transfers, Enum.map(parts, &elem(&1, 1)), opts) do
+         {:ok, transfers} <- transfer_streams(transfers, Enum.map(parts, &elem(&1, 1)), opts) do
       transfers
       |> Enum.zip(parts)
       |> each_ok(fn {transfer, {info, _}} ->
-        Transfer.close(transfer, info.closed && min_time(info.closed, opts[:to]))
+        Transfer.close_stream(transfer, info.closed && min_time(info.closed, opts[:to]))
       end)
     end
   end
 
   defp open_transfers(writer, parts, opts, report) do
-    Error.map(parts, fn {info, sources} ->
-      Transfer.open(writer, info, sources, opts, report)
+    Error.map_ok(parts, fn {info, sources} ->
+      Transfer.open_stream(writer, info, sources, opts, report)
     end)
   end
 
-  defp take(transfers, [first | _] = sources, opts) do
+  defp transfer_streams(transfers, [first | _] = sources, opts) do
     if one_pass?(first),
       do: take_passes(transfers, Enum.zip_with(sources, & &1), opts),
       else: take_messages(transfers, sources, opts)
@@ -56,7 +56,7 @@ defmodule Situ.Store.Copying.Passes do
   defp take_passes(transfers, files, opts) do
     interval = {clamp(opts[:from] || @earliest), clamp(opts[:to] || @latest)}
 
-    with :ok <- each_ok(files, &Transfer.take_together(Enum.zip(transfers, &1), interval)),
+    with :ok <- each_ok(files, &Transfer.transfer_together(Enum.zip(transfers, &1), interval)),
          do: {:ok, transfers}
   end
 
@@ -65,7 +65,7 @@ defmodule Situ.Store.Copying.Passes do
       Enum.reduce_while(sources, {:ok, transfer}, fn {store, info} = source, {:ok, transfer} ->
         with {:ok, first} <- seek_first(store, info, opts[:from]),
              {:ok, transfer, _} <-
-               Transfer.take(transfer, source, first, opts[:to] || :unbounded) do
+               Transfer.transfer_messages(transfer, source, first, opts[:to] || :unbounded) do
           {:cont, {:ok, transfer}}
         else
           error -> {:halt, error}
@@ -85,7 +85,7 @@ defmodule Situ.Store.Copying.Passes do
   end
 
   defp seek_first(_store, _info, nil), do: {:ok, 0}
-  defp seek_first(store, info, from), do: Reading.seek(store, info, from)
+  defp seek_first(store, info, from), do: Reading.seek_ordinal(store, info, from)
 
   defp clamp(time), do: time |> max(@earliest) |> min(@latest)
 

@@ -23,11 +23,11 @@ defmodule Situ.Store.Csv.Appending do
   Appends the parts, starting with number `at`. `messages` returns the messages of a stream in a part. An error that is
   a string describes a problem in the file.
   """
-  @spec append(t(), non_neg_integer()) :: :ok | error()
-  def append(%{targets: []}, _at), do: :ok
-  def append(%{parts: parts}, at) when at >= tuple_size(parts), do: :ok
+  @spec append_parts(t(), non_neg_integer()) :: :ok | error()
+  def append_parts(%{targets: []}, _at), do: :ok
+  def append_parts(%{parts: parts}, at) when at >= tuple_size(parts), do: :ok
 
-  def append(%{interval: {_, to}} = job, at) do
+  def append_parts(%{interval: {_, to}} = job, at) do
     part = elem(job.parts, at)
 
     if part.last != nil and part.last >= to,
@@ -40,7 +40,7 @@ defmodule Situ.Store.Csv.Appending do
       for {info, stream} <- job.targets,
           do: {info.id - 1, stream, fields_before(job, info, at) + 1}
 
-    case Scan.append(job.scan, part, targets, job.interval) do
+    case Scan.append_columns(job.scan, part, targets, job.interval) do
       {:ok, parts, counts} -> append_rest(job, at, at + parts, counts)
       :slow -> append_messages(job, at)
       error -> error
@@ -54,7 +54,7 @@ defmodule Situ.Store.Csv.Appending do
 
     if Enum.map(counts, &elem(&1, 0)) == expected do
       report_count(job, counts |> Enum.map(&elem(&1, 1)) |> Enum.sum())
-      append(job, next)
+      append_parts(job, next)
     else
       {:error, "the number of fields in a column has changed"}
     end
@@ -76,7 +76,7 @@ defmodule Situ.Store.Csv.Appending do
 
     with {:ok, sum} <- result do
       report_count(job, sum)
-      append(job, at + 1)
+      append_parts(job, at + 1)
     end
   end
 

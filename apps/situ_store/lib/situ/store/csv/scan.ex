@@ -19,24 +19,28 @@ defmodule Situ.Store.Csv.Scan do
   @type row :: {line :: pos_integer(), [String.t()]}
   @type t :: %__MODULE__{}
 
-  @spec run(Path.t(), keyword()) :: {:ok, t()} | {:error, String.t()}
-  def run(path, opts) do
+  @spec scan_file(Path.t(), keyword()) :: {:ok, t()} | {:error, String.t()}
+  def scan_file(path, opts) do
     with {:ok, start, line} <- first_line(path),
-         {:ok, separator} <- separator(opts[:separator], line),
+         {:ok, separator} <- resolve_separator(opts[:separator], line),
          scan = %__MODULE__{path: path, separator: separator, start: opts[:start] || 0},
-         {:ok, [{_, names} = first], second} <- heading(scan, start),
-         {:ok, next, _} <- some(scan, second, 1),
-         {:ok, names, rows_at, sample} <- names(names, first, start, second, next),
+         {:ok, [{_, names} = first], second} <- read_heading(scan, start),
+         {:ok, next, _} <- read_rows(scan, second, 1),
+         {:ok, names, rows_at, sample} <- column_names(names, first, start, second, next),
          {:ok, time} <- time_column(names, opts[:time]),
          {:ok, unit} <-
-           Field.unit(Enum.at(names, time), sample && Enum.at(sample, time), opts[:unit] || :auto) do
+           Field.resolve_unit(
+             Enum.at(names, time),
+             sample && Enum.at(sample, time),
+             opts[:unit] || :auto
+           ) do
       columns =
         for {name, index} <- Enum.with_index(names),
             index != time,
             into: %{},
             do: {index, %{name: name, kind: nil, count: 0, first: nil, last: nil}}
 
-      pass(
+      scan_parts(
         %{scan | width: length(names), time: time, unit: unit, columns: columns},
         rows_at,
         nil
@@ -45,24 +49,24 @@ defmodule Situ.Store.Csv.Scan do
   end
 
   @doc "Reads the rows of the part that begins at `place`."
-  @spec rows(t(), place()) :: {:ok, [row()], place()} | {:error, String.t()}
-  def rows(scan, place), do: some(scan, place, @rows)
+  @spec read_rows(t(), place()) :: {:ok, [row()], place()} | {:error, String.t()}
+  def read_rows(scan, place), do: read_rows(scan, place, @rows)
 
-  defp some(scan, {byte, line} = place, most) do
+  defp read_rows(scan, {byte, line} = place, most) do
     case Native.csv_rows(scan.path, scan.separator, byte, line, most, @bytes) do
       {:ok, [], next} when next != place and elem(next, 0) > byte and most > 1 ->
-        some(scan, next, most)
+        read_rows(scan, next, most)
 
       {:ok, rows, next} ->
         {:ok, rows, next}
 
       error ->
-        told(error)
+        explain_error(error)
     end
   end
 
-  defp told({:error, {:damaged, line, why}}), do: {:error, "line #{line}: #{why}"}
-  defp told({:error, {:io, what, _, why}}), do: {:error, "could not #{what}: #{why}"}
+  defp explain_error({:error, {:damaged, line, why}}), do: {:error, "line #{line}: #{why}"}
+  defp explain_error({:error, {:io, what, _, why}}), do: {:error, "could not #{what}: #{why}"}
 
   # The separator is guessed from the first line, which starts after any byte order mark.
   defp first_line(path) do
@@ -70,29 +74,29 @@ defmodule Situ.Store.Csv.Scan do
          read = :file.pread(file, 0, 64 * 1024),
          :ok <- :file.close(file) do
       case read do
-        {:ok, <<0xEF, 0xBB, 0xBF, rest::binary>>} -> {:ok, {3, 1}, line(rest)}
-        {:ok, text} -> {:ok, {0, 1}, line(text)}
+        {:ok, <<0xEF, 0xBB, 0xBF, rest::binary>>} -> {:ok, {3, 1}, take_first_line(rest)}
+        {:ok, text} -> {:ok, {0, 1}, take_first_line(text)}
         :eof -> {:error, "it is empty"}
         {:error, reason} -> {:error, reason}
       end
     end
   end
 
-  defp line(text), do: text |> :binary.split("\n") |> hd()
+  defp take_first_line(text), do: text |> :binary.split("\n") |> hd()
 
-  defp separator(nil, line) do
+  defp resolve_separator(nil, line) do
     {:ok,
      Enum.max_by([?,, ?;, ?\t], fn mark -> line |> :binary.matches(<<mark>>) |> length() end)}
   end
 
-  defp separator(<<mark>>, _line) when mark not in [?", ?\r, ?\n], do: {:ok, mark}
+  defp resolve_separator(<<mark>>, _line) when mark not in [?", ?\r, ?\n], do: {:ok, mark}
 
-  defp separator(other, _line),
+  defp resolve_separator(other, _line),
     do:
       {:error, "#{inspect(other)} is not a valid separator: it must be one byte and not a quote"}
 
-  defp heading(scan, start) do
-    case some(scan, start, 1) do
+  defp read_heading(scan, start) do
+    case read_rows(scan, start, 1) do
       {:ok, [], _} -> {:error, "it is empty"}
       {:ok, [{_, [_]}], _} -> {:error, "its first line has only one column"}
       other -> other
@@ -100,11 +104,11 @@ defmodule Situ.Store.Csv.Scan do
   end
 
   # If the first line contains only numbers, it is data and not a heading.
-  defp names(names, {_, fields}, start, second, next) do
+  defp column_names(names, {_, fields}, start, second, next) do
     trimmed = Enum.map(names, &String.trim/1)
     sample = with [{_, row}] <- next, do: row, else: (_ -> nil)
 
-    if Enum.all?(trimmed, &(Field.kind(&1) != :string)),
+    if Enum.all?(trimmed, &(Field.infer_kind(&1) != :string)),
       do: {:ok, Enum.map(0..(length(names) - 1), &"Column#{&1}"), start, fields},
       else: {:ok, trimmed, second, sample}
   end
@@ -128,70 +132,72 @@ defmodule Situ.Store.Csv.Scan do
   end
 
   # Native code handles most files. If it cannot read the next part, the rows are parsed here.
-  defp pass(scan, place, last) do
-    case native?(scan, last) && Native.csv_scan(scan.path, layout(scan), {place, last}, @parts) do
+  defp scan_parts(scan, place, last) do
+    case native_range?(scan, last) &&
+           Native.csv_scan(scan.path, native_layout(scan), {place, last}, @parts) do
       {:ok, parts} ->
         {scan, place, last} = Enum.reduce(parts, {scan, place, last}, &put_part/2)
-        if length(parts) < @parts, do: {:ok, scan}, else: pass(scan, place, last)
+        if length(parts) < @parts, do: {:ok, scan}, else: scan_parts(scan, place, last)
 
       slow when slow in [:slow, false] ->
-        pass_rows(scan, place, last)
+        scan_rows(scan, place, last)
 
       error ->
-        told(error)
+        explain_error(error)
     end
   end
 
   defp put_part({_rows, columns, damage, next, next_last}, {scan, place, last}) do
-    part = %{place: place, last: last, counts: counts(scan)}
+    part = %{place: place, last: last, counts: message_counts(scan)}
 
     columns =
       columns
       |> Enum.with_index()
       |> Enum.reduce(scan.columns, fn {found, index}, columns ->
         case columns do
-          %{^index => column} -> Map.put(columns, index, unify(column, found))
+          %{^index => column} -> Map.put(columns, index, merge_column(column, found))
           _ -> columns
         end
       end)
 
-    damage = for {line, why} <- damage, do: damage(scan, line, told_why(scan, why))
+    damage = for {line, why} <- damage, do: damage_entry(scan, line, explain_damage(scan, why))
 
     {put_damage(%{scan | parts: [part | scan.parts], columns: columns}, Enum.reverse(damage)),
      next, next_last}
   end
 
-  defp unify(column, {_kind, 0, _first, _last}), do: column
+  defp merge_column(column, {_kind, 0, _first, _last}), do: column
 
-  defp unify(column, {kind, count, first, last}) do
-    kind = Field.unify(column.kind, kind)
+  defp merge_column(column, {kind, count, first, last}) do
+    kind = Field.merge_kinds(column.kind, kind)
     %{column | kind: kind, count: column.count + count, first: column.first || first, last: last}
   end
 
-  defp told_why(scan, fields) when is_integer(fields),
+  defp explain_damage(scan, fields) when is_integer(fields),
     do: "it has #{fields} fields, not #{scan.width}"
 
-  defp told_why(_scan, :not_increasing), do: "its time does not increase"
-  defp told_why(scan, text) when is_binary(text), do: Field.time(text, scan.unit)
+  defp explain_damage(_scan, :not_increasing), do: "its time does not increase"
+  defp explain_damage(scan, text) when is_binary(text), do: Field.parse_time(text, scan.unit)
 
-  defp pass_rows(scan, place, last) do
-    case rows(scan, place) do
+  defp scan_rows(scan, place, last) do
+    case read_rows(scan, place) do
       {:ok, [], _} ->
         {:ok, scan}
 
       {:ok, rows, next} ->
-        part = %{place: place, last: last, counts: counts(scan)}
-        {kept, damage, last} = keep(rows, last, scan)
-        columns = Enum.reduce(kept, scan.columns, &count/2)
+        part = %{place: place, last: last, counts: message_counts(scan)}
+        {kept, damage, last} = keep_valid_rows(rows, last, scan)
+        columns = Enum.reduce(kept, scan.columns, &count_fields/2)
         scan = put_damage(%{scan | parts: [part | scan.parts], columns: columns}, damage)
-        pass(scan, next, last)
+        scan_parts(scan, next, last)
 
       {:error, why} ->
         {:error, why}
     end
   end
 
-  defp counts(scan), do: Map.new(scan.columns, fn {index, column} -> {index, column.count} end)
+  defp message_counts(scan),
+    do: Map.new(scan.columns, fn {index, column} -> {index, column.count} end)
 
   # The first entries are kept. The newest entries are at the head of the list.
   defp put_damage(scan, []), do: scan
@@ -199,13 +205,13 @@ defmodule Situ.Store.Csv.Scan do
   defp put_damage(scan, damage),
     do: %{scan | damage: Enum.take(damage ++ scan.damage, -@most_damage)}
 
-  defp damage(scan, line, why), do: {Path.basename(scan.path), line, "line #{line}: #{why}"}
+  defp damage_entry(scan, line, why), do: {Path.basename(scan.path), line, "line #{line}: #{why}"}
 
   # Native times have 64 bits.
-  defp native?(scan, last), do: (last || 0) in @native and scan.start in @native
+  defp native_range?(scan, last), do: (last || 0) in @native and scan.start in @native
 
-  defp layout(scan) do
-    unit = Field.nanoseconds(scan.unit)
+  defp native_layout(scan) do
+    unit = Field.unit_nanoseconds(scan.unit)
     {scan.separator, {scan.width, scan.time}, {unit, scan.start}, {@rows, @bytes}}
   end
 
@@ -213,17 +219,22 @@ defmodule Situ.Store.Csv.Scan do
   Reads the values of one column, with their times, in the part that begins at `place` after a row with the time `last`.
   Empty fields are omitted.
   """
-  @spec values(t(), map(), non_neg_integer()) ::
+  @spec read_values(t(), map(), non_neg_integer()) ::
           {:ok, [{Situ.Time.t(), number() | String.t()}]} | {:error, String.t()}
-  def values(scan, part, index) do
+  def read_values(scan, part, index) do
     %{kind: kind} = Map.fetch!(scan.columns, index)
-    native? = native?(scan, part.last)
+    native? = native_range?(scan, part.last)
 
     case native? &&
-           Native.csv_values(scan.path, layout(scan), {part.place, part.last}, {index, kind}) do
-      {:ok, values} -> {:ok, values |> as(kind)}
+           Native.csv_values(
+             scan.path,
+             native_layout(scan),
+             {part.place, part.last},
+             {index, kind}
+           ) do
+      {:ok, values} -> {:ok, values |> convert_values(kind)}
       slow when slow in [:slow, false] -> values_of_rows(scan, part, index, kind)
-      error -> told(error)
+      error -> explain_error(error)
     end
   end
 
@@ -233,21 +244,21 @@ defmodule Situ.Store.Csv.Scan do
   column, its number of fields and how many of them are in the interval. Returns `:slow` if native code cannot read
   `part`.
   """
-  @spec append(t(), map(), [{non_neg_integer(), Writer.Stream.t(), pos_integer()}], {
+  @spec append_columns(t(), map(), [{non_neg_integer(), Writer.Stream.t(), pos_integer()}], {
           integer(),
           integer()
         }) ::
           {:ok, pos_integer(), [{non_neg_integer(), non_neg_integer()}]}
           | :slow
           | {:error, String.t() | Situ.Error.t()}
-  def append(scan, part, [{_, %{writer: writer}, _} | _] = targets, interval) do
+  def append_columns(scan, part, [{_, %{writer: writer}, _} | _] = targets, interval) do
     given = for {index, stream, n} <- targets, do: {index, scan.columns[index].kind, stream.id, n}
     start = {part.place, part.last}
 
-    case native?(scan, part.last) &&
+    case native_range?(scan, part.last) &&
            Native.csv_append(
              scan.path,
-             layout(scan),
+             native_layout(scan),
              start,
              {given, interval, @parts},
              writer.ref
@@ -260,47 +271,49 @@ defmodule Situ.Store.Csv.Scan do
 
       {:not_written, {:error, reason}, index} ->
         {_, stream, _} = List.keyfind!(targets, index, 0)
-        {:error, Failure.error(reason, writer.path, stream.name)}
+        {:error, Failure.to_error(reason, writer.path, stream.name)}
 
       error ->
-        told(error)
+        explain_error(error)
     end
   end
 
   # Integers that do not fit into 64 bits are returned by native code as strings.
-  defp as(values, :string), do: values
+  defp convert_values(values, :string), do: values
 
-  defp as(values, kind) do
+  defp convert_values(values, kind) do
     for {time, value} <- values,
-        do: {time, if(is_binary(value), do: Field.as(value, kind), else: value)}
+        do: {time, if(is_binary(value), do: Field.parse_as(value, kind), else: value)}
   end
 
   defp values_of_rows(scan, part, index, kind) do
-    with {:ok, rows, _next} <- rows(scan, part.place) do
-      {kept, _damage, _last} = keep(rows, part.last, scan)
+    with {:ok, rows, _next} <- read_rows(scan, part.place) do
+      {kept, _damage, _last} = keep_valid_rows(rows, part.last, scan)
 
       {:ok,
        for(
          {time, row} <- kept,
          text = String.trim(elem(row, index)),
          text != "",
-         do: {time, Field.as(text, kind)}
+         do: {time, Field.parse_as(text, kind)}
        )}
     end
   end
 
-  defp count({time, row}, columns) do
+  defp count_fields({time, row}, columns) do
     Map.new(columns, fn {index, column} ->
       case String.trim(elem(row, index)) do
         "" -> {index, column}
-        text -> {index, one_more(column, text, time)}
+        text -> {index, add_field(column, text, time)}
       end
     end)
   end
 
-  defp one_more(column, text, time) do
+  defp add_field(column, text, time) do
     kind =
-      if column.kind == :string, do: :string, else: Field.unify(column.kind, Field.kind(text))
+      if column.kind == :string,
+        do: :string,
+        else: Field.merge_kinds(column.kind, Field.infer_kind(text))
 
     %{column | kind: kind, count: column.count + 1, first: column.first || time, last: time}
   end
@@ -309,9 +322,9 @@ defmodule Situ.Store.Csv.Scan do
   Splits rows into valid rows, as `{time, fields as a tuple}`, and damage entries for the other rows, latest first. A
   row is valid if its time increases. The third element is the last valid time.
   """
-  @spec keep([row()], Situ.Time.t() | nil, t()) ::
+  @spec keep_valid_rows([row()], Situ.Time.t() | nil, t()) ::
           {[{Situ.Time.t(), tuple()}], [tuple()], Situ.Time.t() | nil}
-  def keep(rows, last, scan) do
+  def keep_valid_rows(rows, last, scan) do
     {kept, damage, last} =
       Enum.reduce(rows, {[], [], last}, fn {line, row}, {kept, damage, last} ->
         fields = List.to_tuple(row)
@@ -319,12 +332,12 @@ defmodule Situ.Store.Csv.Scan do
         with true <-
                tuple_size(fields) == scan.width ||
                  "it has #{tuple_size(fields)} fields, not #{scan.width}",
-             {:ok, time} <- Field.time(elem(fields, scan.time), scan.unit),
+             {:ok, time} <- Field.parse_time(elem(fields, scan.time), scan.unit),
              time = time + scan.start,
              true <- last == nil or time > last || "its time does not increase" do
           {[{time, fields} | kept], damage, time}
         else
-          why -> {kept, [damage(scan, line, why) | damage], last}
+          why -> {kept, [damage_entry(scan, line, why) | damage], last}
         end
       end)
 

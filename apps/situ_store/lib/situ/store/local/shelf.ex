@@ -15,15 +15,16 @@ defmodule Situ.Store.Local.Shelf do
   @type about :: %{name: String.t(), volatile?: boolean(), piece: map() | nil, damage: term()}
 
   @doc "Returns the store's name, whether it is in memory, its segment facts, and any damage in its catalog."
-  @spec about(reference(), Path.t()) :: about()
-  def about(ref, path), do: shelved(ref, path, @about)
+  @spec store_info(reference(), Path.t()) :: about()
+  def store_info(ref, path), do: lookup_term(ref, path, @about)
 
   @doc "Returns the stream of a name or `nil`, or the list of all streams for `:all`."
-  @spec fetch(reference(), Path.t(), String.t() | :all) :: StreamInfo.t() | nil | [StreamInfo.t()]
-  def fetch(ref, path, :all), do: shelved(ref, path, @all)
-  def fetch(ref, path, name), do: shelved(ref, path, name)
+  @spec lookup_streams(reference(), Path.t(), String.t() | :all) ::
+          StreamInfo.t() | nil | [StreamInfo.t()]
+  def lookup_streams(ref, path, :all), do: lookup_term(ref, path, @all)
+  def lookup_streams(ref, path, name), do: lookup_term(ref, path, name)
 
-  defp shelved(ref, path, name) do
+  defp lookup_term(ref, path, name) do
     case Native.reader_shelved(ref, name) do
       {:ok, term} ->
         :erlang.binary_to_term(term)
@@ -33,15 +34,15 @@ defmodule Situ.Store.Local.Shelf do
 
       :stale ->
         records = Native.reader_count(ref, @catalog)
-        Native.reader_shelve(ref, records, terms(ref, path))
-        shelved(ref, path, name)
+        Native.reader_shelve(ref, records, build_terms(ref, path))
+        lookup_term(ref, path, name)
     end
   end
 
-  defp terms(ref, path) do
-    {records, damage} = records(ref, 0, [], nil)
-    catalog = Catalog.parse(records)
-    name = Folder.own_name(path, catalog.name)
+  defp build_terms(ref, path) do
+    {records, damage} = read_records(ref, 0, [], nil)
+    catalog = Catalog.parse_records(records)
+    name = Folder.current_name(path, catalog.name)
 
     streams =
       for {_, info} <- Enum.sort(catalog.streams),
@@ -63,20 +64,20 @@ defmodule Situ.Store.Local.Shelf do
   end
 
   # Returns the records and the reason if some of them were damaged.
-  defp records(ref, ordinal, parts, damage) do
+  defp read_records(ref, ordinal, parts, damage) do
     case Native.read(ref, @catalog, ordinal, @max_time, 10_000, @read_bytes) do
       {:ok, [], _} ->
         {parts |> Enum.reverse() |> Enum.concat(), damage}
 
       {:ok, runs, next} ->
         bytes = for {_, list} <- runs, {_, _, _, data} <- list, is_binary(data), do: data
-        records(ref, next, [bytes | parts], damage)
+        read_records(ref, next, [bytes | parts], damage)
 
       {:error, reason} ->
         # Records after a damaged part of the catalog are still usable.
         case Native.reader_skip(ref, @catalog, ordinal) do
           ^ordinal -> {parts |> Enum.reverse() |> Enum.concat(), reason}
-          next -> records(ref, next, parts, reason)
+          next -> read_records(ref, next, parts, reason)
         end
     end
   end

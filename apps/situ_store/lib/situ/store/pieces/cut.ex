@@ -25,10 +25,10 @@ defmodule Situ.Store.Pieces.Cut do
   def new(every), do: %__MODULE__{every: every}
 
   @doc "Returns the number of the segment for a time: the newest segment or, for earlier times, the one before it."
-  @spec number(t(), Situ.Time.t()) :: integer()
-  def number(%{newest: nil, every: every}, time), do: Integer.floor_div(time, every)
+  @spec segment_number(t(), Situ.Time.t()) :: integer()
+  def segment_number(%{newest: nil, every: every}, time), do: Integer.floor_div(time, every)
 
-  def number(%{newest: newest}, time) do
+  def segment_number(%{newest: newest}, time) do
     # Read in this order because the writer sets the number first: an outdated number with a new time would send a
     # message two segments back.
     from = :atomics.get(newest, @from)
@@ -36,22 +36,22 @@ defmodule Situ.Store.Pieces.Cut do
     if time >= from, do: number, else: number - 1
   end
 
-  @doc "Returns the number of the newest segment begun by `cut/2`."
-  @spec newest(t()) :: integer()
-  def newest(%{newest: newest}), do: :atomics.get(newest, @number)
+  @doc "Returns the number of the newest segment begun by `begin_segment/2`."
+  @spec newest_number(t()) :: integer()
+  def newest_number(%{newest: newest}), do: :atomics.get(newest, @number)
 
   @doc """
   Moves the beginning of the newest segment back to `time`, if it is later. A message with an incorrect time may have
   set it, and then the segment before it would never end.
   """
-  @spec lower(t(), Situ.Time.t()) :: :ok
-  def lower(%{newest: newest}, time) do
+  @spec lower_start(t(), Situ.Time.t()) :: :ok
+  def lower_start(%{newest: newest}, time) do
     if time < :atomics.get(newest, @from), do: :atomics.put(newest, @from, time), else: :ok
   end
 
   @doc "Begins a new segment at `time`."
-  @spec cut(t(), Situ.Time.t()) :: :ok
-  def cut(%{newest: newest}, time) do
+  @spec begin_segment(t(), Situ.Time.t()) :: :ok
+  def begin_segment(%{newest: newest}, time) do
     :atomics.add(newest, @number, 1)
     :atomics.put(newest, @from, time)
   end

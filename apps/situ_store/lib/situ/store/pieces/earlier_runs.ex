@@ -18,8 +18,8 @@ defmodule Situ.Store.Pieces.EarlierRuns do
   Returns the segments of `name` in `root`, oldest first. `ended` is a time of the monotonic clock, which reads `now`
   when the wall clock reads `wall`. It is `nil` if the wall clock had not been set or has been set back since.
   """
-  @spec list_pieces(String.t(), Path.t(), integer(), Situ.Time.t()) :: [piece()]
-  def list_pieces(name, root, now, wall) do
+  @spec list_segments(String.t(), Path.t(), integer(), Situ.Time.t()) :: [piece()]
+  def list_segments(name, root, now, wall) do
     found =
       for path <- Folder.list_versions(name, root),
           {:ok, store} <- [Reading.open(path)],
@@ -32,22 +32,22 @@ defmodule Situ.Store.Pieces.EarlierRuns do
     for {{path, store, piece, _info}, ended} <- Enum.zip(found, ends ++ [wall]) do
       %{
         path: path,
-        size: Folder.size(path),
-        duration: duration(piece, store),
+        size: Folder.total_size(path),
+        duration: segment_duration(piece, store),
         ended: if(ended in @first_set..wall, do: now - (wall - ended))
       }
     end
   end
 
   # The last segment of a run is incomplete, so its duration is the time span of its messages.
-  defp duration(%{full?: true, every: every}, _store) when is_integer(every), do: every
+  defp segment_duration(%{full?: true, every: every}, _store) when is_integer(every), do: every
 
-  defp duration(%{every: every}, store) when is_integer(every) do
+  defp segment_duration(%{every: every}, store) when is_integer(every) do
     case Reading.interval(store) do
       nil -> 0
       {first, last} -> min(last - first, every)
     end
   end
 
-  defp duration(_by_size, _store), do: nil
+  defp segment_duration(_by_size, _store), do: nil
 end

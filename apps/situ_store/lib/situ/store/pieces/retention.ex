@@ -25,7 +25,7 @@ defmodule Situ.Store.Pieces.Retention do
   def count_surplus({:bytes, most}, pieces, open, _now) do
     pieces
     |> Enum.map(& &1.size)
-    |> count_beyond(sum(open, :size), fn newer, size -> newer + size <= most end)
+    |> count_beyond(sum_field(open, :size), fn newer, size -> newer + size <= most end)
   end
 
   # These segments are split by time. The newest is incomplete and does not count.
@@ -33,7 +33,7 @@ defmodule Situ.Store.Pieces.Retention do
       when is_integer(duration) do
     pieces
     |> Enum.map(&(&1.duration || 0))
-    |> count_beyond(open |> Enum.drop(-1) |> sum(:duration), fn newer, _ -> newer < span end)
+    |> count_beyond(open |> Enum.drop(-1) |> sum_field(:duration), fn newer, _ -> newer < span end)
   end
 
   # A segment that ended that long ago is deleted together with all older ones, regardless of their clock times.
@@ -45,7 +45,7 @@ defmodule Situ.Store.Pieces.Retention do
     |> elem(1)
   end
 
-  defp sum(pieces, key), do: pieces |> Enum.map(& &1[key]) |> Enum.sum()
+  defp sum_field(pieces, key), do: pieces |> Enum.map(& &1[key]) |> Enum.sum()
 
   # Counts the elements left over after keeping the newest ones while `room?.(sum_of_newer, this)` is true.
   defp count_beyond(amounts, start, room?) do

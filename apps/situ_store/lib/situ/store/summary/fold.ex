@@ -10,22 +10,22 @@ defmodule Situ.Store.Summary.Fold do
   @longest 64
   @other :"$other"
 
-  @spec numbers(Handle.t(), StreamInfo.t(), integer(), integer(), non_neg_integer()) ::
+  @spec fold_numbers(Handle.t(), StreamInfo.t(), integer(), integer(), non_neg_integer()) ::
           {:ok, pos_integer(), [Summary.bin()]} | {:error, Situ.Error.t()}
-  def numbers(store, info, from, to, level) do
+  def fold_numbers(store, info, from, to, level) do
     bins =
       store
       |> Reading.messages(info, from: from, to: to)
-      |> Stream.flat_map(&Bins.points/1)
+      |> Stream.flat_map(&Bins.message_points/1)
       |> Stream.filter(fn {time, _, _, _, _} -> time >= from and time <= to end)
-      |> Bins.fold(level)
+      |> Bins.fold_points(level)
 
     {:ok, bsl(1, level), bins}
   rescue
     error in Situ.Error -> {:error, error}
   end
 
-  @spec tracks(
+  @spec fold_tracks(
           Handle.t(),
           StreamInfo.t(),
           integer(),
@@ -35,31 +35,35 @@ defmodule Situ.Store.Summary.Fold do
         ) ::
           {:ok, [{integer(), pos_integer()}], [{term(), Summary.track()}]}
           | {:error, Situ.Error.t()}
-  def tracks(store, info, from, to, level, most) do
-    span = {Bins.floor(from, level), Bins.floor(to, level) + bsl(1, level) - 1}
+  def fold_tracks(store, info, from, to, level, most) do
+    span = {Bins.bin_start(from, level), Bins.bin_start(to, level) + bsl(1, level) - 1}
 
     with {:ok, before} <- Reading.latest_at(store, info, from) do
       messages = Reading.messages(store, info, from: elem(span, 0), to: elem(span, 1))
 
       seed =
         for %{data: data, originating_time: time} <- [before],
-            part <- parts(data),
+            part <- message_parts(data),
             do: {time, part}
 
-      {counts, tracks} = fold(messages, level, seed)
-      {:ok, counts, tracks |> truths() |> Enum.map(&track(&1, {from, to}, most))}
+      {counts, tracks} = collect_values(messages, level, seed)
+
+      {:ok, counts,
+       tracks |> drop_mixed_numbers() |> Enum.map(&build_track(&1, {from, to}, most))}
     end
   rescue
     error in Situ.Error -> {:error, error}
   end
 
   # Collects `{time, value}` of each message for each track, latest first.
-  defp fold(messages, level, seed) do
+  defp collect_values(messages, level, seed) do
     {counts, order, values} =
       Enum.reduce(messages, {[], [], %{}}, fn %{originating_time: time, data: data},
                                               {counts, order, values} ->
-        {order, values} = Enum.reduce(parts(data), {order, values}, &note(&1, time, &2))
-        {count(counts, Bins.floor(time, level)), order, values}
+        {order, values} =
+          Enum.reduce(message_parts(data), {order, values}, &put_value(&1, time, &2))
+
+        {increment_bin(counts, Bins.bin_start(time, level)), order, values}
       end)
 
     seeds = Map.new(seed, fn {time, {name, value}} -> {name, {time, value}} end)
@@ -71,7 +75,7 @@ defmodule Situ.Store.Summary.Fold do
   end
 
   # Omits numbers in a stream that also contains booleans, whose signal would otherwise mix with them.
-  defp truths(tracks) do
+  defp drop_mixed_numbers(tracks) do
     truths? =
       Enum.any?(tracks, fn {name, _, values, _} ->
         name == {nil, :state} and Enum.any?(values, fn {_, value} -> is_boolean(value) end)
@@ -82,31 +86,31 @@ defmodule Situ.Store.Summary.Fold do
       else: tracks
   end
 
-  defp note({name, value}, time, {order, values}) do
+  defp put_value({name, value}, time, {order, values}) do
     case values do
       %{^name => list} -> {order, %{values | name => [{time, value} | list]}}
       _ -> {[name | order], Map.put(values, name, [{time, value}])}
     end
   end
 
-  defp count([{start, n} | rest], start), do: [{start, n + 1} | rest]
-  defp count(counts, start), do: [{start, 1} | counts]
+  defp increment_bin([{start, n} | rest], start), do: [{start, n + 1} | rest]
+  defp increment_bin(counts, start), do: [{start, 1} | counts]
 
-  defp track({{key, :number}, level, values, _seed}, _span, _most) do
+  defp build_track({{key, :number}, level, values, _seed}, _span, _most) do
     points = for {time, x} <- values, do: {time, x, x, x, 1}
-    {key, {:numbers, Bins.fold(points, level)}}
+    {key, {:numbers, Bins.fold_points(points, level)}}
   end
 
-  defp track({{key, :state}, level, values, seed}, {from, to}, most) do
+  defp build_track({{key, :state}, level, values, seed}, {from, to}, most) do
     within = Enum.filter(values, fn {time, _} -> time > from and time <= to end)
     changes = Enum.dedup_by(List.wrap(seed) ++ within, &elem(&1, 1))
 
     if length(changes) - length(List.wrap(seed)) <= most,
       do: {key, {:changes, changes}},
-      else: {key, {:states, states(values, level)}}
+      else: {key, {:states, count_states(values, level)}}
   end
 
-  defp states(values, level) do
+  defp count_states(values, level) do
     known =
       values |> Enum.map(&elem(&1, 1)) |> Enum.uniq() |> Enum.take(@most_states) |> MapSet.new()
 
@@ -117,34 +121,39 @@ defmodule Situ.Store.Summary.Fold do
       order = bin |> Enum.map(&elem(&1, 1)) |> Enum.uniq()
       {_, last} = List.last(bin)
 
-      {Bins.floor(time, level), last,
+      {Bins.bin_start(time, level), last,
        Enum.sort_by(for(v <- order, do: {v, tally[v]}), &(-elem(&1, 1)))}
     end
   end
 
   # Splits a message into the values of its tracks.
-  defp parts(%module{} = data) do
-    if Situ.Codec.implemented_by?(module), do: [], else: data |> Map.from_struct() |> fields()
+  defp message_parts(%module{} = data) do
+    if Situ.Codec.implemented_by?(module),
+      do: [],
+      else: data |> Map.from_struct() |> field_parts()
   end
 
-  defp parts(data) when is_map(data), do: fields(data)
+  defp message_parts(data) when is_map(data), do: field_parts(data)
 
-  defp parts(data) do
-    with {kind, value} <- value(data), do: [{{nil, kind}, value}], else: (nil -> [])
+  defp message_parts(data) do
+    with {kind, value} <- classify_value(data), do: [{{nil, kind}, value}], else: (nil -> [])
   end
 
-  defp fields(map) when map_size(map) > @most_keys, do: []
+  defp field_parts(map) when map_size(map) > @most_keys, do: []
 
-  defp fields(map) do
+  defp field_parts(map) do
     for {key, data} <- map,
         is_atom(key) or is_integer(key) or (is_binary(key) and byte_size(key) <= @longest),
-        {kind, value} <- List.wrap(value(data)),
+        {kind, value} <- List.wrap(classify_value(data)),
         do: {{key, kind}, value}
   end
 
-  defp value(x) when is_float(x), do: {:number, x}
-  defp value(n) when is_integer(n) and abs(n) < 0x8000000000000000, do: {:number, n / 1}
-  defp value(state) when is_atom(state), do: {:state, state}
-  defp value(text) when is_binary(text) and byte_size(text) <= @longest, do: {:state, text}
-  defp value(_), do: nil
+  defp classify_value(x) when is_float(x), do: {:number, x}
+  defp classify_value(n) when is_integer(n) and abs(n) < 0x8000000000000000, do: {:number, n / 1}
+  defp classify_value(state) when is_atom(state), do: {:state, state}
+
+  defp classify_value(text) when is_binary(text) and byte_size(text) <= @longest,
+    do: {:state, text}
+
+  defp classify_value(_), do: nil
 end

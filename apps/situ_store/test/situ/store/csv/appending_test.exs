@@ -5,10 +5,10 @@ defmodule Situ.Store.Csv.AppendingTest do
 
   @moduletag :tmp_dir
 
-  # Rows in random tables: some parts of a thousand rows are plain, others are not.
+  # Some blocks of a thousand rows in the random tables are plain, and others are not.
   @rows 2_300
 
-  test "copies of random tables have the messages that reading has, as if they were appended one by one",
+  test "copies of random tables contain the same messages as reads and single appends",
        %{
          tmp_dir: root
        } do
@@ -106,7 +106,7 @@ defmodule Situ.Store.Csv.AppendingTest do
     end
   end
 
-  # A date that only the slow way reads, or a number that only terms hold.
+  # Builds a row with a date that only the slow path parses, or a number that only terms can store.
   defp odd_row(_i, true, kinds),
     do: Enum.join(["1970-01-02" | Enum.map(kinds, &field/1)], ",")
 
@@ -135,7 +135,7 @@ defmodule Situ.Store.Csv.AppendingTest do
 
   defp pick(list), do: Enum.random(list)
 
-  test "columns of several files go into the same streams", %{tmp_dir: root} do
+  test "merges columns of several files into the same streams", %{tmp_dir: root} do
     [one, two] = for name <- ["one.csv", "two.csv"], do: Path.join(root, name)
     File.write!(one, "t,x,note\n1,5,a\n2,,b\n")
     File.write!(two, "t,x,note\n3,6,\n4,7,c\n")
@@ -145,7 +145,7 @@ defmodule Situ.Store.Csv.AppendingTest do
     assert messages(both, "x") == [{s, s, 1, 5}, {3 * s, 3 * s, 1, 6}, {4 * s, 4 * s, 2, 7}]
     assert for({_, _, _, data} <- messages(both, "note"), do: data) == ["a", "b", "c"]
 
-    # Also together with recordings of other kinds, and for any interval.
+    # This also works together with recordings of other kinds, and for any interval.
     {:ok, stored} = Store.copy(two, Path.join(root, "two"), to: 1_000_000_000_000_000_000_000)
 
     {:ok, mixed} =
@@ -155,9 +155,7 @@ defmodule Situ.Store.Csv.AppendingTest do
     for name <- ["x", "note"], do: assert(messages(mixed, name) == messages(both, name))
   end
 
-  test "progress counts the messages; a file that has changed is an error and leaves nothing", %{
-    tmp_dir: root
-  } do
+  test "progress counts messages, and a changed file is an error", %{tmp_dir: root} do
     path = Path.join(root, "t.csv")
     File.write!(path, ["t,x,y\n" | for(i <- 1..40_000, do: "#{i},#{i},\n")])
     test = self()
@@ -203,7 +201,7 @@ defmodule Situ.Store.Csv.AppendingTest do
     assert {:error, error} = Csv.append_streams(state, targets, interval, fn _ -> :ok end)
     assert error.code == :not_increasing and error.what =~ ~s("y")
     :ok = Writer.close(writer)
-    # All of it or none.
+    # An append writes everything or nothing.
     assert Enum.map(Store.streams(Store.open!(writer.path)), & &1.count) == [0, 1]
   end
 end

@@ -8,10 +8,10 @@ defmodule Situ.Store.Csv.ScanTest do
   defp scan(root, text, opts \\ []) do
     path = Path.join(root, "t.csv")
     File.write!(path, text)
-    Scan.run(path, opts)
+    Scan.scan_file(path, opts)
   end
 
-  test "separators, headings, kinds", %{tmp_dir: root} do
+  test "detects separators, headings and types", %{tmp_dir: root} do
     assert {:ok, scan} = scan(root, "\uFEFFt;x;y\n1;1;a\n2;2.5;\n")
     assert {scan.separator, scan.time, scan.unit, scan.damage} == {?;, 0, :s, []}
 
@@ -30,23 +30,23 @@ defmodule Situ.Store.Csv.ScanTest do
     assert why =~ "separator"
   end
 
-  test "rows that go back, or are too long, are told by their lines", %{tmp_dir: root} do
+  test "reports the lines of late, long and unreadable rows", %{tmp_dir: root} do
     {:ok, scan} = scan(root, "t,x\n1,1\n1,2\n0,3\n2,4,5\n3,6\nx,7\n", start: 100)
     assert %{1 => %{count: 2, first: 1_000_000_100, last: 3_000_000_100}} = scan.columns
     assert scan.damage |> Enum.map(&elem(&1, 1)) |> Enum.sort() == [3, 4, 5, 7]
   end
 
-  test "every thousandth row has its place", %{tmp_dir: root} do
+  test "remembers the position of every thousandth row", %{tmp_dir: root} do
     text = ["t,x\n" | for(i <- 1..2_500, do: "#{i},#{rem(i, 3)}\n")]
     {:ok, scan} = scan(root, text)
     assert [third, second, first] = scan.parts
     assert {first.last, first.counts} == {nil, %{1 => 0}}
     assert {second.last, second.counts} == {1_000_000_000_000, %{1 => 1_000}}
-    assert {:ok, [{_, ["2001", "0"]} | rest], _} = Scan.rows(scan, third.place)
+    assert {:ok, [{_, ["2001", "0"]} | rest], _} = Scan.read_rows(scan, third.place)
     assert length(rest) == 499
   end
 
-  property "native code reads what the plain one does" do
+  property "native and plain code read the same values" do
     root = Path.join(System.tmp_dir!(), "situ-csv-#{System.unique_integer([:positive])}")
     File.mkdir_p!(root)
     on_exit(fn -> File.rm_rf!(root) end)
@@ -110,11 +110,11 @@ defmodule Situ.Store.Csv.ScanTest do
   defp time(:s, n), do: "#{n}"
   defp time(:iso8601, n), do: "2020-01-31T12:34:#{String.pad_leading("#{n}", 2, "0")}Z"
 
-  # The same by rows and fields, one after the other.
+  # Compares with rows and fields that are read one after the other.
   defp assert_plain(scan) do
     for part <- scan.parts, {index, column} <- scan.columns do
-      {:ok, rows, _} = Scan.rows(scan, part.place)
-      {kept, damage, _} = Scan.keep(rows, part.last, scan)
+      {:ok, rows, _} = Scan.read_rows(scan, part.place)
+      {kept, damage, _} = Scan.keep_valid_rows(rows, part.last, scan)
 
       texts =
         for {time, row} <- kept,
@@ -123,12 +123,14 @@ defmodule Situ.Store.Csv.ScanTest do
             do: {time, text}
 
       kind =
-        Enum.reduce(texts, nil, fn {_, text}, kind -> Field.unify(kind, Field.kind(text)) end)
+        Enum.reduce(texts, nil, fn {_, text}, kind ->
+          Field.merge_kinds(kind, Field.infer_kind(text))
+        end)
 
       assert {kind, length(texts)} == {column.kind, column.count}
       assert damage == scan.damage
-      values = for {time, text} <- texts, do: {time, Field.as(text, kind)}
-      assert Scan.values(scan, part, index) == {:ok, values}
+      values = for {time, text} <- texts, do: {time, Field.parse_as(text, kind)}
+      assert Scan.read_values(scan, part, index) == {:ok, values}
     end
   end
 end

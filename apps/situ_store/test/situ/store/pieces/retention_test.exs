@@ -5,11 +5,11 @@ defmodule Situ.Store.Pieces.RetentionTest do
   defp piece(fields), do: Map.merge(%{size: 0, duration: nil, ended: nil}, Map.new(fields))
   defp count_surplus(keep, closed, open), do: Retention.count_surplus(keep, closed, open, 1_000)
 
-  test "nothing goes without a limit" do
+  test "keeps everything without a limit" do
     assert count_surplus(nil, [piece(size: 1)], []) == 0
   end
 
-  test "by bytes: those that are open count, and are never deleted" do
+  test "a byte limit counts open segments but never deletes them" do
     closed = for size <- [5, 5, 5], do: piece(size: size)
     assert count_surplus({:bytes, 100}, closed, [piece(size: 7)]) == 0
     assert count_surplus({:bytes, 17}, closed, [piece(size: 7)]) == 1
@@ -17,12 +17,12 @@ defmodule Situ.Store.Pieces.RetentionTest do
     assert count_surplus({:bytes, 1}, closed, [piece(size: 7)]) == 3
   end
 
-  test "by time recorded: whole pieces that add up to the span stay, besides the newest" do
+  test "a span keeps enough complete segments, not counting the newest" do
     closed = for _ <- 1..5, do: piece(duration: 10)
     open = [piece(duration: 10), piece(duration: 10)]
     assert count_surplus({:span, 30}, closed, open) == 3
     assert count_surplus({:span, 31}, closed, open) == 2
-    # Pieces that are not known to be whole make no others go.
+    # Segments that may be incomplete do not cause other segments to be deleted.
     short = for _ <- 1..9, do: piece(duration: 0)
     assert count_surplus({:span, 30}, closed ++ short, open) == 3
 
@@ -30,7 +30,7 @@ defmodule Situ.Store.Pieces.RetentionTest do
              2
   end
 
-  test "by the computer's clock: what ended so long ago goes, with all that is older" do
+  test "by the system clock, deletes segments that ended too long ago and all older ones" do
     closed = for ended <- [nil, 100, 5_000, 700, 900], do: piece(ended: ended)
     assert count_surplus({:span, 901}, closed, [piece([])]) == 0
     assert count_surplus({:span, 900}, closed, [piece([])]) == 2

@@ -1,5 +1,5 @@
 defmodule Situ.Store.Summary.FoldTest do
-  # The reference, and that the native side agrees with it.
+  # Compares the native summary with the reference.
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.Store
@@ -42,7 +42,7 @@ defmodule Situ.Store.Summary.FoldTest do
 
   defp agrees?(store, from, to, level, most) do
     {:ok, info} = Store.stream_info(store, "S")
-    {:ok, counts, tracks} = Fold.tracks(store, info, from, to, level, most)
+    {:ok, counts, tracks} = Fold.fold_tracks(store, info, from, to, level, most)
     told = store.module.tracks(store.state, info, from, to, level, most)
     {:ok, native_counts, native_tracks} = told
 
@@ -51,13 +51,13 @@ defmodule Situ.Store.Summary.FoldTest do
       flunk("#{inspect({from, to, level, most})}\n#{inspect(tracks)}\n#{inspect(native_tracks)}")
   end
 
-  property "the native side tells what reading every message tells", context: context do
+  property "the native summary matches the reference that reads every message", context: context do
     forall {steps, kind, spans, closed?} <-
              {nonempty_list({integer(1, 3_000), integer(0, 200)}), one_of([:states, :mixed]),
               list({integer(0, 200_000), integer(0, 200_000), integer(0, 16), integer(0, 12)}, 4),
               boolean()} do
       root = Path.join(context.tmp_dir, "#{System.unique_integer([:positive])}")
-      # Enough of them for stored bins.
+      # This is enough for stored bins.
       steps = steps |> Stream.cycle() |> Enum.take(if closed?, do: 900, else: 400)
       writer = write(root, steps, kind, [])
       if closed?, do: :ok = Writer.close(writer)

@@ -6,10 +6,10 @@ defmodule Situ.Studio.Annotating.SchemaForm do
       iex> alias Situ.Studio.Annotating.SchemaForm
       iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "S", "attributes" => [
       ...>   %{"name" => "Speech", "kind" => "finite", "values" => [%{"value" => "speaks", "key" => "1"}]}]})
-      iex> draft = SchemaForm.draft(schema)
-      iex> draft = SchemaForm.read(draft, %{"0" => %{"name" => "Voice", "kind" => "finite",
+      iex> draft = SchemaForm.from_schema(schema)
+      iex> draft = SchemaForm.update_from_params(draft, %{"0" => %{"name" => "Voice", "kind" => "finite",
       ...>   "values" => %{"0" => %{"value" => "talks", "key" => "t", "fill" => "#ff0000"}}}})
-      iex> {:ok, schema, renamed} = SchemaForm.schema("S", draft)
+      iex> {:ok, schema, renamed} = SchemaForm.build_schema("S", draft)
       iex> {hd(schema.attributes).values, renamed}
       {[%{fill: "#ff0000", key: "t", text: nil, value: "talks"}], [{"Speech", "Voice", %{"speaks" => "talks"}}]}
   """
@@ -30,8 +30,8 @@ defmodule Situ.Studio.Annotating.SchemaForm do
   @type renamed :: [{String.t(), String.t(), %{String.t() => String.t()}}]
 
   @doc "Converts a schema to a draft that can be edited."
-  @spec draft(Schema.t()) :: [attribute()]
-  def draft(%Schema{attributes: attributes}) do
+  @spec from_schema(Schema.t()) :: [attribute()]
+  def from_schema(%Schema{attributes: attributes}) do
     for a <- attributes do
       values =
         for v <- a.values,
@@ -42,69 +42,76 @@ defmodule Situ.Studio.Annotating.SchemaForm do
   end
 
   @doc "Updates the draft with the values of the page's fields."
-  @spec read([attribute()], map()) :: [attribute()]
-  def read(draft, params) do
+  @spec update_from_params([attribute()], map()) :: [attribute()]
+  def update_from_params(draft, params) do
     for {attribute, i} <- Enum.with_index(draft) do
-      given = fields(params, i)
-      values = fields(given, "values")
+      given = nested_params(params, i)
+      values = nested_params(given, "values")
 
       %{
         attribute
-        | name: text(given["name"], attribute.name),
+        | name: text_param(given["name"], attribute.name),
           kind: if(given["kind"] in @kinds, do: given["kind"], else: attribute.kind),
           values:
-            for({v, k} <- Enum.with_index(attribute.values), do: value(v, fields(values, k)))
+            for(
+              {v, k} <- Enum.with_index(attribute.values),
+              do: update_value(v, nested_params(values, k))
+            )
       }
     end
   end
 
-  defp value(value, given) do
+  defp update_value(value, given) do
     %{
       value
-      | value: text(given["value"], value.value),
-        key: given["key"] |> text(value.key) |> String.slice(0, 1),
-        fill: text(given["fill"], value.fill)
+      | value: text_param(given["value"], value.value),
+        key: given["key"] |> text_param(value.key) |> String.slice(0, 1),
+        fill: text_param(given["fill"], value.fill)
     }
   end
 
-  defp fields(params, key) do
+  defp nested_params(params, key) do
     case params do
       %{} -> if is_map(params[to_string(key)]), do: params[to_string(key)], else: %{}
       _ -> %{}
     end
   end
 
-  defp text(given, old), do: if(is_binary(given), do: String.slice(given, 0, 100), else: old)
+  defp text_param(given, old),
+    do: if(is_binary(given), do: String.slice(given, 0, 100), else: old)
 
   @doc "Adds an empty attribute, or an empty value to the attribute at `index`."
-  @spec add([attribute()], :attribute | non_neg_integer()) :: [attribute()]
-  def add(draft, :attribute) when length(draft) < @most,
-    do: draft ++ [%{name: "", kind: "finite", was: nil, values: [none()]}]
+  @spec add_entry([attribute()], :attribute | non_neg_integer()) :: [attribute()]
+  def add_entry(draft, :attribute) when length(draft) < @most,
+    do: draft ++ [%{name: "", kind: "finite", was: nil, values: [empty_value()]}]
 
-  def add(draft, index) when is_integer(index) do
-    more = &if(length(&1.values) < @most, do: %{&1 | values: &1.values ++ [none()]}, else: &1)
+  def add_entry(draft, index) when is_integer(index) do
+    more =
+      &if(length(&1.values) < @most, do: %{&1 | values: &1.values ++ [empty_value()]}, else: &1)
+
     if index < length(draft), do: List.update_at(draft, index, more), else: draft
   end
 
-  def add(draft, _), do: draft
+  def add_entry(draft, _), do: draft
 
-  defp none, do: %{value: "", key: "", fill: "", was: nil}
+  defp empty_value, do: %{value: "", key: "", fill: "", was: nil}
 
   @doc "Removes the attribute at `index`, or its value at `nth`."
-  @spec remove([attribute()], non_neg_integer(), non_neg_integer() | nil) :: [attribute()]
-  def remove(draft, index, nil), do: List.delete_at(draft, index)
+  @spec remove_entry([attribute()], non_neg_integer(), non_neg_integer() | nil) :: [attribute()]
+  def remove_entry(draft, index, nil), do: List.delete_at(draft, index)
 
-  def remove(draft, index, nth) do
+  def remove_entry(draft, index, nth) do
     if index < length(draft),
       do: List.update_at(draft, index, &%{&1 | values: List.delete_at(&1.values, nth)}),
       else: draft
   end
 
   @doc "Builds the schema from a draft and lists the renames. Attributes and values without a name are left out."
-  @spec schema(String.t(), [attribute()]) :: {:ok, Schema.t(), renamed()} | {:error, Error.t()}
-  def schema(name, draft) do
+  @spec build_schema(String.t(), [attribute()]) ::
+          {:ok, Schema.t(), renamed()} | {:error, Error.t()}
+  def build_schema(name, draft) do
     draft = Enum.reject(draft, &(String.trim(&1.name) == ""))
-    json = %{"name" => name, "attributes" => Enum.map(draft, &json/1)}
+    json = %{"name" => name, "attributes" => Enum.map(draft, &attribute_to_json/1)}
 
     with {:ok, schema} <- Schema.parse(json) do
       renamed =
@@ -117,14 +124,14 @@ defmodule Situ.Studio.Annotating.SchemaForm do
     end
   end
 
-  defp json(%{kind: "finite"} = a) do
-    values = for v <- a.values, String.trim(v.value) != "", do: filled(v)
+  defp attribute_to_json(%{kind: "finite"} = a) do
+    values = for v <- a.values, String.trim(v.value) != "", do: value_to_json(v)
     %{"name" => String.trim(a.name), "kind" => "finite", "values" => values}
   end
 
-  defp json(a), do: %{"name" => String.trim(a.name), "kind" => a.kind}
+  defp attribute_to_json(a), do: %{"name" => String.trim(a.name), "kind" => a.kind}
 
-  defp filled(v) do
+  defp value_to_json(v) do
     %{"value" => String.trim(v.value), "key" => v.key, "fill" => v.fill}
     |> Map.reject(fn {_, text} -> text == "" end)
   end

@@ -5,18 +5,19 @@ defmodule Situ.Studio.Batch.Configurations do
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-configurations")
       iex> Situ.Studio.Batch.Configurations.save(folder, "loudness", "Room 1", %{"stream" => "Mic"})
       :ok
-      iex> Situ.Studio.Batch.Configurations.all(folder, "loudness")
+      iex> Situ.Studio.Batch.Configurations.list_all(folder, "loudness")
       [{"Room 1", %{"stream" => "Mic"}}]
       iex> Situ.Studio.Batch.Configurations.delete(folder, "loudness", "Room 1")
-      iex> Situ.Studio.Batch.Configurations.all(folder, "loudness")
+      iex> Situ.Studio.Batch.Configurations.list_all(folder, "loudness")
       []
   """
   alias Situ.Error
 
   @doc "Lists the saved configurations of a task, sorted by name. Unreadable files are skipped."
-  @spec all(Path.t(), String.t()) :: [{String.t(), map()}]
-  def all(folder, task) do
-    for path <- folder |> place(task) |> Path.join("*.json") |> Path.wildcard() |> Enum.sort(),
+  @spec list_all(Path.t(), String.t()) :: [{String.t(), map()}]
+  def list_all(folder, task) do
+    for path <-
+          folder |> task_folder(task) |> Path.join("*.json") |> Path.wildcard() |> Enum.sort(),
         {:ok, text} <- [File.read(path)],
         {:ok, %{} = config} <- [Situ.JSON.decode(text)],
         do: {path |> Path.basename(".json") |> URI.decode(), config}
@@ -25,9 +26,9 @@ defmodule Situ.Studio.Batch.Configurations do
   @doc "Saves a configuration and replaces any other with the same name."
   @spec save(Path.t(), String.t(), String.t(), map()) :: :ok | {:error, Error.t()}
   def save(folder, task, name, config) do
-    with path = file(folder, task, name),
+    with path = configuration_path(folder, task, name),
          :ok <- File.mkdir_p(Path.dirname(path)),
-         :ok <- File.write(path, Situ.JSON.pretty(config) <> "\n") do
+         :ok <- File.write(path, Situ.JSON.encode_pretty(config) <> "\n") do
       :ok
     else
       {:error, reason} ->
@@ -41,13 +42,15 @@ defmodule Situ.Studio.Batch.Configurations do
   @doc "Deletes a configuration."
   @spec delete(Path.t(), String.t(), String.t()) :: :ok
   def delete(folder, task, name) do
-    _ = File.rm(file(folder, task, name))
+    _ = File.rm(configuration_path(folder, task, name))
     :ok
   end
 
-  defp place(folder, task), do: Path.join([folder, "tasks", safe(task)])
-  defp file(folder, task, name), do: Path.join(place(folder, task), safe(name) <> ".json")
+  defp task_folder(folder, task), do: Path.join([folder, "tasks", escape_name(task)])
 
-  defp safe(name),
+  defp configuration_path(folder, task, name),
+    do: Path.join(task_folder(folder, task), escape_name(name) <> ".json")
+
+  defp escape_name(name),
     do: name |> String.slice(0, 60) |> URI.encode(&(URI.char_unreserved?(&1) and &1 != ?.))
 end

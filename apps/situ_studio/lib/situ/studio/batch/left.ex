@@ -4,15 +4,15 @@ defmodule Situ.Studio.Batch.Left do
   each run was started, until the run has finished. A page offers to resume interrupted runs.
 
       iex> file = Path.join(System.tmp_dir!(), "situ-doc-left.json")
-      iex> Situ.Studio.Batch.Left.note(file, %{task: "faces", output: "Faces", sessions: ["p1"], config: %{}})
+      iex> Situ.Studio.Batch.Left.record_start(file, %{task: "faces", output: "Faces", sessions: ["p1"], config: %{}})
       :ok
-      iex> Situ.Studio.Batch.Left.all(file)
+      iex> Situ.Studio.Batch.Left.list_interrupted(file)
       []
       iex> path = file <> ".Faces.batch"
       iex> File.write!(path, String.replace(File.read!(path), System.pid(), "999999999"))
-      iex> [%{task: "faces", output: "Faces", sessions: ["p1"], config: %{}}] = Situ.Studio.Batch.Left.all(file)
-      iex> Situ.Studio.Batch.Left.forget(file, "Faces")
-      iex> Situ.Studio.Batch.Left.all(file)
+      iex> [%{task: "faces", output: "Faces", sessions: ["p1"], config: %{}}] = Situ.Studio.Batch.Left.list_interrupted(file)
+      iex> Situ.Studio.Batch.Left.delete_record(file, "Faces")
+      iex> Situ.Studio.Batch.Left.list_interrupted(file)
       []
   """
   @type t :: %{
@@ -24,23 +24,23 @@ defmodule Situ.Studio.Batch.Left do
         }
 
   @doc "Records the start of a run. If the file cannot be written, the run continues without a record."
-  @spec note(Path.t(), map()) :: :ok
-  def note(file, run) do
+  @spec record_start(Path.t(), map()) :: :ok
+  def record_start(file, run) do
     text = run |> Map.put(:pid, System.pid()) |> Situ.JSON.encode()
-    _ = File.write(path(file, run.output), text)
+    _ = File.write(record_path(file, run.output), text)
     :ok
   end
 
   @doc "Deletes the record of a run that has finished or was dismissed."
-  @spec forget(Path.t(), String.t() | nil) :: :ok
-  def forget(file, output) do
-    _ = File.rm(path(file, output))
+  @spec delete_record(Path.t(), String.t() | nil) :: :ok
+  def delete_record(file, output) do
+    _ = File.rm(record_path(file, output))
     :ok
   end
 
   @doc "Lists the runs whose studio is no longer running."
-  @spec all(Path.t()) :: [t()]
-  def all(file) do
+  @spec list_interrupted(Path.t()) :: [t()]
+  def list_interrupted(file) do
     start = Path.basename(file) <> "."
 
     with {:ok, names} <- File.ls(Path.dirname(file)) do
@@ -49,7 +49,7 @@ defmodule Situ.Studio.Batch.Left do
           {:ok, text} <- [File.read(Path.join(Path.dirname(file), name))],
           {:ok, %{"task" => task, "sessions" => sessions, "pid" => pid} = run} <-
             [Situ.JSON.decode(text)],
-          is_binary(task) and is_list(sessions) and is_binary(pid) and gone?(pid),
+          is_binary(task) and is_list(sessions) and is_binary(pid) and process_ended?(pid),
           do: %{
             task: task,
             output: run["output"],
@@ -63,9 +63,9 @@ defmodule Situ.Studio.Batch.Left do
   end
 
   # A run of this studio is still active and is listed as such.
-  defp gone?(pid), do: pid != System.pid() and not File.exists?("/proc/" <> pid)
+  defp process_ended?(pid), do: pid != System.pid() and not File.exists?("/proc/" <> pid)
 
-  defp path(file, output) do
+  defp record_path(file, output) do
     "#{file}.#{String.replace(output || "-", ~r/[^\w.-]/u, "_")}.batch"
   end
 end

@@ -3,10 +3,10 @@ defmodule Situ.Studio.Batch.Run do
   Holds the progress and the result of one run of a batch task over sessions of a dataset.
 
       iex> run = %Situ.Studio.Batch.Run{id: 1, file: "study.json", task: "statistics", began: 0}
-      iex> run = Situ.Studio.Batch.Run.progress(run, %{done: 0.25})
-      iex> {Situ.Studio.Batch.Run.elapsed(run, 10_000), Situ.Studio.Batch.Run.remaining(run, 10_000)}
+      iex> run = Situ.Studio.Batch.Run.update_progress(run, %{done: 0.25})
+      iex> {Situ.Studio.Batch.Run.elapsed_ms(run, 10_000), Situ.Studio.Batch.Run.remaining_ms(run, 10_000)}
       {10000, 30000}
-      iex> Situ.Studio.Batch.Run.remaining(%{run | progress: %{done: 0.001}}, 10_000)
+      iex> Situ.Studio.Batch.Run.remaining_ms(%{run | progress: %{done: 0.001}}, 10_000)
       nil
   """
   alias Situ.Dataset.Derivation.Report
@@ -21,8 +21,8 @@ defmodule Situ.Studio.Batch.Run do
   @guess 0.02
 
   @doc "Updates the progress, as reported by `Situ.Dataset.derive/3`."
-  @spec progress(t(), map()) :: t()
-  def progress(%__MODULE__{} = run, progress), do: %{run | progress: progress}
+  @spec update_progress(t(), map()) :: t()
+  def update_progress(%__MODULE__{} = run, progress), do: %{run | progress: progress}
 
   @doc "Finishes the run with a report or the error that ended it."
   @spec finish(t(), {:ok, term(), Report.t()} | {:error, Situ.Error.t()}, integer()) :: t()
@@ -41,14 +41,14 @@ defmodule Situ.Studio.Batch.Run do
     do: %{run | status: :failed, error: error, ended: now}
 
   @doc "Returns the elapsed time in ms. `now` is on the same clock as `began`."
-  @spec elapsed(t(), integer()) :: non_neg_integer()
-  def elapsed(%__MODULE__{} = run, now), do: max((run.ended || now) - run.began, 0)
+  @spec elapsed_ms(t(), integer()) :: non_neg_integer()
+  def elapsed_ms(%__MODULE__{} = run, now), do: max((run.ended || now) - run.began, 0)
 
   @doc "Estimates the remaining time in ms. Returns `nil` if it is too early for an estimate or the run has ended."
-  @spec remaining(t(), integer()) :: non_neg_integer() | nil
-  def remaining(%__MODULE__{status: :running, progress: %{done: done}} = run, now)
+  @spec remaining_ms(t(), integer()) :: non_neg_integer() | nil
+  def remaining_ms(%__MODULE__{status: :running, progress: %{done: done}} = run, now)
       when done >= @guess,
-      do: round(elapsed(run, now) * (1 - done) / done)
+      do: round(elapsed_ms(run, now) * (1 - done) / done)
 
-  def remaining(_, _), do: nil
+  def remaining_ms(_, _), do: nil
 end

@@ -11,13 +11,14 @@ defmodule Situ.Studio.Datasets.Deletion do
   alias Situ.{Error, Store}
 
   @doc "Deletes the recordings of these partitions. A recording that no longer exists counts as deleted."
-  @spec all(Dataset.t(), [{session :: String.t(), Partition.t()}]) :: :ok | {:error, Error.t()}
-  def all(dataset, partitions) do
-    with :ok <- each(partitions, &allowed(dataset, partitions, &1)),
-         do: each(partitions, fn {_, partition} -> delete(partition.path) end)
+  @spec delete_partitions(Dataset.t(), [{session :: String.t(), Partition.t()}]) ::
+          :ok | {:error, Error.t()}
+  def delete_partitions(dataset, partitions) do
+    with :ok <- each_until_error(partitions, &check_deletable(dataset, partitions, &1)),
+         do: each_until_error(partitions, fn {_, partition} -> delete_path(partition.path) end)
   end
 
-  defp each(list, fun) do
+  defp each_until_error(list, fun) do
     Enum.reduce_while(list, :ok, fn one, :ok ->
       case fun.(one) do
         :ok -> {:cont, :ok}
@@ -26,7 +27,7 @@ defmodule Situ.Studio.Datasets.Deletion do
     end)
   end
 
-  defp allowed(dataset, partitions, {session, partition}) do
+  defp check_deletable(dataset, partitions, {session, partition}) do
     going = for {s, p} <- partitions, do: {s, p.name}
 
     users =
@@ -47,11 +48,11 @@ defmodule Situ.Studio.Datasets.Deletion do
          )}
 
       true ->
-        recording(partition.path)
+        check_not_recording(partition.path)
     end
   end
 
-  defp recording(path) do
+  defp check_not_recording(path) do
     with true <- File.exists?(path),
          {:ok, store} <- Store.open(path),
          true <- Store.live?(store) do
@@ -64,28 +65,28 @@ defmodule Situ.Studio.Datasets.Deletion do
         :ok
 
       {:error, _} ->
-        if Store.exists?(path), do: :ok, else: {:error, no_recording(path)}
+        if Store.exists?(path), do: :ok, else: {:error, not_a_recording_error(path)}
     end
   end
 
-  defp no_recording(path),
+  defp not_a_recording_error(path),
     do:
       Error.new(:no_store, "#{path} was not deleted because it is not a recording",
         fix: "remove it from the dataset, and delete the file with another program"
       )
 
-  defp delete(path) do
+  defp delete_path(path) do
     cond do
       not File.exists?(path) -> :ok
       Store.exists?(path) -> Store.delete(path)
-      File.regular?(path) -> removed(File.rm(path), path)
-      true -> {:error, no_recording(path)}
+      File.regular?(path) -> removal_result(File.rm(path), path)
+      true -> {:error, not_a_recording_error(path)}
     end
   end
 
-  defp removed(:ok, _), do: :ok
+  defp removal_result(:ok, _), do: :ok
 
-  defp removed({:error, reason}, path),
+  defp removal_result({:error, reason}, path),
     do:
       {:error,
        Error.new(:not_deleted, "#{path} could not be deleted",

@@ -26,16 +26,16 @@ defmodule Situ.Studio.Datasets.Facts do
         }
 
   @doc "Opens the recording at a path and summarizes it."
-  @spec of(Path.t()) :: t()
-  def of(path) do
+  @spec of_recording(Path.t()) :: t()
+  def of_recording(path) do
     case Source.Store.open(path) do
-      {:ok, source} -> sized(of_source(source), path)
+      {:ok, source} -> use_file_size(of_source(source), path)
       {:error, error} -> %__MODULE__{error: error}
     end
   end
 
   # The decoded streams of a video are much larger than its file, so a single-file recording has the size of its file.
-  defp sized(facts, path) do
+  defp use_file_size(facts, path) do
     case File.stat(path) do
       {:ok, %{type: :regular, size: size}} when facts.error == nil -> %{facts | size: size}
       _ -> facts
@@ -43,9 +43,9 @@ defmodule Situ.Studio.Datasets.Facts do
   end
 
   @doc "Adds up the figures of several recordings."
-  @spec figures([t()]) :: Figures.t()
-  def figures(facts) do
-    sum = facts |> Enum.flat_map(& &1.streams) |> Figures.sum()
+  @spec sum_figures([t()]) :: Figures.t()
+  def sum_figures(facts) do
+    sum = facts |> Enum.flat_map(& &1.streams) |> Figures.sum_streams()
     %{sum | bytes: facts |> Enum.map(& &1.size) |> Enum.sum()}
   end
 
@@ -71,7 +71,7 @@ defmodule Situ.Studio.Datasets.Facts do
         to: if(timed?, do: extent.to),
         size: streams |> Enum.map(& &1.bytes) |> Enum.sum(),
         live: extent.live,
-        damaged: Source.damage(source) != []
+        damaged: Source.list_damage(source) != []
       }
     else
       {:error, error} -> %__MODULE__{error: error}
@@ -79,8 +79,8 @@ defmodule Situ.Studio.Datasets.Facts do
   end
 
   @doc "Combines the summaries of several recordings."
-  @spec sum([t()]) :: t()
-  def sum(facts) do
+  @spec merge_facts([t()]) :: t()
+  def merge_facts(facts) do
     %__MODULE__{
       streams: Enum.flat_map(facts, & &1.streams),
       from: facts |> Enum.map(& &1.from) |> Enum.reject(&is_nil/1) |> Enum.min(fn -> nil end),
@@ -94,16 +94,16 @@ defmodule Situ.Studio.Datasets.Facts do
   @doc """
   Formats the duration for people. Returns an empty string if there are no messages.
 
-      iex> Situ.Studio.Datasets.Facts.duration(%Situ.Studio.Datasets.Facts{from: 0, to: 90_000_000_000})
+      iex> Situ.Studio.Datasets.Facts.format_duration(%Situ.Studio.Datasets.Facts{from: 0, to: 90_000_000_000})
       "1 min 30 s"
   """
-  @spec duration(t()) :: String.t()
-  def duration(%__MODULE__{from: nil}), do: ""
-  def duration(%__MODULE__{from: from, to: to}), do: Situ.Time.format_duration(to - from)
+  @spec format_duration(t()) :: String.t()
+  def format_duration(%__MODULE__{from: nil}), do: ""
+  def format_duration(%__MODULE__{from: from, to: to}), do: Situ.Time.format_duration(to - from)
 
   @doc "Returns a stamp of the recording's files that changes when the recording is replaced or grows."
-  @spec stamp(Path.t()) :: term()
-  def stamp(path) do
+  @spec file_stamp(Path.t()) :: term()
+  def file_stamp(path) do
     index = Path.join(path, "index.situ")
 
     case File.stat(if(Store.exists?(path) and File.exists?(index), do: index, else: path)) do

@@ -14,89 +14,96 @@ defmodule Situ.Studio.Datasets.Folders do
   Lists the folders that contain recordings of a studio, at any depth, with their names in addresses.
 
       iex> item = fn id -> %Situ.Studio.Catalog.Item{id: id, title: id, kind: :store, path: "/data/" <> id} end
-      iex> Situ.Studio.Datasets.Folders.of(Enum.map(["p1/a/room.0000", "p2/room.0000", "talk.mp4"], item))
+      iex> Situ.Studio.Datasets.Folders.list_folders(Enum.map(["p1/a/room.0000", "p2/room.0000", "talk.mp4"], item))
       [{".", "/data"}, {"p1", "/data/p1"}, {"p1/a", "/data/p1/a"}, {"p2", "/data/p2"}]
   """
-  @spec of([Item.t()]) :: [{String.t(), Path.t()}]
-  def of(items) do
+  @spec list_folders([Item.t()]) :: [{String.t(), Path.t()}]
+  def list_folders(items) do
     for(
       %{kind: :store, id: id, path: path} <- items,
       String.ends_with?(path, "/" <> id),
-      {folder, _} = found <- above(Path.dirname(id), Path.dirname(path)),
+      {folder, _} = found <- parent_folders(Path.dirname(id), Path.dirname(path)),
       uniq: true,
       do: if(folder == "", do: {".", elem(found, 1)}, else: found)
     )
     |> Enum.sort()
   end
 
-  defp above(".", path), do: [{".", path}]
-  defp above(id, path), do: [{id, path} | above(Path.dirname(id), Path.dirname(path))]
+  defp parent_folders(".", path), do: [{".", path}]
+
+  defp parent_folders(id, path),
+    do: [{id, path} | parent_folders(Path.dirname(id), Path.dirname(path))]
 
   @doc "Adds each folder in `folder`, and each recording directly in it, as a session."
-  @spec sessions(Dataset.t(), Path.t()) :: {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
-  def sessions(dataset, folder) do
-    with {:ok, found} <- Dataset.open(folder), do: added(dataset, found.sessions)
+  @spec add_sessions(Dataset.t(), Path.t()) ::
+          {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
+  def add_sessions(dataset, folder) do
+    with {:ok, found} <- Dataset.open(folder), do: append_sessions(dataset, found.sessions)
   end
 
   @doc "Adds all recordings in and below `folder` as one session named after the folder."
-  @spec session(Dataset.t(), Path.t()) :: {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
-  def session(dataset, folder) do
+  @spec add_session(Dataset.t(), Path.t()) ::
+          {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
+  def add_session(dataset, folder) do
     with {:ok, found} <- Dataset.open(folder) do
-      name = Names.unique(Path.basename(folder), Enum.map(dataset.sessions, & &1.name))
-      {session, told} = filled(Session.new(name), found, paths(dataset))
-      if elem(told, 0) == 0, do: {:ok, dataset, told}, else: added(dataset, [session], told)
+      name = Names.make_unique(Path.basename(folder), Enum.map(dataset.sessions, & &1.name))
+      {session, told} = fill_session(Session.new(name), found, recording_paths(dataset))
+
+      if elem(told, 0) == 0,
+        do: {:ok, dataset, told},
+        else: append_sessions(dataset, [session], told)
     end
   end
 
   @doc "Adds all recordings in and below `folder` to a session."
-  @spec recordings(Dataset.t(), String.t(), Path.t()) ::
+  @spec add_recordings(Dataset.t(), String.t(), Path.t()) ::
           {:ok, Dataset.t(), told()} | {:error, Situ.Error.t()}
-  def recordings(dataset, name, folder) do
+  def add_recordings(dataset, name, folder) do
     with {:ok, found} <- Dataset.open(folder),
          {:ok, session} <- Dataset.session(dataset, name),
          taken = MapSet.new(session.partitions, & &1.path),
-         {session, told} = filled(session, found, taken),
+         {session, told} = fill_session(session, found, taken),
          {:ok, dataset} <- Dataset.update_session(dataset, name, fn _ -> {:ok, session} end),
          do: {:ok, dataset, told}
   end
 
-  defp added(dataset, sessions), do: added(dataset, sessions, {0, []})
+  defp append_sessions(dataset, sessions), do: append_sessions(dataset, sessions, {0, []})
 
   # Adding all sessions in one edit saves the dataset only once.
-  defp added(dataset, sessions, {_, skipped}) do
+  defp append_sessions(dataset, sessions, {_, skipped}) do
     names = MapSet.new(dataset.sessions, & &1.name)
     {there, new} = Enum.split_with(sessions, &(&1.name in names))
 
-    with {:ok, dataset} <- Dataset.append(dataset, %Dataset{sessions: new}),
+    with {:ok, dataset} <- Dataset.append_sessions(dataset, %Dataset{sessions: new}),
          do: {:ok, dataset, {length(new), skipped ++ Enum.map(there, & &1.name)}}
   end
 
-  defp filled(session, %Dataset{sessions: found}, taken) do
+  defp fill_session(session, %Dataset{sessions: found}, taken) do
     partitions = Enum.flat_map(found, & &1.partitions)
     {there, new} = Enum.split_with(partitions, &(&1.path in taken))
-    session = Enum.reduce(new, session, &put/2)
+    session = Enum.reduce(new, session, &put_partition/2)
     {session, {length(new), Enum.map(there, & &1.name)}}
   end
 
-  defp put(%Partition{} = partition, session) do
-    name = Names.unique(partition.name, Enum.map(session.partitions, & &1.name))
-    {:ok, session} = Session.add(session, %{partition | name: name})
+  defp put_partition(%Partition{} = partition, session) do
+    name = Names.make_unique(partition.name, Enum.map(session.partitions, & &1.name))
+    {:ok, session} = Session.add_partition(session, %{partition | name: name})
     session
   end
 
-  defp paths(dataset),
+  defp recording_paths(dataset),
     do: for(s <- dataset.sessions, p <- s.partitions, into: MapSet.new(), do: p.path)
 
   @doc """
   Describes the result for the page.
 
-      iex> Situ.Studio.Datasets.Folders.said({2, ["p01", "p02"]}, "session")
+      iex> Situ.Studio.Datasets.Folders.describe_result({2, ["p01", "p02"]}, "session")
       "2 sessions added; there already: p01, p02"
-      iex> Situ.Studio.Datasets.Folders.said({1, []}, "recording")
+      iex> Situ.Studio.Datasets.Folders.describe_result({1, []}, "recording")
       "1 recording added"
   """
-  @spec said(told(), String.t()) :: String.t()
-  def said({added, skipped}, noun) do
+  @spec describe_result(told(), String.t()) :: String.t()
+  def describe_result({added, skipped}, noun) do
     "#{added} #{noun}#{if added != 1, do: "s"} added" <>
       case Enum.split(skipped, 5) do
         {[], []} -> ""

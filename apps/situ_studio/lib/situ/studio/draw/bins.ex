@@ -3,7 +3,7 @@ defmodule Situ.Studio.Draw.Bins do
   Folds points into bins that are aligned to multiples of their width, so that panning yields the same bins again.
 
       iex> points = for t <- 0..3, do: Situ.Studio.Draw.Bins.point(t, t * 1.0)
-      iex> Situ.Studio.Draw.Bins.fold(points, 2, 2)
+      iex> Situ.Studio.Draw.Bins.fold_points(points, 2, 2)
       {[{0, 0.0, 1.0, 1.0, 2}, {2, 2.0, 3.0, 3.0, 2}], false}
   """
 
@@ -26,12 +26,12 @@ defmodule Situ.Studio.Draw.Bins do
   def gap?(point), do: elem(point, 1) == nil
 
   @doc "Returns the points of a line for one value: a point for a number, a gap for `nil`, none for other terms."
-  @spec points(Situ.Time.t(), term()) :: [point() | gap()]
-  def points(time, nil), do: [gap(time)]
-  def points(time, %Situ.Studio.Hole{}), do: [gap(time)]
+  @spec value_points(Situ.Time.t(), term()) :: [point() | gap()]
+  def value_points(time, nil), do: [gap(time)]
+  def value_points(time, %Situ.Studio.Hole{}), do: [gap(time)]
 
-  def points(time, value) do
-    case number(value) do
+  def value_points(time, value) do
+    case to_number(value) do
       {:ok, number} -> [point(time, number)]
       :error -> []
     end
@@ -41,36 +41,36 @@ defmodule Situ.Studio.Draw.Bins do
   Returns a value as a number to draw: booleans are 0 and 1. Other terms, and integers too large for a float, are
   `:error`.
 
-      iex> Enum.map([1.7e308, true, :nan], &Situ.Studio.Draw.Bins.number/1)
+      iex> Enum.map([1.7e308, true, :nan], &Situ.Studio.Draw.Bins.to_number/1)
       [{:ok, 1.7e308}, {:ok, 1}, :error]
   """
-  @spec number(term()) :: {:ok, number()} | :error
-  def number(value) when is_float(value), do: {:ok, value}
+  @spec to_number(term()) :: {:ok, number()} | :error
+  def to_number(value) when is_float(value), do: {:ok, value}
 
-  def number(value) when is_integer(value) and value <= @greatest and value >= -@greatest,
+  def to_number(value) when is_integer(value) and value <= @greatest and value >= -@greatest,
     do: {:ok, value}
 
-  def number(true), do: {:ok, 1}
-  def number(false), do: {:ok, 0}
-  def number(_), do: :error
+  def to_number(true), do: {:ok, 1}
+  def to_number(false), do: {:ok, 0}
+  def to_number(_), do: :error
 
   @doc "Returns up to `keep` points unchanged (`true`), or folds more of them into bins `bin` ns wide (`false`)."
-  @spec fold([point() | gap()], pos_integer(), pos_integer()) ::
+  @spec fold_points([point() | gap()], pos_integer(), pos_integer()) ::
           {[point() | gap()], raw? :: boolean()}
-  def fold(points, bin, keep) do
-    if length(points) <= keep, do: {points, true}, else: {fold(points, bin), false}
+  def fold_points(points, bin, keep) do
+    if length(points) <= keep, do: {points, true}, else: {fold_bins(points, bin), false}
   end
 
-  defp fold(points, bin) do
+  defp fold_bins(points, bin) do
     points
     |> Enum.chunk_by(fn {t, _, _, _, _} -> Integer.floor_div(t, bin) end)
-    |> Enum.map(fn [first | rest] -> Enum.reduce(rest, first, &join(&2, &1)) end)
+    |> Enum.map(fn [first | rest] -> Enum.reduce(rest, first, &merge_points(&2, &1)) end)
   end
 
   # A gap is visible only if its bin contains nothing else.
-  defp join({t, min, max, last, n}, {_, nil, nil, nil, k}), do: {t, min, max, last, n + k}
-  defp join({t, nil, nil, nil, n}, {_, min, max, last, k}), do: {t, min, max, last, n + k}
+  defp merge_points({t, min, max, last, n}, {_, nil, nil, nil, k}), do: {t, min, max, last, n + k}
+  defp merge_points({t, nil, nil, nil, n}, {_, min, max, last, k}), do: {t, min, max, last, n + k}
 
-  defp join({t, min, max, _, n}, {_, lo, hi, last, k}),
+  defp merge_points({t, min, max, _, n}, {_, lo, hi, last, k}),
     do: {t, min(min, lo), max(max, hi), last, n + k}
 end

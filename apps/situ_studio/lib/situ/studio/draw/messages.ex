@@ -18,20 +18,20 @@ defmodule Situ.Studio.Draw.Messages do
   @type numbered :: {integer(), Situ.Message.t()}
 
   @doc "Fetches the messages within a window and one or more on both sides; `false` if they are a sample."
-  @spec around(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec fetch_around(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
-  def around(source, spec, from, to) do
-    with {:ok, numbered, all?} <- numbered(source, spec, from, to),
+  def fetch_around(source, spec, from, to) do
+    with {:ok, numbered, all?} <- fetch_numbered(source, spec, from, to),
          do: {:ok, Enum.map(numbered, &elem(&1, 1)), all?}
   end
 
   @doc "Fetches the same messages with their positions."
-  @spec numbered(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec fetch_numbered(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [numbered()], all? :: boolean()} | {:error, Situ.Error.t()}
-  def numbered(source, %{stream: stream}, from, to) do
-    with {:ok, rows, all?} <- read(source, stream, from, to) do
-      {first, last} = ends(rows)
-      {before, later} = beside(source, stream, {from, to}, length(rows))
+  def fetch_numbered(source, %{stream: stream}, from, to) do
+    with {:ok, rows, all?} <- read_window(source, stream, from, to) do
+      {first, last} = end_positions(rows)
+      {before, later} = surrounding_messages(source, stream, {from, to}, length(rows))
       before = Enum.with_index(before, &{first - length(before) + &2, &1})
       later = Enum.with_index(later, &{last + 1 + &2, &1})
       {:ok, before ++ rows ++ later, all?}
@@ -39,20 +39,20 @@ defmodule Situ.Studio.Draw.Messages do
   end
 
   @doc "Fetches only the messages within the window."
-  @spec within(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
+  @spec fetch_within(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
-  def within(source, stream, from, to) do
-    with {:ok, rows, all?} <- read(source, stream, from, to),
+  def fetch_within(source, stream, from, to) do
+    with {:ok, rows, all?} <- read_window(source, stream, from, to),
          do: {:ok, Enum.map(rows, &elem(&1, 1)), all?}
   end
 
-  defp read(source, stream, from, to) do
+  defp read_window(source, stream, from, to) do
     case Source.call(source, :messages, [stream, from, to, @scan]) do
       {:ok, messages, :all} ->
         {:ok, Enum.with_index(messages, &{&2, &1}), true}
 
       {:ok, _, :more} ->
-        with {:ok, rows} <- Source.sample(source, stream, from, to, @sample),
+        with {:ok, rows} <- Source.sample_messages(source, stream, from, to, @sample),
              do: {:ok, rows, false}
 
       error ->
@@ -60,18 +60,23 @@ defmodule Situ.Studio.Draw.Messages do
     end
   end
 
-  defp ends([]), do: {0, -1}
-  defp ends([{first, _} | _] = rows), do: {first, rows |> List.last() |> elem(0)}
+  defp end_positions([]), do: {0, -1}
+  defp end_positions([{first, _} | _] = rows), do: {first, rows |> List.last() |> elem(0)}
 
   @doc """
   Fetches the messages before and after a window of `n` messages. One on each side lets lines reach the edges. If the
   window has too few messages to determine their rate, more are fetched, so that gaps can be detected.
   """
-  @spec beside(Source.t(), String.t(), {Situ.Time.t(), Situ.Time.t()}, non_neg_integer()) ::
+  @spec surrounding_messages(
+          Source.t(),
+          String.t(),
+          {Situ.Time.t(), Situ.Time.t()},
+          non_neg_integer()
+        ) ::
           {before :: [Situ.Message.t()], later :: [Situ.Message.t()]}
-  def beside(source, stream, {from, to}, n) do
+  def surrounding_messages(source, stream, {from, to}, n) do
     most = if n < @few, do: @beside, else: 1
-    before = Source.neighbours(source, stream, :before, from, most)
-    {Enum.reverse(before), Source.neighbours(source, stream, :after, to, most)}
+    before = Source.list_neighbours(source, stream, :before, from, most)
+    {Enum.reverse(before), Source.list_neighbours(source, stream, :after, to, most)}
   end
 end

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Draw.Rhythm do
   @moduledoc """
   Determines how often messages arrive and which pauses are gaps. Messages are missing in a gap, so nothing may be drawn
-  across it. The page applies the same rule to lines (`assets/js/data/rhythm.js`).
+  across it. The page applies the same rule to lines (`assets/js/data/gap_detection.js`).
 
       iex> every_ten = for t <- Enum.concat(0..50//10, 500..600//10), do: {t, 1}
-      iex> Situ.Studio.Draw.Rhythm.holes(every_ten)
+      iex> Situ.Studio.Draw.Rhythm.find_gaps(every_ten)
       [{60, 500}]
-      iex> Situ.Studio.Draw.Rhythm.holes([{0, 1}, {10, 1}, {500, 1}, {503, 1}, {600, 1}])
+      iex> Situ.Studio.Draw.Rhythm.find_gaps([{0, 1}, {10, 1}, {500, 1}, {503, 1}, {600, 1}])
       []
   """
   @looked_at 256
@@ -19,9 +19,9 @@ defmodule Situ.Studio.Draw.Rhythm do
   @type row :: {Situ.Time.t(), pos_integer()}
 
   @doc "Returns the gaps as time ranges, in order. A message holds until its successor is due."
-  @spec holes([row()]) :: [{Situ.Time.t(), Situ.Time.t()}]
-  def holes(rows) do
-    case period(rows) do
+  @spec find_gaps([row()]) :: [{Situ.Time.t(), Situ.Time.t()}]
+  def find_gaps(rows) do
+    case usual_period(rows) do
       :irregular ->
         []
 
@@ -34,19 +34,19 @@ defmodule Situ.Studio.Draw.Rhythm do
     end
   end
 
-  defp period(rows) do
+  defp usual_period(rows) do
     pairs = Enum.chunk_every(rows, 2, 1, :discard)
     every = max(div(length(pairs), @looked_at), 1)
     some = Enum.take_every(pairs, every)
     periods = Enum.sort(for [{t, n}, {next, _}] <- some, do: (next - t) / n)
     pauses = Enum.sort(for [{t, _}, {next, _}] <- some, do: next - t)
-    usual = middle(periods)
+    usual = median(periods)
 
     if length(pairs) >= 4 and Enum.at(periods, div(length(periods) * 9, 10)) <= @steady * usual,
-      do: {usual, middle(pauses)},
+      do: {usual, median(pauses)},
       else: :irregular
   end
 
-  defp middle([]), do: 0
-  defp middle(sorted), do: Enum.at(sorted, div(length(sorted), 2))
+  defp median([]), do: 0
+  defp median(sorted), do: Enum.at(sorted, div(length(sorted), 2))
 end

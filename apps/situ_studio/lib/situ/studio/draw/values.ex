@@ -7,7 +7,7 @@ defmodule Situ.Studio.Draw.Values do
   that a browser cannot hold exactly keeps all of its digits.
 
       iex> alias Situ.Studio.Draw.Values
-      iex> Enum.map([0.1, 123456789.123, 9_007_199_254_740_993, true, :nan, nil], &Values.text/1)
+      iex> Enum.map([0.1, 123456789.123, 9_007_199_254_740_993, true, :nan, nil], &Values.format_exact/1)
       ["0.1", "123456789.123", "9007199254740993", "true", "nan", nil]
   """
   alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
@@ -22,14 +22,14 @@ defmodule Situ.Studio.Draw.Values do
   Returns the values of the latest message at or before `time`. `split` gets the data at the path and the message, and
   returns the named values.
   """
-  @spec at(
+  @spec fetch_at(
           Source.t(),
           Frame.channel(),
           Visualizer.spec(),
           Situ.Time.t(),
           (term(), Situ.Message.t() -> [named()])
         ) :: Visualizer.value()
-  def at(source, channel, %{stream: stream, path: path}, time, split) do
+  def fetch_at(source, channel, %{stream: stream, path: path}, time, split) do
     case Source.call(source, :latest_at, [stream, time]) do
       {:ok, %{data: %Hole{}}} -> :none
       {:ok, message} -> message_value(channel, message, Path.fetch(message.data, path), split)
@@ -42,24 +42,26 @@ defmodule Situ.Studio.Draw.Values do
 
   defp message_value(channel, message, {:ok, data}, split) do
     mark = {message.originating_time, message.sequence_id}
-    {:ok, mark, frame(channel, message.originating_time, split.(data, message))}
+    {:ok, mark, values_frame(channel, message.originating_time, split.(data, message))}
   end
 
   @doc "Builds the frame of the named values at `time`."
-  @spec frame(Frame.channel(), Situ.Time.t(), [named()]) :: Frame.t()
-  def frame(channel, time, values) do
+  @spec values_frame(Frame.channel(), Situ.Time.t(), [named()]) :: Frame.t()
+  def values_frame(channel, time, values) do
     texts =
-      for {name, value} <- Enum.take(values, @max_values), text = text(value), do: [name, text]
+      for {name, value} <- Enum.take(values, @max_values),
+          text = format_exact(value),
+          do: [name, text]
 
     Frame.json(channel, time, %{"time" => Integer.to_string(time), "values" => texts})
   end
 
   @doc "Formats a value exactly. Returns `nil` for terms that are not drawn."
-  @spec text(term()) :: String.t() | nil
-  def text(nil), do: nil
-  def text(%Hole{}), do: nil
-  def text(value) when is_integer(value), do: Integer.to_string(value)
-  def text(value) when is_float(value), do: :erlang.float_to_binary(value, [:short])
-  def text(value) when is_atom(value), do: Atom.to_string(value)
-  def text(_not_drawn), do: nil
+  @spec format_exact(term()) :: String.t() | nil
+  def format_exact(nil), do: nil
+  def format_exact(%Hole{}), do: nil
+  def format_exact(value) when is_integer(value), do: Integer.to_string(value)
+  def format_exact(value) when is_float(value), do: :erlang.float_to_binary(value, [:short])
+  def format_exact(value) when is_atom(value), do: Atom.to_string(value)
+  def format_exact(_not_drawn), do: nil
 end

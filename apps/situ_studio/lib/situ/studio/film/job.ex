@@ -9,11 +9,11 @@ defmodule Situ.Studio.Film.Job do
   alias Situ.Studio.{Catalog, Film, Source}
 
   @doc "Starts an export for the calling process. Returns the key for fetching the finished file."
-  @spec begin(Catalog.id(), Film.t(), Source.t()) :: {:ok, String.t()}
-  def begin(studio, %Film{} = film, source) do
+  @spec start_job(Catalog.id(), Film.t(), Source.t()) :: {:ok, String.t()}
+  def start_job(studio, %Film{} = film, source) do
     key = Base.url_encode64(:crypto.strong_rand_bytes(18))
     args = %{studio: studio, key: key, film: film, source: source, page: self()}
-    {:ok, _} = DynamicSupervisor.start_child(Catalog.watches(studio), {__MODULE__, args})
+    {:ok, _} = DynamicSupervisor.start_child(Catalog.watch_supervisor(studio), {__MODULE__, args})
     {:ok, key}
   end
 
@@ -29,8 +29,8 @@ defmodule Situ.Studio.Film.Job do
   end
 
   @doc "Fetches the path of the finished file."
-  @spec file(Catalog.id(), term()) :: {:ok, Path.t()} | :error
-  def file(studio, key) do
+  @spec fetch_file(Catalog.id(), term()) :: {:ok, Path.t()} | :error
+  def fetch_file(studio, key) do
     case Registry.lookup(Situ.Studio.Registry, {studio, :film, key}) do
       [{_, path}] when is_binary(path) -> {:ok, path}
       _ -> :error
@@ -45,7 +45,7 @@ defmodule Situ.Studio.Film.Job do
     Process.flag(:trap_exit, true)
     {:ok, _} = Registry.register(Situ.Studio.Registry, {args.studio, :film, key}, nil)
     Process.monitor(page)
-    folder = Situ.Error.unwrap!(Situ.Scratch.create("film"))
+    folder = Situ.Error.unwrap!(Situ.Scratch.create_folder("film"))
     path = Path.join(folder, "selection.mp4")
     job = self()
     %{film: film, source: source} = args
@@ -53,7 +53,7 @@ defmodule Situ.Studio.Film.Job do
     {:ok, task} =
       Task.start_link(fn ->
         tell = &send(page, {:film, key, {:progress, &1}})
-        send(job, {:written, Film.write(film, source, path, tell)})
+        send(job, {:written, Film.write_video(film, source, path, tell)})
       end)
 
     {:ok, %{args: args, task: task, folder: folder, path: path}}
@@ -62,12 +62,12 @@ defmodule Situ.Studio.Film.Job do
   @impl true
   def handle_info({:written, :ok}, %{args: args, path: path} = state) do
     Registry.update_value(Situ.Studio.Registry, {args.studio, :film, args.key}, fn _ -> path end)
-    tell(state, {:done, File.stat!(path).size})
+    notify_page(state, {:done, File.stat!(path).size})
     {:noreply, state}
   end
 
   def handle_info({:written, {:error, error}}, state) do
-    tell(state, {:error, error})
+    notify_page(state, {:error, error})
     {:stop, :normal, state}
   end
 
@@ -80,18 +80,18 @@ defmodule Situ.Studio.Film.Job do
         why: inspect(reason, limit: 8)
       )
 
-    tell(state, {:error, error})
+    notify_page(state, {:error, error})
     {:stop, :normal, state}
   end
 
   def handle_info(_, state), do: {:noreply, state}
 
-  defp tell(%{args: %{page: page, key: key}}, told), do: send(page, {:film, key, told})
+  defp notify_page(%{args: %{page: page, key: key}}, told), do: send(page, {:film, key, told})
 
   # The encoder is linked to the task and ends with it.
   @impl true
   def terminate(_reason, %{task: task, folder: folder}) do
     Process.exit(task, :kill)
-    Situ.Scratch.remove(folder)
+    Situ.Scratch.remove_folder(folder)
   end
 end

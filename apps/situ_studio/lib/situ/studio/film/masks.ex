@@ -4,10 +4,10 @@ defmodule Situ.Studio.Film.Masks do
   (`Situ.Studio.Visualizers.Masks`). Masks of objects are drawn in their boxes, and masks of classes over the part of
   the image that was the network's input.
 
-      iex> image = Situ.Image.filled(2, 1, :bgr24, [0, 0, 0])
+      iex> image = Situ.Image.new_filled(2, 1, :bgr24, [0, 0, 0])
       iex> mask = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<0, 255>>)
       iex> found = {:objects, [{%Situ.Rect{x: 0, y: 0, width: 2, height: 1, id: 0}, mask}]}
-      iex> Situ.Studio.Film.Masks.over(image, found, 0, {{100, 200, 40}}, %{"opacity" => 50}).data
+      iex> Situ.Studio.Film.Masks.draw_masks(image, found, 0, {{100, 200, 40}}, %{"opacity" => 50}).data
       <<0, 0, 0, 20, 100, 50>>
   """
   alias Situ.{Image, Imaging}
@@ -19,43 +19,44 @@ defmodule Situ.Studio.Film.Masks do
   @shades {1, 0.6, 0.8, 0.4}
 
   @doc "Draws masks over a `:bgr24` image. `palette` has red, green and blue, 0..255; `own` is the stream's index."
-  @spec over(Image.t(), Found.found(), non_neg_integer(), tuple(), map()) :: Image.t()
-  def over(image, {:classes, classes}, _own, palette, props) do
-    box = covered(classes, image, props["fit"] || "pad")
-    tinted(image, classes, box, &shade(palette, &1 - 1), weight(props))
+  @spec draw_masks(Image.t(), Found.found(), non_neg_integer(), tuple(), map()) :: Image.t()
+  def draw_masks(image, {:classes, classes}, _own, palette, props) do
+    box = covered_rect(classes, image, props["fit"] || "pad")
+    tint_rect(image, classes, box, &class_shade(palette, &1 - 1), mask_opacity(props))
   end
 
-  def over(image, {:objects, objects}, own, palette, props) do
+  def draw_masks(image, {:objects, objects}, own, palette, props) do
     objects
     |> Enum.with_index(own)
     |> Enum.reduce(image, fn {{rect, mask}, i}, image ->
-      rgb = color(palette, if(is_integer(rect.id), do: rect.id, else: i))
+      rgb = palette_color(palette, if(is_integer(rect.id), do: rect.id, else: i))
       box = {rect.x, rect.y, rect.width, rect.height}
-      tinted(image, mask, box, fn _ -> rgb end, weight(props))
+      tint_rect(image, mask, box, fn _ -> rgb end, mask_opacity(props))
     end)
   end
 
   # Returns the part of the image that the class numbers cover.
-  defp covered(%{width: side, height: side}, %{width: w, height: h}, fit) when fit != "whole" do
+  defp covered_rect(%{width: side, height: side}, %{width: w, height: h}, fit)
+       when fit != "whole" do
     side = if fit == "crop", do: min(w, h), else: max(w, h)
     {(w - side) / 2, (h - side) / 2, side, side}
   end
 
-  defp covered(_, %{width: w, height: h}, _fit), do: {0, 0, w, h}
+  defp covered_rect(_, %{width: w, height: h}, _fit), do: {0, 0, w, h}
 
-  defp weight(props), do: props["opacity"] || @opacity
+  defp mask_opacity(props), do: props["opacity"] || @opacity
 
-  defp color(palette, i), do: elem(palette, rem(abs(i), tuple_size(palette)))
+  defp palette_color(palette, i), do: elem(palette, rem(abs(i), tuple_size(palette)))
 
   # If there are more classes than colours, the rest are darker or lighter, as on the page.
-  defp shade(palette, i) do
+  defp class_shade(palette, i) do
     k = elem(@shades, rem(div(abs(i), tuple_size(palette)), tuple_size(@shades)))
-    {r, g, b} = color(palette, i)
+    {r, g, b} = palette_color(palette, i)
     {round(r * k), round(g * k), round(b * k)}
   end
 
   # Looks up each of the 256 values only once.
-  defp tinted(image, mask, {x, y, w, h}, color_of, weight) do
+  defp tint_rect(image, mask, {x, y, w, h}, color_of, weight) do
     {x, y, w, h} = {round(x), round(y), round(w), round(h)}
     {left, top} = {max(x, 0), max(y, 0)}
     {width, height} = {min(x + w, image.width) - left, min(y + h, image.height) - top}
@@ -64,9 +65,9 @@ defmodule Situ.Studio.Film.Masks do
          {:ok, mask} <- Imaging.resize(mask, w, h, filter: :nearest),
          {:ok, mask} <- Imaging.crop(mask, {left - x, top - y, width, height}),
          {:ok, part} <- Imaging.crop(image, {left, top, width, height}) do
-      mask = Image.pixels(mask)
-      colors = List.to_tuple(for v <- 0..255, do: parts(color_of.(v), weight))
-      data = blend(mask, Image.pixels(part), colors, 100 - weight, <<>>)
+      mask = Image.pixel_bytes(mask)
+      colors = List.to_tuple(for v <- 0..255, do: weighted_channels(color_of.(v), weight))
+      data = blend_pixels(mask, Image.pixel_bytes(part), colors, 100 - weight, <<>>)
       part = Image.new!(width: width, height: height, format: :bgr24, data: data)
       {:ok, pasted} = Imaging.paste(image, part, {left, top})
       pasted
@@ -75,18 +76,18 @@ defmodule Situ.Studio.Film.Masks do
     end
   end
 
-  defp parts({r, g, b}, weight), do: {b * weight, g * weight, r * weight}
+  defp weighted_channels({r, g, b}, weight), do: {b * weight, g * weight, r * weight}
 
-  defp blend(<<0, mask::binary>>, <<pixel::24, rest::binary>>, colors, keep, acc),
-    do: blend(mask, rest, colors, keep, <<acc::binary, pixel::24>>)
+  defp blend_pixels(<<0, mask::binary>>, <<pixel::24, rest::binary>>, colors, keep, acc),
+    do: blend_pixels(mask, rest, colors, keep, <<acc::binary, pixel::24>>)
 
-  defp blend(<<v, mask::binary>>, <<b, g, r, rest::binary>>, colors, keep, acc) do
+  defp blend_pixels(<<v, mask::binary>>, <<b, g, r, rest::binary>>, colors, keep, acc) do
     {cb, cg, cr} = elem(colors, v)
 
     pixel = <<div(b * keep + cb, 100), div(g * keep + cg, 100), div(r * keep + cr, 100)>>
 
-    blend(mask, rest, colors, keep, <<acc::binary, pixel::binary>>)
+    blend_pixels(mask, rest, colors, keep, <<acc::binary, pixel::binary>>)
   end
 
-  defp blend(<<>>, <<>>, _colors, _keep, acc), do: acc
+  defp blend_pixels(<<>>, <<>>, _colors, _keep, acc), do: acc
 end

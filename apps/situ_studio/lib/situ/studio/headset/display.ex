@@ -55,8 +55,8 @@ defmodule Situ.Studio.Headset.Display do
   end
 
   @doc "Notifies the displays of a page that the page has connected. The page's connection calls this."
-  @spec page_came(module(), String.t()) :: :ok
-  def page_came(kind, name) do
+  @spec notify_page_opened(module(), String.t()) :: :ok
+  def notify_page_opened(kind, name) do
     pattern = {{:display, kind, name, :_}, :"$1", :_}
 
     for pid <- Registry.select(@registry, [{pattern, [], [:"$1"]}]),
@@ -93,29 +93,29 @@ defmodule Situ.Studio.Headset.Display do
 
   @impl true
   def handle_message(:in, %{data: data}, _context, %{opts: opts} = state) do
-    frame = frame(data, opts)
-    with {:ok, pid} <- Inbox.page(Headset, opts.page), do: draw(pid, frame, opts)
+    frame = encode_frame(data, opts)
+    with {:ok, pid} <- Inbox.fetch_page(Headset, opts.page), do: send_drawing(pid, frame, opts)
     {[], %{state | last: frame}}
   end
 
   @impl true
   def handle_info({:page_came, pid}, _context, %{last: frame, opts: opts} = state) do
-    if frame, do: draw(pid, frame, opts)
+    if frame, do: send_drawing(pid, frame, opts)
     {[], state}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp draw(pid, frame, opts) do
+  defp send_drawing(pid, frame, opts) do
     with {:message_queue_len, waiting} when waiting < @most <-
            Process.info(pid, :message_queue_len),
          do: send(pid, {:draw, opts.as, frame})
   end
 
   # Returns the kind, the size of the JSON text, the text, and the scene at a multiple of 8 bytes.
-  defp frame(data, opts) do
+  defp encode_frame(data, opts) do
     {items, problems} =
-      Scene.Terms.of(data, %{budget: opts.points, axis: opts.axis, ray: opts.ray})
+      Scene.Terms.collect_items(data, %{budget: opts.points, axis: opts.axis, ray: opts.ray})
 
     json =
       JSON.encode(%{

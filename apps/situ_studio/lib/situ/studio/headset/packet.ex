@@ -21,7 +21,7 @@ defmodule Situ.Studio.Headset.Packet do
       iex> Situ.Studio.Headset.Packet.parse("anything")
       :error
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.{JSON, Point3, Pose, Quaternion, Ray3, Rectangle3, Skeleton}
 
   @pose 28
@@ -43,8 +43,8 @@ defmodule Situ.Studio.Headset.Packet do
   @type plane :: %{label: String.t(), polygon: [Point3.t()], rectangle: Rectangle3.t()}
 
   @doc "Returns the joints of a hand."
-  @spec joints() :: [atom()]
-  def joints, do: [:palm | @joints]
+  @spec hand_joints() :: [atom()]
+  def hand_joints, do: [:palm | @joints]
 
   @doc "Returns the page's time and the parsed values, or `:error` if the bytes are not a valid sample."
   @spec parse(binary()) :: {float(), [{atom(), term()}]} | :error
@@ -52,15 +52,15 @@ defmodule Situ.Studio.Headset.Packet do
     <<0::1, changed::1, right::1, left::1, planes::1, gaze::1, right_hand::1, left_hand::1>> =
       <<Bitwise.band(flags, 127)>>
 
-    with {:ok, [head], rest} <- poses(rest, 1),
-         {:ok, left_joints, rest} <- poses(rest, 25 * left_hand),
-         {:ok, right_joints, rest} <- poses(rest, 25 * right_hand),
-         {:ok, ray, rest} <- poses(rest, gaze),
-         {:ok, found} <- planes(planes, rest) do
+    with {:ok, [head], rest} <- parse_poses(rest, 1),
+         {:ok, left_joints, rest} <- parse_poses(rest, 25 * left_hand),
+         {:ok, right_joints, rest} <- parse_poses(rest, 25 * right_hand),
+         {:ok, ray, rest} <- parse_poses(rest, gaze),
+         {:ok, found} <- parse_planes(planes, rest) do
       {ms,
        [head: head] ++
-         hand(:left, left_joints) ++
-         hand(:right, right_joints) ++
+         build_hand(:left, left_joints) ++
+         build_hand(:right, right_joints) ++
          Enum.map(ray, &{:gaze, Ray3.from_pose(&1)}) ++
          if(changed == 1, do: [select: %{left: left == 1, right: right == 1}], else: []) ++ found}
     else
@@ -70,31 +70,31 @@ defmodule Situ.Studio.Headset.Packet do
 
   def parse(_bytes), do: :error
 
-  defp poses(bytes, n) when byte_size(bytes) >= n * @pose do
-    <<here::binary-known(n)-unit(224), rest::binary>> = bytes
+  defp parse_poses(bytes, n) when byte_size(bytes) >= n * @pose do
+    <<here::binary-pinned_size(n)-unit(224), rest::binary>> = bytes
 
     found =
       for <<x::little-float-32, y::little-float-32, z::little-float-32, i::little-float-32,
             j::little-float-32, k::little-float-32, w::little-float-32 <- here>>,
-          {:ok, pose} <- [pose({x, y, z}, {w, i, j, k})],
+          {:ok, pose} <- [build_pose({x, y, z}, {w, i, j, k})],
           do: pose
 
     # Poses with NaN, infinite numbers or invalid rotations were left out.
     if length(found) == n, do: {:ok, found, rest}, else: :error
   end
 
-  defp poses(_bytes, _n), do: :error
+  defp parse_poses(_bytes, _n), do: :error
 
-  defp pose(position, {w, i, j, k}) do
+  defp build_pose(position, {w, i, j, k}) do
     with {:ok, rotation} <- Quaternion.normalize({w, -k, -i, j}),
-         do: {:ok, Pose.new(turned(position), rotation)}
+         do: {:ok, Pose.new(convert_axes(position), rotation)}
   end
 
-  defp turned({x, y, z}), do: {-z, -x, y}
+  defp convert_axes({x, y, z}), do: {-z, -x, y}
 
-  defp hand(_side, []), do: []
+  defp build_hand(_side, []), do: []
 
-  defp hand(side, poses) do
+  defp build_hand(side, poses) do
     joints = @joints |> Enum.zip(poses) |> Map.new()
     from = joints.middle_finger_metacarpal
     between = Pose.interpolate(from, joints.middle_finger_phalanx_proximal, 0.5)
@@ -102,11 +102,11 @@ defmodule Situ.Studio.Headset.Packet do
     [{side, Skeleton.new!(joints, @bones, id: side)}]
   end
 
-  defp planes(0, ""), do: {:ok, []}
+  defp parse_planes(0, ""), do: {:ok, []}
 
-  defp planes(1, json) do
+  defp parse_planes(1, json) do
     with {:ok, rows} when is_list(rows) and length(rows) <= @most_planes <- JSON.decode(json),
-         planes = Enum.map(rows, &plane/1),
+         planes = Enum.map(rows, &parse_plane/1),
          false <- :error in planes do
       {:ok, [planes: planes]}
     else
@@ -114,41 +114,45 @@ defmodule Situ.Studio.Headset.Packet do
     end
   end
 
-  defp planes(_, _), do: :error
+  defp parse_planes(_, _), do: :error
 
-  defp plane(%{"pose" => [x, y, z, i, j, k, w] = numbers, "polygon" => corners} = row)
+  defp parse_plane(%{"pose" => [x, y, z, i, j, k, w] = numbers, "polygon" => corners} = row)
        when is_list(corners) and corners != [] and length(corners) <= @most_corners do
-    with true <- Enum.all?(numbers, &coordinate?/1),
-         true <- Enum.all?(corners, &corner?/1),
+    with true <- Enum.all?(numbers, &valid_coordinate?/1),
+         true <- Enum.all?(corners, &valid_corner?/1),
          label when is_binary(label) and byte_size(label) <= 100 <- row["label"],
-         {:ok, pose} <- pose({x / 1, y / 1, z / 1}, {w / 1, i / 1, j / 1, k / 1}) do
-      %{label: label, polygon: outline(pose, corners), rectangle: around(pose, corners)}
+         {:ok, pose} <- build_pose({x / 1, y / 1, z / 1}, {w / 1, i / 1, j / 1, k / 1}) do
+      %{
+        label: label,
+        polygon: outline_points(pose, corners),
+        rectangle: bounding_rectangle(pose, corners)
+      }
     else
       _ -> :error
     end
   end
 
-  defp plane(_row), do: :error
+  defp parse_plane(_row), do: :error
 
-  defp coordinate?(value), do: is_number(value) and abs(value) < 1.0e6
+  defp valid_coordinate?(value), do: is_number(value) and abs(value) < 1.0e6
 
-  defp corner?([x, z]), do: coordinate?(x) and coordinate?(z)
-  defp corner?(_), do: false
+  defp valid_corner?([x, z]), do: valid_coordinate?(x) and valid_coordinate?(z)
+  defp valid_corner?(_), do: false
 
-  defp outline(pose, corners) do
+  defp outline_points(pose, corners) do
     for [x, z] <- corners do
-      {x, y, z} = Pose.transform(pose, turned({x / 1, 0.0, z / 1}))
+      {x, y, z} = Pose.transform_point(pose, convert_axes({x / 1, 0.0, z / 1}))
       Point3.new(x, y, z)
     end
   end
 
   # The normal of a plane points up, and the normal of a rectangle is its x axis.
-  defp around(pose, corners) do
+  defp bounding_rectangle(pose, corners) do
     {{left, right}, {back, front}} =
       {corners |> Enum.map(&hd/1) |> Enum.min_max(),
        corners |> Enum.map(&List.last/1) |> Enum.min_max()}
 
-    middle = Pose.new(turned({(left + right) / 2, 0.0, (back + front) / 2}))
+    middle = Pose.new(convert_axes({(left + right) / 2, 0.0, (back + front) / 2}))
 
     upright =
       Pose.new({0.0, 0.0, 0.0}, Quaternion.from_axis_angle({0.0, 1.0, 0.0}, -:math.pi() / 2))

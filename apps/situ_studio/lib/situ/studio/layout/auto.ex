@@ -10,7 +10,7 @@ defmodule Situ.Studio.Layout.Auto do
 
       iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
       iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
-      iex> layout = Situ.Studio.Layout.Auto.layout([level, audio])
+      iex> layout = Situ.Studio.Layout.Auto.build_layout([level, audio])
       iex> for p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
       [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
   """
@@ -28,51 +28,51 @@ defmodule Situ.Studio.Layout.Auto do
   @many 2
 
   @doc "Returns the display name of the layout."
-  @spec name() :: String.t()
-  def name, do: @name
+  @spec layout_name() :: String.t()
+  def layout_name, do: @name
 
   @doc "Builds the layout of these streams. `looks` describes the images of some streams, by stream name."
-  @spec layout([StreamInfo.t()], %{optional(String.t()) => Look.t()}) :: Layout.t()
-  def layout(streams, looks \\ %{}) do
+  @spec build_layout([StreamInfo.t()], %{optional(String.t()) => Look.t()}) :: Layout.t()
+  def build_layout(streams, looks \\ %{}) do
     by = Enum.group_by(streams, & &1.shape)
-    of = fn shape -> Enum.sort_by(by[shape] || [], &NaturalOrder.key(&1.name)) end
+    of = fn shape -> Enum.sort_by(by[shape] || [], &NaturalOrder.sort_key(&1.name)) end
     {classes, images} = Enum.split_with(of.(:image), &match?(%{classes: true}, looks[&1.name]))
     pictures = Enum.take(images ++ of.(:depth), @pictures)
 
     Layout.new(@name)
-    |> space(of.(:space), of.(:frames))
-    |> pictures(pictures, of.(:shapes))
-    |> classes(classes, images)
-    |> map(Enum.take(of.(:place), @maps))
-    |> cells(Enum.take(of.(:bars), 1), "bars", :bars)
-    |> each(Enum.take(of.(:audio), @sounds), "waveform", :plot)
-    |> lanes(of |> laned() |> Enum.take(@lanes))
-    |> each(Enum.take(of.(:signals), @maps), "lines", :plot)
-    |> plots(of.(:signal))
-    |> fallback(streams)
-    |> fit(looks)
+    |> add_space_panel(of.(:space), of.(:frames))
+    |> add_image_panels(pictures, of.(:shapes))
+    |> add_class_masks(classes, images)
+    |> add_map_panel(Enum.take(of.(:place), @maps))
+    |> add_cell_panels(Enum.take(of.(:bars), 1), "bars", :bars)
+    |> add_timeline_panels(Enum.take(of.(:audio), @sounds), "waveform", :plot)
+    |> add_lanes_panel(of |> lane_streams() |> Enum.take(@lanes))
+    |> add_timeline_panels(Enum.take(of.(:signals), @maps), "lines", :plot)
+    |> add_plot_panels(of.(:signal))
+    |> add_fallback_panels(streams)
+    |> arrange_panels(looks)
   end
 
-  defp laned(of) do
+  defp lane_streams(of) do
     kinds = [boolean: "states", state: "states", states: "states", spans: "spans", text: "labels"]
     for {shape, viz} <- kinds, s <- of.(shape), do: {s, viz}
   end
 
   # Images are next to several timelines, unless an image needs the whole width.
-  defp fit(layout, looks) do
+  defp arrange_panels(layout, looks) do
     {cells, timelines} = Enum.split_with(layout.rows, & &1.row)
     wide? = fn cell -> Enum.any?(cell.vis, &Look.wide?(looks[&1.stream])) end
 
     cond do
       cells == [] or timelines == [] -> layout
-      Enum.any?(cells, wide?) -> %{layout | rows: above(cells, wide?) ++ timelines}
+      Enum.any?(cells, wide?) -> %{layout | rows: assign_rows_above(cells, wide?) ++ timelines}
       length(timelines) >= @many -> %{layout | beside: true}
-      true -> %{layout | rows: above(cells, wide?) ++ timelines}
+      true -> %{layout | rows: assign_rows_above(cells, wide?) ++ timelines}
     end
   end
 
   # Wide cells get their own rows; the others are side by side.
-  defp above(cells, wide?) do
+  defp assign_rows_above(cells, wide?) do
     {wide, others} = Enum.split_with(cells, wide?)
 
     (Enum.map(wide, &[&1]) ++ Enum.chunk_every(others, @pictures))
@@ -81,16 +81,16 @@ defmodule Situ.Studio.Layout.Auto do
   end
 
   # All spatial streams and their frames of reference share one panel.
-  defp space(layout, [], _), do: layout
+  defp add_space_panel(layout, [], _), do: layout
 
-  defp space(layout, streams, frames) do
+  defp add_space_panel(layout, streams, frames) do
     drawn =
       for(s <- Enum.take(streams, @spaces), do: {s, "space"}) ++
         for(s <- frames, do: {s, "frames"})
 
     {layout, _} =
       Enum.reduce(Enum.take(drawn, 2 * @spaces), {layout, ""}, fn {s, viz}, {layout, id} ->
-        {:ok, layout, id} = Layout.add(layout, s.name, viz, :space, id, row: "r1")
+        {:ok, layout, id} = Layout.add_stream(layout, s.name, viz, :space, id, row: "r1")
         {layout, id}
       end)
 
@@ -98,10 +98,10 @@ defmodule Situ.Studio.Layout.Auto do
   end
 
   # All positions are on one map.
-  defp map(layout, streams) do
+  defp add_map_panel(layout, streams) do
     {layout, _} =
       Enum.reduce(streams, {layout, ""}, fn s, {layout, id} ->
-        {:ok, layout, id} = Layout.add(layout, s.name, "map", :map, id, row: "r1")
+        {:ok, layout, id} = Layout.add_stream(layout, s.name, "map", :map, id, row: "r1")
         {layout, id}
       end)
 
@@ -109,87 +109,92 @@ defmodule Situ.Studio.Layout.Auto do
   end
 
   # Shapes are drawn over the image whose name has the longest prefix in common.
-  defp pictures(layout, [], _), do: layout
+  defp add_image_panels(layout, [], _), do: layout
 
-  defp pictures(layout, pictures, shapes) do
+  defp add_image_panels(layout, pictures, shapes) do
     {layout, ids} =
       Enum.reduce(pictures, {layout, %{}}, fn s, {layout, ids} ->
         viz = if s.shape == :depth, do: "depth", else: "image"
         row = "r#{map_size(ids) + 1}"
-        {:ok, layout, id} = Layout.add(layout, s.name, viz, :image, "", row: row)
+        {:ok, layout, id} = Layout.add_stream(layout, s.name, viz, :image, "", row: row)
         {layout, Map.put(ids, s.name, id)}
       end)
 
     Enum.reduce(Enum.take(shapes, 8), layout, fn s, layout ->
-      picture = Enum.max_by(pictures, &common(&1.name, s.name))
-      {:ok, layout, _} = Layout.add(layout, s.name, "shapes", :image, ids[picture.name])
+      picture = Enum.max_by(pictures, &common_prefix_length(&1.name, s.name))
+      {:ok, layout, _} = Layout.add_stream(layout, s.name, "shapes", :image, ids[picture.name])
       layout
     end)
   end
 
   # Class numbers are drawn over the camera image that they belong to. Without one they are opaque.
-  defp classes(layout, [], _), do: layout
+  defp add_class_masks(layout, [], _), do: layout
 
-  defp classes(layout, classes, []) do
+  defp add_class_masks(layout, classes, []) do
     classes
     |> Enum.take(@pictures)
     |> Enum.with_index(1)
     |> Enum.reduce(layout, fn {s, i}, layout ->
       # Added as an image first, because masks would join the previous panel.
-      {:ok, layout, id} = Layout.add(layout, s.name, "image", :image, "", row: "r#{i}")
-      Layout.update(layout, id, &%{&1 | vis: Enum.map(&1.vis, fn vis -> colored(vis) end)})
+      {:ok, layout, id} = Layout.add_stream(layout, s.name, "image", :image, "", row: "r#{i}")
+
+      Layout.update_panel(
+        layout,
+        id,
+        &%{&1 | vis: Enum.map(&1.vis, fn vis -> as_opaque_masks(vis) end)}
+      )
     end)
   end
 
-  defp classes(layout, classes, images) do
+  defp add_class_masks(layout, classes, images) do
     shown = Enum.take(images, @pictures)
 
     Enum.reduce(Enum.take(classes, @pictures), layout, fn s, layout ->
-      over = Enum.max_by(shown, &common(&1.name, s.name))
+      over = Enum.max_by(shown, &common_prefix_length(&1.name, s.name))
       panel = Enum.find(layout.rows, &Enum.any?(&1.vis, fn v -> v.stream == over.name end))
-      {:ok, layout, _} = Layout.add(layout, s.name, "masks", :image, panel.id)
+      {:ok, layout, _} = Layout.add_stream(layout, s.name, "masks", :image, panel.id)
       layout
     end)
   end
 
-  defp colored(vis), do: %{vis | viz: "masks", props: %{"opacity" => 100}}
+  defp as_opaque_masks(vis), do: %{vis | viz: "masks", props: %{"opacity" => 100}}
 
-  defp cells(layout, streams, viz, panel) do
+  defp add_cell_panels(layout, streams, viz, panel) do
     Enum.reduce(streams, layout, fn s, layout ->
-      {:ok, layout, _} = Layout.add(layout, s.name, viz, panel, "", row: "r1")
+      {:ok, layout, _} = Layout.add_stream(layout, s.name, viz, panel, "", row: "r1")
       layout
     end)
   end
 
-  defp each(layout, streams, viz, panel) do
+  defp add_timeline_panels(layout, streams, viz, panel) do
     Enum.reduce(streams, layout, fn s, layout ->
-      {:ok, layout, _} = Layout.add(layout, s.name, viz, panel, "")
+      {:ok, layout, _} = Layout.add_stream(layout, s.name, viz, panel, "")
       layout
     end)
   end
 
-  defp lanes(layout, streams) do
+  defp add_lanes_panel(layout, streams) do
     {layout, _} =
       Enum.reduce(streams, {layout, ""}, fn {s, viz}, {layout, id} ->
-        {:ok, layout, id} = Layout.add(layout, s.name, viz, :lanes, id)
+        {:ok, layout, id} = Layout.add_stream(layout, s.name, viz, :lanes, id)
         {layout, id}
       end)
 
     layout
   end
 
-  defp plots(layout, signals) do
+  defp add_plot_panels(layout, signals) do
     signals
-    |> Enum.chunk_by(&group(&1.name))
+    |> Enum.chunk_by(&stream_group(&1.name))
     |> Enum.flat_map(&Enum.chunk_every(&1, @lines))
     |> Enum.take(@plots)
-    |> Enum.reduce(layout, &plot/2)
+    |> Enum.reduce(layout, &add_plot_panel/2)
   end
 
-  defp plot(streams, layout) do
+  defp add_plot_panel(streams, layout) do
     {layout, _} =
       Enum.reduce(streams, {layout, ""}, fn s, {layout, id} ->
-        {:ok, layout, id} = Layout.add(layout, s.name, "line", :plot, id)
+        {:ok, layout, id} = Layout.add_stream(layout, s.name, "line", :plot, id)
         {layout, id}
       end)
 
@@ -197,21 +202,26 @@ defmodule Situ.Studio.Layout.Auto do
   end
 
   # Shows the first streams if no other panel was added.
-  defp fallback(%Layout{rows: []} = layout, [_ | _] = streams) do
+  defp add_fallback_panels(%Layout{rows: []} = layout, [_ | _] = streams) do
     first = streams |> Enum.sort_by(& &1.name) |> Enum.take(3)
-    layout |> cells(first, "value", :value) |> each(first, "messages", :lanes)
+
+    layout
+    |> add_cell_panels(first, "value", :value)
+    |> add_timeline_panels(first, "messages", :lanes)
   end
 
-  defp fallback(layout, _), do: layout
+  defp add_fallback_panels(layout, _), do: layout
 
-  defp group(name) do
+  defp stream_group(name) do
     case name |> String.split(".") |> Enum.drop(-1) do
       [] -> name
       parts -> parts
     end
   end
 
-  defp common(a, b), do: common(String.to_charlist(a), String.to_charlist(b), 0)
-  defp common([c | a], [c | b], n), do: common(a, b, n + 1)
-  defp common(_, _, n), do: n
+  defp common_prefix_length(a, b),
+    do: count_common(String.to_charlist(a), String.to_charlist(b), 0)
+
+  defp count_common([c | a], [c | b], n), do: count_common(a, b, n + 1)
+  defp count_common(_, _, n), do: n
 end

@@ -11,12 +11,12 @@ defmodule Situ.Studio.Layout.Rows do
   @max_cells 5
 
   @doc "Returns the id of a panel's row."
-  @spec id(Panel.t()) :: String.t()
-  def id(%Panel{row: row, id: id}), do: row || id
+  @spec panel_row(Panel.t()) :: String.t()
+  def panel_row(%Panel{row: row, id: id}), do: row || id
 
   @doc "Groups panels that are side by side into rows."
-  @spec lines([Panel.t()]) :: [[Panel.t(), ...]]
-  def lines(panels), do: Enum.chunk_by(panels, &id/1)
+  @spec group_rows([Panel.t()]) :: [[Panel.t(), ...]]
+  def group_rows(panels), do: Enum.chunk_by(panels, &panel_row/1)
 
   @doc "Inserts a new panel. Cells stay together, above the timelines."
   @spec insert([Panel.t()], Panel.t()) :: [Panel.t()]
@@ -35,16 +35,16 @@ defmodule Situ.Studio.Layout.Rows do
   end
 
   @doc "Returns an unused name for a row of cells."
-  @spec free([Panel.t()]) :: String.t()
-  def free(panels) do
+  @spec unused_row_name([Panel.t()]) :: String.t()
+  def unused_row_name(panels) do
     taken = MapSet.new(panels, & &1.row)
     1 |> Stream.iterate(&(&1 + 1)) |> Stream.map(&"r#{&1}") |> Enum.find(&(&1 not in taken))
   end
 
-  @spec move([Panel.t()], String.t(), -1 | 1) :: [Panel.t()]
-  def move(panels, row_id, by) do
-    lines = lines(panels)
-    from = index(lines, row_id)
+  @spec move_row([Panel.t()], String.t(), -1 | 1) :: [Panel.t()]
+  def move_row(panels, row_id, by) do
+    lines = group_rows(panels)
+    from = row_index(lines, row_id)
     to = from && from + by
 
     if from && to in 0..(length(lines) - 1)//1 do
@@ -55,14 +55,14 @@ defmodule Situ.Studio.Layout.Rows do
     end
   end
 
-  @spec place([Panel.t()], String.t(), place()) :: placed()
-  def place(panels, id, {side, target}) when side in [:above, :below] do
+  @spec place_panel([Panel.t()], String.t(), place()) :: placed()
+  def place_panel(panels, id, {side, target}) when side in [:above, :below] do
     {taken, rest} = Enum.split_with(panels, &(&1.id == id))
-    lines = lines(rest)
+    lines = group_rows(rest)
 
-    case {taken, index(lines, target)} do
+    case {taken, row_index(lines, target)} do
       {[panel], at} when at != nil ->
-        panel = if panel.row, do: %{panel | row: free(rest)}, else: panel
+        panel = if panel.row, do: %{panel | row: unused_row_name(rest)}, else: panel
         at = if side == :below, do: at + 1, else: at
         {:ok, lines |> List.insert_at(at, [panel]) |> List.flatten()}
 
@@ -71,7 +71,7 @@ defmodule Situ.Studio.Layout.Rows do
     end
   end
 
-  def place(panels, id, {side, target}) when side in [:left, :right] do
+  def place_panel(panels, id, {side, target}) when side in [:left, :right] do
     {taken, rest} = Enum.split_with(panels, &(&1.id == id))
 
     with [%Panel{row: own} = panel] when own != nil <- taken,
@@ -88,39 +88,43 @@ defmodule Situ.Studio.Layout.Rows do
     end
   end
 
-  @spec shift([Panel.t()], String.t(), :up | :down | :left | :right) :: placed()
-  def shift(panels, id, way) do
-    lines = lines(panels)
+  @spec shift_panel([Panel.t()], String.t(), :up | :down | :left | :right) :: placed()
+  def shift_panel(panels, id, way) do
+    lines = group_rows(panels)
     at = Enum.find_index(lines, fn line -> Enum.any?(line, &(&1.id == id)) end)
-    if at, do: shift(panels, lines, at, id, way), else: {:ok, panels}
+    if at, do: shift_panel(panels, lines, at, id, way), else: {:ok, panels}
   end
 
   # Moves a whole row, or a cell out of its row.
-  defp shift(panels, lines, at, id, way) when way in [:up, :down] do
+  defp shift_panel(panels, lines, at, id, way) when way in [:up, :down] do
     {by, side} = if way == :up, do: {-1, :above}, else: {1, :below}
 
     case Enum.at(lines, at) do
-      [panel] -> {:ok, move(panels, id(panel), by)}
-      [panel | _] -> place(panels, id, {side, id(panel)})
+      [panel] -> {:ok, move_row(panels, panel_row(panel), by)}
+      [panel | _] -> place_panel(panels, id, {side, panel_row(panel)})
     end
   end
 
   # Moves a panel past its neighbour, or from the end of a row of cells into the next row of cells.
-  defp shift(panels, lines, at, id, way) do
+  defp shift_panel(panels, lines, at, id, way) do
     line = Enum.at(lines, at)
     step = if way == :left, do: -1, else: 1
     i = Enum.find_index(line, &(&1.id == id)) + step
 
     cond do
-      i in 0..(length(line) - 1)//1 -> place(panels, id, {way, Enum.at(line, i).id})
+      i in 0..(length(line) - 1)//1 -> place_panel(panels, id, {way, Enum.at(line, i).id})
       at + step < 0 -> {:ok, panels}
-      true -> join(panels, id, way, Enum.at(lines, at + step))
+      true -> join_row(panels, id, way, Enum.at(lines, at + step))
     end
   end
 
-  defp join(panels, _, _, nil), do: {:ok, panels}
-  defp join(panels, id, :left, line), do: place(panels, id, {:right, List.last(line).id})
-  defp join(panels, id, :right, line), do: place(panels, id, {:left, hd(line).id})
+  defp join_row(panels, _, _, nil), do: {:ok, panels}
 
-  defp index(lines, row_id), do: Enum.find_index(lines, fn [panel | _] -> id(panel) == row_id end)
+  defp join_row(panels, id, :left, line),
+    do: place_panel(panels, id, {:right, List.last(line).id})
+
+  defp join_row(panels, id, :right, line), do: place_panel(panels, id, {:left, hd(line).id})
+
+  defp row_index(lines, row_id),
+    do: Enum.find_index(lines, fn [panel | _] -> panel_row(panel) == row_id end)
 end

@@ -8,11 +8,11 @@ defmodule Situ.Studio.Layout.Text do
   @version 1
   @heights 28..2_000
   @id ~r/\A[a-z0-9]{1,16}\z/
-  @max_panels elem(Layout.limits(), 0)
-  @max_vis elem(Layout.limits(), 1)
+  @max_panels elem(Layout.size_limits(), 0)
+  @max_vis elem(Layout.size_limits(), 1)
 
-  @spec write(Layout.t()) :: String.t()
-  def write(%Layout{} = layout) do
+  @spec to_json(Layout.t()) :: String.t()
+  def to_json(%Layout{} = layout) do
     doc = %{
       "version" => @version,
       "name" => layout.name,
@@ -20,7 +20,7 @@ defmodule Situ.Studio.Layout.Text do
     }
 
     doc = if layout.beside, do: Map.put(doc, "beside", true), else: doc
-    doc |> put("compared", compared_json(layout.compared)) |> Situ.JSON.pretty()
+    doc |> put_present("compared", compared_json(layout.compared)) |> Situ.JSON.encode_pretty()
   end
 
   # The offset is a string, because other programs do not keep integers of this size exact.
@@ -33,73 +33,77 @@ defmodule Situ.Studio.Layout.Text do
           do: %{"viz" => v.viz, "stream" => v.stream, "path" => v.path, "props" => v.props}
 
     %{"id" => p.id, "panel" => Atom.to_string(p.panel), "vis" => vis}
-    |> put("row", p.row)
-    |> put("height", p.height)
-    |> put("axis", axis_json(p.axis))
-    |> put("threshold", p.threshold && Tuple.to_list(p.threshold))
+    |> put_present("row", p.row)
+    |> put_present("height", p.height)
+    |> put_present("axis", axis_json(p.axis))
+    |> put_present("threshold", p.threshold && Tuple.to_list(p.threshold))
   end
 
   defp axis_json({min, max}), do: [min, max]
   defp axis_json(:own), do: "own"
   defp axis_json(nil), do: nil
 
-  defp put(map, _, nil), do: map
-  defp put(map, key, value), do: Map.put(map, key, value)
+  defp put_present(map, _, nil), do: map
+  defp put_present(map, key, value), do: Map.put(map, key, value)
 
-  @spec read(binary()) :: {:ok, Layout.t()} | {:error, Error.t()}
-  def read(json) do
+  @spec parse_json(binary()) :: {:ok, Layout.t()} | {:error, Error.t()}
+  def parse_json(json) do
     case Situ.JSON.decode(json) do
       {:ok, %{"version" => @version, "name" => name, "panels" => panels} = doc}
       when is_binary(name) and is_list(panels) and length(panels) <= @max_panels ->
         with {:ok, layout} <- read_panels(name, panels),
              do:
                {:ok,
-                %{layout | beside: doc["beside"] == true, compared: compared(doc["compared"])}}
+                %{
+                  layout
+                  | beside: doc["beside"] == true,
+                    compared: parse_compared(doc["compared"])
+                }}
 
       {:ok, %{"version" => version}} when version != @version ->
-        bad("it has version #{inspect(version)}, but this studio reads #{@version}")
+        layout_error("it has version #{inspect(version)}, but this studio reads #{@version}")
 
       {:ok, _} ->
-        bad("it must contain \"version\", \"name\" and \"panels\"")
+        layout_error("it must contain \"version\", \"name\" and \"panels\"")
 
       {:error, :bad_json} ->
-        bad("it is not JSON")
+        layout_error("it is not JSON")
     end
   end
 
-  defp compared(%{"with" => id, "offset" => offset}) when is_binary(id) do
+  defp parse_compared(%{"with" => id, "offset" => offset}) when is_binary(id) do
     case WholeNumber.parse(offset) do
       {:ok, offset} -> {id, offset}
       :error -> nil
     end
   end
 
-  defp compared(_), do: nil
+  defp parse_compared(_), do: nil
 
   defp read_panels(name, panels) do
     read = Enum.map(panels, &read_panel/1)
 
-    case Enum.find_index(read, &(&1 == :error)) || twice(read) do
+    case Enum.find_index(read, &(&1 == :error)) || find_duplicate_id(read) do
       nil ->
-        next = read |> Enum.map(&number/1) |> Enum.max(fn -> 0 end)
+        next = read |> Enum.map(&panel_number/1) |> Enum.max(fn -> 0 end)
         {:ok, %Layout{name: name, rows: read, next: next + 1}}
 
       {:twice, id} ->
-        bad("two panels have the id #{id}")
+        layout_error("two panels have the id #{id}")
 
       i ->
-        bad("panel #{i + 1} is invalid")
+        layout_error("panel #{i + 1} is invalid")
     end
   end
 
-  defp twice(panels) do
+  defp find_duplicate_id(panels) do
     ids = Enum.map(panels, & &1.id)
     with [id | _] <- ids -- Enum.uniq(ids), do: {:twice, id}, else: (_ -> nil)
   end
 
   defp read_panel(%{"id" => id, "panel" => panel, "vis" => vis} = doc)
        when is_binary(id) and is_binary(panel) and is_list(vis) do
-    kind = Enum.find(Layout.panels(), &(Atom.to_string(&1) == panel))
+    kind = Enum.find(Layout.panel_kinds(), &(Atom.to_string(&1) == panel))
     vis = Enum.map(vis, &read_vis/1)
     row = doc["row"]
 
@@ -112,8 +116,8 @@ defmodule Situ.Studio.Layout.Text do
         row: if(Layout.timeline?(kind), do: nil, else: row || "r" <> id),
         height: doc["height"],
         vis: vis,
-        axis: axis(doc["axis"]),
-        threshold: threshold(doc["threshold"])
+        axis: parse_axis(doc["axis"]),
+        threshold: parse_threshold(doc["threshold"])
       }
     else
       :error
@@ -122,13 +126,13 @@ defmodule Situ.Studio.Layout.Text do
 
   defp read_panel(_), do: :error
 
-  defp axis([min, max]) when is_number(min) and is_number(max) and min < max, do: {min, max}
-  defp axis("own"), do: :own
-  defp axis(_), do: nil
+  defp parse_axis([min, max]) when is_number(min) and is_number(max) and min < max, do: {min, max}
+  defp parse_axis("own"), do: :own
+  defp parse_axis(_), do: nil
 
-  defp threshold(["below", value]) when is_number(value), do: {:below, value}
-  defp threshold(["above", value]) when is_number(value), do: {:above, value}
-  defp threshold(_), do: nil
+  defp parse_threshold(["below", value]) when is_number(value), do: {:below, value}
+  defp parse_threshold(["above", value]) when is_number(value), do: {:above, value}
+  defp parse_threshold(_), do: nil
 
   defp read_vis(%{"viz" => viz, "stream" => stream} = doc)
        when is_binary(viz) and is_binary(stream) do
@@ -143,16 +147,16 @@ defmodule Situ.Studio.Layout.Text do
 
   defp read_vis(_), do: :error
 
-  defp number(%Panel{id: "p" <> n}) do
+  defp panel_number(%Panel{id: "p" <> n}) do
     case Integer.parse(n) do
       {i, ""} -> i
       _ -> 0
     end
   end
 
-  defp number(_), do: 0
+  defp panel_number(_), do: 0
 
-  defp bad(why) do
+  defp layout_error(why) do
     {:error,
      Error.new(:bad_layout, "this file is not a layout: #{why}",
        fix: "open a different file, or save this view under a new name"

@@ -9,8 +9,8 @@ defmodule Situ.Studio.PipelineView.Details do
   @node_plots ["mailbox", "memory", "reductions_rate"]
 
   @doc "Returns the statistics to plot: the chosen ones that fit the selection, or a few defaults."
-  @spec plots(map()) :: [String.t()]
-  def plots(%{selected: selected, plots: chosen}) do
+  @spec plotted_stats(map()) :: [String.t()]
+  def plotted_stats(%{selected: selected, plots: chosen}) do
     {kind, few} =
       case selected do
         "e" <> _ -> {:edge, @edge_plots}
@@ -25,9 +25,9 @@ defmodule Situ.Studio.PipelineView.Details do
   end
 
   @doc "Returns the stream whose messages are sent over the selected connection."
-  @spec stream(Situ.Diagnostics.Snapshot.t(), String.t() | nil) :: String.t() | nil
-  def stream(snapshot, "e" <> _ = key) do
-    {:edges, ids} = Wire.selection(key, MapSet.new(), snapshot)
+  @spec selected_stream(Situ.Diagnostics.Snapshot.t(), String.t() | nil) :: String.t() | nil
+  def selected_stream(snapshot, "e" <> _ = key) do
+    {:edges, ids} = Wire.resolve_selection(key, MapSet.new(), snapshot)
 
     with [id | _] <- ids,
          %{from: from, from_output: output} <- Enum.find(snapshot.edges, &(&1.id == id)),
@@ -39,7 +39,7 @@ defmodule Situ.Studio.PipelineView.Details do
     end
   end
 
-  def stream(_, _), do: nil
+  def selected_stream(_, _), do: nil
 
   attr(:snapshot, :any, required: true)
   attr(:sample, :map, required: true)
@@ -51,19 +51,19 @@ defmodule Situ.Studio.PipelineView.Details do
   attr(:live, :boolean, default: false)
 
   @doc false
-  def panel(assigns) do
-    {kind, ids} = Wire.selection(assigns.selected, assigns.folded, assigns.snapshot)
+  def details_panel(assigns) do
+    {kind, ids} = Wire.resolve_selection(assigns.selected, assigns.folded, assigns.snapshot)
 
     case {kind, ids} do
-      {:edges, ids} -> edges(assigns, Enum.filter(assigns.snapshot.edges, &(&1.id in ids)))
-      {:nodes, ids} -> nodes(assigns, Enum.filter(assigns.snapshot.nodes, &(&1.id in ids)))
-      _ -> overview(assigns)
+      {:edges, ids} -> edge_details(assigns, Enum.filter(assigns.snapshot.edges, &(&1.id in ids)))
+      {:nodes, ids} -> node_details(assigns, Enum.filter(assigns.snapshot.nodes, &(&1.id in ids)))
+      _ -> pipeline_overview(assigns)
     end
   end
 
-  defp overview(assigns) do
-    waits = Waits.of(assigns.snapshot, assigns.sample)
-    assigns = assign(assigns, rows: worst(assigns), waits: waits)
+  defp pipeline_overview(assigns) do
+    waits = Waits.list_waits(assigns.snapshot, assigns.sample)
+    assigns = assign(assigns, rows: highest_values(assigns), waits: waits)
 
     ~H"""
     <div class="side-title">Pipeline</div>
@@ -76,7 +76,7 @@ defmodule Situ.Studio.PipelineView.Details do
             ><span><b>{w.who}</b> waits for <b>{w.input}</b>, {w.queue} in its queue: {w.why}</span></button>
       </div>
       <div :if={@rows != []} class="worst">
-        <h3>{heading(@heat)}</h3>
+        <h3>{heat_heading(@heat)}</h3>
         <button :for={{key, name, text} <- @rows} class="row-button" type="button" phx-click="pick"
             phx-value-key={key}><span>{name}</span><b>{text}</b></button>
       </div>
@@ -84,7 +84,7 @@ defmodule Situ.Studio.PipelineView.Details do
     """
   end
 
-  defp heading(heat) do
+  defp heat_heading(heat) do
     case Stats.fetch(heat) do
       {:ok, %{name: name}} -> name
       :error -> ""
@@ -92,7 +92,7 @@ defmodule Situ.Studio.PipelineView.Details do
   end
 
   # Lists the objects with the highest values of the statistic that the graph is coloured by.
-  defp worst(%{heat: heat, snapshot: snapshot, sample: sample}) do
+  defp highest_values(%{heat: heat, snapshot: snapshot, sample: sample}) do
     paths = Map.new(snapshot.nodes, &{&1.id, &1.path})
 
     rows =
@@ -113,24 +113,24 @@ defmodule Situ.Studio.PipelineView.Details do
     |> Enum.filter(fn {v, _, _} -> v > 0 end)
     |> Enum.sort_by(&elem(&1, 0), :desc)
     |> Enum.take(12)
-    |> Enum.map(fn {v, key, name} -> {key, name, Stats.format(heat, v)} end)
+    |> Enum.map(fn {v, key, name} -> {key, name, Stats.format_value(heat, v)} end)
   end
 
-  defp edges(assigns, []), do: gone(assigns)
+  defp edge_details(assigns, []), do: removed_message(assigns)
 
-  defp edges(assigns, [first | _] = edges) do
+  defp edge_details(assigns, [first | _] = edges) do
     paths = Map.new(assigns.snapshot.nodes, &{&1.id, &1.path})
-    values = edges |> Enum.map(&(assigns.sample.edges[&1.id] || %{})) |> Stats.merge()
+    values = edges |> Enum.map(&(assigns.sample.edges[&1.id] || %{})) |> Stats.merge_values()
 
     assigns =
       assign(assigns,
         edges: edges,
-        waits: waits(assigns, edges),
+        waits: edge_waits(assigns, edges),
         paths: paths,
         values: values,
         first: first,
-        stats: Stats.of(:edge),
-        shown: plots(assigns)
+        stats: Stats.list_stats(:edge),
+        shown: plotted_stats(assigns)
       )
 
     ~H"""
@@ -148,34 +148,34 @@ defmodule Situ.Studio.PipelineView.Details do
         <li :for={m <- @messages} :key={m.originating_time} id={"at-#{m.originating_time}"}><button
             :if={@live} type="button" class="linkish"
             phx-click="trace" phx-value-time={m.originating_time} title="Where is this time in the pipeline?"
-            ><time>{clock(m.originating_time)}</time></button><time :if={not @live}>{clock(m.originating_time)}</time
-            ><code>{short(m.data)}</code></li>
+            ><time>{format_clock(m.originating_time)}</time></button><time :if={not @live}>{format_clock(m.originating_time)}</time
+            ><code>{inspect_short(m.data)}</code></li>
       </ol>
       <h3>Numbers</h3>
-      <.numbers stats={@stats} values={@values} shown={@shown} />
-      <.charts shown={@shown} selected={@selected} />
+      <.stats_table stats={@stats} values={@values} shown={@shown} />
+      <.stat_charts shown={@shown} selected={@selected} />
     </div>
     """
   end
 
-  defp waits(%{snapshot: snapshot, sample: sample}, edges) do
+  defp edge_waits(%{snapshot: snapshot, sample: sample}, edges) do
     ids = Enum.map(edges, & &1.id)
-    snapshot |> Waits.of(sample) |> Enum.filter(&(&1.edge in ids))
+    snapshot |> Waits.list_waits(sample) |> Enum.filter(&(&1.edge in ids))
   end
 
-  defp nodes(assigns, []), do: gone(assigns)
+  defp node_details(assigns, []), do: removed_message(assigns)
 
-  defp nodes(assigns, nodes) do
+  defp node_details(assigns, nodes) do
     numbers = nodes |> Enum.map(& &1.process) |> Enum.uniq()
-    values = nodes |> Enum.map(&(assigns.sample.nodes[&1.id] || %{})) |> Stats.merge()
+    values = nodes |> Enum.map(&(assigns.sample.nodes[&1.id] || %{})) |> Stats.merge_values()
 
     assigns =
       assign(assigns,
         nodes: nodes,
         scope: match?("s:" <> _, assigns.selected),
         values: values,
-        stats: Stats.of(:node),
-        shown: plots(assigns),
+        stats: Stats.list_stats(:node),
+        shown: plotted_stats(assigns),
         processes: Enum.filter(assigns.snapshot.processes, &(&1.number in numbers))
       )
 
@@ -186,7 +186,7 @@ defmodule Situ.Studio.PipelineView.Details do
       <p :if={@scope} class="sub">{length(@nodes)} components in {length(@processes)} processes</p>
       <div :for={n <- Enum.take(@nodes, 12)} class={if @scope, do: "member"}>
         <h2>{n.path}</h2>
-        <p class="sub">{what(n)}, {n.state}</p>
+        <p class="sub">{describe_node(n)}, {n.state}</p>
         <p :if={n.description} class="state-text">{n.description}</p>
         <dl :if={not @scope}>
           <dt :for={p <- n.inputs}>in {p.name}</dt>
@@ -195,7 +195,7 @@ defmodule Situ.Studio.PipelineView.Details do
           <dd :for={p <- n.outputs} title={p.stream}>{p.type}</dd>
         </dl>
       </div>
-      <.numbers stats={@stats} values={@values} shown={@shown} />
+      <.stats_table stats={@stats} values={@values} shown={@shown} />
       <dl :for={p <- Enum.take(@processes, 4)}>
         <dt>Process</dt><dd>{p.number}: {p.status}</dd>
         <dt>In</dt><dd><code>{p.busy_in}</code></dd>
@@ -203,54 +203,54 @@ defmodule Situ.Studio.PipelineView.Details do
         <dt :if={length(p.nodes) > 1}>Shared by</dt>
         <dd :if={length(p.nodes) > 1}>{Enum.join(p.nodes, ", ")}</dd>
       </dl>
-      <.charts shown={@shown} selected={@selected} />
+      <.stat_charts shown={@shown} selected={@selected} />
     </div>
     """
   end
 
-  defp gone(assigns) do
+  defp removed_message(assigns) do
     ~H"""
     <div class="side-title">Gone</div>
     <div class="props"><p class="hint">The selected component is no longer part of the pipeline.</p></div>
     """
   end
 
-  defp numbers(assigns) do
+  defp stats_table(assigns) do
     ~H"""
     <table class="numbers">
       <tr :for={s <- @stats} :key={s.id}>
         <td><button type="button" class={["plot-it", s.id in @shown && "on"]} phx-click="plot"
             phx-value-stat={s.id} aria-pressed={to_string(s.id in @shown)} title="Plot it"></button></td>
         <th>{s.name}</th>
-        <td class="value">{Stats.format(s.id, @values[s.id])}</td>
+        <td class="value">{Stats.format_value(s.id, @values[s.id])}</td>
       </tr>
     </table>
     """
   end
 
-  defp charts(assigns) do
+  defp stat_charts(assigns) do
     ~H"""
     <div class="charts">
       <figure :for={id <- @shown} :key={id}>
-        <figcaption>{name(id)}</figcaption>
+        <figcaption>{stat_name(id)}</figcaption>
         <div id={"plot-#{id}"} class="spark" phx-hook="PipelinePlot" phx-update="ignore" data-stat={id}
-            data-unit={unit(id)}></div>
+            data-unit={stat_unit(id)}></div>
       </figure>
     </div>
     """
   end
 
-  defp name(id), do: id |> Stats.fetch() |> elem(1) |> Map.fetch!(:name)
-  defp unit(id), do: id |> Stats.fetch() |> elem(1) |> Map.fetch!(:unit) |> Atom.to_string()
+  defp stat_name(id), do: id |> Stats.fetch() |> elem(1) |> Map.fetch!(:name)
+  defp stat_unit(id), do: id |> Stats.fetch() |> elem(1) |> Map.fetch!(:unit) |> Atom.to_string()
 
-  defp clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
+  defp format_clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
 
   # Messages may be large, so their size is bounded before they become text.
-  defp short(data),
+  defp inspect_short(data),
     do: data |> inspect(limit: 12, printable_limit: 160, width: 80) |> String.slice(0, 400)
 
   # Avoids repetitions such as "Operator, operator".
-  defp what(%{module: module, kind: kind}) do
+  defp describe_node(%{module: module, kind: kind}) do
     if String.downcase(to_string(module)) == to_string(kind),
       do: to_string(module),
       else: "#{module}, #{kind}"

@@ -15,17 +15,17 @@ defmodule Situ.Studio.PipelineView.Feed do
   def open({module, _handle} = source) do
     if Code.ensure_loaded?(module) and function_exported?(module, :snapshot, 1),
       do: {:ok, {:live, source}},
-      else: recorded(source)
+      else: open_recorded(source)
   end
 
   # A reader creates no atoms, so the atoms of these structs must exist before.
   @structs [Snapshot, Node, Edge, Window, Situ.Diagnostics.Process]
 
-  defp recorded(source) do
+  defp open_recorded(source) do
     Enum.each(@structs, &Code.ensure_loaded/1)
 
     with {:ok, streams} <- Source.call(source, :streams, []) do
-      case Enum.find(streams, &diagnostics?(source, &1)) do
+      case Enum.find(streams, &diagnostics_stream?(source, &1)) do
         nil ->
           {:error,
            Error.new(:no_diagnostics, "this recording does not contain diagnostics of a pipeline",
@@ -39,7 +39,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   end
 
   # Recognizes a diagnostics stream by its type or, if the type is unknown, by its name and its last message.
-  defp diagnostics?(source, info) do
+  defp diagnostics_stream?(source, info) do
     type = to_string(info.type)
 
     String.contains?(type, "Diagnostics.Snapshot") or
@@ -51,19 +51,19 @@ defmodule Situ.Studio.PipelineView.Feed do
   end
 
   @doc "Fetches the current snapshot (live, or the newest recorded one) and its time."
-  @spec now(t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
-  def now({:live, source}) do
+  @spec fetch_latest(t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
+  def fetch_latest({:live, source}) do
     with {:ok, %Snapshot{} = snapshot} <- Source.call(source, :snapshot, []),
          do: {:ok, without_taps(snapshot), System.monotonic_time(:nanosecond)}
   end
 
-  def now({:recorded, source, _} = feed) do
-    with {:ok, extent} <- Source.call(source, :extent, []), do: at(feed, extent.to)
+  def fetch_latest({:recorded, source, _} = feed) do
+    with {:ok, extent} <- Source.call(source, :extent, []), do: fetch_at(feed, extent.to)
   end
 
   @doc "Traces the message of one originating time in a running pipeline, leaving out the studio's own taps."
-  @spec trace(t(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Error.t()}
-  def trace({:live, source}, time) do
+  @spec fetch_trace(t(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Error.t()}
+  def fetch_trace({:live, source}, time) do
     with {:ok, %Trace{} = trace} <- Source.call(source, :trace, [time]) do
       own? = &String.starts_with?(&1, "Studio: ")
 
@@ -76,7 +76,7 @@ defmodule Situ.Studio.PipelineView.Feed do
     end
   end
 
-  def trace(_recorded, _time),
+  def fetch_trace(_recorded, _time),
     do: {:error, Error.new(:not_running, "only a running pipeline can be traced")}
 
   # The studio's own taps are not part of the pipeline.
@@ -92,11 +92,11 @@ defmodule Situ.Studio.PipelineView.Feed do
   end
 
   @doc "Fetches the last recorded snapshot at or before a time."
-  @spec at(t(), Situ.Time.t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
-  def at({:recorded, source, stream}, time) do
+  @spec fetch_at(t(), Situ.Time.t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
+  def fetch_at({:recorded, source, stream}, time) do
     case Source.call(source, :latest_at, [stream, time]) do
       {:ok, %Message{data: %Snapshot{} = snapshot, originating_time: taken}} ->
-        {:ok, today(snapshot), taken}
+        {:ok, fill_edge_fields(snapshot), taken}
 
       {:error, error} ->
         {:error, error}
@@ -107,12 +107,12 @@ defmodule Situ.Studio.PipelineView.Feed do
   end
 
   # Edges in older recordings may lack newer fields.
-  defp today(snapshot),
+  defp fill_edge_fields(snapshot),
     do: %{snapshot | edges: Enum.map(snapshot.edges, &struct(Edge, Map.delete(&1, :__struct__)))}
 
   @doc "Lists the times of at most `limit` recorded snapshots, evenly thinned."
-  @spec times(t(), pos_integer()) :: [Situ.Time.t()]
-  def times({:recorded, source, stream}, limit) do
+  @spec list_times(t(), pos_integer()) :: [Situ.Time.t()]
+  def list_times({:recorded, source, stream}, limit) do
     with {:ok, %{from: from, to: to}} <- Source.call(source, :extent, []),
          {:ok, marks, _} <- Source.call(source, :marks, [stream, from, to, limit]) do
       Enum.map(marks, &elem(&1, 0))
@@ -121,26 +121,26 @@ defmodule Situ.Studio.PipelineView.Feed do
     end
   end
 
-  def times(_, _), do: []
+  def list_times(_, _), do: []
 
   @doc "Lists the last messages of a stream up to a time (`:now` if live), newest first. Reads them only on demand."
-  @spec messages(t(), String.t(), Situ.Time.t() | :now, pos_integer()) :: [Message.t()]
-  def messages(feed, stream, time, n) do
+  @spec list_messages(t(), String.t(), Situ.Time.t() | :now, pos_integer()) :: [Message.t()]
+  def list_messages(feed, stream, time, n) do
     source = elem(feed, 1)
 
     case {time, Source.call(source, :extent, [])} do
-      {:now, {:ok, %{to: to}}} -> earlier(source, stream, to, n)
-      {time, {:ok, _}} when is_integer(time) -> earlier(source, stream, time, n)
+      {:now, {:ok, %{to: to}}} -> take_earlier(source, stream, to, n)
+      {time, {:ok, _}} when is_integer(time) -> take_earlier(source, stream, time, n)
       _ -> []
     end
   end
 
-  defp earlier(_source, _stream, _time, 0), do: []
+  defp take_earlier(_source, _stream, _time, 0), do: []
 
-  defp earlier(source, stream, time, n) do
+  defp take_earlier(source, stream, time, n) do
     case Source.call(source, :latest_at, [stream, time]) do
       {:ok, %Message{} = message} ->
-        [message | earlier(source, stream, message.originating_time - 1, n - 1)]
+        [message | take_earlier(source, stream, message.originating_time - 1, n - 1)]
 
       _ ->
         []

@@ -23,91 +23,95 @@ defmodule Situ.Studio.PipelineView.Fold do
   @many 40
 
   @doc "Returns the composites that are folded by default."
-  @spec default(Snapshot.t()) :: MapSet.t(String.t())
-  def default(%Snapshot{nodes: nodes, scopes: scopes}) do
+  @spec default_folded(Snapshot.t()) :: MapSet.t(String.t())
+  def default_folded(%Snapshot{nodes: nodes, scopes: scopes}) do
     if length(nodes) > @many,
-      do: scopes |> Enum.filter(&(parent(&1, scopes) == nil)) |> MapSet.new(),
+      do: scopes |> Enum.filter(&(parent_scope(&1, scopes) == nil)) |> MapSet.new(),
       else: MapSet.new()
   end
 
   @doc "Builds the graph with these composites folded."
-  @spec apply(Snapshot.t(), MapSet.t(String.t())) :: t()
-  def apply(%Snapshot{} = snapshot, folded) do
+  @spec fold_graph(Snapshot.t(), MapSet.t(String.t())) :: t()
+  def fold_graph(%Snapshot{} = snapshot, folded) do
     scopes = snapshot.scopes
-    places = Map.new(snapshot.nodes, &{&1.id, place(&1, scopes, folded)})
-    hidden = for scope <- scopes, outer(scope, scopes, folded) not in [nil, scope], do: scope
+    places = Map.new(snapshot.nodes, &{&1.id, visible_position(&1, scopes, folded)})
 
-    visible = for node <- snapshot.nodes, places[node.id] == {:node, node.id}, do: shown(node)
+    hidden =
+      for scope <- scopes, outermost_folded(scope, scopes, folded) not in [nil, scope], do: scope
+
+    visible =
+      for node <- snapshot.nodes, places[node.id] == {:node, node.id}, do: node_entry(node)
 
     boxes =
       for scope <- scopes, scope not in hidden do
         %{
           key: "s:" <> scope,
           path: scope,
-          label: label(scope, scopes),
-          parent: key(parent(scope, scopes))
+          label: scope_label(scope, scopes),
+          parent: scope_key(parent_scope(scope, scopes))
         }
       end
 
     {closed, open} = Enum.split_with(boxes, &MapSet.member?(folded, &1.path))
 
     %__MODULE__{
-      nodes: visible ++ Enum.map(closed, &closed(&1, snapshot, places)),
+      nodes: visible ++ Enum.map(closed, &folded_entry(&1, snapshot, places)),
       boxes: open,
-      edges: edges(snapshot, places)
+      edges: merged_edges(snapshot, places)
     }
   end
 
-  defp place(node, scopes, folded) do
-    case outer(node.scope, scopes, folded) do
+  defp visible_position(node, scopes, folded) do
+    case outermost_folded(node.scope, scopes, folded) do
       nil -> {:node, node.id}
       scope -> {:scope, scope}
     end
   end
 
   # Returns the outermost folded composite around (or at) a scope.
-  defp outer(nil, _, _), do: nil
+  defp outermost_folded(nil, _, _), do: nil
 
-  defp outer(scope, scopes, folded) do
-    case {outer(parent(scope, scopes), scopes, folded), MapSet.member?(folded, scope)} do
+  defp outermost_folded(scope, scopes, folded) do
+    case {outermost_folded(parent_scope(scope, scopes), scopes, folded),
+          MapSet.member?(folded, scope)} do
       {nil, true} -> scope
       {found, _} -> found
     end
   end
 
   # Names may contain dots, so the parent is the longest scope that this scope's path begins with.
-  defp parent(scope, scopes) do
+  defp parent_scope(scope, scopes) do
     scopes
     |> Enum.filter(&String.starts_with?(scope, &1 <> "."))
     |> Enum.max_by(&String.length/1, fn -> nil end)
   end
 
-  defp label(scope, scopes) do
-    case parent(scope, scopes) do
+  defp scope_label(scope, scopes) do
+    case parent_scope(scope, scopes) do
       nil -> scope
       parent -> String.replace_prefix(scope, parent <> ".", "")
     end
   end
 
-  defp key(nil), do: nil
-  defp key(scope), do: "s:" <> scope
+  defp scope_key(nil), do: nil
+  defp scope_key(scope), do: "s:" <> scope
 
-  defp shown(node) do
+  defp node_entry(node) do
     %{
       key: "n#{node.id}",
       ids: [node.id],
-      label: short(node),
+      label: node_label(node),
       path: node.path,
       kind: node.kind,
-      parent: key(node.scope),
+      parent: scope_key(node.scope),
       joins: length(node.inputs) > 1
     }
   end
 
-  defp short(%{scope: nil, path: path}), do: path
-  defp short(%{scope: scope, path: path}), do: String.replace_prefix(path, scope <> ".", "")
+  defp node_label(%{scope: nil, path: path}), do: path
+  defp node_label(%{scope: scope, path: path}), do: String.replace_prefix(path, scope <> ".", "")
 
-  defp closed(box, snapshot, places) do
+  defp folded_entry(box, snapshot, places) do
     ids = for node <- snapshot.nodes, places[node.id] == {:scope, box.path}, do: node.id
 
     box
@@ -115,11 +119,11 @@ defmodule Situ.Studio.PipelineView.Fold do
     |> Map.put(:label, "#{box.label} (#{length(ids)})")
   end
 
-  defp edges(snapshot, places) do
+  defp merged_edges(snapshot, places) do
     snapshot.edges
     |> Enum.map(&{&1, place_key(places[&1.from]), place_key(places[&1.to])})
     |> Enum.reject(fn {_, from, to} -> from == to and String.starts_with?(from, "s:") end)
-    |> Enum.group_by(fn {edge, from, to} -> group(edge, from, to) end)
+    |> Enum.group_by(fn {edge, from, to} -> edge_group(edge, from, to) end)
     |> Enum.map(fn {_, [{first, from, to} | _] = group} ->
       edges = Enum.map(group, &elem(&1, 0))
 
@@ -129,7 +133,7 @@ defmodule Situ.Studio.PipelineView.Fold do
         from: from,
         to: to,
         label: if(match?([_], edges), do: first.to_input, else: "#{length(edges)} connections"),
-        policy: policy(edges),
+        policy: edge_policies(edges),
         lossy: Enum.any?(edges, &lossy?/1),
         inline: Enum.all?(edges, &(&1.kind == :inline))
       }
@@ -138,13 +142,13 @@ defmodule Situ.Studio.PipelineView.Fold do
   end
 
   # Connections between two components are drawn separately; connections to a folded box are merged.
-  defp group(edge, "n" <> _, "n" <> _), do: edge.id
-  defp group(_edge, from, to), do: {from, to}
+  defp edge_group(edge, "n" <> _, "n" <> _), do: edge.id
+  defp edge_group(_edge, from, to), do: {from, to}
 
   defp place_key({:node, id}), do: "n#{id}"
   defp place_key({:scope, scope}), do: "s:" <> scope
 
-  defp policy(edges), do: edges |> Enum.map(& &1.policy) |> Enum.uniq() |> Enum.join(", ")
+  defp edge_policies(edges), do: edges |> Enum.map(& &1.policy) |> Enum.uniq() |> Enum.join(", ")
 
   @doc """
   Returns whether a connection may drop messages.

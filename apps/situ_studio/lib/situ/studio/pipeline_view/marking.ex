@@ -8,7 +8,7 @@ defmodule Situ.Studio.PipelineView.Marking do
       [false, false, true, false]
   """
 
-  # The keys are the names that `Situ.Delivery.name/1` returns.
+  # The keys are the names that `Situ.Delivery.display_name/1` returns.
   @choices [
     {"none", "nothing"},
     {"unlimited", "unlimited"},
@@ -27,12 +27,12 @@ defmodule Situ.Studio.PipelineView.Marking do
   ]
 
   @doc "Lists the ways to highlight connections, with their display names."
-  @spec choices() :: [{String.t(), String.t()}]
-  def choices, do: @choices
+  @spec highlight_choices() :: [{String.t(), String.t()}]
+  def highlight_choices, do: @choices
 
   @doc "Lists the directions in which the graph can be laid out."
-  @spec directions() :: [{String.t(), String.t()}]
-  def directions, do: @directions
+  @spec graph_directions() :: [{String.t(), String.t()}]
+  def graph_directions, do: @directions
 
   @doc "Returns whether a connection is faded. A connection that is drawn for several has all their policies."
   @spec faded?(String.t(), String.t() | nil, boolean()) :: boolean()

@@ -22,11 +22,14 @@ defmodule Situ.Studio.PipelineView.Past do
   Lists the samples of the pipeline called `title` in the studio `id`, newest first. Times are from the VM's monotonic
   clock.
   """
-  @spec samples(String.t(), String.t()) :: [Stats.sample()]
-  def samples(id, title) do
+  @spec list_samples(String.t(), String.t()) :: [Stats.sample()]
+  def list_samples(id, title) do
     case Registry.lookup(Situ.Studio.Registry, {id, :past}) do
-      [{_, table}] -> table |> rows(title) |> Enum.map(&:erlang.binary_to_term(elem(&1, 3)))
-      [] -> []
+      [{_, table}] ->
+        table |> select_rows(title) |> Enum.map(&:erlang.binary_to_term(elem(&1, 3)))
+
+      [] ->
+        []
     end
   rescue
     # The table was deleted with its process.
@@ -34,7 +37,7 @@ defmodule Situ.Studio.PipelineView.Past do
   end
 
   # Returns `{{title, number}, time, bytes, sample}`, newest first.
-  defp rows(table, title),
+  defp select_rows(table, title),
     do: :ets.select_reverse(table, [{{{title, :_}, :_, :_, :_}, [], [:"$_"]}])
 
   @impl true
@@ -53,30 +56,30 @@ defmodule Situ.Studio.PipelineView.Past do
 
   def handle_info({:tick, now}, state) do
     earlier =
-      for {title, target} <- Source.Pipeline.running(state.pipelines),
-          {:ok, snapshot} <- [snapshot(target)],
+      for {title, target} <- Source.Pipeline.list_running(state.pipelines),
+          {:ok, snapshot} <- [fetch_snapshot(target)],
           into: %{} do
-        sample = Stats.sample(snapshot, now, state.earlier[title])
+        sample = Stats.compute_sample(snapshot, now, state.earlier[title])
         packed = :erlang.term_to_binary(sample, compressed: 1)
         :ets.insert(state.table, {{title, state.count}, now, byte_size(packed), packed})
         {title, {snapshot, now}}
       end
 
-    forget(state.table, now)
+    delete_old_samples(state.table, now)
     {:noreply, %{state | earlier: earlier, count: state.count + 1}}
   end
 
   def handle_info(_, state), do: {:noreply, state}
 
-  defp snapshot(target) do
-    {:ok, target |> Watch.target() |> Situ.Pipeline.info() |> Feed.without_taps()}
+  defp fetch_snapshot(target) do
+    {:ok, target |> Watch.resolve_target() |> Situ.Pipeline.info() |> Feed.without_taps()}
   rescue
     Situ.Error -> :ended
   catch
     :exit, _ -> :ended
   end
 
-  defp forget(table, now) do
+  defp delete_old_samples(table, now) do
     old = [{:<, :"$2", now - @coarse}]
     between = [{:<, :"$2", now - @fine}, {:"/=", {:rem, :"$1", @every}, 0}]
 
@@ -86,10 +89,10 @@ defmodule Situ.Studio.PipelineView.Past do
     table
     |> :ets.select([{{{:"$1", :"$2"}, :_, :"$3", :_}, [], [{{:"$1", :"$2", :"$3"}}]}])
     |> Enum.group_by(&elem(&1, 0))
-    |> Enum.each(fn {_, rows} -> cut(table, rows) end)
+    |> Enum.each(fn {_, rows} -> limit_size(table, rows) end)
   end
 
-  defp cut(table, rows) do
+  defp limit_size(table, rows) do
     rows
     |> Enum.reverse()
     |> Enum.reduce(0, fn {title, n, bytes}, held ->

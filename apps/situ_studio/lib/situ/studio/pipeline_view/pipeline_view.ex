@@ -50,35 +50,35 @@ defmodule Situ.Studio.PipelineView do
         alerts: []
       )
 
-    with {:ok, item, source} <- Catalog.open(studio, id),
+    with {:ok, item, source} <- Catalog.open_source(studio, id),
          {:ok, feed} <- Feed.open(source),
-         {:ok, snapshot, taken} <- Feed.now(feed) do
-      {:ok, start(assign(socket, item: item, feed: feed), feed, snapshot, taken)}
+         {:ok, snapshot, taken} <- Feed.fetch_latest(feed) do
+      {:ok, start_view(assign(socket, item: item, feed: feed), feed, snapshot, taken)}
     else
       {:error, error} -> {:ok, assign(socket, error: error)}
     end
   end
 
-  defp start(socket, {:live, _}, snapshot, taken) do
+  defp start_view(socket, {:live, _}, snapshot, taken) do
     past =
       if connected?(socket) do
         Process.send_after(self(), :tick, @tick_ms)
-        Past.samples(socket.assigns.studio, socket.assigns.item.id)
+        Past.list_samples(socket.assigns.studio, socket.assigns.item.id)
       else
         []
       end
 
     socket
-    |> assign(live: true, folded: Fold.default(snapshot), samples: past)
-    |> observe(snapshot, taken)
+    |> assign(live: true, folded: Fold.default_folded(snapshot), samples: past)
+    |> observe_snapshot(snapshot, taken)
   end
 
-  defp start(socket, {:recorded, _, _} = feed, snapshot, taken) do
-    if connected?(socket), do: send(self(), {:past, Feed.times(feed, @recorded), nil})
+  defp start_view(socket, {:recorded, _, _} = feed, snapshot, taken) do
+    if connected?(socket), do: send(self(), {:past, Feed.list_times(feed, @recorded), nil})
 
     socket
-    |> assign(folded: Fold.default(snapshot), at: taken)
-    |> observe(snapshot, taken)
+    |> assign(folded: Fold.default_folded(snapshot), at: taken)
+    |> observe_snapshot(snapshot, taken)
     |> assign(samples: [])
   end
 
@@ -88,24 +88,24 @@ defmodule Situ.Studio.PipelineView do
   def handle_params(_params, _uri, %{assigns: %{error: %{}}} = socket), do: {:noreply, socket}
 
   def handle_params(params, _uri, socket) do
-    socket = assign(socket, Choice.read(params, socket.assigns.snapshot.scopes))
-    {:noreply, socket |> at(params["at"]) |> look() |> draw()}
+    socket = assign(socket, Choice.parse_params(params, socket.assigns.snapshot.scopes))
+    {:noreply, socket |> show_moment(params["at"]) |> load_messages() |> push_graph()}
   end
 
   # Shows the requested moment of a recording.
-  defp at(%{assigns: %{live: false}} = socket, text) when is_binary(text) do
+  defp show_moment(%{assigns: %{live: false}} = socket, text) when is_binary(text) do
     with {time, ""} <- Integer.parse(text),
-         {:ok, snapshot, taken} <- Feed.at(socket.assigns.feed, time) do
-      socket |> assign(at: taken) |> observe(snapshot, taken)
+         {:ok, snapshot, taken} <- Feed.fetch_at(socket.assigns.feed, time) do
+      socket |> assign(at: taken) |> observe_snapshot(snapshot, taken)
     else
       _ -> socket
     end
   end
 
-  defp at(socket, _), do: socket
+  defp show_moment(socket, _), do: socket
 
-  defp go(socket, changes),
-    do: push_patch(socket, to: Choice.address(socket.assigns, changes), replace: true)
+  defp patch_address(socket, changes),
+    do: push_patch(socket, to: Choice.build_address(socket.assigns, changes), replace: true)
 
   # -- events from the page
 
@@ -113,35 +113,40 @@ defmodule Situ.Studio.PipelineView do
   def handle_event(_, _, %{assigns: %{error: %{}}} = socket), do: {:noreply, socket}
 
   def handle_event("ready", _, socket),
-    do: {:noreply, socket |> assign(drawn: nil) |> draw() |> series()}
+    do: {:noreply, socket |> assign(drawn: nil) |> push_graph() |> push_series()}
 
-  def handle_event("heat", %{"heat" => id}, socket), do: {:noreply, go(socket, %{"heat" => id})}
+  def handle_event("heat", %{"heat" => id}, socket),
+    do: {:noreply, patch_address(socket, %{"heat" => id})}
 
   def handle_event("mark", %{"mark" => mark, "way" => way}, socket),
-    do: {:noreply, go(socket, %{"mark" => mark, "way" => way})}
+    do: {:noreply, patch_address(socket, %{"mark" => mark, "way" => way})}
 
   def handle_event("pick", %{"key" => key}, socket) when is_binary(key) do
     key = if key == socket.assigns.selected, do: nil, else: key
-    {:noreply, go(socket, %{"sel" => key})}
+    {:noreply, patch_address(socket, %{"sel" => key})}
   end
 
   def handle_event("fold", %{"path" => path}, socket) when is_binary(path) do
-    {:noreply, go(socket, %{"fold" => Choice.toggle(socket.assigns.folded, path)})}
+    {:noreply,
+     patch_address(socket, %{"fold" => Choice.toggle_fold(socket.assigns.folded, path)})}
   end
 
   def handle_event("fold_all", _, socket),
-    do: {:noreply, go(socket, %{"fold" => Choice.folds(socket.assigns.snapshot.scopes)})}
+    do:
+      {:noreply,
+       patch_address(socket, %{"fold" => Choice.encode_folds(socket.assigns.snapshot.scopes)})}
 
-  def handle_event("unfold_all", _, socket), do: {:noreply, go(socket, %{"fold" => ""})}
+  def handle_event("unfold_all", _, socket),
+    do: {:noreply, patch_address(socket, %{"fold" => ""})}
 
   def handle_event("plot", %{"stat" => id}, socket) do
-    shown = Details.plots(socket.assigns)
+    shown = Details.plotted_stats(socket.assigns)
     plots = if id in shown, do: shown -- [id], else: shown ++ [id]
-    {:noreply, go(socket, %{"plots" => Enum.join(plots, ",")})}
+    {:noreply, patch_address(socket, %{"plots" => Enum.join(plots, ",")})}
   end
 
   def handle_event("trace", %{"time" => time}, socket) do
-    case Tracing.of(socket.assigns.feed, time, socket.assigns.taken) do
+    case Tracing.trace_text(socket.assigns.feed, time, socket.assigns.taken) do
       {:ok, trace} -> {:noreply, assign(socket, trace: trace, untraced: nil)}
       {:error, error} -> {:noreply, assign(socket, trace: nil, untraced: error)}
     end
@@ -152,7 +157,7 @@ defmodule Situ.Studio.PipelineView do
   def handle_event("at", %{"moment" => index}, socket) do
     with {i, ""} <- Integer.parse(to_string(index)),
          time when is_integer(time) <- Enum.at(socket.assigns.moments, i) do
-      {:noreply, go(socket, %{"at" => time})}
+      {:noreply, patch_address(socket, %{"at" => time})}
     else
       _ -> {:noreply, socket}
     end
@@ -164,13 +169,19 @@ defmodule Situ.Studio.PipelineView do
 
   @impl true
   def handle_info(:tick, socket) do
-    case Feed.now(socket.assigns.feed) do
+    case Feed.fetch_latest(socket.assigns.feed) do
       {:ok, snapshot, taken} ->
         Process.send_after(self(), :tick, @tick_ms)
         a = socket.assigns
-        alerts = Alerts.of(a.studio, a.item.id)
-        socket = assign(socket, trace: Tracing.again(a.feed, a.trace), alerts: alerts)
-        {:noreply, socket |> observe(snapshot, taken) |> look() |> draw() |> point()}
+        alerts = Alerts.list_alerts(a.studio, a.item.id)
+        socket = assign(socket, trace: Tracing.update_trace(a.feed, a.trace), alerts: alerts)
+
+        {:noreply,
+         socket
+         |> observe_snapshot(snapshot, taken)
+         |> load_messages()
+         |> push_graph()
+         |> push_point()}
 
       # The pipeline has ended. The page keeps showing its last state.
       {:error, _} ->
@@ -179,16 +190,19 @@ defmodule Situ.Studio.PipelineView do
   end
 
   # A recording's history is read in steps, so that the page stays responsive.
-  def handle_info({:past, [], _}, socket), do: {:noreply, series(socket)}
+  def handle_info({:past, [], _}, socket), do: {:noreply, push_series(socket)}
 
   def handle_info({:past, times, earlier}, socket) do
     {now, later} = Enum.split(times, 20)
 
     {samples, earlier} =
       Enum.flat_map_reduce(now, earlier, fn time, earlier ->
-        case Feed.at(socket.assigns.feed, time) do
-          {:ok, snapshot, taken} -> {[Stats.sample(snapshot, taken, earlier)], {snapshot, taken}}
-          {:error, _} -> {[], earlier}
+        case Feed.fetch_at(socket.assigns.feed, time) do
+          {:ok, snapshot, taken} ->
+            {[Stats.compute_sample(snapshot, taken, earlier)], {snapshot, taken}}
+
+          {:error, _} ->
+            {[], earlier}
         end
       end)
 
@@ -204,10 +218,10 @@ defmodule Situ.Studio.PipelineView do
 
   def handle_info(_, socket), do: {:noreply, socket}
 
-  defp observe(socket, snapshot, taken) do
+  defp observe_snapshot(socket, snapshot, taken) do
     a = socket.assigns
-    earlier = earlier(a, taken)
-    sample = Stats.sample(snapshot, taken, earlier)
+    earlier = earlier_snapshot(a, taken)
+    sample = Stats.compute_sample(snapshot, taken, earlier)
 
     assign(socket,
       snapshot: snapshot,
@@ -217,69 +231,69 @@ defmodule Situ.Studio.PipelineView do
     )
   end
 
-  defp earlier(%{snapshot: nil}, _), do: nil
-  defp earlier(%{live: true} = a, _taken), do: {a.snapshot, a.taken}
+  defp earlier_snapshot(%{snapshot: nil}, _), do: nil
+  defp earlier_snapshot(%{live: true} = a, _taken), do: {a.snapshot, a.taken}
 
   # Fetches the recorded snapshot before this one.
-  defp earlier(a, taken) do
-    case Feed.at(a.feed, taken - 1) do
+  defp earlier_snapshot(a, taken) do
+    case Feed.fetch_at(a.feed, taken - 1) do
       {:ok, snapshot, time} -> {snapshot, time}
       _ -> nil
     end
   end
 
   # Loads the last messages of the selected connection.
-  defp look(socket) do
+  defp load_messages(socket) do
     a = socket.assigns
 
-    case Details.stream(a.snapshot, a.selected) do
+    case Details.selected_stream(a.snapshot, a.selected) do
       nil ->
         assign(socket, messages: [])
 
       stream ->
         time = if a.live, do: :now, else: a.taken
-        assign(socket, messages: Feed.messages(a.feed, stream, time, @messages))
+        assign(socket, messages: Feed.list_messages(a.feed, stream, time, @messages))
     end
   end
 
   # -- events to the page's hooks
 
-  defp draw(socket) do
+  defp push_graph(socket) do
     a = socket.assigns
-    graph = Fold.apply(a.snapshot, a.folded)
+    graph = Fold.fold_graph(a.snapshot, a.folded)
     shape = :erlang.phash2({graph, a.way})
 
     socket =
       if a.drawn == shape,
         do: socket,
-        else: push_event(socket, "pipeline:graph", Wire.graph(graph, a.way))
+        else: push_event(socket, "pipeline:graph", Wire.graph_message(graph, a.way))
 
     socket
     |> assign(drawn: shape)
     |> push_event(
       "pipeline:stats",
-      Wire.stats(graph, a.snapshot, a.sample, {a.heat, a.mark}, a.selected)
+      Wire.stats_message(graph, a.snapshot, a.sample, {a.heat, a.mark}, a.selected)
     )
   end
 
-  defp point(socket) do
+  defp push_point(socket) do
     a = socket.assigns
 
     push_event(
       socket,
       "pipeline:point",
-      Wire.point(a.sample, a.selected, a.folded, a.snapshot, Details.plots(a))
+      Wire.point_message(a.sample, a.selected, a.folded, a.snapshot, Details.plotted_stats(a))
     )
   end
 
-  defp series(socket) do
+  defp push_series(socket) do
     a = socket.assigns
     samples = Enum.reverse(a.samples)
 
     push_event(
       socket,
       "pipeline:series",
-      Wire.series(samples, a.selected, a.folded, a.snapshot, Details.plots(a))
+      Wire.series_message(samples, a.selected, a.folded, a.snapshot, Details.plotted_stats(a))
     )
   end
 

@@ -6,9 +6,9 @@ defmodule Situ.Studio.PipelineView.Stats do
   one. Means and recent values cover the pipeline's last averaging span. If no messages were processed in that span,
   means cover the whole run.
 
-      iex> Situ.Studio.PipelineView.Stats.format("latency_mean", 12.3456)
+      iex> Situ.Studio.PipelineView.Stats.format_value("latency_mean", 12.3456)
       "12.3 ms"
-      iex> Situ.Studio.PipelineView.Stats.format("memory", 2_500_000)
+      iex> Situ.Studio.PipelineView.Stats.format_value("memory", 2_500_000)
       "2.50 MB"
   """
   alias Situ.Diagnostics.Snapshot
@@ -63,99 +63,101 @@ defmodule Situ.Studio.PipelineView.Stats do
         }
 
   @doc "Lists the statistics of edges or of nodes, in the table's order: `%{id, of, name, unit, sum}`."
-  @spec of(:edge | :node) :: [map()]
-  def of(kind), do: for({id, ^kind, _, _, _} <- @table, do: @by_id[id])
+  @spec list_stats(:edge | :node) :: [map()]
+  def list_stats(kind), do: for({id, ^kind, _, _, _} <- @table, do: @by_id[id])
 
   @doc "Fetches one row of the table."
   @spec fetch(id()) :: {:ok, map()} | :error
   def fetch(id), do: Map.fetch(@by_id, id)
 
   @doc "Returns the value that determines a colour. Sizes are logarithmic, because they differ by orders of magnitude."
-  @spec warmth(id(), number()) :: number()
-  def warmth("size_" <> _, bytes), do: :math.log(1 + bytes)
-  def warmth(_id, value), do: value
+  @spec heat_value(id(), number()) :: number()
+  def heat_value("size_" <> _, bytes), do: :math.log(1 + bytes)
+  def heat_value(_id, value), do: value
 
   @doc "Computes the statistics of a snapshot taken at `at` (ns). Without an earlier snapshot all rates are 0."
-  @spec sample(Snapshot.t(), Situ.Time.t(), {Snapshot.t(), Situ.Time.t()} | nil) :: sample()
-  def sample(%Snapshot{} = snapshot, at, earlier) do
-    {edges, processes, seconds} = before(earlier, at)
+  @spec compute_sample(Snapshot.t(), Situ.Time.t(), {Snapshot.t(), Situ.Time.t()} | nil) ::
+          sample()
+  def compute_sample(%Snapshot{} = snapshot, at, earlier) do
+    {edges, processes, seconds} = index_earlier(earlier, at)
     processes_now = Map.new(snapshot.processes, &{&1.number, &1})
 
     %{
       at: at,
-      edges: Map.new(snapshot.edges, &{&1.id, edge(&1, edges[&1.id], seconds)}),
+      edges: Map.new(snapshot.edges, &{&1.id, edge_values(&1, edges[&1.id], seconds)}),
       nodes:
         Map.new(snapshot.nodes, fn node ->
-          {node.id, node(node, processes_now[node.process], processes[node.process], seconds)}
+          {node.id,
+           node_values(node, processes_now[node.process], processes[node.process], seconds)}
         end)
     }
   end
 
-  defp before(nil, _at), do: {%{}, %{}, 0.0}
+  defp index_earlier(nil, _at), do: {%{}, %{}, 0.0}
 
-  defp before({snapshot, time}, at) do
+  defp index_earlier({snapshot, time}, at) do
     {Map.new(snapshot.edges, &{&1.id, &1}), Map.new(snapshot.processes, &{&1.number, &1}),
      (at - time) / 1.0e9}
   end
 
-  defp edge(edge, earlier, seconds) do
+  defp edge_values(edge, earlier, seconds) do
     edge
-    |> totals()
-    |> Map.merge(recent(edge, edge.window))
-    |> Map.merge(rates(edge, earlier || edge, seconds))
+    |> edge_totals()
+    |> Map.merge(recent_values(edge, edge.window))
+    |> Map.merge(edge_rates(edge, earlier || edge, seconds))
   end
 
-  defp totals(edge) do
+  defp edge_totals(edge) do
     %{
       "queue" => edge.queue,
-      "created_last" => ms(edge.created_last),
-      "posted_last" => ms(edge.posted_last),
-      "latency_p99" => ms(edge.latency_p99),
-      "latency_last" => ms(edge.latency_last),
-      "handling_last" => ms(edge.handling_last),
+      "created_last" => to_ms(edge.created_last),
+      "posted_last" => to_ms(edge.posted_last),
+      "latency_p99" => to_ms(edge.latency_p99),
+      "latency_last" => to_ms(edge.latency_last),
+      "handling_last" => to_ms(edge.handling_last),
       "emitted" => edge.emitted,
       "processed" => edge.processed,
       "dropped" => edge.dropped,
-      "processed_share" => share(edge.processed, edge.emitted),
-      "dropped_share" => share(edge.dropped, edge.emitted),
+      "processed_share" => percent_share(edge.processed, edge.emitted),
+      "dropped_share" => percent_share(edge.dropped, edge.emitted),
       "size_last" => edge.size_last,
       "throttled" => if(edge.throttled, do: 1, else: 0)
     }
   end
 
   # If no messages were processed recently, the overall mean is the best estimate.
-  defp recent(edge, window) do
+  defp recent_values(edge, window) do
     %{
       "queue_mean" => window.queue || edge.queue_mean,
-      "created_mean" => ms(window.created || edge.created_mean),
-      "posted_mean" => ms(window.posted || edge.posted_mean),
-      "latency_mean" => ms(window.latency || edge.latency_mean),
-      "handling" => ms(window.handling || edge.handling_mean),
+      "created_mean" => to_ms(window.created || edge.created_mean),
+      "posted_mean" => to_ms(window.posted || edge.posted_mean),
+      "latency_mean" => to_ms(window.latency || edge.latency_mean),
+      "handling" => to_ms(window.handling || edge.handling_mean),
       "size_mean" => window.size || edge.size_mean,
       "emitted_recent" => window.emitted,
       "processed_recent" => window.processed,
       "dropped_recent" => window.dropped,
-      "processed_now" => share(window.processed, window.emitted),
-      "dropped_now" => share(window.dropped, window.emitted)
+      "processed_now" => percent_share(window.processed, window.emitted),
+      "dropped_now" => percent_share(window.dropped, window.emitted)
     }
   end
 
-  defp rates(edge, earlier, seconds) do
+  defp edge_rates(edge, earlier, seconds) do
     %{
-      "busy" => share(edge.busy - earlier.busy, seconds * 1.0e9),
-      "emitted_rate" => rate(edge.emitted - earlier.emitted, seconds),
-      "processed_rate" => rate(edge.processed - earlier.processed, seconds),
-      "dropped_rate" => rate(edge.dropped - earlier.dropped, seconds)
+      "busy" => percent_share(edge.busy - earlier.busy, seconds * 1.0e9),
+      "emitted_rate" => per_second(edge.emitted - earlier.emitted, seconds),
+      "processed_rate" => per_second(edge.processed - earlier.processed, seconds),
+      "dropped_rate" => per_second(edge.dropped - earlier.dropped, seconds)
     }
   end
 
-  defp ms(ns), do: ns / 1.0e6
+  defp to_ms(ns), do: ns / 1.0e6
 
-  defp node(node, process, earlier, seconds) do
+  defp node_values(node, process, earlier, seconds) do
     %{
       "mailbox" => if(process, do: process.mailbox, else: 0),
       "memory" => if(process, do: process.memory, else: 0),
-      "reductions_rate" => reductions(process, earlier, seconds),
+      "reductions_rate" => reductions_rate(process, earlier, seconds),
       "errors" => node.errors,
       "skipped" => node.skipped,
       "restarts" => node.restarts
@@ -163,23 +165,23 @@ defmodule Situ.Studio.PipelineView.Stats do
   end
 
   # The count of a restarted process starts at zero.
-  defp reductions(%{reductions: now}, %{reductions: before}, seconds) when now >= before,
-    do: rate(now - before, seconds)
+  defp reductions_rate(%{reductions: now}, %{reductions: before}, seconds) when now >= before,
+    do: per_second(now - before, seconds)
 
-  defp reductions(_, _, _), do: 0.0
+  defp reductions_rate(_, _, _), do: 0.0
 
-  defp rate(_, seconds) when seconds <= 0, do: 0.0
-  defp rate(n, seconds), do: max(n, 0) / seconds
+  defp per_second(_, seconds) when seconds <= 0, do: 0.0
+  defp per_second(n, seconds), do: max(n, 0) / seconds
 
-  defp share(_, whole) when whole <= 0, do: 0.0
-  defp share(part, whole), do: min(100.0, max(part, 0) * 100 / whole)
+  defp percent_share(_, whole) when whole <= 0, do: 0.0
+  defp percent_share(part, whole), do: min(100.0, max(part, 0) * 100 / whole)
 
   @doc "Combines the statistics of several edges (or nodes) that are drawn as one."
-  @spec merge([values()]) :: values()
-  def merge([one]), do: one
-  def merge([]), do: %{}
+  @spec merge_values([values()]) :: values()
+  def merge_values([one]), do: one
+  def merge_values([]), do: %{}
 
-  def merge(several) do
+  def merge_values(several) do
     for {id, %{sum: sum}} <- @by_id,
         values = for(%{^id => value} <- several, do: value),
         values != [],
@@ -189,34 +191,34 @@ defmodule Situ.Studio.PipelineView.Stats do
   end
 
   @doc "Formats a value with its unit."
-  @spec format(id(), number() | nil) :: String.t()
-  def format(_id, nil), do: "–"
+  @spec format_value(id(), number() | nil) :: String.t()
+  def format_value(_id, nil), do: "–"
 
-  def format(id, value) do
+  def format_value(id, value) do
     case @by_id[id].unit do
-      :ms -> milliseconds(value)
-      :percent -> number(value) <> " %"
-      :rate -> scaled(value) <> "/s"
-      :bytes -> bytes(value)
-      :count -> scaled(value)
+      :ms -> format_ms(value)
+      :percent -> format_number(value) <> " %"
+      :rate -> format_scaled(value) <> "/s"
+      :bytes -> format_bytes(value)
+      :count -> format_scaled(value)
     end
   end
 
-  defp milliseconds(ms) when ms >= 100_000, do: number(ms / 1000) <> " s"
-  defp milliseconds(ms) when ms > 0 and ms < 0.1, do: number(ms * 1000) <> " µs"
-  defp milliseconds(ms), do: number(ms) <> " ms"
+  defp format_ms(ms) when ms >= 100_000, do: format_number(ms / 1000) <> " s"
+  defp format_ms(ms) when ms > 0 and ms < 0.1, do: format_number(ms * 1000) <> " µs"
+  defp format_ms(ms), do: format_number(ms) <> " ms"
 
-  defp bytes(b) when b >= 1.0e9, do: number(b / 1.0e9) <> " GB"
-  defp bytes(b) when b >= 1.0e6, do: number(b / 1.0e6) <> " MB"
-  defp bytes(b) when b >= 1.0e3, do: number(b / 1.0e3) <> " kB"
-  defp bytes(b), do: "#{round(b)} B"
+  defp format_bytes(b) when b >= 1.0e9, do: format_number(b / 1.0e9) <> " GB"
+  defp format_bytes(b) when b >= 1.0e6, do: format_number(b / 1.0e6) <> " MB"
+  defp format_bytes(b) when b >= 1.0e3, do: format_number(b / 1.0e3) <> " kB"
+  defp format_bytes(b), do: "#{round(b)} B"
 
-  defp scaled(n) when n >= 1.0e6, do: number(n / 1.0e6) <> " M"
-  defp scaled(n) when n >= 1.0e4, do: number(n / 1.0e3) <> " k"
-  defp scaled(n), do: number(n)
+  defp format_scaled(n) when n >= 1.0e6, do: format_number(n / 1.0e6) <> " M"
+  defp format_scaled(n) when n >= 1.0e4, do: format_number(n / 1.0e3) <> " k"
+  defp format_scaled(n), do: format_number(n)
 
-  defp number(n) when is_integer(n), do: Integer.to_string(n)
-  defp number(n) when n >= 100 or n == 0, do: Integer.to_string(round(n))
-  defp number(n) when n >= 10, do: :erlang.float_to_binary(n * 1.0, decimals: 1)
-  defp number(n), do: :erlang.float_to_binary(n * 1.0, decimals: 2)
+  defp format_number(n) when is_integer(n), do: Integer.to_string(n)
+  defp format_number(n) when n >= 100 or n == 0, do: Integer.to_string(round(n))
+  defp format_number(n) when n >= 10, do: :erlang.float_to_binary(n * 1.0, decimals: 1)
+  defp format_number(n), do: :erlang.float_to_binary(n * 1.0, decimals: 2)
 end

@@ -11,31 +11,34 @@ defmodule Situ.Studio.PipelineView.Tracing do
   @doc """
   Traces a time given by the page: in ns, as ISO 8601, or as a clock time (UTC) on the day of `now`.
   """
-  @spec of(Feed.t(), term(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Situ.Error.t()}
-  def of(feed, text, now) do
-    with {:ok, time} <- time(text, now), do: Feed.trace(feed, time)
+  @spec trace_text(Feed.t(), term(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Situ.Error.t()}
+  def trace_text(feed, text, now) do
+    with {:ok, time} <- parse_time(text, now), do: Feed.fetch_trace(feed, time)
   end
 
-  defp time(text, now) when is_binary(text) do
+  defp parse_time(text, now) when is_binary(text) do
     text = String.trim(text)
 
     case WholeNumber.parse(text) do
-      {:ok, time} -> {:ok, time}
-      :error -> Situ.Time.parse(if text =~ ~r/^\d\d:\d\d:\d\d/, do: day(now) <> text, else: text)
+      {:ok, time} ->
+        {:ok, time}
+
+      :error ->
+        Situ.Time.parse(if text =~ ~r/^\d\d:\d\d:\d\d/, do: day_prefix(now) <> text, else: text)
     end
   end
 
-  defp time(other, _now), do: Situ.Time.parse(inspect(other))
+  defp parse_time(other, _now), do: Situ.Time.parse(inspect(other))
 
-  defp day(now), do: now |> Situ.Time.to_iso8601() |> String.slice(0, 11)
+  defp day_prefix(now), do: now |> Situ.Time.to_iso8601() |> String.slice(0, 11)
 
   @doc "Updates a trace, unless its time has passed everywhere."
-  @spec again(Feed.t(), Trace.t() | nil) :: Trace.t() | nil
-  def again(_feed, nil), do: nil
+  @spec update_trace(Feed.t(), Trace.t() | nil) :: Trace.t() | nil
+  def update_trace(_feed, nil), do: nil
 
-  def again(feed, trace) do
+  def update_trace(feed, trace) do
     with false <- Enum.all?(trace.hops, &(&1.state == :passed)),
-         {:ok, later} <- Feed.trace(feed, trace.time) do
+         {:ok, later} <- Feed.fetch_trace(feed, trace.time) do
       later
     else
       _ -> trace
@@ -45,7 +48,7 @@ defmodule Situ.Studio.PipelineView.Tracing do
   attr(:error, :any, required: true)
 
   @doc false
-  def ask(assigns) do
+  def trace_form(assigns) do
     ~H"""
     <form id="trace-time" class="trace" phx-submit="trace">
       <label class="dim">Trace a time (UTC)
@@ -58,44 +61,44 @@ defmodule Situ.Studio.PipelineView.Tracing do
   attr(:trace, :any, required: true)
 
   @doc false
-  def box(assigns) do
+  def trace_panel(assigns) do
     ~H"""
     <section class="trace" id="trace" aria-label="Trace of one time">
-      <h2>Trace of {clock(@trace.time)}
+      <h2>Trace of {format_clock(@trace.time)}
         <button class="mini" type="button" phx-click="trace_close" aria-label="Close the trace">×</button></h2>
-      <p class="where-now">{place(@trace)}</p>
+      <p class="where-now">{describe_position(@trace)}</p>
       <ol class="hops">
         <li :for={hop <- @trace.hops} :key={hop.from <> "→" <> hop.to} class={Atom.to_string(hop.state)}>
-          <span>{hop.from} → {hop.to}</span><b>{told(hop)}</b>
+          <span>{hop.from} → {hop.to}</span><b>{hop_status(hop)}</b>
         </li>
       </ol>
     </section>
     """
   end
 
-  defp place(trace) do
+  defp describe_position(trace) do
     waiting = for hop <- trace.hops, hop.state == :waiting, do: "waits for #{hop.to}"
     inside = for path <- trace.inside, do: "in (or ended in) #{path}"
 
     case waiting ++ inside do
       [] -> "No message of this time is in flight: all have passed, or none has been sent."
-      places -> places |> Enum.join(", ") |> sentence()
+      places -> places |> Enum.join(", ") |> capitalize_first()
     end
   end
 
   # Capitalizes only the first letter, because the names of components must not change.
-  defp sentence(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest
+  defp capitalize_first(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest
 
-  defp told(%{state: :coming}), do: "not sent yet"
-  defp told(%{state: :waiting, waited: nil, queue: n}), do: "waits, #{n} in the queue"
+  defp hop_status(%{state: :coming}), do: "not sent yet"
+  defp hop_status(%{state: :waiting, waited: nil, queue: n}), do: "waits, #{n} in the queue"
 
-  defp told(%{state: :waiting, waited: waited, queue: n}),
+  defp hop_status(%{state: :waiting, waited: waited, queue: n}),
     do: "waits for #{Situ.Time.format_duration(waited)}, #{n} in the queue"
 
-  defp told(%{state: :passed, waited: nil}), do: "passed, long ago"
+  defp hop_status(%{state: :passed, waited: nil}), do: "passed, long ago"
 
-  defp told(%{state: :passed, waited: waited}),
+  defp hop_status(%{state: :passed, waited: waited}),
     do: "passed after #{Situ.Time.format_duration(waited)}"
 
-  defp clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
+  defp format_clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
 end

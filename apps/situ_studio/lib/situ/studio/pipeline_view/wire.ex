@@ -4,9 +4,9 @@ defmodule Situ.Studio.PipelineView.Wire do
   # points of the plots.
   alias Situ.Studio.PipelineView.{Fold, Marking, Stats, Waits}
 
-  @doc "Builds the message with the graph; `way` is its direction (`Marking.directions/0`)."
-  @spec graph(Fold.t(), String.t()) :: map()
-  def graph(%Fold{} = graph, way \\ "LR") do
+  @doc "Builds the message with the graph; `way` is its direction (`Marking.graph_directions/0`)."
+  @spec graph_message(Fold.t(), String.t()) :: map()
+  def graph_message(%Fold{} = graph, way \\ "LR") do
     %{
       way: way,
       nodes: Enum.map(graph.nodes, &Map.take(&1, [:key, :label, :kind, :parent, :path, :joins])),
@@ -17,7 +17,7 @@ defmodule Situ.Studio.PipelineView.Wire do
   end
 
   @doc "Builds the message with the heat of edges and nodes (0 to 1, relative to the largest), their texts and states."
-  @spec stats(
+  @spec stats_message(
           Fold.t(),
           Situ.Diagnostics.Snapshot.t(),
           Stats.sample(),
@@ -25,10 +25,12 @@ defmodule Situ.Studio.PipelineView.Wire do
           String.t() | nil
         ) ::
           map()
-  def stats(graph, snapshot, sample, {heat, mark}, selected) do
+  def stats_message(graph, snapshot, sample, {heat, mark}, selected) do
     states = Map.new(snapshot.nodes, &{&1.id, &1})
-    {edges, nodes} = heats(graph, sample, heat)
-    waiting = if mark == "waits", do: for(w <- Waits.of(snapshot, sample), do: w.edge), else: []
+    {edges, nodes} = heat_values(graph, sample, heat)
+
+    waiting =
+      if mark == "waits", do: for(w <- Waits.list_waits(snapshot, sample), do: w.edge), else: []
 
     %{
       selected: selected,
@@ -42,46 +44,46 @@ defmodule Situ.Studio.PipelineView.Wire do
     }
   end
 
-  defp heats(_graph, _sample, "none"), do: {%{}, %{}}
+  defp heat_values(_graph, _sample, "none"), do: {%{}, %{}}
 
-  defp heats(graph, sample, heat) do
+  defp heat_values(graph, sample, heat) do
     {:ok, %{of: of}} = Stats.fetch(heat)
 
     edges =
       graph.edges
-      |> values(sample.edges, heat)
-      |> Map.new(fn {key, v} -> {key, Stats.warmth(heat, v)} end)
+      |> merged_values(sample.edges, heat)
+      |> Map.new(fn {key, v} -> {key, Stats.heat_value(heat, v)} end)
 
     case of do
-      :node -> {%{}, values(graph.nodes, sample.nodes, heat)}
+      :node -> {%{}, merged_values(graph.nodes, sample.nodes, heat)}
       # A component is as hot as its hottest input.
-      :edge -> {edges, inputs(graph, edges)}
+      :edge -> {edges, hottest_inputs(graph, edges)}
     end
   end
 
-  defp values(items, samples, heat) do
-    for item <- items, %{^heat => value} <- [merged(item.ids, samples)], into: %{} do
+  defp merged_values(items, samples, heat) do
+    for item <- items, %{^heat => value} <- [merge_samples(item.ids, samples)], into: %{} do
       {item.key, value}
     end
   end
 
-  defp inputs(graph, edges) do
+  defp hottest_inputs(graph, edges) do
     Enum.reduce(graph.edges, %{}, fn edge, acc ->
       Map.update(acc, edge.to, edges[edge.key] || 0, &max(&1, edges[edge.key] || 0))
     end)
   end
 
-  defp merged(ids, samples) do
-    Stats.merge(for(id <- ids, %{^id => values} <- [samples], do: values))
+  defp merge_samples(ids, samples) do
+    Stats.merge_values(for(id <- ids, %{^id => values} <- [samples], do: values))
   end
 
   defp edge_numbers(edge, heats, sample, heat) do
-    values = merged(edge.ids, sample.edges)
+    values = merge_samples(edge.ids, sample.edges)
     shown = if match?({:ok, %{of: :edge}}, Stats.fetch(heat)), do: heat, else: "processed_rate"
 
     %{
-      heat: warmth(heats, edge.key),
-      text: Stats.format(shown, values[shown]),
+      heat: relative_heat(heats, edge.key),
+      text: Stats.format_value(shown, values[shown]),
       throttled: (values["throttled"] || 0) > 0
     }
   end
@@ -90,18 +92,18 @@ defmodule Situ.Studio.PipelineView.Wire do
     members = for id <- node.ids, %{^id => member} <- [states], do: member
 
     %{
-      heat: warmth(heats, node.key),
+      heat: relative_heat(heats, node.key),
       text:
         if(match?({:ok, %{of: :node}}, Stats.fetch(heat)),
-          do: Stats.format(heat, heats[node.key]),
+          do: Stats.format_value(heat, heats[node.key]),
           else: ""
         ),
-      state: state(members),
+      state: combined_state(members),
       errors: members |> Enum.map(& &1.errors) |> Enum.sum()
     }
   end
 
-  defp state(members) do
+  defp combined_state(members) do
     states = Enum.map(members, & &1.state)
 
     cond do
@@ -111,7 +113,7 @@ defmodule Situ.Studio.PipelineView.Wire do
     end
   end
 
-  defp warmth(heats, key) do
+  defp relative_heat(heats, key) do
     case {heats[key], heats |> Map.values() |> Enum.max(fn -> 0 end)} do
       {value, largest} when is_number(value) and largest > 0 -> Float.round(value / largest, 3)
       _ -> 0
@@ -119,44 +121,44 @@ defmodule Situ.Studio.PipelineView.Wire do
   end
 
   @doc "Builds the message with one sample of the plotted statistics of the selection."
-  def point(sample, selected, folded, snapshot, stats) do
-    {kind, ids} = selection(selected, folded, snapshot)
-    values = merged(ids, Map.get(sample, kind, %{}))
-    %{key: selected, at: milliseconds(sample.at), values: Map.new(stats, &{&1, values[&1]})}
+  def point_message(sample, selected, folded, snapshot, stats) do
+    {kind, ids} = resolve_selection(selected, folded, snapshot)
+    values = merge_samples(ids, Map.get(sample, kind, %{}))
+    %{key: selected, at: to_milliseconds(sample.at), values: Map.new(stats, &{&1, values[&1]})}
   end
 
   @doc "Builds the message with all samples of the plotted statistics of the selection, oldest first."
-  def series(samples, selected, folded, snapshot, stats) do
-    {kind, ids} = selection(selected, folded, snapshot)
+  def series_message(samples, selected, folded, snapshot, stats) do
+    {kind, ids} = resolve_selection(selected, folded, snapshot)
 
     rows =
       for sample <- samples do
-        values = merged(ids, Map.get(sample, kind, %{}))
-        [milliseconds(sample.at) | Enum.map(stats, &values[&1])]
+        values = merge_samples(ids, Map.get(sample, kind, %{}))
+        [to_milliseconds(sample.at) | Enum.map(stats, &values[&1])]
       end
 
     %{key: selected, stats: stats, rows: rows}
   end
 
-  defp milliseconds(ns), do: div(ns, 1_000_000)
+  defp to_milliseconds(ns), do: div(ns, 1_000_000)
 
   @doc "Resolves a key of the page to its components or connections: `{:edges | :nodes, ids}`."
-  @spec selection(String.t() | nil, MapSet.t(), Situ.Diagnostics.Snapshot.t()) ::
+  @spec resolve_selection(String.t() | nil, MapSet.t(), Situ.Diagnostics.Snapshot.t()) ::
           {:edges | :nodes | :none, [integer()]}
-  def selection("n" <> id, _folded, _snapshot), do: {:nodes, ids(id)}
-  def selection("e" <> ids, _folded, _snapshot), do: {:edges, ids(ids)}
+  def resolve_selection("n" <> id, _folded, _snapshot), do: {:nodes, parse_ids(id)}
+  def resolve_selection("e" <> ids, _folded, _snapshot), do: {:edges, parse_ids(ids)}
 
-  def selection("s:" <> path, _folded, snapshot) do
-    {:nodes, for(node <- snapshot.nodes, within?(node.scope, path), do: node.id)}
+  def resolve_selection("s:" <> path, _folded, snapshot) do
+    {:nodes, for(node <- snapshot.nodes, scope_within?(node.scope, path), do: node.id)}
   end
 
-  def selection(_, _, _), do: {:none, []}
+  def resolve_selection(_, _, _), do: {:none, []}
 
-  defp within?(nil, _), do: false
-  defp within?(scope, path), do: scope == path or String.starts_with?(scope, path <> ".")
+  defp scope_within?(nil, _), do: false
+  defp scope_within?(scope, path), do: scope == path or String.starts_with?(scope, path <> ".")
 
   # Keys come from the page's address, so invalid parts are ignored.
-  defp ids(text) do
+  defp parse_ids(text) do
     for part <- String.split(text, "+"), {id, ""} <- [Integer.parse(part)], do: id
   end
 end

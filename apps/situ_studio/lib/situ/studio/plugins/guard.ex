@@ -17,7 +17,7 @@ defmodule Situ.Studio.Plugins.Guard do
   @spec run((() -> result), pos_integer()) :: {:ok, result} | {:error, String.t()}
         when result: term()
   def run(work, ms \\ @ms) do
-    task = Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn -> guarded(work) end)
+    task = Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn -> run_limited(work) end)
 
     case Task.yield(task, ms) || Task.shutdown(task, :brutal_kill) do
       {:ok, answer} -> answer
@@ -27,7 +27,7 @@ defmodule Situ.Studio.Plugins.Guard do
     end
   end
 
-  defp guarded(work) do
+  defp run_limited(work) do
     Process.flag(:max_heap_size, %{size: @words, kill: true, error_logger: false})
     {:ok, work.()}
   rescue

@@ -27,11 +27,11 @@ defmodule Situ.Studio.Plugins.Template do
         {:error, Error.new(:exists, "#{folder} already exists", fix: "choose another name")}
 
       true ->
-        save(folder, files(name))
+        write_files(folder, build_files(name))
     end
   end
 
-  defp save(folder, files) do
+  defp write_files(folder, files) do
     Enum.each(files, fn {path, text} ->
       path = Path.join(folder, path)
       File.mkdir_p!(Path.dirname(path))
@@ -47,22 +47,22 @@ defmodule Situ.Studio.Plugins.Template do
        )}
   end
 
-  defp files(name) do
+  defp build_files(name) do
     module = name |> String.replace("-", "_") |> Macro.camelize()
     file = String.replace(name, "-", "_")
     title = name |> String.replace("-", " ") |> String.capitalize()
 
     [
-      {"plugin.json", manifest(name, title)},
-      {"web/#{file}.js", script()},
-      {"lib/#{file}.ex", adapter(name, module)},
+      {"plugin.json", manifest_text(name, title)},
+      {"web/#{file}.js", script_text()},
+      {"lib/#{file}.ex", adapter_text(name, module)},
       {"test/#{file}_test.exs", elixir_test(name, module)},
       {"test/#{file}_test.mjs", script_test(file)}
     ]
     |> Enum.map(fn {path, text} -> {path, String.replace(text, "FILE", file)} end)
   end
 
-  defp manifest(name, title) do
+  defp manifest_text(name, title) do
     """
     {
       "plugin": 1,
@@ -87,7 +87,7 @@ defmodule Situ.Studio.Plugins.Template do
     """
   end
 
-  defp script do
+  defp script_text do
     """
     // Draws the numbers of the last seconds, with the newest at the right.
 
@@ -121,7 +121,7 @@ defmodule Situ.Studio.Plugins.Template do
     """
   end
 
-  defp adapter(name, module) do
+  defp adapter_text(name, module) do
     """
     defmodule #{module}.Magnitude do
       @moduledoc "Converts numbers to their magnitude, which every visualizer of signals can draw."

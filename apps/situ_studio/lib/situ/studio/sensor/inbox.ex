@@ -14,8 +14,8 @@ defmodule Situ.Studio.Sensor.Inbox do
   @spec new(module(), String.t(), keyword()) :: t()
   def new(kind, name, opts), do: struct!(__MODULE__, [kind: kind, name: name] ++ opts)
 
-  @spec start(t()) :: {[Situ.Component.action()], t()}
-  def start(%__MODULE__{} = inbox) do
+  @spec register_sensor(t()) :: {[Situ.Component.action()], t()}
+  def register_sensor(%__MODULE__{} = inbox) do
     case Registry.register(@registry, {:sensor, inbox.kind, inbox.name}, nil) do
       {:ok, _} ->
         {[{:complete, :infinity}], inbox}
@@ -30,8 +30,8 @@ defmodule Situ.Studio.Sensor.Inbox do
   end
 
   @doc "Fetches the process of the sensor with this name."
-  @spec find(module(), String.t()) :: {:ok, pid()} | :error
-  def find(kind, name) do
+  @spec fetch_sensor(module(), String.t()) :: {:ok, pid()} | :error
+  def fetch_sensor(kind, name) do
     case Registry.lookup(@registry, {:sensor, kind, name}) do
       [{pid, _}] -> {:ok, pid}
       [] -> :error
@@ -39,8 +39,8 @@ defmodule Situ.Studio.Sensor.Inbox do
   end
 
   @doc "Registers the caller as the page of this sensor. Returns `:error` if another page is registered."
-  @spec join(module(), String.t(), pid()) :: :ok | :error
-  def join(kind, name, sensor) do
+  @spec register_page(module(), String.t(), pid()) :: :ok | :error
+  def register_page(kind, name, sensor) do
     with {:ok, _} <- Registry.register(@registry, {:sensor_page, kind, name}, nil) do
       send(sensor, {:sensor_page, self()})
       :ok
@@ -50,39 +50,39 @@ defmodule Situ.Studio.Sensor.Inbox do
   end
 
   @doc "Fetches the connection of the page that is this sensor."
-  @spec page(module(), String.t()) :: {:ok, pid()} | :error
-  def page(kind, name) do
+  @spec fetch_page(module(), String.t()) :: {:ok, pid()} | :error
+  def fetch_page(kind, name) do
     case Registry.lookup(@registry, {:sensor_page, kind, name}) do
       [{pid, _}] -> {:ok, pid}
       [] -> :error
     end
   end
 
-  @spec info(t(), term()) :: t()
-  def info(%__MODULE__{} = inbox, {:sensor_page, pid}) do
+  @spec handle_message(t(), term()) :: t()
+  def handle_message(%__MODULE__{} = inbox, {:sensor_page, pid}) do
     Process.monitor(pid)
     send(pid, {:credit, inbox.ahead})
     %{inbox | page: pid}
   end
 
-  def info(%__MODULE__{page: pid} = inbox, {:DOWN, _, :process, pid, _}),
+  def handle_message(%__MODULE__{page: pid} = inbox, {:DOWN, _, :process, pid, _}),
     do: %{inbox | page: nil}
 
-  def info(%__MODULE__{} = inbox, {:sensor, output, time, data}),
-    do: push(inbox, output, time, data)
+  def handle_message(%__MODULE__{} = inbox, {:sensor, output, time, data}),
+    do: push_message(inbox, output, time, data)
 
-  def info(%__MODULE__{} = inbox, _other), do: inbox
+  def handle_message(%__MODULE__{} = inbox, _other), do: inbox
 
   # Times are converted between two clocks, and may step back a little.
-  defp push(inbox, output, time, data) do
+  defp push_message(inbox, output, time, data) do
     case inbox.last do
       %{^output => last} when time <= last ->
-        credit(output, %{inbox | dropped: inbox.dropped + 1})
+        send_credit(output, %{inbox | dropped: inbox.dropped + 1})
 
       last ->
         queue = :queue.in({time, data}, Map.get(inbox.waiting, output, :queue.new()))
 
-        limit(
+        limit_queue(
           put_in(%{inbox | last: Map.put(last, output, time)}.waiting[output], queue),
           output
         )
@@ -90,9 +90,9 @@ defmodule Situ.Studio.Sensor.Inbox do
   end
 
   # The page's credit already limits this queue.
-  defp limit(%{credited: output} = inbox, output), do: inbox
+  defp limit_queue(%{credited: output} = inbox, output), do: inbox
 
-  defp limit(inbox, output) do
+  defp limit_queue(inbox, output) do
     if :queue.len(inbox.waiting[output]) > inbox.buffer do
       inbox = update_in(inbox.waiting[output], &:queue.drop/1)
       %{inbox | dropped: inbox.dropped + 1}
@@ -102,12 +102,12 @@ defmodule Situ.Studio.Sensor.Inbox do
   end
 
   @doc "Takes at most `n` of the waiting values, earliest first."
-  @spec take(t(), non_neg_integer()) :: {[Situ.Component.action()], t()}
-  def take(%__MODULE__{} = inbox, n), do: take(inbox, n, [])
+  @spec take_actions(t(), non_neg_integer()) :: {[Situ.Component.action()], t()}
+  def take_actions(%__MODULE__{} = inbox, n), do: take_actions(inbox, n, [])
 
-  defp take(inbox, 0, actions), do: {Enum.reverse(actions), inbox}
+  defp take_actions(inbox, 0, actions), do: {Enum.reverse(actions), inbox}
 
-  defp take(inbox, n, actions) do
+  defp take_actions(inbox, n, actions) do
     heads =
       for {output, queue} <- inbox.waiting,
           {:value, {time, _}} <- [:queue.peek(queue)],
@@ -119,23 +119,23 @@ defmodule Situ.Studio.Sensor.Inbox do
 
       {time, output} ->
         {{:value, {^time, data}}, queue} = :queue.out(inbox.waiting[output])
-        inbox = credit(output, put_in(inbox.waiting[output], queue))
-        take(inbox, n - 1, [{output, time, data} | actions])
+        inbox = send_credit(output, put_in(inbox.waiting[output], queue))
+        take_actions(inbox, n - 1, [{output, time, data} | actions])
     end
   end
 
-  defp credit(output, %{credited: output, page: pid} = inbox) when is_pid(pid) do
+  defp send_credit(output, %{credited: output, page: pid} = inbox) when is_pid(pid) do
     send(pid, {:credit, 1})
     inbox
   end
 
-  defp credit(_output, inbox), do: inbox
+  defp send_credit(_output, inbox), do: inbox
 
   @doc "Notifies the page that the pipeline has ended."
-  @spec ended(t()) :: :ok
-  def ended(%__MODULE__{page: nil}), do: :ok
+  @spec notify_ended(t()) :: :ok
+  def notify_ended(%__MODULE__{page: nil}), do: :ok
 
-  def ended(%__MODULE__{page: pid}) do
+  def notify_ended(%__MODULE__{page: pid}) do
     send(pid, :sensor_ended)
     :ok
   end

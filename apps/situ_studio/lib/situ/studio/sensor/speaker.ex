@@ -28,7 +28,7 @@ defmodule Situ.Studio.Sensor.Speaker do
 
   @impl true
   def handle_message(:in, %{data: buffer}, _context, name) do
-    with {:ok, pid} <- Sensor.Inbox.page(Sensor, name),
+    with {:ok, pid} <- Sensor.Inbox.fetch_page(Sensor, name),
          {:message_queue_len, waiting} when waiting < @most <-
            Process.info(pid, :message_queue_len) do
       mono = Sound.reformat!(buffer, channels: 1, sample: :s16)

@@ -12,9 +12,9 @@ defmodule Situ.Studio.Source.Adapted do
   @sample 2_000
 
   @doc "Wraps a source in an adapter. Returns the source unchanged if there is no adapter."
-  @spec of(Source.t(), module() | nil) :: Source.t()
-  def of(source, nil), do: source
-  def of(source, adapter), do: {__MODULE__, {source, adapter}}
+  @spec with_adapter(Source.t(), module() | nil) :: Source.t()
+  def with_adapter(source, nil), do: source
+  def with_adapter(source, adapter), do: {__MODULE__, {source, adapter}}
 
   @impl true
   def extent({source, _}), do: Source.call(source, :extent, [])
@@ -28,58 +28,58 @@ defmodule Situ.Studio.Source.Adapted do
 
   @impl true
   def series(handle, stream, from, to, bin) do
-    with {:ok, messages} <- read(handle, stream, from, to) do
-      all = neighbour(latest_at(handle, stream, from - 1)) ++ messages
-      all = all ++ neighbour(next_after(handle, stream, to))
-      points = Enum.flat_map(all, &Bins.points(&1.originating_time, &1.data))
-      {points, raw?} = Bins.fold(points, bin, max(div(to - from, bin), 2))
+    with {:ok, messages} <- read_adapted(handle, stream, from, to) do
+      all = message_list(latest_at(handle, stream, from - 1)) ++ messages
+      all = all ++ message_list(next_after(handle, stream, to))
+      points = Enum.flat_map(all, &Bins.value_points(&1.originating_time, &1.data))
+      {points, raw?} = Bins.fold_points(points, bin, max(div(to - from, bin), 2))
       {:ok, points, raw?}
     end
   end
 
-  defp read({source, adapter}, stream, from, to) do
+  defp read_adapted({source, adapter}, stream, from, to) do
     case Source.call(source, :messages, [stream, from, to, @scan]) do
       {:ok, messages, :all} ->
-        {:ok, Enum.map(messages, &adapt(&1, adapter))}
+        {:ok, Enum.map(messages, &adapt_message(&1, adapter))}
 
       {:ok, _, :more} ->
-        with {:ok, rows} <- Source.sample(source, stream, from, to, @sample),
-             do: {:ok, Enum.map(rows, fn {_, message} -> adapt(message, adapter) end)}
+        with {:ok, rows} <- Source.sample_messages(source, stream, from, to, @sample),
+             do: {:ok, Enum.map(rows, fn {_, message} -> adapt_message(message, adapter) end)}
 
       error ->
         error
     end
   end
 
-  defp neighbour({:ok, message}), do: [message]
-  defp neighbour(_), do: []
+  defp message_list({:ok, message}), do: [message]
+  defp message_list(_), do: []
 
   @impl true
   def messages({source, adapter}, stream, from, to, limit) do
     with {:ok, messages, more} <- Source.call(source, :messages, [stream, from, to, limit]),
-         do: {:ok, Enum.map(messages, &adapt(&1, adapter)), more}
+         do: {:ok, Enum.map(messages, &adapt_message(&1, adapter)), more}
   end
 
   @impl true
   def sample({source, adapter}, stream, from, to, n) do
-    with {:ok, rows} <- Source.sample(source, stream, from, to, n),
-         do: {:ok, for({i, message} <- rows, do: {i, adapt(message, adapter)})}
+    with {:ok, rows} <- Source.sample_messages(source, stream, from, to, n),
+         do: {:ok, for({i, message} <- rows, do: {i, adapt_message(message, adapter)})}
   end
 
   @impl true
-  def latest_at(handle, stream, time), do: one(handle, :latest_at, stream, time)
+  def latest_at(handle, stream, time), do: read_message(handle, :latest_at, stream, time)
 
   @impl true
-  def next_after(handle, stream, time), do: one(handle, :next_after, stream, time)
+  def next_after(handle, stream, time), do: read_message(handle, :next_after, stream, time)
 
-  defp one({source, adapter}, name, stream, time) do
+  defp read_message({source, adapter}, name, stream, time) do
     with {:ok, message} <- Source.call(source, name, [stream, time]),
-         do: {:ok, adapt(message, adapter)}
+         do: {:ok, adapt_message(message, adapter)}
   end
 
-  defp adapt(%{data: %Hole{}} = message, _adapter), do: message
+  defp adapt_message(%{data: %Hole{}} = message, _adapter), do: message
 
-  defp adapt(message, adapter) do
+  defp adapt_message(message, adapter) do
     case adapter.adapt(message.data, message) do
       {:ok, data} -> %{message | data: data}
       :error -> %{message | data: %Hole{}}

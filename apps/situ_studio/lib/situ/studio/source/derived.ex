@@ -36,43 +36,43 @@ defmodule Situ.Studio.Source.Derived do
   @doc """
   Returns whether a name is that of a derived stream.
 
-      iex> Situ.Studio.Source.Derived.name?("= a + 1")
+      iex> Situ.Studio.Source.Derived.derived_name?("= a + 1")
       true
   """
-  @spec name?(String.t()) :: boolean()
-  def name?(name), do: String.starts_with?(name, "= ")
+  @spec derived_name?(String.t()) :: boolean()
+  def derived_name?(name), do: String.starts_with?(name, "= ")
 
   @doc """
   Builds the information on the derived stream of an expression. Errors: `:bad_expression`, `:no_stream`, `:constant`
   (the expression names no stream).
   """
-  @spec derive(Source.t(), String.t()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
-  def derive(source, text) do
+  @spec derive_stream(Source.t(), String.t()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
+  def derive_stream(source, text) do
     name = "= " <> String.trim(text)
 
-    with {:ok, _} <- parse(name),
+    with {:ok, _} <- parse_name(name),
          {:ok, infos} <- Source.call(source, :streams, []),
-         {:ok, bases} <- bases(name, infos),
-         do: {:ok, info(source, name, bases)}
+         {:ok, bases} <- fetch_bases(name, infos),
+         do: {:ok, build_stream_info(source, name, bases)}
   end
 
-  defp bases("= " <> text, infos) do
+  defp fetch_bases("= " <> text, infos) do
     known = Map.new(infos, &{&1.name, &1})
     names = text |> Expression.parse!() |> Expression.names()
 
     case Enum.reject(names, &is_map_key(known, &1)) do
       [] -> {:ok, Enum.map(names, &known[&1])}
-      [missing | _] -> {:error, unknown(missing)}
+      [missing | _] -> {:error, unknown_stream_error(missing)}
     end
   end
 
-  defp unknown(name) do
+  defp unknown_stream_error(name) do
     Error.new(:no_stream, "unknown stream #{inspect(name)}",
       fix: "put names that contain dots in backticks: `Room.Level`"
     )
   end
 
-  defp info(source, name, bases) do
+  defp build_stream_info(source, name, bases) do
     firsts = for %{first: first} when first != nil <- bases, do: first
     lasts = for %{last: last} when last != nil <- bases, do: last
     {first, last} = {Enum.max(firsts, fn -> nil end), Enum.max(lasts, fn -> nil end)}
@@ -80,14 +80,14 @@ defmodule Situ.Studio.Source.Derived do
     %StreamInfo{
       name: name,
       type: "derived",
-      shape: if(first && last, do: shape(source, name, first, last), else: :value),
+      shape: if(first && last, do: detect_shape(source, name, first, last), else: :value),
       first: first,
       last: last,
       count: bases |> Enum.map(& &1.count) |> Enum.sum()
     }
   end
 
-  defp shape(source, name, first, last) do
+  defp detect_shape(source, name, first, last) do
     values =
       for i <- 0..(@looked_at - 1),
           time = first + div((last - first) * i, @looked_at - 1),
@@ -107,30 +107,34 @@ defmodule Situ.Studio.Source.Derived do
   def streams(%{source: source}), do: Source.call(source, :streams, [])
 
   @impl true
-  def damage(%{source: source}), do: Source.damage(source)
+  def damage(%{source: source}), do: Source.list_damage(source)
 
   @impl true
   def wanted(%{source: source}, streams),
-    do: Source.wanted(source, streams |> Enum.flat_map(&bases/1) |> Enum.uniq())
+    do: Source.request_streams(source, streams |> Enum.flat_map(&base_names/1) |> Enum.uniq())
 
-  defp bases("= " <> _ = name) do
-    case parse(name) do
+  defp base_names("= " <> _ = name) do
+    case parse_name(name) do
       {:ok, expression} -> Expression.names(expression)
       {:error, _} -> []
     end
   end
 
-  defp bases(name), do: [name]
+  defp base_names(name), do: [name]
 
   @impl true
   def series(derived, "= " <> _ = name, from, to, bin) do
     with {:ok, messages, _more} <- messages(derived, name, from, to, @most) do
-      {before, later} = Messages.beside({__MODULE__, derived}, name, {from, to}, length(messages))
+      {before, later} =
+        Messages.surrounding_messages({__MODULE__, derived}, name, {from, to}, length(messages))
 
       points =
-        Enum.flat_map(before ++ messages ++ later, &Bins.points(&1.originating_time, &1.data))
+        Enum.flat_map(
+          before ++ messages ++ later,
+          &Bins.value_points(&1.originating_time, &1.data)
+        )
 
-      {points, raw?} = Bins.fold(points, bin, max(div(to - from, bin), 2) + 16)
+      {points, raw?} = Bins.fold_points(points, bin, max(div(to - from, bin), 2) + 16)
       {:ok, points, raw?}
     end
   end
@@ -142,7 +146,7 @@ defmodule Situ.Studio.Source.Derived do
   def summary(_derived, "= " <> _, _from, _to, _bins), do: :none
 
   def summary(%{source: source}, name, from, to, bins),
-    do: Source.summary(source, name, from, to, bins)
+    do: Source.fetch_summary(source, name, from, to, bins)
 
   @impl true
   def sample(derived, "= " <> _ = name, from, to, n) do
@@ -157,7 +161,8 @@ defmodule Situ.Studio.Source.Derived do
     {:ok, Enum.with_index(messages, &{2 * &2, &1})}
   end
 
-  def sample(%{source: source}, name, from, to, n), do: Source.sample(source, name, from, to, n)
+  def sample(%{source: source}, name, from, to, n),
+    do: Source.sample_messages(source, name, from, to, n)
 
   @impl true
   def marks(derived, "= " <> _ = name, from, to, limit) do
@@ -170,10 +175,15 @@ defmodule Situ.Studio.Source.Derived do
 
   @impl true
   def messages(%{source: source}, "= " <> _ = name, from, to, limit) do
-    with {:ok, expression} <- parse(name),
+    with {:ok, expression} <- parse_name(name),
          names = Expression.names(expression),
-         {:ok, read} <- read(source, names, from, to, limit) do
-      env = for name <- names, {:ok, m} <- [before(source, name, from)], into: %{}, do: {name, m}
+         {:ok, read} <- read_streams(source, names, from, to, limit) do
+      env =
+        for name <- names,
+            {:ok, m} <- [latest_before(source, name, from)],
+            into: %{},
+            do: {name, m}
+
       all = for {name, messages, _} <- read, m <- messages, do: {m.originating_time, name, m}
 
       {messages, _} =
@@ -182,7 +192,7 @@ defmodule Situ.Studio.Source.Derived do
         |> Enum.chunk_by(&elem(&1, 0))
         |> Enum.map_reduce(env, fn [{time, _, _} | _] = now, env ->
           env = Enum.reduce(now, env, fn {_, name, m}, env -> Map.put(env, name, m) end)
-          {value(expression, env, time), env}
+          {evaluate_message(expression, env, time), env}
         end)
 
       cut = if Enum.any?(read, &(elem(&1, 2) == :more)), do: :more, else: :all
@@ -196,7 +206,7 @@ defmodule Situ.Studio.Source.Derived do
   def messages(%{source: source}, name, from, to, limit),
     do: Source.call(source, :messages, [name, from, to, limit])
 
-  defp read(source, names, from, to, limit) do
+  defp read_streams(source, names, from, to, limit) do
     Enum.reduce_while(names, {:ok, []}, fn name, {:ok, read} ->
       case Source.call(source, :messages, [name, from, to, limit]) do
         {:ok, messages, more} -> {:cont, {:ok, [{name, messages, more} | read]}}
@@ -205,34 +215,37 @@ defmodule Situ.Studio.Source.Derived do
     end)
   end
 
-  defp before(source, name, time), do: Source.call(source, :latest_at, [name, time - 1])
+  defp latest_before(source, name, time), do: Source.call(source, :latest_at, [name, time - 1])
 
   @impl true
   def latest_at(%{source: source}, "= " <> _ = name, time) do
-    with {:ok, expression} <- parse(name) do
+    with {:ok, expression} <- parse_name(name) do
       found =
         for name <- Expression.names(expression),
             do: {name, Source.call(source, :latest_at, [name, time])}
 
       case Enum.find(found, &match?({_, {:error, _}}, &1)) do
-        {_, error} -> error
-        nil -> held(expression, for({name, {:ok, message}} <- found, do: {name, message}))
+        {_, error} ->
+          error
+
+        nil ->
+          combine_latest(expression, for({name, {:ok, message}} <- found, do: {name, message}))
       end
     end
   end
 
   def latest_at(%{source: source}, name, time), do: Source.call(source, :latest_at, [name, time])
 
-  defp held(_expression, []), do: :none
+  defp combine_latest(_expression, []), do: :none
 
-  defp held(expression, found) do
+  defp combine_latest(expression, found) do
     time = found |> Enum.map(fn {_, m} -> m.originating_time end) |> Enum.max()
-    {:ok, value(expression, Map.new(found), time)}
+    {:ok, evaluate_message(expression, Map.new(found), time)}
   end
 
   @impl true
   def next_after(%{source: source} = derived, "= " <> _ = name, time) do
-    with {:ok, expression} <- parse(name) do
+    with {:ok, expression} <- parse_name(name) do
       times =
         for name <- Expression.names(expression),
             {:ok, message} <- [Source.call(source, :next_after, [name, time])],
@@ -245,7 +258,7 @@ defmodule Situ.Studio.Source.Derived do
   def next_after(%{source: source}, name, time),
     do: Source.call(source, :next_after, [name, time])
 
-  defp parse("= " <> text) do
+  defp parse_name("= " <> text) do
     with {:ok, expression} <- Expression.parse(text) do
       if Expression.names(expression) == [],
         do:
@@ -258,12 +271,12 @@ defmodule Situ.Studio.Source.Derived do
   end
 
   # Evaluates an expression at a time, given the latest message of each stream.
-  defp value(expression, messages, time) do
+  defp evaluate_message(expression, messages, time) do
     env =
       for {name, m} <- messages, reduce: %{} do
         env ->
           env
-          |> Map.put(name, Value.plain(m.data))
+          |> Map.put(name, Value.to_plain(m.data))
           |> Map.put("latency(#{name})", m.creation_time - m.originating_time)
           |> Map.put("age(#{name})", time - m.originating_time)
       end

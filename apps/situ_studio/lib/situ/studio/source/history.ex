@@ -22,7 +22,7 @@ defmodule Situ.Studio.Source.History do
        version: length(rows)
      }}
   rescue
-    ArgumentError -> gone()
+    ArgumentError -> gone_error()
   end
 
   @impl true
@@ -39,21 +39,21 @@ defmodule Situ.Studio.Source.History do
           first: first,
           last: last,
           count: count,
-          rate: StreamInfo.rate(kept, first, last),
+          rate: StreamInfo.mean_rate(kept, first, last),
           bytes: total
         }
       end
 
     {:ok, Enum.sort_by(infos, & &1.name)}
   rescue
-    ArgumentError -> gone()
+    ArgumentError -> gone_error()
   end
 
   defp look_inside(history, name, type, last) do
-    case {StreamInfo.shape(type), last} do
+    case {StreamInfo.shape_of_type(type), last} do
       {shape, time} when shape in [:value, :states, :spans] and time != nil ->
         case latest_at(history, name, time) do
-          {:ok, message} -> StreamInfo.look_inside(shape, [message.data])
+          {:ok, message} -> StreamInfo.refine_shape(shape, [message.data])
           _ -> {shape, []}
         end
 
@@ -66,21 +66,24 @@ defmodule Situ.Studio.Source.History do
   def series(history, stream, from, to, bin) do
     with {:ok, messages, _} <- messages(history, stream, from, to, 1_000_000) do
       n = length(messages)
-      {before, later} = Messages.beside({__MODULE__, history}, stream, {from, to}, n)
-      points = Enum.flat_map(before ++ messages ++ later, &points/1)
+
+      {before, later} =
+        Messages.surrounding_messages({__MODULE__, history}, stream, {from, to}, n)
+
+      points = Enum.flat_map(before ++ messages ++ later, &message_points/1)
       most = max(div(to - from, bin), 2) + length(before) + length(later)
-      {points, raw?} = Bins.fold(points, bin, most)
+      {points, raw?} = Bins.fold_points(points, bin, most)
       {:ok, points, raw?}
     end
   end
 
-  defp points(%{data: %Hole{}, originating_time: time}), do: [Bins.gap(time)]
+  defp message_points(%{data: %Hole{}, originating_time: time}), do: [Bins.gap(time)]
 
-  defp points(%{data: %module{} = data, originating_time: time}) do
+  defp message_points(%{data: %module{} = data, originating_time: time}) do
     if function_exported?(module, :points, 2), do: module.points(data, time), else: []
   end
 
-  defp points(%{data: data, originating_time: time}), do: Bins.points(time, data)
+  defp message_points(%{data: data, originating_time: time}), do: Bins.value_points(time, data)
 
   @impl true
   def messages(%History{messages: table}, stream, from, to, limit) do
@@ -94,7 +97,7 @@ defmodule Situ.Studio.Source.History do
       {rows, _} -> {:ok, rows, :all}
     end
   rescue
-    ArgumentError -> gone()
+    ArgumentError -> gone_error()
   end
 
   @impl true
@@ -114,26 +117,26 @@ defmodule Situ.Studio.Source.History do
 
   @impl true
   def latest_at(%History{messages: table}, stream, time) do
-    found(table, stream, :ets.prev(table, {stream, time + 1}))
+    lookup_message(table, stream, :ets.prev(table, {stream, time + 1}))
   rescue
-    ArgumentError -> gone()
+    ArgumentError -> gone_error()
   end
 
   @impl true
   def next_after(%History{messages: table}, stream, time) do
-    found(table, stream, :ets.next(table, {stream, time}))
+    lookup_message(table, stream, :ets.next(table, {stream, time}))
   rescue
-    ArgumentError -> gone()
+    ArgumentError -> gone_error()
   end
 
-  defp found(table, stream, {stream, _} = key) do
+  defp lookup_message(table, stream, {stream, _} = key) do
     case :ets.lookup(table, key) do
       [{_, message, _}] -> {:ok, message}
       [] -> :none
     end
   end
 
-  defp found(_, _, _), do: :none
+  defp lookup_message(_, _, _), do: :none
 
-  defp gone, do: {:error, Situ.Error.new(:gone, "the pipeline no longer exists")}
+  defp gone_error, do: {:error, Situ.Error.new(:gone, "the pipeline no longer exists")}
 end

@@ -20,24 +20,26 @@ defmodule Situ.Studio.Source.Pipeline do
           | {:all, (() -> [spec()])}
 
   @doc "Lists the pipelines among `specs` that are running, with their titles."
-  @spec running([spec()]) :: [{String.t(), Pipeline.target() | (() -> Pipeline.target())}]
-  def running(specs) do
+  @spec list_running([spec()]) :: [{String.t(), Pipeline.target() | (() -> Pipeline.target())}]
+  def list_running(specs) do
     for spec <- specs,
-        one <- each(spec),
-        {title, target} <- [titled(one)],
+        one <- expand_spec(spec),
+        {title, target} <- [with_title(one)],
         title != nil,
         do: {title, target}
   end
 
   # The pipelines of a cluster change over time.
-  defp each({:all, find}) when is_function(find, 0), do: find.()
-  defp each(spec), do: [spec]
+  defp expand_spec({:all, find}) when is_function(find, 0), do: find.()
+  defp expand_spec(spec), do: [spec]
 
-  defp titled({title, target}) when is_binary(title), do: {name(target) && title, target}
-  defp titled(target), do: {name(target), target}
+  defp with_title({title, target}) when is_binary(title),
+    do: {pipeline_name(target) && title, target}
 
-  defp name(target) do
-    Pipeline.info(Watch.target(target)).pipeline
+  defp with_title(target), do: {pipeline_name(target), target}
+
+  defp pipeline_name(target) do
+    Pipeline.info(Watch.resolve_target(target)).pipeline
   rescue
     _ in [Error, ArgumentError, FunctionClauseError] -> nil
   catch
@@ -48,10 +50,10 @@ defmodule Situ.Studio.Source.Pipeline do
   @spec open([spec()], String.t(), Supervisor.supervisor()) ::
           {:ok, Source.t()} | {:error, Error.t()}
   def open(specs, title, supervisor) do
-    case List.keyfind(running(specs), title, 0) do
+    case List.keyfind(list_running(specs), title, 0) do
       {_, target} ->
         {:ok, pid} = DynamicSupervisor.start_child(supervisor, {Watch, target})
-        {:ok, {__MODULE__, Watch.handle(pid)}}
+        {:ok, {__MODULE__, Watch.reader_handle(pid)}}
 
       nil ->
         {:error, Error.new(:not_running, "pipeline #{inspect(title)} is not running")}
@@ -60,21 +62,21 @@ defmodule Situ.Studio.Source.Pipeline do
 
   @impl true
   def extent(watch) do
-    with {:ok, streams, running?} <- Watch.streams(watch),
+    with {:ok, streams, running?} <- Watch.list_streams(watch),
          {:ok, extent} <- History.extent(watch.history) do
       extent = %{extent | live: running?, version: length(streams)}
-      {:ok, if(seen?(watch), do: extent, else: at_clock(extent, Watch.now(watch)))}
+      {:ok, if(any_messages?(watch), do: extent, else: at_clock(extent, Watch.now(watch)))}
     end
   end
 
   # Before the first message, the extent is the current time of the pipeline's clock, which a replay sets to the time of
   # its recording.
-  defp seen?(watch), do: :ets.info(watch.history.messages, :size) not in [0, :undefined]
+  defp any_messages?(watch), do: :ets.info(watch.history.messages, :size) not in [0, :undefined]
   defp at_clock(extent, now), do: %{extent | from: now, to: now}
 
   @impl true
   def streams(watch) do
-    with {:ok, named, _} <- Watch.streams(watch),
+    with {:ok, named, _} <- Watch.list_streams(watch),
          {:ok, seen} <- History.streams(watch.history) do
       seen = Map.new(seen, &{&1.name, &1})
 
@@ -91,42 +93,42 @@ defmodule Situ.Studio.Source.Pipeline do
 
   @doc "Returns the pipeline's current graph and statistics, for the page of its graph."
   @spec snapshot(Watch.t()) :: {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
-  def snapshot(watch), do: Watch.snapshot(watch)
+  def snapshot(watch), do: Watch.fetch_snapshot(watch)
 
   @doc "Traces the message of one originating time."
   @spec trace(Watch.t(), Situ.Time.t()) :: {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
-  def trace(watch, time), do: Watch.trace(watch, time)
+  def trace(watch, time), do: Watch.trace_message(watch, time)
 
   @impl true
-  def wanted(watch, streams), do: Enum.each(streams, &Watch.want(watch, &1))
+  def wanted(watch, streams), do: Enum.each(streams, &Watch.request_stream(watch, &1))
 
   @impl true
   def series(watch, stream, from, to, bin),
-    do: wanted(watch, stream, &History.series(&1, stream, from, to, bin))
+    do: read_wanted(watch, stream, &History.series(&1, stream, from, to, bin))
 
   @impl true
   def messages(watch, stream, from, to, limit),
-    do: wanted(watch, stream, &History.messages(&1, stream, from, to, limit))
+    do: read_wanted(watch, stream, &History.messages(&1, stream, from, to, limit))
 
   @impl true
   def marks(watch, stream, from, to, limit),
-    do: wanted(watch, stream, &History.marks(&1, stream, from, to, limit))
+    do: read_wanted(watch, stream, &History.marks(&1, stream, from, to, limit))
 
   @impl true
   def sample(watch, stream, from, to, n),
-    do: wanted(watch, stream, &History.sample(&1, stream, from, to, n))
+    do: read_wanted(watch, stream, &History.sample(&1, stream, from, to, n))
 
   @impl true
   def latest_at(watch, stream, time),
-    do: wanted(watch, stream, &History.latest_at(&1, stream, time))
+    do: read_wanted(watch, stream, &History.latest_at(&1, stream, time))
 
   @impl true
   def next_after(watch, stream, time),
-    do: wanted(watch, stream, &History.next_after(&1, stream, time))
+    do: read_wanted(watch, stream, &History.next_after(&1, stream, time))
 
   # The earlier messages of a stream remain available if it cannot be tapped.
-  defp wanted(watch, stream, read) do
-    case Watch.want(watch, stream) do
+  defp read_wanted(watch, stream, read) do
+    case Watch.request_stream(watch, stream) do
       :ok ->
         read.(watch.history)
 
@@ -134,7 +136,7 @@ defmodule Situ.Studio.Source.Pipeline do
         read.(watch.history)
 
       {:error, error} ->
-        case Watch.streams(watch) do
+        case Watch.list_streams(watch) do
           {:ok, _, false} -> read.(watch.history)
           _ -> {:error, error}
         end

@@ -26,36 +26,36 @@ defmodule Situ.Studio.Source.Session do
   @spec open([{String.t(), Path.t()}]) :: {:ok, Source.t()} | {:error, Error.t()}
   def open(paths) do
     opened = for {name, path} <- paths, do: {name, Source.Store.open(path)}
-    parts = for {name, {:ok, source}} <- opened, do: {prefix(name, paths), source}
+    parts = for {name, {:ok, source}} <- opened, do: {stream_prefix(name, paths), source}
     broken = for {name, {:error, error}} <- opened, do: {name, error}
 
     case {parts, broken} do
       {[], [{_, error} | _]} -> {:error, error}
       {[], []} -> {:error, Error.new(:empty, "the session has no recordings")}
-      _ -> {:ok, {__MODULE__, of(paths, parts, broken)}}
+      _ -> {:ok, {__MODULE__, build_session(paths, parts, broken)}}
     end
   end
 
-  defp of(paths, parts, broken) do
+  defp build_session(paths, parts, broken) do
     broken = for {name, error} <- broken, do: "#{name} cannot be opened: #{error.what}"
     %__MODULE__{paths: paths, parts: parts, broken: broken}
   end
 
-  defp prefix(_name, [_one]), do: ""
-  defp prefix(name, _several), do: name <> "."
+  defp stream_prefix(_name, [_one]), do: ""
+  defp stream_prefix(name, _several), do: name <> "."
 
   @impl true
   def extent(%__MODULE__{parts: parts}) do
     extents = for {_, source} <- parts, do: Source.call(source, :extent, [])
 
     case Enum.find(extents, &match?({:error, _}, &1)) do
-      nil -> {:ok, cover(Enum.map(extents, &elem(&1, 1)))}
+      nil -> {:ok, merge_extents(Enum.map(extents, &elem(&1, 1)))}
       error -> error
     end
   end
 
   # The extents of recordings without messages are meaningless.
-  defp cover(extents) do
+  defp merge_extents(extents) do
     timed = Enum.reject(extents, &(&1.from == &1.to and &1.from == 0))
     timed = if timed == [], do: extents, else: timed
 
@@ -81,44 +81,48 @@ defmodule Situ.Studio.Source.Session do
   @impl true
   def damage(%__MODULE__{parts: parts, broken: broken}) do
     broken ++
-      for({prefix, source} <- parts, what <- Source.damage(source), do: prefix <> " " <> what)
+      for(
+        {prefix, source} <- parts,
+        what <- Source.list_damage(source),
+        do: prefix <> " " <> what
+      )
   end
 
   @impl true
   def series(session, stream, from, to, bin),
-    do: ask(session, stream, &Source.call(&1, :series, [&2, from, to, bin]))
+    do: with_stream(session, stream, &Source.call(&1, :series, [&2, from, to, bin]))
 
   @impl true
   def messages(session, stream, from, to, limit),
-    do: ask(session, stream, &Source.call(&1, :messages, [&2, from, to, limit]))
+    do: with_stream(session, stream, &Source.call(&1, :messages, [&2, from, to, limit]))
 
   @impl true
   def marks(session, stream, from, to, limit),
-    do: ask(session, stream, &Source.call(&1, :marks, [&2, from, to, limit]))
+    do: with_stream(session, stream, &Source.call(&1, :marks, [&2, from, to, limit]))
 
   @impl true
   def sample(session, stream, from, to, n),
-    do: ask(session, stream, &Source.sample(&1, &2, from, to, n))
+    do: with_stream(session, stream, &Source.sample_messages(&1, &2, from, to, n))
 
   @impl true
   def summary(session, stream, from, to, bins),
-    do: ask(session, stream, &Source.summary(&1, &2, from, to, bins))
+    do: with_stream(session, stream, &Source.fetch_summary(&1, &2, from, to, bins))
 
   @impl true
   def latest_at(session, stream, time),
-    do: ask(session, stream, &Source.call(&1, :latest_at, [&2, time]))
+    do: with_stream(session, stream, &Source.call(&1, :latest_at, [&2, time]))
 
   @impl true
   def next_after(session, stream, time),
-    do: ask(session, stream, &Source.call(&1, :next_after, [&2, time]))
+    do: with_stream(session, stream, &Source.call(&1, :next_after, [&2, time]))
 
   # Names of partitions and streams may contain dots. The first part that contains the rest of the name is used, longest
   # prefix first.
-  defp ask(%__MODULE__{parts: parts}, stream, fun) do
+  defp with_stream(%__MODULE__{parts: parts}, stream, fun) do
     parts
     |> Enum.filter(fn {prefix, _} -> String.starts_with?(stream, prefix) end)
     |> Enum.sort_by(fn {prefix, _} -> -byte_size(prefix) end)
-    |> Enum.reduce_while(unknown(stream), fn {prefix, source}, missing ->
+    |> Enum.reduce_while(unknown_stream_error(stream), fn {prefix, source}, missing ->
       case fun.(
              source,
              binary_part(stream, byte_size(prefix), byte_size(stream) - byte_size(prefix))
@@ -129,6 +133,6 @@ defmodule Situ.Studio.Source.Session do
     end)
   end
 
-  defp unknown(stream),
+  defp unknown_stream_error(stream),
     do: {:error, Error.new(:no_stream, "unknown stream #{inspect(stream)}")}
 end

@@ -32,46 +32,53 @@ defmodule Situ.Studio.Source.Store do
   def open(path, reader_opts \\ []) do
     with {:ok, store} <- Store.open(path, reader_opts: reader_opts) do
       cache = :ets.new(__MODULE__, [:set, :public, read_concurrency: true])
-      :ets.insert(cache, {:stamp, stamp(store.path), Store.live?(store)})
-      for info <- Store.streams(store), do: load(info.type)
+      :ets.insert(cache, {:stamp, file_stamp(store.path), Store.live?(store)})
+      for info <- Store.streams(store), do: load_type_modules(info.type)
       {:ok, {__MODULE__, %__MODULE__{store: store, path: store.path, cache: cache}}}
     end
   end
 
   # Field names are atoms that exist only after their struct's module was loaded, and a reader creates no atoms.
-  defp load(type) when is_atom(type), do: Situ.KnownModules.load?(type)
-  defp load(type) when is_tuple(type), do: type |> Tuple.to_list() |> Enum.each(&load/1)
-  defp load(types) when is_list(types), do: Enum.each(types, &load/1)
-  defp load(_), do: :ok
+  defp load_type_modules(type) when is_atom(type), do: Situ.KnownModules.ensure_loaded?(type)
+
+  defp load_type_modules(type) when is_tuple(type),
+    do: type |> Tuple.to_list() |> Enum.each(&load_type_modules/1)
+
+  defp load_type_modules(types) when is_list(types), do: Enum.each(types, &load_type_modules/1)
+  defp load_type_modules(_), do: :ok
 
   @impl true
   def extent(source) do
-    with {:ok, %{extent: extent}} <- look(source), do: {:ok, extent}
+    with {:ok, %{extent: extent}} <- fetch_catalog(source), do: {:ok, extent}
   end
 
   @impl true
   def streams(source) do
-    with {:ok, %{infos: infos}} <- look(source) do
-      {:ok, infos |> Map.values() |> Enum.map(&stream(source, &1)) |> Enum.sort_by(& &1.name)}
+    with {:ok, %{infos: infos}} <- fetch_catalog(source) do
+      {:ok,
+       infos
+       |> Map.values()
+       |> Enum.map(&build_stream_info(source, &1))
+       |> Enum.sort_by(& &1.name)}
     end
   end
 
   # Returns the cached catalog, or reads it again.
-  defp look(%__MODULE__{cache: cache} = source) do
+  defp fetch_catalog(%__MODULE__{cache: cache} = source) do
     now = System.monotonic_time(:millisecond)
 
     case :ets.lookup(cache, :look) do
       [{:look, until, look}] when until > now -> {:ok, look}
-      _ -> look_again(source, now)
+      _ -> refresh_catalog(source, now)
     end
   rescue
-    ArgumentError -> gone(source)
+    ArgumentError -> gone_error(source)
   end
 
-  defp look_again(%__MODULE__{store: store, cache: cache} = source, now) do
+  defp refresh_catalog(%__MODULE__{store: store, cache: cache} = source, now) do
     live? = Store.live?(store)
 
-    with :ok <- same?(source, live?) do
+    with :ok <- check_unchanged(source, live?) do
       streams = Store.streams(store)
       {from, to} = Store.interval(streams) || {0, 0}
       extent = %{from: from, to: to, live: live?, version: length(streams)}
@@ -98,16 +105,16 @@ defmodule Situ.Studio.Source.Store do
   end
 
   # If the file was deleted and replaced, the open one would keep showing outdated data.
-  defp same?(%__MODULE__{cache: cache} = source, live?) do
-    case {stamp(source.path), :ets.lookup(cache, :stamp)} do
+  defp check_unchanged(%__MODULE__{cache: cache} = source, live?) do
+    case {file_stamp(source.path), :ets.lookup(cache, :stamp)} do
       {nil, _} ->
-        gone(source)
+        gone_error(source)
 
       {{inode, _, _}, [{:stamp, {other, _, _}, _}]} when inode != other ->
-        replaced(source)
+        replaced_error(source)
 
       {stamp, [{:stamp, before, false}]} when stamp != before and not live? ->
-        replaced(source)
+        replaced_error(source)
 
       {stamp, _} ->
         :ets.insert(cache, {:stamp, stamp, live?})
@@ -117,7 +124,8 @@ defmodule Situ.Studio.Source.Store do
 
   # Returns the stamp of a store's index, or of the file itself. Only the inode is compared while a recording is being
   # written. A recording on another machine remains the version that was opened.
-  defp stamp(path), do: if(Formats.for_address(path), do: {:elsewhere, 0, 0}, else: on_disk(path))
+  defp file_stamp(path),
+    do: if(Formats.for_address(path), do: {:elsewhere, 0, 0}, else: on_disk(path))
 
   defp on_disk(path) do
     index = Path.join(path, "index.situ")
@@ -128,20 +136,20 @@ defmodule Situ.Studio.Source.Store do
     end
   end
 
-  defp replaced(source) do
+  defp replaced_error(source) do
     {:error,
      Error.new(:replaced, "the recording #{Path.basename(source.path)} was replaced by another")}
   end
 
-  defp gone(source) do
+  defp gone_error(source) do
     {:error, Error.new(:gone, "the recording #{Path.basename(source.path)} no longer exists")}
   end
 
-  defp stream(source, info) do
+  defp build_stream_info(source, info) do
     details =
       [
-        {"On disk", info.stored > 0 && Figures.bytes(info.stored)},
-        {"Average size", info.count > 0 && Figures.bytes(div(info.size, info.count))},
+        {"On disk", info.stored > 0 && Figures.format_bytes(info.stored)},
+        {"Average size", info.count > 0 && Figures.format_bytes(div(info.size, info.count))},
         {"Compression", info.compression != :none && to_string(info.compression)},
         {"Large messages", info.large? && "stored separately"},
         {"First created", info.first_creation && {:time, info.first_creation}},
@@ -162,7 +170,7 @@ defmodule Situ.Studio.Source.Store do
       last: info.last,
       path: if(Formats.for_address(source.path) == nil, do: source.path),
       count: info.count,
-      rate: StreamInfo.rate(info.count, info.first, info.last),
+      rate: StreamInfo.mean_rate(info.count, info.first, info.last),
       bytes: info.size,
       latency: Store.StreamInfo.average_latency(info),
       keys: keys,
@@ -172,7 +180,7 @@ defmodule Situ.Studio.Source.Store do
 
   # If a stream's type does not determine its shape or its lanes, some of its messages do.
   defp look_inside(%__MODULE__{cache: cache} = source, info) do
-    case {StreamInfo.shape(info.type), :ets.lookup(cache, {:inside, info.name})} do
+    case {StreamInfo.shape_of_type(info.type), :ets.lookup(cache, {:inside, info.name})} do
       {_, [{_, inside}]} -> inside
       {shape, []} when shape in [:value, :states, :spans] -> look_inside(source, info, shape)
       {shape, []} -> {shape, []}
@@ -182,16 +190,18 @@ defmodule Situ.Studio.Source.Store do
   defp look_inside(_, %{count: 0}, shape), do: {shape, []}
 
   defp look_inside(source, info, shape) do
-    {:ok, sample} = Source.sample({__MODULE__, source}, info.name, info.first, info.last, @inside)
+    {:ok, sample} =
+      Source.sample_messages({__MODULE__, source}, info.name, info.first, info.last, @inside)
+
     some = Enum.map(sample, fn {_, message} -> message.data end)
 
-    inside = StreamInfo.look_inside(shape, some)
+    inside = StreamInfo.refine_shape(shape, some)
     if inside != {:value, []}, do: :ets.insert(source.cache, {{:inside, info.name}, inside})
     inside
   end
 
-  defp info(source, name) do
-    with {:ok, %{infos: infos}} <- look(source) do
+  defp fetch_info(source, name) do
+    with {:ok, %{infos: infos}} <- fetch_catalog(source) do
       case infos do
         %{^name => info} -> {:ok, info}
         _ -> {:error, Error.new(:no_stream, "unknown stream #{inspect(name)}")}
@@ -203,30 +213,37 @@ defmodule Situ.Studio.Source.Store do
   def series(source, name, from, to, bin) do
     bins = max(div(to - from, bin), 2)
 
-    with {:ok, info} <- info(source, name),
+    with {:ok, info} <- fetch_info(source, name),
          {:ok, n} <- Store.count(source.store, info, from, to) do
       cond do
-        elem(look_inside(source, info), 0) == :audio -> numbers(source, info, from, to, bins)
-        n <= bins -> raw(source, info, from, to, n)
-        true -> numbers(source, info, from, to, bins)
+        elem(look_inside(source, info), 0) == :audio ->
+          summary_points(source, info, from, to, bins)
+
+        n <= bins ->
+          raw_points(source, info, from, to, n)
+
+        true ->
+          summary_points(source, info, from, to, bins)
       end
     end
   end
 
-  defp raw(source, info, from, to, n) do
+  defp raw_points(source, info, from, to, n) do
     with {:ok, messages} <- Store.read(source.store, info, from: from, to: to, limit: n + 16) do
-      {before, later} = Messages.beside({__MODULE__, source}, info.name, {from, to}, n)
-      {:ok, points(before ++ messages ++ later), true}
+      {before, later} =
+        Messages.surrounding_messages({__MODULE__, source}, info.name, {from, to}, n)
+
+      {:ok, message_points(before ++ messages ++ later), true}
     end
   end
 
-  defp points(messages) do
+  defp message_points(messages) do
     for message <- messages,
-        point <- Bins.points(message.originating_time, message.data),
+        point <- Bins.value_points(message.originating_time, message.data),
         do: point
   end
 
-  defp numbers(source, info, from, to, bins) do
+  defp summary_points(source, info, from, to, bins) do
     with {:ok, _width, rows} <- Store.summary(source.store, info, from, to, bins) do
       {:ok, rows, false}
     end
@@ -234,7 +251,7 @@ defmodule Situ.Studio.Source.Store do
 
   @impl true
   def summary(source, name, from, to, bins) do
-    with {:ok, info} <- info(source, name),
+    with {:ok, info} <- fetch_info(source, name),
          {:ok, n} when n > @few <- Store.count(source.store, info, from, to) do
       # The end of a map's key is visible only in the counts of bins.
       keyed? = elem(look_inside(source, info), 0) in [:states, :spans, :value]
@@ -248,7 +265,7 @@ defmodule Situ.Studio.Source.Store do
 
   @impl true
   def messages(source, name, from, to, limit) do
-    with {:ok, info} <- info(source, name),
+    with {:ok, info} <- fetch_info(source, name),
          {:ok, messages} <-
            Store.read(source.store, info, from: from, to: to, limit: limit + 1) do
       if length(messages) > limit,
@@ -259,11 +276,11 @@ defmodule Situ.Studio.Source.Store do
 
   @impl true
   def marks(source, name, from, to, limit) do
-    with {:ok, info} <- info(source, name),
+    with {:ok, info} <- fetch_info(source, name),
          {:ok, n} <- Store.count(source.store, info, from, to) do
       if n <= limit,
         do: all_marks(source, info, from, to, n),
-        else: thinned(source, info, from, n)
+        else: sampled_marks(source, info, from, n)
     end
   end
 
@@ -271,17 +288,17 @@ defmodule Situ.Studio.Source.Store do
     opts = [from: from, to: to, limit: n + 16, envelopes: true]
 
     with {:ok, messages} <- Store.read(source.store, info, opts) do
-      {:ok, Enum.map(messages, &mark/1), :all}
+      {:ok, Enum.map(messages, &message_mark/1), :all}
     end
   end
 
-  defp thinned(source, info, from, n) do
-    with {:ok, rows} <- some(source, info, from, n, @samples, envelopes: true),
-         do: {:ok, for({_, message} <- rows, do: mark(message)), :more}
+  defp sampled_marks(source, info, from, n) do
+    with {:ok, rows} <- read_sample(source, info, from, n, @samples, envelopes: true),
+         do: {:ok, for({_, message} <- rows, do: message_mark(message)), :more}
   end
 
   # Reads at most about `keep` of the `n` messages from `from` on, evenly by number.
-  defp some(%{store: store}, info, from, n, keep, opts) do
+  defp read_sample(%{store: store}, info, from, n, keep, opts) do
     {:ok, first} = Store.ordinal(store, info, from)
 
     rows =
@@ -295,44 +312,45 @@ defmodule Situ.Studio.Source.Store do
 
   @impl true
   def sample(source, name, from, to, keep) do
-    with {:ok, info} <- info(source, name),
+    with {:ok, info} <- fetch_info(source, name),
          {:ok, n} <- Store.count(source.store, info, from, to),
-         do: some(source, info, from, n, keep, [])
+         do: read_sample(source, info, from, n, keep, [])
   end
 
-  defp mark(message), do: {message.originating_time, Situ.Message.latency(message)}
+  defp message_mark(message), do: {message.originating_time, Situ.Message.latency(message)}
 
   @impl true
   def latest_at(source, name, time) do
-    with {:ok, info} <- info(source, name),
-         do: found(Store.latest_at(source.store, info, time))
+    with {:ok, info} <- fetch_info(source, name),
+         do: nil_to_none(Store.latest_at(source.store, info, time))
   end
 
   @impl true
   def next_after(source, name, time) do
-    with {:ok, info} <- info(source, name),
-         do: found(Store.first_at(source.store, info, time + 1))
+    with {:ok, info} <- fetch_info(source, name),
+         do: nil_to_none(Store.first_at(source.store, info, time + 1))
   end
 
   @impl true
   def neighbours(source, name, side, time, n) do
-    with {:ok, info} <- info(source, name),
+    with {:ok, info} <- fetch_info(source, name),
          {:ok, here} <-
            Store.ordinal(source.store, info, if(side == :before, do: time, else: time + 1)),
-         do: run(source.store, info, side, here, n)
+         do: read_neighbours(source.store, info, side, here, n)
   end
 
-  defp run(_store, _info, :before, 0, _n), do: {:ok, []}
+  defp read_neighbours(_store, _info, :before, 0, _n), do: {:ok, []}
 
-  defp run(store, info, :before, here, n) do
+  defp read_neighbours(store, info, :before, here, n) do
     first = max(here - n, 0)
 
     with {:ok, messages} <- Store.read(store, info, index: first, limit: here - first),
          do: {:ok, Enum.reverse(messages)}
   end
 
-  defp run(store, info, :after, here, n), do: Store.read(store, info, index: here, limit: n)
+  defp read_neighbours(store, info, :after, here, n),
+    do: Store.read(store, info, index: here, limit: n)
 
-  defp found({:ok, nil}), do: :none
-  defp found(other), do: other
+  defp nil_to_none({:ok, nil}), do: :none
+  defp nil_to_none(other), do: other
 end

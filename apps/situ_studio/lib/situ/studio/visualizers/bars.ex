@@ -3,13 +3,13 @@ defmodule Situ.Studio.Visualizers.Bars do
   Bars of a message: a list of numbers, a map from names to numbers, or a list of `{name, number}`. A map from names to
   such lists is several series. They can also be drawn as lines, areas or a plot over x, vertically or horizontally.
 
-      iex> Situ.Studio.Visualizers.Bars.of(%{"b" => 2, "a" => 1.5})
+      iex> Situ.Studio.Visualizers.Bars.bar_rows(%{"b" => 2, "a" => 1.5})
       [["a", 1.5], ["b", 2]]
-      iex> Situ.Studio.Visualizers.Bars.of([3, 1])
+      iex> Situ.Studio.Visualizers.Bars.bar_rows([3, 1])
       [["0", 3], ["1", 1]]
-      iex> Situ.Studio.Visualizers.Bars.of([3, :x])
+      iex> Situ.Studio.Visualizers.Bars.bar_rows([3, :x])
       []
-      iex> Situ.Studio.Visualizers.Bars.series(%{right: [{"go", 1}], left: [3, 4]})
+      iex> Situ.Studio.Visualizers.Bars.named_series(%{right: [{"go", 1}], left: [3, 4]})
       [["left", [["0", 3], ["1", 4]]], ["right", [["go", 1]]]]
   """
   @behaviour Situ.Studio.Visualizer
@@ -38,7 +38,7 @@ defmodule Situ.Studio.Visualizers.Bars do
           lying: [type: :boolean, title: "Horizontal", default: false],
           x_title: [type: :text, title: "Title of the name axis"],
           y_title: [type: :text, title: "Title of the value axis"]
-        ] ++ Option.near()
+        ] ++ Option.near_cursor()
 
     %Visualizer{
       id: "bars",
@@ -46,62 +46,65 @@ defmodule Situ.Studio.Visualizers.Bars do
       panel: :bars,
       shapes: [:bars, :signals],
       options: options,
-      asks: Option.asks()
+      asks: Option.requested_keys()
     }
   end
 
   @impl true
   def instant(channel, data, message),
-    do: Frame.json(channel, message.originating_time, %{"series" => drawn(of(data), data)})
+    do:
+      Frame.json(channel, message.originating_time, %{
+        "series" => build_series(bar_rows(data), data)
+      })
 
-  defp drawn([], data), do: series(data)
-  defp drawn(rows, _data), do: [["", rows]]
+  defp build_series([], data), do: named_series(data)
+  defp build_series(rows, _data), do: [["", rows]]
 
   @doc "Returns `[name, rows]` for each list in a map of lists, by name, or an empty list for any other term."
-  @spec series(term()) :: [[String.t() | [[String.t() | number()]]]]
-  def series(%_{}), do: []
+  @spec named_series(term()) :: [[String.t() | [[String.t() | number()]]]]
+  def named_series(%_{}), do: []
 
-  def series(map) when is_map(map) and map_size(map) in 1..@series do
-    rows = for {name, [_ | _] = list} <- map, [_ | _] = rows <- [of(list)], do: {name, rows}
+  def named_series(map) when is_map(map) and map_size(map) in 1..@series do
+    rows = for {name, [_ | _] = list} <- map, [_ | _] = rows <- [bar_rows(list)], do: {name, rows}
 
     if length(rows) == map_size(map),
       do:
         for(
-          {name, rows} <- Enum.sort_by(rows, &Key.text(elem(&1, 0))),
-          do: [Key.text(name), rows]
+          {name, rows} <- Enum.sort_by(rows, &Key.key_name(elem(&1, 0))),
+          do: [Key.key_name(name), rows]
         ),
       else: []
   end
 
-  def series(_), do: []
+  def named_series(_), do: []
 
   @doc "Returns `[label, value]` pairs in order, or an empty list for a term that cannot be drawn as bars."
-  @spec of(term()) :: [[String.t() | number()]]
-  def of(%_{}), do: []
+  @spec bar_rows(term()) :: [[String.t() | number()]]
+  def bar_rows(%_{}), do: []
 
-  def of(map) when is_map(map) and map_size(map) > 0 do
-    rows = map |> Enum.take(@limit) |> Enum.sort() |> Enum.map(&row/1)
+  def bar_rows(map) when is_map(map) and map_size(map) > 0 do
+    rows = map |> Enum.take(@limit) |> Enum.sort() |> Enum.map(&build_row/1)
     if Enum.all?(rows), do: rows, else: []
   end
 
-  def of([first | _] = list) do
-    if plain?(list), do: list |> Enum.take(@limit) |> rows(first), else: []
+  def bar_rows([first | _] = list) do
+    if proper_list?(list), do: list |> Enum.take(@limit) |> list_rows(first), else: []
   end
 
-  def of(_), do: []
+  def bar_rows(_), do: []
 
-  defp rows(list, first) when is_number(first) do
+  defp list_rows(list, first) when is_number(first) do
     if Enum.all?(list, &is_number/1),
       do: Enum.with_index(list, fn v, i -> [Integer.to_string(i), v] end),
       else: []
   end
 
-  defp rows(list, _) do
-    rows = Enum.map(list, &row/1)
+  defp list_rows(list, _) do
+    rows = Enum.map(list, &build_row/1)
     if Enum.all?(rows), do: rows, else: []
   end
 
-  defp row({label, value}) when is_number(value) do
+  defp build_row({label, value}) when is_number(value) do
     cond do
       is_binary(label) and String.valid?(label) -> [String.slice(label, 0, 60), value]
       is_atom(label) or is_number(label) -> [to_string(label), value]
@@ -109,9 +112,9 @@ defmodule Situ.Studio.Visualizers.Bars do
     end
   end
 
-  defp row(_), do: nil
+  defp build_row(_), do: nil
 
-  defp plain?([]), do: true
-  defp plain?([_ | rest]), do: plain?(rest)
-  defp plain?(_), do: false
+  defp proper_list?([]), do: true
+  defp proper_list?([_ | rest]), do: proper_list?(rest)
+  defp proper_list?(_), do: false
 end

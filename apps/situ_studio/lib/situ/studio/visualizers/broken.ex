@@ -8,11 +8,11 @@ defmodule Situ.Studio.Visualizers.Broken do
   def about, do: %Visualizer{id: "broken", title: "Broken", panel: :own, shapes: []}
 
   @impl true
-  def instant(_channel, _data, _message, %{spec: %{viz: viz}}), do: {:error, why(viz)}
+  def instant(_channel, _data, _message, %{spec: %{viz: viz}}), do: {:error, failure_text(viz)}
 
   @impl true
   def window(_source, channel, %{viz: viz}, _from, _to, _bin),
-    do: Frame.error(channel, why(viz))
+    do: Frame.error(channel, failure_text(viz))
 
-  defp why(viz), do: "the plug-in #{viz.plugin} is broken: #{viz.problem}"
+  defp failure_text(viz), do: "the plug-in #{viz.plugin} is broken: #{viz.problem}"
 end

@@ -15,7 +15,7 @@ defmodule Situ.Studio.Visualizers.Depth do
           invalid: [type: {:range, -1, 65_535}, title: "No reading is", default: 0],
           invalid_color: [type: :color, title: "drawn in", auto: "see-through"],
           scale: [type: :boolean, title: "Colour scale", default: true]
-        ] ++ Option.near()
+        ] ++ Option.near_cursor()
 
     %Visualizer{
       id: "depth",
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Visualizers.Depth do
       panel: :image,
       shapes: [:depth],
       options: options,
-      asks: Option.asks()
+      asks: Option.requested_keys()
     }
   end
 

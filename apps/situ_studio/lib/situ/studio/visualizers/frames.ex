@@ -37,20 +37,20 @@ defmodule Situ.Studio.Visualizers.Frames do
   def instant(channel, _data, message, %{source: source, spec: spec}) do
     time = message.originating_time
 
-    with {:ok, frames} <- read(source, spec.stream, time),
-         do: Frame.json(channel, time, tree(frames, time)),
+    with {:ok, frames} <- read_frames(source, spec.stream, time),
+         do: Frame.json(channel, time, frame_tree(frames, time)),
          else: ({:error, error} -> {:error, error.what})
   end
 
   # Transforms that are always valid are usually sent only once, at the beginning.
-  defp read(source, stream, time) do
+  defp read_frames(source, stream, time) do
     with {:ok, first, _} <- Source.call(source, :messages, [stream, 0, time, @first]),
-         {:ok, near, _} <- Messages.within(source, stream, time - @window, time + @second) do
+         {:ok, near, _} <- Messages.fetch_within(source, stream, time - @window, time + @second) do
       known = Enum.filter(first, &(&1.originating_time < time - @window))
 
       Enum.reduce_while(known ++ near, {:ok, Frames.new(keep: 4 * @window)}, fn m,
                                                                                 {:ok, frames} ->
-        case Frames.take(frames, told(m.data), m.originating_time) do
+        case Frames.put_transforms(frames, message_transforms(m.data), m.originating_time) do
           {:ok, frames} -> {:cont, {:ok, frames}}
           error -> {:halt, error}
         end
@@ -58,9 +58,12 @@ defmodule Situ.Studio.Visualizers.Frames do
     end
   end
 
-  defp told(%Situ.Transform{} = one), do: [one]
-  defp told(list) when is_list(list), do: Enum.filter(list, &is_struct(&1, Situ.Transform))
-  defp told(_), do: []
+  defp message_transforms(%Situ.Transform{} = one), do: [one]
+
+  defp message_transforms(list) when is_list(list),
+    do: Enum.filter(list, &is_struct(&1, Situ.Transform))
+
+  defp message_transforms(_), do: []
 
   @doc """
   Returns every frame with its parent, its root and the matrix (column by column) that transforms it to the root. There
@@ -68,22 +71,22 @@ defmodule Situ.Studio.Visualizers.Frames do
 
       iex> alias Situ.Space.Frames
       iex> {:ok, frames} = Frames.put_static(Frames.new(), "lamp", "room", Situ.Pose.new({0.0, 0.0, 2.0}))
-      iex> %{"frames" => %{"lamp" => lamp, "room" => _}} = Situ.Studio.Visualizers.Frames.tree(frames, 0)
+      iex> %{"frames" => %{"lamp" => lamp, "room" => _}} = Situ.Studio.Visualizers.Frames.frame_tree(frames, 0)
       iex> {lamp["root"], Enum.slice(lamp["matrix"], 12, 3)}
       {"room", [0.0, 0.0, 2.0]}
   """
-  @spec tree(Frames.t(), Situ.Time.t()) :: map()
-  def tree(frames, time) do
+  @spec frame_tree(Frames.t(), Situ.Time.t()) :: map()
+  def frame_tree(frames, time) do
     parents = Map.new(Frames.list(frames), fn {frame, parent, _} -> {frame, parent} end)
     names = Enum.uniq(Map.keys(parents) ++ Map.values(parents))
 
     rows =
       for name <- names, into: %{} do
-        root = root(name, parents)
+        root = root_frame(name, parents)
         row = %{"root" => root, "parent" => parents[name]}
 
         case Frames.lookup(frames, name, root, time) do
-          {:ok, pose} -> {name, Map.put(row, "matrix", columns(pose))}
+          {:ok, pose} -> {name, Map.put(row, "matrix", column_major(pose))}
           {:error, error} -> {name, Map.put(row, "problem", error.what)}
         end
       end
@@ -92,9 +95,10 @@ defmodule Situ.Studio.Visualizers.Frames do
   end
 
   # The recursion ends, because `Situ.Space.Frames` rejects cycles.
-  defp root(name, parents), do: if(parents[name], do: root(parents[name], parents), else: name)
+  defp root_frame(name, parents),
+    do: if(parents[name], do: root_frame(parents[name], parents), else: name)
 
-  defp columns(pose) do
+  defp column_major(pose) do
     [a, b, c, x, d, e, f, y, g, h, i, z | _] = Situ.Pose.to_matrix(pose)
     [a, d, g, 0.0, b, e, h, 0.0, c, f, i, 0.0, x, y, z, 1.0]
   end

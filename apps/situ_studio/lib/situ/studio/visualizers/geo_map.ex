@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.GeoMap do
   @moduledoc """
   Positions on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map: the track of the whole
-  recording, and the position at the cursor. `Situ.GeoPoint.of/1` lists the values that are positions.
+  recording, and the position at the cursor. `Situ.GeoPoint.from_data/1` lists the values that are positions.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -28,8 +28,8 @@ defmodule Situ.Studio.Visualizers.GeoMap do
 
   @impl true
   def window(source, channel, spec, from, to, _bin) do
-    with {:ok, messages, all?} <- messages(source, spec.stream, from, to) do
-      places = for m <- messages, {:ok, p} <- [place(m.data, spec.path)], do: {m, p}
+    with {:ok, messages, all?} <- read_messages(source, spec.stream, from, to) do
+      places = for m <- messages, {:ok, p} <- [fetch_position(m.data, spec.path)], do: {m, p}
       line = fn value -> for {m, p} <- places, do: Bins.point(m.originating_time, value.(p)) end
 
       lines = [
@@ -41,8 +41,8 @@ defmodule Situ.Studio.Visualizers.GeoMap do
     end
   end
 
-  defp messages(source, stream, from, to) do
-    case Messages.within(source, stream, from, to) do
+  defp read_messages(source, stream, from, to) do
+    case Messages.fetch_within(source, stream, from, to) do
       {:ok, messages, true} when length(messages) > @most ->
         every = div(length(messages) - 1, @most) + 1
         {:ok, Enum.take_every(messages, every) ++ Enum.take(messages, -1), false}
@@ -51,7 +51,7 @@ defmodule Situ.Studio.Visualizers.GeoMap do
         {:ok, messages, true}
 
       {:ok, _, false} ->
-        with {:ok, rows} <- Source.sample(source, stream, from, to, @most),
+        with {:ok, rows} <- Source.sample_messages(source, stream, from, to, @most),
              do: {:ok, Enum.map(rows, &elem(&1, 1)), false}
 
       error ->
@@ -59,19 +59,19 @@ defmodule Situ.Studio.Visualizers.GeoMap do
     end
   end
 
-  defp place(data, path) do
-    with {:ok, data} <- Path.fetch(data, path), do: GeoPoint.of(data)
+  defp fetch_position(data, path) do
+    with {:ok, data} <- Path.fetch(data, path), do: GeoPoint.from_data(data)
   end
 
   @impl true
   def instant(channel, data, message) do
-    case GeoPoint.of(data) do
+    case GeoPoint.from_data(data) do
       {:ok, place} ->
         Frame.json(channel, message.originating_time, %{
           "latitude" => place.latitude,
           "longitude" => place.longitude,
           "height" => place.height,
-          "accuracy" => GeoPoint.radius(place)
+          "accuracy" => GeoPoint.horizontal_accuracy(place)
         })
 
       :error ->

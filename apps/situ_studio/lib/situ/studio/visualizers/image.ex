@@ -7,7 +7,7 @@ defmodule Situ.Studio.Visualizers.Image do
 
   @impl true
   def about do
-    options = Option.visible() ++ Option.flip() ++ Option.near()
+    options = Option.visible() ++ Option.flip() ++ Option.near_cursor()
 
     %Visualizer{
       id: "image",
@@ -15,13 +15,13 @@ defmodule Situ.Studio.Visualizers.Image do
       panel: :image,
       shapes: [:image],
       options: options,
-      asks: Option.asks()
+      asks: Option.requested_keys()
     }
   end
 
   @impl true
   def instant(channel, data, message) do
-    with {:ok, picture} <- Picture.of(data),
+    with {:ok, picture} <- Picture.to_browser_image(data),
          do: Frame.image(channel, message.originating_time, picture)
   end
 end

@@ -20,14 +20,14 @@ defmodule Situ.Studio.Visualizers.Latency do
   def window(source, channel, %{stream: stream}, from, to, bin) do
     with {:ok, rows, all} <- Source.call(source, :marks, [stream, from, to, @rows]) do
       points = for {t, latency} <- rows, do: Bins.point(t, latency / 1.0e6)
-      {points, raw?} = Bins.fold(points, bin, @points)
+      {points, raw?} = Bins.fold_points(points, bin, @points)
       Frame.series(channel, points, raw?, sampled: all == :more)
     end
   end
 
   @impl true
   def value_at(source, channel, spec, time) do
-    Values.at(source, channel, %{spec | path: []}, time, fn _data, message ->
+    Values.fetch_at(source, channel, %{spec | path: []}, time, fn _data, message ->
       [{"", Situ.Message.latency(message) / 1.0e6}]
     end)
   end

@@ -10,7 +10,7 @@ defmodule Situ.Studio.Visualizers.Line do
 
   @impl true
   def about do
-    options = Option.visible() ++ Option.color() ++ Option.line()
+    options = Option.visible() ++ Option.color() ++ Option.line_style()
 
     %Visualizer{
       id: "line",
@@ -23,28 +23,28 @@ defmodule Situ.Studio.Visualizers.Line do
 
   @impl true
   def window(source, channel, %{stream: stream, path: []} = spec, from, to, bin) do
-    if Source.Derived.name?(stream),
-      do: of_messages(source, channel, spec, from, to, bin),
-      else: summed(source, channel, stream, from, to, bin)
+    if Source.Derived.derived_name?(stream),
+      do: frame_from_messages(source, channel, spec, from, to, bin),
+      else: summary_frame(source, channel, stream, from, to, bin)
   end
 
   def window(source, channel, spec, from, to, bin),
-    do: of_messages(source, channel, spec, from, to, bin)
+    do: frame_from_messages(source, channel, spec, from, to, bin)
 
   @impl true
   def value_at(source, channel, spec, time),
-    do: Values.at(source, channel, spec, time, fn data, _message -> [{"", data}] end)
+    do: Values.fetch_at(source, channel, spec, time, fn data, _message -> [{"", data}] end)
 
-  defp summed(source, channel, stream, from, to, bin) do
+  defp summary_frame(source, channel, stream, from, to, bin) do
     with {:ok, points, raw?} <- Source.call(source, :series, [stream, from, to, bin]),
          do: Frame.series(channel, points, raw?)
   end
 
   # Without a summary in the source, a line is built from the messages. If there are too many, it is built from a
   # sample, which the frame marks.
-  defp of_messages(source, channel, spec, from, to, bin) do
-    with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
-      {points, raw?} = messages |> of(spec.path) |> Bins.fold(bin, @points)
+  defp frame_from_messages(source, channel, spec, from, to, bin) do
+    with {:ok, messages, all?} <- Messages.fetch_around(source, spec, from, to) do
+      {points, raw?} = messages |> line_points(spec.path) |> Bins.fold_points(bin, @points)
       Frame.series(channel, points, raw?, sampled: not all?)
     end
   end
@@ -53,17 +53,17 @@ defmodule Situ.Studio.Visualizers.Line do
   Builds the line of the number at `path` in each message. If it is missing or `nil`, the line has a gap.
 
       iex> messages = for {t, v} <- [{0, %{a: 1}}, {1, %{}}], do: %Situ.Message{data: v, originating_time: t}
-      iex> Situ.Studio.Visualizers.Line.of(messages, [{:name, "a"}])
+      iex> Situ.Studio.Visualizers.Line.line_points(messages, [{:name, "a"}])
       [{0, 1, 1, 1, 1}, {1, nil, nil, nil, 1}]
   """
-  @spec of([Situ.Message.t()], Path.t()) :: [Bins.point() | Bins.gap()]
-  def of(messages, path) do
-    for message <- messages, point <- one(message, path), do: point
+  @spec line_points([Situ.Message.t()], Path.t()) :: [Bins.point() | Bins.gap()]
+  def line_points(messages, path) do
+    for message <- messages, point <- message_points(message, path), do: point
   end
 
-  defp one(%{data: data, originating_time: time}, path) do
+  defp message_points(%{data: data, originating_time: time}, path) do
     case Path.fetch(data, path) do
-      {:ok, value} -> Bins.points(time, value)
+      {:ok, value} -> Bins.value_points(time, value)
       :error -> [Bins.gap(time)]
     end
   end

@@ -19,41 +19,41 @@ defmodule Situ.Studio.Visualizers.Lines do
 
   @impl true
   def about do
-    options = Option.visible() ++ Option.line()
+    options = Option.visible() ++ Option.line_style()
     %Visualizer{id: "lines", title: "Lines", panel: :plot, shapes: [:signals], options: options}
   end
 
   @impl true
   def window(source, channel, %{path: []} = spec, from, to, bin) do
-    case Source.summary(source, spec.stream, from, to, max(div(to - from, bin), 2)) do
-      {:ok, %{tracks: tracks}} -> summed(channel, tracks)
-      :none -> of_messages(source, channel, spec, from, to, bin)
+    case Source.fetch_summary(source, spec.stream, from, to, max(div(to - from, bin), 2)) do
+      {:ok, %{tracks: tracks}} -> summary_frame(channel, tracks)
+      :none -> frame_from_messages(source, channel, spec, from, to, bin)
       error -> error
     end
   end
 
   def window(source, channel, spec, from, to, bin),
-    do: of_messages(source, channel, spec, from, to, bin)
+    do: frame_from_messages(source, channel, spec, from, to, bin)
 
   @impl true
   def value_at(source, channel, spec, time),
-    do: Values.at(source, channel, spec, time, fn data, _message -> named_values(data) end)
+    do: Values.fetch_at(source, channel, spec, time, fn data, _message -> named_values(data) end)
 
   defp named_values(%module{}) when is_atom(module), do: []
-  defp named_values(%{} = map), do: for({key, value} <- map, do: {Key.text(key), value})
+  defp named_values(%{} = map), do: for({key, value} <- map, do: {Key.key_name(key), value})
   defp named_values(_other), do: []
 
-  defp summed(channel, tracks) do
+  defp summary_frame(channel, tracks) do
     bins = for {key, {:numbers, bins}} <- tracks, key != nil, into: %{}, do: {key, bins}
-    lines = for key <- Key.sort(Map.keys(bins)), do: {Key.text(key), bins[key]}
+    lines = for key <- Key.sort_keys(Map.keys(bins)), do: {Key.key_name(key), bins[key]}
     Frame.lines(channel, lines, false, more: map_size(bins) - length(lines))
   end
 
-  defp of_messages(source, channel, spec, from, to, bin) do
-    with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
+  defp frame_from_messages(source, channel, spec, from, to, bin) do
+    with {:ok, messages, all?} <- Messages.fetch_around(source, spec, from, to) do
       keys = by_key(messages, spec.path)
-      named = named(keys)
-      folded = for {name, points} <- named, do: {name, Bins.fold(points, bin, @points)}
+      named = sort_named(keys)
+      folded = for {name, points} <- named, do: {name, Bins.fold_points(points, bin, @points)}
 
       raw? = Enum.all?(folded, fn {_, {_, raw?}} -> raw? end)
       lines = for {name, {points, _}} <- folded, do: {name, points}
@@ -64,19 +64,23 @@ defmodule Situ.Studio.Visualizers.Lines do
 
   @doc "Builds a line for each key of the maps at `path`, sorted by the keys' names."
   @spec of_maps([Situ.Message.t()], Path.t()) :: [{name :: String.t(), line()}]
-  def of_maps(messages, path), do: messages |> by_key(path) |> named()
+  def of_maps(messages, path), do: messages |> by_key(path) |> sort_named()
 
   # Collects the lines that contain numbers, newest point first.
   defp by_key(messages, path) do
     messages
-    |> Enum.reduce(%{}, &add(&2, &1, path))
+    |> Enum.reduce(%{}, &add_message(&2, &1, path))
     |> Map.filter(fn {_, line} -> Enum.any?(line, &(not Bins.gap?(&1))) end)
   end
 
-  defp named(lines),
-    do: for(key <- Key.sort(Map.keys(lines)), do: {Key.text(key), Enum.reverse(lines[key])})
+  defp sort_named(lines),
+    do:
+      for(
+        key <- Key.sort_keys(Map.keys(lines)),
+        do: {Key.key_name(key), Enum.reverse(lines[key])}
+      )
 
-  defp add(lines, %{data: data, originating_time: time}, path) do
+  defp add_message(lines, %{data: data, originating_time: time}, path) do
     values =
       case Path.fetch(data, path) do
         {:ok, map} when is_map(map) and not is_struct(map) -> map
@@ -85,11 +89,13 @@ defmodule Situ.Studio.Visualizers.Lines do
 
     lines
     |> end_missing(values, time)
-    |> then(&Enum.reduce(values, &1, fn {key, value}, lines -> put(lines, key, time, value) end))
+    |> then(
+      &Enum.reduce(values, &1, fn {key, value}, lines -> put_point(lines, key, time, value) end)
+    )
   end
 
-  defp put(lines, key, time, value) do
-    case {Bins.points(time, value), lines} do
+  defp put_point(lines, key, time, value) do
+    case {Bins.value_points(time, value), lines} do
       {[], _} -> lines
       {[point], %{^key => line}} -> %{lines | key => [point | line]}
       {[point], _} -> Map.put(lines, key, [point])

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Visualizers.Log do
   @moduledoc """
   The messages around the cursor as a list, each with its time and a short text.
 
-      iex> Situ.Studio.Visualizers.Log.row(%Situ.Message{data: {:ok, 3}, originating_time: 7}, [])
+      iex> Situ.Studio.Visualizers.Log.build_row(%Situ.Message{data: {:ok, 3}, originating_time: 7}, [])
       ["7", "{:ok, 3}"]
   """
   @behaviour Situ.Studio.Visualizer
@@ -20,18 +20,18 @@ defmodule Situ.Studio.Visualizers.Log do
 
   @impl true
   def instant(channel, _data, %{originating_time: time} = message, %{source: source, spec: spec}) do
-    before = Source.neighbours(source, spec.stream, :before, time, @earlier)
-    later = Source.neighbours(source, spec.stream, :after, time, @later)
-    rows = for m <- Enum.reverse(before) ++ [message | later], do: row(m, spec.path)
+    before = Source.list_neighbours(source, spec.stream, :before, time, @earlier)
+    later = Source.list_neighbours(source, spec.stream, :after, time, @later)
+    rows = for m <- Enum.reverse(before) ++ [message | later], do: build_row(m, spec.path)
     Frame.json(channel, time, %{"rows" => rows, "at" => length(before)})
   end
 
   @doc "Returns the time of a message as text, and its value at a path in a few words."
-  @spec row(Message.t(), Path.t()) :: [String.t()]
-  def row(message, path) do
+  @spec build_row(Message.t(), Path.t()) :: [String.t()]
+  def build_row(message, path) do
     said =
       case Path.fetch(message.data, path) do
-        {:ok, value} -> Segments.label(value)
+        {:ok, value} -> Segments.value_label(value)
         :error -> ""
       end
 

@@ -6,7 +6,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   masks as runs: a value and its number of repetitions, from the upper left corner on.
 
       iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<0, 7, 7, 7>>)
-      iex> Situ.Studio.Visualizers.Masks.runs(image)
+      iex> Situ.Studio.Visualizers.Masks.encode_runs(image)
       %{"width" => 2, "height" => 2, "runs" => [0, 1, 7, 3]}
   """
   @behaviour Situ.Studio.Visualizer
@@ -35,7 +35,7 @@ defmodule Situ.Studio.Visualizers.Masks do
           opacity: [type: {:range, 5, 100}, title: "Opacity in %", default: 45],
           labels: [type: :boolean, title: "Labels", default: true],
           fit: [type: {:in, @fits}, title: "Classes cover", default: "pad"]
-        ] ++ Option.near()
+        ] ++ Option.near_cursor()
 
     %Visualizer{
       id: "masks",
@@ -43,50 +43,51 @@ defmodule Situ.Studio.Visualizers.Masks do
       panel: :image,
       shapes: [:masks, :image],
       options: options,
-      asks: Option.asks()
+      asks: Option.requested_keys()
     }
   end
 
   @impl true
   def instant(channel, data, message, %{source: source, spec: %{stream: stream}}) do
-    with {:ok, found} <- found(data, source, stream, message.originating_time),
-         do: Frame.json(channel, message.originating_time, told(found))
+    with {:ok, found} <- fetch_masks(data, source, stream, message.originating_time),
+         do: Frame.json(channel, message.originating_time, masks_json(found))
   end
 
   @doc "Fetches the classes in a message's data, or the objects with their boxes, or the reason why there are none."
-  @spec found(term(), Source.t(), String.t(), Situ.Time.t()) ::
+  @spec fetch_masks(term(), Source.t(), String.t(), Situ.Time.t()) ::
           {:ok, found()} | {:error, String.t()}
-  def found(%Image{} = image, _source, _stream, _time) do
-    with {:ok, image} <- gray(image), do: {:ok, {:classes, image}}
+  def fetch_masks(%Image{} = image, _source, _stream, _time) do
+    with {:ok, image} <- validate_gray(image), do: {:ok, {:classes, image}}
   end
 
-  def found([{%Rect{}, %Image{}} | _] = pairs, _source, _stream, _time), do: boxes(pairs)
+  def fetch_masks([{%Rect{}, %Image{}} | _] = pairs, _source, _stream, _time),
+    do: boxed_objects(pairs)
 
-  def found([%Image{} | _] = masks, source, stream, time) do
-    case rects(source, stream, time, length(masks)) do
-      {:ok, rects} -> boxes(Enum.zip(rects, masks))
+  def fetch_masks([%Image{} | _] = masks, source, stream, time) do
+    case find_rects(source, stream, time, length(masks)) do
+      {:ok, rects} -> boxed_objects(Enum.zip(rects, masks))
       :none -> {:error, "no stream has as many rectangles at the same time"}
     end
   end
 
-  def found([], _source, _stream, _time), do: {:ok, {:objects, []}}
-  def found(_, _, _, _), do: {:error, "this message does not contain masks"}
+  def fetch_masks([], _source, _stream, _time), do: {:ok, {:objects, []}}
+  def fetch_masks(_, _, _, _), do: {:error, "this message does not contain masks"}
 
-  defp boxes(pairs) do
+  defp boxed_objects(pairs) do
     objects =
       for {%Rect{} = rect, %Image{} = image} <- Enum.take(pairs, @most),
-          {:ok, image} <- [gray(image)],
+          {:ok, image} <- [validate_gray(image)],
           do: {rect, image}
 
     {:ok, {:objects, objects}}
   end
 
-  defp told({:classes, image}), do: %{"classes" => runs(image)}
+  defp masks_json({:classes, image}), do: %{"classes" => encode_runs(image)}
 
-  defp told({:objects, objects}) do
+  defp masks_json({:objects, objects}) do
     masks =
       for {r, image} <- objects do
-        Map.merge(runs(image), %{
+        Map.merge(encode_runs(image), %{
           "box" => [r.x, r.y, r.width, r.height],
           "label" => r.label && to_string(r.label),
           "score" => r.score,
@@ -97,31 +98,32 @@ defmodule Situ.Studio.Visualizers.Masks do
     %{"masks" => masks}
   end
 
-  defp gray(%Image{width: w, height: h}) when w * h > @pixels,
+  defp validate_gray(%Image{width: w, height: h}) when w * h > @pixels,
     do: {:error, "a mask of #{w} x #{h} is too large to draw"}
 
-  defp gray(%Image{format: :gray8} = image) do
+  defp validate_gray(%Image{format: :gray8} = image) do
     case Image.validate(image) do
       {:ok, image} -> {:ok, image}
       {:error, error} -> {:error, error.what}
     end
   end
 
-  defp gray(%Image{format: format}), do: {:error, "masks must be :gray8 images, not #{format}"}
+  defp validate_gray(%Image{format: format}),
+    do: {:error, "masks must be :gray8 images, not #{format}"}
 
   # Tries the streams with the most similar names first, because the outputs of a detector share a prefix.
-  defp rects(source, stream, time, count) do
+  defp find_rects(source, stream, time, count) do
     with {:ok, infos} <- Source.call(source, :streams, []) do
       infos
       |> Enum.filter(&(&1.shape == :shapes))
-      |> Enum.sort_by(&(-shared(&1.name, stream)))
-      |> Enum.find_value(:none, &at(source, &1.name, time, count))
+      |> Enum.sort_by(&(-common_prefix_size(&1.name, stream)))
+      |> Enum.find_value(:none, &rects_at(source, &1.name, time, count))
     else
       _ -> :none
     end
   end
 
-  defp at(source, stream, time, count) do
+  defp rects_at(source, stream, time, count) do
     case Source.call(source, :latest_at, [stream, time]) do
       {:ok, %{originating_time: ^time, data: rects}}
       when is_list(rects) and length(rects) == count ->
@@ -132,16 +134,16 @@ defmodule Situ.Studio.Visualizers.Masks do
     end
   end
 
-  defp shared(a, b), do: :binary.longest_common_prefix([a, b])
+  defp common_prefix_size(a, b), do: :binary.longest_common_prefix([a, b])
 
   @doc "Encodes a `:gray8` image as runs."
-  @spec runs(Image.t()) :: map()
-  def runs(%Image{width: w, height: h} = image),
-    do: %{"width" => w, "height" => h, "runs" => image |> Image.pixels() |> runs([])}
+  @spec encode_runs(Image.t()) :: map()
+  def encode_runs(%Image{width: w, height: h} = image),
+    do: %{"width" => w, "height" => h, "runs" => image |> Image.pixel_bytes() |> collect_runs([])}
 
-  defp runs(<<>>, acc), do: Enum.reverse(acc)
-  defp runs(<<v, rest::binary>>, acc), do: run(rest, v, 1, acc)
+  defp collect_runs(<<>>, acc), do: Enum.reverse(acc)
+  defp collect_runs(<<v, rest::binary>>, acc), do: count_run(rest, v, 1, acc)
 
-  defp run(<<v, rest::binary>>, v, n, acc), do: run(rest, v, n + 1, acc)
-  defp run(rest, v, n, acc), do: runs(rest, [n, v | acc])
+  defp count_run(<<v, rest::binary>>, v, n, acc), do: count_run(rest, v, n + 1, acc)
+  defp count_run(rest, v, n, acc), do: collect_runs(rest, [n, v | acc])
 end

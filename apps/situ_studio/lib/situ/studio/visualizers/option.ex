@@ -37,17 +37,17 @@ defmodule Situ.Studio.Visualizers.Option do
   @longest 1.0e6
 
   # Options for the message that is shown at the cursor: the last one at or before it, or another message near enough.
-  @spec near() :: keyword()
-  def near do
+  @spec near_cursor() :: keyword()
+  def near_cursor do
     [
       past: [type: {:range, 0, @longest}, title: "Holds for, s", auto: "until the next"],
       future: [type: {:range, 0, @longest}, title: "Shown before, s", auto: "0"]
     ]
   end
 
-  @doc "Returns the options of `near/0` that are sent to the server."
-  @spec asks() :: [atom()]
-  def asks, do: [:past, :future]
+  @doc "Returns the options of `near_cursor/0` that are sent to the server."
+  @spec requested_keys() :: [atom()]
+  def requested_keys, do: [:past, :future]
 
   # The number of channels to choose from.
   @channels 8
@@ -60,8 +60,8 @@ defmodule Situ.Studio.Visualizers.Option do
 
   @markers ["circle", "square", "triangle", "diamond", "plus", "cross"]
 
-  @spec line() :: keyword()
-  def line do
+  @spec line_style() :: keyword()
+  def line_style do
     joins = [{"direct", "straight"}, {"step", "steps"}, {"none", "points only"}]
 
     [

@@ -82,9 +82,9 @@ defmodule Situ.Studio.Visualizers.Space do
 
   @impl true
   def instant(channel, data, message, %{spec: spec} = context) do
-    case Scene.Terms.of(data, settings(spec)) do
+    case Scene.Terms.collect_items(data, scene_settings(spec)) do
       {[], []} ->
-        if Scene.Terms.nothing?(data),
+        if Scene.Terms.empty_term?(data),
           do: Frame.scene(channel, message.originating_time, [], []),
           else: {:error, "this message does not contain anything in space"}
 
@@ -92,19 +92,19 @@ defmodule Situ.Studio.Visualizers.Space do
         {:error, what}
 
       {items, problems} ->
-        {items, kept} = Scene.keep(items, context[:kept])
+        {items, kept} = Scene.cache_meshes(items, context[:kept])
         {:kept, Frame.scene(channel, message.originating_time, items, problems), kept}
     end
   end
 
   @doc "Builds the settings for collecting a message's items, from the properties."
-  @spec settings(Visualizer.spec()) :: Scene.Terms.settings()
-  def settings(%{viz: viz} = spec) do
+  @spec scene_settings(Visualizer.spec()) :: Scene.Terms.settings()
+  def scene_settings(%{viz: viz} = spec) do
     props = Map.get(spec, :props, %{})
-    s = Visualizer.settings(viz, props)
+    s = Visualizer.property_values(viz, props)
 
     %{
-      within: planes(props["within"]),
+      within: parse_planes(props["within"]),
       budget: String.to_integer(s.budget),
       depth_as: s.depth_as,
       sparsity: round(s.sparsity),
@@ -117,11 +117,11 @@ defmodule Situ.Studio.Visualizers.Space do
   end
 
   # Parses the planes around the visible part of a scene, four numbers each.
-  defp planes(numbers) when is_list(numbers) and length(numbers) <= 32 do
+  defp parse_planes(numbers) when is_list(numbers) and length(numbers) <= 32 do
     if rem(length(numbers), 4) == 0 and
          Enum.all?(numbers, &(is_number(&1) and abs(&1) < 1.0e30)),
        do: numbers |> Enum.chunk_every(4) |> Enum.map(&List.to_tuple/1)
   end
 
-  defp planes(_other), do: nil
+  defp parse_planes(_other), do: nil
 end

@@ -6,13 +6,13 @@ defmodule Situ.Studio.Visualizers.Spans do
   lists of these, and maps from names of lanes to these. During an utterance, a recogniser sends several drafts of its
   text (`final?: false`), of which only the newest is drawn.
 
-      iex> Situ.Studio.Visualizers.Spans.of(%{"Ada" => [%{start: 10, stop: 20, text: "hello"}]}, 25)
+      iex> Situ.Studio.Visualizers.Spans.find_spans(%{"Ada" => [%{start: 10, stop: 20, text: "hello"}]}, 25)
       [{10, 20, "hello", "span", "Ada"}]
-      iex> Situ.Studio.Visualizers.Spans.of({Situ.Interval.closed(1, 5), "yes"}, 5)
+      iex> Situ.Studio.Visualizers.Spans.find_spans({Situ.Interval.closed(1, 5), "yes"}, 5)
       [{1, 5, "yes", "span", ""}]
-      iex> Situ.Studio.Visualizers.Spans.of(%{text: "ten of clubs", from: 3, to: 9}, 9)
+      iex> Situ.Studio.Visualizers.Spans.find_spans(%{text: "ten of clubs", from: 3, to: 9}, 9)
       [{3, 9, "ten of clubs", "span", ""}]
-      iex> Situ.Studio.Visualizers.Spans.of(%{"count" => 3}, 5)
+      iex> Situ.Studio.Visualizers.Spans.find_spans(%{"count" => 3}, 5)
       []
   """
   @behaviour Situ.Studio.Visualizer
@@ -34,34 +34,34 @@ defmodule Situ.Studio.Visualizers.Spans do
 
   @impl true
   def window(source, channel, %{stream: stream} = spec, from, to, bin) do
-    with {:ok, messages, all?} <- Messages.within(source, stream, from, to) do
-      before = Source.neighbours(source, stream, :before, from, @around)
-      later = Source.neighbours(source, stream, :after, to, @around)
-      messages = settled(Enum.reverse(before) ++ messages ++ later)
+    with {:ok, messages, all?} <- Messages.fetch_within(source, stream, from, to) do
+      before = Source.list_neighbours(source, stream, :before, from, @around)
+      later = Source.list_neighbours(source, stream, :after, to, @around)
+      messages = drop_drafts(Enum.reverse(before) ++ messages ++ later)
 
       rows =
         for message <- messages,
             {:ok, value} <- [Path.fetch(message.data, spec.path)],
-            {a, b, _, _, _} = row <- of(value, message.originating_time),
+            {a, b, _, _, _} = row <- find_spans(value, message.originating_time),
             a <= to and b >= from,
             uniq: true,
             do: row
 
       rows
       |> Enum.sort_by(&{elem(&1, 4), elem(&1, 0)})
-      |> Segments.frame(channel, bin, messages, all?)
+      |> Segments.segments_frame(channel, bin, messages, all?)
     end
   end
 
   # A draft is not drawn if a later message replaces it.
-  defp settled([%{data: %{final?: false}} | [_ | _] = rest]), do: settled(rest)
-  defp settled([message | rest]), do: [message | settled(rest)]
-  defp settled([]), do: []
+  defp drop_drafts([%{data: %{final?: false}} | [_ | _] = rest]), do: drop_drafts(rest)
+  defp drop_drafts([message | rest]), do: [message | drop_drafts(rest)]
+  defp drop_drafts([]), do: []
 
   @doc "Returns the intervals in a message's data, in order. Intervals without a start begin at `time`."
-  @spec of(term(), Situ.Time.t()) :: [Segments.t()]
-  def of(data, time) do
-    case lanes(data, time) do
+  @spec find_spans(term(), Situ.Time.t()) :: [Segments.t()]
+  def find_spans(data, time) do
+    case lane_spans(data, time) do
       {:ok, spans} ->
         spans |> Enum.take(@limit) |> Enum.sort_by(fn s -> {elem(s, 4), elem(s, 0)} end)
 
@@ -71,76 +71,82 @@ defmodule Situ.Studio.Visualizers.Spans do
   end
 
   @doc "Returns whether structs of this module are intervals."
-  @spec struct?(module()) :: boolean()
-  def struct?(Interval), do: true
+  @spec interval_struct?(module()) :: boolean()
+  def interval_struct?(Interval), do: true
 
-  def struct?(module) do
-    Situ.KnownModules.load?(module) and function_exported?(module, :__struct__, 0) and
-      bounded?(Map.keys(module.__struct__()))
+  def interval_struct?(module) do
+    Situ.KnownModules.ensure_loaded?(module) and function_exported?(module, :__struct__, 0) and
+      bounded_keys?(Map.keys(module.__struct__()))
   end
 
-  defp bounded?(keys) do
+  defp bounded_keys?(keys) do
     (:start in keys and (:stop in keys or :end in keys)) or
       Enum.all?([:text, :from, :to], &(&1 in keys))
   end
 
-  defp lanes(data, time) do
-    with :error <- spans(data, "", time), do: by_lane(data, time)
+  defp lane_spans(data, time) do
+    with :error <- value_spans(data, "", time), do: by_lane(data, time)
   end
 
   defp by_lane(map, time) when is_map(map) and not is_struct(map) and map_size(map) > 0 do
-    all(Map.to_list(map), fn {key, value} -> spans(value, Key.text(key), time) end)
+    collect_all(Map.to_list(map), fn {key, value} ->
+      value_spans(value, Key.key_name(key), time)
+    end)
   end
 
   defp by_lane(_, _), do: :error
 
-  defp spans([_ | _] = list, lane, time), do: all(list, &span(&1, lane, time))
-  defp spans(value, lane, time), do: span(value, lane, time)
+  defp value_spans([_ | _] = list, lane, time), do: collect_all(list, &build_span(&1, lane, time))
+  defp value_spans(value, lane, time), do: build_span(value, lane, time)
 
   # Either all elements are intervals, or the data is not. An improper list is not, either.
-  defp all([], _), do: {:ok, []}
+  defp collect_all([], _), do: {:ok, []}
 
-  defp all([head | tail], fun) do
-    with {:ok, spans} <- fun.(head), {:ok, more} <- all(tail, fun), do: {:ok, spans ++ more}
+  defp collect_all([head | tail], fun) do
+    with {:ok, spans} <- fun.(head),
+         {:ok, more} <- collect_all(tail, fun),
+         do: {:ok, spans ++ more}
   end
 
-  defp all(_, _), do: :error
+  defp collect_all(_, _), do: :error
 
-  defp span({%Interval{} = interval, text}, lane, time) when is_binary(text) or is_atom(text),
-    do: bounds(interval, text, lane, time)
+  defp build_span({%Interval{} = interval, text}, lane, time)
+       when is_binary(text) or is_atom(text),
+       do: interval_span(interval, text, lane, time)
 
-  defp span(%Interval{} = interval, lane, time), do: bounds(interval, nil, lane, time)
+  defp build_span(%Interval{} = interval, lane, time),
+    do: interval_span(interval, nil, lane, time)
 
-  defp span(%{interval: %Interval{} = interval} = map, lane, time),
-    do: bounds(interval, first(map, @texts), lane, time)
+  defp build_span(%{interval: %Interval{} = interval} = map, lane, time),
+    do: interval_span(interval, first_value(map, @texts), lane, time)
 
-  defp span(map, lane, _time) when is_map(map) do
-    case {first(map, @starts), first(map, @stops)} do
+  defp build_span(map, lane, _time) when is_map(map) do
+    case {first_value(map, @starts), first_value(map, @stops)} do
       {from, to} when is_integer(from) and is_integer(to) ->
-        {:ok, [{from, max(from, to), label(first(map, @texts)), "span", lane}]}
+        {:ok, [{from, max(from, to), span_label(first_value(map, @texts)), "span", lane}]}
 
       _ ->
-        said(map, lane)
+        text_span(map, lane)
     end
   end
 
-  defp span(_, _, _), do: :error
+  defp build_span(_, _, _), do: :error
 
   # `from` and `to` need a text, because without one they may be positions.
-  defp said(%{text: text, from: from, to: to}, lane)
+  defp text_span(%{text: text, from: from, to: to}, lane)
        when is_binary(text) and is_integer(from) and is_integer(to),
-       do: {:ok, [{from, max(from, to), label(text), "span", lane}]}
+       do: {:ok, [{from, max(from, to), span_label(text), "span", lane}]}
 
-  defp said(_, _), do: :error
+  defp text_span(_, _), do: :error
 
-  defp bounds(%Interval{left: left, right: right}, text, lane, time) do
+  defp interval_span(%Interval{left: left, right: right}, text, lane, time) do
     from = if is_number(left), do: round(left), else: time
     to = if is_number(right), do: max(round(right), from)
-    {:ok, [{from, to, label(text), "span", lane}]}
+    {:ok, [{from, to, span_label(text), "span", lane}]}
   end
 
-  defp first(map, keys), do: Enum.find_value(keys, &Map.get(map, &1))
+  defp first_value(map, keys), do: Enum.find_value(keys, &Map.get(map, &1))
 
-  defp label(nil), do: ""
-  defp label(text), do: Segments.label(text)
+  defp span_label(nil), do: ""
+  defp span_label(text), do: Segments.value_label(text)
 end

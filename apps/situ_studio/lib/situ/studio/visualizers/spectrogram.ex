@@ -27,24 +27,26 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
 
   @impl true
   def window(source, channel, %{stream: stream} = spec, from, to, _bin) do
-    one = chosen(spec)
+    one = selected_channel(spec)
 
-    with {:ok, rate} <- rate(source, stream, from) do
+    with {:ok, rate} <- sample_rate(source, stream, from) do
       length = div(@samples * @second, rate) + 1
       step = max(div(to - from, @columns), length)
       # Positions are multiples of the step, so that a view that moves has the same segments.
       first = Integer.floor_div(from, step) * step
 
       pieces =
-        for t <- first..to//step, piece = piece(source, {stream, one}, t, length), do: {t, piece}
+        for t <- first..to//step,
+            piece = read_segment(source, {stream, one}, t, length),
+            do: {t, piece}
 
-      Frame.sounds(channel, pieces, rate)
+      Frame.audio_chunks(channel, pieces, rate)
     end
   end
 
   # Returns `nil` if there is not enough audio, or only silence.
-  defp piece(source, {stream, channel}, time, length) do
-    case Sound.samples(source, stream, time, time + length, channel) do
+  defp read_segment(source, {stream, channel}, time, length) do
+    case Sound.channel_samples(source, stream, time, time + length, channel) do
       {:ok, {_, _, <<@silence, _::binary>>}} -> nil
       {:ok, {_, _, <<samples::binary-size(@samples * 4), _::binary>>}} -> samples
       _ -> nil
@@ -52,10 +54,10 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
   end
 
   # If all channels are chosen, the first one is shown.
-  defp chosen(%{props: %{"channel" => <<digit>>}}) when digit in ?1..?8, do: digit - ?1
-  defp chosen(_), do: 0
+  defp selected_channel(%{props: %{"channel" => <<digit>>}}) when digit in ?1..?8, do: digit - ?1
+  defp selected_channel(_), do: 0
 
-  defp rate(source, stream, time) do
+  defp sample_rate(source, stream, time) do
     with :none <- Source.call(source, :next_after, [stream, time]),
          :none <- Source.call(source, :latest_at, [stream, time]) do
       {:ok, 16_000}
@@ -68,12 +70,12 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
 
   @impl true
   def value_at(source, channel, %{stream: stream} = spec, time) do
-    with {:ok, rate} <- rate(source, stream, time) do
+    with {:ok, rate} <- sample_rate(source, stream, time) do
       length = div(@samples * @second, rate) + 1
 
-      case piece(source, {stream, chosen(spec)}, time, length) do
+      case read_segment(source, {stream, selected_channel(spec)}, time, length) do
         nil -> :none
-        samples -> {:ok, time, Frame.sounds(channel, [{time, samples}], rate)}
+        samples -> {:ok, time, Frame.audio_chunks(channel, [{time, samples}], rate)}
       end
     end
   end

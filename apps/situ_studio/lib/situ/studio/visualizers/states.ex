@@ -17,16 +17,16 @@ defmodule Situ.Studio.Visualizers.States do
   # If there are too many messages to distinguish, the source's summary is drawn. Parts of messages have no summary.
   @impl true
   def window(source, channel, %{stream: stream, path: []} = spec, from, to, bin) do
-    case Source.summary(source, stream, from, to, max(div(to - from, bin), 2)) do
+    case Source.fetch_summary(source, stream, from, to, max(div(to - from, bin), 2)) do
       {:ok, summary} ->
-        later = time(Source.call(source, :next_after, [stream, to]))
-        newest = List.wrap(time(Source.call(source, :latest_at, [stream, to])))
-        before = time(Source.call(source, :latest_at, [stream, from - 1]))
+        later = message_time(Source.call(source, :next_after, [stream, to]))
+        newest = List.wrap(message_time(Source.call(source, :latest_at, [stream, to])))
+        before = message_time(Source.call(source, :latest_at, [stream, from - 1]))
 
         summary
-        |> Tracks.segments(later)
-        |> Segments.cut(Rhythm.holes(beside(summary.counts, before, later)))
-        |> Segments.frame(channel, bin, Enum.map(newest, &%{originating_time: &1}), true)
+        |> Tracks.from_summary(later)
+        |> Segments.remove_gaps(Rhythm.find_gaps(extend_counts(summary.counts, before, later)))
+        |> Segments.segments_frame(channel, bin, Enum.map(newest, &%{originating_time: &1}), true)
 
       :none ->
         Segments.window(source, channel, spec, from, to, bin)
@@ -40,11 +40,11 @@ defmodule Situ.Studio.Visualizers.States do
     do: Segments.window(source, channel, spec, from, to, bin)
 
   # A gap may extend beyond the window. The first bin is complete and may therefore contain the message before it.
-  defp beside([{first, _} | _] = counts, before, later) do
+  defp extend_counts([{first, _} | _] = counts, before, later) do
     before = if before != nil and before < first, do: [{before, 1}], else: []
     before ++ counts ++ if(later, do: [{later, 1}], else: [])
   end
 
-  defp time({:ok, message}), do: message.originating_time
-  defp time(_), do: nil
+  defp message_time({:ok, message}), do: message.originating_time
+  defp message_time(_), do: nil
 end

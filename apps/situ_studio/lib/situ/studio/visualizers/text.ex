@@ -14,18 +14,18 @@ defmodule Situ.Studio.Visualizers.Text do
       title: "Text",
       panel: :text,
       shapes: [:text],
-      options: Option.near(),
-      asks: Option.asks()
+      options: Option.near_cursor(),
+      asks: Option.requested_keys()
     }
   end
 
   @impl true
   def instant(channel, data, message),
-    do: Frame.json(channel, message.originating_time, %{"text" => text(data)})
+    do: Frame.json(channel, message.originating_time, %{"text" => display_text(data)})
 
-  defp text(data) when is_binary(data) do
+  defp display_text(data) when is_binary(data) do
     if String.valid?(data), do: String.slice(data, 0, @max_text), else: inspect(data)
   end
 
-  defp text(data), do: inspect(data, pretty: true, limit: 200, printable_limit: 4_000)
+  defp display_text(data), do: inspect(data, pretty: true, limit: 200, printable_limit: 4_000)
 end

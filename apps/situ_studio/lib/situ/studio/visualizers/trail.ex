@@ -36,14 +36,17 @@ defmodule Situ.Studio.Visualizers.Trail do
   @impl true
   def instant(channel, _data, message, %{source: source, spec: spec}) do
     to = message.originating_time
-    from = to - round(Visualizer.settings(spec.viz, Map.get(spec, :props, %{})).seconds * @second)
 
-    with {:ok, messages} <- messages(source, spec.stream, from, to) do
-      ways = messages |> Enum.map(&places(&1, spec.path)) |> Enum.reject(&(&1 == []))
+    from =
+      to -
+        round(Visualizer.property_values(spec.viz, Map.get(spec, :props, %{})).seconds * @second)
+
+    with {:ok, messages} <- read_messages(source, spec.stream, from, to) do
+      ways = messages |> Enum.map(&message_positions(&1, spec.path)) |> Enum.reject(&(&1 == []))
 
       cond do
-        ways != [] -> Frame.scene(channel, to, items(ways), [])
-        nothing?(messages, spec.path) -> Frame.scene(channel, to, [], [])
+        ways != [] -> Frame.scene(channel, to, trail_items(ways), [])
+        all_empty?(messages, spec.path) -> Frame.scene(channel, to, [], [])
         true -> {:error, "these messages do not contain positions"}
       end
     else
@@ -51,13 +54,13 @@ defmodule Situ.Studio.Visualizers.Trail do
     end
   end
 
-  defp messages(source, stream, from, to) do
-    case Messages.within(source, stream, from, to) do
+  defp read_messages(source, stream, from, to) do
+    case Messages.fetch_within(source, stream, from, to) do
       {:ok, messages, _} when length(messages) <= @most ->
         {:ok, messages}
 
       {:ok, _, _} ->
-        with {:ok, rows} <- Source.sample(source, stream, from, to, @most),
+        with {:ok, rows} <- Source.sample_messages(source, stream, from, to, @most),
              do: {:ok, Enum.map(rows, &elem(&1, 1))}
 
       error ->
@@ -65,10 +68,10 @@ defmodule Situ.Studio.Visualizers.Trail do
     end
   end
 
-  defp nothing?(messages, path) do
+  defp all_empty?(messages, path) do
     Enum.all?(messages, fn %{data: data} ->
       match?({:ok, _}, Path.fetch(data, path)) and
-        data |> Path.fetch(path) |> elem(1) |> Scene.Terms.nothing?()
+        data |> Path.fetch(path) |> elem(1) |> Scene.Terms.empty_term?()
     end)
   end
 
@@ -76,47 +79,56 @@ defmodule Situ.Studio.Visualizers.Trail do
   Returns the positions in a message, in order.
 
       iex> message = %Situ.Message{data: Situ.Pose.new({1.0, 2.0, 3.0}), originating_time: 0}
-      iex> Situ.Studio.Visualizers.Trail.places(message, [])
+      iex> Situ.Studio.Visualizers.Trail.message_positions(message, [])
       [{1.0, 2.0, 3.0}]
   """
-  @spec places(Situ.Message.t(), Path.t()) :: [Situ.Vector3.t()]
-  def places(%{data: data}, path) do
+  @spec message_positions(Situ.Message.t(), Path.t()) :: [Situ.Vector3.t()]
+  def message_positions(%{data: data}, path) do
     case Path.fetch(data, path) do
-      {:ok, data} -> data |> of() |> Enum.take(200)
+      {:ok, data} -> data |> term_positions() |> Enum.take(200)
       :error -> []
     end
   end
 
-  defp of(%Situ.Pose{position: p}), do: [p]
-  defp of(%Situ.Point3{x: x, y: y, z: z}), do: [{x, y, z}]
-  defp of(%Situ.Ray3{origin: p}), do: [p]
-  defp of(%Situ.Velocity3{origin: p}), do: [p]
-  defp of(%Situ.PoseVelocity{pose: pose}), do: of(pose)
-  defp of(%Situ.Line3{from: from, to: to}), do: [from, to]
-  defp of(%Situ.Rectangle3{pose: pose}), do: of(pose)
-  defp of(%Situ.Box3{} = box), do: [Situ.Box3.center(box)]
-  defp of(%Situ.CameraView{pose: pose}), do: of(pose)
+  defp term_positions(%Situ.Pose{position: p}), do: [p]
+  defp term_positions(%Situ.Point3{x: x, y: y, z: z}), do: [{x, y, z}]
+  defp term_positions(%Situ.Ray3{origin: p}), do: [p]
+  defp term_positions(%Situ.Velocity3{origin: p}), do: [p]
+  defp term_positions(%Situ.PoseVelocity{pose: pose}), do: term_positions(pose)
+  defp term_positions(%Situ.Line3{from: from, to: to}), do: [from, to]
+  defp term_positions(%Situ.Rectangle3{pose: pose}), do: term_positions(pose)
+  defp term_positions(%Situ.Box3{} = box), do: [Situ.Box3.center_point(box)]
+  defp term_positions(%Situ.CameraView{pose: pose}), do: term_positions(pose)
 
-  defp of(%Situ.Skeleton{joints: joints}),
-    do: joints |> Enum.sort() |> Enum.flat_map(&of(elem(&1, 1)))
+  defp term_positions(%Situ.Skeleton{joints: joints}),
+    do: joints |> Enum.sort() |> Enum.flat_map(&term_positions(elem(&1, 1)))
 
-  defp of(list) when is_list(list),
-    do: if(List.improper?(list), do: [], else: Enum.flat_map(list, &of/1))
+  defp term_positions(list) when is_list(list),
+    do: if(List.improper?(list), do: [], else: Enum.flat_map(list, &term_positions/1))
 
-  defp of(tuple) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> Enum.flat_map(&of/1)
-  defp of(%_{}), do: []
-  defp of(map) when is_map(map), do: map |> Map.values() |> Enum.flat_map(&of/1)
-  defp of(_), do: []
+  defp term_positions(tuple) when is_tuple(tuple),
+    do: tuple |> Tuple.to_list() |> Enum.flat_map(&term_positions/1)
 
-  defp items(ways) do
+  defp term_positions(%_{}), do: []
+
+  defp term_positions(map) when is_map(map),
+    do: map |> Map.values() |> Enum.flat_map(&term_positions/1)
+
+  defp term_positions(_), do: []
+
+  defp trail_items(ways) do
     all = Enum.concat(ways)
     firsts = Enum.map(ways, &hd/1)
     segments = Enum.zip(firsts, tl(firsts))
     ends = Enum.flat_map(segments, fn {a, b} -> Tuple.to_list(a) ++ Tuple.to_list(b) end)
-    points = [position: Scene.floats(Enum.flat_map(all, &Tuple.to_list/1))]
-    way = Scene.item(:lines, length(segments), [position: Scene.floats(ends)], %{"name" => "way"})
+    points = [position: Scene.encode_floats(Enum.flat_map(all, &Tuple.to_list/1))]
 
-    [Scene.item(:points, length(all), points, %{"of" => length(all), "name" => "was here"})] ++
+    way =
+      Scene.new_item(:lines, length(segments), [position: Scene.encode_floats(ends)], %{
+        "name" => "way"
+      })
+
+    [Scene.new_item(:points, length(all), points, %{"of" => length(all), "name" => "was here"})] ++
       if(segments == [], do: [], else: [way])
   end
 end

@@ -12,30 +12,33 @@ defmodule Situ.Studio.Visualizers.Value do
       title: "Value",
       panel: :value,
       shapes: :any,
-      options: Option.near(),
-      asks: Option.asks()
+      options: Option.near_cursor(),
+      asks: Option.requested_keys()
     }
   end
 
   @impl true
   def instant(channel, data, message) do
     Frame.json(channel, message.originating_time, %{
-      "tree" => ValueTree.of(data),
+      "tree" => ValueTree.build(data),
       "time" => Integer.to_string(message.originating_time),
       "sequence" => message.sequence_id,
       "latency" => Situ.Message.latency(message),
-      "type" => type(data)
+      "type" => type_name(data)
     })
   end
 
-  defp type(%module{}), do: inspect(module)
-  defp type(data) when is_binary(data), do: if(String.valid?(data), do: "string", else: "binary")
-  defp type(data) when is_boolean(data), do: "boolean"
-  defp type(data) when is_atom(data), do: "atom"
-  defp type(data) when is_integer(data), do: "integer"
-  defp type(data) when is_float(data), do: "float"
-  defp type(data) when is_list(data), do: "list"
-  defp type(data) when is_tuple(data), do: "tuple"
-  defp type(data) when is_map(data), do: "map"
-  defp type(_), do: "term"
+  defp type_name(%module{}), do: inspect(module)
+
+  defp type_name(data) when is_binary(data),
+    do: if(String.valid?(data), do: "string", else: "binary")
+
+  defp type_name(data) when is_boolean(data), do: "boolean"
+  defp type_name(data) when is_atom(data), do: "atom"
+  defp type_name(data) when is_integer(data), do: "integer"
+  defp type_name(data) when is_float(data), do: "float"
+  defp type_name(data) when is_list(data), do: "list"
+  defp type_name(data) when is_tuple(data), do: "tuple"
+  defp type_name(data) when is_map(data), do: "map"
+  defp type_name(_), do: "term"
 end

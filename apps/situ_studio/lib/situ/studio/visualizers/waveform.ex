@@ -33,42 +33,47 @@ defmodule Situ.Studio.Visualizers.Waveform do
 
   @impl true
   def window(source, channel, %{stream: stream} = spec, from, to, bin) do
-    case chosen(spec) do
-      nil -> together(source, channel, stream, {from, to, bin}, false)
-      _ when to - from > @most -> together(source, channel, stream, {from, to, bin}, true)
-      one -> alone(source, channel, {stream, one}, from, to)
+    case selected_channel(spec) do
+      nil ->
+        all_channels_frame(source, channel, stream, {from, to, bin}, false)
+
+      _ when to - from > @most ->
+        all_channels_frame(source, channel, stream, {from, to, bin}, true)
+
+      one ->
+        channel_frame(source, channel, {stream, one}, from, to)
     end
   end
 
-  defp chosen(%{props: %{"channel" => text}}) when is_binary(text) do
+  defp selected_channel(%{props: %{"channel" => text}}) when is_binary(text) do
     case Integer.parse(text) do
       {n, ""} when n >= 1 -> n - 1
       _ -> nil
     end
   end
 
-  defp chosen(_), do: nil
+  defp selected_channel(_), do: nil
 
-  defp together(source, channel, stream, {from, to, bin}, instead?) do
+  defp all_channels_frame(source, channel, stream, {from, to, bin}, instead?) do
     with {:ok, points, raw?} <- Source.call(source, :series, [stream, from, to, bin]),
          do: Frame.series(channel, points, raw?, together: instead?)
   end
 
-  defp alone(source, channel, {stream, one}, from, to) do
+  defp channel_frame(source, channel, {stream, one}, from, to) do
     with {:ok, messages, _} <- Source.call(source, :messages, [stream, from, to, @buffers]) do
-      later = Source.neighbours(source, stream, :after, to, 1)
+      later = Source.list_neighbours(source, stream, :after, to, 1)
 
       points =
         for %{data: %AudioBuffer{} = buffer, originating_time: time} <- messages ++ later,
             one < buffer.format.channels,
-            point <- buffer |> taken(one) |> AudioBuffer.points(time),
+            point <- buffer |> extract_channel(one) |> AudioBuffer.points(time),
             do: point
 
       Frame.series(channel, points, false)
     end
   end
 
-  defp taken(buffer, one) do
+  defp extract_channel(buffer, one) do
     gains = for c <- 0..(buffer.format.channels - 1), do: if(c == one, do: 1, else: 0)
     Sound.remix!(buffer, [gains])
   end
@@ -77,12 +82,12 @@ defmodule Situ.Studio.Visualizers.Waveform do
   def value_at(source, channel, %{stream: stream} = spec, time) do
     with {:ok, %{data: %AudioBuffer{} = buffer} = message} <- fetch_sounding(source, stream, time) do
       start = AudioBuffer.start_time(buffer, message.originating_time)
-      frames = AudioBuffer.frames(buffer)
+      frames = AudioBuffer.frame_count(buffer)
       n = time |> frame_at(start, buffer.format) |> min(frames - 1)
       at = start + AudioFormat.frames_to_ns(buffer.format, n)
 
       {:ok, {at, message.sequence_id},
-       Values.frame(channel, at, named_samples(buffer, n, chosen(spec)))}
+       Values.values_frame(channel, at, named_samples(buffer, n, selected_channel(spec)))}
     else
       {:ok, _no_sound} -> :none
       other -> other
@@ -94,7 +99,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
   defp fetch_sounding(source, stream, time) do
     case Source.call(source, :next_after, [stream, time]) do
       {:ok, %{data: %AudioBuffer{} = buffer, originating_time: stop} = message} ->
-        if AudioBuffer.frames(buffer) > 0 and AudioBuffer.start_time(buffer, stop) <= time,
+        if AudioBuffer.frame_count(buffer) > 0 and AudioBuffer.start_time(buffer, stop) <= time,
           do: {:ok, message},
           else: fetch_before(source, stream, time)
 
@@ -106,7 +111,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
   defp fetch_before(source, stream, time) do
     with {:ok, %{data: %AudioBuffer{} = buffer} = message} <-
            Source.call(source, :latest_at, [stream, time]),
-         do: if(AudioBuffer.frames(buffer) > 0, do: {:ok, message}, else: :none)
+         do: if(AudioBuffer.frame_count(buffer) > 0, do: {:ok, message}, else: :none)
   end
 
   # The last frame that begins at or before a time. Frames begin at fractions of a ns, which are rounded.
@@ -118,11 +123,11 @@ defmodule Situ.Studio.Visualizers.Waveform do
 
   defp named_samples(buffer, n, one) do
     channels = if one, do: [one], else: Enum.to_list(0..(buffer.format.channels - 1))
-    one_frame = AudioBuffer.slice(buffer, n, 1)
+    one_frame = AudioBuffer.slice_frames(buffer, n, 1)
 
     for c <- channels, c < buffer.format.channels do
       name = if match?([_], channels), do: "", else: Integer.to_string(c + 1)
-      {name, sample_value(taken(one_frame, c))}
+      {name, sample_value(extract_channel(one_frame, c))}
     end
   end
 

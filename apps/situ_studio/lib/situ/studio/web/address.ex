@@ -3,27 +3,27 @@ defmodule Situ.Studio.Web.Address do
   # Links are relative to the page's `<base>` element, because a proxy may put a path before the studio's own.
 
   @doc "Returns the path of the page that shows a recording, a stream source or a pipeline."
-  @spec of(String.t()) :: String.t()
-  def of(id), do: "s/" <> encode(id)
+  @spec source_path(String.t()) :: String.t()
+  def source_path(id), do: "s/" <> encode_id(id)
 
   @doc "Returns the path of a dataset's page."
-  @spec dataset(String.t()) :: String.t()
-  def dataset(id), do: "d/" <> encode(id)
+  @spec dataset_path(String.t()) :: String.t()
+  def dataset_path(id), do: "d/" <> encode_id(id)
 
   @doc "Returns the path of an item's page, whatever the item's kind."
-  @spec item(%{:id => String.t(), :kind => atom(), optional(atom()) => term()}) :: String.t()
-  def item(%{id: id, kind: :dataset}), do: dataset(id)
-  def item(%{id: id}), do: of(id)
+  @spec item_path(%{:id => String.t(), :kind => atom(), optional(atom()) => term()}) :: String.t()
+  def item_path(%{id: id, kind: :dataset}), do: dataset_path(id)
+  def item_path(%{id: id}), do: source_path(id)
 
   @doc "Returns the path of an item's thumbnail."
-  @spec thumbnail(String.t()) :: String.t()
-  def thumbnail(id), do: "data/thumbnail?" <> URI.encode_query(%{"source" => id})
+  @spec thumbnail_path(String.t()) :: String.t()
+  def thumbnail_path(id), do: "data/thumbnail?" <> URI.encode_query(%{"source" => id})
 
   @doc "Returns the path of the page that shows a pipeline's graph."
-  @spec pipeline(String.t()) :: String.t()
-  def pipeline(id), do: "p/" <> encode(id)
+  @spec pipeline_path(String.t()) :: String.t()
+  def pipeline_path(id), do: "p/" <> encode_id(id)
 
-  defp encode(id) do
+  defp encode_id(id) do
     id
     |> String.split("/")
     |> Enum.map_join("/", &URI.encode(&1, fn c -> URI.char_unreserved?(c) end))

@@ -12,96 +12,107 @@ defmodule Situ.Studio.Web.Annotation do
   alias Situ.Studio.Web.SchemaDialog
 
   @doc "Returns whether the item is a recording on disk and the studio may write to it."
-  @spec offered?(map()) :: boolean()
-  def offered?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
+  @spec available?(map()) :: boolean()
+  def available?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
 
   @doc "Opens the annotation stream that the page's address names, if it exists."
-  @spec restore(Socket.t(), map()) :: Socket.t()
-  def restore(socket, %{"annotate" => stream}) when is_binary(stream) and stream != "" do
-    if offered?(socket.assigns) and stream in Shelf.streams(socket.assigns.item.path),
-      do: open(socket, stream, nil),
+  @spec open_from_params(Socket.t(), map()) :: Socket.t()
+  def open_from_params(socket, %{"annotate" => stream}) when is_binary(stream) and stream != "" do
+    if available?(socket.assigns) and stream in Shelf.list_streams(socket.assigns.item.path),
+      do: open_editor(socket, stream, nil),
       else: socket
   end
 
-  def restore(socket, _), do: socket
+  def open_from_params(socket, _), do: socket
 
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
   def handle_event(event, params, socket) do
-    if offered?(socket.assigns),
-      do: {:noreply, event(event, params, socket)},
+    if available?(socket.assigns),
+      do: {:noreply, apply_event(event, params, socket)},
       else:
         {:noreply,
-         toast(
+         show_toast(
            socket,
            "Cannot annotate this: annotations need a recording on disk and a studio that is not read-only"
          )}
   end
 
-  defp event("annotation_dialog", _, socket) do
+  defp apply_event("annotation_dialog", _, socket) do
     %{item: %{path: path}, layout_dir: layouts} = socket.assigns
-    assign(socket, dialog: {:annotation, Shelf.streams(path), Schemas.names(layouts)})
+    assign(socket, dialog: {:annotation, Shelf.list_streams(path), Schemas.list_names(layouts)})
   end
 
-  defp event("annotation_open", %{"stream" => stream}, socket) when is_binary(stream),
-    do: socket |> assign(dialog: nil) |> open(stream, nil)
+  defp apply_event("annotation_open", %{"stream" => stream}, socket) when is_binary(stream),
+    do: socket |> assign(dialog: nil) |> open_editor(stream, nil)
 
-  defp event("annotation_new", %{"name" => name, "values" => values} = params, socket)
+  defp apply_event("annotation_new", %{"name" => name, "values" => values} = params, socket)
        when is_binary(name) and is_binary(values) do
     with name when name != "" <- name |> String.trim() |> String.slice(0, 60),
-         {:ok, schema} <- chosen(params, name, String.slice(values, 0, 4_000), socket.assigns) do
-      socket |> assign(dialog: nil) |> open(layer(name, params["by"]), schema)
+         {:ok, schema} <-
+           resolve_schema(params, name, String.slice(values, 0, 4_000), socket.assigns) do
+      socket |> assign(dialog: nil) |> open_editor(layer_name(name, params["by"]), schema)
     else
-      "" -> toast(socket, "Enter a name for the annotations")
-      {:error, error} -> toast(socket, Exception.message(error))
+      "" -> show_toast(socket, "Enter a name for the annotations")
+      {:error, error} -> show_toast(socket, Exception.message(error))
     end
   end
 
   # A layer with the same schema for another annotator, so that the two layers can be compared.
-  defp event("annotation_own", %{"stream" => stream, "by" => by}, socket)
+  defp apply_event("annotation_own", %{"stream" => stream, "by" => by}, socket)
        when is_binary(stream) and is_binary(by) do
-    own = layer(stream, by)
+    own = layer_name(stream, by)
 
     with true <-
            own != stream or
              {:error, Situ.Error.new(:no_name, "the layer needs the name of its annotator")},
          {:ok, editor} <-
-           Annotating.open(socket.assigns.studio, socket.assigns.item.path, stream, nil) do
-      socket |> assign(dialog: nil) |> open(own, Editor.layer(editor).schema)
+           Annotating.open_editor(socket.assigns.studio, socket.assigns.item.path, stream, nil) do
+      socket |> assign(dialog: nil) |> open_editor(own, Editor.current_layer(editor).schema)
     else
-      {:error, error} -> toast(socket, Exception.message(error))
+      {:error, error} -> show_toast(socket, Exception.message(error))
     end
   end
 
-  defp event("annotation_schema", _, %{assigns: %{annotation: %{editor: editor}}} = socket),
-    do: assign(socket, dialog: {:schema, SchemaForm.draft(Editor.layer(editor).schema), nil})
+  defp apply_event("annotation_schema", _, %{assigns: %{annotation: %{editor: editor}}} = socket),
+    do:
+      assign(socket,
+        dialog: {:schema, SchemaForm.from_schema(Editor.current_layer(editor).schema), nil}
+      )
 
-  defp event("annotation_draft", params, %{assigns: %{dialog: {:schema, draft, _}}} = socket),
-    do: assign(socket, dialog: {:schema, SchemaForm.read(draft, params["attribute"]), nil})
+  defp apply_event(
+         "annotation_draft",
+         params,
+         %{assigns: %{dialog: {:schema, draft, _}}} = socket
+       ),
+       do:
+         assign(socket,
+           dialog: {:schema, SchemaForm.update_from_params(draft, params["attribute"]), nil}
+         )
 
-  defp event("annotation_row", params, %{assigns: %{dialog: {:schema, draft, _}}} = socket) do
-    at = number(params["at"])
+  defp apply_event("annotation_row", params, %{assigns: %{dialog: {:schema, draft, _}}} = socket) do
+    at = parse_index(params["at"])
 
     draft =
       case params["do"] do
-        "attribute" -> SchemaForm.add(draft, :attribute)
-        "add" when at != nil -> SchemaForm.add(draft, at)
-        "remove" when at != nil -> SchemaForm.remove(draft, at, number(params["nth"]))
+        "attribute" -> SchemaForm.add_entry(draft, :attribute)
+        "add" when at != nil -> SchemaForm.add_entry(draft, at)
+        "remove" when at != nil -> SchemaForm.remove_entry(draft, at, parse_index(params["nth"]))
         _ -> draft
       end
 
     assign(socket, dialog: {:schema, draft, nil})
   end
 
-  defp event(
+  defp apply_event(
          "annotation_schema_save",
          params,
          %{assigns: %{dialog: {:schema, draft, _}}} = socket
        ) do
-    draft = SchemaForm.read(draft, params["attribute"])
+    draft = SchemaForm.update_from_params(draft, params["attribute"])
 
     with %{editor: editor} <- socket.assigns.annotation,
          :ok <- Annotating.put_schema(editor, draft) do
-      socket |> assign(dialog: nil) |> tell()
+      socket |> assign(dialog: nil) |> push_annotations()
     else
       {:error, error} -> assign(socket, dialog: {:schema, draft, Exception.message(error)})
       nil -> assign(socket, dialog: nil)
@@ -109,12 +120,16 @@ defmodule Situ.Studio.Web.Annotation do
   end
 
   # Saves the schema so that other recordings can use it.
-  defp event("annotation_schema_keep", _, %{assigns: %{dialog: {:schema, draft, _}}} = socket) do
+  defp apply_event(
+         "annotation_schema_keep",
+         _,
+         %{assigns: %{dialog: {:schema, draft, _}}} = socket
+       ) do
     with %{editor: editor} <- socket.assigns.annotation,
-         name = Editor.layer(editor).schema.name,
-         {:ok, schema, _} <- SchemaForm.schema(name, draft),
-         :ok <- Schemas.keep(socket.assigns.layout_dir, schema) do
-      toast(socket, "Saved as #{name} for other recordings")
+         name = Editor.current_layer(editor).schema.name,
+         {:ok, schema, _} <- SchemaForm.build_schema(name, draft),
+         :ok <- Schemas.save_schema(socket.assigns.layout_dir, schema) do
+      show_toast(socket, "Saved as #{name} for other recordings")
     else
       {:error, error} -> assign(socket, dialog: {:schema, draft, Exception.message(error)})
       nil -> socket
@@ -123,27 +138,36 @@ defmodule Situ.Studio.Web.Annotation do
 
   # A marker comments on a time or a range. Markers are an ordinary annotation stream of texts; a marker that overlaps
   # an earlier one goes to the next track.
-  defp event("annotation_marker", %{"from" => from, "to" => to, "text" => text} = params, socket)
+  defp apply_event(
+         "annotation_marker",
+         %{"from" => from, "to" => to, "text" => text} = params,
+         socket
+       )
        when is_binary(text) do
     %{studio: studio, item: %{path: path}} = socket.assigns
-    {:ok, schema} = Annotating.schema("Markers", "")
+    {:ok, schema} = Annotating.parse_schema("Markers", "")
     values = %{"Markers" => String.slice(text, 0, 500)}
-    add = Map.merge(%{"do" => "add", "from" => from, "to" => to, "values" => values}, by(params))
 
-    with {:ok, editor} <- Annotating.open(studio, path, "Markers", schema),
-         :ok <- row(editor, add, 1) do
-      open(socket, "Markers", nil)
+    add =
+      Map.merge(
+        %{"do" => "add", "from" => from, "to" => to, "values" => values},
+        take_annotator(params)
+      )
+
+    with {:ok, editor} <- Annotating.open_editor(studio, path, "Markers", schema),
+         :ok <- add_to_free_track(editor, add, 1) do
+      open_editor(socket, "Markers", nil)
     else
-      {:error, error} -> toast(socket, Exception.message(error))
+      {:error, error} -> show_toast(socket, Exception.message(error))
     end
   end
 
-  defp event("annotation_streams", _, %{assigns: %{annotation: %{stream: mine}}} = socket) do
-    others = Shelf.streams(socket.assigns.item.path) -- [mine]
+  defp apply_event("annotation_streams", _, %{assigns: %{annotation: %{stream: mine}}} = socket) do
+    others = Shelf.list_streams(socket.assigns.item.path) -- [mine]
     push_event(socket, "annotation_streams", %{streams: others})
   end
 
-  defp event(
+  defp apply_event(
          "annotation_compare",
          %{"with" => other},
          %{assigns: %{annotation: %{} = mine}} = socket
@@ -151,20 +175,24 @@ defmodule Situ.Studio.Web.Annotation do
        when is_binary(other) do
     %{studio: studio, item: %{path: path}} = socket.assigns
 
-    with {:ok, editor} <- Annotating.open(studio, path, other, nil),
-         {:ok, rows} <- Comparison.rows(Editor.layer(mine.editor), Editor.layer(editor)) do
+    with {:ok, editor} <- Annotating.open_editor(studio, path, other, nil),
+         {:ok, rows} <-
+           Comparison.agreement_rows(
+             Editor.current_layer(mine.editor),
+             Editor.current_layer(editor)
+           ) do
       rows = Enum.map(rows, &Tuple.to_list/1)
       push_event(socket, "agreement", %{first: mine.stream, second: other, rows: rows})
     else
-      {:error, error} -> toast(socket, Exception.message(error))
+      {:error, error} -> show_toast(socket, Exception.message(error))
     end
   end
 
-  defp event("annotation_close", _, socket), do: assign(socket, annotation: nil)
-  defp event("annotation_ready", _, socket), do: tell(socket)
+  defp apply_event("annotation_close", _, socket), do: assign(socket, annotation: nil)
+  defp apply_event("annotation_ready", _, socket), do: push_annotations(socket)
 
   # A stream may be long, so a task searches it while the page stays responsive.
-  defp event(
+  defp apply_event(
          "annotation_propose",
          %{"stream" => stream} = params,
          %{assigns: %{annotation: %{editor: editor}}} = socket
@@ -175,30 +203,30 @@ defmodule Situ.Studio.Web.Annotation do
     page = self()
 
     Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
-      with {:ok, found} <- Proposals.of(source, stream, shapes[stream], threshold) do
-        send(page, {:proposed, Annotating.propose(editor, found, stream)})
+      with {:ok, found} <- Proposals.collect_proposals(source, stream, shapes[stream], threshold) do
+        send(page, {:proposed, Annotating.add_proposals(editor, found, stream)})
       else
         error -> send(page, {:proposed, error})
       end
     end)
 
-    toast(socket, "Searching #{stream} ...")
+    show_toast(socket, "Searching #{stream} ...")
   end
 
   # Lists the tracks of all layers, so that the user can copy their boundaries.
-  defp event("annotation_tracks", _, %{assigns: %{annotation: %{}}} = socket) do
+  defp apply_event("annotation_tracks", _, %{assigns: %{annotation: %{}}} = socket) do
     %{studio: studio, item: %{path: path}} = socket.assigns
 
     tracks =
-      for stream <- Shelf.streams(path),
-          {:ok, editor} <- [Annotating.open(studio, path, stream, nil)],
-          track <- Layer.tracks(Editor.layer(editor)),
+      for stream <- Shelf.list_streams(path),
+          {:ok, editor} <- [Annotating.open_editor(studio, path, stream, nil)],
+          track <- Layer.track_names(Editor.current_layer(editor)),
           do: [stream, track]
 
     push_event(socket, "annotation_tracks", %{tracks: tracks})
   end
 
-  defp event(
+  defp apply_event(
          "annotation_edit",
          %{"do" => "copy_boundaries", "stream" => stream} = params,
          %{assigns: %{annotation: %{editor: editor}}} = socket
@@ -206,53 +234,59 @@ defmodule Situ.Studio.Web.Annotation do
        when is_binary(stream) do
     %{studio: studio, item: %{path: path}} = socket.assigns
 
-    with {:ok, other} <- Annotating.open(studio, path, stream, nil),
-         :ok <- Annotating.edit(editor, Map.put(params, :layer, Editor.layer(other))) do
+    with {:ok, other} <- Annotating.open_editor(studio, path, stream, nil),
+         :ok <-
+           Annotating.apply_edit(editor, Map.put(params, :layer, Editor.current_layer(other))) do
       socket
     else
-      {:error, error} -> toast(socket, Exception.message(error))
+      {:error, error} -> show_toast(socket, Exception.message(error))
     end
   end
 
-  defp event("annotation_edit", params, %{assigns: %{annotation: %{editor: editor}}} = socket) do
-    case Annotating.edit(editor, params) do
-      :ok -> if(params["do"] == "save", do: toast(socket, "Annotations saved"), else: socket)
-      {:error, error} -> socket |> toast(Exception.message(error)) |> tell()
+  defp apply_event(
+         "annotation_edit",
+         params,
+         %{assigns: %{annotation: %{editor: editor}}} = socket
+       ) do
+    case Annotating.apply_edit(editor, params) do
+      :ok -> if(params["do"] == "save", do: show_toast(socket, "Annotations saved"), else: socket)
+      {:error, error} -> socket |> show_toast(Exception.message(error)) |> push_annotations()
     end
   end
 
-  defp event(_, _, socket), do: socket
+  defp apply_event(_, _, socket), do: socket
 
-  defp by(params), do: Map.take(params, ["by"])
+  defp take_annotator(params), do: Map.take(params, ["by"])
 
-  defp row(editor, add, n) do
-    case Annotating.edit(editor, Map.put(add, "track", "#{n}")) do
-      {:error, %{code: :overlap}} when n < 20 -> row(editor, add, n + 1)
+  defp add_to_free_track(editor, add, n) do
+    case Annotating.apply_edit(editor, Map.put(add, "track", "#{n}")) do
+      {:error, %{code: :overlap}} when n < 20 -> add_to_free_track(editor, add, n + 1)
       result -> result
     end
   end
 
   # Uses the saved schema that the form names, or builds one from the form's fields.
-  defp chosen(%{"schema" => kept}, _name, _values, assigns) when is_binary(kept) and kept != "",
-    do: Schemas.load(assigns.layout_dir, kept)
+  defp resolve_schema(%{"schema" => kept}, _name, _values, assigns)
+       when is_binary(kept) and kept != "",
+       do: Schemas.load(assigns.layout_dir, kept)
 
-  defp chosen(params, name, values, _), do: schema(params["kind"], name, values)
+  defp resolve_schema(params, name, values, _), do: build_schema(params["kind"], name, values)
 
-  defp schema("box", name, _), do: {:ok, Annotating.spatial(name, :box)}
-  defp schema("point", name, _), do: {:ok, Annotating.spatial(name, :point)}
-  defp schema(_, name, values), do: Annotating.schema(name, values)
+  defp build_schema("box", name, _), do: {:ok, Annotating.build_spatial_schema(name, :box)}
+  defp build_schema("point", name, _), do: {:ok, Annotating.build_spatial_schema(name, :point)}
+  defp build_schema(_, name, values), do: Annotating.parse_schema(name, values)
 
   # The layer of a named annotator has that name as a suffix.
-  defp layer(stream, by) when is_binary(by) do
+  defp layer_name(stream, by) when is_binary(by) do
     case by |> String.trim() |> String.slice(0, 40) do
       "" -> stream
       by -> "#{stream}.#{by}"
     end
   end
 
-  defp layer(stream, _), do: stream
+  defp layer_name(stream, _), do: stream
 
-  defp number(text) do
+  defp parse_index(text) do
     case Integer.parse(to_string(text)) do
       {n, ""} when n >= 0 -> n
       _ -> nil
@@ -260,54 +294,55 @@ defmodule Situ.Studio.Web.Annotation do
   end
 
   @doc "Shows the number of proposals found in a stream, or the error."
-  @spec proposed(Socket.t(), {:ok, non_neg_integer()} | {:error, Situ.Error.t()}) :: Socket.t()
-  def proposed(socket, {:ok, 0}), do: toast(socket, "Nothing new to propose")
-  def proposed(socket, {:ok, 1}), do: toast(socket, "1 proposal")
-  def proposed(socket, {:ok, n}), do: toast(socket, "#{n} proposals")
-  def proposed(socket, {:error, error}), do: toast(socket, Exception.message(error))
+  @spec report_proposals(Socket.t(), {:ok, non_neg_integer()} | {:error, Situ.Error.t()}) ::
+          Socket.t()
+  def report_proposals(socket, {:ok, 0}), do: show_toast(socket, "Nothing new to propose")
+  def report_proposals(socket, {:ok, 1}), do: show_toast(socket, "1 proposal")
+  def report_proposals(socket, {:ok, n}), do: show_toast(socket, "#{n} proposals")
+  def report_proposals(socket, {:error, error}), do: show_toast(socket, Exception.message(error))
 
   @doc "Opens an existing annotation stream."
-  @spec show(Socket.t(), String.t()) :: Socket.t()
-  def show(socket, stream), do: open(socket, stream, nil)
+  @spec open_layer(Socket.t(), String.t()) :: Socket.t()
+  def open_layer(socket, stream), do: open_editor(socket, stream, nil)
 
-  defp open(socket, stream, schema) do
-    case Annotating.open(socket.assigns.studio, socket.assigns.item.path, stream, schema) do
+  defp open_editor(socket, stream, schema) do
+    case Annotating.open_editor(socket.assigns.studio, socket.assigns.item.path, stream, schema) do
       {:ok, editor} ->
         :ok = Editor.subscribe(editor)
-        socket |> assign(annotation: %{stream: stream, editor: editor}) |> tell()
+        socket |> assign(annotation: %{stream: stream, editor: editor}) |> push_annotations()
 
       {:error, error} ->
-        toast(socket, Exception.message(error))
+        show_toast(socket, Exception.message(error))
     end
   end
 
   @doc "Asks the editor to check whether another program has saved the annotations; it notifies the page if so."
-  @spec refresh(Socket.t()) :: Socket.t()
-  def refresh(%{assigns: %{annotation: %{editor: editor}}} = socket) do
+  @spec refresh_editor(Socket.t()) :: Socket.t()
+  def refresh_editor(%{assigns: %{annotation: %{editor: editor}}} = socket) do
     _ = Editor.refresh(editor)
     socket
   catch
     :exit, _ -> assign(socket, annotation: nil)
   end
 
-  def refresh(socket), do: socket
+  def refresh_editor(socket), do: socket
 
   @doc "Sends the current annotations to the page."
-  @spec tell(Socket.t()) :: Socket.t()
-  def tell(%{assigns: %{annotation: %{editor: editor, stream: stream}}} = socket) do
-    push_event(socket, "annotations", Annotating.told(editor, stream))
+  @spec push_annotations(Socket.t()) :: Socket.t()
+  def push_annotations(%{assigns: %{annotation: %{editor: editor, stream: stream}}} = socket) do
+    push_event(socket, "annotations", Annotating.page_state(editor, stream))
   catch
     :exit, _ -> assign(socket, annotation: nil)
   end
 
-  def tell(socket), do: socket
+  def push_annotations(socket), do: socket
 
-  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+  defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
 
   attr(:stream, :string, required: true)
 
   @doc false
-  def panel(assigns) do
+  def annotation_panel(assigns) do
     ~H"""
     <section class="row-box timeline annotation" id="annotation" data-menu="annotation">
       <div id="annotation-body" class="panel-body" phx-hook="Annotations" phx-update="ignore" tabindex="0"
@@ -328,7 +363,7 @@ defmodule Situ.Studio.Web.Annotation do
   attr(:schemas, :list, required: true)
 
   @doc false
-  def dialog(assigns) do
+  def annotation_dialog(assigns) do
     ~H"""
     <dialog id="annotation-dialog" phx-hook="Modal" phx-update="ignore" aria-label="Annotate">
       <h3>Annotate</h3>

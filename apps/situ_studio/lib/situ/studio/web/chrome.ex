@@ -5,7 +5,7 @@ defmodule Situ.Studio.Web.Chrome do
   import Situ.Studio.Web.Icons
 
   @doc false
-  def layout(assigns) do
+  def page_layout(assigns) do
     ~H"""
     <html lang="en">
       <head>
@@ -24,14 +24,14 @@ defmodule Situ.Studio.Web.Chrome do
   end
 
   @doc "Renders the page of an item that cannot be shown, with the error's what, why and fix."
-  @spec failure(map()) :: Situ.Live.Rendered.t()
-  def failure(assigns) do
+  @spec error_page(map()) :: Situ.Live.Rendered.t()
+  def error_page(assigns) do
     ~H"""
     <main class="message">
       <div role="alert">
-        <h1>{capitalize(@error.what)}</h1>
-        <p :if={@error.why}>{sentence(@error.why)}</p>
-        <p :if={@error.fix}>{sentence(@error.fix)}</p>
+        <h1>{capitalize_first(@error.what)}</h1>
+        <p :if={@error.why}>{to_sentence(@error.why)}</p>
+        <p :if={@error.fix}>{to_sentence(@error.fix)}</p>
       </div>
       <p><a class="btn" href=".">All recordings</a></p>
     </main>
@@ -39,18 +39,18 @@ defmodule Situ.Studio.Web.Chrome do
   end
 
   # Error texts start in lower case and have no full stop, so that they can be joined into one line.
-  defp sentence(text),
-    do: capitalize(text) <> if(String.ends_with?(text, [".", "?", "!"]), do: "", else: ".")
+  defp to_sentence(text),
+    do: capitalize_first(text) <> if(String.ends_with?(text, [".", "?", "!"]), do: "", else: ".")
 
-  defp capitalize(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest
-  defp capitalize(text), do: text
+  defp capitalize_first(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest
+  defp capitalize_first(text), do: text
 
   attr(:damage, :list, required: true)
   attr(:path, :string, required: true)
 
   @doc "Renders a notice that a recording is damaged, with the commands that list the damage and repair it."
-  @spec damage(map()) :: Situ.Live.Rendered.t()
-  def damage(assigns) do
+  @spec damage_notice(map()) :: Situ.Live.Rendered.t()
+  def damage_notice(assigns) do
     ~H"""
     <div class="damage" role="alert">
       <b>This recording is damaged.</b>
@@ -72,26 +72,26 @@ defmodule Situ.Studio.Web.Chrome do
   attr(:annotate, :boolean, default: false)
 
   @doc false
-  def topbar(assigns) do
+  def top_bar(assigns) do
     ~H"""
     <header class="topbar">
       <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
-      <.tool act="left" icon={:streams} title="Show or hide the streams (s)" />
+      <.tool_button act="left" icon={:streams} title="Show or hide the streams (s)" />
       <h1 class="where" title={@title}>{@title}</h1>
       <span class="sep"></span>
       <div id="toolbar" phx-update="ignore" style="display: contents">
-        <.play />
-        <.tool act="togglePlaySel" icon={:selection} title="Play the selection (Ctrl+Space)" />
-        <.tool act="repeat" icon={:repeat} title="Repeat (r)" />
-        <.tool act="slower" icon={:slower} title="Half speed (,)" />
+        <.play_button />
+        <.tool_button act="togglePlaySel" icon={:selection} title="Play the selection (Ctrl+Space)" />
+        <.tool_button act="repeat" icon={:repeat} title="Repeat (r)" />
+        <.tool_button act="slower" icon={:slower} title="Half speed (,)" />
         <button id="speed" class="tool" type="button" data-act="normalSpeed"
           title="Playback speed; click for normal">1×</button>
-        <.tool act="faster" icon={:faster} title="Double speed (.)" />
+        <.tool_button act="faster" icon={:faster} title="Double speed (.)" />
         <span class="sep"></span>
-        <.tool act="zoomAll" icon={:fit} title="Zoom to fit (Ctrl+A)" />
-        <.tool act="zoomSel" icon={:zoom} title="Zoom to the selection (Ctrl+S)" />
-        <.tool act="clearSel" icon={:clear} title="Clear the selection (Alt+C)" />
-        <.tool act="follow" icon={:follow} title="Move the cursor with the mouse (Alt+F)" />
+        <.tool_button act="zoomAll" icon={:fit} title="Zoom to fit (Ctrl+A)" />
+        <.tool_button act="zoomSel" icon={:zoom} title="Zoom to the selection (Ctrl+S)" />
+        <.tool_button act="clearSel" icon={:clear} title="Clear the selection (Alt+C)" />
+        <.tool_button act="follow" icon={:follow} title="Move the cursor with the mouse (Alt+F)" />
         <span class="sep"></span>
         <button class="tool live" type="button" data-act="live" title="Follow the live data (l)"
             disabled>LIVE</button>
@@ -113,24 +113,24 @@ defmodule Situ.Studio.Web.Chrome do
       </form>
       <button :if={not @read_only} class="tool save" type="button" phx-click="layout_dialog"
           title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
-      <.tool :if={@export} act="export" icon={:export} title="Save the selection as a recording (Ctrl+E)" />
+      <.tool_button :if={@export} act="export" icon={:export} title="Save the selection as a recording (Ctrl+E)" />
       <a :if={@pipeline} class="tool graph-link" href={@pipeline} title="The pipeline's graph"><.icon
           name={:pipeline} /></a>
-      <.tool :if={@annotate} act="annotate" icon={:mark} title="Annotate (a)" />
-      <.tool act="undo" icon={:undo} title="Undo (Ctrl+Z)" />
-      <.tool act="redo" icon={:redo} title="Redo (Ctrl+Shift+Z)" />
-      <.tool act="beside" icon={:beside} title="Images next to the timelines, or above them (b)" />
-      <.tool act="copyLink" icon={:link} title="Copy a link to this view" />
-      <.tool act="right" icon={:side} title="Show or hide the properties (p)" />
-      <.tool act="theme" icon={:theme} title="Switch between dark and light (t)" />
-      <.tool act="help" icon={:help} title="Keys (?)" />
+      <.tool_button :if={@annotate} act="annotate" icon={:mark} title="Annotate (a)" />
+      <.tool_button act="undo" icon={:undo} title="Undo (Ctrl+Z)" />
+      <.tool_button act="redo" icon={:redo} title="Redo (Ctrl+Shift+Z)" />
+      <.tool_button act="beside" icon={:beside} title="Images next to the timelines, or above them (b)" />
+      <.tool_button act="copyLink" icon={:link} title="Copy link to this view" />
+      <.tool_button act="right" icon={:side} title="Show or hide the properties (p)" />
+      <.tool_button act="theme" icon={:theme} title="Switch between dark and light (t)" />
+      <.tool_button act="help" icon={:help} title="Keys (?)" />
       <button id="more" class="tool" type="button" phx-hook="More" phx-update="ignore" data-more
           title="More tools" aria-label="More tools" aria-haspopup="menu"><.icon name={:more} /></button>
     </header>
     """
   end
 
-  defp play(assigns) do
+  defp play_button(assigns) do
     ~H"""
     <button class="tool play" type="button" data-act="togglePlay" title="Play or stop (Space)"
         aria-label="Play or stop" aria-pressed="false"><.icon name={:play} class="i-play" /><.icon
@@ -146,7 +146,7 @@ defmodule Situ.Studio.Web.Chrome do
   attr(:snap, :any, default: nil)
 
   @doc false
-  def status(assigns) do
+  def status_bar(assigns) do
     assigns = assign(assigns, left_out: count_left_out(assigns.infos, assigns.layout))
 
     ~H"""
@@ -180,7 +180,7 @@ defmodule Situ.Studio.Web.Chrome do
   end
 
   @doc false
-  def dialogs(assigns) do
+  def script_dialogs(assigns) do
     ~H"""
     <div id="dialogs" phx-update="ignore">
       <dialog id="goto" aria-label="Go to time">

@@ -16,33 +16,36 @@ defmodule Situ.Studio.Web.ClusterView do
       assign(socket,
         studio: session["studio"],
         page_title: "Cluster",
-        member: member?(),
-        opens: opens?(session["studio"]),
+        member: cluster_member?(),
+        opens: opens_remote?(session["studio"]),
         before: nil,
         now: nil
       )
 
-    if connected?(socket), do: look()
+    if connected?(socket), do: request_overview()
 
     {:ok,
-     if(connected?(socket) or not member?(), do: socket, else: assign(socket, now: Overview.now()))}
+     if(connected?(socket) or not cluster_member?(),
+       do: socket,
+       else: assign(socket, now: Overview.now())
+     )}
   end
 
   @doc "Returns whether the studio's node is a member of a cluster."
-  @spec member?() :: boolean()
-  def member?, do: Process.whereis(Situ.Cluster.Agent) != nil
+  @spec cluster_member?() :: boolean()
+  def cluster_member?, do: Process.whereis(Situ.Cluster.Agent) != nil
 
   # Returns whether the studio was configured to open recordings and pipelines of other nodes.
-  defp opens?(studio) do
+  defp opens_remote?(studio) do
     match?([{_, %{nodes: true}}], Registry.lookup(Situ.Studio.Registry, studio))
   end
 
   # The overview is fetched in a task, so an unresponsive node does not block the page.
-  defp look do
+  defp request_overview do
     page = self()
 
     Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
-      send(page, {:overview, if(member?(), do: Overview.now())})
+      send(page, {:overview, if(cluster_member?(), do: Overview.now())})
     end)
   end
 
@@ -54,7 +57,7 @@ defmodule Situ.Studio.Web.ClusterView do
   end
 
   def handle_info(:look, socket) do
-    look()
+    request_overview()
     {:noreply, socket}
   end
 
@@ -79,14 +82,14 @@ defmodule Situ.Studio.Web.ClusterView do
   def render(assigns) do
     assigns =
       assign(assigns,
-        streams: ClusterRates.streams(assigns.before, assigns.now),
-        links: ClusterRates.links(assigns.before, assigns.now)
+        streams: ClusterRates.stream_rates(assigns.before, assigns.now),
+        links: ClusterRates.link_rates(assigns.before, assigns.now)
       )
 
     ~H"""
     <main class="home cluster" id="cluster">
       <h1><a class="brand" href="." title="All recordings"><.logo /></a><span>Cluster</span></h1>
-      <p class="hint" role="status">{said(@now)}</p>
+      <p class="hint" role="status">{summary_text(@now)}</p>
       <table id="nodes">
         <caption>Nodes</caption>
         <thead><tr><th scope="col">Node</th><th scope="col" class="text">Labels, devices</th><th scope="col">Parts</th>
@@ -96,11 +99,11 @@ defmodule Situ.Studio.Web.ClusterView do
           <tr :for={n <- @now.nodes} :key={n.node}>
             <th scope="row">{n.node}{if n.node == @now.here, do: " (here)"}</th>
             <td class="text">{Enum.join(n.labels ++ n.devices, ", ")}</td>
-            <td>{parts_of(@now, n.node)}</td>
-            <td>{cores(n)}</td>
-            <td>{percent(n.machine)}</td>
-            <td>{n.memory && Figures.bytes(n.memory)}</td>
-            <td>{ms(n.trip)}</td>
+            <td>{count_parts(@now, n.node)}</td>
+            <td>{format_cores(n)}</td>
+            <td>{format_percent(n.machine)}</td>
+            <td>{n.memory && Figures.format_bytes(n.memory)}</td>
+            <td>{format_ms(n.trip)}</td>
           </tr>
         </tbody>
       </table>
@@ -112,17 +115,17 @@ defmodule Situ.Studio.Web.ClusterView do
           <th scope="col">Per second</th>
           <th scope="col" class="text">Readers</th></tr></thead>
         <tbody>
-          <tr :for={row <- rows(@now)} :key={row.key} class={to_string(row.part.phase)}>
+          <tr :for={row <- part_rows(@now)} :key={row.key} class={to_string(row.part.phase)}>
             <th :if={row.first? and row.part.pipeline != nil} scope="row"><a
-              href={Address.pipeline(title(row.part))}>{title(row.part)}</a></th>
-            <th :if={not row.first? or row.part.pipeline == nil} scope="row">{row.first? && title(row.part)}</th>
+              href={Address.pipeline_path(part_title(row.part))}>{part_title(row.part)}</a></th>
+            <th :if={not row.first? or row.part.pipeline == nil} scope="row">{row.first? && part_title(row.part)}</th>
             <td class="text">{row.first? && (row.part.node || "none")}</td>
             <td class="text" title={row.part.error}>{row.first? && row.part.phase}</td>
             <td>{row.first? && row.part.checkpoints}</td>
             <td class="text">{row.stream && row.stream.name}</td>
             <td>{row.stream && row.stream.messages}</td>
-            <td>{rate(@streams[row.key])}</td>
-            <td class="text"><span :for={r <- readers(row, @streams)} class={r.class}>{r.text}</span></td>
+            <td>{format_rate(@streams[row.key])}</td>
+            <td class="text"><span :for={r <- reader_labels(row, @streams)} class={r.class}>{r.text}</span></td>
           </tr>
         </tbody>
       </table>
@@ -137,9 +140,9 @@ defmodule Situ.Studio.Web.ClusterView do
             <th scope="row">{l.address}</th>
             <td class="text">{l.node}</td>
             <td class="text">{if l.connected?, do: "connected", else: "lost"}</td>
-            <td>{bytes(@links[{l.node, l.address}])}</td>
-            <td>{ms(l.round_trip)}</td>
-            <td>{clock(l)}</td>
+            <td>{format_bytes(@links[{l.node, l.address}])}</td>
+            <td>{format_ms(l.round_trip)}</td>
+            <td>{format_clock_offset(l)}</td>
           </tr>
         </tbody>
       </table>
@@ -149,7 +152,7 @@ defmodule Situ.Studio.Web.ClusterView do
           <th scope="col" class="text">Node</th><th scope="col" class="text">State</th></tr></thead>
         <tbody>
           <tr :for={r <- @now.recordings} :key={r.id} id={"recording-" <> r.id}>
-            <th :if={@opens} scope="row"><a href={Address.of(r.id)}>{r.name}</a></th>
+            <th :if={@opens} scope="row"><a href={Address.source_path(r.id)}>{r.name}</a></th>
             <th :if={not @opens} scope="row">{r.name}</th>
             <td class="text">{r.node}</td>
             <td class="text">{if r.live?, do: "being recorded", else: "finished"}</td>
@@ -162,20 +165,23 @@ defmodule Situ.Studio.Web.ClusterView do
     """
   end
 
-  defp said(now) do
+  defp summary_text(now) do
     lost = Enum.count(now.parts, &(&1.phase in [:standby, :failed]))
-    parts = "#{plural(length(now.nodes), "node")}, #{plural(length(now.parts), "part")}"
+
+    parts =
+      "#{format_count(length(now.nodes), "node")}, #{format_count(length(now.parts), "part")}"
+
     if lost == 0, do: parts, else: parts <> ", #{lost} not running"
   end
 
-  defp plural(1, word), do: "1 " <> word
-  defp plural(n, word), do: "#{n} #{word}s"
+  defp format_count(1, word), do: "1 " <> word
+  defp format_count(n, word), do: "#{n} #{word}s"
 
-  defp parts_of(now, node), do: Enum.count(now.parts, &(&1.node == node))
-  defp title(part), do: "#{part.deployment}/#{part.part}"
+  defp count_parts(now, node), do: Enum.count(now.parts, &(&1.node == node))
+  defp part_title(part), do: "#{part.deployment}/#{part.part}"
 
   # A part has one row for each of its streams, or a single row if it has no streams.
-  defp rows(now) do
+  defp part_rows(now) do
     for part <- now.parts,
         {stream, i} <- Enum.with_index(if part.streams == [], do: [nil], else: part.streams) do
       key = {part.deployment, part.part, stream && stream.name}
@@ -183,9 +189,9 @@ defmodule Situ.Studio.Web.ClusterView do
     end
   end
 
-  defp readers(%{stream: nil}, _rates), do: []
+  defp reader_labels(%{stream: nil}, _rates), do: []
 
-  defp readers(%{stream: stream, key: key}, rates) do
+  defp reader_labels(%{stream: stream, key: key}, rates) do
     for reader <- stream.readers do
       if ClusterRates.catching_up?(reader.behind, rates[key] || 0.0),
         do: %{text: "#{reader.part}: catching up, #{reader.behind} behind", class: "behind"},
@@ -193,20 +199,21 @@ defmodule Situ.Studio.Web.ClusterView do
     end
   end
 
-  defp cores(%{busy: nil}), do: nil
-  defp cores(n), do: "#{fixed(n.busy, 2)} of #{n.cores}"
-  defp percent(nil), do: nil
-  defp percent(part), do: "#{round(part * 100)} %"
-  defp rate(nil), do: nil
-  defp rate(n), do: fixed(n, 1)
-  defp bytes(nil), do: nil
-  defp bytes(n), do: Figures.bytes(round(n))
-  defp ms(nil), do: nil
-  defp ms(ns), do: fixed(ns / 1.0e6, 2) <> " ms"
-  defp clock(%{offset: nil}), do: nil
+  defp format_cores(%{busy: nil}), do: nil
+  defp format_cores(n), do: "#{format_fixed(n.busy, 2)} of #{n.cores}"
+  defp format_percent(nil), do: nil
+  defp format_percent(part), do: "#{round(part * 100)} %"
+  defp format_rate(nil), do: nil
+  defp format_rate(n), do: format_fixed(n, 1)
+  defp format_bytes(nil), do: nil
+  defp format_bytes(n), do: Figures.format_bytes(round(n))
+  defp format_ms(nil), do: nil
+  defp format_ms(ns), do: format_fixed(ns / 1.0e6, 2) <> " ms"
+  defp format_clock_offset(%{offset: nil}), do: nil
 
-  defp clock(l),
-    do: "#{fixed(l.offset / 1.0e6, 2)} ± #{fixed((l.uncertainty || 0) / 1.0e6, 2)} ms"
+  defp format_clock_offset(l),
+    do:
+      "#{format_fixed(l.offset / 1.0e6, 2)} ± #{format_fixed((l.uncertainty || 0) / 1.0e6, 2)} ms"
 
-  defp fixed(n, places), do: :erlang.float_to_binary(n / 1, decimals: places)
+  defp format_fixed(n, places), do: :erlang.float_to_binary(n / 1, decimals: places)
 end

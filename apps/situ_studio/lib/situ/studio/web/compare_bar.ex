@@ -12,7 +12,7 @@ defmodule Situ.Studio.Web.CompareBar do
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
   def handle_event("compare_dialog", _, %{assigns: assigns} = socket) do
     others =
-      for %{kind: kind} = item <- Catalog.list(assigns.studio) ++ sessions(assigns),
+      for %{kind: kind} = item <- Catalog.list(assigns.studio) ++ list_sessions(assigns),
           kind != :dataset and item.id != assigns.id,
           uniq: true,
           do: {item.id, item.title}
@@ -22,7 +22,7 @@ defmodule Situ.Studio.Web.CompareBar do
 
   # The page then navigates to the address that shows the comparison.
   def handle_event("compare_with", %{"with" => other}, %{assigns: assigns} = socket) do
-    case Comparison.open(assigns.studio, assigns.id, %{"with" => other}) do
+    case Comparison.open_item(assigns.studio, assigns.id, %{"with" => other}) do
       {:ok, _item, _source, %Comparison{} = compared} ->
         told = %{with: other, offset: Integer.to_string(compared.offset)}
         {:noreply, socket |> assign(dialog: nil) |> push_event("compare_go", told)}
@@ -42,7 +42,7 @@ defmodule Situ.Studio.Web.CompareBar do
       {:noreply,
        assign(socket,
          compared: %{compared | offset: offset},
-         source: Comparison.align(assigns.source, offset)
+         source: Comparison.set_offset(assigns.source, offset)
        )}
     else
       _ -> {:noreply, socket}
@@ -52,18 +52,18 @@ defmodule Situ.Studio.Web.CompareBar do
   def handle_event(_, _, socket), do: {:noreply, socket}
 
   # In a dataset, sessions are compared with sessions.
-  defp sessions(%{sources: sources}),
+  defp list_sessions(%{sources: sources}),
     do: for(%{kind: :session} = s <- sources, do: %{id: s.id, title: s.title, kind: :session})
 
   attr(:compared, :any, required: true)
   attr(:title, :string, required: true)
 
   @doc false
-  def bar(assigns) do
+  def comparison_bar(assigns) do
     ~H"""
     <section id="compare" class="compare" phx-hook="Compare" phx-update="ignore" aria-label="Comparison"
         data-with={@compared.id} data-offset={@compared.offset} data-title={@title} data-other={@compared.title}
-        data-first={times(@compared.first)} data-second={times(@compared.second)}>
+        data-first={encode_extent(@compared.first)} data-second={encode_extent(@compared.second)}>
       <span class="who"><b>{@title}</b> and <b>{@compared.title}</b></span>
       <div class="shift" tabindex="0" role="slider" aria-label={"Shift of " <> @compared.title} aria-valuenow="0"
           title="Drag, or use the arrow keys (Shift: ten times as far)">⟷ drag to shift {@compared.title}</div>
@@ -79,12 +79,12 @@ defmodule Situ.Studio.Web.CompareBar do
     """
   end
 
-  defp times(extent), do: "#{extent.from}~#{extent.to}"
+  defp encode_extent(extent), do: "#{extent.from}~#{extent.to}"
 
   attr(:others, :list, required: true)
 
   @doc false
-  def dialog(assigns) do
+  def comparison_dialog(assigns) do
     ~H"""
     <dialog id="compare-dialog" phx-hook="Modal" phx-update="ignore" aria-label="Compare with another recording">
       <form id="compare-with" phx-submit="compare_with">

@@ -8,7 +8,7 @@ defmodule Situ.Studio.Web.DataHandler do
 
   @impl true
   def init(request, studio) do
-    case Comparison.open(studio, request.query["source"], request.query) do
+    case Comparison.open_item(studio, request.query["source"], request.query) do
       {:ok, _item, source, _compared} ->
         {:ok, DataSession.new(source, Catalog.settings(studio).visualizers)}
 
@@ -19,7 +19,7 @@ defmodule Situ.Studio.Web.DataHandler do
 
   @impl true
   def handle_in({text, opcode: :text}, session) do
-    case DataSession.handle(text, session) do
+    case DataSession.handle_request(text, session) do
       {:ok, reply, session} -> {:push, {:binary, reply}, session}
       {:error, error} -> {:stop, {:shutdown, error.code}, session}
     end

@@ -24,18 +24,18 @@ defmodule Situ.Studio.Web.DataHttp do
 
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
   def call(%Request{query: query}, {studio, :film}) do
-    with {:ok, path} <- Film.Job.file(studio, query["key"]),
+    with {:ok, path} <- Film.Job.fetch_file(studio, query["key"]),
          {:ok, %{size: size}} <- File.stat(path) do
-      file("video/mp4", "mp4", {:file, path, 0, size})
+      file_response("video/mp4", "mp4", {:file, path, 0, size})
     else
       _ -> Response.error(404, "this video does not exist any more; export it again")
     end
   end
 
   def call(%Request{query: query}, {studio, what}) do
-    with {:ok, _item, source, _} <- Comparison.open(studio, query["source"], query),
+    with {:ok, _item, source, _} <- Comparison.open_item(studio, query["source"], query),
          {:ok, extent} <- Source.call(source, :extent, []) do
-      answer(
+      build_response(
         what,
         Map.put(query, :visualizers, Catalog.settings(studio).visualizers),
         source,
@@ -46,55 +46,55 @@ defmodule Situ.Studio.Web.DataHttp do
     end
   end
 
-  defp answer(:window, query, source, extent) do
-    with {:ok, path} <- Path.parse(text(query["path"])),
+  defp build_response(:window, query, source, extent) do
+    with {:ok, path} <- Path.parse(text_param(query["path"])),
          {:ok, from} <- WholeNumber.parse(query["from"] || Integer.to_string(extent.from)),
          {:ok, to} when to >= from <-
            WholeNumber.parse(query["to"] || Integer.to_string(extent.to)),
          {:ok, px} when px in 1..10_000 <- WholeNumber.parse(query["px"] || "1000"),
-         {:ok, viz} <- Visualizers.named(query["viz"] || "line", query.visualizers) do
-      spec = %{stream: text(query["stream"]), viz: viz, path: path}
-      frame = Draw.window(source, 0, spec, from, to, max(div(to - from, px), 1))
-      reply([frame], extent, extent.to)
+         {:ok, viz} <- Visualizers.fetch_by_id(query["viz"] || "line", query.visualizers) do
+      spec = %{stream: text_param(query["stream"]), viz: viz, path: path}
+      frame = Draw.draw_window(source, 0, spec, from, to, max(div(to - from, px), 1))
+      frames_response([frame], extent, extent.to)
     else
-      _ -> bad()
+      _ -> bad_request()
     end
   end
 
-  defp answer(:at, query, source, extent) do
-    with {:ok, path} <- Path.parse(text(query["path"])),
+  defp build_response(:at, query, source, extent) do
+    with {:ok, path} <- Path.parse(text_param(query["path"])),
          {:ok, time} <- WholeNumber.parse(query["at"]),
-         {:ok, viz} <- Visualizers.named(query["viz"] || "value", query.visualizers) do
-      spec = %{stream: text(query["stream"]), viz: viz, path: path}
-      {frame, _} = Draw.instant(source, 0, spec, time, nil)
-      reply([frame], extent, time)
+         {:ok, viz} <- Visualizers.fetch_by_id(query["viz"] || "value", query.visualizers) do
+      spec = %{stream: text_param(query["stream"]), viz: viz, path: path}
+      {frame, _} = Draw.draw_instant(source, 0, spec, time, nil)
+      frames_response([frame], extent, time)
     else
-      _ -> bad()
+      _ -> bad_request()
     end
   end
 
-  defp answer(:pcm, query, source, extent) do
+  defp build_response(:pcm, query, source, extent) do
     with {:ok, from} <- WholeNumber.parse(query["from"]),
          {:ok, to} <- WholeNumber.parse(query["to"]),
-         {:ok, channel} <- channel(query["channel"] || "0") do
-      case sound(source, text(query["stream"]), {from, to}, channel) do
+         {:ok, channel} <- parse_channel(query["channel"] || "0") do
+      case read_audio(source, text_param(query["stream"]), {from, to}, channel) do
         {:ok, {start, rate, channels, samples}} ->
-          reply([Frame.pcm(0, start, rate, samples, channels)], extent, from)
+          frames_response([Frame.pcm(0, start, rate, samples, channels)], extent, from)
 
         {:error, error} ->
           Response.error(422, error.what)
       end
     else
-      _ -> bad()
+      _ -> bad_request()
     end
   end
 
-  defp answer(:step, query, source, _extent) do
+  defp build_response(:step, query, source, _extent) do
     with {:ok, at} <- WholeNumber.parse(query["at"]) do
       {name, time} =
         if query["dir"] == "previous", do: {:latest_at, at - 1}, else: {:next_after, at}
 
-      case Source.call(source, name, [text(query["stream"]), time]) do
+      case Source.call(source, name, [text_param(query["stream"]), time]) do
         {:ok, message} ->
           Response.json(%{"time" => Integer.to_string(message.originating_time)})
 
@@ -102,59 +102,63 @@ defmodule Situ.Studio.Web.DataHttp do
           Response.json(%{"time" => nil})
       end
     else
-      _ -> bad()
+      _ -> bad_request()
     end
   end
 
-  defp answer(:csv, query, source, _extent) do
+  defp build_response(:csv, query, source, _extent) do
     with {:ok, from} <- WholeNumber.parse(query["from"]),
          {:ok, to} when to >= from <- WholeNumber.parse(query["to"]),
-         {:ok, [_ | _] = streams} <- Situ.JSON.decode(text(query["streams"])),
+         {:ok, [_ | _] = streams} <- Situ.JSON.decode(text_param(query["streams"])),
          true <- Enum.all?(streams, &is_binary/1) do
-      body = {:chunks, Situ.Studio.Table.csv(source, streams, from, to)}
-      file("text/csv; charset=utf-8", "csv", body)
+      body = {:chunks, Situ.Studio.Table.csv_chunks(source, streams, from, to)}
+      file_response("text/csv; charset=utf-8", "csv", body)
     else
-      _ -> bad()
+      _ -> bad_request()
     end
   end
 
-  defp answer(:parquet, query, source, _extent) do
+  defp build_response(:parquet, query, source, _extent) do
     with {:ok, from} <- WholeNumber.parse(query["from"]),
          {:ok, to} when to >= from <- WholeNumber.parse(query["to"]),
-         {:ok, [_ | _] = streams} <- Situ.JSON.decode(text(query["streams"])),
+         {:ok, [_ | _] = streams} <- Situ.JSON.decode(text_param(query["streams"])),
          true <- Enum.all?(streams, &is_binary/1) do
-      folder = Situ.Error.unwrap!(Scratch.create("table"))
+      folder = Situ.Error.unwrap!(Scratch.create_folder("table"))
       path = Elixir.Path.join(folder, "selection.parquet")
 
       # A Parquet file's index is at its end, so the file must be complete before its first byte is sent.
-      case Situ.Studio.Table.parquet(source, streams, from, to, path) do
+      case Situ.Studio.Table.write_parquet(source, streams, from, to, path) do
         {:ok, _rows} ->
-          file("application/vnd.apache.parquet", "parquet", {:chunks, sent(path, folder)})
+          file_response(
+            "application/vnd.apache.parquet",
+            "parquet",
+            {:chunks, stream_file(path, folder)}
+          )
 
         {:error, error} ->
-          Scratch.remove(folder)
+          Scratch.remove_folder(folder)
           Response.error(422, Exception.message(error))
       end
     else
-      _ -> bad()
+      _ -> bad_request()
     end
   end
 
-  defp answer(:wav, query, source, _extent) do
+  defp build_response(:wav, query, source, _extent) do
     with {:ok, from} <- WholeNumber.parse(query["from"]),
          {:ok, to} when to > from and to - from <= @longest_wav <- WholeNumber.parse(query["to"]) do
-      case Situ.Studio.Table.wav(source, text(query["stream"]), from, to) do
-        {:ok, data} -> file("audio/wav", "wav", data)
+      case Situ.Studio.Table.encode_wav(source, text_param(query["stream"]), from, to) do
+        {:ok, data} -> file_response("audio/wav", "wav", data)
         {:error, error} -> Response.error(422, error.what)
       end
     else
-      _ -> bad()
+      _ -> bad_request()
     end
   end
 
   # The thumbnail of a finished recording does not change, so it may be cached longer.
-  defp answer(:thumbnail, _query, source, extent) do
-    case Thumbnail.of(source) do
+  defp build_response(:thumbnail, _query, source, extent) do
+    case Thumbnail.render_thumbnail(source) do
       {:ok, type, data} ->
         age = if extent.live, do: 5, else: 300
         headers = [{"content-type", type}, {"cache-control", "private, max-age=#{age}"}]
@@ -166,19 +170,20 @@ defmodule Situ.Studio.Web.DataHttp do
     end
   end
 
-  defp channel("all"), do: {:ok, :all}
-  defp channel(text), do: WholeNumber.parse(text)
+  defp parse_channel("all"), do: {:ok, :all}
+  defp parse_channel(text), do: WholeNumber.parse(text)
 
-  defp sound(source, stream, {from, to}, :all), do: Sound.frames(source, stream, from, to)
+  defp read_audio(source, stream, {from, to}, :all),
+    do: Sound.interleaved_samples(source, stream, from, to)
 
-  defp sound(source, stream, {from, to}, channel) do
+  defp read_audio(source, stream, {from, to}, channel) do
     with {:ok, {start, rate, samples}} <-
-           Sound.samples(source, stream, from, to, max(channel, 0)),
+           Sound.channel_samples(source, stream, from, to, max(channel, 0)),
          do: {:ok, {start, rate, 1, samples}}
   end
 
   # Streams a temporary file and deletes it afterwards.
-  defp sent(path, folder) do
+  defp stream_file(path, folder) do
     Stream.resource(
       fn -> File.open!(path, [:raw, :binary, :read]) end,
       fn file ->
@@ -189,12 +194,12 @@ defmodule Situ.Studio.Web.DataHttp do
       end,
       fn file ->
         :ok = :file.close(file)
-        Scratch.remove(folder)
+        Scratch.remove_folder(folder)
       end
     )
   end
 
-  defp file(type, ending, body) do
+  defp file_response(type, ending, body) do
     headers = [
       {"content-type", type},
       {"content-disposition", "attachment; filename=\"selection.#{ending}\""},
@@ -204,15 +209,15 @@ defmodule Situ.Studio.Web.DataHttp do
     %Response{headers: headers, body: body}
   end
 
-  defp reply(frames, extent, time) do
+  defp frames_response(frames, extent, time) do
     %{request: 0, from: extent.from, to: extent.to, time: time}
     |> Map.merge(Map.take(extent, [:live, :version]))
-    |> then(&Frame.reply(frames, &1))
+    |> then(&Frame.encode_reply(frames, &1))
     |> Response.binary([{"cache-control", "no-store"}])
   end
 
-  defp bad, do: Response.error(400, "invalid data request")
+  defp bad_request, do: Response.error(400, "invalid data request")
 
   # A query may hold a list or a map where a string is expected; such a value is ignored.
-  defp text(value), do: if(is_binary(value), do: value, else: "")
+  defp text_param(value), do: if(is_binary(value), do: value, else: "")
 end

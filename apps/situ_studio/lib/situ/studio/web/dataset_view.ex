@@ -25,7 +25,7 @@ defmodule Situ.Studio.Web.DatasetView do
         page_title: "#{id} - Situ Studio",
         read_only: settings.read_only or session["viewer"] == true,
         folder: settings.layouts,
-        tasks: for(module <- Situ.Dataset.Task.all(), do: module.task()),
+        tasks: for(module <- Situ.Dataset.Task.list_tasks(), do: module.task()),
         facts: %{},
         stamps: %{},
         open: MapSet.new(),
@@ -35,17 +35,20 @@ defmodule Situ.Studio.Web.DatasetView do
         dialog: nil,
         runs: [],
         left: [],
-        now: now(),
+        now: now_ms(),
         error: nil
       )
 
-    with {:ok, %{kind: :dataset, path: file}} <- Catalog.find(studio, id),
-         {:ok, server} <- Datasets.open(studio, file) do
+    with {:ok, %{kind: :dataset, path: file}} <- Catalog.fetch_item(studio, id),
+         {:ok, server} <- Datasets.open_server(studio, file) do
       runs = Batch.subscribe(studio, file)
       if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
-      socket = assign(socket, file: file, server: server, dataset: Server.get(server), runs: runs)
-      socket = assign(socket, left: Left.all(file))
-      {:ok, if(connected?(socket), do: look(socket), else: socket)}
+
+      socket =
+        assign(socket, file: file, server: server, dataset: Server.get_dataset(server), runs: runs)
+
+      socket = assign(socket, left: Left.list_interrupted(file))
+      {:ok, if(connected?(socket), do: refresh_facts(socket), else: socket)}
     else
       {:error, error} ->
         {:ok, assign(socket, error: error)}
@@ -56,16 +59,16 @@ defmodule Situ.Studio.Web.DatasetView do
   end
 
   # A separate process reads the recordings, so a read that hangs does not block the page.
-  defp look(socket) do
+  defp refresh_facts(socket) do
     paths = for s <- socket.assigns.dataset.sessions, p <- s.partitions, uniq: true, do: p.path
-    stamps = Map.new(paths, &{&1, Facts.stamp(&1)})
+    stamps = Map.new(paths, &{&1, Facts.file_stamp(&1)})
     changed = Enum.reject(paths, &(socket.assigns.stamps[&1] == stamps[&1]))
     page = self()
 
     if changed != [] do
       Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
         Situ.Studio.Tasks
-        |> Task.Supervisor.async_stream_nolink(changed, &{&1, Facts.of(&1)},
+        |> Task.Supervisor.async_stream_nolink(changed, &{&1, Facts.of_recording(&1)},
           ordered: false,
           timeout: 30_000,
           on_timeout: :kill_task
@@ -80,7 +83,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
   @impl true
   def handle_event("search", %{"query" => query} = params, socket) when is_binary(query) do
-    info = Figures.choice(params["info"], socket.assigns.info)
+    info = Figures.parse_choice(params["info"], socket.assigns.info)
     {:noreply, assign(socket, query: String.slice(query, 0, 200), info: info)}
   end
 
@@ -93,7 +96,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
   def handle_event("fold_below", params, socket) do
     %{dataset: dataset, open: open} = socket.assigns
-    path = Edits.path(params)
+    path = Edits.parse_path(params)
 
     all =
       for s <- dataset.sessions,
@@ -108,7 +111,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
   def handle_event("toggle", params, socket) do
     open = socket.assigns.open
-    path = Edits.path(params)
+    path = Edits.parse_path(params)
 
     {:noreply,
      assign(socket,
@@ -117,38 +120,41 @@ defmodule Situ.Studio.Web.DatasetView do
   end
 
   def handle_event("select", params, socket),
-    do: {:noreply, assign(socket, selected: Edits.path(params))}
+    do: {:noreply, assign(socket, selected: Edits.parse_path(params))}
 
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
   # All events below modify something.
   def handle_event(_, _, %{assigns: %{read_only: true}} = socket),
-    do: {:noreply, toast(socket, "This studio is read-only")}
+    do: {:noreply, show_toast(socket, "This studio is read-only")}
 
   def handle_event("run_" <> _ = event, params, socket),
     do: {:noreply, BatchDialog.handle_event(event, params, socket)}
 
   def handle_event("task", params, socket),
-    do: {:noreply, BatchDialog.open(socket, params["task"], Edits.path(params))}
+    do: {:noreply, BatchDialog.open_dialog(socket, params["task"], Edits.parse_path(params))}
 
   # The copy may take long, so it runs in a task that continues after the page is closed.
   def handle_event("save_part", params, %{assigns: %{dialog: {:export, _, _}}} = socket) do
-    case Edits.part(params, socket.assigns.dialog) do
+    case Edits.parse_export(params, socket.assigns.dialog) do
       {:ok, export, item} ->
         page = self()
-        task = {Task, fn -> send(page, {:exported, Export.run(export, item)}) end}
-        {:ok, _} = DynamicSupervisor.start_child(Catalog.watches(socket.assigns.studio), task)
-        {:noreply, socket |> assign(dialog: nil) |> toast("Saving #{export.name} ...")}
+        task = {Task, fn -> send(page, {:exported, Export.write_recording(export, item)}) end}
+
+        {:ok, _} =
+          DynamicSupervisor.start_child(Catalog.watch_supervisor(socket.assigns.studio), task)
+
+        {:noreply, socket |> assign(dialog: nil) |> show_toast("Saving #{export.name} ...")}
 
       {:error, error} ->
-        {:noreply, toast(socket, Exception.message(error))}
+        {:noreply, show_toast(socket, Exception.message(error))}
     end
   end
 
   def handle_event(event, params, %{assigns: %{server: _}} = socket) do
-    case Edits.apply(event, params, socket.assigns) do
-      {:ok, changes} -> {:noreply, changed(socket, changes)}
-      {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
+    case Edits.apply_event(event, params, socket.assigns) do
+      {:ok, changes} -> {:noreply, apply_changes(socket, changes)}
+      {:error, error} -> {:noreply, show_toast(socket, Exception.message(error))}
       :ignore -> {:noreply, socket}
     end
   end
@@ -156,55 +162,55 @@ defmodule Situ.Studio.Web.DatasetView do
   def handle_event(_, _, socket), do: {:noreply, socket}
 
   # Besides changed assigns, an edit may return a message to show or an address to go to.
-  defp changed(socket, changes) do
+  defp apply_changes(socket, changes) do
     {said, changes} = Keyword.pop(changes, :said)
     {go, changes} = Keyword.pop(changes, :go)
-    socket = socket |> assign(changes) |> look()
-    socket = if said, do: toast(socket, said), else: socket
+    socket = socket |> assign(changes) |> refresh_facts()
+    socket = if said, do: show_toast(socket, said), else: socket
     if go, do: push_event(socket, "go", %{href: go}), else: socket
   end
 
   @impl true
   def handle_info({:exported, {:ok, path}}, socket) do
-    Catalog.look_again(socket.assigns.studio)
-    {:noreply, toast(socket, "Saved as #{path}")}
+    Catalog.invalidate_recordings(socket.assigns.studio)
+    {:noreply, show_toast(socket, "Saved as #{path}")}
   end
 
   def handle_info({:exported, {:error, error}}, socket),
-    do: {:noreply, toast(socket, Exception.message(error))}
+    do: {:noreply, show_toast(socket, Exception.message(error))}
 
   def handle_info({:facts, known}, socket),
     do: {:noreply, assign(socket, facts: Map.merge(socket.assigns.facts, Map.new(known)))}
 
   def handle_info({:situ_dataset, server, _}, socket),
-    do: {:noreply, socket |> assign(dataset: Server.get(server)) |> look()}
+    do: {:noreply, socket |> assign(dataset: Server.get_dataset(server)) |> refresh_facts()}
 
   def handle_info({:batch, _file, runs}, socket),
-    do: {:noreply, assign(socket, runs: runs, now: now())}
+    do: {:noreply, assign(socket, runs: runs, now: now_ms())}
 
   def handle_info(:refresh, %{assigns: %{server: server, file: file}} = socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
 
     # the file may have been edited by hand or by the command line; the page is notified of that like of any change
-    _ = Datasets.refresh(server, file)
-    {:noreply, look(socket)}
+    _ = Datasets.reload_dataset(server, file)
+    {:noreply, refresh_facts(socket)}
   end
 
   def handle_info(_, socket), do: {:noreply, socket}
 
-  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
-  defp now, do: System.monotonic_time(:millisecond)
+  defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
+  defp now_ms, do: System.monotonic_time(:millisecond)
 
   @impl true
-  def render(%{error: %{}} = assigns), do: Chrome.failure(assigns)
+  def render(%{error: %{}} = assigns), do: Chrome.error_page(assigns)
 
   def render(assigns) do
     ~H"""
     <div id="dataset" class="dataset" phx-hook="Lists">
-      <Page.top title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
-      <Page.tree {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
-      <Page.right {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
-      <Dialogs.dialog :if={@dialog != nil} dialog={@dialog} />
+      <Page.top_bar title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
+      <Page.session_tree {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
+      <Page.dataset_sidebar {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
+      <Dialogs.dataset_dialog :if={@dialog != nil} dialog={@dialog} />
       <div id="toast" role="status" phx-update="ignore"></div>
     </div>
     """

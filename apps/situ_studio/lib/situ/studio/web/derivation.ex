@@ -13,33 +13,37 @@ defmodule Situ.Studio.Web.Derivation do
   @looked_at 200
 
   @doc "Returns facts about the derived streams. Streams whose input streams the recording lacks are left out."
-  @spec infos(map()) :: [StreamInfo.t()]
-  def infos(assigns) do
-    for "= " <> text <- names(assigns),
-        {:ok, info} <- [Derived.derive(assigns.source, text)],
+  @spec list_infos(map()) :: [StreamInfo.t()]
+  def list_infos(assigns) do
+    for "= " <> text <- derived_names(assigns),
+        {:ok, info} <- [Derived.derive_stream(assigns.source, text)],
         do: info
   end
 
-  defp names(assigns) do
-    shown = for panel <- rows(assigns[:layout]), vis <- panel.vis, do: vis.stream
-    (assigns.derived ++ shown) |> Enum.filter(&Derived.name?/1) |> Enum.uniq() |> Enum.take(@most)
+  defp derived_names(assigns) do
+    shown = for panel <- layout_rows(assigns[:layout]), vis <- panel.vis, do: vis.stream
+
+    (assigns.derived ++ shown)
+    |> Enum.filter(&Derived.derived_name?/1)
+    |> Enum.uniq()
+    |> Enum.take(@most)
   end
 
-  defp rows(nil), do: []
-  defp rows(layout), do: layout.rows
+  defp layout_rows(nil), do: []
+  defp layout_rows(layout), do: layout.rows
 
   @doc "Reloads the streams if the layout has derived streams that are not loaded yet."
-  @spec known(Socket.t(), (Socket.t() -> Socket.t())) :: Socket.t()
-  def known(%{assigns: %{shapes: shapes} = assigns} = socket, load) do
-    if Enum.all?(names(assigns), &is_map_key(shapes, &1)), do: socket, else: load.(socket)
+  @spec ensure_loaded(Socket.t(), (Socket.t() -> Socket.t())) :: Socket.t()
+  def ensure_loaded(%{assigns: %{shapes: shapes} = assigns} = socket, load) do
+    if Enum.all?(derived_names(assigns), &is_map_key(shapes, &1)), do: socket, else: load.(socket)
   end
 
-  def known(socket, _load), do: socket
+  def ensure_loaded(socket, _load), do: socket
 
   @doc "Adds a derived stream to the page and returns its name."
-  @spec add(Socket.t(), String.t()) :: {:ok, String.t(), Socket.t()} | {:error, Error.t()}
-  def add(%{assigns: assigns} = socket, text) do
-    with {:ok, info} <- Derived.derive(assigns.source, String.slice(text, 0, 1_000)) do
+  @spec add_stream(Socket.t(), String.t()) :: {:ok, String.t(), Socket.t()} | {:error, Error.t()}
+  def add_stream(%{assigns: assigns} = socket, text) do
+    with {:ok, info} <- Derived.derive_stream(assigns.source, String.slice(text, 0, 1_000)) do
       derived = Enum.take(Enum.uniq([info.name | assigns.derived]), @most)
       {:ok, info.name, assign(socket, derived: derived)}
     end
@@ -48,7 +52,7 @@ defmodule Situ.Studio.Web.Derivation do
   @doc "Adds a derived stream for each member of a stream's values and shows how many were added."
   @spec derive_members(Socket.t(), String.t(), (Socket.t() -> Socket.t())) :: Socket.t()
   def derive_members(socket, stream, load) do
-    case members(socket, stream) do
+    case add_members(socket, stream) do
       {:ok, n, socket} ->
         said = if n == 1, do: "1 derived stream", else: "#{n} derived streams"
         socket |> load.() |> push_event("toast", %{text: said <> " added at the top of the tree"})
@@ -58,11 +62,15 @@ defmodule Situ.Studio.Web.Derivation do
     end
   end
 
-  defp members(%{assigns: assigns} = socket, stream) do
-    with %StreamInfo{} = info <- Enum.find(assigns.infos, &(&1.name == stream)) || none(stream),
-         [_ | _] = texts <- Members.expressions(stream, looked_at(assigns.source, info)) do
+  defp add_members(%{assigns: assigns} = socket, stream) do
+    with %StreamInfo{} = info <-
+           Enum.find(assigns.infos, &(&1.name == stream)) || no_stream_error(stream),
+         [_ | _] = texts <-
+           Members.member_expressions(stream, sample_values(assigns.source, info)) do
       names =
-        for text <- texts, {:ok, info} <- [Derived.derive(assigns.source, text)], do: info.name
+        for text <- texts,
+            {:ok, info} <- [Derived.derive_stream(assigns.source, text)],
+            do: info.name
 
       derived = Enum.take(Enum.uniq(names ++ assigns.derived), @most)
       {:ok, length(names), assign(socket, derived: derived)}
@@ -72,12 +80,12 @@ defmodule Situ.Studio.Web.Derivation do
     end
   end
 
-  defp none(stream), do: {:error, Error.new(:no_stream, "unknown stream: #{stream}")}
+  defp no_stream_error(stream), do: {:error, Error.new(:no_stream, "unknown stream: #{stream}")}
 
-  defp looked_at(_source, %{first: nil}), do: []
+  defp sample_values(_source, %{first: nil}), do: []
 
-  defp looked_at(source, %{name: name, first: first, last: last}) do
-    case Source.sample(source, name, first, last, @looked_at) do
+  defp sample_values(source, %{name: name, first: first, last: last}) do
+    case Source.sample_messages(source, name, first, last, @looked_at) do
       {:ok, sample} -> for {_, message} <- sample, do: message.data
       {:error, _} -> []
     end

@@ -8,30 +8,30 @@ defmodule Situ.Studio.Web.Edit do
   @sides %{"above" => :above, "below" => :below, "left" => :left, "right" => :right}
   @ways %{"up" => :up, "down" => :down, "left" => :left, "right" => :right}
 
-  @spec apply(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
-  def apply("add_stream", %{"stream" => stream} = params, assigns) do
+  @spec apply_event(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
+  def apply_event("add_stream", %{"stream" => stream} = params, assigns) do
     into = if(is_binary(params["panel"]), do: params["panel"], else: "")
 
-    with {:ok, entries} <- entries(assigns, stream) do
+    with {:ok, entries} <- fetch_visualizers(assigns, stream) do
       # a stream that is dropped on a panel uses a visualizer that fits this panel, if there is one
-      panel = Layout.panel(assigns.layout, into)
+      panel = Layout.find_panel(assigns.layout, into)
       entry = (panel && Enum.find(entries, &(&1.panel == panel.panel))) || hd(entries)
-      add(assigns, stream, entry, into)
+      add_to_panel(assigns, stream, entry, into)
     end
   end
 
-  def apply("add_viz", %{"stream" => stream, "viz" => id} = params, assigns) do
+  def apply_event("add_viz", %{"stream" => stream, "viz" => id} = params, assigns) do
     into = if(is_binary(params["panel"]), do: params["panel"], else: "")
 
-    with {:ok, entries} <- entries(assigns, stream) do
+    with {:ok, entries} <- fetch_visualizers(assigns, stream) do
       case Enum.find(entries, &(&1.id == id)) do
         nil -> :ignore
-        entry -> add(assigns, stream, entry, into)
+        entry -> add_to_panel(assigns, stream, entry, into)
       end
     end
   end
 
-  def apply("plot_path", %{"stream" => stream, "path" => path} = params, assigns) do
+  def apply_event("plot_path", %{"stream" => stream, "path" => path} = params, assigns) do
     {viz, panel} =
       case params["kind"] do
         "string" -> {"labels", :lanes}
@@ -39,127 +39,140 @@ defmodule Situ.Studio.Web.Edit do
         _ -> {"line", :plot}
       end
 
-    with {:ok, _} <- entries(assigns, stream),
+    with {:ok, _} <- fetch_visualizers(assigns, stream),
          {:ok, _} <- Studio.Path.parse(path),
-         {:ok, layout, id} <- Layout.add(assigns.layout, stream, viz, panel, "", path: path) do
+         {:ok, layout, id} <-
+           Layout.add_stream(assigns.layout, stream, viz, panel, "", path: path) do
       {:ok, layout: layout, selected: {:panel, id}}
     end
   end
 
-  def apply("beside", _, assigns), do: {:ok, layout: Layout.beside(assigns.layout)}
+  def apply_event("beside", _, assigns),
+    do: {:ok, layout: Layout.toggle_cell_column(assigns.layout)}
 
   # Maximizes one panel until it is restored.
-  def apply("maximise", %{"id" => id}, assigns) do
+  def apply_event("maximise", %{"id" => id}, assigns) do
     cond do
       assigns.maximised == id -> {:ok, maximised: nil}
-      Layout.panel(assigns.layout, id) -> {:ok, maximised: id}
+      Layout.find_panel(assigns.layout, id) -> {:ok, maximised: id}
       true -> :ignore
     end
   end
 
-  def apply("restore", _, assigns), do: {:ok, maximised: nil, selected: assigns.selected}
+  def apply_event("restore", _, assigns), do: {:ok, maximised: nil, selected: assigns.selected}
 
-  def apply("undo", _, assigns), do: step(assigns, :undo, :redo)
-  def apply("redo", _, assigns), do: step(assigns, :redo, :undo)
+  def apply_event("undo", _, assigns), do: restore_layout(assigns, :undo, :redo)
+  def apply_event("redo", _, assigns), do: restore_layout(assigns, :redo, :undo)
 
   # Shows or hides a stream; `only` hides the panel's other streams, or shows them again.
-  def apply("show_vis", %{"panel" => id, "all" => all}, assigns) when all in ["true", "false"] do
-    shown = fn p -> %{p | vis: Enum.map(p.vis, &visible(&1, all == "true"))} end
-    {:ok, layout: Layout.update(assigns.layout, id, shown)}
+  def apply_event("show_vis", %{"panel" => id, "all" => all}, assigns)
+      when all in ["true", "false"] do
+    shown = fn p -> %{p | vis: Enum.map(p.vis, &put_visible(&1, all == "true"))} end
+    {:ok, layout: Layout.update_panel(assigns.layout, id, shown)}
   end
 
-  def apply("show_vis", %{"panel" => id, "index" => index} = params, assigns) do
-    with {:ok, i} <- integer(to_string(index)),
-         %{vis: vis} <- Layout.panel(assigns.layout, id),
-         {:ok, one} <- fetch(vis, i) do
-      layout = Layout.update(assigns.layout, id, &%{&1 | vis: shown(vis, i, one, params["only"])})
+  def apply_event("show_vis", %{"panel" => id, "index" => index} = params, assigns) do
+    with {:ok, i} <- parse_integer(to_string(index)),
+         %{vis: vis} <- Layout.find_panel(assigns.layout, id),
+         {:ok, one} <- fetch_at(vis, i) do
+      layout =
+        Layout.update_panel(
+          assigns.layout,
+          id,
+          &%{&1 | vis: toggle_visible(vis, i, one, params["only"])}
+        )
+
       {:ok, layout: layout}
     else
       _ -> :ignore
     end
   end
 
-  def apply("select_panel", %{"id" => id}, assigns) do
-    if Layout.panel(assigns.layout, id), do: {:ok, selected: {:panel, id}}, else: :ignore
+  def apply_event("select_panel", %{"id" => id}, assigns) do
+    if Layout.find_panel(assigns.layout, id), do: {:ok, selected: {:panel, id}}, else: :ignore
   end
 
-  def apply("remove_panel", %{"id" => id}, assigns) do
+  def apply_event("remove_panel", %{"id" => id}, assigns) do
     selected = if assigns.selected == {:panel, id}, do: nil, else: assigns.selected
-    {:ok, layout: Layout.remove(assigns.layout, id), selected: selected}
+    {:ok, layout: Layout.remove_panel(assigns.layout, id), selected: selected}
   end
 
-  def apply("remove_vis", %{"panel" => id, "index" => index}, assigns) do
-    with {:ok, i} <- integer(index), do: {:ok, layout: Layout.remove_vis(assigns.layout, id, i)}
+  def apply_event("remove_vis", %{"panel" => id, "index" => index}, assigns) do
+    with {:ok, i} <- parse_integer(index),
+         do: {:ok, layout: Layout.remove_vis(assigns.layout, id, i)}
   end
 
-  def apply("move_row", %{"id" => id, "by" => by}, assigns) when by in ["1", "-1"],
-    do: {:ok, layout: Layout.move(assigns.layout, id, String.to_integer(by))}
+  def apply_event("move_row", %{"id" => id, "by" => by}, assigns) when by in ["1", "-1"],
+    do: {:ok, layout: Layout.move_row(assigns.layout, id, String.to_integer(by))}
 
   # The panel was dropped on a position, or a key moved it one step.
-  def apply("place_panel", %{"id" => id, "side" => side, "target" => target}, assigns)
+  def apply_event("place_panel", %{"id" => id, "side" => side, "target" => target}, assigns)
       when is_map_key(@sides, side) and is_binary(id) and is_binary(target) do
-    with {:ok, layout} <- Layout.place(assigns.layout, id, {@sides[side], target}),
+    with {:ok, layout} <- Layout.move_panel(assigns.layout, id, {@sides[side], target}),
          do: {:ok, layout: layout}
   end
 
-  def apply("shift_panel", %{"id" => id, "way" => way}, assigns)
+  def apply_event("shift_panel", %{"id" => id, "way" => way}, assigns)
       when is_map_key(@ways, way) and is_binary(id) do
-    with {:ok, layout} <- Layout.shift(assigns.layout, id, @ways[way]), do: {:ok, layout: layout}
+    with {:ok, layout} <- Layout.shift_panel(assigns.layout, id, @ways[way]),
+         do: {:ok, layout: layout}
   end
 
-  def apply("resize_row", %{"id" => id, "height" => height}, assigns)
+  def apply_event("resize_row", %{"id" => id, "height" => height}, assigns)
       when is_integer(height) and is_binary(id),
-      do: {:ok, layout: Layout.resize(assigns.layout, id, height)}
+      do: {:ok, layout: Layout.resize_row(assigns.layout, id, height)}
 
   # Scales each line to its own minimum and maximum, or all lines to one axis again.
-  def apply("axis", %{"panel" => id, "own" => "true"}, assigns), do: axis(assigns, id, :own)
+  def apply_event("axis", %{"panel" => id, "own" => "true"}, assigns),
+    do: put_axis(assigns, id, :own)
 
-  def apply("axis", %{"panel" => id, "_target" => ["own"]}, assigns), do: axis(assigns, id, nil)
+  def apply_event("axis", %{"panel" => id, "_target" => ["own"]}, assigns),
+    do: put_axis(assigns, id, nil)
 
-  def apply("axis", %{"panel" => id, "min" => min, "max" => max}, assigns) do
-    case {number(min), number(max)} do
-      {{:ok, min}, {:ok, max}} when min < max -> axis(assigns, id, {min, max})
-      {:empty, :empty} -> axis(assigns, id, nil)
+  def apply_event("axis", %{"panel" => id, "min" => min, "max" => max}, assigns) do
+    case {parse_number(min), parse_number(max)} do
+      {{:ok, min}, {:ok, max}} when min < max -> put_axis(assigns, id, {min, max})
+      {:empty, :empty} -> put_axis(assigns, id, nil)
       _ -> :ignore
     end
   end
 
-  def apply("threshold", %{"panel" => id, "side" => side, "value" => value}, assigns) do
-    case {Enum.find([:below, :above], &(Atom.to_string(&1) == side)), number(value)} do
-      {nil, _} -> threshold(assigns, id, nil)
-      {_, :empty} -> threshold(assigns, id, nil)
-      {side, {:ok, value}} -> threshold(assigns, id, {side, value})
+  def apply_event("threshold", %{"panel" => id, "side" => side, "value" => value}, assigns) do
+    case {Enum.find([:below, :above], &(Atom.to_string(&1) == side)), parse_number(value)} do
+      {nil, _} -> put_threshold(assigns, id, nil)
+      {_, :empty} -> put_threshold(assigns, id, nil)
+      {side, {:ok, value}} -> put_threshold(assigns, id, {side, value})
       _ -> :ignore
     end
   end
 
-  def apply("prop", %{"panel" => id, "index" => index} = params, assigns) do
-    with {:ok, i} <- integer(index),
-         %{vis: vis} <- Layout.panel(assigns.layout, id),
-         {:ok, one} <- fetch(vis, i),
-         {:ok, entry} <- visualizer(assigns, one) do
+  def apply_event("prop", %{"panel" => id, "index" => index} = params, assigns) do
+    with {:ok, i} <- parse_integer(index),
+         %{vis: vis} <- Layout.find_panel(assigns.layout, id),
+         {:ok, one} <- fetch_at(vis, i),
+         {:ok, entry} <- fetch_visualizer(assigns, one) do
       props = if is_map(params["props"]), do: params["props"], else: %{}
-      options = Visualizer.options(entry, one.props)
-      props = Enum.reduce(options, one.props, &put(&1, &2, props, params, entry))
+      options = Visualizer.active_options(entry, one.props)
+      props = Enum.reduce(options, one.props, &put_option(&1, &2, props, params, entry))
       {:ok, layout: put_props(assigns.layout, id, i, props)}
     else
       _ -> :ignore
     end
   end
 
-  def apply("prop_auto", %{"panel" => id, "index" => index, "key" => key}, assigns) do
-    with {:ok, i} <- integer(index),
-         %{vis: vis} <- Layout.panel(assigns.layout, id),
-         {:ok, one} <- fetch(vis, i) do
+  def apply_event("prop_auto", %{"panel" => id, "index" => index, "key" => key}, assigns) do
+    with {:ok, i} <- parse_integer(index),
+         %{vis: vis} <- Layout.find_panel(assigns.layout, id),
+         {:ok, one} <- fetch_at(vis, i) do
       {:ok, layout: put_props(assigns.layout, id, i, Map.delete(one.props, key))}
     else
       _ -> :ignore
     end
   end
 
-  def apply(_, _, _), do: :ignore
+  def apply_event(_, _, _), do: :ignore
 
-  defp step(assigns, from, to) do
+  defp restore_layout(assigns, from, to) do
     case Map.fetch!(assigns, from) do
       [layout | rest] ->
         {:ok, [{:layout, layout}, {from, rest}, {to, [assigns.layout | Map.fetch!(assigns, to)]}]}
@@ -169,25 +182,25 @@ defmodule Situ.Studio.Web.Edit do
     end
   end
 
-  defp shown(vis, i, one, "true") do
+  defp toggle_visible(vis, i, one, "true") do
     alone? = vis |> List.delete_at(i) |> Enum.all?(&hidden?/1) and not hidden?(one)
-    for {v, k} <- Enum.with_index(vis), do: visible(v, alone? or k == i)
+    for {v, k} <- Enum.with_index(vis), do: put_visible(v, alone? or k == i)
   end
 
-  defp shown(vis, i, one, _), do: List.replace_at(vis, i, visible(one, hidden?(one)))
+  defp toggle_visible(vis, i, one, _), do: List.replace_at(vis, i, put_visible(one, hidden?(one)))
 
   defp hidden?(vis), do: vis.props["visible"] == false
-  defp visible(vis, true), do: %{vis | props: Map.delete(vis.props, "visible")}
-  defp visible(vis, false), do: %{vis | props: Map.put(vis.props, "visible", false)}
+  defp put_visible(vis, true), do: %{vis | props: Map.delete(vis.props, "visible")}
+  defp put_visible(vis, false), do: %{vis | props: Map.put(vis.props, "visible", false)}
 
   defp put_props(layout, id, i, props) do
-    Layout.update(layout, id, fn p ->
+    Layout.update_panel(layout, id, fn p ->
       %{p | vis: List.update_at(p.vis, i, &%{&1 | props: props})}
     end)
   end
 
   # Only the field that changed is updated. Browsers omit unchecked boxes, so a missing boolean means false.
-  defp put({key, option}, props, given, params, entry) do
+  defp put_option({key, option}, props, given, params, entry) do
     name = Atom.to_string(key)
 
     cond do
@@ -195,30 +208,31 @@ defmodule Situ.Studio.Web.Edit do
       option[:type] == :boolean -> Map.put(props, name, given[name] == "true")
       not is_binary(given[name]) -> props
       given[name] == "" -> Map.delete(props, name)
-      true -> cast(props, name, given[name], entry)
+      true -> put_cast_value(props, name, given[name], entry)
     end
   end
 
-  defp cast(props, name, text, entry) do
-    case Visualizer.cast(entry, name, text) do
+  defp put_cast_value(props, name, text, entry) do
+    case Visualizer.cast_property(entry, name, text) do
       {:ok, value} -> Map.put(props, name, value)
       :error -> props
     end
   end
 
-  defp add(assigns, stream, entry, into) do
-    with {:ok, layout, id} <- Layout.add(assigns.layout, stream, entry.id, entry.panel, into) do
+  defp add_to_panel(assigns, stream, entry, into) do
+    with {:ok, layout, id} <-
+           Layout.add_stream(assigns.layout, stream, entry.id, entry.panel, into) do
       {:ok, layout: layout, selected: {:panel, id}}
     end
   end
 
-  defp axis(assigns, id, axis),
-    do: {:ok, layout: Layout.update(assigns.layout, id, &%{&1 | axis: axis})}
+  defp put_axis(assigns, id, axis),
+    do: {:ok, layout: Layout.update_panel(assigns.layout, id, &%{&1 | axis: axis})}
 
-  defp threshold(assigns, id, value),
-    do: {:ok, layout: Layout.update(assigns.layout, id, &%{&1 | threshold: value})}
+  defp put_threshold(assigns, id, value),
+    do: {:ok, layout: Layout.update_panel(assigns.layout, id, &%{&1 | threshold: value})}
 
-  defp entries(assigns, stream) do
+  defp fetch_visualizers(assigns, stream) do
     case assigns.shapes do
       %{^stream => shape} ->
         {:ok, Visualizers.for_shape(shape, assigns.extra)}
@@ -228,25 +242,25 @@ defmodule Situ.Studio.Web.Edit do
     end
   end
 
-  defp visualizer(assigns, vis) do
+  defp fetch_visualizer(assigns, vis) do
     shape = Map.get(assigns.shapes, vis.stream, :value)
 
-    Visualizers.of(vis.viz, vis.path, shape, assigns.extra)
+    Visualizers.fetch_for_path(vis.viz, vis.path, shape, assigns.extra)
   end
 
-  defp fetch(vis, i) when i >= 0, do: Enum.fetch(vis, i)
-  defp fetch(_, _), do: :error
+  defp fetch_at(vis, i) when i >= 0, do: Enum.fetch(vis, i)
+  defp fetch_at(_, _), do: :error
 
-  defp integer(text) when is_binary(text) do
+  defp parse_integer(text) when is_binary(text) do
     case Integer.parse(text) do
       {i, ""} -> {:ok, i}
       _ -> :ignore
     end
   end
 
-  defp integer(_), do: :ignore
+  defp parse_integer(_), do: :ignore
 
-  defp number(text) when is_binary(text) do
+  defp parse_number(text) when is_binary(text) do
     case {String.trim(text), Float.parse(String.trim(text))} do
       {"", _} -> :empty
       {_, {x, ""}} -> {:ok, x}
@@ -254,5 +268,5 @@ defmodule Situ.Studio.Web.Edit do
     end
   end
 
-  defp number(_), do: :error
+  defp parse_number(_), do: :error
 end

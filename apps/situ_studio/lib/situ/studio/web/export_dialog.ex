@@ -9,16 +9,18 @@ defmodule Situ.Studio.Web.ExportDialog do
   alias Situ.Studio.{Catalog, Export, WholeNumber}
 
   @doc "Returns whether the item is a recording on disk and the studio may write to it."
-  @spec offered?(map()) :: boolean()
-  def offered?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
+  @spec available?(map()) :: boolean()
+  def available?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
 
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
   def handle_event(event, params, socket) do
-    if offered?(socket.assigns), do: event(event, params, socket), else: {:noreply, socket}
+    if available?(socket.assigns),
+      do: apply_event(event, params, socket),
+      else: {:noreply, socket}
   end
 
   # The page sends the selection, or the visible range if nothing is selected.
-  defp event("export_dialog", %{"from" => from, "to" => to, "of" => of}, socket) do
+  defp apply_event("export_dialog", %{"from" => from, "to" => to, "of" => of}, socket) do
     with {:ok, from} <- WholeNumber.parse(from),
          {:ok, to} <- WholeNumber.parse(to) do
       {:noreply, assign(socket, dialog: {:export, from, to, of == "selection"})}
@@ -27,41 +29,41 @@ defmodule Situ.Studio.Web.ExportDialog do
     end
   end
 
-  defp event(
+  defp apply_event(
          "export_save",
          %{"name" => name} = params,
          %{assigns: %{dialog: {:export, from, to, _}}} = socket
        )
        when is_binary(name) do
-    streams = if params["streams"] == "shown", do: shown(socket.assigns), else: :all
+    streams = if params["streams"] == "shown", do: shown_streams(socket.assigns), else: :all
 
     case Export.new(name, from, to, streams) do
       {:ok, export} ->
-        start(export, socket.assigns)
-        {:noreply, socket |> assign(dialog: nil) |> toast("Saving #{export.name} ...")}
+        start_export(export, socket.assigns)
+        {:noreply, socket |> assign(dialog: nil) |> show_toast("Saving #{export.name} ...")}
 
       {:error, error} ->
-        {:noreply, toast(socket, Exception.message(error))}
+        {:noreply, show_toast(socket, Exception.message(error))}
     end
   end
 
-  defp event(_, _, socket), do: {:noreply, socket}
+  defp apply_event(_, _, socket), do: {:noreply, socket}
 
   # The export continues after the page is closed.
-  defp start(export, %{item: item, studio: studio}) do
+  defp start_export(export, %{item: item, studio: studio}) do
     page = self()
-    task = {Task, fn -> send(page, {:exported, Export.run(export, item)}) end}
-    {:ok, _} = DynamicSupervisor.start_child(Catalog.watches(studio), task)
+    task = {Task, fn -> send(page, {:exported, Export.write_recording(export, item)}) end}
+    {:ok, _} = DynamicSupervisor.start_child(Catalog.watch_supervisor(studio), task)
   end
 
   @doc "Shows the result of the export."
-  @spec done({:ok, Path.t()} | {:error, Situ.Error.t()}, Socket.t()) :: Socket.t()
-  def done({:ok, path}, socket), do: toast(socket, "Saved as #{path}")
-  def done({:error, error}, socket), do: toast(socket, Exception.message(error))
+  @spec show_result({:ok, Path.t()} | {:error, Situ.Error.t()}, Socket.t()) :: Socket.t()
+  def show_result({:ok, path}, socket), do: show_toast(socket, "Saved as #{path}")
+  def show_result({:error, error}, socket), do: show_toast(socket, Exception.message(error))
 
-  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+  defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
 
-  defp shown(%{layout: layout, shapes: shapes}) do
+  defp shown_streams(%{layout: layout, shapes: shapes}) do
     for(panel <- layout.rows, v <- panel.vis, Map.has_key?(shapes, v.stream), do: v.stream)
     |> Enum.uniq()
   end
@@ -72,14 +74,14 @@ defmodule Situ.Studio.Web.ExportDialog do
   attr(:shapes, :map, required: true)
 
   @doc false
-  def dialog(%{dialog: {:export, from, to, selection?}} = assigns) do
+  def export_dialog(%{dialog: {:export, from, to, selection?}} = assigns) do
     assigns =
       assign(assigns,
         length: Situ.Time.format_duration(to - from),
         what:
           if(selection?, do: "The selection", else: "The visible range (nothing is selected)"),
         all: map_size(assigns.shapes),
-        shown: length(shown(assigns)),
+        shown: length(shown_streams(assigns)),
         folder: Path.dirname(assigns.item.path)
       )
 
@@ -89,7 +91,7 @@ defmodule Situ.Studio.Web.ExportDialog do
       <form id="export-save" phx-submit="export_save">
         <h3>Save a section as a recording</h3>
         <p class="hint">{@what}: {@length}. The copy is written to {@folder}; this recording is not modified.</p>
-        <input name="name" value={part(@item.title)} placeholder="Name" autocomplete="off" maxlength="60"
+        <input name="name" value={default_name(@item.title)} placeholder="Name" autocomplete="off" maxlength="60"
             aria-label="Name" autofocus>
         <div class="choices" role="radiogroup" aria-label="Streams">
           <label><input type="radio" name="streams" value="all" checked> All streams ({@all})</label>
@@ -105,7 +107,7 @@ defmodule Situ.Studio.Web.ExportDialog do
   end
 
   # "lobby.0003" -> "lobby part"
-  defp part(title) do
+  defp default_name(title) do
     title |> Path.basename() |> String.replace(~r/\.[^.]*\z/, "") |> Kernel.<>(" part")
   end
 end

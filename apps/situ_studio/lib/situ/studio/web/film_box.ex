@@ -15,16 +15,18 @@ defmodule Situ.Studio.Web.FilmBox do
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
   # Rendering uses the server's CPU, so view-only links cannot start it.
   def handle_event("film_begin", _, %{assigns: %{viewer: true}} = socket),
-    do: {:noreply, toast(socket, "This link is view-only and cannot export videos")}
+    do: {:noreply, show_toast(socket, "This link is view-only and cannot export videos")}
 
   def handle_event("film_begin", params, %{assigns: assigns} = socket) do
     with {:ok, from} <- WholeNumber.parse(params["from"]),
          {:ok, to} when to > from and to - from <= @longest <- WholeNumber.parse(params["to"]),
-         %{panel: :image} = panel <- Layout.panel(assigns.layout, params["panel"]),
-         %Film{} = film <- film(panel, assigns, from, to) do
-      {:noreply, begin(socket, film)}
+         %{panel: :image} = panel <- Layout.find_panel(assigns.layout, params["panel"]),
+         %Film{} = film <- build_export(panel, assigns, from, to) do
+      {:noreply, start_job(socket, film)}
     else
-      _ -> {:noreply, toast(socket, "A video needs an image panel and can last at most one hour")}
+      _ ->
+        {:noreply,
+         show_toast(socket, "A video needs an image panel and can last at most one hour")}
     end
   end
 
@@ -35,16 +37,16 @@ defmodule Situ.Studio.Web.FilmBox do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
-  defp begin(%{assigns: assigns} = socket, film) do
+  defp start_job(%{assigns: assigns} = socket, film) do
     with %{key: key} <- assigns.film, do: Job.cancel(assigns.studio, key)
-    {:ok, key} = Job.begin(assigns.studio, film, assigns.source)
+    {:ok, key} = Job.start_job(assigns.studio, film, assigns.source)
     assign(socket, film: %{key: key, of: film, told: {:progress, 0.0}})
   end
 
   # Combines the panel's image stream, its visible overlays, and an audio stream of the page.
-  defp film(panel, assigns, from, to) do
+  defp build_export(panel, assigns, from, to) do
     visible = Enum.reject(panel.vis, &(&1.props["visible"] == false))
-    colors = Color.of(Enum.map(panel.vis, & &1.stream), assigns.colors)
+    colors = Color.assign_colors(Enum.map(panel.vis, & &1.stream), assigns.colors)
 
     with %{} = picture <- Enum.find(visible, &(&1.viz == "image" and &1.path == "")) do
       over =
@@ -61,7 +63,7 @@ defmodule Situ.Studio.Web.FilmBox do
         pictures: picture.stream,
         from: from,
         to: to,
-        sound: sound(assigns),
+        sound: find_audio_stream(assigns),
         over: over,
         masks: masks,
         flip: picture.props["flip"] == true
@@ -70,7 +72,7 @@ defmodule Situ.Studio.Web.FilmBox do
   end
 
   # Uses the first audio stream that is shown, or else the only one in the recording.
-  defp sound(%{layout: layout, shapes: shapes}) do
+  defp find_audio_stream(%{layout: layout, shapes: shapes}) do
     shown = for panel <- layout.rows, v <- panel.vis, shapes[v.stream] == :audio, do: v.stream
     all = for {name, :audio} <- shapes, do: name
 
@@ -82,23 +84,23 @@ defmodule Situ.Studio.Web.FilmBox do
   end
 
   @doc "Updates the progress of the page's video; reports about other videos are ignored."
-  @spec told(Socket.t(), String.t(), term()) :: Socket.t()
-  def told(%{assigns: %{film: %{key: key} = film}} = socket, key, told),
+  @spec update_progress(Socket.t(), String.t(), term()) :: Socket.t()
+  def update_progress(%{assigns: %{film: %{key: key} = film}} = socket, key, told),
     do: assign(socket, film: %{film | told: told})
 
-  def told(socket, _key, _told), do: socket
+  def update_progress(socket, _key, _told), do: socket
 
   attr(:film, :any, required: true)
 
   @doc false
-  def box(%{film: film} = assigns) do
+  def export_status(%{film: film} = assigns) do
     assigns =
       assign(assigns,
         length: Situ.Time.format_duration(film.of.to - film.of.from),
-        with: with_what(film.of),
-        done: done(film.told),
-        size: size(film.told),
-        error: error(film.told)
+        with: content_text(film.of),
+        done: percent_done(film.told),
+        size: size_mb(film.told),
+        error: error_text(film.told)
       )
 
     ~H"""
@@ -113,7 +115,7 @@ defmodule Situ.Studio.Web.FilmBox do
     """
   end
 
-  defp with_what(film) do
+  defp content_text(film) do
     case {film.sound != nil, film.over ++ film.masks != []} do
       {true, true} -> ", with audio and overlays"
       {true, false} -> ", with audio"
@@ -122,12 +124,12 @@ defmodule Situ.Studio.Web.FilmBox do
     end
   end
 
-  defp done({:progress, part}), do: round(100 * part)
-  defp done(_), do: nil
-  defp size({:done, bytes}), do: :erlang.float_to_binary(bytes / 1.0e6, decimals: 2)
-  defp size(_), do: nil
-  defp error({:error, error}), do: Exception.message(error)
-  defp error(_), do: nil
+  defp percent_done({:progress, part}), do: round(100 * part)
+  defp percent_done(_), do: nil
+  defp size_mb({:done, bytes}), do: :erlang.float_to_binary(bytes / 1.0e6, decimals: 2)
+  defp size_mb(_), do: nil
+  defp error_text({:error, error}), do: Exception.message(error)
+  defp error_text(_), do: nil
 
-  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+  defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
 end

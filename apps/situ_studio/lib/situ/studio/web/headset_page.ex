@@ -15,5 +15,5 @@ defmodule Situ.Studio.Web.HeadsetPage do
 
   @spec call(Request.t(), {studio :: String.t(), base :: String.t()}) :: Response.t()
   def call(%Request{}, {_studio, base}),
-    do: StaticPage.response(base, title: "Headset", script: "headset.js", body: @body)
+    do: StaticPage.build_response(base, title: "Headset", script: "headset.js", body: @body)
 end

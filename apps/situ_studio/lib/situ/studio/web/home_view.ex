@@ -23,18 +23,18 @@ defmodule Situ.Studio.Web.HomeView do
         page_title: "Situ Studio",
         query: "",
         problems: Catalog.settings(session["studio"]).problems,
-        folder: folder(Catalog.settings(session["studio"]), session),
+        folder: dataset_folder(Catalog.settings(session["studio"]), session),
         facts: %{},
         stamps: %{}
       )
 
-    {:ok, load(socket)}
+    {:ok, load_items(socket)}
   end
 
   @impl true
   def handle_info(:refresh, socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
-    {:noreply, load(socket)}
+    {:noreply, load_items(socket)}
   end
 
   def handle_info({:facts, id, facts}, socket),
@@ -55,42 +55,42 @@ defmodule Situ.Studio.Web.HomeView do
     with :ok <- Export.check_name(name),
          false <- File.exists?(file),
          {:ok, _} <- Dataset.new(name, file: file, autosave: true) do
-      Catalog.look_again(socket.assigns.studio)
-      {:noreply, push_event(socket, "go", %{href: Address.dataset(name <> ".json")})}
+      Catalog.invalidate_recordings(socket.assigns.studio)
+      {:noreply, push_event(socket, "go", %{href: Address.dataset_path(name <> ".json")})}
     else
-      true -> {:noreply, toast(socket, "#{name}.json already exists")}
-      {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
+      true -> {:noreply, show_toast(socket, "#{name}.json already exists")}
+      {:error, error} -> {:noreply, show_toast(socket, Exception.message(error))}
     end
   end
 
   def handle_event(_event, _params, socket), do: {:noreply, socket}
 
-  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+  defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
 
-  defp load(socket) do
+  defp load_items(socket) do
     items = Catalog.list(socket.assigns.studio)
     socket = assign(socket, items: items)
-    if connected?(socket), do: look(socket), else: socket
+    if connected?(socket), do: refresh_facts(socket), else: socket
   end
 
   # New datasets need a local folder and a user who may write to it.
-  defp folder(%{read_only: false, path: path}, session) when is_binary(path) do
+  defp dataset_folder(%{read_only: false, path: path}, session) when is_binary(path) do
     if session["viewer"] != true and File.dir?(path) and not Situ.Store.exists?(path), do: path
   end
 
-  defp folder(_, _), do: nil
+  defp dataset_folder(_, _), do: nil
 
   # Another process reads the recordings one after the other, so the list appears immediately.
-  defp look(socket) do
+  defp refresh_facts(socket) do
     %{items: items, stamps: old, facts: facts, studio: studio} = socket.assigns
     items = for item <- Enum.take(items, @most), item.kind in @looked_into, do: item
-    stamps = Map.new(items, &{&1.id, stamp(&1, facts[&1.id])})
+    stamps = Map.new(items, &{&1.id, item_stamp(&1, facts[&1.id])})
     changed = Enum.reject(items, &(old[&1.id] == stamps[&1.id]))
     page = self()
 
     if changed != [] do
       Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
-        Enum.each(changed, &send(page, {:facts, &1.id, facts(studio, &1)}))
+        Enum.each(changed, &send(page, {:facts, &1.id, read_facts(studio, &1)}))
       end)
     end
 
@@ -98,24 +98,24 @@ defmodule Situ.Studio.Web.HomeView do
   end
 
   # Streams in memory have no file whose change could be detected, so live ones are read every time.
-  defp stamp(%{kind: :source}, %{live: true}), do: make_ref()
-  defp stamp(%{kind: :source}, _), do: :in_memory
-  defp stamp(%{path: path}, _), do: Facts.stamp(path)
+  defp item_stamp(%{kind: :source}, %{live: true}), do: make_ref()
+  defp item_stamp(%{kind: :source}, _), do: :in_memory
+  defp item_stamp(%{path: path}, _), do: Facts.file_stamp(path)
 
-  defp facts(studio, %{kind: :source, id: id}) do
-    case Catalog.open(studio, id) do
+  defp read_facts(studio, %{kind: :source, id: id}) do
+    case Catalog.open_source(studio, id) do
       {:ok, _item, source} -> Facts.of_source(source)
       {:error, error} -> %Facts{error: error}
     end
   end
 
-  defp facts(_studio, %{kind: :dataset, path: path}), do: Facts.of_dataset(path)
-  defp facts(_studio, %{path: path}), do: Facts.of(path)
+  defp read_facts(_studio, %{kind: :dataset, path: path}), do: Facts.of_dataset(path)
+  defp read_facts(_studio, %{path: path}), do: Facts.of_recording(path)
 
   @impl true
   def render(assigns) do
     words = assigns.query |> String.downcase() |> String.split()
-    found = Enum.filter(assigns.items, &found?(&1, assigns.facts, words))
+    found = Enum.filter(assigns.items, &matches?(&1, assigns.facts, words))
     assigns = assign(assigns, found: Enum.take(found, @most), more: max(length(found) - @most, 0))
 
     ~H"""
@@ -124,9 +124,9 @@ defmodule Situ.Studio.Web.HomeView do
       <div :if={@problems != []} class="damage" role="alert">
         <span :for={{plugin, what} <- @problems}><b>The plug-in {plugin} is broken:</b> {what}</span>
       </div>
-      <p class="hint" role="status">{count(length(@items), length(@found), @query)} ·
+      <p class="hint" role="status">{count_text(length(@items), length(@found), @query)} ·
         <a class="linkish" href="settings" data-settings>Settings</a></p>
-      <p :if={ClusterView.member?()} class="hint"><a href="cluster">The cluster: nodes, parts, links</a></p>
+      <p :if={ClusterView.cluster_member?()} class="hint"><a href="cluster">The cluster: nodes, parts, links</a></p>
       <nav id="recent" class="hint recent" phx-update="ignore" aria-label="Recently viewed" hidden></nav>
       <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"
           id="search-form">
@@ -134,12 +134,12 @@ defmodule Situ.Studio.Web.HomeView do
             phx-debounce="80" aria-label="Search names and streams">
       </form>
       <div class="list">
-        <a :for={item <- @found} :key={id(item)} id={id(item)} class="item" href={Address.item(item)}>
-          <.picture item={item} facts={@facts[item.id]} />
+        <a :for={item <- @found} :key={row_id(item)} id={row_id(item)} class="item" href={Address.item_path(item)}>
+          <.item_thumbnail item={item} facts={@facts[item.id]} />
           <span><b>{item.title}</b><span class="dim"><span
-            :for={said <- said(item, @facts[item.id])}>{said}</span></span></span>
-          <span><.badges item={item} facts={@facts[item.id]}
-            alerts={if item.kind == :pipeline, do: Alerts.count(@studio, item.id), else: 0} /></span></a>
+            :for={said <- describe_item(item, @facts[item.id])}>{said}</span></span></span>
+          <span><.item_badges item={item} facts={@facts[item.id]}
+            alerts={if item.kind == :pipeline, do: Alerts.count_active(@studio, item.id), else: 0} /></span></a>
       </div>
       <p :if={@more > 0} class="hint more">{@more} more: use the search to find them</p>
       <p :if={@items == []} class="hint">No recordings yet. New recordings appear automatically.
@@ -158,11 +158,11 @@ defmodule Situ.Studio.Web.HomeView do
   end
 
   # The id lets the browser move a row. Without it, a re-sorted row would change its text under the mouse pointer.
-  defp id(item), do: "#{item.kind}-#{item.id}"
+  defp row_id(item), do: "#{item.kind}-#{item.id}"
 
-  defp found?(_item, _facts, []), do: true
+  defp matches?(_item, _facts, []), do: true
 
-  defp found?(item, facts, words) do
+  defp matches?(item, facts, words) do
     streams = for %{streams: streams} <- [facts[item.id]], s <- streams, do: s.name
     text = [item.title | streams] |> Enum.join("\n") |> String.downcase()
     Enum.all?(words, &String.contains?(text, &1))
@@ -171,25 +171,25 @@ defmodule Situ.Studio.Web.HomeView do
   attr(:item, :any, required: true)
   attr(:facts, :any, required: true)
 
-  defp picture(assigns) do
+  defp item_thumbnail(assigns) do
     ~H"""
-    <img :if={pictured?(@facts)} class="thumb" alt="" loading="lazy" width="96" height="54"
-        src={Address.thumbnail(@item.id)}>
-    <span :if={not pictured?(@facts)} class="thumb"><.icon
+    <img :if={has_thumbnail?(@facts)} class="thumb" alt="" loading="lazy" width="96" height="54"
+        src={Address.thumbnail_path(@item.id)}>
+    <span :if={not has_thumbnail?(@facts)} class="thumb"><.icon
         name={if @item.kind == :pipeline, do: :pipeline, else: :store} /></span>
     """
   end
 
-  defp pictured?(nil), do: false
+  defp has_thumbnail?(nil), do: false
 
-  defp pictured?(facts),
+  defp has_thumbnail?(facts),
     do: Enum.any?(facts.streams, &(&1.shape in [:image, :audio, :signal] and &1.count > 0))
 
   attr(:item, :any, required: true)
   attr(:facts, :any, required: true)
   attr(:alerts, :integer, required: true)
 
-  defp badges(assigns) do
+  defp item_badges(assigns) do
     ~H"""
     <span :if={@alerts > 0} class="badge damaged alerts">{@alerts} {if @alerts == 1, do: "alert", else: "alerts"}</span>
     <span :if={@item.live or (@facts != nil and @facts.live)} class="badge live">live</span>
@@ -198,29 +198,30 @@ defmodule Situ.Studio.Web.HomeView do
     """
   end
 
-  defp said(item, facts), do: [kind(item) | of(facts, item)] ++ List.wrap(at(item))
+  defp describe_item(item, facts),
+    do: [kind_text(item) | format_facts(facts, item)] ++ List.wrap(modification_time(item))
 
-  defp of(nil, _), do: []
-  defp of(%{error: %{}}, _), do: []
-  defp of(%{sessions: 1}, %{kind: :dataset}), do: ["1 session"]
-  defp of(%{sessions: n}, %{kind: :dataset}), do: ["#{n} sessions"]
+  defp format_facts(nil, _), do: []
+  defp format_facts(%{error: %{}}, _), do: []
+  defp format_facts(%{sessions: 1}, %{kind: :dataset}), do: ["1 session"]
+  defp format_facts(%{sessions: n}, %{kind: :dataset}), do: ["#{n} sessions"]
 
-  defp of(facts, item) do
+  defp format_facts(facts, item) do
     streams = length(facts.streams)
 
     Enum.reject(
       [
-        Facts.duration(facts),
+        Facts.format_duration(facts),
         if(streams == 1, do: "1 stream", else: "#{streams} streams"),
         # the memory used by messages is not measured
-        if(item.kind == :source, do: "", else: Figures.bytes(facts.size))
+        if(item.kind == :source, do: "", else: Figures.format_bytes(facts.size))
       ],
       &(&1 == "")
     )
   end
 
   # Returns the time of the last write, in this machine's time zone.
-  defp at(%{path: path}) when is_binary(path) do
+  defp modification_time(%{path: path}) when is_binary(path) do
     case File.stat(path, time: :local) do
       {:ok, %{mtime: mtime}} ->
         mtime |> NaiveDateTime.from_erl!() |> NaiveDateTime.to_string() |> String.slice(0, 16)
@@ -230,22 +231,22 @@ defmodule Situ.Studio.Web.HomeView do
     end
   end
 
-  defp at(_), do: nil
+  defp modification_time(_), do: nil
 
   # Annotation files are named after their recording, in the same folder (`Situ.Studio.Annotating.Shelf`).
-  defp kind(%{kind: :store, title: title}) do
+  defp kind_text(%{kind: :store, title: title}) do
     case String.split(Path.basename(title), "-annotation-", parts: 2) do
       [of, _] when of != "" -> "annotations of #{of}"
       _ -> "recording"
     end
   end
 
-  defp kind(%{kind: :elsewhere}), do: "recording on another machine"
-  defp kind(%{kind: :pipeline}), do: "running pipeline"
-  defp kind(%{kind: :source}), do: "in memory"
-  defp kind(%{kind: :dataset}), do: "dataset"
+  defp kind_text(%{kind: :elsewhere}), do: "recording on another machine"
+  defp kind_text(%{kind: :pipeline}), do: "running pipeline"
+  defp kind_text(%{kind: :source}), do: "in memory"
+  defp kind_text(%{kind: :dataset}), do: "dataset"
 
-  defp count(1, _, ""), do: "1 item"
-  defp count(n, _, ""), do: "#{n} items"
-  defp count(n, found, _), do: "#{found} of #{n}"
+  defp count_text(1, _, ""), do: "1 item"
+  defp count_text(n, _, ""), do: "#{n} items"
+  defp count_text(n, found, _), do: "#{found} of #{n}"
 end

@@ -68,7 +68,7 @@ defmodule Situ.Studio.Web.Icons do
   attr(:class, :string, default: nil)
 
   @doc false
-  def tool(assigns) do
+  def tool_button(assigns) do
     ~H"""
     <button class={["tool", @class]} type="button" data-act={@act} title={@title} aria-label={@title}><.icon
         name={@icon} /></button>

@@ -12,7 +12,7 @@ defmodule Situ.Studio.Web.KnownStreams do
   def load(socket) do
     streams =
       case Source.call(socket.assigns.source, :streams, []) do
-        {:ok, streams} -> streams ++ Derivation.infos(socket.assigns)
+        {:ok, streams} -> streams ++ Derivation.list_infos(socket.assigns)
         {:error, _} -> socket.assigns[:infos] || []
       end
 
@@ -21,41 +21,41 @@ defmodule Situ.Studio.Web.KnownStreams do
     assign(socket,
       infos: streams,
       shapes: Map.new(streams, &{&1.name, &1.shape}),
-      colors: Color.ranks(Enum.map(streams, & &1.name)),
-      lanes: lanes(streams, socket.assigns.seen_lanes),
-      coverage: coverage(streams, socket.assigns.source),
-      names: Situ.JSON.encode(Enum.map(names, &valid/1)),
-      sources: SourceList.of(socket.assigns)
+      colors: Color.rank_streams(Enum.map(streams, & &1.name)),
+      lanes: lane_counts(streams, socket.assigns.seen_lanes),
+      coverage: build_coverage(streams, socket.assigns.source),
+      names: Situ.JSON.encode(Enum.map(names, &printable_name/1)),
+      sources: SourceList.list_sources(socket.assigns)
     )
   end
 
-  defp coverage(streams, source) do
+  defp build_coverage(streams, source) do
     case Source.call(source, :extent, []) do
-      {:ok, extent} -> Coverage.of(streams, extent)
+      {:ok, extent} -> Coverage.find_partial_streams(streams, extent)
       {:error, _} -> %{}
     end
   end
 
   @doc "Returns the lane count of each stream: the larger of the count in its facts and the count the page has seen."
-  @spec lanes([StreamInfo.t()], map()) :: map()
-  def lanes(streams, seen) do
+  @spec lane_counts([StreamInfo.t()], map()) :: map()
+  def lane_counts(streams, seen) do
     known = for %{keys: [_ | _] = keys} = s <- streams, into: %{}, do: {s.name, length(keys)}
     Map.merge(known, seen, fn _, a, b -> max(a, b) end)
   end
 
-  defp valid(name), do: if(String.valid?(name), do: name, else: inspect(name))
+  defp printable_name(name), do: if(String.valid?(name), do: name, else: inspect(name))
 
   @doc "Returns the visualizers of each shape as JSON, for the page's menus."
-  @spec kinds([Visualizer.given()]) :: String.t()
-  def kinds(extra) do
-    StreamInfo.shapes()
+  @spec encode_visualizers([Visualizer.given()]) :: String.t()
+  def encode_visualizers(extra) do
+    StreamInfo.list_shapes()
     |> Map.new(&{&1, for(v <- Visualizers.for_shape(&1, extra), do: [v.id, v.title, v.panel])})
     |> Situ.JSON.encode()
   end
 
   @doc "Returns the start time of the data, to which the page's relative times refer."
-  @spec begun(map()) :: Situ.Time.t()
-  def begun(assigns) do
+  @spec data_start(map()) :: Situ.Time.t()
+  def data_start(assigns) do
     case Source.call(assigns.source, :extent, []) do
       {:ok, extent} -> extent.from
       {:error, _} -> 0

@@ -77,40 +77,46 @@ defmodule Situ.Studio.Web.MainView do
         error: nil
       )
 
-    case Comparison.open(studio, id, params) do
+    case Comparison.open_item(studio, id, params) do
       {:ok, item, source, compared} ->
         if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
-        damage = Source.damage(source)
+        damage = Source.list_damage(source)
         socket = socket |> assign(item: item, source: source, damage: damage, compared: compared)
         socket = load_streams(socket)
         shapes = socket.assigns.shapes
-        stream = known(params["stream"], shapes)
-        socket = assign(socket, snap: known(params["snap"], shapes))
+        stream = existing_stream(params["stream"], shapes)
+        socket = assign(socket, snap: existing_stream(params["snap"], shapes))
         socket = assign(socket, selected: stream && {:stream, stream})
-        socket = socket |> LayoutMenu.choose(params) |> moved(socket) |> Together.join()
-        {:ok, socket |> Derivation.known(&load_streams/1) |> Annotation.restore(params)}
+
+        socket =
+          socket |> LayoutMenu.choose_layout(params) |> reload_shifted(socket) |> Together.join()
+
+        {:ok,
+         socket
+         |> Derivation.ensure_loaded(&load_streams/1)
+         |> Annotation.open_from_params(params)}
 
       {:error, error} ->
         {:ok, assign(socket, error: error)}
     end
   end
 
-  defp known(stream, shapes), do: if(is_map_key(shapes, stream), do: stream)
+  defp existing_stream(stream, shapes), do: if(is_map_key(shapes, stream), do: stream)
 
   defp load_streams(socket), do: KnownStreams.load(socket)
 
-  defp look_again(%{assigns: %{shapes: shapes}} = socket),
-    do: socket |> load_streams() |> LayoutMenu.learned(shapes)
+  defp refresh_streams(%{assigns: %{shapes: shapes}} = socket),
+    do: socket |> load_streams() |> LayoutMenu.update_automatic(shapes)
 
   # The streams of a shifted recording have other times, so they are loaded again.
-  defp moved(socket, %{assigns: %{source: source}}),
+  defp reload_shifted(socket, %{assigns: %{source: source}}),
     do: if(socket.assigns.source == source, do: socket, else: load_streams(socket))
 
   @impl true
   def handle_event("streams_changed", _, socket) do
     first? = socket.assigns.infos == []
-    socket = look_again(socket)
-    {:noreply, if(first?, do: LayoutMenu.choose(socket, %{}), else: socket)}
+    socket = refresh_streams(socket)
+    {:noreply, if(first?, do: LayoutMenu.choose_layout(socket, %{}), else: socket)}
   end
 
   def handle_event("lanes", %{"of" => of, "count" => n}, socket)
@@ -121,7 +127,10 @@ defmodule Situ.Studio.Web.MainView do
       seen = Map.update(socket.assigns.seen_lanes, of, n, &max(&1, n))
 
       {:noreply,
-       assign(socket, seen_lanes: seen, lanes: KnownStreams.lanes(socket.assigns.infos, seen))}
+       assign(socket,
+         seen_lanes: seen,
+         lanes: KnownStreams.lane_counts(socket.assigns.infos, seen)
+       )}
     else
       {:noreply, socket}
     end
@@ -148,7 +157,7 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event("snap", %{"stream" => stream}, socket) do
     %{snap: now, shapes: shapes} = socket.assigns
-    snap = if now == stream, do: nil, else: known(stream, shapes)
+    snap = if now == stream, do: nil, else: existing_stream(stream, shapes)
     {:noreply, socket |> assign(snap: snap) |> push_event("snap", %{stream: snap})}
   end
 
@@ -156,7 +165,7 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("zoom_stream", params, socket) do
     names = List.wrap(params["streams"] || params["stream"])
 
-    case Coverage.whole(Enum.filter(socket.assigns.infos, &(&1.name in names))) do
+    case Coverage.total_extent(Enum.filter(socket.assigns.infos, &(&1.name in names))) do
       nil -> {:noreply, socket}
       times -> {:noreply, push_event(socket, "zoom_to", times)}
     end
@@ -166,8 +175,8 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("statistics", %{"panel" => id, "from" => from, "to" => to}, socket) do
     with {:ok, from} <- WholeNumber.parse(from),
          {:ok, to} when to >= from <- WholeNumber.parse(to),
-         %{vis: vis} <- Layout.panel(socket.assigns.layout, id) do
-      Statistics.begin(socket.assigns.source, vis, from, to)
+         %{vis: vis} <- Layout.find_panel(socket.assigns.layout, id) do
+      Statistics.compute_async(socket.assigns.source, vis, from, to)
       {:noreply, socket}
     else
       _ -> {:noreply, socket}
@@ -176,18 +185,18 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event("layout_" <> _ = event, params, socket) do
     {:noreply, chosen} = LayoutMenu.handle_event(event, params, socket)
-    chosen = picked(chosen, socket.assigns)
-    {:noreply, chosen |> moved(socket) |> Derivation.known(&load_streams/1)}
+    chosen = record_layout_pick(chosen, socket.assigns)
+    {:noreply, chosen |> reload_shifted(socket) |> Derivation.ensure_loaded(&load_streams/1)}
   end
 
   # Adds a stream that an expression derives from other streams.
   def handle_event("derive", %{"text" => text}, socket) when is_binary(text) do
-    case Derivation.add(socket, text) do
+    case Derivation.add_stream(socket, text) do
       {:ok, name, socket} ->
         handle_event("add_stream", %{"stream" => name}, load_streams(socket))
 
       {:error, error} ->
-        {:noreply, toast(socket, error)}
+        {:noreply, show_toast(socket, error)}
     end
   end
 
@@ -200,7 +209,7 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("compare_" <> _ = event, params, socket)
       when is_map_key(socket.assigns, :item) do
     {:noreply, after_it} = CompareBar.handle_event(event, params, socket)
-    {:noreply, after_it |> moved(socket) |> LayoutMenu.keep()}
+    {:noreply, after_it |> reload_shifted(socket) |> LayoutMenu.save_changes()}
   end
 
   def handle_event("film_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
@@ -219,17 +228,19 @@ defmodule Situ.Studio.Web.MainView do
     {:noreply, push_event(socket, "viewer_link", %{token: token})}
   end
 
-  def handle_event("together", params, socket), do: {:noreply, Together.tell(socket, params)}
+  def handle_event("together", params, socket),
+    do: {:noreply, Together.broadcast_view(socket, params)}
 
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
-    case Edit.apply(event, params, socket.assigns) do
+    case Edit.apply_event(event, params, socket.assigns) do
       {:ok, changes} ->
-        {:noreply, socket |> remember(event, changes) |> assign(changes) |> LayoutMenu.keep()}
+        {:noreply,
+         socket |> record_change(event, changes) |> assign(changes) |> LayoutMenu.save_changes()}
 
       {:error, error} ->
-        {:noreply, toast(socket, error)}
+        {:noreply, show_toast(socket, error)}
 
       :ignore ->
         {:noreply, socket}
@@ -239,63 +250,68 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event(_, _, socket), do: {:noreply, socket}
 
   # Saves the previous layout for undo. Picking another layout counts as a change.
-  defp remember(%{assigns: assigns} = socket, event, changes)
+  defp record_change(%{assigns: assigns} = socket, event, changes)
        when event not in ["undo", "redo"] do
     if Keyword.get(changes, :layout, assigns.layout) == assigns.layout,
       do: socket,
       else: assign(socket, undo: Enum.take([assigns.layout | assigns.undo], @undo), redo: [])
   end
 
-  defp remember(socket, _, _), do: socket
+  defp record_change(socket, _, _), do: socket
 
-  defp picked(%{assigns: %{layout: %{rows: same}}} = socket, %{layout: %{rows: same}}), do: socket
+  defp record_layout_pick(%{assigns: %{layout: %{rows: same}}} = socket, %{layout: %{rows: same}}),
+    do: socket
 
-  defp picked(socket, %{layout: before, undo: undo}),
+  defp record_layout_pick(socket, %{layout: before, undo: undo}),
     do: assign(socket, undo: Enum.take([before | undo], @undo), redo: [])
 
   @impl true
   def handle_info({:exported, result}, socket) do
-    Catalog.look_again(socket.assigns.studio)
-    {:noreply, result |> ExportDialog.done(socket) |> load_streams()}
+    Catalog.invalidate_recordings(socket.assigns.studio)
+    {:noreply, result |> ExportDialog.show_result(socket) |> load_streams()}
   end
 
   def handle_info({:found, run, result}, socket),
-    do: {:noreply, QueryPanel.found(socket, run, result)}
+    do: {:noreply, QueryPanel.put_result(socket, run, result)}
 
   def handle_info({:statistics, rows}, socket),
     do: {:noreply, push_event(socket, "statistics", %{rows: rows})}
 
-  def handle_info({:film, key, told}, socket), do: {:noreply, FilmBox.told(socket, key, told)}
+  def handle_info({:film, key, told}, socket),
+    do: {:noreply, FilmBox.update_progress(socket, key, told)}
 
-  def handle_info({:together, told}, socket), do: {:noreply, Together.heard(socket, told)}
+  def handle_info({:together, told}, socket), do: {:noreply, Together.push_view(socket, told)}
 
   def handle_info({:proposed, result}, socket),
-    do: {:noreply, Annotation.proposed(socket, result)}
+    do: {:noreply, Annotation.report_proposals(socket, result)}
 
-  def handle_info({:situ_annotation, _, _}, socket), do: {:noreply, Annotation.tell(socket)}
+  def handle_info({:situ_annotation, _, _}, socket),
+    do: {:noreply, Annotation.push_annotations(socket)}
 
   # The facts about a live source keep changing.
   def handle_info(:refresh, socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
-    socket = Annotation.refresh(socket)
+    socket = Annotation.refresh_editor(socket)
 
     case Source.call(socket.assigns.source, :extent, []) do
-      {:ok, %{live: true}} -> {:noreply, socket |> look_again() |> alerts()}
+      {:ok, %{live: true}} -> {:noreply, socket |> refresh_streams() |> load_alerts()}
       _ -> {:noreply, socket}
     end
   end
 
   def handle_info(_, socket), do: {:noreply, socket}
 
-  defp alerts(%{assigns: a} = socket), do: assign(socket, alerts: Alerts.of(a.studio, a.id))
+  defp load_alerts(%{assigns: a} = socket),
+    do: assign(socket, alerts: Alerts.list_alerts(a.studio, a.id))
 
-  defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
+  defp show_toast(socket, error),
+    do: push_event(socket, "toast", %{text: Exception.message(error)})
 
   @impl true
-  def render(%{error: %{}} = assigns), do: Chrome.failure(assigns)
+  def render(%{error: %{}} = assigns), do: Chrome.error_page(assigns)
 
   def render(assigns) do
-    {rows, more} = StreamTree.rows(assigns)
+    {rows, more} = StreamTree.visible_rows(assigns)
 
     assigns =
       assign(assigns,
@@ -306,7 +322,7 @@ defmodule Situ.Studio.Web.MainView do
           |> Map.take([:shapes, :extra, :lanes, :coverage, :colors])
           |> Map.put(:damaged, assigns.damage != []),
         stream: selected_stream(assigns),
-        group: StreamTree.selected(assigns),
+        group: StreamTree.selected_group(assigns),
         panel: selected_panel(assigns),
         edit:
           if(
@@ -321,38 +337,38 @@ defmodule Situ.Studio.Web.MainView do
     <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-layout={@saved.name}
         data-edit={@edit} data-tiles={@tiles && @tiles.url} data-credit={@tiles && @tiles.credit}
         data-annotate={@annotation && @annotation.stream}
-        data-keep={@saved.name != Layout.Auto.name() && @keep}>
-      <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
-          read_only={@read_only} export={ExportDialog.offered?(assigns)}
-          annotate={Annotation.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
-      <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
+        data-keep={@saved.name != Layout.Auto.layout_name() && @keep}>
+      <Chrome.top_bar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
+          read_only={@read_only} export={ExportDialog.available?(assigns)}
+          annotate={Annotation.available?(assigns)} pipeline={pipeline_path(@item, @infos)} />
+      <Side.streams_sidebar sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names}
           parts={Enum.map(@item.parts, &elem(&1, 0))}
-          kinds={KnownStreams.kinds(@extra)} />
+          kinds={KnownStreams.encode_visualizers(@extra)} />
       <main class="centre">
-        <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
-        <AlertBox.box alerts={@alerts} />
-        <CompareBar.bar :if={@compared} compared={@compared} title={@item.title} />
-        <FilmBox.box :if={@film} film={@film} />
+        <Chrome.damage_notice :if={@damage != []} damage={@damage} path={@item.path} />
+        <AlertBox.alert_list alerts={@alerts} />
+        <CompareBar.comparison_bar :if={@compared} compared={@compared} title={@item.title} />
+        <FilmBox.export_status :if={@film} film={@film} />
         <button class="pill" type="button" data-act="live"
           title="Follow the live data (l)">Back to live</button>
-        <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} known={@known}
+        <Panels.panel_stack layout={@layout} selected={@selected} maximised={@maximised} known={@known}
           annotation={@annotation && @annotation.stream} streams={length(@infos)} />
       </main>
-      <Side.right stream={@stream} group={@group} panel={@panel} known={@known} snap={@snap} />
-      <QueryPanel.panel :if={@query_panel} panel={@query_panel} from={KnownStreams.begun(assigns)}
-          annotate={Annotation.offered?(assigns)} />
-      <Chrome.status infos={@infos} layout={@layout} source={@item.title} read_only={@read_only} viewer={@viewer}
+      <Side.properties_sidebar stream={@stream} group={@group} panel={@panel} known={@known} snap={@snap} />
+      <QueryPanel.search_panel :if={@query_panel} panel={@query_panel} from={KnownStreams.data_start(assigns)}
+          annotate={Annotation.available?(assigns)} />
+      <Chrome.status_bar infos={@infos} layout={@layout} source={@item.title} read_only={@read_only} viewer={@viewer}
           snap={@snap} />
-      <Annotation.dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
+      <Annotation.annotation_dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
           schemas={elem(@dialog, 2)} />
       <Annotation.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
-      <CompareBar.dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
-      <LayoutMenu.dialog :if={@dialog == :layout} saved={@saved} />
-      <ExportDialog.dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
+      <CompareBar.comparison_dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
+      <LayoutMenu.save_dialog :if={@dialog == :layout} saved={@saved} />
+      <ExportDialog.export_dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
           layout={@layout} shapes={@shapes} />
     </div>
-    <Chrome.dialogs />
+    <Chrome.script_dialogs />
     """
   end
 
@@ -361,13 +377,15 @@ defmodule Situ.Studio.Web.MainView do
 
   defp selected_stream(_), do: nil
 
-  defp selected_panel(%{selected: {:panel, id}, layout: layout}), do: Layout.panel(layout, id)
+  defp selected_panel(%{selected: {:panel, id}, layout: layout}),
+    do: Layout.find_panel(layout, id)
+
   defp selected_panel(_), do: nil
 
   # Returns the path of the graph page for a running pipeline, or for a recording that contains diagnostics.
-  defp pipeline(item, infos) do
+  defp pipeline_path(item, infos) do
     if item.kind == :pipeline or
          Enum.any?(infos, &String.contains?(to_string(&1.type), "Diagnostics.Snapshot")),
-       do: Address.pipeline(item.id)
+       do: Address.pipeline_path(item.id)
   end
 end

@@ -14,8 +14,8 @@ defmodule Situ.Studio.Web.NotFoundPage do
 
   @spec call(Request.t(), base :: String.t()) :: Response.t()
   def call(%Request{} = request, base) do
-    if String.contains?(Request.header(request, "accept") || "", "text/html"),
-      do: StaticPage.response(base, title: "Not found", body: @body, status: 404),
+    if String.contains?(Request.get_header(request, "accept") || "", "text/html"),
+      do: StaticPage.build_response(base, title: "Not found", body: @body, status: 404),
       else: Response.error(404, "not found")
   end
 end

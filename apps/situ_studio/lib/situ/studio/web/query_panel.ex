@@ -12,15 +12,15 @@ defmodule Situ.Studio.Web.QueryPanel do
   @listed 200
 
   @doc "Returns whether the item has recordings on disk that can be searched."
-  @spec offered?(map()) :: boolean()
-  def offered?(%{item: item}), do: Finding.parts(item) != []
-  def offered?(_), do: false
+  @spec available?(map()) :: boolean()
+  def available?(%{item: item}), do: Finding.searchable_parts(item) != []
+  def available?(_), do: false
 
   @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
   def handle_event("query_open", _, socket) do
-    if offered?(socket.assigns),
-      do: assign(socket, query_panel: socket.assigns.query_panel || new()),
-      else: toast(socket, "Only recordings on disk can be searched")
+    if available?(socket.assigns),
+      do: assign(socket, query_panel: socket.assigns.query_panel || new_panel()),
+      else: show_toast(socket, "Only recordings on disk can be searched")
   end
 
   def handle_event("query_close", _, socket), do: assign(socket, query_panel: nil)
@@ -32,13 +32,13 @@ defmodule Situ.Studio.Web.QueryPanel do
       )
       when is_binary(text) do
     text = String.slice(text, 0, 1_000)
-    parts = Finding.parts(socket.assigns.item)
+    parts = Finding.searchable_parts(socket.assigns.item)
     page = self()
     run = make_ref()
 
     # the page stays responsive, and the result of an earlier query is dropped
     Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
-      send(page, {:found, run, Finding.run(parts, text)})
+      send(page, {:found, run, Finding.run_query(parts, text)})
     end)
 
     assign(socket, query_panel: %{panel | text: text, run: run, found: nil, error: nil})
@@ -58,24 +58,24 @@ defmodule Situ.Studio.Web.QueryPanel do
         %{assigns: %{query_panel: %{found: %{}} = panel}} = socket
       ) do
     %{studio: studio, item: item, read_only: read_only} = socket.assigns
-    {:ok, schema} = Annotating.schema("Query", "")
+    {:ok, schema} = Annotating.parse_schema("Query", "")
 
-    with true <- (item.kind == :store and not read_only) or {:error, refused()},
-         {:ok, editor} <- Annotating.open(studio, item.path, "Query", schema),
-         found = Enum.map(panel.found.intervals, &proposal(&1, panel.text)),
-         {:ok, _} <- Annotating.propose(editor, found, "query") do
-      Situ.Studio.Web.Annotation.show(socket, "Query")
+    with true <- (item.kind == :store and not read_only) or {:error, not_annotatable_error()},
+         {:ok, editor} <- Annotating.open_editor(studio, item.path, "Query", schema),
+         found = Enum.map(panel.found.intervals, &build_proposal(&1, panel.text)),
+         {:ok, _} <- Annotating.add_proposals(editor, found, "query") do
+      Situ.Studio.Web.Annotation.open_layer(socket, "Query")
     else
-      {:error, error} -> toast(socket, Exception.message(error))
+      {:error, error} -> show_toast(socket, Exception.message(error))
     end
   end
 
   def handle_event(_, _, socket), do: socket
 
-  defp proposal({from, to}, text),
+  defp build_proposal({from, to}, text),
     do: %{from: from, to: to, lane: text, label: "", confidence: nil}
 
-  defp refused do
+  defp not_annotatable_error do
     Situ.Error.new(
       :not_annotated,
       "only a recording on disk can be annotated, in a studio that is not read-only"
@@ -83,24 +83,24 @@ defmodule Situ.Studio.Web.QueryPanel do
   end
 
   @doc "Shows the intervals found, if they belong to the latest query."
-  @spec found(Socket.t(), reference(), term()) :: Socket.t()
-  def found(%{assigns: %{query_panel: %{run: run} = panel}} = socket, run, {:ok, found}),
+  @spec put_result(Socket.t(), reference(), term()) :: Socket.t()
+  def put_result(%{assigns: %{query_panel: %{run: run} = panel}} = socket, run, {:ok, found}),
     do: assign(socket, query_panel: %{panel | found: found, run: nil})
 
-  def found(%{assigns: %{query_panel: %{run: run} = panel}} = socket, run, {:error, error}),
+  def put_result(%{assigns: %{query_panel: %{run: run} = panel}} = socket, run, {:error, error}),
     do: assign(socket, query_panel: %{panel | error: Exception.message(error), run: nil})
 
-  def found(socket, _run, _result), do: socket
+  def put_result(socket, _run, _result), do: socket
 
-  defp new, do: %{text: "", run: nil, found: nil, error: nil}
-  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+  defp new_panel, do: %{text: "", run: nil, found: nil, error: nil}
+  defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
 
   attr(:panel, :map, required: true)
   attr(:from, :integer, required: true)
   attr(:annotate, :boolean, required: true)
 
   @doc false
-  def panel(assigns) do
+  def search_panel(assigns) do
     ~H"""
     <section class="query" aria-label="Find times">
       <div class="side-title">Find the times where<button class="mini" type="button" phx-click="query_close"
@@ -116,21 +116,21 @@ defmodule Situ.Studio.Web.QueryPanel do
       </form>
       <p :if={@panel.run} class="hint" role="status">Searching ...</p>
       <p :if={@panel.error} class="error" role="alert">{@panel.error}</p>
-      <p :if={@panel.found} class="hint" role="status">{said(@panel.found)}</p>
+      <p :if={@panel.found} class="hint" role="status">{result_text(@panel.found)}</p>
       <div :if={@panel.found} class="found-times">
-        <button :for={{from, to} <- Enum.take(@panel.found.intervals, listed())} type="button" phx-click="query_go"
-            phx-value-from={from} phx-value-to={to}><b>{at(from - @from)}</b>
+        <button :for={{from, to} <- Enum.take(@panel.found.intervals, max_listed())} type="button" phx-click="query_go"
+            phx-value-from={from} phx-value-to={to}><b>{format_offset(from - @from)}</b>
           <span>{Situ.Time.format_duration(to - from)}</span></button>
       </div>
     </section>
     """
   end
 
-  defp listed, do: @listed
+  defp max_listed, do: @listed
 
-  defp said(%{intervals: []}), do: "No times found"
+  defp result_text(%{intervals: []}), do: "No times found"
 
-  defp said(%{intervals: intervals} = found) do
+  defp result_text(%{intervals: intervals} = found) do
     total = intervals |> Enum.map(fn {from, to} -> to - from end) |> Enum.sum()
     more = if found.truncated?, do: " and more", else: ""
     times = if length(intervals) == 1, do: "1 time", else: "#{length(intervals)} times"
@@ -138,7 +138,7 @@ defmodule Situ.Studio.Web.QueryPanel do
   end
 
   # Formats a time relative to the start of the data, like the ruler does.
-  defp at(ns) do
+  defp format_offset(ns) do
     seconds = div(ns, 1_000_000_000)
     ms = div(rem(ns, 1_000_000_000), 1_000_000)
     pad = &String.pad_leading(Integer.to_string(&1), &2, "0")

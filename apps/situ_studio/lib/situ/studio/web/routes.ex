@@ -16,8 +16,8 @@ defmodule Situ.Studio.Web.Routes do
     SettingsView
   }
 
-  @spec all(String.t(), String.t()) :: [tuple()]
-  def all(studio, base \\ "/") do
+  @spec build_routes(String.t(), String.t()) :: [tuple()]
+  def build_routes(studio, base \\ "/") do
     # signed into each page, so that a viewer's page keeps its view-only role over its socket
     session = &%{"studio" => studio, "viewer" => &1.role == :viewer}
 

@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
             <input name={"attribute[#{i}][name]"} value={a.name} aria-label="Name of the attribute"
                 placeholder="Name" autocomplete="off">
             <select name={"attribute[#{i}][kind]"} aria-label={"Kind of " <> a.name}>
-              <option :for={{kind, title} <- kinds()} value={kind} selected={kind == a.kind}>{title}</option></select>
+              <option :for={{kind, title} <- attribute_kinds()} value={kind} selected={kind == a.kind}>{title}</option></select>
             <button class="btn" type="button" phx-click="annotation_row" phx-value-do="remove" phx-value-at={i}
                 aria-label={"Remove " <> a.name} title="Remove it from the schema and all annotations">×</button>
           </div>
@@ -28,7 +28,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
             <input name={"attribute[#{i}][values][#{k}][key]"} value={v.key} aria-label={"Key of " <> v.value}
                 placeholder="Key" maxlength="1" autocomplete="off">
             <input type="color" name={"attribute[#{i}][values][#{k}][fill]"}
-                value={fill(v, k, a.values)} aria-label={"Color of " <> v.value}>
+                value={fill_color(v, k, a.values)} aria-label={"Color of " <> v.value}>
             <button class="btn" type="button" phx-click="annotation_row" phx-value-do="remove" phx-value-at={i}
                 phx-value-nth={k} aria-label={"Remove " <> v.value}>×</button>
           </div>
@@ -56,15 +56,15 @@ defmodule Situ.Studio.Web.SchemaDialog do
   # A color input always shows a color, so values without a color get different defaults.
   @usual ~w(#4ea1f3 #4cc38a #e0b13f #d670a5 #a78bfa #f2884a #56c7d1 #e06c75)
 
-  defp fill(%{fill: ""}, nth, values) do
+  defp fill_color(%{fill: ""}, nth, values) do
     free = @usual -- Enum.map(values, &String.downcase(&1.fill))
     before = values |> Enum.take(nth) |> Enum.count(&(&1.fill == ""))
     Enum.at(if(free == [], do: @usual, else: free), rem(before, max(length(free), 1)))
   end
 
-  defp fill(%{fill: fill}, _, _), do: fill
+  defp fill_color(%{fill: fill}, _, _), do: fill
 
-  defp kinds,
+  defp attribute_kinds,
     do: [
       {"finite", "list of values"},
       {"text", "text"},

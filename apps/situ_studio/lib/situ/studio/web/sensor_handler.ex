@@ -19,10 +19,10 @@ defmodule Situ.Studio.Web.SensorHandler do
   def init(request, kind) do
     name = request.query["name"] || "page"
 
-    with {:sensor, {:ok, sensor}} <- {:sensor, Inbox.find(kind, name)},
-         :ok <- Inbox.join(kind, name, sensor) do
+    with {:sensor, {:ok, sensor}} <- {:sensor, Inbox.fetch_sensor(kind, name)},
+         :ok <- Inbox.register_page(kind, name, sensor) do
       Process.monitor(sensor)
-      Display.page_came(kind, name)
+      Display.notify_page_opened(kind, name)
       {:ok, %{kind: kind, sensor: sensor, offset: nil, drawing: %{}}}
     else
       {:sensor, :error} -> {:error, "no pipeline has a sensor of this name"}
@@ -34,14 +34,14 @@ defmodule Situ.Studio.Web.SensorHandler do
   def handle_in({text, opcode: :text}, state) do
     case JSON.decode(text) do
       {:ok, %{"ping" => sent}} when is_number(sent) ->
-        {:push, text(%{pong: sent, now: System.os_time(:microsecond) / 1_000}), state}
+        {:push, text_frame(%{pong: sent, now: System.os_time(:microsecond) / 1_000}), state}
 
       {:ok, %{"offset" => ms}} when is_number(ms) and abs(ms) < @day_ms ->
         send(state.sensor, {:sensor, :clock, Situ.Time.now(), ms / 1})
         {:ok, %{state | offset: ms}}
 
       {:ok, %{"drawn" => layer}} ->
-        drawn(state, layer)
+        finish_drawing(state, layer)
 
       _ ->
         {:stop, {:shutdown, :bad_request}, state}
@@ -63,7 +63,7 @@ defmodule Situ.Studio.Web.SensorHandler do
   end
 
   @impl true
-  def handle_info({:credit, n}, state), do: {:push, text(%{credit: n}), state}
+  def handle_info({:credit, n}, state), do: {:push, text_frame(%{credit: n}), state}
 
   def handle_info({:play, rate, pcm}, state),
     do: {:push, {:binary, [<<3, 0::24, rate::little-32>>, pcm]}, state}
@@ -81,7 +81,7 @@ defmodule Situ.Studio.Web.SensorHandler do
   def handle_info(:sensor_ended, state), do: {:stop, {:shutdown, :sensor_ended}, state}
   def handle_info(_other, state), do: {:ok, state}
 
-  defp drawn(%{drawing: drawing} = state, layer) do
+  defp finish_drawing(%{drawing: drawing} = state, layer) do
     case drawing do
       %{^layer => nil} ->
         {:ok, %{state | drawing: Map.delete(drawing, layer)}}
@@ -94,5 +94,5 @@ defmodule Situ.Studio.Web.SensorHandler do
     end
   end
 
-  defp text(map), do: {:text, JSON.encode(map)}
+  defp text_frame(map), do: {:text, JSON.encode(map)}
 end

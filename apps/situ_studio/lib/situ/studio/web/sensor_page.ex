@@ -17,5 +17,5 @@ defmodule Situ.Studio.Web.SensorPage do
 
   @spec call(Request.t(), {studio :: String.t(), base :: String.t()}) :: Response.t()
   def call(%Request{}, {_studio, base}),
-    do: StaticPage.response(base, title: "Sensor", script: "sensor.js", body: @body)
+    do: StaticPage.build_response(base, title: "Sensor", script: "sensor.js", body: @body)
 end

@@ -16,7 +16,7 @@ defmodule Situ.Studio.Web.SettingsView do
   @impl true
   def mount(_params, session, socket) do
     known = Catalog.settings(session["studio"])
-    names = [Layout.Auto.name() | Layouts.names(known.layouts)]
+    names = [Layout.Auto.layout_name() | Layouts.list_names(known.layouts)]
 
     {:ok,
      assign(socket,
@@ -24,7 +24,7 @@ defmodule Situ.Studio.Web.SettingsView do
        folder: known.layouts,
        read_only: known.read_only or session["viewer"] == true,
        settings: Settings.load(known.layouts),
-       problems: Layouts.problems(known.layouts),
+       problems: Layouts.list_problems(known.layouts),
        names: Enum.uniq(names)
      )}
   end
@@ -33,28 +33,28 @@ defmodule Situ.Studio.Web.SettingsView do
   # If a line is not a rule, the error names it and nothing is saved.
   def handle_event("alerts", %{"alerts" => text}, %{assigns: %{read_only: false}} = socket)
       when is_binary(text) do
-    case Rule.read(text) do
+    case Rule.parse_rules(text) do
       {:ok, _} -> handle_event("settings", %{"alerts" => text}, socket)
-      {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
+      {:error, error} -> {:noreply, show_toast(socket, Exception.message(error))}
     end
   end
 
   def handle_event("settings", params, %{assigns: %{read_only: false}} = socket) do
-    settings = Settings.put(socket.assigns.settings, params)
+    settings = Settings.put_values(socket.assigns.settings, params)
 
     case Settings.save(socket.assigns.folder, settings) do
-      :ok -> {:noreply, socket |> assign(settings: settings) |> toast("Settings saved")}
-      {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
+      :ok -> {:noreply, socket |> assign(settings: settings) |> show_toast("Settings saved")}
+      {:error, error} -> {:noreply, show_toast(socket, Exception.message(error))}
     end
   end
 
   def handle_event(_event, _params, socket), do: {:noreply, socket}
 
-  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+  defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
 
   @impl true
   def render(assigns) do
-    assigns = assign(assigns, keep: @keep, info: Figures.choices())
+    assigns = assign(assigns, keep: @keep, info: Figures.list_choices())
 
     ~H"""
     <main class="home settings" id="settings" phx-hook="Lists">

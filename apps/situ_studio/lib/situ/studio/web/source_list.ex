@@ -5,23 +5,26 @@ defmodule Situ.Studio.Web.SourceList do
   alias Situ.Studio.Datasets.Place
   alias Situ.Studio.Web.Address
 
-  @spec of(map()) :: [%{id: String.t(), title: String.t(), kind: atom(), href: String.t()}]
+  @spec list_sources(map()) :: [
+          %{id: String.t(), title: String.t(), kind: atom(), href: String.t()}
+        ]
   # For a recording of a dataset, the list contains the dataset's sessions; otherwise, it contains all items.
-  def of(%{studio: studio, item: %{dataset: id}} = assigns) when is_binary(id) do
-    with {:ok, %{path: file}} <- Catalog.find(studio, id),
+  def list_sources(%{studio: studio, item: %{dataset: id}} = assigns) when is_binary(id) do
+    with {:ok, %{path: file}} <- Catalog.fetch_item(studio, id),
          {:ok, dataset} <- Situ.Dataset.load(file) do
-      back = %{id: id, title: dataset.name, kind: :dataset, href: Address.dataset(id)}
+      back = %{id: id, title: dataset.name, kind: :dataset, href: Address.dataset_path(id)}
 
-      [back | for(s <- dataset.sessions, do: session(Place.id(id, [s.name]), s.name))]
+      [back | for(s <- dataset.sessions, do: session_entry(Place.build_id(id, [s.name]), s.name))]
     else
       _ -> assigns[:sources] || []
     end
   end
 
-  def of(%{studio: studio}), do: Enum.map(Catalog.list(studio), &entry/1)
+  def list_sources(%{studio: studio}), do: Enum.map(Catalog.list(studio), &item_entry/1)
 
-  defp session(id, name), do: %{id: id, title: name, kind: :session, href: Address.of(id)}
+  defp session_entry(id, name),
+    do: %{id: id, title: name, kind: :session, href: Address.source_path(id)}
 
-  defp entry(item),
-    do: %{id: item.id, title: item.title, kind: item.kind, href: Address.item(item)}
+  defp item_entry(item),
+    do: %{id: item.id, title: item.title, kind: item.kind, href: Address.item_path(item)}
 end

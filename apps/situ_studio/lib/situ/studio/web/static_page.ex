@@ -27,9 +27,9 @@ defmodule Situ.Studio.Web.StaticPage do
   """
 
   @doc "Builds a page from a `:title`, a `:body` and an optional `:script`; `:status` is 200 by default."
-  @spec response(base :: String.t(), keyword()) :: Response.t()
+  @spec build_response(base :: String.t(), keyword()) :: Response.t()
   # The base is inserted unescaped: `Situ.Live.Public` checks that it has no characters that are special in HTML.
-  def response(base, parts) do
+  def build_response(base, parts) do
     texts = [
       base: base,
       title: parts[:title],

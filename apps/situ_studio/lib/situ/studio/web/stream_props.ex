@@ -8,7 +8,7 @@ defmodule Situ.Studio.Web.StreamProps do
   attr(:figures, :any, required: true)
 
   @doc "Renders the statistics of one stream, or the totals of several streams."
-  def figures(assigns) do
+  def figure_list(assigns) do
     rows =
       for {title, choice} <- [
             {"Messages", :count},
@@ -17,7 +17,7 @@ defmodule Situ.Studio.Web.StreamProps do
             {"Latency, mean", :latency},
             {"Duration", :span}
           ],
-          text = Figures.text(choice, assigns.figures),
+          text = Figures.format_figure(choice, assigns.figures),
           text != "",
           do: {title, text}
 
@@ -26,8 +26,8 @@ defmodule Situ.Studio.Web.StreamProps do
     ~H"""
     <dl>
       <div :for={{name, value} <- @rows} style="display: contents"><dt>{name}</dt><dd>{value}</dd></div>
-      <dt :if={@figures.from}>First</dt><dd :if={@figures.from}><.time ns={@figures.from} /></dd>
-      <dt :if={@figures.to}>Last</dt><dd :if={@figures.to}><.time ns={@figures.to} /></dd>
+      <dt :if={@figures.from}>First</dt><dd :if={@figures.from}><.time_label ns={@figures.from} /></dd>
+      <dt :if={@figures.to}>Last</dt><dd :if={@figures.to}><.time_label ns={@figures.to} /></dd>
     </dl>
     """
   end
@@ -35,21 +35,21 @@ defmodule Situ.Studio.Web.StreamProps do
   attr(:value, :any, required: true)
 
   @doc "Renders a detail of a stream, either text or a time."
-  def told(%{value: {:time, ns}} = assigns) do
+  def detail_value(%{value: {:time, ns}} = assigns) do
     assigns = assign(assigns, ns: ns)
-    ~H"<.time ns={@ns} />"
+    ~H"<.time_label ns={@ns} />"
   end
 
-  def told(assigns), do: ~H"{@value}"
+  def detail_value(assigns), do: ~H"{@value}"
 
   attr(:group, :any, required: true)
 
   @doc "Describes a group of the stream tree."
-  def group(assigns) do
+  def group_properties(assigns) do
     ~H"""
     <h2>{@group.path}</h2>
-    <div class="sub">{Figures.text(:streams, Figures.sum(@group.streams))} in total</div>
-    <.figures figures={Figures.sum(@group.streams)} />
+    <div class="sub">{Figures.format_figure(:streams, Figures.sum_streams(@group.streams))} in total</div>
+    <.figure_list figures={Figures.sum_streams(@group.streams)} />
     """
   end
 
@@ -58,14 +58,14 @@ defmodule Situ.Studio.Web.StreamProps do
   attr(:snap, :any, required: true)
 
   @doc "Describes one stream and the visualizers that accept it."
-  def stream(assigns) do
+  def stream_properties(assigns) do
     ~H"""
     <h2>{@stream.name}</h2>
     <div class="sub">{@stream.type}</div>
-    <.figures figures={Figures.sum([@stream])} />
+    <.figure_list figures={Figures.sum_streams([@stream])} />
     <dl>
       <dt :if={@stream.keys != []}>Lanes</dt><dd :if={@stream.keys != []}>{Enum.join(@stream.keys, ", ")}</dd>
-      <div :for={{name, value} <- @stream.details} style="display: contents"><dt>{name}</dt><dd><.told
+      <div :for={{name, value} <- @stream.details} style="display: contents"><dt>{name}</dt><dd><.detail_value
           value={value} /></dd></div>
     </dl>
     <div class="hint">Show as</div>

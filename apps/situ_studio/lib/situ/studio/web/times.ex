@@ -9,11 +9,11 @@ defmodule Situ.Studio.Web.Times do
   attr(:part, :string, default: "all")
 
   @doc false
-  def time(%{ns: nil} = assigns), do: ~H""
+  def time_label(%{ns: nil} = assigns), do: ~H""
 
-  def time(assigns) do
+  def time_label(assigns) do
     ~H"""
-    <time data-ns={@ns} data-part={@part}>{text(@ns, @part)}</time>
+    <time data-ns={@ns} data-part={@part}>{format_time(@ns, @part)}</time>
     """
   end
 
@@ -22,24 +22,26 @@ defmodule Situ.Studio.Web.Times do
   attr(:of, :string, default: "one")
 
   @doc "Renders the statistic next to a name, in parentheses if it belongs to a group."
-  def figure(assigns) do
+  def figure_label(assigns) do
     part = %{began: "both", date: "date", time: "time"}[assigns.choice]
-    text = if part, do: "", else: Figures.text(assigns.choice, assigns.figures)
+    text = if part, do: "", else: Figures.format_figure(assigns.choice, assigns.figures)
     text = if assigns.of == "group" and text != "", do: "(#{text})", else: text
     assigns = assign(assigns, part: part, text: text)
 
     ~H"""
-    <span class="info"><.time :if={@part} ns={@figures.from} part={@part} />{@text}</span>
+    <span class="info"><.time_label :if={@part} ns={@figures.from} part={@part} />{@text}</span>
     """
   end
 
-  # Times before 1971 are not calendar dates (`dated` of `assets/js/time/text.js` has the same rule).
+  # Times before 1971 are not calendar dates (`isCalendarDate` of `assets/js/time/text.js` has the same rule).
   @dated 31_622_400_000_000_000
 
-  defp text(ns, "date") when abs(ns) <= @dated, do: "no date"
-  defp text(ns, _part) when abs(ns) <= @dated, do: "#{Situ.Time.format_duration(ns)} from 0"
+  defp format_time(ns, "date") when abs(ns) <= @dated, do: "no date"
 
-  defp text(ns, part) do
+  defp format_time(ns, _part) when abs(ns) <= @dated,
+    do: "#{Situ.Time.format_duration(ns)} from 0"
+
+  defp format_time(ns, part) do
     [date, clock] = ns |> Situ.Time.to_iso8601() |> String.split("T")
 
     case part do

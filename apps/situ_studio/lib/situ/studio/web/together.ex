@@ -12,19 +12,19 @@ defmodule Situ.Studio.Web.Together do
   @doc "Subscribes the page to the views of other pages that show the same item."
   @spec join(Socket.t()) :: Socket.t()
   def join(%{assigns: assigns} = socket) do
-    if connected?(socket), do: {:ok, _} = Registry.register(@registry, key(assigns), nil)
+    if connected?(socket), do: {:ok, _} = Registry.register(@registry, peer_key(assigns), nil)
     socket
   end
 
-  defp key(%{studio: studio, id: id}), do: {studio, id}
+  defp peer_key(%{studio: studio, id: id}), do: {studio, id}
 
   @doc "Sends this page's view to the other pages; an invalid view is dropped."
-  @spec tell(Socket.t(), map()) :: Socket.t()
-  def tell(%{assigns: assigns} = socket, params) do
-    with {:ok, told} <- told(params) do
+  @spec broadcast_view(Socket.t(), map()) :: Socket.t()
+  def broadcast_view(%{assigns: assigns} = socket, params) do
+    with {:ok, told} <- parse_view(params) do
       page = self()
 
-      Registry.dispatch(@registry, key(assigns), fn pages ->
+      Registry.dispatch(@registry, peer_key(assigns), fn pages ->
         for {pid, _} <- pages, pid != page, do: send(pid, {:together, told})
       end)
     end
@@ -33,11 +33,13 @@ defmodule Situ.Studio.Web.Together do
   end
 
   @doc "Pushes the view of another page to this page's script."
-  @spec heard(Socket.t(), map()) :: Socket.t()
-  def heard(socket, told), do: push_event(socket, "together", told)
+  @spec push_view(Socket.t(), map()) :: Socket.t()
+  def push_view(socket, told), do: push_event(socket, "together", told)
 
   # Expects who, name, cursor, view and live as the page sends them; times are integer nanoseconds as strings.
-  defp told(%{"who" => who, "name" => name, "cursor" => cursor, "view" => [from, to]} = params)
+  defp parse_view(
+         %{"who" => who, "name" => name, "cursor" => cursor, "view" => [from, to]} = params
+       )
        when is_binary(who) and byte_size(who) <= 40 and is_binary(name) do
     with {:ok, _} <- WholeNumber.parse(cursor),
          {:ok, a} <- WholeNumber.parse(from),
@@ -56,5 +58,5 @@ defmodule Situ.Studio.Web.Together do
     end
   end
 
-  defp told(_), do: :error
+  defp parse_view(_), do: :error
 end

@@ -1,8 +1,8 @@
 Code.require_file("../../../../../../test/browser/random_fixture.exs", __DIR__)
 
 defmodule Situ.Studio.Draw.LanesTest do
-  # Lanes of random recordings in random windows, compared with the messages: the search of the browser's test
-  # "7 random", without the browser and so through many more windows. SEED makes the recordings of a run that failed.
+  # Compares the lanes of random recordings in random windows with the messages. The browser test
+  # "7 random" checks the same with fewer windows. SEED reproduces the recordings of a failed run.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking, only: [ask: 2, json: 1]
@@ -13,13 +13,13 @@ defmodule Situ.Studio.Draw.LanesTest do
   @recordings 12
   @windows 20
   @places 6
-  # As wide as a panel; that near the mouse is in the pixel, or in the one beside it.
+  # The width of a panel. A segment near the mouse is in its pixel or in an adjacent one.
   @px 560
   @near_px 5
-  # Nobody doubts that messages are missing in a pause of so many periods.
+  # In a pause of so many periods, messages are certainly missing.
   @missing 30
 
-  test "what a lane says anywhere is what the messages say", %{tmp_dir: dir} do
+  test "a lane shows the same as the messages at any position", %{tmp_dir: dir} do
     told = Path.join(dir, "told.json")
     seed = RandomFixture.record(dir, told, @recordings)
     {:ok, %{"recordings" => recordings}} = Situ.JSON.decode(File.read!(told))
@@ -34,7 +34,7 @@ defmodule Situ.Studio.Draw.LanesTest do
     end
   end
 
-  # The first is all of it.
+  # The first window is the entire recording.
   defp window(1, length), do: {0, length}
 
   defp window(_n, length) do
@@ -58,7 +58,7 @@ defmodule Situ.Studio.Draw.LanesTest do
     end
   end
 
-  # The segments as the page asks for them: half a view more on both sides, in bins of its pixels.
+  # Requests the segments like the page: half a view more on both sides, in bins of its pixels.
   defp drawn(source, name, from, width) do
     bin = Integer.pow(2, max(0, floor(:math.log2(width / @px))))
     first = @t0 + Integer.floor_div(from - div(width, 2), bin) * bin
@@ -122,7 +122,7 @@ defmodule Situ.Studio.Draw.LanesTest do
     Enum.at(Enum.sort(pauses), div(length(pauses), 2), 0)
   end
 
-  # How many messages there are at or before a time.
+  # Returns the number of messages at or before a time.
   defp up_to(rows, t), do: up_to(rows, t, 0, tuple_size(rows))
 
   defp up_to(rows, t, low, high) when low < high do

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Draw.NearTest do
-  # The message of the cursor: the last one, or one that is near enough on either side.
+  # The cursor shows the last message, or a message that is near enough on either side.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
@@ -14,16 +14,16 @@ defmodule Situ.Studio.Draw.NearTest do
     if frame.kind == 5, do: json(frame.payload)["text"]
   end
 
-  test "without a limit the last holds until the next" do
+  test "without a limit, a message holds until the next one" do
     assert for(t <- [9, 10, 11.9, 12, 900], do: shown(t, %{})) == [nil, "a", "a", "b", "b"]
   end
 
-  test "with a limit it holds as long" do
+  test "with a limit, a message holds that long" do
     near = %{"past" => 0.5}
     assert for(t <- [9.9, 10, 10.5, 10.51, 13], do: shown(t, near)) == [nil, "a", "a", nil, nil]
   end
 
-  test "the nearer one is taken if it is near enough, else the farther if that is" do
+  test "takes the nearer message within its limit, else the farther one within its limit" do
     near = %{"past" => 1.5, "future" => 0.3}
     times = [9.6, 9.7, 11.4, 11.5, 11.6, 11.8]
     assert for(t <- times, do: shown(t, near)) == [nil, "a", "a", "a", nil, "b"]

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Film.JobTest do
-  # A film in the making: told, fetched, cancelled, and gone with its page.
+  # A video job reports progress, offers its file, can be cancelled, and ends with its page.
   use ExUnit.Case, async: true
 
   alias Situ.{Image, Message}
@@ -13,7 +13,11 @@ defmodule Situ.Studio.Film.JobTest do
     history = History.new(live: false, seconds: 3_600)
 
     for i <- 0..9 do
-      message = %Message{data: Image.filled(64, 48, :rgb24), originating_time: i * 100_000_000}
+      message = %Message{
+        data: Image.new_filled(64, 48, :rgb24),
+        originating_time: i * 100_000_000
+      }
+
       History.put(history, "Camera", message, 8)
     end
 
@@ -21,28 +25,28 @@ defmodule Situ.Studio.Film.JobTest do
     %{id: id, film: film, source: {Source.History, history}}
   end
 
-  test "the finished file is there until it is cancelled", %{id: id, film: film, source: source} do
-    {:ok, key} = Job.begin(id, film, source)
+  test "the file exists until the job is cancelled", %{id: id, film: film, source: source} do
+    {:ok, key} = Job.start_job(id, film, source)
     assert_receive {:film, ^key, {:done, bytes}} when bytes > 500, 30_000
-    {:ok, path} = Job.file(id, key)
+    {:ok, path} = Job.fetch_file(id, key)
     assert File.exists?(path)
-    assert Job.file(id, "another") == :error
+    assert Job.fetch_file(id, "another") == :error
     :ok = Job.cancel(id, key)
     refute File.exists?(path)
     assert :ok = Job.cancel(id, key)
   end
 
-  test "an error is told, and nothing stays", %{id: id, film: film, source: source} do
-    {:ok, key} = Job.begin(id, %{film | pictures: "None"}, source)
+  test "reports an error, and leaves nothing", %{id: id, film: film, source: source} do
+    {:ok, key} = Job.start_job(id, %{film | pictures: "None"}, source)
     assert_receive {:film, ^key, {:error, %Situ.Error{}}}, 30_000
   end
 
-  test "it ends with the page that asked for it", %{id: id, film: film, source: source} do
+  test "the job ends with the page that requested it", %{id: id, film: film, source: source} do
     test = self()
 
     page =
       spawn(fn ->
-        {:ok, key} = Job.begin(id, film, source)
+        {:ok, key} = Job.start_job(id, film, source)
 
         receive do
           {:film, ^key, {:done, _}} -> send(test, {:made, key})
@@ -52,7 +56,7 @@ defmodule Situ.Studio.Film.JobTest do
       end)
 
     assert_receive {:made, key}, 30_000
-    {:ok, path} = Job.file(id, key)
+    {:ok, path} = Job.fetch_file(id, key)
     [{job, _}] = Registry.lookup(Situ.Studio.Registry, {id, :film, key})
     ref = Process.monitor(job)
     send(page, :close)

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Film.MasksTest do
-  # Masks burnt into a picture, pixel by pixel.
+  # Draws masks into an image, pixel by pixel.
   use ExUnit.Case, async: true
   doctest Situ.Studio.Film.Masks
 
@@ -7,24 +7,24 @@ defmodule Situ.Studio.Film.MasksTest do
   alias Situ.Studio.Film.Masks
 
   @palette {{255, 0, 0}, {0, 255, 0}}
-  @full Image.filled(2, 2, :gray8, [255])
+  @full Image.new_filled(2, 2, :gray8, [255])
 
-  defp black(w, h), do: Image.filled(w, h, :bgr24, [0, 0, 0])
+  defp black(w, h), do: Image.new_filled(w, h, :bgr24, [0, 0, 0])
   defp at(image, x, y), do: image |> Image.fetch_pixel(x, y) |> elem(1)
 
-  test "a box that reaches out of the picture is cut off, one outside and one beyond all measure are left out" do
+  test "clips a box at the image's edge, and ignores boxes outside and oversized ones" do
     box = fn x, y, w, h -> {%Rect{x: x, y: y, width: w, height: h, id: 0}, @full} end
     objects = [box.(-4, -4, 8, 8), box.(40, 40, 8, 8), box.(0, 0, 1.0e6, 1.0e6)]
-    drawn = Masks.over(black(16, 16), {:objects, objects}, 0, @palette, %{"opacity" => 100})
+    drawn = Masks.draw_masks(black(16, 16), {:objects, objects}, 0, @palette, %{"opacity" => 100})
     assert at(drawn, 3, 3) == [0, 0, 255]
     assert at(drawn, 4, 4) == [0, 0, 0]
     assert at(drawn, 15, 15) == [0, 0, 0]
   end
 
-  test "objects without an id take the colours after the stream's own" do
+  test "objects without an id take the colors after the stream's own" do
     objects = for x <- [0, 8], do: {%Rect{x: x, y: 0, width: 8, height: 8}, @full}
 
-    drawn = Masks.over(black(16, 8), {:objects, objects}, 1, @palette, %{"opacity" => 100})
+    drawn = Masks.draw_masks(black(16, 8), {:objects, objects}, 1, @palette, %{"opacity" => 100})
     assert at(drawn, 0, 0) == [0, 255, 0]
     assert at(drawn, 8, 0) == [0, 0, 255]
   end
@@ -34,18 +34,21 @@ defmodule Situ.Studio.Film.MasksTest do
     classes = Image.new!(width: 4, height: 4, format: :gray8, data: rows)
 
     drawn =
-      &Masks.over(black(16, 8), {:classes, classes}, 0, @palette, %{"fit" => &1, "opacity" => 100})
+      &Masks.draw_masks(black(16, 8), {:classes, classes}, 0, @palette, %{
+        "fit" => &1,
+        "opacity" => 100
+      })
 
-    # around the picture: rows of four pixels, the first above it
+    # Padded around the image: rows of four pixels, the first above it.
     assert {at(drawn.("pad"), 0, 0), at(drawn.("pad"), 0, 4)} == {[0, 255, 0], [0, 0, 0]}
-    # in its middle: rows of two
+    # Cropped to its center: rows of two pixels.
     assert {at(drawn.("crop"), 0, 3), at(drawn.("crop"), 4, 3)} == {[0, 0, 0], [0, 255, 0]}
     assert {at(drawn.("whole"), 0, 1), at(drawn.("whole"), 0, 2)} == {[0, 0, 0], [0, 255, 0]}
   end
 
-  test "more classes than colours differ all the same" do
+  test "gives different colors to more classes than the palette has" do
     classes = Image.new!(width: 4, height: 1, format: :gray8, data: <<1, 2, 3, 5>>)
-    drawn = Masks.over(black(4, 1), {:classes, classes}, 0, @palette, %{"opacity" => 100})
+    drawn = Masks.draw_masks(black(4, 1), {:classes, classes}, 0, @palette, %{"opacity" => 100})
 
     assert Enum.map(0..3, &at(drawn, &1, 0)) == [
              [0, 0, 255],

@@ -18,11 +18,11 @@ defmodule Situ.Studio.PipelineView.ChoiceTest do
 
   defp read(address, scopes) do
     %URI{path: "/p/a/b", query: query} = URI.parse(address)
-    query |> URI.decode_query() |> Choice.read(scopes)
+    query |> URI.decode_query() |> Choice.parse_params(scopes)
   end
 
-  test "an address gives back what it was made of" do
-    read = @shown |> Choice.address(%{}) |> read(["Front", "Back", "Other"])
+  test "reads an address back to the choice it was made from" do
+    read = @shown |> Choice.build_address(%{}) |> read(["Front", "Back", "Other"])
 
     assert Enum.sort(read) ==
              Enum.sort(
@@ -30,23 +30,23 @@ defmodule Situ.Studio.PipelineView.ChoiceTest do
              )
   end
 
-  test "nothing folded is not the same as nothing said of it" do
-    nothing = Choice.address(%{@shown | folded: MapSet.new()}, %{})
+  test "distinguishes nothing folded from an unspecified fold" do
+    nothing = Choice.build_address(%{@shown | folded: MapSet.new()}, %{})
     assert read(nothing, ["Front"])[:folded] == MapSet.new()
-    refute Keyword.has_key?(Choice.read(%{}, ["Front"]), :folded)
+    refute Keyword.has_key?(Choice.parse_params(%{}, ["Front"]), :folded)
   end
 
-  test "folding toggles one composite, in an order of its own" do
-    assert Choice.toggle(@shown.folded, "Front") == "Back"
-    assert Choice.toggle(@shown.folded, "Middle") == "Back|Front|Middle"
+  test "toggles one composite, in sorted order" do
+    assert Choice.toggle_fold(@shown.folded, "Front") == "Back"
+    assert Choice.toggle_fold(@shown.folded, "Middle") == "Back|Front|Middle"
   end
 
-  property "whatever an address holds, only what is known is taken" do
+  property "takes only known values from any address" do
     forall {key, text} <- {one_of(["heat", "fold", "sel", "plots", "at"]), binary()} do
-      read = Choice.read(%{key => text}, ["Front"])
+      read = Choice.parse_params(%{key => text}, ["Front"])
       assert MapSet.subset?(Keyword.get(read, :folded, MapSet.new()), MapSet.new(["Front"]))
       assert is_list(read[:plots])
-      assert Choice.read(%{key => %{"x" => text}}, [])[:plots] == []
+      assert Choice.parse_params(%{key => %{"x" => text}}, [])[:plots] == []
     end
   end
 end

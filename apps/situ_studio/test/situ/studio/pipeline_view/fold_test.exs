@@ -28,10 +28,10 @@ defmodule Situ.Studio.PipelineView.FoldTest do
     %Edge{id: id, from: from, from_output: "out", to: to, to_input: "in", policy: policy}
   end
 
-  defp folded(paths), do: Fold.apply(snapshot(), MapSet.new(paths))
+  defp folded(paths), do: Fold.fold_graph(snapshot(), MapSet.new(paths))
   defp keys(items), do: items |> Enum.map(& &1.key) |> Enum.sort()
 
-  test "nothing folded: everything, in its boxes" do
+  test "shows everything in its boxes when nothing is folded" do
     graph = folded([])
     assert keys(graph.nodes) == ~w[n1 n2 n3 n4 n5]
     assert keys(graph.boxes) == ~w[s:A s:A.B s:A.x s:C]
@@ -44,7 +44,7 @@ defmodule Situ.Studio.PipelineView.FoldTest do
     assert length(graph.edges) == 5
   end
 
-  test "a folded composite is one box; what meets there is one connection" do
+  test "shows a folded composite as one box, and merges its connections" do
     graph = folded(["A"])
     assert keys(graph.nodes) == ~w[n1 n5 s:A]
     assert keys(graph.boxes) == ["s:C"]
@@ -55,12 +55,12 @@ defmodule Situ.Studio.PipelineView.FoldTest do
              Enum.find(graph.edges, &(&1.key == "e4+5"))
   end
 
-  test "an inner one folds by itself; a folded outer one hides it" do
+  test "folds an inner composite alone, and hides it in a folded outer one" do
     assert keys(folded(["A.B"]).nodes) == ~w[n1 n2 n5 s:A.B]
     assert keys(folded(["A", "A.B"]).nodes) == ~w[n1 n5 s:A]
   end
 
-  property "however it is folded, every component is somewhere and no connection hangs loose" do
+  property "keeps every component and connects every edge, however it is folded" do
     forall paths <- list(one_of(["A", "A.B", "A.x", "C", "nope"])) do
       graph = folded(paths)
       assert graph.nodes |> Enum.flat_map(& &1.ids) |> Enum.sort() == [1, 2, 3, 4, 5]
@@ -78,9 +78,9 @@ defmodule Situ.Studio.PipelineView.FoldTest do
     end
   end
 
-  test "large pipelines start folded" do
-    assert Fold.default(snapshot()) == MapSet.new()
+  test "folds large pipelines by default" do
+    assert Fold.default_folded(snapshot()) == MapSet.new()
     many = %{snapshot() | nodes: for(i <- 1..50, do: %Node{id: i, path: "n#{i}"})}
-    assert Fold.default(many) == MapSet.new(["A", "C"])
+    assert Fold.default_folded(many) == MapSet.new(["A", "C"])
   end
 end

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.PipelineView.RecordedTest do
-  # From a pipeline that records its own diagnostics to the page of its graph, through a store on disk.
+  # A pipeline records its own diagnostics into a store, and the page shows its graph.
   use ExUnit.Case, async: true
   alias Situ.Live.Test, as: Page
   alias Situ.Studio.{Catalog, PipelineView}
 
   @moduletag :tmp_dir
 
-  test "a stored Diagnostics stream is the graph's past", %{tmp_dir: dir} do
+  test "a stored Diagnostics stream is the graph's history", %{tmp_dir: dir} do
     {:ok, _} =
       Situ.Pipeline.run(
         fn p ->
@@ -38,16 +38,16 @@ defmodule Situ.Studio.PipelineView.RecordedTest do
       )
 
     Page.render(page)
-    graph = page |> Page.pushed("pipeline:graph") |> List.last()
+    graph = page |> Page.take_pushed_events("pipeline:graph") |> List.last()
     assert "s:Belt" in Enum.map(graph["boxes"], & &1["key"])
     assert Enum.any?(graph["nodes"], &(&1["label"] == "Double"))
     assert Enum.any?(graph["edges"], &(&1["lossy"] and &1["policy"] == "latest"))
-    # A busy machine records fewer moments; the page has to have each of those there are.
+    # A busy machine records fewer moments, but the page must contain each of them.
     {:ok, reader} = Situ.Store.open(Path.join(dir, "shift.0000"))
     moments = reader |> Situ.Store.messages("Diagnostics") |> Enum.count()
     assert moments > 0
-    assert String.to_integer(Page.attribute(page, "#moments input", "max")) == moments - 1
-    rows = page |> Page.pushed("pipeline:series") |> List.last() |> Map.fetch!("rows")
+    assert String.to_integer(Page.get_attribute(page, "#moments input", "max")) == moments - 1
+    rows = page |> Page.take_pushed_events("pipeline:series") |> List.last() |> Map.fetch!("rows")
     assert length(rows) == moments
     assert Page.text(page, ".status") =~ "recorded"
   end

@@ -13,7 +13,7 @@ defmodule Situ.Studio.PipelineView.StatsTest do
     }
   end
 
-  test "rates and shares are of the time between two snapshots" do
+  test "computes rates and shares between two snapshots" do
     before = snapshot(%{emitted: 100, processed: 80, dropped: 10, busy: 0}, %{reductions: 1_000})
 
     later =
@@ -41,7 +41,7 @@ defmodule Situ.Studio.PipelineView.StatsTest do
         %{reductions: 3_000, memory: 4_096, mailbox: 2}
       )
 
-    sample = Stats.sample(later, 2_000_000_000, {before, 0})
+    sample = Stats.compute_sample(later, 2_000_000_000, {before, 0})
     edge = sample.edges[3]
     assert edge["emitted_rate"] == 25.0
     assert edge["processed_rate"] == 15.0
@@ -52,7 +52,7 @@ defmodule Situ.Studio.PipelineView.StatsTest do
     assert edge["queue_mean"] == 1.5
     assert edge["created_mean"] == 1.0
     assert edge["created_last"] == 1.5
-    # Nothing was weighed lately: what there was before.
+    # Nothing was measured recently, so the previous values remain.
     assert edge["size_mean"] == 70
     assert edge["busy"] == 15.0
     assert edge["handling"] == 10.0
@@ -69,32 +69,39 @@ defmodule Situ.Studio.PipelineView.StatsTest do
            }
   end
 
-  test "without an earlier snapshot, or after a restart, rates are 0" do
+  test "rates are 0 without an earlier snapshot or after a restart" do
     now = snapshot(%{emitted: 5, processed: 5}, %{reductions: 10})
-    assert Stats.sample(now, 0, nil).edges[3]["emitted_rate"] == 0.0
+    assert Stats.compute_sample(now, 0, nil).edges[3]["emitted_rate"] == 0.0
     before = snapshot(%{emitted: 50, processed: 50}, %{reductions: 1_000})
-    sample = Stats.sample(now, 1_000_000_000, {before, 0})
+    sample = Stats.compute_sample(now, 1_000_000_000, {before, 0})
     assert sample.edges[3]["emitted_rate"] == 0.0
     assert sample.nodes[1]["reductions_rate"] == 0.0
   end
 
-  test "several edges drawn as one: counts add up, latencies are the worst" do
+  test "merges edges by adding their counts and taking the worst latency" do
     merged =
-      Stats.merge([%{"queue" => 2, "latency_mean" => 5.0}, %{"queue" => 3, "latency_mean" => 9.0}])
+      Stats.merge_values([
+        %{"queue" => 2, "latency_mean" => 5.0},
+        %{"queue" => 3, "latency_mean" => 9.0}
+      ])
 
     assert merged == %{"queue" => 5, "latency_mean" => 9.0}
   end
 
   test "every statistic of an edge and of a node has a value" do
-    sample = %{} |> snapshot(%{}) |> Stats.sample(0, nil)
-    assert Map.keys(sample.edges[3]) == :edge |> Stats.of() |> Enum.map(& &1.id) |> Enum.sort()
-    assert Map.keys(sample.nodes[1]) == :node |> Stats.of() |> Enum.map(& &1.id) |> Enum.sort()
+    sample = %{} |> snapshot(%{}) |> Stats.compute_sample(0, nil)
+
+    assert Map.keys(sample.edges[3]) ==
+             :edge |> Stats.list_stats() |> Enum.map(& &1.id) |> Enum.sort()
+
+    assert Map.keys(sample.nodes[1]) ==
+             :node |> Stats.list_stats() |> Enum.map(& &1.id) |> Enum.sort()
   end
 
-  test "every statistic has a text for any size" do
-    for %{id: id} <- Stats.of(:edge) ++ Stats.of(:node),
+  test "formats every statistic for any size" do
+    for %{id: id} <- Stats.list_stats(:edge) ++ Stats.list_stats(:node),
         value <- [0, 0.05, 3, 12.3, 1.0e5, 1.0e9, nil] do
-      assert String.length(Stats.format(id, value)) in 1..12
+      assert String.length(Stats.format_value(id, value)) in 1..12
     end
   end
 end

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.PipelineViewTest do
-  # The page against a running pipeline, without a browser.
+  # Tests the page with a running pipeline, without a browser.
   use ExUnit.Case, async: true
   import Situ.Test.Eventually
   alias Situ.Live.Test, as: Page
@@ -26,7 +26,11 @@ defmodule Situ.Studio.PipelineViewTest do
     id = "studio-#{System.unique_integer([:positive])}"
 
     sources = %{"none" => {Source.History, history}}
-    start_supervised!({DynamicSupervisor, name: Catalog.watches(id), strategy: :one_for_one})
+
+    start_supervised!(
+      {DynamicSupervisor, name: Catalog.watch_supervisor(id), strategy: :one_for_one}
+    )
+
     start_supervised!({Catalog, id: id, sources: sources, pipelines: [{"steps", pipeline}]})
     {:ok, id: id, pipeline: pipeline}
   end
@@ -48,7 +52,7 @@ defmodule Situ.Studio.PipelineViewTest do
 
   test "sends the graph, then numbers at each tick", %{id: id} do
     page = page(id)
-    assert [graph] = Page.pushed(page, "pipeline:graph")
+    assert [graph] = Page.take_pushed_events(page, "pipeline:graph")
     assert Enum.map(graph["boxes"], & &1["key"]) == ["s:Front"]
 
     assert graph["nodes"] |> Enum.map(& &1["label"]) |> Enum.sort() |> Enum.take(2) == [
@@ -56,91 +60,101 @@ defmodule Situ.Studio.PipelineViewTest do
              "End"
            ]
 
-    assert [%{"edges" => edges, "nodes" => nodes}] = Page.pushed(page, "pipeline:stats")
+    assert [%{"edges" => edges, "nodes" => nodes}] =
+             Page.take_pushed_events(page, "pipeline:stats")
+
     assert map_size(edges) == length(graph["edges"])
     assert Enum.all?(nodes, fn {_, n} -> n["state"] == "running" end)
-    Page.info(page, :tick)
-    # the shape is the same: only numbers
-    assert Page.pushed(page, "pipeline:graph") == []
-    assert [_] = Page.pushed(page, "pipeline:stats")
+    Page.send_info(page, :tick)
+    # The shape is unchanged, so only numbers are sent.
+    assert Page.take_pushed_events(page, "pipeline:graph") == []
+    assert [_] = Page.take_pushed_events(page, "pipeline:stats")
     assert Page.text(page, ".status") =~ "running now"
   end
 
-  test "a page shows what was before it was opened, thinned with age", context do
+  test "shows the time before the page was opened, at decreasing density", context do
     %{id: id, pipeline: pipeline} = context
-    assert PipelineView.Past.samples(id, "steps") == []
+    assert PipelineView.Past.list_samples(id, "steps") == []
     opts = [id: id, pipelines: [{"steps", pipeline}], tick: false]
     past = start_supervised!({PipelineView.Past, opts})
     now = System.monotonic_time(:nanosecond)
 
-    # an hour and a half, a moment every ten seconds; then each of the last six minutes' seconds
+    # An hour and a half with a moment every ten seconds, then the last six minutes second by
+    # second.
     for at <- Enum.to_list(5400..361//-10) ++ Enum.to_list(360..1),
         do: send(past, {:tick, now - at * 1_000_000_000})
 
     :sys.get_state(past, 60_000)
-    ages = for s <- PipelineView.Past.samples(id, "steps"), do: div(now - s.at, 1_000_000_000)
+
+    ages =
+      for s <- PipelineView.Past.list_samples(id, "steps"), do: div(now - s.at, 1_000_000_000)
+
     assert Enum.take(ages, 300) == Enum.to_list(1..300)
     assert length(ages) in 330..400
     assert List.last(ages) in 3_400..3_600
 
     page = page(id, "/p/steps?sel=e1")
-    Page.event(page, "ready", %{})
-    [series | _] = Page.pushed(page, "pipeline:series") |> Enum.reverse()
+    Page.send_event(page, "ready", %{})
+    [series | _] = Page.take_pushed_events(page, "pipeline:series") |> Enum.reverse()
     times = Enum.map(series["rows"], &hd/1)
-    # what was before, and at least the moment of opening
+    # The series contains the earlier moments, and at least the moment of opening.
     assert Enum.count(times, &(&1 <= div(now, 1_000_000))) == length(ages)
     assert length(times) > length(ages)
     assert times == Enum.sort(times)
   end
 
-  test "folds, and says so in the address", %{id: id} do
+  test "folds a composite, and writes it into the address", %{id: id} do
     page = page(id)
-    Page.pushed(page, "pipeline:graph")
-    Page.event(page, "fold", %{path: "Front"})
-    assert [{:live_patch, to}] = Page.visits(page)
+    Page.take_pushed_events(page, "pipeline:graph")
+    Page.send_event(page, "fold", %{path: "Front"})
+    assert [{:live_patch, to}] = Page.list_visits(page)
     assert to =~ "fold=Front"
   end
 
-  test "a component and a connection tell their numbers", %{id: id} do
+  test "shows the numbers of a component and of a connection", %{id: id} do
     page = page(id, "/p/steps?sel=n2&heat=memory")
     assert Page.text(page, ".right .side-title") == "Component"
     assert Page.text(page, ".numbers") =~ "Mailbox"
-    assert Page.count(page, ".spark") == 3
+    assert Page.count_elements(page, ".spark") == 3
     page = page(id, "/p/steps?sel=e1&plots=dropped,queue")
     assert Page.text(page, ".right .side-title") == "Connection"
-    assert Page.count(page, ".spark") == 2
-    assert Page.has?(page, "#plot-dropped")
+    assert Page.count_elements(page, ".spark") == 2
+    assert Page.has_element?(page, "#plot-dropped")
     page = page(id, "/p/steps?sel=e99")
     assert Page.text(page, ".right .side-title") == "Gone"
     page = page(id, "/p/steps?sel=%3Cscript%3E&heat=nope&plots=,,&fold=%7C%7Cx&at=z")
     assert Page.text(page, ".right .side-title") == "Pipeline"
   end
 
-  test "the last messages of a connection are shown, escaped, and the look at them is not", %{
+  test "shows the last messages of a connection, escaped, without its own tap", %{
     id: id
   } do
     page = page(id)
-    [graph] = Page.pushed(page, "pipeline:graph")
+    [graph] = Page.take_pushed_events(page, "pipeline:graph")
     last = List.last(graph["edges"])
     page = page(id, "/p/steps?sel=#{last["key"]}")
-    assert eventually(fn -> Page.info(page, :tick) && Page.count(page, ".messages li") == 8 end)
+
+    assert eventually(fn ->
+             Page.send_info(page, :tick) && Page.count_elements(page, ".messages li") == 8
+           end)
+
     assert Page.text(page, ".messages li code") =~ ~s("<b>)
     refute Page.render(page) =~ "<b>1"
-    assert [same] = Page.pushed(page, "pipeline:graph")
+    assert [same] = Page.take_pushed_events(page, "pipeline:graph")
     assert length(same["nodes"]) == length(graph["nodes"])
   end
 
-  test "the end of the pipeline leaves its last picture", %{id: id, pipeline: pipeline} do
+  test "keeps the last graph after the pipeline ends", %{id: id, pipeline: pipeline} do
     page = page(id)
     ref = Process.monitor(pipeline)
     Situ.Pipeline.stop(pipeline)
     assert_receive {:DOWN, ^ref, _, _, _}
-    Page.info(page, :tick)
+    Page.send_info(page, :tick)
     assert Page.alive?(page)
     assert Page.text(page, ".status") =~ "ended"
   end
 
-  test "a recording's snapshots are looked at moment by moment", %{pipeline: pipeline} do
+  test "shows a recording's snapshots moment by moment", %{pipeline: pipeline} do
     history = History.new(live: false)
     snapshot = Situ.Pipeline.info(pipeline)
 
@@ -162,8 +176,8 @@ defmodule Situ.Studio.PipelineViewTest do
     page = page(id, "/p/old?sel=e1")
     Page.render(page)
     assert Page.text(page, ".topbar .state") == "completed"
-    assert Page.attribute(page, "#moments input", "max") == "29"
-    [series | _] = Page.pushed(page, "pipeline:series") |> Enum.reverse()
+    assert Page.get_attribute(page, "#moments input", "max") == "29"
+    [series | _] = Page.take_pushed_events(page, "pipeline:series") |> Enum.reverse()
     assert series["stats"] == ["queue", "processed_rate", "latency_mean"]
     assert length(series["rows"]) == 30
     assert Enum.map(Enum.drop(series["rows"], 1), &Enum.at(&1, 2)) |> Enum.uniq() == [10.0]
@@ -172,22 +186,22 @@ defmodule Situ.Studio.PipelineViewTest do
     assert Page.text(page, "#moments .dim") == "00:00:05.000"
   end
 
-  test "a recording without diagnostics says what to do", %{id: id} do
+  test "says how to record diagnostics if there are none", %{id: id} do
     page = page(id, "/p/none")
     assert Page.text(page, ".message") =~ "diagnostics: true"
     page = page(id, "/p/nothing")
     assert Page.text(page, ".message h1") =~ "There is no recording"
   end
 
-  test "a typed time is traced, and one that is none is told", %{id: id} do
+  test "traces a typed time, and reports an invalid one", %{id: id} do
     page = page(id)
     Page.submit(page, "#trace-time", %{"time" => "2200-01-01T00:00:00Z"})
     assert Page.text(page, "#trace h2") =~ "00:00:00.000"
-    assert Page.has?(page, "#trace .hops li.coming")
+    assert Page.has_element?(page, "#trace .hops li.coming")
     Page.submit(page, "#trace-time", %{"time" => "00:00:00.001"})
     assert Page.text(page, "#trace h2") =~ "00:00:00.001"
     Page.submit(page, "#trace-time", %{"time" => "soon"})
-    refute Page.has?(page, "#trace")
+    refute Page.has_element?(page, "#trace")
     assert Page.text(page, "#trace-time [role=alert]") =~ ~s(not a time: "soon")
   end
 end

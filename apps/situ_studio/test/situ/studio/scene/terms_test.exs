@@ -32,7 +32,7 @@ defmodule Situ.Studio.Scene.TermsTest do
   end
 
   defp kinds(term, settings \\ %{}) do
-    {items, []} = Terms.of(term, settings)
+    {items, []} = Terms.collect_items(term, settings)
     for item <- items, do: {item.kind, item.count}
   end
 
@@ -43,15 +43,17 @@ defmodule Situ.Studio.Scene.TermsTest do
     mesh
   end
 
-  test "everything that \\psi draws in space is drawn" do
+  test "draws everything that \\psi draws in space" do
     body = Skeleton.new!(%{head: @pose, neck: @pose}, [{:head, :neck}])
     cloud = PointCloud.from_points([{1.0, 2.0, 3.0}])
-    {:ok, plane} = Plane.through({0.0, 0.0, 1.0}, {1.0, 0.0, 1.0}, {0.0, 1.0, 1.0})
-    {:ok, velocity} = Velocity3.linear(Pose.identity(), @pose, 1_000_000_000)
+    {:ok, plane} = Plane.from_points({0.0, 0.0, 1.0}, {1.0, 0.0, 1.0}, {0.0, 1.0, 1.0})
+    {:ok, velocity} = Velocity3.linear_between(Pose.identity(), @pose, 1_000_000_000)
     rectangle = Rectangle3.new!(@pose, 1.0, 1.0)
 
     grid =
-      VoxelGrid.new(0.1) |> VoxelGrid.put({0.0, 0.0, 0.0}, 1) |> VoxelGrid.put({1.0, 0.0, 0.0}, 0)
+      VoxelGrid.new(0.1)
+      |> VoxelGrid.put_at({0.0, 0.0, 0.0}, 1)
+      |> VoxelGrid.put_at({1.0, 0.0, 0.0}, 0)
 
     assert kinds(@pose) == [lines: 3]
     assert kinds([@pose, @pose]) == [lines: 6]
@@ -81,46 +83,48 @@ defmodule Situ.Studio.Scene.TermsTest do
     assert kinds([body, nil, @ray]) == [graphs: 2, lines: 1]
     line = Line3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
     assert kinds([line, nil, line]) == [lines: 2]
-    assert {[%{meta: %{"arrow" => false}}], []} = Terms.of(line)
-    {:ok, both} = PoseVelocity.between(Pose.identity(), @pose, 1_000_000_000)
+    assert {[%{meta: %{"arrow" => false}}], []} = Terms.collect_items(line)
+    {:ok, both} = PoseVelocity.from_poses(Pose.identity(), @pose, 1_000_000_000)
     assert kinds(both) == [lines: 1, lines: 1]
     assert kinds({mesh(), @pose}) == [meshes: 1]
     assert kinds({cloud, @pose}) == [points: 1]
     assert kinds({"wall", @pose}) == [lines: 3, texts: 1]
     assert kinds({"wall", @pose}, %{text: 0.5}) == [quads: 1]
     assert kinds(%{"a" => @pose}, %{text: 0.5}) == [lines: 3, texts: 1]
-    assert {[%{meta: %{"text" => "wall"}}], []} = Terms.of({"wall", rectangle}, %{text: 0.5})
+
+    assert {[%{meta: %{"text" => "wall"}}], []} =
+             Terms.collect_items({"wall", rectangle}, %{text: 0.5})
   end
 
-  test "a cloud's values go with it, also when it is thinned" do
+  test "keeps a cloud's values, also when it is thinned" do
     points = PointCloud.from_points(for x <- 1..4, do: {x * 1.0, 0.0, 0.0}).points
 
     {:ok, cloud} =
       PointCloud.new(points, nil, for(x <- 1..4, into: <<>>, do: <<x * 10.0::little-float-32>>))
 
-    {[%{numbers: numbers}], []} = Terms.of(cloud, %{budget: 2})
+    {[%{numbers: numbers}], []} = Terms.collect_items(cloud, %{budget: 2})
     assert numbers[:value] == <<10.0::little-float-32, 30.0::little-float-32>>
-    assert {[], ["a point cloud whose values" <> _]} = Terms.of(%{cloud | values: 3})
-    assert {[_], []} = cloud |> Map.delete(:values) |> Terms.of()
+    assert {[], ["a point cloud whose values" <> _]} = Terms.collect_items(%{cloud | values: 3})
+    assert {[_], []} = cloud |> Map.delete(:values) |> Terms.collect_items()
   end
 
-  test "a mesh with a pose beside it lies there" do
-    {[%{meta: %{"matrix" => matrix}}], []} = Terms.of({mesh(), @pose})
+  test "places a mesh by the pose next to it" do
+    {[%{meta: %{"matrix" => matrix}}], []} = Terms.collect_items({mesh(), @pose})
     assert Enum.slice(matrix, 12, 3) == [1.0, 2.0, 3.0]
 
     {[%{numbers: [position: at]}], []} =
-      Terms.of({PointCloud.from_points([{0.0, 0.0, 1.0}]), @pose})
+      Terms.collect_items({PointCloud.from_points([{0.0, 0.0, 1.0}]), @pose})
 
     assert at == <<1.0::little-float-32, 2.0::little-float-32, 4.0::little-float-32>>
   end
 
-  test "depth is thinned, and pictures without a lens get one, as the settings say" do
+  test "thins depth, and gives images without a lens one from the settings" do
     view = CameraView.new(depth(), @camera, @pose)
     assert kinds(view, %{sparsity: 2}) == [frusta: 1, points: 12]
 
     far = fn focal ->
       {[%{numbers: [corner: <<_::binary-size(16), y::little-float-32, _::binary>>]} | _], []} =
-        Terms.of({image(), Pose.identity()}, %{focal: focal})
+        Terms.collect_items({image(), Pose.identity()}, %{focal: focal})
 
       y
     end
@@ -129,9 +133,9 @@ defmodule Situ.Studio.Scene.TermsTest do
     assert_in_delta far.(8), 0.5, 1.0e-6
   end
 
-  test "a budget of points is kept, and what there was is told" do
+  test "keeps to a budget of points, and reports the total" do
     cloud = PointCloud.from_points(for x <- 1..1000, do: {x * 1.0, 0.0, 0.0})
-    {[item], []} = Terms.of(cloud, %{budget: 100})
+    {[item], []} = Terms.collect_items(cloud, %{budget: 100})
     assert {item.count, item.meta["of"]} == {100, 1000}
 
     assert kinds(CameraView.new(depth(), @camera, @pose), %{budget: 12}) == [
@@ -140,25 +144,25 @@ defmodule Situ.Studio.Scene.TermsTest do
            ]
   end
 
-  test "what cannot be is a sentence, and does not keep the rest from being drawn" do
+  test "describes invalid items in a sentence, and draws the rest" do
     bad = %{mesh() | vertices: <<1>>}
-    assert {[%{kind: :lines}], ["a mesh whose" <> _]} = Terms.of([bad, @ray])
+    assert {[%{kind: :lines}], ["a mesh whose" <> _]} = Terms.collect_items([bad, @ray])
 
     assert {[%{kind: :frusta}], [what]} =
-             Terms.of(CameraView.new(%{depth() | data: <<>>}, @camera, @pose))
+             Terms.collect_items(CameraView.new(%{depth() | data: <<>>}, @camera, @pose))
 
     assert what =~ "bytes"
-    assert {[], ["a point cloud that is none" <> _]} = Terms.of(%PointCloud{points: <<1>>})
-    assert {[], ["a point cloud" <> _]} = Terms.of(%PointCloud{points: nil})
-    assert {[], ["a voxel grid" <> _]} = Terms.of(%VoxelGrid{size: 0})
+    assert {[], ["an invalid point cloud" <> _]} = Terms.collect_items(%PointCloud{points: <<1>>})
+    assert {[], ["a point cloud" <> _]} = Terms.collect_items(%PointCloud{points: nil})
+    assert {[], ["a voxel grid" <> _]} = Terms.collect_items(%VoxelGrid{size: 0})
 
     assert {[%{kind: :graphs}], ["1 edges" <> _]} =
-             Terms.of(%Skeleton{joints: %{a: @pose}, bones: [:oops]})
+             Terms.collect_items(%Skeleton{joints: %{a: @pose}, bones: [:oops]})
   end
 
-  property "any term is drawn or not, and its bytes are laid out as they say" do
+  property "draws or skips any term, and its bytes match their layout" do
     forall term <- anything() do
-      {items, problems} = Terms.of(term)
+      {items, problems} = Terms.collect_items(term)
       bytes = IO.iodata_to_binary(Scene.pack(items, problems))
       <<size::little-32, 0::32, json::binary-size(size), _::binary>> = bytes
       {:ok, %{"items" => rows}} = Situ.JSON.decode(json)
@@ -172,7 +176,7 @@ defmodule Situ.Studio.Scene.TermsTest do
     end
   end
 
-  # Terms as they may come from files: the right structs with anything in them.
+  # Generates terms as they may come from files: the right structs with any content.
   defp anything do
     leaf =
       one_of([
@@ -197,11 +201,11 @@ defmodule Situ.Studio.Scene.TermsTest do
     ])
   end
 
-  test "streams of such things are in space" do
-    assert StreamInfo.shape(Pose) == :space
-    assert StreamInfo.shape({:list, Skeleton}) == :space
-    assert StreamInfo.shape({:map, :string, Pose}) == :space
-    assert StreamInfo.shape(Situ.Transform) == :frames
+  test "recognizes streams of spatial data" do
+    assert StreamInfo.shape_of_type(Pose) == :space
+    assert StreamInfo.shape_of_type({:list, Skeleton}) == :space
+    assert StreamInfo.shape_of_type({:map, :string, Pose}) == :space
+    assert StreamInfo.shape_of_type(Situ.Transform) == :frames
     assert StreamInfo.shape_of({@camera, @pose}) == :space
     graph = %{nodes: %{a: {0.0, 0.0, 1.0}, b: {1.0, 0.0, 1.0}}, edges: [{:a, :b}]}
     assert StreamInfo.shape_of(graph) == :space

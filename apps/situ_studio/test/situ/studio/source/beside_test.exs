@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Source.BesideTest do
-  # Two sources on one axis: every question about the second is one about shifted times.
+  # Puts two sources on one time axis. Every request to the second one has shifted times.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -22,14 +22,14 @@ defmodule Situ.Studio.Source.BesideTest do
 
   defp ask(source, function, args), do: Source.call(source, function, args)
 
-  property "the second shifted is the second by itself at other times" do
+  property "the shifted second source equals the source alone at other times" do
     times = list({:proper_types.integer(0, 200), :proper_types.integer(-9, 9)})
 
     forall {rows, offset, a, w} <-
              {times, integer(), :proper_types.integer(-50, 250), :proper_types.integer(0, 99)} do
       rows = rows |> Map.new() |> Enum.sort()
       alone = source(%{"S" => [{-1, 0} | rows]})
-      beside = Beside.of(source(%{"T" => [{0, 1}]}), alone, offset)
+      beside = Beside.combine_sources(source(%{"T" => [{0, 1}]}), alone, offset)
       {from, to} = {a + offset, a + w + offset}
 
       shifted = fn {:ok, messages, more} ->
@@ -50,7 +50,7 @@ defmodule Situ.Studio.Source.BesideTest do
     end
   end
 
-  test "intervals inside of messages are shifted with them, other numbers are not" do
+  test "shifts intervals inside messages, but no other numbers" do
     second =
       source(%{
         "S" => [
@@ -61,7 +61,7 @@ defmodule Situ.Studio.Source.BesideTest do
         ]
       })
 
-    beside = Beside.of(source(%{"T" => [{0, 1}]}), second, 100)
+    beside = Beside.combine_sources(source(%{"T" => [{0, 1}]}), second, 100)
     {:ok, messages, :all} = ask(beside, :messages, ["Compared.S", 0, 200, 9])
 
     assert Enum.map(messages, & &1.data) == [
@@ -77,8 +77,14 @@ defmodule Situ.Studio.Source.BesideTest do
     assert :none = ask(beside, :latest_at, ["Compared.None", 5])
   end
 
-  test "a stream of the first that is called like one of the second is hidden" do
-    beside = Beside.of(source(%{"Compared.S" => [{1, :own}]}), source(%{"S" => [{2, :other}]}), 0)
+  test "hides a stream of the first source with a name of the second" do
+    beside =
+      Beside.combine_sources(
+        source(%{"Compared.S" => [{1, :own}]}),
+        source(%{"S" => [{2, :other}]}),
+        0
+      )
+
     assert {:ok, %{data: :other}} = ask(beside, :latest_at, ["Compared.S", 9])
     {:ok, infos} = ask(beside, :streams, [])
     assert Enum.map(infos, & &1.name) == ["Compared.S"]

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Source.DerivedTest do
-  # Streams that expressions make of others, as they are read.
+  # Derives streams from others by expressions while reading.
   use ExUnit.Case, async: true
 
   alias Situ.{Expression, Message}
@@ -24,25 +24,25 @@ defmodule Situ.Studio.Source.DerivedTest do
     {for(m <- messages, do: {m.originating_time, m.data}), more}
   end
 
-  test "two streams: at every message of either, with the latest value of the other" do
+  test "combines each message of either stream with the latest value of the other" do
     source = source(%{"A" => [{10, 1}, {20, 2}, {30, 3}], "B.C" => [{15, 10}, {30, 20}]})
     name = "= A + `B.C`"
 
     assert rows(source, name, 0, 40) ==
              {[{10, nil}, {15, 11}, {20, 12}, {30, 23}], :all}
 
-    # what is in force at the window's beginning counts
+    # The value in force at the window's start counts.
     assert rows(source, name, 18, 25) == {[{20, 12}], :all}
     assert rows(source, name, 0, 40, 2) == {[{10, nil}, {15, 11}], :more}
     assert {:ok, %{data: 12, originating_time: 20}} = Source.call(source, :latest_at, [name, 29])
     assert {:ok, %{data: 23, originating_time: 30}} = Source.call(source, :next_after, [name, 20])
     assert :none = Source.call(source, :next_after, [name, 30])
     assert :none = Source.call(source, :latest_at, [name, 5])
-    # other streams are as they were
+    # Other streams are unchanged.
     assert rows(source, "A", 0, 40) == {[{10, 1}, {20, 2}, {30, 3}], :all}
   end
 
-  test "a line of it has the values of the messages, at any zoom" do
+  test "a line has the values of the messages at any zoom level" do
     source = source(%{"A" => for(i <- 0..999, do: {i * 10, i})})
     {:ok, points, true} = Source.call(source, :series, ["= A * A", 100, 150, 1])
 
@@ -53,7 +53,7 @@ defmodule Situ.Studio.Source.DerivedTest do
     assert points |> Enum.map(&elem(&1, 2)) |> Enum.max() == 999 * 999
   end
 
-  test "of which kind it is, is told by its values" do
+  test "derives its kind from its values" do
     source = source(%{"A" => for(i <- 0..99, do: {i * 10, i})})
 
     for {text, shape} <- [
@@ -61,20 +61,20 @@ defmodule Situ.Studio.Source.DerivedTest do
           {"A > 50", :boolean},
           {"if(A > 3, 'b', 'c')", :text}
         ] do
-      assert {:ok, %{shape: ^shape, count: 100}} = Derived.derive(source, text)
+      assert {:ok, %{shape: ^shape, count: 100}} = Derived.derive_stream(source, text)
     end
   end
 
-  test "what is no expression, names nothing, or what is not there, is refused in words" do
+  test "rejects invalid and constant expressions, and unknown streams" do
     source = source(%{"A" => [{1, 1}]})
-    assert {:error, %{code: :bad_expression}} = Derived.derive(source, "A +")
-    assert {:error, %{code: :constant}} = Derived.derive(source, "1 + 1")
-    assert {:error, %{code: :no_stream, what: what}} = Derived.derive(source, "A + B")
+    assert {:error, %{code: :bad_expression}} = Derived.derive_stream(source, "A +")
+    assert {:error, %{code: :constant}} = Derived.derive_stream(source, "1 + 1")
+    assert {:error, %{code: :no_stream, what: what}} = Derived.derive_stream(source, "A + B")
     assert what =~ "B"
     assert {:error, %{code: :bad_expression}} = Source.call(source, :latest_at, ["= (", 5])
   end
 
-  test "all of it is what evaluating by hand gives" do
+  test "returns the values of an evaluation by hand" do
     values = for i <- 0..199, do: {i * 7, rem(i * 37, 11) - 5}
     source = source(%{"A" => values})
     text = "A * A - 3 * A"

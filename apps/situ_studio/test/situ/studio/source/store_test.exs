@@ -1,5 +1,6 @@
 defmodule Situ.Studio.Source.StoreTest do
-  # Drawings of recordings on disk: nothing that is not in them, at any zoom, and in any system.
+  # Draws recordings on disk: nothing that they do not contain, at any zoom level and on any
+  # system.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -28,7 +29,7 @@ defmodule Situ.Studio.Source.StoreTest do
     source
   end
 
-  # Segments in times of the recording.
+  # Returns the segments in times of the recording.
   defp lanes(source, from, to, px) do
     {reply, _} =
       ask(DataSession.new(source), %{
@@ -42,7 +43,7 @@ defmodule Situ.Studio.Source.StoreTest do
     for [a, b | rest] <- json(payload), do: {base + a, b && base + b, rest}
   end
 
-  # A boolean every 10 ms that keeps its value for a random while: runs of 1 to 2,000 messages.
+  # Returns a boolean every 10 ms that keeps its value for random runs of 1 to 2,000 messages.
   defp runs(n) do
     :rand.seed(:exsss, {1, 2, n})
 
@@ -53,7 +54,7 @@ defmodule Situ.Studio.Source.StoreTest do
     end)
   end
 
-  test "states are told exactly or said to be many, in any window of 50,000 messages", %{
+  test "draws states exactly or as many, in any window of 50,000 messages", %{
     tmp_dir: dir
   } do
     rows = runs(50_000)
@@ -69,7 +70,7 @@ defmodule Situ.Studio.Source.StoreTest do
 
         for {a, b, [label, class]} when class in ["true", "false"] <- lanes(source, from, to, 800) do
           assert label == class
-          # a bin at either end may hold the change itself
+          # A bin at either end may contain the change itself.
           first = ceil(max(a, from) + 2 * bin) |> div(10_000_000) |> Kernel.+(1)
           stop = div(min(b || last, to) - 2 * bin, 10_000_000) - 1
 
@@ -79,10 +80,10 @@ defmodule Situ.Studio.Source.StoreTest do
         end
       end
 
-    Situ.Test.Property.check(windows, numtests: 60)
+    Situ.Test.Property.check_forall(windows, numtests: 60)
   end
 
-  test "a state that changes with every message is told to be many", %{tmp_dir: dir} do
+  test "draws a state that changes with every message as many", %{tmp_dir: dir} do
     rows = for i <- 0..9_999, do: {i * 10_000_000, rem(i, 2) == 0}
     rows = rows ++ for i <- 10_000..10_999, do: {i * 10_000_000, true}
 
@@ -93,7 +94,7 @@ defmodule Situ.Studio.Source.StoreTest do
     assert label =~ ~r/\A\d+ messages: \d+ (true|false), \d+ (true|false)\z/
   end
 
-  test "maps of states and of numbers come from the summary too", %{tmp_dir: dir} do
+  test "draws maps of states and numbers from the summary, too", %{tmp_dir: dir} do
     rows = for i <- 0..20_000, do: {i * 1_000_000, %{on: i > 10_000, level: i / 1}}
     source = source(record(dir, "maps", {:map, :atom, :any}, rows))
     on = for {a, _, [label, _, "on"]} <- lanes(source, 0, 20_000_000_000, 800), do: {a, label}
@@ -102,7 +103,7 @@ defmodule Situ.Studio.Source.StoreTest do
     assert_in_delta changed, 10_001_000_000, 25_000_000
   end
 
-  test "a hole in what comes regularly is empty in a lane", %{tmp_dir: dir} do
+  test "a gap in a regular stream is empty in a lane", %{tmp_dir: dir} do
     rows = for i <- Enum.concat(0..499, 1_200..1_999), do: {i * 10_000_000, true}
     source = source(record(dir, "hole", :boolean, rows))
 
@@ -113,7 +114,7 @@ defmodule Situ.Studio.Source.StoreTest do
     assert_in_delta later, 12_000_000_000, 25_000_000
   end
 
-  test "the nearest messages on both sides are those one by one", %{tmp_dir: dir} do
+  test "returns the nearest messages on both sides", %{tmp_dir: dir} do
     times = for i <- 1..2_500, do: i * 10 + rem(i * i, 7)
     {_, handle} = source = source(record(dir, "near", :float, for(t <- times, do: {t, t * 1.0})))
 
@@ -122,7 +123,7 @@ defmodule Situ.Studio.Source.StoreTest do
     for {t, i} <- Enum.with_index(times),
         do: Situ.Studio.History.put(held, "S", Situ.Studio.Asking.message(t, t * 1.0, i), 8)
 
-    # a history has them one by one
+    # A history returns them one by one.
     refute function_exported?(Source.History, :neighbours, 5)
 
     same =
@@ -130,7 +131,7 @@ defmodule Situ.Studio.Source.StoreTest do
                {:proper_types.integer(-5, 25_100), :proper_types.integer(1, 40)} do
         for side <- [:before, :after] do
           told = fn source ->
-            for m <- Source.neighbours(source, "S", side, time, n), do: m.originating_time
+            for m <- Source.list_neighbours(source, "S", side, time, n), do: m.originating_time
           end
 
           assert told.(source) == told.({Source.History, held})
@@ -138,14 +139,14 @@ defmodule Situ.Studio.Source.StoreTest do
         end
       end
 
-    Situ.Test.Property.check(same, numtests: 100)
-    assert Source.neighbours(source, "Nothing", :before, 5, 3) == []
+    Situ.Test.Property.check_forall(same, numtests: 100)
+    assert Source.list_neighbours(source, "Nothing", :before, 5, 3) == []
   end
 
-  test "a hole that reaches beyond the window is empty there too", %{tmp_dir: dir} do
+  test "a gap that extends beyond the window is empty there, too", %{tmp_dir: dir} do
     rows = for i <- Enum.concat(0..4_999, 20_000..24_999), do: {i * 1_000_000, true}
     source = source(record(dir, "wide", :boolean, rows))
-    # of so many messages the summary is drawn
+    # With so many messages, the summary is drawn.
     assert [{0, until, ["true", "true"]}] = lanes(source, 0, 10_000_000_000, 800)
     assert_in_delta until, 5_000_000_000, 30_000_000
     shown = lanes(source, 10_000_000_000, 25_000_000_000, 800)
@@ -153,7 +154,7 @@ defmodule Situ.Studio.Source.StoreTest do
     assert {_, nil, ["true", "true"]} = List.last(shown)
   end
 
-  test "a message between two holes leaves both empty, at any zoom", %{tmp_dir: dir} do
+  test "a message between two gaps leaves both empty at any zoom level", %{tmp_dir: dir} do
     rows = for i <- Enum.concat([0..199, [300], 500..699]), do: {i * 1_000_000, true}
     source = source(record(dir, "lone", :boolean, rows))
 
@@ -164,14 +165,14 @@ defmodule Situ.Studio.Source.StoreTest do
     end
   end
 
-  test "an atom that this system does not know is a state all the same", %{tmp_dir: dir} do
+  test "draws an atom that this system does not know as a state", %{tmp_dir: dir} do
     type = {:in, [:situ_test_idle, :situ_test_moving]}
     atom = "situ_never_seen_#{System.unique_integer([:positive])}"
     path = record(dir, "atoms", type, for(i <- 0..9, do: {i * 1_000_000_000, atom}))
     assert [{0, nil, [^atom, "state"]}] = lanes(source(path), 0, 9_000_000_000, 800)
   end
 
-  test "a recording that is replaced under its name is another", %{tmp_dir: dir} do
+  test "reports a recording that was replaced under its name", %{tmp_dir: dir} do
     path = record(dir, "again", :boolean, [{0, true}, {1_000, false}])
     source = source(path)
     assert {:ok, [%StreamInfo{count: 2}]} = Source.call(source, :streams, [])

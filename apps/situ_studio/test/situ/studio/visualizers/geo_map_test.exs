@@ -25,17 +25,17 @@ defmodule Situ.Studio.Visualizers.GeoMapTest do
     {n, frame}
   end
 
-  test "a way is two lines; what is no place is left out" do
+  test "draws a track as two lines, without values that are not positions" do
     assert {90, %{rows: 2, flags: 1}} = way(session(100), 100_000_000_000)
   end
 
-  test "of a long way a part is drawn, and said to be one" do
+  test "draws a part of a long track, and reports that it is a part" do
     {n, frame} = way(session(20_000), 20_000_000_000_000)
     assert n in 2_000..5_001
     assert frame.flags == 2
   end
 
-  test "the place at the cursor, and words where there is none" do
+  test "returns the position at the cursor, or an explanation" do
     spec = %{"stream" => "gps", "viz" => "map"}
 
     ask = fn at ->
@@ -49,19 +49,21 @@ defmodule Situ.Studio.Visualizers.GeoMapTest do
     assert text =~ "needs a latitude and a longitude"
   end
 
-  test "streams of places are known, and are put on one map" do
-    assert StreamInfo.shape(GeoPoint) == :place
+  test "recognizes streams of positions, and puts them on one map" do
+    assert StreamInfo.shape_of_type(GeoPoint) == :place
     assert StreamInfo.shape_of(%{"latitude" => 1, "longitude" => 2, "altitude" => 3}) == :place
     streams = for name <- ["a", "b"], do: %StreamInfo{name: name, shape: :place}
-    assert [%{panel: :map, vis: [_, _]}] = Layout.Auto.layout(streams).rows
+    assert [%{panel: :map, vis: [_, _]}] = Layout.Auto.build_layout(streams).rows
   end
 
   @tag :tmp_dir
-  test "tiles come from an origin, or a folder that is there", %{tmp_dir: dir} do
+  test "accepts tiles from an origin or an existing folder", %{tmp_dir: dir} do
     assert {:ok, tiles} = Tiles.new("http://localhost:8080/{z}/{x}/{y}.png", nil)
-    assert Tiles.origins(tiles) == ["http://localhost:8080"]
+    assert Tiles.allowed_origins(tiles) == ["http://localhost:8080"]
     assert {:ok, %{url: "/tiles/{z}/{x}/{y}.png"} = tiles} = Tiles.new(dir, nil)
-    assert Tiles.origins(tiles) == [] and Tiles.routes(tiles) == [{:static, "/tiles", dir}]
+
+    assert Tiles.allowed_origins(tiles) == [] and
+             Tiles.tile_routes(tiles) == [{:static, "/tiles", dir}]
 
     for bad <- [
           "nowhere",
@@ -72,7 +74,7 @@ defmodule Situ.Studio.Visualizers.GeoMapTest do
         do: assert({:error, %{code: :bad_tiles}} = Tiles.new(bad, nil))
   end
 
-  test "the page's policy lets pictures of that origin in, and of no other" do
+  test "the page's policy allows images of that origin only" do
     url = "https://tile.example.org/{z}/{x}/{y}.png"
     {:ok, studio} = Situ.Studio.start_link(id: "tiles-test", port: 0, tiles: url)
 

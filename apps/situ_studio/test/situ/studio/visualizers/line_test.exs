@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Visualizers.LineTest do
-  # Signals, summed up and message by message.
+  # Draws signals, aggregated and message by message.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
 
   setup do: {:ok, session: session()}
 
-  test "a wide window is summed up and keeps the extremes", %{session: session} do
+  test "aggregates a wide window and keeps the extremes", %{session: session} do
     {reply, _} =
       ask(session, %{
         "open" => [[1, %{"stream" => "level", "viz" => "line"}]],
@@ -20,7 +20,7 @@ defmodule Situ.Studio.Visualizers.LineTest do
     assert Enum.sum(column(frame, 4)) == 1000.0
   end
 
-  test "a narrow window has single messages, with the neighbours outside of it", %{
+  test "draws single messages in a narrow window, with their neighbors outside", %{
     session: session
   } do
     {reply, _} =
@@ -30,7 +30,7 @@ defmodule Situ.Studio.Visualizers.LineTest do
       })
 
     assert [%{kind: 1, flags: 1} = frame] = reply.frames
-    # sixteen on both sides: so few within do not tell how often messages come
+    # Sixteen are added on both sides, because so few messages do not show their rate.
     assert column(frame, 3) == Enum.map(484..518, &(&1 / 1))
   end
 end

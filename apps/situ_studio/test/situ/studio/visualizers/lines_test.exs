@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Visualizers.LinesTest do
-  # Maps of numbers.
+  # Draws maps of numbers.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
 
   setup do: {:ok, session: session()}
 
-  test "maps of numbers are lines with names and gaps", %{session: session} do
+  test "draws maps of numbers as named lines with gaps", %{session: session} do
     put(session, "opening", [
       {1_100_000_000, %{"left" => 1.0}},
       {1_200_000_000, %{"left" => 2.0, "right" => 5.0}},
@@ -32,7 +32,7 @@ defmodule Situ.Studio.Visualizers.LinesTest do
     assert <<5.0::little-float-64, ^nan::binary-8>> = binary_part(right, 48, 16)
   end
 
-  test "keys for which there is no line are counted", %{session: session} do
+  test "counts the keys that have no line", %{session: session} do
     rows = for i <- 0..1, do: {1_100_000_000 + i, Map.new(1..40, &{"key#{&1}", i})}
     put(session, "many", rows)
 

@@ -1,10 +1,10 @@
 defmodule Situ.Studio.Visualizers.LogTest do
-  # The messages around the cursor.
+  # Lists the messages around the cursor.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
 
-  test "some before the cursor, and some after it, each with its time" do
+  test "lists messages before and after the cursor, each with its time" do
     session = session()
 
     {reply, _} =

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Visualizers.MasksTest do
-  # Masks with their boxes, whoever holds them.
+  # Draws masks with their boxes, from one stream or from two.
   use ExUnit.Case, async: true
   doctest Situ.Studio.Visualizers.Masks
 
   alias Situ.{Image, Message, Rect}
   alias Situ.Studio.{Draw, Frame, History, Source, StreamInfo, Visualizers}
 
-  @mask Image.filled(2, 2, :gray8, [255])
+  @mask Image.new_filled(2, 2, :gray8, [255])
   @rect %Rect{x: 1, y: 2, width: 3, height: 4, label: "cup", score: 0.5, id: 7}
 
   defp source(streams) do
@@ -19,17 +19,17 @@ defmodule Situ.Studio.Visualizers.MasksTest do
   end
 
   defp drawn(source, stream, time) do
-    {:ok, viz} = Visualizers.named("masks", [])
+    {:ok, viz} = Visualizers.fetch_by_id("masks", [])
 
     {frame, _} =
-      Draw.instant(source, 0, %{stream: stream, viz: viz, path: [], props: %{}}, time, nil)
+      Draw.draw_instant(source, 0, %{stream: stream, viz: viz, path: [], props: %{}}, time, nil)
 
     IO.iodata_to_binary(frame)
   end
 
   defp holds?(frame, text), do: :binary.match(frame, text) != :nomatch
 
-  test "a list of masks has the boxes of the stream that has as many at its time" do
+  test "takes the boxes from the stream with as many at that time" do
     source =
       source([
         {"Find.Masks", 5, [@mask]},
@@ -44,26 +44,26 @@ defmodule Situ.Studio.Visualizers.MasksTest do
     assert holds?(frame, ~s("runs":[255,4]))
   end
 
-  test "pairs of box and mask need no other stream; without boxes the page is told" do
+  test "draws pairs of box and mask, and reports masks without boxes" do
     frame = drawn(source([{"Pairs", 5, [{@rect, @mask}]}]), "Pairs", 9)
     assert holds?(frame, ~s("box":[1,2,3,4]))
     frame = drawn(source([{"Alone", 5, [@mask]}]), "Alone", 9)
 
     assert frame ==
              IO.iodata_to_binary(
-               Frame.error(0, "there is no stream with as many rectangles at the same time")
+               Frame.error(0, "no stream has as many rectangles at the same time")
              )
   end
 
-  test "what is no mask is an error, not a crash" do
-    for data <- [Image.filled(2, 2, :rgb24), "text", %{@mask | data: <<1>>}] do
+  test "returns an error for data that is not a mask" do
+    for data <- [Image.new_filled(2, 2, :rgb24), "text", %{@mask | data: <<1>>}] do
       frame = drawn(source([{"S", 5, data}]), "S", 9)
       refute holds?(frame, "runs")
     end
   end
 
-  test "streams of masks are known by type and by data" do
-    assert StreamInfo.shape({:list, Situ.Image}) == :masks
+  test "recognizes streams of masks by type and by data" do
+    assert StreamInfo.shape_of_type({:list, Situ.Image}) == :masks
     assert StreamInfo.shape_of([{@rect, @mask}]) == :masks
     assert Enum.any?(Visualizers.for_shape(:image), &(&1.id == "masks"))
     assert hd(Visualizers.for_shape(:masks)).id == "masks"

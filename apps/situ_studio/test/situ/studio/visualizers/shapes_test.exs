@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.ShapesTest do
-  # Where things over pictures have been.
+  # Draws the trails of shapes over images.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
@@ -17,7 +17,7 @@ defmodule Situ.Studio.Visualizers.ShapesTest do
     json(frame.payload)
   end
 
-  test "a trail of seconds before the message, the older the further" do
+  test "draws a trail of seconds before the message, fading with age" do
     assert [[1.0, [[605.0, 10.0, 3], [6, 5, nil]], []], [0.667, _, []], [0.333, _, []]] =
              shown(%{"trail" => 3})["trail"]
 

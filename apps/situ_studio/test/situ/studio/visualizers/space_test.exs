@@ -22,7 +22,7 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
     {items, byte_size(bytes), kept}
   end
 
-  test "a mesh that only moves is sent once, with its place each time" do
+  test "sends a moving mesh once, and its position each time" do
     context = &%{source: nil, spec: spec(), kept: &1}
     {[first], whole, kept} = items(@mesh, context.(%{}))
     assert %{"keep" => name, "at" => %{"position" => [_, 3600]}} = first
@@ -38,7 +38,7 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
     assert another != name and map_size(kept) == 2
   end
 
-  test "a channel knows what it was sent, also after a stretch without messages" do
+  test "a channel remembers the sent meshes, also after a gap" do
     history = History.new(live: false)
 
     for {time, pose} <- [{5, Pose.identity()}, {9, Pose.new({1.0, 0.0, 0.0})}] do
@@ -52,7 +52,7 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
     end
 
     at = fn time, last ->
-      {frame, last} = Draw.instant({Source.History, history}, 1, spec(), time, last)
+      {frame, last} = Draw.draw_instant({Source.History, history}, 1, spec(), time, last)
       {IO.iodata_to_binary(frame), last}
     end
 
@@ -68,13 +68,13 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
     assert again =~ ~s("held")
   end
 
-  test "more than the page has room for is sent whole" do
+  test "sends the entire mesh if the page has no room to keep it" do
     full = %{"other" => 67_108_864}
     assert {[item], _, ^full} = items(@mesh, %{source: nil, spec: spec(), kept: full})
     refute Map.has_key?(item, "keep") or Map.has_key?(item, "held")
   end
 
-  test "of a large cloud the part that is seen, and nothing else of the message" do
+  test "sends only the visible part of a large cloud" do
     cloud = PointCloud.from_points(for x <- 1..300_000, do: {x / 1000, 0.0, 0.0})
     data = %{cloud: cloud, mesh: @mesh}
 
@@ -83,13 +83,13 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
 
     assert %{"count" => 100_000, "of" => 300_000} = rough
 
-    # from 1 m to 2 m
+    # The planes select 1 m to 2 m.
     planes = [1, 0, 0, -1.0005, -1, 0, 0, 2.0005]
     props = %{"budget" => "100000", "within" => planes}
     assert {[near], _, _} = items(data, %{source: nil, spec: spec(props), kept: %{}})
     assert %{"kind" => "points", "count" => 1_000, "of" => 1_000} = near
 
-    # what is no list of planes is left out
+    # Invalid planes are ignored.
     for bad <- [[1, 2, 3], ["x", 0, 0, 0], "all", List.duplicate(0, 400), [1.0e300, 0, 0, 0]] do
       props = %{"budget" => "100000", "within" => bad}
       {items, _, _} = items(data, %{source: nil, spec: spec(props), kept: %{}})

@@ -1,12 +1,12 @@
 defmodule Situ.Studio.Visualizers.SpansTest do
-  # Intervals of time inside of messages.
+  # Draws time intervals inside messages.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
 
   setup do: {:ok, session: session()}
 
-  test "intervals are drawn over their span, also when they began before the window or are told of after it",
+  test "draws intervals that began before the window, or whose message is after it",
        %{session: session} do
     put(session, "speech", [
       {1_200_000_000, %{start: 1_100_000_000, stop: 1_200_000_000, text: "before"}},
@@ -24,7 +24,7 @@ defmodule Situ.Studio.Visualizers.SpansTest do
            ] = json(json)
   end
 
-  test "a recognised sentence is drawn over its span, a draft of it only until the next message",
+  test "draws a recognized sentence over its span, and a draft until the next message",
        %{session: session} do
     said = fn text, to, final? ->
       %{text: text, from: 1_100_000_000, to: to, confidence: 0.9, final?: final?, words: []}
@@ -43,7 +43,7 @@ defmodule Situ.Studio.Visualizers.SpansTest do
     assert [[_, _, "ten of clubs", "span"], [_, _, "and", "span"]] = json(json)
   end
 
-  test "numbers called from and to are no times, but beside a text" do
+  test "numbers named from and to are times only next to a text" do
     alias Situ.Studio.StreamInfo
     assert StreamInfo.shape_of(%{from: 1, to: 2, weight: "heavy"}) == :value
     assert StreamInfo.shape_of(%{text: "hello", from: 1, to: 2}) == :spans

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.SpectrogramTest do
-  # Pieces of sound for the page's transform.
+  # Sends audio segments for the page's transform.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
@@ -7,7 +7,7 @@ defmodule Situ.Studio.Visualizers.SpectrogramTest do
 
   @second 1_000_000_000
 
-  # Two seconds of a ramp at 8 kHz, a second of nothing, and a second more.
+  # Two seconds of a ramp at 8 kHz, a second without messages, and another second.
   defp sound(session) do
     format = %AudioFormat{rate: 8_000, channels: 1, sample: :s16}
 
@@ -18,7 +18,7 @@ defmodule Situ.Studio.Visualizers.SpectrogramTest do
     |> then(&put(session, "sound", &1))
   end
 
-  test "every piece is what sounds at its time; where nothing does there is none" do
+  test "each segment has the samples of its time, and gaps have none" do
     session = session()
     sound(session)
 
@@ -41,7 +41,7 @@ defmodule Situ.Studio.Visualizers.SpectrogramTest do
     end
   end
 
-  test "what is no sound says so" do
+  test "reports a stream that is not audio" do
     assert %{kind: 8} = shown(session(), "level", "spectrogram", 0, @second)
   end
 end

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.StatesTest do
-  # Booleans and maps of states as lanes.
+  # Draws booleans and maps of states as lanes.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
@@ -7,7 +7,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
 
   setup do: {:ok, session: session()}
 
-  test "states are merged, the one in force at the left edge included", %{session: session} do
+  test "merges states, including the one in force at the left edge", %{session: session} do
     {reply, _} =
       ask(session, %{
         "open" => [[1, %{"stream" => "on", "viz" => "states"}]],
@@ -25,7 +25,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
               ]}
   end
 
-  test "maps of states are lanes with names; a key that is gone ends its lane", %{
+  test "draws maps of states as named lanes, and ends the lane of a removed key", %{
     session: session
   } do
     put(session, "talk", [
@@ -35,7 +35,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
       {1_400_000_000, %{1 => true}}
     ])
 
-    # the newest message within the window is told too
+    # The newest message in the window is also reported.
     assert %{kind: 2, base: base, own: 300_000_000, payload: json} =
              shown(session, "talk", "states", 1_150_000_000, 1_500_000_000)
 
@@ -49,7 +49,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
            ]
   end
 
-  test "a window within a hole shows the hole, as a wide one does", %{session: session} do
+  test "shows the gap in a window inside it, like in a wide one", %{session: session} do
     rows = for i <- Enum.concat(0..50, 200..250), do: {1_000_000_000 + i * 10_000_000, true}
     put(session, "pulse", rows)
 
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
              end)
     end
 
-    # and a line: how often messages come is told by those beside the window
+    # The same holds for a line, where the messages next to the window show the rate.
     {Source.History, history} = session.source
     put(session, "wave", for({t, _} <- rows, do: {t, 1.0}))
 
@@ -72,7 +72,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
     assert length(points) == 32
   end
 
-  test "an hour of states is bounded by what can be told apart", %{session: session} do
+  test "merges an hour of states into as many as can be distinguished", %{session: session} do
     put(
       session,
       "flicker",
@@ -92,7 +92,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
     assert label =~ ~r/\A\d+ changes\z/
   end
 
-  test "of more messages than can be read at once, only what is known is drawn", %{
+  test "draws only known states if there are too many messages to read", %{
     session: session
   } do
     put(session, "long", for(i <- 0..250_000, do: {1_000_000_000 + i * 400_000, i > 125_000}))

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.ValueAtTest do
-  # The value at the cursor is that of the message at or before it, whatever window is drawn.
+  # The cursor shows the value of the latest message, whatever window is drawn.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
@@ -22,7 +22,7 @@ defmodule Situ.Studio.Visualizers.ValueAtTest do
 
   defp values(%{kind: 6}), do: :none
 
-  property "a line's value is that of the latest message, as exactly as it was written" do
+  property "a line has the exact value of the latest message" do
     forall {rows, at} <- {list({integer(1, 1_000_000), number()}), integer(0, 1_100_000)} do
       rows = rows |> Enum.sort_by(&elem(&1, 0)) |> Enum.dedup_by(&elem(&1, 0))
       session = session()
@@ -52,7 +52,7 @@ defmodule Situ.Studio.Visualizers.ValueAtTest do
     end
   end
 
-  test "it is the same with a narrow and a wide window, and is told once while it holds" do
+  test "is the same in a narrow and a wide window, and is sent once while it holds" do
     session = session()
     spec = %{"stream" => "level", "viz" => "line"}
     at = @t0 + 123_400_000
@@ -68,7 +68,7 @@ defmodule Situ.Studio.Visualizers.ValueAtTest do
     assert again.kind == 7
   end
 
-  test "of maps each key has its value, of a path what is there, and of latency the message's own" do
+  test "returns the value of each key of a map, of a path, or the latency" do
     session = session()
     put(session, "map", [{@t0, %{"a" => 0.1, b: 2}}, {@t0 + 10, %{"a" => :nan}}])
     maps = %{"stream" => "map", "viz" => "lines"}
@@ -85,7 +85,7 @@ defmodule Situ.Studio.Visualizers.ValueAtTest do
     assert String.to_float(latency) >= 0
   end
 
-  test "of sound it is the sample that sounds then, of the channel that is drawn" do
+  test "returns the current audio sample of the channel that is drawn" do
     session = session()
     format = AudioFormat.pcm(1_000, 2)
     data = for i <- 0..499, into: <<>>, do: <<i * 8::little-16, -i::little-signed-16>>
@@ -102,7 +102,7 @@ defmodule Situ.Studio.Visualizers.ValueAtTest do
       assert String.to_float(text) == -sample / 32_768, "at #{ms} ms"
     end
 
-    # in the gap, the last sample before it, with its time
+    # In the gap, it is the last sample before it, with its time.
     {frame, _} = told(session, spec, @t0 + 800_000_000)
     assert {@t0 + 499_000_000, [["", Float.to_string(-499 / 32_768)]]} == values(frame)
     {frame, _} = told(session, %{spec | "props" => %{}}, @t0 + 2_000_000)

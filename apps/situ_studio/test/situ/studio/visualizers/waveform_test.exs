@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.WaveformTest do
-  # One channel of several, and all of them where too much was asked for.
+  # Draws a single channel, or all channels if the interval is too long.
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
@@ -24,13 +24,13 @@ defmodule Situ.Studio.Visualizers.WaveformTest do
     {Enum.min(column(frame, 1)), Enum.max(column(frame, 2)), frame.flags}
   end
 
-  test "all channels together, or one", %{session: session} do
+  test "draws all channels together, or one", %{session: session} do
     assert {-0.25, 0.5, _} = extremes(session, %{})
     assert extremes(session, %{"channel" => "1"}) == {0.5, 0.5, 0}
     assert extremes(session, %{"channel" => "2"}) == {-0.25, -0.25, 0}
   end
 
-  test "of a long time all are drawn, which is told", %{session: session} do
+  test "draws all channels of a long interval, and reports it", %{session: session} do
     assert {-0.25, 0.5, flags} = extremes(session, %{"channel" => "2"}, 200)
     assert Bitwise.band(flags, 4) == 4
   end

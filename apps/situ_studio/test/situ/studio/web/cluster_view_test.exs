@@ -24,36 +24,38 @@ defmodule Situ.Studio.Web.ClusterViewTest do
   defp open,
     do: Page.mount(ClusterView, path: "/cluster", params: %{}, session: %{"studio" => "x"})
 
-  test "without a cluster it says how to get one" do
-    assert Page.render(open()) =~ "no member of a cluster"
+  test "explains how to start a cluster if there is none" do
+    assert Page.render(open()) =~ "not a member of a cluster"
   end
 
-  test "nodes, parts with their streams, and whom they go to", %{tmp_dir: dir} do
+  test "shows nodes, parts with their streams, and their destinations", %{tmp_dir: dir} do
     start_supervised!({Situ.Cluster, log: dir, labels: ["lab"], devices: ["camera0"]})
     place = [{"Sum", deterministic: true}]
     {:ok, _} = Situ.Cluster.deploy(Sums, place: place, checkpoint: Situ.Time.ms(50))
     told = [to_string(node()), "lab, camera0", "Sums/Sum", "Sums/rest", "Sum.Scan"]
     page = shows(open(), told, 600)
-    assert Page.has?(page, "#nodes") and Page.has?(page, "#parts")
-    # The studio watches the parts as if they were pipelines of its own.
+    assert Page.has_element?(page, "#nodes") and Page.has_element?(page, "#parts")
+    # The studio watches the parts like its own pipelines.
     titles = fn ->
-      for {title, _} <- Source.Pipeline.running([{:all, &Situ.Cluster.pipelines/0}]), do: title
+      for {title, _} <- Source.Pipeline.list_running([{:all, &Situ.Cluster.pipelines/0}]),
+          do: title
     end
 
     # A busy machine may lose a lease for a moment.
     assert eventually(fn -> "Sums/Sum" in titles.() end)
   end
 
-  test "the streams of a part go on after it has moved", %{tmp_dir: dir} do
+  test "the streams of a part continue after it has moved", %{tmp_dir: dir} do
     start_supervised!({Situ.Cluster, log: dir})
     place = [{"Sum", deterministic: true}]
     {:ok, deployed} = Situ.Cluster.deploy(Sums, place: place, checkpoint: Situ.Time.ms(50))
     pipelines = [{:all, &Situ.Cluster.pipelines/0}]
-    titles = fn -> for {title, _} <- Source.Pipeline.running(pipelines), do: title end
+    titles = fn -> for {title, _} <- Source.Pipeline.list_running(pipelines), do: title end
     assert eventually(fn -> "Sums/Sum" in titles.() end)
     supervisor = start_supervised!(DynamicSupervisor)
     {:ok, source} = Source.Pipeline.open(pipelines, "Sums/Sum", supervisor)
-    # a page shows the stream, and asks for a window once: then for what is new, and nothing is
+    # A page shows the stream. It requests a window once and then only new messages, and receives
+    # none.
     open = %{
       "open" => [[1, %{"stream" => "Sum.Scan", "viz" => "line"}]],
       "series" => [[1, "0", "1", 1]]
@@ -63,11 +65,11 @@ defmodule Situ.Studio.Web.ClusterViewTest do
     newest = fn -> elem(ask(session, %{"live" => true}), 0) end
     assert eventually(fn -> newest.().to > newest.().from end)
 
-    # A node that gives it away and takes it again: another pipeline runs the part.
-    before = Situ.Cluster.Overview.pipeline("Sums", "Sum")
-    %{"Sum" => runner} = Situ.Cluster.Agent.runners("Sums")
-    :ok = Situ.Cluster.Runner.restart(runner)
-    assert Situ.Cluster.Overview.pipeline("Sums", "Sum") not in [nil, before]
+    # The node releases the part and takes it again, so another pipeline runs it.
+    before = Situ.Cluster.Overview.find_pipeline("Sums", "Sum")
+    %{"Sum" => runner} = Situ.Cluster.Agent.list_runners("Sums")
+    :ok = Situ.Cluster.Runner.restart_part(runner)
+    assert Situ.Cluster.Overview.find_pipeline("Sums", "Sum") not in [nil, before]
     seen = newest.().to
 
     assert eventually(fn ->
@@ -76,7 +78,7 @@ defmodule Situ.Studio.Web.ClusterViewTest do
              reply.to > seen + Situ.Time.ms(100)
            end)
 
-    # nothing is known of the time between
+    # Nothing is known about the time in between.
     {:ok, messages, :all} =
       Source.call(source, :messages, ["Sum.Scan", 0, 4_000_000_000_000_000_000, 1_000_000])
 
@@ -84,7 +86,7 @@ defmodule Situ.Studio.Web.ClusterViewTest do
     Situ.Cluster.forget(deployed)
   end
 
-  # The view has asked; the answers come by themselves, one node after the other.
+  # The view has sent its requests. The replies arrive one node at a time.
   defp shows(page, told, left) do
     html = Page.render(page)
 

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Web.ExportDialogTest do
-  # A part of a recording saved as one of its own, from the page.
+  # The page saves a part of a recording as a new recording.
   use ExUnit.Case, async: true
   import Situ.Test.Eventually
 
@@ -37,7 +37,8 @@ defmodule Situ.Studio.Web.ExportDialogTest do
     id = "export-#{System.unique_integer([:positive])}"
     opts = [id: id, path: folder, layouts: folder] ++ opts
 
-    start_supervised!({DynamicSupervisor, name: Catalog.watches(id), strategy: :one_for_one},
+    start_supervised!(
+      {DynamicSupervisor, name: Catalog.watch_supervisor(id), strategy: :one_for_one},
       id: :w
     )
 
@@ -48,14 +49,16 @@ defmodule Situ.Studio.Web.ExportDialogTest do
 
   @part %{"from" => "10000", "to" => "19000", "of" => "selection"}
 
-  # Written by a process of its own; the page is told.
+  # A separate process writes the recording and notifies the page.
   defp saved(page) do
-    eventually(fn -> Enum.find(Page.pushed(page, "toast"), &(&1["text"] =~ "Saved as")) end)
+    eventually(fn ->
+      Enum.find(Page.take_pushed_events(page, "toast"), &(&1["text"] =~ "Saved as"))
+    end)
   end
 
-  test "the interval of all streams, beside the recording", %{folder: folder} do
+  test "saves the interval of all streams next to the recording", %{folder: folder} do
     page = studio(folder)
-    Page.event(page, "export_dialog", @part)
+    Page.send_event(page, "export_dialog", @part)
     assert Page.text(page, "#export-save") =~ "9.00 us"
     Page.submit(page, "#export-save", %{"name" => "start", "streams" => "all"})
     assert %{"text" => text} = saved(page)
@@ -71,19 +74,19 @@ defmodule Situ.Studio.Web.ExportDialogTest do
     assert Page.text(page, ".stores") =~ "start.0000"
   end
 
-  test "only what is shown", %{folder: folder} do
+  test "saves only the streams that are shown", %{folder: folder} do
     page = studio(folder)
-    Page.event(page, "remove_panel", %{"id" => "p1"})
-    {:ok, layout} = page |> Page.attribute("#studio", "data-edit") |> Link.decode()
+    Page.send_event(page, "remove_panel", %{"id" => "p1"})
+    {:ok, layout} = page |> Page.get_attribute("#studio", "data-edit") |> Link.decode()
     [%{vis: [%{stream: shown}]}] = layout.rows
-    Page.event(page, "export_dialog", @part)
+    Page.send_event(page, "export_dialog", @part)
     Page.submit(page, "#export-save", %{"name" => "start", "streams" => "shown"})
     assert saved(page)
     {:ok, store} = Situ.Store.open(Path.join(folder, "start.0000"))
     assert Enum.map(Situ.Store.streams(store), & &1.name) == [shown]
   end
 
-  test "what cannot be is said, and nothing is written", %{folder: folder} do
+  test "reports invalid requests, and writes nothing", %{folder: folder} do
     page = studio(folder)
 
     for {part, name} <- [
@@ -92,27 +95,27 @@ defmodule Situ.Studio.Web.ExportDialogTest do
           {@part, "a/b"},
           {%{@part | "to" => "10000"}, "good"}
         ] do
-      Page.event(page, "export_dialog", part)
+      Page.send_event(page, "export_dialog", part)
       Page.submit(page, "#export-save", %{"name" => name, "streams" => "all"})
-      assert [%{"text" => text}] = Page.pushed(page, "toast")
+      assert [%{"text" => text}] = Page.take_pushed_events(page, "toast")
       assert text =~ "Fix:" or text =~ "cannot be"
     end
 
-    Page.event(page, "export_dialog", %{@part | "from" => "x"})
+    Page.send_event(page, "export_dialog", %{@part | "from" => "x"})
     assert File.ls!(folder) == ["talk.0000"]
   end
 
-  test "a studio that is read only, and what is in memory, offer it not", context do
+  test "is not offered in a read-only studio or for streams in memory", context do
     page = studio(context.folder, read_only: true)
-    Page.event(page, "export_dialog", @part)
-    refute Page.has?(page, "#export-save")
+    Page.send_event(page, "export_dialog", @part)
+    refute Page.has_element?(page, "#export-save")
     refute Page.render(page) =~ "as a recording (Ctrl"
     id = "memory-#{System.unique_integer([:positive])}"
     sources = %{"one" => {Source.History, History.new(live: false)}}
     start_supervised!({Catalog, id: id, sources: sources, layouts: context.folder}, id: :memory)
     session = %{"studio" => id}
     page = Page.mount(MainView, path: "/s/one", params: %{"id" => ["one"]}, session: session)
-    Page.event(page, "export_dialog", @part)
-    refute Page.has?(page, "#export-save")
+    Page.send_event(page, "export_dialog", @part)
+    refute Page.has_element?(page, "#export-save")
   end
 end

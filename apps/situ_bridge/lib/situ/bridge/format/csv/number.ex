@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Format.Csv.Number do
   @moduledoc false
   # Formats numbers as .NET's invariant culture does, and parses fields into values.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
   @canonical ~r/\A-?(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d{1,3})?\z/
 
@@ -9,38 +9,38 @@ defmodule Situ.Bridge.Format.Csv.Number do
   Returns the shortest digits that represent the number, without ".0", and with an exponent from 1E+15 on and below
   0.0001.
 
-      iex> Enum.map([1.0, 0.1, 1.5e20, 1.0e-5, -0.0, 12], &Situ.Bridge.Format.Csv.Number.write/1)
+      iex> Enum.map([1.0, 0.1, 1.5e20, 1.0e-5, -0.0, 12], &Situ.Bridge.Format.Csv.Number.encode_number/1)
       ["1", "0.1", "1.5E+20", "1E-05", "-0", "12"]
   """
-  @spec write(number() | atom()) :: String.t()
-  def write(n) when is_integer(n), do: Integer.to_string(n)
-  def write(:nan), do: "NaN"
-  def write(:infinity), do: "Infinity"
-  def write(:neg_infinity), do: "-Infinity"
+  @spec encode_number(number() | atom()) :: String.t()
+  def encode_number(n) when is_integer(n), do: Integer.to_string(n)
+  def encode_number(:nan), do: "NaN"
+  def encode_number(:infinity), do: "Infinity"
+  def encode_number(:neg_infinity), do: "-Infinity"
 
-  def write(x) when is_float(x) do
+  def encode_number(x) when is_float(x) do
     text = :erlang.float_to_binary(x, [:short])
 
     if abs(x) < 0.0001 or abs(x) >= 1.0e15 or :binary.match(text, "e") != :nomatch do
-      {sign, digits, exponent} = digits(text)
-      sign <> place(digits, exponent)
+      {sign, digits, exponent} = split_digits(text)
+      sign <> place_point(digits, exponent)
     else
-      whole(text)
+      drop_zero_fraction(text)
     end
   end
 
   # Without an exponent, only a final ".0" has to be removed.
-  defp whole(text) do
+  defp drop_zero_fraction(text) do
     size = byte_size(text) - 2
 
     case text do
-      <<whole::binary-known(size), ".0">> -> whole
+      <<whole::binary-pinned_size(size), ".0">> -> whole
       _ -> text
     end
   end
 
   # Returns the sign, the digits d and the exponent e of 0.ddd * 10^e.
-  defp digits(text) do
+  defp split_digits(text) do
     text = if String.contains?(text, "e"), do: text, else: text <> "e0"
     [mantissa, exponent] = String.split(text, "e")
 
@@ -59,9 +59,9 @@ defmodule Situ.Bridge.Format.Csv.Number do
   defp or_zero(""), do: "0"
   defp or_zero(digits), do: digits
 
-  defp place("0", _exponent), do: "0"
+  defp place_point("0", _exponent), do: "0"
 
-  defp place(digits, exponent) when exponent > 15 or exponent < -3 do
+  defp place_point(digits, exponent) when exponent > 15 or exponent < -3 do
     {first, rest} = String.split_at(digits, 1)
     fraction = if rest == "", do: "", else: "." <> rest
     power = exponent - 1
@@ -70,10 +70,10 @@ defmodule Situ.Bridge.Format.Csv.Number do
     "#{first}#{fraction}E#{sign}#{power |> abs() |> Integer.to_string() |> String.pad_leading(2, "0")}"
   end
 
-  defp place(digits, exponent) when exponent <= 0,
+  defp place_point(digits, exponent) when exponent <= 0,
     do: "0." <> String.duplicate("0", -exponent) <> digits
 
-  defp place(digits, exponent) do
+  defp place_point(digits, exponent) do
     padded = String.pad_trailing(digits, exponent, "0")
     {whole, fraction} = String.split_at(padded, exponent)
     if fraction == "", do: whole, else: whole <> "." <> fraction
@@ -82,29 +82,29 @@ defmodule Situ.Bridge.Format.Csv.Number do
   @doc """
   Parses a field: `nil` for an empty field, a boolean, a number in canonical form, or else the string itself.
 
-      iex> Enum.map(["True", "12", "1.50", "NaN", "", "007", "x"], &Situ.Bridge.Format.Csv.Number.read/1)
+      iex> Enum.map(["True", "12", "1.50", "NaN", "", "007", "x"], &Situ.Bridge.Format.Csv.Number.parse_field/1)
       [true, 12, 1.5, :nan, nil, "007", "x"]
   """
-  @spec read(String.t()) :: term()
-  def read(""), do: nil
-  def read(text) when text in ["True", "true"], do: true
-  def read(text) when text in ["False", "false"], do: false
-  def read("NaN"), do: :nan
-  def read(text) when text in ["Infinity", "∞"], do: :infinity
-  def read(text) when text in ["-Infinity", "-∞"], do: :neg_infinity
+  @spec parse_field(String.t()) :: term()
+  def parse_field(""), do: nil
+  def parse_field(text) when text in ["True", "true"], do: true
+  def parse_field(text) when text in ["False", "false"], do: false
+  def parse_field("NaN"), do: :nan
+  def parse_field(text) when text in ["Infinity", "∞"], do: :infinity
+  def parse_field(text) when text in ["-Infinity", "-∞"], do: :neg_infinity
 
-  def read(text) do
+  def parse_field(text) do
     case Regex.run(@canonical, text) do
-      [_, _] -> integer(text)
-      [_, _ | _] -> float(text)
+      [_, _] -> parse_integer(text)
+      [_, _ | _] -> parse_float(text)
       nil -> text
     end
   end
 
-  defp integer(text) when byte_size(text) <= 400, do: String.to_integer(text)
-  defp integer(text), do: text
+  defp parse_integer(text) when byte_size(text) <= 400, do: String.to_integer(text)
+  defp parse_integer(text), do: text
 
-  defp float(text) do
+  defp parse_float(text) do
     case Float.parse(text) do
       {x, ""} -> x
       _ -> text

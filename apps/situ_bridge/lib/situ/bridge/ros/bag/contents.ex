@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
   @moduledoc false
   # Reads the contents of a bag: its connections and the position of each message. They come from the index if there is
   # one. Otherwise (the recorder was killed, or the file is cut short), all chunks are scanned.
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.Bag.{Chunk, Record}
 
   # connections: number => %{topic, type, md5, definition}; places: number => [{time, chunk position, offset}]
@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
   @spec read(:file.fd(), non_neg_integer()) :: {:ok, %__MODULE__{}} | {:error, term()}
   def read(file, size) do
     case :file.pread(file, 0, byte_size(@magic)) do
-      {:ok, @magic} -> {:ok, indexed(file, size) || scanned(file, size)}
+      {:ok, @magic} -> {:ok, read_index(file, size) || scan_file(file, size)}
       {:ok, "#ROSBAG V" <> version} -> {:error, {:version, String.trim(version)}}
       {:ok, _} -> {:error, :not_bag}
       :eof -> {:error, :not_bag}
@@ -23,24 +23,25 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
   end
 
   # Reads the header of the record at `at`. Returns its kind, its fields, and the position and size of its data.
-  defp place(file, at, size) do
+  defp read_record(file, at, size) do
     with {:ok, <<h::little-32>>} when h <= @most_header and at + 8 + h <= size <-
            :file.pread(file, at, 4),
-         {:ok, <<header::binary-known(h), d::little-32>>} <- :file.pread(file, at + 4, h + 4),
-         {:ok, fields} <- Record.fields(header) do
-      {:ok, Record.op(fields), fields, at + 8 + h, d}
+         {:ok, <<header::binary-pinned_size(h), d::little-32>>} <-
+           :file.pread(file, at + 4, h + 4),
+         {:ok, fields} <- Record.parse_fields(header) do
+      {:ok, Record.record_kind(fields), fields, at + 8 + h, d}
     else
       _ -> :error
     end
   end
 
-  defp indexed(file, size) do
-    with {:ok, :bag, fields, _, _} <- place(file, byte_size(@magic), size),
-         at when is_integer(at) and at > 0 and at <= size <- Record.u64(fields, "index_pos"),
-         {:ok, contents, chunks} <- index_section(file, at, size, %__MODULE__{}, []),
-         true <- length(chunks) == Record.u32(fields, "chunk_count"),
+  defp read_index(file, size) do
+    with {:ok, :bag, fields, _, _} <- read_record(file, byte_size(@magic), size),
+         at when is_integer(at) and at > 0 and at <= size <- Record.get_u64(fields, "index_pos"),
+         {:ok, contents, chunks} <- read_index_section(file, at, size, %__MODULE__{}, []),
+         true <- length(chunks) == Record.get_u32(fields, "chunk_count"),
          %__MODULE__{} = contents <-
-           Enum.reduce_while(chunks, contents, &chunk_index(file, size, &1, &2)) do
+           Enum.reduce_while(chunks, contents, &read_chunk_index(file, size, &1, &2)) do
       contents
     else
       _ -> nil
@@ -48,28 +49,28 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
   end
 
   # Reads the connections and chunk infos, which continue to the end of the file.
-  defp index_section(_file, at, size, contents, chunks) when at == size,
+  defp read_index_section(_file, at, size, contents, chunks) when at == size,
     do: {:ok, contents, chunks}
 
-  defp index_section(file, at, size, contents, chunks) do
-    with {:ok, op, fields, data, n} when data + n <= size <- place(file, at, size) do
+  defp read_index_section(file, at, size, contents, chunks) do
+    with {:ok, op, fields, data, n} when data + n <= size <- read_record(file, at, size) do
       case op do
         :connection ->
-          index_section(
+          read_index_section(
             file,
             data + n,
             size,
-            connection(contents, fields, pread(file, data, n)),
+            put_connection(contents, fields, read_bytes(file, data, n)),
             chunks
           )
 
         :chunk_info ->
-          index_section(file, data + n, size, contents, [
-            {Record.u64(fields, "chunk_pos"), Record.u32(fields, "count")} | chunks
+          read_index_section(file, data + n, size, contents, [
+            {Record.get_u64(fields, "chunk_pos"), Record.get_u32(fields, "count")} | chunks
           ])
 
         _ ->
-          index_section(file, data + n, size, contents, chunks)
+          read_index_section(file, data + n, size, contents, chunks)
       end
     else
       _ -> :error
@@ -77,46 +78,53 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
   end
 
   # Reads the index records that follow a chunk; there is one for each connection.
-  defp chunk_index(file, size, {at, connections}, contents)
+  defp read_chunk_index(file, size, {at, connections}, contents)
        when is_integer(at) and is_integer(connections) do
-    with {:ok, :chunk, _, data, n} <- place(file, at, size),
-         {:ok, contents} <- index_records(file, size, data + n, connections, at, contents) do
+    with {:ok, :chunk, _, data, n} <- read_record(file, at, size),
+         {:ok, contents} <- read_index_records(file, size, data + n, connections, at, contents) do
       {:cont, contents}
     else
       _ -> {:halt, nil}
     end
   end
 
-  defp chunk_index(_file, _size, _chunk, _contents), do: {:halt, nil}
+  defp read_chunk_index(_file, _size, _chunk, _contents), do: {:halt, nil}
 
-  defp index_records(_file, _size, _at, 0, _chunk, contents), do: {:ok, contents}
+  defp read_index_records(_file, _size, _at, 0, _chunk, contents), do: {:ok, contents}
 
-  defp index_records(file, size, at, left, chunk, contents) do
-    with {:ok, :index, fields, data, n} when data + n <= size <- place(file, at, size),
-         number when is_integer(number) <- Record.u32(fields, "conn") do
+  defp read_index_records(file, size, at, left, chunk, contents) do
+    with {:ok, :index, fields, data, n} when data + n <= size <- read_record(file, at, size),
+         number when is_integer(number) <- Record.get_u32(fields, "conn") do
       found =
-        for <<time::binary-8, offset::little-32 <- pread(file, data, n)>>,
-          do: {Record.time(time), chunk, offset}
+        for <<time::binary-8, offset::little-32 <- read_bytes(file, data, n)>>,
+          do: {Record.parse_time(time), chunk, offset}
 
-      index_records(file, size, data + n, left - 1, chunk, put(contents, number, found))
+      read_index_records(
+        file,
+        size,
+        data + n,
+        left - 1,
+        chunk,
+        put_positions(contents, number, found)
+      )
     else
       _ -> :error
     end
   end
 
-  defp pread(file, at, n) do
+  defp read_bytes(file, at, n) do
     case :file.pread(file, at, n) do
       {:ok, bytes} -> bytes
       _ -> ""
     end
   end
 
-  defp put(contents, number, found),
+  defp put_positions(contents, number, found),
     do: %{contents | places: Map.update(contents.places, number, [found], &[found | &1])}
 
-  defp connection(contents, fields, data) do
-    with number when is_integer(number) <- Record.u32(fields, "conn"),
-         {:ok, about} <- Record.fields(data) do
+  defp put_connection(contents, fields, data) do
+    with number when is_integer(number) <- Record.get_u32(fields, "conn"),
+         {:ok, about} <- Record.parse_fields(data) do
       connection = %{
         topic: fields["topic"] || about["topic"] || "",
         type: about["type"] || "",
@@ -134,50 +142,56 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
 
   # Scanning the records of a bag without an index
 
-  defp scanned(file, size), do: scan(file, byte_size(@magic), size, %__MODULE__{indexed?: false})
+  defp scan_file(file, size),
+    do: scan_records(file, byte_size(@magic), size, %__MODULE__{indexed?: false})
 
-  defp scan(_file, at, size, contents) when at >= size, do: contents
+  defp scan_records(_file, at, size, contents) when at >= size, do: contents
 
-  defp scan(file, at, size, contents) do
-    case place(file, at, size) do
+  defp scan_records(file, at, size, contents) do
+    case read_record(file, at, size) do
       {:ok, :chunk, _fields, data, n} when data + n <= size ->
-        scan(file, data + n, size, chunk(file, at, size, contents))
+        scan_records(file, data + n, size, scan_chunk(file, at, size, contents))
 
       {:ok, :chunk, _fields, _data, _n} ->
-        file |> chunk(at, size, contents) |> torn(at)
+        file |> scan_chunk(at, size, contents) |> report_torn_record(at)
 
       {:ok, :connection, fields, data, n} when data + n <= size ->
-        scan(file, data + n, size, connection(contents, fields, pread(file, data, n)))
+        scan_records(
+          file,
+          data + n,
+          size,
+          put_connection(contents, fields, read_bytes(file, data, n))
+        )
 
       {:ok, _other, _fields, data, n} when data + n <= size ->
-        scan(file, data + n, size, contents)
+        scan_records(file, data + n, size, contents)
 
       _ ->
-        torn(contents, at)
+        report_torn_record(contents, at)
     end
   end
 
-  defp torn(contents, at),
+  defp report_torn_record(contents, at),
     do: %{
       contents
       | damage: ["the file is cut short in the record at byte #{at}" | contents.damage]
     }
 
-  defp chunk(file, at, size, contents) do
+  defp scan_chunk(file, at, size, contents) do
     case Chunk.read(file, at, size) do
-      {:ok, records} -> within(records, 0, at, contents)
+      {:ok, records} -> scan_chunk_records(records, 0, at, contents)
       {:error, why} -> %{contents | damage: ["the chunk at byte #{at}: #{why}" | contents.damage]}
     end
   end
 
-  defp within(records, offset, at, contents) do
-    case Record.take(records) do
+  defp scan_chunk_records(records, offset, at, contents) do
+    case Record.take_record(records) do
       {:ok, op, fields, data, rest} ->
-        within(
+        scan_chunk_records(
           rest,
           offset + byte_size(records) - byte_size(rest),
           at,
-          found(op, fields, data, {at, offset}, contents)
+          put_record(op, fields, data, {at, offset}, contents)
         )
 
       :error ->
@@ -185,16 +199,18 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
     end
   end
 
-  defp found(:message, fields, _data, {at, offset}, contents) do
-    case {Record.u32(fields, "conn"), Record.time(fields["time"])} do
+  defp put_record(:message, fields, _data, {at, offset}, contents) do
+    case {Record.get_u32(fields, "conn"), Record.parse_time(fields["time"])} do
       {number, time} when is_integer(number) and is_integer(time) ->
-        put(contents, number, [{time, at, offset}])
+        put_positions(contents, number, [{time, at, offset}])
 
       _ ->
         contents
     end
   end
 
-  defp found(:connection, fields, data, _place, contents), do: connection(contents, fields, data)
-  defp found(_op, _fields, _data, _place, contents), do: contents
+  defp put_record(:connection, fields, data, _place, contents),
+    do: put_connection(contents, fields, data)
+
+  defp put_record(_op, _fields, _data, _place, contents), do: contents
 end

@@ -13,13 +13,13 @@ defmodule Situ.Bridge.Ros.Bag.RealSense do
   Puts `:unit` into all tracks: the depth unit for depth images, and nil for other tracks. `first` returns the first
   message of a track.
   """
-  @spec tracks([map()], (map() -> term())) :: [map()]
-  def tracks(tracks, first) do
+  @spec put_depth_units([map()], (map() -> term())) :: [map()]
+  def put_depth_units(tracks, first) do
     for track <- tracks do
       with "sensor_msgs/Image" <- track.type,
            [_, sensor] <- Regex.run(@depth, track.topic) do
         option = Enum.find(tracks, &(&1.topic == sensor <> "/option/Depth_Units/value"))
-        unit = unit(option && first.(option))
+        unit = depth_unit(option && first.(option))
         Map.merge(track, %{unit: unit, situ: {:or, [DepthImage, :map]}})
       else
         _ -> Map.put(track, :unit, nil)
@@ -28,16 +28,16 @@ defmodule Situ.Bridge.Ros.Bag.RealSense do
   end
 
   # The option is a 32-bit float, which cannot represent 0.001 exactly, so it is rounded to seven digits.
-  defp unit(%{"data" => unit}), do: unit(unit)
+  defp depth_unit(%{"data" => unit}), do: depth_unit(unit)
 
-  defp unit(unit) when is_float(unit) and unit > 1.0e-9 and unit < 1.0,
+  defp depth_unit(unit) when is_float(unit) and unit > 1.0e-9 and unit < 1.0,
     do: Float.round(unit, 6 - floor(:math.log10(unit)))
 
-  defp unit(_none), do: @unit
+  defp depth_unit(_none), do: @unit
 
   @doc "Converts the gray image of a depth track to a depth image. Returns other data unchanged."
-  @spec data(term(), float() | nil) :: term()
-  def data(%Image{format: :gray16} = image, unit) when is_float(unit) do
+  @spec convert_depth(term(), float() | nil) :: term()
+  def convert_depth(%Image{format: :gray16} = image, unit) when is_float(unit) do
     size = [width: image.width, height: image.height, stride: image.stride]
 
     case DepthImage.new([data: image.data, scale: unit] ++ size) do
@@ -46,5 +46,5 @@ defmodule Situ.Bridge.Ros.Bag.RealSense do
     end
   end
 
-  def data(data, _unit), do: data
+  def convert_depth(data, _unit), do: data
 end

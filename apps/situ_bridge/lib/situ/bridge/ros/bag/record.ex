@@ -10,58 +10,62 @@ defmodule Situ.Bridge.Ros.Bag.Record do
   @type fields :: %{String.t() => binary()}
 
   @doc "Parses the fields of a header."
-  @spec fields(binary()) :: {:ok, fields()} | :error
-  def fields(bytes), do: fields(bytes, %{})
+  @spec parse_fields(binary()) :: {:ok, fields()} | :error
+  def parse_fields(bytes), do: collect_fields(bytes, %{})
 
-  defp fields("", found), do: {:ok, found}
+  defp collect_fields("", found), do: {:ok, found}
 
-  defp fields(<<n::little-32, field::binary-size(n), rest::binary>>, found) do
+  defp collect_fields(<<n::little-32, field::binary-size(n), rest::binary>>, found) do
     case :binary.split(field, "=") do
-      [name, value] -> fields(rest, Map.put(found, name, value))
+      [name, value] -> collect_fields(rest, Map.put(found, name, value))
       _ -> :error
     end
   end
 
-  defp fields(_, _found), do: :error
+  defp collect_fields(_, _found), do: :error
 
   @doc "Returns the kind of the record with these header fields, or nil if the kind is unknown."
-  @spec op(fields()) :: op() | nil
-  def op(%{"op" => <<code>>}), do: @ops[code]
-  def op(_), do: nil
+  @spec record_kind(fields()) :: op() | nil
+  def record_kind(%{"op" => <<code>>}), do: @ops[code]
+  def record_kind(_), do: nil
 
   @doc "Takes the first record off `bytes`. Returns its kind, header fields and data, and the remaining bytes."
-  @spec take(binary()) :: {:ok, op() | nil, fields(), binary(), binary()} | :error
-  def take(
+  @spec take_record(binary()) :: {:ok, op() | nil, fields(), binary(), binary()} | :error
+  def take_record(
         <<h::little-32, header::binary-size(h), d::little-32, data::binary-size(d), rest::binary>>
       ) do
-    with {:ok, fields} <- fields(header), do: {:ok, op(fields), fields, data, rest}
+    with {:ok, fields} <- parse_fields(header), do: {:ok, record_kind(fields), fields, data, rest}
   end
 
-  def take(_), do: :error
+  def take_record(_), do: :error
 
   @doc "Encodes a record."
-  @spec write(op(), [{String.t(), iodata()}], iodata()) :: iodata()
-  def write(op, fields, data) do
-    header = header([{"op", <<@codes[op]>>} | fields])
+  @spec encode_record(op(), [{String.t(), iodata()}], iodata()) :: iodata()
+  def encode_record(op, fields, data) do
+    header = encode_fields([{"op", <<@codes[op]>>} | fields])
     [<<IO.iodata_length(header)::little-32>>, header, <<IO.iodata_length(data)::little-32>>, data]
   end
 
   @doc "Encodes named fields."
-  @spec header([{String.t(), iodata()}]) :: iodata()
-  def header(fields) do
+  @spec encode_fields([{String.t(), iodata()}]) :: iodata()
+  def encode_fields(fields) do
     for {name, value} <- fields,
         do: [<<byte_size(name) + 1 + IO.iodata_length(value)::little-32>>, name, "=", value]
   end
 
   @doc "Returns the value of a 32-bit field, or nil."
-  def u32(fields, name), do: with(%{^name => <<n::little-32>>} <- fields, do: n, else: (_ -> nil))
+  def get_u32(fields, name),
+    do: with(%{^name => <<n::little-32>>} <- fields, do: n, else: (_ -> nil))
+
   @doc "Returns the value of a 64-bit field, or nil."
-  def u64(fields, name), do: with(%{^name => <<n::little-64>>} <- fields, do: n, else: (_ -> nil))
+  def get_u64(fields, name),
+    do: with(%{^name => <<n::little-64>>} <- fields, do: n, else: (_ -> nil))
 
   @doc "Converts a time in seconds and nanoseconds to nanoseconds."
-  def time(<<seconds::little-32, ns::little-32>>), do: seconds * 1_000_000_000 + ns
-  def time(_), do: nil
+  def parse_time(<<seconds::little-32, ns::little-32>>), do: seconds * 1_000_000_000 + ns
+  def parse_time(_), do: nil
 
   @doc "Encodes a time in nanoseconds as seconds and nanoseconds."
-  def stamp(ns), do: <<div(ns, 1_000_000_000)::little-32, rem(ns, 1_000_000_000)::little-32>>
+  def encode_time(ns),
+    do: <<div(ns, 1_000_000_000)::little-32, rem(ns, 1_000_000_000)::little-32>>
 end

@@ -54,73 +54,79 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   @impl true
   def create(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @file_options),
-         {:ok, file} <- open(path),
+         {:ok, file} <- open_file(path),
          writer = %__MODULE__{
            path: path,
            file: file,
            chunk: opts[:chunk],
            compression: opts[:compression]
          },
-         {:ok, writer} <- append(writer, [@magic, first(0, 0, 0)]),
+         {:ok, writer} <- append_bytes(writer, [@magic, first_record(0, 0, 0)]),
          do: {:ok, writer}
   end
 
-  defp open(path) do
+  defp open_file(path) do
     with {:error, reason} <- :file.open(path, [:write, :raw, :binary]),
-         do: {:error, io(path, reason)}
+         do: {:error, file_error(path, reason)}
   end
 
-  defp io(path, :enospc),
+  defp file_error(path, :enospc),
     do:
       Error.new(:disk_full, "no space left on the disk of #{path}",
         fix: "free some space, or write to another disk"
       )
 
-  defp io(path, reason),
+  defp file_error(path, reason),
     do: Error.new(:io, "cannot write #{path}", why: to_string(:file.format_error(reason)))
 
-  defp first(index, connections, chunks) do
+  defp first_record(index, connections, chunks) do
     fields = [
       {"index_pos", <<index::little-64>>},
       {"conn_count", <<connections::little-32>>},
       {"chunk_count", <<chunks::little-32>>}
     ]
 
-    header = IO.iodata_length(Record.header([{"op", <<3>>} | fields]))
-    Record.write(:bag, fields, :binary.copy(" ", @first - 8 - header))
+    header = IO.iodata_length(Record.encode_fields([{"op", <<3>>} | fields]))
+    Record.encode_record(:bag, fields, :binary.copy(" ", @first - 8 - header))
   end
 
-  defp append(writer, bytes) do
+  defp append_bytes(writer, bytes) do
     case :file.write(writer.file, bytes) do
       :ok -> {:ok, %{writer | at: writer.at + IO.iodata_length(bytes)}}
-      {:error, reason} -> {:error, io(writer.path, reason)}
+      {:error, reason} -> {:error, file_error(writer.path, reason)}
     end
   end
 
   @impl true
   def write(writer, topic, message, opts) do
-    with {:ok, writer, channel} <- channel(writer, topic, message.data, opts),
+    with {:ok, writer, channel} <- ensure_channel(writer, topic, message.data, opts),
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
          {recorded, _sent} = Extra.fetch_times(message),
-         {:ok, time} <- time(topic, recorded) do
+         {:ok, time} <- check_time(topic, recorded) do
       record =
-        Record.write(
+        Record.encode_record(
           :message,
-          [{"conn", <<channel.id::little-32>>}, {"time", Record.stamp(time)}],
+          [{"conn", <<channel.id::little-32>>}, {"time", Record.encode_time(time)}],
           bytes
         )
 
       index =
         Map.update(writer.index, channel.id, [{time, writer.size}], &[{time, writer.size} | &1])
 
-      writer = %{writer | index: index, span: span(writer.span, time), count: writer.count + 1}
-      pend(writer, record)
+      writer = %{
+        writer
+        | index: index,
+          span: extend_span(writer.span, time),
+          count: writer.count + 1
+      }
+
+      add_pending(writer, record)
     end
   end
 
-  defp time(_topic, time) when time in 0..4_294_967_295_999_999_999, do: {:ok, time}
+  defp check_time(_topic, time) when time in 0..4_294_967_295_999_999_999, do: {:ok, time}
 
-  defp time(topic, time),
+  defp check_time(topic, time),
     do:
       {:error,
        Error.new(
@@ -129,10 +135,10 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
          why: "bags store only times from 1970 to 2106"
        )}
 
-  defp span(nil, time), do: {time, time}
-  defp span({first, last}, time), do: {min(first, time), max(last, time)}
+  defp extend_span(nil, time), do: {time, time}
+  defp extend_span({first, last}, time), do: {min(first, time), max(last, time)}
 
-  defp pend(writer, record) do
+  defp add_pending(writer, record) do
     writer = %{
       writer
       | pending: [record | writer.pending],
@@ -142,7 +148,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
     if writer.size >= writer.chunk, do: end_chunk(writer), else: {:ok, writer}
   end
 
-  defp channel(writer, topic, data, opts) do
+  defp ensure_channel(writer, topic, data, opts) do
     case writer.channels do
       %{^topic => channel} ->
         {:ok, writer, channel}
@@ -153,14 +159,17 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
           channel = %{channel | id: map_size(channels)}
 
           {:ok, writer} =
-            pend(%{writer | channels: Map.put(channels, topic, channel)}, connection(channel))
+            add_pending(
+              %{writer | channels: Map.put(channels, topic, channel)},
+              connection_record(channel)
+            )
 
           {:ok, writer, channel}
         end
     end
   end
 
-  defp connection(%{schema: {type, _, text}} = channel) do
+  defp connection_record(%{schema: {type, _, text}} = channel) do
     about = [
       {"topic", channel.topic},
       {"type", type},
@@ -168,10 +177,10 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
       {"message_definition", text}
     ]
 
-    Record.write(
+    Record.encode_record(
       :connection,
       [{"conn", <<channel.id::little-32>>}, {"topic", channel.topic}],
-      Record.header(about)
+      Record.encode_fields(about)
     )
   end
 
@@ -185,15 +194,20 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
       {"size", <<writer.size::little-32>>}
     ]
 
-    chunk = Record.write(:chunk, fields, packed(writer.compression, Enum.reverse(writer.pending)))
+    chunk =
+      Record.encode_record(
+        :chunk,
+        fields,
+        pack_records(writer.compression, Enum.reverse(writer.pending))
+      )
 
     indexes =
       for {id, found} <- Enum.sort(writer.index) do
         rows =
           for {time, offset} <- Enum.reverse(found),
-              do: [Record.stamp(time), <<offset::little-32>>]
+              do: [Record.encode_time(time), <<offset::little-32>>]
 
-        Record.write(
+        Record.encode_record(
           :index,
           [
             {"ver", <<1::little-32>>},
@@ -204,16 +218,16 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
         )
       end
 
-    with {:ok, writer} <- append(writer, [chunk, indexes]) do
+    with {:ok, writer} <- append_bytes(writer, [chunk, indexes]) do
       counts = for {id, found} <- Enum.sort(writer.index), do: {id, length(found)}
       info = {position, writer.span || {0, 0}, counts}
       {:ok, %{writer | pending: [], size: 0, index: %{}, span: nil, infos: [info | writer.infos]}}
     end
   end
 
-  defp packed(:none, records), do: records
+  defp pack_records(:none, records), do: records
 
-  defp packed(:lz4, records) do
+  defp pack_records(:lz4, records) do
     {:ok, bytes} = records |> IO.iodata_to_binary() |> Native.pack_lz4()
     bytes
   end
@@ -226,29 +240,36 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   def finish(writer) do
     with {:ok, %{at: index} = writer} <- end_chunk(writer),
          {:ok, writer} <-
-           append(writer, [connections(writer), Enum.map(Enum.reverse(writer.infos), &info/1)]),
-         head = first(index, map_size(writer.channels), length(writer.infos)),
-         :ok <- written(:file.pwrite(writer.file, byte_size(@magic), head), writer),
-         :ok <- written(:file.datasync(writer.file), writer),
-         :ok <- written(:file.close(writer.file), writer),
+           append_bytes(writer, [
+             connection_records(writer),
+             Enum.map(Enum.reverse(writer.infos), &chunk_info_record/1)
+           ]),
+         head = first_record(index, map_size(writer.channels), length(writer.infos)),
+         :ok <- check_written(:file.pwrite(writer.file, byte_size(@magic), head), writer),
+         :ok <- check_written(:file.datasync(writer.file), writer),
+         :ok <- check_written(:file.close(writer.file), writer),
          do: {:ok, nil}
   end
 
-  defp written(:ok, _writer), do: :ok
-  defp written({:error, reason}, writer), do: {:error, io(writer.path, reason)}
+  defp check_written(:ok, _writer), do: :ok
+  defp check_written({:error, reason}, writer), do: {:error, file_error(writer.path, reason)}
 
-  defp connections(writer),
-    do: writer.channels |> Map.values() |> Enum.sort_by(& &1.id) |> Enum.map(&connection/1)
+  defp connection_records(writer),
+    do: writer.channels |> Map.values() |> Enum.sort_by(& &1.id) |> Enum.map(&connection_record/1)
 
-  defp info({position, {first, last}, counts}) do
+  defp chunk_info_record({position, {first, last}, counts}) do
     fields = [
       {"ver", <<1::little-32>>},
       {"chunk_pos", <<position::little-64>>},
-      {"start_time", Record.stamp(first)},
-      {"end_time", Record.stamp(last)},
+      {"start_time", Record.encode_time(first)},
+      {"end_time", Record.encode_time(last)},
       {"count", <<length(counts)::little-32>>}
     ]
 
-    Record.write(:chunk_info, fields, for({id, n} <- counts, do: <<id::little-32, n::little-32>>))
+    Record.encode_record(
+      :chunk_info,
+      fields,
+      for({id, n} <- counts, do: <<id::little-32, n::little-32>>)
+    )
   end
 end

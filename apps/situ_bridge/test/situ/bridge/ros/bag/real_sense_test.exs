@@ -23,7 +23,7 @@ defmodule Situ.Bridge.Ros.Bag.RealSenseTest do
   string frame_id
   """
 
-  # Topics, types and encodings as the SDK's documentation has them.
+  # Topics, types and encodings follow the SDK's documentation.
   defp bag(dir, opts) do
     path = Path.join(dir, "d435.bag")
     grey = fn pixels -> Image.new!(width: 2, height: 1, format: :gray16, data: pixels) end
@@ -75,7 +75,7 @@ defmodule Situ.Bridge.Ros.Bag.RealSenseTest do
 
   defp one(store, topic), do: store |> Store.messages(topic) |> Enum.map(& &1.data) |> hd()
 
-  test "depth has the unit that the sensor was set to; other grey pictures stay such", %{
+  test "applies the sensor's unit to depth, and leaves other gray images unchanged", %{
     tmp_dir: dir
   } do
     store = Store.open!(bag(dir, unit: 1.0e-4))
@@ -87,13 +87,13 @@ defmodule Situ.Bridge.Ros.Bag.RealSenseTest do
     assert Enum.find(Store.streams(store), &(&1.name == @depth)).type == {:or, [DepthImage, :map]}
   end
 
-  test "without that option, or with one that is none, a unit is a millimetre", %{tmp_dir: dir} do
+  test "defaults to millimeters if the unit is missing or invalid", %{tmp_dir: dir} do
     for unit <- [nil, 0.0, -1.0, 7.0] do
       assert %DepthImage{scale: 0.001} = one(Store.open!(bag(dir, unit: unit)), @depth)
     end
   end
 
-  test "the SDK's lenses are known, one without bending by any name", %{tmp_dir: dir} do
+  test "knows the SDK's lenses, and any lens without distortion", %{tmp_dir: dir} do
     camera = fn opts ->
       dir |> bag(opts) |> Store.open!() |> one(@sensor <> "/Depth_0/info/camera_info")
     end
@@ -107,7 +107,7 @@ defmodule Situ.Bridge.Ros.Bag.RealSenseTest do
 
     assert %CameraIntrinsics{distorts?: true} = camera.(lens: "Brown Conrady")
     assert %CameraIntrinsics{} = camera.(lens: "Kannala Brandt4", bend: [0.0, 0.0, 0.0, 0.0, 0.0])
-    # Another lens would be wrong: the message stays as it is.
+    # Assuming another lens would be wrong, so the message stays a map.
     assert %{"distortion_model" => "Kannala Brandt4"} = camera.(lens: "Kannala Brandt4")
   end
 end

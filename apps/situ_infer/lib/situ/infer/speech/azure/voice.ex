@@ -25,9 +25,14 @@ defmodule Situ.Infer.Speech.Azure.Voice do
       {"x-microsoft-outputformat", "raw-24khz-16bit-mono-pcm"}
     ]
 
-    with :ok <- Upload.text(text),
+    with :ok <- Upload.check_text(text),
          {:ok, %{body: data}} <-
-           Service.post(azure.synthesizer, "/cognitiveservices/v1", headers, ssml(text, opts)) do
+           Service.post(
+             azure.synthesizer,
+             "/cognitiveservices/v1",
+             headers,
+             build_ssml(text, opts)
+           ) do
       even = byte_size(data) - rem(byte_size(data), 2)
       AudioBuffer.new(format: AudioFormat.pcm(@rate), data: binary_part(data, 0, even))
     else
@@ -36,16 +41,16 @@ defmodule Situ.Infer.Speech.Azure.Voice do
     end
   end
 
-  defp ssml(text, %{ssml: true}), do: text
+  defp build_ssml(text, %{ssml: true}), do: text
 
-  defp ssml(text, opts) do
+  defp build_ssml(text, opts) do
     [
       ~s(<speak version="1.0" xmlns="http://www.w3.org/2001/10/synthesis" xml:lang="),
-      Upload.escape(opts.language),
+      Upload.escape_xml(opts.language),
       ~s("><voice name="),
-      Upload.escape(opts.voice),
+      Upload.escape_xml(opts.voice),
       ~s(">),
-      Upload.escape(text),
+      Upload.escape_xml(text),
       "</voice></speak>"
     ]
   end

@@ -5,7 +5,7 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   espeak-ng transcribes the text in the International Phonetic Alphabet. Diphthongs and some other phonemes are then
   replaced by single symbols, as in Kokoro's alphabet. Punctuation is kept because it affects the intonation.
 
-      iex> Situ.Infer.Speech.Hibari.Phonemes.translate("həlˈo^ʊ d^ʒˈɔ^ɪ")
+      iex> Situ.Infer.Speech.Hibari.Phonemes.translate_ipa("həlˈo^ʊ d^ʒˈɔ^ɪ")
       "həlˈO ʤˈY"
   """
   alias Situ.Error
@@ -43,8 +43,8 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   ]
 
   @doc "Checks that espeak-ng is installed; the error is `:no_espeak`."
-  @spec ready() :: :ok | {:error, Error.t()}
-  def ready do
+  @spec check_installed() :: :ok | {:error, Error.t()}
+  def check_installed do
     if System.find_executable("espeak-ng"),
       do: :ok,
       else:
@@ -56,48 +56,48 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   end
 
   @doc "Splits a text into sentences and converts each to a string of phonemes; sentences without words are dropped."
-  @spec sentences(String.t()) :: {:ok, [String.t()]} | {:error, Error.t()}
-  def sentences(text) do
+  @spec sentence_phonemes(String.t()) :: {:ok, [String.t()]} | {:error, Error.t()}
+  def sentence_phonemes(text) do
     sentences = String.split(text, ~r/(?<=[.!?…])\s+|\n+/u, trim: true)
 
-    with {:ok, signs} <- Error.map(sentences, &sentence/1),
+    with {:ok, signs} <- Error.map_ok(sentences, &convert_sentence/1),
          do: {:ok, Enum.reject(signs, &(&1 == ""))}
   end
 
-  defp sentence(sentence) do
+  defp convert_sentence(sentence) do
     parts = Regex.split(~r/([,;:.!?…—]+)(?=\s|$)/u, sentence, include_captures: true, trim: true)
 
-    with {:ok, clauses} <- Error.map(parts, &clause/1) do
+    with {:ok, clauses} <- Error.map_ok(parts, &convert_clause/1) do
       signs = Enum.join(clauses)
       {:ok, if(signs =~ ~r/\p{L}/u, do: String.trim(signs), else: "")}
     end
   end
 
-  defp clause(part) do
+  defp convert_clause(part) do
     cond do
       part =~ ~r/^[,;:.!?…—]+$/u -> {:ok, String.first(part) <> " "}
-      part =~ ~r/[\p{L}\p{N}\p{S}]/u -> pronounced(part)
+      part =~ ~r/[\p{L}\p{N}\p{S}]/u -> run_espeak(part)
       true -> {:ok, ""}
     end
   end
 
-  defp pronounced(part) do
+  defp run_espeak(part) do
     command =
       ["timeout", "-k", "1", "#{@seconds}", "espeak-ng", "-q", "-v", "en-us", "--ipa", "--tie=^"] ++
         ["--", part]
 
     case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
-      {ipa, 0} -> {:ok, ipa |> String.split() |> Enum.join(" ") |> translate()}
-      {_, status} -> {:error, failed(status)}
+      {ipa, 0} -> {:ok, ipa |> String.split() |> Enum.join(" ") |> translate_ipa()}
+      {_, status} -> {:error, espeak_error(status)}
     end
   end
 
-  defp failed(status),
+  defp espeak_error(status),
     do: Error.new(:synthesis_failed, "espeak-ng exited with status #{status}")
 
   @doc "Converts the phonetic alphabet written by `espeak-ng --ipa --tie=^` to Hibari's symbols."
-  @spec translate(String.t()) :: String.t()
-  def translate(ipa) do
+  @spec translate_ipa(String.t()) :: String.t()
+  def translate_ipa(ipa) do
     Enum.reduce(@tied, ipa, fn {from, to}, signs -> String.replace(signs, from, to) end)
   end
 end

@@ -25,27 +25,28 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
   @type t :: %__MODULE__{model: Model.t(), noise: binary()}
 
   @doc "Returns the sample rate in Hz."
-  @spec rate() :: pos_integer()
-  def rate, do: @rate
+  @spec sample_rate() :: pos_integer()
+  def sample_rate, do: @rate
 
   @doc "Builds and loads the model, and generates the noise."
   @spec load() :: {:ok, t()} | {:error, Error.t()}
   def load do
     with {:ok, model} <-
-           Model.from_bytes(graph(), "vocoder", warm_up: 0, schedule: :dirty, sessions: 1),
-         do: {:ok, %__MODULE__{model: model, noise: noise()}}
+           Model.from_bytes(build_graph(), "vocoder", warm_up: 0, schedule: :dirty, sessions: 1),
+         do: {:ok, %__MODULE__{model: model, noise: generate_noise()}}
   end
 
   @doc "Converts the network's outputs, given by name, to audio as 32-bit floats."
-  @spec sound(t(), %{String.t() => Tensor.t()}) :: {:ok, binary()} | {:error, Error.t()}
-  def sound(%__MODULE__{} = vocoder, %{"f0" => %Tensor{shape: {1, frames}}} = spectrum)
+  @spec synthesize_audio(t(), %{String.t() => Tensor.t()}) ::
+          {:ok, binary()} | {:error, Error.t()}
+  def synthesize_audio(%__MODULE__{} = vocoder, %{"f0" => %Tensor{shape: {1, frames}}} = spectrum)
       when frames in 3..@most_frames do
     inputs =
       spectrum
       |> Map.take(~w(lh theta ln lr phi))
       |> Map.merge(%{
-        "pulses" => Tensor.new(pulses(spectrum["f0"]), :f32, {1, 1, frames * @hop}),
-        "noise" => Tensor.new(rows(vocoder.noise, frames), :f32, {1, 2 * @bins, frames}),
+        "pulses" => Tensor.new(pulse_train(spectrum["f0"]), :f32, {1, 1, frames * @hop}),
+        "noise" => Tensor.new(noise_rows(vocoder.noise, frames), :f32, {1, 2 * @bins, frames}),
         "ones" => Tensor.new(:binary.copy(<<1.0::float-native-32>>, frames), :f32, {1, 1, frames})
       })
 
@@ -53,7 +54,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
          do: {:ok, binary_part(data, div(@window, 2) * 4, frames * @hop * 4)}
   end
 
-  def sound(%__MODULE__{}, %{"f0" => %Tensor{shape: shape}}) do
+  def synthesize_audio(%__MODULE__{}, %{"f0" => %Tensor{shape: shape}}) do
     {:error,
      Error.new(:synthesis_failed, "unexpected spectra of shape #{inspect(shape)} for a sentence",
        fix: "use shorter sentences"
@@ -64,25 +65,26 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
   Returns the pulses of a pitch (Hz, one number per frame of #{@hop} samples) as 32-bit floats. They contain all
   harmonics below 11 kHz at the same strength. A pitch below 40 Hz means unvoiced and gives no pulses.
   """
-  @spec pulses(Tensor.t()) :: binary()
-  def pulses(%Tensor{} = f0) do
+  @spec pulse_train(Tensor.t()) :: binary()
+  def pulse_train(%Tensor{} = f0) do
     [first | _] = pitches = Tensor.to_list(f0)
 
     {parts, _, _} =
       pitches
       |> Enum.zip(tl(pitches) ++ [List.last(pitches)])
       |> Enum.reduce({[], first, 0.0}, fn {now, next}, {parts, before, phase} ->
-        {part, phase} = frame(0, before, now, next, phase, [])
+        {part, phase} = frame_samples(0, before, now, next, phase, [])
         {[part | parts], now, phase}
       end)
 
     parts |> Enum.reverse() |> IO.iodata_to_binary()
   end
 
-  defp frame(@hop, _before, _now, _next, phase, samples), do: {Enum.reverse(samples), phase}
+  defp frame_samples(@hop, _before, _now, _next, phase, samples),
+    do: {Enum.reverse(samples), phase}
 
   # Interpolates the pitch linearly from the middle of a frame to the middle of the next.
-  defp frame(j, before, now, next, phase, samples) do
+  defp frame_samples(j, before, now, next, phase, samples) do
     u = (j + 0.5) / @hop
 
     hz =
@@ -92,18 +94,18 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
 
     phase = phase + max(hz, 40.0) / @rate
     phase = phase - trunc(phase)
-    x = if hz > 40.0, do: pulse(phase * 2 * :math.pi(), hz), else: 0.0
-    frame(j + 1, before, now, next, phase, [<<x::float-native-32>> | samples])
+    x = if hz > 40.0, do: pulse_sample(phase * 2 * :math.pi(), hz), else: 0.0
+    frame_samples(j + 1, before, now, next, phase, [<<x::float-native-32>> | samples])
   end
 
   # Computes the sum of cosines up to the last harmonic in closed form.
-  defp pulse(t, hz) do
+  defp pulse_sample(t, hz) do
     harmonics = floor(11_000 / hz) + 0.5
     s = 2 * :math.sin(t / 2)
     if abs(s) <= 2.0e-3, do: harmonics - 0.5, else: :math.sin(harmonics * t) / s - 0.5
   end
 
-  defp noise do
+  defp generate_noise do
     {numbers, _} =
       Enum.map_reduce(1..@noise, :rand.seed_s(:exsss, 24_000), fn _, state ->
         {x, state} = :rand.normal_s(state)
@@ -113,13 +115,13 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
     IO.iodata_to_binary(numbers)
   end
 
-  defp rows(noise, frames) do
+  defp noise_rows(noise, frames) do
     for bin <- 0..(2 * @bins - 1), into: <<>> do
       binary_part(noise, 4 * rem(bin * @stride, @noise - frames), 4 * frames)
     end
   end
 
-  defp graph do
+  defp build_graph do
     spectrum = for name <- ~w(lh theta ln lr phi), do: {name, :f32, {1, @bins, nil}}
 
     Onnx.encode(
@@ -131,11 +133,15 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
             {"ones", :f32, {1, 1, nil}}
           ],
       outputs: [{"sound", :f32, {1, 1, nil}}],
-      constants: constants(),
+      constants: graph_constants(),
       nodes:
         pulses_nodes() ++
-          part("lh", [{"Tanh", ["theta"], ["turn"], []}, {"Mul", ["turn", "pi"], ["lh_turn"], []}]) ++
-          part("lr", [{"Identity", ["phi"], ["lr_turn"], []}]) ++ sum_nodes() ++ inverse_nodes()
+          spectrum_nodes("lh", [
+            {"Tanh", ["theta"], ["turn"], []},
+            {"Mul", ["turn", "pi"], ["lh_turn"], []}
+          ]) ++
+          spectrum_nodes("lr", [{"Identity", ["phi"], ["lr_turn"], []}]) ++
+          sum_nodes() ++ inverse_nodes()
     )
   end
 
@@ -152,7 +158,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
   end
 
   # Converts a log magnitude and a phase to real and imaginary parts.
-  defp part(name, turned) do
+  defp spectrum_nodes(name, turned) do
     turned ++
       [
         {"Min", [name, "seven"], [name <> "_low"], []},
@@ -194,7 +200,7 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
     ]
   end
 
-  defp constants do
+  defp graph_constants do
     number = &Tensor.from_list([&1], :f32, {1})
     index = &Tensor.from_list([&1], :s64, {1})
 
@@ -203,11 +209,11 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
           bin <- 0..(@bins - 1),
           do: if(bin in [0, @bins - 1], do: 1, else: 2) / @window
 
-    squares = for n <- 0..(@window - 1), do: :math.pow(hann(n), 2)
+    squares = for n <- 0..(@window - 1), do: :math.pow(hann_weight(n), 2)
 
     %{
       "pads" => Tensor.from_list([0, 0, 600, 0, 0, 600], :s64, {6}),
-      "waves" => Tensor.new(waves(), :f32, {2 * @bins, 1, @window}),
+      "waves" => Tensor.new(windowed_waves(), :f32, {2 * @bins, 1, @window}),
       "squares" => Tensor.from_list(squares, :f32, {1, 1, @window}),
       "scale" => Tensor.from_list(scale, :f32, {1, 2 * @bins, 1}),
       "pulse_scale" => number.(4 / @window),
@@ -224,16 +230,16 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
   end
 
   # Returns the windowed cos and -sin of each bin. All bins share one table of angles for a full period.
-  defp waves do
+  defp windowed_waves do
     angles = for n <- 0..(@window - 1), do: 2 * :math.pi() * n / @window
     cosines = angles |> Enum.map(&:math.cos/1) |> List.to_tuple()
     sines = angles |> Enum.map(&(-:math.sin(&1))) |> List.to_tuple()
-    window = for n <- 0..(@window - 1), do: {n, hann(n)}
+    window = for n <- 0..(@window - 1), do: {n, hann_weight(n)}
 
     for table <- [cosines, sines], bin <- 0..(@bins - 1), {n, w} <- window, into: <<>> do
       <<elem(table, rem(bin * n, @window)) * w::float-native-32>>
     end
   end
 
-  defp hann(n), do: 0.5 - 0.5 * :math.cos(2 * :math.pi() * n / @window)
+  defp hann_weight(n), do: 0.5 - 0.5 * :math.cos(2 * :math.pi() * n / @window)
 end

@@ -21,7 +21,7 @@ defmodule Situ.Infer.Speech.OpenAI.Voice do
     body = %{model: opts.synthesizer, voice: opts.voice, input: text, response_format: "pcm"}
     format = AudioFormat.pcm(round(opts.rate))
 
-    with :ok <- Upload.text(text),
+    with :ok <- Upload.check_text(text),
          {:ok, %{body: data}} <-
            Service.post(
              service,

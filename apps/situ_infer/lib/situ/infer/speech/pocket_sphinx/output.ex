@@ -3,7 +3,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   Parses the output of PocketSphinx's programs: words with times, alternatives, keywords. Pure.
 
       iex> line = "sound S 0 T -10 A -8 L -2 0 -3 0 <sil> 20 -5 0 ten(2) 60 -2 0 <sil> 90"
-      iex> Situ.Infer.Speech.PocketSphinx.Output.segments(line).words
+      iex> Situ.Infer.Speech.PocketSphinx.Output.parse_segments(line).words
       [%{text: "ten", from: 200_000_000, to: 600_000_000}]
   """
 
@@ -30,13 +30,13 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
         }
 
   @doc "Parses a line of `-hypseg`: words with times (ns), the total acoustic score, and the number of frames."
-  @spec segments(String.t()) :: said()
-  def segments(line) do
+  @spec parse_segments(String.t()) :: said()
+  def parse_segments(line) do
     case String.split(line) do
       [_, "S", _, "T", _, "A", score, "L", _ | rest] ->
-        {words, frames} = words(rest, [])
+        {words, frames} = parse_words(rest, [])
         text = Enum.map_join(words, " ", & &1.text)
-        %{words: words, text: text, score: integer(score), frames: frames}
+        %{words: words, text: text, score: parse_integer(score), frames: frames}
 
       _ ->
         %{words: [], text: "", score: 0, frames: 0}
@@ -44,23 +44,26 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   end
 
   # Each word has its start, two scores and the text; the start of the next word is its end.
-  defp words([from, _, _, word | [to | _] = rest], words) do
-    case spoken(word) do
-      nil -> words(rest, words)
-      text -> words(rest, [%{text: text, from: time(from), to: time(to)} | words])
+  defp parse_words([from, _, _, word | [to | _] = rest], words) do
+    case spoken_word(word) do
+      nil ->
+        parse_words(rest, words)
+
+      text ->
+        parse_words(rest, [%{text: text, from: frames_to_ns(from), to: frames_to_ns(to)} | words])
     end
   end
 
-  defp words([frames | _], words), do: {Enum.reverse(words), integer(frames)}
-  defp words([], words), do: {Enum.reverse(words), 0}
+  defp parse_words([frames | _], words), do: {Enum.reverse(words), parse_integer(frames)}
+  defp parse_words([], words), do: {Enum.reverse(words), 0}
 
   # Silence, noise and grammar markers are not words; `ten(2)` is an alternative pronunciation of `ten`.
-  defp spoken(<<first, _::binary>>) when first in ~c"<([+", do: nil
-  defp spoken(word), do: word |> String.split("(") |> hd()
+  defp spoken_word(<<first, _::binary>>) when first in ~c"<([+", do: nil
+  defp spoken_word(word), do: word |> String.split("(") |> hd()
 
-  defp time(frames), do: integer(frames) * @frame
+  defp frames_to_ns(frames), do: parse_integer(frames) * @frame
 
-  defp integer(text) do
+  defp parse_integer(text) do
     case Integer.parse(text) do
       {n, _} -> n
       :error -> 0
@@ -70,16 +73,16 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   @doc """
   Parses the lines of an n-best list: texts with their best scores, best first.
 
-      iex> Situ.Infer.Speech.PocketSphinx.Output.alternatives("two four -7\\nfour -3\\nfour -9\\n")
+      iex> Situ.Infer.Speech.PocketSphinx.Output.parse_alternatives("two four -7\\nfour -3\\nfour -9\\n")
       [{"four", -3}, {"two four", -7}]
   """
-  @spec alternatives(String.t()) :: [{String.t(), integer()}]
-  def alternatives(text) do
+  @spec parse_alternatives(String.t()) :: [{String.t(), integer()}]
+  def parse_alternatives(text) do
     text
     |> String.split("\n", trim: true)
     |> Enum.flat_map(fn line ->
       case line |> String.split() |> List.pop_at(-1) do
-        {score, [_ | _] = words} -> [{Enum.join(words, " "), integer(score)}]
+        {score, [_ | _] = words} -> [{Enum.join(words, " "), parse_integer(score)}]
         _ -> []
       end
     end)
@@ -88,20 +91,20 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   end
 
   @doc "Returns the share of the bare phones' likelihood that the words keep, as a confidence of 0..1."
-  @spec confidence(said(), said()) :: float()
-  def confidence(%{frames: frames} = said, phones) when frames > 0 do
+  @spec phone_confidence(said(), said()) :: float()
+  def phone_confidence(%{frames: frames} = said, phones) when frames > 0 do
     kept = (said.score - phones.score) / frames
     1 / (1 + :math.exp(-max(min((kept - @middle) / @width, 50.0), -50.0)))
   end
 
-  def confidence(_said, _phones), do: 0.0
+  def phone_confidence(_said, _phones), do: 0.0
 
   @doc "Returns the weight of the recognized sentence relative to all alternatives, 0..1."
-  @spec share(said(), [{String.t(), integer()}]) :: float()
-  def share(said, others) do
+  @spec result_share(said(), [{String.t(), integer()}]) :: float()
+  def result_share(said, others) do
     best = for {_, score} <- others, reduce: nil, do: (most -> max(score, most || score))
 
-    weights = for {text, score} <- others, do: {text, weight(score, best)}
+    weights = for {text, score} <- others, do: {text, score_weight(score, best)}
     all = weights |> Enum.map(&elem(&1, 1)) |> Enum.sum()
     own = Enum.find_value(weights, 0.0, fn {text, w} -> text == said.text && w end)
 
@@ -109,18 +112,18 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
     if own > 0, do: own / all, else: 1 / (1 + all)
   end
 
-  defp weight(score, best), do: :math.exp(max((score - best) * @scale, -500.0))
+  defp score_weight(score, best), do: :math.exp(max((score - best) * @scale, -500.0))
 
   @doc "Builds the recognizer's result with at most `most` alternatives, weighted by their scores relative to the best."
-  @spec result(said(), [{String.t(), integer()}], float(), non_neg_integer()) :: result()
-  def result(said, others, confidence, most) do
+  @spec build_result(said(), [{String.t(), integer()}], float(), non_neg_integer()) :: result()
+  def build_result(said, others, confidence, most) do
     top = Enum.find_value(others, fn {text, score} -> text == said.text && score end)
     top = top || others |> Enum.map(&elem(&1, 1)) |> Enum.max(fn -> 0 end)
 
     alternatives =
       for {text, score} <- others,
           text != said.text,
-          do: %{text: text, confidence: confidence * min(weight(score, top), 1.0)}
+          do: %{text: text, confidence: confidence * min(score_weight(score, top), 1.0)}
 
     %{
       text: said.text,
@@ -133,17 +136,22 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   @doc """
   Parses the output of the keyword search: the phrase, followed by a line with the times of each occurrence.
 
-      iex> heard = Situ.Infer.Speech.PocketSphinx.Output.keyword("forward \\nforward 0.630 1.210 0.93\\n")
+      iex> heard = Situ.Infer.Speech.PocketSphinx.Output.parse_keyword_output("forward \\nforward 0.630 1.210 0.93\\n")
       iex> {heard.text, heard.confidence, heard.words}
       {"forward", 0.93, [%{text: "forward", from: 630_000_000, to: 1_210_000_000, confidence: 0.93}]}
   """
-  @spec keyword(String.t()) :: result()
-  def keyword(output) do
+  @spec parse_keyword_output(String.t()) :: result()
+  def parse_keyword_output(output) do
     words =
       for line <- String.split(output, "\n"),
           [_, phrase, from, to, p] <-
             [Regex.run(~r/^(.+?) ([\d.]+) ([\d.]+) ([\d.]+)$/, String.trim(line))],
-          do: %{text: phrase, from: second(from), to: second(to), confidence: min(number(p), 1.0)}
+          do: %{
+            text: phrase,
+            from: seconds_to_ns(from),
+            to: seconds_to_ns(to),
+            confidence: min(parse_float(p), 1.0)
+          }
 
     %{
       text: Enum.map_join(words, " ", & &1.text),
@@ -153,9 +161,9 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
     }
   end
 
-  defp second(text), do: round(number(text) * 1.0e9)
+  defp seconds_to_ns(text), do: round(parse_float(text) * 1.0e9)
 
-  defp number(text) do
+  defp parse_float(text) do
     case Float.parse(text) do
       {n, _} -> n
       :error -> 0.0

@@ -22,11 +22,11 @@ defmodule Situ.Infer.Speech.Punctuation.Model do
   @impl true
   @spec punctuate(keyword(), String.t()) :: {:ok, String.t()} | {:error, Error.t()}
   def punctuate(opts, text) do
-    if Utterance.words(text) == [] do
+    if Utterance.normalize_words(text) == [] do
       {:ok, ""}
     else
       with {:ok, answer} <- Chat.ask(text, opts) do
-        if Utterance.words(answer.text) == Utterance.words(text),
+        if Utterance.normalize_words(answer.text) == Utterance.normalize_words(text),
           do: {:ok, String.trim(answer.text)},
           else: Rules.punctuate(:english, text)
       end

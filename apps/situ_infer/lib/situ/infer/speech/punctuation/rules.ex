@@ -28,21 +28,25 @@ defmodule Situ.Infer.Speech.Punctuation.Rules do
         {:ok, ""}
 
       [first | _] = words ->
-        {:ok, words |> Enum.map_join(" ", &name/1) |> capital() |> mark(first)}
+        {:ok,
+         words
+         |> Enum.map_join(" ", &capitalize_name/1)
+         |> capitalize_first()
+         |> add_end_mark(first)}
     end
   end
 
-  defp name("i"), do: "I"
-  defp name("i'" <> rest), do: "I'" <> rest
-  defp name(word) when word in @names, do: String.capitalize(word)
-  defp name(word), do: word
+  defp capitalize_name("i"), do: "I"
+  defp capitalize_name("i'" <> rest), do: "I'" <> rest
+  defp capitalize_name(word) when word in @names, do: String.capitalize(word)
+  defp capitalize_name(word), do: word
 
-  defp capital(text) do
+  defp capitalize_first(text) do
     {first, rest} = String.split_at(text, 1)
     String.upcase(first) <> rest
   end
 
-  defp mark(text, first) do
+  defp add_end_mark(text, first) do
     cond do
       String.ends_with?(text, [".", "?", "!", "…", ":"]) -> text
       String.downcase(first) in @asking -> text <> "?"

@@ -17,18 +17,18 @@ defmodule Situ.Infer.Speech.WakeWord.Spoken do
   @moduledoc """
   Detects a name among recognized words; about one wrong letter in six is tolerated.
 
-      iex> Situ.Infer.Speech.WakeWord.Spoken.among("Hey, Komputer, stop!", ["computer"], 0.88)
+      iex> Situ.Infer.Speech.WakeWord.Spoken.find_name("Hey, Komputer, stop!", ["computer"], 0.88)
       {1, 3}
-      iex> Situ.Infer.Speech.WakeWord.Spoken.among("My company is open.", ["computer"], 0.88)
+      iex> Situ.Infer.Speech.WakeWord.Spoken.find_name("My company is open.", ["computer"], 0.88)
       nil
 
   Spelling alone cannot distinguish a misspelled name from a similar word: "Komputer" differs from "computer" as much as
   "commuter" does, and "compute" differs less. Choose a name that is unlike other words. If similar words occur and the
   recognizer is accurate, set `alike: 1`.
 
-      iex> Situ.Infer.Speech.WakeWord.Spoken.among("The commuter train was late.", ["computer"], 0.88)
+      iex> Situ.Infer.Speech.WakeWord.Spoken.find_name("The commuter train was late.", ["computer"], 0.88)
       {1, 5}
-      iex> Situ.Infer.Speech.WakeWord.Spoken.among("The commuter train was late.", ["computer"], 1)
+      iex> Situ.Infer.Speech.WakeWord.Spoken.find_name("The commuter train was late.", ["computer"], 1)
       nil
 
   ## Options
@@ -47,15 +47,15 @@ defmodule Situ.Infer.Speech.WakeWord.Spoken do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, name} <- name(Utterance.words(opts[:phrase])),
+         {:ok, name} <- check_name(Utterance.normalize_words(opts[:phrase])),
          {:ok, model} <- opts[:recognizer].load(opts[:recognizer_options]) do
       {:ok,
        %__MODULE__{recognizer: opts[:recognizer], model: model, name: name, alike: opts[:alike]}}
     end
   end
 
-  defp name([]), do: {:error, Error.new(:bad_option, "the phrase contains no words")}
-  defp name(words), do: {:ok, words}
+  defp check_name([]), do: {:error, Error.new(:bad_option, "the phrase contains no words")}
+  defp check_name(words), do: {:ok, words}
 
   @impl true
   @spec spot(t(), AudioBuffer.t()) ::
@@ -63,28 +63,28 @@ defmodule Situ.Infer.Speech.WakeWord.Spoken do
   def spot(%__MODULE__{} = spoken, sound) do
     with {:ok, %{text: text, confidence: p} = result} <-
            spoken.recognizer.transcribe(spoken.model, sound) do
-      case among(text, spoken.name, spoken.alike) do
+      case find_name(text, spoken.name, spoken.alike) do
         nil ->
           {:ok, []}
 
         {place, _} ->
-          {:ok, [Map.put(span(result[:words] || [], place, spoken, sound), :confidence, p)]}
+          {:ok, [Map.put(name_span(result[:words] || [], place, spoken, sound), :confidence, p)]}
       end
     end
   end
 
   # Recognizers that report word times list the words in the order of the text.
-  defp span(words, place, spoken, sound) do
+  defp name_span(words, place, spoken, sound) do
     case Enum.slice(words, place, length(spoken.name)) do
       [first | _] = found -> %{from: first.from, to: List.last(found).to}
-      [] -> %{from: 0, to: AudioBuffer.duration(sound)}
+      [] -> %{from: 0, to: AudioBuffer.duration_ns(sound)}
     end
   end
 
   @doc "Returns the position of the name in a text, in words, and the number of words; `nil` if it is not found."
-  @spec among(String.t(), [String.t()], number()) :: {non_neg_integer(), pos_integer()} | nil
-  def among(text, name, alike) do
-    words = Utterance.words(text)
+  @spec find_name(String.t(), [String.t()], number()) :: {non_neg_integer(), pos_integer()} | nil
+  def find_name(text, name, alike) do
+    words = Utterance.normalize_words(text)
 
     place =
       words

@@ -11,12 +11,12 @@ defmodule Situ.Infer.Speech.WakeWord.Spotting do
 
   @impl true
   def transcribe({spotter, loaded, phrase}, sound) do
-    with {:ok, places} <- spotter.spot(loaded, sound), do: {:ok, result(places, phrase)}
+    with {:ok, places} <- spotter.spot(loaded, sound), do: {:ok, build_result(places, phrase)}
   end
 
-  defp result([], _phrase), do: %{text: "", confidence: 0.0}
+  defp build_result([], _phrase), do: %{text: "", confidence: 0.0}
 
-  defp result(places, phrase) do
+  defp build_result(places, phrase) do
     words = for place <- places, do: Map.put(place, :text, phrase)
     %{text: phrase, confidence: Enum.max(Enum.map(places, & &1.confidence)), words: words}
   end

@@ -50,8 +50,8 @@ defmodule Situ.Remote.Log.Nats.Connection do
     do: GenServer.cast(connection, {:publish, subject, reply, data})
 
   @doc "Returns the server's information about itself, or `nil` without a connection."
-  @spec info(pid()) :: map() | nil
-  def info(connection) do
+  @spec server_info(pid()) :: map() | nil
+  def server_info(connection) do
     GenServer.call(connection, :info, 10_000)
   catch
     :exit, _ -> nil
@@ -61,22 +61,22 @@ defmodule Situ.Remote.Log.Nats.Connection do
   def init(opts) do
     state = %__MODULE__{servers: opts[:servers], first: hd(opts[:servers]), opts: opts}
 
-    case first(state, length(state.servers), nil) do
+    case connect_any(state, length(state.servers), nil) do
       {:ok, state} ->
         {:ok, state}
 
       {:error, %{code: :log_away} = error} ->
-        if opts[:wait], do: wait(state, error), else: stop(error)
+        if opts[:wait], do: start_waiting(state, error), else: stop_init(error)
 
       {:error, error} ->
-        stop(error)
+        stop_init(error)
     end
   end
 
-  defp stop(error), do: {:stop, {:shutdown, error}}
+  defp stop_init(error), do: {:stop, {:shutdown, error}}
 
   # Waits for a server that is not running yet, in the same way as for a lost one.
-  defp wait(state, error) do
+  defp start_waiting(state, error) do
     Process.send_after(self(), :connect, @again_ms)
     {:ok, warn_waiting(state, error)}
   end
@@ -92,16 +92,16 @@ defmodule Situ.Remote.Log.Nats.Connection do
   defp log_connected(%{told: nil} = state), do: state
 
   defp log_connected(state) do
-    Logger.warning("connected to the NATS server at #{server(state)}")
+    Logger.warning("connected to the NATS server at #{server_name(state)}")
     %{state | told: nil}
   end
 
-  defp first(_state, 0, error), do: {:error, error}
+  defp connect_any(_state, 0, error), do: {:error, error}
 
-  defp first(state, left, _error) do
-    case connect(state) do
+  defp connect_any(state, left, _error) do
+    case connect_next(state) do
       {:ok, state} -> {:ok, state}
-      {:error, error} -> first(next_server(state), left - 1, error)
+      {:error, error} -> connect_any(next_server(state), left - 1, error)
     end
   end
 
@@ -117,14 +117,14 @@ defmodule Situ.Remote.Log.Nats.Connection do
     number = state.number + 1
     reply = "#{state.inbox}.#{number}"
 
-    case state.transport.send(state.socket, Wire.publish(subject, reply, headers, data)) do
+    case state.transport.send(state.socket, Wire.encode_publish(subject, reply, headers, data)) do
       :ok ->
         timer = Process.send_after(self(), {:late, number}, timeout)
         pending = Map.put(state.pending, number, {from, timer})
         {:noreply, %{state | number: number, pending: pending}}
 
       {:error, _} ->
-        {:reply, {:error, :down}, lost(state)}
+        {:reply, {:error, :down}, handle_disconnect(state)}
     end
   end
 
@@ -132,23 +132,23 @@ defmodule Situ.Remote.Log.Nats.Connection do
   def handle_cast({:publish, _, _, _}, %{socket: nil} = state), do: {:noreply, state}
 
   def handle_cast({:publish, subject, reply, data}, state) do
-    case state.transport.send(state.socket, Wire.publish(subject, reply, [], data)) do
+    case state.transport.send(state.socket, Wire.encode_publish(subject, reply, [], data)) do
       :ok -> {:noreply, state}
-      {:error, _} -> {:noreply, lost(state)}
+      {:error, _} -> {:noreply, handle_disconnect(state)}
     end
   end
 
   @impl true
   def handle_info({kind, socket, data}, %{socket: socket} = state) when kind in [:tcp, :ssl],
-    do: {:noreply, received(%{state | buffer: state.buffer <> data})}
+    do: {:noreply, handle_buffer(%{state | buffer: state.buffer <> data})}
 
   def handle_info({kind, socket}, %{socket: socket} = state)
       when kind in [:tcp_closed, :ssl_closed],
-      do: {:noreply, lost(state)}
+      do: {:noreply, handle_disconnect(state)}
 
   def handle_info({kind, socket, _reason}, %{socket: socket} = state)
       when kind in [:tcp_error, :ssl_error],
-      do: {:noreply, lost(state)}
+      do: {:noreply, handle_disconnect(state)}
 
   def handle_info({:late, number}, state) do
     {entry, pending} = Map.pop(state.pending, number)
@@ -157,7 +157,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
   end
 
   def handle_info(:connect, %{socket: nil} = state) do
-    case connect(state) do
+    case connect_next(state) do
       {:ok, state} ->
         {:noreply, log_connected(state)}
 
@@ -172,42 +172,45 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   def handle_info(_other, state), do: {:noreply, state}
 
-  defp received(state) do
-    case Wire.parse(state.buffer, most(state.info)) do
-      :more -> active(state)
-      {:ok, frame, rest} -> frame |> handle(%{state | buffer: rest}) |> received_on()
-      {:error, _why} -> lost(state)
+  defp handle_buffer(state) do
+    case Wire.parse_frame(state.buffer, max_frame_size(state.info)) do
+      :more -> activate_socket(state)
+      {:ok, frame, rest} -> frame |> handle_frame(%{state | buffer: rest}) |> handle_rest()
+      {:error, _why} -> handle_disconnect(state)
     end
   end
 
-  defp received_on(%{socket: nil} = state), do: state
-  defp received_on(state), do: received(state)
+  defp handle_rest(%{socket: nil} = state), do: state
+  defp handle_rest(state), do: handle_buffer(state)
 
-  defp active(state) do
-    case setopts(state) do
+  defp activate_socket(state) do
+    case set_active_once(state) do
       :ok -> state
-      {:error, _} -> lost(state)
+      {:error, _} -> handle_disconnect(state)
     end
   end
 
-  defp setopts(%{transport: :gen_tcp, socket: socket}), do: :inet.setopts(socket, active: :once)
-  defp setopts(%{transport: :ssl, socket: socket}), do: :ssl.setopts(socket, active: :once)
+  defp set_active_once(%{transport: :gen_tcp, socket: socket}),
+    do: :inet.setopts(socket, active: :once)
 
-  defp handle(:ping, state) do
+  defp set_active_once(%{transport: :ssl, socket: socket}),
+    do: :ssl.setopts(socket, active: :once)
+
+  defp handle_frame(:ping, state) do
     case state.transport.send(state.socket, "PONG\r\n") do
       :ok -> state
-      {:error, _} -> lost(state)
+      {:error, _} -> handle_disconnect(state)
     end
   end
 
-  defp handle({:message, message}, state) do
+  defp handle_frame({:message, message}, state) do
     if String.starts_with?(message.subject, state.inbox),
-      do: answered(message, state),
-      else: told(state, message)
+      do: reply_to_request(message, state),
+      else: notify_subscriber(state, message)
   end
 
   # The server sends this again when a server joins the cluster or when its limits change.
-  defp handle({:info, json}, state) do
+  defp handle_frame({:info, json}, state) do
     case JSON.decode(json) do
       {:ok, info} when is_map(info) -> %{state | info: info}
       _ -> state
@@ -215,15 +218,15 @@ defmodule Situ.Remote.Log.Nats.Connection do
   end
 
   # After most of these errors the server closes the connection.
-  defp handle({:failure, _text}, state), do: state
-  defp handle(_frame, state), do: state
+  defp handle_frame({:failure, _text}, state), do: state
+  defp handle_frame(_frame, state), do: state
 
-  defp told(state, what) do
+  defp notify_subscriber(state, what) do
     with pid when pid != nil <- state.opts[:subscriber], do: send(pid, {:nats, self(), what})
     state
   end
 
-  defp answered(message, state) do
+  defp reply_to_request(message, state) do
     number = message.subject |> String.split(".") |> List.last() |> Integer.parse()
 
     with {number, ""} <- number, {{from, timer}, pending} <- Map.pop(state.pending, number) do
@@ -235,9 +238,9 @@ defmodule Situ.Remote.Log.Nats.Connection do
     end
   end
 
-  defp lost(%{socket: nil} = state), do: state
+  defp handle_disconnect(%{socket: nil} = state), do: state
 
-  defp lost(state) do
+  defp handle_disconnect(state) do
     state.transport.close(state.socket)
 
     for {_, {from, timer}} <- state.pending do
@@ -251,17 +254,17 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   # Connecting
 
-  defp connect(%{servers: [server | _]} = state) do
+  defp connect_next(%{servers: [server | _]} = state) do
     with {:ok, dialed} <- Dial.connect(server, state.opts) do
       %{transport: transport, socket: socket, inbox: inbox, info: info, rest: rest} = dialed
       state = %{state | transport: transport, socket: socket, inbox: inbox, info: info}
-      {:ok, %{state | buffer: rest} |> told(:up) |> received()}
+      {:ok, %{state | buffer: rest} |> notify_subscriber(:up) |> handle_buffer()}
     end
   end
 
-  defp most(info), do: Map.get(info || %{}, "max_payload", 1_048_576) * 2 + @headers
+  defp max_frame_size(info), do: Map.get(info || %{}, "max_payload", 1_048_576) * 2 + @headers
 
-  defp server(%{servers: [server | _]}), do: Dial.name(server)
+  defp server_name(%{servers: [server | _]}), do: Dial.format_server(server)
 
   # Keeps passwords out of crash logs.
   @impl true

@@ -32,14 +32,15 @@ defmodule Situ.Remote.Log.Nats.Dial do
     ]
 
     with {:ok, socket} <-
-           reached(:gen_tcp.connect(to_charlist(host), port, options, @first_ms), state),
-         {:ok, info, rest} <- socket |> greeting("", state) |> or_close(:gen_tcp, socket),
-         :ok <- info |> usable(state) |> or_close(:gen_tcp, socket),
-         {:ok, transport, socket} <- socket |> secure(info, state) |> or_close(:gen_tcp, socket),
+           check_connected(:gen_tcp.connect(to_charlist(host), port, options, @first_ms), state),
+         {:ok, info, rest} <- socket |> read_greeting("", state) |> or_close(:gen_tcp, socket),
+         :ok <- info |> check_server(state) |> or_close(:gen_tcp, socket),
+         {:ok, transport, socket} <-
+           socket |> secure_socket(info, state) |> or_close(:gen_tcp, socket),
          inbox = "_INBOX." <> Base.encode16(:crypto.strong_rand_bytes(10)),
-         :ok <- transport |> hello(socket, inbox, state) |> or_close(transport, socket),
+         :ok <- transport |> send_connect(socket, inbox, state) |> or_close(transport, socket),
          state = %{state | transport: transport, socket: socket},
-         {:ok, rest} <- state |> welcomed(rest) |> or_close(transport, socket) do
+         {:ok, rest} <- state |> await_pong(rest) |> or_close(transport, socket) do
       {:ok, %{transport: transport, socket: socket, inbox: inbox, info: info, rest: rest}}
     end
   end
@@ -53,41 +54,44 @@ defmodule Situ.Remote.Log.Nats.Dial do
   defp or_close(answer, _transport, _socket), do: answer
 
   @doc "Formats the address of a server as `host:port`."
-  @spec name(server()) :: String.t()
-  def name({host, port}), do: "#{host}:#{port}"
+  @spec format_server(server()) :: String.t()
+  def format_server({host, port}), do: "#{host}:#{port}"
 
-  defp reached({:ok, socket}, _state), do: {:ok, socket}
+  defp check_connected({:ok, socket}, _state), do: {:ok, socket}
 
-  defp reached({:error, reason}, state) do
+  defp check_connected({:error, reason}, state) do
     {:error,
      Error.new(
        :log_away,
-       "cannot connect to a NATS server at #{name(state.server)}: #{reason_text(reason)}",
+       "cannot connect to a NATS server at #{format_server(state.server)}: #{reason_text(reason)}",
        fix: "start nats-server with JetStream (nats-server -js), or correct the address"
      )}
   end
 
-  defp greeting(socket, read, state) do
+  defp read_greeting(socket, read, state) do
     with {:ok, bytes} <- :gen_tcp.recv(socket, 0, @first_ms),
-         {:ok, {:info, json}, rest} <- Wire.parse(read <> bytes, @headers),
+         {:ok, {:info, json}, rest} <- Wire.parse_frame(read <> bytes, @headers),
          {:ok, info} when is_map(info) <- JSON.decode(json) do
       {:ok, info, rest}
     else
       :more when byte_size(read) < @headers ->
-        greeting(socket, read, state)
+        read_greeting(socket, read, state)
 
       _ ->
-        {:error, Error.new(:log_away, "#{name(state.server)} does not speak the NATS protocol")}
+        {:error,
+         Error.new(:log_away, "#{format_server(state.server)} does not speak the NATS protocol")}
     end
   end
 
-  defp usable(info, state) do
+  defp check_server(info, state) do
     version = to_string(info["version"])
 
     cond do
-      old?(version) ->
+      too_old?(version) ->
         {:error,
-         Error.new(:old_server, "the NATS server at #{name(state.server)} has version #{version}",
+         Error.new(
+           :old_server,
+           "the NATS server at #{format_server(state.server)} has version #{version}",
            fix: "use version 2.9 or newer"
          )}
 
@@ -95,7 +99,7 @@ defmodule Situ.Remote.Log.Nats.Dial do
         {:error,
          Error.new(
            :no_jetstream,
-           "the NATS server at #{name(state.server)} does not store messages",
+           "the NATS server at #{format_server(state.server)} does not store messages",
            why: "JetStream is off",
            fix: "start it with -js and a folder: nats-server -js -sd FOLDER"
          )}
@@ -105,20 +109,22 @@ defmodule Situ.Remote.Log.Nats.Dial do
     end
   end
 
-  defp old?(version) do
+  defp too_old?(version) do
     case Version.parse(version) do
       {:ok, version} -> Version.compare(version, "2.9.0") == :lt
       :error -> true
     end
   end
 
-  defp secure(socket, info, state) do
+  defp secure_socket(socket, info, state) do
     tls = state.opts[:tls]
 
     cond do
       tls != nil and not (info["tls_required"] == true or info["tls_available"] == true) ->
         {:error,
-         Error.new(:no_tls, "the NATS server at #{name(state.server)} does not support TLS",
+         Error.new(
+           :no_tls,
+           "the NATS server at #{format_server(state.server)} does not support TLS",
            why:
              "TLS is configured for it, and without TLS others on the network could read the log",
            fix:
@@ -133,11 +139,13 @@ defmodule Situ.Remote.Log.Nats.Dial do
 
         tls = Keyword.merge([verify: :verify_peer] ++ ServerName.tls_options(host), tls)
 
-        upgraded(:ssl.connect(socket, tls, @first_ms), state)
+        check_upgrade(:ssl.connect(socket, tls, @first_ms), state)
 
       info["tls_required"] == true ->
         {:error,
-         Error.new(:tls_required, "the NATS server at #{name(state.server)} requires TLS",
+         Error.new(
+           :tls_required,
+           "the NATS server at #{format_server(state.server)} requires TLS",
            fix:
              "give tls: [cacertfile: ...], or use the `situ cluster init` folder that the server was set up from"
          )}
@@ -147,18 +155,18 @@ defmodule Situ.Remote.Log.Nats.Dial do
     end
   end
 
-  defp upgraded({:ok, socket}, _state), do: {:ok, :ssl, socket}
+  defp check_upgrade({:ok, socket}, _state), do: {:ok, :ssl, socket}
 
-  defp upgraded({:error, reason}, state) do
+  defp check_upgrade({:error, reason}, state) do
     {:error,
      Error.new(
        :tls_failed,
-       "the TLS handshake with #{name(state.server)} failed: #{inspect(reason, limit: 8)}",
+       "the TLS handshake with #{format_server(state.server)} failed: #{inspect(reason, limit: 8)}",
        fix: "check cacertfile:, certfile: and keyfile:"
      )}
   end
 
-  defp hello(transport, socket, inbox, state) do
+  defp send_connect(transport, socket, inbox, state) do
     # The login is a function, so that inspecting the process state does not print it.
     login = if state.opts[:login], do: state.opts[:login].(), else: %{}
 
@@ -176,31 +184,34 @@ defmodule Situ.Remote.Log.Nats.Dial do
     subjects = Enum.with_index([inbox <> ".*" | state.opts[:subjects] || []], 1)
     subscriptions = for {subject, i} <- subjects, do: "SUB #{subject} #{i}\r\n"
     lines = ["CONNECT ", JSON.encode(options), "\r\n", subscriptions, "PING\r\n"]
-    with {:error, reason} <- transport.send(socket, lines), do: reached({:error, reason}, state)
+
+    with {:error, reason} <- transport.send(socket, lines),
+         do: check_connected({:error, reason}, state)
   end
 
-  defp welcomed(state, read) do
-    case Wire.parse(read, @headers) do
+  defp await_pong(state, read) do
+    case Wire.parse_frame(read, @headers) do
       {:ok, :pong, rest} ->
         {:ok, rest}
 
       {:ok, {:failure, text}, _rest} ->
         {:error,
-         Error.new(:refused_login, "#{name(state.server)} rejected the login: #{text}",
+         Error.new(:refused_login, "#{format_server(state.server)} rejected the login: #{text}",
            fix: "check the user and password, or the token"
          )}
 
       {:ok, _frame, rest} ->
-        welcomed(state, rest)
+        await_pong(state, rest)
 
       :more ->
         case state.transport.recv(state.socket, 0, @first_ms) do
-          {:ok, bytes} -> welcomed(state, read <> bytes)
-          {:error, reason} -> reached({:error, reason}, state)
+          {:ok, bytes} -> await_pong(state, read <> bytes)
+          {:error, reason} -> check_connected({:error, reason}, state)
         end
 
       {:error, _} ->
-        {:error, Error.new(:log_away, "#{name(state.server)} does not speak the NATS protocol")}
+        {:error,
+         Error.new(:log_away, "#{format_server(state.server)} does not speak the NATS protocol")}
     end
   end
 

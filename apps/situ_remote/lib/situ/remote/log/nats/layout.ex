@@ -6,8 +6,8 @@ defmodule Situ.Remote.Log.Nats.Layout do
   alias Situ.Remote.Log.Nats.Api
 
   @doc "Returns the settings for new streams."
-  @spec config(keyword()) :: map()
-  def config(opts) do
+  @spec stream_config(keyword()) :: map()
+  def stream_config(opts) do
     %{
       "storage" => "file",
       "num_replicas" => opts[:replicas],
@@ -19,8 +19,8 @@ defmodule Situ.Remote.Log.Nats.Layout do
   end
 
   @doc "Creates or updates the stream of the keys. Returns an error if the server has a log with an older layout."
-  @spec prepare(Nats.t()) :: :ok | {:error, Error.t()}
-  def prepare(log) do
+  @spec prepare_streams(Nats.t()) :: :ok | {:error, Error.t()}
+  def prepare_streams(log) do
     # Retention limits apply only to streams. The server keeps the last two entries of each key.
     keys =
       Map.merge(Map.take(log.config, ~w(storage num_replicas allow_direct)), %{
@@ -29,13 +29,13 @@ defmodule Situ.Remote.Log.Nats.Layout do
         "max_msgs_per_subject" => 2
       })
 
-    with :ok <- not_older(log),
-         {:error, %Error{code: :no_stream}} <- Api.info(log, keys["name"]) do
-      Api.made(log, keys)
+    with :ok <- check_layout(log),
+         {:error, %Error{code: :no_stream}} <- Api.stream_info(log, keys["name"]) do
+      Api.create_stream(log, keys)
     else
       # Older versions kept one entry of each key.
       {:ok, %{"config" => %{"max_msgs_per_subject" => 1} = config}} ->
-        Api.change_stream(log, %{config | "max_msgs_per_subject" => 2})
+        Api.update_stream(log, %{config | "max_msgs_per_subject" => 2})
 
       {:ok, _info} ->
         :ok
@@ -46,8 +46,8 @@ defmodule Situ.Remote.Log.Nats.Layout do
   end
 
   # The older layout had one JetStream stream that takes all subjects, so no other stream could be created for them.
-  defp not_older(log) do
-    case Api.info(log, log.stream) do
+  defp check_layout(log) do
+    case Api.stream_info(log, log.stream) do
       {:ok, _info} ->
         {:error,
          Error.new(

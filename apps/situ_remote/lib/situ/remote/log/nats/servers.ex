@@ -13,29 +13,29 @@ defmodule Situ.Remote.Log.Nats.Servers do
         [login, hosts] -> {split_login(login, &URI.decode/1), hosts}
       end
 
-    servers = hosts |> String.split(",", trim: true) |> Enum.map(&server/1)
+    servers = hosts |> String.split(",", trim: true) |> Enum.map(&parse_server/1)
 
     if servers == [] or :error in servers,
       do:
         {:error,
-         Error.new(:bad_address, "invalid NATS address: #{redacted(address)}",
+         Error.new(:bad_address, "invalid NATS address: #{redact_login(address)}",
            fix: "write nats://host:4222"
          )},
       else: {:ok, servers, login}
   end
 
   @doc "Returns the login of the address, or the login in the first line of a file."
-  @spec login(map(), Path.t() | nil) :: {:ok, map()} | {:error, Error.t()}
-  def login(login, nil), do: {:ok, login}
+  @spec resolve_login(map(), Path.t() | nil) :: {:ok, map()} | {:error, Error.t()}
+  def resolve_login(login, nil), do: {:ok, login}
 
-  def login(login, _file) when login != %{} do
+  def resolve_login(login, _file) when login != %{} do
     {:error,
      Error.new(:bad_option, "the address of the log and `credentials:` both contain a login",
        fix: "write nats://host:4222, and put the user and password only into the file"
      )}
   end
 
-  def login(_none, file) do
+  def resolve_login(_none, file) do
     with {:ok, text} <- File.read(file),
          line when line != "" <- text |> String.split("\n") |> hd() |> String.trim() do
       {:ok, split_login(line, & &1)}
@@ -59,7 +59,7 @@ defmodule Situ.Remote.Log.Nats.Servers do
     )
   end
 
-  defp server(text) do
+  defp parse_server(text) do
     case String.split(text, ":") do
       [host] when host != "" ->
         {host, 4222}
@@ -72,13 +72,13 @@ defmodule Situ.Remote.Log.Nats.Servers do
     end
   end
 
-  defp redacted(address), do: String.replace(address, ~r{//[^@]*@}, "//...@")
+  defp redact_login(address), do: String.replace(address, ~r{//[^@]*@}, "//...@")
 
   @doc "Checks that `domain` is `nil` or the name of a JetStream domain."
-  @spec domain(String.t() | nil) :: :ok | {:error, Error.t()}
-  def domain(nil), do: :ok
+  @spec validate_domain(String.t() | nil) :: :ok | {:error, Error.t()}
+  def validate_domain(nil), do: :ok
 
-  def domain(domain) do
+  def validate_domain(domain) do
     if domain =~ ~r/\A[A-Za-z0-9_-]+\z/,
       do: :ok,
       else: {:error, Error.new(:bad_option, "invalid JetStream domain name: #{inspect(domain)}")}

@@ -3,16 +3,16 @@ defmodule Situ.Remote.Log.Nats.Wire do
   Encodes and parses the NATS client protocol. Pure. A line has at most 4 KiB, a message at most the agreed size.
 
       iex> alias Situ.Remote.Log.Nats.Wire
-      iex> "a.b" |> Wire.publish("_INBOX.1", [{"K", "v"}], "data") |> IO.iodata_to_binary()
+      iex> "a.b" |> Wire.encode_publish("_INBOX.1", [{"K", "v"}], "data") |> IO.iodata_to_binary()
       "HPUB a.b _INBOX.1 18 22\\r\\nNATS/1.0\\r\\nK: v\\r\\n\\r\\ndata\\r\\n"
-      iex> Wire.parse("MSG a.b 1 4\\r\\ndata\\r\\nPI", 1_024)
+      iex> Wire.parse_frame("MSG a.b 1 4\\r\\ndata\\r\\nPI", 1_024)
       {:ok, {:message, %{subject: "a.b", reply: nil, status: nil, headers: %{}, data: "data"}}, "PI"}
-      iex> Wire.parse("PI", 1_024)
+      iex> Wire.parse_frame("PI", 1_024)
       :more
-      iex> Wire.parse("MSG a.b 1 4000\\r\\n", 1_024)
+      iex> Wire.parse_frame("MSG a.b 1 4000\\r\\n", 1_024)
       {:error, "a message of 4000 bytes exceeds the limit of 1024"}
   """
-  import Situ.Bits, only: [known: 1]
+  import Situ.Bits, only: [pinned_size: 1]
 
   @line 4_096
 
@@ -32,8 +32,8 @@ defmodule Situ.Remote.Log.Nats.Wire do
           | {:message, message()}
 
   @doc "Encodes a message with headers (a list of names and values). Replies go to the subject `reply`."
-  @spec publish(String.t(), String.t(), [{String.t(), String.t()}], iodata()) :: iodata()
-  def publish(subject, reply, headers, data) do
+  @spec encode_publish(String.t(), String.t(), [{String.t(), String.t()}], iodata()) :: iodata()
+  def encode_publish(subject, reply, headers, data) do
     head = ["NATS/1.0\r\n", for({key, value} <- headers, do: [key, ": ", value, "\r\n"]), "\r\n"]
     size = :erlang.iolist_size(head)
     all = size + :erlang.iolist_size(data)
@@ -41,12 +41,13 @@ defmodule Situ.Remote.Log.Nats.Wire do
   end
 
   @doc "Parses the next frame in `bytes`. A message larger than `most` bytes is an error."
-  @spec parse(binary(), pos_integer()) :: {:ok, frame(), binary()} | :more | {:error, String.t()}
-  def parse(bytes, most) do
+  @spec parse_frame(binary(), pos_integer()) ::
+          {:ok, frame(), binary()} | :more | {:error, String.t()}
+  def parse_frame(bytes, most) do
     case :binary.match(bytes, "\r\n", scope: {0, min(byte_size(bytes), @line)}) do
       {at, 2} ->
-        <<line::binary-known(at), "\r\n", rest::binary>> = bytes
-        frame(line, rest, most)
+        <<line::binary-pinned_size(at), "\r\n", rest::binary>> = bytes
+        parse_line(line, rest, most)
 
       :nomatch when byte_size(bytes) >= @line ->
         {:error, "a line of more than #{@line} bytes"}
@@ -56,34 +57,34 @@ defmodule Situ.Remote.Log.Nats.Wire do
     end
   end
 
-  defp frame("PING", rest, _most), do: {:ok, :ping, rest}
-  defp frame("PONG", rest, _most), do: {:ok, :pong, rest}
-  defp frame("+OK", rest, _most), do: {:ok, :ok, rest}
-  defp frame("INFO " <> json, rest, _most), do: {:ok, {:info, json}, rest}
-  defp frame("-ERR" <> text, rest, _most), do: {:ok, {:failure, trim(text)}, rest}
+  defp parse_line("PING", rest, _most), do: {:ok, :ping, rest}
+  defp parse_line("PONG", rest, _most), do: {:ok, :pong, rest}
+  defp parse_line("+OK", rest, _most), do: {:ok, :ok, rest}
+  defp parse_line("INFO " <> json, rest, _most), do: {:ok, {:info, json}, rest}
+  defp parse_line("-ERR" <> text, rest, _most), do: {:ok, {:failure, trim_text(text)}, rest}
 
-  defp frame("MSG " <> line, rest, most) do
+  defp parse_line("MSG " <> line, rest, most) do
     case String.split(line, " ", trim: true) do
-      [subject, _sid, size] -> message(subject, nil, "0", size, rest, most)
-      [subject, _sid, reply, size] -> message(subject, reply, "0", size, rest, most)
+      [subject, _sid, size] -> parse_message(subject, nil, "0", size, rest, most)
+      [subject, _sid, reply, size] -> parse_message(subject, reply, "0", size, rest, most)
       _ -> {:error, "MSG #{inspect(line)}"}
     end
   end
 
-  defp frame("HMSG " <> line, rest, most) do
+  defp parse_line("HMSG " <> line, rest, most) do
     case String.split(line, " ", trim: true) do
-      [subject, _sid, head, size] -> message(subject, nil, head, size, rest, most)
-      [subject, _sid, reply, head, size] -> message(subject, reply, head, size, rest, most)
+      [subject, _sid, head, size] -> parse_message(subject, nil, head, size, rest, most)
+      [subject, _sid, reply, head, size] -> parse_message(subject, reply, head, size, rest, most)
       _ -> {:error, "HMSG #{inspect(line)}"}
     end
   end
 
-  defp frame(line, _rest, _most),
+  defp parse_line(line, _rest, _most),
     do: {:error, "unknown frame: #{inspect(line, printable_limit: 40)}"}
 
-  defp trim(text), do: text |> String.trim() |> String.trim("'")
+  defp trim_text(text), do: text |> String.trim() |> String.trim("'")
 
-  defp message(subject, reply, head, size, rest, most) do
+  defp parse_message(subject, reply, head, size, rest, most) do
     with {head, ""} when head >= 0 <- Integer.parse(head),
          {size, ""} when size >= head <- Integer.parse(size) do
       cond do
@@ -94,17 +95,17 @@ defmodule Situ.Remote.Log.Nats.Wire do
           :more
 
         true ->
-          take(subject, reply, head, size - head, rest)
+          take_payload(subject, reply, head, size - head, rest)
       end
     else
       _ -> {:error, "invalid sizes: #{inspect({head, size})}"}
     end
   end
 
-  defp take(subject, reply, head, size, bytes) do
+  defp take_payload(subject, reply, head, size, bytes) do
     case bytes do
-      <<lines::binary-known(head), data::binary-known(size), "\r\n", rest::binary>> ->
-        {status, headers} = headers(lines)
+      <<lines::binary-pinned_size(head), data::binary-pinned_size(size), "\r\n", rest::binary>> ->
+        {status, headers} = parse_headers(lines)
 
         message = %{
           subject: subject,
@@ -122,9 +123,9 @@ defmodule Situ.Remote.Log.Nats.Wire do
   end
 
   # "NATS/1.0", or with a status: "NATS/1.0 404 Message Not Found".
-  defp headers(""), do: {nil, %{}}
+  defp parse_headers(""), do: {nil, %{}}
 
-  defp headers(head) do
+  defp parse_headers(head) do
     [first | lines] = String.split(head, "\r\n")
 
     headers =

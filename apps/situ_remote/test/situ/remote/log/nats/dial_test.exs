@@ -33,14 +33,14 @@ defmodule Situ.Remote.Log.Nats.DialTest do
 
       assert {:error, %{code: unquote(code)}} = Dial.connect({"127.0.0.1", port}, unquote(opts))
 
-      # The process that called is still alive, so it was not its end that closed the socket.
+      # The calling process is still alive, so the socket was not closed by its exit.
       assert Task.await(server, 60_000) in [:closed, :econnreset]
     end
   end
 
   defp read_until_closed(socket, code) do
     case :gen_tcp.recv(socket, 0, 30_000) do
-      # The answer to the first record of the handshake is no TLS.
+      # The response to the first record of the handshake is not TLS.
       {:ok, _bytes} when code == :tls_failed ->
         _ = :gen_tcp.send(socket, "no TLS\r\n")
         read_until_closed(socket, :answered)

@@ -18,20 +18,22 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   @type size :: {pos_integer(), pos_integer()}
 
   @doc "Returns the arguments and the environment for a device."
-  @spec arguments(String.t()) ::
+  @spec device_arguments(String.t()) ::
           {:ok, {[String.t()], [{String.t(), String.t()}]}} | {:error, Error.t()}
-  def arguments(device) do
+  def device_arguments(device) do
     case String.split(device, ":", parts: 2) do
       ["openni2", uri] -> {:ok, {["openni2", uri], []}}
       ["freenect", ""] -> {:ok, {["freenect"], []}}
-      ["freenect", index] -> index(Integer.parse(index), device)
-      ["fakenect", folder] -> recording(folder)
+      ["freenect", index] -> freenect_arguments(Integer.parse(index), device)
+      ["fakenect", folder] -> fakenect_arguments(folder)
       _ -> {:error, bad_device(device)}
     end
   end
 
-  defp index({index, ""}, _device) when index >= 0, do: {:ok, {["freenect", "#{index}"], []}}
-  defp index(_other, device), do: {:error, bad_device(device)}
+  defp freenect_arguments({index, ""}, _device) when index >= 0,
+    do: {:ok, {["freenect", "#{index}"], []}}
+
+  defp freenect_arguments(_other, device), do: {:error, bad_device(device)}
 
   defp bad_device(device) do
     Error.new(:bad_device, "#{inspect(device)} is not a depth camera",
@@ -41,7 +43,7 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   end
 
   # libfreenect's playback library has the same file name as the real one. LD_LIBRARY_PATH makes it take precedence.
-  defp recording(folder) do
+  defp fakenect_arguments(folder) do
     with true <- File.regular?(Path.join(folder, "INDEX.txt")),
          [library | _] <- Path.wildcard("/usr/lib/*/fakenect") do
       {:ok, {["freenect"], [{"FAKENECT_PATH", folder}, {"LD_LIBRARY_PATH", library}]}}
@@ -63,7 +65,7 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   @doc "Starts the program. The calling process receives its packets."
   @spec open(String.t()) :: {:ok, port()} | {:error, Error.t()}
   def open(device) do
-    with {:ok, program} <- path(), {:ok, {words, env}} <- arguments(device) do
+    with {:ok, program} <- fetch_path(), {:ok, {words, env}} <- device_arguments(device) do
       env = for {name, value} <- env, do: {to_charlist(name), to_charlist(value)}
 
       {:ok,
@@ -78,14 +80,14 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   end
 
   @doc "Requests the first images, or one more image of a kind."
-  @spec ask(port(), :depth | :color | :first) :: true
-  def ask(port, :first),
-    do: command(port, for({_kind, byte} <- @kinds, _ <- 1..@asked, do: byte))
+  @spec request_images(port(), :depth | :color | :first) :: true
+  def request_images(port, :first),
+    do: send_command(port, for({_kind, byte} <- @kinds, _ <- 1..@asked, do: byte))
 
-  def ask(port, kind), do: command(port, [Keyword.fetch!(@kinds, kind)])
+  def request_images(port, kind), do: send_command(port, [Keyword.fetch!(@kinds, kind)])
 
   # The program may have exited already, with its last messages still in flight.
-  defp command(port, bytes) do
+  defp send_command(port, bytes) do
     Port.command(port, bytes)
   rescue
     ArgumentError -> true
@@ -101,9 +103,9 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   end
 
   @doc "Returns one line for each camera."
-  @spec list() :: [String.t()]
-  def list do
-    with {:ok, program} <- path(),
+  @spec list_cameras() :: [String.t()]
+  def list_cameras do
+    with {:ok, program} <- fetch_path(),
          {lines, 0} <- System.cmd(program, ["list"], stderr_to_stdout: false) do
       String.split(lines, "\n", trim: true)
     else
@@ -112,8 +114,8 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   end
 
   @doc "Returns the path of the program."
-  @spec path() :: {:ok, Path.t()} | {:error, Error.t()}
-  def path do
+  @spec fetch_path() :: {:ok, Path.t()} | {:error, Error.t()}
+  def fetch_path do
     path =
       System.get_env("SITU_DEPTH_PORT") ||
         Path.join([:code.priv_dir(:situ_space), "depth", "depth_port"])
@@ -131,11 +133,11 @@ defmodule Situ.Space.DepthCamera.Library.Program do
   end
 
   @doc "Decodes a packet of the program; returns `:error` for invalid packets."
-  @spec decode(binary()) :: packet() | :error
-  def decode(<<0, depth::binary-size(24), color::binary-size(24), name::binary>>),
-    do: {:camera, text(name), %{depth: lens(depth), color: lens(color)}}
+  @spec decode_packet(binary()) :: packet() | :error
+  def decode_packet(<<0, depth::binary-size(24), color::binary-size(24), name::binary>>),
+    do: {:camera, clean_text(name), %{depth: decode_lens(depth), color: decode_lens(color)}}
 
-  def decode(
+  def decode_packet(
         <<kind, time::little-signed-64, lost::little-32, w::little-32, h::little-32,
           pixels::binary>>
       )
@@ -144,19 +146,19 @@ defmodule Situ.Space.DepthCamera.Library.Program do
                 (kind == 2 and byte_size(pixels) == w * h * 3)),
       do: {:picture, @kind_of[kind], time, lost, {w, h}, pixels}
 
-  def decode(<<3, why::binary>>), do: {:failed, text(why)}
-  def decode(<<4>>), do: :over
-  def decode(_other), do: :error
+  def decode_packet(<<3, why::binary>>), do: {:failed, clean_text(why)}
+  def decode_packet(<<4>>), do: :over
+  def decode_packet(_other), do: :error
 
-  defp lens(<<0::32, _::binary>>), do: nil
+  defp decode_lens(<<0::32, _::binary>>), do: nil
 
-  defp lens(<<w::little-32, h::little-32, x::little-float-64, y::little-float-64>>)
+  defp decode_lens(<<w::little-32, h::little-32, x::little-float-64, y::little-float-64>>)
        when x > 0 and y > 0,
        do: CameraIntrinsics.new!(width: w, height: h, focal: {x, y})
 
-  defp lens(<<w::little-32, h::little-32, _::binary>>), do: {w, h}
+  defp decode_lens(<<w::little-32, h::little-32, _::binary>>), do: {w, h}
 
-  defp text(bytes) do
+  defp clean_text(bytes) do
     words = if String.valid?(bytes), do: bytes, else: inspect(bytes)
     words |> String.trim() |> String.slice(0, 300)
   end

@@ -43,17 +43,17 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   @impl true
   def handle_start(context, camera) do
     endless = if camera.opts.reconnect, do: [{:complete, :infinity}], else: []
-    {endless, open(camera, context)}
+    {endless, open_camera(camera, context)}
   end
 
-  defp open(camera, context) do
+  defp open_camera(camera, context) do
     difference = context.now - Situ.Time.now()
     offset = if abs(difference) < @same_clock, do: 0, else: difference
 
     case Program.open(camera.opts.device) do
       {:ok, port} ->
-        Program.ask(port, :first)
-        watch(%{camera | port: port, offset: offset, heard: true})
+        Program.request_images(port, :first)
+        schedule_watchdog(%{camera | port: port, offset: offset, heard: true})
 
       {:error, error} ->
         raise error
@@ -61,43 +61,46 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   end
 
   # The watchdog uses the machine's time, because a pipeline's clock may be stopped or run at another speed.
-  defp watch(camera) do
+  defp schedule_watchdog(camera) do
     Process.send_after(self(), {:watch, camera.port}, div(camera.opts.stall_timeout, 1_000_000))
     camera
   end
 
   @impl true
   def handle_info({port, {:data, packet}}, context, %{port: port} = camera),
-    do: packet |> Program.decode() |> packet(%{camera | heard: true}, context)
+    do: packet |> Program.decode_packet() |> handle_packet(%{camera | heard: true}, context)
 
-  def handle_info({port, {:exit_status, 0}}, _context, %{port: port} = camera), do: over(camera)
+  def handle_info({port, {:exit_status, 0}}, _context, %{port: port} = camera),
+    do: complete_streams(camera)
 
   def handle_info({port, {:exit_status, status}}, _context, %{port: port} = camera),
-    do: lost(camera, "its program ended with status #{status}")
+    do: handle_loss(camera, "its program ended with status #{status}")
 
   def handle_info({:EXIT, port, reason}, _context, %{port: port} = camera),
-    do: lost(camera, "its program ended: #{inspect(reason)}")
+    do: handle_loss(camera, "its program ended: #{inspect(reason)}")
 
   def handle_info({:watch, port}, _context, %{port: port, heard: true} = camera),
-    do: {[], watch(%{camera | heard: false})}
+    do: {[], schedule_watchdog(%{camera | heard: false})}
 
   def handle_info({:watch, port}, _context, %{port: port} = camera),
-    do: lost(camera, "it sent nothing for #{div(camera.opts.stall_timeout, 1_000_000)} ms")
+    do: handle_loss(camera, "it sent nothing for #{div(camera.opts.stall_timeout, 1_000_000)} ms")
 
-  def handle_info(:reconnect, context, %{port: nil} = camera), do: {[], open(camera, context)}
+  def handle_info(:reconnect, context, %{port: nil} = camera),
+    do: {[], open_camera(camera, context)}
+
   def handle_info(_other, _context, camera), do: {[], camera}
 
-  defp packet({:camera, name, lenses}, camera, _context) do
+  defp handle_packet({:camera, name, lenses}, camera, _context) do
     if camera.losing, do: Logger.info("#{camera.opts.device} is back")
-    camera = %{camera | name: name, losing: nil, lenses: lenses!(lenses, camera.opts)}
+    camera = %{camera | name: name, losing: nil, lenses: resolve_lenses!(lenses, camera.opts)}
     # A camera without colour will never send a colour image.
     {if(lenses.color, do: [], else: [{:close, :color}]), camera}
   end
 
-  defp packet({:picture, kind, time, lost, size, pixels}, camera, _context) do
-    lens = sized!(camera.lenses[kind], size, kind)
+  defp handle_packet({:picture, kind, time, lost, size, pixels}, camera, _context) do
+    lens = check_size!(camera.lenses[kind], size, kind)
     time = max(time + camera.offset, Map.get(camera.last, kind, time + camera.offset - 1) + 1)
-    view = CameraView.new(viewed(kind, size, pixels), lens, camera.opts.pose)
+    view = CameraView.new(build_image(kind, size, pixels), lens, camera.opts.pose)
 
     {[],
      %{
@@ -108,11 +111,13 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
      }}
   end
 
-  defp packet({:failed, why}, camera, _context), do: lost(camera, why)
-  defp packet(:over, camera, _context), do: over(camera)
-  defp packet(:error, camera, _context), do: lost(camera, "its program sent an invalid packet")
+  defp handle_packet({:failed, why}, camera, _context), do: handle_loss(camera, why)
+  defp handle_packet(:over, camera, _context), do: complete_streams(camera)
 
-  defp viewed(:depth, {width, height}, pixels) do
+  defp handle_packet(:error, camera, _context),
+    do: handle_loss(camera, "its program sent an invalid packet")
+
+  defp build_image(:depth, {width, height}, pixels) do
     [
       width: width,
       height: height,
@@ -125,17 +130,20 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
     |> Error.unwrap!()
   end
 
-  defp viewed(:color, {width, height}, pixels),
+  defp build_image(:color, {width, height}, pixels),
     do: %Image{format: :rgb24, width: width, height: height, stride: width * 3, data: pixels}
 
   @impl true
   def handle_demand(n, _context, camera) do
     {taken, waiting} = Enum.split(camera.waiting, n)
-    if camera.port, do: Enum.each(taken, fn {kind, _, _} -> Program.ask(camera.port, kind) end)
+
+    if camera.port,
+      do: Enum.each(taken, fn {kind, _, _} -> Program.request_images(camera.port, kind) end)
+
     camera = %{camera | waiting: waiting}
 
     if camera.over do
-      {last, camera} = over(camera)
+      {last, camera} = complete_streams(camera)
       {taken ++ last, camera}
     else
       {taken, camera}
@@ -143,8 +151,8 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   end
 
   # A camera that has delivered data is expected to come back. One that was never found is an error.
-  defp lost(camera, why) do
-    camera = close(camera)
+  defp handle_loss(camera, why) do
+    camera = close_camera(camera)
 
     if camera.opts.reconnect and camera.name != nil do
       unless camera.losing,
@@ -161,22 +169,22 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
   end
 
   # Images that have already arrived are emitted first.
-  defp over(%{waiting: []} = camera) do
+  defp complete_streams(%{waiting: []} = camera) do
     times = Map.values(camera.last)
-    {[{:complete, Enum.max(times, fn -> 0 end)}], %{close(camera) | over: false}}
+    {[{:complete, Enum.max(times, fn -> 0 end)}], %{close_camera(camera) | over: false}}
   end
 
-  defp over(camera), do: {[], %{close(camera) | over: true}}
+  defp complete_streams(camera), do: {[], %{close_camera(camera) | over: true}}
 
   @impl true
-  def handle_stop(_final_time, _context, camera), do: {[], close(camera)}
+  def handle_stop(_final_time, _context, camera), do: {[], close_camera(camera)}
 
   @impl true
-  def terminate(_reason, camera), do: close(camera)
+  def terminate(_reason, camera), do: close_camera(camera)
 
-  defp close(%{port: nil} = camera), do: camera
+  defp close_camera(%{port: nil} = camera), do: camera
 
-  defp close(camera) do
+  defp close_camera(camera) do
     Program.close(camera.port)
     %{camera | port: nil}
   end
@@ -188,8 +196,8 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
     "#{camera.opts.device} (#{camera.name || "not opened yet"}): #{state}, #{camera.lost} images lost"
   end
 
-  defp lenses!(told, opts) do
-    depth = opts.intrinsics || known!(told.depth, opts)
+  defp resolve_lenses!(told, opts) do
+    depth = opts.intrinsics || ensure_lens!(told.depth, opts)
 
     color =
       opts.color_intrinsics ||
@@ -198,17 +206,17 @@ defmodule Situ.Space.DepthCamera.Library.Reader do
     %{depth: depth, color: color}
   end
 
-  defp known!(%CameraIntrinsics{} = lens, _opts), do: lens
+  defp ensure_lens!(%CameraIntrinsics{} = lens, _opts), do: lens
 
-  defp known!(_size, opts) do
+  defp ensure_lens!(_size, opts) do
     raise Error.new(:no_intrinsics, "#{opts.device} does not report its intrinsics",
             fix: "set `intrinsics:` for images of the size that the camera delivers"
           )
   end
 
-  defp sized!(%CameraIntrinsics{width: w, height: h} = lens, {w, h}, _kind), do: lens
+  defp check_size!(%CameraIntrinsics{width: w, height: h} = lens, {w, h}, _kind), do: lens
 
-  defp sized!(lens, {width, height}, kind) do
+  defp check_size!(lens, {width, height}, kind) do
     raise Error.new(
             :bad_camera,
             "the camera gives images of #{width}x#{height}, the intrinsics of its #{kind} are " <>

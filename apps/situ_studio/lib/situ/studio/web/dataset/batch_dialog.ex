@@ -10,18 +10,18 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   alias Situ.Studio.Web.Dataset.Rows
 
   @doc "Opens the dialog for the named task, with one session selected or all sessions that the search found."
-  @spec open(Socket.t(), term(), [String.t()]) :: Socket.t()
-  def open(socket, name, path) do
+  @spec open_dialog(Socket.t(), term(), [String.t()]) :: Socket.t()
+  def open_dialog(socket, name, path) do
     case Enum.find(socket.assigns.tasks, &(&1.name == name)) do
       nil -> socket
-      task -> assign(socket, dialog: {:task, state(task, path, socket.assigns)})
+      task -> assign(socket, dialog: {:task, build_state(task, path, socket.assigns)})
     end
   end
 
-  defp state(task, path, assigns) do
+  defp build_state(task, path, assigns) do
     found =
       for %{kind: :session, label: name} <-
-            Rows.of(assigns.dataset, assigns.facts, assigns.open, assigns.query),
+            Rows.visible_rows(assigns.dataset, assigns.facts, assigns.open, assigns.query),
           do: name
 
     %{
@@ -30,7 +30,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
       chosen: if(path == [], do: found, else: Enum.take(path, 1)),
       config: %{},
       output: task.output,
-      saved: Configurations.all(assigns.folder, task.name),
+      saved: Configurations.list_all(assigns.folder, task.name),
       picked: "",
       again: 0,
       error: nil
@@ -39,7 +39,9 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
 
   @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
   def handle_event("run_cancel", %{"run" => run}, socket) do
-    with {id, ""} <- Integer.parse(to_string(run)), do: Batch.cancel(socket.assigns.studio, id)
+    with {id, ""} <- Integer.parse(to_string(run)),
+         do: Batch.cancel_run(socket.assigns.studio, id)
+
     socket
   end
 
@@ -49,8 +51,8 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
          opts = [output: left.output, parallel: left.parallel],
          dataset = {assigns.server, assigns.file},
          {:ok, _} <-
-           Batch.start(assigns.studio, dataset, left.task, left.sessions, left.config, opts) do
-      assign(socket, left: Left.all(assigns.file))
+           Batch.start_run(assigns.studio, dataset, left.task, left.sessions, left.config, opts) do
+      assign(socket, left: Left.list_interrupted(assigns.file))
     else
       {:error, error} -> push_event(socket, "toast", %{text: Exception.message(error)})
       nil -> socket
@@ -60,14 +62,14 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   def handle_event("run_leave", %{"output" => output}, %{assigns: assigns} = socket) do
     for left <- assigns.left,
         to_string(left.output) == output,
-        do: Left.forget(assigns.file, left.output)
+        do: Left.delete_record(assigns.file, left.output)
 
-    assign(socket, left: Left.all(assigns.file))
+    assign(socket, left: Left.list_interrupted(assigns.file))
   end
 
   def handle_event("run_pick", %{"saved" => name}, %{assigns: %{dialog: {:task, state}}} = socket) do
     config = Enum.find_value(state.saved, %{}, fn {n, config} -> if n == name, do: config end)
-    put(socket, %{state | config: config, picked: name, again: state.again + 1, error: nil})
+    put_state(socket, %{state | config: config, picked: name, again: state.again + 1, error: nil})
   end
 
   def handle_event(
@@ -76,65 +78,72 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
         %{assigns: %{dialog: {:task, state}, folder: folder}} = socket
       ) do
     Configurations.delete(folder, state.task.name, state.picked)
-    put(socket, %{state | saved: Configurations.all(folder, state.task.name), picked: ""})
+
+    put_state(socket, %{
+      state
+      | saved: Configurations.list_all(folder, state.task.name),
+        picked: ""
+    })
   end
 
   def handle_event("run_start", params, %{assigns: %{dialog: {:task, state}} = assigns} = socket) do
     chosen =
-      for {name, i} <- Enum.with_index(state.sessions), on?(params, "session", "#{i}"), do: name
+      for {name, i} <- Enum.with_index(state.sessions),
+          checked?(params, "session", "#{i}"),
+          do: name
 
     state = %{state | chosen: chosen}
 
-    with {:ok, config} <- Form.config(state.task.options, params["option"] || %{}),
+    with {:ok, config} <- Form.parse_config(state.task.options, params["option"] || %{}),
          state = %{state | config: config},
-         :ok <- keep(params["keep"], state, assigns.folder),
-         {:ok, _} <- start(assigns, state, chosen, config, params) do
+         :ok <- save_options(params["keep"], state, assigns.folder),
+         {:ok, _} <- start_run(assigns, state, chosen, config, params) do
       assign(socket, dialog: nil)
     else
-      {:error, error} -> put(socket, %{state | error: Exception.message(error)})
+      {:error, error} -> put_state(socket, %{state | error: Exception.message(error)})
     end
   end
 
   def handle_event(_, _, socket), do: socket
 
-  defp start(assigns, state, chosen, config, params) do
+  defp start_run(assigns, state, chosen, config, params) do
     opts = [overwrite: params["overwrite"] == "true"]
     output = params["output"] |> to_string() |> String.trim()
     opts = if state.output && output != "", do: [output: output] ++ opts, else: opts
-    opts = parallel(params["parallel"], opts)
+    opts = put_parallel(params["parallel"], opts)
     dataset = {assigns.server, assigns.file}
-    Batch.start(assigns.studio, dataset, state.task.name, chosen, config, opts)
+    Batch.start_run(assigns.studio, dataset, state.task.name, chosen, config, opts)
   end
 
-  defp parallel(text, opts) do
+  defp put_parallel(text, opts) do
     case Integer.parse(to_string(text)) do
       {n, _} when n in 1..64 -> [parallel: n] ++ opts
       _ -> opts
     end
   end
 
-  defp on?(params, group, key), do: get_in(params, [group, key]) in ["true", "on"]
+  defp checked?(params, group, key), do: get_in(params, [group, key]) in ["true", "on"]
 
-  defp keep(name, state, folder) when is_binary(name) do
+  defp save_options(name, state, folder) when is_binary(name) do
     if String.trim(name) == "",
       do: :ok,
       else: Configurations.save(folder, state.task.name, String.trim(name), state.config)
   end
 
-  defp keep(_, _, _), do: :ok
+  defp save_options(_, _, _), do: :ok
 
-  defp put(socket, state), do: assign(socket, dialog: {:task, state})
+  defp put_state(socket, state), do: assign(socket, dialog: {:task, state})
 
   attr(:dialog, :any, required: true)
 
   @doc false
-  def dialog(assigns) do
+  def run_dialog(assigns) do
     {:task, state} = assigns.dialog
 
     assigns =
       assign(assigns,
         s: state,
-        fields: Form.fields(state.task.options, state.config),
+        fields: Form.build_fields(state.task.options, state.config),
         all: length(state.sessions)
       )
 
@@ -151,7 +160,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
       <form id={"task-form-#{@s.again}"} phx-submit="run_start">
         <div :for={f <- @fields} class="option">
           <label for={"option-" <> f.name}>{f.name}{if f.required, do: " *"}</label>
-          <.input field={f} />
+          <.option_input field={f} />
           <p :if={f.doc} class="hint">{f.doc}</p>
         </div>
         <div :if={@s.output} class="option"><label for="task-output">Output partition</label>
@@ -182,7 +191,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
 
   attr(:field, :map, required: true)
 
-  defp input(assigns) do
+  defp option_input(assigns) do
     assigns =
       assign(assigns, id: "option-" <> assigns.field.name, name: "option[#{assigns.field.name}]")
 

@@ -8,9 +8,9 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
   attr(:dialog, :any, required: true)
 
   @doc false
-  def dialog(%{dialog: {:ask, _, _, _}} = assigns) do
+  def dataset_dialog(%{dialog: {:ask, _, _, _}} = assigns) do
     {:ask, what, path, old} = assigns.dialog
-    assigns = assign(assigns, title: title(what, path), old: old)
+    assigns = assign(assigns, title: dialog_title(what, path), old: old)
 
     ~H"""
     <dialog id="ask" phx-hook="Modal" aria-label={@title}>
@@ -26,7 +26,7 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
     """
   end
 
-  def dialog(%{dialog: {:recordings, _, _}} = assigns) do
+  def dataset_dialog(%{dialog: {:recordings, _, _}} = assigns) do
     {:recordings, path, free} = assigns.dialog
     assigns = assign(assigns, path: path, free: free)
 
@@ -47,7 +47,7 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
     """
   end
 
-  def dialog(%{dialog: {:relocate, _, _}} = assigns) do
+  def dataset_dialog(%{dialog: {:relocate, _, _}} = assigns) do
     {:relocate, path, free} = assigns.dialog
     assigns = assign(assigns, title: "Use another recording for #{List.last(path)}", free: free)
 
@@ -69,11 +69,11 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
     """
   end
 
-  def dialog(%{dialog: {:folders, _, _, _}} = assigns) do
+  def dataset_dialog(%{dialog: {:folders, _, _, _}} = assigns) do
     {:folders, what, path, folders} = assigns.dialog
 
     assigns =
-      assign(assigns, title: folder_title(what, path), about: about(what), folders: folders)
+      assign(assigns, title: folder_title(what, path), about: folder_hint(what), folders: folders)
 
     ~H"""
     <dialog id="folders" phx-hook="Modal" aria-label={@title}>
@@ -94,7 +94,7 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
     """
   end
 
-  def dialog(%{dialog: {:export, _, _}} = assigns) do
+  def dataset_dialog(%{dialog: {:export, _, _}} = assigns) do
     {:export, item, facts} = assigns.dialog
 
     assigns =
@@ -124,7 +124,7 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
     """
   end
 
-  def dialog(%{dialog: {:task, _}} = assigns), do: BatchDialog.dialog(assigns)
+  def dataset_dialog(%{dialog: {:task, _}} = assigns), do: BatchDialog.run_dialog(assigns)
 
   defp folder_title("session", _), do: "Add a folder as one session"
   defp folder_title("sessions", _), do: "Add each subfolder of a folder as a session"
@@ -132,13 +132,13 @@ defmodule Situ.Studio.Web.Dataset.Dialogs do
   defp folder_title("recordings", [session | _]),
     do: "Add all recordings of a folder to #{session}"
 
-  defp about("session"),
+  defp folder_hint("session"),
     do: "All recordings in the folder and its subfolders are added to the session."
 
-  defp about("sessions"), do: "Sessions that are already in the dataset are skipped."
-  defp about("recordings"), do: "Recordings that are already in the session are skipped."
+  defp folder_hint("sessions"), do: "Sessions that are already in the dataset are skipped."
+  defp folder_hint("recordings"), do: "Recordings that are already in the session are skipped."
 
-  defp title("session", _), do: "New session"
-  defp title("copy", _), do: "Save a copy of the dataset as"
-  defp title("rename", path), do: "Rename #{List.last(path)}"
+  defp dialog_title("session", _), do: "New session"
+  defp dialog_title("copy", _), do: "Save a copy of the dataset as"
+  defp dialog_title("rename", path), do: "Rename #{List.last(path)}"
 end

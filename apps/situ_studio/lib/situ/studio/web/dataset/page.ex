@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
   attr(:kept, :boolean, required: true)
 
   @doc false
-  def top(assigns) do
+  def top_bar(assigns) do
     ~H"""
     <header class="topbar">
       <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
@@ -28,7 +28,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
       <button :if={not @kept and not @read_only} class="btn" type="button" phx-click="ask" phx-value-what="copy"
           phx-value-path="[]"
           title="This file format is read-only; save a copy to keep your changes">Save a copy…</button>
-      <.tool act="theme" icon={:theme} title="Switch between dark and light (t)" />
+      <.tool_button act="theme" icon={:theme} title="Switch between dark and light (t)" />
     </header>
     """
   end
@@ -44,8 +44,8 @@ defmodule Situ.Studio.Web.Dataset.Page do
   attr(:read_only, :boolean, required: true)
 
   @doc false
-  def tree(assigns) do
-    rows = Rows.of(assigns.dataset, assigns.facts, assigns.open, assigns.query)
+  def session_tree(assigns) do
+    rows = Rows.visible_rows(assigns.dataset, assigns.facts, assigns.open, assigns.query)
     found = Enum.count(rows, &(&1.kind == :session))
     assigns = assign(assigns, rows: rows, found: found)
 
@@ -55,32 +55,32 @@ defmodule Situ.Studio.Web.Dataset.Page do
         <input id="search" name="query" value={@query} autocomplete="off" phx-debounce="80"
             placeholder="Search sessions, tags, metadata, recordings and streams  /"
             aria-label="Search sessions, tags, metadata, recordings and streams">
-        <Side.figure_choice info={@info} />
+        <Side.info_select info={@info} />
         <button class="mini" type="button" phx-click="fold_all" title="Fold all" aria-label="Fold all">⊟</button>
         <button class="mini" type="button" phx-click="unfold_all" title="Unfold all"
             aria-label="Unfold all">⊞</button>
       </form>
       <p :if={@query != ""} class="hint found" role="status">{@found} of {length(@dataset.sessions)} sessions</p>
       <div id="tree" class="tree" role="tree" phx-hook="Tree" aria-label="Sessions">
-        <div :for={row <- @rows} :key={key(row)} id={key(row)} role="treeitem" tabindex="0"
+        <div :for={row <- @rows} :key={row_id(row)} id={row_id(row)} role="treeitem" tabindex="0"
             class={["node", to_string(row.kind), row.path == @selected && "selected"]}
             aria-expanded={row.open? != nil && to_string(row.open?)} aria-level={length(row.path) + 1}
             aria-selected={to_string(row.path == @selected)}
-            data-items={Menu.of(row, %{id: @id, tasks: @tasks, read_only: @read_only})}
+            data-items={Menu.encode_menu(row, %{id: @id, tasks: @tasks, read_only: @read_only})}
             style={"padding-left: #{length(row.path) * 18}px"}>
           <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle"
-              phx-value-path={json(row)} aria-label={"fold " <> row.label}>{if row.open?, do: "▾", else: "▸"}</button>
+              phx-value-path={encode_path(row)} aria-label={"fold " <> row.label}>{if row.open?, do: "▾", else: "▸"}</button>
           <span :if={row.open? == nil} class="fold"></span>
           <img :if={row.kind == :session and row.facts.streams != []} class="thumb" alt="" loading="lazy" width="64"
-              height="36" src={Address.thumbnail(Place.id(@id, row.path))}>
-          <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={json(row)}
+              height="36" src={Address.thumbnail_path(Place.build_id(@id, row.path))}>
+          <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={encode_path(row)}
               title={row.label}>{row.label}</button>
           <span :for={tag <- row.tags} class="tag">{tag}</span>
           <span :if={row.trouble} class="trouble" title={row.trouble}>{row.trouble}</span>
-          <.figure :if={row.figures} choice={@info} figures={row.figures} />
+          <.figure_label :if={row.figures} choice={@info} figures={row.figures} />
           <span :if={row.figures == nil} class="info">…</span>
           <a :if={row.kind in [:session, :partition]} class="add" tabindex="-1"
-              href={Address.of(Place.id(@id, row.path))} title="Open (Enter)" aria-label={"open " <> row.label}>↗</a>
+              href={Address.source_path(Place.build_id(@id, row.path))} title="Open (Enter)" aria-label={"open " <> row.label}>↗</a>
           <button class="dots" type="button" tabindex="-1" aria-haspopup="menu"
               aria-label={"menu of " <> row.label}>⋯</button>
         </div>
@@ -90,8 +90,8 @@ defmodule Situ.Studio.Web.Dataset.Page do
     """
   end
 
-  defp key(row), do: "row-" <> Integer.to_string(:erlang.phash2(row.path, 4_294_967_296))
-  defp json(row), do: Situ.JSON.encode(row.path)
+  defp row_id(row), do: "row-" <> Integer.to_string(:erlang.phash2(row.path, 4_294_967_296))
+  defp encode_path(row), do: Situ.JSON.encode(row.path)
 
   attr(:dataset, :any, required: true)
   attr(:facts, :map, required: true)
@@ -103,62 +103,70 @@ defmodule Situ.Studio.Web.Dataset.Page do
   attr(:now, :integer, required: true)
 
   @doc false
-  def right(assigns) do
-    assigns = assign(assigns, :shown, shown(assigns))
+  def dataset_sidebar(assigns) do
+    assigns = assign(assigns, :shown, selected_properties(assigns))
 
     ~H"""
     <aside class="dataset-side" aria-label="Properties and runs">
-      <.runs :if={@runs != [] or @left != []} runs={@runs} left={@left} now={@now} read_only={@read_only} />
-      <.properties :if={@shown} id={"props-#{:erlang.phash2(@selected)}"} read_only={@read_only}
+      <.run_list :if={@runs != [] or @left != []} runs={@runs} left={@left} now={@now} read_only={@read_only} />
+      <.properties_form :if={@shown} id={"props-#{:erlang.phash2(@selected)}"} read_only={@read_only}
           {Map.take(@shown, [:title, :rows, :name, :tags, :metadata, :stream])} />
       <p :if={@shown == nil} class="hint">The selected item is no longer in the dataset.</p>
     </aside>
     """
   end
 
-  defp shown(%{dataset: dataset, selected: []} = assigns) do
+  defp selected_properties(%{dataset: dataset, selected: []} = assigns) do
     facts = for s <- dataset.sessions, p <- s.partitions, f = assigns.facts[p.path], do: f
 
     sums =
       for s <- dataset.sessions,
-          do: Facts.figures(for p <- s.partitions, f = assigns.facts[p.path], do: f)
+          do: Facts.sum_figures(for p <- s.partitions, f = assigns.facts[p.path], do: f)
 
-    length = facts |> Facts.figures() |> Figures.in_turn(sums)
+    length = facts |> Facts.sum_figures() |> Figures.add_lengths(sums)
 
     # weeks may pass between the first and the last message, so the total duration is the sum over the sessions
     rows =
       [
         {"Sessions", length(dataset.sessions)},
-        {"Total duration", Figures.text(:duration, length)}
+        {"Total duration", Figures.format_figure(:duration, length)}
       ] ++
-        Enum.map(rows(Facts.sum(facts)), &apart/1) ++ [{"File", dataset.file}]
+        Enum.map(recording_rows(Facts.merge_facts(facts)), &relabel_duration/1) ++
+        [{"File", dataset.file}]
 
-    of(dataset.name, rows, %{name: dataset.name, tags: dataset.tags, metadata: dataset.metadata})
+    build_properties(dataset.name, rows, %{
+      name: dataset.name,
+      tags: dataset.tags,
+      metadata: dataset.metadata
+    })
   end
 
-  defp shown(%{dataset: dataset, selected: [name | rest]} = assigns) do
+  defp selected_properties(%{dataset: dataset, selected: [name | rest]} = assigns) do
     with %Session{} = session <- Enum.find(dataset.sessions, &(&1.name == name)),
-         do: shown(session, rest, assigns.facts)
+         do: session_properties(session, rest, assigns.facts)
   end
 
-  defp shown(session, [], all) do
+  defp session_properties(session, [], all) do
     facts = for p <- session.partitions, f = all[p.path], do: f
-    rows = [{"Recordings", length(session.partitions)} | rows(Facts.sum(facts))]
-    of(session.name, rows, %{tags: session.tags, metadata: session.metadata})
+    rows = [{"Recordings", length(session.partitions)} | recording_rows(Facts.merge_facts(facts))]
+    build_properties(session.name, rows, %{tags: session.tags, metadata: session.metadata})
   end
 
-  defp shown(session, [name | stream], all) do
+  defp session_properties(session, [name | stream], all) do
     with %{} = partition <- Enum.find(session.partitions, &(&1.name == name)) do
       facts = all[partition.path] || %Facts{}
       shown = Enum.find(facts.streams, &([&1.name] == stream))
 
       if shown,
-        do: of(shown.name, stream_rows(shown), %{stream: true}),
-        else: of(name, rows(facts) ++ place(partition, facts), %{metadata: partition.metadata})
+        do: build_properties(shown.name, stream_rows(shown), %{stream: true}),
+        else:
+          build_properties(name, recording_rows(facts) ++ partition_rows(partition, facts), %{
+            metadata: partition.metadata
+          })
     end
   end
 
-  defp of(title, rows, more) do
+  defp build_properties(title, rows, more) do
     rows = Enum.reject(rows, fn {_, value} -> value in [nil, ""] end)
 
     Map.merge(
@@ -167,18 +175,18 @@ defmodule Situ.Studio.Web.Dataset.Page do
     )
   end
 
-  defp rows(facts) do
+  defp recording_rows(facts) do
     [
-      {"Duration", Facts.duration(facts)},
-      {"From", at(facts.from)},
-      {"To", at(facts.to)},
+      {"Duration", Facts.format_duration(facts)},
+      {"From", time_value(facts.from)},
+      {"To", time_value(facts.to)},
       {"Streams", length(facts.streams)},
       {"Messages", facts.streams |> Enum.map(& &1.count) |> Enum.sum()},
-      {"Size", Figures.bytes(facts.size)}
+      {"Size", Figures.format_bytes(facts.size)}
     ]
   end
 
-  defp place(partition, facts) do
+  defp partition_rows(partition, facts) do
     [
       {"Recording", partition.path},
       {"Reader", partition.reader},
@@ -193,20 +201,20 @@ defmodule Situ.Studio.Web.Dataset.Page do
     [
       {"Type", stream.type},
       {"Messages", stream.count},
-      {"Size", Figures.bytes(stream.bytes)},
-      {"Rate", Figures.text(:rate, Figures.sum([stream]))},
-      {"First", at(stream.first)},
-      {"Last", at(stream.last)},
-      {"Latency, mean", stream.latency && Figures.latency_text(stream.latency)}
+      {"Size", Figures.format_bytes(stream.bytes)},
+      {"Rate", Figures.format_figure(:rate, Figures.sum_streams([stream]))},
+      {"First", time_value(stream.first)},
+      {"Last", time_value(stream.last)},
+      {"Latency, mean", stream.latency && Figures.format_latency(stream.latency)}
       | stream.details
     ]
   end
 
-  defp apart({"Duration", value}), do: {"First to last message", value}
-  defp apart(row), do: row
+  defp relabel_duration({"Duration", value}), do: {"First to last message", value}
+  defp relabel_duration(row), do: row
 
-  defp at(nil), do: nil
-  defp at(ns), do: {:time, ns}
+  defp time_value(nil), do: nil
+  defp time_value(ns), do: {:time, ns}
 
   attr(:id, :string, required: true)
   attr(:read_only, :boolean, required: true)
@@ -217,12 +225,12 @@ defmodule Situ.Studio.Web.Dataset.Page do
   attr(:metadata, :map, required: true)
   attr(:stream, :boolean, required: true)
 
-  defp properties(assigns) do
+  defp properties_form(assigns) do
     ~H"""
     <section class="props">
       <h2>{@title}</h2>
       <dl>
-        <div :for={{name, value} <- @rows} style="display: contents"><dt>{name}</dt><dd><StreamProps.told
+        <div :for={{name, value} <- @rows} style="display: contents"><dt>{name}</dt><dd><StreamProps.detail_value
             value={value} /></dd></div>
       </dl>
       <form :if={not @stream} id={@id} class="metadata" phx-submit="save_properties">
@@ -231,7 +239,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
             disabled={@read_only} placeholder="pilot, english"></label>
         <label>Metadata, one NAME: VALUE per line
           <textarea name="metadata" rows="6" disabled={@read_only}
-              placeholder="participant: P07">{Rows.lines(@metadata)}</textarea></label>
+              placeholder="participant: P07">{Rows.format_metadata(@metadata)}</textarea></label>
         <button :if={not @read_only} class="btn primary" type="submit">Save</button>
       </form>
     </section>
@@ -243,7 +251,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
   attr(:now, :integer, required: true)
   attr(:read_only, :boolean, required: true)
 
-  defp runs(assigns) do
+  defp run_list(assigns) do
     ~H"""
     <section class="runs" aria-label="Batch runs">
       <h2>Batch runs</h2>
@@ -265,42 +273,42 @@ defmodule Situ.Studio.Web.Dataset.Page do
               phx-value-run={run.id}>Cancel</button></div>
         <progress :if={run.status == :running} max="1" value={run.progress.done}
             aria-label={"progress of " <> run.task}></progress>
-        <p class="hint" role="status">{said(run, @now)}</p>
-        <ul :if={failures(run) != []} class="failures">
-          <li :for={{session, error} <- failures(run)}><b>{session}</b>: {error}</li>
+        <p class="hint" role="status">{describe_run(run, @now)}</p>
+        <ul :if={list_failures(run) != []} class="failures">
+          <li :for={{session, error} <- list_failures(run)}><b>{session}</b>: {error}</li>
         </ul>
       </div>
     </section>
     """
   end
 
-  defp said(%Run{status: :running} = run, now) do
+  defp describe_run(%Run{status: :running} = run, now) do
     finished = Map.get(run.progress, :finished, 0)
-    left = Run.remaining(run, now)
+    left = Run.remaining_ms(run, now)
 
     "#{round(100 * run.progress.done)} %, #{finished} of #{length(run.sessions)} sessions, " <>
-      "#{ms(Run.elapsed(run, now))} so far" <>
-      if(left, do: ", about #{ms(left)} left", else: "")
+      "#{format_ms(Run.elapsed_ms(run, now))} so far" <>
+      if(left, do: ", about #{format_ms(left)} left", else: "")
   end
 
-  defp said(%Run{error: %{} = error}, _), do: Exception.message(error)
+  defp describe_run(%Run{error: %{} = error}, _), do: Exception.message(error)
 
-  defp said(%Run{report: report} = run, now) do
+  defp describe_run(%Run{report: report} = run, now) do
     done = Enum.count(report.results, &(&1.status in [:done, :kept]))
     failed = length(Report.failures(report))
 
-    "#{word(run.status)} after #{ms(Run.elapsed(run, now))}: #{done} of #{length(run.sessions)} sessions" <>
+    "#{status_text(run.status)} after #{format_ms(Run.elapsed_ms(run, now))}: #{done} of #{length(run.sessions)} sessions" <>
       if(failed > 0, do: ", #{failed} failed", else: "")
   end
 
-  defp word(:done), do: "Done"
-  defp word(:cancelled), do: "Cancelled"
-  defp word(:failed), do: "Ended with failures"
+  defp status_text(:done), do: "Done"
+  defp status_text(:cancelled), do: "Cancelled"
+  defp status_text(:failed), do: "Ended with failures"
 
-  defp ms(ms), do: Situ.Time.format_duration(Situ.Time.ms(ms))
+  defp format_ms(ms), do: Situ.Time.format_duration(Situ.Time.ms(ms))
 
-  defp failures(%Run{report: nil}), do: []
+  defp list_failures(%Run{report: nil}), do: []
 
-  defp failures(%Run{report: report}),
+  defp list_failures(%Run{report: report}),
     do: for({session, error} <- Report.failures(report), do: {session, Exception.message(error)})
 end

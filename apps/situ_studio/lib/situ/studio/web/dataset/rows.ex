@@ -22,21 +22,22 @@ defmodule Situ.Studio.Web.Dataset.Rows do
         }
 
   @doc "Returns the visible rows; `facts` maps the paths of recordings to the facts loaded so far."
-  @spec of(Dataset.t(), %{Path.t() => Facts.t()}, MapSet.t([String.t()]), String.t()) :: [row()]
-  def of(%Dataset{} = dataset, facts, open, query) do
+  @spec visible_rows(Dataset.t(), %{Path.t() => Facts.t()}, MapSet.t([String.t()]), String.t()) ::
+          [row()]
+  def visible_rows(%Dataset{} = dataset, facts, open, query) do
     words = query |> String.downcase() |> String.split()
-    sessions = Enum.filter(dataset.sessions, &found?(&1, facts, words))
+    sessions = Enum.filter(dataset.sessions, &matches?(&1, facts, words))
     known = for s <- dataset.sessions, do: for(p <- s.partitions, f = facts[p.path], do: f)
-    sums = Enum.map(known, &Facts.figures/1)
-    figures = known |> Enum.concat() |> Facts.figures() |> Figures.in_turn(sums)
+    sums = Enum.map(known, &Facts.sum_figures/1)
+    figures = known |> Enum.concat() |> Facts.sum_figures() |> Figures.add_lengths(sums)
 
     [
-      row([], :dataset, dataset.name, figures: figures, tags: dataset.tags)
-      | Enum.flat_map(sessions, &session(&1, facts, open))
+      build_row([], :dataset, dataset.name, figures: figures, tags: dataset.tags)
+      | Enum.flat_map(sessions, &session_rows(&1, facts, open))
     ]
   end
 
-  defp row(path, kind, label, more) do
+  defp build_row(path, kind, label, more) do
     Map.merge(
       %{
         path: path,
@@ -54,16 +55,16 @@ defmodule Situ.Studio.Web.Dataset.Rows do
     )
   end
 
-  defp session(session, facts, open) do
+  defp session_rows(session, facts, open) do
     known = for p <- session.partitions, f = facts[p.path], do: f
     open? = MapSet.member?(open, [session.name])
     troubles = Enum.count(known, &(&1.error != nil))
 
     own =
-      row([session.name], :session, session.name,
+      build_row([session.name], :session, session.name,
         open?: open?,
-        facts: Facts.sum(known),
-        figures: if(known != [] or session.partitions == [], do: Facts.figures(known)),
+        facts: Facts.merge_facts(known),
+        figures: if(known != [] or session.partitions == [], do: Facts.sum_figures(known)),
         tags: session.tags,
         trouble:
           if(troubles > 0, do: "#{troubles} of #{length(session.partitions)} cannot be opened")
@@ -71,22 +72,22 @@ defmodule Situ.Studio.Web.Dataset.Rows do
 
     if open?,
       do: [
-        own | Enum.flat_map(session.partitions, &partition(session, &1, facts, open))
+        own | Enum.flat_map(session.partitions, &partition_rows(session, &1, facts, open))
       ],
       else: [own]
   end
 
-  defp partition(session, partition, facts, open) do
+  defp partition_rows(session, partition, facts, open) do
     path = [session.name, partition.name]
     known = facts[partition.path]
     open? = MapSet.member?(open, path)
     error = known && known.error
 
     own =
-      row(path, :partition, partition.name,
+      build_row(path, :partition, partition.name,
         open?: open?,
         facts: known,
-        figures: known && Facts.figures([known]),
+        figures: known && Facts.sum_figures([known]),
         file: partition.path,
         trouble:
           cond do
@@ -101,9 +102,9 @@ defmodule Situ.Studio.Web.Dataset.Rows do
     [
       own
       | for s <- streams do
-          row(path ++ [s.name], :stream, s.name,
+          build_row(path ++ [s.name], :stream, s.name,
             stream: s,
-            figures: Figures.sum([s]),
+            figures: Figures.sum_streams([s]),
             file: partition.path
           )
         end
@@ -111,12 +112,12 @@ defmodule Situ.Studio.Web.Dataset.Rows do
   end
 
   # Every word must occur in the session's name, tags or metadata, or in the names of its recordings or their streams.
-  defp found?(_session, _facts, []), do: true
+  defp matches?(_session, _facts, []), do: true
 
-  defp found?(session, facts, words) do
+  defp matches?(session, facts, words) do
     streams = for p <- session.partitions, f = facts[p.path], s <- f.streams, do: s.name
     names = Enum.map(session.partitions, & &1.name)
-    values = Enum.map(session.metadata, fn {k, v} -> "#{k} #{text(v)}" end)
+    values = Enum.map(session.metadata, fn {k, v} -> "#{k} #{format_value(v)}" end)
 
     text =
       ([session.name | session.tags] ++ names ++ values ++ streams)
@@ -129,41 +130,45 @@ defmodule Situ.Studio.Web.Dataset.Rows do
   @doc """
   Formats metadata for editing, one entry per line. Values that are not strings are written as JSON.
 
-      iex> Situ.Studio.Web.Dataset.Rows.lines(%{"age" => 31, "room" => "A 3"})
+      iex> Situ.Studio.Web.Dataset.Rows.format_metadata(%{"age" => 31, "room" => "A 3"})
       "age: 31\\nroom: A 3"
-      iex> Situ.Studio.Web.Dataset.Rows.metadata("age: 31\\nroom: A 3\\n\\nparts: [1, 2]")
+      iex> Situ.Studio.Web.Dataset.Rows.parse_metadata("age: 31\\nroom: A 3\\n\\nparts: [1, 2]")
       {:ok, %{"age" => 31, "parts" => [1, 2], "room" => "A 3"}}
-      iex> {:error, error} = Situ.Studio.Web.Dataset.Rows.metadata("nothing")
+      iex> {:error, error} = Situ.Studio.Web.Dataset.Rows.parse_metadata("nothing")
       iex> error.what
       "line 1 is not NAME: VALUE"
   """
-  @spec lines(map()) :: String.t()
-  def lines(metadata),
-    do: metadata |> Enum.sort() |> Enum.map_join("\n", fn {k, v} -> "#{k}: #{text(v)}" end)
+  @spec format_metadata(map()) :: String.t()
+  def format_metadata(metadata),
+    do:
+      metadata |> Enum.sort() |> Enum.map_join("\n", fn {k, v} -> "#{k}: #{format_value(v)}" end)
 
-  defp text(value) when is_binary(value) do
+  defp format_value(value) when is_binary(value) do
     # a string that would be parsed as another JSON value is quoted
-    if read(value) == value, do: value, else: Situ.JSON.encode(value)
+    if parse_value(value) == value, do: value, else: Situ.JSON.encode(value)
   end
 
-  defp text(value), do: Situ.JSON.encode(value)
+  defp format_value(value), do: Situ.JSON.encode(value)
 
   @doc "Parses metadata from such lines."
-  @spec metadata(String.t()) :: {:ok, map()} | {:error, Situ.Error.t()}
-  def metadata(text) do
+  @spec parse_metadata(String.t()) :: {:ok, map()} | {:error, Situ.Error.t()}
+  def parse_metadata(text) do
     text
     |> String.split(["\r\n", "\n"])
     |> Enum.with_index(1)
     |> Enum.reject(fn {line, _} -> String.trim(line) == "" end)
     |> Enum.reduce_while({:ok, %{}}, fn {line, number}, {:ok, all} ->
       case String.split(line, ":", parts: 2) do
-        [name, value] -> {:cont, {:ok, Map.put(all, String.trim(name), read(String.trim(value)))}}
-        _ -> {:halt, {:error, Situ.Error.new(:bad_metadata, "line #{number} is not NAME: VALUE")}}
+        [name, value] ->
+          {:cont, {:ok, Map.put(all, String.trim(name), parse_value(String.trim(value)))}}
+
+        _ ->
+          {:halt, {:error, Situ.Error.new(:bad_metadata, "line #{number} is not NAME: VALUE")}}
       end
     end)
   end
 
-  defp read(text) do
+  defp parse_value(text) do
     case Situ.JSON.decode(text) do
       {:ok, value} -> value
       {:error, _} -> text
