@@ -2,14 +2,14 @@ defmodule Situ.GuidesTest do
   # Runs the Elixir blocks of the guides in order; a block that ends in `# => value` must return that value. The
   # images must match the output of their script.
   use ExUnit.Case, async: true
-  alias Situ.Test.Guide
+  alias Situ.Test.GuideRunner
 
   @guides Path.expand("../../../docs/guides", __DIR__)
 
   for guide <- ["fusing-streams.md"] do
     @tag :capture_log
     test "every block of #{guide} runs and returns the value it shows" do
-      assert Guide.run_blocks(Path.join(@guides, unquote(guide))) > 5
+      assert GuideRunner.run_blocks(Path.join(@guides, unquote(guide))) > 5
     end
   end
 

@@ -10,7 +10,7 @@ defmodule Situ.RuntimeGuidesTest do
             genstage) do
     test "every snippet of #{guide} runs in order" do
       path = Path.join(@folder, unquote(guide) <> ".md")
-      capture_io(fn -> assert Situ.Test.Guide.run_blocks(path) > 0 end)
+      capture_io(fn -> assert Situ.Test.GuideRunner.run_blocks(path) > 0 end)
     end
   end
 end

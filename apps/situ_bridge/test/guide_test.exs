@@ -20,7 +20,7 @@ defmodule Situ.Bridge.GuideTest do
   for page <- @pages do
     test "runs every block of #{page} with the results it shows" do
       guide = Path.join([@checkout, "docs/guides", unquote(page)])
-      File.cd!(@checkout, fn -> assert Situ.Test.Guide.run_blocks(guide) > 0 end)
+      File.cd!(@checkout, fn -> assert Situ.Test.GuideRunner.run_blocks(guide) > 0 end)
     end
   end
 end

@@ -15,6 +15,6 @@ defmodule Situ.Examples.FilesAndDevicesGuideTest do
     on_exit(fn -> File.cd!(before) end)
     File.cd!(dir)
 
-    assert Situ.Test.Guide.run_blocks(@guide) >= 8
+    assert Situ.Test.GuideRunner.run_blocks(@guide) >= 8
   end
 end

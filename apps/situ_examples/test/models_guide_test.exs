@@ -6,6 +6,6 @@ defmodule Situ.Examples.ModelsGuideTest do
   @moduletag timeout: 240_000
 
   test "every block of models.md runs and returns the value it shows" do
-    assert Situ.Test.Guide.run_blocks(@guide) > 6
+    assert Situ.Test.GuideRunner.run_blocks(@guide) > 6
   end
 end

@@ -6,6 +6,6 @@ defmodule Situ.Examples.SpeechGuideTest do
   @moduletag [timeout: 240_000, moonshine: true]
 
   test "every block of speech.md runs and returns the value it shows" do
-    assert Situ.Test.Guide.run_blocks(@guide) == 5
+    assert Situ.Test.GuideRunner.run_blocks(@guide) == 5
   end
 end

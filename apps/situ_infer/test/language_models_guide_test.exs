@@ -7,7 +7,7 @@ defmodule Situ.Infer.LanguageModelsGuideTest do
 
   test "every block of language-models.md runs and returns the value it shows" do
     url = Server.start(&answer/2).url
-    assert Situ.Test.Guide.run_blocks(@guide, bindings: [url: url]) == 4
+    assert Situ.Test.GuideRunner.run_blocks(@guide, bindings: [url: url]) == 4
   end
 
   # A very small language model.

@@ -5,6 +5,6 @@ defmodule Situ.Infer.OwnModelGuideTest do
   @guide Path.expand("../../../docs/guides/your-own-model.md", __DIR__)
 
   test "every block of your-own-model.md runs and returns the value it shows" do
-    assert Situ.Test.Guide.run_blocks(@guide) == 4
+    assert Situ.Test.GuideRunner.run_blocks(@guide) == 4
   end
 end

@@ -8,6 +8,6 @@ defmodule Situ.ClusterGuideTest do
   @tag :capture_log
   test "every block of the guide runs and returns the value it shows", %{tmp_dir: folder} do
     on_exit(fn -> if pid = Process.whereis(Situ.Cluster.Agent), do: Process.exit(pid, :kill) end)
-    assert Situ.Test.Guide.run_blocks(@guide, bindings: [folder: folder]) == 4
+    assert Situ.Test.GuideRunner.run_blocks(@guide, bindings: [folder: folder]) == 4
   end
 end

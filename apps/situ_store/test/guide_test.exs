@@ -5,6 +5,6 @@ defmodule Situ.Store.GuideTest do
   @guide Path.expand("../../../docs/guides/recording-and-replaying.md", __DIR__)
 
   test "every block runs and returns the value it shows" do
-    assert Situ.Test.Guide.run_blocks(@guide) > 8
+    assert Situ.Test.GuideRunner.run_blocks(@guide) > 8
   end
 end

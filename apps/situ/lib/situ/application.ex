@@ -13,7 +13,7 @@ defmodule Situ.Application do
       Situ.Connector.registry_spec(),
       Situ.Tap.registry_spec(),
       Situ.Application.Directory,
-      Situ.Application.Reload
+      Situ.Application.CodeReload
     ]
 
     Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Supervisor)

@@ -16,7 +16,7 @@ defmodule Situ.Dataset do
       iex> File.rm_rf!(folder) != []
       true
 
-  `open/1` accepts a dataset file (`Situ.Dataset.Document`), a `.pds` file of \\psi, a folder of recordings, or one
+  `open/1` accepts a dataset file (`Situ.Dataset.FileFormat`), a `.pds` file of \\psi, a folder of recordings, or one
   recording. A dataset is a plain value and edits return `{:ok, dataset}`. With `autosave: true` every edit is saved
   atomically before it returns; otherwise `unsaved?` is true. Edits that another program has saved are never
   overwritten: `save/1` returns an error in this case, and `update/2` edits the current content of the file.
@@ -34,8 +34,8 @@ defmodule Situ.Dataset do
     DatasetFile,
     Derivation,
     Discovery,
-    Document,
-    Names,
+    FileFormat,
+    NameRules,
     Partition,
     Session,
     Summary
@@ -113,7 +113,7 @@ defmodule Situ.Dataset do
       File.dir?(path) ->
         build_dataset(Discovery.from_folder(path))
 
-      Document.dataset_file?(path) ->
+      FileFormat.dataset_file?(path) ->
         load(path, opts)
 
       File.regular?(path) and Situ.Store.Formats.for_file(path) != nil ->
@@ -134,7 +134,7 @@ defmodule Situ.Dataset do
   def load(path, opts \\ []) do
     path = Path.expand(path)
 
-    with {:ok, found, digest} <- Document.read_digested(path) do
+    with {:ok, found, digest} <- FileFormat.read_digested(path) do
       dataset = struct!(%__MODULE__{digest: digest}, found)
       file = if Path.extname(path) == ".pds", do: nil, else: path
       put_file(dataset, file, (opts[:autosave] && file != nil) || false)
@@ -202,7 +202,8 @@ defmodule Situ.Dataset do
   end
 
   defp write_file(dataset) do
-    with {:ok, digest} <- DatasetFile.write(dataset.file, Document.encode(dataset, dataset.file)),
+    with {:ok, digest} <-
+           DatasetFile.write(dataset.file, FileFormat.encode(dataset, dataset.file)),
          do: {:ok, %{dataset | unsaved?: false, digest: digest}}
   end
 
@@ -215,7 +216,7 @@ defmodule Situ.Dataset do
   @doc "Returns the session with that name. Error: `:no_session`, which suggests the nearest name."
   @spec session(t(), String.t()) :: {:ok, Session.t()} | {:error, Error.t()}
   def session(%__MODULE__{} = dataset, name),
-    do: Names.fetch_named(dataset.sessions, name, :no_session, "session", "the dataset")
+    do: NameRules.fetch_named(dataset.sessions, name, :no_session, "session", "the dataset")
 
   @doc "Adds a session: a struct, or a name with options of `Situ.Dataset.Session.new/2`. Error: `:duplicate_name`."
   @spec add_session(t(), String.t() | Session.t(), keyword()) :: result()
@@ -229,8 +230,8 @@ defmodule Situ.Dataset do
   end
 
   defp put_session(dataset, session) do
-    with :ok <- Names.check_valid(session.name, "session"),
-         :ok <- Names.check_free(session.name, dataset.sessions, "the dataset") do
+    with :ok <- NameRules.check_valid(session.name, "session"),
+         :ok <- NameRules.check_free(session.name, dataset.sessions, "the dataset") do
       {:ok, %{dataset | sessions: dataset.sessions ++ [session]}}
     end
   end
@@ -256,8 +257,8 @@ defmodule Situ.Dataset do
   @spec rename_session(t(), String.t(), String.t()) :: result()
   def rename_session(%__MODULE__{} = dataset, from, to) do
     with {:ok, found} <- session(dataset, from),
-         :ok <- Names.check_valid(to, "session"),
-         :ok <- Names.check_free(to, List.delete(dataset.sessions, found), "the dataset") do
+         :ok <- NameRules.check_valid(to, "session"),
+         :ok <- NameRules.check_free(to, List.delete(dataset.sessions, found), "the dataset") do
       commit_edit(replace_session(dataset, from, %{found | name: to}))
     end
   end
@@ -382,7 +383,7 @@ defmodule Situ.Dataset do
   @spec select_sessions(t(), keyword()) :: [Session.t()]
   def select_sessions(%__MODULE__{} = dataset, opts) do
     tags = opts[:tags] || []
-    fits? = Names.pattern_matcher(opts[:name] || "*")
+    fits? = NameRules.pattern_matcher(opts[:name] || "*")
     Enum.filter(dataset.sessions, &(tags -- &1.tags == [] and fits?.(&1.name)))
   end
 

@@ -17,7 +17,7 @@ defmodule Situ.Expression do
   steps, each bounded by the size of its operands, and cannot fail. A part without a value is `nil` (`null`).
   """
   alias Situ.Error
-  alias Situ.Expression.{Functions, Parser, Value}
+  alias Situ.Expression.{Functions, Parser, Operators}
 
   @enforce_keys [:source, :tree, :run]
   defstruct [:source, :tree, :run]
@@ -122,17 +122,17 @@ defmodule Situ.Expression do
 
   defp compile_tree({:member, of, name}) do
     of = compile_tree(of)
-    fn env -> Value.get_member(of.(env), name) end
+    fn env -> Operators.get_member(of.(env), name) end
   end
 
   defp compile_tree({:index, _, of, index}) do
     {of, index} = {compile_tree(of), compile_tree(index)}
-    fn env -> Value.get_element(of.(env), index.(env)) end
+    fn env -> Operators.get_element(of.(env), index.(env)) end
   end
 
   defp compile_tree({:unary, operator, of}) do
     of = compile_tree(of)
-    fn env -> Value.apply_unary(operator, of.(env)) end
+    fn env -> Operators.apply_unary(operator, of.(env)) end
   end
 
   # The right operand is evaluated only if it matters.
@@ -148,7 +148,7 @@ defmodule Situ.Expression do
 
   defp compile_tree({:binary, operator, left, right}) do
     {left, right} = {compile_tree(left), compile_tree(right)}
-    fn env -> Value.apply_binary(operator, left.(env), right.(env)) end
+    fn env -> Operators.apply_binary(operator, left.(env), right.(env)) end
   end
 
   # In a query, the argument is the name of a stream and not its value.

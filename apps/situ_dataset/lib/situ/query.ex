@@ -168,7 +168,7 @@ defmodule Situ.Query do
         {name, {value, latency}}, {env, since} ->
           env =
             env
-            |> Map.put(name, Expression.Value.to_plain(value))
+            |> Map.put(name, Expression.Operators.to_plain(value))
             |> Map.put("latency(#{name})", latency)
 
           {env, Map.put(since, name, time)}

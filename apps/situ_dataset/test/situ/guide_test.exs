@@ -6,6 +6,6 @@ defmodule Situ.Dataset.GuideTest do
   @guide Path.expand("../../../../docs/guides/a-study.md", __DIR__)
 
   test "runs every block of the study with the results it shows" do
-    assert Situ.Test.Guide.run_blocks(@guide) > 8
+    assert Situ.Test.GuideRunner.run_blocks(@guide) > 8
   end
 end

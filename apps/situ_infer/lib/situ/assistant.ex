@@ -70,7 +70,7 @@ defmodule Situ.Assistant do
 
   The microphone may pick up the assistant's own voice. During playback the input is therefore attenuated (`duck:`), so
   that a loudspeaker at some distance does not count as speech, but a person at the microphone does. As a second
-  safeguard, words that the assistant has just spoken are neither commands nor interruptions (`Situ.Assistant.Echo`).
+  safeguard, words that the assistant has just spoken are neither commands nor interruptions (`Situ.Assistant.EchoDetector`).
 
   ## Options
 
@@ -78,7 +78,7 @@ defmodule Situ.Assistant do
   """
   alias Situ.Assistant.{Dialogue, Interruption, Player}
   alias Situ.Infer.{SpeechRecognizer, SpeechSynthesizer, VoiceActivity}
-  alias Situ.Audio.Ducker
+  alias Situ.AudioStream.Ducker
   alias Situ.{Node, Pipeline, Stream}
 
   # If the recognizer lags by more than this, it skips partial results.
@@ -95,7 +95,7 @@ defmodule Situ.Assistant do
 
     # Voice activity detection works at any level, so attenuation alone would not hide the assistant's own voice; the
     # noise gate does. Only the detection uses the ducked audio, so interruptions are recognized at full level.
-    loud = ducker |> Node.output(:out) |> Situ.Audio.noise_gate(open: opts[:quietest])
+    loud = ducker |> Node.output(:out) |> Situ.AudioStream.noise_gate(open: opts[:quietest])
 
     voice =
       Situ.via(loud, VoiceActivity, min_silence: opts[:pause], name: "VoiceActivity").speaking

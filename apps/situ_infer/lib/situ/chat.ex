@@ -77,7 +77,7 @@ defmodule Situ.Chat do
     ],
     options: @schema
 
-  alias Situ.Chat.{Answer, Dialogue, Memory, Service, Turn}
+  alias Situ.Chat.{Answer, ToolLoop, History, Service, Turn}
   alias Situ.Error
 
   defstruct [
@@ -101,9 +101,9 @@ defmodule Situ.Chat do
   def ask(question, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, service} <- build_service(opts),
-         {:ok, turns} <- Memory.parse_turns(question) do
+         {:ok, turns} <- History.parse_turns(question) do
       {pid, ref} =
-        Dialogue.start(
+        ToolLoop.start(
           self(),
           service,
           system_turns(opts[:system]) ++ turns,
@@ -138,7 +138,7 @@ defmodule Situ.Chat do
   def init(opts) do
     with {:ok, service} <- build_service(opts) do
       places = if opts[:concurrency] == 1, do: opts[:remember], else: 0
-      {:ok, %__MODULE__{opts: Map.new(opts), service: service, memory: Memory.new(places)}}
+      {:ok, %__MODULE__{opts: Map.new(opts), service: service, memory: History.new(places)}}
     end
   end
 
@@ -147,7 +147,7 @@ defmodule Situ.Chat do
 
   @impl true
   def handle_message(:in, %{data: question, originating_time: time}, _context, state) do
-    turns = Error.unwrap!(Memory.parse_turns(question))
+    turns = Error.unwrap!(History.parse_turns(question))
     state |> add_job(turns, time) |> hold_or_resume([])
   end
 
@@ -195,8 +195,8 @@ defmodule Situ.Chat do
   end
 
   defp start_job(state, job) do
-    turns = system_turns(state.opts.system) ++ Memory.with_history(state.memory, job.turns)
-    {pid, ref} = Dialogue.start(self(), state.service, turns, state.opts.tools, state.opts.rounds)
+    turns = system_turns(state.opts.system) ++ History.with_history(state.memory, job.turns)
+    {pid, ref} = ToolLoop.start(self(), state.service, turns, state.opts.tools, state.opts.rounds)
     replace_job(state, %{job | pid: pid}, ref)
   end
 
@@ -283,7 +283,7 @@ defmodule Situ.Chat do
 
   defp emit_answer(state, job, answer, actions) do
     spent = state.spent + answer.tokens.read + answer.tokens.written
-    memory = Memory.add_exchange(state.memory, job.turns, answer)
+    memory = History.add_exchange(state.memory, job.turns, answer)
     emit_oldest(%{state | spent: spent, memory: memory}, [{:out, job.time, answer} | actions])
   end
 

@@ -2,7 +2,7 @@ defmodule Situ.Infer do
   @moduledoc """
   Runs models on streams to detect voices, faces and lips, and to determine who is speaking.
 
-      voice = clip.audio |> Situ.Audio.resample(16_000) |> Situ.Infer.voice()
+      voice = clip.audio |> Situ.AudioStream.resample(16_000) |> Situ.Infer.voice()
       mouths = clip.video |> Situ.Infer.MouthShape.detect()
       speaking = Situ.Infer.who_speaks(mouths, voice)
 
@@ -14,7 +14,7 @@ defmodule Situ.Infer do
   | images | the person in front of the camera, as a mask | `Situ.Infer.PersonMask` |
   | images | the body of that person: points, a skeleton | `Situ.Infer.BodyPose` |
   | images | the text in them | `Situ.Infer.TextReader` |
-  | images, a service | a description | `Situ.Infer.PictureService` |
+  | images, a service | a description | `Situ.Infer.ImageService` |
   | rectangles | to track them over time | `Situ.Infer.Tracker` |
   | 16 kHz audio | probability of speech | `voice/2` |
   | 16 kHz audio | speech or not, segments | `voice_activity/2`, `Situ.Infer.VoiceActivity` |
@@ -83,7 +83,7 @@ defmodule Situ.Infer do
     phrase: [type: :string, required: true, doc: "The name to detect."],
     spotter: [
       type: :module,
-      default: Situ.Infer.Speech.WakeWord.Spoken,
+      default: Situ.Infer.Speech.WakeWord.TranscriptSpotter,
       doc: "The module that detects the name, a `Situ.Infer.Speech.WakeWord`."
     ],
     options: [type: :keyword, default: [], doc: "Additional options for its `load/1`."],
@@ -102,7 +102,7 @@ defmodule Situ.Infer do
     own = [spotter: opts[:spotter], phrase: opts[:phrase]] ++ opts[:options]
 
     transcribe(sound,
-      recognizer: Situ.Infer.Speech.WakeWord.Spotting,
+      recognizer: Situ.Infer.Speech.WakeWord.SpotterRecognizer,
       recognizer_options: own,
       partial: nil,
       voice: opts[:voice],

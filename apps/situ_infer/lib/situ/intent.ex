@@ -11,7 +11,7 @@ defmodule Situ.Intent do
       iex> {Situ.Intent.name(intent), Situ.Intent.entity(intent, "minutes")}
       {"timer", "25"}
 
-  Two modules implement `Situ.Intent.Recognizer`: `Situ.Intent.Grammar` (a grammar) and `Situ.Intent.Model` (a language
+  Two modules implement `Situ.Intent.Recognizer`: `Situ.Intent.Grammar` (a grammar) and `Situ.Intent.LanguageModel` (a language
   model). On streams, use `Situ.Intent.Detector`.
   """
 

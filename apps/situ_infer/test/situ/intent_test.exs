@@ -60,13 +60,13 @@ defmodule Situ.IntentTest do
       end)
 
     timer = %Tool{name: "timer", about: "Rings later."}
-    {:ok, model} = Intent.Model.load(intents: [timer], url: server.url, model: "small")
-    assert {:ok, intent} = Intent.Model.detect(model, "tea in five")
+    {:ok, model} = Intent.LanguageModel.load(intents: [timer], url: server.url, model: "small")
+    assert {:ok, intent} = Intent.LanguageModel.detect(model, "tea in five")
 
     assert {Intent.name(intent), Intent.entity(intent, "minutes"), Intent.entity(intent, "name")} ==
              {"timer", "5", "tea"}
 
     for text <- ["fly", "hello"],
-        do: assert({:ok, %{intents: [], entities: []}} = Intent.Model.detect(model, text))
+        do: assert({:ok, %{intents: [], entities: []}} = Intent.LanguageModel.detect(model, text))
   end
 end

@@ -78,7 +78,7 @@ defmodule Situ.Live do
   """
   use Supervisor
   alias Situ.Error
-  alias Situ.Live.{Endpoint, Listener, Public, Route, Yaws}
+  alias Situ.Live.{Endpoint, Listener, PublicAddress, Route, Yaws}
 
   @loopback_names ["localhost", "127.0.0.1", "::1"]
   @known [
@@ -149,7 +149,7 @@ defmodule Situ.Live do
     loopback? = loopback_address?(ip)
 
     with {:ok, port} <- resolve_port(opts, ip),
-         {:ok, public} <- Public.parse(opts[:public]),
+         {:ok, public} <- PublicAddress.parse(opts[:public]),
          viewer = Keyword.get(opts, :viewer_token, :auto),
          {:ok, token} <-
            resolve_token(Keyword.get(opts, :token, :auto), loopback? and not is_binary(viewer)),
@@ -167,7 +167,7 @@ defmodule Situ.Live do
          hosts: allowed_hosts(opts[:hosts], loopback?, public),
          public: public,
          layout: opts[:layout],
-         origins: (opts[:origins] || []) ++ Public.allowed_origins(public),
+         origins: (opts[:origins] || []) ++ PublicAddress.allowed_origins(public),
          images: opts[:images] || [],
          headers: @security_headers ++ (opts[:headers] || []),
          max_body: opts[:max_body] || 1_000_000,
@@ -183,7 +183,7 @@ defmodule Situ.Live do
   defp allowed_hosts(:any, _, _), do: :any
 
   defp allowed_hosts(names, _, public),
-    do: (names || @loopback_names) ++ Public.allowed_hosts(public)
+    do: (names || @loopback_names) ++ PublicAddress.allowed_hosts(public)
 
   defp resolve_port(opts, ip) do
     case Keyword.get(opts, :port, 4040) do

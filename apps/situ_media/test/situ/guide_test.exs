@@ -2,7 +2,7 @@ defmodule Situ.Media.PicturesGuideTest do
   # Runs the code blocks of docs/guides/pictures-and-sound.md, compares their results, and compares the images they
   # draw with those on the page. SITU_PICTURES=write updates the images.
   use ExUnit.Case, async: true
-  alias Situ.Imaging
+  alias Situ.ImageOps
 
   @guides Path.expand("../../../../docs/guides", __DIR__)
   @pictures Path.join(@guides, "pictures-and-sound")
@@ -13,7 +13,7 @@ defmodule Situ.Media.PicturesGuideTest do
     write? = System.get_env("SITU_PICTURES") == "write"
     out = if write?, do: @pictures, else: tmp
 
-    assert Situ.Test.Guide.run_blocks(@guides <> "/pictures-and-sound.md",
+    assert Situ.Test.GuideRunner.run_blocks(@guides <> "/pictures-and-sound.md",
              bindings: [folder: @pictures, out: out]
            ) > 10
 
@@ -22,11 +22,11 @@ defmodule Situ.Media.PicturesGuideTest do
     assert length(made) == 5
 
     for name <- made do
-      page = Imaging.read!(Path.join(@pictures, name))
-      fresh = Imaging.read!(Path.join(out, name))
+      page = ImageOps.read!(Path.join(@pictures, name))
+      fresh = ImageOps.read!(Path.join(out, name))
 
       # Releases of OpenCV and libjpeg-turbo differ in details; an incorrect operator differs everywhere.
-      {:ok, %{mean: mean}} = Imaging.compare(page, fresh)
+      {:ok, %{mean: mean}} = ImageOps.compare(page, fresh)
       assert mean < 1.0, "#{name} is out of date"
     end
   end

@@ -68,9 +68,19 @@ defmodule Situ.Cluster do
 
   #{Situ.Options.docs(Situ.Cluster.Deployment.place_schema())}
   """
-  alias Situ.Cluster.{Agent, Assembly, Balance, Balancer, Chunk, Deployment, Logs, Overview}
-  alias Situ.Cluster.{Deployments, Past, Placement, Plan, Recordings, Runner, Runners}
-  alias Situ.Cluster.{Seal, SealedLog, Upgrade, Vitals, Whole}
+  alias Situ.Cluster.{
+    Agent,
+    PartStarter,
+    LoadBalance,
+    Balancer,
+    StreamEntry,
+    Deployment,
+    LogLines,
+    Overview
+  }
+
+  alias Situ.Cluster.{Deployments, Retention, Placement, Plan, Recordings, Runner, Runners}
+  alias Situ.Cluster.{SignedEntry, SealedLog, Upgrade, NodeMetrics, SnapshotMerge}
   alias Situ.{Error, Options, Pipeline}
   alias Situ.Remote.Log
 
@@ -162,7 +172,7 @@ defmodule Situ.Cluster do
   """
   @spec await(t(), timeout()) :: :ok | {:error, Error.t()}
   def await(%Deployment{} = deployment, timeout \\ :infinity) do
-    with {:ok, plan} <- Assembly.build_plan(deployment) do
+    with {:ok, plan} <- PartStarter.build_plan(deployment) do
       till = if timeout == :infinity, do: :infinity, else: monotonic_ms() + timeout
       await_parts(deployment_log(deployment), deployment, Map.keys(plan.parts), till)
     end
@@ -184,7 +194,7 @@ defmodule Situ.Cluster do
     failed =
       for {part, {:ok, %{head: %{"State" => "failed"}, data: text}}} <- states, do: {part, text}
 
-    forged = for {_, {:error, error}} <- states, Seal.refusal?(error), do: error
+    forged = for {_, {:error, error}} <- states, SignedEntry.refusal?(error), do: error
 
     cond do
       forged != [] -> {:error, hd(forged)}
@@ -232,7 +242,7 @@ defmodule Situ.Cluster do
   defp decode_entries([], lists), do: {:ok, lists |> Enum.reverse() |> Enum.concat()}
 
   defp decode_entries([entry | rest], lists) do
-    with {:ok, messages} <- Chunk.decode_messages(entry),
+    with {:ok, messages} <- StreamEntry.decode_messages(entry),
          do: decode_entries(rest, [messages | lists])
   end
 
@@ -253,8 +263,8 @@ defmodule Situ.Cluster do
   def forget(%Deployment{name: name}), do: Agent.forget_deployment(name)
 
   @doc "Lists how much of each deployment the cluster's log contains, whether the deployment is running or has ended."
-  @spec list_log_usage() :: {:ok, [Past.t()]} | {:error, Error.t()}
-  def list_log_usage, do: with(:ok <- check_member(), do: Past.list(Agent.get_log()))
+  @spec list_log_usage() :: {:ok, [Retention.t()]} | {:error, Error.t()}
+  def list_log_usage, do: with(:ok <- check_member(), do: Retention.list(Agent.get_log()))
 
   @doc """
   Permanently deletes the log of a deployment that has ended (which is then also forgotten) or was forgotten.
@@ -266,10 +276,10 @@ defmodule Situ.Cluster do
   @spec prune(String.t(), non_neg_integer()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def prune(name, wait \\ 1_500) when is_binary(name) do
     with {:ok, all} <- list_log_usage(),
-         {:ok, kept} <- Past.fetch_by_name(all, name),
+         {:ok, kept} <- Retention.fetch_by_name(all, name),
          {:ok, tries} <- forget_if_ended(Enum.find(Agent.info().deployments, &(&1.name == name))),
          :ok <- await_unused(kept, wait, tries),
-         {:ok, deleted} <- Past.delete(Agent.get_log(), kept),
+         {:ok, deleted} <- Retention.delete(Agent.get_log(), kept),
          :ok <- Deployments.delete(Agent.get_log(), name),
          do: {:ok, deleted}
   end
@@ -277,7 +287,7 @@ defmodule Situ.Cluster do
   # Other nodes may renew a lease once more before they learn that the deployment was forgotten.
   defp await_unused(kept, wait, tries) do
     with {:error, %{code: :in_use}} when tries > 1 <-
-           Past.check_unused(Agent.get_log(), kept, wait),
+           Retention.check_unused(Agent.get_log(), kept, wait),
          do: await_unused(kept, wait, tries - 1)
   end
 
@@ -286,7 +296,7 @@ defmodule Situ.Cluster do
 
   defp forget_if_ended(deployment) do
     case await(deployment, 0) do
-      {:error, %{code: :timeout}} -> {:error, Past.in_use_error(deployment.name)}
+      {:error, %{code: :timeout}} -> {:error, Retention.in_use_error(deployment.name)}
       _ended_or_failed -> with :ok <- forget(deployment), do: {:ok, 3}
     end
   end
@@ -410,7 +420,7 @@ defmodule Situ.Cluster do
         %{part: part, node: node, cost: (sum - start) / max(at - since, 1), on: on}
       end
 
-    case Balance.choose_move(Vitals.recent_vitals(), parts) do
+    case LoadBalance.choose_move(NodeMetrics.recent_vitals(), parts) do
       nil -> {:ok, nil}
       {part, to} -> with :ok <- move(deployment, part, to), do: {:ok, {part, to}}
     end
@@ -427,7 +437,7 @@ defmodule Situ.Cluster do
   @doc "Returns a `Situ.Diagnostics.Snapshot` of the running parts, merged as if they were one pipeline."
   @spec info(t()) :: Situ.Diagnostics.Snapshot.t()
   def info(%Deployment{} = deployment),
-    do: Whole.merge_parts(deployment.name, part_snapshots(deployment))
+    do: SnapshotMerge.merge_parts(deployment.name, part_snapshots(deployment))
 
   defp part_snapshots(deployment) do
     for %{part: part, node: node, pipeline: pid} when pid != nil <- list_parts(deployment),
@@ -477,9 +487,9 @@ defmodule Situ.Cluster do
 
   @doc "Returns the last lines that a member has logged after line number `from`."
   @spec logs(node(), non_neg_integer(), pos_integer()) ::
-          {:ok, [Logs.line()]} | {:error, Error.t()}
+          {:ok, [LogLines.line()]} | {:error, Error.t()}
   def logs(node \\ node(), from \\ 0, most \\ 200) do
-    {:ok, :erpc.call(node, Logs, :read, [from, most], 10_000)}
+    {:ok, :erpc.call(node, LogLines, :read, [from, most], 10_000)}
   catch
     _, reason ->
       {:error, Error.new(:unreachable, "#{node} is lost: #{inspect(reason, limit: 5)}")}
@@ -500,7 +510,7 @@ defmodule Situ.Cluster do
           {:ok, %{parts: [String.t()], streams: [map()]}} | {:error, Error.t()}
   def plan(module, opts \\ []) do
     with {:ok, deployment} <- Deployment.new(module, opts),
-         {:ok, %Plan{} = plan} <- Assembly.build_plan(deployment) do
+         {:ok, %Plan{} = plan} <- PartStarter.build_plan(deployment) do
       streams = for {name, s} <- plan.streams, do: %{name: name, from: s.part, to: s.readers}
       {:ok, %{parts: Enum.sort(Map.keys(plan.parts)), streams: Enum.sort_by(streams, & &1.name)}}
     end

@@ -26,7 +26,17 @@ defmodule Situ.Remote do
       iex> File.rm_rf!(root)
   """
   alias Situ.{Delivery, Error, Options, Pipeline}
-  alias Situ.Remote.{Address, Confirmation, Connection, Position, Rendezvous, Serving, Source}
+
+  alias Situ.Remote.{
+    Address,
+    ConfirmComponent,
+    Connection,
+    Position,
+    Rendezvous,
+    ServerConfig,
+    Source
+  }
+
   alias Situ.Remote.Link.Handshake
   alias Situ.Remote.Origin.Versions
   alias Situ.Store.{Folder, TypeName}
@@ -114,11 +124,11 @@ defmodule Situ.Remote do
 
   Listens on 127.0.0.1 unless `interface:` is given, and then requires a token or a certificate.
 
-  #{Options.docs(Serving.options())}
+  #{Options.docs(ServerConfig.options())}
   """
-  @spec serve(Serving.served() | %{String.t() => Serving.served()}, keyword()) ::
+  @spec serve(ServerConfig.served() | %{String.t() => ServerConfig.served()}, keyword()) ::
           {:ok, pid()} | {:error, Error.t()}
-  defdelegate serve(what, opts \\ []), to: Serving
+  defdelegate serve(what, opts \\ []), to: ServerConfig
 
   @doc """
   Opens a link to a server during `build`; `stream/3` then adds its streams.
@@ -291,7 +301,7 @@ defmodule Situ.Remote do
 
     Situ.via(
       stream,
-      Confirmation,
+      ConfirmComponent,
       [default_name: "Confirm " <> String.replace(name, ".", " ")] ++ own
     )
 

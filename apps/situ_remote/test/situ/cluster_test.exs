@@ -2,7 +2,7 @@ defmodule Situ.ClusterTest do
   use ExUnit.Case, async: false
 
   alias Situ.{Cluster, Pipeline}
-  alias Situ.Cluster.Past
+  alias Situ.Cluster.Retention
   alias Situ.Test.{ClusterFan, ClusterSums, NatsServer}
   import Situ.Remote.Test.Recordings, only: [eventually: 1]
 
@@ -93,9 +93,9 @@ defmodule Situ.ClusterTest do
     running(deployment.name, "Sum")
     assert {:error, %{code: :in_use}} = Cluster.prune(deployment.name)
     {:ok, log} = Situ.Remote.Log.connect(dir)
-    {:ok, [kept]} = Past.list(log)
+    {:ok, [kept]} = Retention.list(log)
     # Check the log alone, as for another cluster's deployment: its leases are changing.
-    assert {:error, %{code: :in_use}} = Past.check_unused(log, kept, 300)
+    assert {:error, %{code: :in_use}} = Retention.check_unused(log, kept, 300)
     assert :ok = Cluster.await(deployment, 60_000)
     assert read(deployment, "Result") == alone(count: 600)
     assert {:error, %{code: :bad_option}} = Cluster.deploy(ClusterSums, name: "a.b")
@@ -277,7 +277,7 @@ defmodule Situ.ClusterTest do
     deployment = slow(dir)
     running(deployment.name, "Sum")
     stop_supervised!(Cluster)
-    assert {:ok, _} = Past.prune(raw(dir), deployment.name, 0)
+    assert {:ok, _} = Retention.prune(raw(dir), deployment.name, 0)
     assert deployments_after_start(dir) == []
     opts = [opts: [count: 100], place: @place, publish: ["Result"], pipeline: @pipeline]
     assert {:ok, %{run: run} = again} = Cluster.deploy(ClusterSums, opts)

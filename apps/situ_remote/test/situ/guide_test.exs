@@ -6,6 +6,6 @@ defmodule Situ.Remote.GuideTest do
   @guide Path.expand("../../../../docs/guides/links.md", __DIR__)
 
   test "every block of the guide runs and returns the value it shows" do
-    capture_log(fn -> assert Situ.Test.Guide.run_blocks(@guide) > 5 end)
+    capture_log(fn -> assert Situ.Test.GuideRunner.run_blocks(@guide) > 5 end)
   end
 end

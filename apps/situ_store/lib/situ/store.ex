@@ -7,8 +7,8 @@ defmodule Situ.Store do
     Folder,
     Formats,
     Importer,
-    Mending,
-    Reading,
+    Maintenance,
+    Query,
     Summary
   }
 
@@ -56,14 +56,14 @@ defmodule Situ.Store do
   @doc """
   Opens a store's folder, the newest version of `root/name`, or an external file.
 
-  #{Options.docs(Reading.open_options())}
+  #{Options.docs(Query.open_options())}
   """
   @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
-  defdelegate open(path, opts \\ []), to: Reading
+  defdelegate open(path, opts \\ []), to: Query
 
   @doc "Works like `open/2`, but raises the error."
   @spec open!(Path.t(), keyword()) :: t()
-  defdelegate open!(path, opts \\ []), to: Reading
+  defdelegate open!(path, opts \\ []), to: Query
 
   # In pipelines
 
@@ -114,106 +114,106 @@ defmodule Situ.Store do
 
   @doc "Returns `name`, `created`, `closed?`, `live?`, `damage` and more facts about the store."
   @spec info(t()) :: map()
-  defdelegate info(store), to: Reading
+  defdelegate info(store), to: Query
 
   @doc "Returns whether every stream of the store was closed and the writer finished."
   @spec closed?(t()) :: boolean()
-  defdelegate closed?(store), to: Reading
+  defdelegate closed?(store), to: Query
 
   @doc "Returns whether a writer in any process holds the store now."
   @spec live?(t()) :: boolean()
-  defdelegate live?(store), to: Reading
+  defdelegate live?(store), to: Query
 
   @doc "Returns the current streams with their statistics."
   @spec streams(t()) :: [StreamInfo.t()]
-  defdelegate streams(store), to: Reading
+  defdelegate streams(store), to: Query
 
   @doc "Returns one stream with its statistics."
   @spec stream_info(t(), name()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
-  defdelegate stream_info(store, name), to: Reading
+  defdelegate stream_info(store, name), to: Query
 
   @doc "Returns whether the store has a stream of this name."
   @spec has_stream?(t(), String.t()) :: boolean()
-  defdelegate has_stream?(store, name), to: Reading
+  defdelegate has_stream?(store, name), to: Query
 
   @doc """
   Returns the stream's supplemental metadata, or an error if it has none. As in messages, atoms and structs that this
   system does not have become strings and maps.
   """
   @spec metadata(t(), name()) :: {:ok, term()} | {:error, Error.t()}
-  defdelegate metadata(store, name), to: Reading
+  defdelegate metadata(store, name), to: Query
 
   @doc "Works like `metadata/2`, and checks the metadata against a `Situ.Type`."
   @spec metadata(t(), name(), Situ.Type.t()) :: {:ok, term()} | {:error, Error.t()}
-  defdelegate metadata(store, name, type), to: Reading
+  defdelegate metadata(store, name, type), to: Query
 
   @doc "Returns the span of originating times of all streams, `{first, last}`, or `nil` if there are no messages."
   @spec interval(t() | [StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
-  defdelegate interval(store), to: Reading
+  defdelegate interval(store), to: Query
 
   @doc "Returns the span of creation times of all streams, or `nil`."
   @spec creation_interval(t()) :: {Situ.Time.t(), Situ.Time.t()} | nil
-  defdelegate creation_interval(store), to: Reading
+  defdelegate creation_interval(store), to: Query
 
   @doc "Returns the files that the store's index names but that no longer exist. Their messages cannot be read."
   @spec missing_files(t()) :: [String.t()]
-  defdelegate missing_files(store), to: Reading
+  defdelegate missing_files(store), to: Query
 
   # Messages
 
   @doc """
   Returns the messages of a stream as an `Enumerable` that reads in batches on demand.
 
-  #{Options.docs(Reading.message_options())}
+  #{Options.docs(Query.message_options())}
   """
   @spec messages(t(), name(), keyword()) :: Enumerable.t()
-  defdelegate messages(store, name, opts \\ []), to: Reading
+  defdelegate messages(store, name, opts \\ []), to: Query
 
   @doc """
   Returns the messages of a stream as an `Enumerable` of parts in order. A part with plain numbers is a
   `Situ.Store.Columns` of many thousand messages; any other part is a list of messages.
 
-  #{Options.docs(Columns.Reading.column_options())}
+  #{Options.docs(Columns.PartReader.column_options())}
   """
   @spec columns(t(), name(), keyword()) :: Enumerable.t()
-  defdelegate columns(store, name, opts \\ []), to: Columns.Reading
+  defdelegate columns(store, name, opts \\ []), to: Columns.PartReader
 
   @doc """
   Reads up to `limit` messages, starting at a time: `{:ok, messages}`.
 
-  #{Options.docs(Reading.read_options())}
+  #{Options.docs(Query.read_options())}
   """
   @spec read(t(), name(), keyword()) :: {:ok, [Message.t()]} | {:error, Error.t()}
-  defdelegate read(store, name, opts \\ []), to: Reading
+  defdelegate read(store, name, opts \\ []), to: Query
 
   @doc """
   Returns the message with this ordinal (0 is the first, -1 the last): `{:ok, message}` or `{:ok, nil}`.
 
-  #{Options.docs(Reading.at_options())}
+  #{Options.docs(Query.at_options())}
   """
   @spec at(t(), name(), integer(), keyword()) :: {:ok, Message.t() | nil} | {:error, Error.t()}
-  defdelegate at(store, name, index, opts \\ []), to: Reading
+  defdelegate at(store, name, index, opts \\ []), to: Query
 
   @doc "Returns the current number of messages in a stream."
   @spec count(t(), name()) :: non_neg_integer()
-  defdelegate count(store, name), to: Reading
+  defdelegate count(store, name), to: Query
 
   @doc "Counts the messages with an originating time in `from..to` (both ends included), without reading their data."
   @spec count(t(), name(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
-  defdelegate count(store, name, from, to), to: Reading
+  defdelegate count(store, name, from, to), to: Query
 
   @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
   @spec ordinal(t(), name(), Situ.Time.t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
-  defdelegate ordinal(store, name, time), to: Reading
+  defdelegate ordinal(store, name, time), to: Query
 
   @doc "Returns the last message at or before `time`: `{:ok, message}` or `{:ok, nil}`."
   @spec latest_at(t(), name(), Situ.Time.t()) :: {:ok, Message.t() | nil} | {:error, Error.t()}
-  defdelegate latest_at(store, name, time), to: Reading
+  defdelegate latest_at(store, name, time), to: Query
 
   @doc "Returns the first message at or after `time`: `{:ok, message}` or `{:ok, nil}`."
   @spec first_at(t(), name(), Situ.Time.t()) :: {:ok, Message.t() | nil} | {:error, Error.t()}
-  defdelegate first_at(store, name, time), to: Reading
+  defdelegate first_at(store, name, time), to: Query
 
   @doc """
   Summarizes the signal of a numeric or audio stream over `from..to` for `pixels` columns: `{:ok, width, bins}`. See
@@ -225,7 +225,7 @@ defmodule Situ.Store do
 
   @doc "Returns spans of at least `least` ns without a message. Only gaps between chunks are found, from the index."
   @spec gaps(t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
-  defdelegate gaps(store, name, least), to: Reading
+  defdelegate gaps(store, name, least), to: Query
 
   @doc """
   Requests one message at the next commit: `{:situ_store, tag, {:published, n}}`, or `{:ended, n}` if the writer closed
@@ -233,7 +233,7 @@ defmodule Situ.Store do
   polling.
   """
   @spec notify(t(), known :: non_neg_integer(), tag :: non_neg_integer()) :: :ok
-  defdelegate notify(store, known \\ 0, tag \\ 0), to: Reading
+  defdelegate notify(store, known \\ 0, tag \\ 0), to: Query
 
   # Folders
 
@@ -266,10 +266,10 @@ defmodule Situ.Store do
   def list(root, opts \\ []),
     do: Folder.list_stores(Path.expand(root), Options.validate!(opts, @list_options)[:recursive])
 
-  defdelegate verify(path, opts \\ []), to: Mending
-  defdelegate repair(path, opts \\ []), to: Mending
-  defdelegate delete(path), to: Mending
-  defdelegate rename(path, name), to: Mending
+  defdelegate verify(path, opts \\ []), to: Maintenance
+  defdelegate repair(path, opts \\ []), to: Maintenance
+  defdelegate delete(path), to: Maintenance
+  defdelegate rename(path, name), to: Maintenance
   defdelegate copy(from, to, opts \\ []), to: Copying
   defdelegate compact(path, opts \\ []), to: Copying
   defdelegate crop(from, to, opts), to: Copying

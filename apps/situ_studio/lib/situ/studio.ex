@@ -116,7 +116,7 @@ defmodule Situ.Studio do
   """
   use Supervisor
 
-  alias Situ.Studio.{Alerts, Batch, Catalog, PipelineView, Plugins, Tiles, Web}
+  alias Situ.Studio.{Alerts, BatchRuns, Catalog, PipelineView, Plugins, Tiles, Web}
 
   @doc "Returns the child specification of a studio."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
@@ -172,9 +172,9 @@ defmodule Situ.Studio do
          [:id, :path, :pipelines, :recordings, :sources, :read_only, :layouts, :visualizers] ++
            [:plugins, :tiles]
        )},
-      {Batch, Keyword.take(opts, [:id])},
+      {BatchRuns, Keyword.take(opts, [:id])},
       {Alerts, Keyword.take(opts, [:id])},
-      {PipelineView.Past, Keyword.take(opts, [:id, :pipelines])},
+      {PipelineView.History, Keyword.take(opts, [:id, :pipelines])},
       {Situ.Live, live_options(opts)}
     ]
 
@@ -193,7 +193,7 @@ defmodule Situ.Studio do
           Tiles.tile_routes(opts[:tiles]) ++
           [{:get, "/*path", {Web.NotFoundPage, base_path(opts)}}],
       images: Tiles.allowed_origins(opts[:tiles]),
-      layout: &Web.Chrome.page_layout(Map.put(&1, :base, base_path(opts))),
+      layout: &Web.PageFrame.page_layout(Map.put(&1, :base, base_path(opts))),
       max_frame: 262_144
     ] ++
       if(opts[:hosts], do: [hosts: opts[:hosts]], else: []) ++
@@ -203,7 +203,7 @@ defmodule Situ.Studio do
 
   # Every link in a page starts with this path.
   defp base_path(opts) do
-    case Situ.Live.Public.parse(opts[:public]) do
+    case Situ.Live.PublicAddress.parse(opts[:public]) do
       {:ok, %{base: base}} -> base <> "/"
       _ -> "/"
     end
@@ -216,7 +216,7 @@ defmodule Situ.Studio do
   @doc "Returns the address to open, including the token if one is required; `item` opens one recording."
   @spec url(Supervisor.supervisor(), String.t() | nil) :: String.t()
   def url(studio, item \\ nil) do
-    path = if item, do: "/" <> Web.Address.source_path(item), else: "/"
+    path = if item, do: "/" <> Web.Paths.source_path(item), else: "/"
     studio |> live_server() |> Situ.Live.url(path)
   end
 
@@ -226,7 +226,7 @@ defmodule Situ.Studio do
   """
   @spec viewer_url(Supervisor.supervisor(), String.t() | nil) :: String.t() | nil
   def viewer_url(studio, item \\ nil) do
-    path = if item, do: "/" <> Web.Address.source_path(item), else: "/"
+    path = if item, do: "/" <> Web.Paths.source_path(item), else: "/"
     studio |> live_server() |> Situ.Live.viewer_url(path)
   end
 

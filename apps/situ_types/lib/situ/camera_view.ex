@@ -18,7 +18,7 @@ defmodule Situ.CameraView do
 
   @doc """
   Replaces the viewed data with the result of `fun`, for example to encode the image, convert it or turn it into a
-  cloud. To change the image size, use `Situ.Space.View`, which also adjusts the intrinsics.
+  cloud. To change the image size, use `Situ.Space.ViewImage`, which also adjusts the intrinsics.
   """
   @spec map_viewed(t(viewed), (viewed -> {:ok, other} | {:error, error})) ::
           {:ok, t(other)} | {:error, error}

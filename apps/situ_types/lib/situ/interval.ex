@@ -15,7 +15,7 @@ defmodule Situ.Interval do
   image, and each inclusive flag stays with its point.
   """
 
-  alias Situ.Interval.{Overlap, Scale, Text}
+  alias Situ.Interval.{Overlap, Scaling, Notation}
 
   @enforce_keys [:left, :right]
   defstruct [:left, :right, left_inclusive: false, right_inclusive: false]
@@ -118,7 +118,7 @@ defmodule Situ.Interval do
   """
   @spec parse(String.t()) :: {:ok, t()} | {:error, Situ.Error.t()}
   def parse(text) when is_binary(text) do
-    with {:ok, ends} <- Text.parse_notation(text), do: {:ok, from_ends(ends)}
+    with {:ok, ends} <- Notation.parse_notation(text), do: {:ok, from_ends(ends)}
   end
 
   @doc "Returns right minus left: negative for a negative interval, `:infinity` if an end is unbounded."
@@ -227,12 +227,12 @@ defmodule Situ.Interval do
   """
   @spec translate(t(), point()) :: t()
   def translate(%__MODULE__{left: left, right: right} = interval, by) do
-    %{interval | left: Scale.move_bound(left, by), right: Scale.move_bound(right, by)}
+    %{interval | left: Scaling.move_bound(left, by), right: Scaling.move_bound(right, by)}
   end
 
   @doc "Moves both ends outwards like `scale_left/2` and `scale_right/2`, both based on the original span."
   @spec scale(t(), amount, amount) :: t() when amount: {:by, point()} | {:factor, number()}
-  def scale(interval, left, right), do: Scale.scale_ends(interval, span(interval), left, right)
+  def scale(interval, left, right), do: Scaling.scale_ends(interval, span(interval), left, right)
 
   @doc """
   Moves the left end outwards by a span (`{:by, span}`), or so that the span is multiplied by `f` (`{:factor, f}`).
@@ -250,7 +250,7 @@ defmodule Situ.Interval do
   @doc "Moves each end outwards by half the amount; halves of odd integers are rounded outwards."
   @spec scale_center(t(), {:by, point()} | {:factor, number()}) :: t()
   def scale_center(interval, amount),
-    do: Scale.scale_around_center(interval, span(interval), amount)
+    do: Scaling.scale_around_center(interval, span(interval), amount)
 
   @doc """
   Returns the smallest interval that contains all of the given intervals; empty ones are ignored.
@@ -283,7 +283,7 @@ defmodule Situ.Interval do
       "(-inf,0]"
   """
   @spec to_string(t()) :: String.t()
-  def to_string(%__MODULE__{} = interval), do: Text.format_notation(interval)
+  def to_string(%__MODULE__{} = interval), do: Notation.format_notation(interval)
 
   defp from_ends({left, left_inclusive, right, right_inclusive}),
     do: new(left, left_inclusive, right, right_inclusive)

@@ -12,7 +12,7 @@ defmodule Situ.Mesh do
   """
   @behaviour Situ.Codec
 
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{Error, PointCloud, Pose, Ray3, Triangle3, Vector3}
 
   @enforce_keys [:vertices, :indices]

@@ -10,7 +10,7 @@ defmodule Situ.PointCloud do
   """
   @behaviour Situ.Codec
 
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{Box3, Error, Pose, Vector3}
 
   @enforce_keys [:points]

@@ -9,7 +9,7 @@ defmodule Situ.Application.Tables do
   @impl true
   def init(_) do
     Situ.Telemetry.create_table()
-    Situ.Application.Results.ensure_table()
+    Situ.Application.PipelineResults.ensure_table()
     {:ok, nil}
   end
 end

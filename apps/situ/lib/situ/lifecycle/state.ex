@@ -1,92 +1,3 @@
-defmodule Situ.Lifecycle.Member do
-  @moduledoc false
-  # The life cycle's view of one stage.
-  #
-  #   status   :running, :failed (takes no more messages), :restarting, :closed, :dead (its process has ended), :ended
-  #            (stopped as a part of a pipeline that keeps running)
-  #   open?    whether its outputs have yet to close
-  #   ends_at  the latest closing time among inputs that have closed
-  #   limit    messages of the stage after this time do not count
-  #   up?      whether its process has reported its initial state since the last spawn
-  #   alive?   whether it has a process
-  #   added?   whether it was added to the running pipeline
-  #   unit     the composite that it restarts, or ends, together with
-  #   again?   whether its process replaced an earlier one to which its neighbours still refer
-  @enforce_keys [:id, :path]
-  defstruct [
-    :id,
-    :path,
-    :ends_at,
-    :limit,
-    :unit,
-    source?: false,
-    tap?: false,
-    on_error: :stop,
-    status: :running,
-    open?: true,
-    up?: false,
-    alive?: true,
-    added?: false,
-    again?: false,
-    restarts: 0
-  ]
-
-  @type t :: %__MODULE__{
-          id: pos_integer(),
-          path: String.t(),
-          ends_at: Situ.Time.t() | nil,
-          limit: Situ.Time.t() | nil,
-          unit: {String.t(), :restart | :close} | nil,
-          source?: boolean(),
-          tap?: boolean(),
-          on_error: :stop | :skip | :restart,
-          status: :running | :failed | :restarting | :closed | :dead | :ended,
-          open?: boolean(),
-          up?: boolean(),
-          alive?: boolean(),
-          added?: boolean(),
-          again?: boolean(),
-          restarts: non_neg_integer()
-        }
-end
-
-defmodule Situ.Lifecycle.Ending do
-  @moduledoc false
-  # When and how a pipeline ends.
-  #
-  #   wish     the requested end: `{time | :now, by_hand?}`; the pipeline begins to end as soon as it can
-  #   final    the time up to which messages count
-  #   by_hand  limits sources that lag behind the clock, and cycles that never rest, to `catch_up` ms
-  #   enough?  whether these ms have passed
-  #   drain    the last measurement of a cycle that has to come to rest: `{mark, polls}`
-  #   latest   the latest end that a source has reported
-  #   finite   the sources that have reported an end
-  #   moves    how many movements occurred that the counters do not show
-  defstruct [
-    :wish,
-    :final,
-    :drain,
-    :latest,
-    finite: MapSet.new(),
-    by_hand: false,
-    enough?: false,
-    catch_up: 1_000,
-    moves: 0
-  ]
-
-  @type t :: %__MODULE__{
-          wish: {Situ.Time.t() | :now, boolean()} | nil,
-          final: Situ.Time.t() | nil,
-          drain: {term(), non_neg_integer()} | nil,
-          latest: Situ.Time.t() | nil,
-          finite: MapSet.t(pos_integer()),
-          by_hand: boolean(),
-          enough?: boolean(),
-          catch_up: non_neg_integer(),
-          moves: non_neg_integer()
-        }
-end
-
 defmodule Situ.Lifecycle.State do
   @moduledoc false
   # The life-cycle state of a pipeline, and the actions that the current event has led to. Pure.
@@ -97,7 +8,7 @@ defmodule Situ.Lifecycle.State do
   #   growths  the parts that are being added, by reference: Lifecycle.Growth
   #   leaving  removed stages whose processes have ended: Lifecycle.Removal
   #   limits   `{restarts, ms}`: how often a stage may be restarted within `ms`; `stop_timeout` ms
-  alias Situ.Lifecycle.{Ending, Links, Member}
+  alias Situ.Lifecycle.{EndState, Links, Member}
 
   @type id :: pos_integer()
   @type phase :: :building | :starting | :running | :stopping | :completed
@@ -120,7 +31,7 @@ defmodule Situ.Lifecycle.State do
             links: %Links{},
             pending: MapSet.new(),
             awaited: MapSet.new(),
-            ending: %Ending{},
+            ending: %EndState{},
             parts: %{},
             growths: %{},
             leaving: MapSet.new(),
@@ -137,7 +48,7 @@ defmodule Situ.Lifecycle.State do
           links: Links.t(),
           pending: MapSet.t(id()),
           awaited: MapSet.t(id()),
-          ending: Ending.t(),
+          ending: EndState.t(),
           parts: %{(reference() | {:unit, String.t()}) => map()},
           growths: %{reference() => map()},
           leaving: MapSet.t(id()),

@@ -3,8 +3,8 @@ defmodule Situ.Pipeline.Client do
   # Sends requests to a pipeline's process, addressed by handle, stream, pid or name. If the pipeline has ended, returns
   # an error or the pipeline's result.
   alias Situ.{Argument, Error, Lifecycle, Pipeline}
-  alias Situ.Application.{Directory, Results}
-  alias Situ.Graph.{Builder, Extension, Handle}
+  alias Situ.Application.{Directory, PipelineResults}
+  alias Situ.Graph.{Builder, Additions, Handle}
   alias Situ.Lifecycle.Errors
 
   @spec stop_pipeline(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
@@ -59,7 +59,7 @@ defmodule Situ.Pipeline.Client do
   def await_result(p, timeout) do
     pid = resolve_pid(p)
 
-    case Results.fetch_result(pid) do
+    case PipelineResults.fetch_result(pid) do
       {:ok, result} -> result
       :error -> call_process(pid, :await, timeout, :archive)
     end
@@ -81,7 +81,7 @@ defmodule Situ.Pipeline.Client do
     with {:ok, {handle, graph}} <- call(p, :extension),
          handle = if(is_struct(p, Handle), do: %{handle | scope: p.scope}, else: handle),
          {:ok, {result, built}} <- build_extension(handle, graph, fun),
-         :ok <- call(p, {:extend, Extension.extract_additions(built, graph)}),
+         :ok <- call(p, {:extend, Additions.extract_additions(built, graph)}),
          do: {:ok, result}
   end
 
@@ -128,7 +128,7 @@ defmodule Situ.Pipeline.Client do
   end
 
   defp ended_reply(pid, :archive) do
-    case Results.fetch_result(pid) do
+    case PipelineResults.fetch_result(pid) do
       {:ok, result} -> result
       :error -> {:error, Errors.not_running()}
     end

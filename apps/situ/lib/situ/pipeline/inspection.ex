@@ -1,9 +1,9 @@
 defmodule Situ.Pipeline.Inspection do
   @moduledoc false
   # Reports the state of a pipeline: report, snapshot and progress. Reads counters and sends no requests to components.
-  alias Situ.Diagnostics.{Averages, Snapshot, Survey, Trace}
+  alias Situ.Diagnostics.{Averages, Snapshot, SnapshotBuilder, Trace}
   alias Situ.Pipeline.{Report, State}
-  alias Situ.Ports.{Counters, Tally}
+  alias Situ.Ports.{Counters, ErrorCounters}
 
   # The minimum interval between two observations, because each one costs some time.
   @least_ms 50
@@ -98,7 +98,7 @@ defmodule Situ.Pipeline.Inspection do
 
     averages = state.view.averages
 
-    Survey.take_snapshot(%{
+    SnapshotBuilder.take_snapshot(%{
       name: state.settings.name,
       state: state.life.phase,
       time: time,
@@ -175,7 +175,7 @@ defmodule Situ.Pipeline.Inspection do
     skipped =
       for {_, stage} <- state.stages,
           {vertex, index} <- Enum.with_index(stage.vertices),
-          %{skipped: n} when n > 0 <- [Tally.read_counts(stage.tally, index)],
+          %{skipped: n} when n > 0 <- [ErrorCounters.read_counts(stage.tally, index)],
           into: %{},
           do: {vertex.path, n}
 

@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Launcher do
   @moduledoc false
   # Launches a pipeline: a new process builds the graph, replies to its caller and becomes the pipeline's server.
   alias Situ.Error
-  alias Situ.Application.{Directory, Reload}
+  alias Situ.Application.{Directory, CodeReload}
   alias Situ.Graph.Builder
   alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.{Handlers, Server, Settings, State}
@@ -83,7 +83,7 @@ defmodule Situ.Pipeline.Launcher do
         state = monitor_caller(%{state | handle: handle, graph: graph, result: result}, caller)
         # If the caller has ended in the meantime, the result is of no use.
         unless Process.alive?(caller), do: exit(:normal)
-        with {module, _opts} <- settings.origin, do: Reload.watch_module(module, version)
+        with {module, _opts} <- settings.origin, do: CodeReload.watch_module(module, version)
         send(self(), :situ_launch)
         :proc_lib.init_ack({:ok, self()})
         :gen_server.enter_loop(Server, [], state)
@@ -114,7 +114,7 @@ defmodule Situ.Pipeline.Launcher do
 
   # Reads the version before the build, so that a version that is loaded during the build counts as new.
   defp loaded_version({module, _opts}) do
-    if Code.ensure_loaded?(module), do: Reload.code_version(module)
+    if Code.ensure_loaded?(module), do: CodeReload.code_version(module)
   end
 
   defp loaded_version(nil), do: nil

@@ -13,10 +13,19 @@ defmodule Situ.Pipeline.Server do
   require Logger
 
   alias Situ.{Clock, Lifecycle}
-  alias Situ.Application.{Directory, Results}
+  alias Situ.Application.{Directory, PipelineResults}
   alias Situ.Graph.Builder
   alias Situ.Lifecycle.Errors
-  alias Situ.Pipeline.{Checkpointing, Dynamic, Handlers, Inspection, Performer, Stages, State}
+
+  alias Situ.Pipeline.{
+    PendingCheckpoint,
+    Dynamic,
+    Handlers,
+    Inspection,
+    LifecycleRunner,
+    Stages,
+    State
+  }
 
   # These requests wait until a starting pipeline is running.
   @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach] ++
@@ -146,7 +155,7 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_request({:untap, id}, _from, state) do
     {state, events} = Dynamic.Tap.detach(state, id)
-    reply_and_continue(:ok, Performer.apply_events(state, events))
+    reply_and_continue(:ok, LifecycleRunner.apply_events(state, events))
   end
 
   defp handle_request(request, from, %{life: %{phase: :running}} = state),
@@ -179,7 +188,7 @@ defmodule Situ.Pipeline.Server do
     do: {:noreply, Dynamic.Replacement.request_replacement(state, asked, from)}
 
   defp handle_running_request({:checkpoint, timeout}, from, state),
-    do: {:noreply, Checkpointing.request_checkpoint(state, timeout, from)}
+    do: {:noreply, PendingCheckpoint.request_checkpoint(state, timeout, from)}
 
   defp handle_running_request({:subscription, which}, _from, state),
     do: {:reply, Dynamic.Tap.fetch_subscription(state, which), state}
@@ -214,7 +223,9 @@ defmodule Situ.Pipeline.Server do
   end
 
   defp defer_message(message, state), do: %{state | early: [message | state.early]}
-  defp apply_dynamic({state, events}), do: stop_if_finished(Performer.apply_events(state, events))
+
+  defp apply_dynamic({state, events}),
+    do: stop_if_finished(LifecycleRunner.apply_events(state, events))
 
   # Events
 
@@ -227,7 +238,10 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_message({:situ_stop, time}, state), do: apply_event(state, {:stop_at, time})
   defp handle_message(:situ_observe, state), do: {:noreply, Inspection.observe_totals(state)}
-  defp handle_message(:situ_progress, state), do: {:noreply, Performer.report_progress(state)}
+
+  defp handle_message(:situ_progress, state),
+    do: {:noreply, LifecycleRunner.report_progress(state)}
+
   defp handle_message(:situ_moving, state), do: apply_event(state, :moving)
 
   defp handle_message({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state) do
@@ -238,7 +252,7 @@ defmodule Situ.Pipeline.Server do
   end
 
   defp handle_message({:situ_handled, event, result, graph}, state),
-    do: state |> Performer.finish_handlers(event, result, graph) |> stop_if_finished()
+    do: state |> LifecycleRunner.finish_handlers(event, result, graph) |> stop_if_finished()
 
   defp handle_message({:situ_watch, which, mark}, state) do
     moved? = Stages.fingerprint(state, which) != mark
@@ -265,16 +279,16 @@ defmodule Situ.Pipeline.Server do
   end
 
   defp handle_message({:situ_checkpoint, ref}, state),
-    do: {:noreply, Checkpointing.poll_progress(state, ref)}
+    do: {:noreply, PendingCheckpoint.poll_progress(state, ref)}
 
   defp handle_message({:situ_thaw, ref}, state),
-    do: {:noreply, Checkpointing.thaw_sources(state, ref)}
+    do: {:noreply, PendingCheckpoint.thaw_sources(state, ref)}
 
   defp handle_message({:situ_late, ref, timeout}, state),
     do: {:noreply, Dynamic.Replacement.handle_timeout(state, ref, timeout)}
 
   defp handle_message({:EXIT, pid, reason}, state),
-    do: state |> Performer.handle_exit(pid, reason) |> stop_if_finished()
+    do: state |> LifecycleRunner.handle_exit(pid, reason) |> stop_if_finished()
 
   defp handle_message({:situ_clock, _}, state) do
     for {id, _} <- state.stages, do: Stages.send_request(state, id, :clock)
@@ -285,7 +299,10 @@ defmodule Situ.Pipeline.Server do
     do: apply_event(state, {:stop, Lifecycle.default_catch_up_ms()})
 
   defp handle_message({:DOWN, ref, :process, _, _}, state),
-    do: apply_dynamic(Dynamic.Tap.handle_owner_down(Checkpointing.thaw_sources(state, ref), ref))
+    do:
+      apply_dynamic(
+        Dynamic.Tap.handle_owner_down(PendingCheckpoint.thaw_sources(state, ref), ref)
+      )
 
   defp handle_message(_other, state), do: {:noreply, state}
 
@@ -309,13 +326,13 @@ defmodule Situ.Pipeline.Server do
     do: apply_event(state, {:unsubscribed, id, tag, time})
 
   defp handle_stage_message({:failed, error, reached}, id, state),
-    do: apply_event(state, {:failed, id, Performer.explain_error(error, state), reached})
+    do: apply_event(state, {:failed, id, LifecycleRunner.explain_error(error, state), reached})
 
   defp handle_stage_message({:init_failed, error}, id, state),
-    do: state |> Performer.fail_pending(id) |> apply_event({:init_failed, id, error})
+    do: state |> LifecycleRunner.fail_pending(id) |> apply_event({:init_failed, id, error})
 
   defp handle_stage_message({:skipped, error}, _id, state),
-    do: {:noreply, Performer.report_error(state, error)}
+    do: {:noreply, LifecycleRunner.report_error(state, error)}
 
   defp handle_stage_message({:restarted, error}, id, state),
     do: apply_event(state, {:restarted, id, error})
@@ -340,7 +357,7 @@ defmodule Situ.Pipeline.Server do
     do: apply_dynamic(Dynamic.Input.handle_detached(state, id, input, opts))
 
   defp handle_stage_message({:remembered, ref, answer}, id, state),
-    do: {:noreply, Checkpointing.handle_snapshot(state, id, ref, answer)}
+    do: {:noreply, PendingCheckpoint.handle_snapshot(state, id, ref, answer)}
 
   defp handle_stage_message({:replaced, ref, answer}, id, state),
     do: {:noreply, Dynamic.Replacement.handle_reply(state, id, ref, answer)}
@@ -349,7 +366,8 @@ defmodule Situ.Pipeline.Server do
 
   # Results
 
-  defp apply_event(state, event), do: state |> Performer.apply_event(event) |> stop_if_finished()
+  defp apply_event(state, event),
+    do: state |> LifecycleRunner.apply_event(event) |> stop_if_finished()
 
   defp reply_and_continue(answer, state) do
     case stop_if_finished(state) do
@@ -388,7 +406,7 @@ defmodule Situ.Pipeline.Server do
   defp publish_result(%{mode: :run, reply: {caller, reply}}, result),
     do: send(caller, {reply, result})
 
-  defp publish_result(_settings, result), do: Results.put_result(self(), result)
+  defp publish_result(_settings, result), do: PipelineResults.put_result(self(), result)
 
   # A crash report names the pipeline but leaves out its graph, which would flood the log.
   @impl true
@@ -407,12 +425,12 @@ defmodule Situ.Pipeline.Server do
   def terminate(_reason, state),
     do:
       state
-      |> Performer.apply_event({:stop, Lifecycle.default_catch_up_ms()})
+      |> LifecycleRunner.apply_event({:stop, Lifecycle.default_catch_up_ms()})
       |> run_until_finished()
 
   defp run_until_finished(%{view: %{outcome: result}} = state) when result != nil do
     Directory.unregister_pipeline(state.settings)
-    Results.put_result(self(), result)
+    PipelineResults.put_result(self(), result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
   end
 

@@ -6,7 +6,7 @@ defmodule Situ.Pipeline.Stages do
   alias Situ.Graph.{Edge, Plan, Vertex}
   alias Situ.Lifecycle.{Links, Member}
   alias Situ.Pipeline.State
-  alias Situ.Ports.{Counters, Output, Tally}
+  alias Situ.Ports.{Counters, Output, ErrorCounters}
 
   @doc "Builds the links, counters and stage entries of a plan, and the members for the life cycle."
   @spec install_plan(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
@@ -75,7 +75,7 @@ defmodule Situ.Pipeline.Stages do
       id: id,
       pid: nil,
       vertices: vertices,
-      tally: Tally.new(length(vertices)),
+      tally: ErrorCounters.new(length(vertices)),
       control: control,
       marks: new_marks(vertices),
       tail: tail,

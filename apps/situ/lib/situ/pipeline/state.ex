@@ -11,7 +11,7 @@ defmodule Situ.Pipeline.State do
   #   early     messages deferred until the graph is planned, or until the pipeline is running
   alias Situ.{Error, Graph, Lifecycle, Options}
   alias Situ.Clock.Timing
-  alias Situ.Lifecycle.{Errors, Growth}
+  alias Situ.Lifecycle.{Errors, Addition}
   alias Situ.Pipeline.{Dynamic, Inspection, Settings}
 
   @enforce_keys [:settings, :life, :view]
@@ -39,7 +39,7 @@ defmodule Situ.Pipeline.State do
           id: pos_integer(),
           pid: pid() | nil,
           vertices: [Situ.Graph.Vertex.t(), ...],
-          tally: Situ.Ports.Tally.t(),
+          tally: Situ.Ports.ErrorCounters.t(),
           control: :atomics.atomics_ref(),
           marks: :atomics.atomics_ref() | nil,
           tail: Situ.Ports.Counters.t() | nil,
@@ -176,7 +176,7 @@ defmodule Situ.Pipeline.State do
       chosen == [] ->
         {:error, ended_error(path)}
 
-      Enum.any?(inside, &Growth.find_ref(state.life, &1.id)) ->
+      Enum.any?(inside, &Addition.find_ref(state.life, &1.id)) ->
         {:error, still_added_error(path)}
 
       stage = Enum.find(chosen, &shared_with_outside?(&1, path)) ->

@@ -4,7 +4,7 @@ defmodule Situ.Ports.Counters do
   # Latency goes into a histogram with four buckets per power of two, so p99 is accurate within 25 %.
 
   alias Situ.Message
-  alias Situ.Ports.Trail
+  alias Situ.Ports.ProgressRing
 
   # The producer writes the first eight words, the consumer the rest: each has cache lines of its own.
   @emitted 1
@@ -29,7 +29,7 @@ defmodule Situ.Ports.Counters do
   @first 28
   @buckets 176
   @sent @first + @buckets
-  @taken @sent + Trail.word_count()
+  @taken @sent + ProgressRing.word_count()
 
   # Sums are of microseconds, and of at most an hour each: data replayed from 1970 must not overflow 64 bits.
   @most_us 3_600_000_000
@@ -50,7 +50,7 @@ defmodule Situ.Ports.Counters do
         }
 
   @spec new() :: t()
-  def new, do: :atomics.new(@taken + Trail.word_count(), signed: true)
+  def new, do: :atomics.new(@taken + ProgressRing.word_count(), signed: true)
 
   @doc "Counts `n` emitted messages; the last was created and posted `created` and `posted` ns after its time."
   @spec count_emitted(t(), pos_integer(), integer(), integer()) :: :ok
@@ -116,20 +116,21 @@ defmodule Situ.Ports.Counters do
 
   @doc "Records that all messages up to the originating time `time` were handed over by clock time `at`."
   @spec record_sent(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
-  def record_sent(ref, time, at), do: Trail.record_passage(ref, @sent, time, at)
+  def record_sent(ref, time, at), do: ProgressRing.record_passage(ref, @sent, time, at)
 
   @doc "Records that the consumer took the message of the originating time `time` at clock time `at`."
   @spec record_reached(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
   def record_reached(ref, time, at) do
     :atomics.put(ref, @reached, time)
-    Trail.record_passage(ref, @taken, time, at)
+    ProgressRing.record_passage(ref, @taken, time, at)
   end
 
   @doc "Returns when the originating time `time` was handed over, and when it was taken."
   @spec passage_times(t(), Situ.Time.t()) :: {passed, passed}
         when passed: Situ.Time.t() | :forgotten | nil
   def passage_times(ref, time),
-    do: {Trail.find_passage(ref, @sent, time), Trail.find_passage(ref, @taken, time)}
+    do:
+      {ProgressRing.find_passage(ref, @sent, time), ProgressRing.find_passage(ref, @taken, time)}
 
   @doc "Returns the originating time of the last `record_reached/3`; 0 before the first."
   @spec last_time(t()) :: integer()

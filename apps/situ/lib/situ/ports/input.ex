@@ -8,7 +8,7 @@ defmodule Situ.Ports.Input do
   # the policy applies to everything that was emitted.
   alias Situ.{Delivery, Error, Message, Type}
   alias Situ.Delivery.Queue
-  alias Situ.Ports.{Counters, Window}
+  alias Situ.Ports.{Counters, DemandWindow}
 
   @hold_ms 20
   # Asking takes longer than this, so that it costs a part of the throughput only.
@@ -43,7 +43,7 @@ defmodule Situ.Ports.Input do
           name: atom(),
           tag: term(),
           producer: pid(),
-          window: Window.t(),
+          window: DemandWindow.t(),
           type: Type.t(),
           counters: Counters.t() | nil,
           queue: Queue.t() | nil,
@@ -67,7 +67,7 @@ defmodule Situ.Ports.Input do
       counters: extra.counters,
       sizes: extra.sizes,
       queue: if(Delivery.lossy?(policy), do: Queue.new(policy)),
-      window: Window.new(policy)
+      window: DemandWindow.new(policy)
     }
   end
 
@@ -80,7 +80,7 @@ defmodule Situ.Ports.Input do
   @doc "Replaces the producer's process."
   @spec replace_producer(t(), pid()) :: t()
   def replace_producer(%__MODULE__{} = input, pid),
-    do: %{input | producer: pid, window: Window.reset_owed(input.window), fresh: 0}
+    do: %{input | producer: pid, window: DemandWindow.reset_owed(input.window), fresh: 0}
 
   @doc "Adds a batch that arrived."
   @spec push(t(), [Message.t()]) :: t()
@@ -88,7 +88,7 @@ defmodule Situ.Ports.Input do
 
   def push(%__MODULE__{} = input, [first | _] = messages) do
     if input.sizes, do: Counters.count_sizes(input.counters, messages)
-    enter(%{input | window: Window.weigh_message(input.window, first)}, messages)
+    enter(%{input | window: DemandWindow.weigh_message(input.window, first)}, messages)
   end
 
   defp enter(%__MODULE__{queue: nil, front: [], rear: []} = input, messages),
@@ -101,7 +101,7 @@ defmodule Situ.Ports.Input do
     {queue, dropped} = Queue.push_all(queue, messages)
     drop(input, dropped)
     owed = if queue.policy.throttle, do: dropped, else: length(messages)
-    %{input | queue: queue, window: Window.add_owed(input.window, owed)}
+    %{input | queue: queue, window: DemandWindow.add_owed(input.window, owed)}
   end
 
   @doc "Adds all messages that the producer held back; the waiting messages are then the newest."
@@ -179,7 +179,7 @@ defmodule Situ.Ports.Input do
     n = length(dropped)
     drop(input, n)
     owed = if queue.policy.throttle, do: n + if(entry, do: 1, else: 0), else: 0
-    {entry, %{input | queue: queue, window: Window.add_owed(input.window, owed)}}
+    {entry, %{input | queue: queue, window: DemandWindow.add_owed(input.window, owed)}}
   end
 
   @doc "Takes up to `n` messages of a lossless input (never the closing mark)."
@@ -241,7 +241,9 @@ defmodule Situ.Ports.Input do
     end
 
     {n, window} =
-      Window.take_owed(if(input.queue == nil, do: Window.add_owed(window, taken), else: window))
+      DemandWindow.take_owed(
+        if(input.queue == nil, do: DemandWindow.add_owed(window, taken), else: window)
+      )
 
     if n > 0, do: ask(input, n)
     %{input | handled: @nothing, window: window}
@@ -258,7 +260,7 @@ defmodule Situ.Ports.Input do
   @spec drop_taken(t(), non_neg_integer()) :: t()
   def drop_taken(%__MODULE__{} = input, n) do
     drop(input, n)
-    if input.queue, do: input, else: %{input | window: Window.add_owed(input.window, n)}
+    if input.queue, do: input, else: %{input | window: DemandWindow.add_owed(input.window, n)}
   end
 
   defp drop(_input, 0), do: :ok

@@ -3,7 +3,7 @@ defmodule Situ.Ports.Outputs do
   # The outputs of a stage: those of its component or chain and, if light operators follow a component in the same
   # process, the output of the last operator, `tail`. In that case the component's own output has no subscribers.
   alias Situ.Graph.Vertex
-  alias Situ.Ports.{Output, Posting, Subscriber}
+  alias Situ.Ports.{Output, PostingRules, Subscriber}
 
   defstruct own: [], tail: nil, left: [], demand: :forward
 
@@ -155,7 +155,7 @@ defmodule Situ.Ports.Outputs do
 
   @spec release_due(t(), Situ.Time.t()) :: t()
   def release_due(%__MODULE__{} = outputs, now),
-    do: map_outputs(outputs, &Posting.release_due(&1, now))
+    do: map_outputs(outputs, &PostingRules.release_due(&1, now))
 
   @doc "Adds demand of one subscriber; `:error` if there is no such subscriber."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error

@@ -3,8 +3,8 @@ defmodule Situ.Stage.ErrorPolicy do
   # Applies an error to a stage as its component's `on_error` specifies: lose a message, restart, or fail.
   alias Situ.Error
   alias Situ.Clock.Timers
-  alias Situ.Ports.{Outputs, Tally}
-  alias Situ.Stage.{Source, State}
+  alias Situ.Ports.{Outputs, ErrorCounters}
+  alias Situ.Stage.{SourceState, State}
 
   @doc "Decides how to handle an error. While the pipeline is starting, every error ends it."
   @spec decide(State.t()) :: :skip | :restart | :fail
@@ -15,7 +15,7 @@ defmodule Situ.Stage.ErrorPolicy do
   @doc "Drops the message at which the operator or component at `index` failed."
   @spec skip_message(State.t(), Error.t(), non_neg_integer()) :: State.t()
   def skip_message(state, error, index \\ 0) do
-    Tally.count_skip(state.tally, index)
+    ErrorCounters.count_skip(state.tally, index)
     State.report_event(state, {:skipped, error})
     state
   end
@@ -26,7 +26,7 @@ defmodule Situ.Stage.ErrorPolicy do
   """
   @spec record_restart(State.t(), Error.t(), non_neg_integer()) :: State.t()
   def record_restart(state, error, index \\ 0) do
-    Tally.count_restart(state.tally, index)
+    ErrorCounters.count_restart(state.tally, index)
     State.report_event(state, {:restarted, error})
     state
   end
@@ -36,7 +36,7 @@ defmodule Situ.Stage.ErrorPolicy do
   def fail_stage(%{phase: :failed} = state, _error), do: state
 
   def fail_stage(state, error) do
-    Tally.count_failure(state.tally, 0)
+    ErrorCounters.count_failure(state.tally, 0)
     State.report_event(state, {:failed, error, reached(state, error)})
 
     state =
@@ -63,7 +63,7 @@ defmodule Situ.Stage.ErrorPolicy do
   @spec report_source_stopped(State.t()) :: State.t()
   def report_source_stopped(state) do
     held? = state.phase != :failed and Outputs.any_held?(state.outputs)
-    {how, source} = Source.mark_stopped(state.source, held?)
+    {how, source} = SourceState.mark_stopped(state.source, held?)
     if how == :tell, do: State.report_event(state, :source_stopped)
     %{state | source: source}
   end

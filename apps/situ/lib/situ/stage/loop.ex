@@ -6,7 +6,16 @@ defmodule Situ.Stage.Loop do
   alias Situ.Clock
   alias Situ.Clock.Timers
   alias Situ.Ports.{Input, Inputs, Outputs}
-  alias Situ.Stage.{Activation, ChainRunner, Emission, MessageRunner, Pace, Production, State}
+
+  alias Situ.Stage.{
+    CallbackRunner,
+    ChainRunner,
+    ActionRunner,
+    MessageRunner,
+    Scheduling,
+    Production,
+    State
+  }
 
   @slice_ns 5_000_000
   @flush_ns 200_000
@@ -78,7 +87,7 @@ defmodule Situ.Stage.Loop do
 
     state
     |> State.wake_source()
-    |> Activation.call_callback(:handle_info, [message], now)
+    |> CallbackRunner.call_callback(:handle_info, [message], now)
     |> run_slice()
   end
 
@@ -93,7 +102,8 @@ defmodule Situ.Stage.Loop do
   @doc "Handles a request of another process to the component (`from` is `nil` for a cast)."
   @spec handle_request(State.t(), term(), GenServer.from() | nil) :: State.t()
   def handle_request(state, request, from),
-    do: state |> State.wake_source() |> Activation.handle_request(request, from) |> run_slice()
+    do:
+      state |> State.wake_source() |> CallbackRunner.handle_request(request, from) |> run_slice()
 
   @doc "Sets whether the stage takes and sends messages (`:forward`) or not (`:accumulate`)."
   @spec set_demand(State.t(), :accumulate | :forward) :: State.t()
@@ -111,13 +121,13 @@ defmodule Situ.Stage.Loop do
     {keys, timers} = Timers.take_due(Timers.clear_alarm(state.timers), now)
     outputs = Outputs.release_due(state.outputs, now)
     state = State.wake_source(%{state | timers: timers, outputs: outputs})
-    keys |> Enum.reduce(state, &timer(&1, &2, now)) |> Emission.send_pending() |> run_slice()
+    keys |> Enum.reduce(state, &timer(&1, &2, now)) |> ActionRunner.send_pending() |> run_slice()
   end
 
   defp timer(_key, %{phase: :failed} = state, _now), do: state
 
   defp timer(key, state, now),
-    do: Activation.call_callback(state, :handle_info, [{:timer, key}], now)
+    do: CallbackRunner.call_callback(state, :handle_info, [{:timer, key}], now)
 
   @doc "Runs a time slice; if one is already scheduled, only sends pending messages."
   @spec run_slice(State.t()) :: State.t()
@@ -158,7 +168,7 @@ defmodule Situ.Stage.Loop do
 
   # Sends what is pending, and sets the alarm for what waits for its time.
   # A chain has nothing that waits for its time.
-  defp finish(%{callback: nil} = state), do: Emission.send_pending(state)
+  defp finish(%{callback: nil} = state), do: ActionRunner.send_pending(state)
 
   defp finish(%{pace: %{lingers: true}, phase: :running} = state),
     do: state |> hurry(State.final_time(state)) |> released()
@@ -170,7 +180,12 @@ defmodule Situ.Stage.Loop do
     if final == State.no_final_time(),
       do: state,
       else:
-        Activation.call_callback(state, :handle_info, [{:linger, :end}], Clock.now(state.clock))
+        CallbackRunner.call_callback(
+          state,
+          :handle_info,
+          [{:linger, :end}],
+          Clock.now(state.clock)
+        )
   end
 
   defp released(state),
@@ -178,7 +193,7 @@ defmodule Situ.Stage.Loop do
 
   defp later(state) do
     state = finish(state)
-    %{state | pace: Pace.schedule_slice(state.pace)}
+    %{state | pace: Scheduling.schedule_slice(state.pace)}
   end
 
   defp arm(%{clock: nil} = state), do: state
@@ -203,7 +218,7 @@ defmodule Situ.Stage.Loop do
   end
 
   defp blocked(state, now, times, final) do
-    state = Emission.send_pending(state)
+    state = ActionRunner.send_pending(state)
 
     if Outputs.available_room(state.outputs) < 1,
       do: finish(state),
@@ -213,7 +228,7 @@ defmodule Situ.Stage.Loop do
   # The component has more to give for what it has taken in.
   defp next(%{pace: %{continue: {:some, term}}} = state, now, times, final) do
     state = %{state | pace: %{state.pace | continue: :none}}
-    state = Activation.call_callback(state, :handle_info, [{:continue, term}], now)
+    state = CallbackRunner.call_callback(state, :handle_info, [{:continue, term}], now)
     go_on({MessageRunner.settle_inputs(state), Clock.now(state.clock)}, times, final)
   end
 
@@ -246,7 +261,7 @@ defmodule Situ.Stage.Loop do
   end
 
   defp produce(state, now) do
-    case Production.produce_messages(Emission.send_pending(state), now) do
+    case Production.produce_messages(ActionRunner.send_pending(state), now) do
       {:more, state} -> later(state)
       {:enough, %{phase: :failed} = state} -> discard(state)
       {:enough, state} -> finish(state)
@@ -257,7 +272,7 @@ defmodule Situ.Stage.Loop do
 
   defp go_on({state, now}, {from, till}, final) do
     if now - from > @flush_ns,
-      do: component(Emission.send_pending(state), now, {now, till}, final),
+      do: component(ActionRunner.send_pending(state), now, {now, till}, final),
       else: component(state, now, {from, till}, final)
   end
 
@@ -275,7 +290,7 @@ defmodule Situ.Stage.Loop do
     case Input.take_batch(input, min(room, state.pace.slice)) do
       {[], %{front: [{:closed, time} | _]} = input} ->
         {_closed, input} = Input.pop(input, now)
-        state |> Emission.send_pending() |> MessageRunner.close_input(input, time)
+        state |> ActionRunner.send_pending() |> MessageRunner.close_input(input, time)
 
       {[], input} ->
         state |> put_input(input) |> finish()
@@ -303,7 +318,7 @@ defmodule Situ.Stage.Loop do
         state |> put_input(input) |> finish()
 
       {{:closed, time}, input} ->
-        state |> Emission.send_pending() |> MessageRunner.close_input(input, time)
+        state |> ActionRunner.send_pending() |> MessageRunner.close_input(input, time)
     end
   end
 
@@ -319,15 +334,15 @@ defmodule Situ.Stage.Loop do
     {put_input(%{state | pace: pace}, input), {n, rest}, after_time}
   end
 
-  defp pace(pace, n, [], elapsed), do: Pace.resize_slice(pace, n, elapsed)
-  defp pace(pace, n, _rest, _elapsed), do: Pace.shrink_slice(pace, n)
+  defp pace(pace, n, [], elapsed), do: Scheduling.resize_slice(pace, n, elapsed)
+  defp pace(pace, n, _rest, _elapsed), do: Scheduling.shrink_slice(pace, n)
 
   defp chain_on(state, {n, rest}, after_time, {now, till, final}) do
     cond do
       state.phase == :failed -> discard(state)
       after_time > till or rest != [] -> later(state)
       n >= @many and after_time - now < @flush_ns -> chain(state, after_time, till, final)
-      true -> state |> Emission.send_pending() |> chain_again(after_time, till, final)
+      true -> state |> ActionRunner.send_pending() |> chain_again(after_time, till, final)
     end
   end
 

@@ -4,7 +4,7 @@ defmodule Situ.Stage.MessageRunner do
   alias Situ.Clock
   alias Situ.Component.Callback
   alias Situ.Ports.{Input, Inputs, Outputs}
-  alias Situ.Stage.{Activation, Emission, Pace, State}
+  alias Situ.Stage.{CallbackRunner, ActionRunner, Scheduling, State}
 
   @doc "Handles the next entry of an input at clock time `now`; returns the time after it."
   @spec run_next(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
@@ -16,7 +16,8 @@ defmodule Situ.Stage.MessageRunner do
   defp entry(nil, state, input, now, _final), do: {put_input(state, input), now}
 
   defp entry({:closed, time}, state, input, now, _final),
-    do: {state |> put_input(input) |> Emission.send_pending() |> close_input(input, time), now}
+    do:
+      {state |> put_input(input) |> ActionRunner.send_pending() |> close_input(input, time), now}
 
   defp entry(%{originating_time: time}, state, input, now, final) when time > final,
     do: {put_input(state, Input.drop_taken(input, 1)), now}
@@ -46,7 +47,7 @@ defmodule Situ.Stage.MessageRunner do
     with {:ok, actions, core} <-
            Callback.run_handle_message(state.callback, input.name, message, context),
          after_call = %{state | callback: %{state.callback | core: core}},
-         {:ok, state} <- Emission.apply_actions(after_call, actions, now) do
+         {:ok, state} <- ActionRunner.apply_actions(after_call, actions, now) do
       state
     else
       {:error, error} -> wrong(state, error, input, message)
@@ -54,7 +55,7 @@ defmodule Situ.Stage.MessageRunner do
   end
 
   defp wrong(state, error, input, message),
-    do: Activation.handle_error(state, Callback.add_message_info(error, input.name, message))
+    do: CallbackRunner.handle_error(state, Callback.add_message_info(error, input.name, message))
 
   @doc "Passes the waiting messages to `handle_messages/4` in one batch, as far as time and room allow."
   @spec run_batch(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
@@ -78,12 +79,12 @@ defmodule Situ.Stage.MessageRunner do
          {:ok, actions, core} <-
            Callback.run_handle_messages(state.callback, input.name, messages, context),
          after_call = %{state | callback: %{state.callback | core: core}},
-         {:ok, state} <- Emission.apply_actions(after_call, actions, now) do
+         {:ok, state} <- ActionRunner.apply_actions(after_call, actions, now) do
       after_time = Clock.now(state.clock)
       n = length(messages)
       rest = %{rest | held: Map.fetch!(state.inputs.by_tag, input.tag).held}
       rest = Input.count_handled(rest, n, last, {now, after_time - now})
-      pace = Pace.resize_slice(state.pace, n, after_time - now)
+      pace = Scheduling.resize_slice(state.pace, n, after_time - now)
       {put_input(%{state | pace: pace}, rest), after_time}
     else
       # All of it is taken one by one, before another batch is tried.
@@ -100,7 +101,7 @@ defmodule Situ.Stage.MessageRunner do
     state =
       if state.callback != nil and state.phase != :failed and not known?,
         do:
-          Activation.call_callback(
+          CallbackRunner.call_callback(
             state,
             :handle_closed,
             [input.name, time],
@@ -116,14 +117,14 @@ defmodule Situ.Stage.MessageRunner do
 
   @doc "Sends pending messages; an input counts as closed once the component has emitted everything for it."
   @spec settle_inputs(State.t()) :: State.t()
-  def settle_inputs(%{pace: %{closings: []}} = state), do: Emission.send_pending(state)
+  def settle_inputs(%{pace: %{closings: []}} = state), do: ActionRunner.send_pending(state)
 
   def settle_inputs(%{phase: phase, pace: %{continue: continue, lingers: lingers?}} = state)
       when phase != :failed and (lingers? or continue != :none),
-      do: Emission.send_pending(state)
+      do: ActionRunner.send_pending(state)
 
   def settle_inputs(state) do
-    state = Emission.send_pending(state)
+    state = ActionRunner.send_pending(state)
 
     for {tag, name, time} <- state.pace.closings,
         do: State.report_event(state, {:unsubscribed, tag, name, time})

@@ -3,8 +3,8 @@ defmodule Situ.Stage.Production do
   # Makes a source produce messages while there is demand, and stops it on request.
   alias Situ.{Clock, Error}
   alias Situ.Clock.Timers
-  alias Situ.Ports.{Output, Outputs, Tally}
-  alias Situ.Stage.{Activation, Emission, ErrorPolicy, Pace, Source, State}
+  alias Situ.Ports.{Output, Outputs, ErrorCounters}
+  alias Situ.Stage.{CallbackRunner, ActionRunner, ErrorPolicy, Scheduling, SourceState, State}
 
   @most 1_000
   # No further than the clock, when that is enforced: what is made ahead of it has to be held.
@@ -13,7 +13,7 @@ defmodule Situ.Stage.Production do
   @doc "Asks a pull source for messages while there is room; returns whether it may have more."
   @spec produce_messages(State.t(), Situ.Time.t()) :: {:more | :enough, State.t()}
   def produce_messages(state, now) do
-    room = if Source.can_produce?(state.source), do: room(state), else: 0
+    room = if SourceState.can_produce?(state.source), do: room(state), else: 0
 
     if room < 1 or Outputs.any_held?(state.outputs),
       do: {:enough, state},
@@ -30,13 +30,16 @@ defmodule Situ.Stage.Production do
     before =
       {Outputs.progress_mark(state.outputs), Outputs.repeated_count(state.outputs), errors(state)}
 
-    state = state |> Activation.call_callback(:handle_demand, [room], now) |> judge(before)
-    state = Emission.send_pending(%{state | pace: Pace.enlarge_heap(state.pace, room)})
+    state = state |> CallbackRunner.call_callback(:handle_demand, [room], now) |> judge(before)
+    state = ActionRunner.send_pending(%{state | pace: Scheduling.enlarge_heap(state.pace, room)})
 
     # The slice is for the operators behind it, which work in the same turn.
     state =
       if state.outputs.tail,
-        do: %{state | pace: Pace.resize_slice(state.pace, room, Clock.now(state.clock) - now)},
+        do: %{
+          state
+          | pace: Scheduling.resize_slice(state.pace, room, Clock.now(state.clock) - now)
+        },
         else: state
 
     if state.source.idle or state.source.completed or state.phase == :failed,
@@ -54,20 +57,20 @@ defmodule Situ.Stage.Production do
     restarts? = harmed? and state.callback.on_error == :restart
     {harmed?, repeated?} = {harmed? and not restarts?, repeated? or restarts?}
 
-    case Source.judge_reply(state.source, emitted?, harmed?, repeated?) do
+    case SourceState.judge_reply(state.source, emitted?, harmed?, repeated?) do
       {:ok, source} -> %{state | source: source}
       {:no_way_on, _source} -> ErrorPolicy.fail_stage(state, no_way_on(state))
     end
   end
 
-  defp errors(state), do: Tally.read_counts(state.tally, 0).errors
+  defp errors(state), do: ErrorCounters.read_counts(state.tally, 0).errors
 
   defp no_way_on(state) do
     path = state.callback.path
 
     Error.new(
       :no_way_on,
-      "#{path} failed #{Source.max_strikes()} times without emitting anything",
+      "#{path} failed #{SourceState.max_strikes()} times without emitting anything",
       why: "a source that raises has no message to skip, so it would raise again and again",
       fix: "handle the error in handle_demand/3, or use on_error: :stop",
       meta: %{component: path}
@@ -79,7 +82,7 @@ defmodule Situ.Stage.Production do
   def stop_source(%{source: %{stopping: nil}} = state, final) do
     state = %{
       state
-      | source: Source.request_stop(state.source, final),
+      | source: SourceState.request_stop(state.source, final),
         outputs:
           state.outputs
           |> Outputs.set_waiting(false)
@@ -91,7 +94,7 @@ defmodule Situ.Stage.Production do
     state =
       if state.phase == :failed or state.callback == nil,
         do: state,
-        else: Activation.call_callback(state, :handle_stop, [final], Clock.now(state.clock))
+        else: CallbackRunner.call_callback(state, :handle_stop, [final], Clock.now(state.clock))
 
     if state.source.stopping == :asked,
       do: ErrorPolicy.report_source_stopped(state),
@@ -127,7 +130,7 @@ defmodule Situ.Stage.Production do
       state
     else
       time = state.source.completing
-      state = if time, do: Emission.announce_end(state, time), else: state
+      state = if time, do: ActionRunner.announce_end(state, time), else: state
       if state.source.stopping == :held, do: ErrorPolicy.report_source_stopped(state), else: state
     end
   end

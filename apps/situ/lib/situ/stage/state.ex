@@ -7,8 +7,8 @@ defmodule Situ.Stage.State do
   alias Situ.Component.{Callback, Context}
   alias Situ.Graph.Vertex
   alias Situ.Operator.Chain
-  alias Situ.Ports.{Input, Inputs, Output, Outputs, Subscriber, Tally}
-  alias Situ.Stage.{Pace, Source}
+  alias Situ.Ports.{Input, Inputs, Output, Outputs, Subscriber, ErrorCounters}
+  alias Situ.Stage.{Scheduling, SourceState}
 
   @never 9_000_000_000_000_000_000
 
@@ -27,7 +27,7 @@ defmodule Situ.Stage.State do
     :memory,
     inputs: %Inputs{},
     timers: %Timers{},
-    pace: %Pace{},
+    pace: %Scheduling{},
     phase: :starting
   ]
 
@@ -41,8 +41,8 @@ defmodule Situ.Stage.State do
           owner: {server :: pid(), id :: pos_integer()},
           vertices: [Vertex.t(), ...],
           context: Context.t(),
-          tally: Tally.t(),
-          source: Source.t(),
+          tally: ErrorCounters.t(),
+          source: SourceState.t(),
           outputs: Outputs.t(),
           callback: Callback.t() | nil,
           chain: Chain.t() | nil,
@@ -51,7 +51,7 @@ defmodule Situ.Stage.State do
           memory: map() | nil,
           inputs: Inputs.t(),
           timers: Timers.t(),
-          pace: Pace.t(),
+          pace: Scheduling.t(),
           phase: :starting | :running | :failed
         }
 
@@ -67,7 +67,7 @@ defmodule Situ.Stage.State do
       context: %Context{path: head.path, pipeline: args.handle},
       tally: args.tally,
       memory: args[:memory],
-      source: Source.new(head),
+      source: SourceState.new(head),
       outputs: Outputs.new(vertices, args[:marks]),
       callback: if(head.module != :operator, do: Callback.new(head)),
       chain: chain(vertices, args)
@@ -203,7 +203,7 @@ defmodule Situ.Stage.State do
   @doc "Wakes a source without messages after an event that it may have been waiting for."
   @spec wake_source(t()) :: t()
   def wake_source(%{source: %{idle: false}} = state), do: state
-  def wake_source(state), do: %{state | source: Source.wake(state.source)}
+  def wake_source(state), do: %{state | source: SourceState.wake(state.source)}
 
   @doc "Reports an event to the pipeline's server."
   @spec report_event(t(), term()) :: term()

@@ -5,7 +5,7 @@ defmodule Situ.Operators.ModelsTest do
 
   alias Situ.{Interpolator, Interval, Message, Reproducible}
   alias Situ.Fusion.{Core, Zip}
-  alias Situ.Window.{Index, Relative}
+  alias Situ.Window.{ByIndex, ByTime}
 
   defp messages(timed), do: for({t, v} <- timed, do: %Message{originating_time: t, data: v})
 
@@ -130,8 +130,8 @@ defmodule Situ.Operators.ModelsTest do
   property "index windows contain the messages at their indices", numtests: 200 do
     forall {stream, from, to, cut} <- {stream(), integer(-4, 4), integer(-4, 4), integer(0, 10)} do
       {first, second} = stream |> messages() |> Enum.split(cut)
-      {a, window} = Index.push(Index.new(from..to//1, nil), first)
-      {b, _window} = if second == [], do: {[], window}, else: Index.push(window, second)
+      {a, window} = ByIndex.push(ByIndex.new(from..to//1, nil), first)
+      {b, _window} = if second == [], do: {[], window}, else: ByIndex.push(window, second)
       {low, high} = {min(from, to), max(from, to)}
       values = Enum.map(stream, &elem(&1, 1))
 
@@ -152,11 +152,11 @@ defmodule Situ.Operators.ModelsTest do
       {outputs, window} =
         Enum.flat_map_reduce(
           batches,
-          Relative.new(interval, nil),
-          &Relative.push(&2, messages(&1))
+          ByTime.new(interval, nil),
+          &ByTime.push(&2, messages(&1))
         )
 
-      {tail, _window} = Relative.close(window)
+      {tail, _window} = ByTime.close(window)
 
       wanted =
         for {t, _} <- stream, do: {:out, t, Enum.map(inside(stream, interval, t), &elem(&1, 1))}

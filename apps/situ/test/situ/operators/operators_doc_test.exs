@@ -6,8 +6,8 @@ defmodule Situ.OperatorsDocTest do
   doctest Situ.Available
   doctest Situ.Fusion.Core
   doctest Situ.Fusion.Zip
-  doctest Situ.Window.Index
-  doctest Situ.Window.Relative
+  doctest Situ.Window.ByIndex
+  doctest Situ.Window.ByTime
   doctest Situ.Sampling
   doctest Situ.Statistics
   doctest Situ.Filter.Fir

@@ -80,12 +80,12 @@ defmodule Situ.Bridge.Arrow do
 
   Other options are the same as for `write/4`.
 
-  #{Situ.Options.docs(Situ.Bridge.Columnar.Joined.join_options())}
+  #{Situ.Options.docs(Situ.Bridge.Columnar.Join.join_options())}
   """
   @spec join(Store.t(), Path.t(), keyword()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def join(store, path, opts) do
     {others, opts} = Keyword.split(opts, [:from, :to, :skip_damage, :progress])
-    schema = Keyword.merge(@export, Columnar.Joined.join_options())
+    schema = Keyword.merge(@export, Columnar.Join.join_options())
     Columnar.write_joined(Writer, store, path, Situ.Options.validate!(opts, schema) ++ others)
   end
 

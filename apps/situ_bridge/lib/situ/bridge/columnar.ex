@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Columnar do
   @moduledoc false
   # The shared part of Parquet and Arrow: writes messages as files of columns, and reads the rows of such files as
   # messages. The format is a writer (`Situ.Bridge.Columnar.Writer`) or a reader (`Situ.Bridge.Columnar.Reader`).
-  alias Situ.Bridge.Columnar.{Column, Joined, Reader, Rows}
+  alias Situ.Bridge.Columnar.{Column, Join, Reader, Rows}
   alias Situ.{Error, Store}
   alias Situ.Store.Columns
   require Logger
@@ -83,14 +83,14 @@ defmodule Situ.Bridge.Columnar do
   @spec write_joined(module(), Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def write_joined(writer, store, path, opts) do
-    {joining, opts} = Keyword.split(opts, Keyword.keys(Joined.join_options()))
+    {joining, opts} = Keyword.split(opts, Keyword.keys(Join.join_options()))
     {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
     on = joining[:on]
     reading = Keyword.put_new(reading, :to, last_time(store, on))
 
     parts =
-      Joined.stream_parts(
+      Join.stream_parts(
         store,
         on,
         other_streams(store, on, joining[:streams]),

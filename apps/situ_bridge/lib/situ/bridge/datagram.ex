@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Datagram do
       iex> payload
       "hello"
   """
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
 
   @header 40
   @most 0xFFFF

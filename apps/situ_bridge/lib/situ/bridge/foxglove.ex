@@ -24,7 +24,7 @@ defmodule Situ.Bridge.Foxglove do
       # In Foxglove: open a connection to ws://localhost:8765
 
   Every stream with messages is a channel. Images, point clouds, poses and other standard types are sent as ROS
-  messages (`Situ.Bridge.Ros.Standard`), all other types as JSON. Each client has its own playback, which starts
+  messages (`Situ.Bridge.Ros.StandardTypes`), all other types as JSON. Each client has its own playback, which starts
   immediately. The client pauses, seeks and changes the speed with the app's own controls (protocol `foxglove.sdk.v1`)
   or with the parameters `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). After
   subscribing and after each seek, a client first gets the message that is current at that position. If the recording

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Mcap do
-  alias Situ.Bridge.Mcap.{Codec, Copy, Extra, Failure, Sizes, Writer}
+  alias Situ.Bridge.Mcap.{Codec, Copy, ExtraFields, NativeError, TopicSizes, Writer}
   alias Situ.Bridge.Native
-  alias Situ.Bridge.Recorder.{Export, Exporter}
+  alias Situ.Bridge.Recorder.{StoreExport, Exporter}
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
 
@@ -29,7 +29,7 @@ defmodule Situ.Bridge.Mcap do
 
   A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON. Messages
   in other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove become
-  Situ's types (`Situ.Bridge.Ros.Standard`, `Situ.Bridge.Foxglove.Standard`), other messages become maps. If two
+  Situ's types (`Situ.Bridge.Ros.StandardTypes`, `Situ.Bridge.Foxglove.StandardTypes`), other messages become maps. If two
   messages of a topic have the same time, the second one is moved by a nanosecond.
 
   Files with an index open immediately, whatever their size. Other files, including truncated files and files whose
@@ -52,11 +52,11 @@ defmodule Situ.Bridge.Mcap do
   @impl true
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, ref} <- Failure.wrap_result(Native.mcap_open(path), path) do
+         {:ok, ref} <- NativeError.wrap_result(Native.mcap_open(path), path) do
       # If the index is damaged, the file is opened again and scanned without it.
       with {:error, %{code: :damaged} = error} <- open_reader(path, ref, opts),
            {:ok, ref} <-
-             Failure.wrap_result(Native.mcap_open_without_index(path, "(#{error.why})"), path),
+             NativeError.wrap_result(Native.mcap_open_without_index(path, "(#{error.why})"), path),
            do: open_reader(path, ref, opts)
     end
   end
@@ -97,7 +97,7 @@ defmodule Situ.Bridge.Mcap do
       {codec, type, note} = Codec.new(encoding, schemas[schema], topic)
       times = time_order(state.times, codec)
 
-      case Failure.wrap_result(Native.mcap_span(state.ref, id, times), state.path) do
+      case NativeError.wrap_result(Native.mcap_span(state.ref, id, times), state.path) do
         {:ok, span} ->
           channel = %{
             id: id,
@@ -122,9 +122,13 @@ defmodule Situ.Bridge.Mcap do
 
   defp add_extra_channel(channel, :apart) do
     if Codec.lossy?(channel.codec, channel.type) do
-      id = Extra.stream_number(channel.id)
+      id = ExtraFields.stream_number(channel.id)
       more = %{channel | id: id, codec: Codec.extra_codec(channel.codec), type: :map, note: nil}
-      [%{more | topic: Extra.stream_name(channel.topic), metadata: [], schema: nil}, channel]
+
+      [
+        %{more | topic: ExtraFields.stream_name(channel.topic), metadata: [], schema: nil},
+        channel
+      ]
     else
       [channel]
     end
@@ -172,7 +176,7 @@ defmodule Situ.Bridge.Mcap do
       last: last,
       first_creation: first,
       last_creation: last,
-      supplemental: Extra.build_metadata(channel.metadata, schema)
+      supplemental: ExtraFields.build_metadata(channel.metadata, schema)
     }
   end
 
@@ -199,7 +203,7 @@ defmodule Situ.Bridge.Mcap do
   def seek(state, info, time) do
     channel = Map.fetch!(state.channels, info.id)
 
-    Failure.wrap_result(
+    NativeError.wrap_result(
       Native.mcap_seek(state.ref, channel.native, channel.times, time),
       state.path
     )
@@ -214,7 +218,7 @@ defmodule Situ.Bridge.Mcap do
     what = {track, ordinal, to, {limit, @most_bytes}, {envelopes?, skip?}}
 
     with {:ok, {found, next}} <-
-           Failure.wrap_result(Native.mcap_read(state.ref, what), state.path),
+           NativeError.wrap_result(Native.mcap_read(state.ref, what), state.path),
          do: {:ok, Enum.map(found, &decode_message(&1, channel, envelopes?)), next}
   end
 
@@ -246,7 +250,7 @@ defmodule Situ.Bridge.Mcap do
   defdelegate import_options(times), to: Codec
 
   @doc false
-  # For `Situ.Bridge.Recorder.Export`: messages are decoded to maps with all fields.
+  # For `Situ.Bridge.Recorder.StoreExport`: messages are decoded to maps with all fields.
   def as_maps(%__MODULE__{channels: channels} = state) do
     maps =
       Map.new(channels, fn {id, c} ->
@@ -349,7 +353,7 @@ defmodule Situ.Bridge.Mcap do
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
   def topic_sizes(%Situ.Store.Handle{state: %__MODULE__{} = state} = store) do
     topics = Map.new(list_channels(store), &{&1.id, &1.topic})
-    Sizes.sum_sizes(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
+    TopicSizes.sum_sizes(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
   end
 
   @doc "Returns the bytes of the first attachment with this name. Error: `:no_attachment`."
@@ -360,7 +364,7 @@ defmodule Situ.Bridge.Mcap do
         {:error, Error.new(:no_attachment, "#{state.path} has no attachment #{inspect(name)}")}
 
       {_, _, _, offset, _} ->
-        Failure.wrap_result(Native.mcap_attachment(state.ref, offset), state.path)
+        NativeError.wrap_result(Native.mcap_attachment(state.ref, offset), state.path)
     end
   end
 
@@ -396,11 +400,11 @@ defmodule Situ.Bridge.Mcap do
 
   def export(%Situ.Store.Handle{module: __MODULE__} = store, path, opts) do
     if Enum.any?([:encoding, :type, :definition, :frame], &Keyword.has_key?(opts, &1)),
-      do: Export.export_store(Writer, store, path, opts),
+      do: StoreExport.export_store(Writer, store, path, opts),
       else: with({:ok, %{messages: count}} <- copy(store, path, opts), do: {:ok, count})
   end
 
-  def export(store, path, opts), do: Export.export_store(Writer, store, path, opts)
+  def export(store, path, opts), do: StoreExport.export_store(Writer, store, path, opts)
 
   @doc """
   Copies an opened MCAP file into a new file, byte for byte: messages with both their times and sequence numbers,

@@ -14,7 +14,7 @@ defmodule Situ.Bridge.MessagePack do
   a map may be ordered: `{[{key, value}]}`. Decoding is bounded by the size of the input and 512 levels of nesting,
   and creates no atoms.
   """
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
 
   @deepest 512
 

@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Mqtt do
         "The password, or a function that returns it. It is hidden in the graph and in the states of processes."
     ]
   ]
-  @schema @own ++ Net.Dial.tls_options()
+  @schema @own ++ Net.ClientSocket.tls_options()
   @moduledoc """
   Connects streams with MQTT 3.1.1: subscribes to topics of any broker (mosquitto, NATS, EMQX ...), and publishes
   streams on topics.

@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Protobuf do
   the size of the input.
   """
   alias Situ.Bridge.Foxglove.Messages
-  alias Situ.Bridge.Protobuf.{Descriptor, Reader, Schema, Text, Writer}
+  alias Situ.Bridge.Protobuf.{Descriptor, Reader, Schema, ProtoParser, Writer}
   alias Situ.Error
 
   @type schema :: Schema.t()
@@ -52,7 +52,8 @@ defmodule Situ.Bridge.Protobuf do
 
   defp read_definition(text), do: parse_text(text)
 
-  defp parse_text(text), do: Text.parse(text, [Messages.load_types(), Descriptor.google_types()])
+  defp parse_text(text),
+    do: ProtoParser.parse(text, [Messages.load_types(), Descriptor.google_types()])
 
   defp explain_trouble(why) when is_binary(why), do: why
   defp explain_trouble(_empty), do: "it has no messages"

@@ -34,9 +34,9 @@ defmodule Situ.Bridge.Psi do
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}
-  alias Situ.Bridge.Psi.{Bytes, Catalog, Decoder, Files, Scan, TypeName, Types}
+  alias Situ.Bridge.Psi.{Bytes, Catalog, Decoder, Files, StoreScan, TypeName, TypePlans}
   alias Situ.Bridge.Psi.Catalog.Entry
-  alias Situ.Bridge.Psi.Scan.Track
+  alias Situ.Bridge.Psi.StoreScan.Track
   alias Situ.Store.{StreamInfo, Undecoded}
 
   defstruct [:folder, :name, :catalog, :types, :tracks, :streams, :damage]
@@ -71,8 +71,8 @@ defmodule Situ.Bridge.Psi do
     with {:ok, folder, name} <- find_store(path),
          {catalog, damage} = Catalog.read(folder, name),
          :ok <- check_catalog(catalog, folder, name) do
-      {tracks, lost} = Scan.scan_store(folder, name, catalog.streams)
-      types = Types.new(Map.values(catalog.schemas), Catalog.runtime_types(catalog))
+      {tracks, lost} = StoreScan.scan_store(folder, name, catalog.streams)
+      types = TypePlans.new(Map.values(catalog.schemas), Catalog.runtime_types(catalog))
 
       state = %__MODULE__{
         folder: folder,
@@ -120,7 +120,7 @@ defmodule Situ.Bridge.Psi do
       name: entry.name,
       store_name: state.name,
       store_path: state.folder,
-      type: Types.situ_type(state.types, entry.type_name),
+      type: TypePlans.situ_type(state.types, entry.type_name),
       type_name: TypeName.short_name(entry.type_name),
       opened: entry.opened,
       closed: if(Entry.closed?(entry), do: entry.closed),
@@ -140,7 +140,7 @@ defmodule Situ.Bridge.Psi do
   defp decode_supplemental(_types, %{supplemental_type: nil}), do: nil
 
   defp decode_supplemental(types, entry) do
-    handler = Types.handler(types, entry.supplemental_type)
+    handler = TypePlans.handler(types, entry.supplemental_type)
 
     case Decoder.decode(entry.supplemental, handler, types, rest: :any) do
       {:ok, value} ->
@@ -180,7 +180,7 @@ defmodule Situ.Bridge.Psi do
   defp describe_type(%{type: type} = info, state)
        when type in [:map, :any, {:list, :map}, {:list, :any}] do
     how =
-      case Types.handler(state.types, state.catalog.streams[info.id].type_name) do
+      case TypePlans.handler(state.types, state.catalog.streams[info.id].type_name) do
         {:object, nil} ->
           "no schema in the store describes it, unless its messages name their types"
 
@@ -232,7 +232,7 @@ defmodule Situ.Bridge.Psi do
   defp read_messages(state, info, places, ordinal, opts) do
     envelopes? = opts[:envelopes] == true
     type_name = state.catalog.streams[info.id].type_name
-    handler = Types.handler(state.types, type_name)
+    handler = TypePlans.handler(state.types, type_name)
 
     with {:ok, blocks} <- read_blocks(state, places, envelopes?) do
       decode = &Decoder.decode_message(&1, type_name, handler, state.types)

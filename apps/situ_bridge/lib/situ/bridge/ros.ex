@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Ros do
       {:ok, %{"sum" => 5}} = Situ.Bridge.Ros.call("/add", definition, %{"a" => 2, "b" => 3})
 
   Messages of any type are decoded with the definition that their publisher sends. Standard messages become Situ's
-  types (`Situ.Bridge.Ros.Standard`), other messages become maps with string keys and times in nanoseconds. The stamp
+  types (`Situ.Bridge.Ros.StandardTypes`), other messages become maps with string keys and times in nanoseconds. The stamp
   of a header becomes the originating time (including simulated time), and vice versa. Each stream is a separate node.
 
   If a master or a publisher is unavailable or restarts, the node waits and reconnects. A slow subscriber loses

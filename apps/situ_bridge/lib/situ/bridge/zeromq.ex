@@ -25,7 +25,7 @@ defmodule Situ.Bridge.ZeroMQ do
   whose times do not increase, are dropped and counted (`Situ.Pipeline.info/1`). Any peer may connect to a bound
   socket without authentication, so bind to 127.0.0.1 or to a network that you control.
   """
-  alias Situ.Bridge.ZeroMQ.{Publisher, Sink, Source}
+  alias Situ.Bridge.ZeroMQ.{SharedPublisher, Sink, Source}
 
   @publisher Keyword.take(Sink.schema(), [:bind, :high_water_mark])
 
@@ -39,18 +39,18 @@ defmodule Situ.Bridge.ZeroMQ do
 
   #{Situ.Options.docs(@publisher)}
   """
-  @spec publisher(Situ.Pipeline.t(), String.t(), keyword()) :: Publisher.t()
+  @spec publisher(Situ.Pipeline.t(), String.t(), keyword()) :: SharedPublisher.t()
   def publisher(%Situ.Graph.Handle{} = p, address, opts \\ []),
-    do: Publisher.start(p.pid, address, Situ.Options.validate!(opts, @publisher))
+    do: SharedPublisher.start(p.pid, address, Situ.Options.validate!(opts, @publisher))
 
   @doc """
   Publishes a stream; returns the stream.
 
   #{Situ.Options.docs(Keyword.drop(Sink.schema(), [:address, :shared, :socket]))}
   """
-  @spec publish(Situ.Stream.t(), String.t() | Publisher.t(), keyword()) :: Situ.Stream.t()
-  def publish(stream, %Publisher{} = shared, opts) do
-    Publisher.expect_stream(shared)
+  @spec publish(Situ.Stream.t(), String.t() | SharedPublisher.t(), keyword()) :: Situ.Stream.t()
+  def publish(stream, %SharedPublisher{} = shared, opts) do
+    SharedPublisher.expect_stream(shared)
     Situ.via(stream, Sink, [socket: :pub, shared: shared] ++ opts)
     stream
   end

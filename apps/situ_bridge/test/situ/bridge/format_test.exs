@@ -3,9 +3,9 @@ defmodule Situ.Bridge.FormatTest do
   use Situ.Test.Property
   alias Situ.Bridge.Format
   alias Situ.Test.Budget
-  alias Situ.Bridge.Format.{Csv, Stamp}
+  alias Situ.Bridge.Format.{Csv, TimeFormat}
   doctest Format
-  doctest Stamp
+  doctest TimeFormat
   doctest Format.Value
   doctest Csv.Number
   doctest Csv.Row

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.HostileTest do
   # Reads mutated files and messages as recordings, values or errors, in bounded memory and
   # without new atoms.
   use ExUnit.Case, async: false
-  alias Situ.Bridge.Foxglove.{Messages, Standard}
+  alias Situ.Bridge.Foxglove.{Messages, StandardTypes}
   alias Situ.Bridge.{Mcap, Mqtt, Protobuf, WebSocket}
   alias Situ.Bridge.Ros.{Definition, Library, Wire}
   alias Situ.Test.Budget
@@ -139,13 +139,13 @@ defmodule Situ.Bridge.HostileTest do
   test "survives mutations of Protobuf messages and their definitions" do
     schema = Messages.load_schema()
     value = %{Situ.PointCloud.from_points([{1.0, 2.0, 3.0}]) | colors: <<1, 2, 3>>}
-    name = Standard.message_type(value)
-    {:ok, bytes} = Protobuf.encode(schema, name, Standard.to_message(name, value, 5, "f"))
+    name = StandardTypes.message_type(value)
+    {:ok, bytes} = Protobuf.encode(schema, name, StandardTypes.to_message(name, value, 5, "f"))
     set = Protobuf.Descriptor.encode_set(schema, name)
 
     bounded(Budget.mutation_count(2_000), fn n ->
       with {:ok, message} <- Protobuf.decode(schema, name, mutate(bytes, n)),
-           do: Standard.from_message(name, message)
+           do: StandardTypes.from_message(name, message)
 
       with {:ok, other} <- Protobuf.parse_schema(mutate(set, n)),
            true <- is_map_key(other.messages, name),
@@ -158,13 +158,13 @@ defmodule Situ.Bridge.HostileTest do
       {:ok, text} = Library.fetch("sensor_msgs/PointCloud2", dialect)
       {:ok, definition} = Definition.parse("sensor_msgs/PointCloud2", text, dialect)
       cloud = Situ.PointCloud.from_points([{1.0, 2.0, 3.0}])
-      message = Situ.Bridge.Ros.Standard.to_message("sensor_msgs/PointCloud2", cloud, 5)
+      message = Situ.Bridge.Ros.StandardTypes.to_message("sensor_msgs/PointCloud2", cloud, 5)
       {:ok, bytes} = Wire.encode(definition, message, encoding)
 
       bounded(Budget.mutation_count(2_000), fn n ->
         case Wire.decode(definition, mutate(bytes, n), encoding) do
           {:ok, message} ->
-            Situ.Bridge.Ros.Standard.from_message("sensor_msgs/PointCloud2", message)
+            Situ.Bridge.Ros.StandardTypes.from_message("sensor_msgs/PointCloud2", message)
 
           {:error, why} when is_binary(why) ->
             :ok

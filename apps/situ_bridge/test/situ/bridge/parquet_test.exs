@@ -2,15 +2,15 @@ defmodule Situ.Bridge.ParquetTest do
   # Not async, because it counts atoms.
   use ExUnit.Case, async: false
   use Situ.Test.Property
-  alias Situ.Bridge.Columnar.{Column, Names, Rows}
+  alias Situ.Bridge.Columnar.{Column, ColumnNames, Rows}
   alias Situ.Bridge.Parquet
-  alias Situ.Bridge.Parquet.{Chunk, Deltas, Leaf, Packed, Runs, Thrift, Writer}
+  alias Situ.Bridge.Parquet.{Chunk, ByteArrays, Leaf, Compression, RunLength, Thrift, Writer}
   alias Situ.Test.Budget
   alias Situ.Store
-  doctest Runs
-  doctest Deltas
+  doctest RunLength
+  doctest ByteArrays
   doctest Leaf
-  doctest Names
+  doctest ColumnNames
   doctest Situ.Bridge.Gzip
 
   @theirs for kind <- 1..2,
@@ -395,15 +395,18 @@ defmodule Situ.Bridge.ParquetTest do
   end
 
   test "expands overlapping Snappy copies, and rejects copies beyond the output" do
-    assert Packed.unpack_page(1, <<5, 0, "a", 0b00000001, 1>>, 5) == "aaaaa"
-    assert {:not_parquet, _} = catch_throw(Packed.unpack_page(1, <<5, 0, "a", 0b00000001, 2>>, 5))
-    assert {:not_parquet, _} = catch_throw(Packed.unpack_page(1, <<5, 0, "a">>, 5))
+    assert Compression.unpack_page(1, <<5, 0, "a", 0b00000001, 1>>, 5) == "aaaaa"
 
     assert {:not_parquet, _} =
-             catch_throw(Packed.unpack_page(2, :zlib.gzip(:binary.copy("a", 1_000_000)), 5))
+             catch_throw(Compression.unpack_page(1, <<5, 0, "a", 0b00000001, 2>>, 5))
 
-    assert {:not_parquet, _} = catch_throw(Packed.unpack_page(4, "", 0))
-    assert Packed.unpack_page(1, "", 0) == ""
+    assert {:not_parquet, _} = catch_throw(Compression.unpack_page(1, <<5, 0, "a">>, 5))
+
+    assert {:not_parquet, _} =
+             catch_throw(Compression.unpack_page(2, :zlib.gzip(:binary.copy("a", 1_000_000)), 5))
+
+    assert {:not_parquet, _} = catch_throw(Compression.unpack_page(4, "", 0))
+    assert Compression.unpack_page(1, "", 0) == ""
   end
 
   @tag :capture_log

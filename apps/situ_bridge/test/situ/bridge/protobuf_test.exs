@@ -1,13 +1,13 @@
 defmodule Situ.Bridge.ProtobufTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
-  alias Situ.Bridge.Foxglove.{Messages, Standard}
+  alias Situ.Bridge.Foxglove.{Messages, StandardTypes}
   alias Situ.Bridge.Protobuf
   alias Situ.Bridge.Protobuf.{Descriptor, Reader, Writer}
   alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, DepthImage, EncodedImage, GeoPoint}
   alias Situ.{Image, JointState, Point3, PointCloud, Pose, Transform}
   doctest Protobuf
-  doctest Standard
+  doctest StandardTypes
 
   @text """
   // All that a field may be.
@@ -200,17 +200,17 @@ defmodule Situ.Bridge.ProtobufTest do
 
   # Encodes and decodes the value.
   defp there_and_back(value, frame \\ "") do
-    type = Standard.message_type(value)
+    type = StandardTypes.message_type(value)
 
     {:ok, bytes} =
       Writer.encode(
         Messages.load_schema(),
         type,
-        Standard.to_message(type, value, 5_000_000_007, frame)
+        StandardTypes.to_message(type, value, 5_000_000_007, frame)
       )
 
     {:ok, message} = Reader.decode(Messages.load_schema(), type, bytes)
-    {message, Standard.from_message(type, message)}
+    {message, StandardTypes.from_message(type, message)}
   end
 
   test "maps Situ's types to Foxglove's messages and back" do

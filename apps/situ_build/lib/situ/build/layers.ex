@@ -2,8 +2,8 @@ defmodule Situ.Build.Layers do
   @moduledoc """
   The layers of the runtime: a module may only name modules of the same layer and of lower layers.
 
-  The folder of a module's source file is its layer; `situ.ex` is the top layer. `application.ex`, which starts the
-  processes that the layers need, and `testing/` may name all layers.
+  A namespace belongs to one layer. `Situ` itself is the top layer. `Situ.Application`, which starts the processes that
+  the layers need, and `Situ.Test` may name all layers.
 
   | layer | holds |
   |---|---|
@@ -21,40 +21,67 @@ defmodule Situ.Build.Layers do
   """
   alias Situ.Build.Beam
 
-  @app "apps/situ/lib/situ"
-  @order ~w(clock graph ports stage lifecycle diagnostics application pipeline connectors operators)
+  # Names, not modules: the build tool must not depend on the apps that it checks.
+  @layers [
+    clock: ~w(Situ.Clock),
+    graph:
+      ~w(Situ.Argument Situ.Component Situ.Delivery Situ.Graph Situ.Node Situ.Operator Situ.Stream),
+    ports: ~w(Situ.Ports),
+    stage: ~w(Situ.Stage),
+    lifecycle: ~w(Situ.Lifecycle),
+    diagnostics: ~w(Situ.Diagnostics),
+    application:
+      ~w(Situ.Application.CodeReload Situ.Application.Directory Situ.Application.PipelineResults
+      Situ.Application.Reaper Situ.Application.Tables),
+    pipeline: ~w(Situ.Pipeline),
+    connectors: ~w(Situ.Collector Situ.Connector Situ.GenStage Situ.Pipeline.Tap Situ.Tap),
+    operators:
+      ~w(Situ.Aggregate Situ.Available Situ.Branch Situ.Filter Situ.Fusion Situ.Generator Situ.Indexer
+      Situ.Interpolator Situ.MapAsync Situ.Parallel Situ.Reproducible Situ.Sampling Situ.Selection
+      Situ.StateMachine Situ.Statistics Situ.Window),
+    "situ.ex": ~w(Situ)
+  ]
+  @names Keyword.keys(@layers)
+  @by_namespace for {{_name, namespaces}, index} <- Enum.with_index(@layers),
+                    namespace <- namespaces,
+                    into: %{},
+                    do: {namespace, index}
 
   @doc """
-  Returns the index of the layer that a source file belongs to, from 0, or `:any` if the file is in no layer.
+  Returns the index of the layer that a module belongs to, from 0, or `:any` if it is in no layer.
 
-      iex> Situ.Build.Layers.layer_index("/x/apps/situ/lib/situ/graph/graph.ex")
+      iex> Situ.Build.Layers.layer_index(:"Elixir.Situ.Graph.Edge")
       1
-      iex> Situ.Build.Layers.layer_index("/x/apps/situ/lib/situ.ex")
+      iex> Situ.Build.Layers.layer_index(:"Elixir.Situ")
       10
-      iex> Situ.Build.Layers.layer_index("/x/apps/situ/lib/situ/testing/test.ex")
+      iex> Situ.Build.Layers.layer_index(:"Elixir.Situ.Test")
       :any
   """
-  @spec layer_index(Path.t()) :: non_neg_integer() | :any
-  def layer_index(source) do
-    case source |> String.split(@app) |> List.last() |> Path.split() do
-      ["/", folder | _] -> Enum.find_index(@order, &(&1 == folder)) || :any
-      [".ex"] -> length(@order)
-      _ -> :any
+  @spec layer_index(module()) :: non_neg_integer() | :any
+  def layer_index(module), do: module |> inspect() |> find_namespace()
+
+  # The longest namespace decides: a tap of a pipeline is a connector, although `Situ.Pipeline` is a layer below.
+  defp find_namespace(name) when is_map_key(@by_namespace, name), do: @by_namespace[name]
+
+  defp find_namespace(name) do
+    case name |> String.split(".") |> Enum.drop(-1) do
+      [_, _ | _] = outer -> outer |> Enum.join(".") |> find_namespace()
+      _outermost -> :any
     end
   end
 
   @doc "Returns the names of the layers, lowest first, with the number of modules in each."
   @spec count_modules([Beam.t()]) :: [{String.t(), non_neg_integer()}]
   def count_modules(beams) do
-    by_layer = Enum.frequencies_by(beams, &layer_index(&1.source))
-    for {name, n} <- Enum.with_index(@order ++ ["situ.ex"]), do: {name, Map.get(by_layer, n, 0)}
+    by_layer = Enum.frequencies_by(beams, &layer_index(&1.module))
+    for {name, n} <- Enum.with_index(@names), do: {"#{name}", Map.get(by_layer, n, 0)}
   end
 
   @doc "Returns one sentence for each reference from a module to a module of a higher layer."
   @spec find_violations([Beam.t()]) :: [String.t()]
   def find_violations(beams) do
     layers =
-      for beam <- beams, n = layer_index(beam.source), n != :any, into: %{}, do: {beam.module, n}
+      for beam <- beams, n = layer_index(beam.module), n != :any, into: %{}, do: {beam.module, n}
 
     for %{module: module, names: names} <- beams,
         own = layers[module],
@@ -66,5 +93,5 @@ defmodule Situ.Build.Layers do
     |> Enum.sort()
   end
 
-  defp layer_name(n), do: Enum.at(@order ++ ["situ.ex"], n)
+  defp layer_name(n), do: Enum.at(@names, n)
 end

@@ -4,7 +4,7 @@ defmodule Situ.CLI.Cluster do
 
   alias Situ.{Cluster, Error}
   alias Situ.Cluster.Identity
-  alias Situ.CLI.{ClusterDeployment, ClusterLog, ClusterNode, Option, Output, Verb}
+  alias Situ.CLI.{ClusterDeployment, ClusterLogOptions, ClusterNode, Option, Output, Verb}
 
   @node Option.new(:node, :string, "a node of the cluster, as situ-9301@10.0.0.1", value: "NODE")
   @folder Option.new(
@@ -54,7 +54,7 @@ defmodule Situ.CLI.Cluster do
           ),
           Option.new(:require, :path, "Elixir file with the pipelines", many?: true),
           @folder
-          | ClusterLog.log_options()
+          | ClusterLogOptions.log_options()
         ],
         examples: ["situ cluster join situ-9301@127.0.0.1 --log /var/lib/situ/log --label camera"],
         run: fn %{name: name}, opts -> join_cluster(name, opts) end
@@ -105,7 +105,7 @@ defmodule Situ.CLI.Cluster do
 
     settings = [
       log: log,
-      log_options: ClusterLog.connect_options(log, opts, identity_folder(opts)),
+      log_options: ClusterLogOptions.connect_options(log, opts, identity_folder(opts)),
       labels: opts[:label],
       devices: opts[:device],
       recordings: recordings

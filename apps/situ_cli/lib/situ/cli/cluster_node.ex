@@ -2,7 +2,7 @@ defmodule Situ.CLI.ClusterNode do
   @moduledoc false
   # The verbs of `situ cluster` for nodes: their logs, code and load, and the studio of a node.
   alias Situ.{Cluster, Diagnostics, Error}
-  alias Situ.CLI.{ClusterDeployment, ClusterKept, Option, Output, Verb}
+  alias Situ.CLI.{ClusterDeployment, ClusterRetention, Option, Output, Verb}
 
   @again_ms 500
 
@@ -55,7 +55,7 @@ defmodule Situ.CLI.ClusterNode do
         examples: ["situ cluster balance Hall --node situ-9301@127.0.0.1"],
         run: fn %{deployment: name}, opts -> balance_deployment(name, opts, ask) end
       }
-      | ClusterKept.log_verbs(common, ask, folder)
+      | ClusterRetention.log_verbs(common, ask, folder)
     ]
   end
 

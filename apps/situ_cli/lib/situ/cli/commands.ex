@@ -18,14 +18,14 @@ defmodule Situ.CLI.Commands do
   }
 
   @modules [
-    Store.Looking,
+    Store.Inspection,
     Store.Pyramid,
     Store.Attachments,
-    Store.Importing,
-    Store.Making,
-    Store.Care,
-    Store.Saving,
-    Store.Sending,
+    Store.Import,
+    Store.Copying,
+    Store.Maintenance,
+    Store.Export,
+    Store.Exchange,
     Dataset,
     Query,
     Task,

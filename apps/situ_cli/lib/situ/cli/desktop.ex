@@ -16,7 +16,7 @@ defmodule Situ.CLI.Desktop do
   end
 
   defp open_with(opener, url) do
-    Situ.Scratch.with_folder("open", fn folder ->
+    Situ.TempFolder.with_folder("open", fn folder ->
       System.cmd(opener, [opener_argument(url, folder)], stderr_to_stdout: true)
 
       # The browser has started, but may not have read the page yet.

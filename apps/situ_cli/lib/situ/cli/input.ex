@@ -11,7 +11,7 @@ defmodule Situ.CLI.Input do
   @doc "Calls `work` with a temporary file that holds all of standard input, and that it may read more than once."
   @spec with_spooled_file((Path.t() -> result)) :: result when result: term()
   def with_spooled_file(work) do
-    Situ.Scratch.with_folder("input", fn folder ->
+    Situ.TempFolder.with_folder("input", fn folder ->
       path = Path.join(folder, "input")
       {:ok, file} = :file.open(path, [:write, :raw, :binary, :exclusive])
       Enum.each(stream_chunks(), &(:ok = :file.write(file, &1)))

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Serve do
   @moduledoc "`situ serve`: serves a recording to other machines."
   @behaviour Situ.CLI.Verb
 
-  alias Situ.CLI.{Option, Output, Secret, Verb}
+  alias Situ.CLI.{Option, Output, Token, Verb}
   alias Situ.{Error, Remote}
   alias Situ.Remote.{Address, Server}
 
@@ -31,7 +31,7 @@ defmodule Situ.CLI.Serve do
             value: "ADDRESS",
             default: "127.0.0.1"
           ),
-          Secret.token_option(),
+          Token.token_option(),
           Option.new(:unix, :path, "also listen on a Unix socket with this path"),
           Option.new(:tls, :flag, "use TLS with a certificate generated for this machine"),
           Option.new(:certificate, :path, "use TLS with this certificate (PEM)"),
@@ -57,7 +57,7 @@ defmodule Situ.CLI.Serve do
     Process.flag(:trap_exit, true)
 
     with {:ok, tls} <- tls_settings(opts),
-         {:ok, token} <- Secret.read_token(opts),
+         {:ok, token} <- Token.read_token(opts),
          {:ok, server} <- Remote.serve(path, server_settings(opts, tls, token)) do
       Output.puts("Situ serves #{path} at #{served_address(path, server, opts)}")
       wait_for_exit(server)

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Studio do
   @moduledoc "`situ studio`: shows recordings in the browser."
   @behaviour Situ.CLI.Verb
 
-  alias Situ.CLI.{Option, Output, Plugin, Secret, Verb}
+  alias Situ.CLI.{Option, Output, Plugin, Token, Verb}
   alias Situ.{Error, Studio}
 
   @impl true
@@ -28,7 +28,7 @@ defmodule Situ.CLI.Studio do
             value: "ADDRESS",
             default: "127.0.0.1"
           ),
-          Secret.token_option(
+          Token.token_option(
             "the file with the token (8 characters or more), or set SITU_TOKEN; default: a random token"
           ),
           Option.new(
@@ -78,7 +78,7 @@ defmodule Situ.CLI.Studio do
     with :ok <- check_path(path),
          {:ok, ip} <- parse_address(opts[:listen]),
          {:ok, tls} <- tls_settings(opts),
-         {:ok, token} <- Secret.read_token(opts),
+         {:ok, token} <- Token.read_token(opts),
          {:ok, studio} <- start_studio(path, ip, [tls: tls, secret: token] ++ opts) do
       url = Studio.url(studio, Studio.only_item(studio))
       Output.puts("Situ Studio shows #{path} at #{url}")

@@ -178,7 +178,7 @@ defmodule Situ.CLI.TaskTest do
 
     for k <- [0, 120, 349] do
       {:ok, message} = Store.at(store, "Video", k)
-      {:ok, picture} = Situ.Imaging.parse(message.data)
+      {:ok, picture} = Situ.ImageOps.parse(message.data)
       assert {picture.width, picture.height} == {1024, 512}
       for face <- Enum.at(faces, k), do: assert(smooth?(picture, face.rect))
     end
@@ -186,7 +186,7 @@ defmodule Situ.CLI.TaskTest do
 
   # No detail is left, so adjacent rows are almost equal.
   defp smooth?(picture, rect) do
-    part = picture |> Situ.Imaging.convert!(:gray8) |> Situ.Imaging.crop!(rect)
+    part = picture |> Situ.ImageOps.convert!(:gray8) |> Situ.ImageOps.crop!(rect)
     rows = for <<row::binary-size(part.width) <- part.data>>, do: :binary.bin_to_list(row)
 
     steps =

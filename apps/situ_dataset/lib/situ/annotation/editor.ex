@@ -39,7 +39,7 @@ defmodule Situ.Annotation.Editor do
   names the other program's version, which is kept.
   """
   use GenServer
-  alias Situ.Annotation.{EditorState, Journal, Layer, Schema, Versions}
+  alias Situ.Annotation.{EditorState, Journal, Layer, Schema, StoreVersions}
   alias Situ.Error
   alias Situ.Store.FileLock
 
@@ -200,7 +200,7 @@ defmodule Situ.Annotation.Editor do
 
   # Without the lock, the journal belongs to another editor and must not be removed.
   defp save_version(state) do
-    with {:ok, state} <- Versions.write_version(state) do
+    with {:ok, state} <- StoreVersions.write_version(state) do
       if state.lock, do: File.rm(state.journal)
       notify_subscribers(state, :saved)
       {:ok, %{state | unsaved?: false}}
@@ -208,7 +208,7 @@ defmodule Situ.Annotation.Editor do
   end
 
   defp load_current(state) do
-    with {:ok, now} <- Versions.load_newest(state) do
+    with {:ok, now} <- StoreVersions.load_newest(state) do
       if now.base != state.base, do: notify_subscribers(now, :reloaded)
       {:ok, now}
     end

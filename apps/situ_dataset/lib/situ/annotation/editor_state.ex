@@ -2,8 +2,8 @@ defmodule Situ.Annotation.EditorState do
   @moduledoc false
   # The initial state of an editor: the newest version of its store, with the edits of a journal that a crash left
   # there. An editor with unsaved edits holds the journal's lock, which keeps other editors from using the journal.
-  alias Situ.Annotation.{Journal, Layer, Schema, Versions}
-  alias Situ.Dataset.Version
+  alias Situ.Annotation.{Journal, Layer, Schema, StoreVersions}
+  alias Situ.Dataset.StoreVersion
   alias Situ.{Error, Store}
   alias Situ.Store.FileLock
 
@@ -46,9 +46,9 @@ defmodule Situ.Annotation.EditorState do
   defp release_lock(lock), do: FileLock.release(lock)
 
   defp load_state(%{path: path, stream: stream} = state, schema) do
-    base = if Store.exists?(path), do: Version.newest_folder(path) || path
+    base = if Store.exists?(path), do: StoreVersion.newest_folder(path) || path
 
-    with {:ok, mine, others} <- Versions.load_version(base, stream),
+    with {:ok, mine, others} <- StoreVersions.load_version(base, stream),
          {:ok, layer} <- if(mine, do: {:ok, mine}, else: new_layer(stream, schema)),
          {:ok, transactions} <- unsaved_transactions(state, {base, mine}),
          {:ok, layer, undo} <- replay_transactions(layer, transactions) do
@@ -80,7 +80,7 @@ defmodule Situ.Annotation.EditorState do
   defp unsaved_transactions(%{lock: nil}, _base), do: {:ok, []}
 
   defp unsaved_transactions(state, base),
-    do: Versions.unsaved_transactions(state.journal, base, state.stream)
+    do: StoreVersions.unsaved_transactions(state.journal, base, state.stream)
 
   defp replay_transactions(layer, transactions) do
     Enum.reduce_while(transactions, {:ok, layer, []}, fn transaction, {:ok, layer, undo} ->

@@ -11,7 +11,7 @@ defmodule Situ.Annotation.Recording do
   """
   alias Situ.{Annotation, Error, Store}
   alias Situ.Annotation.{Layer, Psi, Schema}
-  alias Situ.Dataset.Version
+  alias Situ.Dataset.StoreVersion
 
   @type_wanted {:list, Annotation}
 
@@ -110,7 +110,7 @@ defmodule Situ.Annotation.Recording do
   @spec write_all(%{String.t() => Layer.t()}, Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def write_all(layers, path) do
     path = Path.expand(path)
-    with {:ok, draft} <- write_draft(layers, path), do: Version.publish_draft(draft, path)
+    with {:ok, draft} <- write_draft(layers, path), do: StoreVersion.publish_draft(draft, path)
   end
 
   @doc """
@@ -124,7 +124,7 @@ defmodule Situ.Annotation.Recording do
 
     with {:ok, draft} <- write_draft(layers, path),
          {:error, %Error{code: :newer_version}} = taken <-
-           Version.publish_after(draft, path, base) do
+           StoreVersion.publish_after(draft, path, base) do
       _ = Store.delete(draft)
       taken
     end
@@ -133,7 +133,7 @@ defmodule Situ.Annotation.Recording do
   defp write_draft(layers, path) do
     options = [durability: :each, versioned: false]
 
-    place = Version.draft_path(path)
+    place = StoreVersion.draft_path(path)
 
     with {:ok, writer} <- Store.Writer.create(Path.basename(path), place, options),
          {:filled, _, :ok} <- {:filled, writer, write_streams(writer, Enum.sort(layers))} do
@@ -144,7 +144,7 @@ defmodule Situ.Annotation.Recording do
 
       {:error, error} ->
         # If the disk is full, the folder must not remain either.
-        Version.discard_draft(place)
+        StoreVersion.discard_draft(place)
         {:error, error}
     end
   end

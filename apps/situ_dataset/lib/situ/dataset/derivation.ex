@@ -71,7 +71,7 @@ defmodule Situ.Dataset.Derivation do
 
   #{Situ.Options.docs(@options)}
   """
-  alias Situ.Dataset.Derivation.{Job, Log, Progress, Report}
+  alias Situ.Dataset.Derivation.{Job, RunJournal, Progress, Report}
   alias Situ.Dataset.{Partition, Session, Summary}
   alias Situ.{Error, Options}
 
@@ -92,7 +92,8 @@ defmodule Situ.Dataset.Derivation do
           {:ok, acc :: term(), Report.t()} | {:error, Error.t()}
   def run(sessions, compute, file, {acc, commit}, opts) do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {log, done} = Log.open(file, opts[:output], Keyword.take(opts, [:resume, :overwrite])),
+         {log, done} =
+           RunJournal.open(file, opts[:output], Keyword.take(opts, [:resume, :overwrite])),
          {:ok, acc, kept} <- recover_results(sessions, done, acc, commit, opts),
          :ok <- check_output_free(sessions, kept, opts) do
       waiting = Enum.reject(sessions, &(&1.name in kept))
@@ -127,7 +128,10 @@ defmodule Situ.Dataset.Derivation do
       |> Task.await(:infinity)
 
     failed? = Enum.any?(state.results, &(&1.status == :failed))
-    if state.cancelled? or failed?, do: Log.record_end(state.log), else: Log.remove(state.log)
+
+    if state.cancelled? or failed?,
+      do: RunJournal.record_end(state.log),
+      else: RunJournal.remove(state.log)
 
     {:ok, state.acc,
      %Report{
@@ -193,7 +197,7 @@ defmodule Situ.Dataset.Derivation do
     job = Job.new(session, state.compute, state.opts)
     state = %{state | waiting: waiting, slots: slots}
 
-    case Log.record_start(state.log, session.name, job.draft) do
+    case RunJournal.record_start(state.log, session.name, job.draft) do
       :ok ->
         pid = Node.spawn_link(node, Job, :run, [job, self()])
         running = %{job: job, node: node, pipeline: nil, began: System.monotonic_time()}
@@ -295,7 +299,7 @@ defmodule Situ.Dataset.Derivation do
 
   defp publish_session(state, job, result, took) do
     with {:ok, folder} <- Job.publish_output(job),
-         :ok <- Log.record_done(state.log, job.session.name, folder),
+         :ok <- RunJournal.record_done(state.log, job.session.name, folder),
          partition = Partition.new(state.opts[:output], folder),
          {:ok, acc} <- state.commit.(state.acc, job.session, partition) do
       record_result(%{state | acc: acc}, job.session.name, :done, nil, result, took)

@@ -2,7 +2,7 @@ defmodule Situ.Dataset.Discovery do
   @moduledoc false
   # Reads a folder of recordings as a dataset: each subfolder is a session, and each recording in a subfolder (at any
   # depth) is a partition. Each recording directly in the folder is a separate session.
-  alias Situ.Dataset.{Names, Partition, Session}
+  alias Situ.Dataset.{NameRules, Partition, Session}
   alias Situ.{Error, Store}
 
   @type found :: {:ok, name :: String.t(), [Session.t()]} | {:error, Error.t()}
@@ -34,14 +34,14 @@ defmodule Situ.Dataset.Discovery do
   end
 
   defp build_session({folder, recordings}, taken) do
-    name = Names.make_unique(sanitize_name(folder), taken)
+    name = NameRules.make_unique(sanitize_name(folder), taken)
 
     session =
       Enum.reduce(recordings, Session.new(name), fn path, session ->
         partition = Partition.new(nil, path)
 
         name =
-          Names.make_unique(
+          NameRules.make_unique(
             sanitize_name(partition.name),
             Enum.map(session.partitions, & &1.name)
           )

@@ -11,7 +11,7 @@ defmodule Situ.Dataset.OpenSession do
   A stream's name suffices if only one partition has it; otherwise `"[Partition]:Stream"` selects the partition.
   Partitions that cannot be opened are listed in `troubles`; the others can be read.
   """
-  alias Situ.Dataset.{Names, Partition, Session}
+  alias Situ.Dataset.{NameRules, Partition, Session}
   alias Situ.{Error, Store}
 
   @enforce_keys [:session]
@@ -97,7 +97,7 @@ defmodule Situ.Dataset.OpenSession do
         place = "session #{inspect(name)}"
 
         with {:ok, found} <-
-               Names.fetch_named(stores, partition, :no_partition, "partition", place),
+               NameRules.fetch_named(stores, partition, :no_partition, "partition", place),
              do: {:ok, found.store}
     end
   end

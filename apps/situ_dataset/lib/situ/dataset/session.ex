@@ -12,7 +12,7 @@ defmodule Situ.Dataset.Session do
   `metadata` is any JSON object (participant, condition, notes ...), and `tags` are words for selecting sessions.
   Read a session's streams with `Situ.Dataset.OpenSession`, or in a pipeline with `Situ.Dataset.Importer`.
   """
-  alias Situ.Dataset.{Names, Partition, Summary}
+  alias Situ.Dataset.{NameRules, Partition, Summary}
   alias Situ.Error
 
   @enforce_keys [:name]
@@ -34,8 +34,8 @@ defmodule Situ.Dataset.Session do
   @doc "Appends a partition. Errors: `:duplicate_name`, `:bad_name`."
   @spec add_partition(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
   def add_partition(%__MODULE__{} = session, %Partition{} = partition) do
-    with :ok <- Names.check_valid(partition.name, "partition"),
-         :ok <- Names.check_free(partition.name, session.partitions, session_label(session)) do
+    with :ok <- NameRules.check_valid(partition.name, "partition"),
+         :ok <- NameRules.check_free(partition.name, session.partitions, session_label(session)) do
       {:ok, %{session | partitions: session.partitions ++ [partition]}}
     end
   end
@@ -60,9 +60,13 @@ defmodule Situ.Dataset.Session do
   @spec rename_partition(t(), String.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
   def rename_partition(%__MODULE__{} = session, from, to) do
     with {:ok, found} <- fetch_partition(session, from),
-         :ok <- Names.check_valid(to, "partition"),
+         :ok <- NameRules.check_valid(to, "partition"),
          :ok <-
-           Names.check_free(to, List.delete(session.partitions, found), session_label(session)) do
+           NameRules.check_free(
+             to,
+             List.delete(session.partitions, found),
+             session_label(session)
+           ) do
       swap = &if(&1.name == from, do: %{&1 | name: to}, else: &1)
       {:ok, %{session | partitions: Enum.map(session.partitions, swap)}}
     end
@@ -72,7 +76,7 @@ defmodule Situ.Dataset.Session do
   @spec fetch_partition(t(), String.t()) :: {:ok, Partition.t()} | {:error, Error.t()}
   def fetch_partition(%__MODULE__{} = session, name),
     do:
-      Names.fetch_named(
+      NameRules.fetch_named(
         session.partitions,
         name,
         :no_partition,

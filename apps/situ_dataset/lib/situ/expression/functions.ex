@@ -1,7 +1,7 @@
 defmodule Situ.Expression.Functions do
   @moduledoc false
   # The functions of the language; like its operators, they are total.
-  alias Situ.Expression.Value
+  alias Situ.Expression.Operators
 
   @arities %{
     "abs" => [1],
@@ -47,15 +47,17 @@ defmodule Situ.Expression.Functions do
   def call("round", [n]) when is_number(n), do: round(n)
 
   def call("sqrt", [n]) when is_number(n) and n >= 0,
-    do: Value.bound_number(fn -> :math.sqrt(n) end)
+    do: Operators.bound_number(fn -> :math.sqrt(n) end)
 
-  def call("log", [n]) when is_number(n) and n > 0, do: Value.bound_number(fn -> :math.log(n) end)
-  def call("exp", [n]) when is_number(n), do: Value.bound_number(fn -> :math.exp(n) end)
-  def call("sin", [n]) when is_number(n), do: Value.bound_number(fn -> :math.sin(n) end)
-  def call("cos", [n]) when is_number(n), do: Value.bound_number(fn -> :math.cos(n) end)
+  def call("log", [n]) when is_number(n) and n > 0,
+    do: Operators.bound_number(fn -> :math.log(n) end)
+
+  def call("exp", [n]) when is_number(n), do: Operators.bound_number(fn -> :math.exp(n) end)
+  def call("sin", [n]) when is_number(n), do: Operators.bound_number(fn -> :math.sin(n) end)
+  def call("cos", [n]) when is_number(n), do: Operators.bound_number(fn -> :math.cos(n) end)
 
   def call("atan2", [y, x]) when is_number(y) and is_number(x),
-    do: Value.bound_number(fn -> :math.atan2(y, x) end)
+    do: Operators.bound_number(fn -> :math.atan2(y, x) end)
 
   def call(name, [list]) when name in ["min", "max", "sum", "mean"] and is_list(list) do
     if not List.improper?(list) and list != [] and Enum.all?(list, &is_number/1),
@@ -82,7 +84,7 @@ defmodule Situ.Expression.Functions do
     do: part == "" or String.contains?(text, part)
 
   def call("contains", [list, value]) when is_list(list),
-    do: Value.apply_binary("in", value, list)
+    do: Operators.apply_binary("in", value, list)
 
   def call("starts_with", [text, part]) when is_binary(text) and is_binary(part),
     do: String.starts_with?(text, part)
@@ -95,7 +97,7 @@ defmodule Situ.Expression.Functions do
 
   def call("number", [text]) when is_binary(text) and byte_size(text) <= 100 do
     case {Integer.parse(text), Float.parse(text)} do
-      {{n, ""}, _} -> Value.bound_number(fn -> n end)
+      {{n, ""}, _} -> Operators.bound_number(fn -> n end)
       {_, {x, ""}} -> x
       _ -> nil
     end
@@ -106,6 +108,8 @@ defmodule Situ.Expression.Functions do
 
   defp fold_numbers("min", list), do: Enum.min(list)
   defp fold_numbers("max", list), do: Enum.max(list)
-  defp fold_numbers("sum", list), do: Value.bound_number(fn -> Enum.sum(list) end)
-  defp fold_numbers("mean", list), do: Value.bound_number(fn -> Enum.sum(list) / length(list) end)
+  defp fold_numbers("sum", list), do: Operators.bound_number(fn -> Enum.sum(list) end)
+
+  defp fold_numbers("mean", list),
+    do: Operators.bound_number(fn -> Enum.sum(list) / length(list) end)
 end

@@ -32,7 +32,18 @@ defmodule Situ.Examples.Demo do
   ```
   """
   alias Situ.Error
-  alias Situ.Examples.Demo.{Cluster, Options, Profile, Recording, Score, Table, Transcript, Truth}
+
+  alias Situ.Examples.Demo.{
+    ClusterCommand,
+    Options,
+    Profile,
+    RecordingSummary,
+    Score,
+    Table,
+    Transcript,
+    GroundTruth
+  }
+
   alias Situ.Examples.MultimodalVoiceActivity
   alias Situ.Infer.LipSync
 
@@ -45,8 +56,8 @@ defmodule Situ.Examples.Demo do
   def run(argv) do
     cond do
       "--dataset" in argv -> Situ.Examples.Study.run(argv)
-      "--scene" in argv -> Situ.Examples.Demo.Scene.run(argv)
-      "--cluster" in argv -> Cluster.run(argv, &record_clip/1)
+      "--scene" in argv -> Situ.Examples.Demo.SceneCommand.run(argv)
+      "--cluster" in argv -> ClusterCommand.run(argv, &record_clip/1)
       true -> run_talk_demo(argv)
     end
   end
@@ -140,7 +151,7 @@ defmodule Situ.Examples.Demo do
   end
 
   defp show_recording(%{result: %{path: path}} = report, wall_s, truth, opts) do
-    with {:ok, recording} <- Recording.read(path) do
+    with {:ok, recording} <- RecordingSummary.read(path) do
       if LipSync.out_of_sync?(recording.sync) and can_shift_audio?(opts),
         do: record_synchronized(recording.sync, path, truth, opts),
         else: print_results(recording, report, wall_s, truth, opts)
@@ -187,7 +198,7 @@ defmodule Situ.Examples.Demo do
   defp print_partial_results(error, opts) do
     with %{report: %{result: %{path: path}}} <- error.meta,
          false <- opts[:json] == true,
-         {:ok, %{frames: n} = recording} when n > 0 <- Recording.read(path) do
+         {:ok, %{frames: n} = recording} when n > 0 <- RecordingSummary.read(path) do
       IO.puts(["Until it failed:\n", render_table(opts, recording, nil, 0.0, path)])
     end
 
@@ -206,7 +217,7 @@ defmodule Situ.Examples.Demo do
   end
 
   defp read_truth(nil), do: {:ok, nil}
-  defp read_truth(path), do: Truth.read(path)
+  defp read_truth(path), do: GroundTruth.read(path)
 
   defp serve_studio(path, opts) do
     case Situ.Studio.start_link(path: path, port: opts[:port]) do

@@ -26,13 +26,13 @@ defmodule Situ.Examples.FaceRegions do
 
   defp crop_faces({picture, faces}) do
     for face <- faces,
-        {:ok, %Situ.Image{} = region} <- [Situ.Imaging.crop(picture, face.rect, clip: true)],
+        {:ok, %Situ.Image{} = region} <- [Situ.ImageOps.crop(picture, face.rect, clip: true)],
         into: %{},
         do: {face.rect.id, region}
   end
 
   defp mean_brightness(region) do
-    {:ok, colors} = Situ.Imaging.average_color(region)
+    {:ok, colors} = Situ.ImageOps.average_color(region)
     Enum.sum(Map.values(colors)) / map_size(colors)
   end
 end

@@ -22,7 +22,7 @@ defmodule Situ.Examples.ImageCrop do
   def handle_message(:image, _message, _context, nil), do: {[], nil}
 
   def handle_message(:image, message, _context, rect) do
-    case Situ.Imaging.crop(message.data, rect, clip: true) do
+    case Situ.ImageOps.crop(message.data, rect, clip: true) do
       {:ok, %Situ.Image{} = part} -> {[{:out, message.originating_time, part}], rect}
       _outside -> {[], rect}
     end

@@ -86,11 +86,11 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
 
   defp label_faces(mouths, speaking, said) do
     inputs = [faces: Situ.join(mouths, speaking), said: said]
-    Situ.via(inputs, Situ.Examples.Words, name: "Words")
+    Situ.via(inputs, Situ.Examples.SpeakerLabels, name: "Words")
   end
 
   defp encode_jpeg(picture) do
-    {:ok, jpeg} = Situ.Imaging.encode_jpeg(picture, quality: 80)
+    {:ok, jpeg} = Situ.ImageOps.encode_jpeg(picture, quality: 80)
     jpeg
   end
 

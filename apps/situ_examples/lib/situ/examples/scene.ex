@@ -91,7 +91,7 @@ defmodule Situ.Examples.Scene do
   end
 
   defp encode_jpeg(picture),
-    do: picture |> Situ.Imaging.encode_jpeg(quality: 85) |> Situ.Error.unwrap!()
+    do: picture |> Situ.ImageOps.encode_jpeg(quality: 85) |> Situ.Error.unwrap!()
 
   defp record_audio(p, camera, opts, record) do
     clip = opts[:sound] || Situ.Examples.Demo.Options.default_clip()
@@ -99,7 +99,7 @@ defmodule Situ.Examples.Scene do
     sound = Situ.Media.open(p, clip, audio_format: format, start_time: :pipeline).audio
     heard = Situ.via(sound, VoiceActivity, name: "VoiceActivity")
     record.(sound, "Sound")
-    record.(Situ.Audio.features(sound, name: "Features").log_energy, "Energy")
+    record.(Situ.AudioStream.features(sound, name: "Features").log_energy, "Energy")
     record.(Situ.map(heard.voice, & &1.probability, name: "Probability", type: :float), "Voice")
     record.(speech_intervals(heard.segments, camera.others[:speaking]), "Speech")
   end

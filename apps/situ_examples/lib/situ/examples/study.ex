@@ -28,7 +28,7 @@ defmodule Situ.Examples.Study do
   alias Situ.Dataset
   alias Situ.Dataset.{Derivation, Importer, OpenSession}
   alias Situ.Error
-  alias Situ.Examples.Demo.Truth
+  alias Situ.Examples.Demo.GroundTruth
   alias Situ.Infer.{MouthShape, VoiceActivity}
 
   @output "Speech"
@@ -46,7 +46,7 @@ defmodule Situ.Examples.Study do
     sound =
       importer
       |> Importer.stream("Audio")
-      |> Situ.Audio.resample(16_000)
+      |> Situ.AudioStream.resample(16_000)
 
     voice = Situ.via(sound, VoiceActivity, name: "VoiceActivity").voice
     lips = importer |> Importer.stream("Video") |> MouthShape.detect_stages()
@@ -200,7 +200,7 @@ defmodule Situ.Examples.Study do
   defp compute_kappa(nil, _layer, _store, _start), do: {:ok, nil}
 
   defp compute_kappa(path, layer, store, start) do
-    with {:ok, truth} <- Truth.read(path),
+    with {:ok, truth} <- GroundTruth.read(path),
          {:ok, real} <- truth_layer(truth, match_faces(store, truth), start),
          stop = start + Situ.Time.s(truth.frames / truth.fps),
          {:ok, report} <-

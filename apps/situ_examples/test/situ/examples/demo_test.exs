@@ -3,7 +3,7 @@ defmodule Situ.Examples.DemoTest do
   import ExUnit.CaptureIO
 
   alias Situ.Examples.Demo
-  alias Situ.Examples.Demo.{Options, Recording, Score, Truth}
+  alias Situ.Examples.Demo.{Options, RecordingSummary, Score, GroundTruth}
   alias Situ.Store
 
   @moduletag timeout: 240_000
@@ -48,8 +48,8 @@ defmodule Situ.Examples.DemoTest do
     text = IO.iodata_to_binary(Demo.Profile.render(report.snapshot, 5.0))
     assert text =~ "FaceDetector" and text =~ "calls"
 
-    {:ok, truth} = Truth.read(@truth)
-    {:ok, recording} = Recording.read(one)
+    {:ok, truth} = GroundTruth.read(@truth)
+    {:ok, recording} = RecordingSummary.read(one)
     score = Score.score_decisions(truth, recording.found)
     assert score.frames == 350
     assert score.frame_accuracy >= 0.97
@@ -120,12 +120,12 @@ defmodule Situ.Examples.DemoTest do
     assert out =~ "it was shifted by that"
     # The recording that was out of sync was deleted; in the other one the audio is in sync.
     assert [path] = Store.list(dir)
-    {:ok, recording} = Recording.read(path)
+    {:ok, recording} = RecordingSummary.read(path)
     refute Situ.Infer.LipSync.out_of_sync?(recording.sync)
     assert_in_delta recording.sync.shift / 1.0e6, 0.0, 60.0
 
     # As good as the clip in sync, over the available part.
-    {:ok, truth} = Truth.read(@truth)
+    {:ok, truth} = GroundTruth.read(@truth)
     truth = %{truth | frames: 200}
     assert Score.score_decisions(truth, recording.found).frame_accuracy >= 0.96
     # The output explains the year 1970.

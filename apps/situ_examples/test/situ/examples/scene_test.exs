@@ -12,17 +12,17 @@ defmodule Situ.Examples.SceneTest do
     tmp_dir: folder
   } do
     assert {:ok, %{result: %{path: path}}} =
-             Demo.Scene.record_room(seconds: 4.0, out: folder, fast: true)
+             Demo.SceneCommand.record_room(seconds: 4.0, out: folder, fast: true)
 
     {:ok, store} = Store.open(path)
     names = for s <- Store.streams(store), do: s.name
 
     {:ok, layout} =
       path
-      |> Demo.Scene.write_layout_folder()
+      |> Demo.SceneCommand.write_layout_folder()
       |> Path.join("scene.json")
       |> File.read!()
-      |> Layout.Text.parse_json()
+      |> Layout.Json.parse_json()
 
     drawn = for panel <- layout.rows, vis <- panel.vis, do: vis.stream
     assert Enum.uniq(drawn) -- names == []

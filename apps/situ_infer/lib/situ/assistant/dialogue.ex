@@ -41,7 +41,7 @@ defmodule Situ.Assistant.Dialogue do
     outputs: [intent: Situ.Intent, said: :string, ask: :string],
     options: @schema
 
-  alias Situ.Assistant.{Echo, Skills}
+  alias Situ.Assistant.{EchoDetector, Skills}
   alias Situ.Infer.Speech.Utterance
   alias Situ.Intent
   alias Situ.Intent.Grammar
@@ -54,7 +54,7 @@ defmodule Situ.Assistant.Dialogue do
     :grammars,
     :wake,
     attentive_to: nil,
-    echo: Echo.new(),
+    echo: EchoDetector.new(),
     timers: %{},
     next: 0,
     last: nil
@@ -81,7 +81,7 @@ defmodule Situ.Assistant.Dialogue do
 
   @impl true
   def handle_message(:heard, %{data: utterance, originating_time: time}, _context, state) do
-    if Echo.own_words?(state.echo, utterance.from, utterance.text),
+    if EchoDetector.own_words?(state.echo, utterance.from, utterance.text),
       do: {[], state},
       else: utterance.text |> match_wake_name(state.wake) |> handle_heard(utterance, time, state)
   end
@@ -175,7 +175,7 @@ defmodule Situ.Assistant.Dialogue do
 
   defp emit_reply(text, time, state) do
     at = if state.last, do: max(time, state.last + 1), else: time
-    {[{:said, at, text}], %{state | last: at, echo: Echo.add_text(state.echo, at, text)}}
+    {[{:said, at, text}], %{state | last: at, echo: EchoDetector.add_text(state.echo, at, text)}}
   end
 
   @doc """

@@ -1,7 +1,7 @@
 defmodule Situ.Assistant.Interruption do
   @moduledoc """
   Detects when a user interrupts the assistant. It triggers on the first words that are not the assistant's own
-  (`Situ.Assistant.Echo`) and have lasted half a second; from shorter audio, recognizers produce words that nobody said.
+  (`Situ.Assistant.EchoDetector`) and have lasted half a second; from shorter audio, recognizers produce words that nobody said.
 
   Inputs `:partial` and `:heard` contain recognized utterances (`Situ.Infer.Speech.Utterance`), and `:said` contains the
   assistant's replies.
@@ -15,22 +15,22 @@ defmodule Situ.Assistant.Interruption do
     ],
     outputs: [out: :string]
 
-  alias Situ.Assistant.Echo
+  alias Situ.Assistant.EchoDetector
 
   @enough 500_000_000
 
   @impl true
-  def init(_opts), do: {:ok, %{echo: Echo.new(), from: nil, last: nil}}
+  def init(_opts), do: {:ok, %{echo: EchoDetector.new(), from: nil, last: nil}}
 
   @impl true
   def handle_message(:said, %{data: text, originating_time: time}, _context, state),
-    do: {[], %{state | echo: Echo.add_text(state.echo, time, text)}}
+    do: {[], %{state | echo: EchoDetector.add_text(state.echo, time, text)}}
 
   def handle_message(_heard, %{data: utterance, originating_time: time}, _context, state) do
     again? = state.from != nil and utterance.from <= state.from
     early? = not utterance.final? and utterance.to - utterance.from < @enough
 
-    if again? or early? or Echo.own_words?(state.echo, utterance.from, utterance.text) do
+    if again? or early? or EchoDetector.own_words?(state.echo, utterance.from, utterance.text) do
       {[], state}
     else
       at = if state.last, do: max(time, state.last + 1), else: time

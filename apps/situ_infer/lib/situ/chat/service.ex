@@ -56,7 +56,7 @@ defmodule Situ.Chat.Service do
 
   #{Situ.Options.docs(@schema)}
   """
-  alias Situ.Chat.{Answer, Reply, Tool, Turn}
+  alias Situ.Chat.{Answer, ResponseReader, Tool, Turn}
   alias Situ.Error
   alias Situ.Infer.{Http, Service}
 
@@ -143,14 +143,14 @@ defmodule Situ.Chat.Service do
     url = Service.join_path(opts.url, "/chat/completions")
 
     take = fn event, reply ->
-      {how, texts, reply} = Reply.add_event(reply, event)
+      {how, texts, reply} = ResponseReader.add_event(reply, event)
       Enum.each(texts, say)
       {how, reply}
     end
 
-    case Http.request(:post, url, headers, body, limits, take, Reply.new()) do
-      {:ok, reply} -> Reply.build_result(reply, nil)
-      {:error, error, reply} -> Reply.build_result(reply, error)
+    case Http.request(:post, url, headers, body, limits, take, ResponseReader.new()) do
+      {:ok, reply} -> ResponseReader.build_result(reply, nil)
+      {:error, error, reply} -> ResponseReader.build_result(reply, error)
     end
   end
 end

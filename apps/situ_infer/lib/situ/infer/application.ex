@@ -5,7 +5,7 @@ defmodule Situ.Infer.Application do
 
   @impl true
   def start(_type, _args) do
-    Supervisor.start_link([Situ.Infer.Shelf],
+    Supervisor.start_link([Situ.Infer.ModelCache],
       strategy: :one_for_one,
       name: Situ.Infer.Supervisor
     )

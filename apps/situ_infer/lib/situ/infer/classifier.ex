@@ -33,7 +33,7 @@ defmodule Situ.Infer.Classifier do
 
   @schema @own ++
             for(
-              {key, spec} <- Situ.Infer.Vision.PictureInput.schema(),
+              {key, spec} <- Situ.Infer.Vision.ImageInput.schema(),
               do: {key, Keyword.put(spec, :default, Keyword.get(@imagenet, key, spec[:default]))}
             )
 
@@ -57,7 +57,7 @@ defmodule Situ.Infer.Classifier do
 
   alias Situ.{Error, Image, Tensor}
   alias Situ.Infer.{Labels, Model}
-  alias Situ.Infer.Vision.PictureInput
+  alias Situ.Infer.Vision.ImageInput
 
   defstruct [:opts, :model, :input, :output, :labels]
 
@@ -93,14 +93,14 @@ defmodule Situ.Infer.Classifier do
     with {:ok, model} <- Model.load_shared(opts[:path], opts[:model_options]),
          {:ok, labels} <- Labels.load_names(opts[:labels]),
          {:ok, output} <- Labels.choose_output(model, opts[:output]),
-         picture = Keyword.take(opts, Keyword.keys(PictureInput.schema())),
-         {:ok, input} <- PictureInput.new(model, picture, opts[:side]) do
+         picture = Keyword.take(opts, Keyword.keys(ImageInput.schema())),
+         {:ok, input} <- ImageInput.new(model, picture, opts[:side]) do
       {:ok, %__MODULE__{opts: opts, model: model, input: input, output: output, labels: labels}}
     end
   end
 
   defp classify_image(state, image) do
-    with {:ok, tensor, _patch} <- PictureInput.to_tensor(state.input, image),
+    with {:ok, tensor, _patch} <- ImageInput.to_tensor(state.input, image),
          {:ok, outputs} <- Model.run(state.model, %{state.input.name => tensor}),
          :ok <- check_scores(outputs[state.output], state),
          do: {:ok, top_classes(outputs[state.output], state.labels, state.opts)}

@@ -38,7 +38,7 @@ defmodule Situ.Infer.FaceBlur do
     outputs: [out: Situ.Image],
     options: @schema
 
-  alias Situ.{Image, Imaging, Rect}
+  alias Situ.{Image, ImageOps, Rect}
 
   # The number of spots across a blurred face.
   @spots 4
@@ -100,11 +100,11 @@ defmodule Situ.Infer.FaceBlur do
     height = min(ceil(rect.y + rect.height), image.height) - top
 
     if width > 0 and height > 0 do
-      part = Imaging.crop!(image, {left, top, width, height})
+      part = ImageOps.crop!(image, {left, top, width, height})
 
       # The number of spots does not depend on the size, because more spots would reveal more of a large face.
-      spots = Imaging.resize!(part, min(@spots, width), min(@spots, height), filter: :area)
-      Imaging.paste!(image, Imaging.resize!(spots, width, height), {left, top})
+      spots = ImageOps.resize!(part, min(@spots, width), min(@spots, height), filter: :area)
+      ImageOps.paste!(image, ImageOps.resize!(spots, width, height), {left, top})
     else
       image
     end

@@ -110,7 +110,7 @@ defmodule Situ.Infer.FaceDetector do
         {:ok,
          outputs
          |> Blaze.decode_faces(patch, min_score)
-         |> Situ.Infer.Face.Overlap.suppress_overlaps(0.3)}
+         |> Situ.Infer.Face.Suppression.suppress_overlaps(0.3)}
       end
     end)
   end

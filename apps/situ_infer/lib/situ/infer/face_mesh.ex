@@ -6,7 +6,7 @@ defmodule Situ.Infer.FaceMesh do
     * `rect`: the face's rectangle in the image
     * `score`: the network's confidence that this is a face, 0..1
     * `points`: x, y and z of the 468 points as 32-bit floats in pixels of `patch`; read them with `point_at/2` or
-      `list_points/1`
+      `points/1`
 
   The most important points are 13 and 14, the inner lips in the middle (upper, lower); 78 and 308, the inner corners of
   the mouth; 33 and 263, the outer corners of the eyes; 1, the tip of the nose; and 152, the chin.
@@ -44,8 +44,8 @@ defmodule Situ.Infer.FaceMesh do
   def point_at(%__MODULE__{} = mesh, i), do: Patch.to_picture(mesh.patch, patch_point(mesh, i))
 
   @doc "Returns all points in image pixels."
-  @spec list_points(t()) :: [Patch.point()]
-  def list_points(%__MODULE__{} = mesh) do
+  @spec points(t()) :: [Patch.point()]
+  def points(%__MODULE__{} = mesh) do
     for <<x::float-native-32, y::float-native-32, _z::32 <- mesh.points>>,
       do: Patch.to_picture(mesh.patch, {x, y})
   end

@@ -91,7 +91,7 @@ defmodule Situ.Infer.Model do
   """
 
   alias Situ.{Error, Tensor}
-  alias Situ.Infer.Model.Ports
+  alias Situ.Infer.Model.PortCheck
 
   # A longer run would delay other processes; see the scheduler rules in the native guide.
   @inline_limit_ns 300_000
@@ -127,9 +127,9 @@ defmodule Situ.Infer.Model do
          settings = [{:folder, path |> Path.expand() |> Path.dirname()} | opts],
          {:ok, loaded} <- with_path(opts[:engine].load(bytes, settings), path),
          model = build_model(path, opts, loaded),
-         :ok <- Ports.check_numeric(model.inputs, path),
-         :ok <- Ports.check_ports(model.inputs, opts[:inputs], "input", path),
-         :ok <- Ports.check_ports(model.outputs, opts[:outputs], "output", path),
+         :ok <- PortCheck.check_numeric(model.inputs, path),
+         :ok <- PortCheck.check_ports(model.inputs, opts[:inputs], "input", path),
+         :ok <- PortCheck.check_ports(model.outputs, opts[:outputs], "output", path),
          {:ok, model} <- warm_up(model, opts) do
       duration = System.monotonic_time(:nanosecond) - started
       Situ.Telemetry.execute([:situ, :infer, :load], %{duration: duration}, %{model: model.name})
@@ -149,7 +149,7 @@ defmodule Situ.Infer.Model do
     case File.stat(path, time: :posix) do
       {:ok, stat} ->
         key = {Path.expand(path), stat.size, stat.mtime, opts}
-        Situ.Infer.Shelf.fetch(key, stat.size, fn -> load(path, opts) end)
+        Situ.Infer.ModelCache.fetch(key, stat.size, fn -> load(path, opts) end)
 
       {:error, _} ->
         load(path, opts)
@@ -276,7 +276,7 @@ defmodule Situ.Infer.Model do
   defp warm_up_error(error, model, example) do
     given =
       Enum.map_join(example, ", ", fn {name, t} ->
-        "#{name}: #{Ports.format_port({t.type, t.shape})}"
+        "#{name}: #{PortCheck.format_port({t.type, t.shape})}"
       end)
 
     Error.new(
@@ -317,7 +317,7 @@ defmodule Situ.Infer.Model do
     Enum.find_value(model.inputs, :ok, fn {name, {type, shape}} ->
       case inputs do
         %{^name => %Tensor{type: ^type, shape: given} = tensor} ->
-          if Ports.shape_matches?(shape, given),
+          if PortCheck.shape_matches?(shape, given),
             do: check_size(model, name, tensor),
             else: bad_input(model, name, {type, shape}, {type, given})
 
@@ -364,7 +364,7 @@ defmodule Situ.Infer.Model do
     {:error,
      Error.new(
        :bad_tensor,
-       "model #{model.name}: input #{inspect(name)} takes #{Ports.format_port(wanted)}, got #{Ports.format_port(given)}",
+       "model #{model.name}: input #{inspect(name)} takes #{PortCheck.format_port(wanted)}, got #{PortCheck.format_port(given)}",
        fix: "give a tensor of that type and shape (-1 is any size), or use another model"
      )}
   end

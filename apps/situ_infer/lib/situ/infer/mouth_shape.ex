@@ -26,7 +26,7 @@ defmodule Situ.Infer.MouthShape do
 
   #{Situ.Options.docs(@schema)}
   """
-  alias Situ.Infer.{FaceDetector, FaceLandmarks, FaceTracker, MouthMeasure}
+  alias Situ.Infer.{FaceDetector, FaceLandmarks, FaceTracker, MouthTracker}
   alias Situ.Stream
 
   @type parts :: %{faces: Stream.t(), meshes: Stream.t(), mouths: Stream.t()}
@@ -52,7 +52,7 @@ defmodule Situ.Infer.MouthShape do
         |> Situ.join(faces)
         |> Situ.via(FaceLandmarks, [policy: opts[:policy]] ++ opts[:landmarks])
 
-      mouths = Situ.via(meshes, MouthMeasure)
+      mouths = Situ.via(meshes, MouthTracker)
       %{faces: faces, meshes: meshes, mouths: mouths}
     end)
   end

@@ -39,7 +39,7 @@ defmodule Situ.Infer.ObjectDetector do
 
   @schema @own ++
             for(
-              {key, spec} <- Situ.Infer.Vision.PictureInput.schema(),
+              {key, spec} <- Situ.Infer.Vision.ImageInput.schema(),
               do: {key, if(key == :fit, do: Keyword.put(spec, :default, :pad), else: spec)}
             )
 
@@ -67,7 +67,7 @@ defmodule Situ.Infer.ObjectDetector do
   alias Situ.{Error, Image, Rect}
   alias Situ.Infer.Detection.{Masks, Suppression, Yolo}
   alias Situ.Infer.{Labels, Model, Patch}
-  alias Situ.Infer.Vision.{Halves, PictureInput}
+  alias Situ.Infer.Vision.{HalfToFloat, ImageInput}
 
   defstruct [:opts, :model, :input, :output, :halves, :labels, :masks]
 
@@ -98,15 +98,15 @@ defmodule Situ.Infer.ObjectDetector do
   def describe(%{model: model}), do: Model.describe_runs(model)
 
   defp open_model(opts) do
-    picture = opts |> Map.take(Keyword.keys(PictureInput.schema())) |> Keyword.new()
+    picture = opts |> Map.take(Keyword.keys(ImageInput.schema())) |> Keyword.new()
 
     with {:ok, model} <- Model.load_shared(opts.path, opts.model_options),
          {:ok, labels} <- Labels.load_names(opts.labels),
          {:ok, output} <- Labels.choose_output(model, opts.output),
          {:ok, masks} <- open_masks(model, opts.masks),
          :ok <- check_output_shape(model, output, opts.version, mask_count(masks)),
-         {:ok, halves} <- Halves.new(model.outputs[output]),
-         {:ok, input} <- PictureInput.new(model, picture, opts.side) do
+         {:ok, halves} <- HalfToFloat.new(model.outputs[output]),
+         {:ok, input} <- ImageInput.new(model, picture, opts.side) do
       {:ok,
        %__MODULE__{
          opts: opts,
@@ -150,9 +150,9 @@ defmodule Situ.Infer.ObjectDetector do
   defp detect_objects(state, image) do
     %{opts: opts, input: input} = state
 
-    with {:ok, tensor, patch} <- PictureInput.to_tensor(input, image),
+    with {:ok, tensor, patch} <- ImageInput.to_tensor(input, image),
          {:ok, outputs} <- Model.run(state.model, %{input.name => tensor}),
-         {:ok, found} <- Halves.to_floats(state.halves, outputs[state.output]) do
+         {:ok, found} <- HalfToFloat.to_floats(state.halves, outputs[state.output]) do
       boxes =
         found
         |> Yolo.parse_boxes(opts.version, opts.min_score / 1, mask_count(state.masks))

@@ -18,7 +18,7 @@ defmodule Situ.Infer.Onnx do
   string. `nil` in a shape is a free size. The operators are from opset 13: <https://onnx.ai/onnx/operators/>. The
   graph is not checked here; the engine checks the bytes when it loads them.
   """
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Tensor
 
   @ir_version 8

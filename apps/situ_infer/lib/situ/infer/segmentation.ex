@@ -19,7 +19,7 @@ defmodule Situ.Infer.Segmentation do
 
   @schema @own ++
             for(
-              {key, spec} <- Situ.Infer.Vision.PictureInput.schema(),
+              {key, spec} <- Situ.Infer.Vision.ImageInput.schema(),
               do: {key, Keyword.put(spec, :default, Keyword.get(@imagenet, key, spec[:default]))}
             )
 
@@ -38,7 +38,7 @@ defmodule Situ.Infer.Segmentation do
 
   alias Situ.{Error, Image}
   alias Situ.Infer.{Labels, Model, Onnx}
-  alias Situ.Infer.Vision.PictureInput
+  alias Situ.Infer.Vision.ImageInput
 
   defstruct [:opts, :model, :input, :output, :choice]
 
@@ -49,15 +49,15 @@ defmodule Situ.Infer.Segmentation do
   def handle_start(_context, %{opts: opts}) do
     model = Error.unwrap!(Model.load_shared(opts[:path], opts[:model_options]))
     output = Error.unwrap!(Labels.choose_output(model, opts[:output]))
-    picture = Keyword.take(opts, Keyword.keys(PictureInput.schema()))
-    input = Error.unwrap!(PictureInput.new(model, picture, opts[:side]))
+    picture = Keyword.take(opts, Keyword.keys(ImageInput.schema()))
+    input = Error.unwrap!(ImageInput.new(model, picture, opts[:side]))
     choice = Error.unwrap!(build_argmax(model, output))
     {[], %__MODULE__{opts: opts, model: model, input: input, output: output, choice: choice}}
   end
 
   @impl true
   def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
-    {:ok, tensor, _patch} = ok_or_raise!(PictureInput.to_tensor(state.input, image))
+    {:ok, tensor, _patch} = ok_or_raise!(ImageInput.to_tensor(state.input, image))
     outputs = Error.unwrap!(Model.run(state.model, %{state.input.name => tensor}))
 
     %{"classes" => classes} =

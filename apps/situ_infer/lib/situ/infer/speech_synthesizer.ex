@@ -59,7 +59,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
     ],
     options: @schema
 
-  alias Situ.{AudioBuffer, Error, Sound}
+  alias Situ.{AudioBuffer, Error, AudioOps}
   alias Situ.Infer.Speech.Mark
 
   @outputs %{word: :words, phoneme: :phonemes, mark: :bookmarks}
@@ -126,8 +126,8 @@ defmodule Situ.Infer.SpeechSynthesizer do
 
   defp fetch_spoken(%{opts: opts} = state, text) do
     {spoken, marks} = synthesize_text(opts, state.voice, text)
-    mono = Sound.reformat!(spoken, channels: 1, sample: :s16)
-    sound = if mono.data == "", do: mono, else: Sound.resample!(mono, opts.rate)
+    mono = AudioOps.reformat!(spoken, channels: 1, sample: :s16)
+    sound = if mono.data == "", do: mono, else: AudioOps.resample!(mono, opts.rate)
     {{sound, marks}, cache_audio(state, text, {sound, marks})}
   end
 

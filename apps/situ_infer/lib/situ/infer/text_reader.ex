@@ -33,7 +33,7 @@ defmodule Situ.Infer.TextReader do
   draws them over the image. Lines may be rotated, and may run downwards.
 
   The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`). One finds lines
-  (`Situ.Infer.Vision.TextPlaces`), and the other reads each line. An image takes about half a second on one core, so
+  (`Situ.Infer.Vision.TextRegions`), and the other reads each line. An image takes about half a second on one core, so
   use `Situ.Delivery.latest()` for a camera. `read_lines/2` reads a single image.
 
   ## Options
@@ -49,10 +49,10 @@ defmodule Situ.Infer.TextReader do
     outputs: [out: {:list, Situ.Rect}],
     options: @schema
 
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{Error, Image, Rect, Tensor}
   alias Situ.Infer.{Model, ModelStore, Onnx, Patch}
-  alias Situ.Infer.Vision.TextPlaces
+  alias Situ.Infer.Vision.TextRegions
 
   @name "pp-ocr-v4"
   @finder "ch_PP-OCRv4_det_infer.onnx"
@@ -149,7 +149,7 @@ defmodule Situ.Infer.TextReader do
     with {:ok, pixels} <- Patch.cut_affine(image, matrix, {width, height}, @scale, @offset),
          {:ok, map} <- run_network(reader, reader.finder, pixels, 0) do
       map
-      |> TextPlaces.find_regions()
+      |> TextRegions.find_regions()
       |> Enum.map(&scale_line(&1, kx, ky))
       |> read_each_line(reader, image, [])
     end

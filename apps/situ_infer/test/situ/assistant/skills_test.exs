@@ -2,7 +2,7 @@ defmodule Situ.Assistant.SkillsTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
   doctest Situ.Assistant.Skills
-  doctest Situ.Assistant.Echo
+  doctest Situ.Assistant.EchoDetector
   doctest Situ.Assistant.Dialogue
 
   alias Situ.Assistant.Skills

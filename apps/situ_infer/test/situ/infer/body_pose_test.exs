@@ -1,12 +1,12 @@
 defmodule Situ.Infer.BodyPoseTest do
   use ExUnit.Case, async: true
 
-  alias Situ.{Image, Imaging, Point2, Skeleton}
+  alias Situ.{Image, ImageOps, Point2, Skeleton}
   alias Situ.Infer.{BodyPose, FaceDetector}
 
   @fixtures Path.expand("../../fixtures", __DIR__)
 
-  defp picture(name), do: @fixtures |> Path.join(name) |> Imaging.read() |> elem(1)
+  defp picture(name), do: @fixtures |> Path.join(name) |> ImageOps.read() |> elem(1)
   defp named(points), do: BodyPose.joint_names() |> Enum.zip(points) |> Map.new()
 
   defp near?(%Point2{x: x, y: y}, {tx, ty}, by), do: abs(x - tx) < by and abs(y - ty) < by
@@ -33,8 +33,8 @@ defmodule Situ.Infer.BodyPoseTest do
 
   test "follows a moving person and reports nobody without one" do
     # A camera that turns by 12 pixels per image; then a wall, then the person again.
-    photo = "astronaut.png" |> picture() |> Imaging.convert!(:bgr24)
-    turned = for i <- 0..3, do: Imaging.crop!(photo, {i * 12, 0, 440, 512})
+    photo = "astronaut.png" |> picture() |> ImageOps.convert!(:bgr24)
+    turned = for i <- 0..3, do: ImageOps.crop!(photo, {i * 12, 0, 440, 512})
     wall = Image.new_filled(440, 512, :bgr24, {128, 128, 128})
 
     assert [a, _, _, d, [], again] =

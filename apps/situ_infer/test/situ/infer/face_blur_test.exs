@@ -2,7 +2,7 @@ defmodule Situ.Infer.FaceBlurTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.Infer.{Face, FaceBlur}
-  alias Situ.{Image, Imaging, Message, Rect}
+  alias Situ.{Image, ImageOps, Message, Rect}
 
   doctest FaceBlur
 
@@ -60,9 +60,9 @@ defmodule Situ.Infer.FaceBlurTest do
     for {{time, picture}, k} <- Enum.with_index(pictures) do
       assert time == k * 100 * @ms
       hidden? = k in 3..7
-      part = Imaging.crop!(picture, {20, 20, 24, 24})
-      assert part.data != Imaging.crop!(image, {20, 20, 24, 24}).data == hidden?
-      assert Imaging.crop!(picture, {0, 0, 15, 15}) == Imaging.crop!(image, {0, 0, 15, 15})
+      part = ImageOps.crop!(picture, {20, 20, 24, 24})
+      assert part.data != ImageOps.crop!(image, {20, 20, 24, 24}).data == hidden?
+      assert ImageOps.crop!(picture, {0, 0, 15, 15}) == ImageOps.crop!(image, {0, 0, 15, 15})
     end
 
     assert length(pictures) == 11

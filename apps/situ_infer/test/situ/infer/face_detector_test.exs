@@ -1,13 +1,13 @@
 defmodule Situ.Infer.FaceDetectorTest do
   use ExUnit.Case, async: true
 
-  alias Situ.{Image, Imaging, Rect}
+  alias Situ.{Image, ImageOps, Rect}
   alias Situ.Infer.{FaceDetector, FaceLandmarks, Mouth}
 
   @fixtures Path.expand("../../fixtures", __DIR__)
 
   defp picture(name) do
-    {:ok, image} = Imaging.read(Path.join(@fixtures, name))
+    {:ok, image} = ImageOps.read(Path.join(@fixtures, name))
     image
   end
 
@@ -39,12 +39,15 @@ defmodule Situ.Infer.FaceDetectorTest do
       scale = unquote(px) / 92
 
       cup =
-        picture("coffee_noface.png") |> Imaging.convert!(:bgr24) |> Imaging.resize!(1920, 1080)
+        picture("coffee_noface.png") |> ImageOps.convert!(:bgr24) |> ImageOps.resize!(1920, 1080)
 
-      astronaut = picture("astronaut.png") |> Imaging.convert!(:bgr24)
-      small = Imaging.scale!(astronaut, scale, scale, filter: :area)
+      astronaut = picture("astronaut.png") |> ImageOps.convert!(:bgr24)
+      small = ImageOps.scale!(astronaut, scale, scale, filter: :area)
       places = [{37, 21}, {900, 480}, {1400, 650}]
-      crowd = Enum.reduce(places, cup, fn place, image -> Imaging.paste!(image, small, place) end)
+
+      crowd =
+        Enum.reduce(places, cup, fn place, image -> ImageOps.paste!(image, small, place) end)
+
       assert {:ok, faces} = FaceDetector.detect(crowd)
       assert length(faces) == 3
 

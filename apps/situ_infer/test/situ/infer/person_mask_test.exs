@@ -1,7 +1,7 @@
 defmodule Situ.Infer.PersonMaskTest do
   use ExUnit.Case, async: true
 
-  alias Situ.{Image, Imaging}
+  alias Situ.{Image, ImageOps}
   alias Situ.Infer.PersonMask
 
   @fixtures Path.expand("../../fixtures", __DIR__)
@@ -26,7 +26,7 @@ defmodule Situ.Infer.PersonMaskTest do
     {320, 32, 358}
   ]
 
-  defp picture(name), do: @fixtures |> Path.join(name) |> Imaging.read() |> elem(1)
+  defp picture(name), do: @fixtures |> Path.join(name) |> ImageOps.read() |> elem(1)
 
   # The number of columns in a row that a mask in a box assigns to the person.
   defp inside(mask, rect, y, columns) do
@@ -63,7 +63,7 @@ defmodule Situ.Infer.PersonMaskTest do
   end
 
   test "an image of any shape is searched completely" do
-    wide = "astronaut.png" |> picture() |> Imaging.resize!(1024, 400)
+    wide = "astronaut.png" |> picture() |> ImageOps.resize!(1024, 400)
     assert {:ok, %{rects: [rect], masks: [mask]}} = PersonMask.find_person(wide)
     assert overlap(mask, rect, {2, 400 / 512}) > 0.93
   end

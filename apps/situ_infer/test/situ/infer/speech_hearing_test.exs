@@ -1,7 +1,7 @@
 defmodule Situ.Infer.SpeechHearingTest do
   # Tests speech recognition end to end with realistic audio.
   use ExUnit.Case, async: true
-  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps}
   alias Situ.Infer.Speech.Utterance
 
   @moduletag :moonshine
@@ -29,8 +29,8 @@ defmodule Situ.Infer.SpeechHearingTest do
     Situ.to_list(fn p ->
       p
       |> Situ.from_enumerable(feed)
-      |> Situ.Audio.to_mono()
-      |> Situ.Audio.resample(16_000)
+      |> Situ.AudioStream.to_mono()
+      |> Situ.AudioStream.resample(16_000)
       |> Situ.Infer.transcribe()
     end)
   end
@@ -73,9 +73,9 @@ defmodule Situ.Infer.SpeechHearingTest do
 
     versions = [
       noisy: noisy,
-      stereo: sound |> Sound.resample!(48_000) |> Sound.reformat!(channels: 2),
-      telephone: Sound.resample!(sound, 8_000),
-      clipped: Sound.gain!(sound, 8)
+      stereo: sound |> AudioOps.resample!(48_000) |> AudioOps.reformat!(channels: 2),
+      telephone: AudioOps.resample!(sound, 8_000),
+      clipped: AudioOps.gain!(sound, 8)
     ]
 
     for {name, version} <- versions do
@@ -86,9 +86,9 @@ defmodule Situ.Infer.SpeechHearingTest do
   end
 
   test "audio that was not resampled stops the pipeline and suggests a fix" do
-    sound = Sound.resample!(wav("goforward.wav"), 48_000)
+    sound = AudioOps.resample!(wav("goforward.wav"), 48_000)
 
-    assert_raise Situ.Error, ~r/Situ.Audio.resample\(16_000\)/, fn ->
+    assert_raise Situ.Error, ~r/Situ.AudioStream.resample\(16_000\)/, fn ->
       Situ.to_list(fn p ->
         p |> Situ.from_enumerable([sound], every: 1) |> Situ.Infer.transcribe()
       end)

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.TextReaderTest do
   use ExUnit.Case, async: true
-  alias Situ.{Image, Imaging}
+  alias Situ.{Image, ImageOps}
   alias Situ.Infer.TextReader
 
   defp page(width, height, lines, opts \\ []) do
@@ -13,7 +13,7 @@ defmodule Situ.Infer.TextReaderTest do
       )
 
     draw = [size: 32, color: {20, 20, 20}] ++ opts
-    Imaging.draw!(white, for({at, text} <- lines, do: {:text, at, text, draw}))
+    ImageOps.draw!(white, for({at, text} <- lines, do: {:text, at, text, draw}))
   end
 
   @tag :tmp_dir
@@ -52,7 +52,7 @@ defmodule Situ.Infer.TextReaderTest do
       turned =
         640
         |> page(480, [{{160, 220}, "SLIPPERY WHEN WET"}])
-        |> Imaging.rotate!(12, color: {255, 255, 255})
+        |> ImageOps.rotate!(12, color: {255, 255, 255})
 
       empty = page(320, 240, [])
 

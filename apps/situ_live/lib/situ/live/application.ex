@@ -7,7 +7,7 @@ defmodule Situ.Live.Application do
 
   @impl true
   def start(_type, _args) do
-    Situ.Live.Guesses.create_table()
+    Situ.Live.TokenRateLimit.create_table()
 
     children = [
       {Registry, keys: :unique, name: Situ.Live.Registry},

@@ -5,7 +5,7 @@ defmodule Situ.Live.Channel do
   # views that have ended.
   @behaviour Situ.Live.SocketHandler
   alias Situ.JSON
-  alias Situ.Live.{Endpoint, Page, Token, ViewServer}
+  alias Situ.Live.{Endpoint, ViewLifecycle, Token, ViewServer}
 
   @session_age_s 14 * 86_400
   # No person can cause this many pending messages, so the connection is closed.
@@ -57,8 +57,8 @@ defmodule Situ.Live.Channel do
          {:ok, %{"id" => ^id, "view" => view, "session" => session}} <-
            verify_session(state, payload["session"]),
          url = payload["url"] || payload["redirect"],
-         {:ok, route, params} <- Page.fetch_route(state.config, url),
-         true <- Page.session_scope(route) == view || "stale" do
+         {:ok, route, params} <- ViewLifecycle.fetch_route(state.config, url),
+         true <- ViewLifecycle.session_scope(route) == view || "stale" do
       start_view(
         %{id: id, topic: topic, join_ref: join_ref, ref: ref, uri: url, session: session},
         route,

@@ -2,7 +2,16 @@ defmodule Situ.Live.Endpoint do
   @moduledoc false
   # The configuration of one server, in a persistent term because each request reads it, and the checks that every
   # request must pass: host, token, origin, route. The checks are pure: they take a request and return what to do.
-  alias Situ.Live.{Dead, Guesses, Public, Request, Response, Route, Static, Token}
+  alias Situ.Live.{
+    InitialRender,
+    TokenRateLimit,
+    PublicAddress,
+    Request,
+    Response,
+    Route,
+    Static,
+    Token
+  }
 
   @cookie_age_s 30 * 86_400
 
@@ -54,7 +63,7 @@ defmodule Situ.Live.Endpoint do
   @doc "Checks a request and returns its route, or the response that rejects it."
   @spec admit_request(t(), Request.t()) :: route() | {:respond, Response.t()}
   def admit_request(config, %{segments: segments} = request) do
-    request = %{request | segments: Public.strip_base(config.public, segments)}
+    request = %{request | segments: PublicAddress.strip_base(config.public, segments)}
 
     with :ok <- check_host(config, request),
          {:ok, role} <- check_token(config, request),
@@ -118,7 +127,7 @@ defmodule Situ.Live.Endpoint do
   defp check_sent_token(config, %{peer: {address, _}} = request, {how, token}) do
     role =
       cond do
-        Guesses.too_many?(config.ref, address) -> :guessing
+        TokenRateLimit.too_many?(config.ref, address) -> :guessing
         same_token?(token, config.token) -> :owner
         config.viewer != nil and same_token?(token, config.viewer) -> :viewer
         true -> nil
@@ -134,7 +143,7 @@ defmodule Situ.Live.Endpoint do
           else: {:ok, role}
 
       nil ->
-        Guesses.count_wrong_token(config.ref, address)
+        TokenRateLimit.count_wrong_token(config.ref, address)
         {:respond, unauthorized_response()}
     end
   end
@@ -182,7 +191,7 @@ defmodule Situ.Live.Endpoint do
     rest = request.query |> Map.delete("token") |> Situ.Live.Query.encode()
 
     path =
-      Public.base_path(config.public) <>
+      PublicAddress.base_path(config.public) <>
         "/" <>
         Enum.map_join(
           request.segments,
@@ -197,7 +206,7 @@ defmodule Situ.Live.Endpoint do
     Response.redirect(if(rest == "", do: path, else: path <> "?" <> rest), 303)
     |> Response.put_header(
       "set-cookie",
-      "#{cookie_name(config)}=#{cookie}; Path=#{Public.base_path(public)}/; HttpOnly; SameSite=Strict; " <>
+      "#{cookie_name(config)}=#{cookie}; Path=#{PublicAddress.base_path(public)}/; HttpOnly; SameSite=Strict; " <>
         "Max-Age=#{@cookie_age_s}#{secure}"
     )
   end
@@ -220,7 +229,7 @@ defmodule Situ.Live.Endpoint do
 
   # For the host name of the proxy, only the proxy's own origin is allowed, including its scheme.
   defp own_origin?(origin, config, request) do
-    host_name(request.host) not in Public.allowed_hosts(config.public) and
+    host_name(request.host) not in PublicAddress.allowed_hosts(config.public) and
       origin == config.scheme <> "://" <> request.host
   end
 
@@ -259,7 +268,7 @@ defmodule Situ.Live.Endpoint do
   def run_route(_config, {:route, %Route{kind: :http, target: fun}, request}), do: fun.(request)
 
   def run_route(config, {:route, %Route{kind: :live} = route, request}),
-    do: Dead.render_page(config, route, request)
+    do: InitialRender.render_page(config, route, request)
 
   defp upgrade_connection(handler, arg, opts, request) do
     if websocket_upgrade?(request) do

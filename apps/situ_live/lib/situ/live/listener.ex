@@ -3,10 +3,10 @@ defmodule Situ.Live.Listener do
   # Owns the port of one server: opens it, publishes its configuration, ends idle connections, and closes everything on
   # shutdown.
   use GenServer, shutdown: 100_000
-  alias Situ.Live.{Connections, Endpoint, Peers, Yaws}
+  alias Situ.Live.{Connections, Endpoint, PeerLimit, Yaws}
 
   @sweep_ms 15_000
-  # For this long one peer may hold all connections; with few connections a check costs nothing (`Situ.Live.Peers`).
+  # For this long one peer may hold all connections; with few connections a check costs nothing (`Situ.Live.PeerLimit`).
   @crowd_ms 200
   @idle_ms 90_000
 
@@ -47,7 +47,7 @@ defmodule Situ.Live.Listener do
   end
 
   def handle_info(:crowd, state) do
-    {excess, peers} = Peers.find_excess(state.config.port, state.peers)
+    {excess, peers} = PeerLimit.find_excess(state.config.port, state.peers)
     for pid <- excess, pid != self(), do: Process.exit(pid, :kill)
     schedule_crowd_check()
     {:noreply, %{state | peers: peers}}

@@ -18,29 +18,3 @@ defmodule Situ.Live.Rendered do
           root?: boolean()
         }
 end
-
-defmodule Situ.Live.Comprehension do
-  @moduledoc """
-  The result of `:for`: one template for all entries, and `{key, values}` for each. An entry that keeps its key also
-  keeps its DOM node when it moves. `stream` is set for a `Situ.Live.Stream`.
-  """
-  @enforce_keys [:static, :entries, :fingerprint]
-  defstruct [:static, :entries, :fingerprint, stream: nil]
-
-  @type t :: %__MODULE__{
-          static: [binary()],
-          entries: [{term(), [Situ.Live.Rendered.value()]}],
-          fingerprint: integer(),
-          stream: nil | list()
-        }
-end
-
-defmodule Situ.Live.Island do
-  @moduledoc """
-  A part of a page that the browser patches separately: see `Situ.Live.Component.island/1`.
-  """
-  @enforce_keys [:rendered]
-  defstruct [:rendered]
-
-  @type t :: %__MODULE__{rendered: Situ.Live.Rendered.t()}
-end

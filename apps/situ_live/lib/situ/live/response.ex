@@ -8,7 +8,7 @@ defmodule Situ.Live.Response do
       iex> Situ.Live.Response.json(%{"ok" => true}).status
       200
   """
-  alias Situ.Live.{Mime, Request}
+  alias Situ.Live.{ContentType, Request}
 
   defstruct status: 200, headers: [], body: ""
 
@@ -74,7 +74,7 @@ defmodule Situ.Live.Response do
         etag = ~s("#{Integer.to_string(mtime, 36)}-#{Integer.to_string(size, 36)}")
 
         headers = [
-          {"content-type", opts[:type] || Mime.content_type(path)},
+          {"content-type", opts[:type] || ContentType.content_type(path)},
           {"cache-control", opts[:cache] || "no-cache"},
           {"etag", etag}
         ]

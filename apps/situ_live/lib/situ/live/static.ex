@@ -2,7 +2,7 @@ defmodule Situ.Live.Static do
   @moduledoc false
   # Serves files below one folder. Only names of regular files inside the folder succeed. A `..`, a link out of the
   # folder, a device or a folder returns the same 404, so that a client cannot distinguish them.
-  alias Situ.Live.{Mime, Request, Response}
+  alias Situ.Live.{ContentType, Request, Response}
 
   @spec serve_file(Request.t(), Path.t() | {atom(), Path.t()}, [String.t()], keyword()) ::
           Response.t()
@@ -62,7 +62,7 @@ defmodule Situ.Live.Static do
 
     if not range? and String.contains?(accepts, "gzip") and File.regular?(path <> ".gz") do
       request
-      |> Response.file(path <> ".gz", [type: Mime.content_type(path)] ++ opts)
+      |> Response.file(path <> ".gz", [type: ContentType.content_type(path)] ++ opts)
       |> Response.put_header("content-encoding", "gzip")
       |> Response.put_header("vary", "accept-encoding")
     else

@@ -42,7 +42,7 @@ defmodule Situ.Live.Test do
     }
 
     uri = "http://localhost" <> path
-    {:ok, route, params} = Situ.Live.Page.fetch_route(config, uri)
+    {:ok, route, params} = Situ.Live.ViewLifecycle.fetch_route(config, uri)
 
     join = %{
       config: config,

@@ -9,7 +9,7 @@ defmodule Situ.Live.ViewServer do
   use GenServer, restart: :temporary
   require Logger
   alias Situ.JSON
-  alias Situ.Live.{Diff, Endpoint, Flow, Page, Public, Socket, View}
+  alias Situ.Live.{Diff, Endpoint, DiffPacing, ViewLifecycle, PublicAddress, Socket, View}
 
   @version "1.2.12"
   @stale_ms 60_000
@@ -24,7 +24,7 @@ defmodule Situ.Live.ViewServer do
     :timer,
     session: %{},
     memory: %Diff{},
-    flow: %Flow{},
+    flow: %DiffPacing{},
     dirty?: false
   ]
 
@@ -45,7 +45,7 @@ defmodule Situ.Live.ViewServer do
       topic: join.topic,
       join_ref: join.join_ref,
       session: join.session,
-      flow: Flow.new(Map.put(join.config.flow, :ack?, join.parameters["situ_flow"] != nil))
+      flow: DiffPacing.new(Map.put(join.config.flow, :ack?, join.parameters["situ_flow"] != nil))
     }
 
     socket = %Socket{
@@ -59,7 +59,7 @@ defmodule Situ.Live.ViewServer do
   end
 
   defp join_view(state, socket, join) do
-    socket = Page.mount_view(join.route, join.params, join.session, join.uri, socket)
+    socket = ViewLifecycle.mount_view(join.route, join.params, join.session, join.uri, socket)
 
     case socket.navigation do
       {kind, target} when kind in [:redirect, :live_redirect] ->
@@ -87,7 +87,7 @@ defmodule Situ.Live.ViewServer do
 
   # Converts to the path that the browser uses: a proxy may add a prefix.
   defp to_public_path(state, %{"to" => "/" <> _ = to} = target),
-    do: %{target | "to" => Public.base_path(state.config.public) <> to}
+    do: %{target | "to" => PublicAddress.base_path(state.config.public) <> to}
 
   defp to_public_path(_state, target), do: target
 
@@ -116,13 +116,13 @@ defmodule Situ.Live.ViewServer do
 
   defp handle_message("event", %{"event" => "situ:ack"}, ref, state) do
     send_reply(state, ref, "ok", %{})
-    state = %{state | flow: Flow.record_ack(state.flow)}
+    state = %{state | flow: DiffPacing.record_ack(state.flow)}
     if state.dirty?, do: push_diff(state), else: {:noreply, state}
   end
 
   defp handle_message("event", %{"event" => name, "type" => type} = payload, ref, state)
        when is_binary(name) do
-    case Page.event_params(type, payload["value"], payload["meta"]) do
+    case ViewLifecycle.event_params(type, payload["value"], payload["meta"]) do
       {:ok, params} ->
         reply_with_diff(
           %{
@@ -139,7 +139,7 @@ defmodule Situ.Live.ViewServer do
 
   # The browser patches only within the page that it takes for this view; if the route differs, it must load the page.
   defp handle_message("live_patch", %{"url" => url}, ref, state) do
-    case Page.fetch_route(state.config, url) do
+    case ViewLifecycle.fetch_route(state.config, url) do
       {:ok, %{target: view} = route, params} when view == state.socket.view ->
         reply_with_diff(
           %{state | route: route, socket: patch_socket(state, route, params, url)},
@@ -201,7 +201,7 @@ defmodule Situ.Live.ViewServer do
   end
 
   defp push_diff(state) do
-    case Flow.time_to_send(state.flow, current_ms()) do
+    case DiffPacing.time_to_send(state.flow, current_ms()) do
       :now -> {:noreply, send_diff(state)}
       {:wait, ms} -> {:noreply, %{schedule_render(state, ms) | dirty?: true}}
     end
@@ -226,7 +226,7 @@ defmodule Situ.Live.ViewServer do
           else: diff
 
       send_message(state, nil, [state.join_ref, nil, state.topic, "diff", diff])
-      %{state | flow: Flow.record_sent(state.flow, current_ms())}
+      %{state | flow: DiffPacing.record_sent(state.flow, current_ms())}
     end
   end
 
@@ -248,8 +248,8 @@ defmodule Situ.Live.ViewServer do
     do: {%{}, memory}
 
   defp diff_tree(socket, memory, what) do
-    case Diff.diff_tree(Page.render_view(socket, what), memory) do
-      :stale -> Diff.diff_tree(Page.render_view(socket, :all), memory)
+    case Diff.diff_tree(ViewLifecycle.render_view(socket, what), memory) do
+      :stale -> Diff.diff_tree(ViewLifecycle.render_view(socket, :all), memory)
       result -> result
     end
   end
@@ -268,7 +268,7 @@ defmodule Situ.Live.ViewServer do
     outward = to_public_path(state, target)
     send_message(state, nil, [state.join_ref, nil, state.topic, "live_patch", outward])
 
-    case Page.fetch_route(state.config, to) do
+    case ViewLifecycle.fetch_route(state.config, to) do
       {:ok, %{target: view} = route, params} when view == state.socket.view ->
         handle_change(%{state | route: route, socket: patch_socket(state, route, params, to)})
 

@@ -57,7 +57,7 @@ defmodule Situ.Live.Yaws do
   # it. Other users of the machine could place their own file there. It is therefore given a private folder in which
   # it cannot write that file, and falls back to the module that it already has.
   defp without_generated_code(fun) do
-    home = Error.unwrap!(Situ.Scratch.create_folder("yaws"))
+    home = Error.unwrap!(Situ.TempFolder.create_folder("yaws"))
     before = System.get_env("YAWSHOME")
     File.mkdir_p!(Path.join(home, ".yaws/yaws/situ/yaws_dynopts.erl"))
     System.put_env("YAWSHOME", home)
@@ -66,7 +66,7 @@ defmodule Situ.Live.Yaws do
       fun.()
     after
       if before, do: System.put_env("YAWSHOME", before), else: System.delete_env("YAWSHOME")
-      Situ.Scratch.remove_folder(home)
+      Situ.TempFolder.remove_folder(home)
     end
   end
 

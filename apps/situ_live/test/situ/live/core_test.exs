@@ -2,32 +2,32 @@ defmodule Situ.Live.CoreTest do
   # The pure parts: diff flow control, tokens, queries and routes.
   use ExUnit.Case, async: true
   alias Situ.JSON
-  alias Situ.Live.{Flow, Page, Query, Request, Route, Token}
+  alias Situ.Live.{DiffPacing, ViewLifecycle, Query, Request, Route, Token}
 
   describe "Flow" do
     test "one diff is in flight until it is acknowledged or timed out" do
-      flow = Flow.new(ack?: true)
-      assert Flow.time_to_send(flow, 0) == :now
-      flow = Flow.record_sent(flow, 0)
-      assert Flow.time_to_send(flow, 100) == {:wait, 4_900}
-      assert Flow.time_to_send(flow, 5_000) == :now
-      assert Flow.time_to_send(Flow.record_ack(flow), 10) == {:wait, 23}
-      assert Flow.time_to_send(Flow.record_ack(flow), 33) == :now
+      flow = DiffPacing.new(ack?: true)
+      assert DiffPacing.time_to_send(flow, 0) == :now
+      flow = DiffPacing.record_sent(flow, 0)
+      assert DiffPacing.time_to_send(flow, 100) == {:wait, 4_900}
+      assert DiffPacing.time_to_send(flow, 5_000) == :now
+      assert DiffPacing.time_to_send(DiffPacing.record_ack(flow), 10) == {:wait, 23}
+      assert DiffPacing.time_to_send(DiffPacing.record_ack(flow), 33) == :now
     end
 
     test "a page that does not acknowledge is limited to the interval" do
-      flow = Flow.record_sent(Flow.new(ack?: false), 0)
-      assert Flow.time_to_send(flow, 10) == {:wait, 23}
-      assert Flow.time_to_send(flow, 33) == :now
+      flow = DiffPacing.record_sent(DiffPacing.new(ack?: false), 0)
+      assert DiffPacing.time_to_send(flow, 10) == {:wait, 23}
+      assert DiffPacing.time_to_send(flow, 33) == :now
     end
   end
 
   describe "Page.event_params/3" do
     test "names the changed field by its path, as the browser sends its name" do
-      assert Page.event_params("form", "props[width]=2", %{"_target" => "props[width]"}) ==
+      assert ViewLifecycle.event_params("form", "props[width]=2", %{"_target" => "props[width]"}) ==
                {:ok, %{"props" => %{"width" => "2"}, "_target" => ["props", "width"]}}
 
-      assert Page.event_params("form", "a=1", %{"_target" => "a"}) ==
+      assert ViewLifecycle.event_params("form", "a=1", %{"_target" => "a"}) ==
                {:ok, %{"a" => "1", "_target" => ["a"]}}
     end
 
@@ -37,7 +37,8 @@ defmodule Situ.Live.CoreTest do
       for target <- [7, nil, deep],
           do:
             assert(
-              Page.event_params("form", "a=1", %{"_target" => target}) == {:ok, %{"a" => "1"}}
+              ViewLifecycle.event_params("form", "a=1", %{"_target" => target}) ==
+                {:ok, %{"a" => "1"}}
             )
     end
   end

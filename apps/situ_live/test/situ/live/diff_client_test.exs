@@ -2,7 +2,7 @@ defmodule Situ.Live.DiffClientTest do
   # Random states of the demo view are diffed and merged by the stock client's own Rendered class. After each state
   # it must hold exactly the HTML of a complete server rendering.
   use ExUnit.Case, async: true
-  alias Situ.Live.{Demo, Diff, Html, NodeTools, Page, Socket}
+  alias Situ.Live.{Demo, Diff, Html, NodeTools, ViewLifecycle, Socket}
 
   @moduletag :node
   @moduletag timeout: 120_000
@@ -44,7 +44,7 @@ defmodule Situ.Live.DiffClientTest do
       Enum.map_reduce(1..@length, {socket, %Diff{}}, fn i, {socket, memory} ->
         what = if i == 1 or :rand.uniform(8) == 1, do: :all, else: :changed
         {diff, memory} = diff(socket, what, memory)
-        html = socket |> Page.render_view(:all) |> Html.to_html()
+        html = socket |> ViewLifecycle.render_view(:all) |> Html.to_html()
         line = %{"first" => i == 1, "diff" => diff, "html" => html}
         next = socket |> Socket.__sent__() |> Socket.assign(Enum.take_random(state(), 4))
         {line, {next, memory}}
@@ -54,8 +54,8 @@ defmodule Situ.Live.DiffClientTest do
   end
 
   defp diff(socket, what, memory) do
-    case Diff.diff_tree(Page.render_view(socket, what), memory) do
-      :stale -> Diff.diff_tree(Page.render_view(socket, :all), memory)
+    case Diff.diff_tree(ViewLifecycle.render_view(socket, what), memory) do
+      :stale -> Diff.diff_tree(ViewLifecycle.render_view(socket, :all), memory)
       result -> result
     end
   end

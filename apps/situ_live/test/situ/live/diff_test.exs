@@ -1,7 +1,7 @@
 defmodule Situ.Live.DiffTest do
   use ExUnit.Case, async: true
   alias Situ.Live.{Comprehension, Diff, Html, Island, Rendered}
-  alias Situ.Live.Test.Tree
+  alias Situ.Live.Test.DiffTree
 
   # A random tree is a list of decisions; equal templates have equal fingerprints.
   defp rendered(depth) do
@@ -49,8 +49,8 @@ defmodule Situ.Live.DiffTest do
       :proper.forall(:proper_types.non_empty(:proper_types.list(rendered(2))), fn trees ->
         Enum.reduce(trees, {%{}, %Diff{}}, fn tree, {shown, memory} ->
           {diff, memory} = Diff.diff_tree(tree, memory)
-          shown = Tree.merge_diff(shown, diff)
-          true = Tree.to_html(shown) == Html.to_html(tree)
+          shown = DiffTree.merge_diff(shown, diff)
+          true = DiffTree.to_html(shown) == Html.to_html(tree)
           {again, ^memory} = Diff.diff_tree(tree, memory)
           true = again == %{}
           {shown, memory}

@@ -7,6 +7,6 @@ defmodule Situ.Live.GuideTest do
 
   test "the snippets of the guide run in order" do
     Process.flag(:trap_exit, true)
-    assert Situ.Test.Guide.run_blocks(@guide) == 3
+    assert Situ.Test.GuideRunner.run_blocks(@guide) == 3
   end
 end

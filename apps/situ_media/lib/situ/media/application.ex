@@ -5,7 +5,7 @@ defmodule Situ.Media.Application do
 
   @impl true
   def start(_type, _args) do
-    Supervisor.start_link(Situ.Media.Recording.Host.child_specs(),
+    Supervisor.start_link(Situ.Media.Recording.Servers.child_specs(),
       strategy: :one_for_all,
       name: Situ.Media.Supervisor
     )

@@ -15,7 +15,8 @@ defmodule Situ.Media.Capture do
   `use Situ.Media.Capture`, after `use Situ.Component`, defines all callbacks except `init/1` for a component whose
   state is a capture.
   """
-  alias Situ.{AudioBuffer, AudioFormat, Component.Context, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps}
+  alias Situ.Component.Context
   alias Situ.Media.{Capture.Clock, Capture.StallWatch, Decoder, Device}
   alias Situ.Media.FFmpeg.Reader
   require Logger
@@ -296,7 +297,7 @@ defmodule Situ.Media.Capture do
   end
 
   defp apply_gain(%AudioBuffer{} = buffer, gain) when gain not in [nil, 1, 1.0],
-    do: Sound.gain!(buffer, gain)
+    do: AudioOps.gain!(buffer, gain)
 
   defp apply_gain(data, _gain), do: data
 

@@ -13,7 +13,8 @@ defmodule Situ.Media.Decoder do
   `Situ.Media.VideoFile` is the source for pipelines.
   """
   alias Situ.{AudioBuffer, AudioFormat, Error, Image}
-  alias Situ.Media.{FFmpeg, FileInfo, Nut, Pixels}
+  alias Situ.Media.{FFmpeg, FileInfo, Nut}
+  alias Situ.Media.FFmpeg.FormatNames
   alias Situ.Media.FFmpeg.Reader
 
   @schema [
@@ -186,7 +187,7 @@ defmodule Situ.Media.Decoder do
     # Keeps the times of the file in its own time base, without rounding to a frame rate.
     scale ++
       ~w(-c:v rawvideo -fps_mode passthrough -enc_time_base:v #{FFmpeg.input_time_base()}) ++
-      ~w(-pix_fmt #{Pixels.ffmpeg(format)})
+      ~w(-pix_fmt #{FormatNames.ffmpeg(format)})
   end
 
   @doc false
@@ -196,7 +197,7 @@ defmodule Situ.Media.Decoder do
     frames = max(AudioFormat.ns_to_frames(format, buffer), 1)
     own = ["aresample=#{format.rate}", "atrim=start=0", "asetnsamples=n=#{frames}:p=0"]
 
-    ~w(-c:a #{Pixels.codec(format.sample)} -ar #{format.rate} -ac #{format.channels}) ++
+    ~w(-c:a #{FormatNames.codec(format.sample)} -ar #{format.rate} -ac #{format.channels}) ++
       ["-af", Enum.join(filters ++ own, ",")]
   end
 

@@ -15,7 +15,7 @@ defmodule Situ.Media.Encoder do
   """
   alias Situ.{AudioBuffer, AudioFormat, Error, Image}
   alias Situ.Media.Encoder.Arguments
-  alias Situ.Media.Pixels
+  alias Situ.Media.FFmpeg.FormatNames
   alias Situ.Media.FFmpeg.Writer
 
   @schema [
@@ -201,14 +201,14 @@ defmodule Situ.Media.Encoder do
   defp video_stream(nil), do: []
 
   defp video_stream(image) do
-    fourcc = Pixels.fourcc(image.format)
+    fourcc = FormatNames.fourcc(image.format)
     [%{id: 0, class: :video, fourcc: fourcc, width: image.width, height: image.height}]
   end
 
   defp audio_stream(nil, _id), do: []
 
   defp audio_stream(format, id) do
-    fourcc = Pixels.fourcc(format.sample)
+    fourcc = FormatNames.fourcc(format.sample)
     [%{id: id, class: :audio, fourcc: fourcc, rate: format.rate, channels: format.channels}]
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Media.ImageSequence do
   alias Situ.Graph.Placement
-  alias Situ.{Error, Image, Imaging}
+  alias Situ.{Error, Image, ImageOps}
   alias Situ.Media.FileTime
   alias Situ.Media.ImageSequence.Index
 
@@ -74,7 +74,7 @@ defmodule Situ.Media.ImageSequence do
   def handle_demand(_n, context, %{shots: [{time, path} | rest]} = state) do
     state = %{state | shots: rest}
 
-    case Imaging.read(path, format: state.opts[:format]) do
+    case ImageOps.read(path, format: state.opts[:format]) do
       {:ok, image} ->
         time = time + state.offset
         {[{:out, time, image}], %{state | last: time}}

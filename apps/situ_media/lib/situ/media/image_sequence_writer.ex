@@ -1,5 +1,5 @@
 defmodule Situ.Media.ImageSequenceWriter do
-  alias Situ.{EncodedImage, Error, Image, Imaging}
+  alias Situ.{EncodedImage, Error, Image, ImageOps}
   alias Situ.Media.ImageSequence.Index
 
   @schema [
@@ -95,8 +95,8 @@ defmodule Situ.Media.ImageSequenceWriter do
   defp encode_image(%Image{} = image, opts) do
     result =
       if opts[:type] == :png,
-        do: Imaging.encode_png(image),
-        else: Imaging.encode_jpeg(image, quality: opts[:quality])
+        do: ImageOps.encode_png(image),
+        else: ImageOps.encode_jpeg(image, quality: opts[:quality])
 
     case result do
       {:ok, encoded} -> encode_image(encoded, opts)

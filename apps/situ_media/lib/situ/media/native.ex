@@ -1,7 +1,7 @@
 defmodule Situ.Media.Native do
   @moduledoc false
   # Stubs of native/situ_media_nif. `run` and `run_sound` stay on the calling scheduler and charge their time to the
-  # process, while `*_dirty` run on a dirty CPU scheduler. Situ.Media.Kernel chooses between them.
+  # process, while `*_dirty` run on a dirty CPU scheduler. Situ.Media.NativeKernel chooses between them.
 
   @on_load :load
 

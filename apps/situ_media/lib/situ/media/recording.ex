@@ -25,7 +25,7 @@ defmodule Situ.Media.Recording do
   import Bitwise
 
   alias Situ.{AudioBuffer, AudioFormat, Message}
-  alias Situ.Media.Recording.{Index, OpenFile, Pictures, Sound, Waveform}
+  alias Situ.Media.Recording.{Index, OpenFile, Images, Audio, Waveform}
   alias Situ.Store.StreamInfo
 
   @impl true
@@ -156,7 +156,7 @@ defmodule Situ.Media.Recording do
   end
 
   defp read_images(recording, info, ordinal, limit) do
-    case Pictures.fetch_range(recording, ordinal, limit) do
+    case Images.fetch_range(recording, ordinal, limit) do
       {:ok, []} ->
         {:ok, [], ordinal}
 
@@ -173,7 +173,7 @@ defmodule Situ.Media.Recording do
     {number, skip} =
       {div(ordinal, OpenFile.chunks_per_batch()), rem(ordinal, OpenFile.chunks_per_batch())}
 
-    with {:ok, data, error} <- Sound.read_batch(recording, number) do
+    with {:ok, data, error} <- Audio.read_batch(recording, number) do
       size = sound.step * AudioFormat.bytes_per_frame(sound.format)
       there = div(byte_size(data) + size - 1, size)
 
@@ -224,7 +224,7 @@ defmodule Situ.Media.Recording do
     level = bin_level(from, to, pixels)
 
     if level >= Waveform.finest_level() do
-      with {:ok, waveform} <- Sound.fetch_waveform(recording),
+      with {:ok, waveform} <- Audio.fetch_waveform(recording),
            do: {:ok, 1 <<< level, Waveform.list_bins(waveform, from, to, level)}
     else
       with {:ok, first} <- seek(recording, info, from),
@@ -248,7 +248,7 @@ defmodule Situ.Media.Recording do
         {:ok, done |> Enum.reverse() |> Enum.concat()}
 
       {:ok, messages, next} ->
-        points = Enum.flat_map(messages, &Situ.Sound.points!(&1.data, &1.originating_time))
+        points = Enum.flat_map(messages, &Situ.AudioOps.points!(&1.data, &1.originating_time))
         collect_points(recording, info, next, to, [points | done])
 
       {:error, error} ->

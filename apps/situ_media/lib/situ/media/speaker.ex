@@ -1,6 +1,7 @@
 defmodule Situ.Media.Speaker do
-  alias Situ.{AudioBuffer, AudioFormat, Sound}
-  alias Situ.Media.{Device, Pixels}
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps}
+  alias Situ.Media.Device
+  alias Situ.Media.FFmpeg.FormatNames
   alias Situ.Media.FFmpeg.Writer
 
   @schema [
@@ -69,7 +70,7 @@ defmodule Situ.Media.Speaker do
   end
 
   defp apply_gain(buffer, gain) when gain in [1, 1.0], do: buffer
-  defp apply_gain(buffer, gain), do: Sound.gain!(buffer, gain)
+  defp apply_gain(buffer, gain), do: AudioOps.gain!(buffer, gain)
 
   @impl true
   def handle_closed(:in, _time, _context, state), do: {[], close_writer(state)}
@@ -90,7 +91,7 @@ defmodule Situ.Media.Speaker do
                %{
                  id: 0,
                  class: :audio,
-                 fourcc: Pixels.fourcc(format.sample),
+                 fourcc: FormatNames.fourcc(format.sample),
                  rate: format.rate,
                  channels: format.channels
                }

@@ -1,10 +1,10 @@
-defmodule Situ.Audio.TimesTest do
+defmodule Situ.AudioStream.TimesTest do
   # Every operator must keep the time of every sample. Each sample's value is its index, so its expected time is
   # known.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
-  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps}
 
   @rate 8000
   @format AudioFormat.pcm(@rate, 1, :s32)
@@ -26,7 +26,7 @@ defmodule Situ.Audio.TimesTest do
 
   property "reframing keeps every sample and its time" do
     forall {sizes, frames} <- {nonempty_list(integer(0, 50)), integer(1, 40)} do
-      out = run(feed(sizes), &Situ.Audio.reframe(&1, frames: frames))
+      out = run(feed(sizes), &Situ.AudioStream.reframe(&1, frames: frames))
       whole = div(Enum.sum(sizes), frames)
 
       Enum.flat_map(out, fn {_, b} -> AudioBuffer.to_samples(b) end) ==
@@ -38,14 +38,18 @@ defmodule Situ.Audio.TimesTest do
 
   test "reframing with a hop overlaps frames and can keep the tail" do
     feed = feed([7, 4])
-    out = run(feed, &Situ.Audio.reframe(&1, frames: 4, hop: 2))
+    out = run(feed, &Situ.AudioStream.reframe(&1, frames: 4, hop: 2))
     assert for({_, b} <- out, do: hd(AudioBuffer.to_samples(b))) == [0, 2, 4, 6]
     assert List.last(out) |> elem(0) == AudioFormat.frames_to_ns(@rate, 10)
 
-    assert {_, last} = feed |> run(&Situ.Audio.reframe(&1, frames: 4, tail: :keep)) |> List.last()
+    assert {_, last} =
+             feed |> run(&Situ.AudioStream.reframe(&1, frames: 4, tail: :keep)) |> List.last()
+
     assert AudioBuffer.to_samples(last) == [8, 9, 10]
 
-    assert {at, last} = feed |> run(&Situ.Audio.reframe(&1, frames: 4, tail: :pad)) |> List.last()
+    assert {at, last} =
+             feed |> run(&Situ.AudioStream.reframe(&1, frames: 4, tail: :pad)) |> List.last()
+
     assert AudioBuffer.to_samples(last) == [8, 9, 10, 0]
     assert at == AudioFormat.frames_to_ns(@rate, 11)
   end
@@ -62,7 +66,8 @@ defmodule Situ.Audio.TimesTest do
     end
   end
 
-  defp resampled(sizes, format), do: run(feed(sizes, format), &Situ.Audio.resample(&1, 16_000))
+  defp resampled(sizes, format),
+    do: run(feed(sizes, format), &Situ.AudioStream.resample(&1, 16_000))
 
   # Each buffer ends at the number of frames so far.
   defp exact?(out, rate) do
@@ -82,7 +87,8 @@ defmodule Situ.Audio.TimesTest do
 
     format = AudioFormat.pcm(48_000, 1, :f32)
 
-    {:ok, out} = Sound.resample(AudioBuffer.from_samples(sine.(48_000, 24_000), format), 16_000)
+    {:ok, out} =
+      AudioOps.resample(AudioBuffer.from_samples(sine.(48_000, 24_000), format), 16_000)
 
     assert AudioBuffer.frame_count(out) == 8000
 
@@ -97,7 +103,7 @@ defmodule Situ.Audio.TimesTest do
   test "u8 and s24 audio is resampled and keeps its sample type" do
     for sample <- [:u8, :s24] do
       buffer = AudioBuffer.build_silence(AudioFormat.pcm(48_000, 2, sample), 480)
-      assert {:ok, out} = Sound.resample(buffer, 16_000)
+      assert {:ok, out} = AudioOps.resample(buffer, 16_000)
       assert out.format == AudioFormat.pcm(16_000, 2, sample)
       assert out == AudioBuffer.build_silence(out.format, 160)
     end
@@ -106,7 +112,7 @@ defmodule Situ.Audio.TimesTest do
   test "follows a format change in mid-stream" do
     a = AudioBuffer.build_silence(AudioFormat.pcm(8000), 800)
     b = AudioBuffer.build_silence(AudioFormat.pcm(32_000), 3200)
-    out = run([{100_000_000, a}, {200_000_000, b}], &Situ.Audio.resample(&1, 16_000))
+    out = run([{100_000_000, a}, {200_000_000, b}], &Situ.AudioStream.resample(&1, 16_000))
     assert out |> Enum.map(&AudioBuffer.frame_count(elem(&1, 1))) |> Enum.sum() == 3200
     assert out |> List.last() |> elem(0) == 200_000_000
   end
@@ -116,12 +122,12 @@ defmodule Situ.Audio.TimesTest do
       feed = [{1_000_000, samples(8)}, {9_000_000, samples(8)}]
 
       assert [{1_000_000, _}, {2_000_000, _}] =
-               run(feed, &Situ.Audio.streamline(&1, method: :concatenate))
+               run(feed, &Situ.AudioStream.streamline(&1, method: :concatenate))
     end
 
     test "pleat pads or cuts each buffer to the time since the previous one" do
       feed = [{1_000_000, samples(8)}, {3_000_000, samples(8)}, {3_500_000, samples(8)}]
-      out = run(feed, &Situ.Audio.streamline(&1, method: :pleat))
+      out = run(feed, &Situ.AudioStream.streamline(&1, method: :pleat))
       assert [{1_000_000, a}, {3_000_000, b}, {3_500_000, c}] = out
       assert Enum.map([a, b, c], &AudioBuffer.frame_count/1) == [8, 16, 4]
       assert AudioBuffer.to_samples(b) == List.duplicate(5, 8) ++ List.duplicate(0, 8)
@@ -136,7 +142,7 @@ defmodule Situ.Audio.TimesTest do
       ]
 
       opts = [method: :unpleat, max_offset: 200_000]
-      out = run(feed, &Situ.Audio.streamline(&1, opts))
+      out = run(feed, &Situ.AudioStream.streamline(&1, opts))
       assert [{1_000_000, _}, {2_000_000, _}, {4_000_000, late}, {4_500_000, early}] = out
       assert AudioBuffer.to_samples(late) == List.duplicate(0, 8) ++ List.duplicate(5, 8)
       assert AudioBuffer.frame_count(early) == 4
@@ -155,7 +161,7 @@ defmodule Situ.Audio.TimesTest do
 
     for method <- [:pleat, :unpleat] do
       build = fn p ->
-        p |> Situ.from_enumerable(feed) |> Situ.Audio.streamline(method: method)
+        p |> Situ.from_enumerable(feed) |> Situ.AudioStream.streamline(method: method)
       end
 
       assert {:error, %{code: :gap_too_long} = error} = Situ.collect(build)
@@ -163,7 +169,7 @@ defmodule Situ.Audio.TimesTest do
     end
 
     build = fn p ->
-      Situ.Audio.mix(
+      Situ.AudioStream.mix(
         Situ.from_enumerable(p, feed),
         Situ.from_enumerable(p, [{@jump, samples(8)}])
       )
@@ -179,7 +185,7 @@ defmodule Situ.Audio.TimesTest do
       {2_000_000, AudioBuffer.build_silence(AudioFormat.pcm(48_000), 48)}
     ]
 
-    build = fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.streamline() end
+    build = fn p -> p |> Situ.from_enumerable(feed) |> Situ.AudioStream.streamline() end
     assert {:error, %{code: :bad_audio} = error} = Situ.collect(build)
     assert Exception.message(error) =~ "48000 Hz"
   end
@@ -193,7 +199,7 @@ defmodule Situ.Audio.TimesTest do
       out =
         Situ.to_list(
           fn p ->
-            Situ.Audio.mix(Situ.from_enumerable(p, left), Situ.from_enumerable(p, right))
+            Situ.AudioStream.mix(Situ.from_enumerable(p, left), Situ.from_enumerable(p, right))
           end,
           times: true
         )
@@ -247,7 +253,7 @@ defmodule Situ.Audio.TimesTest do
     out =
       Situ.to_list(
         fn p ->
-          Situ.Audio.mix(Situ.from_enumerable(p, left), Situ.from_enumerable(p, right),
+          Situ.AudioStream.mix(Situ.from_enumerable(p, left), Situ.from_enumerable(p, right),
             other_gain: 2
           )
         end,
@@ -269,8 +275,8 @@ defmodule Situ.Audio.TimesTest do
           data: binary_part(bytes, 0, div(byte_size(bytes), size) * size)
         )
 
-      wide = Sound.reformat!(buffer, sample: :f64, channels: 2)
-      Sound.reformat!(wide, sample: sample, channels: 1) == buffer
+      wide = AudioOps.reformat!(buffer, sample: :f64, channels: 2)
+      AudioOps.reformat!(wide, sample: sample, channels: 1) == buffer
     end
   end
 end

@@ -1,8 +1,8 @@
-defmodule Situ.Imaging.BadInputTest do
+defmodule Situ.ImageOps.BadInputTest do
   # Any invalid input returns an error that names it, and the VM survives.
   use ExUnit.Case, async: true
   use Situ.Test.Property
-  alias Situ.{AudioBuffer, AudioFormat, DepthImage, Image, Imaging, EncodedImage, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, DepthImage, Image, ImageOps, EncodedImage, AudioOps}
 
   @dir Application.app_dir(:situ_media, "priv/golden")
 
@@ -10,19 +10,19 @@ defmodule Situ.Imaging.BadInputTest do
     broken = %Image{width: 100, height: 100, format: :bgr24, stride: 300, data: "short"}
 
     for result <- [
-          Imaging.resize(broken, 10, 10),
-          Imaging.convert(broken, :gray8),
-          Imaging.crop(broken, {0, 0, 5, 5}),
-          Imaging.flip(broken, :both),
-          Imaging.rotate(broken, 10),
-          Imaging.blur(broken, 1),
-          Imaging.invert(broken),
-          Imaging.absdiff(Image.new_filled(1, 1, :gray8), broken),
-          Imaging.statistics(broken),
-          Imaging.encode_jpeg(broken),
-          Imaging.encode_png(broken),
-          Imaging.to_f32(broken),
-          Imaging.draw_line(broken, {0, 0}, {5, 5})
+          ImageOps.resize(broken, 10, 10),
+          ImageOps.convert(broken, :gray8),
+          ImageOps.crop(broken, {0, 0, 5, 5}),
+          ImageOps.flip(broken, :both),
+          ImageOps.rotate(broken, 10),
+          ImageOps.blur(broken, 1),
+          ImageOps.invert(broken),
+          ImageOps.absdiff(Image.new_filled(1, 1, :gray8), broken),
+          ImageOps.statistics(broken),
+          ImageOps.encode_jpeg(broken),
+          ImageOps.encode_png(broken),
+          ImageOps.to_f32(broken),
+          ImageOps.draw_line(broken, {0, 0}, {5, 5})
         ] do
       assert {:error, %Situ.Error{code: :bad_image}} = result
     end
@@ -42,30 +42,33 @@ defmodule Situ.Imaging.BadInputTest do
 
   test "rejects results that would be too large before allocating memory" do
     small = Image.new_filled(2, 2, :bgr24)
-    assert {:error, %{code: :too_large}} = Imaging.resize(small, 100_000, 100_000)
+    assert {:error, %{code: :too_large}} = ImageOps.resize(small, 100_000, 100_000)
 
     assert {:error, %{code: :too_large}} =
-             Imaging.warp_affine(small, [1, 0, 0, 0, 1, 0], width: 40_000)
+             ImageOps.warp_affine(small, [1, 0, 0, 0, 1, 0], width: 40_000)
 
-    assert {:error, %{code: :bad_size}} = Imaging.resize(small, 0, 5)
-    assert {:error, %{code: :bad_size}} = Imaging.resize(small, 2.5, 5)
+    assert {:error, %{code: :bad_size}} = ImageOps.resize(small, 0, 5)
+    assert {:error, %{code: :bad_size}} = ImageOps.resize(small, 2.5, 5)
     assert_raise ArgumentError, fn -> Image.new_filled(100_000, 100_000, :bgr24) end
   end
 
   test "operators name the format they need" do
     color = Image.new_filled(4, 4, :bgr24)
 
-    for result <- [Imaging.canny(color, 1, 2), Imaging.sobel(color), Imaging.equalize(color)] do
+    for result <- [ImageOps.canny(color, 1, 2), ImageOps.sobel(color), ImageOps.equalize(color)] do
       assert {:error, %{code: :bad_format}} = result
     end
 
-    assert {:error, %{code: :bad_format}} = Imaging.convolve(color, [[1]])
-    assert {:error, %{code: :bad_format}} = Imaging.absdiff(color, Image.new_filled(4, 5, :bgr24))
-    assert {:error, %{code: :bad_format}} = Imaging.encode_jpeg(Image.new_filled(4, 4, :rgba64))
+    assert {:error, %{code: :bad_format}} = ImageOps.convolve(color, [[1]])
+
+    assert {:error, %{code: :bad_format}} =
+             ImageOps.absdiff(color, Image.new_filled(4, 5, :bgr24))
+
+    assert {:error, %{code: :bad_format}} = ImageOps.encode_jpeg(Image.new_filled(4, 4, :rgba64))
     assert {:error, %{code: :bad_format}} = DepthImage.from_gray16(color)
-    assert {:error, %{code: :bad_option}} = Imaging.blur(color, 1, size: 4)
-    assert {:error, %{code: :bad_option}} = Imaging.extract_channel(color, 3)
-    assert {:error, %{code: :bad_option}} = Imaging.warp_affine(color, [1, 2, 3])
+    assert {:error, %{code: :bad_option}} = ImageOps.blur(color, 1, size: 4)
+    assert {:error, %{code: :bad_option}} = ImageOps.extract_channel(color, 3)
+    assert {:error, %{code: :bad_option}} = ImageOps.warp_affine(color, [1, 2, 3])
   end
 
   describe "JPEG and PNG" do
@@ -75,13 +78,15 @@ defmodule Situ.Imaging.BadInputTest do
       # SOF0: marker, length, precision, height, width.
       [before, <<_::binary-size(4), rest::binary>>] = split_after(jpeg, <<0xFF, 0xC0, 0, 17, 8>>)
       huge = before <> <<65_500::16, 65_500::16>> <> rest
-      assert {:error, %{code: code}} = Imaging.parse(huge)
+      assert {:error, %{code: code}} = ImageOps.parse(huge)
       assert code in [:too_large, :bad_jpeg]
       wide = before <> <<10_000::16, 10_000::16>> <> rest
-      assert {:error, %{code: :bad_jpeg, what: what}} = Imaging.parse(wide)
+      assert {:error, %{code: :bad_jpeg, what: what}} = ImageOps.parse(wide)
       assert what =~ "claims"
 
-      assert {:error, %{code: :bad_png, what: what}} = Imaging.parse(png_header(100_000, 100_000))
+      assert {:error, %{code: :bad_png, what: what}} =
+               ImageOps.parse(png_header(100_000, 100_000))
+
       assert what =~ "claims"
     end
 
@@ -103,7 +108,7 @@ defmodule Situ.Imaging.BadInputTest do
         whole = File.read!(Path.join(@dir, name))
 
         for at <- [8, 20, 100, div(byte_size(whole), 2), byte_size(whole) - 30] do
-          assert {:error, %{code: ^code}} = Imaging.parse(binary_part(whole, 0, at))
+          assert {:error, %{code: ^code}} = ImageOps.parse(binary_part(whole, 0, at))
         end
       end
     end
@@ -113,14 +118,14 @@ defmodule Situ.Imaging.BadInputTest do
                {one_of(["source.jpg", "gray.png", "depth.png"]),
                 nonempty_list({integer(0, 100_000), integer(0, 255)})} do
         bytes = @dir |> Path.join(name) |> File.read!()
-        sound?(Imaging.parse(Enum.reduce(changes, bytes, &change/2)))
+        sound?(ImageOps.parse(Enum.reduce(changes, bytes, &change/2)))
       end
     end
 
     property "garbage after a signature is an error", numtests: 200 do
       forall {start, bytes} <-
                {one_of([<<0xFF, 0xD8, 0xFF>>, <<0x89, "PNG\r\n", 0x1A, "\n">>, ""]), binary()} do
-        match?({:error, %Situ.Error{}}, Imaging.parse(start <> bytes))
+        match?({:error, %Situ.Error{}}, ImageOps.parse(start <> bytes))
       end
     end
 
@@ -163,27 +168,27 @@ defmodule Situ.Imaging.BadInputTest do
     to = Enum.at(Image.Format.list_all(), rem(n, 8))
 
     [
-      &Imaging.convert!(&1, to),
-      &Imaging.resize!(&1, rem(n, 30) + 1, rem(n, 17) + 1,
+      &ImageOps.convert!(&1, to),
+      &ImageOps.resize!(&1, rem(n, 30) + 1, rem(n, 17) + 1,
         filter: Enum.at([:nearest, :bilinear, :bicubic, :area, :smooth, :lanczos], rem(n, 6))
       ),
-      &Imaging.letterbox!(&1, 13, 9),
-      &Imaging.flip!(&1, :both),
-      &Imaging.rotate!(&1, 90 * n),
-      &Imaging.rotate!(&1, n / 3),
-      &Imaging.invert!/1,
-      &Imaging.threshold!(&1, n, :truncate),
-      &Imaging.extract_channel!(&1, 0),
-      &Imaging.absdiff!(&1, image),
-      &Imaging.box_blur!(&1, 3),
-      &Imaging.draw!(&1, [{:line, {-5, 3}, {90, n}, []}, {:text, {0, 0}, "äb", size: 8}]),
-      &Imaging.paste!(&1, image, {rem(n, 50) - 25, -3}),
+      &ImageOps.letterbox!(&1, 13, 9),
+      &ImageOps.flip!(&1, :both),
+      &ImageOps.rotate!(&1, 90 * n),
+      &ImageOps.rotate!(&1, n / 3),
+      &ImageOps.invert!/1,
+      &ImageOps.threshold!(&1, n, :truncate),
+      &ImageOps.extract_channel!(&1, 0),
+      &ImageOps.absdiff!(&1, image),
+      &ImageOps.box_blur!(&1, 3),
+      &ImageOps.draw!(&1, [{:line, {-5, 3}, {90, n}, []}, {:text, {0, 0}, "äb", size: 8}]),
+      &ImageOps.paste!(&1, image, {rem(n, 50) - 25, -3}),
       fn image ->
         if image.format in [:gray16, :rgba64],
           do: image |> Image.pixel_bytes() |> byte_size(),
-          else: Imaging.encode_jpeg!(image)
+          else: ImageOps.encode_jpeg!(image)
       end,
-      &(Imaging.encode_png!(&1) |> Imaging.parse!())
+      &(ImageOps.encode_png!(&1) |> ImageOps.parse!())
     ]
   end
 
@@ -202,17 +207,17 @@ defmodule Situ.Imaging.BadInputTest do
              AudioBuffer.new(format: AudioFormat.pcm(8000, 2), data: <<0>>)
 
     odd = %AudioBuffer{format: AudioFormat.pcm(8000), data: "abc"}
-    assert {:error, %{code: :bad_audio}} = Sound.level(odd)
-    assert {:error, %{code: :bad_audio}} = Sound.resample(odd, 16_000)
+    assert {:error, %{code: :bad_audio}} = AudioOps.level(odd)
+    assert {:error, %{code: :bad_audio}} = AudioOps.resample(odd, 16_000)
     six = AudioBuffer.build_silence(AudioFormat.pcm(8000, 6), 1)
-    assert {:error, %{code: :bad_option}} = Sound.reformat(six, channels: 2)
-    assert {:error, %{code: :bad_option}} = Sound.select_channels(six, [6])
-    assert {:error, %{code: :bad_option}} = Sound.resample(six, 0)
+    assert {:error, %{code: :bad_option}} = AudioOps.reformat(six, channels: 2)
+    assert {:error, %{code: :bad_option}} = AudioOps.select_channels(six, [6])
+    assert {:error, %{code: :bad_option}} = AudioOps.resample(six, 0)
     # libsoxr would never return.
     long = AudioBuffer.build_silence(AudioFormat.pcm(11_025), 16_544)
-    assert {:error, %{code: :bad_option}} = Sound.resample(long, 1, quality: :quick)
+    assert {:error, %{code: :bad_option}} = AudioOps.resample(long, 1, quality: :quick)
 
     assert {:error, %{code: :bad_audio}} =
-             Sound.mix(six, AudioBuffer.build_silence(AudioFormat.pcm(), 1))
+             AudioOps.mix(six, AudioBuffer.build_silence(AudioFormat.pcm(), 1))
   end
 end

@@ -1,7 +1,7 @@
-defmodule Situ.Imaging.HostileTest do
+defmodule Situ.ImageOps.HostileTest do
   # Arguments and bytes that ask for too much work return an error in bounded time.
   use ExUnit.Case, async: true
-  alias Situ.{Image, Imaging}
+  alias Situ.{Image, ImageOps}
 
   defp gray(w, h, fun),
     do:
@@ -17,33 +17,33 @@ defmodule Situ.Imaging.HostileTest do
     huge = Integer.pow(10, 400)
 
     for call <- [
-          fn -> Imaging.blur(image, 1.0e9) end,
-          fn -> Imaging.blur(image, 1.0e300) end,
-          fn -> Imaging.blur(image, huge) end,
-          fn -> Imaging.blur(image, -1) end,
-          fn -> Imaging.box_blur(image, huge) end,
-          fn -> Imaging.median_blur(image, -3) end,
-          fn -> Imaging.crop(image, {huge, 0, 1, 1}) end,
-          fn -> Imaging.crop(image, {0, 0, 1.0e300, 1}) end,
-          fn -> Imaging.crop(image, {0, 0, huge, huge}, clip: true) end,
-          fn -> Imaging.resize(image, huge, 2) end,
-          fn -> Imaging.scale(image, 1.0e300, 1) end,
-          fn -> Imaging.scale(image, huge, 1) end,
-          fn -> Imaging.rotate(image, 1.0e300) end,
-          fn -> Imaging.warp_affine(image, [[1, 0, 0], [0, 1, 0]]) end,
-          fn -> Imaging.warp_affine(image, [1, 0, 0]) end,
-          fn -> Imaging.warp_affine(image, [huge, 0, 0, 0, 1, 0]) end,
-          fn -> Imaging.warp_perspective(image, List.duplicate(:a, 9)) end,
-          fn -> Imaging.canny(image, huge, 1) end,
-          fn -> Imaging.canny(image, :low, 1) end,
-          fn -> Imaging.threshold(image, -1) end,
-          fn -> Imaging.convolve(image, [[huge]]) end,
-          fn -> Imaging.convolve(image, [[1.5]]) end,
-          fn -> Imaging.erode(image, huge) end,
-          fn -> Imaging.paste(image, image, {huge, 0}) end,
-          fn -> Imaging.statistics(image, rect: {huge, 0, 1, 1}) end,
-          fn -> Imaging.compare(image, image, tolerance: huge) end,
-          fn -> Imaging.to_f32(image, scale: huge) end
+          fn -> ImageOps.blur(image, 1.0e9) end,
+          fn -> ImageOps.blur(image, 1.0e300) end,
+          fn -> ImageOps.blur(image, huge) end,
+          fn -> ImageOps.blur(image, -1) end,
+          fn -> ImageOps.box_blur(image, huge) end,
+          fn -> ImageOps.median_blur(image, -3) end,
+          fn -> ImageOps.crop(image, {huge, 0, 1, 1}) end,
+          fn -> ImageOps.crop(image, {0, 0, 1.0e300, 1}) end,
+          fn -> ImageOps.crop(image, {0, 0, huge, huge}, clip: true) end,
+          fn -> ImageOps.resize(image, huge, 2) end,
+          fn -> ImageOps.scale(image, 1.0e300, 1) end,
+          fn -> ImageOps.scale(image, huge, 1) end,
+          fn -> ImageOps.rotate(image, 1.0e300) end,
+          fn -> ImageOps.warp_affine(image, [[1, 0, 0], [0, 1, 0]]) end,
+          fn -> ImageOps.warp_affine(image, [1, 0, 0]) end,
+          fn -> ImageOps.warp_affine(image, [huge, 0, 0, 0, 1, 0]) end,
+          fn -> ImageOps.warp_perspective(image, List.duplicate(:a, 9)) end,
+          fn -> ImageOps.canny(image, huge, 1) end,
+          fn -> ImageOps.canny(image, :low, 1) end,
+          fn -> ImageOps.threshold(image, -1) end,
+          fn -> ImageOps.convolve(image, [[huge]]) end,
+          fn -> ImageOps.convolve(image, [[1.5]]) end,
+          fn -> ImageOps.erode(image, huge) end,
+          fn -> ImageOps.paste(image, image, {huge, 0}) end,
+          fn -> ImageOps.statistics(image, rect: {huge, 0, 1, 1}) end,
+          fn -> ImageOps.compare(image, image, tolerance: huge) end,
+          fn -> ImageOps.to_f32(image, scale: huge) end
         ] do
       assert {:error, %Situ.Error{}} = call.()
     end
@@ -53,8 +53,8 @@ defmodule Situ.Imaging.HostileTest do
     test "is the mean of the covered pixels, weighted by their covered share" do
       image = gray(3, 1, fn x, _ -> elem({0, 90, 240}, x) end)
       # Two output pixels of 1.5 input pixels each: 0 and half of 90, then half of 90 and 240.
-      assert Imaging.resize!(image, 2, 1, filter: :area).data == <<30, 190>>
-      assert Imaging.resize!(image, 1, 1, filter: :area).data == <<110>>
+      assert ImageOps.resize!(image, 2, 1, filter: :area).data == <<30, 190>>
+      assert ImageOps.resize!(image, 1, 1, filter: :area).data == <<110>>
     end
 
     test "equals the slow reference for every size, format and alpha" do
@@ -62,7 +62,7 @@ defmodule Situ.Imaging.HostileTest do
         size = 13 * 9 * Image.Format.bytes_per_pixel(format)
         data = for i <- 1..size, into: <<>>, do: <<rem(i * i * 7 + i, 256)>>
         image = Image.new!(width: 13, height: 9, format: format, data: data)
-        fast = Imaging.resize!(image, w, h, filter: :area)
+        fast = ImageOps.resize!(image, w, h, filter: :area)
 
         for x <- 0..(w - 1), y <- 0..(h - 1) do
           {:ok, got} = Image.fetch_pixel(fast, x, y)
@@ -115,9 +115,9 @@ defmodule Situ.Imaging.HostileTest do
   test "rejects a JPEG with thousands of scans immediately", %{tmp_dir: dir} do
     path = Path.join(dir, "p.jpg")
     File.write!(path, progressive())
-    assert {:ok, _} = Imaging.read(path)
-    assert {:ok, _} = Imaging.parse(scans(progressive(), 20))
-    assert {:error, error} = Imaging.parse(scans(progressive(), 5_000))
+    assert {:ok, _} = ImageOps.read(path)
+    assert {:ok, _} = ImageOps.parse(scans(progressive(), 20))
+    assert {:error, error} = ImageOps.parse(scans(progressive(), 5_000))
     assert error.code == :bad_jpeg and error.what =~ "scans"
   end
 
@@ -133,16 +133,16 @@ defmodule Situ.Imaging.HostileTest do
   end
 
   test "cost depends on the file's content and the requested part, not its length or result" do
-    alias Situ.Imaging.Cost
-    assert Cost.jpeg_cost(progressive()) > 250
+    alias Situ.ImageOps.CostEstimate
+    assert CostEstimate.jpeg_cost(progressive()) > 250
     large = <<0xFF, 0xD8, 0xFF, 0xC0, 11::16, 8, 4000::16, 6000::16, 1, 1, 0x11, 0>>
-    assert Cost.jpeg_cost(large) > 10_000
-    assert Cost.jpeg_cost("no JPEG") > 250
-    small = Imaging.encode_jpeg!(Image.new_filled(64, 64, :gray8)).data
-    assert Cost.jpeg_cost(small) < 250
+    assert CostEstimate.jpeg_cost(large) > 10_000
+    assert CostEstimate.jpeg_cost("no JPEG") > 250
+    small = ImageOps.encode_jpeg!(Image.new_filled(64, 64, :gray8)).data
+    assert CostEstimate.jpeg_cost(small) < 250
     twelve = %{Image.new_filled(1, 1, :bgr24) | width: 4000, height: 3000, stride: 12_000}
-    assert Cost.resize_cost(twelve, 10, 10, :lanczos) > 50_000
-    assert Cost.resize_cost(twelve, 10, 10, :area) > 10_000
-    assert Cost.resize_cost(Image.new_filled(64, 64, :bgr24), 32, 32, :lanczos) < 250
+    assert CostEstimate.resize_cost(twelve, 10, 10, :lanczos) > 50_000
+    assert CostEstimate.resize_cost(twelve, 10, 10, :area) > 10_000
+    assert CostEstimate.resize_cost(Image.new_filled(64, 64, :bgr24), 32, 32, :lanczos) < 250
   end
 end

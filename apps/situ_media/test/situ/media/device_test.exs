@@ -4,7 +4,7 @@ defmodule Situ.Media.DeviceTest do
   import ExUnit.CaptureLog
   import Situ.Media.TestFiles, only: [path: 1]
   import Situ.Media.TestPipelines
-  alias Situ.{AudioBuffer, Image, Sound, Time}
+  alias Situ.{AudioBuffer, Image, AudioOps, Time}
   alias Situ.Media.{Camera, Device, LiveStream, Microphone, Speaker}
   alias Situ.Test.FreePort
 
@@ -114,7 +114,7 @@ defmodule Situ.Media.DeviceTest do
           heard |> Enum.map(&elem(&1, 1)) |> Enum.take(20)
         end
 
-      assert half == Enum.map(whole, &Sound.gain!(&1, 0.5))
+      assert half == Enum.map(whole, &AudioOps.gain!(&1, 0.5))
       assert Enum.any?(whole, &(&1 != AudioBuffer.build_silence(&1.format, 320)))
     end
 

@@ -3,7 +3,7 @@ defmodule Situ.Media.ImageSequenceTest do
 
   import Situ.Media.TestFiles, only: [path: 1]
   import Situ.Media.TestPipelines
-  alias Situ.{Image, Imaging, Time}
+  alias Situ.{Image, ImageOps, Time}
   alias Situ.Media.{ImageSequence, ImageSequenceWriter, VideoFile}
 
   doctest Situ.Media.ImageSequence
@@ -47,7 +47,7 @@ defmodule Situ.Media.ImageSequenceTest do
 
   test "a pattern or a list needs a rate, and files are ordered by number", %{tmp_dir: dir} do
     for n <- 1..12,
-        do: :ok = Imaging.write(Image.new_filled(4, 4, :gray8, n), Path.join(dir, "s#{n}.png"))
+        do: :ok = ImageOps.write(Image.new_filled(4, 4, :gray8, n), Path.join(dir, "s#{n}.png"))
 
     open = fn files, opts -> fn p -> %{out: ImageSequence.open(p, files, opts)} end end
 
@@ -64,7 +64,7 @@ defmodule Situ.Media.ImageSequenceTest do
   @tag :capture_log
   test "an unreadable image ends with an error or is skipped", %{tmp_dir: dir} do
     for n <- 1..3,
-        do: :ok = Imaging.write(Image.new_filled(4, 4, :gray8, n), Path.join(dir, "#{n}.png"))
+        do: :ok = ImageOps.write(Image.new_filled(4, 4, :gray8, n), Path.join(dir, "#{n}.png"))
 
     File.write!(Path.join(dir, "2.png"), binary_part(File.read!(Path.join(dir, "2.png")), 0, 40))
     open = fn opts -> fn p -> %{out: ImageSequence.open(p, dir, opts)} end end

@@ -2,9 +2,9 @@ defmodule Situ.Media.RecordingTest do
   use ExUnit.Case, async: true
 
   import Situ.Media.TestFiles
-  alias Situ.{AudioBuffer, Pipeline, Sound, Store, Time}
+  alias Situ.{AudioBuffer, Pipeline, AudioOps, Store, Time}
   alias Situ.Media.Recording
-  alias Situ.Media.Recording.Pictures
+  alias Situ.Media.Recording.Images
 
   doctest Situ.Media.Recording.Index
   doctest Situ.Media.Recording.Waveform
@@ -87,23 +87,23 @@ defmodule Situ.Media.RecordingTest do
     whole = items |> wanted(:video) |> Enum.map(&elem(&1, 1)) |> List.to_tuple()
     assert tuple_size(whole) == 60
     {:ok, recording} = Recording.open(file, [])
-    key = {Pictures, recording.path, recording.version, recording.print}
+    key = {Images, recording.path, recording.version, recording.print}
 
     kept = fn ->
       [{pid, _}] = Registry.lookup(Situ.Media.Recording.Registry, key)
       :sys.get_state(pid).kept |> Map.keys() |> Enum.sort()
     end
 
-    assert {:ok, [{40, image}]} = Pictures.fetch_range(recording, 40, 1)
+    assert {:ok, [{40, image}]} = Images.fetch_range(recording, 40, 1)
     assert image == elem(whole, 40)
     assert kept.() == [40]
     # After one step back, the 24 images before it are decoded too.
-    assert {:ok, [{39, image}]} = Pictures.fetch_range(recording, 39, 1)
+    assert {:ok, [{39, image}]} = Images.fetch_range(recording, 39, 1)
     assert image == elem(whole, 39)
     assert kept.() == Enum.to_list(15..40)
 
     for i <- [59, 7, 58, 0, 31, 5, 6, 30, 29, 50] do
-      assert {:ok, [{^i, image}]} = Pictures.fetch_range(recording, i, 1)
+      assert {:ok, [{^i, image}]} = Images.fetch_range(recording, i, 1)
       assert image == elem(whole, i)
     end
   end
@@ -150,7 +150,7 @@ defmodule Situ.Media.RecordingTest do
     )
 
     store = Store.open!(file)
-    loud = fn m -> Sound.level(m.data) |> elem(1) |> Map.fetch!(:peak) > 0.01 end
+    loud = fn m -> AudioOps.level(m.data) |> elem(1) |> Map.fetch!(:peak) > 0.01 end
 
     seconds =
       store
@@ -313,7 +313,7 @@ defmodule Situ.Media.RecordingTest do
   test "the processes of a file end when idle and restart on demand", %{tmp_dir: root} do
     store = Store.open!(mp4(root))
     {:ok, first} = Store.at(store, "Video", 0)
-    key = {Recording.Pictures, store.state.path, store.state.version, store.state.print}
+    key = {Recording.Images, store.state.path, store.state.version, store.state.print}
     [{pid, _}] = Registry.lookup(Recording.Registry, key)
     ref = Process.monitor(pid)
     send(pid, :timeout)

@@ -5,8 +5,17 @@ defmodule Situ.Cluster.Agent do
   # deployment, and the lease decides which node runs the part.
   use GenServer
 
-  alias Situ.Cluster.{Assembly, DeploymentLoader, Deployments, Logs, Member, Runner, Runners}
-  alias Situ.Cluster.{Placement, SealedLog, Vitals}
+  alias Situ.Cluster.{
+    PartStarter,
+    DeploymentLoader,
+    Deployments,
+    LogLines,
+    Member,
+    Runner,
+    Runners
+  }
+
+  alias Situ.Cluster.{Placement, SealedLog, NodeMetrics}
 
   require Logger
 
@@ -35,7 +44,7 @@ defmodule Situ.Cluster.Agent do
   def deploy(agent \\ __MODULE__, deployment) do
     log = get_log(agent)
 
-    with {:ok, _plan} <- Assembly.build_plan(deployment),
+    with {:ok, _plan} <- PartStarter.build_plan(deployment),
          {:ok, deployment} <- Deployments.put(log, deployment),
          :ok <- install_first(agent, log, deployment) do
       others = Map.keys(info(agent).members) -- [node()]
@@ -99,9 +108,9 @@ defmodule Situ.Cluster.Agent do
   @impl true
   def init(opts) do
     :ok = :net_kernel.monitor_nodes(true)
-    :ok = Logs.start_handler()
+    :ok = LogLines.start_handler()
     :ok = Member.create_table()
-    {:ok, _} = Vitals.start_link(opts[:devices] || [])
+    {:ok, _} = NodeMetrics.start_link(opts[:devices] || [])
     for {module, arg} <- opts[:beside] || [], do: {:ok, _} = module.start_link(arg)
     {:ok, supervisor} = DynamicSupervisor.start_link(strategy: :one_for_one, max_restarts: 100)
     state = %__MODULE__{log: opts[:log], labels: opts[:labels], supervisor: supervisor}
@@ -289,7 +298,7 @@ defmodule Situ.Cluster.Agent do
     do: {:ok, state}
 
   defp install_deployment(state, deployment) do
-    with {:ok, plan} <- Assembly.build_plan(deployment) do
+    with {:ok, plan} <- PartStarter.build_plan(deployment) do
       runners =
         for {part, _} <- plan.parts, into: state.runners do
           args = %{

@@ -3,7 +3,7 @@ defmodule Situ.Cluster.Checkpoint do
   # The checkpoints of a part: two keys of the log, written alternately, so that the previous checkpoint stays intact
   # if writing the next one fails. `current` is the newest checkpoint that the log supports: for every stream, the log
   # contains all messages that the checkpoint builds on.
-  alias Situ.Cluster.Seal
+  alias Situ.Cluster.SignedEntry
   alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -65,7 +65,7 @@ defmodule Situ.Cluster.Checkpoint do
     number = Entry.head_integer(entry, "Number", 0)
 
     with true <- number > checkpoint.number,
-         {:ok, current} <- Seal.decode_term(entry),
+         {:ok, current} <- SignedEntry.decode_term(entry),
          true <- borne_out?(current, marks) do
       %{checkpoint | current: current, number: number}
     else
@@ -90,7 +90,7 @@ defmodule Situ.Cluster.Checkpoint do
     entry = %Entry{
       op: "#{checkpoint.key}.#{epoch}.#{number}",
       head: %{"Epoch" => Integer.to_string(epoch), "Number" => Integer.to_string(number)},
-      data: Seal.encode_term(current)
+      data: SignedEntry.encode_term(current)
     }
 
     case Log.append(log, {:key, "#{checkpoint.key}.#{slot}"}, checkpoint.seqs[slot], entry) do

@@ -4,7 +4,7 @@ defmodule Situ.Cluster.DeploymentLoader do
   # runs them again. Deployments that have ended are not installed. Waits while the log is unreachable.
   use Task, restart: :transient
 
-  alias Situ.Cluster.{Assembly, Deployments, Runner, SealedLog}
+  alias Situ.Cluster.{PartStarter, Deployments, Runner, SealedLog}
   alias Situ.Remote.Log
   require Logger
 
@@ -79,7 +79,7 @@ defmodule Situ.Cluster.DeploymentLoader do
   defp all_parts_ended?(log, deployment) do
     log = SealedLog.new(log, deployment.run)
 
-    with {:ok, plan} <- Assembly.build_plan(deployment) do
+    with {:ok, plan} <- PartStarter.build_plan(deployment) do
       Enum.all?(plan.parts, fn {part, _} ->
         state = Log.fetch_last(log, {:key, Runner.log_key(deployment, part, "state")})
         match?({:ok, %{head: %{"State" => how}}} when how in ["done", "failed"], state)

@@ -7,7 +7,7 @@ defmodule Situ.Cluster.Deployments do
   # A forgotten deployment keeps its run as long as its log exists, and continues from its last position when it is
   # deployed again. The log of a run has a mark, which is deleted together with it, even by somebody without the
   # cookie.
-  alias Situ.Cluster.{Deployment, Seal, SealedLog}
+  alias Situ.Cluster.{Deployment, SignedEntry, SealedLog}
   alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -117,7 +117,7 @@ defmodule Situ.Cluster.Deployments do
 
   defp write_known(log, {changed, seq, answer}, change, left) do
     unique = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
-    entry = %Entry{op: "deployments.#{unique}", data: Seal.encode_term(changed)}
+    entry = %Entry{op: "deployments.#{unique}", data: SignedEntry.encode_term(changed)}
 
     case Log.append(log, log_subject(), seq, entry) do
       {:ok, _seq} -> {:ok, answer}
@@ -129,13 +129,18 @@ defmodule Situ.Cluster.Deployments do
 
   defp read_known(log) do
     case Log.fetch_last(log, log_subject()) do
-      {:ok, nil} -> {:ok, %{}, 0}
-      {:ok, entry} -> with {:ok, known} <- Seal.decode_term(entry), do: {:ok, known, entry.seq}
-      {:error, error} -> {:error, error}
+      {:ok, nil} ->
+        {:ok, %{}, 0}
+
+      {:ok, entry} ->
+        with {:ok, known} <- SignedEntry.decode_term(entry), do: {:ok, known, entry.seq}
+
+      {:error, error} ->
+        {:error, error}
     end
   end
 
   # Two clusters with different cookies may share a log.
-  defp log_subject, do: {:key, "deployments." <> Seal.cluster_name()}
+  defp log_subject, do: {:key, "deployments." <> SignedEntry.cluster_name()}
   defp seal_log(log), do: SealedLog.new(log, "")
 end

@@ -6,7 +6,7 @@ defmodule Situ.Cluster.Lease do
   # Clocks are not compared: the lease is free when its number has not changed for the duration of the lease, measured
   # by the observer's own clock. A look that took longer than a lease, or that is late, gives no information about the
   # owner, so the observer starts counting again.
-  alias Situ.Cluster.Seal
+  alias Situ.Cluster.SignedEntry
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
@@ -85,7 +85,7 @@ defmodule Situ.Cluster.Lease do
       # An intruder or an older version has written the lease. It expires like the lease of a lost node. The next
       # owner's number is larger, so the content of this entry does not matter.
       {:error, error} ->
-        if Seal.refusal?(error),
+        if SignedEntry.refusal?(error),
           do: {:ok, {error.meta.seq, "nobody of this cluster", before, monotonic_ms()}},
           else: {:error, error}
     end

@@ -6,7 +6,7 @@ defmodule Situ.Cluster.Member do
   #   {:situ_cluster, :follow, part, pid}            an inlet asks for the publisher of a part
   #   {:situ_cluster, :publisher, part, publisher}   the reply, immediately and whenever the publisher changes
 
-  alias Situ.Cluster.{Agent, Deployment, Placement, Vitals}
+  alias Situ.Cluster.{Agent, Deployment, Placement, NodeMetrics}
 
   @table __MODULE__
 
@@ -52,7 +52,7 @@ defmodule Situ.Cluster.Member do
   @doc "Returns the members with the properties that placement rules use."
   @spec list_members() :: Placement.members()
   def list_members do
-    vitals = Vitals.recent_vitals()
+    vitals = NodeMetrics.recent_vitals()
 
     Map.new(lookup_table(:members), fn {node, labels} ->
       {node, vitals |> Map.get(node, %{}) |> Map.put(:labels, labels) |> Placement.build_member()}

@@ -6,7 +6,7 @@ defmodule Situ.Cluster.Overview do
       {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log")
       Situ.Cluster.overview().nodes
   """
-  alias Situ.Cluster.{Agent, Recordings, Runner, Vitals}
+  alias Situ.Cluster.{Agent, Recordings, Runner, NodeMetrics}
 
   # A node may be suspended, so a reply is not awaited for longer.
   @answer_ms 2_000
@@ -53,7 +53,7 @@ defmodule Situ.Cluster.Overview do
   end
 
   defp describe_nodes(members) do
-    vitals = Vitals.recent_vitals()
+    vitals = NodeMetrics.recent_vitals()
     trips = get_in(vitals, [node(), :trips]) || %{}
 
     for {node, labels} <- Enum.sort(members) do

@@ -13,7 +13,15 @@ defmodule Situ.Cluster.Publisher do
   # the same outputs again. A direct stream is visible immediately in both modes, and is not written.
   use GenServer
 
-  alias Situ.Cluster.{Batch, Checkpoint, Chunk, Outgoing, Readers, Scribe}
+  alias Situ.Cluster.{
+    MessageBatch,
+    Checkpoint,
+    StreamEntry,
+    OutgoingStream,
+    Subscribers,
+    LogWriter
+  }
+
   alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -39,7 +47,7 @@ defmodule Situ.Cluster.Publisher do
     :since,
     streams: %{},
     parts: %{},
-    readers: %Readers{},
+    readers: %Subscribers{},
     cut: nil,
     unshown: %{},
     writes: 0,
@@ -91,7 +99,7 @@ defmodule Situ.Cluster.Publisher do
       retain: args.retain,
       since: System.monotonic_time(:millisecond),
       parts: Map.new(args.streams, &{&1.name, &1.readers}),
-      streams: Map.new(args.streams, &{&1.name, Outgoing.new(&1.name, args.deployment, &1)})
+      streams: Map.new(args.streams, &{&1.name, OutgoingStream.new(&1.name, args.deployment, &1)})
     }
 
     with {:ok, state} <- fence_streams(state, Map.keys(state.streams)),
@@ -113,7 +121,7 @@ defmodule Situ.Cluster.Publisher do
         {name, %{subject: out.subject, seq: out.seq, mark: out.stored}}
       end)
 
-    Scribe.start_link(%{
+    LogWriter.start_link(%{
       log: state.log,
       part: state.part,
       epoch: state.epoch,
@@ -128,18 +136,21 @@ defmodule Situ.Cluster.Publisher do
     out = state.streams[name]
 
     with {:ok, last} <- Log.fetch_last(state.log, out.subject) do
-      mark = Chunk.entry_mark(last)
+      mark = StreamEntry.entry_mark(last)
       seq = if last, do: last.seq, else: 0
       {op, state} = next_op(state, name)
 
-      case Log.append(state.log, out.subject, seq, Chunk.build_fence(mark, state.epoch, op)) do
+      case Log.append(state.log, out.subject, seq, StreamEntry.build_fence(mark, state.epoch, op)) do
         {:ok, seq} ->
-          fence_streams(put_stream(state, Outgoing.resume_at(%{out | seq: seq}, mark)), rest)
+          fence_streams(
+            put_stream(state, OutgoingStream.resume_at(%{out | seq: seq}, mark)),
+            rest
+          )
 
         # The previous owner has written in the meantime. That is valid if its epoch is older.
         {:refused, last} ->
           if Entry.head_integer(last, "Epoch", 0) > state.epoch,
-            do: {:error, Scribe.refused_error(out.subject)},
+            do: {:error, LogWriter.refused_error(out.subject)},
             else: fence_streams(state, [name | rest])
 
         {:error, error} ->
@@ -156,8 +167,8 @@ defmodule Situ.Cluster.Publisher do
       out = Map.fetch!(state.streams, name)
 
       if out.stored != mark and mark.last >= out.stored.last do
-        batches = for b <- batches, b = Batch.take_after(b, out.stored.last), do: b
-        :ok = Scribe.append_batches(state.scribe, name, batches, mark)
+        batches = for b <- batches, b = MessageBatch.take_after(b, out.stored.last), do: b
+        :ok = LogWriter.append_batches(state.scribe, name, batches, mark)
 
         state
         |> put_stream(%{out | mark: mark, handed: mark, busy: true})
@@ -178,7 +189,7 @@ defmodule Situ.Cluster.Publisher do
   def handle_call(:resume, _from, state), do: {:reply, state.memories, state}
 
   def handle_call({:publish, name, messages}, from, state) do
-    {batch, out} = state.streams |> Map.fetch!(name) |> Outgoing.add_messages(messages)
+    {batch, out} = state.streams |> Map.fetch!(name) |> OutgoingStream.add_messages(messages)
     state = put_stream(state, out)
 
     cond do
@@ -197,7 +208,7 @@ defmodule Situ.Cluster.Publisher do
   end
 
   def handle_call({:close, name, time}, _from, state) do
-    state = put_stream(state, Outgoing.close(Map.fetch!(state.streams, name), time))
+    state = put_stream(state, OutgoingStream.close(Map.fetch!(state.streams, name), time))
     {:reply, :ok, if(state.mode == :replay, do: flush_streams(state), else: state)}
   end
 
@@ -205,7 +216,7 @@ defmodule Situ.Cluster.Publisher do
 
   def handle_call({:commit, memories}, from, state) do
     state = if state.cut == nil or memories == :done, do: cut_outputs(state), else: state
-    :ok = Scribe.commit_checkpoint(state.scribe, memories, state.cut, from)
+    :ok = LogWriter.commit_checkpoint(state.scribe, memories, state.cut, from)
 
     state =
       Enum.reduce(state.cut, state, fn {name, {batches, _}}, state ->
@@ -223,7 +234,7 @@ defmodule Situ.Cluster.Publisher do
       end)
 
     {:reply,
-     %{streams: streams, readers: Readers.reader_positions(state.readers), mode: state.mode},
+     %{streams: streams, readers: Subscribers.reader_positions(state.readers), mode: state.mode},
      state}
   end
 
@@ -237,9 +248,9 @@ defmodule Situ.Cluster.Publisher do
   defp must_wait?(state, name) do
     out = state.streams[name]
 
-    Outgoing.full?(out) or not Readers.keeping_up?(state.readers, out) or
+    OutgoingStream.full?(out) or not Subscribers.keeping_up?(state.readers, out) or
       (just_started?(state, out) and
-         not Readers.all_joined?(state.readers, out, awaited_parts(state, out)))
+         not Subscribers.all_joined?(state.readers, out, awaited_parts(state, out)))
   end
 
   # A part that may lose messages may also lose the first ones, so it is not awaited.
@@ -272,7 +283,7 @@ defmodule Situ.Cluster.Publisher do
 
   # Requests a checkpoint before the regular one, because too many messages are pending.
   defp request_checkpoint(%{told_full: false} = state) do
-    if Enum.any?(state.streams, fn {_, out} -> Outgoing.full?(out) end) do
+    if Enum.any?(state.streams, fn {_, out} -> OutgoingStream.full?(out) end) do
       send(state.runner, :situ_full)
       %{state | told_full: true}
     else
@@ -292,9 +303,9 @@ defmodule Situ.Cluster.Publisher do
   defp hand_over(state, name) do
     out = state.streams[name]
 
-    if Outgoing.pending?(out) do
-      {{batches, mark}, out} = Outgoing.take_pending(out)
-      :ok = Scribe.append_batches(state.scribe, name, batches, mark)
+    if OutgoingStream.pending?(out) do
+      {{batches, mark}, out} = OutgoingStream.take_pending(out)
+      :ok = LogWriter.append_batches(state.scribe, name, batches, mark)
       put_stream(state, out)
     else
       state
@@ -309,9 +320,11 @@ defmodule Situ.Cluster.Publisher do
   # Messages left from an earlier cut are older, so they go first.
   defp cut_outputs(%{mode: :outbox} = state) do
     {cut, streams} =
-      for {name, out} <- state.streams, Outgoing.pending?(out), reduce: {%{}, state.streams} do
+      for {name, out} <- state.streams,
+          OutgoingStream.pending?(out),
+          reduce: {%{}, state.streams} do
         {cut, streams} ->
-          {taken, out} = Outgoing.take_pending(out)
+          {taken, out} = OutgoingStream.take_pending(out)
           {Map.put(cut, name, taken), Map.put(streams, name, out)}
       end
 
@@ -324,7 +337,7 @@ defmodule Situ.Cluster.Publisher do
   end
 
   defp handle_stored(state, name, mark, seq) do
-    state = put_stream(state, Outgoing.note_stored(state.streams[name], mark, seq))
+    state = put_stream(state, OutgoingStream.note_stored(state.streams[name], mark, seq))
     {batches, unshown} = Map.pop(state.unshown, name, [])
     {now, later} = Enum.split_while(batches, &(&1.last <= mark.last))
     state = %{state | unshown: if(later == [], do: unshown, else: Map.put(unshown, name, later))}
@@ -334,7 +347,7 @@ defmodule Situ.Cluster.Publisher do
   # The batch is kept only if some reader must not lose messages.
   defp offer_batch(state, name, batch) do
     out = state.streams[name]
-    state = %{state | readers: Readers.offer_batch(state.readers, out, batch)}
+    state = %{state | readers: Subscribers.offer_batch(state.readers, out, batch)}
     all_lossy? = Enum.all?(state.parts[name], &is_map_key(out.policies, &1))
     if all_lossy?, do: state, else: show_batch(state, name, batch)
   end
@@ -342,11 +355,14 @@ defmodule Situ.Cluster.Publisher do
   defp show_batch(state, name, batch),
     do:
       state
-      |> put_stream(Outgoing.make_visible(state.streams[name], batch))
+      |> put_stream(OutgoingStream.make_visible(state.streams[name], batch))
       |> serve_readers(name)
 
   defp serve_readers(state, name),
-    do: %{state | readers: Readers.serve_stream(state.readers, state.streams[name], state.log)}
+    do: %{
+      state
+      | readers: Subscribers.serve_stream(state.readers, state.streams[name], state.log)
+    }
 
   # Readers
 
@@ -356,7 +372,7 @@ defmodule Situ.Cluster.Publisher do
     name = opts[:stream]
 
     if is_map_key(state.streams, name) do
-      readers = Readers.add_reader(state.readers, pid, ref, state.streams[name], opts)
+      readers = Subscribers.add_reader(state.readers, pid, ref, state.streams[name], opts)
       {:noreply, %{state | readers: readers} |> serve_readers(name) |> release_waiting()}
     else
       error = Error.new(:unknown_stream, "part #{state.part} does not publish #{inspect(name)}")
@@ -367,7 +383,7 @@ defmodule Situ.Cluster.Publisher do
 
   def handle_info({:"$gen_producer", {_pid, ref}, {:ask, n}}, state)
       when is_integer(n) and n > 0 do
-    case Readers.add_demand(state.readers, ref, n) do
+    case Subscribers.add_demand(state.readers, ref, n) do
       {:ok, name, readers} ->
         {:noreply, %{state | readers: readers} |> serve_readers(name) |> release_waiting()}
 
@@ -378,17 +394,17 @@ defmodule Situ.Cluster.Publisher do
 
   def handle_info({:"$gen_producer", {pid, ref}, {:cancel, _reason}}, state) do
     send(pid, {:"$gen_consumer", {self(), ref}, {:cancel, :normal}})
-    {:noreply, release_waiting(%{state | readers: Readers.remove_reader(state.readers, ref)})}
+    {:noreply, release_waiting(%{state | readers: Subscribers.remove_reader(state.readers, ref)})}
   end
 
   def handle_info({:DOWN, monitor, :process, _, _}, state),
     do:
       {:noreply,
-       release_waiting(%{state | readers: Readers.remove_ended(state.readers, monitor)})}
+       release_waiting(%{state | readers: Subscribers.remove_ended(state.readers, monitor)})}
 
   def handle_info({:situ_stored, name, mark, seq}, state) do
     state = state |> handle_stored(name, mark, seq) |> serve_readers(name)
-    more? = state.mode == :replay and Outgoing.pending?(state.streams[name])
+    more? = state.mode == :replay and OutgoingStream.pending?(state.streams[name])
     {:noreply, release_waiting(if(more?, do: schedule_flush(state), else: state))}
   end
 
@@ -402,7 +418,7 @@ defmodule Situ.Cluster.Publisher do
   def handle_info(:trim, state) do
     for {_, out} <- state.streams,
         not out.direct,
-        do: Outgoing.trim_log(out, state.log, state.retain)
+        do: OutgoingStream.trim_log(out, state.log, state.retain)
 
     Process.send_after(self(), :trim, @trim_ms)
     {:noreply, state}

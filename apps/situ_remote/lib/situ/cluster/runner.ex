@@ -8,7 +8,17 @@ defmodule Situ.Cluster.Runner do
   #   failed    a component failed; no node runs the part again
   use GenServer, restart: :transient
 
-  alias Situ.Cluster.{Assembly, Deployment, Lease, Member, Plan, Publisher, Seal, Standby}
+  alias Situ.Cluster.{
+    PartStarter,
+    Deployment,
+    Lease,
+    Member,
+    Plan,
+    Publisher,
+    SignedEntry,
+    Standby
+  }
+
   alias Situ.{Error, Pipeline}
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -241,7 +251,8 @@ defmodule Situ.Cluster.Runner do
 
   # The seal of a refused entry remains invalid, so another attempt would fail as well.
   defp handle_refusal(state, {:shutdown, %Error{} = error} = reason),
-    do: if(Seal.refusal?(error), do: fail_part(state, error), else: stand_by(state, reason))
+    do:
+      if(SignedEntry.refusal?(error), do: fail_part(state, error), else: stand_by(state, reason))
 
   defp handle_refusal(state, reason), do: stand_by(state, reason)
 
@@ -277,7 +288,7 @@ defmodule Situ.Cluster.Runner do
   end
 
   defp run_part(state, memories, failed) do
-    case Assembly.start_part(state.deployment, state.plan, state.part, %{
+    case PartStarter.start_part(state.deployment, state.plan, state.part, %{
            agent: state.agent,
            publisher: state.publisher,
            memories: memories || %{}

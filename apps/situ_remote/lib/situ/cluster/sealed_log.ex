@@ -1,11 +1,11 @@
 defmodule Situ.Cluster.SealedLog do
   @moduledoc false
   # Wraps a log for one run of a deployment: seals every entry that is written, and verifies every entry that is read
-  # (`Situ.Cluster.Seal`). All streams, leases, state entries and checkpoints of the cluster use it. A refused entry is
+  # (`Situ.Cluster.SignedEntry`). All streams, leases, state entries and checkpoints of the cluster use it. A refused entry is
   # an error (`:forged_entry`, `:unsealed_entry`) and never data.
   @behaviour Situ.Remote.Log
 
-  alias Situ.Cluster.Seal
+  alias Situ.Cluster.SignedEntry
   alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -26,7 +26,7 @@ defmodule Situ.Cluster.SealedLog do
 
   @impl true
   def append(%__MODULE__{log: log, run: run} = conn, subject, expected, %Entry{} = entry) do
-    sealed = Seal.seal_entry(entry, run, subject, expected)
+    sealed = SignedEntry.seal_entry(entry, run, subject, expected)
 
     case log.adapter.append(log.conn, subject, expected, sealed) do
       {:refused, %Entry{} = last} ->
@@ -61,7 +61,7 @@ defmodule Situ.Cluster.SealedLog do
   end
 
   defp check_entry(conn, subject, entry) do
-    case Seal.verify_entry(entry, conn.run, subject) do
+    case SignedEntry.verify_entry(entry, conn.run, subject) do
       {:behind, follows, entry} -> check_previous(conn.log, subject, follows, entry)
       answer -> answer
     end
@@ -89,7 +89,7 @@ defmodule Situ.Cluster.SealedLog do
          Error.new(:log_away, "the key #{elem(subject, 1)} is being written", fix: "read it again")}
 
       {:ok, _same} ->
-        {:error, Seal.moved_error(entry, subject)}
+        {:error, SignedEntry.moved_error(entry, subject)}
 
       {:error, error} ->
         {:error, error}

@@ -13,7 +13,7 @@ defmodule Situ.Cluster.Upgrade do
   An upgrade replaces only modules. To install a new release, call `drain/2` for a node, restart it, and continue with
   the next node.
   """
-  alias Situ.Cluster.{Agent, Assembly, Runner}
+  alias Situ.Cluster.{Agent, PartStarter, Runner}
   alias Situ.Error
 
   @wait_ms 120_000
@@ -127,7 +127,7 @@ defmodule Situ.Cluster.Upgrade do
 
   defp same_plans do
     Enum.find_value(Agent.info().deployments, :ok, fn deployment ->
-      with {:ok, plan} <- Assembly.build_plan(deployment),
+      with {:ok, plan} <- PartStarter.build_plan(deployment),
            true <- Agent.find_plan(deployment.name) == plan do
         nil
       else

@@ -28,7 +28,7 @@ defmodule Situ.Remote.Address do
       "situ+unix:///run/situ/lab?lobby"
   """
   alias Situ.Error
-  alias Situ.Remote.Rendezvous.Nats
+  alias Situ.Remote.Rendezvous.NatsMember
 
   @default_port 11_411
 
@@ -129,7 +129,7 @@ defmodule Situ.Remote.Address do
   # If the NATS server is unreachable, the host can still be found by DNS or as a hostname.
   defp find_announced(host) do
     server = Application.get_env(:situ_remote, :nats)
-    if server != nil and not local_or_numeric?(host), do: Nats.find_address(server, host)
+    if server != nil and not local_or_numeric?(host), do: NatsMember.find_address(server, host)
   end
 
   defp resolve_configured(address, text) do

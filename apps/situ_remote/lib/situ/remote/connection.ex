@@ -4,8 +4,8 @@ defmodule Situ.Remote.Connection do
   # messages to the components of the streams. After a reconnect it resumes each stream at its last position.
   use GenServer
   alias Situ.Remote.Address
-  alias Situ.Remote.Link.{ClockEstimate, Dialing, Frame, Handshake, Socket}
-  alias Situ.Remote.Connection.{Catalogue, Channel, Datagrams, Positions, Report}
+  alias Situ.Remote.Link.{ClockEstimate, Dialer, Frame, Handshake, Socket}
+  alias Situ.Remote.Connection.{Catalogue, Channel, DatagramReceiver, Positions, LinkInfo}
   require Logger
 
   @first_wait 50
@@ -86,7 +86,7 @@ defmodule Situ.Remote.Connection do
   @impl true
   def handle_continue(:dial, state), do: {:noreply, start_dialer(state)}
 
-  defp start_dialer(state), do: %{state | dialer: Dialing.start_dialer(state.address, state.opts)}
+  defp start_dialer(state), do: %{state | dialer: Dialer.start_dialer(state.address, state.opts)}
 
   @impl true
   def handle_call({:catalogue, wait_ms}, from, state) do
@@ -106,7 +106,7 @@ defmodule Situ.Remote.Connection do
   def handle_call({:confirming, name}, _from, state),
     do: {:reply, :ok, %{state | positions: Positions.enable_confirmation(state.positions, name)}}
 
-  def handle_call(:info, _from, state), do: {:reply, Report.build_link_info(state), state}
+  def handle_call(:info, _from, state), do: {:reply, LinkInfo.build_link_info(state), state}
 
   @impl true
   def handle_cast({:taken, id, bytes, last}, state) do
@@ -142,7 +142,7 @@ defmodule Situ.Remote.Connection do
         state
 
       {channel, channels} ->
-        Datagrams.stop_receiver(channel)
+        DatagramReceiver.stop_receiver(channel)
         positions = Positions.retain_position(state.positions, channel.name, channel.taken)
         %{state | channels: channels, positions: positions}
     end
@@ -154,7 +154,7 @@ defmodule Situ.Remote.Connection do
     now = System.monotonic_time(:millisecond)
     state = %{state | session: make_ref(), heard: now, pings: 0, connected: state.connected + 1}
 
-    case Socket.enable_frames(socket, Dialing.most_bytes()) do
+    case Socket.enable_frames(socket, Dialer.most_bytes()) do
       :ok ->
         send(self(), {:ping, state.session})
         # Subscribe again to the streams of the connection that was lost.
@@ -279,7 +279,7 @@ defmodule Situ.Remote.Connection do
        when is_integer(time) do
     case state.channels do
       %{^id => channel} ->
-        Datagrams.handle_subscribed(channel, map, state.socket)
+        DatagramReceiver.handle_subscribed(channel, map, state.socket)
         {:ok, put_channel(state, Channel.mark_subscribed(channel, time))}
 
       _ ->
@@ -364,7 +364,7 @@ defmodule Situ.Remote.Connection do
   defp send_subscribe(state, %{ended: true}), do: state
 
   defp send_subscribe(state, channel) do
-    {map, channel} = channel |> Channel.build_request() |> Datagrams.add_datagram_request()
+    {map, channel} = channel |> Channel.build_request() |> DatagramReceiver.add_datagram_request()
     state |> put_channel(channel) |> send_frame({:subscribe, channel.id, map})
   end
 

@@ -32,8 +32,8 @@ defmodule Situ.Remote.Recording do
   @behaviour Situ.Store.Reader
   alias Situ.Error
   alias Situ.Remote.{Access, Address}
-  alias Situ.Remote.Link.Dialing
-  alias Situ.Remote.Recording.{Answer, Client}
+  alias Situ.Remote.Link.Dialer
+  alias Situ.Remote.Recording.{ReplyDecoder, Client}
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:address, :access]
@@ -52,7 +52,7 @@ defmodule Situ.Remote.Recording do
     with {:ok, address} <- Address.parse(text),
          {:ok, access} <- Access.new(address, opts),
          state = %__MODULE__{address: address, access: access},
-         {:ok, info} <- fetch_decoded(state, %{"op" => "open"}, &Answer.decode_info/1),
+         {:ok, info} <- fetch_decoded(state, %{"op" => "open"}, &ReplyDecoder.decode_info/1),
          do: {:ok, %{state | version: info[:version]}}
   end
 
@@ -61,7 +61,7 @@ defmodule Situ.Remote.Recording do
   def within(text) do
     with {:ok, %{name: ""} = address} <- Address.parse(text),
          {:ok, access} <- Access.new(address, []),
-         {:ok, names} <- Dialing.list_recordings(address, access) do
+         {:ok, names} <- Dialer.list_recordings(address, access) do
       for name <- Enum.sort(names), do: Address.to_string(%{address | name: name})
     else
       {:ok, %Address{}} -> [text]
@@ -71,12 +71,12 @@ defmodule Situ.Remote.Recording do
 
   @impl true
   def info(state),
-    do: state |> fetch_decoded(%{"op" => "open"}, &Answer.decode_info/1) |> Error.unwrap!()
+    do: state |> fetch_decoded(%{"op" => "open"}, &ReplyDecoder.decode_info/1) |> Error.unwrap!()
 
   @impl true
   def streams(state) do
     state
-    |> fetch_decoded(%{"op" => "streams"}, &Answer.decode_streams(&1, address_text(state)))
+    |> fetch_decoded(%{"op" => "streams"}, &ReplyDecoder.decode_streams(&1, address_text(state)))
     |> Error.unwrap!()
   end
 
@@ -85,7 +85,7 @@ defmodule Situ.Remote.Recording do
     asked = %{"op" => "stream", "stream" => name}
 
     with {:ok, [info]} <-
-           fetch_decoded(state, asked, &Answer.decode_streams(&1, address_text(state))),
+           fetch_decoded(state, asked, &ReplyDecoder.decode_streams(&1, address_text(state))),
          do: {:ok, info}
   end
 
@@ -93,11 +93,15 @@ defmodule Situ.Remote.Recording do
 
   @impl true
   def seek(state, info, time),
-    do: request_stream(state, info, "seek", %{"time" => clamp(time)}, &Answer.decode_number/1)
+    do:
+      request_stream(state, info, "seek", %{"time" => clamp(time)}, &ReplyDecoder.decode_number/1)
 
   @impl true
   def count(state, info),
-    do: state |> request_stream(info, "count", %{}, &Answer.decode_number/1) |> Error.unwrap!()
+    do:
+      state
+      |> request_stream(info, "count", %{}, &ReplyDecoder.decode_number/1)
+      |> Error.unwrap!()
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
@@ -111,7 +115,7 @@ defmodule Situ.Remote.Recording do
     }
 
     with {:ok, {messages, next}} <-
-           request_stream(state, info, "read", asked, &Answer.decode_messages(&1, info.id)),
+           request_stream(state, info, "read", asked, &ReplyDecoder.decode_messages(&1, info.id)),
          do: {:ok, messages, next}
   end
 
@@ -120,7 +124,7 @@ defmodule Situ.Remote.Recording do
     asked = %{"from" => clamp(from), "to" => clamp(to), "pixels" => pixels}
 
     with {:ok, {width, bins}} <-
-           request_stream(state, info, "summary", asked, &Answer.decode_summary/1),
+           request_stream(state, info, "summary", asked, &ReplyDecoder.decode_summary/1),
          do: {:ok, width, bins}
   end
 
@@ -129,14 +133,14 @@ defmodule Situ.Remote.Recording do
     asked = %{"from" => clamp(from), "to" => clamp(to), "level" => level, "most" => most}
 
     with {:ok, {counts, tracks}} <-
-           request_stream(state, info, "tracks", asked, &Answer.decode_tracks/1),
+           request_stream(state, info, "tracks", asked, &ReplyDecoder.decode_tracks/1),
          do: {:ok, counts, tracks}
   end
 
   @impl true
   def gaps(state, info, least) do
     state
-    |> request_stream(info, "gaps", %{"least" => clamp(least)}, &Answer.decode_spans/1)
+    |> request_stream(info, "gaps", %{"least" => clamp(least)}, &ReplyDecoder.decode_spans/1)
     |> Error.unwrap!()
   end
 
@@ -144,7 +148,7 @@ defmodule Situ.Remote.Recording do
   def missing_files(state),
     do:
       state
-      |> fetch_decoded(%{"op" => "missing_files"}, &Answer.decode_strings/1)
+      |> fetch_decoded(%{"op" => "missing_files"}, &ReplyDecoder.decode_strings/1)
       |> Error.unwrap!()
 
   @impl true

@@ -25,7 +25,7 @@ defmodule Situ.Remote.Rendezvous do
       type: :list,
       default: [],
       doc:
-        "Its endpoints: `{:address, \"situ://lab1/robot\", [{\"imu\", \":float\"}]}` or the other forms in `Wire`."
+        "Its endpoints: `{:address, \"situ://lab1/robot\", [{\"imu\", \":float\"}]}` or the other forms in `Protocol`."
     ],
     listener: [
       type: {:optional, :pid},
@@ -62,7 +62,7 @@ defmodule Situ.Remote.Rendezvous do
       iex> receive do {:situ_rendezvous, ^desk, event} -> event end
       {:removed, "robot"}
 
-  The protocol is \\psi's, version 2 (`Situ.Remote.Rendezvous.Wire`), so \\psi's processes can take part. When a client
+  The protocol is \\psi's, version 2 (`Situ.Remote.Rendezvous.Protocol`), so \\psi's processes can take part. When a client
   dies, its processes are removed. A process may change its endpoints (`announce/2`), a silent client does not delay the
   others, and a client that loses its server reconnects after 50 ms to 5 s. If two processes have the same name, the
   others see only the first. The second is notified (`{:taken, name}`, `error/1`), and replaces the first when that one
@@ -76,7 +76,7 @@ defmodule Situ.Remote.Rendezvous do
   processes can be used in addresses: `situ://robot` resolves to the first link that the process `robot` offers.
   """
   alias Situ.{Error, Options}
-  alias Situ.Remote.Rendezvous.{Member, Nats, Server, Wire}
+  alias Situ.Remote.Rendezvous.{Member, NatsMember, Server, Protocol}
 
   @doc """
   Starts a server that is linked to the caller.
@@ -102,17 +102,17 @@ defmodule Situ.Remote.Rendezvous do
   def join(host, opts) do
     with {:ok, opts} <- Options.validate(opts, @join) do
       if String.starts_with?(host, "nats://"),
-        do: Nats.start_link([address: host] ++ opts),
+        do: NatsMember.start_link([address: host] ++ opts),
         else: Member.start_link([host: host] ++ opts)
     end
   end
 
   @doc "Returns the other processes that are currently present."
-  @spec peers(pid()) :: [Wire.process()]
+  @spec peers(pid()) :: [Protocol.process()]
   def peers(member), do: GenServer.call(member, :peers)
 
   @doc "Replaces the announced endpoints."
-  @spec announce(pid(), [Wire.endpoint()]) :: :ok
+  @spec announce(pid(), [Protocol.endpoint()]) :: :ok
   def announce(member, endpoints), do: GenServer.call(member, {:announce, endpoints})
 
   @doc "Returns why the others cannot see this process (no connection, or its name is taken), or `nil`."

@@ -45,7 +45,7 @@ defmodule Situ.Cluster.PlanTest do
 
   defp planned(opts) do
     with {:ok, deployment} <- Cluster.Deployment.new(Glance, opts),
-         do: Cluster.Assembly.build_plan(deployment)
+         do: Cluster.PartStarter.build_plan(deployment)
   end
 
   test "a stream with only lossy readers is direct unless it is published" do

@@ -3,7 +3,7 @@ defmodule Situ.Cluster.SealedLogTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
-  alias Situ.Cluster.{Seal, SealedLog}
+  alias Situ.Cluster.{SignedEntry, SealedLog}
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
   alias Situ.Test.NatsServer
@@ -43,15 +43,20 @@ defmodule Situ.Cluster.SealedLogTest do
   property "rejects an entry that was changed or is read from elsewhere" do
     forall {change, follows} <- {changes(), integer(0, 9)} do
       subject = {:stream, "s"}
-      sealed = %{Seal.seal_entry(entry(follows), "run", subject, follows) | seq: follows + 1}
+
+      sealed = %{
+        SignedEntry.seal_entry(entry(follows), "run", subject, follows)
+        | seq: follows + 1
+      }
+
       {changed, run, subject} = change(change, sealed, subject)
 
       untouched? = changed == sealed and run == "run" and subject == {:stream, "s"}
 
-      case Seal.verify_entry(changed, run, subject) do
+      case SignedEntry.verify_entry(changed, run, subject) do
         {:ok, %Entry{verified: true} = read} -> untouched? and read.data == "data #{follows}"
         {:behind, _, _} -> false
-        {:error, error} -> not untouched? and Seal.refusal?(error)
+        {:error, error} -> not untouched? and SignedEntry.refusal?(error)
       end
     end
   end
@@ -72,11 +77,16 @@ defmodule Situ.Cluster.SealedLogTest do
 
   test "decodes no term of an unverified entry" do
     sealed =
-      Seal.seal_entry(%Entry{op: "x", data: Seal.encode_term(:term)}, "run", {:key, "k"}, 0)
+      SignedEntry.seal_entry(
+        %Entry{op: "x", data: SignedEntry.encode_term(:term)},
+        "run",
+        {:key, "k"},
+        0
+      )
 
-    assert {:error, %{code: :forged_entry}} = Seal.decode_term(sealed)
-    {:ok, read} = Seal.verify_entry(%{sealed | seq: 1}, "run", {:key, "k"})
-    assert Seal.decode_term(read) == {:ok, :term}
+    assert {:error, %{code: :forged_entry}} = SignedEntry.decode_term(sealed)
+    {:ok, read} = SignedEntry.verify_entry(%{sealed | seq: 1}, "run", {:key, "k"})
+    assert SignedEntry.decode_term(read) == {:ok, :term}
   end
 
   for adapter <- @adapters do

@@ -2,7 +2,7 @@ defmodule Situ.Remote.RendezvousTest do
   use ExUnit.Case, async: true
   import Situ.Remote.Test.Recordings, only: [eventually: 1]
   alias Situ.Remote.Rendezvous
-  alias Situ.Remote.Rendezvous.Wire
+  alias Situ.Remote.Rendezvous.Protocol
   doctest Rendezvous
 
   defp join(port, name, opts \\ []) do
@@ -81,7 +81,10 @@ defmodule Situ.Remote.RendezvousTest do
     for seed <- 1..200 do
       noise = connect.()
       :rand.seed(:exsss, {seed, 0, 0})
-      _ = :gen_tcp.send(noise, [<<Wire.protocol_version()::little-16>>, <<1>>, :rand.bytes(64)])
+
+      _ =
+        :gen_tcp.send(noise, [<<Protocol.protocol_version()::little-16>>, <<1>>, :rand.bytes(64)])
+
       :gen_tcp.close(noise)
     end
 
@@ -99,7 +102,7 @@ defmodule Situ.Remote.RendezvousTest do
   end
 
   defp greet(socket) do
-    :ok = :gen_tcp.send(socket, <<Wire.protocol_version()::little-16>>)
+    :ok = :gen_tcp.send(socket, <<Protocol.protocol_version()::little-16>>)
     :gen_tcp.recv(socket, 2, 30_000)
   end
 
@@ -108,7 +111,7 @@ defmodule Situ.Remote.RendezvousTest do
     streams = for i <- 1..10_000, do: {"stream #{i}", ":float"}
     endpoints = for i <- 1..5, do: {:tcp, "host", i, streams}
     add = {:add, %{name: "long", version: "1", endpoints: endpoints}}
-    bytes = IO.iodata_to_binary(Wire.encode(add))
+    bytes = IO.iodata_to_binary(Protocol.encode(add))
     binary_part(bytes, 0, byte_size(bytes) - 3_000)
   end
 

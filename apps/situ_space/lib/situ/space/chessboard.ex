@@ -12,7 +12,7 @@ defmodule Situ.Space.Chessboard do
   spread over the image determine the focal length to a tenth of a percent. Boards that all face the camera do not
   determine it.
   """
-  alias Situ.{CameraIntrinsics, Error, Image, Imaging, Pose, Quaternion, Vector3}
+  alias Situ.{CameraIntrinsics, Error, Image, ImageOps, Pose, Quaternion, Vector3}
   alias Situ.Space.OpenCV
 
   @type board :: {columns :: 3..50, rows :: 3..50}
@@ -61,7 +61,7 @@ defmodule Situ.Space.Chessboard do
   @doc false
   @spec encode_gray(Image.t()) :: {:ok, iodata()} | {:error, Error.t()}
   def encode_gray(picture) do
-    with {:ok, %{width: width, height: height} = gray} <- Imaging.convert(picture, :gray8) do
+    with {:ok, %{width: width, height: height} = gray} <- ImageOps.convert(picture, :gray8) do
       rows =
         if gray.stride == width,
           do: binary_part(gray.data, 0, width * height),

@@ -8,7 +8,7 @@ defmodule Situ.Space.Cloud do
       2
   """
   alias Situ.{Box3, Error, Plane, PointCloud, Pose, Quaternion, Vector3}
-  alias Situ.Space.Kernel
+  alias Situ.Space.NativeCall
 
   @type result :: {:ok, PointCloud.t()} | {:error, Error.t()}
 
@@ -18,7 +18,8 @@ defmodule Situ.Space.Cloud do
   """
   @spec downsample(PointCloud.t(), number()) :: result()
   def downsample(%PointCloud{} = cloud, size) when is_number(size) do
-    with {:ok, {points, _counts}} <- Kernel.call_native(:downsample, [cloud.points, size * 1.0]),
+    with {:ok, {points, _counts}} <-
+           NativeCall.call_native(:downsample, [cloud.points, size * 1.0]),
          do: PointCloud.new(points)
   end
 
@@ -33,14 +34,14 @@ defmodule Situ.Space.Cloud do
   """
   @spec limit_points(PointCloud.t(), pos_integer()) :: result()
   def limit_points(%PointCloud{} = cloud, most) when is_integer(most) and most > 0 do
-    with {:ok, points} <- Kernel.call_native(:thin, [cloud.points, 12, most]),
+    with {:ok, points} <- NativeCall.call_native(:thin, [cloud.points, 12, most]),
          {:ok, colors} <- thin_extra(cloud.colors, 3, most),
          {:ok, values} <- thin_extra(cloud.values, 4, most),
          do: PointCloud.new(points, colors, values)
   end
 
   defp thin_extra(nil, _size, _most), do: {:ok, nil}
-  defp thin_extra(bytes, size, most), do: Kernel.call_native(:thin, [bytes, size, most])
+  defp thin_extra(bytes, size, most), do: NativeCall.call_native(:thin, [bytes, size, most])
 
   @doc """
   Returns at most `most` of the points that are in front of all of these planes, and how many there are in total. Points
@@ -62,7 +63,7 @@ defmodule Situ.Space.Cloud do
     arguments = [points, colors || <<>>, values || <<>>, planes, most]
 
     with {:ok, {points, some_colors, some_values, count}} <-
-           Kernel.call_native(:within, arguments),
+           NativeCall.call_native(:within, arguments),
          {:ok, found} <- PointCloud.new(points, colors && some_colors, values && some_values),
          do: {:ok, {found, count}}
   end
@@ -71,7 +72,7 @@ defmodule Situ.Space.Cloud do
   @spec transform(PointCloud.t(), Pose.t()) :: result()
   def transform(%PointCloud{} = cloud, %Pose{} = pose) do
     with {:ok, points} <-
-           Kernel.call_native(:transform, [
+           NativeCall.call_native(:transform, [
              cloud.points,
              Quaternion.to_matrix(pose.rotation),
              pose.position
@@ -84,7 +85,8 @@ defmodule Situ.Space.Cloud do
   def clip(%PointCloud{} = cloud, %Box3{} = box) do
     with {:ok, local} <-
            if(box.pose, do: transform(cloud, Pose.invert(box.pose)), else: {:ok, cloud}),
-         {:ok, {_points, places}} <- Kernel.call_native(:clip, [local.points, box.min, box.max]),
+         {:ok, {_points, places}} <-
+           NativeCall.call_native(:clip, [local.points, box.min, box.max]),
          do:
            PointCloud.new(
              select_rows(cloud.points, places, 12),
@@ -127,7 +129,7 @@ defmodule Situ.Space.Cloud do
   def fit_plane(%PointCloud{} = cloud, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @plane),
          arguments = [cloud.points, opts[:tolerance] * 1.0, opts[:rounds], opts[:seed]],
-         {:ok, {normal, offset, places}} <- Kernel.call_native(:plane, arguments),
+         {:ok, {normal, offset, places}} <- NativeCall.call_native(:plane, arguments),
          do: {:ok, %Plane{normal: normal, offset: offset}, places}
   end
 
@@ -140,7 +142,7 @@ defmodule Situ.Space.Cloud do
           {:ok, {normals :: binary(), curvatures :: binary()}} | {:error, Error.t()}
   def estimate_normals(%PointCloud{} = cloud, radius, viewpoint \\ {0.0, 0.0, 0.0})
       when is_number(radius),
-      do: Kernel.call_native(:normals, [cloud.points, radius * 1.0, viewpoint])
+      do: NativeCall.call_native(:normals, [cloud.points, radius * 1.0, viewpoint])
 
   @doc """
   Returns the clusters of at least `least` points in which each point has another within `radius` metres, largest first.
@@ -149,7 +151,7 @@ defmodule Situ.Space.Cloud do
           {:ok, [PointCloud.t()]} | {:error, Error.t()}
   def find_clusters(%PointCloud{} = cloud, radius, least \\ 1)
       when is_number(radius) and is_integer(least) and least > 0 do
-    with {:ok, names} <- Kernel.call_native(:clusters, [cloud.points, radius * 1.0, least]) do
+    with {:ok, names} <- NativeCall.call_native(:clusters, [cloud.points, radius * 1.0, least]) do
       places =
         for(<<name::little-32 <- names>>, do: name)
         |> Enum.with_index()

@@ -22,7 +22,7 @@ defmodule Situ.Space.Depth do
     Vector3
   }
 
-  alias Situ.Space.{Camera, Kernel, RayTable}
+  alias Situ.Space.{Camera, NativeCall, RayTable}
 
   @type camera :: CameraIntrinsics.t() | RayTable.t()
 
@@ -54,14 +54,14 @@ defmodule Situ.Space.Depth do
          {:ok, table} <- RayTable.ensure_table(camera),
          {:ok, colors} <- rgb_pixels(opts[:colors], depth),
          arguments = [to_kernel_term(depth), table.rays, opts[:sparsity], opts[:robust], colors],
-         {:ok, {points, tones}} <- Kernel.call_native(:depth_cloud, arguments),
+         {:ok, {points, tones}} <- NativeCall.call_native(:depth_cloud, arguments),
          do: PointCloud.new(points, if(opts[:colors], do: tones))
   end
 
   defp rgb_pixels(nil, _depth), do: {:ok, <<>>}
 
   defp rgb_pixels(%Situ.Image{width: w, height: h} = picture, %DepthImage{width: w, height: h}) do
-    with {:ok, rgb} <- Situ.Imaging.convert(picture, :rgb24),
+    with {:ok, rgb} <- Situ.ImageOps.convert(picture, :rgb24),
          do: {:ok, Situ.Image.pixel_bytes(rgb)}
   end
 
@@ -93,7 +93,7 @@ defmodule Situ.Space.Depth do
     with {:ok, opts} <- Situ.Options.validate(opts, @mesh),
          {:ok, table} <- RayTable.ensure_table(camera),
          arguments = [to_kernel_term(depth), table.rays, opts[:edge] * 1.0, opts[:sparsity]],
-         {:ok, {vertices, indices}} <- Kernel.call_native(:depth_mesh, arguments),
+         {:ok, {vertices, indices}} <- NativeCall.call_native(:depth_mesh, arguments),
          do: Mesh.new(vertices, indices)
   end
 

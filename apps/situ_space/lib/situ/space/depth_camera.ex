@@ -3,7 +3,7 @@ defmodule Situ.Space.DepthCamera do
   A camera that measures depth, opened in the same way for every driver.
 
       room = Situ.Space.DepthCamera.open(p, {Situ.Space.SyntheticRoom, seconds: 10})
-      seen = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recorded, path: "recordings/room.0000"})
+      seen = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "recordings/room.0000"})
       cloud = Situ.Space.DepthCamera.clouds(seen)
 
   Both streams carry `Situ.CameraView`s: each image comes with its intrinsics and pose, so a computation needs no other
@@ -12,7 +12,7 @@ defmodule Situ.Space.DepthCamera do
     * `Situ.Space.SyntheticRoom`: a rendered room with ground truth
     * `Situ.Space.DepthCamera.Device`: a Linux kernel device that delivers depth in V4L2's Z16 format
     * `Situ.Space.DepthCamera.Library`: a camera supported by OpenNI 2 or libfreenect
-    * `Situ.Space.DepthCamera.Recorded`: a recording of any of these cameras
+    * `Situ.Space.DepthCamera.Recording`: a recording of any of these cameras
   """
   alias Situ.{CameraView, DepthImage, Error, PointCloud}
   alias Situ.Space.{Cloud, Depth, Registration}

@@ -10,8 +10,8 @@ defmodule Situ.Space.Gpx do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, GeoPoint, Message, Time}
-  alias Situ.Space.Scan.Text
-  alias Situ.Space.{WholeFile, Xml}
+  alias Situ.Space.GeometryFile.NumberParser
+  alias Situ.Space.{FileParser, Xml}
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :points]
@@ -30,7 +30,7 @@ defmodule Situ.Space.Gpx do
 
   @impl true
   def open(path, _opts) do
-    with {:ok, points, untimed} <- WholeFile.read_and_parse(path, @most, &parse/1),
+    with {:ok, points, untimed} <- FileParser.read_and_parse(path, @most, &parse/1),
          do: {:ok, %__MODULE__{path: path, points: List.to_tuple(points), untimed: untimed}}
   end
 
@@ -105,7 +105,7 @@ defmodule Situ.Space.Gpx do
   defp parse_number(nil), do: nil
 
   defp parse_number(text) do
-    case text |> List.to_string() |> String.trim() |> Text.parse_float() do
+    case text |> List.to_string() |> String.trim() |> NumberParser.parse_float() do
       {:ok, x} -> x
       :error -> nil
     end

@@ -1,6 +1,6 @@
 defmodule Situ.Space.Native do
   @moduledoc false
-  # Stubs of native/situ_space_nif. All functions run on dirty schedulers, and only Situ.Space.Kernel calls them.
+  # Stubs of native/situ_space_nif. All functions run on dirty schedulers, and only Situ.Space.NativeCall calls them.
 
   @on_load :load
 

@@ -8,7 +8,7 @@ defmodule Situ.Space.RayTable do
       {4, 2, 64}
   """
   alias Situ.{CameraIntrinsics, Error}
-  alias Situ.Space.Kernel
+  alias Situ.Space.NativeCall
 
   @enforce_keys [:width, :height, :rays]
   defstruct [:width, :height, :rays]
@@ -33,7 +33,7 @@ defmodule Situ.Space.RayTable do
   def new(%CameraIntrinsics{} = c, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          camera = {c.width, c.height, c.focal, c.principal, c.radial, c.tangential, c.distorts?},
-         {:ok, rays} <- Kernel.call_native(:ray_table, [camera, opts[:undistort]]),
+         {:ok, rays} <- NativeCall.call_native(:ray_table, [camera, opts[:undistort]]),
          do: {:ok, %__MODULE__{width: c.width, height: c.height, rays: rays}}
   end
 

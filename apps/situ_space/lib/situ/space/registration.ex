@@ -18,8 +18,8 @@ defmodule Situ.Space.Registration do
       iex> Situ.Image.fetch_pixel(colors, 2, 1)
       {:ok, [255, 0, 0]}
   """
-  alias Situ.{CameraView, DepthImage, Error, Image, Imaging, Pose, Quaternion, Vector3}
-  alias Situ.Space.{Camera, Depth, Kernel, RayTable}
+  alias Situ.{CameraView, DepthImage, Error, Image, ImageOps, Pose, Quaternion, Vector3}
+  alias Situ.Space.{Camera, Depth, NativeCall, RayTable}
 
   @doc """
   Returns the pixel of the other camera that shows the same point as a depth pixel (integers). Returns the error
@@ -82,19 +82,19 @@ defmodule Situ.Space.Registration do
 
     with :ok <- check_image_size(picture, c),
          {:ok, table} <- RayTable.ensure_table(opts[:table] || seen.intrinsics),
-         {:ok, rgb} <- Imaging.convert(picture, :rgb24),
+         {:ok, rgb} <- ImageOps.convert(picture, :rgb24),
          from =
            {lens, Image.pixel_bytes(rgb), Quaternion.to_matrix(between.rotation),
             between.position},
          {:ok, data} <-
-           Kernel.call_native(:depth_colors, [Depth.to_kernel_term(depth), table.rays, from]),
+           NativeCall.call_native(:depth_colors, [Depth.to_kernel_term(depth), table.rays, from]),
          do: Image.new(width: depth.width, height: depth.height, format: :rgb24, data: data)
   end
 
   def register_colors(_seen, _other, _opts) do
     {:error,
      Error.new(:bad_image, "registration needs a view of depth and a view of an image",
-       fix: "decode the image first: Situ.Space.View.decode/2"
+       fix: "decode the image first: Situ.Space.ViewImage.decode/2"
      )}
   end
 
@@ -105,7 +105,7 @@ defmodule Situ.Space.Registration do
      Error.new(
        :bad_camera,
        "the image has #{picture.width}x#{picture.height} pixels, its intrinsics #{camera.width}x#{camera.height}",
-       fix: "resize views with Situ.Space.View.resize/4, which also resizes their intrinsics"
+       fix: "resize views with Situ.Space.ViewImage.resize/4, which also resizes their intrinsics"
      )}
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Space.SyntheticRoom do
   alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, CameraView, DepthImage, Image, Skeleton}
-  alias Situ.Space.{DepthCamera, Kernel, RayTable}
+  alias Situ.Space.{DepthCamera, NativeCall, RayTable}
   alias Situ.Space.SyntheticRoom.{Scene, Voice}
 
   @schema [
@@ -137,7 +137,7 @@ defmodule Situ.Space.SyntheticRoom do
     arguments = [Scene.list_shapes(scene), pose.position, rotation, table.rays, @scale]
     size = [width: table.width, height: table.height]
 
-    with {:ok, {values, pixels}} <- Kernel.call_native(:render, arguments),
+    with {:ok, {values, pixels}} <- NativeCall.call_native(:render, arguments),
          {:ok, depth} <- DepthImage.new([data: values, scale: @scale] ++ size),
          {:ok, color} <- Image.new([data: pixels, format: :rgb24] ++ size) do
       {:ok, {CameraView.new(depth, intrinsics, pose), CameraView.new(color, intrinsics, pose)}}

@@ -1,9 +1,9 @@
 defmodule Situ.Space.RegistrationTest do
   use ExUnit.Case, async: true
   alias Situ.{CameraIntrinsics, CameraView, Image, PointCloud, Pose, Vector3}
-  alias Situ.Space.{Camera, DepthCamera, Registration, SyntheticRoom, View}
+  alias Situ.Space.{Camera, DepthCamera, Registration, SyntheticRoom, ViewImage}
   doctest Registration
-  doctest View
+  doctest ViewImage
 
   # A moment of the synthetic room as depth, and a later one as a larger image, after the camera has swayed.
   defp room do
@@ -65,7 +65,7 @@ defmodule Situ.Space.RegistrationTest do
     small = %{color | intrinsics: CameraIntrinsics.resize_to(color.intrinsics, 40, 30)}
     assert {:error, %{code: :bad_camera}} = Registration.register_colors(depth, small)
     assert {:error, %{code: :bad_image}} = Registration.register_colors(depth, depth)
-    {:ok, encoded} = View.encode(color)
+    {:ok, encoded} = ViewImage.encode(color)
 
     assert {:error, %{code: :bad_image, fix: "decode" <> _}} =
              Registration.register_colors(depth, encoded)
@@ -89,40 +89,40 @@ defmodule Situ.Space.RegistrationTest do
     view = %{color | intrinsics: bent}
     point = Pose.transform_point(view.pose, {2.0, 0.3, -0.2})
     {:ok, {x, y}} = Camera.project_in_view(view, point)
-    {:ok, twice} = View.scale(view, 2)
+    {:ok, twice} = ViewImage.scale(view, 2)
     assert {twice.viewed.width, twice.viewed.height} == {320, 240}
     assert {:ok, {x2, y2}} = Camera.project_in_view(twice, point)
     assert_in_delta x2, 2 * x, 1.0e-9
     assert_in_delta y2, 2 * y, 1.0e-9
-    {:ok, part} = View.crop(view, {10, 5, 60, 90})
+    {:ok, part} = ViewImage.crop(view, {10, 5, 60, 90})
     assert {part.viewed.width, part.intrinsics.width} == {60, 60}
     assert {:ok, {x3, _}} = Camera.project_in_view(part, point)
     assert_in_delta x3, x - 10, 1.0e-9
-    assert {:error, %{code: :bad_rect}} = View.crop(view, {150, 0, 20, 10})
-    assert {:error, %{code: :bad_option}} = View.scale(view, 0)
-    assert {:error, %{code: :bad_option}} = View.encode(view, format: :gif)
+    assert {:error, %{code: :bad_rect}} = ViewImage.crop(view, {150, 0, 20, 10})
+    assert {:error, %{code: :bad_option}} = ViewImage.scale(view, 0)
+    assert {:error, %{code: :bad_option}} = ViewImage.encode(view, format: :gif)
 
     cloud = CameraView.new(PointCloud.from_points([]), bent, Pose.identity())
-    assert {:error, %{code: :bad_image}} = View.resize(cloud, 2, 2)
-    assert {:error, %{code: :bad_image}} = View.decode(view)
+    assert {:error, %{code: :bad_image}} = ViewImage.resize(cloud, 2, 2)
+    assert {:error, %{code: :bad_image}} = ViewImage.decode(view)
   end
 
   test "converts, encodes and decodes views" do
     {depth, color} = room()
-    {:ok, gray} = View.convert(color, :gray8)
+    {:ok, gray} = ViewImage.convert(color, :gray8)
     assert gray.viewed.format == :gray8
-    {:ok, jpeg} = View.encode(color, quality: 50)
+    {:ok, jpeg} = ViewImage.encode(color, quality: 50)
     assert jpeg.viewed.format == :jpeg
-    {:ok, back} = View.decode(jpeg)
+    {:ok, back} = ViewImage.decode(jpeg)
     assert {back.viewed.width, back.intrinsics} == {160, color.intrinsics}
-    {:ok, png} = View.encode(depth)
+    {:ok, png} = ViewImage.encode(depth)
 
     assert {:ok, ^depth} =
-             View.decode(png,
+             ViewImage.decode(png,
                depth: [scale: depth.viewed.scale, semantics: depth.viewed.semantics]
              )
 
-    {:ok, half} = View.resize(depth, 40, 30)
+    {:ok, half} = ViewImage.resize(depth, 40, 30)
     assert {half.viewed.width, half.viewed.scale} == {40, depth.viewed.scale}
   end
 end

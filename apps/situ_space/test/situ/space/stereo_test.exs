@@ -1,6 +1,6 @@
 defmodule Situ.Space.StereoTest do
   use ExUnit.Case, async: true
-  alias Situ.{DepthImage, Error, Image, Imaging}
+  alias Situ.{DepthImage, Error, Image, ImageOps}
   alias Situ.Space.{Stereo, StereoDepth}
 
   @size {160, 96}
@@ -96,8 +96,8 @@ defmodule Situ.Space.StereoTest do
   unless File.exists?(@motorcycle), do: @tag(skip: "not here: #{@motorcycle}")
 
   test "85 % of the pixels of a real pair are within 2 of their true disparity" do
-    {:ok, left} = Imaging.read(Path.join(@motorcycle, "motorcycle_left.png"))
-    {:ok, right} = Imaging.read(Path.join(@motorcycle, "motorcycle_right.png"))
+    {:ok, left} = ImageOps.read(Path.join(@motorcycle, "motorcycle_left.png"))
+    {:ok, right} = ImageOps.read(Path.join(@motorcycle, "motorcycle_right.png"))
     archive = String.to_charlist(Path.join(@motorcycle, "motorcycle_disp.npz"))
     {:ok, [{_, npy}]} = :zip.unzip(archive, [:memory])
     <<"\x93NUMPY", _::16, length::little-16, _::binary-size(length), numbers::binary>> = npy

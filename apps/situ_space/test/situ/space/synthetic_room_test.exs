@@ -169,7 +169,7 @@ defmodule Situ.Space.SyntheticRoomTest do
     {:ok, _} =
       Situ.Pipeline.run(fn p ->
         camera =
-          DepthCamera.open(p, {DepthCamera.Recorded, path: path, others: [bodies: "Bodies"]})
+          DepthCamera.open(p, {DepthCamera.Recording, path: path, others: [bodies: "Bodies"]})
 
         Situ.each(camera.depth, &send(test, {:depth, &1, &2}))
         Situ.each(camera.color, &send(test, {:color, &1, &2}))

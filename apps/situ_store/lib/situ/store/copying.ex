@@ -8,7 +8,7 @@ defmodule Situ.Store.Copying do
   """
   alias Situ.Error
   alias Situ.Store.Copying.Passes
-  alias Situ.Store.{Draft, Failure, Folder, Formats, Reading, StreamInfo}
+  alias Situ.Store.{Draft, NativeErrors, Folder, Formats, Query, StreamInfo}
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
@@ -98,7 +98,7 @@ defmodule Situ.Store.Copying do
 
     with {:ok, opts} <- Situ.Options.validate(opts, @compact_options),
          {:ok, folder} <- fetch_own_folder(path),
-         {:ok, store} <- Reading.open(folder) do
+         {:ok, store} <- Query.open(folder) do
       parts = for source <- list_sources(store), do: {elem(source, 1), [source]}
 
       build_store({Folder.store_name(folder), Path.dirname(folder)}, parts, [
@@ -108,13 +108,13 @@ defmodule Situ.Store.Copying do
   end
 
   defp fetch_own_folder(path) do
-    with {:ok, store} <- Reading.open(path) do
+    with {:ok, store} <- Query.open(path) do
       cond do
         not Folder.store_folder?(store.path) ->
           {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}
 
-        Reading.live?(store) ->
-          {:error, Failure.to_error(:locked, store.path)}
+        Query.live?(store) ->
+          {:error, NativeErrors.to_error(:locked, store.path)}
 
         true ->
           {:ok, store.path}
@@ -131,7 +131,7 @@ defmodule Situ.Store.Copying do
   def crop(from, to, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @crop_options),
          {:ok, store} <- open_source(from, opts[:times]) do
-      {first, _last} = Reading.interval(store) || {0, 0}
+      {first, _last} = Query.interval(store) || {0, 0}
       start = opts[:from] || first + (opts[:start] || 0)
       stop = opts[:to] || (opts[:length] && start + opts[:length])
 
@@ -188,7 +188,7 @@ defmodule Situ.Store.Copying do
   defp any_within?({_, %{count: 0}}, _wanted), do: false
 
   defp any_within?({store, info}, {from, to}) do
-    case Reading.first_at(store, info, from) do
+    case Query.first_at(store, info, from) do
       {:ok, nil} -> false
       {:ok, message} -> message.originating_time <= to
       # The copy reports the damage.
@@ -207,15 +207,15 @@ defmodule Situ.Store.Copying do
     )
   end
 
-  defp list_sources(store), do: Enum.map(Reading.streams(store), &{store, &1})
+  defp list_sources(store), do: Enum.map(Query.streams(store), &{store, &1})
 
   # Opens an external file with options that preserve all of its data.
   defp open_source(path, times) do
     reader = if File.regular?(path), do: Formats.for_file(path)
 
     if reader && function_exported?(reader, :import_options, 1),
-      do: Reading.open(path, reader_opts: reader.import_options(times)),
-      else: Reading.open(path)
+      do: Query.open(path, reader_opts: reader.import_options(times)),
+      else: Query.open(path)
   end
 
   defp open_all([], _times),
@@ -281,7 +281,7 @@ defmodule Situ.Store.Copying do
         {:ok, Enum.filter(infos, fn {_, info} -> info.name in wanted end)}
 
       unknown ->
-        {:error, Failure.no_stream_error(unknown, names, path)}
+        {:error, NativeErrors.no_stream_error(unknown, names, path)}
     end
   end
 

@@ -21,7 +21,7 @@ defmodule Situ.Store.Csv do
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}
-  alias Situ.Store.Csv.{Appending, Scan}
+  alias Situ.Store.Csv.{ColumnCopy, Scan}
   alias Situ.Store.StreamInfo
 
   defstruct [:path, :size, :scan, :streams, :parts]
@@ -102,7 +102,7 @@ defmodule Situ.Store.Csv do
     # A column without fields has no kind and no messages.
     filled = for {%{count: count}, _stream} = target <- targets, count > 0, do: target
 
-    job = %Appending{
+    job = %ColumnCopy{
       scan: state.scan,
       parts: state.parts,
       targets: filled,
@@ -112,7 +112,7 @@ defmodule Situ.Store.Csv do
     }
 
     with {:error, why} when is_binary(why) <-
-           Appending.append_parts(job, first_part(state, from)),
+           ColumnCopy.append_parts(job, first_part(state, from)),
          do: {:error, changed_error(state, why)}
   end
 

@@ -4,7 +4,7 @@ defmodule Situ.Store.Draft do
   # store. The store gets its name in one step when it is complete and on disk. The next program that creates a store
   # of this name deletes the drafts of programs that were killed.
   alias Situ.Error
-  alias Situ.Store.{AtomicFile, FileLock, Folder, Reading, Replacement, Writer}
+  alias Situ.Store.{AtomicFile, FileLock, Folder, Query, Replacement, Writer}
 
   @doc """
   Builds a store that `work.(writer)` fills. If an error occurs, the draft is deleted. With `replace: folder`, the new
@@ -135,8 +135,8 @@ defmodule Situ.Store.Draft do
 
   # Drafts of older releases have only the writer's lock.
   defp being_written?(path) do
-    case Reading.open(path) do
-      {:ok, store} -> Reading.live?(store)
+    case Query.open(path) do
+      {:ok, store} -> Query.live?(store)
       {:error, _} -> false
     end
   end

@@ -3,7 +3,7 @@ defmodule Situ.Store.Editing do
   Changes individual messages of a recording. Called through `Situ.Store.edit/4`; the original is only read.
   """
   alias Situ.{Error, Message}
-  alias Situ.Store.{Copying, Draft, Failure, Reading, StreamInfo, Transfer, Writer}
+  alias Situ.Store.{Copying, Draft, NativeErrors, Query, StreamInfo, Transfer, Writer}
 
   @type edit :: {:upsert, Situ.Time.t(), term()} | {:delete, Situ.Time.t()}
 
@@ -34,8 +34,8 @@ defmodule Situ.Store.Editing do
           {:ok, Path.t()} | {:error, Error.t()}
   def edit(from, to, edits, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
-         {:ok, store} <- Reading.open(from),
-         infos = Reading.streams(store),
+         {:ok, store} <- Query.open(from),
+         infos = Query.streams(store),
          added = Enum.map(opts[:add], &new_stream/1),
          :ok <- check_edits(edits, infos ++ Enum.map(added, &elem(&1, 0)), store) do
       build_edited_store(to, store, infos, added, edits, opts)
@@ -50,7 +50,7 @@ defmodule Situ.Store.Editing do
 
     case Map.keys(edits) -- names do
       [] -> Enum.find_value(infos, :ok, &find_type_mismatch(&1, edits[&1.name] || []))
-      [name | _] -> {:error, Failure.no_stream_error(name, names, store.path)}
+      [name | _] -> {:error, NativeErrors.no_stream_error(name, names, store.path)}
     end
   end
 
@@ -136,7 +136,7 @@ defmodule Situ.Store.Editing do
   end
 
   defp find_message_at({store, info}, ordinal, time) do
-    case Reading.at(store, info, ordinal) do
+    case Query.at(store, info, ordinal) do
       {:ok, %{originating_time: ^time} = message} -> message
       _none_or_damaged -> nil
     end

@@ -5,8 +5,19 @@ defmodule Situ.Store.Exporter do
   The store is closed when the pipeline has completed, whether it succeeded or failed.
   """
   alias Situ.{Options, Pipeline, Stream}
-  alias Situ.Store.{Folder, Keys, Pieces, Reading, SharedWriter, Sink, Volatile, Writer}
-  alias Situ.Store.Pieces.Cut
+
+  alias Situ.Store.{
+    Folder,
+    KeyRecorder,
+    Rotation,
+    Query,
+    SharedWriter,
+    Sink,
+    MemoryStores,
+    Writer
+  }
+
+  alias Situ.Store.Rotation.SplitPoint
 
   @write_options Keyword.delete(Writer.stream_options(), :type) ++
                    [
@@ -23,7 +34,7 @@ defmodule Situ.Store.Exporter do
                        type: :boolean,
                        default: false,
                        doc:
-                         "Store the keys of the stream's maps in its metadata (`Situ.Store.Keys`)."
+                         "Store the keys of the stream's maps in its metadata (`Situ.Store.KeyRecorder`)."
                      ],
                      policy: [
                        type: :any,
@@ -64,7 +75,7 @@ defmodule Situ.Store.Exporter do
   @type t :: %__MODULE__{
           path: Path.t(),
           shared: SharedWriter.t() | nil,
-          pieces: {pid(), Cut.t()} | nil,
+          pieces: {pid(), SplitPoint.t()} | nil,
           eager: boolean()
         }
 
@@ -82,7 +93,7 @@ defmodule Situ.Store.Exporter do
       when is_binary(name) and (is_binary(root) or root == nil) and is_list(opts) do
     {root, opts} =
       if root in [nil, ""],
-        do: {Volatile.root_folder(), [{:volatile, true} | opts]},
+        do: {MemoryStores.root_folder(), [{:volatile, true} | opts]},
         else: {Path.expand(root), opts}
 
     opts = Options.validate!(opts, create_options())
@@ -109,13 +120,13 @@ defmodule Situ.Store.Exporter do
 
   # `path` is the name without a version, which opens the newest segment.
   defp create_segmented(p, {name, root, opts}, split, keep) do
-    cut = Cut.new(split)
+    cut = SplitPoint.new(split)
 
     {:ok, pieces} =
-      Pieces.start_link({name, root, Keyword.put(opts, :versioned, true)}, cut, keep)
+      Rotation.start_link({name, root, Keyword.put(opts, :versioned, true)}, cut, keep)
 
-    :ok = Pipeline.on(p, :completed, fn _report -> Pieces.close_all(pieces) end, pieces)
-    :ok = Pipeline.on(p, :abandoned, fn _error -> Pieces.close_all(pieces) end, pieces)
+    :ok = Pipeline.on(p, :completed, fn _report -> Rotation.close_all(pieces) end, pieces)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Rotation.close_all(pieces) end, pieces)
     eager = opts[:durability] == :each
     %__MODULE__{path: Path.join(root, name), shared: nil, pieces: {pieces, cut}, eager: eager}
   end
@@ -203,15 +214,15 @@ defmodule Situ.Store.Exporter do
     SharedWriter.add_user(shared)
     own = [shared: shared, stream: writer_stream, metadata: metadata || %{}]
     name = "Keys " <> String.replace(writer_stream.name, ".", " ")
-    Situ.via(stream, Keys, own ++ [name: name, policy: Situ.Delivery.unlimited()])
+    Situ.via(stream, KeyRecorder, own ++ [name: name, policy: Situ.Delivery.unlimited()])
   end
 
   # The pipeline never ran. An empty recording would hide the previous version.
   defp discard_if_empty(%{writer: writer} = shared) do
     SharedWriter.close(shared)
 
-    with {:ok, store} <- Reading.open(writer.path),
-         nil <- Reading.interval(store),
+    with {:ok, store} <- Query.open(writer.path),
+         nil <- Query.interval(store),
          do: Folder.remove_store(writer.path)
   end
 end

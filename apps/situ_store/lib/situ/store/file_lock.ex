@@ -17,7 +17,7 @@ defmodule Situ.Store.FileLock do
   (`t:holder/0`).
   """
   alias Situ.Error
-  alias Situ.Store.{Failure, Native}
+  alias Situ.Store.{NativeErrors, Native}
 
   @typedoc "The holder of a lock, as recorded in the lock's file. Unreadable keys are `nil`."
   @type holder :: %{
@@ -60,7 +60,7 @@ defmodule Situ.Store.FileLock do
         {:ok, lock}
 
       {:error, reason} ->
-        {:error, Failure.to_error(reason, path)}
+        {:error, NativeErrors.to_error(reason, path)}
     end
   end
 

@@ -2,7 +2,7 @@ defmodule Situ.Store.Folder do
   @moduledoc false
   # Locates stores at root/name.NNNN, where the highest number is the newest version.
   alias Situ.Error
-  alias Situ.Store.{AtomicFile, Failure, Formats, Native}
+  alias Situ.Store.{AtomicFile, NativeErrors, Formats, Native}
 
   @index "index.situ"
 
@@ -155,7 +155,7 @@ defmodule Situ.Store.Folder do
         place_over_empty(from, name, root)
 
       {:error, reason} ->
-        {:error, Failure.to_error(reason, path)}
+        {:error, NativeErrors.to_error(reason, path)}
     end
   end
 

@@ -22,7 +22,7 @@ defmodule Situ.Store.Importer do
   wait for a seek.
   """
   alias Situ.{Clock, Error, Pipeline}
-  alias Situ.Store.{Evolution, Handle, Playhead, Reading, Source, StreamInfo}
+  alias Situ.Store.{SchemaEvolution, Handle, Playhead, Query, Source, StreamInfo}
 
   @options [
     loop: [
@@ -66,7 +66,7 @@ defmodule Situ.Store.Importer do
   @doc false
   def open_recording(%Situ.Graph.Handle{} = p, path, opts) do
     opts = Situ.Options.validate!(opts, @options)
-    store = if is_struct(path, Handle), do: path, else: Reading.open!(path, verify: opts[:verify])
+    store = if is_struct(path, Handle), do: path, else: Query.open!(path, verify: opts[:verify])
 
     %__MODULE__{
       store: store,
@@ -81,7 +81,7 @@ defmodule Situ.Store.Importer do
   defp loop_period(_p, _store, false), do: nil
 
   defp loop_period(_p, store, true) do
-    case Reading.interval(store) do
+    case Query.interval(store) do
       nil -> nil
       {first, last} -> last - first + 1_000_000
     end
@@ -91,7 +91,7 @@ defmodule Situ.Store.Importer do
   defp loop_period(p, store, ns) do
     {from, _} = Pipeline.replay_interval(p)
 
-    with {first, last} <- Reading.interval(store),
+    with {first, last} <- Query.interval(store),
          span = last - if(from == :unbounded, do: first, else: max(first, from)),
          true <- ns <= span do
       raise Error.new(:bad_option, "a loop of #{Situ.Time.format_duration(ns)} is too short",
@@ -108,7 +108,7 @@ defmodule Situ.Store.Importer do
   def stream(%__MODULE__{} = importer, name, opts) do
     opts = Situ.Options.validate!(opts, @stream_options)
 
-    case Reading.stream_info(importer.store, name) do
+    case Query.stream_info(importer.store, name) do
       {:ok, info} ->
         add_source(importer, info, opts)
 
@@ -120,7 +120,7 @@ defmodule Situ.Store.Importer do
   defp add_source(importer, info, opts) do
     type = opts[:type]
     if type, do: check_type!(info, type)
-    live? = Reading.live?(importer.store)
+    live? = Query.live?(importer.store)
 
     last = if importer.period, do: :unbounded, else: info.last
 
@@ -159,7 +159,7 @@ defmodule Situ.Store.Importer do
   end
 
   defp check_type!(info, type) do
-    case Evolution.check_readable(info, type) do
+    case SchemaEvolution.check_readable(info, type) do
       :ok -> :ok
       {:error, error} -> raise error
     end
@@ -206,8 +206,8 @@ defmodule Situ.Store.Importer do
     now = Clock.now(clock) - shift
 
     next =
-      for info <- Reading.streams(importer.store),
-          {:ok, %{originating_time: time}} <- [Reading.first_at(importer.store, info, now + 1)],
+      for info <- Query.streams(importer.store),
+          {:ok, %{originating_time: time}} <- [Query.first_at(importer.store, info, now + 1)],
           do: time
 
     case next do

@@ -5,7 +5,7 @@ defmodule Situ.Store.Replacement do
   # store has its name. If a program was killed at that point, `find_interrupted/1` finds the store and `restore_name/1`
   # repairs it.
   alias Situ.Error
-  alias Situ.Store.{AtomicFile, Failure, Folder, Native}
+  alias Situ.Store.{AtomicFile, NativeErrors, Folder, Native}
 
   @before ".before-compaction"
   # Earlier releases kept the new store under this name.
@@ -43,7 +43,7 @@ defmodule Situ.Store.Replacement do
         rename_both(fresh, folder)
 
       {:error, reason} ->
-        {:error, Failure.to_error(reason, folder)}
+        {:error, NativeErrors.to_error(reason, folder)}
     end
   end
 

@@ -17,12 +17,12 @@ defmodule Situ.Store.Sink do
       pieces: [
         type: :any,
         default: nil,
-        doc: "`{pieces, cut, name, options}` of a segmented recording (`Situ.Store.Pieces`)."
+        doc: "`{pieces, cut, name, options}` of a segmented recording (`Situ.Store.Rotation`)."
       ]
     ]
 
-  alias Situ.Store.{Pieces, SharedWriter, Writer}
-  alias Situ.Store.Pieces.Cut
+  alias Situ.Store.{Rotation, SharedWriter, Writer}
+  alias Situ.Store.Rotation.SplitPoint
 
   @flush_ms 20
   @most 512
@@ -62,7 +62,7 @@ defmodule Situ.Store.Sink do
   @impl true
   def handle_messages(:in, messages, _context, %{pieces: {_, cut, _, _}} = state) do
     messages
-    |> Enum.map(&{Cut.segment_number(cut, &1.originating_time), &1})
+    |> Enum.map(&{SplitPoint.segment_number(cut, &1.originating_time), &1})
     |> Enum.chunk_by(&elem(&1, 0))
     |> Enum.reduce({[], state}, fn [{number, _} | _] = part, {[], state} ->
       part = Enum.map(part, &elem(&1, 1))
@@ -78,7 +78,7 @@ defmodule Situ.Store.Sink do
 
   # Selects the segment for these times, or the oldest open segment if the other streams are far ahead.
   defp enter_segment(%{pieces: {pieces, _cut, name, opts}} = state, number) do
-    case Pieces.open_stream(pieces, number, name, opts) do
+    case Rotation.open_stream(pieces, number, name, opts) do
       {:ok, real, stream} ->
         # Keep the stream's noted codecs and fields: late messages make it return to a previous segment.
         stream = Map.get(state.held, real, stream)
@@ -162,7 +162,7 @@ defmodule Situ.Store.Sink do
   defp put_stream(%{pieces: nil} = state, stream), do: {state, stream}
 
   defp put_stream(%{pieces: {pieces, cut, _, _}} = state, stream) do
-    Pieces.report_append(pieces, cut, state.piece, latest_time(state.pending))
+    Rotation.report_append(pieces, cut, state.piece, latest_time(state.pending))
 
     held =
       Map.new(state.held, fn {n, s} -> {n, if(s.writer == stream.writer, do: stream, else: s)} end)

@@ -18,7 +18,7 @@ defmodule Situ.Store.Source do
     ]
 
   alias Situ.{Clock, Pipeline}
-  alias Situ.Store.{Envelopes, Evolution, Playhead, Reading}
+  alias Situ.Store.{Envelopes, SchemaEvolution, Playhead, Query}
 
   defstruct [
     :importer,
@@ -49,7 +49,7 @@ defmodule Situ.Store.Source do
     state = %__MODULE__{
       importer: opts[:importer],
       info: info,
-      upgrade: Evolution.build_upgrade!(info, opts[:type]),
+      upgrade: SchemaEvolution.build_upgrade!(info, opts[:type]),
       live: opts[:live],
       to: opts[:to]
     }
@@ -81,7 +81,7 @@ defmodule Situ.Store.Source do
 
   defp seek_ordinal(%{info: %{id: -1}}, _time), do: {:ok, 0}
 
-  defp seek_ordinal(state, time), do: Reading.seek_ordinal(state.importer.store, state.info, time)
+  defp seek_ordinal(state, time), do: Query.seek_ordinal(state.importer.store, state.info, time)
 
   @impl true
   def handle_demand(_n, _context, %{phase: :done} = state), do: {[], state}
@@ -161,7 +161,7 @@ defmodule Situ.Store.Source do
   defp load_batch(n, context, state) do
     %{store: store, skip_damage: skip?} = state.importer
 
-    case Reading.read_batch(store, state.info, state.ordinal, read_limit(state), 512,
+    case Query.read_batch(store, state.info, state.ordinal, read_limit(state), 512,
            skip_damage: skip?
          ) do
       {:ok, [], _} ->
@@ -211,7 +211,7 @@ defmodule Situ.Store.Source do
 
   # There are no more messages for now, so wait for a notification of the writer.
   defp await_writer(state) do
-    Reading.notify(state.importer.store, state.known, @tag)
+    Query.notify(state.importer.store, state.known, @tag)
     {[], state}
   end
 
@@ -221,7 +221,7 @@ defmodule Situ.Store.Source do
 
   def handle_info({:situ_store, @tag, {:ended, n}}, _context, state) do
     # The writer is gone. Its last catalog records, which may include the close, decide where the stream ends.
-    info = Enum.find(Reading.streams(state.importer.store), state.info, &(&1.id == state.info.id))
+    info = Enum.find(Query.streams(state.importer.store), state.info, &(&1.id == state.info.id))
 
     {[], %{state | known: n, live: false, to: min_time(state.to, info.closed)}}
   end

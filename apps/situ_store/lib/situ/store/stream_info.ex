@@ -11,7 +11,7 @@ defmodule Situ.Store.StreamInfo do
     * `fields`: field names of the messages' struct, if the messages are structs stored as terms
   """
   alias Situ.Error
-  alias Situ.Store.Terms
+  alias Situ.Store.TermCodec
 
   @enforce_keys [:id, :name]
   defstruct [
@@ -72,7 +72,7 @@ defmodule Situ.Store.StreamInfo do
     do: {:error, Error.new(:no_metadata, "stream #{inspect(name)} has no metadata")}
 
   def metadata(%{supplemental: {_type, bytes}, name: name}) do
-    with {:error, reason} <- Terms.decode(bytes) do
+    with {:error, reason} <- TermCodec.decode(bytes) do
       {:error,
        Error.new(:damaged, "the metadata of #{inspect(name)} cannot be decoded", why: reason)}
     end

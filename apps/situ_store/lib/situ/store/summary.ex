@@ -49,7 +49,7 @@ defmodule Situ.Store.Summary do
       :ok
   """
   alias Situ.{Error, Options}
-  alias Situ.Store.{Handle, Native, Reading, StreamInfo}
+  alias Situ.Store.{Handle, Native, Query, StreamInfo}
   alias Situ.Store.Summary.Fold
 
   @enforce_keys [:width, :counts, :tracks]
@@ -85,7 +85,7 @@ defmodule Situ.Store.Summary do
   """
   @spec read(
           Handle.t(),
-          Reading.name(),
+          Query.name(),
           Situ.Time.t(),
           Situ.Time.t(),
           pos_integer(),
@@ -94,7 +94,7 @@ defmodule Situ.Store.Summary do
   def read(store, name, from, to, pixels, opts \\ [])
       when is_integer(from) and is_integer(to) and is_integer(pixels) and pixels > 0 do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {:ok, info} <- Reading.stream_info(store, name),
+         {:ok, info} <- Query.stream_info(store, name),
          level = Native.summary_level(from, to, pixels),
          {:ok, counts, tracks} <- read_tracks(store, info, from, to, level, opts[:changes]) do
       {:ok, %__MODULE__{width: Bitwise.bsl(1, level), counts: counts, tracks: tracks}}
@@ -112,11 +112,11 @@ defmodule Situ.Store.Summary do
   `{start, min, max, last, count}`. Booleans are 0 and 1, and integers are returned as floats. The bins of audio are
   computed from its samples.
   """
-  @spec read_numbers(Handle.t(), Reading.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+  @spec read_numbers(Handle.t(), Query.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, width :: pos_integer(), [bin()]} | {:error, Error.t()}
   def read_numbers(store, name, from, to, pixels)
       when is_integer(from) and is_integer(to) and is_integer(pixels) and pixels > 0 do
-    with {:ok, %StreamInfo{} = info} <- Reading.stream_info(store, name) do
+    with {:ok, %StreamInfo{} = info} <- Query.stream_info(store, name) do
       if function_exported?(store.module, :summary, 5),
         do: store.module.summary(store.state, info, from, to, pixels),
         else: Fold.fold_numbers(store, info, from, to, Native.summary_level(from, to, pixels))

@@ -4,7 +4,18 @@ defmodule Situ.Store.Transfer do
   # which includes terms whose modules or atoms this system does not have. Signals whose codec computes their pyramid
   # are copied as messages, and so are external files, unless their reader appends its messages itself.
   alias Situ.Error
-  alias Situ.Store.{Codecs, Failure, Handle, Local, Native, Reading, StreamInfo, TypeName, Writer}
+
+  alias Situ.Store.{
+    Codecs,
+    NativeErrors,
+    Handle,
+    NativeFormat,
+    Native,
+    Query,
+    StreamInfo,
+    TypeName,
+    Writer
+  }
 
   @enforce_keys [:stream, :raw?, :numbers, :skip_damage, :told]
   defstruct @enforce_keys
@@ -40,10 +51,10 @@ defmodule Situ.Store.Transfer do
     end
   end
 
-  defp stored_type(info, [{%{module: Local}, _} | _]), do: info.type_name
+  defp stored_type(info, [{%{module: NativeFormat}, _} | _]), do: info.type_name
   defp stored_type(info, _), do: TypeName.format_type(info.type)
 
-  defp raw_copy?({%{module: Local}, info}),
+  defp raw_copy?({%{module: NativeFormat}, info}),
     do:
       not Enum.any?(info.codecs, fn {_, {name, module}} ->
         signal_codec?(Codecs.find_module(name, module))
@@ -101,7 +112,7 @@ defmodule Situ.Store.Transfer do
           {:ok, t(), non_neg_integer()} | {:error, Error.t()}
   def transfer_messages(%__MODULE__{raw?: false} = transfer, {store, info}, ordinal, to) do
     store
-    |> Reading.messages(info, index: ordinal, to: to, skip_damage: transfer.skip_damage)
+    |> Query.messages(info, index: ordinal, to: to, skip_damage: transfer.skip_damage)
     |> Stream.chunk_every(1_000)
     |> Enum.reduce_while({:ok, transfer}, fn batch, {:ok, transfer} ->
       case append_messages(transfer, batch) do
@@ -130,7 +141,7 @@ defmodule Situ.Store.Transfer do
            store.state.ref,
            info.id,
            ordinal,
-           Local.clamp_time(to),
+           NativeFormat.clamp_time(to),
            @part_bytes,
            stream.writer.ref,
            target
@@ -162,7 +173,7 @@ defmodule Situ.Store.Transfer do
   defp next_ordinal(transfer, _store, info, :unbounded), do: {:ok, transfer, info.count}
 
   defp next_ordinal(transfer, store, info, to) do
-    with {:ok, ordinal} <- Reading.seek_ordinal(store, info, to + 1),
+    with {:ok, ordinal} <- Query.seek_ordinal(store, info, to + 1),
          do: {:ok, transfer, ordinal}
   end
 
@@ -173,11 +184,11 @@ defmodule Situ.Store.Transfer do
 
     if transfer.skip_damage and next != ordinal,
       do: transfer_messages(transfer, source, next, to),
-      else: {:error, Failure.to_error(reason, store.path, info.name)}
+      else: {:error, NativeErrors.to_error(reason, store.path, info.name)}
   end
 
   defp handle_failure(reason, %{stream: stream}, _source, _ordinal, _to),
-    do: {:error, Failure.to_error(reason, stream.writer.path, stream.name)}
+    do: {:error, NativeErrors.to_error(reason, stream.writer.path, stream.name)}
 
   @doc "Appends other messages after the copied ones."
   @spec append_messages(t(), [Situ.Message.t()]) :: {:ok, t()} | {:error, Error.t()}

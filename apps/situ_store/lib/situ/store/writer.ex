@@ -28,7 +28,7 @@ defmodule Situ.Store.Writer do
     volatile: [
       type: :boolean,
       default: false,
-      doc: "Record that the store is in memory (`Situ.Store.Volatile`)."
+      doc: "Record that the store is in memory (`Situ.Store.MemoryStores`)."
     ]
   ]
   @stream_options [
@@ -81,7 +81,17 @@ defmodule Situ.Store.Writer do
   #{Situ.Options.docs(@stream_options)}
   """
   alias Situ.{Error, Message, Options}
-  alias Situ.Store.{AtomicFile, Catalog, Codecs, Failure, Folder, Native, Terms, TypeName}
+
+  alias Situ.Store.{
+    AtomicFile,
+    Catalog,
+    Codecs,
+    NativeErrors,
+    Folder,
+    Native,
+    TermCodec,
+    TypeName
+  }
 
   @enforce_keys [:ref, :path, :name]
   defstruct [:ref, :path, :name]
@@ -112,7 +122,7 @@ defmodule Situ.Store.Writer do
              native_durability(opts[:durability]),
              opts[:mode]
            )
-           |> Failure.wrap_error(path) do
+           |> NativeErrors.wrap_error(path) do
       # Messages on disk can only be found if the folder's name is on disk, too.
       if opts[:durability] != :none, do: AtomicFile.sync_folder(Path.dirname(path))
       writer = %__MODULE__{ref: ref, path: path, name: name}
@@ -162,7 +172,7 @@ defmodule Situ.Store.Writer do
     with {:ok, id} <-
            writer.ref
            |> Native.writer_stream(name, compression, large?)
-           |> Failure.wrap_error(writer.path, name),
+           |> NativeErrors.wrap_error(writer.path, name),
          {:ok, _} <-
            append_catalog(writer, Map.merge(record, %{kind: "stream", id: id, name: name})) do
       {:ok, %Stream{writer: writer, id: id, name: name}}
@@ -173,7 +183,7 @@ defmodule Situ.Store.Writer do
   @spec put_metadata(Stream.t(), term()) :: :ok | {:error, Error.t()}
   def put_metadata(%Stream{} = stream, term) do
     with {:ok, bytes} <-
-           term |> Terms.encode() |> Failure.wrap_error(stream.writer.path, stream.name),
+           term |> TermCodec.encode() |> NativeErrors.wrap_error(stream.writer.path, stream.name),
          record = %{
            kind: "metadata",
            id: stream.id,
@@ -217,7 +227,7 @@ defmodule Situ.Store.Writer do
   def append_plain(stream, batches) do
     case Native.writer_append(stream.writer.ref, stream.id, batches) do
       {:ok, _} -> {:ok, stream}
-      {:error, reason} -> {:error, Failure.to_error(reason, stream.writer.path, stream.name)}
+      {:error, reason} -> {:error, NativeErrors.to_error(reason, stream.writer.path, stream.name)}
     end
   rescue
     error in ArgumentError -> explain_refusal(batches, stream, error, __STACKTRACE__)
@@ -250,7 +260,7 @@ defmodule Situ.Store.Writer do
          {:ok, _} <-
            stream.writer.ref
            |> Native.writer_append_runs(stream.id, runs)
-           |> Failure.wrap_error(stream.writer.path, stream.name),
+           |> NativeErrors.wrap_error(stream.writer.path, stream.name),
          do: {:ok, stream}
   rescue
     error in ArgumentError -> explain_refusal([messages], stream, error, __STACKTRACE__)
@@ -347,14 +357,14 @@ defmodule Situ.Store.Writer do
   @doc "Waits until all committed data is on disk."
   @spec sync(t()) :: :ok | {:error, Error.t()}
   def sync(%__MODULE__{} = writer) do
-    with {:ok, _} <- writer.ref |> Native.writer_sync() |> Failure.wrap_error(writer.path),
+    with {:ok, _} <- writer.ref |> Native.writer_sync() |> NativeErrors.wrap_error(writer.path),
          do: :ok
   end
 
   @doc "Closes the store: trims unused space, marks it as closed, and releases the lock. May be called repeatedly."
   @spec close(t()) :: :ok | {:error, Error.t()}
   def close(%__MODULE__{} = writer) do
-    with {:ok, _} <- writer.ref |> Native.writer_close() |> Failure.wrap_error(writer.path),
+    with {:ok, _} <- writer.ref |> Native.writer_close() |> NativeErrors.wrap_error(writer.path),
          do: :ok
   end
 
@@ -376,7 +386,7 @@ defmodule Situ.Store.Writer do
     case Native.writer_append(writer.ref, 0, [[message]]) do
       # Another record was appended at the same time, so try again with a later time.
       {:error, {:not_increasing, 0, _, _}} -> append_catalog(writer, record)
-      result -> Failure.wrap_error(result, writer.path)
+      result -> NativeErrors.wrap_error(result, writer.path)
     end
   end
 end

@@ -7,7 +7,7 @@ defmodule Situ.Studio.Alerts do
   use GenServer
 
   alias Situ.Diagnostics.Snapshot
-  alias Situ.Expression.Value
+  alias Situ.Expression.Operators
   alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.PipelineView.{Feed, Stats}
   alias Situ.Studio.{Catalog, Settings, Source}
@@ -150,7 +150,7 @@ defmodule Situ.Studio.Alerts do
   defp latest_value(source, stream) do
     with {:ok, extent} <- Source.call(source, :extent, []),
          {:ok, message} <- Source.call(source, :latest_at, [stream, extent.to]) do
-      Value.to_plain(message.data)
+      Operators.to_plain(message.data)
     else
       _ -> nil
     end

@@ -11,7 +11,7 @@ defmodule Situ.Studio.Catalog do
   alias Situ.Dataset.Session
   alias Situ.Store.Formats
   alias Situ.{Dataset, Error}
-  alias Situ.Studio.Datasets.Place
+  alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.{Layouts, Source, Stores}
 
   # The maximum age of the list of recordings.
@@ -133,7 +133,7 @@ defmodule Situ.Studio.Catalog do
   def handle_call({:open, id}, _from, state) do
     with {:ok, item} <- resolve_item(state, id),
          {:ok, source, state} <- fetch_source(state, item) do
-      {:reply, {:ok, item, Source.Derived.wrap(source)}, state}
+      {:reply, {:ok, item, Source.DerivedStreams.wrap(source)}, state}
     else
       {:error, error} -> {:reply, {:error, error}, state}
     end
@@ -234,7 +234,7 @@ defmodule Situ.Studio.Catalog do
   defp find_dataset_item(state, id) do
     case Stores.fetch_dataset(state.path, id) do
       {:ok, path} -> dataset_item(id, path)
-      :error -> Enum.find_value(Place.split_id(id), &find_part_item(state, id, &1))
+      :error -> Enum.find_value(DatasetRef.split_id(id), &find_part_item(state, id, &1))
     end
   end
 

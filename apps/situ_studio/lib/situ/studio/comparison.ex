@@ -4,8 +4,8 @@ defmodule Situ.Studio.Comparison do
   coincide. In an address, `with` names the second recording and `offset` is the shift in ns.
   """
   alias Situ.Error
-  alias Situ.Studio.{Catalog, Layout, Source, WholeNumber}
-  alias Situ.Studio.Source.{Beside, Derived}
+  alias Situ.Studio.{Catalog, Layout, Source, Int64}
+  alias Situ.Studio.Source.{Compared, DerivedStreams}
 
   @enforce_keys [:id, :title, :offset, :first, :second]
   defstruct [:id, :title, :offset, :first, :second]
@@ -23,12 +23,13 @@ defmodule Situ.Studio.Comparison do
   @spec open_item(Catalog.id(), term(), map()) ::
           {:ok, Catalog.Item.t(), Source.t(), t() | nil} | {:error, Error.t()}
   def open_item(studio, id, %{"with" => other} = params) when is_binary(other) and other != "" do
-    with {:ok, item, {Derived, %{source: first}}} <- Catalog.open_source(studio, id),
-         {:ok, compared, {Derived, %{source: second}}} <- Catalog.open_source(studio, other),
+    with {:ok, item, {DerivedStreams, %{source: first}}} <- Catalog.open_source(studio, id),
+         {:ok, compared, {DerivedStreams, %{source: second}}} <-
+           Catalog.open_source(studio, other),
          {:ok, a} <- Source.call(first, :extent, []),
          {:ok, b} <- Source.call(second, :extent, []) do
       offset =
-        case WholeNumber.parse(params["offset"]) do
+        case Int64.parse(params["offset"]) do
           {:ok, offset} -> offset
           :error -> a.from - b.from
         end
@@ -41,7 +42,7 @@ defmodule Situ.Studio.Comparison do
         second: b
       }
 
-      {:ok, item, Derived.wrap(Beside.combine_sources(first, second, offset)), told}
+      {:ok, item, DerivedStreams.wrap(Compared.combine_sources(first, second, offset)), told}
     end
   end
 
@@ -51,8 +52,8 @@ defmodule Situ.Studio.Comparison do
 
   @doc "Changes the time offset of the compared source; other sources are returned unchanged."
   @spec set_offset(Source.t(), Situ.Time.duration()) :: Source.t()
-  def set_offset({Derived, %{source: {Beside, beside}}}, offset),
-    do: Derived.wrap({Beside, %{beside | offset: offset}})
+  def set_offset({DerivedStreams, %{source: {Compared, beside}}}, offset),
+    do: DerivedStreams.wrap({Compared, %{beside | offset: offset}})
 
   def set_offset(source, _offset), do: source
 
@@ -101,7 +102,7 @@ defmodule Situ.Studio.Comparison do
   end
 
   defp compared_visualizations(vis, names) do
-    name = Beside.compared_name(vis.stream)
+    name = Compared.compared_name(vis.stream)
 
     if name in names,
       do: [%{vis | stream: name, props: Map.delete(vis.props, "color")}],

@@ -15,7 +15,7 @@ defmodule Situ.Studio.DataSession do
   (`Situ.Studio.Comparison`).
   """
   alias Situ.{Error, Studio}
-  alias Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, WholeNumber}
+  alias Situ.Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, Int64}
 
   # A stream in a plot uses two channels: one for its window, and one for its value at the cursor.
   @max_channels 512
@@ -89,7 +89,7 @@ defmodule Situ.Studio.DataSession do
 
   # Shifts the second of two compared recordings.
   defp align_sources(session, offset) do
-    case WholeNumber.parse(offset) do
+    case Int64.parse(offset) do
       {:ok, offset} -> %{session | source: Comparison.set_offset(session.source, offset)}
       :error -> session
     end
@@ -138,7 +138,7 @@ defmodule Situ.Studio.DataSession do
 
   defp parse_spec(%{"stream" => stream, "viz" => id} = spec, extra)
        when is_binary(stream) and is_binary(id) do
-    with {:ok, path} <- Studio.Path.parse(spec["path"] || ""),
+    with {:ok, path} <- Studio.ValuePath.parse(spec["path"] || ""),
          {:ok, viz} <- Visualizers.fetch_by_id(id, extra) do
       props = if is_map(spec["props"]), do: spec["props"], else: %{}
       %{stream: stream, viz: viz, path: path, props: props}
@@ -154,7 +154,7 @@ defmodule Situ.Studio.DataSession do
 
   defp cursor_time(session, request) do
     time =
-      case WholeNumber.parse(request["at"]) do
+      case Int64.parse(request["at"]) do
         {:ok, time} -> time
         :error -> session.extent.from
       end
@@ -182,7 +182,7 @@ defmodule Situ.Studio.DataSession do
   defp draw_windows(_, _), do: []
 
   defp count_bins([_id, from, to, bin]) when is_number(bin) and bin >= 1 do
-    case {WholeNumber.parse(from), WholeNumber.parse(to)} do
+    case {Int64.parse(from), Int64.parse(to)} do
       {{:ok, from}, {:ok, to}} when to > from -> div(to - from, trunc(bin)) + 1
       _ -> 0
     end
@@ -201,8 +201,8 @@ defmodule Situ.Studio.DataSession do
 
   defp draw_window(session, [id, from, to, bin]) do
     with {:ok, {spec, _}} <- Map.fetch(session.channels, id),
-         {:ok, from} <- WholeNumber.parse(from),
-         {:ok, to} when to >= from <- WholeNumber.parse(to),
+         {:ok, from} <- Int64.parse(from),
+         {:ok, to} when to >= from <- Int64.parse(to),
          bin when is_number(bin) and bin >= 1 and bin < @max_span <- bin do
       bin = trunc(bin)
 

@@ -2,9 +2,9 @@ defmodule Situ.Studio.Draw do
   @moduledoc """
   Draws the frame of a page's channel, a window or the message at the cursor, with the channel's visualizer.
   """
-  alias Situ.Studio.Plugins.Guard
-  alias Situ.Studio.Source.Adapted
-  alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
+  alias Situ.Studio.Plugins.Sandbox
+  alias Situ.Studio.Source.WithAdapter
+  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
 
   @doc "Returns the frame of the window `from..to` with bins of `bin` nanoseconds."
   @spec draw_window(
@@ -22,12 +22,12 @@ defmodule Situ.Studio.Draw do
   def draw_window(source, channel, %{viz: viz} = spec, from, to, bin) do
     work = fn ->
       source
-      |> Adapted.with_adapter(viz.adapter)
+      |> WithAdapter.with_adapter(viz.adapter)
       |> window_frame(channel, spec, from, to, bin)
       |> flatten_frame()
     end
 
-    case Guard.run(work) do
+    case Sandbox.run(work) do
       {:ok, frame} -> frame
       {:error, what} -> Frame.error(channel, describe_failure(viz, what))
     end
@@ -61,12 +61,14 @@ defmodule Situ.Studio.Draw do
   def draw_instant(source, channel, %{viz: viz} = spec, time, last) do
     work = fn ->
       {frame, last} =
-        source |> Adapted.with_adapter(viz.adapter) |> instant_frame(channel, spec, time, last)
+        source
+        |> WithAdapter.with_adapter(viz.adapter)
+        |> instant_frame(channel, spec, time, last)
 
       {flatten_frame(frame), last}
     end
 
-    case Guard.run(work) do
+    case Sandbox.run(work) do
       {:ok, answer} -> answer
       {:error, what} -> {Frame.error(channel, describe_failure(viz, what)), nil}
     end
@@ -100,7 +102,7 @@ defmodule Situ.Studio.Draw do
     {last, kept} = last || {nil, %{}}
 
     case cursor_message(source, stream, time, Map.get(spec, :props, %{})) do
-      {:ok, %{data: %Hole{}}} ->
+      {:ok, %{data: %Gap{}}} ->
         {if(last == :hole, do: Frame.same_message(channel), else: Frame.no_message(channel)),
          {:hole, kept}}
 
@@ -169,7 +171,7 @@ defmodule Situ.Studio.Draw do
   defp encode_instant(source, channel, %{path: path} = spec, message, kept) do
     context = %{source: source, spec: spec, kept: kept}
 
-    with {:ok, data} <- Path.fetch(message.data, path),
+    with {:ok, data} <- ValuePath.fetch(message.data, path),
          {:error, what} <- call_instant(context, channel, data, message) do
       {Frame.error(channel, what), kept}
     else

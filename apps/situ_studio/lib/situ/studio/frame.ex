@@ -172,8 +172,8 @@ defmodule Situ.Studio.Frame do
     build_frame(:marks, channel, payload, length(rows), base, flag_bit(raw?, 1))
   end
 
-  @doc "Encodes an image, see `Situ.Studio.Draw.Picture`."
-  @spec image(channel(), Situ.Time.t(), Situ.Studio.Draw.Picture.t()) :: t()
+  @doc "Encodes an image, see `Situ.Studio.Draw.BrowserImage`."
+  @spec image(channel(), Situ.Time.t(), Situ.Studio.Draw.BrowserImage.t()) :: t()
   def image(channel, time, {pixels, width, height, data, unit}) do
     code = Keyword.fetch!(@pixels, pixels)
     head = <<width::little-32, height::little-32, code::little-32, unit::little-32>>

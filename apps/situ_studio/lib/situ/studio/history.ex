@@ -57,7 +57,7 @@ defmodule Situ.Studio.History do
   end
 
   # A pipeline that resumes from a checkpoint repeats messages; they are counted once and do not lower the last time.
-  defp known_message?([{_, %{data: %Situ.Studio.Hole{}}, _}]), do: false
+  defp known_message?([{_, %{data: %Situ.Studio.Gap{}}, _}]), do: false
   defp known_message?(rows), do: rows != []
 
   defp count_message(history, name, time, bytes) do
@@ -78,13 +78,13 @@ defmodule Situ.Studio.History do
 
   @doc """
   Marks the start of a gap after the message at `last`: the stream was not captured until its next message. The gap is
-  not counted; its data is a `Situ.Studio.Hole`.
+  not counted; its data is a `Situ.Studio.Gap`.
   """
   @spec mark_gap(t(), String.t(), Situ.Time.t() | nil) :: :ok
   def mark_gap(%__MODULE__{}, _name, nil), do: :ok
 
   def mark_gap(%__MODULE__{} = history, name, last) do
-    hole = %Situ.Message{data: %Situ.Studio.Hole{}, originating_time: last + 1}
+    hole = %Situ.Message{data: %Situ.Studio.Gap{}, originating_time: last + 1}
     :ets.insert_new(history.messages, {{name, last + 1}, hole, 0})
     :ok
   end

@@ -1,17 +1,17 @@
 defmodule Situ.Studio.Layout do
   @moduledoc """
   The layout of a page: rows from top to bottom, each with one panel on the time axis or several cells at the cursor.
-  A layout is pure data with a JSON form (`Situ.Studio.Layout.Text`), so it can be saved to a file or written by hand.
+  A layout is pure data with a JSON form (`Situ.Studio.Layout.Json`), so it can be saved to a file or written by hand.
 
       iex> layout = Situ.Studio.Layout.new("mine")
       iex> {:ok, layout, id} = Situ.Studio.Layout.add_stream(layout, "A.level", "line", :plot, "")
-      iex> {:ok, again} = layout |> Situ.Studio.Layout.Text.to_json() |> Situ.Studio.Layout.Text.parse_json()
+      iex> {:ok, again} = layout |> Situ.Studio.Layout.Json.to_json() |> Situ.Studio.Layout.Json.parse_json()
       iex> {again == layout, id, hd(layout.rows).panel}
       {true, "p1", :plot}
   """
   alias Situ.Error
 
-  defmodule Vis do
+  defmodule Visualization do
     @moduledoc "A stream with a visualizer; `path` selects a part of its messages."
     @enforce_keys [:viz, :stream]
     defstruct [:viz, :stream, path: "", props: %{}]
@@ -39,7 +39,7 @@ defmodule Situ.Studio.Layout do
               :plot | :lanes | :image | :space | :map | :value | :bars | :text | :log | :xy | :own,
             row: String.t() | nil,
             height: pos_integer() | nil,
-            vis: [Vis.t()],
+            vis: [Visualization.t()],
             axis: {number(), number()} | :own | nil,
             threshold: {:below | :above, number()} | nil
           }
@@ -111,7 +111,13 @@ defmodule Situ.Studio.Layout do
   @spec add_stream(t(), String.t(), String.t(), atom(), String.t(), keyword()) ::
           {:ok, t(), panel_id :: String.t()} | {:error, Error.t()}
   def add_stream(%__MODULE__{} = layout, stream, viz, panel, into, opts \\ []) do
-    vis = %Vis{viz: viz, stream: stream, path: opts[:path] || "", props: opts[:props] || %{}}
+    vis = %Visualization{
+      viz: viz,
+      stream: stream,
+      path: opts[:path] || "",
+      props: opts[:props] || %{}
+    }
+
     target = Enum.find(layout.rows, &(&1.id == into and shares_panel?(&1.panel, panel)))
     target = target || if(overlay?(viz, panel), do: Enum.find(layout.rows, &(&1.panel == :image)))
 
@@ -283,8 +289,10 @@ defmodule Situ.Studio.Layout do
   defp count_lanes(vis, lanes), do: vis |> Enum.map(&lanes_of(&1, lanes)) |> Enum.sum()
 
   # Message marks always use one lane.
-  defp lanes_of(%Vis{viz: "messages"}, _), do: 1
-  defp lanes_of(%Vis{stream: stream, path: path}, lanes), do: Map.get(lanes, stream <> path, 1)
+  defp lanes_of(%Visualization{viz: "messages"}, _), do: 1
+
+  defp lanes_of(%Visualization{stream: stream, path: path}, lanes),
+    do: Map.get(lanes, stream <> path, 1)
 
   defp full_error(what, n) do
     {:error, Error.new(:full, "a #{what} holds at most #{n}", fix: "remove something first")}

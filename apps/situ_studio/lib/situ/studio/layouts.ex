@@ -43,7 +43,7 @@ defmodule Situ.Studio.Layouts do
   def list_problems(dir), do: for({path, _, error} <- list_broken_files(dir), do: {path, error})
 
   defp list_broken_files(dir) do
-    for {path, json} <- read_files(dir), {:error, error} <- [Layout.Text.parse_json(json)] do
+    for {path, json} <- read_files(dir), {:error, error} <- [Layout.Json.parse_json(json)] do
       name =
         case Situ.JSON.decode(json) do
           {:ok, %{"name" => name}} -> name
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Layouts do
       temporary = path <> ".#{System.unique_integer([:positive])}.tmp"
 
       with :ok <- File.mkdir_p(dir),
-           :ok <- File.write(temporary, Layout.Text.to_json(layout)),
+           :ok <- File.write(temporary, Layout.Json.to_json(layout)),
            :ok <- File.rename(temporary, path) do
         :ok
       else
@@ -105,7 +105,7 @@ defmodule Situ.Studio.Layouts do
     do:
       for(
         {path, json} <- read_files(dir),
-        {:ok, layout} <- [Layout.Text.parse_json(json)],
+        {:ok, layout} <- [Layout.Json.parse_json(json)],
         do: {path, layout}
       )
 

@@ -19,7 +19,7 @@ defmodule Situ.Studio.Link do
   @doc "Encodes a layout as a URL-safe string."
   @spec encode(Layout.t()) :: String.t()
   def encode(%Layout{} = layout) do
-    layout |> Layout.Text.to_json() |> :zlib.zip() |> Base.url_encode64(padding: false)
+    layout |> Layout.Json.to_json() |> :zlib.zip() |> Base.url_encode64(padding: false)
   end
 
   @doc "Decodes a layout; returns an error if the code is damaged or too long."
@@ -27,7 +27,7 @@ defmodule Situ.Studio.Link do
   def decode(code) when is_binary(code) and byte_size(code) <= @max_code do
     with {:ok, zipped} <- Base.url_decode64(code, padding: false),
          {:ok, json} <- inflate_code(zipped) do
-      Layout.Text.parse_json(json)
+      Layout.Json.parse_json(json)
     else
       _ -> invalid_link()
     end

@@ -28,7 +28,7 @@ defmodule Situ.Studio.Plugins do
   `studio_adapters`, `store_readers` and `dataset_tasks` in `env:` of its `mix.exs`.
 
   A broken plug-in affects nothing else. If its code does not compile, its visualizers stay available and their panels
-  show the error. Code of plug-ins runs in separate processes (`Situ.Studio.Plugins.Guard`).
+  show the error. Code of plug-ins runs in separate processes (`Situ.Studio.Plugins.Sandbox`).
   """
   alias Situ.Error
   alias Situ.Studio.{Adapter, Visualizer, Visualizers}
@@ -125,7 +125,14 @@ defmodule Situ.Studio.Plugins do
   # A broken visualizer stays in its panel and shows the problem.
   defp broken_visualizer(visualizer, what) do
     panel = if visualizer.panel in [:plot, :lanes], do: visualizer.panel, else: :own
-    %{visualizer | panel: panel, drawer: "broken", module: Visualizers.Broken, problem: what}
+
+    %{
+      visualizer
+      | panel: panel,
+        drawer: "broken",
+        module: Visualizers.BrokenPlugin,
+        problem: what
+    }
   end
 
   defp resolve_parts(parts, modules, folder) do

@@ -16,8 +16,8 @@ defmodule Situ.Studio.Sensor do
   Reads a browser's camera and microphone through a page of the studio, on this machine or on a phone.
 
       sensor = Situ.Studio.Sensor.open(p, page: "phone")
-      sensor.video |> Situ.map(&Situ.Imaging.parse!(&1.data), type: Situ.Image)
-      sensor.audio |> Situ.Audio.resample(16_000)
+      sensor.video |> Situ.map(&Situ.ImageOps.parse!(&1.data), type: Situ.Image)
+      sensor.audio |> Situ.AudioStream.resample(16_000)
       Situ.Studio.Sensor.Speaker.play(answer, page: "phone")
 
   The user opens `/sensor?name=phone` in the studio, selects a camera and a microphone and starts them. Browsers allow

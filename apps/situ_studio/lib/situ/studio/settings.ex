@@ -15,7 +15,7 @@ defmodule Situ.Studio.Settings do
   |---|---|---|
   | `layout` | the initial layout of a recording whose address does not name one | `Automatic` |
   | `keep` | `:by_hand`: layouts are saved on request; `:at_once`: with each change; `:ask`: on request, with a warning when a page with unsaved changes is closed | `:by_hand` |
-  | `info` | the statistic next to stream names, one of `Situ.Studio.Figures.list_choices/0` | `:rate` |
+  | `info` | the statistic next to stream names, one of `Situ.Studio.StreamTotals.list_choices/0` | `:rate` |
   | `alerts` | alert rules for running pipelines, one per line (`Situ.Studio.Alerts.Rule`) | none |
   """
   alias Situ.Error
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Settings do
   alias Situ.Studio.Layout
 
   @keeps [:by_hand, :at_once, :ask]
-  @infos Keyword.keys(Situ.Studio.Figures.list_choices())
+  @infos Keyword.keys(Situ.Studio.StreamTotals.list_choices())
   @max_bytes 100_000
 
   defstruct layout: Layout.Auto.layout_name(), keep: :by_hand, info: :rate, alerts: ""

@@ -14,7 +14,7 @@ defmodule Situ.Studio.Statistics do
   A gap is a pause of more than three times the median pause. The standard deviation is the sample standard deviation
   (n - 1); percentiles are values of messages (nearest rank).
   """
-  alias Situ.Studio.{Path, Source}
+  alias Situ.Studio.{ValuePath, Source}
   alias Situ.Studio.Draw.{Bins, Key}
 
   # A pause longer than this multiple of the median pause is a gap.
@@ -47,7 +47,7 @@ defmodule Situ.Studio.Statistics do
           Situ.Time.t()
         ) :: [row()]
   def compute_rows(source, vis, from, to) do
-    with {:ok, path} <- Path.parse(vis.path),
+    with {:ok, path} <- ValuePath.parse(vis.path),
          {:ok, pairs, all?} <- read_values(source, vis.stream, path, {from, to}) do
       for {name, pairs} <- split_by_key(pairs) do
         numbers = collect_numbers(pairs)
@@ -114,7 +114,7 @@ defmodule Situ.Studio.Statistics do
 
   defp extract_values(messages, path) do
     for m <- messages do
-      case Path.fetch(m.data, path) do
+      case ValuePath.fetch(m.data, path) do
         {:ok, map} when is_map(map) and not is_struct(map) ->
           {m.originating_time, map_numbers(map)}
 
@@ -151,7 +151,7 @@ defmodule Situ.Studio.Statistics do
   defp collect_numbers(pairs), do: for({_, number} when is_number(number) <- pairs, do: number)
 
   @doc "Returns names and values in display order; `path` selects a part of the messages."
-  @spec compute_statistics([Situ.Message.t()], Path.t()) :: [{String.t(), number()}]
+  @spec compute_statistics([Situ.Message.t()], ValuePath.t()) :: [{String.t(), number()}]
   def compute_statistics(messages, path) do
     pairs = extract_values(messages, path)
     statistic_pairs(pairs, collect_numbers(pairs))

@@ -3,7 +3,7 @@ defmodule Situ.Studio.Stores do
   # Finds recordings and datasets at or below a path by name, the name that addresses contain. Symbolic links are not
   # followed, because they may form a cycle or lead out of the folder.
 
-  alias Situ.Dataset.Document
+  alias Situ.Dataset.FileFormat
   alias Situ.Store.Formats
   alias Situ.Studio.NaturalOrder
 
@@ -28,14 +28,14 @@ defmodule Situ.Studio.Stores do
       Formats.for_address(path) ->
         {for(address <- Formats.list_recordings(path), do: {address_name(address), address}), []}
 
-      Document.dataset_file?(root) ->
+      FileFormat.dataset_file?(root) ->
         {[], [{Path.basename(root), root}]}
 
       recording?(root) ->
         {[{Path.basename(root), root}], []}
 
       File.dir?(root) ->
-        root |> scan_folder() |> Enum.split_with(fn {_, p} -> not Document.dataset_file?(p) end)
+        root |> scan_folder() |> Enum.split_with(fn {_, p} -> not FileFormat.dataset_file?(p) end)
 
       true ->
         {[], []}
@@ -45,11 +45,11 @@ defmodule Situ.Studio.Stores do
   @doc "Returns the recording with that name, without scanning the others."
   @spec fetch_recording(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
   def fetch_recording(path, name),
-    do: fetch_path(path, name, &(recording?(&1) and not Document.dataset_file?(&1)))
+    do: fetch_path(path, name, &(recording?(&1) and not FileFormat.dataset_file?(&1)))
 
   @doc "Returns the dataset with that name."
   @spec fetch_dataset(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
-  def fetch_dataset(path, name), do: fetch_path(path, name, &Document.dataset_file?/1)
+  def fetch_dataset(path, name), do: fetch_path(path, name, &FileFormat.dataset_file?/1)
 
   defp fetch_path(nil, _name, _kind?), do: :error
 
@@ -145,7 +145,8 @@ defmodule Situ.Studio.Stores do
   end
 
   defp known_ending?(path),
-    do: (Formats.for_file(path) != nil and recording_file?(path)) or Document.dataset_file?(path)
+    do:
+      (Formats.for_file(path) != nil and recording_file?(path)) or FileFormat.dataset_file?(path)
 
   # A JSON store is listed by its catalog; other JSON files (statistics, settings) are not recordings.
   defp recording_file?(path),

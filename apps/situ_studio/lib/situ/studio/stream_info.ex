@@ -18,10 +18,10 @@ defmodule Situ.Studio.StreamInfo do
       :signals
   """
   alias Situ.Studio.Draw.{Key, Segments}
-  alias Situ.Studio.Scene.Terms
+  alias Situ.Studio.Scene.TermItems
   alias Situ.Studio.Visualizers.{Bars, Shapes, Spans}
 
-  @in_space Terms.spatial_structs()
+  @in_space TermItems.spatial_structs()
 
   @enforce_keys [:name, :shape]
   defstruct [
@@ -237,7 +237,7 @@ defmodule Situ.Studio.StreamInfo do
     cond do
       Bars.bar_rows(data) != [] -> :bars
       Shapes.any?(data) -> :shapes
-      Terms.any?(data) -> :space
+      TermItems.any?(data) -> :space
       Spans.find_spans(data, 0) != [] -> :spans
       Bars.named_series(data) != [] -> :bars
       true -> :value

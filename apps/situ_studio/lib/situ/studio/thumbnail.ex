@@ -2,7 +2,7 @@ defmodule Situ.Studio.Thumbnail do
   @moduledoc """
   Renders a thumbnail of a recording for lists: an image from its middle, or a plot of its first signal.
   """
-  alias Situ.{Image, Imaging}
+  alias Situ.{Image, ImageOps}
   alias Situ.Studio.{Draw, Source}
 
   @width 160
@@ -47,7 +47,7 @@ defmodule Situ.Studio.Thumbnail do
 
   defp shrink_image(%Image{width: w, height: h} = image) do
     k = min(min(@width / w, @height / h), 1.0)
-    Imaging.Geometry.resize(image, max(round(w * k), 1), max(round(h * k), 1))
+    ImageOps.Geometry.resize(image, max(round(w * k), 1), max(round(h * k), 1))
   end
 
   defp shrink_image(_), do: :error
@@ -56,7 +56,7 @@ defmodule Situ.Studio.Thumbnail do
   defp stored_image(source, stream, middle) do
     with {:ok, message} <- Source.fetch_nearest(source, stream.name, middle),
          {:ok, {format, _, _, data, _}} when format in [:jpeg, :png] <-
-           Draw.Picture.to_browser_image(message.data) do
+           Draw.BrowserImage.to_browser_image(message.data) do
       {:ok, "image/#{format}", data}
     else
       _ -> nil
@@ -107,7 +107,8 @@ defmodule Situ.Studio.Thumbnail do
     ]
   end
 
-  defp find_gaps(points), do: Draw.Rhythm.find_gaps(for {t, _, _, _, n} <- points, do: {t, n})
+  defp find_gaps(points),
+    do: Draw.GapDetection.find_gaps(for {t, _, _, _, n} <- points, do: {t, n})
 
   defp stroke_path({t, low, high, _, _}, x, y),
     do: "#{round_tenths(x.(t))} #{round_tenths(y.(high))}V#{round_tenths(y.(low))}"

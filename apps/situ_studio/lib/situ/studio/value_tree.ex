@@ -9,7 +9,7 @@ defmodule Situ.Studio.ValueTree do
       iex> Situ.Studio.ValueTree.build(%{x: 1.5, on: true})
       ["map", "2 keys", [["on", ["boolean", "true", nil], ".on"], ["x", ["number", "1.5", nil], ".x"]]]
   """
-  alias Situ.Studio.Path
+  alias Situ.Studio.ValuePath
 
   @type tree :: [term()]
 
@@ -69,7 +69,7 @@ defmodule Situ.Studio.ValueTree do
     children =
       for {key, value} <- shown do
         # A child whose key cannot be written in a path can be shown but not plotted.
-        child = path && Path.child_path(path, key)
+        child = path && ValuePath.child_path(path, key)
         [format_key(key), build_node(value, child, depth + 1), child]
       end
 

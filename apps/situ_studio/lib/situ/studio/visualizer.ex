@@ -66,7 +66,7 @@ defmodule Situ.Studio.Visualizer do
   @type spec :: %{
           required(:stream) => String.t(),
           required(:viz) => t() | nil,
-          required(:path) => Situ.Studio.Path.t(),
+          required(:path) => Situ.Studio.ValuePath.t(),
           optional(:props) => map()
         }
 

@@ -4,7 +4,7 @@ defmodule Situ.Studio.DatasetsTest do
 
   alias Situ.Live.Test, as: Page
   alias Situ.{Dataset, Message, Store}
-  alias Situ.Studio.{Batch, Catalog, Datasets, Source}
+  alias Situ.Studio.{BatchRuns, Catalog, Datasets, Source}
   alias Situ.Studio.Web.{DatasetView, HomeView}
 
   @moduletag :tmp_dir
@@ -46,7 +46,7 @@ defmodule Situ.Studio.DatasetsTest do
     )
 
     start_supervised!({Catalog, id: studio, path: dir, layouts: Path.join(dir, "layouts")})
-    start_supervised!({Batch, id: studio})
+    start_supervised!({BatchRuns, id: studio})
     file = Path.join(dir, "study.json")
     {:ok, dataset} = Dataset.new("Study", file: file, autosave: true)
 
@@ -79,10 +79,10 @@ defmodule Situ.Studio.DatasetsTest do
     study: study,
     dir: dir
   } do
-    assert %{sessions: 3, error: nil} = Datasets.Facts.of_dataset(study)
+    assert %{sessions: 3, error: nil} = Datasets.Summary.of_dataset(study)
     broken = Path.join(dir, "broken.json")
     File.write!(broken, "{")
-    assert %{sessions: nil, error: %Situ.Error{}} = Datasets.Facts.of_dataset(broken)
+    assert %{sessions: nil, error: %Situ.Error{}} = Datasets.Summary.of_dataset(broken)
   end
 
   test "the catalog lists a dataset and opens its sessions and recordings", %{studio: studio} do
@@ -133,9 +133,9 @@ defmodule Situ.Studio.DatasetsTest do
   test "a batch run adds its output, reports failures, and notifies subscribers", context do
     %{studio: studio, study: file} = context
     {:ok, server} = Datasets.open_server(studio, file)
-    assert Batch.subscribe(studio, file) == []
+    assert BatchRuns.subscribe(studio, file) == []
     all = ["a/b", "bad", "c"]
-    assert {:ok, 1} = Batch.start_run(studio, {server, file}, "doubled", all, %{"by" => 3})
+    assert {:ok, 1} = BatchRuns.start_run(studio, {server, file}, "doubled", all, %{"by" => 3})
     assert_receive {:batch, ^file, [%{status: :failed} = run]}, 60_000
     assert [{"bad", _}] = Situ.Dataset.Derivation.Report.failures(run.report)
     {:ok, _, source} = Catalog.open_source(studio, "study.json/c/Doubled")
@@ -148,7 +148,7 @@ defmodule Situ.Studio.DatasetsTest do
           {%{}, [], :no_session},
           {%{}, ["c"], nil}
         ] do
-      case Batch.start_run(studio, {server, file}, "doubled", sessions, config) do
+      case BatchRuns.start_run(studio, {server, file}, "doubled", sessions, config) do
         {:error, error} -> assert error.code == code
         {:ok, _} -> assert code == nil
       end
@@ -160,7 +160,7 @@ defmodule Situ.Studio.DatasetsTest do
                     [%{id: 2, status: :done, report: %{results: [%{status: :kept}]}} | _]},
                    60_000
 
-    {:ok, 3} = Batch.start_run(studio, {server, file}, "doubled", ["c"], %{})
+    {:ok, 3} = BatchRuns.start_run(studio, {server, file}, "doubled", ["c"], %{})
     assert_receive {:batch, _, [%{id: 3, error: %{code: :partition_exists}} | _]}, 60_000
   end
 
@@ -185,7 +185,7 @@ defmodule Situ.Studio.DatasetsTest do
     File.write!(file <> ".Doubled.run", Situ.JSON.encode(%{done: "a/b", path: done}) <> "\n")
     page = mount(studio)
     assert Page.text(page, ".runs") =~ "Interrupted when its studio stopped, with 2"
-    Batch.subscribe(studio, file)
+    BatchRuns.subscribe(studio, file)
     Page.send_event(page, "run_continue", %{"output" => "Doubled"})
     assert_receive {:batch, ^file, [%{status: :done, report: %{results: results}}]}, 60_000
     assert Enum.map(results, &{&1.session, &1.status}) == [{"a/b", :kept}, {"c", :done}]

@@ -3,7 +3,7 @@ defmodule Situ.Studio.LayoutTest do
   use Situ.Test.Property
 
   alias Situ.Studio.{Layout, Layouts, Link, StreamInfo}
-  alias Situ.Studio.Layout.Look
+  alias Situ.Studio.Layout.ImageLook
 
   doctest Situ.Studio.Link
 
@@ -14,7 +14,7 @@ defmodule Situ.Studio.LayoutTest do
     forall actions <- list({one_of(@actions), integer(1, 12), one_of(@panels)}) do
       layout = Enum.reduce(actions, Layout.new("x"), &edit/2)
 
-      assert Layout.Text.parse_json(Layout.Text.to_json(layout)) == {:ok, renumber(layout)}
+      assert Layout.Json.parse_json(Layout.Json.to_json(layout)) == {:ok, renumber(layout)}
       assert Link.decode(Link.encode(layout)) == {:ok, renumber(layout)}
       assert Enum.all?(Layout.panel_lines(layout), &(&1 != []))
       # Every row occurs once, and contains either one timeline or cells.
@@ -30,7 +30,7 @@ defmodule Situ.Studio.LayoutTest do
 
       for offset <- [offset, offset * 1_000_000_007, 1_700_000_000_000_000_001] do
         layout = %{Layout.new("x") | compared: {id, offset}}
-        assert Layout.Text.parse_json(Layout.Text.to_json(layout)) == {:ok, layout}
+        assert Layout.Json.parse_json(Layout.Json.to_json(layout)) == {:ok, layout}
       end
     end
   end
@@ -43,7 +43,7 @@ defmodule Situ.Studio.LayoutTest do
           ~s({"with": "a", "offset": "1e9"})
         ] do
       json = ~s({"version": 1, "name": "x", "panels": [], "compared": #{compared}})
-      assert {:ok, %{compared: nil}} = Layout.Text.parse_json(json)
+      assert {:ok, %{compared: nil}} = Layout.Json.parse_json(json)
     end
   end
 
@@ -243,7 +243,7 @@ defmodule Situ.Studio.LayoutTest do
 
   property "reading a layout or a link never raises for any bytes" do
     forall bytes <- binary() do
-      assert {:error, %Situ.Error{}} = Layout.Text.parse_json(bytes)
+      assert {:error, %Situ.Error{}} = Layout.Json.parse_json(bytes)
       assert {:error, %Situ.Error{}} = Link.decode(bytes)
     end
   end
@@ -277,7 +277,7 @@ defmodule Situ.Studio.LayoutTest do
 
   test "rejects a layout of another version or with invalid panels, with the reason" do
     assert {:error, %{why: nil, what: what}} =
-             Layout.Text.parse_json(~s({"version": 9, "name": "x", "panels": []}))
+             Layout.Json.parse_json(~s({"version": 9, "name": "x", "panels": []}))
 
     assert what =~ "version 9"
 
@@ -289,7 +289,7 @@ defmodule Situ.Studio.LayoutTest do
           "17"
         ] do
       json = ~s({"version": 1, "name": "x", "panels": [#{panel}]})
-      assert {:error, %{code: :bad_layout}} = Layout.Text.parse_json(json)
+      assert {:error, %{code: :bad_layout}} = Layout.Json.parse_json(json)
     end
   end
 
@@ -326,9 +326,9 @@ defmodule Situ.Studio.LayoutTest do
     ]
 
     looks = %{
-      "Pan" => %Look{width: 1600, height: 400},
-      "Left" => %Look{width: 640, height: 480},
-      "Right" => %Look{width: 640, height: 480}
+      "Pan" => %ImageLook{width: 1600, height: 400},
+      "Left" => %ImageLook{width: 640, height: 480},
+      "Right" => %ImageLook{width: 640, height: 480}
     }
 
     assert %{beside: false} = layout = Layout.Auto.build_layout(streams, looks)
@@ -341,13 +341,13 @@ defmodule Situ.Studio.LayoutTest do
 
   test "colors images of class numbers: over a camera's image, or alone" do
     streams = for n <- ["Cam.Image", "Cam.Classes"], do: %StreamInfo{name: n, shape: :image}
-    looks = %{"Cam.Classes" => %Look{width: 640, height: 480, classes: true}}
+    looks = %{"Cam.Classes" => %ImageLook{width: 640, height: 480, classes: true}}
 
     assert [%{vis: [%{viz: "image", stream: "Cam.Image"}, %{viz: "masks"}]}] =
              Layout.Auto.build_layout(streams, looks).rows
 
     alone = for n <- ["A", "B"], do: %StreamInfo{name: n, shape: :image}
-    looks = Map.new(["A", "B"], &{&1, %Look{width: 640, height: 480, classes: true}})
+    looks = Map.new(["A", "B"], &{&1, %ImageLook{width: 640, height: 480, classes: true}})
 
     assert [[%{viz: "masks", stream: "A"}], [%{viz: "masks", stream: "B"}]] =
              for(p <- Layout.Auto.build_layout(alone, looks).rows, do: p.vis)
@@ -359,10 +359,12 @@ defmodule Situ.Studio.LayoutTest do
     even = :binary.copy(<<7>>, 4_800)
     labels = for y <- 0..59, x <- 0..79, into: <<>>, do: <<div(x, 20) + div(y, 30) * 4>>
 
-    look = &Look.detect_look(Situ.Image.new!(width: 80, height: 60, format: :gray8, data: &1))
+    look =
+      &ImageLook.detect_look(Situ.Image.new!(width: 80, height: 60, format: :gray8, data: &1))
+
     assert Enum.map([noise, even, labels], &look.(&1).classes) == [false, false, true]
 
-    assert Look.detect_look("no picture") == nil
+    assert ImageLook.detect_look("no picture") == nil
   end
 
   test "the automatic layout of a talk puts speakers in lanes and openings in lines" do

@@ -112,7 +112,7 @@ defmodule Situ.Studio.PluginsTest do
         ] do
       assert %{problem: problem, visualizers: [v]} = plugin(dir, [{"lib/a.ex", code} | files])
       assert problem =~ words
-      assert v.module == Situ.Studio.Visualizers.Broken
+      assert v.module == Situ.Studio.Visualizers.BrokenPlugin
       session = %{Asking.session() | visualizers: [v]}
       spec = %{"stream" => "level", "viz" => "odd/v"}
 
@@ -213,7 +213,13 @@ defmodule Situ.Studio.PluginsTest do
     assert frame.kind == 1
 
     assert {:ok, points, true} =
-             Source.Adapted.series({source, Tenth}, "level", 1_498_000_000, 1_501_000_000, 1_000)
+             Source.WithAdapter.series(
+               {source, Tenth},
+               "level",
+               1_498_000_000,
+               1_501_000_000,
+               1_000
+             )
 
     assert Enum.map(points, &elem(&1, 3)) == [49.7, 49.8, 49.9, nil, nil, nil]
   end

@@ -2,12 +2,12 @@ defmodule Situ.Studio.PureDocTest do
   use ExUnit.Case, async: true
 
   doctest Situ.Studio.Frame
-  doctest Situ.Studio.Path
-  doctest Situ.Studio.WholeNumber
+  doctest Situ.Studio.ValuePath
+  doctest Situ.Studio.Int64
   doctest Situ.Studio.Comparison
-  doctest Situ.Studio.PipelineView.Fold
+  doctest Situ.Studio.PipelineView.FoldedGraph
   doctest Situ.Studio.PipelineView.Waits
-  doctest Situ.Studio.PipelineView.Marking
+  doctest Situ.Studio.PipelineView.Highlighting
   doctest Situ.Studio.Export
   doctest Situ.Studio.Coverage
   doctest Situ.Studio.ValueTree
@@ -19,44 +19,44 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers.Script
   doctest Situ.Studio.Adapter
   doctest Situ.Studio.Plugins
-  doctest Situ.Studio.Plugins.Guard
+  doctest Situ.Studio.Plugins.Sandbox
   doctest Situ.Studio.Plugins.Manifest
   doctest Situ.Studio.Plugins.Template
-  doctest Situ.Studio.Annotating
-  doctest Situ.Studio.Color
+  doctest Situ.Studio.Annotations
+  doctest Situ.Studio.StreamColors
   doctest Situ.Studio.Statistics
   doctest Situ.Studio.Layout
   doctest Situ.Studio.Layout.Auto
-  doctest Situ.Studio.Layout.Look
+  doctest Situ.Studio.Layout.ImageLook
   doctest Situ.Studio.History
   doctest Situ.Studio.Visualizers.Shapes
   doctest Situ.Studio.Visualizers.Bars
   doctest Situ.Studio.Draw.Bins
-  doctest Situ.Studio.Draw.Rhythm
-  doctest Situ.Studio.Draw.Tracks
+  doctest Situ.Studio.Draw.GapDetection
+  doctest Situ.Studio.Draw.SummaryLanes
   doctest Situ.Studio.Draw.Segments
   doctest Situ.Studio.Visualizers.Spans
   doctest Situ.Studio.Visualizers.Lines
   doctest Situ.Studio.Visualizers.Log
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder
-  doctest Situ.Studio.Annotating.Shelf
-  doctest Situ.Studio.Annotating.Proposals
-  doctest Situ.Studio.Annotating.Schemas
-  doctest Situ.Studio.Annotating.SchemaForm
-  doctest Situ.Studio.Annotating.Comparison
-  doctest Situ.Studio.Finding
-  doctest Situ.Studio.Table
+  doctest Situ.Studio.Annotations.Files
+  doctest Situ.Studio.Annotations.Proposals
+  doctest Situ.Studio.Annotations.Schemas
+  doctest Situ.Studio.Annotations.SchemaForm
+  doctest Situ.Studio.Annotations.AgreementTable
+  doctest Situ.Studio.IntervalSearch
+  doctest Situ.Studio.TableExport
   doctest Situ.Studio.Source.Session
-  doctest Situ.Studio.Datasets.Place
-  doctest Situ.Studio.Datasets.Facts
-  doctest Situ.Studio.Datasets.Folders
-  doctest Situ.Studio.Figures
-  doctest Situ.Studio.Members
-  doctest Situ.Studio.Batch.Run
-  doctest Situ.Studio.Batch.Left
-  doctest Situ.Studio.Batch.Form
-  doctest Situ.Studio.Batch.Configurations
+  doctest Situ.Studio.Datasets.DatasetRef
+  doctest Situ.Studio.Datasets.Summary
+  doctest Situ.Studio.Datasets.FolderImport
+  doctest Situ.Studio.StreamTotals
+  doctest Situ.Studio.MemberExpressions
+  doctest Situ.Studio.BatchRuns.Run
+  doctest Situ.Studio.BatchRuns.ResumableRuns
+  doctest Situ.Studio.BatchRuns.Form
+  doctest Situ.Studio.BatchRuns.SavedOptions
   doctest Situ.Studio.Web.Dataset.Rows
   doctest Situ.Studio.Web.Dataset.Edits
 end

@@ -7,6 +7,6 @@ defmodule Situ.Studio.SpaceGuideTest do
 
   @tag :tmp_dir
   test "runs every block of the guide", %{tmp_dir: folder} do
-    assert Situ.Test.Guide.run_blocks(@guide, bindings: [folder: folder]) >= 8
+    assert Situ.Test.GuideRunner.run_blocks(@guide, bindings: [folder: folder]) >= 8
   end
 end

@@ -18,7 +18,7 @@ defmodule Situ.Test.Property do
   tuple: `forall {a, b} <- {integer(), boolean()}`.
 
   Options of `property`: `numtests:` (default 100), `max_size:` (default 42, as in PropEr), and `context: pattern` to
-  match the ExUnit context. `use` also imports the generators of `Situ.Test.Gen`.
+  match the ExUnit context. `use` also imports the generators of `Situ.Test.Generators`.
 
   `SITU_TIMES=20 mix test` tries twenty times as many inputs, to search for rare counterexamples. The inputs depend on
   ExUnit's seed, so `mix test --seed 1234` repeats them.
@@ -30,7 +30,7 @@ defmodule Situ.Test.Property do
   defmacro __using__(_opts) do
     quote do
       import Situ.Test.Property, only: [property: 2, property: 3, forall: 2]
-      import Situ.Test.Gen
+      import Situ.Test.Generators
     end
   end
 
@@ -55,7 +55,7 @@ defmodule Situ.Test.Property do
   @doc """
   Checks `{generator, fun}` and raises `ExUnit.AssertionError` with the shrunk counterexample.
 
-      iex> Situ.Test.Property.check_forall({Situ.Test.Gen.integer(), fn n -> n + 0 == n end}, numtests: 20)
+      iex> Situ.Test.Property.check_forall({Situ.Test.Generators.integer(), fn n -> n + 0 == n end}, numtests: 20)
       :ok
   """
   @spec check_forall({term(), (term() -> term())}, keyword()) :: :ok

@@ -2,7 +2,7 @@ defmodule Situ.Test.PropertyTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
   doctest Situ.Test.Property
-  doctest Situ.Test.Gen
+  doctest Situ.Test.Generators
 
   property "a true property passes" do
     forall {xs, ys} <- {list(integer()), list(integer())} do

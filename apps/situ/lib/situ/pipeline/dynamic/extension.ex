@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   # Adds components to a running pipeline and removes them. The caller builds on a copy of the graph with its own range
   # of ids. The server merges the new components and plans them like any graph, and the life cycle starts them.
   alias Situ.{Error, Graph}
-  alias Situ.Graph.{Extension, Plan}
+  alias Situ.Graph.{Additions, Plan}
   alias Situ.Pipeline.{Stages, State}
 
   # Each extension reserves this many ids; they need to be unique, not dense.
@@ -12,12 +12,12 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   @doc "Returns a copy of the graph to build on, and reserves ids for it."
   @spec reserve_ids(State.t()) :: {Graph.t(), State.t()}
   def reserve_ids(%{graph: graph} = state),
-    do: {graph, %{state | graph: Extension.reserve_ids(graph, @numbers)}}
+    do: {graph, %{state | graph: Additions.reserve_ids(graph, @numbers)}}
 
   @doc "Returns the new components as a plan for the life cycle, or an error if they do not fit the running graph."
   @spec add_components(State.t(), Graph.t()) :: {:ok, State.t(), map()} | {:error, Error.t()}
   def add_components(state, added) do
-    with {:ok, graph, fresh} <- Extension.merge_additions(state.graph, added),
+    with {:ok, graph, fresh} <- Additions.merge_additions(state.graph, added),
          {:ok, plan} <- Plan.compile_part(graph, fresh),
          {:ok, lent} <- find_lent_edges(state, plan) do
       {state, members} =
@@ -65,7 +65,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
           into: MapSet.new(),
           do: vertex.id
 
-    %{state | graph: Extension.remove_vertices(state.graph, gone)}
+    %{state | graph: Additions.remove_vertices(state.graph, gone)}
   end
 
   @doc "Returns whether a stage was removed and its process has ended."

@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   # Replaces the module or the options of a running component. Each stage handles one replacement at a time, in the
   # order of the requests. A waiting request is checked against the component at the time when it begins.
   alias Situ.{Error, Type}
-  alias Situ.Component.Functions
+  alias Situ.Component.FunctionSwap
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.State
@@ -51,7 +51,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   defp renew_options(%{module: :operator}, new), do: new
 
   defp renew_options(%{opts: old}, new),
-    do: Functions.replace_functions(old, Functions.pair_functions(old, new))
+    do: FunctionSwap.replace_functions(old, FunctionSwap.pair_functions(old, new))
 
   defp enqueue_request(%{dynamic: %{replaces: replaces}} = state, id, request) do
     case replaces do

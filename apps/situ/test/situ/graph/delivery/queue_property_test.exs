@@ -5,7 +5,7 @@ defmodule Situ.Delivery.QueuePropertyTest do
   alias Situ.{Delivery, Message, Pipeline}
   alias Situ.Delivery.Queue
   alias Situ.Fixture.Count
-  alias Situ.Ports.{Output, Posting, Subscriber}
+  alias Situ.Ports.{Output, PostingRules, Subscriber}
 
   # Represents a policy as plain data so that it can shrink: {max_queue | nil, max_latency | nil, guarantee even?}.
   defp policy({max, latency, guarantee}) do
@@ -81,7 +81,7 @@ defmodule Situ.Delivery.QueuePropertyTest do
 
   defp post(outlet, sent, n) do
     Enum.reduce((sent + 1)..(sent + n), outlet, fn i, outlet ->
-      {:ok, outlet} = Posting.emit(outlet, i, i, 0, false)
+      {:ok, outlet} = PostingRules.emit(outlet, i, i, 0, false)
       outlet
     end)
     |> Output.flush()

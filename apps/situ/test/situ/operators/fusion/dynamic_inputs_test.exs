@@ -181,7 +181,10 @@ defmodule Situ.Fusion.InputsTest do
       [fusion] =
         for pid <- links,
             is_pid(pid),
-            match?(%Situ.Stage.State{callback: %{module: Fusion.Fuse}}, :sys.get_state(pid)),
+            match?(
+              %Situ.Stage.State{callback: %{module: Fusion.FuseComponent}},
+              :sys.get_state(pid)
+            ),
             do: pid
 
       monitor = Process.monitor(fusion)

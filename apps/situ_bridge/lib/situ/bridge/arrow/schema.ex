@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Arrow.Schema do
   # The schema of an Arrow file (Schema.fbs). Encodes columns as a schema, and decodes a schema into the type of each
   # column and the position of its buffers in a batch. Pure. Throws `{:not_arrow, why}`.
   alias Situ.Bridge.Arrow.FlatBuffer
-  alias Situ.Bridge.Columnar.{Column, Names}
+  alias Situ.Bridge.Columnar.{Column, ColumnNames}
 
   @deepest 64
   # The value of MetadataVersion.V5.
@@ -94,7 +94,7 @@ defmodule Situ.Bridge.Arrow.Schema do
     if version < @version_1_0 and Enum.any?(fields, &contains_union?(bytes, &1)),
       do: throw({:not_arrow, "it has unions in the format used before Arrow 1.0"})
 
-    found = Names.number_duplicates(found)
+    found = ColumnNames.number_duplicates(found)
     {left_out, columns} = Enum.split_with(found, &is_map_key(&1, :left_out))
     left_out = for column <- left_out, do: {column.name, column.left_out}
     {columns, left_out, columns |> Enum.flat_map(&dictionary_columns/1) |> Map.new()}
@@ -171,7 +171,7 @@ defmodule Situ.Bridge.Arrow.Schema do
         |> FlatBuffer.table_offsets(field, 5)
         |> Enum.map_reduce(place, &decode_column(bytes, &1, &2, depth + 1))
 
-      check_children(type, Names.number_duplicates(found))
+      check_children(type, ColumnNames.number_duplicates(found))
     else
       []
     end

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Arrow.Values do
   @moduledoc false
   # Reads a range of values of one column from the buffers of a batch. Pure, except for the reads of the buffers.
   # Throws `{:not_arrow, why}`.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Arrow.Buffer
 
   @most 1_073_741_824

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Format.Csv do
   @moduledoc false
   # Encodes messages as records of comma-separated fields (RFC 4180) with a heading.
   @behaviour Situ.Bridge.Format
-  alias Situ.Bridge.Format.{Stamp, Value}
+  alias Situ.Bridge.Format.{TimeFormat, Value}
   alias Situ.Bridge.Format.Csv.{Number, Row}
   alias Situ.Bridge.Native
 
@@ -42,7 +42,7 @@ defmodule Situ.Bridge.Format.Csv do
   defp named_fields(value), do: value |> prepare_value() |> value_columns()
 
   defp encode_row(time, fields),
-    do: Row.encode_row([Stamp.to_iso8601(time) | Enum.map(fields, &format_field/1)])
+    do: Row.encode_row([TimeFormat.to_iso8601(time) | Enum.map(fields, &format_field/1)])
 
   @impl true
   def columns(%{kind: kind, times: times, values: values}, place) do

@@ -2,15 +2,17 @@ defmodule Situ.Bridge.Format.Json do
   @moduledoc false
   # Encodes messages as JSON; a file is an array of them.
   @behaviour Situ.Bridge.Format
-  import Situ.Bits, only: [pinned_size: 1]
-  alias Situ.Bridge.Format.{Stamp, Value}
+  import Situ.BinarySize, only: [pinned_size: 1]
+  alias Situ.Bridge.Format.{TimeFormat, Value}
 
   # Real messages are not larger than this; without a limit, an unclosed bracket would fill the memory.
   @most 64 * 1024 * 1024
 
   @impl true
   def encode(value, time) do
-    ordered = {[{"originatingTime", Stamp.to_iso8601(time)}, {"message", Value.to_plain(value)}]}
+    ordered =
+      {[{"originatingTime", TimeFormat.to_iso8601(time)}, {"message", Value.to_plain(value)}]}
+
     Situ.JSON.encode(ordered)
   end
 

@@ -2,13 +2,13 @@ defmodule Situ.Bridge.Format.MessagePack do
   @moduledoc false
   # Encodes messages as MessagePack; a file consists of frames and ends with a length of 0.
   @behaviour Situ.Bridge.Format
-  alias Situ.Bridge.Format.{Frames, Stamp, Value}
+  alias Situ.Bridge.Format.{LengthPrefixed, TimeFormat, Value}
   alias Situ.Bridge.MessagePack
 
   # Ticks are 100 ns, so the remaining nanoseconds are in a separate member.
   @impl true
   def encode(value, time) do
-    {ticks, rest} = Stamp.to_ticks(time)
+    {ticks, rest} = TimeFormat.to_ticks(time)
     fine = if rest == 0, do: [], else: [{"nanoseconds", rest}]
     MessagePack.encode({[{"message", convert_value(value)}, {"originatingTime", ticks}] ++ fine})
   end
@@ -32,7 +32,7 @@ defmodule Situ.Bridge.Format.MessagePack do
          {:ok, ticks} when is_integer(ticks) <- Value.fetch_member(pairs, "originatingTime"),
          {:ok, value} <- Value.fetch_member(pairs, "message") do
       {:ok,
-       {Stamp.from_ticks(ticks) + extra_nanoseconds(pairs), Value.shape_objects(value, opts)}}
+       {TimeFormat.from_ticks(ticks) + extra_nanoseconds(pairs), Value.shape_objects(value, opts)}}
     else
       {:error, why} -> {:error, why}
       {:ok, _, _} -> {:error, "it is not a map, or bytes follow it"}
@@ -48,11 +48,12 @@ defmodule Situ.Bridge.Format.MessagePack do
   end
 
   @impl true
-  def record(value, time, _n), do: value |> encode(time) |> Frames.encode_frame()
+  def record(value, time, _n), do: value |> encode(time) |> LengthPrefixed.encode_frame()
   @impl true
-  def finish(_n), do: Frames.end_marker()
+  def finish(_n), do: LengthPrefixed.end_marker()
   @impl true
-  def start, do: Frames.initial_state()
+  def start, do: LengthPrefixed.initial_state()
   @impl true
-  def split(bytes, state, _last?, opts), do: Frames.split_frames(bytes, state, &decode(&1, opts))
+  def split(bytes, state, _last?, opts),
+    do: LengthPrefixed.split_frames(bytes, state, &decode(&1, opts))
 end

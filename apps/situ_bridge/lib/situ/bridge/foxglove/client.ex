@@ -3,8 +3,8 @@ defmodule Situ.Bridge.Foxglove.Client do
   # One connection: the WebSocket around a session. A client that does not read blocks only this process, which closes
   # the connection after 30 s. The process also closes it when a client does not finish a message in that time.
   use GenServer, restart: :temporary
-  alias Situ.Bridge.Foxglove.{Session, Source}
-  alias Situ.Bridge.Net.Outbox
+  alias Situ.Bridge.Foxglove.{Session, StoreChannels}
+  alias Situ.Bridge.Net.SendQueue
   alias Situ.Bridge.WebSocket.{Frames, Handshake}
 
   @every 20
@@ -32,7 +32,7 @@ defmodule Situ.Bridge.Foxglove.Client do
 
   @impl true
   def handle_info({:adopt, tcp}, state) do
-    :inet.setopts(tcp, [active: :once] ++ Outbox.socket_options())
+    :inet.setopts(tcp, [active: :once] ++ SendQueue.socket_options())
     {:noreply, %{state | tcp: tcp}}
   end
 
@@ -91,7 +91,7 @@ defmodule Situ.Bridge.Foxglove.Client do
     do: %{state | deadline: :erlang.start_timer(state.message_ms, self(), :message)}
 
   defp open_session(answer, protocol, state) do
-    {frames, session} = Session.open(Source.new(state.store), state.name, protocol)
+    {frames, session} = Session.open(StoreChannels.new(state.store), state.name, protocol)
     send(self(), :tick)
     send_bytes([answer | encode_frames(frames)], %{state | session: session}, &resume_reading/1)
   end

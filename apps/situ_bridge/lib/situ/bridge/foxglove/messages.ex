@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Foxglove.Messages do
   @moduledoc false
   # The definitions of Foxglove's messages (`priv/foxglove`), in their Protobuf form.
-  alias Situ.Bridge.Protobuf.{Descriptor, Schema, Text}
+  alias Situ.Bridge.Protobuf.{Descriptor, Schema, ProtoParser}
 
   @external_resource path = Path.expand("../../../../priv/foxglove/foxglove.proto", __DIR__)
   @text File.read!(path)
@@ -10,7 +10,7 @@ defmodule Situ.Bridge.Foxglove.Messages do
   @spec load_types() :: {list(), list()}
   def load_types do
     with :none <- :persistent_term.get({__MODULE__, :types}, :none) do
-      {:ok, messages, enums} = Text.parse_types(@text)
+      {:ok, messages, enums} = ProtoParser.parse_types(@text)
       :persistent_term.put({__MODULE__, :types}, {messages, enums})
       {messages, enums}
     end
@@ -20,7 +20,7 @@ defmodule Situ.Bridge.Foxglove.Messages do
   @spec load_schema() :: Schema.t()
   def load_schema do
     with :none <- :persistent_term.get(__MODULE__, :none) do
-      {:ok, schema} = Text.parse(@text, [Descriptor.google_types()])
+      {:ok, schema} = ProtoParser.parse(@text, [Descriptor.google_types()])
       :persistent_term.put(__MODULE__, schema)
       schema
     end

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Foxglove.Session do
   @moduledoc false
   # One client, with its subscriptions and the time up to which each was served. It is not a process: `open/3`,
   # `handle_frame/3` and `tick/2` return the frames to send and the next state. `now` is a monotonic clock in nanoseconds.
-  alias Situ.Bridge.Foxglove.{Playback, Source, Wire}
+  alias Situ.Bridge.Foxglove.{Playback, StoreChannels, Wire}
 
   @protocols ["foxglove.sdk.v1", "foxglove.websocket.v1"]
   # The approximate limit of bytes sent in one tick; the playback waits for the rest.
@@ -27,9 +27,9 @@ defmodule Situ.Bridge.Foxglove.Session do
   def supported_protocols, do: @protocols
 
   @doc "Returns the first frames for a client, and the state; `name` is the name of the server."
-  @spec open(Source.t(), String.t(), protocol :: String.t()) :: {[Wire.frame()], t()}
+  @spec open(StoreChannels.t(), String.t(), protocol :: String.t()) :: {[Wire.frame()], t()}
   def open(source, name, protocol) do
-    {from, to} = Source.time_range(source)
+    {from, to} = StoreChannels.time_range(source)
     playback = Playback.new(from, to)
     # A client that joins a live recording receives only new messages.
     playback = if source.live?, do: Playback.seek(playback, to), else: playback
@@ -70,7 +70,9 @@ defmodule Situ.Bridge.Foxglove.Session do
       for {id, {_, channel}} <- session.source.channels, id not in session.told, do: {id, channel}
 
     told = Enum.into(new, session.told, &elem(&1, 0))
-    channels = for {id, channel} <- Enum.sort(new), do: Source.describe_channel(id, channel)
+
+    channels =
+      for {id, channel} <- Enum.sort(new), do: StoreChannels.describe_channel(id, channel)
 
     {if(new == [], do: [], else: [Wire.encode_op("advertise", channels: channels)]),
      %{session | told: told}}
@@ -156,7 +158,7 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   defp latest_frames(session, id) do
     {channel, at} = session.wanted[id]
-    session.source |> Source.latest_message(channel, at) |> message_frames(session, id)
+    session.source |> StoreChannels.latest_message(channel, at) |> message_frames(session, id)
   end
 
   defp message_frames(messages, session, id) do
@@ -289,7 +291,7 @@ defmodule Situ.Bridge.Foxglove.Session do
   end
 
   defp advance_playback(%{source: %{live?: true}} = session, _now) do
-    {_, to} = Source.time_range(session.source)
+    {_, to} = StoreChannels.time_range(session.source)
 
     %{
       session.playback
@@ -302,7 +304,8 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   defp refresh_source(session, now) do
     if session.looked == nil or (session.source.live? and now - session.looked >= @look_every),
-      do: advertise_channels(%{session | source: Source.refresh(session.source), looked: now}),
+      do:
+        advertise_channels(%{session | source: StoreChannels.refresh(session.source), looked: now}),
       else: {[], session}
   end
 
@@ -319,7 +322,7 @@ defmodule Situ.Bridge.Foxglove.Session do
     {lists, ends} =
       session.wanted
       |> Enum.map(fn {id, {channel, from}} ->
-        {messages, all?} = Source.messages_between(session.source, channel, from, at)
+        {messages, all?} = StoreChannels.messages_between(session.source, channel, from, at)
 
         {Enum.map(messages, &{elem(&1, 0), id, &1}),
          if(all?, do: at, else: messages |> List.last() |> elem(0))}

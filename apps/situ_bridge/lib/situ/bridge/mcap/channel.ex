@@ -2,10 +2,10 @@ defmodule Situ.Bridge.Mcap.Channel do
   @moduledoc false
   # How one topic is written, as determined by its options and its first message.
   alias Situ.Bridge.Format.Value
-  alias Situ.Bridge.Mcap.Extra
+  alias Situ.Bridge.Mcap.ExtraFields
   alias Situ.Bridge.{Foxglove, Protobuf}
   alias Situ.Bridge.Protobuf.Descriptor
-  alias Situ.Bridge.Ros.{Definition, Library, Optics, Standard, Wire}
+  alias Situ.Bridge.Ros.{Definition, Library, CameraInfo, StandardTypes, Wire}
   alias Situ.Error
 
   # `definition` is a `Definition` or a Protobuf schema.
@@ -16,7 +16,7 @@ defmodule Situ.Bridge.Mcap.Channel do
   @doc "Builds the channel that fits the first message."
   @spec new(String.t(), keyword(), term()) :: {:ok, t()} | {:error, Error.t()}
   def new(topic, opts, first) do
-    {value, _extra} = Extra.split_data(first)
+    {value, _extra} = ExtraFields.split_data(first)
 
     with {:ok, channel} <- build_channel(topic, opts[:encoding], opts, value),
          do: {:ok, %{channel | frame: opts[:frame] || ""}}
@@ -25,14 +25,14 @@ defmodule Situ.Bridge.Mcap.Channel do
   defp build_channel(topic, :json, _opts, _first), do: {:ok, json_channel(topic)}
 
   defp build_channel(topic, :protobuf, opts, first) do
-    case opts[:type] || Foxglove.Standard.message_type(first) do
+    case opts[:type] || Foxglove.StandardTypes.message_type(first) do
       nil -> {:error, no_type_error(topic, :protobuf, "Foxglove message")}
       type -> protobuf_channel(topic, type, opts[:definition])
     end
   end
 
   defp build_channel(topic, encoding, opts, first) do
-    case {encoding, opts[:type] || Standard.ros_type(first)} do
+    case {encoding, opts[:type] || StandardTypes.ros_type(first)} do
       {:auto, nil} -> {:ok, json_channel(topic)}
       {encoding, nil} -> {:error, no_type_error(topic, encoding, "ROS message")}
       {:auto, type} -> ros_channel(topic, type, opts[:definition], :ros1)
@@ -164,7 +164,9 @@ defmodule Situ.Bridge.Mcap.Channel do
 
   defp encode_value(%{encoding: :protobuf, schema: {type, _, _}} = channel, data, extra, time) do
     message =
-      type |> Foxglove.Standard.to_message(data, time, channel.frame) |> Extra.put_fields(extra)
+      type
+      |> Foxglove.StandardTypes.to_message(data, time, channel.frame)
+      |> ExtraFields.put_fields(extra)
 
     with {:error, why} <- Protobuf.Writer.encode(channel.definition, type, message),
          do: {:error, not_writable_error(channel, why)}
@@ -173,8 +175,8 @@ defmodule Situ.Bridge.Mcap.Channel do
   defp encode_value(%{definition: %{name: name} = definition} = channel, data, extra, time) do
     message =
       name
-      |> Standard.to_message(data, time, channel.frame)
-      |> Extra.put_fields(extra)
+      |> StandardTypes.to_message(data, time, channel.frame)
+      |> ExtraFields.put_fields(extra)
       |> rename_fields(name, channel.encoding)
 
     with {:error, why} <- Wire.encode(definition, message, channel.encoding),
@@ -183,7 +185,7 @@ defmodule Situ.Bridge.Mcap.Channel do
 
   # ROS 1 and ROS 2 use different names for the same four fields.
   defp rename_fields(%{} = message, "sensor_msgs/CameraInfo", encoding),
-    do: Optics.rename_matrices(message, encoding)
+    do: CameraInfo.rename_matrices(message, encoding)
 
   defp rename_fields(message, _name, _encoding), do: message
 

@@ -2,9 +2,9 @@ defmodule Situ.Bridge.Mcap.Codec do
   @moduledoc false
   # Decodes a channel's bytes by its message encoding and its schema. Messages of unknown types stay bytes, with a note.
   alias Situ.Bridge.Foxglove
-  alias Situ.Bridge.Mcap.Extra
+  alias Situ.Bridge.Mcap.ExtraFields
   alias Situ.Bridge.Protobuf
-  alias Situ.Bridge.Ros.{Definition, Standard, Wire}
+  alias Situ.Bridge.Ros.{Definition, StandardTypes, Wire}
 
   @type schema :: {name :: String.t(), encoding :: String.t(), data :: binary()} | nil
 
@@ -62,7 +62,7 @@ defmodule Situ.Bridge.Mcap.Codec do
     case Protobuf.parse_schema(set) do
       {:ok, %{messages: messages} = schema} when is_map_key(messages, name) ->
         codec = %__MODULE__{kind: :protobuf, by: schema, name: name, topic: topic}
-        {codec, Foxglove.Standard.situ_type(name), nil}
+        {codec, Foxglove.StandardTypes.situ_type(name), nil}
 
       {:ok, _} ->
         bytes_codec(
@@ -90,7 +90,7 @@ defmodule Situ.Bridge.Mcap.Codec do
     case Definition.parse(name, text, if(encoding == :ros1, do: :ros1, else: :ros2)) do
       {:ok, definition} ->
         codec = %__MODULE__{kind: encoding, by: definition, name: definition.name, topic: topic}
-        {codec, Standard.situ_type(definition.name), nil}
+        {codec, StandardTypes.situ_type(definition.name), nil}
 
       {:error, why} ->
         bytes_codec(topic, "its definition is invalid: #{why}")
@@ -127,11 +127,11 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec extra_codec(t()) :: t()
   def extra_codec(codec), do: %{codec | maps?: false, extra?: true}
 
-  @doc "Adds the times of a message to the data of a second stream (`Situ.Bridge.Mcap.Extra.put_times/3`)."
+  @doc "Adds the times of a message to the data of a second stream (`Situ.Bridge.Mcap.ExtraFields.put_times/3`)."
   @spec put_times(term(), t(), Situ.Time.t(), {recorded :: Situ.Time.t(), sent :: Situ.Time.t()}) ::
           term()
   def put_times(%{} = extra, %{extra?: true}, time, times) when not is_struct(extra),
-    do: Extra.put_times(extra, time, times)
+    do: ExtraFields.put_times(extra, time, times)
 
   def put_times(data, _codec, _time, _times), do: data
 
@@ -139,7 +139,7 @@ defmodule Situ.Bridge.Mcap.Codec do
   @spec decode(t(), binary()) :: {:ok, term()} | {:error, String.t()}
   def decode(%{extra?: true} = codec, bytes) do
     with {:ok, message} <- decode(%{codec | extra?: false, maps?: true}, bytes),
-         do: {:ok, Extra.take_extra(message, rewrite_message(codec, message))}
+         do: {:ok, ExtraFields.take_extra(message, rewrite_message(codec, message))}
   end
 
   def decode(%{kind: :bytes}, bytes), do: {:ok, bytes}
@@ -152,7 +152,7 @@ defmodule Situ.Bridge.Mcap.Codec do
     with {:ok, message} <- Protobuf.Reader.decode(codec.by, codec.name, bytes) do
       if codec.maps?,
         do: {:ok, message},
-        else: {:ok, Foxglove.Standard.from_message(codec.name, message)}
+        else: {:ok, Foxglove.StandardTypes.from_message(codec.name, message)}
     end
   end
 
@@ -160,20 +160,20 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   # Returns the message that an export of its value alone would write.
   defp rewrite_message(%{kind: :protobuf, name: name}, message) do
-    value = Foxglove.Standard.from_message(name, message)
-    Foxglove.Standard.to_message(name, value, 0)
+    value = Foxglove.StandardTypes.from_message(name, message)
+    Foxglove.StandardTypes.to_message(name, value, 0)
   end
 
   defp rewrite_message(%{name: name, topic: topic}, message) do
-    value = Standard.from_message(name, message, topic)
-    Standard.to_message(name, value, 0)
+    value = StandardTypes.from_message(name, message, topic)
+    StandardTypes.to_message(name, value, 0)
   end
 
   defp decode_ros(codec, bytes) do
     with {:ok, message} <- Wire.decode(codec.by, bytes, codec.kind) do
       if codec.maps?,
         do: {:ok, message},
-        else: {:ok, Standard.from_message(codec.name, message, codec.topic)}
+        else: {:ok, StandardTypes.from_message(codec.name, message, codec.topic)}
     end
   end
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Mcap.Copy do
   @moduledoc false
   # Copies an MCAP file record by record in native code, without decoding messages.
-  alias Situ.Bridge.Mcap.{Failure, Options, Writer}
+  alias Situ.Bridge.Mcap.{NativeError, Options, Writer}
   alias Situ.Bridge.Native
   alias Situ.Error
 
@@ -60,7 +60,7 @@ defmodule Situ.Bridge.Mcap.Copy do
       # The error of a step names the original file, unless the disk is full.
       with {:ok, copied} <- run_steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
            :ok <- Writer.write_extras(writer, opts, path),
-           {:ok, _} <- Failure.wrap_result(Native.mcap_finish(writer), path),
+           {:ok, _} <- NativeError.wrap_result(Native.mcap_finish(writer), path),
            do: {:ok, copied}
     end
   end
@@ -77,7 +77,7 @@ defmodule Situ.Bridge.Mcap.Copy do
 
       state.ref
       |> Native.mcap_copy_begin(path, packing, selection)
-      |> Failure.wrap_result(state.path)
+      |> NativeError.wrap_result(state.path)
     end
   end
 
@@ -96,7 +96,7 @@ defmodule Situ.Bridge.Mcap.Copy do
   end
 
   defp run_steps(copy, progress, path) do
-    case Failure.wrap_result(Native.mcap_copy_step(copy), path) do
+    case NativeError.wrap_result(Native.mcap_copy_step(copy), path) do
       {:ok, {true, messages, left_out}} ->
         progress.(messages)
         {:ok, %{messages: messages, left_out: left_out}}

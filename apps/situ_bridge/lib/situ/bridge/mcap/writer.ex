@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   @behaviour Situ.Bridge.Recorder
   # An MCAP file and its channels, as a value. The native writer holds the current chunk and receives messages in
   # batches: each native call switches threads, which costs more than a small message.
-  alias Situ.Bridge.Mcap.{Channel, Extra, Failure, Options}
+  alias Situ.Bridge.Mcap.{Channel, ExtraFields, NativeError, Options}
   alias Situ.Bridge.Native
   alias Situ.Error
 
@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   def create(path, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, Options.file_options()),
          {:ok, ref} <-
-           Failure.wrap_result(
+           NativeError.wrap_result(
              Native.mcap_create(path, opts[:profile], opts[:compression], opts[:chunk]),
              path
            ),
@@ -39,7 +39,8 @@ defmodule Situ.Bridge.Mcap.Writer do
   defp write_attachments(ref, attachments, path) do
     each_ok(attachments, fn attachment ->
       with {:ok, {name, media_type, time, data}} <- load_attachment(attachment),
-           do: Failure.wrap_result(Native.mcap_attach(ref, name, media_type, time, data), path)
+           do:
+             NativeError.wrap_result(Native.mcap_attach(ref, name, media_type, time, data), path)
     end)
   end
 
@@ -77,7 +78,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   defp write_metadata(ref, records, path) do
     each_ok(records, fn {name, pairs} ->
       pairs = for {key, value} <- pairs, do: {to_string(key), to_string(value)}
-      Failure.wrap_result(Native.mcap_metadata(ref, to_string(name), pairs), path)
+      NativeError.wrap_result(Native.mcap_metadata(ref, to_string(name), pairs), path)
     end)
   end
 
@@ -96,7 +97,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   def write(writer, topic, message, opts) do
     with {:ok, channel, sequence} <- ensure_channel(writer, topic, message.data, opts),
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
-         {recorded, sent} = Extra.fetch_times(message),
+         {recorded, sent} = ExtraFields.fetch_times(message),
          {:ok, recorded} <- check_time(topic, recorded),
          {:ok, sent} <- check_time(topic, sent) do
       row = {channel.id, rem(sequence, 0x1_0000_0000), recorded, sent, bytes}
@@ -126,7 +127,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   defp flush_rows(writer) do
     rows = Enum.reverse(writer.rows)
 
-    with {:ok, _} <- Failure.wrap_result(Native.mcap_write(writer.ref, rows), writer.path),
+    with {:ok, _} <- NativeError.wrap_result(Native.mcap_write(writer.ref, rows), writer.path),
          do: {:ok, %{writer | rows: [], waiting: 0, bytes: 0}}
   end
 
@@ -151,7 +152,7 @@ defmodule Situ.Bridge.Mcap.Writer do
          {:ok, channel} <- Channel.new(topic, opts, data),
          encoding = Atom.to_string(channel.encoding),
          {:ok, id} <-
-           Failure.wrap_result(
+           NativeError.wrap_result(
              Native.mcap_channel(writer.ref, topic, encoding, channel.schema, channel.metadata),
              writer.path
            ),
@@ -162,7 +163,7 @@ defmodule Situ.Bridge.Mcap.Writer do
   @doc "Passes all messages so far to the operating system as complete chunks."
   def flush(writer) do
     with {:ok, writer} <- flush_rows(writer),
-         {:ok, _} <- Failure.wrap_result(Native.mcap_flush(writer.ref), writer.path),
+         {:ok, _} <- NativeError.wrap_result(Native.mcap_flush(writer.ref), writer.path),
          do: {:ok, writer}
   end
 
@@ -170,6 +171,6 @@ defmodule Situ.Bridge.Mcap.Writer do
   @doc "Writes the index and closes the file."
   def finish(writer) do
     with {:ok, writer} <- flush_rows(writer),
-         do: Failure.wrap_result(Native.mcap_finish(writer.ref), writer.path)
+         do: NativeError.wrap_result(Native.mcap_finish(writer.ref), writer.path)
   end
 end

@@ -5,9 +5,9 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   use GenServer
   require Logger
   alias Situ.Bridge.Mqtt.Wire
-  alias Situ.Bridge.Net.{Dial, Linger, Outbox}
-  alias Situ.Bridge.Outlet
-  @behaviour Outlet
+  alias Situ.Bridge.Net.{ClientSocket, Drain, SendQueue}
+  alias Situ.Bridge.PeerSender
+  @behaviour PeerSender
 
   @first_wait 50
   @longest_wait 5_000
@@ -36,17 +36,17 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     {:ok, _} = GenServer.start_link(__MODULE__, opts)
   end
 
-  @impl Outlet
+  @impl PeerSender
   def ready(server), do: GenServer.call(server, :ready)
 
-  @impl Outlet
+  @impl PeerSender
   def dropped(server), do: GenServer.call(server, :dropped)
 
-  @impl Outlet
+  @impl PeerSender
   def put(server, payload), do: GenServer.call(server, {:put, payload}, :infinity)
 
-  @impl Outlet
-  defdelegate close(server, timeout), to: Linger
+  @impl PeerSender
+  defdelegate close(server, timeout), to: Drain
 
   @impl true
   def init(opts) do
@@ -88,7 +88,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.reply_when_drained(from, until, state.n)
+    Drain.reply_when_drained(from, until, state.n)
     {:noreply, state}
   end
 
@@ -100,8 +100,8 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   @impl true
   def handle_info(:connect, %{opts: opts} = state) do
     with {:ok, tcp} <-
-           Dial.connect(opts[:host], opts[:port], opts[:tls], Outbox.socket_options()),
-         :ok <- Dial.send_bytes(tcp, Wire.encode_connect(opts)) do
+           ClientSocket.connect(opts[:host], opts[:port], opts[:tls], SendQueue.socket_options()),
+         :ok <- ClientSocket.send_bytes(tcp, Wire.encode_connect(opts)) do
       {:noreply, %{state | tcp: tcp, said: ""}}
     else
       {:error, reason} -> {:noreply, schedule_reconnect(state, reason)}
@@ -109,7 +109,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   end
 
   def handle_info({:drain, from, until}, state) do
-    Linger.reply_when_drained(from, until, state.n)
+    Drain.reply_when_drained(from, until, state.n)
     {:noreply, state}
   end
 
@@ -118,10 +118,10 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
 
   def handle_info(message, state) do
-    case Dial.match_message(message, state.tcp) do
+    case ClientSocket.match_message(message, state.tcp) do
       {:ok, bytes} ->
         state = handle_packets(%{state | said: state.said <> bytes})
-        if state.tcp, do: Dial.activate_once(state.tcp)
+        if state.tcp, do: ClientSocket.activate_once(state.tcp)
         {:noreply, state}
 
       {:gone, reason} ->
@@ -166,7 +166,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   defp handle_packet(_other, state), do: state
 
   defp send_packet(bytes, state) do
-    case Dial.send_bytes(state.tcp, bytes) do
+    case ClientSocket.send_bytes(state.tcp, bytes) do
       :ok -> state
       {:error, reason} -> schedule_reconnect(state, reason)
     end
@@ -174,7 +174,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   # A repeated error is logged once, not at every attempt.
   defp schedule_reconnect(state, reason) do
-    if state.tcp, do: Dial.close(state.tcp)
+    if state.tcp, do: ClientSocket.close(state.tcp)
 
     if state.told != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
@@ -187,7 +187,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def terminate(_reason, %{tcp: nil}), do: :ok
 
   def terminate(_reason, %{tcp: tcp}) do
-    Dial.send_bytes(tcp, Wire.encode_disconnect())
-    Dial.close(tcp)
+    ClientSocket.send_bytes(tcp, Wire.encode_disconnect())
+    ClientSocket.close(tcp)
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mqtt.Sink do
-  alias Situ.Bridge.Net.Dial
-  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.Net.ClientSocket
+  alias Situ.Bridge.PeerSender
 
   @schema [
             host: [type: :string, required: true, doc: "The host of the broker."],
@@ -31,27 +31,29 @@ defmodule Situ.Bridge.Mqtt.Sink do
               default: nil,
               doc: "The password, or a function that returns it."
             ]
-          ] ++ Dial.tls_options() ++ Keyword.drop(Outlet.options(), [:listening, :wait_for])
+          ] ++
+            ClientSocket.tls_options() ++
+            Keyword.drop(PeerSender.options(), [:listening, :wait_for])
   @moduledoc false
   # Publishes a stream to a topic.
   use Situ.Component, inputs: [in: :any], options: @schema
-  use Outlet
+  use PeerSender
   alias Situ.Bridge.Mqtt.Publisher
 
   def schema, do: @schema
 
   @impl true
-  def init(opts), do: {:ok, Outlet.new([wait_for: 0] ++ opts)}
+  def init(opts), do: {:ok, PeerSender.new([wait_for: 0] ++ opts)}
 
   @impl true
   def handle_start(_context, %{opts: opts} = outlet) do
     id = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
     port = opts[:port] || if(opts[:tls] in [nil, false], do: 1_883, else: 8_883)
     {:ok, publisher} = Publisher.start_link([id: id, port: port] ++ opts)
-    {[], Outlet.attach_door(outlet, Publisher, publisher, nil)}
+    {[], PeerSender.attach_door(outlet, Publisher, publisher, nil)}
   end
 
   @impl true
   def handle_message(:in, message, _context, outlet),
-    do: Outlet.send_payload(outlet, Outlet.encode_payload(message, outlet.opts))
+    do: PeerSender.send_payload(outlet, PeerSender.encode_payload(message, outlet.opts))
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Mqtt.Wire do
   @moduledoc false
   # The MQTT 3.1.1 packets that a client needs. Pure.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   import Bitwise
 
   @type packet ::

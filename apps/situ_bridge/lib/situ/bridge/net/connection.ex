@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Net.Connection do
   # One client of a server. After the protocol has admitted the client, this process sends it the messages from its
   # outbox, and ends when the client disconnects.
   use GenServer, restart: :temporary
-  alias Situ.Bridge.Net.Outbox
+  alias Situ.Bridge.Net.SendQueue
 
   @admission 5_000
   # The limit of bytes from a client before it is admitted, or in one message afterwards. Exceeding it closes the
@@ -21,12 +21,12 @@ defmodule Situ.Bridge.Net.Connection do
 
   @impl true
   def handle_info({:adopt, tcp}, state) do
-    :inet.setopts(tcp, Outbox.socket_options())
+    :inet.setopts(tcp, SendQueue.socket_options())
     admit_client(%{state | tcp: tcp})
   end
 
   def handle_info({:send, frame}, state) do
-    case Outbox.flush(state.outbox, state.tcp, frame) do
+    case SendQueue.flush(state.outbox, state.tcp, frame) do
       :ok -> {:noreply, state}
       {:error, reason} -> {:stop, {:shutdown, reason}, state}
     end

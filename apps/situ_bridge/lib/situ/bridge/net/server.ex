@@ -2,10 +2,10 @@ defmodule Situ.Bridge.Net.Server do
   @moduledoc false
   # Listens, and sends every message to all clients that have room for it.
   use GenServer
-  alias Situ.Bridge.Net.{Connection, Linger, Listener, Outbox}
-  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.Net.{Connection, Drain, Listener, SendQueue}
+  alias Situ.Bridge.PeerSender
   alias Situ.Error
-  @behaviour Outlet
+  @behaviour PeerSender
 
   @most_clients 1_000
 
@@ -35,17 +35,17 @@ defmodule Situ.Bridge.Net.Server do
 
   def port(server), do: GenServer.call(server, :port)
 
-  @impl Outlet
+  @impl PeerSender
   def ready(server), do: GenServer.call(server, :ready)
 
-  @impl Outlet
+  @impl PeerSender
   def dropped(server), do: GenServer.call(server, :dropped)
 
-  @impl Outlet
+  @impl PeerSender
   def put(server, payload), do: GenServer.call(server, {:put, payload}, :infinity)
 
-  @impl Outlet
-  defdelegate close(server, timeout), to: Linger
+  @impl PeerSender
+  defdelegate close(server, timeout), to: Drain
 
   @impl true
   def init(state) do
@@ -62,7 +62,7 @@ defmodule Situ.Bridge.Net.Server do
     do: {:reply, :full, state}
 
   def handle_call(:adopt, _from, state) do
-    outbox = Outbox.new()
+    outbox = SendQueue.new()
     {:ok, client} = Connection.start_link(self(), outbox, state.protocol)
     {:reply, client, put_in(state.clients[client], %{outbox: outbox, open?: false})}
   end
@@ -72,7 +72,7 @@ defmodule Situ.Bridge.Net.Server do
 
     dropped =
       Enum.count(open_clients(state), fn {pid, c} ->
-        Outbox.put(c.outbox, pid, frame, state.most) == :full
+        SendQueue.put(c.outbox, pid, frame, state.most) == :full
       end)
 
     last = if state.latch, do: frame
@@ -80,26 +80,27 @@ defmodule Situ.Bridge.Net.Server do
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.reply_when_drained(from, until, count_waiting(state), true)
+    Drain.reply_when_drained(from, until, count_waiting(state), true)
     {:noreply, state}
   end
 
   defp open_clients(state), do: Enum.filter(state.clients, fn {_, client} -> client.open? end)
 
   defp count_waiting(state),
-    do: state.clients |> Enum.map(fn {_, c} -> Outbox.count_waiting(c.outbox) end) |> Enum.sum()
+    do:
+      state.clients |> Enum.map(fn {_, c} -> SendQueue.count_waiting(c.outbox) end) |> Enum.sum()
 
   @impl true
   def handle_info(:begin, state),
     do: {:noreply, %{state | acceptor: Listener.start_acceptor(state.listener, self())}}
 
   def handle_info({:drain, from, until}, state) do
-    Linger.reply_when_drained(from, until, count_waiting(state), true)
+    Drain.reply_when_drained(from, until, count_waiting(state), true)
     {:noreply, state}
   end
 
   def handle_info({:open, pid}, state) when is_map_key(state.clients, pid) do
-    if state.last, do: Outbox.put(state.clients[pid].outbox, pid, state.last, state.most)
+    if state.last, do: SendQueue.put(state.clients[pid].outbox, pid, state.last, state.most)
     {:noreply, put_in(state.clients[pid].open?, true)}
   end
 

@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Net.Sink do
-  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.PeerSender
 
   @schema [
             port: [type: {:integer, 0, 65_535}, required: true, doc: "The port to listen on."],
@@ -9,11 +9,11 @@ defmodule Situ.Bridge.Net.Sink do
               default: "127.0.0.1",
               doc: "The interface to listen on; \"*\": all interfaces."
             ]
-          ] ++ Outlet.options()
+          ] ++ PeerSender.options()
   @moduledoc false
   # Sends a stream to every client that connects.
   use Situ.Component, inputs: [in: :any], options: @schema
-  use Outlet
+  use PeerSender
   alias Situ.Bridge.Net.Server
 
   def schema, do: @schema
@@ -28,17 +28,17 @@ defmodule Situ.Bridge.Net.Sink do
   def option_docs, do: @schema |> Keyword.drop([:port, :protocol]) |> Situ.Options.docs()
 
   @impl true
-  def init(opts), do: {:ok, Outlet.new(opts)}
+  def init(opts), do: {:ok, PeerSender.new(opts)}
 
   @impl true
   def handle_start(_context, %{opts: opts} = outlet) do
     case Server.open(opts[:interface], opts[:port], opts[:high_water_mark], opts[:protocol]) do
-      {:ok, server} -> {[], Outlet.attach_door(outlet, Server, server, Server.port(server))}
+      {:ok, server} -> {[], PeerSender.attach_door(outlet, Server, server, Server.port(server))}
       {:error, error} -> raise error
     end
   end
 
   @impl true
   def handle_message(:in, message, _context, outlet),
-    do: Outlet.send_payload(outlet, Outlet.encode_payload(message, outlet.opts))
+    do: PeerSender.send_payload(outlet, PeerSender.encode_payload(message, outlet.opts))
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Net.Source do
-  alias Situ.Bridge.Inlet
-  alias Situ.Bridge.Net.{Dial, Pieces}
+  alias Situ.Bridge.PayloadDecoder
+  alias Situ.Bridge.Net.{ClientSocket, ReceiveBuffer}
 
   @schema [
             host: [type: :string, required: true, doc: "The host of the server."],
@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Net.Source do
               default: 64 * 1024 * 1024,
               doc: "The largest message, bytes; a server that sends a larger one is disconnected."
             ]
-          ] ++ Dial.tls_options() ++ Inlet.options()
+          ] ++ ClientSocket.tls_options() ++ PayloadDecoder.options()
   @moduledoc false
   # A connection to a server as an endless source. The component's process owns the socket: nothing is read while the
   # component is busy, so the server waits or drops messages.
@@ -36,7 +36,7 @@ defmodule Situ.Bridge.Net.Source do
   @impl true
   def init(opts) do
     state = %{opts: opts, tcp: nil, wire: nil, wait: @first_wait, told: nil, open: true}
-    {:ok, Map.merge(state, %{inlet: Inlet.new(opts), pieces: %Pieces{}})}
+    {:ok, Map.merge(state, %{inlet: PayloadDecoder.new(opts), pieces: %ReceiveBuffer{}})}
   end
 
   @impl true
@@ -52,14 +52,14 @@ defmodule Situ.Bridge.Net.Source do
 
     with {:ok, tcp} <- open_connection(opts),
          :ok <- send_hello(tcp, hello) do
-      {[], %{state | tcp: tcp, wire: wire, pieces: %Pieces{}}}
+      {[], %{state | tcp: tcp, wire: wire, pieces: %ReceiveBuffer{}}}
     else
       {:error, reason} -> {[], schedule_reconnect(state, reason)}
     end
   end
 
   def handle_info(message, context, state) do
-    case Dial.match_message(message, state.tcp) do
+    case ClientSocket.match_message(message, state.tcp) do
       {:ok, bytes} -> handle_bytes(bytes, context, state)
       {:gone, reason} -> {[], schedule_reconnect(state, reason)}
       :other -> {[], state}
@@ -67,7 +67,7 @@ defmodule Situ.Bridge.Net.Source do
   end
 
   defp handle_bytes(bytes, context, %{opts: opts} = state) do
-    case Pieces.add_bytes(
+    case ReceiveBuffer.add_bytes(
            state.pieces,
            bytes,
            missing_bytes(elem(opts[:protocol], 0), state.wire)
@@ -76,7 +76,7 @@ defmodule Situ.Bridge.Net.Source do
         read_payloads(bytes, context, %{state | pieces: pieces})
 
       {:more, pieces} ->
-        Dial.activate_once(state.tcp)
+        ClientSocket.activate_once(state.tcp)
         {[], %{state | pieces: pieces}}
     end
   end
@@ -87,27 +87,27 @@ defmodule Situ.Bridge.Net.Source do
   defp read_payloads(bytes, context, %{tcp: tcp, opts: opts} = state) do
     case elem(opts[:protocol], 0).read(bytes, state.wire, opts[:most]) do
       {:ok, payloads, answer, wire} ->
-        {actions, inlet} = Inlet.take_payloads(state.inlet, payloads, context.now)
-        if answer != "", do: Dial.send_bytes(tcp, answer)
-        Dial.activate_once(tcp)
+        {actions, inlet} = PayloadDecoder.take_payloads(state.inlet, payloads, context.now)
+        if answer != "", do: ClientSocket.send_bytes(tcp, answer)
+        ClientSocket.activate_once(tcp)
         {actions, reset_backoff(%{state | wire: wire, inlet: inlet}, payloads)}
 
       {:error, why} ->
-        Dial.close(tcp)
+        ClientSocket.close(tcp)
         {[], schedule_reconnect(state, why)}
     end
   end
 
   defp open_connection(opts) do
-    options = [nodelay: true, buffer: Pieces.buffer_size()]
-    Dial.connect(opts[:host], opts[:port], opts[:tls], options)
+    options = [nodelay: true, buffer: ReceiveBuffer.buffer_size()]
+    ClientSocket.connect(opts[:host], opts[:port], opts[:tls], options)
   end
 
   defp send_hello(_tcp, ""), do: :ok
 
   defp send_hello(tcp, hello) do
-    with {:error, _} = error <- Dial.send_bytes(tcp, hello) do
-      Dial.close(tcp)
+    with {:error, _} = error <- ClientSocket.send_bytes(tcp, hello) do
+      ClientSocket.close(tcp)
       error
     end
   end
@@ -132,10 +132,10 @@ defmodule Situ.Bridge.Net.Source do
   def terminate(_reason, state), do: close_connection(state)
 
   defp close_connection(state) do
-    if state.tcp, do: Dial.close(state.tcp)
+    if state.tcp, do: ClientSocket.close(state.tcp)
     %{state | tcp: nil, open: false}
   end
 
   @impl true
-  def describe(state), do: Inlet.describe_counts(state.inlet)
+  def describe(state), do: PayloadDecoder.describe_counts(state.inlet)
 end

@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Parquet.File do
   # Reads a Parquet file: its columns, and the rows of its row groups, a few at a time.
   @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Columnar.Input
-  alias Situ.Bridge.Parquet.{Chunk, Thrift, Tree}
+  alias Situ.Bridge.Parquet.{Chunk, Thrift, SchemaTree}
 
   @format {:not_parquet, "Parquet"}
   @most_footer 67_108_864
@@ -15,7 +15,7 @@ defmodule Situ.Bridge.Parquet.File do
   @type t :: %__MODULE__{
           path: Path.t(),
           rows: non_neg_integer(),
-          columns: [Tree.column()],
+          columns: [SchemaTree.column()],
           groups: [map()],
           times: [String.t()],
           left_out: [],
@@ -39,7 +39,7 @@ defmodule Situ.Bridge.Parquet.File do
     {meta, _} = Thrift.decode_struct(read.(size - 8 - n, n))
 
     with %{2 => [_root | elements], 3 => rows, 4 => groups} when is_list(groups) <- meta do
-      columns = Tree.build_columns(elements)
+      columns = SchemaTree.build_columns(elements)
 
       %__MODULE__{
         path: path,
@@ -99,7 +99,9 @@ defmodule Situ.Bridge.Parquet.File do
     {column_values(column, rows), column, chunks}
   end
 
-  defp column_values(%{tree: tree}, rows), do: Enum.zip_with(rows, &Tree.row_value(tree, &1))
+  defp column_values(%{tree: tree}, rows),
+    do: Enum.zip_with(rows, &SchemaTree.row_value(tree, &1))
+
   defp column_values(_leaf, [values]), do: values
 
   defp locate_chunks(column, chunks, rows, packed?) do

@@ -2,8 +2,8 @@ defmodule Situ.Bridge.Parquet.Page do
   @moduledoc false
   # One page of a column's values: its levels and its values, taken a few at a time. Pure, except for unpacking.
   # Throws `{:not_parquet, why}`.
-  import Situ.Bits, only: [pinned_size: 1]
-  alias Situ.Bridge.Parquet.{Leaf, Packed, Runs, Values}
+  import Situ.BinarySize, only: [pinned_size: 1]
+  alias Situ.Bridge.Parquet.{Leaf, Compression, RunLength, Values}
 
   @most_bytes 1_073_741_824
 
@@ -14,8 +14,8 @@ defmodule Situ.Bridge.Parquet.Page do
   @type t :: %__MODULE__{
           leaf: Leaf.t(),
           left: non_neg_integer(),
-          repeats: Runs.t(),
-          defines: Runs.t(),
+          repeats: RunLength.t(),
+          defines: RunLength.t(),
           values: Values.t()
         }
 
@@ -38,7 +38,7 @@ defmodule Situ.Bridge.Parquet.Page do
   @spec decode_dictionary(map(), binary(), Leaf.t(), packing()) :: Values.dictionary()
   def decode_dictionary(%{2 => size, 7 => %{1 => n}}, body, leaf, packing)
       when is_integer(n) and n >= 0 do
-    Values.start_dictionary(leaf, Packed.unpack_page(packing.codec, body, size), n)
+    Values.start_dictionary(leaf, Compression.unpack_page(packing.codec, body, size), n)
   end
 
   def decode_dictionary(_head, _body, _leaf, _packing),
@@ -55,7 +55,7 @@ defmodule Situ.Bridge.Parquet.Page do
   def start_decoding(%{1 => 0, 2 => size, 5 => %{1 => n, 2 => encoding}}, body, column, most)
       when n in 0..most//1 do
     {leaf, packing, dictionary} = column
-    bytes = Packed.unpack_page(packing.codec, body, size)
+    bytes = Compression.unpack_page(packing.codec, body, size)
     {repeats, bytes} = split_levels(bytes, leaf.repetition)
     {defines, bytes} = split_levels(bytes, leaf.definition)
     build_page(leaf, n, {repeats, defines}, {encoding, bytes, dictionary})
@@ -82,7 +82,7 @@ defmodule Situ.Bridge.Parquet.Page do
 
     # pyarrow before version 3 compresses such pages but declares them as uncompressed; the sizes reveal it.
     plain? = head[7] == false and not packing.packed? and size == byte_size(rest)
-    bytes = if plain?, do: rest, else: Packed.unpack_page(packing.codec, rest, size)
+    bytes = if plain?, do: rest, else: Compression.unpack_page(packing.codec, rest, size)
     build_page(leaf, n, {repeat, define}, {encoding, bytes, dictionary})
   end
 
@@ -103,8 +103,8 @@ defmodule Situ.Bridge.Parquet.Page do
     %__MODULE__{
       leaf: leaf,
       left: n,
-      repeats: Runs.from_bytes(repeats, level_width(leaf.repetition)),
-      defines: Runs.from_bytes(defines, level_width(leaf.definition)),
+      repeats: RunLength.from_bytes(repeats, level_width(leaf.repetition)),
+      defines: RunLength.from_bytes(defines, level_width(leaf.definition)),
       values: Values.start_decoding(leaf, encoding, bytes, n, dictionary)
     }
   end
@@ -120,7 +120,7 @@ defmodule Situ.Bridge.Parquet.Page do
   end
 
   def take_values(page, n) do
-    {defines, defines_left} = Runs.take_numbers(page.defines, n)
+    {defines, defines_left} = RunLength.take_numbers(page.defines, n)
     {values, values_left} = Values.take_next(page.values, Enum.count(defines, &(&1 == 1)))
     page = %{page | defines: defines_left, values: values_left}
     {put_missing(defines, values), count_taken(page, n)}
@@ -133,8 +133,8 @@ defmodule Situ.Bridge.Parquet.Page do
   @doc "Takes the next `n` values of a nested column, with their levels."
   @spec take_entries(t(), non_neg_integer()) :: {[entry()], t()}
   def take_entries(%{leaf: %{definition: most}} = page, n) do
-    {repeats, repeats_left} = Runs.take_numbers(page.repeats, n)
-    {defines, defines_left} = Runs.take_numbers(page.defines, n)
+    {repeats, repeats_left} = RunLength.take_numbers(page.repeats, n)
+    {defines, defines_left} = RunLength.take_numbers(page.defines, n)
     {values, values_left} = Values.take_next(page.values, Enum.count(defines, &(&1 == most)))
     page = %{page | repeats: repeats_left, defines: defines_left, values: values_left}
     {put_levels(repeats, defines, most, values), count_taken(page, n)}

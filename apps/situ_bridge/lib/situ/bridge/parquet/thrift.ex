@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Parquet.Thrift do
   # Encodes `{:i32 | :i64, n}`, `{:bool, b}`, `{:binary, bytes}`, `{:list, [value]}` and `{:struct, [{id, value}]}`,
   # whose fields are in the order of their ids. Decodes numbers, booleans, binaries, lists, and structs as maps by
   # field id.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   import Bitwise
 
   @types %{i32: 5, i64: 6, binary: 8, list: 9, struct: 12}

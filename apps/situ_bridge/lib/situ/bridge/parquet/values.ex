@@ -2,8 +2,8 @@ defmodule Situ.Bridge.Parquet.Values do
   @moduledoc false
   # The values of one page, decoded a few at a time: a page of one megabyte has 131,072 floats, and each is four times
   # as large as a term. Pure. Throws `{:not_parquet, why}`.
-  import Situ.Bits, only: [pinned_size: 1]
-  alias Situ.Bridge.Parquet.{Deltas, Leaf, Runs}
+  import Situ.BinarySize, only: [pinned_size: 1]
+  alias Situ.Bridge.Parquet.{ByteArrays, Leaf, RunLength}
 
   # The number of bytes of a value, by Parquet's physical type.
   @widths %{1 => 4, 2 => 8, 3 => 12, 4 => 4, 5 => 8}
@@ -16,8 +16,8 @@ defmodule Situ.Bridge.Parquet.Values do
   @type t ::
           {:plain, Leaf.t(), binary()}
           | {:bits, binary(), [boolean()]}
-          | {:entries, Runs.t(), dictionary()}
-          | {:booleans, Runs.t()}
+          | {:entries, RunLength.t(), dictionary()}
+          | {:booleans, RunLength.t()}
           | {:apart, Leaf.t(), pos_integer(), binary(), non_neg_integer()}
           | {:decoded, [term()]}
 
@@ -70,7 +70,7 @@ defmodule Situ.Bridge.Parquet.Values do
 
   def start_decoding(_leaf, encoding, <<width, bytes::binary>>, _n, dictionary)
       when encoding in [2, 8] and dictionary != nil,
-      do: {:entries, Runs.from_bytes(bytes, width), dictionary}
+      do: {:entries, RunLength.from_bytes(bytes, width), dictionary}
 
   def start_decoding(
         %{type: 0},
@@ -79,20 +79,22 @@ defmodule Situ.Bridge.Parquet.Values do
         _n,
         _
       ),
-      do: {:booleans, Runs.from_bytes(bytes, 1)}
+      do: {:booleans, RunLength.from_bytes(bytes, 1)}
 
   def start_decoding(%{type: type} = leaf, 5, bytes, n, _dictionary) when type in [1, 2] do
-    {values, _rest} = Runs.decode_deltas(bytes, n, if(type == 1, do: 32, else: 64))
+    {values, _rest} = RunLength.decode_deltas(bytes, n, if(type == 1, do: 32, else: 64))
     {:decoded, Enum.map(values, &convert_number(&1, leaf.as))}
   end
 
   def start_decoding(%{type: 6} = leaf, 6, bytes, n, _dictionary),
-    do: {:decoded, bytes |> Deltas.decode_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.as))}
+    do:
+      {:decoded,
+       bytes |> ByteArrays.decode_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.as))}
 
   def start_decoding(%{type: type} = leaf, 7, bytes, n, _dictionary) when type in [6, 7],
     do:
       {:decoded,
-       bytes |> Deltas.decode_prefixed_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.as))}
+       bytes |> ByteArrays.decode_prefixed_texts(n) |> Enum.map(&Leaf.convert_bytes(&1, leaf.as))}
 
   def start_decoding(leaf, 9, bytes, _n, _dictionary) do
     width = value_width(leaf)
@@ -130,19 +132,19 @@ defmodule Situ.Bridge.Parquet.Values do
   end
 
   def take_next({:entries, runs, dictionary}, n) do
-    {places, runs} = Runs.take_numbers(runs, n)
+    {places, runs} = RunLength.take_numbers(runs, n)
 
     values = for place <- places, do: dictionary_entry(dictionary, place)
     {values, {:entries, runs, dictionary}}
   end
 
   def take_next({:booleans, runs}, n) do
-    {bits, runs} = Runs.take_numbers(runs, n)
+    {bits, runs} = RunLength.take_numbers(runs, n)
     {Enum.map(bits, &(&1 == 1)), {:booleans, runs}}
   end
 
   def take_next({:apart, leaf, width, bytes, from}, n) do
-    {values, ""} = decode_plain(leaf, Deltas.join_bytes(bytes, width, from, n), n)
+    {values, ""} = decode_plain(leaf, ByteArrays.join_bytes(bytes, width, from, n), n)
     {values, {:apart, leaf, width, bytes, from + n}}
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Protobuf.Delimited do
   @moduledoc false
   # A sequence of messages, each preceded by its length as a varint.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Protobuf.Writer
   alias Situ.Error
 

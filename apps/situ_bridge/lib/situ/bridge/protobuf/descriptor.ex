@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Protobuf.Descriptor do
   @moduledoc false
   # Definitions in binary form: a FileDescriptorSet, decoded and encoded with its own schema. Pure.
-  alias Situ.Bridge.Protobuf.{Reader, Schema, Text, Writer}
+  alias Situ.Bridge.Protobuf.{Reader, Schema, ProtoParser, Writer}
   alias Schema.Field
 
   @external_resource path = Path.expand("../../../../priv/protobuf/google.proto", __DIR__)
@@ -31,7 +31,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
 
   defp descriptor_schema do
     with :none <- :persistent_term.get(__MODULE__, :none) do
-      {:ok, schema} = Text.parse(@google)
+      {:ok, schema} = ProtoParser.parse(@google)
       :persistent_term.put(__MODULE__, schema)
       schema
     end
@@ -40,7 +40,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
   @doc "Returns Google's types, for definitions that import them, as `{messages, enums}` for `Schema.new/2`."
   @spec google_types() :: {list(), list()}
   def google_types do
-    {:ok, messages, enums} = Text.parse_types(@google)
+    {:ok, messages, enums} = ProtoParser.parse_types(@google)
     {messages, enums}
   end
 

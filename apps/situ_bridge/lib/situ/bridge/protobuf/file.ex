@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Protobuf.File do
-  alias Situ.Bridge.Foxglove.{Messages, Standard}
+  alias Situ.Bridge.Foxglove.{Messages, StandardTypes}
   alias Situ.Bridge.Protobuf
   alias Situ.Bridge.Protobuf.{Delimited, Descriptor, Stamp}
   alias Situ.Error
@@ -147,7 +147,9 @@ defmodule Situ.Bridge.Protobuf.File do
   defp message_time(message, stamp, _n, _opts), do: Stamp.get_time(message, stamp)
 
   defp convert_value(message, opts) do
-    if opts[:messages] == :maps, do: message, else: Standard.from_message(opts[:type], message)
+    if opts[:messages] == :maps,
+      do: message,
+      else: StandardTypes.from_message(opts[:type], message)
   end
 
   defp load_schema!(path, opts) do
@@ -193,7 +195,7 @@ defmodule Situ.Bridge.Protobuf.File do
   @impl true
   def handle_message(:in, message, _context, %{opts: opts} = state) do
     time = message.originating_time
-    data = Standard.to_message(opts[:type], message.data, time)
+    data = StandardTypes.to_message(opts[:type], message.data, time)
 
     if not is_map(data), do: raise(not_writable_error(opts, "its data are not a map"))
 

@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
   #
   # Memory is bounded by the size of the input: messages nest at most a hundred deep, and all maps together have at most
   # `@base` members plus `@rate` for each byte, however many fields a schema gives its messages.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   import Bitwise
   alias Situ.Bridge.Protobuf.Schema
   alias Situ.Bridge.Ros.Number

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Psi.Blocks do
   @moduledoc false
   # Folds over the blocks of all files (extents) of one kind, in order. A block is a length and a payload that is padded
   # to a multiple of 4 bytes. A length of 0 marks the end of the written data; a negative length names the next extent.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Psi.Files
 
   @window 1_048_576

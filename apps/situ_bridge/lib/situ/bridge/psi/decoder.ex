@@ -1,14 +1,14 @@
 defmodule Situ.Bridge.Psi.Decoder do
   @moduledoc false
-  # Decodes the bytes of a message to a term, following the plan of its type (`Situ.Bridge.Psi.Types`).
+  # Decodes the bytes of a message to a term, following the plan of its type (`Situ.Bridge.Psi.TypePlans`).
   #
   # Objects refer to other objects of the same message. A reference to a finished object is replaced by that object;
   # the terms share memory. A reference from inside the object itself (a cycle), or to an object that contains such a
   # reference, becomes `%{"$ref" => n}`. The referenced object then has the key "$id" => n; a list or another value
   # that is not a map becomes `%{"$id" => n, "$value" => value}`.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   import Bitwise
-  alias Situ.Bridge.Psi.{Bytes, Layout, Shapes, Types}
+  alias Situ.Bridge.Psi.{Bytes, Layout, Collections, TypePlans}
 
   @reference 0x4000_0000
   @new 0x8000_0000
@@ -36,7 +36,7 @@ defmodule Situ.Bridge.Psi.Decoder do
   Decodes a value. Returns an error with the reason if that fails. At most three bytes of padding may follow the
   value. With `rest: :any`, any number of bytes may follow it, since metadata may be in a buffer that is too long.
   """
-  @spec decode(binary(), Types.handler(), Types.t(), keyword()) ::
+  @spec decode(binary(), TypePlans.handler(), TypePlans.t(), keyword()) ::
           {:ok, term()} | {:error, String.t()}
   def decode(bytes, handler, types, opts \\ [])
 
@@ -69,13 +69,13 @@ defmodule Situ.Bridge.Psi.Decoder do
   defp left_over_error(bytes), do: {:error, "#{bytes} bytes are left over"}
 
   @doc "Decodes a message of a stream with this .NET type name. Returns the same as `decode/4`."
-  @spec decode_message(binary(), String.t(), Types.handler(), Types.t()) ::
+  @spec decode_message(binary(), String.t(), TypePlans.handler(), TypePlans.t()) ::
           {:ok, term()} | {:error, String.t()}
   def decode_message(bytes, type_name, handler, types) do
     with {:error, why} <- decode(bytes, handler, types) do
       # Enums in plain structs have no schema, so their width is unknown. The right width uses all the bytes.
       Enum.find_value(types.others, {:error, why}, fn types ->
-        with {:error, _} <- decode(bytes, Types.handler(types, type_name), types), do: nil
+        with {:error, _} <- decode(bytes, TypePlans.handler(types, type_name), types), do: nil
       end)
     end
   end
@@ -264,7 +264,7 @@ defmodule Situ.Bridge.Psi.Decoder do
         {{name, value}, {rest, state}}
       end)
 
-    {Shapes.build_value(shape, values), rest, state}
+    {Collections.build_value(shape, values), rest, state}
   end
 
   defp repeat_read(n, acc, fun) do

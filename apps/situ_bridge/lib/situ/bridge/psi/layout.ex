@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Psi.Layout do
   @moduledoc false
   # Reads plain values in the memory layout of .NET: primitives, and structs of primitives with alignment gaps.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Psi.Bytes
 
   @type t ::

@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Ros.Bag do
-  alias Situ.Bridge.Mcap.{Codec, Extra}
-  alias Situ.Bridge.Recorder.{Export, Exporter}
-  alias Situ.Bridge.Ros.Bag.{Chunk, Contents, RealSense, Record, Writer}
-  alias Situ.Bridge.Ros.{Places, Track}
+  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
+  alias Situ.Bridge.Recorder.{StoreExport, Exporter}
+  alias Situ.Bridge.Ros.Bag.{Chunk, Index, RealSense, Record, Writer}
+  alias Situ.Bridge.Ros.{MessageIndex, TopicTrack}
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
 
@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Ros.Bag do
       Situ.Bridge.Ros.Bag.write(images, drive, "/camera/image_raw")
 
   Each topic is a stream. Messages are decoded with the definition in the bag; standard types become Situ's types
-  (`Situ.Bridge.Ros.Standard`). Messages of a topic with the same time are placed one nanosecond apart. Bags without an
+  (`Situ.Bridge.Ros.StandardTypes`). Messages of a topic with the same time are placed one nanosecond apart. Bags without an
   index (`.bag.active`, because the recorder was killed) are scanned. Chunks may be uncompressed or LZ4; bzip2 chunks
   are skipped and reported under `:damage`. Written chunks are uncompressed unless `compression: :lz4` is given.
 
@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Ros.Bag do
   def open(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, %{size: size}} <- stat_file(path),
-         {:ok, contents} <- with_file(path, &Contents.read(&1, size)) do
+         {:ok, contents} <- with_file(path, &Index.read(&1, size)) do
       state = %__MODULE__{
         path: path,
         size: size,
@@ -119,13 +119,13 @@ defmodule Situ.Bridge.Ros.Bag do
         codec: Codec.set_message_mode(codec, opts[:messages]),
         note: note,
         count: length(places),
-        places: Places.pack(places),
+        places: MessageIndex.pack(places),
         recorded: recorded,
         stamps?: stamps?,
         schema: if(opts[:messages] == :apart, do: {type, "ros1msg", definition})
       }
 
-      {:cont, {:ok, Enum.reverse(Track.add_extra(track, opts[:messages]), tracks)}}
+      {:cont, {:ok, Enum.reverse(TopicTrack.add_extra(track, opts[:messages]), tracks)}}
     end)
     |> then(fn {:ok, tracks} ->
       {:ok, tracks |> Enum.reverse() |> RealSense.put_depth_units(&read_first(state, &1))}
@@ -134,7 +134,7 @@ defmodule Situ.Bridge.Ros.Bag do
 
   defp read_first(state, track) do
     with %{count: count} when count > 0 <- track,
-         {:ok, [{_, {_, bytes}}]} <- read_messages(state, [Places.row_at(track.places, 0)]),
+         {:ok, [{_, {_, bytes}}]} <- read_messages(state, [MessageIndex.row_at(track.places, 0)]),
          {:ok, data} <- Codec.decode(track.codec, bytes),
          do: data,
          else: (_ -> nil)
@@ -172,8 +172,8 @@ defmodule Situ.Bridge.Ros.Bag do
     {first, last} =
       if track.count > 0,
         do:
-          {elem(Places.row_at(track.places, 0), 0),
-           elem(Places.row_at(track.places, track.count - 1), 0)},
+          {elem(MessageIndex.row_at(track.places, 0), 0),
+           elem(MessageIndex.row_at(track.places, track.count - 1), 0)},
         else: {nil, nil}
 
     {first_recorded, last_recorded} = track.recorded
@@ -192,7 +192,7 @@ defmodule Situ.Bridge.Ros.Bag do
       last: last,
       first_creation: first_recorded,
       last_creation: last_recorded,
-      supplemental: Extra.build_metadata([], track.schema)
+      supplemental: ExtraFields.build_metadata([], track.schema)
     }
 
     {info, MapSet.put(taken, name)}
@@ -202,7 +202,7 @@ defmodule Situ.Bridge.Ros.Bag do
   defdelegate import_options(times), to: Codec
 
   @doc false
-  # Makes `Situ.Bridge.Recorder.Export` read all the fields of a message, as maps.
+  # Makes `Situ.Bridge.Recorder.StoreExport` read all the fields of a message, as maps.
   def as_maps(%__MODULE__{tracks: tracks} = state) do
     maps =
       Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.set_message_mode(t.codec, :maps)}} end)
@@ -229,14 +229,14 @@ defmodule Situ.Bridge.Ros.Bag do
   @impl true
   def seek(state, info, time) do
     track = Map.fetch!(state.tracks, info.id)
-    {:ok, Places.seek(track.places, time)}
+    {:ok, MessageIndex.seek(track.places, time)}
   end
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
     track = Map.fetch!(state.tracks, info.id)
 
-    places = Places.slice(track.places, ordinal, to, limit)
+    places = MessageIndex.slice(track.places, ordinal, to, limit)
 
     cond do
       places == [] ->
@@ -369,5 +369,5 @@ defmodule Situ.Bridge.Ros.Bag do
   """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
-  def export(store, path, opts \\ []), do: Export.export_store(Writer, store, path, opts)
+  def export(store, path, opts \\ []), do: StoreExport.export_store(Writer, store, path, opts)
 end

@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Ros.Db3 do
-  alias Situ.Bridge.Mcap.{Codec, Extra}
+  alias Situ.Bridge.Mcap.{Codec, ExtraFields}
 
   @schema Codec.time_options() ++ Codec.reader_options()
   @moduledoc """
@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Ros.Db3 do
   `bin/situ store` and replay open them too.
 
   Each topic is a stream. Messages (CDR) are decoded with the definitions in the file, which ROS 2 has written since
-  Iron, or with ROS's standard definitions. Standard types become Situ's types (`Situ.Bridge.Ros.Standard`). Each file
+  Iron, or with ROS's standard definitions. Standard types become Situ's types (`Situ.Bridge.Ros.StandardTypes`). Each file
   of a split bag is a separate recording. The program `sqlite3` (the Debian package of the same name) reads the file in
   a separate process. The file is never modified.
 
@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Ros.Db3 do
   """
   @behaviour Situ.Store.Reader
   alias Situ.Bridge.Ros.Db3.Sqlite
-  alias Situ.Bridge.Ros.{Definition, Library, Places, Track}
+  alias Situ.Bridge.Ros.{Definition, Library, MessageIndex, TopicTrack}
   alias Situ.Message
   alias Situ.Store.{StreamInfo, Undecoded}
 
@@ -54,7 +54,7 @@ defmodule Situ.Bridge.Ros.Db3 do
       with {:ok, tracks} <- put_stamps(tracks, path, opts[:times]),
            do:
              {:ok,
-              build_state(path, Enum.flat_map(tracks, &Track.add_extra(&1, opts[:messages])))}
+              build_state(path, Enum.flat_map(tracks, &TopicTrack.add_extra(&1, opts[:messages])))}
     end
   end
 
@@ -127,7 +127,7 @@ defmodule Situ.Bridge.Ros.Db3 do
           situ: situ,
           note: note,
           recorded: rows |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {nil, nil} end),
-          places: Places.pack(rows),
+          places: MessageIndex.pack(rows),
           stamps?: false,
           schema: if(messages == :apart, do: schema)
         }
@@ -181,10 +181,10 @@ defmodule Situ.Bridge.Ros.Db3 do
   defp join_stamp(seconds, ns), do: seconds * 1_000_000_000 + ns
 
   defp put_positions(track, nil), do: track
-  defp put_positions(track, rows), do: %{track | places: Places.pack(rows), stamps?: true}
+  defp put_positions(track, rows), do: %{track | places: MessageIndex.pack(rows), stamps?: true}
 
   defp describe_stream(track, name, path) do
-    count = Places.count_rows(track.places)
+    count = MessageIndex.count_rows(track.places)
 
     {first, last} =
       if count > 0, do: {time_at(track, 0), time_at(track, count - 1)}, else: {nil, nil}
@@ -205,17 +205,17 @@ defmodule Situ.Bridge.Ros.Db3 do
       last: last,
       first_creation: first_recorded,
       last_creation: last_recorded,
-      supplemental: Extra.build_metadata([], track.schema)
+      supplemental: ExtraFields.build_metadata([], track.schema)
     }
   end
 
-  defp time_at(track, n), do: track.places |> Places.row_at(n) |> elem(0)
+  defp time_at(track, n), do: track.places |> MessageIndex.row_at(n) |> elem(0)
 
   @impl true
   defdelegate import_options(times), to: Codec
 
   @doc false
-  # Makes `Situ.Bridge.Recorder.Export` read all the fields of a message, as maps.
+  # Makes `Situ.Bridge.Recorder.StoreExport` read all the fields of a message, as maps.
   def as_maps(%__MODULE__{tracks: tracks} = state) do
     maps =
       Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.set_message_mode(t.codec, :maps)}} end)
@@ -243,12 +243,12 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   @impl true
   def seek(state, info, time),
-    do: {:ok, Places.seek(Map.fetch!(state.tracks, info.id).places, time)}
+    do: {:ok, MessageIndex.seek(Map.fetch!(state.tracks, info.id).places, time)}
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
     track = Map.fetch!(state.tracks, info.id)
-    rows = track.places |> Places.slice(ordinal, to, limit) |> take_batch(0)
+    rows = track.places |> MessageIndex.slice(ordinal, to, limit) |> take_batch(0)
 
     cond do
       rows == [] ->

@@ -9,7 +9,7 @@ defmodule Situ.Bridge.Ros.Node do
   use GenServer
   require Logger
   alias Situ.Bridge.Net.Listener
-  alias Situ.Bridge.Ros.{Address, Link, Registrar, Slave}
+  alias Situ.Bridge.Ros.{Address, PublisherLink, Registrar, SlaveCall}
   alias Situ.Error
 
   @first_wait 100
@@ -69,7 +69,7 @@ defmodule Situ.Bridge.Ros.Node do
 
   def handle_call(:adopt, _from, state) do
     node = self()
-    {:ok, slave} = Slave.start_link(&GenServer.call(node, {:slave, &1, &2}))
+    {:ok, slave} = SlaveCall.start_link(&GenServer.call(node, {:slave, &1, &2}))
     {:reply, slave, %{state | slaves: MapSet.put(state.slaves, slave)}}
   end
 
@@ -163,7 +163,7 @@ defmodule Situ.Bridge.Ros.Node do
     uris = Enum.filter(uris, &is_binary/1)
     {stay, go} = Map.split(state.links, uris)
     go = Map.values(go)
-    Enum.each(go, &Link.close_when_silent/1)
+    Enum.each(go, &PublisherLink.close_when_silent/1)
     leaving = MapSet.union(state.leaving, MapSet.new(go))
     waits = Map.take(state.waits, uris)
     state = %{state | links: stay, leaving: leaving, publishers: uris, waits: waits}
@@ -174,7 +174,7 @@ defmodule Situ.Bridge.Ros.Node do
 
   defp open_link(%{role: {:subscriber, topic, type, how}} = state, uri) do
     {:ok, link} =
-      Link.start_link(
+      PublisherLink.start_link(
         Map.merge(how, %{
           node: self(),
           owner: state.owner,

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Ros.Number do
   @moduledoc false
   # Decodes and encodes numbers of fixed size in either byte order. Float values that Elixir does not have are `:nan`,
   # `:infinity` and `:neg_infinity`.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
 
   @sizes %{
     bool: 1,

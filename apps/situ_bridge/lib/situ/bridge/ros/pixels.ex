@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Pixels do
   @moduledoc false
   # Converts images to and from the encodings of ROS and Foxglove, and extracts bytes from rows of points. Pure.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{DepthImage, Image}
 
   @encodings %{

@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Ros.Sink do
-  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.PeerSender
   alias Situ.Bridge.Ros.Address
 
   @schema [
@@ -25,7 +25,7 @@ defmodule Situ.Bridge.Ros.Sink do
               default: false,
               doc: "Sends the last message to new subscribers."
             ]
-          ] ++ Keyword.drop(Outlet.options(), [:format, :listening]) ++ Address.options()
+          ] ++ Keyword.drop(PeerSender.options(), [:format, :listening]) ++ Address.options()
   @moduledoc false
   # Publishes a stream as a topic as soon as its type is known from the options or from the first message.
   use Situ.Component, inputs: [in: :any], options: @schema
@@ -36,7 +36,7 @@ defmodule Situ.Bridge.Ros.Sink do
   def schema, do: @schema
 
   @impl true
-  def init(opts), do: {:ok, %{opts: opts, node: nil, channel: nil, outlet: Outlet.new(opts)}}
+  def init(opts), do: {:ok, %{opts: opts, node: nil, channel: nil, outlet: PeerSender.new(opts)}}
 
   @impl true
   def handle_start(_context, state) do
@@ -70,7 +70,7 @@ defmodule Situ.Bridge.Ros.Sink do
         state
         | channel: channel,
           node: node,
-          outlet: Outlet.attach_door(state.outlet, Server, server, nil)
+          outlet: PeerSender.attach_door(state.outlet, Server, server, nil)
       }
     else
       {:error, error} -> raise error
@@ -98,12 +98,12 @@ defmodule Situ.Bridge.Ros.Sink do
     bytes =
       Situ.Error.unwrap!(Channel.encode(state.channel, message.data, message.originating_time))
 
-    state.outlet |> Outlet.send_payload(bytes) |> with_outlet(state)
+    state.outlet |> PeerSender.send_payload(bytes) |> with_outlet(state)
   end
 
   @impl true
   def handle_info(message, _context, state),
-    do: state.outlet |> Outlet.handle_stage_message(message) |> with_outlet(state)
+    do: state.outlet |> PeerSender.handle_stage_message(message) |> with_outlet(state)
 
   defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
 
@@ -111,7 +111,7 @@ defmodule Situ.Bridge.Ros.Sink do
   def handle_closed(:in, _time, _context, %{node: nil} = state), do: {[], state}
 
   def handle_closed(:in, _time, _context, state) do
-    outlet = Outlet.close(state.outlet)
+    outlet = PeerSender.close(state.outlet)
     Node.stop(state.node)
     {[], %{state | outlet: outlet, node: nil}}
   end
@@ -119,9 +119,9 @@ defmodule Situ.Bridge.Ros.Sink do
   @impl true
   def terminate(_reason, state) do
     if state.node, do: Node.stop(state.node)
-    Outlet.close_now(state.outlet)
+    PeerSender.close_now(state.outlet)
   end
 
   @impl true
-  def describe(state), do: Outlet.describe_peers(state.outlet)
+  def describe(state), do: PeerSender.describe_peers(state.outlet)
 end

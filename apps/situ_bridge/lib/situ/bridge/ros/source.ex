@@ -45,9 +45,9 @@ defmodule Situ.Bridge.Ros.Source do
   @moduledoc false
   # Subscribes to a topic. The source never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
-  alias Situ.Bridge.Inlet
+  alias Situ.Bridge.PayloadDecoder
   alias Situ.Bridge.Mcap.Channel
-  alias Situ.Bridge.Ros.{Definition, Node, Standard, Wire}
+  alias Situ.Bridge.Ros.{Definition, Node, StandardTypes, Wire}
 
   # The maximum of an int64, which is the latest valid stamp.
   @latest 9_223_372_036_854_775_807
@@ -58,7 +58,7 @@ defmodule Situ.Bridge.Ros.Source do
 
   @impl true
   def init(opts) do
-    inlet = Inlet.new(times: opts[:times], format: :ros)
+    inlet = PayloadDecoder.new(times: opts[:times], format: :ros)
 
     {:ok,
      %{
@@ -126,7 +126,7 @@ defmodule Situ.Bridge.Ros.Source do
     {definition, state} = ensure_definition(theirs, state)
     now = if state.opts[:sim_time], do: state.clock, else: context.now
     read = Enum.map(payloads, &decode_payload(&1, definition, state.opts, now))
-    {actions, inlet} = Inlet.take_decoded(state.inlet, read)
+    {actions, inlet} = PayloadDecoder.take_decoded(state.inlet, read)
     {actions, %{state | inlet: inlet}}
   end
 
@@ -171,7 +171,7 @@ defmodule Situ.Bridge.Ros.Source do
   defp convert_value(name, message, opts) do
     if opts[:messages] == :maps,
       do: message,
-      else: Standard.from_message(name, message, Address.resolve_name(opts[:topic]))
+      else: StandardTypes.from_message(name, message, Address.resolve_name(opts[:topic]))
   end
 
   defp header_stamp(%{"header" => %{"stamp" => stamp}})
@@ -195,5 +195,5 @@ defmodule Situ.Bridge.Ros.Source do
   end
 
   @impl true
-  def describe(state), do: Inlet.describe_counts(state.inlet)
+  def describe(state), do: PayloadDecoder.describe_counts(state.inlet)
 end

@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Ros.Wire do
   Decoding never allocates more than the input justifies. CDR is read in both byte orders and written in little-endian
   order, with the alignment of version 1, which ROS 2 uses.
   """
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Ros.{Definition, Number}
 
   @type encoding :: :ros1 | :cdr

@@ -5,11 +5,11 @@ defmodule Situ.Bridge.Ros2.Session do
   # samples that the owner has not yet handled; samples beyond the high-water mark are dropped.
   use GenServer, restart: :temporary
   require Logger
-  alias Situ.Bridge.Net.Linger
-  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.Net.Drain
+  alias Situ.Bridge.PeerSender
   alias Situ.Bridge.Ros2.{Keys, Zenoh}
   alias Situ.Error
-  @behaviour Outlet
+  @behaviour PeerSender
 
   @again 1_000
   @topic 1
@@ -39,14 +39,14 @@ defmodule Situ.Bridge.Ros2.Session do
          do: GenServer.start_link(__MODULE__, {self(), [program: program] ++ opts})
   end
 
-  @impl Outlet
+  @impl PeerSender
   def ready(session), do: GenServer.call(session, :ready)
-  @impl Outlet
+  @impl PeerSender
   def dropped(session), do: GenServer.call(session, :dropped)
-  @impl Outlet
+  @impl PeerSender
   def put(session, {time, payload}), do: GenServer.call(session, {:put, time, payload}, :infinity)
-  @impl Outlet
-  defdelegate close(session, timeout), to: Linger
+  @impl PeerSender
+  defdelegate close(session, timeout), to: Drain
 
   @doc "Stops the session. Does nothing if it has already ended."
   @spec stop(pid()) :: :ok
@@ -83,7 +83,7 @@ defmodule Situ.Bridge.Ros2.Session do
   def handle_call({:drain, until}, from, state), do: drain_samples(from, until, state)
 
   defp drain_samples(from, until, state) do
-    Linger.reply_when_drained(from, until, state.on_way)
+    Drain.reply_when_drained(from, until, state.on_way)
     {:noreply, state}
   end
 

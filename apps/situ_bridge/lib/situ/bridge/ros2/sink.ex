@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.Ros2.Sink do
-  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.PeerSender
   alias Situ.Bridge.Ros2.Source
 
   @schema [
@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Ros2.Sink do
             ]
           ] ++
             Source.common_options() ++
-            Keyword.drop(Outlet.options(), [:format, :listening, :wait_for])
+            Keyword.drop(PeerSender.options(), [:format, :listening, :wait_for])
   @moduledoc false
   # Publishes a stream as a topic as soon as its type is known from the options or from the first message.
   use Situ.Component, inputs: [in: :any], options: @schema
@@ -25,7 +25,7 @@ defmodule Situ.Bridge.Ros2.Sink do
 
   @impl true
   def init(opts),
-    do: {:ok, %{opts: opts, channel: nil, outlet: Outlet.new([wait_for: 0] ++ opts)}}
+    do: {:ok, %{opts: opts, channel: nil, outlet: PeerSender.new([wait_for: 0] ++ opts)}}
 
   @impl true
   def handle_start(_context, state) do
@@ -56,7 +56,12 @@ defmodule Situ.Bridge.Ros2.Sink do
       |> Session.start_link()
 
     session = Situ.Error.unwrap!(session)
-    %{state | channel: channel, outlet: Outlet.attach_door(state.outlet, Session, session, nil)}
+
+    %{
+      state
+      | channel: channel,
+        outlet: PeerSender.attach_door(state.outlet, Session, session, nil)
+    }
   end
 
   @impl true
@@ -66,12 +71,12 @@ defmodule Situ.Bridge.Ros2.Sink do
   def handle_message(:in, message, _context, state) do
     time = message.originating_time
     bytes = Situ.Error.unwrap!(Channel.encode(state.channel, message.data, time))
-    state.outlet |> Outlet.send_payload({time, bytes}) |> with_outlet(state)
+    state.outlet |> PeerSender.send_payload({time, bytes}) |> with_outlet(state)
   end
 
   @impl true
   def handle_info(message, _context, state),
-    do: state.outlet |> Outlet.handle_stage_message(message) |> with_outlet(state)
+    do: state.outlet |> PeerSender.handle_stage_message(message) |> with_outlet(state)
 
   defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
 
@@ -79,11 +84,11 @@ defmodule Situ.Bridge.Ros2.Sink do
   def handle_closed(:in, _time, _context, %{channel: nil} = state), do: {[], state}
 
   def handle_closed(:in, _time, _context, state),
-    do: {[], %{state | outlet: Outlet.close(state.outlet)}}
+    do: {[], %{state | outlet: PeerSender.close(state.outlet)}}
 
   @impl true
-  def terminate(_reason, state), do: Outlet.close_now(state.outlet)
+  def terminate(_reason, state), do: PeerSender.close_now(state.outlet)
 
   @impl true
-  def describe(state), do: Outlet.describe_peers(state.outlet)
+  def describe(state), do: PeerSender.describe_peers(state.outlet)
 end

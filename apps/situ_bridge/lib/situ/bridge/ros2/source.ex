@@ -46,8 +46,8 @@ defmodule Situ.Bridge.Ros2.Source do
   @moduledoc false
   # Subscribes to a topic. The source never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
-  alias Situ.Bridge.Inlet
-  alias Situ.Bridge.Ros.{Definition, Library, Standard, Wire}
+  alias Situ.Bridge.PayloadDecoder
+  alias Situ.Bridge.Ros.{Definition, Library, StandardTypes, Wire}
   alias Situ.Bridge.Ros2.{Keys, Session, TypeHash}
 
   def schema, do: @schema
@@ -58,7 +58,7 @@ defmodule Situ.Bridge.Ros2.Source do
 
   @impl true
   def init(opts) do
-    inlet = Inlet.new(times: opts[:times], format: :ros)
+    inlet = PayloadDecoder.new(times: opts[:times], format: :ros)
     {:ok, %{opts: opts, session: nil, untaken: :atomics.new(1, []), inlet: inlet, known: %{}}}
   end
 
@@ -111,7 +111,7 @@ defmodule Situ.Bridge.Ros2.Source do
     read =
       decode_payload(payload, definition, Keys.parse_time(attachment), context.now, state.opts)
 
-    {actions, inlet} = Inlet.take_decoded(state.inlet, [read])
+    {actions, inlet} = PayloadDecoder.take_decoded(state.inlet, [read])
     {actions, %{state | inlet: inlet}}
   end
 
@@ -149,7 +149,8 @@ defmodule Situ.Bridge.Ros2.Source do
   defp convert_value(name, message, opts) do
     if opts[:messages] == :maps,
       do: message,
-      else: Standard.from_message(name, message, "/" <> String.trim_leading(opts[:topic], "/"))
+      else:
+        StandardTypes.from_message(name, message, "/" <> String.trim_leading(opts[:topic], "/"))
   end
 
   @impl true
@@ -166,5 +167,5 @@ defmodule Situ.Bridge.Ros2.Source do
   end
 
   @impl true
-  def describe(state), do: Inlet.describe_counts(state.inlet)
+  def describe(state), do: PayloadDecoder.describe_counts(state.inlet)
 end

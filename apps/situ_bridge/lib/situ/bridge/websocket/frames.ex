@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.WebSocket.Frames do
   @moduledoc false
   # Encodes and decodes WebSocket frames (RFC 6455, section 5). Pure.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   import Bitwise
 
   @opcodes %{1 => :text, 2 => :binary, 8 => :close, 9 => :ping, 10 => :pong}

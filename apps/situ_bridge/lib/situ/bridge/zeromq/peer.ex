@@ -2,7 +2,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   @moduledoc false
   # One connection of a ZeroMQ socket: performs the handshake, sends messages for the socket, and receives messages.
   use GenServer, restart: :temporary
-  alias Situ.Bridge.Net.{Outbox, Pieces}
+  alias Situ.Bridge.Net.{SendQueue, ReceiveBuffer}
   alias Situ.Bridge.ZeroMQ.Wire
 
   # The time limit of the handshake, ms.
@@ -12,7 +12,15 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
 
   @impl true
   def init(opts) do
-    begun = %{tcp: nil, phase: :greeting, buffer: "", pieces: %Pieces{}, parts: [], waiting: 0}
+    begun = %{
+      tcp: nil,
+      phase: :greeting,
+      buffer: "",
+      pieces: %ReceiveBuffer{},
+      parts: [],
+      waiting: 0
+    }
+
     state = Map.merge(begun, Map.new(opts))
 
     if state.address, do: send(self(), :connect)
@@ -36,7 +44,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
     missing = if state.phase == :open, do: Wire.missing_bytes(state.buffer), else: 1
 
-    with {:ok, bytes, pieces} <- Pieces.add_bytes(state.pieces, bytes, missing),
+    with {:ok, bytes, pieces} <- ReceiveBuffer.add_bytes(state.pieces, bytes, missing),
          state = %{state | buffer: state.buffer <> bytes, pieces: pieces},
          {:ok, state} <- handle_buffer(state) do
       {:noreply, arm_socket(state)}
@@ -55,14 +63,16 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     do: {:stop, {:shutdown, {:refused, "the handshake timed out"}}, state}
 
   def handle_info({:send, bytes}, state) do
-    case Outbox.flush(state.queued, state.tcp, bytes) do
+    case SendQueue.flush(state.queued, state.tcp, bytes) do
       :ok -> {:noreply, state}
       {:error, reason} -> {:stop, {:shutdown, reason}, state}
     end
   end
 
   defp tcp_options,
-    do: [mode: :binary, active: false, buffer: Pieces.buffer_size()] ++ Outbox.socket_options()
+    do:
+      [mode: :binary, active: false, buffer: ReceiveBuffer.buffer_size()] ++
+        SendQueue.socket_options()
 
   defp begin_handshake(tcp, state) do
     case :gen_tcp.send(tcp, Wire.greeting()) do

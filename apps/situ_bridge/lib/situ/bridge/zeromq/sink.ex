@@ -1,12 +1,12 @@
 defmodule Situ.Bridge.ZeroMQ.Sink do
-  alias Situ.Bridge.Outlet
-  alias Situ.Bridge.ZeroMQ.Publisher
+  alias Situ.Bridge.PeerSender
+  alias Situ.Bridge.ZeroMQ.SharedPublisher
 
   @schema [
             socket: [type: {:in, [:pub, :push]}, required: true, doc: "The type of the socket."],
             address: [type: :string, default: "", doc: "The address, `tcp://HOST:PORT`."],
             shared: [
-              type: {:optional, {:struct, Publisher}},
+              type: {:optional, {:struct, SharedPublisher}},
               default: nil,
               doc: "A socket that several streams share."
             ],
@@ -16,11 +16,11 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
               default: true,
               doc: "Listen on the address instead of connecting to it."
             ]
-          ] ++ Outlet.options()
+          ] ++ PeerSender.options()
   @moduledoc false
   # Sends a stream to a ZeroMQ socket.
   use Situ.Component, inputs: [in: :any], options: @schema
-  use Outlet
+  use PeerSender
   alias Situ.Bridge.ZeroMQ.Socket
 
   @most 64 * 1024 * 1024
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
   def schema, do: @schema
 
   @impl true
-  def init(opts), do: {:ok, Outlet.new(opts)}
+  def init(opts), do: {:ok, PeerSender.new(opts)}
 
   @impl true
   def handle_start(_context, outlet) do
@@ -36,8 +36,8 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
   end
 
   defp open_shared(%{opts: opts} = outlet) do
-    case Publisher.open_stream(opts[:shared]) do
-      {:ok, door, port} -> {[], Outlet.attach_door(outlet, Publisher, door, port)}
+    case SharedPublisher.open_stream(opts[:shared]) do
+      {:ok, door, port} -> {[], PeerSender.attach_door(outlet, SharedPublisher, door, port)}
       {:error, error} -> raise error
     end
   end
@@ -48,7 +48,7 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
     case Socket.open(opts[:socket], opts[:address], [most: @most] ++ given) do
       {:ok, socket} ->
         port = if opts[:bind], do: Socket.port(socket)
-        {[], Outlet.attach_door(outlet, Socket, socket, port)}
+        {[], PeerSender.attach_door(outlet, Socket, socket, port)}
 
       {:error, error} ->
         raise error
@@ -57,10 +57,10 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
 
   @impl true
   def handle_message(:in, message, _context, outlet),
-    do: Outlet.send_payload(outlet, build_frames(message, outlet.opts))
+    do: PeerSender.send_payload(outlet, build_frames(message, outlet.opts))
 
   defp build_frames(message, opts) do
-    payload = Outlet.encode_payload(message, opts)
+    payload = PeerSender.encode_payload(message, opts)
     if opts[:socket] == :pub, do: [opts[:topic], payload], else: [payload]
   end
 end

@@ -2,11 +2,11 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @moduledoc false
   # A ZeroMQ socket: its peers with their subscriptions and send queues. The owner receives `{:zeromq, [[frame]]}`.
   use GenServer
-  alias Situ.Bridge.Net.{Linger, Listener, Outbox}
-  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.Net.{Drain, Listener, SendQueue}
+  alias Situ.Bridge.PeerSender
   alias Situ.Bridge.ZeroMQ.{Peer, Wire}
   alias Situ.Error
-  @behaviour Outlet
+  @behaviour PeerSender
   require Logger
 
   @first_wait 50
@@ -72,14 +72,14 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def port(socket), do: GenServer.call(socket, :port)
 
   @doc "Sends frames to subscribers or to one peer; the first frame of a publisher is the topic."
-  @impl Outlet
+  @impl PeerSender
   def put(socket, frames), do: GenServer.call(socket, {:put, frames}, :infinity)
 
   @doc "Returns the number of subscribers (of a publisher) or peers."
-  @impl Outlet
+  @impl PeerSender
   def ready(socket), do: GenServer.call(socket, :ready)
 
-  @impl Outlet
+  @impl PeerSender
   def dropped(socket), do: GenServer.call(socket, :dropped)
 
   @doc "Records that the owner has taken `n` messages."
@@ -89,8 +89,8 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def untaken_counter(socket), do: GenServer.call(socket, :untaken)
 
   @doc "Waits until everything has been handed to the network, at most `timeout` ms, and closes."
-  @impl Outlet
-  defdelegate close(socket, timeout), to: Linger
+  @impl PeerSender
+  defdelegate close(socket, timeout), to: Drain
 
   defp open_listener(_parsed, false), do: {:ok, nil}
   defp open_listener({host, port}, true), do: Listener.listen(to_string(host), port)
@@ -144,15 +144,15 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.reply_when_drained(from, until, count_waiting(state), state.type == :pub)
+    Drain.reply_when_drained(from, until, count_waiting(state), state.type == :pub)
     {:noreply, state}
   end
 
   defp count_waiting(state),
-    do: state.peers |> Enum.map(fn {_, p} -> Outbox.count_waiting(p.queued) end) |> Enum.sum()
+    do: state.peers |> Enum.map(fn {_, p} -> SendQueue.count_waiting(p.queued) end) |> Enum.sum()
 
   defp put_message({pid, peer}, bytes, state),
-    do: Outbox.put(peer.queued, pid, bytes, state.opts[:high_water_mark])
+    do: SendQueue.put(peer.queued, pid, bytes, state.opts[:high_water_mark])
 
   @impl true
   def handle_info(:begin, %{bind?: true} = state),
@@ -161,7 +161,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def handle_info(:begin, state), do: {:noreply, connect_peer(state)}
 
   def handle_info({:drain, from, until}, state) do
-    Linger.reply_when_drained(from, until, count_waiting(state), state.type == :pub)
+    Drain.reply_when_drained(from, until, count_waiting(state), state.type == :pub)
     {:noreply, state}
   end
 
@@ -217,7 +217,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   defp connect_peer(state), do: state |> start_peer(state.address) |> elem(1)
 
   defp start_peer(state, address) do
-    queued = Outbox.new()
+    queued = SendQueue.new()
 
     {:ok, pid} =
       Peer.start_link(

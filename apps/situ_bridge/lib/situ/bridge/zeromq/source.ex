@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.ZeroMQ.Source do
-  alias Situ.Bridge.Inlet
+  alias Situ.Bridge.PayloadDecoder
 
   @schema [
             socket: [type: {:in, [:sub, :pull]}, required: true, doc: "The type of the socket."],
@@ -31,7 +31,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
               doc:
                 "A process that receives `{:listening, port}` after binding; useful with port 0."
             ]
-          ] ++ Inlet.options()
+          ] ++ PayloadDecoder.options()
   @moduledoc false
   # A ZeroMQ socket as an endless source.
   use Situ.Component, outputs: [out: :any], options: @schema
@@ -40,7 +40,8 @@ defmodule Situ.Bridge.ZeroMQ.Source do
   def schema, do: @schema
 
   @impl true
-  def init(opts), do: {:ok, %{opts: opts, socket: nil, untaken: nil, inlet: Inlet.new(opts)}}
+  def init(opts),
+    do: {:ok, %{opts: opts, socket: nil, untaken: nil, inlet: PayloadDecoder.new(opts)}}
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
@@ -64,7 +65,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
   def handle_info({:zeromq, messages}, context, state) do
     Socket.subtract_taken(state.untaken, length(messages))
     payloads = Enum.flat_map(messages, &take_payload(&1, state.opts))
-    {actions, inlet} = Inlet.take_payloads(state.inlet, payloads, context.now)
+    {actions, inlet} = PayloadDecoder.take_payloads(state.inlet, payloads, context.now)
     {actions, %{state | inlet: inlet}}
   end
 
@@ -96,5 +97,5 @@ defmodule Situ.Bridge.ZeroMQ.Source do
   end
 
   @impl true
-  def describe(state), do: Inlet.describe_counts(state.inlet)
+  def describe(state), do: PayloadDecoder.describe_counts(state.inlet)
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Foxglove.SessionTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
-  alias Situ.Bridge.Foxglove.{Playback, Session, Source, Wire}
+  alias Situ.Bridge.Foxglove.{Playback, Session, StoreChannels, Wire}
   alias Situ.{Image, Store}
   doctest Wire
 
@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
         |> Store.write(store, "Camera.Left")
       end)
 
-    {:ok, source: Source.new(Store.open!(Path.join(dir, "drive")))}
+    {:ok, source: StoreChannels.new(Store.open!(Path.join(dir, "drive")))}
   end
 
   defp open(source, protocol \\ "foxglove.websocket.v1") do
@@ -171,7 +171,11 @@ defmodule Situ.Bridge.Foxglove.SessionTest do
   end
 
   property "survives any bytes" do
-    session = %Session{source: %Source{live?: false}, playback: Playback.new(0, 10), sdk?: true}
+    session = %Session{
+      source: %StoreChannels{live?: false},
+      playback: Playback.new(0, 10),
+      sdk?: true
+    }
 
     forall {kind, bytes} <- {one_of([:text, :binary]), binary()} do
       {frames, _} = Session.handle_frame(session, {kind, bytes}, 0)

@@ -1,10 +1,10 @@
 defmodule Situ.Bridge.Psi.DecoderTest do
   use ExUnit.Case, async: true
-  alias Situ.Bridge.Psi.{Catalog, Decoder, Schema, Types}
+  alias Situ.Bridge.Psi.{Catalog, Decoder, Schema, TypePlans}
 
   @data Path.expand("../../../data/psi", __DIR__)
 
-  defp types(schemas), do: Types.new(Enum.map(schemas, &struct!(Schema, &1)))
+  defp types(schemas), do: TypePlans.new(Enum.map(schemas, &struct!(Schema, &1)))
 
   defp class(id, name, members, opts \\ []) do
     %{
@@ -18,7 +18,8 @@ defmodule Situ.Bridge.Psi.DecoderTest do
     }
   end
 
-  defp decode(types, name, bytes), do: Decoder.decode(bytes, Types.handler(types, name), types)
+  defp decode(types, name, bytes),
+    do: Decoder.decode(bytes, TypePlans.handler(types, name), types)
 
   @new <<0, 0, 0, 0x80>>
   @null <<0::32>>
@@ -141,13 +142,13 @@ defmodule Situ.Bridge.Psi.DecoderTest do
   # Returns all genuine messages of a store, stream by stream, as `{handler, types, bytes}`.
   defp genuine(folder, name) do
     {catalog, []} = Catalog.read(Path.join(@data, folder), name)
-    types = Types.new(Map.values(catalog.schemas))
+    types = TypePlans.new(Map.values(catalog.schemas))
     store = Situ.Store.open!(Path.join(@data, folder))
     places = store.state.tracks
 
     for {id, entry} <- catalog.streams,
         ordinal <- 0..(Map.fetch!(places, id).count - 1)//1,
-        place = Situ.Bridge.Psi.Scan.Track.position_at(places[id], ordinal),
+        place = Situ.Bridge.Psi.StoreScan.Track.position_at(places[id], ordinal),
         file =
           Situ.Bridge.Psi.Files.extent_path(
             Path.join(@data, folder),
@@ -156,7 +157,7 @@ defmodule Situ.Bridge.Psi.DecoderTest do
             place.extent
           ),
         <<_::binary-24, bytes::binary>> = binary_part(File.read!(file), place.at, place.length),
-        do: {Types.handler(types, entry.type_name), types, bytes}
+        do: {TypePlans.handler(types, entry.type_name), types, bytes}
   end
 
   @tag timeout: 300_000

@@ -1,9 +1,9 @@
 defmodule Situ.Bridge.Ros.Db3Test do
   use ExUnit.Case, async: true
-  alias Situ.Bridge.Ros.{Definition, Library, Places, Wire}
+  alias Situ.Bridge.Ros.{Definition, Library, MessageIndex, Wire}
   alias Situ.Store
   alias Situ.Store.Undecoded
-  doctest Places
+  doctest MessageIndex
 
   @moduletag :tmp_dir
 

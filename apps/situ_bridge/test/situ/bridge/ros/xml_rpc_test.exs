@@ -1,10 +1,10 @@
 defmodule Situ.Bridge.Ros.XmlRpcTest do
   # Not async, because it counts atoms.
   use ExUnit.Case, async: false
-  alias Situ.Bridge.Ros.{Slave, TcpRos, XmlRpc}
+  alias Situ.Bridge.Ros.{SlaveCall, TcpRos, XmlRpc}
   doctest XmlRpc
   doctest TcpRos
-  doctest Slave
+  doctest SlaveCall
 
   @values [
     1,

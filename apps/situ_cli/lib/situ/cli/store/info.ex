@@ -4,7 +4,7 @@ defmodule Situ.CLI.Store.Info do
   alias Situ.Bridge.Mcap
   alias Situ.{Store, Time}
   alias Situ.CLI.{Output, Recording}
-  alias Situ.CLI.Store.Details
+  alias Situ.CLI.Store.StreamDetails
   alias Situ.Store.StreamInfo
 
   @doc "Prints the details of one recording, or one line for each of several recordings or those in a folder."
@@ -61,7 +61,7 @@ defmodule Situ.CLI.Store.Info do
     store = Store.open!(path)
 
     if name = opts[:stream],
-      do: Details.print_stream(store, name, opts[:json] == true),
+      do: StreamDetails.print_stream(store, name, opts[:json] == true),
       else: print_overview(store)
 
     0
@@ -85,7 +85,7 @@ defmodule Situ.CLI.Store.Info do
       {first, last} ->
         Output.puts(
           "  #{Time.to_iso8601(first)} .. #{Time.to_iso8601(last)}, #{Time.format_duration(last - first)}" <>
-            if(Details.real_time?(first), do: "", else: " (not real time)")
+            if(StreamDetails.real_time?(first), do: "", else: " (not real time)")
         )
     end
 
@@ -143,7 +143,7 @@ defmodule Situ.CLI.Store.Info do
   # Only Situ's own files have checksums to verify. For an external file, the first damaged positions are listed.
   defp damage_lines(_store, %{damage: []}), do: []
 
-  defp damage_lines(%{module: Store.Local} = store, info),
+  defp damage_lines(%{module: Store.NativeFormat} = store, info),
     do: [
       "in #{Output.format_count(length(info.damage), "position")}: `situ store verify '#{store.path}'`"
     ]
@@ -171,10 +171,10 @@ defmodule Situ.CLI.Store.Info do
       info.name <> if(info.large?, do: "*", else: ""),
       info.type_name,
       Integer.to_string(info.count),
-      Details.format_rate(info),
-      Details.format_bytes(store, info, info.stored),
-      Details.format_bytes(store, info, StreamInfo.average_size(info)),
-      Details.format_latency(store, info),
+      StreamDetails.format_rate(info),
+      StreamDetails.format_bytes(store, info, info.stored),
+      StreamDetails.format_bytes(store, info, StreamInfo.average_size(info)),
+      StreamDetails.format_latency(store, info),
       format_gaps(store, info)
     ]
   end
@@ -226,7 +226,7 @@ defmodule Situ.CLI.Store.Info do
       size: Recording.disk_size(store.path),
       damage: length(info.damage),
       missing_files: Store.missing_files(store),
-      streams: Enum.map(Store.streams(store), &Details.stream_json(store, &1))
+      streams: Enum.map(Store.streams(store), &StreamDetails.stream_json(store, &1))
     }
     |> Map.merge(
       if(info[:metadata] in [nil, []], do: %{}, else: %{metadata: Map.new(info.metadata)})

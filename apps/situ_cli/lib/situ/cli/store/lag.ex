@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Lag do
   @moduledoc false
   # Measures how much older the messages of a stream are than the newest message before them, by creation time, when all
   # streams are read in order of originating times. A replay in that order waits this long for the stream.
-  alias Situ.CLI.Store.Tape
+  alias Situ.CLI.Store.ItemReader
   alias Situ.Store
 
   @doc "Returns `[%{stream, average, most, messages}]` in ns, sorted by `order`, greatest lag first."
@@ -14,7 +14,7 @@ defmodule Situ.CLI.Store.Lag do
 
     {_, lags} =
       tagged
-      |> Tape.merge(& &1.originating_time)
+      |> ItemReader.merge(& &1.originating_time)
       |> Enum.reduce({nil, %{}}, fn {name, message}, {newest, lags} ->
         newest = max(newest || message.creation_time, message.creation_time)
         lag = newest - message.creation_time

@@ -1,8 +1,8 @@
 defmodule Situ.CLI.Store.Messages do
   @moduledoc false
   # `situ store messages`: prints one line per message. Several streams are merged in order of time and labeled.
-  alias Situ.CLI.{Data, Output}
-  alias Situ.CLI.Store.{Arguments, Tape}
+  alias Situ.CLI.{DataFormat, Output}
+  alias Situ.CLI.Store.{Arguments, ItemReader}
   alias Situ.{Message, Store, Time}
 
   @spec print_messages(Store.Handle.t(), [String.t()], keyword()) :: 0
@@ -12,7 +12,7 @@ defmodule Situ.CLI.Store.Messages do
     several? = length(streams) > 1
 
     all
-    |> Tape.merge(& &1.originating_time)
+    |> ItemReader.merge(& &1.originating_time)
     |> limit_messages(opts[:number])
     |> Enum.each(fn {name, message} ->
       name = if several?, do: name
@@ -33,13 +33,14 @@ defmodule Situ.CLI.Store.Messages do
     sign = if latency < 0, do: "", else: "+"
     name = if name, do: "#{Output.format_name(name)}  ", else: ""
     time = Time.to_iso8601(message.originating_time)
-    "#{time}  #{sign}#{Time.format_duration(latency)}  #{name}#{Data.format_line(message.data)}"
+
+    "#{time}  #{sign}#{Time.format_duration(latency)}  #{name}#{DataFormat.format_line(message.data)}"
   end
 
   defp message_json(message, name) do
     message
     |> Map.take([:originating_time, :creation_time, :sequence_id])
-    |> Map.merge(Data.to_json(message.data))
+    |> Map.merge(DataFormat.to_json(message.data))
     |> Map.merge(if(name, do: %{stream: name}, else: %{}))
   end
 end

@@ -4,7 +4,7 @@ defmodule Situ.CLI.Store.Pyramid do
   alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.Arguments
   alias Situ.{Error, Store, Time}
-  alias Situ.Store.{Local, Summary}
+  alias Situ.Store.{NativeFormat, Summary}
 
   @impl true
   def verbs do
@@ -64,7 +64,7 @@ defmodule Situ.CLI.Store.Pyramid do
   end
 
   defp show_summaries(store, chosen, opts) do
-    stored? = store.module == Local
+    stored? = store.module == NativeFormat
     found = for info <- chosen, info.count > 0, do: read_summary(store, info, stored?, opts)
 
     cond do

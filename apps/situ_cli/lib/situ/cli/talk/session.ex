@@ -41,7 +41,7 @@ defmodule Situ.CLI.Talk.Session do
   end
 
   defp open_audio(p, "page") do
-    p |> Sensor.open(page: "talk") |> Map.fetch!(:audio) |> Situ.Audio.resample(16_000)
+    p |> Sensor.open(page: "talk") |> Map.fetch!(:audio) |> Situ.AudioStream.resample(16_000)
   end
 
   defp open_audio(p, input) do

@@ -8,7 +8,7 @@ defmodule Situ.Annotation.Exchange.Csv do
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
-  alias Situ.Annotation.Exchange.Rows
+  alias Situ.Annotation.Exchange.LabelRows
   alias Situ.Annotation.{Layer, Schema}
 
   @own ~w(from to from_s to_s track by confidence proposed note)
@@ -29,7 +29,7 @@ defmodule Situ.Annotation.Exchange.Csv do
   defp column_name(name), do: if(name in @own, do: "value." <> name, else: name)
 
   defp build_row(a, attributes, origin) do
-    values = for name <- attributes, do: Rows.value_to_text(a.values[name])
+    values = for name <- attributes, do: LabelRows.value_to_text(a.values[name])
 
     seconds =
       for time <- [a.from, a.to],

@@ -2,7 +2,7 @@ defmodule Situ.Annotation.Exchange.Cues do
   @moduledoc false
   # The common part of WebVTT and SubRip: cues with times in milliseconds, separated by blank lines.
   alias Situ.Annotation
-  alias Situ.Annotation.Exchange.Rows
+  alias Situ.Annotation.Exchange.LabelRows
   alias Situ.Annotation.{Layer, Schema}
 
   @ms 1_000_000
@@ -22,7 +22,7 @@ defmodule Situ.Annotation.Exchange.Cues do
         else: []
 
     {Enum.reject(cues, &(elem(&1, 0) < 0)),
-     Rows.describe_losses(annotations, [:fine, :by, :confidence, :note, :proposed?], format) ++
+     LabelRows.describe_losses(annotations, [:fine, :by, :confidence, :note, :proposed?], format) ++
        short ++ early}
   end
 
@@ -35,14 +35,14 @@ defmodule Situ.Annotation.Exchange.Cues do
 
   # Each of several attributes has its own line.
   defp cue_text(values, %{attributes: [attribute]}),
-    do: Rows.value_to_text(values[attribute.name])
+    do: LabelRows.value_to_text(values[attribute.name])
 
   defp cue_text(values, schema),
     do:
       Enum.map_join(
         schema.attributes,
         "\n",
-        &"#{&1.name}: #{Rows.value_to_text(values[&1.name])}"
+        &"#{&1.name}: #{LabelRows.value_to_text(values[&1.name])}"
       )
 
   @doc "Formats a time as `HH:MM:SS`, then `mark` and the milliseconds."

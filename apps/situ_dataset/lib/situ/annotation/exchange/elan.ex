@@ -7,14 +7,14 @@ defmodule Situ.Annotation.Exchange.Elan do
   Annotations that refer to others (`REF_ANNOTATION`) get the times of the annotation that they refer to.
   """
   @behaviour Situ.Annotation.Exchange
-  alias Situ.Annotation.Exchange.{Rows, Xml}
+  alias Situ.Annotation.Exchange.{LabelRows, Xml}
   alias Situ.Annotation.{Layer, Schema}
 
   @ms 1_000_000
 
   @impl true
   def encode(layer, opts) do
-    rows = Rows.layer_rows(layer)
+    rows = LabelRows.layer_rows(layer)
     slots = slot_times(rows, opts[:origin])
     ids = slots |> Map.keys() |> Enum.sort() |> Enum.with_index(1) |> Map.new()
 
@@ -34,7 +34,7 @@ defmodule Situ.Annotation.Exchange.Elan do
     ]
 
     {text,
-     Rows.describe_losses(
+     LabelRows.describe_losses(
        Layer.annotations(layer),
        [:fine, :confidence, :note, :proposed?],
        "ELAN"
@@ -162,7 +162,7 @@ defmodule Situ.Annotation.Exchange.Elan do
       origin = opts[:origin] || parse_integer(properties["situ.origin"]) || 0
       slots = parse_time_slots(document)
       {rows, missing} = document |> Xml.list_children("TIER") |> parse_rows(slots, origin)
-      {annotations, losses} = Rows.rows_to_annotations(rows, schema)
+      {annotations, losses} = LabelRows.rows_to_annotations(rows, schema)
       annotations = put_annotators(annotations, document, schema)
       {:ok, schema, annotations, losses ++ describe_untimed(missing)}
     else

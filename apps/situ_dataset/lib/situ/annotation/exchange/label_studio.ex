@@ -9,7 +9,7 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation
-  alias Situ.Annotation.Exchange.Rows
+  alias Situ.Annotation.Exchange.LabelRows
   alias Situ.Annotation.{Layer, Schema}
 
   @impl true
@@ -36,7 +36,7 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
     }
 
     {Situ.JSON.encode_pretty([task]) <> "\n",
-     Rows.describe_losses(Layer.annotations(layer), [:note], "Label Studio")}
+     LabelRows.describe_losses(Layer.annotations(layer), [:note], "Label Studio")}
   end
 
   defp encode_results(a, schema, origin) do

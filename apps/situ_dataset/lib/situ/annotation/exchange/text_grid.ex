@@ -7,7 +7,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
   seconds from `origin:`, exact to the nanosecond.
   """
   @behaviour Situ.Annotation.Exchange
-  alias Situ.Annotation.Exchange.Rows
+  alias Situ.Annotation.Exchange.LabelRows
   alias Situ.Annotation.Layer
 
   @s 1_000_000_000
@@ -25,7 +25,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
 
     # Praat does not accept a time span of length zero.
     span = {first, max(last, first + 1)}
-    tiers = Enum.flat_map(Rows.layer_rows(layer), &row_tiers/1)
+    tiers = Enum.flat_map(LabelRows.layer_rows(layer), &row_tiers/1)
 
     text = [
       ~s(File type = "ooTextFile"\nObject class = "TextGrid"\n\n),
@@ -34,8 +34,11 @@ defmodule Situ.Annotation.Exchange.TextGrid do
       tiers |> Enum.with_index(1) |> Enum.map(&encode_tier(&1, span, opts))
     ]
 
-    empty = for {_, _, labels} <- Rows.layer_rows(layer), {_, ""} <- labels, do: 1
-    losses = Rows.describe_losses(annotations, [:by, :confidence, :note, :proposed?], "Praat")
+    empty = for {_, _, labels} <- LabelRows.layer_rows(layer), {_, ""} <- labels, do: 1
+
+    losses =
+      LabelRows.describe_losses(annotations, [:by, :confidence, :note, :proposed?], "Praat")
+
     {text, losses ++ describe_empty_labels(length(empty)) ++ describe_points(annotations)}
   end
 
@@ -128,7 +131,7 @@ defmodule Situ.Annotation.Exchange.TextGrid do
   def decode(text, opts) do
     with {:ok, text} <- convert_to_utf8(text),
          {:ok, rows} <- text |> scan_tokens([]) |> parse_grid(opts[:origin] || 0) do
-      {annotations, losses} = Rows.rows_to_annotations(rows, opts[:schema])
+      {annotations, losses} = LabelRows.rows_to_annotations(rows, opts[:schema])
       {:ok, nil, annotations, losses}
     end
   end

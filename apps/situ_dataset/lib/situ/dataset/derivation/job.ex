@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Derivation.Job do
   @moduledoc false
   # One session of a run: the computation and the path of its output. It runs in a separate process on any node.
-  alias Situ.Dataset.{Importer, OpenSession, Partition, Session, StoredPath, Version}
+  alias Situ.Dataset.{Importer, OpenSession, Partition, Session, StoredPath, StoreVersion}
   alias Situ.{Error, Pipeline, Store}
 
   @enforce_keys [:session, :compute]
@@ -19,7 +19,7 @@ defmodule Situ.Dataset.Derivation.Job do
       compute: compute,
       output: opts[:output],
       path: path,
-      draft: path && Version.draft_path(path),
+      draft: path && StoreVersion.draft_path(path),
       options: opts[:options],
       settings: Keyword.put_new(opts[:pipeline], :replay, speed: :max)
     }
@@ -100,10 +100,10 @@ defmodule Situ.Dataset.Derivation.Job do
 
   @doc "Gives the output its final name."
   @spec publish_output(t()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def publish_output(%__MODULE__{} = job), do: Version.publish_draft(job.draft, job.path)
+  def publish_output(%__MODULE__{} = job), do: StoreVersion.publish_draft(job.draft, job.path)
 
   @doc "Deletes the output of a session that failed or was cancelled."
   @spec discard_output(t()) :: :ok
   def discard_output(%__MODULE__{draft: nil}), do: :ok
-  def discard_output(%__MODULE__{draft: draft}), do: Version.discard_draft(draft)
+  def discard_output(%__MODULE__{draft: draft}), do: StoreVersion.discard_draft(draft)
 end

@@ -12,14 +12,14 @@ defmodule Situ.Examples.Demo.Score do
 
       iex> json = ~s({"fps": 10, "frames": 10, "faces": [{"id": 0, "box": [0, 0, 9, 9]}],
       ...>   "speech": [{"face": 0, "speech_start": 0.0, "speech_end": 1.0}]})
-      iex> {:ok, truth} = Situ.Examples.Demo.Truth.parse(json)
+      iex> {:ok, truth} = Situ.Examples.Demo.GroundTruth.parse(json)
       iex> rect = Situ.Rect.new!(1, 1, 9, 9)
       iex> found = for i <- 0..8, do: {i * 100_000_000, [{rect, i != 5}]}
       iex> score = Situ.Examples.Demo.Score.score_decisions(truth, found)
       iex> {score.frames, score.scored_frames, score.frame_accuracy, score.missed_speech_s, score.false_speech_s}
       {10, 5, 0.8, 0.1, 0.0}
   """
-  alias Situ.Examples.Demo.Truth
+  alias Situ.Examples.Demo.GroundTruth
 
   @enforce_keys [:frames, :scored_frames, :frame_accuracy, :false_speech_s, :missed_speech_s]
   defstruct [
@@ -35,12 +35,12 @@ defmodule Situ.Examples.Demo.Score do
   @type t :: %__MODULE__{}
 
   @doc "Returns the score of decisions whose times are relative to the start of the clip."
-  @spec score_decisions(Truth.t(), found()) :: t()
-  def score_decisions(%Truth{} = truth, found) do
+  @spec score_decisions(GroundTruth.t(), found()) :: t()
+  def score_decisions(%GroundTruth{} = truth, found) do
     rows =
       for {i, faces} <- hold_decisions(found, truth),
-          not Truth.near_edge?(truth, i / truth.fps) do
-        {Truth.speakers_at(truth, i / truth.fps), speaking_ids(truth, faces)}
+          not GroundTruth.near_edge?(truth, i / truth.fps) do
+        {GroundTruth.speakers_at(truth, i / truth.fps), speaking_ids(truth, faces)}
       end
 
     per_face =
@@ -79,7 +79,7 @@ defmodule Situ.Examples.Demo.Score do
   end
 
   defp speaking_ids(truth, faces) do
-    for({rect, true} <- faces, do: Truth.face_at(truth, rect) || :stranger)
+    for({rect, true} <- faces, do: GroundTruth.face_at(truth, rect) || :stranger)
     |> Enum.uniq()
     |> Enum.sort()
   end

@@ -12,7 +12,7 @@ defmodule Situ.Examples.Demo.Transcript do
       iex> IO.iodata_to_binary(Transcript.to_webvtt([line]))
       "WEBVTT\\n\\n00:00:00.000 --> 00:00:01.000\\n<v face 3>Go on.\\n"
   """
-  alias Situ.Examples.Demo.{Score, Truth}
+  alias Situ.Examples.Demo.{Score, GroundTruth}
   alias Situ.Infer.Speech.Utterance
 
   # A face that speaks in a smaller share of the images is not considered the speaker.
@@ -90,10 +90,10 @@ defmodule Situ.Examples.Demo.Transcript do
   Scores a transcript: its word error rate, and the share of reference utterances attributed to the correct face. Both
   are `nil` if the truth contains no words.
   """
-  @spec score_lines([line()], Truth.t()) :: %{wer: float() | nil, right_face: float() | nil}
-  def score_lines(_lines, %Truth{said: []}), do: %{wer: nil, right_face: nil}
+  @spec score_lines([line()], GroundTruth.t()) :: %{wer: float() | nil, right_face: float() | nil}
+  def score_lines(_lines, %GroundTruth{said: []}), do: %{wer: nil, right_face: nil}
 
-  def score_lines(lines, %Truth{said: said} = truth) do
+  def score_lines(lines, %GroundTruth{said: said} = truth) do
     spoken =
       said |> Enum.sort_by(fn {_, from, _, _} -> from end) |> Enum.map_join(" ", &elem(&1, 3))
 
@@ -111,7 +111,8 @@ defmodule Situ.Examples.Demo.Transcript do
         false
 
       line ->
-        overlap_s(line, from, to) > 0 and face == (line.rect && Truth.face_at(truth, line.rect))
+        overlap_s(line, from, to) > 0 and
+          face == (line.rect && GroundTruth.face_at(truth, line.rect))
     end
   end
 

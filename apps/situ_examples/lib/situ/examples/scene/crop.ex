@@ -8,7 +8,7 @@ defmodule Situ.Examples.Scene.Crop do
       iex> {rect.x, rect.y, point.x, point.y}
       {6, 8, 8, 10}
   """
-  alias Situ.{CameraView, Image, Imaging, Pose, Rect, Skeleton}
+  alias Situ.{CameraView, Image, ImageOps, Pose, Rect, Skeleton}
   alias Situ.Space.Camera
 
   @type detection :: {Rect.t(), [Situ.Point2.t()]}
@@ -48,7 +48,7 @@ defmodule Situ.Examples.Scene.Crop do
     {left, top} = {clamp(rect.x - rect.width, w - 8), clamp(rect.y - 8, h - 8)}
     width = min(w - left, max(8, round(rect.width * 3)))
     height = min(h - top, max(8, round(rect.height + 16)))
-    {Imaging.crop!(picture, {left, top, width, height}), {left, top}}
+    {ImageOps.crop!(picture, {left, top, width, height}), {left, top}}
   end
 
   defp clamp(x, most), do: x |> round() |> max(0) |> min(most)

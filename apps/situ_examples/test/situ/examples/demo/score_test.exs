@@ -1,7 +1,7 @@
 defmodule Situ.Examples.Demo.ScoreTest do
   use ExUnit.Case, async: true
 
-  alias Situ.Examples.Demo.{Score, Truth}
+  alias Situ.Examples.Demo.{Score, GroundTruth}
   alias Situ.Rect
 
   # Ten images a second; the single face speaks from 1 to 3 s.
@@ -9,7 +9,7 @@ defmodule Situ.Examples.Demo.ScoreTest do
     "speech": [{"face": 0, "speech_start": 1.0, "speech_end": 3.0}]})
 
   defp truth do
-    {:ok, truth} = Truth.parse(@json)
+    {:ok, truth} = GroundTruth.parse(@json)
     truth
   end
 

@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Demo.TranscriptTest do
   use ExUnit.Case, async: true
-  alias Situ.Examples.Demo.{Transcript, Truth}
+  alias Situ.Examples.Demo.{Transcript, GroundTruth}
   alias Situ.Infer.Speech.Utterance
   alias Situ.Rect
   doctest Situ.Examples.Demo.Transcript
@@ -12,7 +12,7 @@ defmodule Situ.Examples.Demo.TranscriptTest do
   defp said(text, from, to), do: %Utterance{text: text, from: from, to: to, confidence: 1.0}
 
   test "assigns an utterance to the face that spoke most, and scores words and faces" do
-    {:ok, truth} = Truth.parse(@json)
+    {:ok, truth} = GroundTruth.parse(@json)
     speaker = Rect.new!(x: 0, y: 0, width: 9, height: 9, id: 0)
     other = %{speaker | x: 50, id: 1}
     found = for i <- 0..99, do: {i * 40_000_000, [{speaker, i < 25}, {other, i in 20..24}]}

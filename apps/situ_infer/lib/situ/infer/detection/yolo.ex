@@ -16,7 +16,7 @@ defmodule Situ.Infer.Detection.Yolo do
       iex> for b <- boxes, do: {b.x, b.y, b.width, b.height, b.class, Float.round(b.score, 2)}
       [{40.0, 35.0, 20.0, 10.0, 1, 0.72}]
   """
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Tensor
 
   @anchors [{1.08, 1.19}, {3.42, 4.41}, {6.63, 11.38}, {9.42, 5.11}, {16.62, 10.52}]

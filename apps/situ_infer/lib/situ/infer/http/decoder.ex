@@ -2,7 +2,7 @@ defmodule Situ.Infer.Http.Decoder do
   @moduledoc false
   # Decodes the bytes of an HTTP/1.1 response (RFC 9112), split at arbitrary positions, into events. The lengths of the
   # head and of a chunk's size line are limited, and no input creates an atom.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
 
   @head_bytes 65_536
   @line_bytes 4_096

@@ -45,7 +45,7 @@ defmodule Situ.Infer.Speech.Azure do
 
   alias Situ.{AudioBuffer, Error}
   alias Situ.Infer.Service
-  alias Situ.Infer.Speech.Upload
+  alias Situ.Infer.Speech.RequestEncoding
 
   @key_header "ocp-apim-subscription-key"
   @longest 60_000_000_000
@@ -99,7 +99,7 @@ defmodule Situ.Infer.Speech.Azure do
     type = "audio/wav; codecs=audio/pcm; samplerate=16000"
 
     with :ok <- check_duration(sound),
-         {:ok, wav} <- Upload.encode_wav(sound),
+         {:ok, wav} <- RequestEncoding.encode_wav(sound),
          headers = [{"content-type", type}, {"accept", "application/json"}],
          {:ok, %{body: body}} <- Service.post(azure.recognizer, path, headers, wav),
          do: parse_result(Situ.JSON.decode(body))
@@ -135,7 +135,7 @@ defmodule Situ.Infer.Speech.Azure do
          "the service could not recognize the speech: #{String.slice(status, 0, 40)}"
        )}
 
-  defp parse_result(_), do: {:error, Upload.bad_answer()}
+  defp parse_result(_), do: {:error, RequestEncoding.bad_answer()}
 
   defp parse_candidate(%{"Confidence" => p, "Display" => text} = json)
        when is_number(p) and is_binary(text) do
@@ -147,5 +147,5 @@ defmodule Situ.Infer.Speech.Azure do
     {:ok, %{text: text, confidence: p |> max(0) |> min(1) |> Kernel./(1), words: words}}
   end
 
-  defp parse_candidate(_), do: {:error, Upload.bad_answer()}
+  defp parse_candidate(_), do: {:error, RequestEncoding.bad_answer()}
 end

@@ -34,7 +34,7 @@ defmodule Situ.Infer.Speech.Espeak do
   @behaviour Situ.Infer.Speech.Synthesizer
 
   alias Situ.{AudioBuffer, Error}
-  alias Situ.Infer.Speech.Espeak.Frames
+  alias Situ.Infer.Speech.Espeak.OutputParser
   alias Situ.Infer.Speech.Mark
   alias Situ.Media.Wav.Format
 
@@ -152,7 +152,7 @@ defmodule Situ.Infer.Speech.Espeak do
 
     case run_command([program | voice.marker] ++ [text]) do
       {bytes, 0} ->
-        with :error <- Frames.parse(bytes, text),
+        with :error <- OutputParser.parse(bytes, text),
              do: {:error, synthesis_error(voice, "0, cut short")}
 
       {_, 3} ->

@@ -12,8 +12,8 @@ defmodule Situ.Infer.Speech.Moonshine do
   """
   @behaviour Situ.Infer.Speech.Recognizer
 
-  alias Situ.{AudioBuffer, AudioFormat, Error, Sound, Tensor}
-  alias Situ.Infer.{Model, ModelStore, Samples}
+  alias Situ.{AudioBuffer, AudioFormat, Error, AudioOps, Tensor}
+  alias Situ.Infer.{Model, ModelStore, SampleCheck}
   alias Situ.Infer.Speech.Tokenizer
 
   @name "moonshine-tiny-en"
@@ -97,9 +97,9 @@ defmodule Situ.Infer.Speech.Moonshine do
   @impl true
   @spec transcribe(t(), AudioBuffer.t()) :: {:ok, result()} | {:error, Error.t()}
   def transcribe(%__MODULE__{} = moonshine, %AudioBuffer{} = buffer) do
-    with :ok <- Samples.check_buffer(buffer),
-         {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :f32),
-         {:ok, %{data: data} = sound} <- Sound.resample(mono, @rate) do
+    with :ok <- SampleCheck.check_buffer(buffer),
+         {:ok, mono} <- AudioOps.reformat(buffer, channels: 1, sample: :f32),
+         {:ok, %{data: data} = sound} <- AudioOps.resample(mono, @rate) do
       case AudioBuffer.frame_count(sound) do
         n when n < @shortest -> {:ok, %{text: "", confidence: 0.0, alternatives: []}}
         n when n > @longest_s * @rate -> {:error, too_long(n)}

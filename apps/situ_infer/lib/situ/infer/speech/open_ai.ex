@@ -48,7 +48,7 @@ defmodule Situ.Infer.Speech.OpenAI do
 
   alias Situ.{AudioBuffer, Error}
   alias Situ.Infer.Service
-  alias Situ.Infer.Speech.Upload
+  alias Situ.Infer.Speech.RequestEncoding
 
   @enforce_keys [:service, :opts]
   defstruct @enforce_keys
@@ -67,7 +67,7 @@ defmodule Situ.Infer.Speech.OpenAI do
   @spec transcribe(t(), AudioBuffer.t()) ::
           {:ok, Situ.Infer.Speech.Recognizer.result()} | {:error, Error.t()}
   def transcribe(%__MODULE__{service: service, opts: opts}, %AudioBuffer{} = sound) do
-    with {:ok, wav} <- Upload.encode_wav(sound) do
+    with {:ok, wav} <- RequestEncoding.encode_wav(sound) do
       fields = [
         {"model", opts.recognizer},
         {"response_format", "verbose_json"},
@@ -76,7 +76,7 @@ defmodule Situ.Infer.Speech.OpenAI do
         | if(opts.language, do: [{"language", opts.language}], else: [])
       ]
 
-      {type, body} = Upload.encode_form(fields, {"file", "speech.wav", "audio/wav", wav})
+      {type, body} = RequestEncoding.encode_form(fields, {"file", "speech.wav", "audio/wav", wav})
 
       with {:ok, %{body: body}} <-
              Service.post(service, "/audio/transcriptions", [{"content-type", type}], body),
@@ -99,7 +99,7 @@ defmodule Situ.Infer.Speech.OpenAI do
      }}
   end
 
-  defp parse_result(_), do: {:error, Upload.bad_answer()}
+  defp parse_result(_), do: {:error, RequestEncoding.bad_answer()}
 
   defp mean_confidence(text, json) do
     logs = for %{"avg_logprob" => log} <- list_or_empty(json["segments"]), is_number(log), do: log

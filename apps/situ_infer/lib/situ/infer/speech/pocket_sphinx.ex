@@ -48,8 +48,8 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   `:no_pocketsphinx`, `:bad_grammar`, `:no_grammar`, `:recognition_failed`.
   """
   @behaviour Situ.Infer.Speech.Recognizer
-  alias Situ.{Error, Sound}
-  alias Situ.Infer.Speech.PocketSphinx.Output
+  alias Situ.{Error, AudioOps}
+  alias Situ.Infer.Speech.PocketSphinx.OutputParser
   alias Situ.Intent.{Jsgf, Matcher}
 
   @program "pocketsphinx_batch"
@@ -143,10 +143,10 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   @spec transcribe(t(), Situ.AudioBuffer.t()) ::
           {:ok, Situ.Infer.Speech.Recognizer.result()} | {:error, Error.t()}
   def transcribe(%__MODULE__{} = sphinx, buffer) do
-    with :ok <- Situ.Infer.Samples.check_buffer(buffer),
-         {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :s16),
-         {:ok, sound} <- Sound.resample(mono, 16_000) do
-      Situ.Scratch.with_folder("sphinx", fn folder ->
+    with :ok <- Situ.Infer.SampleCheck.check_buffer(buffer),
+         {:ok, mono} <- AudioOps.reformat(buffer, channels: 1, sample: :s16),
+         {:ok, sound} <- AudioOps.resample(mono, 16_000) do
+      Situ.TempFolder.with_folder("sphinx", fn folder ->
         File.write!(Path.join(folder, "sound.raw"), sound.data)
         File.write!(Path.join(folder, "list"), "sound\n")
         recognize_file(sphinx, folder)
@@ -159,7 +159,7 @@ defmodule Situ.Infer.Speech.PocketSphinx do
     phrase = ["-keyphrase", keyword, "-kws_threshold", Float.to_string(sphinx.threshold)]
 
     with {:ok, heard} <- run_program(sphinx.listener, arguments ++ phrase),
-         do: {:ok, Output.parse_keyword_output(heard)}
+         do: {:ok, OutputParser.parse_keyword_output(heard)}
   end
 
   defp recognize_file(sphinx, folder) do
@@ -167,12 +167,12 @@ defmodule Situ.Infer.Speech.PocketSphinx do
 
     with {:ok, _} <-
            run_decoder(sphinx, folder, "said", search_arguments(sphinx, folder) ++ several) do
-      said = Output.parse_segments(read_output(folder, "said"))
+      said = OutputParser.parse_segments(read_output(folder, "said"))
 
       others =
         folder
         |> read_output("sound.hyp")
-        |> Output.parse_alternatives()
+        |> OutputParser.parse_alternatives()
         |> filter_complete(sphinx.grammar)
 
       build_result(said, others, sphinx, folder)
@@ -185,17 +185,22 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   defp build_result(said, others, %{grammar: nil} = sphinx, _folder),
     do:
       {:ok,
-       Output.build_result(said, others, Output.result_share(said, others), sphinx.alternatives)}
+       OutputParser.build_result(
+         said,
+         others,
+         OutputParser.result_share(said, others),
+         sphinx.alternatives
+       )}
 
   defp build_result(said, others, sphinx, folder) do
     with {:ok, _} <- run_decoder(sphinx, folder, "phones", ["-allphone", sphinx.phones | @phones]) do
-      phones = Output.parse_segments(read_output(folder, "phones"))
+      phones = OutputParser.parse_segments(read_output(folder, "phones"))
 
       {:ok,
-       Output.build_result(
+       OutputParser.build_result(
          said,
          others,
-         Output.phone_confidence(said, phones),
+         OutputParser.phone_confidence(said, phones),
          sphinx.alternatives
        )}
     end

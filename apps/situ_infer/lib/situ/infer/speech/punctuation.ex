@@ -4,12 +4,12 @@ defmodule Situ.Infer.Speech.Punctuation do
   telephone services); Moonshine already writes sentences.
 
       heard |> Situ.Infer.punctuate()                                    # rules
-      heard |> Situ.Infer.punctuate(punctuation: Situ.Infer.Speech.Punctuation.Model, options: [model: "llama3.2"])
+      heard |> Situ.Infer.punctuate(punctuation: Situ.Infer.Speech.Punctuation.LanguageModel, options: [model: "llama3.2"])
 
   | built in | method |
   |---|---|
   | `Situ.Infer.Speech.Punctuation.Rules` | rules based on the first words of English sentences |
-  | `Situ.Infer.Speech.Punctuation.Model` | a language model (`Situ.Chat`) |
+  | `Situ.Infer.Speech.Punctuation.LanguageModel` | a language model (`Situ.Chat`) |
 
   To add another, implement these callbacks in a module.
   """

@@ -11,7 +11,7 @@ defmodule Situ.Infer.Speech.Tokenizer do
       iex> Situ.Infer.Speech.Tokenizer.parse(<<9, "short">>)
       :error
   """
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
 
   @type t :: tuple()
 

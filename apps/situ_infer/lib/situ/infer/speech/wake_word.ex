@@ -5,8 +5,8 @@ defmodule Situ.Infer.Speech.WakeWord do
 
   | built in | detects | use |
   |---|---|---|
-  | `Situ.Infer.Speech.WakeWord.Spoken` | the name among recognized words (Moonshine) | any name, with few mistakes |
-  | `Situ.Infer.Speech.WakeWord.Keyword` | the sound of the name (PocketSphinx) | machines without ONNX Runtime |
+  | `Situ.Infer.Speech.WakeWord.TranscriptSpotter` | the name among recognized words (Moonshine) | any name, with few mistakes |
+  | `Situ.Infer.Speech.WakeWord.KeywordSpotter` | the sound of the name (PocketSphinx) | machines without ONNX Runtime |
 
   To add another, implement these callbacks in a module and pass it as `spotter:`.
   """

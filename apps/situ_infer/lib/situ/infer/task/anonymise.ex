@@ -5,7 +5,7 @@ defmodule Situ.Infer.Task.Anonymise do
 
   Faces are found by a detector that may miss some (`Situ.Infer.FaceBlur`), so check the result before you share it.
   """
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{AudioBuffer, AudioFormat}
 
   @second 1_000_000_000
@@ -83,13 +83,13 @@ defmodule Situ.Infer.Task.Anonymise do
   defp anonymise_stream(stream, _info, _spans, _opts), do: stream
 
   defp blur_faces(stream, type, opts) do
-    pictures = if type == Situ.EncodedImage, do: Situ.Vision.decode(stream), else: stream
+    pictures = if type == Situ.EncodedImage, do: Situ.ImageStream.decode(stream), else: stream
     detector = [min_score: opts[:min_score], tile_score: max(opts[:min_score], 0.5), every: 0]
 
     pictures
     |> Situ.join(Situ.via(pictures, Situ.Infer.FaceDetector, detector))
     |> Situ.via(Situ.Infer.FaceBlur, hold: round(opts[:hold] * @second))
-    |> Situ.Vision.encode_jpeg(quality: opts[:quality])
+    |> Situ.ImageStream.encode_jpeg(quality: opts[:quality])
   end
 
   defp session_start(streams) do

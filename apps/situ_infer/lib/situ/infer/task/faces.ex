@@ -21,7 +21,7 @@ defmodule Situ.Infer.Task.Faces do
   def build(_p, opts) do
     opts[:stream]
     |> opts[:open].()
-    |> Situ.Infer.Task.Pictures.ensure_decoded(opts[:stream], opts[:streams])
+    |> Situ.Infer.Task.ImageStreams.ensure_decoded(opts[:stream], opts[:streams])
     |> Situ.via(Situ.Infer.FaceDetector, min_score: opts[:min_score])
     |> Situ.via(Situ.Infer.FaceTracker, [])
     |> opts[:write].(opts[:name])

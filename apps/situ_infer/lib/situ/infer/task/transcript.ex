@@ -25,8 +25,8 @@ defmodule Situ.Infer.Task.Transcript do
   def build(_p, opts) do
     opts[:stream]
     |> opts[:open].()
-    |> Situ.Audio.to_mono()
-    |> Situ.Audio.resample(16_000)
+    |> Situ.AudioStream.to_mono()
+    |> Situ.AudioStream.resample(16_000)
     |> Situ.Infer.transcribe()
     |> opts[:write].(opts[:name])
   end

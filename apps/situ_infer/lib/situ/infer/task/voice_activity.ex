@@ -20,8 +20,8 @@ defmodule Situ.Infer.Task.VoiceActivity do
   def build(_p, opts) do
     opts[:stream]
     |> opts[:open].()
-    |> Situ.Audio.to_mono()
-    |> Situ.Audio.resample(16_000)
+    |> Situ.AudioStream.to_mono()
+    |> Situ.AudioStream.resample(16_000)
     |> Situ.Infer.voice_activity()
     |> opts[:write].(opts[:name])
   end

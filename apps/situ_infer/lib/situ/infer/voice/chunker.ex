@@ -3,7 +3,7 @@ defmodule Situ.Infer.Voice.Chunker do
   # Cuts 16 kHz mono audio into chunks of a fixed number of samples, as 32-bit floats with the time of each chunk's end.
   # A gap in the audio drops the incomplete chunk before it, so a chunk never spans a gap.
   alias Situ.{AudioBuffer, AudioFormat, Error}
-  alias Situ.Infer.Samples
+  alias Situ.Infer.SampleCheck
 
   @rate 16_000
   @sample_ns 62_500
@@ -20,7 +20,7 @@ defmodule Situ.Infer.Voice.Chunker do
           {:ok, [{Situ.Time.t(), binary()}], gap? :: boolean(), %__MODULE__{}}
           | {:error, Error.t()}
   def push(chunker, %AudioBuffer{format: format} = buffer, time) do
-    with :ok <- check_format(format), :ok <- Samples.check_buffer(buffer) do
+    with :ok <- check_format(format), :ok <- SampleCheck.check_buffer(buffer) do
       start = time - AudioBuffer.frame_count(buffer) * @sample_ns
       gap? = chunker.end != nil and start - chunker.end > @gap_ns
       rest = if gap?, do: <<>>, else: chunker.rest
@@ -78,7 +78,7 @@ defmodule Situ.Infer.Voice.Chunker do
      Error.new(
        :bad_audio_format,
        "voice activity takes 16 kHz mono audio, got #{inspect(format)}",
-       fix: "put Situ.Audio.resample(16_000) in front of it"
+       fix: "put Situ.AudioStream.resample(16_000) in front of it"
      )}
   end
 end

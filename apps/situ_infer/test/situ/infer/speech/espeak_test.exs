@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.EspeakTest do
   use ExUnit.Case, async: true
-  doctest Situ.Infer.Speech.Espeak.Frames
+  doctest Situ.Infer.Speech.Espeak.OutputParser
   doctest Situ.Infer.Speech.Mark
   alias Situ.AudioBuffer
   alias Situ.Infer.Speech.Espeak
@@ -63,15 +63,15 @@ defmodule Situ.Infer.Speech.EspeakTest do
   end
 
   test "truncated program output is an error" do
-    alias Situ.Infer.Speech.Espeak.Frames
+    alias Situ.Infer.Speech.Espeak.OutputParser
     good = <<"r", 4::little-32, 22_050::little-32, "a", 2::little-32, 1::16>>
-    assert {:ok, _, []} = Frames.parse(good, "a")
+    assert {:ok, _, []} = OutputParser.parse(good, "a")
 
     for n <- 0..(byte_size(good) - 1),
         n != 9,
-        do: assert(Frames.parse(binary_part(good, 0, n), "a") == :error)
+        do: assert(OutputParser.parse(binary_part(good, 0, n), "a") == :error)
 
-    assert Frames.parse(good <> <<"z", 0::32>>, "a") == :error
+    assert OutputParser.parse(good <> <<"z", 0::32>>, "a") == :error
   end
 
   test "unspeakable text gives no audio, and invalid text or options are errors" do

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.HibariTest do
   use ExUnit.Case, async: true
-  alias Situ.{AudioBuffer, Sound, Tensor}
+  alias Situ.{AudioBuffer, AudioOps, Tensor}
   alias Situ.Infer.Speech.{Hibari, Moonshine, Utterance}
   alias Situ.Infer.Speech.Hibari.{Phonemes, Vocoder}
   doctest Situ.Infer.Speech.Hibari.Phonemes
@@ -91,7 +91,7 @@ defmodule Situ.Infer.Speech.HibariTest do
       {:ok, sound} = Hibari.speak(voice, "Go forward ten meters.")
       assert {:ok, ^sound} = Hibari.speak(voice, "Go forward ten meters.")
       assert sound.format.rate == 24_000
-      assert {:ok, %{peak: peak}} = Sound.level(sound)
+      assert {:ok, %{peak: peak}} = AudioOps.level(sound)
       assert peak > 0.05 and peak < 1.0
       {:ok, quick} = Hibari.load(speed: 1.5)
       {:ok, short} = Hibari.speak(quick, "Go forward ten meters.")

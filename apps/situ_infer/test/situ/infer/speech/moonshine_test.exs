@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.MoonshineTest do
   use ExUnit.Case, async: true
-  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps}
   alias Situ.Infer.Speech.{Moonshine, Utterance}
 
   @fixtures Path.expand("../../../fixtures", __DIR__)
@@ -69,7 +69,10 @@ defmodule Situ.Infer.Speech.MoonshineTest do
 
     test "accepts other rates and channels; short audio gives no text, long audio an error" do
       {:ok, moonshine} = Moonshine.load()
-      sound = wav("goforward.wav") |> Sound.resample!(48_000) |> Sound.reformat!(channels: 2)
+
+      sound =
+        wav("goforward.wav") |> AudioOps.resample!(48_000) |> AudioOps.reformat!(channels: 2)
+
       assert {:ok, %{text: text}} = Moonshine.transcribe(moonshine, sound)
       assert Utterance.error_rate("go forward ten meters", text) == 0.0
       silence = &AudioBuffer.build_silence(AudioFormat.pcm(16_000), &1)

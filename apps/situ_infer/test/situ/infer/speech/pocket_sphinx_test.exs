@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.PocketSphinxTest do
   # A real voice from PocketSphinx's own test data (BSD license): card names.
   use ExUnit.Case, async: true
-  doctest Situ.Infer.Speech.PocketSphinx.Output
+  doctest Situ.Infer.Speech.PocketSphinx.OutputParser
 
   alias Situ.Infer.Speech.PocketSphinx
   alias Situ.Infer.SpeechRecognizer

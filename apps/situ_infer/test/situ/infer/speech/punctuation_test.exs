@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.PunctuationTest do
   use ExUnit.Case, async: true
-  alias Situ.Infer.Speech.Punctuation.{Model, Rules}
+  alias Situ.Infer.Speech.Punctuation.{LanguageModel, Rules}
   alias Situ.Infer.Speech.Utterance
   alias Situ.Infer.Test.ChatServer
   doctest Situ.Infer.Speech.Punctuation.Rules
@@ -33,7 +33,7 @@ defmodule Situ.Infer.Speech.PunctuationTest do
         ChatServer.stream([answers[List.last(body["messages"])["content"]]])
       end)
 
-    opts = [punctuation: Model, options: [url: server.url, model: "small"]]
+    opts = [punctuation: LanguageModel, options: [url: server.url, model: "small"]]
 
     assert ["Yes, we can, he said.", "Tell me more."] =
              run(Map.keys(answers) |> Enum.sort(:desc), opts) |> Enum.map(& &1.text)
@@ -41,7 +41,7 @@ defmodule Situ.Infer.Speech.PunctuationTest do
 
   test "a missing model is an error of the component" do
     opts = [
-      punctuation: Model,
+      punctuation: LanguageModel,
       options: [url: "http://127.0.0.1:1/v1", model: "small", retries: 0]
     ]
 

@@ -2,7 +2,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
   # Follows the conversations in the services' documentation, with a server that parses the requests.
   use ExUnit.Case, async: true
   alias Situ.{AudioBuffer, AudioFormat}
-  alias Situ.Infer.Speech.{Azure, OpenAI, Upload}
+  alias Situ.Infer.Speech.{Azure, OpenAI, RequestEncoding}
   alias Situ.Infer.{SpeechRecognizer, SpeechSynthesizer}
   alias Situ.Infer.Test.ChatServer
 
@@ -214,7 +214,7 @@ defmodule Situ.Infer.Speech.ServicesTest do
 
   test "audio of any format becomes 16 kHz mono" do
     sound = AudioBuffer.build_silence(AudioFormat.pcm(48_000, 2), 4_800)
-    assert {:ok, <<"RIFF", size::little-32, _::binary>> = wav} = Upload.encode_wav(sound)
+    assert {:ok, <<"RIFF", size::little-32, _::binary>> = wav} = RequestEncoding.encode_wav(sound)
     assert size == byte_size(wav) - 8
     assert_in_delta byte_size(wav) - 44, 3_200, 400
   end

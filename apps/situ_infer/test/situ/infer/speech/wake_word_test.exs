@@ -1,9 +1,9 @@
 defmodule Situ.Infer.Speech.WakeWordTest do
   use ExUnit.Case, async: true
-  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps}
   alias Situ.Infer.Speech.Espeak
-  alias Situ.Infer.Speech.WakeWord.{Keyword, Spoken}
-  doctest Situ.Infer.Speech.WakeWord.Spoken
+  alias Situ.Infer.Speech.WakeWord.{KeywordSpotter, TranscriptSpotter}
+  doctest Situ.Infer.Speech.WakeWord.TranscriptSpotter
 
   defp sentences(texts) do
     {:ok, voice} = Espeak.load(rate: 140)
@@ -12,7 +12,11 @@ defmodule Situ.Infer.Speech.WakeWordTest do
     sounds =
       for text <- texts do
         {:ok, sound} = Espeak.speak(voice, text)
-        [pause, sound |> Sound.reformat!(channels: 1, sample: :s16) |> Sound.resample!(16_000)]
+
+        [
+          pause,
+          sound |> AudioOps.reformat!(channels: 1, sample: :s16) |> AudioOps.resample!(16_000)
+        ]
       end
 
     {:ok, whole} = AudioBuffer.concat(List.flatten(sounds) ++ [pause])
@@ -43,7 +47,7 @@ defmodule Situ.Infer.Speech.WakeWordTest do
 
   if System.find_executable("pocketsphinx_continuous") do
     test "finds a name by its sound in a real voice, and not in other speech" do
-      opts = [phrase: "Forward", spotter: Keyword]
+      opts = [phrase: "Forward", spotter: KeywordSpotter]
       {:ok, sound} = Situ.Media.Wav.read(Path.expand("../../../fixtures/goforward.wav", __DIR__))
       pause = AudioBuffer.build_silence(sound.format, 16_000)
       {:ok, whole} = AudioBuffer.concat([pause, sound, pause])
@@ -56,7 +60,7 @@ defmodule Situ.Infer.Speech.WakeWordTest do
   end
 
   test "a phrase without words is an error" do
-    assert {:error, %{code: :bad_option}} = Spoken.load(phrase: "...")
-    assert {:error, %{code: :missing_option}} = Spoken.load([])
+    assert {:error, %{code: :bad_option}} = TranscriptSpotter.load(phrase: "...")
+    assert {:error, %{code: :missing_option}} = TranscriptSpotter.load([])
   end
 end

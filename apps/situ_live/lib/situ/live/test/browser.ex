@@ -4,7 +4,7 @@ defmodule Situ.Live.Test.Browser do
   use GenServer
   alias Situ.JSON
   alias Situ.Live.ViewServer
-  alias Situ.Live.Test.Tree
+  alias Situ.Live.Test.DiffTree
 
   defstruct [:view, :topic, :join, tree: %{}, rows: %{}, events: [], visits: [], title: nil] ++
               [ref: 1, waiting: %{}, down: nil]
@@ -30,7 +30,9 @@ defmodule Situ.Live.Test.Browser do
     {:noreply, %{state | ref: state.ref + 1, waiting: Map.put(state.waiting, ref, from)}}
   end
 
-  def handle_call(:html, _from, state), do: {:reply, Tree.to_html(state.tree, state.rows), state}
+  def handle_call(:html, _from, state),
+    do: {:reply, DiffTree.to_html(state.tree, state.rows), state}
+
   def handle_call(:view, _from, state), do: {:reply, {state.view, state.down}, state}
   def handle_call(:title, _from, state), do: {:reply, state.title, state}
   def handle_call(:visits, _from, state), do: {:reply, Enum.reverse(state.visits), state}
@@ -84,12 +86,12 @@ defmodule Situ.Live.Test.Browser do
     {acks, events} = diff |> Map.get("e", []) |> Enum.split_with(&match?(["situ:ack" | _], &1))
     payload = %{"event" => "situ:ack", "type" => "hook", "value" => %{}}
     for _ <- acks, do: send(state.view, {:situ_live, "ack", "event", payload})
-    tree = Tree.merge_diff(state.tree, diff)
-    rows = Enum.reduce(Tree.stream_updates(tree), state.rows, &apply_stream/2)
+    tree = DiffTree.merge_diff(state.tree, diff)
+    rows = Enum.reduce(DiffTree.stream_updates(tree), state.rows, &apply_stream/2)
 
     %{
       state
-      | tree: Tree.clear_streams(tree),
+      | tree: DiffTree.clear_streams(tree),
         rows: rows,
         events: Enum.reverse(events) ++ state.events,
         title: diff["t"] || state.title

@@ -6,7 +6,7 @@ defmodule Situ.Live.Yaws.Dispatch do
   require Logger
   require Record
   alias Situ.Live.{Connections, Endpoint, Request, Response}
-  alias Situ.Live.Yaws.Answer
+  alias Situ.Live.Yaws.ResponseWriter
 
   @compile {:no_warn_undefined, [:yaws_api, :yaws_websockets]}
 
@@ -128,7 +128,7 @@ defmodule Situ.Live.Yaws.Dispatch do
   end
 
   defp write_response(arg(clisock: socket), config, request, response, keep?),
-    do: Answer.write_response(socket, config, request, response, keep?)
+    do: ResponseWriter.write_response(socket, config, request, response, keep?)
 
   # -- reading
 
@@ -209,7 +209,7 @@ defmodule Situ.Live.Yaws.Dispatch do
 
   defp read_body(arg(clisock: socket), request, length, body_ms) do
     expect = request |> Request.get_header("expect") |> to_string() |> String.downcase()
-    if expect == "100-continue", do: Answer.send_continue(socket)
+    if expect == "100-continue", do: ResponseWriter.send_continue(socket)
     deadline = System.monotonic_time(:millisecond) + body_ms
     read_chunks(socket, length, deadline, [])
   end

@@ -15,7 +15,7 @@ defmodule Situ.Media.FFmpeg.Socket do
     parent = System.tmp_dir() || "/tmp"
     parent = if byte_size(parent) > @longest_parent, do: "/tmp", else: parent
 
-    with {:ok, folder} <- Situ.Scratch.create_folder("media", parent),
+    with {:ok, folder} <- Situ.TempFolder.create_folder("media", parent),
          path = Path.join(folder, "s"),
          settings = [:binary, active: false, ifaddr: {:local, path}, backlog: 1] ++ opts,
          {:ok, listen} <- :gen_tcp.listen(0, settings) do

@@ -26,7 +26,7 @@ defmodule Situ.Media.Recording.Waveform do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Adds points in time order, as returned by `Situ.Sound.points/2`."
+  @doc "Adds points in time order, as returned by `Situ.AudioOps.points/2`."
   @spec add_points(t(), [point()]) :: t()
   def add_points(waveform, points), do: Enum.reduce(points, waveform, &add_point/2)
 

@@ -21,7 +21,7 @@ defmodule Situ.Remote.Link.Batch do
       {:error, "a payload cut short"}
   """
   alias Situ.Message
-  alias Situ.Store.{Codecs, Terms, Undecoded}
+  alias Situ.Store.{Codecs, TermCodec, Undecoded}
 
   @bytes ":bytes"
   # Encoding smaller binaries separately has no advantage over putting them into the term.
@@ -99,12 +99,12 @@ defmodule Situ.Remote.Link.Batch do
   @doc "Returns the messages that can be sent, and the number of others (they hold functions, processes or the like)."
   @spec split_encodable([Message.t()]) :: {[Message.t()], non_neg_integer()}
   def split_encodable(messages) do
-    case Terms.encode(for %{data: data} <- messages, do: data) do
+    case TermCodec.encode(for %{data: data} <- messages, do: data) do
       {:ok, _} ->
         {messages, 0}
 
       {:error, _} ->
-        {good, bad} = Enum.split_with(messages, &match?({:ok, _}, Terms.encode(&1.data)))
+        {good, bad} = Enum.split_with(messages, &match?({:ok, _}, TermCodec.encode(&1.data)))
         {good, length(bad)}
     end
   end
@@ -112,7 +112,7 @@ defmodule Situ.Remote.Link.Batch do
   @doc "Decodes the messages of a payload. If the payload is unreadable, returns the reason as text."
   @spec decode(binary()) :: {:ok, [Message.t()]} | {:error, String.t()}
   def decode(<<0, bytes::binary>>) do
-    with {:ok, list} when is_list(list) <- Terms.decode(bytes),
+    with {:ok, list} when is_list(list) <- TermCodec.decode(bytes),
          do: terms_to_messages(list, []),
          else: (_ -> {:error, "the payload is not a list of messages"})
   end

@@ -22,7 +22,7 @@ defmodule Situ.Remote.Log.Nats do
 
   alias Situ.{Error, JSON, Options}
   alias Situ.Remote.Log.Entry
-  alias Situ.Remote.Log.Nats.{Api, Connection, Kept, Layout, Servers}
+  alias Situ.Remote.Log.Nats.{Api, Connection, Subjects, Layout, Servers}
 
   @schema [
     replicas: [
@@ -339,14 +339,14 @@ defmodule Situ.Remote.Log.Nats do
 
   @impl true
   def subjects(%__MODULE__{} = log),
-    do: Kept.list_subjects(log, log.stream <> "_S_", log.stream <> "_KEYS")
+    do: Subjects.list_subjects(log, log.stream <> "_S_", log.stream <> "_KEYS")
 
   @impl true
   def delete(%__MODULE__{} = log, {:stream, _} = subject),
-    do: Kept.delete_stream(log, stream_name(log, subject))
+    do: Subjects.delete_stream(log, stream_name(log, subject))
 
   def delete(%__MODULE__{} = log, subject),
-    do: Kept.purge_subject(log, stream_name(log, subject), subject_name(subject))
+    do: Subjects.purge_subject(log, stream_name(log, subject), subject_name(subject))
 
   @impl true
   def limit(%__MODULE__{} = log) do

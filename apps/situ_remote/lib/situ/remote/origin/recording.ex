@@ -8,7 +8,7 @@ defmodule Situ.Remote.Origin.Recording do
   alias Situ.Error
   alias Situ.Remote.Link.Batch
   alias Situ.Remote.Origin.Versions
-  alias Situ.Store.{Handle, Local, Reading, StreamInfo, TypeName}
+  alias Situ.Store.{Handle, NativeFormat, Query, StreamInfo, TypeName}
 
   @messages 512
   # Earlier than all times, but far from the limits of 64-bit integers.
@@ -32,7 +32,7 @@ defmodule Situ.Remote.Origin.Recording do
 
     case Versions.newest_version(root, name) do
       {version, path} ->
-        with {:ok, store} <- Reading.open(path), do: {:ok, set_version(state, version, store)}
+        with {:ok, store} <- Query.open(path), do: {:ok, set_version(state, version, store)}
 
       nil ->
         {:ok, state}
@@ -46,7 +46,7 @@ defmodule Situ.Remote.Origin.Recording do
 
   def version({:series, root, name}, version) do
     with path when path != nil <- Versions.version_path(root, name, version),
-         {:ok, store} <- Reading.open(path),
+         {:ok, store} <- Query.open(path),
          do: {:ok, {:store, store}},
          else: (_ -> :error)
   end
@@ -63,7 +63,7 @@ defmodule Situ.Remote.Origin.Recording do
         {:same, state}
 
       n ->
-        entries = for info <- Reading.streams(state.store), do: catalog_entry(info)
+        entries = for info <- Query.streams(state.store), do: catalog_entry(info)
         {entries, %{state | catalog: n}}
     end
   end
@@ -86,7 +86,7 @@ defmodule Situ.Remote.Origin.Recording do
   def store(%{series: {root, name}}, version) when is_integer(version) do
     case Versions.version_path(root, name, version) do
       nil -> {:error, Error.new(:no_store, "version #{version} of #{name} no longer exists")}
-      path -> Reading.open(path)
+      path -> Query.open(path)
     end
   end
 
@@ -94,8 +94,8 @@ defmodule Situ.Remote.Origin.Recording do
     do: {:error, Error.new(:bad_request, "invalid version: #{inspect(version, limit: 5)}")}
 
   # Stream 0 has a record for each new stream and for each end of a stream.
-  defp count_records(%{module: Local} = store),
-    do: Reading.count(store, %StreamInfo{id: 0, name: ""})
+  defp count_records(%{module: NativeFormat} = store),
+    do: Query.count(store, %StreamInfo{id: 0, name: ""})
 
   defp count_records(_foreign), do: 0
 
@@ -106,7 +106,7 @@ defmodule Situ.Remote.Origin.Recording do
     do: cursor(state, name, {:at, @before_all + 1})
 
   def cursor(state, name, from) when from in [:now, :start] do
-    case Reading.stream_info(state.store, name) do
+    case Query.stream_info(state.store, name) do
       {:ok, info} when from == :start -> {:ok, build_cursor(state, info, 0), @before_all}
       {:ok, info} -> {:ok, build_cursor(state, info, info.count), last_time(state, name)}
       {:error, _} -> :unknown
@@ -116,8 +116,8 @@ defmodule Situ.Remote.Origin.Recording do
   def cursor(state, name, {:after, time}), do: cursor(state, name, {:at, time + 1})
 
   def cursor(%{series: nil} = state, name, {:at, time}) do
-    with {:ok, info} <- Reading.stream_info(state.store, name),
-         {:ok, ordinal} <- Reading.seek_ordinal(state.store, info, time) do
+    with {:ok, info} <- Query.stream_info(state.store, name),
+         {:ok, ordinal} <- Query.seek_ordinal(state.store, info, time) do
       {:ok, build_cursor(state, info, ordinal), time - 1}
     else
       {:error, _} -> :unknown
@@ -127,7 +127,7 @@ defmodule Situ.Remote.Origin.Recording do
   def cursor(%{series: {root, name}} = state, stream, {:at, time}) do
     case Versions.find_containing(root, name, stream, time) do
       {version, store, info} ->
-        {:ok, ordinal} = Reading.seek_ordinal(store, info, time)
+        {:ok, ordinal} = Query.seek_ordinal(store, info, time)
         {:ok, build_cursor(%{state | version: version, store: store}, info, ordinal), time - 1}
 
       nil ->
@@ -140,7 +140,7 @@ defmodule Situ.Remote.Origin.Recording do
 
   # Uses the newest version in which the stream has messages.
   defp last_time(%{series: nil} = state, name),
-    do: last_or_before_all(Reading.stream_info(state.store, name))
+    do: last_or_before_all(Query.stream_info(state.store, name))
 
   defp last_time(%{series: {root, name}}, stream) do
     case Versions.with_messages(root, name, stream) do
@@ -154,7 +154,7 @@ defmodule Situ.Remote.Origin.Recording do
 
   @impl true
   def read(state, cursor) do
-    case Reading.read_batch(cursor.store, cursor.info, cursor.ordinal, :unbounded, @messages,
+    case Query.read_batch(cursor.store, cursor.info, cursor.ordinal, :unbounded, @messages,
            skip_damage: true
          ) do
       {:ok, [], ordinal} ->
@@ -177,7 +177,7 @@ defmodule Situ.Remote.Origin.Recording do
     case state.version > cursor.version && Versions.find_next(root, name, cursor) do
       {version, store, info} ->
         {:ok, ordinal} =
-          if cursor.last, do: Reading.seek_ordinal(store, info, cursor.last + 1), else: {:ok, 0}
+          if cursor.last, do: Query.seek_ordinal(store, info, cursor.last + 1), else: {:ok, 0}
 
         read(state, %{cursor | version: version, store: store, info: info, ordinal: ordinal})
 
@@ -187,7 +187,7 @@ defmodule Situ.Remote.Origin.Recording do
   end
 
   defp current_info(%{store: store, info: info}) do
-    case Reading.stream_info(store, info.name) do
+    case Query.stream_info(store, info.name) do
       {:ok, info} -> info
       {:error, _} -> info
     end
@@ -201,18 +201,18 @@ defmodule Situ.Remote.Origin.Recording do
     cond do
       not newest? or not whole? -> {:idle, cursor}
       info.closed != nil -> {:ended, max(info.closed, cursor.last || info.last || info.closed)}
-      state.series == nil and not Reading.live?(cursor.store) -> {:ended, info.last || 0}
+      state.series == nil and not Query.live?(cursor.store) -> {:ended, info.last || 0}
       true -> {:idle, cursor}
     end
   end
 
   @impl true
   def skip(_state, cursor, %{max_queue: n}, _now) when is_integer(n) do
-    advance_cursor(cursor, Reading.count(cursor.store, cursor.info) - n)
+    advance_cursor(cursor, Query.count(cursor.store, cursor.info) - n)
   end
 
   def skip(_state, cursor, %{max_latency: d}, now) when is_integer(d) do
-    {:ok, ordinal} = Reading.seek_ordinal(cursor.store, cursor.info, now - d)
+    {:ok, ordinal} = Query.seek_ordinal(cursor.store, cursor.info, now - d)
     advance_cursor(cursor, ordinal)
   end
 
@@ -227,7 +227,7 @@ defmodule Situ.Remote.Origin.Recording do
   # complete, and no notice about it is awaited.
   @impl true
   def await(%{awaiting: :no, store: store} = state) when store != nil do
-    Reading.notify(store, state.known, state.version)
+    Query.notify(store, state.known, state.version)
     %{state | awaiting: :news}
   end
 
@@ -249,7 +249,7 @@ defmodule Situ.Remote.Origin.Recording do
   def look(%{series: {root, name}} = state) do
     case Versions.newest_version(root, name) do
       {version, path} when state.store == nil or version > state.version ->
-        case Reading.open(path) do
+        case Query.open(path) do
           {:ok, store} -> {true, set_version(state, version, store)}
           {:error, _unfinished} -> {false, state}
         end

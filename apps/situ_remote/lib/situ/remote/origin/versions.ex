@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Origin.Versions do
   @moduledoc false
   # The versions of a recording in one folder (`name.0000` and later), treated as one sequence.
-  alias Situ.Store.{Folder, Handle, Reading, StreamInfo}
+  alias Situ.Store.{Folder, Handle, Query, StreamInfo}
 
   @type found :: {non_neg_integer(), Handle.t(), StreamInfo.t()}
 
@@ -46,7 +46,7 @@ defmodule Situ.Remote.Origin.Versions do
       |> Stream.filter(fn {v, _, _} -> v > version end)
 
     case Enum.find(later, fn {_, _, info} -> info.count > 0 end) do
-      nil -> if Reading.live?(store), do: nil, else: later |> Enum.to_list() |> List.last()
+      nil -> if Query.live?(store), do: nil, else: later |> Enum.to_list() |> List.last()
       found -> found
     end
   end
@@ -56,8 +56,8 @@ defmodule Situ.Remote.Origin.Versions do
     |> version_paths(name)
     |> Enum.sort(order)
     |> Stream.flat_map(fn {version, path} ->
-      with {:ok, store} <- Reading.open(path),
-           {:ok, info} <- Reading.stream_info(store, stream) do
+      with {:ok, store} <- Query.open(path),
+           {:ok, info} <- Query.stream_info(store, stream) do
         [{version, store, info}]
       else
         # The version was deleted or has not been created yet.

@@ -5,8 +5,8 @@ defmodule Situ.Remote.Recording.Client do
   use GenServer, restart: :temporary
   alias Situ.{Error, JSON}
   alias Situ.Remote.{Access, Address}
-  alias Situ.Remote.Link.{Dialing, Frame, Handshake, Socket}
-  alias Situ.Remote.Recording.Answer
+  alias Situ.Remote.Link.{Dialer, Frame, Handshake, Socket}
+  alias Situ.Remote.Recording.ReplyDecoder
 
   @registry Situ.Remote.Recording.Registry
   @supervisor Situ.Remote.Recording.Supervisor
@@ -109,14 +109,14 @@ defmodule Situ.Remote.Recording.Client do
   defp request_map({:await, asked, _to}), do: asked
 
   defp start_dialer(%{dialer: nil} = state) do
-    %{state | dialer: Dialing.start_dialer(state.address, state.access)}
+    %{state | dialer: Dialer.start_dialer(state.address, state.access)}
   end
 
   defp start_dialer(state), do: state
 
   @impl true
   def handle_info({:dialed, dialer, {:ok, socket, _welcome}}, %{dialer: dialer} = state) do
-    case Socket.enable_frames(socket, Dialing.most_bytes()) do
+    case Socket.enable_frames(socket, Dialer.most_bytes()) do
       :ok ->
         queued = Enum.reverse(state.queued)
         state = %{state | socket: socket, dialer: nil, queued: []}
@@ -234,7 +234,7 @@ defmodule Situ.Remote.Recording.Client do
   defp deliver_result({:call, from, _asked}, result), do: GenServer.reply(from, result)
 
   defp deliver_result({:await, %{"known" => known}, {pid, tag}}, result) do
-    with {:ok, body} <- result, {:ok, news} <- Answer.decode_news(body) do
+    with {:ok, body} <- result, {:ok, news} <- ReplyDecoder.decode_news(body) do
       send(pid, {:situ_store, tag, news})
     else
       # The server no longer has the recording.

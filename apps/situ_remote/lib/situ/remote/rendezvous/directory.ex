@@ -10,7 +10,7 @@ defmodule Situ.Remote.Rendezvous.Directory do
       iex> told
       [{:remove, "robot"}]
   """
-  alias Situ.Remote.Rendezvous.Wire
+  alias Situ.Remote.Rendezvous.Protocol
 
   # These limits keep a client with many names or long lists from filling the memory or locking out other clients.
   @most 1_000
@@ -23,7 +23,7 @@ defmodule Situ.Remote.Rendezvous.Directory do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @spec list_processes(t()) :: [Wire.process()]
+  @spec list_processes(t()) :: [Protocol.process()]
   def list_processes(%__MODULE__{processes: processes}),
     do: for({_name, {_owner, process}} <- Enum.sort(processes), do: process)
 
@@ -37,7 +37,7 @@ defmodule Situ.Remote.Rendezvous.Directory do
   different endpoints is sent as a removal and an addition, which every client understands. An update for a name that
   belongs to another client is ignored.
   """
-  @spec apply_update(t(), term(), Wire.update()) :: {[Wire.update()], t()}
+  @spec apply_update(t(), term(), Protocol.update()) :: {[Protocol.update()], t()}
   def apply_update(%__MODULE__{} = directory, owner, {:add, %{name: name} = process}) do
     case directory.processes do
       %{^name => {^owner, ^process}} ->
@@ -88,7 +88,7 @@ defmodule Situ.Remote.Rendezvous.Directory do
   end
 
   @doc "Removes a client that has left, with all its processes."
-  @spec remove_owner(t(), term()) :: {[Wire.update()], t()}
+  @spec remove_owner(t(), term()) :: {[Protocol.update()], t()}
   def remove_owner(%__MODULE__{processes: processes} = directory, owner) do
     names = for {name, {^owner, _}} <- processes, do: name
     told = for name <- Enum.sort(names), do: {:remove, name}

@@ -8,7 +8,7 @@ defmodule Situ.Remote.Rendezvous.Member do
   # `:taken`.
   use GenServer
   require Logger
-  alias Situ.Remote.Rendezvous.{Directory, Wire}
+  alias Situ.Remote.Rendezvous.{Directory, Protocol}
 
   @first_wait 50
   @longest_wait 5_000
@@ -62,7 +62,7 @@ defmodule Situ.Remote.Rendezvous.Member do
 
     case :gen_tcp.connect(String.to_charlist(state.host), state.port, options, 5_000) do
       {:ok, socket} ->
-        _ = :gen_tcp.send(socket, <<Wire.protocol_version()::little-signed-16>>)
+        _ = :gen_tcp.send(socket, <<Protocol.protocol_version()::little-signed-16>>)
         Process.send_after(self(), {:greeted?, socket}, @greet_ms)
         {:noreply, %{state | socket: socket, stage: :greeting, buffer: "", continue: nil}}
 
@@ -93,20 +93,20 @@ defmodule Situ.Remote.Rendezvous.Member do
   defp handle_buffer(
          %{stage: :greeting, buffer: <<version::little-signed-16, rest::binary>>} = state
        ) do
-    if version == Wire.protocol_version(),
+    if version == Protocol.protocol_version(),
       do: handle_buffer(%{state | stage: :listed, buffer: rest}),
       else:
         schedule_reconnect(
           state,
-          "the server uses protocol version #{version}, this client #{Wire.protocol_version()}"
+          "the server uses protocol version #{version}, this client #{Protocol.protocol_version()}"
         )
   end
 
   # Skips the address of this client as seen by the server, and the number of processes. Peers of the previous
   # connection are discarded.
   defp handle_buffer(%{stage: :listed, buffer: buffer} = state) do
-    with {:ok, _address, rest} <- Wire.read_text(buffer),
-         {:ok, _count, rest} <- Wire.read_int(rest) do
+    with {:ok, _address, rest} <- Protocol.read_text(buffer),
+         {:ok, _count, rest} <- Protocol.read_int(rest) do
       state = %{state | stage: :open, buffer: rest, wait: @first_wait, error: nil, name: nil}
       state = %{state | peers: %{}}
       send_announcement(state)
@@ -120,7 +120,7 @@ defmodule Situ.Remote.Rendezvous.Member do
   defp handle_buffer(%{stage: :open, buffer: ""} = state), do: state
 
   defp handle_buffer(%{stage: :open, buffer: buffer} = state) do
-    case (state.continue || (&Wire.feed/1)).(buffer) do
+    case (state.continue || (&Protocol.feed/1)).(buffer) do
       {:ok, update, rest} ->
         handle_buffer(handle_update(%{state | buffer: rest, continue: nil}, update))
 
@@ -172,7 +172,7 @@ defmodule Situ.Remote.Rendezvous.Member do
   defp notify_listener(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
 
   defp send_announcement(%{stage: :open, socket: socket} = state),
-    do: :gen_tcp.send(socket, Wire.encode({:add, state.own}))
+    do: :gen_tcp.send(socket, Protocol.encode({:add, state.own}))
 
   defp send_announcement(_state), do: :ok
 
@@ -197,7 +197,7 @@ defmodule Situ.Remote.Rendezvous.Member do
   def terminate(_reason, %{socket: nil}), do: :ok
 
   def terminate(_reason, state) do
-    _ = :gen_tcp.send(state.socket, Wire.encode(:disconnect))
+    _ = :gen_tcp.send(state.socket, Protocol.encode(:disconnect))
     :gen_tcp.close(state.socket)
   end
 end

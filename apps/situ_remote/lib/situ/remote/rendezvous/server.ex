@@ -8,7 +8,7 @@ defmodule Situ.Remote.Rendezvous.Server do
   # nothing.
   use GenServer
   alias Situ.Error
-  alias Situ.Remote.Rendezvous.{Directory, Wire}
+  alias Situ.Remote.Rendezvous.{Directory, Protocol}
 
   @most_clients 1_000
   # Limits for one update, and for all incomplete updates together.
@@ -130,7 +130,7 @@ defmodule Situ.Remote.Rendezvous.Server do
   defp handle_bytes(state, socket, %{bytes: before} = client, bytes) do
     client = %{client | bytes: before + byte_size(bytes)}
 
-    case (client.continue || (&Wire.feed/1)).(bytes) do
+    case (client.continue || (&Protocol.feed/1)).(bytes) do
       {:ok, :disconnect, _rest} ->
         disconnect_client(state, socket)
 
@@ -156,9 +156,9 @@ defmodule Situ.Remote.Rendezvous.Server do
   end
 
   defp greet_client(state, socket, {client, version}, rest) do
-    _ = :gen_tcp.send(socket, <<Wire.protocol_version()::little-signed-16>>)
+    _ = :gen_tcp.send(socket, <<Protocol.protocol_version()::little-signed-16>>)
 
-    if version == Wire.protocol_version() do
+    if version == Protocol.protocol_version() do
       client = %{client | stage: :open, continue: nil, owes: nil}
 
       state
@@ -191,11 +191,11 @@ defmodule Situ.Remote.Rendezvous.Server do
            else: (_ -> "")
 
     processes = Directory.list_processes(state.directory)
-    updates = for process <- processes, do: Wire.encode({:add, process})
+    updates = for process <- processes, do: Protocol.encode({:add, process})
 
     _ =
       :gen_tcp.send(socket, [
-        Wire.encode_text(address),
+        Protocol.encode_text(address),
         <<length(processes)::little-signed-32>> | updates
       ])
 
@@ -206,7 +206,7 @@ defmodule Situ.Remote.Rendezvous.Server do
   defp broadcast_updates(state, []), do: state
 
   defp broadcast_updates(state, updates) do
-    bytes = Enum.map(updates, &Wire.encode/1)
+    bytes = Enum.map(updates, &Protocol.encode/1)
     for {socket, %{stage: :open}} <- state.clients, do: :gen_tcp.send(socket, bytes)
     state
   end

@@ -3,7 +3,7 @@ defmodule Situ.Remote.Server.Channel do
   The server's state of one stream sent to one client: the request, its position, and the remaining credit. Pure.
   """
   alias Situ.Delivery
-  alias Situ.Remote.Link.{Datagrams, Frame}
+  alias Situ.Remote.Link.{DatagramCodec, Frame}
   alias Situ.Remote.Origin.Recording
 
   @enforce_keys [:id, :name]
@@ -81,7 +81,7 @@ defmodule Situ.Remote.Server.Channel do
   # The client may send malformed options, so they are validated.
   defp parse_datagram_options(%{"key" => text, "size" => size})
        when is_binary(text) and is_integer(size) do
-    {least, most} = Datagrams.size_range()
+    {least, most} = DatagramCodec.size_range()
 
     case Base.decode16(text, case: :lower) do
       {:ok, <<key::binary-16>>} when size in least..most//1 -> {key, size}

@@ -19,7 +19,7 @@ defmodule Situ.Remote.Server.Requests do
   """
   alias Situ.{Error, JSON}
   alias Situ.Remote.Link.{Batch, Handshake}
-  alias Situ.Store.{Handle, Reading, StreamInfo}
+  alias Situ.Store.{Handle, Query, StreamInfo}
 
   # Limits for the messages in one reply. The second one applies if the client wants exactly as many as it asked for.
   @most 4_096
@@ -66,19 +66,19 @@ defmodule Situ.Remote.Server.Requests do
   def term_reply(term), do: term |> :erlang.term_to_binary() |> split_body()
 
   defp run_operation("open", store, _asked) do
-    info = Reading.info(store)
+    info = Query.info(store)
     known = [:name, :version, :created, :closed?, :live?, :volatile?, :entries, :damage, :id]
     {:ok, info |> Map.take(known) |> term_reply()}
   end
 
   defp run_operation("streams", store, _asked),
-    do: {:ok, store |> Reading.streams() |> streams_to_maps() |> term_reply()}
+    do: {:ok, store |> Query.streams() |> streams_to_maps() |> term_reply()}
 
   defp run_operation("missing_files", store, _asked),
-    do: {:ok, store |> Reading.missing_files() |> term_reply()}
+    do: {:ok, store |> Query.missing_files() |> term_reply()}
 
   defp run_operation(op, store, %{"stream" => name} = asked) when is_binary(name) do
-    with {:ok, info} <- Reading.stream_info(store, name),
+    with {:ok, info} <- Query.stream_info(store, name),
          do: run_stream_operation(op, store, info, asked)
   end
 
@@ -89,17 +89,17 @@ defmodule Situ.Remote.Server.Requests do
     do: {:ok, [info] |> streams_to_maps() |> term_reply()}
 
   defp run_stream_operation("count", store, info, _asked),
-    do: {:ok, store |> Reading.count(info) |> term_reply()}
+    do: {:ok, store |> Query.count(info) |> term_reply()}
 
   defp run_stream_operation("seek", store, info, asked) do
     with {:ok, time} <- parse_time(asked["time"]),
-         {:ok, ordinal} <- Reading.seek_ordinal(store, info, time),
+         {:ok, ordinal} <- Query.seek_ordinal(store, info, time),
          do: {:ok, term_reply(ordinal)}
   end
 
   defp run_stream_operation("gaps", store, info, asked) do
     with {:ok, least} <- parse_time(asked["least"]),
-         do: {:ok, store |> Reading.gaps(info, least) |> term_reply()}
+         do: {:ok, store |> Query.gaps(info, least) |> term_reply()}
   end
 
   defp run_stream_operation("read", store, info, asked) do
@@ -112,7 +112,7 @@ defmodule Situ.Remote.Server.Requests do
            if(asked["to"] == nil, do: {:ok, :unbounded}, else: parse_time(asked["to"])),
          {:ok, limit} <- parse_number(asked["limit"], 1, 0xFFFFFFFF),
          limit = min(limit, if(exact?, do: @most_exact, else: @most)),
-         {:ok, messages, next} <- Reading.read_batch(store, info, ordinal, to, limit, opts) do
+         {:ok, messages, next} <- Query.read_batch(store, info, ordinal, to, limit, opts) do
       batches =
         for {_, _, _, payload} <- Batch.encode(messages),
             do: [<<IO.iodata_length(payload)::32>>, payload]

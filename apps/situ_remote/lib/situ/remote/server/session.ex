@@ -6,8 +6,8 @@ defmodule Situ.Remote.Server.Session do
   use GenServer, restart: :temporary
   alias Situ.Error
   alias Situ.Remote.Link.{Frame, Handshake, Schedule, Socket}
-  alias Situ.Remote.Server.{Channel, Pump, Requests, Served}
-  alias Situ.Store.Reading
+  alias Situ.Remote.Server.{Channel, Sender, Requests, ServedRecordings}
+  alias Situ.Store.Query
   require Logger
 
   @login_ms 10_000
@@ -121,7 +121,7 @@ defmodule Situ.Remote.Server.Session do
   def handle_info(_other, state), do: {:noreply, state}
 
   @impl true
-  def handle_call(:drained?, _from, state), do: {:reply, Pump.drained?(state), state}
+  def handle_call(:drained?, _from, state), do: {:reply, Sender.drained?(state), state}
 
   # All data were sent, and the client closes the connection after reading them. Closing it here could discard data in
   # flight.
@@ -183,7 +183,7 @@ defmodule Situ.Remote.Server.Session do
        when map_size(state.channels) < @most_channels do
     with {:new, true} <- {:new, not is_map_key(state.channels, id)},
          {:ok, channel} <- Channel.new(id, map) do
-      state = Pump.open_channel(%{state | channels: Map.put(state.channels, id, channel)}, id)
+      state = Sender.open_channel(%{state | channels: Map.put(state.channels, id, channel)}, id)
       {:pump, state}
     else
       {:new, false} -> {:error, bad_frame("channel #{id} is in use")}
@@ -195,7 +195,7 @@ defmodule Situ.Remote.Server.Session do
     with {:ok, store, state} <- fetch_store(state, map["version"]) do
       case Requests.handle_request(store, map) do
         {:ok, pieces} -> {:pump, queue_reply(state, id, pieces)}
-        {:await, known} -> {Reading.notify(store, known, @first_tag + id), state}
+        {:await, known} -> {Query.notify(store, known, @first_tag + id), state}
       end
     else
       {:error, %Error{} = error} -> {:pump, queue_reply(state, id, Requests.error_reply(error))}
@@ -222,7 +222,7 @@ defmodule Situ.Remote.Server.Session do
   defp log_in(map, state) do
     name = map["name"] || ""
 
-    with {:ok, {module, spec}} <- Served.fetch_recording(state.config.served, name),
+    with {:ok, {module, spec}} <- ServedRecordings.fetch_recording(state.config.served, name),
          {:ok, origin} <- module.open(spec) do
       send(self(), :look)
       state = %{state | stage: :open, module: module, origin: origin, peer: peer_address(state)}
@@ -290,7 +290,7 @@ defmodule Situ.Remote.Server.Session do
   defp then_send_pending(stop), do: stop
 
   defp handle_news(state) do
-    state |> announce_streams() |> Pump.schedule_all() |> send_pending()
+    state |> announce_streams() |> Sender.schedule_all() |> send_pending()
   end
 
   defp announce_streams(state) do
@@ -302,7 +302,7 @@ defmodule Situ.Remote.Server.Session do
         fresh = for entry <- entries, state.told[entry.name] != entry.type, do: entry
         told = Map.merge(state.told, Map.new(fresh, &{&1.name, &1.type}))
         send_streams(state, fresh)
-        Pump.open_waiting(%{state | origin: origin, told: told})
+        Sender.open_waiting(%{state | origin: origin, told: told})
     end
   end
 
@@ -316,7 +316,7 @@ defmodule Situ.Remote.Server.Session do
   defp send_pending(%{stage: stage} = state) when stage != :open, do: {:noreply, state}
 
   defp send_pending(state) do
-    case Pump.send_replies(state) do
+    case Sender.send_replies(state) do
       {:sent, %{deaf: true} = state} ->
         %{state | deaf: false} |> activate_socket() |> then_send_pending()
 
@@ -332,7 +332,7 @@ defmodule Situ.Remote.Server.Session do
   end
 
   defp pump_streams(state) do
-    case Pump.send_frames(state) do
+    case Sender.send_frames(state) do
       {:more, state} -> {:noreply, schedule_pump(state)}
       {:wait, ns, state} -> {:noreply, pause_sending(state, ns)}
       {:idle, state} -> {:noreply, %{state | origin: state.module.await(state.origin)}}
@@ -352,7 +352,7 @@ defmodule Situ.Remote.Server.Session do
     %{state | paused: true}
   end
 
-  defp put_channel(state, channel), do: Pump.put_channel(state, channel)
+  defp put_channel(state, channel), do: Sender.put_channel(state, channel)
 
   defp add_credit(state, channel, bytes),
     do: put_channel(state, %{channel | credit: channel.credit + bytes})

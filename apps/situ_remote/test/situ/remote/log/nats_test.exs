@@ -4,10 +4,10 @@ defmodule Situ.Remote.Log.NatsTest do
 
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
-  alias Situ.Remote.Log.Nats.Wire
+  alias Situ.Remote.Log.Nats.Protocol
   alias Situ.Test.NatsServer
 
-  doctest Situ.Remote.Log.Nats.Wire
+  doctest Situ.Remote.Log.Nats.Protocol
 
   @moduletag :tmp_dir
   # The tests of the log report once that nats-server is missing.
@@ -253,7 +253,7 @@ defmodule Situ.Remote.Log.NatsTest do
 
   property "the parser handles any bytes" do
     forall bytes <- binary() do
-      case Wire.parse_frame("MSG a 1 " <> bytes, 1_000) do
+      case Protocol.parse_frame("MSG a 1 " <> bytes, 1_000) do
         :more -> true
         {:ok, _, rest} -> is_binary(rest)
         {:error, text} -> is_binary(text)
@@ -264,15 +264,15 @@ defmodule Situ.Remote.Log.NatsTest do
   property "a message equals the published one, however the bytes are cut" do
     forall {data, at} <- {binary(), non_neg_integer()} do
       "HPUB a.b _R " <> rest =
-        IO.iodata_to_binary(Wire.encode_publish("a.b", "_R", [{"K", "v w"}], data))
+        IO.iodata_to_binary(Protocol.encode_publish("a.b", "_R", [{"K", "v w"}], data))
 
       bytes = "HMSG a.b 1 _R " <> rest
       at = rem(at, byte_size(bytes))
 
-      Wire.parse_frame(binary_part(bytes, 0, at), 100_000) == :more and
+      Protocol.parse_frame(binary_part(bytes, 0, at), 100_000) == :more and
         match?(
           {:ok, {:message, %{data: ^data, headers: %{"K" => "v w"}, reply: "_R"}}, "next"},
-          Wire.parse_frame(bytes <> "next", 100_000)
+          Protocol.parse_frame(bytes <> "next", 100_000)
         )
     end
   end

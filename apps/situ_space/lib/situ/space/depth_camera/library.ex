@@ -63,25 +63,25 @@ defmodule Situ.Space.DepthCamera.Library do
   alias Situ.{Error, Pose}
   alias Situ.Media.Device
   alias Situ.Space.DepthCamera
-  alias Situ.Space.DepthCamera.Library.{Program, Reader}
+  alias Situ.Space.DepthCamera.Library.{Port, Source}
 
   @impl true
   def open(p, opts) do
     opts = Situ.Options.validate!(opts, @schema)
-    Error.unwrap!(Program.device_arguments(opts[:device]))
+    Error.unwrap!(Port.device_arguments(opts[:device]))
     opts = Keyword.update!(opts, :pose, &(&1 || Pose.identity()))
-    seen = Situ.source(p, Reader, opts ++ [name: "Depth camera", async: true])
+    seen = Situ.source(p, Source, opts ++ [name: "Depth camera", async: true])
     %DepthCamera{depth: seen.depth, color: seen.color}
   end
 
   @doc "Returns whether `depth_port` was built."
   @spec available?() :: boolean()
-  def available?, do: match?({:ok, _}, Program.fetch_path())
+  def available?, do: match?({:ok, _}, Port.fetch_path())
 
   @doc "Lists the cameras that the libraries find; empty if `depth_port` was not built."
   @spec list_cameras() :: [Device.t()]
   def list_cameras do
-    for line <- Program.list_cameras(), [driver, address, name] <- [String.split(line, "\t")] do
+    for line <- Port.list_cameras(), [driver, address, name] <- [String.split(line, "\t")] do
       %Device{id: "#{driver}:#{address}", kind: :depth_camera, name: String.trim(name)}
     end
   end

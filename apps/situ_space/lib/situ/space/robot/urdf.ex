@@ -2,7 +2,7 @@ defmodule Situ.Space.Robot.Urdf do
   @moduledoc """
   Reads URDF, ROS's file format for robots: links with their visible shapes, and joints.
 
-  Boxes, cylinders, spheres and meshes (files that `Situ.Space.Scan` reads, such as `.stl`) are read with their poses.
+  Boxes, cylinders, spheres and meshes (files that `Situ.Space.GeometryFile` reads, such as `.stl`) are read with their poses.
   Materials, collisions, inertias and limits are skipped. Floating and planar joints do not move. Mesh files are
   searched relative to the URDF file: `package://arm/meshes/link.stl` is searched as `meshes/link.stl` and
   `arm/meshes/link.stl` in the file's folder and the four above it. A mesh that is missing or has an unknown format is
@@ -14,9 +14,9 @@ defmodule Situ.Space.Robot.Urdf do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Mesh, Message, Point3, Pose, Quaternion, Transform, Vector3}
-  alias Situ.Space.{Robot, Scan, WholeFile, Xml}
-  alias Situ.Space.Robot.Solid
-  alias Situ.Space.Scan.Text
+  alias Situ.Space.{Robot, GeometryFile, FileParser, Xml}
+  alias Situ.Space.Robot.Primitives
+  alias Situ.Space.GeometryFile.NumberParser
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :robot]
@@ -36,7 +36,7 @@ defmodule Situ.Space.Robot.Urdf do
 
   @doc "Reads the robot of a file. Errors: `:no_file`, `:too_large`, `:bad_file`."
   @spec read(Path.t()) :: {:ok, Robot.t()} | {:error, Error.t()}
-  def read(path), do: WholeFile.read_and_parse(path, @most, &parse(&1, Path.dirname(path)))
+  def read(path), do: FileParser.read_and_parse(path, @most, &parse(&1, Path.dirname(path)))
 
   @doc "Parses a robot from text. Without a folder, meshes are not loaded."
   @spec parse(binary(), Path.t() | nil) :: {:ok, Robot.t()} | {:error, Error.t()}
@@ -167,7 +167,7 @@ defmodule Situ.Space.Robot.Urdf do
   defp parse_vector(_element, _key, default), do: default
 
   defp parse_number(text) do
-    case text |> to_string() |> String.trim() |> Text.parse_float() do
+    case text |> to_string() |> String.trim() |> NumberParser.parse_float() do
       {:ok, x} when abs(x) < 1.0e6 ->
         x
 
@@ -195,18 +195,18 @@ defmodule Situ.Space.Robot.Urdf do
     do: {why, Point3.new(x, y, z)}
 
   defp build_shape("box", given, _),
-    do: Solid.box(parse_vector({"box", given, []}, "size", {1.0, 1.0, 1.0}))
+    do: Primitives.box(parse_vector({"box", given, []}, "size", {1.0, 1.0, 1.0}))
 
   defp build_shape("cylinder", given, _),
-    do: Solid.cylinder(parse_number(given["radius"]), parse_number(given["length"]))
+    do: Primitives.cylinder(parse_number(given["radius"]), parse_number(given["length"]))
 
-  defp build_shape("sphere", given, _), do: Solid.sphere(parse_number(given["radius"]))
+  defp build_shape("sphere", given, _), do: Primitives.sphere(parse_number(given["radius"]))
 
   defp build_shape("mesh", %{"filename" => name} = given, folder) do
     scale = parse_vector({"mesh", given, []}, "scale", {1.0, 1.0, 1.0})
 
     with {:ok, path} <- resolve_file(name, folder),
-         {:ok, %Mesh{} = mesh} <- Scan.read(path, axes: :own) do
+         {:ok, %Mesh{} = mesh} <- GeometryFile.read(path, axes: :own) do
       with why when is_binary(why) <- scale_mesh(mesh, scale),
            do: "#{Path.basename(name)}: #{why}"
     else
@@ -247,7 +247,7 @@ defmodule Situ.Space.Robot.Urdf do
       Path.type(path) != :relative or ".." in parts or path == "" ->
         {:error, "the path is outside the robot's folders"}
 
-      String.downcase(Path.extname(path)) not in Scan.extensions() ->
+      String.downcase(Path.extname(path)) not in GeometryFile.extensions() ->
         {:error, "this file format is not supported"}
 
       true ->

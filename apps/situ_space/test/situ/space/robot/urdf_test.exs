@@ -2,8 +2,8 @@ defmodule Situ.Space.Robot.UrdfTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.{JointState, Mesh, Pose, Quaternion, Store, Vector3}
-  alias Situ.Space.{Frames, Robot, Scan}
-  alias Situ.Space.Robot.{Solid, Urdf}
+  alias Situ.Space.{FrameTree, Robot, GeometryFile}
+  alias Situ.Space.Robot.{Primitives, Urdf}
 
   doctest Situ.Space.Robot
   doctest Situ.Space.Xml
@@ -116,8 +116,8 @@ defmodule Situ.Space.Robot.UrdfTest do
     [%{data: shapes}] = store |> Store.messages("Robot") |> Enum.to_list()
     assert is_map_key(shapes, "upper")
     [%{data: transforms}] = store |> Store.messages("Frames") |> Enum.to_list()
-    {:ok, frames} = Frames.put_transforms(Frames.new(), transforms, 0)
-    assert {:ok, %Pose{position: at}} = Frames.lookup(frames, "hand", "rail", 0)
+    {:ok, frames} = FrameTree.put_transforms(FrameTree.new(), transforms, 0)
+    assert {:ok, %Pose{position: at}} = FrameTree.lookup(frames, "hand", "rail", 0)
     assert near?(at, {2.0, 0.0, 0.5})
 
     {:ok, robot} = Urdf.read(path)
@@ -201,9 +201,9 @@ defmodule Situ.Space.Robot.UrdfTest do
 
   test "solids are closed and face outwards" do
     for {mesh, volume} <- [
-          {Solid.box({1, 2, 3}), 6.0},
-          {Solid.cylinder(0.5, 2), :math.pi() * 0.25 * 2},
-          {Solid.sphere(1), 4 / 3 * :math.pi()}
+          {Primitives.box({1, 2, 3}), 6.0},
+          {Primitives.cylinder(0.5, 2), :math.pi() * 0.25 * 2},
+          {Primitives.sphere(1), 4 / 3 * :math.pi()}
         ] do
       found =
         for {a, b, c} <- Mesh.list_triangles(mesh), reduce: 0.0 do
@@ -222,7 +222,7 @@ defmodule Situ.Space.Robot.UrdfTest do
     bytes = String.pad_trailing("solid but bytes", 80) <> <<1::little-32>> <> triangle <> <<0, 0>>
     path = Path.join(folder(), "one.stl")
     File.write!(path, bytes)
-    assert {:ok, %Mesh{} = mesh} = Scan.read(path)
+    assert {:ok, %Mesh{} = mesh} = GeometryFile.read(path)
     assert Mesh.list_triangles(mesh) == [{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}}]
     nan = String.replace(bytes, <<1.0::little-float-32>>, <<0, 0, 0xC0, 0x7F>>)
 
@@ -235,7 +235,7 @@ defmodule Situ.Space.Robot.UrdfTest do
           {"solid\nvertex 1 2 3\n", "do not form triangles"}
         ] do
       File.write!(path, bad)
-      assert {:error, %{code: :bad_file, why: said}} = Scan.read(path)
+      assert {:error, %{code: :bad_file, why: said}} = GeometryFile.read(path)
       assert said =~ why
     end
   end

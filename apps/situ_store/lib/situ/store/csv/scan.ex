@@ -2,7 +2,7 @@ defmodule Situ.Store.Csv.Scan do
   @moduledoc false
   # Scans a CSV file once to find its columns and the position of every thousandth row.
   alias Situ.Store.Csv.Field
-  alias Situ.Store.{Failure, Native, Writer}
+  alias Situ.Store.{NativeErrors, Native, Writer}
 
   @rows 1_000
   @bytes 4 * 1024 * 1024
@@ -271,7 +271,7 @@ defmodule Situ.Store.Csv.Scan do
 
       {:not_written, {:error, reason}, index} ->
         {_, stream, _} = List.keyfind!(targets, index, 0)
-        {:error, Failure.to_error(reason, writer.path, stream.name)}
+        {:error, NativeErrors.to_error(reason, writer.path, stream.name)}
 
       error ->
         explain_error(error)

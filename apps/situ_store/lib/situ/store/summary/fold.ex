@@ -2,7 +2,7 @@ defmodule Situ.Store.Summary.Fold do
   @moduledoc false
   # Summarizes by reading every message, for readers without a pyramid and as the reference for readers that have one.
   import Bitwise
-  alias Situ.Store.{Handle, Reading, StreamInfo, Summary}
+  alias Situ.Store.{Handle, Query, StreamInfo, Summary}
   alias Situ.Store.Summary.Bins
 
   @most_keys 64
@@ -15,7 +15,7 @@ defmodule Situ.Store.Summary.Fold do
   def fold_numbers(store, info, from, to, level) do
     bins =
       store
-      |> Reading.messages(info, from: from, to: to)
+      |> Query.messages(info, from: from, to: to)
       |> Stream.flat_map(&Bins.message_points/1)
       |> Stream.filter(fn {time, _, _, _, _} -> time >= from and time <= to end)
       |> Bins.fold_points(level)
@@ -38,8 +38,8 @@ defmodule Situ.Store.Summary.Fold do
   def fold_tracks(store, info, from, to, level, most) do
     span = {Bins.bin_start(from, level), Bins.bin_start(to, level) + bsl(1, level) - 1}
 
-    with {:ok, before} <- Reading.latest_at(store, info, from) do
-      messages = Reading.messages(store, info, from: elem(span, 0), to: elem(span, 1))
+    with {:ok, before} <- Query.latest_at(store, info, from) do
+      messages = Query.messages(store, info, from: elem(span, 0), to: elem(span, 1))
 
       seed =
         for %{data: data, originating_time: time} <- [before],

@@ -28,7 +28,7 @@ defmodule Situ.Studio.Draw.Bins do
   @doc "Returns the points of a line for one value: a point for a number, a gap for `nil`, none for other terms."
   @spec value_points(Situ.Time.t(), term()) :: [point() | gap()]
   def value_points(time, nil), do: [gap(time)]
-  def value_points(time, %Situ.Studio.Hole{}), do: [gap(time)]
+  def value_points(time, %Situ.Studio.Gap{}), do: [gap(time)]
 
   def value_points(time, value) do
     case to_number(value) do

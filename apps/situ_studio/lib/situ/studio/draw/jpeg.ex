@@ -4,7 +4,7 @@ defmodule Situ.Studio.Draw.Jpeg do
 
   @spec encode(Situ.Image.t(), 1..100) :: {:ok, iodata()} | :error
   def encode(image, quality) do
-    case Situ.Imaging.encode_jpeg(image, quality: quality) do
+    case Situ.ImageOps.encode_jpeg(image, quality: quality) do
       {:ok, encoded} -> {:ok, encoded.data}
       {:error, _} -> :error
     end

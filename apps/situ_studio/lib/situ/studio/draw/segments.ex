@@ -15,8 +15,8 @@ defmodule Situ.Studio.Draw.Segments do
       iex> Situ.Studio.Draw.Segments.from_messages(messages, [], 200)
       [{0, 100, "100 messages", "many", ""}, {100, nil, "true", "true", ""}]
   """
-  alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
-  alias Situ.Studio.Draw.{Key, Messages, Rhythm}
+  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
+  alias Situ.Studio.Draw.{Key, WindowMessages, GapDetection}
 
   @typedoc "From, to (`nil`: open), label, class (how it is drawn), and the name of its lane (`\"\"`: the only lane)."
   @type t ::
@@ -38,12 +38,12 @@ defmodule Situ.Studio.Draw.Segments do
           pos_integer()
         ) :: Frame.t() | {:error, Situ.Error.t()}
   def window(source, channel, spec, from, to, bin) do
-    with {:ok, numbered, all?} <- Messages.fetch_numbered(source, spec, from, to) do
+    with {:ok, numbered, all?} <- WindowMessages.fetch_numbered(source, spec, from, to) do
       within = for {_, m} <- numbered, m.originating_time <= to, do: m
 
       holes =
         if all?,
-          do: Rhythm.find_gaps(for {_, m} <- numbered, do: {m.originating_time, 1}),
+          do: GapDetection.find_gaps(for {_, m} <- numbered, do: {m.originating_time, 1}),
           else: []
 
       numbered
@@ -92,7 +92,12 @@ defmodule Situ.Studio.Draw.Segments do
   last segment ends; without one the last segment is open. Strings are states, which hold, unless `texts?` is set:
   then they are utterances, and the same text twice is two segments.
   """
-  @spec from_messages([Messages.numbered()], Path.t(), Situ.Time.t(), texts? :: boolean()) :: [
+  @spec from_messages(
+          [WindowMessages.numbered()],
+          ValuePath.t(),
+          Situ.Time.t(),
+          texts? :: boolean()
+        ) :: [
           t()
         ]
   def from_messages(messages, path, to, texts? \\ false) do
@@ -120,7 +125,7 @@ defmodule Situ.Studio.Draw.Segments do
       end
 
     rows =
-      case Path.fetch(message.data, path) do
+      case ValuePath.fetch(message.data, path) do
         {:ok, value} ->
           for {lane, v} <- lane_entries(value),
               do: {lane, build_row(message.originating_time, until, v, more, texts?)}
@@ -142,7 +147,7 @@ defmodule Situ.Studio.Draw.Segments do
 
   defp build_row(from, until, _, more, _), do: {from, until, {:unread, more}, "many"}
 
-  defp lane_entries(%Hole{}), do: []
+  defp lane_entries(%Gap{}), do: []
 
   defp lane_entries(map) when is_map(map) and not is_struct(map),
     do: for({key, value} <- map, do: {{:key, key}, value})

@@ -10,7 +10,7 @@ defmodule Situ.Studio.Draw.Values do
       iex> Enum.map([0.1, 123456789.123, 9_007_199_254_740_993, true, :nan, nil], &Values.format_exact/1)
       ["0.1", "123456789.123", "9007199254740993", "true", "nan", nil]
   """
-  alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
+  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
 
   # The page gets at most this many values of one message.
   @max_values 256
@@ -31,9 +31,14 @@ defmodule Situ.Studio.Draw.Values do
         ) :: Visualizer.value()
   def fetch_at(source, channel, %{stream: stream, path: path}, time, split) do
     case Source.call(source, :latest_at, [stream, time]) do
-      {:ok, %{data: %Hole{}}} -> :none
-      {:ok, message} -> message_value(channel, message, Path.fetch(message.data, path), split)
-      other -> other
+      {:ok, %{data: %Gap{}}} ->
+        :none
+
+      {:ok, message} ->
+        message_value(channel, message, ValuePath.fetch(message.data, path), split)
+
+      other ->
+        other
     end
   end
 
@@ -59,7 +64,7 @@ defmodule Situ.Studio.Draw.Values do
   @doc "Formats a value exactly. Returns `nil` for terms that are not drawn."
   @spec format_exact(term()) :: String.t() | nil
   def format_exact(nil), do: nil
-  def format_exact(%Hole{}), do: nil
+  def format_exact(%Gap{}), do: nil
   def format_exact(value) when is_integer(value), do: Integer.to_string(value)
   def format_exact(value) when is_float(value), do: :erlang.float_to_binary(value, [:short])
   def format_exact(value) when is_atom(value), do: Atom.to_string(value)

@@ -23,7 +23,7 @@ defmodule Situ.Studio.Headset.Display do
 
   @moduledoc """
   Draws the data of a stream in a headset (`Situ.Studio.Headset`): poses, rays, boxes, positioned texts, rectangles,
-  images, meshes, point clouds, skeletons and everything else that a 3D panel draws (`Situ.Studio.Scene.Terms`).
+  images, meshes, point clouds, skeletons and everything else that a 3D panel draws (`Situ.Studio.Scene.TermItems`).
 
       objects
       |> Situ.map(fn {name, box} -> {name, box} end)
@@ -115,7 +115,7 @@ defmodule Situ.Studio.Headset.Display do
   # Returns the kind, the size of the JSON text, the text, and the scene at a multiple of 8 bytes.
   defp encode_frame(data, opts) do
     {items, problems} =
-      Scene.Terms.collect_items(data, %{budget: opts.points, axis: opts.axis, ray: opts.ray})
+      Scene.TermItems.collect_items(data, %{budget: opts.points, axis: opts.axis, ray: opts.ray})
 
     json =
       JSON.encode(%{

@@ -21,7 +21,7 @@ defmodule Situ.Studio.Headset.Packet do
       iex> Situ.Studio.Headset.Packet.parse("anything")
       :error
   """
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{JSON, Point3, Pose, Quaternion, Ray3, Rectangle3, Skeleton}
 
   @pose 28

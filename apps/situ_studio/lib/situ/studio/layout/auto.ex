@@ -5,7 +5,7 @@ defmodule Situ.Studio.Layout.Auto do
   panel per group.
 
   Images are next to the timelines. If one of them is much wider than high, all images are above the timelines, and the
-  wide one has its own row. Images of class numbers (`Situ.Studio.Layout.Look`) are coloured, and are drawn over a
+  wide one has its own row. Images of class numbers (`Situ.Studio.Layout.ImageLook`) are coloured, and are drawn over a
   camera image if there is one.
 
       iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
@@ -15,7 +15,7 @@ defmodule Situ.Studio.Layout.Auto do
       [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
   """
   alias Situ.Studio.{Layout, NaturalOrder, StreamInfo}
-  alias Situ.Studio.Layout.Look
+  alias Situ.Studio.Layout.ImageLook
 
   @name "Automatic"
   @pictures 3
@@ -32,7 +32,7 @@ defmodule Situ.Studio.Layout.Auto do
   def layout_name, do: @name
 
   @doc "Builds the layout of these streams. `looks` describes the images of some streams, by stream name."
-  @spec build_layout([StreamInfo.t()], %{optional(String.t()) => Look.t()}) :: Layout.t()
+  @spec build_layout([StreamInfo.t()], %{optional(String.t()) => ImageLook.t()}) :: Layout.t()
   def build_layout(streams, looks \\ %{}) do
     by = Enum.group_by(streams, & &1.shape)
     of = fn shape -> Enum.sort_by(by[shape] || [], &NaturalOrder.sort_key(&1.name)) end
@@ -61,7 +61,7 @@ defmodule Situ.Studio.Layout.Auto do
   # Images are next to several timelines, unless an image needs the whole width.
   defp arrange_panels(layout, looks) do
     {cells, timelines} = Enum.split_with(layout.rows, & &1.row)
-    wide? = fn cell -> Enum.any?(cell.vis, &Look.wide?(looks[&1.stream])) end
+    wide? = fn cell -> Enum.any?(cell.vis, &ImageLook.wide?(looks[&1.stream])) end
 
     cond do
       cells == [] or timelines == [] -> layout

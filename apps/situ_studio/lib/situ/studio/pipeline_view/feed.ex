@@ -10,7 +10,7 @@ defmodule Situ.Studio.PipelineView.Feed do
 
   @spec open(Source.t()) :: {:ok, t()} | {:error, Error.t()}
   # A page's derived streams do not belong to the pipeline.
-  def open({Source.Derived, %{source: source}}), do: open(source)
+  def open({Source.DerivedStreams, %{source: source}}), do: open(source)
 
   def open({module, _handle} = source) do
     if Code.ensure_loaded?(module) and function_exported?(module, :snapshot, 1),

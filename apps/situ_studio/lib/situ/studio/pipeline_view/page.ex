@@ -4,18 +4,18 @@ defmodule Situ.Studio.PipelineView.Page do
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
 
-  alias Situ.Studio.PipelineView.{Details, Marking, Stats, Tracing}
-  alias Situ.Studio.Web.{Address, AlertBox, Chrome}
+  alias Situ.Studio.PipelineView.{Details, Highlighting, Stats, Tracing}
+  alias Situ.Studio.Web.{Paths, AlertBox, PageFrame}
 
   @spec render(map()) :: Situ.Live.Rendered.t()
-  def render(%{error: %{}} = assigns), do: Chrome.error_page(assigns)
+  def render(%{error: %{}} = assigns), do: PageFrame.error_page(assigns)
 
   def render(assigns) do
     ~H"""
     <div class="studio pipeline" id="pipeline" data-selected={@selected}>
       <header class="topbar">
         <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
-        <h1 class="where"><a href={Address.source_path(@id)} title="Its streams">{@id}</a></h1>
+        <h1 class="where"><a href={Paths.source_path(@id)} title="Its streams">{@id}</a></h1>
         <span class="sep"></span>
         <span class={["state", @snapshot.state]}>{@snapshot.state}</span>
         <span class="dim">{round(@snapshot.progress * 100)} %</span>
@@ -32,18 +32,18 @@ defmodule Situ.Studio.PipelineView.Page do
         <form id="mark" phx-change="mark">
           <label>Highlight
             <select class="select" name="mark">
-              <option :for={{id, name} <- Marking.highlight_choices()} value={id} selected={id == @mark}>{name}</option>
+              <option :for={{id, name} <- Highlighting.highlight_choices()} value={id} selected={id == @mark}>{name}</option>
             </select>
           </label>
           <select class="select" name="way" aria-label="Direction" title="Direction">
-            <option :for={{id, name} <- Marking.graph_directions()} value={id} selected={id == @way}>{name}</option>
+            <option :for={{id, name} <- Highlighting.graph_directions()} value={id} selected={id == @way}>{name}</option>
           </select>
         </form>
         <span class="grow"></span>
         <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="fold_all">Fold all</button>
         <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="unfold_all">Unfold all</button>
         <button class="tool" type="button" data-graph="fit" title="View everything (f)"><.icon name={:fit} /></button>
-        <a class="tool" href={Address.source_path(@id)} title="Its streams">Streams</a>
+        <a class="tool" href={Paths.source_path(@id)} title="Its streams">Streams</a>
       </header>
       <main class="centre">
         <AlertBox.alert_list alerts={@alerts} />

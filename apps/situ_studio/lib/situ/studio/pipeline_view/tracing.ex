@@ -6,7 +6,7 @@ defmodule Situ.Studio.PipelineView.Tracing do
 
   alias Situ.Diagnostics.Trace
   alias Situ.Studio.PipelineView.Feed
-  alias Situ.Studio.WholeNumber
+  alias Situ.Studio.Int64
 
   @doc """
   Traces a time given by the page: in ns, as ISO 8601, or as a clock time (UTC) on the day of `now`.
@@ -19,7 +19,7 @@ defmodule Situ.Studio.PipelineView.Tracing do
   defp parse_time(text, now) when is_binary(text) do
     text = String.trim(text)
 
-    case WholeNumber.parse(text) do
+    case Int64.parse(text) do
       {:ok, time} ->
         {:ok, time}
 

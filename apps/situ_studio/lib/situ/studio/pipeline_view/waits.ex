@@ -17,7 +17,7 @@ defmodule Situ.Studio.PipelineView.Waits do
       ]
   """
   alias Situ.Diagnostics.Snapshot
-  alias Situ.Studio.PipelineView.{Fold, Stats}
+  alias Situ.Studio.PipelineView.{FoldedGraph, Stats}
 
   @type t :: %{
           edge: pos_integer(),
@@ -56,7 +56,7 @@ defmodule Situ.Studio.PipelineView.Waits do
 
   defp edge_waits?(edge, snapshot, sample),
     do:
-      edge.queue > 0 and not Fold.lossy?(edge) and
+      edge.queue > 0 and not FoldedGraph.lossy?(edge) and
         busy_percent(edge.to, snapshot, sample) >= @full
 
   # Includes the input's name if the component has several.

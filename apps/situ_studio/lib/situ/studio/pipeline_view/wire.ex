@@ -2,11 +2,11 @@ defmodule Situ.Studio.PipelineView.Wire do
   @moduledoc false
   # Builds the messages to the page's hooks: the graph when its shape changes, statistics and colours at each tick, and
   # points of the plots.
-  alias Situ.Studio.PipelineView.{Fold, Marking, Stats, Waits}
+  alias Situ.Studio.PipelineView.{FoldedGraph, Highlighting, Stats, Waits}
 
-  @doc "Builds the message with the graph; `way` is its direction (`Marking.graph_directions/0`)."
-  @spec graph_message(Fold.t(), String.t()) :: map()
-  def graph_message(%Fold{} = graph, way \\ "LR") do
+  @doc "Builds the message with the graph; `way` is its direction (`Highlighting.graph_directions/0`)."
+  @spec graph_message(FoldedGraph.t(), String.t()) :: map()
+  def graph_message(%FoldedGraph{} = graph, way \\ "LR") do
     %{
       way: way,
       nodes: Enum.map(graph.nodes, &Map.take(&1, [:key, :label, :kind, :parent, :path, :joins])),
@@ -18,7 +18,7 @@ defmodule Situ.Studio.PipelineView.Wire do
 
   @doc "Builds the message with the heat of edges and nodes (0 to 1, relative to the largest), their texts and states."
   @spec stats_message(
-          Fold.t(),
+          FoldedGraph.t(),
           Situ.Diagnostics.Snapshot.t(),
           Stats.sample(),
           {heat :: String.t(), mark :: String.t()},
@@ -36,7 +36,7 @@ defmodule Situ.Studio.PipelineView.Wire do
       selected: selected,
       edges:
         Map.new(graph.edges, fn edge ->
-          faded? = Marking.faded?(mark, edge.policy, Enum.any?(edge.ids, &(&1 in waiting)))
+          faded? = Highlighting.faded?(mark, edge.policy, Enum.any?(edge.ids, &(&1 in waiting)))
           {edge.key, edge |> edge_numbers(edges, sample, heat) |> Map.put(:faded, faded?)}
         end),
       nodes:

@@ -3,7 +3,7 @@ defmodule Situ.Studio.Scene.Surfaces do
   # Converts point clouds, meshes, voxels and flat surfaces to items.
   alias Situ.{Mesh, Plane, PointCloud, Pose, Rectangle3, Vector3, VoxelGrid}
   alias Situ.Space.Cloud
-  alias Situ.Studio.Draw.Picture
+  alias Situ.Studio.Draw.BrowserImage
   alias Situ.Studio.{Frame, Scene}
 
   @type result :: {:ok, Scene.item()} | {:error, String.t()}
@@ -138,7 +138,7 @@ defmodule Situ.Studio.Scene.Surfaces do
 
   @spec image_item(struct(), [Vector3.t()], map()) :: result()
   def image_item(viewed, corners, meta \\ %{}) do
-    with {:ok, {pixels, width, height, data, unit}} <- Picture.to_browser_image(viewed) do
+    with {:ok, {pixels, width, height, data, unit}} <- BrowserImage.to_browser_image(viewed) do
       picture = %{
         "pixels" => Frame.pixel_code(pixels),
         "width" => width,

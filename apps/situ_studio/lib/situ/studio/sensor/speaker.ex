@@ -10,7 +10,7 @@ defmodule Situ.Studio.Sensor.Speaker do
     inputs: [in: Situ.AudioBuffer],
     options: [page: [type: :string, default: "page", doc: "The sensor's name."]]
 
-  alias Situ.Sound
+  alias Situ.AudioOps
   alias Situ.Studio.Sensor
 
   # A page that reads its messages never has this many in its mailbox.
@@ -31,7 +31,7 @@ defmodule Situ.Studio.Sensor.Speaker do
     with {:ok, pid} <- Sensor.Inbox.fetch_page(Sensor, name),
          {:message_queue_len, waiting} when waiting < @most <-
            Process.info(pid, :message_queue_len) do
-      mono = Sound.reformat!(buffer, channels: 1, sample: :s16)
+      mono = AudioOps.reformat!(buffer, channels: 1, sample: :s16)
       send(pid, {:play, mono.format.rate, mono.data})
     end
 

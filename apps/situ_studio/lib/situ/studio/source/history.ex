@@ -4,8 +4,8 @@ defmodule Situ.Studio.Source.History do
   """
   @behaviour Situ.Studio.Source
 
-  alias Situ.Studio.{History, Hole, StreamInfo}
-  alias Situ.Studio.Draw.{Bins, Messages}
+  alias Situ.Studio.{History, Gap, StreamInfo}
+  alias Situ.Studio.Draw.{Bins, WindowMessages}
 
   @impl true
   def extent(%History{streams: streams, live: live}) do
@@ -68,7 +68,7 @@ defmodule Situ.Studio.Source.History do
       n = length(messages)
 
       {before, later} =
-        Messages.surrounding_messages({__MODULE__, history}, stream, {from, to}, n)
+        WindowMessages.surrounding_messages({__MODULE__, history}, stream, {from, to}, n)
 
       points = Enum.flat_map(before ++ messages ++ later, &message_points/1)
       most = max(div(to - from, bin), 2) + length(before) + length(later)
@@ -77,7 +77,7 @@ defmodule Situ.Studio.Source.History do
     end
   end
 
-  defp message_points(%{data: %Hole{}, originating_time: time}), do: [Bins.gap(time)]
+  defp message_points(%{data: %Gap{}, originating_time: time}), do: [Bins.gap(time)]
 
   defp message_points(%{data: %module{} = data, originating_time: time}) do
     if function_exported?(module, :points, 2), do: module.points(data, time), else: []

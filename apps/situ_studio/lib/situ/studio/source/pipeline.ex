@@ -6,7 +6,7 @@ defmodule Situ.Studio.Source.Pipeline do
   @behaviour Situ.Studio.Source
 
   alias Situ.{Error, Pipeline}
-  alias Situ.Studio.{Source, StreamInfo, Watch}
+  alias Situ.Studio.{Source, StreamInfo, PipelineWatcher}
   alias Situ.Studio.Source.History
 
   @typedoc """
@@ -39,7 +39,7 @@ defmodule Situ.Studio.Source.Pipeline do
   defp with_title(target), do: {pipeline_name(target), target}
 
   defp pipeline_name(target) do
-    Pipeline.info(Watch.resolve_target(target)).pipeline
+    Pipeline.info(PipelineWatcher.resolve_target(target)).pipeline
   rescue
     _ in [Error, ArgumentError, FunctionClauseError] -> nil
   catch
@@ -52,8 +52,8 @@ defmodule Situ.Studio.Source.Pipeline do
   def open(specs, title, supervisor) do
     case List.keyfind(list_running(specs), title, 0) do
       {_, target} ->
-        {:ok, pid} = DynamicSupervisor.start_child(supervisor, {Watch, target})
-        {:ok, {__MODULE__, Watch.reader_handle(pid)}}
+        {:ok, pid} = DynamicSupervisor.start_child(supervisor, {PipelineWatcher, target})
+        {:ok, {__MODULE__, PipelineWatcher.reader_handle(pid)}}
 
       nil ->
         {:error, Error.new(:not_running, "pipeline #{inspect(title)} is not running")}
@@ -62,10 +62,12 @@ defmodule Situ.Studio.Source.Pipeline do
 
   @impl true
   def extent(watch) do
-    with {:ok, streams, running?} <- Watch.list_streams(watch),
+    with {:ok, streams, running?} <- PipelineWatcher.list_streams(watch),
          {:ok, extent} <- History.extent(watch.history) do
       extent = %{extent | live: running?, version: length(streams)}
-      {:ok, if(any_messages?(watch), do: extent, else: at_clock(extent, Watch.now(watch)))}
+
+      {:ok,
+       if(any_messages?(watch), do: extent, else: at_clock(extent, PipelineWatcher.now(watch)))}
     end
   end
 
@@ -76,7 +78,7 @@ defmodule Situ.Studio.Source.Pipeline do
 
   @impl true
   def streams(watch) do
-    with {:ok, named, _} <- Watch.list_streams(watch),
+    with {:ok, named, _} <- PipelineWatcher.list_streams(watch),
          {:ok, seen} <- History.streams(watch.history) do
       seen = Map.new(seen, &{&1.name, &1})
 
@@ -92,15 +94,17 @@ defmodule Situ.Studio.Source.Pipeline do
   end
 
   @doc "Returns the pipeline's current graph and statistics, for the page of its graph."
-  @spec snapshot(Watch.t()) :: {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
-  def snapshot(watch), do: Watch.fetch_snapshot(watch)
+  @spec snapshot(PipelineWatcher.t()) ::
+          {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
+  def snapshot(watch), do: PipelineWatcher.fetch_snapshot(watch)
 
   @doc "Traces the message of one originating time."
-  @spec trace(Watch.t(), Situ.Time.t()) :: {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
-  def trace(watch, time), do: Watch.trace_message(watch, time)
+  @spec trace(PipelineWatcher.t(), Situ.Time.t()) ::
+          {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
+  def trace(watch, time), do: PipelineWatcher.trace_message(watch, time)
 
   @impl true
-  def wanted(watch, streams), do: Enum.each(streams, &Watch.request_stream(watch, &1))
+  def wanted(watch, streams), do: Enum.each(streams, &PipelineWatcher.request_stream(watch, &1))
 
   @impl true
   def series(watch, stream, from, to, bin),
@@ -128,7 +132,7 @@ defmodule Situ.Studio.Source.Pipeline do
 
   # The earlier messages of a stream remain available if it cannot be tapped.
   defp read_wanted(watch, stream, read) do
-    case Watch.request_stream(watch, stream) do
+    case PipelineWatcher.request_stream(watch, stream) do
       :ok ->
         read.(watch.history)
 
@@ -136,7 +140,7 @@ defmodule Situ.Studio.Source.Pipeline do
         read.(watch.history)
 
       {:error, error} ->
-        case Watch.list_streams(watch) do
+        case PipelineWatcher.list_streams(watch) do
           {:ok, _, false} -> read.(watch.history)
           _ -> {:error, error}
         end

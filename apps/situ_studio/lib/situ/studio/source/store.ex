@@ -9,8 +9,8 @@ defmodule Situ.Studio.Source.Store do
 
   alias Situ.{Error, Store}
   alias Situ.Store.Formats
-  alias Situ.Studio.{Figures, Source, StreamInfo}
-  alias Situ.Studio.Draw.{Bins, Messages}
+  alias Situ.Studio.{StreamTotals, Source, StreamInfo}
+  alias Situ.Studio.Draw.{Bins, WindowMessages}
 
   @enforce_keys [:store, :path, :cache]
   defstruct [:store, :path, :cache]
@@ -148,8 +148,8 @@ defmodule Situ.Studio.Source.Store do
   defp build_stream_info(source, info) do
     details =
       [
-        {"On disk", info.stored > 0 && Figures.format_bytes(info.stored)},
-        {"Average size", info.count > 0 && Figures.format_bytes(div(info.size, info.count))},
+        {"On disk", info.stored > 0 && StreamTotals.format_bytes(info.stored)},
+        {"Average size", info.count > 0 && StreamTotals.format_bytes(div(info.size, info.count))},
         {"Compression", info.compression != :none && to_string(info.compression)},
         {"Large messages", info.large? && "stored separately"},
         {"First created", info.first_creation && {:time, info.first_creation}},
@@ -231,7 +231,7 @@ defmodule Situ.Studio.Source.Store do
   defp raw_points(source, info, from, to, n) do
     with {:ok, messages} <- Store.read(source.store, info, from: from, to: to, limit: n + 16) do
       {before, later} =
-        Messages.surrounding_messages({__MODULE__, source}, info.name, {from, to}, n)
+        WindowMessages.surrounding_messages({__MODULE__, source}, info.name, {from, to}, n)
 
       {:ok, message_points(before ++ messages ++ later), true}
     end

@@ -16,7 +16,7 @@ defmodule Situ.Studio.Visualizers.Bars do
 
   alias Situ.Studio.Draw.Key
   alias Situ.Studio.{Frame, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @limit 1_000
   @series 16
@@ -32,13 +32,13 @@ defmodule Situ.Studio.Visualizers.Bars do
   @impl true
   def about do
     options =
-      Option.color() ++
+      SharedOptions.color() ++
         [
           kind: [type: {:in, @kinds}, title: "Drawn as", default: "bars"],
           lying: [type: :boolean, title: "Horizontal", default: false],
           x_title: [type: :text, title: "Title of the name axis"],
           y_title: [type: :text, title: "Title of the value axis"]
-        ] ++ Option.near_cursor()
+        ] ++ SharedOptions.near_cursor()
 
     %Visualizer{
       id: "bars",
@@ -46,7 +46,7 @@ defmodule Situ.Studio.Visualizers.Bars do
       panel: :bars,
       shapes: [:bars, :signals],
       options: options,
-      asks: Option.requested_keys()
+      asks: SharedOptions.requested_keys()
     }
   end
 

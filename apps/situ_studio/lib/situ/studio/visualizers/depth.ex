@@ -3,19 +3,19 @@ defmodule Situ.Studio.Visualizers.Depth do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.Visualizer
-  alias Situ.Studio.Visualizers.{Image, Option}
+  alias Situ.Studio.Visualizers.{Image, SharedOptions}
 
   @impl true
   def about do
     options =
-      Option.visible() ++
-        Option.flip() ++
-        Option.depth_range(:range, title: "Range") ++
+      SharedOptions.visible() ++
+        SharedOptions.flip() ++
+        SharedOptions.depth_range(:range, title: "Range") ++
         [
           invalid: [type: {:range, -1, 65_535}, title: "No reading is", default: 0],
           invalid_color: [type: :color, title: "drawn in", auto: "see-through"],
           scale: [type: :boolean, title: "Colour scale", default: true]
-        ] ++ Option.near_cursor()
+        ] ++ SharedOptions.near_cursor()
 
     %Visualizer{
       id: "depth",
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Visualizers.Depth do
       panel: :image,
       shapes: [:depth],
       options: options,
-      asks: Option.requested_keys()
+      asks: SharedOptions.requested_keys()
     }
   end
 

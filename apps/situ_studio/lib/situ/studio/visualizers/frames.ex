@@ -5,9 +5,10 @@ defmodule Situ.Studio.Visualizers.Frames do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Space.Frames
-  alias Situ.Studio.{Draw.Messages, Frame, Source, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Space.FrameTree
+  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.Studio.Draw.WindowMessages
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @second 1_000_000_000
   @window 10 * @second
@@ -16,7 +17,7 @@ defmodule Situ.Studio.Visualizers.Frames do
   @impl true
   def about do
     options =
-      Option.visible() ++
+      SharedOptions.visible() ++
         [
           fixed: [type: :text, title: "Fixed frame", auto: "the root"],
           axis: [type: {:range, 0.01, 10}, title: "Axes, m", default: 0.3],
@@ -45,12 +46,13 @@ defmodule Situ.Studio.Visualizers.Frames do
   # Transforms that are always valid are usually sent only once, at the beginning.
   defp read_frames(source, stream, time) do
     with {:ok, first, _} <- Source.call(source, :messages, [stream, 0, time, @first]),
-         {:ok, near, _} <- Messages.fetch_within(source, stream, time - @window, time + @second) do
+         {:ok, near, _} <-
+           WindowMessages.fetch_within(source, stream, time - @window, time + @second) do
       known = Enum.filter(first, &(&1.originating_time < time - @window))
 
-      Enum.reduce_while(known ++ near, {:ok, Frames.new(keep: 4 * @window)}, fn m,
-                                                                                {:ok, frames} ->
-        case Frames.put_transforms(frames, message_transforms(m.data), m.originating_time) do
+      Enum.reduce_while(known ++ near, {:ok, FrameTree.new(keep: 4 * @window)}, fn m,
+                                                                                   {:ok, frames} ->
+        case FrameTree.put_transforms(frames, message_transforms(m.data), m.originating_time) do
           {:ok, frames} -> {:cont, {:ok, frames}}
           error -> {:halt, error}
         end
@@ -69,15 +71,15 @@ defmodule Situ.Studio.Visualizers.Frames do
   Returns every frame with its parent, its root and the matrix (column by column) that transforms it to the root. There
   is a problem instead of a matrix if the transform is unknown at that time.
 
-      iex> alias Situ.Space.Frames
+      iex> alias Situ.Space.FrameTree
       iex> {:ok, frames} = Frames.put_static(Frames.new(), "lamp", "room", Situ.Pose.new({0.0, 0.0, 2.0}))
       iex> %{"frames" => %{"lamp" => lamp, "room" => _}} = Situ.Studio.Visualizers.Frames.frame_tree(frames, 0)
       iex> {lamp["root"], Enum.slice(lamp["matrix"], 12, 3)}
       {"room", [0.0, 0.0, 2.0]}
   """
-  @spec frame_tree(Frames.t(), Situ.Time.t()) :: map()
+  @spec frame_tree(FrameTree.t(), Situ.Time.t()) :: map()
   def frame_tree(frames, time) do
-    parents = Map.new(Frames.list(frames), fn {frame, parent, _} -> {frame, parent} end)
+    parents = Map.new(FrameTree.list(frames), fn {frame, parent, _} -> {frame, parent} end)
     names = Enum.uniq(Map.keys(parents) ++ Map.values(parents))
 
     rows =
@@ -85,7 +87,7 @@ defmodule Situ.Studio.Visualizers.Frames do
         root = root_frame(name, parents)
         row = %{"root" => root, "parent" => parents[name]}
 
-        case Frames.lookup(frames, name, root, time) do
+        case FrameTree.lookup(frames, name, root, time) do
           {:ok, pose} -> {name, Map.put(row, "matrix", column_major(pose))}
           {:error, error} -> {name, Map.put(row, "problem", error.what)}
         end
@@ -94,7 +96,7 @@ defmodule Situ.Studio.Visualizers.Frames do
     %{"frames" => rows}
   end
 
-  # The recursion ends, because `Situ.Space.Frames` rejects cycles.
+  # The recursion ends, because `Situ.Space.FrameTree` rejects cycles.
   defp root_frame(name, parents),
     do: if(parents[name], do: root_frame(parents[name], parents), else: name)
 

@@ -6,8 +6,9 @@ defmodule Situ.Studio.Visualizers.GeoMap do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.GeoPoint
-  alias Situ.Studio.{Draw.Bins, Draw.Messages, Frame, Path, Source, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.Draw.{Bins, WindowMessages}
+  alias Situ.Studio.Visualizers.SharedOptions
 
   # The maximum number of points drawn of a track.
   @most 5_000
@@ -15,8 +16,8 @@ defmodule Situ.Studio.Visualizers.GeoMap do
   @impl true
   def about do
     options =
-      Option.visible() ++
-        Option.color() ++
+      SharedOptions.visible() ++
+        SharedOptions.color() ++
         [
           width: [type: {:range, 0.5, 12}, title: "Width", default: 3],
           points: [type: :boolean, title: "Points", default: false],
@@ -42,7 +43,7 @@ defmodule Situ.Studio.Visualizers.GeoMap do
   end
 
   defp read_messages(source, stream, from, to) do
-    case Messages.fetch_within(source, stream, from, to) do
+    case WindowMessages.fetch_within(source, stream, from, to) do
       {:ok, messages, true} when length(messages) > @most ->
         every = div(length(messages) - 1, @most) + 1
         {:ok, Enum.take_every(messages, every) ++ Enum.take(messages, -1), false}
@@ -60,7 +61,7 @@ defmodule Situ.Studio.Visualizers.GeoMap do
   end
 
   defp fetch_position(data, path) do
-    with {:ok, data} <- Path.fetch(data, path), do: GeoPoint.from_data(data)
+    with {:ok, data} <- ValuePath.fetch(data, path), do: GeoPoint.from_data(data)
   end
 
   @impl true

@@ -2,12 +2,13 @@ defmodule Situ.Studio.Visualizers.Image do
   @moduledoc "The image at the cursor."
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Draw.Picture, Frame, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.{Frame, Visualizer}
+  alias Situ.Studio.Draw.BrowserImage
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @impl true
   def about do
-    options = Option.visible() ++ Option.flip() ++ Option.near_cursor()
+    options = SharedOptions.visible() ++ SharedOptions.flip() ++ SharedOptions.near_cursor()
 
     %Visualizer{
       id: "image",
@@ -15,13 +16,13 @@ defmodule Situ.Studio.Visualizers.Image do
       panel: :image,
       shapes: [:image],
       options: options,
-      asks: Option.requested_keys()
+      asks: SharedOptions.requested_keys()
     }
   end
 
   @impl true
   def instant(channel, data, message) do
-    with {:ok, picture} <- Picture.to_browser_image(data),
+    with {:ok, picture} <- BrowserImage.to_browser_image(data),
          do: Frame.image(channel, message.originating_time, picture)
   end
 end

@@ -4,7 +4,7 @@ defmodule Situ.Studio.Visualizers.Latency do
 
   alias Situ.Studio.{Frame, Source, Visualizer}
   alias Situ.Studio.Draw.{Bins, Values}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @rows 20_000
   @points 1_500
@@ -12,7 +12,7 @@ defmodule Situ.Studio.Visualizers.Latency do
   @impl true
   def about do
     limit = [threshold_ms: [type: {:range, 0, 1.0e6}, title: "Limit, ms", default: 50]]
-    options = Option.visible() ++ Option.color() ++ limit
+    options = SharedOptions.visible() ++ SharedOptions.color() ++ limit
     %Visualizer{id: "latency", title: "Latency", panel: :plot, shapes: :any, options: options}
   end
 

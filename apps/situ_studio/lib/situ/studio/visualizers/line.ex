@@ -2,15 +2,15 @@ defmodule Situ.Studio.Visualizers.Line do
   @moduledoc "One number over time, from a whole stream or from a part of its messages."
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Draw, Frame, Path, Source, Visualizer}
-  alias Draw.{Bins, Messages, Values}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.Draw.{Bins, WindowMessages, Values}
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @points 1_500
 
   @impl true
   def about do
-    options = Option.visible() ++ Option.color() ++ Option.line_style()
+    options = SharedOptions.visible() ++ SharedOptions.color() ++ SharedOptions.line_style()
 
     %Visualizer{
       id: "line",
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Visualizers.Line do
 
   @impl true
   def window(source, channel, %{stream: stream, path: []} = spec, from, to, bin) do
-    if Source.Derived.derived_name?(stream),
+    if Source.DerivedStreams.derived_name?(stream),
       do: frame_from_messages(source, channel, spec, from, to, bin),
       else: summary_frame(source, channel, stream, from, to, bin)
   end
@@ -43,7 +43,7 @@ defmodule Situ.Studio.Visualizers.Line do
   # Without a summary in the source, a line is built from the messages. If there are too many, it is built from a
   # sample, which the frame marks.
   defp frame_from_messages(source, channel, spec, from, to, bin) do
-    with {:ok, messages, all?} <- Messages.fetch_around(source, spec, from, to) do
+    with {:ok, messages, all?} <- WindowMessages.fetch_around(source, spec, from, to) do
       {points, raw?} = messages |> line_points(spec.path) |> Bins.fold_points(bin, @points)
       Frame.series(channel, points, raw?, sampled: not all?)
     end
@@ -56,13 +56,13 @@ defmodule Situ.Studio.Visualizers.Line do
       iex> Situ.Studio.Visualizers.Line.line_points(messages, [{:name, "a"}])
       [{0, 1, 1, 1, 1}, {1, nil, nil, nil, 1}]
   """
-  @spec line_points([Situ.Message.t()], Path.t()) :: [Bins.point() | Bins.gap()]
+  @spec line_points([Situ.Message.t()], ValuePath.t()) :: [Bins.point() | Bins.gap()]
   def line_points(messages, path) do
     for message <- messages, point <- message_points(message, path), do: point
   end
 
   defp message_points(%{data: data, originating_time: time}, path) do
-    case Path.fetch(data, path) do
+    case ValuePath.fetch(data, path) do
       {:ok, value} -> Bins.value_points(time, value)
       :error -> [Bins.gap(time)]
     end

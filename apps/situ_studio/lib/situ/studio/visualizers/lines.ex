@@ -9,9 +9,9 @@ defmodule Situ.Studio.Visualizers.Lines do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Draw, Frame, Path, Source, Visualizer}
-  alias Draw.{Bins, Key, Messages, Values}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.Draw.{Bins, Key, WindowMessages, Values}
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @points 1_500
 
@@ -19,7 +19,7 @@ defmodule Situ.Studio.Visualizers.Lines do
 
   @impl true
   def about do
-    options = Option.visible() ++ Option.line_style()
+    options = SharedOptions.visible() ++ SharedOptions.line_style()
     %Visualizer{id: "lines", title: "Lines", panel: :plot, shapes: [:signals], options: options}
   end
 
@@ -50,7 +50,7 @@ defmodule Situ.Studio.Visualizers.Lines do
   end
 
   defp frame_from_messages(source, channel, spec, from, to, bin) do
-    with {:ok, messages, all?} <- Messages.fetch_around(source, spec, from, to) do
+    with {:ok, messages, all?} <- WindowMessages.fetch_around(source, spec, from, to) do
       keys = by_key(messages, spec.path)
       named = sort_named(keys)
       folded = for {name, points} <- named, do: {name, Bins.fold_points(points, bin, @points)}
@@ -63,7 +63,7 @@ defmodule Situ.Studio.Visualizers.Lines do
   end
 
   @doc "Builds a line for each key of the maps at `path`, sorted by the keys' names."
-  @spec of_maps([Situ.Message.t()], Path.t()) :: [{name :: String.t(), line()}]
+  @spec of_maps([Situ.Message.t()], ValuePath.t()) :: [{name :: String.t(), line()}]
   def of_maps(messages, path), do: messages |> by_key(path) |> sort_named()
 
   # Collects the lines that contain numbers, newest point first.
@@ -82,7 +82,7 @@ defmodule Situ.Studio.Visualizers.Lines do
 
   defp add_message(lines, %{data: data, originating_time: time}, path) do
     values =
-      case Path.fetch(data, path) do
+      case ValuePath.fetch(data, path) do
         {:ok, map} when is_map(map) and not is_struct(map) -> map
         _ -> %{}
       end

@@ -9,7 +9,7 @@ defmodule Situ.Studio.Visualizers.Log do
 
   alias Situ.Message
   alias Situ.Studio.Draw.Segments
-  alias Situ.Studio.{Frame, Path, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
 
   @earlier 60
   @later 30
@@ -27,10 +27,10 @@ defmodule Situ.Studio.Visualizers.Log do
   end
 
   @doc "Returns the time of a message as text, and its value at a path in a few words."
-  @spec build_row(Message.t(), Path.t()) :: [String.t()]
+  @spec build_row(Message.t(), ValuePath.t()) :: [String.t()]
   def build_row(message, path) do
     said =
-      case Path.fetch(message.data, path) do
+      case ValuePath.fetch(message.data, path) do
         {:ok, value} -> Segments.value_label(value)
         :error -> ""
       end

@@ -13,7 +13,7 @@ defmodule Situ.Studio.Visualizers.Masks do
 
   alias Situ.{Image, Rect}
   alias Situ.Studio.{Frame, Source, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.Visualizers.SharedOptions
 
   # More masks in one image cannot be distinguished, and larger ones add no detail.
   @most 200
@@ -30,12 +30,12 @@ defmodule Situ.Studio.Visualizers.Masks do
   @impl true
   def about do
     options =
-      Option.visible() ++
+      SharedOptions.visible() ++
         [
           opacity: [type: {:range, 5, 100}, title: "Opacity in %", default: 45],
           labels: [type: :boolean, title: "Labels", default: true],
           fit: [type: {:in, @fits}, title: "Classes cover", default: "pad"]
-        ] ++ Option.near_cursor()
+        ] ++ SharedOptions.near_cursor()
 
     %Visualizer{
       id: "masks",
@@ -43,7 +43,7 @@ defmodule Situ.Studio.Visualizers.Masks do
       panel: :image,
       shapes: [:masks, :image],
       options: options,
-      asks: Option.requested_keys()
+      asks: SharedOptions.requested_keys()
     }
   end
 

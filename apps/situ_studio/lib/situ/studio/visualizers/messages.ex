@@ -3,13 +3,13 @@ defmodule Situ.Studio.Visualizers.Messages do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Source, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @rows 20_000
 
   @impl true
   def about do
-    options = Option.color()
+    options = SharedOptions.color()
     %Visualizer{id: "messages", title: "Messages", panel: :lanes, shapes: :any, options: options}
   end
 

@@ -12,8 +12,8 @@ defmodule Situ.Studio.Visualizers.Script do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.Draw.Messages
-  alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
+  alias Situ.Studio.Draw.WindowMessages
+  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
 
   @second 1_000_000_000
   @rows 5_000
@@ -50,16 +50,16 @@ defmodule Situ.Studio.Visualizers.Script do
 
   defp read_past(source, stream, from, to) do
     with {:ok, messages, true} when length(messages) > @rows <-
-           Messages.fetch_within(source, stream, from, to),
+           WindowMessages.fetch_within(source, stream, from, to),
          {:ok, rows} <- Source.sample_messages(source, stream, from, to, @rows),
          do: {:ok, Enum.map(rows, &elem(&1, 1)), false}
   end
 
   defp add_row(_message, {rows, left}, _path, _to) when left <= 0, do: {rows, 0}
-  defp add_row(%{data: %Hole{}}, acc, _path, _to), do: acc
+  defp add_row(%{data: %Gap{}}, acc, _path, _to), do: acc
 
   defp add_row(message, {rows, left}, path, to) do
-    case Path.fetch(message.data, path) do
+    case ValuePath.fetch(message.data, path) do
       {:ok, data} ->
         {value, left} = convert_term(data, left)
         {[[(message.originating_time - to) / 1.0e6, value] | rows], left}

@@ -14,8 +14,8 @@ defmodule Situ.Studio.Visualizers.Shapes do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, Path, Source, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @limit 5_000
   @depth 6
@@ -26,14 +26,14 @@ defmodule Situ.Studio.Visualizers.Shapes do
   @impl true
   def about do
     options =
-      Option.visible() ++
+      SharedOptions.visible() ++
         [color: [type: :color, title: "Colour", auto: "by identity", several: true]] ++
         [
           labels: [type: :boolean, title: "Labels", default: true],
           width: [type: {:range, 0.5, 8}, title: "Width", default: 2],
           radius: [type: {:range, 0.5, 20}, title: "Point radius"],
           trail: [type: {:range, 0, 60}, title: "Trail, s", default: 0]
-        ] ++ Option.near_cursor()
+        ] ++ SharedOptions.near_cursor()
 
     %Visualizer{
       id: "shapes",
@@ -41,7 +41,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
       panel: :image,
       shapes: [:shapes],
       options: options,
-      asks: [:trail | Option.requested_keys()]
+      asks: [:trail | SharedOptions.requested_keys()]
     }
   end
 
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
   # Returns `[age, points, lines]` of earlier messages. The age is a share of the trail's duration (1 at its end).
   defp read_trail(source, spec, {from, to}) do
     for %{originating_time: time, data: data} <- past_messages(source, spec.stream, from, to - 1),
-        {:ok, data} <- [Path.fetch(data, spec.path)] do
+        {:ok, data} <- [ValuePath.fetch(data, spec.path)] do
       shapes = collect_shapes(data)
       middle = for [x, y, w, h, _, _, id] <- shapes["rects"], do: [x + w / 2, y + h / 2, id]
       points = for [x, y, _] <- shapes["points"], do: [x, y, nil]

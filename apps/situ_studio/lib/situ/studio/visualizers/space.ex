@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Space do
   @moduledoc """
   Objects in three dimensions: point clouds, meshes, boxes, poses, rays, skeletons, and cameras with their images
-  (`Situ.Studio.Scene.Terms`).
+  (`Situ.Studio.Scene.TermItems`).
 
   A cloud with more points than "Maximum points" is first sent thinned. When the viewer comes to rest, the page sends
   another request with the property `within`: the planes around the visible part of the scene, as a list of four numbers
@@ -10,7 +10,7 @@ defmodule Situ.Studio.Visualizers.Space do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Scene, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @colors [
     {"auto", "its own, or by height"},
@@ -35,8 +35,8 @@ defmodule Situ.Studio.Visualizers.Space do
     fixed = {:range, "fixed"}
 
     options =
-      Option.visible() ++
-        Option.color() ++
+      SharedOptions.visible() ++
+        SharedOptions.color() ++
         [
           frame: [type: :text, title: "In the frame", auto: "the fixed frame"],
           color_by: [type: {:in, @colors}, title: "Colours", default: "auto"],
@@ -61,7 +61,7 @@ defmodule Situ.Studio.Visualizers.Space do
           depth_as: [type: {:in, @depths}, title: "Depth as", default: "points"],
           sparsity: [type: {:range, 1, 50}, title: "Every n-th pixel of depth", default: 1]
         ] ++
-        Option.depth_range(:depth_range,
+        SharedOptions.depth_range(:depth_range,
           title: "Range of depth",
           only: {:depth_as, "picture"}
         ) ++
@@ -82,9 +82,9 @@ defmodule Situ.Studio.Visualizers.Space do
 
   @impl true
   def instant(channel, data, message, %{spec: spec} = context) do
-    case Scene.Terms.collect_items(data, scene_settings(spec)) do
+    case Scene.TermItems.collect_items(data, scene_settings(spec)) do
       {[], []} ->
-        if Scene.Terms.empty_term?(data),
+        if Scene.TermItems.empty_term?(data),
           do: Frame.scene(channel, message.originating_time, [], []),
           else: {:error, "this message does not contain anything in space"}
 
@@ -98,7 +98,7 @@ defmodule Situ.Studio.Visualizers.Space do
   end
 
   @doc "Builds the settings for collecting a message's items, from the properties."
-  @spec scene_settings(Visualizer.spec()) :: Scene.Terms.settings()
+  @spec scene_settings(Visualizer.spec()) :: Scene.TermItems.settings()
   def scene_settings(%{viz: viz} = spec) do
     props = Map.get(spec, :props, %{})
     s = Visualizer.property_values(viz, props)

@@ -18,8 +18,8 @@ defmodule Situ.Studio.Visualizers.Spans do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Interval
-  alias Situ.Studio.Draw.{Key, Messages, Segments}
-  alias Situ.Studio.{Path, Source, Visualizer}
+  alias Situ.Studio.Draw.{Key, WindowMessages, Segments}
+  alias Situ.Studio.{ValuePath, Source, Visualizer}
 
   @limit 1_000
   @starts [:start, "start"]
@@ -34,14 +34,14 @@ defmodule Situ.Studio.Visualizers.Spans do
 
   @impl true
   def window(source, channel, %{stream: stream} = spec, from, to, bin) do
-    with {:ok, messages, all?} <- Messages.fetch_within(source, stream, from, to) do
+    with {:ok, messages, all?} <- WindowMessages.fetch_within(source, stream, from, to) do
       before = Source.list_neighbours(source, stream, :before, from, @around)
       later = Source.list_neighbours(source, stream, :after, to, @around)
       messages = drop_drafts(Enum.reverse(before) ++ messages ++ later)
 
       rows =
         for message <- messages,
-            {:ok, value} <- [Path.fetch(message.data, spec.path)],
+            {:ok, value} <- [ValuePath.fetch(message.data, spec.path)],
             {a, b, _, _, _} = row <- find_spans(value, message.originating_time),
             a <= to and b >= from,
             uniq: true,

@@ -5,8 +5,8 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, Sound, Source, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.{Frame, AudioSamples, Source, Visualizer}
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @samples 512
   @silence :binary.copy(<<0>>, @samples * 4)
@@ -20,7 +20,7 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
       title: "Spectrogram",
       panel: :plot,
       shapes: [:audio],
-      options: Option.visible() ++ Option.channel(),
+      options: SharedOptions.visible() ++ SharedOptions.channel(),
       asks: [:channel]
     }
   end
@@ -46,7 +46,7 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
 
   # Returns `nil` if there is not enough audio, or only silence.
   defp read_segment(source, {stream, channel}, time, length) do
-    case Sound.channel_samples(source, stream, time, time + length, channel) do
+    case AudioSamples.channel_samples(source, stream, time, time + length, channel) do
       {:ok, {_, _, <<@silence, _::binary>>}} -> nil
       {:ok, {_, _, <<samples::binary-size(@samples * 4), _::binary>>}} -> samples
       _ -> nil

@@ -2,8 +2,8 @@ defmodule Situ.Studio.Visualizers.States do
   @moduledoc "States that hold until the next message: booleans, atoms, and maps of them with a lane for each key."
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Draw, Source, Visualizer}
-  alias Draw.{Rhythm, Segments, Tracks}
+  alias Situ.Studio.{Source, Visualizer}
+  alias Situ.Studio.Draw.{GapDetection, Segments, SummaryLanes}
 
   @impl true
   def about,
@@ -24,8 +24,10 @@ defmodule Situ.Studio.Visualizers.States do
         before = message_time(Source.call(source, :latest_at, [stream, from - 1]))
 
         summary
-        |> Tracks.from_summary(later)
-        |> Segments.remove_gaps(Rhythm.find_gaps(extend_counts(summary.counts, before, later)))
+        |> SummaryLanes.from_summary(later)
+        |> Segments.remove_gaps(
+          GapDetection.find_gaps(extend_counts(summary.counts, before, later))
+        )
         |> Segments.segments_frame(channel, bin, Enum.map(newest, &%{originating_time: &1}), true)
 
       :none ->

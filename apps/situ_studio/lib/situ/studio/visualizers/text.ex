@@ -3,7 +3,7 @@ defmodule Situ.Studio.Visualizers.Text do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @max_text 20_000
 
@@ -14,8 +14,8 @@ defmodule Situ.Studio.Visualizers.Text do
       title: "Text",
       panel: :text,
       shapes: [:text],
-      options: Option.near_cursor(),
-      asks: Option.requested_keys()
+      options: SharedOptions.near_cursor(),
+      asks: SharedOptions.requested_keys()
     }
   end
 

@@ -5,8 +5,9 @@ defmodule Situ.Studio.Visualizers.Trail do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Draw.Messages, Frame, Path, Scene, Source, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.{Frame, ValuePath, Scene, Source, Visualizer}
+  alias Situ.Studio.Draw.WindowMessages
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @second 1_000_000_000
   @most 2_000
@@ -14,8 +15,8 @@ defmodule Situ.Studio.Visualizers.Trail do
   @impl true
   def about do
     options =
-      Option.visible() ++
-        Option.color() ++
+      SharedOptions.visible() ++
+        SharedOptions.color() ++
         [
           frame: [type: :text, title: "In the frame", auto: "the fixed frame"],
           seconds: [type: {:range, 0.1, 3_600}, title: "Seconds", default: 5],
@@ -55,7 +56,7 @@ defmodule Situ.Studio.Visualizers.Trail do
   end
 
   defp read_messages(source, stream, from, to) do
-    case Messages.fetch_within(source, stream, from, to) do
+    case WindowMessages.fetch_within(source, stream, from, to) do
       {:ok, messages, _} when length(messages) <= @most ->
         {:ok, messages}
 
@@ -70,8 +71,8 @@ defmodule Situ.Studio.Visualizers.Trail do
 
   defp all_empty?(messages, path) do
     Enum.all?(messages, fn %{data: data} ->
-      match?({:ok, _}, Path.fetch(data, path)) and
-        data |> Path.fetch(path) |> elem(1) |> Scene.Terms.empty_term?()
+      match?({:ok, _}, ValuePath.fetch(data, path)) and
+        data |> ValuePath.fetch(path) |> elem(1) |> Scene.TermItems.empty_term?()
     end)
   end
 
@@ -82,9 +83,9 @@ defmodule Situ.Studio.Visualizers.Trail do
       iex> Situ.Studio.Visualizers.Trail.message_positions(message, [])
       [{1.0, 2.0, 3.0}]
   """
-  @spec message_positions(Situ.Message.t(), Path.t()) :: [Situ.Vector3.t()]
+  @spec message_positions(Situ.Message.t(), ValuePath.t()) :: [Situ.Vector3.t()]
   def message_positions(%{data: data}, path) do
-    case Path.fetch(data, path) do
+    case ValuePath.fetch(data, path) do
       {:ok, data} -> data |> term_positions() |> Enum.take(200)
       :error -> []
     end

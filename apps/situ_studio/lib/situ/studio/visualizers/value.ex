@@ -3,7 +3,7 @@ defmodule Situ.Studio.Visualizers.Value do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValueTree, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @impl true
   def about do
@@ -12,8 +12,8 @@ defmodule Situ.Studio.Visualizers.Value do
       title: "Value",
       panel: :value,
       shapes: :any,
-      options: Option.near_cursor(),
-      asks: Option.requested_keys()
+      options: SharedOptions.near_cursor(),
+      asks: SharedOptions.requested_keys()
     }
   end
 

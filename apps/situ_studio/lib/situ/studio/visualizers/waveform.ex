@@ -5,9 +5,9 @@ defmodule Situ.Studio.Visualizers.Waveform do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps}
   alias Situ.Studio.{Draw.Values, Frame, Source, Visualizer}
-  alias Situ.Studio.Visualizers.Option
+  alias Situ.Studio.Visualizers.SharedOptions
 
   @most 120_000_000_000
   @buffers 20_000
@@ -19,7 +19,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
       mute: [type: :boolean, title: "Mute", default: false]
     ]
 
-    options = Option.visible() ++ Option.color() ++ Option.channel() ++ heard
+    options = SharedOptions.visible() ++ SharedOptions.color() ++ SharedOptions.channel() ++ heard
 
     %Visualizer{
       id: "waveform",
@@ -75,7 +75,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
 
   defp extract_channel(buffer, one) do
     gains = for c <- 0..(buffer.format.channels - 1), do: if(c == one, do: 1, else: 0)
-    Sound.remix!(buffer, [gains])
+    AudioOps.remix!(buffer, [gains])
   end
 
   @impl true
@@ -132,7 +132,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
   end
 
   defp sample_value(frame) do
-    case Sound.remix!(frame, [[1]], sample: :f32).data do
+    case AudioOps.remix!(frame, [[1]], sample: :f32).data do
       <<value::little-float-32>> -> value
       _not_a_number -> nil
     end

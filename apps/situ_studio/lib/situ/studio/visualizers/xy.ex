@@ -6,7 +6,7 @@ defmodule Situ.Studio.Visualizers.XY do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.Visualizer
-  alias Situ.Studio.Visualizers.{Line, Option}
+  alias Situ.Studio.Visualizers.{Line, SharedOptions}
 
   @impl true
   def about do
@@ -15,7 +15,7 @@ defmodule Situ.Studio.Visualizers.XY do
       title: "XY plot",
       panel: :xy,
       shapes: [:signal],
-      options: Option.visible() ++ Option.color()
+      options: SharedOptions.visible() ++ SharedOptions.color()
     }
   end
 

@@ -5,8 +5,8 @@ defmodule Situ.Studio.Web.ClusterView do
   use Situ.Live.View
   import Situ.Studio.Web.Icons
   alias Situ.Cluster.Overview
-  alias Situ.Studio.{ClusterRates, Figures}
-  alias Situ.Studio.Web.Address
+  alias Situ.Studio.{ClusterRates, StreamTotals}
+  alias Situ.Studio.Web.Paths
 
   @refresh_ms 1_000
 
@@ -102,7 +102,7 @@ defmodule Situ.Studio.Web.ClusterView do
             <td>{count_parts(@now, n.node)}</td>
             <td>{format_cores(n)}</td>
             <td>{format_percent(n.machine)}</td>
-            <td>{n.memory && Figures.format_bytes(n.memory)}</td>
+            <td>{n.memory && StreamTotals.format_bytes(n.memory)}</td>
             <td>{format_ms(n.trip)}</td>
           </tr>
         </tbody>
@@ -117,7 +117,7 @@ defmodule Situ.Studio.Web.ClusterView do
         <tbody>
           <tr :for={row <- part_rows(@now)} :key={row.key} class={to_string(row.part.phase)}>
             <th :if={row.first? and row.part.pipeline != nil} scope="row"><a
-              href={Address.pipeline_path(part_title(row.part))}>{part_title(row.part)}</a></th>
+              href={Paths.pipeline_path(part_title(row.part))}>{part_title(row.part)}</a></th>
             <th :if={not row.first? or row.part.pipeline == nil} scope="row">{row.first? && part_title(row.part)}</th>
             <td class="text">{row.first? && (row.part.node || "none")}</td>
             <td class="text" title={row.part.error}>{row.first? && row.part.phase}</td>
@@ -152,7 +152,7 @@ defmodule Situ.Studio.Web.ClusterView do
           <th scope="col" class="text">Node</th><th scope="col" class="text">State</th></tr></thead>
         <tbody>
           <tr :for={r <- @now.recordings} :key={r.id} id={"recording-" <> r.id}>
-            <th :if={@opens} scope="row"><a href={Address.source_path(r.id)}>{r.name}</a></th>
+            <th :if={@opens} scope="row"><a href={Paths.source_path(r.id)}>{r.name}</a></th>
             <th :if={not @opens} scope="row">{r.name}</th>
             <td class="text">{r.node}</td>
             <td class="text">{if r.live?, do: "being recorded", else: "finished"}</td>
@@ -206,7 +206,7 @@ defmodule Situ.Studio.Web.ClusterView do
   defp format_rate(nil), do: nil
   defp format_rate(n), do: format_fixed(n, 1)
   defp format_bytes(nil), do: nil
-  defp format_bytes(n), do: Figures.format_bytes(round(n))
+  defp format_bytes(n), do: StreamTotals.format_bytes(round(n))
   defp format_ms(nil), do: nil
   defp format_ms(ns), do: format_fixed(ns / 1.0e6, 2) <> " ms"
   defp format_clock_offset(%{offset: nil}), do: nil

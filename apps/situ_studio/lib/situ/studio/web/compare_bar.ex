@@ -7,7 +7,7 @@ defmodule Situ.Studio.Web.CompareBar do
   import Situ.Studio.Web.Icons
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Catalog, Comparison, WholeNumber}
+  alias Situ.Studio.{Catalog, Comparison, Int64}
 
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
   def handle_event("compare_dialog", _, %{assigns: assigns} = socket) do
@@ -38,7 +38,7 @@ defmodule Situ.Studio.Web.CompareBar do
   # The page has shifted the second recording. Later reads of it return the shifted times.
   def handle_event("compare_offset", %{"offset" => text}, %{assigns: assigns} = socket) do
     with %Comparison{} = compared <- assigns.compared,
-         {:ok, offset} <- WholeNumber.parse(text) do
+         {:ok, offset} <- Int64.parse(text) do
       {:noreply,
        assign(socket,
          compared: %{compared | offset: offset},

@@ -3,20 +3,20 @@ defmodule Situ.Studio.Web.DataHttp do
   # Data fetched over HTTP rather than streamed: windows for scripts and tests, audio, steps between messages, and
   # exported files.
   alias Situ.Live.{Request, Response}
-  alias Situ.Scratch
+  alias Situ.TempFolder
 
   alias Situ.Studio.{
     Catalog,
     Comparison,
     Draw,
-    Film,
+    VideoExport,
     Frame,
-    Path,
-    Sound,
+    ValuePath,
+    AudioSamples,
     Source,
     Thumbnail,
     Visualizers,
-    WholeNumber
+    Int64
   }
 
   # The longest exported audio file is one hour.
@@ -24,7 +24,7 @@ defmodule Situ.Studio.Web.DataHttp do
 
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
   def call(%Request{query: query}, {studio, :film}) do
-    with {:ok, path} <- Film.Job.fetch_file(studio, query["key"]),
+    with {:ok, path} <- VideoExport.Job.fetch_file(studio, query["key"]),
          {:ok, %{size: size}} <- File.stat(path) do
       file_response("video/mp4", "mp4", {:file, path, 0, size})
     else
@@ -47,11 +47,11 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp build_response(:window, query, source, extent) do
-    with {:ok, path} <- Path.parse(text_param(query["path"])),
-         {:ok, from} <- WholeNumber.parse(query["from"] || Integer.to_string(extent.from)),
+    with {:ok, path} <- ValuePath.parse(text_param(query["path"])),
+         {:ok, from} <- Int64.parse(query["from"] || Integer.to_string(extent.from)),
          {:ok, to} when to >= from <-
-           WholeNumber.parse(query["to"] || Integer.to_string(extent.to)),
-         {:ok, px} when px in 1..10_000 <- WholeNumber.parse(query["px"] || "1000"),
+           Int64.parse(query["to"] || Integer.to_string(extent.to)),
+         {:ok, px} when px in 1..10_000 <- Int64.parse(query["px"] || "1000"),
          {:ok, viz} <- Visualizers.fetch_by_id(query["viz"] || "line", query.visualizers) do
       spec = %{stream: text_param(query["stream"]), viz: viz, path: path}
       frame = Draw.draw_window(source, 0, spec, from, to, max(div(to - from, px), 1))
@@ -62,8 +62,8 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp build_response(:at, query, source, extent) do
-    with {:ok, path} <- Path.parse(text_param(query["path"])),
-         {:ok, time} <- WholeNumber.parse(query["at"]),
+    with {:ok, path} <- ValuePath.parse(text_param(query["path"])),
+         {:ok, time} <- Int64.parse(query["at"]),
          {:ok, viz} <- Visualizers.fetch_by_id(query["viz"] || "value", query.visualizers) do
       spec = %{stream: text_param(query["stream"]), viz: viz, path: path}
       {frame, _} = Draw.draw_instant(source, 0, spec, time, nil)
@@ -74,8 +74,8 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp build_response(:pcm, query, source, extent) do
-    with {:ok, from} <- WholeNumber.parse(query["from"]),
-         {:ok, to} <- WholeNumber.parse(query["to"]),
+    with {:ok, from} <- Int64.parse(query["from"]),
+         {:ok, to} <- Int64.parse(query["to"]),
          {:ok, channel} <- parse_channel(query["channel"] || "0") do
       case read_audio(source, text_param(query["stream"]), {from, to}, channel) do
         {:ok, {start, rate, channels, samples}} ->
@@ -90,7 +90,7 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp build_response(:step, query, source, _extent) do
-    with {:ok, at} <- WholeNumber.parse(query["at"]) do
+    with {:ok, at} <- Int64.parse(query["at"]) do
       {name, time} =
         if query["dir"] == "previous", do: {:latest_at, at - 1}, else: {:next_after, at}
 
@@ -107,11 +107,11 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp build_response(:csv, query, source, _extent) do
-    with {:ok, from} <- WholeNumber.parse(query["from"]),
-         {:ok, to} when to >= from <- WholeNumber.parse(query["to"]),
+    with {:ok, from} <- Int64.parse(query["from"]),
+         {:ok, to} when to >= from <- Int64.parse(query["to"]),
          {:ok, [_ | _] = streams} <- Situ.JSON.decode(text_param(query["streams"])),
          true <- Enum.all?(streams, &is_binary/1) do
-      body = {:chunks, Situ.Studio.Table.csv_chunks(source, streams, from, to)}
+      body = {:chunks, Situ.Studio.TableExport.csv_chunks(source, streams, from, to)}
       file_response("text/csv; charset=utf-8", "csv", body)
     else
       _ -> bad_request()
@@ -119,15 +119,15 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp build_response(:parquet, query, source, _extent) do
-    with {:ok, from} <- WholeNumber.parse(query["from"]),
-         {:ok, to} when to >= from <- WholeNumber.parse(query["to"]),
+    with {:ok, from} <- Int64.parse(query["from"]),
+         {:ok, to} when to >= from <- Int64.parse(query["to"]),
          {:ok, [_ | _] = streams} <- Situ.JSON.decode(text_param(query["streams"])),
          true <- Enum.all?(streams, &is_binary/1) do
-      folder = Situ.Error.unwrap!(Scratch.create_folder("table"))
+      folder = Situ.Error.unwrap!(TempFolder.create_folder("table"))
       path = Elixir.Path.join(folder, "selection.parquet")
 
       # A Parquet file's index is at its end, so the file must be complete before its first byte is sent.
-      case Situ.Studio.Table.write_parquet(source, streams, from, to, path) do
+      case Situ.Studio.TableExport.write_parquet(source, streams, from, to, path) do
         {:ok, _rows} ->
           file_response(
             "application/vnd.apache.parquet",
@@ -136,7 +136,7 @@ defmodule Situ.Studio.Web.DataHttp do
           )
 
         {:error, error} ->
-          Scratch.remove_folder(folder)
+          TempFolder.remove_folder(folder)
           Response.error(422, Exception.message(error))
       end
     else
@@ -145,9 +145,9 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp build_response(:wav, query, source, _extent) do
-    with {:ok, from} <- WholeNumber.parse(query["from"]),
-         {:ok, to} when to > from and to - from <= @longest_wav <- WholeNumber.parse(query["to"]) do
-      case Situ.Studio.Table.encode_wav(source, text_param(query["stream"]), from, to) do
+    with {:ok, from} <- Int64.parse(query["from"]),
+         {:ok, to} when to > from and to - from <= @longest_wav <- Int64.parse(query["to"]) do
+      case Situ.Studio.TableExport.encode_wav(source, text_param(query["stream"]), from, to) do
         {:ok, data} -> file_response("audio/wav", "wav", data)
         {:error, error} -> Response.error(422, error.what)
       end
@@ -171,14 +171,14 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp parse_channel("all"), do: {:ok, :all}
-  defp parse_channel(text), do: WholeNumber.parse(text)
+  defp parse_channel(text), do: Int64.parse(text)
 
   defp read_audio(source, stream, {from, to}, :all),
-    do: Sound.interleaved_samples(source, stream, from, to)
+    do: AudioSamples.interleaved_samples(source, stream, from, to)
 
   defp read_audio(source, stream, {from, to}, channel) do
     with {:ok, {start, rate, samples}} <-
-           Sound.channel_samples(source, stream, from, to, max(channel, 0)),
+           AudioSamples.channel_samples(source, stream, from, to, max(channel, 0)),
          do: {:ok, {start, rate, 1, samples}}
   end
 
@@ -194,7 +194,7 @@ defmodule Situ.Studio.Web.DataHttp do
       end,
       fn file ->
         :ok = :file.close(file)
-        Scratch.remove_folder(folder)
+        TempFolder.remove_folder(folder)
       end
     )
   end

@@ -4,11 +4,11 @@ defmodule Situ.Studio.Web.DatasetView do
   use Situ.Live.View
 
   alias Situ.Dataset.Server
-  alias Situ.Studio.{Batch, Catalog, Datasets, Export, Figures}
-  alias Situ.Studio.Batch.Left
-  alias Situ.Studio.Datasets.Facts
-  alias Situ.Studio.Web.Dataset.{BatchDialog, Dialogs, Edits, Page}
-  alias Situ.Studio.Web.Chrome
+  alias Situ.Studio.{BatchRuns, Catalog, Datasets, Export, StreamTotals}
+  alias Situ.Studio.BatchRuns.ResumableRuns
+  alias Situ.Studio.Datasets.Summary
+  alias Situ.Studio.Web.Dataset.{BatchDialog, Dialogs, Edits, Components}
+  alias Situ.Studio.Web.PageFrame
 
   @refresh_ms 2_000
 
@@ -41,13 +41,13 @@ defmodule Situ.Studio.Web.DatasetView do
 
     with {:ok, %{kind: :dataset, path: file}} <- Catalog.fetch_item(studio, id),
          {:ok, server} <- Datasets.open_server(studio, file) do
-      runs = Batch.subscribe(studio, file)
+      runs = BatchRuns.subscribe(studio, file)
       if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
 
       socket =
         assign(socket, file: file, server: server, dataset: Server.get_dataset(server), runs: runs)
 
-      socket = assign(socket, left: Left.list_interrupted(file))
+      socket = assign(socket, left: ResumableRuns.list_interrupted(file))
       {:ok, if(connected?(socket), do: refresh_facts(socket), else: socket)}
     else
       {:error, error} ->
@@ -61,14 +61,14 @@ defmodule Situ.Studio.Web.DatasetView do
   # A separate process reads the recordings, so a read that hangs does not block the page.
   defp refresh_facts(socket) do
     paths = for s <- socket.assigns.dataset.sessions, p <- s.partitions, uniq: true, do: p.path
-    stamps = Map.new(paths, &{&1, Facts.file_stamp(&1)})
+    stamps = Map.new(paths, &{&1, Summary.file_stamp(&1)})
     changed = Enum.reject(paths, &(socket.assigns.stamps[&1] == stamps[&1]))
     page = self()
 
     if changed != [] do
       Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
         Situ.Studio.Tasks
-        |> Task.Supervisor.async_stream_nolink(changed, &{&1, Facts.of_recording(&1)},
+        |> Task.Supervisor.async_stream_nolink(changed, &{&1, Summary.of_recording(&1)},
           ordered: false,
           timeout: 30_000,
           on_timeout: :kill_task
@@ -83,7 +83,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
   @impl true
   def handle_event("search", %{"query" => query} = params, socket) when is_binary(query) do
-    info = Figures.parse_choice(params["info"], socket.assigns.info)
+    info = StreamTotals.parse_choice(params["info"], socket.assigns.info)
     {:noreply, assign(socket, query: String.slice(query, 0, 200), info: info)}
   end
 
@@ -202,14 +202,14 @@ defmodule Situ.Studio.Web.DatasetView do
   defp now_ms, do: System.monotonic_time(:millisecond)
 
   @impl true
-  def render(%{error: %{}} = assigns), do: Chrome.error_page(assigns)
+  def render(%{error: %{}} = assigns), do: PageFrame.error_page(assigns)
 
   def render(assigns) do
     ~H"""
     <div id="dataset" class="dataset" phx-hook="Lists">
-      <Page.top_bar title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
-      <Page.session_tree {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
-      <Page.dataset_sidebar {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
+      <Components.top_bar title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
+      <Components.session_tree {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
+      <Components.dataset_sidebar {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
       <Dialogs.dataset_dialog :if={@dialog != nil} dialog={@dialog} />
       <div id="toast" role="status" phx-update="ignore"></div>
     </div>

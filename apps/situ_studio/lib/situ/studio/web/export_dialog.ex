@@ -6,7 +6,7 @@ defmodule Situ.Studio.Web.ExportDialog do
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Catalog, Export, WholeNumber}
+  alias Situ.Studio.{Catalog, Export, Int64}
 
   @doc "Returns whether the item is a recording on disk and the studio may write to it."
   @spec available?(map()) :: boolean()
@@ -21,8 +21,8 @@ defmodule Situ.Studio.Web.ExportDialog do
 
   # The page sends the selection, or the visible range if nothing is selected.
   defp apply_event("export_dialog", %{"from" => from, "to" => to, "of" => of}, socket) do
-    with {:ok, from} <- WholeNumber.parse(from),
-         {:ok, to} <- WholeNumber.parse(to) do
+    with {:ok, from} <- Int64.parse(from),
+         {:ok, to} <- Int64.parse(to) do
       {:noreply, assign(socket, dialog: {:export, from, to, of == "selection"})}
     else
       :error -> {:noreply, socket}

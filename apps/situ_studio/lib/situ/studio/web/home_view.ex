@@ -4,9 +4,9 @@ defmodule Situ.Studio.Web.HomeView do
   use Situ.Live.View
   import Situ.Studio.Web.Icons
   alias Situ.Dataset
-  alias Situ.Studio.{Alerts, Catalog, Export, Figures}
-  alias Situ.Studio.Datasets.Facts
-  alias Situ.Studio.Web.{Address, ClusterView}
+  alias Situ.Studio.{Alerts, Catalog, Export, StreamTotals}
+  alias Situ.Studio.Datasets.Summary
+  alias Situ.Studio.Web.{Paths, ClusterView}
 
   @refresh_ms 2_000
   # The page shows at most this many rows, and reads the facts of at most this many recordings and datasets.
@@ -56,7 +56,7 @@ defmodule Situ.Studio.Web.HomeView do
          false <- File.exists?(file),
          {:ok, _} <- Dataset.new(name, file: file, autosave: true) do
       Catalog.invalidate_recordings(socket.assigns.studio)
-      {:noreply, push_event(socket, "go", %{href: Address.dataset_path(name <> ".json")})}
+      {:noreply, push_event(socket, "go", %{href: Paths.dataset_path(name <> ".json")})}
     else
       true -> {:noreply, show_toast(socket, "#{name}.json already exists")}
       {:error, error} -> {:noreply, show_toast(socket, Exception.message(error))}
@@ -100,17 +100,17 @@ defmodule Situ.Studio.Web.HomeView do
   # Streams in memory have no file whose change could be detected, so live ones are read every time.
   defp item_stamp(%{kind: :source}, %{live: true}), do: make_ref()
   defp item_stamp(%{kind: :source}, _), do: :in_memory
-  defp item_stamp(%{path: path}, _), do: Facts.file_stamp(path)
+  defp item_stamp(%{path: path}, _), do: Summary.file_stamp(path)
 
   defp read_facts(studio, %{kind: :source, id: id}) do
     case Catalog.open_source(studio, id) do
-      {:ok, _item, source} -> Facts.of_source(source)
-      {:error, error} -> %Facts{error: error}
+      {:ok, _item, source} -> Summary.of_source(source)
+      {:error, error} -> %Summary{error: error}
     end
   end
 
-  defp read_facts(_studio, %{kind: :dataset, path: path}), do: Facts.of_dataset(path)
-  defp read_facts(_studio, %{path: path}), do: Facts.of_recording(path)
+  defp read_facts(_studio, %{kind: :dataset, path: path}), do: Summary.of_dataset(path)
+  defp read_facts(_studio, %{path: path}), do: Summary.of_recording(path)
 
   @impl true
   def render(assigns) do
@@ -134,7 +134,7 @@ defmodule Situ.Studio.Web.HomeView do
             phx-debounce="80" aria-label="Search names and streams">
       </form>
       <div class="list">
-        <a :for={item <- @found} :key={row_id(item)} id={row_id(item)} class="item" href={Address.item_path(item)}>
+        <a :for={item <- @found} :key={row_id(item)} id={row_id(item)} class="item" href={Paths.item_path(item)}>
           <.item_thumbnail item={item} facts={@facts[item.id]} />
           <span><b>{item.title}</b><span class="dim"><span
             :for={said <- describe_item(item, @facts[item.id])}>{said}</span></span></span>
@@ -174,7 +174,7 @@ defmodule Situ.Studio.Web.HomeView do
   defp item_thumbnail(assigns) do
     ~H"""
     <img :if={has_thumbnail?(@facts)} class="thumb" alt="" loading="lazy" width="96" height="54"
-        src={Address.thumbnail_path(@item.id)}>
+        src={Paths.thumbnail_path(@item.id)}>
     <span :if={not has_thumbnail?(@facts)} class="thumb"><.icon
         name={if @item.kind == :pipeline, do: :pipeline, else: :store} /></span>
     """
@@ -211,10 +211,10 @@ defmodule Situ.Studio.Web.HomeView do
 
     Enum.reject(
       [
-        Facts.format_duration(facts),
+        Summary.format_duration(facts),
         if(streams == 1, do: "1 stream", else: "#{streams} streams"),
         # the memory used by messages is not measured
-        if(item.kind == :source, do: "", else: Figures.format_bytes(facts.size))
+        if(item.kind == :source, do: "", else: StreamTotals.format_bytes(facts.size))
       ],
       &(&1 == "")
     )
@@ -233,7 +233,7 @@ defmodule Situ.Studio.Web.HomeView do
 
   defp modification_time(_), do: nil
 
-  # Annotation files are named after their recording, in the same folder (`Situ.Studio.Annotating.Shelf`).
+  # Annotation files are named after their recording, in the same folder (`Situ.Studio.Annotations.Files`).
   defp kind_text(%{kind: :store, title: title}) do
     case String.split(Path.basename(title), "-annotation-", parts: 2) do
       [of, _] when of != "" -> "annotations of #{of}"

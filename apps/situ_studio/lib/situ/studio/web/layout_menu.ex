@@ -5,8 +5,8 @@ defmodule Situ.Studio.Web.LayoutMenu do
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Comparison, Layout, Layouts, Link, Settings, WholeNumber}
-  alias Situ.Studio.Source.Beside
+  alias Situ.Studio.{Comparison, Layout, Layouts, Link, Settings, Int64}
+  alias Situ.Studio.Source.Compared
 
   @doc "Chooses the layout that the page's address names, or the automatic one."
   @spec choose_layout(Socket.t(), map()) :: Socket.t()
@@ -39,7 +39,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
       )
 
     # an offset in the address takes precedence over the offset saved with the layout
-    if WholeNumber.parse(params["offset"]) == :error,
+    if Int64.parse(params["offset"]) == :error,
       do: apply_saved_offset(socket, saved),
       else: socket
   end
@@ -84,8 +84,8 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   # A compared stream is shown in its counterpart's panel, so the automatic layout has no panels for it.
   defp automatic_layout(assigns) do
-    infos = Enum.reject(assigns.infos, &Beside.compared_stream?(&1.name))
-    Layout.Auto.build_layout(infos, Layout.Look.detect_looks(assigns.source, infos))
+    infos = Enum.reject(assigns.infos, &Compared.compared_stream?(&1.name))
+    Layout.Auto.build_layout(infos, Layout.ImageLook.detect_looks(assigns.source, infos))
   end
 
   defp add_compared_streams(layout, %{compared: nil}), do: layout

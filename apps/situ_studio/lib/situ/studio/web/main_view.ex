@@ -14,26 +14,26 @@ defmodule Situ.Studio.Web.MainView do
     Settings,
     Source,
     Statistics,
-    WholeNumber
+    Int64
   }
 
   alias Situ.Studio.Web.{
-    Address,
+    Paths,
     AlertBox,
-    Annotation,
-    Chrome,
+    AnnotationPanel,
+    PageFrame,
     CompareBar,
-    Derivation,
-    Edit,
+    DerivedStreams,
+    LayoutEdits,
     ExportDialog,
-    FilmBox,
-    KnownStreams,
+    VideoExportBox,
+    StreamFacts,
     LayoutMenu,
     Panels,
     QueryPanel,
-    Side,
+    Sidebars,
     StreamTree,
-    Together
+    SharedCursors
   }
 
   @refresh_ms 2_000
@@ -89,12 +89,15 @@ defmodule Situ.Studio.Web.MainView do
         socket = assign(socket, selected: stream && {:stream, stream})
 
         socket =
-          socket |> LayoutMenu.choose_layout(params) |> reload_shifted(socket) |> Together.join()
+          socket
+          |> LayoutMenu.choose_layout(params)
+          |> reload_shifted(socket)
+          |> SharedCursors.join()
 
         {:ok,
          socket
-         |> Derivation.ensure_loaded(&load_streams/1)
-         |> Annotation.open_from_params(params)}
+         |> DerivedStreams.ensure_loaded(&load_streams/1)
+         |> AnnotationPanel.open_from_params(params)}
 
       {:error, error} ->
         {:ok, assign(socket, error: error)}
@@ -103,7 +106,7 @@ defmodule Situ.Studio.Web.MainView do
 
   defp existing_stream(stream, shapes), do: if(is_map_key(shapes, stream), do: stream)
 
-  defp load_streams(socket), do: KnownStreams.load(socket)
+  defp load_streams(socket), do: StreamFacts.load(socket)
 
   defp refresh_streams(%{assigns: %{shapes: shapes}} = socket),
     do: socket |> load_streams() |> LayoutMenu.update_automatic(shapes)
@@ -129,7 +132,7 @@ defmodule Situ.Studio.Web.MainView do
       {:noreply,
        assign(socket,
          seen_lanes: seen,
-         lanes: KnownStreams.lane_counts(socket.assigns.infos, seen)
+         lanes: StreamFacts.lane_counts(socket.assigns.infos, seen)
        )}
     else
       {:noreply, socket}
@@ -173,8 +176,8 @@ defmodule Situ.Studio.Web.MainView do
 
   # Computes statistics of the messages in the selection, for each stream of a panel.
   def handle_event("statistics", %{"panel" => id, "from" => from, "to" => to}, socket) do
-    with {:ok, from} <- WholeNumber.parse(from),
-         {:ok, to} when to >= from <- WholeNumber.parse(to),
+    with {:ok, from} <- Int64.parse(from),
+         {:ok, to} when to >= from <- Int64.parse(to),
          %{vis: vis} <- Layout.find_panel(socket.assigns.layout, id) do
       Statistics.compute_async(socket.assigns.source, vis, from, to)
       {:noreply, socket}
@@ -186,12 +189,12 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("layout_" <> _ = event, params, socket) do
     {:noreply, chosen} = LayoutMenu.handle_event(event, params, socket)
     chosen = record_layout_pick(chosen, socket.assigns)
-    {:noreply, chosen |> reload_shifted(socket) |> Derivation.ensure_loaded(&load_streams/1)}
+    {:noreply, chosen |> reload_shifted(socket) |> DerivedStreams.ensure_loaded(&load_streams/1)}
   end
 
   # Adds a stream that an expression derives from other streams.
   def handle_event("derive", %{"text" => text}, socket) when is_binary(text) do
-    case Derivation.add_stream(socket, text) do
+    case DerivedStreams.add_stream(socket, text) do
       {:ok, name, socket} ->
         handle_event("add_stream", %{"stream" => name}, load_streams(socket))
 
@@ -201,7 +204,7 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event("derive_members", %{"stream" => stream}, socket) when is_binary(stream),
-    do: {:noreply, Derivation.derive_members(socket, stream, &load_streams/1)}
+    do: {:noreply, DerivedStreams.derive_members(socket, stream, &load_streams/1)}
 
   def handle_event("export_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: ExportDialog.handle_event(event, params, socket)
@@ -213,11 +216,11 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event("film_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
-    do: FilmBox.handle_event(event, params, socket)
+    do: VideoExportBox.handle_event(event, params, socket)
 
   def handle_event("annotation_" <> _ = event, params, socket)
       when is_map_key(socket.assigns, :item),
-      do: Annotation.handle_event(event, params, socket)
+      do: AnnotationPanel.handle_event(event, params, socket)
 
   def handle_event("query_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: {:noreply, QueryPanel.handle_event(event, params, socket)}
@@ -229,12 +232,12 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event("together", params, socket),
-    do: {:noreply, Together.broadcast_view(socket, params)}
+    do: {:noreply, SharedCursors.broadcast_view(socket, params)}
 
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
-    case Edit.apply_event(event, params, socket.assigns) do
+    case LayoutEdits.apply_event(event, params, socket.assigns) do
       {:ok, changes} ->
         {:noreply,
          socket |> record_change(event, changes) |> assign(changes) |> LayoutMenu.save_changes()}
@@ -278,20 +281,21 @@ defmodule Situ.Studio.Web.MainView do
     do: {:noreply, push_event(socket, "statistics", %{rows: rows})}
 
   def handle_info({:film, key, told}, socket),
-    do: {:noreply, FilmBox.update_progress(socket, key, told)}
+    do: {:noreply, VideoExportBox.update_progress(socket, key, told)}
 
-  def handle_info({:together, told}, socket), do: {:noreply, Together.push_view(socket, told)}
+  def handle_info({:together, told}, socket),
+    do: {:noreply, SharedCursors.push_view(socket, told)}
 
   def handle_info({:proposed, result}, socket),
-    do: {:noreply, Annotation.report_proposals(socket, result)}
+    do: {:noreply, AnnotationPanel.report_proposals(socket, result)}
 
   def handle_info({:situ_annotation, _, _}, socket),
-    do: {:noreply, Annotation.push_annotations(socket)}
+    do: {:noreply, AnnotationPanel.push_annotations(socket)}
 
   # The facts about a live source keep changing.
   def handle_info(:refresh, socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
-    socket = Annotation.refresh_editor(socket)
+    socket = AnnotationPanel.refresh_editor(socket)
 
     case Source.call(socket.assigns.source, :extent, []) do
       {:ok, %{live: true}} -> {:noreply, socket |> refresh_streams() |> load_alerts()}
@@ -308,7 +312,7 @@ defmodule Situ.Studio.Web.MainView do
     do: push_event(socket, "toast", %{text: Exception.message(error)})
 
   @impl true
-  def render(%{error: %{}} = assigns), do: Chrome.error_page(assigns)
+  def render(%{error: %{}} = assigns), do: PageFrame.error_page(assigns)
 
   def render(assigns) do
     {rows, more} = StreamTree.visible_rows(assigns)
@@ -338,37 +342,37 @@ defmodule Situ.Studio.Web.MainView do
         data-edit={@edit} data-tiles={@tiles && @tiles.url} data-credit={@tiles && @tiles.credit}
         data-annotate={@annotation && @annotation.stream}
         data-keep={@saved.name != Layout.Auto.layout_name() && @keep}>
-      <Chrome.top_bar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
+      <PageFrame.top_bar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
           read_only={@read_only} export={ExportDialog.available?(assigns)}
-          annotate={Annotation.available?(assigns)} pipeline={pipeline_path(@item, @infos)} />
-      <Side.streams_sidebar sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
+          annotate={AnnotationPanel.available?(assigns)} pipeline={pipeline_path(@item, @infos)} />
+      <Sidebars.streams_sidebar sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names}
           parts={Enum.map(@item.parts, &elem(&1, 0))}
-          kinds={KnownStreams.encode_visualizers(@extra)} />
+          kinds={StreamFacts.encode_visualizers(@extra)} />
       <main class="centre">
-        <Chrome.damage_notice :if={@damage != []} damage={@damage} path={@item.path} />
+        <PageFrame.damage_notice :if={@damage != []} damage={@damage} path={@item.path} />
         <AlertBox.alert_list alerts={@alerts} />
         <CompareBar.comparison_bar :if={@compared} compared={@compared} title={@item.title} />
-        <FilmBox.export_status :if={@film} film={@film} />
+        <VideoExportBox.export_status :if={@film} film={@film} />
         <button class="pill" type="button" data-act="live"
           title="Follow the live data (l)">Back to live</button>
         <Panels.panel_stack layout={@layout} selected={@selected} maximised={@maximised} known={@known}
           annotation={@annotation && @annotation.stream} streams={length(@infos)} />
       </main>
-      <Side.properties_sidebar stream={@stream} group={@group} panel={@panel} known={@known} snap={@snap} />
-      <QueryPanel.search_panel :if={@query_panel} panel={@query_panel} from={KnownStreams.data_start(assigns)}
-          annotate={Annotation.available?(assigns)} />
-      <Chrome.status_bar infos={@infos} layout={@layout} source={@item.title} read_only={@read_only} viewer={@viewer}
+      <Sidebars.properties_sidebar stream={@stream} group={@group} panel={@panel} known={@known} snap={@snap} />
+      <QueryPanel.search_panel :if={@query_panel} panel={@query_panel} from={StreamFacts.data_start(assigns)}
+          annotate={AnnotationPanel.available?(assigns)} />
+      <PageFrame.status_bar infos={@infos} layout={@layout} source={@item.title} read_only={@read_only} viewer={@viewer}
           snap={@snap} />
-      <Annotation.annotation_dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
+      <AnnotationPanel.annotation_dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
           schemas={elem(@dialog, 2)} />
-      <Annotation.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
+      <AnnotationPanel.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
       <CompareBar.comparison_dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
       <LayoutMenu.save_dialog :if={@dialog == :layout} saved={@saved} />
       <ExportDialog.export_dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
           layout={@layout} shapes={@shapes} />
     </div>
-    <Chrome.script_dialogs />
+    <PageFrame.script_dialogs />
     """
   end
 
@@ -386,6 +390,6 @@ defmodule Situ.Studio.Web.MainView do
   defp pipeline_path(item, infos) do
     if item.kind == :pipeline or
          Enum.any?(infos, &String.contains?(to_string(&1.type), "Diagnostics.Snapshot")),
-       do: Address.pipeline_path(item.id)
+       do: Paths.pipeline_path(item.id)
   end
 end

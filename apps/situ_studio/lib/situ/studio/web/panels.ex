@@ -3,9 +3,9 @@ defmodule Situ.Studio.Web.Panels do
   # The center of the page: rows of panels. The page's script renders the inside of each panel.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
-  alias Situ.Studio.Web.Annotation
-  alias Situ.Studio.{Color, Layout, Visualizer, Visualizers}
-  alias Situ.Studio.Source.Beside
+  alias Situ.Studio.Web.AnnotationPanel
+  alias Situ.Studio.{StreamColors, Layout, Visualizer, Visualizers}
+  alias Situ.Studio.Source.Compared
 
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
@@ -37,7 +37,7 @@ defmodule Situ.Studio.Web.Panels do
         <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" role="group"
             aria-label="Time navigator"></div>
         <.panel_row :for={line <- @main} :key={row_id(line)} line={line} selected={@selected} max={@max} known={@known} />
-        <Annotation.annotation_panel :if={@annotation} stream={@annotation} />
+        <AnnotationPanel.annotation_panel :if={@annotation} stream={@annotation} />
         <div :if={@layout.rows == [] and @streams > 0}
             class="empty"><b>Nothing shown yet</b><span>Double-click a stream on the left, or drag it here.</span></div>
         <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>{if @known.damaged,
@@ -147,7 +147,7 @@ defmodule Situ.Studio.Web.Panels do
   @spec encode_config(Layout.Panel.t(), map()) :: String.t()
   def encode_config(panel, known) do
     short = short_names(panel.vis)
-    colors = Color.assign_colors(Enum.map(panel.vis, & &1.stream), known.colors)
+    colors = StreamColors.assign_colors(Enum.map(panel.vis, & &1.stream), known.colors)
 
     vis =
       for {v, index} <- Enum.with_index(panel.vis) do
@@ -185,10 +185,10 @@ defmodule Situ.Studio.Web.Panels do
 
   # A stream of the compared recording has the same name as its counterpart, with a mark.
   defp mark_compared(%{stream: stream}, name),
-    do: if(Beside.compared_stream?(stream), do: "⇄ " <> name, else: name)
+    do: if(Compared.compared_stream?(stream), do: "⇄ " <> name, else: name)
 
   defp unmarked_names(vis) do
-    {own, compared} = Enum.split_with(vis, &(not Beside.compared_stream?(&1.stream)))
+    {own, compared} = Enum.split_with(vis, &(not Compared.compared_stream?(&1.stream)))
     short = Map.merge(index_short_names(own), index_short_names(compared))
     Enum.map(vis, &short[{&1.stream, &1.path}])
   end

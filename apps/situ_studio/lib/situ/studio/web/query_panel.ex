@@ -6,14 +6,14 @@ defmodule Situ.Studio.Web.QueryPanel do
   import Situ.Studio.Web.Icons
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Annotating, Finding, WholeNumber}
+  alias Situ.Studio.{Annotations, IntervalSearch, Int64}
 
   # At most this many intervals are listed, but all of them become annotations.
   @listed 200
 
   @doc "Returns whether the item has recordings on disk that can be searched."
   @spec available?(map()) :: boolean()
-  def available?(%{item: item}), do: Finding.searchable_parts(item) != []
+  def available?(%{item: item}), do: IntervalSearch.searchable_parts(item) != []
   def available?(_), do: false
 
   @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
@@ -32,20 +32,20 @@ defmodule Situ.Studio.Web.QueryPanel do
       )
       when is_binary(text) do
     text = String.slice(text, 0, 1_000)
-    parts = Finding.searchable_parts(socket.assigns.item)
+    parts = IntervalSearch.searchable_parts(socket.assigns.item)
     page = self()
     run = make_ref()
 
     # the page stays responsive, and the result of an earlier query is dropped
     Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
-      send(page, {:found, run, Finding.run_query(parts, text)})
+      send(page, {:found, run, IntervalSearch.run_query(parts, text)})
     end)
 
     assign(socket, query_panel: %{panel | text: text, run: run, found: nil, error: nil})
   end
 
   def handle_event("query_go", %{"from" => from, "to" => to}, socket) do
-    with {:ok, _} <- WholeNumber.parse(from), {:ok, _} <- WholeNumber.parse(to) do
+    with {:ok, _} <- Int64.parse(from), {:ok, _} <- Int64.parse(to) do
       push_event(socket, "select_times", %{from: from, to: to})
     else
       :error -> socket
@@ -58,13 +58,13 @@ defmodule Situ.Studio.Web.QueryPanel do
         %{assigns: %{query_panel: %{found: %{}} = panel}} = socket
       ) do
     %{studio: studio, item: item, read_only: read_only} = socket.assigns
-    {:ok, schema} = Annotating.parse_schema("Query", "")
+    {:ok, schema} = Annotations.parse_schema("Query", "")
 
     with true <- (item.kind == :store and not read_only) or {:error, not_annotatable_error()},
-         {:ok, editor} <- Annotating.open_editor(studio, item.path, "Query", schema),
+         {:ok, editor} <- Annotations.open_editor(studio, item.path, "Query", schema),
          found = Enum.map(panel.found.intervals, &build_proposal(&1, panel.text)),
-         {:ok, _} <- Annotating.add_proposals(editor, found, "query") do
-      Situ.Studio.Web.Annotation.open_layer(socket, "Query")
+         {:ok, _} <- Annotations.add_proposals(editor, found, "query") do
+      Situ.Studio.Web.AnnotationPanel.open_layer(socket, "Query")
     else
       {:error, error} -> show_toast(socket, Exception.message(error))
     end

@@ -5,7 +5,7 @@ defmodule Situ.Studio.Web.SettingsView do
   import Situ.Studio.Web.Icons
 
   alias Situ.Studio.Alerts.Rule
-  alias Situ.Studio.{Catalog, Figures, Layout, Layouts, Settings}
+  alias Situ.Studio.{Catalog, StreamTotals, Layout, Layouts, Settings}
 
   @keep [
     by_hand: "only when saved manually",
@@ -54,7 +54,7 @@ defmodule Situ.Studio.Web.SettingsView do
 
   @impl true
   def render(assigns) do
-    assigns = assign(assigns, keep: @keep, info: Figures.list_choices())
+    assigns = assign(assigns, keep: @keep, info: StreamTotals.list_choices())
 
     ~H"""
     <main class="home settings" id="settings" phx-hook="Lists">

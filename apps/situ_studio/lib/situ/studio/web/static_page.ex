@@ -28,7 +28,7 @@ defmodule Situ.Studio.Web.StaticPage do
 
   @doc "Builds a page from a `:title`, a `:body` and an optional `:script`; `:status` is 200 by default."
   @spec build_response(base :: String.t(), keyword()) :: Response.t()
-  # The base is inserted unescaped: `Situ.Live.Public` checks that it has no characters that are special in HTML.
+  # The base is inserted unescaped: `Situ.Live.PublicAddress` checks that it has no characters that are special in HTML.
   def build_response(base, parts) do
     texts = [
       base: base,

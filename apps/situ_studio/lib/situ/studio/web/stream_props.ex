@@ -2,8 +2,8 @@ defmodule Situ.Studio.Web.StreamProps do
   @moduledoc false
   # The properties of a stream, or of all streams of a group, in the right sidebar.
   use Situ.Live.Component
-  import Situ.Studio.Web.Times
-  alias Situ.Studio.{Figures, Visualizers}
+  import Situ.Studio.Web.TimeLabels
+  alias Situ.Studio.{StreamTotals, Visualizers}
 
   attr(:figures, :any, required: true)
 
@@ -17,7 +17,7 @@ defmodule Situ.Studio.Web.StreamProps do
             {"Latency, mean", :latency},
             {"Duration", :span}
           ],
-          text = Figures.format_figure(choice, assigns.figures),
+          text = StreamTotals.format_figure(choice, assigns.figures),
           text != "",
           do: {title, text}
 
@@ -48,8 +48,8 @@ defmodule Situ.Studio.Web.StreamProps do
   def group_properties(assigns) do
     ~H"""
     <h2>{@group.path}</h2>
-    <div class="sub">{Figures.format_figure(:streams, Figures.sum_streams(@group.streams))} in total</div>
-    <.figure_list figures={Figures.sum_streams(@group.streams)} />
+    <div class="sub">{StreamTotals.format_figure(:streams, StreamTotals.sum_streams(@group.streams))} in total</div>
+    <.figure_list figures={StreamTotals.sum_streams(@group.streams)} />
     """
   end
 
@@ -62,7 +62,7 @@ defmodule Situ.Studio.Web.StreamProps do
     ~H"""
     <h2>{@stream.name}</h2>
     <div class="sub">{@stream.type}</div>
-    <.figure_list figures={Figures.sum_streams([@stream])} />
+    <.figure_list figures={StreamTotals.sum_streams([@stream])} />
     <dl>
       <dt :if={@stream.keys != []}>Lanes</dt><dd :if={@stream.keys != []}>{Enum.join(@stream.keys, ", ")}</dd>
       <div :for={{name, value} <- @stream.details} style="display: contents"><dt>{name}</dt><dd><.detail_value

@@ -4,13 +4,13 @@ defmodule Situ.Studio.Web.StreamTree do
   import Situ.Live.Socket, only: [assign: 2]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Figures, StreamInfo, Tree}
+  alias Situ.Studio.{StreamTotals, StreamInfo, Tree}
 
   @max_rows 400
 
   @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
   def handle_event("search", %{"query" => query} = params, socket) when is_binary(query) do
-    info = Figures.parse_choice(params["info"], socket.assigns.info)
+    info = StreamTotals.parse_choice(params["info"], socket.assigns.info)
     assign(socket, query: String.slice(query, 0, 200), info: info)
   end
 

@@ -82,7 +82,7 @@ defmodule Situ.Studio.Web.ClusterViewTest do
     {:ok, messages, :all} =
       Source.call(source, :messages, ["Sum.Scan", 0, 4_000_000_000_000_000_000, 1_000_000])
 
-    assert Enum.count(messages, &is_struct(&1.data, Situ.Studio.Hole)) == 1
+    assert Enum.count(messages, &is_struct(&1.data, Situ.Studio.Gap)) == 1
     Situ.Cluster.forget(deployed)
   end
 

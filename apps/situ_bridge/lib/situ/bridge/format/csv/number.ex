@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Format.Csv.Number do
   @moduledoc false
   # Formats numbers as .NET's invariant culture does, and parses fields into values.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
 
   @canonical ~r/\A-?(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d{1,3})?\z/
 

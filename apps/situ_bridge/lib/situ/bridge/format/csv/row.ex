@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Format.Csv.Row do
   @moduledoc false
   # One record of fields (RFC 4180): fields with commas, quotes or line breaks are quoted, and quotes are doubled.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
 
   @most 16 * 1024 * 1024
 

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Bag.Chunk do
   @moduledoc false
   # Reads and unpacks a chunk of a bag. If the file is cut short, the last chunk is read up to the end of the file.
-  import Situ.Bits, only: [pinned_size: 1]
+  import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
 

@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   @behaviour Situ.Bridge.Recorder
   # Writes a bag: chunks of records, each followed by its index, and the connections and chunk infos at the end. The
   # first record of the file contains the position of the connections.
-  alias Situ.Bridge.Mcap.{Channel, Extra}
+  alias Situ.Bridge.Mcap.{Channel, ExtraFields}
   alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
   alias Situ.Bridge.Ros.Definition
@@ -101,7 +101,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   def write(writer, topic, message, opts) do
     with {:ok, writer, channel} <- ensure_channel(writer, topic, message.data, opts),
          {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
-         {recorded, _sent} = Extra.fetch_times(message),
+         {recorded, _sent} = ExtraFields.fetch_times(message),
          {:ok, time} <- check_time(topic, recorded) do
       record =
         Record.encode_record(

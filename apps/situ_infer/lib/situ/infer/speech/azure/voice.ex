@@ -9,7 +9,7 @@ defmodule Situ.Infer.Speech.Azure.Voice do
 
   alias Situ.{AudioBuffer, AudioFormat}
   alias Situ.Infer.Service
-  alias Situ.Infer.Speech.{Azure, Upload}
+  alias Situ.Infer.Speech.{Azure, RequestEncoding}
 
   @rate 24_000
 
@@ -25,7 +25,7 @@ defmodule Situ.Infer.Speech.Azure.Voice do
       {"x-microsoft-outputformat", "raw-24khz-16bit-mono-pcm"}
     ]
 
-    with :ok <- Upload.check_text(text),
+    with :ok <- RequestEncoding.check_text(text),
          {:ok, %{body: data}} <-
            Service.post(
              azure.synthesizer,
@@ -46,11 +46,11 @@ defmodule Situ.Infer.Speech.Azure.Voice do
   defp build_ssml(text, opts) do
     [
       ~s(<speak version="1.0" xmlns="http://www.w3.org/2001/10/synthesis" xml:lang="),
-      Upload.escape_xml(opts.language),
+      RequestEncoding.escape_xml(opts.language),
       ~s("><voice name="),
-      Upload.escape_xml(opts.voice),
+      RequestEncoding.escape_xml(opts.voice),
       ~s(">),
-      Upload.escape_xml(text),
+      RequestEncoding.escape_xml(text),
       "</voice></speak>"
     ]
   end

@@ -9,7 +9,7 @@ defmodule Situ.Infer.Speech.OpenAI.Voice do
 
   alias Situ.{AudioBuffer, AudioFormat}
   alias Situ.Infer.Service
-  alias Situ.Infer.Speech.{OpenAI, Upload}
+  alias Situ.Infer.Speech.{OpenAI, RequestEncoding}
 
   @impl true
   @spec load(keyword()) :: {:ok, OpenAI.t()} | {:error, Situ.Error.t()}
@@ -21,7 +21,7 @@ defmodule Situ.Infer.Speech.OpenAI.Voice do
     body = %{model: opts.synthesizer, voice: opts.voice, input: text, response_format: "pcm"}
     format = AudioFormat.pcm(round(opts.rate))
 
-    with :ok <- Upload.check_text(text),
+    with :ok <- RequestEncoding.check_text(text),
          {:ok, %{body: data}} <-
            Service.post(
              service,

@@ -7,7 +7,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
   use GenServer
 
   alias Situ.{Error, JSON}
-  alias Situ.Remote.Log.Nats.{Dial, Wire}
+  alias Situ.Remote.Log.Nats.{Dialer, Protocol}
   require Logger
 
   # Space for the headers of requests and replies, in addition to the payload.
@@ -37,7 +37,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   @doc "Sends a message and waits `timeout` ms for its reply."
   @spec request(pid(), String.t(), [{String.t(), String.t()}], iodata(), pos_integer()) ::
-          {:ok, Wire.message()} | {:error, :down | :timeout}
+          {:ok, Protocol.message()} | {:error, :down | :timeout}
   def request(connection, subject, headers, data, timeout) do
     GenServer.call(connection, {:request, subject, headers, data, timeout}, timeout + 5_000)
   catch
@@ -117,7 +117,10 @@ defmodule Situ.Remote.Log.Nats.Connection do
     number = state.number + 1
     reply = "#{state.inbox}.#{number}"
 
-    case state.transport.send(state.socket, Wire.encode_publish(subject, reply, headers, data)) do
+    case state.transport.send(
+           state.socket,
+           Protocol.encode_publish(subject, reply, headers, data)
+         ) do
       :ok ->
         timer = Process.send_after(self(), {:late, number}, timeout)
         pending = Map.put(state.pending, number, {from, timer})
@@ -132,7 +135,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
   def handle_cast({:publish, _, _, _}, %{socket: nil} = state), do: {:noreply, state}
 
   def handle_cast({:publish, subject, reply, data}, state) do
-    case state.transport.send(state.socket, Wire.encode_publish(subject, reply, [], data)) do
+    case state.transport.send(state.socket, Protocol.encode_publish(subject, reply, [], data)) do
       :ok -> {:noreply, state}
       {:error, _} -> {:noreply, handle_disconnect(state)}
     end
@@ -173,7 +176,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp handle_buffer(state) do
-    case Wire.parse_frame(state.buffer, max_frame_size(state.info)) do
+    case Protocol.parse_frame(state.buffer, max_frame_size(state.info)) do
       :more -> activate_socket(state)
       {:ok, frame, rest} -> frame |> handle_frame(%{state | buffer: rest}) |> handle_rest()
       {:error, _why} -> handle_disconnect(state)
@@ -255,7 +258,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
   # Connecting
 
   defp connect_next(%{servers: [server | _]} = state) do
-    with {:ok, dialed} <- Dial.connect(server, state.opts) do
+    with {:ok, dialed} <- Dialer.connect(server, state.opts) do
       %{transport: transport, socket: socket, inbox: inbox, info: info, rest: rest} = dialed
       state = %{state | transport: transport, socket: socket, inbox: inbox, info: info}
       {:ok, %{state | buffer: rest} |> notify_subscriber(:up) |> handle_buffer()}
@@ -264,7 +267,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
   defp max_frame_size(info), do: Map.get(info || %{}, "max_payload", 1_048_576) * 2 + @headers
 
-  defp server_name(%{servers: [server | _]}), do: Dial.format_server(server)
+  defp server_name(%{servers: [server | _]}), do: Dialer.format_server(server)
 
   # Keeps passwords out of crash logs.
   @impl true

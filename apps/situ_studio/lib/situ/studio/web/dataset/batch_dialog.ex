@@ -5,8 +5,8 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.Batch
-  alias Situ.Studio.Batch.{Configurations, Form, Left}
+  alias Situ.Studio.BatchRuns
+  alias Situ.Studio.BatchRuns.{SavedOptions, Form, ResumableRuns}
   alias Situ.Studio.Web.Dataset.Rows
 
   @doc "Opens the dialog for the named task, with one session selected or all sessions that the search found."
@@ -30,7 +30,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
       chosen: if(path == [], do: found, else: Enum.take(path, 1)),
       config: %{},
       output: task.output,
-      saved: Configurations.list_all(assigns.folder, task.name),
+      saved: SavedOptions.list_all(assigns.folder, task.name),
       picked: "",
       again: 0,
       error: nil
@@ -40,7 +40,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
   def handle_event("run_cancel", %{"run" => run}, socket) do
     with {id, ""} <- Integer.parse(to_string(run)),
-         do: Batch.cancel_run(socket.assigns.studio, id)
+         do: BatchRuns.cancel_run(socket.assigns.studio, id)
 
     socket
   end
@@ -51,8 +51,15 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
          opts = [output: left.output, parallel: left.parallel],
          dataset = {assigns.server, assigns.file},
          {:ok, _} <-
-           Batch.start_run(assigns.studio, dataset, left.task, left.sessions, left.config, opts) do
-      assign(socket, left: Left.list_interrupted(assigns.file))
+           BatchRuns.start_run(
+             assigns.studio,
+             dataset,
+             left.task,
+             left.sessions,
+             left.config,
+             opts
+           ) do
+      assign(socket, left: ResumableRuns.list_interrupted(assigns.file))
     else
       {:error, error} -> push_event(socket, "toast", %{text: Exception.message(error)})
       nil -> socket
@@ -62,9 +69,9 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   def handle_event("run_leave", %{"output" => output}, %{assigns: assigns} = socket) do
     for left <- assigns.left,
         to_string(left.output) == output,
-        do: Left.delete_record(assigns.file, left.output)
+        do: ResumableRuns.delete_record(assigns.file, left.output)
 
-    assign(socket, left: Left.list_interrupted(assigns.file))
+    assign(socket, left: ResumableRuns.list_interrupted(assigns.file))
   end
 
   def handle_event("run_pick", %{"saved" => name}, %{assigns: %{dialog: {:task, state}}} = socket) do
@@ -77,11 +84,11 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
         _,
         %{assigns: %{dialog: {:task, state}, folder: folder}} = socket
       ) do
-    Configurations.delete(folder, state.task.name, state.picked)
+    SavedOptions.delete(folder, state.task.name, state.picked)
 
     put_state(socket, %{
       state
-      | saved: Configurations.list_all(folder, state.task.name),
+      | saved: SavedOptions.list_all(folder, state.task.name),
         picked: ""
     })
   end
@@ -112,7 +119,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
     opts = if state.output && output != "", do: [output: output] ++ opts, else: opts
     opts = put_parallel(params["parallel"], opts)
     dataset = {assigns.server, assigns.file}
-    Batch.start_run(assigns.studio, dataset, state.task.name, chosen, config, opts)
+    BatchRuns.start_run(assigns.studio, dataset, state.task.name, chosen, config, opts)
   end
 
   defp put_parallel(text, opts) do
@@ -127,7 +134,7 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
   defp save_options(name, state, folder) when is_binary(name) do
     if String.trim(name) == "",
       do: :ok,
-      else: Configurations.save(folder, state.task.name, String.trim(name), state.config)
+      else: SavedOptions.save(folder, state.task.name, String.trim(name), state.config)
   end
 
   defp save_options(_, _, _), do: :ok

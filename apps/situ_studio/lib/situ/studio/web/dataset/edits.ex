@@ -6,8 +6,8 @@ defmodule Situ.Studio.Web.Dataset.Edits do
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{Partition, Session}
   alias Situ.Studio.{Catalog, Datasets, Export}
-  alias Situ.Studio.Datasets.{Deletion, Facts, Folders}
-  alias Situ.Studio.Web.Address
+  alias Situ.Studio.Datasets.{Deletion, Summary, FolderImport}
+  alias Situ.Studio.Web.Paths
   alias Situ.Studio.Web.Dataset.Rows
 
   @doc """
@@ -50,7 +50,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
          {:ok, _} <- Dataset.save_as(%{dataset | autosave?: false}, copy) do
       Catalog.invalidate_recordings(assigns.studio)
       at = id |> Path.dirname() |> Path.join(name <> ".json") |> Path.relative_to("./")
-      {:ok, dialog: nil, go: Address.dataset_path(at)}
+      {:ok, dialog: nil, go: Paths.dataset_path(at)}
     else
       true ->
         {:error, Error.new(:exists, "#{name}.json already exists", fix: "choose another name")}
@@ -100,7 +100,8 @@ defmodule Situ.Studio.Web.Dataset.Edits do
       when what in ["session", "sessions", "recordings"] do
     {:ok,
      dialog:
-       {:folders, what, parse_path(params), Folders.list_folders(Catalog.list(assigns.studio))}}
+       {:folders, what, parse_path(params),
+        FolderImport.list_folders(Catalog.list(assigns.studio))}}
   end
 
   def apply_event(
@@ -122,7 +123,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
 
       with {:ok, changes} <- edit_dataset(assigns, add) do
         receive do
-          {^told, found} -> {:ok, changes ++ [said: Folders.describe_result(found, noun)]}
+          {^told, found} -> {:ok, changes ++ [said: FolderImport.describe_result(found, noun)]}
         after
           0 -> {:ok, changes}
         end
@@ -136,13 +137,13 @@ defmodule Situ.Studio.Web.Dataset.Edits do
     with [session, name] <- parse_path(params),
          {:ok, found} <- Dataset.session(assigns.dataset, session),
          {:ok, partition} <- Session.fetch_partition(found, name),
-         %Facts{error: nil, from: from} = facts when from != nil <-
-           Facts.of_recording(partition.path) do
+         %Summary{error: nil, from: from} = facts when from != nil <-
+           Summary.of_recording(partition.path) do
       item = %Catalog.Item{id: name, title: name, kind: :store, path: partition.path}
       {:ok, dialog: {:export, item, facts}}
     else
-      %Facts{error: nil} -> {:error, Error.new(:empty, "the recording has no messages")}
-      %Facts{error: error} -> {:error, error}
+      %Summary{error: nil} -> {:error, Error.new(:empty, "the recording has no messages")}
+      %Summary{error: error} -> {:error, error}
       {:error, error} -> {:error, error}
       _ -> :ignore
     end
@@ -300,14 +301,17 @@ defmodule Situ.Studio.Web.Dataset.Edits do
     end)
   end
 
-  defp add_folder("sessions", dataset, _path, folder), do: Folders.add_sessions(dataset, folder)
-  defp add_folder("session", dataset, _path, folder), do: Folders.add_session(dataset, folder)
+  defp add_folder("sessions", dataset, _path, folder),
+    do: FolderImport.add_sessions(dataset, folder)
+
+  defp add_folder("session", dataset, _path, folder),
+    do: FolderImport.add_session(dataset, folder)
 
   defp add_folder("recordings", dataset, [session | _], folder),
-    do: Folders.add_recordings(dataset, session, folder)
+    do: FolderImport.add_recordings(dataset, session, folder)
 
   @doc "Parses the time range of an export form, given as times or as seconds after the recording's start."
-  @spec parse_export(map(), {:export, Catalog.Item.t(), Facts.t()}) ::
+  @spec parse_export(map(), {:export, Catalog.Item.t(), Summary.t()}) ::
           {:ok, Export.t(), Catalog.Item.t()} | {:error, Error.t()}
   def parse_export(params, {:export, item, facts}) do
     with {:ok, from} <- parse_time(text_param(params["from"]), facts, facts.from),

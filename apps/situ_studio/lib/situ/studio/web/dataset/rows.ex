@@ -4,8 +4,8 @@ defmodule Situ.Studio.Web.Dataset.Rows do
   the sessions.
   """
   alias Situ.Dataset
-  alias Situ.Studio.Datasets.Facts
-  alias Situ.Studio.Figures
+  alias Situ.Studio.Datasets.Summary
+  alias Situ.Studio.StreamTotals
 
   @typedoc "A row of the tree. Its `path` has the names of session, partition and stream, as far as they apply."
   @type row :: %{
@@ -13,8 +13,8 @@ defmodule Situ.Studio.Web.Dataset.Rows do
           kind: :dataset | :session | :partition | :stream,
           label: String.t(),
           open?: boolean() | nil,
-          figures: Figures.t() | nil,
-          facts: Facts.t() | nil,
+          figures: StreamTotals.t() | nil,
+          facts: Summary.t() | nil,
           file: Path.t() | nil,
           stream: Situ.Studio.StreamInfo.t() | nil,
           tags: [String.t()],
@@ -22,14 +22,14 @@ defmodule Situ.Studio.Web.Dataset.Rows do
         }
 
   @doc "Returns the visible rows; `facts` maps the paths of recordings to the facts loaded so far."
-  @spec visible_rows(Dataset.t(), %{Path.t() => Facts.t()}, MapSet.t([String.t()]), String.t()) ::
+  @spec visible_rows(Dataset.t(), %{Path.t() => Summary.t()}, MapSet.t([String.t()]), String.t()) ::
           [row()]
   def visible_rows(%Dataset{} = dataset, facts, open, query) do
     words = query |> String.downcase() |> String.split()
     sessions = Enum.filter(dataset.sessions, &matches?(&1, facts, words))
     known = for s <- dataset.sessions, do: for(p <- s.partitions, f = facts[p.path], do: f)
-    sums = Enum.map(known, &Facts.sum_figures/1)
-    figures = known |> Enum.concat() |> Facts.sum_figures() |> Figures.add_lengths(sums)
+    sums = Enum.map(known, &Summary.sum_figures/1)
+    figures = known |> Enum.concat() |> Summary.sum_figures() |> StreamTotals.add_lengths(sums)
 
     [
       build_row([], :dataset, dataset.name, figures: figures, tags: dataset.tags)
@@ -63,8 +63,8 @@ defmodule Situ.Studio.Web.Dataset.Rows do
     own =
       build_row([session.name], :session, session.name,
         open?: open?,
-        facts: Facts.merge_facts(known),
-        figures: if(known != [] or session.partitions == [], do: Facts.sum_figures(known)),
+        facts: Summary.merge_facts(known),
+        figures: if(known != [] or session.partitions == [], do: Summary.sum_figures(known)),
         tags: session.tags,
         trouble:
           if(troubles > 0, do: "#{troubles} of #{length(session.partitions)} cannot be opened")
@@ -87,7 +87,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
       build_row(path, :partition, partition.name,
         open?: open?,
         facts: known,
-        figures: known && Facts.sum_figures([known]),
+        figures: known && Summary.sum_figures([known]),
         file: partition.path,
         trouble:
           cond do
@@ -104,7 +104,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
       | for s <- streams do
           build_row(path ++ [s.name], :stream, s.name,
             stream: s,
-            figures: Figures.sum_streams([s]),
+            figures: StreamTotals.sum_streams([s]),
             file: partition.path
           )
         end

@@ -1,0 +1,112 @@
+defmodule Situ.GenStage do
+  @moduledoc """
+  Connects GenStage and Flow to pipelines. Situ's processes use GenStage's message protocol, so a GenStage consumer
+  can subscribe to any output, and a GenStage producer can be a source. Situ does not depend on GenStage.
+
+  ## A GenStage consumer on an output
+
+      {:ok, {pid, opts}} = Situ.GenStage.subscription(pipeline, "Lobby.Speaking")
+      GenStage.sync_subscribe(consumer, [to: pid, max_demand: 500] ++ opts)
+
+  The consumer receives `%Situ.Message{}` structs as events. An output waits for all its subscribers, so a consumer
+  that stops requesting events stalls the pipeline (a tap from `Situ.attach_tap/3` never does). When the output ends,
+  the subscription is canceled with `{:shutdown, {:closed, time}}`. When its component fails, the subscription is
+  canceled with the `Situ.Error`, so that a `:transient` consumer fails as well.
+
+  A pipeline starts emitting as soon as it is started, and later subscribers miss the messages emitted before.
+  `accumulate/2` holds a stream back until `GenStage.demand(pid, :forward)`, which `Flow.from_stages/2` calls
+  automatically.
+
+  ## A GenStage producer as a source
+
+      stream = Situ.GenStage.from(p, producer, type: :integer)
+
+  Events that are `%Situ.Message{}` structs keep their originating times. Other events get the time of the pipeline's
+  clock, at least 1 ns after the event before. When the producer ends normally (`:normal`, `:shutdown`,
+  `{:shutdown, _}`), the stream completes. Any other reason is a `:producer_failed` error of the component, which
+  fails the pipeline unless its `on_error:` option prevents it.
+
+  Without a producer, as in `from(p, [])`, the stream waits until a producer is assigned with
+  `Flow.into_stages(flow, [pid])` or `GenStage.sync_subscribe(pid, to: producer)`. `subscription/2` returns this
+  `pid`.
+
+  ## The messages
+
+  | from | to | message |
+  |---|---|---|
+  | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:subscribe, current, opts}}`; `opts[:output]` names the output |
+  | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:ask, count}}` |
+  | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:cancel, reason}}` |
+  | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, [event]}`, never more than requested |
+  | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, {:cancel, reason}}`, also in reply to a cancel |
+
+  `tag` is a term that the consumer chooses (GenStage uses its monitor reference). Together with the consumer's pid it
+  identifies the subscription in both directions. Both sides monitor each other. Four of GenStage's calls and casts
+  are supported: `:"$estimate_buffered_count"`, `{:"$demand", mode}`, `{:"$info", message}` and, for a source,
+  `{:"$subscribe", current, to, opts}`. Malformed messages are rejected and never crash the process. Within a
+  pipeline, the tag is the edge's number, and the subscription is made at the start.
+
+      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
+      ...>   p |> Situ.Connector.receive(Situ.Connector.new("x")) |> Situ.map(& &1, name: "Same")
+      ...> end, [])
+      iex> {:ok, {pid, opts}} = Situ.GenStage.subscription(p, "Same")
+      iex> {is_pid(pid), opts}
+      {true, [output: :out]}
+      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> {:error, error} = Situ.GenStage.subscription(p, "Same")
+      iex> error.code
+      :not_running
+  """
+  alias Situ.Argument
+  alias Situ.Pipeline.Client
+
+  @doc """
+  Returns the process to subscribe to and the options that name the output. The pipeline must be running.
+  """
+  @spec subscription(Situ.Pipeline.target(), Situ.Stream.t() | String.t()) ::
+          {:ok, {pid(), keyword()}} | {:error, Situ.Error.t()}
+  def subscription(p, %Situ.Stream{} = stream),
+    do: Client.call(p, {:subscription, {stream.node, stream.output}})
+
+  def subscription(p, name) when is_binary(name), do: Client.call(p, {:subscription, name})
+
+  @doc """
+  Returns the events of GenStage producers (a pid or name, or a list of them) as a stream.
+
+  The options are `type:`, `subscribe:` and the placement options. `subscribe:` holds options for the
+  producers, such as `partition:`, `selector:`, `max_demand:` (default 1,000), `min_demand:` (default half of
+  `max_demand:`) and `cancel:`. With `cancel: :temporary`, a producer's failure ends only its subscription.
+  """
+  @spec from(Situ.Pipeline.t(), GenServer.server() | [GenServer.server()], keyword()) ::
+          Situ.Stream.t()
+  def from(p, producers, opts \\ [])
+
+  def from(%Situ.Graph.Handle{} = p, producers, opts) do
+    {type, opts} = Keyword.pop(opts, :type, :any)
+    own = [producers: List.wrap(producers), default_name: "GenStage", outputs: [out: type]]
+    p |> Situ.Pipeline.add(Situ.GenStage.Source, own ++ opts) |> Situ.Node.streams()
+  end
+
+  def from(other, _arg2, _arg3),
+    do: Argument.raise_invalid!(other, :handle, "Situ.GenStage.from(p, producer)")
+
+  @doc """
+  Holds the stream back until a consumer releases it with `GenStage.demand(pid, :forward)`, so that a consumer that
+  subscribes after the start loses no messages. A pipeline whose sources have ended waits for the release; a pipeline
+  that is stopped does not. Options: `Situ.Graph.Placement`.
+
+      Situ.from_enumerable(p, 0..999, every: Situ.Time.ms(1)) |> Situ.GenStage.accumulate(name: "Numbers")
+  """
+  @spec accumulate(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
+  def accumulate(stream, opts \\ [])
+
+  def accumulate(%Situ.Stream{} = stream, opts) do
+    own = [default_name: "Accumulate", outputs: [out: stream.type]]
+    node = Situ.Pipeline.add(stream.pipeline, Situ.GenStage.Accumulator, own ++ opts)
+    Situ.Pipeline.connect(stream, node, :in)
+    Situ.Node.streams(node)
+  end
+
+  def accumulate(other, _arg2),
+    do: Argument.raise_invalid!(other, :stream, "Situ.GenStage.accumulate(stream)")
+end

@@ -1,0 +1,108 @@
+defmodule Situ.Generator.ItemFeed do
+  @moduledoc false
+  # A generator's items, one at a time: `next_item/1` returns `{time, value, feed}` or `:done`. Pure, except for users'
+  # enumerables. Times of a paced feed are start, start + interval, ...
+
+  alias Situ.Sampling
+
+  @type t :: {:paced, items(), Situ.Time.t(), Situ.Time.duration()} | {:timed, items()}
+  @type items ::
+          {:sequence, term(), (term() -> term()), non_neg_integer() | :infinity}
+          | {:list, list()}
+          | {:range, Range.t()}
+          | {:enum, (Enumerable.acc() -> Enumerable.result()) | :done}
+
+  @doc "Builds a feed of items at an interval, from `start` or the first aligned time after it."
+  @spec build_paced(items(), Situ.Time.t(), Situ.Time.duration(), Situ.Time.t() | nil) :: t()
+  def build_paced(items, start, interval, align),
+    do: {:paced, items, Sampling.first_tick(start, interval, align), interval}
+
+  @doc "Builds a feed of items that contain their times: `{time, value}` or a `Situ.Message`."
+  @spec build_timed(items()) :: t()
+  def build_timed(items), do: {:timed, items}
+
+  @doc "Converts an enumerable to items, which are read on demand."
+  @spec to_items(Enumerable.t()) :: items()
+  def to_items(list) when is_list(list), do: {:list, list}
+  def to_items(%Range{} = range), do: {:range, range}
+
+  def to_items(enumerable) do
+    {:enum, &Enumerable.reduce(enumerable, &1, fn item, _ -> {:suspend, {:item, item}} end)}
+  end
+
+  @doc "Returns the next item and the rest of the feed."
+  @spec next_item(t()) :: {Situ.Time.t(), term(), t()} | :done
+  def next_item({:paced, {:sequence, _, _, 0}, _time, _interval}), do: :done
+
+  def next_item({:paced, {:sequence, value, fun, 1}, time, interval}),
+    do: {time, value, {:paced, {:sequence, nil, fun, 0}, time + interval, interval}}
+
+  def next_item({:paced, {:sequence, value, fun, left}, time, interval}) do
+    left = if left == :infinity, do: left, else: left - 1
+    {time, value, {:paced, {:sequence, fun.(value), fun, left}, time + interval, interval}}
+  end
+
+  def next_item({:paced, items, time, interval}) do
+    with {value, items} <- take_item(items),
+         do: {time, value, {:paced, items, time + interval, interval}}
+  end
+
+  def next_item({:timed, items}) do
+    case take_item(items) do
+      :done -> :done
+      {{time, value}, items} when is_integer(time) -> {time, value, {:timed, items}}
+      {%Situ.Message{} = m, items} -> {m.originating_time, m.data, {:timed, items}}
+      {other, _items} -> raise no_time_error(other)
+    end
+  end
+
+  @doc "Returns whether it is known, without reading an item, that there are no more items up to `till`."
+  @spec known_ended?(t(), Situ.Time.t() | :infinity) :: boolean()
+  def known_ended?({:timed, items}, _till), do: no_items?(items)
+
+  def known_ended?({:paced, items, time, _interval}, till),
+    do: no_items?(items) or (time > till and not match?({:enum, _}, items))
+
+  defp no_items?({:sequence, _value, _fun, left}), do: left == 0
+  defp no_items?({:list, list}), do: list == []
+  defp no_items?({:range, range}), do: Enum.empty?(range)
+  defp no_items?({:enum, continue}), do: continue == :done
+
+  @doc "Closes an enumerable that was not read to its end (open files ...)."
+  @spec close(t()) :: :ok
+  def close({:paced, items, _, _}), do: halt_items(items)
+  def close({:timed, items}), do: halt_items(items)
+
+  defp take_item({:list, []}), do: :done
+  defp take_item({:list, [value | rest]}), do: {value, {:list, rest}}
+
+  defp take_item({:range, %{first: first, last: last, step: step} = range}) do
+    if (step > 0 and first > last) or (step < 0 and first < last),
+      do: :done,
+      else: {first, {:range, %{range | first: first + step}}}
+  end
+
+  defp take_item({:enum, :done}), do: :done
+
+  defp take_item({:enum, continue}) do
+    case continue.({:cont, nil}) do
+      {:suspended, {:item, value}, continue} -> {value, {:enum, continue}}
+      {_done_or_halted, _acc} -> :done
+    end
+  end
+
+  defp halt_items({:enum, continue}) when is_function(continue, 1) do
+    continue.({:halt, nil})
+    :ok
+  end
+
+  defp halt_items(_items), do: :ok
+
+  defp no_time_error(other) do
+    Situ.Error.new(
+      :no_time,
+      "expected {time, value} or a message, got: #{inspect(other, limit: 5)}",
+      fix: "set every: if the values have no times"
+    )
+  end
+end

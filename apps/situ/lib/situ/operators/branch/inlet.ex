@@ -1,5 +1,0 @@
-defmodule Situ.Branch.Inlet do
-  @moduledoc false
-  # Represents the outside of the branch, where its graph begins.
-  use Situ.Component, inputs: [], outputs: [out: :any]
-end

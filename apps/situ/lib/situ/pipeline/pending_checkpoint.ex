@@ -1,0 +1,178 @@
+defmodule Situ.Pipeline.PendingCheckpoint do
+  @moduledoc false
+  # Takes a checkpoint of a running pipeline: the snapshots of its stages (see `Situ.Stage.Checkpoint`) at one moment at
+  # which no messages are in flight.
+  #   freezing  the sources pause and report their snapshots
+  #   settling  the other stages handle all posted messages; checked every millisecond
+  #   asking    every other stage reports its snapshot; if any message has moved since, the checkpoint settles again
+  #   held      the caller has all snapshots; the sources continue when it says so, or when it has died
+  alias Situ.Error
+  alias Situ.Pipeline.{Stages, State}
+
+  @enforce_keys [:ref, :from, :monitor, :deadline, :sources]
+  defstruct [
+    :ref,
+    :from,
+    :monitor,
+    :deadline,
+    :sources,
+    :mark,
+    step: :freezing,
+    pending: MapSet.new(),
+    memories: %{}
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @doc "Begins a checkpoint; the caller receives `{:ok, ref, memories}` or `{:error, error}`."
+  @spec request_checkpoint(State.t(), pos_integer(), GenServer.from()) :: State.t()
+  def request_checkpoint(%{dynamic: %{checkpoint: %__MODULE__{}}} = state, _timeout, from) do
+    GenServer.reply(
+      from,
+      {:error, Error.new(:busy, "a checkpoint of the pipeline is already running")}
+    )
+
+    state
+  end
+
+  def request_checkpoint(state, timeout, {pid, _} = from) do
+    ids = stage_ids(state)
+
+    case Enum.find(ids, &(not state.life.stages[&1].alive?)) do
+      nil ->
+        sources = Enum.filter(ids, &source_stage?(state, &1))
+
+        checkpoint = %__MODULE__{
+          ref: make_ref(),
+          from: from,
+          monitor: Process.monitor(pid),
+          deadline: System.monotonic_time(:millisecond) + timeout,
+          sources: sources
+        }
+
+        # A stage that does not reply must not block the checkpoint forever.
+        Process.send_after(self(), {:situ_checkpoint, checkpoint.ref}, timeout)
+        request_snapshots(put_checkpoint(state, checkpoint), :freezing, :freeze, sources)
+
+      id ->
+        path = hd(state.stages[id].vertices).path
+        error = Error.new(:not_running, "#{path} has ended, so no checkpoint can be taken")
+        GenServer.reply(from, {:error, error})
+        state
+    end
+  end
+
+  defp stage_ids(state), do: Map.keys(state.stages) -- Map.keys(state.dynamic.taps)
+  defp source_stage?(state, id), do: hd(state.stages[id].vertices).inputs == []
+
+  defp request_snapshots(state, step, request, ids) do
+    checkpoint = %{state.dynamic.checkpoint | step: step, pending: MapSet.new(ids)}
+    state = Enum.reduce(ids, state, &Stages.send_request(&2, &1, {request, checkpoint.ref}))
+    state |> put_checkpoint(checkpoint) |> advance_if_ready()
+  end
+
+  @doc "Handles a stage's snapshot, or the error that prevented it."
+  @spec handle_snapshot(State.t(), pos_integer(), reference(), {:ok, map()} | {:error, Error.t()}) ::
+          State.t()
+  def handle_snapshot(
+        %{dynamic: %{checkpoint: %{ref: ref} = checkpoint}} = state,
+        id,
+        ref,
+        answer
+      ) do
+    case answer do
+      {:ok, memory} ->
+        path = hd(state.stages[id].vertices).path
+        memories = Map.put(checkpoint.memories, path, memory)
+        pending = MapSet.delete(checkpoint.pending, id)
+
+        state
+        |> put_checkpoint(%{checkpoint | memories: memories, pending: pending})
+        |> advance_if_ready()
+
+      {:error, error} ->
+        fail_checkpoint(state, error)
+    end
+  end
+
+  # The checkpoint was given up, but the source may still be paused.
+  def handle_snapshot(state, id, ref, _answer), do: Stages.send_request(state, id, {:thaw, ref})
+
+  @doc "Checks again whether the pipeline has settled, or gives up after the deadline."
+  @spec poll_progress(State.t(), reference()) :: State.t()
+  def poll_progress(%{dynamic: %{checkpoint: %{ref: ref, step: step}}} = state, ref)
+      when step != :held,
+      do:
+        if(past_deadline?(state),
+          do: fail_checkpoint(state, not_settled_error(state)),
+          else: advance_if_ready(state)
+        )
+
+  def poll_progress(state, _ref), do: state
+
+  @doc "Ends the checkpoint when the caller has finished or died."
+  @spec thaw_sources(State.t(), reference()) :: State.t()
+  def thaw_sources(%{dynamic: %{checkpoint: %{ref: ref}}} = state, ref), do: end_checkpoint(state)
+
+  def thaw_sources(%{dynamic: %{checkpoint: %{monitor: ref}}} = state, ref),
+    do: end_checkpoint(state)
+
+  def thaw_sources(state, _ref), do: state
+
+  defp advance_if_ready(%{dynamic: %{checkpoint: %{pending: pending} = checkpoint}} = state) do
+    if MapSet.size(pending) > 0, do: state, else: advance_step(checkpoint.step, state)
+  end
+
+  defp advance_step(:freezing, state), do: advance_step(:settling, put_step(state, :settling))
+
+  defp advance_step(:settling, state) do
+    if Stages.no_messages_in_flight?(state) do
+      checkpoint = %{state.dynamic.checkpoint | mark: Stages.fingerprint(state, :all)}
+
+      state
+      |> put_checkpoint(checkpoint)
+      |> request_snapshots(:asking, :remember, stage_ids(state) -- checkpoint.sources)
+    else
+      Process.send_after(self(), {:situ_checkpoint, state.dynamic.checkpoint.ref}, 1)
+      state
+    end
+  end
+
+  defp advance_step(:asking, state) do
+    checkpoint = state.dynamic.checkpoint
+
+    if Stages.no_messages_in_flight?(state) and Stages.fingerprint(state, :all) == checkpoint.mark do
+      GenServer.reply(checkpoint.from, {:ok, checkpoint.ref, checkpoint.memories})
+      put_step(state, :held)
+    else
+      advance_step(:settling, put_step(state, :settling))
+    end
+  end
+
+  defp put_step(state, step), do: put_checkpoint(state, %{state.dynamic.checkpoint | step: step})
+
+  defp put_checkpoint(state, checkpoint),
+    do: %{state | dynamic: %{state.dynamic | checkpoint: checkpoint}}
+
+  defp fail_checkpoint(state, error) do
+    GenServer.reply(state.dynamic.checkpoint.from, {:error, error})
+    end_checkpoint(state)
+  end
+
+  defp end_checkpoint(%{dynamic: %{checkpoint: checkpoint}} = state) do
+    Process.demonitor(checkpoint.monitor, [:flush])
+    alive = Enum.filter(checkpoint.sources, &is_map_key(state.stages, &1))
+    state = Enum.reduce(alive, state, &Stages.send_request(&2, &1, {:thaw, checkpoint.ref}))
+    put_checkpoint(state, nil)
+  end
+
+  defp past_deadline?(state),
+    do: System.monotonic_time(:millisecond) >= state.dynamic.checkpoint.deadline
+
+  defp not_settled_error(_state) do
+    Error.new(:not_settled, "no checkpoint was taken: messages were in flight all the time",
+      why: "a checkpoint waits until all messages that the sources have posted are handled",
+      fix: "allow more time (timeout:), or reduce the pipeline's load"
+    )
+  end
+end

@@ -1,0 +1,76 @@
+defmodule Situ.Ports.DemandWindow do
+  @moduledoc false
+  # The demand window: how much an input may request from its producer. Pure.
+  #
+  # The default window is also a budget of bytes: a thousand numbers may be in flight, but not a thousand images. It
+  # starts small, weighs the arriving messages, and then requests as many messages as the budget allows. A lossy policy
+  # requests no more than its queue holds; the rest waits, or is dropped, at the producer.
+  alias Situ.{Delivery, Message}
+
+  @default Delivery.unlimited().window
+  @first 8
+  @budget 32_000_000
+  @least 4
+
+  @enforce_keys [:size]
+  defstruct [:size, weigh: false, unweighed: 0, owed: 0]
+
+  @typedoc "`owed`: messages taken and not yet requested again; `unweighed`: messages until the next one is weighed."
+  @type t :: %__MODULE__{
+          size: pos_integer() | :infinity,
+          weigh: boolean(),
+          unweighed: integer(),
+          owed: integer()
+        }
+
+  @spec new(Delivery.t()) :: t()
+  def new(%Delivery{kind: :unlimited, window: @default, max_queue: :infinity} = policy) do
+    if Delivery.lossy?(policy),
+      do: %__MODULE__{size: @default},
+      else: %__MODULE__{size: @first, weigh: true}
+  end
+
+  def new(%Delivery{max_queue: n}) when is_integer(n), do: %__MODULE__{size: min(n, @default)}
+  # So many wait while one is handled.
+  def new(%Delivery{kind: :throttle, window: n}) when is_integer(n), do: %__MODULE__{size: n + 1}
+  def new(%Delivery{window: window}), do: %__MODULE__{size: window}
+
+  @doc "Weighs the first message of a batch, which adjusts the window."
+  @spec weigh_message(t(), Message.t()) :: t()
+  def weigh_message(%__MODULE__{weigh: false} = window, _message), do: window
+
+  def weigh_message(%__MODULE__{} = window, message) do
+    case weight(message, window.unweighed) do
+      :unknown ->
+        %{window | unweighed: window.unweighed - 1}
+
+      bytes ->
+        size = div(@budget, max(bytes, 1)) |> max(@least) |> min(@default)
+        # Growth of the window is owed at once; shrinkage is taken off later demand.
+        owed = window.owed + size - window.size
+        %{window | size: size, owed: owed, unweighed: div(size, 2)}
+    end
+  end
+
+  # Pictures and sound are weighed every time, since it costs nothing; other terms once in half a window.
+  defp weight(%Message{data: %{data: bytes}}, _left) when is_binary(bytes), do: byte_size(bytes)
+  defp weight(%Message{data: bytes}, _left) when is_binary(bytes), do: byte_size(bytes)
+  defp weight(message, left) when left <= 0, do: Message.data_size(message)
+  defp weight(_message, _left), do: :unknown
+
+  @doc "Adds `n` messages that have left the queue."
+  @spec add_owed(t(), non_neg_integer()) :: t()
+  def add_owed(%__MODULE__{} = window, n), do: %{window | owed: window.owed + n}
+
+  @doc "Returns how much to request now: nothing until it is half of the window."
+  @spec take_owed(t()) :: {non_neg_integer(), t()}
+  def take_owed(%__MODULE__{size: size, owed: owed} = window) do
+    if size != :infinity and owed > 0 and owed >= div(size, 2),
+      do: {owed, %{window | owed: 0}},
+      else: {0, window}
+  end
+
+  @doc "Clears the owed demand, because a new producer knows of none."
+  @spec reset_owed(t()) :: t()
+  def reset_owed(%__MODULE__{} = window), do: %{window | owed: 0}
+end

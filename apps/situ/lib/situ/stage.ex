@@ -1,0 +1,179 @@
+defmodule Situ.Stage do
+  @moduledoc false
+  # The process of one component, or of one chain of light operators: its mailbox. A message passes through these
+  # modules:
+  #
+  #   Stage          an entry of the mailbox
+  #   Control        requests of the pipeline's server    Loop        selects the next messages, and how many
+  #   Attachment     connections added and removed        Production  asks sources for messages and stops them
+  #                  MessageRunner, ChainRunner   run a message through the component, a batch through its operators
+  #                  Activation                calls the component and handles errors (ErrorPolicy)
+  #                  Emission                  applies the actions: post (Posting), close, set timers; then sends
+  #                  Outputs, Inputs, Timers, Source, Pace: the parts of the State, each owned by one module
+  #
+  # It speaks GenStage's messages with its neighbours (see Situ.GenStage), `{:situ, request}` from its pipeline's server
+  # and `{:situ_stage, id, event}` to it.
+  use GenServer
+
+  alias Situ.Clock
+  alias Situ.Component.Callback
+  alias Situ.Ports.{Inputs, Outputs}
+  alias Situ.Stage.{Subscriptions, RequestHandler, Loop, State}
+
+  # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
+  @slow :erlang.convert_time_unit(1, :millisecond, :native)
+
+  @doc "Returns the content of the control cell until the pipeline stops: no final time."
+  @spec no_final_time() :: integer()
+  defdelegate no_final_time, to: State
+
+  @doc "Returns whether the stage with this control cell waits for the outside world or for the clock."
+  @spec patient?(:atomics.atomics_ref()) :: boolean()
+  defdelegate patient?(control), to: State
+
+  @doc "Starts the process; it reports `:up` or `{:init_failed, error}` to the server by itself."
+  @spec spawn_link(map()) :: pid()
+  def spawn_link(args),
+    do:
+      :proc_lib.spawn_opt(__MODULE__, :init_it, [args], [
+        :link,
+        fullsweep_after: 30,
+        min_heap_size: 4_181
+      ])
+
+  @doc false
+  def init_it(args) do
+    Process.flag(:trap_exit, true)
+    Process.put(:situ_pipeline, args.server)
+    state = State.new(args)
+
+    case State.init(state) do
+      {:ok, state} ->
+        State.report_event(state, :up)
+        :gen_server.enter_loop(__MODULE__, [], state)
+
+      {:error, error} ->
+        State.report_event(state, {:init_failed, error})
+        exit(:normal)
+    end
+  end
+
+  @impl true
+  def init(_), do: :ignore
+
+  # GenStage's own calls and casts, and those of the component.
+  @impl true
+  def handle_call(:"$estimate_buffered_count", _from, state),
+    do: {:reply, Outputs.buffered_count(state.outputs), state}
+
+  def handle_call({:"$info", message}, _from, state),
+    do: {:reply, :ok, Loop.handle_plain_message(state, message)}
+
+  def handle_call(request, from, state), do: {:noreply, Loop.handle_request(state, request, from)}
+
+  @impl true
+  def handle_cast({:"$demand", mode}, state) when mode in [:forward, :accumulate],
+    do: {:noreply, Loop.set_demand(state, mode)}
+
+  def handle_cast({:"$info", message}, state),
+    do: {:noreply, Loop.handle_plain_message(state, message)}
+
+  def handle_cast(request, state), do: {:noreply, Loop.handle_request(state, request, nil)}
+
+  @impl true
+  def handle_info({:"$gen_consumer", {_, tag}, {:cancel, reason}} = message, state) do
+    case state.inputs.by_tag do
+      %{^tag => input} ->
+        {:noreply, Loop.handle_closing(state, input, closing_time(reason, state))}
+
+      _ ->
+        {:noreply, Loop.handle_plain_message(state, message)}
+    end
+  end
+
+  def handle_info({:"$gen_consumer", {_, tag}, batch} = message, state) do
+    case state.inputs.by_tag do
+      %{^tag => input} -> {:noreply, Loop.handle_batch(state, input, batch)}
+      _ -> {:noreply, Loop.handle_plain_message(state, message)}
+    end
+  end
+
+  def handle_info({:"$gen_producer", {pid, _tag} = from, {:ask, n} = request}, state)
+      when is_pid(pid) and is_integer(n) and n > 0 do
+    case Outputs.add_demand(state.outputs, from, n) do
+      {:ok, outputs} -> state |> Loop.handle_demand(outputs) |> unless_over()
+      :error -> {:noreply, Subscriptions.handle_consumer_request(state, from, request)}
+    end
+  end
+
+  def handle_info({:"$gen_producer", {pid, _tag} = from, request}, state) when is_pid(pid),
+    do:
+      state
+      |> Subscriptions.handle_consumer_request(from, request)
+      |> Loop.run_slice()
+      |> unless_over()
+
+  def handle_info(:situ_turn, state), do: {:noreply, Loop.run_scheduled_slice(state)}
+  def handle_info({:situ_alarm, _}, state), do: {:noreply, Loop.handle_alarm(state)}
+  def handle_info({:situ, request}, state), do: RequestHandler.handle_request(request, state)
+
+  # A hold that was renewed or ended meanwhile is not this one's to end.
+  def handle_info({:situ_hold, tag, token}, state) do
+    case state.inputs.by_tag do
+      %{^tag => %{held: {_timer, ^token}} = input} ->
+        inputs = Inputs.put(state.inputs, %{input | held: nil})
+
+        {:noreply,
+         Loop.handle_plain_message(%{state | inputs: inputs}, {:hold_ended, input.name})}
+
+      _ ->
+        {:noreply, state}
+    end
+  end
+
+  def handle_info({:DOWN, ref, :process, _pid, _} = message, state) do
+    if Enum.any?(Outputs.list_subscribers(state.outputs), &(&1.monitor == ref)),
+      do: state |> Subscriptions.remove_by_monitor(ref) |> Loop.run_slice() |> unless_over(),
+      else: {:noreply, Loop.handle_plain_message(state, message)}
+  end
+
+  # No GenStage process sends such a message; ignore it.
+  def handle_info({protocol, _from, _request}, state)
+      when protocol in [:"$gen_producer", :"$gen_consumer"],
+      do: {:noreply, state}
+
+  def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
+
+  def handle_info(message, state) do
+    started = :erlang.monotonic_time()
+    state = Loop.handle_plain_message(state, message)
+    slow? = :erlang.monotonic_time() - started > @slow
+    {:noreply, if(slow?, do: RequestHandler.handle_overtaking(state), else: state)}
+  end
+
+  @impl true
+  def terminate(_reason, %{callback: nil}), do: :ok
+  def terminate(reason, state), do: Callback.stop_component(state.callback, reason)
+
+  defp unless_over(%{pace: %{quitting: true}} = state) do
+    if Outputs.drained?(state.outputs), do: {:stop, :normal, state}, else: {:noreply, state}
+  end
+
+  defp unless_over(state), do: {:noreply, state}
+
+  defp closing_time({:shutdown, {:closed, time}}, _state), do: time
+  defp closing_time(_reason, state), do: Clock.now(state.clock)
+
+  # A crash report names the component; payloads and options have no place in a log.
+  @impl true
+  def format_status(_reason, [_dictionary, state]), do: [data: [{~c"State", summary(state)}]]
+
+  defp summary(%State{} = state),
+    do: %{
+      component: State.head_vertex(state).path,
+      phase: state.phase,
+      inputs: map_size(state.inputs.by_tag)
+    }
+
+  defp summary(_state), do: %{}
+end

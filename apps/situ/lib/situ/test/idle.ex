@@ -1,0 +1,51 @@
+defmodule Situ.Test.Idle do
+  @moduledoc false
+  # Waits, without sleeping, until a pipeline with a manual clock is idle.
+  alias Situ.Clock
+  alias Situ.Parallel.Processes
+  alias Situ.Stage.State
+
+  @spec await_idle(pid(), Clock.t()) :: :ok
+  def await_idle(pipeline, clock), do: poll_until_idle(pipeline, clock, nil)
+
+  # Each round asks every process once. If it changed nothing and no alarm is due, the pipeline is idle.
+  defp poll_until_idle(pipeline, clock, before) do
+    case Process.info(pipeline, :links) do
+      nil ->
+        :ok
+
+      {:links, _links} ->
+        now = probe_pipeline(pipeline, Clock.now(clock))
+        if now == before and :due not in now, do: :ok, else: poll_until_idle(pipeline, clock, now)
+    end
+  end
+
+  # Probes the pipeline's process and its stages, and the same for pipelines of branches that run in processes.
+  defp probe_pipeline(pipeline, now) do
+    case Process.info(pipeline, :links) do
+      {:links, links} ->
+        stages = for pid <- [pipeline | links], is_pid(pid), pid != self(), do: pid
+        Enum.flat_map(stages, &probe_process(&1, now))
+
+      nil ->
+        [:ended]
+    end
+  end
+
+  # The request is queued after all earlier messages, so the reply means that those have been handled.
+  defp probe_process(pid, now) do
+    case :sys.get_state(pid) do
+      %State{timers: %{alarm: {due, _wait, _timer}}} when due <= now ->
+        [:due]
+
+      %State{callback: %{core: %Processes{} = core}} = state ->
+        branches = Enum.flat_map(Processes.branch_pipelines(core), &probe_pipeline(&1, now))
+        [:erlang.phash2(state) | branches]
+
+      state ->
+        [:erlang.phash2(state)]
+    end
+  catch
+    :exit, _ended -> [:ended]
+  end
+end

@@ -1,0 +1,129 @@
+defmodule Situ.Bridge.Net.ClientSocket do
+  @moduledoc false
+  # A plain or TLS connection to a server, with one interface to both. Bytes from the server arrive as
+  # `{:tcp | :ssl, socket, bytes}`, for `match_message/2`.
+
+  @options [
+    tls: [
+      type: {:or, [:boolean, :keyword]},
+      default: false,
+      doc:
+        "Connects with TLS, and only to a server whose certificate is valid for its name. `true` trusts the " <>
+          "system's authorities. A list sets `authorities:` (a file of trusted ones), `name:` (the name in the " <>
+          "certificate, if different), and `certificate:` and `key:` (files, if the server requires them of clients)."
+    ]
+  ]
+  @known [:authorities, :name, :certificate, :key]
+
+  @type t :: {:gen_tcp, :gen_tcp.socket()} | {:ssl, :ssl.sslsocket()}
+  @type tls :: boolean() | keyword()
+
+  @doc "Returns the TLS option of clients."
+  @spec tls_options() :: Situ.Options.schema()
+  def tls_options, do: @options
+
+  @doc "Connects; the socket is active once. Error reasons come from `:gen_tcp` and `:ssl`, or are sentences."
+  @spec connect(String.t(), :inet.port_number(), tls(), keyword()) ::
+          {:ok, t()} | {:error, term()}
+  def connect(host, port, tls, options) do
+    options = [:binary, active: :once] ++ options
+
+    if tls in [nil, false] do
+      with {:ok, tcp} <- :gen_tcp.connect(String.to_charlist(host), port, options, 2_000),
+           do: {:ok, {:gen_tcp, tcp}}
+    else
+      connect_tls(host, port, if(tls == true, do: [], else: tls), options)
+    end
+  end
+
+  defp connect_tls(host, port, tls, options) do
+    with :ok <- check_options(tls),
+         {:ok, trusted} <- authority_options(tls[:authorities]),
+         {:ok, _} <- Application.ensure_all_started(:ssl),
+         checked = trusted ++ client_certificate(tls) ++ verify_options(tls[:name] || host),
+         {:ok, ssl} <-
+           :ssl.connect(String.to_charlist(host), port, options ++ checked, 5_000),
+         do: {:ok, {:ssl, ssl}}
+  end
+
+  defp check_options(tls) do
+    case Keyword.keys(tls) -- @known do
+      [] ->
+        :ok
+
+      [key | _] ->
+        {:error, "tls: has no option #{inspect(key)}; its options are #{inspect(@known)}"}
+    end
+  end
+
+  defp authority_options(nil) do
+    {:ok, [cacerts: :public_key.cacerts_get()]}
+  rescue
+    _ -> {:error, "this system has no list of authorities; pass tls: [authorities: FILE]"}
+  end
+
+  defp authority_options(file) do
+    if File.regular?(file),
+      do: {:ok, [cacertfile: file]},
+      else: {:error, "#{file}, the file of trusted authorities, does not exist"}
+  end
+
+  defp client_certificate(tls) do
+    case {tls[:certificate], tls[:key]} do
+      {nil, nil} -> []
+      {certificate, nil} -> [certfile: certificate]
+      {certificate, key} -> [certfile: certificate, keyfile: key]
+    end
+  end
+
+  defp verify_options(name) do
+    [
+      verify: :verify_peer,
+      depth: 5,
+      server_name_indication: String.to_charlist(name),
+      customize_hostname_check: [match_fun: &host_matches?/2],
+      log_level: :error
+    ]
+  end
+
+  # OTP's match function does not match IP addresses in the certificate with a host given as text.
+  defp host_matches?({:dns_id, host}, {:iPAddress, bytes}) do
+    case :inet.parse_strict_address(host) do
+      {:ok, {a, b, c, d}} ->
+        IO.iodata_to_binary(bytes) == <<a, b, c, d>>
+
+      {:ok, ip} ->
+        IO.iodata_to_binary(bytes) == for(x <- Tuple.to_list(ip), into: "", do: <<x::16>>)
+
+      _ ->
+        false
+    end
+  end
+
+  defp host_matches?(wanted, presented),
+    do: :public_key.pkix_verify_hostname_match_fun(:https).(wanted, presented)
+
+  @spec send_bytes(t(), iodata()) :: :ok | {:error, term()}
+  def send_bytes({module, socket}, bytes), do: module.send(socket, bytes)
+
+  @doc "Allows the socket to deliver the next bytes."
+  @spec activate_once(t()) :: :ok | {:error, term()}
+  def activate_once({:gen_tcp, tcp}), do: :inet.setopts(tcp, active: :once)
+  def activate_once({:ssl, ssl}), do: :ssl.setopts(ssl, active: :once)
+
+  @spec close(t()) :: term()
+  def close({module, socket}), do: module.close(socket)
+
+  @doc "Matches a process message with this connection: its bytes, its end, or an unrelated message."
+  @spec match_message(term(), t() | nil) :: {:ok, binary()} | {:gone, term()} | :other
+  def match_message({kind, socket, bytes}, {_, socket}) when kind in [:tcp, :ssl],
+    do: {:ok, bytes}
+
+  def match_message({kind, socket}, {_, socket}) when kind in [:tcp_closed, :ssl_closed],
+    do: {:gone, :closed}
+
+  def match_message({kind, socket, reason}, {_, socket}) when kind in [:tcp_error, :ssl_error],
+    do: {:gone, reason}
+
+  def match_message(_other, _socket), do: :other
+end

@@ -1,0 +1,53 @@
+defmodule Situ.Bridge.Net.ReceiveBuffer do
+  @moduledoc false
+  # Collects the bytes of a connection until its reader has enough, and returns them as one binary. Without it, a
+  # message of a megabyte would be copied once per received segment. Pure.
+  defstruct blocks: [], pieces: [], n: 0, size: 0
+
+  # Small segments cost more memory than their bytes, so this many are joined to a block.
+  @most 1_024
+
+  # The buffer size of such a socket. The system default of 1.4 kB would split an image into a thousand segments.
+  @buffer 262_144
+
+  @type t :: %__MODULE__{
+          blocks: [binary()],
+          pieces: [binary()],
+          n: non_neg_integer(),
+          size: non_neg_integer()
+        }
+
+  @doc "Returns the value of the socket option `buffer:`, bytes."
+  @spec buffer_size() :: pos_integer()
+  def buffer_size, do: @buffer
+
+  @doc """
+  Adds a received segment; the reader lacks at least `missing` bytes.
+
+      iex> alias Situ.Bridge.Net.ReceiveBuffer
+      iex> {:more, pieces} = Pieces.add_bytes(%Pieces{}, "ab", 4)
+      iex> Pieces.add_bytes(pieces, "cde", 4)
+      {:ok, "abcde", %Pieces{}}
+  """
+  @spec add_bytes(t(), binary(), missing :: integer()) :: {:ok, binary(), t()} | {:more, t()}
+  def add_bytes(%__MODULE__{size: 0} = none, bytes, missing) when byte_size(bytes) >= missing,
+    do: {:ok, bytes, none}
+
+  def add_bytes(pieces, bytes, missing) do
+    grown = %{pieces | pieces: [bytes | pieces.pieces], n: pieces.n + 1}
+    grown = %{grown | size: pieces.size + byte_size(bytes)}
+
+    cond do
+      grown.size >= missing ->
+        {:ok, join_bytes(grown.pieces ++ grown.blocks), %__MODULE__{}}
+
+      grown.n < @most ->
+        {:more, grown}
+
+      true ->
+        {:more, %{grown | n: 0, pieces: [], blocks: [join_bytes(grown.pieces) | grown.blocks]}}
+    end
+  end
+
+  defp join_bytes(newest_first), do: newest_first |> Enum.reverse() |> IO.iodata_to_binary()
+end

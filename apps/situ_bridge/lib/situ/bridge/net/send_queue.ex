@@ -1,0 +1,49 @@
+defmodule Situ.Bridge.Net.SendQueue do
+  @moduledoc false
+  # Counts the messages that wait for the process of one connection, so that a slow connection neither blocks the sender
+  # nor fills memory. The sender calls `put/4`; the connection receives `{:send, bytes}` and calls `flush/3`.
+
+  @type t :: :atomics.atomics_ref()
+
+  @send_timeout 30_000
+  @most_at_once 500
+
+  @spec new() :: t()
+  def new, do: :atomics.new(1, [])
+
+  @doc "Returns the socket options of a connection."
+  def socket_options, do: [nodelay: true, send_timeout: @send_timeout, send_timeout_close: true]
+
+  @spec put(t(), pid(), iodata(), most :: pos_integer()) :: :ok | :full
+  def put(outbox, connection, bytes, most) do
+    if :atomics.get(outbox, 1) < most do
+      :atomics.add(outbox, 1, 1)
+      send(connection, {:send, bytes})
+      :ok
+    else
+      :full
+    end
+  end
+
+  @doc "Returns the number of waiting messages."
+  @spec count_waiting(t()) :: non_neg_integer()
+  def count_waiting(outbox), do: :atomics.get(outbox, 1)
+
+  @doc "Sends `bytes` and all other waiting messages in one system call."
+  @spec flush(t(), :gen_tcp.socket(), iodata()) :: :ok | {:error, term()}
+  def flush(outbox, tcp, bytes) do
+    {n, all} = gather_messages(1, [bytes])
+
+    with :ok <- :gen_tcp.send(tcp, Enum.reverse(all)), do: :atomics.sub(outbox, 1, n)
+  end
+
+  defp gather_messages(n, all) when n >= @most_at_once, do: {n, all}
+
+  defp gather_messages(n, all) do
+    receive do
+      {:send, bytes} -> gather_messages(n + 1, [bytes | all])
+    after
+      0 -> {n, all}
+    end
+  end
+end

@@ -1,0 +1,385 @@
+defmodule Situ.CLI.Store.Export do
+  @moduledoc "`situ store save`: writes messages to files that other programs can read."
+  @behaviour Situ.CLI.Verb
+  alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, Ros}
+  alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
+  alias Situ.CLI.Store.{Arguments, Protobuf}
+  alias Situ.{Error, Store}
+  alias Situ.Store.AtomicFile
+
+  @formats %{
+    "arrow" => :arrow,
+    "csv" => :csv,
+    "json" => :json,
+    "json_lines" => :json_lines,
+    "message_pack" => :message_pack,
+    "parquet" => :parquet,
+    "protobuf" => :protobuf,
+    "mcap" => :mcap,
+    "bag" => :bag
+  }
+  @endings %{
+    ".arrow" => :arrow,
+    ".csv" => :csv,
+    ".json" => :json,
+    ".jsonl" => :json_lines,
+    ".msgpack" => :message_pack,
+    ".parquet" => :parquet,
+    ".pb" => :protobuf,
+    ".mcap" => :mcap,
+    ".bag" => :bag
+  }
+  # Files of these formats contain complete recordings.
+  @recordings %{mcap: Mcap, bag: Ros.Bag}
+  @tables %{parquet: Parquet, arrow: Arrow}
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "save"],
+        aliases: ["export"],
+        summary:
+          "export messages to a file: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, ROS 1 bag",
+        about: """
+        MCAP files and bags contain all or the selected streams. Other files contain one stream; with --on, a table
+        contains several streams, joined on time. CSV, JSON and MessagePack have the layouts of Situ.Bridge.Format,
+        which \\psi reads and writes as well. Plain numbers are written to CSV, Parquet and Arrow at a million per
+        second or more.
+        """,
+        arguments: [
+          path: [
+            kind: :recording,
+            doc:
+              "a store's folder, ROOT/NAME for its newest version NAME.NNNN, or an external file"
+          ],
+          file: [
+            kind: :file,
+            doc:
+              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .arrow, .pb, .mcap, .bag); - for " <>
+                "standard output"
+          ]
+        ],
+        options:
+          Arguments.stream_options("this stream, or a pattern ('Room.*'); default: all") ++
+            [
+              Option.new(
+                :format,
+                @formats |> Map.keys() |> Enum.sort(),
+                "the format, regardless of the file's extension",
+                short: :m
+              ),
+              Option.new(:from, :time, "start at this originating time"),
+              Option.new(:to, :time, "end at this originating time"),
+              Option.new(
+                :compression,
+                ["none", "gzip", "lz4", "zstd"],
+                "for Parquet (none, gzip), MCAP (none, lz4, zstd) and bags (none, lz4)"
+              ),
+              Option.new(
+                :on,
+                :string,
+                "Parquet, Arrow: all streams in one table, with a row for each message of this stream",
+                value: "STREAM"
+              ),
+              Option.new(
+                :latest,
+                :flag,
+                "with --on: take other streams' latest values, not the nearest"
+              ),
+              Option.new(
+                :within,
+                :span,
+                "with --on: leave cells empty if no value is this close"
+              ),
+              Option.new(
+                :skip_damage,
+                :flag,
+                "omit damaged data; without this flag it is an error"
+              )
+            ] ++ Arguments.mcap_options() ++ Protobuf.file_options(),
+        examples: [
+          "situ store save recordings/lobby levels.csv -s Lobby.Level",
+          "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",
+          "situ store save recordings/drive drive.parquet --on Speed -s Pose --within 50ms",
+          "situ store save recordings/lobby lobby.mcap -x 'Lobby.Video*'"
+        ],
+        run: &save_file/2
+      }
+    ]
+  end
+
+  @doc "Returns the format of a file by its extension, or `nil`."
+  @spec format_from_extension(Path.t()) :: atom()
+  def format_from_extension(file), do: @endings[file |> Path.extname() |> String.downcase()]
+
+  @doc "Writes the file; takes the arguments and options of the verb."
+  @spec save_file(map(), keyword()) :: 0
+  def save_file(%{path: path, file: file}, opts) do
+    format = @formats[opts[:format]] || format_from_extension(file)
+
+    unless format,
+      do:
+        throw(
+          {:usage, "unknown format: give --format, or a file that ends in #{known_extensions()}"}
+        )
+
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+    store = Recording.open!(path)
+    chosen = Arguments.select_streams!(store, opts)
+    if file != "-", do: UnfinishedOutput.remove_file_at_exit(file)
+
+    saved =
+      Progress.with_progress("save", opts, fn progress ->
+        write_format(format, store, chosen, file, opts, progress)
+      end)
+
+    if opts[:json] && file != "-",
+      do: Output.print_json(Map.merge(%{file: file, format: format}, saved))
+
+    0
+  end
+
+  # An MCAP file is copied to another MCAP file record by record.
+  defp write_format(:mcap, %{module: Mcap} = store, chosen, file, opts, progress) do
+    reject_join!(opts)
+    refuse_stdout!(file, :mcap)
+    total = chosen |> Enum.map(& &1.count) |> Enum.sum()
+    all? = length(chosen) == length(Store.streams(store))
+    names = unless all?, do: Enum.map(chosen, & &1.name)
+    carried = [attachments: opts[:attach] || [], metadata: metadata_records(opts)]
+    written = [progress: &progress.(&1, total)] ++ compression_option(:mcap, opts[:compression])
+    copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ read_options(opts)
+
+    copied = write_then_rename!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
+    for sentence <- copied.left_out, do: Output.warn("Omitted: " <> sentence)
+    Map.put(copied, :streams, length(chosen))
+  end
+
+  defp write_format(format, store, chosen, file, opts, progress)
+       when is_map_key(@recordings, format) do
+    reject_join!(opts)
+    refuse_stdout!(file, format)
+    total = chosen |> Enum.map(& &1.count) |> Enum.sum()
+    names = Enum.map(chosen, & &1.name)
+    written = [progress: &progress.(&1, total)] ++ compression_option(format, opts[:compression])
+
+    exporting = [streams: names] ++ read_options(opts) ++ written ++ carried_options(format, opts)
+
+    count = write_then_rename!(file, &@recordings[format].export(store, &1, exporting))
+    %{messages: count, streams: length(names)}
+  end
+
+  defp write_format(format, store, chosen, file, opts, progress)
+       when is_map_key(@tables, format) do
+    [] = carried_options(format, opts)
+    refuse_stdout!(file, format)
+    info = if opts[:on], do: fetch_stream!(store, opts[:on]), else: single_stream!(store, chosen)
+
+    written =
+      [progress: &progress.(&1, info.count)] ++ compression_option(format, opts[:compression])
+
+    write_table(
+      opts[:on],
+      @tables[format],
+      {store, info, chosen},
+      file,
+      opts,
+      read_options(opts) ++ written
+    )
+  end
+
+  defp write_format(:protobuf, store, chosen, file, opts, progress) do
+    reject_join!(opts)
+    [] = carried_options(:protobuf, opts) ++ compression_option(:protobuf, opts[:compression])
+    refuse_stdout!(file, :protobuf)
+
+    Protobuf.save_stream(
+      store,
+      single_stream!(store, chosen),
+      file,
+      opts,
+      {read_options(opts), progress}
+    )
+  end
+
+  defp write_format(format, store, chosen, file, opts, progress) do
+    reject_join!(opts)
+    [] = carried_options(format, opts)
+    unless compression_option(format, opts[:compression]) == [], do: reject_compression(format)
+    info = single_stream!(store, chosen)
+    out = open_output(file)
+
+    place =
+      store
+      |> Store.columns(info, read_options(opts))
+      |> Enum.reduce(0, fn part, place ->
+        {records, place} = encode_records(format, part, place, out)
+        write_bytes(out, records)
+        progress.(Format.record_count(place), info.count)
+        place
+      end)
+
+    write_bytes(out, Format.fetch_module!(format).finish(place))
+    close_output(out)
+    %{messages: Format.record_count(place), stream: info.name}
+  end
+
+  defp write_table(nil, module, {store, info, _chosen}, file, _opts, written),
+    do: %{messages: unwrap!(module.write(store, info.name, file, written)), stream: info.name}
+
+  defp write_table(on, module, {store, _info, chosen}, file, opts, written) do
+    # If no streams are selected, the table contains every stream that fits into a table.
+    all? = (opts[:stream] || []) == [] and (opts[:exclude] || []) == []
+    joining = [on: on, streams: unless(all?, do: Enum.map(chosen, & &1.name))]
+    joining = [take: if(opts[:latest], do: :latest, else: :nearest)] ++ joining
+    joining = Keyword.take(opts, [:within]) ++ joining
+    %{messages: unwrap!(module.join(store, file, joining ++ written)), stream: on}
+  end
+
+  defp fetch_stream!(store, name), do: Error.unwrap!(Store.stream_info(store, name))
+
+  defp reject_join!(opts) do
+    if opts[:on], do: throw({:usage, "--on needs a table: Parquet or Arrow"})
+  end
+
+  defp carried_options(:mcap, opts),
+    do: [attachments: opts[:attach] || [], metadata: metadata_records(opts)]
+
+  defp carried_options(format, opts) do
+    if (opts[:attach] || []) != [] or (opts[:metadata] || []) != [],
+      do:
+        throw({:usage, "#{format} files cannot contain attachments or metadata; MCAP files can"})
+
+    []
+  end
+
+  defp metadata_records(opts), do: Arguments.parse_records!(opts[:metadata] || [])
+
+  # A record that cannot be encoded stops the export, and the incomplete file is deleted.
+  defp encode_records(format, part, place, out) do
+    Format.encode_records(format, part, place)
+  rescue
+    error in Error ->
+      discard_output(out)
+      reraise error, __STACKTRACE__
+  end
+
+  defp known_extensions, do: @endings |> Map.keys() |> Enum.sort() |> Enum.join(", ")
+
+  defp read_options(opts),
+    do: [skip_damage: opts[:skip_damage] == true] ++ Keyword.take(opts, [:from, :to])
+
+  @packed %{parquet: ~w(none gzip), mcap: ~w(none lz4 zstd), bag: ~w(none lz4)}
+
+  defp compression_option(_format, nil), do: []
+
+  defp compression_option(format, word) do
+    if word in Map.get(@packed, format, []),
+      do: [compression: String.to_existing_atom(word)],
+      else: reject_compression(format)
+  end
+
+  defp reject_compression(format) do
+    known = Map.get(@packed, format, [])
+
+    fix = if known == [], do: "compress the file with gzip", else: "use #{Enum.join(known, ", ")}"
+
+    throw({:usage, "#{format} does not support this --compression; #{fix}"})
+  end
+
+  # These formats have an index at the end, and the file is renamed when it is complete.
+  defp refuse_stdout!("-", format),
+    do:
+      throw(
+        {:usage,
+         "#{format} cannot be written to standard output: such a file is complete only at its end"}
+      )
+
+  defp refuse_stdout!(_file, _format), do: :ok
+
+  # Writes to a temporary file first, because the output may be the recording that is being read.
+  defp write_then_rename!(file, write) do
+    unfinished = file <> ".unfinished"
+
+    case write.(unfinished) do
+      {:ok, result} ->
+        sync_and_rename(unfinished, file)
+        result
+
+      {:error, error} ->
+        _ = File.rm(unfinished)
+        raise error
+    end
+  end
+
+  defp single_stream!(_store, [one]), do: one
+
+  defp single_stream!(store, several) do
+    names = several |> Enum.take(8) |> Enum.map_join(", ", & &1.name)
+
+    raise Error.new(:ambiguous_stream, "#{store.path} has #{length(several)} streams",
+            fix: "choose one with --stream: #{names}"
+          )
+  end
+
+  # A temporary file is renamed when it is complete. Standard output is opened as a raw file, which is faster than IO.
+  defp open_output("-"), do: {:stdout, open_device!("/dev/stdout", [:append])}
+  defp open_output(path), do: {path, open_device!(path <> ".unfinished", [:write])}
+
+  defp open_device!(path, modes) do
+    case :file.open(path, [:raw, :binary | modes]) do
+      {:ok, device} -> device
+      {:error, reason} -> raise write_error(path, reason)
+    end
+  end
+
+  defp write_error(path, reason),
+    do: Error.new(:not_saved, "cannot write #{path}", why: to_string(:file.format_error(reason)))
+
+  defp write_bytes({_, device} = out, bytes) do
+    case :file.write(device, bytes) do
+      :ok ->
+        :ok
+
+      {:error, :epipe} ->
+        exit(:terminated)
+
+      {:error, reason} ->
+        discard_output(out)
+
+        raise Error.new(:not_saved, "the file cannot be written",
+                why: to_string(:file.format_error(reason)),
+                fix: "free disk space, or write to another location"
+              )
+    end
+  end
+
+  defp close_output({:stdout, device}), do: :file.close(device)
+
+  defp close_output({path, device}) do
+    with {:error, reason} <- :file.close(device), do: raise(write_error(path, reason))
+    sync_and_rename(path <> ".unfinished", path)
+  end
+
+  # The file is synced before it is renamed, because the user may delete the original next.
+  defp sync_and_rename(unfinished, path) do
+    with :ok <- AtomicFile.sync_file(unfinished),
+         :ok <- AtomicFile.rename_synced(unfinished, path) do
+      :ok
+    else
+      {:error, reason} -> raise write_error(path, reason)
+    end
+  end
+
+  defp discard_output({:stdout, _}), do: :ok
+
+  defp discard_output({path, device}) do
+    _ = :file.close(device)
+    _ = File.rm(path <> ".unfinished")
+    :ok
+  end
+
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
+end

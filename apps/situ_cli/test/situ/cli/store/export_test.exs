@@ -1,0 +1,168 @@
+defmodule Situ.CLI.Store.ExportTest do
+  use ExUnit.Case, async: true
+  import ExUnit.CaptureIO
+  alias Situ.{Bridge, Message, Store}
+
+  @moduletag :tmp_dir
+
+  setup %{tmp_dir: root} do
+    {:ok, writer} = Store.Writer.create("r", root)
+    {:ok, a} = Store.Writer.stream(writer, "A", type: :float)
+    {:ok, _} = Store.Writer.stream(writer, "Pids", type: :any)
+
+    messages =
+      for i <- 1..5,
+          do: %Message{
+            data: i / 2,
+            originating_time: i * 1_000,
+            creation_time: i * 1_000,
+            sequence_id: i
+          }
+
+    {:ok, _} = Store.Writer.append(a, messages)
+    :ok = Store.Writer.close(writer)
+    %{path: writer.path}
+  end
+
+  test "saves a stream in each format and reads it back", %{path: path, tmp_dir: root} do
+    for {ending, format} <- [csv: :csv, json: :json, jsonl: :json_lines, msgpack: :message_pack] do
+      file = Path.join(root, "a.#{ending}")
+
+      assert capture_io(fn ->
+               assert Situ.CLI.run(["store", "save", path, file, "-s", "A"]) == 0
+             end) == ""
+
+      read = Enum.to_list(Bridge.File.messages(file, format))
+      assert Enum.map(read, &elem(&1, 0)) == for(i <- 1..5, do: i * 1_000)
+      refute File.exists?(file <> ".unfinished")
+    end
+  end
+
+  test "reports an unclear stream, format or target", %{
+    path: path,
+    tmp_dir: root
+  } do
+    for {argv, status, said} <- [
+          {[path, Path.join(root, "x.csv")], 1, "A, Pids"},
+          {[path, Path.join(root, "x.doc"), "-s", "A"], 2, "format"},
+          {[path, Path.join(root, "no/x.csv"), "-s", "A"], 1, "cannot write"},
+          {[path, Path.join(root, "x.csv"), "-s", "B"], 1, "no stream"},
+          {[path, Path.join(root, "x.csv"), "--on", "A"], 2, "Parquet or Arrow"},
+          {[path, Path.join(root, "x.parquet"), "--on", "B"], 1, "no stream"}
+        ] do
+      assert capture_io(:stderr, fn -> assert Situ.CLI.run(["store", "save" | argv]) == status end) =~
+               said
+    end
+  end
+
+  test "joins streams on time into one table", %{tmp_dir: root} do
+    for {more, row} <- [
+          {[], %{"Room.A" => 1, "Room.B" => 101}},
+          {["-x", "Room.B"], %{"Room.A" => 1}},
+          {["--latest", "--within", "1ms"], %{"Room.A" => 1, "Room.B" => 101}}
+        ] do
+      file = Path.join(root, "j.arrow")
+      argv = ["store", "save", both(root), file, "--on", "Room.A" | more]
+      assert capture_io(fn -> assert Situ.CLI.run(argv) == 0 end) == ""
+      assert [{_, ^row} | _] = Enum.to_list(Bridge.Arrow.messages(file))
+    end
+  end
+
+  defp both(root) do
+    {:ok, writer} = Store.Writer.create("both", root)
+
+    for {name, more} <- [{"Room.A", 0}, {"Room.B", 100}] do
+      {:ok, stream} = Store.Writer.stream(writer, name, type: :integer)
+
+      messages =
+        for i <- 1..9,
+            do: %Message{data: i + more, originating_time: i, creation_time: i, sequence_id: i}
+
+      {:ok, _} = Store.Writer.append(stream, messages)
+    end
+
+    :ok = Store.Writer.close(writer)
+    writer.path
+  end
+
+  test "saves a stream as a Parquet table", %{path: path, tmp_dir: root} do
+    file = Path.join(root, "a.parquet")
+    argv = ["store", "save", path, file, "-s", "A", "--compression", "gzip", "--json"]
+    assert {0, said} = with_io(fn -> Situ.CLI.run(argv) end)
+
+    assert {:ok, %{"messages" => 5, "format" => "parquet", "stream" => "A"}} =
+             Situ.JSON.decode(said)
+
+    assert Enum.to_list(Bridge.Parquet.messages(file)) == for(i <- 1..5, do: {i * 1_000, i / 2})
+  end
+
+  test "saves a recording as MCAP and as a bag, entirely or in part", %{tmp_dir: root} do
+    path = both(root)
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+
+    for ending <- ["mcap", "bag"] do
+      file = Path.join(root, "r.#{ending}")
+      assert {0, said} = with_io(fn -> Situ.CLI.run(["store", "save", path, file, "--json"]) end)
+      assert {:ok, %{"messages" => 18, "streams" => 2}} = Situ.JSON.decode(said)
+      assert store = Store.open!(file)
+
+      assert for(i <- Store.streams(store), do: {i.name, i.count}) |> Enum.sort() == [
+               {"Room.A", 9},
+               {"Room.B", 9}
+             ]
+
+      span = ["--from", "3", "--to", "5"]
+      argv = ["store", "export", path, file, "-s", "Room.*", "-x", "*.A"] ++ span
+      assert {0, _} = with_io(fn -> Situ.CLI.run(argv) end)
+      store = Store.open!(file)
+      assert [%{name: "Room.B"} = info] = Store.streams(store)
+      assert for(m <- Store.messages(store, info), do: m.originating_time) == [3, 4, 5]
+    end
+  end
+
+  test "keeps the file when saving it to itself, or when a message cannot be written", %{
+    tmp_dir: root
+  } do
+    path = both(root)
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+    file = Path.join(root, "r.mcap")
+
+    save = fn from ->
+      with_io(:stderr, fn -> Situ.CLI.run(["store", "save", from, file, "-q"]) end)
+    end
+
+    assert {0, _} = save.(path)
+    assert {0, _} = save.(file)
+    assert Enum.map(Store.streams(Store.open!(file)), & &1.count) == [9, 9]
+
+    {:ok, writer} = Store.Writer.create("pairs", root)
+    {:ok, stream} = Store.Writer.stream(writer, "Pairs")
+
+    message = %Message{
+      data: %{{1, 2} => 3},
+      originating_time: 1,
+      creation_time: 1,
+      sequence_id: 1
+    }
+
+    {:ok, _} = Store.Writer.append(stream, [message])
+    :ok = Store.Writer.close(writer)
+    assert {1, _} = save.(writer.path)
+    assert Enum.map(Store.streams(Store.open!(file)), & &1.count) == [9, 9]
+    refute File.exists?(file <> ".unfinished")
+  end
+
+  test "rejects files on standard output, and unsupported compressions", %{path: path} do
+    for {argv, said} <- [
+          {["-", "--format", "mcap"], "cannot be written to standard output"},
+          {["-", "--format", "parquet", "-s", "A"], "cannot be written to standard output"},
+          {["x.csv", "-s", "A", "--compression", "zstd"], "does not support this --compression"},
+          {["x.parquet", "-s", "A", "--compression", "lz4"], "use none, gzip"}
+        ] do
+      assert capture_io(:stderr, fn ->
+               assert Situ.CLI.run(["store", "save", path | argv]) == 2
+             end) =~
+               said
+    end
+  end
+end

@@ -1,0 +1,124 @@
+defmodule Situ.CLI.Store.ExternalFilesTest do
+  use ExUnit.Case, async: true
+  import ExUnit.CaptureIO
+
+  @moduletag :tmp_dir
+  @drive Path.expand("../../../../../situ_bridge/test/data/ros1_imu_gps_cam.mcap", __DIR__)
+
+  defp situ(argv), do: with_io(fn -> Situ.CLI.run(["store" | argv]) end)
+
+  test "reads an intact file to its end", %{tmp_dir: root} do
+    assert {0, said} = situ(["verify", @drive])
+    assert said =~ "545 messages, all readable"
+    copy = Path.join(root, "copy.mcap")
+    File.cp!(@drive, copy)
+    assert {0, said} = situ(["doctor", @drive, copy, "--json"])
+
+    assert {:ok, [%{"messages" => 545, "damage" => []}, %{"messages" => 545}]} =
+             Situ.JSON.decode(said)
+  end
+
+  test "reports a truncated or altered file as damaged, and how to recover it", %{
+    tmp_dir: root
+  } do
+    bytes = File.read!(@drive)
+    cut = Path.join(root, "cut.mcap")
+    File.write!(cut, binary_part(bytes, 0, div(byte_size(bytes), 2)))
+    assert {1, said} = situ(["verify", cut])
+    assert said =~ "DAMAGED" and said =~ "situ store recover"
+
+    altered = Path.join(root, "altered.mcap")
+    at = div(byte_size(bytes), 3)
+    <<before::binary-size(at), byte, rest::binary>> = bytes
+    File.write!(altered, [before, Bitwise.bxor(byte, 0x55), rest])
+    assert {1, said} = situ(["verify", altered, "--json"])
+    assert {:ok, %{"damage" => [_ | _]}} = Situ.JSON.decode(said)
+  end
+
+  test "repair does not change external files, and says so" do
+    assert failed(["repair", @drive]) =~ "never changed"
+    assert failed(["repair", @drive]) =~ "situ store recover"
+    bag = Path.rootname(@drive) <> ".bag"
+    assert failed(["repair", bag]) =~ "situ store import --skip-damage"
+    assert failed(["recover", bag, "out.bag"]) =~ "situ store import --skip-damage"
+    assert failed(["recover", @drive, "out.bag"]) =~ "ends in .mcap"
+  end
+
+  defp failed(argv),
+    do: capture_io(:stderr, fn -> assert Situ.CLI.run(["store" | argv]) == 1 end)
+
+  test "recovers the readable part of a damaged MCAP file into a new one", %{tmp_dir: root} do
+    sound = Path.join(root, "sound.mcap")
+    {:ok, _} = @drive |> Situ.Store.open!() |> Situ.Bridge.Mcap.copy(sound, chunk: 20_000)
+    bytes = File.read!(sound)
+    broken = Path.join(root, "broken.mcap")
+    whole = Path.join(root, "whole.mcap")
+    at = div(byte_size(bytes), 3)
+    <<before::binary-size(at), _::binary-20, rest::binary>> = bytes
+    # Without its end, the file has no index.
+    File.write!(broken, [
+      before,
+      :binary.copy(<<0xAA>>, 20),
+      binary_part(rest, 0, byte_size(rest) - 100)
+    ])
+
+    said =
+      capture_io(:stderr, fn ->
+        assert {0, json} = situ(["recover", broken, whole, "--json"])
+        assert {:ok, %{"messages" => n, "left_out" => [_ | _]}} = Situ.JSON.decode(json)
+        assert n > 100
+      end)
+
+    assert said =~ "Omitted: "
+    assert {0, said} = situ(["verify", whole])
+    assert said =~ "all readable"
+
+    assert failed(["recover", root, whole]) =~ "repaired in place"
+  end
+
+  test "writes a file named .mcap as MCAP with the original bytes", %{tmp_dir: root} do
+    want = raw(@drive)
+
+    for {verb, more} <- [
+          {"copy", []},
+          {"filter", []},
+          {"compress", []},
+          {"decompress", []},
+          {"sort", []},
+          {"crop", ["--start", "0s"]},
+          {"convert", ["--compression", "lz4"]}
+        ] do
+      out = Path.join(root, verb <> ".mcap")
+      assert {verb, {0, _}} = {verb, situ([verb, @drive, out | more])}
+      assert File.ls!(root) == [verb <> ".mcap"]
+      assert {verb, raw(out)} == {verb, want}
+      File.rm!(out)
+    end
+  end
+
+  # Returns the undecoded messages of all channels.
+  defp raw(path) do
+    store = Situ.Store.open!(path)
+    %{state: %{ref: ref}} = store
+
+    for channel <- Situ.Bridge.Mcap.list_channels(store), into: %{} do
+      what = {{channel.id, :log}, 0, :unbounded, {10_000, 1_000_000_000}, {false, false}}
+      {:ok, {messages, _}} = Situ.Bridge.Native.mcap_read(ref, what)
+      {channel, messages}
+    end
+  end
+
+  test "verbs that only create stores reject the name of a file", %{tmp_dir: root} do
+    out = Path.join(root, "out.mcap")
+
+    for argv <- [
+          ["concat", @drive, @drive, out],
+          ["split", @drive, out, "--every", "1s"],
+          ["edit", @drive, out, "--set", "/chatter@0=1"]
+        ] do
+      assert failed(argv) =~ "creates a store"
+    end
+
+    assert File.ls!(root) == []
+  end
+end

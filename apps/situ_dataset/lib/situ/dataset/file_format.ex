@@ -1,0 +1,297 @@
+defmodule Situ.Dataset.FileFormat do
+  @moduledoc """
+  The dataset file: JSON that people may edit (schema: `priv/schema/dataset.schema.json`).
+
+      {"version": 1, "name": "Study", "tags": [], "metadata": {},
+       "sessions": [
+         {"name": "p01", "tags": ["pilot"], "metadata": {"participant": "P01"},
+          "partitions": [{"name": "Room", "store": "room", "path": "p01/room.0000"}]}]}
+
+  Paths are relative to the file and use forward slashes. Saving keeps unknown fields of the file. \\psi's `.pds`
+  files, which have the same structure with other names, are read but never written.
+  """
+  alias Situ.Dataset.{DatasetFile, NameRules, Partition, Session, StoredPath}
+  alias Situ.Error
+
+  @version 1
+  @largest 64 * 1024 * 1024
+
+  @type dataset :: %{
+          name: String.t(),
+          metadata: map(),
+          tags: [String.t()],
+          sessions: [Session.t()],
+          extra: map()
+        }
+
+  @doc "Reads a dataset file."
+  @spec read(Path.t()) :: {:ok, dataset()} | {:error, Error.t()}
+  def read(path) do
+    with {:ok, dataset, _digest} <- read_digested(path), do: {:ok, dataset}
+  end
+
+  @doc "Reads a dataset file and returns `{:ok, dataset, digest}` with the digest of its text."
+  @spec read_digested(Path.t()) :: {:ok, dataset(), String.t()} | {:error, Error.t()}
+  def read_digested(path) do
+    with {:ok, text} <- read_text(path) do
+      case parse(text, path) do
+        {:ok, dataset} -> {:ok, dataset, DatasetFile.text_digest(text)}
+        {:error, why} -> {:error, bad_dataset_error(path, why)}
+      end
+    end
+  end
+
+  @doc "Returns whether a file is probably a dataset; reads only its first bytes."
+  @spec dataset_file?(Path.t()) :: boolean()
+  def dataset_file?(path) do
+    File.regular?(path) and (Path.extname(path) == ".pds" or json_dataset?(path))
+  end
+
+  defp json_dataset?(path) do
+    with ".json" <- Path.extname(path),
+         {:ok, device} <- File.open(path, [:read, :binary]) do
+      head = IO.binread(device, 65_536)
+      _ = File.close(device)
+      is_binary(head) and head =~ ~r/\A\s*\{/ and head =~ ~r/"[Ss]essions"\s*:/
+    else
+      _ -> false
+    end
+  end
+
+  defp read_text(path) do
+    with {:ok, %{type: :regular, size: size}} when size <= @largest <- File.stat(path),
+         {:ok, text} <- File.read(path) do
+      {:ok, text}
+    else
+      {:ok, %{type: :regular, size: size}} ->
+        {:error,
+         bad_dataset_error(path, "it has #{size} bytes; a dataset file has at most #{@largest}")}
+
+      {:ok, %{type: type}} ->
+        {:error, bad_dataset_error(path, "it is a #{type}")}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:not_found, "cannot read the dataset #{path}",
+           why: to_string(:file.format_error(reason)),
+           fix: "check the path"
+         )}
+    end
+  end
+
+  defp bad_dataset_error(path, why) do
+    Error.new(:bad_dataset, "#{path} is not a dataset file",
+      why: why,
+      fix:
+        "see `Situ.Dataset.FileFormat` for the format, or create a dataset with `situ dataset create`"
+    )
+  end
+
+  @doc "Parses the text of the dataset file `path`; returns `{:ok, dataset}`, or the reason in words."
+  @spec parse(binary(), Path.t()) :: {:ok, dataset()} | {:error, String.t()}
+  def parse(text, path) do
+    case Situ.JSON.decode(text) do
+      {:ok, %{"sessions" => _} = json} -> parse_native(json, path)
+      {:ok, %{"Sessions" => _} = json} -> parse_psi(json, path)
+      {:ok, _} -> {:error, "it does not have \"sessions\""}
+      {:error, :bad_json} -> {:error, "it is not JSON"}
+    end
+  catch
+    {:refused, why} -> {:error, why}
+  end
+
+  defp parse_native(json, path) do
+    if json["version"] not in [nil, @version],
+      do:
+        reject_file(
+          "its version is #{inspect(json["version"])}; this release of Situ reads version #{@version}"
+        )
+
+    {:ok, build_dataset(json, &native_partition(&1, path), "sessions", "partitions", "name")}
+  end
+
+  # The file was written on Windows, so its paths may contain backslashes.
+  defp parse_psi(json, path) do
+    {:ok, build_dataset(json, &psi_partition(&1, path), "Sessions", "Partitions", "Name")}
+  end
+
+  defp build_dataset(json, partition, sessions, partitions, name) do
+    all = json |> Map.fetch!(sessions) |> check_objects(sessions)
+
+    %{
+      name: get_string(json, name, "the dataset", "Untitled Dataset"),
+      metadata: get_object(json, "metadata", "the dataset"),
+      tags: get_strings(json, "tags", "the dataset"),
+      sessions:
+        Enum.map(all, &build_session(&1, partition, partitions, name))
+        |> require_unique("session"),
+      extra: Map.drop(json, ["version", name, "metadata", "tags", sessions])
+    }
+  end
+
+  defp build_session(json, partition, partitions, key) do
+    name = fetch_name(json, key, "session")
+    place = "session #{inspect(name)}"
+    all = json |> Map.get(partitions, []) |> check_objects("#{partitions} of #{place}")
+
+    %Session{
+      name: name,
+      metadata: get_object(json, "metadata", place),
+      tags: get_strings(json, "tags", place),
+      partitions: all |> Enum.map(partition) |> require_unique("partition of #{place}"),
+      extra: Map.drop(json, [key, "metadata", "tags", partitions])
+    }
+  end
+
+  defp native_partition(json, file) do
+    name = fetch_name(json, "name", "partition")
+    place = "partition #{inspect(name)}"
+
+    %Partition{
+      name: name,
+      store: optional_string(json, "store", place),
+      path: json |> require_string("path", place) |> StoredPath.from_stored(file),
+      reader: optional_string(json, "reader", place),
+      checksum: optional_string(json, "checksum", place),
+      metadata: get_object(json, "metadata", place),
+      extra: Map.drop(json, ~w(name store path reader checksum metadata))
+    }
+  end
+
+  defp psi_partition(json, file) do
+    name = fetch_name(json, "Name", "partition")
+    place = "partition #{inspect(name)}"
+    stored = require_string(json, "StorePath", place)
+
+    stored =
+      if StoredPath.windows_path?(stored) or StoredPath.windows_path?(file),
+        do: stored,
+        else: StoredPath.to_portable(stored)
+
+    path =
+      if StoredPath.windows_path?(stored),
+        do: stored,
+        else: StoredPath.from_stored(stored, file)
+
+    %Partition{
+      name: name,
+      store: optional_string(json, "StoreName", place),
+      path: path,
+      reader: optional_string(json, "StreamReaderTypeName", place),
+      extra: %{}
+    }
+  end
+
+  defp require_unique(items, kind) do
+    names = Enum.map(items, & &1.name)
+
+    case names -- Enum.uniq(names) do
+      [] -> items
+      [twice | _] -> reject_file("it contains the #{kind} #{inspect(twice)} twice")
+    end
+  end
+
+  defp fetch_name(json, key, kind) do
+    name = json[key]
+
+    case NameRules.check_valid(name, kind) do
+      :ok -> name
+      {:error, error} -> reject_file(error.what)
+    end
+  end
+
+  defp check_objects(list, place) do
+    if is_list(list) and Enum.all?(list, &is_map/1),
+      do: list,
+      else: reject_file("#{place} must be a list of objects")
+  end
+
+  defp get_object(json, key, place) do
+    case json[key] do
+      nil -> %{}
+      %{} = map -> map
+      _ -> reject_file("#{key} of #{place} is not an object")
+    end
+  end
+
+  defp get_strings(json, key, place) do
+    list = json[key] || []
+
+    if is_list(list) and Enum.all?(list, &is_binary/1),
+      do: list,
+      else: reject_file("#{key} of #{place} must be a list of strings")
+  end
+
+  defp get_string(json, key, place, default), do: optional_string(json, key, place) || default
+
+  defp require_string(json, key, place),
+    do: optional_string(json, key, place) || reject_file("#{place} has no #{key}")
+
+  defp optional_string(json, key, place) do
+    case json[key] do
+      nil -> nil
+      text when is_binary(text) -> text
+      _ -> reject_file("#{key} of #{place} is not a string")
+    end
+  end
+
+  @spec reject_file(String.t()) :: no_return()
+  defp reject_file(why), do: throw({:refused, why})
+
+  @doc "Encodes a dataset as the text of a file that will be saved as `path`."
+  @spec encode(dataset() | map(), Path.t()) :: String.t()
+  def encode(dataset, path) do
+    members = [
+      {"version", @version},
+      {"name", dataset.name},
+      {"tags", dataset.tags},
+      {"metadata", dataset.metadata}
+    ]
+
+    sessions = {"sessions", Enum.map(dataset.sessions, &encode_session(&1, path))}
+    text = encode_pretty({:object, members ++ Enum.sort(dataset.extra) ++ [sessions]}, "")
+    IO.iodata_to_binary([text, "\n"])
+  end
+
+  defp encode_session(session, path) do
+    partitions = {"partitions", Enum.map(session.partitions, &encode_partition(&1, path))}
+    head = [{"name", session.name}, {"tags", session.tags}, {"metadata", session.metadata}]
+    {:object, Enum.reject(head, &empty_member?/1) ++ Enum.sort(session.extra) ++ [partitions]}
+  end
+
+  defp encode_partition(partition, path) do
+    stored =
+      if StoredPath.windows_path?(partition.path),
+        do: partition.path,
+        else: StoredPath.to_stored(partition.path, path)
+
+    members = [
+      {"name", partition.name},
+      {"store", partition.store},
+      {"path", stored},
+      {"reader", partition.reader},
+      {"checksum", partition.checksum},
+      {"metadata", partition.metadata}
+    ]
+
+    {:object, Enum.reject(members, &empty_member?/1) ++ Enum.sort(partition.extra)}
+  end
+
+  defp empty_member?({_, value}), do: value in [nil, [], %{}]
+
+  # Writes members in a readable order; the JSON encoder does not define one.
+  defp encode_pretty({:object, members}, indent), do: encode_lines("{", members, "}", indent)
+  defp encode_pretty([{:object, _} | _] = list, indent), do: encode_lines("[", list, "]", indent)
+  defp encode_pretty(value, _indent), do: Situ.JSON.encode(value)
+
+  defp encode_lines(open, items, close, indent) do
+    inner = indent <> "  "
+    items = Enum.map_intersperse(items, [",\n", inner], &encode_item(&1, inner))
+    [open, "\n", inner, items, "\n", indent, close]
+  end
+
+  defp encode_item({key, value}, indent) when is_binary(key),
+    do: [Situ.JSON.encode(key), ": ", encode_pretty(value, indent)]
+
+  defp encode_item(value, indent), do: encode_pretty(value, indent)
+end

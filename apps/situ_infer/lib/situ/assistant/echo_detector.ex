@@ -1,0 +1,48 @@
+defmodule Situ.Assistant.EchoDetector do
+  @moduledoc """
+  Distinguishes a user's speech from the assistant's own voice in the microphone: words that the assistant is currently
+  speaking are its own. Pure.
+
+      iex> echo = Situ.Assistant.EchoDetector.new() |> Situ.Assistant.EchoDetector.add_text(0, "The timer is set for five minutes.")
+      iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "timer set for five minutes")
+      true
+      iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "computer, stop")
+      false
+      iex> Situ.Assistant.EchoDetector.own_words?(echo, 10_000_000_000, "timer set for five minutes")
+      false
+  """
+  alias Situ.Infer.Speech.Utterance
+
+  # The time per letter of slow voices, and the delay added by speakers, rooms and microphones.
+  @letter 90_000_000
+  @delay 1_000_000_000
+  # The share of matching words is below 1 because a recognizer gets some words of an echo wrong.
+  @share 0.6
+
+  defstruct said: []
+  @type t :: %__MODULE__{said: [{until :: Situ.Time.t(), MapSet.t()}]}
+
+  @doc "Returns an empty echo memory."
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "Adds a text that the assistant speaks at `time`, or after the texts it is already speaking."
+  @spec add_text(t(), Situ.Time.t(), String.t()) :: t()
+  def add_text(%__MODULE__{said: said} = echo, time, text) do
+    begins = Enum.reduce(said, time, fn {until, _}, begins -> max(begins, until - @delay) end)
+    until = begins + @letter * String.length(text) + @delay
+    kept = Enum.filter(said, fn {until, _} -> until >= time end)
+    %{echo | said: [{until, MapSet.new(Utterance.normalize_words(text))} | kept]}
+  end
+
+  @doc "Returns whether the text heard at `from` consists mostly of words that the assistant was speaking then."
+  @spec own_words?(t(), Situ.Time.t(), String.t()) :: boolean()
+  def own_words?(%__MODULE__{said: said}, from, text) do
+    words = Utterance.normalize_words(text)
+
+    words != [] and
+      Enum.any?(said, fn {until, own} ->
+        from <= until and Enum.count(words, &(&1 in own)) / length(words) >= @share
+      end)
+  end
+end

@@ -1,0 +1,87 @@
+defmodule Situ.Infer.Speech.RequestEncoding do
+  @moduledoc false
+  # Builds parts of requests to services: audio as an in-memory WAV file, forms, and escaped text for SSML.
+  alias Situ.{AudioBuffer, Error, AudioOps}
+
+  @rate 16_000
+  @longest_text 20_000
+
+  @doc "Encodes audio as a 16 kHz mono WAV file."
+  @spec encode_wav(AudioBuffer.t()) :: {:ok, binary()} | {:error, Error.t()}
+  def encode_wav(sound) do
+    with {:ok, mono} <- AudioOps.reformat(sound, channels: 1, sample: :s16),
+         {:ok, %{data: data}} <- AudioOps.resample(mono, @rate) do
+      size = byte_size(data)
+
+      {:ok,
+       <<"RIFF", 36 + size::little-32, "WAVEfmt ", 16::little-32, 1::little-16, 1::little-16,
+         @rate::little-32, 2 * @rate::little-32, 2::little-16, 16::little-16, "data",
+         size::little-32, data::binary>>}
+    end
+  end
+
+  @doc "Encodes a form with a file; returns its content type and body."
+  @spec encode_form([{String.t(), String.t()}], {String.t(), String.t(), String.t(), binary()}) ::
+          {String.t(), iodata()}
+  def encode_form(fields, {name, file, type, bytes}) do
+    # A random boundary of 128 bits does not occur in the audio.
+    border = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(16))
+
+    part =
+      &[
+        "--",
+        border,
+        "\r\ncontent-disposition: form-data; name=\"",
+        &1,
+        "\"",
+        &2,
+        "\r\n\r\n",
+        &3,
+        "\r\n"
+      ]
+
+    {"multipart/form-data; boundary=" <> border,
+     [
+       for({key, value} <- fields, do: part.(key, "", value)),
+       part.(name, ["; filename=\"", file, "\"\r\ncontent-type: ", type], bytes),
+       "--",
+       border,
+       "--\r\n"
+     ]}
+  end
+
+  @doc "Checks that a text can be spoken; returns `:nothing` if it contains nothing to speak."
+  @spec check_text(String.t()) :: :ok | :nothing | {:error, Error.t()}
+  def check_text(text) do
+    cond do
+      not String.valid?(text) or String.contains?(text, <<0>>) -> bad_text("it is not valid text")
+      byte_size(text) > @longest_text -> bad_text("it has more than #{@longest_text} bytes")
+      not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
+      true -> :ok
+    end
+  end
+
+  defp bad_text(why) do
+    {:error, Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split the text")}
+  end
+
+  @doc "Builds the error for a response that does not follow the service's protocol."
+  @spec bad_answer() :: Error.t()
+  def bad_answer do
+    Error.new(:bad_answer, "the service's response has an unexpected format",
+      fix: "check the URL; it may belong to a different kind of service"
+    )
+  end
+
+  @doc "Escapes text for an XML document."
+  @spec escape_xml(String.t()) :: String.t()
+  def escape_xml(text) do
+    text
+    |> String.replace(~r/[\x00-\x08\x0b\x0c\x0e-\x1f]/, "")
+    |> String.replace("&", "&amp;")
+    |> String.replace("<", "&lt;")
+    |> String.replace(">", "&gt;")
+    |> String.replace("\"", "&quot;")
+    |> String.replace("'", "&apos;")
+  end
+end

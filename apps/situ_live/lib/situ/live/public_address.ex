@@ -1,0 +1,100 @@
+defmodule Situ.Live.PublicAddress do
+  @moduledoc """
+  The address under which browsers reach a server through a proxy. The proxy terminates TLS and may add a path;
+  `public:` gives the server the resulting address.
+
+      iex> {:ok, public} = Situ.Live.PublicAddress.parse("https://lab.example.org:8443/studio/")
+      iex> {public.origin, public.base, public.segments}
+      {"https://lab.example.org:8443", "/studio", ["studio"]}
+      iex> {:error, error} = Situ.Live.PublicAddress.parse("lab.example.org")
+      iex> error.code
+      :bad_public
+  """
+  alias Situ.Error
+
+  @enforce_keys [:url, :origin, :host, :base, :segments, :secure?]
+  defstruct [:url, :origin, :host, :base, :segments, :secure?]
+
+  @typedoc "`base` is the path without a trailing slash: empty, or `/studio`; `segments` are its parts."
+  @type t :: %__MODULE__{
+          url: String.t(),
+          origin: String.t(),
+          host: String.t(),
+          base: String.t(),
+          segments: [String.t()],
+          secure?: boolean()
+        }
+
+  @doc "Parses a public address, or `nil` for a server without one. Returns a `:bad_public` error if it is invalid."
+  @spec parse(term()) :: {:ok, t() | nil} | {:error, Error.t()}
+  def parse(nil), do: {:ok, nil}
+
+  def parse(text) when is_binary(text) do
+    with %URI{scheme: scheme, host: host, query: nil, fragment: nil, userinfo: nil} = uri
+         when scheme in ["http", "https"] and host not in [nil, ""] <- URI.parse(text),
+         segments = String.split(uri.path || "", "/", trim: true),
+         true <- Enum.all?(segments, &(&1 =~ ~r/\A[\w.~-]+\z/ and &1 not in [".", ".."])) do
+      {:ok, from_parts(scheme, String.downcase(host), uri.port, segments)}
+    else
+      _ -> address_error(text)
+    end
+  end
+
+  def parse(other), do: address_error(other)
+
+  defp from_parts(scheme, host, port, segments) do
+    usual = URI.default_port(scheme)
+    authority = if String.contains?(host, ":"), do: "[#{host}]", else: host
+    origin = "#{scheme}://#{authority}#{if port != usual, do: ":#{port}"}"
+    base = Enum.map_join(segments, &("/" <> &1))
+
+    %__MODULE__{
+      url: origin <> base,
+      origin: origin,
+      host: host,
+      base: base,
+      segments: segments,
+      secure?: scheme == "https"
+    }
+  end
+
+  defp address_error(text) do
+    {:error,
+     Error.new(
+       :bad_public,
+       "invalid server address: #{inspect(text, limit: 5, printable_limit: 100)}",
+       fix: "write it like https://lab.example.org/studio"
+     )}
+  end
+
+  @doc "Returns the origins that the public address allows."
+  @spec allowed_origins(t() | nil) :: [String.t()]
+  def allowed_origins(nil), do: []
+  def allowed_origins(public), do: [public.origin]
+
+  @doc "Returns the host names that the public address allows."
+  @spec allowed_hosts(t() | nil) :: [String.t()]
+  def allowed_hosts(nil), do: []
+  def allowed_hosts(public), do: [public.host]
+
+  @doc "Returns the prefix of every path in the pages."
+  @spec base_path(t() | nil) :: String.t()
+  def base_path(nil), do: ""
+  def base_path(public), do: public.base
+
+  @doc """
+  Removes the proxy's path from the segments of a request, unless the proxy has already removed it.
+
+      iex> {:ok, public} = Situ.Live.PublicAddress.parse("https://lab.example.org/studio")
+      iex> {Situ.Live.PublicAddress.strip_base(public, ["studio", "s", "x"]), Situ.Live.PublicAddress.strip_base(public, ["s", "x"])}
+      {["s", "x"], ["s", "x"]}
+  """
+  @spec strip_base(t() | nil, [String.t()]) :: [String.t()]
+  def strip_base(nil, segments), do: segments
+
+  def strip_base(%{segments: own}, segments) do
+    if own != [] and List.starts_with?(segments, own),
+      do: Enum.drop(segments, length(own)),
+      else: segments
+  end
+end

@@ -1,0 +1,172 @@
+defmodule Situ.AudioStream do
+  @moduledoc """
+  Operators on audio streams. Every function takes a stream of `Situ.AudioBuffer` first and returns a stream (or a map
+  of streams). `Situ.AudioOps` has the same operations for single buffers.
+
+      def build(p, _opts) do
+        clip = Situ.Media.VideoFile.open(p, "talk1.mp4")
+        speech = clip.audio |> Situ.AudioStream.to_mono() |> Situ.AudioStream.resample(16_000)
+        features = Situ.AudioStream.features(speech, mel_bands: 40)
+        features.log_energy |> Situ.each(&IO.inspect/1)
+      end
+
+  The originating time of a buffer is the time of its **end**, and every operator keeps it exact to the sample.
+  All operators also take the common options `name:`, `policy:`, `async:` and `on_error:`.
+  """
+  alias Situ.Graph.Placement
+  alias Situ.{AudioBuffer, AudioFormat, Error, Operator, AudioOps, Stream}
+
+  alias Situ.AudioStream.{
+    Analyzer,
+    Ducker,
+    Level,
+    Mixer,
+    NoiseGate,
+    Reframer,
+    Resampler,
+    Streamline
+  }
+
+  @doc """
+  Resamples the stream to another rate. For `quality:`, see `Situ.AudioStream.Resampler`.
+
+      iex> buffer = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(48_000), 960)
+      iex> feed = for i <- 1..10, do: {i * 20_000_000, buffer}
+      iex> out = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.AudioStream.resample(16_000) end, times: true)
+      iex> {out |> List.last() |> elem(0), out |> Enum.map(&Situ.AudioBuffer.frame_count(elem(&1, 1))) |> Enum.sum()}
+      {200_000_000, 3200}
+  """
+  @spec resample(Stream.t(), pos_integer(), keyword()) :: Stream.t()
+  def resample(stream, rate, opts \\ []), do: Situ.via(stream, Resampler, [rate: rate] ++ opts)
+
+  @doc "Converts the sample type or the number of channels (`Situ.AudioOps.reformat/2`)."
+  @spec reformat(Stream.t(), keyword()) :: Stream.t()
+  def reformat(stream, opts) do
+    {placed, opts} = Placement.split_unchecked(opts, :component)
+    map_buffers(stream, "Reformat", &Error.unwrap!(AudioOps.reformat(&1, opts)), placed)
+  end
+
+  @doc "Mixes all channels down to mono, as their mean."
+  @spec to_mono(Stream.t(), keyword()) :: Stream.t()
+  def to_mono(stream, opts \\ []),
+    do: map_buffers(stream, "Mono", &Error.unwrap!(AudioOps.reformat(&1, channels: 1)), opts)
+
+  @doc "Converts to stereo. A mono channel is copied to both sides, and stereo is unchanged."
+  @spec to_stereo(Stream.t(), keyword()) :: Stream.t()
+  def to_stereo(stream, opts \\ []),
+    do: map_buffers(stream, "Stereo", &Error.unwrap!(AudioOps.reformat(&1, channels: 2)), opts)
+
+  @doc "Selects one channel, counted from 0, as mono."
+  @spec select_channel(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
+  def select_channel(stream, channel, opts \\ []) do
+    map_buffers(
+      stream,
+      "Channel #{channel}",
+      &Error.unwrap!(AudioOps.select_channels(&1, [channel])),
+      opts
+    )
+  end
+
+  @doc "Mixes the channels with a matrix of gains (`Situ.AudioOps.remix/3`)."
+  @spec remix(Stream.t(), [[number()]], keyword()) :: Stream.t()
+  def remix(stream, matrix, opts \\ []),
+    do: map_buffers(stream, "Remix", &Error.unwrap!(AudioOps.remix(&1, matrix)), opts)
+
+  @doc "Changes the volume by a factor or by `{:db, n}`."
+  @spec gain(Stream.t(), number() | {:db, number()}, keyword()) :: Stream.t()
+  def gain(stream, gain, opts \\ []),
+    do: map_buffers(stream, "Gain", &Error.unwrap!(AudioOps.gain(&1, gain)), opts)
+
+  @doc """
+  Mixes two streams, aligned by their times (`Situ.AudioStream.Mixer`).
+
+      iex> format = Situ.AudioFormat.pcm(1000)
+      iex> a = [{2_000_000, Situ.AudioBuffer.from_samples([1, 1], format)}]
+      iex> b = [{3_000_000, Situ.AudioBuffer.from_samples([10, 10], format)}]
+      iex> mixed = Situ.to_list(fn p -> Situ.AudioStream.mix(Situ.from_enumerable(p, a), Situ.from_enumerable(p, b)) end)
+      iex> Enum.flat_map(mixed, &Situ.AudioBuffer.to_samples/1)
+      [1, 11, 10]
+  """
+  @spec mix(Stream.t(), Stream.t(), keyword()) :: Stream.t()
+  def mix(stream, other, opts \\ []), do: Situ.via([in: stream, other: other], Mixer, opts)
+
+  @doc """
+  Cuts the audio into buffers of an exact size, given as `frames:` or `duration:`. `hop:` makes them overlap
+  (`Situ.AudioStream.Reframer`).
+
+      iex> format = Situ.AudioFormat.pcm(1000)
+      iex> sound = &Situ.AudioBuffer.from_samples(&1, format)
+      iex> feed = [{3_000_000, sound.([1, 2, 3])}, {5_000_000, sound.([4, 5])}]
+      iex> reframed = fn p -> p |> Situ.from_enumerable(feed) |> Situ.AudioStream.reframe(frames: 2) end
+      iex> pairs = Situ.to_list(reframed, times: true)
+      iex> for {time, buffer} <- pairs, do: {time, Situ.AudioBuffer.to_samples(buffer)}
+      [{2_000_000, [1, 2]}, {4_000_000, [3, 4]}]
+  """
+  @spec reframe(Stream.t(), keyword()) :: Stream.t()
+  def reframe(stream, opts), do: Situ.via(stream, Reframer, opts)
+
+  @doc "Removes gaps, overlaps and timing jitter (`Situ.AudioStream.Streamline`)."
+  @spec streamline(Stream.t(), keyword()) :: Stream.t()
+  def streamline(stream, opts \\ []), do: Situ.via(stream, Streamline, opts)
+
+  @doc """
+  Extracts acoustic features as a map of streams (`:log_energy`, `:zero_crossing_rate`, ...), see
+  `Situ.AudioStream.Analyzer`.
+  """
+  @spec features(Stream.t(), keyword()) :: %{atom() => Stream.t()}
+  def features(stream, opts \\ []), do: Situ.via(stream, Analyzer, opts)
+
+  @doc "Computes the logarithms of `bands` mel bands (default 40) of each frame, as a stream of lists."
+  @spec log_mel(Stream.t(), keyword()) :: Stream.t()
+  def log_mel(stream, opts \\ []) do
+    {bands, opts} = Keyword.pop(opts, :bands, 40)
+    features(stream, [dither: 0, mel_bands: bands] ++ opts).log_mel
+  end
+
+  @doc """
+  Computes the first `count` (default 13) cepstral coefficients of `bands` mel bands (default 40), as a stream of lists.
+  """
+  @spec mfcc(Stream.t(), keyword()) :: Stream.t()
+  def mfcc(stream, opts \\ []) do
+    {bands, opts} = Keyword.pop(opts, :bands, 40)
+    {count, opts} = Keyword.pop(opts, :count, 13)
+    features(stream, [dither: 0, mel_bands: bands, mfcc: count] ++ opts).mfcc
+  end
+
+  @doc "Measures the level of each buffer, as a stream of `Situ.AudioStream.Level`."
+  @spec level(Stream.t(), keyword()) :: Stream.t()
+  def level(stream, opts \\ []) do
+    Operator.attach(stream, "Level", {:map, &Error.unwrap!(AudioOps.level(&1))}, opts, Level)
+  end
+
+  @doc """
+  Passes only audio that is louder than the noise, in buffers of 10 ms (`Situ.AudioStream.NoiseGate`).
+
+      iex> format = Situ.AudioFormat.pcm(1000)
+      iex> sound = &Situ.AudioBuffer.from_samples(List.duplicate(&1, 20), format)
+      iex> feed = [{20_000_000, sound.(50)}, {40_000_000, sound.(9_000)}]
+      iex> gated = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.AudioStream.noise_gate(attack: 0) end)
+      iex> Enum.map(gated, &(&1 |> Situ.AudioBuffer.to_samples() |> List.last()))
+      [0, 0, 9_000, 9_000]
+  """
+  @spec noise_gate(Stream.t(), keyword()) :: Stream.t()
+  def noise_gate(stream, opts \\ []),
+    do: stream |> reframe(duration: 10_000_000, tail: :keep) |> Situ.via(NoiseGate, opts)
+
+  @doc "Lowers the volume while a stream of booleans is true (`Situ.AudioStream.Ducker`)."
+  @spec duck(Stream.t(), Stream.t(), keyword()) :: Stream.t()
+  def duck(stream, while, opts \\ []), do: Situ.via([in: stream, while: while], Ducker, opts)
+
+  @doc "Returns the bytes of each buffer."
+  @spec to_bytes(Stream.t(), keyword()) :: Stream.t()
+  def to_bytes(stream, opts \\ []),
+    do: Operator.attach(stream, "Bytes", {:map, & &1.data}, opts, :binary)
+
+  @doc "Builds audio buffers from a stream of binaries, each of which must hold complete frames."
+  @spec from_bytes(Stream.t(), AudioFormat.t(), keyword()) :: Stream.t()
+  def from_bytes(stream, %AudioFormat{} = format, opts \\ []),
+    do: map_buffers(stream, "Sound", &AudioBuffer.new!(format: format, data: &1), opts)
+
+  defp map_buffers(stream, name, fun, opts),
+    do: Operator.attach(stream, name, {:map, fun}, opts, AudioBuffer)
+end

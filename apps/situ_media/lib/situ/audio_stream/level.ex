@@ -1,0 +1,43 @@
+defmodule Situ.AudioStream.Level do
+  @moduledoc """
+  The level of a buffer of audio. `peak` and `rms` are fractions of full scale (the peak of the loudest channel, and the
+  mean power of all channels). `peak_db` and `rms_db` are the same in decibels below full scale, at least -120.0.
+  `channels` has `{peak, rms}` for each channel.
+
+      iex> Situ.AudioStream.Level.new([{1.0, 0.5}]).peak_db
+      0.0
+  """
+  @enforce_keys [:peak, :rms, :peak_db, :rms_db, :channels]
+  defstruct [:peak, :rms, :peak_db, :rms_db, :channels]
+
+  @type t :: %__MODULE__{
+          peak: float(),
+          rms: float(),
+          peak_db: float(),
+          rms_db: float(),
+          channels: [{float(), float()}]
+        }
+
+  @floor_db -120.0
+
+  @doc "Builds a level from the peak and root mean square of each channel."
+  @spec new([{float(), float()}, ...]) :: t()
+  def new(channels) do
+    peak = channels |> Enum.map(&elem(&1, 0)) |> Enum.max()
+    power = channels |> Enum.map(fn {_, rms} -> rms * rms end) |> Enum.sum()
+    rms = :math.sqrt(power / length(channels))
+
+    %__MODULE__{
+      peak: peak,
+      rms: rms,
+      peak_db: to_decibels(peak),
+      rms_db: to_decibels(rms),
+      channels: channels
+    }
+  end
+
+  @doc "Converts a fraction of full scale to decibels."
+  @spec to_decibels(float()) :: float()
+  def to_decibels(value) when value <= 1.0e-6, do: @floor_db
+  def to_decibels(value), do: 20 * :math.log10(value)
+end

@@ -1,4 +1,0 @@
-defmodule Situ.Audio.ResamplerTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Audio.Resampler
-end

@@ -1,0 +1,4 @@
+defmodule Situ.AudioStream.ResamplerTest do
+  use ExUnit.Case, async: true
+  doctest Situ.AudioStream.Resampler
+end

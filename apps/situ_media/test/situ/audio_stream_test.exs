@@ -1,0 +1,4 @@
+defmodule Situ.AudioStreamTest do
+  use ExUnit.Case, async: true
+  doctest Situ.AudioStream
+end

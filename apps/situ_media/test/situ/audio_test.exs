@@ -1,4 +1,0 @@
-defmodule Situ.AudioTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Audio
-end

@@ -1,0 +1,4 @@
+defmodule Situ.ImageOps.DrawingTest do
+  use ExUnit.Case, async: true
+  doctest Situ.ImageOps.Drawing
+end

@@ -1,0 +1,4 @@
+defmodule Situ.ImageOps.GeometryTest do
+  use ExUnit.Case, async: true
+  doctest Situ.ImageOps.Geometry
+end

@@ -1,0 +1,4 @@
+defmodule Situ.ImageOps.MeasureTest do
+  use ExUnit.Case, async: true
+  doctest Situ.ImageOps.Measure
+end

@@ -1,0 +1,4 @@
+defmodule Situ.ImageOpsTest do
+  use ExUnit.Case, async: true
+  doctest Situ.ImageOps
+end

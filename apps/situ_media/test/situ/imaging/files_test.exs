@@ -1,4 +1,0 @@
-defmodule Situ.Imaging.FilesTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Imaging.Files
-end

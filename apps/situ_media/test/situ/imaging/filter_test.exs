@@ -1,4 +1,0 @@
-defmodule Situ.Imaging.FilterTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Imaging.Filter
-end

@@ -1,4 +1,0 @@
-defmodule Situ.Imaging.GeometryTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Imaging.Geometry
-end

@@ -1,4 +1,0 @@
-defmodule Situ.Imaging.MeasureTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Imaging.Measure
-end

@@ -1,4 +1,0 @@
-defmodule Situ.Imaging.PixelsTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Imaging.Pixels
-end

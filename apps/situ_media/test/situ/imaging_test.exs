@@ -1,4 +1,0 @@
-defmodule Situ.ImagingTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Imaging
-end

@@ -1,0 +1,27 @@
+defmodule Situ.Remote.ConfirmComponent do
+  @moduledoc false
+  # The component that `Situ.Remote.confirm/3` adds. Confirmed messages have been processed and are not sent again after
+  # a kill.
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [],
+    options: [
+      link: [type: :pid, required: true, doc: "The `Situ.Remote.Connection`."],
+      stream: [type: :string, required: true, doc: "The name of the stream on the link."]
+    ]
+
+  alias Situ.Remote.Connection
+
+  @impl true
+  def init(opts), do: {:ok, {opts[:link], opts[:stream]}}
+
+  @impl true
+  def handle_message(:in, message, context, state),
+    do: handle_messages(:in, [message], context, state)
+
+  @impl true
+  def handle_messages(:in, messages, _context, {link, name} = state) do
+    Connection.confirm(link, name, List.last(messages).originating_time)
+    {[], state}
+  end
+end

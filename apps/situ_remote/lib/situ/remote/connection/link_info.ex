@@ -1,0 +1,28 @@
+defmodule Situ.Remote.Connection.LinkInfo do
+  @moduledoc false
+  # The status of a link, as returned by `Situ.Remote.info/1`. Pure.
+  alias Situ.Remote.Connection.Channel
+  alias Situ.Remote.Link.ClockEstimate
+
+  @spec build_link_info(map()) :: map()
+  def build_link_info(state) do
+    now = state.opts.now.()
+
+    %{
+      connected?: state.socket != nil,
+      connections: state.connected,
+      error: state.error,
+      bytes: state.received,
+      offset: ClockEstimate.offset_at(state.clock, now),
+      drift: state.clock.drift,
+      uncertainty: ClockEstimate.uncertainty_at(state.clock, now),
+      round_trip: state.clock.rtt,
+      streams:
+        for(
+          {_, channel} <- state.channels,
+          into: %{},
+          do: {channel.name, Channel.channel_stats(channel)}
+        )
+    }
+  end
+end

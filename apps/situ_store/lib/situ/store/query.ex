@@ -1,0 +1,361 @@
+defmodule Situ.Store.Query do
+  @moduledoc false
+  # Reads open recordings of any format. Public as `Situ.Store`, where the documentation is.
+  alias Situ.{Error, Message, Options}
+
+  alias Situ.Store.{
+    SchemaEvolution,
+    NativeErrors,
+    Folder,
+    Formats,
+    Handle,
+    NativeFormat,
+    Replacement,
+    StreamInfo
+  }
+
+  @open_options [
+    verify: [
+      type: {:in, [:all, :small]},
+      default: :all,
+      doc:
+        "`:small` does not verify the checksums of large payloads (images), which makes reading them faster."
+    ],
+    max_unpacked: [
+      type: :pos_integer,
+      default: 64 * 1024 * 1024,
+      doc:
+        "The size limit of decompressed messages in bytes, because a small file may contain very large ones."
+    ],
+    reader: [
+      type: :module,
+      doc: "The `Situ.Store.Reader` to use, regardless of the file extension."
+    ],
+    reader_opts: [type: :keyword, default: [], doc: "Options of that reader."]
+  ]
+
+  @envelopes [
+    type: :boolean,
+    default: false,
+    doc: "Leave the data `nil` where decoding is expensive."
+  ]
+
+  @message_options [
+    from: [type: {:optional, :integer}, doc: "The first originating time."],
+    to: [
+      type: {:or, [{:optional, :integer}, {:in, [:unbounded]}]},
+      doc: "The last originating time (inclusive)."
+    ],
+    index: [
+      type: {:optional, :integer},
+      doc: "Start at this ordinal. A negative ordinal counts from the end."
+    ],
+    type: [
+      type: :any,
+      doc:
+        "The requested type: a `Situ.Type` that matches the recorded type, or a struct whose fields " <>
+          "may have changed since recording (`Situ.Store.SchemaEvolution`)."
+    ],
+    skip_damage: [
+      type: :boolean,
+      default: false,
+      doc: "Skip damaged chunks. Otherwise the `Situ.Error` is raised."
+    ],
+    envelopes: @envelopes
+  ]
+
+  @read_options @message_options ++
+                  [
+                    limit: [
+                      type: :pos_integer,
+                      default: 1_000,
+                      doc: "The maximum number of messages."
+                    ]
+                  ]
+  @at_options [envelopes: @envelopes]
+
+  # The number of messages per read.
+  @batch 1_000
+
+  @type name :: String.t() | StreamInfo.t()
+
+  @spec open_options() :: Options.schema()
+  def open_options, do: @open_options
+  @spec message_options() :: Options.schema()
+  def message_options, do: @message_options
+  @spec read_options() :: Options.schema()
+  def read_options, do: @read_options
+  @spec at_options() :: Options.schema()
+  def at_options, do: @at_options
+
+  @spec open(Path.t(), keyword()) :: {:ok, Handle.t()} | {:error, Error.t()}
+  def open(path, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @open_options),
+         {:ok, path, module} <- find_recording(path, opts[:reader]),
+         {:ok, state} <- module.open(path, reader_opts(module, opts)) do
+      {:ok, %Handle{path: path, module: module, state: state}}
+    end
+  end
+
+  defp reader_opts(NativeFormat, opts),
+    do: Keyword.take(opts, [:verify, :max_unpacked]) ++ opts[:reader_opts]
+
+  defp reader_opts(_module, opts), do: opts[:reader_opts]
+
+  defp find_recording(path, reader) do
+    case Formats.for_address(path) do
+      nil -> find_here(Path.expand(path), reader)
+      module -> {:ok, path, reader || module}
+    end
+  end
+
+  defp find_here(path, reader) do
+    folder = Folder.resolve_store(path)
+
+    cond do
+      folder && Folder.store_folder?(folder) -> {:ok, folder, reader || NativeFormat}
+      reader != nil -> {:ok, path, reader}
+      File.regular?(path) -> find_reader(path)
+      true -> find_folder(path, folder)
+    end
+  end
+
+  # A versioned folder that has lost its index and data files is still opened as a store, so that the error is specific.
+  defp find_folder(path, folder) do
+    case {Formats.for_folder(path), folder} do
+      {{module, path}, _} -> {:ok, path, module}
+      {nil, nil} -> {:error, no_store_error(path)}
+      {nil, folder} -> {:ok, folder, NativeFormat}
+    end
+  end
+
+  defp no_store_error(path) do
+    case Replacement.find_interrupted(path) do
+      nil -> NativeErrors.to_error(:no_store, path)
+      folder -> NativeErrors.to_error(:compaction_interrupted, folder)
+    end
+  end
+
+  defp find_reader(path) do
+    with nil <- Formats.for_file(path) do
+      known = Formats.list_readers() |> Enum.flat_map(& &1.extensions()) |> Enum.join(", ")
+
+      {:error,
+       Error.new(:unknown_format, "no reader for #{path}",
+         why: "there are readers for #{known} and for store folders",
+         fix: "specify one with `reader: Module`"
+       )}
+    else
+      module -> {:ok, path, module}
+    end
+  end
+
+  @spec open!(Path.t(), keyword()) :: Handle.t()
+  def open!(path, opts \\ []), do: unwrap!(open(path, opts))
+
+  @spec info(Handle.t()) :: map()
+  def info(%Handle{} = store), do: store.module.info(store.state)
+
+  @spec closed?(Handle.t()) :: boolean()
+  def closed?(store), do: info(store).closed?
+
+  @spec live?(Handle.t()) :: boolean()
+  def live?(store), do: info(store).live?
+
+  @spec streams(Handle.t()) :: [StreamInfo.t()]
+  def streams(%Handle{} = store), do: store.module.streams(store.state)
+
+  @spec stream_info(Handle.t(), name()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
+  def stream_info(_store, %StreamInfo{} = info), do: {:ok, info}
+
+  def stream_info(store, name) when is_binary(name) do
+    if function_exported?(store.module, :stream_named, 2),
+      do: store.module.stream_named(store.state, name),
+      else: find_by_name(streams(store), name, store)
+  end
+
+  defp find_by_name(all, name, store) do
+    case Enum.find(all, &(&1.name == name)) do
+      nil -> {:error, NativeErrors.no_stream_error(name, Enum.map(all, & &1.name), store.path)}
+      info -> {:ok, info}
+    end
+  end
+
+  @spec has_stream?(Handle.t(), String.t()) :: boolean()
+  def has_stream?(store, name), do: match?({:ok, _}, stream_info(store, name))
+
+  @spec metadata(Handle.t(), name()) :: {:ok, term()} | {:error, Error.t()}
+  def metadata(store, name) do
+    with {:ok, info} <- stream_info(store, name), do: StreamInfo.metadata(info)
+  end
+
+  @spec metadata(Handle.t(), name(), Situ.Type.t()) :: {:ok, term()} | {:error, Error.t()}
+  def metadata(store, name, type) do
+    with {:ok, term} <- metadata(store, name) do
+      if Situ.Type.valid_value?(type, term),
+        do: {:ok, term},
+        else:
+          {:error,
+           Error.new(:type_mismatch, "the metadata of #{inspect(name)} is not #{inspect(type)}")}
+    end
+  end
+
+  @spec messages(Handle.t(), name(), keyword()) :: Enumerable.t()
+  def messages(store, name, opts \\ []),
+    do: in_batches(store, name, Options.validate!(opts, @message_options), @batch)
+
+  defp in_batches(store, name, opts, size) do
+    info = unwrap!(stream_info(store, name))
+    type = if opts[:envelopes], do: nil, else: opts[:type]
+    upgrade = SchemaEvolution.build_upgrade!(info, type)
+    to = opts[:to] || :unbounded
+
+    Stream.resource(
+      fn -> first_ordinal(store, info, opts) end,
+      fn ordinal ->
+        case read_batch(store, info, ordinal, to, size, opts) do
+          {:ok, [], _} -> {:halt, ordinal}
+          {:ok, messages, next} -> {upgrade.(messages), next}
+          {:error, error} -> raise error
+        end
+      end,
+      fn _ -> :ok end
+    )
+  end
+
+  @doc "Returns the ordinal at which reading with these options begins."
+  @spec first_ordinal(Handle.t(), StreamInfo.t(), keyword()) :: non_neg_integer()
+  def first_ordinal(store, info, opts) do
+    cond do
+      index = opts[:index] -> if index < 0, do: max(count(store, info) + index, 0), else: index
+      from = opts[:from] -> unwrap!(seek_ordinal(store, info, from))
+      true -> 0
+    end
+  end
+
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
+
+  @spec read(Handle.t(), name(), keyword()) :: {:ok, [Message.t()]} | {:error, Error.t()}
+  def read(store, name, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @read_options) do
+      {limit, opts} = Keyword.pop(opts, :limit)
+      {:ok, store |> in_batches(name, opts, min(limit, @batch)) |> Enum.take(limit)}
+    end
+  rescue
+    error in Error -> {:error, error}
+  end
+
+  @spec at(Handle.t(), name(), integer(), keyword()) ::
+          {:ok, Message.t() | nil} | {:error, Error.t()}
+  def at(store, name, index, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @at_options),
+         {:ok, info} <- stream_info(store, name) do
+      read_message(store, info, if(index < 0, do: count(store, info) + index, else: index), opts)
+    end
+  end
+
+  defp read_message(store, info, ordinal, opts \\ [])
+  defp read_message(_store, _info, ordinal, _opts) when ordinal < 0, do: {:ok, nil}
+
+  defp read_message(store, info, ordinal, opts) do
+    with {:ok, messages, _} <-
+           read_batch(store, info, ordinal, :unbounded, 1, [exact: true] ++ opts),
+         do: {:ok, List.first(messages)}
+  end
+
+  @spec count(Handle.t(), name()) :: non_neg_integer()
+  def count(store, %StreamInfo{} = info) do
+    if function_exported?(store.module, :count, 2),
+      do: store.module.count(store.state, info),
+      else: unwrap!(stream_info(store, info.name)).count
+  end
+
+  def count(store, name), do: unwrap!(stream_info(store, name)).count
+
+  @spec count(Handle.t(), name(), Situ.Time.t(), Situ.Time.t()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def count(store, name, from, to) do
+    with {:ok, first} <- ordinal(store, name, from),
+         {:ok, next} <- ordinal(store, name, to + 1),
+         do: {:ok, max(next - first, 0)}
+  end
+
+  @spec ordinal(Handle.t(), name(), Situ.Time.t()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def ordinal(store, name, time) do
+    with {:ok, info} <- stream_info(store, name), do: seek_ordinal(store, info, time)
+  end
+
+  @spec latest_at(Handle.t(), name(), Situ.Time.t()) ::
+          {:ok, Message.t() | nil} | {:error, Error.t()}
+  def latest_at(store, name, time) do
+    with {:ok, info} <- stream_info(store, name),
+         {:ok, ordinal} <- seek_ordinal(store, info, time + 1),
+         do: read_message(store, info, ordinal - 1)
+  end
+
+  @spec first_at(Handle.t(), name(), Situ.Time.t()) ::
+          {:ok, Message.t() | nil} | {:error, Error.t()}
+  def first_at(store, name, time) do
+    with {:ok, info} <- stream_info(store, name),
+         {:ok, ordinal} <- seek_ordinal(store, info, time),
+         do: read_message(store, info, ordinal)
+  end
+
+  @doc "Returns the ordinal of the first message at or after `time`, or the message count if there is none."
+  @spec seek_ordinal(Handle.t(), StreamInfo.t(), Situ.Time.t()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def seek_ordinal(store, info, time), do: store.module.seek(store.state, info, time)
+
+  @doc "Reads about `limit` messages from an ordinal on, and returns the next ordinal; see `Situ.Store.Reader`."
+  @spec read_batch(
+          Handle.t(),
+          StreamInfo.t(),
+          non_neg_integer(),
+          Situ.Time.t() | :unbounded,
+          pos_integer(),
+          keyword()
+        ) :: {:ok, [Message.t()], non_neg_integer()} | {:error, Error.t()}
+  def read_batch(store, info, ordinal, to, limit, opts),
+    do: store.module.read(store.state, info, ordinal, to, limit, opts)
+
+  @spec gaps(Handle.t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
+  def gaps(store, name, least) do
+    if function_exported?(store.module, :gaps, 3),
+      do: store.module.gaps(store.state, unwrap!(stream_info(store, name)), least),
+      else: []
+  end
+
+  @spec missing_files(Handle.t()) :: [String.t()]
+  def missing_files(store) do
+    if function_exported?(store.module, :missing_files, 1),
+      do: store.module.missing_files(store.state),
+      else: []
+  end
+
+  @spec notify(Handle.t(), non_neg_integer(), non_neg_integer()) :: :ok
+  def notify(store, known \\ 0, tag \\ 0) do
+    if function_exported?(store.module, :await, 4) do
+      store.module.await(store.state, known, self(), tag)
+    else
+      send(self(), {:situ_store, tag, {:ended, known}})
+      :ok
+    end
+  end
+
+  @spec interval(Handle.t() | [StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
+  def interval(%Handle{} = store), do: store |> streams() |> interval()
+  def interval(streams), do: time_span(streams, & &1.first, & &1.last)
+
+  @spec creation_interval(Handle.t()) :: {Situ.Time.t(), Situ.Time.t()} | nil
+  def creation_interval(store),
+    do: store |> streams() |> time_span(& &1.first_creation, & &1.last_creation)
+
+  defp time_span(streams, first, last) do
+    case Enum.filter(streams, & &1.first) do
+      [] -> nil
+      some -> {some |> Enum.map(first) |> Enum.min(), some |> Enum.map(last) |> Enum.max()}
+    end
+  end
+end

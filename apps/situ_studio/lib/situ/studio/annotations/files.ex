@@ -1,0 +1,50 @@
+defmodule Situ.Studio.Annotations.Files do
+  @moduledoc """
+  The files of a recording's annotations. Each stream has its own store next to the recording, so that two people who
+  annotate the recording at the same time can save independently.
+
+      iex> Situ.Studio.Annotations.Files.store_path("/study/lobby.0000", "Speech.Ada")
+      "/study/lobby.0000-annotation-Speech%2EAda"
+  """
+  alias Situ.Annotation.Recording
+  alias Situ.Store
+
+  @doc "Returns the path of the store of one stream of annotations, without its version."
+  @spec store_path(Path.t(), String.t()) :: Path.t()
+  def store_path(recording, stream), do: path_prefix(recording) <> escape_name(stream)
+
+  defp path_prefix(recording), do: recording <> "-annotation-"
+
+  # A dot would be mistaken for the start of a version suffix.
+  defp escape_name(stream),
+    do: stream |> URI.encode(&URI.char_unreserved?/1) |> String.replace(".", "%2E")
+
+  @doc "Returns the names of the annotation streams of a recording."
+  @spec list_streams(Path.t()) :: [String.t()]
+  def list_streams(recording) do
+    start = Path.basename(path_prefix(recording))
+    folder = Path.dirname(recording)
+
+    with {:ok, names} <- File.ls(folder) do
+      for(
+        name <- names,
+        String.starts_with?(name, start),
+        path = Path.join(folder, Path.rootname(name)),
+        uniq: true,
+        do: path
+      )
+      |> Enum.flat_map(&annotation_streams/1)
+      |> Enum.sort()
+    else
+      _ -> []
+    end
+  end
+
+  defp annotation_streams(path) do
+    with true <- Store.exists?(path), {:ok, store} <- Store.open(path) do
+      for info <- Store.streams(store), Recording.annotation_stream?(store, info), do: info.name
+    else
+      _ -> []
+    end
+  end
+end

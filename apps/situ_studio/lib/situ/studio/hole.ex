@@ -1,8 +1,0 @@
-defmodule Situ.Studio.Hole do
-  @moduledoc """
-  The data of a message that marks a gap: the live stream was not captured from then on. Nothing is drawn for it.
-  """
-  defstruct []
-
-  @type t :: %__MODULE__{}
-end

@@ -1,0 +1,84 @@
+defmodule Situ.Studio.Layout.ImageLook do
+  @moduledoc """
+  Determines the look of a stream's images from one of them: their shape, and whether their values are class numbers
+  (labels of a segmentation) rather than shades of grey. Drawn in grey, class numbers would be nearly black.
+
+      iex> picture = Situ.Image.new_filled(400, 100, :rgb24, [1, 2, 3])
+      iex> look = Situ.Studio.Layout.ImageLook.detect_look(picture)
+      iex> {look.classes, Situ.Studio.Layout.ImageLook.wide?(look)}
+      {false, true}
+      iex> labels = Situ.Image.new!(width: 4, height: 2, format: :gray8, data: <<0, 0, 0, 0, 3, 3, 3, 3>>)
+      iex> Situ.Studio.Layout.ImageLook.detect_look(labels).classes
+      true
+  """
+  alias Situ.{EncodedImage, Image}
+  alias Situ.Studio.{Source, StreamInfo}
+
+  @enforce_keys [:width, :height]
+  defstruct [:width, :height, classes: false]
+
+  @type t :: %__MODULE__{width: pos_integer(), height: pos_integer(), classes: boolean()}
+
+  # The maximum number of streams to examine.
+  @most 6
+  # An image with at least this ratio of width to height needs the full width of the window.
+  @wide 2.2
+  # Class numbers are small, and neighbouring pixels mostly have the same class, whereas a dark image has noise.
+  @classes 64
+  @same 0.85
+  @pixels 4_194_304
+
+  @doc "Determines the looks of a source's image streams, by stream name. Streams that cannot be read are left out."
+  @spec detect_looks(Source.t(), [StreamInfo.t()]) :: %{optional(String.t()) => t()}
+  def detect_looks(source, streams) do
+    pictures = for %{shape: :image, first: first} = s <- streams, first != nil, do: s
+
+    for s <- Enum.take(pictures, @most),
+        {:ok, message} <- [Source.call(source, :latest_at, [s.name, s.first])],
+        %__MODULE__{} = look <- [detect_look(message.data)],
+        into: %{},
+        do: {s.name, look}
+  end
+
+  @doc "Determines the look of one image. Returns `nil` for anything else."
+  @spec detect_look(term()) :: t() | nil
+  def detect_look(%Image{width: w, height: h} = image),
+    do: build_look(w, h, class_numbers?(image))
+
+  def detect_look(%EncodedImage{width: w, height: h}), do: build_look(w, h, false)
+  def detect_look(_), do: nil
+
+  @doc "Returns whether the image is much wider than high."
+  @spec wide?(t() | nil) :: boolean()
+  def wide?(nil), do: false
+  def wide?(%__MODULE__{width: w, height: h}), do: w >= @wide * h
+
+  defp build_look(w, h, classes) when is_integer(w) and is_integer(h) and w > 0 and h > 0,
+    do: %__MODULE__{width: w, height: h, classes: classes}
+
+  defp build_look(_, _, _), do: nil
+
+  defp class_numbers?(%Image{format: :gray8, width: w, height: h} = image)
+       when w * h <= @pixels do
+    with {:ok, image} <- Image.validate(image),
+         <<first, rest::binary>> <- Image.pixel_bytes(image),
+         {:ok, same} when same < byte_size(rest) <- count_equal_neighbours(rest, first, 0) do
+      same >= @same * byte_size(rest)
+    else
+      _ -> false
+    end
+  end
+
+  defp class_numbers?(_), do: false
+
+  # Counts the pixels that equal their predecessor, and stops at a value that cannot be a class number.
+  defp count_equal_neighbours(_, v, _) when v >= @classes, do: :no
+
+  defp count_equal_neighbours(<<v, rest::binary>>, v, same),
+    do: count_equal_neighbours(rest, v, same + 1)
+
+  defp count_equal_neighbours(<<v, rest::binary>>, _, same),
+    do: count_equal_neighbours(rest, v, same)
+
+  defp count_equal_neighbours(<<>>, _, same), do: {:ok, same}
+end

@@ -1,0 +1,405 @@
+defmodule Situ.Studio.Web.AnnotationPanel do
+  @moduledoc false
+  # Annotation in the main view: a dialog that opens or creates an annotation stream, the panel that edits it, and the
+  # events that pass the page's edits to `Situ.Studio.Annotations`.
+  use Situ.Live.Component
+  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
+
+  alias Situ.Annotation.{Editor, Layer}
+  alias Situ.Live.Socket
+  alias Situ.Studio.Annotations
+  alias Situ.Studio.Annotations.{AgreementTable, Proposals, SchemaForm, Schemas, Files}
+  alias Situ.Studio.Web.SchemaDialog
+
+  @doc "Returns whether the item is a recording on disk and the studio may write to it."
+  @spec available?(map()) :: boolean()
+  def available?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
+
+  @doc "Opens the annotation stream that the page's address names, if it exists."
+  @spec open_from_params(Socket.t(), map()) :: Socket.t()
+  def open_from_params(socket, %{"annotate" => stream}) when is_binary(stream) and stream != "" do
+    if available?(socket.assigns) and stream in Files.list_streams(socket.assigns.item.path),
+      do: open_editor(socket, stream, nil),
+      else: socket
+  end
+
+  def open_from_params(socket, _), do: socket
+
+  @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
+  def handle_event(event, params, socket) do
+    if available?(socket.assigns),
+      do: {:noreply, apply_event(event, params, socket)},
+      else:
+        {:noreply,
+         show_toast(
+           socket,
+           "Cannot annotate this: annotations need a recording on disk and a studio that is not read-only"
+         )}
+  end
+
+  defp apply_event("annotation_dialog", _, socket) do
+    %{item: %{path: path}, layout_dir: layouts} = socket.assigns
+    assign(socket, dialog: {:annotation, Files.list_streams(path), Schemas.list_names(layouts)})
+  end
+
+  defp apply_event("annotation_open", %{"stream" => stream}, socket) when is_binary(stream),
+    do: socket |> assign(dialog: nil) |> open_editor(stream, nil)
+
+  defp apply_event("annotation_new", %{"name" => name, "values" => values} = params, socket)
+       when is_binary(name) and is_binary(values) do
+    with name when name != "" <- name |> String.trim() |> String.slice(0, 60),
+         {:ok, schema} <-
+           resolve_schema(params, name, String.slice(values, 0, 4_000), socket.assigns) do
+      socket |> assign(dialog: nil) |> open_editor(layer_name(name, params["by"]), schema)
+    else
+      "" -> show_toast(socket, "Enter a name for the annotations")
+      {:error, error} -> show_toast(socket, Exception.message(error))
+    end
+  end
+
+  # A layer with the same schema for another annotator, so that the two layers can be compared.
+  defp apply_event("annotation_own", %{"stream" => stream, "by" => by}, socket)
+       when is_binary(stream) and is_binary(by) do
+    own = layer_name(stream, by)
+
+    with true <-
+           own != stream or
+             {:error, Situ.Error.new(:no_name, "the layer needs the name of its annotator")},
+         {:ok, editor} <-
+           Annotations.open_editor(socket.assigns.studio, socket.assigns.item.path, stream, nil) do
+      socket |> assign(dialog: nil) |> open_editor(own, Editor.current_layer(editor).schema)
+    else
+      {:error, error} -> show_toast(socket, Exception.message(error))
+    end
+  end
+
+  defp apply_event("annotation_schema", _, %{assigns: %{annotation: %{editor: editor}}} = socket),
+    do:
+      assign(socket,
+        dialog: {:schema, SchemaForm.from_schema(Editor.current_layer(editor).schema), nil}
+      )
+
+  defp apply_event(
+         "annotation_draft",
+         params,
+         %{assigns: %{dialog: {:schema, draft, _}}} = socket
+       ),
+       do:
+         assign(socket,
+           dialog: {:schema, SchemaForm.update_from_params(draft, params["attribute"]), nil}
+         )
+
+  defp apply_event("annotation_row", params, %{assigns: %{dialog: {:schema, draft, _}}} = socket) do
+    at = parse_index(params["at"])
+
+    draft =
+      case params["do"] do
+        "attribute" -> SchemaForm.add_entry(draft, :attribute)
+        "add" when at != nil -> SchemaForm.add_entry(draft, at)
+        "remove" when at != nil -> SchemaForm.remove_entry(draft, at, parse_index(params["nth"]))
+        _ -> draft
+      end
+
+    assign(socket, dialog: {:schema, draft, nil})
+  end
+
+  defp apply_event(
+         "annotation_schema_save",
+         params,
+         %{assigns: %{dialog: {:schema, draft, _}}} = socket
+       ) do
+    draft = SchemaForm.update_from_params(draft, params["attribute"])
+
+    with %{editor: editor} <- socket.assigns.annotation,
+         :ok <- Annotations.put_schema(editor, draft) do
+      socket |> assign(dialog: nil) |> push_annotations()
+    else
+      {:error, error} -> assign(socket, dialog: {:schema, draft, Exception.message(error)})
+      nil -> assign(socket, dialog: nil)
+    end
+  end
+
+  # Saves the schema so that other recordings can use it.
+  defp apply_event(
+         "annotation_schema_keep",
+         _,
+         %{assigns: %{dialog: {:schema, draft, _}}} = socket
+       ) do
+    with %{editor: editor} <- socket.assigns.annotation,
+         name = Editor.current_layer(editor).schema.name,
+         {:ok, schema, _} <- SchemaForm.build_schema(name, draft),
+         :ok <- Schemas.save_schema(socket.assigns.layout_dir, schema) do
+      show_toast(socket, "Saved as #{name} for other recordings")
+    else
+      {:error, error} -> assign(socket, dialog: {:schema, draft, Exception.message(error)})
+      nil -> socket
+    end
+  end
+
+  # A marker comments on a time or a range. Markers are an ordinary annotation stream of texts; a marker that overlaps
+  # an earlier one goes to the next track.
+  defp apply_event(
+         "annotation_marker",
+         %{"from" => from, "to" => to, "text" => text} = params,
+         socket
+       )
+       when is_binary(text) do
+    %{studio: studio, item: %{path: path}} = socket.assigns
+    {:ok, schema} = Annotations.parse_schema("Markers", "")
+    values = %{"Markers" => String.slice(text, 0, 500)}
+
+    add =
+      Map.merge(
+        %{"do" => "add", "from" => from, "to" => to, "values" => values},
+        take_annotator(params)
+      )
+
+    with {:ok, editor} <- Annotations.open_editor(studio, path, "Markers", schema),
+         :ok <- add_to_free_track(editor, add, 1) do
+      open_editor(socket, "Markers", nil)
+    else
+      {:error, error} -> show_toast(socket, Exception.message(error))
+    end
+  end
+
+  defp apply_event("annotation_streams", _, %{assigns: %{annotation: %{stream: mine}}} = socket) do
+    others = Files.list_streams(socket.assigns.item.path) -- [mine]
+    push_event(socket, "annotation_streams", %{streams: others})
+  end
+
+  defp apply_event(
+         "annotation_compare",
+         %{"with" => other},
+         %{assigns: %{annotation: %{} = mine}} = socket
+       )
+       when is_binary(other) do
+    %{studio: studio, item: %{path: path}} = socket.assigns
+
+    with {:ok, editor} <- Annotations.open_editor(studio, path, other, nil),
+         {:ok, rows} <-
+           AgreementTable.agreement_rows(
+             Editor.current_layer(mine.editor),
+             Editor.current_layer(editor)
+           ) do
+      rows = Enum.map(rows, &Tuple.to_list/1)
+      push_event(socket, "agreement", %{first: mine.stream, second: other, rows: rows})
+    else
+      {:error, error} -> show_toast(socket, Exception.message(error))
+    end
+  end
+
+  defp apply_event("annotation_close", _, socket), do: assign(socket, annotation: nil)
+  defp apply_event("annotation_ready", _, socket), do: push_annotations(socket)
+
+  # A stream may be long, so a task searches it while the page stays responsive.
+  defp apply_event(
+         "annotation_propose",
+         %{"stream" => stream} = params,
+         %{assigns: %{annotation: %{editor: editor}}} = socket
+       )
+       when is_binary(stream) do
+    %{source: source, shapes: shapes} = socket.assigns
+    threshold = if is_number(params["threshold"]), do: params["threshold"], else: 0.5
+    page = self()
+
+    Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
+      with {:ok, found} <- Proposals.collect_proposals(source, stream, shapes[stream], threshold) do
+        send(page, {:proposed, Annotations.add_proposals(editor, found, stream)})
+      else
+        error -> send(page, {:proposed, error})
+      end
+    end)
+
+    show_toast(socket, "Searching #{stream} ...")
+  end
+
+  # Lists the tracks of all layers, so that the user can copy their boundaries.
+  defp apply_event("annotation_tracks", _, %{assigns: %{annotation: %{}}} = socket) do
+    %{studio: studio, item: %{path: path}} = socket.assigns
+
+    tracks =
+      for stream <- Files.list_streams(path),
+          {:ok, editor} <- [Annotations.open_editor(studio, path, stream, nil)],
+          track <- Layer.track_names(Editor.current_layer(editor)),
+          do: [stream, track]
+
+    push_event(socket, "annotation_tracks", %{tracks: tracks})
+  end
+
+  defp apply_event(
+         "annotation_edit",
+         %{"do" => "copy_boundaries", "stream" => stream} = params,
+         %{assigns: %{annotation: %{editor: editor}}} = socket
+       )
+       when is_binary(stream) do
+    %{studio: studio, item: %{path: path}} = socket.assigns
+
+    with {:ok, other} <- Annotations.open_editor(studio, path, stream, nil),
+         :ok <-
+           Annotations.apply_edit(editor, Map.put(params, :layer, Editor.current_layer(other))) do
+      socket
+    else
+      {:error, error} -> show_toast(socket, Exception.message(error))
+    end
+  end
+
+  defp apply_event(
+         "annotation_edit",
+         params,
+         %{assigns: %{annotation: %{editor: editor}}} = socket
+       ) do
+    case Annotations.apply_edit(editor, params) do
+      :ok -> if(params["do"] == "save", do: show_toast(socket, "Annotations saved"), else: socket)
+      {:error, error} -> socket |> show_toast(Exception.message(error)) |> push_annotations()
+    end
+  end
+
+  defp apply_event(_, _, socket), do: socket
+
+  defp take_annotator(params), do: Map.take(params, ["by"])
+
+  defp add_to_free_track(editor, add, n) do
+    case Annotations.apply_edit(editor, Map.put(add, "track", "#{n}")) do
+      {:error, %{code: :overlap}} when n < 20 -> add_to_free_track(editor, add, n + 1)
+      result -> result
+    end
+  end
+
+  # Uses the saved schema that the form names, or builds one from the form's fields.
+  defp resolve_schema(%{"schema" => kept}, _name, _values, assigns)
+       when is_binary(kept) and kept != "",
+       do: Schemas.load(assigns.layout_dir, kept)
+
+  defp resolve_schema(params, name, values, _), do: build_schema(params["kind"], name, values)
+
+  defp build_schema("box", name, _), do: {:ok, Annotations.build_spatial_schema(name, :box)}
+  defp build_schema("point", name, _), do: {:ok, Annotations.build_spatial_schema(name, :point)}
+  defp build_schema(_, name, values), do: Annotations.parse_schema(name, values)
+
+  # The layer of a named annotator has that name as a suffix.
+  defp layer_name(stream, by) when is_binary(by) do
+    case by |> String.trim() |> String.slice(0, 40) do
+      "" -> stream
+      by -> "#{stream}.#{by}"
+    end
+  end
+
+  defp layer_name(stream, _), do: stream
+
+  defp parse_index(text) do
+    case Integer.parse(to_string(text)) do
+      {n, ""} when n >= 0 -> n
+      _ -> nil
+    end
+  end
+
+  @doc "Shows the number of proposals found in a stream, or the error."
+  @spec report_proposals(Socket.t(), {:ok, non_neg_integer()} | {:error, Situ.Error.t()}) ::
+          Socket.t()
+  def report_proposals(socket, {:ok, 0}), do: show_toast(socket, "Nothing new to propose")
+  def report_proposals(socket, {:ok, 1}), do: show_toast(socket, "1 proposal")
+  def report_proposals(socket, {:ok, n}), do: show_toast(socket, "#{n} proposals")
+  def report_proposals(socket, {:error, error}), do: show_toast(socket, Exception.message(error))
+
+  @doc "Opens an existing annotation stream."
+  @spec open_layer(Socket.t(), String.t()) :: Socket.t()
+  def open_layer(socket, stream), do: open_editor(socket, stream, nil)
+
+  defp open_editor(socket, stream, schema) do
+    case Annotations.open_editor(socket.assigns.studio, socket.assigns.item.path, stream, schema) do
+      {:ok, editor} ->
+        :ok = Editor.subscribe(editor)
+        socket |> assign(annotation: %{stream: stream, editor: editor}) |> push_annotations()
+
+      {:error, error} ->
+        show_toast(socket, Exception.message(error))
+    end
+  end
+
+  @doc "Asks the editor to check whether another program has saved the annotations; it notifies the page if so."
+  @spec refresh_editor(Socket.t()) :: Socket.t()
+  def refresh_editor(%{assigns: %{annotation: %{editor: editor}}} = socket) do
+    _ = Editor.refresh(editor)
+    socket
+  catch
+    :exit, _ -> assign(socket, annotation: nil)
+  end
+
+  def refresh_editor(socket), do: socket
+
+  @doc "Sends the current annotations to the page."
+  @spec push_annotations(Socket.t()) :: Socket.t()
+  def push_annotations(%{assigns: %{annotation: %{editor: editor, stream: stream}}} = socket) do
+    push_event(socket, "annotations", Annotations.page_state(editor, stream))
+  catch
+    :exit, _ -> assign(socket, annotation: nil)
+  end
+
+  def push_annotations(socket), do: socket
+
+  defp show_toast(socket, text), do: push_event(socket, "toast", %{text: text})
+
+  attr(:stream, :string, required: true)
+
+  @doc false
+  def annotation_panel(assigns) do
+    ~H"""
+    <section class="row-box timeline annotation" id="annotation" data-menu="annotation">
+      <div id="annotation-body" class="panel-body" phx-hook="Annotations" phx-update="ignore" tabindex="0"
+          role="application" aria-label={"Annotations " <> @stream}></div>
+    </section>
+    """
+  end
+
+  attr(:dialog, :any, required: true)
+
+  @doc false
+  def schema_dialog(assigns) do
+    {:schema, draft, error} = assigns.dialog
+    SchemaDialog.dialog(%{draft: draft, error: error})
+  end
+
+  attr(:streams, :list, required: true)
+  attr(:schemas, :list, required: true)
+
+  @doc false
+  def annotation_dialog(assigns) do
+    ~H"""
+    <dialog id="annotation-dialog" phx-hook="Modal" phx-update="ignore" aria-label="Annotate">
+      <h3>Annotate</h3>
+      <div :if={@streams != []} class="choices">
+        <button :for={s <- @streams} class="btn" type="button" phx-click="annotation_open"
+            phx-value-stream={s}>{s}</button>
+      </div>
+      <form id="annotation-new" phx-submit="annotation_new">
+        <label>New annotations <input name="name" placeholder="Speech" autocomplete="off" maxlength="60"
+            required autofocus></label>
+        <label>Values, one per line: name, key, color
+          <textarea name="values" rows="4" placeholder={"speaks 1 #4ea1f3\nlaughs 2"}></textarea></label>
+        <div class="inline">
+          <select name="kind" aria-label="Kind of annotation"><option value="values">Segments in time</option><option
+              value="box">Boxes on images</option><option value="point">Points on images</option></select>
+          <input name="by" placeholder="annotator (optional)" maxlength="40" autocomplete="off"
+              aria-label="Annotator">
+          <select :if={@schemas != []} name="schema" aria-label="Schema"><option
+              value="">Use the values above</option><option
+              :for={s <- @schemas} value={s}>Schema {s}</option></select>
+        </div>
+        <div class="choices">
+          <button class="btn primary" type="submit">Annotate</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+        </div>
+        <p class="hint">Annotations are saved next to the recording, which is never modified. Every edit is saved
+          immediately.</p>
+      </form>
+      <form :if={@streams != []} id="annotation-own" class="inline" phx-submit="annotation_own">
+        <select name="stream" aria-label="Annotations whose schema is used"><option
+            :for={s <- @streams} value={s}>{s}</option></select>
+        <input name="by" placeholder="your name" maxlength="40" autocomplete="off" required
+            aria-label="Your name, for a separate layer">
+        <button class="btn" type="submit">Add my own layer</button>
+      </form>
+    </dialog>
+    """
+  end
+end
