@@ -1,4 +1,4 @@
-//! Finds libsoxr (Debian: libsoxr-dev); its C functions are declared in src/audio/soxr.rs.
+//! Finds libsoxr (package libsoxr-dev on Debian). Its C functions are declared in src/audio/soxr.rs.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
@@ -6,7 +6,7 @@ fn main() {
         .atleast_version("0.1.2")
         .probe("soxr")
     {
-        println!("cargo:warning=libsoxr was not found; on Debian install libsoxr-dev");
+        println!("cargo:warning=libsoxr was not found; on Debian, install libsoxr-dev");
         eprintln!("{error}");
         std::process::exit(1);
     }

@@ -1,5 +1,5 @@
-//! Compiles the C++ file against Debian's OpenCV 4 (libopencv-core-dev, libopencv-imgproc-dev). The split packages have
-//! no pkg-config file; OPENCV_INCLUDE_DIR overrides where the headers are.
+//! Compiles the C++ file against OpenCV 4 of Debian (libopencv-core-dev, libopencv-imgproc-dev). The split packages
+//! have no pkg-config file; OPENCV_INCLUDE_DIR overrides the path of the headers.
 
 fn main() {
     println!("cargo:rerun-if-changed=cpp/kernels.cc");

@@ -1,15 +1,15 @@
-//! Bytes compressed and unpacked, and lines of CSV.
+//! Compresses and unpacks bytes, and formats lines of CSV.
 
 use rustler::{Atom, Binary, Encoder, Env, Term};
 use situ_csv::Values;
 
-use crate::{atoms, binary};
+use crate::{atoms, encode_binary};
 
-/// `{:ok, bytes}` or `{:error, why}`: at most `size` bytes.
+/// Unpacks at most `size` bytes: `{:ok, bytes}` or `{:error, why}`.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn unpack<'a>(env: Env<'a>, compression: String, bytes: Binary<'a>, size: u64) -> Term<'a> {
     match situ_mcap::unpack(&compression, &bytes, size) {
-        Ok(bytes) => (atoms::ok(), binary(env, &bytes)).encode(env),
+        Ok(bytes) => (atoms::ok(), encode_binary(env, &bytes)).encode(env),
         Err(why) => (atoms::error(), why).encode(env),
     }
 }
@@ -17,12 +17,12 @@ fn unpack<'a>(env: Env<'a>, compression: String, bytes: Binary<'a>, size: u64) -
 #[rustler::nif(schedule = "DirtyCpu")]
 fn pack_lz4<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
     match situ_mcap::pack_lz4(&bytes) {
-        Ok(bytes) => (atoms::ok(), binary(env, &bytes)).encode(env),
+        Ok(bytes) => (atoms::ok(), encode_binary(env, &bytes)).encode(env),
         Err(why) => (atoms::error(), why.to_string()).encode(env),
     }
 }
 
-/// Lines of CSV for columns of `Situ.Store.columns/3`; an empty text for another kind.
+/// Formats columns of `Situ.Store.columns/3` as lines of CSV. Returns an empty binary for other kinds.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn csv_lines<'a>(env: Env<'a>, kind: Atom, times: Binary<'a>, values: Binary<'a>) -> Term<'a> {
     let values = if kind == atoms::integer() {
@@ -34,5 +34,5 @@ fn csv_lines<'a>(env: Env<'a>, kind: Atom, times: Binary<'a>, values: Binary<'a>
     } else {
         Values::Booleans(&[])
     };
-    binary(env, &situ_csv::lines(&times, values))
+    encode_binary(env, &situ_csv::format_lines(&times, values))
 }

@@ -1,4 +1,4 @@
-//! Copies of MCAP files.
+//! Copies MCAP files.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -6,7 +6,10 @@ use std::sync::Mutex;
 use rustler::{Atom, Encoder, Env, ResourceArc, Term};
 use situ_mcap::{Compression, Copy, Options, Order, Selection, Writer};
 
-use crate::{answer, atoms, clamped, failed, packed, ReaderResource, WriterResource};
+use crate::{
+    atoms, decode_compression, decode_time, encode_error, encode_result, ReaderResource,
+    WriterResource,
+};
 
 struct CopyResource {
     copy: Mutex<Copy>,
@@ -17,21 +20,21 @@ struct CopyResource {
 #[rustler::resource_impl]
 impl rustler::Resource for CopyResource {}
 
-/// `{:ok, {copy, writer}}`. `packing` is `{profile | nil, compression | nil, chunk}`,
-/// `selection` `{channels | nil, {from, to}, :file | :log, replaced, skip_damage?}`.
+/// Begins a copy: `{:ok, {copy, writer}}`. `packing` is `{profile | nil, compression | nil, chunk}`, and
+/// `selection` is `{channels | nil, {from, to}, :file | :log, replaced, skip_damage?}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_copy_begin<'a>(
     env: Env<'a>,
     reader: ResourceArc<ReaderResource>,
     path: String,
     packing: Packing,
-    selection: Wanted<'a>,
+    selection: CopySelection<'a>,
 ) -> Term<'a> {
     let (channels, (from, to), order, replaced, skip_damage) = selection;
     let selection = Selection {
         channels: channels.map(|ids| ids.into_iter().collect()),
-        from: clamped(from),
-        to: clamped(to),
+        from: decode_time(from),
+        to: decode_time(to),
         order: if order == atoms::file() {
             Order::File
         } else {
@@ -40,10 +43,10 @@ fn mcap_copy_begin<'a>(
         replaced: replaced.into_iter().collect(),
         skip_damage,
     };
-    answer(env, begin(reader, &path, packing, selection))
+    encode_result(env, begin_copy(reader, &path, packing, selection))
 }
 
-type Wanted<'a> = (
+type CopySelection<'a> = (
     Option<Vec<u16>>,
     (Term<'a>, Term<'a>),
     Atom,
@@ -51,14 +54,14 @@ type Wanted<'a> = (
     bool,
 );
 type Packing = (Option<String>, Atom, u64);
-type Begun = (ResourceArc<CopyResource>, ResourceArc<WriterResource>);
+type CopyHandles = (ResourceArc<CopyResource>, ResourceArc<WriterResource>);
 
-fn begin(
+fn begin_copy(
     reader: ResourceArc<ReaderResource>,
     path: &str,
     packing: Packing,
     selection: Selection,
-) -> situ_mcap::Result<Begun> {
+) -> situ_mcap::Result<CopyHandles> {
     let (profile, compression, chunk) = packing;
     let (compression, chunk) = choose_style(&reader, compression, chunk);
     let info = reader.0.info();
@@ -79,17 +82,17 @@ fn begin(
     Ok((ResourceArc::new(copy), writer))
 }
 
-/// The compression and the chunks of the original, where no others are wanted.
+/// Returns the wanted compression and chunk size, or those of the original.
 fn choose_style(reader: &ReaderResource, wanted: Atom, chunk: u64) -> (Compression, Option<u64>) {
-    let (compression, chunked) = reader.0.style();
+    let (compression, chunked) = reader.0.chunk_style();
     if wanted == atoms::nil() {
         (compression, chunked.then_some(chunk))
     } else {
-        (packed(wanted), Some(chunk))
+        (decode_compression(wanted), Some(chunk))
     }
 }
 
-/// `{:ok, {done?, messages, left_out}}`
+/// Copies the next part: `{:ok, {done?, messages, left_out}}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_copy_step<'a>(env: Env<'a>, handle: ResourceArc<CopyResource>) -> Term<'a> {
     let mut copy = handle
@@ -98,10 +101,10 @@ fn mcap_copy_step<'a>(env: Env<'a>, handle: ResourceArc<CopyResource>) -> Term<'
         .unwrap_or_else(|poisoned| poisoned.into_inner());
     match copy.step(&handle.reader.0, &mut handle.writer.lock()) {
         Ok(done) => {
-            let copied = copy.copied();
-            let left_out = if done { &copied.left_out[..] } else { &[] };
-            (atoms::ok(), (done, copied.messages, left_out)).encode(env)
+            let report = copy.report();
+            let left_out = if done { &report.left_out[..] } else { &[] };
+            (atoms::ok(), (done, report.messages, left_out)).encode(env)
         }
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }

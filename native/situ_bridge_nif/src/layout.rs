@@ -1,10 +1,10 @@
-//! How an MCAP file is built.
+//! Describes the structure of an MCAP file.
 
 use rustler::{Encoder, Env, ResourceArc, Term};
 
-use crate::{answer, ReaderResource};
+use crate::{encode_result, ReaderResource};
 
-/// `{offset, length, compression, packed, unpacked, start, end}` of every chunk.
+/// Returns `{offset, length, compression, packed, unpacked, start, end}` for every chunk.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn mcap_chunks<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>) -> Term<'a> {
     let chunks = handle.0.chunks();
@@ -22,11 +22,11 @@ fn mcap_chunks<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>) -> Term<'a
     chunks.collect::<Vec<_>>().encode(env)
 }
 
-/// `{:ok, [{channel, bytes}]}` of a chunk, `{:ok, nil}` behind the last.
+/// Returns `{:ok, [{channel, bytes}]}` for a chunk, or `{:ok, nil}` after the last one.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_sizes<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>, number: u32) -> Term<'a> {
-    let sizes = handle.0.sizes(number);
-    answer(
+    let sizes = handle.0.channel_sizes(number);
+    encode_result(
         env,
         sizes.map(|s| s.map(|s| s.into_iter().collect::<Vec<_>>())),
     )

@@ -1,4 +1,4 @@
-//! BEAM glue of situ_mcap and situ_csv: decode, call, encode. No algorithms here.
+//! BEAM glue for situ_mcap and situ_csv: decode, call, encode. It contains no algorithms.
 
 mod bytes;
 mod copy;
@@ -37,7 +37,7 @@ impl WriterResource {
     }
 }
 
-fn failed<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
+fn encode_error<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
     let reason = match error {
         Error::Io(what, errno, why) => (atoms::io(), what, errno, why).encode(env),
         Error::NotMcap => atoms::not_mcap().encode(env),
@@ -47,20 +47,20 @@ fn failed<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
     (atoms::error(), reason).encode(env)
 }
 
-fn answer<'a, T: Encoder>(env: Env<'a>, result: situ_mcap::Result<T>) -> Term<'a> {
+fn encode_result<'a, T: Encoder>(env: Env<'a>, result: situ_mcap::Result<T>) -> Term<'a> {
     match result {
         Ok(value) => (atoms::ok(), value).encode(env),
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-fn binary<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
+fn encode_binary<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
     let mut new = NewBinary::new(env, bytes.len());
     new.as_mut_slice().copy_from_slice(bytes);
     new.into()
 }
 
-fn times(atom: Atom) -> Times {
+fn decode_times(atom: Atom) -> Times {
     if atom == atoms::publish() {
         Times::Publish
     } else if atom == atoms::ros1_header() {
@@ -72,8 +72,8 @@ fn times(atom: Atom) -> Times {
     }
 }
 
-// Numbers from Elixir may be beyond any time that a file can hold.
-fn clamped(time: Term) -> i128 {
+// Numbers from Elixir may be outside the range of times that a file can contain.
+fn decode_time(time: Term) -> i128 {
     time.decode::<i64>()
         .map(i128::from)
         .or_else(|_| time.decode::<u64>().map(i128::from))
@@ -89,17 +89,17 @@ fn clamped(time: Term) -> i128 {
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_open<'a>(env: Env<'a>, path: String) -> Term<'a> {
     let reader = Reader::open(Path::new(&path));
-    answer(env, reader.map(|r| ResourceArc::new(ReaderResource(r))))
+    encode_result(env, reader.map(|r| ResourceArc::new(ReaderResource(r))))
 }
 
-/// The same by passing over the file, since its index is wrong: `why`.
+/// Opens a file by scanning all records, because its index is wrong for the reason `why`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_open_without_index<'a>(env: Env<'a>, path: String, why: String) -> Term<'a> {
     let reader = Reader::open_without_index(Path::new(&path), &why);
-    answer(env, reader.map(|r| ResourceArc::new(ReaderResource(r))))
+    encode_result(env, reader.map(|r| ResourceArc::new(ReaderResource(r))))
 }
 
-/// `{profile, library, channels, schemas, attachments, metadata, damage, finished?}`
+/// Returns `{profile, library, channels, schemas, attachments, metadata, {damage, finished?}}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_info<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>) -> Term<'a> {
     let info = handle.0.info();
@@ -112,7 +112,7 @@ fn mcap_info<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>) -> Term<'a> 
                 &c.topic,
                 &c.encoding,
                 c.schema,
-                pairs(&c.metadata),
+                metadata_pairs(&c.metadata),
                 *count,
             )
                 .encode(env)
@@ -121,7 +121,7 @@ fn mcap_info<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>) -> Term<'a> 
     let schemas: Vec<Term> = info
         .schemas
         .iter()
-        .map(|(id, s)| (*id, &s.name, &s.encoding, binary(env, &s.data)).encode(env))
+        .map(|(id, s)| (*id, &s.name, &s.encoding, encode_binary(env, &s.data)).encode(env))
         .collect();
     let attachments: Vec<Term> = info
         .attachments
@@ -131,7 +131,7 @@ fn mcap_info<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>) -> Term<'a> 
     let metadata: Vec<Term> = info
         .metadata
         .iter()
-        .map(|(name, map)| (name, pairs(map)).encode(env))
+        .map(|(name, map)| (name, metadata_pairs(map)).encode(env))
         .collect();
     (
         info.profile.as_str(),
@@ -145,11 +145,11 @@ fn mcap_info<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>) -> Term<'a> 
         .encode(env)
 }
 
-fn pairs(map: &BTreeMap<String, String>) -> Vec<(String, String)> {
+fn metadata_pairs(map: &BTreeMap<String, String>) -> Vec<(String, String)> {
     map.iter().map(|(k, v)| (k.clone(), v.clone())).collect()
 }
 
-/// `{:ok, {first, last, count}}`, or `{:ok, nil}` for a channel without messages.
+/// Returns `{:ok, {first, last, count}}`, or `{:ok, nil}` for a channel without messages.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_span<'a>(
     env: Env<'a>,
@@ -157,7 +157,7 @@ fn mcap_span<'a>(
     channel: u16,
     by: Atom,
 ) -> Term<'a> {
-    answer(env, handle.0.span(channel, times(by)))
+    encode_result(env, handle.0.channel_span(channel, decode_times(by)))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
@@ -168,21 +168,28 @@ fn mcap_seek<'a>(
     by: Atom,
     time: Term<'a>,
 ) -> Term<'a> {
-    answer(env, handle.0.seek(channel, times(by), clamped(time)))
+    encode_result(
+        env,
+        handle.0.seek(channel, decode_times(by), decode_time(time)),
+    )
 }
 
-type Wanted<'a> = ((u16, Atom), u64, Term<'a>, (usize, usize), (bool, bool));
+type ReadQuery<'a> = ((u16, Atom), u64, Term<'a>, (usize, usize), (bool, bool));
 
-/// `{:ok, {[{time, log_time, publish_time, sequence, data}], next}}`; `what` is `{{channel, times}, from, to, {most,
-/// bytes}, {envelopes?, skip_damage?}}`.
+/// Returns `{:ok, {[{time, log_time, publish_time, sequence, data}], next}}`. `what` is `{{channel, times}, from,
+/// to, {most, bytes}, {envelopes?, skip_damage?}}`.
 #[rustler::nif(schedule = "DirtyIo")]
-fn mcap_read<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>, what: Wanted<'a>) -> Term<'a> {
+fn mcap_read<'a>(
+    env: Env<'a>,
+    handle: ResourceArc<ReaderResource>,
+    what: ReadQuery<'a>,
+) -> Term<'a> {
     let ((channel, by), from, to, (most, bytes), (envelopes, skip_damage)) = what;
     let query = Query {
         channel,
-        times: times(by),
+        times: decode_times(by),
         from,
-        to: clamped(to),
+        to: decode_time(to),
         most,
         bytes,
         envelopes,
@@ -190,33 +197,33 @@ fn mcap_read<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>, what: Wanted
     };
     match handle.0.read(&query) {
         Ok((messages, next)) => {
-            let messages: Vec<Term> = messages.iter().map(|m| message(env, m)).collect();
+            let messages: Vec<Term> = messages.iter().map(|m| encode_message(env, m)).collect();
             (atoms::ok(), (messages, next)).encode(env)
         }
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-fn message<'a>(env: Env<'a>, m: &Message) -> Term<'a> {
+fn encode_message<'a>(env: Env<'a>, m: &Message) -> Term<'a> {
     (
         m.time,
         m.log_time,
         m.publish_time,
         m.sequence,
-        binary(env, &m.data),
+        encode_binary(env, &m.data),
     )
         .encode(env)
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_attachment<'a>(env: Env<'a>, handle: ResourceArc<ReaderResource>, offset: u64) -> Term<'a> {
-    match handle.0.attachment(offset) {
-        Ok(bytes) => (atoms::ok(), binary(env, &bytes)).encode(env),
-        Err(error) => failed(env, &error),
+    match handle.0.read_attachment(offset) {
+        Ok(bytes) => (atoms::ok(), encode_binary(env, &bytes)).encode(env),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-fn packed(compression: Atom) -> Compression {
+fn decode_compression(compression: Atom) -> Compression {
     if compression == atoms::lz4() {
         Compression::Lz4
     } else if compression == atoms::zstd() {
@@ -237,17 +244,17 @@ fn mcap_create<'a>(
     let options = Options {
         profile: &profile,
         library: None,
-        compression: packed(compression),
+        compression: decode_compression(compression),
         chunk: Some(chunk),
     };
     let writer = Writer::create(Path::new(&path), &options);
-    answer(
+    encode_result(
         env,
         writer.map(|w| ResourceArc::new(WriterResource(Mutex::new(w)))),
     )
 }
 
-/// `schema` is `{name, encoding, data}` or `nil`.
+/// Adds a channel. `schema` is `{name, encoding, data}` or `nil`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_channel<'a>(
     env: Env<'a>,
@@ -265,10 +272,10 @@ fn mcap_channel<'a>(
             .map(|(name, encoding, data)| (name.as_str(), encoding.as_str(), data.as_slice())),
         metadata: metadata.into_iter().collect(),
     };
-    answer(env, handle.lock().channel(&spec))
+    encode_result(env, handle.lock().add_channel(&spec))
 }
 
-/// `messages` are `{channel, sequence, log_time, publish_time, data}`.
+/// Writes messages, `{channel, sequence, log_time, publish_time, data}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_write<'a>(
     env: Env<'a>,
@@ -277,8 +284,8 @@ fn mcap_write<'a>(
 ) -> Term<'a> {
     let mut writer = handle.lock();
     for (channel, sequence, log, publish, data) in &messages {
-        if let Err(error) = writer.write(*channel, *sequence, *log, *publish, data) {
-            return failed(env, &error);
+        if let Err(error) = writer.write_message(*channel, *sequence, *log, *publish, data) {
+            return encode_error(env, &error);
         }
     }
     (atoms::ok(), messages.len()).encode(env)
@@ -293,8 +300,10 @@ fn mcap_attach<'a>(
     time: u64,
     data: Binary<'a>,
 ) -> Term<'a> {
-    let result = handle.lock().attach(&name, &media_type, time, &data);
-    answer(env, result.map(|()| atoms::nil()))
+    let result = handle
+        .lock()
+        .write_attachment(&name, &media_type, time, &data);
+    encode_result(env, result.map(|()| atoms::nil()))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
@@ -306,20 +315,20 @@ fn mcap_metadata<'a>(
 ) -> Term<'a> {
     let result = handle
         .lock()
-        .metadata(&name, metadata.into_iter().collect());
-    answer(env, result.map(|()| atoms::nil()))
+        .write_metadata(&name, metadata.into_iter().collect());
+    encode_result(env, result.map(|()| atoms::nil()))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_flush<'a>(env: Env<'a>, handle: ResourceArc<WriterResource>) -> Term<'a> {
     let result = handle.lock().flush();
-    answer(env, result.map(|()| atoms::nil()))
+    encode_result(env, result.map(|()| atoms::nil()))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_finish<'a>(env: Env<'a>, handle: ResourceArc<WriterResource>) -> Term<'a> {
     let result = handle.lock().finish();
-    answer(env, result.map(|()| atoms::nil()))
+    encode_result(env, result.map(|()| atoms::nil()))
 }
 
 rustler::init!("Elixir.Situ.Bridge.Native");

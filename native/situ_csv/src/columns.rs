@@ -1,28 +1,28 @@
-//! Reads many rows of a CSV file as columns, in one pass for all of them.
+//! Reads many rows of a CSV file as columns in a single pass.
 
 use std::path::Path;
 
 use crate::fields::Kind;
-use crate::parts::{each_row, value, Layout, Refusal, Start, Value};
+use crate::parts::{parse_value, visit_rows, Layout, Refusal, Start, Value};
 use crate::Rows;
 
-/// Which columns and rows are wanted.
+/// Selects columns and rows.
 #[derive(Debug, Clone, Copy)]
-pub struct Wanted<'a> {
+pub struct ColumnQuery<'a> {
     /// The columns and the kinds of their fields.
     pub columns: &'a [(usize, Kind)],
     /// The earliest and the latest time.
     pub interval: (i64, i64),
-    /// The most parts. Fewer are read where they are long.
+    /// The maximum number of parts. Fewer are read if they are long.
     pub parts: usize,
 }
 
-/// The values of a column that lie in the interval.
+/// The values of a column within the interval.
 #[derive(Debug, PartialEq)]
 pub struct Cells {
-    /// How many fields of these parts are not empty.
+    /// The number of nonempty fields in these parts.
     pub fields: u64,
-    /// How many of them are before the interval.
+    /// The number of these fields before the interval.
     pub before: u64,
     /// The times of the values.
     pub times: Vec<i64>,
@@ -33,11 +33,11 @@ pub struct Cells {
 /// Values of one kind.
 #[derive(Debug, PartialEq)]
 pub enum CellValues {
-    /// Whole numbers.
+    /// Integers.
     Integers(Vec<i64>),
-    /// Other numbers.
+    /// Floats.
     Floats(Vec<f64>),
-    /// Texts without a gap between them, and the end of each.
+    /// Concatenated strings, and the end of each.
     Texts(Vec<u8>, Vec<usize>),
 }
 
@@ -55,7 +55,7 @@ impl Cells {
         }
     }
 
-    /// Adds a field; `false` if its value does not fit into the column.
+    /// Adds a field. Returns `false` if its value does not fit into the column.
     fn push(&mut self, field: &str, kind: Kind, time: i64, (from, to): (i64, i64)) -> bool {
         self.fields += 1;
         if time < from {
@@ -64,7 +64,7 @@ impl Cells {
         if time < from || time > to {
             return true;
         }
-        match (&mut self.values, value(field, kind)) {
+        match (&mut self.values, parse_value(field, kind)) {
             (CellValues::Integers(values), Value::Integer(n)) => values.push(n),
             (CellValues::Floats(values), Value::Float(x)) => values.push(x),
             (CellValues::Texts(bytes, ends), Value::Text(text)) => {
@@ -77,11 +77,11 @@ impl Cells {
         true
     }
 
-    fn counts(&self) -> (u64, u64, usize) {
+    fn sizes(&self) -> (u64, u64, usize) {
         (self.fields, self.before, self.times.len())
     }
 
-    fn cut(&mut self, (fields, before, length): (u64, u64, usize)) {
+    fn truncate_to(&mut self, (fields, before, length): (u64, u64, usize)) {
         self.fields = fields;
         self.before = before;
         self.times.truncate(length);
@@ -96,34 +96,34 @@ impl Cells {
     }
 }
 
-/// Reads the wanted columns from a place on: how many parts there were, and the columns. Ends before a part that takes
-/// more than this code to read; as the first part it is the refusal.
-pub fn columns(
+/// Reads the selected columns from a position on. Returns the number of parts and the columns. Ends before a part
+/// that this code cannot parse; if it is the first part, the refusal is returned.
+pub fn read_columns(
     path: &Path,
     layout: &Layout,
     start: Start,
-    wanted: &Wanted<'_>,
+    query: &ColumnQuery<'_>,
 ) -> Result<(usize, Vec<Cells>), Refusal> {
-    let mut rows = Rows::open(path, layout.separator, start.place)?;
+    let mut rows = Rows::open(path, layout.separator, start.position)?;
     let mut last = start.last;
-    let mut found: Vec<Cells> = wanted
+    let mut found: Vec<Cells> = query
         .columns
         .iter()
         .map(|(_, kind)| Cells::new(*kind))
         .collect();
     let mut parts = 0;
-    while parts < wanted.parts && rows.place().byte - start.place.byte < layout.bytes {
-        let before: Vec<_> = found.iter().map(Cells::counts).collect();
+    while parts < query.parts && rows.position().byte - start.position.byte < layout.bytes {
+        let before: Vec<_> = found.iter().map(Cells::sizes).collect();
         let mut fit = true;
-        let read = each_row(
+        let read = visit_rows(
             &mut rows,
             layout,
             &mut last,
             |time, fields| {
-                for ((at, kind), cells) in wanted.columns.iter().zip(&mut found) {
+                for ((at, kind), cells) in query.columns.iter().zip(&mut found) {
                     let field = fields.get(*at).map_or("", |field| field.trim());
                     if !field.is_empty() {
-                        fit &= cells.push(field, *kind, time, wanted.interval);
+                        fit &= cells.push(field, *kind, time, query.interval);
                     }
                 }
             },
@@ -142,7 +142,7 @@ pub fn columns(
             return Err(refusal);
         }
         for (cells, counts) in found.iter_mut().zip(before) {
-            cells.cut(counts);
+            cells.truncate_to(counts);
         }
         break;
     }
@@ -153,7 +153,7 @@ pub fn columns(
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::{Place, Unit};
+    use crate::{FilePosition, Unit};
 
     #[test]
     fn columns_end_before_a_part_with_a_number_that_does_not_fit() {
@@ -169,15 +169,15 @@ mod tests {
             bytes: 1_000,
         };
         let start = |byte, line, last| Start {
-            place: Place { byte, line },
+            position: FilePosition { byte, line },
             last,
         };
-        let wanted = Wanted {
+        let query = ColumnQuery {
             columns: &[(2, Kind::Text), (1, Kind::Integer)],
             interval: (2, 9),
             parts: 8,
         };
-        let (parts, found) = columns(&path, &layout, start(0, 1, None), &wanted).unwrap();
+        let (parts, found) = read_columns(&path, &layout, start(0, 1, None), &query).unwrap();
         assert_eq!(parts, 2);
         let texts = Cells {
             fields: 3,
@@ -193,10 +193,10 @@ mod tests {
         };
         assert_eq!(found, [texts, integers]);
         let last = text.find("5,123").unwrap() as u64;
-        let refused = columns(&path, &layout, start(last, 6, Some(4)), &wanted).unwrap_err();
+        let refused = read_columns(&path, &layout, start(last, 6, Some(4)), &query).unwrap_err();
         assert_eq!(refused, Refusal::Unsure);
         let small = Layout { bytes: 1, ..layout };
-        let found = columns(&path, &small, start(0, 1, None), &wanted).unwrap();
+        let found = read_columns(&path, &small, start(0, 1, None), &query).unwrap();
         assert_eq!(found.0, 1);
         std::fs::remove_file(path).unwrap();
     }

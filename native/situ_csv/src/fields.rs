@@ -1,38 +1,39 @@
-//! Fields of a CSV file as values and as times.
+//! Parses fields of a CSV file as values and as times.
 
 use std::num::FpCategory;
 
 const MOST_DIGITS: usize = 300;
 
-/// The look of a field, or of all fields of a column.
+/// The kind of a field, or of all fields of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Digits, perhaps with a sign.
+    /// Digits with an optional sign.
     Integer,
-    /// A decimal number, perhaps with an exponent.
+    /// A decimal number with an optional exponent.
     Float,
     /// Anything else.
     Text,
 }
 
 impl Kind {
-    /// The kind of a field, without the spaces around it.
-    pub fn of(text: &str) -> Kind {
-        match shape(text.as_bytes()) {
-            // Without an exponent and with so few digits it is finite in any case.
+    /// Returns the kind of a field. The field must not have spaces around it.
+    pub fn detect(text: &str) -> Kind {
+        match number_kind(text.as_bytes()) {
+            // A number without an exponent and with few digits is always finite.
             Some(Kind::Float)
-                if (text.len() > MOST_DIGITS || text.contains(['e', 'E'])) && !finite(text) =>
+                if (text.len() > MOST_DIGITS || text.contains(['e', 'E']))
+                    && !is_finite_number(text) =>
             {
                 Kind::Text
             }
-            // More digits are no float, should the column be one.
+            // A longer integer could not be a float, if the column becomes one.
             Some(Kind::Integer) if text.len() > MOST_DIGITS => Kind::Text,
             Some(kind) => kind,
             None => Kind::Text,
         }
     }
 
-    /// The kind of a column whose fields so far are of the one and the next is of the other.
+    /// Returns the kind of a column with fields of both kinds.
     pub fn unify(self, other: Kind) -> Kind {
         match (self, other) {
             (a, b) if a == b => a,
@@ -42,28 +43,28 @@ impl Kind {
     }
 }
 
-fn finite(text: &str) -> bool {
+fn is_finite_number(text: &str) -> bool {
     text.parse::<f64>().is_ok_and(f64::is_finite)
 }
 
-fn digits(bytes: &[u8]) -> usize {
+fn count_digits(bytes: &[u8]) -> usize {
     bytes
         .iter()
         .take_while(|byte| byte.is_ascii_digit())
         .count()
 }
 
-fn unsigned(bytes: &[u8]) -> &[u8] {
+fn strip_sign(bytes: &[u8]) -> &[u8] {
     match bytes {
         [b'+' | b'-', rest @ ..] => rest,
         _ => bytes,
     }
 }
 
-/// Digits on both sides of a point, and of an exponent.
-fn shape(bytes: &[u8]) -> Option<Kind> {
-    let bytes = unsigned(bytes);
-    let whole = digits(bytes);
+/// Returns the kind of a number, which has digits before and after a point and after an exponent mark.
+fn number_kind(bytes: &[u8]) -> Option<Kind> {
+    let bytes = strip_sign(bytes);
+    let whole = count_digits(bytes);
     let mut rest = &bytes[whole..];
     if whole == 0 {
         return None;
@@ -72,15 +73,15 @@ fn shape(bytes: &[u8]) -> Option<Kind> {
         return Some(Kind::Integer);
     }
     if let [b'.', fraction @ ..] = rest {
-        let n = digits(fraction);
+        let n = count_digits(fraction);
         if n == 0 {
             return None;
         }
         rest = &fraction[n..];
     }
     if let [b'e' | b'E', exponent @ ..] = rest {
-        let exponent = unsigned(exponent);
-        let n = digits(exponent);
+        let exponent = strip_sign(exponent);
+        let n = count_digits(exponent);
         if n == 0 {
             return None;
         }
@@ -92,30 +93,30 @@ fn shape(bytes: &[u8]) -> Option<Kind> {
 /// The unit of the numbers in a time column.
 #[derive(Debug, Clone, Copy)]
 pub enum Unit {
-    /// So many nanoseconds.
+    /// Multiples of this many nanoseconds.
     Nanoseconds(i64),
-    /// Dates and times as ISO 8601 writes them.
+    /// Dates and times in ISO 8601.
     Iso8601,
 }
 
-/// A time, or what keeps it from being one here.
+/// The result of parsing a time.
 #[derive(Debug, PartialEq)]
 pub enum Time {
-    /// Nanoseconds.
+    /// A time in nanoseconds.
     At(i64),
-    /// The field is no number, or one beyond 64 bits.
+    /// The field is not a number, or does not fit into 64 bits.
     None,
-    /// Whether it is one takes more than this code: an unusual way to write a date.
+    /// The field is an unusual notation of a date that this code cannot decide on.
     Unsure,
 }
 
 impl Unit {
-    /// The time in a field.
-    pub fn time(self, text: &str) -> Time {
+    /// Parses the time in a field.
+    pub fn parse_time(self, text: &str) -> Time {
         let text = text.trim();
         match self {
-            Unit::Iso8601 => iso8601(text.as_bytes()).map_or(Time::Unsure, Time::At),
-            Unit::Nanoseconds(factor) => match Kind::of(text) {
+            Unit::Iso8601 => parse_iso8601(text.as_bytes()).map_or(Time::Unsure, Time::At),
+            Unit::Nanoseconds(factor) => match Kind::detect(text) {
                 Kind::Integer => text
                     .parse::<i64>()
                     .ok()
@@ -123,15 +124,15 @@ impl Unit {
                     .map_or(Time::None, Time::At),
                 Kind::Float => text
                     .parse::<f64>()
-                    .map_or(Time::None, |x| scaled(x, factor)),
+                    .map_or(Time::None, |x| scale_time(x, factor)),
                 Kind::Text => Time::None,
             },
         }
     }
 }
 
-/// Halves are rounded away from zero.
-fn scaled(x: f64, factor: i64) -> Time {
+/// Multiplies and rounds a number to nanoseconds. Halves are rounded away from zero.
+fn scale_time(x: f64, factor: i64) -> Time {
     let time = (x * factor as f64).round();
     match time.classify() {
         FpCategory::Nan | FpCategory::Infinite => Time::None,
@@ -140,30 +141,30 @@ fn scaled(x: f64, factor: i64) -> Time {
     }
 }
 
-fn number(bytes: &[u8]) -> Option<i64> {
-    (digits(bytes) == bytes.len()).then(|| {
+fn parse_digits(bytes: &[u8]) -> Option<i64> {
+    (count_digits(bytes) == bytes.len()).then(|| {
         bytes
             .iter()
             .fold(0, |n, byte| n * 10 + i64::from(byte - b'0'))
     })
 }
 
-/// `2020-01-31T12:34:56.123456789+01:00`, a space for the T, without a fraction or a zone too.
-fn iso8601(bytes: &[u8]) -> Option<i64> {
+/// Parses `2020-01-31T12:34:56.123456789+01:00`. The T may be a space, and fraction and zone may be missing.
+fn parse_iso8601(bytes: &[u8]) -> Option<i64> {
     let (head, rest) = bytes.split_at_checked(19)?;
     let marks = [(4, b'-'), (7, b'-'), (13, b':'), (16, b':')];
     if marks.iter().any(|(at, mark)| head[*at] != *mark) || !matches!(head[10], b'T' | b' ') {
         return None;
     }
     let (year, month, day) = (
-        number(&head[..4])?,
-        number(&head[5..7])?,
-        number(&head[8..10])?,
+        parse_digits(&head[..4])?,
+        parse_digits(&head[5..7])?,
+        parse_digits(&head[8..10])?,
     );
     let (hour, minute, second) = (
-        number(&head[11..13])?,
-        number(&head[14..16])?,
-        number(&head[17..19])?,
+        parse_digits(&head[11..13])?,
+        parse_digits(&head[14..16])?,
+        parse_digits(&head[17..19])?,
     );
     if !(1..=12).contains(&month) || !(1..=month_days(year, month)).contains(&day) {
         return None;
@@ -172,14 +173,14 @@ fn iso8601(bytes: &[u8]) -> Option<i64> {
         return None;
     }
     let (fraction, zone) = match rest {
-        [b'.', rest @ ..] => rest.split_at(digits(rest)),
+        [b'.', rest @ ..] => rest.split_at(count_digits(rest)),
         _ => (&[][..], rest),
     };
     if rest.first() == Some(&b'.') && fraction.is_empty() {
         return None;
     }
-    let seconds =
-        days(year, month, day) * 86_400 + hour * 3_600 + minute * 60 + second - offset(zone)?;
+    let seconds = days_since_1970(year, month, day) * 86_400 + hour * 3_600 + minute * 60 + second
+        - zone_offset(zone)?;
     let nanoseconds = (0..9).fold(0, |n, at| {
         n * 10 + fraction.get(at).map_or(0, |b| i64::from(b - b'0'))
     });
@@ -195,27 +196,27 @@ fn month_days(year: i64, month: i64) -> i64 {
     }
 }
 
-/// Seconds that a zone is ahead of UTC.
-fn offset(zone: &[u8]) -> Option<i64> {
+/// Returns the number of seconds that a zone is ahead of UTC.
+fn zone_offset(zone: &[u8]) -> Option<i64> {
     let (sign, hours, minutes) = match zone {
         [] | [b'Z'] => return Some(0),
         [sign, a, b, b':', c, d] | [sign, a, b, c, d] => (sign, [*a, *b], [*c, *d]),
         _ => return None,
     };
-    let (hours, minutes) = (number(&hours)?, number(&minutes)?);
+    let (hours, minutes) = (parse_digits(&hours)?, parse_digits(&minutes)?);
     if hours > 13 || minutes > 59 {
         return None;
     }
     match sign {
         b'+' => Some(hours * 3_600 + minutes * 60),
-        // ISO 8601 has no -00:00.
+        // ISO 8601 does not allow -00:00.
         b'-' if hours + minutes > 0 => Some(-(hours * 3_600 + minutes * 60)),
         _ => None,
     }
 }
 
-/// Days since 1970 (proleptic Gregorian calendar), by years that begin in March.
-fn days(year: i64, month: i64, day: i64) -> i64 {
+/// Returns the days since 1970 (proleptic Gregorian calendar), counting years from March on.
+fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
     let year = year - i64::from(month <= 2);
     let era = year.div_euclid(400);
     let of_era = year.rem_euclid(400);
@@ -228,40 +229,43 @@ mod tests {
     use super::*;
 
     #[test]
-    fn kinds_are_those_of_elixirs_parsers() {
+    fn kinds_agree_with_elixirs_parsers() {
         for text in ["0", "+5", "-007", "123456789012345678901234567890"] {
-            assert_eq!(Kind::of(text), Kind::Integer, "{text}");
+            assert_eq!(Kind::detect(text), Kind::Integer, "{text}");
         }
         for text in ["0.5", "-1.5e10", "+1E-5", "2e3", "1e-400"] {
-            assert_eq!(Kind::of(text), Kind::Float, "{text}");
+            assert_eq!(Kind::detect(text), Kind::Float, "{text}");
         }
         for text in [
             "", ".5", "5.", "1e", "1e+", "--1", "1_000", "1e400", "nan", "inf", "0x1", "1.5.2", "٣",
         ] {
-            assert_eq!(Kind::of(text), Kind::Text, "{text}");
+            assert_eq!(Kind::detect(text), Kind::Text, "{text}");
         }
     }
 
     #[test]
-    fn times_by_their_unit() {
+    fn parses_times_in_every_unit() {
         let (s, iso) = (Unit::Nanoseconds(1_000_000_000), Unit::Iso8601);
-        assert_eq!(s.time(" 5 "), Time::At(5_000_000_000));
-        assert_eq!(s.time("-0.25"), Time::At(-250_000_000));
-        assert_eq!(s.time("x"), Time::None);
-        assert_eq!(s.time("99999999999"), Time::None);
-        assert_eq!(s.time("1e300"), Time::None);
-        assert_eq!(iso.time("1970-01-01T00:00:01.5Z"), Time::At(1_500_000_000));
+        assert_eq!(s.parse_time(" 5 "), Time::At(5_000_000_000));
+        assert_eq!(s.parse_time("-0.25"), Time::At(-250_000_000));
+        assert_eq!(s.parse_time("x"), Time::None);
+        assert_eq!(s.parse_time("99999999999"), Time::None);
+        assert_eq!(s.parse_time("1e300"), Time::None);
         assert_eq!(
-            iso.time("2000-02-29 12:34:56"),
+            iso.parse_time("1970-01-01T00:00:01.5Z"),
+            Time::At(1_500_000_000)
+        );
+        assert_eq!(
+            iso.parse_time("2000-02-29 12:34:56"),
             Time::At(951_827_696_000_000_000)
         );
         assert_eq!(
-            iso.time("1969-12-31T23:59:59.1234567890Z"),
+            iso.parse_time("1969-12-31T23:59:59.1234567890Z"),
             Time::At(-876_543_211)
         );
         assert_eq!(
-            iso.time("2020-01-31T12:34:56+0130"),
-            iso.time("2020-01-31T11:04:56Z")
+            iso.parse_time("2020-01-31T12:34:56+0130"),
+            iso.parse_time("2020-01-31T11:04:56Z")
         );
         for text in [
             "",
@@ -272,7 +276,7 @@ mod tests {
             "2020-01-31T12:34:56-00:00",
             "9999-01-01T00:00:00Z",
         ] {
-            assert_eq!(iso.time(text), Time::Unsure, "{text}");
+            assert_eq!(iso.parse_time(text), Time::Unsure, "{text}");
         }
     }
 }

@@ -1,5 +1,5 @@
-//! Rows of a CSV file, a few at a time: bounded memory however long the file, quoted line breaks and all. Also
-//! writes numbers as such rows.
+//! Reads rows of a CSV file in small batches. Memory use is bounded however long the file is, and quoted fields may
+//! contain line breaks. Also formats numbers as such rows.
 
 #![deny(missing_docs)]
 
@@ -12,19 +12,19 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
-pub use columns::{columns, CellValues, Cells, Wanted};
+pub use columns::{read_columns, CellValues, Cells, ColumnQuery};
 pub use fields::{Kind, Unit};
-pub use lines::{lines, Values};
-pub use parts::{scan, values, Column, Layout, Part, Refusal, Start, Value, Why};
+pub use lines::{format_lines, Values};
+pub use parts::{read_values, scan_parts, Column, Layout, Part, Refusal, RowFault, Start, Value};
 
 use csv::{ByteRecord, Position, ReaderBuilder, StringRecord, Terminator};
 
-/// Why there are no rows.
+/// The reason why rows cannot be read.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Error {
-    /// The file cannot be read: the error's number, and its text.
+    /// The file cannot be read: errno and message.
     Io(i32, String),
-    /// A line that cannot be read: its number, and the reason.
+    /// A line cannot be read: its number and the reason.
     Damaged(u64, &'static str),
 }
 
@@ -45,23 +45,23 @@ impl From<io::Error> for Error {
     }
 }
 
-/// The rows, or the reason why there are none.
+/// The result type of functions that read rows.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// A longer row is an error: most likely a quote is not closed.
+/// The maximum length of a row. A longer row most likely has an unclosed quote.
 const MAX_ROW: u64 = 16 << 20;
 const BUFFER: usize = 64 << 10;
 
-/// A place in a file: byte and line.
+/// A position in a file: byte and line.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Place {
-    /// Bytes before it.
+pub struct FilePosition {
+    /// The number of bytes before it.
     pub byte: u64,
-    /// Its line, 1 being the first.
+    /// Its line; the first line is 1.
     pub line: u64,
 }
 
-/// A row: the line it begins in, and its fields without their quotes.
+/// A row: the line it begins in, and its unquoted fields.
 #[derive(Debug, PartialEq)]
 pub struct Row {
     /// The line it begins in.
@@ -70,7 +70,7 @@ pub struct Row {
     pub fields: Vec<String>,
 }
 
-/// Stops a row that does not end.
+/// A file that stops rows without an end.
 struct Bounded {
     file: File,
     left: u64,
@@ -93,19 +93,19 @@ impl Seek for Bounded {
     }
 }
 
-/// A file that is read row by row. Empty lines are no rows.
+/// A file that is read row by row. Empty lines are skipped.
 struct Rows {
     reader: csv::Reader<Bounded>,
     record: StringRecord,
-    /// The file's length, and whether its last line has an end.
+    /// The file's length, and whether its last line ends with a line break.
     length: u64,
-    whole: bool,
+    ends_with_break: bool,
 }
 
 impl Rows {
-    fn open(path: &Path, separator: u8, from: Place) -> Result<Rows> {
+    fn open(path: &Path, separator: u8, from: FilePosition) -> Result<Rows> {
         let file = File::open(path)?;
-        let (length, whole) = ending(&file)?;
+        let (length, ends_with_break) = read_ending(&file)?;
         let bounded = Bounded {
             file,
             left: MAX_ROW,
@@ -124,53 +124,53 @@ impl Rows {
             reader,
             record: StringRecord::new(),
             length,
-            whole,
+            ends_with_break,
         })
     }
 
-    fn place(&self) -> Place {
-        Place {
+    fn position(&self) -> FilePosition {
+        FilePosition {
             byte: self.reader.position().byte(),
             line: self.reader.position().line(),
         }
     }
 
-    /// The line of the next row, and its fields. The last one may end in CR.
-    fn next(&mut self) -> Result<Option<(u64, &StringRecord)>> {
+    /// Reads the next row: its line and its fields. The last field may end in CR.
+    fn next_row(&mut self) -> Result<Option<(u64, &StringRecord)>> {
         let mut record = std::mem::take(&mut self.record).into_byte_record();
         loop {
             self.reader.get_mut().left = MAX_ROW;
             let at = self.reader.position().line();
             match self.reader.read_byte_record(&mut record) {
-                Ok(true) if record.len() > 1 || !blank(&record) => break,
+                Ok(true) if record.len() > 1 || !is_blank(&record) => break,
                 Ok(true) => continue,
                 Ok(false) => return Ok(None),
-                Err(error) => return Err(refused(error, at)),
+                Err(error) => return Err(convert_error(error, at)),
             }
         }
         let end = self.reader.position();
-        let open = !self.whole && end.byte() >= self.length;
-        let behind = breaks(&record) + u64::from(!open);
-        let line = end.line().saturating_sub(behind);
+        let open = !self.ends_with_break && end.byte() >= self.length;
+        let breaks_after_start = count_line_breaks(&record) + u64::from(!open);
+        let line = end.line().saturating_sub(breaks_after_start);
         self.record = StringRecord::from_byte_record(record)
             .map_err(|_| Error::Damaged(line, "it is not UTF-8 text"))?;
         Ok(Some((line, &self.record)))
     }
 }
 
-/// Up to `most` rows (or `bytes` bytes) from a place on, and the place behind them. Empty lines are no rows; no rows
-/// is the end.
-pub fn rows(
+/// Reads up to `most` rows (or `bytes` bytes) from a position on. Returns them with the position after them. Empty
+/// lines are skipped, and no rows mean the end of the file.
+pub fn read_rows(
     path: &Path,
     separator: u8,
-    from: Place,
+    from: FilePosition,
     most: usize,
     bytes: u64,
-) -> Result<(Vec<Row>, Place)> {
+) -> Result<(Vec<Row>, FilePosition)> {
     let mut reader = Rows::open(path, separator, from)?;
     let mut rows = Vec::new();
-    while rows.len() < most && reader.place().byte - from.byte < bytes {
-        let Some((line, fields)) = reader.next()? else {
+    while rows.len() < most && reader.position().byte - from.byte < bytes {
+        let Some((line, fields)) = reader.next_row()? else {
             break;
         };
         let mut fields: Vec<String> = fields.iter().map(str::to_owned).collect();
@@ -182,11 +182,11 @@ pub fn rows(
         }
         rows.push(Row { line, fields });
     }
-    Ok((rows, reader.place()))
+    Ok((rows, reader.position()))
 }
 
-/// The file's length, and whether its last line has an end.
-fn ending(mut file: &File) -> io::Result<(u64, bool)> {
+/// Returns the file's length, and whether its last line ends with a line break.
+fn read_ending(mut file: &File) -> io::Result<(u64, bool)> {
     let length = file.seek(SeekFrom::End(0))?;
     let mut last = [b'\n'];
     if length > 0 {
@@ -197,18 +197,18 @@ fn ending(mut file: &File) -> io::Result<(u64, bool)> {
     Ok((length, last == [b'\n']))
 }
 
-/// Line breaks within quotes.
-fn breaks(record: &ByteRecord) -> u64 {
+/// Counts line breaks within quotes.
+fn count_line_breaks(record: &ByteRecord) -> u64 {
     let breaks = record.as_slice().iter().filter(|byte| **byte == b'\n');
     breaks.count() as u64
 }
 
-fn blank(record: &ByteRecord) -> bool {
+fn is_blank(record: &ByteRecord) -> bool {
     let spaces = |field: &[u8]| std::str::from_utf8(field).is_ok_and(|text| text.trim().is_empty());
     record.iter().all(spaces)
 }
 
-fn refused(error: csv::Error, line: u64) -> Error {
+fn convert_error(error: csv::Error, line: u64) -> Error {
     match error.into_kind() {
         csv::ErrorKind::Io(error) if error.kind() == io::ErrorKind::FileTooLarge => Error::Damaged(
             line,
@@ -224,7 +224,7 @@ fn refused(error: csv::Error, line: u64) -> Error {
 mod tests {
     use super::*;
 
-    const START: Place = Place { byte: 0, line: 1 };
+    const START: FilePosition = FilePosition { byte: 0, line: 1 };
 
     fn file(name: &str, text: &[u8]) -> std::path::PathBuf {
         let path = std::env::temp_dir().join(format!("situ-rows-{}-{name}", std::process::id()));
@@ -239,14 +239,14 @@ mod tests {
     }
 
     #[test]
-    fn goes_on_where_it_stopped() {
+    fn continues_at_the_returned_position() {
         let path = file(
             "on",
             b"a,b\r\n1,\"two\r\nlines, \"\"here\"\"\"\r\n\n\r\n3,4",
         );
-        let (head, place) = rows(&path, b',', START, 1, u64::MAX).unwrap();
+        let (head, position) = read_rows(&path, b',', START, 1, u64::MAX).unwrap();
         assert_eq!(fields(&head), [(1, vec!["a", "b"])]);
-        let (rest, end) = rows(&path, b',', place, 10, u64::MAX).unwrap();
+        let (rest, end) = read_rows(&path, b',', position, 10, u64::MAX).unwrap();
         assert_eq!(
             fields(&rest),
             [
@@ -254,20 +254,20 @@ mod tests {
                 (6, vec!["3", "4"])
             ]
         );
-        assert_eq!(rows(&path, b',', end, 10, u64::MAX).unwrap().0, vec![]);
+        assert_eq!(read_rows(&path, b',', end, 10, u64::MAX).unwrap().0, vec![]);
         std::fs::remove_file(path).unwrap();
     }
 
     #[test]
-    fn refuses_what_is_no_text_and_what_does_not_end() {
+    fn rejects_invalid_utf8_and_unclosed_quotes() {
         let path = file("bad", b"a,b\n1,\xff\n");
-        let refused = rows(&path, b',', START, 10, u64::MAX);
-        assert_eq!(refused, Err(Error::Damaged(2, "it is not UTF-8 text")));
+        let result = read_rows(&path, b',', START, 10, u64::MAX);
+        assert_eq!(result, Err(Error::Damaged(2, "it is not UTF-8 text")));
         let mut long = b"a,b\n1,\"".to_vec();
         long.resize(40 << 20, b'x');
         std::fs::write(&path, long).unwrap();
-        let refused = rows(&path, b',', START, 10, u64::MAX);
-        assert!(matches!(refused, Err(Error::Damaged(2, _))), "{refused:?}");
+        let result = read_rows(&path, b',', START, 10, u64::MAX);
+        assert!(matches!(result, Err(Error::Damaged(2, _))), "{result:?}");
         std::fs::remove_file(path).unwrap();
     }
 }

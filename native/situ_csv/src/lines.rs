@@ -1,6 +1,7 @@
-//! Numbers and their times as lines of a CSV file, in the layout of \psi: `2020-01-31T12:34:56.1234567Z,0.5\r\n`.
+//! Formats numbers and their times as lines of a CSV file, in the layout of \psi:
+//! `2020-01-31T12:34:56.1234567Z,0.5\r\n`.
 
-/// The values of a column, as bytes: eight each (little-endian), or one each for truths.
+/// The values of a column as bytes: eight each (little-endian), or one each for booleans.
 #[derive(Debug, Clone, Copy)]
 pub enum Values<'a> {
     /// `i64`.
@@ -20,19 +21,22 @@ impl Values<'_> {
     }
 }
 
-/// A line for each time (`i64` nanoseconds since 1970, little-endian) and value; as many as there are of both.
-pub fn lines(times: &[u8], values: Values<'_>) -> Vec<u8> {
+/// Formats a line for each time (`i64` nanoseconds since 1970, little-endian) and value. Stops when either runs
+/// out.
+pub fn format_lines(times: &[u8], values: Values<'_>) -> Vec<u8> {
     let mut out = Vec::with_capacity(values.count() * 40);
-    let mut day = Day::default();
+    let mut cache = SecondCache::default();
     for (time, at) in times.chunks_exact(8).zip(0..values.count()) {
-        day.stamp(&mut out, i64::from_le_bytes(eight(time)));
+        cache.push_time(&mut out, i64::from_le_bytes(eight_bytes(time)));
         out.push(b',');
         match values {
             Values::Integers(bytes) => {
-                let value = i64::from_le_bytes(eight(&bytes[at * 8..]));
+                let value = i64::from_le_bytes(eight_bytes(&bytes[at * 8..]));
                 out.extend_from_slice(itoa::Buffer::new().format(value).as_bytes());
             }
-            Values::Floats(bytes) => float(&mut out, f64::from_le_bytes(eight(&bytes[at * 8..]))),
+            Values::Floats(bytes) => {
+                push_float(&mut out, f64::from_le_bytes(eight_bytes(&bytes[at * 8..])))
+            }
             Values::Booleans(bytes) if bytes[at] == 0 => out.extend_from_slice(b"False"),
             Values::Booleans(_) => out.extend_from_slice(b"True"),
         }
@@ -41,7 +45,7 @@ pub fn lines(times: &[u8], values: Values<'_>) -> Vec<u8> {
     out
 }
 
-fn eight(bytes: &[u8]) -> [u8; 8] {
+fn eight_bytes(bytes: &[u8]) -> [u8; 8] {
     let mut eight = [0; 8];
     for (to, from) in eight.iter_mut().zip(bytes) {
         *to = *from;
@@ -49,8 +53,9 @@ fn eight(bytes: &[u8]) -> [u8; 8] {
     eight
 }
 
-/// The shortest digits that are this number; no ".0"; an exponent from 1E+15 on and below 0.0001, as .NET has it.
-fn float(out: &mut Vec<u8>, value: f64) {
+/// Appends a float with the fewest digits that identify it, without ".0", and with an exponent from 1E+15 on and
+/// below 0.0001, like .NET.
+fn push_float(out: &mut Vec<u8>, value: f64) {
     if !value.is_finite() {
         let name = match value {
             _ if value.is_nan() => "NaN",
@@ -82,21 +87,21 @@ fn float(out: &mut Vec<u8>, value: f64) {
     while let [rest @ .., b'0'] = digits {
         digits = rest;
     }
-    // The number is 0.digits times ten to the `place`.
-    let place = exponent.parse::<i32>().unwrap_or(0) + whole.len() as i32 - zeros as i32;
-    match (digits, place) {
+    // The number is 0.digits times ten to the power of `point`.
+    let point = exponent.parse::<i32>().unwrap_or(0) + whole.len() as i32 - zeros as i32;
+    match (digits, point) {
         ([], _) => out.push(b'0'),
-        (digits, place) if !(-3..=15).contains(&place) => scientific(out, digits, place - 1),
-        (digits, place) if place <= 0 => {
+        (digits, point) if !(-3..=15).contains(&point) => push_scientific(out, digits, point - 1),
+        (digits, point) if point <= 0 => {
             out.extend_from_slice(b"0.");
-            out.resize(out.len() + place.unsigned_abs() as usize, b'0');
+            out.resize(out.len() + point.unsigned_abs() as usize, b'0');
             out.extend_from_slice(digits);
         }
-        (digits, place) => {
-            let place = place.unsigned_abs() as usize;
-            let (whole, fraction) = digits.split_at(place.min(digits.len()));
+        (digits, point) => {
+            let point = point.unsigned_abs() as usize;
+            let (whole, fraction) = digits.split_at(point.min(digits.len()));
             out.extend_from_slice(whole);
-            out.resize(out.len() + place - whole.len(), b'0');
+            out.resize(out.len() + point - whole.len(), b'0');
             if !fraction.is_empty() {
                 out.push(b'.');
                 out.extend_from_slice(fraction);
@@ -105,7 +110,7 @@ fn float(out: &mut Vec<u8>, value: f64) {
     }
 }
 
-fn scientific(out: &mut Vec<u8>, digits: &[u8], power: i32) {
+fn push_scientific(out: &mut Vec<u8>, digits: &[u8], power: i32) {
     out.extend_from_slice(&digits[..1]);
     if digits.len() > 1 {
         out.push(b'.');
@@ -121,38 +126,39 @@ fn scientific(out: &mut Vec<u8>, digits: &[u8], power: i32) {
 
 const SECOND: i64 = 1_000_000_000;
 
-/// The text of the second last written: times of neighbours mostly share it.
+/// Caches the formatted text of the last second, because consecutive times often share it.
 #[derive(Default)]
-struct Day {
+struct SecondCache {
     second: Option<i64>,
     text: Vec<u8>,
 }
 
-impl Day {
-    /// ISO 8601 with seven decimals, nine where the time is no multiple of 100 ns.
-    fn stamp(&mut self, out: &mut Vec<u8>, time: i64) {
+impl SecondCache {
+    /// Appends a time in ISO 8601 with seven decimals, or nine if it is not a multiple of 100 ns.
+    fn push_time(&mut self, out: &mut Vec<u8>, time: i64) {
         let second = time.div_euclid(SECOND);
         if self.second != Some(second) {
             self.text.clear();
-            date(&mut self.text, second);
+            push_date(&mut self.text, second);
             self.second = Some(second);
         }
         out.extend_from_slice(&self.text);
         out.push(b'.');
         let fraction = time.rem_euclid(SECOND) as u64;
         if fraction.is_multiple_of(100) {
-            padded(out, fraction / 100, 7);
+            push_padded(out, fraction / 100, 7);
         } else {
-            padded(out, fraction, 9);
+            push_padded(out, fraction, 9);
         }
         out.push(b'Z');
     }
 }
 
-/// `2020-01-31T12:34:56` (proleptic Gregorian calendar; an `i64` of nanoseconds lies between the years 1677 and 2262).
-fn date(out: &mut Vec<u8>, second: i64) {
+/// Appends `2020-01-31T12:34:56` (proleptic Gregorian calendar; an `i64` of nanoseconds is between the years 1677
+/// and 2262).
+fn push_date(out: &mut Vec<u8>, second: i64) {
     let (days, second) = (second.div_euclid(86_400), second.rem_euclid(86_400));
-    // Years that begin in March, in eras of 400 of them.
+    // Years are counted from March on, in eras of 400 years.
     let days = days + 719_468;
     let (era, day) = (days.div_euclid(146_097), days.rem_euclid(146_097));
     let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
@@ -165,24 +171,24 @@ fn date(out: &mut Vec<u8>, second: i64) {
         (month - 9, 1)
     };
     let year = year + era * 400 + carry;
-    for (value, width, behind) in [
+    for (value, width, separator) in [
         (year, 4, b'-'),
         (month, 2, b'-'),
         (of_month, 2, b'T'),
         (second / 3_600, 2, b':'),
         (second / 60 % 60, 2, b':'),
     ] {
-        padded(out, value.unsigned_abs(), width);
-        out.push(behind);
+        push_padded(out, value.unsigned_abs(), width);
+        out.push(separator);
     }
-    padded(out, (second % 60).unsigned_abs(), 2);
+    push_padded(out, (second % 60).unsigned_abs(), 2);
 }
 
-fn padded(out: &mut Vec<u8>, mut value: u64, width: usize) {
+fn push_padded(out: &mut Vec<u8>, mut value: u64, width: usize) {
     let start = out.len();
     out.resize(start + width, b'0');
-    for place in out[start..].iter_mut().rev() {
-        *place = b'0' + (value % 10) as u8;
+    for digit in out[start..].iter_mut().rev() {
+        *digit = b'0' + (value % 10) as u8;
         value /= 10;
     }
 }
@@ -192,12 +198,12 @@ mod tests {
     use super::*;
 
     fn text(time: i64, value: f64) -> String {
-        let bytes = lines(&time.to_le_bytes(), Values::Floats(&value.to_le_bytes()));
+        let bytes = format_lines(&time.to_le_bytes(), Values::Floats(&value.to_le_bytes()));
         String::from_utf8_lossy(&bytes).into_owned()
     }
 
     #[test]
-    fn floats_are_written_as_dot_net_writes_them() {
+    fn formats_floats_like_dot_net() {
         let cases = [
             (1.0, "1"),
             (0.1, "0.1"),
@@ -223,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn times_before_and_after_1970() {
+    fn formats_times_before_and_after_1970() {
         assert!(text(-1, 0.0).starts_with("1969-12-31T23:59:59.999999999Z,"));
         assert!(text(1_234_567_800, 0.0).starts_with("1970-01-01T00:00:01.2345678Z,"));
         assert!(text(1_580_474_096_123_456_700, 0.0).starts_with("2020-01-31T12:34:56.1234567Z,"));
@@ -233,19 +239,22 @@ mod tests {
     }
 
     #[test]
-    fn integers_and_truths() {
+    fn formats_integers_and_booleans() {
         let times = [0i64.to_le_bytes(), 100i64.to_le_bytes()].concat();
         let values = [i64::MIN.to_le_bytes(), 7i64.to_le_bytes()].concat();
         let wanted = "1970-01-01T00:00:00.0000000Z,-9223372036854775808\r\n1970-01-01T00:00:00.0000001Z,7\r\n";
-        assert_eq!(lines(&times, Values::Integers(&values)), wanted.as_bytes());
-        let truths = lines(&times, Values::Booleans(&[1, 0]));
-        assert!(truths.starts_with(b"1970-01-01T00:00:00.0000000Z,True\r\n"));
-        assert!(truths.ends_with(b",False\r\n"));
+        assert_eq!(
+            format_lines(&times, Values::Integers(&values)),
+            wanted.as_bytes()
+        );
+        let booleans = format_lines(&times, Values::Booleans(&[1, 0]));
+        assert!(booleans.starts_with(b"1970-01-01T00:00:00.0000000Z,True\r\n"));
+        assert!(booleans.ends_with(b",False\r\n"));
     }
 
     #[test]
-    fn what_is_cut_short_is_left_out() {
-        assert_eq!(lines(&[0; 7], Values::Booleans(&[1])), b"");
-        assert_eq!(lines(&[0; 16], Values::Floats(&[0; 15])).len(), 32);
+    fn leaves_out_truncated_times_and_values() {
+        assert_eq!(format_lines(&[0; 7], Values::Booleans(&[1])), b"");
+        assert_eq!(format_lines(&[0; 16], Values::Floats(&[0; 15])).len(), 32);
     }
 }

@@ -1,57 +1,57 @@
-//! Reads parts of a CSV file as columns: the kinds of their fields, and the values of one of them.
+//! Scans parts of a CSV file for the kinds of their fields, and reads the values of one column.
 
 use std::path::Path;
 
 use csv::StringRecord;
 
 use crate::fields::{Kind, Time, Unit};
-use crate::{Error, Place, Rows};
+use crate::{Error, FilePosition, Rows};
 
-/// How the rows of a file are read.
+/// The layout of a file's rows.
 #[derive(Debug, Clone, Copy)]
 pub struct Layout {
-    /// Between fields.
+    /// The separator between fields.
     pub separator: u8,
-    /// The fields of a row.
+    /// The number of fields in a row.
     pub width: usize,
-    /// The column of times, and what it counts.
+    /// The column of times, and their unit.
     pub time: (usize, Unit),
-    /// Nanoseconds that are added to every time.
+    /// An offset that is added to every time, ns.
     pub start: i64,
-    /// The most rows of a part.
+    /// The maximum number of rows in a part.
     pub rows: usize,
-    /// A part with so many bytes has no more rows.
+    /// The number of bytes after which a part ends.
     pub bytes: u64,
 }
 
-/// Where a part begins, and the last time before it.
+/// The position where a part begins, and the last time before it.
 #[derive(Debug, Clone, Copy)]
 pub struct Start {
-    /// Its first row.
-    pub place: Place,
-    /// The time of the last row that was kept.
+    /// The position of its first row.
+    pub position: FilePosition,
+    /// The time of the last row before it that was kept.
     pub last: Option<i64>,
 }
 
-/// The fields of a column that are not empty.
+/// The nonempty fields of a column.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Column {
     /// Their kind.
     pub kind: Option<Kind>,
-    /// How many there are.
+    /// Their number.
     pub count: u64,
-    /// The first one's time.
+    /// The time of the first field.
     pub first: Option<i64>,
-    /// The last one's time.
+    /// The time of the last field.
     pub last: Option<i64>,
 }
 
-/// Why a row is left out.
+/// The reason why a row is left out.
 #[derive(Debug, PartialEq)]
-pub enum Why {
-    /// It has so many fields.
+pub enum RowFault {
+    /// It has this many fields, which is not the width of the layout.
     Width(usize),
-    /// Its time cannot be read.
+    /// Its time cannot be parsed.
     Time(String),
     /// Its time is not after the one before.
     Backward,
@@ -60,33 +60,33 @@ pub enum Why {
 /// The content of a part.
 #[derive(Debug)]
 pub struct Part {
-    /// The columns, that of times among them (and empty).
+    /// The columns, including the column of times (which is empty).
     pub columns: Vec<Column>,
-    /// Lines of rows that are left out.
-    pub damage: Vec<(u64, Why)>,
-    /// Where the next part begins.
+    /// The lines of rows that are left out, with the reasons.
+    pub damage: Vec<(u64, RowFault)>,
+    /// The start of the next part.
     pub next: Start,
-    /// How many rows it has, kept or not.
+    /// The number of rows, including those that are left out.
     pub rows: usize,
 }
 
 /// A value of a column.
 #[derive(Debug, PartialEq)]
 pub enum Value<'a> {
-    /// A whole number.
+    /// An integer.
     Integer(i64),
-    /// Another number.
+    /// A float.
     Float(f64),
-    /// A text, or a number that is larger than these.
+    /// A string, or a number that is too large for the other kinds.
     Text(&'a str),
 }
 
-/// Why a part cannot be read here.
+/// The reason why a part cannot be read here.
 #[derive(Debug, PartialEq)]
 pub enum Refusal {
-    /// A time takes more than this code to read.
+    /// A time is in a notation that this code cannot parse.
     Unsure,
-    /// The file is not readable, or no CSV.
+    /// The file is not readable, or is not CSV.
     Failed(Error),
 }
 
@@ -96,40 +96,41 @@ impl From<Error> for Refusal {
     }
 }
 
-/// Goes through the rows of the next part. Calls `kept` with the time and the fields of a row, or `left_out`.
-pub(crate) fn each_row(
+/// Visits the rows of the next part. Calls `kept` with the time and the fields of a row, or `left_out` with its
+/// line and the reason. Returns the number of rows.
+pub(crate) fn visit_rows(
     rows: &mut Rows,
     layout: &Layout,
     last: &mut Option<i64>,
     mut kept: impl FnMut(i64, &StringRecord),
-    mut left_out: impl FnMut(u64, Why),
+    mut left_out: impl FnMut(u64, RowFault),
 ) -> Result<usize, Refusal> {
     let (column, unit) = layout.time;
-    let begin = rows.place().byte;
+    let begin = rows.position().byte;
     let mut n = 0;
-    while n < layout.rows && rows.place().byte - begin < layout.bytes {
-        let Some((line, fields)) = rows.next()? else {
+    while n < layout.rows && rows.position().byte - begin < layout.bytes {
+        let Some((line, fields)) = rows.next_row()? else {
             break;
         };
         n += 1;
         if fields.len() != layout.width {
-            left_out(line, Why::Width(fields.len()));
+            left_out(line, RowFault::Width(fields.len()));
             continue;
         }
         let Some(text) = fields.get(column) else {
             return Err(Refusal::Unsure);
         };
-        let time = match unit.time(text) {
+        let time = match unit.parse_time(text) {
             Time::At(time) => time.checked_add(layout.start).ok_or(Refusal::Unsure)?,
             Time::None => {
                 let text = text.strip_suffix('\r').unwrap_or(text);
-                left_out(line, Why::Time(text.to_owned()));
+                left_out(line, RowFault::Time(text.to_owned()));
                 continue;
             }
             Time::Unsure => return Err(Refusal::Unsure),
         };
         if last.is_some_and(|last| time <= last) {
-            left_out(line, Why::Backward);
+            left_out(line, RowFault::Backward);
             continue;
         }
         *last = Some(time);
@@ -138,20 +139,20 @@ pub(crate) fn each_row(
     Ok(n)
 }
 
-/// Scans up to `parts` parts from a place on. Fewer are the end of the file.
-pub fn scan(
+/// Scans up to `parts` parts from a position on. Fewer parts mean the end of the file.
+pub fn scan_parts(
     path: &Path,
     layout: &Layout,
     start: Start,
     parts: usize,
 ) -> Result<Vec<Part>, Refusal> {
-    let mut rows = Rows::open(path, layout.separator, start.place)?;
+    let mut rows = Rows::open(path, layout.separator, start.position)?;
     let mut last = start.last;
     let mut found = Vec::new();
     while found.len() < parts {
         let mut columns = vec![Column::default(); layout.width];
         let mut damage = Vec::new();
-        let n = each_row(
+        let n = visit_rows(
             &mut rows,
             layout,
             &mut last,
@@ -166,7 +167,7 @@ pub fn scan(
             |line, why| damage.push((line, why)),
         )?;
         let next = Start {
-            place: rows.place(),
+            position: rows.position(),
             last,
         };
         if n == 0 {
@@ -185,32 +186,32 @@ pub fn scan(
 fn count_field(column: &mut Column, field: &str, time: i64) {
     column.kind = match column.kind {
         Some(Kind::Text) => Some(Kind::Text),
-        Some(kind) => Some(kind.unify(Kind::of(field))),
-        None => Some(Kind::of(field)),
+        Some(kind) => Some(kind.unify(Kind::detect(field))),
+        None => Some(Kind::detect(field)),
     };
     column.count += 1;
     column.first = column.first.or(Some(time));
     column.last = Some(time);
 }
 
-/// Calls `found` with each value of one column in a part, and its time. Empty fields have none.
-pub fn values(
+/// Calls `found` with the time and value of each nonempty field of one column in a part.
+pub fn read_values(
     path: &Path,
     layout: &Layout,
     start: Start,
     (column, kind): (usize, Kind),
     mut found: impl FnMut(i64, Value),
 ) -> Result<(), Refusal> {
-    let mut rows = Rows::open(path, layout.separator, start.place)?;
+    let mut rows = Rows::open(path, layout.separator, start.position)?;
     let mut last = start.last;
-    each_row(
+    visit_rows(
         &mut rows,
         layout,
         &mut last,
         |time, fields| {
             if let Some(field) = fields.get(column).map(|field| field.trim()) {
                 if !field.is_empty() {
-                    found(time, value(field, kind));
+                    found(time, parse_value(field, kind));
                 }
             }
         },
@@ -219,7 +220,7 @@ pub fn values(
     Ok(())
 }
 
-pub(crate) fn value(field: &str, kind: Kind) -> Value<'_> {
+pub(crate) fn parse_value(field: &str, kind: Kind) -> Value<'_> {
     match kind {
         Kind::Integer => field.parse().map(Value::Integer).ok(),
         Kind::Float => field
@@ -246,21 +247,24 @@ mod tests {
         bytes: 1_000,
     };
     const START: Start = Start {
-        place: Place { byte: 0, line: 1 },
+        position: FilePosition { byte: 0, line: 1 },
         last: None,
     };
 
     #[test]
-    fn parts_have_kinds_counts_and_rows_that_are_left_out() {
+    fn scans_kinds_counts_and_rows_that_are_left_out() {
         let path = std::env::temp_dir().join(format!("situ-parts-{}", std::process::id()));
         std::fs::write(&path, "1,5,a\n2,, \n2,6,b\n3,7\nx,8,c\n4,0.5,\"d\"\n").unwrap();
-        let parts = scan(&path, &LAYOUT, START, 9).unwrap();
+        let parts = scan_parts(&path, &LAYOUT, START, 9).unwrap();
         assert_eq!(
             parts.iter().map(|part| part.rows).collect::<Vec<_>>(),
             [4, 2]
         );
-        assert_eq!(parts[0].damage, [(3, Why::Backward), (4, Why::Width(2))]);
-        assert_eq!(parts[1].damage, [(5, Why::Time("x".to_owned()))]);
+        assert_eq!(
+            parts[0].damage,
+            [(3, RowFault::Backward), (4, RowFault::Width(2))]
+        );
+        assert_eq!(parts[1].damage, [(5, RowFault::Time("x".to_owned()))]);
         let column = Column {
             kind: Some(Kind::Integer),
             count: 1,
@@ -272,7 +276,7 @@ mod tests {
         assert_eq!(parts[1].next.last, Some(104));
         let mut found = Vec::new();
         let all = Layout { rows: 9, ..LAYOUT };
-        values(&path, &all, START, (1, Kind::Float), |time, value| {
+        read_values(&path, &all, START, (1, Kind::Float), |time, value| {
             if let Value::Float(x) = value {
                 found.push((time, x));
             }
@@ -280,13 +284,16 @@ mod tests {
         .unwrap();
         assert_eq!(found, [(101, 5.0), (104, 0.5)]);
         let small = Layout { bytes: 1, ..LAYOUT };
-        assert_eq!(scan(&path, &small, START, 9).unwrap().len(), 6);
+        assert_eq!(scan_parts(&path, &small, START, 9).unwrap().len(), 6);
         std::fs::write(&path, "2020-01-31,5,a\n").unwrap();
         let dates = Layout {
             time: (0, Unit::Iso8601),
             ..LAYOUT
         };
-        assert_eq!(scan(&path, &dates, START, 9).unwrap_err(), Refusal::Unsure);
+        assert_eq!(
+            scan_parts(&path, &dates, START, 9).unwrap_err(),
+            Refusal::Unsure
+        );
         std::fs::remove_file(path).unwrap();
     }
 }

@@ -1,6 +1,6 @@
-//! ONNX models through ONNX Runtime, for `situ_infer`: no BEAM types.
+//! Runs ONNX models with ONNX Runtime, for `situ_infer`. This crate has no BEAM types.
 //!
-//! `runtime` opens the shared library, `tensor` moves bytes in and out, `model` is one loaded network.
+//! `runtime` loads the shared library, `tensor` converts bytes, and `model` is a loaded network.
 #![deny(missing_docs)]
 
 mod model;
@@ -9,31 +9,31 @@ mod runtime;
 mod tensor;
 
 pub use model::{Busy, Model, Options, Port, Provider};
-pub use patch::{cut, patch_bytes, Patch, Picture, PixelLayout};
-pub use runtime::{load, version};
+pub use patch::{cut_patch, patch_bytes, Image, Patch, PixelLayout};
+pub use runtime::{load_runtime, runtime_version};
 pub use tensor::{ElementType, Tensor, TensorView};
 
-/// Why something failed. The kind is for programs, the text for people.
+/// An error: the kind is for programs, the text for people.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failure {
-    /// The kind of failure, for programs.
+    /// The kind of error, for programs.
     pub kind: Kind,
-    /// A sentence that names the library, port or provider, for people.
+    /// The message, which contains the name of the library, port or provider, for people.
     pub text: String,
 }
 
-/// The kinds of failure.
+/// The kinds of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// The shared library could not be opened or is too old.
+    /// The shared library could not be loaded or is too old.
     Library,
-    /// The bytes are no model this runtime understands.
+    /// The bytes are not a model that this runtime supports.
     Model,
     /// An input has the wrong name, type, shape or size.
     Input,
-    /// The network failed while it ran.
+    /// The network failed during a run.
     Run,
-    /// The execution provider is not in this library.
+    /// The library does not contain the execution provider.
     Provider,
 }
 

@@ -1,4 +1,4 @@
-//! One loaded network.
+//! A loaded network.
 use crate::tensor::{from_value, ElementType, Tensor, TensorView};
 use crate::{runtime, Failure, Kind};
 use ort::ep::{self, ExecutionProvider};
@@ -10,47 +10,47 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, TryLockError};
 /// A named input or output. A dimension of -1 is free.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Port {
-    /// As the model file has it.
+    /// The name in the model file.
     pub name: String,
-    /// `None` for what is no tensor or of a type that does not cross the border.
+    /// The element type, or `None` if the port is not a tensor or its type is not supported.
     pub ty: Option<ElementType>,
-    /// Sizes, the outermost first.
+    /// The sizes, outermost dimension first.
     pub shape: Vec<i64>,
 }
 
 /// The device that runs a network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Provider {
-    /// The machine's processor.
+    /// The CPU.
     Cpu,
-    /// NVIDIA's, when the library was built with it.
+    /// An NVIDIA GPU, if the library was built with CUDA.
     Cuda {
-        /// Its number.
+        /// The number of the GPU.
         device: i32,
     },
 }
 
-/// How a network is run.
+/// The options for running a network.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Threads inside one run.
+    /// The number of threads inside a run.
     pub threads: usize,
-    /// The most runs at once.
+    /// The maximum number of concurrent runs.
     pub sessions: usize,
-    /// The device that runs it.
+    /// The device that runs the network.
     pub provider: Provider,
-    /// The folder of the weight files that the model file names; `None` means the working directory.
+    /// The folder of the weight files that the model file refers to; `None` means the working directory.
     pub folder: Option<String>,
 }
 
-/// Every session is in use: come back on a thread that may wait.
+/// All sessions are in use. Call `run` on a thread that may block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Busy;
 
-/// A network ready to run, by several callers at once.
+/// A network that can be run by several callers concurrently.
 ///
-/// A session of ONNX Runtime may run once at a time, so a second caller gets a session of its own, made when it is
-/// first needed, up to `Options::sessions` of them; then callers wait.
+/// A session of ONNX Runtime supports only one run at a time. Additional sessions are therefore built on demand, up
+/// to `Options::sessions`; after that, callers wait.
 pub struct Model {
     pool: Mutex<Pool>,
     returned: Condvar,
@@ -62,24 +62,29 @@ pub struct Model {
 
 struct Pool {
     idle: Vec<Session>,
-    /// How many more sessions may be made, and the model's bytes; these are freed when that is 0.
-    left: usize,
+    /// The number of sessions that may still be built.
+    remaining: usize,
+    /// The model, which is freed when no more sessions may be built.
     bytes: Vec<u8>,
     options: Options,
 }
 
 impl Model {
-    /// Builds a network from a model file's bytes.
+    /// Builds a network from the bytes of a model file.
     pub fn load(bytes: &[u8], options: Options) -> Result<Self, Failure> {
-        let session = build(bytes, &options)?;
-        let inputs = session.inputs().iter().map(port).collect();
-        let outputs = session.outputs().iter().map(port).collect();
-        let left = options.sessions.saturating_sub(1);
-        let bytes = if left > 0 { bytes.to_vec() } else { Vec::new() };
+        let session = build_session(bytes, &options)?;
+        let inputs = session.inputs().iter().map(outlet_port).collect();
+        let outputs = session.outputs().iter().map(outlet_port).collect();
+        let remaining = options.sessions.saturating_sub(1);
+        let bytes = if remaining > 0 {
+            bytes.to_vec()
+        } else {
+            Vec::new()
+        };
         Ok(Self {
             pool: Mutex::new(Pool {
                 idle: vec![session],
-                left,
+                remaining,
                 bytes,
                 options,
             }),
@@ -89,13 +94,13 @@ impl Model {
         })
     }
 
-    /// Runs the network; makes a session or waits for one where all are in use.
+    /// Runs the network. If all sessions are in use, builds another one or waits.
     pub fn run(&self, inputs: &[TensorView<'_>]) -> Result<Vec<Tensor>, Failure> {
-        let session = self.take()?;
+        let session = self.take_session()?;
         self.run_with(session, inputs)
     }
 
-    /// Runs the network unless all sessions are in use: never waits and makes none.
+    /// Runs the network unless all sessions are in use. Never waits and never builds a session.
     pub fn try_run(&self, inputs: &[TensorView<'_>]) -> Result<Result<Vec<Tensor>, Failure>, Busy> {
         let session = match self.pool.try_lock() {
             Ok(mut pool) => pool.idle.pop(),
@@ -105,18 +110,18 @@ impl Model {
         Ok(self.run_with(session.ok_or(Busy)?, inputs))
     }
 
-    fn pool(&self) -> MutexGuard<'_, Pool> {
+    fn lock_pool(&self) -> MutexGuard<'_, Pool> {
         self.pool.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn take(&self) -> Result<Session, Failure> {
-        let mut pool = self.pool();
+    fn take_session(&self) -> Result<Session, Failure> {
+        let mut pool = self.lock_pool();
         loop {
             if let Some(session) = pool.idle.pop() {
                 return Ok(session);
             }
-            if pool.left > 0 {
-                return self.another(pool);
+            if pool.remaining > 0 {
+                return self.add_session(pool);
             }
             pool = self
                 .returned
@@ -125,19 +130,19 @@ impl Model {
         }
     }
 
-    // Building takes a while, so it happens without the lock.
-    fn another(&self, mut pool: MutexGuard<'_, Pool>) -> Result<Session, Failure> {
-        pool.left -= 1;
+    // Building a session is slow, so the lock is released.
+    fn add_session(&self, mut pool: MutexGuard<'_, Pool>) -> Result<Session, Failure> {
+        pool.remaining -= 1;
         let options = pool.options.clone();
-        let bytes = if pool.left == 0 {
+        let bytes = if pool.remaining == 0 {
             std::mem::take(&mut pool.bytes)
         } else {
             pool.bytes.clone()
         };
         drop(pool);
-        build(&bytes, &options).inspect_err(|_| {
-            let mut pool = self.pool();
-            pool.left += 1;
+        build_session(&bytes, &options).inspect_err(|_| {
+            let mut pool = self.lock_pool();
+            pool.remaining += 1;
             pool.bytes = bytes;
         })
     }
@@ -147,27 +152,33 @@ impl Model {
         mut session: Session,
         inputs: &[TensorView<'_>],
     ) -> Result<Vec<Tensor>, Failure> {
-        let result = run(&mut session, inputs);
-        self.pool().idle.push(session);
+        let result = run_session(&mut session, inputs);
+        self.lock_pool().idle.push(session);
         self.returned.notify_one();
         result
     }
 }
 
-// Weights above 2 GB do not fit into a model file and are files next to it.
+// Weights above 2 GB do not fit into a model file and are stored in files next to it.
 const FOLDER_KEY: &str = "session.model_external_initializers_file_folder_path";
 
-fn build(bytes: &[u8], options: &Options) -> Result<Session, Failure> {
-    let environment = runtime::environment()?;
-    let mut builder = configure(Session::builder(&environment).map_err(no_model)?, options)?;
-    builder.commit_from_memory(bytes).map_err(no_model)
+fn build_session(bytes: &[u8], options: &Options) -> Result<Session, Failure> {
+    let environment = runtime::current_environment()?;
+    let mut builder = configure_session(
+        Session::builder(&environment).map_err(model_error)?,
+        options,
+    )?;
+    builder.commit_from_memory(bytes).map_err(model_error)
 }
 
-fn no_model(error: ort::Error) -> Failure {
+fn model_error(error: ort::Error) -> Failure {
     Failure::new(Kind::Model, error.to_string())
 }
 
-fn configure(builder: SessionBuilder, options: &Options) -> Result<SessionBuilder, Failure> {
+fn configure_session(
+    builder: SessionBuilder,
+    options: &Options,
+) -> Result<SessionBuilder, Failure> {
     let failed = |e: ort::Error<SessionBuilder>| Failure::new(Kind::Model, e.to_string());
     let builder = builder
         .with_intra_threads(options.threads)
@@ -195,7 +206,7 @@ fn configure(builder: SessionBuilder, options: &Options) -> Result<SessionBuilde
     }
 }
 
-fn port(outlet: &Outlet) -> Port {
+fn outlet_port(outlet: &Outlet) -> Port {
     let name = outlet.name().to_owned();
     match outlet.dtype() {
         ValueType::Tensor { ty, shape, .. } => Port {
@@ -211,7 +222,7 @@ fn port(outlet: &Outlet) -> Port {
     }
 }
 
-fn run(session: &mut Session, inputs: &[TensorView<'_>]) -> Result<Vec<Tensor>, Failure> {
+fn run_session(session: &mut Session, inputs: &[TensorView<'_>]) -> Result<Vec<Tensor>, Failure> {
     let mut values = Vec::with_capacity(inputs.len());
     for input in inputs {
         values.push((Cow::Borrowed(input.name.as_str()), input.to_value()?));

@@ -1,20 +1,20 @@
-//! Cutting an oriented patch out of a picture, straight into a network's input tensor.
+//! Cuts an oriented patch out of an image, directly into the input tensor of a network.
 
-/// How one pixel lies in memory.
+/// The memory layout of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PixelLayout {
-    /// Bytes of a pixel: 1, 3 or 4.
+    /// The bytes of a pixel: 1, 3 or 4.
     pub bytes: usize,
-    /// The place of red in it, from 0; equal to the other two for grey.
+    /// The index of red, from 0; equal to the other two for gray.
     pub red: usize,
-    /// The place of green.
+    /// The index of green.
     pub green: usize,
-    /// The place of blue.
+    /// The index of blue.
     pub blue: usize,
 }
 
 impl PixelLayout {
-    /// By Situ's name of the format; 16-bit formats are not taken.
+    /// Returns the layout of a format by its name in Situ, or `None` for unsupported formats such as 16-bit ones.
     #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
         let (bytes, red, green, blue) = match name {
@@ -34,41 +34,41 @@ impl PixelLayout {
     }
 }
 
-/// A picture, borrowed.
+/// A borrowed image.
 #[derive(Debug, Clone, Copy)]
-pub struct Picture<'a> {
-    /// The rows, the topmost first.
+pub struct Image<'a> {
+    /// The rows, starting at the top.
     pub data: &'a [u8],
-    /// Pixels of a row, at least 1.
+    /// The pixels per row, at least 1.
     pub width: usize,
-    /// Rows, at least 1.
+    /// The number of rows, at least 1.
     pub height: usize,
-    /// Bytes from the start of a row to that of the next, at least `width * layout.bytes`. The last row
-    /// need not be padded.
+    /// The distance in bytes between the starts of two rows, at least `width * layout.bytes`. The last row does not
+    /// need padding.
     pub stride: usize,
-    /// How a pixel lies in it.
+    /// The layout of a pixel.
     pub layout: PixelLayout,
 }
 
-/// The patch to cut: `matrix` maps a patch pixel `(x, y)` to a picture position, `(m0 x + m1 y + m2, m3 x + m4 y +
-/// m5)`, both counted from the centre of the first pixel. A value `v` becomes `v * scale + offset`; outside of the
-/// picture is black.
+/// The patch to cut. `matrix` maps a patch pixel `(x, y)` to an image position, `(m0 x + m1 y + m2, m3 x + m4 y +
+/// m5)`, both relative to the center of the first pixel. A value `v` becomes `v * scale + offset`. Pixels outside the
+/// image are black.
 #[derive(Debug, Clone, Copy)]
 pub struct Patch {
-    /// `[m0, m1, m2, m3, m4, m5]`, in pixels of the picture; all of them finite.
+    /// The matrix `[m0, m1, m2, m3, m4, m5]` in image pixels; all numbers are finite.
     pub matrix: [f64; 6],
-    /// Pixels of a patch's row.
+    /// The pixels per row of the patch.
     pub width: usize,
-    /// Rows of the patch; `width * height` is 1 to 16,777,216.
+    /// The number of rows of the patch; `width * height` is 1 to 16,777,216.
     pub height: usize,
     /// The factor for a channel value (0 to 255).
     pub scale: f32,
-    /// The number added afterwards.
+    /// The number added after scaling.
     pub offset: f32,
 }
 
-impl Picture<'_> {
-    fn fits(&self) -> bool {
+impl Image<'_> {
+    fn is_valid(&self) -> bool {
         let row = self.width.checked_mul(self.layout.bytes);
         let before = self
             .height
@@ -86,7 +86,7 @@ impl Picture<'_> {
         }
     }
 
-    fn pixel(&self, x: i64, y: i64) -> [f32; 3] {
+    fn pixel_at(&self, x: i64, y: i64) -> [f32; 3] {
         let (Ok(x), Ok(y)) = (usize::try_from(x), usize::try_from(y)) else {
             return [0.0; 3];
         };
@@ -102,16 +102,16 @@ impl Picture<'_> {
         ]
     }
 
-    /// Anywhere: what lies outside of the picture is black.
-    fn sample(&self, x: f64, y: f64) -> [f32; 3] {
+    /// Samples the image at any position. Pixels outside the image are black.
+    fn sample_bilinear(&self, x: f64, y: f64) -> [f32; 3] {
         if !(x > -1.0 && y > -1.0 && x < self.width as f64 && y < self.height as f64) {
             return [0.0; 3];
         }
         let (fx, fy) = (x.floor(), y.floor());
         let (ax, ay) = ((x - fx) as f32, (y - fy) as f32);
         let (ix, iy) = (fx as i64, fy as i64);
-        let (a, b) = (self.pixel(ix, iy), self.pixel(ix + 1, iy));
-        let (c, d) = (self.pixel(ix, iy + 1), self.pixel(ix + 1, iy + 1));
+        let (a, b) = (self.pixel_at(ix, iy), self.pixel_at(ix + 1, iy));
+        let (c, d) = (self.pixel_at(ix, iy + 1), self.pixel_at(ix + 1, iy + 1));
         let mut out = [0.0; 3];
         for (i, o) in out.iter_mut().enumerate() {
             let top = a[i] + (b[i] - a[i]) * ax;
@@ -121,15 +121,15 @@ impl Picture<'_> {
         out
     }
 
-    /// As `sample`, where all four neighbours lie inside. With the layout known to the compiler nothing is left to be
-    /// checked but the two ends.
+    /// Samples the image like `sample_bilinear`, where all four neighbours are inside. Since the layout is known at
+    /// compile time, only the two ends are checked.
     #[inline(always)]
     fn sample_inside<const BYTES: usize, const RED: usize, const BLUE: usize>(
         &self,
         x: f64,
         y: f64,
     ) -> Option<[f32; 3]> {
-        // Both are 0 or more: truncation is the floor.
+        // Both are nonnegative, so truncation rounds down.
         let (ix, iy) = (x as i32, y as i32);
         let (ax, ay) = (x as f32 - ix as f32, y as f32 - iy as f32);
         let at = iy as usize * self.stride + ix as usize * BYTES;
@@ -149,8 +149,8 @@ impl Picture<'_> {
     }
 }
 
-/// The steps `0..count` at which `start + step * i` lies in `0..limit`, with room to spare at both ends.
-fn inside(start: f64, step: f64, limit: f64, count: usize) -> std::ops::Range<usize> {
+/// Returns the steps of `0..count` at which `start + step * i` is in `0..limit`, with a margin at both ends.
+fn steps_inside(start: f64, step: f64, limit: f64, count: usize) -> std::ops::Range<usize> {
     const ROOM: f64 = 1e-6;
     let all = 0..count;
     if step.abs() < 1e-12 {
@@ -169,7 +169,7 @@ fn inside(start: f64, step: f64, limit: f64, count: usize) -> std::ops::Range<us
     (from as usize).min(count)..(to as usize).saturating_add(1).min(count)
 }
 
-/// How many bytes the floats of a patch take; `None` when it is empty or over 16 million pixels.
+/// Returns the bytes of the floats of a patch; `None` if it is empty or has more than 16 million pixels.
 #[must_use]
 pub fn patch_bytes(patch: &Patch) -> Option<usize> {
     let pixels = patch.width.checked_mul(patch.height)?;
@@ -178,65 +178,65 @@ pub fn patch_bytes(patch: &Patch) -> Option<usize> {
         .then_some(pixels * 3 * std::mem::size_of::<f32>())
 }
 
-/// Writes the patch as RGB floats in native order, rows first (`[height, width, 3]`), to `out`, which holds
-/// `patch_bytes`. Answers false, with nothing written, when the picture's numbers do not agree with its bytes or
-/// those of the patch with `out`.
+/// Writes the patch as RGB floats in native byte order, row by row (`[height, width, 3]`), to `out`, which has
+/// `patch_bytes`. Returns false and writes nothing if the size of the image does not match its bytes, or that of the
+/// patch does not match `out`.
 #[must_use]
-pub fn cut(picture: &Picture<'_>, patch: &Patch, out: &mut [u8]) -> bool {
+pub fn cut_patch(image: &Image<'_>, patch: &Patch, out: &mut [u8]) -> bool {
     if patch_bytes(patch) != Some(out.len())
-        || !picture.fits()
+        || !image.is_valid()
         || patch.matrix.iter().any(|m| !m.is_finite())
     {
         return false;
     }
     match bytemuck::try_cast_slice_mut::<u8, f32>(out) {
-        Ok(floats) => cut_floats(picture, patch, floats),
-        // Memory that is not aligned for floats.
+        Ok(floats) => cut_float_patch(image, patch, floats),
+        // The memory is not aligned for floats.
         Err(_) => {
             let mut floats = vec![0.0; out.len() / std::mem::size_of::<f32>()];
-            cut_floats(picture, patch, &mut floats);
+            cut_float_patch(image, patch, &mut floats);
             out.copy_from_slice(bytemuck::cast_slice(&floats));
         }
     }
     true
 }
 
-fn cut_floats(picture: &Picture<'_>, patch: &Patch, out: &mut [f32]) {
-    match (picture.layout.bytes, picture.layout.red) {
-        (1, _) => fill::<1, 0, 0>(picture, patch, out),
-        (3, 0) => fill::<3, 0, 2>(picture, patch, out),
-        (3, _) => fill::<3, 2, 0>(picture, patch, out),
-        (_, 0) => fill::<4, 0, 2>(picture, patch, out),
-        _ => fill::<4, 2, 0>(picture, patch, out),
+fn cut_float_patch(image: &Image<'_>, patch: &Patch, out: &mut [f32]) {
+    match (image.layout.bytes, image.layout.red) {
+        (1, _) => fill_patch::<1, 0, 0>(image, patch, out),
+        (3, 0) => fill_patch::<3, 0, 2>(image, patch, out),
+        (3, _) => fill_patch::<3, 2, 0>(image, patch, out),
+        (_, 0) => fill_patch::<4, 0, 2>(image, patch, out),
+        _ => fill_patch::<4, 2, 0>(image, patch, out),
     }
 }
 
-fn fill<const BYTES: usize, const RED: usize, const BLUE: usize>(
-    picture: &Picture<'_>,
+fn fill_patch<const BYTES: usize, const RED: usize, const BLUE: usize>(
+    image: &Image<'_>,
     patch: &Patch,
     out: &mut [f32],
 ) {
     let [m0, m1, m2, m3, m4, m5] = patch.matrix;
-    let (right, bottom) = (picture.width as f64 - 1.0, picture.height as f64 - 1.0);
-    let put = |pixel: &mut [f32], rgb: [f32; 3]| {
+    let (right, bottom) = (image.width as f64 - 1.0, image.height as f64 - 1.0);
+    let write_pixel = |pixel: &mut [f32], rgb: [f32; 3]| {
         for (o, v) in pixel.iter_mut().zip(rgb) {
             *o = v * patch.scale + patch.offset;
         }
     };
     for (y, row) in out.chunks_exact_mut(patch.width * 3).enumerate() {
         let (bx, by) = (m1 * y as f64 + m2, m4 * y as f64 + m5);
-        let across = inside(bx, m0, right, patch.width);
-        let down = inside(by, m3, bottom, patch.width);
+        let across = steps_inside(bx, m0, right, patch.width);
+        let down = steps_inside(by, m3, bottom, patch.width);
         let from = across.start.max(down.start);
         let to = across.end.min(down.end).max(from);
         for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
             let (sx, sy) = (m0 * x as f64 + bx, m3 * x as f64 + by);
             let fast = if x >= from && x < to {
-                picture.sample_inside::<BYTES, RED, BLUE>(sx, sy)
+                image.sample_inside::<BYTES, RED, BLUE>(sx, sy)
             } else {
                 None
             };
-            put(pixel, fast.unwrap_or_else(|| picture.sample(sx, sy)));
+            write_pixel(pixel, fast.unwrap_or_else(|| image.sample_bilinear(sx, sy)));
         }
     }
 }
@@ -247,7 +247,7 @@ mod tests {
 
     const IDENTITY: [f64; 6] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0];
 
-    fn picture(data: &[u8], width: usize, height: usize, format: &str) -> Picture<'static> {
+    fn build_image(data: &[u8], width: usize, height: usize, format: &str) -> Image<'static> {
         let layout = PixelLayout::parse(format).unwrap_or(PixelLayout {
             bytes: 1,
             red: 0,
@@ -255,7 +255,7 @@ mod tests {
             blue: 0,
         });
         let data: &'static [u8] = Box::leak(data.to_vec().into_boxed_slice());
-        Picture {
+        Image {
             data,
             width,
             height,
@@ -264,7 +264,7 @@ mod tests {
         }
     }
 
-    fn patch(matrix: [f64; 6], width: usize, height: usize) -> Patch {
+    fn build_patch(matrix: [f64; 6], width: usize, height: usize) -> Patch {
         Patch {
             matrix,
             width,
@@ -274,56 +274,57 @@ mod tests {
         }
     }
 
-    fn floats(picture: &Picture<'_>, patch: &Patch) -> Option<Vec<f32>> {
+    fn patch_floats(image: &Image<'_>, patch: &Patch) -> Option<Vec<f32>> {
         let mut out = vec![0.0_f32; patch_bytes(patch)? / 4];
-        cut(picture, patch, bytemuck::cast_slice_mut(&mut out)).then_some(out)
+        cut_patch(image, patch, bytemuck::cast_slice_mut(&mut out)).then_some(out)
     }
 
     #[test]
-    fn memory_that_is_not_aligned_is_filled_too() {
-        let p = picture(&[1, 2, 3, 4, 5, 6], 2, 1, "bgr24");
+    fn unaligned_memory_is_filled_too() {
+        let p = build_image(&[1, 2, 3, 4, 5, 6], 2, 1, "bgr24");
         let mut bytes = vec![0_u8; 2 * 12 + 1];
-        assert!(cut(&p, &patch(IDENTITY, 2, 1), &mut bytes[1..]));
+        assert!(cut_patch(&p, &build_patch(IDENTITY, 2, 1), &mut bytes[1..]));
         let first = [bytes[1], bytes[2], bytes[3], bytes[4]];
         assert_eq!(f32::from_ne_bytes(first), 3.0);
-        assert!(!cut(&p, &patch(IDENTITY, 2, 1), &mut bytes));
+        assert!(!cut_patch(&p, &build_patch(IDENTITY, 2, 1), &mut bytes));
     }
 
     #[test]
     fn the_identity_swaps_bgr_to_rgb() {
-        let p = picture(&[1, 2, 3, 4, 5, 6], 2, 1, "bgr24");
+        let p = build_image(&[1, 2, 3, 4, 5, 6], 2, 1, "bgr24");
         assert_eq!(
-            floats(&p, &patch(IDENTITY, 2, 1)),
+            patch_floats(&p, &build_patch(IDENTITY, 2, 1)),
             Some(vec![3.0, 2.0, 1.0, 6.0, 5.0, 4.0])
         );
     }
 
     #[test]
-    fn half_way_is_the_mean_and_outside_is_black() {
-        let p = picture(&[10, 30], 2, 1, "gray8");
-        let half = patch([1.0, 0.0, 0.5, 0.0, 1.0, 0.0], 2, 1);
+    fn a_position_between_pixels_is_their_mean_and_outside_is_black() {
+        let p = build_image(&[10, 30], 2, 1, "gray8");
+        let half = build_patch([1.0, 0.0, 0.5, 0.0, 1.0, 0.0], 2, 1);
         assert_eq!(
-            floats(&p, &half),
+            patch_floats(&p, &half),
             Some(vec![20.0, 20.0, 20.0, 15.0, 15.0, 15.0])
         );
     }
 
-    // Every way through is the slow one: turned, mirrored, partly and wholly outside, in every layout.
+    // Compares the fast path with the slow one for rotated, mirrored, and partly or completely outside patches, in
+    // every layout.
     #[test]
-    fn the_fast_way_is_the_slow_way() {
+    fn the_fast_path_equals_the_slow_path() {
         let data: Vec<u8> = (0..4 * 23 * 17).map(|i| (i * 37 % 251) as u8).collect();
         for format in ["gray8", "rgb24", "bgr24", "rgba32", "bgrx32"] {
-            let p = picture(&data, 23, 17, format);
+            let p = build_image(&data, 23, 17, format);
             for i in 0..40 {
                 let (angle, side) = (f64::from(i) * 0.37, 0.1 + f64::from(i) * 0.11);
                 let (c, s) = (side * angle.cos(), side * angle.sin());
                 let (x, y) = (f64::from(i % 7) * 5.0 - 8.0, f64::from(i % 5) * 4.0 - 6.0);
-                let patch = patch([c, -s, x, s, c, y], 19, 13);
-                let fast = floats(&p, &patch).unwrap_or_default();
+                let patch = build_patch([c, -s, x, s, c, y], 19, 13);
+                let fast = patch_floats(&p, &patch).unwrap_or_default();
                 assert_eq!(fast.len(), 19 * 13 * 3);
                 for (n, rgb) in fast.chunks_exact(3).enumerate() {
                     let (u, v) = ((n % 19) as f64, (n / 19) as f64);
-                    let slow = p.sample(c * u - s * v + x, s * u + c * v + y);
+                    let slow = p.sample_bilinear(c * u - s * v + x, s * u + c * v + y);
                     for (a, b) in rgb.iter().zip(slow) {
                         assert!((a - b).abs() < 1e-2, "{format} {i} {n}: {rgb:?} {slow:?}");
                     }
@@ -333,14 +334,14 @@ mod tests {
     }
 
     #[test]
-    fn lies_about_the_size_are_refused() {
-        let mut p = picture(&[0; 4], 2, 2, "gray8");
+    fn wrong_sizes_are_rejected() {
+        let mut p = build_image(&[0; 4], 2, 2, "gray8");
         p.height = 3;
-        assert_eq!(floats(&p, &patch(IDENTITY, 2, 2)), None);
+        assert_eq!(patch_floats(&p, &build_patch(IDENTITY, 2, 2)), None);
         p.height = 0;
-        assert_eq!(floats(&p, &patch(IDENTITY, 2, 2)), None);
+        assert_eq!(patch_floats(&p, &build_patch(IDENTITY, 2, 2)), None);
         p.height = 2;
-        assert_eq!(floats(&p, &patch([f64::NAN; 6], 2, 2)), None);
-        assert_eq!(floats(&p, &patch(IDENTITY, 0, 2)), None);
+        assert_eq!(patch_floats(&p, &build_patch([f64::NAN; 6], 2, 2)), None);
+        assert_eq!(patch_floats(&p, &build_patch(IDENTITY, 0, 2)), None);
     }
 }

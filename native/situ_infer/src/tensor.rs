@@ -1,11 +1,11 @@
-//! Tensors as bytes: native byte order, row major.
+//! Tensors as bytes, in native byte order and row-major.
 use crate::{Failure, Kind};
 use bytemuck::{try_cast_slice, AnyBitPattern, NoUninit};
 use half::{bf16, f16};
 use ort::session::SessionInputValue;
 use ort::value::{DynValue, Tensor as OrtTensor, TensorElementType, TensorRef};
 
-/// The element types that cross the border, with the names Elixir knows them by.
+/// The supported element types, with the names that Elixir uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ElementType {
     /// IEEE 754 binary16.
@@ -32,7 +32,7 @@ pub enum ElementType {
     U32,
     /// Unsigned, 8 bytes.
     U64,
-    /// 1 byte: 0 is false; on the way in any other value is true, on the way out only 1 is.
+    /// 1 byte. In inputs, 0 is false and all other values are true. In outputs, 1 is true.
     Bool,
 }
 
@@ -53,13 +53,13 @@ const NAMES: [(ElementType, &str, TensorElementType, usize); 13] = [
 ];
 
 impl ElementType {
-    /// The type of this name (`f32`, `s64`, `bool` ...); `None` for any other text.
+    /// Returns the type with this name (`f32`, `s64`, `bool` ...), or `None`.
     #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
         NAMES.iter().find(|row| row.1 == name).map(|row| row.0)
     }
 
-    /// The name that `parse` takes.
+    /// Returns the name that `parse` accepts.
     #[must_use]
     pub fn name(self) -> &'static str {
         NAMES
@@ -68,9 +68,9 @@ impl ElementType {
             .map_or("f32", |row| row.1)
     }
 
-    /// Bytes of one element, 1 to 8.
+    /// Returns the bytes of an element, 1 to 8.
     #[must_use]
-    pub fn size(self) -> usize {
+    pub fn byte_size(self) -> usize {
         NAMES
             .iter()
             .find(|row| row.0 == self)
@@ -82,60 +82,63 @@ impl ElementType {
     }
 }
 
-/// One input, borrowed from the caller.
+/// An input, borrowed from the caller.
 #[derive(Debug, Clone)]
 pub struct TensorView<'a> {
-    /// The input's name, as `Model::inputs` has it.
+    /// The name of the input, as in `Model::inputs`.
     pub name: String,
-    /// The type of every element; it must be the port's.
+    /// The type of every element, which must be that of the port.
     pub ty: ElementType,
-    /// Sizes, the outermost dimension first, none of them negative; empty for a single number.
+    /// The sizes, outermost dimension first, none of them negative; empty for a scalar.
     pub shape: Vec<i64>,
-    /// The elements, row major, native byte order: exactly the product of `shape` times `ty.size()` bytes, else the run
-    /// answers `Kind::Input`. Alignment is not needed; memory that has it is not copied.
+    /// The elements, row-major, in native byte order. Their size must be exactly the product of `shape` times
+    /// `ty.byte_size()` bytes, otherwise the run returns `Kind::Input`. Alignment is not required, but unaligned
+    /// memory is copied.
     pub data: &'a [u8],
 }
 
-/// One output.
+/// An output.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tensor {
-    /// The output's name, as `Model::outputs` has it.
+    /// The name of the output, as in `Model::outputs`.
     pub name: String,
     /// The type of every element.
     pub ty: ElementType,
-    /// Sizes, the outermost dimension first; free dimensions of the port have got their size.
+    /// The sizes, outermost dimension first. Free dimensions of the port have their actual size.
     pub shape: Vec<i64>,
-    /// The elements, row major, native byte order.
+    /// The elements, row-major, in native byte order.
     pub data: Vec<u8>,
 }
 
 impl<'a> TensorView<'a> {
-    /// An ONNX Runtime value over the caller's bytes; copies only when they are not aligned for the type.
+    /// Returns an ONNX Runtime value that refers to the caller's bytes. They are copied only if they are not aligned
+    /// for the type.
     pub(crate) fn to_value(&self) -> Result<SessionInputValue<'a>, Failure> {
-        self.check()?;
+        self.check_size()?;
         match self.ty {
-            ElementType::F16 => view::<f16>(self),
-            ElementType::Bf16 => view::<bf16>(self),
-            ElementType::F32 => view::<f32>(self),
-            ElementType::F64 => view::<f64>(self),
-            ElementType::S8 => view::<i8>(self),
-            ElementType::S16 => view::<i16>(self),
-            ElementType::S32 => view::<i32>(self),
-            ElementType::S64 => view::<i64>(self),
-            ElementType::U8 => view::<u8>(self),
-            ElementType::U16 => view::<u16>(self),
-            ElementType::U32 => view::<u32>(self),
-            ElementType::U64 => view::<u64>(self),
+            ElementType::F16 => typed_value::<f16>(self),
+            ElementType::Bf16 => typed_value::<bf16>(self),
+            ElementType::F32 => typed_value::<f32>(self),
+            ElementType::F64 => typed_value::<f64>(self),
+            ElementType::S8 => typed_value::<i8>(self),
+            ElementType::S16 => typed_value::<i16>(self),
+            ElementType::S32 => typed_value::<i32>(self),
+            ElementType::S64 => typed_value::<i64>(self),
+            ElementType::U8 => typed_value::<u8>(self),
+            ElementType::U16 => typed_value::<u16>(self),
+            ElementType::U32 => typed_value::<u32>(self),
+            ElementType::U64 => typed_value::<u64>(self),
             ElementType::Bool => {
                 let flags: Vec<bool> = self.data.iter().map(|b| *b != 0).collect();
-                let tensor = OrtTensor::from_array((self.shape.clone(), flags)).map_err(bad)?;
+                let tensor =
+                    OrtTensor::from_array((self.shape.clone(), flags)).map_err(input_error)?;
                 Ok(tensor.into())
             }
         }
     }
 
-    fn check(&self) -> Result<(), Failure> {
-        let wanted = self.shape.iter().try_fold(self.ty.size(), |n, d| {
+    fn check_size(&self) -> Result<(), Failure> {
+        let wanted = self.shape.iter().try_fold(self.ty.byte_size(), |n, d| {
             usize::try_from(*d).ok().and_then(|d| n.checked_mul(d))
         });
         if wanted == Some(self.data.len()) {
@@ -152,11 +155,11 @@ impl<'a> TensorView<'a> {
     }
 }
 
-fn bad(error: ort::Error) -> Failure {
+fn input_error(error: ort::Error) -> Failure {
     Failure::new(Kind::Input, error.to_string())
 }
 
-fn view<'a, T>(tensor: &TensorView<'a>) -> Result<SessionInputValue<'a>, Failure>
+fn typed_value<'a, T>(tensor: &TensorView<'a>) -> Result<SessionInputValue<'a>, Failure>
 where
     T: ort::value::PrimitiveTensorElementType
         + AnyBitPattern
@@ -167,13 +170,13 @@ where
 {
     match try_cast_slice::<u8, T>(tensor.data) {
         Ok(slice) => Ok(TensorRef::from_array_view((tensor.shape.clone(), slice))
-            .map_err(bad)?
+            .map_err(input_error)?
             .into()),
         Err(_) => {
             let mut owned = vec![T::zeroed(); tensor.data.len() / std::mem::size_of::<T>()];
             bytemuck::cast_slice_mut::<T, u8>(&mut owned).copy_from_slice(tensor.data);
             Ok(OrtTensor::from_array((tensor.shape.clone(), owned))
-                .map_err(bad)?
+                .map_err(input_error)?
                 .into())
         }
     }
@@ -183,7 +186,7 @@ pub(crate) fn from_value(name: &str, value: &DynValue) -> Result<Tensor, Failure
     let ort::value::ValueType::Tensor { ty, .. } = value.dtype() else {
         return Err(Failure::new(
             Kind::Run,
-            format!("output {name:?} is no tensor"),
+            format!("output {name:?} is not a tensor"),
         ));
     };
     let ty = ElementType::from_ort(*ty).ok_or_else(|| {
@@ -193,19 +196,19 @@ pub(crate) fn from_value(name: &str, value: &DynValue) -> Result<Tensor, Failure
         )
     })?;
     let (shape, data) = match ty {
-        ElementType::F16 => bytes::<f16>(value),
-        ElementType::Bf16 => bytes::<bf16>(value),
-        ElementType::F32 => bytes::<f32>(value),
-        ElementType::F64 => bytes::<f64>(value),
-        ElementType::S8 => bytes::<i8>(value),
-        ElementType::S16 => bytes::<i16>(value),
-        ElementType::S32 => bytes::<i32>(value),
-        ElementType::S64 => bytes::<i64>(value),
-        ElementType::U8 => bytes::<u8>(value),
-        ElementType::U16 => bytes::<u16>(value),
-        ElementType::U32 => bytes::<u32>(value),
-        ElementType::U64 => bytes::<u64>(value),
-        ElementType::Bool => bytes::<bool>(value),
+        ElementType::F16 => extract_bytes::<f16>(value),
+        ElementType::Bf16 => extract_bytes::<bf16>(value),
+        ElementType::F32 => extract_bytes::<f32>(value),
+        ElementType::F64 => extract_bytes::<f64>(value),
+        ElementType::S8 => extract_bytes::<i8>(value),
+        ElementType::S16 => extract_bytes::<i16>(value),
+        ElementType::S32 => extract_bytes::<i32>(value),
+        ElementType::S64 => extract_bytes::<i64>(value),
+        ElementType::U8 => extract_bytes::<u8>(value),
+        ElementType::U16 => extract_bytes::<u16>(value),
+        ElementType::U32 => extract_bytes::<u32>(value),
+        ElementType::U64 => extract_bytes::<u64>(value),
+        ElementType::Bool => extract_bytes::<bool>(value),
     }?;
     Ok(Tensor {
         name: name.to_owned(),
@@ -215,7 +218,7 @@ pub(crate) fn from_value(name: &str, value: &DynValue) -> Result<Tensor, Failure
     })
 }
 
-fn bytes<T>(value: &DynValue) -> Result<(Vec<i64>, Vec<u8>), Failure>
+fn extract_bytes<T>(value: &DynValue) -> Result<(Vec<i64>, Vec<u8>), Failure>
 where
     T: ort::value::PrimitiveTensorElementType + NoUninit,
 {

@@ -1,8 +1,8 @@
-//! BEAM glue of situ_infer: decode, call, encode. No algorithms here.
+//! The BEAM bindings of situ_infer: they decode, call and encode, and contain no algorithms.
 use rustler::{Atom, Binary, Encoder, Env, NifResult, OwnedBinary, Resource, ResourceArc, Term};
 use situ_infer::{
-    ElementType, Failure, Kind, Model, Options, Patch, Picture, PixelLayout, Port, Provider,
-    Tensor, TensorView,
+    ElementType, Failure, Image, Kind, Model, Options, Patch, PixelLayout, Port, Provider, Tensor,
+    TensorView,
 };
 use std::path::Path;
 use std::time::Instant;
@@ -16,7 +16,7 @@ struct ModelResource(Model);
 #[rustler::resource_impl]
 impl Resource for ModelResource {}
 
-fn kind(kind: Kind) -> Atom {
+fn kind_atom(kind: Kind) -> Atom {
     match kind {
         Kind::Library => atoms::library(),
         Kind::Model => atoms::model(),
@@ -26,24 +26,28 @@ fn kind(kind: Kind) -> Atom {
     }
 }
 
-fn failed<'a>(env: Env<'a>, failure: &Failure) -> Term<'a> {
-    (atoms::error(), (kind(failure.kind), failure.text.as_str())).encode(env)
+fn encode_failure<'a>(env: Env<'a>, failure: &Failure) -> Term<'a> {
+    (
+        atoms::error(),
+        (kind_atom(failure.kind), failure.text.as_str()),
+    )
+        .encode(env)
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn load_runtime(env: Env<'_>, path: String) -> Term<'_> {
-    match situ_infer::load(Path::new(&path)) {
+    match situ_infer::load_runtime(Path::new(&path)) {
         Ok(()) => atoms::ok().encode(env),
-        Err(failure) => failed(env, &failure),
+        Err(failure) => encode_failure(env, &failure),
     }
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn runtime_version(env: Env<'_>) -> Term<'_> {
-    situ_infer::version().encode(env)
+    situ_infer::runtime_version().encode(env)
 }
 
-/// `device` below 0 is the CPU, else the number of a CUDA device.
+/// Loads a model. A `device` below 0 is the CPU; other numbers are CUDA devices.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn load_model<'a>(
     env: Env<'a>,
@@ -66,23 +70,23 @@ fn load_model<'a>(
     };
     match Model::load(bytes.as_slice(), options) {
         Ok(model) => {
-            let inputs = ports(&model.inputs);
-            let outputs = ports(&model.outputs);
+            let inputs = encode_ports(&model.inputs);
+            let outputs = encode_ports(&model.outputs);
             let resource = ResourceArc::new(ModelResource(model));
             (atoms::ok(), (resource, inputs, outputs)).encode(env)
         }
-        Err(failure) => failed(env, &failure),
+        Err(failure) => encode_failure(env, &failure),
     }
 }
 
-fn ports(ports: &[Port]) -> Vec<(String, Option<&'static str>, Vec<i64>)> {
+fn encode_ports(ports: &[Port]) -> Vec<(String, Option<&'static str>, Vec<i64>)> {
     let row = |p: &Port| (p.name.clone(), p.ty.map(ElementType::name), p.shape.clone());
     ports.iter().map(row).collect()
 }
 
 type Input<'a> = (String, String, Vec<i64>, Binary<'a>);
 
-fn views<'i>(inputs: &'i [Input<'_>]) -> Result<Vec<TensorView<'i>>, Failure> {
+fn parse_inputs<'i>(inputs: &'i [Input<'_>]) -> Result<Vec<TensorView<'i>>, Failure> {
     inputs
         .iter()
         .map(|(name, ty, shape, data)| {
@@ -100,7 +104,7 @@ fn views<'i>(inputs: &'i [Input<'_>]) -> Result<Vec<TensorView<'i>>, Failure> {
         .collect()
 }
 
-fn outputs(env: Env<'_>, tensors: Vec<Tensor>, nanos: u64) -> NifResult<Term<'_>> {
+fn encode_outputs(env: Env<'_>, tensors: Vec<Tensor>, nanos: u64) -> NifResult<Term<'_>> {
     let mut rows = Vec::with_capacity(tensors.len());
     for tensor in tensors {
         let mut data = OwnedBinary::new(tensor.data.len());
@@ -115,19 +119,19 @@ fn outputs(env: Env<'_>, tensors: Vec<Tensor>, nanos: u64) -> NifResult<Term<'_>
     Ok((atoms::ok(), rows, nanos).encode(env))
 }
 
-fn nanos(since: Instant) -> u64 {
+fn elapsed_nanos(since: Instant) -> u64 {
     u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX)
 }
 
-fn finish(
+fn encode_result(
     env: Env<'_>,
     result: Result<Vec<Tensor>, Failure>,
     started: Instant,
 ) -> NifResult<Term<'_>> {
-    let spent = nanos(started);
+    let spent = elapsed_nanos(started);
     match result {
-        Ok(tensors) => outputs(env, tensors, spent),
-        Err(failure) => Ok(failed(env, &failure)),
+        Ok(tensors) => encode_outputs(env, tensors, spent),
+        Err(failure) => Ok(encode_failure(env, &failure)),
     }
 }
 
@@ -138,11 +142,11 @@ fn run_dirty<'a>(
     inputs: Vec<Input<'a>>,
 ) -> NifResult<Term<'a>> {
     let started = Instant::now();
-    let result = views(&inputs).and_then(|views| model.0.run(&views));
-    finish(env, result, started)
+    let result = parse_inputs(&inputs).and_then(|views| model.0.run(&views));
+    encode_result(env, result, started)
 }
 
-/// For networks of a fraction of a millisecond: no thread hop, but the time is charged to the caller.
+/// Runs networks that take a fraction of a millisecond on the calling scheduler, and charges the time to the caller.
 #[rustler::nif]
 fn run_inline<'a>(
     env: Env<'a>,
@@ -150,25 +154,25 @@ fn run_inline<'a>(
     inputs: Vec<Input<'a>>,
 ) -> NifResult<Term<'a>> {
     let started = Instant::now();
-    let result = match views(&inputs) {
+    let result = match parse_inputs(&inputs) {
         Ok(views) => match model.0.try_run(&views) {
             Ok(result) => result,
             Err(situ_infer::Busy) => return Ok(atoms::busy().encode(env)),
         },
         Err(failure) => Err(failure),
     };
-    // One per cent of a timeslice is about 10 us.
-    let percent = i32::try_from(nanos(started) / 10_000)
+    // One percent of a time slice is about 10 us.
+    let percent = i32::try_from(elapsed_nanos(started) / 10_000)
         .unwrap_or(100)
         .clamp(1, 100);
     rustler::schedule::consume_timeslice(env, percent);
-    finish(env, result, started)
+    encode_result(env, result, started)
 }
 
 type Size = (usize, usize, usize, String);
 
-/// `(width, height, stride, format)`, six matrix numbers, patch size, scale and offset, as `situ_infer::Patch` has
-/// them.
+/// Cuts a patch. The arguments are `(width, height, stride, format)`, six matrix numbers, the size of the patch, and
+/// scale and offset, as in `situ_infer::Patch`.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn cut_patch<'a>(
     env: Env<'a>,
@@ -188,7 +192,7 @@ fn cut_patch<'a>(
     };
     let cut = || {
         let layout = PixelLayout::parse(&format)?;
-        let picture = Picture {
+        let image = Image {
             data: data.as_slice(),
             width,
             height,
@@ -196,7 +200,7 @@ fn cut_patch<'a>(
             layout,
         };
         let mut out = OwnedBinary::new(situ_infer::patch_bytes(&patch)?);
-        situ_infer::cut(&picture, &patch, out.as_mut_slice()).then_some(out)
+        situ_infer::cut_patch(&image, &patch, out.as_mut_slice()).then_some(out)
     };
     match cut() {
         Some(out) => (atoms::ok(), out.release(env)).encode(env),

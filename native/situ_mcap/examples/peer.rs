@@ -1,8 +1,7 @@
-//! How fast the `mcap` crate writes and reads messages by itself, for `bin/bench mcap-beside`: `peer FILE N BYTES`
-//! prints the processor time of a message in ns, written and read, and both rates by the clock.
-//!
-//! Chunks of the crate's usual size without compression, as a recording of ours has none; the file is read by a map of
-//! it in memory, or what comes closest to that without `unsafe`: whole.
+//! Measures how fast the `mcap` crate writes and reads messages by itself, for `bin/bench mcap-beside`: `peer FILE
+//! N BYTES` prints the processor time per message in ns for writing and reading, and both rates by the clock.
+//! Chunks have the crate's default size and no compression, like our recordings. The file is read completely into
+//! memory, which is the closest to a memory map without `unsafe`.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,15 +11,15 @@ use std::time::Instant;
 
 use mcap::records::MessageHeader;
 
-/// Processor time of this thread, ns.
-fn cpu() -> Result<u64, Box<dyn Error>> {
+/// Returns the processor time of this thread, ns.
+fn thread_time() -> Result<u64, Box<dyn Error>> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat")?;
     let first = text.split_whitespace().next().unwrap_or("0");
     Ok(first.parse()?)
 }
 
-fn told(what: &str, n: u64, since: Instant, before: u64) -> Result<(), Box<dyn Error>> {
-    let used = cpu()? - before;
+fn print_result(what: &str, n: u64, since: Instant, before: u64) -> Result<(), Box<dyn Error>> {
+    let used = thread_time()? - before;
     let rate = n as f64 / since.elapsed().as_secs_f64();
     println!("{what} {} {rate}", used as f64 / n as f64);
     Ok(())
@@ -34,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (n, bytes): (u64, usize) = (n.parse()?, bytes.parse()?);
     let mut payload: Vec<u8> = (0..bytes).map(|i| (i * 37 % 251) as u8).collect();
 
-    let (since, before) = (Instant::now(), cpu()?);
+    let (since, before) = (Instant::now(), thread_time()?);
     let file = BufWriter::new(std::fs::File::create(path)?);
     let mut writer = mcap::WriteOptions::new()
         .compression(None)
@@ -52,9 +51,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         writer.write_to_known_channel(&header, &payload)?;
     }
     writer.finish()?;
-    told("write", n, since, before)?;
+    print_result("write", n, since, before)?;
 
-    let (since, before) = (Instant::now(), cpu()?);
+    let (since, before) = (Instant::now(), thread_time()?);
     let file = std::fs::read(path)?;
     let (mut count, mut sum) = (0, 0u64);
     for message in mcap::MessageStream::new(&file)? {
@@ -67,5 +66,5 @@ fn main() -> Result<(), Box<dyn Error>> {
     if (count, sum) != (n, n * n.saturating_sub(1) / 2) {
         return Err(format!("read {count} of {n} messages, sum {sum}").into());
     }
-    told("read", n, since, before)
+    print_result("read", n, since, before)
 }

@@ -1,4 +1,4 @@
-//! Chunks: many records compressed together.
+//! Unpacks chunks, which contain many records compressed together.
 
 use std::io::Read;
 
@@ -6,22 +6,22 @@ use mcap::records::ChunkHeader;
 
 use crate::{Error, Result};
 
-/// A chunk that unpacks to more is refused.
+/// The maximum unpacked size of a chunk.
 const MOST_UNPACKED: u64 = 1 << 30;
 
-/// The records of a whole chunk.
-pub fn unpack(header: &ChunkHeader, data: &[u8], at: u64) -> Result<Vec<u8>> {
+/// Unpacks the records of a complete chunk.
+pub fn unpack_chunk(header: &ChunkHeader, data: &[u8], at: u64) -> Result<Vec<u8>> {
     let size = header.uncompressed_size;
     if size > MOST_UNPACKED {
-        let why = format!("a chunk that says to have {size} bytes");
+        let why = format!("a chunk claims to have {size} bytes");
         return Err(Error::Damaged(at, why));
     }
-    let (bytes, fault) = partly(&header.compression, data, size);
+    let (bytes, fault) = unpack_prefix(&header.compression, data, size);
     if let Some(why) = fault {
         return Err(Error::Damaged(at, why));
     }
     if bytes.len() as u64 != size {
-        let why = format!("a chunk of {} bytes that says to have {size}", bytes.len());
+        let why = format!("a chunk of {} bytes claims to have {size}", bytes.len());
         return Err(Error::Damaged(at, why));
     }
     if header.uncompressed_crc != 0 && crc32fast::hash(&bytes) != header.uncompressed_crc {
@@ -33,37 +33,37 @@ pub fn unpack(header: &ChunkHeader, data: &[u8], at: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// As much as can be unpacked, at most `size` bytes, and why that is not all.
-pub fn partly(compression: &str, data: &[u8], size: u64) -> (Vec<u8>, Option<String>) {
+/// Unpacks as much as possible, at most `size` bytes. Returns the bytes, and the reason if they are incomplete.
+pub fn unpack_prefix(compression: &str, data: &[u8], size: u64) -> (Vec<u8>, Option<String>) {
     match compression {
         "" => {
             let n = data.len().min(size as usize);
             (data[..n].to_vec(), None)
         }
         "zstd" => match zstd::stream::read::Decoder::with_buffer(data) {
-            Ok(decoder) => drain(decoder, size),
+            Ok(decoder) => read_up_to(decoder, size),
             Err(error) => (Vec::new(), Some(error.to_string())),
         },
-        "lz4" => drain(lz4_flex::frame::FrameDecoder::new(data), size),
+        "lz4" => read_up_to(lz4_flex::frame::FrameDecoder::new(data), size),
         other => (
             Vec::new(),
-            Some(format!("the compression {other:?} is not known")),
+            Some(format!("the compression {other:?} is not supported")),
         ),
     }
 }
 
-fn drain(mut from: impl Read, size: u64) -> (Vec<u8>, Option<String>) {
+fn read_up_to(mut from: impl Read, size: u64) -> (Vec<u8>, Option<String>) {
     let mut bytes = Vec::with_capacity(size.min(16 << 20) as usize);
-    let mut piece = vec![0; 64 << 10];
+    let mut buffer = vec![0; 64 << 10];
     loop {
-        match from.read(&mut piece) {
+        match from.read(&mut buffer) {
             Ok(0) => return (bytes, None),
             Ok(n) => {
-                bytes.extend_from_slice(&piece[..n]);
+                bytes.extend_from_slice(&buffer[..n]);
                 if bytes.len() as u64 > size {
                     return (
                         bytes,
-                        Some("a chunk unpacks to more than it says".to_string()),
+                        Some("a chunk unpacks to more than it claims".to_string()),
                     );
                 }
             }
@@ -72,7 +72,7 @@ fn drain(mut from: impl Read, size: u64) -> (Vec<u8>, Option<String>) {
     }
 }
 
-/// The records in unpacked bytes: operation code, offset of the record, body. Ends at the first that is not whole.
+/// The records in unpacked bytes: operation code, offset of the record, body. Ends at the first incomplete record.
 pub struct Records<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -83,8 +83,8 @@ impl<'a> Records<'a> {
         Records { bytes, at: 0 }
     }
 
-    /// The record at `at` alone.
-    pub fn at(bytes: &'a [u8], at: u64) -> Option<(u8, &'a [u8])> {
+    /// Returns the record at `at`.
+    pub fn record_at(bytes: &'a [u8], at: u64) -> Option<(u8, &'a [u8])> {
         let mut records = Records {
             bytes,
             at: usize::try_from(at).ok()?,

@@ -1,7 +1,7 @@
-//! Copies a file's records to another file as they are. Nothing is decoded, so that messages which nobody here can
-//! interpret are copied with the others.
+//! Copies a file's records to another file unchanged. Nothing is decoded, so messages of unknown types are copied,
+//! too.
 
-mod described;
+mod definitions;
 mod sorted;
 mod streamed;
 
@@ -10,25 +10,25 @@ use std::collections::{BTreeMap, BTreeSet};
 use mcap::records::{MessageHeader, Record};
 use mcap::write::PrivateRecordOptions;
 
-use crate::file::parse;
-use crate::open::{push_sentence, Attached};
+use crate::file::parse_record;
+use crate::open::{push_sentence, StoredAttachment};
 use crate::{Channel, Compression, Error, Reader, Result, Schema, Writer};
 
-use described::Described;
+use definitions::Definitions;
 
 /// The order of the messages in the new file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// As in the original.
+    /// The order of the original.
     File,
-    /// By their log times; those of one time as in the original.
+    /// By log times; messages with equal times keep the order of the original.
     LogTime,
 }
 
-/// Which messages are copied.
+/// Selects the messages to copy.
 #[derive(Debug, Clone)]
 pub struct Selection {
-    /// Those of these channels; `None` for all.
+    /// The channels to copy; `None` for all.
     pub channels: Option<BTreeSet<u16>>,
     /// The first log time, ns.
     pub from: i128,
@@ -36,39 +36,39 @@ pub struct Selection {
     pub to: i128,
     /// Their order.
     pub order: Order,
-    /// The names of records of metadata that others replace.
+    /// The names of metadata records that are replaced by others.
     pub replaced: BTreeSet<String>,
-    /// Whether damaged parts are left out; else they are errors.
+    /// Whether damaged parts are left out; otherwise they are errors.
     pub skip_damage: bool,
 }
 
 impl Selection {
-    fn wants(&self, header: &MessageHeader) -> bool {
+    fn includes_message(&self, header: &MessageHeader) -> bool {
         let time = i128::from(header.log_time);
-        self.wants_channel(header.channel_id) && time >= self.from && time <= self.to
+        self.includes_channel(header.channel_id) && time >= self.from && time <= self.to
     }
 
-    fn wants_channel(&self, id: u16) -> bool {
+    fn includes_channel(&self, id: u16) -> bool {
         self.channels
             .as_ref()
             .is_none_or(|wanted| wanted.contains(&id))
     }
 }
 
-/// The parts copied so far.
+/// The amount copied so far.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Copied {
-    /// Messages.
+pub struct CopyReport {
+    /// The number of messages.
     pub messages: u64,
-    /// Attachments.
+    /// The number of attachments.
     pub attachments: u64,
-    /// Records of metadata.
+    /// The number of metadata records.
     pub metadata: u64,
-    /// The parts that could not be copied, in sentences.
+    /// Sentences about the parts that could not be copied.
     pub left_out: Vec<String>,
 }
 
-impl Copied {
+impl CopyReport {
     fn note_left_out(&mut self, sentence: String) {
         push_sentence(&mut self.left_out, sentence);
     }
@@ -79,36 +79,38 @@ enum Plan {
     Sorted(sorted::Sorted),
 }
 
-/// A copy that is running.
+/// A copy in progress.
 pub struct Copy {
     selection: Selection,
     plan: Plan,
-    copied: Copied,
-    described: Described,
+    report: CopyReport,
+    definitions: Definitions,
     unknown: BTreeMap<u16, u64>,
 }
 
 impl Copy {
-    /// Begins a copy: writes schemas and channels, under the numbers that they have.
+    /// Begins a copy by writing schemas and channels under their original numbers.
     pub fn begin(reader: &Reader, writer: &mut Writer, selection: Selection) -> Result<Self> {
         let contents = &reader.contents;
         let channels = contents.channels.values();
-        let channels: Vec<_> = channels.filter(|c| selection.wants_channel(c.id)).collect();
-        let mut copied = Copied::default();
-        let mut described = Described::default();
+        let channels: Vec<_> = channels
+            .filter(|c| selection.includes_channel(c.id))
+            .collect();
+        let mut report = CopyReport::default();
+        let mut definitions = Definitions::default();
         for (&id, schema) in &contents.schemas {
             if selection.channels.is_none() || channels.iter().any(|c| c.schema == id) {
-                described.schema(writer, id, schema)?;
+                definitions.write_schema(writer, id, schema)?;
             }
         }
         for channel in channels {
-            if let Err(Error::Damaged(at, why)) = described.channel(writer, channel) {
+            if let Err(Error::Damaged(at, why)) = definitions.write_channel(writer, channel) {
                 if !selection.skip_damage {
                     return Err(Error::Damaged(at, why));
                 }
-                copied.note_left_out(why);
+                report.note_left_out(why);
                 let schema = 0;
-                described.channel(
+                definitions.write_channel(
                     writer,
                     &Channel {
                         schema,
@@ -124,13 +126,13 @@ impl Copy {
         Ok(Copy {
             selection,
             plan,
-            copied,
-            described,
+            report,
+            definitions,
             unknown: BTreeMap::new(),
         })
     }
 
-    /// Copies some megabytes more, and returns whether that was all.
+    /// Copies a few more megabytes. Returns whether the copy is complete.
     pub fn step(&mut self, reader: &Reader, writer: &mut Writer) -> Result<bool> {
         let mut plan = std::mem::replace(&mut self.plan, Plan::Sorted(sorted::Sorted::default()));
         let result = match &mut plan {
@@ -141,7 +143,7 @@ impl Copy {
         let done = result?;
         if done {
             for (channel, n) in std::mem::take(&mut self.unknown) {
-                self.copied.note_left_out(format!(
+                self.report.note_left_out(format!(
                     "{n} messages are of channel {channel}, which the file does not describe"
                 ));
             }
@@ -149,22 +151,22 @@ impl Copy {
         Ok(done)
     }
 
-    /// Returns the parts copied so far.
-    pub fn copied(&self) -> &Copied {
-        &self.copied
+    /// Returns the amount copied so far.
+    pub fn report(&self) -> &CopyReport {
+        &self.report
     }
 
-    fn message(
+    fn copy_message(
         &mut self,
         writer: &mut Writer,
         header: &MessageHeader,
         data: &[u8],
         at: u64,
     ) -> Result<()> {
-        if !self.selection.wants(header) {
+        if !self.selection.includes_message(header) {
             return Ok(());
         }
-        if !self.described.channels.contains(&header.channel_id) {
+        if !self.definitions.channels.contains(&header.channel_id) {
             let id = header.channel_id;
             let why = format!("a message of channel {id}, which the file does not describe");
             *self.unknown.entry(id).or_default() += 1;
@@ -174,32 +176,32 @@ impl Copy {
                 Err(Error::Damaged(at, why))
             };
         }
-        self.copied.messages += 1;
+        self.report.messages += 1;
         writer
             .inner()?
             .write_to_known_channel(header, data)
             .map_err(|e| Error::mcap("write", e))
     }
 
-    fn attachment(&mut self, reader: &Reader, writer: &mut Writer, at: u64) -> Result<()> {
-        let place = reader.bytes.place(at)?;
-        let place = place.ok_or_else(|| Error::Damaged(at, "no attachment is there".into()))?;
-        let attached = Attached::read(&reader.bytes, place, at)?;
-        attached.verify(&reader.bytes, at)?;
+    fn copy_attachment(&mut self, reader: &Reader, writer: &mut Writer, at: u64) -> Result<()> {
+        let record = reader.bytes.record_head(at)?;
+        let record = record.ok_or_else(|| Error::Damaged(at, "no attachment is there".into()))?;
+        let attachment = StoredAttachment::read(&reader.bytes, record, at)?;
+        attachment.verify_checksum(&reader.bytes, at)?;
         let inner = writer.inner()?;
         let failed = |e| Error::mcap("write", e);
         inner
-            .start_attachment(attached.size, attached.header.clone())
+            .start_attachment(attachment.size, attachment.header.clone())
             .map_err(failed)?;
-        attached.each_piece(&reader.bytes, |piece| {
-            inner.put_attachment_bytes(piece).map_err(failed)
+        attachment.visit_data(&reader.bytes, |block| {
+            inner.put_attachment_bytes(block).map_err(failed)
         })?;
         inner.finish_attachment().map_err(failed)?;
-        self.copied.attachments += 1;
+        self.report.attachments += 1;
         Ok(())
     }
 
-    fn metadata(
+    fn copy_metadata(
         &mut self,
         writer: &mut Writer,
         name: String,
@@ -208,20 +210,21 @@ impl Copy {
         if self.selection.replaced.contains(&name) {
             return Ok(());
         }
-        self.copied.metadata += 1;
-        writer.metadata(&name, metadata)
+        self.report.metadata += 1;
+        writer.write_metadata(&name, metadata)
     }
 
-    /// A record of a chunk, or one outside of chunks.
-    fn record(
+    /// Copies a record from inside or outside of a chunk.
+    fn copy_record(
         &mut self,
         writer: &mut Writer,
         (opcode, body, at): (u8, &[u8], u64),
         chunked: bool,
     ) -> Result<()> {
-        match parse(opcode, body, at)? {
-            Record::Message { header, data } => self.message(writer, &header, &data, at),
-            // Those that a summary leaves out; the others are there already.
+        match parse_record(opcode, body, at)? {
+            Record::Message { header, data } => self.copy_message(writer, &header, &data, at),
+            // With selected channels, all wanted ones are written already. Without, a summary may have left some
+            // out.
             Record::Schema { .. } | Record::Channel(_) if self.selection.channels.is_some() => {
                 Ok(())
             }
@@ -232,10 +235,12 @@ impl Copy {
                     encoding,
                     data,
                 };
-                self.described.schema(writer, header.id, &schema)
+                self.definitions.write_schema(writer, header.id, &schema)
             }
-            Record::Channel(channel) => self.described.channel(writer, &channel.into()),
-            Record::Metadata(metadata) => self.metadata(writer, metadata.name, metadata.metadata),
+            Record::Channel(channel) => self.definitions.write_channel(writer, &channel.into()),
+            Record::Metadata(metadata) => {
+                self.copy_metadata(writer, metadata.name, metadata.metadata)
+            }
             Record::Unknown { opcode, data } if opcode >= 0x80 => {
                 let options = match chunked {
                     true => PrivateRecordOptions::IncludeInChunks.into(),
@@ -247,9 +252,8 @@ impl Copy {
                     .map_err(|e| Error::mcap("write", e))
             }
             Record::Unknown { opcode, .. } => {
-                let what =
-                    format!("a record of kind {opcode} at byte {at}, which MCAP does not know");
-                self.copied.note_left_out(what);
+                let what = format!("a record of unknown kind {opcode} at byte {at}");
+                self.report.note_left_out(what);
                 Ok(())
             }
             _ => Ok(()),
@@ -258,8 +262,8 @@ impl Copy {
 }
 
 impl Reader {
-    /// How its own chunks are made: the compression, and whether there are any.
-    pub fn style(&self) -> (Compression, bool) {
+    /// Returns the compression of the file's chunks, and whether there are any.
+    pub fn chunk_style(&self) -> (Compression, bool) {
         let chunk = self.contents.chunks.first();
         let compression = match chunk.map(|c| c.compression.as_str()) {
             Some("lz4") => Compression::Lz4,

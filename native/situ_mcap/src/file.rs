@@ -1,4 +1,4 @@
-//! The bytes of a file, and its records by where they lie.
+//! Reads the bytes of a file, and its records by their offsets.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -6,40 +6,40 @@ use std::path::Path;
 
 use crate::{Error, Result};
 
-/// No record but a chunk or an attachment is anywhere near that long.
+/// The maximum size of a record. Only chunks and attachments come near it.
 pub const MOST_RECORD: u64 = 1 << 30;
 
-pub struct Bytes {
+pub struct FileBytes {
     file: File,
     pub size: u64,
 }
 
-/// A record's operation code, where its body begins and how long that says to be.
+/// A record's operation code, the offset of its body, and the length it claims to have.
 #[derive(Debug, Clone, Copy)]
-pub struct Place {
+pub struct RecordHead {
     pub opcode: u8,
     pub body: u64,
     pub length: u64,
 }
 
-impl Place {
+impl RecordHead {
     pub fn end(&self) -> u64 {
         self.body.saturating_add(self.length)
     }
 }
 
-impl Bytes {
+impl FileBytes {
     pub fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(|e| Error::io("open", &e))?;
         let size = file.metadata().map_err(|e| Error::io("look at", &e))?.len();
-        Ok(Bytes { file, size })
+        Ok(FileBytes { file, size })
     }
 
-    /// `length` bytes from `at` on; no more is allocated than there are.
+    /// Reads `length` bytes from `at` on. Allocates no more than the file has.
     pub fn read(&self, at: u64, length: u64) -> Result<Vec<u8>> {
         if at.checked_add(length).is_none_or(|end| end > self.size) || length > MOST_RECORD {
             let why = format!(
-                "{length} bytes are wanted there, the file has {}",
+                "a record needs {length} bytes there, but the file has {}",
                 self.size
             );
             return Err(Error::Damaged(at, why));
@@ -55,34 +55,31 @@ impl Bytes {
         }
     }
 
-    /// The record that begins at `at`, or `None` where the file has no more.
-    pub fn place(&self, at: u64) -> Result<Option<Place>> {
+    /// Reads the head of the record at `at`, or `None` at the end of the file.
+    pub fn record_head(&self, at: u64) -> Result<Option<RecordHead>> {
         if at + 9 > self.size {
             return Ok(None);
         }
         let head = self.read(at, 9)?;
         let mut length = [0; 8];
         length.copy_from_slice(&head[1..]);
-        Ok(Some(Place {
+        Ok(Some(RecordHead {
             opcode: head[0],
             body: at + 9,
             length: u64::from_le_bytes(length),
         }))
     }
 
-    /// A record's body; it must lie in the file.
-    pub fn body(&self, place: Place) -> Result<Vec<u8>> {
-        self.read(place.body, place.length)
+    /// Reads a record's body, which must be within the file.
+    pub fn record_body(&self, record: RecordHead) -> Result<Vec<u8>> {
+        self.read(record.body, record.length)
     }
 }
 
-/// A record parsed; what the crate would trip over is refused before.
-pub fn parse(opcode: u8, body: &[u8], at: u64) -> Result<mcap::records::Record<'_>> {
+/// Parses a record. Rejects records that would make the `mcap` crate panic.
+pub fn parse_record(opcode: u8, body: &[u8], at: u64) -> Result<mcap::records::Record<'_>> {
     if opcode == mcap::records::op::ATTACHMENT && body.len() < 40 {
-        return Err(Error::Damaged(
-            at,
-            "an attachment that is too short".to_string(),
-        ));
+        return Err(Error::Damaged(at, "an attachment is too short".to_string()));
     }
     mcap::parse_record(opcode, body).map_err(|e| Error::Damaged(at, e.to_string()))
 }

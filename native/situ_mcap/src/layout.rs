@@ -1,25 +1,25 @@
-//! How a file is built: its chunks, and how many bytes each channel takes.
+//! Describes the structure of a file: its chunks, and the size of each channel's messages.
 
 use std::collections::BTreeMap;
 
 use mcap::records::{op, Record};
 
 use crate::chunk::Records;
-use crate::file::parse;
+use crate::file::parse_record;
 use crate::{Reader, Result};
 
-/// A chunk: some seconds of messages, compressed together.
+/// A chunk: messages that are compressed together.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Chunk {
-    /// Where it lies.
+    /// Its offset in the file, bytes.
     pub offset: u64,
-    /// Its record's bytes.
+    /// The size of its record, bytes.
     pub length: u64,
-    /// How it is compressed; empty: not at all.
+    /// Its compression; empty if it is not compressed.
     pub compression: String,
-    /// The bytes of its data, compressed.
+    /// The size of its compressed data, bytes.
     pub packed: u64,
-    /// And not.
+    /// The size of its unpacked data, bytes.
     pub unpacked: u64,
     /// The time of its first message, ns.
     pub start: u64,
@@ -28,7 +28,7 @@ pub struct Chunk {
 }
 
 impl Reader {
-    /// Its chunks, in the order of the file.
+    /// Returns the chunks in file order.
     pub fn chunks(&self) -> Vec<Chunk> {
         let chunks = self.contents.chunks.iter().map(|c| Chunk {
             offset: c.offset,
@@ -42,16 +42,16 @@ impl Reader {
         chunks.collect()
     }
 
-    /// The bytes of the messages' data of every channel in a chunk: of the `number`th, `None` behind the last.
-    pub fn sizes(&self, number: u32) -> Result<Option<BTreeMap<u16, u64>>> {
+    /// Returns the size of the messages' data of every channel in a chunk, or `None` after the last chunk.
+    pub fn channel_sizes(&self, number: u32) -> Result<Option<BTreeMap<u16, u64>>> {
         if number as usize >= self.contents.chunks.len() {
             return Ok(None);
         }
-        let records = self.chunk(number)?;
+        let records = self.unpacked_chunk(number)?;
         let mut sizes = BTreeMap::new();
         for (opcode, at, body) in Records::new(&records) {
             if opcode == op::MESSAGE {
-                if let Record::Message { header, data } = parse(opcode, body, at)? {
+                if let Record::Message { header, data } = parse_record(opcode, body, at)? {
                     *sizes.entry(header.channel_id).or_insert(0) += data.len() as u64;
                 }
             }

@@ -1,7 +1,7 @@
-//! MCAP files (<https://mcap.dev/spec>) read at random and written: the records are the `mcap` crate's; what is on
-//! top is an index of each channel's messages, so that they can be asked for by number and by time, and the recovery
-//! of files without an index or cut short. Files are read by `pread`, never mapped: one that shrinks meanwhile is an
-//! error and no signal.
+//! Reads and writes MCAP files (<https://mcap.dev/spec>). The `mcap` crate parses the records; this crate adds an
+//! index of each channel's messages, so that they can be read by number and by time, and recovers files that are
+//! truncated or have no index. Files are read by `pread` and never mapped, so a file that shrinks while it is read
+//! causes an error and not a signal.
 
 #![deny(missing_docs)]
 
@@ -15,26 +15,26 @@ mod span;
 mod track;
 mod writer;
 
-pub use copy::{Copied, Copy, Order, Selection};
+pub use copy::{Copy, CopyReport, Order, Selection};
 pub use layout::Chunk;
-pub use reader::{Channel, Found, Info, Message, Query, Reader, Schema};
+pub use reader::{AttachmentInfo, Channel, Info, Message, Query, Reader, Schema};
 pub use track::Times;
 pub use writer::{ChannelSpec, Compression, Options, Writer};
 
-/// The errors of this crate; their texts are for people.
+/// The errors of this crate. Their texts are shown to users.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Error {
-    /// The operating system refused: what was tried, its error number and its words.
+    /// An operating system call failed: (operation, errno, message).
     Io(String, i32, String),
-    /// The file does not begin like MCAP.
+    /// The file does not start with the magic bytes of MCAP.
     NotMcap,
-    /// The bytes at an offset make no sense.
+    /// The bytes at an offset are invalid.
     Damaged(u64, String),
-    /// The writer was closed before.
+    /// The writer is closed.
     Closed,
 }
 
-/// The result of the functions of this crate.
+/// The result type of this crate's functions.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
@@ -54,7 +54,7 @@ impl Error {
     }
 }
 
-/// Bytes compressed to a frame of LZ4 that ROS 1 reads, too: blocks that stand alone, a checksum of the whole, no size.
+/// Compresses bytes to an LZ4 frame that ROS 1 can read, too: independent blocks, a content checksum, and no size.
 pub fn pack_lz4(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
     use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
     use std::io::Write;
@@ -67,22 +67,22 @@ pub fn pack_lz4(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
     encoder.finish().map_err(std::io::Error::from)
 }
 
-/// Bytes that were compressed by `"lz4"`, `"zstd"` or not (`""`), at most `size` of them; or why they cannot be
-/// unpacked.
+/// Unpacks at most `size` bytes that were compressed by `"lz4"`, `"zstd"` or not at all (`""`). Returns the reason
+/// if that fails.
 pub fn unpack(compression: &str, bytes: &[u8], size: u64) -> std::result::Result<Vec<u8>, String> {
     if compression == "lz4_block" {
         return unpack_block(bytes, size);
     }
-    match chunk::partly(compression, bytes, size) {
+    match chunk::unpack_prefix(compression, bytes, size) {
         (bytes, None) => Ok(bytes),
         (_, Some(why)) => Err(why),
     }
 }
 
-/// A bare block of LZ4, of exactly so many bytes. One byte packs 255 at the most.
+/// Unpacks a raw LZ4 block to exactly `size` bytes. A byte can unpack to at most 255.
 fn unpack_block(bytes: &[u8], size: u64) -> std::result::Result<Vec<u8>, String> {
     if size > bytes.len() as u64 * 255 {
-        return Err(format!("{} bytes do not unpack to {size}", bytes.len()));
+        return Err(format!("{} bytes cannot unpack to {size}", bytes.len()));
     }
     lz4_flex::block::decompress(bytes, size as usize).map_err(|why| why.to_string())
 }

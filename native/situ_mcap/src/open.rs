@@ -1,9 +1,9 @@
-//! Opening: by the summary at the file's end where it is whole, else by passing over all records.
+//! Opens files: by the summary at the file's end if it is complete, otherwise by scanning all records.
 
 mod attachment;
+mod chunk_records;
 mod gaps;
 mod scan;
-mod unpacked;
 mod walk;
 
 use std::collections::BTreeMap;
@@ -11,27 +11,27 @@ use std::collections::BTreeMap;
 use mcap::records::{op, ChunkIndex, Record, Statistics};
 
 use crate::chunk::Records;
-use crate::file::{parse, Bytes};
+use crate::file::{parse_record, FileBytes};
 use crate::track::Entry;
-use crate::{Channel, Error, Found, Result, Schema};
+use crate::{AttachmentInfo, Channel, Error, Result, Schema};
 
-pub use attachment::Attached;
-pub use scan::left_out;
-use scan::scan;
-pub use unpacked::{header, unpacked};
+pub use attachment::StoredAttachment;
+pub use chunk_records::{read_chunk_info, unpack_records};
+pub use scan::describe_damage;
+use scan::scan_records;
 pub use walk::Walk;
 
 pub const MAGIC: &[u8] = &[0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 const FOOTER: u64 = 9 + 20 + 8;
 
-/// A chunk and the message indexes behind it.
+/// A chunk and the message indexes after it.
 #[derive(Debug, Clone, Default)]
-pub struct ChunkPlace {
+pub struct ChunkInfo {
     pub offset: u64,
     pub indexes: BTreeMap<u16, u64>,
     pub start: u64,
     pub end: u64,
-    /// Its record's bytes, those of its data as they lie there, and unpacked.
+    /// The size of its record, of its compressed data, and of its unpacked data, bytes.
     pub length: u64,
     pub packed: u64,
     pub unpacked: u64,
@@ -45,17 +45,17 @@ pub struct Contents {
     pub library: String,
     pub channels: BTreeMap<u16, Channel>,
     pub schemas: BTreeMap<u16, Schema>,
-    pub chunks: Vec<ChunkPlace>,
+    pub chunks: Vec<ChunkInfo>,
     pub counts: BTreeMap<u16, u64>,
-    pub attachments: Vec<Found>,
+    pub attachments: Vec<AttachmentInfo>,
     pub metadata: Vec<(String, BTreeMap<String, String>)>,
-    /// Messages found while passing over the file; with an index they are looked up later.
+    /// Messages found while scanning the file. With an index they are looked up later.
     pub entries: Option<BTreeMap<u16, Vec<Entry>>>,
     pub damage: Vec<String>,
     pub finished: bool,
 }
 
-/// Nobody reads more of them.
+/// The maximum number of sentences about damage.
 const MOST_SENTENCES: usize = 1000;
 
 /// Adds a sentence about damage to a list, up to a limit.
@@ -71,31 +71,31 @@ impl Contents {
     }
 }
 
-pub fn contents(bytes: &Bytes) -> Result<Contents> {
+pub fn read_contents(bytes: &FileBytes) -> Result<Contents> {
     if bytes.size < 8 || bytes.read(0, 8)? != MAGIC {
         return Err(Error::NotMcap);
     }
-    match by_summary(bytes) {
+    match read_summary(bytes) {
         Ok(Some(contents)) => Ok(contents),
-        Ok(None) => scan(bytes),
+        Ok(None) => scan_records(bytes),
         Err(Error::Damaged(at, why)) => {
-            contents_without_index(bytes, &format!("at byte {at}: {why}"))
+            read_contents_without_index(bytes, &format!("at byte {at}: {why}"))
         }
         Err(other) => Err(other),
     }
 }
 
-pub fn contents_without_index(bytes: &Bytes, why: &str) -> Result<Contents> {
+pub fn read_contents_without_index(bytes: &FileBytes, why: &str) -> Result<Contents> {
     if bytes.size < 8 || bytes.read(0, 8)? != MAGIC {
         return Err(Error::NotMcap);
     }
-    let mut contents = scan(bytes)?;
+    let mut contents = scan_records(bytes)?;
     contents.note_damage(format!("the index cannot be read {why}"));
     Ok(contents)
 }
 
-/// `None` when there is no summary, or one that does not tell of every message.
-fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
+/// Returns `None` if there is no summary, or if it does not describe every message.
+fn read_summary(bytes: &FileBytes) -> Result<Option<Contents>> {
     if bytes.size < 8 + FOOTER {
         return Ok(None);
     }
@@ -103,7 +103,8 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
     if &tail[29..] != MAGIC || tail[0] != op::FOOTER {
         return Ok(None);
     }
-    let Record::Footer(footer) = parse(op::FOOTER, &tail[9..29], bytes.size - FOOTER)? else {
+    let Record::Footer(footer) = parse_record(op::FOOTER, &tail[9..29], bytes.size - FOOTER)?
+    else {
         return Ok(None);
     };
     if footer.summary_start == 0 || footer.summary_start > bytes.size - FOOTER {
@@ -115,8 +116,13 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
         finished: true,
         ..Contents::default()
     };
-    if let Some(place) = bytes.place(8)? {
-        take(&mut contents, place.opcode, &bytes.body(place)?, place.body)?;
+    if let Some(record) = bytes.record_head(8)? {
+        add_record(
+            &mut contents,
+            record.opcode,
+            &bytes.record_body(record)?,
+            record.body,
+        )?;
     }
     let mut statistics = None;
     let mut read = 0;
@@ -124,7 +130,7 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
     for (opcode, at, body) in Records::new(&section) {
         let at = footer.summary_start + at;
         read = at + 9 + body.len() as u64;
-        match parse(opcode, body, at)? {
+        match parse_record(opcode, body, at)? {
             Record::Statistics(found) => {
                 contents.counts = found.channel_message_counts.clone();
                 statistics = Some(found);
@@ -134,11 +140,11 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
                     .chunk_length
                     .saturating_add(index.message_index_length);
                 indexed.push((index.chunk_start_offset, length));
-                contents.chunks.push(chunk_place(index));
+                contents.chunks.push(chunk_info(index));
             }
             Record::AttachmentIndex(index) => {
                 indexed.push((index.offset, index.length));
-                contents.attachments.push(Found {
+                contents.attachments.push(AttachmentInfo {
                     name: index.name,
                     media_type: index.media_type,
                     log_time: index.log_time,
@@ -148,9 +154,9 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
             }
             Record::MetadataIndex(index) => {
                 indexed.push((index.offset, index.length));
-                metadata(bytes, &mut contents, index.offset)?;
+                add_metadata(bytes, &mut contents, index.offset)?;
             }
-            _ => take(&mut contents, opcode, body, at)?,
+            _ => add_record(&mut contents, opcode, body, at)?,
         }
     }
     if read != bytes.size - FOOTER {
@@ -165,8 +171,8 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
     Ok(whole.then_some(contents))
 }
 
-fn chunk_place(index: ChunkIndex) -> ChunkPlace {
-    ChunkPlace {
+fn chunk_info(index: ChunkIndex) -> ChunkInfo {
+    ChunkInfo {
         offset: index.chunk_start_offset,
         indexes: index.message_index_offsets,
         start: index.message_start_time,
@@ -178,7 +184,7 @@ fn chunk_place(index: ChunkIndex) -> ChunkPlace {
     }
 }
 
-/// Whether the summary says where every message is.
+/// Returns whether the summary contains the position of every message.
 fn is_complete(contents: &Contents, statistics: &Statistics) -> bool {
     let messages: u64 = contents.counts.values().sum();
     let chunks = statistics.chunk_count as usize;
@@ -196,21 +202,26 @@ fn is_complete(contents: &Contents, statistics: &Statistics) -> bool {
     statistics.message_count == messages && known && defined && counted
 }
 
-fn metadata(bytes: &Bytes, contents: &mut Contents, offset: u64) -> Result<()> {
-    if let Some(place) = bytes.place(offset)? {
-        if place.opcode == op::METADATA {
-            take(contents, op::METADATA, &bytes.body(place)?, place.body)?;
+fn add_metadata(bytes: &FileBytes, contents: &mut Contents, offset: u64) -> Result<()> {
+    if let Some(record) = bytes.record_head(offset)? {
+        if record.opcode == op::METADATA {
+            add_record(
+                contents,
+                op::METADATA,
+                &bytes.record_body(record)?,
+                record.body,
+            )?;
         }
     }
     Ok(())
 }
 
-/// Records that may lie anywhere: what channels and schemas there are.
-fn take(contents: &mut Contents, opcode: u8, body: &[u8], at: u64) -> Result<()> {
+/// Adds a record that may be anywhere in a file: header, schema, channel or metadata.
+fn add_record(contents: &mut Contents, opcode: u8, body: &[u8], at: u64) -> Result<()> {
     if !matches!(opcode, op::HEADER | op::SCHEMA | op::CHANNEL | op::METADATA) {
         return Ok(());
     }
-    match parse(opcode, body, at)? {
+    match parse_record(opcode, body, at)? {
         Record::Header(header) => {
             contents.profile = header.profile;
             contents.library = header.library;

@@ -1,42 +1,50 @@
-//! The first and the last message of a channel.
+//! Finds the first and the last message of a channel.
 
 use crate::{Reader, Result, Times};
 
 impl Reader {
-    /// The first and the last time of a channel, and how many messages it has.
-    pub fn span(&self, channel: u16, times: Times) -> Result<Option<(u64, u64, u64)>> {
-        if self.contents.entries.is_none() && !times.in_messages() {
+    /// Returns the first and the last time of a channel and its message count.
+    pub fn channel_span(&self, channel: u16, times: Times) -> Result<Option<(u64, u64, u64)>> {
+        if self.contents.entries.is_none() && !times.is_in_messages() {
             return self.indexed_span(channel);
         }
-        let track = self.track(channel, times)?;
+        let track = self.channel_track(channel, times)?;
         let ends = track.entries.first().zip(track.entries.last());
         Ok(ends.map(|(first, last)| (first.time, last.time, track.entries.len() as u64)))
     }
 
-    /// By the message indexes of those chunks alone that can hold the first or the last message.
+    /// Finds them by the message indexes of only those chunks that can contain the first or the last message.
     fn indexed_span(&self, channel: u16) -> Result<Option<(u64, u64, u64)>> {
-        let mut places: Vec<(u64, u64, u64)> = Vec::new();
+        let mut chunks: Vec<(u64, u64, u64)> = Vec::new();
         for chunk in &self.contents.chunks {
             if let Some(&at) = chunk.indexes.get(&channel) {
-                places.push((chunk.start, chunk.end, at));
+                chunks.push((chunk.start, chunk.end, at));
             }
         }
-        places.sort_unstable();
+        chunks.sort_unstable();
         let mut first: Option<u64> = None;
-        for (start, _, at) in &places {
+        for (start, _, at) in &chunks {
             if first.is_some_and(|first| *start > first) {
                 break;
             }
-            let found = self.index(channel, *at)?.iter().map(|e| e.log_time).min();
+            let found = self
+                .message_index(channel, *at)?
+                .iter()
+                .map(|e| e.log_time)
+                .min();
             first = [first, found].into_iter().flatten().min();
         }
-        places.sort_unstable_by_key(|(_, end, _)| std::cmp::Reverse(*end));
+        chunks.sort_unstable_by_key(|(_, end, _)| std::cmp::Reverse(*end));
         let mut last: Option<u64> = None;
-        for (_, end, at) in &places {
+        for (_, end, at) in &chunks {
             if last.is_some_and(|last| *end < last) {
                 break;
             }
-            let found = self.index(channel, *at)?.iter().map(|e| e.log_time).max();
+            let found = self
+                .message_index(channel, *at)?
+                .iter()
+                .map(|e| e.log_time)
+                .max();
             last = [last, found].into_iter().flatten().max();
         }
         let count = self.contents.counts.get(&channel).copied().unwrap_or(0);

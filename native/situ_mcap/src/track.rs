@@ -1,40 +1,40 @@
-//! One channel's messages in order of time.
+//! The messages of one channel in time order.
 
-/// Which of a message's times orders the channel.
+/// The time of a message that orders the channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Times {
-    /// When it was recorded; the index has it.
+    /// The time when it was recorded, from the index.
     Log,
-    /// When it was sent.
+    /// The time when it was sent.
     Publish,
-    /// The stamp of a ROS 1 message that begins with a header; else the log time.
+    /// The stamp of a ROS 1 message that begins with a header, otherwise the log time.
     Ros1Header,
-    /// The stamp of a CDR message that begins with a header; else the log time.
+    /// The stamp of a CDR message that begins with a header, otherwise the log time.
     CdrHeader,
 }
 
 impl Times {
-    /// Whether the messages have to be looked at.
-    pub fn in_messages(self) -> bool {
+    /// Returns whether the time is in the messages and not in the index.
+    pub fn is_in_messages(self) -> bool {
         self != Times::Log
     }
 
-    /// The time of a message, ns.
-    pub fn of(self, header: &mcap::records::MessageHeader, data: &[u8]) -> u64 {
+    /// Returns the time of a message, ns.
+    pub fn message_time(self, header: &mcap::records::MessageHeader, data: &[u8]) -> u64 {
         match self {
             Times::Log => header.log_time,
             Times::Publish => header.publish_time,
-            Times::Ros1Header => stamp(data, 4, true).unwrap_or(header.log_time),
+            Times::Ros1Header => read_stamp(data, 4, true).unwrap_or(header.log_time),
             Times::CdrHeader => {
                 let little = data.get(1).is_some_and(|b| b & 1 == 1);
-                stamp(data, 4, little).unwrap_or(header.log_time)
+                read_stamp(data, 4, little).unwrap_or(header.log_time)
             }
         }
     }
 }
 
-/// Seconds and nanoseconds at `at`; a stamp of zero means that it was not set.
-fn stamp(data: &[u8], at: usize, little: bool) -> Option<u64> {
+/// Reads seconds and nanoseconds at `at`. A stamp of zero means that it was not set.
+fn read_stamp(data: &[u8], at: usize, little: bool) -> Option<u64> {
     let word = |at: usize| -> Option<u32> {
         let bytes = data.get(at..at + 4)?.try_into().ok()?;
         Some(if little {
@@ -50,7 +50,7 @@ fn stamp(data: &[u8], at: usize, little: bool) -> Option<u64> {
     Some(u64::from(seconds) * 1_000_000_000 + u64::from(nanos))
 }
 
-/// Where a message lies. `chunk` is the chunk's number, or `LOOSE` for one outside of chunks.
+/// The position of a message. `chunk` is the chunk's number, or `LOOSE` for a message outside of chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
     pub time: u64,
@@ -60,7 +60,7 @@ pub struct Entry {
 
 pub const LOOSE: u32 = u32::MAX;
 
-/// Messages by time, and those of one time in the order of the file, a nanosecond apart.
+/// Messages by time. Messages with equal times keep the file's order and are moved apart by a nanosecond.
 #[derive(Debug, Default)]
 pub struct Track {
     pub entries: Vec<Entry>,
@@ -81,7 +81,7 @@ impl Track {
         Track { entries }
     }
 
-    /// The number of the first message at or after `time`.
+    /// Returns the number of the first message at or after `time`.
     pub fn seek(&self, time: i128) -> usize {
         self.entries.partition_point(|e| i128::from(e.time) < time)
     }

@@ -1,4 +1,4 @@
-//! A file being written.
+//! Writes a file.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -12,10 +12,10 @@ use crate::{Error, Result};
 
 const BUFFER: usize = 256 << 10;
 
-/// How chunks are compressed.
+/// The compression of chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Compression {
-    /// Not at all.
+    /// No compression.
     None,
     /// LZ4.
     Lz4,
@@ -23,37 +23,37 @@ pub enum Compression {
     Zstd,
 }
 
-/// A channel to be written.
+/// The description of a channel to write.
 pub struct ChannelSpec<'a> {
     /// Its name.
     pub topic: &'a str,
-    /// How its messages are written.
+    /// The encoding of its messages.
     pub encoding: &'a str,
-    /// The type's name, the language of its definition, the definition; `None` for no schema.
+    /// The type's name, the language of its definition, and the definition; `None` for no schema.
     pub schema: Option<(&'a str, &'a str, &'a [u8])>,
     /// Further metadata.
     pub metadata: BTreeMap<String, String>,
 }
 
-/// How a file is written.
+/// The options of a new file.
 pub struct Options<'a> {
     /// Its profile, such as `ros1`.
     pub profile: &'a str,
-    /// Who writes it; `None`: Situ.
+    /// The name of the library that writes it; `None` for Situ.
     pub library: Option<&'a str>,
-    /// How its chunks are compressed.
+    /// The compression of its chunks.
     pub compression: Compression,
-    /// Bytes of a chunk before it is compressed; `None` for messages without chunks.
+    /// The size of a chunk before compression, bytes; `None` for messages without chunks.
     pub chunk: Option<u64>,
 }
 
-/// An MCAP file that grows. Flushed messages stay readable even if the writer dies.
+/// An MCAP file that is being written. Flushed messages stay readable even if the writer dies.
 pub struct Writer {
     inner: Option<mcap::Writer<BufWriter<File>>>,
 }
 
 impl Writer {
-    /// Creates a file; an existing one is replaced.
+    /// Creates a file, replacing an existing one.
     pub fn create(path: &Path, options: &Options) -> Result<Self> {
         let file = File::create(path).map_err(|e| Error::io("create", &e))?;
         let compression = match options.compression {
@@ -79,8 +79,8 @@ impl Writer {
         self.inner.as_mut().ok_or(Error::Closed)
     }
 
-    /// Adds a channel; answers its number.
-    pub fn channel(&mut self, spec: &ChannelSpec) -> Result<u16> {
+    /// Adds a channel and returns its number.
+    pub fn add_channel(&mut self, spec: &ChannelSpec) -> Result<u16> {
         let inner = self.inner()?;
         let schema = match spec.schema {
             Some((name, encoding, data)) => inner
@@ -94,7 +94,7 @@ impl Writer {
     }
 
     /// Appends a message.
-    pub fn write(
+    pub fn write_message(
         &mut self,
         channel: u16,
         sequence: u32,
@@ -114,7 +114,13 @@ impl Writer {
     }
 
     /// Appends an attachment.
-    pub fn attach(&mut self, name: &str, media_type: &str, time: u64, data: &[u8]) -> Result<()> {
+    pub fn write_attachment(
+        &mut self,
+        name: &str,
+        media_type: &str,
+        time: u64,
+        data: &[u8],
+    ) -> Result<()> {
         let attachment = mcap::Attachment {
             log_time: time,
             create_time: time,
@@ -128,7 +134,7 @@ impl Writer {
     }
 
     /// Appends a metadata record.
-    pub fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<()> {
+    pub fn write_metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<()> {
         let metadata = Metadata {
             name: name.to_string(),
             metadata,
@@ -138,12 +144,12 @@ impl Writer {
             .map_err(|e| Error::mcap("write", e))
     }
 
-    /// Ends the chunk and hands it to the system: a reader finds everything so far.
+    /// Ends the chunk and passes it to the operating system, so that readers find everything written so far.
     pub fn flush(&mut self) -> Result<()> {
         self.inner()?.flush().map_err(|e| Error::mcap("write", e))
     }
 
-    /// Writes index and footer. Nothing can be written afterwards.
+    /// Writes the index and the footer. Nothing can be written afterwards.
     pub fn finish(&mut self) -> Result<()> {
         let mut inner = self.inner.take().ok_or(Error::Closed)?;
         inner.finish().map_err(|e| Error::mcap("finish", e))?;

@@ -1,17 +1,19 @@
-//! Files written here are read, cut short, and damaged in every way: what is whole is there, and nothing panics.
+//! Reads files that are complete, truncated, or damaged in every way: intact messages are returned, and nothing
+//! panics.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use situ_mcap::{
-    ChannelSpec, Compression, Copied, Copy, Options, Order, Query, Reader, Selection, Times, Writer,
+    ChannelSpec, Compression, Copy, CopyReport, Options, Order, Query, Reader, Selection, Times,
+    Writer,
 };
 
-fn path(name: &str) -> PathBuf {
+fn temporary_path(name: &str) -> PathBuf {
     std::env::temp_dir().join(format!("situ-mcap-{}-{name}.mcap", std::process::id()))
 }
 
-fn created(path: &Path, compression: Compression) -> Writer {
+fn create_writer(path: &Path, compression: Compression) -> Writer {
     let options = Options {
         profile: "",
         library: None,
@@ -21,21 +23,24 @@ fn created(path: &Path, compression: Compression) -> Writer {
     Writer::create(path, &options).unwrap_or_else(|e| unreachable!("{e:?}"))
 }
 
-fn written(name: &str, compression: Compression, finish: bool) -> PathBuf {
-    let path = path(name);
-    let mut writer = created(&path, compression);
+fn write_file(name: &str, compression: Compression, finish: bool) -> PathBuf {
+    let path = temporary_path(name);
+    let mut writer = create_writer(&path, compression);
     let spec = |topic| ChannelSpec {
         topic,
         encoding: "json",
         schema: Some(("S", "jsonschema", b"{}")),
         metadata: Default::default(),
     };
-    let channels = [writer.channel(&spec("a")), writer.channel(&spec("b"))];
+    let channels = [
+        writer.add_channel(&spec("a")),
+        writer.add_channel(&spec("b")),
+    ];
     for i in 0..500u64 {
         if let Ok(channel) = channels[(i % 2) as usize] {
             let data = format!("{{\"value\":{i}}}");
             assert_eq!(
-                writer.write(
+                writer.write_message(
                     channel,
                     i as u32,
                     1_000 + i * 10,
@@ -46,12 +51,15 @@ fn written(name: &str, compression: Compression, finish: bool) -> PathBuf {
             );
         }
     }
-    assert_eq!(writer.attach("note.txt", "text/plain", 5, b"hello"), Ok(()));
+    assert_eq!(
+        writer.write_attachment("note.txt", "text/plain", 5, b"hello"),
+        Ok(())
+    );
     assert_eq!(writer.flush(), Ok(()));
     if finish {
         assert_eq!(writer.finish(), Ok(()));
     } else {
-        // As after a kill: what comes later never reached the disk.
+        // Simulates a kill: later writes never reach the disk.
         let bytes = fs::read(&path).unwrap_or_default();
         drop(writer);
         assert!(fs::write(&path, bytes).is_ok());
@@ -59,7 +67,7 @@ fn written(name: &str, compression: Compression, finish: bool) -> PathBuf {
     path
 }
 
-fn all(reader: &Reader, channel: u16, times: Times) -> Vec<(u64, Vec<u8>)> {
+fn read_all(reader: &Reader, channel: u16, times: Times) -> Vec<(u64, Vec<u8>)> {
     let query = Query {
         channel,
         times,
@@ -77,13 +85,13 @@ fn all(reader: &Reader, channel: u16, times: Times) -> Vec<(u64, Vec<u8>)> {
 }
 
 #[test]
-fn what_is_written_is_read_by_every_compression() {
+fn reads_what_was_written_with_every_compression() {
     for (name, compression) in [
         ("none", Compression::None),
         ("lz4", Compression::Lz4),
         ("zstd", Compression::Zstd),
     ] {
-        let path = written(name, compression, true);
+        let path = write_file(name, compression, true);
         let Ok(reader) = Reader::open(&path) else {
             unreachable!()
         };
@@ -94,7 +102,7 @@ fn what_is_written_is_read_by_every_compression() {
         );
         assert!(info.finished && info.damage.is_empty());
         for (channel, _) in &info.channels {
-            let messages = all(&reader, channel.id, Times::Log);
+            let messages = read_all(&reader, channel.id, Times::Log);
             assert_eq!(messages.len(), 250);
             assert!(messages.windows(2).all(|w| w[0].0 < w[1].0));
             assert_eq!(
@@ -103,18 +111,18 @@ fn what_is_written_is_read_by_every_compression() {
             );
         }
         assert_eq!(
-            all(&reader, info.channels[0].0.id, Times::Publish)[0].0,
+            read_all(&reader, info.channels[0].0.id, Times::Publish)[0].0,
             900
         );
         let offset = info.attachments[0].offset;
-        assert_eq!(reader.attachment(offset), Ok(b"hello".to_vec()));
+        assert_eq!(reader.read_attachment(offset), Ok(b"hello".to_vec()));
         let _ = fs::remove_file(path);
     }
 }
 
 #[test]
-fn a_file_that_was_never_finished_has_what_was_flushed() {
-    let path = written("unfinished", Compression::Zstd, false);
+fn an_unfinished_file_contains_all_flushed_messages() {
+    let path = write_file("unfinished", Compression::Zstd, false);
     let Ok(reader) = Reader::open(&path) else {
         unreachable!()
     };
@@ -125,38 +133,38 @@ fn a_file_that_was_never_finished_has_what_was_flushed() {
 }
 
 #[test]
-fn a_file_cut_anywhere_has_a_beginning_of_what_it_had() {
+fn a_truncated_file_contains_a_prefix_of_its_messages() {
     for (name, compression) in [
         ("cut-none", Compression::None),
         ("cut-lz4", Compression::Lz4),
         ("cut-zstd", Compression::Zstd),
     ] {
-        let whole = written(name, compression, true);
-        let bytes = fs::read(&whole).unwrap_or_default();
-        let Ok(reader) = Reader::open(&whole) else {
+        let path = write_file(name, compression, true);
+        let bytes = fs::read(&path).unwrap_or_default();
+        let Ok(reader) = Reader::open(&path) else {
             unreachable!()
         };
         let id = reader.info().channels[0].0.id;
-        let want = all(&reader, id, Times::Log);
+        let want = read_all(&reader, id, Times::Log);
         let mut last = 0;
         for size in (8..bytes.len()).step_by(37) {
-            assert!(fs::write(&whole, &bytes[..size]).is_ok());
-            let Ok(reader) = Reader::open(&whole) else {
+            assert!(fs::write(&path, &bytes[..size]).is_ok());
+            let Ok(reader) = Reader::open(&path) else {
                 unreachable!("at {size}")
             };
-            let got = all(&reader, id, Times::Log);
+            let got = read_all(&reader, id, Times::Log);
             assert_eq!(got, want[..got.len()], "{name} at {size}");
             assert!(got.len() >= last);
             last = got.len();
         }
         assert_eq!(last, want.len());
-        let _ = fs::remove_file(whole);
+        let _ = fs::remove_file(path);
     }
 }
 
 #[test]
-fn twenty_thousand_damaged_files_are_read_or_refused() {
-    let path = written("damaged", Compression::Lz4, true);
+fn reads_or_rejects_twenty_thousand_damaged_files() {
+    let path = write_file("damaged", Compression::Lz4, true);
     let bytes = fs::read(&path).unwrap_or_default();
     let mut seed = 1u64;
     let mut next = |n: usize| {
@@ -165,12 +173,12 @@ fn twenty_thousand_damaged_files_are_read_or_refused() {
             .wrapping_add(1442695040888963407);
         (seed >> 33) as usize % n
     };
-    let turns = if cfg!(debug_assertions) {
+    let rounds = if cfg!(debug_assertions) {
         2_000
     } else {
         20_000
     };
-    for turn in 0..turns {
+    for round in 0..rounds {
         let mut damaged = bytes.clone();
         for _ in 0..=next(3) {
             let at = next(damaged.len());
@@ -179,21 +187,21 @@ fn twenty_thousand_damaged_files_are_read_or_refused() {
         assert!(fs::write(&path, &damaged).is_ok());
         if let Ok(reader) = Reader::open(&path) {
             for (channel, _) in reader.info().channels.iter().take(4) {
-                let _ = all(&reader, channel.id, Times::Log);
+                let _ = read_all(&reader, channel.id, Times::Log);
             }
-            // A copy goes to the disk.
-            if turn % 20 == 0 {
-                let _ = copied(&reader, "damaged-copy", Order::File);
-                let _ = copied(&reader, "damaged-copy", Order::LogTime);
+            // Copies are written to disk, which takes longer.
+            if round % 20 == 0 {
+                let _ = copy_file(&reader, "damaged-copy", Order::File);
+                let _ = copy_file(&reader, "damaged-copy", Order::LogTime);
             }
         }
     }
     let _ = fs::remove_file(path);
 }
 
-fn copied(reader: &Reader, name: &str, order: Order) -> Option<Copied> {
-    let path = path(name);
-    let mut writer = created(&path, Compression::Zstd);
+fn copy_file(reader: &Reader, name: &str, order: Order) -> Option<CopyReport> {
+    let path = temporary_path(name);
+    let mut writer = create_writer(&path, Compression::Zstd);
     let selection = Selection {
         channels: None,
         from: 0,
@@ -206,11 +214,11 @@ fn copied(reader: &Reader, name: &str, order: Order) -> Option<Copied> {
     while !copy.step(reader, &mut writer).ok()? {}
     assert_eq!(writer.finish(), Ok(()));
     let _ = fs::remove_file(path);
-    Some(copy.copied().clone())
+    Some(copy.report().clone())
 }
 
-/// The offsets and lengths of the chunks of a file.
-fn chunks(path: &Path) -> Vec<(usize, usize)> {
+/// Returns the offsets and lengths of a file's chunks.
+fn chunk_ranges(path: &Path) -> Vec<(usize, usize)> {
     let Ok(reader) = Reader::open(path) else {
         unreachable!()
     };
@@ -222,17 +230,18 @@ fn chunks(path: &Path) -> Vec<(usize, usize)> {
 }
 
 #[test]
-fn what_is_behind_damage_is_found_again() {
+fn finds_records_after_damage() {
     for (name, compression) in [
         ("behind-none", Compression::None),
         ("behind-lz4", Compression::Lz4),
     ] {
-        let path = written(name, compression, true);
+        let path = write_file(name, compression, true);
         let bytes = fs::read(&path).unwrap_or_default();
-        let places = chunks(&path);
-        let (at, length) = places[places.len() / 2];
+        let ranges = chunk_ranges(&path);
+        let (at, length) = ranges[ranges.len() / 2];
         let summary = bytes.len() - 40;
-        // The length of a chunk's record: too long for the file, within it, too short; its kind; its contents.
+        // The length of a chunk's record (too long for the file, too long but within it, too short), its kind, and
+        // its contents.
         let damages: [(usize, &[u8]); 5] = [
             (at + 1, &[0xFF; 8]),
             (at + 1, &[0x70, 0x17]),
@@ -243,7 +252,7 @@ fn what_is_behind_damage_is_found_again() {
         for (where_to, with) in damages {
             let mut damaged = bytes.clone();
             damaged[where_to..where_to + with.len()].copy_from_slice(with);
-            // Without the index as well: the chunks are looked for.
+            // Also without the index, so that the chunks have to be searched for.
             for cut in [bytes.len(), summary] {
                 assert!(fs::write(&path, &damaged[..cut]).is_ok());
                 let Ok(reader) = Reader::open(&path) else {
@@ -251,13 +260,13 @@ fn what_is_behind_damage_is_found_again() {
                 };
                 let info = reader.info();
                 let ids = info.channels.iter().map(|(c, _)| c.id);
-                let n: usize = ids.map(|id| all(&reader, id, Times::Log).len()).sum();
-                let lost = 500 / places.len() + 40;
+                let n: usize = ids.map(|id| read_all(&reader, id, Times::Log).len()).sum();
+                let lost = 500 / ranges.len() + 40;
                 assert!(
                     n + 2 * lost >= 500,
                     "{n} of 500 at {where_to} {with:?} {cut}"
                 );
-                let Some(copied) = copied(&reader, "behind-copy", Order::File) else {
+                let Some(copied) = copy_file(&reader, "behind-copy", Order::File) else {
                     unreachable!()
                 };
                 let kept = copied.messages as usize;

@@ -1,14 +1,14 @@
-//! Resizing by area: every pixel of the result is the mean of what it covers, parts of pixels counted by their share.
+//! Resizing by area: every pixel of the result is the mean of the pixels it covers, weighted by the covered share.
 
-use crate::picture::{Format, Shape, View};
+use crate::image::{Format, Shape, View};
 
-/// The pixels that one column (or row) of the result covers: the first one, and the share of each from there.
+/// The pixels that a column (or row) of the result covers: the first one, and the share of each from there on.
 struct Cover {
     first: usize,
     shares: Vec<f32>,
 }
 
-fn covers(from: usize, to: usize) -> Vec<Cover> {
+fn compute_covers(from: usize, to: usize) -> Vec<Cover> {
     let step = from as f64 / to as f64;
     (0..to)
         .map(|i| {
@@ -22,16 +22,16 @@ fn covers(from: usize, to: usize) -> Vec<Cover> {
         .collect()
 }
 
-/// Resizes `src` to `shape` (same format) into `out`.
-pub fn resize(src: &View, shape: Shape, out: &mut [u8]) {
+/// Resizes `src` to `shape` (of the same format) into `out`.
+pub fn resize_by_area(src: &View, shape: Shape, out: &mut [u8]) {
     let format = src.shape.format;
-    let channels = format.channels();
-    let columns = covers(src.shape.width, shape.width);
-    let rows = covers(src.shape.height, shape.height);
+    let channels = format.channel_count();
+    let columns = compute_covers(src.shape.width, shape.width);
+    let rows = compute_covers(src.shape.height, shape.height);
     let alpha = format.has_alpha().then_some(channels - 1);
     let mut line = vec![0.0_f32; src.shape.width * channels];
     let mut narrow = vec![0.0_f32; shape.width * channels];
-    // A row at the border of two results is needed twice.
+    // A row that contributes to two rows of the result is needed twice.
     let mut narrowed = None;
     let mut sums = vec![0.0_f32; shape.width * channels];
     for (cover, target) in rows.iter().zip(out.chunks_exact_mut(shape.row_bytes())) {
@@ -39,20 +39,20 @@ pub fn resize(src: &View, shape: Shape, out: &mut [u8]) {
         for (i, share) in cover.shares.iter().enumerate() {
             let y = cover.first + i;
             if narrowed != Some(y) {
-                load(src.row(y), format, alpha, channels, &mut line);
-                squeeze(&line, &columns, channels, &mut narrow);
+                load_row(src.row(y), format, alpha, channels, &mut line);
+                shrink_row(&line, &columns, channels, &mut narrow);
                 narrowed = Some(y);
             }
             for (sum, value) in sums.iter_mut().zip(&narrow) {
                 *sum += value * share;
             }
         }
-        store(&sums, format, alpha, channels, target);
+        store_row(&sums, format, alpha, channels, target);
     }
 }
 
-/// A row as floats, colours times alpha.
-fn load(row: &[u8], format: Format, alpha: Option<usize>, channels: usize, line: &mut [f32]) {
+/// Loads a row as floats, with colors multiplied by alpha.
+fn load_row(row: &[u8], format: Format, alpha: Option<usize>, channels: usize, line: &mut [f32]) {
     if format.bytes_per_channel() == 2 {
         for (value, bytes) in line.iter_mut().zip(row.chunks_exact(2)) {
             *value = f32::from(u16::from_le_bytes([bytes[0], bytes[1]]));
@@ -72,7 +72,7 @@ fn load(row: &[u8], format: Format, alpha: Option<usize>, channels: usize, line:
     }
 }
 
-fn squeeze(line: &[f32], columns: &[Cover], channels: usize, narrow: &mut [f32]) {
+fn shrink_row(line: &[f32], columns: &[Cover], channels: usize, narrow: &mut [f32]) {
     for (cover, pixel) in columns.iter().zip(narrow.chunks_exact_mut(channels)) {
         pixel.fill(0.0);
         let from = line[cover.first * channels..].chunks_exact(channels);
@@ -84,7 +84,13 @@ fn squeeze(line: &[f32], columns: &[Cover], channels: usize, narrow: &mut [f32])
     }
 }
 
-fn store(sums: &[f32], format: Format, alpha: Option<usize>, channels: usize, target: &mut [u8]) {
+fn store_row(
+    sums: &[f32],
+    format: Format,
+    alpha: Option<usize>,
+    channels: usize,
+    target: &mut [u8],
+) {
     let value = |sums: &[f32], c: usize| match alpha {
         Some(alpha) if c != alpha && sums[alpha] > 0.0 => sums[c] / sums[alpha],
         Some(alpha) if c != alpha => 0.0,

@@ -1,18 +1,18 @@
 //! Conversion between pixel formats.
 //!
-//! Grey is computed in the depth of the source; 8 to 16 bit widens by v * 257, 16 to 8 narrows by v >> 8.
-//! A missing alpha is opaque, an unused channel is written as 255.
+//! Gray is computed in the depth of the source. 8-bit values are widened by v * 257, and 16-bit values are narrowed
+//! by v >> 8. A missing alpha channel becomes opaque, and an unused channel is written as 255.
 
 use crate::gray;
-use crate::picture::{Format, View};
+use crate::image::{Format, View};
 
 /// A pixel as red, green, blue, alpha in the depth of its format.
 trait Pixel {
     const BYTES: usize;
     const WIDE: bool;
     const GRAY: bool;
-    fn load(p: &[u8]) -> [u32; 4];
-    fn store(rgba: [u32; 4], p: &mut [u8]);
+    fn read_rgba(p: &[u8]) -> [u32; 4];
+    fn write_rgba(rgba: [u32; 4], p: &mut [u8]);
 }
 
 macro_rules! color8 {
@@ -23,12 +23,12 @@ macro_rules! color8 {
             const WIDE: bool = false;
             const GRAY: bool = false;
             #[inline(always)]
-            fn load(p: &[u8]) -> [u32; 4] {
+            fn read_rgba(p: &[u8]) -> [u32; 4] {
                 let alpha = if $alpha { p[$bytes - 1] as u32 } else { 255 };
                 [p[$r] as u32, p[$g] as u32, p[$b] as u32, alpha]
             }
             #[inline(always)]
-            fn store(c: [u32; 4], p: &mut [u8]) {
+            fn write_rgba(c: [u32; 4], p: &mut [u8]) {
                 p[$r] = c[0] as u8;
                 p[$g] = c[1] as u8;
                 p[$b] = c[2] as u8;
@@ -52,21 +52,21 @@ impl Pixel for Gray8 {
     const WIDE: bool = false;
     const GRAY: bool = true;
     #[inline(always)]
-    fn load(p: &[u8]) -> [u32; 4] {
+    fn read_rgba(p: &[u8]) -> [u32; 4] {
         let v = p[0] as u32;
         [v, v, v, 255]
     }
     #[inline(always)]
-    fn store(c: [u32; 4], p: &mut [u8]) {
+    fn write_rgba(c: [u32; 4], p: &mut [u8]) {
         p[0] = c[0] as u8;
     }
 }
 
-fn wide(p: &[u8], channel: usize) -> u32 {
+fn read_wide(p: &[u8], channel: usize) -> u32 {
     u16::from_le_bytes([p[channel * 2], p[channel * 2 + 1]]) as u32
 }
 
-fn put_wide(p: &mut [u8], channel: usize, value: u32) {
+fn write_wide(p: &mut [u8], channel: usize, value: u32) {
     p[channel * 2..channel * 2 + 2].copy_from_slice(&(value as u16).to_le_bytes());
 }
 
@@ -76,13 +76,13 @@ impl Pixel for Gray16 {
     const WIDE: bool = true;
     const GRAY: bool = true;
     #[inline(always)]
-    fn load(p: &[u8]) -> [u32; 4] {
-        let v = wide(p, 0);
+    fn read_rgba(p: &[u8]) -> [u32; 4] {
+        let v = read_wide(p, 0);
         [v, v, v, 65535]
     }
     #[inline(always)]
-    fn store(c: [u32; 4], p: &mut [u8]) {
-        put_wide(p, 0, c[0]);
+    fn write_rgba(c: [u32; 4], p: &mut [u8]) {
+        write_wide(p, 0, c[0]);
     }
 }
 
@@ -92,12 +92,17 @@ impl Pixel for Rgba64 {
     const WIDE: bool = true;
     const GRAY: bool = false;
     #[inline(always)]
-    fn load(p: &[u8]) -> [u32; 4] {
-        [wide(p, 0), wide(p, 1), wide(p, 2), wide(p, 3)]
+    fn read_rgba(p: &[u8]) -> [u32; 4] {
+        [
+            read_wide(p, 0),
+            read_wide(p, 1),
+            read_wide(p, 2),
+            read_wide(p, 3),
+        ]
     }
     #[inline(always)]
-    fn store(c: [u32; 4], p: &mut [u8]) {
-        (0..4).for_each(|i| put_wide(p, i, c[i]));
+    fn write_rgba(c: [u32; 4], p: &mut [u8]) {
+        (0..4).for_each(|i| write_wide(p, i, c[i]));
     }
 }
 
@@ -108,37 +113,37 @@ fn convert_rows<S: Pixel, D: Pixel>(src: &View, out: &mut [u8]) {
             .chunks_exact(S::BYTES)
             .zip(out.chunks_exact_mut(D::BYTES))
         {
-            let mut c = S::load(p);
+            let mut c = S::read_rgba(p);
             if D::GRAY && !S::GRAY {
-                c[0] = gray::gray(c[0], c[1], c[2]);
+                c[0] = gray::gray_value(c[0], c[1], c[2]);
             }
             if D::WIDE && !S::WIDE {
                 c = c.map(|v| v * 257);
             } else if S::WIDE && !D::WIDE {
                 c = c.map(|v| v >> 8);
             }
-            D::store(c, o);
+            D::write_rgba(c, o);
         }
     }
 }
 
-/// Converts into `out`, `width * height` pixels of `format` without gaps.
+/// Converts the image into `out`, which holds `width * height` contiguous pixels of `format`.
 pub fn convert(src: &View, format: Format, out: &mut [u8]) {
     let from = src.shape.format;
     if from == format {
-        return copy(src, out);
+        return copy_rows(src, out);
     }
     let (blue, red) = (gray::BLUE, gray::RED);
     match (from, format) {
-        (Format::Bgr24, Format::Gray8) => gray_rows(src, out, blue, red),
-        (Format::Rgb24, Format::Gray8) => gray_rows(src, out, red, blue),
+        (Format::Bgr24, Format::Gray8) => convert_gray_rows(src, out, blue, red),
+        (Format::Rgb24, Format::Gray8) => convert_gray_rows(src, out, red, blue),
         _ => dispatch_source(src, format, out),
     }
 }
 
-/// Copies the rows without their gaps.
-pub fn copy(src: &View, out: &mut [u8]) {
-    if src.is_tight() {
+/// Copies the rows without their padding.
+pub fn copy_rows(src: &View, out: &mut [u8]) {
+    if src.is_packed() {
         return out.copy_from_slice(&src.data[..src.shape.bytes()]);
     }
     for (row, out) in src.rows().zip(out.chunks_exact_mut(src.shape.row_bytes())) {
@@ -146,9 +151,9 @@ pub fn copy(src: &View, out: &mut [u8]) {
     }
 }
 
-fn gray_rows(src: &View, out: &mut [u8], first: u32, third: u32) {
+fn convert_gray_rows(src: &View, out: &mut [u8], first: u32, third: u32) {
     for (row, out) in src.rows().zip(out.chunks_exact_mut(src.shape.width)) {
-        gray::row24(row, out, first, third);
+        gray::convert_row24(row, out, first, third);
     }
 }
 

@@ -1,31 +1,31 @@
-//! Convolution of grey pictures with a small integer kernel, as \psi defines it: the sum over the taps that lie inside
-//! the picture, divided by how many those are, truncated towards zero, clipped to the range.
+//! Convolution of gray images with a small integer kernel, as defined by \psi: the sum over the taps inside the
+//! image, divided by their number, truncated towards zero, and clipped to the range.
 
 use crate::error::{fail, Code, Result};
-use crate::picture::View;
+use crate::image::View;
 
-/// At most this many taps: keeps one call bounded.
+/// The maximum number of taps, which bounds the time of a call.
 const MAX_TAPS: usize = 961;
 
-/// Weights of a pixel's neighbourhood; the pixel itself lies at (`width / 2`, `height / 2`), divisions rounding down.
+/// The weights of a pixel's neighbourhood. The pixel itself is at (`width / 2`, `height / 2`), rounded down.
 #[derive(Clone, Debug)]
 pub struct Kernel {
-    /// Taps of a row.
+    /// The number of taps in a row.
     pub width: usize,
-    /// Rows of taps.
+    /// The number of rows.
     pub height: usize,
-    /// The weights, row by row: `width * height`, 1 to 961 of them.
+    /// The weights, row by row: `width * height` of them, 1 to 961.
     pub taps: Vec<i32>,
 }
 
-/// Refuses pictures that are not grey ([`Code::BadFormat`]) and kernels whose taps do not fit their size
-/// ([`Code::BadOption`]).
-pub fn check(src: &View, kernel: &Kernel) -> Result<()> {
-    if src.shape.format.channels() != 1 {
+/// Checks the arguments. Images that are not gray return [`Code::BadFormat`], and kernels whose taps do not match
+/// their size [`Code::BadOption`].
+pub fn check_kernel(src: &View, kernel: &Kernel) -> Result<()> {
+    if src.shape.format.channel_count() != 1 {
         return fail(
             Code::BadFormat,
             format!(
-                "convolve works on :gray8 and :gray16, not {}",
+                "convolve supports :gray8 and :gray16, not {}",
                 src.shape.format.name()
             ),
         );
@@ -34,13 +34,13 @@ pub fn check(src: &View, kernel: &Kernel) -> Result<()> {
     if taps == 0 || taps != kernel.taps.len() || taps > MAX_TAPS {
         return fail(
             Code::BadOption,
-            "a kernel has 1 to 961 taps, rows of equal length",
+            "a kernel must have 1 to 961 taps in rows of equal length",
         );
     }
     Ok(())
 }
 
-/// Into `out`, which has the bytes of `src` without gaps; `check` has passed both.
+/// Convolves `src` into `out`, which has the bytes of `src` without padding. `check_kernel` must have accepted both.
 pub fn convolve(src: &View, kernel: &Kernel, out: &mut [u8]) {
     let depth = src.shape.format.bytes_per_channel();
     let (w, h) = (src.shape.width as i64, src.shape.height as i64);

@@ -1,21 +1,22 @@
-//! Depth made visible.
+//! Visualization of depth images.
 
-use crate::picture::View;
+use crate::image::View;
 
-/// Which depths get which colours.
+/// How depth is mapped to colors.
 #[derive(Clone, Copy, Debug)]
 pub struct PseudoColor {
-    /// Depth units (before scaling to metres).
+    /// The minimum of the color range, in stored units (before scaling to metres).
     pub near: f64,
-    /// As `near`, and above it.
+    /// The maximum of the color range, in the same units; greater than `near`.
     pub far: f64,
-    /// The value that stands for no measurement (0 from most cameras).
+    /// The value of pixels without a measurement (0 for most cameras).
     pub invalid: u16,
-    /// Whether what has no colour is transparent instead of black.
+    /// Whether pixels without a color are transparent instead of black.
     pub transparent: bool,
 }
 
-/// Near is blue, far is red; values outside `near..far` and invalid ones are black (or transparent). `out` is :bgra32.
+/// Colors a depth image from blue (near) to red (far). Values outside `near..far` and invalid values become black (or
+/// transparent). `out` is :bgra32.
 pub fn pseudo_colorize(src: &View, how: PseudoColor, out: &mut [u8]) {
     let span = (how.far - how.near).max(f64::MIN_POSITIVE);
     for (row, out) in src.rows().zip(out.chunks_exact_mut(src.shape.width * 4)) {
@@ -25,14 +26,14 @@ pub fn pseudo_colorize(src: &View, how: PseudoColor, out: &mut [u8]) {
             if d == how.invalid || value < how.near || value > how.far {
                 o.copy_from_slice(&[0, 0, 0, if how.transparent { 0 } else { 255 }]);
             } else {
-                let [r, g, b] = color(1.0 - (value - how.near) / span);
+                let [r, g, b] = depth_color(1.0 - (value - how.near) / span);
                 o.copy_from_slice(&[b, g, r, 255]);
             }
         }
     }
 }
 
-fn color(s: f64) -> [u8; 3] {
+fn depth_color(s: f64) -> [u8; 3] {
     let (r, g, b) = if s < 0.25 {
         (1.0, s / 0.25, 0.0)
     } else if s < 0.5 {

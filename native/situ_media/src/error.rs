@@ -1,48 +1,48 @@
-//! The errors of this crate: a code for programs and a sentence for people.
+//! The errors of this crate: a code for programs and a message for people.
 
 /// The kinds of failure; the BEAM side turns each into an atom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Code {
-    /// A picture's bytes are too few or too many for its size, format and stride.
+    /// An image has too few or too many bytes for its size, format and stride.
     BadImage,
-    /// The operation does not take this pixel format, or two pictures differ in theirs.
+    /// The operation does not support this pixel format, or two images have different formats.
     BadFormat,
     /// A width or height of 0.
     BadSize,
-    /// A rectangle that is empty or reaches out of its picture.
+    /// A rectangle that is empty or extends beyond its image.
     BadRect,
-    /// Any other argument out of its range; the sentence names the range.
+    /// Any other argument that is out of range; the message contains the range.
     BadOption,
-    /// The result would take more than [`crate::picture::MAX_BYTES`].
+    /// The result would need more than [`crate::image::MAX_BYTES`].
     TooLarge,
-    /// Bytes that are no JPEG, a damaged one, or one that costs more than its size allows.
+    /// The bytes are not a JPEG, are damaged, or cost more to decode than the image size justifies.
     BadJpeg,
-    /// Bytes that are no PNG, a damaged one, or one that costs more than its size allows.
+    /// The bytes are not a PNG, are damaged, or cost more to decode than the image size justifies.
     BadPng,
-    /// Sound whose bytes are not whole frames, or of a sample type or channel count that is not taken.
+    /// The audio does not consist of complete frames, or its sample type or channel count is not supported.
     BadAudio,
-    /// A font file that cannot be read or is none, or a text that the fonts cannot draw.
+    /// A font file cannot be read or is invalid, or the fonts cannot render the text.
     BadFont,
-    /// The system gave no memory.
+    /// The system has no memory left.
     OutOfMemory,
-    /// A fault of the caller within the native side (a buffer of the wrong length), or a library's refusal that has no
-    /// other kind.
+    /// A bug on the native side (such as a buffer of the wrong length), or an error of a library that fits no other
+    /// kind.
     Failed,
 }
 
-/// Why an operation was refused. Nothing was written in that case, unless the function says so.
+/// Why an operation was rejected. Nothing was written in this case, unless the function documents otherwise.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     /// The kind, for programs.
     pub code: Code,
-    /// The sentence, with the numbers that were refused.
+    /// The message, with the rejected numbers.
     pub what: String,
 }
 
 /// The result of every fallible function of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Shorthand: `fail(Code::BadSize, format!(...))`.
+/// Returns an error: `fail(Code::BadSize, format!(...))`.
 pub fn fail<T>(code: Code, what: impl Into<String>) -> Result<T> {
     Err(Error {
         code,

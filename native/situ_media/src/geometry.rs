@@ -1,21 +1,21 @@
-//! Moving pixels about without changing them: flips, quarter turns, padding, pasting.
+//! Moves pixels without changing them: flips, quarter turns, padding, pasting.
 
 use crate::error::{fail, Code, Result};
-use crate::picture::{Shape, View};
-use crate::resize::{resize, Filter};
+use crate::image::{Shape, View};
+use crate::resize::{resize_image, Filter};
 
-/// About which line a picture is mirrored.
+/// The axis of a flip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
-    /// Top becomes bottom.
+    /// Swaps top and bottom.
     Horizontal,
-    /// Left becomes right.
+    /// Swaps left and right.
     Vertical,
-    /// Both: a half turn.
+    /// Swaps both, which is a half turn.
     Both,
 }
 
-/// Mirrors `src` into `out`, which has exactly its bytes without gaps.
+/// Mirrors `src` into `out`, which has exactly its bytes without padding.
 pub fn flip(src: &View, axis: Axis, out: &mut [u8]) {
     let row_bytes = src.shape.row_bytes();
     let height = src.shape.height;
@@ -28,12 +28,12 @@ pub fn flip(src: &View, axis: Axis, out: &mut [u8]) {
         if axis == Axis::Horizontal {
             target.copy_from_slice(src.row(from));
         } else {
-            mirror(src.row(from), target, src.shape.format.bytes());
+            mirror_row(src.row(from), target, src.shape.format.pixel_bytes());
         }
     }
 }
 
-fn mirror(row: &[u8], out: &mut [u8], size: usize) {
+fn mirror_row(row: &[u8], out: &mut [u8], size: usize) {
     match size {
         1 => row.iter().rev().zip(out).for_each(|(p, o)| *o = *p),
         3 => mirror_pixels::<3>(row, out),
@@ -49,9 +49,9 @@ fn mirror_pixels<const N: usize>(row: &[u8], out: &mut [u8]) {
     }
 }
 
-/// Clockwise by `turns` quarter turns; the caller has swapped width and height for odd ones.
-pub fn quarter_turns(src: &View, turns: u32, out: &mut [u8]) {
-    let size = src.shape.format.bytes();
+/// Rotates clockwise by `turns` quarter turns. For odd numbers, the caller has swapped width and height.
+pub fn rotate_quarter_turns(src: &View, turns: u32, out: &mut [u8]) {
+    let size = src.shape.format.pixel_bytes();
     let (w, h) = (src.shape.width, src.shape.height);
     let out_width = if turns % 2 == 1 { h } else { w };
     for (i, target) in out.chunks_exact_mut(size).enumerate() {
@@ -66,21 +66,21 @@ pub fn quarter_turns(src: &View, turns: u32, out: &mut [u8]) {
     }
 }
 
-/// Fills `out` with one pixel.
-pub fn fill(out: &mut [u8], pixel: &[u8]) {
+/// Fills `out` with copies of a pixel.
+pub fn fill_pixels(out: &mut [u8], pixel: &[u8]) {
     out.chunks_exact_mut(pixel.len())
         .for_each(|o| o.copy_from_slice(pixel));
 }
 
-/// Where a picture lands in a letterbox: largest size of the same proportions that fits, in the middle.
-pub fn letterbox_place(from: Shape, width: usize, height: usize) -> (usize, usize, usize, usize) {
+/// Returns the rectangle of an image in a letterbox: the largest size of the same aspect ratio that fits, centered.
+pub fn letterbox_rect(from: Shape, width: usize, height: usize) -> (usize, usize, usize, usize) {
     let scale = (width as f64 / from.width as f64).min(height as f64 / from.height as f64);
     let w = ((from.width as f64 * scale).round() as usize).clamp(1, width);
     let h = ((from.height as f64 * scale).round() as usize).clamp(1, height);
     ((width - w) / 2, (height - h) / 2, w, h)
 }
 
-/// Resizes into the middle of `out` (shape `shape`), the rest is `pixel`.
+/// Resizes the image into the center of `out` (of shape `shape`), and fills the rest with `pixel`.
 pub fn letterbox(
     src: &View,
     shape: Shape,
@@ -88,17 +88,17 @@ pub fn letterbox(
     pixel: &[u8],
     out: &mut [u8],
 ) -> Result<()> {
-    let (x, y, w, h) = letterbox_place(src.shape, shape.width, shape.height);
+    let (x, y, w, h) = letterbox_rect(src.shape, shape.width, shape.height);
     let inner = Shape::new(w, h, src.shape.format)?;
     let mut small = vec![0; inner.bytes()];
-    resize(src, inner, filter, &mut small)?;
-    fill(out, pixel);
+    resize_image(src, inner, filter, &mut small)?;
+    fill_pixels(out, pixel);
     let small = View::new(inner, inner.row_bytes(), &small)?;
     paste(&small, None, x as i64, y as i64, shape, out)
 }
 
-/// Copies `src` over `out` with its top left corner at `x`, `y`; what falls outside is cut off. With a grey mask of the
-/// size of `src`, only where the mask is not 0.
+/// Copies `src` over `out` with its top left corner at (`x`, `y`). Parts outside the image are clipped. If there is a
+/// gray mask of the size of `src`, only pixels with a nonzero mask are copied.
 pub fn paste(
     src: &View,
     mask: Option<&View>,
@@ -119,14 +119,14 @@ pub fn paste(
     }
     if let Some(mask) = mask {
         let same = mask.shape.width == src.shape.width && mask.shape.height == src.shape.height;
-        if !same || mask.shape.format.bytes() != 1 {
+        if !same || mask.shape.format.pixel_bytes() != 1 {
             return fail(
                 Code::BadFormat,
-                "the mask must be :gray8 of the size of the picture pasted",
+                "the mask must be :gray8 and have the size of the pasted image",
             );
         }
     }
-    let size = shape.format.bytes();
+    let size = shape.format.pixel_bytes();
     let x_from = (-x).max(0);
     let x_to = (src.shape.width as i64).min(shape.width as i64 - x);
     let y_from = (-y).max(0);
@@ -142,13 +142,13 @@ pub fn paste(
         let target = &mut out[start..start + row.len()];
         match mask {
             None => target.copy_from_slice(row),
-            Some(mask) => masked(row, &mask.row(sy as usize)[from..to], size, target),
+            Some(mask) => copy_masked(row, &mask.row(sy as usize)[from..to], size, target),
         }
     }
     Ok(())
 }
 
-fn masked(row: &[u8], mask: &[u8], size: usize, out: &mut [u8]) {
+fn copy_masked(row: &[u8], mask: &[u8], size: usize, out: &mut [u8]) {
     for ((p, m), o) in row
         .chunks_exact(size)
         .zip(mask)

@@ -1,4 +1,4 @@
-//! Colour to grey, the hot path of most vision: (4897 R + 9617 G + 1868 B) >> 14, exactly, as \psi has it.
+//! Conversion from color to gray, the hot path of most vision: (4897 R + 9617 G + 1868 B) >> 14, exactly as in \psi.
 //! White becomes 254, not 255, since the weights sum to 16382.
 
 /// The weight of red, in 16,384ths.
@@ -8,27 +8,27 @@ pub const GREEN: u32 = 9617;
 /// The weight of blue, in 16,384ths.
 pub const BLUE: u32 = 1868;
 
-/// Grey of one pixel, in the depth of its channels: 0..254 of 0..255, 0..65,527 of 0..65,535.
+/// Returns the gray value of a pixel, in the depth of its channels: 0..254 of 0..255, 0..65,527 of 0..65,535.
 #[inline(always)]
-pub fn gray(r: u32, g: u32, b: u32) -> u32 {
+pub fn gray_value(r: u32, g: u32, b: u32) -> u32 {
     (RED * r + GREEN * g + BLUE * b) >> 14
 }
 
-/// One row of three-byte pixels; `first` and `third` are the weights of the first and third byte.
-pub fn row24(src: &[u8], out: &mut [u8], first: u32, third: u32) {
+/// Converts a row of three-byte pixels. `first` and `third` are the weights of the first and third byte.
+pub fn convert_row24(src: &[u8], out: &mut [u8], first: u32, third: u32) {
     #[cfg(target_arch = "x86_64")]
     {
         if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: AVX2 was detected; the function stays inside the slices by its own loop bounds.
+            // SAFETY: AVX2 was detected; its loop bounds keep the function inside the slices.
             #[allow(unsafe_code)]
-            let done = unsafe { avx2::row24(src, out, first as i16, third as i16) };
-            return scalar24(&src[done * 3..], &mut out[done..], first, third);
+            let done = unsafe { avx2::convert_blocks(src, out, first as i16, third as i16) };
+            return convert_row24_scalar(&src[done * 3..], &mut out[done..], first, third);
         }
     }
-    scalar24(src, out, first, third)
+    convert_row24_scalar(src, out, first, third)
 }
 
-fn scalar24(src: &[u8], out: &mut [u8], first: u32, third: u32) {
+fn convert_row24_scalar(src: &[u8], out: &mut [u8], first: u32, third: u32) {
     for (p, o) in src.chunks_exact(3).zip(out) {
         *o = ((first * p[0] as u32 + GREEN * p[1] as u32 + third * p[2] as u32) >> 14) as u8;
     }
@@ -38,14 +38,14 @@ fn scalar24(src: &[u8], out: &mut [u8], first: u32, third: u32) {
 mod avx2 {
     use std::arch::x86_64::*;
 
-    /// Whole blocks of 32 pixels; returns how many pixels were done.
+    /// Converts complete blocks of 32 pixels, and returns the number of converted pixels.
     ///
     /// # Safety
-    /// The CPU must have AVX2. Reads stay below `src.len()`, writes below `out.len()`.
+    /// The CPU must support AVX2. Reads stay below `src.len()`, writes below `out.len()`.
     #[target_feature(enable = "avx2")]
     #[allow(unsafe_code)]
-    pub unsafe fn row24(src: &[u8], out: &mut [u8], first: i16, third: i16) -> usize {
-        // Each 16-byte load holds four pixels (12 bytes) and 4 bytes more, hence the margin of 4.
+    pub unsafe fn convert_blocks(src: &[u8], out: &mut [u8], first: i16, third: i16) -> usize {
+        // Each 16-byte load contains four pixels (12 bytes) and 4 more bytes, hence the margin of 4.
         let pixels = (src.len().saturating_sub(4) / 3).min(out.len()) / 32 * 32;
         // (first, second) byte pairs as 16-bit lanes, and (third, 0).
         let pair = _mm256_broadcastsi128_si256(_mm_setr_epi8(
@@ -56,7 +56,8 @@ mod avx2 {
         ));
         let weights = _mm256_set1_epi32(((super::GREEN as i32) << 16) | first as i32);
         let weight = _mm256_set1_epi32(third as i32);
-        // packs work within 128-bit halves; this puts the eight groups of four back in order.
+        // The packs instructions work on 128-bit halves; this permutation restores the order of the eight groups of
+        // four.
         let order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
         let eight = |offset: usize| {
             let low = src.as_ptr().add(offset * 3) as *const __m128i;
@@ -87,26 +88,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_fast_row_equals_the_plain_one_at_every_length() {
+    fn the_vectorized_row_equals_the_scalar_one_at_every_length() {
         let src: Vec<u8> = (0..3 * 200u32)
             .map(|i| (i.wrapping_mul(2654435761) >> 24) as u8)
             .collect();
         for n in 0..200 {
             let (mut a, mut b) = (vec![0; n], vec![0; n]);
-            row24(&src[..3 * n], &mut a, BLUE, RED);
-            scalar24(&src[..3 * n], &mut b, BLUE, RED);
+            convert_row24(&src[..3 * n], &mut a, BLUE, RED);
+            convert_row24_scalar(&src[..3 * n], &mut b, BLUE, RED);
             assert_eq!(a, b, "{n} pixels");
         }
     }
 
     #[test]
-    fn primaries_are_what_the_weights_say() {
+    fn primary_colors_have_the_documented_gray_values() {
         assert_eq!(
             (
-                gray(255, 0, 0),
-                gray(0, 255, 0),
-                gray(0, 0, 255),
-                gray(255, 255, 255)
+                gray_value(255, 0, 0),
+                gray_value(0, 255, 0),
+                gray_value(0, 0, 255),
+                gray_value(255, 255, 255)
             ),
             (76, 149, 29, 254)
         );

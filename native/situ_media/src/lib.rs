@@ -1,12 +1,14 @@
-//! Pure Rust side of situ_media: pictures and sound as byte slices, no BEAM types.
+//! Image and audio kernels of situ_media on byte slices, without BEAM types.
 //!
-//! A picture comes in as a checked [`picture::View`], an operation is an [`op::Op`]: it gives the shape of its result
-//! first, the caller provides the memory, then it runs. So nothing is copied on the way to and from the BEAM.
+//! An image arrives as a checked [`image::View`], and an operation is an [`op::Op`]. The operation first reports the
+//! shape of its result, the caller allocates the memory, and then the operation runs. Nothing is copied on the way to
+//! and from the BEAM.
 
 #![deny(missing_docs)]
 
 mod area;
 pub mod audio;
+mod blend;
 pub mod color;
 pub mod compare;
 pub mod convolve;
@@ -15,10 +17,9 @@ pub mod draw;
 pub mod error;
 pub mod geometry;
 pub mod gray;
-mod ink;
+pub mod image;
 pub mod jpeg;
 pub mod op;
-pub mod picture;
 pub mod pixelwise;
 pub mod png_file;
 pub mod resize;

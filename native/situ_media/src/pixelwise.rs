@@ -1,9 +1,9 @@
-//! Operations on each channel value alone.
+//! Operations on individual channel values.
 
 use crate::error::{fail, Code, Result};
-use crate::picture::{Format, View};
+use crate::image::{Format, View};
 
-/// The result for a value `v` at a threshold `t`, with `max` as the greatest value.
+/// The rule for a value `v` with a threshold `t` and the maximum value `max`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Threshold {
     /// `max` above `t`, else 0.
@@ -18,13 +18,13 @@ pub enum Threshold {
     ToZeroInverted,
 }
 
-fn map8(src: &View, out: &mut [u8], f: impl Fn(u8) -> u8) {
+fn map_bytes(src: &View, out: &mut [u8], f: impl Fn(u8) -> u8) {
     for (row, out) in src.rows().zip(out.chunks_exact_mut(src.shape.row_bytes())) {
         row.iter().zip(out).for_each(|(p, o)| *o = f(*p));
     }
 }
 
-fn map16(src: &View, out: &mut [u8], f: impl Fn(u16) -> u16) {
+fn map_words(src: &View, out: &mut [u8], f: impl Fn(u16) -> u16) {
     for (row, out) in src.rows().zip(out.chunks_exact_mut(src.shape.row_bytes())) {
         for (p, o) in row.chunks_exact(2).zip(out.chunks_exact_mut(2)) {
             o.copy_from_slice(&f(u16::from_le_bytes([p[0], p[1]])).to_le_bytes());
@@ -36,23 +36,25 @@ fn is_wide(src: &View) -> bool {
     src.shape.format.bytes_per_channel() == 2
 }
 
-/// 255 - v (65535 - v for 16 bit); alpha and unused channels are kept.
+/// Inverts values: 255 - v (65535 - v for 16 bits). Alpha and unused channels are copied.
 pub fn invert(src: &View, out: &mut [u8]) {
     if is_wide(src) {
-        map16(src, out, |v| u16::MAX - v);
+        map_words(src, out, |v| u16::MAX - v);
     } else {
-        map8(src, out, |v| !v);
+        map_bytes(src, out, |v| !v);
     }
-    keep_fourth(src, out);
+    copy_fourth_channel(src, out);
 }
 
-fn keep_fourth(src: &View, out: &mut [u8]) {
+fn copy_fourth_channel(src: &View, out: &mut [u8]) {
     let format = src.shape.format;
-    let Some(place) = format.fourth() else { return };
-    let (size, depth) = (format.bytes(), format.bytes_per_channel());
+    let Some(index) = format.fourth_channel() else {
+        return;
+    };
+    let (size, depth) = (format.pixel_bytes(), format.bytes_per_channel());
     for (row, out) in src.rows().zip(out.chunks_exact_mut(src.shape.row_bytes())) {
         for (p, o) in row.chunks_exact(size).zip(out.chunks_exact_mut(size)) {
-            o[place * depth..].copy_from_slice(&p[place * depth..]);
+            o[index * depth..].copy_from_slice(&p[index * depth..]);
         }
     }
 }
@@ -93,21 +95,21 @@ macro_rules! threshold_fn {
     };
 }
 
-/// Every channel, alpha included.
+/// Applies the threshold to every channel, including alpha.
 pub fn threshold(src: &View, t: u32, max: u32, kind: Threshold, out: &mut [u8]) {
     if is_wide(src) {
         let (t, max) = (t.min(65535) as u16, max.min(65535) as u16);
-        map16(src, out, threshold_fn!(kind, t, max));
+        map_words(src, out, threshold_fn!(kind, t, max));
     } else {
         let (t, max) = (t.min(255) as u8, max.min(255) as u8);
-        map8(src, out, threshold_fn!(kind, t, max));
+        map_bytes(src, out, threshold_fn!(kind, t, max));
     }
 }
 
-/// One channel, by its place in memory, as grey of the same depth.
+/// Extracts the channel with this index in memory as gray of the same depth.
 pub fn extract_channel(src: &View, channel: usize, out: &mut [u8]) {
     let (size, depth) = (
-        src.shape.format.bytes(),
+        src.shape.format.pixel_bytes(),
         src.shape.format.bytes_per_channel(),
     );
     let from = channel * depth;
@@ -121,18 +123,18 @@ pub fn extract_channel(src: &View, channel: usize, out: &mut [u8]) {
     }
 }
 
-/// |a - b| of every channel; the unused channel of :bgrx32 is written as 255.
+/// Computes |a - b| for every channel. The unused channel of :bgrx32 is written as 255.
 pub fn absolute_difference(a: &View, b: &View, out: &mut [u8]) -> Result<()> {
     if a.shape != b.shape {
         return fail(
             Code::BadFormat,
-            "two pictures compared must have the same size and format",
+            "two images must have the same size and format to be compared",
         );
     }
     let row_bytes = a.shape.row_bytes();
     for ((ra, rb), out) in a.rows().zip(b.rows()).zip(out.chunks_exact_mut(row_bytes)) {
         if is_wide(a) {
-            difference16(ra, rb, out);
+            difference_words(ra, rb, out);
         } else {
             ra.iter()
                 .zip(rb)
@@ -146,7 +148,7 @@ pub fn absolute_difference(a: &View, b: &View, out: &mut [u8]) -> Result<()> {
     Ok(())
 }
 
-fn difference16(a: &[u8], b: &[u8], out: &mut [u8]) {
+fn difference_words(a: &[u8], b: &[u8], out: &mut [u8]) {
     for ((x, y), o) in a
         .chunks_exact(2)
         .zip(b.chunks_exact(2))

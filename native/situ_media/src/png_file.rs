@@ -1,21 +1,21 @@
-//! PNG, 8 and 16 bit, by the `png` crate.
+//! PNG encoding and decoding, 8 and 16 bits, with the `png` crate.
 
 use crate::color;
 use crate::error::{fail, Code, Error, Result};
-use crate::picture::{Format, Shape, View, MAX_BYTES};
+use crate::image::{Format, Shape, View, MAX_BYTES};
 use png::{BitDepth, ColorType, Compression, Decoder, Encoder, Limits, Transformations};
 use std::io::Cursor;
 
-fn bad(what: impl std::fmt::Display) -> Error {
+fn png_error(what: impl std::fmt::Display) -> Error {
     Error {
         code: Code::BadPng,
         what: format!("PNG: {what}"),
     }
 }
 
-/// `level`: 0 fast, 1 balanced, 2 small.
+/// Encodes an image. `level` is 0 (fast), 1 (balanced) or 2 (small).
 pub fn encode(src: &View, level: u8) -> Result<Vec<u8>> {
-    // What PNG stores for each format; the rest is converted first (PNG is red first, 16 bit big-endian).
+    // Formats that PNG cannot store are converted first (PNG is red first, 16 bits are big-endian).
     let (target, color, depth) = match src.shape.format {
         Format::Gray8 => (Format::Gray8, ColorType::Grayscale, BitDepth::Eight),
         Format::Gray16 => (Format::Gray16, ColorType::Grayscale, BitDepth::Sixteen),
@@ -46,7 +46,7 @@ pub fn encode(src: &View, level: u8) -> Result<Vec<u8>> {
             w.write_image_data(&pixels)?;
             w.finish()
         })
-        .map_err(bad)?;
+        .map_err(png_error)?;
     Ok(out)
 }
 
@@ -54,21 +54,21 @@ fn swap_bytes(pixels: &mut [u8]) {
     pixels.chunks_exact_mut(2).for_each(|p| p.swap(0, 1));
 }
 
-/// A decoded PNG in its own format: grey, grey 16, rgb24, rgba32 or rgba64.
+/// A decoded PNG in its native format: gray8, gray16, rgb24, rgba32 or rgba64.
 pub struct Decoded {
     /// Size and format.
     pub shape: Shape,
-    /// Rows without gaps, channels of 16 bits little-endian.
+    /// Contiguous rows; channels of 16 bits are little-endian.
     pub pixels: Vec<u8>,
 }
 
-/// Deflate shrinks at most 1032 times: a header that claims more than the bytes there can hold is refused before
-/// anything is allocated.
+/// Decodes a PNG. Deflate compresses by a factor of at most 1032, so a header that claims more pixels than the bytes
+/// can contain is rejected before allocating memory.
 pub fn decode(bytes: &[u8]) -> Result<Decoded> {
     let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MAX_BYTES });
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
-    let info = decoder.read_header_info().map_err(bad)?;
+    let info = decoder.read_header_info().map_err(png_error)?;
     let claimed = info.width as u64 * info.height as u64 * info.bits_per_pixel() as u64 / 8;
     if claimed > bytes.len() as u64 * 1032 + 4096 {
         return fail(
@@ -81,21 +81,18 @@ pub fn decode(bytes: &[u8]) -> Result<Decoded> {
             ),
         );
     }
-    let mut reader = decoder.read_info().map_err(bad)?;
+    let mut reader = decoder.read_info().map_err(png_error)?;
     let size = reader.output_buffer_size().filter(|n| *n <= MAX_BYTES);
     let Some(size) = size else {
-        return fail(
-            Code::TooLarge,
-            "PNG: the picture would take more than 1 GiB",
-        );
+        return fail(Code::TooLarge, "PNG: the image would need more than 1 GiB");
     };
     let mut pixels = Vec::new();
-    pixels.try_reserve_exact(size).map_err(bad)?;
+    pixels.try_reserve_exact(size).map_err(png_error)?;
     pixels.resize(size, 0);
-    let frame = reader.next_frame(&mut pixels).map_err(bad)?;
+    let frame = reader.next_frame(&mut pixels).map_err(png_error)?;
     pixels.truncate(frame.buffer_size());
     let (color, depth) = (frame.color_type, frame.bit_depth);
-    expand(
+    expand_pixels(
         frame.width as usize,
         frame.height as usize,
         color,
@@ -104,7 +101,7 @@ pub fn decode(bytes: &[u8]) -> Result<Decoded> {
     )
 }
 
-fn expand(
+fn expand_pixels(
     w: usize,
     h: usize,
     color: ColorType,
@@ -122,10 +119,13 @@ fn expand(
         (ColorType::Rgb, false) => (Format::Rgb24, pixels),
         (ColorType::Rgba, false) => (Format::Rgba32, pixels),
         (ColorType::Rgba, true) => (Format::Rgba64, pixels),
-        (ColorType::Rgb, true) => (Format::Rgba64, widen(&pixels, 6, &[0, 1, 2, 3, 4, 5])),
+        (ColorType::Rgb, true) => (
+            Format::Rgba64,
+            append_opaque_alpha(&pixels, 6, &[0, 1, 2, 3, 4, 5]),
+        ),
         (ColorType::GrayscaleAlpha, false) => (Format::Rgba32, gray_alpha8(&pixels)),
         (ColorType::GrayscaleAlpha, true) => (Format::Rgba64, gray_alpha16(&pixels)),
-        (ColorType::Indexed, _) => return fail(Code::BadPng, "PNG: palette was not expanded"),
+        (ColorType::Indexed, _) => return fail(Code::BadPng, "PNG: the palette was not expanded"),
     };
     let shape = Shape::new(w, h, format)?;
     if pixels.len() != shape.bytes() {
@@ -134,7 +134,7 @@ fn expand(
     Ok(Decoded { shape, pixels })
 }
 
-fn widen(pixels: &[u8], size: usize, order: &[usize]) -> Vec<u8> {
+fn append_opaque_alpha(pixels: &[u8], size: usize, order: &[usize]) -> Vec<u8> {
     pixels
         .chunks_exact(size)
         .flat_map(|p| {

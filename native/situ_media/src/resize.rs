@@ -1,28 +1,28 @@
-//! Resizing, by the `fast_image_resize` crate (compiled in `situ_resize`).
+//! Resizing with the `fast_image_resize` crate (compiled in `situ_resize`).
 
 use crate::area;
 use crate::error::{Code, Error, Result};
-use crate::picture::{Format, Shape, View};
+use crate::image::{Format, Shape, View};
 use situ_resize::{resize_pixels, FilterType, PixelLayout, ResizeAlg, ResizeOptions};
 
-/// Which pixels of the source make one of the result, and by which weights.
+/// How the pixels of the source are weighted to compute a pixel of the result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
-    /// The pixel at the same place.
+    /// The nearest pixel.
     Nearest,
-    /// Two by two pixels whatever the scale: what OpenCV calls INTER_LINEAR.
+    /// 2 x 2 pixels regardless of the scale, like INTER_LINEAR in OpenCV.
     Bilinear,
-    /// Four by four pixels (Catmull-Rom), whatever the scale.
+    /// 4 x 4 pixels (Catmull-Rom) regardless of the scale.
     Bicubic,
-    /// The mean of the pixels covered: for shrinking.
+    /// The mean of the covered pixels, for shrinking.
     Area,
-    /// Bilinear over all pixels covered: shrinks without jagged edges, as Pillow does.
+    /// Bilinear over all covered pixels: shrinks without jagged edges, like Pillow.
     Smooth,
-    /// Six by six pixels or all covered; sharpest and slowest.
+    /// 6 x 6 pixels or all covered pixels; the sharpest and slowest filter.
     Lanczos,
 }
 
-fn algorithm(filter: Filter) -> ResizeAlg {
+fn resize_algorithm(filter: Filter) -> ResizeAlg {
     match filter {
         Filter::Nearest => ResizeAlg::Nearest,
         Filter::Bilinear => ResizeAlg::Interpolation(FilterType::Bilinear),
@@ -32,37 +32,42 @@ fn algorithm(filter: Filter) -> ResizeAlg {
     }
 }
 
-/// Resizes `src` to `shape` (same format) into `out`. Colours are weighted by alpha where there is one.
-pub fn resize(src: &View, shape: Shape, filter: Filter, out: &mut [u8]) -> Result<()> {
+/// Resizes `src` to `shape` (of the same format) into `out`. Colors are weighted by the alpha channel, if there is
+/// one.
+pub fn resize_image(src: &View, shape: Shape, filter: Filter, out: &mut [u8]) -> Result<()> {
     if filter == Filter::Area {
-        area::resize(src, shape, out);
+        area::resize_by_area(src, shape, out);
         return Ok(());
     }
-    let tight = src.tight();
-    // 16-bit kernels ask for 2-byte alignment, which a part of a binary need not have.
+    let tight = src.packed_pixels();
+    // 16-bit kernels require 2-byte alignment, which a sub-binary may not have.
     let aligned: Vec<u16>;
     let odd =
         src.shape.format.bytes_per_channel() == 2 && !(tight.as_ptr() as usize).is_multiple_of(2);
     let bytes: &[u8] = if odd {
-        aligned = words(&tight);
+        aligned = to_words(&tight);
         as_bytes(&aligned)
     } else {
         &tight
     };
     let options = ResizeOptions::new()
-        .resize_alg(algorithm(filter))
+        .resize_alg(resize_algorithm(filter))
         .use_alpha(src.shape.format.has_alpha() && filter != Filter::Nearest);
     let from = (src.shape.width as u32, src.shape.height as u32);
     let to = (shape.width as u32, shape.height as u32);
-    resize_pixels(layout(src.shape.format), (from, bytes), (to, out), &options).map_err(|what| {
-        Error {
-            code: Code::Failed,
-            what,
-        }
+    resize_pixels(
+        pixel_layout(src.shape.format),
+        (from, bytes),
+        (to, out),
+        &options,
+    )
+    .map_err(|what| Error {
+        code: Code::Failed,
+        what,
     })
 }
 
-fn layout(format: Format) -> PixelLayout {
+fn pixel_layout(format: Format) -> PixelLayout {
     match format {
         Format::Gray8 => PixelLayout::U8,
         Format::Gray16 => PixelLayout::U16,
@@ -72,7 +77,7 @@ fn layout(format: Format) -> PixelLayout {
     }
 }
 
-fn words(bytes: &[u8]) -> Vec<u16> {
+fn to_words(bytes: &[u8]) -> Vec<u16> {
     bytes
         .chunks_exact(2)
         .map(|b| u16::from_ne_bytes([b[0], b[1]]))

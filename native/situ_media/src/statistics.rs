@@ -1,23 +1,23 @@
-//! Numbers about a picture, per channel in memory order.
+//! Statistics of an image for each channel, in memory order.
 
-use crate::picture::View;
+use crate::image::View;
 
-/// One channel's values, as stored (0..255 or 0..65,535).
+/// The statistics of a channel's values as stored (0..255 or 0..65,535).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Channel {
-    /// The least value.
+    /// The minimum.
     pub min: u32,
-    /// The greatest.
+    /// The maximum.
     pub max: u32,
-    /// Their mean.
+    /// The mean.
     pub mean: f64,
-    /// Their standard deviation, of the population.
+    /// The standard deviation of the population.
     pub deviation: f64,
 }
 
-/// Visits every channel value as (channel, value).
-fn each(src: &View, mut f: impl FnMut(usize, u32)) {
-    let channels = src.shape.format.channels();
+/// Calls `f` with every (channel, value).
+fn for_each_value(src: &View, mut f: impl FnMut(usize, u32)) {
+    let channels = src.shape.format.channel_count();
     if src.shape.format.bytes_per_channel() == 2 {
         for row in src.rows() {
             for (i, p) in row.chunks_exact(2).enumerate() {
@@ -33,12 +33,12 @@ fn each(src: &View, mut f: impl FnMut(usize, u32)) {
     }
 }
 
-/// Minimum, maximum, mean and standard deviation (of the population).
-pub fn channels(src: &View) -> Vec<Channel> {
-    let n = src.shape.format.channels();
+/// Returns the minimum, maximum, mean and standard deviation of each channel.
+pub fn channel_statistics(src: &View) -> Vec<Channel> {
+    let n = src.shape.format.channel_count();
     let mut min = [u32::MAX; 4];
     let (mut max, mut sum, mut squares) = ([0u32; 4], [0u64; 4], [0u64; 4]);
-    each(src, |c, v| {
+    for_each_value(src, |c, v| {
         min[c] = min[c].min(v);
         max[c] = max[c].max(v);
         sum[c] += v as u64;
@@ -59,14 +59,14 @@ pub fn channels(src: &View) -> Vec<Channel> {
         .collect()
 }
 
-/// 256 bins a channel; 16-bit values are binned by their high byte.
-pub fn histogram(src: &View) -> Vec<Vec<u32>> {
+/// Returns 256 bins for each channel; 16-bit values are binned by their high byte.
+pub fn channel_histograms(src: &View) -> Vec<Vec<u32>> {
     let shift = if src.shape.format.bytes_per_channel() == 2 {
         8
     } else {
         0
     };
-    let mut bins = vec![vec![0u32; 256]; src.shape.format.channels()];
-    each(src, |c, v| bins[c][(v >> shift) as usize] += 1);
+    let mut bins = vec![vec![0u32; 256]; src.shape.format.channel_count()];
+    for_each_value(src, |c, v| bins[c][(v >> shift) as usize] += 1);
     bins
 }

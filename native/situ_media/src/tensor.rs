@@ -1,30 +1,30 @@
-//! Pictures as the numbers models eat.
+//! Converts images to input tensors for models.
 
 use crate::error::{fail, Code, Result};
-use crate::picture::{Format, Shape, View};
+use crate::image::{Format, Shape, View};
 
-/// How channel values become a tensor's numbers.
+/// How channel values are converted to the elements of a tensor.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     /// Channels first (NCHW) or last (NHWC).
     pub channels_first: bool,
-    /// `value * scale + offset`.
+    /// The factor of each value.
     pub scale: f32,
-    /// Added after scaling.
+    /// The number added after scaling.
     pub offset: f32,
 }
 
-/// Bytes of the f32 tensor: alpha and unused channels are left out.
-pub fn bytes(shape: Shape) -> Result<usize> {
-    let channels = shape.format.channels().min(3);
+/// Returns the bytes of the f32 tensor. Alpha and unused channels are left out.
+pub fn tensor_bytes(shape: Shape) -> Result<usize> {
+    let channels = shape.format.channel_count().min(3);
     let n = shape.width * shape.height * channels * 4;
-    if n > crate::picture::MAX_BYTES {
-        return fail(Code::TooLarge, "the tensor would take more than 1 GiB");
+    if n > crate::image::MAX_BYTES {
+        return fail(Code::TooLarge, "the tensor would need more than 1 GiB");
     }
     Ok(n)
 }
 
-/// f32, native order, red first for colour.
+/// Writes the image as f32 in native byte order; the red channel is first.
 pub fn to_f32(src: &View, layout: Layout, out: &mut [u8]) {
     let format = src.shape.format;
     let order: &[usize] = match format {
@@ -32,7 +32,7 @@ pub fn to_f32(src: &View, layout: Layout, out: &mut [u8]) {
         Format::Bgr24 | Format::Bgrx32 | Format::Bgra32 => &[2, 1, 0],
         _ => &[0, 1, 2],
     };
-    let (size, depth) = (format.bytes(), format.bytes_per_channel());
+    let (size, depth) = (format.pixel_bytes(), format.bytes_per_channel());
     let plane = src.shape.width * src.shape.height;
     let mut i = 0;
     for row in src.rows() {

@@ -1,21 +1,21 @@
-//! Frames of cameras and decoders as luma and subsampled colour differences (BT.601, 16..235), turned into pictures.
+//! Converts frames of cameras and decoders with luma and subsampled chroma (BT.601, 16..235) to images.
 
 use crate::error::{fail, Code, Result};
-use crate::picture::{Format, Shape};
+use crate::image::{Format, Shape};
 
-/// How luma (Y) and colour differences (U, V) of a frame lie in memory, 8 bits each, rows without gaps.
+/// The memory layout of luma (Y) and chroma (U, V) of a frame, 8 bits each, with contiguous rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// Luma plane, then interleaved U and V of every 2 x 2 pixels.
+    /// A luma plane, followed by the interleaved U and V of every 2 x 2 pixels.
     Nv12,
-    /// Luma, U and V planes.
+    /// A luma, a U and a V plane.
     I420,
-    /// Y U Y V for two pixels.
+    /// Y U Y V for every two pixels.
     Yuyv,
 }
 
-/// The picture's shape, when the bytes are exactly what such a frame takes.
-pub fn shape(bytes: usize, layout: Layout, width: usize, height: usize) -> Result<Shape> {
+/// Returns the shape of the image if the number of bytes is exactly that of such a frame.
+pub fn frame_shape(bytes: usize, layout: Layout, width: usize, height: usize) -> Result<Shape> {
     let shape = Shape::new(width, height, Format::Bgr24)?;
     let even = width.is_multiple_of(2) && (layout == Layout::Yuyv || height.is_multiple_of(2));
     let needed = match layout {
@@ -26,7 +26,7 @@ pub fn shape(bytes: usize, layout: Layout, width: usize, height: usize) -> Resul
         return fail(
             Code::BadImage,
             format!(
-                "{bytes} bytes are no {width}x{height} frame (even sides, {needed} bytes needed)"
+                "{bytes} bytes are not a {width}x{height} frame (the sides must be even, and {needed} bytes are needed)"
             ),
         );
     }
@@ -34,20 +34,20 @@ pub fn shape(bytes: usize, layout: Layout, width: usize, height: usize) -> Resul
 }
 
 #[inline(always)]
-fn put(y: u8, u: u8, v: u8, out: &mut [u8]) {
+fn write_bgr(y: u8, u: u8, v: u8, out: &mut [u8]) {
     let (c, d, e) = (298 * (y as i32 - 16), u as i32 - 128, v as i32 - 128);
     out[0] = ((c + 516 * d + 128) >> 8).clamp(0, 255) as u8;
     out[1] = ((c - 100 * d - 208 * e + 128) >> 8).clamp(0, 255) as u8;
     out[2] = ((c + 409 * e + 128) >> 8).clamp(0, 255) as u8;
 }
 
-/// Into :bgr24; `shape` has checked the sizes.
+/// Converts a frame to :bgr24. `frame_shape` must have checked the sizes.
 pub fn to_bgr(data: &[u8], layout: Layout, shape: Shape, out: &mut [u8]) {
     let (w, h) = (shape.width, shape.height);
     if layout == Layout::Yuyv {
         for (p, o) in data.chunks_exact(4).zip(out.chunks_exact_mut(6)) {
-            put(p[0], p[1], p[3], &mut o[..3]);
-            put(p[2], p[1], p[3], &mut o[3..]);
+            write_bgr(p[0], p[1], p[3], &mut o[..3]);
+            write_bgr(p[2], p[1], p[3], &mut o[3..]);
         }
         return;
     }
@@ -68,7 +68,7 @@ pub fn to_bgr(data: &[u8], layout: Layout, shape: Shape, out: &mut [u8]) {
                     (chroma[at], chroma[w * h / 4 + at])
                 }
             };
-            put(*l, u, v, o);
+            write_bgr(*l, u, v, o);
         }
     }
 }

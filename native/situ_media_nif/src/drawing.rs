@@ -1,11 +1,11 @@
-//! Figures on a picture as terms: `{:shape, {:line, {0.0, 0.0}, {9.0, 5.0}, 1.0}, color}`, `{:text, ...}`.
+//! Figures and text to draw, as terms: `{:shape, {:line, {0.0, 0.0}, {9.0, 5.0}, 1.0}, color}`, `{:text, ...}`.
 
 use rustler::{Binary, Env, NifTaggedEnum, Term};
 use situ_media::draw::{self, Figure};
 use situ_media::error::{fail, Code, Result};
-use situ_media::picture::View;
+use situ_media::image::View;
 use situ_media::text::{Style, Typeface};
-use situ_media_term::picture;
+use situ_media_term::build_image;
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
@@ -14,7 +14,7 @@ type Point = (f64, f64);
 type Color = (f64, f64, f64, f64);
 
 #[derive(NifTaggedEnum)]
-pub enum Shape {
+pub enum FigureTerm {
     Line(Point, Point, f64),
     /// Left, top, width, height.
     Rectangle((f64, f64, f64, f64), Option<f64>),
@@ -22,9 +22,9 @@ pub enum Shape {
 }
 
 #[derive(NifTaggedEnum)]
-pub enum Drawn<'a> {
-    Shape(Shape, Color),
-    /// Place and height of a capital, colour, background, text, font files.
+pub enum Drawing<'a> {
+    Shape(FigureTerm, Color),
+    /// Position and height of a capital letter, color, background, text, font files.
     Text(
         (f64, f64, f64),
         Color,
@@ -34,46 +34,46 @@ pub enum Drawn<'a> {
     ),
 }
 
-impl From<&Shape> for Figure {
-    fn from(shape: &Shape) -> Figure {
+impl From<&FigureTerm> for Figure {
+    fn from(shape: &FigureTerm) -> Figure {
         match *shape {
-            Shape::Line(from, to, width) => Figure::Line { from, to, width },
-            Shape::Rectangle(place, width) => Figure::Rectangle(place.into(), width),
-            Shape::Circle(middle, radius, width) => Figure::Circle(middle, radius, width),
+            FigureTerm::Line(from, to, width) => Figure::Line { from, to, width },
+            FigureTerm::Rectangle(rect, width) => Figure::Rectangle(rect.into(), width),
+            FigureTerm::Circle(center, radius, width) => Figure::Circle(center, radius, width),
         }
     }
 }
 
-/// A copy of the picture with everything on it, in order.
-pub fn draw<'a>(env: Env<'a>, view: &View, all: &[Drawn]) -> Result<Term<'a>> {
-    picture(env, view.shape, |out| {
+/// Returns a copy of the image with all figures drawing on it, in order.
+pub fn draw_figures<'a>(env: Env<'a>, view: &View, all: &[Drawing]) -> Result<Term<'a>> {
+    build_image(env, view.shape, |out| {
         for (to, from) in out
             .chunks_exact_mut(view.shape.row_bytes())
             .zip(view.rows())
         {
             to.copy_from_slice(from);
         }
-        for drawn in all {
-            match drawn {
-                Drawn::Shape(shape, color) => {
-                    draw::draw(&shape.into(), (*color).into(), view.shape, out)?
+        for drawing in all {
+            match drawing {
+                Drawing::Shape(shape, color) => {
+                    draw::draw_figure(&shape.into(), (*color).into(), view.shape, out)?
                 }
-                text => write(text, view, out)?,
+                text => draw_text(text, view, out)?,
             }
         }
         Ok(())
     })
 }
 
-fn write(drawn: &Drawn, view: &View, out: &mut [u8]) -> Result<()> {
-    let Drawn::Text((x, y, size), color, background, text, fonts) = drawn else {
+fn draw_text(drawing: &Drawing, view: &View, out: &mut [u8]) -> Result<()> {
+    let Drawing::Text((x, y, size), color, background, text, fonts) = drawing else {
         return Ok(());
     };
-    // Far enough for every picture, near enough for whole numbers of pixels.
+    // Beyond any image, but pixel numbers stay exact integers.
     if x.abs().max(y.abs()) > draw::REACH {
         return fail(
             Code::BadOption,
-            "text must lie within 1,000,000 pixels of the picture",
+            "text must be within 1,000,000 pixels of the image",
         );
     }
     let style = Style {
@@ -82,10 +82,10 @@ fn write(drawn: &Drawn, view: &View, out: &mut [u8]) -> Result<()> {
         color: (*color).into(),
         background: background.map(Into::into),
     };
-    typeface(fonts)?.draw(text, &style, view.shape, out)
+    open_typeface(fonts)?.draw(text, &style, view.shape, out)
 }
 
-pub fn typeface(paths: &[Binary]) -> Result<Typeface> {
+pub fn open_typeface(paths: &[Binary]) -> Result<Typeface> {
     Typeface::open(
         paths
             .iter()

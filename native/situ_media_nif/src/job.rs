@@ -1,20 +1,20 @@
-//! Picture kernels as terms: `{:resize, image, width, height, :bilinear}`.
+//! Image kernels as terms: `{:resize, image, width, height, :bilinear}`.
 
-use crate::drawing::{draw, typeface, Drawn};
+use crate::drawing::{draw_figures, open_typeface, Drawing};
 use rustler::{Binary, Encoder, Env, NifTaggedEnum, NifUnitEnum, Term};
 use situ_media::convolve::Kernel;
 use situ_media::depth::PseudoColor;
 use situ_media::error::Result;
 use situ_media::geometry::Axis;
+use situ_media::image::View;
 use situ_media::jpeg::{self, Subsampling};
 use situ_media::op::Op;
-use situ_media::picture::View;
 use situ_media::pixelwise::Threshold;
 use situ_media::resize::Filter;
 use situ_media::{compare, png_file, statistics, tensor, yuv};
-use situ_media_term::{allocate, binary, picture, Picture, PixelFormat};
+use situ_media_term::{allocate_binary, build_image, copy_to_binary, ImageTerm, PixelFormat};
 
-macro_rules! mirror {
+macro_rules! mirror_enum {
     ($name:ident => $target:ty { $($variant:ident),* }) => {
         #[derive(Clone, Copy, NifUnitEnum)]
         pub enum $name { $($variant),* }
@@ -26,50 +26,58 @@ macro_rules! mirror {
     };
 }
 
-mirror!(FilterTerm => Filter { Nearest, Bilinear, Bicubic, Area, Smooth, Lanczos });
-mirror!(AxisTerm => Axis { Horizontal, Vertical, Both });
-mirror!(ThresholdTerm => Threshold { Binary, BinaryInverted, Truncate, ToZero, ToZeroInverted });
-mirror!(SubsamplingTerm => Subsampling { Full, Half, Quarter });
+mirror_enum!(FilterTerm => Filter { Nearest, Bilinear, Bicubic, Area, Smooth, Lanczos });
+mirror_enum!(AxisTerm => Axis { Horizontal, Vertical, Both });
+mirror_enum!(ThresholdTerm => Threshold { Binary, BinaryInverted, Truncate, ToZero, ToZeroInverted });
+mirror_enum!(SubsamplingTerm => Subsampling { Full, Half, Quarter });
 
-mirror!(YuvTerm => yuv::Layout { Nv12, I420, Yuyv });
+mirror_enum!(YuvTerm => yuv::Layout { Nv12, I420, Yuyv });
 
 #[derive(NifTaggedEnum)]
 pub enum Job<'a> {
-    Convert(Picture<'a>, PixelFormat),
-    Crop(Picture<'a>, i64, i64, i64, i64),
-    Resize(Picture<'a>, u32, u32, FilterTerm),
-    Letterbox(Picture<'a>, u32, u32, FilterTerm, Binary<'a>),
-    Flip(Picture<'a>, AxisTerm),
-    QuarterTurns(Picture<'a>, u32),
-    Invert(Picture<'a>),
-    Threshold(Picture<'a>, u32, u32, ThresholdTerm),
-    ExtractChannel(Picture<'a>, u32),
-    AbsoluteDifference(Picture<'a>, Picture<'a>),
-    Convolve(Picture<'a>, u32, u32, Vec<i32>),
-    PseudoColorize(Picture<'a>, f64, f64, u16, bool),
-    Paste(Picture<'a>, Picture<'a>, Option<Picture<'a>>, i64, i64),
-    Statistics(Picture<'a>, Option<(i64, i64, i64, i64)>),
-    Histogram(Picture<'a>, Option<(i64, i64, i64, i64)>),
-    Compare(Picture<'a>, Picture<'a>, u32),
-    ToF32(Picture<'a>, bool, f32, f32),
-    JpegEncode(Picture<'a>, i32, SubsamplingTerm),
+    Convert(ImageTerm<'a>, PixelFormat),
+    Crop(ImageTerm<'a>, i64, i64, i64, i64),
+    Resize(ImageTerm<'a>, u32, u32, FilterTerm),
+    Letterbox(ImageTerm<'a>, u32, u32, FilterTerm, Binary<'a>),
+    Flip(ImageTerm<'a>, AxisTerm),
+    QuarterTurns(ImageTerm<'a>, u32),
+    Invert(ImageTerm<'a>),
+    Threshold(ImageTerm<'a>, u32, u32, ThresholdTerm),
+    ExtractChannel(ImageTerm<'a>, u32),
+    AbsoluteDifference(ImageTerm<'a>, ImageTerm<'a>),
+    Convolve(ImageTerm<'a>, u32, u32, Vec<i32>),
+    PseudoColorize(ImageTerm<'a>, f64, f64, u16, bool),
+    Paste(
+        ImageTerm<'a>,
+        ImageTerm<'a>,
+        Option<ImageTerm<'a>>,
+        i64,
+        i64,
+    ),
+    Statistics(ImageTerm<'a>, Option<(i64, i64, i64, i64)>),
+    Histogram(ImageTerm<'a>, Option<(i64, i64, i64, i64)>),
+    Compare(ImageTerm<'a>, ImageTerm<'a>, u32),
+    ToF32(ImageTerm<'a>, bool, f32, f32),
+    JpegEncode(ImageTerm<'a>, i32, SubsamplingTerm),
     JpegHeader(Binary<'a>),
     JpegDecode(Binary<'a>, Option<PixelFormat>),
-    PngEncode(Picture<'a>, u8),
+    PngEncode(ImageTerm<'a>, u8),
     PngDecode(Binary<'a>),
     YuvDecode(Binary<'a>, YuvTerm, u32, u32),
-    Draw(Picture<'a>, Vec<Drawn<'a>>),
-    /// Text, height of a capital, font files.
+    Draw(ImageTerm<'a>, Vec<Drawing<'a>>),
+    /// Text, height of a capital letter, font files.
     MeasureText(&'a str, f64, Vec<Binary<'a>>),
 }
 
 impl<'a> Job<'a> {
     pub fn run(&self, env: Env<'a>) -> Result<Term<'a>> {
         match self {
-            Job::Statistics(p, rect) => Ok(statistics_term(env, &part(p, rect)?)),
-            Job::Histogram(p, rect) => Ok(statistics::histogram(&part(p, rect)?).encode(env)),
+            Job::Statistics(p, rect) => Ok(statistics_term(env, &crop_view(p, rect)?)),
+            Job::Histogram(p, rect) => {
+                Ok(statistics::channel_histograms(&crop_view(p, rect)?).encode(env))
+            }
             Job::Compare(a, b, tolerance) => {
-                let d = compare::compare(&a.view()?, &b.view()?, *tolerance)?;
+                let d = compare::compare_images(&a.view()?, &b.view()?, *tolerance)?;
                 Ok((d.max, d.mean, d.outliers).encode(env))
             }
             Job::ToF32(p, channels_first, scale, offset) => {
@@ -78,73 +86,76 @@ impl<'a> Job<'a> {
                     scale: *scale,
                     offset: *offset,
                 };
-                to_f32(env, &p.view()?, layout)
+                tensor_term(env, &p.view()?, layout)
             }
             Job::JpegEncode(p, quality, subsampling) => {
                 let bytes = jpeg::encode(&p.view()?, *quality, (*subsampling).into())?;
-                Ok(binary(env, &bytes)?.encode(env))
+                Ok(copy_to_binary(env, &bytes)?.encode(env))
             }
             Job::JpegHeader(bytes) => {
-                let shape = jpeg::header(bytes, None)?;
+                let shape = jpeg::read_shape(bytes, None)?;
                 Ok((shape.width, shape.height).encode(env))
             }
             Job::JpegDecode(bytes, format) => {
-                let shape = jpeg::header(bytes, format.map(Into::into))?;
-                picture(env, shape, |out| jpeg::decode(bytes, shape, out))
+                let shape = jpeg::read_shape(bytes, format.map(Into::into))?;
+                build_image(env, shape, |out| jpeg::decode(bytes, shape, out))
             }
             Job::PngEncode(p, level) => {
                 let bytes = png_file::encode(&p.view()?, *level)?;
-                Ok(binary(env, &bytes)?.encode(env))
+                Ok(copy_to_binary(env, &bytes)?.encode(env))
             }
             Job::PngDecode(bytes) => {
                 let png = png_file::decode(bytes)?;
-                picture(env, png.shape, |out| {
+                build_image(env, png.shape, |out| {
                     out.copy_from_slice(&png.pixels);
                     Ok(())
                 })
             }
             Job::YuvDecode(bytes, layout, width, height) => {
                 let layout = (*layout).into();
-                let shape = yuv::shape(bytes.len(), layout, *width as usize, *height as usize)?;
-                picture(env, shape, |out| {
+                let shape =
+                    yuv::frame_shape(bytes.len(), layout, *width as usize, *height as usize)?;
+                build_image(env, shape, |out| {
                     yuv::to_bgr(bytes, layout, shape, out);
                     Ok(())
                 })
             }
-            Job::Draw(p, all) => draw(env, &p.view()?, all),
+            Job::Draw(p, all) => draw_figures(env, &p.view()?, all),
             Job::MeasureText(text, size, fonts) => {
-                Ok(typeface(fonts)?.measure(text, *size)?.encode(env))
+                Ok(open_typeface(fonts)?.measure(text, *size)?.encode(env))
             }
             _ => self.run_op(env),
         }
     }
 
-    /// The jobs whose result is a picture of a shape known beforehand.
+    /// Runs the jobs whose result is an image with a shape known beforehand.
     fn run_op(&self, env: Env<'a>) -> Result<Term<'a>> {
         match self {
-            Job::Convert(p, format) => apply(env, p, Op::Convert((*format).into())),
-            Job::Crop(p, x, y, w, h) => apply(env, p, Op::Crop(*x, *y, *w, *h)),
+            Job::Convert(p, format) => apply_op(env, p, Op::Convert((*format).into())),
+            Job::Crop(p, x, y, w, h) => apply_op(env, p, Op::Crop(*x, *y, *w, *h)),
             Job::Resize(p, w, h, filter) => {
                 let op = Op::Resize(*w as usize, *h as usize, (*filter).into());
-                apply(env, p, op)
+                apply_op(env, p, op)
             }
             Job::Letterbox(p, w, h, filter, pixel) => {
                 let pixel = pixel.as_slice().to_vec();
                 let op = Op::Letterbox(*w as usize, *h as usize, (*filter).into(), pixel);
-                apply(env, p, op)
+                apply_op(env, p, op)
             }
-            Job::Flip(p, axis) => apply(env, p, Op::Flip((*axis).into())),
-            Job::QuarterTurns(p, turns) => apply(env, p, Op::QuarterTurns(*turns)),
-            Job::Invert(p) => apply(env, p, Op::Invert),
+            Job::Flip(p, axis) => apply_op(env, p, Op::Flip((*axis).into())),
+            Job::QuarterTurns(p, turns) => apply_op(env, p, Op::QuarterTurns(*turns)),
+            Job::Invert(p) => apply_op(env, p, Op::Invert),
             Job::Threshold(p, t, max, kind) => {
-                apply(env, p, Op::Threshold(*t, *max, (*kind).into()))
+                apply_op(env, p, Op::Threshold(*t, *max, (*kind).into()))
             }
-            Job::ExtractChannel(p, channel) => apply(env, p, Op::ExtractChannel(*channel as usize)),
-            Job::AbsoluteDifference(a, b) => apply(env, a, Op::AbsoluteDifference(b.view()?)),
+            Job::ExtractChannel(p, channel) => {
+                apply_op(env, p, Op::ExtractChannel(*channel as usize))
+            }
+            Job::AbsoluteDifference(a, b) => apply_op(env, a, Op::AbsoluteDifference(b.view()?)),
             Job::Convolve(p, width, height, taps) => {
                 let (width, height) = (*width as usize, *height as usize);
                 let taps = taps.clone();
-                apply(
+                apply_op(
                     env,
                     p,
                     Op::Convolve(Kernel {
@@ -162,40 +173,40 @@ impl<'a> Job<'a> {
                     invalid,
                     transparent,
                 };
-                apply(env, p, Op::PseudoColorize(how))
+                apply_op(env, p, Op::PseudoColorize(how))
             }
             Job::Paste(p, part, mask, x, y) => {
-                let mask = mask.as_ref().map(Picture::view).transpose()?;
-                apply(env, p, Op::Paste(part.view()?, mask, *x, *y))
+                let mask = mask.as_ref().map(ImageTerm::view).transpose()?;
+                apply_op(env, p, Op::Paste(part.view()?, mask, *x, *y))
             }
-            _ => situ_media::error::fail(situ_media::error::Code::Failed, "not a picture job"),
+            _ => situ_media::error::fail(situ_media::error::Code::Failed, "not an image job"),
         }
     }
 }
 
-fn apply<'a>(env: Env<'a>, source: &Picture<'a>, op: Op) -> Result<Term<'a>> {
+fn apply_op<'a>(env: Env<'a>, source: &ImageTerm<'a>, op: Op) -> Result<Term<'a>> {
     let view = source.view()?;
-    let shape = op.shape(&view)?;
-    picture(env, shape, |out| op.run(&view, shape, out))
+    let shape = op.result_shape(&view)?;
+    build_image(env, shape, |out| op.run(&view, shape, out))
 }
 
-fn part<'v>(p: &'v Picture, rect: &Option<(i64, i64, i64, i64)>) -> Result<View<'v>> {
+fn crop_view<'v>(p: &'v ImageTerm, rect: &Option<(i64, i64, i64, i64)>) -> Result<View<'v>> {
     match rect {
         None => p.view(),
-        Some((x, y, w, h)) => p.view()?.part(*x, *y, *w, *h),
+        Some((x, y, w, h)) => p.view()?.crop(*x, *y, *w, *h),
     }
 }
 
 fn statistics_term<'a>(env: Env<'a>, view: &View) -> Term<'a> {
-    statistics::channels(view)
+    statistics::channel_statistics(view)
         .into_iter()
         .map(|c| (c.min, c.max, c.mean, c.deviation))
         .collect::<Vec<_>>()
         .encode(env)
 }
 
-fn to_f32<'a>(env: Env<'a>, view: &View, layout: tensor::Layout) -> Result<Term<'a>> {
-    let mut out = allocate(tensor::bytes(view.shape)?)?;
+fn tensor_term<'a>(env: Env<'a>, view: &View, layout: tensor::Layout) -> Result<Term<'a>> {
+    let mut out = allocate_binary(tensor::tensor_bytes(view.shape)?)?;
     tensor::to_f32(view, layout, out.as_mut_slice());
     Ok(out.release(env).encode(env))
 }

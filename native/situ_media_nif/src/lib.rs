@@ -1,36 +1,36 @@
-//! BEAM glue of situ_media: decode, call, encode. No algorithms here.
+//! The BEAM bindings of situ_media: they decode, call and encode, and contain no algorithms.
 //!
-//! Every kernel is a `Job`; the Elixir side sends small ones to `run` (on the calling scheduler, with their time
-//! charged) and large ones to `run_dirty`.
+//! Every kernel is a `Job`. The Elixir side sends small jobs to `run` (on the calling scheduler, charging their time
+//! to the process) and large ones to `run_dirty`.
 
+mod audio;
+mod audio_job;
 mod drawing;
 mod job;
-mod sound;
-mod sound_job;
 
+use audio_job::AudioJob;
 use job::Job;
 use rustler::{Env, Term};
-use situ_media_term::{charged, reply};
-use sound_job::SoundJob;
+use situ_media_term::{encode_reply, run_charged};
 
 #[rustler::nif]
 fn run<'a>(env: Env<'a>, job: Job<'a>) -> Term<'a> {
-    charged(env, || reply(env, job.run(env)))
+    run_charged(env, || encode_reply(env, job.run(env)))
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn run_dirty<'a>(env: Env<'a>, job: Job<'a>) -> Term<'a> {
-    reply(env, job.run(env))
+    encode_reply(env, job.run(env))
 }
 
 #[rustler::nif]
-fn run_sound<'a>(env: Env<'a>, job: SoundJob<'a>) -> Term<'a> {
-    charged(env, || reply(env, job.run(env)))
+fn run_sound<'a>(env: Env<'a>, job: AudioJob<'a>) -> Term<'a> {
+    run_charged(env, || encode_reply(env, job.run(env)))
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
-fn run_sound_dirty<'a>(env: Env<'a>, job: SoundJob<'a>) -> Term<'a> {
-    reply(env, job.run(env))
+fn run_sound_dirty<'a>(env: Env<'a>, job: AudioJob<'a>) -> Term<'a> {
+    encode_reply(env, job.run(env))
 }
 
 rustler::init!("Elixir.Situ.Media.Native", load = situ_media_term::load);

@@ -1,4 +1,4 @@
-//! Media structs as BEAM terms, for every library that handles them.
+//! Media structs as BEAM terms, shared by the NIF libraries that use them.
 
 mod memory;
 
@@ -6,7 +6,7 @@ pub use memory::load;
 
 use rustler::{Binary, Encoder, Env, NifStruct, NifUnitEnum, OwnedBinary, Term};
 use situ_media::error::{fail, Code, Error, Result};
-use situ_media::picture::{Format, Shape, View};
+use situ_media::image::{Format, Shape, View};
 use std::time::Instant;
 
 #[derive(Clone, Copy, NifUnitEnum)]
@@ -21,7 +21,7 @@ pub enum PixelFormat {
     Rgba64,
 }
 
-macro_rules! same_names {
+macro_rules! convert_by_name {
     ($($name:ident),*) => {
         impl From<PixelFormat> for Format {
             fn from(format: PixelFormat) -> Format {
@@ -36,12 +36,12 @@ macro_rules! same_names {
     };
 }
 
-same_names!(Gray8, Gray16, Bgr24, Rgb24, Bgrx32, Bgra32, Rgba32, Rgba64);
+convert_by_name!(Gray8, Gray16, Bgr24, Rgb24, Bgrx32, Bgra32, Rgba32, Rgba64);
 
-/// `%Situ.Image{}`.
+/// The struct `%Situ.Image{}`.
 #[derive(NifStruct)]
 #[module = "Situ.Image"]
-pub struct Picture<'a> {
+pub struct ImageTerm<'a> {
     pub width: u32,
     pub height: u32,
     pub format: PixelFormat,
@@ -49,7 +49,7 @@ pub struct Picture<'a> {
     pub data: Binary<'a>,
 }
 
-impl<'a> Picture<'a> {
+impl<'a> ImageTerm<'a> {
     pub fn view(&self) -> Result<View<'_>> {
         let shape = Shape::new(
             self.width as usize,
@@ -59,8 +59,8 @@ impl<'a> Picture<'a> {
         View::new(shape, self.stride as usize, self.data.as_slice())
     }
 
-    pub fn new(env: Env<'a>, shape: Shape, data: OwnedBinary) -> Picture<'a> {
-        Picture {
+    pub fn new(env: Env<'a>, shape: Shape, data: OwnedBinary) -> ImageTerm<'a> {
+        ImageTerm {
             width: shape.width as u32,
             height: shape.height as u32,
             format: shape.format.into(),
@@ -70,8 +70,9 @@ impl<'a> Picture<'a> {
     }
 }
 
-/// Memory of the BEAM, not initialised; an error when there is none left (`OwnedBinary::new` would abort the VM).
-pub fn allocate(bytes: usize) -> Result<OwnedBinary> {
+/// Allocates an uninitialized binary. Returns an error if no memory is left, where `OwnedBinary::new` would abort the
+/// VM.
+pub fn allocate_binary(bytes: usize) -> Result<OwnedBinary> {
     let mut binary = OwnedBinary::new(0);
     if binary.realloc(bytes) {
         Ok(binary)
@@ -80,22 +81,22 @@ pub fn allocate(bytes: usize) -> Result<OwnedBinary> {
     }
 }
 
-/// A binary with the bytes of a vector.
-pub fn binary<'a>(env: Env<'a>, bytes: &[u8]) -> Result<Binary<'a>> {
-    let mut owned = allocate(bytes.len())?;
+/// Copies bytes to a binary.
+pub fn copy_to_binary<'a>(env: Env<'a>, bytes: &[u8]) -> Result<Binary<'a>> {
+    let mut owned = allocate_binary(bytes.len())?;
     owned.as_mut_slice().copy_from_slice(bytes);
     Ok(owned.release(env))
 }
 
-/// A new picture of `shape`, filled by `fill`.
-pub fn picture<'a>(
+/// Builds a new image of `shape` whose pixels are written by `fill`.
+pub fn build_image<'a>(
     env: Env<'a>,
     shape: Shape,
     fill: impl FnOnce(&mut [u8]) -> Result<()>,
 ) -> Result<Term<'a>> {
-    let mut data = allocate(shape.bytes())?;
+    let mut data = allocate_binary(shape.bytes())?;
     fill(data.as_mut_slice())?;
-    Ok(Picture::new(env, shape, data).encode(env))
+    Ok(ImageTerm::new(env, shape, data).encode(env))
 }
 
 mod atoms {
@@ -105,15 +106,15 @@ mod atoms {
     }
 }
 
-/// `{:ok, term}` or `{:error, code, what}`.
-pub fn reply<'a>(env: Env<'a>, result: Result<Term<'a>>) -> Term<'a> {
+/// Encodes a result as `{:ok, term}` or `{:error, code, what}`.
+pub fn encode_reply<'a>(env: Env<'a>, result: Result<Term<'a>>) -> Term<'a> {
     match result {
         Ok(term) => (atoms::ok(), term).encode(env),
-        Err(Error { code, what }) => (atoms::error(), atom(code), what).encode(env),
+        Err(Error { code, what }) => (atoms::error(), error_atom(code), what).encode(env),
     }
 }
 
-fn atom(code: Code) -> rustler::Atom {
+fn error_atom(code: Code) -> rustler::Atom {
     match code {
         Code::BadImage => atoms::bad_image(),
         Code::BadFormat => atoms::bad_format(),
@@ -130,8 +131,8 @@ fn atom(code: Code) -> rustler::Atom {
     }
 }
 
-/// Runs `work` on a normal scheduler and charges its time to the process: 1 % of a time slice is 10 us.
-pub fn charged<'a>(env: Env<'a>, work: impl FnOnce() -> Term<'a>) -> Term<'a> {
+/// Runs `work` on a normal scheduler and charges its time to the process; 1 % of a time slice is 10 us.
+pub fn run_charged<'a>(env: Env<'a>, work: impl FnOnce() -> Term<'a>) -> Term<'a> {
     let start = Instant::now();
     let result = work();
     let percent = (start.elapsed().as_micros() / 10).clamp(1, 100) as i32;

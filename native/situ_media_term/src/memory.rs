@@ -1,23 +1,24 @@
-//! How the C library keeps the memory that kernels use while they run.
+//! Configures how the C library manages the memory that kernels allocate_binary.
 
 use rustler::{Env, Term};
 
-/// Free memory at the end of a heap up to this size stays with the process, and blocks up to it come from heaps.
+/// The amount of free memory that each heap retains. Smaller blocks are allocated from heaps.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-const KEPT: i32 = 32 << 20;
+const RETAINED_BYTES: i32 = 32 << 20;
 
-/// To be named in `rustler::init!`.
+/// Configures malloc when the library is loaded. Use it as `load` in `rustler::init!`.
 ///
-/// Kernels of OpenCV, libsoxr and libjpeg-turbo allocate and free several megabytes a call. glibc gives such memory
-/// back to the system at once, and the next call takes it again, page by page: half of Canny's time. Each dirty
-/// scheduler's heap may keep 32 MiB instead. The VM's own memory is not concerned: it has its own allocators.
+/// Kernels of OpenCV, libsoxr and libjpeg-turbo allocate_binary and free several megabytes per call. By default, glibc
+/// returns this memory to the system immediately and the next call requests it again page by page, which takes half
+/// of the time of Canny. With this setting, the heap of each dirty scheduler may retain 32 MiB. The memory of the VM
+/// itself is not affected, because it has its own allocators.
 pub fn load(_env: Env, _info: Term) -> bool {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: mallopt takes two integers, locks its own state, and answers 0 for values it does not like.
+    // SAFETY: mallopt takes two integers, locks its own state, and returns 0 for invalid values.
     #[allow(unsafe_code)]
     unsafe {
-        libc::mallopt(libc::M_TRIM_THRESHOLD, KEPT);
-        libc::mallopt(libc::M_MMAP_THRESHOLD, KEPT);
+        libc::mallopt(libc::M_TRIM_THRESHOLD, RETAINED_BYTES);
+        libc::mallopt(libc::M_MMAP_THRESHOLD, RETAINED_BYTES);
     }
     true
 }

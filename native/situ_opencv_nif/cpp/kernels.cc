@@ -1,4 +1,4 @@
-// The OpenCV kernels behind situ_opencv_nif. Pictures are the caller's memory on both sides; no exception leaves.
+// The OpenCV kernels of situ_opencv_nif. The caller owns the memory of both images, and no exception escapes.
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
@@ -8,42 +8,43 @@
 
 extern "C" {
 
-struct situ_picture {
+struct situ_image {
   uint8_t *data;
   int32_t width, height;
   int64_t stride;
-  int32_t channels, depth;  // depth: bytes a channel, 1 or 2
+  int32_t channels, depth;  // depth: bytes per channel, 1 or 2
 };
 }
 
 namespace {
 
-cv::Mat mat(const situ_picture &p) {
+cv::Mat to_mat(const situ_image &p) {
   int type = CV_MAKETYPE(p.depth == 2 ? CV_16U : CV_8U, p.channels);
   return cv::Mat(p.height, p.width, type, p.data, static_cast<size_t>(p.stride));
 }
 
-cv::Scalar scalar(const double *v) { return cv::Scalar(v[0], v[1], v[2], v[3]); }
+cv::Scalar to_scalar(const double *v) { return cv::Scalar(v[0], v[1], v[2], v[3]); }
 
-// Kernels run in the caller's thread; once for all, since setting it is neither cheap nor safe beside a running kernel.
-void single_threaded() {
+// Kernels run on the thread of the caller. This is set only once, because setting it is neither cheap nor safe while
+// a kernel is running.
+void use_single_thread() {
   static std::once_flag once;
   std::call_once(once, [] { cv::setNumThreads(1); });
 }
 
-// Runs `f(src, dst)`, then makes sure that OpenCV wrote into our memory and not into its own.
+// Runs `f(src, dst)`, and ensures that OpenCV wrote into our memory and did not allocate_binary its own.
 template <typename F>
-int guarded(const situ_picture *src, situ_picture *dst, char *error, size_t room, F f) {
+int run_guarded(const situ_image *src, situ_image *dst, char *error, size_t room, F f) {
   try {
-    single_threaded();
-    cv::Mat from = mat(*src), to = mat(*dst);
+    use_single_thread();
+    cv::Mat from = to_mat(*src), to = to_mat(*dst);
     f(from, to);
     if (to.data != dst->data) {
-      if (to.size() != cv::Size(dst->width, dst->height) || to.type() != mat(*dst).type()) {
-        std::snprintf(error, room, "OpenCV made a picture of another size or type");
+      if (to.size() != cv::Size(dst->width, dst->height) || to.type() != to_mat(*dst).type()) {
+        std::snprintf(error, room, "OpenCV returned an image of a different size or type");
         return 1;
       }
-      cv::Mat target = mat(*dst);
+      cv::Mat target = to_mat(*dst);
       to.copyTo(target);
     }
     return 0;
@@ -63,47 +64,48 @@ const int MORPHS[] = {cv::MORPH_ERODE, cv::MORPH_DILATE, cv::MORPH_OPEN, cv::MOR
 
 extern "C" {
 
-int situ_warp_affine(const situ_picture *src, situ_picture *dst, const double *matrix, int interpolation, int border,
+int situ_warp_affine(const situ_image *src, situ_image *dst, const double *matrix, int interpolation, int border,
                      const double *color, char *error, size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+  return run_guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
     cv::Mat m(2, 3, CV_64F, const_cast<double *>(matrix));
-    cv::warpAffine(from, to, m, to.size(), INTERPOLATIONS[interpolation], BORDERS[border], scalar(color));
+    cv::warpAffine(from, to, m, to.size(), INTERPOLATIONS[interpolation], BORDERS[border], to_scalar(color));
   });
 }
 
-int situ_warp_perspective(const situ_picture *src, situ_picture *dst, const double *matrix, int interpolation,
+int situ_warp_perspective(const situ_image *src, situ_image *dst, const double *matrix, int interpolation,
                           int border, const double *color, char *error, size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+  return run_guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
     cv::Mat m(3, 3, CV_64F, const_cast<double *>(matrix));
-    cv::warpPerspective(from, to, m, to.size(), INTERPOLATIONS[interpolation], BORDERS[border], scalar(color));
+    cv::warpPerspective(from, to, m, to.size(), INTERPOLATIONS[interpolation], BORDERS[border], to_scalar(color));
   });
 }
 
-int situ_resize_bilinear(const situ_picture *src, situ_picture *dst, char *error, size_t room) {
-  return guarded(src, dst, error, room,
+int situ_resize_bilinear(const situ_image *src, situ_image *dst, char *error, size_t room) {
+  return run_guarded(src, dst, error, room,
                  [&](cv::Mat &from, cv::Mat &to) { cv::resize(from, to, to.size(), 0, 0, cv::INTER_LINEAR); });
 }
 
-int situ_gaussian(const situ_picture *src, situ_picture *dst, int size, double sigma, char *error, size_t room) {
-  return guarded(src, dst, error, room,
+int situ_gaussian(const situ_image *src, situ_image *dst, int size, double sigma, char *error, size_t room) {
+  return run_guarded(src, dst, error, room,
                  [&](cv::Mat &from, cv::Mat &to) { cv::GaussianBlur(from, to, cv::Size(size, size), sigma); });
 }
 
-int situ_box_blur(const situ_picture *src, situ_picture *dst, int size, char *error, size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::blur(from, to, cv::Size(size, size)); });
+int situ_box_blur(const situ_image *src, situ_image *dst, int size, char *error, size_t room) {
+  return run_guarded(src, dst, error, room,
+                     [&](cv::Mat &from, cv::Mat &to) { cv::blur(from, to, cv::Size(size, size)); });
 }
 
-int situ_median_blur(const situ_picture *src, situ_picture *dst, int size, char *error, size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::medianBlur(from, to, size); });
+int situ_median_blur(const situ_image *src, situ_image *dst, int size, char *error, size_t room) {
+  return run_guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::medianBlur(from, to, size); });
 }
 
-int situ_canny(const situ_picture *src, situ_picture *dst, double low, double high, char *error, size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::Canny(from, to, low, high); });
+int situ_canny(const situ_image *src, situ_image *dst, double low, double high, char *error, size_t room) {
+  return run_guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::Canny(from, to, low, high); });
 }
 
-// |d/dx| and |d/dy| of Sobel 3x3, half of each, as 8 bit.
-int situ_sobel(const situ_picture *src, situ_picture *dst, char *error, size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+// The mean of |d/dx| and |d/dy| of a 3x3 Sobel filter, as 8 bits.
+int situ_sobel(const situ_image *src, situ_image *dst, char *error, size_t room) {
+  return run_guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
     cv::Mat x, y, ax, ay;
     cv::Sobel(from, x, CV_16S, 1, 0);
     cv::Sobel(from, y, CV_16S, 0, 1);
@@ -113,14 +115,14 @@ int situ_sobel(const situ_picture *src, situ_picture *dst, char *error, size_t r
   });
 }
 
-int situ_morphology(const situ_picture *src, situ_picture *dst, int kind, int size, char *error, size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+int situ_morphology(const situ_image *src, situ_image *dst, int kind, int size, char *error, size_t room) {
+  return run_guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
     cv::Mat element = cv::getStructuringElement(cv::MORPH_RECT, cv::Size(size, size));
     cv::morphologyEx(from, to, MORPHS[kind], element);
   });
 }
 
-int situ_equalize(const situ_picture *src, situ_picture *dst, char *error, size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::equalizeHist(from, to); });
+int situ_equalize(const situ_image *src, situ_image *dst, char *error, size_t room) {
+  return run_guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::equalizeHist(from, to); });
 }
 }

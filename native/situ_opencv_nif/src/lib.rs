@@ -1,20 +1,21 @@
-//! BEAM glue of the OpenCV kernels, in a library of its own: without OpenCV the rest of situ_media still loads.
+//! The BEAM bindings of the OpenCV kernels. They are in a separate library, so that the rest of situ_media loads
+//! without OpenCV.
 
 mod ffi;
 mod job;
 
 use job::Job;
 use rustler::{Env, Term};
-use situ_media_term::{charged, reply};
+use situ_media_term::{encode_reply, run_charged};
 
 #[rustler::nif]
 fn run<'a>(env: Env<'a>, job: Job<'a>) -> Term<'a> {
-    charged(env, || reply(env, job.run(env)))
+    run_charged(env, || encode_reply(env, job.run(env)))
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn run_dirty<'a>(env: Env<'a>, job: Job<'a>) -> Term<'a> {
-    reply(env, job.run(env))
+    encode_reply(env, job.run(env))
 }
 
 rustler::init!("Elixir.Situ.Media.OpenCV", load = situ_media_term::load);

@@ -1,7 +1,7 @@
-//! Resizing by the `fast_image_resize` crate, for the pixel layouts that Situ has.
+//! Resizes images with the `fast_image_resize` crate, for the pixel layouts of Situ.
 //!
 //! The kernels of that crate are generic, so they are compiled in the crate that calls them, which takes more than a
-//! minute. This crate contains nothing else, so that neither a change to `situ_media` nor its tests compile them again.
+//! minute. This crate contains nothing else, so they are not recompiled when `situ_media` or its tests change.
 
 #![deny(missing_docs)]
 
@@ -11,26 +11,26 @@ use fast_image_resize::{PixelTrait, Resizer};
 
 pub use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions};
 
-/// The layout of one pixel: how many channels, and how wide each is.
+/// The layout of a pixel: the number of channels, and the width of each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelLayout {
     /// One channel of 8 bits.
     U8,
     /// Three channels of 8 bits.
     U8x3,
-    /// Four channels of 8 bits, the last of them alpha where the options use it.
+    /// Four channels of 8 bits. The last one is alpha if the options use it.
     U8x4,
     /// One channel of 16 bits.
     U16,
-    /// Four channels of 16 bits, the last of them alpha where the options use it.
+    /// Four channels of 16 bits. The last one is alpha if the options use it.
     U16x4,
 }
 
-/// An image's width and height in pixels.
+/// The width and height of an image in pixels.
 pub type Size = (u32, u32);
 
 /// Resizes `source`, an image of size `from` without padding, into `target`, an image of size `to`. 16-bit layouts
-/// need 2-byte alignment. An error says why the buffers were refused.
+/// need 2-byte alignment. Errors are messages for people.
 pub fn resize_pixels(
     layout: PixelLayout,
     (from, source): (Size, &[u8]),
@@ -46,7 +46,8 @@ pub fn resize_pixels(
     }
 }
 
-// By type, for our layouts alone: the crate's own choice at run time compiles the kernels of all thirteen.
+// Dispatching by type compiles only our layouts; the run-time dispatch of the crate would compile the kernels of all
+// thirteen.
 fn resize_typed<P: PixelTrait>(
     from: Size,
     source: &[u8],
@@ -57,7 +58,7 @@ fn resize_typed<P: PixelTrait>(
     let source = TypedImageRef::<P>::from_buffer(from.0, from.1, source);
     let target = TypedImage::<P>::from_buffer(to.0, to.1, target);
     let (Ok(source), Ok(mut target)) = (source, target) else {
-        return Err("the resizer refused the buffers".to_string());
+        return Err("the resizer rejected the buffers".to_string());
     };
     Resizer::new()
         .resize_typed(&source, &mut target, options)

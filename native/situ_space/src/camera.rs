@@ -1,31 +1,30 @@
-//! The direction that each pixel of a camera shows, as a table.
+//! Camera intrinsics, and a table with the direction of each pixel.
 //!
-//! The model is the rational Brown-Conrady one of `Situ.Space.Camera`, which is the reference that tests hold this
-//! against.
+//! The model is the rational Brown-Conrady model of `Situ.Space.Camera`, which is the reference in the tests.
 
 use crate::error::{fail, Code, Result};
 
-/// Intrinsics in pixels.
+/// The intrinsics of a camera, in pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Camera {
-    /// Pixels in a row.
+    /// The pixels per row.
     pub width: usize,
-    /// Rows.
+    /// The number of rows.
     pub height: usize,
-    /// Focal lengths along x and y.
+    /// The focal lengths along x and y.
     pub focal: (f64, f64),
-    /// Principal point.
+    /// The principal point.
     pub principal: (f64, f64),
-    /// k1 to k6.
+    /// The coefficients k1 to k6.
     pub radial: [f64; 6],
-    /// p0 and p1.
+    /// The coefficients p0 and p1.
     pub tangential: (f64, f64),
-    /// Whether the closed form goes from undistorted to distorted.
+    /// Whether the closed form maps undistorted to distorted points.
     pub distorts: bool,
 }
 
-const STEPS: usize = 100;
-const ENOUGH: f64 = 1e-16;
+const MAX_STEPS: usize = 100;
+const TOLERANCE: f64 = 1e-16;
 const MAX_PIXELS: usize = 1 << 27;
 
 impl Camera {
@@ -35,7 +34,7 @@ impl Camera {
             / (1.0 + r2 * (k[3] + r2 * (k[4] + r2 * k[5])))
     }
 
-    /// The closed form, on the plane at distance 1.
+    /// Applies the closed form to a point of the plane at distance 1.
     pub fn distort(&self, x: f64, y: f64) -> (f64, f64) {
         let r2 = x * x + y * y;
         let d = self.radial_factor(r2);
@@ -46,18 +45,19 @@ impl Camera {
         )
     }
 
-    /// The inverse of the closed form by Newton's method; `None` where it does not converge or mirrors.
+    /// Inverts the closed form by Newton's method. Returns `None` where it does not converge or the image is
+    /// mirrored.
     pub fn undistort(&self, tx: f64, ty: f64) -> Option<(f64, f64)> {
         let (mut x, mut y) = (tx, ty);
-        for _ in 0..STEPS {
+        for _ in 0..MAX_STEPS {
             let (dx, dy) = self.distort(x, y);
             let (ex, ey) = (dx - tx, dy - ty);
-            if ex * ex + ey * ey < ENOUGH {
+            if ex * ex + ey * ey < TOLERANCE {
                 return (self.radial_factor(x * x + y * y) > 0.0).then_some((x, y));
             }
             let (a, b, d) = self.jacobian(x, y);
             let determinant = a * d - b * b;
-            if determinant.abs() < ENOUGH || !determinant.is_finite() {
+            if determinant.abs() < TOLERANCE || !determinant.is_finite() {
                 return None;
             }
             (x, y) = (
@@ -68,7 +68,7 @@ impl Camera {
         None
     }
 
-    // The derivatives: of x by x, of x by y (and y by x), of y by y.
+    // Returns the partial derivatives: of x by x, of x by y (equal to y by x), and of y by y.
     fn jacobian(&self, x: f64, y: f64) -> (f64, f64, f64) {
         let k = &self.radial;
         let (p0, p1) = self.tangential;
@@ -86,8 +86,8 @@ impl Camera {
         )
     }
 
-    /// The pixel that shows a point of the camera's frame, perhaps outside of the picture; `None` behind the camera and
-    /// where the lens gives no answer.
+    /// Returns the pixel that shows a point in the frame of the camera, which may be outside the image. Returns
+    /// `None` for points that are not in front of the camera, and where the lens model has no solution.
     pub fn project(&self, [x, y, z]: [f64; 3]) -> Option<(f64, f64)> {
         if x <= 0.0 {
             return None;
@@ -102,14 +102,17 @@ impl Camera {
         Some((fx * nx + cx, fy * ny + cy))
     }
 
-    /// For every pixel, row by row, where its ray meets the plane at distance 1 (to the right, down); NaN for pixels
-    /// that the lens cannot show.
-    pub fn table(&self, undistort: bool) -> Result<Vec<[f32; 2]>> {
+    /// Returns, for every pixel, the point where its ray meets the plane at distance 1 (to the right, down), or NaN
+    /// for pixels without a ray.
+    pub fn ray_table(&self, undistort: bool) -> Result<Vec<[f32; 2]>> {
         let pixels = self.width.saturating_mul(self.height);
         if pixels == 0 || pixels > MAX_PIXELS {
             return fail(
                 Code::TooLarge,
-                format!("a camera of {}x{} pixels", self.width, self.height),
+                format!(
+                    "a camera of {}x{} pixels is too large or empty",
+                    self.width, self.height
+                ),
             );
         }
         let mut table = Vec::with_capacity(pixels);
@@ -134,7 +137,7 @@ impl Camera {
 mod tests {
     use super::*;
 
-    pub fn wide() -> Camera {
+    pub fn wide_camera() -> Camera {
         Camera {
             width: 64,
             height: 57,
@@ -147,23 +150,23 @@ mod tests {
     }
 
     #[test]
-    fn undistorting_inverts_distorting() {
+    fn undistort_inverts_distort() {
         for i in -60..60 {
             for j in -60..60 {
                 let (x, y) = (f64::from(i) / 100.0, f64::from(j) / 100.0);
-                let (dx, dy) = wide().distort(x, y);
-                let (ux, uy) = wide().undistort(dx, dy).unwrap_or((9.0, 9.0));
+                let (dx, dy) = wide_camera().distort(x, y);
+                let (ux, uy) = wide_camera().undistort(dx, dy).unwrap_or((9.0, 9.0));
                 assert!((ux - x).abs() < 1e-6 && (uy - y).abs() < 1e-6);
             }
         }
     }
 
     #[test]
-    fn a_lens_that_folds_has_no_answer_beyond_the_fold() {
+    fn a_folding_lens_has_no_solution_beyond_the_fold() {
         let lens = Camera {
             radial: [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0],
             tangential: (0.0, 0.0),
-            ..wide()
+            ..wide_camera()
         };
         assert!(lens.undistort(0.4, 0.2).is_some());
         assert!(lens.undistort(3.0, 3.0).is_none());
@@ -171,11 +174,11 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_larger_than_memory_is_refused() {
+    fn a_camera_larger_than_memory_is_rejected() {
         let camera = Camera {
             width: usize::MAX,
-            ..wide()
+            ..wide_camera()
         };
-        assert!(camera.table(true).is_err());
+        assert!(camera.ray_table(true).is_err());
     }
 }

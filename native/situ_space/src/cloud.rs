@@ -1,29 +1,29 @@
-//! Clouds made smaller, and cut into parts.
+//! Downsampling, selecting, clustering and transforming point clouds.
 
 use crate::error::{fail, Code, Result};
-use crate::grid::{bytes, cell, length, points, Cell, Grid, Point};
+use crate::grid::{check_length, encode_points, find_cell, parse_points, Cell, Grid, Point};
 use rustc_hash::FxHashMap as HashMap;
 
-/// One point for every cube with edges of `size` metres: the mean of those inside, in the order in which the cubes were
-/// first met, with their number.
+/// Returns one point for every cell of `size` metres: the mean of the points inside, in the order in which the cells
+/// first occurred, with their number of points.
 pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
-    let size = length(size, "the size of a voxel")?;
-    let points = points(cloud)?;
-    let mut places = Places::default();
+    let size = check_length(size, "the size of a voxel")?;
+    let points = parse_points(cloud)?;
+    let mut indices = CellIndices::default();
     let mut sums: Vec<([f64; 3], u32)> = Vec::new();
-    // neighbours in a cloud are mostly neighbours in space
+    // Consecutive points in a cloud are mostly neighbours in space.
     let mut last: Option<(Cell, usize)> = None;
     for point in &points {
-        let cell = cell(point, size);
-        let place = match last {
-            Some((same, place)) if same == cell => place,
-            _ => places.of(cell, sums.len()),
+        let cell = find_cell(point, size);
+        let index = match last {
+            Some((same, index)) if same == cell => index,
+            _ => indices.index_of(cell, sums.len()),
         };
-        last = Some((cell, place));
-        if place == sums.len() {
+        last = Some((cell, index));
+        if index == sums.len() {
             sums.push(([0.0; 3], 0));
         }
-        let (sum, count) = &mut sums[place];
+        let (sum, count) = &mut sums[index];
         for (s, c) in sum.iter_mut().zip(point) {
             *s += f64::from(*c);
         }
@@ -32,19 +32,23 @@ pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
     let means = sums
         .iter()
         .map(|(sum, count)| sum.map(|s| (s / f64::from(*count)) as f32));
-    Ok((bytes(means), sums.iter().map(|(_, count)| *count).collect()))
+    Ok((
+        encode_points(means),
+        sums.iter().map(|(_, count)| *count).collect(),
+    ))
 }
 
-/// Which place each cube has. Within a million cubes of the origin a cube is one number, which is found faster.
+/// The index of each cell. A cell within a million cells of the origin is packed into one number, which is faster to
+/// look up.
 #[derive(Default)]
-struct Places {
+struct CellIndices {
     near: HashMap<u64, usize>,
     far: HashMap<Cell, usize>,
 }
 
-impl Places {
-    /// The place of the cube, `next` if it had none.
-    fn of(&mut self, cell: Cell, next: usize) -> usize {
+impl CellIndices {
+    /// Returns the index of the cell, which becomes `next` if the cell is new.
+    fn index_of(&mut self, cell: Cell, next: usize) -> usize {
         const HALF: i64 = 1 << 20;
         if cell.iter().all(|c| (-HALF..HALF).contains(c)) {
             let [x, y, z] = cell.map(|c| (c + HALF) as u64);
@@ -55,33 +59,35 @@ impl Places {
     }
 }
 
-/// Points, and what belongs to each: some bytes of one kind, some of another.
-pub type Part = (Vec<u8>, Vec<Vec<u8>>, usize);
+/// The selected points, the selected bytes of each extra, and the number of points found.
+pub type Selection = (Vec<u8>, Vec<Vec<u8>>, usize);
 
-/// The part of a cloud that lies before some planes: those are `(a, b, c, d)`, and before one is where
-/// `ax + by + cz + d >= 0`. At most `most` points, evenly by number, in their order; with their `extras`, which are
-/// bytes (as many as it says for each point, or none at all), and how many there are. Points that are not finite are
-/// nowhere.
-pub fn within(
+/// Returns the points in front of all planes `(a, b, c, d)`, where `ax + by + cz + d >= 0`. At most `most` points are
+/// returned, evenly spaced by index and in their order, with their `extras` and the number of points found. Each
+/// extra has a fixed number of bytes per point, or is empty. Points that are not finite are skipped.
+pub fn clip_by_planes(
     cloud: &[u8],
     extras: &[(&[u8], usize)],
     planes: &[[f32; 4]],
     most: usize,
-) -> Result<Part> {
+) -> Result<Selection> {
     let count = cloud.len() / 12;
     let fits = |(bytes, size): &(&[u8], usize)| bytes.is_empty() || bytes.len() == count * size;
     if !cloud.len().is_multiple_of(12) || !extras.iter().all(fits) {
         return fail(
             Code::BadCloud,
             format!(
-                "{} bytes of points and {} beside them are no cloud",
+                "{} bytes of points and {} bytes of extras are not a cloud",
                 cloud.len(),
                 extras.iter().map(|e| e.0.len()).sum::<usize>()
             ),
         );
     }
     if count > u32::MAX as usize {
-        return fail(Code::TooLarge, format!("{count} points"));
+        return fail(
+            Code::TooLarge,
+            format!("{count} points do not have 32-bit indices"),
+        );
     }
     let at = |i: usize, k: usize| -> f32 {
         let from = i * 12 + k * 4;
@@ -118,13 +124,13 @@ pub fn within(
     Ok((points, more, found.len()))
 }
 
-/// At most `most` of a row of records of `size` bytes, evenly by number: the first of each run of neighbours.
-pub fn thin(records: &[u8], size: usize, most: usize) -> Result<Vec<u8>> {
+/// Returns at most `most` of the records of `size` bytes, evenly spaced by index.
+pub fn thin_records(records: &[u8], size: usize, most: usize) -> Result<Vec<u8>> {
     if size == 0 || most == 0 || !records.len().is_multiple_of(size) {
         return fail(
             Code::BadOption,
             format!(
-                "{} bytes are no records of {size} bytes, of which {most} stay",
+                "cannot reduce {} bytes of records of {size} bytes to {most}",
                 records.len()
             ),
         );
@@ -135,21 +141,24 @@ pub fn thin(records: &[u8], size: usize, most: usize) -> Result<Vec<u8>> {
     }
     let mut kept = Vec::with_capacity(most * size);
     for i in 0..most {
-        // 64 bits hold the product of two lengths of memory that a machine has
+        // The product of two lengths in memory fits in 64 bits.
         let at = (i as u64 * count as u64 / most as u64) as usize * size;
         kept.extend_from_slice(records.get(at..at + size).unwrap_or_default());
     }
     Ok(kept)
 }
 
-/// For every point the number of its cluster: points closer than `radius` metres belong together. Clusters of fewer
-/// than
-/// `least` points are none (`u32::MAX`); the others are numbered from the largest, ties by their first point.
-pub fn clusters(cloud: &[u8], radius: f64, least: usize) -> Result<Vec<u32>> {
-    let radius = length(radius, "the radius")?;
-    let points = points(cloud)?;
+/// Returns the cluster number of every point. Points closer than `radius` metres belong to the same cluster. Clusters
+/// of fewer than `least` points are discarded (`u32::MAX`); the others are numbered by decreasing size, ties by their
+/// first point.
+pub fn find_clusters(cloud: &[u8], radius: f64, least: usize) -> Result<Vec<u32>> {
+    let radius = check_length(radius, "the radius")?;
+    let points = parse_points(cloud)?;
     if points.len() >= u32::MAX as usize {
-        return fail(Code::TooLarge, format!("{} points", points.len()));
+        return fail(
+            Code::TooLarge,
+            format!("{} points do not have 32-bit indices", points.len()),
+        );
     }
     let grid = Grid::new(&points, radius);
     let mut group = vec![u32::MAX; points.len()];
@@ -159,7 +168,7 @@ pub fn clusters(cloud: &[u8], radius: f64, least: usize) -> Result<Vec<u32>> {
             continue;
         }
         let number = sizes.len() as u32;
-        sizes.push(flood(&grid, &points, start, number, &mut group));
+        sizes.push(flood_cluster(&grid, &points, start, number, &mut group));
     }
     let mut order: Vec<usize> = (0..sizes.len()).filter(|&i| sizes[i] >= least).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(sizes[i]), i));
@@ -170,13 +179,19 @@ pub fn clusters(cloud: &[u8], radius: f64, least: usize) -> Result<Vec<u32>> {
     Ok(group.iter().map(|&g| names[g as usize]).collect())
 }
 
-fn flood(grid: &Grid, points: &[Point], start: usize, number: u32, group: &mut [u32]) -> usize {
+fn flood_cluster(
+    grid: &Grid,
+    points: &[Point],
+    start: usize,
+    number: u32,
+    group: &mut [u32],
+) -> usize {
     let mut open = vec![start];
     group[start] = number;
     let mut size = 0;
     while let Some(i) = open.pop() {
         size += 1;
-        grid.around(&points[i], |j| {
+        grid.visit_near(&points[i], |j| {
             if group[j] == u32::MAX {
                 group[j] = number;
                 open.push(j);
@@ -186,18 +201,22 @@ fn flood(grid: &Grid, points: &[Point], start: usize, number: u32, group: &mut [
     size
 }
 
-/// The points within `min..=max`, in their order, and their places in the cloud.
-pub fn clip(cloud: &[u8], min: [f64; 3], max: [f64; 3]) -> Result<(Vec<u8>, Vec<u32>)> {
-    let points = points(cloud)?;
+/// Returns the points within `min..=max` in their order, and their indices in the cloud.
+pub fn clip_to_box(cloud: &[u8], min: [f64; 3], max: [f64; 3]) -> Result<(Vec<u8>, Vec<u32>)> {
+    let points = parse_points(cloud)?;
     let inside = |p: &Point| (0..3).all(|i| f64::from(p[i]) >= min[i] && f64::from(p[i]) <= max[i]);
     let kept: Vec<usize> = (0..points.len()).filter(|&i| inside(&points[i])).collect();
-    let places = kept.iter().map(|&i| i as u32).collect();
-    Ok((bytes(kept.into_iter().map(|i| points[i])), places))
+    let indices = kept.iter().map(|&i| i as u32).collect();
+    Ok((encode_points(kept.into_iter().map(|i| points[i])), indices))
 }
 
-/// Every point moved by a rotation (rows of a matrix) and a displacement.
-pub fn transform(cloud: &[u8], rotation: [[f64; 3]; 3], move_by: [f64; 3]) -> Result<Vec<u8>> {
-    let moved = points(cloud)?.into_iter().map(|p| {
+/// Applies a rotation (the rows of a matrix) and a translation to every point.
+pub fn transform_points(
+    cloud: &[u8],
+    rotation: [[f64; 3]; 3],
+    move_by: [f64; 3],
+) -> Result<Vec<u8>> {
+    let moved = parse_points(cloud)?.into_iter().map(|p| {
         let p = p.map(f64::from);
         let mut out = [0.0f32; 3];
         for (o, (row, d)) in out.iter_mut().zip(rotation.iter().zip(move_by)) {
@@ -205,7 +224,7 @@ pub fn transform(cloud: &[u8], rotation: [[f64; 3]; 3], move_by: [f64; 3]) -> Re
         }
         out
     });
-    Ok(bytes(moved))
+    Ok(encode_points(moved))
 }
 
 #[cfg(test)]
@@ -213,20 +232,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn thinned_evenly() {
+    fn records_are_thinned_evenly() {
         let records: Vec<u8> = (0..10).collect();
-        assert_eq!(thin(&records, 1, 4), Ok(vec![0, 2, 5, 7]));
-        assert_eq!(thin(&records, 2, 2), Ok(vec![0, 1, 4, 5]));
-        assert_eq!(thin(&records, 2, 9), Ok(records.clone()));
-        assert_eq!(thin(&[], 12, 9), Ok(vec![]));
-        assert!(thin(&records, 3, 9).is_err());
-        assert!(thin(&records, 0, 9).is_err());
-        assert!(thin(&records, 1, 0).is_err());
+        assert_eq!(thin_records(&records, 1, 4), Ok(vec![0, 2, 5, 7]));
+        assert_eq!(thin_records(&records, 2, 2), Ok(vec![0, 1, 4, 5]));
+        assert_eq!(thin_records(&records, 2, 9), Ok(records.clone()));
+        assert_eq!(thin_records(&[], 12, 9), Ok(vec![]));
+        assert!(thin_records(&records, 3, 9).is_err());
+        assert!(thin_records(&records, 0, 9).is_err());
+        assert!(thin_records(&records, 1, 0).is_err());
     }
 
     #[test]
-    fn a_voxel_holds_the_mean_of_its_points() -> Result<()> {
-        let cloud = bytes([
+    fn a_voxel_contains_the_mean_of_its_points() -> Result<()> {
+        let cloud = encode_points([
             [0.1, 0.1, 0.1],
             [5.0, 0.0, 0.0],
             [0.3, 0.1, 0.1],
@@ -234,15 +253,15 @@ mod tests {
         ]);
         let (means, counts) = downsample(&cloud, 1.0)?;
         assert_eq!(counts, [2, 1, 1]);
-        let first = points(&means)?[0];
+        let first = parse_points(&means)?[0];
         assert!((first[0] - 0.2).abs() < 1e-6 && (first[1] - 0.1).abs() < 1e-6);
         Ok(())
     }
 
     #[test]
-    fn cubes_far_from_the_origin_are_as_good_as_near_ones() -> Result<()> {
+    fn cells_far_from_the_origin_work_like_near_ones() -> Result<()> {
         let far = 3.0e6_f32;
-        let cloud = bytes([
+        let cloud = encode_points([
             [far, 0.0, 0.0],
             [0.2, 0.0, 0.0],
             [far, 0.25, 0.0],
@@ -251,31 +270,31 @@ mod tests {
         ]);
         let (means, counts) = downsample(&cloud, 1.0)?;
         assert_eq!(counts, [2, 2, 1]);
-        assert_eq!(points(&means)?[0][0], far);
+        assert_eq!(parse_points(&means)?[0][0], far);
         Ok(())
     }
 
     #[test]
-    fn the_part_before_planes_keeps_order_and_colours() -> Result<()> {
+    fn points_in_front_of_planes_keep_their_order_and_colors() -> Result<()> {
         let row: Vec<[f32; 3]> = (0..10).map(|i| [i as f32, 0.0, 0.0]).collect();
-        let cloud = bytes(row.into_iter().chain([[f32::NAN, 0.0, 0.0]]));
+        let cloud = encode_points(row.into_iter().chain([[f32::NAN, 0.0, 0.0]]));
         let colors: Vec<u8> = (0..33).collect();
-        // from 2 to 7
+        // x from 2 to 7
         let planes = [[1.0, 0.0, 0.0, -2.0], [-1.0, 0.0, 0.0, 7.0]];
         let extras = [(&colors[..], 3), (&colors[..22], 2), (&[][..], 4)];
-        let (some, more, all) = within(&cloud, &extras, &planes, 3)?;
+        let (some, more, all) = clip_by_planes(&cloud, &extras, &planes, 3)?;
         assert_eq!(all, 6);
-        let some: Vec<f32> = points(&some)?.iter().map(|p| p[0]).collect();
+        let some: Vec<f32> = parse_points(&some)?.iter().map(|p| p[0]).collect();
         assert_eq!(some, [2.0, 4.0, 6.0]);
         assert_eq!(more[0], [6, 7, 8, 12, 13, 14, 18, 19, 20]);
         assert_eq!(
             (&more[1][..], more[2].len()),
             (&[4, 5, 8, 9, 12, 13][..], 0)
         );
-        assert_eq!(within(&cloud, &[], &planes, 100)?.0.len(), 6 * 12);
-        assert_eq!(within(&[], &[], &planes, 5)?.2, 0);
-        assert!(within(&cloud, &[(&[1], 3)], &planes, 5).is_err());
-        assert!(within(&[1], &[], &planes, 5).is_err());
+        assert_eq!(clip_by_planes(&cloud, &[], &planes, 100)?.0.len(), 6 * 12);
+        assert_eq!(clip_by_planes(&[], &[], &planes, 5)?.2, 0);
+        assert!(clip_by_planes(&cloud, &[(&[1], 3)], &planes, 5).is_err());
+        assert!(clip_by_planes(&[1], &[], &planes, 5).is_err());
         Ok(())
     }
 
@@ -283,8 +302,8 @@ mod tests {
     fn points_that_touch_are_one_cluster() -> Result<()> {
         let line = (0..10).map(|i| [i as f32 * 0.1, 0.0, 0.0]);
         let far = (0..3).map(|i| [5.0, i as f32 * 0.1, 0.0]);
-        let cloud = bytes(far.chain(line).chain([[9.0, 9.0, 9.0]]));
-        let named = clusters(&cloud, 0.15, 2)?;
+        let cloud = encode_points(far.chain(line).chain([[9.0, 9.0, 9.0]]));
+        let named = find_clusters(&cloud, 0.15, 2)?;
         assert_eq!(named[..3], [1, 1, 1]);
         assert_eq!(named[3..13], [0; 10]);
         assert_eq!(named[13], u32::MAX);
@@ -292,21 +311,21 @@ mod tests {
     }
 
     #[test]
-    fn clouds_that_are_none_and_lengths_of_nothing_are_refused() {
+    fn invalid_clouds_and_lengths_are_rejected() {
         assert!(downsample(&[0; 13], 1.0).is_err());
-        assert!(downsample(&bytes([[f32::NAN, 0.0, 0.0]]), 1.0).is_err());
+        assert!(downsample(&encode_points([[f32::NAN, 0.0, 0.0]]), 1.0).is_err());
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             assert!(downsample(&[], bad).is_err());
-            assert!(clusters(&[], bad, 1).is_err());
+            assert!(find_clusters(&[], bad, 1).is_err());
         }
         assert_eq!(downsample(&[], 1.0).map(|(b, _)| b.len()), Ok(0));
     }
 
     #[test]
-    fn clipping_keeps_the_order_and_tells_the_places() -> Result<()> {
-        let cloud = bytes([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.5, 0.5, 0.5]]);
-        let (kept, places) = clip(&cloud, [-1.0; 3], [1.0; 3])?;
-        assert_eq!((kept.len() / 12, places), (2, vec![0, 2]));
+    fn clipping_keeps_the_order_and_returns_the_indices() -> Result<()> {
+        let cloud = encode_points([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.5, 0.5, 0.5]]);
+        let (kept, indices) = clip_to_box(&cloud, [-1.0; 3], [1.0; 3])?;
+        assert_eq!((kept.len() / 12, indices), (2, vec![0, 2]));
         Ok(())
     }
 }

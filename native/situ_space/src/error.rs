@@ -1,28 +1,28 @@
-//! Failures of the kernels, as a code for programs and a sentence for people.
+//! Errors of the kernels: a code for programs and a message for people.
 
-/// The kinds of failure.
+/// The kinds of errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Code {
-    /// Bytes that are no cloud, or no finite points.
+    /// The bytes are not a cloud, or contain points that are not finite.
     BadCloud,
-    /// A depth image that does not add up.
+    /// A depth image whose size does not match its bytes.
     BadDepth,
-    /// A camera that cannot be, or a table of another camera.
+    /// An impossible camera, or the ray table of a different camera.
     BadCamera,
-    /// A number out of its range.
+    /// A number is out of range.
     BadOption,
-    /// Too few points, or all of them on one line.
+    /// There are too few points, or all of them are on one line.
     Degenerate,
-    /// More than fits in memory.
+    /// The data does not fit in memory.
     TooLarge,
 }
 
-/// One failure.
+/// An error of a kernel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
-    /// For programs.
+    /// The kind, for programs.
     pub code: Code,
-    /// For people.
+    /// The message, for people.
     pub what: String,
 }
 
@@ -37,7 +37,7 @@ impl std::error::Error for Error {}
 /// The result of a kernel.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Shorthand for an error.
+/// Returns an error.
 pub fn fail<T>(code: Code, what: impl Into<String>) -> Result<T> {
     Err(Error {
         code,

@@ -1,4 +1,4 @@
-//! Points in cubes: everything within a radius is in the cube of a point or in one of the 26 around it.
+//! A spatial hash: all points within a radius of a point are in its cell or in one of the 26 cells around it.
 
 use crate::error::{fail, Code, Result};
 use rustc_hash::FxHashMap as HashMap;
@@ -6,12 +6,15 @@ use rustc_hash::FxHashMap as HashMap;
 /// A point as its three coordinates.
 pub type Point = [f32; 3];
 
-/// The points of the bytes; those with coordinates that are not finite are an error.
-pub fn points(bytes: &[u8]) -> Result<Vec<Point>> {
+/// Parses the points. Coordinates that are not finite are an error.
+pub fn parse_points(bytes: &[u8]) -> Result<Vec<Point>> {
     if !bytes.len().is_multiple_of(12) {
         return fail(
             Code::BadCloud,
-            format!("{} bytes are no whole number of points", bytes.len()),
+            format!(
+                "{} bytes are not a whole number of points of 12 bytes",
+                bytes.len()
+            ),
         );
     }
     let points: Vec<Point> = bytes
@@ -30,8 +33,8 @@ pub fn points(bytes: &[u8]) -> Result<Vec<Point>> {
     }
 }
 
-/// The bytes of points.
-pub fn bytes(points: impl IntoIterator<Item = Point>) -> Vec<u8> {
+/// Encodes points as bytes.
+pub fn encode_points(points: impl IntoIterator<Item = Point>) -> Vec<u8> {
     let mut out = Vec::new();
     for point in points {
         point
@@ -41,12 +44,12 @@ pub fn bytes(points: impl IntoIterator<Item = Point>) -> Vec<u8> {
     out
 }
 
-/// The cube of a point, by its indices.
+/// The indices of a cubic cell.
 pub type Cell = [i64; 3];
 
-/// The cube with edges of `size` that holds the point.
-pub fn cell(point: &Point, size: f32) -> Cell {
-    // `floor` is a call of the mathematical library on processors without SSE 4.1, which nobody asks for
+/// Returns the cell of size `size` that contains the point.
+pub fn find_cell(point: &Point, size: f32) -> Cell {
+    // `floor` is a library call on processors without SSE 4.1, and SSE 4.1 is not enabled by default.
     point.map(|c| {
         let edges = f64::from(c) / f64::from(size);
         let towards_zero = edges as i64;
@@ -54,19 +57,19 @@ pub fn cell(point: &Point, size: f32) -> Cell {
     })
 }
 
-/// A length in metres that can be an edge or a radius.
-pub fn length(value: f64, name: &str) -> Result<f32> {
+/// Checks that a length in metres is valid as an edge or a radius.
+pub fn check_length(value: f64, name: &str) -> Result<f32> {
     if (1e-6..=1e6).contains(&value) {
         Ok(value as f32)
     } else {
         fail(
             Code::BadOption,
-            format!("{name} is a length between 1e-6 and 1e6 metres, got: {value}"),
+            format!("{name} must be a length between 1e-6 and 1e6 metres, got: {value}"),
         )
     }
 }
 
-/// Finds all points within one radius of a point.
+/// Finds all points within a fixed radius of a point.
 pub struct Grid<'a> {
     points: &'a [Point],
     radius: f32,
@@ -74,11 +77,14 @@ pub struct Grid<'a> {
 }
 
 impl<'a> Grid<'a> {
-    /// Sorts the points into cubes.
+    /// Sorts the points into cells.
     pub fn new(points: &'a [Point], radius: f32) -> Grid<'a> {
         let mut cells: HashMap<Cell, Vec<u32>> = HashMap::default();
         for (i, point) in points.iter().enumerate() {
-            cells.entry(cell(point, radius)).or_default().push(i as u32);
+            cells
+                .entry(find_cell(point, radius))
+                .or_default()
+                .push(i as u32);
         }
         Grid {
             points,
@@ -87,16 +93,16 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// Calls `found` with the number of each point within the radius, the point itself among them.
-    pub fn around(&self, point: &Point, mut found: impl FnMut(usize)) {
-        let middle = cell(point, self.radius);
+    /// Calls `found` with the index of each point within the radius, including the point itself.
+    pub fn visit_near(&self, point: &Point, mut found: impl FnMut(usize)) {
+        let middle = find_cell(point, self.radius);
         let limit = self.radius * self.radius;
         for dx in -1..=1 {
             for dy in -1..=1 {
                 for dz in -1..=1 {
                     let near = [middle[0] + dx, middle[1] + dy, middle[2] + dz];
                     for &i in self.cells.get(&near).into_iter().flatten() {
-                        if distance2(&self.points[i as usize], point) <= limit {
+                        if squared_distance(&self.points[i as usize], point) <= limit {
                             found(i as usize);
                         }
                     }
@@ -106,8 +112,8 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// The squared distance.
-pub fn distance2(a: &Point, b: &Point) -> f32 {
+/// Returns the squared distance.
+pub fn squared_distance(a: &Point, b: &Point) -> f32 {
     let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
     x * x + y * y + z * z
 }
@@ -117,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cube_begins_at_its_lower_edge_on_both_sides_of_nothing() {
+    fn a_cell_begins_at_its_lower_edge_on_both_sides_of_zero() {
         let all = [
             0.0, -0.0, 0.05, -0.05, 0.049_999, -0.049_999, 1.0e6, -1.0e6, 1.0e-30, -1.0e-30,
             3.4e38, -3.4e38,
@@ -126,9 +132,9 @@ mod tests {
             for size in [1e-6_f32, 0.05, 1.0, 1e6] {
                 let floor = (f64::from(c) / f64::from(size)).floor() as i64;
                 assert_eq!(
-                    cell(&[c, 0.0, 0.0], size)[0],
+                    find_cell(&[c, 0.0, 0.0], size)[0],
                     floor,
-                    "{c} in cubes of {size}"
+                    "{c} in cells of {size}"
                 );
             }
         }

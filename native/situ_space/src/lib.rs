@@ -1,6 +1,6 @@
-//! Kernels of space: clouds and meshes from depth, and what is computed from clouds.
+//! Kernels for 3D data: clouds and meshes from depth images, and operations on clouds.
 //!
-//! Points are three little-endian 32-bit floats, in metres: x forward, y left, z up. No BEAM types here.
+//! Points are three little-endian 32-bit floats in metres: x forward, y left, z up. This crate has no BEAM types.
 #![deny(missing_docs)]
 
 pub mod camera;

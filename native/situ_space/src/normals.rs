@@ -1,15 +1,20 @@
-//! Which way the surface under each point faces.
+//! Estimates surface normals.
 
 use crate::error::Result;
-use crate::grid::{bytes, length, points, Grid};
-use crate::plane::spread;
+use crate::grid::{check_length, encode_points, parse_points, Grid};
+use crate::plane::measure_spread;
 use nalgebra::Vector3;
 
-/// For every point the unit normal of the plane through its neighbours within `radius` metres, turned towards
-/// `viewpoint`; zero where fewer than three neighbours are there. And how curved the surface is, 0 (flat) to 1/3.
-pub fn normals(cloud: &[u8], radius: f64, viewpoint: [f64; 3]) -> Result<(Vec<u8>, Vec<u8>)> {
-    let radius = length(radius, "the radius")?;
-    let points = points(cloud)?;
+/// Returns the unit normal of every point: that of the plane through its neighbours within `radius` metres, oriented
+/// towards `viewpoint`. It is zero for points with fewer than three neighbours. Also returns the curvature, from 0
+/// (flat) to 1/3.
+pub fn estimate_normals(
+    cloud: &[u8],
+    radius: f64,
+    viewpoint: [f64; 3],
+) -> Result<(Vec<u8>, Vec<u8>)> {
+    let radius = check_length(radius, "the radius")?;
+    let points = parse_points(cloud)?;
     let grid = Grid::new(&points, radius);
     let viewpoint = Vector3::from(viewpoint);
     let mut near = Vec::new();
@@ -17,8 +22,8 @@ pub fn normals(cloud: &[u8], radius: f64, viewpoint: [f64; 3]) -> Result<(Vec<u8
     let mut out = Vec::with_capacity(points.len());
     for point in &points {
         near.clear();
-        grid.around(point, |i| near.push(i));
-        let (normal, curvature) = match spread(near.iter().map(|&i| &points[i])) {
+        grid.visit_near(point, |i| near.push(i));
+        let (normal, curvature) = match measure_spread(near.iter().map(|&i| &points[i])) {
             Some((_, normal, share)) => {
                 let to_viewer =
                     viewpoint - Vector3::new(point[0].into(), point[1].into(), point[2].into());
@@ -37,7 +42,7 @@ pub fn normals(cloud: &[u8], radius: f64, viewpoint: [f64; 3]) -> Result<(Vec<u8
         out.push(normal);
         curvatures.extend_from_slice(&curvature.to_le_bytes());
     }
-    Ok((bytes(out), curvatures))
+    Ok((encode_points(out), curvatures))
 }
 
 #[cfg(test)]
@@ -45,14 +50,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_floor_faces_up_and_a_lone_point_nowhere() -> Result<()> {
+    fn a_floor_faces_up_and_a_single_point_has_no_normal() -> Result<()> {
         let floor = (0..25).map(|i| [(i % 5) as f32 * 0.1, (i / 5) as f32 * 0.1, 0.0]);
-        let (normals, curvature) = normals(
-            &bytes(floor.chain([[9.0, 9.0, 9.0]])),
+        let (normals, curvature) = estimate_normals(
+            &encode_points(floor.chain([[9.0, 9.0, 9.0]])),
             0.15,
             [0.0, 0.0, 2.0],
         )?;
-        let found = points(&normals)?;
+        let found = parse_points(&normals)?;
         assert!(found[..25].iter().all(|n| n[2] > 0.999));
         assert_eq!(found[25], [0.0; 3]);
         assert!(curvature

@@ -1,36 +1,36 @@
-//! Numbers of records that stand one behind the other, as files of points have them.
+//! Reads numbers from consecutive records of fixed size, as in point cloud files.
 
 use crate::error::{fail, Code, Result};
 
-/// How a number is written.
+/// The type of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A float of 4 or 8 bytes.
     Float(usize),
-    /// A whole number of 1, 2, 4 or 8 bytes, with a sign.
+    /// A signed integer of 1, 2, 4 or 8 bytes.
     Signed(usize),
-    /// One without.
+    /// An unsigned integer of 1, 2, 4 or 8 bytes.
     Unsigned(usize),
 }
 
-/// Where a number begins in its record, and how it is written.
+/// The offset of a number in its record, and its type.
 pub type Field = (usize, Kind);
 
 impl Kind {
-    fn size(self) -> usize {
+    fn byte_size(self) -> usize {
         match self {
             Kind::Float(n) | Kind::Signed(n) | Kind::Unsigned(n) => n,
         }
     }
 
-    fn known(self) -> bool {
+    fn is_supported(self) -> bool {
         match self {
             Kind::Float(n) => n == 4 || n == 8,
             Kind::Signed(n) | Kind::Unsigned(n) => matches!(n, 1 | 2 | 4 | 8),
         }
     }
 
-    fn read(self, bytes: &[u8], big: bool) -> f64 {
+    fn read_number(self, bytes: &[u8], big: bool) -> f64 {
         let mut bits = 0u64;
         for i in 0..bytes.len() {
             let at = if big { i } else { bytes.len() - 1 - i };
@@ -45,27 +45,33 @@ impl Kind {
     }
 }
 
-fn check(records: &[u8], row: usize, fields: &[Field]) -> Result<()> {
+fn check_fields(records: &[u8], row: usize, fields: &[Field]) -> Result<()> {
     let fits = |&(at, kind): &Field| {
-        kind.known() && at.checked_add(kind.size()).is_some_and(|end| end <= row)
+        kind.is_supported()
+            && at
+                .checked_add(kind.byte_size())
+                .is_some_and(|end| end <= row)
     };
     if row > 0 && records.len().is_multiple_of(row) && fields.iter().all(fits) {
         Ok(())
     } else {
         fail(
             Code::BadCloud,
-            format!("{} bytes are no records of {row} bytes", records.len()),
+            format!(
+                "{} bytes are not records of {row} bytes with these fields",
+                records.len()
+            ),
         )
     }
 }
 
-/// Of every record these numbers, one behind the other, as 32-bit floats; those that are none become NaN.
-pub fn floats(records: &[u8], row: usize, fields: &[Field], big: bool) -> Result<Vec<u8>> {
-    check(records, row, fields)?;
+/// Returns these numbers of every record as consecutive 32-bit floats. Numbers that are not finite become NaN.
+pub fn read_floats(records: &[u8], row: usize, fields: &[Field], big: bool) -> Result<Vec<u8>> {
+    check_fields(records, row, fields)?;
     let mut out = Vec::with_capacity(records.len() / row * fields.len() * 4);
     for record in records.chunks_exact(row) {
         for &(at, kind) in fields {
-            let value = kind.read(&record[at..at + kind.size()], big) as f32;
+            let value = kind.read_number(&record[at..at + kind.byte_size()], big) as f32;
             let value = if value.is_finite() { value } else { f32::NAN };
             out.extend_from_slice(&value.to_le_bytes());
         }
@@ -73,19 +79,19 @@ pub fn floats(records: &[u8], row: usize, fields: &[Field], big: bool) -> Result
     Ok(out)
 }
 
-/// Of every record these numbers as bytes: whole ones from 0 to 255, floats from 0 to 1.
-pub fn tones(records: &[u8], row: usize, fields: &[Field], big: bool) -> Result<Vec<u8>> {
-    check(records, row, fields)?;
+/// Returns these numbers of every record as bytes. Integers range from 0 to 255, floats from 0 to 1.
+pub fn read_colors(records: &[u8], row: usize, fields: &[Field], big: bool) -> Result<Vec<u8>> {
+    check_fields(records, row, fields)?;
     let mut out = Vec::with_capacity(records.len() / row * fields.len());
     for record in records.chunks_exact(row) {
         for &(at, kind) in fields {
-            let value = kind.read(&record[at..at + kind.size()], big);
+            let value = kind.read_number(&record[at..at + kind.byte_size()], big);
             let scale = if matches!(kind, Kind::Float(_)) {
                 255.0
             } else {
                 1.0
             };
-            // a cast takes what is below, above and none to 0, 255 and 0
+            // The cast saturates, and NaN becomes 0.
             out.push((value * scale).round() as u8);
         }
     }
@@ -97,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_of_every_kind_in_both_orders() -> Result<()> {
+    fn numbers_of_every_type_are_read_in_both_byte_orders() -> Result<()> {
         let mut little = Vec::new();
         little.extend_from_slice(&1.5f32.to_le_bytes());
         little.extend_from_slice(&(-2i16).to_le_bytes());
@@ -115,30 +121,30 @@ mod tests {
                 .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
                 .collect()
         };
-        let found = read(floats(&little, 15, &fields, false)?);
+        let found = read(read_floats(&little, 15, &fields, false)?);
         assert_eq!((found[0], found[1], found[3]), (1.5, -2.0, 200.0));
         assert!(found[2].is_nan());
         let mut big = Vec::new();
         big.extend_from_slice(&1.5f32.to_be_bytes());
         big.extend_from_slice(&(-2i16).to_be_bytes());
-        assert_eq!(read(floats(&big, 6, &fields[..2], true)?), [1.5, -2.0]);
+        assert_eq!(read(read_floats(&big, 6, &fields[..2], true)?), [1.5, -2.0]);
         assert_eq!(
-            tones(&little, 15, &[fields[3], fields[1], fields[0]], false)?,
+            read_colors(&little, 15, &[fields[3], fields[1], fields[0]], false)?,
             [200, 0, 255]
         );
         Ok(())
     }
 
     #[test]
-    fn records_that_do_not_fit_are_refused() {
+    fn records_with_invalid_fields_are_rejected() {
         for (row, field) in [
             (4, (1, Kind::Float(4))),
             (3, (0, Kind::Unsigned(1))),
             (4, (0, Kind::Float(2))),
             (0, (0, Kind::Signed(1))),
         ] {
-            assert!(floats(&[0; 8], row, &[field], false).is_err());
-            assert!(tones(&[0; 8], row, &[(usize::MAX, field.1)], false).is_err());
+            assert!(read_floats(&[0; 8], row, &[field], false).is_err());
+            assert!(read_colors(&[0; 8], row, &[(usize::MAX, field.1)], false).is_err());
         }
     }
 }

@@ -1,58 +1,58 @@
-//! The colours of one camera's picture at the pixels of another camera's depth image.
+//! Registration: finds the colors of a camera's image for the pixels of another camera's depth image.
 
 use crate::camera::Camera;
 use crate::depth::Depth;
 use crate::error::{fail, Code, Result};
 
-/// A picture with its camera, and where the depth camera stands in that camera's frame.
+/// An image with its camera, and the pose of the depth camera in the frame of this camera.
 #[derive(Clone, Copy, Debug)]
-pub struct Colored<'a> {
-    /// The lens; its size is the picture's.
+pub struct ColorImage<'a> {
+    /// The intrinsics; the size is that of the image.
     pub camera: Camera,
-    /// Three bytes a pixel, row by row.
+    /// Three bytes per pixel, row by row.
     pub pixels: &'a [u8],
-    /// Rows of the rotation from the depth camera's frame.
+    /// The rows of the rotation from the frame of the depth camera.
     pub rotation: [[f64; 3]; 3],
-    /// Where the depth camera is, metres.
+    /// The position of the depth camera in metres.
     pub position: [f64; 3],
 }
 
-/// Three bytes for each pixel of the depth image: the colour of what it shows; black where that is not known, or not in
-/// the picture. `table` is of the depth camera (`Camera::table`).
-pub fn colors(depth: &Depth, table: &[u8], picture: &Colored) -> Result<Vec<u8>> {
-    depth.check(table)?;
-    let (width, height) = (picture.camera.width, picture.camera.height);
-    if width.checked_mul(height).and_then(|n| n.checked_mul(3)) != Some(picture.pixels.len()) {
+/// Returns three bytes of color for each pixel of the depth image; black if the depth is unknown or the point is
+/// outside the color image. `table` is the ray table of the depth camera (`Camera::ray_table`).
+pub fn register_colors(depth: &Depth, table: &[u8], image: &ColorImage) -> Result<Vec<u8>> {
+    depth.check_table(table)?;
+    let (width, height) = (image.camera.width, image.camera.height);
+    if width.checked_mul(height).and_then(|n| n.checked_mul(3)) != Some(image.pixels.len()) {
         return fail(
             Code::BadOption,
             format!(
-                "{} bytes of colours are not three for each of {width}x{height} pixels",
-                picture.pixels.len()
+                "{} bytes of colors are not three for each of the {width}x{height} pixels",
+                image.pixels.len()
             ),
         );
     }
-    let (columns, rows) = depth.size();
+    let (columns, rows) = depth.image_size();
     let mut out = Vec::with_capacity(columns * rows * 3);
     for y in 0..rows {
         for x in 0..columns {
             let seen = depth
-                .point(x, y, table)
-                .and_then(|point| picture.color(point));
+                .point_at(x, y, table)
+                .and_then(|point| image.color_at(point));
             out.extend_from_slice(&seen.unwrap_or_default());
         }
     }
     Ok(out)
 }
 
-impl Colored<'_> {
-    fn color(&self, point: [f32; 3]) -> Option<[u8; 3]> {
+impl ColorImage<'_> {
+    fn color_at(&self, point: [f32; 3]) -> Option<[u8; 3]> {
         let [x, y, z] = point.map(f64::from);
-        let place = [0, 1, 2].map(|i| {
+        let position = [0, 1, 2].map(|i| {
             let [a, b, c] = self.rotation[i];
             a * x + b * y + c * z + self.position[i]
         });
-        let (px, py) = self.camera.project(place)?;
-        // the pixel whose middle is nearest: as tables have them, middles are whole numbers
+        let (px, py) = self.camera.project(position)?;
+        // Rounds to the nearest pixel center; as in ray tables, centers have integer coordinates.
         let (px, py) = ((px + 0.5).floor(), (py + 0.5).floor());
         if px < 0.0 || py < 0.0 || px >= self.camera.width as f64 || py >= self.camera.height as f64
         {
@@ -67,7 +67,7 @@ impl Colored<'_> {
 mod tests {
     use super::*;
 
-    fn camera(width: usize, height: usize, focal: f64) -> Camera {
+    fn build_camera(width: usize, height: usize, focal: f64) -> Camera {
         Camera {
             width,
             height,
@@ -79,8 +79,8 @@ mod tests {
         }
     }
 
-    fn bytes(camera: &Camera) -> Vec<u8> {
-        let table = camera.table(true).unwrap_or_default();
+    fn table_bytes(camera: &Camera) -> Vec<u8> {
+        let table = camera.ray_table(true).unwrap_or_default();
         table
             .iter()
             .flatten()
@@ -89,36 +89,37 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_beside_sees_the_same_elsewhere() -> Result<()> {
-        // 2 m away; the colour camera is twice as sharp and stands 0.1 m to the left
-        let eye = camera(4, 2, 4.0);
+    fn a_displaced_camera_sees_the_same_point_at_a_different_pixel() -> Result<()> {
+        // The scene is 2 m away. The color camera has a longer focal length and is 0.1 m to the left.
+        let eye = build_camera(4, 2, 4.0);
         let data: Vec<u8> = [2000u16; 8].iter().flat_map(|v| v.to_le_bytes()).collect();
         let depth = Depth::new((4, 2, 8), &data, 0.001, false)?;
-        let lens = camera(8, 4, 80.0);
+        let lens = build_camera(8, 4, 80.0);
         let pixels: Vec<u8> = (0..96).collect();
-        let picture = Colored {
+        let image = ColorImage {
             camera: lens,
             pixels: &pixels,
             rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             position: [0.0, -0.1, 0.0],
         };
-        let found = colors(&depth, &bytes(&eye), &picture)?;
+        let found = register_colors(&depth, &table_bytes(&eye), &image)?;
         assert_eq!(found.len(), 24);
-        // the middle pixel (2, 1) lies straight ahead: 80 * 0.1 / 2 = 4 pixels right of (4, 2), outside of 8
+        // The middle pixel (2, 1) is straight ahead. In the color image it is 80 * 0.1 / 2 = 4 pixels right of (4,
+        // 2), outside of the 8 columns.
         assert_eq!(found[18..21], [0, 0, 0]);
-        let nearer = Colored {
+        let nearer = ColorImage {
             position: [0.0, -0.05, 0.0],
-            ..picture
+            ..image
         };
-        let found = colors(&depth, &bytes(&eye), &nearer)?;
+        let found = register_colors(&depth, &table_bytes(&eye), &nearer)?;
         let at = (2 * 8 + 6) * 3;
         assert_eq!(found[18..21], [at, at + 1, at + 2]);
-        assert!(colors(
+        assert!(register_colors(
             &depth,
-            &bytes(&eye),
-            &Colored {
+            &table_bytes(&eye),
+            &ColorImage {
                 pixels: &[1, 2],
-                ..picture
+                ..image
             }
         )
         .is_err());

@@ -1,39 +1,39 @@
-//! A room seen by a depth camera, exactly: rays against boxes and capsules.
+//! Renders a room as seen by an ideal depth camera, by casting rays against boxes and capsules.
 
 use crate::error::{fail, Code, Result};
 use crate::grid::Point;
 
-/// Something in the room, with a colour (red, green, blue).
+/// An object in the room, with a color (red, green, blue).
 #[derive(Clone, Copy, Debug)]
 pub enum Shape {
-    /// An upright box seen from outside (from inside: the walls of the room).
+    /// An axis-aligned box, seen from outside (or from inside: the walls of the room).
     Box {
-        /// Least corner.
+        /// The minimum corner.
         min: Point,
-        /// Greatest corner.
+        /// The maximum corner.
         max: Point,
-        /// Colour.
+        /// The color.
         color: [u8; 3],
     },
-    /// All points within a radius of a line: a limb, or a ball where both ends are one.
+    /// All points within a radius of a segment: a limb, or a ball if both ends are equal.
     Capsule {
         /// One end.
         from: Point,
         /// The other end.
         to: Point,
-        /// Metres.
+        /// The radius in metres.
         radius: f32,
-        /// Colour.
+        /// The color.
         color: [u8; 3],
     },
 }
 
-/// Where the camera is: its position, and the rows of its rotation matrix.
+/// The pose of the camera: its position, and the rows of its rotation matrix.
 #[derive(Clone, Copy, Debug)]
 pub struct Viewpoint {
-    /// Metres.
+    /// The position in metres.
     pub position: Point,
-    /// Takes directions of the camera's frame to the room's.
+    /// Rotates directions from the frame of the camera to that of the room.
     pub rotation: [[f32; 3]; 3],
 }
 
@@ -41,13 +41,13 @@ fn dot(a: &Point, b: &Point) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-fn minus(a: &Point, b: &Point) -> Point {
+fn subtract(a: &Point, b: &Point) -> Point {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
 impl Shape {
-    /// The distance along a ray (in lengths of its direction).
-    fn distance(&self, origin: &Point, ray: &Point, inverse: &Point) -> Option<f32> {
+    /// Returns the distance along a ray (in lengths of its direction).
+    fn ray_distance(&self, origin: &Point, ray: &Point, inverse: &Point) -> Option<f32> {
         match self {
             Shape::Box { min, max, .. } => box_distance(min, max, origin, inverse),
             Shape::Capsule {
@@ -56,8 +56,8 @@ impl Shape {
         }
     }
 
-    /// The normal where a ray meets the shape.
-    fn normal(&self, origin: &Point, ray: &Point) -> Point {
+    /// Returns the surface normal at the point where a ray meets the shape.
+    fn surface_normal(&self, origin: &Point, ray: &Point) -> Point {
         let hit = match self {
             Shape::Box { min, max, .. } => hit_box(min, max, origin, ray),
             Shape::Capsule {
@@ -67,8 +67,8 @@ impl Shape {
         hit.map_or([0.0; 3], |(_, normal)| normal)
     }
 
-    /// A ball that holds the shape.
-    fn ball(&self) -> (Point, f32) {
+    /// Returns a ball that contains the shape.
+    fn bounding_ball(&self) -> (Point, f32) {
         let (a, b, more) = match self {
             Shape::Box { min, max, .. } => (min, max, 0.0),
             Shape::Capsule {
@@ -87,7 +87,7 @@ impl Shape {
     }
 }
 
-/// How far to a box; `inverse` is one over each coordinate of the ray's direction.
+/// Returns the distance to a box. `inverse` contains the reciprocals of the direction of the ray.
 fn box_distance(min: &Point, max: &Point, origin: &Point, inverse: &Point) -> Option<f32> {
     let (mut enter, mut leave) = (f32::NEG_INFINITY, f32::INFINITY);
     for axis in 0..3 {
@@ -135,7 +135,7 @@ fn hit_box(min: &Point, max: &Point, origin: &Point, ray: &Point) -> Option<(f32
 }
 
 fn hit_ball(center: &Point, radius: f32, origin: &Point, ray: &Point) -> Option<(f32, Point)> {
-    let from = minus(origin, center);
+    let from = subtract(origin, center);
     let (a, b, c) = (
         dot(ray, ray),
         dot(&from, ray),
@@ -159,8 +159,8 @@ fn hit_capsule(
     origin: &Point,
     ray: &Point,
 ) -> Option<(f32, Point)> {
-    let axis = minus(b, a);
-    let from = minus(origin, a);
+    let axis = subtract(b, a);
+    let from = subtract(origin, a);
     let (length2, along, start) = (dot(&axis, &axis), dot(&axis, ray), dot(&axis, &from));
     let qa = length2 * dot(ray, ray) - along * along;
     if length2 > 0.0 && qa > 1e-12 {
@@ -188,22 +188,25 @@ fn hit_capsule(
     }
 }
 
-/// The room as a camera sees it, whose pixels' rays stand in `table` (two floats a pixel): depth to the plane in
-/// units of
-/// `scale` metres (0 beyond the range of 16 bits), and the colours (red, green, blue), shaded by a lamp at the camera.
-pub fn render(
+/// Renders the room for a camera whose pixel rays are in `table` (two floats per pixel). Returns the depth to the
+/// image plane in units of `scale` metres (0 beyond the range of 16 bits), and the colors (red, green, blue), lit by
+/// a lamp at the camera.
+pub fn render_room(
     shapes: &[Shape],
     view: &Viewpoint,
     table: &[u8],
     scale: f64,
 ) -> Result<(Vec<u8>, Vec<u8>)> {
     if table.is_empty() || !table.len().is_multiple_of(8) {
-        return fail(Code::BadCamera, "the table has no whole number of pixels");
+        return fail(
+            Code::BadCamera,
+            "the size of the ray table must be a positive multiple of 8 bytes",
+        );
     }
     if !(scale.is_finite() && scale > 0.0) {
         return fail(
             Code::BadOption,
-            format!("a depth scale of {scale} m is impossible"),
+            format!("a depth scale must be a positive number of metres, not {scale}"),
         );
     }
     let pixels = table.len() / 8;
@@ -219,12 +222,12 @@ pub fn render(
     let mut seen = Vec::with_capacity(shapes.len());
     for strip in rays.chunks(STRIP) {
         seen.clear();
-        match Cone::around(strip) {
-            Some(cone) => seen.extend(shapes.iter().filter(|s| cone.meets(s, view))),
+        match Cone::enclosing_rays(strip) {
+            Some(cone) => seen.extend(shapes.iter().filter(|s| cone.may_meet(s, view))),
             None => seen.extend(shapes.iter()),
         }
         for (nx, ny) in strip {
-            let (value, color) = pixel(&seen, view, *nx, *ny, scale);
+            let (value, color) = render_pixel(&seen, view, *nx, *ny, scale);
             depth.extend_from_slice(&value.to_le_bytes());
             rgb.extend_from_slice(&color);
         }
@@ -232,10 +235,10 @@ pub fn render(
     Ok((depth, rgb))
 }
 
-/// Neighbouring pixels that share the search for what they may show.
+/// The number of neighbouring pixels that share the search for visible shapes.
 const STRIP: usize = 32;
 
-/// All directions within an angle of one, in the camera's frame.
+/// All directions within an angle of an axis, in the frame of the camera.
 struct Cone {
     axis: Point,
     cos: f32,
@@ -243,9 +246,10 @@ struct Cone {
 }
 
 impl Cone {
-    /// The narrowest cone around the middle ray of a strip that holds all its rays; none where a ray is not known.
-    fn around(strip: &[(f32, f32)]) -> Option<Cone> {
-        let units: Vec<Point> = strip.iter().map(|(nx, ny)| unit(nx, ny)).collect();
+    /// Returns the narrowest cone around the middle ray of a strip that contains all its rays; `None` if a ray is
+    /// unknown.
+    fn enclosing_rays(strip: &[(f32, f32)]) -> Option<Cone> {
+        let units: Vec<Point> = strip.iter().map(|(nx, ny)| unit_ray(nx, ny)).collect();
         let axis = *units.get(units.len() / 2)?;
         let cos = units.iter().map(|u| dot(u, &axis)).fold(1.0, f32::min) - 1e-6;
         if !cos.is_finite() || units.iter().any(|u| !u[0].is_finite()) {
@@ -255,33 +259,40 @@ impl Cone {
         Some(Cone { axis, cos, sin })
     }
 
-    /// Whether a ray of the cone may meet the shape: judged by the ball around the shape, so never wrongly denied.
-    fn meets(&self, shape: &Shape, view: &Viewpoint) -> bool {
-        let (center, radius) = shape.ball();
-        let from = minus(&center, &view.position);
+    /// Returns whether a ray of the cone may meet the shape. The check uses the bounding ball, so it never misses a
+    /// shape.
+    fn may_meet(&self, shape: &Shape, view: &Viewpoint) -> bool {
+        let (center, radius) = shape.bounding_ball();
+        let from = subtract(&center, &view.position);
         let axis: Point = std::array::from_fn(|i| dot(&view.rotation[i], &self.axis));
         let along = dot(&from, &axis);
-        let beside = (dot(&from, &from) - along * along).max(0.0).sqrt();
-        beside * self.cos - along * self.sin <= radius * 1.001 + 1e-4
+        let across = (dot(&from, &from) - along * along).max(0.0).sqrt();
+        across * self.cos - along * self.sin <= radius * 1.001 + 1e-4
     }
 }
 
-fn unit(nx: &f32, ny: &f32) -> Point {
+fn unit_ray(nx: &f32, ny: &f32) -> Point {
     let length = (1.0 + nx * nx + ny * ny).sqrt();
     [1.0 / length, -nx / length, -ny / length]
 }
 
-fn pixel(shapes: &[&Shape], view: &Viewpoint, nx: f32, ny: f32, scale: f64) -> (u16, [u8; 3]) {
+fn render_pixel(
+    shapes: &[&Shape],
+    view: &Viewpoint,
+    nx: f32,
+    ny: f32,
+    scale: f64,
+) -> (u16, [u8; 3]) {
     if !(nx.is_finite() && ny.is_finite()) {
         return (0, [0; 3]);
     }
-    // A length of 1 along the ray is a depth of 1 m.
+    // With this direction, a distance of 1 along the ray is a depth of 1 m.
     let local = [1.0, -nx, -ny];
     let ray: Point = std::array::from_fn(|i| dot(&view.rotation[i], &local));
     let inverse = ray.map(|c| 1.0 / c);
     let mut nearest: Option<(f32, &Shape)> = None;
     for shape in shapes {
-        if let Some(t) = shape.distance(&view.position, &ray, &inverse) {
+        if let Some(t) = shape.ray_distance(&view.position, &ray, &inverse) {
             if nearest.is_none_or(|(least, _)| t < least) {
                 nearest = Some((t, shape));
             }
@@ -290,7 +301,7 @@ fn pixel(shapes: &[&Shape], view: &Viewpoint, nx: f32, ny: f32, scale: f64) -> (
     match nearest {
         None => (0, [0; 3]),
         Some((t, shape)) => {
-            let (normal, color) = (shape.normal(&view.position, &ray), shape.color());
+            let (normal, color) = (shape.surface_normal(&view.position, &ray), shape.color());
             let light = (dot(&normal, &ray).abs() / dot(&ray, &ray).sqrt()).clamp(0.0, 1.0);
             let value = (f64::from(t) / scale).round();
             let value = if value <= f64::from(u16::MAX) {
@@ -322,15 +333,15 @@ mod tests {
 
     fn depth_at(shapes: &[Shape], nx: f32, ny: f32) -> u16 {
         let all: Vec<&Shape> = shapes.iter().collect();
-        pixel(&all, &LEVEL, nx, ny, 0.001).0
+        render_pixel(&all, &LEVEL, nx, ny, 0.001).0
     }
 
     #[test]
-    fn walls_floor_and_things_are_where_they_are() {
+    fn walls_floor_and_objects_have_the_right_depth() {
         assert_eq!(depth_at(&[ROOM], 0.0, 0.0), 4000);
-        // Down to the floor at 45 degrees: one metre ahead.
+        // The ray down at 45 degrees meets the floor one metre ahead.
         assert_eq!(depth_at(&[ROOM], 0.0, 1.0), 1000);
-        // To the right at 45 degrees: the wall is 2 m to the side.
+        // The ray to the right at 45 degrees meets the wall, which is 2 m to the side.
         assert_eq!(depth_at(&[ROOM], 1.0, 0.0), 2000);
         let ball = Shape::Capsule {
             from: [2.0, 0.0, 1.0],
@@ -353,15 +364,18 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_black_and_unknown() {
-        assert_eq!(pixel(&[], &LEVEL, 0.0, 0.0, 0.001), (0, [0; 3]));
-        assert_eq!(pixel(&[&ROOM], &LEVEL, f32::NAN, 0.0, 0.001), (0, [0; 3]));
-        assert!(render(&[ROOM], &LEVEL, &[0; 7], 0.001).is_err());
-        assert!(render(&[ROOM], &LEVEL, &[0; 8], 0.0).is_err());
+    fn rays_without_a_hit_are_black_and_unknown() {
+        assert_eq!(render_pixel(&[], &LEVEL, 0.0, 0.0, 0.001), (0, [0; 3]));
+        assert_eq!(
+            render_pixel(&[&ROOM], &LEVEL, f32::NAN, 0.0, 0.001),
+            (0, [0; 3])
+        );
+        assert!(render_room(&[ROOM], &LEVEL, &[0; 7], 0.001).is_err());
+        assert!(render_room(&[ROOM], &LEVEL, &[0; 8], 0.0).is_err());
     }
 
     #[test]
-    fn leaving_out_what_a_strip_cannot_show_changes_no_pixel() {
+    fn culling_shapes_for_a_strip_changes_no_pixel() {
         let mut shapes = vec![ROOM];
         for i in 0..40 {
             let at = |k: i32| ((i * k) % 17) as f32 / 17.0;
@@ -385,12 +399,12 @@ mod tests {
                 table.extend_from_slice(&((y as f32 - 30.0) / 30.0).to_le_bytes());
             }
         }
-        let (depth, rgb) = render(&shapes, &LEVEL, &table, 0.001).unwrap_or_default();
+        let (depth, rgb) = render_room(&shapes, &LEVEL, &table, 0.001).unwrap_or_default();
         let all: Vec<&Shape> = shapes.iter().collect();
         for (i, b) in table.chunks_exact(8).enumerate() {
             let nx = f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
             let ny = f32::from_le_bytes([b[4], b[5], b[6], b[7]]);
-            let (value, color) = pixel(&all, &LEVEL, nx, ny, 0.001);
+            let (value, color) = render_pixel(&all, &LEVEL, nx, ny, 0.001);
             assert_eq!(value.to_le_bytes(), [depth[2 * i], depth[2 * i + 1]]);
             assert_eq!(color, [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]]);
         }

@@ -1,11 +1,11 @@
-//! Glue of the points of files.
+//! Bindings of the functions that read point cloud files.
 
 use rustler::NifTaggedEnum;
 use rustler::{Binary, Encoder, Env, Term};
 use situ_space::las::{self, Records};
 use situ_space::records::{self, Field, Kind};
 
-use crate::{binary, reply, row, Row};
+use crate::{copy_to_binary, encode_binary_reply, encode_reply, to_f64_array, Vector};
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn las_unpack<'a>(
@@ -19,37 +19,42 @@ fn las_unpack<'a>(
         size: size as usize,
         count: count as usize,
     };
-    let unpacked = las::unpack(file.as_slice(), records, packing.as_slice());
-    reply(env, unpacked.and_then(|r| Ok(binary(env, &r)?.encode(env))))
+    let unpacked = las::unpack_records(file.as_slice(), records, packing.as_slice());
+    encode_binary_reply(env, unpacked)
 }
 
-/// `colors` is the byte of a record at which they begin, or -1.
+/// Converts records to points. `colors` is the offset of the colors in a record, or -1.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn las_points<'a>(
     env: Env<'a>,
     records: Binary<'a>,
     size: u32,
     colors: i64,
-    scale: Row,
-    offset: Row,
+    scale: Vector,
+    offset: Vector,
 ) -> Term<'a> {
     let colors = usize::try_from(colors).ok();
-    let found = las::cloud(
+    let found = las::read_cloud(
         records.as_slice(),
         size as usize,
         colors,
-        row(scale),
-        row(offset),
+        to_f64_array(scale),
+        to_f64_array(offset),
     );
-    reply(
+    encode_reply(
         env,
         found.and_then(|(p, c, s)| {
-            Ok((binary(env, &p)?, binary(env, &c)?, binary(env, &s)?).encode(env))
+            Ok((
+                copy_to_binary(env, &p)?,
+                copy_to_binary(env, &c)?,
+                copy_to_binary(env, &s)?,
+            )
+                .encode(env))
         }),
     )
 }
 
-/// `{:float, bytes}`, `{:int, bytes}` or `{:uint, bytes}`.
+/// The type of a number: `{:float, bytes}`, `{:int, bytes}` or `{:uint, bytes}`.
 #[derive(NifTaggedEnum)]
 enum KindTerm {
     Float(u32),
@@ -57,7 +62,7 @@ enum KindTerm {
     Uint(u32),
 }
 
-fn fields(given: Vec<(u32, KindTerm)>) -> Vec<Field> {
+fn record_fields(given: Vec<(u32, KindTerm)>) -> Vec<Field> {
     given
         .into_iter()
         .map(|(at, kind)| {
@@ -79,8 +84,8 @@ fn record_floats<'a>(
     given: Vec<(u32, KindTerm)>,
     big: bool,
 ) -> Term<'a> {
-    let found = records::floats(records.as_slice(), row as usize, &fields(given), big);
-    reply(env, found.and_then(|f| Ok(binary(env, &f)?.encode(env))))
+    let found = records::read_floats(records.as_slice(), row as usize, &record_fields(given), big);
+    encode_binary_reply(env, found)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
@@ -91,6 +96,6 @@ fn record_tones<'a>(
     given: Vec<(u32, KindTerm)>,
     big: bool,
 ) -> Term<'a> {
-    let found = records::tones(records.as_slice(), row as usize, &fields(given), big);
-    reply(env, found.and_then(|t| Ok(binary(env, &t)?.encode(env))))
+    let found = records::read_colors(records.as_slice(), row as usize, &record_fields(given), big);
+    encode_binary_reply(env, found)
 }

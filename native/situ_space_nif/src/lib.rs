@@ -1,12 +1,12 @@
-//! BEAM glue of situ_space: decode, call, encode. No algorithms here.
+//! The BEAM bindings of situ_space: they decode, call and encode, and contain no algorithms.
 //!
-//! Every function runs on a dirty scheduler: what a cloud costs depends on its content.
+//! Every function runs on a dirty scheduler, because the cost of a cloud depends on its content.
 
 use rustler::{Binary, Encoder, Env, NifTaggedEnum, NifTuple, OwnedBinary, Term};
 use situ_space::camera::Camera;
 use situ_space::depth::{Depth, Sampling};
 use situ_space::error::{fail, Code, Error, Result};
-use situ_space::register::Colored;
+use situ_space::register::ColorImage;
 use situ_space::room::{Shape, Viewpoint};
 use situ_space::{cloud, normals, plane, register, room};
 
@@ -16,7 +16,7 @@ mod atoms {
     rustler::atoms! { ok, error, bad_cloud, bad_depth, bad_camera, bad_option, degenerate, too_large }
 }
 
-fn atom(code: Code) -> rustler::Atom {
+fn error_atom(code: Code) -> rustler::Atom {
     match code {
         Code::BadCloud => atoms::bad_cloud(),
         Code::BadDepth => atoms::bad_depth(),
@@ -27,16 +27,44 @@ fn atom(code: Code) -> rustler::Atom {
     }
 }
 
-/// `{:ok, term}` or `{:error, code, what}`.
-fn reply<'a>(env: Env<'a>, result: Result<Term<'a>>) -> Term<'a> {
+/// Encodes a result as `{:ok, term}` or `{:error, code, what}`.
+fn encode_reply<'a>(env: Env<'a>, result: Result<Term<'a>>) -> Term<'a> {
     match result {
         Ok(term) => (atoms::ok(), term).encode(env),
-        Err(Error { code, what }) => (atoms::error(), atom(code), what).encode(env),
+        Err(Error { code, what }) => (atoms::error(), error_atom(code), what).encode(env),
     }
 }
 
-/// Memory of the BEAM; an error when there is none left (`OwnedBinary::new` would abort the VM).
-fn binary<'a>(env: Env<'a>, bytes: &[u8]) -> Result<Binary<'a>> {
+/// Encodes bytes as `{:ok, binary}`.
+fn encode_binary_reply<'a>(env: Env<'a>, result: Result<Vec<u8>>) -> Term<'a> {
+    encode_reply(
+        env,
+        result.and_then(|bytes| Ok(copy_to_binary(env, &bytes)?.encode(env))),
+    )
+}
+
+/// Encodes two byte vectors as `{:ok, {binary, binary}}`.
+fn encode_binaries_reply<'a>(env: Env<'a>, result: Result<(Vec<u8>, Vec<u8>)>) -> Term<'a> {
+    encode_reply(
+        env,
+        result.and_then(|(a, b)| {
+            Ok((copy_to_binary(env, &a)?, copy_to_binary(env, &b)?).encode(env))
+        }),
+    )
+}
+
+/// Encodes points with a number for each as `{:ok, {binary, binary}}`.
+fn encode_points_reply<'a>(env: Env<'a>, result: Result<(Vec<u8>, Vec<u32>)>) -> Term<'a> {
+    encode_reply(
+        env,
+        result.and_then(|(p, n)| {
+            Ok((copy_to_binary(env, &p)?, encode_numbers(env, &n)?).encode(env))
+        }),
+    )
+}
+
+/// Copies bytes to a binary. Returns an error if no memory is left, where `OwnedBinary::new` would abort the VM.
+fn copy_to_binary<'a>(env: Env<'a>, bytes: &[u8]) -> Result<Binary<'a>> {
     let mut owned = OwnedBinary::new(0);
     if !owned.realloc(bytes.len()) {
         return fail(
@@ -48,12 +76,12 @@ fn binary<'a>(env: Env<'a>, bytes: &[u8]) -> Result<Binary<'a>> {
     Ok(owned.release(env))
 }
 
-fn numbers<'a>(env: Env<'a>, values: &[u32]) -> Result<Binary<'a>> {
+fn encode_numbers<'a>(env: Env<'a>, values: &[u32]) -> Result<Binary<'a>> {
     let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-    binary(env, &bytes)
+    copy_to_binary(env, &bytes)
 }
 
-/// `{width, height, focal, principal, radial, tangential, distorts?}`.
+/// A camera: `{width, height, focal, principal, radial, tangential, distorts?}`.
 #[derive(NifTuple)]
 struct CameraTerm {
     width: u32,
@@ -80,7 +108,7 @@ impl From<CameraTerm> for Camera {
     }
 }
 
-/// `{width, height, stride, data, scale, along_ray?}`.
+/// A depth image: `{width, height, stride, data, scale, along_ray?}`.
 #[derive(NifTuple)]
 struct DepthTerm<'a> {
     width: u32,
@@ -102,27 +130,33 @@ impl<'a> DepthTerm<'a> {
     }
 }
 
-type Row = (f64, f64, f64);
+type Vector = (f64, f64, f64);
+/// The rows of a rotation matrix.
+type Rotation = (Vector, Vector, Vector);
 
-fn row((x, y, z): Row) -> [f64; 3] {
+fn to_f64_array((x, y, z): Vector) -> [f64; 3] {
     [x, y, z]
 }
 
-fn single((x, y, z): Row) -> [f32; 3] {
+fn to_f64_rows((a, b, c): Rotation) -> [[f64; 3]; 3] {
+    [a, b, c].map(to_f64_array)
+}
+
+fn to_f32_array((x, y, z): Vector) -> [f32; 3] {
     [x as f32, y as f32, z as f32]
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn ray_table<'a>(env: Env<'a>, camera: CameraTerm, undistort: bool) -> Term<'a> {
-    let table = Camera::from(camera).table(undistort).and_then(|rays| {
+    let table = Camera::from(camera).ray_table(undistort).and_then(|rays| {
         let bytes: Vec<u8> = rays
             .iter()
             .flatten()
             .flat_map(|c| c.to_le_bytes())
             .collect();
-        Ok(binary(env, &bytes)?.encode(env))
+        Ok(copy_to_binary(env, &bytes)?.encode(env))
     });
-    reply(env, table)
+    encode_reply(env, table)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
@@ -140,11 +174,8 @@ fn depth_cloud<'a>(
     };
     let points = depth
         .view()
-        .and_then(|d| d.cloud(table.as_slice(), sampling, colors.as_slice()));
-    reply(
-        env,
-        points.and_then(|(p, c)| Ok((binary(env, &p)?, binary(env, &c)?).encode(env))),
-    )
+        .and_then(|d| d.build_cloud(table.as_slice(), sampling, colors.as_slice()));
+    encode_binaries_reply(env, points)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
@@ -157,46 +188,41 @@ fn depth_mesh<'a>(
 ) -> Term<'a> {
     let mesh = depth
         .view()
-        .and_then(|d| d.mesh(table.as_slice(), edge, sparsity as usize));
-    reply(
-        env,
-        mesh.and_then(|(v, i)| Ok((binary(env, &v)?, binary(env, &i)?).encode(env))),
-    )
+        .and_then(|d| d.build_mesh(table.as_slice(), edge, sparsity as usize));
+    encode_binaries_reply(env, mesh)
 }
 
-/// `picture` is `{camera, pixels, rotation, position}`, its rotation and position of the depth camera in its frame.
+/// Finds the colors of depth pixels. The image is `{camera, pixels, rotation, position}`, with the rotation and position
+/// of the depth camera in the frame of its camera.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn depth_colors<'a>(
     env: Env<'a>,
     depth: DepthTerm<'a>,
     table: Binary<'a>,
-    (camera, pixels, rotation, position): (CameraTerm, Binary<'a>, (Row, Row, Row), Row),
+    (camera, pixels, rotation, position): (CameraTerm, Binary<'a>, Rotation, Vector),
 ) -> Term<'a> {
-    let picture = Colored {
+    let image = ColorImage {
         camera: camera.into(),
         pixels: pixels.as_slice(),
-        rotation: [row(rotation.0), row(rotation.1), row(rotation.2)],
-        position: row(position),
+        rotation: to_f64_rows(rotation),
+        position: to_f64_array(position),
     };
     let colors = depth
         .view()
-        .and_then(|d| register::colors(&d, table.as_slice(), &picture));
-    reply(env, colors.and_then(|c| Ok(binary(env, &c)?.encode(env))))
+        .and_then(|d| register::register_colors(&d, table.as_slice(), &image));
+    encode_binary_reply(env, colors)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn downsample<'a>(env: Env<'a>, points: Binary<'a>, size: f64) -> Term<'a> {
     let result = cloud::downsample(points.as_slice(), size);
-    reply(
-        env,
-        result.and_then(|(p, n)| Ok((binary(env, &p)?, numbers(env, &n)?).encode(env))),
-    )
+    encode_points_reply(env, result)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn thin<'a>(env: Env<'a>, records: Binary<'a>, size: u32, most: u32) -> Term<'a> {
-    let result = cloud::thin(records.as_slice(), size as usize, most as usize);
-    reply(env, result.and_then(|r| Ok(binary(env, &r)?.encode(env))))
+    let result = cloud::thin_records(records.as_slice(), size as usize, most as usize);
+    encode_binary_reply(env, result)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
@@ -213,79 +239,78 @@ fn within<'a>(
         .map(|&(a, b, c, d)| [a as f32, b as f32, c as f32, d as f32])
         .collect();
     let extras = [(colors.as_slice(), 3), (values.as_slice(), 4)];
-    let found = cloud::within(points.as_slice(), &extras, &planes, most as usize);
-    reply(
+    let found = cloud::clip_by_planes(points.as_slice(), &extras, &planes, most as usize);
+    encode_reply(
         env,
         found.and_then(|(p, more, n)| {
-            let (colors, values) = (binary(env, &more[0])?, binary(env, &more[1])?);
-            Ok((binary(env, &p)?, colors, values, n as u64).encode(env))
+            let colors = copy_to_binary(env, &more[0])?;
+            let values = copy_to_binary(env, &more[1])?;
+            Ok((copy_to_binary(env, &p)?, colors, values, n as u64).encode(env))
         }),
     )
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn clusters<'a>(env: Env<'a>, points: Binary<'a>, radius: f64, least: u32) -> Term<'a> {
-    let result = cloud::clusters(points.as_slice(), radius, least as usize);
-    reply(env, result.and_then(|n| Ok(numbers(env, &n)?.encode(env))))
+    let result = cloud::find_clusters(points.as_slice(), radius, least as usize);
+    encode_reply(
+        env,
+        result.and_then(|n| Ok(encode_numbers(env, &n)?.encode(env))),
+    )
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
-fn clip<'a>(env: Env<'a>, points: Binary<'a>, min: Row, max: Row) -> Term<'a> {
-    let result = cloud::clip(points.as_slice(), row(min), row(max));
-    reply(
-        env,
-        result.and_then(|(p, n)| Ok((binary(env, &p)?, numbers(env, &n)?).encode(env))),
-    )
+fn clip<'a>(env: Env<'a>, points: Binary<'a>, min: Vector, max: Vector) -> Term<'a> {
+    let result = cloud::clip_to_box(points.as_slice(), to_f64_array(min), to_f64_array(max));
+    encode_points_reply(env, result)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn transform<'a>(
     env: Env<'a>,
     points: Binary<'a>,
-    rotation: (Row, Row, Row),
-    position: Row,
+    rotation: Rotation,
+    position: Vector,
 ) -> Term<'a> {
-    let rows = [row(rotation.0), row(rotation.1), row(rotation.2)];
-    let result = cloud::transform(points.as_slice(), rows, row(position));
-    reply(env, result.and_then(|p| Ok(binary(env, &p)?.encode(env))))
+    let rows = to_f64_rows(rotation);
+    let result = cloud::transform_points(points.as_slice(), rows, to_f64_array(position));
+    encode_binary_reply(env, result)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
 fn plane<'a>(env: Env<'a>, points: Binary<'a>, tolerance: f64, rounds: u32, seed: u64) -> Term<'a> {
-    let result = plane::ransac(points.as_slice(), tolerance, rounds, seed).and_then(|found| {
+    let result = plane::find_plane(points.as_slice(), tolerance, rounds, seed).and_then(|found| {
         let [x, y, z] = found.normal;
-        Ok(((x, y, z), found.offset, numbers(env, &found.inliers)?).encode(env))
+        let inliers = encode_numbers(env, &found.inliers)?;
+        Ok(((x, y, z), found.offset, inliers).encode(env))
     });
-    reply(env, result)
+    encode_reply(env, result)
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
-fn normals<'a>(env: Env<'a>, points: Binary<'a>, radius: f64, viewpoint: Row) -> Term<'a> {
-    let result = normals::normals(points.as_slice(), radius, row(viewpoint));
-    reply(
-        env,
-        result.and_then(|(n, c)| Ok((binary(env, &n)?, binary(env, &c)?).encode(env))),
-    )
+fn normals<'a>(env: Env<'a>, points: Binary<'a>, radius: f64, viewpoint: Vector) -> Term<'a> {
+    let result = normals::estimate_normals(points.as_slice(), radius, to_f64_array(viewpoint));
+    encode_binaries_reply(env, result)
 }
 
-/// `{:box, min, max, color}` or `{:capsule, from, to, radius, color}`.
+/// A shape: `{:box, min, max, color}` or `{:capsule, from, to, radius, color}`.
 #[derive(NifTaggedEnum)]
 enum ShapeTerm {
-    Box(Row, Row, (u8, u8, u8)),
-    Capsule(Row, Row, f64, (u8, u8, u8)),
+    Box(Vector, Vector, (u8, u8, u8)),
+    Capsule(Vector, Vector, f64, (u8, u8, u8)),
 }
 
 impl From<ShapeTerm> for Shape {
     fn from(shape: ShapeTerm) -> Shape {
         match shape {
             ShapeTerm::Box(min, max, color) => Shape::Box {
-                min: single(min),
-                max: single(max),
+                min: to_f32_array(min),
+                max: to_f32_array(max),
                 color: color.into(),
             },
             ShapeTerm::Capsule(from, to, radius, color) => Shape::Capsule {
-                from: single(from),
-                to: single(to),
+                from: to_f32_array(from),
+                to: to_f32_array(to),
                 radius: radius as f32,
                 color: color.into(),
             },
@@ -297,21 +322,22 @@ impl From<ShapeTerm> for Shape {
 fn render<'a>(
     env: Env<'a>,
     shapes: Vec<ShapeTerm>,
-    position: Row,
-    rotation: (Row, Row, Row),
+    position: Vector,
+    rotation: Rotation,
     table: Binary<'a>,
     scale: f64,
 ) -> Term<'a> {
     let shapes: Vec<Shape> = shapes.into_iter().map(Shape::from).collect();
     let view = Viewpoint {
-        position: single(position),
-        rotation: [single(rotation.0), single(rotation.1), single(rotation.2)],
+        position: to_f32_array(position),
+        rotation: [
+            to_f32_array(rotation.0),
+            to_f32_array(rotation.1),
+            to_f32_array(rotation.2),
+        ],
     };
-    let result = room::render(&shapes, &view, table.as_slice(), scale);
-    reply(
-        env,
-        result.and_then(|(d, rgb)| Ok((binary(env, &d)?, binary(env, &rgb)?).encode(env))),
-    )
+    let result = room::render_room(&shapes, &view, table.as_slice(), scale);
+    encode_binaries_reply(env, result)
 }
 
 rustler::init!("Elixir.Situ.Space.Native");

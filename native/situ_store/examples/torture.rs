@@ -2,8 +2,8 @@
 //!
 //!     cargo run --release --example torture -- KILLS [SEED]
 //!
-//! Every message whose commit was acknowledged (a line on the writer's standard output, after the commit) must be
-//! there, byte for byte and in order; nothing else may be damaged; the store is repaired and copied into a new one.
+//! Every message whose commit was acknowledged (the writer prints a line after each commit) must be in the store,
+//! byte for byte and in order, and nothing may be damaged. The store is then repaired and copied into a new one.
 //! Prints `N passed, N failed`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -32,8 +32,8 @@ impl Random {
     }
 }
 
-fn envelope(i: u64) -> Envelope {
-    // Creation times step back now and then, as a clock that is set does.
+fn message_envelope(i: u64) -> Envelope {
+    // Creation times sometimes step back, as they do when a clock is set.
     let creation = i as i64 * 1_000 + 300 - if i.is_multiple_of(50) { 1_000_000 } else { 0 };
     Envelope {
         sequence: i + 1,
@@ -42,7 +42,7 @@ fn envelope(i: u64) -> Envelope {
     }
 }
 
-fn payload(i: u64, stream: u64) -> Vec<u8> {
+fn message_payload(i: u64, stream: u64) -> Vec<u8> {
     let mut random = Random((i + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (stream << 32) | 1);
     let size = if stream == 3 && i.is_multiple_of(8) {
         40_000 + random.below(30_000)
@@ -52,8 +52,9 @@ fn payload(i: u64, stream: u64) -> Vec<u8> {
     (0..size).map(|_| random.next() as u8).collect()
 }
 
-/// Three streams: integers (with a pyramid), small binaries compressed, binaries of which every eighth is large.
-fn write(dir: &Path, seed: u64, fault: i64) -> situ_store::Result<()> {
+/// Writes three streams: integers (with a pyramid), small compressed binaries, and binaries of which every eighth
+/// is large.
+fn write_store(dir: &Path, seed: u64, fault: i64) -> situ_store::Result<()> {
     let mut random = Random(seed | 1);
     let durability = match random.below(20) {
         0 => Durability::Each,
@@ -81,14 +82,20 @@ fn write(dir: &Path, seed: u64, fault: i64) -> situ_store::Result<()> {
     while next < 30_000 {
         let end = next + 1 + random.below(60);
         for i in next..end {
-            writer.push(1, envelope(i), Encoding::Int, 0, Input::Int(i as i64 * 3))?;
+            writer.push(
+                1,
+                message_envelope(i),
+                Encoding::Int,
+                0,
+                Input::Int(i as i64 * 3),
+            )?;
         }
         for stream in [2, 3] {
             for i in next..end {
-                let bytes = payload(i, stream);
+                let bytes = message_payload(i, stream);
                 writer.push(
                     stream as u32,
-                    envelope(i),
+                    message_envelope(i),
                     Encoding::Bytes,
                     0,
                     Input::Bytes(&bytes),
@@ -102,19 +109,19 @@ fn write(dir: &Path, seed: u64, fault: i64) -> situ_store::Result<()> {
     writer.close()
 }
 
-fn read(reader: &Reader, stream: u32) -> u64 {
+fn read_stream(reader: &Reader, stream: u32) -> u64 {
     let mut ordinal = 0;
     while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
-        let chunk = reader.chunk(&entry).unwrap();
+        let chunk = reader.read_chunk(&entry).unwrap();
         for message in chunk.messages() {
             let (got, value) = message.unwrap();
-            assert_eq!(got, envelope(ordinal), "stream {stream}");
+            assert_eq!(got, message_envelope(ordinal), "stream {stream}");
             match value {
                 Value::Int(value) => assert_eq!(value, ordinal as i64 * 3),
                 Value::Bytes { start, length } => {
                     assert_eq!(
                         &chunk.body()[start..start + length],
-                        payload(ordinal, stream as u64)
+                        message_payload(ordinal, stream as u64)
                     )
                 }
                 other => panic!("{other:?}"),
@@ -125,16 +132,16 @@ fn read(reader: &Reader, stream: u32) -> u64 {
     ordinal
 }
 
-fn check(dir: &Path, acknowledged: u64) {
+fn check_store(dir: &Path, acknowledged: u64) {
     let reader = match Reader::open(dir) {
         Ok(reader) => reader,
-        // Killed before there was a store: then nothing was acknowledged either.
+        // The writer was killed before there was a store, so nothing was acknowledged.
         Err(_) if acknowledged == 0 => return,
         Err(error) => panic!("{acknowledged} messages acknowledged, but: {error}"),
     };
     assert!(!reader.is_live(), "the dead writer's lock is held");
     assert_eq!(reader.damage(), vec![]);
-    let counts: Vec<u64> = (1..=3).map(|stream| read(&reader, stream)).collect();
+    let counts: Vec<u64> = (1..=3).map(|stream| read_stream(&reader, stream)).collect();
     assert!(
         counts.iter().all(|count| *count >= acknowledged),
         "{counts:?} of {acknowledged} acknowledged"
@@ -143,22 +150,22 @@ fn check(dir: &Path, acknowledged: u64) {
         counts.iter().all(|count| *count == counts[0]),
         "half a commit: {counts:?}"
     );
-    let bins = reader.summary(1, 0, i64::MAX >> 8, 22).unwrap();
+    let bins = reader.read_summary(1, 0, i64::MAX >> 8, 22).unwrap();
     assert_eq!(
         bins.iter().map(|bin| bin.count).sum::<u64>(),
         counts[0],
         "the pyramid"
     );
-    let report = repair::repair(dir, false, |_, _| ()).unwrap();
+    let report = repair::repair_store(dir, false, |_, _| ()).unwrap();
     assert_eq!((report.dropped, report.damage), (0, vec![]));
     let repaired = Reader::open(dir).unwrap();
     assert!(repaired.is_closed());
-    (1..=3).for_each(|stream| assert_eq!(read(&repaired, stream), counts[0]));
-    copy(&repaired, &dir.join("copy"), counts[0]);
+    (1..=3).for_each(|stream| assert_eq!(read_stream(&repaired, stream), counts[0]));
+    copy_store(&repaired, &dir.join("copy"), counts[0]);
 }
 
-/// The repaired store appended to a new one.
-fn copy(reader: &Reader, dir: &Path, count: u64) {
+/// Copies the messages of the repaired store into a new one.
+fn copy_store(reader: &Reader, dir: &Path, count: u64) {
     std::fs::create_dir_all(dir).unwrap();
     let mut writer = Writer::create(
         dir,
@@ -172,7 +179,7 @@ fn copy(reader: &Reader, dir: &Path, count: u64) {
         writer.add_stream(Compression::None, false);
         let mut ordinal = 0;
         while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
-            let chunk = reader.chunk(&entry).unwrap();
+            let chunk = reader.read_chunk(&entry).unwrap();
             for (envelope, value) in chunk.messages().flatten() {
                 let (encoding, input) = match value {
                     Value::Int(value) => (Encoding::Int, Input::Int(value)),
@@ -190,14 +197,14 @@ fn copy(reader: &Reader, dir: &Path, count: u64) {
     }
     writer.close().unwrap();
     let copied = Reader::open(dir).unwrap();
-    (1..=3).for_each(|stream| assert_eq!(copied.count(stream), count));
+    (1..=3).for_each(|stream| assert_eq!(copied.message_count(stream), count));
 }
 
 fn kill_one(root: &Path, seed: u64) -> u64 {
     let dir = root.join(format!("store-{seed}"));
     std::fs::create_dir_all(&dir).unwrap();
     let mut random = Random(seed.wrapping_mul(0x2545_f491_4f6c_dd1d) | 1);
-    // Half of them at a step of the writer's own choosing: between extents, between entries, while closing.
+    // Half of the writers are killed at a chosen step: between extents, between entries, or while closing.
     let reach = if random.below(3) == 0 { 60 } else { 4_000 };
     let fault = if random.below(2) == 0 {
         1 + random.below(reach) as i64
@@ -229,7 +236,7 @@ fn kill_one(root: &Path, seed: u64) -> u64 {
     }
     child.wait().unwrap();
     let acknowledged = reading.join().unwrap().unwrap_or(0u64);
-    check(&dir, acknowledged);
+    check_store(&dir, acknowledged);
     std::fs::remove_dir_all(&dir).unwrap();
     acknowledged
 }
@@ -238,7 +245,7 @@ fn main() {
     let args: Vec<String> = std::env::args().collect();
     if args.get(1).map(String::as_str) == Some("write") {
         let (seed, fault) = (args[3].parse().unwrap(), args[4].parse().unwrap());
-        if let Err(error) = write(Path::new(&args[2]), seed, fault) {
+        if let Err(error) = write_store(Path::new(&args[2]), seed, fault) {
             eprintln!("{error}");
             std::process::exit(1);
         }
@@ -246,7 +253,8 @@ fn main() {
     }
     let kills: u64 = args.get(1).and_then(|n| n.parse().ok()).unwrap_or(200);
     let first: u64 = args.get(2).and_then(|n| n.parse().ok()).unwrap_or(1);
-    // A kill leaves its writes in the page cache on any file system; on one in memory nobody waits for a disk.
+    // After a kill, the writes are in the page cache of any file system. A file system in memory avoids waiting for
+    // a disk.
     let memory = Path::new("/dev/shm");
     let base = if memory.is_dir() {
         memory.to_path_buf()

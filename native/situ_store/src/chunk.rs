@@ -1,4 +1,4 @@
-//! Building and reading chunks: one or more messages of one stream, checked as one.
+//! Builds and reads chunks: one or more messages of one stream that share a checksum.
 
 mod body;
 mod builder;
@@ -6,11 +6,11 @@ mod messages;
 
 use crate::varint;
 
-pub use body::{compress, open, Body};
+pub use body::{compress_body, open_body, Body};
 pub use builder::Builder;
 pub use messages::Messages;
 
-/// A message's payload as it is handed in.
+/// The payload of a message to write.
 #[derive(Debug, Clone, Copy)]
 pub enum Input<'a> {
     /// An integer.
@@ -19,14 +19,14 @@ pub enum Input<'a> {
     Float(f64),
     /// 0 false, 1 true, 2 nil.
     Bool(u8),
-    /// Bytes in one piece.
+    /// Contiguous bytes.
     Bytes(&'a [u8]),
-    /// Bytes in several pieces, stored one behind the other.
+    /// Bytes in several slices, stored one after the other.
     Parts(&'a [&'a [u8]]),
 }
 
 impl Input<'_> {
-    /// The size of the payload as it is stored, bytes.
+    /// Returns the stored size of the payload in bytes.
     pub fn byte_size(&self) -> usize {
         match self {
             Input::Int(value) => (64 - varint::zigzag(*value).leading_zeros() as usize)
@@ -39,8 +39,8 @@ impl Input<'_> {
         }
     }
 
-    /// The number drawn for it, where there is one.
-    pub fn number(&self) -> Option<f64> {
+    /// Returns the number that a plot shows for the payload, if any.
+    pub fn numeric_value(&self) -> Option<f64> {
         match self {
             Input::Int(value) => Some(*value as f64),
             Input::Float(value) => Some(*value),
@@ -50,10 +50,10 @@ impl Input<'_> {
     }
 }
 
-/// The number that an external term is, if it is one (numbers and truths among other terms of a stream).
+/// Returns the number in an external term, if it is a number or a boolean. Streams of terms may contain them.
 pub fn term_number(bytes: &[u8]) -> Option<f64> {
     match *bytes {
-        // Atoms as older and as newer systems write them.
+        // Older systems write atoms differently from newer ones.
         [131, 100, 0, 4, b't', b'r', b'u', b'e'] | [131, 119, 4, b't', b'r', b'u', b'e'] => {
             Some(1.0)
         }
@@ -84,7 +84,7 @@ pub struct Envelope {
     pub creation: i64,
 }
 
-/// A message's payload as it is read: where it lies in the raw body, or the value.
+/// The payload of a message that was read: a value, or a range of the raw body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Value {
     /// An integer.
@@ -93,18 +93,18 @@ pub enum Value {
     Float(f64),
     /// 0 false, 1 true, 2 nil.
     Bool(u8),
-    /// Bytes of the raw body.
+    /// A range of the raw body.
     Bytes {
-        /// Where they begin.
+        /// The offset of the first byte.
         start: usize,
-        /// How many there are.
+        /// The number of bytes.
         length: usize,
     },
 }
 
 impl Value {
-    /// The number drawn for it, where there is one.
-    pub fn number(&self) -> Option<f64> {
+    /// Returns the number that a plot shows for the payload, if any.
+    pub fn numeric_value(&self) -> Option<f64> {
         match self {
             Value::Int(value) => Some(*value as f64),
             Value::Float(value) => Some(*value),

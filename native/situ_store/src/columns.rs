@@ -1,23 +1,23 @@
-//! Plain numbers of a stream as columns: times and values as bytes, without a term for each message.
+//! Reads a stream of plain numbers as columns: times and values as bytes, without a term for each message.
 
 use crate::chunk::Value;
 use crate::error::{Error, Result};
 use crate::format::{Encoding, Entry};
 use crate::reader::Reader;
 
-/// The kinds of values in a column.
+/// The kind of values in a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Eight bytes each, little-endian, two's complement.
     Int,
     /// Eight bytes each, little-endian, finite.
     Float,
-    /// A byte each, 0 or 1.
+    /// One byte each, 0 or 1.
     Bool,
 }
 
 impl Kind {
-    fn of(encoding: Encoding) -> Option<Kind> {
+    fn from_encoding(encoding: Encoding) -> Option<Kind> {
         match encoding {
             Encoding::Int => Some(Kind::Int),
             Encoding::Float => Some(Kind::Float),
@@ -27,55 +27,55 @@ impl Kind {
     }
 }
 
-/// Messages as columns of `count` entries each.
+/// Messages as columns of `count` elements each.
 #[derive(Debug, Default)]
 pub struct Columns {
-    /// How many messages there are.
+    /// The number of messages.
     pub count: u64,
     /// Originating times, `i64`, little-endian.
     pub times: Vec<u8>,
-    /// Creation times, likewise.
+    /// Creation times, `i64`, little-endian.
     pub creations: Vec<u8>,
-    /// Values, in the form of their kind.
+    /// Values, encoded as their kind says.
     pub values: Vec<u8>,
 }
 
-/// The messages of a stream from an ordinal on.
+/// The result of reading columns.
 #[derive(Debug)]
-pub enum Found {
-    /// Numbers of one kind, and the ordinal behind them.
+pub enum ColumnResult {
+    /// Numbers of one kind, and the ordinal after them.
     Numbers(Kind, Columns, u64),
-    /// Messages that are not plain numbers, or that have `nil` or a float that is not finite among them.
+    /// The messages are not plain numbers, or `nil` or a non-finite float is among them.
     Others,
-    /// Nothing (more) up to the time that was asked for.
+    /// There are no more messages up to the requested time.
     End,
 }
 
-/// Which messages are wanted: those of a stream from an ordinal on, no later than `to`, until at least `bytes` of
-/// chunks were read or another kind begins.
-pub struct Wanted {
+/// Selects the messages of a stream from an ordinal on and no later than `to`, until at least `bytes` of chunks
+/// were read or another kind of value begins.
+pub struct ColumnQuery {
     /// The stream's number.
     pub stream: u32,
     /// The ordinal of the first message.
     pub ordinal: u64,
     /// The latest originating time, ns.
     pub to: i64,
-    /// How many bytes of chunks are enough.
+    /// The number of chunk bytes after which reading stops.
     pub bytes: u64,
 }
 
-/// Reads columns. Damage ends them; as the first chunk it is the error.
-pub fn read(reader: &Reader, wanted: &Wanted) -> Result<Found> {
-    let (mut next, mut size) = (wanted.ordinal, 0);
+/// Reads columns. Damage ends them; damage in the first chunk is returned as an error.
+pub fn read_columns(reader: &Reader, query: &ColumnQuery) -> Result<ColumnResult> {
+    let (mut next, mut size) = (query.ordinal, 0);
     let mut found: Option<(Kind, Columns)> = None;
-    while size < wanted.bytes {
-        let entry = match reader.entry_at(wanted.stream, next) {
-            Ok(Some(entry)) if entry.first <= wanted.to => entry,
+    while size < query.bytes {
+        let entry = match reader.entry_at(query.stream, next) {
+            Ok(Some(entry)) if entry.first <= query.to => entry,
             Ok(_) => break,
             Err(error) if found.is_none() => return Err(error),
             Err(_) => break,
         };
-        let part = match chunk(reader, &entry, next, wanted.to, found.as_mut()) {
+        let part = match read_chunk_columns(reader, &entry, next, query.to, found.as_mut()) {
             Ok(part) => part,
             Err(error) if found.is_none() => return Err(error),
             Err(_) => break,
@@ -86,7 +86,7 @@ pub fn read(reader: &Reader, wanted: &Wanted) -> Result<Found> {
                 found = Some((kind, columns));
             }
             Part::More(count) => next += count,
-            Part::Other if found.is_none() => return Ok(Found::Others),
+            Part::Other if found.is_none() => return Ok(ColumnResult::Others),
             Part::Other => break,
         }
         size += u64::from(entry.length);
@@ -95,31 +95,31 @@ pub fn read(reader: &Reader, wanted: &Wanted) -> Result<Found> {
         }
     }
     Ok(match found {
-        Some((kind, columns)) if columns.count > 0 => Found::Numbers(kind, columns, next),
-        _ => Found::End,
+        Some((kind, columns)) if columns.count > 0 => ColumnResult::Numbers(kind, columns, next),
+        _ => ColumnResult::End,
     })
 }
 
 enum Part {
     First(Kind, Columns),
-    /// So many were added to what was found before.
+    /// The number of messages added to the columns found before.
     More(u64),
     Other,
 }
 
-/// The wanted messages of one chunk: into `known` where they are of its kind.
-fn chunk(
+/// Reads the selected messages of one chunk and appends them to `known` if they are of its kind.
+fn read_chunk_columns(
     reader: &Reader,
     entry: &Entry,
     from: u64,
     to: i64,
     known: Option<&mut (Kind, Columns)>,
 ) -> Result<Part> {
-    let chunk = reader.chunk(entry)?;
-    let Some(kind) = Kind::of(chunk.header.encoding) else {
+    let chunk = reader.read_chunk(entry)?;
+    let Some(kind) = Kind::from_encoding(chunk.header.encoding) else {
         return Ok(Part::Other);
     };
-    let broken = |why| -> Error { reader.broken(entry, why) };
+    let broken = |why| -> Error { reader.chunk_error(entry, why) };
     let mut columns = Columns::default();
     let into = match known {
         Some((before, _)) if *before != kind => return Ok(Part::Other),
@@ -128,13 +128,13 @@ fn chunk(
     };
     let more = into.is_some();
     let target = into.unwrap_or(&mut columns);
-    let (count, ends) = (target.count, target.ends());
+    let (count, ends) = (target.count, target.column_lengths());
     target.reserve(entry.count as usize);
     for (ordinal, message) in (entry.ordinal..).zip(chunk.messages()) {
         let (envelope, value) = match message {
             Ok(message) => message,
             Err(why) => {
-                target.cut(count, ends);
+                target.truncate(count, ends);
                 return Err(broken(why));
             }
         };
@@ -150,9 +150,9 @@ fn chunk(
                 target.values.extend_from_slice(&value.to_le_bytes());
             }
             Value::Bool(value) if value < 2 => target.values.push(value),
-            // Nothing among numbers.
+            // `nil` and non-finite floats have no place among plain numbers.
             _ => {
-                target.cut(count, ends);
+                target.truncate(count, ends);
                 return Ok(Part::Other);
             }
         }
@@ -177,11 +177,11 @@ impl Columns {
         self.values.reserve(count * 8);
     }
 
-    fn ends(&self) -> (usize, usize) {
+    fn column_lengths(&self) -> (usize, usize) {
         (self.times.len(), self.values.len())
     }
 
-    fn cut(&mut self, count: u64, (times, values): (usize, usize)) {
+    fn truncate(&mut self, count: u64, (times, values): (usize, usize)) {
         self.count = count;
         self.times.truncate(times);
         self.creations.truncate(times);

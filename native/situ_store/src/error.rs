@@ -1,42 +1,42 @@
-//! The errors of this crate, in terms that a caller can act on.
+//! The errors of this crate.
 
 use std::fmt;
 
 use crate::limits::{MAX_MESSAGE, VERSION};
 
-/// The result of the functions of this crate.
+/// The result type of this crate's functions.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Why something could not be done.
+/// The reason why an operation failed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Error {
-    /// An operating system call failed: (what was tried, raw errno, message).
+    /// An operating system call failed: (operation, errno, message).
     Io(String, i32, String),
     /// Another writer holds the lock.
     Locked,
     /// There is no index file.
     NoStore,
-    /// The magic is not ours.
+    /// The index does not start with the magic bytes of a store.
     NotAStore,
-    /// Written by a later version of the format.
+    /// The store was written by a later version of the format.
     Newer(u32),
-    /// Originating time does not increase: (stream, last, got).
+    /// The originating time does not increase: (stream, last, got).
     NotIncreasing(u32, i64, i64),
-    /// A message is larger than a chunk can be.
+    /// A message of this size is too large to store.
     TooLarge(u64),
-    /// The term holds something that means nothing outside the running system.
+    /// The term contains a value that is meaningless outside the running system.
     NotStorable(&'static str),
-    /// The writer has no such stream.
+    /// The writer has no stream with this number.
     UnknownStream(u32),
-    /// The store's folder was deleted under the writer.
+    /// The store's folder was deleted while it was being written.
     Deleted,
     /// The writer is closed.
     Closed,
-    /// Checksums or structure are wrong at (file, offset, why).
+    /// A checksum or structure is wrong: (file, offset, reason).
     Damaged(String, u64, String),
-    /// An extent file is gone.
+    /// An extent file is missing.
     MissingExtent(String),
-    /// Simulated crash of the tests.
+    /// A simulated crash in a test.
     Crash,
 }
 
@@ -45,11 +45,11 @@ impl fmt::Display for Error {
         match self {
             Error::Io(what, _, why) => write!(f, "could not {what}: {why}"),
             Error::Locked => f.write_str("another writer holds the store's lock"),
-            Error::NoStore => f.write_str("there is no index.situ: no store, or one that lost it"),
-            Error::NotAStore => f.write_str("the index does not begin like one of a store"),
+            Error::NoStore => f.write_str("there is no index.situ: the folder is not a store, or its index was lost"),
+            Error::NotAStore => f.write_str("index.situ does not start like the index of a store"),
             Error::Newer(version) => write!(
                 f,
-                "the store has format version {version}, and {VERSION} is the latest known here"
+                "the store has format version {version}, but this program only knows versions up to {VERSION}"
             ),
             Error::NotIncreasing(stream, last, got) => write!(
                 f,
@@ -57,7 +57,7 @@ impl fmt::Display for Error {
             ),
             Error::TooLarge(size) => write!(
                 f,
-                "a message has {size} bytes, and {MAX_MESSAGE} are the most it can have"
+                "a message has {size} bytes, but at most {MAX_MESSAGE} are allowed"
             ),
             Error::NotStorable(what) => {
                 write!(f, "a message contains {what}, which cannot be stored")
@@ -79,7 +79,7 @@ impl fmt::Display for Error {
 impl std::error::Error for Error {}
 
 impl Error {
-    /// An operating system call failed.
+    /// Builds the error of a failed operating system call.
     pub fn io(what: impl Into<String>, error: impl Into<std::io::Error>) -> Error {
         let error: std::io::Error = error.into();
         Error::Io(
@@ -89,7 +89,7 @@ impl Error {
         )
     }
 
-    /// A wrong place: the file, the byte, and what is wrong there.
+    /// Builds the error for damage in a file at a byte offset.
     pub fn damaged(file: impl Into<String>, offset: u64, why: impl Into<String>) -> Error {
         Error::Damaged(file.into(), offset, why.into())
     }
@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_are_sentences() {
+    fn formats_errors_as_sentences() {
         let damaged = Error::damaged("data-000000.situ", 64, "the chunk's checksum is wrong");
         assert_eq!(
             damaged.to_string(),

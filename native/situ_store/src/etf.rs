@@ -1,19 +1,20 @@
-//! Erlang's external term format: whether bytes from a file may be decoded at all, and a decoder that makes no atoms.
+//! Erlang's external term format: checks whether bytes from a file may be decoded, and decodes them without
+//! creating atoms.
 
-/// Terms are not nested deeper.
+/// The maximum nesting depth of a term.
 pub const MAX_DEPTH: u32 = 512;
-/// Lists, tuples, maps and numbers of a term do not take more bytes in memory; a byte of a file can become sixteen.
-/// Binaries do not count: they are as long there as here.
+/// The maximum memory size of a term's lists, tuples, maps and numbers; one byte in a file can become sixteen in
+/// memory. Binaries do not count, because they have the same size in both.
 pub const MAX_STRUCTURE: usize = 64 << 20;
 
-/// Why a term may not be decoded.
+/// The reason why a term must not be decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
-    /// The bytes are no external term, or more than one.
+    /// The bytes are not exactly one external term.
     Malformed,
-    /// Nested deeper than [`MAX_DEPTH`].
+    /// The term is nested deeper than [`MAX_DEPTH`].
     TooDeep,
-    /// Its structure would take more than [`MAX_STRUCTURE`] bytes.
+    /// The term's structure would take more than [`MAX_STRUCTURE`] bytes.
     TooLarge,
     /// A compressed term.
     Compressed,
@@ -28,8 +29,8 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// The refusal in words, for an error text.
-    pub fn text(self) -> &'static str {
+    /// Returns a description for error texts.
+    pub fn describe(self) -> &'static str {
         match self {
             Refusal::Malformed => "malformed term",
             Refusal::TooDeep => "a term nested deeper than 512 levels",
@@ -43,12 +44,12 @@ impl Refusal {
     }
 }
 
-struct Walk<'a> {
+struct TermReader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-impl<'a> Walk<'a> {
+impl<'a> TermReader<'a> {
     fn take(&mut self, n: usize) -> Result<&'a [u8], Refusal> {
         let end = self.at.checked_add(n).ok_or(Refusal::Malformed)?;
         let slice = self.bytes.get(self.at..end).ok_or(Refusal::Malformed)?;
@@ -71,31 +72,31 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// How many bytes the structure of a term takes in memory, if `bytes` are one whole external term of plain data:
-/// bounded, shallow, nothing alive in it.
-pub fn check(bytes: &[u8]) -> Result<usize, Refusal> {
-    let mut walk = Walk { bytes, at: 0 };
-    if walk.u8()? != 131 {
+/// Checks that `bytes` are exactly one external term of plain data, within the limits of depth and size. Returns
+/// the number of bytes that its structure takes in memory.
+pub fn check_term(bytes: &[u8]) -> Result<usize, Refusal> {
+    let mut reader = TermReader { bytes, at: 0 };
+    if reader.u8()? != 131 {
         return Err(Refusal::Malformed);
     }
-    let size = pass(&mut walk)?;
-    if walk.at == bytes.len() {
+    let size = skip_term(&mut reader)?;
+    if reader.at == bytes.len() {
         Ok(size)
     } else {
         Err(Refusal::Malformed)
     }
 }
 
-/// Where the term that begins at `at` (without a version byte) ends.
-pub fn end_of(bytes: &[u8], at: usize) -> Option<usize> {
-    let mut walk = Walk { bytes, at };
-    pass(&mut walk).ok()?;
-    Some(walk.at)
+/// Returns the end of the term that begins at `at` (without a version byte).
+pub fn term_end(bytes: &[u8], at: usize) -> Option<usize> {
+    let mut reader = TermReader { bytes, at };
+    skip_term(&mut reader).ok()?;
+    Some(reader.at)
 }
 
-/// Passes over one term; the bytes its structure takes.
-fn pass(walk: &mut Walk<'_>) -> Result<usize, Refusal> {
-    // Elements still to come at each level that is open.
+/// Skips one term and returns the number of bytes that its structure takes in memory.
+fn skip_term(reader: &mut TermReader<'_>) -> Result<usize, Refusal> {
+    // The number of remaining elements at each open level.
     let mut open: Vec<usize> = vec![1];
     let mut size = 0usize;
     while let Some(left) = open.last_mut() {
@@ -104,56 +105,56 @@ fn pass(walk: &mut Walk<'_>) -> Result<usize, Refusal> {
             continue;
         }
         *left -= 1;
-        let tag = walk.u8()?;
-        let start = walk.at;
+        let tag = reader.u8()?;
+        let start = reader.at;
         let children = match tag {
-            97 => walk.take(1).map(|_| 0)?,
-            98 => walk.take(4).map(|_| 0)?,
-            70 => walk.take(8).map(|_| 0)?,
-            99 => walk.take(31).map(|_| 0)?,
-            104 => walk.u8()?,
-            105 => walk.u32()?,
+            97 => reader.take(1).map(|_| 0)?,
+            98 => reader.take(4).map(|_| 0)?,
+            70 => reader.take(8).map(|_| 0)?,
+            99 => reader.take(31).map(|_| 0)?,
+            104 => reader.u8()?,
+            105 => reader.u32()?,
             106 => 0,
             107 => {
-                let n = walk.u16()?;
-                walk.take(n).map(|_| 0)?
+                let n = reader.u16()?;
+                reader.take(n).map(|_| 0)?
             }
-            108 => walk.u32()?.checked_add(1).ok_or(Refusal::Malformed)?,
+            108 => reader.u32()?.checked_add(1).ok_or(Refusal::Malformed)?,
             109 => {
-                let n = walk.u32()?;
-                walk.take(n).map(|_| 0)?
+                let n = reader.u32()?;
+                reader.take(n).map(|_| 0)?
             }
             77 => {
-                let n = walk.u32()?;
-                let bits = walk.u8()?;
+                let n = reader.u32()?;
+                let bits = reader.u8()?;
                 if bits > 8 || (n == 0) != (bits == 0) {
                     return Err(Refusal::Malformed);
                 }
-                walk.take(n).map(|_| 0)?
+                reader.take(n).map(|_| 0)?
             }
             110 => {
-                let n = walk.u8()?;
-                walk.take(n + 1).map(|_| 0)?
+                let n = reader.u8()?;
+                reader.take(n + 1).map(|_| 0)?
             }
             111 => {
-                let n = walk.u32()?;
-                // No real number has a megabyte of digits.
+                let n = reader.u32()?;
+                // Real data does not contain numbers with a megabyte of digits.
                 if n > 1 << 20 {
                     return Err(Refusal::Malformed);
                 }
-                walk.take(n + 1).map(|_| 0)?
+                reader.take(n + 1).map(|_| 0)?
             }
-            116 => walk.u32()?.checked_mul(2).ok_or(Refusal::Malformed)?,
+            116 => reader.u32()?.checked_mul(2).ok_or(Refusal::Malformed)?,
             100 | 118 => {
-                let n = walk.u16()?;
+                let n = reader.u16()?;
                 if n > 1020 {
                     return Err(Refusal::Malformed);
                 }
-                walk.take(n).map(|_| 0)?
+                reader.take(n).map(|_| 0)?
             }
             115 | 119 => {
-                let n = walk.u8()?;
-                walk.take(n).map(|_| 0)?
+                let n = reader.u8()?;
+                reader.take(n).map(|_| 0)?
             }
             80 => return Err(Refusal::Compressed),
             112 | 113 | 117 => return Err(Refusal::Function),
@@ -164,14 +165,14 @@ fn pass(walk: &mut Walk<'_>) -> Result<usize, Refusal> {
         };
         size = size.saturating_add(match tag {
             70 | 99 => 16,
-            107 => (walk.at - start) * 16,
+            107 => (reader.at - start) * 16,
             104 | 105 => (children + 1) * 8,
             108 => children * 16,
-            // Pairs, and the nodes of a large map.
+            // The pairs, and the nodes of a large map.
             116 => children * 16 + 40,
-            110 | 111 => walk.at - start + 8,
+            110 | 111 => reader.at - start + 8,
             109 | 77 => 48,
-            // An atom that does not exist here becomes a text.
+            // An atom that does not exist here becomes a string.
             100 | 118 | 115 | 119 => 24,
             _ => 0,
         });
@@ -179,8 +180,8 @@ fn pass(walk: &mut Walk<'_>) -> Result<usize, Refusal> {
             return Err(Refusal::TooLarge);
         }
         if children > 0 {
-            // Every element takes a byte at least.
-            if children > walk.bytes.len() - walk.at {
+            // Every element takes at least one byte.
+            if children > reader.bytes.len() - reader.at {
                 return Err(Refusal::Malformed);
             }
             if open.len() as u32 >= MAX_DEPTH {
@@ -192,50 +193,53 @@ fn pass(walk: &mut Walk<'_>) -> Result<usize, Refusal> {
     Ok(size)
 }
 
-/// Builds terms of some runtime; atoms that do not exist there are the builder's affair.
-pub trait Build {
-    /// A term of the runtime.
+/// Builds the terms of a runtime, and decides what to do with atoms that do not exist there.
+pub trait TermBuilder {
+    /// The type of the runtime's terms.
     type Term: Clone;
-    /// The atom with this name, in UTF-8.
+    /// Builds the atom with this name, in UTF-8.
     fn atom(&mut self, name: &[u8]) -> Self::Term;
-    /// An integer of 64 bits.
+    /// Builds a 64-bit integer.
     fn integer(&mut self, value: i64) -> Self::Term;
-    /// A float; `None` if the runtime has none such (NaN, infinities).
+    /// Builds a float. Returns `None` if the runtime does not support its value (NaN, infinities).
     fn float(&mut self, value: f64) -> Option<Self::Term>;
-    /// A binary.
+    /// Builds a binary.
     fn binary(&mut self, bytes: &[u8]) -> Self::Term;
-    /// Anything without atoms in it (big numbers, bit strings), as external format without its version byte.
+    /// Builds a term without atoms (big number, bit string) from external format without a version byte.
     fn plain(&mut self, bytes: &[u8]) -> Option<Self::Term>;
-    /// A tuple of these elements.
+    /// Builds a tuple of these elements.
     fn tuple(&mut self, elements: &[Self::Term]) -> Self::Term;
-    /// A list of these elements, improper if there is a `tail`.
+    /// Builds a list of these elements; with a `tail` it is improper.
     fn list(&mut self, elements: &[Self::Term], tail: Option<Self::Term>) -> Self::Term;
-    /// A map; `None` if the runtime refuses it (equal keys).
+    /// Builds a map. Returns `None` if the runtime rejects it (equal keys).
     fn map(&mut self, keys: &[Self::Term], values: &[Self::Term]) -> Option<Self::Term>;
 }
 
-/// Decodes a term that `check` allowed.
-pub fn decode<B: Build>(bytes: &[u8], build: &mut B) -> Option<B::Term> {
-    check(bytes).ok()?;
-    let mut walk = Walk { bytes, at: 1 };
-    term(&mut walk, build).ok().flatten()
+/// Decodes a term that passes `check_term`.
+pub fn decode_term<B: TermBuilder>(bytes: &[u8], build: &mut B) -> Option<B::Term> {
+    check_term(bytes).ok()?;
+    let mut reader = TermReader { bytes, at: 1 };
+    build_term(&mut reader, build).ok().flatten()
 }
 
-// Recursion is bounded by `check`: 512 levels.
-fn term<B: Build>(walk: &mut Walk<'_>, build: &mut B) -> Result<Option<B::Term>, Refusal> {
-    let start = walk.at;
-    let tag = walk.u8()?;
+// `check_term` limits the recursion to 512 levels.
+fn build_term<B: TermBuilder>(
+    reader: &mut TermReader<'_>,
+    build: &mut B,
+) -> Result<Option<B::Term>, Refusal> {
+    let start = reader.at;
+    let tag = reader.u8()?;
     Ok(Some(match tag {
         97 => {
-            let value = walk.u8()?;
+            let value = reader.u8()?;
             build.integer(value as i64)
         }
         98 => {
-            let value = walk.u32()? as u32 as i32;
+            let value = reader.u32()? as u32 as i32;
             build.integer(value as i64)
         }
         70 => {
-            let b = walk.take(8)?;
+            let b = reader.take(8)?;
             let mut raw = [0; 8];
             raw.copy_from_slice(b);
             match build.float(f64::from_be_bytes(raw)) {
@@ -244,24 +248,28 @@ fn term<B: Build>(walk: &mut Walk<'_>, build: &mut B) -> Result<Option<B::Term>,
             }
         }
         100 | 118 => {
-            let n = walk.u16()?;
-            build.atom(walk.take(n)?)
+            let n = reader.u16()?;
+            build.atom(reader.take(n)?)
         }
         115 | 119 => {
-            let n = walk.u8()?;
-            build.atom(walk.take(n)?)
+            let n = reader.u8()?;
+            build.atom(reader.take(n)?)
         }
         104 | 105 => {
-            let n = if tag == 104 { walk.u8()? } else { walk.u32()? };
-            match several(walk, build, n)? {
+            let n = if tag == 104 {
+                reader.u8()?
+            } else {
+                reader.u32()?
+            };
+            match build_terms(reader, build, n)? {
                 Some(elements) => build.tuple(&elements),
                 None => return Ok(None),
             }
         }
         106 => build.list(&[], None),
         107 => {
-            let n = walk.u16()?;
-            let elements: Vec<B::Term> = walk
+            let n = reader.u16()?;
+            let elements: Vec<B::Term> = reader
                 .take(n)?
                 .iter()
                 .map(|b| build.integer(*b as i64))
@@ -269,23 +277,23 @@ fn term<B: Build>(walk: &mut Walk<'_>, build: &mut B) -> Result<Option<B::Term>,
             build.list(&elements, None)
         }
         108 => {
-            let n = walk.u32()?;
-            let Some(elements) = several(walk, build, n)? else {
+            let n = reader.u32()?;
+            let Some(elements) = build_terms(reader, build, n)? else {
                 return Ok(None);
             };
-            let proper = walk.bytes.get(walk.at) == Some(&106);
-            let Some(tail) = term(walk, build)? else {
+            let proper = reader.bytes.get(reader.at) == Some(&106);
+            let Some(tail) = build_term(reader, build)? else {
                 return Ok(None);
             };
             build.list(&elements, (!proper).then_some(tail))
         }
         109 => {
-            let n = walk.u32()?;
-            build.binary(walk.take(n)?)
+            let n = reader.u32()?;
+            build.binary(reader.take(n)?)
         }
         116 => {
-            let n = walk.u32()?;
-            let Some(both) = several(walk, build, n * 2)? else {
+            let n = reader.u32()?;
+            let Some(both) = build_terms(reader, build, n * 2)? else {
                 return Ok(None);
             };
             let keys: Vec<B::Term> = both.iter().step_by(2).cloned().collect();
@@ -294,34 +302,34 @@ fn term<B: Build>(walk: &mut Walk<'_>, build: &mut B) -> Result<Option<B::Term>,
         }
         _ => {
             match tag {
-                99 => walk.take(31)?,
+                99 => reader.take(31)?,
                 77 => {
-                    let n = walk.u32()?;
-                    walk.take(n + 1)?
+                    let n = reader.u32()?;
+                    reader.take(n + 1)?
                 }
                 110 => {
-                    let n = walk.u8()?;
-                    walk.take(n + 1)?
+                    let n = reader.u8()?;
+                    reader.take(n + 1)?
                 }
                 111 => {
-                    let n = walk.u32()?;
-                    walk.take(n + 1)?
+                    let n = reader.u32()?;
+                    reader.take(n + 1)?
                 }
                 _ => return Err(Refusal::Malformed),
             };
-            return Ok(build.plain(&walk.bytes[start..walk.at]));
+            return Ok(build.plain(&reader.bytes[start..reader.at]));
         }
     }))
 }
 
-fn several<B: Build>(
-    walk: &mut Walk<'_>,
+fn build_terms<B: TermBuilder>(
+    reader: &mut TermReader<'_>,
     build: &mut B,
     n: usize,
 ) -> Result<Option<Vec<B::Term>>, Refusal> {
-    let mut elements = Vec::with_capacity(n.min(walk.bytes.len() - walk.at));
+    let mut elements = Vec::with_capacity(n.min(reader.bytes.len() - reader.at));
     for _ in 0..n {
-        match term(walk, build)? {
+        match build_term(reader, build)? {
             Some(element) => elements.push(element),
             None => return Ok(None),
         }
@@ -334,27 +342,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn plain_terms_pass() {
+    fn accepts_plain_terms() {
         // {ok, [1, 2.0, <<"x">>], #{a => 5}}
         let bytes = [
             131, 104, 3, 119, 2, b'o', b'k', 108, 0, 0, 0, 3, 97, 1, 70, 64, 0, 0, 0, 0, 0, 0, 0,
             109, 0, 0, 0, 1, b'x', 106, 116, 0, 0, 0, 1, 119, 1, b'a', 97, 5,
         ];
-        assert_eq!(check(&bytes), Ok(24 + 48 + 48 + 16 + 48 + 72 + 24));
+        assert_eq!(check_term(&bytes), Ok(24 + 48 + 48 + 16 + 48 + 72 + 24));
         for end in 0..bytes.len() {
-            assert!(check(&bytes[..end]).is_err());
+            assert!(check_term(&bytes[..end]).is_err());
         }
     }
 
     #[test]
-    fn bombs_and_living_things_are_refused() {
+    fn rejects_oversized_terms_and_runtime_values() {
         assert_eq!(
-            check(&[131, 80, 0, 0, 0, 255, 1, 2]),
+            check_term(&[131, 80, 0, 0, 0, 255, 1, 2]),
             Err(Refusal::Compressed)
         );
-        assert_eq!(check(&[131, 113, 100]), Err(Refusal::Function));
+        assert_eq!(check_term(&[131, 113, 100]), Err(Refusal::Function));
         assert_eq!(
-            check(&[131, 105, 255, 255, 255, 255]),
+            check_term(&[131, 105, 255, 255, 255, 255]),
             Err(Refusal::TooLarge)
         );
         let mut deep = vec![131];
@@ -362,6 +370,6 @@ mod tests {
             deep.extend_from_slice(&[104, 1]);
         }
         deep.push(106);
-        assert_eq!(check(&deep), Err(Refusal::TooDeep));
+        assert_eq!(check_term(&deep), Err(Refusal::TooDeep));
     }
 }

@@ -1,4 +1,4 @@
-//! Extents being written: allocated files of one lane, filled front to back.
+//! Writes extents: allocated files of one lane that are filled from front to back.
 
 use std::fs::{File, OpenOptions, Permissions};
 use std::io::IoSlice;
@@ -13,7 +13,7 @@ use rustix::io::{pwrite, pwritev, Errno};
 use crate::error::{Error, Result};
 use crate::format::*;
 
-/// Simulated crashes: the n-th step fails (or kills the process), for the tests of durability.
+/// Simulated crashes for durability tests: the n-th step fails or kills the process.
 #[derive(Debug, Default)]
 pub struct Fault {
     left: AtomicI64,
@@ -22,7 +22,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// The step number `steps` fails; with `kill` the process kills itself there.
+    /// Makes step number `steps` fail; with `kill` the process kills itself at that step.
     pub fn after(steps: i64, kill: bool) -> Arc<Self> {
         Arc::new(Fault {
             left: AtomicI64::new(steps),
@@ -31,7 +31,7 @@ impl Fault {
         })
     }
 
-    /// Counts a step; an error if it is the one that fails.
+    /// Counts a step and returns an error if it is the one that fails.
     #[inline]
     pub fn step(&self) -> Result<()> {
         if !self.armed || self.left.fetch_sub(1, Ordering::Relaxed) > 0 {
@@ -47,11 +47,11 @@ impl Fault {
     }
 }
 
-/// The default mode of a store's files: the owner reads and writes, the group reads.
+/// The default mode of a store's files: the owner can read and write them, and the group can read them.
 pub const FILE_MODE: u32 = 0o640;
 
-/// Opens a file of a store; one that is made has at no moment a wider mode than it shall have. A `mode` holds whatever
-/// the process's mask says.
+/// Opens a file of a store. A new file is created with its final mode, so it is never readable by more users than
+/// intended. An explicit `mode` overrides the process's file mode mask.
 pub fn open_with(
     options: &mut OpenOptions,
     path: &Path,
@@ -64,11 +64,11 @@ pub fn open_with(
     Ok(file)
 }
 
-/// Reserves bytes of a file on the disk, so that writing them later cannot run out of space.
-pub fn allocate(file: &File, from: u64, length: u64) -> std::result::Result<(), Errno> {
+/// Allocates bytes of a file on disk, so that writing them later cannot run out of space.
+pub fn allocate_space(file: &File, from: u64, length: u64) -> std::result::Result<(), Errno> {
     match fallocate(file, FallocateFlags::empty(), from, length) {
         Err(Errno::OPNOTSUPP) | Err(Errno::NOSYS) => {
-            // A file system without it: write zeros, as posix_fallocate would.
+            // The file system does not support fallocate: write zeros, as posix_fallocate would.
             let zeros = [0; 64 * 1024];
             let mut at = from;
             while at < from + length {
@@ -81,8 +81,8 @@ pub fn allocate(file: &File, from: u64, length: u64) -> std::result::Result<(), 
     }
 }
 
-/// As `allocate`, also on a disk that is nearly full: `length` bytes, or a quarter, and so on down to
-/// `least`.
+/// Allocates `length` bytes like `allocate_space`. On a nearly full disk it tries a quarter of that, then a quarter
+/// again, down to `least`. Returns the allocated size.
 pub fn allocate_some(
     file: &File,
     from: u64,
@@ -91,10 +91,10 @@ pub fn allocate_some(
 ) -> std::result::Result<u64, Errno> {
     let mut length = length.max(least);
     loop {
-        match allocate(file, from, length) {
+        match allocate_space(file, from, length) {
             Ok(()) => return Ok(length),
             Err(Errno::NOSPC) if length > least => {
-                // Give back the space of the failed attempt before the next one.
+                // Release the space of the failed attempt before the next one.
                 let _ = ftruncate(file, from);
                 length = (length / 4).next_multiple_of(4096).max(least);
             }
@@ -103,7 +103,7 @@ pub fn allocate_some(
     }
 }
 
-/// Writes all of `bytes` at a place of a file.
+/// Writes all of `bytes` to a file at offset `at`.
 pub fn write_all(file: &File, mut bytes: &[u8], mut at: u64) -> std::result::Result<(), Errno> {
     while !bytes.is_empty() {
         match pwrite(file, bytes, at) {
@@ -119,13 +119,13 @@ pub fn write_all(file: &File, mut bytes: &[u8], mut at: u64) -> std::result::Res
     Ok(())
 }
 
-/// The name of an extent's file.
-pub fn name(lane: u8, number: u32) -> String {
+/// Returns the file name of an extent.
+pub fn file_name(lane: u8, number: u32) -> String {
     let lane = if lane == LANE_LARGE { "large" } else { "data" };
     format!("{lane}-{number:06}.situ")
 }
 
-/// The writing end of one lane: its current extent and how full that is.
+/// The writer of one lane: its current extent and its position in it.
 #[derive(Debug)]
 pub struct Lane {
     dir: PathBuf,
@@ -138,18 +138,19 @@ pub struct Lane {
     next: u32,
     position: u64,
     size: u64,
-    /// Bytes of the extents before this one.
+    /// The size of all previous extents, bytes.
     before: u64,
     dirty: bool,
-    /// The folder has entries that are not on the disk.
+    /// The folder has entries that are not on disk yet.
     created: bool,
-    /// Extents filled since the last sync.
+    /// Extents that became full since the last sync.
     filled: Vec<File>,
     fault: Arc<Fault>,
 }
 
 impl Lane {
-    /// A lane without extents; the first chunk makes one of `first_size` bytes, later ones grow up to `max_size`.
+    /// Creates a lane without extents. The first chunk creates one of `first_size` bytes; later ones grow up to
+    /// `max_size`.
     pub fn new(
         dir: &Path,
         id: [u8; 16],
@@ -178,24 +179,24 @@ impl Lane {
         }
     }
 
-    /// Bytes of all extents, of the present one as far as it is written.
-    pub fn bytes(&self) -> u64 {
+    /// Returns the size of all extents in bytes; the current one counts only up to the end of its data.
+    pub fn byte_size(&self) -> u64 {
         self.before + self.position
     }
 
-    /// Room for `length` bytes: (extent, offset). Opens a new extent when the present one has not enough.
-    pub fn reserve(&mut self, length: u64, align: u64) -> Result<(u32, u64)> {
+    /// Reserves `length` bytes and returns (extent, offset). Opens a new extent if the current one is too full.
+    pub fn reserve_space(&mut self, length: u64, align: u64) -> Result<(u32, u64)> {
         let offset = self.position.next_multiple_of(align);
         if self.file.is_none() || offset + length > self.size {
-            self.open_next(length)?;
+            self.open_next_extent(length)?;
         }
         let offset = self.position.next_multiple_of(align);
         Ok((self.next - 1, offset))
     }
 
-    fn open_next(&mut self, length: u64) -> Result<()> {
+    fn open_next_extent(&mut self, length: u64) -> Result<()> {
         let number = self.next;
-        let file_name = name(self.lane, number);
+        let file_name = file_name(self.lane, number);
         let path = self.dir.join(&file_name);
         let grown = self
             .first_size
@@ -204,19 +205,19 @@ impl Lane {
             .min(self.max_size)
             .max((length + 4096).next_multiple_of(4096));
         self.fault.step()?;
-        // A leftover of a failed attempt under this number was never committed: it is written over.
+        // A file left under this number by a failed attempt was never committed, so it is overwritten.
         let mut options = OpenOptions::new();
         options.read(true).write(true).create(true).truncate(true);
         let file = open_with(&mut options, &path, self.mode)
             .map_err(|e| Error::io(format!("create {file_name}"), e))?;
         self.fault.step()?;
         let least = (length + 4096).next_multiple_of(4096);
-        // The header first: whenever the writer dies, the file is empty or an extent.
+        // The header comes first: whenever the writer dies, the file is either empty or a valid extent.
         let failed = |error: Errno| {
             let _ = std::fs::remove_file(&path);
             Error::io(format!("allocate {least} bytes for {file_name}"), error)
         };
-        write_all(&file, &extent_header(&self.id, self.lane, number), 0).map_err(failed)?;
+        write_all(&file, &encode_extent_header(&self.id, self.lane, number), 0).map_err(failed)?;
         self.fault.step()?;
         let header = EXTENT_HEADER as u64;
         let size =
@@ -236,7 +237,7 @@ impl Lane {
         Ok(())
     }
 
-    /// Writes `slices` at the offset `reserve` gave and moves on behind them.
+    /// Writes `slices` at the offset that `reserve_space` returned, and moves the position after them.
     pub fn write(&mut self, offset: u64, slices: &[&[u8]]) -> Result<()> {
         self.fault.step()?;
         let Some(file) = self.file.as_ref() else {
@@ -257,7 +258,7 @@ impl Lane {
                     Err(error) => return Err(failed(error)),
                 };
                 if done < total {
-                    // The kernel took a part: finish slice by slice.
+                    // The kernel wrote only a part of the slices; write the rest one by one.
                     let mut slice_at = at;
                     for slice in group {
                         let skip = done.min(slice.len());
@@ -274,14 +275,14 @@ impl Lane {
         self.fault.step()
     }
 
-    /// Erases the beginning of the chunk at this place, so that no scan takes it for a chunk.
-    pub fn erase(&self, extent: u32, offset: u64) -> std::io::Result<()> {
-        let path = self.dir.join(name(self.lane, extent));
+    /// Erases the start of the chunk at this position, so that no scan mistakes it for a chunk.
+    pub fn erase_chunk(&self, extent: u32, offset: u64) -> std::io::Result<()> {
+        let path = self.dir.join(file_name(self.lane, extent));
         let file = OpenOptions::new().write(true).open(path)?;
         Ok(write_all(&file, &[0; 8], offset)?)
     }
 
-    /// Brings all chunks of the lane to the disk.
+    /// Syncs all chunks of the lane to disk.
     pub fn sync(&mut self) -> Result<()> {
         if self.created {
             let folder =
@@ -299,8 +300,8 @@ impl Lane {
         Ok(())
     }
 
-    /// Cuts the unused rest off the last extent. Readers never look behind what is committed, so a map of the old
-    /// length is safe.
+    /// Truncates the unused rest of the last extent. Readers never access bytes after the committed ones, so a map
+    /// of the old length is safe.
     pub fn trim(&mut self) -> Result<()> {
         self.fault.step()?;
         if let Some(file) = self.file.as_ref() {
@@ -310,8 +311,9 @@ impl Lane {
         self.fault.step()
     }
 
-    /// Whether the folder still holds the index that is open as `index`: nobody has moved or replaced the store.
-    pub fn folder_lives(&self, index: &File) -> bool {
+    /// Returns whether the folder still contains the index that is open as `index`, that is, whether the store has
+    /// not been moved or replaced.
+    pub fn folder_has_index(&self, index: &File) -> bool {
         let here = rustix::fs::stat(self.dir.join("index.situ"));
         match (here, rustix::fs::fstat(index)) {
             (Ok(a), Ok(b)) => a.st_ino == b.st_ino && a.st_dev == b.st_dev,

@@ -1,5 +1,5 @@
-//! Locks between processes on files that are not stores. The holder writes into the file who it is, and the operating
-//! system releases the lock when the process ends, however it ends.
+//! Locks between processes on files that do not belong to a store. The holder writes a description of itself into
+//! the file, and the operating system releases the lock when the process ends for any reason.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
@@ -11,31 +11,31 @@ use rustix::io::Errno;
 
 use crate::error::{Error, Result};
 
-/// The most bytes that are read of a holder's description of itself.
-const MOST: u64 = 4096;
+/// The maximum number of bytes read from a holder's description of itself.
+const MAX_HOLDER_BYTES: u64 = 4096;
 
-/// A lock that this process holds, until it is dropped. Its file goes with it.
+/// A lock held by this process until it is dropped. Dropping it deletes the file.
 #[derive(Debug)]
 pub struct FileLock {
     file: File,
     path: PathBuf,
 }
 
-/// The result of an attempt to lock.
+/// The result of an attempt to acquire a lock.
 #[derive(Debug)]
 pub enum Attempt {
-    /// The lock is the caller's.
+    /// The caller now holds the lock.
     Taken(FileLock),
-    /// Another holds it, and wrote these bytes about itself.
+    /// Another process holds the lock, described by these bytes.
     Held(Vec<u8>),
 }
 
-/// Tries to lock `path`, a file for this purpose only. Other processes get `holder` when they try.
+/// Tries to lock `path`, a file used only for this purpose. Other processes that try get `holder`.
 pub fn acquire(path: &Path, holder: &[u8]) -> Result<Attempt> {
     let failed = |e: std::io::Error| Error::io("lock", e);
     loop {
-        let mut file = match open(path) {
-            // Another user's file cannot be locked by this one, but may name its holder.
+        let mut file = match open_lock_file(path) {
+            // Another user's file cannot be locked by this process, but it may name its holder.
             Err(error) if error.kind() == ErrorKind::PermissionDenied => {
                 return match File::open(path) {
                     Ok(file) if !try_lock(&file)? => Ok(Attempt::Held(read_holder(file))),
@@ -47,7 +47,8 @@ pub fn acquire(path: &Path, holder: &[u8]) -> Result<Attempt> {
         if !try_lock(&file)? {
             return Ok(Attempt::Held(read_holder(file)));
         }
-        // The previous holder may have removed the file between opening and locking: then the lock is worthless.
+        // The previous holder may have removed the file between opening and locking, which would make the lock
+        // worthless.
         if !is_at(path, &file) {
             continue;
         }
@@ -58,7 +59,7 @@ pub fn acquire(path: &Path, holder: &[u8]) -> Result<Attempt> {
     }
 }
 
-fn open(path: &Path) -> std::io::Result<File> {
+fn open_lock_file(path: &Path) -> std::io::Result<File> {
     let no_links = OFlags::NOFOLLOW.bits() as i32;
     let mut options = OpenOptions::new();
     options.read(true).write(true).create(true).truncate(false);
@@ -75,8 +76,8 @@ fn try_lock(file: &File) -> Result<bool> {
 
 fn read_holder(file: File) -> Vec<u8> {
     let mut bytes = Vec::new();
-    // When it cannot be read, only the name is missing.
-    let _ = file.take(MOST).read_to_end(&mut bytes);
+    // If the file cannot be read, only the holder's name is missing.
+    let _ = file.take(MAX_HOLDER_BYTES).read_to_end(&mut bytes);
     bytes
 }
 
@@ -91,7 +92,7 @@ fn is_at(path: &Path, file: &File) -> bool {
 
 impl Drop for FileLock {
     fn drop(&mut self) {
-        // It is still locked, so no newer file of another holder is removed.
+        // The file is still locked, so this never removes a newer file of another holder.
         if is_at(&self.path, &self.file) {
             let _ = std::fs::remove_file(&self.path);
         }
@@ -104,24 +105,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_one_holds_it_and_the_others_learn_who() {
+    fn only_one_process_holds_the_lock_and_others_get_its_name() {
         let path = std::env::temp_dir().join(format!("situ-file-lock-{}", std::process::id()));
         let Attempt::Taken(lock) = acquire(&path, b"Anna").unwrap() else {
             panic!("not taken");
         };
         match acquire(&path, b"Ben").unwrap() {
-            Attempt::Held(told) => assert_eq!(told, b"Anna"),
-            taken => panic!("{taken:?}"),
+            Attempt::Held(holder) => assert_eq!(holder, b"Anna"),
+            other => panic!("{other:?}"),
         }
         drop(lock);
         assert!(!path.exists());
-        // A file that a killed process left locks nothing.
-        std::fs::write(&path, "somebody long gone, with a longer name").unwrap();
+        // A file left by a killed process does not lock anything.
+        std::fs::write(&path, "a process that ended, with a longer name").unwrap();
         let Attempt::Taken(lock) = acquire(&path, b"Ben").unwrap() else {
             panic!("not taken");
         };
         assert_eq!(std::fs::read(&path).unwrap(), b"Ben");
-        // A file that another program put in its place is not ours to remove.
+        // A file that another program created under the same name must not be removed.
         std::fs::remove_file(&path).unwrap();
         std::fs::write(&path, "another's").unwrap();
         drop(lock);

@@ -1,4 +1,4 @@
-//! The fixed structures of the format, as bytes. See `priv/schema/store.md`.
+//! Encodes the fixed structures of the format. See `priv/schema/store.md`.
 
 mod chunk_header;
 mod entry;
@@ -16,47 +16,48 @@ pub const EXTENT_MAGIC: &[u8; 8] = b"SITUDAT1";
 pub const CHUNK_MAGIC: u32 = 0x324b_4843;
 /// The first 4 bytes of a chunk in a store of version 1, `CHNK`.
 pub const CHUNK_MAGIC_1: u32 = 0x4b4e_4843;
-/// Bytes of the index header.
+/// The size of the index header, bytes.
 pub const INDEX_HEADER: usize = 4096;
-/// Bytes of an index entry.
+/// The size of an index entry, bytes.
 pub const ENTRY: usize = 64;
-/// Bytes of an extent header.
+/// The size of an extent header, bytes.
 pub const EXTENT_HEADER: usize = 64;
-/// Bytes of a chunk header, version 2.
+/// The size of a version 2 chunk header, bytes.
 pub const CHUNK_HEADER: usize = 112;
-/// Bytes of a chunk header, version 1.
+/// The size of a version 1 chunk header, bytes.
 pub const CHUNK_HEADER_1: usize = 96;
-/// The level of an index entry that names no chunk any more; it stays so that the others keep their numbers.
-pub const HOLE: u8 = 255;
-/// The levels of a stream's tracks are so much above those of its signal.
+/// The level of an index entry that no longer refers to a chunk. The entry stays so that the others keep their
+/// numbers.
+pub const PLACEHOLDER: u8 = 255;
+/// The difference between the levels of a stream's tracks and those of its signal.
 pub const TRACKS: u8 = 64;
-/// Bytes of a pyramid bin.
+/// The size of a pyramid bin, bytes.
 pub const BIN: usize = 40;
-/// Where the index header holds the number of committed entries (u64, atomic).
+/// The offset in the index header of the number of committed entries (u64, atomic).
 pub const COMMITTED_AT: usize = 64;
-/// Where the index header holds the number of entries known to be on the disk (u64, atomic).
+/// The offset in the index header of the number of entries known to be on disk (u64, atomic).
 pub const SYNCED_AT: usize = 72;
-/// Where the index header holds the state: 0 open, 1 closed.
+/// The offset in the index header of the state: 0 open, 1 closed.
 pub const STATE_AT: usize = 80;
-/// The most messages of a chunk.
+/// The maximum number of messages in a chunk.
 pub const MAX_CHUNK_MESSAGES: u32 = 1024;
-/// The most payload bytes of a chunk of several messages.
+/// The maximum payload of a chunk with several messages, bytes.
 pub const MAX_CHUNK_PAYLOAD: usize = 64 * 1024;
-/// Messages of at least so many bytes are chunks of their own in the large lane.
+/// Messages of at least this many bytes get their own chunk in the large lane.
 pub const LARGE_MESSAGE: usize = 32 * 1024;
-/// A chunk of the data lane does not unpack to more: its payload, one message that was too many, and its table.
+/// The maximum unpacked size of a chunk in the data lane: its payload, one message over the limit, and its table.
 pub const MAX_SMALL_BODY: usize =
     MAX_CHUNK_PAYLOAD + LARGE_MESSAGE + 40 * MAX_CHUNK_MESSAGES as usize;
-/// Larger messages are stored plain, and a reader unpacks no larger ones unless it was asked to.
+/// Larger messages are stored uncompressed, and a reader unpacks larger ones only on request.
 pub const MAX_UNPACKED: usize = 64 << 20;
 /// The lane of chunks of small messages.
 pub const LANE_DATA: u8 = 0;
-/// The lane of large messages, one per chunk.
+/// The lane of large messages, with one message per chunk.
 pub const LANE_LARGE: u8 = 1;
 /// The number of the catalog's stream.
 pub const CATALOG: u32 = 0;
 
-/// The kinds of payload; a chunk has one of them.
+/// The kinds of payload. A chunk contains one kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Encoding {
@@ -66,7 +67,7 @@ pub enum Encoding {
     Int = 1,
     /// Floats of 64 bits, little-endian.
     Float = 2,
-    /// Binaries, as they are.
+    /// Binaries, stored unchanged.
     Bytes = 3,
     /// Terms in Erlang's external term format.
     Term = 4,
@@ -74,12 +75,12 @@ pub enum Encoding {
     Codec = 5,
     /// Booleans: 0 false, 1 true, 2 nil.
     Bool = 6,
-    /// Counts, states and numbers by key of the messages in bins, at levels above `TRACKS`.
+    /// Counts, states and numbers by key of the messages in each bin, at levels above `TRACKS`.
     Tracks = 7,
 }
 
 impl Encoding {
-    /// The encoding with this number, if there is one.
+    /// Returns the encoding with this number, or `None`.
     pub fn from_u8(value: u8) -> Option<Self> {
         Some(match value {
             0 => Self::Bins,
@@ -94,12 +95,12 @@ impl Encoding {
         })
     }
 
-    /// Bins instead of messages.
+    /// Returns whether chunks of this encoding contain bins instead of messages.
     pub fn is_pyramid(self) -> bool {
         matches!(self, Self::Bins | Self::Tracks)
     }
 
-    /// Whether the table of a chunk holds the lengths of its payloads.
+    /// Returns whether the table of a chunk contains the lengths of its payloads.
     pub fn has_lengths(self) -> bool {
         matches!(self, Self::Bytes | Self::Term | Self::Codec)
     }
@@ -109,16 +110,16 @@ impl Encoding {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Compression {
-    /// Stored plain.
+    /// Stored uncompressed.
     None = 0,
-    /// An LZ4 block without its length.
+    /// An LZ4 block without a length prefix.
     Lz4 = 1,
     /// A zstd frame.
     Zstd = 2,
 }
 
 impl Compression {
-    /// The compression with this number, if there is one.
+    /// Returns the compression with this number, or `None`.
     pub fn from_u8(value: u8) -> Option<Self> {
         Some(match value {
             0 => Self::None,
@@ -129,31 +130,31 @@ impl Compression {
     }
 }
 
-/// The little-endian u32 at `at`; panics if `bytes` end before it.
+/// Reads the little-endian u32 at `at`. Panics if `bytes` are too short.
 pub fn u32_at(bytes: &[u8], at: usize) -> u32 {
     let mut raw = [0; 4];
     raw.copy_from_slice(&bytes[at..at + 4]);
     u32::from_le_bytes(raw)
 }
 
-/// The little-endian u64 at `at`; panics if `bytes` end before it.
+/// Reads the little-endian u64 at `at`. Panics if `bytes` are too short.
 pub fn u64_at(bytes: &[u8], at: usize) -> u64 {
     let mut raw = [0; 8];
     raw.copy_from_slice(&bytes[at..at + 8]);
     u64::from_le_bytes(raw)
 }
 
-/// The little-endian i64 at `at`; panics if `bytes` end before it.
+/// Reads the little-endian i64 at `at`. Panics if `bytes` are too short.
 pub fn i64_at(bytes: &[u8], at: usize) -> i64 {
     u64_at(bytes, at) as i64
 }
 
-/// The little-endian f64 at `at`; panics if `bytes` end before it.
+/// Reads the little-endian f64 at `at`. Panics if `bytes` are too short.
 pub fn f64_at(bytes: &[u8], at: usize) -> f64 {
     f64::from_bits(u64_at(bytes, at))
 }
 
-fn set(bytes: &mut [u8], at: usize, value: &[u8]) {
+fn put_bytes(bytes: &mut [u8], at: usize, value: &[u8]) {
     bytes[at..at + value.len()].copy_from_slice(value);
 }
 
@@ -162,26 +163,26 @@ fn set(bytes: &mut [u8], at: usize, value: &[u8]) {
 pub struct IndexHeader {
     /// The store's random id.
     pub id: [u8; 16],
-    /// When the store was created, ns since 1970.
+    /// The creation time of the store, ns since 1970.
     pub created: i64,
     /// The format's version, 1 or 2.
     pub version: u32,
 }
 
 impl IndexHeader {
-    /// The header's bytes, with `committed`, `synced` and state 0.
+    /// Encodes the header, with `committed`, `synced` and state set to 0.
     pub fn encode(&self) -> [u8; INDEX_HEADER] {
         let mut bytes = [0; INDEX_HEADER];
-        set(&mut bytes, 0, INDEX_MAGIC);
-        set(&mut bytes, 8, &self.version.to_le_bytes());
-        set(&mut bytes, 16, &self.id);
-        set(&mut bytes, 32, &self.created.to_le_bytes());
+        put_bytes(&mut bytes, 0, INDEX_MAGIC);
+        put_bytes(&mut bytes, 8, &self.version.to_le_bytes());
+        put_bytes(&mut bytes, 16, &self.id);
+        put_bytes(&mut bytes, 32, &self.created.to_le_bytes());
         let crc = crc32c::crc32c(&bytes[16..64]);
-        set(&mut bytes, 12, &crc.to_le_bytes());
+        put_bytes(&mut bytes, 12, &crc.to_le_bytes());
         bytes
     }
 
-    /// Parses and checks the header that `bytes` begin with.
+    /// Parses and checks the header at the start of `bytes`.
     pub fn decode(bytes: &[u8]) -> Result<Self> {
         if bytes.len() < INDEX_HEADER || &bytes[..8] != INDEX_MAGIC {
             return Err(Error::NotAStore);
@@ -207,21 +208,21 @@ impl IndexHeader {
     }
 }
 
-/// The header of extent `number` of `lane` in store `id`.
-pub fn extent_header(id: &[u8; 16], lane: u8, number: u32) -> [u8; EXTENT_HEADER] {
+/// Encodes the header of extent `number` of `lane` in store `id`.
+pub fn encode_extent_header(id: &[u8; 16], lane: u8, number: u32) -> [u8; EXTENT_HEADER] {
     let mut bytes = [0; EXTENT_HEADER];
-    set(&mut bytes, 0, EXTENT_MAGIC);
-    set(&mut bytes, 8, &VERSION.to_le_bytes());
-    set(&mut bytes, 16, id);
-    set(&mut bytes, 32, &(lane as u32).to_le_bytes());
-    set(&mut bytes, 36, &number.to_le_bytes());
+    put_bytes(&mut bytes, 0, EXTENT_MAGIC);
+    put_bytes(&mut bytes, 8, &VERSION.to_le_bytes());
+    put_bytes(&mut bytes, 16, id);
+    put_bytes(&mut bytes, 32, &(lane as u32).to_le_bytes());
+    put_bytes(&mut bytes, 36, &number.to_le_bytes());
     let crc = crc32c::crc32c(&bytes[16..64]);
-    set(&mut bytes, 12, &crc.to_le_bytes());
+    put_bytes(&mut bytes, 12, &crc.to_le_bytes());
     bytes
 }
 
-/// Whether `bytes` open extent `number` of `lane` in store `id`.
-pub fn check_extent(
+/// Checks that `bytes` start with the header of extent `number` of `lane` in store `id`.
+pub fn check_extent_header(
     bytes: &[u8],
     id: &[u8; 16],
     lane: u8,
@@ -237,7 +238,7 @@ pub fn check_extent(
         return Err("the extent belongs to another store");
     }
     if u32_at(bytes, 32) != lane as u32 || u32_at(bytes, 36) != number {
-        return Err("the extent stands in another's place");
+        return Err("the extent's header names another lane or number");
     }
     Ok(())
 }

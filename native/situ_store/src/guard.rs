@@ -1,7 +1,9 @@
-//! Memory maps that outlive their file's end.
-//! Reading a page of a map whose file another program has cut raises SIGBUS, which ends the process. Here a handler
-//! puts a page of zeros in its place and notes it: the reader sees a wrong checksum, calls `torn`, and returns an
-//! error. The handler only looks at maps that are registered here; any other SIGBUS goes where it went before.
+//! Memory maps that survive the truncation of their file.
+//!
+//! Reading a page of a map after another program has truncated the file raises SIGBUS, which ends the process. The
+//! handler in this module replaces the page with zeros and records this in the map's slot: the reader sees a wrong
+//! checksum, calls `is_torn`, and returns an error. The handler only affects maps that are registered here; any
+//! other SIGBUS is passed on to the previous handler.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicUsize, Ordering};
@@ -10,7 +12,7 @@ use std::sync::{Mutex, Once};
 const PAGE: usize = 4096;
 const SLOTS: usize = 256;
 
-/// Where a map lies. A slot with start 0 is free.
+/// The address range of a map. A slot with start 0 is free.
 struct Slot {
     start: AtomicUsize,
     end: AtomicUsize,
@@ -37,32 +39,33 @@ impl Block {
     }
 
     #[allow(unsafe_code)]
-    fn following(&self) -> Option<&'static Block> {
-        // SAFETY: blocks are made by `Box::leak` and never freed or moved.
+    fn next_block(&self) -> Option<&'static Block> {
+        // SAFETY: blocks are created by `Box::leak` and never freed or moved.
         unsafe { self.next.load(Ordering::Acquire).as_ref() }
     }
 }
 
-static FIRST: Block = Block::new();
-/// Held while slots are taken; the signal handler only reads them.
-static TAKING: Mutex<()> = Mutex::new(());
+static FIRST_BLOCK: Block = Block::new();
+/// Held while a slot is taken. The signal handler only reads slots.
+static SLOT_LOCK: Mutex<()> = Mutex::new(());
 static INSTALL: Once = Once::new();
-/// The handler that was there before ours, as `sigaction` told it.
-static BEFORE: AtomicUsize = AtomicUsize::new(0);
-static BEFORE_TAKES_INFO: AtomicBool = AtomicBool::new(false);
+/// The previous handler, as returned by `sigaction`.
+static PREVIOUS_HANDLER: AtomicUsize = AtomicUsize::new(0);
+static PREVIOUS_TAKES_INFO: AtomicBool = AtomicBool::new(false);
 
-fn slots() -> impl Iterator<Item = &'static Slot> {
-    std::iter::successors(Some(&FIRST), |block| block.following()).flat_map(|block| &block.slots)
+fn all_slots() -> impl Iterator<Item = &'static Slot> {
+    std::iter::successors(Some(&FIRST_BLOCK), |block| block.next_block())
+        .flat_map(|block| &block.slots)
 }
 
-fn take(start: usize, end: usize) -> &'static Slot {
-    INSTALL.call_once(install);
-    let _taking = TAKING.lock().unwrap_or_else(|p| p.into_inner());
-    let free = slots().find(|slot| slot.start.load(Ordering::Relaxed) == 0);
+fn take_slot(start: usize, end: usize) -> &'static Slot {
+    INSTALL.call_once(install_handler);
+    let _taking = SLOT_LOCK.lock().unwrap_or_else(|p| p.into_inner());
+    let free = all_slots().find(|slot| slot.start.load(Ordering::Relaxed) == 0);
     let slot = free.unwrap_or_else(|| {
         let block: &'static Block = Box::leak(Box::new(Block::new()));
-        let last = std::iter::successors(Some(&FIRST), |block| block.following()).last();
-        let last = last.unwrap_or(&FIRST);
+        let last = std::iter::successors(Some(&FIRST_BLOCK), |block| block.next_block()).last();
+        let last = last.unwrap_or(&FIRST_BLOCK);
         last.next
             .store(std::ptr::from_ref(block).cast_mut(), Ordering::Release);
         &block.slots[0]
@@ -74,10 +77,10 @@ fn take(start: usize, end: usize) -> &'static Slot {
 }
 
 #[allow(unsafe_code)]
-fn install() {
-    // SAFETY: the structures are zeroed, which is a valid value of them, and filled as sigaction(2) says. The handler
-    // does only what a signal handler may: atomics and mmap(2). It runs on the alternate stack, as the BEAM demands
-    // of handlers.
+fn install_handler() {
+    // SAFETY: the structures are zeroed, which is a valid value, and filled as sigaction(2) requires. The handler
+    // uses only operations that are allowed in a signal handler: atomics and mmap(2). It runs on the alternate
+    // stack, as the BEAM requires of handlers.
     unsafe {
         let mut new: libc::sigaction = std::mem::zeroed();
         let mut old: libc::sigaction = std::mem::zeroed();
@@ -85,9 +88,9 @@ fn install() {
         new.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
         libc::sigemptyset(&mut new.sa_mask);
         if libc::sigaction(libc::SIGBUS, &new, &mut old) == 0 {
-            BEFORE.store(old.sa_sigaction, Ordering::Release);
+            PREVIOUS_HANDLER.store(old.sa_sigaction, Ordering::Release);
             let takes_info = old.sa_flags & libc::SA_SIGINFO != 0;
-            BEFORE_TAKES_INFO.store(takes_info, Ordering::Release);
+            PREVIOUS_TAKES_INFO.store(takes_info, Ordering::Release);
         }
     }
 }
@@ -98,11 +101,11 @@ extern "C" fn on_sigbus(
     info: *mut libc::siginfo_t,
     context: *mut libc::c_void,
 ) {
-    // SAFETY: the kernel gives a valid `info`; the page replaced lies within a map registered by its owner, which
-    // unregisters it before it unmaps; errno is put back as it was.
+    // SAFETY: the kernel passes a valid `info`. The replaced page is within a map registered by its owner, which
+    // unregisters it before unmapping it. errno is restored.
     unsafe {
         let at = (*info).si_addr() as usize;
-        let ours = slots().find(|slot| {
+        let ours = all_slots().find(|slot| {
             let start = slot.start.load(Ordering::Acquire);
             start != 0 && start <= at && at < slot.end.load(Ordering::Relaxed)
         });
@@ -126,16 +129,16 @@ extern "C" fn on_sigbus(
     }
 }
 
-/// SAFETY: called from the handler, with what it was given.
+/// SAFETY: must be called from the handler, with the handler's arguments.
 #[allow(unsafe_code)]
 unsafe fn pass_on(signal: libc::c_int, info: *mut libc::siginfo_t, context: *mut libc::c_void) {
-    let before = BEFORE.load(Ordering::Acquire);
+    let before = PREVIOUS_HANDLER.load(Ordering::Acquire);
     if before == libc::SIG_DFL || before == libc::SIG_IGN {
-        // The access is tried again, and ends the process as if we were not there.
+        // The access is retried and ends the process, as it would without this handler.
         let mut default: libc::sigaction = std::mem::zeroed();
         default.sa_sigaction = libc::SIG_DFL;
         libc::sigaction(signal, &default, std::ptr::null_mut());
-    } else if BEFORE_TAKES_INFO.load(Ordering::Acquire) {
+    } else if PREVIOUS_TAKES_INFO.load(Ordering::Acquire) {
         let handler: extern "C" fn(libc::c_int, *mut libc::siginfo_t, *mut libc::c_void) =
             std::mem::transmute(before);
         handler(signal, info, context);
@@ -145,7 +148,7 @@ unsafe fn pass_on(signal: libc::c_int, info: *mut libc::siginfo_t, context: *mut
     }
 }
 
-/// A map that is registered as long as it lives.
+/// A map that stays registered until it is dropped.
 pub struct Guarded<M> {
     slot: &'static Slot,
     map: M,
@@ -160,23 +163,24 @@ impl<M: Deref<Target = [u8]>> Guarded<M> {
     /// Registers a map.
     pub fn new(map: M) -> Self {
         let start = map.as_ptr() as usize;
-        let slot = take(start, (start + map.len()).next_multiple_of(PAGE));
+        let slot = take_slot(start, (start + map.len()).next_multiple_of(PAGE));
         Guarded { slot, map }
     }
 
-    /// Whether a part of it was found missing: its bytes are zeros now, and writes to it are lost.
-    pub fn torn(&self) -> bool {
+    /// Returns whether a part of the file was missing. The bytes of that part read as zeros, and writes to it are
+    /// lost.
+    pub fn is_torn(&self) -> bool {
         self.slot.torn.load(Ordering::Acquire)
     }
 
-    /// The map itself.
+    /// Returns the map itself.
     pub fn inner(&self) -> &M {
         &self.map
     }
 }
 
 impl<M> Drop for Guarded<M> {
-    // Runs before the map's own drop, which unmaps it.
+    // This runs before the map's own drop, which unmaps it.
     fn drop(&mut self) {
         self.slot.start.store(0, Ordering::Release);
     }

@@ -1,5 +1,5 @@
-//! Pure Rust side of situ_store: the format of `priv/schema/store.md`, its writer, reader, pyramids and repair. No
-//! BEAM types.
+//! The pure Rust part of situ_store: the file format of `priv/schema/store.md`, its writer and reader, pyramids,
+//! and repair. No BEAM types.
 
 #![deny(missing_docs)]
 
@@ -13,9 +13,10 @@ pub mod format;
 pub mod guard;
 pub mod index;
 pub mod limits;
-pub mod names;
+
 pub mod pyramid;
 pub mod reader;
+pub mod rename;
 pub mod repair;
 pub mod tracks;
 pub mod transfer;

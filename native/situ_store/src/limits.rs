@@ -1,6 +1,6 @@
-//! Numbers that a store is bound by, apart from how it is laid out: errors name them too.
+//! Limits of a store that do not depend on its layout. Error messages name them, too.
 
-/// The version of new stores; lower ones are read too.
+/// The format version of new stores. Lower versions are readable, too.
 pub const VERSION: u32 = 2;
-/// No message is larger: a file with a larger length is damaged, and a reader never allocates more.
+/// The maximum size of a message. A file with a larger length is damaged, and a reader never allocates more.
 pub const MAX_MESSAGE: usize = 1 << 30;

@@ -1,20 +1,20 @@
-//! Min/max/last/count over bins of 2^k ns.
+//! Summarizes values (min, max, last, count) in bins of 2^k ns.
 
 use crate::format::{f64_at, i64_at, u64_at, BIN};
 
-/// Levels stand this many powers of two apart.
+/// The step between levels, in powers of two.
 pub const STEP: u8 = 2;
-/// The highest level: its bins are 2^44 ns wide, almost five hours.
+/// The highest level. Its bins are 2^44 ns wide, almost five hours.
 pub const TOP: u8 = 44;
 const WARM_UP: usize = 256;
 const POINTS_PER_BIN: i64 = 32;
-/// Bins of a level are written when this many are complete.
+/// The number of complete bins of a level at which they are written.
 pub const FLUSH: usize = 512;
 
-/// A span of samples: its start, extremes, last value and how many there were.
+/// A span of samples: its start, extremes, last value, and count.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bin {
-    /// The time of the sample, or where the bin starts, ns.
+    /// The time of the sample or the start of the bin, ns.
     pub start: i64,
     /// The lowest value.
     pub min: f64,
@@ -22,13 +22,13 @@ pub struct Bin {
     pub max: f64,
     /// The latest value.
     pub last: f64,
-    /// How many values there were.
+    /// The number of values.
     pub count: u64,
 }
 
 impl Bin {
-    /// The bin of a single sample.
-    pub fn sample(time: i64, value: f64) -> Self {
+    /// Builds the bin of a single sample.
+    pub fn from_sample(time: i64, value: f64) -> Self {
         Bin {
             start: time,
             min: value,
@@ -38,7 +38,7 @@ impl Bin {
         }
     }
 
-    /// Appends the bin's 40 bytes.
+    /// Appends the bin to `out`, encoded as 40 bytes.
     pub fn encode(&self, out: &mut Vec<u8>) {
         out.extend_from_slice(&self.start.to_le_bytes());
         for value in [self.min, self.max, self.last] {
@@ -47,7 +47,7 @@ impl Bin {
         out.extend_from_slice(&self.count.to_le_bytes());
     }
 
-    /// Parses the bin that `bytes` begin with; `None` if they are too short.
+    /// Parses the bin at the start of `bytes`. Returns `None` if they are too short.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         (bytes.len() >= BIN).then(|| Bin {
             start: i64_at(bytes, 0),
@@ -62,25 +62,25 @@ impl Bin {
 impl Fold for Bin {
     type Value = f64;
 
-    fn of(time: i64, value: &f64) -> Self {
-        Bin::sample(time, *value)
+    fn from_value(time: i64, value: &f64) -> Self {
+        Bin::from_sample(time, *value)
     }
 
     #[inline]
-    fn note(&mut self, value: &f64) {
-        self.absorb(&Bin::sample(self.start, *value));
+    fn add_value(&mut self, value: &f64) {
+        self.merge(&Bin::from_sample(self.start, *value));
     }
 
-    fn start(&self) -> i64 {
+    fn start_time(&self) -> i64 {
         self.start
     }
 
-    fn at(self, start: i64) -> Self {
+    fn with_start(self, start: i64) -> Self {
         Bin { start, ..self }
     }
 
     #[inline]
-    fn absorb(&mut self, later: &Bin) {
+    fn merge(&mut self, later: &Bin) {
         // NaN never becomes an extreme, so one bad sample does not blank a whole zoom level.
         self.min = self.min.min(later.min);
         self.max = self.max.max(later.max);
@@ -89,29 +89,29 @@ impl Fold for Bin {
     }
 }
 
-/// The content of a bin, folded from messages in order of time.
+/// The content of a bin, folded from messages in time order.
 pub trait Fold: Clone {
-    /// The part of a message that a bin takes in.
+    /// The part of a message that is added to a bin.
     type Value: ?Sized;
-    /// A bin of one message.
-    fn of(time: i64, value: &Self::Value) -> Self;
-    /// Takes in a message.
-    fn note(&mut self, value: &Self::Value);
-    /// Its time, or that of the bin's beginning.
-    fn start(&self) -> i64;
-    /// The same content at another time.
-    fn at(self, start: i64) -> Self;
-    /// Takes in a later bin.
-    fn absorb(&mut self, later: &Self);
+    /// Builds a bin of one message.
+    fn from_value(time: i64, value: &Self::Value) -> Self;
+    /// Adds a message.
+    fn add_value(&mut self, value: &Self::Value);
+    /// Returns the time of its message, or the start of the bin.
+    fn start_time(&self) -> i64;
+    /// Returns the same content at another time.
+    fn with_start(self, start: i64) -> Self;
+    /// Merges a later bin into this one.
+    fn merge(&mut self, later: &Self);
 }
 
-/// Where the bin of level `k` that holds `time` starts.
+/// Returns the start of the level `k` bin that contains `time`.
 #[inline]
-pub fn floor(time: i64, k: u8) -> i64 {
+pub fn bin_start(time: i64, k: u8) -> i64 {
     (time >> k) << k
 }
 
-/// The bin width for `pixels` over a span: the largest power of two that gives each pixel a bin of its own.
+/// Returns the bin width for `pixels` over a span: the largest power of two that gives each pixel its own bin.
 pub fn level_for(from: i64, to: i64, pixels: u32) -> u8 {
     let span = (to as i128 - from as i128).max(1) as u128;
     let width = (span / pixels.max(1) as u128).max(1);
@@ -125,7 +125,7 @@ struct Level<B> {
     ready: Vec<B>,
 }
 
-/// Builds all levels of one stream while it is recorded.
+/// Builds all levels of one stream during recording.
 #[derive(Debug, Clone)]
 pub struct Builder<B> {
     warm: Vec<B>,
@@ -142,34 +142,38 @@ impl<B> Default for Builder<B> {
 }
 
 impl<B: Fold> Builder<B> {
-    /// Takes in a message, which mostly lies in the bin under way.
+    /// Adds a message. It usually belongs to the current bin.
     #[inline]
     pub fn observe(&mut self, time: i64, value: &B::Value) {
         if let Some(level) = self.levels.first_mut() {
-            let start = floor(time, level.k);
-            if let Some(bin) = level.current.as_mut().filter(|bin| bin.start() >= start) {
-                return bin.note(value);
+            let start = bin_start(time, level.k);
+            if let Some(bin) = level
+                .current
+                .as_mut()
+                .filter(|bin| bin.start_time() >= start)
+            {
+                return bin.add_value(value);
             }
         }
-        self.add(B::of(time, value));
+        self.add(B::from_value(time, value));
     }
 
-    /// Takes in a point or a bin that comes behind all others.
+    /// Adds a point or bin that is later than all others.
     pub fn add(&mut self, point: B) {
         if !self.levels.is_empty() {
-            return self.feed(0, point);
+            return self.feed_level(0, point);
         }
         self.warm.push(point);
         if self.warm.len() >= WARM_UP {
-            self.choose();
+            self.choose_levels();
         }
     }
 
-    fn choose(&mut self) {
+    fn choose_levels(&mut self) {
         let (Some(first), Some(last)) = (self.warm.first(), self.warm.last()) else {
             return;
         };
-        let span = (last.start() as i128 - first.start() as i128).max(1);
+        let span = (last.start_time() as i128 - first.start_time() as i128).max(1);
         let interval = (span / (self.warm.len() as i128 - 1).max(1)).clamp(1, 1 << 40) as i64;
         let wanted = (interval * POINTS_PER_BIN) as u64;
         let base = (64 - (wanted - 1).leading_zeros()).clamp(4, (TOP - STEP) as u32) as u8;
@@ -182,20 +186,20 @@ impl<B: Fold> Builder<B> {
             })
             .collect();
         for point in std::mem::take(&mut self.warm) {
-            self.feed(0, point);
+            self.feed_level(0, point);
         }
     }
 
     #[inline]
-    fn feed(&mut self, mut at: usize, point: B) {
+    fn feed_level(&mut self, mut at: usize, point: B) {
         let mut point = point;
         while let Some(level) = self.levels.get_mut(at) {
-            let start = floor(point.start(), level.k);
+            let start = bin_start(point.start_time(), level.k);
             match level.current.as_mut() {
-                Some(bin) if bin.start() >= start => return bin.absorb(&point),
+                Some(bin) if bin.start_time() >= start => return bin.merge(&point),
                 _ => {
-                    let begun = point.at(start);
-                    match level.current.replace(begun) {
+                    let started = point.with_start(start);
+                    match level.current.replace(started) {
                         None => return,
                         Some(done) => {
                             level.ready.push(done.clone());
@@ -208,7 +212,7 @@ impl<B: Fold> Builder<B> {
         }
     }
 
-    /// Levels with at least `least` complete bins, and those bins.
+    /// Takes the complete bins of all levels that have at least `least` of them.
     pub fn take_ready(&mut self, least: usize) -> Vec<(u8, Vec<B>)> {
         let full = |level: &mut Level<B>| {
             (level.ready.len() >= least).then(|| (level.k, std::mem::take(&mut level.ready)))
@@ -216,7 +220,7 @@ impl<B: Fold> Builder<B> {
         self.levels.iter_mut().filter_map(full).collect()
     }
 
-    /// Whether the lowest level has at least so many complete bins to write.
+    /// Returns whether the lowest level has at least `least` complete bins to write.
     pub fn has_ready(&self, least: usize) -> bool {
         self.levels
             .first()
@@ -231,15 +235,15 @@ impl<B: Fold> Builder<B> {
         }
     }
 
-    /// The stream has ended: every bin is complete.
+    /// Completes all bins at the end of the stream.
     pub fn finish(&mut self) {
         if self.levels.is_empty() {
-            self.choose();
+            self.choose_levels();
         }
         for at in 0..self.levels.len() {
             if let Some(done) = self.levels[at].current.take() {
                 self.levels[at].ready.push(done.clone());
-                self.feed(at + 1, done);
+                self.feed_level(at + 1, done);
             }
         }
     }
@@ -248,12 +252,12 @@ impl<B: Fold> Builder<B> {
 /// Folds points in time order into bins of level `k`.
 pub struct Folder<B> {
     k: u8,
-    /// The bins so far, in order of time.
+    /// The bins so far, in time order.
     pub bins: Vec<B>,
 }
 
 impl<B: Fold> Folder<B> {
-    /// A folder without bins.
+    /// Creates a folder without bins.
     pub fn new(k: u8) -> Self {
         Folder {
             k,
@@ -261,23 +265,23 @@ impl<B: Fold> Folder<B> {
         }
     }
 
-    /// Takes in a point or a bin that comes behind all others.
+    /// Adds a point or bin that is later than all others.
     #[inline]
     pub fn add(&mut self, point: B) {
-        let start = floor(point.start(), self.k);
+        let start = bin_start(point.start_time(), self.k);
         match self.bins.last_mut() {
-            Some(bin) if bin.start() >= start => bin.absorb(&point),
-            _ => self.bins.push(point.at(start)),
+            Some(bin) if bin.start_time() >= start => bin.merge(&point),
+            _ => self.bins.push(point.with_start(start)),
         }
     }
 
-    /// Takes in a message, as `add` does a bin of it.
+    /// Adds a message like `add` adds its bin.
     #[inline]
     pub fn observe(&mut self, time: i64, value: &B::Value) {
-        let start = floor(time, self.k);
+        let start = bin_start(time, self.k);
         match self.bins.last_mut() {
-            Some(bin) if bin.start() >= start => bin.note(value),
-            _ => self.bins.push(B::of(start, value)),
+            Some(bin) if bin.start_time() >= start => bin.add_value(value),
+            _ => self.bins.push(B::from_value(start, value)),
         }
     }
 }
@@ -287,10 +291,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn levels_agree_with_folding_the_points() {
+    fn levels_equal_the_folded_points() {
         let mut builder = Builder::default();
         let points: Vec<Bin> = (0..50_000)
-            .map(|i| Bin::sample(i * 1_000 + (i % 7), ((i * 37) % 101) as f64))
+            .map(|i| Bin::from_sample(i * 1_000 + (i % 7), ((i * 37) % 101) as f64))
             .collect();
         points.iter().for_each(|p| builder.add(*p));
         builder.finish();
@@ -305,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn level_for_pixels() {
+    fn chooses_a_level_for_a_number_of_pixels() {
         assert_eq!(level_for(0, 2000, 2000), 0);
         assert_eq!(level_for(0, 4001, 2000), 1);
         assert_eq!(level_for(i64::MIN, i64::MAX, 1), 62);

@@ -1,4 +1,5 @@
-//! The reader: directories from the index, chunks from mapped extents. Trusts nothing it has not checked.
+//! The reader: builds directories from the index and reads chunks from mapped extents. It checks everything before
+//! using it.
 
 mod changes;
 mod chunk;
@@ -20,36 +21,36 @@ use rustix::fs::{flock, FlockOperation};
 use crate::error::{Error, Result};
 use crate::format::*;
 use crate::guard::Map;
-use crate::index::{self, word, CUT};
+use crate::index::{self, atomic_word, FILE_WAS_CUT};
 
 use directory::Index;
 use maps::Extents;
 
-pub(crate) use chunk::names;
+pub(crate) use chunk::matches_header;
 pub use chunk::Chunk;
 pub(crate) use maps::{file_length, map_file};
 pub use statistics::Statistics;
-pub use tracks::{Known, Line, Told};
+pub use tracks::{Line, TrackCache, TrackData};
 
-/// The lock, whatever became of a thread that held it.
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+/// Locks a mutex, even if another thread panicked while holding it.
+pub fn lock_mutex<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex
         .lock()
         .unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// A damaged place in a store.
+/// Damage at one position of a store.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Damage {
     /// The file's name in the store's folder.
     pub file: String,
-    /// Where in the file, bytes from its beginning.
+    /// The offset in the file, bytes.
     pub offset: u64,
-    /// The damage in words.
+    /// A description of the damage.
     pub why: String,
 }
 
-/// An open store: its index in memory, its extents mapped when they are needed. Threads may share it.
+/// An open store: its index in memory, and its extents, which are mapped on first use. Threads may share it.
 pub struct Reader {
     dir: PathBuf,
     /// The header of the index.
@@ -58,18 +59,18 @@ pub struct Reader {
     head: Map,
     index: RwLock<Index>,
     extents: Extents,
-    /// Pyramids of signals, made in memory where the store has none.
-    made: summary::Made,
-    /// Names and bins of the streams' tracks, kept between calls.
-    known: tracks::KnownStreams,
-    /// Check payloads of large chunks too.
+    /// Pyramids of signals, computed in memory for streams without stored ones.
+    memory_pyramids: summary::MemoryPyramids,
+    /// Names and bins of the streams' tracks, cached between calls.
+    track_caches: tracks::TrackCaches,
+    /// Whether the payloads of large chunks are checked, too.
     pub verify_large: bool,
-    /// The most bytes that a message may unpack to.
+    /// The maximum unpacked size of a message, bytes.
     pub max_unpacked: usize,
 }
 
 impl Reader {
-    /// Opens the store in folder `dir`, also while it is being written.
+    /// Opens the store in folder `dir`. The store may be growing.
     pub fn open(dir: &Path) -> Result<Reader> {
         let file = File::open(dir.join(index::FILE)).map_err(|e| match e.kind() {
             std::io::ErrorKind::NotFound => Error::NoStore,
@@ -87,8 +88,8 @@ impl Reader {
             head,
             index: RwLock::default(),
             extents: Extents::new(dir.to_path_buf(), header.id),
-            made: Mutex::default(),
-            known: Mutex::default(),
+            memory_pyramids: Mutex::default(),
+            track_caches: Mutex::default(),
             verify_large: true,
             max_unpacked: MAX_UNPACKED,
         };
@@ -96,17 +97,17 @@ impl Reader {
         Ok(reader)
     }
 
-    /// The store's folder.
+    /// Returns the store's folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// Whether a writer or a repair has closed the store.
+    /// Returns whether a writer or a repair has closed the store.
     pub fn is_closed(&self) -> bool {
         self.head[STATE_AT] == 1
     }
 
-    /// Whether a writer holds the store now.
+    /// Returns whether a writer has the store open now.
     pub fn is_live(&self) -> bool {
         if self.is_closed() {
             return false;
@@ -123,22 +124,23 @@ impl Reader {
         }
     }
 
-    /// How many entries were published that are not taken in yet.
-    pub fn behind(&self) -> u64 {
-        self.published().saturating_sub(self.entries_loaded())
+    /// Returns the number of published entries that the reader has not loaded yet.
+    pub fn pending_entries(&self) -> u64 {
+        self.published_entries()
+            .saturating_sub(self.entries_loaded())
     }
 
-    /// How many entries the writer has published.
-    pub fn published(&self) -> u64 {
-        word(&self.head, COMMITTED_AT).load(Ordering::Acquire)
+    /// Returns the number of entries that the writer has published.
+    pub fn published_entries(&self) -> u64 {
+        atomic_word(&self.head, COMMITTED_AT).load(Ordering::Acquire)
     }
 
-    /// How many entries the writer knows to be on the disk.
-    pub fn synced(&self) -> u64 {
-        word(&self.head, SYNCED_AT).load(Ordering::Acquire)
+    /// Returns the number of entries that the writer has synced to disk.
+    pub fn synced_entries(&self) -> u64 {
+        atomic_word(&self.head, SYNCED_AT).load(Ordering::Acquire)
     }
 
-    pub(crate) fn head(&self) -> &Map {
+    pub(crate) fn header_map(&self) -> &Map {
         &self.head
     }
 
@@ -148,18 +150,19 @@ impl Reader {
             .unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// An error if another program has cut the index since it was opened: then its answers are void.
-    pub fn whole(&self) -> Result<()> {
-        if self.head.torn() || self.lock_index().torn() {
-            return Err(Error::damaged(index::FILE, 0, CUT));
+    /// Returns an error if another program has truncated the index since it was opened, which makes all results
+    /// invalid.
+    pub fn check_intact(&self) -> Result<()> {
+        if self.head.is_torn() || self.lock_index().is_torn() {
+            return Err(Error::damaged(index::FILE, 0, FILE_WAS_CUT));
         }
         Ok(())
     }
 
-    /// Takes in what was published since; the number of entries now known.
+    /// Loads newly published entries and returns the total number of loaded entries.
     pub fn refresh(&self) -> Result<u64> {
-        self.whole()?;
-        let published = self.published();
+        self.check_intact()?;
+        let published = self.published_entries();
         let loaded = self.lock_index().loaded;
         if loaded >= published {
             return Ok(loaded);
@@ -168,21 +171,21 @@ impl Reader {
             .index
             .write()
             .unwrap_or_else(|poisoned| poisoned.into_inner());
-        index.load(published, &self.file)
+        index.load_entries(published, &self.file)
     }
 
-    /// The damage found so far.
+    /// Returns the damage found so far.
     pub fn damage(&self) -> Vec<Damage> {
         self.lock_index().damage.clone()
     }
 
-    /// How many entries of the index are taken in.
+    /// Returns the number of loaded index entries.
     pub fn entries_loaded(&self) -> u64 {
         self.lock_index().loaded
     }
 
-    /// The numbers of the streams that have messages.
-    pub fn streams(&self) -> Vec<u32> {
+    /// Returns the numbers of the streams that have messages.
+    pub fn stream_numbers(&self) -> Vec<u32> {
         self.lock_index()
             .directories
             .keys()
@@ -191,47 +194,51 @@ impl Reader {
             .collect()
     }
 
-    /// How many messages a stream has.
-    pub fn count(&self, stream: u32) -> u64 {
+    /// Returns the number of messages in a stream.
+    pub fn message_count(&self, stream: u32) -> u64 {
         self.lock_index()
-            .entries(stream, 0)
-            .map_or(0, |entries| entries.count())
+            .stream_entries(stream, 0)
+            .map_or(0, |entries| entries.message_count())
     }
 
-    /// The entry holding message `ordinal` of a stream, if it has so many.
+    /// Returns the entry of the chunk that contains message `ordinal` of a stream, or `None` after the last
+    /// message.
     pub fn entry_at(&self, stream: u32, ordinal: u64) -> Result<Option<Entry>> {
         let entry = {
             let index = self.lock_index();
-            let entries = index.entries(stream, 0);
-            entries.and_then(|entries| entries.get(entries.at_ordinal(ordinal)))
+            let entries = index.stream_entries(stream, 0);
+            entries.and_then(|entries| entries.get(entries.position_at_ordinal(ordinal)))
         };
-        self.whole()?;
+        self.check_intact()?;
         Ok(entry)
     }
 
-    /// The ordinal of the first message at or after `time` (the stream's count when there is none).
+    /// Returns the ordinal of the first message at or after `time`, or the message count if there is none.
     pub fn ordinal_from(&self, stream: u32, time: i64) -> Result<u64> {
-        Ok(self.find(stream, time, false)?.unwrap_or_default())
+        Ok(self.find_ordinal(stream, time, false)?.unwrap_or_default())
     }
 
-    /// As `ordinal_from`; `None` when that has to wait for a disk.
-    pub fn ordinal_quick(&self, stream: u32, time: i64) -> Result<Option<u64>> {
-        self.find(stream, time, true)
+    /// Returns the same ordinal as `ordinal_from`, or `None` if finding it might have to wait for the disk.
+    pub fn quick_ordinal(&self, stream: u32, time: i64) -> Result<Option<u64>> {
+        self.find_ordinal(stream, time, true)
     }
 
-    fn find(&self, stream: u32, time: i64, quick: bool) -> Result<Option<u64>> {
+    fn find_ordinal(&self, stream: u32, time: i64, quick: bool) -> Result<Option<u64>> {
         let (entry, count) = {
             let index = self.lock_index();
-            let Some(entries) = index.entries(stream, 0) else {
+            let Some(entries) = index.stream_entries(stream, 0) else {
                 return Ok(Some(0));
             };
-            (entries.get(entries.at_time(time)), entries.count())
+            (
+                entries.get(entries.position_at_time(time)),
+                entries.message_count(),
+            )
         };
-        self.whole()?;
+        self.check_intact()?;
         let Some(entry) = entry else {
             return Ok(Some(count));
         };
-        // A large chunk holds one message.
+        // A large chunk contains a single message.
         if entry.first >= time || entry.lane == LANE_LARGE {
             return Ok(Some(entry.ordinal));
         }
@@ -241,11 +248,11 @@ impl Reader {
                 None => return Ok(None),
             }
         } else {
-            self.chunk(&entry)?
+            self.read_chunk(&entry)?
         };
         let mut ordinal = entry.ordinal;
         for message in chunk.messages() {
-            let (envelope, _) = message.map_err(|why| self.broken(&entry, why))?;
+            let (envelope, _) = message.map_err(|why| self.chunk_error(&entry, why))?;
             if envelope.time >= time {
                 break;
             }
@@ -254,12 +261,12 @@ impl Reader {
         Ok(Some(ordinal))
     }
 
-    /// All sound entries.
+    /// Returns all sound entries.
     pub fn all_entries(&self) -> Vec<Entry> {
         let index = self.lock_index();
         (0..index.loaded)
             .filter_map(|at| index.raw_entry(at))
-            .filter(|entry| !entry.is_hole())
+            .filter(|entry| !entry.is_placeholder())
             .collect()
     }
 }

@@ -1,25 +1,25 @@
-//! Tracks: bins that count messages of any type, and hold their states and the values of their keys. See
+//! Tracks: bins that count messages of any type and summarize their states and the values of their keys. See
 //! `priv/schema/store.md`.
 
 mod coding;
 mod names;
 mod parts;
 
-pub use coding::{check, decode, encode, Wanted};
-pub use names::{Names, OTHER};
-use parts::{parts, Part};
+pub use coding::{check_bins, decode_bins, encode_bins, BinQuery};
+pub use names::{Names, OTHER_STATES};
+use parts::{visit_parts, Part};
 
 use crate::chunk::Value;
 use crate::format::Encoding;
 use crate::pyramid::Fold;
 
 /// The key of the message itself.
-pub const ITSELF: u32 = 0;
+pub const MESSAGE_KEY: u32 = 0;
 
-/// One key's values of one kind in one bin.
+/// The values of one kind that one key has in one bin.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Track {
-    /// Extremes, last value and how many there were.
+    /// Extremes, last value, and count.
     Numbers {
         /// The lowest value.
         min: f64,
@@ -27,32 +27,32 @@ pub enum Track {
         max: f64,
         /// The latest value.
         last: f64,
-        /// How many values there were.
+        /// The number of values.
         count: u64,
     },
-    /// First and last state, how often it changed in between, and how many messages had which, in the order they came.
+    /// First and last state, the number of changes in between, and the number of messages with each state.
     States {
         /// The number of the first state.
         first: u32,
         /// The number of the last state.
         last: u32,
-        /// How often the state changed.
+        /// The number of state changes.
         changes: u64,
-        /// How many messages had which state, in the order of their first appearance.
+        /// The number of messages with each state, in order of first appearance.
         counts: Vec<(u32, u64)>,
     },
 }
 
 impl Track {
-    fn of(value: Noted) -> Track {
+    fn from_value(value: TrackValue) -> Track {
         match value {
-            Noted::Number(x) => Track::Numbers {
+            TrackValue::Number(x) => Track::Numbers {
                 min: x,
                 max: x,
                 last: x,
                 count: 1,
             },
-            Noted::State(state) => Track::States {
+            TrackValue::State(state) => Track::States {
                 first: state,
                 last: state,
                 changes: 0,
@@ -61,12 +61,12 @@ impl Track {
         }
     }
 
-    fn same_kind(&self, other: &Track) -> bool {
+    fn has_same_kind(&self, other: &Track) -> bool {
         matches!(self, Track::Numbers { .. }) == matches!(other, Track::Numbers { .. })
     }
 
-    /// Takes in one more value of its kind; `false` when it is of the other.
-    fn note(&mut self, value: Noted) -> bool {
+    /// Adds a value of the same kind. Returns `false` if it is of the other kind.
+    fn add_value(&mut self, value: TrackValue) -> bool {
         match (self, value) {
             (
                 Track::Numbers {
@@ -75,7 +75,7 @@ impl Track {
                     last,
                     count,
                 },
-                Noted::Number(x),
+                TrackValue::Number(x),
             ) => {
                 *min = min.min(x);
                 *max = max.max(x);
@@ -90,18 +90,18 @@ impl Track {
                     counts,
                     ..
                 },
-                Noted::State(state),
+                TrackValue::State(state),
             ) => {
                 *changes += u64::from(*last != state);
                 *last = state;
-                add(counts, state, 1);
+                add_count(counts, state, 1);
                 true
             }
             _ => false,
         }
     }
 
-    fn absorb(&mut self, later: &Track) {
+    fn merge(&mut self, later: &Track) {
         match (self, later) {
             (
                 Track::Numbers {
@@ -138,64 +138,66 @@ impl Track {
             ) => {
                 *changes += more + u64::from(*last != *first);
                 *last = *end;
-                others.iter().for_each(|(state, n)| add(counts, *state, *n));
+                others
+                    .iter()
+                    .for_each(|(state, n)| add_count(counts, *state, *n));
             }
             _ => {}
         }
     }
 }
 
-fn add(counts: &mut Vec<(u32, u64)>, state: u32, n: u64) {
+fn add_count(counts: &mut Vec<(u32, u64)>, state: u32, n: u64) {
     match counts.iter_mut().find(|(known, _)| *known == state) {
         Some((_, count)) => *count += n,
         None => counts.push((state, n)),
     }
 }
 
-/// A value of a key, its state by number.
+/// A value of a key. States are represented by their numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Noted {
+pub enum TrackValue {
     /// A number.
     Number(f64),
     /// The number of a state.
     State(u32),
 }
 
-/// Adds a message's values, each with the number that `names` gives its key.
-pub fn note(
+/// Appends a message's values to `into`, each with the number of its key in `names`.
+pub fn collect_values(
     encoding: Encoding,
     value: &Value,
     body: &[u8],
     names: &mut Names,
-    into: &mut Vec<(u32, Noted)>,
+    into: &mut Vec<(u32, TrackValue)>,
 ) {
-    parts(encoding, value, body, |key, part| {
+    visit_parts(encoding, value, body, |key, part| {
         let key = match key {
-            [] => Some(ITSELF),
-            key => names.key(key),
+            [] => Some(MESSAGE_KEY),
+            key => names.key_number(key),
         };
         into.extend(key.map(|key| match part {
-            Part::Number(value) => (key, Noted::Number(value)),
-            Part::State(term) => (key, Noted::State(names.state(key, term))),
+            Part::Number(value) => (key, TrackValue::Number(value)),
+            Part::State(term) => (key, TrackValue::State(names.state_number(key, term))),
         }));
     });
 }
 
-/// A bin: how many messages lie in it, and its tracks by key.
+/// A bin: its message count and its tracks by key.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Tally {
-    /// Where the bin starts, ns.
+pub struct TrackBin {
+    /// The start of the bin, ns.
     pub start: i64,
-    /// How many messages lie in it.
+    /// The number of messages.
     pub count: u64,
-    /// Its tracks, by the number of their key.
+    /// Its tracks, by key number.
     pub tracks: Vec<(u32, Track)>,
 }
 
-impl Tally {
-    /// A bin with nothing in it yet.
+impl TrackBin {
+    /// Creates an empty bin.
     pub fn empty(start: i64) -> Self {
-        Tally {
+        TrackBin {
             start,
             count: 0,
             tracks: Vec::new(),
@@ -203,46 +205,46 @@ impl Tally {
     }
 }
 
-impl Fold for Tally {
-    type Value = [(u32, Noted)];
+impl Fold for TrackBin {
+    type Value = [(u32, TrackValue)];
 
-    fn of(time: i64, values: &[(u32, Noted)]) -> Self {
-        let mut bin = Tally::empty(time);
-        bin.note(values);
+    fn from_value(time: i64, values: &[(u32, TrackValue)]) -> Self {
+        let mut bin = TrackBin::empty(time);
+        bin.add_value(values);
         bin
     }
 
-    fn note(&mut self, values: &[(u32, Noted)]) {
+    fn add_value(&mut self, values: &[(u32, TrackValue)]) {
         self.count += 1;
         for (key, value) in values {
             let known = self
                 .tracks
                 .iter_mut()
-                .any(|(name, track)| name == key && track.note(*value));
+                .any(|(name, track)| name == key && track.add_value(*value));
             if !known {
-                self.tracks.push((*key, Track::of(*value)));
+                self.tracks.push((*key, Track::from_value(*value)));
             }
         }
     }
 
-    fn start(&self) -> i64 {
+    fn start_time(&self) -> i64 {
         self.start
     }
 
-    fn at(mut self, start: i64) -> Self {
+    fn with_start(mut self, start: i64) -> Self {
         self.start = start;
         self
     }
 
-    fn absorb(&mut self, later: &Self) {
+    fn merge(&mut self, later: &Self) {
         self.count += later.count;
         for (key, track) in &later.tracks {
             let known = self
                 .tracks
                 .iter_mut()
-                .find(|(name, known)| name == key && known.same_kind(track));
+                .find(|(name, known)| name == key && known.has_same_kind(track));
             match known {
-                Some((_, known)) => known.absorb(track),
+                Some((_, known)) => known.merge(track),
                 None => self.tracks.push((*key, track.clone())),
             }
         }

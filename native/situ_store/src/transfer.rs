@@ -1,4 +1,4 @@
-//! Copies messages of one store into another unchanged. No payload is decoded, so its type may be unknown.
+//! Copies messages from one store to another without decoding payloads, so unknown types are copied, too.
 
 use crate::chunk::{Input, Value};
 use crate::error::Result;
@@ -6,37 +6,39 @@ use crate::format::Encoding;
 use crate::reader::Reader;
 use crate::writer::Writer;
 
-/// The messages to copy: those of a stream from an ordinal on, no later than `to`, until at least `bytes` were read.
-pub struct Part<'a> {
+/// Selects the messages to copy: those of a stream from an ordinal on and no later than `to`, until at least
+/// `bytes` were read.
+pub struct MessageRange<'a> {
     /// The store to read.
     pub reader: &'a Reader,
-    /// The stream's number there.
+    /// The stream's number in that store.
     pub stream: u32,
     /// The ordinal of the first message.
     pub ordinal: u64,
     /// The latest originating time, ns.
     pub to: i64,
-    /// How many payload bytes are enough.
+    /// The number of payload bytes after which copying stops.
     pub bytes: u64,
 }
 
-/// Commits a part to stream `target`: how many messages, and the ordinal behind them. `codec` tells the number a
-/// codec has in the new store. Damage ends the part; as its first message it is the error.
-pub fn transfer(
-    part: &Part<'_>,
+/// Copies a range of messages to stream `target` and commits them. Returns the number of messages and the ordinal
+/// after them. `codec` maps a codec's number to its number in the new store. Damage ends the range; damage in the
+/// first message is returned as an error.
+pub fn copy_messages(
+    range: &MessageRange<'_>,
     writer: &mut Writer,
     target: u32,
     codec: impl Fn(u16) -> u16,
 ) -> Result<(u64, u64)> {
-    let (mut next, mut count, mut size) = (part.ordinal, 0, 0);
-    while size < part.bytes {
-        let Some(entry) = part.reader.entry_at(part.stream, next)? else {
+    let (mut next, mut count, mut size) = (range.ordinal, 0, 0);
+    while size < range.bytes {
+        let Some(entry) = range.reader.entry_at(range.stream, next)? else {
             break;
         };
-        if entry.first > part.to {
+        if entry.first > range.to {
             break;
         }
-        let chunk = match part.reader.chunk_checked(&entry, true) {
+        let chunk = match range.reader.read_checked_chunk(&entry, true) {
             Ok(chunk) => chunk,
             Err(error) if count == 0 => return Err(error),
             Err(_) => break,
@@ -51,24 +53,27 @@ pub fn transfer(
         for message in chunk.messages() {
             let (envelope, value) = match message {
                 Ok(message) => message,
-                Err(why) if count == 0 => return Err(part.reader.broken(&entry, why)),
+                Err(why) if count == 0 => return Err(range.reader.chunk_error(&entry, why)),
                 Err(_) => break,
             };
             at += 1;
             if at <= from {
                 continue;
             }
-            if envelope.time > part.to {
+            if envelope.time > range.to {
                 break;
             }
             let input = match value {
                 Value::Int(value) => Input::Int(value),
                 Value::Float(value) => Input::Float(value),
                 Value::Bool(value) => Input::Bool(value),
-                Value::Bytes { start, length } => Input::Bytes(
-                    body.get(start..start + length)
-                        .ok_or_else(|| part.reader.broken(&entry, "a payload has no end"))?,
-                ),
+                Value::Bytes { start, length } => {
+                    Input::Bytes(body.get(start..start + length).ok_or_else(|| {
+                        range
+                            .reader
+                            .chunk_error(&entry, "a payload ends after its chunk")
+                    })?)
+                }
             };
             writer.push(target, envelope, encoding, number, input)?;
             next = at;

@@ -1,4 +1,4 @@
-//! LEB128 varints and zigzag.
+//! LEB128 varints and zigzag encoding.
 
 /// Appends a varint of 1 to 10 bytes.
 pub fn put(out: &mut Vec<u8>, mut value: u64) {
@@ -9,22 +9,22 @@ pub fn put(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
-/// Appends a signed number as the varint of its zigzag form.
+/// Appends the zigzag form of a signed number as a varint.
 pub fn put_signed(out: &mut Vec<u8>, value: i64) {
     put(out, zigzag(value));
 }
 
-/// The zigzag form: 0, -1, 1, -2 ... become 0, 1, 2, 3 ...
+/// Returns the zigzag form: 0, -1, 1, -2 ... become 0, 1, 2, 3 ...
 pub fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)) as u64
 }
 
-/// The number that a zigzag form stands for.
+/// Returns the number with this zigzag form.
 pub fn unzigzag(value: u64) -> i64 {
     ((value >> 1) as i64) ^ -((value & 1) as i64)
 }
 
-/// A cursor over bytes; every read is bounded.
+/// A cursor over bytes with bounds checks on every read.
 #[derive(Clone)]
 pub struct Cursor<'a> {
     bytes: &'a [u8],
@@ -33,14 +33,14 @@ pub struct Cursor<'a> {
 }
 
 impl<'a> Cursor<'a> {
-    /// A cursor at the first byte.
+    /// Creates a cursor at the first byte.
     pub fn new(bytes: &'a [u8]) -> Self {
         Cursor { bytes, at: 0 }
     }
 
-    /// The next varint; `None` if the bytes end in it or it exceeds 64 bits.
+    /// Reads the next varint. Returns `None` if the bytes end within it or it exceeds 64 bits.
     #[inline]
-    pub fn varint(&mut self) -> Option<u64> {
+    pub fn next_varint(&mut self) -> Option<u64> {
         let first = *self.bytes.get(self.at)?;
         self.at += 1;
         if first < 0x80 {
@@ -65,13 +65,13 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// The next varint as a signed number.
+    /// Reads the next varint as a signed number.
     #[inline]
-    pub fn signed(&mut self) -> Option<i64> {
-        self.varint().map(unzigzag)
+    pub fn next_signed(&mut self) -> Option<i64> {
+        self.next_varint().map(unzigzag)
     }
 
-    /// The next `length` bytes; `None` if there are fewer.
+    /// Reads the next `length` bytes. Returns `None` if there are fewer.
     pub fn take(&mut self, length: usize) -> Option<&'a [u8]> {
         let end = self.at.checked_add(length)?;
         let slice = self.bytes.get(self.at..end)?;
@@ -79,7 +79,7 @@ impl<'a> Cursor<'a> {
         Some(slice)
     }
 
-    /// How many bytes are left.
+    /// Returns the number of bytes left.
     pub fn remaining(&self) -> usize {
         self.bytes.len() - self.at
     }
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn round_trip() {
+    fn encodes_and_decodes_signed_numbers() {
         for value in [
             0,
             1,
@@ -106,17 +106,17 @@ mod tests {
             let mut out = Vec::new();
             put_signed(&mut out, value);
             let mut cursor = Cursor::new(&out);
-            assert_eq!(cursor.signed(), Some(value));
+            assert_eq!(cursor.next_signed(), Some(value));
             assert_eq!(cursor.remaining(), 0);
-            assert_eq!(Cursor::new(&out[..out.len() - 1]).signed(), None);
+            assert_eq!(Cursor::new(&out[..out.len() - 1]).next_signed(), None);
         }
     }
 
     #[test]
-    fn overlong_is_refused() {
-        assert_eq!(Cursor::new(&[0xff; 11]).varint(), None);
+    fn rejects_varints_of_more_than_64_bits() {
+        assert_eq!(Cursor::new(&[0xff; 11]).next_varint(), None);
         assert_eq!(
-            Cursor::new(&[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 2]).varint(),
+            Cursor::new(&[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 2]).next_varint(),
             None
         );
     }

@@ -1,4 +1,4 @@
-//! The writer: streams into chunks, chunks into extents, one publishing word for all of it.
+//! The writer: packs streams into chunks and chunks into extents, and publishes them with one atomic word.
 
 mod chunks;
 mod closing;
@@ -20,33 +20,33 @@ use crate::index::{self, IndexWriter};
 use crate::pyramid::{Bin, FLUSH};
 
 pub use columns::{Column, ColumnValues};
-pub use lock::lock;
+pub use lock::lock_store;
 use stream::Stream;
 
-/// When committed messages go to the disk.
+/// When committed messages are synced to disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Durability {
-    /// The operating system writes when it likes: survives a kill of the process, not a power cut.
+    /// The operating system decides. This survives the end of the process, but not a power failure.
     None,
-    /// To the disk at least this often (when something is committed or `sync` is called).
+    /// At least this often (when something is committed or `sync` is called).
     Interval(Duration),
-    /// Every commit waits for the disk.
+    /// At every commit, which waits for the disk.
     Each,
 }
 
 /// The options of a new store.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Bytes of the first extent of each lane.
+    /// The size of the first extent of each lane, bytes.
     pub first_extent: u64,
-    /// The most bytes of an extent, unless a single chunk needs more.
+    /// The maximum size of an extent, unless a single chunk needs more, bytes.
     pub max_extent: u64,
-    /// When committed messages go to the disk.
+    /// When committed messages are synced to disk.
     pub durability: Durability,
-    /// Who may read and write the files, whatever the process's file mode mask says; without one `FILE_MODE` within
+    /// The mode of the files, regardless of the process's file mode mask. Without it, `FILE_MODE` restricted by
     /// that mask.
     pub mode: Option<u32>,
-    /// Simulated crashes, for tests; none by default.
+    /// Simulated crashes for tests; none by default.
     pub fault: Arc<Fault>,
 }
 
@@ -62,7 +62,7 @@ impl Default for Options {
     }
 }
 
-/// Writes a store. One writer at a time holds the lock of its folder.
+/// Writes a store. Only one writer at a time can hold the lock of its folder.
 #[derive(Debug)]
 pub struct Writer {
     dir: PathBuf,
@@ -71,7 +71,7 @@ pub struct Writer {
     index: IndexWriter,
     streams: Vec<Stream>,
     touched: Vec<u32>,
-    /// Streams with bins enough for a chunk.
+    /// Streams with enough bins for a chunk.
     ready: Vec<usize>,
     entries: Vec<Entry>,
     builder: Builder,
@@ -82,8 +82,8 @@ pub struct Writer {
     fault: Arc<Fault>,
 }
 
-/// The system's time, ns since 1970.
-pub fn now() -> i64 {
+/// Returns the system's time, ns since 1970.
+pub fn system_time() -> i64 {
     SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .map_or(0, |d| d.as_nanos() as i64)
@@ -99,13 +99,13 @@ fn random_id() -> Result<[u8; 16]> {
 }
 
 impl Writer {
-    /// A new store in `dir`, which exists and holds none.
+    /// Creates a store in `dir`, an existing folder without a store.
     pub fn create(dir: &Path, options: Options) -> Result<Writer> {
-        let lock = lock(dir, options.mode)?;
+        let lock = lock_store(dir, options.mode)?;
         let id = random_id()?;
         let header = IndexHeader {
             id,
-            created: now(),
+            created: system_time(),
             version: VERSION,
         };
         let fault = options.fault.clone();
@@ -152,35 +152,35 @@ impl Writer {
         })
     }
 
-    /// The store's folder.
+    /// Returns the store's folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
-    /// A new stream's number. Nothing is written: its catalog record is the caller's.
+    /// Adds a stream and returns its number. Nothing is written: the caller adds its catalog record.
     pub fn add_stream(&mut self, compression: Compression, large: bool) -> u32 {
         self.streams.push(Stream::new(compression, large));
         (self.streams.len() - 1) as u32
     }
 
-    /// How many bytes the store takes: what was written, not what is allocated for what follows.
-    pub fn bytes(&self) -> u64 {
+    /// Returns the size of the written data in bytes, not counting space that is allocated for later data.
+    pub fn byte_size(&self) -> u64 {
         let index = INDEX_HEADER as u64 + self.index.committed * ENTRY as u64;
-        self.lanes.iter().map(Lane::bytes).sum::<u64>() + index
+        self.lanes.iter().map(Lane::byte_size).sum::<u64>() + index
     }
 
-    /// How many entries of the index are committed.
-    pub fn committed(&self) -> u64 {
+    /// Returns the number of committed index entries.
+    pub fn committed_entries(&self) -> u64 {
         self.index.committed
     }
 
-    /// The last originating time of a stream, and how many messages it has.
-    pub fn position(&self, stream: u32) -> Option<(Option<i64>, u64)> {
+    /// Returns the last originating time of a stream and its number of messages.
+    pub fn stream_position(&self, stream: u32) -> Option<(Option<i64>, u64)> {
         let stream = self.streams.get(stream as usize)?;
         Some((stream.position.last_time, stream.position.ordinal))
     }
 
-    /// Adds a message to the commit under way. After an error: `rollback`.
+    /// Adds a message to the current commit. After an error, call `rollback`.
     pub fn push(
         &mut self,
         stream: u32,
@@ -192,10 +192,10 @@ impl Writer {
         if self.closed {
             return Err(Error::Closed);
         }
-        self.push_open(stream, envelope, encoding, codec, input)
+        self.push_message(stream, envelope, encoding, codec, input)
     }
 
-    fn push_open(
+    fn push_message(
         &mut self,
         stream: u32,
         envelope: Envelope,
@@ -230,15 +230,15 @@ impl Writer {
         }
         let number = match input {
             Input::Bytes(bytes) if encoding == Encoding::Term => term_number(bytes),
-            _ => input.number(),
+            _ => input.numeric_value(),
         };
         if let Some(number) = number {
             self.streams[stream as usize]
-                .points
-                .push(Bin::sample(envelope.time, number));
+                .pending_points
+                .push(Bin::from_sample(envelope.time, number));
         }
         if stream != CATALOG {
-            self.streams[stream as usize].mark(envelope.time, encoding, &input);
+            self.streams[stream as usize].note_message(envelope.time, encoding, &input);
         }
         if alone {
             self.write_large(envelope, size, input)?;
@@ -255,17 +255,17 @@ impl Writer {
         Ok(())
     }
 
-    /// A point of the stream's signal (of a payload that is not a number itself), for the pyramid.
+    /// Adds a point of the stream's signal to the pyramid, for payloads that are not numbers themselves.
     pub fn push_point(&mut self, stream: u32, point: Bin) -> Result<()> {
         let state = self
             .streams
             .get_mut(stream as usize)
             .ok_or(Error::UnknownStream(stream))?;
-        state.points.push(point);
+        state.pending_points.push(point);
         Ok(())
     }
 
-    /// Publishes everything pushed since the last commit: all of it, or (on an error, after `rollback`) none.
+    /// Publishes everything pushed since the last commit: all of it, or none (on an error, after `rollback`).
     pub fn commit(&mut self) -> Result<u64> {
         self.flush_chunk()?;
         if self.entries.is_empty() {
@@ -278,18 +278,18 @@ impl Writer {
         }
         self.index.publish(&self.entries)?;
         self.entries.clear();
-        self.settle();
+        self.settle_streams();
         self.after_commit()?;
         Ok(self.index.committed)
     }
 
-    fn settle(&mut self) {
+    fn settle_streams(&mut self) {
         self.ready.clear();
         for number in std::mem::take(&mut self.touched) {
             let stream = &mut self.streams[number as usize];
             stream.saved = None;
-            stream.settle();
-            if stream.pyramid.has_ready(FLUSH) || stream.tallies.has_ready(FLUSH) {
+            stream.settle_values();
+            if stream.pyramid.has_ready(FLUSH) || stream.track_bins.has_ready(FLUSH) {
                 self.ready.push(number as usize);
             }
         }
@@ -304,26 +304,26 @@ impl Writer {
         }
     }
 
-    /// Drops the messages pushed since the last commit, and erases their chunks so that no scan finds them.
+    /// Drops the messages pushed since the last commit and erases their chunks, so that no scan finds them.
     pub fn rollback(&mut self) {
         self.builder.count = 0;
         for entry in std::mem::take(&mut self.entries) {
-            // One that stays on a failing disk has the number of a later one, which then wins.
-            let _ = self.lanes[entry.lane as usize].erase(entry.extent, entry.offset);
+            // A chunk that stays on a failing disk has the number of a later chunk, which takes precedence.
+            let _ = self.lanes[entry.lane as usize].erase_chunk(entry.extent, entry.offset);
         }
         for number in std::mem::take(&mut self.touched) {
             let stream = &mut self.streams[number as usize];
             if let Some(saved) = stream.saved.take() {
                 stream.position = saved;
             }
-            stream.forget();
+            stream.drop_values();
         }
     }
 
     fn check_folder(&mut self) -> Result<()> {
         if self.checked.elapsed() > Duration::from_millis(500) {
             self.checked = Instant::now();
-            if !self.lanes[0].folder_lives(&self.index.file) {
+            if !self.lanes[0].folder_has_index(&self.index.file) {
                 return Err(Error::Deleted);
             }
         }
@@ -334,7 +334,7 @@ impl Writer {
         self.lanes.iter_mut().try_for_each(Lane::sync)
     }
 
-    /// Everything committed to the disk.
+    /// Syncs everything committed to disk.
     pub fn sync(&mut self) -> Result<()> {
         self.sync_lanes()?;
         self.index.sync()?;

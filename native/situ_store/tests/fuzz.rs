@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-//! Readers fed with mutated files: no panic, and no message that was not written.
-//! `SITU_MUTATIONS` sets the number of mutated stores (default 500).
+//! Reads mutated files: no panic, and no message that was not written. `SITU_MUTATIONS` sets the number of mutated
+//! stores (default 500).
 mod common;
 
 use common::*;
@@ -8,7 +8,7 @@ use situ_store::chunk::Value;
 use situ_store::format::CATALOG;
 use situ_store::{etf, repair, Reader, Writer};
 
-fn mutate(files: &mut [(String, Vec<u8>)], random: &mut Random) {
+fn mutate_files(files: &mut [(String, Vec<u8>)], random: &mut Random) {
     for _ in 0..=random.below(4) {
         let at = random.below(files.len() as u64) as usize;
         let other = random.below(files.len() as u64) as usize;
@@ -28,7 +28,7 @@ fn mutate(files: &mut [(String, Vec<u8>)], random: &mut Random) {
                 files[at].1 = std::mem::replace(&mut files[other].1, bytes);
             }
             5 if length > 128 => {
-                // Entries and chunks moved about, checksums intact.
+                // Swap entries or chunks without changing their checksums.
                 let a = (random.below(length / 64) * 64) as usize;
                 let b = (random.below(length / 64) * 64) as usize;
                 for i in 0..64 {
@@ -45,29 +45,34 @@ fn mutate(files: &mut [(String, Vec<u8>)], random: &mut Random) {
     }
 }
 
-/// The messages of the binary streams, made once: making them anew costs more than reading them.
-fn payloads() -> Vec<Vec<Vec<u8>>> {
-    let stream = |at| (0..MESSAGES).map(move |i| payload(i, size_of_message(at, i)));
+/// Generates the messages of the binary streams once, because generating them costs more than reading them.
+fn all_payloads() -> Vec<Vec<Vec<u8>>> {
+    let stream = |at| (0..MESSAGES).map(move |i| message_payload(i, size_of_message(at, i)));
     (0..4).map(|at| stream(at).collect()).collect()
 }
 
-/// Every message read must equal the one written with its time; of large payloads that are not checked, the envelope.
-fn check(reader: &Reader, payloads: &[Vec<Vec<u8>>]) -> u64 {
+/// Checks that every message equals the one written with its time. For large payloads that are not checked, only
+/// the envelope must be equal.
+fn check_messages(reader: &Reader, payloads: &[Vec<Vec<u8>>]) -> u64 {
     let mut seen = 0;
-    for stream in reader.streams().into_iter().filter(|s| *s != CATALOG) {
+    for stream in reader
+        .stream_numbers()
+        .into_iter()
+        .filter(|s| *s != CATALOG)
+    {
         let mut ordinal = 0;
         while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
             ordinal = entry.ordinal + entry.count as u64;
             if let Some(Ok(chunk)) = reader.quick_chunk(&entry) {
                 seen += chunk.messages().flatten().count() as u64;
             }
-            let Ok(chunk) = reader.chunk(&entry) else {
+            let Ok(chunk) = reader.read_chunk(&entry) else {
                 continue;
             };
             let trusted = entry.lane == 0 || reader.verify_large;
             for (got, value) in chunk.messages().flatten() {
                 let i = got.time as u64 / 1_000;
-                assert_eq!(got, envelope(i));
+                assert_eq!(got, message_envelope(i));
                 match value {
                     Value::Int(value) => assert_eq!(value, i as i64 - 5),
                     Value::Bytes { start, length } => {
@@ -82,31 +87,31 @@ fn check(reader: &Reader, payloads: &[Vec<Vec<u8>>]) -> u64 {
             }
         }
         let _ = reader.ordinal_from(stream, 50_000);
-        let _ = reader.statistics(stream);
-        let _ = reader.summary(stream, 0, 500_000, 12);
+        let _ = reader.read_statistics(stream);
+        let _ = reader.read_summary(stream, 0, 500_000, 12);
     }
     seen
 }
 
-/// The mutated files in a folder; writes only what is not there yet.
+/// A folder with the mutated files. It writes only files that have changed.
 struct Target {
     folder: Folder,
-    there: Vec<(String, Vec<u8>)>,
+    written: Vec<(String, Vec<u8>)>,
 }
 
 impl Target {
-    fn write(&mut self, files: Vec<(String, Vec<u8>)>) {
+    fn write_files(&mut self, files: Vec<(String, Vec<u8>)>) {
         for file in &files {
-            if !self.there.contains(file) {
+            if !self.written.contains(file) {
                 std::fs::write(self.folder.0.join(&file.0), &file.1).unwrap();
             }
         }
-        self.there = files;
+        self.written = files;
     }
 
-    /// Repair writes where it sees fit.
-    fn forget(&mut self) {
-        self.there.clear();
+    /// Discards the cached state after a repair, which may have changed any file.
+    fn forget_files(&mut self) {
+        self.written.clear();
         let _ = std::fs::remove_file(self.folder.0.join("index.situ.before-repair"));
     }
 }
@@ -114,41 +119,41 @@ impl Target {
 const MESSAGES: u64 = 120;
 
 #[test]
-fn mutated_stores() {
+fn reads_mutated_stores_without_panics_or_invented_messages() {
     let rounds: u64 = std::env::var("SITU_MUTATIONS")
         .ok()
         .and_then(|n| n.parse().ok())
         .unwrap_or(500);
     let origin = Folder::new();
     let mut writer = Writer::create(&origin.0, small_extents()).unwrap();
-    fill(&mut writer, MESSAGES, 20).unwrap();
+    fill_store(&mut writer, MESSAGES, 20).unwrap();
     writer.close().unwrap();
-    let pristine = files(&origin.0);
-    let payloads = payloads();
+    let pristine = read_files(&origin.0);
+    let payloads = all_payloads();
     let mut target = Target {
         folder: Folder::new(),
-        there: Vec::new(),
+        written: Vec::new(),
     };
     let mut random = Random(0x5eed_1234_9876_5432);
     let (mut readable, mut seen) = (0, 0);
     for round in 0..rounds {
         let mut mutated = pristine.clone();
-        mutate(&mut mutated, &mut random);
-        target.write(mutated);
+        mutate_files(&mut mutated, &mut random);
+        target.write_files(mutated);
         let dir = &target.folder.0;
         if let Ok(mut reader) = Reader::open(dir) {
             readable += 1;
             reader.verify_large = round % 4 != 0;
-            seen += check(&reader, &payloads);
-            let _ = reader.verify(0, u64::MAX);
+            seen += check_messages(&reader, &payloads);
+            let _ = reader.verify_entries(0, u64::MAX);
         }
         if round % 10 == 0 {
-            if repair::repair(dir, false, |_, _| ()).is_ok() {
+            if repair::repair_store(dir, false, |_, _| ()).is_ok() {
                 let reader = Reader::open(dir).unwrap();
                 assert_eq!(reader.damage(), vec![], "round {round}");
-                check(&reader, &payloads);
+                check_messages(&reader, &payloads);
             }
-            target.forget();
+            target.forget_files();
         }
     }
     println!("{readable} of {rounds} stores were readable, {seen} messages");
@@ -159,13 +164,13 @@ fn mutated_stores() {
 }
 
 #[test]
-fn mutated_terms() {
+fn checks_mutated_terms_without_panics() {
     let mut random = Random(77);
     let term = [
         131, 104, 2, 119, 2, b'o', b'k', 108, 0, 0, 0, 2, 97, 1, 116, 0, 0, 0, 1, 119, 1, b'a',
         110, 9, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 106,
     ];
-    assert!(etf::check(&term).is_ok());
+    assert!(etf::check_term(&term).is_ok());
     for _ in 0..200_000 {
         let mut bytes = term.to_vec();
         for _ in 0..=random.below(3) {
@@ -173,6 +178,6 @@ fn mutated_terms() {
             bytes[at] = random.below(256) as u8;
         }
         bytes.truncate(random.below(bytes.len() as u64 + 1) as usize);
-        let _ = etf::check(&bytes);
+        let _ = etf::check_term(&bytes);
     }
 }

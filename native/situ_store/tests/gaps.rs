@@ -1,13 +1,13 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-//! Pauses of a stream are those between its messages, however they lie in chunks and bins.
+//! The gaps of a stream are those between its messages, however the messages are distributed over chunks and bins.
 mod common;
 
 use common::*;
 use situ_store::chunk::{Envelope, Input};
 use situ_store::{Encoding, Reader, Writer};
 
-/// A writer that is still open, with messages at these times in commits of `batch`.
-fn write(folder: &Folder, times: &[i64], batch: usize) -> Writer {
+/// Writes messages at these times in commits of `batch`, and returns the open writer.
+fn write_times(folder: &Folder, times: &[i64], batch: usize) -> Writer {
     let mut writer = Writer::create(&folder.0, small_extents()).unwrap();
     let stream = writer.add_stream(situ_store::Compression::None, false);
     for batch in times.chunks(batch) {
@@ -27,13 +27,13 @@ fn write(folder: &Folder, times: &[i64], batch: usize) -> Writer {
     writer
 }
 
-fn between(times: &[i64], least: i64) -> Vec<(i64, i64)> {
+fn expected_gaps(times: &[i64], least: i64) -> Vec<(i64, i64)> {
     let pairs = times.windows(2).map(|pair| (pair[0], pair[1]));
     pairs.filter(|(a, b)| b - a >= least).collect()
 }
 
 #[test]
-fn pauses_within_chunks_are_found() {
+fn finds_gaps_within_chunks() {
     let mut random = Random(0x0dd_ba11);
     for round in 0..40 {
         let mut time = random.below(1 << 40) as i64 - (1 << 39);
@@ -47,17 +47,25 @@ fn pauses_within_chunks_are_found() {
             .collect();
         let folder = Folder::new();
         let batch = 1 + random.below(2_000) as usize;
-        let mut writer = write(&folder, &times, batch);
+        let mut writer = write_times(&folder, &times, batch);
         let live = Reader::open(&folder.0).unwrap();
         let leasts = [1, 3, 19_000, 500_000, 4_000_000, 30_000_000, i64::MAX];
         for least in leasts {
-            assert_eq!(live.gaps(1, least), between(&times, least), "{round}");
+            assert_eq!(
+                live.find_gaps(1, least),
+                expected_gaps(&times, least),
+                "{round}"
+            );
         }
         writer.close().unwrap();
         let closed = Reader::open(&folder.0).unwrap();
         for least in leasts {
-            assert_eq!(closed.gaps(1, least), between(&times, least), "{round}");
+            assert_eq!(
+                closed.find_gaps(1, least),
+                expected_gaps(&times, least),
+                "{round}"
+            );
         }
-        assert_eq!(closed.gaps(7, 1), vec![]);
+        assert_eq!(closed.find_gaps(7, 1), vec![]);
     }
 }

@@ -1,5 +1,5 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-//! Who may read a recording. One test: the mask is the process's.
+//! The file modes of a recording. There is only one test, because the mode mask belongs to the process.
 mod common;
 
 use std::os::unix::fs::PermissionsExt;
@@ -9,7 +9,7 @@ use rustix::fs::Mode;
 use rustix::process::umask;
 use situ_store::{repair, Options, Writer};
 
-fn modes(folder: &Folder) -> Vec<u32> {
+fn file_modes(folder: &Folder) -> Vec<u32> {
     let entries = std::fs::read_dir(&folder.0).unwrap();
     let mode = |entry: std::fs::DirEntry| entry.metadata().unwrap().permissions().mode() & 0o777;
     let mut modes: Vec<u32> = entries.map(|entry| mode(entry.unwrap())).collect();
@@ -19,7 +19,7 @@ fn modes(folder: &Folder) -> Vec<u32> {
 }
 
 #[test]
-fn files_have_the_mode_that_was_asked_for() {
+fn files_have_the_requested_mode() {
     let cases = [
         (0o022, None, 0o640),
         (0o077, None, 0o600),
@@ -35,18 +35,22 @@ fn files_have_the_mode_that_was_asked_for() {
             ..small_extents()
         };
         let mut writer = Writer::create(&folder.0, options).unwrap();
-        fill(&mut writer, 100, 50).unwrap();
-        assert_eq!(modes(&folder), [expected], "while it is written");
+        fill_store(&mut writer, 100, 50).unwrap();
+        assert_eq!(file_modes(&folder), [expected], "during writing");
         writer.close().unwrap();
         drop(writer);
-        // A repaired one is as private as it was, its backups too.
+        // A repaired store and its backups keep the mode.
         let index = folder.0.join("index.situ");
         let mut bytes = std::fs::read(&index).unwrap();
         bytes[4096 + 64 + 20] ^= 1;
         std::fs::write(&index, bytes).unwrap();
-        assert!(repair::repair(&folder.0, false, |_, _| ()).unwrap().rebuilt);
+        assert!(
+            repair::repair_store(&folder.0, false, |_, _| ())
+                .unwrap()
+                .rebuilt
+        );
         umask(before);
         assert!(std::fs::metadata(folder.0.join("index.situ.before-repair")).is_ok());
-        assert_eq!(modes(&folder), [expected], "after a repair");
+        assert_eq!(file_modes(&folder), [expected], "after a repair");
     }
 }

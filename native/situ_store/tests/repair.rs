@@ -1,4 +1,4 @@
-//! Repair never loses what was readable, and never brings in what was not acknowledged.
+//! Repair never loses readable messages, and never adds unacknowledged ones.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod common;
@@ -6,36 +6,37 @@ mod common;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use common::{files, Folder, Random};
+use common::{read_files, Folder, Random};
 use situ_store::chunk::{Envelope, Input, Value};
 use situ_store::extent::Fault;
 use situ_store::format::*;
 use situ_store::{repair, Compression, Encoding, Error, Options, Reader, Writer};
 
-/// A message as a reader gives it: its stream, time and bytes.
-type Told = (u32, i64, Vec<u8>);
+/// A message as the reader returns it: its stream, time and bytes.
+type StoredMessage = (u32, i64, Vec<u8>);
 
-/// Everything a reader gives, damaged chunks skipped.
-fn read(dir: &Path) -> BTreeSet<Told> {
-    let mut told = BTreeSet::new();
+/// Reads all messages except those in damaged chunks.
+fn read_messages(dir: &Path) -> BTreeSet<StoredMessage> {
+    let mut found = BTreeSet::new();
     let Ok(reader) = Reader::open(dir) else {
-        return told;
+        return found;
     };
-    for stream in reader.streams() {
+    for stream in reader.stream_numbers() {
         common::visit_messages(&reader, stream, |envelope, value, body| {
             let bytes = match value {
                 Value::Int(value) => value.to_le_bytes().to_vec(),
                 Value::Bytes { start, length } => body[start..start + length].to_vec(),
                 other => format!("{other:?}").into_bytes(),
             };
-            told.insert((stream, envelope.time, bytes));
+            found.insert((stream, envelope.time, bytes));
         });
     }
-    told
+    found
 }
 
-/// A store of a few streams and many commits, some of which are taken back; what was acknowledged.
-fn write(dir: &Path, random: &mut Random) -> BTreeSet<Told> {
+/// Writes a store with a few streams and many commits, some of which are rolled back. Returns the acknowledged
+/// messages.
+fn write_store(dir: &Path, random: &mut Random) -> BTreeSet<StoredMessage> {
     let options = Options {
         first_extent: 8 << 10,
         max_extent: 64 << 10,
@@ -75,7 +76,8 @@ fn write(dir: &Path, random: &mut Random) -> BTreeSet<Told> {
                     creation: *time,
                 };
                 let size = [8, 100, 3_000, 40_000][(random.below(40) / 13) as usize];
-                // Random bytes: a message that was taken back and one that was kept may have the same time.
+                // Random bytes, because a message that was rolled back and one that was kept may have the same
+                // time.
                 let bytes: Vec<u8> = (0..size).map(|_| random.below(256) as u8).collect();
                 let (encoding, input) = match id % 2 {
                     0 => (Encoding::Bytes, Input::Bytes(&bytes)),
@@ -102,10 +104,10 @@ fn write(dir: &Path, random: &mut Random) -> BTreeSet<Told> {
                     acknowledged.extend(batch);
                     next = times;
                 }
-                // The commit may or may not have been published: a reader shows which.
+                // The commit may or may not have been published; reading the store shows which.
                 Err(_) => {
                     drop(writer);
-                    acknowledged.extend(read(dir));
+                    acknowledged.extend(read_messages(dir));
                     return acknowledged;
                 }
             }
@@ -117,10 +119,10 @@ fn write(dir: &Path, random: &mut Random) -> BTreeSet<Told> {
     acknowledged
 }
 
-/// Bits flipped, stretches zeroed, files cut short or removed.
-fn damage(dir: &Path, random: &mut Random) {
+/// Damages the store: flips bits, zeroes ranges, truncates or removes files.
+fn damage_files(dir: &Path, random: &mut Random) {
     for _ in 0..1 + random.below(3) {
-        let all: Vec<_> = files(dir)
+        let all: Vec<_> = read_files(dir)
             .into_iter()
             .filter(|(name, bytes)| name.ends_with(".situ") && !bytes.is_empty())
             .collect();
@@ -131,7 +133,7 @@ fn damage(dir: &Path, random: &mut Random) {
         };
         let (name, mut bytes) = all[chosen].clone();
         let path = dir.join(&name);
-        // The index beyond its entries holds nothing; most of the damage is to go where something is.
+        // The index is empty after its entries, and most of the damage should hit data.
         let end = match name.as_str() {
             "index.situ" if bytes.len() >= INDEX_HEADER => {
                 let n = u64_at(&bytes, COMMITTED_AT).min(1 << 16) as usize;
@@ -170,34 +172,34 @@ fn damage(dir: &Path, random: &mut Random) {
     }
 }
 
-fn rounds() -> u64 {
+fn round_count() -> u64 {
     let asked = std::env::var("SITU_MUTATIONS").ok();
     asked.and_then(|n| n.parse().ok()).unwrap_or(120)
 }
 
 #[test]
-fn nothing_readable_is_lost_and_nothing_unacknowledged_comes() {
+fn repair_keeps_readable_messages_and_adds_no_unacknowledged_ones() {
     let mut random = Random(0x5eed_0001);
     let mut recovered = 0;
-    for round in 0..rounds() {
+    for round in 0..round_count() {
         let folder = Folder::new();
-        let acknowledged = write(&folder.0, &mut random);
+        let acknowledged = write_store(&folder.0, &mut random);
         if !folder.0.join("data-000000.situ").exists() {
             continue;
         }
-        assert!(read(&folder.0)
+        assert!(read_messages(&folder.0)
             .iter()
             .all(|m| m.0 == 0 || acknowledged.contains(m)));
-        damage(&folder.0, &mut random);
-        let before = read(&folder.0);
-        let untouched = files(&folder.0);
-        let planned = repair::repair(&folder.0, true, |_, _| ());
-        let touched: Vec<_> = files(&folder.0);
+        damage_files(&folder.0, &mut random);
+        let before = read_messages(&folder.0);
+        let untouched = read_files(&folder.0);
+        let planned = repair::repair_store(&folder.0, true, |_, _| ());
+        let touched: Vec<_> = read_files(&folder.0);
         let same = |(name, bytes): &(String, Vec<u8>)| {
             name == "lock" || touched.iter().any(|(n, b)| n == name && b == bytes)
         };
         assert!(untouched.iter().all(same), "round {round}: a dry run wrote");
-        match repair::repair(&folder.0, false, |_, _| ()) {
+        match repair::repair_store(&folder.0, false, |_, _| ()) {
             Err(error) => {
                 assert!(
                     before.is_empty(),
@@ -207,17 +209,17 @@ fn nothing_readable_is_lost_and_nothing_unacknowledged_comes() {
             }
             Ok(report) => assert_eq!(Ok(report), planned, "round {round}"),
         }
-        let after = read(&folder.0);
+        let after = read_messages(&folder.0);
         let lost: Vec<_> = before.difference(&after).map(|m| (m.0, m.1)).collect();
         assert!(lost.is_empty(), "round {round}: lost {lost:?}");
-        let came: Vec<_> = after
+        let added: Vec<_> = after
             .iter()
             .filter(|m| m.0 != 0 && !acknowledged.contains(*m))
             .map(|m| (m.0, m.1))
             .collect();
         assert!(
-            came.is_empty(),
-            "round {round}: never acknowledged {came:?}"
+            added.is_empty(),
+            "round {round}: never acknowledged {added:?}"
         );
         recovered += after.difference(&before).count();
         let reader = Reader::open(&folder.0).unwrap();
@@ -225,9 +227,9 @@ fn nothing_readable_is_lost_and_nothing_unacknowledged_comes() {
             reader.is_closed() && reader.damage().is_empty(),
             "round {round}"
         );
-        let (found, _) = reader.verify(0, u64::MAX).unwrap();
+        let (found, _) = reader.verify_entries(0, u64::MAX).unwrap();
         assert!(found.is_empty(), "round {round}: {found:?}");
-        let again = repair::repair(&folder.0, false, |_, _| ()).unwrap();
+        let again = repair::repair_store(&folder.0, false, |_, _| ()).unwrap();
         assert!(
             !again.rebuilt && again.dropped == 0,
             "round {round}: {again:?}"
@@ -236,10 +238,10 @@ fn nothing_readable_is_lost_and_nothing_unacknowledged_comes() {
     assert!(recovered > 0);
 }
 
-/// One damaged entry of another stream, and nothing is lost: the index's sound entries are kept, whatever lies in the
-/// extents.
+/// A damaged entry of another stream loses no message: the sound index entries are kept, whatever the extents
+/// contain.
 #[test]
-fn a_damaged_entry_costs_no_other_stream_anything() {
+fn a_damaged_entry_does_not_affect_other_streams() {
     let folder = Folder::new();
     let mut writer = Writer::create(&folder.0, Options::default()).unwrap();
     let (one, other) = (
@@ -247,34 +249,46 @@ fn a_damaged_entry_costs_no_other_stream_anything() {
         writer.add_stream(Compression::None, false),
     );
     let text = |i: i64| format!("{i:100}").into_bytes();
-    let envelope = |i: i64| Envelope {
+    let message_envelope = |i: i64| Envelope {
         sequence: i as u64,
         time: i,
         creation: i,
     };
-    // As an append whose last message does not fit the first one's encoding.
+    // This happens when the last message of an append does not fit the encoding of the first one.
     for i in 1..=1_000 {
         let bytes = text(i);
         writer
-            .push(one, envelope(i), Encoding::Bytes, 0, Input::Bytes(&bytes))
+            .push(
+                one,
+                message_envelope(i),
+                Encoding::Bytes,
+                0,
+                Input::Bytes(&bytes),
+            )
             .unwrap();
     }
     writer.rollback();
     for i in 1..=1_001 {
         let bytes = text(i + 10_000);
         writer
-            .push(one, envelope(i), Encoding::Term, 0, Input::Bytes(&bytes))
+            .push(
+                one,
+                message_envelope(i),
+                Encoding::Term,
+                0,
+                Input::Bytes(&bytes),
+            )
             .unwrap();
     }
     writer.commit().unwrap();
     for i in 1..=10 {
         writer
-            .push(other, envelope(i), Encoding::Int, 0, Input::Int(i))
+            .push(other, message_envelope(i), Encoding::Int, 0, Input::Int(i))
             .unwrap();
     }
     writer.commit().unwrap();
     writer.close().unwrap();
-    let before = read(&folder.0);
+    let before = read_messages(&folder.0);
     for damaged in ["other", "index"] {
         let path = folder.0.join("index.situ");
         let mut bytes = std::fs::read(&path).unwrap();
@@ -289,10 +303,10 @@ fn a_damaged_entry_costs_no_other_stream_anything() {
             bytes[at + 40] ^= 1;
             std::fs::write(&path, bytes).unwrap();
         }
-        let report = repair::repair(&folder.0, false, |_, _| ()).unwrap();
+        let report = repair::repair_store(&folder.0, false, |_, _| ()).unwrap();
         assert_eq!(report.dropped, 0, "{damaged}: {report:?}");
-        let after = read(&folder.0);
-        // Only the record that the recording ended may be in doubt, when nothing behind it says that it was committed.
+        let after = read_messages(&folder.0);
+        // Only the end record may be lost, if no later chunk proves that it was committed.
         let lost: Vec<_> = before.difference(&after).filter(|m| m.0 != 0).collect();
         assert!(lost.is_empty(), "{damaged}: {}", lost.len());
         assert!(after.is_subset(&before), "{damaged}");
@@ -300,14 +314,14 @@ fn a_damaged_entry_costs_no_other_stream_anything() {
     assert!(folder.0.join("index.situ.before-repair").exists());
 }
 
-/// Files that another program cuts while they are open cause an error; the process lives.
+/// Files that another program truncates while they are open cause an error and do not end the process.
 #[test]
-fn a_file_cut_while_it_is_open_is_an_error() {
+fn a_file_truncated_while_it_is_open_is_an_error() {
     for cut in ["data-000000.situ", "index.situ"] {
         for length in [0, 4_096] {
             let folder = Folder::new();
             let mut writer = Writer::create(&folder.0, Options::default()).unwrap();
-            common::fill(&mut writer, 2_000, 50).unwrap();
+            common::fill_store(&mut writer, 2_000, 50).unwrap();
             let reader = Reader::open(&folder.0).unwrap();
             common::check_stream(&reader, 1);
             let file = std::fs::OpenOptions::new()
@@ -318,15 +332,15 @@ fn a_file_cut_while_it_is_open_is_an_error() {
             let mut failed = false;
             for ordinal in [0, 1_000, 1_999] {
                 match reader.entry_at(1, ordinal) {
-                    Ok(Some(entry)) => failed |= reader.chunk(&entry).is_err(),
+                    Ok(Some(entry)) => failed |= reader.read_chunk(&entry).is_err(),
                     Ok(None) => {}
                     Err(_) => failed = true,
                 }
             }
             assert!(failed || reader.refresh().is_err(), "{cut} {length}");
             if cut == "index.situ" {
-                // An acknowledged message must be readable, so a commit into a cut index must fail.
-                let envelope = common::envelope(5_000);
+                // An acknowledged message must be readable, so a commit into a truncated index must fail.
+                let envelope = common::message_envelope(5_000);
                 let pushed = writer
                     .push(1, envelope, Encoding::Int, 0, Input::Int(1))
                     .and_then(|()| writer.commit());
@@ -336,10 +350,10 @@ fn a_file_cut_while_it_is_open_is_an_error() {
     }
 }
 
-/// A writer that dies at any step leaves files that are empty or extents; a machine that goes down may leave an extent
-/// of zeros. Neither is damage.
+/// A writer that dies at any step leaves either empty files or valid extents, and a machine that goes down may
+/// leave an extent of zeros. Neither is damage.
 #[test]
-fn an_extent_begun_and_never_used_is_no_damage() {
+fn an_unused_extent_is_not_damage() {
     for step in 1..120 {
         let folder = Folder::new();
         let options = Options {
@@ -348,24 +362,24 @@ fn an_extent_begun_and_never_used_is_no_damage() {
             fault: Fault::after(step, false),
             ..Options::default()
         };
-        let _ = many(&folder.0, options);
+        let _ = write_commits(&folder.0, options);
         if Reader::open(&folder.0).is_err() {
             continue;
         }
         std::fs::write(folder.0.join("data-000099.situ"), vec![0; 8 << 10]).unwrap();
-        let report = repair::repair(&folder.0, true, |_, _| ()).unwrap();
+        let report = repair::repair_store(&folder.0, true, |_, _| ()).unwrap();
         assert_eq!((report.dropped, report.damage), (0, vec![]), "step {step}");
     }
 }
 
-fn many(dir: &Path, options: Options) -> situ_store::Result<()> {
+fn write_commits(dir: &Path, options: Options) -> situ_store::Result<()> {
     let mut writer = Writer::create(dir, options)?;
     writer.add_stream(Compression::None, false);
     for i in 0..40 {
-        let bytes = common::payload(i, 1_000);
+        let bytes = common::message_payload(i, 1_000);
         writer.push(
             1,
-            common::envelope(i),
+            common::message_envelope(i),
             Encoding::Bytes,
             0,
             Input::Bytes(&bytes),

@@ -1,14 +1,15 @@
-//! Columns of plain numbers as binaries.
+//! Returns columns of plain numbers as binaries.
 
 use rustler::{Encoder, Env, Term};
-use situ_store::columns::{read, Found, Kind, Wanted};
+use situ_store::columns::{read_columns, ColumnQuery, ColumnResult, Kind};
 
 use crate::atoms;
-use crate::reading::{failed, Handle};
-use crate::terms::copied;
+use crate::errors::encode_error;
+use crate::reading::Handle;
+use crate::terms::encode_binary;
 
-/// Plain numbers from `ordinal` on, no later than `to`, of about `bytes` of the store:
-/// `{:ok, {kind, count, times, creation_times, values}, next}`, `:others` where the next messages are none, or
+/// Returns plain numbers from `ordinal` on, no later than `to`, from about `bytes` of the store: `{:ok, {kind,
+/// count, times, creation_times, values}, next}`, `:others` if the next messages are not plain numbers, or
 /// `:ended`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_columns<'a>(
@@ -21,29 +22,29 @@ fn reader_columns<'a>(
 ) -> Term<'a> {
     let reader = handle.store();
     if let Err(error) = reader.refresh() {
-        return failed(env, &error);
+        return encode_error(env, &error);
     }
-    let wanted = Wanted {
+    let query = ColumnQuery {
         stream,
         ordinal,
         to,
         bytes,
     };
-    match read(reader, &wanted) {
-        Ok(Found::Numbers(kind, columns, next)) => {
+    match read_columns(reader, &query) {
+        Ok(ColumnResult::Numbers(kind, columns, next)) => {
             let kind = match kind {
                 Kind::Int => atoms::integer(),
                 Kind::Float => atoms::float(),
                 Kind::Bool => atoms::boolean(),
             };
-            let times = copied(env, &columns.times);
-            let creations = copied(env, &columns.creations);
-            let values = copied(env, &columns.values);
+            let times = encode_binary(env, &columns.times);
+            let creations = encode_binary(env, &columns.creations);
+            let values = encode_binary(env, &columns.values);
             let found = (kind, columns.count, times, creations, values);
             (atoms::ok(), found, next).encode(env)
         }
-        Ok(Found::Others) => atoms::others().encode(env),
-        Ok(Found::End) => atoms::ended().encode(env),
-        Err(error) => failed(env, &error),
+        Ok(ColumnResult::Others) => atoms::others().encode(env),
+        Ok(ColumnResult::End) => atoms::ended().encode(env),
+        Err(error) => encode_error(env, &error),
     }
 }

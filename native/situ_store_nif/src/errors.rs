@@ -1,11 +1,11 @@
-//! The crate's errors as tagged tuples; `Situ.Store.Failure` makes sentences of them.
+//! Encodes the crate's errors as tagged tuples. `Situ.Store.NativeErrors` turns them into sentences.
 
 use rustler::{Encoder, Env, Term};
 use situ_store::Error;
 
 use crate::atoms;
 
-pub fn term<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
+pub fn encode_error<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
     let reason = match error {
         Error::Io(what, errno, why) => (atoms::io(), what, errno, why).encode(env),
         Error::Locked => atoms::locked().encode(env),

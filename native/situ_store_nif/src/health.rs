@@ -1,21 +1,22 @@
-//! Damage of a store: finding, listing and repairing it.
+//! Finds, lists and repairs damage of a store.
 
 use rustler::{Encoder, Env, LocalPid, Term};
 use situ_store::reader::Damage;
 use situ_store::repair;
 
 use crate::atoms;
+use crate::errors::encode_error;
 use crate::paths::FilePath;
-use crate::reading::{failed, Handle};
+use crate::reading::Handle;
 
-fn damage(found: Vec<Damage>) -> Vec<(String, u64, String)> {
+fn encode_damage(found: Vec<Damage>) -> Vec<(String, u64, String)> {
     found
         .into_iter()
         .map(|d| (d.file, d.offset, d.why))
         .collect()
 }
 
-/// The extents that the index names: `[{lane, number}]`.
+/// Returns the extents that the index refers to: `[{lane, number}]`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_extents(handle: Handle) -> Vec<(u8, u32)> {
     let entries = handle.0.all_entries();
@@ -27,20 +28,20 @@ fn reader_extents(handle: Handle) -> Vec<(u8, u32)> {
 
 #[rustler::nif]
 fn reader_damage(handle: Handle) -> Vec<(String, u64, String)> {
-    damage(handle.0.damage())
+    encode_damage(handle.0.damage())
 }
 
-/// Checks index entries `from..from + n` wholly: `{:ok, [{file, offset, why}], entries}`.
+/// Checks the index entries `from..from + n` and their chunks: `{:ok, [{file, offset, why}], entries}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_verify<'a>(env: Env<'a>, handle: Handle, from: u64, n: u64) -> Term<'a> {
-    match handle.0.verify(from, n) {
-        Ok((found, total)) => (atoms::ok(), damage(found), total).encode(env),
-        Err(error) => failed(env, &error),
+    match handle.0.verify_entries(from, n) {
+        Ok((found, total)) => (atoms::ok(), encode_damage(found), total).encode(env),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-/// `{:ok, {kept, dropped, recovered, unconfirmed, rebuilt?, damage}}`, with `dry` of what would be done; meanwhile
-/// `{:situ_store, tag, {done, total}}` to `pid`.
+/// Repairs a store: `{:ok, {kept, dropped, recovered, unconfirmed, rebuilt?, damage}}`. With `dry` it only reports.
+/// Sends its progress as `{:situ_store, tag, {done, total}}` to `pid`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn store_repair<'a>(
     env: Env<'a>,
@@ -49,11 +50,11 @@ fn store_repair<'a>(
     pid: LocalPid,
     tag: Term<'a>,
 ) -> Term<'a> {
-    // If the caller is gone, the repair goes on without reports of progress.
-    let tell = |done: u64, total: u64| {
+    // If the caller has ended, the repair continues without progress reports.
+    let report_progress = |done: u64, total: u64| {
         let _ = env.send(&pid, (atoms::situ_store(), tag, (done, total)));
     };
-    match repair::repair(&path.0, dry, tell) {
+    match repair::repair_store(&path.0, dry, report_progress) {
         Ok(report) => (
             atoms::ok(),
             (
@@ -62,10 +63,10 @@ fn store_repair<'a>(
                 report.recovered,
                 report.unconfirmed,
                 report.rebuilt,
-                damage(report.damage),
+                encode_damage(report.damage),
             ),
         )
             .encode(env),
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }

@@ -1,4 +1,4 @@
-//! Terms on their way into a writer.
+//! Passes terms to a writer.
 
 use rustler::types::list::ListIterator;
 use rustler::{Binary, Error as NifError, NifResult, Term, TermType};
@@ -9,7 +9,7 @@ use situ_store::{etf, Encoding, Error, Writer};
 
 use crate::atoms;
 
-fn envelope(message: Term<'_>) -> NifResult<Envelope> {
+fn decode_envelope(message: Term<'_>) -> NifResult<Envelope> {
     Ok(Envelope {
         sequence: message.map_get(atoms::sequence_id())?.decode()?,
         time: message.map_get(atoms::originating_time())?.decode()?,
@@ -17,27 +17,27 @@ fn envelope(message: Term<'_>) -> NifResult<Envelope> {
     })
 }
 
-fn encoding_of(data: Term<'_>) -> Encoding {
+fn detect_encoding(data: Term<'_>) -> Encoding {
     match data.get_type() {
         TermType::Integer if data.decode::<i64>().is_ok() => Encoding::Int,
         TermType::Float => Encoding::Float,
         TermType::Binary if data.is_binary() => Encoding::Bytes,
-        TermType::Atom if boolean(data).is_some() => Encoding::Bool,
+        TermType::Atom if decode_boolean(data).is_some() => Encoding::Bool,
         _ => Encoding::Term,
     }
 }
 
-fn fits(encoding: Encoding, data: Term<'_>) -> bool {
+fn fits_encoding(encoding: Encoding, data: Term<'_>) -> bool {
     match encoding {
         Encoding::Int => data.decode::<i64>().is_ok(),
         Encoding::Float => data.is_float(),
         Encoding::Bytes => data.is_binary(),
-        Encoding::Bool => boolean(data).is_some(),
+        Encoding::Bool => decode_boolean(data).is_some(),
         _ => true,
     }
 }
 
-fn boolean(data: Term<'_>) -> Option<u8> {
+fn decode_boolean(data: Term<'_>) -> Option<u8> {
     if atoms::r#false() == data {
         Some(0)
     } else if atoms::r#true() == data {
@@ -49,63 +49,64 @@ fn boolean(data: Term<'_>) -> Option<u8> {
     }
 }
 
-pub enum Failed {
+pub enum AppendError {
     Store(Error),
     Argument(NifError),
 }
 
-impl From<Error> for Failed {
+impl From<Error> for AppendError {
     fn from(error: Error) -> Self {
-        Failed::Store(error)
+        AppendError::Store(error)
     }
 }
 
-impl From<NifError> for Failed {
+impl From<NifError> for AppendError {
     fn from(error: NifError) -> Self {
-        Failed::Argument(error)
+        AppendError::Argument(error)
     }
 }
 
-fn push(
+fn push_message(
     writer: &mut Writer,
     stream: u32,
     encoding: Encoding,
     envelope: Envelope,
     data: Term<'_>,
-) -> Result<(), Failed> {
+) -> Result<(), AppendError> {
     let bytes: Binary<'_>;
     let owned;
     let input = match encoding {
         Encoding::Int => Input::Int(data.decode()?),
         Encoding::Float => Input::Float(data.decode()?),
-        Encoding::Bool => Input::Bool(boolean(data).unwrap_or(2)),
+        Encoding::Bool => Input::Bool(decode_boolean(data).unwrap_or(2)),
         Encoding::Bytes => {
             bytes = data.decode()?;
             Input::Bytes(bytes.as_slice())
         }
         _ => {
             owned = data.to_binary();
-            etf::check(owned.as_slice()).map_err(|refusal| Error::NotStorable(refusal.text()))?;
+            etf::check_term(owned.as_slice())
+                .map_err(|refusal| Error::NotStorable(refusal.describe()))?;
             Input::Bytes(owned.as_slice())
         }
     };
     Ok(writer.push(stream, envelope, encoding, 0, input)?)
 }
 
-/// Pushes all messages of the batches in one encoding; `false` when one does not fit it.
+/// Pushes all messages of the batches in one encoding. Returns `false` if a message does not fit it.
 fn push_all(
     writer: &mut Writer,
     stream: u32,
     encoding: Encoding,
     batches: ListIterator<'_>,
-) -> Result<bool, Failed> {
+) -> Result<bool, AppendError> {
     for batch in batches {
         for message in batch.into_list_iterator()? {
             let data = message.map_get(atoms::data())?;
-            if !fits(encoding, data) {
+            if !fits_encoding(encoding, data) {
                 return Ok(false);
             }
-            push(writer, stream, encoding, envelope(message)?, data)?;
+            push_message(writer, stream, encoding, decode_envelope(message)?, data)?;
         }
     }
     Ok(true)
@@ -114,7 +115,7 @@ fn push_all(
 fn all_fit(encoding: Encoding, batches: ListIterator<'_>) -> NifResult<bool> {
     for batch in batches {
         for message in batch.into_list_iterator()? {
-            if !fits(encoding, message.map_get(atoms::data())?) {
+            if !fits_encoding(encoding, message.map_get(atoms::data())?) {
                 return Ok(false);
             }
         }
@@ -122,17 +123,21 @@ fn all_fit(encoding: Encoding, batches: ListIterator<'_>) -> NifResult<bool> {
     Ok(true)
 }
 
-/// A batch is stored in the encoding of its first message; any mixture as terms, so that chunks stay long.
-pub fn append(writer: &mut Writer, stream: u32, batches: Term<'_>) -> Result<u64, Failed> {
+/// Appends batches in the encoding of the first message. A mixture is stored as terms, so that chunks stay long.
+pub fn append_batches(
+    writer: &mut Writer,
+    stream: u32,
+    batches: Term<'_>,
+) -> Result<u64, AppendError> {
     let first = batches
         .into_list_iterator()?
         .find_map(|batch| batch.into_list_iterator().ok()?.next());
     let data = match first {
         Some(message) => message.map_get(atoms::data())?,
-        None => return Ok(writer.committed()),
+        None => return Ok(writer.committed_entries()),
     };
-    let encoding = encoding_of(data);
-    // Large messages are written as soon as they are pushed, so all of them are checked first.
+    let encoding = detect_encoding(data);
+    // Large messages are written as soon as they are pushed, so all messages are checked first.
     let large = |bytes: Binary<'_>| bytes.len() >= LARGE_MESSAGE;
     let fit = !(encoding == Encoding::Bytes && data.decode().is_ok_and(large))
         || all_fit(encoding, batches.into_list_iterator()?)?;
@@ -148,8 +153,8 @@ pub fn append(writer: &mut Writer, stream: u32, batches: Term<'_>) -> Result<u64
     Ok(writer.commit()?)
 }
 
-/// The binaries of an iolist, none of them copied; loose bytes are gathered.
-fn parts<'a>(term: Term<'a>, found: &mut Vec<Part<'a>>, depth: u32) -> NifResult<()> {
+/// Collects the binaries of an iolist without copying them. Single bytes are gathered.
+fn collect_parts<'a>(term: Term<'a>, found: &mut Vec<Part<'a>>, depth: u32) -> NifResult<()> {
     if let Ok(binary) = term.decode::<Binary<'a>>() {
         found.push(Part::Binary(binary));
         return Ok(());
@@ -164,7 +169,7 @@ fn parts<'a>(term: Term<'a>, found: &mut Vec<Part<'a>>, depth: u32) -> NifResult
                 _ => found.push(Part::Loose(vec![byte])),
             }
         } else {
-            parts(element, found, depth + 1)?;
+            collect_parts(element, found, depth + 1)?;
         }
     }
     Ok(())
@@ -175,12 +180,12 @@ enum Part<'a> {
     Loose(Vec<u8>),
 }
 
-/// Runs of messages of one kind each, `{codec, messages, points}`, committed as one. Of codec 0 are plain messages.
+/// Appends runs of messages of one kind, `{codec, messages, points}`, in one commit. Codec 0 means plain messages.
 pub fn append_runs(
     writer: &mut Writer,
     stream: u32,
     runs: ListIterator<'_>,
-) -> Result<u64, Failed> {
+) -> Result<u64, AppendError> {
     for run in runs {
         let (codec, messages, points): (u16, Term<'_>, ListIterator<'_>) = run.decode()?;
         if codec == 0 {
@@ -198,22 +203,23 @@ pub fn append_runs(
     Ok(writer.commit()?)
 }
 
-/// A list of messages that are looked through before the first is written: what lies before them stays.
-fn push_plain(writer: &mut Writer, stream: u32, messages: Term<'_>) -> Result<(), Failed> {
+/// Pushes a list of plain messages. All of them are checked before the first one is written, so that messages
+/// pushed earlier remain valid.
+fn push_plain(writer: &mut Writer, stream: u32, messages: Term<'_>) -> Result<(), AppendError> {
     let list = || messages.into_list_iterator();
     let Some(first) = list()?.next() else {
         return Ok(());
     };
-    let mut encoding = encoding_of(first.map_get(atoms::data())?);
+    let mut encoding = detect_encoding(first.map_get(atoms::data())?);
     for message in list()? {
-        if !fits(encoding, message.map_get(atoms::data())?) {
+        if !fits_encoding(encoding, message.map_get(atoms::data())?) {
             encoding = Encoding::Term;
             break;
         }
     }
     for message in list()? {
         let data = message.map_get(atoms::data())?;
-        push(writer, stream, encoding, envelope(message)?, data)?;
+        push_message(writer, stream, encoding, decode_envelope(message)?, data)?;
     }
     Ok(())
 }
@@ -224,12 +230,12 @@ fn push_encoded(
     codec: u16,
     messages: ListIterator<'_>,
     points: ListIterator<'_>,
-) -> Result<(), Failed> {
+) -> Result<(), AppendError> {
     let mut found = Vec::new();
     for message in messages {
         let (sequence, time, creation, bytes): (u64, i64, i64, Term<'_>) = message.decode()?;
         found.clear();
-        parts(bytes, &mut found, 0)?;
+        collect_parts(bytes, &mut found, 0)?;
         let slices: Vec<&[u8]> = found
             .iter()
             .map(|part| match part {

@@ -1,4 +1,4 @@
-//! BEAM glue of situ_store: decode, call, encode. No algorithms here.
+//! BEAM glue for situ_store: decode, call, encode. It contains no algorithms.
 
 mod columns;
 mod errors;

@@ -1,4 +1,4 @@
-//! Messages of a reader as terms.
+//! Returns messages of a reader as terms.
 
 use std::sync::Arc;
 
@@ -11,10 +11,11 @@ use situ_store::reader::Chunk;
 use situ_store::{etf, Encoding};
 
 use crate::atoms;
-use crate::reading::{failed, Handle, QUICK_ENTRIES};
-use crate::terms::{copied, decode, Decoded, COPY_UP_TO};
+use crate::errors::encode_error;
+use crate::reading::{Handle, QUICK_ENTRIES};
+use crate::terms::{decode_term, encode_binary, Decoded, COPY_UP_TO};
 
-/// The memory that binaries of read messages point into: a mapped extent, or an unpacked chunk.
+/// The memory that the binaries of messages refer to: a mapped extent or an unpacked chunk.
 pub enum Bytes {
     Map(Arc<Map>, usize, usize),
     Unpacked(Arc<Vec<u8>>),
@@ -23,22 +24,22 @@ pub enum Bytes {
 #[rustler::resource_impl]
 impl rustler::Resource for Bytes {}
 
-/// Turns the messages of one chunk into `{sequence, originating, creation, data}`.
+/// Encodes the messages of one chunk as `{sequence, originating, creation, data}`.
 struct Run<'a> {
     env: Env<'a>,
     encoding: Encoding,
     whole: Option<Binary<'a>>,
-    /// Bytes that the structure of terms takes.
+    /// The memory size of the terms' structure, bytes.
     structure: u64,
 }
 
 impl<'a> Run<'a> {
     fn start(env: Env<'a>, chunk: &Chunk) -> Self {
         let encoding = chunk.header.encoding;
-        let wants = matches!(encoding, Encoding::Bytes | Encoding::Codec)
+        let is_shared = matches!(encoding, Encoding::Bytes | Encoding::Codec)
             && chunk.body().len() > COPY_UP_TO;
-        let whole = wants.then(|| {
-            let bytes = match (chunk.unpacked(), chunk.mapped_at()) {
+        let whole = is_shared.then(|| {
+            let bytes = match (chunk.unpacked_body(), chunk.body_offset()) {
                 (Some(bytes), _) => Bytes::Unpacked(bytes),
                 (None, at) => Bytes::Map(chunk.map.clone(), at.unwrap_or(0), chunk.body().len()),
             };
@@ -55,31 +56,32 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// The last elements of a message's tuple: its data, or (for terms that are not plain) a tag and what there is.
-    fn data(&mut self, body: &[u8], value: Value) -> (Term<'a>, Option<Term<'a>>) {
+    /// Returns the last elements of a message's tuple: its data or, for terms that are not plain, a tag and
+    /// details.
+    fn encode_data(&mut self, body: &[u8], value: Value) -> (Term<'a>, Option<Term<'a>>) {
         let env = self.env;
         if let (Encoding::Term, Value::Bytes { start, length }) = (self.encoding, value) {
             let bytes = &body[start..start + length];
-            let (decoded, structure) = decode(env, bytes);
+            let (decoded, structure) = decode_term(env, bytes);
             self.structure += structure as u64;
             return match decoded {
                 Decoded::Plain(term) => (term, None),
                 Decoded::Refused(why) => (atoms::undecodable().encode(env), Some(why.encode(env))),
                 Decoded::Unknown(modules, term) => (
                     atoms::unknown().encode(env),
-                    Some((modules, copied(env, bytes), term).encode(env)),
+                    Some((modules, encode_binary(env, bytes), term).encode(env)),
                 ),
             };
         }
-        (self.value(body, value), None)
+        (self.encode_value(body, value), None)
     }
 
-    fn value(&self, body: &[u8], value: Value) -> Term<'a> {
+    fn encode_value(&self, body: &[u8], value: Value) -> Term<'a> {
         let env = self.env;
         match value {
             Value::Int(value) => value.encode(env),
             Value::Float(value) if value.is_finite() => value.encode(env),
-            // The BEAM has no such floats; a writer of another language may.
+            // The BEAM has no such floats, but a writer in another language may have stored them.
             Value::Float(_) => atoms::nil().encode(env),
             Value::Bool(0) => atoms::r#false().encode(env),
             Value::Bool(1) => atoms::r#true().encode(env),
@@ -90,23 +92,22 @@ impl<'a> Run<'a> {
                     Some(whole) if length > COPY_UP_TO => {
                         match whole.make_subbinary(start, length) {
                             Ok(part) => part.encode(env),
-                            Err(_) => copied(env, bytes),
+                            Err(_) => encode_binary(env, bytes),
                         }
                     }
-                    _ => copied(env, bytes),
+                    _ => encode_binary(env, bytes),
                 }
             }
         }
     }
 }
 
-/// Messages from `ordinal` on, until one lies behind `to`, or at least `most` messages or `bytes` payload bytes are
-/// there:
-/// `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`, a message whose data are no plain
-/// term being
-/// `{sequence, originating, creation, :unknown, {modules, bytes, term}}` or `{..., :undecodable, why}`. Whole chunks,
-/// so a little more than `most` may come; `bytes` 0: exactly `most`. A damaged chunk ends the answer; as the first
-/// one it is the error.
+/// Returns messages from `ordinal` on, until one is later than `to`, or there are at least `most` messages or
+/// `bytes` payload bytes: `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`. A message
+/// whose data are not a plain term is `{sequence, originating, creation, :unknown, {modules, bytes, term}}` or
+/// `{..., :undecodable, why}`.
+/// Complete chunks are returned, so there may be a few more than `most` messages; with `bytes` 0 there are exactly
+/// `most`. A damaged chunk ends the result; if it is the first chunk, the result is the error.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_read<'a>(
     env: Env<'a>,
@@ -117,17 +118,17 @@ fn reader_read<'a>(
     most: u64,
     bytes: u64,
 ) -> Term<'a> {
-    let wanted = Wanted {
+    let limits = ReadLimits {
         to,
         most,
         bytes,
         quick: false,
     };
-    read(env, &handle, stream, ordinal, &wanted)
+    read_messages(env, &handle, stream, ordinal, &limits)
 }
 
-/// As `reader_read`, on a normal scheduler, which saves two changes of threads: what takes little time and waits for
-/// no disk, as much of it as fits into a time slice. `:slow` when that is nothing.
+/// Reads like `reader_read`, but on a normal scheduler, which saves two thread switches. It reads only messages
+/// that need little time and no disk access, within one time slice, and returns `:slow` if there are none.
 #[rustler::nif]
 fn reader_read_quick<'a>(
     env: Env<'a>,
@@ -138,75 +139,81 @@ fn reader_read_quick<'a>(
     most: u64,
     bytes: u64,
 ) -> Term<'a> {
-    let wanted = Wanted {
+    let limits = ReadLimits {
         to,
         most,
         bytes,
         quick: true,
     };
-    let answer = read(env, &handle, stream, ordinal, &wanted);
+    let result = read_messages(env, &handle, stream, ordinal, &limits);
     rustler::schedule::consume_timeslice(env, if most > 64 { 15 } else { 2 });
-    answer
+    result
 }
 
-struct Wanted {
+struct ReadLimits {
     to: i64,
     most: u64,
     bytes: u64,
     quick: bool,
 }
 
-/// A quick read checks and unpacks no more than about this many bytes.
+/// The maximum number of bytes that a quick read checks and unpacks, about.
 const QUICK_BYTES: u64 = 64 * 1024;
 
-fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Wanted) -> Term<'a> {
+fn read_messages<'a>(
+    env: Env<'a>,
+    handle: &Handle,
+    stream: u32,
+    from: u64,
+    limits: &ReadLimits,
+) -> Term<'a> {
     let reader = &handle.0;
-    if wanted.quick && reader.behind() > QUICK_ENTRIES {
+    if limits.quick && reader.pending_entries() > QUICK_ENTRIES {
         return atoms::slow().encode(env);
     }
     if let Err(error) = reader.refresh() {
-        return failed(env, &error);
+        return encode_error(env, &error);
     }
-    let exact = wanted.bytes == 0;
+    let exact = limits.bytes == 0;
     let mut runs: Vec<(u16, Vec<Term<'a>>)> = Vec::new();
     let (mut next, mut count, mut size, mut work) = (from, 0u64, 0u64, 0u64);
-    while count < wanted.most && (exact || size < wanted.bytes) && work < QUICK_BYTES {
+    while count < limits.most && (exact || size < limits.bytes) && work < QUICK_BYTES {
         let entry = match reader.entry_at(stream, next) {
             Ok(Some(entry)) => entry,
             Ok(None) => break,
-            Err(error) if runs.is_empty() => return failed(env, &error),
+            Err(error) if runs.is_empty() => return encode_error(env, &error),
             Err(_) => break,
         };
-        if entry.first > wanted.to {
+        if entry.first > limits.to {
             break;
         }
-        let opened = if wanted.quick {
-            // A large message that is not checked takes next to no time.
+        let chunk = if limits.quick {
+            // A large message that is not checked takes almost no time.
             work += match entry.lane {
                 LANE_DATA => entry.length.max(1024) as u64,
                 _ => 1024,
             };
             reader.quick_chunk(&entry)
         } else {
-            Some(reader.chunk(&entry))
+            Some(reader.read_chunk(&entry))
         };
-        let Some(opened) = opened else {
+        let Some(chunk) = chunk else {
             if runs.is_empty() {
                 return atoms::slow().encode(env);
             }
             break;
         };
-        let left = if exact { wanted.most - count } else { u64::MAX };
-        let part = opened.and_then(|chunk| {
-            let part = Part::of(env, &chunk, next - entry.ordinal, wanted.to, left);
-            part.map_err(|why| reader.broken(&entry, why))
+        let left = if exact { limits.most - count } else { u64::MAX };
+        let part = chunk.and_then(|chunk| {
+            let part = Part::read(env, &chunk, next - entry.ordinal, limits.to, left);
+            part.map_err(|why| reader.chunk_error(&entry, why))
         });
         match part {
             Ok(part) => {
                 next += part.list.len() as u64;
                 count += part.list.len() as u64;
                 size += part.size;
-                if wanted.quick {
+                if limits.quick {
                     work += part.size.saturating_sub(entry.length.into());
                 }
                 runs.push((part.codec, part.list));
@@ -214,27 +221,27 @@ fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Want
                     break;
                 }
             }
-            Err(error) if runs.is_empty() => return failed(env, &error),
+            Err(error) if runs.is_empty() => return encode_error(env, &error),
             Err(_) => break,
         }
     }
     (atoms::ok(), runs, next).encode(env)
 }
 
-/// The wanted messages of one chunk.
+/// The selected messages of one chunk.
 struct Part<'a> {
     codec: u16,
     list: Vec<Term<'a>>,
-    /// These are the last messages wanted, or (when the chunk is damaged behind them) the last readable ones; the
-    /// next read returns the error.
+    /// Whether these are the last selected messages or, in a damaged chunk, the last readable ones. In the latter
+    /// case the next read returns the error.
     ended: bool,
-    /// Bytes it takes in memory: unpacked, with the structure of terms.
+    /// Its unpacked size in memory, including the structure of terms, bytes.
     size: u64,
 }
 
 impl<'a> Part<'a> {
-    /// The messages behind the first `skip`, up to time `to`, at most `most`.
-    fn of(
+    /// Reads the messages after the first `skip`, up to time `to`, at most `most`.
+    fn read(
         env: Env<'a>,
         chunk: &Chunk,
         skip: u64,
@@ -245,8 +252,8 @@ impl<'a> Part<'a> {
         let body = chunk.body();
         let mut list = Vec::with_capacity(chunk.header.count.min(MAX_CHUNK_MESSAGES) as usize);
         let mut ended = false;
-        // Messages of one batch often have one creation time, and that is a big number: made once.
-        let mut made = (i64::MIN, i64::MIN.encode(env));
+        // Messages of one batch often have the same creation time, which is a big number, so its term is reused.
+        let mut last_creation = (i64::MIN, i64::MIN.encode(env));
         for (at, message) in (0u64..).zip(chunk.messages()) {
             let (envelope, value) = match message {
                 Ok(message) => message,
@@ -263,18 +270,18 @@ impl<'a> Part<'a> {
                 ended = true;
                 break;
             }
-            if envelope.creation != made.0 {
-                made = (envelope.creation, envelope.creation.encode(env));
+            if envelope.creation != last_creation.0 {
+                last_creation = (envelope.creation, envelope.creation.encode(env));
             }
-            let (data, more) = run.data(body, value);
+            let (data, details) = run.encode_data(body, value);
             let terms = [
                 envelope.sequence.encode(env),
                 envelope.time.encode(env),
-                made.1,
+                last_creation.1,
                 data,
-                more.unwrap_or(data),
+                details.unwrap_or(data),
             ];
-            let length = if more.is_some() { 5 } else { 4 };
+            let length = if details.is_some() { 5 } else { 4 };
             list.push(make_tuple(env, &terms[..length]));
         }
         let codec = chunk.header.codec;
@@ -287,7 +294,7 @@ impl<'a> Part<'a> {
     }
 }
 
-/// The ordinal behind the chunk that holds `ordinal`: where to go on after damage.
+/// Returns the ordinal after the chunk that contains `ordinal`, where reading can continue after damage.
 #[rustler::nif]
 fn reader_skip(handle: Handle, stream: u32, ordinal: u64) -> u64 {
     match handle.0.entry_at(stream, ordinal) {
@@ -296,21 +303,22 @@ fn reader_skip(handle: Handle, stream: u32, ordinal: u64) -> u64 {
     }
 }
 
-/// A term from external format: `{:ok, term}`, `{:unknown, modules, term}` or `{:undecodable, why}`. No atoms are made.
+/// Decodes a term from external format: `{:ok, term}`, `{:unknown, modules, term}` or `{:undecodable, why}`. It
+/// creates no atoms.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
-    match decode(env, bytes.as_slice()).0 {
+    match decode_term(env, bytes.as_slice()).0 {
         Decoded::Plain(term) => (atoms::ok(), term).encode(env),
         Decoded::Unknown(modules, term) => (atoms::unknown(), modules, term).encode(env),
         Decoded::Refused(why) => (atoms::undecodable(), why).encode(env),
     }
 }
 
-/// Whether bytes in external format are plain data: `:ok` or `{:error, what_else}`.
+/// Checks that bytes in external format are plain data: `:ok` or `{:error, what_else}`.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn term_check<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
-    match etf::check(bytes.as_slice()) {
+    match etf::check_term(bytes.as_slice()) {
         Ok(_) => atoms::ok().encode(env),
-        Err(refusal) => (atoms::error(), refusal.text()).encode(env),
+        Err(refusal) => (atoms::error(), refusal.describe()).encode(env),
     }
 }

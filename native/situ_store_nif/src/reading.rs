@@ -1,4 +1,4 @@
-//! The reader's functions.
+//! The functions of a reader.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -7,27 +7,29 @@ use std::time::Duration;
 use rustler::types::tuple::make_tuple;
 use rustler::{Binary, Encoder, Env, LocalPid, OwnedEnv, ResourceArc, Term};
 use situ_store::format::CATALOG;
-use situ_store::reader::lock;
+use situ_store::reader::lock_mutex;
 use situ_store::watch::{self, News};
-use situ_store::{pyramid, Error, Reader};
+use situ_store::{pyramid, Reader};
 
+use crate::atoms;
+use crate::errors::encode_error;
 use crate::paths::FilePath;
-use crate::terms::copied;
-use crate::{atoms, errors};
+use crate::terms::encode_binary;
 
-/// A reader, what was worked out of its catalog, and who waits for its writer.
-pub struct ReaderResource(pub Arc<Reader>, Mutex<Shelf>, Arc<Mutex<Waiting>>);
+/// A reader, terms derived from its catalog, and the processes that wait for its writer.
+pub struct ReaderResource(pub Arc<Reader>, Mutex<TermCache>, Arc<Mutex<Waiting>>);
 
-/// Who waits: the entries it knows, whom to tell and by which tag. One thread serves them all.
+/// The waiting processes: the number of entries each knows, its pid, and the tag of its message. One thread serves
+/// all of them.
 #[derive(Default)]
 pub struct Waiting {
-    asked: Vec<(u64, LocalPid, u64)>,
-    served: bool,
+    subscribers: Vec<(u64, LocalPid, u64)>,
+    has_thread: bool,
 }
 
-/// External terms by name, made of a catalog of so many records.
+/// External terms by name, derived from a catalog of `records` records.
 #[derive(Default)]
-struct Shelf {
+struct TermCache {
     records: u64,
     terms: HashMap<Vec<u8>, Vec<u8>>,
 }
@@ -41,10 +43,6 @@ impl ReaderResource {
     pub fn store(&self) -> &Reader {
         &self.0
     }
-}
-
-pub fn failed<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
-    errors::term(env, error)
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
@@ -68,95 +66,96 @@ fn reader_open<'a>(
             )
                 .encode(env)
         }
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-/// `{:ok, {entries, closed?, live?, created, synced, id}}`
+/// Returns `{:ok, {entries, closed?, live?, created, synced, id}}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_state<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
     let reader = &handle.0;
-    // Liveness first: what a writer published before it went is then seen.
+    // Liveness is checked first, so that everything a writer published before it ended is seen.
     let live = reader.is_live();
     match reader.refresh() {
         Ok(entries) => {
-            let id = copied(env, &reader.header.id);
+            let id = encode_binary(env, &reader.header.id);
             let state = (
                 entries,
                 reader.is_closed(),
                 live,
                 reader.header.created,
-                reader.synced(),
+                reader.synced_entries(),
                 id,
             );
             (atoms::ok(), state).encode(env)
         }
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-/// On a normal scheduler no more entries are taken in at once.
+/// The maximum number of entries loaded in one call on a normal scheduler.
 pub const QUICK_ENTRIES: u64 = 4_096;
 
-/// Takes in what was published since; `{:ok, entries}`, or `:slow` when that is much.
+/// Loads newly published entries: `{:ok, entries}`, or `:slow` if there are many.
 #[rustler::nif]
 fn reader_refresh<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
-    if handle.0.behind() > QUICK_ENTRIES {
+    if handle.0.pending_entries() > QUICK_ENTRIES {
         return atoms::slow().encode(env);
     }
     match handle.0.refresh() {
         Ok(entries) => (atoms::ok(), entries).encode(env),
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-/// As `reader_refresh`, however much it is.
+/// Loads newly published entries like `reader_refresh`, but any number of them.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_refresh_all<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
     match handle.0.refresh() {
         Ok(entries) => (atoms::ok(), entries).encode(env),
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-fn shelf(handle: &Handle) -> MutexGuard<'_, Shelf> {
-    lock(&handle.1)
+fn lock_cache(handle: &Handle) -> MutexGuard<'_, TermCache> {
+    lock_mutex(&handle.1)
 }
 
-/// The term that `reader_shelve` put there under a name: `{:ok, external_term}`, `nil`, or `:stale` when the catalog
-/// has grown since.
+/// Returns the term that `reader_shelve` stored under a name: `{:ok, external_term}`, `nil`, or `:stale` if the
+/// catalog has grown since.
 #[rustler::nif]
 fn reader_shelved<'a>(env: Env<'a>, handle: Handle, name: Binary<'a>) -> Term<'a> {
-    let shelf = shelf(&handle);
-    if shelf.terms.is_empty() || shelf.records != handle.0.count(CATALOG) {
+    let cache = lock_cache(&handle);
+    if cache.terms.is_empty() || cache.records != handle.0.message_count(CATALOG) {
         return atoms::stale().encode(env);
     }
-    match shelf.terms.get(name.as_slice()) {
-        Some(bytes) => (atoms::ok(), copied(env, bytes)).encode(env),
+    match cache.terms.get(name.as_slice()) {
+        Some(bytes) => (atoms::ok(), encode_binary(env, bytes)).encode(env),
         None => atoms::nil().encode(env),
     }
 }
 
-/// Keeps external terms by name, made of a catalog of so many records.
+/// Caches external terms by name, derived from a catalog of `records` records.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn reader_shelve<'a>(handle: Handle, records: u64, terms: Vec<(Binary<'a>, Binary<'a>)>) -> bool {
     let terms = terms
         .iter()
         .map(|(name, term)| (name.as_slice().to_vec(), term.as_slice().to_vec()));
     let terms = terms.collect();
-    *shelf(&handle) = Shelf { records, terms };
+    *lock_cache(&handle) = TermCache { records, terms };
     true
 }
 
 #[rustler::nif]
 fn reader_count(handle: Handle, stream: u32) -> u64 {
-    handle.0.count(stream)
+    handle.0.message_count(stream)
 }
 
-/// `{:ok, nil}` or `{:ok, {count, first, last, first_creation, last_creation, size, latency, stored, chunks}}`
+/// Returns `{:ok, nil}` or `{:ok, {count, first, last, first_creation, last_creation, size, latency, stored,
+/// chunks}}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_statistics<'a>(env: Env<'a>, handle: Handle, stream: u32) -> Term<'a> {
-    match handle.0.statistics(stream) {
+    match handle.0.read_statistics(stream) {
         Ok(None) => (atoms::ok(), atoms::nil()).encode(env),
         Ok(Some(s)) => {
             let terms = [
@@ -176,42 +175,42 @@ fn reader_statistics<'a>(env: Env<'a>, handle: Handle, stream: u32) -> Term<'a> 
             ];
             (atoms::ok(), make_tuple(env, &terms)).encode(env)
         }
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-/// The ordinal of the first message at or after `time`, or `:slow` when a disk has to be waited for.
+/// Returns the ordinal of the first message at or after `time`, or `:slow` if that needs disk access.
 #[rustler::nif]
 fn reader_seek_quick<'a>(env: Env<'a>, handle: Handle, stream: u32, time: i64) -> Term<'a> {
-    if handle.0.behind() > QUICK_ENTRIES {
+    if handle.0.pending_entries() > QUICK_ENTRIES {
         return atoms::slow().encode(env);
     }
     let found = handle.0.refresh();
-    match found.and_then(|_| handle.0.ordinal_quick(stream, time)) {
+    match found.and_then(|_| handle.0.quick_ordinal(stream, time)) {
         Ok(Some(ordinal)) => (atoms::ok(), ordinal).encode(env),
         Ok(None) => atoms::slow().encode(env),
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-/// The ordinal of the first message at or after `time`.
+/// Returns the ordinal of the first message at or after `time`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_seek<'a>(env: Env<'a>, handle: Handle, stream: u32, time: i64) -> Term<'a> {
     if let Err(error) = handle.0.refresh() {
-        return failed(env, &error);
+        return encode_error(env, &error);
     }
     match handle.0.ordinal_from(stream, time) {
         Ok(ordinal) => (atoms::ok(), ordinal).encode(env),
-        Err(error) => failed(env, &error),
+        Err(error) => encode_error(env, &error),
     }
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_gaps(handle: Handle, stream: u32, least: i64) -> Vec<(i64, i64)> {
-    handle.0.gaps(stream, least)
+    handle.0.find_gaps(stream, least)
 }
 
-/// `{:ok, [{start, min, max, last, count}]}` with bins of 2^level ns.
+/// Returns `{:ok, [{start, min, max, last, count}]}` with bins of 2^level ns.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn reader_summary<'a>(
     env: Env<'a>,
@@ -221,14 +220,14 @@ fn reader_summary<'a>(
     to: i64,
     level: u8,
 ) -> Term<'a> {
-    match handle.0.summary(stream, from, to, level) {
-        Ok(found) => (atoms::ok(), bins(env, &found)).encode(env),
-        Err(error) => failed(env, &error),
+    match handle.0.read_summary(stream, from, to, level) {
+        Ok(found) => (atoms::ok(), encode_bins(env, &found)).encode(env),
+        Err(error) => encode_error(env, &error),
     }
 }
 
-/// Bins as `{start, min, max, last, count}`, those without a number left out.
-pub fn bins<'a>(env: Env<'a>, bins: &[pyramid::Bin]) -> Vec<Term<'a>> {
+/// Encodes bins as `{start, min, max, last, count}` and leaves out those without a number.
+pub fn encode_bins<'a>(env: Env<'a>, bins: &[pyramid::Bin]) -> Vec<Term<'a>> {
     bins.iter()
         .filter(|bin| bin.min.is_finite() && bin.max.is_finite() && bin.last.is_finite())
         .map(|bin| (bin.start, bin.min, bin.max, bin.last, bin.count).encode(env))
@@ -240,12 +239,12 @@ fn summary_level(from: i64, to: i64, pixels: u32) -> u8 {
     pyramid::level_for(from, to, pixels)
 }
 
-/// Sends `{:situ_store, tag, {:published | :ended, entries}}` to `pid` once there are more than `known` entries or the
-/// writer is gone. `false` when the system has no thread left to wait in.
+/// Sends `{:situ_store, tag, {:published | :ended, entries}}` to `pid` once there are more than `known` entries or
+/// the writer has ended. Returns `false` if the system cannot start a thread to wait in.
 #[rustler::nif]
 fn reader_await(env: Env<'_>, handle: Handle, known: u64, pid: LocalPid, tag: u64) -> bool {
     let reader = &handle.0;
-    let published = reader.published();
+    let published = reader.published_entries();
     if published > known {
         let _ = env.send(
             &pid,
@@ -253,45 +252,49 @@ fn reader_await(env: Env<'_>, handle: Handle, known: u64, pid: LocalPid, tag: u6
         );
         return true;
     }
-    let mut waiting = lock(&handle.2);
-    waiting.asked.push((known, pid, tag));
-    if !waiting.served {
+    let mut waiting = lock_mutex(&handle.2);
+    waiting.subscribers.push((known, pid, tag));
+    if !waiting.has_thread {
         let (reader, shared) = (reader.clone(), handle.2.clone());
         let spawned = std::thread::Builder::new()
             .name("situ-store-wait".into())
             .stack_size(64 * 1024)
-            .spawn(move || serve(&reader, &shared));
+            .spawn(move || notify_subscribers(&reader, &shared));
         if spawned.is_err() {
-            waiting.asked.pop();
+            waiting.subscribers.pop();
             return false;
         }
     }
-    waiting.served = true;
+    waiting.has_thread = true;
     true
 }
 
 /// Waits on the writer's futex, which may belong to another process, until no subscriber is left.
-fn serve(reader: &Arc<Reader>, waiting: &Mutex<Waiting>) {
+fn notify_subscribers(reader: &Arc<Reader>, waiting: &Mutex<Waiting>) {
     loop {
-        let known = lock(waiting).asked.iter().map(|(known, _, _)| *known).min();
-        let news = watch::wait(
+        let known = lock_mutex(waiting)
+            .subscribers
+            .iter()
+            .map(|(known, _, _)| *known)
+            .min();
+        let news = watch::wait_for_entries(
             reader,
             known.unwrap_or(u64::MAX),
             Duration::from_millis(500),
         );
-        let mut waiting = lock(waiting);
+        let mut waiting = lock_mutex(waiting);
         let mut env = OwnedEnv::new();
-        waiting.asked.retain(|(known, pid, tag)| {
-            let told = match news {
+        waiting.subscribers.retain(|(known, pid, tag)| {
+            let event = match news {
                 News::Published(n) if n > *known => (atoms::published(), n),
                 News::Ended(n) => (atoms::ended(), n),
                 _ => return env.run(|env| pid.is_alive(env)),
             };
-            let _ = env.send_and_clear(pid, |_| (atoms::situ_store(), *tag, told));
+            let _ = env.send_and_clear(pid, |_| (atoms::situ_store(), *tag, event));
             false
         });
-        if waiting.asked.is_empty() {
-            waiting.served = false;
+        if waiting.subscribers.is_empty() {
+            waiting.has_thread = false;
             return;
         }
     }

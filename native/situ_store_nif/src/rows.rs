@@ -1,19 +1,20 @@
-//! Rows and columns of CSV files.
+//! Reads rows and columns of CSV files.
 
 use std::path::Path;
 
 use rustler::{Atom, Encoder, Env, NifResult, Term};
 use situ_csv::{
-    columns, rows, scan, values, CellValues, Cells, Error, Kind, Layout, Part, Place, Refusal,
-    Start, Unit, Value, Wanted, Why,
+    read_columns, read_rows, read_values, scan_parts, CellValues, Cells, ColumnQuery, Error,
+    FilePosition, Kind, Layout, Part, Refusal, RowFault, Start, Unit, Value,
 };
 use situ_store::writer::{Column, ColumnValues};
 use situ_store::Writer;
 
-use crate::writing::{with, Handle};
+use crate::writing::{with_writer, Handle};
 use crate::{atoms, errors};
 
-/// Up to `most` rows or `bytes` bytes from `byte` (in line `line`) on: `{:ok, [{line, [field]}], {byte, line}}`.
+/// Reads up to `most` rows or `bytes` bytes from `byte` (in line `line`) on: `{:ok, [{line, [field]}], {byte,
+/// line}}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn csv_rows<'a>(
     env: Env<'a>,
@@ -24,40 +25,40 @@ fn csv_rows<'a>(
     most: usize,
     bytes: u64,
 ) -> Term<'a> {
-    match rows(
+    match read_rows(
         Path::new(&path),
         separator,
-        Place { byte, line },
+        FilePosition { byte, line },
         most,
         bytes,
     ) {
-        Ok((rows, place)) => {
+        Ok((rows, position)) => {
             let rows: Vec<_> = rows.into_iter().map(|row| (row.line, row.fields)).collect();
-            (atoms::ok(), rows, (place.byte, place.line)).encode(env)
+            (atoms::ok(), rows, (position.byte, position.line)).encode(env)
         }
-        Err(error) => failed(env, error),
+        Err(error) => encode_file_error(env, error),
     }
 }
 
-fn failed(env: Env, error: Error) -> Term {
+fn encode_file_error(env: Env, error: Error) -> Term {
     match error {
         Error::Io(number, why) => (atoms::error(), (atoms::io(), "read", number, why)).encode(env),
         Error::Damaged(line, why) => (atoms::error(), (atoms::damaged(), line, why)).encode(env),
     }
 }
 
-fn refused(env: Env, refusal: Refusal) -> Term {
+fn encode_refusal(env: Env, refusal: Refusal) -> Term {
     match refusal {
         Refusal::Unsure => atoms::slow().encode(env),
-        Refusal::Failed(error) => failed(env, error),
+        Refusal::Failed(error) => encode_file_error(env, error),
     }
 }
 
-/// The separator; the number of fields and the column of times; its unit (nanoseconds, or 0 for ISO 8601) and the
-/// nanoseconds that are added to it; the most rows and bytes of a part.
+/// The separator; the number of fields and the column of times; the unit of times (nanoseconds, or 0 for ISO 8601)
+/// and an offset in nanoseconds; the maximum rows and bytes of a part.
 type GivenLayout = (u8, (usize, usize), (i64, i64), (usize, u64));
 
-fn layout((separator, (width, time), (unit, start), (rows, bytes)): GivenLayout) -> Layout {
+fn decode_layout((separator, (width, time), (unit, start), (rows, bytes)): GivenLayout) -> Layout {
     let unit = match unit {
         0 => Unit::Iso8601,
         factor => Unit::Nanoseconds(factor),
@@ -72,16 +73,16 @@ fn layout((separator, (width, time), (unit, start), (rows, bytes)): GivenLayout)
     }
 }
 
-/// Where a part begins, and the last time before it.
+/// The position where a part begins, and the last time before it.
 type GivenStart = ((u64, u64), Option<i64>);
 
-fn start(((byte, line), last): GivenStart) -> Start {
-    let place = Place { byte, line };
-    Start { place, last }
+fn decode_start(((byte, line), last): GivenStart) -> Start {
+    let position = FilePosition { byte, line };
+    Start { position, last }
 }
 
-/// Up to `parts` parts: `{:ok, [{rows, [{kind, count, first, last}], [{line, why}], {byte, line}, last}]}`, or
-/// `:slow` where this code cannot read a time.
+/// Scans up to `parts` parts: `{:ok, [{rows, [{kind, count, first, last}], [{line, why}], {byte, line}, last}]}`,
+/// or `:slow` if this code cannot parse a time.
 #[rustler::nif(schedule = "DirtyIo")]
 fn csv_scan<'a>(
     env: Env<'a>,
@@ -90,7 +91,12 @@ fn csv_scan<'a>(
     from: GivenStart,
     parts: usize,
 ) -> Term<'a> {
-    match scan(Path::new(&path), &layout(given), start(from), parts) {
+    match scan_parts(
+        Path::new(&path),
+        &decode_layout(given),
+        decode_start(from),
+        parts,
+    ) {
         Ok(parts) => {
             let parts: Vec<_> = parts
                 .into_iter()
@@ -98,7 +104,7 @@ fn csv_scan<'a>(
                 .collect();
             (atoms::ok(), parts).encode(env)
         }
-        Err(refusal) => refused(env, refusal),
+        Err(refusal) => encode_refusal(env, refusal),
     }
 }
 
@@ -108,7 +114,7 @@ fn encode_part<'a>(env: Env<'a>, part: Part) -> Term<'a> {
         .iter()
         .map(|column| {
             (
-                column.kind.map(name),
+                column.kind.map(kind_atom),
                 column.count,
                 column.first,
                 column.last,
@@ -120,26 +126,26 @@ fn encode_part<'a>(env: Env<'a>, part: Part) -> Term<'a> {
         .into_iter()
         .map(|why| encode_reason(env, why))
         .collect();
-    let place = part.next.place;
+    let position = part.next.position;
     (
         part.rows,
         columns,
         damage,
-        (place.byte, place.line),
+        (position.byte, position.line),
         part.next.last,
     )
         .encode(env)
 }
 
-fn encode_reason<'a>(env: Env<'a>, (line, why): (u64, Why)) -> Term<'a> {
+fn encode_reason<'a>(env: Env<'a>, (line, why): (u64, RowFault)) -> Term<'a> {
     match why {
-        Why::Width(fields) => (line, fields).encode(env),
-        Why::Time(text) => (line, text).encode(env),
-        Why::Backward => (line, atoms::not_increasing()).encode(env),
+        RowFault::Width(fields) => (line, fields).encode(env),
+        RowFault::Time(text) => (line, text).encode(env),
+        RowFault::Backward => (line, atoms::not_increasing()).encode(env),
     }
 }
 
-fn name(kind: Kind) -> Atom {
+fn kind_atom(kind: Kind) -> Atom {
     match kind {
         Kind::Integer => atoms::integer(),
         Kind::Float => atoms::float(),
@@ -147,7 +153,7 @@ fn name(kind: Kind) -> Atom {
     }
 }
 
-fn kind_named(name: Atom) -> Kind {
+fn kind_from_atom(name: Atom) -> Kind {
     if name == atoms::integer() {
         Kind::Integer
     } else if name == atoms::float() {
@@ -157,8 +163,8 @@ fn kind_named(name: Atom) -> Kind {
     }
 }
 
-/// The values of one column in a part, with their times: `{:ok, [{time, value}]}`, or `:slow`. Texts, and whole numbers
-/// of more than 64 bits, are binaries.
+/// Returns the values of one column in a part with their times: `{:ok, [{time, value}]}`, or `:slow`. Strings, and
+/// integers of more than 64 bits, are binaries.
 #[rustler::nif(schedule = "DirtyIo")]
 fn csv_values<'a>(
     env: Env<'a>,
@@ -168,12 +174,12 @@ fn csv_values<'a>(
     column: (usize, Atom),
 ) -> NifResult<Term<'a>> {
     let (at, kind) = column;
-    let kind = kind_named(kind);
+    let kind = kind_from_atom(kind);
     let mut found = Vec::new();
-    let result = values(
+    let result = read_values(
         Path::new(&path),
-        &layout(given),
-        start(from),
+        &decode_layout(given),
+        decode_start(from),
         (at, kind),
         |time, value| {
             let value = match value {
@@ -186,17 +192,17 @@ fn csv_values<'a>(
     );
     Ok(match result {
         Ok(()) => (atoms::ok(), found).encode(env),
-        Err(refusal) => refused(env, refusal),
+        Err(refusal) => encode_refusal(env, refusal),
     })
 }
 
-/// A column, the kind of its fields, the stream that its values go to, and the sequence id of its first field.
+/// A column, the kind of its fields, the stream for its values, and the sequence id of its first field.
 type Target = (usize, Atom, u32, u64);
 
-/// Appends columns of up to `parts` parts to streams of a writer, and commits them: `{:ok, parts, [{fields,
-/// appended}]}` with the fields of each column in these parts and how many of them are in the interval. `:slow` where
-/// this code cannot read the first part; `{:error, reason}` of the file, `{:not_written, {:error, reason}, column}` of
-/// the store.
+/// Appends columns of up to `parts` parts to streams of a writer and commits them: `{:ok, parts, [{fields,
+/// appended}]}` with the number of fields of each column in these parts, and how many of them are in the interval.
+/// Returns `:slow` if this code cannot parse the first part, `{:error, reason}` for an error of the file, and
+/// `{:not_written, {:error, reason}, column}` for an error of the store.
 #[rustler::nif(schedule = "DirtyIo")]
 fn csv_append<'a>(
     env: Env<'a>,
@@ -207,21 +213,26 @@ fn csv_append<'a>(
     writer: Handle,
 ) -> Term<'a> {
     let (targets, interval, parts) = targets;
-    let wanted: Vec<_> = targets
+    let query: Vec<_> = targets
         .iter()
-        .map(|(at, kind, ..)| (*at, kind_named(*kind)))
+        .map(|(at, kind, ..)| (*at, kind_from_atom(*kind)))
         .collect();
-    let wanted = Wanted {
-        columns: &wanted,
+    let query = ColumnQuery {
+        columns: &query,
         interval,
         parts,
     };
-    let (parts, found) = match columns(Path::new(&path), &layout(given), start(from), &wanted) {
+    let (parts, found) = match read_columns(
+        Path::new(&path),
+        &decode_layout(given),
+        decode_start(from),
+        &query,
+    ) {
         Ok(found) => found,
-        Err(refusal) => return refused(env, refusal),
+        Err(refusal) => return encode_refusal(env, refusal),
     };
     let mut current = 0;
-    let written = with(&writer, |writer| {
+    let written = with_writer(&writer, |writer| {
         for ((column, _, stream, sequence), cells) in targets.iter().zip(&found) {
             current = *column;
             push_cells(writer, *stream, *sequence, cells)?;
@@ -236,7 +247,12 @@ fn csv_append<'a>(
                 .collect();
             (atoms::ok(), parts, counts).encode(env)
         }
-        Err(error) => (atoms::not_written(), errors::term(env, &error), current).encode(env),
+        Err(error) => (
+            atoms::not_written(),
+            errors::encode_error(env, &error),
+            current,
+        )
+            .encode(env),
     }
 }
 

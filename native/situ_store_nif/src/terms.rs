@@ -1,75 +1,75 @@
-//! Terms from stored bytes: no atoms or functions are made from a file.
+//! Decodes terms from stored bytes without creating atoms or functions.
 
 use rustler::{Atom, Binary, Encoder, Env, NewBinary, Term};
-use situ_store::etf::{self, Build};
+use situ_store::etf::{self, TermBuilder};
 
 use crate::atoms;
 
-/// Smaller binaries are copied: a sub-binary would keep a whole extent mapped for the sake of a few bytes.
+/// Binaries up to this size are copied, because a sub-binary would keep a whole extent mapped for a few bytes.
 pub const COPY_UP_TO: usize = 64;
 
-pub fn copied<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
+pub fn encode_binary<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
     let mut binary = NewBinary::new(env, bytes.len());
     binary.as_mut_slice().copy_from_slice(bytes);
     let binary: Binary<'a> = binary.into();
     binary.encode(env)
 }
 
-/// Bytes in external format as a term of this system. No value of a file can pass for another kind than `Plain`.
+/// A decoded term of this system. Only terms that decode completely are `Plain`, whatever values a file contains.
 pub enum Decoded<'a> {
-    /// The term. Atoms that do not exist here are strings in it.
+    /// The term. It contains strings for atoms that do not exist here.
     Plain(Term<'a>),
-    /// A term with structs that do not exist here, which are maps with strings for keys: `[module]` and the term.
-    /// The caller decodes the bytes again once it has loaded the modules.
+    /// A term with structs that do not exist here, which are maps with string keys: `[module]` and the term. The
+    /// caller decodes the bytes again once it has loaded the modules.
     Unknown(Vec<Term<'a>>, Term<'a>),
-    /// Why there is no term.
+    /// The reason why the bytes were not decoded.
     Refused(&'static str),
 }
 
-/// The term, and how many bytes its structure takes.
-pub fn decode<'a>(env: Env<'a>, bytes: &[u8]) -> (Decoded<'a>, usize) {
-    match etf::check(bytes) {
-        Ok(size) => (build(env, bytes), size),
-        Err(refusal) => (Decoded::Refused(refusal.text()), 0),
+/// Decodes a term. Returns it with the number of bytes that its structure takes in memory.
+pub fn decode_term<'a>(env: Env<'a>, bytes: &[u8]) -> (Decoded<'a>, usize) {
+    match etf::check_term(bytes) {
+        Ok(size) => (build_term(env, bytes), size),
+        Err(refusal) => (Decoded::Refused(refusal.describe()), 0),
     }
 }
 
-fn build<'a>(env: Env<'a>, bytes: &[u8]) -> Decoded<'a> {
+fn build_term<'a>(env: Env<'a>, bytes: &[u8]) -> Decoded<'a> {
     if let Some((term, _)) = env.binary_to_term(bytes) {
         return Decoded::Plain(term);
     }
-    let mut builder = Builder {
+    let mut builder = Terms {
         env,
         unknown: Vec::new(),
     };
-    match etf::decode(bytes, &mut builder) {
+    match etf::decode_term(bytes, &mut builder) {
         Some(term) if builder.unknown.is_empty() => Decoded::Plain(term),
         Some(term) => Decoded::Unknown(builder.unknown, term),
-        None => Decoded::Refused(etf::Refusal::Malformed.text()),
+        None => Decoded::Refused(etf::Refusal::Malformed.describe()),
     }
 }
 
-struct Builder<'a> {
+struct Terms<'a> {
     env: Env<'a>,
-    /// The names of structs that cannot be made.
+    /// The module names of structs that cannot be built.
     unknown: Vec<Term<'a>>,
 }
 
-/// A key of a struct that cannot be made: a string, whether or not the atom exists here.
-fn name<'a>(env: Env<'a>, term: Term<'a>) -> Term<'a> {
+/// Encodes a key of a struct that cannot be built: a string, whether or not the atom exists here.
+fn encode_struct_key<'a>(env: Env<'a>, term: Term<'a>) -> Term<'a> {
     match term.atom_to_string() {
-        Ok(text) => copied(env, text.as_bytes()),
+        Ok(text) => encode_binary(env, text.as_bytes()),
         Err(_) => term,
     }
 }
 
-impl<'a> Build for Builder<'a> {
+impl<'a> TermBuilder for Terms<'a> {
     type Term = Term<'a>;
 
     fn atom(&mut self, name: &[u8]) -> Term<'a> {
         match Atom::existing_from_utf8_bytes(self.env, name) {
             Ok(atom) => atom.encode(self.env),
-            Err(_) => copied(self.env, name),
+            Err(_) => encode_binary(self.env, name),
         }
     }
 
@@ -82,7 +82,7 @@ impl<'a> Build for Builder<'a> {
     }
 
     fn binary(&mut self, bytes: &[u8]) -> Term<'a> {
-        copied(self.env, bytes)
+        encode_binary(self.env, bytes)
     }
 
     fn plain(&mut self, bytes: &[u8]) -> Option<Term<'a>> {
@@ -113,14 +113,17 @@ impl<'a> Build for Builder<'a> {
             return Term::map_from_term_arrays(self.env, keys, values).ok();
         };
         // A struct of an unknown module becomes a map with the module's name.
-        let module = name(self.env, module);
+        let module = encode_struct_key(self.env, module);
         self.unknown.push(module);
-        let named: Vec<Term<'a>> = keys.iter().map(|key| name(self.env, *key)).collect();
+        let names: Vec<Term<'a>> = keys
+            .iter()
+            .map(|key| encode_struct_key(self.env, *key))
+            .collect();
         let values: Vec<Term<'a>> = keys
             .iter()
             .zip(values)
             .map(|(key, value)| if *key == tag { module } else { *value })
             .collect();
-        Term::map_from_term_arrays(self.env, &named, &values).ok()
+        Term::map_from_term_arrays(self.env, &names, &values).ok()
     }
 }

@@ -1,17 +1,19 @@
-//! Counts and tracks of a reader as terms.
+//! Returns counts and tracks of a reader as terms.
 
 use std::collections::HashMap;
 
 use rustler::{Encoder, Env, Term};
-use situ_store::reader::{lock, Line};
-use situ_store::tracks::{Names, ITSELF};
+use situ_store::reader::{lock_mutex, Line};
+use situ_store::tracks::{Names, MESSAGE_KEY};
 
-use crate::reading::{bins, failed, Handle};
-use crate::terms::{decode, Decoded};
-use crate::{atoms, errors};
+use crate::atoms;
+use crate::errors::encode_error;
+use crate::reading::{encode_bins, Handle};
+use crate::terms::{decode_term, Decoded};
 
-/// Counts and tracks in bins of 2^level ns: `{:ok, [{start, n}], [{key, track}]}`, a track being `{:numbers, bins}`,
-/// `{:changes, [{time, state}]}` or `{:states, [{start, last, [{state, n}]}]}`. The message itself has the key `nil`.
+/// Returns counts and tracks in bins of 2^level ns: `{:ok, [{start, n}], [{key, track}]}`. A track is `{:numbers,
+/// bins}`, `{:changes, [{time, state}]}` or `{:states, [{start, last, [{state, n}]}]}`. The key of the message
+/// itself is `nil`.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn reader_tracks<'a>(
     env: Env<'a>,
@@ -24,69 +26,69 @@ fn reader_tracks<'a>(
 ) -> Term<'a> {
     let reader = handle.store();
     if let Err(error) = reader.refresh() {
-        return errors::term(env, &error);
+        return encode_error(env, &error);
     }
-    let known = reader.known(stream);
-    let mut known = lock(&known);
-    let told = match reader.tracks(stream, from, to, level, most, &mut known) {
-        Ok(told) => told,
-        Err(error) => return failed(env, &error),
+    let cache = reader.track_cache(stream);
+    let mut cache = lock_mutex(&cache);
+    let data = match reader.read_tracks(stream, from, to, level, most, &mut cache) {
+        Ok(data) => data,
+        Err(error) => return encode_error(env, &error),
     };
     let mut states = States {
         env,
-        names: &known.names,
-        made: HashMap::new(),
+        names: &cache.names,
+        terms: HashMap::new(),
     };
-    let tracks: Vec<Term<'a>> = told
+    let tracks: Vec<Term<'a>> = data
         .tracks
         .iter()
-        .map(|(key, line)| (states.key(*key), states.line(line)).encode(env))
+        .map(|(key, line)| (states.encode_key(*key), states.encode_line(line)).encode(env))
         .collect();
-    (atoms::ok(), told.counts, tracks).encode(env)
+    (atoms::ok(), data.counts, tracks).encode(env)
 }
 
-/// States as terms, each made once.
+/// Encodes states as terms, each only once.
 struct States<'a, 'b> {
     env: Env<'a>,
     names: &'b Names,
-    made: HashMap<u32, Term<'a>>,
+    terms: HashMap<u32, Term<'a>>,
 }
 
 impl<'a> States<'a, '_> {
-    fn key(&self, number: u32) -> Term<'a> {
+    fn encode_key(&self, number: u32) -> Term<'a> {
         match self.names.key_term(number) {
-            Some(term) if number != ITSELF => self.term(term),
+            Some(term) if number != MESSAGE_KEY => self.encode_term(term),
             _ => atoms::nil().encode(self.env),
         }
     }
 
-    fn term(&self, bytes: &[u8]) -> Term<'a> {
-        match decode(self.env, bytes).0 {
+    fn encode_term(&self, bytes: &[u8]) -> Term<'a> {
+        match decode_term(self.env, bytes).0 {
             Decoded::Plain(term) | Decoded::Unknown(_, term) => term,
             Decoded::Refused(_) => atoms::other().encode(self.env),
         }
     }
 
-    fn state(&mut self, number: u32) -> Term<'a> {
-        if let Some(term) = self.made.get(&number) {
+    fn encode_state(&mut self, number: u32) -> Term<'a> {
+        if let Some(term) = self.terms.get(&number) {
             return *term;
         }
         let term = match self.names.state_term(number) {
-            Some(term) => self.term(term),
+            Some(term) => self.encode_term(term),
             None => atoms::other().encode(self.env),
         };
-        self.made.insert(number, term);
+        self.terms.insert(number, term);
         term
     }
 
-    fn line(&mut self, line: &Line) -> Term<'a> {
+    fn encode_line(&mut self, line: &Line) -> Term<'a> {
         let env = self.env;
         match line {
-            Line::Numbers(numbers) => (atoms::numbers(), bins(env, numbers)).encode(env),
+            Line::Numbers(numbers) => (atoms::numbers(), encode_bins(env, numbers)).encode(env),
             Line::Changes(changes) => {
                 let changes: Vec<_> = changes
                     .iter()
-                    .map(|(time, state)| (*time, self.state(*state)))
+                    .map(|(time, state)| (*time, self.encode_state(*state)))
                     .collect();
                 (atoms::changes(), changes).encode(env)
             }
@@ -96,9 +98,9 @@ impl<'a> States<'a, '_> {
                     .map(|(start, last, counts)| {
                         let counts: Vec<_> = counts
                             .iter()
-                            .map(|(state, n)| (self.state(*state), *n))
+                            .map(|(state, n)| (self.encode_state(*state), *n))
                             .collect();
-                        (*start, self.state(*last), counts)
+                        (*start, self.encode_state(*last), counts)
                     })
                     .collect();
                 (atoms::states(), states).encode(env)

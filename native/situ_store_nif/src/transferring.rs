@@ -1,13 +1,14 @@
-//! From a reader to a writer without a detour through terms.
+//! Copies messages from a reader to a writer without converting them to terms.
 
 use rustler::{Env, Term};
-use situ_store::transfer::{transfer, Part};
+use situ_store::transfer::{copy_messages, MessageRange};
 
 use crate::reading::Handle as Reader;
-use crate::writing::{answer, with, Handle as Writer};
+use crate::writing::{encode_result, with_writer, Handle as Writer};
 
-/// Takes messages of `stream` from `ordinal` on, no later than `to`, into stream `target` of the writer and commits
-/// them, until at least `bytes` were read: `{:ok, {count, next_ordinal}}`. `codecs`: `[{number there, number here}]`.
+/// Copies messages of `stream` from `ordinal` on, no later than `to`, to stream `target` of the writer and commits
+/// them, until at least `bytes` were read: `{:ok, {count, next_ordinal}}`. `codecs` is `[{number in source, number
+/// in target}]`.
 #[rustler::nif(schedule = "DirtyIo")]
 #[allow(clippy::too_many_arguments)]
 fn store_transfer<'a>(
@@ -25,7 +26,7 @@ fn store_transfer<'a>(
         let found = codecs.iter().find(|(number, _)| *number == old);
         found.map_or(old, |(_, new)| *new)
     };
-    let part = Part {
+    let range = MessageRange {
         reader: reader.store(),
         stream,
         ordinal,
@@ -33,10 +34,12 @@ fn store_transfer<'a>(
         bytes,
     };
     if let Err(error) = reader.store().refresh() {
-        return crate::errors::term(env, &error);
+        return crate::errors::encode_error(env, &error);
     }
-    answer(
+    encode_result(
         env,
-        with(&writer, |writer| transfer(&part, writer, target, number)),
+        with_writer(&writer, |writer| {
+            copy_messages(&range, writer, target, number)
+        }),
     )
 }

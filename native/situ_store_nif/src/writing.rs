@@ -1,4 +1,4 @@
-//! The writer's functions.
+//! The functions of a writer.
 
 use std::collections::HashSet;
 use std::sync::Mutex;
@@ -6,15 +6,15 @@ use std::time::Duration;
 
 use rustler::types::list::ListIterator;
 use rustler::{Atom, Encoder, Env, Error as NifError, NifResult, ResourceArc, Term};
-use situ_store::reader::lock;
+use situ_store::reader::lock_mutex;
 use situ_store::writer::Durability;
 use situ_store::{Compression, Error, Options, Writer};
 
-use crate::inputs::{append, append_runs, Failed};
+use crate::inputs::{append_batches, append_runs, AppendError};
 use crate::paths::FilePath;
 use crate::{atoms, errors};
 
-/// The writer and the names its streams have.
+/// The writer and the names of its streams.
 pub struct WriterResource(Mutex<Writer>, Mutex<HashSet<String>>);
 
 #[rustler::resource_impl]
@@ -22,18 +22,18 @@ impl rustler::Resource for WriterResource {}
 
 pub type Handle = ResourceArc<WriterResource>;
 
-pub fn answer<'a, T: Encoder>(env: Env<'a>, result: situ_store::Result<T>) -> Term<'a> {
+pub fn encode_result<'a, T: Encoder>(env: Env<'a>, result: situ_store::Result<T>) -> Term<'a> {
     match result {
         Ok(value) => (atoms::ok(), value).encode(env),
-        Err(error) => errors::term(env, &error),
+        Err(error) => errors::encode_error(env, &error),
     }
 }
 
-pub fn with<T>(
+pub fn with_writer<T>(
     handle: &Handle,
     act: impl FnOnce(&mut Writer) -> situ_store::Result<T>,
 ) -> situ_store::Result<T> {
-    let mut writer = lock(&handle.0);
+    let mut writer = lock_mutex(&handle.0);
     let result = act(&mut writer);
     if result.is_err() {
         writer.rollback();
@@ -41,7 +41,7 @@ pub fn with<T>(
     result
 }
 
-/// durability: `:none`, `:each` or milliseconds; mode: of the files, or `nil`.
+/// Creates a store. `durability` is `:none`, `:each` or milliseconds; `mode` is the mode of the files, or `nil`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_create<'a>(
     env: Env<'a>,
@@ -68,7 +68,7 @@ fn writer_create<'a>(
         ..Options::default()
     };
     let created = Writer::create(&path.0, options);
-    Ok(answer(
+    Ok(encode_result(
         env,
         created
             .map(|writer| ResourceArc::new(WriterResource(Mutex::new(writer), Mutex::default()))),
@@ -83,7 +83,7 @@ fn writer_stream<'a>(
     compression: Atom,
     large: bool,
 ) -> NifResult<Term<'a>> {
-    let mut names = lock(&handle.1);
+    let mut names = lock_mutex(&handle.1);
     if !names.insert(name) {
         return Ok((atoms::error(), atoms::stream_exists()).encode(env));
     }
@@ -93,41 +93,43 @@ fn writer_stream<'a>(
         c if c == atoms::none() => Compression::None,
         _ => return Err(NifError::BadArg),
     };
-    Ok(answer(
+    Ok(encode_result(
         env,
-        with(&handle, |writer| Ok(writer.add_stream(compression, large))),
+        with_writer(&handle, |writer| Ok(writer.add_stream(compression, large))),
     ))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_position<'a>(env: Env<'a>, handle: Handle, stream: u32) -> Term<'a> {
-    answer(
+    encode_result(
         env,
-        with(&handle, |writer| {
-            writer.position(stream).ok_or(Error::UnknownStream(stream))
+        with_writer(&handle, |writer| {
+            writer
+                .stream_position(stream)
+                .ok_or(Error::UnknownStream(stream))
         }),
     )
 }
 
-fn finish<'a>(
+fn append_with<'a>(
     env: Env<'a>,
     handle: &Handle,
-    act: impl FnOnce(&mut Writer) -> Result<u64, Failed>,
+    act: impl FnOnce(&mut Writer) -> Result<u64, AppendError>,
 ) -> NifResult<Term<'a>> {
-    let mut writer = lock(&handle.0);
+    let mut writer = lock_mutex(&handle.0);
     match act(&mut writer) {
         Ok(committed) => Ok((atoms::ok(), committed).encode(env)),
         Err(failed) => {
             writer.rollback();
             match failed {
-                Failed::Store(error) => Ok(errors::term(env, &error)),
-                Failed::Argument(error) => Err(error),
+                AppendError::Store(error) => Ok(errors::encode_error(env, &error)),
+                AppendError::Argument(error) => Err(error),
             }
         }
     }
 }
 
-/// Appends lists of `%Situ.Message{}`s to a stream, all or none.
+/// Appends lists of `%Situ.Message{}`s to a stream, either all or none.
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_append<'a>(
     env: Env<'a>,
@@ -135,12 +137,13 @@ fn writer_append<'a>(
     stream: u32,
     batches: Term<'a>,
 ) -> NifResult<Term<'a>> {
-    finish(env, &handle, |writer| append(writer, stream, batches))
+    append_with(env, &handle, |writer| {
+        append_batches(writer, stream, batches)
+    })
 }
 
-/// Appends runs of messages, `{codec, messages, points}`, all or none. Messages of a codec are
-/// `{sequence, originating, creation, iodata}`, and points those of their signal; of codec 0 they are
-/// `%Situ.Message{}`s.
+/// Appends runs of messages, `{codec, messages, points}`, either all or none. Messages of a codec are `{sequence,
+/// originating, creation, iodata}` with the points of their signal; messages of codec 0 are `%Situ.Message{}`s.
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_append_runs<'a>(
     env: Env<'a>,
@@ -148,29 +151,31 @@ fn writer_append_runs<'a>(
     stream: u32,
     runs: ListIterator<'a>,
 ) -> NifResult<Term<'a>> {
-    finish(env, &handle, |writer| append_runs(writer, stream, runs))
+    append_with(env, &handle, |writer| append_runs(writer, stream, runs))
 }
 
-/// How many bytes the store takes.
+/// Returns the size of the store in bytes.
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_bytes(handle: Handle) -> u64 {
-    lock(&handle.0).bytes()
+    lock_mutex(&handle.0).byte_size()
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_sync<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
-    answer(
+    encode_result(
         env,
-        with(&handle, |writer| writer.sync().map(|()| writer.committed())),
+        with_writer(&handle, |writer| {
+            writer.sync().map(|()| writer.committed_entries())
+        }),
     )
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_close<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
-    answer(
+    encode_result(
         env,
-        with(&handle, |writer| {
-            writer.close().map(|()| writer.committed())
+        with_writer(&handle, |writer| {
+            writer.close().map(|()| writer.committed_entries())
         }),
     )
 }

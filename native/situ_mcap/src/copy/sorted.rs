@@ -1,10 +1,10 @@
-//! Copies in the order of log time. The places of all messages are in memory: 24 bytes each.
+//! Copies in the order of log times. The positions of all messages are in memory, 24 bytes each.
 
 use super::{Copy, Selection};
 use crate::track::Entry;
 use crate::{Error, Reader, Result, Writer};
 
-/// Messages of a step.
+/// The number of messages in a step.
 const STEP: usize = 10_000;
 
 #[derive(Default)]
@@ -17,8 +17,8 @@ impl Sorted {
     pub fn new(reader: &Reader, selection: &Selection) -> Result<Self> {
         let mut messages = Vec::new();
         for &id in reader.contents.channels.keys() {
-            if selection.wants_channel(id) {
-                messages.extend(reader.entries(id)?);
+            if selection.includes_channel(id) {
+                messages.extend(reader.channel_entries(id)?);
             }
         }
         messages.sort_by_key(|entry| (entry.time, entry.chunk, entry.offset));
@@ -31,12 +31,12 @@ impl Sorted {
             let entry = self.messages[self.done];
             self.done += 1;
             let result = reader.with_message(&entry, |header, data| {
-                copy.message(writer, header, data, entry.offset)
+                copy.copy_message(writer, header, data, entry.offset)
             });
             match result {
                 Ok(written) => written?,
                 Err(Error::Damaged(_, why)) if copy.selection.skip_damage => {
-                    copy.copied
+                    copy.report
                         .note_left_out(format!("a message at {} ns: {why}", entry.time));
                 }
                 Err(other) => return Err(other),
@@ -46,15 +46,15 @@ impl Sorted {
             return Ok(false);
         }
         for attachment in &reader.contents.attachments {
-            match copy.attachment(reader, writer, attachment.offset) {
+            match copy.copy_attachment(reader, writer, attachment.offset) {
                 Err(Error::Damaged(_, why)) if copy.selection.skip_damage => {
-                    copy.copied.note_left_out(why);
+                    copy.report.note_left_out(why);
                 }
                 other => other?,
             }
         }
         for (name, metadata) in &reader.contents.metadata {
-            copy.metadata(writer, name.clone(), metadata.clone())?;
+            copy.copy_metadata(writer, name.clone(), metadata.clone())?;
         }
         Ok(true)
     }

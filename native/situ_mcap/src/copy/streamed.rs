@@ -1,14 +1,14 @@
-//! Copies in the order of the file, record by record. The index is not used.
+//! Copies record by record in file order, without using the index.
 
 use mcap::records::op;
 
 use super::Copy;
 use crate::chunk::Records;
-use crate::file::Place;
-use crate::open::{left_out, unpacked, Walk};
+use crate::file::RecordHead;
+use crate::open::{describe_damage, unpack_records, Walk};
 use crate::{Error, Reader, Result, Writer};
 
-/// Bytes of a step, about.
+/// The approximate size of a step, bytes.
 const STEP: u64 = 8 << 20;
 
 pub struct Streamed {
@@ -25,17 +25,17 @@ impl Streamed {
     pub fn step(&mut self, copy: &mut Copy, reader: &Reader, writer: &mut Writer) -> Result<bool> {
         let until = self.walk.at.saturating_add(STEP);
         while self.walk.at < until {
-            let Some(place) = self.walk.place(&reader.bytes)? else {
+            let Some(record) = self.walk.next_record(&reader.bytes)? else {
                 return self.cut_short(copy, reader);
             };
-            if matches!(place.opcode, op::DATA_END | op::FOOTER) {
+            if matches!(record.opcode, op::DATA_END | op::FOOTER) {
                 return Ok(true);
             }
-            match self.record(copy, reader, writer, place) {
-                Ok(()) => self.walk.at = place.end(),
+            match self.copy_record(copy, reader, writer, record) {
+                Ok(()) => self.walk.at = record.end(),
                 Err(Error::Damaged(at, why)) if copy.selection.skip_damage => {
-                    let passed = self.walk.pass(&reader.bytes, place)?;
-                    copy.copied.note_left_out(left_out(at, &why, passed));
+                    let passed = self.walk.skip_damage(&reader.bytes, record)?;
+                    copy.report.note_left_out(describe_damage(at, &why, passed));
                     if passed.is_none() {
                         return Ok(true);
                     }
@@ -47,55 +47,55 @@ impl Streamed {
     }
 
     fn cut_short(&self, copy: &mut Copy, reader: &Reader) -> Result<bool> {
-        // A whole file ends in a record that says so.
+        // A complete file ends with a record that marks its end.
         let why = "the file is cut short".to_string();
         if !copy.selection.skip_damage {
             return Err(Error::Damaged(reader.bytes.size, why));
         }
-        copy.copied
+        copy.report
             .note_left_out(format!("at byte {}: {why}", reader.bytes.size));
         Ok(true)
     }
 
-    fn record(
+    fn copy_record(
         &mut self,
         copy: &mut Copy,
         reader: &Reader,
         writer: &mut Writer,
-        place: Place,
+        record: RecordHead,
     ) -> Result<()> {
         let at = self.walk.at;
-        match place.opcode {
+        match record.opcode {
             0 => Err(Error::Damaged(at, "no record begins with 0".to_string())),
-            op::CHUNK => chunk(copy, reader, writer, (place, at)),
-            _ if place.end() > reader.bytes.size => {
+            op::CHUNK => copy_chunk(copy, reader, writer, (record, at)),
+            _ if record.end() > reader.bytes.size => {
                 Err(Error::Damaged(at, "the file is cut short".to_string()))
             }
-            op::ATTACHMENT => copy.attachment(reader, writer, at),
+            op::ATTACHMENT => copy.copy_attachment(reader, writer, at),
             op::MESSAGE | op::METADATA | op::SCHEMA | op::CHANNEL => {
-                let body = reader.bytes.body(place)?;
-                copy.record(writer, (place.opcode, &body, at), false)
+                let body = reader.bytes.record_body(record)?;
+                copy.copy_record(writer, (record.opcode, &body, at), false)
             }
             opcode if opcode > op::DATA_END => {
-                let body = reader.bytes.body(place)?;
-                copy.record(writer, (opcode, &body, at), false)
+                let body = reader.bytes.record_body(record)?;
+                copy.copy_record(writer, (opcode, &body, at), false)
             }
-            // The header is there already; indexes are made anew.
+            // The header is written already, and indexes are rebuilt.
             _ => Ok(()),
         }
     }
 }
 
-fn chunk(
+fn copy_chunk(
     copy: &mut Copy,
     reader: &Reader,
     writer: &mut Writer,
-    (place, at): (Place, u64),
+    (record, at): (RecordHead, u64),
 ) -> Result<()> {
-    let (records, torn) = unpacked(&reader.bytes, place, at)?;
+    let (records, torn) = unpack_records(&reader.bytes, record, at)?;
     let mut read = 0;
     for (opcode, offset, body) in Records::new(&records) {
-        copy.record(writer, (opcode, body, at), true)?;
+        copy.copy_record(writer, (opcode, body, at), true)?;
         read = offset as usize + 9 + body.len();
     }
     if torn || read != records.len() {

@@ -1,57 +1,57 @@
-//! Reads attachments by the fields before their data, which may be larger than any memory.
+//! Reads the fields of attachments before their data, which may be larger than the memory.
 
 use mcap::records::AttachmentHeader;
 
-use crate::file::{Bytes, Place};
-use crate::{Error, Found, Result};
+use crate::file::{FileBytes, RecordHead};
+use crate::{AttachmentInfo, Error, Result};
 
-/// A name and a media type that take more are refused.
+/// The maximum size of the fields before the data.
 const MOST_HEAD: u64 = 1 << 20;
 const FIRST: u64 = 4096;
-const PIECE: u64 = 1 << 20;
+const BLOCK: u64 = 1 << 20;
 
-/// An attachment, and where its data are.
-pub struct Attached {
+/// An attachment and the position of its data.
+pub struct StoredAttachment {
     pub header: AttachmentHeader,
-    /// Where the data begin.
+    /// The offset of the data.
     pub data: u64,
-    /// Their bytes.
+    /// The size of the data, bytes.
     pub size: u64,
     body: u64,
     crc: u32,
 }
 
-impl Attached {
+impl StoredAttachment {
     /// Reads the fields of the attachment at `at`.
-    pub fn read(bytes: &Bytes, place: Place, at: u64) -> Result<Self> {
+    pub fn read(bytes: &FileBytes, record: RecordHead, at: u64) -> Result<Self> {
         let fault = |why: &str| Error::Damaged(at, why.to_string());
-        if place.end() > bytes.size {
+        if record.end() > bytes.size {
             return Err(fault("the file is cut short within an attachment"));
         }
-        let first = bytes.read(place.body, FIRST.min(place.length))?;
-        let head = match fields(&first) {
+        let first = bytes.read(record.body, FIRST.min(record.length))?;
+        let head = match parse_fields(&first) {
             Some(_) => first,
-            None => bytes.read(place.body, MOST_HEAD.min(place.length))?,
+            None => bytes.read(record.body, MOST_HEAD.min(record.length))?,
         };
-        let (header, data, size) =
-            fields(&head).ok_or_else(|| fault("an attachment's name is no text or too long"))?;
+        let (header, data, size) = parse_fields(&head)
+            .ok_or_else(|| fault("an attachment's name is too long or not UTF-8"))?;
         let behind = data.checked_add(size).and_then(|n| n.checked_add(4));
-        if behind.is_none_or(|n| n > place.length) {
-            return Err(fault("an attachment is shorter than it says"));
+        if behind.is_none_or(|n| n > record.length) {
+            return Err(fault("an attachment is shorter than it claims"));
         }
-        let crc = bytes.read(place.body + data + size, 4)?;
-        Ok(Attached {
+        let crc = bytes.read(record.body + data + size, 4)?;
+        Ok(StoredAttachment {
             header,
-            data: place.body + data,
+            data: record.body + data,
             size,
-            body: place.body,
+            body: record.body,
             crc: u32::from_le_bytes([crc[0], crc[1], crc[2], crc[3]]),
         })
     }
 
-    /// As it is listed.
-    pub fn found(&self, at: u64) -> Found {
-        Found {
+    /// Returns the attachment's description for lists.
+    pub fn info(&self, at: u64) -> AttachmentInfo {
+        AttachmentInfo {
             name: self.header.name.clone(),
             media_type: self.header.media_type.clone(),
             log_time: self.header.log_time,
@@ -60,14 +60,14 @@ impl Attached {
         }
     }
 
-    /// Compares the checksum, where there is one.
-    pub fn verify(&self, bytes: &Bytes, at: u64) -> Result<()> {
+    /// Verifies the checksum if there is one.
+    pub fn verify_checksum(&self, bytes: &FileBytes, at: u64) -> Result<()> {
         if self.crc == 0 {
             return Ok(());
         }
         let mut hasher = crc32fast::Hasher::new();
-        each_piece(bytes, self.body, self.data + self.size, |piece| {
-            hasher.update(piece);
+        visit_blocks(bytes, self.body, self.data + self.size, |block| {
+            hasher.update(block);
             Ok(())
         })?;
         if hasher.finalize() == self.crc {
@@ -80,29 +80,33 @@ impl Attached {
         Err(Error::Damaged(at, why))
     }
 
-    /// Hands its data over, in pieces.
-    pub fn each_piece(&self, bytes: &Bytes, fun: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
-        each_piece(bytes, self.data, self.data + self.size, fun)
+    /// Calls `fun` with its data, block by block.
+    pub fn visit_data(
+        &self,
+        bytes: &FileBytes,
+        fun: impl FnMut(&[u8]) -> Result<()>,
+    ) -> Result<()> {
+        visit_blocks(bytes, self.data, self.data + self.size, fun)
     }
 }
 
-fn each_piece(
-    bytes: &Bytes,
+fn visit_blocks(
+    bytes: &FileBytes,
     from: u64,
     until: u64,
     mut fun: impl FnMut(&[u8]) -> Result<()>,
 ) -> Result<()> {
     let mut at = from;
     while at < until {
-        let piece = bytes.read(at, PIECE.min(until - at))?;
-        fun(&piece)?;
-        at += piece.len() as u64;
+        let block = bytes.read(at, BLOCK.min(until - at))?;
+        fun(&block)?;
+        at += block.len() as u64;
     }
     Ok(())
 }
 
-/// The header, and where the data begin in the body and how long they are.
-fn fields(head: &[u8]) -> Option<(AttachmentHeader, u64, u64)> {
+/// Parses the header, the offset of the data in the body, and their size.
+fn parse_fields(head: &[u8]) -> Option<(AttachmentHeader, u64, u64)> {
     let eight = |at: usize| -> Option<u64> {
         let bytes = head.get(at..at.checked_add(8)?)?;
         Some(u64::from_le_bytes(bytes.try_into().ok()?))

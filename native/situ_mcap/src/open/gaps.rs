@@ -1,17 +1,17 @@
-//! Records between those that an index names: an index may leave attachments and metadata out.
+//! Reads the records between those in the index, because an index may leave attachments and metadata out.
 
 use mcap::records::op;
 
-use super::attachment::Attached;
+use super::attachment::StoredAttachment;
 use super::walk::Walk;
-use super::{take, Contents};
-use crate::file::{Bytes, Place};
+use super::{add_record, Contents};
+use crate::file::{FileBytes, RecordHead};
 use crate::{Error, Result};
 
-/// Adds the records that the index does not name. Returns `false` where messages are among them: then the index is
-/// not complete. `indexed` are the offsets and lengths of the records that it names.
+/// Adds the records that are not in the index. Returns `false` if there are messages among them, because then the
+/// index is not complete. `indexed` are the offsets and lengths of the indexed records.
 pub fn read_gaps(
-    bytes: &Bytes,
+    bytes: &FileBytes,
     contents: &mut Contents,
     mut indexed: Vec<(u64, u64)>,
     summary: u64,
@@ -36,21 +36,21 @@ enum Gap {
     End,
 }
 
-fn read_gap(bytes: &Bytes, contents: &mut Contents, from: u64, until: u64) -> Result<Gap> {
+fn read_gap(bytes: &FileBytes, contents: &mut Contents, from: u64, until: u64) -> Result<Gap> {
     let mut walk = Walk::new(from, until);
-    while let Some(place) = walk.place(bytes)? {
-        let result = match place.opcode {
+    while let Some(record) = walk.next_record(bytes)? {
+        let result = match record.opcode {
             op::MESSAGE | op::CHUNK => return Ok(Gap::Messages),
             op::DATA_END => return Ok(Gap::End),
-            _ if place.opcode == 0 || place.end() > until => {
-                let why = "no record of the file is there".to_string();
+            _ if record.opcode == 0 || record.end() > until => {
+                let why = "there is no valid record".to_string();
                 Err(Error::Damaged(walk.at, why))
             }
-            _ => record(bytes, contents, place, walk.at),
+            _ => read_record(bytes, contents, record, walk.at),
         };
         match result {
-            Ok(()) => walk.at = place.end(),
-            // The index says where the next record begins.
+            Ok(()) => walk.at = record.end(),
+            // The index contains the offset of the next record.
             Err(Error::Damaged(at, why)) => {
                 let passed = until - walk.at;
                 contents.note_damage(format!("at byte {at}: {why} ({passed} bytes are left out)"));
@@ -62,15 +62,20 @@ fn read_gap(bytes: &Bytes, contents: &mut Contents, from: u64, until: u64) -> Re
     Ok(Gap::Others)
 }
 
-fn record(bytes: &Bytes, contents: &mut Contents, place: Place, at: u64) -> Result<()> {
-    match place.opcode {
+fn read_record(
+    bytes: &FileBytes,
+    contents: &mut Contents,
+    record: RecordHead,
+    at: u64,
+) -> Result<()> {
+    match record.opcode {
         // The header was read before.
         op::SCHEMA | op::CHANNEL | op::METADATA => {
-            take(contents, place.opcode, &bytes.body(place)?, at)
+            add_record(contents, record.opcode, &bytes.record_body(record)?, at)
         }
         op::ATTACHMENT => {
-            let attached = Attached::read(bytes, place, at)?;
-            contents.attachments.push(attached.found(at));
+            let attachment = StoredAttachment::read(bytes, record, at)?;
+            contents.attachments.push(attachment.info(at));
             Ok(())
         }
         _ => Ok(()),

@@ -1,4 +1,4 @@
-//! Acoustic features of short frames of sound, as \psi defines them (its defects mended, see `entropy`).
+//! Acoustic features of short frames of audio, as defined by \psi (with fixes, see `spectral_entropy`).
 
 use super::mel::{cepstrum, MelBank};
 use super::sample::Sample;
@@ -7,66 +7,67 @@ use realfft::num_complex::Complex;
 use realfft::{RealFftPlanner, RealToComplex};
 use std::sync::Arc;
 
-/// The sound to analyse, and the parameters. Frequencies are in Hz, below half the rate.
+/// The audio format and the parameters of the analysis. Frequencies are in Hz and below half the sample rate.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
-    /// Samples a second, of one channel.
+    /// The sample rate in Hz.
     pub rate: u32,
-    /// Channels, interleaved; the first one is analysed.
+    /// The number of interleaved channels; the first one is analyzed.
     pub channels: usize,
-    /// The type of the samples.
+    /// The sample type.
     pub sample: Sample,
-    /// Samples of a frame, and from one frame to the next.
+    /// The number of samples in a frame.
     pub frame: usize,
-    /// 1 to `frame`.
+    /// The number of samples between the starts of two frames, 1 to `frame`.
     pub shift: usize,
-    /// 0 for none.
+    /// The amplitude of the dither, or 0 for none.
     pub dither_scale: f64,
-    /// Where the band begins that energy and entropy are taken of.
+    /// The lower end of the band for energy and entropy.
     pub start_hz: f64,
-    /// Where it ends.
+    /// The upper end of the band for energy.
     pub end_hz: f64,
-    /// Where the low band ends; it begins at `start_hz`.
+    /// The upper end of the low band, which begins at `start_hz`.
     pub low_end_hz: f64,
-    /// Where the high band begins; it ends at `end_hz`.
+    /// The lower end of the high band, which ends at `end_hz`.
     pub high_start_hz: f64,
-    /// How wide the band is, from `start_hz` on, that entropy is taken of.
+    /// The width of the band for entropy, which begins at `start_hz`.
     pub entropy_bandwidth_hz: f64,
-    /// 0 for none.
+    /// The number of mel bands, or 0 for none.
     pub mel_bands: usize,
-    /// Coefficients of the cepstrum, at most `mel_bands`.
+    /// The number of cepstral coefficients, at most `mel_bands`.
     pub cepstra: usize,
-    /// Where the lowest mel band begins.
+    /// The lower end of the lowest mel band.
     pub mel_low_hz: f64,
-    /// Where the highest ends.
+    /// The upper end of the highest mel band.
     pub mel_high_hz: f64,
 }
 
 /// The features of one frame.
 pub struct Frame {
-    /// Natural logarithm of the mean square of the windowed samples, counted as 16-bit integers; -92.1 for silence.
+    /// The natural logarithm of the mean square of the windowed samples, scaled to 16-bit integers; -92.1 for
+    /// silence.
     pub log_energy: f64,
-    /// Changes of sign a sample, 0..1.
+    /// Sign changes per sample, 0..1.
     pub zero_crossing_rate: f64,
-    /// Power in the band from `start_hz` to `end_hz`.
+    /// The power in the band from `start_hz` to `end_hz`.
     pub energy: f64,
-    /// Power in the low band.
+    /// The power in the low band.
     pub low_energy: f64,
-    /// Power in the high band.
+    /// The power in the high band.
     pub high_energy: f64,
-    /// Spectral entropy, 0 (one frequency, or silence) to 1 (noise).
+    /// The spectral entropy, from 0 (a single frequency, or silence) to 1 (noise).
     pub entropy: f64,
-    /// Bins 0 .. fft size / 2 - 1; the textbook DFT of the windowed, zero-padded frame, not scaled.
+    /// The bins 0 .. fft size / 2 - 1 of the textbook DFT of the windowed, zero-padded frame, without scaling.
     pub spectrum: Vec<Complex<f64>>,
     /// |X|² of the same bins.
     pub power: Vec<f64>,
-    /// Natural logarithm of each mel band's power, the lowest first; empty without bands.
+    /// The natural logarithm of each mel band's power, lowest band first; empty without bands.
     pub log_mel: Vec<f64>,
     /// The first `cepstra` coefficients of the DCT-II of `log_mel`.
     pub cepstrum: Vec<f64>,
 }
 
-/// Window, transform and filter bank for one configuration, made once; not tied to one stream.
+/// The window, transform and filter bank of a configuration. An analyzer is not tied to one stream.
 pub struct Analyzer {
     config: Config,
     fft: Arc<dyn RealToComplex<f64>>,
@@ -77,9 +78,8 @@ pub struct Analyzer {
 }
 
 impl Analyzer {
-    /// Refuses ([`Code::BadOption`]) frames of more than 2^20 samples, a shift beyond the frame, and more
-    /// cepstra than mel
-    /// bands or more than 1,024 of those.
+    /// Builds an analyzer. Returns [`Code::BadOption`] for frames of more than 2^20 samples, a shift greater than the
+    /// frame, more cepstral coefficients than mel bands, or more than 1,024 mel bands.
     pub fn new(config: Config) -> Result<Analyzer> {
         let sizes_fit =
             (1..=1 << 20).contains(&config.frame) && (1..=config.frame).contains(&config.shift);
@@ -87,7 +87,8 @@ impl Analyzer {
             return fail(
                 Code::BadOption,
                 format!(
-                    "a frame of {} samples every {} samples is impossible (1 to 1048576, shift <= frame)",
+                    "a frame of {} samples with a shift of {} samples is invalid: the frame must have 1 to 1048576 \
+                     samples, and the shift must be 1 to the frame size",
                     config.frame, config.shift
                 ),
             );
@@ -95,7 +96,7 @@ impl Analyzer {
         if config.cepstra > config.mel_bands || config.mel_bands > 1024 {
             return fail(
                 Code::BadOption,
-                "there are at most 1024 mel bands, and no more cepstra than bands",
+                "there must be at most 1024 mel bands, and no more cepstral coefficients than bands",
             );
         }
         let size = config.frame.next_power_of_two();
@@ -121,19 +122,22 @@ impl Analyzer {
         })
     }
 
-    /// Bytes of one audio frame (all channels).
-    fn block(&self) -> usize {
-        self.config.channels * self.config.sample.bytes()
+    /// Returns the bytes of one sample of all channels.
+    fn block_bytes(&self) -> usize {
+        self.config.channels * self.config.sample.byte_size()
     }
 
-    /// Every whole frame in `data`, at multiples of the shift; `index` counts frames since the start of the stream and
-    /// seeds the dither, so the result does not depend on how the sound was cut into pieces.
-    pub fn frames(&mut self, data: &[u8], index: u64) -> Result<Vec<Frame>> {
-        let block = self.block();
+    /// Analyzes every complete frame in `data`, at multiples of the shift. `index` counts frames since the start of
+    /// the stream. It seeds the dither, so the result does not depend on the size of the audio chunks.
+    pub fn analyze_frames(&mut self, data: &[u8], index: u64) -> Result<Vec<Frame>> {
+        let block = self.block_bytes();
         if !data.len().is_multiple_of(block) {
             return fail(
                 Code::BadAudio,
-                format!("{} bytes are not whole frames of {block} bytes", data.len()),
+                format!(
+                    "{} bytes are not a multiple of the frame size of {block} bytes",
+                    data.len()
+                ),
             );
         }
         let samples = data.len() / block;
@@ -141,21 +145,21 @@ impl Analyzer {
         let mut start = 0;
         while start + self.config.frame <= samples {
             let bytes = &data[start * block..(start + self.config.frame) * block];
-            frames.push(self.frame(bytes, index + frames.len() as u64)?);
+            frames.push(self.analyze_frame(bytes, index + frames.len() as u64)?);
             start += self.config.shift;
         }
         Ok(frames)
     }
 
-    fn frame(&mut self, bytes: &[u8], index: u64) -> Result<Frame> {
+    fn analyze_frame(&mut self, bytes: &[u8], index: u64) -> Result<Frame> {
         let Config { sample, frame, .. } = self.config;
         let float = matches!(sample, Sample::F32 | Sample::F64);
-        // Integers count as they are; floats as if they were 16 bit, so that thresholds carry over.
+        // Integers are used as they are. Floats are scaled to 16 bits, so that the same thresholds apply.
         let scale = if float { 32_768.0 } else { 1.0 };
         let mut noise = Noise::new(index);
-        for (i, block) in bytes.chunks_exact(self.block()).enumerate() {
-            let dither = noise.next() * self.config.dither_scale;
-            self.padded[i] = (sample.raw(block) * scale + dither) * self.window[i];
+        for (i, block) in bytes.chunks_exact(self.block_bytes()).enumerate() {
+            let dither = noise.next_value() * self.config.dither_scale;
+            self.padded[i] = (sample.raw_value(block) * scale + dither) * self.window[i];
         }
         self.padded[frame..].fill(0.0);
         let windowed = &self.padded[..frame];
@@ -166,21 +170,21 @@ impl Analyzer {
             .process(&mut self.padded, &mut self.spectrum)
             .is_err()
         {
-            return fail(Code::Failed, "the Fourier transform refused its buffers");
+            return fail(Code::Failed, "the Fourier transform rejected its buffers");
         }
-        // The Nyquist bin is left out.
+        // The Nyquist bin is omitted.
         let bins = self.spectrum.len().saturating_sub(1).max(1);
         let spectrum = self.spectrum[..bins].to_vec();
         let power: Vec<f64> = spectrum.iter().map(|c| c.norm_sqr()).collect();
         let full = if float { 32_768.0 } else { sample.full_scale() };
-        let (log_mel, cepstrum) = self.mel(full * full);
+        let (log_mel, cepstrum) = self.mel_features(full * full);
         Ok(Frame {
             log_energy,
             zero_crossing_rate,
-            energy: self.band(&power, self.config.start_hz, self.config.end_hz),
-            low_energy: self.band(&power, self.config.start_hz, self.config.low_end_hz),
-            high_energy: self.band(&power, self.config.high_start_hz, self.config.end_hz),
-            entropy: self.entropy(&power),
+            energy: self.band_power(&power, self.config.start_hz, self.config.end_hz),
+            low_energy: self.band_power(&power, self.config.start_hz, self.config.low_end_hz),
+            high_energy: self.band_power(&power, self.config.high_start_hz, self.config.end_hz),
+            entropy: self.spectral_entropy(&power),
             spectrum,
             power,
             log_mel,
@@ -188,8 +192,8 @@ impl Analyzer {
         })
     }
 
-    /// Mel features of samples scaled to -1..1.
-    fn mel(&self, full_power: f64) -> (Vec<f64>, Vec<f64>) {
+    /// Computes the mel features of samples scaled to -1..1.
+    fn mel_features(&self, full_power: f64) -> (Vec<f64>, Vec<f64>) {
         let Some(bank) = &self.bank else {
             return (vec![], vec![]);
         };
@@ -207,20 +211,20 @@ impl Analyzer {
         self.config.rate as f64 / self.padded.len() as f64
     }
 
-    /// First bin floored, last bin rounded, both included.
-    fn band(&self, power: &[f64], from: f64, to: f64) -> f64 {
+    /// Sums the power of a band, with the first bin rounded down, the last bin rounded to the nearest, both included.
+    fn band_power(&self, power: &[f64], from: f64, to: f64) -> f64 {
         let a = (from / self.bin_width()) as usize;
         let b = (to / self.bin_width() + 0.5) as usize;
-        slice(power, a, b).iter().sum()
+        power_range(power, a, b).iter().sum()
     }
 
-    /// Of the band from the start frequency on, both ends floored, 0..1. Bins without power count for nothing and
-    /// silence has 0, where \psi gives NaN.
-    fn entropy(&self, power: &[f64]) -> f64 {
+    /// Computes the entropy of the band from the start frequency on, with both ends rounded down, 0..1. Bins without
+    /// power are skipped and silence has 0, where \psi returns NaN.
+    fn spectral_entropy(&self, power: &[f64]) -> f64 {
         let a = (self.config.start_hz / self.bin_width()) as usize;
         let b =
             ((self.config.start_hz + self.config.entropy_bandwidth_hz) / self.bin_width()) as usize;
-        let band = slice(power, a, b);
+        let band = power_range(power, a, b);
         let sum: f64 = band.iter().sum();
         if sum <= 0.0 || band.len() < 2 {
             return 0.0;
@@ -230,12 +234,12 @@ impl Analyzer {
             .filter(|p| **p > 0.0)
             .map(|p| -(p / sum) * (p / sum).log10())
             .sum();
-        // Rounding may go a hair beyond the ends.
+        // Rounding errors may slightly exceed the range.
         (bits / (band.len() as f64).log10()).clamp(0.0, 1.0)
     }
 }
 
-fn slice(power: &[f64], a: usize, b: usize) -> &[f64] {
+fn power_range(power: &[f64], a: usize, b: usize) -> &[f64] {
     power
         .get(a..=b.min(power.len().saturating_sub(1)))
         .unwrap_or(&[])
@@ -250,13 +254,13 @@ fn log_energy(windowed: &[f64]) -> f64 {
     }
 }
 
-/// A sample of exactly 0 breaks a crossing: it is not counted.
+/// Counts sign changes. A sample of exactly 0 interrupts a crossing, which is then not counted.
 fn zero_crossing_rate(windowed: &[f64]) -> f64 {
     let crossings = windowed.windows(2).filter(|w| w[0] * w[1] < 0.0).count();
     crossings as f64 / windowed.len() as f64
 }
 
-/// splitmix64 as uniform numbers in -1..1.
+/// A splitmix64 generator of uniform numbers in -1..1.
 struct Noise(u64);
 
 impl Noise {
@@ -264,7 +268,7 @@ impl Noise {
         Noise(seed.wrapping_mul(0xD1B5_4A32_D192_ED03))
     }
 
-    fn next(&mut self) -> f64 {
+    fn next_value(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

@@ -1,24 +1,26 @@
-//! Mel filter bank and cepstrum: HTK's mel scale (2595 log10(1 + f/700)), triangles of height 1, DCT-II orthonormal.
+//! Mel filter bank and cepstrum: the HTK mel scale (2595 log10(1 + f/700)), triangles of height 1, orthonormal
+//! DCT-II.
 
-/// Triangles over the bins of a spectrum, of equal width on the mel scale.
+/// Triangular filters over the bins of a spectrum, of equal width on the mel scale.
 pub struct MelBank {
-    /// (first bin, weights) of each triangle.
+    /// The first bin and the weights of each triangle.
     filters: Vec<(usize, Vec<f64>)>,
 }
 
-fn mel(hz: f64) -> f64 {
+fn hz_to_mel(hz: f64) -> f64 {
     2595.0 * (1.0 + hz / 700.0).log10()
 }
 
-fn hz(mel: f64) -> f64 {
+fn mel_to_hz(mel: f64) -> f64 {
     700.0 * (10f64.powf(mel / 2595.0) - 1.0)
 }
 
 impl MelBank {
-    /// `bands` triangles from `low` to `high` Hz over the bins of a DFT of `fft_size` points of sound at `rate` Hz.
+    /// Builds `bands` triangles from `low` to `high` Hz over the bins of a DFT of `fft_size` points, for audio at
+    /// `rate` Hz.
     pub fn new(rate: f64, fft_size: usize, bands: usize, low: f64, high: f64) -> MelBank {
-        let (from, to) = (mel(low), mel(high));
-        let edge = |i: usize| hz(from + (to - from) * i as f64 / (bands + 1) as f64);
+        let (from, to) = (hz_to_mel(low), hz_to_mel(high));
+        let edge = |i: usize| mel_to_hz(from + (to - from) * i as f64 / (bands + 1) as f64);
         let bins = fft_size / 2 + 1;
         let filters = (0..bands)
             .map(|b| {
@@ -38,7 +40,7 @@ impl MelBank {
         MelBank { filters }
     }
 
-    /// Natural logarithm of each band's power, at least ln(1e-10). `power` may lack the Nyquist bin.
+    /// Returns the natural logarithm of each band's power, at least ln(1e-10). `power` may omit the Nyquist bin.
     pub fn log_mel(&self, power: &[f64]) -> Vec<f64> {
         self.filters
             .iter()
@@ -51,7 +53,7 @@ impl MelBank {
     }
 }
 
-/// The first `count` coefficients of the orthonormal DCT-II.
+/// Returns the first `count` coefficients of the orthonormal DCT-II.
 pub fn cepstrum(log_mel: &[f64], count: usize) -> Vec<f64> {
     let n = log_mel.len() as f64;
     (0..count)

@@ -1,4 +1,4 @@
-//! Sound: sample types, mixing, resampling, features.
+//! Audio: sample types, mixing, resampling, features.
 
 pub mod features;
 pub mod mel;

@@ -1,4 +1,5 @@
-//! Streaming sample rate conversion by libsoxr: linear phase, its delay taken out (output frame k lies at k / rate).
+//! Streaming sample rate conversion with libsoxr. The filter has linear phase and its delay is compensated, so output
+//! frame k is at time k / rate.
 #![allow(unsafe_code)]
 
 use super::sample::Sample;
@@ -6,31 +7,31 @@ use super::soxr;
 use crate::error::{fail, Code, Error, Result};
 use std::ffi::{c_char, c_void, CStr};
 
-/// soxr's recipes, from fast to exact.
+/// The quality recipes of soxr, from fast to exact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quality {
-    /// Cubic interpolation: no filter against aliases.
+    /// Cubic interpolation without an anti-aliasing filter.
     Quick,
-    /// 16 bits with a soft edge.
+    /// 16 bits with a gentle rolloff.
     Low,
-    /// 16 bits with a sharper edge.
+    /// 16 bits with a steeper rolloff.
     Medium,
-    /// 20 bits: what sound cards' 16 bits need.
+    /// 20 bits: sufficient for 16-bit audio.
     High,
-    /// 28 bits: for 24-bit sound.
+    /// 28 bits: for 24-bit audio.
     VeryHigh,
 }
 
-/// Frames that are fed at a time: what soxr keeps of them stays in the cache.
+/// The number of frames fed at a time, so that the state of soxr stays in the cache.
 const PORTION: usize = 16 * 1024;
 
-/// Frames that may come beyond what rates and delay say, and room for soxr to see that nothing more comes.
+/// Extra output frames beyond the estimate from rates and delay, and space for soxr to see that nothing more follows.
 const MARGIN: usize = 64;
 
-/// The most that one rate may be of the other.
+/// The maximum ratio of the two rates.
 const MAX_RATIO: u64 = 1000;
 
-/// A rate conversion under way, with what it still holds of the sound fed so far.
+/// A rate conversion in progress, with the audio that it still holds.
 pub struct Resampler {
     handle: *mut soxr::Handle,
     frame: usize,
@@ -39,11 +40,11 @@ pub struct Resampler {
     finished: bool,
 }
 
-// SAFETY: a soxr handle has no ties to the thread that made it; &mut self serialises its use.
+// SAFETY: a soxr handle is not tied to the thread that created it, and &mut self serializes its use.
 unsafe impl Send for Resampler {}
 
 impl Resampler {
-    /// Same sample type in and out: :s16, :s32, :f32 or :f64.
+    /// Builds a resampler. Input and output have the same sample type: :s16, :s32, :f32 or :f64.
     pub fn new(
         from: u32,
         to: u32,
@@ -59,7 +60,7 @@ impl Resampler {
             Sample::U8 | Sample::S24 => {
                 return fail(
                     Code::BadAudio,
-                    "resampling works on :s16, :s32, :f32 and :f64",
+                    "resampling supports :s16, :s32, :f32 and :f64",
                 )
             }
         };
@@ -70,11 +71,14 @@ impl Resampler {
                 format!("cannot resample {channels} channels from {from} Hz to {to} Hz"),
             );
         }
-        // Beyond, libsoxr's flush takes seconds, and from 8,000 times on its quick recipe never returns.
+        // Beyond this ratio, flushing libsoxr takes seconds, and its quick recipe never returns at ratios of 8,000
+        // and more.
         if u64::from(from.max(to)) > u64::from(from.min(to)) * MAX_RATIO {
             return fail(
                 Code::BadOption,
-                format!("cannot resample from {from} Hz to {to} Hz: more than {MAX_RATIO} times"),
+                format!(
+                    "cannot resample from {from} Hz to {to} Hz: the ratio is more than {MAX_RATIO}"
+                ),
             );
         }
         let io = soxr::IoSpec {
@@ -82,7 +86,7 @@ impl Resampler {
             otype: kind,
             scale: 1.0,
             e: std::ptr::null_mut(),
-            // Without dither the same input gives the same bytes.
+            // Without dither, the same input always produces the same bytes.
             flags: soxr::NO_DITHER,
         };
         let recipe = match quality {
@@ -93,7 +97,7 @@ impl Resampler {
             Quality::VeryHigh => 6,
         };
         let mut error: *const c_char = std::ptr::null();
-        // SAFETY: all pointers are to live locals; soxr copies the specs.
+        // SAFETY: all pointers refer to live local variables, and soxr copies the specs.
         let handle = unsafe {
             let spec = soxr::soxr_quality_spec(recipe, 0);
             soxr::soxr_create(
@@ -107,31 +111,31 @@ impl Resampler {
             )
         };
         if handle.is_null() || !error.is_null() {
-            return Err(failure(error));
+            return Err(soxr_error(error));
         }
         Ok(Resampler {
             handle,
-            frame: channels * sample.bytes(),
-            align: sample.bytes(),
+            frame: channels * sample.byte_size(),
+            align: sample.byte_size(),
             ratio: to as f64 / from as f64,
             finished: false,
         })
     }
 
-    /// The bytes that `process` needs at most for this much input.
-    pub fn room(&self, bytes: usize) -> Result<usize> {
+    /// Returns the maximum number of bytes that `process` writes for this much input.
+    pub fn output_capacity(&self, bytes: usize) -> Result<usize> {
         let frames = bytes / self.frame;
         // SAFETY: the handle lives as long as self.
         let inside = unsafe { soxr::soxr_delay(self.handle) }.max(0.0);
         let frames = (frames as f64 * self.ratio + inside).ceil() as usize + MARGIN;
         match frames.checked_mul(self.frame) {
-            Some(room) if room <= crate::picture::MAX_BYTES => Ok(room),
-            _ => fail(Code::TooLarge, "the result would take more than 1 GiB"),
+            Some(room) if room <= crate::image::MAX_BYTES => Ok(room),
+            _ => fail(Code::TooLarge, "the result would need more than 1 GiB"),
         }
     }
 
-    /// Feeds whole frames and writes what is ready to the front of `out`, with `last` also everything that was still
-    /// inside; answers the bytes written. `out` has `room` bytes.
+    /// Feeds complete frames, writes the available output to the start of `out`, and returns the number of written
+    /// bytes. If `last` is set, all buffered audio is flushed, too. `out` must have `output_capacity` bytes.
     pub fn process(&mut self, data: &[u8], last: bool, out: &mut [u8]) -> Result<usize> {
         if self.finished {
             return fail(Code::Failed, "the resampler was already flushed");
@@ -140,7 +144,7 @@ impl Resampler {
             return fail(
                 Code::BadAudio,
                 format!(
-                    "{} bytes are not whole frames of {} bytes",
+                    "{} bytes are not a multiple of the frame size of {} bytes",
                     data.len(),
                     self.frame
                 ),
@@ -156,21 +160,21 @@ impl Resampler {
         };
         let (mut done, mut written) = (0, 0);
         while done < frames {
-            // SAFETY: `done` frames of `frames` were consumed, so the rest lies inside the input.
+            // SAFETY: `done` of `frames` frames were consumed, so the rest is inside the input.
             let from = unsafe { aligned.add(done * self.frame) };
             let rest = &mut out[written..];
             let portion = (frames - done).min(PORTION);
-            let (used, made) = self.step(from as *const c_void, portion, rest)?;
+            let (used, made) = self.process_portion(from as *const c_void, portion, rest)?;
             done += used;
             written += made * self.frame;
             if used == 0 && made == 0 {
-                return fail(Code::Failed, "the resampler stands still");
+                return fail(Code::Failed, "the resampler made no progress");
             }
         }
         if last {
             self.finished = true;
             loop {
-                let (_, made) = self.step(std::ptr::null(), 0, &mut out[written..])?;
+                let (_, made) = self.process_portion(std::ptr::null(), 0, &mut out[written..])?;
                 if made == 0 {
                     break;
                 }
@@ -180,7 +184,7 @@ impl Resampler {
         Ok(written)
     }
 
-    fn step(
+    fn process_portion(
         &mut self,
         from: *const c_void,
         frames: usize,
@@ -188,14 +192,17 @@ impl Resampler {
     ) -> Result<(usize, usize)> {
         let room = out.len() / self.frame;
         if room == 0 {
-            return fail(Code::Failed, "the resampler made more than was foreseen");
+            return fail(
+                Code::Failed,
+                "the resampler produced more output than estimated",
+            );
         }
         if !(out.as_ptr() as usize).is_multiple_of(self.align) {
-            return fail(Code::Failed, "the result's memory is not aligned");
+            return fail(Code::Failed, "the output buffer is not aligned");
         }
         let (mut used, mut made) = (0, 0);
-        // SAFETY: `from` has `frames` frames (or is null: end of input); `out` has `room` frames, of which soxr writes
-        // `made` and no more, and is aligned for its samples.
+        // SAFETY: `from` has `frames` frames (or is null at the end of the input). `out` has `room` frames and is
+        // aligned for its samples, and soxr writes no more than `made` frames.
         let error = unsafe {
             let to = out.as_mut_ptr() as *mut c_void;
             soxr::soxr_process(self.handle, from, frames, &mut used, to, room, &mut made)
@@ -203,14 +210,14 @@ impl Resampler {
         if error.is_null() {
             Ok((used, made.min(room)))
         } else {
-            Err(failure(error))
+            Err(soxr_error(error))
         }
     }
 }
 
 impl Drop for Resampler {
     fn drop(&mut self) {
-        // SAFETY: the handle came from soxr_create and is deleted once.
+        // SAFETY: the handle was created by soxr_create and is deleted once.
         unsafe { soxr::soxr_delete(self.handle) }
     }
 }
@@ -224,11 +231,11 @@ fn aligned_copy(data: &[u8]) -> Vec<u64> {
     data.chunks(8).map(word).collect()
 }
 
-fn failure(message: *const c_char) -> Error {
+fn soxr_error(message: *const c_char) -> Error {
     let text = if message.is_null() {
         "no memory".into()
     } else {
-        // SAFETY: soxr's errors are static C strings.
+        // SAFETY: the errors of soxr are static C strings.
         unsafe { CStr::from_ptr(message) }.to_string_lossy()
     };
     Error {
@@ -241,37 +248,37 @@ fn failure(message: *const c_char) -> Error {
 mod tests {
     use super::*;
 
-    fn sine(rate: f64, frames: usize) -> Vec<f32> {
+    fn sine_wave(rate: f64, frames: usize) -> Vec<f32> {
         (0..frames)
             .map(|i| (2.0 * std::f64::consts::PI * 440.0 * i as f64 / rate).sin() as f32 * 0.5)
             .collect()
     }
 
-    fn bytes(values: &[f32]) -> Vec<u8> {
+    fn sample_bytes(values: &[f32]) -> Vec<u8> {
         values.iter().flat_map(|v| v.to_le_bytes()).collect()
     }
 
-    fn run(filter: &mut Resampler, data: &[u8], last: bool) -> Result<Vec<u8>> {
-        let mut out = vec![0; filter.room(data.len())?];
+    fn resample_chunk(filter: &mut Resampler, data: &[u8], last: bool) -> Result<Vec<u8>> {
+        let mut out = vec![0; filter.output_capacity(data.len())?];
         let written = filter.process(data, last, &mut out)?;
         out.truncate(written);
         Ok(out)
     }
 
     #[test]
-    fn output_lies_where_the_input_lay_whatever_the_chunks() -> Result<()> {
-        let input = bytes(&sine(48_000.0, 48_000));
+    fn output_is_aligned_with_the_input_for_every_chunk_size() -> Result<()> {
+        let input = sample_bytes(&sine_wave(48_000.0, 48_000));
         let mut whole = Resampler::new(48_000, 16_000, 1, Sample::F32, Quality::High)?;
-        let a = run(&mut whole, &input, true)?;
+        let a = resample_chunk(&mut whole, &input, true)?;
         let mut parts = Resampler::new(48_000, 16_000, 1, Sample::F32, Quality::High)?;
         let mut b = Vec::new();
         for chunk in input.chunks(4 * 777) {
-            b.extend(run(&mut parts, chunk, false)?);
+            b.extend(resample_chunk(&mut parts, chunk, false)?);
         }
-        b.extend(run(&mut parts, &[], true)?);
+        b.extend(resample_chunk(&mut parts, &[], true)?);
         assert_eq!(a, b);
         assert_eq!(a.len() / 4, 16_000);
-        let wanted = sine(16_000.0, 16_000);
+        let wanted = sine_wave(16_000.0, 16_000);
         for (i, got) in a.chunks_exact(4).enumerate().skip(200).take(15_600) {
             let got = f32::from_le_bytes([got[0], got[1], got[2], got[3]]);
             assert!((got - wanted[i]).abs() < 1e-4, "frame {i}");
@@ -280,19 +287,22 @@ mod tests {
     }
 
     #[test]
-    fn rates_too_far_apart_are_refused() -> Result<()> {
+    fn rates_with_too_large_a_ratio_are_rejected() -> Result<()> {
         let new = |from, to| Resampler::new(from, to, 1, Sample::F32, Quality::Quick);
         for (from, to) in [(11_025, 1), (1, 8_000), (48_000, 47)] {
             assert!(new(from, to).is_err_and(|e| e.code == Code::BadOption));
         }
-        // The farthest there is ends.
+        // The maximum ratio terminates.
         let mut filter = new(48_000, 48)?;
-        assert_eq!(run(&mut filter, &bytes(&[0.5; 4800]), true)?.len() / 4, 5);
+        assert_eq!(
+            resample_chunk(&mut filter, &sample_bytes(&[0.5; 4800]), true)?.len() / 4,
+            5
+        );
         Ok(())
     }
 
     #[test]
-    fn the_room_foreseen_is_enough_for_every_ratio_and_piece() -> Result<()> {
+    fn the_estimated_capacity_is_enough_for_every_ratio_and_chunk() -> Result<()> {
         let rates = [
             (8_000, 48_000),
             (48_000, 8_000),
@@ -306,11 +316,11 @@ mod tests {
                 let mut filter = Resampler::new(from, to, 2, Sample::S16, quality)?;
                 let mut frames = 0;
                 let mut made = 0;
-                for piece in [1, 0, 160, 7, 5_000, 3] {
-                    frames += piece;
-                    made += run(&mut filter, &vec![1; piece * 4], false)?.len() / 4;
+                for chunk in [1, 0, 160, 7, 5_000, 3] {
+                    frames += chunk;
+                    made += resample_chunk(&mut filter, &vec![1; chunk * 4], false)?.len() / 4;
                 }
-                made += run(&mut filter, &[], true)?.len() / 4;
+                made += resample_chunk(&mut filter, &[], true)?.len() / 4;
                 let wanted = frames as f64 * to as f64 / from as f64;
                 assert!(
                     (made as f64 - wanted).abs() <= 1.0,

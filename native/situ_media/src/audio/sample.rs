@@ -1,9 +1,9 @@
-//! Sample types and their numbers. Little-endian bytes; full scale is -1.0..1.0.
+//! Sample types and their conversion. Bytes are little-endian; full scale is -1.0..1.0.
 
-/// How one sample is stored.
+/// The storage type of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sample {
-    /// Unsigned 8 bits, silence at 128.
+    /// Unsigned 8 bits; silence is 128.
     U8,
     /// Two's complement, 16 bits.
     S16,
@@ -11,15 +11,15 @@ pub enum Sample {
     S24,
     /// Two's complement, 32 bits.
     S32,
-    /// IEEE 754 binary32; may lie beyond full scale.
+    /// IEEE 754 binary32; may exceed full scale.
     F32,
-    /// IEEE 754 binary64; may lie beyond full scale.
+    /// IEEE 754 binary64; may exceed full scale.
     F64,
 }
 
 impl Sample {
-    /// Bytes of one sample.
-    pub fn bytes(self) -> usize {
+    /// Returns the bytes of one sample.
+    pub fn byte_size(self) -> usize {
         match self {
             Sample::U8 => 1,
             Sample::S16 => 2,
@@ -29,9 +29,9 @@ impl Sample {
         }
     }
 
-    /// The stored number as it is (8 bit: 0..255), not scaled.
+    /// Returns the stored number without scaling (0..255 for 8 bits).
     #[inline(always)]
-    pub fn raw(self, b: &[u8]) -> f64 {
+    pub fn raw_value(self, b: &[u8]) -> f64 {
         match self {
             Sample::U8 => b[0] as f64,
             Sample::S16 => i16::from_le_bytes([b[0], b[1]]) as f64,
@@ -42,7 +42,7 @@ impl Sample {
         }
     }
 
-    /// The stored number that stands for full scale (1.0).
+    /// Returns the stored number that represents full scale (1.0).
     pub fn full_scale(self) -> f64 {
         match self {
             Sample::U8 => 128.0,
@@ -53,17 +53,17 @@ impl Sample {
         }
     }
 
-    /// The number, full scale being -1.0..1.0; `b` holds exactly one sample.
+    /// Returns the sample scaled to -1.0..1.0. `b` must contain exactly one sample.
     #[inline(always)]
-    pub fn load(self, b: &[u8]) -> f64 {
-        let raw = self.raw(b);
+    pub fn read_value(self, b: &[u8]) -> f64 {
+        let raw = self.raw_value(b);
         let raw = if self == Sample::U8 { raw - 128.0 } else { raw };
         raw / self.full_scale()
     }
 
-    /// Rounds to the nearest and clips integers; a NaN becomes 0.
+    /// Writes a sample scaled to -1.0..1.0. Integers are rounded and clipped, and NaN becomes 0.
     #[inline(always)]
-    pub fn store(self, value: f64, b: &mut [u8]) {
+    pub fn write_value(self, value: f64, b: &mut [u8]) {
         match self {
             Sample::F32 => b.copy_from_slice(&(value as f32).to_le_bytes()),
             Sample::F64 => b.copy_from_slice(&value.to_le_bytes()),

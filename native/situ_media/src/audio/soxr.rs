@@ -1,4 +1,4 @@
-//! The few functions of libsoxr (soxr.h 0.1.x) that we use.
+//! Bindings of the functions of libsoxr (soxr.h 0.1.x) that are used here.
 #![allow(unsafe_code)]
 
 use std::ffi::{c_char, c_double, c_int, c_uint, c_ulong, c_void};

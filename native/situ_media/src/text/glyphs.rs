@@ -1,30 +1,30 @@
-//! Glyphs as outlines, outlines as ink.
+//! Converts glyphs to outlines, and renders outlines.
 
 use super::layout::Layout;
 use super::Style;
-use crate::ink::{blend, fill, mix, Area};
-use crate::picture::Shape;
+use crate::blend::{blend_color, fill_rect, mix_channel, Rect};
+use crate::image::Shape;
 use skrifa::font::glyph::outline::PathSink;
 use skrifa::font::Font;
 use skrifa::{DrawMemory, GlyphId, ScalerFont};
 use zeno::{Command, Mask, Point};
 
-/// Glyphs that reach further from their origin, in pixels, are not drawn: no honest font has one at a size we allow,
-/// and beyond twice this the rasteriser's fixed-point numbers overflow.
+/// Glyphs that extend further from their origin, in pixels, are not drawn. No real font has one at the allowed sizes,
+/// and the fixed-point numbers of the rasterizer overflow beyond twice this distance.
 const MAX_GLYPH: f32 = 8000.0;
 
-/// The background's rim around the text, pixels.
-const RIM: i64 = 2;
+/// The margin of the background around the text, in pixels.
+const MARGIN: i64 = 2;
 
-/// A glyph's outline, in pixels from `at`, and the picture's pixels it may touch.
+/// The outline of a glyph, in pixels from `at`, and the pixels of the image that it may touch.
 struct Outline {
     path: Vec<Command>,
     at: (i64, i64),
-    area: Area,
+    area: Rect,
 }
 
-pub fn draw(fonts: &[Font], laid: &Layout, style: &Style, shape: Shape, out: &mut [u8]) {
-    let picture = Area::of(shape);
+pub fn draw_text(fonts: &[Font], laid: &Layout, style: &Style, shape: Shape, out: &mut [u8]) {
+    let image = Rect::of_image(shape);
     let scalers: Vec<ScalerFont> = fonts
         .iter()
         .map(|font| ScalerFont::unhinted(font.clone(), Some(laid.ppem)))
@@ -33,69 +33,81 @@ pub fn draw(fonts: &[Font], laid: &Layout, style: &Style, shape: Shape, out: &mu
         .glyphs
         .iter()
         .filter_map(|glyph| {
-            let x = Place::new(style.at.0, glyph.x);
-            let y = Place::new(style.at.1, laid.size + glyph.y);
-            outline(&scalers[glyph.font], glyph.id, x, y)
+            let x = SubpixelPosition::new(style.at.0, glyph.x);
+            let y = SubpixelPosition::new(style.at.1, laid.size + glyph.y);
+            glyph_outline(&scalers[glyph.font], glyph.id, x, y)
         })
         .collect();
     if let Some(color) = style.background {
-        let behind = outlines
-            .iter()
-            .fold(nominal(laid, style), |sum, o| sum.around(o.area.grown(RIM)));
-        fill(out, shape, behind.common(picture), color);
+        let background = outlines.iter().fold(text_rect(laid, style), |sum, o| {
+            sum.union(o.area.expand_by(MARGIN))
+        });
+        fill_rect(out, shape, background.intersect(image), color);
     }
     let visible: Vec<&Outline> = outlines
         .iter()
-        .filter(|o| !o.area.common(picture).is_empty())
+        .filter(|o| !o.area.intersect(image).is_empty())
         .collect();
     let Some(area) = visible
         .iter()
-        .map(|o| o.area.common(picture))
-        .reduce(Area::around)
+        .map(|o| o.area.intersect(image))
+        .reduce(Rect::union)
     else {
         return;
     };
-    blend(out, shape, area, &coverage(&visible, area), style.color);
+    blend_color(
+        out,
+        shape,
+        area,
+        &render_coverage(&visible, area),
+        style.color,
+    );
 }
 
-/// The box of the text as measured, whether ink is in it or not.
-fn nominal(laid: &Layout, style: &Style) -> Area {
+/// Returns the measured box of the text, which may be larger than the drawn pixels.
+fn text_rect(laid: &Layout, style: &Style) -> Rect {
     let (x, y) = (style.at.0 as f32, style.at.1 as f32);
-    Area {
+    Rect {
         left: x.round() as i64,
         top: y.round() as i64,
         right: (x + laid.width).round() as i64,
         bottom: (y + laid.height()).round() as i64,
     }
-    .grown(RIM)
+    .expand_by(MARGIN)
 }
 
-/// A whole pixel and a part of one: text looks the same wherever in a picture it lies.
+/// An integer pixel and a fraction. The rendering of text therefore depends only on the fraction, not on the position
+/// in the image.
 #[derive(Clone, Copy)]
-struct Place {
+struct SubpixelPosition {
     pixel: i64,
-    part: f32,
+    fraction: f32,
 }
 
-impl Place {
-    fn new(at: f64, further: f32) -> Place {
+impl SubpixelPosition {
+    fn new(at: f64, further: f32) -> SubpixelPosition {
         let within = (at - at.floor()) as f32 + further;
-        Place {
+        SubpixelPosition {
             pixel: at.floor() as i64 + within.floor() as i64,
-            part: within - within.floor(),
+            fraction: within - within.floor(),
         }
     }
 }
 
-fn outline(scaler: &ScalerFont, glyph: GlyphId, x: Place, y: Place) -> Option<Outline> {
+fn glyph_outline(
+    scaler: &ScalerFont,
+    glyph: GlyphId,
+    x: SubpixelPosition,
+    y: SubpixelPosition,
+) -> Option<Outline> {
     let mut pen = Pen {
-        origin: (x.part, y.part),
+        origin: (x.fraction, y.fraction),
         path: Vec::new(),
         low: (f32::MAX, f32::MAX),
         high: (f32::MIN, f32::MIN),
         finite: true,
     };
-    // A glyph without an outline (a space, a picture) and one that is damaged leave nothing.
+    // Glyphs without an outline (a space, a bitmap) and damaged glyphs are skipped.
     scaler
         .outline(glyph)?
         .draw(DrawMemory::Scratch, &mut pen)
@@ -109,7 +121,7 @@ fn outline(scaler: &ScalerFont, glyph: GlyphId, x: Place, y: Place) -> Option<Ou
     Some(Outline {
         path: pen.path,
         at: (x.pixel, y.pixel),
-        area: Area {
+        area: Rect {
             left: x.pixel + pen.low.0.floor() as i64,
             top: y.pixel + pen.low.1.floor() as i64,
             right: x.pixel + pen.high.0.ceil() as i64,
@@ -118,12 +130,12 @@ fn outline(scaler: &ScalerFont, glyph: GlyphId, x: Place, y: Place) -> Option<Ou
     })
 }
 
-/// How much of each pixel of `area` the outlines cover, 0 to 255.
-fn coverage(outlines: &[&Outline], area: Area) -> Vec<u8> {
+/// Returns how much of each pixel of `area` the outlines cover, 0 to 255.
+fn render_coverage(outlines: &[&Outline], area: Rect) -> Vec<u8> {
     let width = area.width();
     let mut sum = vec![0; width * area.height()];
     for outline in outlines {
-        let part = outline.area.common(area);
+        let part = outline.area.intersect(area);
         let (mask, _) = Mask::new(outline.path.as_slice())
             .size(part.width() as u32, part.height() as u32)
             .offset((
@@ -136,8 +148,8 @@ fn coverage(outlines: &[&Outline], area: Area) -> Vec<u8> {
         let from = (part.left - area.left) as usize;
         for (row, ink) in rows.zip(mask.chunks_exact(part.width())) {
             for (sum, ink) in row[from..].iter_mut().zip(ink) {
-                // One glyph over the other.
-                *sum = 255 - mix(255 - *sum as u32, 0, *ink as u32) as u8;
+                // Composites overlapping glyphs.
+                *sum = 255 - mix_channel(255 - *sum as u32, 0, *ink as u32) as u8;
             }
         }
     }
@@ -153,9 +165,9 @@ struct Pen {
 }
 
 impl Pen {
-    /// Fonts count upwards, pictures downwards. On the rasteriser's grid, so that whole pixels can be added without
-    /// rounding.
-    fn point(&mut self, x: f32, y: f32) -> Point {
+    /// Converts a point from font coordinates (y upwards) to image coordinates (y downwards). Points are rounded to
+    /// the grid of the rasterizer, so that whole pixels can be added without rounding.
+    fn add_point(&mut self, x: f32, y: f32) -> Point {
         let grid = |v: f32| (v * 256.0).round() / 256.0;
         let (x, y) = (grid(self.origin.0 + x), grid(self.origin.1 - y));
         self.finite &= x.is_finite() && y.is_finite();
@@ -167,22 +179,26 @@ impl Pen {
 
 impl PathSink for Pen {
     fn move_to(&mut self, x: f32, y: f32) {
-        let to = self.point(x, y);
+        let to = self.add_point(x, y);
         self.path.push(Command::MoveTo(to));
     }
 
     fn line_to(&mut self, x: f32, y: f32) {
-        let to = self.point(x, y);
+        let to = self.add_point(x, y);
         self.path.push(Command::LineTo(to));
     }
 
     fn quad_to(&mut self, cx: f32, cy: f32, x: f32, y: f32) {
-        let (control, to) = (self.point(cx, cy), self.point(x, y));
+        let (control, to) = (self.add_point(cx, cy), self.add_point(x, y));
         self.path.push(Command::QuadTo(control, to));
     }
 
     fn curve_to(&mut self, cx0: f32, cy0: f32, cx1: f32, cy1: f32, x: f32, y: f32) {
-        let (a, b, to) = (self.point(cx0, cy0), self.point(cx1, cy1), self.point(x, y));
+        let (a, b, to) = (
+            self.add_point(cx0, cy0),
+            self.add_point(cx1, cy1),
+            self.add_point(x, y),
+        );
         self.path.push(Command::CurveTo(a, b, to));
     }
 

@@ -1,87 +1,97 @@
-//! Text in pictures: any script, from font files, anti-aliased, clipped at the picture's edges.
+//! Anti-aliased text in images, in any script, from font files, clipped at the edges of the image.
 //!
-//! A [`Typeface`] is a row of fonts: a character is taken from the first that has it, and drawn as the first one's
-//! box for missing characters when none has. [`layout`] places glyphs, [`glyphs`] draws them.
+//! A [`Typeface`] is a list of fonts. Each character is taken from the first font that contains it; if there is none,
+//! it is drawn as the box for missing characters of the first font. [`layout`] positions the glyphs, and [`glyphs`]
+//! draws them.
 
-mod file;
+mod font_cache;
 mod glyphs;
 mod layout;
 
 use crate::error::{fail, Code, Result};
-use crate::picture::Shape;
+use crate::image::Shape;
 use skrifa::font::Font;
 use std::panic::{catch_unwind, AssertUnwindSafe};
 use std::path::Path;
 
-/// More is no label on a picture.
+/// A longer text is not a label for an image.
 const MAX_BYTES: usize = 64 * 1024;
 
-/// Heights of a capital, pixels.
+/// The range of the height of a capital letter, in pixels.
 const SIZES: std::ops::RangeInclusive<f64> = 1.0..=2000.0;
 
-/// Fonts that text is drawn with: each character by the first of them that has it.
+/// The fonts for drawing text; the first font that contains a character is used for it.
 pub struct Typeface {
     fonts: Vec<Font>,
 }
 
-/// Where and how text is drawn. Colours are channel values in memory order, 0 to the format's greatest.
+/// The position and appearance of text. Colors are channel values in memory order, from 0 to the format's maximum.
 pub struct Style {
-    /// The top left corner of the first line's capitals, (x, y) in pixels.
+    /// The top left corner of the first line's capital letters, (x, y) in pixels.
     pub at: (f64, f64),
-    /// Height of a capital, 1 to 2,000 pixels.
+    /// The height of a capital letter, 1 to 2,000 pixels.
     pub size: f64,
-    /// The text's colour.
+    /// The color of the text.
     pub color: [f64; 4],
-    /// The colour of the box behind it, if there shall be one.
+    /// The color of the box behind the text, if any.
     pub background: Option<[f64; 4]>,
 }
 
 impl Typeface {
-    /// Opens TrueType or OpenType files, or takes them from memory where they did not change since. Refuses
-    /// ([`Code::BadFont`]) none at all, and any that cannot be read or is no font.
+    /// Opens TrueType or OpenType files. Unchanged files are taken from a cache. Returns [`Code::BadFont`] if there
+    /// are no files, or if a file cannot be read or is not a font.
     pub fn open<'p>(paths: impl IntoIterator<Item = &'p Path>) -> Result<Typeface> {
-        let fonts: Vec<_> = paths.into_iter().map(file::open).collect::<Result<_>>()?;
+        let fonts: Vec<_> = paths
+            .into_iter()
+            .map(font_cache::open_font)
+            .collect::<Result<_>>()?;
         if fonts.is_empty() {
-            return fail(Code::BadFont, "text needs a font");
+            return fail(Code::BadFont, "text needs at least one font file");
         }
         Ok(Typeface { fonts })
     }
 
-    /// Width and height of the text's box in pixels: the widest line's advance, and from the top of the first line's
-    /// capitals to the last line's foot.
+    /// Returns the width and height of the text's box in pixels: the advance of the widest line, and the distance
+    /// from the top of the first line's capitals to the bottom of the last line.
     pub fn measure(&self, text: &str, size: f64) -> Result<(f64, f64)> {
-        let laid = self.lay(text, size)?;
+        let laid = self.layout_text(text, size)?;
         Ok((laid.width.into(), laid.height().into()))
     }
 
-    /// Draws into a picture of `shape` without gaps.
+    /// Draws text into an image of `shape` with contiguous rows.
     pub fn draw(&self, text: &str, style: &Style, shape: Shape, out: &mut [u8]) -> Result<()> {
         if out.len() != shape.bytes() {
-            return fail(Code::Failed, "the buffer does not fit the picture");
+            return fail(
+                Code::Failed,
+                "the buffer does not match the size of the image",
+            );
         }
-        let laid = self.lay(text, style.size)?;
-        sound(|| glyphs::draw(&self.fonts, &laid, style, shape, out))
+        let laid = self.layout_text(text, style.size)?;
+        catch_font_panic(|| glyphs::draw_text(&self.fonts, &laid, style, shape, out))
     }
 
-    fn lay(&self, text: &str, size: f64) -> Result<layout::Layout> {
+    fn layout_text(&self, text: &str, size: f64) -> Result<layout::Layout> {
         if !SIZES.contains(&size) {
             return fail(
                 Code::BadOption,
-                format!("text is 1 to 2000 pixels high, not {size}"),
+                format!("the height of text must be 1 to 2000 pixels, not {size}"),
             );
         }
         if text.len() > MAX_BYTES {
             return fail(
                 Code::TooLarge,
-                format!("{} bytes of text, the most is {MAX_BYTES}", text.len()),
+                format!(
+                    "{} bytes of text are more than the maximum of {MAX_BYTES}",
+                    text.len()
+                ),
             );
         }
-        sound(|| layout::lay(&self.fonts, text, size as f32))?
+        catch_font_panic(|| layout::layout_text(&self.fonts, text, size as f32))?
     }
 }
 
-/// The libraries promise an error or nothing for every font; should one break its promise, that is an error, too.
-fn sound<T>(work: impl FnOnce() -> T) -> Result<T> {
+/// Turns a panic of the font libraries into an error. They promise to handle every font, so this should never happen.
+fn catch_font_panic<T>(work: impl FnOnce() -> T) -> Result<T> {
     catch_unwind(AssertUnwindSafe(work)).or_else(|_| fail(Code::BadFont, "the font is damaged"))
 }
 

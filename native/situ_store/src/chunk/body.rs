@@ -1,10 +1,14 @@
-//! The stored body of a chunk: packed, checked and unpacked.
+//! Packs, checks and unpacks the stored body of a chunk.
 
 use crate::error::{Error, Result};
 use crate::format::*;
 
-/// The compressed body, or `None` when compressing gains nothing.
-pub fn compress(compression: Compression, table: &[u8], payload: &[u8]) -> Result<Option<Vec<u8>>> {
+/// Returns the compressed body, or `None` if compression does not make it smaller.
+pub fn compress_body(
+    compression: Compression,
+    table: &[u8],
+    payload: &[u8],
+) -> Result<Option<Vec<u8>>> {
     if compression == Compression::None || table.len() + payload.len() < 64 {
         return Ok(None);
     }
@@ -19,18 +23,18 @@ pub fn compress(compression: Compression, table: &[u8], payload: &[u8]) -> Resul
     Ok((packed.len() < raw.len()).then_some(packed))
 }
 
-/// The raw body of a chunk: a view into the map, or what decompression gave.
+/// The raw body of a chunk: a view into the map, or unpacked bytes.
 #[derive(Debug)]
 pub enum Body<'a> {
     /// A view into the map.
     Mapped(&'a [u8]),
-    /// The bytes that decompression gave.
+    /// Bytes that were decompressed.
     Unpacked(Vec<u8>),
 }
 
 impl Body<'_> {
-    /// The bytes, wherever they lie.
-    pub fn bytes(&self) -> &[u8] {
+    /// Returns the bytes of the body.
+    pub fn as_bytes(&self) -> &[u8] {
         match self {
             Body::Mapped(bytes) => bytes,
             Body::Unpacked(bytes) => bytes,
@@ -38,18 +42,18 @@ impl Body<'_> {
     }
 }
 
-/// Checks the stored body of the chunk that `bytes` begin with (unless `trust_body`) and unpacks it, to at most
+/// Checks the stored body of the chunk at the start of `bytes` (unless `trust_body`) and unpacks it to at most
 /// `most` bytes.
-pub fn open<'a>(
+pub fn open_body<'a>(
     header: &ChunkHeader,
     bytes: &'a [u8],
     trust_body: bool,
     most: usize,
 ) -> std::result::Result<Body<'a>, &'static str> {
     let stored = bytes
-        .get(header.size()..header.length as usize)
+        .get(header.header_size()..header.length as usize)
         .ok_or("the chunk does not end in its extent")?;
-    if !trust_body && crc32c::crc32c(&stored[header.covered()..]) != header.body_crc {
+    if !trust_body && crc32c::crc32c(&stored[header.covered_size()..]) != header.body_crc {
         return Err("the chunk's checksum is wrong");
     }
     let raw_length = header.raw_length as usize;
@@ -61,14 +65,14 @@ pub fn open<'a>(
         Compression::Lz4 => {
             // An LZ4 block cannot grow more than 255-fold.
             if raw_length > stored.len().saturating_mul(255).saturating_add(64) {
-                return Err("the chunk says it unpacks to more than it can");
+                return Err("the chunk's unpacked length is impossible");
             }
             let raw = lz4_flex::block::decompress(stored, raw_length)
                 .map_err(|_| "the chunk does not unpack")?;
             if raw.len() == raw_length {
                 Ok(Body::Unpacked(raw))
             } else {
-                Err("the chunk unpacks to another length")
+                Err("the chunk unpacks to a different length")
             }
         }
         Compression::Zstd => {
@@ -77,7 +81,7 @@ pub fn open<'a>(
             if raw.len() == raw_length {
                 Ok(Body::Unpacked(raw))
             } else {
-                Err("the chunk unpacks to another length")
+                Err("the chunk unpacks to a different length")
             }
         }
     }

@@ -1,4 +1,4 @@
-//! A chunk in the making.
+//! Builds chunks.
 
 use super::{Envelope, Input};
 use crate::format::*;
@@ -7,9 +7,9 @@ use crate::varint;
 /// Collects messages of one stream and one encoding into the table and payload of a chunk.
 #[derive(Debug)]
 pub struct Builder {
-    /// The table so far.
+    /// The table built so far.
     pub table: Vec<u8>,
-    /// The payloads so far.
+    /// The payloads collected so far.
     pub payload: Vec<u8>,
     /// The stream's number.
     pub stream: u32,
@@ -17,7 +17,7 @@ pub struct Builder {
     pub encoding: Encoding,
     /// The codec's number for [`Encoding::Codec`], else 0.
     pub codec: u16,
-    /// How many messages are in.
+    /// The number of messages in the chunk.
     pub count: u32,
     /// The envelope of the first message.
     pub first: Envelope,
@@ -25,7 +25,7 @@ pub struct Builder {
     pub last: Envelope,
 }
 
-const NOWHERE: Envelope = Envelope {
+const EMPTY_ENVELOPE: Envelope = Envelope {
     sequence: 0,
     time: 0,
     creation: 0,
@@ -40,14 +40,14 @@ impl Default for Builder {
             encoding: Encoding::Bytes,
             codec: 0,
             count: 0,
-            first: NOWHERE,
-            last: NOWHERE,
+            first: EMPTY_ENVELOPE,
+            last: EMPTY_ENVELOPE,
         }
     }
 }
 
 impl Builder {
-    /// Empties the builder and begins a chunk.
+    /// Clears the builder and starts a new chunk.
     pub fn start(&mut self, stream: u32, encoding: Encoding, codec: u16) {
         self.table.clear();
         self.payload.clear();
@@ -57,7 +57,7 @@ impl Builder {
         self.count = 0;
     }
 
-    /// Whether a message of `size` bytes still goes into this chunk.
+    /// Returns whether a message of `size` bytes still fits into this chunk.
     pub fn accepts(&self, stream: u32, encoding: Encoding, codec: u16, size: usize) -> bool {
         self.stream == stream
             && self.encoding == encoding
@@ -66,7 +66,7 @@ impl Builder {
             && self.payload.len() + size <= MAX_CHUNK_PAYLOAD
     }
 
-    /// The table's line for a message; the payload goes elsewhere.
+    /// Adds the table row of a message whose payload is stored elsewhere.
     pub fn push_envelope(&mut self, envelope: Envelope, size: usize) {
         let latency = envelope.creation.wrapping_sub(envelope.time);
         let (previous, previous_latency) = if self.count == 0 {
@@ -98,7 +98,7 @@ impl Builder {
         self.count += 1;
     }
 
-    /// Adds a message: its line in the table, and its payload.
+    /// Adds a message: its table row and its payload.
     pub fn push(&mut self, envelope: Envelope, input: Input<'_>) {
         let before = self.payload.len();
         match input {

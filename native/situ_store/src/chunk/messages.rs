@@ -1,10 +1,10 @@
-//! The messages of a chunk that is read.
+//! Reads the messages of a chunk.
 
 use super::{Envelope, Value};
 use crate::format::*;
 use crate::varint::Cursor;
 
-/// The messages of a chunk, in order. Ends early (then `whole` is false) when the body contradicts itself.
+/// An iterator over the messages of a chunk, in order. It ends with an error when the body contradicts itself.
 pub struct Messages<'a> {
     body: &'a [u8],
     encoding: Encoding,
@@ -18,13 +18,13 @@ pub struct Messages<'a> {
 }
 
 impl<'a> Messages<'a> {
-    /// The messages of a chunk with this header and raw body.
+    /// Iterates over the messages of a chunk with this header and raw body.
     pub fn new(header: &ChunkHeader, body: &'a [u8]) -> Self {
         let table_end = (header.table_length as usize).min(body.len());
         Self::with_table(header, body, &body[..table_end])
     }
 
-    /// As `new`, with the table that the body begins with from elsewhere: the body is not looked at for it.
+    /// Iterates like `new`, but takes the table from a separate buffer and does not read it from the body.
     pub fn with_table(header: &ChunkHeader, body: &'a [u8], table: &'a [u8]) -> Self {
         let table_end = table.len();
         Messages {
@@ -48,10 +48,10 @@ impl<'a> Messages<'a> {
         }
     }
 
-    fn read(&mut self) -> Option<(Envelope, Value)> {
-        let step = self.table.signed()?;
-        let delta = self.table.varint()?;
-        let latency_delta = self.table.signed()?;
+    fn read_message(&mut self) -> Option<(Envelope, Value)> {
+        let step = self.table.next_signed()?;
+        let delta = self.table.next_varint()?;
+        let latency_delta = self.table.next_signed()?;
         if self.started == (delta == 0) {
             return None;
         }
@@ -75,7 +75,7 @@ impl<'a> Messages<'a> {
             Encoding::Int => {
                 let mut cursor = Cursor::new(self.body);
                 cursor.at = at;
-                let value = cursor.signed()?;
+                let value = cursor.next_signed()?;
                 self.payload_at = cursor.at;
                 Value::Int(value)
             }
@@ -88,7 +88,7 @@ impl<'a> Messages<'a> {
                 Value::Bool(*self.body.get(at).filter(|byte| **byte < 3)?)
             }
             Encoding::Bytes | Encoding::Term | Encoding::Codec => {
-                let length = usize::try_from(self.table.varint()?).ok()?;
+                let length = usize::try_from(self.table.next_varint()?).ok()?;
                 let end = at
                     .checked_add(length)
                     .filter(|end| *end <= self.body.len())?;
@@ -111,7 +111,7 @@ impl Iterator for Messages<'_> {
             return None;
         }
         self.left -= 1;
-        match self.read() {
+        match self.read_message() {
             Some(item) => Some(Ok(item)),
             None => {
                 self.left = 0;

@@ -1,26 +1,26 @@
-//! The header of a chunk: its stream, its contents, and the checksums.
+//! The header of a chunk: its stream, its contents, and its checksums.
 
 use super::{
-    f64_at, i64_at, set, u32_at, u64_at, Compression, Encoding, CHUNK_HEADER, CHUNK_HEADER_1,
+    f64_at, i64_at, put_bytes, u32_at, u64_at, Compression, Encoding, CHUNK_HEADER, CHUNK_HEADER_1,
     CHUNK_MAGIC, CHUNK_MAGIC_1, MAX_CHUNK_PAYLOAD, MAX_MESSAGE, TRACKS,
 };
 
-/// The header of a chunk; `priv/schema/store.md` has its layout.
+/// The header of a chunk. `priv/schema/store.md` describes its layout.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChunkHeader {
-    /// Bytes of the header and the stored body.
+    /// The size of the header and the stored body, bytes.
     pub length: u32,
     /// The stream's number.
     pub stream: u32,
-    /// 0 for messages; above it bins, see [`Entry::level`](super::Entry::level).
+    /// 0 for messages; higher levels contain bins, see [`Entry::level`](super::Entry::level).
     pub level: u8,
     /// The encoding of the payloads.
     pub encoding: Encoding,
     /// The compression of the body.
     pub compression: Compression,
-    /// How many messages or bins the chunk holds.
+    /// The number of messages or bins in the chunk.
     pub count: u32,
-    /// The ordinal of the first, as of writing: a repair may have moved it since.
+    /// The ordinal of the first message or bin at the time of writing; a later repair may have changed it.
     pub ordinal: u64,
     /// Originating time of the first message (start of the first bin), ns.
     pub first: i64,
@@ -30,27 +30,28 @@ pub struct ChunkHeader {
     pub first_sequence: u64,
     /// Creation time of the first message, ns.
     pub first_creation: i64,
-    /// Payload bytes of the stream up to and with this chunk.
+    /// The payload bytes of the stream up to and including this chunk.
     pub size_sum: u64,
-    /// Sum of the stream's latencies (creation - originating time, ns) up to and with this chunk.
+    /// The sum of the stream's latencies (creation - originating time, ns) up to and including this chunk.
     pub latency_sum: f64,
-    /// Bytes of the body before compression.
+    /// The size of the body before compression, bytes.
     pub raw_length: u32,
-    /// Bytes of the table that the raw body begins with.
+    /// The size of the table at the start of the raw body, bytes.
     pub table_length: u32,
     /// The codec's number for [`Encoding::Codec`], else 0.
     pub codec: u16,
-    /// CRC-32C of the stored body, without the part that the header's checksum covers.
+    /// CRC-32C of the stored body, except for the part that the header's checksum covers.
     pub body_crc: u32,
-    /// The number of the chunk's entry in the index; chunks of version 1 have none.
+    /// The number of the chunk's entry in the index; `None` in version 1.
     pub number: Option<u64>,
-    /// How many entries were committed when it was written: the writer had acknowledged their chunks.
+    /// The number of entries that were committed when the chunk was written; the writer had acknowledged their
+    /// chunks.
     pub committed: u64,
 }
 
 impl ChunkHeader {
-    /// How many bytes the header takes.
-    pub fn size(&self) -> usize {
+    /// Returns the size of the header in bytes.
+    pub fn header_size(&self) -> usize {
         if self.number.is_some() {
             CHUNK_HEADER
         } else {
@@ -58,45 +59,45 @@ impl ChunkHeader {
         }
     }
 
-    /// The header's bytes; `table` is what the header's checksum covers besides them.
+    /// Encodes the header. Its checksum also covers `table`.
     pub fn encode(&self, table: &[u8]) -> [u8; CHUNK_HEADER] {
         let mut bytes = [0; CHUNK_HEADER];
-        set(&mut bytes, 0, &CHUNK_MAGIC.to_le_bytes());
-        set(&mut bytes, 8, &self.length.to_le_bytes());
-        set(&mut bytes, 12, &self.stream.to_le_bytes());
+        put_bytes(&mut bytes, 0, &CHUNK_MAGIC.to_le_bytes());
+        put_bytes(&mut bytes, 8, &self.length.to_le_bytes());
+        put_bytes(&mut bytes, 12, &self.stream.to_le_bytes());
         bytes[16] = self.level;
         bytes[17] = self.encoding as u8;
         bytes[18] = self.compression as u8;
-        set(&mut bytes, 20, &self.count.to_le_bytes());
-        set(&mut bytes, 24, &self.ordinal.to_le_bytes());
-        set(&mut bytes, 32, &self.first.to_le_bytes());
-        set(&mut bytes, 40, &self.last.to_le_bytes());
-        set(&mut bytes, 48, &self.first_sequence.to_le_bytes());
-        set(&mut bytes, 56, &self.first_creation.to_le_bytes());
-        set(&mut bytes, 64, &self.size_sum.to_le_bytes());
-        set(&mut bytes, 72, &self.latency_sum.to_bits().to_le_bytes());
-        set(&mut bytes, 80, &self.raw_length.to_le_bytes());
-        set(&mut bytes, 84, &self.table_length.to_le_bytes());
-        set(&mut bytes, 88, &self.codec.to_le_bytes());
-        set(&mut bytes, 92, &self.body_crc.to_le_bytes());
-        set(
+        put_bytes(&mut bytes, 20, &self.count.to_le_bytes());
+        put_bytes(&mut bytes, 24, &self.ordinal.to_le_bytes());
+        put_bytes(&mut bytes, 32, &self.first.to_le_bytes());
+        put_bytes(&mut bytes, 40, &self.last.to_le_bytes());
+        put_bytes(&mut bytes, 48, &self.first_sequence.to_le_bytes());
+        put_bytes(&mut bytes, 56, &self.first_creation.to_le_bytes());
+        put_bytes(&mut bytes, 64, &self.size_sum.to_le_bytes());
+        put_bytes(&mut bytes, 72, &self.latency_sum.to_bits().to_le_bytes());
+        put_bytes(&mut bytes, 80, &self.raw_length.to_le_bytes());
+        put_bytes(&mut bytes, 84, &self.table_length.to_le_bytes());
+        put_bytes(&mut bytes, 88, &self.codec.to_le_bytes());
+        put_bytes(&mut bytes, 92, &self.body_crc.to_le_bytes());
+        put_bytes(
             &mut bytes,
             96,
             &self.number.unwrap_or(u64::MAX).to_le_bytes(),
         );
-        set(&mut bytes, 104, &self.committed.to_le_bytes());
+        put_bytes(&mut bytes, 104, &self.committed.to_le_bytes());
         let crc = crc32c::crc32c_append(crc32c::crc32c(&bytes[8..]), table);
-        set(&mut bytes, 4, &crc.to_le_bytes());
+        put_bytes(&mut bytes, 4, &crc.to_le_bytes());
         bytes
     }
 
-    /// Parses and checks the header of the chunk that `bytes` begin with (the bytes may go on behind the chunk).
+    /// Parses and checks the header of the chunk at the start of `bytes`, which may continue after the chunk.
     pub fn decode(bytes: &[u8]) -> std::result::Result<Self, &'static str> {
         Self::decode_head(bytes, bytes.len() as u64)
     }
 
-    /// As `decode`, from the chunk's first bytes: the header and what its checksum covers; `space` is how far the
-    /// extent goes on.
+    /// Parses and checks the header like `decode`, from a prefix of the chunk that contains the header and the
+    /// table it covers. `space` is the number of bytes to the end of the extent.
     pub fn decode_head(bytes: &[u8], space: u64) -> std::result::Result<Self, &'static str> {
         let size = match bytes.get(..4).map(|magic| u32_at(magic, 0)) {
             Some(CHUNK_MAGIC) => CHUNK_HEADER,
@@ -155,15 +156,15 @@ impl ChunkHeader {
         }
         let covered = bytes
             .get(8..size + covered)
-            .ok_or("the chunk's table is not at hand")?;
+            .ok_or("the chunk's table was not read")?;
         if crc32c::crc32c(covered) != u32_at(bytes, 4) {
             return Err("the chunk header's checksum is wrong");
         }
         Ok(header)
     }
 
-    /// How many bytes of the stored body the header's checksum covers.
-    pub fn covered(&self) -> usize {
+    /// Returns the number of bytes of the stored body that the header's checksum covers.
+    pub fn covered_size(&self) -> usize {
         if self.compression == Compression::None {
             self.table_length as usize
         } else {

@@ -1,26 +1,26 @@
-//! The entry of the index that names a chunk.
+//! The index entry of a chunk.
 
-use super::{i64_at, set, u32_at, u64_at, CHUNK_HEADER_1, ENTRY, HOLE, TRACKS};
+use super::{i64_at, put_bytes, u32_at, u64_at, CHUNK_HEADER_1, ENTRY, PLACEHOLDER, TRACKS};
 
-/// An entry of the index: where a chunk lies and which messages it holds.
+/// An index entry: the location of a chunk and a summary of its messages.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Entry {
     /// The stream's number.
     pub stream: u32,
     /// 0 for messages; 1 to 62 for bins of 2^level ns of the signal; 65 to 126 for bins of 2^(level - 64) ns of the
-    /// tracks; [`HOLE`] for none.
+    /// tracks; [`PLACEHOLDER`] if the entry is a placeholder.
     pub level: u8,
     /// [`LANE_DATA`](super::LANE_DATA) or [`LANE_LARGE`](super::LANE_LARGE).
     pub lane: u8,
-    /// The number of the extent in its lane.
+    /// The number of the extent within its lane.
     pub extent: u32,
-    /// Where the chunk begins in its extent, bytes from the beginning of the file.
+    /// The offset of the chunk in its extent file, bytes.
     pub offset: u64,
-    /// Bytes of the chunk.
+    /// The size of the chunk, bytes.
     pub length: u32,
-    /// How many messages or bins the chunk holds.
+    /// The number of messages or bins in the chunk.
     pub count: u32,
-    /// The ordinal of the first, counted per stream and level.
+    /// The ordinal of the first message or bin, counted per stream and level.
     pub ordinal: u64,
     /// Originating time of the first message (start of the first bin), ns.
     pub first: i64,
@@ -31,25 +31,26 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// The entry's bytes, with their checksum.
+    /// Encodes the entry with its checksum.
     pub fn encode(&self) -> [u8; ENTRY] {
         let mut bytes = [0; ENTRY];
-        set(&mut bytes, 4, &self.stream.to_le_bytes());
+        put_bytes(&mut bytes, 4, &self.stream.to_le_bytes());
         bytes[8] = self.level;
         bytes[9] = self.lane;
-        set(&mut bytes, 12, &self.extent.to_le_bytes());
-        set(&mut bytes, 16, &self.offset.to_le_bytes());
-        set(&mut bytes, 24, &self.length.to_le_bytes());
-        set(&mut bytes, 28, &self.count.to_le_bytes());
-        set(&mut bytes, 32, &self.ordinal.to_le_bytes());
-        set(&mut bytes, 40, &self.first.to_le_bytes());
-        set(&mut bytes, 48, &self.last.to_le_bytes());
-        set(&mut bytes, 56, &self.first_creation.to_le_bytes());
+        put_bytes(&mut bytes, 12, &self.extent.to_le_bytes());
+        put_bytes(&mut bytes, 16, &self.offset.to_le_bytes());
+        put_bytes(&mut bytes, 24, &self.length.to_le_bytes());
+        put_bytes(&mut bytes, 28, &self.count.to_le_bytes());
+        put_bytes(&mut bytes, 32, &self.ordinal.to_le_bytes());
+        put_bytes(&mut bytes, 40, &self.first.to_le_bytes());
+        put_bytes(&mut bytes, 48, &self.last.to_le_bytes());
+        put_bytes(&mut bytes, 56, &self.first_creation.to_le_bytes());
         let crc = crc32c::crc32c(&bytes[4..]);
-        set(&mut bytes, 0, &crc.to_le_bytes());
+        put_bytes(&mut bytes, 0, &crc.to_le_bytes());
         bytes
     }
-    /// Parses the entry that `bytes` begin with; `None` if its checksum is wrong or its fields are impossible.
+    /// Parses the entry at the start of `bytes`. Returns `None` if its checksum is wrong or its fields are
+    /// impossible.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         if bytes.len() < ENTRY || crc32c::crc32c(&bytes[4..ENTRY]) != u32_at(bytes, 0) {
             return None;
@@ -73,14 +74,14 @@ impl Entry {
             && entry.lane <= 1
             && level
             && entry.length as usize >= CHUNK_HEADER_1;
-        (sane || entry.is_hole()).then_some(entry)
+        (sane || entry.is_placeholder()).then_some(entry)
     }
 
-    /// An entry that keeps the place of a chunk that is gone.
-    pub fn hole() -> Self {
+    /// Builds an entry that keeps the number of a lost chunk.
+    pub fn placeholder() -> Self {
         Entry {
             stream: 0,
-            level: HOLE,
+            level: PLACEHOLDER,
             lane: 0,
             extent: 0,
             offset: 0,
@@ -93,8 +94,8 @@ impl Entry {
         }
     }
 
-    /// Whether the entry only keeps the place of a lost chunk.
-    pub fn is_hole(&self) -> bool {
-        self.level == HOLE
+    /// Returns whether the entry only keeps the number of a lost chunk.
+    pub fn is_placeholder(&self) -> bool {
+        self.level == PLACEHOLDER
     }
 }

@@ -1,72 +1,73 @@
-//! When a state changed: one by one, as long as that is not too often.
+//! Lists the changes of a state one by one, unless there are too many.
 
 use super::levels::{Pyramid, Span};
-use super::tracks::Known;
+use super::tracks::TrackCache;
 use super::Reader;
 use crate::error::Result;
 use crate::pyramid;
-use crate::tracks::{Noted, Tally, Track};
+use crate::tracks::{Track, TrackBin, TrackValue};
 
 impl Reader {
-    /// The changes of a key's state within a span, if there are at most so many.
-    pub(super) fn changes(
+    /// Returns the changes of a key's state within a span, or `None` if there are more than `most`.
+    pub(super) fn list_changes(
         &self,
         stream: u32,
         span: Span,
         key: u32,
-        (bins, k): (&[Tally], u8),
+        (bins, k): (&[TrackBin], u8),
         most: usize,
-        known: &mut Known,
+        cache: &mut TrackCache,
     ) -> Result<Option<Vec<(i64, u32)>>> {
-        if least_changes(bins, key) > most as u64 {
+        if min_change_count(bins, key) > most as u64 {
             return Ok(None);
         }
         let mut line = Changes {
             key,
             seeded: 0,
             most,
-            told: Vec::new(),
+            list: Vec::new(),
         };
-        if let Some((time, state)) = self.in_force(stream, span.from, key, known)? {
-            line.told.push((time, state));
+        if let Some((time, state)) = self.state_at(stream, span.from, key, cache)? {
+            line.list.push((time, state));
             line.seeded = 1;
         }
         let base = self
-            .levels::<Known>(stream, k.saturating_sub(1))
+            .stored_levels::<TrackCache>(stream, k.saturating_sub(1))
             .first()
             .copied();
-        let behind = Span {
+        let after = Span {
             from: span.from.saturating_add(1),
             ..span
         };
         for bin in bins {
             let end = bin.start.saturating_add((1i64 << k) - 1);
             let part = Span {
-                from: bin.start.max(behind.from),
-                to: end.min(behind.to),
+                from: bin.start.max(after.from),
+                to: end.min(after.to),
             };
             let cut = part.from != bin.start || part.to != end;
-            if part.from > part.to || !line.wants(bin, cut) {
+            if part.from > part.to || !line.may_hold_change(bin, cut) {
                 continue;
             }
             let Some(base) = base else {
-                self.changes_of_messages(stream, part, known, &mut line);
+                self.collect_changes(stream, part, cache, &mut line);
                 continue;
             };
             let mut finer = Vec::new();
             let floored = Span {
-                from: pyramid::floor(part.from, base),
+                from: pyramid::bin_start(part.from, base),
                 ..part
             };
-            let covered = self.stored(stream, base, floored, known, |bin| finer.push(bin));
+            let covered =
+                self.visit_stored_bins(stream, base, floored, cache, |bin| finer.push(bin));
             for bin in &finer {
                 let end = bin.start.saturating_add((1i64 << base) - 1);
                 let small = Span {
                     from: bin.start.max(part.from),
                     to: end.min(part.to),
                 };
-                if line.wants(bin, small.from != bin.start || small.to != end) {
-                    self.changes_of_messages(stream, small, known, &mut line);
+                if line.may_hold_change(bin, small.from != bin.start || small.to != end) {
+                    self.collect_changes(stream, small, cache, &mut line);
                 }
             }
             if covered <= part.to {
@@ -74,31 +75,33 @@ impl Reader {
                     from: covered.max(part.from),
                     ..part
                 };
-                self.changes_of_messages(stream, rest, known, &mut line);
+                self.collect_changes(stream, rest, cache, &mut line);
             }
-            if line.full() {
+            if line.is_full() {
                 return Ok(None);
             }
         }
-        Ok((!line.full()).then_some(line.told))
+        Ok((!line.is_full()).then_some(line.list))
     }
 
-    fn changes_of_messages(&self, stream: u32, span: Span, known: &mut Known, line: &mut Changes) {
+    fn collect_changes(&self, stream: u32, span: Span, cache: &mut TrackCache, line: &mut Changes) {
         for entry in self.entries_between(stream, 0, span) {
-            if line.full() {
+            if line.is_full() {
                 return;
             }
-            known.messages(self, &entry, span, |time, values| line.see(time, values));
+            cache.visit_messages(self, &entry, span, |time, values| {
+                line.note_values(time, values)
+            });
         }
     }
 
-    /// The last message at or before a time, if it has a state of this key.
-    fn in_force(
+    /// Returns the time and state of the last message at or before `time`, if it has a state for this key.
+    fn state_at(
         &self,
         stream: u32,
         time: i64,
         key: u32,
-        known: &mut Known,
+        cache: &mut TrackCache,
     ) -> Result<Option<(i64, u32)>> {
         let next = self.ordinal_from(stream, time.saturating_add(1))?;
         let Some(ordinal) = next.checked_sub(1) else {
@@ -112,9 +115,9 @@ impl Reader {
             from: i64::MIN,
             to: time,
         };
-        known.messages(self, &entry, latest, |at, values| {
+        cache.visit_messages(self, &entry, latest, |at, values| {
             found = values.iter().find_map(|(name, value)| match value {
-                Noted::State(state) if *name == key => Some((at, *state)),
+                TrackValue::State(state) if *name == key => Some((at, *state)),
                 _ => None,
             });
         });
@@ -125,44 +128,44 @@ impl Reader {
 /// The changes found so far.
 struct Changes {
     key: u32,
-    /// 1 when the first one told was in force before.
+    /// 1 if the first item is the state at the start of the span and not a change.
     seeded: usize,
     most: usize,
-    told: Vec<(i64, u32)>,
+    list: Vec<(i64, u32)>,
 }
 
 impl Changes {
-    fn full(&self) -> bool {
-        self.told.len() - self.seeded > self.most
+    fn is_full(&self) -> bool {
+        self.list.len() - self.seeded > self.most
     }
 
-    fn state(&self) -> Option<u32> {
-        self.told.last().map(|(_, state)| *state)
+    fn last_state(&self) -> Option<u32> {
+        self.list.last().map(|(_, state)| *state)
     }
 
-    /// Whether a bin (of which a part is `cut` off) may hold a change.
-    fn wants(&self, bin: &Tally, cut: bool) -> bool {
+    /// Returns whether a bin may contain a change; `cut` says that the span covers only a part of the bin.
+    fn may_hold_change(&self, bin: &TrackBin, cut: bool) -> bool {
         bin.tracks.iter().any(|(key, track)| match track {
             Track::States { first, changes, .. } if *key == self.key => {
-                cut || *changes > 0 || Some(*first) != self.state()
+                cut || *changes > 0 || Some(*first) != self.last_state()
             }
             _ => false,
         })
     }
 
-    fn see(&mut self, time: i64, values: &[(u32, Noted)]) {
+    fn note_values(&mut self, time: i64, values: &[(u32, TrackValue)]) {
         for (key, value) in values {
-            if let Noted::State(state) = value {
-                if *key == self.key && self.state() != Some(*state) && !self.full() {
-                    self.told.push((time, *state));
+            if let TrackValue::State(state) = value {
+                if *key == self.key && self.last_state() != Some(*state) && !self.is_full() {
+                    self.list.push((time, *state));
                 }
             }
         }
     }
 }
 
-/// Changes that lie between the first bin and the last for certain.
-fn least_changes(bins: &[Tally], key: u32) -> u64 {
+/// Counts the changes that are certain to be between the first bin and the last.
+fn min_change_count(bins: &[TrackBin], key: u32) -> u64 {
     let inner = bins.get(1..bins.len().saturating_sub(1)).unwrap_or(&[]);
     let mut before = None;
     let mut sum = 0;

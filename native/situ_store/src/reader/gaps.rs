@@ -1,32 +1,33 @@
-//! Where a stream paused.
+//! Finds the gaps of a stream.
 
 use super::levels::Span;
-use super::tracks::Known;
-use super::{lock, Reader};
+use super::tracks::TrackCache;
+use super::{lock_mutex, Reader};
 use crate::format::*;
 
 impl Reader {
-    /// The pauses of at least `least` ns between one message of a stream and the next: `(from, to)`, in order.
-    /// Between chunks the index shows them; within a chunk its messages do, which are read only where the stored
-    /// counts leave room for such a pause: where they are fine enough, a recording without pauses is not read.
-    pub fn gaps(&self, stream: u32, least: i64) -> Vec<(i64, i64)> {
+    /// Returns the gaps of at least `least` ns between consecutive messages of a stream: `(from, to)`, in order.
+    /// The index shows gaps between chunks. Within a chunk, the messages show them, and they are read only if the
+    /// stored counts leave space for such a gap. If the counts are fine enough, a recording without gaps is not
+    /// read.
+    pub fn find_gaps(&self, stream: u32, least: i64) -> Vec<(i64, i64)> {
         let least = least.max(1);
-        let rooms = self.rooms(stream, least);
+        let spans = self.possible_gaps(stream, least);
         let mut gaps = Vec::new();
         let mut last = None;
-        let mut see = |from: Option<i64>, to: i64| {
+        let mut note_step = |from: Option<i64>, to: i64| {
             if let Some(from) = from.filter(|from| to.saturating_sub(*from) >= least) {
                 gaps.push((from, to));
             }
         };
         for entry in self.entries_between(stream, 0, Span::EVER) {
-            see(last, entry.first);
+            note_step(last, entry.first);
             last = Some(entry.first);
-            if entry.last.saturating_sub(entry.first) >= least && open(&rooms, &entry) {
-                // The payloads do not matter here; damage ends the chunk.
-                if let Ok(chunk) = self.chunk_checked(&entry, false) {
+            if entry.last.saturating_sub(entry.first) >= least && may_contain_gap(&spans, &entry) {
+                // The payloads are not needed here, and damage ends the chunk.
+                if let Ok(chunk) = self.read_checked_chunk(&entry, false) {
                     for (envelope, _) in chunk.messages().map_while(|message| message.ok()) {
-                        see(last, envelope.time);
+                        note_step(last, envelope.time);
                         last = Some(envelope.time);
                     }
                 }
@@ -36,38 +37,38 @@ impl Reader {
         gaps
     }
 
-    /// The times, in order, outside of which no pause can be by the counts of bins at most half as wide; no
-    /// answer where no such counts are stored.
-    fn rooms(&self, stream: u32, least: i64) -> Option<Vec<Span>> {
+    /// Returns the time spans that may contain a gap, in order, from the counts of bins at most half as wide.
+    /// Returns `None` if no such counts are stored.
+    fn possible_gaps(&self, stream: u32, least: i64) -> Option<Vec<Span>> {
         let widest = (least / 2).checked_ilog2()? as u8;
-        let level = *self.levels::<Known>(stream, widest).last()?;
+        let level = *self.stored_levels::<TrackCache>(stream, widest).last()?;
         let width = 1i64 << level;
-        let known = self.known(stream);
-        let mut known = lock(&known);
-        let mut rooms = Vec::new();
+        let cache = self.track_cache(stream);
+        let mut cache = lock_mutex(&cache);
+        let mut spans = Vec::new();
         let mut last: Option<i64> = None;
-        self.stored(stream, level, Span::EVER, &mut *known, |bin| {
-            // A pause of two widths has a whole bin in it, which is empty and therefore left out.
+        self.visit_stored_bins(stream, level, Span::EVER, &mut *cache, |bin| {
+            // A gap of two widths contains a complete bin, which is empty and therefore not stored.
             if let Some(last) = last.filter(|last| bin.start > last.saturating_add(width)) {
-                rooms.push(Span {
+                spans.push(Span {
                     from: last,
                     to: bin.start.saturating_add(width - 1),
                 });
             }
             last = Some(bin.start);
         });
-        // The messages behind the last bin are not counted yet.
-        rooms.push(Span {
+        // The messages after the last bin are not counted yet.
+        spans.push(Span {
             from: last.unwrap_or(i64::MIN),
             to: i64::MAX,
         });
-        Some(rooms)
+        Some(spans)
     }
 }
 
-/// Whether a pause may lie within the chunk of an entry.
-fn open(rooms: &Option<Vec<Span>>, entry: &Entry) -> bool {
-    let Some(rooms) = rooms else { return true };
-    let at = rooms.partition_point(|room| room.to < entry.first);
-    rooms.get(at).is_some_and(|room| room.from <= entry.last)
+/// Returns whether the chunk of an entry may contain a gap.
+fn may_contain_gap(spans: &Option<Vec<Span>>, entry: &Entry) -> bool {
+    let Some(spans) = spans else { return true };
+    let at = spans.partition_point(|span| span.to < entry.first);
+    spans.get(at).is_some_and(|span| span.from <= entry.last)
 }

@@ -1,17 +1,17 @@
-//! Bins over any span: stored ones where there are, finer ones where those end, and at last what the messages say. The
-//! way down that a stream's signal and its tracks share.
+//! Reads bins over any span: stored bins if they exist, then finer bins where those end, and finally the messages.
+//! The signal and the tracks of a stream share this code.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-use super::{lock, Chunk, Reader};
+use super::{lock_mutex, Chunk, Reader};
 use crate::format::*;
 use crate::pyramid::{self, Builder, Fold, Folder};
 
-/// More messages without stored bins are folded once and kept.
-const MANY: u64 = 400_000;
+/// Above this number of messages without stored bins, their bins are computed once and cached.
+const MANY_MESSAGES: u64 = 400_000;
 
-/// Times that are asked about, both ends included.
+/// The requested times, including both ends.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Span {
     pub from: i64,
@@ -24,29 +24,29 @@ impl Span {
         to: i64::MAX,
     };
 
-    /// As far out as bins of width 2^k reach that hold a part of it.
-    pub fn in_bins(self, k: u8) -> Span {
+    /// Extends the span to complete bins of width 2^k.
+    pub fn extend_to_bins(self, k: u8) -> Span {
         Span {
-            from: pyramid::floor(self.from, k),
-            to: pyramid::floor(self.to, k).saturating_add((1i64 << k) - 1),
+            from: pyramid::bin_start(self.from, k),
+            to: pyramid::bin_start(self.to, k).saturating_add((1i64 << k) - 1),
         }
     }
 
-    pub fn holds(&self, time: i64) -> bool {
+    pub fn contains(&self, time: i64) -> bool {
         self.from <= time && time <= self.to
     }
 }
 
-/// All levels of a stream that has none stored, made in memory once; they follow a store that grows.
-pub(super) struct Made<B> {
+/// All levels of a stream without stored ones, computed once in memory and updated when the store grows.
+pub(super) struct MemoryPyramid<B> {
     builder: Builder<B>,
     levels: BTreeMap<u8, Vec<B>>,
     seen: u64,
 }
 
-impl<B> Default for Made<B> {
+impl<B> Default for MemoryPyramid<B> {
     fn default() -> Self {
-        Made {
+        MemoryPyramid {
             builder: Builder::default(),
             levels: BTreeMap::new(),
             seen: 0,
@@ -54,19 +54,19 @@ impl<B> Default for Made<B> {
     }
 }
 
-/// The part of a message that a bin takes in.
+/// The part of a message that is added to a bin.
 type Value<P> = <<P as Pyramid>::Bin as Fold>::Value;
 
-/// A kind of bins, and how they and the messages are read.
+/// A kind of bins, with functions to read them and the messages they summarize.
 pub(super) trait Pyramid {
     type Bin: Fold;
 
-    /// Its levels stand so much higher than the widths of their bins.
-    const ABOVE: u8;
+    /// The difference between level numbers and bin widths (as powers of two).
+    const LEVEL_OFFSET: u8;
 
-    /// The bins of a chunk of a level that begin at `from` or later, until `each` says `false`; `None` where the chunk
-    /// contradicts itself.
-    fn bins(
+    /// Passes the bins of a chunk that begin at `from` or later to `each` until it returns `false`. Returns `None`
+    /// if the chunk contradicts itself.
+    fn decode_bins(
         &mut self,
         chunk: &Chunk,
         level: u8,
@@ -74,8 +74,8 @@ pub(super) trait Pyramid {
         each: impl FnMut(Self::Bin) -> bool,
     ) -> Option<()>;
 
-    /// The values of a chunk's messages within a span, each with its time. Damage ends the list.
-    fn messages(
+    /// Passes the values of a chunk's messages within a span to `each`, with their times. Damage ends the chunk.
+    fn visit_messages(
         &mut self,
         reader: &Reader,
         entry: &Entry,
@@ -83,32 +83,33 @@ pub(super) trait Pyramid {
         each: impl FnMut(i64, &Value<Self>),
     );
 
-    /// The levels of a stream that were made in memory.
-    fn made(&self, reader: &Reader, stream: u32) -> Arc<Mutex<Made<Self::Bin>>>;
+    /// Returns the levels of a stream that were computed in memory.
+    fn memory_pyramid(&self, reader: &Reader, stream: u32) -> Arc<Mutex<MemoryPyramid<Self::Bin>>>;
 }
 
-/// Header and table of a large chunk take at most so many bytes before its payload.
+/// The maximum size of header and table of a large chunk, before its payload.
 const LARGE_HEAD: usize = 192;
 
-/// Whether an entry's message is for certain so large that nothing of it is drawn: to look at it would cost its bytes.
-pub(super) fn undrawn(entry: &Entry) -> bool {
+/// Returns whether an entry's message is certainly too large for a plot to show any of it. Reading it would cost
+/// its full size.
+pub(super) fn is_too_large_to_draw(entry: &Entry) -> bool {
     entry.lane == LANE_LARGE && entry.length as usize >= LARGE_MESSAGE + LARGE_HEAD
 }
 
 impl Reader {
     pub(super) fn entries_between(&self, stream: u32, level: u8, span: Span) -> Vec<Entry> {
         let index = self.lock_index();
-        let Some(entries) = index.entries(stream, level) else {
+        let Some(entries) = index.stream_entries(stream, level) else {
             return Vec::new();
         };
         entries
-            .from(entries.at_time(span.from))
+            .iter_from(entries.position_at_time(span.from))
             .take_while(|entry| entry.first <= span.to)
             .collect()
     }
 
-    /// Bins of width 2^k over a span that begins and ends with one.
-    pub(super) fn bins<P: Pyramid>(
+    /// Returns bins of width 2^k over a span that consists of complete bins.
+    pub(super) fn fold_bins<P: Pyramid>(
         &self,
         stream: u32,
         span: Span,
@@ -117,8 +118,8 @@ impl Reader {
     ) -> Vec<P::Bin> {
         let mut folder = Folder::new(k);
         let mut rest = span;
-        for level in self.levels::<P>(stream, k).into_iter().rev() {
-            rest.from = self.stored(stream, level, rest, pyramid, |bin| folder.add(bin));
+        for level in self.stored_levels::<P>(stream, k).into_iter().rev() {
+            rest.from = self.visit_stored_bins(stream, level, rest, pyramid, |bin| folder.add(bin));
             if rest.from > rest.to {
                 return folder.bins;
             }
@@ -127,17 +128,18 @@ impl Reader {
         folder.bins
     }
 
-    /// The levels that are stored of a stream, as powers of two up to `k`, the finest first.
-    pub(super) fn levels<P: Pyramid>(&self, stream: u32, k: u8) -> Vec<u8> {
+    /// Returns the stored levels of a stream up to `k` (as powers of two), finest first.
+    pub(super) fn stored_levels<P: Pyramid>(&self, stream: u32, k: u8) -> Vec<u8> {
         let index = self.lock_index();
-        let range = (stream, P::ABOVE)..=(stream, P::ABOVE + k.min(62));
+        let range = (stream, P::LEVEL_OFFSET)..=(stream, P::LEVEL_OFFSET + k.min(62));
         let present = index.directories.range(range);
-        let levels = present.map(|((_, level), _)| *level - P::ABOVE);
+        let levels = present.map(|((_, level), _)| *level - P::LEVEL_OFFSET);
         levels.filter(|level| *level > 0).collect()
     }
 
-    /// The stored bins of a level that begin within a span; the time behind the last of them.
-    pub(super) fn stored<P: Pyramid>(
+    /// Passes the stored bins of a level that begin within a span to `each`. Returns the time after the last of
+    /// them.
+    pub(super) fn visit_stored_bins<P: Pyramid>(
         &self,
         stream: u32,
         level: u8,
@@ -147,13 +149,13 @@ impl Reader {
     ) -> i64 {
         let width = 1i64 << level;
         let mut at = span.from;
-        for entry in self.entries_between(stream, P::ABOVE + level, span) {
-            // Damaged bins are no damage to the recording: finer levels and the messages tell what they lack.
-            let Ok(chunk) = self.chunk(&entry) else {
+        for entry in self.entries_between(stream, P::LEVEL_OFFSET + level, span) {
+            // Damaged bins do not damage the recording: finer levels and the messages contain the same information.
+            let Ok(chunk) = self.read_chunk(&entry) else {
                 return at;
             };
-            let whole = pyramid.bins(&chunk, level, at, |bin| {
-                let start = bin.start();
+            let whole = pyramid.decode_bins(&chunk, level, at, |bin| {
+                let start = bin.start_time();
                 if start > span.to {
                     return false;
                 }
@@ -167,10 +169,10 @@ impl Reader {
                 return at;
             }
         }
-        // Past the last stored bin of the level nothing is known; before it all is.
+        // After the last stored bin of the level nothing is known; before it everything is.
         let last = {
             let index = self.lock_index();
-            let entries = index.entries(stream, P::ABOVE + level);
+            let entries = index.stream_entries(stream, P::LEVEL_OFFSET + level);
             entries.and_then(|entries| entries.last()).map(|e| e.last)
         };
         let covered = last.map_or(i64::MIN, |last| last.saturating_add(width));
@@ -187,16 +189,16 @@ impl Reader {
     ) {
         let entries = self.entries_between(stream, 0, span);
         let messages: u64 = entries.iter().map(|e| u64::from(e.count)).sum();
-        if messages > MANY {
-            span.from = self.fold_made(stream, span, k, pyramid, folder);
+        if messages > MANY_MESSAGES {
+            span.from = self.fold_memory_pyramid(stream, span, k, pyramid, folder);
         }
         for entry in entries.iter().filter(|entry| entry.last >= span.from) {
-            pyramid.messages(self, entry, span, |time, value| folder.observe(time, value));
+            pyramid.visit_messages(self, entry, span, |time, value| folder.observe(time, value));
         }
     }
 
-    /// Bins from the levels made in memory; the time behind the last of them.
-    fn fold_made<P: Pyramid>(
+    /// Adds bins from the levels computed in memory. Returns the time after the last of them.
+    fn fold_memory_pyramid<P: Pyramid>(
         &self,
         stream: u32,
         span: Span,
@@ -204,38 +206,43 @@ impl Reader {
         pyramid: &mut P,
         folder: &mut Folder<P::Bin>,
     ) -> i64 {
-        let made = pyramid.made(self, stream);
-        let mut made = lock(&made);
-        self.catch_up(stream, pyramid, &mut made);
-        let Some((level, bins)) = made.levels.range(..=k).next_back() else {
+        let memory_pyramid = pyramid.memory_pyramid(self, stream);
+        let mut memory_pyramid = lock_mutex(&memory_pyramid);
+        self.update_memory_pyramid(stream, pyramid, &mut memory_pyramid);
+        let Some((level, bins)) = memory_pyramid.levels.range(..=k).next_back() else {
             return span.from;
         };
-        let first = bins.partition_point(|bin| bin.start() < span.from);
+        let first = bins.partition_point(|bin| bin.start_time() < span.from);
         for bin in bins[first..]
             .iter()
-            .take_while(|bin| bin.start() <= span.to)
+            .take_while(|bin| bin.start_time() <= span.to)
         {
             folder.add(bin.clone());
         }
-        let behind = |bin: &P::Bin| bin.start().saturating_add(1i64 << level);
-        let covered = bins.last().map_or(span.from, behind);
+        let end_of = |bin: &P::Bin| bin.start_time().saturating_add(1i64 << level);
+        let covered = bins.last().map_or(span.from, end_of);
         span.from.max(covered.min(span.to.saturating_add(1)))
     }
 
-    fn catch_up<P: Pyramid>(&self, stream: u32, pyramid: &mut P, made: &mut Made<P::Bin>) {
-        let count = self.count(stream);
-        while made.seen < count {
-            let Ok(Some(entry)) = self.entry_at(stream, made.seen) else {
+    fn update_memory_pyramid<P: Pyramid>(
+        &self,
+        stream: u32,
+        pyramid: &mut P,
+        memory_pyramid: &mut MemoryPyramid<P::Bin>,
+    ) {
+        let count = self.message_count(stream);
+        while memory_pyramid.seen < count {
+            let Ok(Some(entry)) = self.entry_at(stream, memory_pyramid.seen) else {
                 break;
             };
-            let builder = &mut made.builder;
-            pyramid.messages(self, &entry, Span::EVER, |time, value| {
+            let builder = &mut memory_pyramid.builder;
+            pyramid.visit_messages(self, &entry, Span::EVER, |time, value| {
                 builder.observe(time, value);
             });
-            made.seen = entry.ordinal + u64::from(entry.count);
+            memory_pyramid.seen = entry.ordinal + u64::from(entry.count);
         }
-        for (level, bins) in made.builder.take_ready(1) {
-            made.levels.entry(level).or_default().extend(bins);
+        for (level, bins) in memory_pyramid.builder.take_ready(1) {
+            memory_pyramid.levels.entry(level).or_default().extend(bins);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The maps of a store's extents, and how much of them stays in memory.
+//! Maps a store's extents and limits how much of them stays resident.
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
@@ -15,17 +15,17 @@ use crate::extent;
 use crate::format::*;
 use crate::guard::Map;
 
-/// A reader keeps about this many bytes of maps resident; what it looked at longest ago goes first.
+/// A reader keeps about this many bytes of maps resident and releases the least recently read ones first.
 const MOST_RESIDENT: usize = 16 << 20;
 const PAGE: usize = 4096;
-/// The kernel maps the sixteen pages around each page that is read, so that is the unit to count and to release.
-const AROUND: usize = 16 * PAGE;
+/// The kernel maps the sixteen pages around each page that is read, so this is the unit for counting and releasing.
+const FAULT_AROUND: usize = 16 * PAGE;
 
 #[allow(unsafe_code)]
 pub(crate) fn map_file(file: &File, from: u64, length: u64, what: &str) -> Result<Map> {
-    // SAFETY: mapped read-only and shared. The length was taken from the file; the format's writer never cuts a file
-    // below what is committed, and only what is committed is looked at. If another program cuts it, the guard catches
-    // the signal.
+    // SAFETY: the map is read-only and shared. The length is the file's length; the format's writer never truncates
+    // a file below the committed bytes, and only those are accessed. If another program truncates it, the guard
+    // catches the signal.
     unsafe {
         MmapOptions::new()
             .offset(from)
@@ -42,18 +42,18 @@ pub(crate) fn file_length(file: &File, what: &str) -> Result<u64> {
         .map_err(|e| Error::io(format!("size of {what}"), e))
 }
 
-/// The extents of one store, mapped when first wanted.
+/// The extents of one store, mapped on first use.
 pub(super) struct Extents {
     dir: PathBuf,
     id: [u8; 16],
     maps: RwLock<HashMap<(u8, u32), Arc<Map>>>,
     window: Mutex<Window>,
-    /// The file of large messages that was read last; one, so that long recordings do not take all the descriptors
-    /// there are.
+    /// The file of large messages that was read last. Only one is kept open, so that long recordings do not use up
+    /// all file descriptors.
     file: Mutex<Option<(u32, Arc<File>)>>,
 }
 
-/// As many bytes hold the header of a large chunk and its table, of one message.
+/// The maximum size of a large chunk's header and its table, which has one message.
 const HEAD: usize = 256;
 
 impl Extents {
@@ -67,11 +67,16 @@ impl Extents {
         }
     }
 
-    /// Header and table of an uncompressed large chunk, read beside its map: there they would fault in sixteen pages
-    /// to be let go of again. `None` when there is none in so many bytes, or (when it shall not `wait`) when they are
-    /// not in memory.
-    pub fn head(&self, entry: &Entry, map: &Map, wait: bool) -> Option<(ChunkHeader, Vec<u8>)> {
-        let file = self.large(entry.extent)?;
+    /// Reads header and table of an uncompressed large chunk from the file and not from its map, where they would
+    /// fault in sixteen pages. Returns `None` if they need more bytes, or (unless `wait`) if they are not in
+    /// memory.
+    pub fn read_large_head(
+        &self,
+        entry: &Entry,
+        map: &Map,
+        wait: bool,
+    ) -> Option<(ChunkHeader, Vec<u8>)> {
+        let file = self.open_large_file(entry.extent)?;
         let space = (map.len() as u64).checked_sub(entry.offset)?;
         let mut bytes = [0; HEAD];
         let read = |bytes: &mut [u8], flags| {
@@ -81,47 +86,48 @@ impl Extents {
             read(&mut bytes, ReadWriteFlags::empty()).ok()?
         } else {
             match read(&mut bytes, ReadWriteFlags::NOWAIT) {
-                // A file system that cannot say.
-                Err(Errno::OPNOTSUPP) if resident(map, entry.offset as usize, HEAD) => {
+                // The file system does not support NOWAIT.
+                Err(Errno::OPNOTSUPP) if is_resident(map, entry.offset as usize, HEAD) => {
                     read(&mut bytes, ReadWriteFlags::empty()).ok()?
                 }
                 other => other.ok()?,
             }
         };
         let header = ChunkHeader::decode_head(&bytes[..n], space).ok()?;
-        let table = bytes.get(header.size()..header.size() + header.covered())?;
+        let table =
+            bytes.get(header.header_size()..header.header_size() + header.covered_size())?;
         (header.compression == Compression::None).then(|| (header, table.to_vec()))
     }
 
-    fn large(&self, extent: u32) -> Option<Arc<File>> {
+    fn open_large_file(&self, extent: u32) -> Option<Arc<File>> {
         let mut last = self.file.lock().unwrap_or_else(|p| p.into_inner());
         if let Some((number, file)) = &*last {
             if *number == extent {
                 return Some(file.clone());
             }
         }
-        let file = Arc::new(File::open(self.dir.join(extent::name(LANE_LARGE, extent))).ok()?);
+        let file = Arc::new(File::open(self.dir.join(extent::file_name(LANE_LARGE, extent))).ok()?);
         *last = Some((extent, file.clone()));
         Some(file)
     }
 
-    /// The extent's map, if it was mapped before.
-    pub fn mapped(&self, lane: u8, number: u32) -> Option<Arc<Map>> {
+    /// Returns the extent's map if it was mapped before.
+    pub fn cached_map(&self, lane: u8, number: u32) -> Option<Arc<Map>> {
         let maps = self.maps.read().unwrap_or_else(|p| p.into_inner());
         maps.get(&(lane, number)).cloned()
     }
 
     pub fn get(&self, lane: u8, number: u32) -> Result<Arc<Map>> {
-        if let Some(map) = self.mapped(lane, number) {
+        if let Some(map) = self.cached_map(lane, number) {
             return Ok(map);
         }
-        let map = Arc::new(self.open(lane, number)?);
+        let map = Arc::new(self.open_map(lane, number)?);
         let mut maps = self.maps.write().unwrap_or_else(|p| p.into_inner());
         Ok(maps.entry((lane, number)).or_insert(map).clone())
     }
 
-    fn open(&self, lane: u8, number: u32) -> Result<Map> {
-        let name = extent::name(lane, number);
+    fn open_map(&self, lane: u8, number: u32) -> Result<Map> {
+        let name = extent::file_name(lane, number);
         let file = File::open(self.dir.join(&name)).map_err(|e| match e.kind() {
             std::io::ErrorKind::NotFound => Error::MissingExtent(name.clone()),
             _ => Error::io(format!("open {name}"), e),
@@ -131,19 +137,20 @@ impl Extents {
             return Err(Error::damaged(name, 0, "shorter than an extent's header"));
         }
         let map = map_file(&file, 0, length, &name)?;
-        check_extent(&map, &self.id, lane, number).map_err(|why| Error::damaged(name, 0, why))?;
+        check_extent_header(&map, &self.id, lane, number)
+            .map_err(|why| Error::damaged(name, 0, why))?;
         Ok(map)
     }
 
-    /// Notes that these bytes are about to be read, and releases the pages that were read longest ago.
+    /// Records that these bytes are about to be read, and releases the least recently read pages.
     pub fn touch(&self, map: &Arc<Map>, start: usize, length: usize) {
         let old = {
             let mut window = self.window.lock().unwrap_or_else(|p| p.into_inner());
             window.add(map, start, start.saturating_add(length));
-            window.overdue()
+            window.take_overdue()
         };
         for range in old {
-            release(&range.map, range.start, range.end);
+            release_pages(&range.map, range.start, range.end);
         }
     }
 }
@@ -154,11 +161,11 @@ struct Range {
     end: usize,
 }
 
-/// Streams that are read in turn look at the same places again and again: so many of the last ranges are searched for
-/// one.
-const LATELY: usize = 8;
+/// The number of recent ranges in which a range is searched: streams that are read alternately access the same
+/// ranges again and again.
+const RECENT_RANGES: usize = 8;
 
-/// The ranges read lately, oldest first; neighbours are one range.
+/// The recently read ranges, oldest first. Adjacent ranges are merged.
 #[derive(Default)]
 struct Window {
     ranges: VecDeque<Range>,
@@ -167,9 +174,12 @@ struct Window {
 
 impl Window {
     fn add(&mut self, map: &Arc<Map>, start: usize, end: usize) {
-        let (start, end) = (start / AROUND * AROUND, end.next_multiple_of(AROUND));
-        let mut lately = self.ranges.iter().rev().take(LATELY);
-        if lately.any(|r| Arc::ptr_eq(&r.map, map) && r.start <= start && end <= r.end) {
+        let (start, end) = (
+            start / FAULT_AROUND * FAULT_AROUND,
+            end.next_multiple_of(FAULT_AROUND),
+        );
+        let mut recent = self.ranges.iter().rev().take(RECENT_RANGES);
+        if recent.any(|r| Arc::ptr_eq(&r.map, map) && r.start <= start && end <= r.end) {
             return;
         }
         match self.ranges.back_mut() {
@@ -187,8 +197,8 @@ impl Window {
         }
     }
 
-    /// Half of the window at once, so that letting go costs few system calls.
-    fn overdue(&mut self) -> Vec<Range> {
+    /// Takes ranges out of a full window until it is half empty, so that releasing them needs few system calls.
+    fn take_overdue(&mut self) -> Vec<Range> {
         let mut old = Vec::new();
         if self.bytes <= MOST_RESIDENT {
             return old;
@@ -217,12 +227,13 @@ impl Window {
     }
 }
 
-/// Gives the pages back to the page cache; the next read faults them in again.
+/// Returns the pages to the page cache; the next read faults them in again.
 #[allow(unsafe_code)]
-pub(super) fn release(map: &Map, start: usize, end: usize) {
+pub(super) fn release_pages(map: &Map, start: usize, end: usize) {
     let (from, to) = (start / PAGE * PAGE, end.min(map.len()));
     if to > from {
-        // SAFETY: a read-only shared map of a file has no bytes of its own: the same ones come back from the file.
+        // SAFETY: a read-only shared map of a file has no data of its own; the same bytes are read from the file
+        // again.
         let _ = unsafe {
             map.inner()
                 .unchecked_advise_range(UncheckedAdvice::DontNeed, from, to - from)
@@ -230,9 +241,10 @@ pub(super) fn release(map: &Map, start: usize, end: usize) {
     }
 }
 
-/// Whether reading these bytes needs no disk. True of another user's file, too, of which the kernel does not tell.
+/// Returns whether these bytes can be read without disk access. Also returns true for another user's file, for
+/// which the kernel gives no information.
 #[allow(unsafe_code)]
-pub(super) fn resident(map: &Map, start: usize, length: usize) -> bool {
+pub(super) fn is_resident(map: &Map, start: usize, length: usize) -> bool {
     let mut pages = [0u8; 64];
     let from = start / PAGE * PAGE;
     let end = start.saturating_add(length).min(map.len());
@@ -240,8 +252,8 @@ pub(super) fn resident(map: &Map, start: usize, length: usize) -> bool {
     if n == 0 || n > pages.len() {
         return false;
     }
-    // SAFETY: the range lies in the map, `from` is a multiple of the page size (as the map's start is), and there is
-    // a byte for each of its pages.
+    // SAFETY: the range is within the map, `from` is a multiple of the page size (as is the map's start), and there
+    // is a byte for each of its pages.
     let done = unsafe {
         libc::mincore(
             map.as_ptr().add(from) as *mut _,
@@ -258,36 +270,36 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_window_lets_go_of_the_oldest_half() {
+    fn a_full_window_releases_its_oldest_half() {
         let map = |n| {
             let map = MmapOptions::new().len(n).map_anon().unwrap();
             Arc::new(Map::new(map.make_read_only().unwrap()))
         };
         let (a, b) = (map(32 << 20), map(32 << 20));
         let mut window = Window::default();
-        // Neighbours become one range.
+        // Adjacent ranges are merged.
         for at in (0..12 << 20).step_by(1 << 20) {
             window.add(&a, at, at + (1 << 20) - 100);
         }
         // A range read twice counts once.
         window.add(&a, 5 << 20, (5 << 20) + 10);
         assert_eq!((window.ranges.len(), window.bytes), (1, 12 << 20));
-        assert!(window.overdue().is_empty());
-        // A byte counts as much as the kernel maps for it.
+        assert!(window.take_overdue().is_empty());
+        // A byte counts as much as the kernel maps around it.
         window.add(&b, (4 << 20) + 70_000, (4 << 20) + 70_001);
-        assert_eq!(window.bytes, (12 << 20) + AROUND);
+        assert_eq!(window.bytes, (12 << 20) + FAULT_AROUND);
         window.add(&b, 5 << 20, 10 << 20);
-        let old = window.overdue();
+        let old = window.take_overdue();
         assert_eq!(old.len(), 1);
         assert!(Arc::ptr_eq(&old[0].map, &a));
-        assert_eq!((old[0].start, old[0].end), (0, (9 << 20) + AROUND));
+        assert_eq!((old[0].start, old[0].end), (0, (9 << 20) + FAULT_AROUND));
         assert_eq!(window.bytes, MOST_RESIDENT / 2);
-        // Back to where it was: a range of its own.
+        // Jumping back to an earlier position starts a new range.
         window.add(&b, 0, 1 << 20);
         assert_eq!(window.ranges.len(), 4);
-        // More than all of it at once.
+        // A range can be larger than the whole window.
         window.add(&a, 0, 32 << 20);
-        assert_eq!(window.overdue().len(), 5);
+        assert_eq!(window.take_overdue().len(), 5);
         assert_eq!(window.bytes, MOST_RESIDENT / 2);
     }
 }

@@ -1,4 +1,4 @@
-//! A stream's statistics without reading its messages, and the check of a whole store.
+//! Returns a stream's statistics without reading its messages, and checks a whole store.
 
 use super::{Damage, Reader};
 use crate::error::{Error, Result};
@@ -7,7 +7,7 @@ use crate::format::*;
 /// The statistics of a stream. Times are ns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
-    /// How many messages it has.
+    /// The number of messages.
     pub count: u64,
     /// Originating time of the first message.
     pub first: i64,
@@ -17,22 +17,22 @@ pub struct Statistics {
     pub first_creation: i64,
     /// Creation time of the last message.
     pub last_creation: i64,
-    /// Payload bytes of all messages.
+    /// The payload bytes of all messages.
     pub size_sum: u64,
-    /// Sum of the latencies (creation - originating time) of all messages.
+    /// The sum of the latencies (creation - originating time) of all messages.
     pub latency_sum: f64,
-    /// Bytes of its chunks in the files.
+    /// The size of its chunks in the files, bytes.
     pub stored: u64,
-    /// How many chunks it has.
+    /// The number of chunks.
     pub chunks: u64,
 }
 
 impl Reader {
-    /// The statistics of a stream, from the index and its last chunk; `None` without messages.
-    pub fn statistics(&self, stream: u32) -> Result<Option<Statistics>> {
+    /// Returns the statistics of a stream from the index and its last chunk, or `None` if it has no messages.
+    pub fn read_statistics(&self, stream: u32) -> Result<Option<Statistics>> {
         let (first, last, count, stored, chunks) = {
             let index = self.lock_index();
-            let Some(entries) = index.entries(stream, 0) else {
+            let Some(entries) = index.stream_entries(stream, 0) else {
                 return Ok(None);
             };
             let (Some(first), Some(last)) = (entries.first(), entries.last()) else {
@@ -41,8 +41,8 @@ impl Reader {
             (
                 first,
                 last,
-                entries.count(),
-                entries.stored(),
+                entries.message_count(),
+                entries.stored_bytes(),
                 entries.len() as u64,
             )
         };
@@ -58,12 +58,12 @@ impl Reader {
             chunks,
         };
         if last.lane == LANE_LARGE {
-            // One message, whose creation time the entry has.
-            if let Ok(header) = self.chunk_header(&last) {
+            // The chunk has one message, and its entry contains the creation time.
+            if let Ok(header) = self.read_chunk_header(&last) {
                 statistics.size_sum = header.size_sum;
                 statistics.latency_sum = header.latency_sum;
             }
-        } else if let Ok(chunk) = self.chunk(&last) {
+        } else if let Ok(chunk) = self.read_chunk(&last) {
             statistics.size_sum = chunk.header.size_sum;
             statistics.latency_sum = chunk.header.latency_sum;
             if let Some(Ok((envelope, _))) = chunk.messages().last() {
@@ -73,22 +73,23 @@ impl Reader {
         Ok(Some(statistics))
     }
 
-    /// Checks the entries `from..from + n` and their chunks wholly; the damage found, and how many entries there are.
-    pub fn verify(&self, from: u64, n: u64) -> Result<(Vec<Damage>, u64)> {
+    /// Checks the entries `from..from + n` and the complete contents of their chunks. Returns the damage found and
+    /// the total number of entries.
+    pub fn verify_entries(&self, from: u64, n: u64) -> Result<(Vec<Damage>, u64)> {
         let total = self.refresh()?;
         let mut found = Vec::new();
         for at in from..total.min(from.saturating_add(n)) {
             let Some(entry) = self.lock_index().raw_entry(at) else {
                 continue;
             };
-            if entry.is_hole() {
+            if entry.is_placeholder() {
                 continue;
             }
-            let checked = self.chunk_checked(&entry, true).and_then(|chunk| {
+            let checked = self.read_checked_chunk(&entry, true).and_then(|chunk| {
                 let mut messages = chunk.messages();
                 messages
                     .try_for_each(|m| m.map(|_| ()))
-                    .map_err(|why| self.broken(&entry, why))
+                    .map_err(|why| self.chunk_error(&entry, why))
             });
             match checked {
                 Ok(()) => {}

@@ -1,25 +1,25 @@
-//! Summaries: extremes, last value and count of a stream's signal.
+//! Summarizes a stream's signal: extremes, last value, and count.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
 use super::levels::{self, Pyramid, Span};
-use super::{lock, Chunk, Reader};
+use super::{lock_mutex, Chunk, Reader};
 use crate::error::Result;
 use crate::format::*;
 use crate::pyramid::Bin;
 
-/// Pyramids made in memory where the store has none, by stream.
-pub(super) type Made = Mutex<HashMap<u32, Arc<Mutex<levels::Made<Bin>>>>>;
+/// Pyramids computed in memory for streams without stored ones, by stream.
+pub(super) type MemoryPyramids = Mutex<HashMap<u32, Arc<Mutex<levels::MemoryPyramid<Bin>>>>>;
 
 struct Signal;
 
 impl Pyramid for Signal {
     type Bin = Bin;
 
-    const ABOVE: u8 = 0;
+    const LEVEL_OFFSET: u8 = 0;
 
-    fn bins(
+    fn decode_bins(
         &mut self,
         chunk: &Chunk,
         _level: u8,
@@ -35,41 +35,49 @@ impl Pyramid for Signal {
         Some(())
     }
 
-    fn messages(
+    fn visit_messages(
         &mut self,
         reader: &Reader,
         entry: &Entry,
         span: Span,
         mut each: impl FnMut(i64, &f64),
     ) {
-        // No number is as large as that.
-        if levels::undrawn(entry) {
+        // A message of this size is not a number.
+        if levels::is_too_large_to_draw(entry) {
             return;
         }
-        let Ok(chunk) = reader.chunk(entry) else {
+        let Ok(chunk) = reader.read_chunk(entry) else {
             return;
         };
         for (envelope, value) in chunk.messages().map_while(|message| message.ok()) {
             if envelope.time > span.to {
                 return;
             }
-            if let (true, Some(number)) = (envelope.time >= span.from, chunk.number(&value)) {
+            if let (true, Some(number)) = (envelope.time >= span.from, chunk.numeric_value(&value))
+            {
                 each(envelope.time, &number);
             }
         }
     }
 
-    fn made(&self, reader: &Reader, stream: u32) -> Arc<Mutex<levels::Made<Bin>>> {
-        lock(&reader.made).entry(stream).or_default().clone()
+    fn memory_pyramid(
+        &self,
+        reader: &Reader,
+        stream: u32,
+    ) -> Arc<Mutex<levels::MemoryPyramid<Bin>>> {
+        lock_mutex(&reader.memory_pyramids)
+            .entry(stream)
+            .or_default()
+            .clone()
     }
 }
 
 impl Reader {
-    /// Bins of width 2^k ns of a stream's signal, those that hold a part of `from..=to`; empty ones are left out.
-    pub fn summary(&self, stream: u32, from: i64, to: i64, k: u8) -> Result<Vec<Bin>> {
+    /// Returns bins of width 2^k ns of a stream's signal that overlap `from..=to`. Empty bins are left out.
+    pub fn read_summary(&self, stream: u32, from: i64, to: i64, k: u8) -> Result<Vec<Bin>> {
         let k = k.min(62);
-        let bins = self.bins(stream, Span { from, to }.in_bins(k), k, &mut Signal);
-        self.whole()?;
+        let bins = self.fold_bins(stream, Span { from, to }.extend_to_bins(k), k, &mut Signal);
+        self.check_intact()?;
         Ok(bins)
     }
 }

@@ -1,83 +1,83 @@
-//! The data of a timeline for streams of any type: counts, states and the keys of maps, from stored bins, and where
-//! these lack from the messages.
+//! Reads the data of a timeline for streams of any type: counts, states and the keys of maps, from stored bins or,
+//! where there are none, from the messages.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-use super::levels::{self, Made, Pyramid, Span};
-use super::{lock, Chunk, Reader};
+use super::levels::{self, MemoryPyramid, Pyramid, Span};
+use super::{lock_mutex, Chunk, Reader};
 use crate::error::Result;
 use crate::format::*;
 use crate::pyramid::Bin;
-use crate::tracks::{self, Names, Noted, Tally, Track, ITSELF};
+use crate::tracks::{self, Names, Track, TrackBin, TrackValue, MESSAGE_KEY};
 
-/// The answer of `Reader::tracks`; keys and states are numbers of `names`.
-pub struct Told {
-    /// Per bin its start (ns) and how many messages lie in it.
+/// The result of `Reader::read_tracks`. Keys and states are numbers of `names`.
+pub struct TrackData {
+    /// The start (ns) and the number of messages of each bin.
     pub counts: Vec<(i64, u64)>,
-    /// The tracks, by the number of their key.
+    /// The tracks, by key number.
     pub tracks: Vec<(u32, Line)>,
 }
 
-/// A bin's start and last state, and how many messages had which.
+/// A bin's start, its last state, and the number of messages with each state.
 pub type StateBin = (i64, u32, Vec<(u32, u64)>);
 
 /// The data of one track.
 pub enum Line {
     /// Bins of a number.
     Numbers(Vec<Bin>),
-    /// The times (ns) of the state's changes with the new states; first the state at the beginning.
+    /// The times (ns) of the state's changes with the new states, starting with the state at the beginning.
     Changes(Vec<(i64, u32)>),
-    /// Per bin its last state, and how many messages had which, the most frequent first.
+    /// The last state of each bin and the number of messages with each state, most frequent first.
     States(Vec<StateBin>),
 }
 
-/// One stream's names and bins, kept between calls.
+/// One stream's names and bins, cached between calls.
 #[derive(Default)]
-pub struct Known {
-    /// Numbers of the stream's keys and states.
+pub struct TrackCache {
+    /// The numbers of the stream's keys and states.
     pub names: Names,
-    made: Arc<Mutex<Made<Tally>>>,
+    memory_pyramid: Arc<Mutex<MemoryPyramid<TrackBin>>>,
 }
 
-pub type KnownStreams = Mutex<BTreeMap<u32, Arc<Mutex<Known>>>>;
+pub type TrackCaches = Mutex<BTreeMap<u32, Arc<Mutex<TrackCache>>>>;
 
-impl Pyramid for Known {
-    type Bin = Tally;
+impl Pyramid for TrackCache {
+    type Bin = TrackBin;
 
-    const ABOVE: u8 = TRACKS;
+    const LEVEL_OFFSET: u8 = TRACKS;
 
-    fn bins(
+    fn decode_bins(
         &mut self,
         chunk: &Chunk,
         level: u8,
         from: i64,
-        each: impl FnMut(Tally) -> bool,
+        each: impl FnMut(TrackBin) -> bool,
     ) -> Option<()> {
-        let wanted = tracks::Wanted {
+        let query = tracks::BinQuery {
             count: chunk.header.count,
             first: chunk.header.first,
             k: level,
             from,
         };
-        tracks::decode(chunk.body(), wanted, &mut self.names, each)
+        tracks::decode_bins(chunk.body(), query, &mut self.names, each)
     }
 
-    fn messages(
+    fn visit_messages(
         &mut self,
         reader: &Reader,
         entry: &Entry,
         span: Span,
-        mut each: impl FnMut(i64, &[(u32, Noted)]),
+        mut each: impl FnMut(i64, &[(u32, TrackValue)]),
     ) {
-        // It is counted only.
-        if levels::undrawn(entry) {
-            if span.holds(entry.first) {
+        // The message is only counted.
+        if levels::is_too_large_to_draw(entry) {
+            if span.contains(entry.first) {
                 each(entry.first, &[]);
             }
             return;
         }
-        let Ok(chunk) = reader.chunk(entry) else {
+        let Ok(chunk) = reader.read_chunk(entry) else {
             return;
         };
         let mut values = Vec::new();
@@ -88,37 +88,45 @@ impl Pyramid for Known {
             if envelope.time >= span.from {
                 values.clear();
                 let (encoding, body) = (chunk.header.encoding, chunk.body());
-                tracks::note(encoding, &value, body, &mut self.names, &mut values);
+                tracks::collect_values(encoding, &value, body, &mut self.names, &mut values);
                 each(envelope.time, &values);
             }
         }
     }
 
-    fn made(&self, _reader: &Reader, _stream: u32) -> Arc<Mutex<Made<Tally>>> {
-        self.made.clone()
+    fn memory_pyramid(
+        &self,
+        _reader: &Reader,
+        _stream: u32,
+    ) -> Arc<Mutex<MemoryPyramid<TrackBin>>> {
+        self.memory_pyramid.clone()
     }
 }
 
 impl Reader {
-    /// The names that the answers about a stream speak in. Held while one is read.
-    pub fn known(&self, stream: u32) -> Arc<Mutex<Known>> {
-        lock(&self.known).entry(stream).or_default().clone()
+    /// Returns the cache that contains the names used in results about a stream. It is locked while a result is
+    /// read.
+    pub fn track_cache(&self, stream: u32) -> Arc<Mutex<TrackCache>> {
+        lock_mutex(&self.track_caches)
+            .entry(stream)
+            .or_default()
+            .clone()
     }
 
-    /// Counts and tracks of a stream from `from` to `to` in bins of 2^k ns. Up to `most` changes of a state are told
-    /// one by one.
-    pub fn tracks(
+    /// Returns counts and tracks of a stream from `from` to `to` in bins of 2^k ns. Up to `most` changes of a state
+    /// are listed one by one.
+    pub fn read_tracks(
         &self,
         stream: u32,
         from: i64,
         to: i64,
         k: u8,
         most: usize,
-        known: &mut Known,
-    ) -> Result<Told> {
+        cache: &mut TrackCache,
+    ) -> Result<TrackData> {
         let k = k.min(62);
         let span = Span { from, to };
-        let bins = self.bins(stream, span.in_bins(k), k, known);
+        let bins = self.fold_bins(stream, span.extend_to_bins(k), k, cache);
         let mut keys: Vec<(u32, bool)> = Vec::new();
         for (key, track) in bins.iter().flat_map(|bin| &bin.tracks) {
             let kind = (*key, matches!(track, Track::Numbers { .. }));
@@ -126,33 +134,33 @@ impl Reader {
                 keys.push(kind);
             }
         }
-        let mut told = Told {
+        let mut data = TrackData {
             counts: bins.iter().map(|bin| (bin.start, bin.count)).collect(),
             tracks: Vec::new(),
         };
-        if !self.boolean(&bins, &known.names) {
-            let numbers = self.summary(stream, from, to, k)?;
-            if !numbers.is_empty() && !told.counts.is_empty() {
-                told.tracks.push((ITSELF, Line::Numbers(numbers)));
+        if !self.has_booleans(&bins, &cache.names) {
+            let numbers = self.read_summary(stream, from, to, k)?;
+            if !numbers.is_empty() && !data.counts.is_empty() {
+                data.tracks.push((MESSAGE_KEY, Line::Numbers(numbers)));
             }
         }
         for (key, numbers) in keys {
             let line = if numbers {
-                Line::Numbers(numbers_of(&bins, key))
+                Line::Numbers(number_bins(&bins, key))
             } else {
-                match self.changes(stream, span, key, (&bins, k), most, known)? {
+                match self.list_changes(stream, span, key, (&bins, k), most, cache)? {
                     Some(changes) => Line::Changes(changes),
-                    None => Line::States(states_of(&bins, key)),
+                    None => Line::States(state_bins(&bins, key)),
                 }
             };
-            told.tracks.push((key, line));
+            data.tracks.push((key, line));
         }
-        self.whole()?;
-        Ok(told)
+        self.check_intact()?;
+        Ok(data)
     }
 
-    /// Truths are states, though they have a signal too.
-    fn boolean(&self, bins: &[Tally], names: &Names) -> bool {
+    /// Returns whether the messages are booleans, which are states although they also have a signal.
+    fn has_booleans(&self, bins: &[TrackBin], names: &Names) -> bool {
         let truth = |state: &u32| {
             names
                 .state_term(*state)
@@ -161,7 +169,7 @@ impl Reader {
         let of_itself = bins
             .iter()
             .flat_map(|bin| &bin.tracks)
-            .filter(|(key, _)| *key == ITSELF);
+            .filter(|(key, _)| *key == MESSAGE_KEY);
         of_itself.into_iter().any(|(_, track)| match track {
             Track::States { counts, .. } => counts.iter().any(|(state, _)| truth(state)),
             Track::Numbers { .. } => false,
@@ -169,8 +177,8 @@ impl Reader {
     }
 }
 
-fn numbers_of(bins: &[Tally], key: u32) -> Vec<Bin> {
-    let of = |bin: &Tally| {
+fn number_bins(bins: &[TrackBin], key: u32) -> Vec<Bin> {
+    let of = |bin: &TrackBin| {
         bin.tracks.iter().find_map(|(name, track)| match *track {
             Track::Numbers {
                 min,
@@ -190,8 +198,8 @@ fn numbers_of(bins: &[Tally], key: u32) -> Vec<Bin> {
     bins.iter().filter_map(of).collect()
 }
 
-fn states_of(bins: &[Tally], key: u32) -> Vec<StateBin> {
-    let of = |bin: &Tally| {
+fn state_bins(bins: &[TrackBin], key: u32) -> Vec<StateBin> {
+    let of = |bin: &TrackBin| {
         bin.tracks.iter().find_map(|(name, track)| match track {
             Track::States { last, counts, .. } if *name == key => {
                 let mut counts = counts.clone();

@@ -1,4 +1,4 @@
-//! Writing down what a repair decided.
+//! Applies the plan of a repair.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -14,22 +14,22 @@ use crate::format::*;
 use crate::index;
 use crate::reader::file_length;
 
-pub(super) fn apply(dir: &Path, plan: &Plan) -> Result<()> {
-    for (lane, number) in &plan.heads {
-        entitle(dir, &plan.header.id, *lane, *number)?;
+pub(super) fn apply_plan(dir: &Path, plan: &Plan) -> Result<()> {
+    for (lane, number) in &plan.damaged_headers {
+        rewrite_extent_header(dir, &plan.header.id, *lane, *number)?;
     }
     if plan.report.rebuilt {
-        rewrite(dir, plan)
+        replace_index(dir, plan)
     } else if plan.closed {
         Ok(())
     } else {
-        finish(dir, &plan.entries)
+        close_index(dir, &plan.entries)
     }
 }
 
-/// A sound store whose writer died: cuts what was never committed, and marks it closed.
-fn finish(dir: &Path, entries: &[Entry]) -> Result<()> {
-    trim(dir, entries)?;
+/// Closes a sound store whose writer died: truncates everything that was not committed and marks the store closed.
+fn close_index(dir: &Path, entries: &[Entry]) -> Result<()> {
+    trim_extents(dir, entries)?;
     let failed = |e| Error::io("write index.situ", e);
     let file = OpenOptions::new()
         .read(true)
@@ -46,15 +46,15 @@ fn finish(dir: &Path, entries: &[Entry]) -> Result<()> {
     fdatasync(&file).map_err(|e| Error::io("sync index.situ", e))
 }
 
-/// Cuts each extent behind its last chunk.
-fn trim(dir: &Path, entries: &[Entry]) -> Result<()> {
+/// Truncates each extent after its last chunk.
+fn trim_extents(dir: &Path, entries: &[Entry]) -> Result<()> {
     let mut ends: BTreeMap<(u8, u32), u64> = BTreeMap::new();
-    for entry in entries.iter().filter(|entry| !entry.is_hole()) {
+    for entry in entries.iter().filter(|entry| !entry.is_placeholder()) {
         let end = ends.entry((entry.lane, entry.extent)).or_default();
         *end = (*end).max(entry.offset + entry.length as u64);
     }
     for ((lane, number), end) in ends {
-        let name = extent::name(lane, number);
+        let name = extent::file_name(lane, number);
         let file = OpenOptions::new()
             .write(true)
             .open(dir.join(&name))
@@ -68,9 +68,9 @@ fn trim(dir: &Path, entries: &[Entry]) -> Result<()> {
     Ok(())
 }
 
-/// Gives an extent its header back; the damaged one is kept beside it.
-fn entitle(dir: &Path, id: &[u8; 16], lane: u8, number: u32) -> Result<()> {
-    let name = extent::name(lane, number);
+/// Rewrites the header of an extent and keeps a copy of the damaged one.
+fn rewrite_extent_header(dir: &Path, id: &[u8; 16], lane: u8, number: u32) -> Result<()> {
+    let name = extent::file_name(lane, number);
     let failed = |e: std::io::Error| Error::io(format!("write the header of {name}"), e);
     let path = dir.join(&name);
     let file = OpenOptions::new()
@@ -80,19 +80,19 @@ fn entitle(dir: &Path, id: &[u8; 16], lane: u8, number: u32) -> Result<()> {
         .map_err(failed)?;
     let mut old = [0; EXTENT_HEADER];
     std::os::unix::fs::FileExt::read_exact_at(&file, &mut old, 0).map_err(failed)?;
-    let kept = unused(&dir.join(format!("{name}.before-repair")));
+    let backup = unused_path(&dir.join(format!("{name}.before-repair")));
     let mut options = OpenOptions::new();
     options.write(true).create_new(true);
     let mode = file.metadata().map_err(failed)?.mode() & 0o777;
-    let kept = extent::open_with(&mut options, &kept, Some(mode)).map_err(failed)?;
-    write_all(&kept, &old, 0).map_err(|e| failed(e.into()))?;
-    kept.sync_all().map_err(failed)?;
-    write_all(&file, &extent_header(id, lane, number), 0).map_err(|e| failed(e.into()))?;
+    let backup = extent::open_with(&mut options, &backup, Some(mode)).map_err(failed)?;
+    write_all(&backup, &old, 0).map_err(|e| failed(e.into()))?;
+    backup.sync_all().map_err(failed)?;
+    write_all(&file, &encode_extent_header(id, lane, number), 0).map_err(|e| failed(e.into()))?;
     fdatasync(&file).map_err(|e| failed(e.into()))
 }
 
-/// Puts a new index in the old one's place, in one step.
-fn rewrite(dir: &Path, plan: &Plan) -> Result<()> {
+/// Replaces the old index with a new one in a single step.
+fn replace_index(dir: &Path, plan: &Plan) -> Result<()> {
     let failed = |e: std::io::Error| Error::io("write the new index", e);
     let fresh = dir.join("index.situ.new");
     let old = dir.join(index::FILE);
@@ -112,11 +112,11 @@ fn rewrite(dir: &Path, plan: &Plan) -> Result<()> {
     write_all(&file, &bytes, 0).map_err(|e| failed(e.into()))?;
     fdatasync(&file).map_err(|e| failed(e.into()))?;
     if old.exists() {
-        let kept = unused(&dir.join("index.situ.before-repair"));
-        std::fs::copy(&old, &kept).map_err(failed)?;
-        // On the disk before it is the only one.
-        File::open(&kept)
-            .and_then(|kept| kept.sync_all())
+        let backup = unused_path(&dir.join("index.situ.before-repair"));
+        std::fs::copy(&old, &backup).map_err(failed)?;
+        // The backup must be on disk before the rename makes it the only copy.
+        File::open(&backup)
+            .and_then(|backup| backup.sync_all())
             .map_err(failed)?;
     }
     std::fs::rename(&fresh, &old).map_err(failed)?;
@@ -124,8 +124,8 @@ fn rewrite(dir: &Path, plan: &Plan) -> Result<()> {
     fsync(&folder).map_err(|e| failed(e.into()))
 }
 
-/// The path, or that with the first number behind it that is free: no backup takes another's place.
-fn unused(path: &Path) -> PathBuf {
+/// Returns `path`, or `path` with the first number that makes it unused, so that no backup overwrites another.
+fn unused_path(path: &Path) -> PathBuf {
     let numbered = (2..).map(|n| {
         let mut name = path.as_os_str().to_owned();
         name.push(format!("-{n}"));

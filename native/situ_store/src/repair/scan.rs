@@ -1,4 +1,4 @@
-//! The extents without their index: chunks are known by what they begin with, and by their checksums.
+//! Scans extents without their index: chunks are recognized by their magic and their checksums.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -12,32 +12,32 @@ use crate::guard::Map;
 use crate::reader::{file_length, map_file, Damage};
 use crate::tracks;
 
-/// The chunks that a scan found beside those of sound entries.
+/// The chunks that a scan found in addition to those of sound entries.
 #[derive(Default)]
 pub(super) struct Scan {
-    /// By the number of their entry.
+    /// Chunks by the number of their entry.
     pub numbered: BTreeMap<u64, Entry>,
-    /// Of version 1, in the order of the files.
+    /// Chunks of version 1, in file order.
     pub unnumbered: Vec<Entry>,
-    /// Entries below this number were committed for certain, by the header of a chunk written later.
+    /// Entries below this number are known to have been committed, from the header of a chunk written later.
     pub committed: u64,
-    /// When the first record of the catalog was made.
+    /// The creation time of the first catalog record.
     pub created: Option<i64>,
 }
 
-/// The extents of a store, mapped.
+/// The mapped extents of a store.
 pub(super) struct Files {
     dir: PathBuf,
     maps: BTreeMap<(u8, u32), Map>,
-    /// Extents whose headers are not this store's.
-    wrong: Vec<(u8, u32)>,
+    /// Extents whose headers do not match this store.
+    mismatched: Vec<(u8, u32)>,
 }
 
 impl Files {
     pub fn open(dir: &Path) -> Result<Files> {
         let mut maps = BTreeMap::new();
-        for (lane, number) in extents(dir)? {
-            let name = extent::name(lane, number);
+        for (lane, number) in list_extents(dir)? {
+            let name = extent::file_name(lane, number);
             let file =
                 File::open(dir.join(&name)).map_err(|e| Error::io(format!("open {name}"), e))?;
             let length = file_length(&file, &name)?;
@@ -48,7 +48,7 @@ impl Files {
         Ok(Files {
             dir: dir.to_path_buf(),
             maps,
-            wrong: Vec::new(),
+            mismatched: Vec::new(),
         })
     }
 
@@ -56,24 +56,26 @@ impl Files {
         self.maps.is_empty()
     }
 
-    /// The store's id as its extents have it.
-    pub fn id(&self) -> Option<[u8; 16]> {
+    /// Returns the store's id from the first extent with a valid header.
+    pub fn store_id(&self) -> Option<[u8; 16]> {
         let sound = self.maps.iter().find_map(|((lane, number), map)| {
             let mut id = [0; 16];
             id.copy_from_slice(map.get(16..32)?);
-            check_extent(map, &id, *lane, *number).is_ok().then_some(id)
+            check_extent_header(map, &id, *lane, *number)
+                .is_ok()
+                .then_some(id)
         });
         sound
     }
 
-    /// Looks at the extents' headers.
-    pub fn expect(&mut self, id: [u8; 16], damage: &mut Vec<Damage>) {
+    /// Checks the extents' headers against the store's id.
+    pub fn check_headers(&mut self, id: [u8; 16], damage: &mut Vec<Damage>) {
         for ((lane, number), map) in &self.maps {
-            if let Err(why) = check_extent(map, &id, *lane, *number) {
-                self.wrong.push((*lane, *number));
-                if !begun(map) {
+            if let Err(why) = check_extent_header(map, &id, *lane, *number) {
+                self.mismatched.push((*lane, *number));
+                if !is_blank(map) {
                     damage.push(Damage {
-                        file: extent::name(*lane, *number),
+                        file: extent::file_name(*lane, *number),
                         offset: 0,
                         why: why.into(),
                     });
@@ -82,18 +84,19 @@ impl Files {
         }
     }
 
-    /// Extents with a damaged header that hold chunks which are wanted. An extent of another store is left alone.
-    pub fn mistitled(&self, entries: &[Entry]) -> Vec<(u8, u32)> {
+    /// Returns the extents with a damaged header that contain chunks of `entries`. Extents of other stores are left
+    /// alone.
+    pub fn damaged_headers(&self, entries: &[Entry]) -> Vec<(u8, u32)> {
         let holds = |extent: &(u8, u32)| {
             entries
                 .iter()
-                .any(|e| !e.is_hole() && (e.lane, e.extent) == *extent)
+                .any(|e| !e.is_placeholder() && (e.lane, e.extent) == *extent)
         };
-        self.wrong.iter().copied().filter(holds).collect()
+        self.mismatched.iter().copied().filter(holds).collect()
     }
 
-    /// The header of a chunk that is sound.
-    pub fn check(
+    /// Returns the header of a chunk, or the reason why the chunk is damaged.
+    pub fn check_chunk(
         &self,
         lane: u8,
         number: u32,
@@ -101,46 +104,51 @@ impl Files {
     ) -> std::result::Result<ChunkHeader, &'static str> {
         let map = self.maps.get(&(lane, number));
         let Some(map) = map else {
-            let there = self.dir.join(extent::name(lane, number)).exists();
+            let there = self.dir.join(extent::file_name(lane, number)).exists();
             return Err(if there {
                 "shorter than an extent's header"
             } else {
                 "the file is missing"
             });
         };
-        if self.foreign(lane, number, map) {
+        if self.is_foreign(lane, number, map) {
             return Err("the extent belongs to another store");
         }
         let start = usize::try_from(offset).ok().and_then(|at| map.get(at..));
-        sound(start.ok_or("the extent ends before the chunk")?)
+        decode_sound_chunk(start.ok_or("the extent ends before the chunk")?)
     }
 
-    /// A sound header that is another's: its chunks may look like ours, and are not.
-    fn foreign(&self, lane: u8, number: u32, map: &[u8]) -> bool {
+    /// Returns whether an extent has the valid header of another store. Its chunks may look like ours, but they are
+    /// not.
+    fn is_foreign(&self, lane: u8, number: u32, map: &[u8]) -> bool {
         let mut id = [0; 16];
         id.copy_from_slice(&map[16..32]);
-        self.wrong.contains(&(lane, number))
+        self.mismatched.contains(&(lane, number))
             && &map[..8] == EXTENT_MAGIC
             && crc32c::crc32c(&map[16..64]) == u32_at(map, 12)
     }
 
-    /// Finds the chunks beside those that sound entries name.
-    pub fn scan(
+    /// Finds the chunks that no sound entry refers to.
+    pub fn scan_chunks(
         &self,
         good: &[Option<Entry>],
         damage: &mut Vec<Damage>,
         progress: &mut impl FnMut(u64, u64),
     ) -> Scan {
         let mut known: BTreeMap<(u8, u32, u64), u32> = BTreeMap::new();
-        for entry in good.iter().flatten().filter(|entry| !entry.is_hole()) {
+        for entry in good
+            .iter()
+            .flatten()
+            .filter(|entry| !entry.is_placeholder())
+        {
             known.insert((entry.lane, entry.extent, entry.offset), entry.length);
         }
         let mut scan = Scan::default();
         let total = self.maps.len() as u64;
         for (done, ((lane, number), map)) in self.maps.iter().enumerate() {
             progress(done as u64, total);
-            if !self.foreign(*lane, *number, map) {
-                scan.extent((*lane, *number), map, &known, damage);
+            if !self.is_foreign(*lane, *number, map) {
+                scan.scan_extent((*lane, *number), map, &known, damage);
             }
         }
         progress(total, total);
@@ -148,14 +156,14 @@ impl Files {
     }
 }
 
-/// An extent whose space was allocated when its writer's machine went down: nothing stands where its header and its
-/// first chunk would. If a page of a used extent was lost, its first chunk tells.
-fn begun(map: &[u8]) -> bool {
+/// Returns whether the first page of an extent is empty: its space was allocated when the writer's machine went
+/// down. If a page of a used extent was lost instead, the scan of its first chunk finds the damage.
+fn is_blank(map: &[u8]) -> bool {
     map.iter().take(4096).all(|byte| *byte == 0)
 }
 
 impl Scan {
-    fn extent(
+    fn scan_extent(
         &mut self,
         (lane, number): (u8, u32),
         map: &[u8],
@@ -176,10 +184,10 @@ impl Scan {
                 at += (*length as usize).next_multiple_of(8);
                 continue;
             }
-            match sound(&map[at..]) {
+            match decode_sound_chunk(&map[at..]) {
                 Ok(header) => {
-                    self.add(&header, (lane, number), at as u64);
-                    if is_end(&header, &map[at..]) {
+                    self.add_chunk(&header, (lane, number), at as u64);
+                    if is_end_record(&header, &map[at..]) {
                         // It contains no message, so it needs no later chunk as evidence that it was committed.
                         let own = header.number.map_or(0, |number| number + 1);
                         self.committed = self.committed.max(own);
@@ -188,7 +196,7 @@ impl Scan {
                 }
                 Err(why) => {
                     damage.push(Damage {
-                        file: extent::name(lane, number),
+                        file: extent::file_name(lane, number),
                         offset: at as u64,
                         why: why.into(),
                     });
@@ -198,7 +206,7 @@ impl Scan {
         }
     }
 
-    fn add(&mut self, header: &ChunkHeader, (lane, extent): (u8, u32), offset: u64) {
+    fn add_chunk(&mut self, header: &ChunkHeader, (lane, extent): (u8, u32), offset: u64) {
         let entry = Entry {
             stream: header.stream,
             level: header.level,
@@ -227,36 +235,36 @@ impl Scan {
     }
 }
 
-/// Whether the chunk is the last record of a store that was closed.
-fn is_end(header: &ChunkHeader, bytes: &[u8]) -> bool {
+/// Returns whether the chunk is the last record of a store that was closed.
+fn is_end_record(header: &ChunkHeader, bytes: &[u8]) -> bool {
     if header.stream != CATALOG || header.count != 1 {
         return false;
     }
-    let Ok(body) = chunk::open(header, bytes, false, MAX_SMALL_BODY) else {
+    let Ok(body) = chunk::open_body(header, bytes, false, MAX_SMALL_BODY) else {
         return false;
     };
     // Writers in other languages put spaces into their JSON.
-    let text = String::from_utf8_lossy(body.bytes());
+    let text = String::from_utf8_lossy(body.as_bytes());
     let text: String = text.chars().filter(|c| !c.is_whitespace()).collect();
     text.ends_with(r#"{"kind":"end"}"#)
 }
 
-/// The header of the chunk that `bytes` begin with, when all of it is sound.
-fn sound(bytes: &[u8]) -> std::result::Result<ChunkHeader, &'static str> {
+/// Returns the header of the chunk at the start of `bytes` if the whole chunk is sound.
+fn decode_sound_chunk(bytes: &[u8]) -> std::result::Result<ChunkHeader, &'static str> {
     let header = ChunkHeader::decode(bytes)?;
-    let body = chunk::open(&header, bytes, false, MAX_UNPACKED.max(MAX_MESSAGE))?;
+    let body = chunk::open_body(&header, bytes, false, MAX_UNPACKED.max(MAX_MESSAGE))?;
     match header.encoding {
-        Encoding::Tracks => tracks::check(body.bytes(), header.count)?,
-        Encoding::Bins if body.bytes().len() != header.count as usize * BIN => {
+        Encoding::Tracks => tracks::check_bins(body.as_bytes(), header.count)?,
+        Encoding::Bins if body.as_bytes().len() != header.count as usize * BIN => {
             return Err("the chunk's length is not that of its bins");
         }
-        _ => Messages::new(&header, body.bytes()).try_for_each(|message| message.map(|_| ()))?,
+        _ => Messages::new(&header, body.as_bytes()).try_for_each(|message| message.map(|_| ()))?,
     }
     Ok(header)
 }
 
-/// The files of extents in a folder.
-fn extents(dir: &Path) -> Result<Vec<(u8, u32)>> {
+/// Lists the extent files in a folder: (lane, number).
+fn list_extents(dir: &Path) -> Result<Vec<(u8, u32)>> {
     let listing = std::fs::read_dir(dir).map_err(|e| Error::io("list the store", e))?;
     let mut found = Vec::new();
     for item in listing {
@@ -270,7 +278,7 @@ fn extents(dir: &Path) -> Result<Vec<(u8, u32)>> {
             Some(("large", n)) => n.parse().ok().map(|n| (LANE_LARGE, n)),
             _ => None,
         };
-        found.extend(parsed.filter(|(lane, n)| extent::name(*lane, *n) == name));
+        found.extend(parsed.filter(|(lane, n)| extent::file_name(*lane, *n) == name));
     }
     found.sort_unstable();
     Ok(found)

@@ -1,15 +1,15 @@
-//! The body of a chunk of bins.
+//! Encodes and decodes the body of a chunk of bins.
 
 use std::collections::BTreeMap;
 
-use super::{Names, Tally, Track, ITSELF, OTHER};
+use super::{Names, Track, TrackBin, MESSAGE_KEY, OTHER_STATES};
 use crate::varint::{self, Cursor};
 
-/// A chunk with more of anything than this is damaged.
-const MOST: u64 = 1 << 16;
+/// The maximum of any count in a chunk. A chunk with a larger count is damaged.
+const MAX_COUNT: u64 = 1 << 16;
 
-/// Bins of width 2^k in time order: the keys and states they speak of, then the bins.
-pub fn encode(bins: &[Tally], k: u8, names: &Names) -> Vec<u8> {
+/// Encodes bins of width 2^k in time order: first the terms of their keys and states, then the bins.
+pub fn encode_bins(bins: &[TrackBin], k: u8, names: &Names) -> Vec<u8> {
     let mut keys: BTreeMap<u32, u64> = BTreeMap::new();
     let mut states: BTreeMap<u32, u64> = BTreeMap::new();
     for (key, track) in bins.iter().flat_map(|bin| &bin.tracks) {
@@ -18,11 +18,11 @@ pub fn encode(bins: &[Tally], k: u8, names: &Names) -> Vec<u8> {
             states.extend(counts.iter().map(|(state, _)| (*state, 0)));
         }
     }
-    keys.remove(&ITSELF);
-    states.remove(&OTHER);
+    keys.remove(&MESSAGE_KEY);
+    states.remove(&OTHER_STATES);
     let mut out = Vec::new();
-    table(&mut out, &mut keys, |number| names.key_term(number));
-    table(&mut out, &mut states, |number| names.state_term(number));
+    put_terms(&mut out, &mut keys, |number| names.key_term(number));
+    put_terms(&mut out, &mut states, |number| names.state_term(number));
     let state = |number: &u32| states.get(number).copied().unwrap_or(0);
     let mut previous = bins.first().map_or(0, |bin| bin.start);
     for bin in bins {
@@ -67,70 +67,70 @@ pub fn encode(bins: &[Tally], k: u8, names: &Names) -> Vec<u8> {
     out
 }
 
-/// The external terms of these numbers, which get those of their places, from 1 on.
-fn table<'a>(
+/// Appends the external terms of these numbers and assigns local numbers to them, from 1 on.
+fn put_terms<'a>(
     out: &mut Vec<u8>,
     numbers: &mut BTreeMap<u32, u64>,
     term: impl Fn(u32) -> Option<&'a [u8]>,
 ) {
     varint::put(out, numbers.len() as u64);
-    for (place, (number, local)) in (1..).zip(numbers.iter_mut()) {
-        *local = place;
+    for (index, (number, local)) in (1..).zip(numbers.iter_mut()) {
+        *local = index;
         let term = term(*number).unwrap_or(&[]);
         varint::put(out, term.len() as u64);
         out.extend_from_slice(term);
     }
 }
 
-/// Which bins of a chunk are wanted, and how the chunk numbers them.
-pub struct Wanted {
-    /// Bins in the chunk.
+/// Selects bins of a chunk and describes how the chunk numbers them.
+pub struct BinQuery {
+    /// The number of bins in the chunk.
     pub count: u32,
-    /// The start of its first.
+    /// The start of the first bin.
     pub first: i64,
-    /// Their width is 2^k ns.
+    /// The bins are 2^k ns wide.
     pub k: u8,
-    /// Those that begin earlier are passed over.
+    /// Bins that begin earlier are skipped.
     pub from: i64,
 }
 
-/// The wanted bins of a chunk's body, their keys and states numbered by `names`, until `each` says `false`. `None`
-/// where the body contradicts itself.
-pub fn decode(
+/// Decodes the selected bins of a chunk's body and passes them to `each` until it returns `false`. Keys and states
+/// get their numbers from `names`. Returns `None` if the body contradicts itself.
+pub fn decode_bins(
     body: &[u8],
-    wanted: Wanted,
+    query: BinQuery,
     names: &mut Names,
-    mut each: impl FnMut(Tally) -> bool,
+    mut each: impl FnMut(TrackBin) -> bool,
 ) -> Option<()> {
-    let Wanted {
+    let BinQuery {
         count,
         first,
         k,
         from,
-    } = wanted;
+    } = query;
     let mut cursor = Cursor::new(body);
-    let key_terms = terms(&mut cursor)?;
-    let state_terms = terms(&mut cursor)?;
-    let keys: Vec<Option<u32>> = std::iter::once(Some(ITSELF))
-        .chain(key_terms.iter().map(|term| names.key(term)))
+    let key_terms = read_terms(&mut cursor)?;
+    let state_terms = read_terms(&mut cursor)?;
+    let keys: Vec<Option<u32>> = std::iter::once(Some(MESSAGE_KEY))
+        .chain(key_terms.iter().map(|term| names.key_number(term)))
         .collect();
     let mut start = first;
     for _ in 0..count {
-        let step = cursor.varint()?;
+        let step = cursor.next_varint()?;
         let step = step.checked_shl(u32::from(k)).filter(|s| s >> k == step)?;
         start = start.checked_add_unsigned(step)?;
         if start < from {
-            pass(&mut cursor)?;
+            skip_bin(&mut cursor)?;
             continue;
         }
-        let mut bin = Tally::empty(start);
-        bin.count = cursor.varint()?;
-        for _ in 0..bounded(cursor.varint()?)? {
-            let word = cursor.varint()?;
+        let mut bin = TrackBin::empty(start);
+        bin.count = cursor.next_varint()?;
+        for _ in 0..check_bound(cursor.next_varint()?)? {
+            let word = cursor.next_varint()?;
             let key = *keys.get((word / 2) as usize)?;
             let track = match word % 2 {
-                0 => numbers(&mut cursor)?,
-                _ => states(&mut cursor, key, &state_terms, names)?,
+                0 => read_numbers(&mut cursor)?,
+                _ => read_states(&mut cursor, key, &state_terms, names)?,
             };
             bin.tracks.extend(key.map(|key| (key, track)));
         }
@@ -141,41 +141,41 @@ pub fn decode(
     (cursor.remaining() == 0).then_some(())
 }
 
-/// Passes over a bin behind its start.
-fn pass(cursor: &mut Cursor<'_>) -> Option<()> {
-    cursor.varint()?;
-    for _ in 0..bounded(cursor.varint()?)? {
-        if cursor.varint()? % 2 == 0 {
-            cursor.varint()?;
+/// Skips the rest of a bin after its start.
+fn skip_bin(cursor: &mut Cursor<'_>) -> Option<()> {
+    cursor.next_varint()?;
+    for _ in 0..check_bound(cursor.next_varint()?)? {
+        if cursor.next_varint()? % 2 == 0 {
+            cursor.next_varint()?;
             cursor.take(24)?;
         } else {
-            cursor.varint()?;
-            cursor.varint()?;
-            cursor.varint()?;
-            for _ in 0..2 * bounded(cursor.varint()?)? {
-                cursor.varint()?;
+            cursor.next_varint()?;
+            cursor.next_varint()?;
+            cursor.next_varint()?;
+            for _ in 0..2 * check_bound(cursor.next_varint()?)? {
+                cursor.next_varint()?;
             }
         }
     }
     Some(())
 }
 
-fn bounded(n: u64) -> Option<u64> {
-    (n <= MOST).then_some(n)
+fn check_bound(n: u64) -> Option<u64> {
+    (n <= MAX_COUNT).then_some(n)
 }
 
-fn terms<'a>(cursor: &mut Cursor<'a>) -> Option<Vec<&'a [u8]>> {
-    let n = bounded(cursor.varint()?)?;
+fn read_terms<'a>(cursor: &mut Cursor<'a>) -> Option<Vec<&'a [u8]>> {
+    let n = check_bound(cursor.next_varint()?)?;
     (0..n)
         .map(|_| {
-            let length = bounded(cursor.varint()?)?;
+            let length = check_bound(cursor.next_varint()?)?;
             cursor.take(length as usize)
         })
         .collect()
 }
 
-fn numbers(cursor: &mut Cursor<'_>) -> Option<Track> {
-    let count = cursor.varint()?;
+fn read_numbers(cursor: &mut Cursor<'_>) -> Option<Track> {
+    let count = cursor.next_varint()?;
     let mut value = || {
         let bytes = cursor.take(8)?;
         Some(crate::format::f64_at(bytes, 0))
@@ -188,28 +188,28 @@ fn numbers(cursor: &mut Cursor<'_>) -> Option<Track> {
     })
 }
 
-fn states(
+fn read_states(
     cursor: &mut Cursor<'_>,
     key: Option<u32>,
     terms: &[&[u8]],
     names: &mut Names,
 ) -> Option<Track> {
     let mut state = |cursor: &mut Cursor<'_>| {
-        let local = cursor.varint()? as usize;
+        let local = cursor.next_varint()? as usize;
         if local == 0 {
-            return Some(OTHER);
+            return Some(OTHER_STATES);
         }
         let term = terms.get(local - 1)?;
-        Some(key.map_or(OTHER, |key| names.state(key, term)))
+        Some(key.map_or(OTHER_STATES, |key| names.state_number(key, term)))
     };
-    let changes = cursor.varint()?;
+    let changes = cursor.next_varint()?;
     let first = state(cursor)?;
     let last = state(cursor)?;
-    let n = bounded(cursor.varint()?)?;
+    let n = check_bound(cursor.next_varint()?)?;
     let mut counts = Vec::with_capacity(n.min(64) as usize);
     for _ in 0..n {
         let number = state(cursor)?;
-        super::add(&mut counts, number, cursor.varint()?);
+        super::add_count(&mut counts, number, cursor.next_varint()?);
     }
     Some(Track::States {
         first,
@@ -219,16 +219,16 @@ fn states(
     })
 }
 
-/// Whether the body of a chunk of so many bins is whole.
-pub fn check(body: &[u8], count: u32) -> std::result::Result<(), &'static str> {
+/// Checks that the body of a chunk contains exactly this many bins.
+pub fn check_bins(body: &[u8], count: u32) -> std::result::Result<(), &'static str> {
     let mut seen = 0;
-    let all = Wanted {
+    let all = BinQuery {
         count,
         first: 0,
         k: 0,
         from: 0,
     };
-    let decoded = decode(body, all, &mut Names::default(), |_| {
+    let decoded = decode_bins(body, all, &mut Names::default(), |_| {
         seen += 1;
         true
     });

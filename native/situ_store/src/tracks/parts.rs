@@ -1,15 +1,15 @@
-//! The part of a message that belongs to each track.
+//! Splits a message into the parts that belong to each track.
 
 use crate::chunk::{term_number, Value};
 use crate::etf;
 use crate::format::{Encoding, LARGE_MESSAGE};
 
-/// Longer texts are no states.
-const LONGEST: usize = 64;
-/// Maps with more keys have no tracks.
+/// The maximum length of a string that counts as a state.
+const MAX_STATE_LENGTH: usize = 64;
+/// The maximum number of keys of a map with tracks.
 const MOST_KEYS: usize = 64;
 
-/// A number, or a state as its external term.
+/// A number, or the external term of a state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Part<'a> {
     Number(f64),
@@ -22,9 +22,9 @@ const BOOLEANS: [&[u8]; 3] = [
     &[131, 119, 3, b'n', b'i', b'l'],
 ];
 
-/// Calls `each` with the key's external term (empty: the message itself) and the part. Numbers that are messages
-/// themselves have a pyramid of their own, and no part here.
-pub fn parts(
+/// Calls `each` with the key's external term (empty for the message itself) and the part. Messages that are numbers
+/// have their own pyramid and no part here.
+pub fn visit_parts(
     encoding: Encoding,
     value: &Value,
     body: &[u8],
@@ -41,31 +41,31 @@ pub fn parts(
     };
     match encoding {
         Encoding::Bool => each(&[], Part::State(bytes)),
-        Encoding::Bytes if bytes.len() <= LONGEST => {
-            let mut text = [0; LONGEST + 6];
+        Encoding::Bytes if bytes.len() <= MAX_STATE_LENGTH => {
+            let mut text = [0; MAX_STATE_LENGTH + 6];
             text[..2].copy_from_slice(&[131, 109]);
             text[2..6].copy_from_slice(&(bytes.len() as u32).to_be_bytes());
             text[6..6 + bytes.len()].copy_from_slice(bytes);
             each(&[], Part::State(&text[..6 + bytes.len()]));
         }
         Encoding::Term if bytes.get(1) == Some(&116) => {
-            let _ = fields(bytes, &mut each);
+            let _ = visit_fields(bytes, &mut each);
         }
         Encoding::Term if is_state(bytes) => each(&[], Part::State(bytes)),
         _ => {}
     }
 }
 
-/// Whether an external term is an atom or a short text.
+/// Returns whether an external term is an atom or a short string.
 fn is_state(term: &[u8]) -> bool {
     match term.get(1) {
         Some(115 | 119 | 100 | 118) => true,
-        Some(109) => term.len() <= 6 + LONGEST,
+        Some(109) => term.len() <= 6 + MAX_STATE_LENGTH,
         _ => false,
     }
 }
 
-fn fields(map: &[u8], each: &mut impl FnMut(&[u8], Part<'_>)) -> Option<()> {
+fn visit_fields(map: &[u8], each: &mut impl FnMut(&[u8], Part<'_>)) -> Option<()> {
     let n = u32::from_be_bytes(map.get(2..6)?.try_into().ok()?) as usize;
     if n > MOST_KEYS + 1 {
         return None;
@@ -73,12 +73,12 @@ fn fields(map: &[u8], each: &mut impl FnMut(&[u8], Part<'_>)) -> Option<()> {
     let mut at = 6;
     let mut found = Vec::with_capacity(n);
     for _ in 0..n {
-        let value = etf::end_of(map, at)?;
-        let end = etf::end_of(map, value)?;
+        let value = etf::term_end(map, at)?;
+        let end = etf::term_end(map, value)?;
         found.push((&map[at..value], &map[value..end]));
         at = end;
     }
-    // The key `__struct__` is no field.
+    // The key `__struct__` is not a field.
     found.retain(|(key, _)| !key.ends_with(b"__struct__"));
     if found.len() > MOST_KEYS {
         return None;
@@ -92,7 +92,7 @@ fn fields(map: &[u8], each: &mut impl FnMut(&[u8], Part<'_>)) -> Option<()> {
         }
         term.truncate(1);
         // A longer value is neither a state nor a number.
-        term.extend_from_slice(&value[..value.len().min(LONGEST + 300)]);
+        term.extend_from_slice(&value[..value.len().min(MAX_STATE_LENGTH + 300)]);
         if is_state(&term) {
             each(&key_term, Part::State(&term));
         } else if let Some(number) = term_number(&term) {
@@ -107,16 +107,16 @@ fn fields(map: &[u8], each: &mut impl FnMut(&[u8], Part<'_>)) -> Option<()> {
 mod tests {
     use super::*;
 
-    fn told(encoding: Encoding, body: &[u8]) -> Vec<(Vec<u8>, String)> {
+    fn collect_parts(encoding: Encoding, body: &[u8]) -> Vec<(Vec<u8>, String)> {
         let value = Value::Bytes {
             start: 0,
             length: body.len(),
         };
-        let mut told = Vec::new();
-        parts(encoding, &value, body, |key, part| {
-            told.push((key.to_vec(), format!("{part:?}")));
+        let mut found = Vec::new();
+        visit_parts(encoding, &value, body, |key, part| {
+            found.push((key.to_vec(), format!("{part:?}")));
         });
-        told
+        found
     }
 
     #[test]
@@ -126,23 +126,23 @@ mod tests {
             131, 116, 0, 0, 0, 3, 119, 1, b'a', 97, 5, 119, 1, b'b', 109, 0, 0, 0, 1, b'x', 119, 1,
             b'c', 107, 0, 1, 1,
         ];
-        let told = told(Encoding::Term, &map);
-        assert_eq!(told.len(), 2);
+        let parts = collect_parts(Encoding::Term, &map);
+        assert_eq!(parts.len(), 2);
         assert_eq!(
-            told[0],
+            parts[0],
             (vec![131, 119, 1, b'a'], "Number(5.0)".to_string())
         );
-        assert_eq!(told[1].0, vec![131, 119, 1, b'b']);
-        // Cut anywhere: fewer, and no panic.
+        assert_eq!(parts[1].0, vec![131, 119, 1, b'b']);
+        // A truncated map has no parts and does not panic.
         for end in 0..map.len() {
-            assert!(super::tests::told(Encoding::Term, &map[..end]).is_empty());
+            assert!(collect_parts(Encoding::Term, &map[..end]).is_empty());
         }
     }
 
     #[test]
-    fn long_texts_are_no_states() {
-        assert_eq!(told(Encoding::Bytes, &[b'x'; 64]).len(), 1);
-        assert!(told(Encoding::Bytes, &[b'x'; 65]).is_empty());
-        assert!(told(Encoding::Codec, b"x").is_empty());
+    fn long_strings_are_not_states() {
+        assert_eq!(collect_parts(Encoding::Bytes, &[b'x'; 64]).len(), 1);
+        assert!(collect_parts(Encoding::Bytes, &[b'x'; 65]).is_empty());
+        assert!(collect_parts(Encoding::Codec, b"x").is_empty());
     }
 }

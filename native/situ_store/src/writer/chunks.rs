@@ -1,12 +1,12 @@
-//! Chunks on their way into the extents.
+//! Writes chunks into the extents.
 
 use super::Writer;
-use crate::chunk::{compress, Envelope, Input};
+use crate::chunk::{compress_body, Envelope, Input};
 use crate::error::Result;
 use crate::format::*;
 
 impl Writer {
-    fn header(
+    fn build_header(
         &self,
         stored: usize,
         raw: usize,
@@ -38,7 +38,7 @@ impl Writer {
         }
     }
 
-    /// The number that the entry of the next chunk gets.
+    /// Returns the entry number of the next chunk.
     pub(super) fn next_number(&self) -> u64 {
         self.index.committed + self.entries.len() as u64
     }
@@ -48,23 +48,23 @@ impl Writer {
             return Ok(());
         }
         let compression = self.streams[self.builder.stream as usize].compression;
-        let packed = compress(compression, &self.builder.table, &self.builder.payload)?;
+        let packed = compress_body(compression, &self.builder.table, &self.builder.payload)?;
         let raw = self.builder.table.len() + self.builder.payload.len();
         let entry = match &packed {
             Some(body) => {
-                let header = self.header(body.len(), raw, compression, crc32c::crc32c(body));
+                let header = self.build_header(body.len(), raw, compression, crc32c::crc32c(body));
                 let bytes = header.encode(&[]);
-                self.place(LANE_DATA, 8, &header, &[&bytes, body])?
+                self.place_chunk(LANE_DATA, 8, &header, &[&bytes, body])?
             }
             None => {
                 let crc = crc32c::crc32c(&self.builder.payload);
-                let header = self.header(raw, raw, Compression::None, crc);
+                let header = self.build_header(raw, raw, Compression::None, crc);
                 let bytes = header.encode(&self.builder.table);
                 let (table, payload) = (
                     std::mem::take(&mut self.builder.table),
                     std::mem::take(&mut self.builder.payload),
                 );
-                let placed = self.place(LANE_DATA, 8, &header, &[&bytes, &table, &payload]);
+                let placed = self.place_chunk(LANE_DATA, 8, &header, &[&bytes, &table, &payload]);
                 self.builder.table = table;
                 self.builder.payload = payload;
                 placed?
@@ -76,7 +76,7 @@ impl Writer {
         Ok(())
     }
 
-    /// A message in a chunk of its own, straight from the caller's memory.
+    /// Writes a message as its own chunk, directly from the caller's memory.
     pub(super) fn write_large(
         &mut self,
         envelope: Envelope,
@@ -85,7 +85,7 @@ impl Writer {
     ) -> Result<()> {
         let compression = self.streams[self.builder.stream as usize].compression;
         let position = &mut self.streams[self.builder.stream as usize].position;
-        // The header carries sums with this message in them; `push` adds them for good once it is written.
+        // The header contains sums that include this message; `push` adds them permanently once it is written.
         let before = *position;
         position.size_sum += size as u64;
         position.latency_sum += envelope.creation as f64 - envelope.time as f64;
@@ -128,40 +128,42 @@ impl Writer {
         size: usize,
         compression: Compression,
     ) -> Result<Entry> {
-        // The payload starts at a multiple of 64: copies of unaligned neighbours run at a tenth of the speed.
+        // The payload starts at a multiple of 64, because copying from unaligned addresses runs at a tenth of the
+        // speed.
         let padded = (CHUNK_HEADER + self.builder.table.len()).next_multiple_of(64) - CHUNK_HEADER;
         self.builder.table.resize(padded, 0);
         if compression != Compression::None && size + self.builder.table.len() <= MAX_UNPACKED {
             let whole = parts.concat();
-            if let Some(body) = compress(compression, &self.builder.table, &whole)? {
+            if let Some(body) = compress_body(compression, &self.builder.table, &whole)? {
                 let raw = self.builder.table.len() + size;
-                let header = self.header(body.len(), raw, compression, crc32c::crc32c(&body));
-                return self.place(LANE_LARGE, 64, &header, &[&header.encode(&[]), &body]);
+                let header = self.build_header(body.len(), raw, compression, crc32c::crc32c(&body));
+                return self.place_chunk(LANE_LARGE, 64, &header, &[&header.encode(&[]), &body]);
             }
         }
         let crc = parts
             .iter()
             .fold(0, |crc, part| crc32c::crc32c_append(crc, part));
         let raw = self.builder.table.len() + size;
-        let header = self.header(raw, raw, Compression::None, crc);
+        let header = self.build_header(raw, raw, Compression::None, crc);
         let bytes = header.encode(&self.builder.table);
         let table = std::mem::take(&mut self.builder.table);
         let mut slices: Vec<&[u8]> = Vec::with_capacity(parts.len() + 2);
         slices.extend([&bytes[..], &table[..]]);
         slices.extend_from_slice(parts);
-        let placed = self.place(LANE_LARGE, 64, &header, &slices);
+        let placed = self.place_chunk(LANE_LARGE, 64, &header, &slices);
         self.builder.table = table;
         placed
     }
 
-    pub(super) fn place(
+    pub(super) fn place_chunk(
         &mut self,
         lane: u8,
         align: u64,
         header: &ChunkHeader,
         slices: &[&[u8]],
     ) -> Result<Entry> {
-        let (extent, offset) = self.lanes[lane as usize].reserve(header.length as u64, align)?;
+        let (extent, offset) =
+            self.lanes[lane as usize].reserve_space(header.length as u64, align)?;
         self.lanes[lane as usize].write(offset, slices)?;
         Ok(Entry {
             stream: header.stream,

@@ -1,18 +1,18 @@
-//! Appends the values of a column: many messages of one stream and one kind at once.
+//! Appends a column of values: many messages of one stream and one kind.
 
 use super::Writer;
 use crate::chunk::{Envelope, Input};
 use crate::error::Result;
 use crate::format::Encoding;
 
-/// Messages whose creation times are their originating times, and whose sequence ids count on from the first one's.
+/// Messages whose creation times equal their originating times, with consecutive sequence ids.
 #[derive(Debug, Clone, Copy)]
 pub struct Column<'a> {
     /// The sequence id of the first message.
     pub sequence: u64,
     /// The originating times.
     pub times: &'a [i64],
-    /// A value for each time.
+    /// One value for each time.
     pub values: ColumnValues<'a>,
 }
 
@@ -23,12 +23,12 @@ pub enum ColumnValues<'a> {
     Ints(&'a [i64]),
     /// Floats.
     Floats(&'a [f64]),
-    /// Texts without a gap between them, and the end of each.
+    /// Concatenated strings, and the end of each.
     Texts(&'a [u8], &'a [usize]),
 }
 
 impl Writer {
-    /// Adds the messages of a column to the commit under way. After an error: `rollback`.
+    /// Adds the messages of a column to the current commit. After an error, call `rollback`.
     pub fn push_column(&mut self, stream: u32, column: Column<'_>) -> Result<()> {
         match column.values {
             ColumnValues::Ints(values) => {

@@ -1,4 +1,4 @@
-//! The exclusive lock of a store: one process writes.
+//! The exclusive lock of a store, which allows only one process to write.
 
 use std::fs::{File, OpenOptions};
 use std::path::Path;
@@ -10,13 +10,13 @@ use rustix::io::Errno;
 use crate::error::{Error, Result};
 use crate::extent::open_with;
 
-/// Takes the exclusive lock of the store in `dir`. A lock file that is not there yet is made with this mode.
-pub fn lock(dir: &Path, mode: Option<u32>) -> Result<File> {
+/// Acquires the exclusive lock of the store in `dir`. A missing lock file is created with this mode.
+pub fn lock_store(dir: &Path, mode: Option<u32>) -> Result<File> {
     let mut options = OpenOptions::new();
     options.read(true).write(true).create(true).truncate(false);
     let path = dir.join("lock");
     let file = open_with(&mut options, &path, mode).map_err(|e| Error::io("create lock", e))?;
-    // A reader that asks whether the store is live holds the lock for a moment.
+    // A reader that checks whether the store is live holds the lock for a moment.
     for attempt in 0..5 {
         match flock(&file, FlockOperation::NonBlockingLockExclusive) {
             Ok(()) => return Ok(file),

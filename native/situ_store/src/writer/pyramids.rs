@@ -1,13 +1,13 @@
-//! Pyramids on their way into the store: bins as they become complete.
+//! Writes the bins of pyramids into the store as they become complete.
 
 use super::stream::Stream;
 use super::Writer;
 use crate::error::{Error, Result};
 use crate::format::*;
 use crate::pyramid::{self, Bin, Builder, Fold};
-use crate::tracks::{self, Tally};
+use crate::tracks::{self, TrackBin};
 
-/// Bins of one level that make a chunk.
+/// The bins of one level that form a chunk.
 struct Bins {
     stream: usize,
     level: u8,
@@ -19,7 +19,7 @@ struct Bins {
 }
 
 impl Writer {
-    /// Writes the bins that make a chunk. If the disk is full the bins wait, and the next message reports the error.
+    /// Writes bins that fill a chunk. If the disk is full, the bins wait, and the next message reports the error.
     pub(super) fn write_ready_pyramids(&mut self) -> Result<()> {
         for number in std::mem::take(&mut self.ready) {
             match self.write_pyramids(number, pyramid::FLUSH) {
@@ -40,19 +40,19 @@ impl Writer {
         self.write_levels(number, (0, Encoding::Bins), ready, encode, |stream| {
             &mut stream.pyramid
         })?;
-        let ready = self.streams[number].tallies.take_ready(least);
+        let ready = self.streams[number].track_bins.take_ready(least);
         let encode =
-            |stream: &Stream, k: u8, bins: &[Tally]| tracks::encode(bins, k, &stream.names);
+            |stream: &Stream, k: u8, bins: &[TrackBin]| tracks::encode_bins(bins, k, &stream.names);
         self.write_levels(
             number,
             (TRACKS, Encoding::Tracks),
             ready,
             encode,
-            |stream| &mut stream.tallies,
+            |stream| &mut stream.track_bins,
         )
     }
 
-    /// Writes complete bins of levels; those of a level that could not be written wait for the next time.
+    /// Writes complete bins of levels. Bins that could not be written are kept for the next time.
     fn write_levels<B: Fold>(
         &mut self,
         number: usize,
@@ -73,8 +73,8 @@ impl Writer {
                         level: above + k,
                         encoding,
                         count: bins.len() as u32,
-                        first: first.start(),
-                        last: last.start(),
+                        first: first.start_time(),
+                        last: last.start_time(),
                         body: encode(&self.streams[number], k, bins),
                     });
                 }
@@ -90,7 +90,7 @@ impl Writer {
         let stream = &self.streams[bins.stream];
         let level = bins.level as usize;
         if bins.first <= stream.last_bin[level] {
-            // Points of a codec that went back in time: their bins are left out, the messages are there.
+            // A codec returned points that went back in time. Their bins are left out, but the messages are stored.
             return Ok(());
         }
         let header = ChunkHeader {
@@ -114,7 +114,7 @@ impl Writer {
             number: Some(self.next_number()),
             committed: self.index.committed,
         };
-        let entry = self.place(LANE_DATA, 8, &header, &[&header.encode(&[]), &bins.body])?;
+        let entry = self.place_chunk(LANE_DATA, 8, &header, &[&header.encode(&[]), &bins.body])?;
         self.index.publish(&[entry])?;
         let stream = &mut self.streams[bins.stream];
         stream.bins[level] += u64::from(bins.count);

@@ -1,12 +1,12 @@
-//! One stream being written: where it stands, and its pyramid.
+//! The state of one stream being written: its position and its pyramid.
 
 use crate::chunk::{Input, Value};
 use crate::format::Compression;
 use crate::format::Encoding;
 use crate::pyramid::{self, Bin};
-use crate::tracks::{self, Names, Noted, Tally};
+use crate::tracks::{self, Names, TrackBin, TrackValue};
 
-/// The position to return to when a commit fails.
+/// The position that is restored when a commit fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Position {
     pub ordinal: u64,
@@ -22,15 +22,15 @@ pub(super) struct Stream {
     pub position: Position,
     pub saved: Option<Position>,
     pub pyramid: pyramid::Builder<Bin>,
-    pub tallies: pyramid::Builder<Tally>,
-    /// Ordinals per level of both.
+    pub track_bins: pyramid::Builder<TrackBin>,
+    /// Ordinals per level of both pyramids.
     pub bins: [u64; 128],
     pub last_bin: [i64; 128],
-    pub points: Vec<Bin>,
+    pub pending_points: Vec<Bin>,
     pub names: Names,
-    /// Messages of the commit under way: their times, and how many of `noted` are theirs.
-    pub marks: Vec<(i64, u32)>,
-    pub noted: Vec<(u32, Noted)>,
+    /// Messages of the current commit: their times, and the number of their values in `pending_values`.
+    pub pending_times: Vec<(i64, u32)>,
+    pub pending_values: Vec<(u32, TrackValue)>,
 }
 
 impl Stream {
@@ -46,50 +46,57 @@ impl Stream {
             },
             saved: None,
             pyramid: pyramid::Builder::default(),
-            tallies: pyramid::Builder::default(),
+            track_bins: pyramid::Builder::default(),
             bins: [0; 128],
             last_bin: [i64::MIN; 128],
-            points: Vec::new(),
+            pending_points: Vec::new(),
             names: Names::default(),
-            marks: Vec::new(),
-            noted: Vec::new(),
+            pending_times: Vec::new(),
+            pending_values: Vec::new(),
         }
     }
 
-    /// Notes a message for the tracks. Small ones only are looked into.
-    pub fn mark(&mut self, time: i64, encoding: Encoding, input: &Input<'_>) {
-        let before = self.noted.len();
+    /// Records a message for the tracks. Only small messages are inspected.
+    pub fn note_message(&mut self, time: i64, encoding: Encoding, input: &Input<'_>) {
+        let before = self.pending_values.len();
         let (value, body): (Value, &[u8]) = match input {
             Input::Bool(value) => (Value::Bool(*value), &[]),
             Input::Bytes(bytes) => {
                 let (start, length) = (0, bytes.len());
                 (Value::Bytes { start, length }, bytes)
             }
-            // Numbers have a pyramid of their own.
+            // Numbers have their own pyramid.
             _ => (Value::Int(0), &[]),
         };
-        tracks::note(encoding, &value, body, &mut self.names, &mut self.noted);
-        self.marks.push((time, (self.noted.len() - before) as u32));
+        tracks::collect_values(
+            encoding,
+            &value,
+            body,
+            &mut self.names,
+            &mut self.pending_values,
+        );
+        self.pending_times
+            .push((time, (self.pending_values.len() - before) as u32));
     }
 
     /// Moves the values of committed messages into the pyramids.
-    pub fn settle(&mut self) {
-        for point in self.points.drain(..) {
+    pub fn settle_values(&mut self) {
+        for point in self.pending_points.drain(..) {
             self.pyramid.add(point);
         }
-        let mut rest = self.noted.as_slice();
-        for (time, n) in self.marks.drain(..) {
-            let (values, behind) = rest.split_at((n as usize).min(rest.len()));
-            rest = behind;
-            self.tallies.observe(time, values);
+        let mut rest = self.pending_values.as_slice();
+        for (time, n) in self.pending_times.drain(..) {
+            let (values, after) = rest.split_at((n as usize).min(rest.len()));
+            rest = after;
+            self.track_bins.observe(time, values);
         }
-        self.noted.clear();
+        self.pending_values.clear();
     }
 
     /// Drops the values of messages whose commit failed.
-    pub fn forget(&mut self) {
-        self.points.clear();
-        self.marks.clear();
-        self.noted.clear();
+    pub fn drop_values(&mut self) {
+        self.pending_points.clear();
+        self.pending_times.clear();
+        self.pending_values.clear();
     }
 }

@@ -7,7 +7,7 @@ use situ_store::{Compression, Encoding, Options, Reader, Writer};
 
 static NEXT: AtomicU32 = AtomicU32::new(0);
 
-/// A folder of its own that goes away with the test.
+/// A temporary folder that is deleted when the test ends.
 pub struct Folder(pub PathBuf);
 
 impl Folder {
@@ -37,8 +37,8 @@ impl Random {
     }
 }
 
-/// The files of a folder, by name.
-pub fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
+/// Reads the files of a folder: (name, contents), by name.
+pub fn read_files(dir: &Path) -> Vec<(String, Vec<u8>)> {
     let file = |file: std::io::Result<std::fs::DirEntry>| {
         let file = file.unwrap();
         let name = file.file_name().into_string().unwrap();
@@ -49,7 +49,7 @@ pub fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
     found
 }
 
-pub fn envelope(i: u64) -> Envelope {
+pub fn message_envelope(i: u64) -> Envelope {
     Envelope {
         sequence: i + 1,
         time: i as i64 * 1_000,
@@ -57,12 +57,12 @@ pub fn envelope(i: u64) -> Envelope {
     }
 }
 
-/// Visits the messages of a stream in their order, without those of damaged chunks.
+/// Visits the messages of a stream in order, except those in damaged chunks.
 pub fn visit_messages(reader: &Reader, stream: u32, mut visit: impl FnMut(Envelope, Value, &[u8])) {
     let mut ordinal = 0;
     while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
         ordinal = entry.ordinal + u64::from(entry.count);
-        let Ok(chunk) = reader.chunk(&entry) else {
+        let Ok(chunk) = reader.read_chunk(&entry) else {
             continue;
         };
         for (envelope, value) in chunk.messages().map_while(|message| message.ok()) {
@@ -71,8 +71,8 @@ pub fn visit_messages(reader: &Reader, stream: u32, mut visit: impl FnMut(Envelo
     }
 }
 
-/// The bytes of message `i`: what they are follows from `i`.
-pub fn payload(i: u64, size: usize) -> Vec<u8> {
+/// Generates the bytes of message `i`, which depend only on `i`.
+pub fn message_payload(i: u64, size: usize) -> Vec<u8> {
     let mut state = i.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     (0..size)
         .map(|_| {
@@ -92,8 +92,9 @@ pub fn small_extents() -> Options {
     }
 }
 
-/// Stream 1 integers, 2 small binaries, 3 large binaries, 4 compressed; `n` messages each, `batch` a commit.
-pub fn fill(writer: &mut Writer, n: u64, batch: u64) -> situ_store::Result<()> {
+/// Writes `n` messages into each of four streams (1 integers, 2 small binaries, 3 large binaries, 4 compressed),
+/// `batch` in each commit.
+pub fn fill_store(writer: &mut Writer, n: u64, batch: u64) -> situ_store::Result<()> {
     let compressions = [
         Compression::None,
         Compression::None,
@@ -108,12 +109,22 @@ pub fn fill(writer: &mut Writer, n: u64, batch: u64) -> situ_store::Result<()> {
     while from < n {
         for (at, id) in ids.iter().enumerate() {
             for i in from..(from + batch).min(n) {
-                let bytes = payload(i, size_of_message(at, i));
+                let bytes = message_payload(i, size_of_message(at, i));
                 match at {
-                    0 => {
-                        writer.push(*id, envelope(i), Encoding::Int, 0, Input::Int(i as i64 - 5))?
-                    }
-                    _ => writer.push(*id, envelope(i), Encoding::Bytes, 0, Input::Bytes(&bytes))?,
+                    0 => writer.push(
+                        *id,
+                        message_envelope(i),
+                        Encoding::Int,
+                        0,
+                        Input::Int(i as i64 - 5),
+                    )?,
+                    _ => writer.push(
+                        *id,
+                        message_envelope(i),
+                        Encoding::Bytes,
+                        0,
+                        Input::Bytes(&bytes),
+                    )?,
                 }
             }
         }
@@ -130,20 +141,20 @@ pub fn size_of_message(at: usize, i: u64) -> usize {
     }
 }
 
-/// Every message of a stream, in order; panics on one that is not what `fill` wrote.
+/// Reads every message of a stream in order, and panics if one differs from those of `fill_store`.
 pub fn check_stream(reader: &Reader, stream: u32) -> u64 {
     let mut ordinal = 0;
     while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
         assert_eq!(entry.ordinal, ordinal);
-        let chunk = reader.chunk(&entry).unwrap();
+        let chunk = reader.read_chunk(&entry).unwrap();
         for message in chunk.messages() {
             let (got, value) = message.unwrap();
-            assert_eq!(got, envelope(ordinal));
+            assert_eq!(got, message_envelope(ordinal));
             match value {
                 Value::Int(value) => assert_eq!(value, ordinal as i64 - 5),
                 Value::Bytes { start, length } => assert_eq!(
                     &chunk.body()[start..start + length],
-                    payload(ordinal, size_of_message(stream as usize - 1, ordinal))
+                    message_payload(ordinal, size_of_message(stream as usize - 1, ordinal))
                 ),
                 other => panic!("{other:?}"),
             }

@@ -1,20 +1,21 @@
-//! `situ_speak VOICE RATE PITCH ssml|text TEXT`: text to speech by espeak-ng's library, which is opened at run time.
+//! `situ_speak VOICE RATE PITCH ssml|text TEXT`: text to speech with the library of espeak-ng, loaded at run time.
 //!
-//! The library tells what its program does not: when each word and sound is spoken. It keeps its state in globals and
-//! is under the GPL, so it runs in this process of its own, which ends with the text, or when nobody reads any more.
+//! Unlike the espeak-ng program, the library reports when each word and phoneme is spoken. It keeps its state in
+//! globals and is licensed under the GPL, so it runs in this separate process, which ends after the text or when its
+//! output is closed.
 //!
-//! Standard output is a row of frames, each a tag, the number of bytes that follow (u32, little endian), and those:
+//! Standard output is a sequence of frames. Each is a tag, the payload size (u32, little endian), and the payload:
 //!
 //! | tag | payload |
 //! |---|---|
-//! | `r` | u32: frames a second |
-//! | `a` | sound: 16-bit samples, one channel |
-//! | `w` | a word: u32 samples before it, u32 place in the text (characters from 0), u32 its length |
-//! | `s` | a sentence: the same |
+//! | `r` | u32: the sample rate |
+//! | `a` | audio: 16-bit samples, one channel |
+//! | `w` | a word: u32 samples before it, u32 its position in the text (characters from 0), u32 its length |
+//! | `s` | a sentence: the same fields as a word |
 //! | `m` | a mark: u32 samples before it, then its name |
-//! | `p` | a sound of speech: u32 samples before it, then it in the International Phonetic Alphabet; none is a pause |
+//! | `p` | a phoneme: u32 samples before it, then its symbol in the International Phonetic Alphabet; or empty |
 //!
-//! Exit status: 0, 2 (arguments), 3 (no library), 4 (no such voice), 5 (it cannot speak this), 6 (nobody reads).
+//! Exit status: 0, 2 (arguments), 3 (no library), 4 (unknown voice), 5 (the text cannot be spoken), 6 (output closed).
 #![allow(unsafe_code)]
 
 use std::ffi::{c_char, c_int, c_uint, c_void, CStr, CString};
@@ -41,12 +42,12 @@ const SENTENCE: c_int = 2;
 const MARK: c_int = 3;
 const PHONEME: c_int = 7;
 
-/// `espeak_EVENT` of speak_lib.h.
+/// The struct `espeak_EVENT` of speak_lib.h.
 #[repr(C)]
 struct Event {
     kind: c_int,
     message: c_uint,
-    place: c_int,
+    position: c_int,
     length: c_int,
     milliseconds: c_int,
     sample: c_int,
@@ -75,9 +76,9 @@ extern "C" {
     fn dlsym(library: *mut c_void, name: *const c_char) -> *mut c_void;
 }
 
-static DEAF: AtomicBool = AtomicBool::new(false);
+static OUTPUT_CLOSED: AtomicBool = AtomicBool::new(false);
 
-fn frame(tag: u8, parts: &[&[u8]]) -> io::Result<()> {
+fn write_frame(tag: u8, parts: &[&[u8]]) -> io::Result<()> {
     let size: usize = parts.iter().map(|part| part.len()).sum();
     let mut out = io::stdout().lock();
     out.write_all(&[tag])?;
@@ -85,20 +86,20 @@ fn frame(tag: u8, parts: &[&[u8]]) -> io::Result<()> {
     parts.iter().try_for_each(|part| out.write_all(part))
 }
 
-fn number(n: c_int) -> [u8; 4] {
+fn to_bytes(n: c_int) -> [u8; 4] {
     (n.max(0) as u32).to_le_bytes()
 }
 
-fn event(event: &Event) -> io::Result<()> {
-    let at = number(event.sample);
+fn write_event(event: &Event) -> io::Result<()> {
+    let at = to_bytes(event.sample);
     match event.kind {
-        WORD => frame(
+        WORD => write_frame(
             b'w',
-            &[&at, &number(event.place - 1), &number(event.length)],
+            &[&at, &to_bytes(event.position - 1), &to_bytes(event.length)],
         ),
-        SENTENCE => frame(
+        SENTENCE => write_frame(
             b's',
-            &[&at, &number(event.place - 1), &number(event.length)],
+            &[&at, &to_bytes(event.position - 1), &to_bytes(event.length)],
         ),
         PHONEME => {
             let name: Vec<u8> = event
@@ -107,45 +108,46 @@ fn event(event: &Event) -> io::Result<()> {
                 .map(|c| *c as u8)
                 .take_while(|c| *c != 0)
                 .collect();
-            frame(b'p', &[&at, &name])
+            write_frame(b'p', &[&at, &name])
         }
         MARK => {
             let name = usize::from_ne_bytes(event.id.map(|c| c as u8)) as *const c_char;
             if name.is_null() {
                 return Ok(());
             }
-            // SAFETY: for a mark the library gives the address of its name, a C string that lives during the call.
-            frame(b'm', &[&at, unsafe { CStr::from_ptr(name) }.to_bytes()])
+            // SAFETY: for a mark, the library passes the address of its name, a C string that lives during the call.
+            write_frame(b'm', &[&at, unsafe { CStr::from_ptr(name) }.to_bytes()])
         }
         _ => Ok(()),
     }
 }
 
-extern "C" fn heard(samples: *const i16, count: c_int, events: *const Event) -> c_int {
+extern "C" fn on_synthesis(samples: *const i16, count: c_int, events: *const Event) -> c_int {
     let mut written = Ok(());
     let mut next = events;
-    // SAFETY: the library gives a list of events whose last is LIST_END, and `count` samples, both for this call only.
+    // SAFETY: the library passes a list of events that ends with LIST_END, and `count` samples; both are valid during
+    // this call only.
     unsafe {
         while written.is_ok() && !next.is_null() && (*next).kind != LIST_END {
-            written = event(&*next);
+            written = write_event(&*next);
             next = next.add(1);
         }
         if written.is_ok() && !samples.is_null() && count > 0 {
             let bytes = std::slice::from_raw_parts(samples.cast::<u8>(), count as usize * 2);
-            written = frame(b'a', &[bytes]);
+            written = write_frame(b'a', &[bytes]);
         }
     }
     if written.is_err() {
-        DEAF.store(true, Ordering::Relaxed);
+        OUTPUT_CLOSED.store(true, Ordering::Relaxed);
     }
     c_int::from(written.is_err())
 }
 
-/// A function of the library.
+/// Looks up a function of the library.
 ///
 /// # Safety
-/// `F` must be the type of the function of that name.
-unsafe fn function<F: Copy>(library: *mut c_void, name: &CStr) -> F {
+/// `F` must be the type of the function with this name.
+unsafe fn load_function<F: Copy>(library: *mut c_void, name: &CStr) -> F {
     let address = dlsym(library, name.as_ptr());
     if address.is_null() {
         exit(3);
@@ -169,17 +171,18 @@ fn main() {
     };
     let ssml = if kind == "ssml" { SSML } else { 0 };
 
-    // SAFETY: the names and types are those of espeak-ng's speak_lib.h; strings end with a zero and outlive the calls.
+    // SAFETY: the names and types are those in speak_lib.h of espeak-ng, and the strings are null-terminated and
+    // outlive the calls.
     unsafe {
         let library = dlopen(LIBRARY.as_ptr(), NOW);
         if library.is_null() {
             exit(3);
         }
-        let initialize: Initialize = function(library, c"espeak_Initialize");
-        let set_callback: SetCallback = function(library, c"espeak_SetSynthCallback");
-        let set_voice: SetVoice = function(library, c"espeak_SetVoiceByName");
-        let set_parameter: SetParameter = function(library, c"espeak_SetParameter");
-        let synthesize: Synthesize = function(library, c"espeak_Synth");
+        let initialize: Initialize = load_function(library, c"espeak_Initialize");
+        let set_callback: SetCallback = load_function(library, c"espeak_SetSynthCallback");
+        let set_voice: SetVoice = load_function(library, c"espeak_SetVoiceByName");
+        let set_parameter: SetParameter = load_function(library, c"espeak_SetParameter");
+        let synthesize: Synthesize = load_function(library, c"espeak_Synth");
 
         let rate_hz = initialize(
             SYNCHRONOUS,
@@ -195,8 +198,8 @@ fn main() {
         }
         set_parameter(RATE, rate, 0);
         set_parameter(PITCH, pitch, 0);
-        set_callback(heard);
-        if frame(b'r', &[&number(rate_hz)]).is_err() {
+        set_callback(on_synthesis);
+        if write_frame(b'r', &[&to_bytes(rate_hz)]).is_err() {
             exit(6);
         }
         let bytes = text.as_bytes_with_nul();
@@ -211,7 +214,7 @@ fn main() {
             std::ptr::null_mut(),
             std::ptr::null_mut(),
         );
-        if DEAF.load(Ordering::Relaxed) || io::stdout().flush().is_err() {
+        if OUTPUT_CLOSED.load(Ordering::Relaxed) || io::stdout().flush().is_err() {
             exit(6);
         }
         exit(if status == 0 { 0 } else { 5 });

@@ -1,18 +1,18 @@
-//! The schemas and channels that a new file has, under the numbers of the original.
+//! Writes the schemas and channels of a new file under the numbers of the original.
 
 use std::collections::BTreeSet;
 
 use crate::{Channel, Error, Result, Schema, Writer};
 
 #[derive(Default)]
-pub struct Described {
+pub struct Definitions {
     schemas: BTreeSet<u16>,
     pub channels: BTreeSet<u16>,
 }
 
-impl Described {
-    /// Writes a schema; the first one of a number counts.
-    pub fn schema(&mut self, writer: &mut Writer, id: u16, schema: &Schema) -> Result<()> {
+impl Definitions {
+    /// Writes a schema, unless one with this number was written before.
+    pub fn write_schema(&mut self, writer: &mut Writer, id: u16, schema: &Schema) -> Result<()> {
         if !self.schemas.insert(id) {
             return Ok(());
         }
@@ -23,8 +23,8 @@ impl Described {
             .map_err(|e| Error::mcap("write", e))
     }
 
-    /// Writes a channel; the first one of a number counts.
-    pub fn channel(&mut self, writer: &mut Writer, channel: &Channel) -> Result<()> {
+    /// Writes a channel, unless one with this number was written before.
+    pub fn write_channel(&mut self, writer: &mut Writer, channel: &Channel) -> Result<()> {
         let schema = channel.schema;
         if schema != 0 && !self.schemas.contains(&schema) {
             let topic = &channel.topic;

@@ -1,24 +1,24 @@
-//! Pixel formats, shapes, and a checked view of a picture's bytes.
+//! Pixel formats, shapes, and a checked view of an image's bytes.
 
 use crate::error::{fail, Code, Result};
 
-/// No picture is larger than this; the Elixir side documents the same number.
+/// The maximum size of an image. The Elixir side documents the same number.
 pub const MAX_BYTES: usize = 1 << 30;
 
-/// Channels, their order in memory and their depth. Channels of 16 bits are little-endian.
+/// The channels of a pixel, their order in memory and their depth. Channels of 16 bits are little-endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// One channel of 8 bits.
     Gray8,
-    /// One channel of 16 bits; depth pictures too.
+    /// One channel of 16 bits; also used for depth images.
     Gray16,
     /// Blue, green, red, 8 bits each.
     Bgr24,
     /// Red, green, blue, 8 bits each.
     Rgb24,
-    /// Blue, green, red and a byte without meaning, written as 255.
+    /// Blue, green, red and an unused byte, which is written as 255.
     Bgrx32,
-    /// Blue, green, red, alpha (0 transparent, 255 opaque; colours are not multiplied with it).
+    /// Blue, green, red, alpha (0 transparent, 255 opaque). Colors are not premultiplied.
     Bgra32,
     /// Red, green, blue, alpha, as in `Bgra32`.
     Rgba32,
@@ -27,8 +27,8 @@ pub enum Format {
 }
 
 impl Format {
-    /// Channels of a pixel, unused ones included: 1, 3 or 4.
-    pub fn channels(self) -> usize {
+    /// Returns the number of channels of a pixel, including unused ones: 1, 3 or 4.
+    pub fn channel_count(self) -> usize {
         match self {
             Format::Gray8 | Format::Gray16 => 1,
             Format::Bgr24 | Format::Rgb24 => 3,
@@ -36,7 +36,7 @@ impl Format {
         }
     }
 
-    /// 1 or 2.
+    /// Returns 1 or 2.
     pub fn bytes_per_channel(self) -> usize {
         match self {
             Format::Gray16 | Format::Rgba64 => 2,
@@ -44,22 +44,22 @@ impl Format {
         }
     }
 
-    /// Bytes of a pixel: 1, 2, 3, 4 or 8.
-    pub fn bytes(self) -> usize {
-        self.channels() * self.bytes_per_channel()
+    /// Returns the bytes of a pixel: 1, 2, 3, 4 or 8.
+    pub fn pixel_bytes(self) -> usize {
+        self.channel_count() * self.bytes_per_channel()
     }
 
-    /// The place of the alpha (or unused) channel.
-    pub fn fourth(self) -> Option<usize> {
-        (self.channels() == 4).then_some(3)
+    /// Returns the index of the alpha (or unused) channel.
+    pub fn fourth_channel(self) -> Option<usize> {
+        (self.channel_count() == 4).then_some(3)
     }
 
-    /// Whether the fourth channel says how opaque a pixel is.
+    /// Returns whether the fourth_channel channel is the opacity of the pixel.
     pub fn has_alpha(self) -> bool {
         matches!(self, Format::Bgra32 | Format::Rgba32 | Format::Rgba64)
     }
 
-    /// The name that Elixir has for it, with its colon, for sentences.
+    /// Returns the Elixir name of the format, with its colon, for messages.
     pub fn name(self) -> &'static str {
         match self {
             Format::Gray8 => ":gray8",
@@ -74,29 +74,29 @@ impl Format {
     }
 }
 
-/// Width, height and format; rows without gaps.
+/// The size and format of an image whose rows are contiguous.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Pixels of a row, at least 1.
+    /// The number of pixels in a row, at least 1.
     pub width: usize,
-    /// Rows, at least 1.
+    /// The number of rows, at least 1.
     pub height: usize,
     /// The format of every pixel.
     pub format: Format,
 }
 
 impl Shape {
-    /// Refuses empty and over-large shapes: the one gate in front of every allocation.
+    /// Builds a shape. Empty and oversized shapes are rejected here, before every allocation.
     pub fn new(width: usize, height: usize, format: Format) -> Result<Shape> {
         if width == 0 || height == 0 {
             return fail(
                 Code::BadSize,
-                format!("a picture cannot be {width}x{height}"),
+                format!("an image cannot be {width}x{height}: both sides must be at least 1"),
             );
         }
         let bytes = width
             .checked_mul(height)
-            .and_then(|n| n.checked_mul(format.bytes()));
+            .and_then(|n| n.checked_mul(format.pixel_bytes()));
         match bytes {
             Some(n) if n <= MAX_BYTES => Ok(Shape {
                 width,
@@ -106,39 +106,38 @@ impl Shape {
             _ => fail(
                 Code::TooLarge,
                 format!(
-                    "{width}x{height} {} would take more than {MAX_BYTES} bytes",
+                    "{width}x{height} {} would need more than {MAX_BYTES} bytes",
                     format.name()
                 ),
             ),
         }
     }
 
-    /// Bytes of a row without a gap behind it.
+    /// Returns the bytes of a row without padding.
     pub fn row_bytes(&self) -> usize {
-        self.width * self.format.bytes()
+        self.width * self.format.pixel_bytes()
     }
 
-    /// Bytes of all rows without gaps; at most [`MAX_BYTES`].
+    /// Returns the bytes of all rows without padding, at most [`MAX_BYTES`].
     pub fn bytes(&self) -> usize {
         self.row_bytes() * self.height
     }
 }
 
-/// A picture somebody else owns, checked: every row lies inside `data`.
+/// A borrowed image. Every row was checked to be inside `data`.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
-    /// Size and format.
+    /// The size and format.
     pub shape: Shape,
-    /// Bytes from the start of a row to that of the next, at least `shape.row_bytes()`.
+    /// The distance in bytes between the starts of two rows, at least `shape.row_bytes()`.
     pub stride: usize,
-    /// The rows, the topmost first; what lies behind the last pixel is not looked at.
+    /// The rows, starting at the top. Bytes after the last pixel are ignored.
     pub data: &'a [u8],
 }
 
 impl<'a> View<'a> {
-    /// Refuses ([`Code::BadImage`]) a stride below a row's bytes, and data that end before the last pixel
-    /// does. The last
-    /// row need not be padded.
+    /// Builds a view. Returns [`Code::BadImage`] if the stride is smaller than a row, or if the data ends before the
+    /// last pixel. The last row does not need padding.
     pub fn new(shape: Shape, stride: usize, data: &'a [u8]) -> Result<View<'a>> {
         let row = shape.row_bytes();
         let needed = stride
@@ -163,23 +162,23 @@ impl<'a> View<'a> {
         }
     }
 
-    /// The pixels of row `y`, counted from the top; `y` is below the height.
+    /// Returns the pixels of row `y`, counted from the top. `y` must be less than the height.
     pub fn row(&self, y: usize) -> &'a [u8] {
         &self.data[y * self.stride..y * self.stride + self.shape.row_bytes()]
     }
 
-    /// All rows from the top, without the gaps between them.
+    /// Iterates over the rows from the top, without their padding.
     pub fn rows(&self) -> impl Iterator<Item = &'a [u8]> + '_ {
         (0..self.shape.height).map(|y| self.row(y))
     }
 
-    /// Whether no gaps lie between the rows.
-    pub fn is_tight(&self) -> bool {
+    /// Returns whether the rows are contiguous.
+    pub fn is_packed(&self) -> bool {
         self.stride == self.shape.row_bytes()
     }
 
-    /// A part of the picture, without copying; the part must lie inside.
-    pub fn part(&self, x: i64, y: i64, width: i64, height: i64) -> Result<View<'a>> {
+    /// Returns a view of a part of the image, without copying. The part must be inside the image.
+    pub fn crop(&self, x: i64, y: i64, width: i64, height: i64) -> Result<View<'a>> {
         let shape = self.shape;
         let inside = x >= 0
             && y >= 0
@@ -193,7 +192,7 @@ impl<'a> View<'a> {
             return fail(
                 Code::BadRect,
                 format!(
-                    "the rectangle {width}x{height} at {{{x}, {y}}} does not lie inside {}x{}",
+                    "the rectangle {width}x{height} at {{{x}, {y}}} is not inside the {}x{} image",
                     shape.width, shape.height
                 ),
             );
@@ -203,13 +202,13 @@ impl<'a> View<'a> {
         View::new(
             part,
             self.stride,
-            &self.data[y * self.stride + x * shape.format.bytes()..],
+            &self.data[y * self.stride + x * shape.format.pixel_bytes()..],
         )
     }
 
-    /// The pixels without gaps between rows: borrowed when there are none.
-    pub fn tight(&self) -> std::borrow::Cow<'a, [u8]> {
-        if self.is_tight() {
+    /// Returns the pixels without padding; borrowed if the rows are contiguous.
+    pub fn packed_pixels(&self) -> std::borrow::Cow<'a, [u8]> {
+        if self.is_packed() {
             std::borrow::Cow::Borrowed(&self.data[..self.shape.bytes()])
         } else {
             std::borrow::Cow::Owned(self.rows().flatten().copied().collect())
@@ -222,7 +221,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn refuses_what_the_bytes_do_not_hold() {
+    fn rejects_shapes_that_do_not_fit_the_bytes() {
         let shape = Shape::new(3, 2, Format::Gray8);
         assert!(shape
             .and_then(|s| View::new(s, 4, &[0; 7]))

@@ -1,19 +1,19 @@
-//! Sound kernels as terms: `{:mix, data, {:s16, 2}, {:s16, 1}, [0.5, 0.5]}`.
+//! Audio kernels as terms: `{:mix, data, {:s16, 2}, {:s16, 1}, [0.5, 0.5]}`.
 
-use crate::sound::{AnalyzerResource, ConfigTerm, QualityTerm, ResamplerResource, SampleTerm};
+use crate::audio::{AnalyzerResource, ConfigTerm, QualityTerm, ResamplerResource, SampleTerm};
 use rustler::{Binary, Encoder, Env, NifMap, NifTaggedEnum, ResourceArc, Term};
 use situ_media::audio::features::{Analyzer, Frame};
 use situ_media::audio::mix::{self, Layout};
 use situ_media::audio::resample::Resampler;
 use situ_media::audio::waveform;
 use situ_media::error::{fail, Code, Error, Result};
-use situ_media_term::allocate;
+use situ_media_term::allocate_binary;
 use std::sync::{Mutex, PoisonError};
 
 type LayoutTerm = (SampleTerm, u32);
 
 #[derive(NifTaggedEnum)]
-pub enum SoundJob<'a> {
+pub enum AudioJob<'a> {
     Mix(Binary<'a>, LayoutTerm, LayoutTerm, Vec<f64>),
     Add(Binary<'a>, Binary<'a>, LayoutTerm, f64),
     Levels(Binary<'a>, LayoutTerm),
@@ -47,49 +47,51 @@ mod atoms {
     rustler::atoms! { spectrum, power, log_mel, mfcc }
 }
 
-impl<'a> SoundJob<'a> {
+impl<'a> AudioJob<'a> {
     pub fn run(&self, env: Env<'a>) -> Result<Term<'a>> {
         match self {
-            SoundJob::Mix(data, from, to, gains) => {
-                let (from, to) = (layout(from), layout(to));
-                let mut out = allocate(mix::check(data, from, to, gains)?)?;
+            AudioJob::Mix(data, from, to, gains) => {
+                let (from, to) = (audio_layout(from), audio_layout(to));
+                let mut out = allocate_binary(mix::mixed_size(data, from, to, gains)?)?;
                 mix::mix(data, from, to, gains, out.as_mut_slice());
                 Ok(out.release(env).encode(env))
             }
-            SoundJob::Add(a, b, form, gain) => {
-                let form = whole(layout(form), &[a, b])?;
-                let mut out = allocate(a.len().max(b.len()))?;
-                mix::add(a, b, form, *gain, out.as_mut_slice());
+            AudioJob::Add(a, b, form, gain) => {
+                let form = check_frames(audio_layout(form), &[a, b])?;
+                let mut out = allocate_binary(a.len().max(b.len()))?;
+                mix::add_scaled(a, b, form, *gain, out.as_mut_slice());
                 Ok(out.release(env).encode(env))
             }
-            SoundJob::Levels(data, form) => {
-                Ok(mix::levels(data, whole(layout(form), &[data])?).encode(env))
+            AudioJob::Levels(data, form) => Ok(mix::channel_levels(
+                data,
+                check_frames(audio_layout(form), &[data])?,
+            )
+            .encode(env)),
+            AudioJob::Points(data, form, span) => {
+                let form = check_frames(audio_layout(form), &[data])?;
+                Ok(waveform::span_extremes(data, form, *span as usize).encode(env))
             }
-            SoundJob::Points(data, form, span) => {
-                let form = whole(layout(form), &[data])?;
-                Ok(waveform::points(data, form, *span as usize).encode(env))
-            }
-            SoundJob::NewResampler(from, to, channels, sample, quality) => {
+            AudioJob::NewResampler(from, to, channels, sample, quality) => {
                 let (sample, quality) = ((*sample).into(), (*quality).into());
                 let new = Resampler::new(*from, *to, *channels as usize, sample, quality)?;
                 Ok(ResourceArc::new(ResamplerResource(Mutex::new(new))).encode(env))
             }
-            SoundJob::Resample(resampler, data, last) => {
-                let mut guard = resampler.0.lock().map_err(poisoned)?;
-                let mut out = allocate(guard.room(data.len())?)?;
+            AudioJob::Resample(resampler, data, last) => {
+                let mut guard = resampler.0.lock().map_err(lock_error)?;
+                let mut out = allocate_binary(guard.output_capacity(data.len())?)?;
                 let written = guard.process(data, *last, out.as_mut_slice())?;
                 if !out.realloc(written) {
                     return fail(Code::OutOfMemory, format!("no memory for {written} bytes"));
                 }
                 Ok(out.release(env).encode(env))
             }
-            SoundJob::NewAnalyzer(config) => {
+            AudioJob::NewAnalyzer(config) => {
                 let new = Analyzer::new(config.into())?;
                 Ok(ResourceArc::new(AnalyzerResource(Mutex::new(new))).encode(env))
             }
-            SoundJob::Analyze(analyzer, data, index, wanted) => {
-                let mut guard = analyzer.0.lock().map_err(poisoned)?;
-                let frames = guard.frames(data, *index)?;
+            AudioJob::Analyze(analyzer, data, index, wanted) => {
+                let mut guard = analyzer.0.lock().map_err(lock_error)?;
+                let frames = guard.analyze_frames(data, *index)?;
                 let terms: Vec<_> = frames.into_iter().map(|f| frame_term(f, wanted)).collect();
                 Ok(terms.encode(env))
             }
@@ -97,19 +99,19 @@ impl<'a> SoundJob<'a> {
     }
 }
 
-fn layout(term: &LayoutTerm) -> Layout {
+fn audio_layout(term: &LayoutTerm) -> Layout {
     Layout {
         sample: term.0.into(),
         channels: term.1 as usize,
     }
 }
 
-fn whole(layout: Layout, buffers: &[&Binary]) -> Result<Layout> {
-    let frame = layout.frame();
+fn check_frames(layout: Layout, buffers: &[&Binary]) -> Result<Layout> {
+    let frame = layout.frame_bytes();
     if frame == 0 || buffers.iter().any(|b| b.len() % frame != 0) {
         return fail(
             Code::BadAudio,
-            format!("the bytes are not whole frames of {frame} bytes"),
+            format!("the audio is not a multiple of the frame size of {frame} bytes"),
         );
     }
     Ok(layout)
@@ -132,9 +134,9 @@ fn frame_term(frame: Frame, wanted: &[rustler::Atom]) -> FrameTerm {
     }
 }
 
-fn poisoned<T>(_: PoisonError<T>) -> Error {
+fn lock_error<T>(_: PoisonError<T>) -> Error {
     Error {
         code: Code::Failed,
-        what: "an earlier call failed half-way; start again".into(),
+        what: "an earlier call crashed, so the state is invalid: create a new one".into(),
     }
 }

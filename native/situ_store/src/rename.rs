@@ -1,4 +1,4 @@
-//! Renames folders in one step, so that a killed program leaves either the old state or the new one.
+//! Renames folders atomically, so that a killed program leaves either the old state or the new one.
 
 use std::path::Path;
 
@@ -12,23 +12,23 @@ use crate::error::{Error, Result};
 pub enum Outcome {
     /// The name was changed.
     Done,
-    /// The new name is taken already.
+    /// The new name exists already.
     Exists,
-    /// The file system cannot do it in one step.
+    /// The file system cannot rename atomically.
     Unsupported,
 }
 
-/// Renames `from` to `to`, unless that exists, even as an empty folder.
+/// Renames `from` to `to` unless `to` exists, even as an empty folder.
 pub fn rename_new(from: &Path, to: &Path) -> Result<Outcome> {
-    rename(from, to, RenameFlags::NOREPLACE)
+    rename_with_flags(from, to, RenameFlags::NOREPLACE)
 }
 
 /// Exchanges two names.
-pub fn exchange(one: &Path, other: &Path) -> Result<Outcome> {
-    rename(one, other, RenameFlags::EXCHANGE)
+pub fn exchange_names(one: &Path, other: &Path) -> Result<Outcome> {
+    rename_with_flags(one, other, RenameFlags::EXCHANGE)
 }
 
-fn rename(from: &Path, to: &Path, flags: RenameFlags) -> Result<Outcome> {
+fn rename_with_flags(from: &Path, to: &Path, flags: RenameFlags) -> Result<Outcome> {
     match renameat_with(CWD, from, CWD, to, flags) {
         Ok(()) => Ok(Outcome::Done),
         Err(Errno::EXIST) => Ok(Outcome::Exists),

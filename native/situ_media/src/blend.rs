@@ -1,20 +1,20 @@
-//! Colour put onto pixels, as much of each as is covered.
+//! Blending of a color onto pixels in proportion to their coverage.
 
-use crate::picture::Shape;
+use crate::image::Shape;
 
-/// Pixels from (left, top) to before (right, bottom); may be empty or lie outside of the picture.
+/// The pixels from (left, top) up to but excluding (right, bottom). The rectangle may be empty or outside the image.
 #[derive(Clone, Copy)]
-pub struct Area {
+pub struct Rect {
     pub left: i64,
     pub top: i64,
     pub right: i64,
     pub bottom: i64,
 }
 
-impl Area {
-    /// All of a picture.
-    pub fn of(shape: Shape) -> Area {
-        Area {
+impl Rect {
+    /// Returns the rectangle of the image.
+    pub fn of_image(shape: Shape) -> Rect {
+        Rect {
             left: 0,
             top: 0,
             right: shape.width as i64,
@@ -26,8 +26,8 @@ impl Area {
         self.left >= self.right || self.top >= self.bottom
     }
 
-    pub fn common(self, other: Area) -> Area {
-        Area {
+    pub fn intersect(self, other: Rect) -> Rect {
+        Rect {
             left: self.left.max(other.left),
             top: self.top.max(other.top),
             right: self.right.min(other.right),
@@ -35,8 +35,8 @@ impl Area {
         }
     }
 
-    pub fn around(self, other: Area) -> Area {
-        Area {
+    pub fn union(self, other: Rect) -> Rect {
+        Rect {
             left: self.left.min(other.left),
             top: self.top.min(other.top),
             right: self.right.max(other.right),
@@ -44,8 +44,8 @@ impl Area {
         }
     }
 
-    pub fn grown(self, by: i64) -> Area {
-        Area {
+    pub fn expand_by(self, by: i64) -> Rect {
+        Rect {
             left: self.left.saturating_sub(by),
             top: self.top.saturating_sub(by),
             right: self.right.saturating_add(by),
@@ -62,40 +62,40 @@ impl Area {
     }
 }
 
-/// From `old` towards `new` by `cover` of 255.
-pub fn mix(old: u32, new: u32, cover: u32) -> u32 {
+/// Interpolates from `old` to `new` by `cover` of 255.
+pub fn mix_channel(old: u32, new: u32, cover: u32) -> u32 {
     (old * (255 - cover) + new * cover + 127) / 255
 }
 
-/// Colours the pixels of `area`, which lies inside of the picture, as far as each is covered.
-pub fn blend(out: &mut [u8], shape: Shape, area: Area, coverage: &[u8], color: [f64; 4]) {
-    let channels = shape.format.channels();
+/// Blends the color onto the pixels of `area`, which must be inside the image, in proportion to their coverage.
+pub fn blend_color(out: &mut [u8], shape: Shape, area: Rect, coverage: &[u8], color: [f64; 4]) {
+    let channels = shape.format.channel_count();
     let wide = shape.format.bytes_per_channel() == 2;
     let color = color.map(|v| v.clamp(0.0, if wide { 65_535.0 } else { 255.0 }).round() as u32);
     let rows = out.chunks_exact_mut(shape.row_bytes());
     let rows = rows.skip(area.top as usize);
-    let from = area.left as usize * shape.format.bytes();
+    let from = area.left as usize * shape.format.pixel_bytes();
     for (row, cover) in rows.zip(coverage.chunks_exact(area.width())) {
-        let pixels = row[from..].chunks_exact_mut(shape.format.bytes());
+        let pixels = row[from..].chunks_exact_mut(shape.format.pixel_bytes());
         for (pixel, &cover) in pixels.zip(cover).filter(|(_, &cover)| cover > 0) {
             for (i, color) in color.iter().enumerate().take(channels) {
                 if wide {
                     let value = &mut pixel[2 * i..2 * i + 2];
                     let old = u16::from_le_bytes([value[0], value[1]]);
-                    let new = mix(old.into(), *color, cover.into()) as u16;
+                    let new = mix_channel(old.into(), *color, cover.into()) as u16;
                     value.copy_from_slice(&new.to_le_bytes());
                 } else {
-                    pixel[i] = mix(pixel[i].into(), *color, cover.into()) as u8;
+                    pixel[i] = mix_channel(pixel[i].into(), *color, cover.into()) as u8;
                 }
             }
         }
     }
 }
 
-/// Colours `area`, which lies inside of the picture or is empty.
-pub fn fill(out: &mut [u8], shape: Shape, area: Area, color: [f64; 4]) {
+/// Fills `area`, which must be inside the image or empty.
+pub fn fill_rect(out: &mut [u8], shape: Shape, area: Rect, color: [f64; 4]) {
     if !area.is_empty() {
         let full = vec![255; area.width() * area.height()];
-        blend(out, shape, area, &full, color);
+        blend_color(out, shape, area, &full, color);
     }
 }

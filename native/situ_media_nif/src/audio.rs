@@ -1,4 +1,4 @@
-//! Sound's types as terms, and the two things that live longer than one call.
+//! Audio types as terms, and the two resources that outlive a call.
 
 use rustler::{NifMap, NifUnitEnum, Resource};
 use situ_media::audio::features::{Analyzer, Config};
