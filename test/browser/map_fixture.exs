@@ -2,7 +2,7 @@ defmodule MapFixture do
   @moduledoc false
   # One person walks a kilometre to the north and then one to the east. Another receiver emits
   # maps with errors.
-  alias Situ.{GeoPoint, Image, Imaging}
+  alias Situ.{GeoPoint, Image, ImageOps}
   alias Situ.Studio.History
 
   @t0 1_767_225_600_000_000_000
@@ -27,7 +27,7 @@ defmodule MapFixture do
 
   # One image of a single color for every tile of the tested zooms.
   def tiles(work) do
-    {:ok, png} = Imaging.encode_png(Image.new_filled(256, 256, :rgb24, [200, 60, 160]))
+    {:ok, png} = ImageOps.encode_png(Image.new_filled(256, 256, :rgb24, [200, 60, 160]))
 
     for z <- 12..17, {x, y} = middle(z), dx <- -3..3, dy <- -3..3 do
       folder = Path.join([work, "tiles", "#{z}", "#{x + dx}"])

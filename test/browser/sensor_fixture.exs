@@ -1,7 +1,7 @@
 defmodule SensorFixture do
   # Pipelines whose camera and microphone are a page. They count the messages in a file that the
   # tests read.
-  alias Situ.{AudioBuffer, EncodedImage, Imaging, Time}
+  alias Situ.{AudioBuffer, EncodedImage, ImageOps, Time}
   alias Situ.Studio.Sensor
 
   def start(path) do
@@ -30,8 +30,8 @@ defmodule SensorFixture do
   end
 
   defp look(%EncodedImage{} = jpeg, message) do
-    {:ok, image} = Imaging.parse(jpeg.data)
-    {:ok, rgb} = Imaging.convert(image, :rgb24)
+    {:ok, image} = ImageOps.parse(jpeg.data)
+    {:ok, rgb} = ImageOps.convert(image, :rgb24)
     # A row in the middle shows the color.
     row = binary_part(rgb.data, div(rgb.height, 2) * rgb.stride, rgb.width * 3)
     pixels = for <<r, g, b <- row>>, do: {r, g, b}

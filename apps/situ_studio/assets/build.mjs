@@ -20,18 +20,18 @@ const options = {
   logLevel: "warning",
   outdir: out,
 };
-// The code for 3D drawing is a module of its own; a page loads it with its first 3D panel.
+// The 3D drawing code is a separate module that a page loads with its first 3D panel.
 const space = {
   ...options,
   entryPoints: [{ in: "js/space/index.js", out: "space" }],
   format: "esm",
 };
-// The worker that transforms sound, in a thread of its own.
+// The worker that computes spectra in its own thread.
 const worker = {
   ...options,
   entryPoints: [{ in: "js/spectrogram/worker.js", out: "spectrogram-worker" }],
 };
-// The pages that are sensors, and a part in the audio thread.
+// The sensor and headset pages, and the code for the audio thread.
 const sensor = {
   ...options,
   entryPoints: [

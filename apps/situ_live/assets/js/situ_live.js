@@ -1,12 +1,12 @@
-// The browser's half of situ_live beside the stock clients: the hook that acknowledges diffs.
+// The browser part of situ_live in addition to the stock clients: the hook that acknowledges diffs.
 
-// The server sends one diff at a time by itself. It marks each with the event "situ:ack"; answering it tells that
-// the page has taken the diff in.
+// The server sends one unrequested diff at a time and marks it with the event "situ:ack". The reply tells it that
+// the page has applied the diff.
 export const SituFlow = {
   mounted() {
     this.handleEvent("situ:ack", () => this.pushEvent("situ:ack", {}));
   },
 };
 
-// The `params` of the LiveSocket: that this page acknowledges.
+// The `params` of the LiveSocket: this page acknowledges diffs.
 export const connectParams = { situ_flow: "1" };

@@ -1,4 +1,4 @@
-// node bundle.mjs OUT: what the tests need, bundled: OUT/app.js for the page, OUT/rendered.mjs for Node.
+// node bundle.mjs OUT: bundles the test code: OUT/app.js for the page, OUT/rendered.mjs for Node.
 import * as esbuild from "esbuild";
 import { fileURLToPath } from "node:url";
 import path from "node:path";

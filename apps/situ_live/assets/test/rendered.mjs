@@ -3,9 +3,9 @@
 import fs from "node:fs";
 import Rendered from "../node_modules/phoenix_live_view/assets/js/phoenix_live_view/rendered.js";
 
-// Attributes that the client adds to the tag of an island; the server's HTML lacks them.
+// Attributes that the client adds to the tag of an island, which are not in the server's HTML.
 const own = / data-phx-(component|view|id|skip)(="[^"]*")?/g;
-const fresh = (r) =>
+const copyRendered = (r) =>
   new Rendered(
     "phx-1",
     JSON.parse(JSON.stringify(r.get(), (k, v) => (k === "newRender" || k === "magicId" ? undefined : v))),
@@ -21,7 +21,7 @@ for (const line of fs.readFileSync(process.argv[2], "utf8").trim().split("\n")) 
     if (first) rendered = new Rendered("phx-1", diff);
     else rendered.mergeDiff(diff);
     rendered.toString();
-    got = fresh(rendered).toString().buffer;
+    got = copyRendered(rendered).toString().buffer;
     got = (got.toString?.() ?? got).replace(own, "");
   } catch (error) {
     got = String(error);

@@ -1,4 +1,4 @@
-// Before the first paint: the theme chosen last, or the one the system prefers, so that nothing flashes.
+// Sets the theme before the first paint, so that nothing flashes: the last chosen theme, or the system's.
 (function () {
   var chosen = null;
   try {
@@ -13,16 +13,16 @@
   try {
     document.documentElement.dataset.palette = JSON.parse(localStorage.getItem("situ:settings")).palette || "usual";
   } catch (e) {
-    // the usual colours
+    // the default colors
   }
 })();
 
-// The widths that columns were dragged to.
+// Restores the column widths that the user chose.
 ["--left", "--right", "--side"].forEach(function (name) {
   try {
     var px = localStorage.getItem("situ:" + name);
     if (px) document.documentElement.style.setProperty(name, px + "px");
   } catch (e) {
-    // no storage: the usual widths
+    // no storage: the default widths
   }
 });

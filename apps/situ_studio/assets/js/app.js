@@ -1,11 +1,11 @@
-// Joins the LiveView page with the drawing code: one hook per kind of element.
+// Connects the LiveView page with the drawing code: one hook for each kind of element.
 
 import { Socket } from "phoenix";
 import { LiveSocket } from "phoenix_live_view";
 import { SituFlow, connectParams } from "situ_live";
 import { Studio } from "./studio.js";
 import { Navigator } from "./time/navigator.js";
-import { openPanel, timeline } from "./panels/index.js";
+import { openPanel, isTimeline } from "./panels/index.js";
 import { AnnotationPanel } from "./annotation/panel.js";
 import { chooseLayer, showAgreement } from "./annotation/agreement.js";
 import { copyBoundaries } from "./annotation/menu.js";
@@ -17,42 +17,42 @@ import { hooks as extraHooks } from "./hooks.js";
 import { seriesColor } from "./page/theme.js";
 import { showStatistics } from "./page/statistics.js";
 import { copyViewerLink } from "./page/viewer_link.js";
-import { toast } from "./page/toast.js";
-import { Together } from "./page/together.js";
-import { remember } from "./page/recent.js";
-import { tellTimes } from "./page/times.js";
+import { showToast } from "./page/toast.js";
+import { SharedCursors } from "./page/shared_cursors.js";
+import { rememberPage } from "./page/recent.js";
+import { showTimes } from "./page/times.js";
 
 let studio = null;
 
-function page() {
+function ensureStudio() {
   if (studio) return studio;
   const root = document.getElementById("studio");
   const d = root.dataset;
-  // what stands before the studio's own paths, where a proxy stands before the studio
+  // the path prefix, if the studio is behind a proxy
   const base = new URL(document.baseURI).pathname.replace(/\/$/, "");
   const ws = location.protocol === "https:" ? "wss:" : "ws:";
-  // what is looked at, and with what it is compared as it is shifted now
-  const q = () => {
+  // the source, and the compared source with its current offset
+  const buildQuery = () => {
     const { dataset } = document.getElementById("compare") ?? {};
     const query = { source: d.source };
     if (dataset) Object.assign(query, { with: dataset.with, offset: studio?.compare?.offset ?? dataset.offset });
     return new URLSearchParams(query).toString();
   };
   studio = new Studio(root, {
-    query: q,
-    dataUrl: () => `${ws}//${location.host}${base}/data/socket?${q()}`,
-    pcmUrl: () => `${base}/data/pcm?${q()}`,
-    stepUrl: () => `${base}/data/step?${q()}`,
+    query: buildQuery,
+    dataUrl: () => `${ws}//${location.host}${base}/data/socket?${buildQuery()}`,
+    pcmUrl: () => `${base}/data/pcm?${buildQuery()}`,
+    stepUrl: () => `${base}/data/step?${buildQuery()}`,
     source: d.source,
     base,
     layout: d.layout,
     edit: d.edit,
     annotate: d.annotate,
-    // Where a server that was away, or started again, is told what the page shows.
+    // Updates the address that a reconnecting or restarted server receives.
     moved: (href) => window.liveSocket?.main?.setHref(href),
   });
   studio.palette = new Palette(studio);
-  studio.together = new Together(studio);
+  studio.together = new SharedCursors(studio);
   window.situStudio = studio;
   return studio;
 }
@@ -60,23 +60,23 @@ function page() {
 const hooks = {
   Studio: {
     mounted() {
-      const app = page();
-      // what is done while the server is away is not kept, and says so
+      const app = ensureStudio();
+      // changes that are made while the server is unreachable are lost, so a message is shown
       app.options.push = (event, payload) =>
-        this.pushEvent(event, payload)?.catch?.(() => toast("The server does not answer: nothing was changed"));
-      remember();
-      // a named layout that was changed and not saved, where the settings want to be asked
+        this.pushEvent(event, payload)?.catch?.(() => showToast("The server is not responding: nothing was changed"));
+      rememberPage();
+      // asks before leaving a named layout with unsaved changes, if the settings say so
       this.leaving = (e) => this.el.dataset.keep === "ask" && this.el.dataset.edit && e.preventDefault();
       addEventListener("beforeunload", this.leaving);
       this.handleEvent("snap", ({ stream }) => app.snapTo(stream));
-      this.handleEvent("toast", ({ text }) => toast(text));
+      this.handleEvent("toast", ({ text }) => showToast(text));
       this.handleEvent("statistics", ({ rows }) => {
         clearTimeout(app.counting);
         const { sel } = app.time.get();
         showStatistics(rows, (sel[1] ?? 0) - (sel[0] ?? 0));
       });
       this.handleEvent("select_times", (times) => {
-        const [from, to] = [times.from, times.to].map((t) => app.client.rel(BigInt(t)));
+        const [from, to] = [times.from, times.to].map((t) => app.client.toRelative(BigInt(t)));
         app.time.dispatch({ type: "select", from, to });
         app.time.dispatch({ type: "nudge", by: from - app.time.get().cursor });
         if (to > from) app.time.dispatch({ type: "zoomSel" });
@@ -85,17 +85,21 @@ const hooks = {
       this.handleEvent("compare_go", ({ with: other, offset }) => {
         location.assign(`${location.pathname}?${new URLSearchParams({ with: other, offset })}`);
       });
-      this.handleEvent("compare_shift", ({ offset }) => app.compare?.set(BigInt(offset)));
-      this.handleEvent("together", (told) => app.together.heard(told));
+      this.handleEvent("compare_shift", ({ offset }) => app.compare?.setOffset(BigInt(offset)));
+      this.handleEvent("together", (message) => app.together.receivePeer(message));
       this.handleEvent("zoom_to", ({ from, to }) => {
-        app.time.dispatch({ type: "view", from: app.client.rel(BigInt(from)), to: app.client.rel(BigInt(to)) });
+        app.time.dispatch({
+          type: "view",
+          from: app.client.toRelative(BigInt(from)),
+          to: app.client.toRelative(BigInt(to)),
+        });
       });
       this.updated();
     },
     updated() {
       const { layout, edit, annotate } = this.el.dataset;
-      page().setLayout(layout, edit, annotate);
-      tellTimes(this.el);
+      ensureStudio().setLayout(layout, edit, annotate);
+      showTimes(this.el);
     },
     destroyed() {
       removeEventListener("beforeunload", this.leaving);
@@ -107,25 +111,25 @@ const hooks = {
 
   Navigator: {
     mounted() {
-      const app = page();
+      const app = ensureStudio();
       this.view = new Navigator(this.el, app);
       this.view.navigator = true;
-      app.add(this.view, { timeline: true, gestures: false });
+      app.addView(this.view, { timeline: true, gestures: false });
     },
     destroyed() {
-      page().remove(this.view);
+      ensureStudio().removeView(this.view);
     },
   },
 
   Panel: {
     mounted() {
-      const app = page();
+      const app = ensureStudio();
       const { kind, config } = this.el.dataset;
       this.view = openPanel(kind, this.el, app, JSON.parse(config));
       if (!this.view) return;
-      app.add(this.view, { timeline: timeline(kind) });
+      app.addView(this.view, { timeline: isTimeline(kind) });
       this.config = this.el.dataset.config;
-      // one that was just added is selected: it is shown even where it lies below the edge
+      // scrolls to a panel that was just added, which is selected
       this.el.closest(".selected")?.scrollIntoView({ block: "nearest" });
     },
     updated() {
@@ -134,13 +138,13 @@ const hooks = {
       this.view.configure(JSON.parse(this.config));
     },
     destroyed() {
-      if (this.view) page().remove(this.view);
+      if (this.view) ensureStudio().removeView(this.view);
     },
   },
 
   Compare: {
     mounted() {
-      const app = page();
+      const app = ensureStudio();
       app.compare = new Compare(this.el, app);
       app.client.setOffset(this.el.dataset.offset);
     },
@@ -152,11 +156,11 @@ const hooks = {
 
   Annotations: {
     mounted() {
-      const app = page();
+      const app = ensureStudio();
       this.view = new AnnotationPanel(this.el, app);
       app.annotation = this.view;
-      app.add(this.view, { timeline: true });
-      this.handleEvent("annotations", (told) => this.view.tell(told));
+      app.addView(this.view, { timeline: true });
+      this.handleEvent("annotations", (state) => this.view.applyUpdate(state));
       this.handleEvent("agreement", showAgreement);
       this.handleEvent("annotation_tracks", ({ tracks }) => copyBoundaries(this.view, tracks));
       this.handleEvent("annotation_streams", ({ streams }) =>
@@ -167,19 +171,19 @@ const hooks = {
       this.el.scrollIntoView({ block: "nearest" });
     },
     destroyed() {
-      page().annotation = null;
-      page().remove(this.view);
+      ensureStudio().annotation = null;
+      ensureStudio().removeView(this.view);
     },
   },
 
-  // A dialog that the server opened: it takes the focus, keeps it, and goes with Escape.
+  // A dialog that the server opened: it takes and keeps the focus, and Escape closes it.
   Modal: {
     mounted() {
       this.el.showModal();
       rememberAnnotator(this.el);
       (this.el.querySelector("[autofocus]") ?? this.el.querySelector("input, button"))?.focus();
       document.activeElement.select?.();
-      // what cannot be undone is asked twice
+      // actions that cannot be undone need a second click
       this.el.addEventListener(
         "click",
         (e) => {
@@ -197,7 +201,7 @@ const hooks = {
         this.pushEvent("dialog_close", {});
       });
     },
-    // the server does not know that it is open, and takes the mark of it away
+    // the server does not know that the dialog is open, and its patch removes the `open` attribute
     updated() {
       if (this.el.open) return;
       const back = document.activeElement;
@@ -206,7 +210,7 @@ const hooks = {
     },
   },
 
-  // The colour that a stream has by itself, in the field where another can be given.
+  // Shows the default color of a stream in the field that sets another one.
   Swatch: {
     mounted() {
       this.updated();
@@ -214,20 +218,21 @@ const hooks = {
     updated() {
       if (!this.el.dataset.auto) return;
       this.el.value = seriesColor(null, Number(this.el.dataset.auto));
-      // a patch that leaves the field alone empties it, too: an attribute makes the patch set it again
+      // a patch empties the field even if its attributes did not change; the attribute makes the patch restore the
+      // value
       this.el.setAttribute("value", this.el.value);
     },
   },
 
-  // The tree: arrow keys walk it, Enter adds, rows can be dragged onto panels.
+  // The stream tree: arrow keys move through it, Enter adds a stream, rows can be dragged onto panels.
   Tree: {
     mounted() {
       this.el.addEventListener("keydown", (e) => {
         const rows = [...this.el.querySelectorAll(".node")];
         const i = rows.indexOf(document.activeElement);
-        const go = (k) => rows[Math.min(Math.max(k, 0), rows.length - 1)]?.focus();
-        if (e.key === "ArrowDown") go(i + 1);
-        else if (e.key === "ArrowUp") go(i - 1);
+        const focusRow = (k) => rows[Math.min(Math.max(k, 0), rows.length - 1)]?.focus();
+        if (e.key === "ArrowDown") focusRow(i + 1);
+        else if (e.key === "ArrowUp") focusRow(i - 1);
         else if (e.key === "Enter" && i >= 0) rows[i].querySelector(".add")?.click();
         else if ((e.key === "ArrowRight" || e.key === "ArrowLeft" || e.key === " ") && i >= 0) {
           const wanted = e.key === "ArrowRight" ? "false" : e.key === "ArrowLeft" ? "true" : null;
@@ -238,7 +243,7 @@ const hooks = {
         e.preventDefault();
         e.stopPropagation();
       });
-      // from the search box down into what it found, and back to all
+      // ArrowDown moves from the search box to the first match, Escape clears the search
       this.el.parentElement.querySelector("#search")?.addEventListener("keydown", (e) => {
         if (e.key === "ArrowDown") this.el.querySelector(".node")?.focus();
         else if (e.key === "Escape" && e.target.value) {

@@ -1,9 +1,9 @@
-// Hooks of pages that live in files of their own; each module names its hooks.
-import { hooks as back } from "./page/back.js";
-import { hooks as edges } from "./page/edges.js";
-import { hooks as enter } from "./page/enter.js";
+// Collects the hooks of pages that have their own modules.
+import { hooks as back } from "./page/back_link.js";
+import { hooks as edges } from "./page/resize_handles.js";
+import { hooks as enter } from "./page/submit_on_enter.js";
 import { hooks as lists } from "./page/lists.js";
-import { hooks as more } from "./page/more.js";
+import { hooks as more } from "./page/overflow_menu.js";
 import { hooks as settings } from "./page/settings_page.js";
 import { hooks as pipeline } from "./pipeline/hooks.js";
 

@@ -1,4 +1,4 @@
-// The page's modules: no circle among them, and each small enough to be read at once.
+// Checks the page's modules: no import cycles, and a limited length.
 import test from "node:test";
 import assert from "node:assert/strict";
 import { build } from "esbuild";
@@ -7,7 +7,7 @@ import { fileURLToPath } from "node:url";
 const folder = fileURLToPath(new URL("..", import.meta.url));
 const MOST_LINES = 300;
 
-async function imports() {
+async function readImports() {
   const { metafile } = await build({
     entryPoints: ["js/app.js", "js/space/index.js", "js/sensor/index.js", "js/headset/index.js"],
     outdir: "out",
@@ -24,29 +24,29 @@ async function imports() {
   );
 }
 
-// The first circle found, as the way round, or null.
-export function circle(graph) {
+// Returns the first cycle found as a path, or null.
+export function findCycle(graph) {
   const done = new Set();
-  const walk = (node, way) => {
+  const visitNode = (node, way) => {
     if (way.includes(node)) return [...way.slice(way.indexOf(node)), node];
     if (done.has(node)) return null;
     for (const next of graph.get(node) ?? []) {
-      const found = walk(next, [...way, node]);
+      const found = visitNode(next, [...way, node]);
       if (found) return found;
     }
     done.add(node);
     return null;
   };
   for (const node of graph.keys()) {
-    const found = walk(node, []);
+    const found = visitNode(node, []);
     if (found) return found;
   }
   return null;
 }
 
-test("a circle among modules is found", () => {
+test("an import cycle is found", () => {
   assert.deepEqual(
-    circle(
+    findCycle(
       new Map([
         ["a", ["b"]],
         ["b", ["c"]],
@@ -56,7 +56,7 @@ test("a circle among modules is found", () => {
     ["b", "c", "b"],
   );
   assert.equal(
-    circle(
+    findCycle(
       new Map([
         ["a", ["b", "c"]],
         ["b", ["c"]],
@@ -67,15 +67,15 @@ test("a circle among modules is found", () => {
   );
 });
 
-test("the page's modules form none", async () => {
-  const graph = await imports();
+test("the page's modules have no import cycle", async () => {
+  const graph = await readImports();
   assert.ok(graph.size > 30);
-  assert.equal(circle(graph)?.join(" -> ") ?? null, null);
+  assert.equal(findCycle(graph)?.join(" -> ") ?? null, null);
 });
 
-test("no module is longer than is read at once", async () => {
+test("no module exceeds the maximum length", async () => {
   const { readFileSync } = await import("node:fs");
-  for (const path of (await imports()).keys()) {
+  for (const path of (await readImports()).keys()) {
     const lines = readFileSync(folder + path, "utf8").split("\n");
     assert.ok(lines.length <= MOST_LINES, `${path} has ${lines.length} lines`);
     const long = lines.findIndex((l) => l.length > 140);

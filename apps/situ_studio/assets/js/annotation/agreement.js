@@ -1,7 +1,7 @@
-// How far two layers of annotations agree, as a table; and which other layer is meant.
+// Shows in a table how well two annotation layers agree, and lets the user choose the second layer.
 
 export function showAgreement({ first, second, rows }) {
-  const dialog = opened("agreement", `${first} and ${second}`);
+  const dialog = openDialog("agreement", `${first} and ${second}`);
   const table = dialog.appendChild(document.createElement("table"));
   for (const [name, value] of rows) {
     const tr = table.appendChild(document.createElement("tr"));
@@ -12,10 +12,10 @@ export function showAgreement({ first, second, rows }) {
 }
 
 export function chooseLayer(streams, chosen) {
-  const dialog = opened("agreement-with", "Compare with");
+  const dialog = openDialog("agreement-with", "Compare with");
   if (!streams.length) {
     dialog.appendChild(document.createElement("p")).textContent =
-      "There are no other annotations of this recording. Another person makes a layer in the dialog of (a).";
+      "This recording has no other annotations. Another annotator can create a layer in the annotation dialog (a).";
   }
   const choices = dialog.appendChild(document.createElement("div"));
   choices.className = "choices";
@@ -30,7 +30,7 @@ export function chooseLayer(streams, chosen) {
   dialog.showModal();
 }
 
-function opened(id, title) {
+function openDialog(id, title) {
   document.getElementById(id)?.remove();
   const dialog = document.body.appendChild(document.createElement("dialog"));
   dialog.id = id;

@@ -1,21 +1,21 @@
-// An annotation on its row: a bar, or a dot for a point in time; proposals are see-through, with a dashed edge.
+// Draws an annotation on its row: a bar, or a dot for a point in time. Proposals are transparent with a dashed edge.
 
-import { GUTTER, theme, ink, stateColor } from "../page/theme.js";
+import { GUTTER, themeColors, readableColor, stateColor } from "../page/theme.js";
 
 export const ROW = 26;
 
-function colorOf(a, attribute) {
+function annotationColor(a, attribute) {
   const value = a.values[attribute?.name];
   const own = attribute?.values.find((v) => v.value === value)?.fill ?? attribute?.fill;
   return own ?? stateColor(String(value ?? ""), value === true ? "true" : "state");
 }
 
-// x(t) tells where a time is; then which attribute is shown, which annotation is chosen, and of which confidence
-// proposals are at least that would be accepted.
-export function drawOne(ctx, a, x, y, { told, attribute: nth, selected, least = 0 }) {
-  const attribute = told.attributes[nth];
-  const c = theme(),
-    color = colorOf(a, attribute);
+// Draws one annotation. `timeToX` maps a time to pixels; the options name the shown attribute, the selected
+// annotation, and the confidence from which proposals would be accepted.
+export function drawAnnotation(ctx, a, x, y, { state, attribute: nth, selected, least = 0 }) {
+  const attribute = state.attributes[nth];
+  const c = themeColors(),
+    color = annotationColor(a, attribute);
   const left = x(a.from),
     right = x(a.to),
     width = Math.max(right - left, 2);
@@ -36,7 +36,7 @@ export function drawOne(ctx, a, x, y, { told, attribute: nth, selected, least = 
     }
     const text = String(a.values[attribute?.name] ?? "");
     if (width > 24) {
-      ctx.fillStyle = a.proposed ? c.text : ink(color);
+      ctx.fillStyle = a.proposed ? c.text : readableColor(color);
       ctx.save();
       ctx.beginPath();
       ctx.rect(left, y, width - 3, ROW);

@@ -1,7 +1,7 @@
-// The keys that begin and end annotations. Pure; times are those of the page.
+// Tracks the keys that begin and end annotations. Pure; times are relative to the page's origin.
 //
-// A value's key begins an annotation at the cursor. A key held while playing ends it on release; after a short press
-// the annotation stays open until the next press.
+// The key of a value begins an annotation at the cursor. If it is held during playback, releasing it ends the
+// annotation. After a short press, the annotation stays open until the key is pressed again.
 
 const HELD = 250;
 
@@ -9,10 +9,10 @@ export class KeyState {
   // attributes: [{name, kind, default, values: [{value, key}]}]
   constructor(attributes = []) {
     this.open = new Map();
-    this.learn(attributes);
+    this.setAttributes(attributes);
   }
 
-  learn(attributes) {
+  setAttributes(attributes) {
     this.keys = new Map();
     for (const a of attributes)
       for (const v of a.values) if (v.key) this.keys.set(v.key, { attribute: a.name, value: v.value });
@@ -22,28 +22,28 @@ export class KeyState {
     return this.keys.has(key);
   }
 
-  // Answers an annotation {from, to, values} that is complete, or null. `now` is the page's clock in ms.
-  down(key, t, now) {
-    if (this.open.has(key)) return this.end(key, t);
+  // Returns a complete annotation {from, to, values}, or null. `now` is the page's clock in ms.
+  pressKey(key, t, now) {
+    if (this.open.has(key)) return this.endAnnotation(key, t);
     const { attribute, value } = this.keys.get(key);
     this.open.set(key, { from: t, since: now, values: { [attribute]: value } });
     return null;
   }
 
-  up(key, t, now) {
+  releaseKey(key, t, now) {
     const held = this.open.get(key);
     if (!held || now - held.since < HELD || t === held.from) return null;
-    return this.end(key, t);
+    return this.endAnnotation(key, t);
   }
 
-  end(key, t) {
+  endAnnotation(key, t) {
     const { from, values } = this.open.get(key);
     this.open.delete(key);
     return { from: Math.min(from, t), to: Math.max(from, t), values };
   }
 
-  // Segments begun and not ended, up to now.
-  pending(t) {
+  // Returns the open annotations, extended to time `t`.
+  pendingAnnotations(t) {
     return [...this.open.values()].map(({ from, values }) => ({
       from: Math.min(from, t),
       to: Math.max(from, t),
@@ -51,7 +51,7 @@ export class KeyState {
     }));
   }
 
-  cancel() {
+  cancelOpen() {
     const any = this.open.size > 0;
     this.open.clear();
     return any;

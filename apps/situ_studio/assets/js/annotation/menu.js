@@ -1,87 +1,97 @@
-// The menu of the annotations: of the one under the mouse, of its track, of all.
+// Builds the context menu of annotations: entries for the annotation under the mouse, its track, and all of them.
 
-import { ask, sure } from "../page/ask.js";
-import { toast } from "../page/toast.js";
+import { askText, confirmAction } from "../page/questions.js";
+import { showToast } from "../page/toast.js";
 import { SHOWN } from "./rows.js";
 
-// So many values of an attribute stand in the menu; the strip over the annotations has all of them.
+// The menu lists at most this many values of an attribute; the toolbar above the annotations lists all.
 const MOST = 12;
 
 export function annotationItems(app, event) {
   const panel = app.annotation;
   if (!panel) return null;
-  // a key asks for the chosen one, the mouse for what is under it
+  // the menu key refers to the selected annotation, the mouse to the annotation under it
   const pointed = event.button === 2 || event.pointerType === "touch";
   const mouse = pointed && event.target.closest("#annotation-body") && !event.target.closest(".annotation-tools");
-  if (mouse) panel.choose(event);
-  const item = panel.item();
-  const t = mouse ? panel.place(event).t : app.time.get().cursor;
-  return [...(item ? ofItem(panel, item) : []), ...ofTrack(panel, t), ...ofAll(panel)];
+  if (mouse) panel.selectUnder(event);
+  const item = panel.findItem();
+  const t = mouse ? panel.locatePointer(event).t : app.time.get().cursor;
+  return [...(item ? itemEntries(panel, item) : []), ...trackEntries(panel, t), ...commonEntries(panel)];
 }
 
-function ofItem(panel, item) {
-  const push = (what, more = {}) => panel.push(what, { id: item.id, ...more });
+function itemEntries(panel, item) {
+  const pushEdit = (what, more = {}) => panel.pushEdit(what, { id: item.id, ...more });
   const { sel, cursor } = panel.app.time.get();
-  const at = (t) => panel.app.client.abs(t);
-  const next = panel.told.items
+  const toAbsolute = (t) => panel.app.client.toAbsolute(t);
+  const next = panel.state.items
     .filter((a) => a.track === item.track && a.from >= item.to && a.id !== item.id)
     .sort((a, b) => a.from - b.from)[0];
   const inside = item.from < cursor && cursor < item.to;
   return [
-    ...values(panel, item),
+    ...valueItems(panel, item),
     ...(item.proposed
       ? [
-          { text: "Accept the proposal", run: () => push("accept") },
-          { text: "Reject the proposal", run: () => push("remove") },
+          { text: "Accept the proposal", run: () => pushEdit("accept") },
+          { text: "Reject the proposal", run: () => pushEdit("remove") },
           "-",
         ]
       : []),
     {
-      text: "Give it the selection",
+      text: "Set to the selection",
       hint: "Shift+Enter",
       disabled: sel[0] == null || sel[1] == null,
-      run: () => push("interval", { from: at(sel[0]), to: at(sel[1]) }),
+      run: () => pushEdit("interval", { from: toAbsolute(sel[0]), to: toAbsolute(sel[1]) }),
     },
-    { text: "Cut it at the cursor", hint: "x", disabled: !inside, run: () => push("split", { at: at(cursor) }) },
-    { text: "Join it with the next", disabled: !next, run: () => push("merge", { with: next.id }) },
-    { text: "To another track…", run: () => toTrack(panel, item) },
-    { text: "Delete it", hint: "Delete", run: () => push("remove") },
+    {
+      text: "Split at the cursor",
+      hint: "x",
+      disabled: !inside,
+      run: () => pushEdit("split", { at: toAbsolute(cursor) }),
+    },
+    { text: "Merge with the next", disabled: !next, run: () => pushEdit("merge", { with: next.id }) },
+    { text: "Move to another track…", run: () => moveToTrack(panel, item) },
+    { text: "Delete", hint: "Delete", run: () => pushEdit("remove") },
     "-",
   ];
 }
 
-function values(panel, item) {
-  const several = panel.told.attributes.length > 1;
-  return panel.told.attributes
+function valueItems(panel, item) {
+  const several = panel.state.attributes.length > 1;
+  return panel.state.attributes
     .filter((a) => a.kind === "finite")
     .flatMap((a) => [
       ...a.values.slice(0, MOST).map(({ value, key }) => ({
         text: `${item.values[a.name] === value ? "✓ " : ""}${several ? `${a.name}: ` : ""}${value}`,
         hint: key,
-        run: () => panel.push("value", { id: item.id, attribute: a.name, value }),
+        run: () => panel.pushEdit("value", { id: item.id, attribute: a.name, value }),
       })),
       "-",
     ]);
 }
 
-function ofTrack(panel, t) {
+function trackEntries(panel, t) {
   const { track } = panel;
   const { sel } = panel.app.time.get();
   const both = sel[0] != null && sel[1] != null;
-  const empty = !panel.told.items.some((a) => a.track === track);
+  const empty = !panel.state.items.some((a) => a.track === track);
   return [
-    { text: "Annotate the selection", hint: "Enter", disabled: !both, run: () => panel.add(sel[0], sel[1]) },
+    {
+      text: "Annotate the selection",
+      hint: "Enter",
+      disabled: !both,
+      run: () => panel.addAnnotation(sel[0], sel[1]),
+    },
     {
       text: "Annotate the selection on a new track",
       disabled: !both,
       run: () => {
         panel.track = panel.freeTrack();
-        panel.add(sel[0], sel[1]);
+        panel.addAnnotation(sel[0], sel[1]);
       },
     },
-    { text: "A point here", run: () => panel.add(t, t) },
+    { text: "A point here", run: () => panel.addAnnotation(t, t) },
     "-",
-    { text: "Choose, make or rename a track…", run: () => panel.tools.chooseTrack() },
+    { text: "Choose, create or rename a track…", run: () => panel.tools.chooseTrack() },
     {
       text: `Copy boundaries to track ${track}…`,
       disabled: !empty,
@@ -92,49 +102,53 @@ function ofTrack(panel, t) {
   ];
 }
 
-function ofAll(panel) {
+function commonEntries(panel) {
   return [
     ...SHOWN.map(([shown, text]) => ({
       text: `${panel.shownTracks === shown ? "✓ " : ""}${text}`,
       run: () => panel.showTracks(shown),
     })),
     "-",
-    { text: "Undo", hint: "Ctrl+Z", disabled: !panel.told.undo, run: () => panel.push("undo") },
-    { text: "Redo", hint: "Ctrl+Shift+Z", disabled: !panel.told.redo, run: () => panel.push("redo") },
-    { text: "Save", disabled: !panel.told.unsaved, run: () => panel.push("save") },
+    { text: "Undo", hint: "Ctrl+Z", disabled: !panel.state.undo, run: () => panel.pushEdit("undo") },
+    { text: "Redo", hint: "Ctrl+Shift+Z", disabled: !panel.state.redo, run: () => panel.pushEdit("redo") },
+    { text: "Save", disabled: !panel.state.unsaved, run: () => panel.pushEdit("save") },
   ];
 }
 
-async function toTrack(panel, item) {
-  const said = await ask({ title: "The track of this annotation", value: item.track, choices: panel.tracks() });
+async function moveToTrack(panel, item) {
+  const said = await askText({
+    title: "Move this annotation to track",
+    value: item.track,
+    choices: panel.trackNames(),
+  });
   const track = said?.text.trim().slice(0, 60);
   if (!track || track === item.track) return;
   panel.track = track;
-  panel.push("to_track", { id: item.id, track });
+  panel.pushEdit("to_track", { id: item.id, track });
 }
 
 async function deleteTrack(panel, track) {
-  const n = panel.told.items.filter((a) => a.track === track).length;
-  if (await sure(`Delete ${n} annotations of track ${track}? It can be undone.`, "Delete"))
-    panel.push("delete_track", { track });
+  const n = panel.state.items.filter((a) => a.track === track).length;
+  if (await confirmAction(`Delete ${n} annotations of track ${track}? It can be undone.`, "Delete"))
+    panel.pushEdit("delete_track", { track });
 }
 
-// The server has told which tracks there are, of all layers: [stream, track].
+// Copies boundaries from another track. `all` lists the tracks of all layers as [stream, track].
 export async function copyBoundaries(panel, all) {
-  const { stream } = panel.told;
+  const { stream } = panel.state;
   const others = all.filter(([s, t]) => s !== stream || t !== panel.track);
-  const text = ([s, t]) => (s === stream ? t : `${s}: ${t}`);
-  if (!others.length) return ask({ title: "There is no other track whose boundaries could be copied" });
-  const said = await ask({
-    title: `Copy the boundaries of which track to ${panel.track}? Values are the usual ones.`,
-    value: text(others[0]),
-    choices: others.map(text),
+  const trackLabel = ([s, t]) => (s === stream ? t : `${s}: ${t}`);
+  if (!others.length) return askText({ title: "There is no other track to copy boundaries from" });
+  const said = await askText({
+    title: `Copy the boundaries of which track to ${panel.track}? Values are set to their defaults.`,
+    value: trackLabel(others[0]),
+    choices: others.map(trackLabel),
   });
   if (!said) return;
   const wanted = said.text.trim();
-  const like = others.filter((o) => text(o).includes(wanted));
-  const found = others.find((o) => text(o) === wanted) ?? (like.length === 1 ? like[0] : null);
-  if (!found) return toast(`No track is called ${wanted}`);
+  const like = others.filter((o) => trackLabel(o).includes(wanted));
+  const found = others.find((o) => trackLabel(o) === wanted) ?? (like.length === 1 ? like[0] : null);
+  if (!found) return showToast(`There is no track named ${wanted}`);
   const [of, track] = found;
-  panel.push("copy_boundaries", { of: track, track: panel.track, ...(of === stream ? {} : { stream: of }) });
+  panel.pushEdit("copy_boundaries", { of: track, track: panel.track, ...(of === stream ? {} : { stream: of }) });
 }

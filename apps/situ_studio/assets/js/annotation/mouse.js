@@ -1,52 +1,52 @@
-// Edges of annotations under the mouse or a finger, and the words about an annotation there.
+// Drags the edges of annotations with the mouse or a finger, and describes the annotation under the pointer.
 
-import { duration } from "../time/text.js";
-import { shown } from "../time/clock.js";
+import { formatDuration } from "../time/text.js";
+import { formatClock } from "../time/clock.js";
 
-// How far, in pixels, an edge is from where it is taken; a finger is no point.
-export const near = (e) => (e.pointerType === "touch" ? 14 : 5);
+// Returns how close to an edge the pointer must be, in pixels. Fingers get more room.
+export const edgeReach = (e) => (e.pointerType === "touch" ? 14 : 5);
 
-// An edge follows the mouse; the annotation that touches it goes along, but with the Alt key. It snaps to changes of
-// the other panels, and to the messages of the stream that the cursor snaps to, but with the Shift key.
+// Drags an edge. An adjacent annotation that touches it moves along, unless Alt is held. The edge snaps to changes
+// in other panels and to messages of the snapped stream, unless Shift is held.
 export function dragEdge(panel, e, item, edge) {
   const { el, app } = panel;
   e.stopImmediatePropagation();
   el.setPointerCapture(e.pointerId);
-  const move = (m) => {
-    const { t, px } = panel.place(m);
-    panel.drag = { id: item.id, edge, t: m.shiftKey ? t : snapped(panel, t, px * near(m), item.id) };
-    app.schedule(panel);
+  const moveEdge = (m) => {
+    const { t, px } = panel.locatePointer(m);
+    panel.drag = { id: item.id, edge, t: m.shiftKey ? t : snapTime(panel, t, px * edgeReach(m), item.id) };
+    app.scheduleDraw(panel);
   };
-  const end = (keep, m) => {
+  const finishDrag = (keep, m) => {
     for (const [name, f] of on) el.removeEventListener(name, f);
     const { drag } = panel;
     panel.drag = null;
-    app.schedule(panel);
+    app.scheduleDraw(panel);
     if (!keep || !drag) return;
-    const put = (t) => panel.moveEdge(item, edge, t, m.altKey);
-    if (m.shiftKey) put(drag.t);
-    else app.nearest(drag.t).then(put, () => put(drag.t));
+    const applyEdge = (t) => panel.moveEdge(item, edge, t, m.altKey);
+    if (m.shiftKey) applyEdge(drag.t);
+    else app.nearestMessageTime(drag.t).then(applyEdge, () => applyEdge(drag.t));
   };
-  // a touch that becomes a scroll moves nothing
+  // a touch that turns into scrolling moves nothing
   const on = [
-    ["pointermove", move],
-    ["pointerup", (m) => end(true, m)],
-    ["pointercancel", (m) => end(false, m)],
+    ["pointermove", moveEdge],
+    ["pointerup", (m) => finishDrag(true, m)],
+    ["pointercancel", (m) => finishDrag(false, m)],
   ];
   for (const [name, f] of on) el.addEventListener(name, f);
 }
 
-function snapped(panel, t, within, id) {
+function snapTime(panel, t, within, id) {
   let best = t,
     least = within;
-  const own = panel.told.items.filter((a) => a.id !== id).flatMap((a) => [a.from, a.to]);
-  const others = [...panel.app.views].filter((v) => v !== panel).flatMap((v) => v.changes?.() ?? []);
+  const own = panel.state.items.filter((a) => a.id !== id).flatMap((a) => [a.from, a.to]);
+  const others = [...panel.app.views].filter((v) => v !== panel).flatMap((v) => v.changeTimes?.() ?? []);
   for (const c of [...own, ...others]) if (Math.abs(c - t) < least) [best, least] = [c, Math.abs(c - t)];
   return best;
 }
 
-export function words(a, origin) {
-  const show = (t) => shown(t, origin);
+export function describeAnnotation(a, origin) {
+  const formatTime = (t) => formatClock(t, origin);
   const values = Object.entries(a.values).map(([name, v]) => `${name}: ${v}`);
   const about = [
     a.proposed ? "proposed" : "",
@@ -54,6 +54,8 @@ export function words(a, origin) {
     a.confidence != null ? `confidence ${a.confidence}` : "",
   ];
   const when =
-    a.to === a.from ? `at ${show(a.from)}` : `${show(a.from)} to ${show(a.to)}, ${duration(a.to - a.from)}`;
+    a.to === a.from
+      ? `at ${formatTime(a.from)}`
+      : `${formatTime(a.from)} to ${formatTime(a.to)}, ${formatDuration(a.to - a.from)}`;
   return [`${a.track}   ${when}`, ...values, about.filter(Boolean).join(", "), a.note ?? ""].filter(Boolean);
 }

@@ -1,47 +1,49 @@
-// The strip over the annotations: which attribute is shown, the value of the chosen one, tracks, proposals, undo, save.
+// The toolbar of the annotation panel: the shown attribute, the value of the selected annotation, tracks, proposals,
+// undo and save.
 
-import { ask } from "../page/ask.js";
-import { annotator, setAnnotator } from "./annotator.js";
+import { askText } from "../page/questions.js";
+import { readAnnotator, setAnnotator } from "./annotator.js";
 
 export class Tools {
   constructor(el, panel) {
     this.panel = panel;
     this.el = el.appendChild(document.createElement("div"));
     this.el.className = "annotation-tools";
-    this.title = this.part("b");
-    this.attribute = this.part("select", "Attribute");
+    this.title = this.addElement("b");
+    this.attribute = this.addElement("select", "Attribute");
     this.attribute.addEventListener("change", () => {
       panel.attribute = this.attribute.selectedIndex;
-      panel.app.schedule(panel);
+      panel.app.scheduleDraw(panel);
       this.update();
     });
-    this.values = this.part("span");
-    this.note = this.field("Note", "text", (note, item) => panel.push("note", { id: item.id, note }));
-    this.confidence = this.field("Confidence, 0 to 1", "number", (text, item) =>
-      panel.push("confidence", { id: item.id, confidence: text === "" ? null : Number(text) }),
+    this.values = this.addElement("span");
+    this.note = this.addField("Note", "text", (note, item) => panel.pushEdit("note", { id: item.id, note }));
+    this.confidence = this.addField("Confidence, 0 to 1", "number", (text, item) =>
+      panel.pushEdit("confidence", { id: item.id, confidence: text === "" ? null : Number(text) }),
     );
     Object.assign(this.confidence, { min: 0, max: 1, step: 0.05, placeholder: "confidence" });
     this.note.placeholder = "note";
-    this.track = this.button("Track…", "Another track, a new one, or another name for this", () =>
+    this.track = this.addButton("Track…", "Switch to another track, create one, or rename this one", () =>
       this.chooseTrack(),
     );
-    this.button("Schema…", "Attributes, values, their keys and colours", () => this.ask("annotation_schema"));
-    this.button("Agreement…", "How far this and another layer agree", () => this.ask("annotation_streams"));
-    this.who = this.button("", "Whose name what is made bears", () => this.name());
-    // proposals at and above a confidence are accepted, those below it rejected; it is seen while it is moved
-    this.threshold = this.part("input", "Least confidence of proposals that are accepted");
+    this.addButton("Schema…", "Edit attributes, values, keys and colors", () => this.pushEvent("annotation_schema"));
+    this.addButton("Agreement…", "Compare this layer with another", () => this.pushEvent("annotation_streams"));
+    this.who = this.addButton("", "Annotator name stored with new annotations", () => this.askName());
+    // proposals at or above this confidence are accepted, the others rejected; the panel shows the effect while it
+    // moves
+    this.threshold = this.addElement("input", "Minimum confidence of accepted proposals");
     Object.assign(this.threshold, { type: "range", min: 0, max: 1, step: 0.01, value: 0 });
-    this.threshold.title = "Least confidence of proposals that are accepted";
+    this.threshold.title = "Minimum confidence of accepted proposals";
     this.threshold.addEventListener("input", () => {
       this.update();
-      panel.app.schedule(panel);
+      panel.app.scheduleDraw(panel);
     });
-    this.accept = this.button("Accept", "", () => this.settle("accept"));
-    this.reject = this.button("Reject", "", () => this.settle("reject"));
-    this.undo = this.button("Undo", "Take back the last edit (Ctrl+Z)", () => panel.push("undo"));
-    this.redo = this.button("Redo", "Make it again (Ctrl+Shift+Z)", () => panel.push("redo"));
-    this.save = this.button("Save", "Write a new version of the annotations", () => panel.push("save"));
-    this.button("×", "Close the annotations; nothing is lost", () =>
+    this.accept = this.addButton("Accept", "", () => this.settleProposals("accept"));
+    this.reject = this.addButton("Reject", "", () => this.settleProposals("reject"));
+    this.undo = this.addButton("Undo", "Undo the last edit (Ctrl+Z)", () => panel.pushEdit("undo"));
+    this.redo = this.addButton("Redo", "Redo the edit (Ctrl+Shift+Z)", () => panel.pushEdit("redo"));
+    this.save = this.addButton("Save", "Save a new version of the annotations", () => panel.pushEdit("save"));
+    this.addButton("×", "Close the annotations; unsaved edits are kept", () =>
       panel.app.options.push?.("annotation_close", {}),
     );
   }
@@ -50,99 +52,101 @@ export class Tools {
     return this.el.offsetHeight;
   }
 
-  part(tag, label) {
+  addElement(tag, label) {
     const e = this.el.appendChild(document.createElement(tag));
     if (label) e.setAttribute("aria-label", label);
     return e;
   }
 
-  button(text, title, run) {
-    const b = this.part("button");
+  addButton(text, title, run) {
+    const b = this.addElement("button");
     Object.assign(b, { type: "button", textContent: text, title });
     b.addEventListener("click", run);
     return b;
   }
 
-  field(label, type, changed) {
-    const input = this.part("input", label);
+  addField(label, type, changed) {
+    const input = this.addElement("input", label);
     Object.assign(input, { type, title: label });
     input.addEventListener("change", () => {
-      const item = this.panel.item();
+      const item = this.panel.findItem();
       if (item) changed(input.value, item);
     });
     return input;
   }
 
-  ask(event) {
+  pushEvent(event) {
     this.panel.app.options.push?.(event, {});
   }
 
-  async name() {
-    const said = await ask({ title: "Your name, for what you annotate here", value: annotator() ?? "" });
+  async askName() {
+    const said = await askText({ title: "Your name, stored with your annotations", value: readAnnotator() ?? "" });
     if (!said) return;
     setAnnotator(said.text.trim().slice(0, 60));
     this.update();
   }
 
   update() {
-    const { told, attribute } = this.panel;
-    const item = this.panel.item();
-    this.title.textContent = `${told.stream ?? ""}  ${told.items.length}`;
-    this.attribute.hidden = told.attributes.length < 2;
-    const names = told.attributes.map((a) => a.name).join("\n");
+    const { state, attribute } = this.panel;
+    const item = this.panel.findItem();
+    this.title.textContent = `${state.stream ?? ""}  ${state.items.length}`;
+    this.attribute.hidden = state.attributes.length < 2;
+    const names = state.attributes.map((a) => a.name).join("\n");
     if (names !== this.names) {
       this.names = names;
       this.attribute.textContent = "";
-      for (const a of told.attributes)
+      for (const a of state.attributes)
         this.attribute.appendChild(document.createElement("option")).textContent = a.name;
     }
     this.attribute.selectedIndex = attribute;
-    this.fill(told.attributes[attribute], item);
-    // they keep their place, so that choosing an annotation moves nothing
+    this.fillValues(state.attributes[attribute], item);
+    // they are disabled instead of hidden, so that selecting an annotation moves nothing
     this.note.disabled = this.confidence.disabled = !item;
     if (!item) this.note.value = this.confidence.value = "";
     if (item && document.activeElement !== this.note) this.note.value = item.note ?? "";
     if (item && document.activeElement !== this.confidence) this.confidence.value = item.confidence ?? "";
-    this.who.textContent = annotator() ? `as ${annotator()}` : "no name given";
-    this.proposals(told, item);
-    this.undo.disabled = !told.undo;
-    this.redo.disabled = !told.redo;
-    this.save.textContent = told.unsaved ? "Save •" : "Saved";
-    this.save.disabled = !told.unsaved;
+    this.who.textContent = readAnnotator() ? `as ${readAnnotator()}` : "no name";
+    this.updateProposals(state, item);
+    this.undo.disabled = !state.undo;
+    this.redo.disabled = !state.redo;
+    this.save.textContent = state.unsaved ? "Save •" : "Saved";
+    this.save.disabled = !state.unsaved;
   }
 
-  get least() {
+  get minConfidence() {
     return Number(this.threshold.value);
   }
 
-  // How many each button is about: the chosen proposal, those of the confidence, or all.
-  proposals(told, item) {
-    const all = told.items.filter((a) => a.proposed);
+  // Labels the buttons with what they affect: the selected proposal, the proposals by confidence, or all of them.
+  updateProposals(state, item) {
+    const all = state.items.filter((a) => a.proposed);
     this.accept.hidden = this.reject.hidden = !all.length;
     this.threshold.hidden = !all.some((a) => a.confidence != null);
     if (this.threshold.hidden) this.threshold.value = 0;
-    const sure = all.filter((a) => (a.confidence ?? 1) >= this.least).length;
-    const below = this.least > 0 ? all.length - sure : all.length;
+    const sure = all.filter((a) => (a.confidence ?? 1) >= this.minConfidence).length;
+    const below = this.minConfidence > 0 ? all.length - sure : all.length;
     const one = item?.proposed;
-    this.threshold.setAttribute("aria-valuetext", `${this.least}: ${sure} of ${all.length} proposals`);
+    this.threshold.setAttribute("aria-valuetext", `${this.minConfidence}: ${sure} of ${all.length} proposals`);
     this.accept.textContent = one ? "Accept this" : `Accept ${sure}`;
     this.reject.textContent = one ? "Reject this" : `Reject ${below}`;
     this.accept.title = one
-      ? "Accept the chosen proposal"
-      : `Accept the proposals of at least confidence ${this.least}`;
-    this.reject.title = one ? "Reject the chosen proposal" : "Reject the proposals below the confidence, or all";
+      ? "Accept the selected proposal"
+      : `Accept the proposals with a confidence of at least ${this.minConfidence}`;
+    this.reject.title = one
+      ? "Reject the selected proposal"
+      : "Reject the proposals below this confidence, or all of them";
     this.accept.disabled = !one && sure === 0;
     this.reject.disabled = !one && below === 0;
   }
 
-  // The values: a click sets the chosen annotation's, or makes one of the selection.
-  fill(attribute, item) {
+  // Shows the values. A click sets the value of the selected annotation, or annotates the selection with it.
+  fillValues(attribute, item) {
     const key = JSON.stringify([attribute, item?.id, item?.values]);
     if (key === this.filled) return;
     this.filled = key;
     this.values.textContent = "";
     if (!attribute) return;
-    if (attribute.kind === "finite") return attribute.values.forEach((v) => this.value(attribute, v, item));
+    if (attribute.kind === "finite") return attribute.values.forEach((v) => this.addValueButton(attribute, v, item));
     const input = this.values.appendChild(document.createElement("input"));
     input.type = attribute.kind === "bool" ? "checkbox" : "text";
     input.setAttribute("aria-label", attribute.name);
@@ -153,11 +157,11 @@ export class Tools {
     input.addEventListener("change", () => {
       const value =
         attribute.kind === "bool" ? input.checked : attribute.kind === "number" ? Number(input.value) : input.value;
-      this.panel.push("value", { id: item.id, attribute: attribute.name, value });
+      this.panel.pushEdit("value", { id: item.id, attribute: attribute.name, value });
     });
   }
 
-  value(attribute, { value, fill, key }, item) {
+  addValueButton(attribute, { value, fill, key }, item) {
     const b = this.values.appendChild(document.createElement("button"));
     b.type = "button";
     b.textContent = key ? `${value}  ${key}` : value;
@@ -165,36 +169,37 @@ export class Tools {
     if (fill) b.style.boxShadow = `inset 0 -3px ${fill}`;
     b.addEventListener("click", () => {
       const { sel } = this.panel.app.time.get();
-      if (item) this.panel.push("value", { id: item.id, attribute: attribute.name, value });
-      else if (sel[0] != null && sel[1] != null) this.panel.add(sel[0], sel[1], { [attribute.name]: value });
+      if (item) this.panel.pushEdit("value", { id: item.id, attribute: attribute.name, value });
+      else if (sel[0] != null && sel[1] != null)
+        this.panel.addAnnotation(sel[0], sel[1], { [attribute.name]: value });
     });
   }
 
   async chooseTrack() {
     const { panel } = this;
     const old = panel.track;
-    const said = await ask({
+    const said = await askText({
       title: "Track",
       value: old,
-      choices: panel.tracks(),
+      choices: panel.trackNames(),
       actions: [
-        ["choose", "Choose or make"],
+        ["choose", "Choose or create"],
         ["rename", `Rename ${old}`],
         ["delete", `Delete ${old}`],
       ],
     });
     const name = said?.text.trim().slice(0, 60);
     if (!name) return;
-    if (said.action === "delete") panel.push("delete_track", { track: old });
-    else if (said.action === "rename" && name !== old) panel.push("rename_track", { track: old, name });
+    if (said.action === "delete") panel.pushEdit("delete_track", { track: old });
+    else if (said.action === "rename" && name !== old) panel.pushEdit("rename_track", { track: old, name });
     if (said.action !== "delete") panel.track = name;
-    panel.tell({ ...panel.raw });
+    panel.applyUpdate({ ...panel.raw });
   }
 
-  settle(how) {
-    const item = this.panel.item();
-    if (item?.proposed) return this.panel.push(how === "accept" ? "accept" : "remove", { id: item.id });
-    const { least } = this;
-    this.panel.push(`${how}_all`, how === "reject" && least === 0 ? { all: true } : { least });
+  settleProposals(how) {
+    const item = this.panel.findItem();
+    if (item?.proposed) return this.panel.pushEdit(how === "accept" ? "accept" : "remove", { id: item.id });
+    const { minConfidence: least } = this;
+    this.panel.pushEdit(`${how}_all`, how === "reject" && least === 0 ? { all: true } : { least });
   }
 }

@@ -1,7 +1,8 @@
-// One panel's part of one stream: windows over time, or the message at the cursor. The client asks and delivers.
+// A channel is what one panel shows of one stream: windows over time, or the message at the cursor. The client sends
+// its requests and delivers the frames.
 
 import { KIND } from "./wire.js";
-import { want } from "./window.js";
+import { planWindow } from "./window.js";
 import { Series, keepLines } from "./series.js";
 import { keepMarks, keepSegments } from "./lanes.js";
 
@@ -34,30 +35,30 @@ export class IntervalChannel extends Channel {
     this.asking = null;
   }
 
-  gather(message, s, origin, live) {
+  gatherRequest(message, s, origin, live) {
     const px = this.px();
     if (px <= 0) return;
-    const w = want(this.held, s.view, px, s.data, live);
+    const w = planWindow(this.held, s.view, px, s.data, live);
     this.asking = w;
     if (!w) return;
-    const abs = (t) => (origin + BigInt(Math.round(t))).toString();
+    const toAbsolute = (t) => (origin + BigInt(Math.round(t))).toString();
     this.asking.head = s.data[1];
-    message.series.push([this.id, abs(w.from), abs(w.to), w.bin]);
+    message.series.push([this.id, toAbsolute(w.from), toAbsolute(w.to), w.bin]);
   }
 
-  receive(f, client) {
+  receiveFrame(f, client) {
     const w = this.asking;
     this.asking = null;
     this.error = f.kind === KIND.error ? f.message : null;
     if (w && !this.error) {
-      this.keep(f, client.rel(f.time), w);
+      this.storeFrame(f, client.toRelative(f.time), w);
       const head = client.time.get().data[1];
       this.held = {
         from: w.append ? this.held.from : w.from,
         to: w.to,
         bin: w.bin,
         head,
-        newest: this.newest(f, client),
+        newest: this.newestTime(f, client),
       };
     } else if (this.error) {
       this.held = { from: -Infinity, to: Infinity, bin: w?.bin, head: Infinity };
@@ -66,24 +67,24 @@ export class IntervalChannel extends Channel {
     this.accept(this);
   }
 
-  // The time of the newest message that is held; before all times where there is none.
-  newest(f, client) {
-    if (f.kind === KIND.segments) return f.count ? client.rel(f.time) + f.step : -Infinity;
+  // Returns the time of the newest held message, or -Infinity if there is none.
+  newestTime(f, client) {
+    if (f.kind === KIND.segments) return f.count ? client.toRelative(f.time) + f.step : -Infinity;
     if (f.kind === KIND.marks) return this.marks.t[this.marks.t.length - 1] ?? -Infinity;
     const held = f.kind === KIND.lines ? [...this.lines.values()] : [this.series];
     return Math.max(-Infinity, ...held.filter((s) => s.length).map((s) => s.t[s.length - 1]));
   }
 
-  // A window takes the place of what was held; one that grew is put at its end.
-  keep(f, base, w) {
+  // Stores a frame: a new window replaces the held one, an appended window extends it.
+  storeFrame(f, base, w) {
     const from = w.append ? w.from : -Infinity;
     const forget = w.from - 4 * (w.to - w.from);
     if (f.kind === KIND.series) {
-      this.series.put(f, base, from, w.bin);
-      if (w.append) this.series.trim(forget);
+      this.series.putFrame(f, base, from, w.bin);
+      if (w.append) this.series.trimBefore(forget);
     } else if (f.kind === KIND.lines) {
       this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget, w.bin);
-      // lines that the server leaves out
+      // the number of lines that the server omitted
       this.more = f.step;
     }
     if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
@@ -104,12 +105,12 @@ export class InstantChannel extends Channel {
   reopen() {
     super.reopen();
     this.at = null;
-    // the server forgets with it what it has sent
+    // the server then also forgets which meshes it has sent
     this.kept = new Map();
   }
 
-  // While the source grows, a message before the cursor may still arrive, so the channel asks again.
-  gather(message, s, _origin, live, growing) {
+  // While the source grows, a message before the cursor may still arrive, so the channel requests it again.
+  gatherRequest(message, s, _origin, live, growing) {
     const head = growing ? s.data[1] : this.head;
     if (!live && this.at === s.cursor && this.head === head) return;
     this.at = s.cursor;
@@ -117,16 +118,17 @@ export class InstantChannel extends Channel {
     message.instant.push(this.id);
   }
 
-  receive(f, client) {
+  receiveFrame(f, client) {
     this.error = f.kind === KIND.error ? f.message : null;
     if (f.kind === KIND.same) return;
-    f.at = client.rel(f.time);
-    if (f.kind === KIND.scene) this.hold(f);
+    f.at = client.toRelative(f.time);
+    if (f.kind === KIND.scene) this.restoreMeshes(f);
     this.accept(f, this);
   }
 
-  // Meshes are sent once: what is to be kept is copied out of the answer, and put in where only its name is told.
-  hold(f) {
+  // Restores meshes, which are sent only once: meshes to be kept are copied out of the reply, and inserted where
+  // later frames only name them.
+  restoreMeshes(f) {
     for (const item of f.items) {
       if (item.keep) {
         const whole = { count: item.count, position: item.position.slice(), index: item.index.slice() };
@@ -140,11 +142,11 @@ export class InstantChannel extends Channel {
   }
 }
 
-// The exact value of a plotted stream at the cursor, which the server sends. The drawn rows play no part in it.
+// The exact value of a plotted stream at the cursor, as sent by the server. It does not depend on the drawn rows.
 export class ValueChannel extends InstantChannel {
   constructor(id, spec, accept) {
     super(id, spec, accept);
-    this.told = null;
+    this.reading = null;
     this.answered = null;
   }
 
@@ -153,24 +155,24 @@ export class ValueChannel extends InstantChannel {
     this.answered = null;
   }
 
-  receive(f, client) {
+  receiveFrame(f, client) {
     this.answered = client.answered;
     this.error = f.kind === KIND.error ? f.message : null;
-    if (f.kind !== KIND.same) this.told = this.error || f.kind === KIND.none ? null : decodeValue(f, client);
+    if (f.kind !== KIND.same) this.reading = this.error || f.kind === KIND.none ? null : decodeValue(f, client);
     this.accept(this);
   }
 
-  // Whether the value is that of this cursor, and not of an earlier one.
+  // Returns true if the value belongs to this cursor and not to an earlier one.
   holdsAt(cursor) {
     return this.answered === Math.round(cursor);
   }
 }
 
-// {at, values}: the time of the message, and a Map from name to exact text. A spectrogram gets {at, values, rate,
-// samples}, with no values.
+// Returns {at, values}: the time of the message, and a Map from name to exact text. A spectrogram gets {at, values,
+// rate, samples} without values.
 function decodeValue(f, client) {
-  const at = client.rel(f.time);
-  // a copy: the buffer of the whole answer must not be kept
+  const at = client.toRelative(f.time);
+  // copied, so that the buffer of the whole reply can be freed
   if (f.kind === KIND.sounds) return { at, values: new Map(), rate: f.rate, samples: f.samples.slice() };
   return { at, values: new Map(f.value.values) };
 }

@@ -1,16 +1,17 @@
-// The page's one data socket. At most one request is in flight: a slow page asks less often, and the server never
-// sends what was not asked for. A request gathers what every open channel wants now; cursor moves in between coalesce.
+// The single data socket of the page. At most one request is in flight, so a slow page requests less often and the
+// server never sends unrequested data. A request contains the needs of all open channels; cursor moves in between
+// are coalesced.
 
-import { decode } from "./wire.js";
+import { decodeReply } from "./wire.js";
 import { InstantChannel, IntervalChannel, ValueChannel } from "./channels.js";
 
 const RETRY = [100, 250, 500, 1000, 2000, 5000];
-// A file deleted, replaced or growing is noticed after so long, in ms.
+// The interval in ms at which the client notices that a file was deleted, replaced or has grown.
 const IDLE_POLL = 1000;
 const LIVE_PERIOD = 33;
 
 export class DataClient {
-  // connect() -> a WebSocket-like object; time: the time store; onStatus(name), onReply(reply)
+  // connect() returns a WebSocket-like object; time: the time store; onStatus(name), onReply(reply)
   constructor({ connect, time, onStatus = () => {}, onReply = () => {} }) {
     Object.assign(this, { connect, time, onStatus, onReply });
     this.channels = new Map();
@@ -38,7 +39,7 @@ export class DataClient {
       this.onStatus("open");
       this.pump();
     };
-    ws.onmessage = (e) => this.receive(e.data);
+    ws.onmessage = (e) => this.receiveReply(e.data);
     ws.onclose = () => {
       if (this.ws !== ws || this.closed) return;
       this.inflight = null;
@@ -55,8 +56,8 @@ export class DataClient {
     this.ws?.close();
   }
 
-  // spec: {stream, viz, path?} as the server's table of visualizers names it
-  open(spec, accept, options = {}) {
+  // Opens a channel. spec: {stream, viz, path?} as named in the server's table of visualizers.
+  openChannel(spec, accept, options = {}) {
     const id = this.nextChannel++;
     const Kind = options.value ? ValueChannel : options.instant ? InstantChannel : IntervalChannel;
     const channel = new Kind(id, spec, accept, options);
@@ -65,15 +66,15 @@ export class DataClient {
     return channel;
   }
 
-  // A channel of another kind: make(id) gives it.
-  add(make) {
+  // Adds a channel of another kind, which make(id) creates.
+  addChannel(make) {
     const channel = make(this.nextChannel++);
     this.channels.set(channel.id, channel);
     this.pump();
     return channel;
   }
 
-  close(channel) {
+  closeChannel(channel) {
     if (!channel || !this.channels.delete(channel.id)) return;
     this.gone = [...(this.gone ?? []), channel.id];
     this.pump();
@@ -84,7 +85,7 @@ export class DataClient {
     this.pump(true);
   }
 
-  // Shifts the second of two recordings that are compared: of its streams all is asked for again.
+  // Sets the time offset of the compared recording and requests all of its streams again.
   setOffset(offset) {
     if (offset === this.offset) return;
     this.offset = offset;
@@ -98,7 +99,7 @@ export class DataClient {
     }
   }
 
-  // Sends one request when none is in flight and something is wanted. Called on every change; cheap when idle.
+  // Sends a request if none is in flight and a channel needs data. Called on every change; cheap when idle.
   pump(force = false) {
     if (this.closed) return;
     if (this.inflight || this.ws?.readyState !== 1) {
@@ -107,7 +108,7 @@ export class DataClient {
     }
     const s = this.time.get();
     const live = s.mode === "live";
-    if (live && this.early()) return;
+    if (live && this.postponeIfEarly()) return;
     const message = { open: [], close: this.gone ?? [], series: [], instant: [] };
     const first = this.origin === null;
     for (const c of this.channels.values()) {
@@ -115,7 +116,7 @@ export class DataClient {
         message.open.push([c.id, c.spec]);
         c.opened = true;
       }
-      if (!first) c.gather(message, s, this.origin, live, this.growing);
+      if (!first) c.gatherRequest(message, s, this.origin, live, this.growing);
     }
     const wanted = message.open.length || message.close.length || message.series.length || message.instant.length;
     if (!wanted && !force && !this.again && !first) return;
@@ -124,7 +125,7 @@ export class DataClient {
     message.req = ++this.request;
     message.live = live;
     if (this.offset != null) message.offset = this.offset;
-    if (!first) message.at = this.abs(s.cursor);
+    if (!first) message.at = this.toAbsolute(s.cursor);
     if (this.snap && !live && s.mode !== "play") message.snap = this.snap;
     this.sentAt = performance.now();
     this.inflight = { message, sent: this.sentAt, cursor: s.cursor };
@@ -132,26 +133,27 @@ export class DataClient {
     this.stats.requests++;
   }
 
-  abs(t) {
+  toAbsolute(t) {
     return (this.origin + BigInt(Math.round(t))).toString();
   }
 
-  rel(ns) {
+  toRelative(ns) {
     return Number(ns - this.origin);
   }
 
-  // Where a stream begins and ends, told as text by the page's configuration; null before the first answer.
-  ends(told) {
-    if (!told || this.origin === null) return null;
-    const at = (ns) => (ns == null ? null : this.rel(BigInt(ns)));
-    return { first: at(told.first), last: at(told.last) };
+  // Converts the first and last time of a stream (text from the page's configuration) to page times; returns null
+  // before the first reply.
+  relativeEnds(ends) {
+    if (!ends || this.origin === null) return null;
+    const toPageTime = (ns) => (ns == null ? null : this.toRelative(BigInt(ns)));
+    return { first: toPageTime(ends.first), last: toPageTime(ends.last) };
   }
 
-  receive(buffer) {
+  receiveReply(buffer) {
     const asked = this.inflight;
     let reply;
     try {
-      reply = decode(buffer);
+      reply = decodeReply(buffer);
     } catch (error) {
       this.inflight = null;
       this.onStatus("broken");
@@ -165,30 +167,30 @@ export class DataClient {
     reply.first = first;
     this.growing = reply.live;
     reply.asked = asked;
-    reply.cursor = this.rel(reply.time);
+    reply.cursor = this.toRelative(reply.time);
     this.answered = reply.cursor;
     this.onReply(reply);
-    this.time.dispatch({ type: "data", from: this.rel(reply.from), to: this.rel(reply.to) });
-    for (const f of reply.frames) this.deliver(f);
-    // an answer to a request from before the last shift
+    this.time.dispatch({ type: "data", from: this.toRelative(reply.from), to: this.toRelative(reply.to) });
+    for (const f of reply.frames) this.deliverFrame(f);
+    // the reply to a request from before the last change of the offset
     if (this.offset != null && asked?.message.offset !== this.offset) this.forgetCompared();
-    // Only now: what was asked for must have arrived before the next request says what is missing.
+    // Reset only now, since the requested data must have arrived before the next request determines what is missing.
     this.inflight = null;
-    this.schedule(reply.live);
+    this.schedulePump(reply.live);
     this.pump(first);
   }
 
-  // A channel that cannot take its data must not keep the others waiting.
-  deliver(f) {
+  // Delivers a frame. An error in one channel must not stop the others.
+  deliverFrame(f) {
     try {
-      this.channels.get(f.channel)?.receive(f, this);
+      this.channels.get(f.channel)?.receiveFrame(f, this);
     } catch (error) {
       console.error(error);
     }
   }
 
-  // Live, requests keep the rate of pictures whatever moves meanwhile; the timer sends the next.
-  early() {
+  // In live mode, requests keep the frame rate whatever else changes; the timer sends the next one.
+  postponeIfEarly() {
     const left = LIVE_PERIOD - (performance.now() - this.sentAt);
     if (!(left > 1)) return false;
     clearTimeout(this.timer);
@@ -196,8 +198,8 @@ export class DataClient {
     return true;
   }
 
-  // While the source grows, ask for its newest extents now and then; in live mode at the picture rate.
-  schedule(growing) {
+  // While the source grows, requests its extent regularly; in live mode at the frame rate.
+  schedulePump(growing) {
     clearTimeout(this.timer);
     if (this.closed) return;
     const live = this.time.get().mode === "live";

@@ -1,7 +1,7 @@
 // The lanes of one stream: marks of messages, and segments of states, texts and intervals. Pure.
 
-import { byName, lowerBound } from "./series.js";
-import { duration, latency, relative } from "../time/text.js";
+import { compareNames, lowerBound } from "./series.js";
+import { formatDuration, formatLatency, formatRelative } from "../time/text.js";
 
 const MOST_MARKS = 20000,
   MOST_SEGMENTS = 5000;
@@ -16,7 +16,8 @@ export function keepMarks(old, f, base, from) {
   return { t: old.t.slice(start, n).concat(t), latency: old.latency.slice(start, n).concat(latency) };
 }
 
-// Segments by the name of their lane: a Map of [[start, end, label, class], ...]; an end of Infinity is open.
+// Groups segments by lane: a Map from name to [[start, end, label, class], ...]. An end of Infinity means still
+// open.
 export function keepSegments(old, rows, base, from) {
   const next = new Map();
   for (const [a, b, label, cls, lane = ""] of rows) {
@@ -25,14 +26,15 @@ export function keepSegments(old, rows, base, from) {
   }
   if (!old) return next;
   for (const [lane, held] of old) {
-    const rest = join(held, next.get(lane) ?? [], from);
+    const rest = joinSegments(held, next.get(lane) ?? [], from);
     if (rest.length) next.set(lane, rest);
   }
   return next;
 }
 
-// Rows held before the new window, then those in it: a state that goes on is one segment.
-function join(held, next, from) {
+// Joins the rows held before the new window with its rows. A state that continues across the seam becomes one
+// segment.
+function joinSegments(held, next, from) {
   const first = next.length ? next[0][0] : from;
   if ((next[0] ?? held[0])[3] === "span") {
     const starts = new Set(next.map(([a]) => a));
@@ -53,14 +55,14 @@ function join(held, next, from) {
   return kept.concat(next);
 }
 
-// The names of a stream's lanes in order; one without a name where there are none.
+// Returns the sorted lane names of a stream; a single empty name if its lanes have no names.
 export function laneNames(segments) {
-  const names = [...(segments?.keys() ?? [])].sort(byName);
+  const names = [...(segments?.keys() ?? [])].sort(compareNames);
   return names.length ? names : [""];
 }
 
-// The segment at a time, the last that began where several overlap; `slack` is how far beside a narrow one counts. Or
-// null.
+// Returns the segment at a time (the one that began last if several overlap), or null. `slack` widens narrow
+// segments.
 export function segmentAt(segments, t, slack) {
   for (let i = segments.length - 1; i >= 0; i--) {
     const [a, b] = segments[i];
@@ -69,18 +71,18 @@ export function segmentAt(segments, t, slack) {
   return null;
 }
 
-// A segment in words; `show` makes words of a time.
-export function segmentText([a, b, label, cls], show = relative) {
+// Describes a segment as lines of text; `show` formats a time.
+export function segmentText([a, b, label, cls], show = formatRelative) {
   const what = label || { true: "true" }[cls];
-  const when = b === Infinity ? `since ${show(a)}` : `${show(a)} to ${show(b)}, ${duration(b - a)}`;
+  const when = b === Infinity ? `since ${show(a)}` : `${show(a)} to ${show(b)}, ${formatDuration(b - a)}`;
   return what ? [what, when] : [when];
 }
 
-// The message nearest to a time, not farther than `slack`, in words; nothing where there is none.
-export function markText({ t: times, latency: late }, t, slack, show = relative) {
+// Describes the message nearest to a time within `slack`; returns no lines if there is none.
+export function markText({ t: times, latency: late }, t, slack, show = formatRelative) {
   const i = lowerBound(times, t);
   const near = [i - 1, i].filter((k) => k >= 0 && k < times.length && Math.abs(times[k] - t) <= slack);
   if (!near.length) return [];
   const k = near.reduce((p, q) => (Math.abs(times[q] - t) < Math.abs(times[p] - t) ? q : p));
-  return [`message at ${show(times[k])}`, `latency ${latency(late[k])}`];
+  return [`message at ${show(times[k])}`, `latency ${formatLatency(late[k])}`];
 }

@@ -1,9 +1,9 @@
-// One message as items in space (docs: `Situ.Studio.Scene`), whose numbers are views of the answer, not copies. Numbers
-// that are not finite are removed and counted here, so that the drawing code gets only valid points.
+// Decodes one message into 3D items (docs: `Situ.Studio.Scene`). Arrays are views of the reply, not copies.
+// Non-finite numbers are removed and counted here, so that the drawing code only gets valid points.
 
 const text = new TextDecoder();
 
-export function sceneOf(buffer, at, bytes) {
+export function decodeScene(buffer, at, bytes) {
   const size = new DataView(buffer, at, bytes).getUint32(0, true);
   const value = JSON.parse(text.decode(new Uint8Array(buffer, at + 8, size)));
   const base = at + 8 + ((size + 7) & ~7);
@@ -13,9 +13,9 @@ export function sceneOf(buffer, at, bytes) {
     const arrays = {};
     for (const [name, [from, length]] of Object.entries(item.at)) {
       if (base + from + length > at + bytes) throw new Error("a scene is cut short");
-      arrays[name] = view(name, buffer, base + from, length);
+      arrays[name] = viewArray(name, buffer, base + from, length);
     }
-    const problem = (CHECKS[item.kind] ?? none)(item, arrays);
+    const problem = (CHECKS[item.kind] ?? skipCheck)(item, arrays);
     if (problem) problems.push(problem);
     items.push({ ...item, ...arrays });
   }
@@ -25,27 +25,27 @@ export function sceneOf(buffer, at, bytes) {
 const BYTES = new Set(["color", "confidence", "bytes"]);
 const NUMBERS = new Set(["index", "edge"]);
 
-function view(name, buffer, from, length) {
+function viewArray(name, buffer, from, length) {
   if (BYTES.has(name)) return new Uint8Array(buffer, from, length);
   if (NUMBERS.has(name)) return new Uint32Array(buffer, from, length >> 2);
   return new Float32Array(buffer, from, length >> 2);
 }
 
-const none = () => null;
+const skipCheck = () => null;
 const CHECKS = {
-  points: (item, a) => whole(item, a, 3, "points"),
-  voxels: (item, a) => whole(item, a, 3, "voxels"),
-  texts: (item, a) => whole(item, a, 3, "texts"),
-  lines: (item, a) => whole(item, a, 6, "lines"),
-  boxes: (item, a) => whole(item, a, 16, "boxes", "matrix"),
-  quads: (item, a) => whole(item, a, 12, "surfaces", "corner"),
-  frusta: (item, a) => whole(item, a, 15, "cameras", "corner"),
-  graphs: (item, a) => nodes(item, a),
-  meshes: (item, a) => triangles(item, a),
+  points: (item, a) => dropInvalidRows(item, a, 3, "points"),
+  voxels: (item, a) => dropInvalidRows(item, a, 3, "voxels"),
+  texts: (item, a) => dropInvalidRows(item, a, 3, "texts"),
+  lines: (item, a) => dropInvalidRows(item, a, 6, "lines"),
+  boxes: (item, a) => dropInvalidRows(item, a, 16, "boxes", "matrix"),
+  quads: (item, a) => dropInvalidRows(item, a, 12, "surfaces", "corner"),
+  frusta: (item, a) => dropInvalidRows(item, a, 15, "cameras", "corner"),
+  graphs: (item, a) => checkNodes(item, a),
+  meshes: (item, a) => checkTriangles(item, a),
 };
 
-// Takes out the rows whose coordinates are not all numbers, together with what belongs to them.
-function whole(item, arrays, width, what, name = "position") {
+// Removes rows with non-finite coordinates from all arrays of the item.
+function dropInvalidRows(item, arrays, width, what, name = "position") {
   const rows = arrays[name];
   const good = [];
   for (let i = 0, n = item.count; i < n; i++) {
@@ -68,11 +68,11 @@ function whole(item, arrays, width, what, name = "position") {
   if (item.names) item.names = good.map((i) => item.names[i]);
   const all = item.count;
   item.count = good.length;
-  return `${bad} of ${all} ${what} are nowhere: their coordinates are no numbers`;
+  return `${bad} of ${all} ${what} are invalid: their coordinates are not numbers`;
 }
 
-// Nodes keep their numbers, since edges name them: those that are nowhere are not drawn, nor are their edges.
-function nodes(item, arrays) {
+// Nodes keep their indices, since edges refer to them. Invalid nodes and their edges are not drawn.
+function checkNodes(item, arrays) {
   const p = arrays.position;
   const bad = new Set();
   for (let i = 0; i < item.count; i++)
@@ -86,24 +86,25 @@ function nodes(item, arrays) {
   const lost = edge.length / 2 - kept.length / 2;
   arrays.edge = Uint32Array.from(kept);
   item.bad = bad;
-  if (bad.size) return `${bad.size} of ${item.count} nodes are nowhere: their coordinates are no numbers`;
-  return lost ? `${lost} edges name nodes that are not there` : null;
+  if (bad.size) return `${bad.size} of ${item.count} nodes are invalid: their coordinates are not numbers`;
+  return lost ? `${lost} edges refer to missing nodes` : null;
 }
 
-function triangles(item, arrays) {
-  // its numbers came with an earlier message
+function checkTriangles(item, arrays) {
+  // the arrays arrived with an earlier message
   if (item.held) return null;
   const vertices = arrays.position.length / 3;
   const { index } = arrays;
   for (let i = 0; i < arrays.position.length; i++)
-    if (!Number.isFinite(arrays.position[i])) return drop(item, arrays, `vertex ${Math.floor(i / 3)} is nowhere`);
+    if (!Number.isFinite(arrays.position[i]))
+      return dropMesh(item, arrays, `vertex ${Math.floor(i / 3)} has invalid coordinates`);
   for (let i = 0; i < index.length; i++)
     if (index[i] >= vertices)
-      return drop(item, arrays, `triangle ${Math.floor(i / 3)} names vertex ${index[i]} of ${vertices}`);
+      return dropMesh(item, arrays, `triangle ${Math.floor(i / 3)} refers to vertex ${index[i]} of ${vertices}`);
   return null;
 }
 
-function drop(item, arrays, why) {
+function dropMesh(item, arrays, why) {
   item.count = 0;
   arrays.position = new Float32Array(0);
   arrays.index = new Uint32Array(0);

@@ -1,7 +1,7 @@
-// The binary answers of the data socket (docs: `Situ.Studio.Frame`). Little endian; every payload starts at a
-// multiple of 8, so that typed arrays view the buffer without copying.
+// Decodes the binary replies of the data socket (docs: `Situ.Studio.Frame`). Little endian; every payload starts at
+// a multiple of 8, so that typed arrays can view the buffer without copying.
 
-import { sceneOf } from "./scene.js";
+import { decodeScene } from "./scene.js";
 
 export const KIND = {
   series: 1,
@@ -23,7 +23,7 @@ const HEAD = 40,
   FRAME = 32;
 const text = new TextDecoder();
 
-export function decode(buffer) {
+export function decodeReply(buffer) {
   const v = new DataView(buffer);
   if (v.byteLength < HEAD || v.getUint8(0) !== 1) throw new Error("not a data frame of version 1");
   const flags = v.getUint16(2, true);
@@ -53,19 +53,26 @@ export function decode(buffer) {
     };
     at += FRAME;
     if (at + frame.bytes > v.byteLength) throw new Error("data frame cut short");
-    reply.frames.push(payload(frame, buffer, at));
+    reply.frames.push(readPayload(frame, buffer, at));
     at += (frame.bytes + 7) & ~7;
   }
   return reply;
 }
 
-// Five columns of n: offset from the frame's time in ns, min, max, last, count.
-function columns(buffer, at, n) {
-  const column = (i) => new Float64Array(buffer, at + 8 * n * i, n);
-  return { count: n, t: column(0), min: column(1), max: column(2), last: column(3), n: column(4) };
+// Reads five columns of n: offset from the frame's time in ns, min, max, last, count.
+function readColumns(buffer, at, n) {
+  const readColumn = (i) => new Float64Array(buffer, at + 8 * n * i, n);
+  return {
+    count: n,
+    t: readColumn(0),
+    min: readColumn(1),
+    max: readColumn(2),
+    last: readColumn(3),
+    n: readColumn(4),
+  };
 }
 
-function lines(buffer, at, count, { raw, sampled }) {
+function readLines(buffer, at, count, { raw, sampled }) {
   const v = new DataView(buffer);
   const out = [];
   for (let i = 0; i < count; i++) {
@@ -73,24 +80,24 @@ function lines(buffer, at, count, { raw, sampled }) {
       n = v.getUint32(at + 4, true);
     const name = text.decode(new Uint8Array(buffer, at + 8, size));
     at += 8 + ((size + 7) & ~7);
-    out.push({ name, raw, sampled, ...columns(buffer, at, n) });
+    out.push({ name, raw, sampled, ...readColumns(buffer, at, n) });
     at += 40 * n;
   }
   return out;
 }
 
-function payload(f, buffer, at) {
+function readPayload(f, buffer, at) {
   const n = f.count;
-  // single messages, not summaries; of more messages than were read
+  // raw: single messages instead of summaries; sampled: a sample of a larger number of messages
   f.raw = (f.flags & 1) === 1;
   f.sampled = (f.flags & 2) === 2;
-  // all channels of a sound, where one was asked for
+  // all audio channels together, although a single one was requested
   f.together = (f.flags & 4) === 4;
   switch (f.kind) {
     case KIND.series:
-      return Object.assign(f, columns(buffer, at, n));
+      return Object.assign(f, readColumns(buffer, at, n));
     case KIND.lines:
-      f.lines = lines(buffer, at, n, f);
+      f.lines = readLines(buffer, at, n, f);
       return f;
     case KIND.marks:
       f.t = new Float64Array(buffer, at, n);
@@ -120,7 +127,7 @@ function payload(f, buffer, at) {
       f.value = JSON.parse(text.decode(new Uint8Array(buffer, at, f.bytes)));
       return f;
     case KIND.scene:
-      return Object.assign(f, sceneOf(buffer, at, f.bytes));
+      return Object.assign(f, decodeScene(buffer, at, f.bytes));
     case KIND.error:
       f.message = text.decode(new Uint8Array(buffer, at, f.bytes));
       return f;

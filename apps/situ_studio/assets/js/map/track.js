@@ -1,25 +1,25 @@
-// The way of one stream over the whole recording: asked for once, and again when the recording has grown.
+// The track of one stream over the whole recording, requested once and again when the recording has grown.
 
 import { Channel } from "../data/channels.js";
 import { KIND } from "../data/wire.js";
 import { toX, toY } from "./mercator.js";
 
-// Asked for again when the data have grown by a part of themselves, and not more often than that many ns.
+// Requested again after the recording has grown by this share of its length, and by at least this many ns.
 const GROWN = 0.02;
 const LEAST = 1e9;
 // The server reads messages, not bins.
 const BINS = 1000;
 
 export class TrackChannel extends Channel {
-  gather(message, s, origin) {
+  gatherRequest(message, s, origin) {
     const [from, to] = s.data;
     const { held } = this;
     if (this.asking || !(to >= from)) return;
     if (held && to - held.to < Math.max(GROWN * (held.to - held.from), LEAST) && from >= held.from) return;
     if (held && to === held.to) return;
     this.asking = { from, to };
-    const abs = (t) => (origin + BigInt(Math.round(t))).toString();
-    message.series.push([this.id, abs(from), abs(to), Math.max(1, Math.ceil((to - from) / BINS))]);
+    const toAbsolute = (t) => (origin + BigInt(Math.round(t))).toString();
+    message.series.push([this.id, toAbsolute(from), toAbsolute(to), Math.max(1, Math.ceil((to - from) / BINS))]);
   }
 
   reopen() {
@@ -27,19 +27,19 @@ export class TrackChannel extends Channel {
     this.held = this.asking = null;
   }
 
-  receive(f, client) {
+  receiveFrame(f, client) {
     this.held = this.asking ?? this.held;
     this.asking = null;
     this.error = f.kind === KIND.error ? f.message : null;
-    const of = (name) => f.lines?.find((l) => l.name === name);
-    const [latitude, longitude] = [of("latitude"), of("longitude")];
-    if (latitude && longitude) this.accept(way(latitude, longitude, client.rel(f.time)), this);
+    const findLine = (name) => f.lines?.find((l) => l.name === name);
+    const [latitude, longitude] = [findLine("latitude"), findLine("longitude")];
+    if (latitude && longitude) this.accept(buildTrack(latitude, longitude, client.toRelative(f.time)), this);
     else this.accept(null, this);
   }
 }
 
-// Times, places and the places on the square of the map. Longitudes go on where they pass the line of dates.
-export function way(latitude, longitude, base) {
+// Builds a track: times and positions on the Mercator square. Longitudes are unwrapped at the date line.
+export function buildTrack(latitude, longitude, base) {
   const n = latitude.count;
   const t = new Float64Array(n),
     x = new Float64Array(n),
@@ -58,8 +58,8 @@ export function way(latitude, longitude, base) {
   return { count: n, t, x, y };
 }
 
-// How many points of a way lie at or before a time.
-export function until(track, time) {
+// Returns the number of points at or before a time.
+export function countUntil(track, time) {
   let low = 0,
     high = track.count;
   while (low < high) {
@@ -70,8 +70,8 @@ export function until(track, time) {
   return low;
 }
 
-// The point nearest to a place, within a distance: its number, or -1.
-export function nearest(track, x, y, within) {
+// Returns the index of the point nearest to a position within a distance, or -1.
+export function nearestPoint(track, x, y, within) {
   let best = -1,
     least = within * within;
   for (let i = 0; i < track.count; i++) {

@@ -1,28 +1,28 @@
-// Keeps the page's address in step with what is shown, so that a copied link shows the same.
+// Keeps the page's address in sync with what is shown, so that a copied link restores it.
 
 import * as link from "../time/link.js";
 
 const SETTLED = 200;
 
 export class Address {
-  // facts() -> {layout, edit, snap}; moved(href) when it has changed
+  // facts() -> {layout, edit, snap}; moved(href) is called after a change
   constructor({ time, client, facts, moved }) {
     Object.assign(this, { time, client, facts, moved });
   }
 
-  read(origin) {
-    return link.decode(location.search, origin);
+  readLink(origin) {
+    return link.decodeLink(location.search, origin);
   }
 
   save(now = false) {
     if (this.client.origin === null) return;
     clearTimeout(this.timer);
-    const save = () => {
-      const q = link.encode(this.time.get(), this.client.origin, this.facts());
+    const writeAddress = () => {
+      const q = link.encodeLink(this.time.get(), this.client.origin, this.facts());
       history.replaceState(history.state, "", `${location.pathname}?${q}`);
       this.moved?.(location.href);
     };
-    if (now) save();
-    else this.timer = setTimeout(save, SETTLED);
+    if (now) writeAddress();
+    else this.timer = setTimeout(writeAddress, SETTLED);
   }
 }

@@ -1,11 +1,11 @@
-// The commands of toolbar, keys and palette except those of time (`keys.js` names them): each a function of the page.
+// The commands of the toolbar, keys and palette, except those of time (`keys.js` lists them). Each takes the studio.
 
-import { annotator } from "../annotation/annotator.js";
-import { ask } from "./ask.js";
-import { openGoto, openHelp, title } from "./dialogs.js";
+import { readAnnotator } from "../annotation/annotator.js";
+import { askText } from "./questions.js";
+import { openGoto, openHelp, sessionTitle } from "./dialogs.js";
 import { setTheme } from "./theme.js";
-import { iso } from "../time/text.js";
-import { copy, toast } from "./toast.js";
+import { formatIso } from "../time/text.js";
+import { copyText, showToast } from "./toast.js";
 
 export const commands = {
   theme: () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light"),
@@ -19,44 +19,46 @@ export const commands = {
 
   annotate: (app) => (app.annotation ? app.annotation.el.focus() : app.options.push?.("annotation_dialog", {})),
   async derive(app, text = "") {
-    const said = await ask({ title: "The expression of a derived stream, such as `Mic.Level` * 2", value: text });
+    const said = await askText({ title: "Expression of the derived stream, such as `Mic.Level` * 2", value: text });
     if (said?.text.trim()) app.options.push?.("derive", { text: said.text });
   },
 
   find: (app) => app.options.push?.("query_open", {}),
 
-  // A comment stays with the recording, as an annotation of the stream Markers.
+  // Adds a comment, which is stored as an annotation of the stream Markers.
   async marker(app) {
     if (app.client.origin === null) return;
     const { sel, cursor } = app.time.get();
     const both = sel[0] != null && sel[1] != null;
-    const said = await ask({ title: both ? "Comment on the selection" : "Comment on this time" });
+    const said = await askText({ title: both ? "Comment on the selection" : "Comment on this time" });
     const text = said?.text.trim();
     if (!text) return;
     const [from, to] = both ? sel : [cursor, cursor];
     app.options.push?.("annotation_marker", {
-      from: app.client.abs(from),
-      to: app.client.abs(to),
+      from: app.client.toAbsolute(from),
+      to: app.client.toAbsolute(to),
       text,
-      by: annotator(),
+      by: readAnnotator(),
     });
   },
 
   compare: (app) => app.options.push?.("compare_dialog", {}),
 
-  together: (app) => app.together?.toggle(),
+  together: (app) => app.together?.toggleSharing(),
 
-  undo: (app) => takeBack(app, "undo"),
-  redo: (app) => takeBack(app, "redo"),
+  undo: (app) => undoOrRedo(app, "undo"),
+  redo: (app) => undoOrRedo(app, "redo"),
   beside: (app) => app.options.push?.("beside", {}),
-  nextChange: (app) => stepChange(app, 1),
-  previousChange: (app) => stepChange(app, -1),
+  nextChange: (app) => stepToChange(app, 1),
+  previousChange: (app) => stepToChange(app, -1),
 
   maximise(app) {
     const panel =
-      app.root.querySelector(".maxed[data-panel]") ?? app.root.querySelector("[data-panel].selected") ?? hovered(app);
+      app.root.querySelector(".maxed[data-panel]") ??
+      app.root.querySelector("[data-panel].selected") ??
+      hoveredPanel(app);
     if (panel) app.options.push?.("maximise", { id: panel.dataset.panel });
-    else toast("Point at a panel, or select one, to let it fill the window");
+    else showToast("Select a panel or point at one to maximize it");
   },
 
   restore: (app) => app.root.querySelector(".stack.max") && app.options.push?.("restore", {}),
@@ -66,69 +68,72 @@ export const commands = {
     app.root.querySelector("#search")?.focus();
   },
 
-  // The selection; where one end is missing that of the data, and without any the view.
+  // Exports the selection (a missing end is that of the data), or the view if nothing is selected.
   export(app) {
     const { sel, view, data } = app.time.get();
     if (app.client.origin === null) return;
     if (!app.root.querySelector("[data-act='export']")) {
-      return toast("No part of this can be saved: that needs a recording on disk and a studio that is not read only");
+      return showToast("Nothing to export: exporting needs a recording on disk and a studio that is not read-only");
     }
     const selected = sel[0] != null || sel[1] != null;
     const [from, to] = selected
       ? [sel[0] ?? data[0], sel[1] ?? data[1]]
       : [Math.max(view[0], data[0]), Math.min(view[1], data[1])];
     const of = selected ? "selection" : "view";
-    app.options.push?.("export_dialog", { from: app.client.abs(from), to: app.client.abs(to), of });
+    app.options.push?.("export_dialog", { from: app.client.toAbsolute(from), to: app.client.toAbsolute(to), of });
   },
 
-  // As "go to time" takes it.
+  // Copies the cursor's time in the format that "go to time" accepts.
   copyTime(app) {
     const { origin } = app.client;
-    if (origin !== null) return copy(iso(app.time.get().cursor, origin), "Time of the cursor copied");
+    if (origin !== null) return copyText(formatIso(app.time.get().cursor, origin), "Time of the cursor copied");
   },
 
   copyNs(app) {
     if (app.client.origin !== null)
-      return copy(app.client.abs(app.time.get().cursor), "Nanoseconds of the cursor copied");
+      return copyText(app.client.toAbsolute(app.time.get().cursor), "Nanoseconds of the cursor copied");
   },
 
-  // The same with the session, which "go to time" takes in another session of the same list.
+  // Copies the time with its session, which "go to time" accepts in other sessions of the same list.
   copyPlace(app) {
     const { origin } = app.client;
     if (origin === null) return;
-    return copy(`${title()}@${iso(app.time.get().cursor, origin)}`, "Session and time of the cursor copied");
+    return copyText(
+      `${sessionTitle()}@${formatIso(app.time.get().cursor, origin)}`,
+      "Session and time of the cursor copied",
+    );
   },
 
   copyViewerLink: (app) => app.options.push?.("viewer_link", {}),
 
   copyLink(app) {
     app.address.save(true);
-    return copy(location.href, "Link copied", "The address bar holds the link");
+    return copyText(location.href, "Link copied", "The address bar holds the link");
   },
 };
 
-// Of the annotations or of the layout, whichever was changed last.
-function takeBack(app, way) {
-  if (app.edited === "annotations" && app.annotation?.told[way]) app.annotation.push(way);
+// Undoes or redoes the last change of the annotations or of the layout, whichever was changed last.
+function undoOrRedo(app, way) {
+  if (app.edited === "annotations" && app.annotation?.state[way]) app.annotation.pushEdit(way);
   else app.options.push?.(way, {});
 }
 
-const hovered = (app) => app.root.querySelector("[data-panel]:hover");
+const hoveredPanel = (app) => app.root.querySelector("[data-panel]:hover");
 
-// The nearest beginning or end of a segment in the selected panel's lanes, or in all.
-function stepChange(app, way) {
-  const chosen = app.root.querySelector("[data-panel].selected") ?? hovered(app);
-  const own = [...app.views].filter((v) => v.changes && (!chosen || chosen.contains(v.el)));
-  const views = own.length ? own : [...app.views].filter((v) => v.changes);
+// Moves the cursor to the nearest start or end of a segment in the lanes of the selected panel, or of all panels.
+function stepToChange(app, way) {
+  const chosen = app.root.querySelector("[data-panel].selected") ?? hoveredPanel(app);
+  const own = [...app.views].filter((v) => v.changeTimes && (!chosen || chosen.contains(v.el)));
+  const views = own.length ? own : [...app.views].filter((v) => v.changeTimes);
   const { cursor } = app.time.get();
-  const times = views.flatMap((v) => v.changes()).filter((t) => (way > 0 ? t > cursor + 0.5 : t < cursor - 0.5));
+  const times = views.flatMap((v) => v.changeTimes()).filter((t) => (way > 0 ? t > cursor + 0.5 : t < cursor - 0.5));
   if (!times.length)
-    return toast(way > 0 ? "No later change in what is loaded" : "No earlier change in what is loaded");
+    return showToast(way > 0 ? "No later change in the loaded data" : "No earlier change in the loaded data");
   const t = way > 0 ? Math.min(...times) : Math.max(...times);
   app.time.dispatch({ type: "nudge", by: t - cursor });
 }
 
-// Shown or hidden: what it is now depends on the width of the window, too.
+// Toggles a sidebar; whether it is visible now also depends on the width of the window.
 function toggleSide(app, side) {
   const shown = getComputedStyle(app.root.querySelector(`.${side}`)).display !== "none";
   document.documentElement.dataset[side] = shown ? "closed" : "open";

@@ -1,30 +1,30 @@
-// Streams dragged from the tree to panels, and panels to other places. A panel is moved by keys, too.
+// Drags streams from the tree to panels, and panels to other positions. Panels can also be moved by keys.
 
 const STREAM = "application/x-situ-stream";
-// The thing dragged can be read at the drop only; its kind, all the way.
+// The dragged item can only be read on drop; its kind is available all the time.
 const PANEL = { line: "application/x-situ-line", cell: "application/x-situ-cell" };
 const WAYS = { ArrowUp: "up", ArrowDown: "down", ArrowLeft: "left", ArrowRight: "right" };
-// How near to the upper or lower edge of a cell a cell goes out of its row: a part of the height.
+// A cell that is dropped this close to the upper or lower edge of another, as a share of its height, leaves the row.
 const EDGE = 0.22;
 
-// Which side of a box a point is on. Cells over cells stand side by side, but above and below near the edges.
-export function sideOf({ left, top, width, height }, x, y, cells) {
+// Returns the side of a box that a point is on. Cells go next to cells, but above or below near the edges.
+export function dropSide({ left, top, width, height }, x, y, cells) {
   const down = (y - top) / height;
   if (!cells || down < EDGE || down > 1 - EDGE) return down < 0.5 ? "above" : "below";
   return x < left + width / 2 ? "left" : "right";
 }
 
-// Where a dragged panel would go: {side, target, el}, or null over nothing.
-function placeAt(e, kind) {
+// Returns where a dragged panel would go: {side, target, el}, or null.
+function dropTargetAt(e, kind) {
   const row = e.target.closest?.("[data-row]");
   if (!row) return null;
   const cell = kind === "cell" ? e.target.closest("[data-panel].cell") : null;
-  const side = sideOf((cell ?? row).getBoundingClientRect(), e.clientX, e.clientY, cell !== null);
+  const side = dropSide((cell ?? row).getBoundingClientRect(), e.clientX, e.clientY, cell !== null);
   const beside = side === "left" || side === "right";
   return { side, target: beside ? cell.dataset.panel : row.dataset.row, el: beside ? cell : row };
 }
 
-const kindOf = (e) => Object.keys(PANEL).find((k) => e.dataTransfer.types.includes(PANEL[k]));
+const draggedKind = (e) => Object.keys(PANEL).find((k) => e.dataTransfer.types.includes(PANEL[k]));
 
 export const hooks = {
   Grip: {
@@ -41,7 +41,7 @@ export const hooks = {
         if (!way || e.altKey || e.ctrlKey || e.metaKey || e.shiftKey) return;
         e.preventDefault();
         e.stopPropagation();
-        // an element that changes its place loses the focus
+        // an element that is moved loses the focus
         this.pushEvent("shift_panel", { id, way }, () =>
           requestAnimationFrame(() => {
             this.el.focus();
@@ -55,19 +55,19 @@ export const hooks = {
   Drop: {
     mounted() {
       this.el.addEventListener("dragover", (e) => {
-        const kind = kindOf(e);
-        if (kind) this.mark(placeAt(e, kind));
+        const kind = draggedKind(e);
+        if (kind) this.markTarget(dropTargetAt(e, kind));
         else if (e.dataTransfer.types.includes(STREAM))
-          this.mark({ side: "into", el: e.target.closest("[data-panel]") });
+          this.markTarget({ side: "into", el: e.target.closest("[data-panel]") });
         else return;
         e.preventDefault();
       });
-      this.el.addEventListener("dragleave", (e) => this.el.contains(e.relatedTarget) || this.mark(null));
+      this.el.addEventListener("dragleave", (e) => this.el.contains(e.relatedTarget) || this.markTarget(null));
       this.el.addEventListener("drop", (e) => {
-        const kind = kindOf(e);
-        const place = kind && placeAt(e, kind);
+        const kind = draggedKind(e);
+        const place = kind && dropTargetAt(e, kind);
         const stream = e.dataTransfer.getData(STREAM);
-        this.mark(null);
+        this.markTarget(null);
         if (!kind && !stream) return;
         e.preventDefault();
         if (stream) {
@@ -78,13 +78,13 @@ export const hooks = {
           this.pushEvent("place_panel", { id, side: place.side, target: place.target });
         }
       });
-      this.end = () => this.mark(null);
+      this.end = () => this.markTarget(null);
       document.addEventListener("dragend", this.end);
     },
     destroyed() {
       document.removeEventListener("dragend", this.end);
     },
-    mark(place) {
+    markTarget(place) {
       const el = place?.el ?? null;
       if (this.marked && this.marked !== el) delete this.marked.dataset.drop;
       if (el) el.dataset.drop = place.side;

@@ -1,7 +1,7 @@
-// Drawing, and its moments: views that changed are drawn once per picture of the browser.
+// Schedules drawing: views that changed are drawn once per animation frame.
 
 import { Overlay } from "../time/overlay.js";
-import { describe } from "./alternative.js";
+import { scheduleLabel } from "./canvas_label.js";
 
 export class Frames {
   constructor(time) {
@@ -12,8 +12,8 @@ export class Frames {
     this.drawn = { count: 0, since: performance.now() };
   }
 
-  // A view has render() and, when it draws times, cursorMoved(); `timeline` views get cursor and selection lines.
-  add(view, { timeline = false } = {}) {
+  // A view has render() and cursorMoved(); `timeline` views get cursor and selection lines.
+  addView(view, { timeline = false } = {}) {
     this.views.add(view);
     view.timeline = timeline;
     if (timeline) {
@@ -21,17 +21,17 @@ export class Frames {
       this.overlays.set(view, overlay);
       overlay.update(this.time.get());
     }
-    this.schedule(view);
+    this.scheduleDraw(view);
   }
 
-  remove(view) {
+  removeView(view) {
     this.views.delete(view);
     this.dirty.delete(view);
     this.overlays.delete(view);
     view.destroy?.();
   }
 
-  schedule(view) {
+  scheduleDraw(view) {
     this.dirty.add(view);
     if (this.frame) return;
     this.frame = requestAnimationFrame(() => {
@@ -41,27 +41,27 @@ export class Frames {
       for (const v of views) {
         if (!this.views.has(v)) continue;
         v.render();
-        // a panel that has become wider or narrower has its lines elsewhere
+        // the lines of a resized panel are elsewhere
         this.overlays.get(v)?.update(this.time.get());
-        describe(v, () => this.time.get());
+        scheduleLabel(v, () => this.time.get());
       }
       this.drawn.count++;
     });
   }
 
-  // The times have changed.
-  moved(s, old) {
+  // Schedules the views that depend on the changed times.
+  updateTimes(s, old) {
     const viewChanged = s.view !== old.view || s.data !== old.data;
     for (const o of this.overlays.values()) o.update(s);
     for (const v of this.views) {
-      if ((v.timeline || v.windowed) && viewChanged) this.schedule(v);
+      if ((v.timeline || v.windowed) && viewChanged) this.scheduleDraw(v);
       else if (s.cursor !== old.cursor) v.cursorMoved();
-      if (v.navigator) this.schedule(v);
+      if (v.navigator) this.scheduleDraw(v);
     }
   }
 
-  // Pictures a second since the last call.
-  rate() {
+  // Returns the frame rate since the last call.
+  frameRate() {
     const now = performance.now();
     const fps = (this.drawn.count * 1000) / (now - this.drawn.since);
     this.drawn = { count: 0, since: now };

@@ -1,5 +1,5 @@
-// The room beside the timelines for names and numbers: as much as the widest needs, for all panels the same, so that a
-// time is at the same place in each.
+// The space to the left of the timelines for names and numbers. It is as wide as the widest text needs and the same
+// for all panels, so that times are aligned.
 
 import { FONT, GUTTER } from "./theme.js";
 
@@ -14,23 +14,23 @@ export function textWidth(text) {
   return ruler.measureText(text).width;
 }
 
-// As much of a text as there is room for.
-export function fitted(ctx, text, width) {
+// Shortens a text to fit a width.
+export function truncateText(ctx, text, width) {
   let t = text;
   while (t.length > 2 && ctx.measureText(t).width > width) t = `${t.slice(0, -2)}…`;
   return t;
 }
 
 export class Gutter {
-  // changed() when all panels have to be drawn again
+  // changed() is called when all panels have to be redrawn
   constructor(changed) {
     this.changed = changed;
     this.needs = new Map();
-    this.apply(LEAST);
+    this.setWidth(LEAST);
   }
 
-  // A panel tells which texts stand in its gutter; null when it is gone.
-  need(panel, texts) {
+  // Reserves the space for a panel's texts; null when the panel is removed.
+  reserveRoom(panel, texts) {
     const width = texts === null ? null : Math.max(0, ...texts.map(textWidth)) + SPACE;
     if (width === null) this.needs.delete(panel);
     else if (Math.abs((this.needs.get(panel) ?? -1) - width) < 1) return;
@@ -38,15 +38,15 @@ export class Gutter {
     const room = document.getElementById("navigator")?.clientWidth || MOST / SHARE;
     const most = Math.max(LEAST, Math.min(MOST, room * SHARE));
     const wanted = Math.ceil(Math.min(Math.max(LEAST, ...this.needs.values()), most) / 4) * 4;
-    // a little less is no reason to move everything
-    if (wanted > GUTTER.left || wanted < GUTTER.left - 24) this.apply(wanted);
+    // slightly less space is not worth moving everything
+    if (wanted > GUTTER.left || wanted < GUTTER.left - 24) this.setWidth(wanted);
   }
 
   get left() {
     return GUTTER.left;
   }
 
-  apply(px) {
+  setWidth(px) {
     if (GUTTER.left === px && this.applied) return;
     GUTTER.left = px;
     this.applied = true;

@@ -1,63 +1,63 @@
-// Keys and what they do; the help sheet is made from this table, and the settings give them other keys.
+// The keys and their commands. The help is generated from this table, and the settings can reassign keys.
 
-import { keepKeys, ownKeys, setting } from "./settings.js";
+import { storeKeys, readKeys, readSetting } from "./settings.js";
 
-// A jump is so many steps.
+// The number of steps of a jump.
 const JUMP = 5;
 
 export const KEYS = [
-  ["Space", "Play or stop, from the cursor to the end", "togglePlay"],
-  ["Ctrl+Space", "Play or stop the selection", "togglePlaySel"],
+  ["Space", "Play from the cursor to the end, or stop", "togglePlay"],
+  ["Ctrl+Space", "Play the selection, or stop", "togglePlaySel"],
   ["Ctrl+g", "Go to a time", "goto"],
-  ["c", "Copy the time of the cursor", "copyTime"],
+  ["c", "Copy cursor time", "copyTime"],
   ["Ctrl+a", "View everything", "zoomAll"],
   ["Ctrl+s", "Zoom to the selection", "zoomSel"],
   ["+", "Zoom in", "zoomIn"],
   ["-", "Zoom out", "zoomOut"],
-  ["ArrowLeft", "Cursor a step back, or to the snapped stream's message before", "back"],
-  ["ArrowRight", "Cursor a step on, or to the snapped stream's next message", "on"],
-  ["Ctrl+,", "Cursor a step back", "back"],
-  ["Ctrl+.", "Cursor a step on", "on"],
-  ["Ctrl+Shift+,", "Cursor five steps back", "jumpBack"],
-  ["Ctrl+Shift+.", "Cursor five steps on", "jumpOn"],
-  ["PageUp", "View back", "panBack"],
-  ["PageDown", "View on", "panOn"],
-  ["Home", "Cursor to the start of the data", "home"],
-  ["End", "Cursor to the end of the data", "end"],
-  ["[", "Selection starts at the cursor", "selStart"],
-  ["]", "Selection ends at the cursor", "selEnd"],
-  ["Alt+s", "Cursor to the selection's start", "toSelStart"],
-  ["Alt+e", "Cursor to the selection's end", "toSelEnd"],
-  ["Alt+ArrowLeft", "Selection back by its length", "selBack"],
-  ["Alt+ArrowRight", "Selection on by its length", "selOn"],
+  ["ArrowLeft", "Step back, or to the previous message of the snapped stream", "back"],
+  ["ArrowRight", "Step forward, or to the next message of the snapped stream", "on"],
+  ["Ctrl+,", "Step back", "back"],
+  ["Ctrl+.", "Step forward", "on"],
+  ["Ctrl+Shift+,", "Five steps back", "jumpBack"],
+  ["Ctrl+Shift+.", "Five steps forward", "jumpOn"],
+  ["PageUp", "Move the view back", "panBack"],
+  ["PageDown", "Move the view forward", "panOn"],
+  ["Home", "Go to the start of the data", "home"],
+  ["End", "Go to the end of the data", "end"],
+  ["[", "Start the selection at the cursor", "selStart"],
+  ["]", "End the selection at the cursor", "selEnd"],
+  ["Alt+s", "Go to the start of the selection", "toSelStart"],
+  ["Alt+e", "Go to the end of the selection", "toSelEnd"],
+  ["Alt+ArrowLeft", "Move the selection back by its length", "selBack"],
+  ["Alt+ArrowRight", "Move the selection forward by its length", "selOn"],
   ["Alt+c", "Clear the selection", "clearSel"],
   ["Ctrl+e", "Save the selection as a recording", "export"],
-  ["Alt+f", "Cursor follows the mouse, or stays", "follow"],
+  ["Alt+f", "Toggle whether the cursor follows the mouse", "follow"],
   ["r", "Repeat playback", "repeat"],
   [",", "Half speed", "slower"],
   [".", "Double speed", "faster"],
   ["a", "Annotate the recording", "annotate"],
-  ["k", "Comment on the selection, or on the cursor", "marker"],
-  ["f", "Find the times where an expression is true", "find"],
-  ["e", "Derive a stream by an expression over others", "derive"],
+  ["k", "Comment on the selection or the cursor's time", "marker"],
+  ["f", "Find times when an expression is true", "find"],
+  ["e", "Derive a stream with an expression", "derive"],
   ["v", "Compare with another recording", "compare"],
-  ["g", "Share your cursor with others who look at this, or no longer", "together"],
-  ["l", "Live on or off", "live"],
-  ["n", "Cursor to the next change, of the snapped stream or the selected panel", "nextChange"],
-  ["N", "Cursor to the change before", "previousChange"],
-  ["m", "Fill the window with the selected panel, or back", "maximise"],
-  ["b", "Pictures beside the timelines, or above them", "beside"],
+  ["g", "Share your cursor with other viewers, or stop sharing", "together"],
+  ["l", "Toggle live mode", "live"],
+  ["n", "Go to the next change of the snapped stream or the selected panel", "nextChange"],
+  ["N", "Go to the previous change", "previousChange"],
+  ["m", "Maximize the selected panel, or restore it", "maximise"],
+  ["b", "Images next to the timelines, or above them", "beside"],
   ["Ctrl+z", "Undo the last change of the layout or of annotations", "undo"],
-  ["Ctrl+Shift+z", "Redo it", "redo"],
-  ["u", "Times in UTC, local, or since the start", "timing"],
-  ["Escape", "Restore a panel that fills the window", "restore"],
+  ["Ctrl+Shift+z", "Redo the change", "redo"],
+  ["u", "Show times in UTC, local time, or since the start", "timing"],
+  ["Escape", "Restore a maximized panel", "restore"],
   ["/", "Search the streams", "search"],
   ["Ctrl+k", "Commands and streams", "palette"],
-  ["t", "Dark or light", "theme"],
+  ["t", "Switch between dark and light", "theme"],
   ["s", "Show or hide the streams", "left"],
   ["p", "Show or hide the properties", "right"],
   ["o", "Settings", "settings"],
-  ["?", "This sheet", "help"],
+  ["?", "Show this help", "help"],
 ];
 
 const SHIFTED = { "<": ",", ">": "." };
@@ -78,37 +78,37 @@ export function keyName(e) {
 
 let table = null;
 
-// The rows as they are now: [key, text, action, usual key].
-export function keys() {
-  const own = ownKeys();
+// Lists the current rows: [key, text, action, default key].
+export function listKeys() {
+  const own = readKeys();
   return KEYS.map(([usual, text, action]) => [own[usual] ?? usual, text, action, usual]);
 }
 
-// Gives what `usual` does another key; `null` gives it its own again. The text of the action that has the key already,
-// or null when it is done.
-export function giveKey(usual, key) {
-  const own = { ...ownKeys() };
-  const taken = keys().find(([k, , , u]) => k === (key ?? usual) && u !== usual);
+// Assigns another key to the action of the default key `usual`; null restores the default. Returns null, or the text
+// of the action that already has the key.
+export function assignKey(usual, key) {
+  const own = { ...readKeys() };
+  const taken = listKeys().find(([k, , , u]) => k === (key ?? usual) && u !== usual);
   if (taken) return taken[1];
   if (key === null || key === usual) delete own[usual];
   else own[usual] = key;
-  keepKeys(own);
+  storeKeys(own);
   table = null;
   return null;
 }
 
-// All keys as they were.
-export function usualKeys() {
-  keepKeys({});
+// Restores the default keys.
+export function resetKeys() {
+  storeKeys({});
   table = null;
 }
 
-export function actionFor(e) {
-  table ??= new Map(keys().map(([key, , action]) => [key, action]));
+export function findAction(e) {
+  table ??= new Map(listKeys().map(([key, , action]) => [key, action]));
   return table.get(keyName(e));
 }
 
-// Time actions by name, as what the reducer takes.
+// Returns the reducer action of a time command, or null.
 export function timeAction(name, s) {
   const w = s.view[1] - s.view[0];
   switch (name) {
@@ -129,13 +129,13 @@ export function timeAction(name, s) {
     case "zoomOut":
       return { type: "zoomAt", t: s.cursor, factor: 1.5 };
     case "back":
-      return { type: "nudge", by: -setting("step") };
+      return { type: "nudge", by: -readSetting("step") };
     case "on":
-      return { type: "nudge", by: setting("step") };
+      return { type: "nudge", by: readSetting("step") };
     case "jumpBack":
-      return { type: "nudge", by: -JUMP * setting("step") };
+      return { type: "nudge", by: -JUMP * readSetting("step") };
     case "jumpOn":
-      return { type: "nudge", by: JUMP * setting("step") };
+      return { type: "nudge", by: JUMP * readSetting("step") };
     case "panBack":
       return { type: "pan", by: -w / 2 };
     case "panOn":
@@ -159,7 +159,7 @@ export function timeAction(name, s) {
     case "faster":
       return { type: "speed", value: s.speed * 2 };
     case "live":
-      return { type: "live", on: s.mode !== "live", width: setting("live") };
+      return { type: "live", on: s.mode !== "live", width: readSetting("live") };
     default:
       return null;
   }

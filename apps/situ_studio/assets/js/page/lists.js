@@ -1,25 +1,25 @@
-// The pages that list things (recordings, a dataset): menus of their rows, the theme, the search by its key.
+// The pages with lists (recordings, a dataset): context menus of rows, theme, and the search key.
 
 import { Menu } from "./menu.js";
 import { setTheme } from "./theme.js";
-import { copy, toast } from "./toast.js";
-import { sure as asked } from "./ask.js";
-import { remember, showRecent } from "./recent.js";
-import { tellTimes } from "./times.js";
+import { copyText, showToast } from "./toast.js";
+import { confirmAction as asked } from "./questions.js";
+import { rememberPage, showRecent } from "./recent.js";
+import { showTimes } from "./times.js";
 
-const otherTheme = () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
+const toggleTheme = () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
 
-// The items of a row's menu come with the row (`Situ.Studio.Web.Dataset.Menu`).
-function items(hook, row) {
+// Returns the menu items of a row, which come with it (`Situ.Studio.Web.Dataset.RowMenu`).
+function rowItems(hook, row) {
   return JSON.parse(row.dataset.items).map((item) =>
-    item === "-" ? item : { text: item.text, run: () => run(hook, item) },
+    item === "-" ? item : { text: item.text, run: () => runItem(hook, item) },
   );
 }
 
-async function run(hook, { href, tab, copy: text, sure, event, value }) {
+async function runItem(hook, { href, tab, copy: text, sure, event, value }) {
   if (href && tab) window.open(href);
   else if (href) location.assign(href);
-  else if (text !== undefined) copy(text, "Copied");
+  else if (text !== undefined) copyText(text, "Copied");
   else if (!sure || (await asked(sure))) hook.pushEvent(event, value);
 }
 
@@ -28,32 +28,32 @@ export const hooks = {
     mounted() {
       this.menu = new Menu(document.body, (target) => {
         const row = target.closest("[data-items]");
-        return row && items(this, row);
+        return row && rowItems(this, row);
       });
       this.el.addEventListener("click", (e) => {
-        if (e.target.closest("[data-act='theme']")) otherTheme();
+        if (e.target.closest("[data-act='theme']")) toggleTheme();
         const dots = e.target.closest(".dots");
         if (!dots) return;
         const box = dots.getBoundingClientRect();
-        this.menu.open(items(this, dots.closest("[data-items]")), box.left, box.bottom);
+        this.menu.open(rowItems(this, dots.closest("[data-items]")), box.left, box.bottom);
       });
       this.key = (e) => {
         if (e.target.closest?.("input, textarea, select, dialog") || e.ctrlKey || e.metaKey || e.altKey) return;
         if (e.key === "/") document.getElementById("search")?.focus();
-        else if (e.key === "t") otherTheme();
+        else if (e.key === "t") toggleTheme();
         else return;
         e.preventDefault();
       };
       document.addEventListener("keydown", this.key);
-      this.handleEvent("toast", ({ text }) => toast(text));
-      if (this.el.id === "dataset") remember();
+      this.handleEvent("toast", ({ text }) => showToast(text));
+      if (this.el.id === "dataset") rememberPage();
       const last = document.getElementById("recent");
       if (last) showRecent(last);
       this.handleEvent("go", ({ href }) => location.assign(href));
-      tellTimes(this.el);
+      showTimes(this.el);
     },
     updated() {
-      tellTimes(this.el);
+      showTimes(this.el);
     },
     destroyed() {
       document.removeEventListener("keydown", this.key);

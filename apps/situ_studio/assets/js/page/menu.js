@@ -1,30 +1,30 @@
-// Menus under the right mouse button, the menu key and a long touch. Their entries come from `menus.js`.
+// A menu for the right mouse button, the menu key and a long touch. `menus.js` provides the entries.
 
 const LONG = 550;
 
 export class Menu {
-  // itemsFor(target, event) -> [{text, hint?, run, disabled?} or "-"], or null where there is none
+  // itemsFor(target, event) -> [{text, hint?, run, disabled?} or "-"], or null if there is no menu
   constructor(root, itemsFor) {
     Object.assign(this, { itemsFor });
-    // a landmark, so that who goes from one to the next by ear comes upon it
+    // a landmark, so that users of screen readers can find it
     this.landmark = document.body.appendChild(document.createElement("nav"));
     this.landmark.setAttribute("aria-label", "Menu");
     this.el = this.landmark.appendChild(document.createElement("div"));
     this.el.id = "menu";
     this.el.setAttribute("role", "menu");
     this.el.hidden = this.landmark.hidden = true;
-    root.addEventListener("contextmenu", (e) => this.asked(e));
-    root.addEventListener("pointerdown", (e) => this.pressed(e));
+    root.addEventListener("contextmenu", (e) => this.handleContextMenu(e));
+    root.addEventListener("pointerdown", (e) => this.handlePointerDown(e));
     for (const name of ["pointerup", "pointercancel", "pointermove"])
-      root.addEventListener(name, (e) => this.lifted(e));
-    this.el.addEventListener("keydown", (e) => this.key(e));
+      root.addEventListener(name, (e) => this.cancelLongTouch(e));
+    this.el.addEventListener("keydown", (e) => this.handleKey(e));
     this.outside = (e) => this.el.contains(e.target) || this.close();
     document.addEventListener("pointerdown", this.outside, true);
     addEventListener("blur", () => this.close());
   }
 
-  asked(e) {
-    // shift is the end of a selection; fields have the browser's own menu
+  handleContextMenu(e) {
+    // Shift+click ends a selection, and fields keep the browser's own menu
     if (e.shiftKey || e.target.closest("input, textarea, select")) return;
     const items = this.itemsFor(e.target, e);
     if (!items?.length) return;
@@ -32,13 +32,13 @@ export class Menu {
     this.open(items, e.clientX, e.clientY);
   }
 
-  pressed(e) {
+  handlePointerDown(e) {
     if (e.pointerType !== "touch") return;
     this.at = [e.clientX, e.clientY];
-    this.timer = setTimeout(() => this.asked(e), LONG);
+    this.timer = setTimeout(() => this.handleContextMenu(e), LONG);
   }
 
-  lifted(e) {
+  cancelLongTouch(e) {
     if (!this.timer) return;
     if (e.type === "pointermove" && Math.hypot(e.clientX - this.at[0], e.clientY - this.at[1]) < 8) return;
     clearTimeout(this.timer);
@@ -71,7 +71,7 @@ export class Menu {
     this.el.querySelector("button:not(:disabled)")?.focus({ preventScroll: true });
   }
 
-  key(e) {
+  handleKey(e) {
     const all = [...this.el.querySelectorAll("button:not(:disabled)")];
     const i = all.indexOf(document.activeElement);
     if (e.key === "ArrowDown") all[(i + 1) % all.length].focus();

@@ -1,8 +1,8 @@
-// The entries of the menus: of a stream, a panel, a line's name, a time, a recording.
+// Builds the entries of the context menus: of a stream, a panel, a legend entry, a time, a recording.
 
 import { GUTTER } from "./theme.js";
-import { copy, toast } from "./toast.js";
-import { drawable, savePicture, saveVector } from "./picture_file.js";
+import { copyText, showToast } from "./toast.js";
+import { canDrawVector, saveImage, saveVector } from "./image_file.js";
 import { groupItems, streamItems } from "./stream_menu.js";
 import { annotationItems } from "../annotation/menu.js";
 
@@ -24,7 +24,7 @@ export function menuItems(app, target, event) {
     return [
       { text: "Open", run: () => link.click() },
       { text: "Open in a new tab", run: () => window.open(link.href) },
-      { text: "Copy its address", run: () => copy(link.href, "Address copied") },
+      { text: "Copy address", run: () => copyText(link.href, "Address copied") },
     ];
   }
   return null;
@@ -32,7 +32,7 @@ export function menuItems(app, target, event) {
 
 function panelItems(app, panel, legend, event) {
   const id = panel.dataset.panel;
-  const push = (name, more = {}) => app.options.push?.(name, { id, panel: id, ...more });
+  const pushEvent = (name, more = {}) => app.options.push?.(name, { id, panel: id, ...more });
   const body = panel.querySelector("[phx-hook='Panel']");
   const { vis } = JSON.parse(body.dataset.config);
   const items = [];
@@ -40,10 +40,10 @@ function panelItems(app, panel, legend, event) {
   if (index >= 0) {
     const hidden = vis[index].props?.visible === false;
     items.push(
-      { text: hidden ? "Show it" : "Hide it", run: () => push("show_vis", { index }) },
-      { text: "Only this one", run: () => push("show_vis", { index, only: "true" }), disabled: vis.length < 2 },
-      { text: "Take it out", run: () => push("remove_vis", { index: String(index) }) },
-      ...own(app, vis[index], (name, value) => push("prop", property(index, name, value))),
+      { text: hidden ? "Show" : "Hide", run: () => pushEvent("show_vis", { index }) },
+      { text: "Show only this", run: () => pushEvent("show_vis", { index, only: "true" }), disabled: vis.length < 2 },
+      { text: "Remove from panel", run: () => pushEvent("remove_vis", { index: String(index) }) },
+      ...lineItems(app, vis[index], (name, value) => pushEvent("prop", propertyChange(index, name, value))),
       "-",
     );
   }
@@ -52,137 +52,148 @@ function panelItems(app, panel, legend, event) {
     items.push(
       ...timeItems(app, timeAt(app, body, event)),
       {
-        text: "Statistics of the selection",
+        text: "Statistics of selection",
         disabled: sel[0] == null || sel[1] == null,
         run: () => {
-          app.counting = setTimeout(() => toast("Reading every message of the selection …"), 600);
-          push("statistics", { from: app.client.abs(sel[0]), to: app.client.abs(sel[1]) });
+          app.counting = setTimeout(() => showToast("Reading all messages of the selection …"), 600);
+          pushEvent("statistics", { from: app.client.toAbsolute(sel[0]), to: app.client.toAbsolute(sel[1]) });
         },
       },
-      ...downloads(app, body, vis),
-      ...aligning(app, body, event),
+      ...downloadItems(app, body, vis),
+      ...alignItems(app, body, event),
       "-",
     );
   }
   const streams = vis.map((v) => v.stream);
   items.push(
-    { text: "Properties", run: () => push("select_panel") },
-    { text: "Zoom to its streams", run: () => push("zoom_stream", { streams }), disabled: !vis.length },
-    ...(vis.length > 1 ? [{ text: "Show all", run: () => push("show_vis", { all: "true" }) }] : []),
-    ...(vis.length > 1 ? [{ text: "Hide all", run: () => push("show_vis", { all: "false" }) }] : []),
-    ...holding(panel, vis, push),
-    { text: panel.matches(".maxed") ? "Restore" : "Maximise", hint: "m", run: () => push("maximise") },
-    { text: "Move up", run: () => push("shift_panel", { way: "up" }) },
-    { text: "Move down", run: () => push("shift_panel", { way: "down" }) },
+    { text: "Properties", run: () => pushEvent("select_panel") },
+    { text: "Zoom to the streams", run: () => pushEvent("zoom_stream", { streams }), disabled: !vis.length },
+    ...(vis.length > 1 ? [{ text: "Show all", run: () => pushEvent("show_vis", { all: "true" }) }] : []),
+    ...(vis.length > 1 ? [{ text: "Hide all", run: () => pushEvent("show_vis", { all: "false" }) }] : []),
+    ...holdItems(panel, vis, pushEvent),
+    { text: panel.matches(".maxed") ? "Restore" : "Maximise", hint: "m", run: () => pushEvent("maximise") },
+    { text: "Move up", run: () => pushEvent("shift_panel", { way: "up" }) },
+    { text: "Move down", run: () => pushEvent("shift_panel", { way: "down" }) },
     "-",
     ...(vis.some((v) => v.draw === "image")
-      ? [{ text: `Film of the ${part(app)[2]} (MP4)`, run: () => film(app, push) }]
+      ? [{ text: `Video of the ${selectedPart(app)[2]} (MP4)`, run: () => startVideo(app, pushEvent) }]
       : []),
-    { text: "Save as PNG", run: () => savePicture(app, body) },
-    ...(drawable(app, body) ? [{ text: "Save as SVG", run: () => saveVector(app, body) }] : []),
+    { text: "Save as PNG", run: () => saveImage(app, body) },
+    ...(canDrawVector(app, body) ? [{ text: "Save as SVG", run: () => saveVector(app, body) }] : []),
     {
       text: vis.length === 1 ? "Copy the stream's name" : "Copy the streams' names",
-      run: () => copy(vis.map((v) => v.name).join("\n"), "Copied"),
+      run: () => copyText(vis.map((v) => v.name).join("\n"), "Copied"),
     },
     "-",
-    { text: "Remove", run: () => push("remove_panel") },
+    { text: "Remove", run: () => pushEvent("remove_panel") },
   );
   return items;
 }
 
 function timeItems(app, t) {
   const { sel } = app.time.get();
-  const go = (action) => () => app.time.dispatch(action);
+  const dispatchAction = (action) => () => app.time.dispatch(action);
   const both = sel[0] != null && sel[1] != null;
   return [
-    { text: "Go to a time…", hint: "Ctrl+G", run: () => app.act("goto") },
-    { text: "Cursor here", run: go({ type: "nudge", by: t - app.time.get().cursor }) },
-    { text: "Selection starts here", hint: "[", run: go({ type: "selStart", t }) },
-    { text: "Selection ends here", hint: "]", run: go({ type: "selEnd", t }) },
-    { text: "Zoom to the selection", hint: "Ctrl+S", run: go({ type: "zoomSel" }), disabled: !both },
+    { text: "Go to a time…", hint: "Ctrl+G", run: () => app.runAction("goto") },
+    { text: "Move the cursor here", run: dispatchAction({ type: "nudge", by: t - app.time.get().cursor }) },
+    { text: "Start the selection here", hint: "[", run: dispatchAction({ type: "selStart", t }) },
+    { text: "End the selection here", hint: "]", run: dispatchAction({ type: "selEnd", t }) },
+    { text: "Zoom to the selection", hint: "Ctrl+S", run: dispatchAction({ type: "zoomSel" }), disabled: !both },
     {
       text: "Clear the selection",
       hint: "Alt+C",
-      run: go({ type: "clearSel" }),
+      run: dispatchAction({ type: "clearSel" }),
       disabled: sel[0] == null && sel[1] == null,
     },
-    { text: "View everything", hint: "Ctrl+A", run: go({ type: "zoomAll" }) },
-    { text: "Save the selection as a recording", hint: "Ctrl+E", run: () => app.act("export"), disabled: !both },
+    { text: "View everything", hint: "Ctrl+A", run: dispatchAction({ type: "zoomAll" }) },
+    {
+      text: "Save the selection as a recording",
+      hint: "Ctrl+E",
+      run: () => app.runAction("export"),
+      disabled: !both,
+    },
   ];
 }
 
-// A moment of each of two recordings, so that they fall together: where something begins under the mouse, that.
-function aligning(app, body, event) {
+// Entries that align a moment of each of two recordings: the start of the segment under the mouse, or else the time
+// there.
+function alignItems(app, body, event) {
   const { compare } = app;
   if (!compare) return [];
   const view = [...app.views].find((v) => v.el === body);
-  const t = view?.segment?.(event)?.[0] ?? timeAt(app, body, event);
+  const t = view?.segmentUnder?.(event)?.[0] ?? timeAt(app, body, event);
   const { title, other } = compare.el.dataset;
   return [
     "-",
-    { text: `Align: a moment of ${title}`, run: () => compare.mark("first", t) },
-    { text: `Align: a moment of ${other}`, run: () => compare.mark("second", t) },
+    { text: `Align: mark a moment of ${title}`, run: () => compare.markMoment("first", t) },
+    { text: `Align: mark a moment of ${other}`, run: () => compare.markMoment("second", t) },
   ];
 }
 
-// A property of one of a panel's streams, as its form would send it.
-const property = (index, name, value) => ({
+// Returns a property change in the format that the panel's form would submit.
+const propertyChange = (index, name, value) => ({
   index: String(index),
   props: { [name]: value },
   _target: ["props", name],
 });
 
-// Of one line: what it is about, and what it can be switched to.
-function own(app, { stream, draw, props }, set) {
+// Entries of one line: zoom, and its switchable properties.
+function lineItems(app, { stream, draw, props }, set) {
   const { snap } = app.client;
-  const push = (event) => app.options.push?.(event, { stream });
-  const on = (name, yes, no) => ({
+  const pushEvent = (event) => app.options.push?.(event, { stream });
+  const toggleItem = (name, yes, no) => ({
     text: props?.[name] ? no : yes,
     run: () => set(name, props?.[name] ? "false" : "true"),
   });
   return [
-    { text: "Zoom to it", run: () => push("zoom_stream") },
-    ...(draw === "waveform" ? [on("mute", "Mute", "Hear it")] : []),
-    ...(["line", "lines"].includes(draw) ? [on("markers", "Show markers", "Hide markers")] : []),
+    { text: "Zoom to stream", run: () => pushEvent("zoom_stream") },
+    ...(draw === "waveform" ? [toggleItem("mute", "Mute", "Unmute")] : []),
+    ...(["line", "lines"].includes(draw) ? [toggleItem("markers", "Show markers", "Hide markers")] : []),
     ...(draw === "waveform"
       ? []
-      : [{ text: snap === stream ? "Release the cursor" : "Snap the cursor to it", run: () => push("snap") }]),
+      : [
+          {
+            text: snap === stream ? "Release the cursor" : "Snap the cursor to this stream",
+            run: () => pushEvent("snap"),
+          },
+        ]),
   ];
 }
 
-// For how long the values of a panel at the cursor hold: some seconds, or until the next.
-function holding(panel, vis, push) {
+// Entries that set how long values are shown after their message: some seconds, or until the next message.
+function holdItems(panel, vis, push) {
   if (panel.matches(".timeline") || !vis.some((v) => HELD.includes(v.draw))) return [];
   const now = vis[0].props?.past ?? "";
   return [
-    ["", "until the next"],
-    ["5", "5 s"],
-    ["1", "1 s"],
-    ["0.05", "50 ms"],
+    ["", "until the next message"],
+    ["5", "for 5 s"],
+    ["1", "for 1 s"],
+    ["0.05", "for 50 ms"],
   ].map(([past, text]) => ({
-    text: `${String(now) === past ? "✓ " : ""}Values hold ${text}`,
-    run: () => vis.forEach((_, i) => push("prop", property(i, "past", past))),
+    text: `${String(now) === past ? "✓ " : ""}Show values ${text}`,
+    run: () => vis.forEach((_, i) => push("prop", propertyChange(i, "past", past))),
   }));
 }
 
-// The selection, or the view where there is none, and which of the two it is.
-function part(app) {
+// Returns the selection, or the view if nothing is selected, and which of the two it is.
+function selectedPart(app) {
   const { sel, view, data } = app.time.get();
   if (sel[0] != null && sel[1] != null) return [...sel, "selection"];
   return [Math.max(view[0], data[0]), Math.min(view[1], data[1]), "view"];
 }
 
-function film(app, push) {
-  const [from, to] = part(app);
-  push("film_begin", { from: app.client.abs(from), to: app.client.abs(to) });
+function startVideo(app, push) {
+  const [from, to] = selectedPart(app);
+  push("film_begin", { from: app.client.toAbsolute(from), to: app.client.toAbsolute(to) });
 }
 
-function downloads(app, body, vis) {
-  const [from, to, of] = part(app);
-  const get = (what, more) => () => {
+function downloadItems(app, body, vis) {
+  const [from, to, of] = selectedPart(app);
+  const downloadAs = (what, more) => () => {
     const q = new URLSearchParams(app.options.query());
-    q.set("from", app.client.abs(from));
-    q.set("to", app.client.abs(to));
+    q.set("from", app.client.toAbsolute(from));
+    q.set("to", app.client.toAbsolute(to));
     for (const [k, v] of Object.entries(more)) q.set(k, v);
     const a = document.createElement("a");
     Object.assign(a, { href: `${app.options.base}/data/${what}?${q}`, download: `${of}.${what}` });
@@ -191,13 +202,13 @@ function downloads(app, body, vis) {
   const streams = JSON.stringify([...new Set(vis.map((v) => v.stream))]);
   const sound = vis.find((v) => v.draw === "waveform");
   return [
-    { text: `Download the ${of} as CSV`, run: get("csv", { streams }) },
-    { text: `Download the ${of} as Parquet`, run: get("parquet", { streams }) },
-    ...(sound ? [{ text: `Download the ${of} as WAV`, run: get("wav", { stream: sound.stream }) }] : []),
+    { text: `Download the ${of} as CSV`, run: downloadAs("csv", { streams }) },
+    { text: `Download the ${of} as Parquet`, run: downloadAs("parquet", { streams }) },
+    ...(sound ? [{ text: `Download the ${of} as WAV`, run: downloadAs("wav", { stream: sound.stream }) }] : []),
   ];
 }
 
-// The time under the mouse; the cursor's where a key asked.
+// Returns the time under the mouse, or the cursor's if the menu was opened by a key.
 function timeAt(app, el, event) {
   const box = el.getBoundingClientRect();
   const { view, cursor } = app.time.get();

@@ -1,7 +1,7 @@
-// Numbers for people.
+// Formats numbers for display.
 
-// Six significant digits, no noise.
-export function number(x, digits = 6) {
+// Formats a number with six significant digits.
+export function formatNumber(x, digits = 6) {
   if (x == null) return "";
   if (!Number.isFinite(x)) return Number.isNaN(x) ? "NaN" : x > 0 ? "inf" : "-inf";
   if (Number.isInteger(x) && Math.abs(x) < 1e15) return String(x);
@@ -10,14 +10,14 @@ export function number(x, digits = 6) {
   return String(Number(x.toPrecision(digits)));
 }
 
-// Numbers with at most this many digits are shown whole: people wrote them. Longer ones were computed.
+// Numbers with at most this many digits are shown in full, since people wrote them. Longer ones were computed.
 const WHOLE = 12;
-// The fewest and the most significant digits of a computed number; 17 tell all floats apart.
+// The minimum and maximum number of significant digits of a computed number; 17 distinguish all floats.
 const LEAST = 6,
   MOST = 17;
 
-// Shortens the exact text of a number: whole, or with as many digits as distinguish it from a number that is `apart`
-// away. Other texts stay as they are.
+// Shortens the exact text of a number: in full, or with as many digits as distinguish it from a number that is
+// `apart` away. Other texts are returned unchanged.
 export function valueText(exact, apart = 0) {
   const x = Number(exact);
   if (!Number.isFinite(x) || exact.trim() === "") return exact;
@@ -29,7 +29,7 @@ export function valueText(exact, apart = 0) {
   return String(Number(x.toPrecision(digitsFor(x, apart, LEAST))));
 }
 
-// The number of significant digits that distinguish x from a number that is `apart` away, at least `least`.
+// Returns the number of significant digits that distinguish x from a number that is `apart` away, at least `least`.
 function digitsFor(x, apart, least) {
   if (!(apart > 0) || x === 0) return least;
   const digits = Math.floor(Math.log10(Math.abs(x))) - Math.floor(Math.log10(apart)) + 2;
@@ -43,8 +43,8 @@ const SI = [
   [1e3, "k"],
 ];
 
-// A number on an axis whose ticks are `step` apart: short, with SI prefixes for large numbers, but with enough digits
-// to differ from its neighbours.
+// Formats a number on an axis whose ticks are `step` apart: short, with SI prefixes for large numbers, but with
+// enough digits to differ from its neighbors.
 export function axisNumber(x, step = 0) {
   const a = Math.abs(x);
   const digits = digitsFor(x, step, 4);
@@ -60,21 +60,21 @@ export function axisNumber(x, step = 0) {
   return `${Number((x / factor).toPrecision(digits))} ${letter}`;
 }
 
-// How many ticks a value axis of so many pixels has: close ones where it is low, few where it is high.
+// Returns the number of ticks of a value axis of `px` pixels: dense on low axes, sparse on high ones.
 export const tickCount = (px) => Math.max(2, Math.min(Math.floor(px / 24), 4 + Math.floor(px / 80)));
 
-// Ticks of a value axis between lo and hi, about n of them and never one alone, at 1, 2 or 5 times a power of ten.
+// Returns the ticks of a value axis from lo to hi: about n, never a single one, at 1, 2 or 5 times a power of ten.
 export function valueTicks(lo, hi, n) {
   // A span that overflows is divided as a quarter of it.
   if (hi - lo === Infinity) return valueTicks(lo / 4, hi / 4, n).map((v) => v * 4);
   for (let k = n; k <= 4 * n + 8; k++) {
-    const found = ticksOf(lo, hi, k);
+    const found = roundTicks(lo, hi, k);
     if (found.length >= 2 || !found.length) return found;
   }
-  return ticksOf(lo, hi, n);
+  return roundTicks(lo, hi, n);
 }
 
-function ticksOf(lo, hi, n) {
+function roundTicks(lo, hi, n) {
   const span = hi - lo;
   if (!(span > 0) || !Number.isFinite(span)) return [];
   const raw = span / Math.max(n, 1);
@@ -88,7 +88,8 @@ function ticksOf(lo, hi, n) {
   return out;
 }
 
-// min..max padded by 10 % on both sides; nothing gives 0..1, a single value one unit around it.
+// Returns the range of the extents padded by 10 % on both sides: 0..1 without extents, one unit around a single
+// value.
 export function paddedRange(extents) {
   let lo = Infinity,
     hi = -Infinity;
@@ -102,6 +103,6 @@ export function paddedRange(extents) {
   return [Math.max(lo - pad, -Number.MAX_VALUE), Math.min(hi + pad, Number.MAX_VALUE)];
 }
 
-// The position of a value between lo (0) and hi (1), also where their difference overflows.
-export const fraction = (v, lo, hi) =>
+// Returns the position of a value between lo (0) and hi (1), even if their difference overflows.
+export const valueFraction = (v, lo, hi) =>
   hi - lo === Infinity ? (v / 4 - lo / 4) / (hi / 4 - lo / 4) : (v - lo) / (hi - lo);

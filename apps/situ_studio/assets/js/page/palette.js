@@ -1,6 +1,6 @@
-// Commands and streams in one list, found by typing parts of their names.
+// A list of commands and streams, searched by typing parts of their names.
 
-import { keys } from "./keys.js";
+import { listKeys } from "./keys.js";
 
 export class Palette {
   constructor(app) {
@@ -9,39 +9,39 @@ export class Palette {
     if (!this.dialog) return;
     this.input = this.dialog.querySelector("input");
     this.list = this.dialog.querySelector("ul");
-    this.input.addEventListener("input", () => this.fill());
-    this.dialog.addEventListener("keydown", (e) => this.key(e));
+    this.input.addEventListener("input", () => this.fillList());
+    this.dialog.addEventListener("keydown", (e) => this.handleKey(e));
     this.list.addEventListener("click", (e) => {
       const i = [...this.list.children].indexOf(e.target.closest("li"));
-      if (i >= 0) this.run(i);
+      if (i >= 0) this.runEntry(i);
     });
   }
 
   open() {
     this.input.value = "";
     this.selected = 0;
-    this.fill();
+    this.fillList();
     this.dialog.showModal();
     this.input.focus();
   }
 
-  entries() {
+  listEntries() {
     let streams = [];
     try {
       streams = JSON.parse(document.getElementById("stream-names")?.dataset.names ?? "[]");
     } catch {
-      // without the list only commands are offered
+      // without stream names, only commands are offered
     }
     return [
-      ...keys().map(([key, text, action]) => ({
+      ...listKeys().map(([key, text, action]) => ({
         text,
         hint: key.replace("Arrow", ""),
-        run: () => this.app.act(action),
+        run: () => this.app.runAction(action),
       })),
-      { text: "Copy a link to this view", hint: "", run: () => this.app.act("copyLink") },
-      { text: "Copy a link that may look, not change", hint: "", run: () => this.app.act("copyViewerLink") },
-      { text: "Copy the time of the cursor in ns", hint: "", run: () => this.app.act("copyNs") },
-      { text: "Copy the session and the time of the cursor", hint: "", run: () => this.app.act("copyPlace") },
+      { text: "Copy link to this view", hint: "", run: () => this.app.runAction("copyLink") },
+      { text: "Copy view-only link", hint: "", run: () => this.app.runAction("copyViewerLink") },
+      { text: "Copy cursor time in ns", hint: "", run: () => this.app.runAction("copyNs") },
+      { text: "Copy session and cursor time", hint: "", run: () => this.app.runAction("copyPlace") },
       ...streams.map((stream) => ({
         text: stream,
         hint: "add stream",
@@ -50,8 +50,8 @@ export class Palette {
     ];
   }
 
-  fill() {
-    this.shown = rank(this.entries(), this.input.value).slice(0, 12);
+  fillList() {
+    this.shown = rankEntries(this.listEntries(), this.input.value).slice(0, 12);
     this.selected = 0;
     this.list.textContent = "";
     this.shown.forEach((entry, i) => {
@@ -63,7 +63,7 @@ export class Palette {
     });
   }
 
-  key(e) {
+  handleKey(e) {
     const n = this.shown.length;
     if (e.key === "ArrowDown" || e.key === "ArrowUp") {
       this.selected = (this.selected + (e.key === "ArrowDown" ? 1 : n - 1)) % Math.max(n, 1);
@@ -71,27 +71,27 @@ export class Palette {
       e.preventDefault();
     } else if (e.key === "Enter") {
       e.preventDefault();
-      this.run(this.selected);
+      this.runEntry(this.selected);
     }
   }
 
-  run(i) {
+  runEntry(i) {
     this.dialog.close();
     this.shown[i]?.run();
   }
 }
 
-// Every typed word must occur, or its letters in order; earlier and tighter matches come first.
-export function rank(entries, query) {
+// Ranks entries: every typed word must occur, or its letters in order. Earlier and tighter matches come first.
+export function rankEntries(entries, query) {
   const words = query.toLowerCase().split(/\s+/).filter(Boolean);
   return entries
-    .map((entry, i) => ({ entry, i, score: score(entry.text.toLowerCase(), words) }))
+    .map((entry, i) => ({ entry, i, score: scoreMatch(entry.text.toLowerCase(), words) }))
     .filter((x) => x.score !== null)
     .sort((a, b) => a.score - b.score || a.i - b.i)
     .map((x) => x.entry);
 }
 
-function score(text, words) {
+function scoreMatch(text, words) {
   let total = 0;
   for (const w of words) {
     const at = text.indexOf(w);

@@ -1,12 +1,13 @@
-// The recordings and datasets that were looked at last in this browser, for the list and for who wants to begin there.
+// Stores the recently viewed recordings and datasets of this browser, for the list and for opening the last one on
+// start.
 
-import { setting } from "./settings.js";
+import { readSetting } from "./settings.js";
 
 const KEY = "situ:recent",
   BEGUN = "situ:begun",
   MOST = 10;
 
-export function recent() {
+export function listRecent() {
   try {
     const found = JSON.parse(localStorage.getItem(KEY) ?? "[]");
     return Array.isArray(found)
@@ -17,7 +18,7 @@ export function recent() {
   }
 }
 
-function keep(list) {
+function storeRecent(list) {
   try {
     localStorage.setItem(KEY, JSON.stringify(list.slice(0, MOST)));
   } catch {
@@ -25,14 +26,14 @@ function keep(list) {
   }
 }
 
-// Of a page that shows something: it is the newest.
-export function remember({ pathname: path } = location, title = document.title.replace(/ - Situ Studio$/, "")) {
-  begun();
-  keep([{ path, title }, ...recent().filter((r) => r.path !== path)]);
+// Puts the current page first.
+export function rememberPage({ pathname: path } = location, title = document.title.replace(/ - Situ Studio$/, "")) {
+  markTabBegun();
+  storeRecent([{ path, title }, ...listRecent().filter((r) => r.path !== path)]);
 }
 
-// Whether this tab has shown a page of the studio before; from now on it has.
-function begun() {
+// Returns true if this tab has shown a page of the studio before, and marks that it has.
+function markTabBegun() {
   try {
     const before = sessionStorage.getItem(BEGUN) !== null;
     sessionStorage.setItem(BEGUN, "1");
@@ -42,25 +43,25 @@ function begun() {
   }
 }
 
-// Those that the list still has; a session is there as long as its dataset is.
-export const among = (all, paths) =>
+// Returns the entries that still exist; a session exists as long as its dataset does.
+export const keepExisting = (all, paths) =>
   all.filter(({ path }) => paths.some((p) => p === path || path.startsWith(`${p.replace("/d/", "/s/")}/`)));
 
-// Into an element of the list, which leads to the newest at once where the settings say so.
+// Shows the recent pages in an element of the list, or opens the latest one if the settings say so.
 export function showRecent(el) {
   const links = [...document.querySelectorAll(".home .list a.item")];
   const whole = !document.querySelector(".home .more");
   const found = whole
-    ? among(
-        recent(),
+    ? keepExisting(
+        listRecent(),
         links.map((a) => new URL(a.href).pathname),
       )
-    : recent();
-  keep(found);
-  const first = !begun();
-  if (first && setting("first") === "last" && found.length) return location.replace(found[0].path);
+    : listRecent();
+  storeRecent(found);
+  const first = !markTabBegun();
+  if (first && readSetting("first") === "last" && found.length) return location.replace(found[0].path);
   el.hidden = found.length === 0;
-  el.textContent = found.length ? "Looked at last: " : "";
+  el.textContent = found.length ? "Recently viewed: " : "";
   for (const { path, title } of found) {
     const a = el.appendChild(document.createElement("a"));
     a.href = path;

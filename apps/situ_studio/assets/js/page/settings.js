@@ -1,28 +1,28 @@
-// The settings of this browser. Each has a default; the settings page is made from this table.
+// The settings of this browser. The settings page is generated from this table.
 
 const KEY = "situ:settings";
 
 const SECOND = 1e9;
 
-// kind: choices [[value, text]] or a boolean; `usual` is the default. Values outside of the choices are ignored.
+// Either choices [[value, text]] or a boolean; `usual` is the default. Values outside of the choices are ignored.
 export const SETTINGS = [
   {
     id: "theme",
     title: "Light or dark",
     usual: "system",
     choices: [
-      ["system", "as the system"],
+      ["system", "system"],
       ["dark", "dark"],
       ["light", "light"],
     ],
   },
   {
     id: "palette",
-    title: "Colours of streams",
+    title: "Stream colors",
     usual: "usual",
     choices: [
       ["usual", "usual"],
-      ["safe", "told apart by the colour-blind"],
+      ["safe", "color-blind safe"],
       ["strong", "high contrast"],
     ],
   },
@@ -39,11 +39,11 @@ export const SETTINGS = [
   },
   {
     id: "first",
-    title: "The studio begins with",
+    title: "Start page",
     usual: "list",
     choices: [
       ["list", "the list of recordings"],
-      ["last", "what was looked at last"],
+      ["last", "most recently viewed"],
     ],
   },
   { id: "follow", title: "The cursor follows the mouse", usual: true },
@@ -85,10 +85,10 @@ export const SETTINGS = [
 const known = new Map(SETTINGS.map((s) => [s.id, s]));
 const listeners = new Set();
 
-// Older pages kept these two by themselves; the script before the first paint reads them there.
+// Stored separately by older pages; the script that runs before the first paint reads them there.
 const APART = { theme: "situ:theme", clock: "situ:clock" };
 
-function stored() {
+function readStored() {
   try {
     const found = JSON.parse(localStorage.getItem(KEY) ?? "{}");
     return found && typeof found === "object" ? found : {};
@@ -97,21 +97,21 @@ function stored() {
   }
 }
 
-function keep(name, value) {
+function storeItem(name, value) {
   try {
     if (value === null) localStorage.removeItem(name);
     else localStorage.setItem(name, value);
   } catch {
-    // private windows may have no storage: the page goes on with the defaults
+    // private windows may have no storage; the page then uses the defaults
   }
 }
 
-const fits = ({ choices, usual }, value) =>
+const isValid = ({ choices, usual }, value) =>
   choices ? choices.some(([v]) => v === value) : typeof value === typeof usual;
 
-export function setting(id) {
+export function readSetting(id) {
   const one = known.get(id);
-  let value = stored()[id];
+  let value = readStored()[id];
   if (APART[id]) {
     try {
       value = localStorage.getItem(APART[id]);
@@ -119,16 +119,16 @@ export function setting(id) {
       value = null;
     }
   }
-  return fits(one, value) ? value : one.usual;
+  return isValid(one, value) ? value : one.usual;
 }
 
-export function choose(id, value) {
-  if (APART[id]) keep(APART[id], value === known.get(id).usual ? null : value);
+export function changeSetting(id, value) {
+  if (APART[id]) storeItem(APART[id], value === known.get(id).usual ? null : value);
   else {
-    const all = stored();
+    const all = readStored();
     if (value === known.get(id).usual) delete all[id];
     else all[id] = value;
-    keep(KEY, JSON.stringify(all));
+    storeItem(KEY, JSON.stringify(all));
   }
   for (const l of listeners) l(id, value);
 }
@@ -138,12 +138,12 @@ export function onSetting(listener) {
   return () => listeners.delete(listener);
 }
 
-// Other keys for actions: {usual key: key}.
-export function ownKeys() {
-  const { keys } = stored();
+// Returns the reassigned keys: {default key: key}.
+export function readKeys() {
+  const { keys } = readStored();
   return keys && typeof keys === "object" ? keys : {};
 }
 
-export function keepKeys(keys) {
-  keep(KEY, JSON.stringify({ ...stored(), keys }));
+export function storeKeys(keys) {
+  storeItem(KEY, JSON.stringify({ ...readStored(), keys }));
 }

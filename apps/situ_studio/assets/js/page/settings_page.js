@@ -1,83 +1,87 @@
-// The part of the settings that this browser keeps: what people chose, and the keys.
+// The browser settings of the settings page: choices and keys.
 
-import { SETTINGS, choose, setting } from "./settings.js";
-import { giveKey, keyName, keys, usualKeys } from "./keys.js";
-import { toast } from "./toast.js";
+import { SETTINGS, changeSetting, readSetting } from "./settings.js";
+import { assignKey, keyName, listKeys, resetKeys } from "./keys.js";
+import { showToast } from "./toast.js";
 
-const make = (parent, tag, more = {}) => Object.assign(parent.appendChild(document.createElement(tag)), more);
+const addElement = (parent, tag, more = {}) => Object.assign(parent.appendChild(document.createElement(tag)), more);
 
-// One choice or one yes.
-function field(form, { id, title, choices }) {
-  const row = make(form, "div", { className: "field" });
-  make(row, "label", { textContent: title, htmlFor: `setting-${id}` });
+// Adds the field of a setting: a list of choices or a checkbox.
+function addSetting(form, { id, title, choices }) {
+  const row = addElement(form, "div", { className: "field" });
+  addElement(row, "label", { textContent: title, htmlFor: `setting-${id}` });
   if (!choices) {
-    const box = make(row, "input", { type: "checkbox", id: `setting-${id}`, checked: setting(id) });
-    box.addEventListener("change", () => choose(id, box.checked));
+    const box = addElement(row, "input", { type: "checkbox", id: `setting-${id}`, checked: readSetting(id) });
+    box.addEventListener("change", () => changeSetting(id, box.checked));
     return;
   }
-  const select = make(row, "select", { id: `setting-${id}` });
+  const select = addElement(row, "select", { id: `setting-${id}` });
   for (const [value, text] of choices)
-    make(select, "option", { value: String(value), textContent: text, selected: value === setting(id) });
-  select.addEventListener("change", () => choose(id, choices[select.selectedIndex][0]));
+    addElement(select, "option", { value: String(value), textContent: text, selected: value === readSetting(id) });
+  select.addEventListener("change", () => changeSetting(id, choices[select.selectedIndex][0]));
 }
 
-// A key: click it, press another. Escape leaves it as it was, Delete gives it its usual one again.
-function keyRow(table, [key, text, , usual], redraw) {
-  const row = make(table, "div", { className: "field key" });
-  make(row, "span", { textContent: text });
-  const b = make(row, "button", { type: "button", className: "btn", textContent: key.replace("Arrow", "") });
+// Adds the row of a key. Click it and press another key; Escape cancels, Delete restores the default.
+function addKeyRow(table, [key, text, , usual], redraw) {
+  const row = addElement(table, "div", { className: "field key" });
+  addElement(row, "span", { textContent: text });
+  const b = addElement(row, "button", { type: "button", className: "btn", textContent: key.replace("Arrow", "") });
   b.dataset.usual = usual;
   b.setAttribute("aria-label", `${text}: ${key}. Change`);
   b.classList.toggle("own", key !== usual);
   b.addEventListener("click", () => {
     b.textContent = "press a key";
     b.classList.add("waiting");
-    const pressed = (e) => {
+    const handleKey = (e) => {
       if (["Control", "Shift", "Alt", "Meta"].includes(e.key)) return;
       e.preventDefault();
       e.stopPropagation();
-      done();
+      stopListening();
       if (e.key === "Escape") return redraw(usual);
       const wanted = e.key === "Delete" ? null : keyName(e);
-      const taken = giveKey(usual, wanted);
-      if (taken) toast(`${wanted ?? usual} is taken: ${taken}`);
+      const taken = assignKey(usual, wanted);
+      if (taken) showToast(`${wanted ?? usual} is taken: ${taken}`);
       redraw(usual);
     };
-    const done = () => {
-      b.removeEventListener("keydown", pressed);
-      b.removeEventListener("blur", left);
+    const stopListening = () => {
+      b.removeEventListener("keydown", handleKey);
+      b.removeEventListener("blur", restoreLabel);
     };
-    const left = () => {
-      done();
+    const restoreLabel = () => {
+      stopListening();
       b.textContent = key.replace("Arrow", "");
       b.classList.remove("waiting");
     };
-    b.addEventListener("keydown", pressed);
-    b.addEventListener("blur", left);
+    b.addEventListener("keydown", handleKey);
+    b.addEventListener("blur", restoreLabel);
   });
 }
 
 export const hooks = {
   BrowserSettings: {
     mounted() {
-      const form = make(this.el, "div", { className: "fields" });
-      for (const s of SETTINGS) field(form, s);
-      make(this.el, "h2", { textContent: "Keys" });
-      make(this.el, "p", {
+      const form = addElement(this.el, "div", { className: "fields" });
+      for (const s of SETTINGS) addSetting(form, s);
+      addElement(this.el, "h2", { textContent: "Keys" });
+      addElement(this.el, "p", {
         className: "hint",
-        textContent: "Click a key and press another; Delete is the usual one.",
+        textContent: "Click a key and press another one. Delete restores the default.",
       });
-      const table = make(this.el, "div", { className: "fields keys" });
-      const draw = (focused) => {
+      const table = addElement(this.el, "div", { className: "fields keys" });
+      const drawKeys = (focused) => {
         table.textContent = "";
-        for (const row of keys()) keyRow(table, row, draw);
+        for (const row of listKeys()) addKeyRow(table, row, drawKeys);
         if (focused) table.querySelector(`[data-usual="${CSS.escape(focused)}"]`)?.focus();
       };
-      draw();
-      const all = make(this.el, "button", { type: "button", className: "btn", textContent: "All keys as usual" });
+      drawKeys();
+      const all = addElement(this.el, "button", {
+        type: "button",
+        className: "btn",
+        textContent: "Restore default keys",
+      });
       all.addEventListener("click", () => {
-        usualKeys();
-        draw();
+        resetKeys();
+        drawKeys();
       });
     },
   },

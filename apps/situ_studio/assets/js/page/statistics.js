@@ -1,15 +1,15 @@
-// The statistics of a selection, as a table in a dialog.
+// Shows the statistics of a selection in a table.
 
-import { number } from "./number_text.js";
-import { duration } from "../time/text.js";
+import { formatNumber } from "./number_text.js";
+import { formatDuration } from "../time/text.js";
 
 const TITLES = {
   n: "messages",
   rate_hz: "rate",
-  period_ns: "usual pause",
+  period_ns: "typical pause",
   jitter_ns: "jitter (sd of pauses)",
   longest_pause_ns: "longest pause",
-  gaps: "gaps (3 usual pauses)",
+  gaps: "gaps (3 typical pauses)",
   mean: "mean",
   sd: "standard deviation",
   min: "least",
@@ -23,24 +23,25 @@ const TITLES = {
   max: "greatest",
 };
 
-const text = (name, v) =>
-  name.endsWith("_ns") ? duration(v) : name === "rate_hz" ? `${number(v, 4)} /s` : valueOf(name, v);
+const formatStatistic = (name, v) =>
+  name.endsWith("_ns") ? formatDuration(v) : name === "rate_hz" ? `${formatNumber(v, 4)} /s` : formatPlain(name, v);
 
-// Values of messages are shown whole, computed ones with ten digits.
-const valueOf = (name, v) => (!Number.isFinite(v) || name === "mean" || name === "std" ? number(v, 10) : String(v));
+// Values of messages are shown in full, computed values with ten digits.
+const formatPlain = (name, v) =>
+  !Number.isFinite(v) || name === "mean" || name === "std" ? formatNumber(v, 10) : String(v);
 
 // rows: [{name, all, values: [[name, value], ...], error?}]
 export function showStatistics(rows, length) {
   const dialog = document.body.appendChild(document.createElement("dialog"));
   dialog.id = "statistics";
-  dialog.appendChild(document.createElement("h3")).textContent = `Selection, ${duration(length)}`;
+  dialog.appendChild(document.createElement("h3")).textContent = `Selection, ${formatDuration(length)}`;
   const table = dialog.appendChild(document.createElement("table"));
-  const line = (head, cells, tag) => {
+  const addRow = (head, cells, tag) => {
     const tr = table.appendChild(document.createElement("tr"));
     tr.appendChild(document.createElement("th")).textContent = head;
     for (const c of cells) tr.appendChild(document.createElement(tag)).textContent = c;
   };
-  line(
+  addRow(
     "",
     rows.map((r) => r.name + (r.error ? ` (${r.error})` : r.all === false ? " (the first 2 million messages)" : "")),
     "th",
@@ -48,13 +49,13 @@ export function showStatistics(rows, length) {
   for (const [name, title] of Object.entries(TITLES)) {
     const cells = rows.map((r) => r.values.find(([n]) => n === name)?.[1]);
     if (cells.some((v) => v !== undefined))
-      line(
+      addRow(
         title,
-        cells.map((v) => (v === undefined ? "" : text(name, v))),
+        cells.map((v) => (v === undefined ? "" : formatStatistic(name, v))),
         "td",
       );
   }
-  for (const r of rows) if (r.histogram) dialog.appendChild(histogram(r));
+  for (const r of rows) if (r.histogram) dialog.appendChild(buildHistogram(r));
   dialog.addEventListener("close", () => dialog.remove());
   dialog.addEventListener("click", (e) => e.target === dialog && dialog.close());
   dialog.showModal();
@@ -62,14 +63,14 @@ export function showStatistics(rows, length) {
 
 const SVG = "http://www.w3.org/2000/svg";
 
-// A bar for each step from the least to the greatest, as high as there are messages.
-function histogram({ name, histogram: { from, to, counts } }) {
+// Draws a bar for each bin of the histogram.
+function buildHistogram({ name, histogram: { from, to, counts } }) {
   const figure = document.createElement("figure");
   const most = Math.max(...counts);
   const svg = figure.appendChild(document.createElementNS(SVG, "svg"));
   svg.setAttribute("viewBox", `0 0 ${counts.length * 8} 60`);
   svg.setAttribute("role", "img");
-  svg.setAttribute("aria-label", `Histogram of ${name} from ${number(from, 4)} to ${number(to, 4)}`);
+  svg.setAttribute("aria-label", `Histogram of ${name} from ${formatNumber(from, 4)} to ${formatNumber(to, 4)}`);
   counts.forEach((n, i) => {
     const bar = svg.appendChild(document.createElementNS(SVG, "rect"));
     const h = (n / most) * 58;
@@ -83,7 +84,7 @@ function histogram({ name, histogram: { from, to, counts } }) {
     bar.appendChild(document.createElementNS(SVG, "title")).textContent = String(n);
   });
   const caption = figure.appendChild(document.createElement("figcaption"));
-  for (const text of [number(from, 4), name, number(to, 4)])
+  for (const text of [formatNumber(from, 4), name, formatNumber(to, 4)])
     caption.appendChild(document.createElement("span")).textContent = text;
   return figure;
 }

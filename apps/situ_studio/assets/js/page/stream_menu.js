@@ -1,16 +1,17 @@
-// The menus of the tree's rows: of a stream, of a group.
+// Builds the context menus of the stream tree: of a stream, and of a group.
 
-import { ask } from "./ask.js";
+import { askText } from "./questions.js";
 import { commands } from "./commands.js";
-import { copy } from "./toast.js";
+import { copyText } from "./toast.js";
 
-// Streams that say what is the case, or how likely (`Situ.Studio.Annotating.Proposals`).
+// Stream shapes from which annotations can be proposed: states and probabilities
+// (`Situ.Studio.Annotations.Proposals`).
 const PROPOSING = ["boolean", "state", "states", "text", "spans", "signal", "signals"];
 
-async function propose(app, stream, shape) {
+async function proposeAnnotations(app, stream, shape) {
   let threshold;
   if (shape === "signal" || shape === "signals") {
-    const said = await ask({
+    const said = await askText({
       title: `Propose annotations where ${stream} is at least`,
       value: "0.5",
       type: "number",
@@ -21,12 +22,12 @@ async function propose(app, stream, shape) {
   app.options.push?.("annotation_propose", { stream, threshold });
 }
 
-// Panels that take more than one stream, as `Situ.Studio.Layout` joins them.
+// Panels that accept several streams, as joined by `Situ.Studio.Layout`.
 const JOINED = ["plot", "lanes", "image", "space", "map", "xy"];
 
 export function streamItems(app, node) {
   const { stream, shape, type, path, address } = node.dataset;
-  const push = (event, more = {}) => app.options.push?.(event, { stream, ...more });
+  const pushEvent = (event, more = {}) => app.options.push?.(event, { stream, ...more });
   const kinds = JSON.parse(document.getElementById("stream-names")?.dataset.kinds ?? "{}")[shape] ?? [];
   const chosen = app.root.querySelector("[data-panel].selected");
   const of = chosen?.querySelector("[phx-hook='Panel']")?.dataset.kind;
@@ -34,34 +35,40 @@ export function streamItems(app, node) {
   return [
     ...joining.map(([viz, title]) => ({
       text: `Show in the selected panel as ${title.toLowerCase()}`,
-      run: () => push("add_viz", { viz, panel: chosen.dataset.panel }),
+      run: () => pushEvent("add_viz", { viz, panel: chosen.dataset.panel }),
     })),
     ...(joining.length ? ["-"] : []),
-    ...kinds.map(([viz, title]) => ({ text: `Show as ${title.toLowerCase()}`, run: () => push("add_viz", { viz }) })),
+    ...kinds.map(([viz, title]) => ({
+      text: `Show as ${title.toLowerCase()}`,
+      run: () => pushEvent("add_viz", { viz }),
+    })),
     "-",
-    { text: "Derive from it…", hint: "e", run: () => commands.derive(app, derivation(stream)) },
+    { text: "Derive from this stream…", hint: "e", run: () => commands.derive(app, expressionName(stream)) },
     ...(["value", "signals", "states", "bars", "space", "frames", "place", "shapes", "spans"].includes(shape)
-      ? [{ text: "Derive its members", run: () => push("derive_members") }]
+      ? [{ text: "Derive all members", run: () => pushEvent("derive_members") }]
       : []),
     "-",
-    { text: "Properties", run: () => properties(app, { path: stream }) },
-    { text: "Zoom to it", run: () => push("zoom_stream") },
-    { text: app.client.snap === stream ? "Release the cursor" : "Snap the cursor to it", run: () => push("snap") },
+    { text: "Properties", run: () => showProperties(app, { path: stream }) },
+    { text: "Zoom to stream", run: () => pushEvent("zoom_stream") },
+    {
+      text: app.client.snap === stream ? "Release the cursor" : "Snap the cursor to this stream",
+      run: () => pushEvent("snap"),
+    },
     ...(app.annotation && PROPOSING.includes(shape)
-      ? [{ text: "Propose annotations from it", run: () => propose(app, stream, shape) }]
+      ? [{ text: "Propose annotations from this stream", run: () => proposeAnnotations(app, stream, shape) }]
       : []),
     "-",
-    ...folding(app, node),
-    { text: "Copy its name", run: () => copy(stream, "Name copied") },
-    { text: "Copy its name in expressions", run: () => copy(derivation(stream), "Name copied") },
-    ...(address ? [{ text: `Copy ${short(address)}`, run: () => copy(address, "Name copied") }] : []),
-    ...(path ? [{ text: "Copy the path of its recording", run: () => copy(path, "Path copied") }] : []),
-    ...(type ? [{ text: `Copy its type: ${short(type)}`, run: () => copy(type, "Type copied") }] : []),
+    ...foldItems(app, node),
+    { text: "Copy name", run: () => copyText(stream, "Name copied") },
+    { text: "Copy name for expressions", run: () => copyText(expressionName(stream), "Name copied") },
+    ...(address ? [{ text: `Copy ${shortenText(address)}`, run: () => copyText(address, "Name copied") }] : []),
+    ...(path ? [{ text: "Copy recording path", run: () => copyText(path, "Path copied") }] : []),
+    ...(type ? [{ text: `Copy type: ${shortenText(type)}`, run: () => copyText(type, "Type copied") }] : []),
   ];
 }
 
-// Who asks for them gets to see them, also where that side is hidden.
-function properties(app, what) {
+// Shows the properties, and opens their sidebar if it is hidden.
+function showProperties(app, what) {
   document.documentElement.dataset.right = "open";
   app.options.push?.("select", what);
 }
@@ -69,28 +76,28 @@ function properties(app, what) {
 export function groupItems(app, node) {
   const { group: path } = node.dataset;
   return [
-    { text: "Properties", run: () => properties(app, { path, only: true }) },
+    { text: "Properties", run: () => showProperties(app, { path, only: true }) },
     "-",
-    ...folding(app, node),
-    { text: "Copy its name", run: () => copy(path, "Name copied") },
+    ...foldItems(app, node),
+    { text: "Copy name", run: () => copyText(path, "Name copied") },
   ];
 }
 
-// Of a row that others stand under.
-function folding(app, node) {
+// Entries of a row that has children.
+function foldItems(app, node) {
   const { group: path } = node.dataset;
   if (!path) return [];
-  const all = (open) => () => app.options.push?.("fold_below", { path, open });
+  const foldAll = (open) => () => app.options.push?.("fold_below", { path, open });
   const open = node.getAttribute("aria-expanded") === "true";
   return [
-    { text: open ? "Fold it" : "Unfold it", run: () => app.options.push?.("toggle", { path }) },
-    { text: "Fold all below it", run: all(false) },
-    { text: "Unfold all below it", run: all(true) },
+    { text: open ? "Fold" : "Unfold", run: () => app.options.push?.("toggle", { path }) },
+    { text: "Fold all below", run: foldAll(false) },
+    { text: "Unfold all below", run: foldAll(true) },
     "-",
   ];
 }
 
-const short = (text) => (text.length > 32 ? `${text.slice(0, 31)}…` : text);
+const shortenText = (text) => (text.length > 32 ? `${text.slice(0, 31)}…` : text);
 
-// A stream's name in an expression; for a derived stream its expression, to be changed.
-const derivation = (stream) => (stream.startsWith("= ") ? stream.slice(2) : `\`${stream}\``);
+// Returns a stream's name in expressions; for a derived stream, its expression.
+const expressionName = (stream) => (stream.startsWith("= ") ? stream.slice(2) : `\`${stream}\``);

@@ -1,6 +1,6 @@
-// Colours for canvases come from the style sheet, so that dark and light need one place only.
+// Reads canvas colors from the style sheet, so that the dark and light themes are defined in one place.
 
-import { choose, onSetting } from "./settings.js";
+import { changeSetting, onSetting } from "./settings.js";
 
 const NAMES = [
   "bg",
@@ -17,7 +17,7 @@ const NAMES = [
   "on",
   "off",
 ];
-// Room on both sides of every timeline; the left follows what stands in it (`gutter.js`).
+// The space on both sides of every timeline; the left side follows its contents (`gutter.js`).
 export const GUTTER = { left: 76, right: 14 };
 export const FONT_FACE = 'Inter, "Segoe UI", system-ui, sans-serif';
 export const FONT = `11px ${FONT_FACE}`;
@@ -25,7 +25,7 @@ export const FONT = `11px ${FONT_FACE}`;
 let cache = null;
 const listeners = new Set();
 
-export function theme() {
+export function themeColors() {
   if (!cache) {
     const css = getComputedStyle(document.documentElement);
     cache = { series: [] };
@@ -35,12 +35,12 @@ export function theme() {
   return cache;
 }
 
-export const setTheme = (name) => choose("theme", name);
+export const setTheme = (name) => changeSetting("theme", name);
 
-const system = () => (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark");
+const systemTheme = () => (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark");
 
 onSetting((id, value) => {
-  if (id === "theme") document.documentElement.dataset.theme = value === "system" ? system() : value;
+  if (id === "theme") document.documentElement.dataset.theme = value === "system" ? systemTheme() : value;
   else if (id === "palette") document.documentElement.dataset.palette = value;
   else return;
   cache = null;
@@ -53,28 +53,28 @@ export function onTheme(l) {
 }
 
 export function seriesColor(color, index) {
-  const t = theme();
+  const t = themeColors();
   if (typeof color === "string" && /^#[0-9a-fA-F]{6}$/.test(color)) return color;
   const i = Number.isInteger(color) ? color : index;
   return t.series[((i % 8) + 8) % 8];
 }
 
-// The number of the colour of a key: tracks have the same in every panel.
+// Returns the color index of a key, so that a track has the same color in every panel.
 export const keyIndex = (name, otherwise) => (/^\d+$/.test(name) ? Number(name) : otherwise);
 
-// Of the dark and the light of the theme the one that is read better on a colour.
-export function ink(color) {
-  const t = theme();
-  return contrast(t.bg, color) >= contrast(t.text, color) ? t.bg : t.text;
+// Returns the theme's dark or light color, whichever is more readable on a color.
+export function readableColor(color) {
+  const t = themeColors();
+  return contrastRatio(t.bg, color) >= contrastRatio(t.text, color) ? t.bg : t.text;
 }
 
-// How far two colours (#rrggbb) are apart, from 1 to 21: text needs 4.5. W3C, WCAG 2.2, 1.4.3.
-export function contrast(a, b) {
-  const [dark, light] = [luminance(a), luminance(b)].sort((x, y) => x - y);
+// Returns the contrast ratio of two colors (#rrggbb), from 1 to 21; text needs 4.5. W3C, WCAG 2.2, 1.4.3.
+export function contrastRatio(a, b) {
+  const [dark, light] = [relativeLuminance(a), relativeLuminance(b)].sort((x, y) => x - y);
   return (light + 0.05) / (dark + 0.05);
 }
 
-function luminance(hex) {
+function relativeLuminance(hex) {
   const [r, g, b] = [1, 3, 5].map((i) => {
     const v = parseInt(hex.slice(i, i + 2), 16) / 255;
     return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
@@ -82,9 +82,9 @@ function luminance(hex) {
   return 0.2126 * r + 0.7152 * g + 0.0722 * b;
 }
 
-// A stable colour for a state's name; in lanes of several keys, that of the key.
+// Returns a stable color for a state's name; in lanes of several keys, the color of the key.
 export function stateColor(label, cls, lane = null) {
-  const t = theme();
+  const t = themeColors();
   if (cls === "true" && lane != null) return t.series[lane % 8];
   if (cls === "true") return t.on;
   if (cls === "false") return t.off;

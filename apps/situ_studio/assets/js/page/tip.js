@@ -1,11 +1,11 @@
-// A few lines of text beside the mouse: what lies under it. One for the page.
+// A tooltip next to the mouse that describes what is under it. There is one for the page.
 
 const GAP = 14;
 let el = null,
   owner = null;
 
-// Shows `lines` for `who` beside a place of the window; no lines take it away, if it is still theirs.
-export function tip(who, lines, x = 0, y = 0) {
+// Shows `lines` for `who` next to a position in the window. Without lines it is hidden, if `who` still owns it.
+export function showTip(who, lines, x = 0, y = 0) {
   if (!lines.length) {
     if (owner === who && el) el.hidden = true;
     return;

@@ -1,9 +1,9 @@
-// A sentence in passing, at the foot of the page.
+// A brief message at the bottom of the page.
 
 const SHOWN = 4000;
 let timer = null;
 
-export function toast(text) {
+export function showToast(text) {
   const el = document.getElementById("toast");
   if (!el) return;
   el.textContent = text;
@@ -12,11 +12,11 @@ export function toast(text) {
   timer = setTimeout(() => el.classList.remove("on"), SHOWN);
 }
 
-export async function copy(text, done, refused = text) {
+export async function copyText(text, done, refused = text) {
   try {
     await navigator.clipboard.writeText(text);
-    toast(done);
+    showToast(done);
   } catch {
-    toast(refused);
+    showToast(refused);
   }
 }

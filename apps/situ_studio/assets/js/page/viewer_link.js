@@ -1,11 +1,11 @@
-// The address of what is shown, for somebody who may look and not change.
+// Copies a view-only link to the current page.
 
-import { copy, toast } from "./toast.js";
+import { copyText, showToast } from "./toast.js";
 
 export function copyViewerLink(app, token) {
-  if (!token) return toast("There is no such link here: the studio has no token for those who may only look");
+  if (!token) return showToast("No view-only link available: the studio was started without a viewer token");
   app.address.save(true);
   const link = new URL(location.href);
   link.searchParams.set("token", token);
-  return copy(link.href, "Link copied: it may look, and not change", link.href);
+  return copyText(link.href, "View-only link copied", link.href);
 }

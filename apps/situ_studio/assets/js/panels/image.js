@@ -1,9 +1,9 @@
-// A 2D panel: a picture, and what other streams have to show over it.
+// A 2D panel: an image, and other streams drawn over it.
 
-import { tip } from "../page/tip.js";
+import { showTip } from "../page/tip.js";
 import { visualizers } from "../visualizers/index.js";
-import { plugged } from "../plugins/plugged.js";
-import { mapping } from "../visualizers/shapes.js";
+import { pluginVisualizer } from "../plugins/plugin_drawer.js";
+import { imageMapping } from "../visualizers/shapes.js";
 import { PanZoom } from "./pan_zoom.js";
 
 export class ImagePanel {
@@ -14,14 +14,14 @@ export class ImagePanel {
     this.info = el.appendChild(document.createElement("div"));
     this.info.className = "cell-info";
     this.layers = [];
-    // who annotates boxes and points draws them here; else the picture is moved
+    // while boxes or points are annotated they are drawn here; otherwise the image is moved
     this.canvas.addEventListener("pointerdown", (e) => {
-      if (this.app.annotation?.spatial.down(e, this)) e.stopImmediatePropagation();
+      if (this.app.annotation?.spatial.handlePointerDown(e, this)) e.stopImmediatePropagation();
     });
     this.mouse = new PanZoom(this.canvas, {
       fit: () => this.fit(),
-      changed: () => this.app.schedule(this),
-      pointed: () => this.point(),
+      changed: () => this.app.scheduleDraw(this),
+      pointed: () => this.updateTip(),
     });
     this.configure(config);
     this.observer = new ResizeObserver(() => this.resize());
@@ -39,21 +39,21 @@ export class ImagePanel {
       return Object.assign(layer, { vis, index });
     });
     for (const l of old.values()) this.closeLayer(l);
-    for (const l of this.layers) l.drawer.restyle(l, () => this.app.schedule(this));
-    this.app.schedule(this);
+    for (const l of this.layers) l.drawer.restyle(l, () => this.app.scheduleDraw(this));
+    this.app.scheduleDraw(this);
   }
 
   openLayer(key, vis) {
-    const drawer = vis.script ? plugged : (visualizers.get(vis.draw) ?? visualizers.get("image"));
+    const drawer = vis.script ? pluginVisualizer : (visualizers.get(vis.draw) ?? visualizers.get("image"));
     const layer = { key, vis, drawer };
     const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
-    const accept = (frame) => layer.drawer.accept(layer, frame, () => this.app.schedule(this));
-    layer.channel = this.app.client.open(spec, accept, { instant: true });
+    const acceptFrame = (frame) => layer.drawer.acceptFrame(layer, frame, () => this.app.scheduleDraw(this));
+    layer.channel = this.app.client.openChannel(spec, acceptFrame, { instant: true });
     return layer;
   }
 
   closeLayer(l) {
-    this.app.client.close(l.channel);
+    this.app.client.closeChannel(l.channel);
     l.drawer.close(l);
   }
 
@@ -63,16 +63,17 @@ export class ImagePanel {
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
-  base() {
+  baseLayer() {
     return this.layers.find((l) => l.picture);
   }
 
-  // Canvas pixels per picture pixel, and where the picture's corner is: letterboxed, then zoomed.
+  // Returns the canvas pixels per image pixel and the position of the image's corner, after letterboxing and
+  // zooming.
   fit() {
-    const base = this.base()?.picture;
+    const base = this.baseLayer()?.picture;
     const shapes = this.layers.find((l) => l.shapes?.size)?.shapes.size;
     const classes = this.layers.find((l) => l.masks?.classes)?.masks.classes;
     const width = base?.width ?? shapes?.[0] ?? classes?.width ?? 640,
@@ -84,12 +85,12 @@ export class ImagePanel {
     return { k, x: (w - width * k) / 2 + zoom.x, y: (h - height * k) / 2 + zoom.y, width, height };
   }
 
-  // Shapes over a mirrored picture are mirrored with it.
+  // Shapes over a mirrored image are mirrored, too.
   map() {
-    return mapping(this.fit(), this.base()?.vis.props?.flip === true);
+    return imageMapping(this.fit(), this.baseLayer()?.vis.props?.flip === true);
   }
 
-  // On the screen, or on what takes the same drawing (`page/vector.js`).
+  // Draws on the screen, or on another context such as `page/svg_context.js`.
   render(ctx = this.canvas.getContext("2d")) {
     const f = this.fit(),
       map = this.map();
@@ -100,46 +101,46 @@ export class ImagePanel {
     ctx.imageSmoothingEnabled = f.k < 3;
     const shown = this.layers.filter((l) => l.vis.props?.visible !== false);
     const scene = { fit: f, map, width: w, height: h };
-    // pictures lie below what is drawn over them
+    // images are below everything drawn over them
     for (const l of shown) if (l.picture) l.drawer.draw(ctx, l, scene);
     for (const l of shown) if (!l.picture) l.drawer.draw(ctx, l, scene);
-    for (const l of shown) l.drawer.finish?.(ctx, l, scene);
+    for (const l of shown) l.drawer.drawOverlay?.(ctx, l, scene);
     this.app.annotation?.spatial.draw(ctx, this);
-    this.point();
+    this.updateTip();
     this.drawn = (this.drawn ?? 0) + 1;
-    const base = this.base();
-    // not on the panel's element: a diff takes away what the server did not write there
+    const base = this.baseLayer();
+    // not on the panel's element, since a diff would remove it there
     if (base) this.canvas.dataset.at = String(base.at);
     else delete this.canvas.dataset.at;
   }
 
-  // The value under the mouse, beside it; size, age and value of the picture in the corner.
-  point() {
+  // Shows the value under the mouse next to it, and the image's size, age and value in the corner.
+  updateTip() {
     const size = this.fit();
     for (const l of this.layers) l.size = size;
     const at = this.mouse.pointer && this.map().back(...this.mouse.pointer);
-    this.note(at);
+    this.updateNote(at);
     const { k } = size;
     const found = at
-      ? this.layers.flatMap((l) => (l.vis.props?.visible !== false ? l.drawer.under(l, ...at, k) : []))
+      ? this.layers.flatMap((l) => (l.vis.props?.visible !== false ? l.drawer.describeAt(l, ...at, k) : []))
       : [];
     const box = this.canvas.getBoundingClientRect();
-    tip(this, found, ...(at ? [box.left + this.mouse.pointer[0], box.top + this.mouse.pointer[1]] : []));
+    showTip(this, found, ...(at ? [box.left + this.mouse.pointer[0], box.top + this.mouse.pointer[1]] : []));
   }
 
-  note(at) {
+  updateNote(at) {
     const error = this.layers.find((l) => l.error)?.error;
-    const base = this.base();
+    const base = this.baseLayer();
     let text = error ?? "";
-    if (!error && base) text = [...base.drawer.facts(base, this.app.time.get().cursor, at)].join("   ");
+    if (!error && base) text = [...base.drawer.imageFacts(base, this.app.time.get().cursor, at)].join("   ");
     else if (!error && this.layers.length)
-      text = this.layers.some((l) => l.shapes || l.masks) ? "" : "no picture at the cursor";
+      text = this.layers.some((l) => l.shapes || l.masks) ? "" : "no image at the cursor";
     if (text !== this.text) this.info.textContent = this.text = text;
     this.info.classList.toggle("bad", !!error);
   }
 
   cursorMoved() {
-    this.point();
+    this.updateTip();
   }
 
   themeChanged() {
@@ -148,7 +149,7 @@ export class ImagePanel {
 
   destroy() {
     this.observer.disconnect();
-    tip(this, []);
+    showTip(this, []);
     for (const l of this.layers) this.closeLayer(l);
   }
 }

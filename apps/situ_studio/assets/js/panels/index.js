@@ -1,10 +1,10 @@
-// The kinds of panels, by the names that layouts give them.
+// The kinds of panels, by their names in layouts.
 
 import { PlotPanel } from "./plot.js";
 import { LanesPanel } from "./lanes.js";
 import { ImagePanel } from "./image.js";
 import { SpacePanel } from "./space.js";
-import { OwnPanel } from "./own.js";
+import { PluginPanel } from "./plugin.js";
 import { MapPanel } from "./map.js";
 import { WHOLE } from "../visualizers/index.js";
 
@@ -13,14 +13,14 @@ const KINDS = {
   lanes: LanesPanel,
   image: ImagePanel,
   space: SpacePanel,
-  own: OwnPanel,
+  own: PluginPanel,
   map: MapPanel,
   ...WHOLE,
 };
 
-export const timeline = (kind) => kind === "plot" || kind === "lanes";
+export const isTimeline = (kind) => kind === "plot" || kind === "lanes";
 
-// The view of a panel, or null of a kind that this page does not know.
+// Creates the view of a panel; returns null for an unknown kind.
 export function openPanel(kind, el, app, config) {
   const Kind = KINDS[kind];
   return Kind ? new Kind(el, app, config) : null;

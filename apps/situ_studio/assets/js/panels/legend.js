@@ -1,12 +1,11 @@
-// The names of a plot above its signals, each with the value at the cursor: an entry for each signal, or for each key
-// of a stream of maps.
+// The legend of a plot: an entry with the value at the cursor for each signal, or for each key of a stream of maps.
 
-import { duration } from "../time/text.js";
+import { formatDuration } from "../time/text.js";
 
-// A second click within so many ms is a double click.
+// A second click within this many ms is a double click.
 const DOUBLE = 220;
 
-const group = (name) => name.slice(0, name.lastIndexOf(".") + 1);
+const groupPrefix = (name) => name.slice(0, name.lastIndexOf(".") + 1);
 
 export class Legend {
   constructor(panel) {
@@ -14,27 +13,27 @@ export class Legend {
     this.entries = [];
     this.el = panel.el.appendChild(document.createElement("div"));
     this.el.className = "legend";
-    this.el.addEventListener("click", (e) => this.clicked(e));
+    this.el.addEventListener("click", (e) => this.handleClick(e));
     this.rest = panel.el.appendChild(document.createElement("div"));
     this.rest.className = "legend-more";
   }
 
-  // The next build draws every entry again.
-  forget() {
+  // Makes the next build recreate every entry.
+  invalidate() {
     this.named = null;
   }
 
-  // The legend has an entry for each, and for a stream of which nothing came.
+  // Creates an entry for each line, and for each stream without data.
   build() {
     const { panel } = this;
-    const entries = panel.lines();
+    const entries = panel.drawnLines();
     for (const layer of panel.layers) {
       if (!entries.some((e) => e.layer === layer)) entries.push({ layer, name: "", series: null });
     }
     const more = panel.layers.map((l) => l.channel.more ?? 0);
     const named = JSON.stringify([
       more,
-      entries.map((e) => [e.layer.vis.name, e.name, panel.color(e, 0), e.layer.vis.props?.visible]),
+      entries.map((e) => [e.layer.vis.name, e.name, panel.lineColor(e, 0), e.layer.vis.props?.visible]),
     ]);
     const same = named === this.named;
     this.named = named;
@@ -55,51 +54,51 @@ export class Legend {
       row.dataset.stream = e.layer.vis.stream;
       row.dataset.key = e.name;
       const swatch = row.appendChild(document.createElement("i"));
-      swatch.style.background = panel.color(e, nth++);
-      // of neighbours in one group the first is named in full
+      swatch.style.background = panel.lineColor(e, nth++);
+      // among neighbors of a group, only the first has its full name
       const { name, short } = e.layer.vis;
-      const stream = before && group(before.vis.name) === group(name) ? (short ?? name) : name;
+      const stream = before && groupPrefix(before.vis.name) === groupPrefix(name) ? (short ?? name) : name;
       const full = e.name === "" ? e.layer.vis.name : `${e.layer.vis.name}  ${e.name}`;
       row.title = `${full}\nClick: hide or show. Double click: only this one.`;
       e.title = full;
       row.type = "button";
       row.classList.toggle("hidden", e.layer.vis.props?.visible === false);
       row.setAttribute("aria-pressed", String(e.layer.vis.props?.visible !== false));
-      // a stream is named once, then its keys
+      // the name of a stream is shown once, followed by its keys
       row.appendChild(document.createElement("span")).textContent =
         e.name === "" ? stream : before === e.layer ? e.name : `${stream} ${e.name}`;
       before = e.layer;
       e.value = row.appendChild(document.createElement("b"));
     }
-    this.more();
+    this.showHiddenCount();
   }
 
-  // A name is a switch: a click hides or shows, a double click leaves it alone.
-  clicked(e) {
+  // Handles a click on a name: it shows or hides the line, a double click shows only that line.
+  handleClick(e) {
     const { panel } = this;
     const stream = e.target.closest(".legend-item")?.dataset.stream;
     const index = panel.config.vis.findIndex((v) => v.stream === stream);
     const place = panel.el.closest("[data-panel]")?.dataset.panel;
     if (index < 0 || !place) return;
     clearTimeout(this.clickTimer);
-    const push = (more) => panel.app.options.push?.("show_vis", { panel: place, index, ...more });
-    if (e.detail > 1) push({ only: "true" });
-    else this.clickTimer = setTimeout(push, DOUBLE, {});
+    const pushVisibility = (more) => panel.app.options.push?.("show_vis", { panel: place, index, ...more });
+    if (e.detail > 1) pushVisibility({ only: "true" });
+    else this.clickTimer = setTimeout(pushVisibility, DOUBLE, {});
   }
 
-  // Entries for which there is no room are counted.
-  more() {
+  // Shows how many entries do not fit.
+  showHiddenCount() {
     const rows = [...this.el.children];
-    const cut = () => rows.filter((r) => r.offsetTop > rows[0].offsetTop + 4);
-    const room = (px) => this.panel.el.style.setProperty("--more", `${px}px`);
-    room(0);
-    let hidden = cut();
+    const hiddenRows = () => rows.filter((r) => r.offsetTop > rows[0].offsetTop + 4);
+    const setRoom = (px) => this.panel.el.style.setProperty("--more", `${px}px`);
+    setRoom(0);
+    let hidden = hiddenRows();
     const more = this.panel.layers.reduce((n, l) => n + (l.channel.more ?? 0), 0);
     const parts = [hidden.length && `+${hidden.length}`, more && `${more} not drawn`].filter(Boolean);
     this.rest.textContent = parts.join(", ");
     if (parts.length) {
-      room(this.rest.offsetWidth + 10);
-      hidden = cut();
+      setRoom(this.rest.offsetWidth + 10);
+      hidden = hiddenRows();
       parts[0] = hidden.length ? `+${hidden.length}` : parts[0];
       this.rest.textContent = parts.join(", ");
     }
@@ -108,36 +107,37 @@ export class Legend {
       .join("\n");
   }
 
-  // Shows the values of the messages at the cursor, which the server sends. The old values are dimmed until it has
-  // answered. A value that is older than the pace of its stream explains has its age.
-  values() {
+  // Shows the values at the cursor, which the server sends. Old values are dimmed until the server has replied. A
+  // value that is older than the rate of its stream explains shows its age.
+  updateValues() {
     const { panel } = this;
     const cursor = panel.app.time.get().cursor;
     for (const e of this.entries) {
       const { channel, value } = e.layer;
       const error = channel.error ?? value.error;
-      const told = error ? null : value.told;
-      const i = e.series ? e.series.at(cursor) : -1;
-      const text = told ? e.layer.drawer.text(e, told, panel.resolution(e, i)) : "";
-      const age = text !== "" && i >= 0 ? e.series.age(i, cursor, told.at) : 0;
-      const shown = error ?? (age > 0 ? `${text}, ${duration(age)} ago` : text);
+      const reading = error ? null : value.reading;
+      const i = e.series ? e.series.indexAt(cursor) : -1;
+      const text = reading ? e.layer.drawer.legendText(e, reading, panel.valueResolution(e, i)) : "";
+      const age = text !== "" && i >= 0 ? e.series.messageAge(i, cursor, reading.at) : 0;
+      const shown = error ?? (age > 0 ? `${text}, ${formatDuration(age)} ago` : text);
       if (e.text !== shown) e.value.textContent = e.text = shown;
       e.value.classList.toggle("bad", !!error);
       e.value.classList.toggle("old", age > 0);
       e.value.classList.toggle("waiting", !error && !value.holdsAt(cursor));
-      const title = `${e.title}${exactValueTip(e, told)}${columnTip(e, i)}`;
+      const title = `${e.title}${exactValueTip(e, reading)}${columnTip(e, i)}`;
       if (e.value.title !== title) e.value.title = title;
     }
   }
 }
 
-// The whole value, which the text next to the name may round.
-function exactValueTip({ name }, told) {
-  const exact = told && (told.values.has(name) ? [told.values.get(name)] : [...told.values.values()]).join(", ");
+// Returns the exact value, which the legend may round.
+function exactValueTip({ name }, reading) {
+  const exact =
+    reading && (reading.values.has(name) ? [reading.values.get(name)] : [...reading.values.values()]).join(", ");
   return exact ? `\nat the cursor: ${exact}` : "";
 }
 
-// Where more messages than pixels are drawn, the column under the cursor stands for several of them.
+// Returns the range of the column under the cursor, if it summarizes several messages.
 function columnTip({ series }, i) {
   if (i < 0 || !series.min) return "";
   const sample = series.sampled ? "\nThe line is drawn from a sample of the messages: zoom in for all." : "";

@@ -1,18 +1,18 @@
-// A map: the ways of streams of places, and where they are at the cursor. Pictures of maps are fetched only where the
-// user has named an address or a folder of them.
+// A map panel: tracks of positions, and the positions at the cursor. Map tiles are only loaded if the user
+// configured their address or folder.
 
 import { KIND } from "../data/wire.js";
-import { distance, toLatitude, toLongitude, toX, toY } from "../map/mercator.js";
-import { nearest, TrackChannel, until } from "../map/track.js";
-import { drawGrid, drawPlace, drawScale, drawTiles, drawWay } from "../map/draw.js";
-import { number } from "../page/number_text.js";
-import { seriesColor, theme } from "../page/theme.js";
-import { tip } from "../page/tip.js";
-import { absolute, relative } from "../time/text.js";
+import { groundDistance, toLatitude, toLongitude, toX, toY } from "../map/mercator.js";
+import { nearestPoint, TrackChannel, countUntil } from "../map/track.js";
+import { drawGrid, drawPosition, drawScale, drawTiles, drawTrack } from "../map/draw.js";
+import { formatNumber } from "../page/number_text.js";
+import { seriesColor, themeColors } from "../page/theme.js";
+import { showTip } from "../page/tip.js";
+import { formatAbsolute, formatRelative } from "../time/text.js";
 
 const NEAR = 10;
 const [FAR_OUT, CLOSE] = [128, 2 ** 32];
-// Pictures kept, and pictures fetched at a time.
+// The number of tiles that are cached.
 const TILES = 300;
 
 export class MapPanel {
@@ -26,11 +26,11 @@ export class MapPanel {
     this.info = el.appendChild(document.createElement("div"));
     this.info.className = "cell-info";
     const { tiles, credit } = app.root.dataset;
-    // a folder's are below the studio's own address, which may have a path before it
+    // tiles of a folder are served below the studio's own path
     this.address = tiles?.startsWith("/") ? (app.options.base ?? "") + tiles : tiles;
     this.credit = credit;
-    this.listen();
-    this.observer = new ResizeObserver(() => app.schedule(this));
+    this.addListeners();
+    this.observer = new ResizeObserver(() => app.scheduleDraw(this));
     this.observer.observe(el);
     this.configure(config);
   }
@@ -44,45 +44,45 @@ export class MapPanel {
       return Object.assign(layer, { vis, index });
     });
     for (const l of old.values()) this.closeLayer(l);
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
   openLayer(key, vis) {
     const layer = { key, vis };
     const spec = { stream: vis.stream, viz: vis.viz, path: vis.path };
     const { client } = this.app;
-    layer.now = client.open(spec, (frame) => this.accept(layer, frame), { instant: true });
-    layer.way = client.add((id) => new TrackChannel(id, spec, (track) => this.track(layer, track)));
+    layer.now = client.openChannel(spec, (frame) => this.acceptFrame(layer, frame), { instant: true });
+    layer.way = client.addChannel((id) => new TrackChannel(id, spec, (track) => this.setTrack(layer, track)));
     return layer;
   }
 
   closeLayer(layer) {
-    this.app.client.close(layer.now);
-    this.app.client.close(layer.way);
+    this.app.client.closeChannel(layer.now);
+    this.app.client.closeChannel(layer.way);
   }
 
-  accept(layer, frame) {
+  acceptFrame(layer, frame) {
     layer.error = frame.kind === KIND.error ? frame.message : null;
     const v = frame.kind === KIND.json ? frame.value : null;
     layer.place = v && { ...v, x: toX(v.longitude), y: toY(v.latitude) };
     layer.at = frame.at;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
-  track(layer, track) {
+  setTrack(layer, track) {
     layer.track = track;
-    // everything is seen until the viewer looks elsewhere
-    if (!this.moved) this.fit();
-    this.app.schedule(this);
+    // everything is in view until the viewer moves the map
+    if (!this.moved) this.fitTracks();
+    this.app.scheduleDraw(this);
   }
 
-  get shown() {
+  get visibleLayers() {
     return this.layers.filter((l) => l.vis.props?.visible !== false);
   }
 
-  fit() {
+  fitTracks() {
     let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const { track } of this.shown)
+    for (const { track } of this.visibleLayers)
       for (let i = 0; i < (track?.count ?? 0); i++) {
         [x0, x1] = [Math.min(x0, track.x[i]), Math.max(x1, track.x[i])];
         [y0, y1] = [Math.min(y0, track.y[i]), Math.max(y1, track.y[i])];
@@ -97,7 +97,7 @@ export class MapPanel {
   render() {
     const { clientWidth: w, clientHeight: h } = this.el;
     if (!w || !h) return;
-    if (!this.moved && this.fitted !== `${w} ${h}`) this.fit();
+    if (!this.moved && this.fitted !== `${w} ${h}`) this.fitTracks();
     this.map ??= { px: Math.max(w, 256), x: 0, y: 0.2 };
     const { canvas, map } = this;
     const [cw, ch] = [w, h].map((v) => Math.round(v * devicePixelRatio));
@@ -105,45 +105,45 @@ export class MapPanel {
     const ctx = canvas.getContext("2d");
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     ctx.clearRect(0, 0, w, h);
-    const colors = theme();
-    if (this.address) drawTiles(ctx, map, w, h, (tile) => this.tile(tile));
+    const colors = themeColors();
+    if (this.address) drawTiles(ctx, map, w, h, (tile) => this.fetchTile(tile));
     else drawGrid(ctx, map, w, h, colors);
     const { cursor } = this.app.time.get();
-    for (const layer of this.shown) {
+    for (const layer of this.visibleLayers) {
       const { vis, track, place, index } = layer;
       const color = seriesColor(vis.props?.color, vis.color ?? index);
       const { width = 3, points = false, accuracy = true } = vis.props ?? {};
-      if (track) drawWay(ctx, map, { track, color, width, points }, cursor);
-      if (place) drawPlace(ctx, map, { place, color, accuracy }, colors);
+      if (track) drawTrack(ctx, map, { track, color, width, points }, cursor);
+      if (place) drawPosition(ctx, map, { place, color, accuracy }, colors);
     }
     drawScale(ctx, map, w, h, colors, this.address && this.credit);
-    this.note();
+    this.updateNote();
     const at = this.layers.map((l) => l.at).filter((t) => t != null);
     if (at.length) canvas.dataset.at = String(Math.max(...at));
   }
 
-  note() {
+  updateNote() {
     const errors = this.layers.flatMap((l) => {
       const error = l.error ?? l.way.error;
       return error ? [`${l.vis.short}: ${error}`] : [];
     });
-    const places = this.shown.filter((l) => l.place).map((l) => this.words(l));
-    this.info.textContent = [...errors, ...places].join("\n") || "nowhere at the cursor";
+    const places = this.visibleLayers.filter((l) => l.place).map((l) => this.describePosition(l));
+    this.info.textContent = [...errors, ...places].join("\n") || "no position at the cursor";
     this.info.classList.toggle("bad", errors.length > 0);
   }
 
-  words({ vis, place }) {
+  describePosition({ vis, place }) {
     const { latitude, longitude, height, accuracy } = place;
     const more = [
-      height == null ? "" : `, ${number(height, 4)} m high`,
-      accuracy == null ? "" : `, ± ${number(accuracy, 2)} m`,
+      height == null ? "" : `, ${formatNumber(height, 4)} m high`,
+      accuracy == null ? "" : `, ± ${formatNumber(accuracy, 2)} m`,
     ];
     const name = this.layers.length > 1 ? `${vis.short}: ` : "";
     return `${name}${latitude.toFixed(6)}, ${longitude.toFixed(6)}${more.join("")}`;
   }
 
-  // A picture that is there, or null; what is wanted is fetched.
-  tile({ z, x, y }) {
+  // Returns a loaded tile, or null after starting to load it.
+  fetchTile({ z, x, y }) {
     const url = this.address.replace("{z}", z).replace("{x}", x).replace("{y}", y).replace("{s}", "a");
     const known = this.tiles.get(url);
     if (known) {
@@ -153,7 +153,7 @@ export class MapPanel {
     }
     const picture = new Image();
     picture.referrerPolicy = "no-referrer";
-    picture.onload = () => this.app.schedule(this);
+    picture.onload = () => this.app.scheduleDraw(this);
     picture.onerror = () => (this.missing = (this.missing ?? 0) + 1);
     picture.src = url;
     this.tiles.set(url, picture);
@@ -161,114 +161,117 @@ export class MapPanel {
     return null;
   }
 
-  // The nearest point of a way to a place of the canvas, or null.
-  under(px, py) {
+  // Returns the track point nearest to a position on the canvas, or null.
+  pointUnder(px, py) {
     const { map } = this;
     if (!map) return null;
     const [x, y] = [map.x + px / map.px, map.y + py / map.px];
     let best = null;
-    for (const layer of this.shown) {
+    for (const layer of this.visibleLayers) {
       const { track } = layer;
-      const i = track ? nearest(track, x, y, (best?.d ?? NEAR) / map.px) : -1;
+      const i = track ? nearestPoint(track, x, y, (best?.d ?? NEAR) / map.px) : -1;
       if (i >= 0) best = { layer, i, d: Math.hypot(track.x[i] - x, track.y[i] - y) * map.px };
     }
     return best;
   }
 
-  point(px, py, clientX, clientY) {
-    const found = this.under(px, py);
+  showTipAt(px, py, clientX, clientY) {
+    const found = this.pointUnder(px, py);
     this.canvas.style.cursor = found ? "pointer" : "";
     if (!found) {
       const { x, y, px: k } = this.map ?? { x: 0, y: 0, px: 256 };
       const [lat, lon] = [toLatitude(y + py / k), toLongitude(x + px / k)];
-      const far = this.shown.find((l) => l.place)?.place;
-      const away = far ? `${number(distance([lat, lon], [far.latitude, far.longitude]), 3)} m from the cursor's` : "";
-      return tip(this, [`${lat.toFixed(6)}, ${lon.toFixed(6)}`, ...(away ? [away] : [])], clientX, clientY);
+      const far = this.visibleLayers.find((l) => l.place)?.place;
+      const away = far
+        ? `${formatNumber(groundDistance([lat, lon], [far.latitude, far.longitude]), 3)} m from the position at the cursor`
+        : "";
+      return showTip(this, [`${lat.toFixed(6)}, ${lon.toFixed(6)}`, ...(away ? [away] : [])], clientX, clientY);
     }
     const { layer, i } = found;
     const { t, x, y } = layer.track;
-    const at = this.app.client.origin == null ? relative(t[i]) : absolute(t[i], this.app.client.origin, 1);
+    const at =
+      this.app.client.origin == null ? formatRelative(t[i]) : formatAbsolute(t[i], this.app.client.origin, 1);
     const place = `${toLatitude(y[i]).toFixed(6)}, ${toLongitude(x[i]).toFixed(6)}`;
-    tip(this, [layer.vis.name, `${at}  (${relative(t[i])})`, place], clientX, clientY);
+    showTip(this, [layer.vis.name, `${at}  (${formatRelative(t[i])})`, place], clientX, clientY);
   }
 
-  listen() {
+  addListeners() {
     const { canvas } = this;
     let drag = null;
-    const on = (name, f, options) => canvas.addEventListener(name, f, options);
-    on("wheel", (e) => {
+    const listenTo = (name, f, options) => canvas.addEventListener(name, f, options);
+    listenTo("wheel", (e) => {
       e.preventDefault();
-      this.zoom(e.deltaY > 0 ? 1 / 1.2 : 1.2, e.offsetX, e.offsetY);
+      this.zoomBy(e.deltaY > 0 ? 1 / 1.2 : 1.2, e.offsetX, e.offsetY);
     });
-    on("pointerdown", (e) => {
+    listenTo("pointerdown", (e) => {
       canvas.setPointerCapture(e.pointerId);
       drag = { x: e.offsetX, y: e.offsetY, map: { ...this.map }, far: false };
     });
-    on("pointermove", (e) => {
-      if (!drag) return this.point(e.offsetX, e.offsetY, e.clientX, e.clientY);
+    listenTo("pointermove", (e) => {
+      if (!drag) return this.showTipAt(e.offsetX, e.offsetY, e.clientX, e.clientY);
       const [dx, dy] = [e.offsetX - drag.x, e.offsetY - drag.y];
       drag.far ||= Math.hypot(dx, dy) > 3;
       if (!drag.far) return;
       const { x, y, px } = drag.map;
-      this.look({ x: x - dx / px, y: y - dy / px, px });
+      this.setView({ x: x - dx / px, y: y - dy / px, px });
     });
-    on("pointerup", (e) => {
-      const found = drag && !drag.far && this.under(e.offsetX, e.offsetY);
+    listenTo("pointerup", (e) => {
+      const found = drag && !drag.far && this.pointUnder(e.offsetX, e.offsetY);
       drag = null;
       if (found)
         this.app.time.dispatch({ type: "nudge", by: found.layer.track.t[found.i] - this.app.time.get().cursor });
     });
-    on("pointerleave", () => tip(this, []));
-    on("dblclick", () => this.all());
-    on("keydown", (e) => {
+    listenTo("pointerleave", () => showTip(this, []));
+    listenTo("dblclick", () => this.showAll());
+    listenTo("keydown", (e) => {
       const move = { ArrowLeft: [-60, 0], ArrowRight: [60, 0], ArrowUp: [0, -60], ArrowDown: [0, 60] }[e.key];
       const { clientWidth: w, clientHeight: h } = this.el;
       if (e.ctrlKey || e.altKey || !this.map) return;
       const { x, y, px } = this.map;
-      if (move) this.look({ x: x + move[0] / px, y: y + move[1] / px, px });
-      else if (e.key === "+" || e.key === "-") this.zoom(e.key === "+" ? 1.5 : 1 / 1.5, w / 2, h / 2);
-      else if (e.key === "0") this.all();
+      if (move) this.setView({ x: x + move[0] / px, y: y + move[1] / px, px });
+      else if (e.key === "+" || e.key === "-") this.zoomBy(e.key === "+" ? 1.5 : 1 / 1.5, w / 2, h / 2);
+      else if (e.key === "0") this.showAll();
       else return;
       e.preventDefault();
       e.stopPropagation();
     });
   }
 
-  all() {
+  showAll() {
     this.moved = false;
-    this.fit();
-    this.app.schedule(this);
+    this.fitTracks();
+    this.app.scheduleDraw(this);
   }
 
-  zoom(by, px, py) {
+  zoomBy(by, px, py) {
     if (!this.map) return;
     const next = Math.min(Math.max(this.map.px * by, FAR_OUT), CLOSE);
     const [x, y] = [this.map.x + px / this.map.px, this.map.y + py / this.map.px];
-    this.look({ px: next, x: x - px / next, y: y - py / next });
+    this.setView({ px: next, x: x - px / next, y: y - py / next });
   }
 
-  look(map) {
+  setView(map) {
     this.map = map;
     this.moved = true;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
-  // Where the way has come to at the cursor is drawn anew when it has come to another point.
+  // Redraws when the cursor has passed another point of a track.
   cursorMoved() {
     const { cursor } = this.app.time.get();
-    const passed = this.layers.map((l) => (l.track ? until(l.track, cursor) : 0)).join();
+    const passed = this.layers.map((l) => (l.track ? countUntil(l.track, cursor) : 0)).join();
     if (passed === this.passed) return;
     this.passed = passed;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
   themeChanged() {
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
   destroy() {
     this.observer.disconnect();
-    tip(this, []);
+    showTip(this, []);
     for (const l of this.layers) this.closeLayer(l);
   }
 }

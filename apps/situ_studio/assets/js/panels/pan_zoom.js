@@ -1,12 +1,12 @@
-// The mouse on a 2D panel: wheel = zoom about the mouse, drag = move, double click = fit again, and where it points.
+// Handles the mouse on a 2D panel: the wheel zooms about the mouse, dragging moves, a double click fits the view.
 
 export class PanZoom {
-  // fit() -> {x, y, k} with this zoom; changed() when it moved; pointed() when only the mouse did
+  // fit() -> {x, y, k} with this zoom; changed() is called after a move, pointed() when only the mouse moved
   constructor(el, { fit, changed, pointed }) {
     this.zoom = { k: 1, x: 0, y: 0 };
     this.pointer = null;
-    const on = (name, f, options) => el.addEventListener(name, f, options);
-    on(
+    const listenTo = (name, f, options) => el.addEventListener(name, f, options);
+    listenTo(
       "wheel",
       (e) => {
         e.preventDefault();
@@ -22,22 +22,22 @@ export class PanZoom {
       { passive: false },
     );
     let drag = null;
-    on("pointerdown", (e) => {
+    listenTo("pointerdown", (e) => {
       el.setPointerCapture(e.pointerId);
       drag = [e.offsetX - this.zoom.x, e.offsetY - this.zoom.y];
     });
-    on("pointermove", (e) => {
+    listenTo("pointermove", (e) => {
       this.pointer = [e.offsetX, e.offsetY];
       if (!drag) return pointed();
       [this.zoom.x, this.zoom.y] = [e.offsetX - drag[0], e.offsetY - drag[1]];
       changed();
     });
-    on("pointerup", () => (drag = null));
-    on("pointerleave", () => {
+    listenTo("pointerup", () => (drag = null));
+    listenTo("pointerleave", () => {
       this.pointer = null;
       pointed();
     });
-    on("dblclick", () => {
+    listenTo("dblclick", () => {
       this.zoom = { k: 1, x: 0, y: 0 };
       changed();
     });

@@ -1,14 +1,15 @@
-// Draws the graph as SVG and keeps it: laid out again only when its shape changes; numbers and colours come in between.
-import { layout, path } from "./layout.js";
+// Draws the pipeline graph as SVG. The layout changes only with the graph's shape; numbers and colors are updated in
+// place.
+import { layoutGraph, smoothPath } from "./layout.js";
 
 const NS = "http://www.w3.org/2000/svg";
 
 export class PipelineGraph {
   constructor(el, { onPick, onFold }) {
     Object.assign(this, { el, onPick, onFold });
-    this.svg = this.make("svg", el);
-    const defs = this.make("defs", this.svg);
-    const marker = this.make("marker", defs, {
+    this.svg = this.addElement("svg", el);
+    const defs = this.addElement("defs", this.svg);
+    const marker = this.addElement("marker", defs, {
       id: "arrow",
       viewBox: "0 0 8 8",
       refX: 7,
@@ -18,16 +19,16 @@ export class PipelineGraph {
       orient: "auto-start-reverse",
       markerUnits: "userSpaceOnUse",
     });
-    this.make("path", marker, { d: "M0 0.5 L7.5 4 L0 7.5z", class: "arrow" });
-    this.world = this.make("g", this.svg);
+    this.addElement("path", marker, { d: "M0 0.5 L7.5 4 L0 7.5z", class: "arrow" });
+    this.world = this.addElement("g", this.svg);
     this.view = { x: 0, y: 0, k: 1 };
     this.items = new Map();
-    this.gestures();
-    this.resized = new ResizeObserver(() => this.moved || this.fit());
+    this.addListeners();
+    this.resized = new ResizeObserver(() => this.moved || this.fitView());
     this.resized.observe(el);
   }
 
-  make(name, parent, attributes = {}, text) {
+  addElement(name, parent, attributes = {}, text) {
     const el = document.createElementNS(NS, name);
     for (const [key, value] of Object.entries(attributes))
       if (value !== undefined && value !== null) el.setAttribute(key, value);
@@ -36,70 +37,71 @@ export class PipelineGraph {
     return el;
   }
 
-  graph(graph) {
+  setGraph(graph) {
     const first = this.items.size === 0;
-    const places = layout(graph);
+    const places = layoutGraph(graph);
     this.size = places;
     this.world.textContent = "";
     this.items.clear();
-    // outer boxes lie below inner ones
-    const depth = (b) => (b.parent ? 1 + depth(graph.boxes.find((o) => o.key === b.parent) ?? {}) : 0);
-    for (const b of [...graph.boxes].sort((a, c) => depth(a) - depth(c))) this.box(b, places.boxes.get(b.key));
-    for (const e of graph.edges) this.edge(e, places.edges.get(e.key));
-    for (const n of graph.nodes) this.node(n, places.nodes.get(n.key));
-    if (first || !this.moved) this.fit();
-    if (this.last) this.stats(this.last);
+    // outer boxes are below inner ones
+    const boxDepth = (b) => (b.parent ? 1 + boxDepth(graph.boxes.find((o) => o.key === b.parent) ?? {}) : 0);
+    for (const b of [...graph.boxes].sort((a, c) => boxDepth(a) - boxDepth(c)))
+      this.drawBox(b, places.boxes.get(b.key));
+    for (const e of graph.edges) this.drawEdge(e, places.edges.get(e.key));
+    for (const n of graph.nodes) this.drawNode(n, places.nodes.get(n.key));
+    if (first || !this.moved) this.fitView();
+    if (this.last) this.setStats(this.last);
   }
 
-  box(box, place) {
+  drawBox(box, place) {
     if (!place) return;
-    const g = this.make("g", this.world, { class: "box", "data-key": box.key, "data-path": box.path });
-    this.make("rect", g, { ...round(place), rx: 10 });
-    const title = this.make("g", g, { class: "fold", transform: `translate(${place.x + 10} ${place.y + 16})` });
-    this.make("text", title, { class: "box-label" }, `▾ ${box.label}`);
+    const g = this.addElement("g", this.world, { class: "box", "data-key": box.key, "data-path": box.path });
+    this.addElement("rect", g, { ...roundRect(place), rx: 10 });
+    const title = this.addElement("g", g, { class: "fold", transform: `translate(${place.x + 10} ${place.y + 16})` });
+    this.addElement("text", title, { class: "box-label" }, `▾ ${box.label}`);
     this.items.set(box.key, { g });
   }
 
-  node(node, place) {
-    const g = this.make("g", this.world, {
+  drawNode(node, place) {
+    const g = this.addElement("g", this.world, {
       class: `node ${node.kind}${node.joins ? " joins" : ""}`,
       "data-key": node.key,
       "data-path": node.path,
       transform: `translate(${place.x} ${place.y})`,
     });
-    this.make("title", g, {}, node.path);
+    this.addElement("title", g, {}, node.path);
     const round = node.kind === "operator" || node.kind === "tap" ? place.height / 2 : 7;
-    const rect = this.make("rect", g, { width: place.width, height: place.height, rx: round });
+    const rect = this.addElement("rect", g, { width: place.width, height: place.height, rx: round });
     const mark = { source: "●", composite: "▸", tap: "◌" }[node.kind] ?? (node.joins ? "+" : "");
-    if (mark) this.make("text", g, { class: "mark", x: 14, y: place.height / 2 + 4 }, mark);
+    if (mark) this.addElement("text", g, { class: "mark", x: 14, y: place.height / 2 + 4 }, mark);
     const x = mark ? place.width / 2 + 8 : place.width / 2;
-    const label = this.make(
+    const label = this.addElement(
       "text",
       g,
       { class: "label", x, y: place.height / 2 + 4 },
-      shorten(node.label, place.width - (mark ? 34 : 18)),
+      shortenText(node.label, place.width - (mark ? 34 : 18)),
     );
-    const sub = this.make("text", g, { class: "sub", x, y: place.height - 6 });
-    const badge = this.make("text", g, { class: "badge", x: place.width - 4, y: -3 });
+    const sub = this.addElement("text", g, { class: "sub", x, y: place.height - 6 });
+    const badge = this.addElement("text", g, { class: "badge", x: place.width - 4, y: -3 });
     this.items.set(node.key, { g, rect, label, sub, badge, height: place.height });
   }
 
-  edge(edge, place) {
+  drawEdge(edge, place) {
     if (!place) return;
     const kind = `edge${edge.lossy ? " lossy" : ""}${edge.inline ? " inline" : ""}`;
-    const g = this.make("g", this.world, { class: kind, "data-key": edge.key });
-    const d = path(place.points);
-    this.make("title", g, {}, `${edge.label} [${edge.policy}]`);
-    this.make("path", g, { class: "hit", d });
-    const line = this.make("path", g, { class: "line", d, "marker-end": "url(#arrow)" });
+    const g = this.addElement("g", this.world, { class: kind, "data-key": edge.key });
+    const d = smoothPath(place.points);
+    this.addElement("title", g, {}, `${edge.label} [${edge.policy}]`);
+    this.addElement("path", g, { class: "hit", d });
+    const line = this.addElement("path", g, { class: "line", d, "marker-end": "url(#arrow)" });
     const at = place.x === undefined ? place.points[Math.floor(place.points.length / 2)] : place;
     const policy = edge.policy === "unlimited" ? "" : edge.policy;
-    const text = this.make("text", g, { class: "number", x: at.x, y: at.y - 5 });
-    this.make("text", g, { class: "policy", x: at.x, y: at.y + 13 }, policy);
+    const text = this.addElement("text", g, { class: "number", x: at.x, y: at.y - 5 });
+    this.addElement("text", g, { class: "policy", x: at.x, y: at.y + 13 }, policy);
     this.items.set(edge.key, { g, line, text });
   }
 
-  stats(stats) {
+  setStats(stats) {
     this.last = stats;
     for (const [key, s] of Object.entries(stats.edges)) {
       const item = this.items.get(key);
@@ -111,7 +113,7 @@ export class PipelineGraph {
     }
     for (const [key, s] of Object.entries(stats.nodes)) {
       const item = this.items.get(key);
-      // numbers of before a fold: what was a component may be a box now
+      // the numbers may be older than a fold, which turns a component into a box
       if (!item?.sub) continue;
       item.g.style.setProperty("--heat", s.heat);
       item.sub.textContent = s.text;
@@ -122,8 +124,8 @@ export class PipelineGraph {
     for (const [key, item] of this.items) item.g.classList.toggle("picked", key === stats.selected);
   }
 
-  // Dragging moves, the wheel zooms about the pointer.
-  gestures() {
+  // Dragging moves the graph, the wheel zooms about the pointer.
+  addListeners() {
     let drag = null;
     this.svg.addEventListener("pointerdown", (e) => {
       drag = { x: e.clientX, y: e.clientY, from: { ...this.view }, far: false };
@@ -135,7 +137,7 @@ export class PipelineGraph {
       if (!drag.far && Math.hypot(dx, dy) < 4) return;
       if (!drag.far) this.svg.setPointerCapture(e.pointerId);
       drag.far = true;
-      this.show({ ...drag.from, x: drag.from.x + dx, y: drag.from.y + dy });
+      this.setView({ ...drag.from, x: drag.from.x + dx, y: drag.from.y + dy });
     });
     this.svg.addEventListener("pointerup", (e) => {
       const far = drag?.far;
@@ -155,7 +157,7 @@ export class PipelineGraph {
       (e) => {
         e.preventDefault();
         const box = this.el.getBoundingClientRect();
-        this.zoom(Math.exp(-e.deltaY * 0.0015), e.clientX - box.left, e.clientY - box.top);
+        this.zoomBy(Math.exp(-e.deltaY * 0.0015), e.clientX - box.left, e.clientY - box.top);
       },
       { passive: false },
     );
@@ -163,33 +165,33 @@ export class PipelineGraph {
       const w = this.el.clientWidth / 2,
         h = this.el.clientHeight / 2;
       const pan = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] }[e.key];
-      if (pan) this.show({ ...this.view, x: this.view.x + pan[0], y: this.view.y + pan[1] });
-      else if (e.key === "+" || e.key === "=") this.zoom(1.25, w, h);
-      else if (e.key === "-") this.zoom(0.8, w, h);
-      else if (e.key === "f") this.fit();
+      if (pan) this.setView({ ...this.view, x: this.view.x + pan[0], y: this.view.y + pan[1] });
+      else if (e.key === "+" || e.key === "=") this.zoomBy(1.25, w, h);
+      else if (e.key === "-") this.zoomBy(0.8, w, h);
+      else if (e.key === "f") this.fitView();
       else if (e.key === "Tab" || e.key.length !== 1) return;
       else return;
       e.preventDefault();
     });
   }
 
-  zoom(by, x, y) {
+  zoomBy(by, x, y) {
     const k = Math.min(4, Math.max(0.1, this.view.k * by));
     const r = k / this.view.k;
-    this.show({ k, x: x - (x - this.view.x) * r, y: y - (y - this.view.y) * r });
+    this.setView({ k, x: x - (x - this.view.x) * r, y: y - (y - this.view.y) * r });
   }
 
-  show(view, moved = true) {
+  setView(view, moved = true) {
     this.view = view;
     this.moved = moved;
     this.world.setAttribute("transform", `translate(${view.x} ${view.y}) scale(${view.k})`);
   }
 
-  fit() {
+  fitView() {
     if (!this.size?.width) return;
     const { clientWidth: w, clientHeight: h } = this.el;
     const k = Math.min(1.35, w / this.size.width, h / this.size.height);
-    this.show({ k, x: (w - this.size.width * k) / 2, y: (h - this.size.height * k) / 2 }, false);
+    this.setView({ k, x: (w - this.size.width * k) / 2, y: (h - this.size.height * k) / 2 }, false);
   }
 
   destroy() {
@@ -197,14 +199,14 @@ export class PipelineGraph {
   }
 }
 
-const round = ({ x, y, width, height }) => ({
+const roundRect = ({ x, y, width, height }) => ({
   x: Math.round(x),
   y: Math.round(y),
   width: Math.round(width),
   height: Math.round(height),
 });
 
-function shorten(text, width) {
+function shortenText(text, width) {
   const most = Math.max(4, Math.floor(width / 6.4));
   return text.length <= most ? text : `${text.slice(0, most - 1)}…`;
 }

@@ -3,10 +3,10 @@ import { setTheme } from "../page/theme.js";
 import { PipelineGraph as Graph } from "./graph.js";
 import { HistoryPlot } from "./plot.js";
 
-// Plots come and go with what is selected; the points belong to the page.
+// Plots are added and removed with the selection; their data belong to the page.
 const past = { key: null, stats: [], rows: [] };
 const plots = new Set();
-const column = (stat) => {
+const statColumn = (stat) => {
   const i = past.stats.indexOf(stat);
   return i < 0 ? [] : past.rows.map((row) => [row[0], row[i + 1]]);
 };
@@ -15,48 +15,48 @@ export const hooks = {
   PipelineGraph: {
     mounted() {
       this.graph = new Graph(this.el, {
-        onPick: (key) => this.pick(key),
+        onPick: (key) => this.pickNode(key),
         onFold: (path) => this.pushEvent("fold", { path }),
       });
       this.handleEvent("pipeline:graph", (graph) => {
-        // what is drawn already stays: a click may be half way through it
+        // an unchanged graph is not redrawn, since the user may be clicking on it
         const shape = JSON.stringify(graph);
         if (shape === this.shape) return;
         this.shape = shape;
-        this.graph.graph(graph);
-        // not on the hook's own element: a diff takes away what the server did not write there
+        this.graph.setGraph(graph);
+        // not on the hook's own element, since a diff would remove it there
         const { dataset } = this.graph.svg;
         dataset.drawn = String(Number(dataset.drawn ?? 0) + 1);
       });
       this.handleEvent("pipeline:stats", (stats) => {
-        this.graph.stats(stats);
-        // what is selected has changed: its past is asked for
+        this.graph.setStats(stats);
+        // requests the history of the newly selected element
         if (this.selected !== undefined && this.selected !== stats.selected) this.pushEvent("ready", {});
         this.selected = stats.selected;
       });
       this.handleEvent("pipeline:series", (series) => {
         Object.assign(past, series);
-        for (const plot of plots) plot.set(column(plot.el.dataset.stat));
+        for (const plot of plots) plot.setRows(statColumn(plot.el.dataset.stat));
       });
       this.handleEvent("pipeline:point", ({ key, at, values }) => {
         if (key !== past.key) return;
         past.rows.push([at, ...past.stats.map((stat) => values[stat])]);
         for (const plot of plots)
-          if (past.stats.includes(plot.el.dataset.stat)) plot.add([at, values[plot.el.dataset.stat]]);
+          if (past.stats.includes(plot.el.dataset.stat)) plot.addRow([at, values[plot.el.dataset.stat]]);
       });
-      this.onClick = (e) => e.target.closest("[data-graph=fit]") && this.graph.fit();
+      this.onClick = (e) => e.target.closest("[data-graph=fit]") && this.graph.fitView();
       document.addEventListener("click", this.onClick);
       this.onKey = (e) => {
         if (e.target.closest?.("input, select, dialog") || e.ctrlKey || e.metaKey || e.altKey) return;
-        if (e.key === "f") this.graph.fit();
+        if (e.key === "f") this.graph.fitView();
         else if (e.key === "t") setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
-        else if (e.key === "Escape") this.pick(null);
+        else if (e.key === "Escape") this.pickNode(null);
       };
       document.addEventListener("keydown", this.onKey);
       window.situPipeline = this.graph;
       this.pushEvent("ready", {});
     },
-    pick(key) {
+    pickNode(key) {
       if (key || this.selected) this.pushEvent("pick", { key: key ?? this.selected });
     },
     reconnected() {
@@ -73,8 +73,8 @@ export const hooks = {
     mounted() {
       this.plot = new HistoryPlot(this.el);
       plots.add(this.plot);
-      // a statistic whose past is not here yet
-      if (past.stats.includes(this.el.dataset.stat)) this.plot.set(column(this.el.dataset.stat));
+      // the history of this statistic has not arrived yet
+      if (past.stats.includes(this.el.dataset.stat)) this.plot.setRows(statColumn(this.el.dataset.stat));
       else this.pushEvent("ready", {});
     },
     destroyed() {

@@ -1,4 +1,4 @@
-// Where things go: dagre on a compound graph. Pure: takes the graph as the server tells it, returns places.
+// Lays out the graph with dagre as a compound graph. Pure: takes the server's graph and returns positions.
 import dagre from "@dagrejs/dagre";
 
 const NODE = { height: 40, least: 92, most: 230, letter: 6.6 };
@@ -6,13 +6,13 @@ const NODE = { height: 40, least: 92, most: 230, letter: 6.6 };
 export const nodeWidth = (label) =>
   Math.round(Math.min(NODE.most, Math.max(NODE.least, label.length * NODE.letter + 34)));
 
-export function layout({ nodes, boxes, edges, way = "LR" }) {
+export function layoutGraph({ nodes, boxes, edges, way = "LR" }) {
   const g = new dagre.graphlib.Graph({ compound: true, multigraph: true });
   g.setGraph({ rankdir: way, nodesep: 30, ranksep: 38, edgesep: 16, marginx: 24, marginy: 24 });
   g.setDefaultEdgeLabel(() => ({}));
   for (const n of nodes) g.setNode(n.key, { width: nodeWidth(n.label), height: NODE.height });
-  // a box that shows nothing would be an empty cluster, which dagre cannot place
-  const shown = boxes.filter((b) => holds(b.key, nodes, boxes));
+  // dagre cannot place an empty cluster
+  const shown = boxes.filter((b) => hasContents(b.key, nodes, boxes));
   for (const b of shown) g.setNode(b.key, { label: b.label });
   for (const n of nodes) if (g.hasNode(n.parent)) g.setParent(n.key, n.parent);
   for (const b of shown) if (g.hasNode(b.parent)) g.setParent(b.key, b.parent);
@@ -21,29 +21,31 @@ export function layout({ nodes, boxes, edges, way = "LR" }) {
       g.setEdge(e.from, e.to, { width: 62, height: 30, labelpos: "c" }, e.key);
   }
   dagre.layout(g);
-  const place = (key) => {
+  const nodeRect = (key) => {
     const { x, y, width, height } = g.node(key);
     return { x: x - width / 2, y: y - height / 2, width, height };
   };
   return {
     width: g.graph().width,
     height: g.graph().height,
-    nodes: new Map(nodes.map((n) => [n.key, place(n.key)])),
-    boxes: new Map(shown.map((b) => [b.key, titled(place(b.key))])),
+    nodes: new Map(nodes.map((n) => [n.key, nodeRect(n.key)])),
+    boxes: new Map(shown.map((b) => [b.key, addTitleRoom(nodeRect(b.key))])),
     edges: new Map(g.edges().map((e) => [e.name, g.edge(e)])),
   };
 }
 
-// dagre leaves no room for a box's name
+// dagre reserves no space for a box's title
 const TITLE = 18;
-const titled = ({ x, y, width, height }) => ({ x, y: y - TITLE + 6, width, height: height + TITLE - 6 });
+const addTitleRoom = ({ x, y, width, height }) => ({ x, y: y - TITLE + 6, width, height: height + TITLE - 6 });
 
-function holds(key, nodes, boxes) {
-  return nodes.some((n) => n.parent === key) || boxes.some((b) => b.parent === key && holds(b.key, nodes, boxes));
+function hasContents(key, nodes, boxes) {
+  return (
+    nodes.some((n) => n.parent === key) || boxes.some((b) => b.parent === key && hasContents(b.key, nodes, boxes))
+  );
 }
 
-// A smooth line through dagre's points.
-export function path(points) {
+// Returns a smooth SVG path through dagre's points.
+export function smoothPath(points) {
   if (points.length < 2) return "";
   const p = points.map(({ x, y }) => [Math.round(x * 10) / 10, Math.round(y * 10) / 10]);
   let d = `M${p[0]}`;

@@ -1,5 +1,5 @@
-// The past of one statistic of what is selected: a small line, its range, and the value under the mouse.
-import { theme, onTheme } from "../page/theme.js";
+// Plots the history of one statistic of the selected element, with its range and the value under the mouse.
+import { themeColors, onTheme } from "../page/theme.js";
 
 export class HistoryPlot {
   constructor(el) {
@@ -8,25 +8,25 @@ export class HistoryPlot {
     this.rows = [];
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.note = el.appendChild(document.createElement("output"));
-    this.el.addEventListener("pointermove", (e) => this.hover(e.offsetX));
-    this.el.addEventListener("pointerleave", () => this.hover(null));
+    this.el.addEventListener("pointermove", (e) => this.moveHover(e.offsetX));
+    this.el.addEventListener("pointerleave", () => this.moveHover(null));
     this.resized = new ResizeObserver(() => this.draw());
     this.resized.observe(el);
     this.unsubscribe = onTheme(() => this.draw());
   }
 
-  set(rows) {
+  setRows(rows) {
     this.rows = rows;
     this.draw();
   }
 
-  add(row, most = 1200) {
+  addRow(row, most = 1200) {
     this.rows.push(row);
     if (this.rows.length > most) this.rows.splice(0, this.rows.length - most);
     this.draw();
   }
 
-  hover(x) {
+  moveHover(x) {
     this.at = x;
     this.draw();
   }
@@ -40,7 +40,7 @@ export class HistoryPlot {
     this.canvas.height = h * ratio;
     const c = this.canvas.getContext("2d");
     c.scale(ratio, ratio);
-    const colors = theme();
+    const colors = themeColors();
     const known = this.rows.filter(([, v]) => typeof v === "number");
     if (known.length === 0) return void (this.note.textContent = "–");
     const [t0, t1] = [known[0][0], known.at(-1)[0]];
@@ -48,20 +48,20 @@ export class HistoryPlot {
     let low = Math.min(0, ...values),
       high = Math.max(...values);
     if (high === low) high = low + 1;
-    const x = (t) => 2 + ((t - t0) / Math.max(1, t1 - t0)) * (w - 4);
-    const y = (v) => h - 3 - ((v - low) / (high - low)) * (h - 8);
+    const timeToX = (t) => 2 + ((t - t0) / Math.max(1, t1 - t0)) * (w - 4);
+    const valueToY = (v) => h - 3 - ((v - low) / (high - low)) * (h - 8);
     c.strokeStyle = colors.grid;
     c.beginPath();
-    c.moveTo(0, y(low) + 0.5);
-    c.lineTo(w, y(low) + 0.5);
+    c.moveTo(0, valueToY(low) + 0.5);
+    c.lineTo(w, valueToY(low) + 0.5);
     c.stroke();
     c.beginPath();
-    known.forEach(([t, v], i) => (i ? c.lineTo(x(t), y(v)) : c.moveTo(x(t), y(v))));
+    known.forEach(([t, v], i) => (i ? c.lineTo(timeToX(t), valueToY(v)) : c.moveTo(timeToX(t), valueToY(v))));
     c.strokeStyle = colors.accent;
     c.lineWidth = 1.4;
     c.stroke();
-    c.lineTo(x(t1), y(low));
-    c.lineTo(x(t0), y(low));
+    c.lineTo(timeToX(t1), valueToY(low));
+    c.lineTo(timeToX(t0), valueToY(low));
     c.globalAlpha = 0.14;
     c.fillStyle = colors.accent;
     c.fill();
@@ -69,14 +69,14 @@ export class HistoryPlot {
     let shown = known.at(-1);
     if (this.at !== null && this.at !== undefined) {
       shown = known.reduce((best, row) =>
-        Math.abs(x(row[0]) - this.at) < Math.abs(x(best[0]) - this.at) ? row : best,
+        Math.abs(timeToX(row[0]) - this.at) < Math.abs(timeToX(best[0]) - this.at) ? row : best,
       );
       c.fillStyle = colors.cursor;
-      c.fillRect(x(shown[0]) - 0.5, 0, 1, h);
+      c.fillRect(timeToX(shown[0]) - 0.5, 0, 1, h);
     }
     const ago = Math.round((t1 - shown[0]) / 1000);
     const age = ago > 0 ? ` · ${ago} s ago` : "";
-    this.note.textContent = `${text(shown[1], this.unit)}${age} · max ${text(high, this.unit)}`;
+    this.note.textContent = `${formatStat(shown[1], this.unit)}${age} · max ${formatStat(high, this.unit)}`;
   }
 
   destroy() {
@@ -91,15 +91,15 @@ const SI = [
   [1e4, 1e3, "k"],
 ];
 
-export function text(value, unit) {
+export function formatStat(value, unit) {
   if (unit === "ms" && value >= 1000) return `${(value / 1000).toPrecision(3)} s`;
   if (unit === "ms" && value > 0 && value < 0.1) return `${(value * 1000).toPrecision(3)} µs`;
-  if (unit === "ms") return `${digits(value)} ms`;
-  if (unit === "percent") return `${digits(value)} %`;
+  if (unit === "ms") return `${formatDigits(value)} ms`;
+  if (unit === "percent") return `${formatDigits(value)} %`;
   const [, factor, letter] = SI.find(([least]) => value >= least) ?? [0, 1, ""];
   const scaled = value / factor;
-  return `${digits(scaled)} ${letter}${unit === "bytes" ? "B" : unit === "rate" ? "/s" : ""}`.trim();
+  return `${formatDigits(scaled)} ${letter}${unit === "bytes" ? "B" : unit === "rate" ? "/s" : ""}`.trim();
 }
 
-const digits = (v) =>
+const formatDigits = (v) =>
   Number.isInteger(v) ? String(v) : v >= 100 ? v.toFixed(0) : v >= 10 ? v.toFixed(1) : v.toFixed(2);

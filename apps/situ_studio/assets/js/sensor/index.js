@@ -1,21 +1,21 @@
-// The page that is a sensor: camera and microphone to a pipeline, sound from it.
+// The page of a sensor: sends camera and microphone to a pipeline, and plays its audio.
 import { Clock } from "./clock.js";
-import { connect } from "./connection.js";
-import { Pictures } from "./pictures.js";
-import { Sound } from "./sound.js";
+import { connectSocket } from "./connection.js";
+import { Camera } from "./camera.js";
+import { Microphone } from "./microphone.js";
 import { Player } from "./player.js";
-import { NOTHING, trouble } from "./trouble.js";
+import { NOTHING, errorText } from "./error_text.js";
 
 const $ = (id) => document.getElementById(id);
 const state = { sent: 0, dropped: 0, heard: 0, played: 0, offset: null, running: false };
 window.situSensor = state; // for tests and the console
 let stop = () => {};
 
-function say(text) {
+function showStatus(text) {
   $("status").textContent = text;
 }
 
-async function list() {
+async function listDevices() {
   const devices = await navigator.mediaDevices.enumerateDevices();
   for (const [id, kind] of [
     ["camera", "videoinput"],
@@ -29,17 +29,18 @@ async function list() {
   }
 }
 
-const wanted = (id, more) => ($(id).value === "none" ? false : { deviceId: $(id).value || undefined, ...more });
+const deviceConstraints = (id, more) =>
+  $(id).value === "none" ? false : { deviceId: $(id).value || undefined, ...more };
 
-async function start() {
-  const video = wanted("camera", { width: { ideal: 640 }, height: { ideal: 480 } });
-  // The assistant's own voice comes out of this page: the browser takes it out of what it hears.
-  const audio = wanted("microphone", { echoCancellation: true });
-  if (!video && !audio) return say(NOTHING);
+async function startSensor() {
+  const video = deviceConstraints("camera", { width: { ideal: 640 }, height: { ideal: 480 } });
+  // The page plays the assistant's own voice, which the browser removes from the microphone's signal.
+  const audio = deviceConstraints("microphone", { echoCancellation: true });
+  if (!video && !audio) return showStatus(NOTHING);
   const stream = await navigator.mediaDevices.getUserMedia({ video, audio });
-  await list(); // names are told after the permission
+  await listDevices(); // device names are available after the permission
   const stopTracks = () => stream.getTracks().forEach((track) => track.stop());
-  const { socket, credit } = await connect("sensor/socket").catch((error) => {
+  const { socket, credit } = await connectSocket("sensor/socket").catch((error) => {
     stopTracks();
     throw error;
   });
@@ -52,35 +53,37 @@ async function start() {
     state.running = false;
     $("start").hidden = false;
     $("stop").hidden = true;
-    say(why);
+    showStatus(why);
   };
   socket.onclose = ({ reason }) => stop(reason || "The pipeline has ended, or the connection was lost.");
   const clock = new Clock(socket, state);
   const player = new Player(state);
-  const pictures = video && new Pictures(stream, $("preview"), socket, state);
+  const pictures = video && new Camera(stream, $("preview"), socket, state);
   parts.push(clock, player);
   if (pictures) parts.push(pictures);
   socket.onmessage = ({ data }) => {
-    if (typeof data !== "string") return player.take(data);
-    const told = JSON.parse(data);
-    if ("pong" in told) clock.pong(told);
-    if ("credit" in told) pictures?.credit(told.credit);
+    if (typeof data !== "string") return player.playData(data);
+    const message = JSON.parse(data);
+    if ("pong" in message) clock.receivePong(message);
+    if ("credit" in message) pictures?.addCredit(message.credit);
   };
-  pictures?.credit(credit);
-  if (audio) parts.push(await Sound.start(stream, socket, state));
-  for (const track of stream.getTracks()) track.onended = () => stop("The device is gone.");
+  pictures?.addCredit(credit);
+  if (audio) parts.push(await Microphone.start(stream, socket, state));
+  for (const track of stream.getTracks()) track.onended = () => stop("The device was disconnected.");
   state.running = true;
   $("start").hidden = true;
   $("stop").hidden = false;
-  say("Running.");
+  showStatus("Running.");
 }
 
 if (!navigator.mediaDevices) {
-  say("This browser gives no camera here: open the page over https, or on the machine itself.");
+  showStatus(
+    "This browser exposes cameras only to secure pages: open the page over https, or on the machine itself.",
+  );
   $("start").disabled = true;
 } else {
-  list();
-  navigator.mediaDevices.addEventListener("devicechange", list);
-  $("start").onclick = () => start().catch((error) => stop(trouble(error)) ?? say(trouble(error)));
+  listDevices();
+  navigator.mediaDevices.addEventListener("devicechange", listDevices);
+  $("start").onclick = () => startSensor().catch((error) => stop(errorText(error)) ?? showStatus(errorText(error)));
   $("stop").onclick = () => stop("Stopped.");
 }

@@ -1,4 +1,4 @@
-// Sound from the pipeline, played without holes as it comes; late sound begins a little ahead again.
+// Plays the pipeline's audio without gaps. Late audio restarts a little ahead.
 const AHEAD_S = 0.08;
 
 export class Player {
@@ -8,7 +8,7 @@ export class Player {
     this.until = 0;
   }
 
-  take(data) {
+  playData(data) {
     const view = new DataView(data);
     if (view.getUint8(0) !== 3) return;
     const n = (data.byteLength - 8) >> 1;

@@ -1,5 +1,5 @@
-// In the audio thread: the first channel, in pieces of 20 ms.
-class Pieces extends AudioWorkletProcessor {
+// Runs in the audio thread: collects the first channel in chunks of 20 ms.
+class ChunkProcessor extends AudioWorkletProcessor {
   constructor() {
     super();
     this.piece = new Float32Array(Math.round(sampleRate / 50));
@@ -21,4 +21,4 @@ class Pieces extends AudioWorkletProcessor {
   }
 }
 
-registerProcessor("situ-pieces", Pieces);
+registerProcessor("situ-pieces", ChunkProcessor);

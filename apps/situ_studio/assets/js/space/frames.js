@@ -1,15 +1,15 @@
-// The tree of frames of a panel: which matrix takes what is given in a frame to the fixed one.
+// The frame tree of a panel: returns the matrix from each frame to the fixed one.
 
 import { Matrix4 } from "three";
 
-export class Tree {
-  constructor(told = {}, fixed = "") {
-    this.frames = told;
-    this.fixed = fixed || Object.values(told)[0]?.root || "";
+export class FrameTree {
+  constructor(frames = {}, fixed = "") {
+    this.frames = frames;
+    this.fixed = fixed || Object.values(frames)[0]?.root || "";
   }
 
-  // {matrix} or {problem}; what names no frame is given in the fixed one.
-  to(name) {
+  // Returns {matrix} or {problem}. Items without a frame are in the fixed one.
+  resolveFrame(name) {
     if (!name || name === this.fixed) return { matrix: null };
     const from = this.frames[name];
     if (!from) return { problem: `there is no frame "${name}" at this time` };
@@ -18,21 +18,21 @@ export class Tree {
     if (from.problem ?? fixed.problem) return { problem: from.problem ?? fixed.problem };
     if (from.root !== fixed.root)
       return {
-        problem: `no way leads from "${name}" to "${this.fixed}": they hang on "${from.root}" and "${fixed.root}"`,
+        problem: `"${name}" is not connected to "${this.fixed}": their roots are "${from.root}" and "${fixed.root}"`,
       };
     const matrix = new Matrix4().fromArray(fixed.matrix).invert();
     return { matrix: matrix.multiply(new Matrix4().fromArray(from.matrix)) };
   }
 
-  // The axes of every frame that can be placed, as a message of arrows and texts.
-  scene(length) {
+  // Returns the axes of every resolvable frame as items of arrows and texts.
+  axesScene(length) {
     const position = [],
       color = [],
       names = [],
       texts = [],
       labels = [];
     for (const name of Object.keys(this.frames).sort()) {
-      const { matrix, problem } = this.to(name);
+      const { matrix, problem } = this.resolveFrame(name);
       if (problem) continue;
       const e = (matrix ?? new Matrix4()).elements;
       [0, 1, 2].forEach((k) => {

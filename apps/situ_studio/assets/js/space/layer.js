@@ -1,21 +1,31 @@
-// One stream of a panel: its items as objects of the scene, made anew when the message or the looks have changed.
+// One stream of a panel: its items as objects of the scene, rebuilt when the message or the properties change.
 
 import { Group, Matrix4, Vector3 } from "three";
-import { points } from "./build/points.js";
-import { boxes, graphs, lines, voxels } from "./build/solids.js";
-import { frusta, meshes, quads } from "./build/surfaces.js";
-import { texts } from "./build/texts.js";
+import { buildPoints } from "./build/points.js";
+import { buildBoxes, buildGraphs, buildLines, buildVoxels } from "./build/solids.js";
+import { buildFrusta, buildMeshes, buildQuads } from "./build/surfaces.js";
+import { buildTexts } from "./build/texts.js";
 
-const BUILD = { points, lines, boxes, meshes, quads, frusta, graphs, voxels, texts };
+const BUILD = {
+  points: buildPoints,
+  lines: buildLines,
+  boxes: buildBoxes,
+  meshes: buildMeshes,
+  quads: buildQuads,
+  frusta: buildFrusta,
+  graphs: buildGraphs,
+  voxels: buildVoxels,
+  texts: buildTexts,
+};
 
-// Seen through whatever stands before it.
-function over(object) {
+// Draws an object over everything in front of it.
+function drawOnTop(object) {
   object.renderOrder = 10;
   if (object.material) Object.assign(object.material, { depthTest: false, transparent: true });
 }
 
 export class Layer {
-  // uploaded(): a picture that took its time has come
+  // uploaded() is called after an image was uploaded in the background
   constructor(uploaded) {
     this.uploaded = uploaded;
     this.group = new Group();
@@ -24,23 +34,23 @@ export class Layer {
     this.texts = [];
   }
 
-  // told: {name, short, props, own, frame}; pixels: of the screen for one of the page
-  fill(told, pixels) {
+  // content: {name, short, props, own, frame}; pixels: screen pixels per page pixel
+  fill(content, pixels) {
     this.clear();
-    Object.assign(this, told);
-    const props = { ...told.props, owned: told.own };
-    for (const item of told.frame?.items ?? []) {
-      // drawn over the picture, unless there is nothing to draw on
+    Object.assign(this, content);
+    const props = { ...content.props, owned: content.own };
+    for (const item of content.frame?.items ?? []) {
+      // drawn over the 3D view, unless there is no canvas for it
       if (item.kind === "texts" && !props.signs) this.texts.push(item);
-      else if (item.count && BUILD[item.kind]) this.add(item, props, pixels);
+      else if (item.count && BUILD[item.kind]) this.addItem(item, props, pixels);
     }
   }
 
-  add(item, props, pixels) {
+  addItem(item, props, pixels) {
     const part = BUILD[item.kind](item, props, pixels, this.uploaded);
     part.item = item;
     this.group.add(part.object);
-    if (props.over) part.object.traverse(over);
+    if (props.over) part.object.traverse(drawOnTop);
     this.parts.push(part);
   }
 
@@ -62,7 +72,7 @@ export class Layer {
     this.texts = [];
   }
 
-  place(matrix) {
+  setMatrix(matrix) {
     this.group.matrix.copy(matrix ?? new Matrix4());
     this.group.matrixWorldNeedsUpdate = true;
   }
@@ -71,8 +81,8 @@ export class Layer {
     return this.unplaced ?? this.parts.find((p) => p.item.problem)?.item.problem ?? null;
   }
 
-  // Where its things lie, for the first look at them: every number of its items, and of many a sample.
-  *places() {
+  // Yields positions of the layer's items for the initial view; a sample of large items.
+  *samplePoints() {
     const v = new Vector3();
     for (const { item } of this.parts) {
       if (item.kind === "boxes") {
@@ -91,11 +101,11 @@ export class Layer {
     }
   }
 
-  // The middle of its things, which a view can follow.
-  middle() {
+  // Returns the center of the layer, which the view can follow.
+  centerPoint() {
     const sum = new Vector3();
     let n = 0;
-    for (const v of this.places()) {
+    for (const v of this.samplePoints()) {
       sum.add(v);
       n++;
     }

@@ -1,9 +1,9 @@
-// The object under the mouse: its layer, its index, and the point hit.
+// Finds the object under the mouse: its layer, its index, and the point hit.
 
 import { Plane, Raycaster, Vector2, Vector3 } from "three";
 
 const GROUND = new Plane(new Vector3(0, 0, 1), 0);
-// More points than these are not searched while the mouse moves.
+// Clouds with more points are not searched while the mouse moves.
 const MOST = 3_000_000;
 
 export class Pointer {
@@ -11,25 +11,25 @@ export class Pointer {
     Object.assign(this, { canvas, view, camera: view.camera, caster: new Raycaster() });
   }
 
-  aim(x, y) {
+  aimRay(x, y) {
     const { clientWidth: w, clientHeight: h } = this.canvas;
     this.caster.setFromCamera(new Vector2((x / w) * 2 - 1, 1 - (y / h) * 2), this.camera);
   }
 
-  // The nearest thing at a place of the canvas: {layer, part, index, object, point}, or null.
-  at(layers, x, y) {
-    this.aim(x, y);
+  // Returns the nearest item at a position of the canvas, {layer, part, index, object, point}, or null.
+  hitAt(layers, x, y) {
+    this.aimRay(x, y);
     let best = null;
     for (const layer of layers) {
       if (!layer.group.visible) continue;
       for (const part of layer.parts) {
         if (part.item.kind === "points" && part.item.count > MOST) continue;
-        this.reach(part.item);
+        this.setReach(part.item);
         for (const hit of this.caster.intersectObject(part.object, true)) {
           const { point, object } = hit;
           const index = hit.instanceId ?? hit.index ?? 0;
           if (object.material?.visible === false) continue;
-          // of points and lines, those nearer to the mouse come before those nearer to the viewer
+          // points and lines are ranked by their distance to the mouse before their distance to the viewer
           const rank = hit.distance + (hit.distanceToRay ?? 0) * 50;
           if (!best || rank < best.rank) best = { layer, part, index, object, point: point.clone(), rank };
           if (part.item.kind !== "points") break;
@@ -39,8 +39,8 @@ export class Pointer {
     return best;
   }
 
-  // A few pixels of the screen, at the distance of what is looked at.
-  reach(item) {
+  // Sets the hit distance to a few screen pixels at the distance of the view's target.
+  setReach(item) {
     const metres = (2 * Math.tan((this.camera.fov * Math.PI) / 360)) / this.canvas.clientHeight;
     const { flying, reach, orbit } = this.view;
     const far = (flying ? (reach ?? 3) : this.camera.position.distanceTo(orbit.target)) || 1;
@@ -49,9 +49,9 @@ export class Pointer {
     this.caster.params.Line.threshold = Math.max(metres * pixels * far, 0.002);
   }
 
-  // Where the ground is at a place of the canvas, or null.
-  ground(x, y) {
-    this.aim(x, y);
+  // Returns the point of the ground at a position of the canvas, or null.
+  groundAt(x, y) {
+    this.aimRay(x, y);
     return this.caster.ray.intersectPlane(GROUND, new Vector3());
   }
 }

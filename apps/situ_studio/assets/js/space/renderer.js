@@ -1,12 +1,13 @@
-// One WebGL context for all panels of the page: browsers give out few. Each panel's picture is copied onto its canvas.
+// Shares one WebGL context among all panels of the page, since browsers limit their number. Each panel's image is
+// copied onto its canvas.
 
 import { WebGLRenderer } from "three";
 
 let shared = null;
 
-// The picture of a scene on a canvas of the page, at the canvas's own size.
-export function paint(scene, camera, canvas) {
-  const gl = (shared ??= make());
+// Draws a scene onto a canvas of the page, at the canvas's own size.
+export function paintScene(scene, camera, canvas) {
+  const gl = (shared ??= createRenderer());
   const { width, height } = canvas;
   const { domElement: from } = gl;
   if (from.width < width || from.height < height)
@@ -20,12 +21,12 @@ export function paint(scene, camera, canvas) {
   return ctx;
 }
 
-function make() {
+function createRenderer() {
   let gl;
   try {
     gl = new WebGLRenderer({ antialias: true, powerPreference: "high-performance" });
   } catch {
-    throw new Error("this browser draws nothing in 3D: WebGL is switched off or missing");
+    throw new Error("this browser cannot draw in 3D: WebGL is disabled or missing");
   }
   gl.setPixelRatio(1);
   gl.setScissorTest(true);
@@ -33,5 +34,5 @@ function make() {
   return gl;
 }
 
-// The number of geometries and textures in the context, for tests.
-export const memory = () => (shared ? { ...shared.info.memory } : { geometries: 0, textures: 0 });
+// Returns the number of geometries and textures in the context, for tests.
+export const memoryUsage = () => (shared ? { ...shared.info.memory } : { geometries: 0, textures: 0 });

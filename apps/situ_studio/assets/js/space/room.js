@@ -1,10 +1,10 @@
-// The layers of a 3D panel before the eyes of who wears a headset, in the session's own pictures.
+// Shows the layers of a 3D panel in a headset's session.
 
 import { DirectionalLight, Group, HemisphereLight, Matrix4, PerspectiveCamera, Scene, WebGLRenderer } from "three";
-import { sceneOf } from "../data/scene.js";
+import { decodeScene } from "../data/scene.js";
 import { Layer } from "./layer.js";
 
-// A headset has y up and looks along -z; here z is up and x ahead.
+// Headsets have y up and look along -z; here z is up and x is ahead.
 const AXES = new Matrix4().set(0, 0, -1, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1);
 const PIXELS = 2;
 
@@ -32,20 +32,20 @@ class Room {
     });
   }
 
-  // A drawing replaces the one of its name; answers the name.
-  put(bytes) {
+  // Shows a drawing, replacing the layer of the same name; returns the name.
+  putLayer(bytes) {
     const size = new DataView(bytes).getUint32(4, true);
-    const told = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 8, size)));
+    const drawing = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 8, size)));
     const at = 8 + ((size + 7) & ~7);
-    const frame = sceneOf(bytes, at, bytes.byteLength - at);
-    const layer = this.layers.get(told.layer) ?? this.open(told.layer);
-    const props = { ...told.props, signs: true };
-    layer.fill({ name: told.layer, short: told.layer, props, own: true, frame }, PIXELS);
-    this.problem(frame.problems.length ? `${told.layer}: ${frame.problems[0]}` : "Running.");
-    return told.layer;
+    const frame = decodeScene(bytes, at, bytes.byteLength - at);
+    const layer = this.layers.get(drawing.layer) ?? this.openLayer(drawing.layer);
+    const props = { ...drawing.props, signs: true };
+    layer.fill({ name: drawing.layer, short: drawing.layer, props, own: true, frame }, PIXELS);
+    this.problem(frame.problems.length ? `${drawing.layer}: ${frame.problems[0]}` : "Running.");
+    return drawing.layer;
   }
 
-  open(name) {
+  openLayer(name) {
     const layer = new Layer(() => {});
     this.layers.set(name, layer);
     this.scene.add(layer.group);

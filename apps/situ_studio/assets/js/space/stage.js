@@ -1,4 +1,4 @@
-// One 3D panel: its layers in one scene, the viewer in it, and the tools.
+// The scene of a 3D panel: its layers, the viewer, and the tools.
 
 import {
   AxesHelper,
@@ -11,21 +11,21 @@ import {
   Scene,
   Vector3,
 } from "three";
-import { paint, memory } from "./renderer.js";
+import { paintScene, memoryUsage } from "./renderer.js";
 import { Layer } from "./layer.js";
-import { Tree } from "./frames.js";
+import { FrameTree } from "./frames.js";
 import { Viewpoint } from "./viewpoint.js";
 import { Pointer } from "./pointer.js";
-import { drawMeasure, drawScales, drawTexts, project } from "./overlay.js";
-import { counted, describe, thinned } from "./words.js";
+import { drawMeasure, drawScales, drawTexts, projectPoint } from "./overlay.js";
+import { countPoints, describeHit, isThinned } from "./descriptions.js";
 
-// Of a cloud that is drawn in part: the points of what is seen, in a layer of their own.
-const near = (key) => `${key} near`;
+// Returns the key of the layer with the visible points of a cloud that is only partly drawn.
+const nearKey = (key) => `${key} near`;
 
-export const openStage = (canvas, told) => new Stage(canvas, told);
+export const openStage = (canvas, options) => new Stage(canvas, options);
 
 class Stage {
-  // changed(): draw again; pointed(lines, x, y): what lies under the mouse; theme(): the page's colours
+  // changed(): redraw; pointed(lines, x, y): text for the item under the mouse; theme(): the page's colors
   constructor(canvas, { changed, pointed, theme }) {
     Object.assign(this, { canvas, changed, pointed, theme });
     this.scene = new Scene();
@@ -36,12 +36,12 @@ class Stage {
     this.on = new Set();
     this.measured = [];
     this.pixels = devicePixelRatio;
-    this.lights();
-    this.listen();
-    if (!canvas.getContext("2d")) throw new Error("this browser gives no canvas");
+    this.addLights();
+    this.addListeners();
+    if (!canvas.getContext("2d")) throw new Error("this browser does not support canvases");
   }
 
-  lights() {
+  addLights() {
     this.lamp = new DirectionalLight(0xffffff, 1.6);
     this.scene.add(new HemisphereLight(0xffffff, 0x8a8a92, 1.5), this.lamp, this.lamp.target);
     this.grid = new GridHelper(20, 20);
@@ -50,52 +50,52 @@ class Stage {
     this.scene.add(this.grid, this.axes);
   }
 
-  listen() {
-    const on = (name, f) => this.canvas.addEventListener(name, f);
+  addListeners() {
+    const listenTo = (name, f) => this.canvas.addEventListener(name, f);
     let down = null;
-    on("pointermove", (e) => {
+    listenTo("pointermove", (e) => {
       this.mouse = e.buttons ? null : [e.offsetX, e.offsetY, e.clientX, e.clientY];
-      this.hover();
+      this.handleHover();
     });
-    on("pointerleave", () => {
+    listenTo("pointerleave", () => {
       this.mouse = null;
       this.pointed([]);
     });
-    on("pointerdown", (e) => (down = [e.offsetX, e.offsetY]));
-    on("pointerup", (e) => {
-      if (down && Math.hypot(e.offsetX - down[0], e.offsetY - down[1]) < 4) this.click(e.offsetX, e.offsetY);
+    listenTo("pointerdown", (e) => (down = [e.offsetX, e.offsetY]));
+    listenTo("pointerup", (e) => {
+      if (down && Math.hypot(e.offsetX - down[0], e.offsetY - down[1]) < 4) this.handleClick(e.offsetX, e.offsetY);
       down = null;
     });
-    on("dblclick", () => this.use("fit"));
+    listenTo("dblclick", () => this.useTool("fit"));
   }
 
-  // A layer as the panel tells it: its message, its looks. Trees of frames place the others.
-  put(key, told) {
-    const layer = this.layers.get(key) ?? this.open(key);
-    layer.group.visible = told.props.visible !== false;
-    const frame = told.frame;
-    if (frame?.value?.frames) this.trees.set(key, { told: frame.value.frames, props: told.props });
+  // Sets the message and properties of a layer. Layers with frame trees place the others.
+  putLayer(key, content) {
+    const layer = this.layers.get(key) ?? this.openLayer(key);
+    layer.group.visible = content.props.visible !== false;
+    const frame = content.frame;
+    if (frame?.value?.frames) this.trees.set(key, { frames: frame.value.frames, props: content.props });
     else this.trees.delete(key);
-    const looks = JSON.stringify([told.props, told.name, this.trees.has(key)]);
-    if (told.changed || looks !== layer.looks) {
+    const looks = JSON.stringify([content.props, content.name, this.trees.has(key)]);
+    if (content.changed || looks !== layer.looks) {
       layer.looks = looks;
-      layer.told = told;
-      if (!this.trees.has(key)) layer.fill(told, this.pixels);
+      layer.content = content;
+      if (!this.trees.has(key)) layer.fill(content, this.pixels);
     }
-    this.arrange();
+    this.arrangeLayers();
   }
 
-  open(key) {
+  openLayer(key) {
     const layer = new Layer(this.changed);
     this.layers.set(key, layer);
     this.scene.add(layer.group);
     return layer;
   }
 
-  // The planes around what is seen, in a layer's own frame, where of its clouds only a part is drawn; else null.
-  sees(key) {
+  // Returns the planes of the view in a layer's own frame if its clouds are only partly drawn, else null.
+  viewPlanes(key) {
     const layer = this.layers.get(key);
-    if (!layer?.group.visible || !layer.parts.some(thinned)) return null;
+    if (!layer?.group.visible || !layer.parts.some(isThinned)) return null;
     const { camera } = this.view;
     camera.updateMatrixWorld();
     const all = new Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse);
@@ -103,105 +103,111 @@ class Stage {
     return planes.flatMap(({ normal, constant }) => [normal.x, normal.y, normal.z, constant]);
   }
 
-  // Draws the points of what is seen beside the layer's own, or in their place while nothing moves.
-  refine(key, frame) {
+  // Draws the visible points in addition to the layer's own points, or instead of them while nothing moves.
+  refineLayer(key, frame) {
     const layer = this.layers.get(key);
-    if (!frame) return this.remove(near(key));
+    if (!frame) return this.removeLayer(nearKey(key));
     if (!layer) return;
     const scale = layer.parts.find((p) => p.scale)?.scale;
     const range = scale ? { range: "fixed", low: scale.span[0], high: scale.span[1] } : {};
-    this.put(near(key), { ...layer.told, props: { ...layer.told.props, ...range }, frame, changed: true });
-    this.layers.get(near(key)).near = true;
-    this.alone(key, true);
+    const props = { ...layer.content.props, ...range };
+    this.putLayer(nearKey(key), { ...layer.content, props, frame, changed: true });
+    this.layers.get(nearKey(key)).near = true;
+    this.hideThinned(key, true);
   }
 
-  alone(key, on) {
-    const drawn = this.layers.has(near(key));
-    for (const part of this.layers.get(key)?.parts ?? []) part.object.visible = !(on && drawn && thinned(part));
+  hideThinned(key, on) {
+    const drawn = this.layers.has(nearKey(key));
+    for (const part of this.layers.get(key)?.parts ?? []) part.object.visible = !(on && drawn && isThinned(part));
   }
 
-  remove(key) {
+  removeLayer(key) {
     const layer = this.layers.get(key);
     this.trees.delete(key);
-    if (this.layers.has(near(key))) this.remove(near(key));
+    if (this.layers.has(nearKey(key))) this.removeLayer(nearKey(key));
     if (!layer) return;
     layer.clear();
     this.scene.remove(layer.group);
     this.layers.delete(key);
     if (this.followed?.layer === layer) this.followed = null;
-    this.arrange();
+    this.arrangeLayers();
   }
 
-  // Places every layer in the fixed frame, and follows what is followed.
-  arrange() {
+  // Places every layer in the fixed frame, and updates the followed one.
+  arrangeLayers() {
     const [first] = this.trees.values();
-    const tree = new Tree(first?.told, first?.props.fixed);
+    const tree = new FrameTree(first?.frames, first?.props.fixed);
     for (const [key, layer] of this.layers) {
       if (this.trees.has(key)) {
         const { props } = this.trees.get(key);
-        const items = tree.scene(props.axis ?? 0.3);
-        layer.fill({ ...layer.told, frame: { items } }, this.pixels);
+        const items = tree.axesScene(props.axis ?? 0.3);
+        layer.fill({ ...layer.content, frame: { items } }, this.pixels);
         continue;
       }
-      const { matrix, problem } = tree.to(layer.props?.frame);
+      const { matrix, problem } = tree.resolveFrame(layer.props?.frame);
       layer.unplaced = problem ?? null;
       layer.group.visible = layer.props?.visible !== false && !problem;
-      layer.place(matrix);
+      layer.setMatrix(matrix);
     }
-    this.follow();
+    this.followLayer();
     this.changed();
   }
 
-  follow() {
+  followLayer() {
     const f = this.followed;
-    const now = f && this.on.has("follow") && f.layer.middle();
+    const now = f && this.on.has("follow") && f.layer.centerPoint();
     if (!now) return;
-    if (f.was) this.view.shift(now.clone().sub(f.was));
+    if (f.was) this.view.moveBy(now.clone().sub(f.was));
     f.was = now;
   }
 
-  problem(key) {
+  layerProblem(key) {
     return this.layers.get(key)?.problem ?? null;
   }
 
-  // How much of what there is is drawn, in words; nothing where all of it is.
-  says() {
+  // Describes how many points are drawn; empty if there are no clouds.
+  describeCounts() {
     const parts = [...this.layers.values()].flatMap((l) => (l.group.visible && !l.near ? l.parts : []));
-    const [shown, all] = counted(parts);
+    const [shown, all] = countPoints(parts);
     if (!all) return "";
-    const [close, here] = counted(
+    const [close, here] = countPoints(
       [...this.layers.values()].flatMap((l) => (l.group.visible && l.near ? l.parts : [])),
     );
-    const k = (n) => n.toLocaleString("en-US");
-    const seen = here ? `; seen from here ${close < here ? `${k(close)} of ` : "all "}${k(here)}` : "";
-    return (shown < all ? `${k(shown)} of ${k(all)} points` : `${k(all)} points`) + seen;
+    const formatCount = (n) => n.toLocaleString("en-US");
+    const seen = here
+      ? `; seen from here ${close < here ? `${formatCount(close)} of ` : "all "}${formatCount(here)}`
+      : "";
+    return (
+      (shown < all ? `${formatCount(shown)} of ${formatCount(all)} points` : `${formatCount(all)} points`) + seen
+    );
   }
 
-  // A tool of the bar; answers which are switched on.
-  use(name) {
-    if (name === "fit") this.fit();
-    else if (name === "top") this.view.top();
+  // Uses a tool of the toolbar; returns the tools that are switched on.
+  useTool(name) {
+    if (name === "fit") this.fitView();
+    else if (name === "top") this.view.lookFromTop();
     else if (this.on.has(name)) this.on.delete(name);
     else this.on.add(name);
-    if (name === "fly") this.view.fly(this.on.has("fly"));
+    if (name === "fly") this.view.setFlying(this.on.has("fly"));
     if (name === "measure") this.measured = [];
-    if (name === "follow" && this.followed) this.followed.was = this.followed.layer.middle();
+    if (name === "follow" && this.followed) this.followed.was = this.followed.layer.centerPoint();
     if (name === "fly") this.canvas.focus();
     this.changed();
     return [...this.on];
   }
 
-  // The first look: at everything, and again when more of it has come, until the viewer moves.
-  look() {
+  // Fits the view to everything, again when more has arrived, until the viewer moves.
+  fitNewLayers() {
     const filled = [...this.layers].filter(([, l]) => l.parts.length && !l.near).map(([key]) => key);
     const known = this.looked ?? new Set();
     if (filled.every((key) => known.has(key)) || (this.looked && this.view.moved)) return;
-    if (this.fit()) this.looked = new Set(filled);
+    if (this.fitView()) this.looked = new Set(filled);
   }
 
-  // Everything in view; the grid's cells and the axes are 1 m in a room, and tens and hundreds of metres in a valley.
-  fit() {
-    const seen = this.view.fit(this.places(), this.ahead());
+  // Fits everything in view. The grid's cells and the axes are 1 m in a room, and tens or hundreds of meters in a
+  // valley.
+  fitView() {
+    const seen = this.view.fitPoints(this.samplePoints(), this.cameraDirection());
     if (seen) {
       const metres = 10 ** Math.max(0, Math.ceil(Math.log10(this.view.around.distance / 50)));
       for (const o of [this.grid, this.axes]) o.scale.setScalar(metres);
@@ -209,51 +215,51 @@ class Stage {
     return seen;
   }
 
-  // Where the first camera of the scene looks.
-  ahead() {
+  // Returns the viewing direction of the scene's first camera, or null.
+  cameraDirection() {
     for (const layer of this.layers.values())
       for (const { item } of layer.group.visible ? layer.parts : [])
         if (item.kind === "frusta" && item.count) {
-          const at = (k) => new Vector3().fromArray(item.corner, 3 * k).applyMatrix4(layer.group.matrix);
-          return at(1).add(at(2)).add(at(3)).add(at(4)).divideScalar(4).sub(at(0));
+          const cornerAt = (k) => new Vector3().fromArray(item.corner, 3 * k).applyMatrix4(layer.group.matrix);
+          return cornerAt(1).add(cornerAt(2)).add(cornerAt(3)).add(cornerAt(4)).divideScalar(4).sub(cornerAt(0));
         }
     return null;
   }
 
-  *places() {
-    for (const layer of this.layers.values()) if (layer.group.visible) yield* layer.places();
+  *samplePoints() {
+    for (const layer of this.layers.values()) if (layer.group.visible) yield* layer.samplePoints();
   }
 
-  click(x, y) {
-    const hit = this.pointer.at(this.layers.values(), x, y);
-    if (hit) this.followed = { layer: hit.layer, was: hit.layer.middle() };
+  handleClick(x, y) {
+    const hit = this.pointer.hitAt(this.layers.values(), x, y);
+    if (hit) this.followed = { layer: hit.layer, was: hit.layer.centerPoint() };
     if (this.on.has("measure")) {
-      const point = hit?.point ?? this.pointer.ground(x, y);
+      const point = hit?.point ?? this.pointer.groundAt(x, y);
       if (point) this.measured = this.measured.length === 2 ? [point] : [...this.measured, point];
     }
     this.changed();
   }
 
-  hover() {
+  handleHover() {
     if (this.hovering) return;
     this.hovering = requestAnimationFrame(() => {
       this.hovering = null;
-      const hit = this.mouse && this.pointer.at(this.layers.values(), this.mouse[0], this.mouse[1]);
-      this.pointed(hit ? describe(hit) : [], this.mouse?.[2], this.mouse?.[3]);
+      const hit = this.mouse && this.pointer.hitAt(this.layers.values(), this.mouse[0], this.mouse[1]);
+      this.pointed(hit ? describeHit(hit) : [], this.mouse?.[2], this.mouse?.[3]);
     });
   }
 
   render(pixels) {
     this.pixels = pixels;
     const { width, height } = this.canvas;
-    this.view.size(width, height);
-    this.look();
-    const flying = this.view.step();
+    this.view.setAspect(width, height);
+    this.fitNewLayers();
+    const flying = this.view.flyStep();
     const { camera } = this.view;
     this.lamp.position.copy(camera.position);
     this.lamp.target.position.copy(this.view.orbit.target);
-    this.dress();
-    const ctx = paint(this.scene, camera, this.canvas);
+    this.applyTheme();
+    const ctx = paintScene(this.scene, camera, this.canvas);
     ctx.setTransform(pixels, 0, 0, pixels, 0, 0);
     const [w, h] = [width / pixels, height / pixels];
     drawTexts(ctx, this.layers.values(), camera, w, h);
@@ -262,7 +268,7 @@ class Stage {
     if (flying) this.changed();
   }
 
-  dress() {
+  applyTheme() {
     const { bg, grid } = this.theme();
     if (this.dressed === bg + grid) return;
     this.dressed = bg + grid;
@@ -272,17 +278,17 @@ class Stage {
     this.grid.material.needsUpdate = true;
   }
 
-  // For tests and for those who automate the page: where a place of the fixed frame is seen on the canvas.
-  seen(x, y, z) {
+  // Returns the canvas position of a point of the fixed frame, for tests and automation.
+  projectPosition(x, y, z) {
     this.view.camera.updateMatrixWorld();
-    return project(new Vector3(x, y, z), this.view.camera, this.canvas.clientWidth, this.canvas.clientHeight);
+    return projectPoint(new Vector3(x, y, z), this.view.camera, this.canvas.clientWidth, this.canvas.clientHeight);
   }
 
-  memory = memory;
+  memory = memoryUsage;
 
   close() {
     if (this.hovering) cancelAnimationFrame(this.hovering);
-    for (const key of [...this.layers.keys()]) this.remove(key);
+    for (const key of [...this.layers.keys()]) this.removeLayer(key);
     for (const o of [this.grid, this.axes]) {
       o.geometry.dispose();
       o.material.dispose();

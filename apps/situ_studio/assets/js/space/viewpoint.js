@@ -1,4 +1,4 @@
-// Where the viewer is: turning around things, flying among them, from above, along with something.
+// The viewpoint: orbiting around objects, flying, looking from above, following an object.
 
 import { Box3, PerspectiveCamera, Vector3 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -12,11 +12,12 @@ const MOVES = {
   q: [0, 0, -1],
 };
 const UP = new Vector3(0, 0, 1);
-// From where one looks first: behind, to the right, above.
+// The initial direction from the scene to the viewer: behind, to the right, above.
 const FROM = new Vector3(-0.72, -0.45, 0.53).normalize();
 
-// Behind who looks ahead, a little to the right and above; one who looks up or down is looked at as any other.
-function behind(ahead) {
+// Returns the direction to a viewer behind a camera that looks `ahead`, a little to the right and above; the default
+// direction if it looks up or down.
+function directionBehind(ahead) {
   const right = new Vector3().crossVectors(ahead, UP);
   if (right.length() < 0.5 * ahead.length()) return FROM;
   right.normalize();
@@ -35,18 +36,18 @@ export class Viewpoint {
     this.orbit.target.set(2, 0, 1);
     this.orbit.addEventListener("change", () => {
       this.moved = true;
-      this.clip();
+      this.updateClipping();
       changed();
     });
     this.orbit.update();
     this.moved = false;
     this.pressed = new Set();
-    canvas.addEventListener("keydown", (e) => this.key(e, true));
-    canvas.addEventListener("keyup", (e) => this.key(e, false));
+    canvas.addEventListener("keydown", (e) => this.handleKey(e, true));
+    canvas.addEventListener("keyup", (e) => this.handleKey(e, false));
     canvas.addEventListener("blur", () => this.pressed.clear());
   }
 
-  key(e, down) {
+  handleKey(e, down) {
     const k = e.key.toLowerCase();
     if (!this.flying || !(k in MOVES) || e.ctrlKey || e.metaKey || e.altKey) return;
     e.stopPropagation();
@@ -57,12 +58,12 @@ export class Viewpoint {
     this.changed();
   }
 
-  // Flying turns about the place where one is, not about what one looks at.
-  fly(on) {
+  // Flying rotates about the viewer, not about the target.
+  setFlying(on) {
     this.flying = on;
-    const way = this.way();
+    const way = this.viewDirection();
     const reach = on ? 0.05 : (this.reach ?? 3);
-    // in a valley faster than in a room
+    // the speed depends on the size of the scene
     if (on) this.reach = this.camera.position.distanceTo(this.orbit.target);
     this.orbit.target.copy(this.camera.position).addScaledVector(way, reach);
     this.orbit.enableZoom = !on;
@@ -70,38 +71,39 @@ export class Viewpoint {
     this.orbit.update();
   }
 
-  way() {
+  viewDirection() {
     return this.orbit.target.clone().sub(this.camera.position).normalize();
   }
 
-  // One step of flight; true while more are to come.
-  step(now = performance.now()) {
+  // Performs one step of flight; returns true while keys are pressed.
+  flyStep(now = performance.now()) {
     if (!this.pressed.size) {
       this.last = null;
       return false;
     }
     const seconds = Math.min((now - (this.last ?? now)) / 1000, 0.1);
     this.last = now;
-    const ahead = this.way();
+    const ahead = this.viewDirection();
     const left = new Vector3().crossVectors(UP, ahead).normalize();
     const by = new Vector3();
     for (const k of this.pressed) {
       const [x, y, z] = MOVES[k];
       by.addScaledVector(ahead, x).addScaledVector(left, y).addScaledVector(UP, z);
     }
-    this.shift(by.multiplyScalar(Math.max(2.5, (this.reach ?? 0) / 3) * seconds));
+    this.moveBy(by.multiplyScalar(Math.max(2.5, (this.reach ?? 0) / 3) * seconds));
     return true;
   }
 
-  shift(by) {
+  moveBy(by) {
     this.camera.position.add(by);
     this.orbit.target.add(by);
     this.orbit.update();
   }
 
-  // Sees all of `places`, from behind a camera that looks `ahead`, if there is one: there its cloud has fewest holes.
-  fit(places, ahead) {
-    const from = ahead ? behind(ahead) : FROM;
+  // Fits all points in view, from behind a camera that looks `ahead` if there is one, since its cloud has the fewest
+  // gaps there.
+  fitPoints(places, ahead) {
+    const from = ahead ? directionBehind(ahead) : FROM;
     const box = new Box3();
     const all = [];
     for (const v of places) {
@@ -110,15 +112,15 @@ export class Viewpoint {
     }
     if (box.isEmpty()) return false;
     const middle = box.getCenter(new Vector3());
-    const distance = Math.max(this.distance(all, middle, from), 0.8);
+    const distance = Math.max(this.fittingDistance(all, middle, from), 0.8);
     this.camera.position.copy(middle).addScaledVector(from, distance);
-    this.reframe(middle, distance);
+    this.setTarget(middle, distance);
     this.moved = false;
     return true;
   }
 
-  // How far from `middle` one has to be to see all places, and a little around them.
-  distance(places, middle, from) {
+  // Returns the distance from `middle` at which all points are in view with a small margin.
+  fittingDistance(places, middle, from) {
     const right = new Vector3().crossVectors(UP, from).normalize();
     const up = new Vector3().crossVectors(from, right);
     const high = Math.tan((this.camera.fov * Math.PI) / 360) / 1.12;
@@ -133,30 +135,30 @@ export class Viewpoint {
     return most;
   }
 
-  top() {
+  lookFromTop() {
     const { target } = this.orbit;
     const distance = Math.max(this.camera.position.distanceTo(target), 0.5);
-    // not quite from above, where left and right would be undefined: x is up
+    // slightly tilted, since left and right are undefined exactly from above: x is up
     this.camera.position.set(target.x - distance * 1e-4, target.y, target.z + distance);
     this.orbit.update();
     this.moved = true;
   }
 
-  look(position, target) {
+  lookFrom(position, target) {
     this.camera.position.set(...position);
-    this.reframe(new Vector3(...target), this.camera.position.distanceTo(new Vector3(...target)));
+    this.setTarget(new Vector3(...target), this.camera.position.distanceTo(new Vector3(...target)));
     this.moved = true;
   }
 
-  reframe(target, distance) {
+  setTarget(target, distance) {
     this.orbit.target.copy(target);
     this.around = { target: target.clone(), distance };
     this.orbit.update();
-    this.clip();
+    this.updateClipping();
   }
 
-  // Nothing nearer or farther is drawn: as near as one looks, as far as one was when one saw everything.
-  clip() {
+  // Sets the clipping planes from the viewing distance and the distance of the last fit.
+  updateClipping() {
     const { position } = this.camera;
     const looks = this.flying ? 1 : position.distanceTo(this.orbit.target);
     const away = this.around ? position.distanceTo(this.around.target) + 2 * this.around.distance : 0;
@@ -165,7 +167,7 @@ export class Viewpoint {
     this.camera.updateProjectionMatrix();
   }
 
-  size(width, height) {
+  setAspect(width, height) {
     const aspect = width / height;
     if (aspect === this.camera.aspect) return;
     this.camera.aspect = aspect;

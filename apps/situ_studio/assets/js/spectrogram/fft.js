@@ -1,13 +1,13 @@
-// The spectrum of short pieces of sound. Pure: the worker runs it, tests do.
+// Computes the spectra of short audio segments. Pure: used by the worker and by tests.
 
-// How many dB below full scale still show.
+// The lowest level that is shown, in dB relative to full scale.
 export const FLOOR = -100;
 
-// Levels of the frequencies of each of `count` pieces of `n` samples (a power of two): n / 2 bytes each, 0 for FLOOR dB
-// and below, 255 for a full sine.
-export function levels(samples, count, n) {
+// Returns the levels of the frequencies of `count` segments of `n` samples (a power of two): n / 2 bytes each, 0 for
+// FLOOR dB and below, 255 for a full sine.
+export function computeLevels(samples, count, n) {
   const out = new Uint8Array((count * n) / 2);
-  const { window, sum } = hann(n);
+  const { window, sum } = hannWindow(n);
   const re = new Float64Array(n),
     im = new Float64Array(n);
   for (let k = 0; k < count; k++) {
@@ -25,12 +25,12 @@ export function levels(samples, count, n) {
   return out;
 }
 
-function hann(n) {
+function hannWindow(n) {
   const window = Float64Array.from({ length: n }, (_, i) => 0.5 - 0.5 * Math.cos((2 * Math.PI * i) / n));
   return { window, sum: window.reduce((a, b) => a + b, 0) };
 }
 
-// In place: decimation in time.
+// Transforms in place by decimation in time.
 export function fft(re, im) {
   const n = re.length;
   for (let i = 1, j = 0; i < n; i++) {

@@ -1,7 +1,7 @@
-// Transforms sound beside the page, which goes on drawing meanwhile.
-import { levels } from "./fft.js";
+// Computes spectra in a separate thread, so that the page stays responsive.
+import { computeLevels } from "./fft.js";
 
 self.onmessage = ({ data: { id, samples, count, n } }) => {
-  const found = levels(samples, count, n);
+  const found = computeLevels(samples, count, n);
   self.postMessage({ id, found }, [found.buffer]);
 };

@@ -1,8 +1,8 @@
-// One language for times everywhere on the page: UTC, this browser's local time, since the start of the data, or since
-// the start of the selection.
+// Formats all times of the page in the same mode: UTC, local time, since the start of the data, or since the start
+// of the selection.
 
-import { absolute, dated, parseTime, relative, ticks } from "./text.js";
-import { choose, onSetting, setting } from "../page/settings.js";
+import { formatAbsolute, isCalendarDate, parseTime, formatRelative, timeTicks } from "./text.js";
+import { changeSetting, onSetting, readSetting } from "../page/settings.js";
 
 export const MODES = [
   ["utc", "UTC"],
@@ -11,12 +11,12 @@ export const MODES = [
   ["selection", "since selection"],
 ];
 
-// How many pixels a letter of the ruler takes, and the room between two labels.
+// The width of a letter of the ruler in pixels, and the space between two labels.
 const LETTER = 6.6,
   BETWEEN = 16;
 
-let chosen = setting("clock");
-// Where the selection starts, or the data where there is none.
+let chosen = readSetting("clock");
+// The start of the selection, or of the data if nothing is selected.
 let since = 0;
 const listeners = new Set();
 
@@ -28,12 +28,13 @@ onSetting((id, value) => {
 
 export const clockMode = () => chosen;
 
-// Times that are not calendar dates are shown since the start, whatever clock is chosen.
-const modeOf = (origin) => (chosen !== "selection" && (origin === null || !dated(origin)) ? "start" : chosen);
+// Returns the mode for an origin. Times that are not calendar dates are shown since the start.
+const clockModeFor = (origin) =>
+  chosen !== "selection" && (origin === null || !isCalendarDate(origin)) ? "start" : chosen;
 
 export function nextClock() {
   const i = MODES.findIndex(([m]) => m === chosen);
-  choose("clock", MODES[(i + 1) % MODES.length][0]);
+  changeSetting("clock", MODES[(i + 1) % MODES.length][0]);
 }
 
 export function onClock(listener) {
@@ -41,62 +42,62 @@ export function onClock(listener) {
   return () => listeners.delete(listener);
 }
 
-// The selection starts elsewhere; whether that changes what is shown.
-export function setSelected(t) {
+// Sets the start of the selection; returns true if shown times change.
+export function setSelectionStart(t) {
   const next = t ?? 0;
   if (next === since) return false;
   since = next;
   return chosen === "selection";
 }
 
-// Nanoseconds that local time is ahead of UTC then.
-function ahead(t, origin) {
+// Returns the offset of local time from UTC in ns.
+function utcOffset(t, origin) {
   const ms = Number((origin + BigInt(Math.round(t))) / 1000000n);
   return -new Date(ms).getTimezoneOffset() * 60e9;
 }
 
-// A time of the page for people; `unit` is how fine it has to be, as of the ruler's ticks.
-export function shown(t, origin, unit = 1e6) {
-  const mode = modeOf(origin);
-  if (mode === "selection") return relative(t - since, unit);
-  if (mode === "start") return relative(t, unit);
+// Formats a time of the page; `unit` is the required precision, such as the unit of the ruler's ticks.
+export function formatClock(t, origin, unit = 1e6) {
+  const mode = clockModeFor(origin);
+  if (mode === "selection") return formatRelative(t - since, unit);
+  if (mode === "start") return formatRelative(t, unit);
   const decimals = unit >= 1e9 ? 0 : unit >= 1e6 ? 3 : unit >= 1e3 ? 6 : 9;
-  const text = absolute(t + (mode === "local" ? ahead(t, origin) : 0), origin, decimals);
+  const text = formatAbsolute(t + (mode === "local" ? utcOffset(t, origin) : 0), origin, decimals);
   return unit >= 86400e9 ? text.slice(0, 10) : text.slice(11);
 }
 
-// The time from which the ruler counts its units: round times have round names.
-function zero(origin) {
-  const mode = modeOf(origin);
+// Returns the zero point of the ruler's units, so that round times have round labels.
+function rulerZero(origin) {
+  const mode = clockModeFor(origin);
   if (mode === "selection") return () => since;
   if (mode === "start") return () => 0;
   return (unit) => {
-    const clock = origin + (mode === "local" ? BigInt(ahead(0, origin)) : 0n);
+    const clock = origin + (mode === "local" ? BigInt(utcOffset(0, origin)) : 0n);
     return -Number(clock % BigInt(unit));
   };
 }
 
-// The ticks of a ruler of so many pixels, with room for their names.
+// Returns the ticks of a ruler of `px` pixels, with enough space for their labels.
 export function rulerTicks(view, px, origin, minPx = 90) {
-  const found = ticks(view, px, minPx, zero(origin));
-  const name = shown(found.at[0] ?? view[0], origin, found.unit);
+  const found = timeTicks(view, px, minPx, rulerZero(origin));
+  const name = formatClock(found.at[0] ?? view[0], origin, found.unit);
   const need = name.length * LETTER + BETWEEN;
-  return need > minPx ? ticks(view, px, need, zero(origin)) : found;
+  return need > minPx ? timeTicks(view, px, need, rulerZero(origin)) : found;
 }
 
-// The day and the zone, for a caption.
-export function day(t, origin) {
-  const mode = modeOf(origin);
+// Returns the date and time zone for a caption.
+export function formatDay(t, origin) {
+  const mode = clockModeFor(origin);
   if (mode === "selection") return "since selection";
   if (mode === "start") return "since start";
   const local = mode === "local";
-  const date = absolute(t + (local ? ahead(t, origin) : 0), origin, 0).slice(0, 10);
+  const date = formatAbsolute(t + (local ? utcOffset(t, origin) : 0), origin, 0).slice(0, 10);
   return `${date} ${local ? Intl.DateTimeFormat().resolvedOptions().timeZone : "UTC"}`;
 }
 
-// A clock time as the page shows it ("13:45:02.5") on the day of the data, or null.
+// Parses a clock time as shown on the page ("13:45:02.5") on the day of the data; returns null if it is not one.
 export function parseClock(text, origin) {
-  const mode = modeOf(origin);
+  const mode = clockModeFor(origin);
   if (mode === "start") return null;
   if (mode === "selection") {
     const t = /^-?[\d:. d]+$/.test(text.trim()) ? parseTime(text, origin) : null;
@@ -104,12 +105,12 @@ export function parseClock(text, origin) {
   }
   const m = /^(\d{1,2}):(\d{2})(?::(\d{2})(?:\.(\d{1,9}))?)?$/.exec(text.trim());
   if (!m) return null;
-  const shift = mode === "local" ? ahead(0, origin) : 0;
+  const shift = mode === "local" ? utcOffset(0, origin) : 0;
   const local = origin + BigInt(Math.round(shift));
   const midnight = local - (((local % 86400000000000n) + 86400000000000n) % 86400000000000n);
   const s = (Number(m[1]) * 60 + Number(m[2])) * 60 + Number(m[3] ?? 0);
   let at = Number(midnight - local) + s * 1e9 + Number((m[4] ?? "").padEnd(9, "0"));
-  // the day after, of what goes on past midnight
+  // the next day, for data that continue past midnight
   if (at < -1e9) at += 86400e9;
   return at;
 }

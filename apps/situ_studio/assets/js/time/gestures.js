@@ -1,13 +1,13 @@
-// Mouse on timeline panels: move = cursor, drag = pan, wheel = zoom, Shift = selection.
+// Handles the mouse on timeline panels: moving moves the cursor, dragging pans, the wheel zooms, Shift selects.
 
 import { GUTTER } from "../page/theme.js";
-import { setting } from "../page/settings.js";
+import { readSetting } from "../page/settings.js";
 
-// How far, in pixels, an edge of a selection is from what it snaps to.
+// How close to a change the edge of a selection must be to snap, in pixels.
 const NEAR = 6;
 
 export function timelineGestures(el, app, view) {
-  const inside = (e) => {
+  const locatePointer = (e) => {
     const box = el.getBoundingClientRect();
     const inner = box.width - GUTTER.left - GUTTER.right;
     const s = app.time.get();
@@ -16,27 +16,27 @@ export function timelineGestures(el, app, view) {
   };
   const state = { drag: null };
 
-  // Edges of a selection go to where something begins or ends, within a few pixels; not with the Alt key.
-  const snap = (t, drag) => {
+  // Snaps the edges of a selection to changes within a few pixels, unless Alt is held.
+  const snapTime = (t, drag) => {
     if (drag.free) return t;
     const s = app.time.get();
     const near = ((s.view[1] - s.view[0]) / drag.inner) * NEAR;
     let best = t,
       least = near;
     for (const v of app.views) {
-      for (const c of v.changes?.() ?? []) if (Math.abs(c - t) < least) [best, least] = [c, Math.abs(c - t)];
+      for (const c of v.changeTimes?.() ?? []) if (Math.abs(c - t) < least) [best, least] = [c, Math.abs(c - t)];
     }
     return best;
   };
 
-  const move = (e) => {
-    const at = inside(e);
+  const handleMove = (e) => {
+    const at = locatePointer(e);
     const d = state.drag;
     if (d) {
       if (Math.abs(e.clientX - d.x) > 3) d.moved = true;
       if (!d.moved) return;
       const w = d.view[1] - d.view[0];
-      if (d.select) app.time.dispatch({ type: "select", from: snap(d.t, d), to: snap(at.t, d) });
+      if (d.select) app.time.dispatch({ type: "select", from: snapTime(d.t, d), to: snapTime(at.t, d) });
       else {
         const by = ((e.clientX - d.x) / at.inner) * w;
         app.time.dispatch({ type: "view", from: d.view[0] - by, to: d.view[1] - by });
@@ -45,9 +45,9 @@ export function timelineGestures(el, app, view) {
     }
     if (at.ok && !e.shiftKey) app.time.dispatch({ type: "move", t: at.t });
   };
-  const down = (e) => {
-    const at = inside(e);
-    // what can be clicked keeps its clicks
+  const handleDown = (e) => {
+    const at = locatePointer(e);
+    // buttons and fields keep their clicks
     if (!at.ok || e.button !== 0 || e.target.closest("button, select, input")) return;
     el.setPointerCapture(e.pointerId);
     state.drag = {
@@ -60,25 +60,25 @@ export function timelineGestures(el, app, view) {
       moved: false,
     };
   };
-  const up = (e) => {
+  const handleUp = (e) => {
     const d = state.drag;
     state.drag = null;
     if (!d || d.moved) return;
-    // an interval that is clicked is selected
-    const found = d.select ? null : view?.segment?.(e);
+    // a click on an interval selects it
+    const found = d.select ? null : view?.segmentUnder?.(e);
     if (found) app.time.dispatch({ type: "select", from: found[0], to: found[1] });
     if (d.select) app.time.dispatch({ type: "selStart", t: d.t });
     else if (app.time.get().mode === "play" || !app.time.get().follow) app.time.dispatch({ type: "seek", t: d.t });
     else app.selectPanelOf(e.target);
   };
-  const menu = (e) => {
+  const handleMenu = (e) => {
     if (!e.shiftKey) return;
     e.preventDefault();
-    app.time.dispatch({ type: "selEnd", t: inside(e).t });
+    app.time.dispatch({ type: "selEnd", t: locatePointer(e).t });
   };
-  const wheel = (e) => {
-    if (e.ctrlKey !== (setting("wheel") === "scroll")) return;
-    const at = inside(e);
+  const handleWheel = (e) => {
+    if (e.ctrlKey !== (readSetting("wheel") === "scroll")) return;
+    const at = locatePointer(e);
     if (!at.ok) return;
     e.preventDefault();
     if (Math.abs(e.deltaX) > Math.abs(e.deltaY)) {
@@ -90,12 +90,12 @@ export function timelineGestures(el, app, view) {
     app.time.dispatch({ type: "zoomAt", t: at.t, factor });
   };
   const on = [
-    ["pointermove", move],
-    ["pointerdown", down],
-    ["pointerup", up],
-    ["pointercancel", up],
-    ["contextmenu", menu],
+    ["pointermove", handleMove],
+    ["pointerdown", handleDown],
+    ["pointerup", handleUp],
+    ["pointercancel", handleUp],
+    ["contextmenu", handleMenu],
   ];
   for (const [name, f] of on) el.addEventListener(name, f);
-  el.addEventListener("wheel", wheel, { passive: false });
+  el.addEventListener("wheel", handleWheel, { passive: false });
 }

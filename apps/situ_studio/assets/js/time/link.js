@@ -1,8 +1,8 @@
-// The address holds what is looked at: layout, view, cursor, selection; times are absolute nanoseconds, so that a
-// copied link gives the same picture anywhere.
+// Encodes layout, view, cursor and selection in the address. Times are absolute nanoseconds, so that a copied link
+// shows the same anywhere.
 
-export function encode(s, origin, { layout, edit, snap, annotate, compare } = {}) {
-  const abs = (t) => (origin + BigInt(Math.round(t))).toString();
+export function encodeLink(s, origin, { layout, edit, snap, annotate, compare } = {}) {
+  const toAbsolute = (t) => (origin + BigInt(Math.round(t))).toString();
   const q = new URLSearchParams();
   if (layout) q.set("layout", layout);
   if (edit) q.set("edit", edit);
@@ -14,27 +14,27 @@ export function encode(s, origin, { layout, edit, snap, annotate, compare } = {}
   }
   if (s.mode === "live") q.set("live", "1");
   else {
-    q.set("view", `${abs(s.view[0])}~${abs(s.view[1])}`);
-    q.set("at", abs(s.cursor));
+    q.set("view", `${toAbsolute(s.view[0])}~${toAbsolute(s.view[1])}`);
+    q.set("at", toAbsolute(s.cursor));
     if (!s.follow) q.set("held", "1");
     if (s.sel[0] != null || s.sel[1] != null) {
-      q.set("sel", s.sel.map((t) => (t == null ? "" : abs(t))).join("~"));
+      q.set("sel", s.sel.map((t) => (t == null ? "" : toAbsolute(t))).join("~"));
     }
   }
   return q.toString();
 }
 
-// Unreadable parts are left out: a damaged link opens the store all the same.
-export function decode(search, origin) {
+// Decodes an address. Invalid parts are ignored, so that a damaged link still opens the store.
+export function decodeLink(search, origin) {
   const q = new URLSearchParams(search);
-  const time = (x) => (/^-?\d{1,20}$/.test(x ?? "") ? Number(BigInt(x) - origin) : null);
-  const pair = (name) => (q.get(name) ?? "").split("~").map(time);
+  const parseNs = (x) => (/^-?\d{1,20}$/.test(x ?? "") ? Number(BigInt(x) - origin) : null);
+  const parsePair = (name) => (q.get(name) ?? "").split("~").map(parseNs);
   const out = { live: q.get("live") === "1", snap: q.get("snap") || null, held: q.get("held") === "1" };
-  const [a, b] = pair("view");
+  const [a, b] = parsePair("view");
   if (a != null && b != null && a < b) out.view = [a, b];
-  const at = time(q.get("at"));
+  const at = parseNs(q.get("at"));
   if (at != null) out.cursor = at;
-  const sel = pair("sel");
+  const sel = parsePair("sel");
   if (sel.length === 2 && (sel[0] != null || sel[1] != null)) out.sel = sel;
   return out;
 }

@@ -1,8 +1,8 @@
-// The time navigator: the whole recording with a thumb for the view above, a ruler of the view below.
+// The time navigator: the whole recording with a thumb for the current view, and a ruler of the view.
 
-import { GUTTER, FONT, ink, theme } from "../page/theme.js";
-import { duration } from "./text.js";
-import { rulerTicks, shown } from "./clock.js";
+import { GUTTER, FONT, readableColor, themeColors } from "../page/theme.js";
+import { formatDuration } from "./text.js";
+import { rulerTicks, formatClock } from "./clock.js";
 
 const BAR = 18;
 const GRIP = 6;
@@ -13,9 +13,9 @@ export class Navigator {
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(el);
-    el.addEventListener("pointerdown", (e) => this.down(e));
-    el.addEventListener("pointermove", (e) => this.hover(e));
-    el.addEventListener("wheel", (e) => this.wheel(e), { passive: false });
+    el.addEventListener("pointerdown", (e) => this.handlePointerDown(e));
+    el.addEventListener("pointermove", (e) => this.updateCursorStyle(e));
+    el.addEventListener("wheel", (e) => this.handleWheel(e), { passive: false });
     el.addEventListener("dblclick", () => this.app.time.dispatch({ type: "zoomAll" }));
     this.resize();
   }
@@ -26,18 +26,18 @@ export class Navigator {
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
-  // The bar shows the data, and the view where it reaches beyond it.
-  span() {
+  // Returns the time range of the bar: the data, and in live mode also the part of the view beyond them.
+  shownSpan() {
     const s = this.app.time.get();
     if (s.mode === "live") return [Math.min(s.data[0], s.view[0]), Math.max(s.data[1], s.view[1])];
     return s.data;
   }
 
-  scale() {
-    const [a, b] = this.span();
+  timeScale() {
+    const [a, b] = this.shownSpan();
     const inner = this.el.clientWidth - GUTTER.left - GUTTER.right;
     return {
       x: (t) => GUTTER.left + ((t - a) / (b - a)) * inner,
@@ -46,12 +46,12 @@ export class Navigator {
     };
   }
 
-  down(e) {
+  handlePointerDown(e) {
     if (e.button !== 0) return;
     const y = e.offsetY;
     if (y > BAR + 6) return; // the ruler belongs to the panels' gestures, see app.js
     const s = this.app.time.get();
-    const { x, t } = this.scale();
+    const { x, t } = this.timeScale();
     const left = x(s.view[0]),
       right = x(s.view[1]);
     const at = e.offsetX;
@@ -66,45 +66,45 @@ export class Navigator {
     const start = this.app.time.get().view;
     const t0 = t(at);
     this.el.setPointerCapture(e.pointerId);
-    const move = (m) => {
+    const moveView = (m) => {
       const by = t(m.offsetX) - t0;
       let [from, to] = start;
       if (part !== "right") from += by;
       if (part !== "left") to += by;
       if (from < to) this.app.time.dispatch({ type: "view", from, to });
     };
-    const up = () => {
-      this.el.removeEventListener("pointermove", move);
-      this.el.removeEventListener("pointerup", up);
+    const endDrag = () => {
+      this.el.removeEventListener("pointermove", moveView);
+      this.el.removeEventListener("pointerup", endDrag);
     };
-    this.el.addEventListener("pointermove", move);
-    this.el.addEventListener("pointerup", up);
+    this.el.addEventListener("pointermove", moveView);
+    this.el.addEventListener("pointerup", endDrag);
   }
 
-  hover(e) {
+  updateCursorStyle(e) {
     const s = this.app.time.get();
-    const { x } = this.scale();
-    const near = (t) => Math.abs(e.offsetX - x(t)) < GRIP;
-    const grip = e.offsetY <= BAR + 6 && (near(s.view[0]) || near(s.view[1]));
+    const { x } = this.timeScale();
+    const isNear = (t) => Math.abs(e.offsetX - x(t)) < GRIP;
+    const grip = e.offsetY <= BAR + 6 && (isNear(s.view[0]) || isNear(s.view[1]));
     this.el.style.cursor = grip ? "ew-resize" : e.offsetY <= BAR + 6 ? "grab" : "default";
   }
 
-  wheel(e) {
+  handleWheel(e) {
     if (e.offsetY > BAR + 6) return;
     e.preventDefault();
-    const { t } = this.scale();
+    const { t } = this.timeScale();
     this.app.time.dispatch({ type: "zoomAt", t: t(e.offsetX), factor: e.deltaY > 0 ? 1.2 : 1 / 1.2 });
   }
 
   render() {
     const ctx = this.canvas.getContext("2d");
-    const c = theme();
+    const c = themeColors();
     const s = this.app.time.get();
     const w = this.el.clientWidth,
       h = this.el.clientHeight;
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     ctx.clearRect(0, 0, w, h);
-    const { x, inner } = this.scale();
+    const { x, inner } = this.timeScale();
     const top = 5;
 
     // overview
@@ -125,83 +125,84 @@ export class Navigator {
     ctx.fillRect(l, top, 2, BAR);
     ctx.fillRect(Math.max(r - 2, l), top, 2, BAR);
     ctx.fillStyle = c.dim;
-    // the data, where a live view reaches beyond them
+    // marks the data if a live view extends beyond them
     const [first, last] = s.data.map(x);
     if (last - first < inner - 1) ctx.fillRect(first, top + BAR - 2, Math.max(last - first, 1), 2);
     ctx.font = FONT;
     ctx.textBaseline = "middle";
-    const over = rulerTicks(this.span(), inner, this.app.client.origin, 110);
+    const over = rulerTicks(this.shownSpan(), inner, this.app.client.origin, 110);
     for (const t of over.at) {
       const px = x(t);
       if (px > GUTTER.left + inner - 36) continue;
       ctx.fillRect(px, top + BAR - 4, 1, 4);
-      ctx.fillText(shown(t, this.app.client.origin, over.unit), px + 4, top + BAR / 2 + 1);
+      ctx.fillText(formatClock(t, this.app.client.origin, over.unit), px + 4, top + BAR / 2 + 1);
     }
     ctx.fillStyle = c.cursor;
     ctx.fillRect(x(s.cursor) - 0.5, top - 1, 1.5, BAR + 2);
     ctx.fillStyle = c.dim;
     ctx.textAlign = "right";
-    ctx.fillText(duration(s.data[1] - s.data[0]), GUTTER.left - 10, top + BAR / 2 + 1);
+    ctx.fillText(formatDuration(s.data[1] - s.data[0]), GUTTER.left - 10, top + BAR / 2 + 1);
 
-    this.app.gutter.need(this, [duration(s.data[1] - s.data[0]), duration(s.view[1] - s.view[0])]);
+    this.app.gutter.reserveRoom(this, [formatDuration(s.data[1] - s.data[0]), formatDuration(s.view[1] - s.view[0])]);
 
     // ruler of the view
     const base = h - 1;
     const k = inner / (s.view[1] - s.view[0]);
-    const vx = (t) => GUTTER.left + (t - s.view[0]) * k;
+    const viewToX = (t) => GUTTER.left + (t - s.view[0]) * k;
     const rule = rulerTicks(s.view, inner, this.app.client.origin);
-    const tags = this.tags(ctx, { s, vx, inner, unit: rule.unit });
+    const tags = this.rulerTags(ctx, { s, vx: viewToX, inner, unit: rule.unit });
     ctx.textAlign = "center";
     ctx.fillStyle = c.axis;
     for (const t of rule.at) {
-      const px = vx(t);
+      const px = viewToX(t);
       ctx.globalAlpha = 0.6;
       ctx.fillRect(px, base - 5, 1, 5);
       ctx.globalAlpha = 1;
-      const text = shown(t, this.app.client.origin, rule.unit);
+      const text = formatClock(t, this.app.client.origin, rule.unit);
       const half = ctx.measureText(text).width / 2;
       const at = Math.min(Math.max(px, GUTTER.left + half), w - half - 2);
       if (!tags.some((g) => Math.abs(g.at - at) < g.half + half + 3)) ctx.fillText(text, at, base - 12);
     }
     ctx.textAlign = "right";
     ctx.fillStyle = c.dim;
-    ctx.fillText(duration(s.view[1] - s.view[0]), GUTTER.left - 10, base - 12);
-    this.selected(ctx, { s, vx, inner, base });
+    ctx.fillText(formatDuration(s.view[1] - s.view[0]), GUTTER.left - 10, base - 12);
+    this.drawSelection(ctx, { s, vx: viewToX, inner, base });
     for (const g of tags) drawTag(ctx, g, base);
     ctx.textAlign = "left";
     ctx.textBaseline = "alphabetic";
   }
 
-  // Names on the ruler: how long the selection is, and the time of the cursor, finer than the ruler tells it.
-  tags(ctx, { s, vx, inner, unit }) {
-    const c = theme();
+  // Returns the tags on the ruler: the length of the selection, and the cursor's time with a higher precision.
+  rulerTags(ctx, { s, vx, inner, unit }) {
+    const c = themeColors();
     const [left, right] = [GUTTER.left, GUTTER.left + inner];
-    const tag = (text, px, color) => {
+    const buildTag = (text, px, color) => {
       const half = ctx.measureText(text).width / 2 + 5;
       return { text, half, color, at: Math.min(Math.max(px, left + half), right - half) };
     };
-    const [a, b] = this.ends(s, vx, inner);
-    const out = b > a ? [tag(duration(s.sel[1] - s.sel[0]), (a + b) / 2, c.accent)] : [];
+    const [a, b] = this.selectionEnds(s, vx, inner);
+    const out = b > a ? [buildTag(formatDuration(s.sel[1] - s.sel[0]), (a + b) / 2, c.accent)] : [];
     const at = vx(s.cursor);
-    if (at >= left && at <= right) out.push(tag(shown(s.cursor, this.app.client.origin, unit / 100), at, c.cursor));
+    if (at >= left && at <= right)
+      out.push(buildTag(formatClock(s.cursor, this.app.client.origin, unit / 100), at, c.cursor));
     return out;
   }
 
-  // The selection on the ruler, from pixel to pixel.
-  ends(s, vx, inner) {
+  // Returns the selection's ends on the ruler in pixels.
+  selectionEnds(s, vx, inner) {
     if (s.mode === "live" || s.sel[0] == null || s.sel[1] == null) return [0, 0];
     return s.sel.map((t) => Math.min(Math.max(vx(t), GUTTER.left), GUTTER.left + inner));
   }
 
-  selected(ctx, { s, vx, inner, base }) {
-    const [a, b] = this.ends(s, vx, inner);
+  drawSelection(ctx, { s, vx, inner, base }) {
+    const [a, b] = this.selectionEnds(s, vx, inner);
     if (b <= a) return;
-    ctx.fillStyle = theme().accent;
+    ctx.fillStyle = themeColors().accent;
     ctx.fillRect(a, base - 4, b - a, 3);
   }
 
   cursorMoved() {
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
   themeChanged() {
@@ -219,6 +220,6 @@ function drawTag(ctx, { text, half, color, at }, base) {
   ctx.beginPath();
   ctx.roundRect(at - half, base - 20, 2 * half, 15, 3);
   ctx.fill();
-  ctx.fillStyle = ink(color);
+  ctx.fillStyle = readableColor(color);
   ctx.fillText(text, at, base - 12);
 }

@@ -1,4 +1,5 @@
-// Cursor line and selection over one timeline panel; moved by transform only, so that nothing is laid out again.
+// Shows the cursor line and the selection over a timeline panel. Only transforms change, so that no layout is
+// needed.
 
 import { GUTTER } from "../page/theme.js";
 
@@ -23,15 +24,15 @@ export class Overlay {
     const inner = this.el.clientWidth - GUTTER.left - GUTTER.right;
     if (inner <= 0) return;
     const k = inner / (s.view[1] - s.view[0]);
-    const x = (t) => (t - s.view[0]) * k;
-    place(this.cursor, x(s.cursor), inner);
-    place(this.start, s.sel[0] == null ? null : x(s.sel[0]), inner);
-    place(this.end, s.sel[1] == null ? null : x(s.sel[1]), inner);
+    const timeToX = (t) => (t - s.view[0]) * k;
+    placeLine(this.cursor, timeToX(s.cursor), inner);
+    placeLine(this.start, s.sel[0] == null ? null : timeToX(s.sel[0]), inner);
+    placeLine(this.end, s.sel[1] == null ? null : timeToX(s.sel[1]), inner);
     const both = s.sel[0] != null && s.sel[1] != null;
     this.shade.hidden = !both;
     if (both) {
-      const a = Math.max(x(s.sel[0]), 0),
-        b = Math.min(x(s.sel[1]), inner);
+      const a = Math.max(timeToX(s.sel[0]), 0),
+        b = Math.min(timeToX(s.sel[1]), inner);
       this.shade.hidden = b <= a;
       this.shade.style.transform = `translateX(${a}px)`;
       this.shade.style.width = `${Math.max(b - a, 0)}px`;
@@ -39,7 +40,7 @@ export class Overlay {
   }
 }
 
-function place(el, x, inner) {
+function placeLine(el, x, inner) {
   const show = x != null && x >= 0 && x <= inner;
   el.hidden = !show;
   if (show) el.style.transform = `translateX(${x}px)`;

@@ -1,12 +1,11 @@
-// Moves the cursor while playing: by the clock of the page, or by the clock of the sound when there is any.
+// Moves the cursor during playback: by the page's clock, or by the audio clock if there is audio.
 
 const CHUNK = 1e9;
 const AHEAD = 2;
 const MAX_AUDIBLE = 4;
 
 export class Playback {
-  // time: store; sounds(): [{stream, channel}] to be heard; fetchPcm({stream, channel}, from, to) -> {rate, samples,
-  // at}
+  // time: store; sounds(): [{stream, channel}] to play; fetchPcm({stream, channel}, from, to) -> {rate, samples, at}
   constructor({ time, sounds, fetchPcm, onError = () => {} }) {
     Object.assign(this, { time, sounds, fetchPcm, onError });
     this.run = null;
@@ -28,9 +27,9 @@ export class Playback {
     this.run = run;
     const sounds = s.speed <= MAX_AUDIBLE && s.speed >= 1 / MAX_AUDIBLE ? this.sounds() : [];
     if (sounds.length) this.startSound(run, sounds, s);
-    const frame = (now) => {
+    const advanceFrame = (now) => {
       if (run.stop) return;
-      requestAnimationFrame(frame);
+      requestAnimationFrame(advanceFrame);
       if (run.waiting) {
         run.last = now;
         return;
@@ -40,7 +39,7 @@ export class Playback {
       if (run.clock) this.time.dispatch({ type: "tick", at: run.clock() });
       else this.time.dispatch({ type: "tick", elapsed });
     };
-    requestAnimationFrame(frame);
+    requestAnimationFrame(advanceFrame);
   }
 
   end() {
@@ -57,38 +56,38 @@ export class Playback {
       this.context ??= new AudioContext();
       run.waiting = true;
       await this.context.resume();
-      const first = await Promise.all(sounds.map((x) => this.chunk(x, from, to)));
+      const first = await Promise.all(sounds.map((x) => this.fetchChunk(x, from, to)));
       if (run.stop) return;
       const start = this.context.currentTime + 0.03;
-      const play = (chunks) => {
-        for (const c of chunks) this.schedule(run, c, from, start);
+      const playChunks = (chunks) => {
+        for (const c of chunks) this.scheduleChunk(run, c, from, start);
       };
       run.waiting = false;
       run.heard = 0;
       run.clock = () => from + Math.max(0, this.context.currentTime - start) * 1e9 * run.speed;
-      play(first);
+      playChunks(first);
       for (let at = from + CHUNK; at < to && !run.stop; at += CHUNK) {
-        play(await Promise.all(sounds.map((x) => this.chunk(x, at, to))));
+        playChunks(await Promise.all(sounds.map((x) => this.fetchChunk(x, at, to))));
         while (!run.stop && at - this.time.get().cursor > AHEAD * CHUNK * Math.max(run.speed, 1)) {
           await new Promise((r) => setTimeout(r, 100));
         }
       }
     } catch (error) {
-      // without sound the pictures go on
+      // without audio, playback continues silently
       run.waiting = false;
       run.clock = null;
-      this.onError(`no sound: ${error.message}`);
+      this.onError(`no audio: ${error.message}`);
     }
   }
 
-  chunk(sound, from, end) {
+  fetchChunk(sound, from, end) {
     return this.fetchPcm(sound, from, Math.min(from + CHUNK, end));
   }
 
-  schedule(run, pcm, from, start) {
+  scheduleChunk(run, pcm, from, start) {
     if (!pcm || !pcm.samples.length || run.stop) return;
     const buffer = this.context.createBuffer(pcm.channels, pcm.samples.length / pcm.channels, pcm.rate);
-    for (let c = 0; c < pcm.channels; c++) buffer.copyToChannel(everyOther(pcm.samples, c, pcm.channels), c);
+    for (let c = 0; c < pcm.channels; c++) buffer.copyToChannel(pickChannel(pcm.samples, c, pcm.channels), c);
     const node = this.context.createBufferSource();
     node.buffer = buffer;
     node.playbackRate.value = run.speed;
@@ -108,8 +107,8 @@ export class Playback {
   }
 }
 
-// One channel of samples that lie frame by frame.
-function everyOther(samples, channel, channels) {
+// Returns one channel of interleaved samples.
+function pickChannel(samples, channel, channels) {
   if (channels === 1) return samples;
   const out = new Float32Array(samples.length / channels);
   for (let i = 0; i < out.length; i++) out[i] = samples[i * channels + channel];

@@ -1,4 +1,4 @@
-// Time for people: clock times, durations, ruler steps, and what "go to time" accepts.
+// Formats and parses times: clock times, durations, ruler steps, and the input of "go to time".
 
 const US = 1e3,
   MS = 1e6,
@@ -60,26 +60,26 @@ const STEPS = [
   52 * W,
 ];
 
-// The smallest step whose segment is at least `minPx` wide.
-export function step(duration, px, minPx = 80) {
+// Returns the smallest step that is at least `minPx` wide.
+export function rulerStep(duration, px, minPx = 80) {
   const perPx = duration / Math.max(px, 1);
   return STEPS.find((s) => s / perPx >= minPx) ?? STEPS[STEPS.length - 1];
 }
 
-// `zero(unit)` is the time from which units are counted.
-export function ticks([from, to], px, minPx = 80, zero = () => 0) {
-  const unit = step(to - from, px, minPx);
+// Returns the ticks of a time range. `zero(unit)` is the time from which units are counted.
+export function timeTicks([from, to], px, minPx = 80, zero = () => 0) {
+  const unit = rulerStep(to - from, px, minPx);
   const z = zero(unit);
   const out = [];
   for (let i = Math.ceil((from - z) / unit); i * unit + z <= to; i++) out.push(i * unit + z);
   return { unit, at: out };
 }
 
-const pad = (n, w = 2) => String(n).padStart(w, "0");
+const padNumber = (n, w = 2) => String(n).padStart(w, "0");
 
-// 83.25e9 -> "1:23.250", relative to the start of the data; decimals follow the ruler's unit, and so do days:
-// "1d 2:03:04", and "1d" on a ruler of days.
-export function relative(t, unit = MS) {
+// Formats a time relative to the start of the data: 83.25e9 -> "1:23.250". Decimals follow the ruler's unit, and so
+// do days: "1d 2:03:04", or "1d" on a ruler of days.
+export function formatRelative(t, unit = MS) {
   const neg = t < 0;
   const decimals = unit >= S ? 0 : unit >= MS ? 3 : unit >= US ? 6 : 9;
   const scale = 10 ** decimals;
@@ -90,46 +90,46 @@ export function relative(t, unit = MS) {
     h = Math.floor(n / 3600) % 24,
     m = Math.floor(n / 60) % 60,
     s = n % 60;
-  const tail = decimals ? "." + pad(frac, decimals) : "";
-  const clock = d || h ? `${h}:${pad(m)}:${pad(s)}${tail}` : `${m}:${pad(s)}${tail}`;
+  const tail = decimals ? "." + padNumber(frac, decimals) : "";
+  const clock = d || h ? `${h}:${padNumber(m)}:${padNumber(s)}${tail}` : `${m}:${padNumber(s)}${tail}`;
   const text = unit >= D ? `${d}d` : d ? `${d}d ${clock}` : clock;
   return neg && (n || frac) ? "-" + text : text;
 }
 
-export function duration(t) {
+export function formatDuration(t) {
   const a = Math.abs(t),
     sign = t < 0 ? "-" : "";
   if (a < US) return `${sign}${a.toFixed(0)} ns`;
-  if (a < MS) return `${sign}${digits(a / US)} µs`;
-  if (a < S) return `${sign}${digits(a / MS)} ms`;
-  if (a < MIN) return `${sign}${digits(a / S)} s`;
+  if (a < MS) return `${sign}${formatDigits(a / US)} µs`;
+  if (a < S) return `${sign}${formatDigits(a / MS)} ms`;
+  if (a < MIN) return `${sign}${formatDigits(a / S)} s`;
   if (a < 10 * MIN) {
-    // to a tenth of a second; 59.96 s is a minute then
+    // to a tenth of a second: 59.96 s is shown as a minute
     const tenths = Math.round(a / (S / 10));
     const rest = (tenths % 600) / 10;
     return `${sign}${Math.floor(tenths / 600)} min ${rest < 10 ? "0" : ""}${rest} s`;
   }
-  if (a < H) return `${sign}${Math.floor(a / MIN)} min ${pad(Math.floor((a % MIN) / S))} s`;
-  if (a < 2 * D) return `${sign}${Math.floor(a / H)} h ${pad(Math.floor((a % H) / MIN))} min`;
+  if (a < H) return `${sign}${Math.floor(a / MIN)} min ${padNumber(Math.floor((a % MIN) / S))} s`;
+  if (a < 2 * D) return `${sign}${Math.floor(a / H)} h ${padNumber(Math.floor((a % H) / MIN))} min`;
   return `${sign}${Math.floor(a / D)} d ${Math.floor((a % D) / H)} h`;
 }
 
-// The clocks of two machines differ by less than this.
+// The clocks of two machines are expected to differ by less than this.
 const SKEW = 100 * MS;
 
-// The time from an event to the creation of its message. It is in words where the message was not created in real time,
-// as in a replayed recording or a simulation.
-export const latency = (t) => (t < -SKEW || t > D ? "not real time" : duration(t));
+// Formats a latency. Messages that were not created in real time, as in a replayed recording or a simulation, have
+// none.
+export const formatLatency = (t) => (t < -SKEW || t > D ? "not real time" : formatDuration(t));
 
-function digits(x) {
+function formatDigits(x) {
   return x >= 100 ? x.toFixed(0) : x >= 10 ? x.toFixed(1) : x.toFixed(2);
 }
 
-// Times before 1971 are not calendar dates: they count from the start of a simulation or of a file.
-export const dated = (ns) => ns > 31622400000000000n || ns < -31622400000000000n;
+// Returns true for calendar dates. Times before 1971 count from the start of a simulation or of a file.
+export const isCalendarDate = (ns) => ns > 31622400000000000n || ns < -31622400000000000n;
 
-// Absolute UTC time of `t` ns after the BigInt `origin`, with so many decimals of its seconds.
-export function absolute(t, origin, decimals = 4) {
+// Formats the absolute UTC time of `t` ns after the BigInt `origin`.
+export function formatAbsolute(t, origin, decimals = 4) {
   const ns = origin + BigInt(Math.round(t));
   let s = ns / 1000000000n,
     f = ns % 1000000000n;
@@ -140,20 +140,20 @@ export function absolute(t, origin, decimals = 4) {
   const d = new Date(Number(s) * 1000);
   if (Number.isNaN(d.getTime())) return String(ns);
   const text = d.toISOString().slice(0, 19).replace("T", " ");
-  return decimals ? `${text}.${pad(f.toString(), 9).slice(0, decimals)}` : text;
+  return decimals ? `${text}.${padNumber(f.toString(), 9).slice(0, decimals)}` : text;
 }
 
-// The same to the nanosecond, as programs and "go to time" read it.
-export function iso(t, origin) {
+// Formats an absolute time to the nanosecond, as programs and "go to time" accept it.
+export function formatIso(t, origin) {
   const ns = origin + BigInt(Math.round(t));
   const s = ns / 1000000000n - (ns % 1000000000n < 0n ? 1n : 0n);
   const date = new Date(Number(s) * 1000);
   if (Number.isNaN(date.getTime())) return String(ns);
-  return `${date.toISOString().slice(0, 19)}.${pad(ns - s * 1000000000n, 9)}Z`;
+  return `${date.toISOString().slice(0, 19)}.${padNumber(ns - s * 1000000000n, 9)}Z`;
 }
 
-// "1:23.5", "2d 1:00:00", "83.5", "83.5 s", "250 ms", "2d" (from the start of the data), "2026-01-31T12:34:56.7Z" or
-// integer nanoseconds since 1970; null when it is none of these.
+// Parses "1:23.5", "2d 1:00:00", "83.5", "83.5 s", "250 ms", "2d" (from the start of the data),
+// "2026-01-31T12:34:56.7Z" or integer nanoseconds since 1970; returns null for other texts.
 export function parseTime(text, origin) {
   const x = text.trim();
   let m = /^(-?)(?:(\d+)\s*d\s+)?(?:(\d+):)?(\d+):(\d{1,2}(?:\.\d+)?)$/.exec(x);

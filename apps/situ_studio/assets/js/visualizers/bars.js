@@ -1,7 +1,7 @@
-// A chart of a message at the cursor: histograms, scores by name, lists of numbers, several of them.
+// A chart of the message at the cursor: histograms, scores by name, one or several lists of numbers.
 
 import { KIND } from "../data/wire.js";
-import { FONT, theme, seriesColor } from "../page/theme.js";
+import { FONT, themeColors, seriesColor } from "../page/theme.js";
 import { drawChart } from "./chart.js";
 
 export class BarsPanel {
@@ -19,23 +19,23 @@ export class BarsPanel {
     const vis = config.vis[0];
     const key = vis ? JSON.stringify([vis.stream, vis.path, vis.asked]) : "";
     this.vis = vis;
-    if (key === this.key) return this.app.schedule(this);
+    if (key === this.key) return this.app.scheduleDraw(this);
     this.key = key;
-    this.app.client.close(this.channel);
+    this.app.client.closeChannel(this.channel);
     this.series = [];
     this.channel = vis
-      ? this.app.client.open(
+      ? this.app.client.openChannel(
           { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} },
-          (f) => this.accept(f),
+          (f) => this.acceptFrame(f),
           { instant: true },
         )
       : null;
   }
 
-  accept(f) {
+  acceptFrame(f) {
     this.series = f.kind === KIND.json ? f.value.series : [];
     this.note = f.kind === KIND.error ? f.message : f.kind === KIND.none ? "no message at the cursor" : null;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
   resize() {
@@ -44,10 +44,10 @@ export class BarsPanel {
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
-  // On the screen, or on what takes the same drawing (`page/vector.js`).
+  // Draws on the screen, or on another context such as `page/svg_context.js`.
   render(ctx = this.canvas.getContext("2d")) {
     const w = this.el.clientWidth,
       h = this.el.clientHeight;
@@ -55,7 +55,7 @@ export class BarsPanel {
     ctx.clearRect(0, 0, w, h);
     ctx.font = FONT;
     if (!this.series.length) {
-      ctx.fillStyle = theme().dim;
+      ctx.fillStyle = themeColors().dim;
       ctx.fillText(this.note ?? "", 12, 24);
       return;
     }
@@ -77,6 +77,6 @@ export class BarsPanel {
 
   destroy() {
     this.observer.disconnect();
-    this.app.client.close(this.channel);
+    this.app.client.closeChannel(this.channel);
   }
 }

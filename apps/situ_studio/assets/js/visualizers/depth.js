@@ -1,30 +1,30 @@
-// A depth picture in false colours, with a bar that tells which stands for which distance.
+// A depth image in false colors, with a scale of distances.
 
 import { drawScale } from "./color_scale.js";
-import { look, distance } from "./depth_colors.js";
-import { image, decode } from "./image.js";
+import { depthStyle, formatDistance } from "./depth_colors.js";
+import { image, decodeImage } from "./image.js";
 
 export const depth = {
   ...image,
   id: "depth",
-  // the readings are kept: other colours need no other frame
+  // the readings are kept, so that new colors need no new frame
   keeps: true,
 
-  look: (props) => look(props),
+  depthStyle: (props) => depthStyle(props),
 
   restyle(layer, changed) {
     const style = JSON.stringify(layer.vis.props ?? {});
-    if (layer.style !== undefined && layer.style !== style && layer.frame) decode(layer, layer.frame, changed);
+    if (layer.style !== undefined && layer.style !== style && layer.frame) decodeImage(layer, layer.frame, changed);
     layer.style = style;
   },
 
-  // Over all pictures and shapes.
-  finish(ctx, { picture, vis }, { width, height }) {
+  // Drawn over all images and shapes.
+  drawOverlay(ctx, { picture, vis }, { width, height }) {
     if (picture?.range && vis.props?.scale !== false) drawScale(ctx, width, height, picture);
   },
 
-  reading(value, { unit }, vis) {
-    const none = value === look(vis.props).invalid;
-    return `${value}${none ? ", no reading" : unit ? `, ${distance(value, unit)}` : ""}`;
+  readingText(value, { unit }, vis) {
+    const none = value === depthStyle(vis.props).invalid;
+    return `${value}${none ? ", no reading" : unit ? `, ${formatDistance(value, unit)}` : ""}`;
   },
 };

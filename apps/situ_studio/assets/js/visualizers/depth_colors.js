@@ -1,4 +1,5 @@
-// Depth as pseudo-colour, near is warm: which values the colours span, and what stands for "no reading". Pure.
+// Depth as false colors, warm when near: the range that the colors cover, and the value that means "no reading".
+// Pure.
 
 const STOPS = [
   [122, 18, 24],
@@ -18,10 +19,10 @@ export const COLORS = Array.from({ length: 256 }, (_, i) => {
   return STOPS[k].map((c, j) => Math.round(c + (STOPS[k + 1][j] - c) * f));
 });
 
-const pack = ([r, g, b], a = 255) => ((a << 24) | (b << 16) | (g << 8) | r) >>> 0;
-const PACKED = Uint32Array.from(COLORS, (c) => pack(c));
+const packColor = ([r, g, b], a = 255) => ((a << 24) | (b << 16) | (g << 8) | r) >>> 0;
+const PACKED = Uint32Array.from(COLORS, (c) => packColor(c));
 
-// The values that sensors can tell in their modes, in mm; the names are those of the table of visualizers.
+// The ranges of sensor modes in mm; the names match the server's table of visualizers.
 const RANGES = {
   all: [0, 65535],
   nfov_binned: [500, 5460],
@@ -30,24 +31,25 @@ const RANGES = {
   wfov: [250, 2210],
 };
 
-// The visualizer's properties as {range, invalid, none}: `range` is null where each picture has its own, `invalid` the
-// value that is no reading (null: every value is one), `none` the packed colour it is drawn in.
-export function look({ range = "auto", min, max, invalid = 0, invalid_color: color } = {}) {
+// Returns the visualizer's properties as {range, invalid, none}: `range` is null if each image has its own,
+// `invalid` is the value that is not a reading (null: every value is one), `none` is the packed color of such
+// values.
+export function depthStyle({ range = "auto", min, max, invalid = 0, invalid_color: color } = {}) {
   return {
-    range: range === "fixed" ? span(min ?? 0, max ?? 65535) : (RANGES[range] ?? null),
+    range: range === "fixed" ? orderedRange(min ?? 0, max ?? 65535) : (RANGES[range] ?? null),
     invalid: invalid < 0 ? null : invalid,
-    none: color ? pack([1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16))) : 0,
+    none: color ? packColor([1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16))) : 0,
   };
 }
 
-// Two ends in either order; a range is never empty.
-function span(a, b) {
+// Returns an ordered, non-empty range.
+function orderedRange(a, b) {
   const lo = Math.min(a, b),
     hi = Math.max(a, b);
   return hi > lo ? [lo, hi] : [lo, lo + 1];
 }
 
-// Lowest and highest reading of a picture.
+// Returns the lowest and highest reading of an image.
 export function depthRange(depth, invalid = 0) {
   let lo = 65535,
     hi = 0;
@@ -57,10 +59,11 @@ export function depthRange(depth, invalid = 0) {
     if (d < lo) lo = d;
     if (d > hi) hi = d;
   }
-  return hi < lo ? [0, 1] : span(lo, hi);
+  return hi < lo ? [0, 1] : orderedRange(lo, hi);
 }
 
-// Colours `depth` into the bytes `rgba`; readings beyond the range get the colour of its nearer end. Answers the range.
+// Colors `depth` into the bytes `rgba`; readings beyond the range get the color of its nearer end. Returns the
+// range.
 export function paintDepth(depth, rgba, { range, invalid, none }) {
   const used = range ?? depthRange(depth, invalid);
   const [lo, hi] = used;
@@ -73,19 +76,19 @@ export function paintDepth(depth, rgba, { range, invalid, none }) {
   return used;
 }
 
-// A 16-bit picture that is no depth, as an infrared one: grey from its darkest to its brightest value.
+// Colors a 16-bit image that is not depth, such as infrared, in gray from its darkest to its brightest value.
 export function paintGray(values, rgba) {
   const [lo, hi] = depthRange(values, null);
   const k = 255 / (hi - lo);
   const out = new Uint32Array(rgba.buffer, rgba.byteOffset, values.length);
   for (let i = 0; i < values.length; i++) {
     const g = Math.round((values[i] - lo) * k);
-    out[i] = pack([g, g, g]);
+    out[i] = packColor([g, g, g]);
   }
 }
 
-// A reading for people; `unit` is micrometres for a value of 1, or 0 where that is not known.
-export function distance(value, unit) {
+// Formats a reading; `unit` is micrometers for a value of 1, or 0 if unknown.
+export function formatDistance(value, unit) {
   if (!unit) return String(value);
   const m = (value * unit) / 1e6;
   return m >= 100 ? `${m.toFixed(1)} m` : m >= 1 ? `${m.toFixed(2)} m` : `${Number((m * 1000).toPrecision(4))} mm`;

@@ -1,27 +1,27 @@
-// A picture as it came. Of those that arrive while one is decoded only the newest is kept.
+// Draws an image. Of the images that arrive while one is being decoded, only the newest is kept.
 
 import { KIND } from "../data/wire.js";
-import { duration } from "../time/text.js";
-import { bitmap } from "./pixels.js";
+import { formatDuration } from "../time/text.js";
+import { createBitmap } from "./pixels.js";
 
-// A picture that is older than this at the cursor says so.
+// Images that are older than this at the cursor show their age.
 const OLD = 1e9;
 
 export const image = {
   id: "image",
   panel: "image",
 
-  // A frame has come; changed() when there is something new to draw.
-  accept(layer, frame, changed) {
+  // Accepts a frame; changed() is called when there is something new to draw.
+  acceptFrame(layer, frame, changed) {
     layer.error = frame.kind === KIND.error ? frame.message : null;
-    if (frame.kind === KIND.image) return decode(layer, frame, changed);
+    if (frame.kind === KIND.image) return decodeImage(layer, frame, changed);
     layer.generation = (layer.generation ?? 0) + 1;
     layer.frame = null;
     this.close(layer);
     changed();
   },
 
-  // The properties have changed: what is there already may have to be decoded once more.
+  // Called after the properties have changed: the image may have to be decoded again.
   restyle() {},
 
   close(layer) {
@@ -40,24 +40,24 @@ export const image = {
     ctx.restore();
   },
 
-  under: () => [],
+  describeAt: () => [],
 
-  // Size, age and value under the mouse, for the corner of the panel.
-  *facts({ picture, at, vis }, cursor, point) {
+  // Yields the size, age and value under the mouse, for the corner of the panel.
+  *imageFacts({ picture, at, vis }, cursor, point) {
     const { width, height, values } = picture;
     yield `${width} × ${height}`;
-    if (cursor - at >= OLD) yield `${duration(cursor - at)} old`;
+    if (cursor - at >= OLD) yield `${formatDuration(cursor - at)} old`;
     const [x, y] = (point ?? []).map(Math.floor);
     if (!values || !(x >= 0 && y >= 0 && x < width && y < height)) return;
-    yield `(${x}, ${y}) = ${this.reading(values[y * width + x], picture, vis)}`;
+    yield `(${x}, ${y}) = ${this.readingText(values[y * width + x], picture, vis)}`;
   },
 
-  reading: (value) => String(value),
+  readingText: (value) => String(value),
 
-  look: () => null,
+  depthStyle: () => null,
 };
 
-export async function decode(layer, frame, changed) {
+export async function decodeImage(layer, frame, changed) {
   const { drawer } = layer;
   if (drawer.keeps) layer.frame = frame;
   if (layer.decoding) {
@@ -67,18 +67,18 @@ export async function decode(layer, frame, changed) {
   layer.decoding = true;
   const generation = layer.generation ?? 0;
   try {
-    const picture = await bitmap(frame, drawer.look(layer.vis.props));
+    const picture = await createBitmap(frame, drawer.depthStyle(layer.vis.props));
     if (generation === (layer.generation ?? 0)) {
       drawer.close(layer);
       layer.picture = picture;
       layer.at = frame.at;
     } else picture.image.close();
   } catch (error) {
-    layer.error = `picture cannot be shown: ${error.message}`;
+    layer.error = `image cannot be shown: ${error.message}`;
   }
   layer.decoding = false;
   const next = layer.waiting;
   layer.waiting = null;
-  if (next) decode(layer, next, changed);
+  if (next) decodeImage(layer, next, changed);
   changed();
 }

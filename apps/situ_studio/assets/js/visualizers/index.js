@@ -1,10 +1,11 @@
-// Every way to draw a stream, by the name the server's table gives it (`Situ.Studio.Visualizer`). One file each: what
-// is drawn, what lies under the mouse, what the legend says. `panel` names the kind of panel that it draws in.
+// All visualizers, by their names in the server's table (`Situ.Studio.Visualizer`). Each has its own file: it draws,
+// describes the item under the mouse, and formats the legend. `panel` is the kind of panel that it draws in.
 //
-// plot:   entries(layer) -> [{layer, name, series}], draw(ctx, entry, scene), extent(entry, view),
-//         text(entry, told, apart)
-// lanes:  lanes(channel) -> names, draw(ctx, lane, scene), under(lane, time, slack) -> lines of text
-// image:  accept(layer, frame, changed), draw(ctx, layer, scene), under(layer, x, y, k), facts(layer, x, y)
+// plot:   lineEntries(layer) -> [{layer, name, series}], draw(ctx, entry, scene), valueExtent(entry, view),
+//         legendText(entry, reading, apart)
+// lanes:  laneNames(channel) -> names, draw(ctx, lane, scene), describeAt(lane, time, slack) -> lines of text
+// image:  acceptFrame(layer, frame, changed), draw(ctx, layer, scene), describeAt(layer, x, y, k),
+//         imageFacts(layer, x, y)
 // others: a class that fills the panel by itself (el, app, config)
 
 import { line } from "./line.js";
@@ -42,5 +43,5 @@ const ALL = [
 
 export const visualizers = new Map(ALL.map((v) => [v.id, v]));
 
-// The panels of which one visualizer fills all.
+// Panels that a single visualizer fills.
 export const WHOLE = { bars: BarsPanel, text: TextPanel, value: ValuePanel, log: LogPanel, xy: XYPanel };

@@ -1,19 +1,19 @@
-// One number over time: a line, or columns between the extremes where there are more messages than pixels.
+// One number over time: a line, or columns of extremes if there are more messages than pixels.
 
-import { number, valueText } from "../page/number_text.js";
+import { formatNumber, valueText } from "../page/number_text.js";
 import * as paint from "./paint.js";
 
 export const line = {
   id: "line",
   panel: "plot",
 
-  entries: (layer) => [{ layer, name: "", series: layer.channel.series }],
+  lineEntries: (layer) => [{ layer, name: "", series: layer.channel.series }],
 
-  extent: ({ series }, view) => series.extent(view[0], view[1]),
+  valueExtent: ({ series }, view) => series.valueExtent(view[0], view[1]),
 
   draw(ctx, { series }, { view, x, y, color, ratio, props }) {
     const { interpolation, width, markers, marker, size } = props;
-    paint.line(ctx, series, view, x, y, {
+    paint.paintLine(ctx, series, view, x, y, {
       color,
       ratio,
       width,
@@ -25,12 +25,12 @@ export const line = {
     });
   },
 
-  // told: the exact values at the cursor (`ValueChannel`); apart: the least difference that the text must show.
-  text({ layer, name }, told, apart) {
-    const exact = told.values.get(name);
+  // reading: the exact values at the cursor (`ValueChannel`); apart: the smallest difference that the text must show
+  legendText({ layer, name }, reading, apart) {
+    const exact = reading.values.get(name);
     if (exact === undefined) return "";
     const { unit, digits } = layer.vis.props ?? {};
-    const text = digits == null ? valueText(exact, apart) : number(Number(exact), digits);
+    const text = digits == null ? valueText(exact, apart) : formatNumber(Number(exact), digits);
     return text + (unit ? " " + unit : "");
   },
 };

@@ -1,7 +1,7 @@
-// The messages around the cursor as a list; a click goes to one.
+// A list of the messages around the cursor; a click moves the cursor to one.
 
 import { KIND } from "../data/wire.js";
-import { shown } from "../time/clock.js";
+import { formatClock } from "../time/clock.js";
 
 export class LogPanel {
   constructor(el, app, config) {
@@ -9,8 +9,8 @@ export class LogPanel {
     el.classList.add("log-cell");
     this.list = el.appendChild(document.createElement("ol"));
     this.list.tabIndex = 0;
-    this.list.addEventListener("click", (e) => this.go([...this.list.children].indexOf(e.target.closest("li"))));
-    this.list.addEventListener("keydown", (e) => this.press(e));
+    this.list.addEventListener("click", (e) => this.goToRow([...this.list.children].indexOf(e.target.closest("li"))));
+    this.list.addEventListener("keydown", (e) => this.handleKey(e));
     this.configure(config);
   }
 
@@ -19,19 +19,19 @@ export class LogPanel {
     const key = vis ? JSON.stringify([vis.stream, vis.path]) : "";
     if (key === this.key) return;
     this.key = key;
-    this.app.client.close(this.channel);
+    this.app.client.closeChannel(this.channel);
     this.rows = [];
     this.list.setAttribute("aria-label", `Messages of ${vis?.name ?? "nothing"}`);
     const spec = vis && { stream: vis.stream, viz: vis.viz, path: vis.path };
-    this.channel = vis ? this.app.client.open(spec, (f) => this.accept(f), { instant: true }) : null;
+    this.channel = vis ? this.app.client.openChannel(spec, (f) => this.acceptFrame(f), { instant: true }) : null;
   }
 
-  accept(f) {
-    const told = f.kind === KIND.json ? f.value : { rows: [], at: -1 };
-    this.rows = told.rows.map(([t, text]) => [this.app.client.rel(BigInt(t)), text]);
-    this.at = told.at;
+  acceptFrame(f) {
+    const list = f.kind === KIND.json ? f.value : { rows: [], at: -1 };
+    this.rows = list.rows.map(([t, text]) => [this.app.client.toRelative(BigInt(t)), text]);
+    this.at = list.at;
     this.error = f.kind === KIND.error ? f.message : f.kind === KIND.none ? "no message up to the cursor" : null;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
   render() {
@@ -42,29 +42,29 @@ export class LogPanel {
       const li = this.list.children[i] ?? this.list.appendChild(document.createElement("li"));
       if (!li.children.length)
         for (const c of ["t", "v"]) li.appendChild(document.createElement("span")).className = c;
-      const when = t === null ? "" : shown(t, origin);
+      const when = t === null ? "" : formatClock(t, origin);
       if (li.children[0].textContent !== when) li.children[0].textContent = when;
       if (li.children[1].textContent !== text) li.children[1].textContent = text;
       li.toggleAttribute("aria-current", i === this.at);
     });
-    // in sight, without scrolling anything else
+    // scrolls only the list
     const now = this.list.children[this.at];
     if (now) this.list.scrollTop = now.offsetTop - this.list.clientHeight / 2;
   }
 
-  go(i) {
+  goToRow(i) {
     const row = this.rows[i];
     if (!row) return;
-    // the next key counts from here, whether the server has answered by then or not
+    // the next key counts from here, even if the server has not replied yet
     this.at = i;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
     this.app.time.dispatch({ type: "nudge", by: row[0] - this.app.time.get().cursor });
   }
 
-  press(e) {
+  handleKey(e) {
     const by = { ArrowDown: 1, ArrowUp: -1 }[e.key];
     if (!by) return;
-    this.go(this.at + by);
+    this.goToRow(this.at + by);
     e.preventDefault();
     e.stopPropagation();
   }
@@ -74,6 +74,6 @@ export class LogPanel {
   themeChanged() {}
 
   destroy() {
-    this.app.client.close(this.channel);
+    this.app.client.closeChannel(this.channel);
   }
 }

@@ -1,4 +1,4 @@
-// A mark at the time of each message.
+// Draws a mark at the time of each message.
 
 import { lowerBound } from "../data/series.js";
 import { markText } from "../data/lanes.js";
@@ -7,7 +7,7 @@ export const messages = {
   id: "messages",
   panel: "lanes",
 
-  lanes: () => [""],
+  laneNames: () => [""],
 
   draw(ctx, { channel }, { view, x, y, h, color }) {
     const m = channel.marks;
@@ -22,5 +22,5 @@ export const messages = {
     }
   },
 
-  under: ({ channel }, t, slack, show) => (channel.marks ? markText(channel.marks, t, slack, show) : []),
+  describeAt: ({ channel }, t, slack, show) => (channel.marks ? markText(channel.marks, t, slack, show) : []),
 };

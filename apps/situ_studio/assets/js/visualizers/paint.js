@@ -1,11 +1,11 @@
-// Drawing of one stream's window onto a plot. `x` and `y` map time and value to canvas pixels.
+// Draws one stream's window onto a plot. `x` and `y` map time and value to canvas pixels.
 
-import { columns, strokeOf } from "./columns.js";
+import { pixelColumns, strokeSpan } from "./columns.js";
 
 const SPACING = 9;
 
-// Line: straight or stepped joins while messages are fewer than pixels; zoomed out, columns from min to max.
-export function line(
+// Draws a line: straight or stepped while there are fewer messages than pixels, else columns from min to max.
+export function paintLine(
   ctx,
   s,
   view,
@@ -15,8 +15,8 @@ export function line(
 ) {
   const n = s.length;
   if (!n) return;
-  const a = Math.max(s.at(view[0]), 0);
-  let b = s.at(view[1]) + 1;
+  const a = Math.max(s.indexAt(view[0]), 0);
+  let b = s.indexAt(view[1]) + 1;
   b = Math.min(Math.max(b, a), n - 1);
   ctx.strokeStyle = color;
   ctx.fillStyle = color;
@@ -24,15 +24,15 @@ export function line(
   ctx.lineJoin = "round";
   if (!s.raw) {
     paintColumns(ctx, s, a, b, view, x, y, { least: Math.max(Math.round(width * ratio), 1), step, joined });
-    if (points) dots(ctx, s, a, b, x, y, (size / 2) * ratio, marker);
+    if (points) paintDots(ctx, s, a, b, x, y, (size / 2) * ratio, marker);
     return;
   }
   ctx.beginPath();
   let pen = false,
     py = 0;
-  // what stands between two holes is a dot
-  const alone = (i) => {
-    if (i > a && !s.holeBefore(i)) return;
+  // a message between two gaps is drawn as a dot
+  const markAlone = (i) => {
+    if (i > a && !s.hasGapBefore(i)) return;
     ctx.moveTo(x(s.t[i]), py);
     ctx.lineTo(x(s.t[i]) + ratio, py);
   };
@@ -44,9 +44,9 @@ export function line(
     }
     const px = x(s.t[i]),
       p = y(v);
-    if (pen && s.holeBefore(i)) {
+    if (pen && s.hasGapBefore(i)) {
       pen = false;
-      alone(i - 1);
+      markAlone(i - 1);
     }
     if (!pen) ctx.moveTo(px, p);
     else {
@@ -56,22 +56,22 @@ export function line(
     pen = true;
     py = p;
   }
-  if (pen && s.holeBefore(b)) alone(b);
+  if (pen && s.hasGapBefore(b)) markAlone(b);
   if (step && pen && b === n - 1) ctx.lineTo(stepEnd(s, b, view, x), py);
   if (joined) ctx.stroke();
-  // dots show single messages, as long as they are apart
+  // dots mark single messages if they are far enough apart
   const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;
   if (points || apart > SPACING * ratio)
-    dots(ctx, s, a, b, x, y, points ? (size / 2) * ratio : 1.75 * ratio, points ? marker : "circle");
+    paintDots(ctx, s, a, b, x, y, points ? (size / 2) * ratio : 1.75 * ratio, points ? marker : "circle");
 }
 
-// The columns are opaque: one sample that stands out must be seen at every zoom.
+// Draws opaque columns, so that a single outlier is visible at every zoom.
 function paintColumns(ctx, s, a, b, view, x, y, { least, step = false, joined = true }) {
-  const found = columns(s, a, b, x, Math.floor(x(view[0])), Math.ceil(x(view[1])));
+  const found = pixelColumns(s, a, b, x, Math.floor(x(view[0])), Math.ceil(x(view[1])));
   ctx.beginPath();
   for (let k = 0; k < found.lo.length; k++) {
     if (!(found.lo[k] <= found.hi[k])) continue;
-    const [top, height] = strokeOf(y(found.hi[k]), y(found.lo[k]), least);
+    const [top, height] = strokeSpan(y(found.hi[k]), y(found.lo[k]), least);
     ctx.rect(found.left + k, top, 1, height);
   }
   ctx.fill();
@@ -89,36 +89,36 @@ function paintColumns(ctx, s, a, b, view, x, y, { least, step = false, joined = 
   ctx.stroke();
 }
 
-// The last step holds until the next message is due.
-const stepEnd = (s, b, view, x) => Math.min(x(view[1]), x(s.t[b] + Math.min(s.patience(b), 1e15)));
+// Returns the end of the last step: it lasts until the next message is due.
+const stepEnd = (s, b, view, x) => Math.min(x(view[1]), x(s.t[b] + Math.min(s.gapThreshold(b), 1e15)));
 
-// The outlines of markers around a place; those of strokes only are drawn as such.
+// The outlines of markers; those that consist of strokes are stroked instead of filled.
 const MARKERS = {
   circle: (ctx, x, y, r) => {
     ctx.moveTo(x + r, y);
     ctx.arc(x, y, r, 0, 2 * Math.PI);
   },
   square: (ctx, x, y, r) => ctx.rect(x - r, y - r, 2 * r, 2 * r),
-  triangle: (ctx, x, y, r) => polygon(ctx, [x, y - r], [x + r, y + r], [x - r, y + r]),
-  diamond: (ctx, x, y, r) => polygon(ctx, [x, y - r], [x + r, y], [x, y + r], [x - r, y]),
-  plus: (ctx, x, y, r) => strokes(ctx, [x - r, y, x + r, y], [x, y - r, x, y + r]),
-  cross: (ctx, x, y, r) => strokes(ctx, [x - r, y - r, x + r, y + r], [x - r, y + r, x + r, y - r]),
+  triangle: (ctx, x, y, r) => tracePolygon(ctx, [x, y - r], [x + r, y + r], [x - r, y + r]),
+  diamond: (ctx, x, y, r) => tracePolygon(ctx, [x, y - r], [x + r, y], [x, y + r], [x - r, y]),
+  plus: (ctx, x, y, r) => traceStrokes(ctx, [x - r, y, x + r, y], [x, y - r, x, y + r]),
+  cross: (ctx, x, y, r) => traceStrokes(ctx, [x - r, y - r, x + r, y + r], [x - r, y + r, x + r, y - r]),
 };
 
-function polygon(ctx, first, ...others) {
+function tracePolygon(ctx, first, ...others) {
   ctx.moveTo(...first);
   for (const p of others) ctx.lineTo(...p);
   ctx.closePath();
 }
 
-function strokes(ctx, ...lines) {
+function traceStrokes(ctx, ...lines) {
   for (const [a, b, c, d] of lines) {
     ctx.moveTo(a, b);
     ctx.lineTo(c, d);
   }
 }
 
-function dots(ctx, s, a, b, x, y, r, marker) {
+function paintDots(ctx, s, a, b, x, y, r, marker) {
   const outline = MARKERS[marker] ?? MARKERS.circle;
   ctx.beginPath();
   for (let i = a; i <= b; i++) {
@@ -132,23 +132,23 @@ function dots(ctx, s, a, b, x, y, r, marker) {
   else ctx.fill();
 }
 
-// Sound: columns between the extremes, at least a pixel high so that silence shows.
-export function wave(ctx, s, view, x, y, { color, ratio = 1 }) {
+// Draws audio: columns of extremes, at least a pixel high so that silence is visible.
+export function paintWave(ctx, s, view, x, y, { color, ratio = 1 }) {
   const n = s.length;
   if (!n) return;
-  const a = Math.max(s.at(view[0]), 0);
-  const b = Math.min(s.at(view[1]) + 1, n - 1);
+  const a = Math.max(s.indexAt(view[0]), 0);
+  const b = Math.min(s.indexAt(view[1]) + 1, n - 1);
   ctx.fillStyle = ctx.strokeStyle = color;
   ctx.lineWidth = ratio;
   paintColumns(ctx, s, a, b, view, x, y, { least: 1 });
 }
 
-// Latency: a stem per message, in the warning colour above the threshold; below zero it points down.
-export function stems(ctx, s, view, x, y, { color, warn, threshold, ratio = 1 }) {
+// Draws latencies: a stem for each message, in the warning color above the threshold; negative ones point down.
+export function paintStems(ctx, s, view, x, y, { color, warn, threshold, ratio = 1 }) {
   const n = s.length;
   if (!n) return;
-  const a = Math.max(s.at(view[0]), 0);
-  const b = Math.min(s.at(view[1]) + 1, n - 1);
+  const a = Math.max(s.indexAt(view[0]), 0);
+  const b = Math.min(s.indexAt(view[1]) + 1, n - 1);
   for (const over of [false, true]) {
     ctx.strokeStyle = over ? warn : color;
     ctx.lineWidth = 1.25 * ratio;
@@ -163,9 +163,9 @@ export function stems(ctx, s, view, x, y, { color, warn, threshold, ratio = 1 })
   }
 }
 
-// Where a stream begins later or ends earlier than its recording: a bracket that opens or closes what there is of it.
-// `ends`: {first, last} in ns of the page, either may be missing.
-export function brackets(ctx, ends, x, top, bottom, { color, ratio = 1 }) {
+// Draws a bracket where a stream begins later or ends earlier than its recording. `ends`: {first, last} in ns of the
+// page, either may be missing.
+export function paintBrackets(ctx, ends, x, top, bottom, { color, ratio = 1 }) {
   const foot = 5 * ratio;
   ctx.strokeStyle = color;
   ctx.lineWidth = 1.5 * ratio;

@@ -1,10 +1,10 @@
-// A received picture as something a canvas can draw, whatever its pixel format.
+// Converts a received image of any pixel format to a bitmap that a canvas can draw.
 
 import { PIXELS } from "../data/wire.js";
 import { paintDepth, paintGray } from "./depth_colors.js";
 
-// look: how depth is coloured (`depth.js`), or null where 16 bits are shades of grey.
-export async function bitmap(f, look) {
+// look: how depth is colored (`depth.js`), or null if 16 bits are shades of gray
+export async function createBitmap(f, look) {
   if (f.pixels === PIXELS.jpeg || f.pixels === PIXELS.png) {
     const type = f.pixels === PIXELS.jpeg ? "image/jpeg" : "image/png";
     const image = await createImageBitmap(new Blob([f.data], { type }));
@@ -12,11 +12,11 @@ export async function bitmap(f, look) {
   }
   const { width, height } = f;
   const out = new ImageData(width, height);
-  const extra = fill(f, out.data, look);
+  const extra = fillPixels(f, out.data, look);
   return { image: await createImageBitmap(out), width, height, ...extra };
 }
 
-export function fill(f, rgba, look) {
+export function fillPixels(f, rgba, look) {
   const n = f.width * f.height,
     d = f.data;
   switch (f.pixels) {

@@ -1,15 +1,15 @@
-// Lanes of segments: states, texts and intervals of time.
+// Lanes of segments: states, texts and time intervals.
 
 import { laneNames, segmentAt, segmentText } from "../data/lanes.js";
-import { GUTTER, FONT, theme, ink, stateColor } from "../page/theme.js";
-import { duration } from "../time/text.js";
+import { GUTTER, FONT, themeColors, readableColor, stateColor } from "../page/theme.js";
+import { formatDuration } from "../time/text.js";
 
 const segments = {
   panel: "lanes",
 
-  lanes: (channel) => laneNames(channel.segments),
+  laneNames: (channel) => laneNames(channel.segments),
 
-  under({ channel, name }, t, slack, show) {
+  describeAt({ channel, name }, t, slack, show) {
     const found = segmentAt(channel.segments?.get(name) ?? [], t, slack);
     return found ? segmentText(found, show) : [];
   },
@@ -27,14 +27,14 @@ const segments = {
       const width = Math.max(Math.min(x(stop), GUTTER.left + 1e5) - left, 1.5);
       if (width < 2 && Math.floor(left) === lastPx) continue;
       lastPx = Math.floor(left);
-      if (cls === "many") many(ctx, row, left, width, y, h);
-      else one(ctx, row, left, width, y, h, stateColor(row[2], cls, lane));
+      if (cls === "many") drawHatched(ctx, row, left, width, y, h);
+      else drawSegment(ctx, row, left, width, y, h, stateColor(row[2], cls, lane));
     }
     ctx.textBaseline = "alphabetic";
   },
 };
 
-function one(ctx, [a, b, label, cls], left, width, y, h, color) {
+function drawSegment(ctx, [a, b, label, cls], left, width, y, h, color) {
   ctx.fillStyle = color;
   if (cls === "false") {
     ctx.globalAlpha = 0.9;
@@ -44,26 +44,27 @@ function one(ctx, [a, b, label, cls], left, width, y, h, color) {
   }
   const soft = cls === "text" || cls === "span";
   ctx.globalAlpha = soft ? 0.26 : 0.85;
-  rounded(ctx, left, y, width - (width > 4 ? 1 : 0), h, Math.min(3, width / 3));
+  roundedPath(ctx, left, y, width - (width > 4 ? 1 : 0), h, Math.min(3, width / 3));
   ctx.fill();
   ctx.globalAlpha = 1;
-  // where many stand close together their beginnings do not cover what lies between them
+  // in dense lanes, the start marks must not cover the segments
   if (soft) ctx.fillRect(left, y, Math.min(2, Math.max(width / 4, 0.4)), h);
   if (cls === "true" || width <= 18 || h < 10) return;
-  write(
+  drawLabel(
     ctx,
-    label === "" && cls === "span" ? duration(b - a) : label,
+    label === "" && cls === "span" ? formatDuration(b - a) : label,
     left,
     y,
     width,
     h,
-    soft ? theme().text : ink(color),
+    soft ? themeColors().text : readableColor(color),
   );
 }
 
-// More changes than can be told apart, or messages nobody read: hatched, in no state's colour, with their number.
-function many(ctx, [, , label], left, width, y, h) {
-  const c = theme();
+// Draws changes that cannot be distinguished, or messages that were not read: hatched, in a neutral color, with
+// their number.
+function drawHatched(ctx, [, , label], left, width, y, h) {
+  const c = themeColors();
   ctx.save();
   ctx.beginPath();
   ctx.rect(left, y, width, h);
@@ -88,7 +89,7 @@ function many(ctx, [, , label], left, width, y, h) {
   ctx.restore();
 }
 
-function write(ctx, label, left, y, width, h, color) {
+function drawLabel(ctx, label, left, y, width, h, color) {
   const from = Math.max(left, GUTTER.left) + 6;
   const room = left + width - from - 4;
   if (room < 10) return;
@@ -101,7 +102,7 @@ function write(ctx, label, left, y, width, h, color) {
   ctx.fillText(text, from, y + h / 2 + 0.5);
 }
 
-function rounded(ctx, x, y, w, h, r) {
+function roundedPath(ctx, x, y, w, h, r) {
   ctx.beginPath();
   if (ctx.roundRect) ctx.roundRect(x, y, w, h, r);
   else ctx.rect(x, y, w, h);

@@ -1,15 +1,15 @@
-// Rectangles, points, lines and texts over a picture: drawing them, and telling which lie under the mouse.
+// Draws rectangles, points, lines and texts over an image, and describes those under the mouse.
 
 import { KIND } from "../data/wire.js";
-import { FONT, ink, seriesColor } from "../page/theme.js";
-import { number } from "../page/number_text.js";
+import { FONT, readableColor, seriesColor } from "../page/theme.js";
+import { formatNumber } from "../page/number_text.js";
 
-// How far from a point the mouse may be, in pixels of the screen.
+// How far from a point the mouse may be, in screen pixels.
 const NEAR = 5;
 const MANY = 100;
 
-// Where a picture lies on the canvas, from `fit` = {x, y, k, width}: its pixels to those of the canvas and back.
-export function mapping(fit, mirrored) {
+// Converts between image and canvas pixels; `fit` is {x, y, k, width}.
+export function imageMapping(fit, mirrored) {
   const { x, y, k, width } = fit;
   return {
     k,
@@ -23,7 +23,7 @@ export const shapes = {
   id: "shapes",
   panel: "image",
 
-  accept(layer, frame, changed) {
+  acceptFrame(layer, frame, changed) {
     layer.error = frame.kind === KIND.error ? frame.message : null;
     layer.shapes = frame.kind === KIND.json ? frame.value : null;
     changed();
@@ -36,7 +36,7 @@ export const shapes = {
     if (layer.shapes) drawShapes(ctx, layer, map);
   },
 
-  under: (layer, x, y, k) => (layer.shapes ? shapesAt(layer.shapes, x, y, k) : []),
+  describeAt: (layer, x, y, k) => (layer.shapes ? shapesAt(layer.shapes, x, y, k) : []),
 };
 
 export function drawShapes(ctx, { shapes: s, vis, index }, map) {
@@ -44,16 +44,16 @@ export function drawShapes(ctx, { shapes: s, vis, index }, map) {
   const own = vis.color ?? index;
   ctx.font = FONT;
   ctx.lineWidth = props.width ?? 2;
-  for (const past of s.trail ?? []) trail(ctx, past, (id) => seriesColor(props.color, id ?? own), map);
+  for (const past of s.trail ?? []) drawTrail(ctx, past, (id) => seriesColor(props.color, id ?? own), map);
   (s.rects ?? []).forEach(([x, y, w, h, label, score, id], i) => {
     const color = seriesColor(props.color, Number.isInteger(id) ? id : own + i);
     const left = Math.min(map.x(x), map.x(x + w));
     ctx.strokeStyle = color;
     ctx.strokeRect(left, map.y(y), w * map.k, h * map.k);
     const track = Number.isInteger(id) ? String(id) : null;
-    const some = (parts, between) => parts.filter((p) => p != null && p !== "").join(between);
-    const text = some([some([label, track], " "), score == null ? null : number(score, 2)], " · ");
-    if (text && props.labels !== false) tag(ctx, text, left - 1, map.y(y), color);
+    const joinParts = (parts, between) => parts.filter((p) => p != null && p !== "").join(between);
+    const text = joinParts([joinParts([label, track], " "), score == null ? null : formatNumber(score, 2)], " · ");
+    if (text && props.labels !== false) drawTag(ctx, text, left - 1, map.y(y), color);
   });
   const color = seriesColor(props.color, own);
   ctx.strokeStyle = ctx.fillStyle = color;
@@ -71,14 +71,13 @@ export function drawShapes(ctx, { shapes: s, vis, index }, map) {
   }
   ctx.fill();
   if (props.labels !== false) {
-    for (const [x, y, label] of s.points ?? []) if (label) tag(ctx, label, map.x(x) + 5, map.y(y), color);
+    for (const [x, y, label] of s.points ?? []) if (label) drawTag(ctx, label, map.x(x) + 5, map.y(y), color);
   }
-  (s.texts ?? []).forEach((text, i) => tag(ctx, text, map.x(0) + 8, map.y(0) + 26 + 22 * i, color));
+  (s.texts ?? []).forEach((text, i) => drawTag(ctx, text, map.x(0) + 8, map.y(0) + 26 + 22 * i, color));
 }
 
-// A text in a box; whole as long as the canvas is wide enough.
-// Where things were: the older, the paler.
-function trail(ctx, [age, points, lines], color, map) {
+// Draws where objects were before: the older, the paler.
+function drawTrail(ctx, [age, points, lines], color, map) {
   ctx.globalAlpha = 0.15 + 0.65 * (1 - age);
   for (const [x, y, id] of points) {
     ctx.fillStyle = color(id);
@@ -96,21 +95,20 @@ function trail(ctx, [age, points, lines], color, map) {
   ctx.globalAlpha = 1;
 }
 
-export function tag(ctx, text, left, y, color) {
+export function drawTag(ctx, text, left, y, color) {
   const w = ctx.measureText(text).width + 10;
   const x = Math.max(Math.min(left, (ctx.canvas?.clientWidth || Infinity) - w), Math.min(left, 0));
   const top = Math.max(y - 17, 0);
   ctx.fillStyle = color;
   ctx.fillRect(x, top, w, 17);
-  ctx.fillStyle = ink(color);
+  ctx.fillStyle = readableColor(color);
   ctx.textBaseline = "middle";
   ctx.fillText(text, x + 5, top + 9);
   ctx.textBaseline = "alphabetic";
 }
 
-// The shapes at a place of the picture, in words: the nearest point, and the smallest rectangle around
-// it.
-// `k` is pixels of the screen for one of the picture. Empty where there is nothing.
+// Describes the shapes at a position of the image: the nearest point, and the smallest rectangle around it. `k` is
+// screen pixels per image pixel. Returns no lines if there is nothing.
 export function shapesAt(shapes, x, y, k) {
   return [...pointAt(shapes.points ?? [], x, y, NEAR / k), ...rectAt(shapes.rects ?? [], x, y)];
 }
@@ -122,7 +120,7 @@ function pointAt(points, x, y, within) {
     const d = Math.hypot(p[0] - x, p[1] - y);
     if (d <= nearest) [best, nearest] = [p, d];
   }
-  return best ? [`${best[2] || "point"}  (${number(best[0], 4)}, ${number(best[1], 4)})`] : [];
+  return best ? [`${best[2] || "point"}  (${formatNumber(best[0], 4)}, ${formatNumber(best[1], 4)})`] : [];
 }
 
 function rectAt(rects, x, y) {
@@ -130,8 +128,8 @@ function rectAt(rects, x, y) {
   if (!around.length) return [];
   const [l, t, w, h, label, score, id] = around.reduce((a, b) => (b[2] * b[3] < a[2] * a[3] ? b : a));
   const lines = [label || "rectangle"];
-  if (score != null) lines.push(`score ${number(score, 4)}`);
+  if (score != null) lines.push(`score ${formatNumber(score, 4)}`);
   if (id != null) lines.push(`id ${id}`);
-  lines.push(`${number(w, 4)} × ${number(h, 4)} at (${number(l, 4)}, ${number(t, 4)})`);
+  lines.push(`${formatNumber(w, 4)} × ${formatNumber(h, 4)} at (${formatNumber(l, 4)}, ${formatNumber(t, 4)})`);
   return lines;
 }

@@ -1,10 +1,10 @@
-// Which frequencies a sound has over time: a column for each piece of sound, transformed in a worker.
+// The frequencies of audio over time: a column for each segment, computed in a worker.
 
-import { number } from "../page/number_text.js";
-import { levels } from "../spectrogram/fft.js";
+import { formatNumber } from "../page/number_text.js";
+import { computeLevels } from "../spectrogram/fft.js";
 
 const MOST_COLUMNS = 4000;
-// From quiet to loud, read by people who do not tell red from green, too.
+// From quiet to loud, readable without distinguishing red from green.
 const COLORS = [
   [0, 0, 4, 0],
   [66, 10, 104, 150],
@@ -14,14 +14,14 @@ const COLORS = [
   [252, 255, 164, 255],
 ];
 
-// Beside this script lies the worker's.
+// The worker's script is in the same folder as this script.
 const SCRIPT = globalThis.document?.currentScript?.src ?? "";
 
 let worker = null,
   asked = 0;
 const waiting = new Map();
 
-function transform(samples, count, n, done) {
+function requestLevels(samples, count, n, done) {
   if (!worker) {
     worker = new Worker(new URL("spectrogram-worker.js", SCRIPT));
     worker.onmessage = ({ data: { id, found } }) => {
@@ -33,7 +33,7 @@ function transform(samples, count, n, done) {
   worker.postMessage({ id: asked, samples: samples.slice(), count, n });
 }
 
-// The columns that are drawn, as the legend looks at them.
+// The drawn columns, with the interface that the legend uses.
 class Spectra {
   constructor(columns, rate, n) {
     Object.assign(this, { columns, rate, n, sampled: false });
@@ -45,34 +45,34 @@ class Spectra {
     return this.columns.length;
   }
 
-  at(t) {
+  indexAt(t) {
     return this.columns.findLastIndex((c) => c.t <= t);
   }
 
-  age(i, t) {
+  messageAge(i, t) {
     const age = t - this.columns[i].t;
     return age > 2 * this.step ? age : 0;
   }
 }
 
-function column(levels) {
+function columnCanvas(levels) {
   const out = document.createElement("canvas");
   [out.width, out.height] = [1, levels.length];
   const ctx = out.getContext("2d");
   const image = ctx.createImageData(1, levels.length);
-  levels.forEach((v, i) => image.data.set(color(v / 255), 4 * (levels.length - 1 - i)));
+  levels.forEach((v, i) => image.data.set(levelColor(v / 255), 4 * (levels.length - 1 - i)));
   ctx.putImageData(image, 0, 0);
   return out;
 }
 
-function color(level) {
+function levelColor(level) {
   const at = level * (COLORS.length - 1),
     i = Math.min(Math.floor(at), COLORS.length - 2);
   return COLORS[i].map((c, k) => c + (COLORS[i + 1][k] - c) * (at - i));
 }
 
-// Sends what has come to the worker; what it answers is drawn with the next picture.
-function take(layer) {
+// Sends new audio to the worker; the result is drawn with the next frame.
+function requestColumns(layer) {
   const { sounds } = layer.channel;
   if (!sounds || sounds === layer.taken) return;
   layer.taken = sounds;
@@ -82,10 +82,10 @@ function take(layer) {
     return;
   }
   const n = samples.length / count;
-  transform(samples, count, n, (found) => {
+  requestLevels(samples, count, n, (found) => {
     const next = Array.from(t, (time, i) => {
       const levels = found.subarray((i * n) / 2, ((i + 1) * n) / 2);
-      return { t: time + base, levels, canvas: column(levels) };
+      return { t: time + base, levels, canvas: columnCanvas(levels) };
     });
     const kept = (layer.spectra?.columns ?? []).filter((c) => c.t < Math.max(from, -Infinity) && c.t < next[0].t);
     layer.spectra = new Spectra(kept.slice(-MOST_COLUMNS).concat(next), rate, n);
@@ -97,12 +97,12 @@ export const spectrogram = {
   id: "spectrogram",
   panel: "plot",
 
-  entries(layer) {
-    take(layer);
+  lineEntries(layer) {
+    requestColumns(layer);
     return [{ layer, name: "", series: layer.spectra ?? new Spectra([], 16000, 2) }];
   },
 
-  extent: ({ series }) => (series.length ? [0, series.rate / 2] : null),
+  valueExtent: ({ series }) => (series.length ? [0, series.rate / 2] : null),
 
   draw(ctx, { series }, { view, x, y }) {
     const top = y(series.rate / 2),
@@ -110,19 +110,19 @@ export const spectrogram = {
     const { columns, step } = series;
     ctx.imageSmoothingEnabled = false;
     columns.forEach(({ t, canvas }, i) => {
-      // until the next, where it is not farther than a step
+      // until the next column, if it is not farther than a step
       const end = Math.min(columns[i + 1]?.t ?? Infinity, t + step);
       if (end < view[0] || t > view[1]) return;
       ctx.drawImage(canvas, x(t), top, Math.max(x(end) - x(t), 1) + 0.5, height);
     });
   },
 
-  // The loudest frequency of the sound at the cursor.
-  text(_entry, { samples, rate }) {
-    const found = levels(samples, 1, samples.length);
+  // Returns the loudest frequency of the audio at the cursor.
+  legendText(_entry, { samples, rate }) {
+    const found = computeLevels(samples, 1, samples.length);
     let best = 1;
     for (let k = 2; k < found.length; k++) if (found[k] > found[best]) best = k;
     if (!found[best]) return "silent";
-    return `loudest ${number((best * rate) / samples.length, 3)} Hz`;
+    return `loudest ${formatNumber((best * rate) / samples.length, 3)} Hz`;
   },
 };

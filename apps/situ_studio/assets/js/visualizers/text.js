@@ -1,7 +1,7 @@
-// The text at the cursor, large.
+// Shows the text at the cursor in large letters.
 
 import { KIND } from "../data/wire.js";
-import { duration } from "../time/text.js";
+import { formatDuration } from "../time/text.js";
 
 const OLD = 1e9;
 
@@ -21,20 +21,20 @@ export class TextPanel {
     const key = vis ? JSON.stringify([vis.stream, vis.path, vis.asked]) : "";
     if (key === this.key) return;
     this.key = key;
-    this.app.client.close(this.channel);
+    this.app.client.closeChannel(this.channel);
     this.channel = vis
-      ? this.app.client.open(
+      ? this.app.client.openChannel(
           { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} },
-          (f) => this.accept(f),
+          (f) => this.acceptFrame(f),
           { instant: true },
         )
       : null;
   }
 
-  accept(f) {
+  acceptFrame(f) {
     this.text = f.kind === KIND.json ? f.value.text : f.kind === KIND.error ? f.message : "";
     this.at = f.kind === KIND.json ? f.at : null;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
   render() {
@@ -42,15 +42,15 @@ export class TextPanel {
     this.cursorMoved();
   }
 
-  // How long ago it was said.
+  // Shows the age of the text.
   cursorMoved() {
     const age = this.at == null ? 0 : this.app.time.get().cursor - this.at;
-    const text = age >= OLD ? `${duration(age)} ago` : "";
+    const text = age >= OLD ? `${formatDuration(age)} ago` : "";
     if (this.age.textContent !== text) this.age.textContent = text;
   }
   themeChanged() {}
 
   destroy() {
-    this.app.client.close(this.channel);
+    this.app.client.closeChannel(this.channel);
   }
 }

@@ -1,10 +1,10 @@
-// Any message as a tree, with what changed since the previous one marked, and "plot this path" on its numbers.
-// Nodes come as [kind, text, children]: children are [key, node, path]; texts are only ever set as textContent.
+// Shows any message as a tree that marks changes since the previous message and can plot its numbers. Nodes are
+// [kind, text, children] and children [key, node, path]; texts are only set as textContent.
 
 import { KIND } from "../data/wire.js";
-import { shown } from "../time/clock.js";
-import { latency } from "../time/text.js";
-import { copy } from "../page/toast.js";
+import { formatClock } from "../time/clock.js";
+import { formatLatency } from "../time/text.js";
+import { copyText } from "../page/toast.js";
 
 export class ValuePanel {
   constructor(el, app, config) {
@@ -17,9 +17,9 @@ export class ValuePanel {
     this.body.setAttribute("role", "tree");
     this.closed = new Set();
     this.rows = new Map();
-    this.body.addEventListener("click", (e) => this.click(e));
+    this.body.addEventListener("click", (e) => this.handleClick(e));
     this.body.tabIndex = 0;
-    this.body.addEventListener("keydown", (e) => this.press(e));
+    this.body.addEventListener("keydown", (e) => this.handleKey(e));
     this.configure(config);
   }
 
@@ -29,19 +29,19 @@ export class ValuePanel {
     this.vis = vis;
     if (key === this.key) return;
     this.key = key;
-    this.app.client.close(this.channel);
+    this.app.client.closeChannel(this.channel);
     this.channel = null;
     this.value = null;
     this.previous = new Map();
     if (!vis) return;
     const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
-    this.channel = this.app.client.open(spec, (f) => this.accept(f), { instant: true });
+    this.channel = this.app.client.openChannel(spec, (f) => this.acceptFrame(f), { instant: true });
   }
 
-  accept(f) {
+  acceptFrame(f) {
     this.message = f.kind === KIND.error ? f.message : f.kind === KIND.none ? "no message at the cursor" : null;
     this.value = f.kind === KIND.json ? f.value : null;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
   render() {
@@ -54,21 +54,21 @@ export class ValuePanel {
     }
     const origin = this.app.client.origin ?? 0n;
     const rel = Number(BigInt(v.time) - origin);
-    const at = shown(rel, this.app.client.origin);
-    this.head.textContent = `#${v.sequence}   ${at}   latency ${latency(v.latency)}   ${v.type}`;
+    const at = formatClock(rel, this.app.client.origin);
+    this.head.textContent = `#${v.sequence}   ${at}   latency ${formatLatency(v.latency)}   ${v.type}`;
     const lines = [];
-    this.collect(v.tree, "value", "", 0, lines);
-    this.lines(lines);
+    this.collectLines(v.tree, "value", "", 0, lines);
+    this.showLines(lines);
   }
 
-  collect(node, key, path, depth, out) {
+  collectLines(node, key, path, depth, out) {
     const [kind, text, children] = node;
     const open = children && !this.closed.has(path || "/");
     out.push({ kind, text, key, path, depth, parent: !!children, open });
-    if (open) for (const [k, child, p] of children) this.collect(child, k, p, depth + 1, out);
+    if (open) for (const [k, child, p] of children) this.collectLines(child, k, p, depth + 1, out);
   }
 
-  lines(lines) {
+  showLines(lines) {
     const body = this.body;
     while (body.children.length > lines.length) body.lastChild.remove();
     const seen = new Map();
@@ -94,37 +94,37 @@ export class ValuePanel {
     this.previous = seen;
   }
 
-  click(e) {
+  handleClick(e) {
     const row = e.target.closest(".row");
     if (!row) return;
     const path = row.dataset.path;
     if (e.target.closest(".plot-path")) this.app.plotPath(this.vis.stream, path, row.dataset.kind);
-    else if (e.target.closest(".copy-path")) copy(this.vis.stream + path, "Path copied");
-    else if (e.target.closest(".copy-value")) copy(row.children[2].textContent, "Value copied");
-    else this.fold(row);
+    else if (e.target.closest(".copy-path")) copyText(this.vis.stream + path, "Path copied");
+    else if (e.target.closest(".copy-value")) copyText(row.children[2].textContent, "Value copied");
+    else this.toggleFold(row);
   }
 
-  fold(row) {
+  toggleFold(row) {
     if (!row.dataset.parent) return;
     const id = row.dataset.path || "/";
     if (!this.closed.delete(id)) this.closed.add(id);
     this.render();
   }
 
-  // Arrow keys walk the tree; Enter folds or plots, c copies the path, v the value.
-  press(e) {
+  // Arrow keys move through the tree; Enter folds or plots, c copies the path, v the value.
+  handleKey(e) {
     const rows = [...this.body.children];
     const i = rows.indexOf(document.activeElement.closest?.(".row"));
     const row = rows[i];
     const open = row?.getAttribute("aria-expanded");
     if (e.key === "ArrowDown") rows[Math.min(i + 1, rows.length - 1)]?.focus();
     else if (e.key === "ArrowUp") rows[Math.max(i - 1, 0)]?.focus();
-    else if (row && e.target === row && e.key === "Enter" && row.dataset.parent) this.fold(row);
+    else if (row && e.target === row && e.key === "Enter" && row.dataset.parent) this.toggleFold(row);
     else if (row && e.target === row && e.key === "Enter") row.querySelector(".plot-path:not([hidden])")?.click();
     else if (row && e.key === "v" && !e.ctrlKey && !e.altKey) row.querySelector(".copy-value")?.click();
     else if (row && e.key === "c" && !e.ctrlKey) row.querySelector(".copy-path:not([hidden])")?.click();
-    else if (open === "false" && e.key === "ArrowRight") this.fold(row);
-    else if (open === "true" && e.key === "ArrowLeft") this.fold(row);
+    else if (open === "false" && e.key === "ArrowRight") this.toggleFold(row);
+    else if (open === "true" && e.key === "ArrowLeft") this.toggleFold(row);
     else return;
     e.preventDefault();
     e.stopPropagation();
@@ -134,7 +134,7 @@ export class ValuePanel {
   themeChanged() {}
 
   destroy() {
-    this.app.client.close(this.channel);
+    this.app.client.closeChannel(this.channel);
   }
 }
 

@@ -3,18 +3,18 @@ import assert from "node:assert/strict";
 import { InstantChannel } from "../../js/data/channels.js";
 import { KIND } from "../../js/data/wire.js";
 
-const client = { rel: Number };
-const frame = (items) => ({ kind: KIND.scene, time: 5, items });
-const mesh = (more) => ({ kind: "meshes", count: 1, matrix: [1], ...more });
-const whole = (name) =>
-  mesh({ keep: name, position: new Float32Array([1, 2, 3]), index: new Uint32Array([0, 0, 0]) });
+const client = { toRelative: Number };
+const sceneFrame = (items) => ({ kind: KIND.scene, time: 5, items });
+const meshItem = (more) => ({ kind: "meshes", count: 1, matrix: [1], ...more });
+const completeMesh = (name) =>
+  meshItem({ keep: name, position: new Float32Array([1, 2, 3]), index: new Uint32Array([0, 0, 0]) });
 
-test("a mesh that is held has the numbers it came with, and its own place", () => {
+test("a held mesh keeps its arrays and gets its own matrix", () => {
   const got = [];
   const channel = new InstantChannel(1, {}, (f) => got.push(f));
   channel.opened = true;
-  channel.receive(frame([whole("a")]), client);
-  channel.receive(frame([mesh({ held: "a", matrix: [2] })]), client);
+  channel.receiveFrame(sceneFrame([completeMesh("a")]), client);
+  channel.receiveFrame(sceneFrame([meshItem({ held: "a", matrix: [2] })]), client);
   const [first, second] = got.map((f) => f.items[0]);
   assert.equal(second.position, first.position);
   assert.equal(second.index, first.index);
@@ -22,11 +22,11 @@ test("a mesh that is held has the numbers it came with, and its own place", () =
   assert.ok(channel.opened);
 });
 
-test("one that is not held is left out, and all is asked for again", () => {
+test("a mesh that is not held is omitted, and the channel is reopened", () => {
   const got = [];
   const channel = new InstantChannel(1, {}, (f) => got.push(f));
   channel.opened = true;
-  channel.receive(frame([mesh({ held: "b" }), { kind: "boxes", count: 1 }]), client);
+  channel.receiveFrame(sceneFrame([meshItem({ held: "b" }), { kind: "boxes", count: 1 }]), client);
   assert.deepEqual(
     got[0].items.map((item) => item.kind),
     ["boxes"],

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { DataClient } from "../../js/data/client.js";
 import { createStore } from "../../js/time/view.js";
 
-// A server in miniature: one signal, a message every 10 ms, that grows with `head`.
+// A minimal server: one signal with a message every 10 ms, which grows with `head`.
 class Server {
   constructor() {
     this.readyState = 1;
@@ -24,11 +24,11 @@ class Server {
     this.asked.push(request);
     setTimeout(() => {
       this.inFlight--;
-      this.onmessage({ data: this.reply(request) });
+      this.onmessage({ data: this.encodeReply(request) });
     }, 1);
   }
 
-  reply(request) {
+  encodeReply(request) {
     const frames = request.series.map(([channel, from, to]) => {
       const a = Math.max(Math.ceil(Number(from) / 1e7) - 1, 0);
       const b = Math.min(Math.floor(Number(to) / 1e7), Math.floor((this.head - this.lag) / 1e7));
@@ -59,23 +59,23 @@ class Server {
   }
 }
 
-test("a live window grows in order, whatever happens meanwhile, with one request under way", async () => {
+test("a live window grows in order under zooms and changes, with one request in flight", async () => {
   const server = new Server();
   const time = createStore();
   const client = new DataClient({ connect: () => server, time });
   time.subscribe(() => client.pump());
-  const channel = client.open({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
+  const channel = client.openChannel({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
   client.start();
-  const wait = (ms) => new Promise((r) => setTimeout(r, ms));
-  await wait(20);
+  const waitFor = (ms) => new Promise((r) => setTimeout(r, ms));
+  await waitFor(20);
   time.dispatch({ type: "live", on: true });
   for (let i = 0; i < 40; i++) {
     server.head += 33e6;
     if (i % 7 === 0) time.dispatch({ type: "zoomAt", t: 0, factor: i % 2 ? 3 : 0.4 });
     client.pump(true);
-    await wait(6);
+    await waitFor(6);
   }
-  await wait(120);
+  await waitFor(120);
   client.stop();
   assert.ok(server.asked.length < 25, `${server.asked.length} requests in 400 ms`);
   const { series } = channel;
@@ -88,11 +88,11 @@ test("a live window grows in order, whatever happens meanwhile, with one request
   assert.ok(series.t[0] <= Math.max(from, 0) + 1e7, "the window reaches the left edge");
 });
 
-test("a client that was stopped asks for nothing more, also when an answer was under way", async () => {
+test("a stopped client sends no more requests, even if a reply was in flight", async () => {
   const server = new Server();
   const time = createStore();
   const client = new DataClient({ connect: () => server, time });
-  client.open({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
+  client.openChannel({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
   client.start();
   await new Promise((r) => setTimeout(r, 20));
   time.dispatch({ type: "live", on: true });
@@ -103,23 +103,23 @@ test("a client that was stopped asks for nothing more, also when an answer was u
   assert.equal(server.asked.length, asked);
 });
 
-test("what comes late, behind other streams, is shown all the same", async () => {
+test("messages that arrive later than those of other streams are shown", async () => {
   const server = new Server();
   server.lag = 5e9;
   const time = createStore();
   const client = new DataClient({ connect: () => server, time });
   time.subscribe(() => client.pump());
-  const { series } = client.open({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
+  const { series } = client.openChannel({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
   client.start();
-  const wait = (ms) => new Promise((r) => setTimeout(r, ms));
-  await wait(20);
+  const waitFor = (ms) => new Promise((r) => setTimeout(r, ms));
+  await waitFor(20);
   time.dispatch({ type: "live", on: true });
   for (let i = 0; i < 20; i++) {
     server.head += 200e6;
     client.pump(true);
-    await wait(10);
+    await waitFor(10);
   }
-  await wait(120);
+  await waitFor(120);
   client.stop();
   for (let i = 1; i < series.length; i++)
     assert.equal(series.t[i] - series.t[i - 1], 1e7, `row ${i} follows the one before`);

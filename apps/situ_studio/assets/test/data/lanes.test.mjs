@@ -2,11 +2,11 @@ import test from "node:test";
 import assert from "node:assert/strict";
 import { keepSegments, laneNames, segmentAt, segmentText, markText } from "../../js/data/lanes.js";
 import { Series, keepLines } from "../../js/data/series.js";
-import { decode } from "../../js/data/wire.js";
+import { decodeReply } from "../../js/data/wire.js";
 
-const lane = (map, name = "") => map.get(name)?.map(([a, b, label]) => [a, b, label]);
+const laneRows = (map, name = "") => map.get(name)?.map(([a, b, label]) => [a, b, label]);
 
-test("segments are kept by lane, times after the origin", () => {
+test("segments are grouped by lane, with times relative to the origin", () => {
   const held = keepSegments(
     null,
     [
@@ -19,14 +19,14 @@ test("segments are kept by lane, times after the origin", () => {
     0,
   );
   assert.deepEqual(laneNames(held), ["9", "10", "b"]);
-  assert.deepEqual(lane(held, "b"), [
+  assert.deepEqual(laneRows(held, "b"), [
     [100, 105, "true"],
     [105, Infinity, "false"],
   ]);
   assert.deepEqual(laneNames(null), [""]);
 });
 
-test("a state that goes on over the seam of two windows is one segment", () => {
+test("a state that continues across two windows is one segment", () => {
   const held = keepSegments(
     null,
     [
@@ -37,7 +37,7 @@ test("a state that goes on over the seam of two windows is one segment", () => {
     0,
   );
   const next = keepSegments(held, [[8, null, "on", "state"]], 0, 8);
-  assert.deepEqual(lane(next), [
+  assert.deepEqual(laneRows(next), [
     [0, 5, "off"],
     [5, Infinity, "on"],
   ]);
@@ -50,22 +50,22 @@ test("a state that goes on over the seam of two windows is one segment", () => {
     0,
     9,
   );
-  assert.deepEqual(lane(changed), [
+  assert.deepEqual(laneRows(changed), [
     [0, 5, "off"],
     [5, 12, "on"],
     [12, Infinity, "off"],
   ]);
 });
 
-test("texts stay apart, and what was open ends where the next begins", () => {
+test("equal texts stay separate, and an open one ends where the next begins", () => {
   const held = keepSegments(null, [[0, null, "hm", "text"]], 0, 0);
-  assert.deepEqual(lane(keepSegments(held, [[7, null, "hm", "text"]], 0, 7)), [
+  assert.deepEqual(laneRows(keepSegments(held, [[7, null, "hm", "text"]], 0, 7)), [
     [0, 7, "hm"],
     [7, Infinity, "hm"],
   ]);
 });
 
-test("a lane that is not in the new window ends with the old one", () => {
+test("a lane that is missing in the new window ends with the old one", () => {
   const held = keepSegments(
     null,
     [
@@ -76,11 +76,11 @@ test("a lane that is not in the new window ends with the old one", () => {
     0,
   );
   const next = keepSegments(held, [[9, null, "true", "true", "b"]], 0, 9);
-  assert.deepEqual(lane(next, "a"), [[0, 9, "true"]]);
-  assert.deepEqual(lane(next, "b"), [[0, Infinity, "true"]]);
+  assert.deepEqual(laneRows(next, "a"), [[0, 9, "true"]]);
+  assert.deepEqual(laneRows(next, "b"), [[0, Infinity, "true"]]);
 });
 
-test("intervals told of twice are one", () => {
+test("an interval that is sent twice is kept once", () => {
   const held = keepSegments(
     null,
     [
@@ -99,24 +99,32 @@ test("intervals told of twice are one", () => {
     0,
     7,
   );
-  assert.deepEqual(lane(next), [
+  assert.deepEqual(laneRows(next), [
     [0, 5, ""],
     [6, 8, ""],
     [9, 10, ""],
   ]);
 });
 
-const columns = (t, v) => {
-  const f = (xs) => Float64Array.from(xs);
-  return { count: t.length, raw: true, t: f(t), min: f(v), max: f(v), last: f(v), n: f(t.map(() => 1)) };
+const columnFrame = (t, v) => {
+  const toFloats = (xs) => Float64Array.from(xs);
+  return {
+    count: t.length,
+    raw: true,
+    t: toFloats(t),
+    min: toFloats(v),
+    max: toFloats(v),
+    last: toFloats(v),
+    n: toFloats(t.map(() => 1)),
+  };
 };
 
-test("lines grow by name; one that came to its end is forgotten when it is out of sight", () => {
+test("lines grow by name, and a line that has ended is removed when it is out of view", () => {
   const held = keepLines(
     new Map(),
     [
-      { name: "a", ...columns([0, 1], [1, 2]) },
-      { name: "b", ...columns([0], [5]) },
+      { name: "a", ...columnFrame([0, 1], [1, 2]) },
+      { name: "b", ...columnFrame([0], [5]) },
     ],
     0,
     -Infinity,
@@ -125,8 +133,8 @@ test("lines grow by name; one that came to its end is forgotten when it is out o
   const next = keepLines(
     held,
     [
-      { name: "a", ...columns([1, 2], [2, 3]) },
-      { name: "c", ...columns([2], [9]) },
+      { name: "a", ...columnFrame([1, 2], [2, 3]) },
+      { name: "c", ...columnFrame([2], [9]) },
     ],
     0,
     1,
@@ -134,16 +142,16 @@ test("lines grow by name; one that came to its end is forgotten when it is out o
   );
   assert.deepEqual([...next.keys()], ["a", "b", "c"]);
   assert.deepEqual([...next.get("a").last.subarray(0, 3)], [1, 2, 3]);
-  assert.deepEqual([...keepLines(next, [{ name: "a", ...columns([9], [4]) }], 0, 9, 5).keys()], ["a"]);
+  assert.deepEqual([...keepLines(next, [{ name: "a", ...columnFrame([9], [4]) }], 0, 9, 5).keys()], ["a"]);
 });
 
-test("a gap does not count for the extent", () => {
+test("NaN does not affect the extent", () => {
   const s = new Series();
-  s.put(columns([0, 1, 2], [1, NaN, 3]), 0);
-  assert.deepEqual(s.extent(0, 2), [1, 3]);
+  s.putFrame(columnFrame([0, 1, 2], [1, NaN, 3]), 0);
+  assert.deepEqual(s.valueExtent(0, 2), [1, 3]);
 });
 
-test("lines are read from their bytes", () => {
+test("lines are decoded from bytes", () => {
   const v = new DataView(new ArrayBuffer(40 + 32 + 8 + 8 + 40));
   v.setUint8(0, 1);
   v.setUint32(24, 1, true);
@@ -155,13 +163,13 @@ test("lines are read from their bytes", () => {
   v.setUint32(76, 1, true);
   v.setUint8(80, "x".charCodeAt(0));
   v.setFloat64(88 + 24, 7.5, true);
-  const { lines } = decode(v.buffer).frames[0];
+  const { lines } = decodeReply(v.buffer).frames[0];
   assert.equal(lines.length, 1);
   assert.equal(lines[0].name, "x");
   assert.deepEqual([...lines[0].last], [7.5]);
 });
 
-test("what lies under the mouse is told in full, narrow segments within a few pixels", () => {
+test("the segment under the mouse is described in full, narrow ones within a few pixels", () => {
   const rows = [
     [0, 4e9, "idle", "state"],
     [4e9, 4e9 + 10, "blip", "state"],
@@ -174,7 +182,7 @@ test("what lies under the mouse is told in full, narrow segments within a few pi
   assert.deepEqual(segmentText([0, 5e8, "", "span"]), ["0:00.000 to 0:00.500, 500 ms"]);
 });
 
-test("of intervals that overlap the last that began is told", () => {
+test("of overlapping intervals, the one that began last is described", () => {
   const rows = [
     [0, 10e9, "long", "span"],
     [2e9, 3e9, "short", "span"],
@@ -183,7 +191,7 @@ test("of intervals that overlap the last that began is told", () => {
   assert.equal(segmentAt(rows, 5e9, 0)[2], "long");
 });
 
-test("the message nearest to the mouse is told with its latency", () => {
+test("the message nearest to the mouse is described with its latency", () => {
   const marks = { t: [1e9, 2e9], latency: [3e6, 80e6] };
   assert.deepEqual(markText(marks, 1.9e9, 2e8), ["message at 0:02.000", "latency 80.0 ms"]);
   assert.deepEqual(markText(marks, 1.5e9, 1e8), []);

@@ -1,10 +1,10 @@
-// Things in space as they come: laid out by hand as `Situ.Studio.Scene.pack/2` writes them.
+// Scenes as sent by the server, packed by hand in the format of `Situ.Studio.Scene.pack/2`.
 import test from "node:test";
 import assert from "node:assert/strict";
-import { sceneOf } from "../../js/data/scene.js";
+import { decodeScene } from "../../js/data/scene.js";
 
 // rows: [{kind, count, numbers: {name: typed array}, ...}]
-function pack(rows, problems = []) {
+function packScene(rows, problems = []) {
   const blobs = [];
   let at = 0;
   const items = rows.map(({ numbers, ...item }) => {
@@ -27,50 +27,53 @@ function pack(rows, problems = []) {
   return buffer;
 }
 
-const read = (rows, problems) => {
-  const buffer = pack(rows, problems);
-  return sceneOf(buffer, 0, buffer.byteLength);
+const readScene = (rows, problems) => {
+  const buffer = packScene(rows, problems);
+  return decodeScene(buffer, 0, buffer.byteLength);
 };
-const cloud = (...p) => ({ kind: "points", count: p.length / 3, numbers: { position: Float32Array.from(p) } });
+const cloudItem = (...p) => ({ kind: "points", count: p.length / 3, numbers: { position: Float32Array.from(p) } });
 
-test("numbers are views of the answer, not copies", () => {
-  const buffer = pack([cloud(1, 2, 3, 4, 5, 6)]);
-  const { items, problems } = sceneOf(buffer, 0, buffer.byteLength);
+test("arrays are views of the reply, not copies", () => {
+  const buffer = packScene([cloudItem(1, 2, 3, 4, 5, 6)]);
+  const { items, problems } = decodeScene(buffer, 0, buffer.byteLength);
   assert.deepEqual([...items[0].position], [1, 2, 3, 4, 5, 6]);
   assert.equal(items[0].position.buffer, buffer);
   assert.deepEqual(problems, []);
 });
 
-test("points that are nowhere are taken out, with what belongs to them, and told", () => {
-  const item = cloud(1, 2, 3, NaN, 0, 0, 7, 8, 9, 0, Infinity, 0);
+test("invalid points are removed together with their attributes, and reported", () => {
+  const item = cloudItem(1, 2, 3, NaN, 0, 0, 7, 8, 9, 0, Infinity, 0);
   item.numbers.color = Uint8Array.from([1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4]);
   item.names = ["a", "b", "c", "d"];
-  const { items, problems } = read([item], ["said before"]);
+  const { items, problems } = readScene([item], ["said before"]);
   assert.equal(items[0].count, 2);
   assert.deepEqual([...items[0].position], [1, 2, 3, 7, 8, 9]);
   assert.deepEqual([...items[0].color], [1, 1, 1, 3, 3, 3]);
   assert.deepEqual(items[0].names, ["a", "c"]);
-  assert.deepEqual(problems, ["said before", "2 of 4 points are nowhere: their coordinates are no numbers"]);
+  assert.deepEqual(problems, ["said before", "2 of 4 points are invalid: their coordinates are not numbers"]);
 });
 
-test("an empty cloud says so", () => {
-  assert.deepEqual(read([cloud()]).problems, ["an empty cloud"]);
+test("an empty cloud is reported", () => {
+  assert.deepEqual(readScene([cloudItem()]).problems, ["an empty cloud"]);
 });
 
-test("a mesh whose triangles name vertices that are not there is not drawn", () => {
-  const mesh = (index, position = [0, 0, 0, 1, 0, 0, 0, 1, 0]) => ({
+test("a mesh whose triangles refer to missing vertices is not drawn", () => {
+  const meshItem = (index, position = [0, 0, 0, 1, 0, 0, 0, 1, 0]) => ({
     kind: "meshes",
     count: 1,
     numbers: { position: Float32Array.from(position), index: Uint32Array.from(index) },
   });
-  assert.deepEqual(read([mesh([0, 1, 2])]).problems, []);
-  const bad = read([mesh([0, 1, 3])]);
+  assert.deepEqual(readScene([meshItem([0, 1, 2])]).problems, []);
+  const bad = readScene([meshItem([0, 1, 3])]);
   assert.equal(bad.items[0].count, 0);
-  assert.match(bad.problems[0], /triangle 0 names vertex 3 of 3/);
-  assert.match(read([mesh([0, 1, 2], [0, 0, 0, 1, NaN, 0, 0, 1, 0])]).problems[0], /vertex 1 is nowhere/);
+  assert.match(bad.problems[0], /triangle 0 refers to vertex 3 of 3/);
+  assert.match(
+    readScene([meshItem([0, 1, 2], [0, 0, 0, 1, NaN, 0, 0, 1, 0])]).problems[0],
+    /vertex 1 has invalid coordinates/,
+  );
 });
 
-test("nodes keep their numbers; edges of those that are nowhere go", () => {
+test("nodes keep their indices, and edges of invalid nodes are removed", () => {
   const graph = {
     kind: "graphs",
     count: 3,
@@ -79,13 +82,13 @@ test("nodes keep their numbers; edges of those that are nowhere go", () => {
       edge: Uint32Array.from([0, 1, 0, 2, 2, 9]),
     },
   };
-  const { items, problems } = read([graph]);
+  const { items, problems } = readScene([graph]);
   assert.deepEqual([...items[0].edge], [0, 2]);
   assert.ok(items[0].bad.has(1));
-  assert.match(problems[0], /1 of 3 nodes are nowhere/);
+  assert.match(problems[0], /1 of 3 nodes are invalid/);
 });
 
-test("a scene that is cut short is refused", () => {
-  const buffer = pack([cloud(1, 2, 3, 4, 5, 6)]);
-  assert.throws(() => sceneOf(buffer, 0, buffer.byteLength - 8), /cut short/);
+test("a truncated scene is rejected", () => {
+  const buffer = packScene([cloudItem(1, 2, 3, 4, 5, 6)]);
+  assert.throws(() => decodeScene(buffer, 0, buffer.byteLength - 8), /cut short/);
 });

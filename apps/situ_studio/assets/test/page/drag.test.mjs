@@ -1,17 +1,17 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
-import { sideOf } from "../../js/page/drag.js";
+import { dropSide } from "../../js/page/drag.js";
 
 const box = { left: 100, top: 50, width: 200, height: 100 };
 
-test("a timeline goes above or below what it is dropped on", () => {
-  assert.equal(sideOf(box, 150, 60, false), "above");
-  assert.equal(sideOf(box, 290, 120, false), "below");
+test("a timeline is placed above or below its drop target", () => {
+  assert.equal(dropSide(box, 150, 60, false), "above");
+  assert.equal(dropSide(box, 290, 120, false), "below");
 });
 
-test("a cell goes to the nearer side of another, and out of the row at its upper and lower edge", () => {
-  assert.equal(sideOf(box, 120, 100, true), "left");
-  assert.equal(sideOf(box, 290, 100, true), "right");
-  assert.equal(sideOf(box, 120, 55, true), "above");
-  assert.equal(sideOf(box, 290, 145, true), "below");
+test("a cell is placed on the nearer side of another, and outside of the row near its upper and lower edges", () => {
+  assert.equal(dropSide(box, 120, 100, true), "left");
+  assert.equal(dropSide(box, 290, 100, true), "right");
+  assert.equal(dropSide(box, 120, 55, true), "above");
+  assert.equal(dropSide(box, 290, 145, true), "below");
 });

@@ -1,13 +1,20 @@
 import test from "node:test";
 import assert from "node:assert/strict";
-import { axisNumber, fraction, paddedRange, tickCount, valueText, valueTicks } from "../../js/page/number_text.js";
+import {
+  axisNumber,
+  valueFraction,
+  paddedRange,
+  tickCount,
+  valueText,
+  valueTicks,
+} from "../../js/page/number_text.js";
 
-test("numbers beside an axis are short, however large or small", () => {
+test("axis labels are short for large and small numbers", () => {
   const said = [0, 0.25, 1500, 25e3, 1e18, 1.5e294, 1e-9, -2.5e-7].map((x) => axisNumber(x));
   assert.deepEqual(said, ["0", "0.25", "1500", "25 k", "1e18", "1.5e294", "1e-9", "-2.5e-7"]);
 });
 
-test("numbers beside an axis are never so short that two ticks are the same", () => {
+test("axis labels are long enough to distinguish all ticks", () => {
   for (const [lo, hi] of [
     [1e6, 1e6 + 6e-6],
     [123456789, 123456789.5],
@@ -30,12 +37,12 @@ test("numbers beside an axis are never so short that two ticks are the same", ()
   }
 });
 
-test("an axis has two ticks at least, and few where it is high", () => {
+test("an axis has at least two ticks, and few if it is high", () => {
   assert.deepEqual([20, 60, 150, 800].map(tickCount), [2, 2, 5, 14]);
   assert.ok(valueTicks(-1e293, 1.1e294, 4).length >= 2);
 });
 
-test("a value that people wrote is shown whole", () => {
+test("a value that people wrote is shown in full", () => {
   const exact = ["123456789.123", "1000000.00001", "9007199254740993", "0.25", "-3", "1.0", "1.7e308", "5.0e-9"];
   const shown = ["123456789.123", "1000000.00001", "9007199254740993", "0.25", "-3", "1", "1.7e+308", "5e-9"];
   assert.deepEqual(
@@ -48,7 +55,7 @@ test("a value that people wrote is shown whole", () => {
   );
 });
 
-test("a computed value has as many digits as tell it apart from its neighbours", () => {
+test("a computed value has enough digits to differ from its neighbors", () => {
   assert.equal(valueText("0.8414709848078965"), "0.841471");
   assert.equal(valueText("0.8414709848078965", 1e-9), "0.8414709848");
   for (const [x, apart] of [
@@ -63,11 +70,11 @@ test("a computed value has as many digits as tell it apart from its neighbours",
   }
 });
 
-test("the greatest numbers have a range, ticks and a place in it", () => {
+test("the largest numbers have a range, ticks and positions", () => {
   const [lo, hi] = paddedRange([[-1.7e308, 1.7e308]]);
   assert.ok(Number.isFinite(lo) && Number.isFinite(hi) && lo < -1.7e308 && hi > 1.7e308);
-  assert.equal(fraction(0, lo, hi), 0.5);
-  assert.equal(fraction(lo, lo, hi), 0);
-  assert.equal(fraction(hi, lo, hi), 1);
-  assert.equal(fraction(3, 2, 6), 0.25);
+  assert.equal(valueFraction(0, lo, hi), 0.5);
+  assert.equal(valueFraction(lo, lo, hi), 0);
+  assert.equal(valueFraction(hi, lo, hi), 1);
+  assert.equal(valueFraction(3, 2, 6), 0.25);
 });

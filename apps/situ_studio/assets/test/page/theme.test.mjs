@@ -1,40 +1,40 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
-import { contrast } from "../../js/page/theme.js";
+import { contrastRatio } from "../../js/page/theme.js";
 
 const css = readFileSync(new URL("../../css/studio.css", import.meta.url), "utf8");
 
-function colors(selector) {
+function readColors(selector) {
   const block = css.slice(css.indexOf(selector), css.indexOf("}", css.indexOf(selector)));
   return Object.fromEntries([...block.matchAll(/--([\w-]+): (#[0-9a-f]{6});/g)].map((m) => [m[1], m[2]]));
 }
 
-test("contrast is that of the W3C", () => {
-  assert.equal(contrast("#000000", "#ffffff"), 21);
-  assert.equal(contrast("#777777", "#ffffff").toFixed(2), "4.48");
+test("the contrast ratio follows the W3C", () => {
+  assert.equal(contrastRatio("#000000", "#ffffff"), 21);
+  assert.equal(contrastRatio("#777777", "#ffffff").toFixed(2), "4.48");
 });
 
 for (const [name, selector] of [
   ["dark", ":root {"],
   ["light", ':root[data-theme="light"] {'],
 ]) {
-  const c = colors(selector);
+  const c = readColors(selector);
 
-  test(`${name}: what is written can be read`, () => {
+  test(`${name}: text is readable`, () => {
     for (const text of ["text", "axis", "dim", "accent", "cursor", "warn", "sel-start", "sel-end"]) {
       for (const ground of ["bg", "panel", "raised"]) {
-        const k = contrast(c[text], c[ground]);
+        const k = contrastRatio(c[text], c[ground]);
         assert.ok(k >= 4.5, `${text} on ${ground}: ${k.toFixed(2)}`);
       }
     }
-    assert.ok(contrast(c["on-accent"], c.accent) >= 4.5);
+    assert.ok(contrastRatio(c["on-accent"], c.accent) >= 4.5);
   });
 
-  test(`${name}: lines can be told from their ground, and labels on them can be read`, () => {
+  test(`${name}: lines are distinguishable from the background, and their labels are readable`, () => {
     for (let i = 0; i < 8; i++) {
-      assert.ok(contrast(c[`s${i}`], c.panel) >= 3, `s${i}: ${contrast(c[`s${i}`], c.panel).toFixed(2)}`);
-      const best = Math.max(contrast(c.bg, c[`s${i}`]), contrast(c.text, c[`s${i}`]));
+      assert.ok(contrastRatio(c[`s${i}`], c.panel) >= 3, `s${i}: ${contrastRatio(c[`s${i}`], c.panel).toFixed(2)}`);
+      const best = Math.max(contrastRatio(c.bg, c[`s${i}`]), contrastRatio(c.text, c[`s${i}`]));
       assert.ok(best >= 4.1, `label on s${i}: ${best.toFixed(2)}`);
     }
   });

@@ -20,8 +20,8 @@ const series = [
   { name: "b", color: "#00b000", rows: [["y", -1]] },
 ];
 
-// The rectangles and places that are drawn in a colour.
-function drawn(props, given = series) {
+// Returns the drawing calls, with their color.
+function recordCalls(props, given = series) {
   const out = [];
   const ctx = new Proxy(
     { measureText: (t) => ({ width: 6 * t.length }) },
@@ -39,36 +39,36 @@ function drawn(props, given = series) {
   return out;
 }
 
-const of = (calls, color, name) => calls.filter(([n, c]) => c === color && n === name).map((c) => c.slice(2));
+const callsOf = (calls, color, name) => calls.filter(([n, c]) => c === color && n === name).map((c) => c.slice(2));
 
-test("bars stand side by side from zero, and lie when asked", () => {
-  const [x, y] = of(drawn({}), "#a00000", "fillRect");
+test("bars are side by side from zero, and horizontal if requested", () => {
+  const [x, y] = callsOf(recordCalls({}), "#a00000", "fillRect");
   assert.ok(Math.abs(y[3] / x[3] - 3) < 0.1, `three times as high: ${x} ${y}`);
-  assert.equal(x[1] + x[3], y[1] + y[3], "both stand on zero");
-  const below = of(drawn({}), "#00b000", "fillRect").find(([, , w]) => w > 9);
-  assert.equal(below[1], y[1] + y[3], "less than nothing hangs below it");
-  assert.ok(below[0] >= y[0] + y[2], "beside its neighbour");
-  const [p, q] = of(drawn({ lying: true }), "#a00000", "fillRect").filter(([, , w]) => w !== 9);
+  assert.equal(x[1] + x[3], y[1] + y[3], "both start at zero");
+  const below = callsOf(recordCalls({}), "#00b000", "fillRect").find(([, , w]) => w > 9);
+  assert.equal(below[1], y[1] + y[3], "negative bars are below zero");
+  assert.ok(below[0] >= y[0] + y[2], "next to its neighbor");
+  const [p, q] = callsOf(recordCalls({ lying: true }), "#a00000", "fillRect").filter(([, , w]) => w !== 9);
   assert.ok(Math.abs(q[2] / p[2] - 3) < 0.1, `three times as long: ${p} ${q}`);
   assert.equal(p[0], q[0]);
 });
 
-test("stacked bars begin where the one before ends", () => {
+test("stacked bars begin where the previous one ends", () => {
   const up = [series[0], { name: "b", color: "#00b000", rows: [["y", 2]] }];
-  const calls = drawn({ kind: "stacked" }, up);
-  const [, y] = of(calls, "#a00000", "fillRect").filter(([, , w]) => w !== 9);
-  const [b] = of(calls, "#00b000", "fillRect").filter(([, , w]) => w !== 9);
+  const calls = recordCalls({ kind: "stacked" }, up);
+  const [, y] = callsOf(calls, "#a00000", "fillRect").filter(([, , w]) => w !== 9);
+  const [b] = callsOf(calls, "#00b000", "fillRect").filter(([, , w]) => w !== 9);
   assert.equal(b[0], y[0]);
   assert.equal(b[1] + b[3], y[1]);
 });
 
-test("over x the names are places", () => {
+test("numeric names are positions on the x axis", () => {
   const rows = [
     ["0", 0],
     ["10", 1],
     ["1", 2],
   ];
-  const places = of(drawn({ kind: "xy" }, [{ name: "", color: "#a00000", rows }]), "#a00000", "lineTo");
-  const [from] = of(drawn({ kind: "xy" }, [{ name: "", color: "#a00000", rows }]), "#a00000", "moveTo");
+  const places = callsOf(recordCalls({ kind: "xy" }, [{ name: "", color: "#a00000", rows }]), "#a00000", "lineTo");
+  const [from] = callsOf(recordCalls({ kind: "xy" }, [{ name: "", color: "#a00000", rows }]), "#a00000", "moveTo");
   assert.ok(Math.abs((places[0][0] - from[0]) * 10 - (places[1][0] - from[0])) < 12, `${from} ${places}`);
 });

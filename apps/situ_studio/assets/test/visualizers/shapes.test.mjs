@@ -1,6 +1,6 @@
 import { test } from "node:test";
 import assert from "node:assert/strict";
-import { mapping, shapesAt } from "../../js/visualizers/shapes.js";
+import { imageMapping, shapesAt } from "../../js/visualizers/shapes.js";
 
 const shapes = {
   rects: [
@@ -14,31 +14,31 @@ const shapes = {
   ],
 };
 
-test("the smallest rectangle around a place is told with label, score and id", () => {
+test("the smallest rectangle around a position is described with label, score and id", () => {
   assert.deepEqual(shapesAt(shapes, 60, 40, 1), ["person", "score 0.7123", "id 3", "100 × 100 at (0, 0)"]);
   assert.deepEqual(shapesAt(shapes, 25, 25, 1), ["face", "10 × 10 at (20, 20)"]);
   assert.deepEqual(shapesAt(shapes, 52, 52, 1), ["rectangle", "id 0", "5 × 5 at (50, 50)"]);
 });
 
-test("the nearest point within a few pixels of the screen is told before the rectangle around it", () => {
+test("the nearest point within a few screen pixels is described before its rectangle", () => {
   assert.equal(shapesAt(shapes, 81, 80, 1)[0], "nose  (80, 80)");
   assert.equal(shapesAt(shapes, 82.5, 80, 1)[0], "point  (83, 80)");
-  assert.equal(shapesAt(shapes, 78, 80, 10)[0], "person", "far away on the screen when zoomed in");
+  assert.equal(shapesAt(shapes, 78, 80, 10)[0], "person", "too far away on the screen when zoomed in");
 });
 
-test("nothing is told of a place where nothing is, nor of other shapes", () => {
+test("empty positions and other shapes are not described", () => {
   assert.deepEqual(shapesAt(shapes, 500, 500, 1), []);
   assert.deepEqual(shapesAt({ texts: ["x"] }, 1, 1, 1), []);
 });
 
-test("a place goes to the canvas and back, mirrored or not", () => {
+test("positions convert to the canvas and back, mirrored or not", () => {
   for (const mirrored of [false, true]) {
-    const map = mapping({ x: 10, y: 20, k: 2, width: 64 }, mirrored);
+    const map = imageMapping({ x: 10, y: 20, k: 2, width: 64 }, mirrored);
     assert.deepEqual(map.back(map.x(5), map.y(7)), [5, 7]);
   }
   assert.equal(
-    mapping({ x: 10, y: 0, k: 2, width: 64 }, true).x(0),
+    imageMapping({ x: 10, y: 0, k: 2, width: 64 }, true).x(0),
     138,
-    "the left edge of a mirrored picture is right",
+    "the left edge of a mirrored image is on the right",
   );
 });

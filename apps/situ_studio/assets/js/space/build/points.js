@@ -1,7 +1,7 @@
-// Points: a million are one draw, coloured on the graphics card.
+// Builds points: a million are one draw call, colored on the graphics card.
 
 import { BufferAttribute, BufferGeometry, Color, Points, ShaderMaterial, Vector4 } from "three";
-import { MODES, modeOf, ramp, spanOf } from "../colors.js";
+import { MODES, colorMode, rampTexture, colorSpan } from "../colors.js";
 
 const VERTEX = `
   attribute vec3 tone;
@@ -19,7 +19,7 @@ const VERTEX = `
     else if (mode == 1) shade = tint;
     else shade = texture2D(ramp, vec2(clamp((v - low) / (high - low), 0.002, 0.998), 0.5)).rgb;
     gl_Position = projectionMatrix * viewMatrix * place;
-    // so wide in the world, and as wide on the screen as it is near
+    // the size in the world, scaled by distance
     float near = metres * projectionMatrix[1][1] * height / 2.0 / max(gl_Position.w, 1e-6);
     gl_PointSize = max(size, near);
   }`;
@@ -37,13 +37,13 @@ const FRAGMENT = `
 let colors = null;
 const SEEN = new Vector4();
 
-export function points(item, props, pixels) {
+export function buildPoints(item, props, pixels) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(item.position, 3));
   if (item.color) geometry.setAttribute("tone", new BufferAttribute(item.color, 3, true));
   if (item.value) geometry.setAttribute("value", new BufferAttribute(item.value, 1));
-  const mode = modeOf(item, props);
-  const span = mode === "own" || mode === "one" ? [0, 1] : spanOf(item, mode, props);
+  const mode = colorMode(item, props);
+  const span = mode === "own" || mode === "one" ? [0, 1] : colorSpan(item, mode, props);
   const size = (props.point_size ?? 2) * pixels;
   const opacity = (props.opacity ?? 100) / 100;
   const material = new ShaderMaterial({
@@ -58,7 +58,7 @@ export function points(item, props, pixels) {
       high: { value: span[1] },
       mode: { value: item.color || mode !== "own" ? MODES[mode] : MODES.one },
       tint: { value: new Color(props.color) },
-      ramp: { value: (colors ??= ramp()) },
+      ramp: { value: (colors ??= rampTexture()) },
       opacity: { value: opacity },
       round_from: { value: size >= 4 || props.point_mm > 0 ? 1 : 0 },
     },

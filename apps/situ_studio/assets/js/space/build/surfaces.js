@@ -1,4 +1,4 @@
-// Surfaces: meshes, rectangles with or without a picture, and the pyramids of cameras.
+// Builds surfaces: meshes, rectangles with or without an image, and camera frusta.
 
 import {
   BufferAttribute,
@@ -16,14 +16,14 @@ import {
   SRGBColorSpace,
   Texture,
 } from "three";
-import { written } from "./texts.js";
-import { bitmap } from "../../visualizers/pixels.js";
-import { look } from "../../visualizers/depth_colors.js";
+import { textTexture } from "./texts.js";
+import { createBitmap } from "../../visualizers/pixels.js";
+import { depthStyle } from "../../visualizers/depth_colors.js";
 
-// A mesh that comes again has the same numbers, and the same normals.
+// A mesh that is sent once and reused keeps its normals.
 const normals = new WeakMap();
 
-export function meshes(item, props) {
+export function buildMeshes(item, props) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(item.position, 3));
   geometry.setIndex(new BufferAttribute(item.index, 1));
@@ -46,27 +46,29 @@ export function meshes(item, props) {
   return { object, name: () => item.name ?? "mesh" };
 }
 
-// A picture's plane lies 1 m before its camera, or where the properties put it.
-function scaled(corners, apex, distance) {
+// Places an image's plane 1 m in front of its camera, or at the distance of the properties.
+function scaleFromApex(corners, apex, distance) {
   if (!apex) return corners;
   return corners.map((v, i) => apex[i % 3] + (v - apex[i % 3]) * distance);
 }
 
-export function quads(item, props, _pixels, changed) {
+export function buildQuads(item, props, _pixels, changed) {
   const group = new Group();
   const rows = [];
   for (let i = 0; i < item.count; i++)
     rows.push(
-      Float32Array.from(scaled(Array.from(item.corner.slice(12 * i, 12 * i + 12)), item.apex, props.plane ?? 1)),
+      Float32Array.from(
+        scaleFromApex(Array.from(item.corner.slice(12 * i, 12 * i + 12)), item.apex, props.plane ?? 1),
+      ),
     );
   const opacity = ((props.opacity ?? 100) / 100) * (item.apex ? 0.75 : 1);
   const basic = { side: DoubleSide, opacity, transparent: opacity < 1, depthWrite: opacity >= 1 };
   const material = new MeshBasicMaterial({ ...basic, color: item.picture ? "#ffffff" : props.color });
   if (item.picture) {
     material.visible = false;
-    show(item, material, props, changed);
+    showImage(item, material, props, changed);
   } else if (item.text) {
-    const { texture } = written(item.text, props.color, aspect(rows[0]));
+    const { texture } = textTexture(item.text, props.color, aspectRatio(rows[0]));
     Object.assign(material, { map: texture, transparent: true });
     material.color.set("#ffffff");
   }
@@ -84,18 +86,18 @@ export function quads(item, props, _pixels, changed) {
   return { object: group, name: (i) => item.names?.[i] ?? item.names?.[0] ?? "surface" };
 }
 
-// How much wider than high a surface is.
-function aspect([ax, ay, az, bx, by, bz, cx, cy, cz]) {
+// Returns the aspect ratio of a surface.
+function aspectRatio([ax, ay, az, bx, by, bz, cx, cy, cz]) {
   const high = Math.hypot(cx - bx, cy - by, cz - bz);
   return high > 0 ? Math.hypot(bx - ax, by - ay, bz - az) / high : 1;
 }
 
-async function show(item, material, props, changed) {
+async function showImage(item, material, props, changed) {
   const { pixels, width, height, unit } = item.picture;
   try {
-    const { image } = await bitmap(
+    const { image } = await createBitmap(
       { pixels, width, height, unit, data: item.bytes },
-      pixels === 5 ? look({ ...props, range: props.depth_range }) : null,
+      pixels === 5 ? depthStyle({ ...props, range: props.depth_range }) : null,
     );
     const upright = await createImageBitmap(image, { imageOrientation: "flipY" });
     image.close();
@@ -108,18 +110,18 @@ async function show(item, material, props, changed) {
     texture.needsUpdate = true;
     Object.assign(material, { map: texture, visible: true, needsUpdate: true });
   } catch (error) {
-    item.problem = `its picture cannot be shown: ${error.message}`;
+    item.problem = `its image cannot be shown: ${error.message}`;
   }
   changed();
 }
 
 const EDGES = [0, 1, 0, 2, 0, 3, 0, 4, 1, 2, 2, 3, 3, 4, 4, 1];
 
-export function frusta(item, props) {
+export function buildFrusta(item, props) {
   const ends = new Float32Array(item.count * EDGES.length * 3);
   for (let i = 0; i < item.count; i++) {
     const row = Array.from(item.corner.slice(15 * i, 15 * i + 15));
-    const corners = scaled(row, row.slice(0, 3), props.plane ?? 1);
+    const corners = scaleFromApex(row, row.slice(0, 3), props.plane ?? 1);
     EDGES.forEach((from, k) => ends.set(corners.slice(3 * from, 3 * from + 3), 3 * (i * EDGES.length + k)));
   }
   const geometry = new BufferGeometry();

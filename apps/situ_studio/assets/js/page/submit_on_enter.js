@@ -1,4 +1,4 @@
-// A field of several lines: Enter sends it, Shift+Enter begins another line, and Escape returns the keys to the page.
+// A multi-line field: Enter submits it, Shift+Enter adds a line, and Escape returns the focus to the page.
 
 export const hooks = {
   Enter: {

@@ -1,13 +1,13 @@
-// The tools of the toolbar that the window has no room for: a menu of them, under the button with the dots.
+// A menu of the toolbar's tools that do not fit into the window.
 
 const KEY = /^(.*?)(?: \(([^()]+)\))?$/;
 
-// As the menu takes them: those that the style sheet leaves out, and those behind the button. Each does what a click on
-// the tool would.
+// Lists the hidden tools as menu items: those hidden by the style sheet, and those cut off by the button. Each item
+// clicks its tool.
 export function moreItems(bar, more) {
   const end = more.getBoundingClientRect().left;
-  const unseen = (el) => el.getClientRects().length === 0 || el.getBoundingClientRect().right > end + 1;
-  const tools = [...bar.querySelectorAll("button, a.tool")].filter((el) => el !== more && unseen(el));
+  const isHidden = (el) => el.getClientRects().length === 0 || el.getBoundingClientRect().right > end + 1;
+  const tools = [...bar.querySelectorAll("button, a.tool")].filter((el) => el !== more && isHidden(el));
   return tools.map((el) => {
     const [, text, hint] = KEY.exec(el.title || el.textContent.trim());
     return { text, hint, disabled: el.disabled === true, run: () => el.click() };

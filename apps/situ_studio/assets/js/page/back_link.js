@@ -1,11 +1,11 @@
-// A link back to the page that was open before in this tab, or else to all recordings. The studio asks browsers to send
-// no referrer, since the address of a page says what people look at, so the tab remembers its last page.
+// A link back to the previous page in this tab, or else to the list of recordings. The studio tells browsers not to
+// send a referrer, since addresses reveal what people look at, so the tab remembers its last page.
 
-// The address to go back to: another page of this studio.
+// Returns the address to go back to: another page of this studio.
 export function backAddress(before, here, base) {
   if (!before.startsWith(base)) return base;
-  const bare = (url) => url.split(/[?#]/)[0];
-  return bare(before) === bare(here) ? base : before;
+  const stripQuery = (url) => url.split(/[?#]/)[0];
+  return stripQuery(before) === stripQuery(here) ? base : before;
 }
 
 const KEY = "situ-page";

@@ -1,4 +1,4 @@
-// One moment of a headset as bytes (docs: `Situ.Studio.Headset.Packet`).
+// Encodes the state of a headset as bytes (docs: `Situ.Studio.Headset.Packet`).
 import { now } from "../sensor/clock.js";
 
 const HEAD = 16;
@@ -6,9 +6,9 @@ const JOINTS = 25;
 const POSE = 7;
 const FLAGS = { left: 1, right: 2, gaze: 4, planes: 8, "left selects": 16, "right selects": 32, selected: 64 };
 
-const numbers = ({ position: p, orientation: o }) => [p.x, p.y, p.z, o.x, o.y, o.z, o.w];
+const poseNumbers = ({ position: p, orientation: o }) => [p.x, p.y, p.z, o.x, o.y, o.z, o.w];
 
-export class Moments {
+export class PacketEncoder {
   constructor(session, space) {
     Object.assign(this, { session, space, pressed: { left: false, right: false }, selected: true, seen: new Map() });
     for (const name of ["selectstart", "selectend"])
@@ -19,51 +19,51 @@ export class Moments {
       });
   }
 
-  // Null while the headset does not know where it is.
-  take(time, frame) {
+  // Returns the bytes of one frame, or null while the headset's pose is unknown.
+  encodeFrame(time, frame) {
     const head = frame.getViewerPose(this.space);
     if (!head) return null;
     let flags = 0;
-    const rows = [numbers(head.transform)];
+    const rows = [poseNumbers(head.transform)];
     for (const side of ["left", "right"]) {
-      const joints = this.hand(frame, side);
+      const joints = this.readHand(frame, side);
       if (joints) {
         flags |= FLAGS[side];
         rows.push(joints);
       }
       if (this.pressed[side]) flags |= FLAGS[`${side} selects`];
     }
-    const gaze = this.gaze(frame);
+    const gaze = this.readGaze(frame);
     if (gaze) {
       flags |= FLAGS.gaze;
-      rows.push(numbers(gaze.transform));
+      rows.push(poseNumbers(gaze.transform));
     }
-    const planes = this.planes(frame);
+    const planes = this.readPlanes(frame);
     if (planes) flags |= FLAGS.planes;
     if (this.selected) flags |= FLAGS.selected;
     this.selected = false;
-    return pack(flags, moment(time), rows, planes);
+    return packBytes(flags, frameTime(time), rows, planes);
   }
 
-  hand(frame, side) {
+  readHand(frame, side) {
     const source = [...this.session.inputSources].find((s) => s.hand && s.handedness === side);
     if (!source) return null;
     const joints = [];
     for (const joint of source.hand.values()) {
       const pose = frame.getJointPose(joint, this.space);
       if (!pose) return null;
-      joints.push(...numbers(pose.transform));
+      joints.push(...poseNumbers(pose.transform));
     }
     return joints.length === JOINTS * POSE ? joints : null;
   }
 
-  gaze(frame) {
+  readGaze(frame) {
     const source = [...this.session.inputSources].find((s) => s.targetRayMode === "gaze");
     return source ? frame.getPose(source.targetRaySpace, this.space) : null;
   }
 
-  // All planes when one has come, gone or changed; else null.
-  planes(frame) {
+  // Returns all planes if one was added, removed or changed, else null.
+  readPlanes(frame) {
     const found = frame.detectedPlanes;
     if (!found) return null;
     const same = found.size === this.seen.size && [...found].every((p) => this.seen.get(p) === p.lastChangedTime);
@@ -75,20 +75,20 @@ export class Moments {
       if (!pose) continue;
       this.seen.set(plane, plane.lastChangedTime);
       const polygon = [...plane.polygon].map((p) => [p.x, p.z]);
-      rows.push({ label: plane.semanticLabel ?? "", pose: numbers(pose.transform), polygon });
+      rows.push({ label: plane.semanticLabel ?? "", pose: poseNumbers(pose.transform), polygon });
     }
     return rows;
   }
 }
 
-// A frame's own time, where it is of this page's clock.
-function moment(time) {
+// Returns the frame's own time if it uses this page's clock, else the current time.
+function frameTime(time) {
   const own = performance.timeOrigin + time;
   const here = now();
   return Math.abs(own - here) < 1000 ? own : here;
 }
 
-function pack(flags, ms, rows, planes) {
+function packBytes(flags, ms, rows, planes) {
   const floats = rows.flat();
   const text = planes ? new TextEncoder().encode(JSON.stringify(planes)) : new Uint8Array(0);
   const bytes = new Uint8Array(HEAD + 4 * floats.length + text.length);

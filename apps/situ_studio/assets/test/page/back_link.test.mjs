@@ -1,8 +1,8 @@
 import test from "node:test";
 import assert from "node:assert/strict";
-import { backAddress } from "../../js/page/back.js";
+import { backAddress } from "../../js/page/back_link.js";
 
-test("the way back is the studio's own page before this one", () => {
+test("the back link leads to the previous page of this studio", () => {
   const base = "https://lab.example/studio/",
     here = base + "settings";
   assert.equal(backAddress(base + "s/Talk.0000?at=5", here, base), base + "s/Talk.0000?at=5");

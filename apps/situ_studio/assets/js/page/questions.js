@@ -1,11 +1,12 @@
-// The page's own questions, in place of the browser's: they look like the page, wait for nobody, and Escape, Cancel and
-// a click beside them answer nothing.
+// Asks questions in dialogs that replace the browser's: they match the page and do not block it. Escape, Cancel and
+// a click outside return nothing.
 
 let count = 0;
 
-// A text: {title, value?, type?, choices? (offered while typing), actions? [[name, text]]} -> {action, text} or null.
-export function ask({ title, value = "", type = "text", choices = [], actions = [["ok", "OK"]] }) {
-  const dialog = open(title);
+// Asks for a text: {title, value?, type?, choices? (suggestions), actions? [[name, text]]} -> {action, text} or
+// null.
+export function askText({ title, value = "", type = "text", choices = [], actions = [["ok", "OK"]] }) {
+  const dialog = openDialog(title);
   const form = dialog.appendChild(document.createElement("form"));
   form.method = "dialog";
   form.appendChild(document.createElement("h3")).textContent = title;
@@ -13,37 +14,37 @@ export function ask({ title, value = "", type = "text", choices = [], actions = 
   Object.assign(input, { type, value, autocomplete: "off", maxLength: 2000 });
   if (type === "number") input.step = "any";
   input.setAttribute("aria-label", title);
-  if (choices.length) offer(form, input, choices);
-  buttons(form, actions);
-  return answer(dialog, (name) => ({ action: name, text: input.value }), input);
+  if (choices.length) offerChoices(form, input, choices);
+  addButtons(form, actions);
+  return awaitAnswer(dialog, (name) => ({ action: name, text: input.value }), input);
 }
 
-// Yes or no, with what happens on the button.
-export function sure(text, yes = "OK") {
-  const dialog = open(text);
+// Asks for confirmation; `yes` is the text of the button.
+export function confirmAction(text, yes = "OK") {
+  const dialog = openDialog(text);
   const form = dialog.appendChild(document.createElement("form"));
   form.method = "dialog";
   form.appendChild(document.createElement("p")).textContent = text;
-  buttons(form, [["yes", yes]]);
-  return answer(dialog, () => true).then((found) => found === true);
+  addButtons(form, [["yes", yes]]);
+  return awaitAnswer(dialog, () => true).then((found) => found === true);
 }
 
-function open(title) {
+function openDialog(title) {
   const dialog = document.body.appendChild(document.createElement("dialog"));
   dialog.id = "question";
   dialog.setAttribute("aria-label", title);
   return dialog;
 }
 
-function offer(form, input, choices) {
+function offerChoices(form, input, choices) {
   const list = form.appendChild(document.createElement("datalist"));
   list.id = `choices-${++count}`;
   for (const c of choices) list.appendChild(document.createElement("option")).value = c;
   input.setAttribute("list", list.id);
 }
 
-// Enter is the first of them.
-function buttons(form, actions) {
+// Enter activates the first button.
+function addButtons(form, actions) {
   const row = form.appendChild(document.createElement("div"));
   row.className = "choices";
   actions.forEach(([name, text], i) => {
@@ -55,7 +56,7 @@ function buttons(form, actions) {
   no.addEventListener("click", () => form.closest("dialog").close(""));
 }
 
-function answer(dialog, of, focused) {
+function awaitAnswer(dialog, of, focused) {
   const back = document.activeElement;
   dialog.addEventListener("click", (e) => e.target === dialog && dialog.close(""));
   dialog.showModal();

@@ -1,16 +1,17 @@
-// Several browsers on one recording: who shares where they look is seen by the others, who may follow. The server
-// passes on and keeps nothing.
+// Shares cursors between browsers that show the same recording. Users who share their position are visible to the
+// others, who may follow them. The server relays messages and stores nothing.
 
-import { annotator } from "../annotation/annotator.js";
+import { readAnnotator } from "../annotation/annotator.js";
 import { GUTTER, seriesColor } from "./theme.js";
-import { toast } from "./toast.js";
+import { showToast } from "./toast.js";
 
-// At most so often, in ms; and so often while nothing moves, so that who has gone is noticed.
+// The minimum interval between messages in ms, the interval while nothing moves, and the time after which a silent
+// peer is removed.
 const PACE = 100,
   ALIVE = 2000,
   LOST = 6000;
 
-export class Together {
+export class SharedCursors {
   constructor(app) {
     this.app = app;
     this.who = Math.random().toString(36).slice(2, 12);
@@ -18,62 +19,68 @@ export class Together {
     this.sharing = false;
     this.following = null;
     this.el = document.getElementById("together");
-    this.el?.addEventListener("click", (e) => this.follow(e.target.closest("button")?.dataset.who));
-    app.time.subscribe((s, old, action) => this.moved(action));
-    this.timer = setInterval(() => this.tick(), ALIVE);
+    this.el?.addEventListener("click", (e) => this.followPeer(e.target.closest("button")?.dataset.who));
+    app.time.subscribe((s, old, action) => this.handleMove(action));
+    this.timer = setInterval(() => this.sendAlive(), ALIVE);
   }
 
-  // Shares where this page looks, or no longer.
-  toggle() {
+  // Starts or stops sharing this page's position.
+  toggleSharing() {
     this.sharing = !this.sharing;
-    this.tell(!this.sharing);
-    this.show();
-    toast(this.sharing ? "Others who look at this see your cursor" : "Your cursor is yours again");
+    this.pushState(!this.sharing);
+    this.showPeers();
+    showToast(this.sharing ? "Others now see your cursor" : "You stopped sharing your cursor");
   }
 
-  // Whoever moves by themselves no longer follows.
-  moved(action) {
+  // A user who moves the view or the cursor stops following.
+  handleMove(action) {
     if (this.following && !this.applying && ["view", "pan", "zoomAt", "nudge", "seek", "goto"].includes(action?.type))
-      this.follow(null);
+      this.followPeer(null);
     if (!this.sharing || this.waiting) return;
     this.waiting = setTimeout(() => {
       this.waiting = null;
-      this.tell();
+      this.pushState();
     }, PACE);
-    this.draw();
+    this.drawCursors();
   }
 
-  tell(gone = false) {
+  pushState(gone = false) {
     const { client, time, options } = this.app;
     if (client.origin === null) return;
     const s = time.get();
     options.push?.("together", {
       who: this.who,
-      name: annotator() ?? `Guest ${this.who.slice(0, 3)}`,
-      cursor: client.abs(s.cursor),
-      view: s.view.map((t) => client.abs(t)),
+      name: readAnnotator() ?? `Guest ${this.who.slice(0, 3)}`,
+      cursor: client.toAbsolute(s.cursor),
+      view: s.view.map((t) => client.toAbsolute(t)),
       live: s.mode === "live",
       gone,
     });
   }
 
-  tick() {
-    if (this.sharing) this.tell();
+  sendAlive() {
+    if (this.sharing) this.pushState();
     const now = performance.now();
-    for (const [who, p] of this.peers) if (now - p.heard > LOST) this.left(who);
+    for (const [who, p] of this.peers) if (now - p.heard > LOST) this.removePeer(who);
   }
 
-  heard(told) {
-    if (told.gone) return this.left(told.who);
+  receivePeer(message) {
+    if (message.gone) return this.removePeer(message.who);
     const { client, time } = this.app;
     if (client.origin === null) return;
-    const rel = (t) => client.rel(BigInt(t));
-    const known = this.peers.get(told.who);
+    const toRelative = (t) => client.toRelative(BigInt(t));
+    const known = this.peers.get(message.who);
     const color = known?.color ?? seriesColor(null, this.peers.size + 1);
-    const peer = { ...told, color, cursor: rel(told.cursor), view: told.view.map(rel), heard: performance.now() };
-    this.peers.set(told.who, peer);
-    if (known?.name !== told.name) this.show();
-    if (this.following === told.who) {
+    const peer = {
+      ...message,
+      color,
+      cursor: toRelative(message.cursor),
+      view: message.view.map(toRelative),
+      heard: performance.now(),
+    };
+    this.peers.set(message.who, peer);
+    if (known?.name !== message.name) this.showPeers();
+    if (this.following === message.who) {
       this.applying = true;
       if (peer.live && this.app.growing) time.dispatch({ type: "live", on: true });
       else {
@@ -82,30 +89,30 @@ export class Together {
       }
       this.applying = false;
     }
-    this.draw();
+    this.drawCursors();
   }
 
-  left(who) {
+  removePeer(who) {
     if (!this.peers.delete(who)) return;
     if (this.following === who) this.following = null;
-    this.show();
-    this.draw();
+    this.showPeers();
+    this.drawCursors();
   }
 
-  follow(who) {
+  followPeer(who) {
     this.following = who && this.following !== who ? who : null;
-    this.show();
+    this.showPeers();
     const peer = this.peers.get(this.following);
     if (peer)
-      this.heard({
+      this.receivePeer({
         ...peer,
-        cursor: this.app.client.abs(peer.cursor),
-        view: peer.view.map((t) => this.app.client.abs(t)),
+        cursor: this.app.client.toAbsolute(peer.cursor),
+        view: peer.view.map((t) => this.app.client.toAbsolute(t)),
       });
   }
 
-  // Who is there, in the status line: a click follows.
-  show() {
+  // Lists the peers in the status line; a click follows one.
+  showPeers() {
     if (!this.el) return;
     this.el.textContent = this.sharing ? "sharing " : "";
     for (const [who, { name, color }] of this.peers) {
@@ -118,8 +125,8 @@ export class Together {
     }
   }
 
-  // Their cursors over every timeline.
-  draw() {
+  // Draws the peers' cursors over every timeline.
+  drawCursors() {
     const { view } = this.app.time.get();
     for (const o of this.app.frames.overlays.values()) {
       const inner = o.el.clientWidth - GUTTER.left - GUTTER.right;
@@ -143,6 +150,6 @@ export class Together {
 
   destroy() {
     clearInterval(this.timer);
-    if (this.sharing) this.tell(true);
+    if (this.sharing) this.pushState(true);
   }
 }

@@ -1,28 +1,29 @@
-// Sound of the microphone as 16-bit samples, in pieces of 20 ms, each at the time of its end.
+// Sends the microphone's audio as 16-bit samples in chunks of 20 ms, each with the time of its end.
 import { now } from "./clock.js";
 
 const HEAD = 16;
 
-export class Sound {
+export class Microphone {
   static async start(stream, socket, state) {
     const context = new AudioContext();
     await context.audioWorklet.addModule(new URL("assets/sensor-worklet.js", document.baseURI));
     const source = context.createMediaStreamSource(new MediaStream(stream.getAudioTracks()));
     const node = new AudioWorkletNode(context, "situ-pieces", { numberOfOutputs: 0 });
     source.connect(node);
-    return new Sound(context, node, socket, state);
+    return new Microphone(context, node, socket, state);
   }
 
   constructor(context, node, socket, state) {
     Object.assign(this, { context, socket, state, began: null, frames: 0 });
-    node.port.onmessage = ({ data }) => this.piece(data);
+    node.port.onmessage = ({ data }) => this.sendChunk(data);
   }
 
-  piece(samples) {
+  sendChunk(samples) {
     const rate = this.context.sampleRate;
     this.frames += samples.length;
     const length = (this.frames / rate) * 1000;
-    // Messages come now and then; frames come evenly. The one corrects the other slowly, and at once after a hole.
+    // Chunks arrive irregularly, but samples are regular, so the clock corrects the sample count slowly, and
+    // immediately after a gap.
     const off = this.began === null ? Infinity : now() - (this.began + length);
     if (Math.abs(off) > 500) this.began = now() - length;
     else this.began += off * 0.01;

@@ -1,25 +1,25 @@
-// A panel that a plug-in fills: its canvas, or its own elements.
+// A panel that is drawn by a plug-in: on its canvas, or with its own elements.
 
-import { Plugged } from "../plugins/plugged.js";
+import { PluginDrawer } from "../plugins/plugin_drawer.js";
 import { KIND } from "../data/wire.js";
-import { tip } from "../page/tip.js";
+import { showTip } from "../page/tip.js";
 
-export class OwnPanel {
+export class PluginPanel {
   constructor(el, app, config) {
     Object.assign(this, { el, app });
     el.classList.add("own-cell");
-    const add = (tag, name) => {
+    const addChild = (tag, name) => {
       const child = el.appendChild(document.createElement(tag));
       child.className = name;
       return child;
     };
-    this.canvas = add("canvas", "own-canvas");
-    this.body = add("div", "own-body");
-    this.info = add("div", "cell-info");
-    this.observer = new ResizeObserver(() => app.schedule(this));
+    this.canvas = addChild("canvas", "own-canvas");
+    this.body = addChild("div", "own-body");
+    this.info = addChild("div", "cell-info");
+    this.observer = new ResizeObserver(() => app.scheduleDraw(this));
     this.observer.observe(el);
-    el.addEventListener("pointermove", (e) => this.point(e));
-    el.addEventListener("pointerleave", () => tip(this, []));
+    el.addEventListener("pointermove", (e) => this.showTipAt(e));
+    el.addEventListener("pointerleave", () => showTip(this, []));
     this.configure(config);
   }
 
@@ -28,21 +28,21 @@ export class OwnPanel {
     const key = vis ? JSON.stringify([vis.viz, vis.stream, vis.path, vis.asked, vis.script?.url]) : "";
     this.vis = vis;
     if (this.plug) this.plug.vis = vis;
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
     if (key === this.key) return;
-    this.close();
+    this.closePlugin();
     this.key = key;
     if (!vis) return;
-    if (vis.script) this.plug = new Plugged(vis, () => this.app.schedule(this), this.body);
+    if (vis.script) this.plug = new PluginDrawer(vis, () => this.app.scheduleDraw(this), this.body);
     const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
-    this.channel = this.app.client.open(spec, (frame) => this.accept(frame), { instant: true });
+    this.channel = this.app.client.openChannel(spec, (frame) => this.acceptFrame(frame), { instant: true });
   }
 
-  accept(frame) {
+  acceptFrame(frame) {
     this.refused = frame.kind === KIND.error ? frame.message : null;
     this.at = frame.at;
-    this.plug?.accept(frame);
-    this.app.schedule(this);
+    this.plug?.acceptFrame(frame);
+    this.app.scheduleDraw(this);
   }
 
   render() {
@@ -57,29 +57,30 @@ export class OwnPanel {
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     ctx.clearRect(0, 0, width, height);
     if (this.vis?.props?.visible !== false) this.plug?.draw(ctx, { width, height });
-    const problem = this.plug?.problem() ?? this.refused ?? (this.vis && !this.vis.script ? this.nobody() : null);
+    const problem =
+      this.plug?.errorText() ?? this.refused ?? (this.vis && !this.vis.script ? this.missingPlugin() : null);
     this.info.textContent = problem ?? "";
     this.info.classList.toggle("bad", problem != null);
     if (this.at != null) canvas.dataset.at = String(this.at);
   }
 
-  nobody() {
-    return `nothing here draws ${this.vis.viz}: is its plug-in there?`;
+  missingPlugin() {
+    return `no plug-in draws ${this.vis.viz}: is it installed?`;
   }
 
-  point(e) {
+  showTipAt(e) {
     const box = this.el.getBoundingClientRect();
-    tip(this, this.plug?.under(e.clientX - box.left, e.clientY - box.top, 1) ?? [], e.clientX, e.clientY);
+    showTip(this, this.plug?.describeAt(e.clientX - box.left, e.clientY - box.top, 1) ?? [], e.clientX, e.clientY);
   }
 
   cursorMoved() {}
 
   themeChanged() {
-    this.app.schedule(this);
+    this.app.scheduleDraw(this);
   }
 
-  close() {
-    this.app.client.close(this.channel);
+  closePlugin() {
+    this.app.client.closeChannel(this.channel);
     this.plug?.close();
     this.plug = this.refused = null;
     this.body.textContent = "";
@@ -87,7 +88,7 @@ export class OwnPanel {
 
   destroy() {
     this.observer.disconnect();
-    tip(this, []);
-    this.close();
+    showTip(this, []);
+    this.closePlugin();
   }
 }

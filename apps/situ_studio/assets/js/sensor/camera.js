@@ -1,32 +1,32 @@
-// Pictures of the camera as JPEG, when the pipeline has room for one; the others are never made.
+// Sends camera images as JPEG when the pipeline has credit for one; other images are not encoded.
 import { now } from "./clock.js";
 
 const HEAD = 16;
 
-export class Pictures {
+export class Camera {
   constructor(stream, video, socket, state) {
     Object.assign(this, { video, socket, state, room: 0, busy: false, on: true });
     this.canvas = document.createElement("canvas");
     video.srcObject = new MediaStream(stream.getVideoTracks());
     video.play().catch(() => {}); // stopped before it began
-    this.next();
+    this.requestFrame();
   }
 
-  credit(n) {
+  addCredit(n) {
     this.room += n;
   }
 
-  next() {
-    const look = (_, frame) => {
+  requestFrame() {
+    const takeFrame = (_, frame) => {
       if (!this.on) return;
-      this.picture(frame?.captureTime ? performance.timeOrigin + frame.captureTime : now());
-      this.next();
+      this.captureImage(frame?.captureTime ? performance.timeOrigin + frame.captureTime : now());
+      this.requestFrame();
     };
-    if (this.video.requestVideoFrameCallback) this.video.requestVideoFrameCallback(look);
-    else setTimeout(look, 33);
+    if (this.video.requestVideoFrameCallback) this.video.requestVideoFrameCallback(takeFrame);
+    else setTimeout(takeFrame, 33);
   }
 
-  picture(time) {
+  captureImage(time) {
     const { videoWidth: w, videoHeight: h } = this.video;
     if (!w) return;
     if (this.room < 1 || this.busy || this.state.offset === null) return void this.state.dropped++;
@@ -35,10 +35,10 @@ export class Pictures {
     this.canvas.width = w;
     this.canvas.height = h;
     this.canvas.getContext("2d").drawImage(this.video, 0, 0);
-    this.canvas.toBlob((blob) => this.send(blob, w, h, time), "image/jpeg", 0.8);
+    this.canvas.toBlob((blob) => this.sendImage(blob, w, h, time), "image/jpeg", 0.8);
   }
 
-  async send(blob, w, h, time) {
+  async sendImage(blob, w, h, time) {
     const jpeg = new Uint8Array(await blob.arrayBuffer());
     this.busy = false;
     if (!this.on || this.socket.readyState !== 1) return;

@@ -1,14 +1,15 @@
-// How often messages come, and which pauses are holes. Pure.
+// Determines how often messages arrive and which pauses are gaps. Pure.
 
 const LOOKED_AT = 256;
-// A pause of so many periods is a hole in what comes regularly.
+// In regular data, a pause of this many periods is a gap.
 const MISSED = 8;
-// Messages come regularly when nine of ten pauses are not longer than so many usual ones.
+// Data are regular if nine of ten pauses are at most this many times the usual one.
 const STEADY = 2.5;
 
-// rows: {t, n, length}, columns of the times (first of its messages) and the messages of each row. Answers {period,
-// row}: the usual time between messages and between rows in ns; a period of Infinity where they come as they like.
-export function rhythm({ t, n, length }) {
+// Takes rows {t, n, length}: columns with the time of the first message and the number of messages of each row.
+// Returns {period, row}, the usual time between messages and between rows in ns. The period of irregular data is
+// Infinity.
+export function measureRhythm({ t, n, length }) {
   const pauses = [],
     periods = [];
   const step = Math.max(1, Math.floor((length - 1) / LOOKED_AT));
@@ -23,9 +24,9 @@ export function rhythm({ t, n, length }) {
   return { period: steady ? usual : Infinity, row: median(pauses) };
 }
 
-// How long a pause may be behind a row of `n` messages before it is a hole. A series that grows live has rows of one
-// message behind older ones of many.
-export function patience({ period, row }, n) {
+// Returns how long the pause after a row of `n` messages may be before it is a gap. In a series that grows live,
+// rows of a single message follow older rows of many.
+export function gapThreshold({ period, row }, n) {
   return Math.max(row + MISSED * period, 1.5 * row, (1.5 * n + MISSED) * period);
 }
 

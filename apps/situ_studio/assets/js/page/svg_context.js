@@ -1,10 +1,10 @@
-// The drawing of a panel as SVG: the part of a canvas' context that they use, writing elements down. Not svgcanvas
-// (2.6.0, 1,700 lines): there lines keep their width when the drawing is scaled, clearing paints white, pictures other
-// than canvases are left out, and the screen's own scale counts.
+// Draws a panel as SVG: implements the used part of a canvas context and writes elements. svgcanvas (2.6.0, 1,700
+// lines) does not fit: it does not scale line widths, clearing paints white, only canvases can be drawn as images,
+// and it applies the screen's pixel ratio.
 
-const round = (x) => Math.round(x * 100) / 100;
+const roundCoordinate = (x) => Math.round(x * 100) / 100;
 
-const escape = (text) =>
+const escapeXml = (text) =>
   String(text).replace(/[&<>"]/g, (c) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[c]);
 
 const ANCHOR = { right: "end", end: "end", center: "middle" };
@@ -21,8 +21,8 @@ const DEFAULTS = {
   imageSmoothingEnabled: true,
 };
 
-export class Vector {
-  // measure: a real context, which knows how wide texts are
+export class SvgContext {
+  // measure: a real context, which measures texts
   constructor(width, height, measure) {
     Object.assign(this, DEFAULTS, { width, height, measure });
     this.dash = [];
@@ -43,7 +43,7 @@ export class Vector {
     Object.assign(this, this.stack.pop());
   }
 
-  // Whatever the screen's pixels are, a vector's are those of the page.
+  // Ignores the screen's pixel ratio: SVG uses pixels of the page.
   setTransform() {
     this.matrix = [1, 0, 0, 1, 0, 0];
   }
@@ -64,9 +64,9 @@ export class Vector {
     this.matrix = [a * cos + c * sin, b * cos + d * sin, c * cos - a * sin, d * cos - b * sin, e, f];
   }
 
-  point(x, y) {
+  transformPoint(x, y) {
     const [a, b, c, d, e, f] = this.matrix;
-    return `${round(a * x + c * y + e)} ${round(b * x + d * y + f)}`;
+    return `${roundCoordinate(a * x + c * y + e)} ${roundCoordinate(b * x + d * y + f)}`;
   }
 
   clearRect() {}
@@ -80,11 +80,11 @@ export class Vector {
   }
 
   moveTo(x, y) {
-    this.path.push(`M${this.point(x, y)}`);
+    this.path.push(`M${this.transformPoint(x, y)}`);
   }
 
   lineTo(x, y) {
-    this.path.push(`${this.path.length ? "L" : "M"}${this.point(x, y)}`);
+    this.path.push(`${this.path.length ? "L" : "M"}${this.transformPoint(x, y)}`);
   }
 
   rect(x, y, w, h) {
@@ -97,24 +97,26 @@ export class Vector {
 
   roundRect(x, y, w, h, radius) {
     const r = Math.max(Math.min(radius, w / 2, h / 2), 0);
-    const corner = (cx, cy, ex, ey) => this.path.push(`Q${this.point(cx, cy)} ${this.point(ex, ey)}`);
+    const addCorner = (cx, cy, ex, ey) =>
+      this.path.push(`Q${this.transformPoint(cx, cy)} ${this.transformPoint(ex, ey)}`);
     this.moveTo(x + r, y);
     this.lineTo(x + w - r, y);
-    corner(x + w, y, x + w, y + r);
+    addCorner(x + w, y, x + w, y + r);
     this.lineTo(x + w, y + h - r);
-    corner(x + w, y + h, x + w - r, y + h);
+    addCorner(x + w, y + h, x + w - r, y + h);
     this.lineTo(x + r, y + h);
-    corner(x, y + h, x, y + h - r);
+    addCorner(x, y + h, x, y + h - r);
     this.lineTo(x, y + r);
-    corner(x, y, x + r, y);
+    addCorner(x, y, x + r, y);
     this.closePath();
   }
 
-  // Only whole circles are drawn: points, of lines and over pictures.
+  // Adds a full circle, the only arc that panels draw.
   arc(x, y, r) {
     const k = r * Math.abs(this.matrix[0]);
-    this.path.push(`M${this.point(x - r, y)}`);
-    for (const to of [x + r, x - r]) this.path.push(`A${round(k)} ${round(k)} 0 1 1 ${this.point(to, y)}`);
+    this.path.push(`M${this.transformPoint(x - r, y)}`);
+    for (const to of [x + r, x - r])
+      this.path.push(`A${roundCoordinate(k)} ${roundCoordinate(k)} 0 1 1 ${this.transformPoint(to, y)}`);
   }
 
   clip() {
@@ -124,35 +126,35 @@ export class Vector {
     this.clipped = id;
   }
 
-  put(element, attributes, content) {
-    const all = { ...attributes, opacity: this.globalAlpha === 1 ? null : round(this.globalAlpha) };
+  addElement(element, attributes, content) {
+    const all = { ...attributes, opacity: this.globalAlpha === 1 ? null : roundCoordinate(this.globalAlpha) };
     if (this.clipped) all["clip-path"] = `url(#${this.clipped})`;
     const text = Object.entries(all)
       .filter(([, v]) => v != null)
-      .map(([k, v]) => ` ${k}="${escape(v)}"`)
+      .map(([k, v]) => ` ${k}="${escapeXml(v)}"`)
       .join("");
     this.parts.push(
-      content === undefined ? `<${element}${text}/>` : `<${element}${text}>${escape(content)}</${element}>`,
+      content === undefined ? `<${element}${text}/>` : `<${element}${text}>${escapeXml(content)}</${element}>`,
     );
   }
 
   fill() {
-    if (this.path.length) this.put("path", { d: this.path.join(""), fill: this.fillStyle });
+    if (this.path.length) this.addElement("path", { d: this.path.join(""), fill: this.fillStyle });
   }
 
   stroke() {
     if (!this.path.length) return;
-    this.put("path", {
+    this.addElement("path", {
       d: this.path.join(""),
       fill: "none",
       stroke: this.strokeStyle,
-      "stroke-width": round(this.lineWidth * Math.abs(this.matrix[3])),
+      "stroke-width": roundCoordinate(this.lineWidth * Math.abs(this.matrix[3])),
       "stroke-linejoin": this.lineJoin,
       "stroke-dasharray": this.dash.length ? this.dash.join(" ") : null,
     });
   }
 
-  drawn(x, y, w, h, draw) {
+  drawRect(x, y, w, h, draw) {
     const before = this.path;
     this.path = [];
     this.rect(x, y, w, h);
@@ -161,11 +163,11 @@ export class Vector {
   }
 
   fillRect(x, y, w, h) {
-    this.drawn(x, y, w, h, this.fill);
+    this.drawRect(x, y, w, h, this.fill);
   }
 
   strokeRect(x, y, w, h) {
-    this.drawn(x, y, w, h, this.stroke);
+    this.drawRect(x, y, w, h, this.stroke);
   }
 
   setLineDash(dash) {
@@ -178,11 +180,11 @@ export class Vector {
   }
 
   fillText(text, x, y) {
-    const [left, top] = this.point(x, y).split(" ");
+    const [left, top] = this.transformPoint(x, y).split(" ");
     const [a, b] = this.matrix;
-    const turned = round((Math.atan2(b, a) * 180) / Math.PI);
+    const turned = roundCoordinate((Math.atan2(b, a) * 180) / Math.PI);
     const [, size, family] = /([\d.]+)px\s+(.*)/.exec(this.font) ?? [null, "11", "sans-serif"];
-    this.put(
+    this.addElement(
       "text",
       {
         x: left,
@@ -198,30 +200,30 @@ export class Vector {
     );
   }
 
-  // Pictures stay pictures: as PNG, in their place.
+  // Embeds an image as PNG.
   drawImage(image, x, y, w = image.width, h = image.height) {
     const canvas = document.createElement("canvas");
     [canvas.width, canvas.height] = [image.width, image.height];
     canvas.getContext("2d").drawImage(image, 0, 0);
-    const [left, top] = this.point(x, y).split(" ");
+    const [left, top] = this.transformPoint(x, y).split(" ");
     const [k, , , l] = this.matrix;
-    this.put("image", {
+    this.addElement("image", {
       x: left,
       y: top,
-      width: round(Math.abs(w * k)),
-      height: round(Math.abs(h * l)),
+      width: roundCoordinate(Math.abs(w * k)),
+      height: roundCoordinate(Math.abs(h * l)),
       preserveAspectRatio: "none",
       href: canvas.toDataURL("image/png"),
     });
   }
 
-  // The file's text; `title` names it for those who cannot see it.
-  text(background, title) {
+  // Returns the text of the SVG file; `title` is for screen readers.
+  toSvg(background, title) {
     return [
-      `<svg xmlns="http://www.w3.org/2000/svg" width="${round(this.width)}" height="${round(this.height)}"`,
-      ` viewBox="0 0 ${round(this.width)} ${round(this.height)}" role="img">\n<title>${escape(title)}</title>\n`,
+      `<svg xmlns="http://www.w3.org/2000/svg" width="${roundCoordinate(this.width)}" height="${roundCoordinate(this.height)}"`,
+      ` viewBox="0 0 ${roundCoordinate(this.width)} ${roundCoordinate(this.height)}" role="img">\n<title>${escapeXml(title)}</title>\n`,
       this.defs.length ? `<defs>${this.defs.join("")}</defs>\n` : "",
-      `<rect width="100%" height="100%" fill="${escape(background)}"/>\n`,
+      `<rect width="100%" height="100%" fill="${escapeXml(background)}"/>\n`,
       this.parts.join("\n"),
       "\n</svg>\n",
     ].join("");
