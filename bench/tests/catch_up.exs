@@ -81,7 +81,7 @@ defmodule Situ.Bench.CatchUp do
     image =
       Situ.Image.new!(width: 1280, height: 720, format: :bgr24, data: :binary.copy(line, 720))
 
-    {:ok, jpeg} = Situ.Imaging.encode_jpeg(image, quality: 85)
+    {:ok, jpeg} = Situ.ImageOps.encode_jpeg(image, quality: 85)
     jpeg
   end
 

@@ -5,7 +5,7 @@ defmodule Situ.Bench.Kernels do
   operation. `bench/python/kernels.py` does the same jobs with OpenCV, SciPy and soxr, and prints
   the same names.
   """
-  alias Situ.{AudioBuffer, AudioFormat, Bench, Image, Imaging, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, Bench, Image, ImageOps, AudioOps}
 
   def tests, do: [{"kernels", &kernels/1}]
 
@@ -19,21 +19,21 @@ defmodule Situ.Bench.Kernels do
   def jobs do
     hd1080 = picture(1920, 1080)
     hd720 = picture(1280, 720)
-    gray1080 = Imaging.convert!(hd1080, :gray8)
-    {:ok, jpeg} = Imaging.encode_jpeg(hd720, quality: 85)
+    gray1080 = ImageOps.convert!(hd1080, :gray8)
+    {:ok, jpeg} = ImageOps.encode_jpeg(hd720, quality: 85)
     sound = sound(480_000)
 
     [
-      {"resize_1080p_640x360", 60, fn -> Imaging.resize!(hd1080, 640, 360).width == 640 end},
-      {"resize_1080p_854x480", 60, fn -> Imaging.resize!(hd1080, 854, 480).width == 854 end},
-      {"bgr_to_gray_1080p", 60, fn -> Imaging.convert!(hd1080, :gray8).format == :gray8 end},
-      {"jpeg_encode_720p", 30, fn -> Imaging.encode_jpeg!(hd720, quality: 85).width == 1280 end},
-      {"jpeg_decode_720p", 30, fn -> Imaging.parse!(jpeg).width == 1280 end},
+      {"resize_1080p_640x360", 60, fn -> ImageOps.resize!(hd1080, 640, 360).width == 640 end},
+      {"resize_1080p_854x480", 60, fn -> ImageOps.resize!(hd1080, 854, 480).width == 854 end},
+      {"bgr_to_gray_1080p", 60, fn -> ImageOps.convert!(hd1080, :gray8).format == :gray8 end},
+      {"jpeg_encode_720p", 30, fn -> ImageOps.encode_jpeg!(hd720, quality: 85).width == 1280 end},
+      {"jpeg_decode_720p", 30, fn -> ImageOps.parse!(jpeg).width == 1280 end},
       {"gaussian_5x5_gray_1080p", 40,
-       fn -> Imaging.blur!(gray1080, 1.1, size: 5).width == 1920 end},
-      {"canny_gray_1080p", 15, fn -> Imaging.canny!(gray1080, 60, 120).width == 1920 end},
+       fn -> ImageOps.blur!(gray1080, 1.1, size: 5).width == 1920 end},
+      {"canny_gray_1080p", 15, fn -> ImageOps.canny!(gray1080, 60, 120).width == 1920 end},
       {"resample_10s_48k_16k", 30,
-       fn -> AudioBuffer.frame_count(Sound.resample!(sound, 16_000)) == 160_000 end}
+       fn -> AudioBuffer.frame_count(AudioOps.resample!(sound, 16_000)) == 160_000 end}
     ]
   end
 

@@ -30,7 +30,7 @@ defmodule Situ.Bench.Live do
   # client is a raw socket in the same VM, so the CPU time includes both ends.
   import Situ.Bench, only: [measure: 3, measure: 4]
   alias Situ.Bench.Live.Table
-  alias Situ.Live.{Diff, Page, Socket}
+  alias Situ.Live.{Diff, ViewLifecycle, Socket}
 
   def tests do
     [
@@ -42,13 +42,13 @@ defmodule Situ.Bench.Live do
   defp diff(n) do
     Enum.flat_map([40, 1_000], fn rows ->
       {:ok, socket} = Table.mount(%{"n" => "#{rows}"}, %{}, %Socket{id: "bench", view: Table})
-      {_, memory} = Diff.diff_tree(Page.render_view(socket, :all))
+      {_, memory} = Diff.diff_tree(ViewLifecycle.render_view(socket, :all))
       n = div(n * 40, rows)
 
       measure("live_diff_#{rows}_rows", n, "diffs/s", fn ->
         Enum.reduce(1..n, {Socket.__sent__(socket), memory}, fn i, {socket, memory} ->
           {:noreply, socket} = Table.handle_event("set", %{"i" => 3, "v" => i}, socket)
-          {diff, memory} = Diff.diff_tree(Page.render_view(socket, :changed), memory)
+          {diff, memory} = Diff.diff_tree(ViewLifecycle.render_view(socket, :changed), memory)
           %{"0" => %{"1" => %{"k" => %{"2" => %{"3" => _}, "kc" => ^rows}}}} = diff
           {Socket.__sent__(socket), memory}
         end)

@@ -4,7 +4,7 @@ defmodule Situ.Bench.Space do
   second by the wall clock, and `_cpu` in microseconds per operation.
   """
   alias Situ.{Bench, CameraIntrinsics, DepthImage, PointCloud, Pose}
-  alias Situ.Space.{Cloud, Depth, Frames, RayTable, SyntheticRoom}
+  alias Situ.Space.{Cloud, Depth, FrameTree, RayTable, SyntheticRoom}
   alias Situ.Studio.Scene
 
   def tests, do: [{"space", &space/1}]
@@ -38,7 +38,7 @@ defmodule Situ.Bench.Space do
        fn -> whole == count(Depth.to_cloud(depth.viewed, table, colors: color.viewed)) end},
       {"voxel-downsample", 20, fn -> count(Cloud.downsample(cloud, 0.05)) in 1_000..whole end},
       {"transform-lookup", 100_000,
-       fn -> match?({:ok, _}, Frames.lookup(frames, "hand", "room", 505_000_000)) end},
+       fn -> match?({:ok, _}, FrameTree.lookup(frames, "hand", "room", 505_000_000)) end},
       {"3d-upload-1M", 10, fn -> size(million) > 12_000_000 end},
       {"3d-upload-10M-budget-1M", 10, fn -> size(ten) in 12_000_000..13_000_000 end}
     ]
@@ -72,14 +72,14 @@ defmodule Situ.Bench.Space do
   defp lookups(frames) do
     fn ->
       Enum.all?(0..999, fn i ->
-        match?({:ok, _}, Frames.lookup(frames, "hand", "room", 5_000_000 + i * 990_000))
+        match?({:ok, _}, FrameTree.lookup(frames, "hand", "room", 5_000_000 + i * 990_000))
       end)
     end
   end
 
   # Joined to one binary, as in NumPy. A socket would accept the separate parts.
   defp joined(cloud) do
-    {items, []} = Scene.Terms.collect_items(cloud)
+    {items, []} = Scene.TermItems.collect_items(cloud)
     items |> Scene.pack() |> IO.iodata_to_binary()
   end
 
@@ -88,22 +88,29 @@ defmodule Situ.Bench.Space do
   defp count({:ok, cloud}), do: PointCloud.point_count(cloud)
 
   defp size(cloud) do
-    {items, []} = Scene.Terms.collect_items(cloud)
+    {items, []} = Scene.TermItems.collect_items(cloud)
     items |> Scene.pack() |> IO.iodata_length()
   end
 
   # A hand on a moving arm, which is on a moving body.
   defp tree do
-    {:ok, frames} = Frames.put_static(Frames.new(), "hand", "arm", Pose.new({0.3, 0.0, 0.0}))
+    {:ok, frames} =
+      FrameTree.put_static(FrameTree.new(), "hand", "arm", Pose.new({0.3, 0.0, 0.0}))
 
     Enum.reduce(0..100, frames, fn i, frames ->
       turn = Situ.Quaternion.from_euler(i / 50, 0, 0)
 
       {:ok, frames} =
-        Frames.put_moving(frames, "arm", "body", i * 10_000_000, Pose.new({0.0, 0.0, 1.0}, turn))
+        FrameTree.put_moving(
+          frames,
+          "arm",
+          "body",
+          i * 10_000_000,
+          Pose.new({0.0, 0.0, 1.0}, turn)
+        )
 
       {:ok, frames} =
-        Frames.put_moving(frames, "body", "room", i * 10_000_000, Pose.new({i / 10, 0.0, 0.0}))
+        FrameTree.put_moving(frames, "body", "room", i * 10_000_000, Pose.new({i / 10, 0.0, 0.0}))
 
       frames
     end)

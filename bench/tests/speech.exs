@@ -13,7 +13,7 @@ defmodule Situ.Bench.Speech do
 
   Needs the models that `bin/lib/fetch-model` fetches as `moonshine-tiny-en` and `hibari`.
   """
-  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps}
   alias Situ.Infer.Speech.{Espeak, Hibari, Moonshine, PocketSphinx, Utterance}
   alias Situ.Media.Wav
 
@@ -150,7 +150,7 @@ defmodule Situ.Bench.Speech do
     parts =
       for i <- 0..(count - 1) do
         {:ok, sound} = Espeak.speak(voice, Enum.at(@questions, rem(i, length(@questions))))
-        [Sound.resample!(Sound.reformat!(sound, channels: 1, sample: :s16), 16_000), pause]
+        [AudioOps.resample!(AudioOps.reformat!(sound, channels: 1, sample: :s16), 16_000), pause]
       end
 
     {:ok, whole} = AudioBuffer.concat([pause | List.flatten(parts)])

@@ -8,7 +8,7 @@ defmodule Situ.Bench.Steady do
   The store takes 57,600 bytes per image (1 GB at scale 1) in `SITU_BENCH_DIR`, and is deleted
   afterwards.
   """
-  alias Situ.{Bench, Image, Imaging, Pipeline, Store, Time, Vision}
+  alias Situ.{Bench, Image, ImageOps, Pipeline, Store, Time, ImageStream}
 
   @rate 30
 
@@ -45,13 +45,13 @@ defmodule Situ.Bench.Steady do
     store = Store.create(p, "Steady", root)
 
     p
-    |> Situ.sequence(noise(), &Imaging.invert!/1,
+    |> Situ.sequence(noise(), &ImageOps.invert!/1,
       every: div(Time.s(1), @rate),
       count: frames,
       type: Image
     )
-    |> Vision.resize(320, 180)
-    |> Vision.convert(:gray8)
+    |> ImageStream.resize(320, 180)
+    |> ImageStream.convert(:gray8)
     |> Situ.each(fn _image, message ->
       now = Pipeline.now(p)
       :ets.insert(latencies, {message.sequence_id, now - message.originating_time})

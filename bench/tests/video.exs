@@ -103,9 +103,9 @@ defmodule Situ.Bench.Video do
 
   defp small_grey_jpeg(video) do
     video
-    |> Situ.map(&ok!(Situ.Imaging.resize(&1, 640, 360)))
-    |> Situ.map(&ok!(Situ.Imaging.convert(&1, :gray8)))
-    |> Situ.map(&ok!(Situ.Imaging.encode_jpeg(&1)))
+    |> Situ.map(&ok!(Situ.ImageOps.resize(&1, 640, 360)))
+    |> Situ.map(&ok!(Situ.ImageOps.convert(&1, :gray8)))
+    |> Situ.map(&ok!(Situ.ImageOps.encode_jpeg(&1)))
   end
 
   defp ok!({:ok, value}), do: value

@@ -48,7 +48,7 @@ from_pictures = fn p ->
   lips =
     talk
     |> Store.stream("Talk.Pictures")
-    |> Situ.Vision.decode()
+    |> Situ.ImageStream.decode()
     |> Situ.Infer.MouthShape.detect_stages()
 
   collect.(lips.mouths, :mouths)
