@@ -14,14 +14,14 @@ defmodule Situ.Live.MixProject do
       elixir: "~> 1.14",
       elixirc_paths: elixirc_paths(Mix.env()),
       start_permanent: Mix.env() == :prod,
-      # Newer Elixirs drop code paths that no dependency names; Yaws is found by one.
+      # Newer versions of Elixir remove code paths that no dependency names. Yaws is found through such a path.
       prune_code_paths: false,
       deps: deps()
     ]
   end
 
-  # Yaws is included, not listed as extra: started as an application of its own it wants a system-wide
-  # configuration. `Situ.Live.Yaws` starts it embedded.
+  # Yaws is an included application, because as a separate application it requires a system-wide configuration.
+  # `Situ.Live.Yaws` starts it embedded.
   def application do
     [
       mod: {Situ.Live.Application, []},
@@ -40,9 +40,9 @@ defmodule Situ.Live.MixProject do
     [{:situ_types, in_umbrella: true}]
   end
 
-  # Debian installs Yaws beside Erlang's own tree (LIB/yaws-VERSION, Erlang in LIB/erlang/lib), where the code server
-  # does not look. It is found through a link below _build: a release takes the folder that holds an application for
-  # the root of all of them, and LIB holds Erlang's too.
+  # Debian installs Yaws next to Erlang's own tree (LIB/yaws-VERSION, Erlang in LIB/erlang/lib), where the code server
+  # does not look. It is found through a link below _build, because a release takes the folder that contains an
+  # application as the root of all of them, and LIB also contains Erlang.
   defp find_yaws do
     erlang = to_string(:code.lib_dir())
 

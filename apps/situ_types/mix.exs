@@ -15,7 +15,7 @@ defmodule Situ.Types.MixProject do
     ] ++ not_ours([:proper, :proper_types])
   end
 
-  # Situ.Test.Property calls PropEr, which only tests have running. Elixir 1.19 gave the option another name.
+  # `Situ.Test.Property` calls PropEr, which is only available in tests. Elixir 1.19 renamed the option.
   defp not_ours(modules) do
     if Version.match?(System.version(), ">= 1.19.0"),
       do: [elixirc_options: [no_warn_undefined: modules]],
@@ -29,7 +29,7 @@ defmodule Situ.Types.MixProject do
   defp extra_applications(:test), do: [:proper, :ssl | extra_applications(:prod)]
   defp extra_applications(_env), do: [:logger, :crypto, :public_key | json()]
 
-  # Erlang has JSON of its own from OTP 27 on.
+  # OTP 27 and later include a JSON module.
   defp json, do: if(Code.ensure_loaded?(:json), do: [], else: [:jiffy])
 
   defp deps do

@@ -356,7 +356,7 @@ test("10 annotation: each annotator has a layer, and agreement of two annotators
   // The annotators differ in two of twenty seconds (p_o = 0.9). One labels every second, the other leaves a tenth
   // unlabeled.
   equal(
-    [rows["same label"], rows["begins apart by"], rows["ends apart by"], rows["annotations of both"]],
+    [rows["same label"], rows["mean start difference"], rows["mean end difference"], rows["annotations in both"]],
     ["90.0 %", "2.00 s", "0 ns", "1"],
     "they agree so far",
   );

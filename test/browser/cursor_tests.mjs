@@ -46,7 +46,7 @@ test("5 cursor: its line stays at its time when the panels become wider", async 
 test("5 cursor: snaps to the messages of a stream, and steps from one to the next", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.click("#tree .node[data-stream='Camera.Image'] .name");
-  await page.click("text=Snap cursor to it");
+  await page.click("text=Snap the cursor to this stream");
   await until(page, () => window.situStudio.client.snap === "Camera.Image", "the cursor snaps");
   const lanes = await panelOf(page, "Vad.Speaking");
   await pointAt(page, lanes, 20.4 * S);
@@ -188,7 +188,7 @@ test("5 cursor: a link includes the snapped stream, and the copied time is accep
   await context.grantPermissions(["clipboard-read", "clipboard-write"]);
   await open(page, main, "minute.0000");
   await page.click("#tree .node[data-stream='Camera.Image'] .name");
-  await page.click("text=Snap cursor to it");
+  await page.click("text=Snap the cursor to this stream");
   await until(
     page,
     () => new URLSearchParams(location.search).get("snap") === "Camera.Image",

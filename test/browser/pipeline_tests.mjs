@@ -179,7 +179,7 @@ test("7 pipeline: missing pipelines are reported; streams link to the graph and 
   await page.goto(`${main}/s/Factory`);
   await page.click('a[title="The pipeline\'s graph"]');
   await until(page, () => document.querySelector(".graph .node"), "the graph");
-  await page.click("a[title='Its streams']");
+  await page.click("a[title='Streams of this pipeline']");
   await until(page, () => document.getElementById("studio"), "the streams");
 });
 

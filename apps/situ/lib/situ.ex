@@ -42,7 +42,7 @@ defmodule Situ do
 
   Functions on data (`map/3`, `filter/3`, `scan/4`, statistics, windows) cover most needs. For an operation with its
   own state, several inputs or outputs, a device or a file, write a component, which is a module with pure callbacks
-  (`Situ.Component`). There is one way to add each kind:
+  (`Situ.Component`). These functions add components:
 
       camera = Situ.source(p, Camera, device: "/dev/video0", name: "Front")            # no inputs
       faces = Situ.via(camera, FaceDetector, min_score: 0.6, policy: Situ.Delivery.latest())
@@ -80,7 +80,7 @@ defmodule Situ do
   | `Situ.inspect/2`, `Situ.Pipeline.info/1` | queues, latencies and drops of every edge |
   | `attach_tap/3` | the messages of any stream, by its name |
   | `add_input/4`, `remove_input/3` | streams that are added to and removed from a join |
-  | `Situ.Pipeline.replace/3`, `stop_part/3` | a component's module or options; a part of the graph |
+  | `Situ.Pipeline.replace/3`, `Situ.Pipeline.stop_part/3` | a component's module or options; a part of the graph |
 
   ## Next steps
 

@@ -1,8 +1,8 @@
-# Draws the pictures of the guide "Fusing streams" from real runs:
+# Draws the diagrams of the guide "Fusing streams" from real runs:
 #
 #     mix run --no-start docs/guides/fusing-streams/pictures.exs      (any environment)
 #
-# The test of the guides draws them again and compares.
+# The test of the guides draws them again and compares the results.
 defmodule Situ.Guide.Pictures do
   alias Situ.{Available, Interval, Reproducible}
 
@@ -11,7 +11,7 @@ defmodule Situ.Guide.Pictures do
   @left 110
   @scale 6.2
 
-  # A camera every 20 ms, and a tracker that is neither as regular nor always there.
+  # The camera sends an image every 20 ms. The tracker is irregular and sometimes silent.
   @camera Enum.map([0, 20, 40, 60, 80], &{&1, "c#{&1}"})
   @tracker Enum.map([2, 9, 17, 22, 31, 44, 68, 79], &{&1, &1})
 
@@ -19,7 +19,7 @@ defmodule Situ.Guide.Pictures do
     %{
       "exact.svg" =>
         pairs(
-          "Exact: the message at the very time",
+          "Exact: the message at exactly that time",
           Reproducible.exact(),
           Interval.zero(),
           exact()
@@ -59,7 +59,7 @@ defmodule Situ.Guide.Pictures do
   defp open_end(interval), do: %{interval | right_inclusive: false}
   defp open_start(interval), do: %{interval | left_inclusive: false}
 
-  # Two rows of messages, a shaded window around each primary, a line for each pair that came out.
+  # Draws two rows of messages, a shaded window around each primary, and a line for each resulting pair.
   defp pairs(title, interpolator, window, tracker) do
     {:ok, joined} =
       Situ.Test.run([camera: timed(@camera), tracker: timed(tracker)], fn streams ->
@@ -81,7 +81,7 @@ defmodule Situ.Guide.Pictures do
     ])
   end
 
-  # Values between the neighbours, as a plot.
+  # Draws the values between the neighbours as a plot.
   defp linear do
     level = [{0, 10}, {25, 40}, {50, 20}, {80, 70}]
     ticks = for t <- 0..90//10, do: {t, :tick}
@@ -108,7 +108,7 @@ defmodule Situ.Guide.Pictures do
     ])
   end
 
-  # The known messages at each moment: the same join fed message by message.
+  # Shows the result after each arrival, by feeding the same join message by message.
   defp waiting do
     feed = [tracker: 17, camera: 20, tracker: 22, camera: 40, tracker: 31, tracker: 44]
     right = outcomes(feed, Reproducible.nearest(5 * @ms))

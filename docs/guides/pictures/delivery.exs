@@ -1,8 +1,8 @@
 # Measures what each delivery policy does with a camera five times as fast as its consumer, and draws it:
 #
-#     mix run docs/guides/pictures/delivery.exs          (in apps/situ; writes delivery.svg beside this file)
+#     mix run docs/guides/pictures/delivery.exs          (in apps/situ; writes delivery.svg to the folder of this file)
 defmodule Pictures.Camera do
-  # Five messages every 10 ms, whatever becomes of them: a push source cannot wait.
+  # Emits five messages every 10 ms, even if its consumer is slower: a push source cannot wait.
   use Situ.Component, outputs: [out: :any]
 
   @impl true
@@ -40,7 +40,7 @@ defmodule Pictures.Delivery do
     last = List.last(run.samples)
     ages = run.samples |> Enum.map(& &1.age) |> Enum.sort()
 
-    "taken #{run.processed}, dropped #{run.dropped}, queue at the end #{last.queue}, " <>
+    "processed #{run.processed}, dropped #{run.dropped}, queue at the end #{last.queue}, " <>
       "median age #{round(Enum.at(ages, div(length(ages), 2)))} ms"
   end
 
@@ -59,7 +59,7 @@ defmodule Pictures.Delivery do
     begun = System.monotonic_time(:millisecond)
     samples = sample(p, begun, [])
     edge = edge(p)
-    # Not stop/1: under unlimited() it would wait for everything that was ever sent.
+    # Does not call stop/1, which would wait for every message that was sent under unlimited().
     Process.exit(p, :kill)
     %{samples: samples, processed: edge.processed, dropped: edge.dropped}
   end
@@ -72,13 +72,13 @@ defmodule Pictures.Delivery do
     if at < @seconds * 1_000, do: sample(p, begun, samples), else: Enum.reverse(samples)
   end
 
-  # The edge into the consumer, with the messages of all queues added up.
+  # Returns the edge into the consumer, with the messages of all queues added up.
   defp edge(p) do
     edges = Pipeline.info(p).edges
     %{List.last(edges) | queue: edges |> Enum.map(& &1.queue) |> Enum.sum()}
   end
 
-  # Two panels a policy: what waits, and how old what is taken is.
+  # Draws two panels per policy: the number of waiting messages, and the age of processed messages.
 
   @width 360
   @height 84
@@ -93,7 +93,7 @@ defmodule Pictures.Delivery do
     <svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 820 #{length(runs) * @row + 46}" font-family="sans-serif" font-size="12">
     <rect width="100%" height="100%" fill="white"/>
     <text x="30" y="20" font-weight="bold">messages waiting</text>
-    <text x="430" y="20" font-weight="bold">age of the message taken, ms</text>
+    <text x="430" y="20" font-weight="bold">age of the processed message, ms</text>
     #{rows}
     </svg>
     """
@@ -127,7 +127,7 @@ defmodule Pictures.Delivery do
     """
   end
 
-  # A root scale, so that three and three thousand can both be read.
+  # A square-root scale shows both small and large values.
   defp scaled(value, most), do: round(:math.sqrt(max(value, 0) / most) * (@height - 6))
 end
 

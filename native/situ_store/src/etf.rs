@@ -1,5 +1,6 @@
 //! Erlang's external term format: checks whether bytes from a file may be decoded, and decodes them without
 //! creating atoms.
+//! See docs/adr/0033-terms-from-files-are-checked-before-decoding.md.
 
 /// The maximum nesting depth of a term.
 pub const MAX_DEPTH: u32 = 512;

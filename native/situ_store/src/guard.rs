@@ -3,7 +3,7 @@
 //! Reading a page of a map after another program has truncated the file raises SIGBUS, which ends the process. The
 //! handler in this module replaces the page with zeros and records this in the map's slot: the reader sees a wrong
 //! checksum, calls `is_torn`, and returns an error. The handler only affects maps that are registered here; any
-//! other SIGBUS is passed on to the previous handler.
+//! other SIGBUS is passed on to the previous handler. See docs/adr/0130-memory-maps-survive-truncated-files.md.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicUsize, Ordering};

@@ -1,4 +1,5 @@
 //! Writes the index: appends entries to a memory map and publishes them with one atomic word.
+//! See docs/adr/0030-the-store-index-is-the-commit-log.md.
 
 use std::fs::{File, OpenOptions};
 use std::path::Path;

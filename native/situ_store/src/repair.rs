@@ -4,6 +4,7 @@
 //! entry that refers to a sound chunk. It fills damaged entries with the chunks that carry their numbers, if these
 //! chunks are known to have been committed. An entry that cannot be filled becomes a placeholder, so that every
 //! other entry keeps its number. Data are never rewritten.
+//! See docs/adr/0039-chunks-carry-their-index-position.md.
 
 mod apply;
 mod old_index;

@@ -1,4 +1,5 @@
 //! The writer: packs streams into chunks and chunks into extents, and publishes them with one atomic word.
+//! See docs/adr/0031-stores-are-written-with-pwrite-and-read-through-maps.md.
 
 mod chunks;
 mod closing;

@@ -2,14 +2,14 @@ defmodule Situ.Aggregate do
   @where [
     type: {:fun, 1},
     doc:
-      "Includes only messages (with `:list`: elements) for which it is true; the others cause no output."
+      "Includes only messages (or elements, with `over: :list`) for which it returns true; others cause no output."
   ]
   @schema [
-    over: [type: :any, default: :all, doc: "See the table."],
+    over: [type: :any, default: :all, doc: "The covered messages; see the table."],
     where: @where,
     by: [
       type: {:fun, 1},
-      doc: "Extracts the number from a message (with `:list`: from an element)."
+      doc: "Extracts the number from a message (or from an element, with `over: :list`)."
     ],
     nullable: [
       type: :boolean,

@@ -1,6 +1,6 @@
 defmodule Situ.Application do
   @moduledoc false
-  # Starts the processes that outlive any pipeline. Nothing else is global.
+  # Starts the processes that outlive any pipeline. There is no other global state.
   use Application
 
   @impl true

@@ -12,7 +12,7 @@ defmodule Situ.Branch do
       iex> outputs
       [{2, 32}]
 
-  A branch may contain every component that only reacts to its inputs: all operators except sources, `Situ.timer/3`
+  A branch may contain every component that only reacts to its inputs: all operators except sources, `Situ.timer/2`
   and `Situ.delay/3`, and all components without timers or processes. Other components are rejected with
   `Situ.Error` `:not_in_branch`.
   """

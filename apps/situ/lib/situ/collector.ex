@@ -139,7 +139,7 @@ defmodule Situ.Collector do
   @doc """
   Returns the data of the stream that `build` returns as an Elixir `Stream`. Reading it runs a separate pipeline,
   which runs ahead only as far as its back-pressure allows and is stopped when reading stops. With `messages: true`,
-  returns whole messages.
+  returns complete messages.
   """
   @spec to_stream((Pipeline.t() -> Stream.t()), keyword()) :: Enumerable.t()
   def to_stream(build, opts \\ [])

@@ -1,7 +1,6 @@
 defmodule Situ.Component do
   @moduledoc """
-  A component is a pure state machine over timestamped messages. Processes, queues and back-pressure are implemented
-  elsewhere.
+  A component is a pure state machine over timestamped messages. The runtime adds processes, queues and back-pressure.
 
       defmodule Doubler do
         use Situ.Component,
@@ -62,10 +61,10 @@ defmodule Situ.Component do
           | :stopped
   @type result :: {[action()], state()}
 
-  @doc "Builds the state from validated options. Must have no side effects; those belong in `handle_start/2`."
+  @doc "Builds the state from validated options. It must have no side effects; those belong in `handle_start/2`."
   @callback init(opts :: keyword()) :: {:ok, state()} | {:error, Situ.Error.t()}
 
-  @doc "Called when the pipeline starts: opens devices and files, sets timers, emits, returns `:complete`."
+  @doc "Called at the start. It may open devices and files, set timers, emit messages, and return `:complete`."
   @callback handle_start(Context.t(), state()) :: result()
 
   @doc "Produces up to `n` messages now. Defining this callback makes the component a pull source."

@@ -23,8 +23,8 @@ defmodule Situ.Connector do
       :closed
 
   With `as: :data` (default), the target emits the data as a new message with the same originating time. With
-  `as: :message`, it emits the whole `Situ.Message` as data. With `as: :envelope`, it keeps the times and the sequence
-  id.
+  `as: :message`, it emits the complete `Situ.Message` as data. With `as: :envelope`, it keeps the times and the
+  sequence id.
   """
   alias Situ.{Argument, Stream}
 

@@ -8,7 +8,7 @@ defmodule Situ.Delivery do
   | `throttle/2` | never | the same with a window of `n` messages (default 128) |
   | `synchronous/1` | never | light operators run inside the producer's process; other consumers are throttled |
   | `latest/1` | yes | only the newest waiting message is kept |
-  | `max_queue/2` | yes | the `n` newest waiting messages are kept; `throttle: true` makes sources wait that can |
+  | `max_queue/2` | yes | the `n` newest waiting messages are kept; `throttle: true` pauses sources that can wait |
   | `max_latency/2` | yes | messages older than `d` when they would be consumed are dropped |
 
   Every policy takes `guarantee: fn data -> boolean end`. Messages for which the function returns `true` are never

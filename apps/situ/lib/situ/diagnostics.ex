@@ -2,8 +2,8 @@ defmodule Situ.Diagnostics do
   @moduledoc """
   Inspects a running pipeline from outside, as a `Situ.Diagnostics.Snapshot` or as a table for people.
 
-  The numbers come from shared counters and from the VM's process table. No component is asked, so stuck components
-  are visible, too.
+  The numbers come from shared counters and from the VM's process table. Components are not queried, so stuck
+  components are visible, too.
 
       iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.source(p, Situ.Component.Empty) end)
       iex> [node] = report.snapshot.nodes

@@ -57,6 +57,7 @@ defmodule Situ.GenStage do
       iex> error.code
       :not_running
   """
+  # See docs/adr/0011-demand-uses-genstage-messages.md.
   alias Situ.Argument
   alias Situ.Pipeline.Client
 

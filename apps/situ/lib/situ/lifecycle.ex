@@ -3,6 +3,7 @@ defmodule Situ.Lifecycle do
   # The life cycle of a pipeline as a pure state machine: `apply(state, event, now)` returns the next state and the
   # actions. The server turns messages into events and performs the actions. Nothing here sends messages, reads a clock
   # or knows a process.
+  # See docs/adr/0017-the-life-cycle-is-a-pure-state-machine.md.
   #
   #   building -> starting (handlers, up, sources) -> running -> stopping (settle, stop, close, quit) -> completed
   # | event | meaning |
@@ -63,8 +64,8 @@ defmodule Situ.Lifecycle do
     {%{state | actions: []}, Enum.reverse(state.actions)}
   end
 
-  # A source holds its last messages until its end is known. If it was the last source to end, the others start to
-  # ignore later messages now, before these messages can lead to any.
+  # A source holds its last messages until its end is known. If it was the last source to end, the other stages begin
+  # to ignore later messages now, before the held messages can cause any.
   defp confirm_end_time(state, {:completed, id, time}) when is_integer(time) do
     if match?(%{^id => %{alive?: true}}, state.stages),
       do: send_to_stages(state, [id], :heard),
@@ -73,7 +74,7 @@ defmodule Situ.Lifecycle do
 
   defp confirm_end_time(state, _event), do: state
 
-  @doc "Returns the default time, in ms, for which sources may catch up after a stop by hand."
+  @doc "Returns the default time, in ms, for which sources may catch up after a manual stop."
   @spec default_catch_up_ms() :: pos_integer()
   def default_catch_up_ms, do: %Situ.Lifecycle.EndState{}.catch_up
 
@@ -83,7 +84,7 @@ defmodule Situ.Lifecycle do
 
   defp handle_event(state, {:left, id}, _now), do: Removal.mark_leaving(state, id)
 
-  # Only the results of its last handlers still matter to a completed pipeline.
+  # For a completed pipeline, only the results of its last handlers still matter.
   defp handle_event(%{phase: :completed} = state, {:handled, :completed}, _now),
     do: add_action(state, :finished)
 
@@ -168,7 +169,7 @@ defmodule Situ.Lifecycle do
               :erlang.map_get(:status, :erlang.map_get(elem(event, 1), state.stages)) == :dead,
        do: state
 
-  # A part that is being added takes the steps of a start by itself; if it fails, the rest continues without it.
+  # A part that is being added goes through the startup steps by itself; if it fails, the rest continues without it.
   defp handle_stage_event(event, %{growths: growths} = state, now)
        when growths != %{} and elem(event, 0) in [:up, :started, :init_failed, :failed, :exited] do
     case Addition.find_ref(state, elem(event, 1)) do
@@ -239,7 +240,7 @@ defmodule Situ.Lifecycle do
 
   defp record_error(state, error), do: %{state | errors: [error | state.errors]}
 
-  # A component that hangs while it starts would block the stop, so the watchdog starts now.
+  # A component that hangs while it starts would block the stop, so the check for stuck stages starts now.
   defp request_stop(%{phase: :starting, ending: %{wish: nil}} = state, {time, by_hand}) do
     state |> request_end(time, by_hand) |> add_action({:watch, state.limits.stop_timeout, :all})
   end

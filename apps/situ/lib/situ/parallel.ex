@@ -7,13 +7,13 @@ defmodule Situ.Parallel do
     ],
     split: [type: {:fun, 1}, doc: "Builds the list or map of parts from a message's data."],
     with: [type: {:fun, 1}, doc: "Builds the output from the list or map of results."],
-    or_default: [type: :any, doc: "See above."],
+    or_default: [type: :any, doc: "Replaces a missing result."],
     until: [
       type:
         {:or,
          [{:in, [:absent, :never]}, {:tuple, [{:in, [:absent]}, :non_neg_integer]}, {:fun, 3}]},
       default: :absent,
-      doc: "See above."
+      doc: "When the branch of a key ends; see above."
     ],
     only_present: [
       type: :boolean,
@@ -21,7 +21,7 @@ defmodule Situ.Parallel do
       doc: "For maps: outputs only the keys in the message, not all live keys."
     ],
     on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop, doc: "See above."],
-    branches: [type: {:in, [:values, :processes]}, default: :values, doc: "See above."],
+    branches: [type: {:in, [:values, :processes]}, default: :values, doc: "How branches run."],
     branch_policy: [
       type: {:struct, Situ.Delivery},
       doc:

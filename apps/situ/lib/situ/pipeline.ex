@@ -128,9 +128,9 @@ defmodule Situ.Pipeline do
   A source that lags behind the clock may continue up to the clock's time, for at most `catch_up:` ms (1,000); with
   `catch_up: 0` it ends at its current position. `timeout:` limits how long the caller waits, not the stop.
 
-  Returns the report once everything has ended, to every caller that asks before that. Returns
-  `{:error, %Situ.Error{code: :not_running}}` if the pipeline had already ended. Called from inside one of the
-  pipeline's own components, it returns `:ok` immediately and the pipeline stops later.
+  Every caller that asks before the end receives the report once everything has ended. A caller that asks later
+  receives `{:error, %Situ.Error{code: :not_running}}`. Called from inside one of the pipeline's own components, the
+  function returns `:ok` immediately and the pipeline stops later.
   """
   @spec stop(target(), keyword()) :: result() | :ok
   def stop(p, opts \\ []), do: Client.stop_pipeline(p, opts)
@@ -349,8 +349,8 @@ defmodule Situ.Pipeline do
       iex> :done
       :done
 
-  Options: `timeout:`, the ms to wait for the checkpoint (5,000). Errors: `:no_snapshot` names a component whose state
-  is not plain data; `:not_settled` if messages were in flight all the time; `:busy`; `:not_running`.
+  Options: `timeout:`, the time to wait for the checkpoint, in ms (5,000). Errors: `:no_snapshot` names a component
+  whose state is not plain data; `:not_settled` if messages were in flight all the time; `:busy`; `:not_running`.
   """
   @spec checkpoint(target(), (%{String.t() => map()} -> result), keyword()) ::
           {:ok, result} | {:error, Error.t()}

@@ -3,7 +3,7 @@ defmodule Situ.Sampling do
   The pure core of sampling at a fixed interval: computes the value of a stream at every tick, with an interpolator.
 
   Ticks are exact: the start, start + interval, and so on. With an alignment, they are the times congruent to it modulo
-  the interval. Ticks are produced as the source advances, and end with it, so they never run ahead of the data. A tick
+  the interval. Ticks are produced as the source advances and end with it, so they are never ahead of the data. A tick
   without a value has no output.
 
       iex> sampling = Situ.Sampling.new(Situ.Reproducible.nearest(), 30, 0)
@@ -12,8 +12,8 @@ defmodule Situ.Sampling do
       iex> outputs
       [{:out, 0, 0}, {:out, 30, 40}]
 
-  A long gap in the source contains many ticks. At most a few hundred are produced at a time. As long as `more_ticks?/1` is
-  true, `next_ticks/1` produces the next ones, so memory does not depend on the gap.
+  A long gap in the source contains many ticks. At most a few hundred are produced at a time. As long as
+  `more_ticks?/1` is true, `next_ticks/1` produces the next ones, so memory does not depend on the gap.
 
       iex> sampling = Situ.Sampling.new(Situ.Reproducible.linear(), 1, 0)
       iex> messages = for t <- [0, 1_000_000_000], do: %Situ.Message{originating_time: t, data: t}

@@ -3,16 +3,18 @@ defmodule Situ.Stage do
   # The process of one component, or of one chain of light operators: its mailbox. A message passes through these
   # modules:
   #
-  #   Stage          an entry of the mailbox
-  #   Control        requests of the pipeline's server    Loop        selects the next messages, and how many
-  #   Attachment     connections added and removed        Production  asks sources for messages and stops them
-  #                  MessageRunner, ChainRunner   run a message through the component, a batch through its operators
-  #                  Activation                calls the component and handles errors (ErrorPolicy)
-  #                  Emission                  applies the actions: post (Posting), close, set timers; then sends
-  #                  Outputs, Inputs, Timers, Source, Pace: the parts of the State, each owned by one module
+  #   Stage                        takes an entry from the mailbox
+  #   RequestHandler               handles requests of the pipeline's server
+  #   Subscriptions                adds and removes connections
+  #   Loop                         selects the next messages, and how many
+  #   Production                   makes sources produce messages, and stops them
+  #   MessageRunner, ChainRunner   run a message through the component, or a batch through its operators
+  #   CallbackRunner               calls the component and handles errors (ErrorPolicy)
+  #   ActionRunner                 applies the actions: posts messages, closes outputs, sets timers; then sends
+  #   Outputs, Inputs, Timers, SourceState, Scheduling   the parts of the State, each owned by one module
   #
-  # It speaks GenStage's messages with its neighbours (see Situ.GenStage), `{:situ, request}` from its pipeline's server
-  # and `{:situ_stage, id, event}` to it.
+  # It uses GenStage's messages with its neighbours (see Situ.GenStage). It receives `{:situ, request}` from its
+  # pipeline's server and sends `{:situ_stage, id, event}` to it.
   use GenServer
 
   alias Situ.Clock
@@ -23,7 +25,7 @@ defmodule Situ.Stage do
   # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
   @slow :erlang.convert_time_unit(1, :millisecond, :native)
 
-  @doc "Returns the content of the control cell until the pipeline stops: no final time."
+  @doc "Returns the value of the control cell until the pipeline stops. It means that there is no final time."
   @spec no_final_time() :: integer()
   defdelegate no_final_time, to: State
 
@@ -61,7 +63,7 @@ defmodule Situ.Stage do
   @impl true
   def init(_), do: :ignore
 
-  # GenStage's own calls and casts, and those of the component.
+  # These calls and casts are GenStage's own; all others are for the component.
   @impl true
   def handle_call(:"$estimate_buffered_count", _from, state),
     do: {:reply, Outputs.buffered_count(state.outputs), state}
@@ -117,7 +119,7 @@ defmodule Situ.Stage do
   def handle_info({:situ_alarm, _}, state), do: {:noreply, Loop.handle_alarm(state)}
   def handle_info({:situ, request}, state), do: RequestHandler.handle_request(request, state)
 
-  # A hold that was renewed or ended meanwhile is not this one's to end.
+  # A hold that was renewed or has ended in the meantime must not be ended by an old timer.
   def handle_info({:situ_hold, tag, token}, state) do
     case state.inputs.by_tag do
       %{^tag => %{held: {_timer, ^token}} = input} ->
@@ -137,7 +139,7 @@ defmodule Situ.Stage do
       else: {:noreply, Loop.handle_plain_message(state, message)}
   end
 
-  # No GenStage process sends such a message; ignore it.
+  # GenStage processes do not send such messages, so they are ignored.
   def handle_info({protocol, _from, _request}, state)
       when protocol in [:"$gen_producer", :"$gen_consumer"],
       do: {:noreply, state}
@@ -164,7 +166,7 @@ defmodule Situ.Stage do
   defp closing_time({:shutdown, {:closed, time}}, _state), do: time
   defp closing_time(_reason, state), do: Clock.now(state.clock)
 
-  # A crash report names the component; payloads and options have no place in a log.
+  # A crash report names the component, and omits payloads and options.
   @impl true
   def format_status(_reason, [_dictionary, state]), do: [data: [{~c"State", summary(state)}]]
 

@@ -1,6 +1,6 @@
 defmodule Situ.Statistics do
   @moduledoc """
-  Count, sum, minimum, maximum, average and standard deviation, of a list or step by step.
+  Computes the count, sum, minimum, maximum, average and standard deviation of a list, or step by step.
 
       iex> Situ.Statistics.of_list(:std, [1, 2, 3, 4])
       1.2909944487358056
@@ -13,9 +13,9 @@ defmodule Situ.Statistics do
   result is `nil` (for a sum: 0). Integers stay integers in sums, minimum and maximum; averages and deviations are
   floats. `:min` and `:max` take any terms of one kind.
 
-  The deviation is the sample deviation (n - 1). A list of fewer than two numbers has a deviation of 0.0. Step by step,
-  the first number returns `:nan` (or `initial:`). The minimum, maximum or average of an empty list does not exist:
-  `Situ.Error` `:empty_list`, or `nil` with `nullable: true`.
+  The deviation is the sample deviation (n - 1). A list of fewer than two numbers has a deviation of 0.0. If computed
+  step by step, the deviation of the first number is `:nan` (or `initial:`). The minimum, maximum or average of an
+  empty list raises `Situ.Error` `:empty_list`, or is `nil` with `nullable: true`.
 
   ## Options
 

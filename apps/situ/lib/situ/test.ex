@@ -1,6 +1,6 @@
 defmodule Situ.Test do
   @moduledoc """
-  Tests pipelines and components without sleeping: feed messages, move the clock by hand, and check the outputs.
+  Tests pipelines and components without sleeping: feed messages, move the clock, and check the outputs.
 
   In a single run, as fast as possible:
 

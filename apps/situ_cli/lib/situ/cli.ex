@@ -144,7 +144,7 @@ defmodule Situ.CLI do
 
   # The error is a bug in Situ, so print everything that a bug report needs.
   defp report_crash(error, stack) do
-    Output.warn("situ: a bug in situ itself: #{Exception.format_banner(:error, error, stack)}")
+    Output.warn("situ: this is a bug in Situ: #{Exception.format_banner(:error, error, stack)}")
 
     if System.get_env("SITU_DEBUG") in [nil, ""],
       do: Output.warn("  Fix: report it, with the output of `SITU_DEBUG=1 situ ...`"),

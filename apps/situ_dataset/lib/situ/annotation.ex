@@ -1,6 +1,7 @@
 defmodule Situ.Annotation do
   @moduledoc """
-  A statement that a person or a program makes about a span of time: "participant 1 speaks from here to there".
+  Represents a statement that a person or a program makes about a span of time, such as "participant 1 speaks from
+  here to there".
 
   An annotation has an interval, a track (a row of the timeline, such as one per person), a value for each attribute
   of the stream's `Situ.Annotation.Schema`, and its author:
@@ -33,6 +34,7 @@ defmodule Situ.Annotation do
   | exchange them with ELAN, Praat, WebVTT and others | `Situ.Annotation.Exchange` |
   | compare two annotators | `Situ.Annotation.Agreement` |
   """
+  # See docs/adr/0091-annotations-are-streams-with-versions.md.
   alias Situ.{Error, Message}
 
   @enforce_keys [:from, :to, :track]

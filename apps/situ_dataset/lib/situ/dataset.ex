@@ -1,7 +1,7 @@
 defmodule Situ.Dataset do
   @moduledoc """
-  A dataset of a study: sessions with their recordings (partitions), metadata and tags, in one JSON file that people
-  may edit.
+  Represents the dataset of a study: sessions with their recordings (partitions), metadata and tags. It is stored in
+  one JSON file that people may edit.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-dataset")
       iex> {:ok, dataset} = Situ.Dataset.new("Study", file: Path.join(folder, "study.json"), autosave: true)
@@ -29,6 +29,10 @@ defmodule Situ.Dataset do
   | get spans, sizes, counts | `summary/1`, `Situ.Dataset.Session.summary/1`, `Situ.Dataset.Partition.summary/1` |
   | find missing or damaged recordings | `troubles/1` |
   """
+  # A dataset is a value and a JSON file, not a process or a database, because people edit it and
+  # move it together with the recordings. Partitions are names and relative paths, and a recording
+  # is opened only when it is read. A dataset with missing recordings therefore opens, and one of
+  # a thousand sessions opens in about 0.1 s. Unknown fields of the file are kept.
   alias Situ.Dataset.{
     Checksum,
     DatasetFile,
@@ -73,7 +77,7 @@ defmodule Situ.Dataset do
         }
   @type result :: {:ok, t()} | {:error, Error.t()}
 
-  # Creating, opening, saving
+  # The following functions create, open and save datasets.
 
   @doc """
   Creates an empty dataset; with `file:` and `autosave: true` it is saved immediately.
@@ -211,7 +215,7 @@ defmodule Situ.Dataset do
   defp commit_edit(%__MODULE__{autosave?: true} = dataset), do: save(%{dataset | unsaved?: true})
   defp commit_edit(%__MODULE__{} = dataset), do: {:ok, %{dataset | unsaved?: true}}
 
-  # Sessions
+  # The following functions edit sessions.
 
   @doc "Returns the session with that name. Error: `:no_session`, which suggests the nearest name."
   @spec session(t(), String.t()) :: {:ok, Session.t()} | {:error, Error.t()}
@@ -319,7 +323,7 @@ defmodule Situ.Dataset do
     commit_edit(struct!(dataset, changes))
   end
 
-  # Queries
+  # The following functions are queries.
 
   @doc """
   Returns time spans, sizes and counts over all sessions. Opens every recording, several concurrently. Recordings that
@@ -387,7 +391,7 @@ defmodule Situ.Dataset do
     Enum.filter(dataset.sessions, &(tags -- &1.tags == [] and fits?.(&1.name)))
   end
 
-  # Running
+  # The following function runs pipelines over the sessions.
 
   @doc """
   Runs a pipeline over every session and adds its output to each as a new partition.
@@ -398,7 +402,7 @@ defmodule Situ.Dataset do
 
       Situ.Dataset.Derivation.Report.failures(report)
 
-  Returns the updated dataset, also if sessions failed or the run was cancelled. A dataset with a file is saved after
+  Returns the updated dataset, even if sessions failed or the run was cancelled. A dataset with a file is saved after
   every session. `Situ.Dataset.Derivation` describes how to write the pipeline and how a killed run is resumed. Errors
   before the run starts: `:partition_exists`, `:no_session`.
 

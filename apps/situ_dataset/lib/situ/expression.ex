@@ -1,7 +1,7 @@
 defmodule Situ.Expression do
   @moduledoc """
-  A small, safe language for values from messages, used by derived streams and queries. `docs/guides/expressions.md`
-  describes the complete language.
+  Parses and evaluates a small, safe language for values from messages, which derived streams and queries use.
+  `docs/guides/expressions.md` describes the complete language.
 
       iex> {:ok, e} = Situ.Expression.parse("m.x * 2 + 1 > 10 and m.name != 'idle'")
       iex> Situ.Expression.eval(e, %{"m" => %{"x" => 5, "name" => "walk"}})
@@ -16,6 +16,7 @@ defmodule Situ.Expression do
   It has no loops, assignments or side effects. An expression of `n` nodes (at most 1,000) is evaluated in `n`
   steps, each bounded by the size of its operands, and cannot fail. A part without a value is `nil` (`null`).
   """
+  # See docs/adr/0093-expressions-are-a-total-language.md.
   alias Situ.Error
   alias Situ.Expression.{Functions, Parser, Operators}
 

@@ -2,11 +2,11 @@ defmodule Situ.Query do
   @options [
     from: [type: :integer, doc: "The first originating time (ns) of the span."],
     to: [type: :integer, doc: "The last originating time (ns) of the span."],
-    least: [type: :non_neg_integer, default: 0, doc: "Shorter intervals (ns) are discarded."],
+    least: [type: :non_neg_integer, default: 0, doc: "The minimum length of an interval (ns)."],
     join: [
       type: :non_neg_integer,
       default: 0,
-      doc: "Intervals with a gap of at most this (ns) are joined."
+      doc: "The maximum gap (ns) between two intervals that are joined."
     ],
     hold: [
       type: :pos_integer,
@@ -30,8 +30,8 @@ defmodule Situ.Query do
   from the tracks that have an annotation at that time to its values: `Speech.P1.Speaker == 'A'`, `'P1' in Speech`.
 
   The expression is evaluated at every message of the named streams, so the result is exact to their times. An
-  interval that is still true at the end ends with the last message. Memory does not grow with the recording, and
-  the time is limited.
+  interval that is still true at the end ends with the last message. Memory use does not grow with the recording, and
+  `timeout:` limits the time.
 
   ## Options
 
@@ -205,7 +205,7 @@ defmodule Situ.Query do
   defp drop_short(intervals, least),
     do: Enum.filter(intervals, fn {from, to} -> to - from >= least end)
 
-  @doc "Converts the intervals to annotations of one track: proposals, for `Situ.Annotation.Edit.add_proposals/2`."
+  @doc "Converts the intervals to annotations of one track, as proposals for `Situ.Annotation.Edit.add_proposals/2`."
   @spec annotations(found(), String.t(), map(), keyword()) :: [Annotation.t()]
   def annotations(%{intervals: intervals}, track, values \\ %{}, more \\ []) do
     for {from, to} <- intervals,

@@ -35,7 +35,7 @@ defmodule Situ.Assistant do
       type: {:range, 0, 40},
       default: 20.0,
       doc:
-        "How much the input is attenuated during playback, dB: hides the assistant's own voice but not an interruption."
+        "How much the input is attenuated during playback, dB. It hides the assistant's voice but not interruptions."
     ],
     quietest: [
       type: {:range, -120, 0},
@@ -68,9 +68,10 @@ defmodule Situ.Assistant do
   | `:speaking` | boolean | whether the assistant is speaking |
   | `:stop` | string | the words of a user who interrupts the assistant |
 
-  The microphone may pick up the assistant's own voice. During playback the input is therefore attenuated (`duck:`), so
-  that a loudspeaker at some distance does not count as speech, but a person at the microphone does. As a second
-  safeguard, words that the assistant has just spoken are neither commands nor interruptions (`Situ.Assistant.EchoDetector`).
+  The microphone may pick up the assistant's own voice. The input is therefore attenuated during playback (`duck:`),
+  so that a loudspeaker at some distance does not count as speech, but a person at the microphone does. As a second
+  safeguard, words that the assistant has just spoken are neither commands nor interruptions
+  (`Situ.Assistant.EchoDetector`).
 
   ## Options
 

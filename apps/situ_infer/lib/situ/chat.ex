@@ -19,7 +19,7 @@ defmodule Situ.Chat do
     rounds: [
       type: :pos_integer,
       default: 5,
-      doc: "How many requests one question may take, each of which may call tools."
+      doc: "The maximum number of requests for one question; each of them may call tools."
     ],
     concurrency: [
       type: :pos_integer,
@@ -58,8 +58,9 @@ defmodule Situ.Chat do
   | `:out` | the complete answer, `Situ.Chat.Answer` | the question's time |
   | `:failed` | a `Situ.Error`, with `failures: :emit` | the question's time |
 
-  An answer has the time of its question, so it joins with other data of that time; the message's latency is the time
-  the answer took. When `concurrency` questions are in flight, the component accepts no more, and its producer waits.
+  An answer has the time of its question, so it can be joined with other data of that time. The message's latency is
+  the time that the answer took. While `concurrency` questions are in flight, the component accepts no more, and its
+  producer waits.
 
   Programs without pipelines can call `ask/2`.
 

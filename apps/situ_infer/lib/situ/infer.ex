@@ -59,7 +59,7 @@ defmodule Situ.Infer do
     do: mouths |> join_voice(voice) |> Situ.via(ActiveSpeaker, opts)
 
   @doc """
-  Emits speech or not, and also ends speech when another face takes over without a pause. Options:
+  Emits whether somebody is speaking, and also ends speech when another face takes over without a pause. Options:
   `Situ.Infer.SpeakerTurns`. `heard` contains the outputs of `Situ.Infer.VoiceActivity`, and `who` is the result of
   `who_speaks/3`.
   """

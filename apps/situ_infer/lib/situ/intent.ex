@@ -1,7 +1,7 @@
 defmodule Situ.Intent do
   @moduledoc """
-  The intent of a sentence: the `query` (its text), the possible `intents` (best first, with a score of 0..1) and the
-  `entities` in it (`minutes` 5, `name` "tea").
+  The intent of a sentence: its text (`query`), the possible `intents` (best first, each with a score of 0..1), and
+  the `entities` in it (`minutes` 5, `name` "tea").
 
       iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: \"""
       ...> #JSGF V1.0; grammar kitchen;
@@ -11,8 +11,8 @@ defmodule Situ.Intent do
       iex> {Situ.Intent.name(intent), Situ.Intent.entity(intent, "minutes")}
       {"timer", "25"}
 
-  Two modules implement `Situ.Intent.Recognizer`: `Situ.Intent.Grammar` (a grammar) and `Situ.Intent.LanguageModel` (a language
-  model). On streams, use `Situ.Intent.Detector`.
+  Two modules implement `Situ.Intent.Recognizer`: `Situ.Intent.Grammar` (a grammar) and `Situ.Intent.LanguageModel` (a
+  language model). On streams, use `Situ.Intent.Detector`.
   """
 
   @enforce_keys [:query]

@@ -23,6 +23,9 @@ defmodule Situ.ImageStream do
       ...> end)
       [Situ.Image.new_filled(2, 1, :gray8, 76), Situ.Image.new_filled(2, 1, :gray8, 76)]
   """
+  # Images and streams have two facades with the same names. A single function that inspects its
+  # argument, or a protocol, would hide whether a call returns a result or a stream. The functions
+  # that add nothing are generated from tables, which are easier to read than macros.
   alias Situ.Graph.Placement
   alias Situ.{DepthImage, EncodedImage, Error, Image, Operator, Stream}
   alias Situ.ImageOps.{Drawing, Files, Filter, Geometry, Measure, Pixels}

@@ -54,7 +54,7 @@ defmodule Situ.Media do
         Map.merge(%{video: nil, audio: nil}, LiveStream.open(p, [device: source] ++ opts))
 
       {:error, _} ->
-        # The name is not a device and not an existing file. The error of the file is the more helpful one.
+        # The name is neither a device nor an existing file. The error about the file is more helpful.
         VideoFile.open(p, source, opts)
     end
   end

@@ -262,7 +262,7 @@ defmodule Situ.Cluster do
   @spec forget(t()) :: :ok | {:error, Error.t()}
   def forget(%Deployment{name: name}), do: Agent.forget_deployment(name)
 
-  @doc "Lists how much of each deployment the cluster's log contains, whether the deployment is running or has ended."
+  @doc "Lists how much the cluster's log contains of each deployment, including deployments that have ended."
   @spec list_log_usage() :: {:ok, [Retention.t()]} | {:error, Error.t()}
   def list_log_usage, do: with(:ok <- check_member(), do: Retention.list(Agent.get_log()))
 

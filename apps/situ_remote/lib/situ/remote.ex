@@ -11,7 +11,7 @@ defmodule Situ.Remote do
 
   The server sends recorded messages. Messages that were recorded while nobody was connected follow later, in order and
   without duplicates. A lost link never closes a stream; the client reconnects (after 50 ms to 5 s) until the pipeline
-  ends. A stream that its recorder closed is closed here, too. Guide: *Links between machines*.
+  ends. A stream that its recorder closes is also closed on the receiving side. Guide: *Links between machines*.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote")
       iex> {:ok, _} = Situ.Pipeline.run(fn p ->
@@ -25,6 +25,7 @@ defmodule Situ.Remote do
       iex> Situ.Remote.Server.close(server)
       iex> File.rm_rf!(root)
   """
+  # See docs/adr/0110-links-serve-recordings.md.
   alias Situ.{Delivery, Error, Options, Pipeline}
 
   alias Situ.Remote.{

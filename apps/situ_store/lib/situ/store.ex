@@ -73,7 +73,7 @@ defmodule Situ.Store do
 
   An endless recording can be split into segments, of which only the latest are kept:
 
-      Situ.Store.create(p, "hall", "recordings", split: Situ.Time.minutes(10), keep: {:span, Situ.Time.hours(2)})
+      Situ.Store.create(p, "hall", "recordings", split: Situ.Time.min(10), keep: {:span, Situ.Time.h(2)})
 
   `split: {:bytes, n}` splits by size. Every segment is a complete store (`hall.0000`, `hall.0001` ...), and
   `Situ.Store.concat/3` joins several into one.
@@ -223,7 +223,7 @@ defmodule Situ.Store do
           {:ok, width :: pos_integer(), [Summary.bin()]} | {:error, Error.t()}
   defdelegate summary(store, name, from, to, pixels), to: Summary, as: :read_numbers
 
-  @doc "Returns spans of at least `least` ns without a message. Only gaps between chunks are found, from the index."
+  @doc "Returns spans of at least `least` ns without a message. Finds only gaps between chunks."
   @spec gaps(t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
   defdelegate gaps(store, name, least), to: Query
 

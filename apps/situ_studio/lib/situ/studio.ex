@@ -16,7 +16,7 @@ defmodule Situ.Studio do
       default: nil,
       doc:
         "Finds a recording on another node, `NODE/NAME`: returns its address and the options of its reader " <>
-          "(`Situ.Cluster.Recordings.address/1`)."
+          "(`Situ.Cluster.Recordings.fetch_address/1`)."
     ],
     sources: [
       type: :map,

@@ -52,7 +52,7 @@ defmodule Situ.AudioFormat do
   end
 
   @doc """
-  Builds a format from its three values; raises `ArgumentError` if one is out of range.
+  Builds a format from its three values. Raises `ArgumentError` if a value is out of range.
 
       iex> Situ.AudioFormat.pcm(16_000, 1, :f32).sample
       :f32

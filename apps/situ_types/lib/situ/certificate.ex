@@ -13,7 +13,7 @@ defmodule Situ.Certificate do
   alias Situ.Error
   require Record
 
-  # These records come from public_key.hrl, which systems without Erlang's header files lack.
+  # These records are copied from public_key.hrl, because Erlang's header files are not installed on every system.
   Record.defrecordp(:extension, :Extension, extnID: nil, critical: :asn1_DEFAULT, extnValue: nil)
 
   Record.defrecordp(:certificate, :OTPCertificate, [

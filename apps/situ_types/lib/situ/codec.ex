@@ -25,8 +25,8 @@ defmodule Situ.Codec do
   @callback decode(bytes :: binary()) :: {:ok, struct()} | {:error, term()}
 
   @doc """
-  Returns the numeric signal in one message, in time order, for summary pyramids (audio waveforms). Times are absolute
-  nanoseconds; a point may summarize many samples.
+  Returns the numeric signal in one message, in time order, for summary pyramids (such as audio waveforms). Times are
+  absolute nanoseconds. A point may summarize many samples.
   """
   @callback points(struct(), originating_time :: Situ.Time.t()) :: [point()]
 

@@ -6,7 +6,7 @@ defmodule Situ.Image do
   are contiguous. `stride` may be larger than a row needs (external buffers, crops without a copy) and may be odd;
   images created by Situ have no padding. 16-bit channels are little-endian.
 
-  | format | bytes a pixel | channels in memory order |
+  | format | bytes per pixel | channels in memory order |
   |---|---|---|
   | `:gray8` | 1 | grey |
   | `:gray16` | 2 | grey, 16 bit |

@@ -116,7 +116,7 @@ defmodule Situ.Mesh do
          do: {if(pose, do: Pose.transform_point(pose, near), else: near), number}
   end
 
-  # Calls `fun` with each triangle in the local frame; it returns `{distance, result}`. Returns the result with the
+  # Calls `fun` with each triangle in the local frame; `fun` returns `{distance, result}`. Returns the result with the
   # smallest distance.
   defp find_nearest(mesh, fun), do: search_triangles(mesh.indices, mesh.vertices, fun, 0, nil)
 

@@ -13,6 +13,8 @@ defmodule Situ.Number do
       :nan
   """
 
+  # See docs/adr/0022-nan-and-infinity-are-atoms.md.
+
   @type t :: number() | :nan | :infinity | :neg_infinity
 
   @doc "Returns whether `value` is a number, `:nan`, `:infinity` or `:neg_infinity`."
@@ -161,7 +163,7 @@ defmodule Situ.Number do
   defp pick_by_order(a, b, :lt), do: if(infinity_rank(a) <= infinity_rank(b), do: a, else: b)
   defp pick_by_order(a, b, :gt), do: if(infinity_rank(a) >= infinity_rank(b), do: a, else: b)
 
-  # Only infinities need distinct ranks: here, either one number is infinite or both are.
+  # Finite numbers may share a rank, because at least one of the two numbers is infinite here.
   defp infinity_rank(:nan), do: 2
   defp infinity_rank(:infinity), do: 1
   defp infinity_rank(:neg_infinity), do: -1

@@ -9,9 +9,9 @@ defmodule Situ.Options do
       ]
 
   Types: `:any`, `:atom`, `:boolean`, `:integer`, `:pos_integer`, `:non_neg_integer`, `:number`, `:float`, `:string`,
-  `:list`, `:keyword`, `:map`, `:module`, `:pid`, `:time_ns` (an integer of nanoseconds), `{:in, values}`,
-  `{:fun, arity}`, `{:list, type}`, `{:range, min, max}` (a number, both ends included), `{:integer, min, max}` (an
-  integer, both ends included), `{:struct, module}`, `{:tuple, [type]}`, `{:or, [type]}` and `{:optional, type}` (the type or
+  `:list`, `:keyword`, `:map`, `:module`, `:pid`, `:time_ns` (an integer of nanoseconds), `{:in, values}`, `{:fun,
+  arity}`, `{:list, type}`, `{:range, min, max}` (a number, both ends included), `{:integer, min, max}` (an integer,
+  both ends included), `{:struct, module}`, `{:tuple, [type]}`, `{:or, [type]}` and `{:optional, type}` (the type or
   `nil`).
   """
   alias Situ.Error

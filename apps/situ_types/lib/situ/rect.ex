@@ -25,7 +25,7 @@ defmodule Situ.Rect do
           id: term()
         }
 
-  # In pixels. Products of such numbers are exact enough and do not overflow.
+  # The limit is in pixels. Products of numbers within it are exact enough and do not overflow.
   @most 1_000_000_000
 
   @schema [

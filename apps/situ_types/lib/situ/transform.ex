@@ -20,7 +20,7 @@ defmodule Situ.Transform do
           static: boolean()
         }
 
-  @schema [static: [type: :boolean, default: false, doc: "Whether it is valid at all times."]]
+  @schema [static: [type: :boolean, default: false, doc: "Whether it is always valid."]]
 
   @doc """
   Builds the transform from `frame` to `parent`.

@@ -23,7 +23,7 @@ defmodule Situ.Velocity3 do
           rotation: Quaternion.t() | nil
         }
 
-  @doc "Returns the linear velocity between two poses `duration` ns apart, at the later pose; at rest, along x."
+  @doc "Returns the linear velocity between two poses `duration` ns apart, at the later pose (along x if at rest)."
   @spec linear_between(Pose.t(), Pose.t(), Situ.Time.duration()) ::
           {:ok, t()} | {:error, Error.t()}
   def linear_between(%Pose{} = from, %Pose{} = to, duration) do
@@ -33,7 +33,7 @@ defmodule Situ.Velocity3 do
     build_velocity(:linear, to.position, direction, Vector3.norm(moved), duration)
   end
 
-  @doc "Returns the angular velocity between two poses `duration` ns apart, at the later one."
+  @doc "Returns the angular velocity between two poses `duration` ns apart, at the later pose."
   @spec angular_between(Pose.t(), Pose.t(), Situ.Time.duration()) ::
           {:ok, t()} | {:error, Error.t()}
   def angular_between(%Pose{} = from, %Pose{} = to, duration) do

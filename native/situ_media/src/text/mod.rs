@@ -3,6 +3,10 @@
 //! A [`Typeface`] is a list of fonts. Each character is taken from the first font that contains it; if there is none,
 //! it is drawn as the box for missing characters of the first font. [`layout`] positions the glyphs, and [`glyphs`]
 //! draws them.
+//!
+//! OpenCV's fonts are ASCII only. FreeType and HarfBuzz would add two C libraries, and `ab_glyph` does not join
+//! letters or support right-to-left text. `cosmic-text` searches the machine's fonts by family, so drawings would
+//! differ between machines. Therefore this module uses `harfrust` and `skrifa`, and fonts are named by file.
 
 mod font_cache;
 mod glyphs;

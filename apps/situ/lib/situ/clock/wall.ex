@@ -4,7 +4,7 @@ defmodule Situ.Clock.Wall do
   # once a second. If they differ by more than 0.1 ms (the system time was set, or the machine was asleep), wall time
   # jumps forward when the system is ahead. Otherwise it pauses until the system has caught up.
   #
-  # The VM's own system time corrects itself by running 1 % faster or slower, and would take four days for an hour.
+  # The VM's own system time corrects itself by running 1 % faster or slower, which takes four days for one hour.
   use GenServer
 
   @every_ms 1_000
@@ -30,7 +30,7 @@ defmodule Situ.Clock.Wall do
     do: max(:os.perf_counter() + :atomics.get(cells, 1), :atomics.get(cells, 2))
 
   @doc """
-  Returns the line adjusted to a counter value and a system time that were read together.
+  Returns the two words adjusted to a counter value and a system time that were read together.
 
       iex> Situ.Clock.Wall.adjust_offset({0, 0}, 5_000, 6_000)
       {0, 0}

@@ -48,7 +48,7 @@ defmodule Situ.Component.Callback do
   def call_callback(%__MODULE__{} = callback, name, args),
     do: run_callback(callback.module, name, args ++ [callback.core], callback.path)
 
-  @doc "Returns the component's one-line description, or `nil` if it does not define `describe_state/1`."
+  @doc "Returns the component's one-line description, or `nil` if it does not define `describe/1`."
   @spec describe_state(t()) :: String.t() | nil
   def describe_state(%__MODULE__{module: module, core: core}) do
     if function_exported?(module, :describe, 1), do: module.describe(core)

@@ -16,6 +16,7 @@ defmodule Situ.Delivery.Queue do
   A full queue drops its oldest entry when a message is pushed. With a guarantee it drops the oldest unprotected
   entry, or the new message if only that one is unprotected. The `:closed` entry never causes a message to be dropped.
   """
+  # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.{Delivery, Message}
 
   # Two queues of numbered entries: `free` entries may be dropped, `kept` entries are protected. Lower numbers are

@@ -43,8 +43,8 @@ defmodule Situ.Filter.OneEuro do
   def option_schema, do: @options
 
   @doc """
-  Filters a sample with its time (ns). The first sample passes unchanged. After an output that is `:nan` or infinite,
-  all later outputs are too, since each output feeds into the next.
+  Filters a sample with its time (ns). The first sample passes unchanged. Once an output is `:nan` or infinite, so are
+  all later outputs, since each output feeds into the next.
   """
   @spec step(t(), Situ.Time.t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{previous: nil} = filter, time, sample) do

@@ -5,9 +5,10 @@ defmodule Situ.Fusion.Balance do
   # A hold is never permanent, since the awaited input may depend on the held one (both may come from one source, one
   # of them through a filter). If no message arrives during a hold, the input is released and the limit is doubled.
   # Such a graph costs a few holds and the memory it needs. While other processes of the VM are busy, one of them may
-  # be about to send the awaited message and only be waiting for a core. In that case up to 25 holds (half a second)
-  # pass before the release.
+  # be about to send the awaited message and only be waiting for a core. In that case the release comes after up to 25
+  # holds (half a second).
   # The length of a queue is the newest sequence id minus the sequence id of its head.
+  # See docs/adr/0021-fusion-holds-inputs-that-run-ahead.md.
 
   @limit 8_192
   @patience 25

@@ -21,7 +21,8 @@ defmodule Situ.Fusion.Core do
   Secondaries can be added and removed. Each takes part for a span of originating times: a primary at time t needs a
   value from each member with `from <= t < until`, and from no other. A member's messages before `from` are ignored.
   So the outputs depend only on the spans, and not on when a member was added or removed, as long as no primary of the
-  span had arrived by then. `add_member/5` and `remove_member/3` reject changes to decisions that may already have been made.
+  span had arrived by then. `add_member/5` and `remove_member/3` reject changes to decisions that may already have
+  been made.
 
       iex> core = Situ.Fusion.Core.new(&{&1, &2}, values: :map)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -135,7 +136,7 @@ defmodule Situ.Fusion.Core do
     arrived = MessageQueue.last_message(messages)
     core = %{core | queue: MessageQueue.push(core.queue, messages), arrived: arrived}
 
-    # A primary can only decide another one if the wait is bounded.
+    # A new primary can end the wait of an earlier one only if the wait is bounded.
     if core.waiting == nil or core.give_up_after != nil or core.max_queue != nil,
       do: Decision.decide_waiting(core),
       else: {[], core}

@@ -136,6 +136,6 @@ defmodule Situ.Fusion.GraphBuilder do
   defp name_inputs(streams),
     do: for({stream, index} <- Enum.with_index(streams), do: {input_name(index), stream})
 
-  # Graphs are built by programs, so there are only as many atoms as their inputs.
+  # Graphs are built by programs, not from untrusted input, so the number of atoms stays small.
   defp input_name(index), do: :"s#{index}"
 end

@@ -1,8 +1,8 @@
 defmodule Situ.Fusion.Member do
   @moduledoc false
   # A secondary stream of a fusion: its input, the key of its values, and the span of originating times for which it
-  # takes part. `from` is the first time that needs it (`nil`: all times do). `until` is the first time that no longer
-  # needs it.
+  # takes part. `from` is the first time at which it is needed (`nil`: at all times). `until` is the first time at
+  # which it is no longer needed.
   alias Situ.Fusion.SecondaryQueue
 
   @enforce_keys [:input, :key, :interpolator]

@@ -32,7 +32,8 @@ defmodule Situ.GenStage.Source do
     end
   end
 
-  # The pipeline has room: requests the consumed events again once they are at least `max - min`.
+  # Demand means that the pipeline has room. Requests as many events as were consumed, once there are at least `max -
+  # min`.
   @impl true
   def handle_demand(_n, _context, state) do
     {[], %{state | subs: Map.new(state.subs, fn {ref, sub} -> {ref, request_more(ref, sub)} end)}}
@@ -68,7 +69,8 @@ defmodule Situ.GenStage.Source do
       when is_map_key(state.subs, ref),
       do: remove_subscription(ref, reason, context, state)
 
-  # Both arrive as separate messages, because skipping an error undoes only the effects of the message that raised.
+  # A producer's failure and end arrive as separate messages, because skipping an error undoes only the effects of the
+  # message that raised it.
   def handle_info({:situ_producer_failed, error}, _context, _state), do: raise(error)
 
   def handle_info(:situ_producer_ended, context, %{subs: subs, ended: false} = state)

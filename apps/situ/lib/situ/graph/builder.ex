@@ -1,8 +1,8 @@
 defmodule Situ.Graph.Builder do
   @moduledoc false
   # Holds a graph while it is being built. The graph is in the dictionary of the process that builds it: a pipeline
-  # runs `build/2` itself, so adding a component is a map update. A pipeline that was opened empty and is built from
-  # another process is changed by a call.
+  # runs `build/2` itself, so adding a component is a map update. A pipeline that was opened empty is built by another
+  # process through calls.
   alias Situ.{Error, Graph}
   alias Situ.Graph.Handle
 

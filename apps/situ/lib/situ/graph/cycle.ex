@@ -2,9 +2,10 @@ defmodule Situ.Graph.Cycle do
   @moduledoc false
   # Finds the shortest path from a component back to itself. Pure.
   #
-  # Before the pipeline runs, we cannot know whether a component on a cycle delays its messages. Each cycle contains a
-  # component (a light operator gets its input when it is built), and a component chooses its own times. The error
-  # therefore occurs when the first message has passed around the cycle, and this module reports the cycle.
+  # Before the pipeline runs, it is not known whether a component on a cycle delays its messages. A cycle always
+  # contains a component, because a light operator needs its input stream when it is built, and a component chooses
+  # its own times. The error therefore occurs when the first message has passed around the cycle, and this module
+  # reports the cycle.
   alias Situ.{Error, Graph}
 
   @doc "Returns the component paths on the cycle, with the first repeated at the end; `nil` without a cycle."
@@ -17,7 +18,7 @@ defmodule Situ.Graph.Cycle do
          do: Enum.map(ids, &graph.vertices[&1].path)
   end
 
-  # Each way is a list of vertices with the last vertex first; shorter ways are searched first.
+  # Each path is a list of vertices with the last vertex first. Shorter paths are searched first.
   defp search_paths([], _id, _next, _seen), do: nil
 
   defp search_paths([[last | _] = way | ways], id, next, seen) do

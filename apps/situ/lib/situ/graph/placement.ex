@@ -19,6 +19,10 @@ defmodule Situ.Graph.Placement do
 
   #{Situ.Options.docs(Situ.Graph.Placement.Schema.options_for(:generator))}
   """
+  # This module has the only table of these options. Before, 35 operators split one list by hand,
+  # each with separate schemas for the check and for the documentation. An error about an unknown
+  # option listed only half of the known ones. A component's option with a name from this table is
+  # rejected.
   alias Situ.{Error, Options}
   alias Situ.Graph.Placement.Schema
 

@@ -7,6 +7,7 @@ defmodule Situ.Graph.Plan do
   # `on_error:` and belong to the same composite (which can be stopped alone). It joins the process of a component
   # with one output if the policy between them is synchronous, `throttle(1)` (unless the component is a source that
   # cannot wait), or the pipeline's default throttle. No messages are then in flight between them.
+  # See docs/adr/0010-one-process-per-component-or-chain.md.
   alias Situ.{Delivery, Error, Graph}
   alias Situ.Graph.Vertex
 

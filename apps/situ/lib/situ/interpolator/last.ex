@@ -1,6 +1,6 @@
 defmodule Situ.Interpolator.Last do
   @moduledoc false
-  # Selects the last message in the window. It is certain when a message at or after the right end has arrived.
+  # Selects the last message in the window. The choice is final once a message at or after the right end has arrived.
   @behaviour Situ.Interpolator
 
   alias Situ.{Interval, Message}

@@ -1,6 +1,6 @@
 defmodule Situ.Interpolator.Nearest do
   @moduledoc false
-  # Selects the message in the window nearest to the requested time; the later of two at the same distance.
+  # Selects the message in the window nearest to the requested time, or the later one of two at the same distance.
   @behaviour Situ.Interpolator
 
   alias Situ.{Interval, Message}

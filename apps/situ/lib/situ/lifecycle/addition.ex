@@ -1,12 +1,12 @@
 defmodule Situ.Lifecycle.Addition do
   @moduledoc false
-  # Adds components to a running pipeline, which takes some stages through the steps of a start. No message moves before
-  # all of them are wired: running streams lend themselves to the new stages without demand, at a message boundary.
-  # Pure.
+  # Adds components to a running pipeline by taking their stages through the steps of a start. No message moves before
+  # all of them are connected: running streams add the new stages as subscribers without demand, at a message
+  # boundary. Pure.
   #
-  #   up     every new stage has its first state
+  #   up     every new stage has its initial state
   #   start  `handle_start/2` has run in each
-  #   lend   the streams they listen to have added them as subscribers
+  #   lend   the streams that they consume have added them as subscribers
   alias Situ.Lifecycle.{Errors, Failure, Links, Member, State}
   import Situ.Lifecycle.State
 
@@ -45,7 +45,7 @@ defmodule Situ.Lifecycle.Addition do
   def reject_request(state, from),
     do: add_action(state, {:reply, from, {:error, Errors.not_running()}})
 
-  @doc "Returns the reference of the growth that a stage belongs to."
+  @doc "Returns the reference of the addition that a stage belongs to."
   @spec find_ref(State.t(), State.id()) :: reference() | nil
   def find_ref(state, id),
     do: Enum.find_value(state.growths, fn {ref, g} -> id in g.ids && ref end)
@@ -59,7 +59,7 @@ defmodule Situ.Lifecycle.Addition do
       |> remove_pending(ref, id)
       |> advance_growth(ref)
 
-  # Its process is still alive and ends with the others.
+  # The stage's process is still alive and ends with the others.
   def handle_event(state, ref, {:failed, _id, error, _reached}, _now),
     do: fail_growth(state, ref, error)
 
@@ -69,7 +69,7 @@ defmodule Situ.Lifecycle.Addition do
   def handle_event(state, ref, {:exited, id, error, _reached}, now),
     do: state |> Failure.close_dead_stage(id, now) |> fail_growth(ref, error)
 
-  @doc "Handles a running stream that has added a new listener, or that has ended."
+  @doc "Handles a running stream that has added a new subscriber, or that has ended."
   @spec handle_lent_stream(State.t(), term(), {:open, term()} | {:closed, Situ.Time.t()}) ::
           State.t()
   def handle_lent_stream(state, tag, how) do
@@ -162,7 +162,7 @@ defmodule Situ.Lifecycle.Addition do
     %{state | growths: Map.put(state.growths, ref, growth)}
   end
 
-  # Removes the other stages of the growth, too; the pipeline keeps running.
+  # Removes the other stages of the addition, too; the pipeline keeps running.
   defp fail_growth(state, ref, error) do
     {growth, growths} = Map.pop(state.growths, ref)
 
@@ -209,7 +209,7 @@ defmodule Situ.Lifecycle.Addition do
     |> fail_listeners(tags)
   end
 
-  # Other parts that are being added may have been waiting to listen to this one.
+  # Other parts that are being added may have been waiting to subscribe to this one.
   defp fail_listeners(state, tags) do
     refs = for {ref, %{lent: lent}} <- state.growths, Enum.any?(lent, &(&1 in tags)), do: ref
 

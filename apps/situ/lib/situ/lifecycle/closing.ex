@@ -7,9 +7,10 @@ defmodule Situ.Lifecycle.Closing do
   #   (b) wait while closing marks are still in flight;
   #   (c) close the stages that are fed only by themselves;
   #   (d) close the stages on pure cycles, where following the inputs upstream only leads back;
-  #   (e) close the stage with the most outputs that have listeners.
+  #   (e) close the stage with the most outputs that have subscribers.
   # Rules (a), (c) and (d) close all matching stages in order of construction. Under (c) and (d) a stage must still
   # match after the earlier ones have closed.
+  # See docs/adr/0018-outputs-close-when-inputs-close.md.
 
   @type id :: pos_integer()
   @type edge :: %{from: id(), output: atom(), to: id()}

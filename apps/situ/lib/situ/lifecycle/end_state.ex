@@ -4,9 +4,9 @@ defmodule Situ.Lifecycle.EndState do
   #
   #   wish     the requested end: `{time | :now, by_hand?}`; the pipeline begins to end as soon as it can
   #   final    the time up to which messages count
-  #   by_hand  limits sources that lag behind the clock, and cycles that never rest, to `catch_up` ms
+  #   by_hand  limits sources that lag behind the clock, and cycles that never settle, to `catch_up` ms
   #   enough?  whether these ms have passed
-  #   drain    the last measurement of a cycle that has to come to rest: `{mark, polls}`
+  #   drain    the last measurement of a cycle that has yet to settle: `{mark, polls}`
   #   latest   the latest end that a source has reported
   #   finite   the sources that have reported an end
   #   moves    how many movements occurred that the counters do not show

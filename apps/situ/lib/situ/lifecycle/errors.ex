@@ -1,6 +1,6 @@
 defmodule Situ.Lifecycle.Errors do
   @moduledoc false
-  # The errors that concern a whole pipeline.
+  # The errors that concern the pipeline as a whole.
   alias Situ.Error
 
   @spec not_running() :: Error.t()

@@ -1,8 +1,8 @@
 defmodule Situ.Lifecycle.Failure do
   @moduledoc false
   # Handles stages that fail or whose processes end early: the stage restarts or the pipeline ends. Pure.
-  # The streams of a failed stage end at the time of the failure, and stages downstream emit nothing about later times.
-  # A group without the failed stage's part, or with a default instead, would be made up.
+  # The streams of a failed stage end at the time of the failure, and stages downstream emit nothing about later
+  # times. Otherwise they would emit groups that lack the failed stage's part, or that contain a default in its place.
   alias Situ.Error
   alias Situ.Lifecycle.{Links, Member, State}
   import Situ.Lifecycle.State
@@ -73,7 +73,7 @@ defmodule Situ.Lifecycle.Failure do
           |> add_action({:spawn, [member.id]})
 
         state = update_member(state, member.id, &%{&1 | alive?: true, again?: true})
-        # The other stages wait for it, because it has yet to take the step that they have taken.
+        # The other stages wait until it has completed the step that they have already completed.
         if state.step in [:up, :sources],
           do: %{state | pending: MapSet.put(state.pending, member.id)},
           else: state
@@ -115,7 +115,7 @@ defmodule Situ.Lifecycle.Failure do
     %{member | path: error.meta[:component] || member.path}
   end
 
-  @doc "Counts a restart; returns `:error` for too many within `max_seconds`, as a supervisor counts them."
+  @doc "Counts a restart; returns `:error` if there were too many within `max_seconds`, by the rule of supervisors."
   @spec count_restart(State.t(), State.id()) :: {:ok | :error, State.t()}
   def count_restart(state, id) do
     {most, ms} = state.limits.restarts

@@ -2,8 +2,8 @@ defmodule Situ.Lifecycle.Links do
   @moduledoc false
   # The connections between the stages of a pipeline, indexed by both ends. Pure.
   #
-  #   active    links whose consumer has not taken the closing mark yet
-  #   closing   active links whose producer has closed, with the time; the closing mark is in flight
+  #   active    links whose consumers have not taken the closing mark yet
+  #   closing   active links whose producers have closed, with the time; their closing marks are in flight
   #   topology  all links that ever existed, to find the stages downstream of a stage
 
   @type id :: pos_integer()

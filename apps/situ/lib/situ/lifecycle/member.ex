@@ -6,11 +6,11 @@ defmodule Situ.Lifecycle.Member do
   #            (stopped as a part of a pipeline that keeps running)
   #   open?    whether its outputs have yet to close
   #   ends_at  the latest closing time among inputs that have closed
-  #   limit    messages of the stage after this time do not count
+  #   limit    the time after which messages of the stage do not count
   #   up?      whether its process has reported its initial state since the last spawn
   #   alive?   whether it has a process
   #   added?   whether it was added to the running pipeline
-  #   unit     the composite that it restarts, or ends, together with
+  #   unit     the composite with which it restarts or ends
   #   again?   whether its process replaced an earlier one to which its neighbours still refer
   @enforce_keys [:id, :path]
   defstruct [

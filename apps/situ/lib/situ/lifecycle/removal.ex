@@ -2,7 +2,11 @@ defmodule Situ.Lifecycle.Removal do
   @moduledoc false
   # Drops removed stages whose processes have ended. The life cycle drops such a stage only after its consumers have
   # taken its closing marks; until then its connections count. The server keeps everything that belongs to a stage
-  # until the life cycle emits `{:drop, id}`, so that no event finds only a part of it. Pure.
+  # until the life cycle emits `{:drop, id}`, so that no event finds a partly removed stage. Pure.
+  #
+  # The server once dropped the entry of a detached tap before the life cycle had closed it. A
+  # request to the missing stage then crashed the server, and the pipeline lost its messages in
+  # flight.
   alias Situ.Lifecycle.{Links, State}
   import Situ.Lifecycle.State
 

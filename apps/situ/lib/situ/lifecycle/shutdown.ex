@@ -2,15 +2,15 @@ defmodule Situ.Lifecycle.Shutdown do
   @moduledoc false
   # Ends a pipeline. Pure.
   #
-  #   settle   after a stop by hand, every source first handles the messages that were already posted to it
+  #   settle   after a manual stop, every source first handles the messages that were already posted to it
   #   stop     sources stop at the final time
-  #   close    outputs close, upstream first; a cycle is cut once it has come to rest
+  #   close    outputs close, upstream first; a cycle is cut once it has settled
   #   quit     stages end
   #   over     everything is final
   alias Situ.Lifecycle.{Closing, Links, State}
   import Situ.Lifecycle.State
 
-  # A cycle counts as at rest after this many polls without movement, even if messages still seem to be in flight.
+  # A cycle counts as settled after this many polls without movement, even if messages still seem to be in flight.
   @still 100
 
   @doc "Ends a running pipeline, either now (`{:now, by_hand?}`) or at an originating time."
@@ -45,7 +45,7 @@ defmodule Situ.Lifecycle.Shutdown do
   def stop_sources(state, time) do
     final = max(time, state.ending.latest || time)
     sources = running_sources(state)
-    # Sources that belong to a part being stopped were asked before.
+    # Sources that belong to a part being stopped were already asked to stop.
     asked = for {_, part} <- state.parts, id <- part.pending, do: id
 
     state = update_ending(state, final: final)
@@ -58,17 +58,17 @@ defmodule Situ.Lifecycle.Shutdown do
     state = %{state | step: :stop, pending: MapSet.new(sources ++ asked)}
     {whole, cut} = Enum.split_with(Map.keys(state.stages), complete_stage_filter(state))
     state = add_action(state, {:cut, cut, final})
-    # Stages that wait for demand must not delay a stop by hand.
+    # Stages that wait for demand must not delay a manual stop.
     state = if state.ending.by_hand, do: add_action(state, {:release, whole}), else: state
     state = send_to_stages(state, sources, {:stop, final})
     if state.ending.enough?, do: send_to_stages(state, sources, :stop_now), else: state
   end
 
-  @doc "Turns the end of a pipeline into a stop by hand, which no longer waits for message times or for demand."
+  @doc "Turns the end of a pipeline into a manual stop, which no longer waits for message times or for demand."
   @spec stop_by_hand(State.t()) :: State.t()
   def stop_by_hand(%{ending: %{by_hand: true}} = state), do: state
 
-  # This counts as a move, which restarts the timeout of everything that was waiting.
+  # This counts as movement, which restarts the timeout of everything that was waiting.
   def stop_by_hand(state) do
     state
     |> update_ending(by_hand: true, moves: state.ending.moves + 1)
@@ -89,7 +89,9 @@ defmodule Situ.Lifecycle.Shutdown do
 
   # Messages later than the end have run ahead and do not count. If every source upstream has emitted all its messages,
   # nothing has run ahead, and messages that operators made later than their inputs (`merge`, by the clock) belong to
-  # the result.
+  # the result. Cutting only at the sources would not be reproducible: a fusion whose primary ran
+  # ahead would emit more in one run than in the next. Components need not declare that they post
+  # late.
   defp complete_stage_filter(state) do
     whole =
       Links.complete_stages(state.stages, Map.values(state.links.topology), state.ending.finite)
@@ -98,7 +100,7 @@ defmodule Situ.Lifecycle.Shutdown do
   end
 
   @doc """
-  Ends the catch-up time after a stop by hand: sources that are still late end at their current position.
+  Ends the catch-up time after a manual stop: sources that are still late end at their current position.
   """
   @spec end_catch_up(State.t(), Situ.Time.t()) :: State.t()
   def end_catch_up(%{ending: %{by_hand: false}} = state, _now), do: state
@@ -173,7 +175,7 @@ defmodule Situ.Lifecycle.Shutdown do
        else: state
   end
 
-  @doc "Advances when no stage closes by itself: ends the pipeline, waits, or checks whether a cycle has come to rest."
+  @doc "Advances when no stage closes by itself: ends the pipeline, waits, or checks whether a cycle has settled."
   @spec advance_close(State.t()) :: State.t()
   def advance_close(%{step: :close} = state) do
     open? = MapSet.size(state.pending) > 0

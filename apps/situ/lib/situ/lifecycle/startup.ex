@@ -70,7 +70,7 @@ defmodule Situ.Lifecycle.Startup do
     update_member(state, id, &%{&1 | again?: false})
   end
 
-  # The previous process received the closing mark, so the new one needs it again.
+  # If the previous process received the closing mark, the new one needs it again.
   defp replay_closing_mark({tag, _link}, state, id) do
     case state.links.closing do
       %{^tag => time} -> send_to_stages(state, [id], {:peer_gone, tag, time})
@@ -81,7 +81,7 @@ defmodule Situ.Lifecycle.Startup do
   defp list_neighbours(state, id),
     do: Links.list_incoming(state.links, id) ++ Links.list_outgoing(state.links, id)
 
-  @doc "Advances to the next step; nothing is pending in the current one."
+  @doc "Advances to the next step. Nothing may be pending in the current step."
   @spec advance_step(State.t()) :: State.t()
   def advance_step(%{step: :up} = state) do
     ids = MapSet.new(alive_ids(state))

@@ -5,7 +5,7 @@ defmodule Situ.Lifecycle.State do
   #   pending  the stages that have yet to complete this step
   #   awaited  the sources that have not reported their end
   #   parts    the parts that are being stopped, by reference: Lifecycle.PartialStop
-  #   growths  the parts that are being added, by reference: Lifecycle.Growth
+  #   growths  the parts that are being added, by reference: Lifecycle.Addition
   #   leaving  removed stages whose processes have ended: Lifecycle.Removal
   #   limits   `{restarts, ms}`: how often a stage may be restarted within `ms`; `stop_timeout` ms
   alias Situ.Lifecycle.{EndState, Links, Member}

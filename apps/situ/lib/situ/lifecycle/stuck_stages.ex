@@ -2,9 +2,9 @@ defmodule Situ.Lifecycle.StuckStages do
   @moduledoc false
   # Finds the stages that do not end in time, names them in an error and kills them. Pure.
   # The server measures twice, `stop_timeout` apart. If no counter has moved and nothing has happened in between, the
-  # busy stages are stuck; if no stage is busy, the stages that still owe a reply are stuck. After a stop by hand, a
-  # stage that emits ever more from one message (filling a gap of fifty years, for instance) gives up at the second
-  # measurement.
+  # busy stages are stuck; if no stage is busy, the stages that still owe a reply are stuck. After a manual stop, a
+  # stage that emits ever more messages from one message (by filling a gap of fifty years, for instance) gives up at
+  # the second measurement.
   alias Situ.Error
   alias Situ.Lifecycle.{Links, State}
   import Situ.Lifecycle.State
@@ -57,7 +57,7 @@ defmodule Situ.Lifecycle.StuckStages do
     end
   end
 
-  # A stop by hand does not wait for anyone.
+  # A manual stop does not wait for anything outside the pipeline.
   defp may_wait?(state, seen), do: seen.patient? and not state.ending.by_hand
 
   defp owes_reply?(id, %{step: :close} = state), do: not Links.no_inputs?(state.links, id)

@@ -14,8 +14,8 @@ defmodule Situ.Operator.Chain do
   defstruct [:steps, :fast, :counters, sizes: false]
 
   @typedoc """
-  The steps of a stage, and `fast`, which is true if no step keeps state. For a chain that consumes a component's
-  output, also the counters of the edge into the chain, and whether message sizes are measured.
+  The steps of a stage, and `fast`, which is true if no step keeps state. A chain that consumes a component's output
+  also has the counters of the edge into the chain, and `sizes`, which is true if message sizes are measured.
   """
   @type t :: %__MODULE__{
           steps: steps(),

@@ -3,6 +3,7 @@ defmodule Situ.Parallel.ProcessBranches do
   # The pure core of parallel with branches in processes: the branch of each key, the times that wait for it, and the
   # messages to send. As in ValueBranches, a time is decided when each of its branches has emitted an output for it, or
   # no longer can: it has emitted a later output, has passed the time without output, or has ended.
+  # See docs/adr/0020-parallel-branches-are-values-or-pipelines.md.
   alias Situ.Message
   alias Situ.Parallel.{PendingOutputs, Parts, Termination}
 

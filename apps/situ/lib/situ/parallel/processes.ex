@@ -3,8 +3,8 @@ defmodule Situ.Parallel.Processes do
   # The component of parallel with `branches: :processes`. Each branch is a separate pipeline (Branch.Process), and the
   # pure ProcessBranches decides what to send to it.
   #
-  # The number of messages with undecided outputs is limited: from @limit on, the input is held. If nothing arrives
-  # although no branch is working, the branches need more input (for a window or a filter). The input is then
+  # The number of messages with undecided outputs is limited: when it reaches @limit, the input is held. If nothing
+  # arrives although no branch is working, the branches need more input (for a window or a filter). The input is then
   # released and the limit doubled.
   use Situ.Component,
     inputs: [in: :any],

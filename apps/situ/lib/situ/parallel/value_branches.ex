@@ -6,6 +6,7 @@ defmodule Situ.Parallel.ValueBranches do
   # are chains of light operators are decided immediately. Other branches are decided when they emit a later output or
   # end. Waiting times are entries, which are emitted in order. Only a branch knows which times are waiting for it, so
   # nothing refers to a branch that has ended.
+  # See docs/adr/0020-parallel-branches-are-values-or-pipelines.md.
 
   alias Situ.Branch
   alias Situ.Branch.Chain

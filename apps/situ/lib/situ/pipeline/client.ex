@@ -146,7 +146,7 @@ defmodule Situ.Pipeline.Client do
     else
       table = Situ.Diagnostics.format(call!(p, :info))
       IO.puts([IO.ANSI.clear(), IO.ANSI.home(), table])
-      # A person reads the table, so this is the one place where sleeping is the purpose.
+      # Sleeping is right here, because a person reads the table.
       Process.sleep(ms)
       print_live_table(p, ms, if(times == :infinity, do: :infinity, else: times - 1))
     end

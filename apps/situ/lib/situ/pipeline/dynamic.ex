@@ -5,7 +5,7 @@ defmodule Situ.Pipeline.Dynamic do
   #
   #   taps        by the id of their stage: Dynamic.Tap
   #   inputs      inputs being added or removed: Dynamic.Input
-  #   checkpoint  the current checkpoint: Checkpointing
+  #   checkpoint  the current checkpoint: PendingCheckpoint
   #   replaces    for each stage, the current replacement and the waiting ones: Dynamic.Replacement
   defstruct taps: %{}, inputs: %{}, replaces: %{}, checkpoint: nil
 
@@ -32,7 +32,7 @@ defmodule Situ.Pipeline.Dynamic do
     :ok
   end
 
-  # The caller of a held checkpoint has already been given its reply.
+  # The caller of a held checkpoint has already received its reply.
   defp waiting_caller(%{step: step, from: from}) when step != :held, do: [from]
   defp waiting_caller(_none), do: []
 end

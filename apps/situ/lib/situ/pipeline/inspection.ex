@@ -37,7 +37,7 @@ defmodule Situ.Pipeline.Inspection do
     end
   end
 
-  @doc "Asks components with `request_descriptions/1` for a description, at most five times a second; replies arrive later."
+  @doc "Asks components for their descriptions, at most five times a second; replies arrive later."
   @spec request_descriptions(State.t()) :: State.t()
   def request_descriptions(%{life: %{phase: :running}, view: %{described: described}} = state) do
     now = System.monotonic_time(:millisecond)
@@ -194,7 +194,7 @@ defmodule Situ.Pipeline.Inspection do
     }
   end
 
-  # All operators of a chain close together.
+  # The operators of a chain close at the same time.
   defp closed_paths(state) do
     for id <- Enum.reverse(state.life.closed),
         stage = state.stages[id],

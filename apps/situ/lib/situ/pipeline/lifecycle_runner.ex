@@ -114,7 +114,7 @@ defmodule Situ.Pipeline.LifecycleRunner do
     call_handlers(state, :error, error)
   end
 
-  @doc "Adds the cycle that caused it to the error of a non-increasing time."
+  @doc "Adds the cycle to an error about a time that does not increase, because the cycle caused it."
   @spec explain_error(Error.t(), State.t()) :: Error.t()
   def explain_error(error, state), do: Cycle.explain_error(error, state.graph)
 

@@ -6,6 +6,7 @@ defmodule Situ.Pipeline.PendingCheckpoint do
   #   settling  the other stages handle all posted messages; checked every millisecond
   #   asking    every other stage reports its snapshot; if any message has moved since, the checkpoint settles again
   #   held      the caller has all snapshots; the sources continue when it says so, or when it has died
+  # See docs/adr/0111-checkpoints-pause-the-sources.md.
   alias Situ.Error
   alias Situ.Pipeline.{Stages, State}
 

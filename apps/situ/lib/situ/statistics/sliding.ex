@@ -10,9 +10,9 @@ defmodule Situ.Statistics.Sliding do
       4
 
   The window is two stacks of partial results (Tangwongsan, Hirzel, Schneider, Wu: General incremental sliding-window
-  aggregation, VLDB 2015), so nothing is ever subtracted: sums do not drift, and a `:nan` is forgotten when it leaves. A
-  value costs about three combinations of partial results, on average. Deviations are combined by the formula of Chan,
-  Golub and LeVeque (1979).
+  aggregation, VLDB 2015). Nothing is ever subtracted, so sums do not drift, and a `:nan` has no effect after it has
+  left the window. A value costs about three combinations of partial results, on average. Deviations are combined by
+  the formula of Chan, Golub and LeVeque (1979).
 
   Values and results are as in `Situ.Statistics`.
   """

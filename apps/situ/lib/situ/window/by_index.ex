@@ -20,8 +20,8 @@ defmodule Situ.Window.ByIndex do
   @type t :: %__MODULE__{}
 
   @doc """
-  Builds a window of these relative indices. `fun` builds the output from the list of data (`with: :messages`: of
-  messages). If the left end of the range is after its right end, the ends are swapped.
+  Builds a window of these relative indices. `fun` builds the output from the list of data, or from the list of
+  messages with `with: :messages`. If the left end of the range is after its right end, the ends are swapped.
   """
   @spec new(Range.t(), (list() -> term()) | nil, keyword()) :: t()
   def new(%Range{first: from, last: to}, fun, opts \\ []) do

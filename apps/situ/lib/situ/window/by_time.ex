@@ -21,7 +21,7 @@ defmodule Situ.Window.ByTime do
 
   @type t :: %__MODULE__{}
 
-  @doc "Builds a window. `fun` builds the output from the list of data (`with: :messages`: of messages)."
+  @doc "Builds a window. `fun` takes the list of data, or the list of messages with `with: :messages`."
   @spec new(Interval.t(), (list() -> term()) | nil, keyword()) :: t()
   def new(%Interval{} = interval, fun, opts \\ []) do
     %__MODULE__{

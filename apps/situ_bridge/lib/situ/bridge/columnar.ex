@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Columnar do
   @moduledoc false
   # The shared part of Parquet and Arrow: writes messages as files of columns, and reads the rows of such files as
   # messages. The format is a writer (`Situ.Bridge.Columnar.Writer`) or a reader (`Situ.Bridge.Columnar.Reader`).
+  # See docs/adr/0101-parquet-and-arrow-are-plain-elixir.md.
   alias Situ.Bridge.Columnar.{Column, Join, Reader, Rows}
   alias Situ.{Error, Store}
   alias Situ.Store.Columns
@@ -189,7 +190,7 @@ defmodule Situ.Bridge.Columnar do
     end
   end
 
-  # The part has numbers of one kind, the column another kind.
+  # The kind of the part's numbers differs from the kind of the column.
   defp number_groups(part, columns, most) do
     for part <- Columns.split(part, most) do
       creations = for <<time::little-signed-64 <- part.creation_times>>, do: time
@@ -224,9 +225,9 @@ defmodule Situ.Bridge.Columnar do
   end
 
   @doc """
-  Returns the rows as a lazy enumerable of `{time, value}`, read a few at a time. Raises `Situ.Error`. Options besides
-  `time:` and `columns:`: `notice:`, a function that receives a sentence about the skipped columns and one about the
-  skipped rows.
+  Returns the rows as a lazy enumerable of `{time, value}`, read a few at a time. Raises `Situ.Error`. Takes the
+  options `time:`, `columns:` and `notice:`, a function that receives a sentence about the skipped columns and a
+  sentence about the skipped rows.
   """
   @spec stream_messages(module(), Path.t(), keyword()) :: Enumerable.t()
   def stream_messages(reader, path, opts) do

@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Datagram do
   Splits payloads of any size into datagrams (UDP) of a limited size, and joins them again.
 
   A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, padded with zeros to 40 bytes and
-  followed by a part of the payload, the layout that \\psi uses. Chunks may arrive in any order, twice, or not at all.
+  followed by a part of the payload. \\psi uses the same layout. Chunks may arrive in any order, twice, or not at all.
   An incomplete set is abandoned and counted when a later set is complete, or when #{16} later sets have begun. With
   `new(open: 1)`, any chunk of another set abandons the open set, as in \\psi's receiver.
 
@@ -24,7 +24,7 @@ defmodule Situ.Bridge.Datagram do
   @type t :: %__MODULE__{}
 
   @doc """
-  Splits the payload into chunks of at most `most` bytes. Raises `ArgumentError` if that takes more than 65,535
+  Splits the payload into chunks of at most `most` bytes. Raises `ArgumentError` if the payload needs more than 65,535
   chunks.
   """
   @spec split_payload(binary(), integer(), pos_integer()) :: [binary()]
@@ -77,7 +77,7 @@ defmodule Situ.Bridge.Datagram do
     state = if is_map_key(state.sets, set), do: state, else: begin_set(state, set, count)
 
     case state.sets do
-      # A chunk that gives a different count for the same set is noise.
+      # A chunk that gives a different count for the same set is ignored.
       %{^set => {^count, parts}} -> complete_set(state, set, count, Map.put(parts, number, part))
       _ -> {nil, state}
     end

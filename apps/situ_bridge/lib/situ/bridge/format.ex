@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Format do
   @callback encode(value :: term(), Situ.Time.t()) :: iodata()
   @doc "Decodes a single message."
   @callback decode(binary(), opts :: keyword()) :: {:ok, timed()} | {:error, String.t()}
-  @typedoc "A position in a file: the number of records before it, and the names of a heading. 0 is the beginning."
+  @typedoc "A position in a file: the number of records before it, and the columns of its heading. 0 is the start."
   @type place :: non_neg_integer() | {pos_integer(), [String.t()]}
 
   @doc "Encodes a record of a file."
@@ -55,8 +55,8 @@ defmodule Situ.Bridge.Format do
   @doc "Returns the state before the first byte of a file."
   @callback start() :: term()
   @doc """
-  Splits `bytes` into complete records and the rest for the next call. With `last?`, the bytes are the last of the
-  file.
+  Splits `bytes` into complete records and the rest, which is passed to the next call. If `last?` is true, the file
+  ends with these bytes.
   """
   @callback split(bytes :: binary(), state :: term(), last? :: boolean(), opts :: keyword()) ::
               {:ok, [timed()], rest()} | {:error, String.t()}

@@ -3,18 +3,18 @@ defmodule Situ.Bridge.Foxglove do
     port: [
       type: {:integer, 0, 65_535},
       default: 8_765,
-      doc: "The port, by default Foxglove's; 0: any free port."
+      doc: "The port; the default is Foxglove's. 0 selects any free port."
     ],
     interface: [
       type: :string,
       default: "127.0.0.1",
-      doc: "The address to listen on; \"*\": all interfaces."
+      doc: "The address to listen on; \"*\" means all interfaces."
     ],
     name: [type: :string, doc: "The server's name; by default the recording's name."],
     origins: [
       type: {:list, :string},
       default: ["https://app.foxglove.dev"],
-      doc: "The sites whose pages may connect. Pages of this machine may always connect."
+      doc: "The sites whose pages may connect. Pages that this machine serves may always connect."
     ]
   ]
   @moduledoc """
@@ -23,7 +23,7 @@ defmodule Situ.Bridge.Foxglove do
       {:ok, server} = Situ.Bridge.Foxglove.serve("recordings/lobby")
       # In Foxglove: open a connection to ws://localhost:8765
 
-  Every stream with messages is a channel. Images, point clouds, poses and other standard types are sent as ROS
+  Each stream with messages becomes a channel. Images, point clouds, poses and other standard types are sent as ROS
   messages (`Situ.Bridge.Ros.StandardTypes`), all other types as JSON. Each client has its own playback, which starts
   immediately. The client pauses, seeks and changes the speed with the app's own controls (protocol `foxglove.sdk.v1`)
   or with the parameters `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). After
@@ -38,6 +38,11 @@ defmodule Situ.Bridge.Foxglove do
 
   #{Situ.Options.docs(@schema)}
   """
+  # Foxglove closes a WebSocket if the server does not confirm the subprotocol. Yaws 2.1.1 (Debian
+  # 12) reads the list of subprotocols but does not reply to it, and an application cannot add a
+  # header to the handshake. Port 8765 is the default of the Foxglove app. The token of the studio
+  # does not protect this port, so connections from pages of other sites are rejected by their
+  # origin.
   use GenServer
   alias Situ.Bridge.Foxglove.Client
   alias Situ.Bridge.Net.Listener
@@ -46,8 +51,8 @@ defmodule Situ.Bridge.Foxglove do
   @most_clients 100
 
   @doc """
-  Serves a recording to any number of clients until `stop/1`. Errors: as `Situ.Store.open/2`, `:address_in_use`,
-  `:bad_address`.
+  Serves a recording to any number of clients until `stop/1`. Errors: the errors of `Situ.Store.open/2`,
+  `:address_in_use`, `:bad_address`.
   """
   @spec serve(Path.t() | Situ.Store.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def serve(store, opts \\ [])

@@ -17,9 +17,9 @@ defmodule Situ.Bridge.Mcap do
           ] ++ Codec.reader_options()
 
   @moduledoc """
-  Opens MCAP files (https://mcap.dev) as recordings: `Situ.Store.open("drive.mcap")`; they also work in the studio, in
-  `bin/situ store` and for replay in a pipeline. `create/3` and `write/4` write MCAP files while a pipeline runs,
-  `export/3` writes them from a recording.
+  Opens MCAP files (https://mcap.dev) as recordings with `Situ.Store.open("drive.mcap")`. They also work in the
+  studio, in `bin/situ store` and for replay in a pipeline. `create/3` and `write/4` write MCAP files while a pipeline
+  runs, and `export/3` writes them from a recording.
 
       {:ok, store} = Situ.Store.open("drive.mcap")
       {:ok, message} = Situ.Store.latest_at(store, "/camera/image_raw", time)
@@ -27,10 +27,10 @@ defmodule Situ.Bridge.Mcap do
       drive = Situ.Bridge.Mcap.create(p, "drive.mcap")
       Situ.Bridge.Mcap.write(level, drive, "/level")
 
-  A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON. Messages
-  in other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove become
-  Situ's types (`Situ.Bridge.Ros.StandardTypes`, `Situ.Bridge.Foxglove.StandardTypes`), other messages become maps. If two
-  messages of a topic have the same time, the second one is moved by a nanosecond.
+  Each topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON.
+  Messages in other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove
+  become Situ's types (`Situ.Bridge.Ros.StandardTypes`, `Situ.Bridge.Foxglove.StandardTypes`), and other messages
+  become maps. If two messages of a topic have the same time, the second one is moved by a nanosecond.
 
   Files with an index open immediately, whatever their size. Other files, including truncated files and files whose
   writer was killed, are scanned, and all readable messages are available. Chunks may be compressed with LZ4 or
@@ -250,7 +250,7 @@ defmodule Situ.Bridge.Mcap do
   defdelegate import_options(times), to: Codec
 
   @doc false
-  # For `Situ.Bridge.Recorder.StoreExport`: messages are decoded to maps with all fields.
+  # Makes `Situ.Bridge.Recorder.StoreExport` read messages as maps with all their fields.
   def as_maps(%__MODULE__{channels: channels} = state) do
     maps =
       Map.new(channels, fn {id, c} ->
@@ -346,8 +346,8 @@ defmodule Situ.Bridge.Mcap do
   end
 
   @doc """
-  Sums the uncompressed bytes of each topic's messages: `{:ok, %{topic => bytes}}`. Reads the whole file. Messages
-  outside chunks are not counted.
+  Sums the uncompressed bytes of each topic's messages and returns `{:ok, %{topic => bytes}}`. It reads the whole file
+  and does not count messages outside chunks.
   """
   @spec topic_sizes(Situ.Store.t()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
@@ -409,8 +409,8 @@ defmodule Situ.Bridge.Mcap do
   @doc """
   Copies an opened MCAP file into a new file, byte for byte: messages with both their times and sequence numbers,
   schemas, channels with their metadata, attachments, metadata records and the header, including data that Situ cannot
-  interpret. `metadata:` replaces records with the same names. `left_out` lists in sentences the data that could not
-  be read (with `skip_damage: true`) or that the new file cannot hold.
+  interpret. `metadata:` replaces records with the same names. `left_out` is a list of sentences about data that could
+  not be read (with `skip_damage: true`) or that the new file cannot hold.
 
   #{Situ.Options.docs(Copy.copy_options())}
   """

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.MessagePack do
   @moduledoc """
-  Encodes and decodes MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md), all of it: any term made
-  of numbers, strings, booleans, `nil`, lists and maps.
+  Encodes and decodes all of MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md): terms made of
+  numbers, strings, booleans, `nil`, lists and maps.
 
       iex> alias Situ.Bridge.MessagePack
       iex> bytes = MessagePack.encode(%{"x" => [1, -2.5, nil, true]}) |> IO.iodata_to_binary()

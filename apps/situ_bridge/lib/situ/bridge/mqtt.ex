@@ -37,12 +37,12 @@ defmodule Situ.Bridge.Mqtt do
       levels = Situ.Bridge.Mqtt.subscribe(p, "broker", "lab/level")
       raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
 
-  Messages are in a format of `Situ.Bridge.Format`, which includes their originating times. With `format: :raw`
-  messages are unchanged bytes, and their originating time is the time of arrival. Filters may contain `+` and `#`;
-  the messages of all matching topics arrive as one stream.
+  Messages are in a format of `Situ.Bridge.Format`, which includes their originating times. With `format: :raw`,
+  messages are unchanged bytes whose originating time is the time of arrival. Filters may contain `+` and `#`, and the
+  messages of all matching topics arrive as one stream.
 
-  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s. With `qos: 1` (the default) a
-  publisher keeps unacknowledged messages, at most `high_water_mark:`, and then makes the stream wait. With `qos: 0`
+  If the broker is unavailable or restarts, the client reconnects after 50 ms to 5 s. With `qos: 1` (the default), a
+  publisher keeps at most `high_water_mark:` unacknowledged messages and then makes the stream wait. With `qos: 0`,
   messages sent without a connection are lost and counted. Messages that cannot be read, or whose times do not
   increase (because they were delivered again), are dropped and counted (`Situ.Pipeline.info/1`). A subscription never
   ends.

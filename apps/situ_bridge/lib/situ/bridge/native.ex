@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Native do
   @moduledoc false
   # The functions of native/situ_bridge_nif. They are called only through the modules of this application, such as
   # `Situ.Bridge.Mcap` and `Situ.Bridge.Format`.
+  # See docs/adr/0100-bridges-share-one-app.md.
 
   @on_load :load
 

@@ -32,7 +32,7 @@ defmodule Situ.Bridge.Parquet do
       {:ok, counts} = Situ.Bridge.Parquet.export(store, "tables")      # tables/NAME.parquet, one per stream
       p |> Situ.Bridge.Parquet.read("levels.parquet") |> Situ.each(&IO.inspect/1)
 
-  A row is a message. Its columns are `originating_time` and `creation_time` (timestamps in nanoseconds, UTC), and
+  Each row is a message. Its columns are `originating_time` and `creation_time` (timestamps in nanoseconds, UTC), and
   `value`, or one column for each member of maps and structs, with nested members named `a.b`. Numbers, booleans,
   strings and bytes keep their types. Lists, and members whose type varies, are written as JSON. A stream is read
   twice, because its columns are known only at its end. Images, audio and other types with a codec cannot be written

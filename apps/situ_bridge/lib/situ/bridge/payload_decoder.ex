@@ -61,7 +61,7 @@ defmodule Situ.Bridge.PayloadDecoder do
     end
   end
 
-  # Several messages may arrive at one clock reading, so arrival times are shifted; the sender's times are not
+  # Several messages may arrive at the same clock reading, so arrival times are shifted. The sender's times are not
   # changed.
   defp accept_message(time, own?, value, found, inlet) do
     cond do

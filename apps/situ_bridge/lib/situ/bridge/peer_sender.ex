@@ -1,8 +1,9 @@
 defmodule Situ.Bridge.PeerSender do
   @moduledoc false
   # The common part of all network sinks: encodes messages by the format, waits for peers if requested, makes the
-  # stream wait while no peer has room, and lingers at the end. `use Situ.Bridge.PeerSender` defines all callbacks except
-  # the first ones in a component whose state is an outlet. The counterpart of `Situ.Bridge.PayloadDecoder`.
+  # stream wait while no peer has room, and waits at the end for the remaining messages. In a component whose state is
+  # an outlet, `use Situ.Bridge.PeerSender` defines the callbacks that handle process messages, the end of the stream
+  # and termination. Network sources use `Situ.Bridge.PayloadDecoder`.
   alias Situ.Bridge.Format
   alias Situ.Error
 
@@ -51,7 +52,7 @@ defmodule Situ.Bridge.PeerSender do
     ]
   ]
 
-  # `until`: the deadline for giving up if no message is accepted before; set once the pipeline ends.
+  # `until` is the deadline for sending the remaining messages; it is set when the pipeline ends.
   defstruct [:opts, :door, :server, :until, waiting: false, holding: false, held: [], lost: 0]
   @type t :: %__MODULE__{}
 
@@ -78,7 +79,7 @@ defmodule Situ.Bridge.PeerSender do
   @spec new(keyword()) :: t()
   def new(opts), do: %__MODULE__{opts: opts, waiting: opts[:wait_for] > 0}
 
-  @doc "Attaches an open server, given with its module (an implementation of this behaviour) and its port, if any."
+  @doc "Attaches an open server, given by its module (which implements this behaviour) and its port, if any."
   @spec attach_door(t(), module(), server(), :inet.port_number() | nil) :: t()
   def attach_door(outlet, door, server, port) do
     if outlet.opts[:listening] && port, do: send(outlet.opts[:listening], {:listening, port})

@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Psi do
 
   defstruct [:folder, :name, :catalog, :types, :tracks, :streams, :damage]
 
-  # The maximum size of one read: a batch is at most this large, or a single message.
+  # The maximum size of a batch, unless a single message is larger.
   @most_bytes 16 * 1024 * 1024
 
   @impl true

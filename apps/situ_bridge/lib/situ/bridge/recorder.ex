@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Recorder do
   @moduledoc false
-  # The behaviour of a file format in which pipelines and recordings can be written (`Situ.Bridge.Mcap`,
+  # The behaviour of a file format to which pipelines and recordings can be written (`Situ.Bridge.Mcap`,
   # `Situ.Bridge.Ros.Bag`). The state is a struct with the field `count`.
+  # See docs/adr/0100-bridges-share-one-app.md.
   alias Situ.Error
 
   @type state :: struct()

@@ -8,13 +8,14 @@ defmodule Situ.Bridge.Ros do
       {:ok, %{"sum" => 5}} = Situ.Bridge.Ros.call("/add", definition, %{"a" => 2, "b" => 3})
 
   Messages of any type are decoded with the definition that their publisher sends. Standard messages become Situ's
-  types (`Situ.Bridge.Ros.StandardTypes`), other messages become maps with string keys and times in nanoseconds. The stamp
-  of a header becomes the originating time (including simulated time), and vice versa. Each stream is a separate node.
+  types (`Situ.Bridge.Ros.StandardTypes`), and other messages become maps with string keys and times in nanoseconds.
+  The stamp of a header becomes the originating time (including simulated time), and vice versa. Each stream is a
+  separate node.
 
   If a master or a publisher is unavailable or restarts, the node waits and reconnects. A slow subscriber loses
   messages beyond `high_water_mark:`, which are counted. Messages that cannot be read, or whose times do not increase,
   are dropped and counted (`Situ.Pipeline.info/1`). ROS 1 has neither encryption nor authentication. If the master is
-  on this machine, a node listens only on 127.0.0.1, otherwise on all interfaces.
+  on this machine, a node listens only on 127.0.0.1; otherwise it listens on all interfaces.
   """
   alias Situ.Bridge.Ros.{Address, Registrar, Service, Sink, Source}
   alias Situ.Error

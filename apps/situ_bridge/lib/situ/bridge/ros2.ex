@@ -10,8 +10,8 @@ defmodule Situ.Bridge.Ros2 do
       type = "example_interfaces/srv/AddTwoInts"
       {:ok, %{"sum" => 5}} = Situ.Bridge.Ros2.call("/add", type, add, %{"a" => 2, "b" => 3})
 
-  Standard messages become Situ's types (`Situ.Bridge.Ros.StandardTypes`), other messages become maps with string keys,
-  according to `definition:`. The originating time is the stamp of the header, or else the time of sending. Each
+  Standard messages become Situ's types (`Situ.Bridge.Ros.StandardTypes`), and other messages become maps with string
+  keys, according to `definition:`. The originating time is the stamp of the header, or else the time of sending. Each
   stream is a separate node, visible to `ros2 topic list`. Types are identified by ROS's own hash.
 
   With `latch: true` a publisher keeps its last messages for later subscribers, and a subscriber receives such
@@ -47,7 +47,7 @@ defmodule Situ.Bridge.Ros2 do
 
   @doc """
   Calls a service with a message of its request type; returns `{:ok, message}` with its response. `type` is
-  `"package/srv/Name"`, `definition` the text of its `.srv` file. Each call opens a session; use `client/4` for
+  `"package/srv/Name"`, and `definition` is the text of its `.srv` file. Each call opens a session; use `client/4` for
   frequent calls. Options: `timeout:` (5,000 ms), and the options below.
 
   Errors: `:ros_refused` (the service is not offered with this definition, or returned an error), `:ros_unreachable`

@@ -94,7 +94,7 @@ defmodule Situ.Bridge.TableImport do
 
   defp stream_rows(path, format, _notice), do: Bridge.File.messages(path, format)
 
-  # Returns the common type of all values, or `:any` for a pipe, which can be read only once.
+  # Returns the common type of all values, or `:any` for a pipe, because a pipe can be read only once.
   defp value_type(path, messages) do
     if File.regular?(path) do
       messages
@@ -162,7 +162,7 @@ defmodule Situ.Bridge.TableImport do
   @spec stream_name(Path.t()) :: String.t()
   def stream_name(path), do: path |> Path.basename() |> Path.rootname()
 
-  @doc "Returns whether a path is a table that opens by importing it."
+  @doc "Returns whether a path is a table, which is opened by importing it."
   @spec table?(Path.t()) :: boolean()
   def table?(path), do: File.regular?(path) and detect_format(path) != nil
 end

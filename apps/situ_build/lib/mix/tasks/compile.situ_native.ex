@@ -7,8 +7,8 @@ defmodule Mix.Tasks.Compile.SituNative do
       compilers: [:situ_native] ++ Mix.compilers(),
       native: [crates: ~w(situ_store_nif), programs: ~w(situ_speak)]
 
-  Cargo runs on every compile, with `--locked --release`, in `native/` at the umbrella's root. For an unchanged tree its
-  own check takes about 60 ms. Each library is copied to `priv/native/CRATE.so` by rename, and only if its bytes differ:
+  Cargo runs on every compile, with `--locked --release`, in `native/` at the umbrella's root. If nothing has changed,
+  this takes about 60 ms. Each library is copied to `priv/native/CRATE.so` by rename, and only if its bytes differ:
   overwriting a loaded library in place would crash the VM. A program is a separate package in the app's `native/`
   folder, without dependencies; it is copied to `priv/native/PROGRAM`.
   """

@@ -11,14 +11,17 @@ defmodule Mix.Tasks.Situ.Check do
       `mix.exs` that the table does not allow;
     * every reference from a layer of the runtime to a higher layer (`Situ.Build.Layers`);
     * every cycle between the modules of an app or of a Rust crate (`Situ.Build.Cycles`);
-    * files and lines that are too long, and sentences that begin with "What" (`Situ.Build.Sources`).
+    * files and lines that are too long (`Situ.Build.Sources`);
+    * names and English that are worse than the limits allow (`Situ.Build.Limits`);
+    * decision records that nothing cites (`Situ.Build.Decisions`);
+    * subjects of commits that are not imperative or too long (`Situ.Build.Commits`).
 
   The compiler's warnings cover only calls. This check reads the debug information of every compiled module, which
   also contains struct literals (`%Sibling{}`) and module names passed as values. The exit status is 0 if there are
   no violations. Otherwise it is 1, and each violation is printed on one line.
   """
   use Mix.Task
-  alias Situ.Build.{Architecture, Cycles, Layers, Sources}
+  alias Situ.Build.{Architecture, Commits, Cycles, Decisions, Layers, Limits, Sources}
 
   @impl Mix.Task
   def run(_args) do
@@ -28,16 +31,22 @@ defmodule Mix.Tasks.Situ.Check do
       Architecture.find_violations(modules) ++
         Architecture.undeclared_deps(declared_deps()) ++
         Layers.find_violations(modules.situ) ++
-        find_cycles(modules) ++ rust_cycles("native") ++ Sources.find_violations(File.cwd!())
+        find_cycles(modules) ++ rust_cycles("native") ++ check_sources(File.cwd!())
 
     report_layers(modules)
 
     if problems != [] do
       Enum.each(problems, fn problem -> Mix.shell().error(problem) end)
-      Mix.raise("#{length(problems)} violation(s) of the architecture; see docs/ARCHITECTURE.md")
+      Mix.raise("#{length(problems)} violation(s); see docs/ARCHITECTURE.md and CONTRIBUTING.md")
     end
 
     Mix.shell().info("architecture: every edge is allowed, 0 cycles")
+  end
+
+  defp check_sources(root) do
+    Sources.find_violations(root) ++
+      Limits.find_violations(root) ++
+      Decisions.find_violations(root) ++ Commits.find_violations(root)
   end
 
   defp find_cycles(modules) do

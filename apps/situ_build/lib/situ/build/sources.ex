@@ -3,15 +3,12 @@ defmodule Situ.Build.Sources do
   Checks the text of sources: Elixir, HEEx, Rust, JavaScript, CSS, scripts and documents.
 
   A file has at most 300 lines of code (blank lines, comments and documentation are not counted). A line has at most
-  120 characters; in documents, lines with tables, links and images may be longer, and so may commands in scripts. No
-  sentence begins with "What" as its subject, because such a sentence hides the agent.
+  120 characters; in documents, lines with tables, links and images may be longer, and so may commands in scripts.
   """
 
   @max_line 120
   @max_code 300
   @kinds ~w(.ex .exs .heex .rs .js .mjs .css .md)
-  # The first word of a line or sentence, possibly after a comment, list or quotation mark. Questions are allowed.
-  @what_subject ~r/(?:^[ #>\/*-]*|[.:!] |")What [a-z][^.?!]*[.!]/m
   @code ~w(.ex .rs .js .mjs)
 
   @doc """
@@ -31,8 +28,6 @@ defmodule Situ.Build.Sources do
       []
       iex> Situ.Build.Sources.check_text("a.ex", String.duplicate("x", 121))
       ["a.ex:1 has 121 characters; a line has at most 120"]
-      iex> Situ.Build.Sources.check_text("a.md", "Yes.\\n\\n- What" <> " waits is lost. What" <> " is lost?")
-      [~s(a.md:3 has a sentence that begins with "What"; begin with the agent)]
   """
   @spec check_text(Path.t(), String.t()) :: [String.t()]
   def check_text(file, text) do
@@ -48,17 +43,7 @@ defmodule Situ.Build.Sources do
           not unbreakable?(kind, line),
           do: "#{file}:#{n} has #{length} characters; a line has at most #{@max_line}"
 
-    long_lines ++
-      find_what_subjects(file, text) ++
-      too_much_code(file, kind, count_code_lines(kind, without_tests(kind, lines)))
-  end
-
-  defp find_what_subjects(file, text) do
-    for [{at, length}] <- Regex.scan(@what_subject, text, return: :index) do
-      word = at + (text |> binary_part(at, length) |> :binary.match("What") |> elem(0))
-      line = text |> binary_part(0, word) |> :binary.matches("\n") |> length()
-      "#{file}:#{line + 1} has a sentence that begins with \"What\"; begin with the agent"
-    end
+    long_lines ++ too_much_code(file, kind, count_code_lines(kind, without_tests(kind, lines)))
   end
 
   @doc """

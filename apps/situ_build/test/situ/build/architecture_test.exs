@@ -6,6 +6,12 @@ defmodule Situ.Build.ArchitectureTest do
   doctest Situ.Build.Layers
   doctest Situ.Build.Cycles
   doctest Situ.Build.Sources
+  doctest Situ.Build.Definitions
+  doctest Situ.Build.Names
+  doctest Situ.Build.English
+  doctest Situ.Build.Limits
+  doctest Situ.Build.Decisions
+  doctest Situ.Build.Commits
 
   defp compile(source, tmp, apps) do
     before = Code.get_compiler_option(:debug_info)

@@ -45,12 +45,12 @@ defmodule Situ.CLI.Annotate do
           Option.new(
             :origin,
             :time,
-            "the time that is zero in the file (default: the start of --media-of, else the first annotation)"
+            "the time that becomes 0 in the file (default: the start of --media-of, else the first annotation)"
           ),
           Option.new(
             :media_of,
             :path,
-            "the recording that the annotations are about: its first message is zero",
+            "the recording that the annotations describe; its first message becomes time 0",
             value: "PATH"
           ),
           Option.new(:media, :path, "the video or audio file that the exported file refers to"),
@@ -71,7 +71,7 @@ defmodule Situ.CLI.Annotate do
         summary:
           "create an annotation store from a file of ELAN, Praat, players, Label Studio or spreadsheets",
         about:
-          "If a store of that name exists, it gets a new version; its other streams are copied.",
+          "If a store of that name exists, a new version is created, with copies of its other streams.",
         arguments: [
           file: [kind: :file, doc: "the file to read; - for standard input, with --format"],
           out: [kind: :new, doc: "ROOT/NAME of the annotation store"]
@@ -87,12 +87,12 @@ defmodule Situ.CLI.Annotate do
           Option.new(
             :origin,
             :time,
-            "the time that is zero in the file (default: the file's own statement, else 0)"
+            "the time that is 0 in the file (default: as stated in the file, else 0)"
           ),
           Option.new(
             :media_of,
             :path,
-            "the recording that the annotations are about: its first message is zero",
+            "the recording that the annotations describe; its first message is time 0 of the file",
             value: "PATH"
           )
         ],

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.ClosedPipe do
   @moduledoc false
   # A reader that closes the pipe early (`situ store info x | head`) ends Erlang's output process. Its supervisor then
-  # reports an error, which is useless to someone who asked for the first lines.
+  # reports an error, which is useless to a user who wanted only the first lines.
 
   @doc "Keeps the error reports that follow a closed pipe out of the log."
   @spec silence_reports() :: :ok

@@ -120,7 +120,7 @@ defmodule Situ.CLI.Cluster do
           "the cluster is shown at #{ClusterNode.start_studio(opts[:studio], recordings)}cluster"
         )
 
-    # After this handler returns, Erlang's own handler shuts the VM down, so it blocks while `drain_parts/0` does its work.
+    # After this handler returns, Erlang's own handler shuts the VM down, so it blocks while the parts are drained.
     joined = self()
     trap = fn -> send(joined, :leave) && Process.sleep(:infinity) end
     {:ok, _} = System.trap_signal(:sigterm, trap)

@@ -109,8 +109,8 @@ defmodule Situ.CLI.Option do
   end
 
   @doc """
-  Completes a time with the parts that people leave out: `2026-01-31` is its midnight,
-  `2026-01-31T12:34` has no seconds.
+  Completes a time with the parts that people leave out: `2026-01-31` means its midnight, and `2026-01-31T12:34` has
+  no seconds.
 
       iex> Situ.CLI.Option.complete_time("2026-01-31")
       "2026-01-31T00:00:00"

@@ -33,7 +33,7 @@ defmodule Situ.CLI.Shell do
       0
     else
       raise Situ.Error.new(:bad_option, "no completion for the shell #{inspect(shell)}",
-              fix: "use #{Enum.join(Completion.supported_shells(), " or ")}"
+              fix: "use one of #{Enum.join(Completion.supported_shells(), ", ")}"
             )
     end
   end

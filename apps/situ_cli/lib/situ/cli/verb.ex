@@ -12,7 +12,7 @@ defmodule Situ.CLI.Verb do
         arguments: [path: [kind: :recording, doc: "the store"], name: [kind: :text, doc: "the new name"]],
         options: [],
         examples: ["situ store rename recordings/lobby.0000 entrance"],
-        run: &Care.rename/2
+        run: &Maintenance.rename_store/2
       }
 
   `run` receives the arguments as a map (with a list for `many: true`), and the options as a keyword list of parsed

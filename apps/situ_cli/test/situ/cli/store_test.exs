@@ -514,7 +514,7 @@ defmodule Situ.CLI.StoreTest do
           capture_io(fn -> Situ.CLI.run(["store", verb, writer.path | args]) end)
         end)
 
-      refute said =~ "a bug in situ itself", "#{verb} #{Enum.join(args, " ")}: #{said}"
+      refute said =~ "a bug in Situ", "#{verb} #{Enum.join(args, " ")}: #{said}"
     end
   end
 

@@ -12,7 +12,7 @@ defmodule Situ.CLI.UnfinishedOutputTest do
   :ok = Situ.CLI.UnfinishedOutput.remove_file_at_exit(file)
   File.write!(file <> ".unfinished", "half of it")
 
-  Situ.Store.Draft.make({"out", root}, [], fn writer ->
+  Situ.Store.Draft.build_store({"out", root}, [], fn writer ->
     File.write!(Path.join(root, "draft"), writer.path)
     IO.puts("half way")
     receive do: (:never -> :ok)

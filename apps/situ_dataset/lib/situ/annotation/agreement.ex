@@ -29,9 +29,9 @@ defmodule Situ.Annotation.Agreement do
 
       kappa = (p_o - p_e) / (1 - p_e)
 
-  (J. Cohen, *A coefficient of agreement for nominal scales*, Educational and Psychological Measurement 20, 1960). 1
-  is full agreement and 0 is chance. Kappa is undefined (`nil`) if both annotators use the same single label
-  throughout, because chance explains all the agreement.
+  (J. Cohen, *A coefficient of agreement for nominal scales*, Educational and Psychological Measurement 20, 1960). A
+  kappa of 1 means full agreement, and 0 means no more agreement than by chance. Kappa is undefined (`nil`) if both
+  annotators use the same single label throughout, because chance explains all the agreement.
 
   Annotations are paired by their largest overlap on a track; the differences of their start and end times are the
   boundary errors.
@@ -194,7 +194,7 @@ defmodule Situ.Annotation.Agreement do
   end
 
   @doc """
-  Returns the share of agreement and the kappa of a table `%{{first, second} => count}`; `nil` if undefined.
+  Returns the share of agreement and the kappa of a table `%{{first, second} => count}`. Undefined values are `nil`.
 
       iex> {0.7, kappa} = Situ.Annotation.Agreement.kappa(%{{1, 1} => 20, {1, 0} => 5, {0, 1} => 10, {0, 0} => 15})
       iex> Float.round(kappa, 6)

@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Attribute do
   @moduledoc """
-  One attribute of a `Situ.Annotation.Schema`: its name, kind and default. A finite attribute also has a list of
-  values with colours and keys.
+  Describes one attribute of a `Situ.Annotation.Schema` by its name, kind and default. A finite attribute also has a
+  list of values with colours and keys.
 
   `fill` and `text` are the colours of an attribute without a list of values. Pressing a value's `key` on the keyboard
   sets that value.

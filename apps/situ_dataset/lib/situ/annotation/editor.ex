@@ -28,16 +28,17 @@ defmodule Situ.Annotation.Editor do
 
   Only one editor at a time can have unsaved edits of a stream, across all computers that share the folder. From its
   first edit until its next save it holds a lock (`ROOT/NAME.STREAM.journal.lock`). Other editors see the last saved
-  version; their edits fail with `:being_edited`, which reports the lock holder's program, process and computer, and
-  the time since when it holds the lock. The operating system releases the lock of a program that dies, so that
+  version; their edits fail with `:being_edited`, which reports the program, process and computer that hold the lock,
+  and since when. The operating system releases the lock of a program that dies, so that
   another editor can recover its journal.
 
   Editors of different streams in one store save independently: a new version includes the latest saved version of
   every other stream, even if another operating-system process saved it. If another program has saved the same
   stream, the next edit (or `refresh/1`) loads its annotations and schema and reapplies the unsaved edits. If the
-  edits do not fit, they stay unchanged: the next save makes them the newest version, and `shadowed` in `status/1`
-  names the other program's version, which is kept.
+  edits cannot be reapplied, they are kept: the next save writes them as the newest version, and `shadowed` in
+  `status/1` names the other program's version, which is kept, too.
   """
+  # See docs/adr/0091-annotations-are-streams-with-versions.md.
   use GenServer
   alias Situ.Annotation.{EditorState, Journal, Layer, Schema, StoreVersions}
   alias Situ.Error

@@ -1,7 +1,8 @@
 defmodule Situ.Annotation.EditorState do
   @moduledoc false
-  # The initial state of an editor: the newest version of its store, with the edits of a journal that a crash left
-  # there. An editor with unsaved edits holds the journal's lock, which keeps other editors from using the journal.
+  # Builds the initial state of an editor: the newest version of its store, with the edits of a journal that a crash
+  # left there. An editor with unsaved edits holds the journal's lock, which keeps other editors from using the
+  # journal.
   alias Situ.Annotation.{Journal, Layer, Schema, StoreVersions}
   alias Situ.Dataset.StoreVersion
   alias Situ.{Error, Store}

@@ -1,8 +1,8 @@
 defmodule Situ.Annotation.Journal do
   @moduledoc false
-  # The transactions since the last save, one line of JSON each. The first line names the version that they apply to
-  # and contains a digest of the stream in it, so that versions that only changed other streams of the store do not
-  # matter. A last line that a crash truncated was never acknowledged and is removed; any other broken line is
+  # Stores the transactions since the last save, one line of JSON each. The first line names the version that they
+  # apply to and contains a digest of the stream in it, so that versions that only changed other streams of the store
+  # do not matter. A last line that a crash truncated was never acknowledged and is removed; any other broken line is
   # damage.
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.{Layer, Schema}
@@ -111,9 +111,9 @@ defmodule Situ.Annotation.Journal do
   end
 
   @doc """
-  Returns the transactions, oldest first; an empty list without a journal. Returns `:older` if they apply to another
-  version than `base` with a different state of the stream. In this case the transactions were saved and only the
-  journal was not removed yet, or another program has saved the stream.
+  Returns the transactions, oldest first; an empty list without a journal. Returns `:older` if they apply to a version
+  other than `base` in which the stream is different. Then either the transactions were saved and the journal was not
+  removed yet, or another program has saved the stream.
   """
   @spec read_transactions(Path.t(), base()) ::
           {:ok, [Layer.transaction()]}

@@ -1,6 +1,6 @@
 defmodule Situ.Annotation.Layer do
   @moduledoc """
-  The annotations of one stream as a value: every edit preserves the rules and is a transaction that can be undone.
+  Holds the annotations of one stream as a value. Every edit keeps the rules below and can be undone.
 
       iex> alias Situ.Annotation.{Layer, Schema}
       iex> {:ok, layer} = Layer.new(Schema.finite("Speech", ["speaks", "laughs"]))
@@ -62,7 +62,7 @@ defmodule Situ.Annotation.Layer do
   defp put_new(layer, annotation),
     do: commit(layer, [{annotation.id, nil, put_defaults(layer, annotation)}])
 
-  # Queries
+  # The following functions are queries.
 
   @doc "Returns all annotations, sorted by end, then start, then track."
   @spec annotations(t()) :: [Annotation.t()]
@@ -136,7 +136,7 @@ defmodule Situ.Annotation.Layer do
 
   defp track_tree(layer, track), do: Map.get(layer.tracks, track, :gb_trees.empty())
 
-  # Edits
+  # The following functions are edits.
 
   @doc "Adds an annotation with a new id; missing attributes get their default values."
   @spec add(t(), Annotation.t()) :: edited()

@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Spans do
   @moduledoc """
-  Converts streams whose messages contain start and end times to annotation streams, such as spoken words, recognized
-  objects or results of a service.
+  Converts streams whose messages contain start and end times to annotation streams. Examples are spoken words,
+  recognized objects and results of a service.
 
       heard                                      # utterances with from, to and text
       |> Situ.Annotation.Spans.annotate(&[{&1.from, &1.to, "Said", %{"Words" => &1.text}}], by: "Moonshine")

@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.DatasetFile do
   @moduledoc false
-  # A dataset file that several programs may edit. Only one program edits it at a time, and no program overwrites
-  # edits that it has not read.
+  # Reads and locks a dataset file that several programs may edit. Only one program edits it at a time, and no
+  # program overwrites edits that it has not read.
   alias Situ.Error
   alias Situ.Store.{AtomicFile, FileLock}
 

@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.FileFormat do
   @moduledoc """
-  The dataset file: JSON that people may edit (schema: `priv/schema/dataset.schema.json`).
+  Reads and writes dataset files. A file is JSON that people may edit (schema: `priv/schema/dataset.schema.json`).
 
       {"version": 1, "name": "Study", "tags": [], "metadata": {},
        "sessions": [

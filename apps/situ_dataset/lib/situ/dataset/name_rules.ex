@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.NameRules do
   @moduledoc false
-  # The names of sessions and partitions: unique among each other, and valid in a stream address "[Partition]:Stream".
+  # Checks the names of sessions and partitions: they are unique, and valid in a stream address "[Partition]:Stream".
   alias Situ.Error
 
   @longest 200
@@ -43,7 +43,7 @@ defmodule Situ.Dataset.NameRules do
     end
   end
 
-  @doc "Returns the name, with the first number that makes it unique if it is taken."
+  @doc "Returns the name or, if it is taken, the name with the first number that makes it unique."
   @spec make_unique(String.t(), [String.t()]) :: String.t()
   def make_unique(name, taken) do
     if name in taken,

@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.OpenSession do
   @moduledoc """
-  A session with its open recordings: finds the streams of all partitions by name.
+  Opens the recordings of a session, and finds the streams of all partitions by name.
 
       {:ok, dataset} = Situ.Dataset.open("study.json")
       {:ok, session} = Situ.Dataset.session(dataset, "p01")

@@ -1,6 +1,7 @@
 defmodule Situ.Dataset.Partition do
   @moduledoc """
-  One recording of a session: a store, or any file that a `Situ.Store.Reader` opens (WAV, CSV, video, MCAP, bags ...).
+  Represents one recording of a session: a store, or any file that a `Situ.Store.Reader` opens (WAV, CSV, video,
+  MCAP, bags ...).
 
   A partition consists of a name and a path, and is opened only when needed. A dataset with a missing or damaged
   recording therefore still opens and can use the other recordings; `open/1` returns the error of this one.

@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.Session do
   @moduledoc """
-  One session of a dataset: its partitions (recordings of the same time and place), metadata and tags.
+  Represents one session of a dataset: its partitions (recordings of the same time and place), metadata and tags.
 
       iex> session = Situ.Dataset.Session.new("p01", metadata: %{"participant" => "P01"}, tags: ["pilot"])
       iex> room = Situ.Dataset.Partition.new("Room", "/study/p01/room.0000")

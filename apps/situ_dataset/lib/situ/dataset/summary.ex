@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Summary do
   @moduledoc """
-  Time spans, sizes and counts of a partition, a session or a dataset. A summary of several contains the coverage of
-  their spans and the sums of the other fields.
+  Summarizes a partition, a session or a dataset: time spans, sizes and counts. A summary of several items contains
+  the coverage of their spans and the sums of the other fields.
 
     * `originating`, `creation`: the spans of the originating and creation times (`Situ.Interval`), empty if there
       are no messages

@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Task do
   @moduledoc """
-  A batch task: a pipeline over the sessions of a dataset with a name, a description and an options schema. The
-  command line (`situ task`) and the studio list tasks, ask for their options and run them.
+  Defines batch tasks. A task is a pipeline over the sessions of a dataset, with a name, a description and an options
+  schema. The command line (`situ task`) and the studio list tasks, ask for their options and run them.
 
       defmodule Loudness do
         @behaviour Situ.Dataset.Task

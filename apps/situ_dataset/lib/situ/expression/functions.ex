@@ -1,6 +1,6 @@
 defmodule Situ.Expression.Functions do
   @moduledoc false
-  # The functions of the language; like its operators, they are total.
+  # Implements the functions of the expression language. Like its operators, they return nil instead of failing.
   alias Situ.Expression.Operators
 
   @arities %{

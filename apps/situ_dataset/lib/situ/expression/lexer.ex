@@ -87,7 +87,7 @@ defmodule Situ.Expression.Lexer do
     end
   end
 
-  # A quotation mark inside is written twice.
+  # A quotation mark inside quoted text is written twice.
   defp scan_quoted(<<q, q, rest::binary>>, q, value, used),
     do: scan_quoted(rest, q, value <> <<q>>, used + 2)
 

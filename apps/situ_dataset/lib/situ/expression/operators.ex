@@ -1,7 +1,7 @@
 defmodule Situ.Expression.Operators do
   @moduledoc false
-  # The operators on values. All are total: an operation without a result returns nil. Values cannot grow without
-  # limit: integers above 256 bits and strings above a megabyte become nil.
+  # Implements the operators of the expression language. They never fail: an operation without a result returns nil.
+  # Values cannot grow without limit: integers above 256 bits and strings above a megabyte become nil.
 
   @bound Bitwise.bsl(1, 256)
   @longest 1_048_576

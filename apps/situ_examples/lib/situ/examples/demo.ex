@@ -160,7 +160,7 @@ defmodule Situ.Examples.Demo do
     end
   end
 
-  # A camera's input cannot be replayed, and audio is shifted only once.
+  # A camera's input cannot be replayed, and audio that was already shifted is not shifted again.
   defp can_shift_audio?(opts), do: not opts[:live] and opts[:sound_shift] == nil
 
   defp record_synchronized(sync, path, truth, opts) do

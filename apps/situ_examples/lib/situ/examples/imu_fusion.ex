@@ -4,7 +4,7 @@ defmodule Situ.Examples.ImuFusion do
   temperature once a second, at unrelated times.
 
   The acceleration is the primary stream. The magnetic field is interpolated to its times, and the temperature is the
-  last measured value. Both joins are reproducible: the fused stream does not depend on the order of arrival.
+  last measured value. Both joins are reproducible, so the fused stream does not depend on the order of arrival.
 
       {:ok, report} = Situ.Pipeline.run(Situ.Examples.ImuFusion, each: &IO.inspect/1)
 

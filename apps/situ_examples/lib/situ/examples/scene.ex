@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Scene do
   @moduledoc """
-  Records a room with two people, seen by a depth camera and heard by a microphone, and everything detected in it:
+  Records a room with two people, seen by a depth camera and heard by a microphone, and everything detected in it.
 
       {:ok, report} = Situ.Pipeline.run(Situ.Examples.Scene, path: "recordings", seconds: 12)
 

@@ -17,7 +17,7 @@ defmodule Situ.Examples.SpeakerLabels do
 
   # The maximum number of words in a label.
   @at_once 6
-  # Images wait this long for their utterance, which exceeds the length of any utterance plus the recognition time.
+  # Images wait this long for their utterance. This exceeds the length of any utterance plus the recognition time.
   @patience 60_000_000_000
 
   defstruct pictures: [], said: []

@@ -1,7 +1,7 @@
 defmodule Situ.Assistant.EchoDetector do
   @moduledoc """
-  Distinguishes a user's speech from the assistant's own voice in the microphone: words that the assistant is currently
-  speaking are its own. Pure.
+  Distinguishes a user's speech from the assistant's own voice in the microphone. Words that the assistant is
+  currently speaking count as its own. Pure.
 
       iex> echo = Situ.Assistant.EchoDetector.new() |> Situ.Assistant.EchoDetector.add_text(0, "The timer is set for five minutes.")
       iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "timer set for five minutes")
@@ -13,7 +13,7 @@ defmodule Situ.Assistant.EchoDetector do
   """
   alias Situ.Infer.Speech.Utterance
 
-  # The time per letter of slow voices, and the delay added by speakers, rooms and microphones.
+  # The time that a slow voice takes per letter, and the delay that speakers, rooms and microphones add.
   @letter 90_000_000
   @delay 1_000_000_000
   # The share of matching words is below 1 because a recognizer gets some words of an echo wrong.

@@ -1,7 +1,8 @@
 defmodule Situ.Assistant.Interruption do
   @moduledoc """
   Detects when a user interrupts the assistant. It triggers on the first words that are not the assistant's own
-  (`Situ.Assistant.EchoDetector`) and have lasted half a second; from shorter audio, recognizers produce words that nobody said.
+  (`Situ.Assistant.EchoDetector`) and have lasted half a second. In shorter audio, recognizers find words that nobody
+  said.
 
   Inputs `:partial` and `:heard` contain recognized utterances (`Situ.Infer.Speech.Utterance`), and `:said` contains the
   assistant's replies.

@@ -71,7 +71,7 @@ defmodule Situ.Assistant.Player do
   def handle_closed(:stop, _time, _context, state), do: {[], state}
 
   @impl true
-  def describe(state), do: "#{length(state.waiting)} sounds wait"
+  def describe(state), do: "#{length(state.waiting)} audio buffers waiting"
 
   defp play_due(state, now), do: play_chunks(state, [], now, :due)
 

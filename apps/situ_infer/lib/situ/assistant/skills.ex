@@ -1,7 +1,7 @@
 defmodule Situ.Assistant.Skills do
   @moduledoc """
   The assistant's built-in skills: it reports the time and the date, sets and cancels timers, and stops talking. Pure:
-  the reply and the action depend only on the intent and the time.
+  replies and actions depend only on the intent and the time.
 
       iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: Situ.Assistant.Skills.grammar())
       iex> {:ok, intent} = Situ.Intent.Grammar.detect(grammar, "set a timer for five minutes")

@@ -105,7 +105,7 @@ defmodule Situ.Chat.ResponseReader do
     end
   end
 
-  # Some services end the stream without `[DONE]`, but none of them before the finish reason.
+  # Some services end the stream without `[DONE]`, but no service ends it before the finish reason.
   def build_result(%{kind: :stream, piece: piece} = reply, nil) do
     if reply.done? or piece.finish != nil,
       do: {:ok, Answer.to_answer(piece)},

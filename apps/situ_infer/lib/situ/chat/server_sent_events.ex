@@ -11,7 +11,7 @@ defmodule Situ.Chat.ServerSentEvents do
   """
   @most 1_048_576
 
-  # A CR at the end of the bytes may be half of a CRLF: it ends the line, and a directly following LF is skipped.
+  # A CR at the end of the bytes may be half of a CRLF, so it ends the line, and an LF directly after it is skipped.
   defstruct line: "", data: [], size: 0, cr?: false, begun?: false
 
   @type t :: %__MODULE__{

@@ -5,7 +5,11 @@ defmodule Situ.Infer.BodyPose do
       default: nil,
       doc: "The ONNX file; `nil` uses the bundled one."
     ],
-    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."],
+    model_options: [
+      type: :keyword,
+      default: [],
+      doc: "Options for `Situ.Infer.Model.load_shared/2`."
+    ],
     min_score: [
       type: {:range, 0.01, 0.99},
       default: 0.5,
@@ -34,9 +38,9 @@ defmodule Situ.Infer.BodyPose do
         Situ.Store.write(body.out, store, "Body.Points")
         Situ.Store.write(body.skeletons, store, "Body")
 
-  "Left" is the person's left. It finds one upright person who fills much of the image, and tracks that person from
-  image to image; crop smaller people first. Sizes in metres assume an average adult, since the network does not measure
-  them. One detection takes about 12 ms on one core; the first image needs two.
+  "Left" is the person's left. The component finds one upright person who fills much of the image, and tracks that
+  person from image to image. To find smaller people, crop the image first. Sizes in metres assume an average adult,
+  since the network does not measure them. One detection takes about 12 ms on one core; the first image needs two.
 
   To use it without a pipeline, see `find_body/2`.
 

@@ -26,7 +26,11 @@ defmodule Situ.Infer.Classifier do
       default: nil,
       doc: "The side of the input image, if the file does not fix it."
     ],
-    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."]
+    model_options: [
+      type: :keyword,
+      default: [],
+      doc: "Options for `Situ.Infer.Model.load_shared/2`."
+    ]
   ]
 
   @imagenet [mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]]

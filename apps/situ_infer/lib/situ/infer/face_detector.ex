@@ -5,7 +5,11 @@ defmodule Situ.Infer.FaceDetector do
       default: nil,
       doc: "The ONNX file; `nil` uses the bundled one."
     ],
-    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."],
+    model_options: [
+      type: :keyword,
+      default: [],
+      doc: "Options for `Situ.Infer.Model.load_shared/2`."
+    ],
     min_score: [type: {:range, 0.01, 0.99}, default: 0.5, doc: "The minimum score of a face."],
     tile_score: [
       type: {:range, 0.01, 0.99},

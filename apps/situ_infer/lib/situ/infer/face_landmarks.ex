@@ -5,7 +5,11 @@ defmodule Situ.Infer.FaceLandmarks do
       default: nil,
       doc: "The ONNX file; `nil` uses the bundled one."
     ],
-    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."],
+    model_options: [
+      type: :keyword,
+      default: [],
+      doc: "Options for `Situ.Infer.Model.load_shared/2`."
+    ],
     margin: [
       type: {:range, 1.0, 4.0},
       default: 1.5,

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Http do
   @moduledoc """
-  Sends one request over HTTP/1.1 and hands the response on as it arrives, as streaming services need.
+  Sends one request over HTTP/1.1 and passes the response on as it arrives, which streaming services require.
 
       Situ.Infer.Http.request(:get, "http://127.0.0.1:8080/v1/models", [], "", [], fn
         {:status, status, _headers}, _body -> {:cont, {status, []}}
@@ -11,10 +11,10 @@ defmodule Situ.Infer.Http do
   are verified against the system's authorities (or those in `cacertfile:`), including the host name in the URL. Headers
   may contain secrets, so errors, logs and process states never contain headers.
 
-  An error also returns the accumulator up to that point: `{:error, error, acc}`.
+  If an error occurs, the result also contains the accumulator up to that point: `{:error, error, acc}`.
 
   OTP's `httpc` is not used because it keeps the complete body of every unsuccessful response, however long, and logs
-  the request headers if its process crashes ([ADR 0062](docs/adr/0062-a-client-that-streams.md)).
+  the request headers if its process crashes ([ADR 0062](docs/adr/0062-our-own-http-client-for-streaming.md)).
 
   ## Errors
 
@@ -207,7 +207,7 @@ defmodule Situ.Infer.Http do
     end
   end
 
-  # OTP's rule does not match IP addresses against a host that was given as text.
+  # OTP's match function does not match IP addresses in a certificate with a host given as text.
   defp hostname_matches?({:dns_id, host}, {:iPAddress, bytes}) do
     case :inet.parse_strict_address(host) do
       {:ok, address} -> address_bytes(address) == IO.iodata_to_binary(bytes)

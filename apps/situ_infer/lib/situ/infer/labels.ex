@@ -45,7 +45,7 @@ defmodule Situ.Infer.Labels do
 
       _ ->
         {:error,
-         Error.new(:unknown_output, "which output of model #{model.name}?",
+         Error.new(:unknown_output, "cannot determine the output of model #{model.name}",
            why: "it has #{Enum.map_join(names, ", ", &inspect/1)}",
            fix: "choose an output with output:"
          )}

@@ -128,7 +128,7 @@ defmodule Situ.Infer.LipSync do
     Agreement.pearson_correlation(pairs) * min(1.0, (high - low) / @clear_movement)
   end
 
-  # Loudness is compressed because twice the loudness is not twice the opening.
+  # Loudness is compressed because twice the loudness does not mean twice the opening.
   defp compressed_loudness(%{level: level}) when level > 0.0, do: :math.pow(level, @compress)
   defp compressed_loudness(_voice), do: 0.0
 

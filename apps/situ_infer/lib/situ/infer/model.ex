@@ -66,8 +66,8 @@ defmodule Situ.Infer.Model do
       iex> probability.shape
       {1, 1}
 
-  A model is loaded once and may be used by several processes at the same time. With `load_shared/2`, components that name
-  the same file and options share one copy, which is released when the last of them ends.
+  A model is loaded once and may be used by several processes at the same time. With `load_shared/2`, components that
+  name the same file and options share one copy, which is released when the last of them ends.
 
   The model's ports are checked **at load**. `:inputs` and `:outputs` give their types and shapes; `nil` means any size,
   and a size that the file leaves free matches anything. A wrong file therefore stops a pipeline before its first

@@ -1,6 +1,7 @@
 defmodule Situ.Infer.ModelStore do
   @moduledoc """
-  Models that are too large to bundle. `bin/lib/fetch-model NAME` downloads each once for all programs on the machine.
+  Finds the models that are too large to bundle. `bin/lib/fetch-model NAME` downloads each of them once for all
+  programs on the machine.
 
   They are in `SITU_MODELS` or, if that is not set, in `situ/models` of the user's cache folder (`XDG_CACHE_HOME`,
   `~/.cache`), with one folder per model.

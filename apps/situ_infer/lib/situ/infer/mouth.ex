@@ -7,8 +7,9 @@ defmodule Situ.Infer.Mouth do
     * `baseline`: the opening of **this** mouth when it is closed, learned while tracking it
     * `open?`: whether it is clearly more open than the baseline
 
-  Only changes within one face are meaningful: the opening of a smile with teeth can equal that of another face while it
-  speaks. A fixed threshold therefore fails, and each face gets a baseline that falls quickly and rises slowly.
+  Only changes within one face are meaningful, because one person's smile with teeth can have the same opening as
+  another person's mouth while speaking. A fixed threshold therefore fails, and each face gets a baseline that falls
+  quickly and rises slowly.
 
       iex> mouth = Situ.Infer.Mouth.track_opening(nil, 0, 0.12)
       iex> mouth = Situ.Infer.Mouth.track_opening(mouth, 40_000_000, 0.2)

@@ -12,15 +12,15 @@ defmodule Situ.Infer.MouthShape do
   ]
 
   @moduledoc """
-  Measures the mouths in a stream of images with a composite of face detector, tracker, landmarks and measure.
+  Measures the mouths in a stream of images with a face detector, a face tracker, face landmarks and a mouth tracker.
 
-      images -> FaceDetector -> FaceTracker -> FaceLandmarks -> MouthMeasure -> %{id => Situ.Infer.Mouth}
+      images -> FaceDetector -> FaceTracker -> FaceLandmarks -> MouthTracker -> %{id => Situ.Infer.Mouth}
          \\____________________________________/
 
       mouths = camera |> Situ.Infer.MouthShape.detect()
 
-  `detect/2` returns the stream of mouths, and `detect_stages/2` also returns the intermediate streams. Each stage is a process,
-  so detector and landmarks work on different images at the same time.
+  `detect/2` returns the stream of mouths, and `detect_stages/2` also returns the intermediate streams. Each stage is
+  a process, so detector and landmarks work on different images at the same time.
 
   ## Options
 
@@ -46,7 +46,7 @@ defmodule Situ.Infer.MouthShape do
         |> Situ.via(FaceDetector, [policy: opts[:policy]] ++ opts[:detector])
         |> Situ.via(FaceTracker, opts[:tracker])
 
-      # The join is exact, so an image that the detector dropped goes no further.
+      # The join is exact, so images that the detector dropped are dropped here, too.
       meshes =
         pictures
         |> Situ.join(faces)

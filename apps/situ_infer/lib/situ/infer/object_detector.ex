@@ -34,7 +34,11 @@ defmodule Situ.Infer.ObjectDetector do
       default: nil,
       doc: "The side of the input image, if the file does not fix it."
     ],
-    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."]
+    model_options: [
+      type: :keyword,
+      default: [],
+      doc: "Options for `Situ.Infer.Model.load_shared/2`."
+    ]
   ]
 
   @schema @own ++

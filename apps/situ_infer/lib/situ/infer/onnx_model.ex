@@ -26,7 +26,7 @@ defmodule Situ.Infer.OnnxModel do
     model_options: [
       type: :keyword,
       default: [],
-      doc: "More options for `Situ.Infer.Model.shared/2`: threads, sessions, warm-up ..."
+      doc: "More options for `Situ.Infer.Model.load_shared/2`: threads, sessions, warm-up ..."
     ]
   ]
 

@@ -5,7 +5,11 @@ defmodule Situ.Infer.PersonMask do
       default: nil,
       doc: "The ONNX file; `nil` uses the bundled one."
     ],
-    model_options: [type: :keyword, default: [], doc: "Options for `Situ.Infer.Model.shared/2`."],
+    model_options: [
+      type: :keyword,
+      default: [],
+      doc: "Options for `Situ.Infer.Model.load_shared/2`."
+    ],
     min_score: [
       type: {:range, 0.01, 0.99},
       default: 0.5,
@@ -173,7 +177,7 @@ defmodule Situ.Infer.PersonMask do
     end
   end
 
-  # Returns the span from the first part that is more than a speck to the last.
+  # Returns the span from the first to the last column or row that is more than a speck.
   defp occupied_span(parts) do
     case for {part, i} <- Enum.with_index(parts), part > @speck, do: i do
       [] -> nil

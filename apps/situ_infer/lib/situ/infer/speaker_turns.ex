@@ -16,7 +16,7 @@ defmodule Situ.Infer.SpeakerTurns do
   @moduledoc """
   Cuts speech where another face takes over without a pause, so that each utterance belongs to one person.
 
-  Input `:heard` is `{speaking?, voice}`, both from `Situ.Infer.VoiceActivity`; `:who` is which faces speak
+  Input `:heard` is `{speaking?, voice}`, both from `Situ.Infer.VoiceActivity`; `:who` contains which faces speak
   (`Situ.Infer.who_speaks/3`). Output `:out` is `speaking?` again, but with a `false` at the most likely moment near
   each change of speaker, where the voice is weakest or quiet. `Situ.Infer.turns/2` joins the necessary streams:
 
@@ -83,7 +83,7 @@ defmodule Situ.Infer.SpeakerTurns do
 
   def handle_closed(:who, _time, _context, state), do: push_speakers(state, :infinity, %{})
 
-  @doc "Adds whether the audio up to `time` is speech, and its voice. Returns the actions that are now certain."
+  @doc "Records whether the audio up to `time` is speech, and its voice. Returns the actions that are now certain."
   @spec push_speech(t(), Situ.Time.t(), boolean(), Voice.t()) ::
           {[{:out, Situ.Time.t(), boolean()}], t()}
   def push_speech(%__MODULE__{} = state, time, speaking?, %Voice{} = voice),
@@ -94,7 +94,7 @@ defmodule Situ.Infer.SpeakerTurns do
           heard_to: time
       })
 
-  @doc "Adds which faces speak at `time` (`:infinity` at the end of the images). Returns the actions now certain."
+  @doc "Records which faces speak at `time` (`:infinity` at the end). Returns the actions that are now certain."
   @spec push_speakers(t(), Situ.Time.t() | :infinity, %{term() => boolean()}) ::
           {[{:out, Situ.Time.t(), boolean()}], t()}
   def push_speakers(%__MODULE__{} = state, time, who),

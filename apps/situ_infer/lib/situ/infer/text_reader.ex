@@ -8,12 +8,12 @@ defmodule Situ.Infer.TextReader do
     side: [
       type: {:range, 64, 4_096},
       default: 736,
-      doc: "The image is enlarged until its shorter side has this many pixels ..."
+      doc: "The minimum length of the shorter side, in pixels; smaller images are enlarged."
     ],
     longest: [
       type: {:range, 64, 4_096},
       default: 1_600,
-      doc: "... but its longer side is never longer than this."
+      doc: "The maximum length of the longer side after that, in pixels; it overrides `side:`."
     ],
     min_score: [
       type: {:range, 0, 1},
@@ -28,9 +28,9 @@ defmodule Situ.Infer.TextReader do
       texts = Situ.via(pictures, Situ.Infer.TextReader)
       Situ.each(texts, fn lines -> for line <- lines, do: IO.puts(line.label) end)
 
-  Input `:in` is images (`Situ.Image`, 8 bits). Output `:out` is a list for each image, at its time: the lines from top
-  to bottom as `Situ.Rect` (upright around the line, in image pixels) with the text as label and a score. The studio
-  draws them over the image. Lines may be rotated, and may run downwards.
+  Input `:in` is images (`Situ.Image`, 8 bits). Output `:out` is a list for each image, at its time. It contains the
+  lines from top to bottom as `Situ.Rect` (upright around the line, in image pixels), with the text as label and a
+  score. The studio draws them over the image. Lines may be rotated, and may run downwards.
 
   The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`). One finds lines
   (`Situ.Infer.Vision.TextRegions`), and the other reads each line. An image takes about half a second on one core, so
@@ -174,7 +174,7 @@ defmodule Situ.Infer.TextReader do
     end
   end
 
-  # Converts from the map to the image, whose horizontal and vertical scales differ slightly.
+  # Converts from map pixels to image pixels; the horizontal and vertical scales differ slightly.
   defp scale_line(%{center: {x, y}, right: {ux, uy}, width: w, height: h} = place, kx, ky) do
     {rx, ry} = {ux * kx, uy * ky}
     along = :math.sqrt(rx * rx + ry * ry)

@@ -19,7 +19,7 @@ defmodule Situ.Infer.Tracker do
     min_hits: [
       type: :pos_integer,
       default: 1,
-      doc: "How often an object must have been found before it is emitted."
+      doc: "The number of images in which an object must have been found before it is emitted."
     ],
     labels: [
       type: {:in, [:same, :any]},
@@ -87,7 +87,7 @@ defmodule Situ.Infer.Tracker do
   end
 
   @impl true
-  def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} things so far"
+  def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} objects so far"
 
   @doc "Updates the tracks with the rectangles found at `time` (later than the last), and returns them with their ids."
   @spec update_tracks(t(), Situ.Time.t(), [Rect.t()]) :: {[Rect.t()], t()}
@@ -124,7 +124,7 @@ defmodule Situ.Infer.Tracker do
   defp expected_rect(%{motion: nil, rect: rect}), do: rect
   defp expected_rect(track), do: Motion.expected_rect(track.motion, track.rect)
 
-  # The matching is greedy, best pair first. It differs from an optimal assignment only in doubtful cases.
+  # The matching is greedy, best pair first. The result differs from an optimal assignment only in doubtful cases.
   defp match_tracks(tracks, rects, time, opts) do
     pairs =
       for track <- tracks,

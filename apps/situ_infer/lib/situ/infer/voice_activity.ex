@@ -15,7 +15,7 @@ defmodule Situ.Infer.VoiceActivity do
             model_options: [
               type: :keyword,
               default: [],
-              doc: "Options for `Situ.Infer.Model.shared/2`."
+              doc: "Options for `Situ.Infer.Model.load_shared/2`."
             ],
             above_db: [
               type: :number,
@@ -42,8 +42,8 @@ defmodule Situ.Infer.VoiceActivity do
         %{speaking: speaking, segments: segments} =
           Situ.via(microphone, Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
 
-  `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` are the same with one output. A gap of more than 0.1 s in the
-  audio resets the detector. Silero takes about 0.15 ms per message, on the component's own scheduler.
+  `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` do the same, but return a single output. A gap of more than
+  0.1 s in the audio resets the detector. Silero takes about 0.15 ms per message, on the component's own scheduler.
 
   ## Options
 

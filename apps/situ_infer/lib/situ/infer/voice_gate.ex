@@ -22,7 +22,7 @@ defmodule Situ.Infer.VoiceGate do
   ]
 
   @moduledoc """
-  Converts the probability of speech to a boolean, with hysteresis, and to segments. A pure state machine.
+  Converts the probability of speech to a boolean, with hysteresis, and to segments. Pure.
 
   Two thresholds prevent flickering; short bursts are ignored, and short pauses are part of the speech. The length of a
   pause is known only after it, so with `decide: :exact` the values of a pause are held back until it ends or becomes

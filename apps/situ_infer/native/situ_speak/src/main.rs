@@ -2,7 +2,9 @@
 //!
 //! Unlike the espeak-ng program, the library reports when each word and phoneme is spoken. It keeps its state in
 //! globals and is licensed under the GPL, so it runs in this separate process, which ends after the text or when its
-//! output is closed.
+//! output is closed. As a NIF, it would allow one synthesis at a time, and its crashes would end the VM. Recognizing
+//! word times in the audio would give no phonemes. A process costs about 20 ms per text. The package is outside the
+//! workspace `native/`, because it is not a library of the VM, and a change here rebuilds none of them.
 //!
 //! Standard output is a sequence of frames. Each is a tag, the payload size (u32, little endian), and the payload:
 //!

@@ -1,14 +1,14 @@
 defmodule Situ.Live.Channel do
   @moduledoc false
-  # The connection of one page: Phoenix Channels, version 2, over one WebSocket; `[join_ref, ref, topic, event,
-  # payload]`. Each view runs in a separate process. This process routes and counts messages, and replies on behalf of
-  # views that have ended.
+  # The connection of one page. It speaks version 2 of the Phoenix Channels protocol over one WebSocket, with messages
+  # `[join_ref, ref, topic, event, payload]`. Each view runs in a separate process. This process routes and counts
+  # messages, and replies on behalf of views that have ended.
   @behaviour Situ.Live.SocketHandler
   alias Situ.JSON
   alias Situ.Live.{Endpoint, ViewLifecycle, Token, ViewServer}
 
   @session_age_s 14 * 86_400
-  # No person can cause this many pending messages, so the connection is closed.
+  # A user cannot cause this many pending messages, so the connection is closed.
   @max_pending 500
   @max_topics 20
 
@@ -41,7 +41,7 @@ defmodule Situ.Live.Channel do
     end
   end
 
-  # Uploads use HTTP; nothing else in the protocol is binary.
+  # Uploads use HTTP, so no message of the protocol is binary.
   def handle_in({_, opcode: :binary}, state), do: {:stop, {1003, "text only"}, state}
 
   defp handle_message({_, ref, "phoenix", "heartbeat"}, _, state),
@@ -129,7 +129,7 @@ defmodule Situ.Live.Channel do
         state = %{state | monitors: monitors, topics: Map.delete(state.topics, topic), pending: 0}
         {:push, {:text, text}, state}
 
-      # Without the supervisor of its views the server has stopped, too.
+      # If the supervisor of the views has ended, the server has stopped.
       {nil, _} ->
         if views_supervisor(state.config) == nil,
           do: {:stop, {1001, "the server has stopped"}, state},

@@ -22,7 +22,7 @@ defmodule Situ.Live.Connections do
   def list_pids(ref),
     do: for({pid, _} <- Registry.lookup(__MODULE__, ref), Process.alive?(pid), do: pid)
 
-  @doc "Kills connections that sent nothing for `idle_ms`; returns their number."
+  @doc "Kills connections that have sent nothing for `idle_ms`; returns their number."
   @spec kill_idle(reference(), integer()) :: non_neg_integer()
   def kill_idle(ref, idle_ms) do
     now = System.monotonic_time(:millisecond)

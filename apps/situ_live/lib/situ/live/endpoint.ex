@@ -2,6 +2,7 @@ defmodule Situ.Live.Endpoint do
   @moduledoc false
   # The configuration of one server, in a persistent term because each request reads it, and the checks that every
   # request must pass: host, token, origin, route. The checks are pure: they take a request and return what to do.
+  # See docs/adr/0073-every-request-passes-one-gate.md.
   alias Situ.Live.{
     InitialRender,
     TokenRateLimit,
@@ -15,7 +16,7 @@ defmodule Situ.Live.Endpoint do
 
   @cookie_age_s 30 * 86_400
 
-  # When a server fails, the log shows its start arguments.
+  # The log shows the start arguments of a server that fails, so secrets must not be inspected.
   @derive {Inspect, except: [:secret, :token, :viewer]}
   @enforce_keys [:ref, :routes, :secret, :ip, :port, :scheme]
   defstruct [

@@ -6,7 +6,8 @@ defmodule Situ.Live.Listener do
   alias Situ.Live.{Connections, Endpoint, PeerLimit, Yaws}
 
   @sweep_ms 15_000
-  # For this long one peer may hold all connections; with few connections a check costs nothing (`Situ.Live.PeerLimit`).
+  # The time between checks, for which one peer may hold all connections. While there are few connections, a check
+  # costs nothing (`Situ.Live.PeerLimit`).
   @crowd_ms 200
   @idle_ms 90_000
 

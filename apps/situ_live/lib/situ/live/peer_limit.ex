@@ -1,13 +1,13 @@
 defmodule Situ.Live.PeerLimit do
   @moduledoc false
   # Limits the connections that one peer holds on a port. The web server limits only their total, so one peer could
-  # open all of them and lock everyone else out before it sends a byte. An outside process therefore counts them.
+  # open all of them and lock everyone else out before it sends a byte. A separate process therefore counts them.
 
   # Half of the web server's limit.
   @most 1_000
 
   @doc """
-  Returns the processes of connections to a port beyond the share of their address, and the processes that may stay.
+  Returns the processes of connections that exceed the limit of their address, and the processes that may stay.
 
   `earlier` is the set of processes that could stay at the last call: they have precedence over later connections.
   """

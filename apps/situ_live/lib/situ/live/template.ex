@@ -12,6 +12,7 @@ defmodule Situ.Live.Template do
   A tag that is not closed, or is closed by another name, is a compile error with file, line and column. Only
   expressions whose assigns changed are evaluated again, so read assigns as `@name`.
   """
+  # See docs/adr/0071-templates-are-compiled-here-and-diffed-by-value.md.
   alias Situ.Live.Template.{Compiler, Parser}
 
   @doc "Compiles a template; a variable `assigns` must be in scope."

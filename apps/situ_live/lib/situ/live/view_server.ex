@@ -137,7 +137,7 @@ defmodule Situ.Live.ViewServer do
     end
   end
 
-  # The browser patches only within the page that it takes for this view; if the route differs, it must load the page.
+  # The browser may patch only to addresses of this view. For any other address it must load the page.
   defp handle_message("live_patch", %{"url" => url}, ref, state) do
     case ViewLifecycle.fetch_route(state.config, url) do
       {:ok, %{target: view} = route, params} when view == state.socket.view ->

@@ -2,6 +2,7 @@ defmodule Situ.Live.Yaws do
   @moduledoc false
   # The only module that manages Yaws: one embedded instance per VM, to which servers (one port each) are added.
   # Requests come in through `Situ.Live.Yaws.Dispatch`, WebSockets through `Situ.Live.Yaws.WebSocket`.
+  # See docs/adr/0070-yaws-is-embedded-behind-its-dispatch-module.md.
   use Supervisor
 
   require Logger
@@ -82,7 +83,7 @@ defmodule Situ.Live.Yaws do
     end
   end
 
-  # ("Cannot write" is caused by `without_generated_code/1`.)
+  # `without_generated_code/1` causes the message "Cannot write".
   @rude ["Unhandled reply", "Invalid", "Expected origin", "Unsupported", "No key", "Unmasked"] ++
           ["Payload length", "Abnormal Closure", "get_client_data", "Cannot write"]
 

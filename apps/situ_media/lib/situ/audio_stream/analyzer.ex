@@ -26,7 +26,8 @@ defmodule Situ.AudioStream.Analyzer do
   ]
 
   @moduledoc """
-  Extracts acoustic features from overlapping frames (`Situ.AudioStream.features/2`), with one output stream for each feature.
+  Extracts acoustic features from overlapping frames (`Situ.AudioStream.features/2`), with one output stream for each
+  feature.
 
   | output | of each frame |
   |---|---|
@@ -154,7 +155,7 @@ defmodule Situ.AudioStream.Analyzer do
         %AudioBuffer{format: format} = buffer,
         first
       ) do
-    # About 10 us a frame.
+    # The estimate is 10 us per frame.
     frames = div(AudioBuffer.frame_count(buffer), a.config.shift)
 
     {:analyze, a.native, buffer.data, first, a.wanted}

@@ -1,6 +1,6 @@
 defmodule Situ.AudioStream.Reframer do
   @schema [
-    frames: [type: {:optional, :pos_integer}, default: nil, doc: "Frames of each buffer, or:"],
+    frames: [type: {:optional, :pos_integer}, default: nil, doc: "Frames in each buffer."],
     duration: [
       type: {:optional, {:integer, 1, 0x7FFFFFFFFFFFFFFF}},
       default: nil,
@@ -94,7 +94,7 @@ defmodule Situ.AudioStream.Reframer do
     skip = min(hop, byte_size(data))
     rest = binary_part(data, skip, byte_size(data) - skip)
 
-    # A hop larger than the size would have to skip frames that have not arrived yet; it only skips the present ones.
+    # A hop may be larger than the buffer. It skips only frames that have already arrived.
     cut_buffers(rest, time, %{state | last: at}, [{:out, at, out} | actions])
   end
 

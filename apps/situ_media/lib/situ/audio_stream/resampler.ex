@@ -15,17 +15,16 @@ defmodule Situ.AudioStream.Resampler do
   @moduledoc """
   Converts the sample rate with libsoxr, chunk by chunk, with times exact to the sample.
 
-  As a component (`Situ.AudioStream.resample/3`), it takes and emits audio. The filter has linear phase, and its delay is
-  compensated: frame `k` of the result is `k / rate` after the first input frame. The time of an output buffer is the
-  input time minus the duration that is still inside the filter. The rest is emitted when the input closes. The sample
-  type and channels do not change. When the input format changes, the filter is flushed and restarted.
+  As a component (`Situ.AudioStream.resample/3`), it takes and emits audio. The filter has linear phase, and its delay
+  is compensated: frame `k` of the result is `k / rate` after the first input frame. The time of an output buffer is
+  the input time minus the duration that is still inside the filter. The rest is emitted when the input closes. The
+  sample type and channels do not change. When the input format changes, the filter is flushed and restarted.
 
   ## Options
 
   #{Situ.Options.docs(@schema)}
 
-  As functions, it works outside a pipeline (the filter is native memory outside the term, so feed each filter value
-  only once):
+  Outside a pipeline, call its functions. The filter is mutable native memory, so feed each filter value only once:
 
       iex> format = Situ.AudioFormat.pcm(48_000)
       iex> {:ok, filter} = Situ.AudioStream.Resampler.new(format, rate: 16_000)

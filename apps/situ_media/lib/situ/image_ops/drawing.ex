@@ -1,7 +1,7 @@
 defmodule Situ.ImageOps.Drawing do
   @moduledoc """
-  Draws lines, rectangles, circles and text on a copy of an image. Call these functions through `Situ.ImageOps`. `draw/2`
-  draws several shapes and copies the image once.
+  Draws lines, rectangles, circles and text on a copy of an image. Call these functions through `Situ.ImageOps`.
+  `draw/2` draws several shapes and copies the image once.
 
   | shape | drawn | options |
   |---|---|---|
@@ -14,7 +14,7 @@ defmodule Situ.ImageOps.Drawing do
 
   `{x, y}` is the center of a pixel. `color:` is a `Situ.Image.Color` (default `:red`), and `width:` is the line width
   in pixels (1 or more, default 1). Lines, circles and text are anti-aliased: straight lines of odd width have sharp
-  edges, and of even width have half the color in the two outer rows. Rectangles are aligned to complete pixels.
+  edges, and lines of even width have half the color in their outer rows. Rectangles are aligned to complete pixels.
   Positions may be outside the image by up to 1,000,000 pixels; parts outside the image are clipped.
 
   Text may be any Unicode text (with marks, ligatures and right-to-left scripts), in lines separated by `\\n`:

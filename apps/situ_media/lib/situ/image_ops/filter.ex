@@ -37,7 +37,7 @@ defmodule Situ.ImageOps.Filter do
   defp window_size(size, _sigma), do: ArgumentCheck.check_integer(size, 1..@widest, "size")
 
   @doc """
-  Replaces each pixel by the mean of a `size` x `size` window, `size` odd.
+  Replaces each pixel with the mean of a window of `size` x `size` pixels. `size` must be odd.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
       iex> Situ.ImageOps.box_blur!(dot, 3).data
@@ -47,7 +47,8 @@ defmodule Situ.ImageOps.Filter do
   def box_blur(%Image{} = image, size), do: run_opencv(image, {:box_blur, image, size}, 0.6)
 
   @doc """
-  Replaces each pixel by the median of a `size` x `size` window, `size` odd. Sizes above 5 need an 8-bit format.
+  Replaces each pixel with the median of a window of `size` x `size` pixels. `size` must be odd. Sizes above 5 need an
+  8-bit format.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
       iex> Situ.ImageOps.median_blur!(dot, 3).data
@@ -81,7 +82,7 @@ defmodule Situ.ImageOps.Filter do
   def sobel(%Image{} = image), do: run_opencv(image, {:sobel, image}, 2)
 
   @doc """
-  Replaces each pixel by the minimum of a `size` x `size` window, `size` odd.
+  Replaces each pixel with the minimum of a window of `size` x `size` pixels. `size` must be odd.
 
       iex> hole = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<90, 90, 0, 90, 90>>)
       iex> Situ.ImageOps.erode!(hole, 3).data
@@ -91,7 +92,7 @@ defmodule Situ.ImageOps.Filter do
   def erode(%Image{} = image, size), do: apply_morphology(image, :erode, size)
 
   @doc """
-  Replaces each pixel by the maximum of a `size` x `size` window, `size` odd.
+  Replaces each pixel with the maximum of a window of `size` x `size` pixels. `size` must be odd.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
       iex> Situ.ImageOps.dilate!(dot, 3).data

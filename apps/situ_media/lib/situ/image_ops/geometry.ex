@@ -252,7 +252,7 @@ defmodule Situ.ImageOps.Geometry do
     angle = degrees * :math.pi() / 180
     {cos, sin} = {abs(:math.cos(angle)), abs(:math.sin(angle))}
     {w, h} = {image.width - 1, image.height - 1}
-    # The small number compensates rounding errors of integer extents.
+    # The small number compensates for rounding errors of integer extents.
     {trunc(w * cos + h * sin + 1 + 1.0e-9), trunc(w * sin + h * cos + 1 + 1.0e-9)}
   end
 

@@ -9,8 +9,8 @@ defmodule Situ.ImageOps.Text do
   @drawn [color: :red, size: 16, font: nil, background: nil]
   @measured [size: 16, font: nil]
 
-  # Laying out and drawing a character takes about 5 us, and reading a font file for the first time takes 1 ms, so text
-  # never runs inline.
+  # Laying out and drawing a character takes about 5 us, and reading a font file for the first time takes 1 ms, so
+  # text is always drawn on a dirty scheduler.
   @cost_us 500
 
   @spec cost_us() :: pos_integer()

@@ -1,7 +1,7 @@
 defmodule Situ.Media.Capture do
   @moduledoc """
-  The common part of camera, microphone and network stream: a running capture with its clock and reconnects. Pure except
-  for starting and stopping the reader; the components that use it are thin.
+  The shared implementation of camera, microphone and network stream: a running capture with its clock and reconnects.
+  It is pure except that it starts and stops the reader.
 
   A device cannot wait. Up to `:buffer` frames wait for the pipeline; beyond that the oldest is dropped and counted, so
   memory stays bounded even if the pipeline is slow. A capture runs in its own process (`async: true`), so that a slow
@@ -23,9 +23,9 @@ defmodule Situ.Media.Capture do
 
   @retry 1_000_000_000
   @credits 4
-  # A simulated device begins this long after the pipeline, so that ffmpeg is running and frames are on time.
+  # A simulated device begins this many ns after the pipeline, so that ffmpeg is running and frames are on time.
   @lead 500_000_000
-  # Two clocks this close are readings of the same clock.
+  # Clocks that differ by less than this (ns) are considered the same clock.
   @same_clock 1_000_000
 
   @enforce_keys [:driver, :address, :outputs, :opts]
@@ -52,6 +52,9 @@ defmodule Situ.Media.Capture do
   @type t :: %__MODULE__{}
   @type result :: {[Situ.Component.action()], t()}
 
+  # Camera, microphone and network stream differ only in options, outputs and `init/1`. The macro
+  # contains nothing but calls. One component for all three would give them the same options and
+  # names.
   @doc false
   defmacro __using__(_opts) do
     quote do
@@ -322,8 +325,8 @@ defmodule Situ.Media.Capture do
     %{capture | jumps: capture.jumps + 1}
   end
 
-  # A stream that stops while the other one flows is only reported: opening the device again would interrupt the other
-  # one. When frames keep coming with the same time, ffmpeg has lost the sender's clock, and the device is opened again.
+  # A stream that stops while the other one flows is only reported: reopening the device would interrupt the other
+  # one. When frames keep coming with the same time, ffmpeg has lost the sender's clock, and the device is reopened.
   defp check_streams(%{opts: opts} = capture, context) do
     %{silent: silent, stuck: stuck} = StallWatch.find_stalls(capture.watch, context.now)
 
@@ -346,7 +349,7 @@ defmodule Situ.Media.Capture do
     Logger.warning("#{capture.address}: no #{Enum.join(kinds, " and no ")} for #{timeout}")
   end
 
-  # Only a sender has several streams that can stop one by one.
+  # Only the streams of a sender can stop independently of each other.
   defp schedule_watch(%{clock: :arrival, opts: opts} = capture, context) do
     period = min(div(opts[:stall_timeout], 4), 1_000_000_000)
     [{:timer, {:watch, capture.reader}, context.now + max(period, 1_000_000)}]

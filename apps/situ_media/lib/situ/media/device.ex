@@ -24,6 +24,7 @@ defmodule Situ.Media.Device do
   Drivers only describe devices. `Situ.Media.Capture` runs the capture in a separate operating system process. To add a
   kind of device, implement this behaviour and pass `{MyDriver, address}` wherever a device name is accepted.
   """
+  # See docs/adr/0050-ffmpeg-runs-in-a-separate-process.md.
   alias Situ.Error
 
   @enforce_keys [:id, :kind]

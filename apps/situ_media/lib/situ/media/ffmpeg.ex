@@ -10,6 +10,7 @@ defmodule Situ.Media.FFmpeg do
       iex> Path.basename(path)
       "ffmpeg"
   """
+  # See docs/adr/0050-ffmpeg-runs-in-a-separate-process.md.
   alias Situ.Error
 
   # Limits each allocation inside ffmpeg, whatever a header claims.
@@ -66,8 +67,8 @@ defmodule Situ.Media.FFmpeg do
     end
   end
 
-  # The FFmpeg demuxers that may read a file with these extensions. None of them opens other files that are named
-  # inside, as playlists (HLS, DASH, concat) do, whatever the extension.
+  # The FFmpeg demuxers that may read a file with these extensions. None of them opens other files that the content
+  # names, as playlists (HLS, DASH, concat) do.
   @demuxers [
     {~w(.mp4 .m4v .mov .m4a .3gp .3g2 .mj2), ~w(mov)},
     {~w(.mkv .webm .mka .mk3d), ~w(matroska)},
@@ -116,8 +117,8 @@ defmodule Situ.Media.FFmpeg do
     |> Enum.join(",")
   end
 
-  # Binds a program's life to the port. When the port closes (its owner or the VM ended), the shell's standard input
-  # ends and the program is killed. Without this, a program that waits for a camera would run forever.
+  # Ties the lifetime of a program to the port. When the port closes (its owner or the VM ended), the shell's standard
+  # input ends and the program is killed. Without this, a program that waits for a camera would run forever.
   @bound """
   exec 3<&0
   "$@" </dev/null 3<&- &

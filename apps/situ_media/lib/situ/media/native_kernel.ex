@@ -4,6 +4,7 @@ defmodule Situ.Media.NativeKernel do
   #
   # Below the limit, a kernel runs on the calling scheduler and its time is charged to the process. Above the limit it
   # runs on a dirty scheduler, whose switch costs 10 to 20 us on an idle machine and milliseconds on a busy one.
+  # See docs/adr/0040-native-kernels-are-jobs.md.
 
   alias Situ.Error
   alias Situ.Media.{Native, OpenCV}

@@ -2,6 +2,7 @@ defmodule Situ.Media.OpenCV do
   @moduledoc false
   # Stubs of native/situ_opencv_nif, the kernels that need Debian's libopencv. It is a separate library, so that a
   # machine without OpenCV loses only these kernels.
+  # See docs/adr/0041-opencv-is-a-separate-library.md.
 
   @on_load :load
 

@@ -3,8 +3,9 @@ defmodule Situ.Media.Wav do
   Reads and writes complete WAV files.
 
   Supports PCM of 8, 16, 24 and 32 bits, float of 32 and 64 bits, `WAVE_FORMAT_EXTENSIBLE`, RF64 (files over 4 GB),
-  streamed files (without a length in the header), and files truncated at any byte. Memory is never allocated by sizes
-  in a header: chunks are skipped by seeking, and audio is read in buffers of a size that the caller sets.
+  streamed files (without a length in the header), and files truncated at any byte. Memory is never allocated
+  according to sizes in a header: chunks are skipped by seeking, and audio is read in buffers of a size that the
+  caller sets.
 
       iex> path = Path.join(System.tmp_dir!(), "situ_wav_doctest.wav")
       iex> buffer = Situ.AudioBuffer.from_samples([0, 1, -1], Situ.AudioFormat.pcm(8_000))

@@ -3,7 +3,7 @@ defmodule Situ.Cluster.Backoff do
   # Computes how long a node waits before it takes a part that it has lost recently. An overloaded node loses leases,
   # and each takeover adds to its load, so without a growing delay such nodes would never recover. Pure.
 
-  # Both are in multiples of the lease.
+  # The maximum delay, and the time after which losses are forgotten, both in multiples of the lease.
   @most 16
   @forgotten 60
 

@@ -1,6 +1,7 @@
 defmodule Situ.Cluster.Checkpoint do
   @moduledoc false
-  # The checkpoints of a part: two keys of the log, written alternately, so that the previous checkpoint stays intact
+  # Stores the checkpoints of a part in two keys of the log, written alternately, so that the previous one stays
+  # intact
   # if writing the next one fails. `current` is the newest checkpoint that the log supports: for every stream, the log
   # contains all messages that the checkpoint builds on.
   alias Situ.Cluster.SignedEntry
@@ -76,7 +77,7 @@ defmodule Situ.Cluster.Checkpoint do
   defp borne_out?(%{base: base}, marks),
     do: Enum.all?(base, fn {name, last} -> last <= Map.get(marks, name, 0) end)
 
-  @doc "Returns the memories that the part continues from."
+  @doc "Returns the component states that the part resumes from."
   @spec saved_memories(t()) :: map() | nil | :done
   def saved_memories(%__MODULE__{current: nil}), do: nil
   def saved_memories(%__MODULE__{current: %{memories: memories}}), do: memories

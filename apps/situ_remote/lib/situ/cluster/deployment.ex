@@ -1,6 +1,7 @@
 defmodule Situ.Cluster.Deployment do
   @moduledoc false
-  # The arguments of `Situ.Cluster.deploy/2`, parsed once and sent to every node. They must therefore be plain data.
+  # Holds the arguments of `Situ.Cluster.deploy/2`, parsed once and sent to every node. They must therefore be plain
+  # data.
   alias Situ.{Error, Options}
 
   @where {:or, [:atom, :string, {:tuple, [{:in, [:near]}, :string]}]}
@@ -12,7 +13,7 @@ defmodule Situ.Cluster.Deployment do
         "A node, a label (string), `{:near, device}` (the node with the device, then the nodes with the shortest" <>
           " round trip to it), or a list in order of preference. Default: the least busy node."
     ],
-    only: [type: :boolean, default: false, doc: "Run on no other node, even if these are lost."],
+    only: [type: :boolean, default: false, doc: "Never run on any node that `on:` does not name."],
     deterministic: [
       type: :boolean,
       default: false,
@@ -21,7 +22,7 @@ defmodule Situ.Cluster.Deployment do
   ]
 
   @schema [
-    name: [type: :string, doc: "The deployment's name; by default the module's last name."],
+    name: [type: :string, doc: "The deployment's name. Default: the end of the module's name."],
     opts: [type: :keyword, default: [], doc: "Options of the pipeline's `build/2`."],
     place: [
       type: :list,

@@ -13,6 +13,9 @@ defmodule Situ.Cluster.Epmd do
       iex> Situ.Cluster.Epmd.parse_port("situ")
       :error
   """
+  # `epmd` would be another daemon, listening on all interfaces. A fixed port (`-erl_epmd_port`)
+  # would allow only one node per machine. With the port in the name, a firewall needs one open
+  # port per node.
 
   # The version of the distribution protocol, in the form that epmd reports it.
   @version 6

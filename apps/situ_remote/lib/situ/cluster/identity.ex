@@ -1,7 +1,8 @@
 defmodule Situ.Cluster.Identity do
   @moduledoc """
-  The identity that a cluster's nodes share: a cookie, certificates for TLS between them, and the files for their own
-  NATS server, in a folder that only its owner can read. Create it once, then copy it to every machine.
+  Creates and reads the identity that a cluster's nodes share: a cookie, certificates for TLS between them, and the
+  files for their own NATS server, in a folder that only its owner can read. Create it once, then copy it to every
+  machine.
 
       cookie            the secret of Erlang's distribution and of the seals in the log
       ca.pem            the cluster's own authority; certificates of other authorities are rejected
@@ -76,8 +77,8 @@ defmodule Situ.Cluster.Identity do
     end)
   end
 
-  # Called by ssl, and named in cluster-flags. ssl has already checked the chain. A node is identified by its
-  # certificate, not by the name of its host.
+  # The ssl application calls this function, which cluster-flags names, after it has checked the chain. A node is
+  # identified by its certificate, not by the name of its host.
   @doc false
   @spec verify(term(), term(), term()) :: {:valid | :unknown, term()} | {:fail, term()}
   def verify(_certificate, {:bad_cert, :hostname_check_failed}, state), do: {:valid, state}

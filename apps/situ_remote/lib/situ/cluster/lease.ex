@@ -4,8 +4,9 @@ defmodule Situ.Cluster.Lease do
   # pure.
   #
   # Clocks are not compared: the lease is free when its number has not changed for the duration of the lease, measured
-  # by the observer's own clock. A look that took longer than a lease, or that is late, gives no information about the
-  # owner, so the observer starts counting again.
+  # by the observer's own clock. A reading that took longer than a lease, or that is late, gives no information about
+  # the owner, so the observer starts counting again.
+  # See docs/adr/0112-a-lease-decides-which-node-runs-a-part.md.
   alias Situ.Cluster.SignedEntry
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -14,7 +15,7 @@ defmodule Situ.Cluster.Lease do
 
   @typedoc """
   `seq`: the lease's number since `since` (ms); `gone`: the owner's node was reported down; `took`: the duration of the
-  last look, ms.
+  last reading, ms.
   """
   @type t :: %__MODULE__{
           seq: non_neg_integer() | nil,
@@ -40,7 +41,7 @@ defmodule Situ.Cluster.Lease do
       }) do
     late? = lease.looked != nil and (now - before > ms or before - lease.looked > ms + 4 * poll)
 
-    # The time of a slow look does not count, so the count continues on a busy machine, but more slowly.
+    # The time of a slow reading does not count, so the count continues on a busy machine, but more slowly.
     slow = if now - before > div(ms, 4), do: now - before, else: 0
     same? = lease.seq == seq and not late?
     since = if same?, do: lease.since + slow, else: now
@@ -60,7 +61,7 @@ defmodule Situ.Cluster.Lease do
 
   @doc """
   Records that the owner has reported, over the connection between the nodes, that it wrote the lease under `seq`. The
-  report arrives after the write itself, so it is safe to count from now on without a look at the log.
+  report arrives after the write itself, so it is safe to count from now on without reading the log.
   """
   @spec note_renewal(t(), pos_integer(), String.t(), integer()) :: t()
   def note_renewal(%__MODULE__{} = lease, seq, owner, now),

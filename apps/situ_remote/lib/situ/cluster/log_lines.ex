@@ -43,7 +43,7 @@ defmodule Situ.Cluster.LogLines do
     ArgumentError -> []
   end
 
-  # Called by logger, in the process that logs the event.
+  # Logger calls this function in the process that logs the event.
   @doc false
   @spec log(:logger.log_event(), :logger.handler_config()) :: term()
   def log(%{level: level, meta: %{time: time}} = event, _config) do

@@ -7,6 +7,7 @@ defmodule Situ.Cluster.LogWriter do
   #
   # Sends its publisher `{:situ_stored, name, mark, seq}` after each write. A refused write ends both processes,
   # because another node has taken over the part.
+  # See docs/adr/0117-readers-do-not-wait-for-the-log.md.
   use GenServer
 
   alias Situ.Cluster.{MessageBatch, Checkpoint, StreamEntry, SignedEntry}

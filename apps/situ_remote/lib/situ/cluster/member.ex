@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.Member do
   @moduledoc false
-  # The requests that a part's runner, the inlets of its pipeline and the balancer send to the cluster's agent on their
-  # node. None of them waits for the agent, so the agent may wait for them.
+  # Contains the requests that a part's runner, the inlets of its pipeline and the balancer send to the cluster's
+  # agent on their node. None of them waits for the agent, so the agent may wait for them.
   #
   #   {:situ_cluster, :follow, part, pid}            an inlet asks for the publisher of a part
   #   {:situ_cluster, :publisher, part, publisher}   the reply, immediately and whenever the publisher changes

@@ -6,7 +6,7 @@ defmodule Situ.Cluster.NodeMetrics do
   the measurements, and the studio's cluster page shows them. A node that has been silent for five seconds is dropped.
   The others try to reconnect to it for ten minutes.
 
-      Situ.Cluster.NodeMetrics.recent_vitals()[node()].busy      # cores that this node's processes used in the last seconds
+      Situ.Cluster.NodeMetrics.recent_vitals()[node()].busy      # cores that this node's processes used recently
   """
   use GenServer
 
@@ -21,7 +21,7 @@ defmodule Situ.Cluster.NodeMetrics do
 
   @typedoc """
   `busy`: cores used by the node's own VM; `cores`: cores it may use; `machine`: load of the whole machine, 0 to 1;
-  `memory`: bytes of the VM; `trips`: round trip to other nodes, ns (the minimum of the last ones).
+  `memory`: bytes of the VM; `trips`: round trip to other nodes, ns (the minimum of the latest measurements).
   """
   @type vital :: %{
           busy: float(),

@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.OutgoingStream do
   @moduledoc false
-  # The state of one stream that leaves a part, kept by its publisher. Pure, except for `trim_log/3`.
+  # Holds the state of one stream that leaves a part, for its publisher. Pure, except for `trim_log/3`.
   #
   #   mark      position after the last message received      stored   position after the last message in the log
   #   pending   batches that are not being written yet, newest first

@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.OutletComponent do
   @moduledoc false
-  # The end of a stream that leaves its part: passes all messages to the part's publisher, and waits while the
+  # Ends a stream that leaves its part: passes all messages to the part's publisher, and waits while the
   # publisher is full.
   use Situ.Component,
     inputs: [in: :any],

@@ -21,7 +21,7 @@ defmodule Situ.Cluster.PartStarter do
       {:error, Error.new(:build_failed, what)}
   end
 
-  @doc "Starts a part. `links` contains the agent, the publisher and the memories to resume from."
+  @doc "Starts a part. `links` contains the agent, the publisher and the component states to resume from."
   @spec start_part(Deployment.t(), Plan.t(), String.t(), map()) ::
           {:ok, pid()} | {:error, Error.t()}
   def start_part(%Deployment{module: module, opts: opts} = deployment, plan, part, links) do

@@ -25,8 +25,8 @@ defmodule Situ.Cluster.Placement do
     do: members |> preferred_nodes(rule, part) |> Enum.find_index(&(&1 == node))
 
   @doc """
-  Returns the nodes that may run a part, preferred ones first. Nodes that no rule names follow, the least busy machines
-  first, with nodes of equal load ordered by a hash.
+  Returns the nodes that may run a part, preferred ones first. They are followed by the nodes that no rule names, the
+  least busy machines first; a hash orders nodes of equal load.
   """
   @spec preferred_nodes(members(), map(), String.t()) :: [node()]
   def preferred_nodes(members, rule, part) do

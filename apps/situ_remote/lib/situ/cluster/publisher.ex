@@ -3,10 +3,11 @@ defmodule Situ.Cluster.Publisher do
   # Publishes a part's outputs to the log and to the parts that read them. Every running part has one publisher
   # process on its node. For readers it is a GenStage producer. A slow reader gets the missing messages from the log.
   #
-  # The publisher begins by taking over the part (ADR 0112): it fences every stream, takes over the checkpoints, and
-  # publishes the messages that the last checkpoint contains and the log does not. Its scribe then writes all later
-  # messages to the log (ADR 0117), so readers do not wait for the log. A refused write ends both processes, because
-  # another node has taken over.
+  # The publisher begins by taking over the part: it fences every stream, takes over the checkpoints, and
+  # publishes the messages that the last checkpoint contains and the log does not. Its log writer then writes all later
+  # messages to the log, so readers do not wait for the log. A refused write ends both processes, because
+  # another node has taken over. See docs/adr/0112-a-lease-decides-which-node-runs-a-part.md and
+  # docs/adr/0117-readers-do-not-wait-for-the-log.md.
   #
   # There are two modes. With `:outbox`, outputs become visible only when a checkpoint contains them. With `:replay`
   # (deterministic parts), outputs are visible immediately and are written to the log later; a restarted part produces
@@ -61,7 +62,7 @@ defmodule Situ.Cluster.Publisher do
   @spec start_link(map()) :: {:ok, pid()} | {:error, term()}
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
-  @doc "Returns the memories that the part continues from, `nil` for none, or `:done` if the part has ended."
+  @doc "Returns the component states that the part resumes from, `nil` for none, or `:done` if the part has ended."
   @spec saved_memories(pid()) :: map() | nil | :done
   def saved_memories(publisher), do: GenServer.call(publisher, :resume, :infinity)
 
@@ -147,7 +148,7 @@ defmodule Situ.Cluster.Publisher do
             rest
           )
 
-        # The previous owner has written in the meantime. That is valid if its epoch is older.
+        # The previous owner has written an entry in the meantime. With an older epoch, fencing is simply repeated.
         {:refused, last} ->
           if Entry.head_integer(last, "Epoch", 0) > state.epoch,
             do: {:error, LogWriter.refused_error(out.subject)},
@@ -364,7 +365,7 @@ defmodule Situ.Cluster.Publisher do
       | readers: Subscribers.serve_stream(state.readers, state.streams[name], state.log)
     }
 
-  # Readers
+  # The following functions serve readers.
 
   @impl true
   def handle_info({:"$gen_producer", {pid, ref}, {:subscribe, _, opts}}, state)

@@ -89,7 +89,7 @@ defmodule Situ.Cluster.Runner do
     {:ok, state}
   end
 
-  # Standby
+  # The following functions handle the standby phase.
 
   @impl true
   def handle_info(:look, %{phase: :standby, standby: standby} = state) do
@@ -217,7 +217,7 @@ defmodule Situ.Cluster.Runner do
     :exit, _ -> nil
   end
 
-  # Owning
+  # The following functions handle the phase in which this node has the lease.
 
   defp start_owning(state, failed \\ &fail_part/2) do
     args = %{

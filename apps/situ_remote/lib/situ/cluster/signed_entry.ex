@@ -5,10 +5,12 @@ defmodule Situ.Cluster.SignedEntry do
   # entry that nodes accept. Nodes accept an entry only at the position where it was written: not on another subject,
   # not at another position, and not in a later run with the same name.
   #
-  #   Follows   the number of the entry before it        Seal   nonce and MAC, in Base64
+  # The head of an entry has two fields for this: `Follows` is the number of the entry before it, and `Seal` is a nonce
+  # and a MAC in Base64.
   #
   # Anybody who can delete entries can still reset the whole log to an earlier state. A seal proves who wrote an entry,
   # but not that no other entry came after it.
+  # See docs/adr/0119-log-entries-are-sealed-with-their-position.md.
   alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
@@ -147,7 +149,7 @@ defmodule Situ.Cluster.SignedEntry do
     :crypto.mac(:hmac, :sha256, cookie, run)
   end
 
-  @doc "Returns a name of this cluster that does not reveal its cookie."
+  @doc "Returns a name for this cluster that does not reveal its cookie."
   @spec cluster_name() :: String.t()
   def cluster_name,
     do: "name" |> run_key() |> binary_part(0, 8) |> Base.encode16(case: :lower)

@@ -55,7 +55,7 @@ defmodule Situ.Cluster.SnapshotMerge do
   defp link_node?(%{path: "Outlet " <> _}), do: true
   defp link_node?(_node), do: false
 
-  # The part that makes the stream may not be running on any node at the moment.
+  # The part that produces the stream may not be running on any node at the moment.
   defp join_edge(edge, inlets, makers) do
     with {:ok, stream} <- Map.fetch(inlets, edge.from), %{} = maker <- makers[stream] do
       output = Enum.find(maker.outputs, &(&1.stream == stream)).name

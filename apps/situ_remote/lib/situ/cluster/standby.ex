@@ -1,9 +1,9 @@
 defmodule Situ.Cluster.Standby do
   @moduledoc false
-  # The state of a node that waits for a part it does not run: the last known lease, the time of the next look at it,
-  # and the number of nodes that may take the part first. The owner reports each renewal of its lease to the other
-  # nodes (`Situ.Cluster.Member`). A node therefore looks at the log only when two renewals are missing, or when it
-  # has no connection to the owner.
+  # Holds the state of a node that waits for a part it does not run: the last known lease, the time of the next look
+  # at it, and the number of nodes that may take the part first. The owner reports each renewal of its lease to the
+  # other nodes (`Situ.Cluster.Member`). A node therefore looks at the log only when two renewals are missing, or
+  # when it has no connection to the owner.
   alias Situ.Cluster.{Backoff, Lease}
 
   # A drained node waits as if this many nodes were preferred to it.

@@ -10,7 +10,7 @@ defmodule Situ.Cluster.StreamEntry do
   alias Situ.Message
   alias Situ.Remote.Log.Entry
 
-  @doc "The position of a stream: its last message, and the time at which it closed."
+  @doc "Describes the position of a stream: its last message, and the time at which it closed."
   @type mark :: %{
           last: non_neg_integer(),
           time: Situ.Time.t() | nil,

@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.Subscribers do
   @moduledoc false
-  # The subscribers of a publisher: the position and demand of each, and the messages read from the log for a slow
-  # reader. A reader of a direct stream that may lose messages has a queue with its policy instead. Any other reader of
-  # a direct stream misses the messages that are no longer in the tail.
+  # Manages the subscribers of a publisher: the position and demand of each, and the messages read from the log for a
+  # slow reader. A reader of a direct stream that may lose messages has a queue with its policy instead. Any other
+  # reader of a direct stream misses the messages that are no longer in the tail.
   #
   # `keeping_up?/2` returns whether the producer may continue. A reader that takes messages as they are made holds the
   # producer back; a reader that is paused or reads old messages from the log does not.

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Address do
   @moduledoc """
-  The address of a link: `situ://host:port/name`, `situs://...` (TLS), or `situ+unix:///path/of/socket?name`.
+  Parses the address of a link: `situ://host:port/name`, `situs://...` (TLS), or `situ+unix:///path/of/socket?name`.
 
   `situs://host/name?fingerprint=...` pins the server's certificate by its SHA-256 fingerprint (64 hexadecimal digits).
   Any other certificate is rejected, even if a trusted authority signed it. `bin/situ serve --tls` prints the full

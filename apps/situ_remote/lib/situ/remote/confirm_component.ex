@@ -1,7 +1,7 @@
 defmodule Situ.Remote.ConfirmComponent do
   @moduledoc false
-  # The component that `Situ.Remote.confirm/3` adds. Confirmed messages have been processed and are not sent again after
-  # a kill.
+  # Confirms messages after they have been processed, so that they are not sent again after a kill.
+  # `Situ.Remote.confirm/3` adds this component.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [],

@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Connection do
   @moduledoc false
-  # A link as one process of a pipeline. It keeps a connection to the server, receives the catalogue, and passes
-  # messages to the components of the streams. After a reconnect it resumes each stream at its last position.
+  # Represents a link as one process of a pipeline. It keeps a connection to the server, receives the catalogue, and
+  # passes messages to the components of the streams. After a reconnect it resumes each stream at its last position.
   use GenServer
   alias Situ.Remote.Address
   alias Situ.Remote.Link.{ClockEstimate, Dialer, Frame, Handshake, Socket}
@@ -35,7 +35,7 @@ defmodule Situ.Remote.Connection do
     received: 0
   ]
 
-  # opts: token, tls, now, position (path or nil), save_every, log
+  # The options are token, tls, now, position (a path or nil), save_every and log.
   @spec start(Address.t(), map(), pid()) :: {:ok, pid()}
   def start(address, opts, owner), do: GenServer.start(__MODULE__, {address, opts, owner})
 
@@ -248,7 +248,7 @@ defmodule Situ.Remote.Connection do
     if state.socket, do: Socket.close(state.socket)
   end
 
-  # Frames from the server
+  # The following clauses handle frames from the server.
 
   defp handle_frame({:batch, id, _first, last, count, payload}, size, state),
     do: deliver_batch(state, id, size, last, count, payload)
@@ -358,7 +358,7 @@ defmodule Situ.Remote.Connection do
   defp put_channel(state, channel),
     do: %{state | channels: Map.put(state.channels, channel.id, channel)}
 
-  # Connecting and reconnecting
+  # The following functions connect and reconnect.
 
   defp send_subscribe(%{socket: nil} = state, _channel), do: state
   defp send_subscribe(state, %{ended: true}), do: state

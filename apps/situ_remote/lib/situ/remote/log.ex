@@ -1,6 +1,7 @@
 defmodule Situ.Remote.Log do
   @moduledoc """
-  A durable log of entries, grouped by subject. An append names the last entry, so each write happens exactly once.
+  Keeps a durable log of entries, grouped by subject. An append names the last entry, so each write happens exactly
+  once.
 
   Every write names the sequence number of the entry that it follows (`0` if the subject is empty). It is refused if
   another writer has appended an entry since. This one rule provides ordering, exactly-once writes and fencing. A writer
@@ -32,6 +33,7 @@ defmodule Situ.Remote.Log do
       iex> File.rm_rf!(root) != []
       true
   """
+  # See docs/adr/0113-the-log-offers-one-conditional-append.md.
   alias Situ.Error
   alias Situ.Remote.Log.Entry
 
@@ -57,7 +59,7 @@ defmodule Situ.Remote.Log do
               {:ok, conn :: term()} | {:error, Error.t()}
 
   @doc """
-  Appends after the entry `expected`. Returns `:refused` with the last entry if that is a different one.
+  Appends after the entry `expected`. If the last entry is a different one, returns `:refused` with that entry.
   Returns `{:counts_from, seq}` if the subject is empty because all its entries have expired. The next entry follows
   `seq`.
   """
@@ -180,8 +182,7 @@ defmodule Situ.Remote.Log do
 
   @doc """
   Finds the first entry for which `enough?` returns true, by bisection: once true, it must stay true for later entries.
-  Entries have headers that describe their contents. Returns the sequence number of that entry, or `nil` if there is
-  none.
+  Returns the sequence number of that entry, or `nil` if there is none.
   """
   @spec find_position(t(), subject(), (Entry.t() -> boolean())) ::
           {:ok, pos_integer() | nil} | {:error, Error.t()}

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Origin do
   @moduledoc """
-  The source of a server's messages for one client: the behaviour of recordings and live streams.
+  Defines the source of a server's messages for one client, the behaviour of recordings and live streams.
 
   Each client has a separate origin, with a cursor for every stream that it requested, so no client waits for another.
   """

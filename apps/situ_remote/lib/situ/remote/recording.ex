@@ -29,6 +29,7 @@ defmodule Situ.Remote.Recording do
       iex> Situ.Remote.Server.close(server)
       iex> File.rm_rf!(root)
   """
+  # See docs/adr/0115-remote-recordings-answer-requests.md.
   @behaviour Situ.Store.Reader
   alias Situ.Error
   alias Situ.Remote.{Access, Address}

@@ -62,7 +62,7 @@ defmodule Situ.Remote.ServerConfig do
     pipeline: [
       type: {:optional, {:struct, Situ.Graph.Handle}},
       default: nil,
-      doc: "The pipeline whose end closes the server. For live streams it is known."
+      doc: "The pipeline whose end closes the server. Not needed for live streams."
     ],
     linger: [
       type: :non_neg_integer,

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Source do
   @moduledoc false
-  # A stream of a link as a source. Batches from the connection are queued as bytes until the pipeline asks for
+  # Emits a stream of a link as a source. Batches from the connection are queued as bytes until the pipeline asks for
   # messages. Only then are they decoded, and the sender is granted new credit.
   use Situ.Component,
     inputs: [],
@@ -8,7 +8,7 @@ defmodule Situ.Remote.Source do
     options: [
       link: [type: :pid, required: true, doc: "The `Situ.Remote.Connection`."],
       wanted: [type: :map, required: true, doc: "The request: stream, start, policy, priority."],
-      type: [type: :any, default: :any, doc: "The type of the data. Other messages are dropped."]
+      type: [type: :any, default: :any, doc: "The data type. Other messages are dropped."]
     ]
 
   alias Situ.{Error, Type}
@@ -16,7 +16,7 @@ defmodule Situ.Remote.Source do
   alias Situ.Remote.Link.{Batch, ClockEstimate}
   alias Situ.Store.Envelopes
 
-  # Earlier than the times of all messages.
+  # This time is earlier than the times of all messages.
   @before_all -0x4000000000000000
 
   defstruct [

@@ -108,7 +108,7 @@ defmodule Situ.Space.Calibration do
       {:error, Error.new(:bad_option, "a point or a pixel contains a value that is not a number")}
   end
 
-  # Two numbers for each point: its error to the right and down. Points that the camera cannot see get a large error.
+  # Returns two errors for each point: to the right and down. Points that the camera cannot see get a large error.
   @far 1.0e4
   defp point_residuals(values, seen, model) do
     {camera, pose} = build_camera(values, model)

@@ -40,9 +40,9 @@ defmodule Situ.Space.Camera do
   @enough 1.0e-16
 
   @doc """
-  Returns the point that `distort/2` moves to this one. Newton's method starts at the point itself and takes at most 100
-  steps until the squared error is below 1e-16. Returns `:error` if it does not converge, or converges only on the far
-  side of the lens, where the model mirrors: there the distortion cannot be inverted.
+  Returns the point that `distort/2` moves to this one. Newton's method starts at the point itself and takes at most
+  100 steps until the squared error is below 1e-16. Returns `:error` if the distortion cannot be inverted there: the
+  method does not converge, or it converges only on the far side of the lens, where the model is mirrored.
   """
   @spec undistort(CameraIntrinsics.t(), normalized()) :: {:ok, normalized()} | :error
   def undistort(%CameraIntrinsics{} = camera, target) do

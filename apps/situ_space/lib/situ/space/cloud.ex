@@ -13,8 +13,8 @@ defmodule Situ.Space.Cloud do
   @type result :: {:ok, PointCloud.t()} | {:error, Error.t()}
 
   @doc """
-  Returns one point for every cube with edges of `size` metres: the mean of the points in it, in the order in which the
-  cubes are first met. Colours and values are dropped.
+  Returns one point for every cube with edges of `size` metres: the mean of the points in it. The points are in the
+  order in which their cubes first occur. Colours and values are dropped.
   """
   @spec downsample(PointCloud.t(), number()) :: result()
   def downsample(%PointCloud{} = cloud, size) when is_number(size) do
@@ -145,7 +145,8 @@ defmodule Situ.Space.Cloud do
       do: NativeCall.call_native(:normals, [cloud.points, radius * 1.0, viewpoint])
 
   @doc """
-  Returns the clusters of at least `least` points in which each point has another within `radius` metres, largest first.
+  Returns the clusters of at least `least` points, largest first. Each point of a cluster is within `radius` metres of
+  another point of it.
   """
   @spec find_clusters(PointCloud.t(), number(), pos_integer()) ::
           {:ok, [PointCloud.t()]} | {:error, Error.t()}

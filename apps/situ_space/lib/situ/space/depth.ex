@@ -113,9 +113,9 @@ defmodule Situ.Space.Depth do
   ]
 
   @doc """
-  Returns the point where a ray of the outer frame first meets the surface that the camera of a view saw: the first
-  step at which the ray is farther away than the measured depth. Returns `nil` if it meets nothing within the range or
-  leaves the image. Missing depths are interpolated (`Situ.DepthImage.interpolated_distance/4`).
+  Returns the point where a ray of the outer frame first meets the surface that the camera of a view saw. This is the
+  first step at which the ray is farther away than the measured depth. Returns `nil` if the ray meets nothing within
+  the range or leaves the image. Missing depths are interpolated (`Situ.DepthImage.interpolated_distance/4`).
 
   #{Situ.Options.docs(@march)}
   """
@@ -123,7 +123,7 @@ defmodule Situ.Space.Depth do
   def intersect_ray(%CameraView{viewed: %DepthImage{}} = view, %Ray3{} = ray, opts \\ []) do
     opts = Situ.Options.validate!(opts, @march)
     local = Ray3.transform(ray, Pose.invert(view.pose))
-    # The small term compensates for rounding, so that 0.3 m are three steps of 0.1 m.
+    # The small term compensates for rounding, so that 0.3 m is three steps of 0.1 m.
     steps = trunc(opts[:range] / opts[:step] + 1.0e-9)
 
     Enum.find_value(1..max(steps, 1)//1, fn n ->

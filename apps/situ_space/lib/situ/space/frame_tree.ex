@@ -4,17 +4,17 @@ defmodule Situ.Space.FrameTree do
   another frame can be looked up at any originating time.
 
   Moving frames keep the poses of the last `keep` ns, and poses between them are interpolated
-  (`Situ.Pose.interpolate/3`). The result does not depend on the order of arrival: a time outside the known range is an
-  error.
+  (`Situ.Pose.interpolate/3`). The result does not depend on the order of arrival, because a time outside the known
+  range is an error.
 
       iex> alias Situ.Space.FrameTree
-      iex> {:ok, frames} = Frames.put_static(Frames.new(), "base", "world", Situ.Pose.new({1.0, 0.0, 0.0}))
-      iex> {:ok, frames} = Frames.put_moving(frames, "camera", "base", 0, Situ.Pose.new({0.0, 0.0, 0.0}))
-      iex> {:ok, frames} = Frames.put_moving(frames, "camera", "base", 100, Situ.Pose.new({0.0, 0.0, 2.0}))
-      iex> {:ok, pose} = Frames.lookup(frames, "camera", "world", 50)
+      iex> {:ok, frames} = FrameTree.put_static(FrameTree.new(), "base", "world", Situ.Pose.new({1.0, 0.0, 0.0}))
+      iex> {:ok, frames} = FrameTree.put_moving(frames, "camera", "base", 0, Situ.Pose.new({0.0, 0.0, 0.0}))
+      iex> {:ok, frames} = FrameTree.put_moving(frames, "camera", "base", 100, Situ.Pose.new({0.0, 0.0, 2.0}))
+      iex> {:ok, pose} = FrameTree.lookup(frames, "camera", "world", 50)
       iex> pose.position
       {1.0, 0.0, 1.0}
-      iex> {:error, error} = Frames.lookup(frames, "camera", "world", 200)
+      iex> {:error, error} = FrameTree.lookup(frames, "camera", "world", 200)
       iex> error.what
       "the pose of \\"camera\\" in \\"base\\" is not known at 200 ns"
   """
@@ -65,9 +65,9 @@ defmodule Situ.Space.FrameTree do
   Adds a message of a stream of frames with its originating time: a `Situ.Transform`, or a list of them.
 
       iex> alias Situ.Space.FrameTree
-      iex> told = [Situ.Transform.new("arm", "robot", Situ.Pose.new({0.0, 0.0, 1.0}), static: true)]
-      iex> {:ok, frames} = Frames.put_transforms(Frames.new(), told, 0)
-      iex> Frames.list(frames)
+      iex> transforms = [Situ.Transform.new("arm", "robot", Situ.Pose.new({0.0, 0.0, 1.0}), static: true)]
+      iex> {:ok, frames} = FrameTree.put_transforms(FrameTree.new(), transforms, 0)
+      iex> FrameTree.list(frames)
       [{"arm", "robot", :static}]
   """
   @spec put_transforms(t(), Situ.Transform.t() | [Situ.Transform.t()], Situ.Time.t()) ::
@@ -139,8 +139,9 @@ defmodule Situ.Space.FrameTree do
     do: Enum.sort(for {frame, {parent, {kind, _}}} <- frames, do: {frame, parent, kind})
 
   @doc """
-  Returns the pose of `frame` in `reference` at an originating time: `Situ.Pose.transform_point(pose, p)` converts a point of
-  `frame` to `reference`. Both must be in one tree, and every moving frame between them must be known at that time.
+  Returns the pose of `frame` in `reference` at an originating time: `Situ.Pose.transform_point(pose, p)` converts a
+  point of `frame` to `reference`. Both must be in one tree, and every moving frame between them must be known at that
+  time.
   """
   @spec lookup(t(), name(), name(), Situ.Time.t()) :: {:ok, Pose.t()} | {:error, Error.t()}
   def lookup(%__MODULE__{} = frames, frame, reference, time) when is_integer(time) do

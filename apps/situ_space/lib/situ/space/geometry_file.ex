@@ -13,9 +13,9 @@ defmodule Situ.Space.GeometryFile do
   | `.ply` | PLY as text or bytes, with colours, intensity or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
   | `.stl` | STL as bytes or text | `Mesh` |
 
-  Positions in a LAS file are relative to the lower corner of its bounds, because 32-bit floats cannot represent
-  coordinates of a country to the millimetre. `Situ.Store.info/1` reports that corner as `origin`. Such files have no
-  time, so the message has time 0. Files are read into memory and may have up to 2 GB.
+  Positions in a LAS file are relative to the lower corner of its bounds, because 32-bit floats cannot represent the
+  coordinates of a whole country to the millimetre. `Situ.Store.info/1` reports that corner as `origin`. All these
+  files have no time, so the message has time 0. Files are read into memory and may have up to 2 GB.
   """
   @behaviour Situ.Store.Reader
 

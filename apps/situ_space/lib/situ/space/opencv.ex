@@ -11,7 +11,9 @@ defmodule Situ.Space.OpenCV do
   A session ends with the process that opened it. Functions called without a session open one for that call, which takes
   about 50 ms.
   """
-  # A separate process owns the program, because a broken pipe ends the owner.
+  # See docs/adr/0105-large-libraries-run-in-separate-programs.md.
+
+  # A separate process owns the program, because a broken pipe would end the owner.
   use GenServer, restart: :temporary
   alias Situ.Error
 

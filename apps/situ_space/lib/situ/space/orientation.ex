@@ -31,8 +31,8 @@ defmodule Situ.Space.Orientation do
   ]
 
   @moduledoc """
-  Estimates the orientation of an inertial sensor from its readings: the rotation from the sensor's axes to the world's,
-  x north (magnetic; without a magnetometer the initial heading), y west, z up.
+  Estimates the orientation of an inertial sensor from its readings. The orientation is the rotation from the sensor's
+  axes to the world's: x north (magnetic north, or the initial heading without a magnetometer), y west, z up.
 
   The estimator is a complementary filter on the rotation group: R. Mahony, T. Hamel, J.-M. Pflimlin, Nonlinear
   Complementary Filters on the Special Orthogonal Group, IEEE TAC 53(5), 2008. It integrates the gyroscope. The

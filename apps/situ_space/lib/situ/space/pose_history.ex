@@ -1,8 +1,8 @@
 defmodule Situ.Space.PoseHistory do
   @moduledoc false
-  # Poses by time, of the last `keep` ns. Older ones are in a sorted tuple with binary search. The latest few are in a
-  # list, latest first, which is merged into the tuple when it is full. Most poses arrive in order and are looked up
-  # soon after.
+  # Stores the poses of the last `keep` ns by time. Older poses are in a sorted tuple with binary search. The latest
+  # few are in a list, latest first, which is merged into the tuple when it is full. Most poses arrive in order and
+  # are looked up soon after.
   alias Situ.Pose
 
   @recent 32
@@ -40,7 +40,7 @@ defmodule Situ.Space.PoseHistory do
     %__MODULE__{sorted: all |> drop_older(latest - keep) |> List.to_tuple()}
   end
 
-  # One pose before the span is kept, so that the whole span can be interpolated.
+  # One pose before the span is kept, so that poses can be interpolated in all of the span.
   defp drop_older([_, {second, _} = next | rest], since) when second <= since,
     do: drop_older([next | rest], since)
 

@@ -32,7 +32,7 @@ defmodule Situ.Space.Robot do
           axis: Situ.Vector3.t(),
           mimic: {String.t(), float(), float()} | nil
         }
-  @typedoc "Joints are sorted parents first; `root` is the link without a parent."
+  @typedoc "Parents come first in `joints`; `root` is the link without a parent."
   @type t :: %__MODULE__{
           name: String.t(),
           root: String.t(),

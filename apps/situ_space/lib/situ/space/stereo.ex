@@ -25,7 +25,7 @@ defmodule Situ.Space.Stereo do
       type: :boolean,
       default: false,
       doc:
-        "Fill pixels without a disparity with the smaller disparity of their neighbours in the row: most are occluded."
+        "Fill pixels without a disparity (most are occluded) with the smaller disparity of their neighbours in the row."
     ],
     session: [
       type: {:optional, {:struct, Situ.Space.OpenCV}},

@@ -27,8 +27,8 @@ defmodule Situ.Space.SyntheticRoom do
   ]
 
   @moduledoc """
-  A rendered room, seen by a depth camera: two people, furniture and a floating ball. Everything is known exactly and is
-  the same on every run. Use it to try things without hardware, and to compare results with the ground truth.
+  A rendered room, seen by a depth camera, with two people, furniture and a floating ball. Everything is known exactly
+  and is the same on every run. Use it to try things without hardware, and to compare results with the ground truth.
 
       camera = Situ.Space.DepthCamera.open(p, {Situ.Space.SyntheticRoom, seconds: 10})
       Situ.each(camera.depth, fn view -> IO.inspect(view.viewed) end)
@@ -40,7 +40,7 @@ defmodule Situ.Space.SyntheticRoom do
     * `ball`: the position of the ball, a `Situ.Point3`
     * `imu`: `Situ.ImuReading`s of a sensor in the camera
     * `sound`: `Situ.AudioBuffer`s, mono, 16 bits
-    * `speaking`: a map of person and whether that person speaks
+    * `speaking`: a map from each person's id to whether that person is speaking
 
   Depth is exact to one millimetre, the unit of its 16 bits, and 0 beyond their range.
 
@@ -112,7 +112,7 @@ defmodule Situ.Space.SyntheticRoom do
     end
   end
 
-  # Returns the messages after the last image, up to and including this one.
+  # Returns this image, and the other messages since the last image.
   defp frame_actions(frame, time, %{opts: opts} = state) do
     scene = Scene.state_at(frame / opts.rate, opts.speech, opts.sway)
     {depth, color} = render_views!(scene, state)
@@ -154,7 +154,7 @@ defmodule Situ.Space.SyntheticRoom do
            Scene.imu_reading(n / opts.imu_rate, opts.sway)}
   end
 
-  # Returns the audio between the last image and this one. Before the first image there was none.
+  # Returns the audio between the last image and this one. Before the first image there is no audio.
   defp audio_actions(0, _state), do: []
 
   defp audio_actions(frame, %{opts: opts, start: start}) do

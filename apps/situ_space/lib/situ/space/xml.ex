@@ -87,7 +87,7 @@ defmodule Situ.Space.Xml do
 
   defp build_tree(_event, _where, open), do: open
 
-  # Works like the function above, but collects the texts of an element and joins them when it closes.
+  # Works like `build_tree/3`, but collects the texts of an element and joins them when it closes.
   defp build_text_tree({:characters, text}, _, [{name, given, inner} | open]) do
     part = :unicode.characters_to_binary(text)
     [{name, Map.update(given, :text, [part], &[&1 | [part]]), inner} | open]

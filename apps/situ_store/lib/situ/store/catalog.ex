@@ -1,6 +1,6 @@
 defmodule Situ.Store.Catalog do
   @moduledoc false
-  # Stream 0 of a store: JSON records about the other streams. Unknown kinds and keys are ignored.
+  # Stream 0 of a store contains JSON records about the other streams. Unknown kinds and keys are ignored.
   alias Situ.Store.{StreamInfo, TypeName}
 
   defstruct name: nil, volatile?: false, writer: nil, piece: nil, streams: %{}, types: %{}

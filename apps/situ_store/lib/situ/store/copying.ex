@@ -56,7 +56,8 @@ defmodule Situ.Store.Copying do
   @doc """
   Copies a store (or an external file) into a new one: `{:ok, path}`.
 
-  `to` is `{name, root}` or a path (a new version of its last name).
+  `to` is `{name, root}`, or a path whose last part is the name. By default the copy becomes a new version of that
+  name.
 
   #{Situ.Options.docs(@options)}
   """
@@ -265,7 +266,7 @@ defmodule Situ.Store.Copying do
     end)
   end
 
-  # Selects by predicate, or by names and patterns (`Room.*`), each of which must match at least one stream.
+  # Selects streams by predicate, or by names and patterns (`Room.*`), each of which must match at least one stream.
   defp select_streams(infos, nil, _path), do: {:ok, infos}
 
   defp select_streams(infos, fun, _path) when is_function(fun, 1),

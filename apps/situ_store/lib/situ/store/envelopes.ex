@@ -3,8 +3,8 @@ defmodule Situ.Store.Envelopes do
   Makes the envelopes of recorded messages monotonic. Pure.
 
   Recorded sequence ids and creation times are kept if they do not decrease. Where recordings were concatenated or
-  edited, or a loop or a next version begins, ids continue from the previous ones. Where the clock was set back,
-  creation times stay at the latest value.
+  edited, a loop starts over, or the next version begins, ids continue from the previous ones. Where the clock was set
+  back, creation times stay at the latest value.
 
       iex> message = %Situ.Message{data: :a, originating_time: 1, creation_time: 10, sequence_id: 1}
       iex> two = [message, %{message | originating_time: 2, creation_time: 5, sequence_id: 2}]

@@ -102,7 +102,7 @@ defmodule Situ.Store.FileLock do
     List.to_string(name)
   end
 
-  # Only the first words of the command line, since options may contain secrets.
+  # Records only the first words of the command line, since options may contain secrets.
   defp program_name do
     case Enum.take_while(:init.get_plain_arguments(), &plain_word?/1) do
       [] -> "an Elixir program"

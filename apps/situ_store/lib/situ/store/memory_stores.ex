@@ -1,6 +1,6 @@
 defmodule Situ.Store.MemoryStores do
   @moduledoc """
-  Keeps stores in memory: the same files, in the memory file system.
+  Keeps stores in memory. A store consists of the same files as on disk, in the memory file system.
 
   Any process on the machine can read them while this system is running. They are deleted after it has ended, and are
   never written to disk.

@@ -1,6 +1,7 @@
 defmodule Situ.Store.Native do
   @moduledoc false
-  # The functions of native/situ_store_nif. Only Writer, Local and a few low-level modules call it.
+  # The functions of native/situ_store_nif. Call them only from `Situ.Store.Writer`, `Situ.Store.NativeFormat` and a
+  # few low-level modules.
 
   @on_load :load
 

@@ -4,6 +4,7 @@ defmodule Situ.Store.Playhead do
   #
   # An epoch is a span of replay in which pipeline time = recorded time + shift. A seek to a time after everything
   # handed out so far stays in the epoch. Any other seek begins a new epoch, so that originating times keep increasing.
+  # See docs/adr/0032-replay-follows-originating-times.md.
 
   # Cells: 1 version (odd during a seek), 2 the recorded time of the seek, 3 the shift, 4 the latest pipeline time
   # handed out by any stream.

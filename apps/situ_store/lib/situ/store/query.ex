@@ -1,6 +1,6 @@
 defmodule Situ.Store.Query do
   @moduledoc false
-  # Reads open recordings of any format. Public as `Situ.Store`, where the documentation is.
+  # Reads open recordings of any format. `Situ.Store` is the public interface and has the documentation.
   alias Situ.{Error, Message, Options}
 
   alias Situ.Store.{

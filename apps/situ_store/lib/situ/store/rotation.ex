@@ -1,14 +1,15 @@
 defmodule Situ.Store.Rotation do
   @moduledoc false
   # Splits a long recording into segments. Each segment is a store (the next version of the recording's name) for a span
-  # of originating time, split by time or by size (`Situ.Store.Rotation.SplitPoint`). One process provides the segments to the
-  # components that write, and ends with the pipeline. Every segment is a complete store, so a kill or a power failure
-  # has the same effect as on any other store.
+  # of originating time, split by time or by size (`Situ.Store.Rotation.SplitPoint`). One process provides the
+  # segments to the components that write, and ends with the pipeline. Every segment is a complete store, so a kill or
+  # a power failure has the same effect as on any other store.
   #
   # Streams do not advance in lockstep, so the segment before the newest stays open for slower streams. Messages for
   # older segments go into the oldest open one. When `keep:` is exceeded, the oldest segments are deleted. These are
   # segments of this run and of earlier runs of the recorder (`Situ.Store.Rotation.EarlierRuns`), but never other
   # recordings of that name.
+  # See docs/adr/0132-long-recordings-are-split-into-segments.md.
   use GenServer
   alias Situ.Store.{Folder, Maintenance, Writer}
   alias Situ.Store.Rotation.{SplitPoint, EarlierRuns, Retention}
@@ -203,7 +204,7 @@ defmodule Situ.Store.Rotation do
         Retention.count_surplus(state.keep, state.closed, open, monotonic_ns())
       )
 
-    # A segment that cannot be deleted because another program is writing it is left to the next run.
+    # A segment that another program is writing cannot be deleted and is left to the next run.
     for piece <- surplus, do: Maintenance.delete(piece.path)
     %{state | closed: closed}
   end

@@ -80,7 +80,7 @@ defmodule Situ.Store.Sink do
   defp enter_segment(%{pieces: {pieces, _cut, name, opts}} = state, number) do
     case Rotation.open_stream(pieces, number, name, opts) do
       {:ok, real, stream} ->
-        # Keep the stream's noted codecs and fields: late messages make it return to a previous segment.
+        # Late messages make the stream return to a previous segment, so keep the codecs and fields noted for it.
         stream = Map.get(state.held, real, stream)
         held = state.held |> Map.filter(fn {n, _} -> n >= real end) |> Map.put(real, stream)
         %{state | piece: number, stream: stream, held: held}

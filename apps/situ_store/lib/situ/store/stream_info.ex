@@ -1,12 +1,12 @@
 defmodule Situ.Store.StreamInfo do
   @moduledoc """
-  Facts about a stored stream. Times are in nanoseconds and sizes in bytes. The values are always exact, even while the
+  Describes a stored stream. Times are in nanoseconds and sizes in bytes. The values are always exact, even while the
   store is being written or after its writer was killed.
 
     * `type` is a `Situ.Type`; `:any` if the recorded type (`type_name`) names a module that this system does not have
     * `first`, `last`: originating times; `first_creation`, `last_creation`: creation times; `nil` without messages
     * `size`: payload bytes; `stored`: bytes on disk after compression, including tables and index
-    * `latency_sum`: creation minus originating time, summed
+    * `latency_sum`: the sum of creation minus originating time over all messages
     * `closed`: the originating time at which the stream closed, or `nil`
     * `fields`: field names of the messages' struct, if the messages are structs stored as terms
   """

@@ -2,6 +2,7 @@ defmodule Situ.Store.TermCodec do
   @moduledoc false
   # Decodes terms from files with one checked decoder: no functions, processes, ports or references, no new atoms, and
   # bounded memory. Atoms and structs that this system does not have become strings and maps.
+  # See docs/adr/0033-terms-from-files-are-checked-before-decoding.md.
   alias Situ.Store.{Native, StructLoader}
 
   @spec decode(binary()) :: {:ok, term()} | {:error, String.t()}
@@ -14,8 +15,8 @@ defmodule Situ.Store.TermCodec do
   end
 
   @doc """
-  Resolves structs of modules that were not loaded: decodes the term again if modules could be loaded, or else returns
-  it unchanged.
+  Loads the modules of structs that were not loaded, and decodes the term again. Returns the term unchanged if no
+  module could be loaded.
   """
   @spec resolve_structs([String.t()], binary(), term()) :: term()
   def resolve_structs(modules, bytes, term) do

@@ -80,6 +80,10 @@ defmodule Situ.Store.Writer do
 
   #{Situ.Options.docs(@stream_options)}
   """
+  # Compression has no dictionary for small messages. Messages of 141 bytes take 125 bytes each
+  # with zstd alone, 54 with a dictionary of 16 KiB, and 35 in a chunk of 500. A chunk and its
+  # index entry take 176 bytes, so a dictionary saves little where chunks are small and nothing
+  # where they are full. `situ store copy --compression zstd` makes full chunks.
   alias Situ.{Error, Message, Options}
 
   alias Situ.Store.{

@@ -38,7 +38,7 @@ defmodule Situ.Store.CsvTest do
            ]
 
     assert [{_, 5, late}, {_, 6, short}] = Store.info(store).damage
-    assert late =~ "forward" and short =~ "2 fields"
+    assert late =~ "increase" and short =~ "2 fields"
     {:ok, width, bins} = Store.summary(store, "acc", 0, 40_000_000, 2)
     assert width == 16_777_216
     assert Enum.map(bins, &elem(&1, 4)) == [2, 1, 1]

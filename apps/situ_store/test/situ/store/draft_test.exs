@@ -108,7 +108,7 @@ defmodule Situ.Store.DraftTest do
             ])
 
           assert {:error, %{code: :disk_full, why: why}} = Store.copy(large, {"large", disk})
-          assert why =~ "removed"
+          assert why =~ "was deleted"
           assert File.ls!(disk) == ["small.0000"]
         after
           System.cmd("umount", ["-l", disk])

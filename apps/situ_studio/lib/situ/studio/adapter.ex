@@ -38,7 +38,7 @@ defmodule Situ.Studio.Adapter do
   @doc "Returns the adapter's description: the shapes that it accepts, and the shape that it produces."
   @callback about() :: t()
 
-  @doc "Returns the adapted data of a message, or `:error` if the message has none."
+  @doc "Returns the adapted data of a message, or `:error` if the message cannot be converted."
   @callback adapt(data :: term(), Situ.Message.t()) :: {:ok, term()} | :error
 
   @doc """

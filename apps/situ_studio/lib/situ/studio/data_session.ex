@@ -14,6 +14,7 @@ defmodule Situ.Studio.DataSession do
   to the nearest message of that stream. `offset` shifts the second of two compared recordings
   (`Situ.Studio.Comparison`).
   """
+  # See docs/adr/0080-the-page-pulls-its-data.md.
   alias Situ.{Error, Studio}
   alias Situ.Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, Int64}
 

@@ -58,7 +58,7 @@ defmodule Situ.Studio.Export do
       {:error,
        Error.new(:bad_name, "#{inspect(name)} is not a valid file name",
          why:
-           "a name has 1 to 60 letters, digits, spaces, dots, dashes and starts with a letter or digit",
+           "a name has 1 to 60 letters, digits, spaces, dots and dashes, and starts with a letter or digit",
          fix: "choose another name"
        )}
     end

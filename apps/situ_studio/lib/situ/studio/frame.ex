@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Frame do
   @moduledoc """
-  The binary replies of the data socket and of `GET /data/...`: one header, then frames. All values are little-endian.
-  Payloads are aligned to 8 bytes, so that a browser can create typed arrays on them without copying.
+  Encodes the replies of the data socket and of `GET /data/...`: one header, then frames. All values are
+  little-endian. Payloads are aligned to 8 bytes, so that a browser can create typed arrays on them without copying.
 
   Header, 40 bytes:
 

@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Gap do
   @moduledoc """
-  The data of a message that marks a gap: the live stream was not captured from then on. Nothing is drawn for it.
+  Marks the start of a gap, as the data of a message: the live stream was not captured from then on. Nothing is
+  drawn.
   """
   defstruct []
 

@@ -9,7 +9,7 @@ defmodule Situ.Studio.Headset do
       type: :pos_integer,
       default: 200,
       doc:
-        "The number of moments whose hands, rays and planes are buffered for a slow pipeline; the oldest are dropped."
+        "The number of samples whose hands, rays and planes are buffered for a slow pipeline; the oldest are dropped."
     ]
   ]
 
@@ -28,16 +28,16 @@ defmodule Situ.Studio.Headset do
   | `:left`, `:right` | a tracked hand: `Situ.Skeleton` of 26 joints with the `id` `:left` or `:right` |
   | `:gaze` | the gaze direction, `Situ.Ray3`, if the headset reports it |
   | `:select` | `%{left: boolean, right: boolean}`, which hand pinches (or which trigger is pulled), on every change |
-  | `:planes` | floors, walls and tables, `Situ.Studio.Headset.Packet.parse_plane/0`, on every change |
+  | `:planes` | floors, walls and tables, `Situ.Studio.Headset.Packet.parse_plane/1`, on every change |
   | `:clock` | the offset of the browser's clock in ms, after every measurement |
 
   Axes are x forward, y left, z up, in meters; the origin is on the floor, where the session started. The x axis of
   the head's pose is the view direction. Joints are the joints of WebXR and `:palm`, in the middle of the middle
   finger's metacarpal. A joint's x axis points along its bone, toward the tip.
 
-  Times are from the browser, corrected by the clock offset, which is measured with short round trips. A pipeline that
-  has not consumed the last moments slows the page down: the page sends the next head pose, and everything that
-  belongs to it, when there is capacity, and drops the moments in between.
+  Times are from the browser, corrected by the clock offset, which is measured with short round trips. A slow pipeline
+  slows the page down: the page sends the next sample (the head pose and everything that belongs to it) only when the
+  pipeline has capacity, and drops the samples in between.
 
   ## Options
 
@@ -59,7 +59,7 @@ defmodule Situ.Studio.Headset do
   alias Situ.Studio.Sensor.Inbox
 
   @behaviour Situ.Studio.Sensor.Packet
-  # The maximum number of moments in flight.
+  # The maximum number of samples in flight.
   @ahead 4
 
   @doc "Adds the headset to a pipeline; returns its streams."

@@ -25,7 +25,6 @@ defmodule Situ.Studio.History do
   @doc """
   Creates an empty history. Options: `:seconds` to keep (120), `:megabytes` to keep per stream (64), and `:live`,
   whether more messages will follow.
-  more messages will follow.
   """
   @spec new(keyword()) :: t()
   def new(opts \\ []) do

@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Layout do
   @moduledoc """
-  The layout of a page: rows from top to bottom, each with one panel on the time axis or several cells at the cursor.
-  A layout is pure data with a JSON form (`Situ.Studio.Layout.Json`), so it can be saved to a file or written by hand.
+  Describes the layout of a page: rows from top to bottom, each with one panel on the time axis or several cells at
+  the cursor. A layout is pure data with a JSON form (`Situ.Studio.Layout.Json`), so it can be saved to a file or
+  written by hand.
 
       iex> layout = Situ.Studio.Layout.new("mine")
       iex> {:ok, layout, id} = Situ.Studio.Layout.add_stream(layout, "A.level", "line", :plot, "")
@@ -12,7 +13,7 @@ defmodule Situ.Studio.Layout do
   alias Situ.Error
 
   defmodule Visualization do
-    @moduledoc "A stream with a visualizer; `path` selects a part of its messages."
+    @moduledoc "Represents a stream with a visualizer; `path` selects a part of its messages."
     @enforce_keys [:viz, :stream]
     defstruct [:viz, :stream, path: "", props: %{}]
 
@@ -26,9 +27,9 @@ defmodule Situ.Studio.Layout do
 
   defmodule Panel do
     @moduledoc """
-    A panel: `:plot` and `:lanes` fill a row, other panels are cells of a row. With `axis: :own`, each line of a plot
-    is scaled to its own minimum and maximum within the view. `threshold` covers the values below or above it, so that
-    the others stand out.
+    Represents a panel: `:plot` and `:lanes` fill a row, other panels are cells of a row. With `axis: :own`, each
+    line of a plot is scaled to its own minimum and maximum within the view. `threshold` covers the values below or
+    above a limit, so that the other values stand out.
     """
     @enforce_keys [:id, :panel]
     defstruct [:id, :panel, row: nil, height: nil, vis: [], axis: nil, threshold: nil]

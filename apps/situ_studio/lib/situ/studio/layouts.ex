@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Layouts do
   @moduledoc """
-  Named layouts in a folder, one JSON file each. The file contains the name; the file name is derived from the letters
-  and digits of the name.
+  Saves named layouts in a folder, one JSON file each. The file contains the name; the file name is derived from the
+  letters and digits of the name.
   """
   alias Situ.Error
   alias Situ.Studio.Layout

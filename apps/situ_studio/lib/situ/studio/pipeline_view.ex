@@ -1,8 +1,8 @@
 defmodule Situ.Studio.PipelineView do
   @moduledoc """
-  The page of a pipeline's graph. It shows components, composites that can be folded, and connections with their
-  policies, coloured by any statistic of `Situ.Studio.PipelineView.Stats`. A click shows an object's statistics on the
-  right, with plots of their history.
+  Serves the page of a pipeline's graph. It shows components, composites that can be folded, and connections with
+  their policies, coloured by any statistic of `Situ.Studio.PipelineView.Stats`. A click shows an object's statistics
+  on the right, with plots of their history.
 
   For a running pipeline the page shows the current state, updated twice a second, and the hour before the page was
   opened. For a recording it shows the moment chosen below the graph. The address contains the view: `heat`, `mark`,
@@ -93,7 +93,7 @@ defmodule Situ.Studio.PipelineView do
     |> assign(samples: [])
   end
 
-  # -- the address
+  # The following functions handle the address.
 
   @impl true
   def handle_params(_params, _uri, %{assigns: %{error: %{}}} = socket), do: {:noreply, socket}
@@ -119,7 +119,7 @@ defmodule Situ.Studio.PipelineView do
     do:
       push_patch(socket, to: AddressParams.build_address(socket.assigns, changes), replace: true)
 
-  # -- events from the page
+  # The following clauses handle events from the page.
 
   @impl true
   def handle_event(_, _, %{assigns: %{error: %{}}} = socket), do: {:noreply, socket}
@@ -179,7 +179,7 @@ defmodule Situ.Studio.PipelineView do
 
   def handle_event(_, _, socket), do: {:noreply, socket}
 
-  # -- updates
+  # The following clauses handle updates.
 
   @impl true
   def handle_info(:tick, socket) do
@@ -270,7 +270,7 @@ defmodule Situ.Studio.PipelineView do
     end
   end
 
-  # -- events to the page's hooks
+  # The following functions push events to the page's hooks.
 
   defp push_graph(socket) do
     a = socket.assigns

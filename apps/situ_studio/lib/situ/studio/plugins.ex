@@ -30,12 +30,13 @@ defmodule Situ.Studio.Plugins do
   A broken plug-in affects nothing else. If its code does not compile, its visualizers stay available and their panels
   show the error. Code of plug-ins runs in separate processes (`Situ.Studio.Plugins.Sandbox`).
   """
+  # See docs/adr/0083-plug-ins-are-folders-with-a-manifest.md.
   alias Situ.Error
   alias Situ.Studio.{Adapter, Visualizer, Visualizers}
   alias Situ.Studio.Plugins.{Code, Manifest}
 
   defmodule Plugin do
-    @moduledoc "A plug-in; `problem` explains why it cannot be used."
+    @moduledoc "Represents a loaded plug-in; `problem` explains why it cannot be used."
     @enforce_keys [:id, :title, :folder]
     defstruct [:id, :title, :folder, :problem, visualizers: [], modules: []]
 

@@ -8,7 +8,7 @@ defmodule Situ.Studio.Sensor do
     buffer: [
       type: :pos_integer,
       default: 200,
-      doc: "The number of audio chunks buffered for a slow pipeline; then the oldest is dropped."
+      doc: "The number of audio chunks buffered for a slow pipeline; the oldest are dropped."
     ]
   ]
 

@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Settings do
   @moduledoc """
-  The settings that all browsers of a studio share, in a JSON file next to the layouts folder. Missing or invalid
-  values fall back to their defaults, so that every page opens even if the file is damaged. Settings of a single
-  browser are stored in that browser.
+  Stores the settings that all browsers of a studio share, in a JSON file next to the layouts folder. Missing or
+  invalid values fall back to their defaults, so that every page opens even if the file is damaged. Settings of a
+  single browser are stored in that browser.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-settings/layouts")
       iex> :ok = Situ.Studio.Settings.save(folder, %Situ.Studio.Settings{info: :size})

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Source do
   @moduledoc """
-  A source of streams: a store on disk, a store that is being written, or a running pipeline. The studio reads all
-  data through these functions; handles are plain terms that any process can use.
+  Defines sources of streams: a store on disk, a store that is being written, or a running pipeline. The studio reads
+  all data through these functions; handles are plain terms that any process can use.
 
   Times are inclusive at both ends. A source that is gone returns `{:error, error}` and the page shows the error.
   """

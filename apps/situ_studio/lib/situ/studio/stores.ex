@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Stores do
   @moduledoc false
-  # Finds recordings and datasets at or below a path by name, the name that addresses contain. Symbolic links are not
+  # Finds recordings and datasets at or below a path by the names that addresses contain. Symbolic links are not
   # followed, because they may form a cycle or lead out of the folder.
 
   alias Situ.Dataset.FileFormat

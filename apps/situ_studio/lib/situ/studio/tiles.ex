@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Tiles do
   @moduledoc """
-  The source of map tiles. There is none unless the user names an address or a folder. The page's content security
-  policy allows tiles only from that origin, and requests contain nothing but tile numbers.
+  Describes the source of map tiles. There is none unless the user names an address or a folder. The page's content
+  security policy allows tiles only from that origin, and requests contain nothing but tile numbers.
 
       iex> {:ok, tiles} = Situ.Studio.Tiles.new("https://tile.example.org/{z}/{x}/{y}.png", "Example's maps")
       iex> {Situ.Studio.Tiles.allowed_origins(tiles), tiles.credit}

@@ -12,8 +12,8 @@ defmodule Situ.Studio.Tree do
 
   defmodule Row do
     @moduledoc """
-    A row of the tree. `item` is `nil` for a group without a stream; `open?` is `nil` for a leaf; `under` contains the
-    items below it.
+    Represents a row of the tree. `item` is `nil` for a group without a stream; `open?` is `nil` for a leaf; `under`
+    contains the items below it.
     """
     @enforce_keys [:path, :label, :depth]
     defstruct [:path, :label, :depth, :item, :open?, under: []]

@@ -18,7 +18,7 @@ defmodule Situ.Studio.Visualizer do
 
         @impl true
         def window(source, channel, spec, from, to, _bin) do
-          with {:ok, messages} <- Draw.Messages.fetch_around(source, spec, from, to) do
+          with {:ok, messages} <- Draw.WindowMessages.fetch_around(source, spec, from, to) do
             points = for m <- messages, do: Draw.Bins.point(m.originating_time, (m.data - 32) / 1.8)
             Frame.series(channel, points, true)
           end
@@ -98,8 +98,8 @@ defmodule Situ.Studio.Visualizer do
               Frame.t() | {:error, String.t()}
 
   @doc """
-  Like `c:instant/3`, for visualizers that also need the source or the properties of the channel. `{:kept, frame,
-  kept}` also returns the parts that the page caches after that frame.
+  Does the same as `c:instant/3`, for visualizers that also need the source or the properties of the channel.
+  `{:kept, frame, kept}` also returns the parts that the page caches after that frame.
   """
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t(), context()) ::
               Frame.t() | {:kept, Frame.t(), map() | nil} | {:error, String.t()}

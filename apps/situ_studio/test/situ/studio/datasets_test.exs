@@ -246,11 +246,11 @@ defmodule Situ.Studio.DatasetsTest do
       {List.last(Page.take_pushed_events(page, "toast"))["text"], dataset}
     end
 
-    assert {"2 sessions added; there already: c", dataset} = add.("sessions", [], "day 1")
+    assert {"2 sessions added; already present: c", dataset} = add.("sessions", [], "day 1")
     assert Enum.map(dataset.sessions, & &1.name) == ["a/b", "bad", "c", "am", "pm"]
     assert {"1 recording added", dataset} = add.("recordings", ["c"], "day 1/c")
     assert Enum.map(Enum.at(dataset.sessions, 2).partitions, & &1.name) == ["Room", "z"]
-    assert {"0 sessions added; there already: " <> _, ^dataset} = add.("session", [], "day 1")
+    assert {"0 sessions added; already present: " <> _, ^dataset} = add.("session", [], "day 1")
     # The folder is not below the studio's folder.
     assert {_, ^dataset} = add.("session", [], "../..")
   end
@@ -310,7 +310,11 @@ defmodule Situ.Studio.DatasetsTest do
     assert [%{name: "Room", path: path}] = List.last(dataset.sessions).partitions
     assert path == Path.join(dir, "moved.0000")
 
-    for {name, said} <- [{"../escaped", "cannot be"}, {"copy", nil}, {"copy.json", "already"}] do
+    for {name, said} <- [
+          {"../escaped", "not a valid file name"},
+          {"copy", nil},
+          {"copy.json", "already"}
+        ] do
       Page.send_event(page, "ask", %{"what" => "copy", "path" => []})
       Page.send_event(page, "answer", %{"text" => name})
       if said, do: assert(List.last(Page.take_pushed_events(page, "toast"))["text"] =~ said)

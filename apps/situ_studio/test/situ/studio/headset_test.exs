@@ -185,7 +185,7 @@ defmodule Situ.Studio.HeadsetTest do
     end
 
     assert {:error, error} = Situ.Pipeline.run(twice)
-    assert Exception.message(error) =~ ~s(shown as "a" in "twice" already)
+    assert Exception.message(error) =~ ~s(the name "a" is already in use in "twice")
 
     assert_raise Situ.Error, ~r/invalid colour "red"/, fn ->
       Situ.Pipeline.run(fn p -> p |> Situ.from_enumerable(1..3) |> Display.show(color: "red") end)

@@ -10,7 +10,7 @@ defmodule Situ.Image.Format do
 
   @type t :: :gray8 | :gray16 | :bgr24 | :rgb24 | :bgrx32 | :bgra32 | :rgba32 | :rgba64
 
-  # {format, code in files, bits a channel, channels}
+  # {format, code in files, bits per channel, channels}
   @table [
     {:gray8, 1, 8, [:gray]},
     {:gray16, 2, 16, [:gray]},

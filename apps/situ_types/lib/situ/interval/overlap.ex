@@ -1,7 +1,7 @@
 defmodule Situ.Interval.Overlap do
   @moduledoc false
-  # Compares two intervals whose smaller end is on the left. Results are ends,
-  # `{left, left_inclusive, right, right_inclusive}`, from which `Situ.Interval` builds intervals.
+  # Compares two intervals whose smaller end is on the left. Results are `{left, left_inclusive, right,
+  # right_inclusive}`, from which `Situ.Interval` builds intervals.
 
   @type interval :: Situ.Interval.t()
   @type ends :: {Situ.Interval.bound(), boolean(), Situ.Interval.bound(), boolean()}

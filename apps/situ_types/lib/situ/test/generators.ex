@@ -2,7 +2,7 @@ defmodule Situ.Test.Generators do
   @moduledoc """
   Generators for `Situ.Test.Property`: PropEr's generators under Elixir names, and some for streams.
 
-  A tuple or list of generators is a generator. Any other value is a generator of itself.
+  A tuple or list of generators is itself a generator. Any other value generates itself.
 
       iex> {:ok, n} = :proper_gen.pick(Situ.Test.Generators.integer(1, 6))
       iex> n in 1..6

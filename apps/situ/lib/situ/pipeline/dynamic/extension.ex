@@ -2,6 +2,10 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   @moduledoc false
   # Adds components to a running pipeline and removes them. The caller builds on a copy of the graph with its own range
   # of ids. The server merges the new components and plans them like any graph, and the life cycle starts them.
+  #
+  # If each addition took effect immediately, half a graph would run while the rest is being
+  # built. A copy needs no lock, and its own range of ids avoids collisions. New components never
+  # share a process with running ones. If one of them fails to start, all of them are removed.
   alias Situ.{Error, Graph}
   alias Situ.Graph.{Additions, Plan}
   alias Situ.Pipeline.{Stages, State}

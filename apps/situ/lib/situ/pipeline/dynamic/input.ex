@@ -6,6 +6,11 @@ defmodule Situ.Pipeline.Dynamic.Input do
   #      see (`{:lend, ...}`).
   #   2. The component accepts or rejects the input, and asks for the first messages (`{:attach, ...}`).
   #   3. The caller receives its reply, and the graph has the connection.
+  #
+  # An input takes part from an originating time and not from the moment of the call. Otherwise
+  # the outputs would depend on when the call arrived, and a replay would differ from its
+  # recording. A stream of "input added" events was rejected, because it would carry streams as
+  # data, which cannot be recorded.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.Edge
   alias Situ.Lifecycle.Errors
@@ -181,7 +186,8 @@ defmodule Situ.Pipeline.Dynamic.Input do
   defp extended_inputs(vertex, link),
     do: vertex.inputs ++ [{link.input, %{type: :any, optional: true}}]
 
-  # Changes the first vertex of a stage, which a restart begins with, and also in the graph unless it was removed there.
+  # Changes the first vertex of a stage, with which a restart begins. Also changes it in the graph, unless it was
+  # removed there.
   defp update_head_vertex(state, id, fun) do
     stage = Map.fetch!(state.stages, id)
     [head | rest] = stage.vertices

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Arrow.File do
   @moduledoc false
   # Reads an Arrow file: its columns, and the rows of its batches, a few at a time. The streaming format has no
-  # footer, so opening it scans its messages once.
+  # footer, so its messages are scanned once when a file is opened.
   @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Arrow.{Batch, FlatBuffer, Schema, Values}
   alias Situ.Bridge.Columnar.Input
@@ -127,7 +127,7 @@ defmodule Situ.Bridge.Arrow.File do
     groups
   end
 
-  # Adds the entries of a dictionary. A delta extends the known entries, otherwise they are replaced.
+  # Adds the entries of a dictionary. A delta extends the known entries; any other message replaces them.
   defp put_dictionary(known, block, dictionaries, read) do
     {bytes, root} = Batch.read_metadata(block, @dictionary, read)
     id = FlatBuffer.read_number(bytes, root, 0, :i64, 0)

@@ -93,7 +93,7 @@ defmodule Situ.Bridge.Arrow.Writer do
     [[<<0::64>> | ends], Enum.map(values, &(&1 || ""))]
   end
 
-  # Missing values take up space, too; their content is arbitrary.
+  # Missing values take up space, too, but their content is arbitrary.
   defp pack_buffers(kind, values, _rows) do
     zero = if kind == :boolean, do: false, else: 0
     [Column.pack_values(kind, Enum.map(values, &if(&1 == nil, do: zero, else: &1)))]

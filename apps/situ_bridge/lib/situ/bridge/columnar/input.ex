@@ -1,10 +1,11 @@
 defmodule Situ.Bridge.Columnar.Input do
   @moduledoc false
-  # Random access to the bytes of a file, and the rows that a reader makes of them. A reader throws `{kind, why}` if
-  # the file violates its format, and so does reading beyond the end of the file. Callers get a `Situ.Error`.
+  # Reads the bytes of a file at any offset, and streams the rows that a reader decodes from them. A reader throws
+  # `{kind, why}` if the file violates its format, and reading beyond the end of the file throws as well. Callers get
+  # a `Situ.Error`.
   alias Situ.Error
 
-  @typedoc "The code of the errors, and the name of the format in their messages."
+  @typedoc "The code of the errors, and the name of the format in error messages."
   @type format :: {kind :: atom(), name :: String.t()}
   @typedoc "Reads `n` bytes at an offset of the file."
   @type read :: (at :: integer(), n :: non_neg_integer() -> binary())
@@ -26,8 +27,8 @@ defmodule Situ.Bridge.Columnar.Input do
   end
 
   @doc """
-  Returns rows as a lazy enumerable. `start` turns the open file into a state; `next` returns some rows and the next
-  state, or `:done`. Raises `Situ.Error`: `:io`, or the error of the format.
+  Returns rows as a lazy enumerable. `start` builds the initial state from the open file. `next` returns some rows and
+  the next state, or `:done`. Raises `Situ.Error`: `:io`, or the error of the format.
   """
   @spec stream_rows(Path.t(), format(), (t() -> state), (state -> {[row], state} | :done)) ::
           Enumerable.t()

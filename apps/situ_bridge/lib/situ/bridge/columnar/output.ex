@@ -17,7 +17,7 @@ defmodule Situ.Bridge.Columnar.Output do
 
   defp unfinished_path(path), do: path <> ".unfinished"
 
-  @doc "Appends bytes and advances `at`, the offset of the end."
+  @doc "Appends bytes and advances `at`, the offset at which the file ends."
   @spec append_bytes(t(), iodata()) :: {:ok, t()} | {:error, Error.t()}
   def append_bytes(output, bytes) do
     case :file.write(output.file, bytes) do

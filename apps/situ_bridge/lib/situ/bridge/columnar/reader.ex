@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Columnar.Reader do
   @moduledoc false
   # The behaviour of a reader of columnar files: opens a file, and streams the rows of each of its groups.
+  # See docs/adr/0101-parquet-and-arrow-are-plain-elixir.md.
   alias Situ.Error
 
   @type column :: %{required(:name) => String.t(), optional(atom()) => term()}

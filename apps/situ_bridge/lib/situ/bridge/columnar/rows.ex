@@ -40,7 +40,7 @@ defmodule Situ.Bridge.Columnar.Rows do
   defp put_kind(kinds, _name, same, same), do: kinds
   defp put_kind(kinds, name, _known, wider), do: Map.put(kinds, name, wider)
 
-  @doc "Returns the columns that follow the times, sorted by name. A column that never had a value is text."
+  @doc "Returns the columns that follow the times, sorted by name. A column without any values has the type text."
   @spec build_columns(kinds()) :: [Column.t()]
   def build_columns(kinds) do
     for {name, kind} <- Enum.sort(kinds), do: %Column{name: name, kind: kind || :text}

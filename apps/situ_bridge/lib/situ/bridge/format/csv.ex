@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Format.Csv do
   def record(value, time, n) when is_integer(n),
     do: encode_row(time, Enum.map(named_fields(value), &elem(&1, 1)))
 
-  # A record has the columns of the heading: missing members become empty fields, additional members cannot be
+  # A record has the columns of the heading. Missing members become empty fields, and additional members cannot be
   # written.
   def record(value, time, {_n, names}) do
     columns = named_fields(value)
@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Format.Csv do
   @impl true
   def finish(_n), do: ""
 
-  # A list that contains only floats is an array of doubles, which has a column per element.
+  # A list that contains only floats becomes an array of doubles, with a column for each element.
   defp prepare_value(list) when is_list(list) and list != [] do
     if Enum.all?(list, &double?/1), do: {:doubles, list}, else: Value.to_plain(list)
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Format.JsonLines do
   @moduledoc false
-  # Encodes messages as one line of JSON each.
+  # Encodes each message as one line of JSON.
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.Json
 

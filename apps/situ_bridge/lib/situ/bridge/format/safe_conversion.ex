@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Format.SafeConversion do
   Returns the result of `make`, or `:error` if it raises because the message does not have the expected fields.
 
       iex> alias Situ.Bridge.Format.SafeConversion
-      iex> {Fitting.try_build(fn -> {:ok, 1} end), Fitting.try_build(fn -> Map.fetch!(%{}, "x") end)}
+      iex> {SafeConversion.try_build(fn -> {:ok, 1} end), SafeConversion.try_build(fn -> Map.fetch!(%{}, "x") end)}
       {{:ok, 1}, :error}
   """
   @spec try_build((() -> result)) :: result | :error when result: term()

@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Foxglove.Session do
   @moduledoc false
   # One client, with its subscriptions and the time up to which each was served. It is not a process: `open/3`,
-  # `handle_frame/3` and `tick/2` return the frames to send and the next state. `now` is a monotonic clock in nanoseconds.
+  # `handle_frame/3` and `tick/2` return the frames to send and the next state. `now` is a monotonic clock in
+  # nanoseconds.
   alias Situ.Bridge.Foxglove.{Playback, StoreChannels, Wire}
 
   @protocols ["foxglove.sdk.v1", "foxglove.websocket.v1"]

@@ -1,14 +1,14 @@
 defmodule Situ.Bridge.Foxglove.StandardTypes do
   @moduledoc """
   Converts between Foxglove's messages and Situ's types. Timestamps are written from originating times. Messages
-  without a Situ type (`Log`, `LaserScan`, `SceneUpdate` ...) stay maps, see `Situ.Bridge.Protobuf`.
+  without a Situ type (`Log`, `LaserScan`, `SceneUpdate` ...) stay maps; see `Situ.Bridge.Protobuf`.
 
   | Foxglove | Situ |
   |---|---|
   | `CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
   | `RawImage` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
   | `PointCloud` (x, y, z as float32; red, green, blue as uint8) | `Situ.PointCloud` |
-  | `FrameTransform`, `FrameTransforms` | `Situ.Transform`, a list of them |
+  | `FrameTransform`, `FrameTransforms` | a `Situ.Transform`, or a list of them |
   | `Pose`, `PoseInFrame` | `Situ.Pose` |
   | `Point3`, `Vector3` | `Situ.Point3` |
   | `CameraCalibration` | `Situ.CameraIntrinsics` |
@@ -183,8 +183,8 @@ defmodule Situ.Bridge.Foxglove.StandardTypes do
   def message_type(_), do: nil
 
   @doc """
-  Converts data to a message of a type. Situ's types become Foxglove's, with `time` as their timestamp and `frame` as
-  their frame of reference; maps and other values are returned unchanged.
+  Converts data to a message of the type `name`. Situ's types become Foxglove's, with `time` as their timestamp and
+  `frame` as their frame of reference. Maps and other values are returned unchanged.
   """
   @spec to_message(String.t(), term(), Situ.Time.t(), String.t()) :: term()
   def to_message(name, value, time, frame \\ "")

@@ -62,7 +62,7 @@ defmodule Situ.Bridge.Foxglove.StoreChannels do
 
   @doc """
   Returns a channel's messages after `from`, up to `to`, as `{time, {:ok, bytes} | {:error, reason}}`, and whether
-  these are all of them.
+  this list is complete.
   """
   @spec messages_between(t(), non_neg_integer(), Situ.Time.t(), Situ.Time.t()) ::
           {[{Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}], all? :: boolean()}
@@ -80,7 +80,7 @@ defmodule Situ.Bridge.Foxglove.StoreChannels do
     end
   end
 
-  @doc "Returns the channel's latest message at a time as a list, which is empty if there is none."
+  @doc "Returns a list with the channel's latest message at or before a time, or an empty list."
   @spec latest_message(t(), non_neg_integer(), Situ.Time.t()) :: [
           {Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}
         ]

@@ -73,6 +73,6 @@ defmodule Situ.Bridge.Foxglove.Wire do
        byte_size(id)::little-32, id::binary>>}
   end
 
-  # The protocol has no times before 1970.
+  # The protocol cannot represent times before 1970.
   defp clamp_time(time), do: time |> max(0) |> min(@most_time)
 end

@@ -158,7 +158,7 @@ defmodule Situ.Bridge.Mcap.Codec do
 
   def decode(codec, bytes), do: decode_ros(codec, bytes)
 
-  # Returns the message that an export of its value alone would write.
+  # Returns the message that an export would write if it had only the value.
   defp rewrite_message(%{kind: :protobuf, name: name}, message) do
     value = Foxglove.StandardTypes.from_message(name, message)
     Foxglove.StandardTypes.to_message(name, value, 0)

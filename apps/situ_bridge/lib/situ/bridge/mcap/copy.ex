@@ -1,6 +1,12 @@
 defmodule Situ.Bridge.Mcap.Copy do
   @moduledoc false
   # Copies an MCAP file record by record in native code, without decoding messages.
+  #
+  # Decoding and encoding each message lost publish times, sequence numbers, channel metadata and
+  # custom schemas, and changed equal log times by a nanosecond. The native copy therefore follows
+  # the records in the order of the file and does not trust its index. After damage, it continues
+  # at the next bytes that look like a record. Only `order: :time` keeps the positions of all
+  # messages in memory (24 bytes each).
   alias Situ.Bridge.Mcap.{NativeError, Options, Writer}
   alias Situ.Bridge.Native
   alias Situ.Error
@@ -57,7 +63,7 @@ defmodule Situ.Bridge.Mcap.Copy do
   def copy_file(state, path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
          {:ok, {copy, writer}} <- begin_copy(state, path, opts) do
-      # The error of a step names the original file, unless the disk is full.
+      # The errors of a step name the original file, unless the disk is full.
       with {:ok, copied} <- run_steps(copy, opts[:progress] || fn _ -> :ok end, state.path),
            :ok <- Writer.write_extras(writer, opts, path),
            {:ok, _} <- NativeError.wrap_result(Native.mcap_finish(writer), path),

@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Mcap.ExtraFields do
   @moduledoc false
-  # Fields of messages that Situ's types cannot hold: headers, covariances, additional point fields. An import writes
-  # them to a second stream, and the schema to the metadata of the first one. An export restores both.
+  # Handles the fields of messages that Situ's types cannot hold, such as headers, covariances and additional point
+  # fields. An import writes them to a second stream, and the schema to the metadata of the first one. An export
+  # restores both.
   alias Situ.{Message, Store, Time}
   alias Situ.Store.StreamInfo
 
@@ -34,7 +35,7 @@ defmodule Situ.Bridge.Mcap.ExtraFields do
     Map.put(metadata, "schema", schema)
   end
 
-  @doc "Returns the header of a message, and the fields that `rewritten` lacks or in which it differs."
+  @doc "Returns the header of a message, and the fields that are missing or different in `rewritten`."
   @spec take_extra(map(), map()) :: map()
   def take_extra(message, rewritten) do
     extra = missing_fields(message, rewritten)

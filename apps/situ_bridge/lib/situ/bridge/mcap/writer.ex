@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Mcap.Writer do
   @moduledoc false
   @behaviour Situ.Bridge.Recorder
-  # An MCAP file and its channels, as a value. The native writer holds the current chunk and receives messages in
-  # batches: each native call switches threads, which costs more than a small message.
+  # An MCAP file and its channels. The native writer holds the current chunk and receives messages in batches, because
+  # each native call switches threads, which costs more than a small message.
   alias Situ.Bridge.Mcap.{Channel, ExtraFields, NativeError, Options}
   alias Situ.Bridge.Native
   alias Situ.Error
@@ -67,7 +67,7 @@ defmodule Situ.Bridge.Mcap.Writer do
      )}
   end
 
-  # Attachments from files use the modification time.
+  # An attachment from a file gets the file's modification time.
   defp modified_time(file) do
     case File.stat(file, time: :posix) do
       {:ok, %{mtime: mtime}} -> max(mtime, 0) * 1_000_000_000

@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Mqtt.Sink do
               type: {:in, [0, 1]},
               default: 1,
               doc:
-                "1: the broker acknowledges each message, and the others are sent again. 0: messages are sent once."
+                "1: messages are sent again until the broker acknowledges them. 0: messages are sent only once."
             ],
             retain: [
               type: :boolean,

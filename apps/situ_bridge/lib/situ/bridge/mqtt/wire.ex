@@ -1,6 +1,11 @@
 defmodule Situ.Bridge.Mqtt.Wire do
   @moduledoc false
   # The MQTT 3.1.1 packets that a client needs. Pure.
+  #
+  # A client needs only ten kinds of packets, so it is written here. The MQTT gateway of NATS
+  # would force users who already have a broker to bridge it to NATS. There is no QoS 2: with QoS
+  # 1 a message may arrive twice, and the second one is dropped because its time does not
+  # increase.
   import Situ.BinarySize, only: [pinned_size: 1]
   import Bitwise
 
@@ -20,7 +25,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
     password = read_password(opts[:password])
     password_flag = if password, do: 0x40, else: 0
     texts = for text <- [opts[:username], password], text, do: encode_string(text)
-    # Keep-alive is off: no packets are sent only to be acknowledged.
+    # Keep-alive is off, so no packets are sent merely to keep the connection open.
     encode_packet(1, 0, [
       encode_string("MQTT"),
       4,

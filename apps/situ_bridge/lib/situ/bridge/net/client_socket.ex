@@ -9,7 +9,7 @@ defmodule Situ.Bridge.Net.ClientSocket do
       default: false,
       doc:
         "Connects with TLS, and only to a server whose certificate is valid for its name. `true` trusts the " <>
-          "system's authorities. A list sets `authorities:` (a file of trusted ones), `name:` (the name in the " <>
+          "system's authorities. A list sets `authorities:` (a file that lists them), `name:` (the name in the " <>
           "certificate, if different), and `certificate:` and `key:` (files, if the server requires them of clients)."
     ]
   ]
@@ -22,7 +22,7 @@ defmodule Situ.Bridge.Net.ClientSocket do
   @spec tls_options() :: Situ.Options.schema()
   def tls_options, do: @options
 
-  @doc "Connects; the socket is active once. Error reasons come from `:gen_tcp` and `:ssl`, or are sentences."
+  @doc "Connects with a socket in active-once mode. Errors come from `:gen_tcp` and `:ssl`, or are sentences."
   @spec connect(String.t(), :inet.port_number(), tls(), keyword()) ::
           {:ok, t()} | {:error, term()}
   def connect(host, port, tls, options) do
@@ -114,7 +114,7 @@ defmodule Situ.Bridge.Net.ClientSocket do
   @spec close(t()) :: term()
   def close({module, socket}), do: module.close(socket)
 
-  @doc "Matches a process message with this connection: its bytes, its end, or an unrelated message."
+  @doc "Returns the bytes or the end of this connection that a process message contains, or `:other`."
   @spec match_message(term(), t() | nil) :: {:ok, binary()} | {:gone, term()} | :other
   def match_message({kind, socket, bytes}, {_, socket}) when kind in [:tcp, :ssl],
     do: {:ok, bytes}

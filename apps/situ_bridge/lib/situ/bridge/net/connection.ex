@@ -6,8 +6,8 @@ defmodule Situ.Bridge.Net.Connection do
   alias Situ.Bridge.Net.SendQueue
 
   @admission 5_000
-  # The limit of bytes from a client before it is admitted, or in one message afterwards. Exceeding it closes the
-  # connection.
+  # The maximum number of bytes that a client may send before it is admitted, or in one message afterwards. The
+  # connection of a client that sends more is closed.
   @most_said 65_536
 
   def start_link(server, outbox, protocol),

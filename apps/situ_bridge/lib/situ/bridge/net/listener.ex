@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Net.Listener do
   @moduledoc false
-  # A listening port. `start_acceptor/2` starts the accepting process, which asks `server` for a process for each connection
-  # (`:adopt`, with a pid or `:full` as the reply) and passes the connection to it as `{:adopt, tcp}`.
+  # A listening port. `start_acceptor/2` starts the accepting process, which asks `server` for a process for each
+  # connection (`:adopt`, with a pid or `:full` as the reply) and passes the connection to it as `{:adopt, tcp}`.
   alias Situ.Error
 
   @type t :: :gen_tcp.socket()

@@ -4,10 +4,10 @@ defmodule Situ.Bridge.Net.ReceiveBuffer do
   # message of a megabyte would be copied once per received segment. Pure.
   defstruct blocks: [], pieces: [], n: 0, size: 0
 
-  # Small segments cost more memory than their bytes, so this many are joined to a block.
+  # Small segments cost more memory than their bytes, so this many segments are joined to one block.
   @most 1_024
 
-  # The buffer size of such a socket. The system default of 1.4 kB would split an image into a thousand segments.
+  # The buffer size of a socket. The system default of 1.4 kB would split an image into a thousand segments.
   @buffer 262_144
 
   @type t :: %__MODULE__{
@@ -22,12 +22,12 @@ defmodule Situ.Bridge.Net.ReceiveBuffer do
   def buffer_size, do: @buffer
 
   @doc """
-  Adds a received segment; the reader lacks at least `missing` bytes.
+  Adds a received segment; the reader needs at least `missing` more bytes.
 
       iex> alias Situ.Bridge.Net.ReceiveBuffer
-      iex> {:more, pieces} = Pieces.add_bytes(%Pieces{}, "ab", 4)
-      iex> Pieces.add_bytes(pieces, "cde", 4)
-      {:ok, "abcde", %Pieces{}}
+      iex> {:more, pieces} = ReceiveBuffer.add_bytes(%ReceiveBuffer{}, "ab", 4)
+      iex> ReceiveBuffer.add_bytes(pieces, "cde", 4)
+      {:ok, "abcde", %ReceiveBuffer{}}
   """
   @spec add_bytes(t(), binary(), missing :: integer()) :: {:ok, binary(), t()} | {:more, t()}
   def add_bytes(%__MODULE__{size: 0} = none, bytes, missing) when byte_size(bytes) >= missing,

@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Net.Sink do
             interface: [
               type: :string,
               default: "127.0.0.1",
-              doc: "The interface to listen on; \"*\": all interfaces."
+              doc: "The interface to listen on; \"*\" means all interfaces."
             ]
           ] ++ PeerSender.options()
   @moduledoc false

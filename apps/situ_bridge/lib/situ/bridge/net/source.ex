@@ -9,11 +9,11 @@ defmodule Situ.Bridge.Net.Source do
             most: [
               type: :pos_integer,
               default: 64 * 1024 * 1024,
-              doc: "The largest message, bytes; a server that sends a larger one is disconnected."
+              doc: "The maximum message size in bytes; a server that sends more is disconnected."
             ]
           ] ++ ClientSocket.tls_options() ++ PayloadDecoder.options()
   @moduledoc false
-  # A connection to a server as an endless source. The component's process owns the socket: nothing is read while the
+  # A connection to a server as an endless source. The component's process owns the socket and reads nothing while the
   # component is busy, so the server waits or drops messages.
   use Situ.Component, outputs: [out: :any], options: @schema
   require Logger
@@ -112,7 +112,7 @@ defmodule Situ.Bridge.Net.Source do
     end
   end
 
-  # After a readable message the server is known to work: the next reconnect starts with the shortest wait.
+  # After a readable message the server is known to work, so the next reconnect starts with the shortest wait.
   defp reset_backoff(state, []), do: state
   defp reset_backoff(state, _payloads), do: %{state | wait: @first_wait, told: nil}
 

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Parquet.Leaf do
   @moduledoc false
   # A column of plain values: their representation in Parquet, and their meaning. Pure.
 
-  # Factors to nanoseconds: for the legacy converted types, and for the units of the logical types.
+  # The factors to nanoseconds for the legacy converted types, and for the units of the logical types.
   @old_kinds %{
     6 => {:times, 86_400_000_000_000},
     7 => {:times, 1_000_000},

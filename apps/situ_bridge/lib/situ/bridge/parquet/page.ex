@@ -19,7 +19,7 @@ defmodule Situ.Bridge.Parquet.Page do
           values: Values.t()
         }
 
-  @typedoc "The compression of a column chunk; `packed?` if the file may declare compressed pages as uncompressed."
+  @typedoc "The compression of a column chunk; `packed?` means that compressed pages may be declared as uncompressed."
   @type packing :: %{codec: integer(), packed?: boolean()}
 
   @typedoc "A value with its repetition and definition levels, or only the value for flat columns."

@@ -31,8 +31,8 @@ defmodule Situ.Bridge.Parquet.RunLength do
   Takes the next `count` numbers.
 
       iex> alias Situ.Bridge.Parquet.RunLength
-      iex> {first, runs} = <<6, 1, 3, 0b10001000>> |> Runs.from_bytes(1) |> Runs.take_numbers(5)
-      iex> {rest, _runs} = Runs.take_numbers(runs, 3)
+      iex> {first, runs} = <<6, 1, 3, 0b10001000>> |> RunLength.from_bytes(1) |> RunLength.take_numbers(5)
+      iex> {rest, _runs} = RunLength.take_numbers(runs, 3)
       iex> {first, rest}
       {[1, 1, 1, 0, 0], [0, 1, 0]}
   """

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Parquet.Values do
   @moduledoc false
-  # The values of one page, decoded a few at a time: a page of one megabyte has 131,072 floats, and each is four times
-  # as large as a term. Pure. Throws `{:not_parquet, why}`.
+  # Decodes the values of one page, a few at a time: a page of one megabyte has 131,072 floats, and each float takes
+  # four times as much memory as an Elixir term. Pure. Throws `{:not_parquet, why}`.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Parquet.{ByteArrays, Leaf, RunLength}
 
@@ -154,7 +154,7 @@ defmodule Situ.Bridge.Parquet.Values do
     {taken, {:decoded, values}}
   end
 
-  @doc "Returns whether values are left over. Only encodings with their own count of values can have some."
+  @doc "Returns whether values are left over. This is possible only for encodings that store their own count of values."
   @spec left_over?(t()) :: boolean()
   def left_over?(values), do: match?({:decoded, [_ | _]}, values)
 

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Protobuf.Descriptor do
   @moduledoc false
-  # Definitions in binary form: a FileDescriptorSet, decoded and encoded with its own schema. Pure.
+  # Decodes and encodes definitions in binary form (a FileDescriptorSet) with their own schema. Pure.
   alias Situ.Bridge.Protobuf.{Reader, Schema, ProtoParser, Writer}
   alias Schema.Field
 

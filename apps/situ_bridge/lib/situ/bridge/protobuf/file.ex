@@ -51,8 +51,8 @@ defmodule Situ.Bridge.Protobuf.File do
 
   Messages are maps (`Situ.Bridge.Protobuf`); Foxglove's messages are Situ's types. The option `time:` names the field
   with the originating time, which a writer fills in. A writer also saves the definition next to the file as
-  `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may have any length. A truncated file
-  is read to its last complete message, and then raises the error `:bad_file`.
+  `PATH.desc`, a FileDescriptorSet for `protoc --decode` and other readers. Files may have any length. If a file is
+  truncated, its complete messages are returned before the error `:bad_file` is raised.
   ## Options of `write/3`
 
   #{Situ.Options.docs(Keyword.delete(@write, :path))}
@@ -70,8 +70,8 @@ defmodule Situ.Bridge.Protobuf.File do
   end
 
   @doc """
-  Writes messages to a file and returns their number. The file and its definition appear under their names only when
-  complete. Takes the options of `write/3`, and `progress:`, a function that is called with the number of messages
+  Writes messages to a file and returns their number. The file and its definition get their final names only when they
+  are complete. Takes the options of `write/3`, and `progress:`, a function that is called with the number of messages
   written so far. Errors: `:no_such_type`, `:no_time`, `:not_writable`, `:io`.
   """
   @spec save(Enumerable.t(Situ.Message.t()), Path.t(), keyword()) ::
@@ -114,11 +114,11 @@ defmodule Situ.Bridge.Protobuf.File do
   @spec read(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def read(p, path, opts), do: Situ.Bridge.File.replay_source(p, messages(path, opts), path)
 
-  @doc "Calls `write/3`; every bridge has a function `sink`."
+  @doc "Same as `write/3`: all bridges have a function `sink` that sends a stream."
   @spec sink(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def sink(stream, path, opts), do: write(stream, path, opts)
 
-  @doc "Calls `read/3`; every bridge has a function `source`."
+  @doc "Same as `read/3`: all bridges have a function `source` that receives a stream."
   @spec source(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def source(p, path, opts), do: read(p, path, opts)
 
@@ -167,7 +167,7 @@ defmodule Situ.Bridge.Protobuf.File do
           Messages.load_schema()
       end
 
-    # Decoding returns the error that lists the existing types.
+    # Decoding an unknown type returns an error that lists the existing types.
     if not is_map_key(schema.messages, opts[:type]),
       do: Error.unwrap!(Protobuf.decode(schema, opts[:type], ""))
 

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Protobuf.Schema do
   @moduledoc false
-  # The messages and enumerations of a definition, by their full names. Pure data: parsed by `Protobuf.Text` and
-  # `Protobuf.Descriptor`, and completed by `new/2`.
+  # The messages and enumerations of a definition, by their full names. `Protobuf.ProtoParser` and
+  # `Protobuf.Descriptor` parse them, and `new/2` checks and completes them. Pure.
 
   defmodule Field do
     @moduledoc false
@@ -39,7 +39,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
   @most_types 5_000
   @most_fields 2_000
 
-  @doc "Returns the scalar type of a name."
+  @doc "Returns the scalar type with this name."
   @spec fetch_scalar(String.t()) :: {:ok, atom()} | :error
   def fetch_scalar(name), do: Map.fetch(@names, name)
 
@@ -147,7 +147,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
   def fixed_kind(:sfixed32), do: {:int32, 4}
   def fixed_kind(_type), do: nil
 
-  @doc "Returns the value of a scalar field that is not encoded."
+  @doc "Returns the default value of a scalar type, which is used for fields that are not encoded."
   @spec zero_value(atom()) :: term()
   def zero_value(type) when type in [:double, :float], do: 0.0
   def zero_value(:bool), do: false

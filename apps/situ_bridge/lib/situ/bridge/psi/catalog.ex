@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Psi.Catalog do
   @moduledoc false
-  # The catalog lists the streams and types of a store. It is append-only; the last entry of a stream counts.
+  # The catalog lists the streams and types of a store. It is append-only, so the last entry of a stream is the valid
+  # one.
   import Bitwise
   alias Situ.Bridge.Psi.{Blocks, Bytes, Schema}
 

@@ -147,7 +147,7 @@ defmodule Situ.Bridge.Psi.Decoder do
     state = forget_node_references(plan, id, refs, state)
     value = value |> with_type(type, plan) |> with_id(id, state)
 
-    # An object that contains references by number cannot be repeated in another place.
+    # An object that contains references by number cannot be repeated at another position.
     done = if state.refs == refs, do: {value, state.nodes - nodes}, else: :open
     {value, rest, %{state | objects: Map.put(state.objects, id, done)}}
   end

@@ -19,9 +19,9 @@ defmodule Situ.Bridge.Psi.TypePlans do
   @deepest 32
 
   @doc """
-  Builds the plans of all types. `runtime` maps type numbers to the type names that streams declare; the first version
-  of \\psi had no schemas. Enums without a schema are assumed to have 32 bits. `others` has the plans for other enum
-  widths, if they differ.
+  Builds the plans of all types. `runtime` maps type numbers to the type names that streams declare, because the first
+  version of \\psi stored no schemas. Enums without a schema are assumed to have 32 bits. `others` has the plans for
+  other enum widths, if they differ.
   """
   @spec new([Schema.t()], %{integer() => String.t()}) :: t()
   def new(schemas, runtime \\ %{}) do

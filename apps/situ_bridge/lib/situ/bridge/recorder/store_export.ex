@@ -192,7 +192,7 @@ defmodule Situ.Bridge.Recorder.StoreExport do
     end
   end
 
-  # Inserts after heads with the same time, so that streams alternate.
+  # Inserts the stream after other streams with the same time, so that they alternate.
   defp insert_head([{other, _, _, _, _} = head | heads], time, new) when other <= time,
     do: [head | insert_head(heads, time, new)]
 

@@ -9,17 +9,19 @@ defmodule Situ.Bridge.Ros.Bag do
   @schema Codec.time_options() ++ Codec.reader_options()
 
   @moduledoc """
-  Opens ROS 1 bags (version 2.0) as recordings: `Situ.Store.open("drive.bag")`. The studio, `bin/situ store` and replay
-  open them too. `create/3` and `write/4` write a bag while a pipeline runs; `export/3` writes one from a recording.
+  Opens ROS 1 bags (version 2.0) as recordings with `Situ.Store.open("drive.bag")`. They also work in the studio, in
+  `bin/situ store` and for replay. `create/3` and `write/4` write a bag while a pipeline runs, and `export/3` writes
+  one from a recording.
 
       {:ok, store} = Situ.Store.open("drive.bag", reader_opts: [times: :header])
       drive = Situ.Bridge.Ros.Bag.create(p, "drive.bag")
       Situ.Bridge.Ros.Bag.write(images, drive, "/camera/image_raw")
 
-  Each topic is a stream. Messages are decoded with the definition in the bag; standard types become Situ's types
-  (`Situ.Bridge.Ros.StandardTypes`). Messages of a topic with the same time are placed one nanosecond apart. Bags without an
-  index (`.bag.active`, because the recorder was killed) are scanned. Chunks may be uncompressed or LZ4; bzip2 chunks
-  are skipped and reported under `:damage`. Written chunks are uncompressed unless `compression: :lz4` is given.
+  Each topic is a stream. Messages are decoded with the definition in the bag, and standard types become Situ's types
+  (`Situ.Bridge.Ros.StandardTypes`). Messages of a topic with the same time are placed one nanosecond apart. Bags
+  without an index (`.bag.active`, because the recorder was killed) are scanned. Chunks may be uncompressed or LZ4;
+  bzip2 chunks are skipped and reported under `:damage`. Written chunks are uncompressed unless `compression: :lz4` is
+  given.
 
   Depth images that the RealSense SDK recorded (`/device_0/sensor_0/Depth_0/image/data`) become `Situ.DepthImage`, with
   the unit given in the bag. The camera's `Situ.CameraIntrinsics` are in `.../Depth_0/info/camera_info`.

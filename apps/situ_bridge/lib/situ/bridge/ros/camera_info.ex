@@ -27,7 +27,7 @@ defmodule Situ.Bridge.Ros.CameraInfo do
 
   def from_message(_), do: :error
 
-  # The last two are the names of the RealSense SDK. Its inverse model maps distorted to undistorted coordinates.
+  # The RealSense SDK uses the last two names. Its inverse model maps distorted to undistorted coordinates.
   @inverse "Inverse Brown Conrady"
   @models ["plumb_bob", "rational_polynomial", "", "Brown Conrady", @inverse]
 

@@ -3,13 +3,13 @@ defmodule Situ.Bridge.Ros.Db3 do
 
   @schema Codec.time_options() ++ Codec.reader_options()
   @moduledoc """
-  Opens ROS 2 bags in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`. The studio,
-  `bin/situ store` and replay open them too.
+  Opens ROS 2 bags in SQLite (`.db3`) as recordings with `Situ.Store.open("drive/drive_0.db3")`. They also work in the
+  studio, in `bin/situ store` and for replay.
 
   Each topic is a stream. Messages (CDR) are decoded with the definitions in the file, which ROS 2 has written since
-  Iron, or with ROS's standard definitions. Standard types become Situ's types (`Situ.Bridge.Ros.StandardTypes`). Each file
-  of a split bag is a separate recording. The program `sqlite3` (the Debian package of the same name) reads the file in
-  a separate process. The file is never modified.
+  Iron, or with ROS's standard definitions. Standard types become Situ's types (`Situ.Bridge.Ros.StandardTypes`). Each
+  file of a split bag is a separate recording. The program `sqlite3` (the Debian package of the same name) reads the
+  file in a separate process. The file is never modified.
 
   ## Options for opening (`Situ.Store.open(path, reader_opts: [...])`)
 

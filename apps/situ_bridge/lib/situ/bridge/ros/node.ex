@@ -158,7 +158,7 @@ defmodule Situ.Bridge.Ros.Node do
     end
   end
 
-  # Links to publishers that left end after all the data they sent has been read. New publishers are linked.
+  # A link to a publisher that left ends after its remaining data has been read. New publishers are linked.
   defp update_links(%{role: {:subscriber, _, _, _}} = state, uris) do
     uris = Enum.filter(uris, &is_binary/1)
     {stay, go} = Map.split(state.links, uris)

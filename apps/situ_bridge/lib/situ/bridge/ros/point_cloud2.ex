@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Ros.PointCloud2 do
 
   @float32 7
 
-  @doc "Returns the cloud if x, y and z are consecutive float32 fields, which is nearly always the case. Else `:error`."
+  @doc "Returns the cloud, or `:error` unless x, y and z are consecutive float32 fields (nearly always the case)."
   @spec from_message(map()) :: {:ok, PointCloud.t()} | :error
   def from_message(
         %{"is_bigendian" => false, "point_step" => step, "data" => data, "fields" => fields} = m

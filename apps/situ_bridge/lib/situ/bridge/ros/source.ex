@@ -20,7 +20,7 @@ defmodule Situ.Bridge.Ros.Source do
               type: {:in, [:header, :arrival]},
               default: :header,
               doc:
-                "Originating times: the stamp in the header (the arrival time if there is none), or the arrival time."
+                "Originating times: the header's stamp (or else the arrival time), or always the arrival time."
             ],
             sim_time: [
               type: :boolean,

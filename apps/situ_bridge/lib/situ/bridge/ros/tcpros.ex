@@ -48,7 +48,7 @@ defmodule Situ.Bridge.Ros.TcpRos do
 
   defp parse_fields(_, _found), do: {:error, "a field of the header is longer than the header"}
 
-  @doc "Returns nil if both sides agree on the topic (or service) and type, else a sentence with the difference."
+  @doc "Returns nil if both sides agree on the topic (or service) and type, else a sentence about the difference."
   @spec find_mismatch(%{String.t() => String.t()}, %{String.t() => String.t()}) ::
           String.t() | nil
   def find_mismatch(theirs, ours) do

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.TopicTrack do
   @moduledoc false
-  # A track is a map that describes one topic for a reader of bags.
+  # Helps readers of bags to build tracks. A track is a map that describes one topic.
   alias Situ.Bridge.Mcap.{Codec, ExtraFields}
 
   @doc """

@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Ros2.Client do
 
   @node 0
   @token 1
-  # Requests have the ids from here on.
+  # The ids of requests start at this number.
   @first 16
   @last 0xFFFFFFFF
 

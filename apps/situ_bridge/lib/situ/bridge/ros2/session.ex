@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Ros2.Session do
   @moduledoc false
-  # A ROS 2 node for one end of a topic. It runs the program `zenoh_port`, which has the Zenoh session, and restarts the
-  # program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`. `untaken` counts the
-  # samples that the owner has not yet handled; samples beyond the high-water mark are dropped.
+  # A ROS 2 node for one end of a topic. It runs the program `zenoh_port`, which holds the Zenoh session, and restarts
+  # the program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`. `untaken` counts
+  # the samples that the owner has not yet handled; samples beyond the high-water mark are dropped.
   use GenServer, restart: :temporary
   require Logger
   alias Situ.Bridge.Net.Drain

@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Ros2.Zenoh do
   @moduledoc false
-  # Runs the program `zenoh_port`, which has the Zenoh session, and encodes and parses its frames. See
-  # `ports/zenoh_port/src/main.rs` for their format.
+  # Runs the program `zenoh_port`, which holds the Zenoh session, and encodes and parses its frames.
+  # `ports/zenoh_port/src/main.rs` describes their format.
+  # See docs/adr/0105-large-libraries-run-in-separate-programs.md.
   alias Situ.Error
 
   @address [

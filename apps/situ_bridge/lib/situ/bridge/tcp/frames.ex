@@ -47,7 +47,7 @@ defmodule Situ.Bridge.Tcp.Frames do
     with {:ok, payloads, rest} <- split_frames(rest <> bytes, most), do: {:ok, payloads, "", rest}
   end
 
-  # An empty payload never waits for bytes: it is returned together with its length.
+  # An empty payload needs no further bytes, because it is returned together with its length.
   @impl Protocol
   def missing(<<n::little-32, begun::binary>>), do: n - byte_size(begun)
   def missing(begun), do: 4 - byte_size(begun)

@@ -72,7 +72,7 @@ defmodule Situ.Bridge.WebSocket.Handshake do
            value |> printable_ascii() |> String.trim()}
   end
 
-  # String functions fail on bytes that are not valid UTF-8.
+  # Functions of `String` fail on bytes that are not valid UTF-8, so only printable ASCII is kept.
   defp printable_ascii(text), do: for(<<byte <- text>>, byte in 32..126, into: "", do: <<byte>>)
 
   defp upgrade_request?(headers), do: String.downcase(headers["upgrade"] || "") == "websocket"

@@ -8,7 +8,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
             prefix: [
               type: :boolean,
               default: false,
-              doc: "Receive all topics that begin with `topic:`, not only equal ones."
+              doc: "Receive all topics that begin with `topic:`, not only that topic."
             ],
             bind: [
               type: :boolean,
@@ -23,7 +23,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
             most: [
               type: :pos_integer,
               default: 64 * 1024 * 1024,
-              doc: "The largest message, bytes; a peer that sends a larger one is disconnected."
+              doc: "The maximum message size in bytes; a peer that sends more is disconnected."
             ],
             listening: [
               type: {:optional, :pid},

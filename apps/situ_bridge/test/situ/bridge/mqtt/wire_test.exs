@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Mqtt.WireTest do
             do: Wire.encode_publish("a/b", p, qos: rem(i, 2), id: i)
 
       all = bytes(sent)
-      {first, second} = cut_batches(all, rem(at, byte_size(all) + 1))
+      {first, second} = cut(all, rem(at, byte_size(all) + 1))
       {:ok, early, answer, rest} = Subscription.read(first, "", 10_000)
       {:ok, late, more, ""} = Subscription.read(second, rest, 10_000)
 

@@ -9,7 +9,7 @@ defmodule Situ.Bridge.Net.ReceiveBufferTest do
   property "returns frames unchanged from chunks of any size" do
     forall {payloads, size, sizes} <- {list(binary()), integer(1, 40), list(integer(1, 40))} do
       bytes = payloads |> Enum.map(&Frames.frame/1) |> IO.iodata_to_binary()
-      {got, _reads} = through(Frames, cut_batches(bytes, [size | sizes]), "")
+      {got, _reads} = through(Frames, cut(bytes, [size | sizes]), "")
       assert got == payloads
     end
   end
@@ -17,12 +17,12 @@ defmodule Situ.Bridge.Net.ReceiveBufferTest do
   test "parses a large frame once, when it is complete" do
     payload = :crypto.strong_rand_bytes(3_000_000)
     bytes = payload |> Frames.frame() |> IO.iodata_to_binary()
-    {got, reads} = through(Frames, cut_batches(bytes, [1_460]), "")
+    {got, reads} = through(Frames, cut(bytes, [1_460]), "")
     assert got == [payload]
     assert reads == 2
 
     published = IO.iodata_to_binary(Situ.Bridge.Mqtt.Wire.encode_publish("t", payload, qos: 0))
-    {got, reads} = through(Subscription, cut_batches(published, [1_460]), "")
+    {got, reads} = through(Subscription, cut(published, [1_460]), "")
     assert got == [payload]
     assert reads == 2
   end
@@ -32,7 +32,7 @@ defmodule Situ.Bridge.Net.ReceiveBufferTest do
   defp cut(bytes, [size | sizes]) do
     size = min(size, byte_size(bytes))
     <<piece::binary-size(size), rest::binary>> = bytes
-    [piece | cut_batches(rest, sizes ++ [size])]
+    [piece | cut(rest, sizes ++ [size])]
   end
 
   # Reads like a source: returns the payloads, and how often the protocol was called.

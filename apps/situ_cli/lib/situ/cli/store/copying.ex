@@ -93,7 +93,7 @@ defmodule Situ.CLI.Store.Copying do
             skip_damage()
           ],
           examples: [
-            "situ store edit recordings/lobby mended --set 'Words@2026-01-31T12:00:00Z=\"five\"'"
+            "situ store edit recordings/lobby corrected --set 'Words@2026-01-31T12:00:00Z=\"five\"'"
           ],
           run: &edit_messages/2
         }

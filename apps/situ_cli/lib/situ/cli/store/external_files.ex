@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Store.ExternalFiles do
   @moduledoc false
-  # External files have no checksums that Situ knows, so verifying such a file means reading all of its messages.
+  # External files have no checksums that Situ knows, so it verifies them by reading all their messages.
   alias Situ.CLI.Recording
   alias Situ.{Error, Store}
   alias Situ.Store.Undecoded

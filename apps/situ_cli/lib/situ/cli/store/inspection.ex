@@ -96,7 +96,7 @@ defmodule Situ.CLI.Store.Inspection do
         words: ["store", "analyze"],
         summary: "find streams whose messages arrive late compared to other streams",
         about:
-          "The lag is how long a replay in order of originating times waits for the stream, in creation time.",
+          "The lag is how long, in creation time, a replay in order of originating times would wait for the stream.",
         arguments: [path: @recording],
         options: [
           Option.new(:order, ["avg", "max"], "sort by the average or the greatest lag",

@@ -38,7 +38,7 @@ defmodule Situ.CLI.Store.Maintenance do
         options: [Option.new(:dry_run, :flag, "only print the planned repairs")],
         examples: [
           "situ store repair recordings/lobby.0007",
-          "situ store repair broken.mcap whole.mcap"
+          "situ store repair broken.mcap repaired.mcap"
         ],
         run: fn %{path: path} = arguments, opts ->
           Repair.repair_path(path, arguments[:out], opts)

@@ -12,7 +12,7 @@ defmodule Situ.CLI.Store.Repair do
     if Enum.all?(reports, &match?({_, {:ok, %{damage: []}}}, &1)), do: 0, else: 1
   end
 
-  # A path that is not a store must not prevent the others from being checked.
+  # A path that is not a store must not prevent checks of the other paths.
   defp verify_path(path, opts, n) do
     result =
       Progress.with_progress("verify", opts, fn progress ->

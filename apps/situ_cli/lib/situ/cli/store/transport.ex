@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Store.Transport do
   @moduledoc false
-  # The systems that `situ store send` and `record` exchange messages with: addresses, publishers and subscribers.
+  # Provides the addresses, publishers and subscribers of the systems that `situ store send` and `record` use.
   alias Situ.Bridge.{Mcap, Mqtt, Ros, Ros2, ZeroMQ}
   alias Situ.Bridge.Ros.{Definition, Library}
   alias Situ.CLI.Option

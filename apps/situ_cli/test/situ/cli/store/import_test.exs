@@ -92,7 +92,10 @@ defmodule Situ.CLI.Store.ImportTest do
            ]) =~ "standard output"
 
     File.write!(file, binary_part(File.read!(file), 0, 100))
-    assert refused(["import", file, Path.join(root, "x"), "--type", "lab.Level"]) =~ "cut short"
+
+    assert refused(["import", file, Path.join(root, "x"), "--type", "lab.Level"]) =~
+             "ends within a message"
+
     assert Path.wildcard(Path.join(root, "x.*")) == []
   end
 

@@ -74,7 +74,7 @@ defmodule Situ.CLI.Store.McapStructureTest do
         assert {2, _} = situ(["convert", one, Path.join(root, "x.bag"), "--attach", note])
       end)
 
-    assert said =~ "no attachments"
+    assert said =~ "cannot contain attachments"
   end
 
   test "rejects recordings that have no such parts", %{tmp_dir: root} do

@@ -1,6 +1,6 @@
 defmodule Situ.Annotation.Exchange.Coco do
   @moduledoc """
-  COCO's JSON format for boxes on images (https://cocodataset.org/#format-data).
+  Reads and writes COCO's JSON format for boxes on images (https://cocodataset.org/#format-data).
 
   Boxes are annotations with the numbers `x`, `y`, `width` and `height` (pixels). Each key frame is a box on the image
   of its time. `times:` gives the times of the images: every image between the first and the last key frame of a track

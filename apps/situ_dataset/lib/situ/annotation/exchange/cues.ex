@@ -1,6 +1,6 @@
 defmodule Situ.Annotation.Exchange.Cues do
   @moduledoc false
-  # The common part of WebVTT and SubRip: cues with times in milliseconds, separated by blank lines.
+  # Contains the common part of WebVTT and SubRip: cues with times in milliseconds, separated by blank lines.
   alias Situ.Annotation
   alias Situ.Annotation.Exchange.LabelRows
   alias Situ.Annotation.{Layer, Schema}
@@ -33,7 +33,7 @@ defmodule Situ.Annotation.Exchange.Cues do
 
   defp ns_to_ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
 
-  # Each of several attributes has its own line.
+  # If there are several attributes, each is written on its own line.
   defp cue_text(values, %{attributes: [attribute]}),
     do: LabelRows.value_to_text(values[attribute.name])
 

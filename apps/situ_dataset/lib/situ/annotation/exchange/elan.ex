@@ -1,6 +1,7 @@
 defmodule Situ.Annotation.Exchange.Elan do
   @moduledoc """
-  ELAN's annotation files (`.eaf`, format 3.0): a tier for each track, or for each track and attribute.
+  Reads and writes ELAN's annotation files (`.eaf`, format 3.0), with a tier for each track, or for each track and
+  attribute.
 
   Times are milliseconds from `origin:`. The header stores the schema and the origin as properties (`situ.schema`,
   `situ.origin`). Finite attributes are also written as controlled vocabularies, so that ELAN offers their values.

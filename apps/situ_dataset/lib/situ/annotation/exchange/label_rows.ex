@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Exchange.LabelRows do
   @moduledoc false
-  # Rows of labelled intervals, like the tiers of ELAN and Praat: converts a layer to one row per track and attribute,
-  # and rows to annotations.
+  # Converts a layer to rows of labelled intervals, one per track and attribute, like the tiers of ELAN and Praat,
+  # and converts rows to annotations.
   alias Situ.Annotation
   alias Situ.Annotation.{Layer, Schema}
 

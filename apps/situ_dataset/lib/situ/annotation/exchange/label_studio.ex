@@ -1,6 +1,7 @@
 defmodule Situ.Annotation.Exchange.LabelStudio do
   @moduledoc """
-  Label Studio's JSON for audio or video: one task with a region per annotation; times are seconds from `origin:`.
+  Reads and writes Label Studio's JSON for audio or video. A file is one task with a region per annotation, and times
+  are seconds from `origin:`.
 
   Finite attributes are `labels`, text is `textarea`, numbers are `number`, and booleans are `choices` of `true` and
   `false`. The results of one region share its `id`. The track is the region's choice `from_name: "track"`. Proposals

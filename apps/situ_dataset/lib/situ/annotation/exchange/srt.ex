@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Exchange.Srt do
   @moduledoc """
-  SubRip subtitles: one cue per annotation with its track in brackets before the text (`[P1] Hello`). Times are
-  milliseconds from `origin:`. Cues without brackets are put on the track "Cues".
+  Reads and writes SubRip subtitles. Each annotation is a cue with its track in brackets before the text
+  (`[P1] Hello`). Times are milliseconds from `origin:`. Cues without brackets are put on the track "Cues".
   """
   @behaviour Situ.Annotation.Exchange
   alias Situ.Annotation.Exchange.Cues

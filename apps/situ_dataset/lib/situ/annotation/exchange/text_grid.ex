@@ -1,6 +1,6 @@
 defmodule Situ.Annotation.Exchange.TextGrid do
   @moduledoc """
-  Praat's TextGrid files: writes the long text form, and reads the long and the short form in UTF-8 or UTF-16.
+  Writes Praat's TextGrid files in the long text form, and reads the long and the short form in UTF-8 or UTF-16.
 
   Each track (or track and attribute) is a tier. Praat requires intervals with an empty label between annotations,
   so an annotation with an empty label is lost. Points of a track are in a point tier `TRACK (points)`. Times are

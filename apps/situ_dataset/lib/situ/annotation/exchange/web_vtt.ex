@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Exchange.WebVtt do
   @moduledoc """
-  WebVTT: one cue per annotation, with its track as the cue's voice (`<v TRACK>`). Times are milliseconds from
-  `origin:`.
+  Reads and writes WebVTT. Each annotation is a cue, with its track as the cue's voice (`<v TRACK>`). Times are
+  milliseconds from `origin:`.
 
   Several attributes are written as lines `ATTRIBUTE: VALUE`. Reading removes the tags from the text. Cues without a
   voice are put on the track "Cues".

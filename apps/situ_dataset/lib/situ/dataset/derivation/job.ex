@@ -1,6 +1,7 @@
 defmodule Situ.Dataset.Derivation.Job do
   @moduledoc false
-  # One session of a run: the computation and the path of its output. It runs in a separate process on any node.
+  # Describes one session of a run: the computation and the path of its output. It runs in a separate process on any
+  # node.
   alias Situ.Dataset.{Importer, OpenSession, Partition, Session, StoredPath, StoreVersion}
   alias Situ.{Error, Pipeline, Store}
 

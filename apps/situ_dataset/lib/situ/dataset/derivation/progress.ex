@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Derivation.Progress do
   @moduledoc """
-  The progress of a run over sessions: `done` (0.0 to 1.0, sessions weighted by their duration), `finished` of `total`
-  sessions, and `running`, `[{session, fraction}]`.
+  Describes the progress of a run over sessions: `done` (0.0 to 1.0, sessions weighted by their duration), `finished`
+  of `total` sessions, and `running`, `[{session, fraction}]`.
   """
   alias Situ.Pipeline
 

@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.Derivation.Report do
   @moduledoc """
-  The report of a run over sessions: `output`, `duration` (ns), `cancelled?`, and a result for each session, in the
+  Reports on a run over sessions: `output`, `duration` (ns), `cancelled?`, and a result for each session, in the
   order of the sessions.
 
   A result's `status` is `:done`, `:kept` (completed by an earlier, interrupted run), `:failed` (see `error`) or

@@ -2,6 +2,11 @@ defmodule Situ.Dataset.Derivation.RunJournal do
   @moduledoc false
   # Records the start and end of a run's sessions, one line of JSON each, on disk before the run continues. The next
   # run of the same output keeps the completed sessions and deletes the output of incomplete ones.
+  #
+  # A pipeline over a hundred sessions takes hours, and may be cancelled, killed, or fail for
+  # single sessions. Output folders are named `NAME.*.unfinished` and renamed when their pipeline
+  # has succeeded, so a journal line and a rename are enough to resume. Each session runs in a
+  # separate process, and a cancelled run kills these processes.
   alias Situ.Dataset.StoreVersion
   alias Situ.Error
 
@@ -9,7 +14,7 @@ defmodule Situ.Dataset.Derivation.RunJournal do
   @type t :: %__MODULE__{path: Path.t() | nil}
 
   @doc """
-  Opens the log and returns it with the completed sessions of an earlier run, `%{session => folder}`. With
+  Opens the journal and returns it with the completed sessions of an earlier run, `%{session => folder}`. With
   `overwrite:`, the results of a run that ended normally (with failed sessions) are ignored.
   """
   @spec open(Path.t() | nil, String.t() | nil, keyword()) :: {t(), %{String.t() => Path.t()}}

@@ -1,5 +1,5 @@
 defmodule Situ.Dataset.Task.DropStreams do
-  @moduledoc "The task `drop-streams`: copies all streams to a new partition, except streams that must not be shared."
+  @moduledoc "Copies all streams to a new partition, except streams that must not be shared (task `drop-streams`)."
   @behaviour Situ.Dataset.Task
 
   @impl true

@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Task.Statistics do
   @moduledoc """
-  The task `statistics`: writes count, mean, deviation and range of every numeric stream to a JSON file next to the
-  session's recordings.
+  Writes count, mean, deviation and range of every numeric stream to a JSON file next to the session's recordings
+  (task `statistics`).
   """
   @behaviour Situ.Dataset.Task
 

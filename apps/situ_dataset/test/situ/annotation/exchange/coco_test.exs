@@ -117,8 +117,8 @@ defmodule Situ.Annotation.Exchange.CocoTest do
            ] = Layer.annotations(layer)
 
     assert [
-             "2 pictures have no time" <> _,
-             "2 annotations are no boxes" <> _,
+             "2 images have no time" <> _,
+             "2 annotations are not boxes" <> _,
              "1 annotations overlap" <> _
            ] = losses
   end

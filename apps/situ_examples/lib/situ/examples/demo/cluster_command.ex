@@ -30,7 +30,8 @@ defmodule Situ.Examples.Demo.ClusterCommand do
   @minutes 10
 
   @doc """
-  Runs the demo and returns the exit status. `record` runs the same job on one machine (`Situ.Examples.Demo.record_clip/1`).
+  Runs the demo and returns the exit status. `record` runs the same job on one machine
+  (`Situ.Examples.Demo.record_clip/1`).
   """
   @spec run(
           [String.t()],
@@ -117,7 +118,7 @@ defmodule Situ.Examples.Demo.ClusterCommand do
       {:ok, _} = call_node(node, Cluster, :join, [[log: log, labels: [name]]])
     end
 
-    # Decoding and inference are deterministic, so the outputs need not wait for a checkpoint.
+    # Decoding and inference are deterministic, so outputs do not have to wait for a checkpoint.
     place = for {label, part} <- @parts, do: {part_selector(part), on: label, deterministic: true}
 
     {:ok, deployment} =

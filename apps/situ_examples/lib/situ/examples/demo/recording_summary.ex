@@ -68,7 +68,7 @@ defmodule Situ.Examples.Demo.RecordingSummary do
   defp read_pairs(store, names, name),
     do: for(m <- read_messages(store, names, name), do: {m.originating_time, m.data})
 
-  # Without video or decisions `zero` is 0, and the utterances keep their times.
+  # Without video or decisions, `zero` is 0, and the utterances keep their times.
   defp shift_utterances(said, zero),
     do: for(%{data: u} <- said, do: %{u | from: u.from - zero, to: u.to - zero})
 

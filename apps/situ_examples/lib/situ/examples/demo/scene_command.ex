@@ -12,7 +12,6 @@ defmodule Situ.Examples.Demo.SceneCommand do
     --json           print one JSON object and nothing else
     --port N         port of the studio (default 4040; 0 picks a free port)
     --no-open        do not open a browser
-    --no-open        do not open a browser
 
   Exit status: 0 success, 1 failure, 2 wrong usage.
   """

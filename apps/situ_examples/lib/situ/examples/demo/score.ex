@@ -2,13 +2,13 @@ defmodule Situ.Examples.Demo.Score do
   @moduledoc """
   Compares the detected speakers with the true speakers, image by image.
 
-  An image is right if exactly the correct faces are detected as speaking. Images within 0.2 s of the start or end of
-  a speech segment are not scored. A tracked face counts as the true face whose box it overlaps most, and as a stranger
+  An image is correct if exactly the right faces are detected as speaking. Images within 0.2 s of the start or end of
+  a speech segment are not scored. A tracked face counts as the true face whose box it overlaps most, or as a stranger
   if it overlaps none.
 
-  A clip may skip images (a variable frame rate). An image, and the decision on it, holds until the next image. In an
-  image without a decision, and after the last image, nobody speaks. `false_speech_s` and `missed_speech_s` are sums
-  over all faces.
+  A clip may skip images (a variable frame rate). An image and its decision remain valid until the next image. In an
+  image without a decision, and after the last image, nobody is speaking. `false_speech_s` and `missed_speech_s` are
+  sums over all faces.
 
       iex> json = ~s({"fps": 10, "frames": 10, "faces": [{"id": 0, "box": [0, 0, 9, 9]}],
       ...>   "speech": [{"face": 0, "speech_start": 0.0, "speech_end": 1.0}]})

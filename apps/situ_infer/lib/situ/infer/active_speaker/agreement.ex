@@ -36,9 +36,9 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
   end
 
   @doc """
-  Returns whether lips that clearly move contradict the voice: their correlation with it is below `doubt`, and they are
-  closed in an eighth of the loud moments. (A low correlation alone proves little, because a mesh measures poorly how
-  wide a wide-open mouth is.)
+  Returns whether lips that clearly move contradict the voice: their correlation with it is below `doubt`, and they
+  are closed in an eighth of the loud moments. (A low correlation alone proves little, because a mesh measures wide
+  openings poorly.)
   """
   @spec contradicts_voice?([Moment.t()], term(), float(), float()) :: boolean()
   def contradicts_voice?(window, id, clear, doubt) do

@@ -47,8 +47,8 @@ defmodule Situ.Infer.Detection.Yolo do
   def shape_matches?(_version, _shape, _masks), do: false
 
   @doc """
-  Returns the boxes with a score of at least `min_score`, in no particular order; for `masks`, see `shape_matches?/3`. Boxes that
-  have no size or contain values that are not numbers are left out.
+  Returns the boxes with a score of at least `min_score`, in no particular order. For `masks`, see `shape_matches?/3`.
+  Boxes that have no size or contain values that are not numbers are left out.
   """
   @spec parse_boxes(Tensor.t(), version(), float(), non_neg_integer()) :: [box()]
   def parse_boxes(tensor, version, min_score, masks \\ 0)

@@ -9,6 +9,7 @@ defmodule Situ.Infer.Engine.Ort do
 
       {:ok, version} = Situ.Infer.Engine.Ort.library_version()
   """
+  # See docs/adr/0060-onnx-runtime-is-loaded-at-run-time.md.
   @behaviour Situ.Infer.Engine
 
   alias Situ.{Error, Tensor}

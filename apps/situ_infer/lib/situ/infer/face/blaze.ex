@@ -2,9 +2,9 @@ defmodule Situ.Infer.Face.Blaze do
   @moduledoc false
   # BlazeFace short range: the input of the network and the meaning of its 896 anchors. Pure: no model and no image.
   #
-  # Anchors are the cells of a 16x16 grid, twice, and then of an 8x8 grid, six times; each is just a centre. For each
-  # anchor the network returns 16 offsets in pixels of its 128-pixel input (centre, size, six key points) and a score
-  # before the sigmoid.
+  # There are two anchors for each cell of a 16x16 grid, and then six for each cell of an 8x8 grid. An anchor is only
+  # a centre. For each anchor, the network returns 16 offsets in pixels of its 128-pixel input (centre, size, six key
+  # points) and a score before the sigmoid.
   alias Situ.Infer.{Face, Patch}
   alias Situ.Tensor
 
@@ -80,7 +80,7 @@ defmodule Situ.Infer.Face.Blaze do
     }
   end
 
-  # Offsets measure areas and patches map pixel centres, so the two differ by half a pixel on either side.
+  # Offsets refer to pixel areas, but patches map pixel centres, so half a pixel is subtracted and added again.
   defp to_image_point(patch, x, y) do
     {px, py} = Patch.to_picture(patch, {x - 0.5, y - 0.5})
     {px + 0.5, py + 0.5}

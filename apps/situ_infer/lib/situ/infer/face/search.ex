@@ -17,7 +17,7 @@ defmodule Situ.Infer.Face.Search do
   @same 0.3
   # A face may be off the middle of its view by this share of the view's side.
   @rest 0.07
-  # A face rests if its box overlaps its previous box by at least this much.
+  # A face is at rest if its box overlaps its previous box by at least this much.
   @still 0.9
   # No other face is searched for within a face with at least this score.
   @sure 0.8
@@ -163,8 +163,8 @@ defmodule Situ.Infer.Face.Search do
     end
   end
 
-  # A view does not move while the face in it rests. If it followed every wobble of the face, it would amplify the
-  # wobble.
+  # A view does not move while the face in it is at rest. If the view followed every wobble of the face, it would
+  # amplify the wobble.
   defp choose_view(face, views) do
     side = max(face.rect.width, face.rect.height) * @close_up
     middle = Situ.Rect.center_point(face.rect)

@@ -5,10 +5,11 @@ defmodule Situ.Infer.Speech.Moonshine do
       {:ok, moonshine} = Situ.Infer.Speech.Moonshine.load()
       {:ok, %{text: "ten of clubs", confidence: 0.97}} = Situ.Infer.Speech.Moonshine.transcribe(moonshine, buffer)
 
-  It takes audio without feature extraction and generates one token after another, always the likeliest one. It invents
-  words if nobody is speaking, so pass only audio that voice activity detection has marked as speech. It has no word
-  times. `bin/lib/fetch-model moonshine-tiny-en` downloads it. With `alternatives: n` it decodes again for each of the
-  `n` least certain positions, using the second likeliest token there; the work grows accordingly.
+  The model takes audio without feature extraction and generates one token after another, always the likeliest one. It
+  invents words if nobody is speaking, so pass only audio that voice activity detection has marked as speech. It does
+  not report the times of words. `bin/lib/fetch-model moonshine-tiny-en` downloads the model. With `alternatives: n`,
+  the audio is decoded again for each of the `n` least certain positions, with the second likeliest token there; the
+  work grows accordingly.
   """
   @behaviour Situ.Infer.Speech.Recognizer
 
@@ -20,7 +21,7 @@ defmodule Situ.Infer.Speech.Moonshine do
   @rate 16_000
   @begin 1
   @finish 2
-  # Faster than anybody speaks; the limit stops a network that repeats itself.
+  # Nobody speaks faster than this; the limit stops a network that repeats itself.
   @tokens_a_second 6.5
   # The network was not trained with longer audio.
   @longest_s 64

@@ -24,7 +24,7 @@ defmodule Situ.Infer.Speech.RequestEncoding do
   @spec encode_form([{String.t(), String.t()}], {String.t(), String.t(), String.t(), binary()}) ::
           {String.t(), iodata()}
   def encode_form(fields, {name, file, type, bytes}) do
-    # A random boundary of 128 bits does not occur in the audio.
+    # A random boundary of 128 bits practically never occurs in the audio.
     border = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(16))
 
     part =

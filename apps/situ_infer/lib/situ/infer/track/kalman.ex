@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Track.Kalman do
   @moduledoc """
-  A Kalman filter for a measured number whose velocity changes slowly, with the state (value, velocity). Pure; times are
-  in seconds.
+  A Kalman filter for a measured number whose velocity changes slowly. The state consists of the value and its
+  velocity. Pure; times are in seconds.
 
       iex> alias Situ.Infer.Track.Kalman
       iex> k = Kalman.new(0.0, 1.0, 10.0)
@@ -32,7 +32,7 @@ defmodule Situ.Infer.Track.Kalman do
     %{k | value: k.value + dt * k.velocity, p: {a, b, c + q * dt}}
   end
 
-  @doc "Corrects the state by a measurement with an error of this standard deviation."
+  @doc "Corrects the state with a measurement whose error has this standard deviation."
   @spec correct(t(), float(), float()) :: t()
   def correct(%__MODULE__{p: {a, b, c}} = k, measured, error) do
     s = a + error * error

@@ -24,7 +24,8 @@ defmodule Situ.Infer.Vision.ImageInput do
   ]
 
   @moduledoc """
-  Prepares the image input of a network: a square cut out of an image, scaled, normalised, in the network's layout.
+  Prepares the image input of a network: cuts a square out of an image, and scales, normalises and arranges its
+  pixels.
 
   Size and layout (`{n, 3, side, side}` or `{n, side, side, 3}`) come from the model's only input with four dimensions.
   `ImageNet` networks need `mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]`.
@@ -137,7 +138,7 @@ defmodule Situ.Infer.Vision.ImageInput do
         ]
       )
 
-    Model.from_bytes(bytes, "picture input", warm_up: 1, sessions: 1)
+    Model.from_bytes(bytes, "image input", warm_up: 1, sessions: 1)
   end
 
   @doc "Returns the network's input for an image of an 8-bit format, and the patch that maps results back to the image."

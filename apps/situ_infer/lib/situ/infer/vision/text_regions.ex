@@ -26,7 +26,7 @@ defmodule Situ.Infer.Vision.TextRegions do
       type: {:range, 0, 5},
       default: 1.6,
       doc:
-        "How far a rectangle grows on each side, as a factor of its area over its circumference."
+        "How far a rectangle grows on each side, as a factor of its area divided by its perimeter."
     ],
     min_side: [
       type: {:range, 1, 100},

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Voice.Energy do
   @moduledoc false
   # Converts the level above the noise floor to a probability. The floor falls immediately and rises slowly. Speech
-  # always has gaps and does not lift it, while steady noise becomes the floor within a few seconds.
+  # does not raise it, because speech has pauses; steady noise becomes the floor within a few seconds.
   @behaviour Situ.Infer.Voice.Detector
 
   @chunk_s 0.032

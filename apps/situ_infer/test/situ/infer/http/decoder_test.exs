@@ -52,7 +52,7 @@ defmodule Situ.Infer.Http.DecoderTest do
       bytes = response(kind, body)
       whole = result(feed([bytes]))
       {_, data, closed} = whole
-      data == body and closed == :ok and result(feed(cut_batches(bytes, places))) == whole
+      data == body and closed == :ok and result(feed(cut(bytes, places))) == whole
     end
   end
 

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Test.Browser do
   @moduledoc false
-  # Takes the role of the connection: receives the view's messages, keeps the page, and acknowledges diffs.
+  # Plays the role of the connection: receives the view's messages, keeps the page, and acknowledges diffs.
   use GenServer
   alias Situ.JSON
   alias Situ.Live.ViewServer

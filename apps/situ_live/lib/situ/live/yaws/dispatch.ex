@@ -3,6 +3,7 @@ defmodule Situ.Live.Yaws.Dispatch do
   # Yaws calls this module, in the process of the connection, with each request whose head has been read. It builds a
   # `Situ.Live.Request`, passes it to the endpoint and writes the response. `:done` keeps the connection, `:closed` ends
   # it.
+  # See docs/adr/0070-yaws-is-embedded-behind-its-dispatch-module.md.
   require Logger
   require Record
   alias Situ.Live.{Connections, Endpoint, Request, Response}

@@ -4,9 +4,13 @@ defmodule Situ.Media.Capture.Clock do
   # synchronized with the pipeline's clock when its first frames arrive, and again when it jumps: a restarted sender
   # begins at zero.
   #
-  # FFmpeg's muxer cannot write times that go back and replaces them by the last time plus one tick. Therefore a filter
-  # marks each backward jump by adding a step that no real clock makes (`mark_jumps/0`), and this module subtracts it.
-  # Both streams of a sender share its clock: the time between two jumps is an epoch with one offset.
+  # FFmpeg's muxer cannot write times that go back and replaces them with the last time plus one tick. Therefore a
+  # filter marks each backward jump by adding a step that no real clock makes (`mark_jumps/0`), and this module
+  # subtracts it. Both streams of a sender share its clock: the time between two jumps is an epoch with one offset.
+  #
+  # Without `-copyts`, FFmpeg joins the times but loses the time in between. Opening the stream
+  # again at every jump costs seconds of images, and times of arrival lose the steps of the
+  # sender.
 
   # The step of the mark in seconds and nanoseconds (115 days).
   @step_s 10_000_000

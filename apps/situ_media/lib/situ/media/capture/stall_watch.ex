@@ -1,14 +1,15 @@
 defmodule Situ.Media.Capture.StallWatch do
   @moduledoc false
-  # Watches each stream of a sender separately: whether its frames still arrive, and whether their times still increase.
-  # The reader notices only a sender that sends nothing at all.
+  # Checks for each stream of a sender whether its frames still arrive and whether their times still increase.
+  # The reader only detects a sender that sends nothing at all.
 
   defstruct [:timeout, streams: %{}]
 
   @typep seen :: %{arrived: Situ.Time.t(), moved: Situ.Time.t(), time: Situ.Time.t() | nil}
   @type t :: %__MODULE__{timeout: pos_integer(), streams: %{atom() => seen()}}
 
-  # Times that increase by less than this fraction of the timeout are stuck: ffmpeg's muxer then adds a tick a frame.
+  # Times that increase by less than this fraction of the timeout are stuck, because ffmpeg's muxer then adds one tick
+  # per frame.
   @fraction 10
 
   @spec new([atom()], pos_integer(), Situ.Time.t()) :: t()

@@ -45,8 +45,8 @@ defmodule Situ.Media.Device.V4L2 do
   end
 
   @typedoc """
-  `min`, `max`, `step` and `default` are `nil` if the device does not report them. The `value` of a menu is the number
-  of its row.
+  `min`, `max`, `step` and `default` are `nil` if the device does not report them. The `value` of a menu control is
+  the number of the selected row.
   """
   @type control :: %{
           name: String.t(),

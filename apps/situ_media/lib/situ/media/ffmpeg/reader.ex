@@ -10,9 +10,9 @@ defmodule Situ.Media.FFmpeg.Reader do
       {:ok, streams} = Situ.Media.FFmpeg.Reader.fetch_streams(reader)
       {:ok, %{stream: 0, time: 0, data: pixels}} = Situ.Media.FFmpeg.Reader.next_frame(reader)
 
-  Pull frames with `next_frame/2`, or let the reader push them: after `ask(reader, n)` the owner receives up to `n` messages
-  `{Situ.Media.FFmpeg.Reader, reader, result}`. `result` is `{:streams, streams}` (sent first, and not counted),
-  `{:frame, frame}`, `:eof` or `{:error, error}`.
+  Pull frames with `next_frame/2`, or let the reader push them. After `request_frames(reader, n)` the owner receives
+  up to `n` messages `{Situ.Media.FFmpeg.Reader, reader, result}`. `result` is `{:streams, streams}` (sent first, and
+  not counted), `{:frame, frame}`, `:eof` or `{:error, error}`.
 
   The last result is `:eof` if `ffmpeg` reported no errors. Otherwise it is `{:error, error}` with the messages of
   `ffmpeg`, after all readable frames were returned.
@@ -146,7 +146,7 @@ defmodule Situ.Media.FFmpeg.Reader do
   def handle_info({port, {:data, {_eol, line}}}, %{port: port} = state),
     do: {:noreply, %{state | log: Log.add_line(state.log, line)}}
 
-  # Its remaining output is still in the socket, so reading continues until the end of the output.
+  # The remaining output of `ffmpeg` is still in the socket, so reading continues until the end of the output.
   def handle_info({port, {:exit_status, status}}, %{port: port} = state),
     do: {:noreply, %{state | status: status}}
 

@@ -2,6 +2,11 @@ defmodule Situ.Media.FFmpeg.Socket do
   @moduledoc false
   # A local (Unix) socket for one ffmpeg. It listens in a folder that only this user can enter, accepts one connection,
   # and removes the folder.
+  #
+  # Measured for raw images of 1920x1080, which arrive in about 120 segments: native `recv` with
+  # `MSG_WAITALL` costs as much as this socket (0.9 ms user, 2.5 ms system), and a pipe costs more
+  # (3.3 instead of 2.7 ms). Sending YUV would save about 30 %, but the conversion would then need
+  # the color matrix and range of each image, which NUT does not contain.
 
   defstruct [:listen, :folder, :path]
 

@@ -8,8 +8,8 @@ defmodule Situ.Media.FFmpeg.Writer do
       :ok = Situ.Media.FFmpeg.Writer.write_frame(writer, 0, 40_000_000, pixels)
       :ok = Situ.Media.FFmpeg.Writer.finish_output(writer)
 
-  `write_frame/4` waits while `ffmpeg` is busy (about one image is in flight), so a slow encoder slows its pipeline down. If
-  the writer ends without `finish_output/2`, `ffmpeg` still sees the end of its input and finishes the file.
+  `write_frame/4` waits while `ffmpeg` is busy (about one image is in flight), so a slow encoder slows its pipeline
+  down. If the writer ends without `finish_output/2`, `ffmpeg` still sees the end of its input and finishes the file.
   """
   use GenServer, restart: :temporary, shutdown: 1_000
 

@@ -1,7 +1,7 @@
 defmodule Situ.Media.Nut.Muxer do
   @moduledoc """
-  Writes a NUT stream: `encode_header/1` once, then `encode_frame/3` for each image or audio buffer. Both return iodata in which the
-  payload is not copied.
+  Writes a NUT stream: call `encode_header/1` once, then `encode_frame/3` for each image or audio buffer. Both return
+  iodata in which the payload is not copied.
 
   All times are nanoseconds and must not be negative.
 

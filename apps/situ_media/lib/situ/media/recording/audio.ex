@@ -84,8 +84,9 @@ defmodule Situ.Media.Recording.Audio do
     Decoder.open(recording.path, recording.info, opts)
   end
 
-  # Places each buffer at its time: gaps are filled with silence, and audio outside the section is skipped. Differences
-  # below @jitter are rounding of the container (1 ms in Matroska), and the audio is treated as contiguous.
+  # Places each buffer at its time: gaps are filled with silence, and audio outside the section is skipped.
+  # Differences below @jitter are caused by rounding in the container (1 ms in Matroska), so the audio is treated as
+  # contiguous.
   defp collect_audio({:audio, time, buffer, decoder}, last, format, {at, parts}) do
     n = AudioBuffer.frame_count(buffer)
     start = AudioFormat.ns_to_frames(format, time) - n

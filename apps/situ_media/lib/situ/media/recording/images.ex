@@ -25,8 +25,8 @@ defmodule Situ.Media.Recording.Images do
   defstruct [:recording, :asked, decoders: [], kept: %{}, order: :queue.new(), bytes: 0]
 
   @doc """
-  Returns up to `limit` images from `ordinal` as `{:ok, [{ordinal, image}]}`. Large images are returned in smaller
-  numbers, and the list is empty at the end.
+  Returns up to `limit` images from `ordinal` as `{:ok, [{ordinal, image}]}`. Fewer images are returned if they are
+  large, and none at the end.
   """
   @spec fetch_range(OpenFile.t(), non_neg_integer(), pos_integer()) ::
           {:ok, [{non_neg_integer(), Situ.Image.t()}]} | {:error, Situ.Error.t()}

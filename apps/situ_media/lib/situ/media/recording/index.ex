@@ -2,7 +2,7 @@ defmodule Situ.Media.Recording.Index do
   @moduledoc """
   An index of the images and the audio of a media file, built by reading its packets without decoding them.
 
-  `pictures` and `keys` are packed numbers: the times of all images (media time, ns, increasing), and the ordinals of
+  `pictures` and `keys` hold packed numbers: the times of all images (media time, ns, increasing), and the ordinals of
   the images at which a decoder can start. Two hours at 24 images per second take 1.4 MB, shared by all processes that
   hold them.
 
@@ -103,7 +103,8 @@ defmodule Situ.Media.Recording.Index do
 
   defp sound_end(_info, _ticks, _base, _zero), do: 0
 
-  # Shifts like ffmpeg's `-start_at_zero`: by the file's start in microseconds, rounded to the stream's ticks.
+  # Shifts times as ffmpeg's `-start_at_zero` does: by the file's start in microseconds, rounded to the stream's
+  # ticks.
   defp ticks_to_ns(ticks, {num, den} = base, zero) do
     shift = Integer.floor_div(2 * zero * den + num * 1_000_000, 2 * num * 1_000_000)
     Nut.to_ns(ticks - shift, base)

@@ -23,7 +23,7 @@ defmodule Situ.Media.Recording.Servers do
       try do
         GenServer.call(pid, question, :infinity)
       catch
-        # The process was about to end.
+        # The process ended before it received the request, so try again.
         :exit, {reason, _} when reason in [:normal, :noproc] and tries > 1 ->
           call_server(module, recording, question, tries - 1)
       end

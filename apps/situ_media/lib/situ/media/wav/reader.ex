@@ -1,6 +1,6 @@
 defmodule Situ.Media.Wav.Reader do
   @moduledoc """
-  Reads a WAV file in buffers, from any time.
+  Reads a WAV file in buffers, starting at any time.
 
       {:ok, reader} = Situ.Media.Wav.Reader.open("talk.wav", buffer: Situ.Time.ms(20))
       {:ok, 20_000_000, %Situ.AudioBuffer{}, reader} = Situ.Media.Wav.Reader.next_buffer(reader)

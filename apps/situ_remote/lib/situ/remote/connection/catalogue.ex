@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Connection.Catalogue do
   @moduledoc false
-  # The streams that a server has announced, and the callers waiting for the first announcement.
+  # Keeps the streams that a server has announced, and the callers waiting for the first announcement.
   alias Situ.Error
 
   defstruct known: nil, waiting: []

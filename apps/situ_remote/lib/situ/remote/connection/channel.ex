@@ -1,6 +1,7 @@
 defmodule Situ.Remote.Connection.Channel do
   @moduledoc """
-  The receiver's state of one stream: its position, the data received, and the data that may still arrive. Pure.
+  Holds the receiver's state of one stream: its position, the data received, and the data that may still arrive.
+  Pure.
 
       iex> alias Situ.Remote.Connection.Channel
       iex> wanted = %{name: "imu", from: :start, policy: nil, priority: 0, window: 1_000, times: :sender}

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Connection.LinkInfo do
   @moduledoc false
-  # The status of a link, as returned by `Situ.Remote.info/1`. Pure.
+  # Builds the status of a link, which `Situ.Remote.info/1` returns. Pure.
   alias Situ.Remote.Connection.Channel
   alias Situ.Remote.Link.ClockEstimate
 

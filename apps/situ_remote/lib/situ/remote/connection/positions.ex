@@ -1,8 +1,8 @@
 defmodule Situ.Remote.Connection.Positions do
   @moduledoc false
-  # The position of each stream of a link. `saved` holds the positions already written to the file. `confirmed` holds
-  # the positions confirmed by the pipeline (nil before the first one), which take precedence over merely delivered
-  # messages. `left` holds the positions of streams that are no longer subscribed.
+  # Tracks the position of each stream of a link. `saved` holds the positions already written to the file.
+  # `confirmed` holds the positions confirmed by the pipeline (nil before the first one), which take precedence over
+  # merely delivered messages. `left` holds the positions of streams that are no longer subscribed.
   alias Situ.Error
   alias Situ.Remote.Position
 

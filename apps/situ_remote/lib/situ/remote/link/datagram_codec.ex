@@ -19,12 +19,12 @@ defmodule Situ.Remote.Link.DatagramCodec do
 
       iex> alias Situ.Remote.Link.DatagramCodec
       iex> key = <<7::128>>
-      iex> sender = Datagrams.new_sender(key, 80)
-      iex> {[a, b], _} = Datagrams.split_frame(sender, "a frame that is longer than its datagrams are", 3)
-      iex> receiver = Datagrams.new_receiver(key)
-      iex> {[], receiver} = Datagrams.receive_datagram(receiver, b)
-      iex> {[], receiver} = Datagrams.receive_datagram(receiver, b)
-      iex> {[{0, frame}], _} = Datagrams.receive_datagram(receiver, a)
+      iex> sender = DatagramCodec.new_sender(key, 80)
+      iex> {[a, b], _} = DatagramCodec.split_frame(sender, "a frame that is longer than its datagrams are", 3)
+      iex> receiver = DatagramCodec.new_receiver(key)
+      iex> {[], receiver} = DatagramCodec.receive_datagram(receiver, b)
+      iex> {[], receiver} = DatagramCodec.receive_datagram(receiver, b)
+      iex> {[{0, frame}], _} = DatagramCodec.receive_datagram(receiver, a)
       iex> frame
       "a frame that is longer than its datagrams are"
   """

@@ -35,6 +35,7 @@ defmodule Situ.Remote.Link.Frame do
       iex> Frame.decode("GET / HTTP/1.1")
       {:error, "no frame begins with the byte 71"}
   """
+  # See docs/adr/0110-links-serve-recordings.md.
   alias Situ.JSON
 
   @version 1

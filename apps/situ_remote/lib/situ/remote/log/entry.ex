@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Log.Entry do
   @moduledoc """
-  One entry of a log. `op` identifies the write (unique), `head` is short text that describes `data`, `seq` is its
+  Represents one entry of a log. `op` identifies the write (unique), `head` is short text about `data`, `seq` is its
   position on the subject (`nil` before it is written), and `verified` says whether its author was checked.
 
       iex> entry = %Situ.Remote.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "..."}

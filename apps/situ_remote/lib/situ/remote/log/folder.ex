@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Log.Folder do
   @moduledoc """
-  The log of one machine: a folder, without a server. Any number of OS processes may write to it, and each may be killed
-  at any time.
+  Keeps the log of one machine in a folder, without a server. Any number of OS processes may write to it, and each
+  may be killed at any time.
 
   An entry is a file named by its number. The file is written under a temporary name and then hard-linked to its final
   name. The link fails if that name exists, so the file system itself provides the compare-and-set. A linked entry
@@ -239,7 +239,7 @@ defmodule Situ.Remote.Log.Folder do
   @impl true
   def close(_log), do: :ok
 
-  # Files
+  # The following functions handle files.
 
   defp fetch_entry(log, subject, seq) do
     path = entry_path(log, subject, seq)

@@ -1,6 +1,7 @@
 defmodule Situ.Remote.Log.Nats do
   @moduledoc """
-  The log of several machines and sites: NATS JetStream (a `nats-server -js`, version 2.9 or newer, or a cluster).
+  Keeps the log of several machines and sites in NATS JetStream (a `nats-server -js`, version 2.9 or newer, or a
+  cluster).
 
       {:ok, log} = Situ.Remote.Log.connect("nats://10.0.0.1:4222,10.0.0.2:4222", replicas: 3)
 
@@ -12,12 +13,14 @@ defmodule Situ.Remote.Log.Nats do
   is connected again, all calls return `{:error, %Situ.Error{code: :log_away}}`, and callers may repeat them unchanged.
 
   The address may contain `user:password@` or `token@`, but a file (`credentials:`) is safer. A stream costs its server
-  two open files and about 80 KB of memory (ADR 0118). Raise the server's limit of open files (`LimitNOFILE`) before you
+  two open files and about 80 KB of memory. Raise the server's limit of open files (`LimitNOFILE`) before you
   log several thousand streams.
 
   ## Options
 
   """
+  # Why each stream has its own JetStream stream, with measurements:
+  # see docs/adr/0113-the-log-offers-one-conditional-append.md.
   @behaviour Situ.Remote.Log
 
   alias Situ.{Error, JSON, Options}
@@ -37,9 +40,9 @@ defmodule Situ.Remote.Log.Nats do
     ],
     max_bytes: [
       type: :pos_integer,
-      doc: "Retention limit of each stream in bytes: the oldest entries are deleted beyond it ..."
+      doc: "Retention limit of each stream in bytes. Beyond it, the oldest entries are deleted."
     ],
-    max_age: [type: :pos_integer, doc: "... or when they are older than this, ns."],
+    max_age: [type: :pos_integer, doc: "Retention limit in ns. Older entries are deleted."],
     when_full: [
       type: {:in, [:drop_oldest, :refuse]},
       default: :drop_oldest,

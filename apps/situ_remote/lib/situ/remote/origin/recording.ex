@@ -1,9 +1,9 @@
 defmodule Situ.Remote.Origin.Recording do
   @moduledoc false
-  # A finished or growing recording as an origin. `{:series, root, name}` continues from each version (`name.0000`,
+  # Serves a finished or growing recording. `{:series, root, name}` continues from each version (`name.0000`,
   # `name.0001` ...) to the next, so nothing is skipped when the recording program restarts or splits its recording into
   # segments. `{:live, root, name}` is the same for live streams, whose segments form one recording; these begin in the
-  # oldest segment kept. `{:store, store}` is a single opened recording and ends with it.
+  # oldest segment kept. `{:store, store}` is a single open recording; the origin ends with it.
   @behaviour Situ.Remote.Origin
   alias Situ.Error
   alias Situ.Remote.Link.Batch
@@ -11,7 +11,7 @@ defmodule Situ.Remote.Origin.Recording do
   alias Situ.Store.{Handle, NativeFormat, Query, StreamInfo, TypeName}
 
   @messages 512
-  # Earlier than all times, but far from the limits of 64-bit integers.
+  # This time is earlier than any other, but far from the limits of 64-bit integers.
   @before_all -0x4000000000000000
 
   defstruct [:series, :store, pieces?: false, version: 0, known: 0, awaiting: :no, catalog: -1]

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Origin.Versions do
   @moduledoc false
-  # The versions of a recording in one folder (`name.0000` and later), treated as one sequence.
+  # Treats the versions of a recording in one folder (`name.0000` and later) as one sequence.
   alias Situ.Store.{Folder, Handle, Query, StreamInfo}
 
   @type found :: {non_neg_integer(), Handle.t(), StreamInfo.t()}
@@ -35,7 +35,7 @@ defmodule Situ.Remote.Origin.Versions do
       |> Enum.find(fn {_, _, info} -> info.count > 0 end)
 
   @doc """
-  Finds the version that continues the stream of a cursor which has read all of its version. A version still being
+  Finds the version that continues a stream after its cursor has read all of the current version. A version still being
   written, such as a segment of a recording, is left only when the stream has begun in a later one.
   """
   @spec find_next(Path.t(), String.t(), map()) :: found() | nil

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Recording.Client do
   @moduledoc false
-  # One process per server whose recordings are being read. It sends requests and receives replies over one connection.
+  # Reads the recordings of one server in one process. It sends requests and receives replies over one connection.
   # It starts at the first request and ends after a period without requests, so an open recording needs no closing.
   use GenServer, restart: :temporary
   alias Situ.{Error, JSON}

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Rendezvous.Directory do
   @moduledoc """
-  The announced processes, each with the client that owns it. Pure.
+  Keeps the announced processes, each with the client that owns it. Pure.
 
       iex> alias Situ.Remote.Rendezvous.Directory
       iex> robot = %{name: "robot", version: "1", endpoints: []}

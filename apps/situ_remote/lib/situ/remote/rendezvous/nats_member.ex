@@ -2,12 +2,11 @@ defmodule Situ.Remote.Rendezvous.NatsMember do
   @moduledoc false
   # Lets processes find one another over NATS, without a server of Situ. On `situ.peers` each process publishes its
   # endpoints when it joins, when they change and every `beat`, in the format of the rendezvous protocol. A newcomer
-  # publishes the byte for a farewell, to which all processes reply with theirs. On `situ.peer.NAME` a process replies
-  # with the address of its link.
+  # publishes the farewell byte, and all other processes then publish their endpoints. On `situ.peer.NAME` a process
+  # replies with the address of its link.
   #
   # The reply subject identifies the process that sent a message. If two have the same name, the first counts until it
-  # leaves. Both are notified; `rival` is when the other process was last heard.
-  # told; `rival` is when the other was last heard.
+  # leaves. Both are notified; `rival` is the time at which the other process was last heard.
   use GenServer
   require Logger
   alias Situ.Error

@@ -15,12 +15,12 @@ defmodule Situ.Remote.Rendezvous.Protocol do
 
       iex> alias Situ.Remote.Rendezvous.Protocol
       iex> process = %{name: "robot", version: "1", endpoints: [{:address, "situ://r1/robot", [{"imu", ":float"}]}]}
-      iex> bytes = IO.iodata_to_binary(Wire.encode({:add, process}))
-      iex> Wire.decode(bytes <> "rest")
+      iex> bytes = IO.iodata_to_binary(Protocol.encode({:add, process}))
+      iex> Protocol.decode(bytes <> "rest")
       {:ok, {:add, process}, "rest"}
-      iex> Wire.decode(binary_part(bytes, 0, 9))
+      iex> Protocol.decode(binary_part(bytes, 0, 9))
       :more
-      iex> Wire.decode(<<7>>)
+      iex> Protocol.decode(<<7>>)
       {:error, "no update begins with the byte 7"}
   """
   import Situ.BinarySize, only: [pinned_size: 1]
@@ -96,8 +96,8 @@ defmodule Situ.Remote.Rendezvous.Protocol do
   Decodes an update that arrives in parts, as `decode/1` does. Only a string or number that was cut is read twice.
 
       iex> alias Situ.Remote.Rendezvous.Protocol
-      iex> <<first::binary-3, rest::binary>> = IO.iodata_to_binary(Wire.encode({:remove, "robot"}))
-      iex> {:more, continue} = Wire.feed(first)
+      iex> <<first::binary-3, rest::binary>> = IO.iodata_to_binary(Protocol.encode({:remove, "robot"}))
+      iex> {:more, continue} = Protocol.feed(first)
       iex> continue.(rest <> "next")
       {:ok, {:remove, "robot"}, "next"}
   """

@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Rendezvous.Server do
   @moduledoc false
-  # The server at which processes find one another. One process handles all clients, since each sends little. When a
-  # client leaves, its processes are removed. A client that does not read is disconnected.
+  # Runs the server at which processes find one another. One process handles all clients, since each sends little.
+  # When a client leaves, its processes are removed. A client that does not read is disconnected.
   #
   # Clients are not authenticated, so none may keep others out. A client must send its greeting within some seconds, and
   # complete each message as quickly. When the server is full, it disconnects the oldest client that has announced

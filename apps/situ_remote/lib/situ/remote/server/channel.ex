@@ -1,6 +1,7 @@
 defmodule Situ.Remote.Server.Channel do
   @moduledoc """
-  The server's state of one stream sent to one client: the request, its position, and the remaining credit. Pure.
+  Holds the server's state of one stream sent to one client: the request, its position, and the remaining credit.
+  Pure.
   """
   alias Situ.Delivery
   alias Situ.Remote.Link.{DatagramCodec, Frame}

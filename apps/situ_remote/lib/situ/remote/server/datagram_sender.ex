@@ -3,6 +3,11 @@ defmodule Situ.Remote.Server.DatagramSender do
   # Sends one lossy stream to one client as datagrams, in a separate process with its own socket. It sends to the last
   # address that the client's hello came from, in bursts that a receiver can absorb, and notifies the session when a
   # frame was sent.
+  #
+  # A lost TCP segment delays everything after it, and an old image is worth less than the next
+  # one. QUIC would need a large native library for one kind of stream. Only the messages of lossy
+  # streams use datagrams; logins, catalogues, credits and the end of a stream stay on the
+  # connection.
   use GenServer
   alias Situ.Remote.Link.DatagramCodec
 

@@ -17,6 +17,7 @@ defmodule Situ.Remote.Server.Requests do
   terms, which the client reads with the checked decoder of stores. A body is sent in segments: each begins with the
   byte 0, the last one with 1. The byte 2 precedes an error as JSON.
   """
+  # See docs/adr/0115-remote-recordings-answer-requests.md.
   alias Situ.{Error, JSON}
   alias Situ.Remote.Link.{Batch, Handshake}
   alias Situ.Store.{Handle, Query, StreamInfo}

@@ -1,8 +1,8 @@
 defmodule Situ.Remote.Server.Session do
   @moduledoc false
-  # The session of one client. The client authenticates, receives the catalogue, subscribes to streams, and is sent
-  # messages as its credit allows. Its data can affect only its own session; invalid data end the connection with an
-  # error.
+  # Handles the session of one client. The client authenticates, receives the catalogue, subscribes to streams, and
+  # is sent messages as its credit allows. Its data can affect only its own session; invalid data end the connection
+  # with an error.
   use GenServer, restart: :temporary
   alias Situ.Error
   alias Situ.Remote.Link.{Frame, Handshake, Schedule, Socket}
@@ -142,7 +142,7 @@ defmodule Situ.Remote.Server.Session do
     }
   end
 
-  # Frames from the client
+  # The following clauses handle frames from the client.
 
   defp handle_frame({:hello, version, oldest, nonce}, %{stage: :greeting} = state) do
     with {:ok, _version} <- Handshake.check_version(version, oldest),
@@ -265,7 +265,7 @@ defmodule Situ.Remote.Server.Session do
     %{state | replies: queue}
   end
 
-  # The state after a frame of the client.
+  # Returns the state after a frame of the client.
 
   defp after_frame({:ok, state}, _before), do: activate_socket(state)
 

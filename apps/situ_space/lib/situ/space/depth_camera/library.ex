@@ -15,7 +15,7 @@ defmodule Situ.Space.DepthCamera.Library do
       type: {:optional, {:struct, Situ.CameraIntrinsics}},
       default: nil,
       doc:
-        "The intrinsics of the colour camera; by default as reported by the library, or else equal to depth."
+        "The intrinsics of the colour camera; by default as reported by the library, or else the depth camera's."
     ],
     pose: [
       type: {:optional, {:struct, Situ.Pose}},
@@ -42,8 +42,8 @@ defmodule Situ.Space.DepthCamera.Library do
       kinect = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Library, device: "freenect:0"})
 
   The libraries run in the separate program `depth_port`, which `bin/setup --with depth` builds, so a crash ends only
-  that program. `list_cameras/0` and `situ devices` list the connected cameras. `"fakenect:FOLDER"` plays a folder written by
-  libfreenect's `fakenect-record`, at its original speed.
+  that program. `list_cameras/0` and `situ devices` list the connected cameras. `"fakenect:FOLDER"` replays a folder
+  written by libfreenect's `fakenect-record`, at its original speed.
 
   Depth is in millimetres. libfreenect registers a Kinect's depth to its colour image (but not the depth of a folder).
   Timestamps are arrival times in the program. A camera cannot wait: images that are not taken in time are dropped,
@@ -59,16 +59,18 @@ defmodule Situ.Space.DepthCamera.Library do
 
   #{Situ.Options.docs(@schema)}
   """
+  # See docs/adr/0105-large-libraries-run-in-separate-programs.md. Times are times of arrival,
+  # because the clocks of devices start at any value, and one of them wraps after 71 s.
   @behaviour Situ.Space.DepthCamera
   alias Situ.{Error, Pose}
   alias Situ.Media.Device
   alias Situ.Space.DepthCamera
-  alias Situ.Space.DepthCamera.Library.{Port, Source}
+  alias Situ.Space.DepthCamera.Library.{PortProgram, Source}
 
   @impl true
   def open(p, opts) do
     opts = Situ.Options.validate!(opts, @schema)
-    Error.unwrap!(Port.device_arguments(opts[:device]))
+    Error.unwrap!(PortProgram.device_arguments(opts[:device]))
     opts = Keyword.update!(opts, :pose, &(&1 || Pose.identity()))
     seen = Situ.source(p, Source, opts ++ [name: "Depth camera", async: true])
     %DepthCamera{depth: seen.depth, color: seen.color}
@@ -76,12 +78,13 @@ defmodule Situ.Space.DepthCamera.Library do
 
   @doc "Returns whether `depth_port` was built."
   @spec available?() :: boolean()
-  def available?, do: match?({:ok, _}, Port.fetch_path())
+  def available?, do: match?({:ok, _}, PortProgram.fetch_path())
 
-  @doc "Lists the cameras that the libraries find; empty if `depth_port` was not built."
+  @doc "Lists the cameras that the libraries find, or returns an empty list if `depth_port` was not built."
   @spec list_cameras() :: [Device.t()]
   def list_cameras do
-    for line <- Port.list_cameras(), [driver, address, name] <- [String.split(line, "\t")] do
+    for line <- PortProgram.list_cameras(),
+        [driver, address, name] <- [String.split(line, "\t")] do
       %Device{id: "#{driver}:#{address}", kind: :depth_camera, name: String.trim(name)}
     end
   end

@@ -43,9 +43,9 @@ defmodule Situ.Space.DepthCamera.Recording do
       d435 = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recording, path: "d435.bag"})
 
   Its streams contain the `Situ.CameraView`s of the recorded camera. Images that were encoded before recording stay
-  encoded. Recordings of plain depth images become views by adding intrinsics. Bags of the RealSense SDK or its viewer
-  contain them; other recordings need `lens:` or `intrinsics:`. The colour sensor of a RealSense camera has another pose
-  than its depth sensor, and that pose is not read. Its colour stream therefore contains images, not views.
+  Depth images without views become views by adding intrinsics. Bags of the RealSense SDK or its viewer contain the
+  intrinsics; other recordings need `lens:` or `intrinsics:`. The colour sensor of a RealSense camera has a different
+  pose than its depth sensor, and that pose is not read. Its colour stream therefore contains images, not views.
 
   Raises `Situ.Error`: `:no_such_stream`, and `:no_intrinsics` if the intrinsics of depth images are not known.
 
@@ -116,7 +116,7 @@ defmodule Situ.Space.DepthCamera.Recording do
     raise Error.new(
             :wrong_data,
             "expected a depth image, got #{inspect(other, limit: 5, printable_limit: 80)}",
-            why: "the first message of the stream is a depth image"
+            why: "the first message is a depth image, so all others must be depth images"
           )
   end
 

@@ -111,7 +111,8 @@ defmodule Situ.Space.GeometryFile.Gltf do
       else: reject_file!("a list of its scene is not a list of objects")
   end
 
-  # Collects every mesh with its matrix. A node that occurs twice has two parents or is its own descendant.
+  # Collects every mesh with its matrix. A node that occurs twice is an error, because it has two parents or is its
+  # own descendant.
   defp collect_meshes(numbers, scene, outer, seen) when is_list(numbers) do
     Enum.reduce(numbers, {[], seen}, fn number, {shapes, seen} ->
       if number in seen, do: reject_file!("node #{inspect(number)} occurs twice in the scene")
@@ -182,7 +183,7 @@ defmodule Situ.Space.GeometryFile.Gltf do
       {in_range(a * x + d * y + g * z), in_range(b * x + e * y + h * z),
        in_range(c * x + f * y + i * z)}
 
-  # A deep tree of large factors would overflow.
+  # The factors of a deep tree could overflow.
   defp in_range(x) when abs(x) < 1.0e20, do: x
   defp in_range(_x), do: reject_file!("a node's transform is out of range")
 

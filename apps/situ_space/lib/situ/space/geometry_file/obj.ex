@@ -7,7 +7,7 @@ defmodule Situ.Space.GeometryFile.Obj do
 
   @most 50_000_000
 
-  @doc "Returns a mesh if there are faces, otherwise a point cloud."
+  @doc "Returns a mesh if there are faces, or else a point cloud."
   @spec parse_file(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
   def parse_file(text) do
     {vertices, colors, faces, count} =

@@ -27,7 +27,7 @@ defmodule Situ.Space.GeometryFile.Ply do
   }
   @most 100_000_000
 
-  @doc "Returns a mesh if there are faces, otherwise a point cloud."
+  @doc "Returns a mesh if there are faces, or else a point cloud."
   @spec parse_file(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
   def parse_file(<<"ply", _::binary>> = file) do
     with [head, body] <- String.split(file, ~r/end_header\r?\n/, parts: 2),

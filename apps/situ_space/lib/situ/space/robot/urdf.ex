@@ -2,15 +2,19 @@ defmodule Situ.Space.Robot.Urdf do
   @moduledoc """
   Reads URDF, ROS's file format for robots: links with their visible shapes, and joints.
 
-  Boxes, cylinders, spheres and meshes (files that `Situ.Space.GeometryFile` reads, such as `.stl`) are read with their poses.
-  Materials, collisions, inertias and limits are skipped. Floating and planar joints do not move. Mesh files are
-  searched relative to the URDF file: `package://arm/meshes/link.stl` is searched as `meshes/link.stl` and
-  `arm/meshes/link.stl` in the file's folder and the four above it. A mesh that is missing or has an unknown format is
-  replaced by a text at its position.
+  Boxes, cylinders, spheres and meshes (files that `Situ.Space.GeometryFile` reads, such as `.stl`) are read with
+  their poses. Materials, collisions, inertias and limits are skipped. Floating and planar joints do not move. Paths
+  of mesh files are relative to the URDF file: `package://arm/meshes/link.stl` is searched for as `meshes/link.stl`
+  and `arm/meshes/link.stl` in the file's folder and the four above it. A mesh that is missing or has an unknown
+  format is replaced by a text at its position.
 
   As a recording (`bin/situ studio arm.urdf`) it contains two streams of one message each: `Robot`, the shapes with all
   joints at 0, and `Frames`. Use `Situ.Space.Robot` to move the joints.
   """
+  # Erlang's SAX parser reads these files of some kilobytes. The crate `urdf-rs` returns only the
+  # elements, each of which would have to become a term, and `urdf-loader` in the page would not
+  # help pipelines. Each joint state sends all triangles again, which is fine for simple shapes
+  # and slow for scanned ones.
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Mesh, Message, Point3, Pose, Quaternion, Transform, Vector3}

@@ -1,7 +1,7 @@
 defmodule Situ.Space.SyntheticRoom.Scene do
   @moduledoc """
-  The synthetic room as an exact function of time. Person 0 walks to and fro, and person 1 points at a floating ball.
-  They take turns speaking.
+  The synthetic room as an exact function of time. Person 0 walks back and forth, and person 1 points at a floating
+  ball. They take turns speaking.
 
       iex> alias Situ.Space.SyntheticRoom.Scene
       iex> scene = Scene.state_at(1.0)
@@ -32,8 +32,9 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   @step 1.0e-4
 
   @doc """
-  Returns the room at `t` seconds. `speech` lists when each person speaks. By default the two take turns of two seconds,
-  half a second apart. `sway` is how far (metres, and radians) the camera moves around its position.
+  Returns the room at `t` seconds. `speech` lists when each person speaks; by default, each of them speaks for two
+  seconds in turn, with pauses of half a second. `sway` is how far (metres and radians) the camera moves around its
+  position.
   """
   @spec state_at(number(), speech() | nil, number()) :: t()
   def state_at(t, speech \\ nil, sway \\ 0.0) do
@@ -63,7 +64,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
   def speaking?(id, t, speech),
     do: Enum.any?(speech, fn {who, from, to} -> who == id and t >= from and t < to end)
 
-  # The person walks to and fro along y, and the feet move at the speed of the body.
+  # The person walks back and forth along y, and the feet move at the speed of the body.
   defp walking_person(t) do
     place = fn t -> {3.0 + 0.35 * :math.cos(0.5 * t), 0.2 + 0.9 * :math.sin(0.5 * t), 0.0} end
     {x, y, _} = Vector3.subtract(place.(t + @step), place.(t))

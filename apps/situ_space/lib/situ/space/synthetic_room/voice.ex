@@ -1,7 +1,7 @@
 defmodule Situ.Space.SyntheticRoom.Voice do
   @moduledoc """
-  The audio in the synthetic room: a speaking person hums four syllables a second, each person at another pitch. Samples
-  depend only on their number, so the audio is the same however it is split into buffers.
+  The audio in the synthetic room: a speaking person hums four syllables a second, each person at a different pitch.
+  Samples depend only on their number, so the audio is the same however it is split into buffers.
 
       iex> alias Situ.Space.SyntheticRoom.Voice
       iex> Voice.generate_samples(0..3, 16_000, fn _id, _t -> false end)

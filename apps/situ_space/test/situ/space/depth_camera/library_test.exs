@@ -5,7 +5,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Pipeline, Pose}
   alias Situ.Space.DepthCamera
   alias Situ.Space.DepthCamera.Library
-  alias Situ.Space.DepthCamera.Library.Port
+  alias Situ.Space.DepthCamera.Library.PortProgram
 
   @moduletag :capture_log
   @dummy "openni2:Dummy"
@@ -139,7 +139,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
 
   property "accepts only the program's own packets" do
     forall packet <- binary() do
-      case Port.decode_packet(packet) do
+      case PortProgram.decode_packet(packet) do
         {:picture, kind, _, _, {w, h}, pixels} ->
           byte_size(pixels) == w * h * if(kind == :depth, do: 2, else: 3)
 

@@ -1,6 +1,10 @@
 defmodule Situ.Store.Csv.Scan do
   @moduledoc false
   # Scans a CSV file once to find its columns and the position of every thousandth row.
+  # An earlier reader held the whole file as terms, which limited it to half a gigabyte, and it
+  # split lines before it looked at quotes. The scan keeps a few hundred bytes per thousand rows.
+  # A row of more than 16 MiB is rejected, because an unclosed quote would take in the rest of the
+  # file.
   alias Situ.Store.Csv.Field
   alias Situ.Store.{NativeErrors, Native, Writer}
 

@@ -2,7 +2,8 @@ defmodule Situ.Store.Rotation.Retention do
   @moduledoc false
   # Determines the segments of a recording that exceed `keep:`. Originating times of messages are not used, because a
   # single incorrect time must not delete anything. Segments split by time count with their nominal length. For
-  # segments split by size, the time at which they ended by the computer's clock is used, which the caller reads.
+  # segments split by size, the caller passes the times at which they ended, as read from the computer's clock.
+  # See docs/adr/0132-long-recordings-are-split-into-segments.md.
 
   @typedoc """
   A segment: its `size` in bytes, its `duration` in ns of originating time, and when it `ended` by the computer's clock.

@@ -1,8 +1,8 @@
 defmodule Situ.Store.Rotation.SplitPoint do
   @moduledoc false
   # Decides where a recording is split into segments: at multiples of a time, or when a segment reaches a size. One
-  # process makes the splits by size during recording. All writing components read them: the number of the newest
-  # segment and the time at which it begins.
+  # process makes the splits by size during recording. All writing components read the split point: the number of the
+  # newest segment and the time at which it begins.
   @enforce_keys [:every]
   defstruct [:every, :newest]
 
@@ -29,7 +29,7 @@ defmodule Situ.Store.Rotation.SplitPoint do
   def segment_number(%{newest: nil, every: every}, time), do: Integer.floor_div(time, every)
 
   def segment_number(%{newest: newest}, time) do
-    # Read in this order because the writer sets the number first: an outdated number with a new time would send a
+    # Reads in this order because the writer sets the number first: an outdated number with a new time would send a
     # message two segments back.
     from = :atomics.get(newest, @from)
     number = :atomics.get(newest, @number)

@@ -1,6 +1,11 @@
 defmodule Situ.Store.Summary.Fold do
   @moduledoc false
   # Summarizes by reading every message, for readers without a pyramid and as the reference for readers that have one.
+  #
+  # Stores keep bins for streams of any type (levels 65 to 126), because above 200,000 messages a
+  # timeline without them could draw only a sample. A bin of 32 messages takes 3 bytes if it has
+  # only a count, and about 10 bytes for booleans. Writing costs 15 to 60 ns more per message, and
+  # about 100 ns per key of a map. A property test compares the bins with this module.
   import Bitwise
   alias Situ.Store.{Handle, Query, StreamInfo, Summary}
   alias Situ.Store.Summary.Bins

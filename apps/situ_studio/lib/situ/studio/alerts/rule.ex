@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Alerts.Rule do
   @moduledoc """
-  A rule of an alert: a name and an expression (`Situ.Expression`) over a running pipeline's streams and statistics. A
-  stream's name refers to its latest value. `` `STATISTIC(PATH)` `` is a statistic of a component, or the worst value
-  among its incoming connections. `Situ.Studio.PipelineView.Stats` lists the names.
+  Parses alert rules. A rule is a name and an expression (`Situ.Expression`) over a pipeline's streams and
+  statistics. A stream's name refers to its latest value. `` `STATISTIC(PATH)` `` is a statistic of a component, or
+  the worst value among its incoming connections. `Situ.Studio.PipelineView.Stats` lists the names.
 
       iex> {:ok, [rule]} = Situ.Studio.Alerts.Rule.parse_rules("slow: `latency_mean(Screen)` > 200 or `Mic.Level` > 0.9")
       iex> {rule.name, Situ.Studio.Alerts.Rule.referenced_streams(rule)}

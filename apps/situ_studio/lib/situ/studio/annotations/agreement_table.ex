@@ -7,8 +7,8 @@ defmodule Situ.Studio.Annotations.AgreementTable do
       iex> {:ok, a} = Layer.new(schema, [Situ.Annotation.new(0, 60_000_000, "P1")])
       iex> {:ok, b} = Layer.new(schema, [Situ.Annotation.new(20_000_000, 60_000_000, "P1")])
       iex> {:ok, rows} = Situ.Studio.Annotations.AgreementTable.agreement_rows(a, b)
-      iex> {List.keyfind(rows, "same label", 0), List.keyfind(rows, "begins apart by", 0)}
-      {{"same label", "66.7 %"}, {"begins apart by", "20.0 ms"}}
+      iex> {List.keyfind(rows, "same label", 0), List.keyfind(rows, "mean start difference", 0)}
+      {{"same label", "66.7 %"}, {"mean start difference", "20.0 ms"}}
   """
   alias Situ.Annotation.{Agreement, Layer}
 
@@ -26,11 +26,11 @@ defmodule Situ.Studio.Annotations.AgreementTable do
          {"attribute", result.attribute},
          {"Cohen's kappa", format_number(result.kappa)},
          {"same label", format_percent(result.agreement)},
-         {"annotations of both", "#{result.paired}"},
-         {"only of the first", "#{result.only_first}"},
-         {"only of the second", "#{result.only_second}"},
-         {"begins apart by", format_duration(result.begin_error)},
-         {"ends apart by", format_duration(result.end_error)}
+         {"annotations in both", "#{result.paired}"},
+         {"only in the first", "#{result.only_first}"},
+         {"only in the second", "#{result.only_second}"},
+         {"mean start difference", format_duration(result.begin_error)},
+         {"mean end difference", format_duration(result.end_error)}
        ] ++
          for {track, kappa} <- Enum.sort(result.tracks),
              map_size(result.tracks) > 1 do
@@ -48,10 +48,10 @@ defmodule Situ.Studio.Annotations.AgreementTable do
     end
   end
 
-  defp format_number(nil), do: "none: chance explains all"
+  defp format_number(nil), do: "undefined"
   defp format_number(x), do: :erlang.float_to_binary(x / 1, decimals: 3)
   defp format_percent(nil), do: "none"
   defp format_percent(x), do: :erlang.float_to_binary(100.0 * x, decimals: 1) <> " %"
-  defp format_duration(nil), do: "none in common"
+  defp format_duration(nil), do: "no pairs"
   defp format_duration(ns), do: Situ.Time.format_duration(round(ns))
 end

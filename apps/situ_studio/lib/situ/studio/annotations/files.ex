@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Annotations.Files do
   @moduledoc """
-  The files of a recording's annotations. Each stream has its own store next to the recording, so that two people who
-  annotate the recording at the same time can save independently.
+  Names the files of a recording's annotations. Each stream has its own store next to the recording, so that two
+  people who annotate the recording at the same time can save independently.
 
       iex> Situ.Studio.Annotations.Files.store_path("/study/lobby.0000", "Speech.Ada")
       "/study/lobby.0000-annotation-Speech%2EAda"

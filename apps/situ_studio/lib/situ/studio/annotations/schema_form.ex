@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Annotations.SchemaForm do
   @moduledoc """
-  The schema of a stream of annotations as users edit it in the page: attributes, and their values with keys and
-  colors. Attributes and values remember their original names, so that annotations follow renames.
+  Holds the schema of a stream of annotations while users edit it in the page: attributes, and their values with keys
+  and colors. Attributes and values remember their original names, so that annotations follow renames.
 
       iex> alias Situ.Studio.Annotations.SchemaForm
       iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "S", "attributes" => [

@@ -98,7 +98,7 @@ defmodule Situ.Studio.Datasets.FolderImport do
   Describes the result for the page.
 
       iex> Situ.Studio.Datasets.FolderImport.describe_result({2, ["p01", "p02"]}, "session")
-      "2 sessions added; there already: p01, p02"
+      "2 sessions added; already present: p01, p02"
       iex> Situ.Studio.Datasets.FolderImport.describe_result({1, []}, "recording")
       "1 recording added"
   """
@@ -107,8 +107,8 @@ defmodule Situ.Studio.Datasets.FolderImport do
     "#{added} #{noun}#{if added != 1, do: "s"} added" <>
       case Enum.split(skipped, 5) do
         {[], []} -> ""
-        {some, []} -> "; there already: #{Enum.join(some, ", ")}"
-        {some, more} -> "; there already: #{Enum.join(some, ", ")} and #{length(more)} more"
+        {some, []} -> "; already present: #{Enum.join(some, ", ")}"
+        {some, more} -> "; already present: #{Enum.join(some, ", ")} and #{length(more)} more"
       end
   end
 end

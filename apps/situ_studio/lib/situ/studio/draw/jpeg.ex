@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Draw.Jpeg do
   @moduledoc false
-  # The only module that knows how this machine encodes JPEG. Images that cannot be encoded are sent as plain pixels.
+  # This is the only module that knows how this machine encodes JPEG. Images that cannot be encoded are sent as plain
+  # pixels.
 
   @spec encode(Situ.Image.t(), 1..100) :: {:ok, iodata()} | :error
   def encode(image, quality) do

@@ -18,7 +18,7 @@ defmodule Situ.Studio.Draw.Segments do
   alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
   alias Situ.Studio.Draw.{Key, WindowMessages, GapDetection}
 
-  @typedoc "From, to (`nil`: open), label, class (how it is drawn), and the name of its lane (`\"\"`: the only lane)."
+  @typedoc "The tuple `{from, to, label, class, lane}`: `to` is `nil` if open, and the only lane is `\"\"`."
   @type t ::
           {Situ.Time.t(), Situ.Time.t() | nil, label :: String.t(), class :: String.t(),
            lane :: String.t()}

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Draw.Values do
   @moduledoc """
-  The exact values of a stream at a time, which a page shows at the cursor.
+  Reads the exact values of a stream at a time, which a page shows at the cursor.
 
   A value comes from the latest message at or before the time and never from a summary, so it is the same at every
   zoom. Values go to the page as text. A float has the fewest digits that read back as the same number, and an integer
@@ -10,6 +10,10 @@ defmodule Situ.Studio.Draw.Values do
       iex> Enum.map([0.1, 123456789.123, 9_007_199_254_740_993, true, :nan, nil], &Values.format_exact/1)
       ["0.1", "123456789.123", "9007199254740993", "true", "nan", nil]
   """
+  # The page once took the value at the cursor from the bin under it, and one cursor showed
+  # 10.745, 9.0532 or 8.2688, depending on the zoom. The server therefore sends the value for each
+  # cursor, on the path that images use. If the page searched raw messages itself, it would need
+  # the rules of sources (gaps, late messages, audio) a second time.
   alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
 
   # The page gets at most this many values of one message.

@@ -31,12 +31,16 @@ defmodule Situ.Studio.Headset.Display do
 
   Each message replaces the drawing of the previous one; a message with nothing to draw clears it. Positions are in the
   headset's frame (x forward, y left, z up, relative to the start of its session). A page that connects later receives
-  the last message. While a drawing is in flight, only the newest of the following ones is kept.
+  the last message. While a drawing is in flight, only the newest later drawing is kept.
 
   ## Options
 
   #{Situ.Options.docs(@schema)}
   """
+  # A headset is a page of the studio (WebXR), so no separate program is needed for each make of
+  # headset. It shows the scenes of 3D panels: see
+  # docs/adr/0121-a-scene-consists-of-nine-kinds-of-items.md. The tests use an emulator (iwer) in
+  # Chromium; it was not tried on a real headset.
   use Situ.Component, inputs: [in: :any], options: @schema
 
   alias Situ.{Error, JSON}

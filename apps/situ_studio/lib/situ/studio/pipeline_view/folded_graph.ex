@@ -154,7 +154,7 @@ defmodule Situ.Studio.PipelineView.FoldedGraph do
   Returns whether a connection may drop messages.
 
       iex> alias Situ.Studio.PipelineView.FoldedGraph
-      iex> for policy <- ["unlimited", "throttle(8)", "latest"], do: Fold.lossy?(%{policy: policy})
+      iex> for policy <- ["unlimited", "throttle(8)", "latest"], do: FoldedGraph.lossy?(%{policy: policy})
       [false, false, true]
   """
   @spec lossy?(%{:policy => String.t() | nil, optional(atom()) => term()}) :: boolean()

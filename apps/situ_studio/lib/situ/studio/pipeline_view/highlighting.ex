@@ -4,7 +4,7 @@ defmodule Situ.Studio.PipelineView.Highlighting do
   whose producer waits. All others are faded. Pure.
 
       iex> alias Situ.Studio.PipelineView.Highlighting
-      iex> for mark <- ["none", "throttle", "latest", "waits"], do: Marking.faded?(mark, "throttle(8)", true)
+      iex> for mark <- ["none", "throttle", "latest", "waits"], do: Highlighting.faded?(mark, "throttle(8)", true)
       [false, false, true, false]
   """
 
@@ -34,7 +34,7 @@ defmodule Situ.Studio.PipelineView.Highlighting do
   @spec graph_directions() :: [{String.t(), String.t()}]
   def graph_directions, do: @directions
 
-  @doc "Returns whether a connection is faded. A connection that is drawn for several has all their policies."
+  @doc "Returns whether a connection is faded. A line that represents several connections has all their policies."
   @spec faded?(String.t(), String.t() | nil, boolean()) :: boolean()
   def faded?("none", _policy, _waits?), do: false
   def faded?("waits", _policy, waits?), do: not waits?

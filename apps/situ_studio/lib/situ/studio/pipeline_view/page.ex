@@ -15,7 +15,7 @@ defmodule Situ.Studio.PipelineView.Page do
     <div class="studio pipeline" id="pipeline" data-selected={@selected}>
       <header class="topbar">
         <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
-        <h1 class="where"><a href={Paths.source_path(@id)} title="Its streams">{@id}</a></h1>
+        <h1 class="where"><a href={Paths.source_path(@id)} title="Streams of this pipeline">{@id}</a></h1>
         <span class="sep"></span>
         <span class={["state", @snapshot.state]}>{@snapshot.state}</span>
         <span class="dim">{round(@snapshot.progress * 100)} %</span>
@@ -43,7 +43,7 @@ defmodule Situ.Studio.PipelineView.Page do
         <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="fold_all">Fold all</button>
         <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="unfold_all">Unfold all</button>
         <button class="tool" type="button" data-graph="fit" title="View everything (f)"><.icon name={:fit} /></button>
-        <a class="tool" href={Paths.source_path(@id)} title="Its streams">Streams</a>
+        <a class="tool" href={Paths.source_path(@id)} title="Streams of this pipeline">Streams</a>
       </header>
       <main class="centre">
         <AlertBox.alert_list alerts={@alerts} />

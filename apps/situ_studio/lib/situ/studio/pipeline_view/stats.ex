@@ -1,6 +1,6 @@
 defmodule Situ.Studio.PipelineView.Stats do
   @moduledoc """
-  The statistics of a running pipeline that can be plotted or used to colour the graph.
+  Computes the statistics of a running pipeline that can be plotted or used to colour the graph.
 
   Rates are computed from two snapshots (`Situ.Diagnostics.Snapshot`) and the time between them, everything else from
   one. Means and recent values cover the pipeline's last averaging span. If no messages were processed in that span,
@@ -13,7 +13,7 @@ defmodule Situ.Studio.PipelineView.Stats do
   """
   alias Situ.Diagnostics.Snapshot
 
-  # id, kind of object, display name, unit, and how to combine the values of several edges drawn as one
+  # Each row has an id, the kind of object, a display name, a unit, and the way to combine the values of several edges.
   @table [
     {"queue", :edge, "Queue", :count, :sum},
     {"queue_mean", :edge, "Queue, mean", :count, :sum},

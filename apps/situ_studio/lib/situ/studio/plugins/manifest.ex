@@ -19,12 +19,12 @@ defmodule Situ.Studio.Plugins.Manifest do
   | key of a part | |
   |---|---|
   | `types` | the streams that it accepts: types as the stream's properties show them, or their shapes, or `["any"]` |
-  | `panel` | `"image"` (over an image) or `"own"` (fills a panel); with a `module` any, drawn by the page's `drawer` |
+  | `panel` | `"image"` (over an image) or `"own"` (fills a panel); with a `module`, any kind that `drawer` supports |
   | `script` | the ES module below `web/` that draws |
   | `data` | `"message"` (default): the message at the cursor; `"past"`: the messages of the last `seconds` (option) |
   | `module` | the Elixir module (`Situ.Studio.Visualizer`) that builds the frames, instead of `data` |
   | `drawer` | the page's own visualizer that draws the frames of the `module`, instead of a `script` |
-  | `options` | of each: `type` (`boolean`, `color`, `text`, `range`, `choice`), `title`, `default`, `min`, `max`, `choices` |
+  | `options` | by name: `type` (`boolean`, `color`, `text`, `range`, `choice`), `title`, `default`, `min`, `max`, `choices` |
 
   Adapters, readers and tasks are Elixir modules below `lib/` and are not listed.
 

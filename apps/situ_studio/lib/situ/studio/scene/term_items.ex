@@ -4,14 +4,15 @@ defmodule Situ.Studio.Scene.TermItems do
   like, alone or in lists, tuples and maps, with optional names.
 
       iex> alias Situ.Studio.Scene.TermItems
-      iex> {[item], []} = Terms.collect_items([Situ.Point3.new(1, 2, 3), Situ.Point3.new(4, 5, 6)])
+      iex> {[item], []} = TermItems.collect_items([Situ.Point3.new(1, 2, 3), Situ.Point3.new(4, 5, 6)])
       iex> {item.kind, item.count}
       {:graphs, 2}
-      iex> Terms.any?(%{name: "lamp", at: Situ.Pose.identity()})
+      iex> TermItems.any?(%{name: "lamp", at: Situ.Pose.identity()})
       true
-      iex> Terms.any?([1, 2, 3])
+      iex> TermItems.any?([1, 2, 3])
       false
   """
+  # See docs/adr/0121-a-scene-consists-of-nine-kinds-of-items.md.
   alias Situ.{Box3, CameraIntrinsics, CameraView, DepthImage, EncodedImage, Image, Line3, Mesh}
   alias Situ.{Plane, Point3, PointCloud, Pose, PoseVelocity, Ray3, Rectangle3, Skeleton, Vector3}
   alias Situ.{Velocity3, VoxelGrid}

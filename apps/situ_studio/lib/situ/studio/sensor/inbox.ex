@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Sensor.Inbox do
   @moduledoc false
-  # Shared by sources whose sensor is a page. Holds their name, the connected page, and the data from the page that
+  # Holds the state of a source whose sensor is a page: its name, the connected page, and the data from the page that
   # waits for the pipeline. One output is credited: the page sends more of it only after the pipeline has taken some.
   alias Situ.Error
 

@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Source.DerivedStreams do
   @moduledoc """
   Adds derived streams to a source, which are computed when they are read. A stream called `= EXPRESSION` has a message
-  at the time of every message of the streams that the expression names. Its value is the expression's
-  (`Situ.Expression`), given the latest message of each of these streams. The name is the complete definition, so
+  at the time of every message of the streams that the expression names. Its value is the result of the expression
+  (`Situ.Expression`) for the latest message of each of these streams. The name is the complete definition, so
   layouts and links can contain derived streams.
 
       iex> history = Situ.Studio.History.new(live: false)

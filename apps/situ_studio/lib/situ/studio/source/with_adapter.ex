@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Source.WithAdapter do
   @moduledoc """
-  A source whose messages are converted by an adapter (`Situ.Studio.Adapter`). Messages that the adapter cannot convert
-  are gaps.
+  Wraps a source whose messages are converted by an adapter (`Situ.Studio.Adapter`). Messages that the adapter cannot
+  convert are gaps.
   """
   @behaviour Situ.Studio.Source
 

@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Visualizers.Bars do
   @moduledoc """
-  Bars of a message: a list of numbers, a map from names to numbers, or a list of `{name, number}`. A map from names to
-  such lists is several series. They can also be drawn as lines, areas or a plot over x, vertically or horizontally.
+  Draws a message as bars: a list of numbers, a map from names to numbers, or a list of `{name, number}`. A map from
+  names to such lists is several series. They can also be drawn as lines, areas or a plot over x, vertically or
+  horizontally.
 
       iex> Situ.Studio.Visualizers.Bars.bar_rows(%{"b" => 2, "a" => 1.5})
       [["a", 1.5], ["b", 2]]

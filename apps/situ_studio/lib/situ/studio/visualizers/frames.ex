@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.Frames do
   @moduledoc """
-  A tree of frames of reference. It gives the panel's other layers, which may be in one of these frames, the pose of
-  each frame in its root. The panel is drawn in the frame `fixed`, or in the first root.
+  Draws a tree of frames of reference, and gives the panel's other layers, which may be in one of these frames, the pose
+  of each frame in its root. The panel is drawn in the frame `fixed`, or in the first root.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -68,11 +68,11 @@ defmodule Situ.Studio.Visualizers.Frames do
   defp message_transforms(_), do: []
 
   @doc """
-  Returns every frame with its parent, its root and the matrix (column by column) that transforms it to the root. There
-  is a problem instead of a matrix if the transform is unknown at that time.
+  Returns every frame with its parent, its root and the matrix (column by column) that transforms it to the root. A
+  frame whose transform is unknown at that time has a problem instead of a matrix.
 
       iex> alias Situ.Space.FrameTree
-      iex> {:ok, frames} = Frames.put_static(Frames.new(), "lamp", "room", Situ.Pose.new({0.0, 0.0, 2.0}))
+      iex> {:ok, frames} = FrameTree.put_static(FrameTree.new(), "lamp", "room", Situ.Pose.new({0.0, 0.0, 2.0}))
       iex> %{"frames" => %{"lamp" => lamp, "room" => _}} = Situ.Studio.Visualizers.Frames.frame_tree(frames, 0)
       iex> {lamp["root"], Enum.slice(lamp["matrix"], 12, 3)}
       {"room", [0.0, 0.0, 2.0]}

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Image do
-  @moduledoc "The image at the cursor."
+  @moduledoc "Draws the image at the cursor."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer}

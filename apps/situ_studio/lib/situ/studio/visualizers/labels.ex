@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Labels do
-  @moduledoc "Texts, each shown from its message until the next."
+  @moduledoc "Draws texts on a lane, each from its message until the next one."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw.Segments, Visualizer}

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Latency do
-  @moduledoc "The latency of each message (from its originating to its creation time, in milliseconds) as a stem."
+  @moduledoc "Draws the latency of each message (from originating to creation time, in milliseconds) as a stem."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Source, Visualizer}

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Line do
-  @moduledoc "One number over time, from a whole stream or from a part of its messages."
+  @moduledoc "Draws one number over time, from a whole stream or from a part of its messages."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Visualizers.Lines do
   @moduledoc """
-  A line for each key of maps of numbers. If a value is missing or `nil`, its line has a gap.
+  Draws a line for each key of maps of numbers. If a value is missing or `nil`, its line has a gap.
 
       iex> maps = [{0, %{a: 1}}, {1, %{a: 2, b: 5}}, {2, %{b: 6}}]
       iex> messages = for {t, v} <- maps, do: %Situ.Message{data: v, originating_time: t}

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Visualizers.Log do
   @moduledoc """
-  The messages around the cursor as a list, each with its time and a short text.
+  Lists the messages around the cursor, each with its time and a short text.
 
       iex> Situ.Studio.Visualizers.Log.build_row(%Situ.Message{data: {:ok, 3}, originating_time: 7}, [])
       ["7", "{:ok, 3}"]

@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Visualizers.Masks do
   @moduledoc """
-  Masks over images: an image whose values are class numbers (`Situ.Infer.Segmentation`), or a list of `:gray8` images,
-  each bright where the object in its box is (`Situ.Infer.ObjectDetector`). The boxes come with the masks as pairs
-  (`{rect, mask}`), or from the stream that has the same number of `Situ.Rect`s at the same time. The page receives
-  masks as runs: a value and its number of repetitions, from the upper left corner on.
+  Draws masks over images. The masks are an image whose values are class numbers (`Situ.Infer.Segmentation`), or a list
+  of `:gray8` images, each bright where the object in its box is (`Situ.Infer.ObjectDetector`). The boxes come with the
+  masks as pairs (`{rect, mask}`), or from the stream that has the same number of `Situ.Rect`s at the same time. The
+  page receives masks as runs: a value and its number of repetitions, starting at the upper left corner.
 
       iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<0, 7, 7, 7>>)
       iex> Situ.Studio.Visualizers.Masks.encode_runs(image)

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Messages do
-  @moduledoc "A mark at the time of each message."
+  @moduledoc "Draws a mark at the time of each message."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Source, Visualizer}

@@ -1,11 +1,11 @@
 defmodule Situ.Studio.Visualizers.Script do
   @moduledoc """
-  The server's half of a visualizer that consists of a script only. It sends the message at the cursor, or the messages
-  of some seconds before it, as JSON.
+  Implements the server's half of a visualizer that is only a script. It sends the message at the cursor, or the
+  messages of some seconds before it, as JSON.
 
   Numbers, strings, `true`, `false` and `nil` stay the same. Atoms become strings, lists and tuples become arrays, and
   maps and structs become objects (a struct has its name as `"type"`). Bytes that are not text become `{"bytes": SIZE}`,
-  because images and audio have visualizers.
+  because images and audio have their own visualizers.
 
       iex> Situ.Studio.Visualizers.Script.to_json_term({:left, %Situ.Point2{x: 1.5, y: 2}})
       {:ok, ["left", %{"type" => "Situ.Point2", "x" => 1.5, "y" => 2}]}

@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Visualizers.Shapes do
   @moduledoc """
-  Rectangles, points, lines and texts over images, found in any term: a `Situ.Rect`, a `Situ.Point2`, a line (a pair of
-  points, or a map of two points `from` and `to`), lists, tuples and maps of them, and structs with such fields (a face
-  with its box and landmarks). A trail shows where they were in the last seconds.
+  Draws rectangles, points, lines and texts over images. It finds them in any term: a `Situ.Rect`, a `Situ.Point2`, a
+  line (a pair of points, or a map of two points `from` and `to`), lists, tuples and maps of them, and structs with such
+  fields (a face with its box and landmarks). A trail shows where they were in the last seconds.
 
   A struct with packed points provides them through `points/1` of its module, as `[{x, y}]`.
 
@@ -156,7 +156,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
     collect_tail(tail, label, collect_term(head, label, acc, depth + 1), depth)
   end
 
-  # A rectangle paired with its name.
+  # A pair of a rectangle and its name is one labelled rectangle.
   defp collect_term({%Situ.Rect{} = rect, label}, _, acc, depth) when is_binary(label),
     do: collect_term(rect, label, acc, depth)
 

@@ -65,16 +65,16 @@ defmodule Situ.Studio.Visualizers.SharedOptions do
     joins = [{"direct", "straight"}, {"step", "steps"}, {"none", "points only"}]
 
     [
-      interpolation: [type: {:in, joins}, title: "Joins", default: "direct"],
+      interpolation: [type: {:in, joins}, title: "Interpolation", default: "direct"],
       width: [type: {:range, 0.5, 6}, title: "Width", default: 1.25],
       markers: [type: :boolean, title: "Markers", default: false],
       marker: [
         type: {:in, @markers},
-        title: "Their shape",
+        title: "Marker shape",
         default: "circle",
         only: {:markers, true}
       ],
-      size: [type: {:range, 1, 20}, title: "Their size", default: 5, only: {:markers, true}],
+      size: [type: {:range, 1, 20}, title: "Marker size", default: 5, only: {:markers, true}],
       digits: [type: {:range, 1, 15}, title: "Digits of values", default: 5],
       unit: [type: :text, title: "Unit"]
     ]

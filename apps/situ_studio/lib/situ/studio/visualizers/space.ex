@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Visualizers.Space do
   @moduledoc """
-  Objects in three dimensions: point clouds, meshes, boxes, poses, rays, skeletons, and cameras with their images
+  Draws objects in three dimensions: point clouds, meshes, boxes, poses, rays, skeletons, and cameras with their images
   (`Situ.Studio.Scene.TermItems`).
 
-  A cloud with more points than "Maximum points" is first sent thinned. When the viewer comes to rest, the page sends
+  A cloud with more points than "Maximum points" is first sent thinned. When the view stops moving, the page sends
   another request with the property `within`: the planes around the visible part of the scene, as a list of four numbers
   each. The reply contains only clouds, with as many points of that part as the limit allows.
   """
@@ -57,7 +57,7 @@ defmodule Situ.Studio.Visualizers.Space do
             default: 0.5,
             only: {:text_as, "plane"}
           ],
-          over: [type: :boolean, title: "Over the rest", default: false],
+          over: [type: :boolean, title: "Draw on top", default: false],
           depth_as: [type: {:in, @depths}, title: "Depth as", default: "points"],
           sparsity: [type: {:range, 1, 50}, title: "Every n-th pixel of depth", default: 1]
         ] ++

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Visualizers.Spans do
   @moduledoc """
-  Time intervals in messages, drawn from their start to their end, whatever the message's own time. Accepted are a
+  Draws time intervals in messages from their start to their end, independent of the message's own time. It accepts a
   `Situ.Interval` of times, anything with `start` and `stop` (or `end`) in nanoseconds and optionally a `text`, `label`
   or `name` (an utterance), a `text` with `from` and `to` (a recognised sentence), a pair of an interval and its text,
   lists of these, and maps from names of lanes to these. During an utterance, a recogniser sends several drafts of its
@@ -99,7 +99,7 @@ defmodule Situ.Studio.Visualizers.Spans do
   defp value_spans([_ | _] = list, lane, time), do: collect_all(list, &build_span(&1, lane, time))
   defp value_spans(value, lane, time), do: build_span(value, lane, time)
 
-  # Either all elements are intervals, or the data is not. An improper list is not, either.
+  # A list is drawn only if all of its elements are intervals. An improper list is not drawn, either.
   defp collect_all([], _), do: {:ok, []}
 
   defp collect_all([head | tail], fun) do

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.States do
-  @moduledoc "States that hold until the next message: booleans, atoms, and maps of them with a lane for each key."
+  @moduledoc "Draws states that hold until the next message: booleans, atoms, and maps of them with a lane per key."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Source, Visualizer}

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Text do
-  @moduledoc "The text at the cursor, in large letters."
+  @moduledoc "Draws the text at the cursor in large letters."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, Visualizer}

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.Value do
-  @moduledoc "Any message at the cursor as a tree of its values."
+  @moduledoc "Shows any message at the cursor as a tree of its values."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Frame, ValueTree, Visualizer}

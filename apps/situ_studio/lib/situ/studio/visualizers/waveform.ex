@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Visualizers.Waveform do
   @moduledoc """
-  Audio as the band between its extremes, of all channels together or of one. A single channel is computed from the
-  samples. Therefore a window of more than two minutes shows all channels together, and the frame says so.
+  Draws audio as the band between its extremes, for all channels together or for one channel. A single channel is
+  computed from the samples. A window of more than two minutes therefore shows all channels together, and the frame
+  marks this.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -114,7 +115,7 @@ defmodule Situ.Studio.Visualizers.Waveform do
          do: if(AudioBuffer.frame_count(buffer) > 0, do: {:ok, message}, else: :none)
   end
 
-  # The last frame that begins at or before a time. Frames begin at fractions of a ns, which are rounded.
+  # Returns the last frame that begins at or before a time. Frames begin at fractions of a ns, which are rounded.
   defp frame_at(time, start, format) do
     n = max(AudioFormat.ns_to_frames(format, time - start), 0)
 

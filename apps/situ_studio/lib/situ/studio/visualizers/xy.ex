@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Visualizers.XY do
   @moduledoc """
-  Numbers plotted against each other: the panel's first stream is x and the others are y, at the times of their messages
+  Plots numbers against each other: the panel's first stream is x and the others are y, at the times of their messages
   in the view. The data of each stream is the same as for a line.
   """
   @behaviour Situ.Studio.Visualizer

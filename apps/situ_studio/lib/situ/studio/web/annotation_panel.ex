@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.AnnotationPanel do
   @moduledoc false
-  # Annotation in the main view: a dialog that opens or creates an annotation stream, the panel that edits it, and the
-  # events that pass the page's edits to `Situ.Studio.Annotations`.
+  # Handles annotation in the main view: a dialog that opens or creates an annotation stream, the panel that edits
+  # it, and the events that pass the page's edits to `Situ.Studio.Annotations`.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 

@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Web.ClusterView do
   @moduledoc false
-  # The page of a cluster: its nodes, the deployed parts with their streams, the links of all nodes, and readers that
-  # are catching up. The page is available if the studio's own node is a member. It only displays the cluster.
+  # Serves the page of a cluster: its nodes, the deployed parts with their streams, the links of all nodes, and
+  # readers that are catching up. The page is available if the studio's own node is a member. It only displays the
+  # cluster.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
   alias Situ.Cluster.Overview

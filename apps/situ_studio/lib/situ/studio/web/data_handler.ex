@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Web.DataHandler do
   @moduledoc false
-  # The data socket: passes requests to the session and replies back. The server sends exactly one reply per request
-  # and nothing else, so at most one reply waits for a page that has stopped reading.
+  # Handles the data socket: passes requests to the session and replies back. The server sends exactly one reply per
+  # request and nothing else, so at most one reply waits for a page that has stopped reading. See
+  # docs/adr/0080-the-page-pulls-its-data.md.
   @behaviour Situ.Live.SocketHandler
 
   alias Situ.Studio.{Catalog, Comparison, DataSession}

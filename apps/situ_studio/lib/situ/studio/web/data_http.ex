@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.DataHttp do
   @moduledoc false
-  # Data fetched over HTTP rather than streamed: windows for scripts and tests, audio, steps between messages, and
+  # Serves data over HTTP that pages do not stream: windows for scripts and tests, audio, steps between messages, and
   # exported files.
   alias Situ.Live.{Request, Response}
   alias Situ.TempFolder

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.DatasetView do
   @moduledoc false
-  # The page of a dataset: its tree, the properties of the selected row, and its batch runs.
+  # Serves the page of a dataset: its tree, the properties of the selected row, and its batch runs.
   use Situ.Live.View
 
   alias Situ.Dataset.Server
@@ -124,7 +124,7 @@ defmodule Situ.Studio.Web.DatasetView do
 
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
-  # All events below modify something.
+  # All events below modify the dataset or its recordings.
   def handle_event(_, _, %{assigns: %{read_only: true}} = socket),
     do: {:noreply, show_toast(socket, "This studio is read-only")}
 
@@ -191,7 +191,7 @@ defmodule Situ.Studio.Web.DatasetView do
   def handle_info(:refresh, %{assigns: %{server: server, file: file}} = socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
 
-    # the file may have been edited by hand or by the command line; the page is notified of that like of any change
+    # The file may have been edited by hand or on the command line. The page is then notified as of any change.
     _ = Datasets.reload_dataset(server, file)
     {:noreply, refresh_facts(socket)}
   end

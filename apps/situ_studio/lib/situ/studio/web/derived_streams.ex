@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.DerivedStreams do
   @moduledoc false
-  # The derived streams of a page, either used by its layout or created on the page.
+  # Loads the derived streams of a page, which its layout uses or which were created on the page.
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Error

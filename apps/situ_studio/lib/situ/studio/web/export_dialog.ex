@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.ExportDialog do
   @moduledoc false
-  # The dialog "Save the selection as a recording": asks for a name, starts the export in a separate process, and shows
-  # the path of the new recording.
+  # Handles the dialog "Save the selection as a recording": asks for a name, starts the export in a separate process,
+  # and shows the path of the new recording.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 

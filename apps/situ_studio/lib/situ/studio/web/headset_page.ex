@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.HeadsetPage do
   @moduledoc false
-  # The page that acts as a headset. It has no view on the server, only a script.
+  # Serves the page that acts as a headset. It has no view on the server, only a script.
   alias Situ.Live.{Request, Response}
   alias Situ.Studio.Web.StaticPage
 

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.HomeView do
   @moduledoc false
-  # The start page: a list of datasets, running pipelines and recordings.
+  # Serves the start page, a list of datasets, running pipelines and recordings.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
   alias Situ.Dataset
@@ -213,7 +213,7 @@ defmodule Situ.Studio.Web.HomeView do
       [
         Summary.format_duration(facts),
         if(streams == 1, do: "1 stream", else: "#{streams} streams"),
-        # the memory used by messages is not measured
+        # The memory used by messages is not measured.
         if(item.kind == :source, do: "", else: StreamTotals.format_bytes(facts.size))
       ],
       &(&1 == "")

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Icons do
   @moduledoc false
-  # The studio's icons: 16 px line drawings in the color of the surrounding text.
+  # Renders the studio's icons, 16 px line drawings in the color of the surrounding text.
   use Situ.Live.Component
 
   @paths %{

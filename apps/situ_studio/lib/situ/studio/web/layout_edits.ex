@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.LayoutEdits do
   @moduledoc false
-  # The layout changes that the page's buttons and forms make, as pure functions from an event and the assigns to the
-  # changed assigns.
+  # Applies the layout changes that the page's buttons and forms make, as pure functions from an event and the
+  # assigns to the changed assigns.
   alias Situ.{Error, Studio}
   alias Studio.{Layout, Visualizer, Visualizers}
 
@@ -13,7 +13,7 @@ defmodule Situ.Studio.Web.LayoutEdits do
     into = if(is_binary(params["panel"]), do: params["panel"], else: "")
 
     with {:ok, entries} <- fetch_visualizers(assigns, stream) do
-      # a stream that is dropped on a panel uses a visualizer that fits this panel, if there is one
+      # A stream that is dropped on a panel uses a visualizer that fits this panel, if there is one.
       panel = Layout.find_panel(assigns.layout, into)
       entry = (panel && Enum.find(entries, &(&1.panel == panel.panel))) || hd(entries)
       add_to_panel(assigns, stream, entry, into)

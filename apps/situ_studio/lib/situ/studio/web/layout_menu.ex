@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.LayoutMenu do
   @moduledoc false
-  # The layout of the main view: chosen by the page's address, picked from the menu, saved under a name, or deleted.
+  # Handles the layout of the main view, which the address chooses, or which is picked, saved or deleted in the menu.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
@@ -38,7 +38,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
         layouts: [Layout.Auto.layout_name() | names -- [auto.name]]
       )
 
-    # an offset in the address takes precedence over the offset saved with the layout
+    # An offset in the address takes precedence over the offset saved with the layout.
     if Int64.parse(params["offset"]) == :error,
       do: apply_saved_offset(socket, saved),
       else: socket

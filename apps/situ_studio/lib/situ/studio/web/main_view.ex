@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.MainView do
   @moduledoc false
-  # The page of one recording or pipeline. The browser owns times, cursor and images; this process owns the streams, the
-  # layout and the selection of streams and panels.
+  # Serves the page of one recording or pipeline. The browser owns times, cursor and images; this process owns the
+  # streams, the layout and the selection of streams and panels.
   use Situ.Live.View
 
   alias Situ.Studio.{

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.PageFrame do
   @moduledoc false
-  # The frame around the panels: toolbar, time display, status bar and dialogs.
+  # Renders the frame around the panels: toolbar, time display, status bar and dialogs.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
 

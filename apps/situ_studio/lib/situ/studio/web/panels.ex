@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Panels do
   @moduledoc false
-  # The center of the page: rows of panels. The page's script renders the inside of each panel.
+  # Renders the center of the page, the rows of panels. The page's script renders the inside of each panel.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Web.AnnotationPanel
@@ -10,7 +10,7 @@ defmodule Situ.Studio.Web.Panels do
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
 
-  # facts about the streams: shapes, lanes, coverage and colors, and the studio's own visualizers (`:extra`)
+  # `known` holds facts about the streams (shapes, lanes, coverage and colors) and the studio's own visualizers (`:extra`).
   attr(:known, :map, required: true)
   attr(:streams, :integer, required: true)
   attr(:maximised, :any, required: true)
@@ -99,7 +99,7 @@ defmodule Situ.Studio.Web.Panels do
   # The id contains the panel's kind, so that the page creates a new element when the kind changes.
   defp body_id(panel), do: "body-#{panel.id}-#{panel.panel}"
 
-  # The lower edge of a row; dragging it sets the row's height.
+  # Renders the lower edge of a row. Dragging it sets the row's height.
   defp resize_handle(assigns) do
     ~H"""
     <div class="resize" id={"resize-" <> @row} phx-hook="Resize" tabindex="0" role="separator"

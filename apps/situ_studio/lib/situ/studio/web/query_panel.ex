@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.QueryPanel do
   @moduledoc false
-  # The panel "Find the times where": its input field, the intervals found, and the actions on them.
+  # Handles the panel "Find the times where": its input field, the intervals found, and the actions on them.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
   import Situ.Studio.Web.Icons
@@ -36,7 +36,7 @@ defmodule Situ.Studio.Web.QueryPanel do
     page = self()
     run = make_ref()
 
-    # the page stays responsive, and the result of an earlier query is dropped
+    # A task runs the query, so the page stays responsive. The result of an earlier query is dropped.
     Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
       send(page, {:found, run, IntervalSearch.run_query(parts, text)})
     end)

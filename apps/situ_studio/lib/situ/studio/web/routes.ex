@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Routes do
   @moduledoc false
-  # The addresses of a studio.
+  # Lists the addresses of a studio.
   alias Situ.Studio.{Headset, PipelineView, Sensor}
 
   alias Situ.Studio.Web.{
@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.Routes do
 
   @spec build_routes(String.t(), String.t()) :: [tuple()]
   def build_routes(studio, base \\ "/") do
-    # signed into each page, so that a viewer's page keeps its view-only role over its socket
+    # The role is signed into each page, so that a viewer's page keeps its view-only role over its socket.
     session = &%{"studio" => studio, "viewer" => &1.role == :viewer}
 
     [

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.SchemaDialog do
   @moduledoc false
-  # The dialog that edits an annotation schema: attributes and their values, each with a key and a color.
+  # Renders the dialog that edits an annotation schema: attributes and their values, each with a key and a color.
   use Situ.Live.Component
 
   attr(:draft, :list, required: true)

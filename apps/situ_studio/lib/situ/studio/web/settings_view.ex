@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.SettingsView do
   @moduledoc false
-  # The settings page: settings that the studio stores for everybody, and settings that this browser stores.
+  # Serves the settings page, with the settings that the studio stores for everybody and the settings that this browser
+  # stores.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
 

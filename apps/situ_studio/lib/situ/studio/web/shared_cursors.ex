@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.SharedCursors do
   @moduledoc false
-  # Several browsers that view the same recording or pipeline can share their cursor and visible range; others show that
-  # cursor or follow it. The server only forwards these messages and stores nothing.
+  # Shares the cursor and visible range of a browser with others that view the same recording or pipeline. They show
+  # its cursor or follow it. The server only forwards these messages and stores nothing.
   import Situ.Live.Socket, only: [connected?: 1, push_event: 3]
 
   alias Situ.Live.Socket

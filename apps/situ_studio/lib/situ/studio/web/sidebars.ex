@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Sidebars do
   @moduledoc false
-  # The sidebars. Left: recordings and the stream tree. Right: properties of the selected stream, group or panel.
+  # Renders the sidebars: recordings and the stream tree on the left, and properties of the selection on the right.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
   import Situ.Studio.Web.TimeLabels
@@ -223,7 +223,7 @@ defmodule Situ.Studio.Web.Sidebars do
   defp unset_class(nil, option), do: (option[:several] && "several") || (option[:auto] && "none")
   defp unset_class(_, _), do: nil
 
-  # Writes 3.0 as 3, like a person would.
+  # Writes 3.0 as 3, as a person would.
   defp format_number(x) when is_float(x) and abs(x) < 1.0e15 and trunc(x) == x, do: trunc(x)
   defp format_number(x), do: x
 

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.SourceList do
   @moduledoc false
-  # The list of other sources that the page of a recording links to.
+  # Lists the other sources that the page of a recording links to.
   alias Situ.Studio.Catalog
   alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.Web.Paths

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.StaticPage do
   @moduledoc false
-  # A page without a view on the server: a title, a body, and at most one script.
+  # Builds a page without a view on the server: a title, a body, and at most one script.
   alias Situ.Live.Response
 
   @csp "default-src 'self'; connect-src 'self' ws: wss:; media-src 'self' blob:; frame-ancestors 'none'"

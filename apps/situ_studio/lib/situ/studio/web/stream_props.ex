@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.StreamProps do
   @moduledoc false
-  # The properties of a stream, or of all streams of a group, in the right sidebar.
+  # Renders the properties of a stream, or of all streams of a group, in the right sidebar.
   use Situ.Live.Component
   import Situ.Studio.Web.TimeLabels
   alias Situ.Studio.{StreamTotals, Visualizers}
@@ -76,9 +76,9 @@ defmodule Situ.Studio.Web.StreamProps do
     <div class="choices">
       <button class="btn" type="button" phx-click="snap" phx-value-stream={@stream.name}
           aria-pressed={to_string(@snap == @stream.name)}>
-          {if @snap == @stream.name, do: "Release the cursor", else: "Snap cursor to it"}</button>
+          {if @snap == @stream.name, do: "Release the cursor", else: "Snap the cursor to this stream"}</button>
       <button :if={@stream.first} class="btn" type="button" phx-click="zoom_stream"
-          phx-value-stream={@stream.name}>Zoom to it</button>
+          phx-value-stream={@stream.name}>Zoom to stream</button>
     </div>
     """
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.StreamTree do
   @moduledoc false
-  # The stream tree next to the panels: its search, its folded groups, and the statistic shown next to the names.
+  # Handles the stream tree next to the panels: its search, its folded groups, and the statistic next to the names.
   import Situ.Live.Socket, only: [assign: 2]
 
   alias Situ.Live.Socket
@@ -76,7 +76,7 @@ defmodule Situ.Studio.Web.StreamTree do
   end
 
   def visible_rows(%{query: query, infos: streams}) do
-    # the search matches names and types
+    # The search matches names and types.
     streams
     |> Tree.search(query, &"#{&1.name} #{&1.type}")
     |> Tree.build(& &1.name)

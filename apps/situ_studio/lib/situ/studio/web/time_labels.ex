@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.TimeLabels do
   @moduledoc false
-  # A time in a list or among properties. The server renders it in UTC; the page's script then rewrites it as the user
-  # prefers.
+  # Renders a time in a list or among properties. The server renders it in UTC; the page's script then rewrites it as
+  # the user prefers.
   use Situ.Live.Component
   alias Situ.Studio.StreamTotals
 

@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.VideoExportBox do
   @moduledoc false
-  # The video export of a page: started from a panel's menu, then shown with its progress and the finished file.
+  # Handles the video export of a page: it is started from a panel's menu, then shown with its progress and the
+  # finished file.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 

@@ -6,8 +6,8 @@ defmodule Situ.Bridge.Format.Csv.Number do
   @canonical ~r/\A-?(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d{1,3})?\z/
 
   @doc """
-  Returns the shortest digits that represent the number, without ".0", and with an exponent from 1E+15 on and below
-  0.0001.
+  Returns the shortest digits that represent the number, without ".0". Numbers from 1E+15 on and below 0.0001 have an
+  exponent.
 
       iex> Enum.map([1.0, 0.1, 1.5e20, 1.0e-5, -0.0, 12], &Situ.Bridge.Format.Csv.Number.encode_number/1)
       ["1", "0.1", "1.5E+20", "1E-05", "-0", "12"]

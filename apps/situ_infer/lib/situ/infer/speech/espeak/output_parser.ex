@@ -57,7 +57,7 @@ defmodule Situ.Infer.Speech.Espeak.OutputParser do
 
   defp parse_frames(_, _sound, _events), do: :error
 
-  # Each mark lasts until the next mark of its kind; a word also ends at a pause.
+  # Each mark lasts until the next mark of its kind. A word also ends at a pause.
   defp build_marks([], _frames, _rate, _text), do: []
 
   defp build_marks([{kind, at, what} | later], frames, rate, text) do

@@ -11,7 +11,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
   @frame 10_000_000
   # Scores are logarithms to base 1.0001 in units of 1024; the program itself uses a scale of 20 for confidence.
   @scale 1024 * :math.log(1.0001) / 20
-  # Sentences of a grammar score above this value per frame, other speech below (recordings of models.md: -6 and -13).
+  # Sentences of a grammar score above this value per frame, and other speech below (in recordings: -6 and -13).
   @middle -9.5
   @width 1.5
 
@@ -90,7 +90,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
     |> Enum.uniq_by(&elem(&1, 0))
   end
 
-  @doc "Returns the share of the bare phones' likelihood that the words keep, as a confidence of 0..1."
+  @doc "Returns a confidence of 0..1 from the likelihood of the words relative to that of the free phone sequence."
   @spec phone_confidence(said(), said()) :: float()
   def phone_confidence(%{frames: frames} = said, phones) when frames > 0 do
     kept = (said.score - phones.score) / frames

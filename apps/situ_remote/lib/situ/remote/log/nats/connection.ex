@@ -1,9 +1,9 @@
 defmodule Situ.Remote.Log.Nats.Connection do
   @moduledoc false
-  # A connection to one of several NATS servers, for requests with replies. When it is lost, requests in flight return
-  # `{:error, :down}`, and it tries the servers in turn until one accepts. With `subscriber:` (a process) and
-  # `subjects:`, it sends the messages of these subjects to the subscriber as `{:nats, connection, message}`, and
-  # `{:nats, connection, :up}` each time it has connected.
+  # Connects to one of several NATS servers, for requests with replies. When the connection is lost, requests in
+  # flight return `{:error, :down}`, and it tries the servers in turn until one accepts. With `subscriber:` (a
+  # process) and `subjects:`, it sends the messages of these subjects to the subscriber as `{:nats, connection,
+  # message}`, and `{:nats, connection, :up}` each time it has connected.
   use GenServer
 
   alias Situ.{Error, JSON}
@@ -255,7 +255,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
     next_server(%{state | socket: nil, info: nil, buffer: "", pending: %{}})
   end
 
-  # Connecting
+  # The following functions connect.
 
   defp connect_next(%{servers: [server | _]} = state) do
     with {:ok, dialed} <- Dialer.connect(server, state.opts) do

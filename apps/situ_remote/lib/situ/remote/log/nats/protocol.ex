@@ -3,13 +3,13 @@ defmodule Situ.Remote.Log.Nats.Protocol do
   Encodes and parses the NATS client protocol. Pure. A line has at most 4 KiB, a message at most the agreed size.
 
       iex> alias Situ.Remote.Log.Nats.Protocol
-      iex> "a.b" |> Wire.encode_publish("_INBOX.1", [{"K", "v"}], "data") |> IO.iodata_to_binary()
+      iex> "a.b" |> Protocol.encode_publish("_INBOX.1", [{"K", "v"}], "data") |> IO.iodata_to_binary()
       "HPUB a.b _INBOX.1 18 22\\r\\nNATS/1.0\\r\\nK: v\\r\\n\\r\\ndata\\r\\n"
-      iex> Wire.parse_frame("MSG a.b 1 4\\r\\ndata\\r\\nPI", 1_024)
+      iex> Protocol.parse_frame("MSG a.b 1 4\\r\\ndata\\r\\nPI", 1_024)
       {:ok, {:message, %{subject: "a.b", reply: nil, status: nil, headers: %{}, data: "data"}}, "PI"}
-      iex> Wire.parse_frame("PI", 1_024)
+      iex> Protocol.parse_frame("PI", 1_024)
       :more
-      iex> Wire.parse_frame("MSG a.b 1 4000\\r\\n", 1_024)
+      iex> Protocol.parse_frame("MSG a.b 1 4000\\r\\n", 1_024)
       {:error, "a message of 4000 bytes exceeds the limit of 1024"}
   """
   import Situ.BinarySize, only: [pinned_size: 1]

@@ -1,7 +1,7 @@
 defmodule Situ.Space.DepthCamera.Library.Source do
   @moduledoc """
   The source of `Situ.Space.DepthCamera.Library`: views of depth and colour from the program `depth_port`. It requests
-  another image when one was taken. If a pipeline is too slow, the program drops images and counts them.
+  another image when one has been taken. If a pipeline is too slow, the program drops images and counts them.
   """
   use Situ.Component,
     outputs: [depth: Situ.CameraView, color: Situ.CameraView],
@@ -15,7 +15,7 @@ defmodule Situ.Space.DepthCamera.Library.Source do
     ]
 
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Image}
-  alias Situ.Space.DepthCamera.Library.Port
+  alias Situ.Space.DepthCamera.Library.PortProgram
   require Logger
 
   @retry_ms 1_000
@@ -50,9 +50,9 @@ defmodule Situ.Space.DepthCamera.Library.Source do
     difference = context.now - Situ.Time.now()
     offset = if abs(difference) < @same_clock, do: 0, else: difference
 
-    case Port.open(camera.opts.device) do
+    case PortProgram.open(camera.opts.device) do
       {:ok, port} ->
-        Port.request_images(port, :first)
+        PortProgram.request_images(port, :first)
         schedule_watchdog(%{camera | port: port, offset: offset, heard: true})
 
       {:error, error} ->
@@ -68,7 +68,7 @@ defmodule Situ.Space.DepthCamera.Library.Source do
 
   @impl true
   def handle_info({port, {:data, packet}}, context, %{port: port} = camera),
-    do: packet |> Port.decode_packet() |> handle_packet(%{camera | heard: true}, context)
+    do: packet |> PortProgram.decode_packet() |> handle_packet(%{camera | heard: true}, context)
 
   def handle_info({port, {:exit_status, 0}}, _context, %{port: port} = camera),
     do: complete_streams(camera)
@@ -138,7 +138,7 @@ defmodule Situ.Space.DepthCamera.Library.Source do
     {taken, waiting} = Enum.split(camera.waiting, n)
 
     if camera.port,
-      do: Enum.each(taken, fn {kind, _, _} -> Port.request_images(camera.port, kind) end)
+      do: Enum.each(taken, fn {kind, _, _} -> PortProgram.request_images(camera.port, kind) end)
 
     camera = %{camera | waiting: waiting}
 
@@ -185,7 +185,7 @@ defmodule Situ.Space.DepthCamera.Library.Source do
   defp close_camera(%{port: nil} = camera), do: camera
 
   defp close_camera(camera) do
-    Port.close(camera.port)
+    PortProgram.close(camera.port)
     %{camera | port: nil}
   end
 

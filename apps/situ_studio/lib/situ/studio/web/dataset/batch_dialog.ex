@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Dataset.BatchDialog do
   @moduledoc false
-  # The dialog that runs a batch task: a form with its options, the sessions to process, and previously saved options.
+  # Renders the dialog that runs a batch task: a form with its options, the sessions to process, and saved options.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 

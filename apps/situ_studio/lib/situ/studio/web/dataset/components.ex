@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Dataset.Components do
   @moduledoc false
-  # The components of a dataset's page: the top bar, the tree, the properties and the batch runs.
+  # Renders the components of a dataset's page: the top bar, the tree, the properties and the batch runs.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
   import Situ.Studio.Web.TimeLabels
@@ -125,7 +125,7 @@ defmodule Situ.Studio.Web.Dataset.Components do
 
     length = facts |> Summary.sum_figures() |> StreamTotals.add_lengths(sums)
 
-    # weeks may pass between the first and the last message, so the total duration is the sum over the sessions
+    # Weeks may pass between the first and the last message, so the total duration is the sum over the sessions.
     rows =
       [
         {"Sessions", length(dataset.sessions)},

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Dialogs do
   @moduledoc false
-  # The dialogs of a dataset's page: entering a name, adding recordings or folders, replacing and exporting a recording,
-  # and running a task.
+  # Renders the dialogs of a dataset's page: entering a name, adding recordings or folders, replacing and exporting a
+  # recording, and running a task.
   use Situ.Live.Component
   alias Situ.Studio.Web.Dataset.BatchDialog
 

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.RowMenu do
   @moduledoc """
-  Context menus of a dataset's tree, shown on a right click and by a row's "⋯" button. A menu is a list of
-  `%{text:, event: | href: | copy:}`; `sure` is a confirmation question, and `-` is a separator.
+  Builds the context menus of a dataset's tree, which open with a right click or a row's "⋯" button. A menu is a list
+  of `%{text:, event: | href: | copy:}`; `sure` is a confirmation question, and `-` is a separator.
   """
   alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.Web.Paths

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Rows do
   @moduledoc """
-  The rows of a dataset's tree: the dataset, its sessions, their recordings and the streams of those. A search filters
-  the sessions.
+  Builds the rows of a dataset's tree: the dataset, its sessions, their recordings, and the streams of the
+  recordings. A search filters the sessions.
   """
   alias Situ.Dataset
   alias Situ.Studio.Datasets.Summary
@@ -144,7 +144,7 @@ defmodule Situ.Studio.Web.Dataset.Rows do
       metadata |> Enum.sort() |> Enum.map_join("\n", fn {k, v} -> "#{k}: #{format_value(v)}" end)
 
   defp format_value(value) when is_binary(value) do
-    # a string that would be parsed as another JSON value is quoted
+    # A string that would be parsed as another JSON value is quoted.
     if parse_value(value) == value, do: value, else: Situ.JSON.encode(value)
   end
 
