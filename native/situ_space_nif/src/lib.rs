@@ -192,8 +192,8 @@ fn depth_mesh<'a>(
     encode_binaries_reply(env, mesh)
 }
 
-/// Finds the colors of depth pixels. The image is `{camera, pixels, rotation, position}`, with the rotation and position
-/// of the depth camera in the frame of its camera.
+/// Finds the colors of depth pixels. The image is `{camera, pixels, rotation, position}`, with the rotation and
+/// position of the depth camera in the frame of its camera.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn depth_colors<'a>(
     env: Env<'a>,

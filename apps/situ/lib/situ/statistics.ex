@@ -4,7 +4,8 @@ defmodule Situ.Statistics do
 
       iex> Situ.Statistics.of_list(:std, [1, 2, 3, 4])
       1.2909944487358056
-      iex> {results, _state} = Enum.map_reduce([5, 3, 4], Situ.Statistics.initial_state(:min), &Situ.Statistics.add_value(&2, &1))
+      iex> state = Situ.Statistics.initial_state(:min)
+      iex> {results, _state} = Enum.map_reduce([5, 3, 4], state, &Situ.Statistics.add_value(&2, &1))
       iex> results
       [5, 3, 3]
 

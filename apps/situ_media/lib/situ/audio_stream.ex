@@ -32,7 +32,8 @@ defmodule Situ.AudioStream do
 
       iex> buffer = Situ.AudioBuffer.build_silence(Situ.AudioFormat.pcm(48_000), 960)
       iex> feed = for i <- 1..10, do: {i * 20_000_000, buffer}
-      iex> out = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.AudioStream.resample(16_000) end, times: true)
+      iex> resample = fn p -> p |> Situ.from_enumerable(feed) |> Situ.AudioStream.resample(16_000) end
+      iex> out = Situ.to_list(resample, times: true)
       iex> {out |> List.last() |> elem(0), out |> Enum.map(&Situ.AudioBuffer.frame_count(elem(&1, 1))) |> Enum.sum()}
       {200_000_000, 3200}
   """
@@ -83,7 +84,9 @@ defmodule Situ.AudioStream do
       iex> format = Situ.AudioFormat.pcm(1000)
       iex> a = [{2_000_000, Situ.AudioBuffer.from_samples([1, 1], format)}]
       iex> b = [{3_000_000, Situ.AudioBuffer.from_samples([10, 10], format)}]
-      iex> mixed = Situ.to_list(fn p -> Situ.AudioStream.mix(Situ.from_enumerable(p, a), Situ.from_enumerable(p, b)) end)
+      iex> mixed = Situ.to_list(fn p ->
+      ...>   Situ.AudioStream.mix(Situ.from_enumerable(p, a), Situ.from_enumerable(p, b))
+      ...> end)
       iex> Enum.flat_map(mixed, &Situ.AudioBuffer.to_samples/1)
       [1, 11, 10]
   """

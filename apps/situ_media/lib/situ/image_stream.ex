@@ -19,7 +19,10 @@ defmodule Situ.ImageStream do
 
       iex> image = Situ.Image.new_filled(4, 2, :bgr24, [0, 0, 255])
       iex> Situ.to_list(fn p ->
-      ...>   p |> Situ.repeat(image, every: 10, count: 2) |> Situ.ImageStream.convert(:gray8) |> Situ.ImageStream.resize(2, 1)
+      ...>   p
+      ...>   |> Situ.repeat(image, every: 10, count: 2)
+      ...>   |> Situ.ImageStream.convert(:gray8)
+      ...>   |> Situ.ImageStream.resize(2, 1)
       ...> end)
       [Situ.Image.new_filled(2, 1, :gray8, 76), Situ.Image.new_filled(2, 1, :gray8, 76)]
   """
@@ -118,7 +121,9 @@ defmodule Situ.ImageStream do
   `{:optional, Situ.Image}`, or `{:optional, Situ.DepthImage}` for a stream of depth images.
 
       iex> {image, rect} = {Situ.Image.new_filled(4, 4, :gray8), Situ.Rect.new!(1, 1, 2, 2)}
-      iex> Situ.to_list(fn p -> p |> Situ.repeat({image, rect}, every: 10, count: 1) |> Situ.ImageStream.crop(:paired) end)
+      iex> Situ.to_list(fn p ->
+      ...>   p |> Situ.repeat({image, rect}, every: 10, count: 1) |> Situ.ImageStream.crop(:paired)
+      ...> end)
       [Situ.Image.new_filled(2, 2, :gray8)]
   """
   @spec crop(Stream.t(), Situ.Rect.t() | tuple() | :paired, keyword()) :: Stream.t()
@@ -142,7 +147,9 @@ defmodule Situ.ImageStream do
   Converts `:gray16` images to depth images without a copy. For `semantics:` and `scale:`, see `Situ.DepthImage`.
 
       iex> image = Situ.Image.new_filled(2, 1, :gray16, 1500)
-      iex> Situ.to_list(fn p -> p |> Situ.repeat(image, every: 10, count: 1) |> Situ.ImageStream.to_depth(scale: 0.002) end)
+      iex> Situ.to_list(fn p ->
+      ...>   p |> Situ.repeat(image, every: 10, count: 1) |> Situ.ImageStream.to_depth(scale: 0.002)
+      ...> end)
       [Situ.DepthImage.new!(width: 2, height: 1, data: image.data, scale: 0.002)]
   """
   @spec to_depth(Stream.t(), keyword()) :: Stream.t()
@@ -196,7 +203,9 @@ defmodule Situ.ImageStream do
 
       iex> {a, b} = {Situ.Image.new_filled(2, 1, :gray8, 3), Situ.Image.new_filled(2, 1, :gray8, 5)}
       iex> once = [every: 10, count: 1]
-      iex> Situ.to_list(fn p -> Situ.ImageStream.compare(Situ.repeat(p, a, once), Situ.repeat(p, b, once), tolerance: 1) end)
+      iex> Situ.to_list(fn p ->
+      ...>   Situ.ImageStream.compare(Situ.repeat(p, a, once), Situ.repeat(p, b, once), tolerance: 1)
+      ...> end)
       [%{equal?: false, max: 2, mean: 2.0, outliers: 1.0}]
   """
   @spec compare(Stream.t(), Stream.t(), keyword()) :: Stream.t()

@@ -73,6 +73,7 @@ defmodule Situ.Cluster do
     PartStarter,
     LoadBalance,
     Balancer,
+    Completion,
     StreamEntry,
     Deployment,
     LogLines,
@@ -80,7 +81,7 @@ defmodule Situ.Cluster do
   }
 
   alias Situ.Cluster.{Deployments, Retention, Placement, Plan, Recordings, Runner, Runners}
-  alias Situ.Cluster.{SignedEntry, SealedLog, Upgrade, NodeMetrics, SnapshotMerge}
+  alias Situ.Cluster.{SealedLog, Upgrade, NodeMetrics, SnapshotMerge}
   alias Situ.{Error, Options, Pipeline}
   alias Situ.Remote.Log
 
@@ -174,49 +175,11 @@ defmodule Situ.Cluster do
   def await(%Deployment{} = deployment, timeout \\ :infinity) do
     with {:ok, plan} <- PartStarter.build_plan(deployment) do
       till = if timeout == :infinity, do: :infinity, else: monotonic_ms() + timeout
-      await_parts(deployment_log(deployment), deployment, Map.keys(plan.parts), till)
+      Completion.await_parts(deployment_log(deployment), deployment, Map.keys(plan.parts), till)
     end
   end
 
   defp deployment_log(%Deployment{run: run}), do: SealedLog.new(Agent.get_log(), run || "")
-
-  # A failed part is reported immediately, even while others are running. A rejected state entry counts as a failure.
-  defp await_parts(log, deployment, parts, till) do
-    states =
-      for part <- parts,
-          do: {part, Log.fetch_last(log, {:key, Runner.log_key(deployment, part, "state")})}
-
-    open =
-      for {part, state} <- states,
-          not match?({:ok, %{head: %{"State" => "done"}}}, state),
-          do: part
-
-    failed =
-      for {part, {:ok, %{head: %{"State" => "failed"}, data: text}}} <- states, do: {part, text}
-
-    forged = for {_, {:error, error}} <- states, SignedEntry.refusal?(error), do: error
-
-    cond do
-      forged != [] -> {:error, hd(forged)}
-      failed != [] -> {:error, failure_error(deployment, hd(failed))}
-      open == [] -> :ok
-      till != :infinity and monotonic_ms() > till -> {:error, timeout_error(deployment, hd(open))}
-      true -> await_again(log, deployment, open, till)
-    end
-  end
-
-  defp await_again(log, deployment, parts, till) do
-    receive do
-    after
-      50 -> await_parts(log, deployment, parts, till)
-    end
-  end
-
-  defp failure_error(deployment, {part, text}),
-    do: Error.new(:part_failed, "part #{part} of #{deployment.name} failed: #{text}")
-
-  defp timeout_error(deployment, part),
-    do: Error.new(:timeout, "part #{part} of #{deployment.name} has not ended yet")
 
   defp monotonic_ms, do: System.monotonic_time(:millisecond)
 

@@ -5,8 +5,10 @@ defmodule Situ.PointCloud do
   or confidence) per point.
 
       iex> cloud = Situ.PointCloud.from_points([{0.0, 0.0, 0.0}, {2.0, 4.0, 6.0}])
-      iex> {Situ.PointCloud.point_count(cloud), Situ.PointCloud.bounding_box(cloud).max, Situ.PointCloud.centroid(cloud)}
-      {2, {2.0, 4.0, 6.0}, {1.0, 2.0, 3.0}}
+      iex> {Situ.PointCloud.point_count(cloud), Situ.PointCloud.bounding_box(cloud).max}
+      {2, {2.0, 4.0, 6.0}}
+      iex> Situ.PointCloud.centroid(cloud)
+      {1.0, 2.0, 3.0}
   """
   @behaviour Situ.Codec
 

@@ -45,7 +45,8 @@ defmodule Situ.Component.FunctionSwap do
   Returns the term with its functions replaced and everything else unchanged.
 
       iex> {f, g} = {&String.upcase/1, &String.downcase/1}
-      iex> Situ.Component.FunctionSwap.replace_functions(%{fun: f, seen: [{1, f}]}, %{f => g}) == %{fun: g, seen: [{1, g}]}
+      iex> Situ.Component.FunctionSwap.replace_functions(%{fun: f, seen: [{1, f}]}, %{f => g}) ==
+      ...>   %{fun: g, seen: [{1, g}]}
       true
   """
   @spec replace_functions(term(), exchange()) :: term()

@@ -13,7 +13,6 @@ defmodule Situ.Pipeline.Server do
   require Logger
 
   alias Situ.{Clock, Lifecycle}
-  alias Situ.Application.{Directory, PipelineResults}
   alias Situ.Graph.Builder
   alias Situ.Lifecycle.Errors
 
@@ -24,7 +23,8 @@ defmodule Situ.Pipeline.Server do
     Inspection,
     LifecycleRunner,
     Stages,
-    State
+    State,
+    Termination
   }
 
   # These requests wait until a starting pipeline is running.
@@ -63,12 +63,7 @@ defmodule Situ.Pipeline.Server do
   catch
     kind, reason ->
       Logger.error(Exception.format(kind, reason, __STACKTRACE__))
-      crash_pipeline(Errors.pipeline_crashed({kind, reason, __STACKTRACE__}), state)
-  end
-
-  defp crash_pipeline(error, state) do
-    life = %{state.life | phase: :completed, step: :over}
-    finish_pipeline({:error, %{error | meta: %{errors: [error]}}}, %{state | life: life})
+      Termination.crash_pipeline(Errors.pipeline_crashed({kind, reason, __STACKTRACE__}), state)
   end
 
   # Requests
@@ -94,7 +89,7 @@ defmodule Situ.Pipeline.Server do
     do: apply_event(%{state | waiters: [from | state.waiters]}, {:stop, catch_up})
 
   defp handle_request(:abandon, _from, state) do
-    {:stop, reason, state} = crash_pipeline(Errors.pipeline_abandoned(), state)
+    {:stop, reason, state} = Termination.crash_pipeline(Errors.pipeline_abandoned(), state)
     {:stop, reason, :ok, state}
   end
 
@@ -225,7 +220,7 @@ defmodule Situ.Pipeline.Server do
   defp defer_message(message, state), do: %{state | early: [message | state.early]}
 
   defp apply_dynamic({state, events}),
-    do: stop_if_finished(LifecycleRunner.apply_events(state, events))
+    do: Termination.stop_if_finished(LifecycleRunner.apply_events(state, events))
 
   # Events
 
@@ -252,7 +247,10 @@ defmodule Situ.Pipeline.Server do
   end
 
   defp handle_message({:situ_handled, event, result, graph}, state),
-    do: state |> LifecycleRunner.finish_handlers(event, result, graph) |> stop_if_finished()
+    do:
+      state
+      |> LifecycleRunner.finish_handlers(event, result, graph)
+      |> Termination.stop_if_finished()
 
   defp handle_message({:situ_watch, which, mark}, state) do
     moved? = Stages.fingerprint(state, which) != mark
@@ -288,7 +286,7 @@ defmodule Situ.Pipeline.Server do
     do: {:noreply, Dynamic.Replacement.handle_timeout(state, ref, timeout)}
 
   defp handle_message({:EXIT, pid, reason}, state),
-    do: state |> LifecycleRunner.handle_exit(pid, reason) |> stop_if_finished()
+    do: state |> LifecycleRunner.handle_exit(pid, reason) |> Termination.stop_if_finished()
 
   defp handle_message({:situ_clock, _}, state) do
     for {id, _} <- state.stages, do: Stages.send_request(state, id, :clock)
@@ -367,48 +365,14 @@ defmodule Situ.Pipeline.Server do
   # Results
 
   defp apply_event(state, event),
-    do: state |> LifecycleRunner.apply_event(event) |> stop_if_finished()
+    do: state |> LifecycleRunner.apply_event(event) |> Termination.stop_if_finished()
 
   defp reply_and_continue(answer, state) do
-    case stop_if_finished(state) do
+    case Termination.stop_if_finished(state) do
       {:noreply, state} -> {:reply, answer, state}
       {:stop, reason, state} -> {:stop, reason, answer, state}
     end
   end
-
-  defp stop_if_finished(%{view: %{outcome: nil}} = state), do: {:noreply, state}
-  defp stop_if_finished(state), do: finish_pipeline(state.view.outcome, state)
-
-  defp finish_pipeline(result, state) do
-    Directory.unregister_pipeline(state.settings)
-    publish_result(state.settings, result)
-    Enum.each(state.waiters, &GenServer.reply(&1, result))
-    for {_, %{from: from}} when from != nil <- state.life.parts, do: GenServer.reply(from, :ok)
-    Dynamic.cancel_requests(state.dynamic, {:error, Errors.not_running()})
-    Handlers.stop_process(state.handlers)
-    state = %{state | waiters: [], dynamic: %Dynamic{}, life: %{state.life | parts: %{}}}
-
-    case {result, state.settings.mode} do
-      {{:error, %{code: :abandoned}}, _} -> {:stop, {:shutdown, :abandoned}, state}
-      {{:error, error}, :linked} -> exit_abnormally(error)
-      {{:error, %{code: :crashed}}, _} -> {:stop, {:shutdown, :crashed}, state}
-      _ -> {:stop, :normal, state}
-    end
-  end
-
-  # Only a linked pipeline exits abnormally, so that its supervisor restarts it. `run/2` and
-  # `start/2` return the error instead, and a late `await/2` finds it among the kept results. The
-  # exit uses a signal, because the error is already in the log and a second report would repeat
-  # it.
-  defp exit_abnormally(error) do
-    Process.flag(:trap_exit, false)
-    Process.exit(self(), {:pipeline_failed, error.code, error.what})
-  end
-
-  defp publish_result(%{mode: :run, reply: {caller, reply}}, result),
-    do: send(caller, {reply, result})
-
-  defp publish_result(_settings, result), do: PipelineResults.put_result(self(), result)
 
   # A crash report names the pipeline but leaves out its graph, which would flood the log.
   @impl true
@@ -431,11 +395,8 @@ defmodule Situ.Pipeline.Server do
       |> LifecycleRunner.apply_event({:stop, Lifecycle.default_catch_up_ms()})
       |> run_until_finished()
 
-  defp run_until_finished(%{view: %{outcome: result}} = state) when result != nil do
-    Directory.unregister_pipeline(state.settings)
-    PipelineResults.put_result(self(), result)
-    Enum.each(state.waiters, &GenServer.reply(&1, result))
-  end
+  defp run_until_finished(%{view: %{outcome: result}} = state) when result != nil,
+    do: Termination.publish_outcome(state)
 
   defp run_until_finished(state) do
     receive do

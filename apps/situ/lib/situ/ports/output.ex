@@ -177,12 +177,14 @@ defmodule Situ.Ports.Output do
     do: less(Subscriber.free_capacity(sub), n)
 
   def available_room(%__MODULE__{subs: subs, pending_n: n}),
-    do: subs |> least(:infinity) |> less(n)
+    do: subs |> least_capacity(:infinity) |> less(n)
 
   # Below one there is no room, however little the others have.
-  defp least(_subs, least) when least < 1, do: least
-  defp least([], least), do: least
-  defp least([sub | rest], least), do: least(rest, min(Subscriber.free_capacity(sub), least))
+  defp least_capacity(_subs, least) when least < 1, do: least
+  defp least_capacity([], least), do: least
+
+  defp least_capacity([sub | rest], least),
+    do: least_capacity(rest, min(Subscriber.free_capacity(sub), least))
 
   @doc "Sets whether pending messages and the closing mark are withheld for now."
   @spec set_waiting(t(), boolean()) :: t()

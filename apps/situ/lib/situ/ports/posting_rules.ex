@@ -24,7 +24,7 @@ defmodule Situ.Ports.PostingRules do
 
   def emit(%Output{last_time: last} = output, time, data, now, enforce)
       when is_integer(last) and time <= last,
-      do: output |> again(time) |> emit_again(data, now, enforce)
+      do: output |> repeat_time(time) |> emit_again(data, now, enforce)
 
   def emit(%Output{future: {[], []}} = output, time, data, now, enforce)
       when not enforce or time <= now,
@@ -41,9 +41,10 @@ defmodule Situ.Ports.PostingRules do
 
   # Another message at a time that has been, as the component's `on_same_time` says. One that is nudged goes 1 ns
   # behind the last; `wanted` is what time that one was to have, so that a time that really goes back is still an error.
-  defp again(%{port: %{same_time: :drop}, last_time: time} = output, time), do: {:drop, output}
+  defp repeat_time(%{port: %{same_time: :drop}, last_time: time} = output, time),
+    do: {:drop, output}
 
-  defp again(%{port: %{same_time: :nudge}, last_time: last} = output, time) do
+  defp repeat_time(%{port: %{same_time: :nudge}, last_time: last} = output, time) do
     wanted = with {^last, wanted} <- output.wanted, do: wanted, else: (_ -> last)
 
     if time >= wanted,
@@ -51,7 +52,7 @@ defmodule Situ.Ports.PostingRules do
       else: {:error, not_increasing(output, time)}
   end
 
-  defp again(output, time), do: {:error, not_increasing(output, time)}
+  defp repeat_time(output, time), do: {:error, not_increasing(output, time)}
 
   @doc """
   Posts the leading `{name, time, data}` actions for this output in one pass; returns the remaining actions.
@@ -151,7 +152,7 @@ defmodule Situ.Ports.PostingRules do
 
   def forward(%Output{port: %{same_time: how}, last_time: last} = output, message, now, enforce)
       when how != :error and is_integer(last) and message.originating_time <= last do
-    case again(output, message.originating_time) do
+    case repeat_time(output, message.originating_time) do
       {:at, time, output} ->
         forward(output, %{message | originating_time: time}, now, enforce)
 

@@ -100,7 +100,7 @@ defmodule Situ.Ports.Subscriber do
   end
 
   defp hand_over(%{queue: queue} = sub) do
-    held(sub, 0)
+    put_held(sub, 0)
     send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:fresh, Queue.to_list(queue)}})
     %{sub | queue: Queue.new(queue.policy), size: 0}
   end
@@ -131,7 +131,7 @@ defmodule Situ.Ports.Subscriber do
 
   defp drain(%{queue: queue, demand: demand} = sub) do
     {now, n, queue} = Queue.take(queue, demand)
-    held(sub, queue.size)
+    put_held(sub, queue.size)
     deliver(sub, now)
     drain_rest(%{sub | queue: queue, size: queue.size, demand: minus(demand, n)})
   end
@@ -146,7 +146,7 @@ defmodule Situ.Ports.Subscriber do
 
   # Nobody waits for a lossy edge: its flag is how much is held back.
   defp note_waiting(%{queue: queue} = sub, _flag) when queue != nil do
-    held(sub, sub.size)
+    put_held(sub, sub.size)
     sub
   end
 
@@ -158,8 +158,8 @@ defmodule Situ.Ports.Subscriber do
     %{sub | waiting: flag}
   end
 
-  defp held(%{counters: nil}, _n), do: :ok
-  defp held(%{counters: counters}, n), do: Counters.put_held_count(counters, n)
+  defp put_held(%{counters: nil}, _n), do: :ok
+  defp put_held(%{counters: counters}, n), do: Counters.put_held_count(counters, n)
 
   defp drop(_sub, 0), do: :ok
   defp drop(%{counters: nil}, _n), do: :ok

@@ -1,7 +1,7 @@
 defmodule Situ.Stage.ActionRunner do
   @moduledoc false
-  # Applies a component's actions to the state of its stage: all of them, or none if one is invalid. Then `send_pending/1`
-  # sends the messages.
+  # Applies a component's actions to the state of its stage: all of them, or none if one is invalid. Then
+  # `send_pending/1` sends the messages.
   alias Situ.{Error, Message}
   alias Situ.Clock.Timers
   alias Situ.Component.Callback

@@ -79,13 +79,13 @@ defmodule Situ.Stage.Checkpoint do
 
     outputs =
       Enum.reduce(marks, outputs, fn {%{port: port}, mark}, outputs ->
-        Outputs.map_outputs(outputs, &if(&1.port == port, do: again(&1, mark), else: &1))
+        Outputs.map_outputs(outputs, &if(&1.port == port, do: resume_output(&1, mark), else: &1))
       end)
 
     %{state | outputs: outputs}
   end
 
-  defp again(output, mark), do: output |> struct!(mark) |> Output.resume_after_restart()
+  defp resume_output(output, mark), do: output |> struct!(mark) |> Output.resume_after_restart()
 
   @doc "Restores the rest after the component's start; returns the actions that announce its end, if any."
   @spec restore_state(State.t()) ::

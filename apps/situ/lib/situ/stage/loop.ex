@@ -191,7 +191,7 @@ defmodule Situ.Stage.Loop do
   defp released(state),
     do: state |> MessageRunner.settle_inputs() |> Production.report_released() |> arm()
 
-  defp later(state) do
+  defp schedule_slice(state) do
     state = finish(state)
     %{state | pace: Scheduling.schedule_slice(state.pace)}
   end
@@ -211,7 +211,7 @@ defmodule Situ.Stage.Loop do
   # A component: one message at a time, the earliest among its inputs first.
   defp component(state, now, {_from, till} = times, final) do
     cond do
-      now > till -> later(state)
+      now > till -> schedule_slice(state)
       Outputs.available_room(state.outputs) < 1 -> blocked(state, now, times, final)
       true -> next(state, now, times, final)
     end
@@ -256,13 +256,13 @@ defmodule Situ.Stage.Loop do
 
       {:ok, input} ->
         {state, _now} = MessageRunner.run_next(state, input, now, final)
-        if state.phase == :failed, do: discard(state), else: later(state)
+        if state.phase == :failed, do: discard(state), else: schedule_slice(state)
     end
   end
 
   defp produce(state, now) do
     case Production.produce_messages(ActionRunner.send_pending(state), now) do
-      {:more, state} -> later(state)
+      {:more, state} -> schedule_slice(state)
       {:enough, %{phase: :failed} = state} -> discard(state)
       {:enough, state} -> finish(state)
     end
@@ -306,7 +306,7 @@ defmodule Situ.Stage.Loop do
          {:ok, input} <- Input.ensure_fresh(input),
          {%Situ.Message{} = message, input} <- Input.pop(input, now) do
       {state, _n, _now} = run(put_input(state, input), [message], times)
-      if state.phase == :failed, do: discard(state), else: later(state)
+      if state.phase == :failed, do: discard(state), else: schedule_slice(state)
     else
       :none ->
         finish(state)
@@ -340,7 +340,7 @@ defmodule Situ.Stage.Loop do
   defp chain_on(state, {n, rest}, after_time, {now, till, final}) do
     cond do
       state.phase == :failed -> discard(state)
-      after_time > till or rest != [] -> later(state)
+      after_time > till or rest != [] -> schedule_slice(state)
       n >= @many and after_time - now < @flush_ns -> chain(state, after_time, till, final)
       true -> state |> ActionRunner.send_pending() |> chain_again(after_time, till, final)
     end

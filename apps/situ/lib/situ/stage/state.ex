@@ -159,12 +159,12 @@ defmodule Situ.Stage.State do
     case {Keyword.fetch(opts, :output), Outputs.open_outputs(state.outputs)} do
       {:error, [{_, output}]} -> {:ok, output}
       {:error, _} -> {:error, no_output(state, opts)}
-      {{:ok, name}, open} -> named(List.keyfind(open, name, 0), state, opts)
+      {{:ok, name}, open} -> check_output(List.keyfind(open, name, 0), state, opts)
     end
   end
 
-  defp named({_, output}, _state, _opts), do: {:ok, output}
-  defp named(nil, state, opts), do: {:error, no_output(state, opts)}
+  defp check_output({_, output}, _state, _opts), do: {:ok, output}
+  defp check_output(nil, state, opts), do: {:error, no_output(state, opts)}
 
   @doc "Returns the component, or the first operator of a chain."
   @spec head_vertex(t()) :: Vertex.t()

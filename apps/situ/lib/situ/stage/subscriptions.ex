@@ -30,7 +30,7 @@ defmodule Situ.Stage.Subscriptions do
 
   # Any process may call `GenStage.cancel/2`: the reference identifies the subscription.
   def handle_consumer_request(state, {pid, tag} = from, {:cancel, reason}) do
-    case Enum.find(Outputs.list_subscribers(state.outputs), &named?(&1, from)) do
+    case Enum.find(Outputs.list_subscribers(state.outputs), &matches?(&1, from)) do
       nil ->
         refuse(state, {pid, tag}, reason)
 
@@ -46,15 +46,15 @@ defmodule Situ.Stage.Subscriptions do
     error = Error.new(:bad_request, what, fix: fix)
 
     if consumer?(state, from),
-      do: state |> refuse(from, error) |> leave(&named?(&1, from)),
+      do: state |> refuse(from, error) |> leave(&matches?(&1, from)),
       else: unknown(state, from)
   end
 
   defp consumer?(state, from),
     do: Enum.any?(Outputs.list_all(state.outputs), &Output.has_subscriber?(&1, from))
 
-  defp named?(sub, {_pid, tag}) when is_reference(tag), do: sub.tag == tag
-  defp named?(sub, {pid, tag}), do: sub.tag == tag and sub.pid == pid
+  defp matches?(sub, {_pid, tag}) when is_reference(tag), do: sub.tag == tag
+  defp matches?(sub, {pid, tag}), do: sub.tag == tag and sub.pid == pid
 
   # Within the pipeline (tags are numbers) it is a last word that has crossed the end of the connection.
   defp unknown(state, {_pid, tag}) when is_integer(tag), do: state

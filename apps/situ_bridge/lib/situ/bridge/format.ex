@@ -27,10 +27,9 @@ defmodule Situ.Bridge.Format do
   their fields) and `{[{key, value}]}`, an object with ordered members. Reading returns maps with string keys and
   creates no atoms; with `objects: :pairs` objects are returned as ordered pairs.
   """
-  alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack}
+  alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack, StoreFormat}
   alias Situ.Error
   alias Situ.Store.Columns
-  alias __MODULE__
 
   @type name :: :json | :json_lines | :csv | :message_pack | :situ
   @type timed :: {Situ.Time.t(), value :: term()}
@@ -68,7 +67,7 @@ defmodule Situ.Bridge.Format do
     json_lines: JsonLines,
     csv: Csv,
     message_pack: MessagePack,
-    situ: Format.Situ
+    situ: StoreFormat
   }
 
   @doc "Returns the names of all formats."

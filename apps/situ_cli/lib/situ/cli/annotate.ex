@@ -2,8 +2,9 @@ defmodule Situ.CLI.Annotate do
   @moduledoc "The verbs of `situ annotate`: import and export annotations, and measure the agreement of annotators."
   @behaviour Situ.CLI.Verb
   alias Situ.Annotation.{Agreement, Exchange, Layer, Recording, Schema}
+  alias Situ.CLI.Annotate.Report
   alias Situ.CLI.{Input, Option, Output, Verb}
-  alias Situ.{Error, Store, Time}
+  alias Situ.{Error, Store}
 
   @formats %{
     "eaf" => :eaf,
@@ -134,11 +135,11 @@ defmodule Situ.CLI.Annotate do
 
   defp show_info(%{path: path}, opts) do
     store = Situ.CLI.Recording.open!(path)
-    layers = for {info, layer} <- load_layers(store), do: describe_layer(info.name, layer)
+    layers = for {info, layer} <- load_layers(store), do: Report.describe_layer(info.name, layer)
 
     if opts[:json],
       do: Output.print_json(layers),
-      else: for(layer <- layers, do: print_layer(layer))
+      else: for(layer <- layers, do: Report.print_layer(layer))
 
     if layers == [] and not opts[:json],
       do: Output.puts("#{store.path} has no annotation streams.")
@@ -148,40 +149,8 @@ defmodule Situ.CLI.Annotate do
 
   defp load_layers(store) do
     for info <- Store.streams(store), Recording.annotation_stream?(store, info) do
-      {info, unwrap!(Recording.load_layer(store, info))}
+      {info, Error.unwrap!(Recording.load_layer(store, info))}
     end
-  end
-
-  defp describe_layer(name, layer) do
-    all = Layer.annotations(layer)
-
-    %{
-      stream: name,
-      schema: Schema.to_json(layer.schema),
-      annotations: length(all),
-      proposals: Enum.count(all, & &1.proposed?),
-      tracks:
-        for(
-          track <- Layer.track_names(layer),
-          do: %{name: track, annotations: length(Layer.on_track(layer, track))}
-        )
-    }
-  end
-
-  defp print_layer(layer) do
-    attributes = Enum.map_join(layer.schema["attributes"], ", ", &"#{&1["name"]} (#{&1["kind"]})")
-
-    proposals =
-      if layer.proposals > 0,
-        do: ", #{Output.format_count(layer.proposals, "proposal")} among them",
-        else: ""
-
-    Output.puts(
-      "#{Output.format_name(layer.stream)}: #{Output.format_count(layer.annotations, "annotation")}#{proposals}; #{attributes}"
-    )
-
-    for track <- layer.tracks,
-        do: Output.puts("  #{Output.format_name(track.name)}: #{track.annotations}")
   end
 
   # Returns the named stream, or the recording's only annotation stream.
@@ -210,7 +179,7 @@ defmodule Situ.CLI.Annotate do
 
   defp export_layer(%{path: path, file: file}, opts) do
     store = Situ.CLI.Recording.open!(path)
-    layer = unwrap!(Recording.load_layer(store, resolve_stream(store, opts[:stream])))
+    layer = Error.unwrap!(Recording.load_layer(store, resolve_stream(store, opts[:stream])))
     media = if(opts[:media], do: [media: opts[:media]], else: [])
     options = origin_option(opts) ++ media ++ image_times(opts[:pictures], opts)
 
@@ -223,7 +192,7 @@ defmodule Situ.CLI.Annotate do
         Output.write_raw(text)
         losses
       else
-        unwrap!(
+        Error.unwrap!(
           Exchange.write(
             layer,
             file,
@@ -279,7 +248,7 @@ defmodule Situ.CLI.Annotate do
   end
 
   defp import_file(%{file: file, out: out}, opts) do
-    schema = if opts[:schema], do: [schema: unwrap!(Schema.load(opts[:schema]))], else: []
+    schema = if opts[:schema], do: [schema: Error.unwrap!(Schema.load(opts[:schema]))], else: []
     stream = opts[:stream] || "Annotation"
     options = schema ++ origin_option(opts) ++ [name: stream]
 
@@ -300,7 +269,7 @@ defmodule Situ.CLI.Annotate do
         do: Map.new(load_layers(Store.open!(out)), fn {i, l} -> {i.name, l} end),
         else: %{}
 
-    path = unwrap!(Recording.write_all(Map.put(others, stream, layer), out))
+    path = Error.unwrap!(Recording.write_all(Map.put(others, stream, layer), out))
     unless opts[:json], do: Output.puts(path)
 
     report_losses(
@@ -318,8 +287,12 @@ defmodule Situ.CLI.Annotate do
     [a, b] = for path <- [first, second], do: load_layer(path, opts[:stream])
     options = Keyword.take(opts, [:attribute, :frame, :from, :to])
     options = if opts[:track] == [], do: options, else: [{:tracks, opts[:track]} | options]
-    report = unwrap!(Agreement.compare_layers(a, b, options))
-    if opts[:json], do: Output.print_json(report_to_json(report)), else: print_report(report)
+    report = Error.unwrap!(Agreement.compare_layers(a, b, options))
+
+    if opts[:json],
+      do: Output.print_json(Report.report_to_json(report)),
+      else: Report.print_report(report)
+
     if opts[:least] && (report.kappa || 1.0) < opts[:least], do: 1, else: 0
   end
 
@@ -330,38 +303,7 @@ defmodule Situ.CLI.Annotate do
     else
       _ ->
         store = Situ.CLI.Recording.open!(path)
-        unwrap!(Recording.load_layer(store, resolve_stream(store, stream)))
+        Error.unwrap!(Recording.load_layer(store, resolve_stream(store, stream)))
     end
   end
-
-  defp report_to_json(report) do
-    confusion =
-      for {{a, b}, n} <- Enum.sort(report.confusion), do: %{first: a, second: b, frames: n}
-
-    %{report | confusion: confusion}
-  end
-
-  defp print_report(report) do
-    Output.puts(
-      "#{Output.format_name(report.attribute)}: kappa #{format_number(report.kappa)}, " <>
-        "agreement #{format_number(report.agreement)} of #{Output.format_count(report.frames, "frame")}"
-    )
-
-    for {track, kappa} <- Enum.sort(report.tracks),
-        do: Output.puts("  #{Output.format_name(track)}: kappa #{format_number(kappa)}")
-
-    Output.puts(
-      "#{Output.format_count(report.paired, "pair")}; begins #{format_span(report.begin_error)} apart, " <>
-        "ends #{format_span(report.end_error)}; " <>
-        "#{report.only_first} only in the first, #{report.only_second} only in the second"
-    )
-  end
-
-  defp format_number(nil), do: "-"
-  defp format_number(x), do: :erlang.float_to_binary(x, decimals: 4)
-  defp format_span(nil), do: "-"
-  defp format_span(ns), do: Time.format_duration(round(ns))
-
-  defp unwrap!({:ok, value}), do: value
-  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -83,7 +83,7 @@ defmodule Situ.CLI.Completion do
     _situ() {
       local -a words_1
       words_1=(
-    #{Enum.map_join(first_words(verbs), "\n", fn word -> "    #{zsh_item(word, command_summary(word, verbs, groups))}" end)}
+    #{map_lines(first_words(verbs), &"    #{zsh_item(&1, command_summary(&1, verbs, groups))}")}
       )
       if (( CURRENT == 2 )); then _describe command words_1; return; fi
       local -a verbs_2
@@ -92,7 +92,7 @@ defmodule Situ.CLI.Completion do
       esac
       if (( CURRENT == 3 && $#verbs_2 )); then _describe verb verbs_2; return; fi
       case "$words[2] $words[3]" in
-    #{map_lines(verbs, fn verb -> "    #{case_pattern(verb.words)}) _arguments #{zsh_options(verb)} '*:file:_files' ;;" end)}
+    #{map_lines(verbs, &"    #{case_pattern(&1.words)}) _arguments #{zsh_options(&1)} '*:file:_files' ;;")}
         *) _files ;;
       esac
     }

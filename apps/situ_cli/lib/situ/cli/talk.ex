@@ -252,7 +252,8 @@ defmodule Situ.CLI.Talk do
       })
     else
       Output.puts(
-        "Recorded in #{path}: #{Output.format_count(counts.heard, "utterance")}, #{Output.format_count(length(delays), "answer")}"
+        "Recorded in #{path}: #{Output.format_count(counts.heard, "utterance")}, " <>
+          "#{Output.format_count(length(delays), "answer")}"
       )
 
       if worst,

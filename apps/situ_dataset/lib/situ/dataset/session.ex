@@ -5,7 +5,8 @@ defmodule Situ.Dataset.Session do
       iex> session = Situ.Dataset.Session.new("p01", metadata: %{"participant" => "P01"}, tags: ["pilot"])
       iex> room = Situ.Dataset.Partition.new("Room", "/study/p01/room.0000")
       iex> {:ok, session} = Situ.Dataset.Session.add_partition(session, room)
-      iex> {:error, error} = Situ.Dataset.Session.add_partition(session, Situ.Dataset.Partition.new("Room", "/elsewhere"))
+      iex> other = Situ.Dataset.Partition.new("Room", "/elsewhere")
+      iex> {:error, error} = Situ.Dataset.Session.add_partition(session, other)
       iex> error.code
       :duplicate_name
 

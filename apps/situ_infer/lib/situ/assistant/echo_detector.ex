@@ -3,7 +3,8 @@ defmodule Situ.Assistant.EchoDetector do
   Distinguishes a user's speech from the assistant's own voice in the microphone. Words that the assistant is
   currently speaking count as its own. Pure.
 
-      iex> echo = Situ.Assistant.EchoDetector.new() |> Situ.Assistant.EchoDetector.add_text(0, "The timer is set for five minutes.")
+      iex> echo = Situ.Assistant.EchoDetector.new()
+      iex> echo = Situ.Assistant.EchoDetector.add_text(echo, 0, "The timer is set for five minutes.")
       iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "timer set for five minutes")
       true
       iex> Situ.Assistant.EchoDetector.own_words?(echo, 1_000_000_000, "computer, stop")

@@ -55,7 +55,7 @@ defmodule Situ.Infer.Model do
   A neural network loaded from an ONNX file, with named input tensors and named output tensors.
 
       iex> alias Situ.{Infer.Model, Tensor}
-      iex> path = Model.path("silero_vad.onnx")
+      iex> path = Model.bundled_path("silero_vad.onnx")
       iex> {:ok, model} = Model.load(path, inputs: %{"input" => {:f32, {nil, nil}}})
       iex> inputs = %{
       ...>   "input" => Tensor.zeros(:f32, {1, 576}),
@@ -364,7 +364,8 @@ defmodule Situ.Infer.Model do
     {:error,
      Error.new(
        :bad_tensor,
-       "model #{model.name}: input #{inspect(name)} takes #{PortCheck.format_port(wanted)}, got #{PortCheck.format_port(given)}",
+       "model #{model.name}: input #{inspect(name)} takes #{PortCheck.format_port(wanted)}, " <>
+         "got #{PortCheck.format_port(given)}",
        fix: "give a tensor of that type and shape (-1 is any size), or use another model"
      )}
   end

@@ -44,8 +44,8 @@ defmodule Situ.Infer.Tracker do
 
       iex> alias Situ.{Infer.Tracker, Rect}
       iex> boxes = fn xs -> for x <- xs, do: Rect.new!(x, 0, 20, 20) end
-      iex> {_, tracker} = Tracker.step(Tracker.new(), 0, boxes.([50, 0]))
-      iex> {rects, _} = Tracker.step(tracker, 40_000_000, boxes.([4, 46]))
+      iex> {_, tracker} = Tracker.update_tracks(Tracker.new(), 0, boxes.([50, 0]))
+      iex> {rects, _} = Tracker.update_tracks(tracker, 40_000_000, boxes.([4, 46]))
       iex> Enum.map(rects, &{&1.x, &1.id})
       [{4, 0}, {46, 1}]
 

@@ -5,15 +5,15 @@ defmodule Situ.Infer.EngineTest do
   @script """
   alias Situ.Infer.{Engine, Model}
   {:ok, _} = Application.ensure_all_started(:situ_infer)
-  {:error, error} = Model.load(Model.path("face_landmark.onnx"))
+  {:error, error} = Model.load(Model.bundled_path("face_landmark.onnx"))
   true = error.code == :no_onnxruntime and error.fix =~ "bin/setup"
   System.put_env("SITU_ONNXRUNTIME", "/etc/hostname")
-  {:error, %{code: :no_onnxruntime}} = Model.load(Model.path("face_landmark.onnx"))
+  {:error, %{code: :no_onnxruntime}} = Model.load(Model.bundled_path("face_landmark.onnx"))
   options = Situ.Options.validate!([detector: :energy], Situ.Infer.VoiceActivity.options())
   {:ok, state} = Situ.Infer.VoiceActivity.init(options)
   {[], _} = Situ.Infer.VoiceActivity.handle_start(nil, state)
   System.delete_env("SITU_ONNXRUNTIME")
-  {:ok, _} = Model.load(Model.path("face_landmark.onnx"))
+  {:ok, _} = Model.load(Model.bundled_path("face_landmark.onnx"))
   IO.puts("mended")
   """
 

@@ -191,7 +191,7 @@ defmodule Situ.Infer.ModelTest do
     {:ok, model} = Model.load(path)
 
     for {tensor, told} <- [
-          {%Tensor{type: :f32, shape: {1, 2}, data: <<1>>}, "1 bytes do not fill"},
+          {%Tensor{type: :f32, shape: {1, 2}, data: <<1>>}, "1 bytes do not match"},
           {%Tensor{type: :f32, shape: {-1, 2}, data: ""}, "{-1, 2}"},
           {%Tensor{type: :f32, shape: {4_611_686_018_427_387_904, 2}, data: ""}, "0 bytes"},
           {%Tensor{type: :f32, shape: {2}, data: <<0::64>>}, "got f32 {2}"},

@@ -90,7 +90,8 @@ defmodule Situ.ImageOps.Drawing do
   @doc """
   Draws the outline of a circle.
 
-      iex> {:ok, image} = Situ.ImageOps.draw_circle(Situ.Image.new_filled(21, 21, :gray8), {10, 10}, 8, color: 200, width: 3)
+      iex> image = Situ.Image.new_filled(21, 21, :gray8)
+      iex> {:ok, image} = Situ.ImageOps.draw_circle(image, {10, 10}, 8, color: 200, width: 3)
       iex> for x <- [10, 18], do: Situ.Image.fetch_pixel(image, x, 10)
       [{:ok, [0]}, {:ok, [200]}]
   """

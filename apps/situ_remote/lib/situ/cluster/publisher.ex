@@ -17,15 +17,13 @@ defmodule Situ.Cluster.Publisher do
   alias Situ.Cluster.{
     MessageBatch,
     Checkpoint,
-    StreamEntry,
     OutgoingStream,
     Subscribers,
-    LogWriter
+    LogWriter,
+    Takeover
   }
 
   alias Situ.Error
-  alias Situ.Remote.Log
-  alias Situ.Remote.Log.Entry
 
   @flush_ms 5
   @trim_ms 1_000
@@ -51,7 +49,6 @@ defmodule Situ.Cluster.Publisher do
     readers: %Subscribers{},
     cut: nil,
     unshown: %{},
-    writes: 0,
     timer: nil,
     looking: nil,
     waiting: [],
@@ -103,60 +100,16 @@ defmodule Situ.Cluster.Publisher do
       streams: Map.new(args.streams, &{&1.name, OutgoingStream.new(&1.name, args.deployment, &1)})
     }
 
-    with {:ok, state} <- fence_streams(state, Map.keys(state.streams)),
-         marks = Map.new(state.streams, fn {name, out} -> {name, out.stored.last} end),
-         key = "ckpt.#{args.deployment}.#{args.part}",
-         {:ok, checkpoint} <- Checkpoint.take_over(state.log, key, state.epoch, marks) do
-      if state.retain != :all, do: Process.send_after(self(), :trim, @trim_ms)
-      {:ok, scribe} = start_writer(state, checkpoint)
-      state = %{state | scribe: scribe, memories: Checkpoint.saved_memories(checkpoint)}
-      {:ok, publish_pending(state, checkpoint)}
-    else
-      {:error, error} -> {:stop, {:shutdown, error}}
-    end
-  end
+    case Takeover.take_over_part(args, state.streams) do
+      {:ok, streams, checkpoint} ->
+        if state.retain != :all, do: Process.send_after(self(), :trim, @trim_ms)
+        {:ok, scribe} = Takeover.start_writer(args, streams, checkpoint)
+        memories = Checkpoint.saved_memories(checkpoint)
+        state = %{state | streams: streams, scribe: scribe, memories: memories}
+        {:ok, publish_pending(state, checkpoint)}
 
-  defp start_writer(state, checkpoint) do
-    streams =
-      Map.new(state.streams, fn {name, out} ->
-        {name, %{subject: out.subject, seq: out.seq, mark: out.stored}}
-      end)
-
-    LogWriter.start_link(%{
-      log: state.log,
-      part: state.part,
-      epoch: state.epoch,
-      checkpoint: checkpoint,
-      streams: streams
-    })
-  end
-
-  defp fence_streams(state, []), do: {:ok, state}
-
-  defp fence_streams(state, [name | rest]) do
-    out = state.streams[name]
-
-    with {:ok, last} <- Log.fetch_last(state.log, out.subject) do
-      mark = StreamEntry.entry_mark(last)
-      seq = if last, do: last.seq, else: 0
-      {op, state} = next_op(state, name)
-
-      case Log.append(state.log, out.subject, seq, StreamEntry.build_fence(mark, state.epoch, op)) do
-        {:ok, seq} ->
-          fence_streams(
-            put_stream(state, OutgoingStream.resume_at(%{out | seq: seq}, mark)),
-            rest
-          )
-
-        # The previous owner has written an entry in the meantime. With an older epoch, fencing is simply repeated.
-        {:refused, last} ->
-          if Entry.head_integer(last, "Epoch", 0) > state.epoch,
-            do: {:error, LogWriter.refused_error(out.subject)},
-            else: fence_streams(state, [name | rest])
-
-        {:error, error} ->
-          {:error, error}
-      end
+      {:error, error} ->
+        {:stop, {:shutdown, error}}
     end
   end
 
@@ -428,11 +381,6 @@ defmodule Situ.Cluster.Publisher do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp put_stream(state, out), do: %{state | streams: Map.put(state.streams, out.name, out)}
-
-  defp next_op(state, name) do
-    n = state.writes + 1
-    {"#{state.part}.#{name}.#{state.epoch}.f#{n}", %{state | writes: n}}
-  end
 
   @impl true
   def format_status(_reason, [_dictionary, state]),

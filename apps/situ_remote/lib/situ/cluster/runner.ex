@@ -13,6 +13,7 @@ defmodule Situ.Cluster.Runner do
     Deployment,
     Lease,
     Member,
+    PartProcesses,
     Plan,
     Publisher,
     SignedEntry,
@@ -169,7 +170,7 @@ defmodule Situ.Cluster.Runner do
        away: state.standby.away,
        error: state.error,
        checkpoints: state.checkpoints,
-       publisher: publisher_info(state.publisher),
+       publisher: PartProcesses.publisher_info(state.publisher),
        pipeline: if(state.phase == :running, do: state.pipeline)
      }, state}
   end
@@ -208,15 +209,6 @@ defmodule Situ.Cluster.Runner do
   # A component fails when it can no longer publish; the exit of the publisher gives the reason.
   defp publisher_ended?(%{publisher: publisher}), do: not Process.alive?(publisher)
 
-  # The publisher may be ending; its exit message then follows.
-  defp publisher_info(nil), do: nil
-
-  defp publisher_info(publisher) do
-    Publisher.stream_info(publisher)
-  catch
-    :exit, _ -> nil
-  end
-
   # The following functions handle the phase in which this node has the lease.
 
   defp start_owning(state, failed \\ &fail_part/2) do
@@ -233,7 +225,8 @@ defmodule Situ.Cluster.Runner do
 
     case Publisher.start_link(args) do
       {:ok, publisher} ->
-        state = start_keeper(%{state | publisher: publisher})
+        state =
+          PartProcesses.start_keeper(%{state | publisher: publisher}, log_key(state, "lease"))
 
         Member.announce_publisher(
           state.agent,
@@ -267,18 +260,6 @@ defmodule Situ.Cluster.Runner do
   defp log_takeover(state, owner) do
     if owner not in [nil, "", Atom.to_string(node())],
       do: Logger.warning("#{part_name(state)} continues here: #{owner} is no longer responding")
-  end
-
-  defp start_keeper(state) do
-    %{log: log, epoch: epoch, publisher: publisher} = state
-    {key, ms} = {log_key(state, "lease"), state.standby.ms}
-    part = {state.deployment.name, state.part}
-    tell = &Member.report_lease(part, &1)
-
-    {:ok, keeper} =
-      Task.start_link(fn -> Lease.keep_renewing(log, key, epoch, ms, {publisher, tell}) end)
-
-    %{state | keeper: keeper}
   end
 
   # The previous node may have been lost after its last checkpoint and before it wrote the final state.
@@ -374,42 +355,11 @@ defmodule Situ.Cluster.Runner do
 
   defp step_down(state, reason) do
     Logger.warning("#{part_name(state)} continues on another node: #{explain_reason(reason)}")
-    %{kill_processes(state) | standby: Standby.resume_after_loss(state.standby)}
+    %{PartProcesses.kill_all(state) | standby: Standby.resume_after_loss(state.standby)}
   end
 
-  defp kill_processes(state) do
-    for pid <- [state.keeper, state.publisher, state.pipeline], pid != nil do
-      Process.unlink(pid)
-      Process.exit(pid, :kill)
-    end
-
-    if state.monitor, do: Process.demonitor(state.monitor, [:flush])
-
-    %{
-      state
-      | phase: :standby,
-        keeper: nil,
-        publisher: nil,
-        pipeline: nil,
-        monitor: nil,
-        epoch: nil
-    }
-  end
-
-  # Nothing is in flight any more: the part is paused after its last checkpoint, or another node will produce its later
-  # outputs again.
-  defp let_go(state) do
-    if state.pipeline, do: Pipeline.abandon(state.pipeline)
-    send(state.keeper, {:release, self()})
-
-    receive do
-      :released -> :ok
-    after
-      state.standby.ms -> :ok
-    end
-
-    %{kill_processes(state) | standby: Standby.restart_wait(state.standby)}
-  end
+  defp let_go(state),
+    do: %{PartProcesses.release_part(state) | standby: Standby.restart_wait(state.standby)}
 
   defp part_rule(state), do: state.plan.parts[state.part].rule
   defp publish_mode(state), do: if(part_rule(state).deterministic, do: :replay, else: :outbox)
@@ -427,7 +377,7 @@ defmodule Situ.Cluster.Runner do
 
   @impl true
   def terminate(_reason, state) do
-    kill_processes(state)
+    PartProcesses.kill_all(state)
     :ok
   end
 end

@@ -1,8 +1,8 @@
 defmodule Situ.Cluster.SealedLog do
   @moduledoc false
   # Wraps a log for one run of a deployment: seals every entry that is written, and verifies every entry that is read
-  # (`Situ.Cluster.SignedEntry`). All streams, leases, state entries and checkpoints of the cluster use it. A refused entry is
-  # an error (`:forged_entry`, `:unsealed_entry`) and never data.
+  # (`Situ.Cluster.SignedEntry`). All streams, leases, state entries and checkpoints of the cluster use it. A refused
+  # entry is an error (`:forged_entry`, `:unsealed_entry`) and never data.
   # See docs/adr/0119-log-entries-are-sealed-with-their-position.md.
   @behaviour Situ.Remote.Log
 

@@ -4,8 +4,17 @@ defmodule Situ.Remote.Connection do
   # passes messages to the components of the streams. After a reconnect it resumes each stream at its last position.
   use GenServer
   alias Situ.Remote.Address
-  alias Situ.Remote.Link.{ClockEstimate, Dialer, Frame, Handshake, Socket}
-  alias Situ.Remote.Connection.{Catalogue, Channel, DatagramReceiver, Positions, LinkInfo}
+  alias Situ.Remote.Link.{ClockEstimate, Dialer, Frame, Socket}
+
+  alias Situ.Remote.Connection.{
+    Catalogue,
+    Channel,
+    DatagramReceiver,
+    FrameHandler,
+    LinkInfo,
+    Positions
+  }
+
   require Logger
 
   @first_wait 50
@@ -112,7 +121,7 @@ defmodule Situ.Remote.Connection do
   def handle_cast({:taken, id, bytes, last}, state) do
     case state.channels do
       %{^id => channel} ->
-        {:noreply, send_credit(state, Channel.record_consumed(channel, bytes, last))}
+        {:noreply, FrameHandler.send_credit(state, Channel.record_consumed(channel, bytes, last))}
 
       _ ->
         {:noreply, state}
@@ -124,18 +133,8 @@ defmodule Situ.Remote.Connection do
 
   def handle_cast({:unsubscribe, id}, state), do: {:noreply, remove_channel(state, id)}
 
-  defp send_credit(state, channel) do
-    case Channel.take_credit(channel) do
-      {0, channel} ->
-        put_channel(state, channel)
-
-      {bytes, channel} ->
-        state |> put_channel(channel) |> send_frame({:credit, channel.id, bytes})
-    end
-  end
-
   defp remove_channel(state, id) do
-    state = send_frame(state, {:unsubscribe, id})
+    state = FrameHandler.send_frame(state, {:unsubscribe, id})
 
     case Map.pop(state.channels, id) do
       {nil, _} ->
@@ -180,7 +179,7 @@ defmodule Situ.Remote.Connection do
     }
 
     with {:ok, frame} <- Frame.decode(body),
-         {:ok, state} <- handle_frame(frame, byte_size(body), state) do
+         {:ok, state} <- FrameHandler.handle_frame(frame, byte_size(body), state) do
       _ = Socket.activate_once(state.socket)
       {:noreply, state}
     else
@@ -204,20 +203,22 @@ defmodule Situ.Remote.Connection do
     else
       every = if state.pings < @first_pings, do: @first_ping_ms, else: @ping_ms
       Process.send_after(self(), {:ping, session}, every)
-      {:noreply, send_frame(%{state | pings: state.pings + 1}, {:ping, state.opts.now.()})}
+
+      {:noreply,
+       FrameHandler.send_frame(%{state | pings: state.pings + 1}, {:ping, state.opts.now.()})}
     end
   end
 
   # Datagrams arrive without credit, so they are dropped when the window is full.
   def handle_info({:situ_datagrams, id, lost, body}, state) when is_map_key(state.channels, id) do
-    state = if lost > 0, do: deliver_event(state, id, {:lost, lost}), else: state
+    state = if lost > 0, do: FrameHandler.deliver_event(state, id, {:lost, lost}), else: state
 
     with {:ok, {:batch, ^id, _, _, count, _} = batch} <- Frame.decode(body),
          {:full, false, _} <- {:full, Channel.full?(state.channels[id]), count},
-         {:ok, state} <- handle_frame(batch, byte_size(body), state) do
+         {:ok, state} <- FrameHandler.handle_frame(batch, byte_size(body), state) do
       {:noreply, state}
     else
-      {:full, true, count} -> {:noreply, deliver_event(state, id, {:lost, count})}
+      {:full, true, count} -> {:noreply, FrameHandler.deliver_event(state, id, {:lost, count})}
       _ -> {:noreply, state}
     end
   end
@@ -248,116 +249,6 @@ defmodule Situ.Remote.Connection do
     if state.socket, do: Socket.close(state.socket)
   end
 
-  # The following clauses handle frames from the server.
-
-  defp handle_frame({:batch, id, _first, last, count, payload}, size, state),
-    do: deliver_batch(state, id, size, last, count, payload)
-
-  defp handle_frame({:part, id, last?, bytes}, _size, state) do
-    case state.channels do
-      %{^id => channel} ->
-        case Channel.add_part(channel, last?, bytes) do
-          {:more, channel} ->
-            {:ok, send_credit(state, channel)}
-
-          {:whole, body, channel} ->
-            handle_joined_batch(Frame.decode(body), byte_size(bytes), put_channel(state, channel))
-
-          {:error, why} ->
-            {:error, why}
-        end
-
-      _ ->
-        {:ok, state}
-    end
-  end
-
-  defp handle_frame({:streams, %{"streams" => streams}}, _size, state) when is_list(streams),
-    do: {:ok, %{state | catalogue: Catalogue.merge_streams(state.catalogue, streams)}}
-
-  defp handle_frame({:subscribed, id, %{"after" => time} = map}, _size, state)
-       when is_integer(time) do
-    case state.channels do
-      %{^id => channel} ->
-        DatagramReceiver.handle_subscribed(channel, map, state.socket)
-        {:ok, put_channel(state, Channel.mark_subscribed(channel, time))}
-
-      _ ->
-        {:ok, state}
-    end
-  end
-
-  defp handle_frame({:closed, id, time}, _size, state),
-    do: {:ok, deliver_event(state, id, {:closed, time})}
-
-  defp handle_frame({:lost, id, n}, _size, state), do: {:ok, deliver_event(state, id, {:lost, n})}
-
-  defp handle_frame({:pong, t0, t1, t2}, _size, state) do
-    {:ok,
-     %{state | clock: ClockEstimate.add_round_trip(state.clock, {t0, t1, t2, state.opts.now.()})}}
-  end
-
-  defp handle_frame({:refused, map}, _size, _state),
-    do: {:error, map |> Handshake.error_from_map() |> Exception.message()}
-
-  defp handle_frame(frame, _size, _state), do: {:error, "unexpected frame: #{elem(frame, 0)}"}
-
-  defp handle_joined_batch({:ok, {:batch, _, _, _, _, _} = batch}, size, state),
-    do: handle_frame(batch, size, state)
-
-  defp handle_joined_batch(_other, _size, _state),
-    do: {:error, "the joined parts are not a batch"}
-
-  defp deliver_batch(state, id, size, last, count, payload) do
-    case state.channels do
-      %{^id => channel} ->
-        case Channel.accept_batch(channel, size, last, count) do
-          {:ok, channel} ->
-            send(
-              channel.pid,
-              {:situ_link, id, {:batch, size, payload, channel_clock(state, channel)}}
-            )
-
-            {:ok, put_channel(state, channel)}
-
-          {:again, channel} ->
-            {:ok, send_credit(state, channel)}
-
-          {:error, why} ->
-            {:error, why}
-        end
-
-      _ ->
-        {:ok, state}
-    end
-  end
-
-  defp channel_clock(_state, %{times: :sender}), do: nil
-  defp channel_clock(state, _channel), do: state.clock
-
-  defp deliver_event(state, id, event) do
-    case state.channels do
-      %{^id => channel} ->
-        send(
-          channel.pid,
-          {:situ_link, id, convert_event_time(event, channel_clock(state, channel))}
-        )
-
-        put_channel(state, Channel.apply_event(channel, event))
-
-      _ ->
-        state
-    end
-  end
-
-  defp convert_event_time({:closed, time}, clock) when clock != nil,
-    do: {:closed, ClockEstimate.to_local_time(clock, time)}
-
-  defp convert_event_time(event, _clock), do: event
-
-  defp put_channel(state, channel),
-    do: %{state | channels: Map.put(state.channels, channel.id, channel)}
-
   # The following functions connect and reconnect.
 
   defp send_subscribe(%{socket: nil} = state, _channel), do: state
@@ -365,15 +256,10 @@ defmodule Situ.Remote.Connection do
 
   defp send_subscribe(state, channel) do
     {map, channel} = channel |> Channel.build_request() |> DatagramReceiver.add_datagram_request()
-    state |> put_channel(channel) |> send_frame({:subscribe, channel.id, map})
-  end
 
-  # Send errors are ignored here, because the socket then also reports that it was closed.
-  defp send_frame(%{socket: nil} = state, _frame), do: state
-
-  defp send_frame(state, frame) do
-    _ = Socket.send(state.socket, Frame.encode(frame))
     state
+    |> FrameHandler.put_channel(channel)
+    |> FrameHandler.send_frame({:subscribe, channel.id, map})
   end
 
   defp handle_disconnect(state, why) do

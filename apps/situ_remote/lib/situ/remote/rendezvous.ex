@@ -62,13 +62,14 @@ defmodule Situ.Remote.Rendezvous do
       iex> receive do {:situ_rendezvous, ^desk, event} -> event end
       {:removed, "robot"}
 
-  The protocol is \\psi's, version 2 (`Situ.Remote.Rendezvous.Protocol`), so \\psi's processes can take part. When a client
-  dies, its processes are removed. A process may change its endpoints (`announce/2`), a silent client does not delay the
-  others, and a client that loses its server reconnects after 50 ms to 5 s. If two processes have the same name, the
-  others see only the first. The second is notified (`{:taken, name}`, `error/1`), and replaces the first when that one
-  leaves. The protocol has no authentication: anyone who can connect can announce, so keep it on the loopback address or
-  a separate network. The server disconnects a client that does not send a greeting, or does not complete a message,
-  within ten seconds. With 1,000 clients connected, a new client replaces the oldest one that has announced nothing.
+  The protocol is \\psi's, version 2 (`Situ.Remote.Rendezvous.Protocol`), so \\psi's processes can take part. When a
+  client dies, its processes are removed. A process may change its endpoints (`announce/2`), a silent client does not
+  delay the others, and a client that loses its server reconnects after 50 ms to 5 s. If two processes have the same
+  name, the others see only the first. The second is notified (`{:taken, name}`, `error/1`), and replaces the first when
+  that one leaves. The protocol has no authentication: anyone who can connect can announce, so keep it on the loopback
+  address or a separate network. The server disconnects a client that does not send a greeting, or does not complete a
+  message, within ten seconds. With 1,000 clients connected, a new client replaces the oldest one that has announced
+  nothing.
 
   If the log already uses a NATS server, no other server is needed.
   `join("nats://lab1:4222,lab2:4222", name: "robot", ...)` does the same over NATS, including its clusters, leaf links,

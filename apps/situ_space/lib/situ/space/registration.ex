@@ -11,7 +11,8 @@ defmodule Situ.Space.Registration do
       iex> lens = Situ.CameraIntrinsics.new!(width: 40, height: 20, focal: {40, 40})
       iex> depth = Situ.DepthImage.new!(width: 4, height: 2, data: :binary.copy(<<2000::little-16>>, 8))
       iex> seen = Situ.CameraView.new(depth, eye, Situ.Pose.identity())
-      iex> beside = Situ.CameraView.new(Situ.Image.new_filled(40, 20, :rgb24, :red), lens, Situ.Pose.new({0.0, 0.1, 0.0}))
+      iex> image = Situ.Image.new_filled(40, 20, :rgb24, :red)
+      iex> beside = Situ.CameraView.new(image, lens, Situ.Pose.new({0.0, 0.1, 0.0}))
       iex> Situ.Space.Registration.project_pixel(seen, beside, {2, 1})
       {:ok, {22.0, 10.0}}
       iex> {:ok, colors} = Situ.Space.Registration.register_colors(seen, beside)

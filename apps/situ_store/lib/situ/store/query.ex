@@ -6,11 +6,9 @@ defmodule Situ.Store.Query do
   alias Situ.Store.{
     SchemaEvolution,
     NativeErrors,
-    Folder,
-    Formats,
     Handle,
+    Locator,
     NativeFormat,
-    Replacement,
     StreamInfo
   }
 
@@ -91,7 +89,7 @@ defmodule Situ.Store.Query do
   @spec open(Path.t(), keyword()) :: {:ok, Handle.t()} | {:error, Error.t()}
   def open(path, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @open_options),
-         {:ok, path, module} <- find_recording(path, opts[:reader]),
+         {:ok, path, module} <- Locator.find_recording(path, opts[:reader]),
          {:ok, state} <- module.open(path, reader_opts(module, opts)) do
       {:ok, %Handle{path: path, module: module, state: state}}
     end
@@ -101,54 +99,6 @@ defmodule Situ.Store.Query do
     do: Keyword.take(opts, [:verify, :max_unpacked]) ++ opts[:reader_opts]
 
   defp reader_opts(_module, opts), do: opts[:reader_opts]
-
-  defp find_recording(path, reader) do
-    case Formats.for_address(path) do
-      nil -> find_here(Path.expand(path), reader)
-      module -> {:ok, path, reader || module}
-    end
-  end
-
-  defp find_here(path, reader) do
-    folder = Folder.resolve_store(path)
-
-    cond do
-      folder && Folder.store_folder?(folder) -> {:ok, folder, reader || NativeFormat}
-      reader != nil -> {:ok, path, reader}
-      File.regular?(path) -> find_reader(path)
-      true -> find_folder(path, folder)
-    end
-  end
-
-  # A versioned folder that has lost its index and data files is still opened as a store, so that the error is specific.
-  defp find_folder(path, folder) do
-    case {Formats.for_folder(path), folder} do
-      {{module, path}, _} -> {:ok, path, module}
-      {nil, nil} -> {:error, no_store_error(path)}
-      {nil, folder} -> {:ok, folder, NativeFormat}
-    end
-  end
-
-  defp no_store_error(path) do
-    case Replacement.find_interrupted(path) do
-      nil -> NativeErrors.to_error(:no_store, path)
-      folder -> NativeErrors.to_error(:compaction_interrupted, folder)
-    end
-  end
-
-  defp find_reader(path) do
-    with nil <- Formats.for_file(path) do
-      known = Formats.list_readers() |> Enum.flat_map(& &1.extensions()) |> Enum.join(", ")
-
-      {:error,
-       Error.new(:unknown_format, "no reader for #{path}",
-         why: "there are readers for #{known} and for store folders",
-         fix: "specify one with `reader: Module`"
-       )}
-    else
-      module -> {:ok, path, module}
-    end
-  end
 
   @spec open!(Path.t(), keyword()) :: Handle.t()
   def open!(path, opts \\ []), do: unwrap!(open(path, opts))

@@ -219,9 +219,10 @@ export class SvgContext {
 
   // Returns the text of the SVG file; `title` is for screen readers.
   toSvg(background, title) {
+    const [width, height] = [roundCoordinate(this.width), roundCoordinate(this.height)];
     return [
-      `<svg xmlns="http://www.w3.org/2000/svg" width="${roundCoordinate(this.width)}" height="${roundCoordinate(this.height)}"`,
-      ` viewBox="0 0 ${roundCoordinate(this.width)} ${roundCoordinate(this.height)}" role="img">\n<title>${escapeXml(title)}</title>\n`,
+      `<svg xmlns="http://www.w3.org/2000/svg" width="${width}" height="${height}"`,
+      ` viewBox="0 0 ${width} ${height}" role="img">\n<title>${escapeXml(title)}</title>\n`,
       this.defs.length ? `<defs>${this.defs.join("")}</defs>\n` : "",
       `<rect width="100%" height="100%" fill="${escapeXml(background)}"/>\n`,
       this.parts.join("\n"),

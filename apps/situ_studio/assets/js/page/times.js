@@ -11,7 +11,8 @@ export function clockText(ns, part, local) {
   const d = new Date(Number(BigInt(ns) / 1000000n));
   if (Number.isNaN(d.getTime())) return ns;
   const readPart = (name) => d[`get${local ? "" : "UTC"}${name}`]();
-  const date = `${padNumber(readPart("FullYear"), 4)}-${padNumber(readPart("Month") + 1)}-${padNumber(readPart("Date"))}`;
+  const month = padNumber(readPart("Month") + 1);
+  const date = `${padNumber(readPart("FullYear"), 4)}-${month}-${padNumber(readPart("Date"))}`;
   if (part === "date") return date;
   const seconds = `${padNumber(readPart("Hours"))}:${padNumber(readPart("Minutes"))}:${padNumber(readPart("Seconds"))}`;
   const time = part === "all" ? `${seconds}.${padNumber(readPart("Milliseconds"), 3)}` : seconds;

@@ -182,9 +182,8 @@ export class MapPanel {
       const { x, y, px: k } = this.map ?? { x: 0, y: 0, px: 256 };
       const [lat, lon] = [toLatitude(y + py / k), toLongitude(x + px / k)];
       const far = this.visibleLayers.find((l) => l.place)?.place;
-      const away = far
-        ? `${formatNumber(groundDistance([lat, lon], [far.latitude, far.longitude]), 3)} m from the position at the cursor`
-        : "";
+      const metres = far && groundDistance([lat, lon], [far.latitude, far.longitude]);
+      const away = far ? `${formatNumber(metres, 3)} m from the position at the cursor` : "";
       return showTip(this, [`${lat.toFixed(6)}, ${lon.toFixed(6)}`, ...(away ? [away] : [])], clientX, clientY);
     }
     const { layer, i } = found;

@@ -23,8 +23,8 @@ defmodule Situ.Studio.Alerts do
         }
 
   @doc """
-  Starts the alerts of the studio `:id`. With `tick: false`, the caller triggers each evaluation (`evaluate_rules/2`); `of:`
-  names a different studio to evaluate.
+  Starts the alerts of the studio `:id`. With `tick: false`, the caller triggers each evaluation (`evaluate_rules/2`);
+  `of:` names a different studio to evaluate.
   """
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)

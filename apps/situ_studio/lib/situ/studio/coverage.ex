@@ -9,7 +9,8 @@ defmodule Situ.Studio.Coverage do
       iex> streams = [stream.("Whole", 0, 1_000), stream.("Late", 400, 998), stream.("Short", 0, 700)]
       iex> Situ.Studio.Coverage.find_partial_streams(streams, %{from: 0, to: 1_000, live: false})
       %{"Late" => %{"first" => "400"}, "Short" => %{"last" => "700"}}
-      iex> Situ.Studio.Coverage.find_partial_streams([%{stream.("Now and then", 0, 700) | count: 4}], %{from: 0, to: 1_000, live: false})
+      iex> rare = %{stream.("Now and then", 0, 700) | count: 4}
+      iex> Situ.Studio.Coverage.find_partial_streams([rare], %{from: 0, to: 1_000, live: false})
       %{}
   """
   alias Situ.Studio.{Source, StreamInfo}

@@ -2,7 +2,8 @@ defmodule Situ.Studio.Link do
   @moduledoc """
   Encodes a layout as part of a URL, so that a link shows the sender's layout even if it was not saved.
 
-      iex> {:ok, layout, _} = Situ.Studio.Layout.add_stream(Situ.Studio.Layout.new("mine"), "A.level", "line", :plot, "")
+      iex> layout = Situ.Studio.Layout.new("mine")
+      iex> {:ok, layout, _} = Situ.Studio.Layout.add_stream(layout, "A.level", "line", :plot, "")
       iex> code = Situ.Studio.Link.encode(layout)
       iex> Situ.Studio.Link.decode(code) == {:ok, layout}
       true

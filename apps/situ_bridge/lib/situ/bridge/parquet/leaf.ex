@@ -87,8 +87,10 @@ defmodule Situ.Bridge.Parquet.Leaf do
   Converts the bytes of a value according to their meaning.
 
       iex> alias Situ.Bridge.Parquet.Leaf
-      iex> {Leaf.convert_bytes(<<255, 6>>, {:decimal, 2}), Leaf.convert_bytes(<<0, 0x3E>>, :half), Leaf.convert_bytes("x", nil)}
-      {-2.5, 1.5, "x"}
+      iex> {Leaf.convert_bytes(<<255, 6>>, {:decimal, 2}), Leaf.convert_bytes(<<0, 0x3E>>, :half)}
+      {-2.5, 1.5}
+      iex> Leaf.convert_bytes("x", nil)
+      "x"
   """
   @spec convert_bytes(binary(), atom() | {atom(), term()}) :: term()
   def convert_bytes(bytes, {:decimal, scale}) when byte_size(bytes) in 1..32 do

@@ -77,8 +77,8 @@ defmodule Situ.Bridge.Ros2.Keys do
   def endpoint_token(role, domain, session, node, {topic, type, hash, depth}) do
     type = dds_name(type, if(role in [:server, :client], do: "srv", else: "msg"))
 
-    "@ros2_lv/#{domain}/#{session}/0/1/#{endpoint_kind(role)}/%/%/#{mangle_name(node)}/%#{mangle_name(topic)}/#{type}/#{hash}/" <>
-      encode_qos(depth)
+    "@ros2_lv/#{domain}/#{session}/0/1/#{endpoint_kind(role)}/%/%/#{mangle_name(node)}/" <>
+      "%#{mangle_name(topic)}/#{type}/#{hash}/" <> encode_qos(depth)
   end
 
   defp endpoint_kind(:publisher), do: "MP"

@@ -3,9 +3,8 @@ defmodule Situ.CLI.Store.Export do
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, Ros}
   alias Situ.CLI.{Option, Output, Progress, Recording, UnfinishedOutput, Verb}
-  alias Situ.CLI.Store.{Arguments, Protobuf}
+  alias Situ.CLI.Store.{Arguments, OutputFile, Protobuf}
   alias Situ.{Error, Store}
-  alias Situ.Store.AtomicFile
 
   @formats %{
     "arrow" => :arrow,
@@ -151,7 +150,9 @@ defmodule Situ.CLI.Store.Export do
     written = [progress: &progress.(&1, total)] ++ compression_option(:mcap, opts[:compression])
     copying = [streams: names] ++ Keyword.take(opts, [:order]) ++ read_options(opts)
 
-    copied = write_then_rename!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
+    copied =
+      OutputFile.write_then_rename!(file, &Mcap.copy(store, &1, copying ++ written ++ carried))
+
     for sentence <- copied.left_out, do: Output.warn("Omitted: " <> sentence)
     Map.put(copied, :streams, length(chosen))
   end
@@ -166,7 +167,7 @@ defmodule Situ.CLI.Store.Export do
 
     exporting = [streams: names] ++ read_options(opts) ++ written ++ carried_options(format, opts)
 
-    count = write_then_rename!(file, &@recordings[format].export(store, &1, exporting))
+    count = OutputFile.write_then_rename!(file, &@recordings[format].export(store, &1, exporting))
     %{messages: count, streams: length(names)}
   end
 
@@ -208,25 +209,28 @@ defmodule Situ.CLI.Store.Export do
     [] = carried_options(format, opts)
     unless compression_option(format, opts[:compression]) == [], do: reject_compression(format)
     info = single_stream!(store, chosen)
-    out = open_output(file)
+    out = OutputFile.open_output(file)
 
     place =
       store
       |> Store.columns(info, read_options(opts))
       |> Enum.reduce(0, fn part, place ->
         {records, place} = encode_records(format, part, place, out)
-        write_bytes(out, records)
+        OutputFile.write_bytes(out, records)
         progress.(Format.record_count(place), info.count)
         place
       end)
 
-    write_bytes(out, Format.fetch_module!(format).finish(place))
-    close_output(out)
+    OutputFile.write_bytes(out, Format.fetch_module!(format).finish(place))
+    OutputFile.close_output(out)
     %{messages: Format.record_count(place), stream: info.name}
   end
 
   defp write_table(nil, module, {store, info, _chosen}, file, _opts, written),
-    do: %{messages: unwrap!(module.write(store, info.name, file, written)), stream: info.name}
+    do: %{
+      messages: Error.unwrap!(module.write(store, info.name, file, written)),
+      stream: info.name
+    }
 
   defp write_table(on, module, {store, _info, chosen}, file, opts, written) do
     # If no streams are selected, the table contains every stream that fits into a table.
@@ -234,7 +238,7 @@ defmodule Situ.CLI.Store.Export do
     joining = [on: on, streams: unless(all?, do: Enum.map(chosen, & &1.name))]
     joining = [take: if(opts[:latest], do: :latest, else: :nearest)] ++ joining
     joining = Keyword.take(opts, [:within]) ++ joining
-    %{messages: unwrap!(module.join(store, file, joining ++ written)), stream: on}
+    %{messages: Error.unwrap!(module.join(store, file, joining ++ written)), stream: on}
   end
 
   defp fetch_stream!(store, name), do: Error.unwrap!(Store.stream_info(store, name))
@@ -261,7 +265,7 @@ defmodule Situ.CLI.Store.Export do
     Format.encode_records(format, part, place)
   rescue
     error in Error ->
-      discard_output(out)
+      OutputFile.discard_output(out)
       reraise error, __STACKTRACE__
   end
 
@@ -298,21 +302,6 @@ defmodule Situ.CLI.Store.Export do
 
   defp refuse_stdout!(_file, _format), do: :ok
 
-  # Writes to a temporary file first, because the output may be the recording that is being read.
-  defp write_then_rename!(file, write) do
-    unfinished = file <> ".unfinished"
-
-    case write.(unfinished) do
-      {:ok, result} ->
-        sync_and_rename(unfinished, file)
-        result
-
-      {:error, error} ->
-        _ = File.rm(unfinished)
-        raise error
-    end
-  end
-
   defp single_stream!(_store, [one]), do: one
 
   defp single_stream!(store, several) do
@@ -322,64 +311,4 @@ defmodule Situ.CLI.Store.Export do
             fix: "choose one with --stream: #{names}"
           )
   end
-
-  # A temporary file is renamed when it is complete. Standard output is opened as a raw file, which is faster than IO.
-  defp open_output("-"), do: {:stdout, open_device!("/dev/stdout", [:append])}
-  defp open_output(path), do: {path, open_device!(path <> ".unfinished", [:write])}
-
-  defp open_device!(path, modes) do
-    case :file.open(path, [:raw, :binary | modes]) do
-      {:ok, device} -> device
-      {:error, reason} -> raise write_error(path, reason)
-    end
-  end
-
-  defp write_error(path, reason),
-    do: Error.new(:not_saved, "cannot write #{path}", why: to_string(:file.format_error(reason)))
-
-  defp write_bytes({_, device} = out, bytes) do
-    case :file.write(device, bytes) do
-      :ok ->
-        :ok
-
-      {:error, :epipe} ->
-        exit(:terminated)
-
-      {:error, reason} ->
-        discard_output(out)
-
-        raise Error.new(:not_saved, "the file cannot be written",
-                why: to_string(:file.format_error(reason)),
-                fix: "free disk space, or write to another location"
-              )
-    end
-  end
-
-  defp close_output({:stdout, device}), do: :file.close(device)
-
-  defp close_output({path, device}) do
-    with {:error, reason} <- :file.close(device), do: raise(write_error(path, reason))
-    sync_and_rename(path <> ".unfinished", path)
-  end
-
-  # The file is synced before it is renamed, because the user may delete the original next.
-  defp sync_and_rename(unfinished, path) do
-    with :ok <- AtomicFile.sync_file(unfinished),
-         :ok <- AtomicFile.rename_synced(unfinished, path) do
-      :ok
-    else
-      {:error, reason} -> raise write_error(path, reason)
-    end
-  end
-
-  defp discard_output({:stdout, _}), do: :ok
-
-  defp discard_output({path, device}) do
-    _ = :file.close(device)
-    _ = File.rm(path <> ".unfinished")
-    :ok
-  end
-
-  defp unwrap!({:ok, value}), do: value
-  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -124,7 +124,8 @@ defmodule Situ.CLI.Store.Info do
     [
       written != "" && "written by #{Output.format_name(written)}",
       list_attachments(store) != [] &&
-        "#{Output.format_count(length(list_attachments(store)), "attachment")}: `situ store attachments '#{store.path}'`"
+        "#{Output.format_count(length(list_attachments(store)), "attachment")}: " <>
+          "`situ store attachments '#{store.path}'`"
     ]
     |> Enum.filter(& &1)
     |> Kernel.++(

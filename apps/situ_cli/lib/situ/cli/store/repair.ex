@@ -147,8 +147,8 @@ defmodule Situ.CLI.Store.Repair do
   end
 
   defp unconfirmed_note(n) do
-    "#{Output.format_count(n, "chunk")} at the end omitted. Its data is intact, but without the lost index it is unknown " <>
-      "whether the writer had acknowledged it."
+    "#{Output.format_count(n, "chunk")} at the end omitted. Its data is intact, but without the lost index " <>
+      "it is unknown whether the writer had acknowledged it."
   end
 
   defp repair_outcome(_report, true), do: "Nothing was changed (--dry-run)."

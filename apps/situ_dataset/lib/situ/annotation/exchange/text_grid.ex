@@ -83,7 +83,8 @@ defmodule Situ.Annotation.Exchange.TextGrid do
       encode_tier_head(n, "TextTier", name, span, opts),
       "        points: size = #{length(labels)} \n",
       for {{a, text}, i} <- Enum.with_index(labels, 1) do
-        "        points [#{i}]:\n            number = #{format_seconds(a.from, opts)} \n            mark = #{quote_text(text)} \n"
+        "        points [#{i}]:\n            number = #{format_seconds(a.from, opts)} \n" <>
+          "            mark = #{quote_text(text)} \n"
       end
     ]
   end

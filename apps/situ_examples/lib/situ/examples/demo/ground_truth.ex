@@ -12,8 +12,10 @@ defmodule Situ.Examples.Demo.GroundTruth do
       iex> {:ok, truth} = Situ.Examples.Demo.GroundTruth.parse(json)
       iex> Situ.Examples.Demo.GroundTruth.speakers_at(truth, 1.0)
       [0]
-      iex> {Situ.Examples.Demo.GroundTruth.speakers_at(truth, 1.7), Situ.Examples.Demo.GroundTruth.near_edge?(truth, 1.45)}
-      {[], true}
+      iex> Situ.Examples.Demo.GroundTruth.speakers_at(truth, 1.7)
+      []
+      iex> Situ.Examples.Demo.GroundTruth.near_edge?(truth, 1.45)
+      true
   """
   alias Situ.{Error, Rect}
 

@@ -3,8 +3,10 @@ defmodule Situ.Infer.Speech.Punctuation do
   Turns words into sentences with capitals, periods and question marks. Some recognizers write only words (PocketSphinx,
   telephone services); Moonshine already writes sentences.
 
+      alias Situ.Infer.Speech.Punctuation.LanguageModel
+
       heard |> Situ.Infer.punctuate()                                    # rules
-      heard |> Situ.Infer.punctuate(punctuation: Situ.Infer.Speech.Punctuation.LanguageModel, options: [model: "llama3.2"])
+      heard |> Situ.Infer.punctuate(punctuation: LanguageModel, options: [model: "llama3.2"])
 
   | built in | method |
   |---|---|

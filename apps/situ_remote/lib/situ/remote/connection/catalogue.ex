@@ -10,7 +10,10 @@ defmodule Situ.Remote.Connection.Catalogue do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Replies to `from` if a list has arrived, otherwise when it arrives, or with an error after `ms` (`expire_waiter/3`)."
+  @doc """
+  Replies to `from` if a list has arrived, otherwise when it arrives, or with an error after `ms`
+  (`expire_waiter/3`).
+  """
   @spec add_waiter(t(), GenServer.from(), non_neg_integer()) :: t()
   def add_waiter(%__MODULE__{known: nil} = catalogue, from, ms) do
     timer = Process.send_after(self(), {:waited, from}, ms)

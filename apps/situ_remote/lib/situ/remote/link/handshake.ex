@@ -40,7 +40,10 @@ defmodule Situ.Remote.Link.Handshake do
     if version >= max(our_oldest, their_oldest), do: {:ok, version}, else: :error
   end
 
-  @doc "Checks the remote versions against this release, as `agree_version/2` does. The error names the versions of both sides."
+  @doc """
+  Checks the remote versions against this release, as `agree_version/2` does. The error names the versions of both
+  sides.
+  """
   @spec check_version(integer(), integer()) :: {:ok, integer()} | {:error, Error.t()}
   def check_version(theirs, their_oldest) do
     with :error <- agree_version({Frame.protocol_version(), @oldest}, {theirs, their_oldest}) do

@@ -15,7 +15,8 @@ defmodule Situ.Space.GeometryFile.NumberParser do
       {:ok, 0.001}
       iex> for text <- [".5", "-1.", "2.e3"], do: elem(Situ.Space.GeometryFile.NumberParser.parse_float(text), 1)
       [0.5, -1.0, 2.0e3]
-      iex> for text <- [String.duplicate("9", 400), "1e400", "nan"], do: Situ.Space.GeometryFile.NumberParser.parse_float(text)
+      iex> texts = [String.duplicate("9", 400), "1e400", "nan"]
+      iex> Enum.map(texts, &Situ.Space.GeometryFile.NumberParser.parse_float/1)
       [:error, :error, :error]
   """
   @spec parse_float(String.t()) :: {:ok, float()} | :error
@@ -26,7 +27,8 @@ defmodule Situ.Space.GeometryFile.NumberParser do
   @doc """
   Parses a number like C's `strtod`: a number too large for 64 bits is infinite, and "nan" and "inf" are numbers.
 
-      iex> for text <- ["1.5", "-1e400", "NaN", "inf", "1e-400", "1e", ""], do: Situ.Space.GeometryFile.NumberParser.parse_number(text)
+      iex> texts = ["1.5", "-1e400", "NaN", "inf", "1e-400", "1e", ""]
+      iex> Enum.map(texts, &Situ.Space.GeometryFile.NumberParser.parse_number/1)
       [{:ok, 1.5}, {:ok, :neg_infinity}, {:ok, :nan}, {:ok, :infinity}, {:ok, 0.0}, :error, :error]
   """
   @spec parse_number(String.t()) :: {:ok, ieee_number()} | :error

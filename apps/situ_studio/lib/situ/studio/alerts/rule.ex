@@ -4,7 +4,8 @@ defmodule Situ.Studio.Alerts.Rule do
   statistics. A stream's name refers to its latest value. `` `STATISTIC(PATH)` `` is a statistic of a component, or
   the worst value among its incoming connections. `Situ.Studio.PipelineView.Stats` lists the names.
 
-      iex> {:ok, [rule]} = Situ.Studio.Alerts.Rule.parse_rules("slow: `latency_mean(Screen)` > 200 or `Mic.Level` > 0.9")
+      iex> text = "slow: `latency_mean(Screen)` > 200 or `Mic.Level` > 0.9"
+      iex> {:ok, [rule]} = Situ.Studio.Alerts.Rule.parse_rules(text)
       iex> {rule.name, Situ.Studio.Alerts.Rule.referenced_streams(rule)}
       {"slow", ["Mic.Level"]}
       iex> Situ.Studio.Alerts.Rule.true?(rule, %{"latency_mean(Screen)" => 250.0, "Mic.Level" => nil})

@@ -65,7 +65,9 @@ defmodule Situ.Studio.BatchRuns.Form do
 
   defp format_value(value), do: value
 
-  @doc "Parses submitted fields into a configuration for `Situ.Dataset.Task.parse_options/2`. Empty fields are left out."
+  @doc """
+  Parses submitted fields into a configuration for `Situ.Dataset.Task.parse_options/2`. Empty fields are left out.
+  """
   @spec parse_config(Options.schema(), map()) :: {:ok, map()} | {:error, Error.t()}
   def parse_config(schema, params) do
     Enum.reduce_while(schema, {:ok, %{}}, fn {key, spec}, {:ok, config} ->

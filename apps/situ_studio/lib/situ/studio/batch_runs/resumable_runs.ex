@@ -4,13 +4,15 @@ defmodule Situ.Studio.BatchRuns.ResumableRuns do
   each run was started, until the run has finished. A page offers to resume interrupted runs.
 
       iex> file = Path.join(System.tmp_dir!(), "situ-doc-left.json")
-      iex> Situ.Studio.BatchRuns.ResumableRuns.record_start(file, %{task: "faces", output: "Faces", sessions: ["p1"], config: %{}})
+      iex> run = %{task: "faces", output: "Faces", sessions: ["p1"], config: %{}}
+      iex> Situ.Studio.BatchRuns.ResumableRuns.record_start(file, run)
       :ok
       iex> Situ.Studio.BatchRuns.ResumableRuns.list_interrupted(file)
       []
       iex> path = file <> ".Faces.batch"
       iex> File.write!(path, String.replace(File.read!(path), System.pid(), "999999999"))
-      iex> [%{task: "faces", output: "Faces", sessions: ["p1"], config: %{}}] = Situ.Studio.BatchRuns.ResumableRuns.list_interrupted(file)
+      iex> [%{task: "faces", output: "Faces", sessions: ["p1"], config: %{}}] =
+      ...>   Situ.Studio.BatchRuns.ResumableRuns.list_interrupted(file)
       iex> Situ.Studio.BatchRuns.ResumableRuns.delete_record(file, "Faces")
       iex> Situ.Studio.BatchRuns.ResumableRuns.list_interrupted(file)
       []

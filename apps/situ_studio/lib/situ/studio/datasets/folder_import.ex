@@ -14,7 +14,8 @@ defmodule Situ.Studio.Datasets.FolderImport do
   Lists the folders that contain recordings of a studio, at any depth, with their names in addresses.
 
       iex> item = fn id -> %Situ.Studio.Catalog.Item{id: id, title: id, kind: :store, path: "/data/" <> id} end
-      iex> Situ.Studio.Datasets.FolderImport.list_folders(Enum.map(["p1/a/room.0000", "p2/room.0000", "talk.mp4"], item))
+      iex> items = Enum.map(["p1/a/room.0000", "p2/room.0000", "talk.mp4"], item)
+      iex> Situ.Studio.Datasets.FolderImport.list_folders(items)
       [{".", "/data"}, {"p1", "/data/p1"}, {"p1/a", "/data/p1/a"}, {"p2", "/data/p2"}]
   """
   @spec list_folders([Item.t()]) :: [{String.t(), Path.t()}]

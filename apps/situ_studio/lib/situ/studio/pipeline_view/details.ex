@@ -148,7 +148,8 @@ defmodule Situ.Studio.PipelineView.Details do
         <li :for={m <- @messages} :key={m.originating_time} id={"at-#{m.originating_time}"}><button
             :if={@live} type="button" class="linkish"
             phx-click="trace" phx-value-time={m.originating_time} title="Where is this time in the pipeline?"
-            ><time>{format_clock(m.originating_time)}</time></button><time :if={not @live}>{format_clock(m.originating_time)}</time
+            ><time>{format_clock(m.originating_time)}</time></button><time
+            :if={not @live}>{format_clock(m.originating_time)}</time
             ><code>{inspect_short(m.data)}</code></li>
       </ol>
       <h3>Numbers</h3>

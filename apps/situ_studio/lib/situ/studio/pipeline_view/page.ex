@@ -32,11 +32,13 @@ defmodule Situ.Studio.PipelineView.Page do
         <form id="mark" phx-change="mark">
           <label>Highlight
             <select class="select" name="mark">
-              <option :for={{id, name} <- Highlighting.highlight_choices()} value={id} selected={id == @mark}>{name}</option>
+              <option :for={{id, name} <- Highlighting.highlight_choices()}
+                  value={id} selected={id == @mark}>{name}</option>
             </select>
           </label>
           <select class="select" name="way" aria-label="Direction" title="Direction">
-            <option :for={{id, name} <- Highlighting.graph_directions()} value={id} selected={id == @way}>{name}</option>
+            <option :for={{id, name} <- Highlighting.graph_directions()}
+                value={id} selected={id == @way}>{name}</option>
           </select>
         </form>
         <span class="grow"></span>

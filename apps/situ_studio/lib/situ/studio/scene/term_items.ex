@@ -27,10 +27,10 @@ defmodule Situ.Studio.Scene.TermItems do
 
   @typedoc """
   `budget` is the maximum number of points of a cloud. `within` is `nil` or the planes around the requested part of the
-  clouds (`Situ.Space.Cloud.clip_to_planes/3`); with planes, only clouds are returned. `depth_as` is how depth images are shown,
-  using every `sparsity`-th pixel. `focal` is the focal length (pixels) of images without intrinsics. `axis` is the
-  length of a pose's axes and `ray` the length of a ray (metres). Voxels above `threshold` are shown. `text` is the
-  height (metres) of texts in the plane of their pose or rectangle, or `nil` if all texts face the viewer.
+  clouds (`Situ.Space.Cloud.clip_to_planes/3`); with planes, only clouds are returned. `depth_as` is how depth images
+  are shown, using every `sparsity`-th pixel. `focal` is the focal length (pixels) of images without intrinsics. `axis`
+  is the length of a pose's axes and `ray` the length of a ray (metres). Voxels above `threshold` are shown. `text` is
+  the height (metres) of texts in the plane of their pose or rectangle, or `nil` if all texts face the viewer.
   """
   @type settings :: %{optional(atom()) => term()}
 

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.AnnotationPanel do
   @moduledoc false
-  # Handles annotation in the main view: a dialog that opens or creates an annotation stream, the panel that edits
-  # it, and the events that pass the page's edits to `Situ.Studio.Annotations`.
+  # Handles annotation in the main view: the panel that edits an annotation stream, and the events that open a stream
+  # or pass the page's edits to `Situ.Studio.Annotations`.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
@@ -9,7 +9,6 @@ defmodule Situ.Studio.Web.AnnotationPanel do
   alias Situ.Live.Socket
   alias Situ.Studio.Annotations
   alias Situ.Studio.Annotations.{AgreementTable, Proposals, SchemaForm, Schemas, Files}
-  alias Situ.Studio.Web.SchemaDialog
 
   @doc "Returns whether the item is a recording on disk and the studio may write to it."
   @spec available?(map()) :: boolean()
@@ -348,58 +347,6 @@ defmodule Situ.Studio.Web.AnnotationPanel do
       <div id="annotation-body" class="panel-body" phx-hook="Annotations" phx-update="ignore" tabindex="0"
           role="application" aria-label={"Annotations " <> @stream}></div>
     </section>
-    """
-  end
-
-  attr(:dialog, :any, required: true)
-
-  @doc false
-  def schema_dialog(assigns) do
-    {:schema, draft, error} = assigns.dialog
-    SchemaDialog.dialog(%{draft: draft, error: error})
-  end
-
-  attr(:streams, :list, required: true)
-  attr(:schemas, :list, required: true)
-
-  @doc false
-  def annotation_dialog(assigns) do
-    ~H"""
-    <dialog id="annotation-dialog" phx-hook="Modal" phx-update="ignore" aria-label="Annotate">
-      <h3>Annotate</h3>
-      <div :if={@streams != []} class="choices">
-        <button :for={s <- @streams} class="btn" type="button" phx-click="annotation_open"
-            phx-value-stream={s}>{s}</button>
-      </div>
-      <form id="annotation-new" phx-submit="annotation_new">
-        <label>New annotations <input name="name" placeholder="Speech" autocomplete="off" maxlength="60"
-            required autofocus></label>
-        <label>Values, one per line: name, key, color
-          <textarea name="values" rows="4" placeholder={"speaks 1 #4ea1f3\nlaughs 2"}></textarea></label>
-        <div class="inline">
-          <select name="kind" aria-label="Kind of annotation"><option value="values">Segments in time</option><option
-              value="box">Boxes on images</option><option value="point">Points on images</option></select>
-          <input name="by" placeholder="annotator (optional)" maxlength="40" autocomplete="off"
-              aria-label="Annotator">
-          <select :if={@schemas != []} name="schema" aria-label="Schema"><option
-              value="">Use the values above</option><option
-              :for={s <- @schemas} value={s}>Schema {s}</option></select>
-        </div>
-        <div class="choices">
-          <button class="btn primary" type="submit">Annotate</button>
-          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
-        </div>
-        <p class="hint">Annotations are saved next to the recording, which is never modified. Every edit is saved
-          immediately.</p>
-      </form>
-      <form :if={@streams != []} id="annotation-own" class="inline" phx-submit="annotation_own">
-        <select name="stream" aria-label="Annotations whose schema is used"><option
-            :for={s <- @streams} value={s}>{s}</option></select>
-        <input name="by" placeholder="your name" maxlength="40" autocomplete="off" required
-            aria-label="Your name, for a separate layer">
-        <button class="btn" type="submit">Add my own layer</button>
-      </form>
-    </dialog>
     """
   end
 end

@@ -208,8 +208,10 @@ defmodule Situ.Studio.Web.DatasetView do
     ~H"""
     <div id="dataset" class="dataset" phx-hook="Lists">
       <Components.top_bar title={@dataset.name} file={@file} read_only={@read_only} kept={@dataset.file != nil} />
-      <Components.session_tree {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
-      <Components.dataset_sidebar {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
+      <Components.session_tree
+          {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
+      <Components.dataset_sidebar
+          {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :left, :now])} />
       <Dialogs.dataset_dialog :if={@dialog != nil} dialog={@dialog} />
       <div id="toast" role="status" phx-update="ignore"></div>
     </div>

@@ -10,7 +10,6 @@ defmodule Situ.Studio.Web.MainView do
     Comparison,
     Coverage,
     Layout,
-    Link,
     Settings,
     Source,
     Statistics,
@@ -18,8 +17,8 @@ defmodule Situ.Studio.Web.MainView do
   }
 
   alias Situ.Studio.Web.{
-    Paths,
     AlertBox,
+    AnnotationDialog,
     AnnotationPanel,
     PageFrame,
     CompareBar,
@@ -29,8 +28,10 @@ defmodule Situ.Studio.Web.MainView do
     VideoExportBox,
     StreamFacts,
     LayoutMenu,
+    MainAssigns,
     Panels,
     QueryPanel,
+    SchemaDialog,
     Sidebars,
     StreamTree,
     SharedCursors
@@ -315,27 +316,7 @@ defmodule Situ.Studio.Web.MainView do
   def render(%{error: %{}} = assigns), do: PageFrame.error_page(assigns)
 
   def render(assigns) do
-    {rows, more} = StreamTree.visible_rows(assigns)
-
-    assigns =
-      assign(assigns,
-        rows: rows,
-        more: more,
-        known:
-          assigns
-          |> Map.take([:shapes, :extra, :lanes, :coverage, :colors])
-          |> Map.put(:damaged, assigns.damage != []),
-        stream: selected_stream(assigns),
-        group: StreamTree.selected_group(assigns),
-        panel: selected_panel(assigns),
-        edit:
-          if(
-            {assigns.layout.rows, assigns.layout.beside} ==
-              {assigns.saved.rows, assigns.saved.beside},
-            do: "",
-            else: Link.encode(assigns.layout)
-          )
-      )
+    assigns = assign(assigns, MainAssigns.derive_values(assigns))
 
     ~H"""
     <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-layout={@saved.name}
@@ -344,7 +325,7 @@ defmodule Situ.Studio.Web.MainView do
         data-keep={@saved.name != Layout.Auto.layout_name() && @keep}>
       <PageFrame.top_bar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
           read_only={@read_only} export={ExportDialog.available?(assigns)}
-          annotate={AnnotationPanel.available?(assigns)} pipeline={pipeline_path(@item, @infos)} />
+          annotate={AnnotationPanel.available?(assigns)} pipeline={@pipeline} />
       <Sidebars.streams_sidebar sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names}
           parts={Enum.map(@item.parts, &elem(&1, 0))}
@@ -364,9 +345,9 @@ defmodule Situ.Studio.Web.MainView do
           annotate={AnnotationPanel.available?(assigns)} />
       <PageFrame.status_bar infos={@infos} layout={@layout} source={@item.title} read_only={@read_only} viewer={@viewer}
           snap={@snap} />
-      <AnnotationPanel.annotation_dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
+      <AnnotationDialog.dialog :if={match?({:annotation, _, _}, @dialog)} streams={elem(@dialog, 1)}
           schemas={elem(@dialog, 2)} />
-      <AnnotationPanel.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
+      <SchemaDialog.dialog :if={match?({:schema, _, _}, @dialog)} draft={elem(@dialog, 1)} error={elem(@dialog, 2)} />
       <CompareBar.comparison_dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
       <LayoutMenu.save_dialog :if={@dialog == :layout} saved={@saved} />
       <ExportDialog.export_dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
@@ -374,22 +355,5 @@ defmodule Situ.Studio.Web.MainView do
     </div>
     <PageFrame.script_dialogs />
     """
-  end
-
-  defp selected_stream(%{selected: {:stream, name}, infos: streams}),
-    do: Enum.find(streams, &(&1.name == name))
-
-  defp selected_stream(_), do: nil
-
-  defp selected_panel(%{selected: {:panel, id}, layout: layout}),
-    do: Layout.find_panel(layout, id)
-
-  defp selected_panel(_), do: nil
-
-  # Returns the path of the graph page for a running pipeline, or for a recording that contains diagnostics.
-  defp pipeline_path(item, infos) do
-    if item.kind == :pipeline or
-         Enum.any?(infos, &String.contains?(to_string(&1.type), "Diagnostics.Snapshot")),
-       do: Paths.pipeline_path(item.id)
   end
 end

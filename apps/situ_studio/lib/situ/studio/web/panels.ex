@@ -10,7 +10,8 @@ defmodule Situ.Studio.Web.Panels do
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
 
-  # `known` holds facts about the streams (shapes, lanes, coverage and colors) and the studio's own visualizers (`:extra`).
+  # `known` holds facts about the streams (shapes, lanes, coverage and colors) and the studio's own visualizers
+  # (`:extra`).
   attr(:known, :map, required: true)
   attr(:streams, :integer, required: true)
   attr(:maximised, :any, required: true)
@@ -28,7 +29,8 @@ defmodule Situ.Studio.Web.Panels do
     ~H"""
     <div class={["stack", @side != [] && "beside", @max && "max"]} id="stack" phx-hook="Drop">
       <div class={["side", contains_panel?(@side, @max) && "maxed"]} id="side" :if={@side != []}>
-        <.panel_row :for={line <- @side} :key={row_id(line)} line={line} selected={@selected} max={@max} known={@known} />
+        <.panel_row :for={line <- @side} :key={row_id(line)} line={line} selected={@selected} max={@max}
+            known={@known} />
         <div class="split" id="split-side" phx-hook="Split" data-var="--side" data-edge="right" tabindex="0"
             role="separator" aria-orientation="vertical" aria-label="Width of the images" aria-valuenow="40"
             aria-valuemin="10" aria-valuemax="80"></div>
@@ -36,7 +38,8 @@ defmodule Situ.Studio.Web.Panels do
       <div class={["times", contains_panel?(@main, @max) && "maxed"]} id="times">
         <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" role="group"
             aria-label="Time navigator"></div>
-        <.panel_row :for={line <- @main} :key={row_id(line)} line={line} selected={@selected} max={@max} known={@known} />
+        <.panel_row :for={line <- @main} :key={row_id(line)} line={line} selected={@selected} max={@max}
+            known={@known} />
         <AnnotationPanel.annotation_panel :if={@annotation} stream={@annotation} />
         <div :if={@layout.rows == [] and @streams > 0}
             class="empty"><b>Nothing shown yet</b><span>Double-click a stream on the left, or drag it here.</span></div>

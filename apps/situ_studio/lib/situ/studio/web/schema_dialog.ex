@@ -18,7 +18,8 @@ defmodule Situ.Studio.Web.SchemaDialog do
             <input name={"attribute[#{i}][name]"} value={a.name} aria-label="Name of the attribute"
                 placeholder="Name" autocomplete="off">
             <select name={"attribute[#{i}][kind]"} aria-label={"Kind of " <> a.name}>
-              <option :for={{kind, title} <- attribute_kinds()} value={kind} selected={kind == a.kind}>{title}</option></select>
+              <option :for={{kind, title} <- attribute_kinds()}
+                  value={kind} selected={kind == a.kind}>{title}</option></select>
             <button class="btn" type="button" phx-click="annotation_row" phx-value-do="remove" phx-value-at={i}
                 aria-label={"Remove " <> a.name} title="Remove it from the schema and all annotations">×</button>
           </div>

@@ -58,8 +58,8 @@ defmodule Situ.Studio.Web.Sidebars do
           <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={row.path}
               title={row.path}>{row.label}</button>
           <span :if={row.item && row.item.name == @snap} class="snap" title="The cursor snaps to it">◎</span>
-          <.figure_label :if={not (@info == :streams and row.item != nil)} choice={@info} figures={StreamTotals.sum_streams(row_streams(row))}
-              of={if row.item, do: "one", else: "group"} />
+          <.figure_label :if={not (@info == :streams and row.item != nil)} choice={@info}
+              figures={StreamTotals.sum_streams(row_streams(row))} of={if row.item, do: "one", else: "group"} />
           <button :if={row.item} class="add" type="button" tabindex="-1" phx-click="add_stream"
               phx-value-stream={row.item.name} title="Show this stream (Enter)" aria-label="show">+</button>
         </div>

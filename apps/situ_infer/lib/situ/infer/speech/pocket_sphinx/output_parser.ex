@@ -136,7 +136,8 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
   @doc """
   Parses the output of the keyword search: the phrase, followed by a line with the times of each occurrence.
 
-      iex> heard = Situ.Infer.Speech.PocketSphinx.OutputParser.parse_keyword_output("forward \\nforward 0.630 1.210 0.93\\n")
+      iex> output = "forward \\nforward 0.630 1.210 0.93\\n"
+      iex> heard = Situ.Infer.Speech.PocketSphinx.OutputParser.parse_keyword_output(output)
       iex> {heard.text, heard.confidence, heard.words}
       {"forward", 0.93, [%{text: "forward", from: 630_000_000, to: 1_210_000_000, confidence: 0.93}]}
   """

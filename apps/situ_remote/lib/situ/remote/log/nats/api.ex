@@ -56,7 +56,9 @@ defmodule Situ.Remote.Log.Nats.Api do
 
   def reject_silence(answer), do: answer
 
-  @doc "Sends a request with headers, as `request_json/4` does. Returns `:silent` if the server has no responder for it."
+  @doc """
+  Sends a request with headers, as `request_json/4` does. Returns `:silent` if the server has no responder for it.
+  """
   @spec try_request(Nats.t(), String.t(), [{String.t(), String.t()}], iodata(), pos_integer()) ::
           {:ok, term()} | :silent | {:error, Error.t()}
   def try_request(log, subject, headers, data, timeout) do

@@ -69,7 +69,8 @@ defmodule Situ.Studio.Web.Dataset.Components do
             data-items={RowMenu.encode_menu(row, %{id: @id, tasks: @tasks, read_only: @read_only})}
             style={"padding-left: #{length(row.path) * 18}px"}>
           <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle"
-              phx-value-path={encode_path(row)} aria-label={"fold " <> row.label}>{if row.open?, do: "▾", else: "▸"}</button>
+              phx-value-path={encode_path(row)}
+              aria-label={"fold " <> row.label}>{if row.open?, do: "▾", else: "▸"}</button>
           <span :if={row.open? == nil} class="fold"></span>
           <img :if={row.kind == :session and row.facts.streams != []} class="thumb" alt="" loading="lazy" width="64"
               height="36" src={Paths.thumbnail_path(DatasetRef.build_id(@id, row.path))}>
@@ -80,7 +81,8 @@ defmodule Situ.Studio.Web.Dataset.Components do
           <.figure_label :if={row.figures} choice={@info} figures={row.figures} />
           <span :if={row.figures == nil} class="info">…</span>
           <a :if={row.kind in [:session, :partition]} class="add" tabindex="-1"
-              href={Paths.source_path(DatasetRef.build_id(@id, row.path))} title="Open (Enter)" aria-label={"open " <> row.label}>↗</a>
+              href={Paths.source_path(DatasetRef.build_id(@id, row.path))}
+              title="Open (Enter)" aria-label={"open " <> row.label}>↗</a>
           <button class="dots" type="button" tabindex="-1" aria-haspopup="menu"
               aria-label={"menu of " <> row.label}>⋯</button>
         </div>
@@ -301,7 +303,8 @@ defmodule Situ.Studio.Web.Dataset.Components do
     done = Enum.count(report.results, &(&1.status in [:done, :kept]))
     failed = length(Report.failures(report))
 
-    "#{status_text(run.status)} after #{format_ms(Run.elapsed_ms(run, now))}: #{done} of #{length(run.sessions)} sessions" <>
+    "#{status_text(run.status)} after #{format_ms(Run.elapsed_ms(run, now))}: " <>
+      "#{done} of #{length(run.sessions)} sessions" <>
       if(failed > 0, do: ", #{failed} failed", else: "")
   end
 
