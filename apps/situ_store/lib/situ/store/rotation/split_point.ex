@@ -11,14 +11,15 @@ defmodule Situ.Store.Rotation.SplitPoint do
           newest: :atomics.atomics_ref() | nil
         }
 
+  # The beginning of segment n is in slot 2 or 3, by turns. Each slot is written before the number that uses it, and a
+  # reader that sees the number change reads again, so a number never meets the beginning of another segment.
   @number 1
-  @from 2
   @before_all -0x8000000000000000
 
   @spec new(pos_integer() | {:bytes, pos_integer()}) :: t()
   def new({:bytes, _} = every) do
-    newest = :atomics.new(2, signed: true)
-    :atomics.put(newest, @from, @before_all)
+    newest = :atomics.new(3, signed: true)
+    :atomics.put(newest, slot(0), @before_all)
     %__MODULE__{every: every, newest: newest}
   end
 
@@ -28,12 +29,15 @@ defmodule Situ.Store.Rotation.SplitPoint do
   @spec segment_number(t(), Situ.Time.t()) :: integer()
   def segment_number(%{newest: nil, every: every}, time), do: Integer.floor_div(time, every)
 
-  def segment_number(%{newest: newest}, time) do
-    # Reads in this order because the writer sets the number first: an outdated number with a new time would send a
-    # message two segments back.
-    from = :atomics.get(newest, @from)
+  def segment_number(%{newest: newest} = split_point, time) do
     number = :atomics.get(newest, @number)
-    if time >= from, do: number, else: number - 1
+    from = :atomics.get(newest, slot(number))
+
+    cond do
+      :atomics.get(newest, @number) != number -> segment_number(split_point, time)
+      time >= from -> number
+      true -> number - 1
+    end
   end
 
   @doc "Returns the number of the newest segment begun by `begin_segment/2`."
@@ -46,13 +50,17 @@ defmodule Situ.Store.Rotation.SplitPoint do
   """
   @spec lower_start(t(), Situ.Time.t()) :: :ok
   def lower_start(%{newest: newest}, time) do
-    if time < :atomics.get(newest, @from), do: :atomics.put(newest, @from, time), else: :ok
+    slot = slot(:atomics.get(newest, @number))
+    if time < :atomics.get(newest, slot), do: :atomics.put(newest, slot, time), else: :ok
   end
 
   @doc "Begins a new segment at `time`."
   @spec begin_segment(t(), Situ.Time.t()) :: :ok
   def begin_segment(%{newest: newest}, time) do
-    :atomics.add(newest, @number, 1)
-    :atomics.put(newest, @from, time)
+    number = :atomics.get(newest, @number) + 1
+    :atomics.put(newest, slot(number), time)
+    :atomics.put(newest, @number, number)
   end
+
+  defp slot(number), do: 2 + rem(number, 2)
 end
