@@ -84,7 +84,7 @@ test("12 plugins: the guide's heat map is hot where someone looked, at the curso
   await page.mouse.move(box.x + at[0], box.y + at[1]);
   await until(
     page,
-    () => /looked at: 100 %/.test(document.getElementById("tip")?.textContent ?? ""),
+    () => /heat: 100 %/.test(document.getElementById("tip")?.textContent ?? ""),
     "the tooltip is shown",
   );
   // Its options are properties of the panel, and change the required history.
