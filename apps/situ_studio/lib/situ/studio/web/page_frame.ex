@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.PageFrame do
         <script src="assets/theme.js"></script>
         <script defer src="assets/studio.js"></script>
       </head>
-      <body>{@inner_content}</body>
+      <body>{@inner_content}<i id="page-end" hidden></i></body>
     </html>
     """
   end
