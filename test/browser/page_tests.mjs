@@ -41,6 +41,13 @@ test("2 the page: nothing moves after it is shown, and everything fits 1280 x 72
     }).observe({ type: "layout-shift", buffered: true });
   });
   await open(page, main, "minute.0000");
+  // The browser paints nothing before the end of the page, however slowly the page arrives.
+  const blocked = await page.evaluate(() => {
+    const { href, blocking } = document.querySelector('link[rel="expect"]');
+    const { pathname, hash } = new URL(href);
+    return blocking.contains("render") && pathname === location.pathname && document.querySelector(hash) !== null;
+  });
+  ok(blocked, "the first paint waits for the end of the page");
   await dispatch(page, { type: "select", from: 10 * S, to: 20 * S });
   await dispatch(page, { type: "zoomSel" });
   await settled(page);

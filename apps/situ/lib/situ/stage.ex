@@ -25,7 +25,7 @@ defmodule Situ.Stage do
   # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
   @slow :erlang.convert_time_unit(1, :millisecond, :native)
 
-  @doc "Returns the value of the control cell until the pipeline stops. It means that there is no final time."
+  @doc "Returns the value that the control cell has until the pipeline stops: no final time is set."
   @spec no_final_time() :: integer()
   defdelegate no_final_time, to: State
 

@@ -29,8 +29,10 @@
 
 // The browser shows the page when its end has arrived, so that nothing moves while it loads. The page's own address is
 // needed, because "#page-end" alone would be resolved against <base>.
-const end = document.createElement("link");
-end.rel = "expect";
-end.href = `${location.href.split("#")[0]}#page-end`;
-end.setAttribute("blocking", "render");
-document.head.append(end);
+(function () {
+  var link = document.createElement("link");
+  link.rel = "expect";
+  link.href = location.href.split("#")[0] + "#page-end";
+  link.setAttribute("blocking", "render");
+  document.head.append(link);
+})();

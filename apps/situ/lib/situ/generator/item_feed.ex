@@ -56,7 +56,7 @@ defmodule Situ.Generator.ItemFeed do
     end
   end
 
-  @doc "Returns whether it is known, without reading an item, that there are no more items up to `till`."
+  @doc "Returns whether no item up to `till` is left, as far as this is known without reading another item."
   @spec known_ended?(t(), Situ.Time.t() | :infinity) :: boolean()
   def known_ended?({:timed, items}, _till), do: no_items?(items)
 

@@ -222,7 +222,7 @@ defmodule Situ.Ports.Output do
       | give(rest, messages, n, ages, now)
     ]
 
-  @doc "Adds demand of one subscriber, identified by pid and tag; `:error` if there is no such subscriber."
+  @doc "Adds demand of the subscriber with this pid and tag. Returns `:error` for an unknown subscriber."
   @spec add_demand(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
   def add_demand(%__MODULE__{subs: [%{pid: pid, tag: tag} = sub]} = output, {pid, tag}, n),
     do: {:ok, finish(%{output | subs: [Subscriber.add_demand(sub, n)]})}

@@ -25,7 +25,7 @@ defmodule Situ.Build.Commits do
          ) do
       {log, 0} ->
         for line <- String.split(log, "\n", trim: true),
-            problem <- line_problems(line),
+            problem <- check_line(line),
             do: problem
 
       {_error, _status} ->
@@ -33,35 +33,35 @@ defmodule Situ.Build.Commits do
     end
   end
 
-  defp line_problems(line) do
+  defp check_line(line) do
     [hash, subject] = String.split(line, " ", parts: 2)
-    for problem <- problems(subject), do: "commit #{hash} \"#{subject}\" #{problem}"
+    for problem <- check_subject(subject), do: "commit #{hash} \"#{subject}\" #{problem}"
   end
 
   @doc """
   Returns the problems of a subject.
 
-      iex> Situ.Build.Commits.problems("store: reject a truncated index")
+      iex> Situ.Build.Commits.check_subject("store: reject a truncated index")
       []
-      iex> Situ.Build.Commits.problems("store: rejected a truncated index")
+      iex> Situ.Build.Commits.check_subject("store: rejected a truncated index")
       ["does not begin with an imperative after its scope"]
-      iex> Situ.Build.Commits.problems("Reject a truncated index")
+      iex> Situ.Build.Commits.check_subject("Reject a truncated index")
       ["does not begin with a scope and a colon"]
   """
-  @spec problems(String.t()) :: [String.t()]
-  def problems(subject) do
-    length_problems(subject) ++ form_problems(Regex.run(~r/^[^:]{1,40}: (\S+)/, subject))
+  @spec check_subject(String.t()) :: [String.t()]
+  def check_subject(subject) do
+    check_length(subject) ++ check_form(Regex.run(~r/^[^:]{1,40}: (\S+)/, subject))
   end
 
-  defp length_problems(subject) do
+  defp check_length(subject) do
     if String.length(subject) > @max,
       do: ["has #{String.length(subject)} characters; the limit is #{@max}"],
       else: []
   end
 
-  defp form_problems(nil), do: ["does not begin with a scope and a colon"]
+  defp check_form(nil), do: ["does not begin with a scope and a colon"]
 
-  defp form_problems([_, word]) do
+  defp check_form([_, word]) do
     if word in @imperatives or
          (word =~ ~r/^[a-z]+$/ and not (word =~ ~r/(ed|ing|[^s]s)$|^(the|a|an|no|its|of|in)$/)),
        do: [],

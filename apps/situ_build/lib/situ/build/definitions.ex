@@ -17,7 +17,7 @@ defmodule Situ.Build.Definitions do
   @doc "Returns the modules and the functions that `source` defines, each once."
   @spec read(String.t()) :: t()
   def read(source) do
-    found = source |> Code.string_to_quoted!() |> collect(nil)
+    found = source |> Code.string_to_quoted!() |> collect_definitions(nil)
 
     %{
       modules: for({:module, name} <- found, do: name),
@@ -25,16 +25,24 @@ defmodule Situ.Build.Definitions do
     }
   end
 
-  defp collect({:defmodule, _, [{:__aliases__, _, parts}, [{_do, body}]]}, outer) do
+  defp collect_definitions({:defmodule, _, [{:__aliases__, _, parts}, [{_do, body}]]}, outer) do
     name = [outer | parts] |> Enum.reject(&is_nil/1) |> Enum.map_join(".", &to_string/1)
     [{:module, name} | collect_body(body, name)]
   end
 
-  defp collect({kind, _, _}, _outer) when kind in [:defimpl, :defprotocol, :quote], do: []
-  defp collect({_, _, arguments}, outer) when is_list(arguments), do: collect(arguments, outer)
-  defp collect({left, right}, outer), do: collect(left, outer) ++ collect(right, outer)
-  defp collect(list, outer) when is_list(list), do: Enum.flat_map(list, &collect(&1, outer))
-  defp collect(_other, _outer), do: []
+  defp collect_definitions({kind, _, _}, _outer) when kind in [:defimpl, :defprotocol, :quote],
+    do: []
+
+  defp collect_definitions({_, _, arguments}, outer) when is_list(arguments),
+    do: collect_definitions(arguments, outer)
+
+  defp collect_definitions({left, right}, outer),
+    do: collect_definitions(left, outer) ++ collect_definitions(right, outer)
+
+  defp collect_definitions(list, outer) when is_list(list),
+    do: Enum.flat_map(list, &collect_definitions(&1, outer))
+
+  defp collect_definitions(_other, _outer), do: []
 
   defp collect_body({:__block__, _, expressions}, module) do
     {found, _} = Enum.flat_map_reduce(expressions, false, &collect_expression(&1, &2, module))
@@ -59,7 +67,7 @@ defmodule Situ.Build.Definitions do
     do: {collect_head(:private, head, module), false}
 
   defp collect_expression({:@, _, _}, impl?, _module), do: {[], impl?}
-  defp collect_expression(other, _impl?, module), do: {collect(other, module), false}
+  defp collect_expression(other, _impl?, module), do: {collect_definitions(other, module), false}
 
   defp collect_head(kind, {:when, _, [head | _]}, module), do: collect_head(kind, head, module)
 

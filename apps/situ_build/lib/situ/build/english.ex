@@ -26,40 +26,43 @@ defmodule Situ.Build.English do
   @doc "Counts the habits per 1,000 words in the documents and sources of the checkout at `root`."
   @spec measure(Path.t()) :: float()
   def measure(root) do
-    texts = for path <- documents(root) ++ sources(root), do: prose(path, File.read!(path))
+    texts =
+      for path <- document_paths(root) ++ source_paths(root),
+          do: extract_prose(path, File.read!(path))
+
     words = texts |> Enum.map(&length(String.split(&1))) |> Enum.sum()
-    1000 * (texts |> Enum.map(&length(habits(&1))) |> Enum.sum()) / max(words, 1)
+    1000 * (texts |> Enum.map(&length(find_habits(&1))) |> Enum.sum()) / max(words, 1)
   end
 
   @doc """
   Returns the name of the habit of each match in `text`.
 
-      iex> Situ.Build.English.habits("There is no index.")
+      iex> Situ.Build.English.find_habits("There is no index.")
       ["is no NOUN"]
-      iex> Situ.Build.English.habits("The index does not exist.")
+      iex> Situ.Build.English.find_habits("The index does not exist.")
       []
   """
-  @spec habits(String.t()) :: [String.t()]
-  def habits(text) do
+  @spec find_habits(String.t()) :: [String.t()]
+  def find_habits(text) do
     for {habit, pattern} <- @habits, _match <- Regex.scan(pattern, text), do: habit
   end
 
   @doc ~S'''
   Returns the sentences of a file's text: a document without its code blocks, or the docs and comments of a source file.
 
-      iex> Situ.Build.English.prose("a.ex", "# Why.\n@doc \"Adds.\"\ndef add(a, b), do: a + b")
+      iex> Situ.Build.English.extract_prose("a.ex", "# Why.\n@doc \"Adds.\"\ndef add(a, b), do: a + b")
       "Why.\nAdds."
   '''
-  @spec prose(Path.t(), String.t()) :: String.t()
-  def prose(path, text) do
+  @spec extract_prose(Path.t(), String.t()) :: String.t()
+  def extract_prose(path, text) do
     case Path.extname(path) do
       ".md" -> Regex.replace(~r/```.*?```/s, text, "")
-      ".ex" -> Enum.join(comments(text) ++ docs(text), "\n")
+      ".ex" -> Enum.join(comment_texts(text) ++ doc_texts(text), "\n")
     end
   end
 
   # Consecutive lines of comments form one text.
-  defp comments(text) do
+  defp comment_texts(text) do
     for [block] <- Regex.scan(~r/(?:^\s*# .*\n)+/m, text),
         do:
           block
@@ -67,7 +70,7 @@ defmodule Situ.Build.English do
           |> Enum.map_join(" ", &Regex.replace(~r/^\s*# ?/, &1, ""))
   end
 
-  defp docs(text) do
+  defp doc_texts(text) do
     patterns = [
       ~r/@(?:module|type)?doc\s+(?:~S)?"""(.*?)"""/s,
       ~r/(?:doc|why|fix):?\s+"((?:[^"\\]|\\.)*)"/
@@ -78,9 +81,12 @@ defmodule Situ.Build.English do
         do: Regex.replace(~r/^\s*iex>.*$|^ {4}.*$/m, doc, "")
   end
 
-  defp documents(root) do
-    Enum.flat_map(~w(*.md docs/**/*.md apps/*/README.md), &Path.wildcard(Path.join(root, &1)))
+  defp document_paths(root) do
+    Enum.flat_map(
+      ~w(*.md docs/**/*.md apps/*/README.md),
+      &Path.wildcard(Path.join(root, &1))
+    )
   end
 
-  defp sources(root), do: Path.wildcard(Path.join(root, "apps/*/lib/**/*.ex"))
+  defp source_paths(root), do: Path.wildcard(Path.join(root, "apps/*/lib/**/*.ex"))
 end

@@ -55,7 +55,11 @@ defmodule Situ.Build.Names do
       mean_letters: mean_letters(functions),
       participles: for({_, name, path} <- functions, participle?(name), do: "#{path}: #{name}"),
       paths:
-        for({path, %{modules: [module | _]}} <- files, wrong = misplaced(path, module), do: wrong),
+        for(
+          {path, %{modules: [module | _]}} <- files,
+          wrong = describe_misplacement(path, module),
+          do: wrong
+        ),
       repeated_words: repeated_words(files)
     }
   end
@@ -73,19 +77,21 @@ defmodule Situ.Build.Names do
   defp participle?(name), do: String.trim_trailing(name, "?") in @participles
 
   # Capital letters inside a word (FFmpeg, ZeroMQ) may be written as one word in a path.
-  defp misplaced(path, module) do
+  defp describe_misplacement(path, module) do
     expected = module |> String.split(".") |> Enum.map_join("/", &Macro.underscore/1)
     actual = path |> String.split("/lib/", parts: 2) |> List.last() |> Path.rootname()
 
-    if flatten(actual) != flatten(expected) and not String.starts_with?(module, "Mix."),
-      do: "#{path} defines #{module}, which belongs in #{expected}.ex"
+    if remove_underscores(actual) != remove_underscores(expected) and
+         not String.starts_with?(module, "Mix."),
+       do: "#{path} defines #{module}, which belongs in #{expected}.ex"
   end
 
-  defp flatten(path), do: String.replace(path, "_", "")
+  defp remove_underscores(path), do: String.replace(path, "_", "")
 
   # The last word may occur twice (`Mqtt.Sink`, `Ros.Sink`), because its parent tells the modules apart.
   defp repeated_words(files) do
-    modules = for {path, %{modules: found}} <- files, module <- found, do: {app(path), module}
+    modules =
+      for {path, %{modules: found}} <- files, module <- found, do: {app_name(path), module}
 
     for {{app, words}, names} <- Enum.group_by(modules, &last_words/1, &elem(&1, 1)),
         names = Enum.uniq(names),
@@ -94,5 +100,5 @@ defmodule Situ.Build.Names do
   end
 
   defp last_words({app, module}), do: {app, module |> String.split(".") |> Enum.take(-2)}
-  defp app(path), do: path |> Path.split() |> Enum.at(1)
+  defp app_name(path), do: path |> Path.split() |> Enum.at(1)
 end

@@ -6,6 +6,8 @@ defmodule Situ.Build.Sources do
   120 characters; in documents, lines with tables, links and images may be longer, and so may commands in scripts.
   """
 
+  alias Situ.Build.Checkout
+
   @max_line 120
   @max_code 300
   @kinds ~w(.ex .exs .heex .rs .js .mjs .css .md)
@@ -16,7 +18,7 @@ defmodule Situ.Build.Sources do
   """
   @spec find_violations(Path.t()) :: [String.t()]
   def find_violations(root) do
-    for file <- tracked_files(root),
+    for file <- source_files(root),
         problem <- check_text(file, File.read!(Path.join(root, file))),
         do: problem
   end
@@ -94,13 +96,10 @@ defmodule Situ.Build.Sources do
   defp unbreakable?(_kind, line),
     do: String.contains?(line, "://") or String.starts_with?(String.trim(line), "|")
 
-  defp tracked_files(root) do
-    {files, 0} = System.cmd("git", ["ls-files"], cd: root)
-
-    files
-    |> String.split("\n", trim: true)
-    |> Enum.filter(&(source_file?(&1) and File.exists?(Path.join(root, &1))))
-    |> Enum.reject(&String.contains?(&1, ["/vendor/", "/fixtures/"]))
+  defp source_files(root) do
+    root
+    |> Checkout.list_files()
+    |> Enum.filter(&(source_file?(&1) and not String.contains?(&1, ["/vendor/", "/fixtures/"])))
   end
 
   # Scripts have no extension: they are in bin/, or are called `run` in test/. Their lines may have any length.

@@ -6,8 +6,10 @@ defmodule Situ.CLI.Store.OutputFile do
 
   @type output :: {Path.t() | :stdout, :file.fd()}
 
-  # The file is temporary, because the output may be the recording that is being read.
-  @doc "Calls `write` with the path of a temporary file, and gives the complete file its name."
+  @doc """
+  Calls `write` with the path of a temporary file, and gives the complete file its name. The file is temporary because
+  the output may be the recording that is being read.
+  """
   @spec write_then_rename!(Path.t(), (Path.t() -> {:ok, result} | {:error, Error.t()})) :: result
         when result: term()
   def write_then_rename!(file, write) do
@@ -24,8 +26,7 @@ defmodule Situ.CLI.Store.OutputFile do
     end
   end
 
-  # Standard output is opened as a raw file, which is faster than IO.
-  @doc "Opens the output for `write_bytes/2`; `-` is standard output."
+  @doc "Opens the output for `write_bytes/2`. `-` is standard output, opened as a raw file, which is faster than IO."
   @spec open_output(Path.t()) :: output()
   def open_output("-"), do: {:stdout, open_device!("/dev/stdout", [:append])}
   def open_output(path), do: {path, open_device!(path <> ".unfinished", [:write])}
