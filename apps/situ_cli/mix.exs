@@ -36,7 +36,8 @@ defmodule Situ.CLI.MixProject do
       {:situ_space, in_umbrella: true},
       {:situ_infer, in_umbrella: true},
       {:situ_bridge, in_umbrella: true},
-      {:situ_remote, in_umbrella: true},
+      {:situ_link, in_umbrella: true},
+      {:situ_cluster, in_umbrella: true},
       {:situ_studio, in_umbrella: true}
     ]
   end

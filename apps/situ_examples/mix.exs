@@ -35,7 +35,8 @@ defmodule Situ.Examples.MixProject do
       {:situ_media, in_umbrella: true},
       {:situ_space, in_umbrella: true},
       {:situ_infer, in_umbrella: true},
-      {:situ_remote, in_umbrella: true},
+      {:situ_link, in_umbrella: true},
+      {:situ_cluster, in_umbrella: true},
       {:situ_studio, in_umbrella: true},
       {:situ_cli, in_umbrella: true}
     ]

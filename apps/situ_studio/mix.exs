@@ -35,7 +35,8 @@ defmodule Situ.Studio.MixProject do
       {:situ_space, in_umbrella: true},
       {:situ_dataset, in_umbrella: true},
       {:situ_bridge, in_umbrella: true},
-      {:situ_remote, in_umbrella: true},
+      {:situ_link, in_umbrella: true},
+      {:situ_cluster, in_umbrella: true},
       {:situ_live, in_umbrella: true}
     ]
   end

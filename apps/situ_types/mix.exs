@@ -26,8 +26,8 @@ defmodule Situ.Types.MixProject do
     [extra_applications: extra_applications(Mix.env())]
   end
 
-  defp extra_applications(:test), do: [:proper, :ssl | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :public_key | json()]
+  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
+  defp extra_applications(_env), do: [:logger, :crypto | json()]
 
   # OTP 27 and later include a JSON module.
   defp json, do: if(Code.ensure_loaded?(:json), do: [], else: [:jiffy])

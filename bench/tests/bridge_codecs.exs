@@ -167,7 +167,7 @@ defmodule Situ.Bench.BridgeCodecs do
   end
 
   defp broker(fun) do
-    own = Path.join(@root, "apps/situ_remote/priv/nats/nats-server")
+    own = Path.join(@root, "apps/situ_link/priv/nats/nats-server")
     server = System.get_env("SITU_NATS_SERVER") || System.find_executable("nats-server") || own
 
     if File.exists?(server) do

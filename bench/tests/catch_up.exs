@@ -2,8 +2,8 @@ defmodule Situ.Bench.CatchUp do
   # A viewer that connects late or reconnects: how many times faster than real time a recording of
   # images and audio reaches it, and how long it takes after an interruption to catch up with the
   # ongoing recording.
-  alias Situ.{Message, Remote}
-  alias Situ.Remote.Server
+  alias Situ.{Message, Link}
+  alias Situ.Link.Server
   alias Situ.Store.Writer
 
   @fps 30
@@ -37,7 +37,7 @@ defmodule Situ.Bench.CatchUp do
     {:ok, _} = Writer.close_stream(video, seconds * 1_000_000_000)
     {:ok, _} = Writer.close_stream(sound, seconds * 1_000_000_000)
     :ok = Writer.close(writer)
-    {:ok, server} = Remote.serve(writer.path, port: 0)
+    {:ok, server} = Link.serve(writer.path, port: 0)
     counter = :counters.new(1, [])
 
     try do
@@ -46,11 +46,11 @@ defmodule Situ.Bench.CatchUp do
           {:ok, _} =
             Situ.Pipeline.run(
               fn p ->
-                link = Remote.open(p, address(server), from: :start)
+                link = Link.open(p, address(server), from: :start)
 
                 for name <- ["video", "sound"] do
                   link
-                  |> Remote.stream(name)
+                  |> Link.stream(name)
                   |> Situ.each(fn _ -> :counters.add(counter, 1, 1) end)
                 end
               end,
@@ -88,7 +88,7 @@ defmodule Situ.Bench.CatchUp do
   defp cut(seconds) do
     {root, writer} = recorder()
     {:ok, stream} = Writer.stream(writer, "pieces")
-    {:ok, server} = Remote.serve(writer.path, port: 0)
+    {:ok, server} = Link.serve(writer.path, port: 0)
     {port, made, seen} = {Server.port(server), :counters.new(1, []), :counters.new(1, [])}
     started = System.monotonic_time(:millisecond)
     recording = Task.async(fn -> record(stream, made, started, 0) end)
@@ -96,8 +96,8 @@ defmodule Situ.Bench.CatchUp do
     {:ok, viewer} =
       Situ.Pipeline.start(fn p ->
         p
-        |> Remote.open("situ://127.0.0.1:#{port}", from: :start)
-        |> Remote.stream("pieces")
+        |> Link.open("situ://127.0.0.1:#{port}", from: :start)
+        |> Link.stream("pieces")
         |> Situ.each(fn _ -> :counters.add(seen, 1, 1) end)
       end)
 
@@ -106,7 +106,7 @@ defmodule Situ.Bench.CatchUp do
       Server.close(server)
       Process.sleep(seconds * 1_000)
       missing = :counters.get(made, 1) - :counters.get(seen, 1)
-      {:ok, server} = Remote.serve(writer.path, port: port)
+      {:ok, server} = Link.serve(writer.path, port: port)
       since = System.monotonic_time(:millisecond)
       until(fn -> abreast?(made, seen) end)
       took = (System.monotonic_time(:millisecond) - since) / 1.0e3
@@ -154,7 +154,7 @@ defmodule Situ.Bench.CatchUp do
 
   defp recorder do
     root = Situ.Bench.folder!()
-    {:ok, _} = Application.ensure_all_started(:situ_remote)
+    {:ok, _} = Application.ensure_all_started(:situ_link)
     {:ok, writer} = Writer.create("catch-up", root)
     {root, writer}
   end

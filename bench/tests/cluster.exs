@@ -1,8 +1,8 @@
 defmodule Situ.Bench.Cluster do
   # Clusters: an edge between two nodes (separate virtual machines, whose CPU time is counted),
   # with the log and direct; the latency of a message; checkpoints; a link with very many streams.
-  alias Situ.{Message, Pipeline, Remote}
-  alias Situ.Remote.{Connection, Server}
+  alias Situ.{Message, Pipeline, Link}
+  alias Situ.Link.{Connection, Server}
   alias Situ.Store.Writer
 
   def tests do
@@ -96,7 +96,7 @@ defmodule Situ.Bench.Cluster do
       true = call(left, Node, :connect, [right.name])
 
       for {node, label} <- [{left, "left"}, {right, "right"}] do
-        {:ok, _} = call(node, Application, :ensure_all_started, [:situ_remote])
+        {:ok, _} = call(node, Application, :ensure_all_started, [:situ_cluster])
 
         {:ok, _} =
           call(node, Situ.Cluster, :join, [[log: Path.join(root, "log"), labels: [label]]])
@@ -205,7 +205,7 @@ defmodule Situ.Bench.Cluster do
   # One link, one client.
   defp many_streams(n) do
     root = Situ.Bench.folder!()
-    {:ok, _} = Application.ensure_all_started(:situ_remote)
+    {:ok, _} = Application.ensure_all_started(:situ_cluster)
     {:ok, writer} = Writer.create("many", root)
 
     for i <- 1..n do
@@ -219,11 +219,11 @@ defmodule Situ.Bench.Cluster do
     end
 
     :ok = Writer.close(writer)
-    {:ok, server} = Remote.serve(writer.path, port: 0)
+    {:ok, server} = Link.serve(writer.path, port: 0)
     before = Situ.Bench.rss_mib()
 
     try do
-      {:ok, address} = Remote.Address.parse("situ://127.0.0.1:#{Server.port(server)}")
+      {:ok, address} = Link.Address.parse("situ://127.0.0.1:#{Server.port(server)}")
       opts = %{token: "", tls: [], now: &Situ.Time.now/0, position: nil, save_every: 1_000_000}
       {:ok, link} = Connection.start(address, opts, self())
       {:ok, catalogue} = Connection.await_catalogue(link, 60_000)

@@ -1,8 +1,8 @@
 defmodule Situ.Bench.Link do
   # A recording is served over TCP, TLS and a Unix socket, and read by a pipeline in the same
   # virtual machine, so that the CPU time includes both sides.
-  alias Situ.{Message, Remote}
-  alias Situ.Remote.Server
+  alias Situ.{Message, Link}
+  alias Situ.Link.Server
   alias Situ.Store.Writer
 
   @small 500_000
@@ -61,8 +61,8 @@ defmodule Situ.Bench.Link do
       Situ.Pipeline.run(
         fn p ->
           p
-          |> Remote.open(address, [from: :start] ++ opts)
-          |> Remote.stream("s")
+          |> Link.open(address, [from: :start] ++ opts)
+          |> Link.stream("s")
           |> Situ.each(fn _ -> :counters.add(counter, 1, 1) end)
         end,
         pipeline: [replay: [speed: :max]]
@@ -79,14 +79,14 @@ defmodule Situ.Bench.Link do
       )
 
     File.mkdir_p!(root)
-    {:ok, _} = Application.ensure_all_started(:situ_remote)
+    {:ok, _} = Application.ensure_all_started(:situ_link)
     {:ok, writer} = Writer.create("link", root)
     {:ok, stream} = Writer.stream(writer, "s")
     stream = Enum.reduce(Enum.chunk_every(messages, 512), stream, &append/2)
     {:ok, _} = Writer.close_stream(stream, length(messages))
     :ok = Writer.close(writer)
     {serving, connecting} = settings(kind, root)
-    {:ok, server} = Remote.serve(Path.join(root, "link"), serving)
+    {:ok, server} = Link.serve(Path.join(root, "link"), serving)
 
     try do
       fun.(address(kind, server, root), connecting)

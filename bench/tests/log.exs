@@ -1,8 +1,8 @@
 defmodule Situ.Bench.Log do
   # The log on real nats-servers, alternating with bare clients that do less and the same; with
   # one server, and with three whose leader is killed. Each writes to its own streams.
-  alias Situ.Remote.Log
-  alias Situ.Remote.Log.Entry
+  alias Situ.Cluster.Log
+  alias Situ.Cluster.Log.Entry
 
   @chunk 64 * 1024
 
@@ -283,7 +283,7 @@ defmodule Situ.Bench.Log do
   end
 
   defp path do
-    fetched = Path.expand("../../apps/situ_remote/priv/nats/nats-server", __DIR__)
+    fetched = Path.expand("../../apps/situ_link/priv/nats/nats-server", __DIR__)
 
     System.get_env("SITU_NATS_SERVER") || (File.exists?(fetched) && fetched) ||
       System.find_executable("nats-server") ||

@@ -69,7 +69,7 @@ defmodule Nodes do
   end
 
   defp nats_path do
-    fetched = Path.expand("../../apps/situ_remote/priv/nats/nats-server", __DIR__)
+    fetched = Path.expand("../../apps/situ_link/priv/nats/nats-server", __DIR__)
 
     System.get_env("SITU_NATS_SERVER") || (File.exists?(fetched) && fetched) ||
       System.find_executable("nats-server")

@@ -47,7 +47,7 @@ defmodule Situ.Studio do
       doc:
         "`certfile:` and `keyfile:` of a certificate, or `:own` to generate one for this " <>
           "machine's names and store it " <>
-          "in the user's configuration folder (`Situ.Certificate`)."
+          "in the user's configuration folder (`Situ.Link.Certificate`)."
     ],
     hosts: [type: :any, default: nil, doc: "Host names that the server accepts; see `Situ.Live`."],
     public: [
@@ -137,7 +137,7 @@ defmodule Situ.Studio do
          do: start_supervisor(Keyword.merge(opts, tls: tls, tiles: tiles))
   end
 
-  defp resolve_tls(:own, ip), do: Situ.Certificate.ensure_local(ip)
+  defp resolve_tls(:own, ip), do: Situ.Link.Certificate.ensure_local(ip)
   defp resolve_tls(given, _ip), do: {:ok, given}
 
   defp start_supervisor(opts) do

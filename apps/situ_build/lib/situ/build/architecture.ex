@@ -21,7 +21,8 @@ defmodule Situ.Build.Architecture do
     situ_media: [:situ, :situ_store, :situ_types],
     situ_space: [:situ, :situ_media, :situ_store, :situ_types],
     situ_infer: [:situ, :situ_media, :situ_types],
-    situ_remote: [:situ, :situ_store, :situ_types],
+    situ_link: [:situ, :situ_store, :situ_types],
+    situ_cluster: [:situ, :situ_link, :situ_store, :situ_types],
     situ_bridge: [:situ, :situ_store, :situ_types],
     situ_live: [:situ_types]
   }

@@ -94,7 +94,7 @@ defmodule Situ.CLI.Cluster do
               )
 
     for file <- opts[:require], do: Code.require_file(file)
-    {:ok, _} = Application.ensure_all_started(:situ_remote)
+    {:ok, _} = Application.ensure_all_started(:situ_cluster)
     start_distribution(name, opts)
 
     for peer <- opts[:peer], Node.connect(String.to_atom(peer)) != true do

@@ -4,7 +4,7 @@ defmodule Situ.CLI.ClusterRetention do
   alias Situ.{Cluster, Error}
   alias Situ.CLI.{ClusterLogOptions, ClusterNode, Option, Output, Verb}
   alias Situ.Cluster.Retention
-  alias Situ.Remote.Log
+  alias Situ.Cluster.Log
 
   @log Option.new(
          :log,
@@ -82,7 +82,7 @@ defmodule Situ.CLI.ClusterRetention do
 
   defp access_by_log(address, opts, identity) do
     address = if String.contains?(address, "://"), do: address, else: existing_folder(address)
-    {:ok, _} = Application.ensure_all_started(:situ_remote)
+    {:ok, _} = Application.ensure_all_started(:situ_cluster)
 
     log =
       Error.unwrap!(

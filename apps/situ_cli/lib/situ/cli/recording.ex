@@ -5,7 +5,7 @@ defmodule Situ.CLI.Recording do
   alias Situ.Store
   alias Situ.Store.Formats
 
-  @readers [:situ_media, :situ_bridge, :situ_dataset, :situ_remote]
+  @readers [:situ_media, :situ_bridge, :situ_dataset, :situ_link]
 
   @doc "Opens a recording or raises an error."
   @spec open!(Path.t()) :: Store.Handle.t()

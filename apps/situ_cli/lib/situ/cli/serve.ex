@@ -3,8 +3,8 @@ defmodule Situ.CLI.Serve do
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Token, Verb}
-  alias Situ.{Error, Remote}
-  alias Situ.Remote.{Address, Server}
+  alias Situ.{Error, Link}
+  alias Situ.Link.{Address, Server}
 
   @impl true
   def verbs do
@@ -15,7 +15,7 @@ defmodule Situ.CLI.Serve do
         about: """
         Serves until it is stopped (Ctrl-C). A name without a version means all of its versions, including future ones;
         if no version exists yet, it waits for the first. On another machine, a pipeline opens the printed address:
-        Situ.Remote.open(p, ADDRESS, from: :resume). The studio and `situ store` open the same address as a recording;
+        Situ.Link.open(p, ADDRESS, from: :resume). The studio and `situ store` open the same address as a recording;
         they read the token from SITU_TOKEN, or from the file that SITU_TOKEN_FILE names. See the guide "Links between
         machines".
         """,
@@ -53,12 +53,12 @@ defmodule Situ.CLI.Serve do
 
   defp serve_recording(path, opts) do
     # Recordings of other systems can be served as well.
-    for app <- [:situ_bridge, :situ_remote], do: {:ok, _} = Application.ensure_all_started(app)
+    for app <- [:situ_bridge, :situ_link], do: {:ok, _} = Application.ensure_all_started(app)
     Process.flag(:trap_exit, true)
 
     with {:ok, tls} <- tls_settings(opts),
          {:ok, token} <- Token.read_token(opts),
-         {:ok, server} <- Remote.serve(path, server_settings(opts, tls, token)) do
+         {:ok, server} <- Link.serve(path, server_settings(opts, tls, token)) do
       Output.puts("Situ serves #{path} at #{served_address(path, server, opts)}")
       wait_for_exit(server)
     else

@@ -70,7 +70,7 @@ defmodule Situ.CLI.Studio do
 
   defp serve_studio(path, opts) do
     # Recordings of other systems can be shown as well.
-    for app <- [:situ_bridge, :situ_remote, :situ_studio],
+    for app <- [:situ_bridge, :situ_link, :situ_studio],
         do: {:ok, _} = Application.ensure_all_started(app)
 
     path = path || if(File.dir?("recordings"), do: "recordings", else: ".")

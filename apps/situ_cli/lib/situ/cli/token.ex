@@ -4,7 +4,7 @@ defmodule Situ.CLI.Token do
   # file or the process's environment.
   alias Situ.CLI.{Option, Output}
   alias Situ.Error
-  alias Situ.Remote.Access
+  alias Situ.Link.Access
 
   @doc "Returns the option that names the token's file; `doc` describes the option in help."
   @spec token_option(String.t()) :: Option.t()

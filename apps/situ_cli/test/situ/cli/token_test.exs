@@ -39,8 +39,8 @@ defmodule Situ.CLI.TokenTest do
     assert told([]) == {{:ok, nil}, ""}
     System.put_env("SITU_TOKEN", "of-the-environment")
     assert told([]) == {{:ok, "of-the-environment"}, ""}
-    {:ok, address} = Situ.Remote.Address.parse("situ://nowhere/lobby")
-    assert {:ok, %{token: "of-the-environment"}} = Situ.Remote.Access.new(address, [])
+    {:ok, address} = Situ.Link.Address.parse("situ://nowhere/lobby")
+    assert {:ok, %{token: "of-the-environment"}} = Situ.Link.Access.new(address, [])
   end
 
   test "accepts --token, and warns who can read it" do

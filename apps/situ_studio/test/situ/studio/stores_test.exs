@@ -92,8 +92,8 @@ defmodule Situ.Studio.StoresTest do
     {:ok, _} = Writer.append(stream, messages)
     :ok = Writer.close(writer)
     path = Path.join(tmp, "lobby")
-    {:ok, server} = Situ.Remote.serve(%{"lobby" => path, "hall" => path}, port: 0)
-    whole = "situ://127.0.0.1:#{Situ.Remote.Server.port(server)}"
+    {:ok, server} = Situ.Link.serve(%{"lobby" => path, "hall" => path}, port: 0)
+    whole = "situ://127.0.0.1:#{Situ.Link.Server.port(server)}"
 
     assert Stores.list_all(whole) ==
              {[{"hall", whole <> "/hall"}, {"lobby", whole <> "/lobby"}], []}
@@ -112,6 +112,6 @@ defmodule Situ.Studio.StoresTest do
     assert {:ok, [%{name: "n", count: 100}]} = call.(:streams, [])
     assert {:ok, points, _} = call.(:series, ["n", 0, 100_000_000, 1_000_000])
     assert length(points) > 50
-    Situ.Remote.Server.close(server)
+    Situ.Link.Server.close(server)
   end
 end

@@ -1,0 +1,191 @@
+defmodule Situ.Cluster.Lease do
+  @moduledoc false
+  # The lease decides which node runs a part: it is a key of the log that its owner writes repeatedly. `judge_look/3` is
+  # pure.
+  #
+  # Clocks are not compared: the lease is free when its number has not changed for the duration of the lease, measured
+  # by the observer's own clock. A reading that took longer than a lease, or that is late, gives no information about
+  # the owner, so the observer starts counting again.
+  # See docs/adr/0112-a-lease-decides-which-node-runs-a-part.md.
+  alias Situ.Cluster.SignedEntry
+  alias Situ.Cluster.Log
+  alias Situ.Cluster.Log.Entry
+
+  defstruct [:seq, :since, :looked, :owner, gone: false, took: 0]
+
+  @typedoc """
+  `seq`: the lease's number since `since` (ms); `gone`: the owner's node was reported down; `took`: the duration of the
+  last reading, ms.
+  """
+  @type t :: %__MODULE__{
+          seq: non_neg_integer() | nil,
+          since: integer() | nil,
+          looked: integer() | nil,
+          owner: String.t() | nil,
+          gone: boolean(),
+          took: non_neg_integer()
+        }
+
+  @typedoc "One reading of the lease: its `seq` and `owner`, and the times (ms) before and after."
+  @type look :: {non_neg_integer(), String.t() | nil, integer(), integer()}
+
+  @doc """
+  Evaluates one reading of the lease: its `seq` and `owner`, and the times (ms) before and after. This observer waits
+  `wait` ms longer than the lease, so that preferred nodes come first.
+  """
+  @spec judge_look(t(), look(), map()) :: {:take | :wait, t()}
+  def judge_look(%__MODULE__{} = lease, {seq, owner, before, now}, %{
+        lease: ms,
+        poll: poll,
+        wait: wait
+      }) do
+    late? = lease.looked != nil and (now - before > ms or before - lease.looked > ms + 4 * poll)
+
+    # The time of a slow reading does not count, so the count continues on a busy machine, but more slowly.
+    slow = if now - before > div(ms, 4), do: now - before, else: 0
+    same? = lease.seq == seq and not late?
+    since = if same?, do: lease.since + slow, else: now
+    gone? = lease.gone and lease.seq == seq
+    lease = %{lease | seq: seq, owner: owner, since: since, looked: now, gone: gone?}
+    lease = %{lease | took: now - before}
+
+    free? =
+      cond do
+        seq == 0 or owner == "" -> now - since >= wait
+        gone? -> now - since >= div(wait, 10)
+        true -> now - since >= ms + wait
+      end
+
+    {if(free?, do: :take, else: :wait), lease}
+  end
+
+  @doc """
+  Records that the owner has reported, over the connection between the nodes, that it wrote the lease under `seq`. The
+  report arrives after the write itself, so it is safe to count from now on without reading the log.
+  """
+  @spec note_renewal(t(), pos_integer(), String.t(), integer()) :: t()
+  def note_renewal(%__MODULE__{} = lease, seq, owner, now),
+    do: %{lease | seq: seq, owner: owner, since: now, looked: now, gone: false}
+
+  @doc "Records that a node was reported down. This is only a hint; the fence makes the takeover safe."
+  @spec note_node_down(t(), node()) :: t()
+  def note_node_down(%__MODULE__{owner: owner} = lease, node),
+    do: if(owner == Atom.to_string(node), do: %{lease | gone: true}, else: lease)
+
+  @doc "Reads the lease from the log."
+  @spec read_lease(Log.t(), String.t()) ::
+          {:ok, look()} | {:error, Situ.Error.t()}
+  def read_lease(log, key) do
+    before = monotonic_ms()
+
+    case Log.fetch_last(log, {:key, key}) do
+      {:ok, entry} ->
+        owner = if entry, do: Map.get(entry.head, "Node", "")
+        {:ok, {if(entry, do: entry.seq, else: 0), owner, before, monotonic_ms()}}
+
+      # An intruder or an older version has written the lease. It expires like the lease of a lost node. The next
+      # owner's number is larger, so the content of this entry does not matter.
+      {:error, error} ->
+        if SignedEntry.refusal?(error),
+          do: {:ok, {error.meta.seq, "nobody of this cluster", before, monotonic_ms()}},
+          else: {:error, error}
+    end
+  end
+
+  @doc "Acquires the lease, for `ms` at a time. Returns its number, which is the epoch."
+  @spec acquire(Log.t(), String.t(), non_neg_integer(), pos_integer()) ::
+          {:ok, pos_integer()} | {:refused, Entry.t() | nil} | {:error, Situ.Error.t()}
+  def acquire(log, key, seq, ms),
+    do: write_owner(log, key, seq, {Atom.to_string(node()), ms}, "take")
+
+  @doc "Releases the lease."
+  @spec release(Log.t(), String.t(), pos_integer()) :: term()
+  def release(log, key, seq), do: write_owner(log, key, seq, {"", 0}, "release")
+
+  defp write_owner(log, key, seq, {owner, ms}, verb) do
+    unique = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
+    head = %{"Node" => owner, "Ms" => Integer.to_string(ms)}
+    entry = %Entry{op: "#{verb}.#{node()}.#{unique}", head: head}
+    Log.append(log, {:key, key}, seq, entry)
+  end
+
+  @doc """
+  Keeps the lease: writes it every quarter of its duration. Runs in a separate process.
+
+  When the lease is lost, or the log has not replied for three quarters of its duration, kills `publisher` immediately
+  and ends this process with `{:shutdown, :lease_lost}`. A node that is cut off therefore stops before its lease ends.
+  On the message `{:release, from}`, releases the lease and sends `:released`. Calls `tell` with each number that it
+  has written, and with `:free` when it releases the lease.
+  """
+  @spec keep_renewing(
+          Log.t(),
+          String.t(),
+          pos_integer(),
+          pos_integer(),
+          {pid(), (pos_integer() | :free -> term())}
+        ) ::
+          no_return()
+  def keep_renewing(log, key, seq, ms, {publisher, tell}) do
+    Process.flag(:trap_exit, true)
+    tell.(seq)
+
+    await_renewal(
+      %{log: log, key: key, ms: ms, publisher: publisher, tell: tell},
+      seq,
+      monotonic_ms()
+    )
+  end
+
+  defp await_renewal(lease, seq, written) do
+    receive do
+      {:release, from} ->
+        release(lease.log, lease.key, seq)
+        lease.tell.(:free)
+        send(from, :released)
+
+      {:EXIT, _pid, reason} when reason != :normal ->
+        exit(reason)
+    after
+      div(lease.ms, 4) ->
+        lease |> renew_lease(seq, written) |> handle_renewal(lease, seq, written)
+    end
+  end
+
+  # The log may be slow to report that it is unreachable, so the write has a deadline.
+  defp renew_lease(lease, seq, written) do
+    started = monotonic_ms()
+    owner = {Atom.to_string(node()), lease.ms}
+    task = Task.async(fn -> write_owner(lease.log, lease.key, seq, owner, "beat") end)
+
+    case Task.yield(task, max(renewal_deadline(lease, written) - started, 0)) ||
+           Task.shutdown(task, :brutal_kill) do
+      {:ok, answer} -> {answer, started}
+      _ -> {:late, started}
+    end
+  end
+
+  defp renewal_deadline(lease, written), do: written + div(lease.ms * 3, 4)
+
+  defp handle_renewal({{:ok, seq}, started}, lease, _seq, _written) do
+    lease.tell.(seq)
+    await_renewal(lease, seq, started)
+  end
+
+  defp handle_renewal({{:refused, _}, _started}, lease, _seq, _written), do: give_up_lease(lease)
+  defp handle_renewal({:late, _started}, lease, _seq, _written), do: give_up_lease(lease)
+
+  defp handle_renewal({{:error, _}, _started}, lease, seq, written),
+    do:
+      if(monotonic_ms() > renewal_deadline(lease, written),
+        do: give_up_lease(lease),
+        else: await_renewal(lease, seq, written)
+      )
+
+  defp give_up_lease(lease) do
+    Process.exit(lease.publisher, :kill)
+    # This is not a crash, because a node that is cut off is expected to step down.
+    exit({:shutdown, :lease_lost})
+  end
+
+  defp monotonic_ms, do: System.monotonic_time(:millisecond)
+end

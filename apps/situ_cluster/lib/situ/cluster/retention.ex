@@ -1,0 +1,175 @@
+defmodule Situ.Cluster.Retention do
+  @moduledoc """
+  Lists how much the log contains of each deployment, and deletes it when it is no longer needed.
+
+  The log of a deployment remains after its end, so that it can still be read. It takes disk space and, on a NATS
+  server, two open files per stream. Nothing is deleted automatically:
+
+      {:ok, log} = Situ.Cluster.Log.connect("nats://lab1:4222")
+      {:ok, kept} = Situ.Cluster.Retention.list(log)
+      {:ok, 12} = Situ.Cluster.Retention.delete(log, hd(kept))
+
+  `Situ.Cluster.list_log_usage/0` and `Situ.Cluster.prune/2` do this for the log of a cluster. On the command line, use
+  `bin/situ cluster kept` and `bin/situ cluster prune`.
+  """
+  alias Situ.Error
+  alias Situ.Cluster.Log
+  alias Situ.Cluster.Log.Entry
+
+  @typedoc "The size of one deployment in the log; `written`: ns since 1970, or `nil` if no stream was ever written."
+  @type t :: %{
+          deployment: String.t(),
+          streams: non_neg_integer(),
+          entries: non_neg_integer(),
+          bytes: non_neg_integer(),
+          written: Situ.Time.t() | nil,
+          subjects: [Log.subject()]
+        }
+
+  # Anybody with access to the log can write a lease that claims to be very long.
+  @longest_ms 60_000
+
+  @doc "Lists the deployments that have entries in the log, by name."
+  @spec list(Log.t()) :: {:ok, [t()]} | {:error, Error.t()}
+  def list(log) do
+    with {:ok, all} <- Log.list_subjects(log) do
+      groups = all |> Enum.group_by(&deployment_name(&1.subject)) |> Map.delete(nil)
+      {:ok, for({name, abouts} <- Enum.sort(groups), do: summarize_subjects(name, abouts))}
+    end
+  end
+
+  @doc """
+  Returns the deployment that a subject belongs to, or `nil` for other subjects.
+
+      iex> Situ.Cluster.Retention.deployment_name({:stream, "Hall.Smooth.Window"})
+      "Hall"
+      iex> Situ.Cluster.Retention.deployment_name({:key, "lease.Hall.Smooth"})
+      "Hall"
+      iex> Situ.Cluster.Retention.deployment_name({:key, "settings"})
+      nil
+  """
+  @spec deployment_name(Log.subject()) :: String.t() | nil
+  def deployment_name({:stream, name}) do
+    with [deployment, _stream] <- String.split(name, ".", parts: 2),
+         do: deployment,
+         else: (_ -> nil)
+  end
+
+  def deployment_name({:key, name}) do
+    case String.split(name, ".", parts: 3) do
+      [kind, deployment, _part] when kind in ~w(lease state ckpt run) -> deployment
+      _ -> nil
+    end
+  end
+
+  defp summarize_subjects(name, abouts) do
+    streams = for %{subject: {:stream, _}} = about <- abouts, do: about
+
+    %{
+      deployment: name,
+      streams: length(streams),
+      entries: streams |> Enum.map(& &1.entries) |> Enum.sum(),
+      bytes: streams |> Enum.map(&(&1.bytes || 0)) |> Enum.sum(),
+      written:
+        abouts |> Enum.map(& &1.written) |> Enum.reject(&is_nil/1) |> Enum.max(fn -> nil end),
+      subjects: Enum.map(abouts, & &1.subject)
+    }
+  end
+
+  # Returns the numbers of the leases, and the longest duration of a lease (ms). The numbers change while any node
+  # runs a part of the deployment or serves its streams, since the owner writes a lease every quarter of its duration.
+  defp read_leases(log, kept) do
+    keys = for {:key, "lease." <> _} = subject <- kept.subjects, do: subject
+
+    Enum.reduce_while(keys, {:ok, %{}, 0}, fn key, {:ok, seqs, longest} ->
+      case Log.fetch_last(log, key) do
+        {:ok, entry} ->
+          longest = max(longest, Entry.head_integer(entry, "Ms", 0))
+          {:cont, {:ok, Map.put(seqs, key, entry && entry.seq), longest}}
+
+        {:error, error} ->
+          {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  @doc "Finds a deployment by its name."
+  @spec fetch_by_name([t()], String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def fetch_by_name(all, name) do
+    case {Enum.find(all, &(&1.deployment == name)), Enum.map_join(all, ", ", & &1.deployment)} do
+      {nil, ""} ->
+        {:error,
+         Error.new(
+           :not_found,
+           "the log contains no deployment #{inspect(name)}; it contains none at all"
+         )}
+
+      {nil, names} ->
+        {:error,
+         Error.new(:not_found, "the log contains no deployment #{inspect(name)}",
+           fix: "choose from: " <> names
+         )}
+
+      {kept, _} ->
+        {:ok, kept}
+    end
+  end
+
+  @doc "Deletes a deployment's log if no node uses it (`check_unused/3`); needs only the log, not a cluster."
+  @spec prune(Log.t(), String.t(), non_neg_integer()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def prune(log, name, wait) do
+    with {:ok, all} <- list(log),
+         {:ok, kept} <- fetch_by_name(all, name),
+         :ok <- check_unused(log, kept, wait),
+         do: delete(log, kept)
+  end
+
+  @doc """
+  Deletes everything that the log contains of a deployment, and returns the number of subjects. Deletes the streams
+  first, so that an interrupted deletion is listed again.
+  """
+  @spec delete(Log.t(), t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
+  def delete(log, kept) do
+    kept.subjects
+    |> Enum.sort(:desc)
+    |> Enum.reduce_while({:ok, 0}, fn subject, {:ok, n} ->
+      case Log.delete(log, subject) do
+        :ok -> {:cont, {:ok, n + 1}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  @doc """
+  Returns an error if any node uses the deployment, even a node outside of this cluster. Reads the leases
+  twice, `wait` ms apart, or half of the longest lease if that is longer.
+  """
+  @spec check_unused(Log.t(), t(), non_neg_integer()) :: :ok | {:error, Error.t()}
+  def check_unused(log, kept, wait) do
+    with {:ok, before, longest} <- read_leases(log, kept),
+         :ok <- wait_ms(max(wait, min(div(longest, 2), @longest_ms))),
+         {:ok, ^before, _} <- read_leases(log, kept) do
+      :ok
+    else
+      {:ok, _changed, _} -> {:error, in_use_error(kept.deployment)}
+      {:error, error} -> {:error, error}
+    end
+  end
+
+  defp wait_ms(ms) do
+    receive do
+    after
+      ms -> :ok
+    end
+  end
+
+  @doc false
+  @spec in_use_error(String.t()) :: Error.t()
+  def in_use_error(name) do
+    Error.new(:in_use, "#{name} is in use, so its log was not deleted",
+      why: "a node is running a part of it, and would continue to write to the log",
+      fix: "stop the deployment and wait for its end, or remove it with Situ.Cluster.forget/1"
+    )
+  end
+end

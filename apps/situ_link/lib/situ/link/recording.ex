@@ -1,0 +1,178 @@
+defmodule Situ.Link.Recording do
+  @moduledoc """
+  Opens recordings on other machines like local ones: `Situ.Store.open("situ://lab1/lobby")`. This also works in
+  `bin/situ store`, the studio, datasets and `Situ.Store.importer/3`.
+
+      {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
+      Situ.Store.streams(store)
+
+  The other side serves the recording (`Situ.Link.serve/2`, `bin/situ serve`). The address may include a version
+  (`situ://lab1/lobby.0003`). Without one, the newest version at the time of opening is used from then on. The server
+  sends only the requested data: the summary of a day is a few kilobytes. If the connection is lost, the next request
+  opens it again. Until that succeeds, requests fail with `:link_lost` or `:unreachable`.
+
+  Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). By default the token is taken from
+  `config :situ_link, tokens: %{"lab1" => "..."}`, from the environment variable `SITU_TOKEN`, or from the first line
+  of the file named by `SITU_TOKEN_FILE`. With a fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only
+  that certificate is accepted.
+
+      iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote-recording")
+      iex> {:ok, writer} = Situ.Store.Writer.create("door", root)
+      iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Open", type: :boolean)
+      iex> message = %Situ.Message{data: true, originating_time: 7, creation_time: 8, sequence_id: 1}
+      iex> {:ok, _} = Situ.Store.Writer.append(stream, [message])
+      iex> :ok = Situ.Store.Writer.close(writer)
+      iex> {:ok, server} = Situ.Link.serve(writer.path, port: 0)
+      iex> {:ok, store} = Situ.Store.open("situ://127.0.0.1:\#{Situ.Link.Server.port(server)}/door")
+      iex> for m <- Situ.Store.messages(store, "Open"), do: {m.originating_time, m.data}
+      [{7, true}]
+      iex> Situ.Link.Server.close(server)
+      iex> File.rm_rf!(root)
+  """
+  # See docs/adr/0115-remote-recordings-answer-requests.md.
+  @behaviour Situ.Store.Reader
+  alias Situ.Error
+  alias Situ.Link.{Access, Address}
+  alias Situ.Link.Wire.Dialer
+  alias Situ.Link.Recording.{ReplyDecoder, Client}
+  alias Situ.Store.StreamInfo
+
+  @enforce_keys [:address, :access]
+  defstruct [:address, :access, :version]
+
+  @typedoc "The address, the token and TLS options, and the opened version of the recording."
+  @type t :: %__MODULE__{address: Address.t(), access: Access.t(), version: integer() | nil}
+
+  @impl true
+  def extensions, do: []
+  @impl true
+  def schemes, do: ["situ", "situs", "situ+unix"]
+
+  @impl true
+  def open(text, opts) do
+    with {:ok, address} <- Address.parse(text),
+         {:ok, access} <- Access.new(address, opts),
+         state = %__MODULE__{address: address, access: access},
+         {:ok, info} <- fetch_decoded(state, %{"op" => "open"}, &ReplyDecoder.decode_info/1),
+         do: {:ok, %{state | version: info[:version]}}
+  end
+
+  # Lists the addresses of a server's recordings. An address that already has a name is returned unchanged.
+  @impl true
+  def within(text) do
+    with {:ok, %{name: ""} = address} <- Address.parse(text),
+         {:ok, access} <- Access.new(address, []),
+         {:ok, names} <- Dialer.list_recordings(address, access) do
+      for name <- Enum.sort(names), do: Address.to_string(%{address | name: name})
+    else
+      {:ok, %Address{}} -> [text]
+      {:error, _} -> []
+    end
+  end
+
+  @impl true
+  def info(state),
+    do: state |> fetch_decoded(%{"op" => "open"}, &ReplyDecoder.decode_info/1) |> Error.unwrap!()
+
+  @impl true
+  def streams(state) do
+    state
+    |> fetch_decoded(%{"op" => "streams"}, &ReplyDecoder.decode_streams(&1, address_text(state)))
+    |> Error.unwrap!()
+  end
+
+  @impl true
+  def stream_named(state, name) do
+    asked = %{"op" => "stream", "stream" => name}
+
+    with {:ok, [info]} <-
+           fetch_decoded(state, asked, &ReplyDecoder.decode_streams(&1, address_text(state))),
+         do: {:ok, info}
+  end
+
+  defp address_text(state), do: Address.to_string(state.address)
+
+  @impl true
+  def seek(state, info, time),
+    do:
+      request_stream(state, info, "seek", %{"time" => clamp(time)}, &ReplyDecoder.decode_number/1)
+
+  @impl true
+  def count(state, info),
+    do:
+      state
+      |> request_stream(info, "count", %{}, &ReplyDecoder.decode_number/1)
+      |> Error.unwrap!()
+
+  @impl true
+  def read(state, info, ordinal, to, limit, opts) do
+    asked = %{
+      "ordinal" => ordinal,
+      "to" => if(to == :unbounded, do: nil, else: clamp(to)),
+      "limit" => limit,
+      "exact" => opts[:exact] || false,
+      "envelopes" => opts[:envelopes] || false,
+      "skip_damage" => opts[:skip_damage] || false
+    }
+
+    with {:ok, {messages, next}} <-
+           request_stream(state, info, "read", asked, &ReplyDecoder.decode_messages(&1, info.id)),
+         do: {:ok, messages, next}
+  end
+
+  @impl true
+  def summary(state, info, from, to, pixels) do
+    asked = %{"from" => clamp(from), "to" => clamp(to), "pixels" => pixels}
+
+    with {:ok, {width, bins}} <-
+           request_stream(state, info, "summary", asked, &ReplyDecoder.decode_summary/1),
+         do: {:ok, width, bins}
+  end
+
+  @impl true
+  def tracks(state, info, from, to, level, most) do
+    asked = %{"from" => clamp(from), "to" => clamp(to), "level" => level, "most" => most}
+
+    with {:ok, {counts, tracks}} <-
+           request_stream(state, info, "tracks", asked, &ReplyDecoder.decode_tracks/1),
+         do: {:ok, counts, tracks}
+  end
+
+  @impl true
+  def gaps(state, info, least) do
+    state
+    |> request_stream(info, "gaps", %{"least" => clamp(least)}, &ReplyDecoder.decode_spans/1)
+    |> Error.unwrap!()
+  end
+
+  @impl true
+  def missing_files(state),
+    do:
+      state
+      |> fetch_decoded(%{"op" => "missing_files"}, &ReplyDecoder.decode_strings/1)
+      |> Error.unwrap!()
+
+  @impl true
+  def await(state, known, pid, tag) do
+    asked = %{"op" => "await", "known" => known, "version" => state.version}
+    Client.await_news(state.address, state.access, asked, {pid, tag})
+  end
+
+  defp request_stream(state, %StreamInfo{name: name}, op, asked, read),
+    do: fetch_decoded(state, Map.merge(asked, %{"op" => op, "stream" => name}), read)
+
+  defp fetch_decoded(state, asked, read) do
+    asked = Map.put(asked, "version", state.version)
+
+    with {:ok, body} <- Client.fetch_reply(state.address, state.access, asked),
+         :error <- read.(body) do
+      {:error,
+       Error.new(:bad_reply, "the reply from #{address_text(state)} is malformed",
+         why: "the reply to #{asked["op"]} does not have the form that this release expects",
+         fix: "install the same release of Situ on both sides"
+       )}
+    end
+  end
+
+  defp clamp(time), do: time |> max(-0x7FFFFFFFFFFFFFFF) |> min(0x7FFFFFFFFFFFFFFF)
+end

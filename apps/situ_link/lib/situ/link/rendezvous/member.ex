@@ -1,0 +1,203 @@
+defmodule Situ.Link.Rendezvous.Member do
+  @moduledoc false
+  # Takes part in a rendezvous for one process: announces it, tracks the others, and reconnects when the server was
+  # unreachable.
+  #
+  # The server silently ignores a name that belongs to another process, but it sends the list of all processes,
+  # including this one, to every client. So the first entry with the own name shows who owns it: `name` is `:ours` or
+  # `:taken`.
+  use GenServer
+  require Logger
+  alias Situ.Link.Rendezvous.{Directory, Protocol}
+
+  @first_wait 50
+  @longest_wait 5_000
+  @greet_ms 10_000
+
+  defstruct [
+    :host,
+    :port,
+    :own,
+    :listener,
+    :socket,
+    :error,
+    :name,
+    wait: @first_wait,
+    stage: nil,
+    buffer: "",
+    continue: nil,
+    peers: %{}
+  ]
+
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
+
+  @impl true
+  def init(opts) do
+    send(self(), :connect)
+    own = %{name: opts[:name], version: opts[:version], endpoints: opts[:endpoints]}
+    {:ok, %__MODULE__{host: opts[:host], port: opts[:port], own: own, listener: opts[:listener]}}
+  end
+
+  @impl true
+  def handle_call(:peers, _from, state),
+    do: {:reply, for({_name, process} <- Enum.sort(state.peers), do: process), state}
+
+  def handle_call(:error, _from, state) do
+    error =
+      if state.name == :taken, do: Directory.name_taken_text(state.own.name), else: state.error
+
+    {:reply, error, state}
+  end
+
+  def handle_call({:announce, endpoints}, _from, state) do
+    state = %{state | own: %{state.own | endpoints: endpoints}}
+    send_announcement(state)
+    {:reply, :ok, state}
+  end
+
+  @impl true
+  def handle_info(:connect, %{socket: nil} = state) do
+    options = [:binary, active: :once, nodelay: true, keepalive: true, send_timeout: 5_000]
+
+    case :gen_tcp.connect(String.to_charlist(state.host), state.port, options, 5_000) do
+      {:ok, socket} ->
+        _ = :gen_tcp.send(socket, <<Protocol.protocol_version()::little-signed-16>>)
+        Process.send_after(self(), {:greeted?, socket}, @greet_ms)
+        {:noreply, %{state | socket: socket, stage: :greeting, buffer: "", continue: nil}}
+
+      {:error, reason} ->
+        {:noreply, schedule_reconnect(state, to_string(:inet.format_error(reason)))}
+    end
+  end
+
+  def handle_info({:tcp, socket, bytes}, %{socket: socket} = state) do
+    _ = :inet.setopts(socket, active: :once)
+    {:noreply, handle_buffer(%{state | buffer: state.buffer <> bytes})}
+  end
+
+  def handle_info({:greeted?, socket}, %{socket: socket, stage: stage} = state)
+      when stage != :open,
+      do:
+        {:noreply,
+         schedule_reconnect(state, "no greeting within 10 s: is it a rendezvous server?")}
+
+  def handle_info({kind, socket}, %{socket: socket} = state) when kind == :tcp_closed,
+    do: {:noreply, schedule_reconnect(state, "the server closed the connection")}
+
+  def handle_info({:tcp_error, socket, reason}, %{socket: socket} = state),
+    do: {:noreply, schedule_reconnect(state, inspect(reason))}
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp handle_buffer(
+         %{stage: :greeting, buffer: <<version::little-signed-16, rest::binary>>} = state
+       ) do
+    if version == Protocol.protocol_version(),
+      do: handle_buffer(%{state | stage: :listed, buffer: rest}),
+      else:
+        schedule_reconnect(
+          state,
+          "the server uses protocol version #{version}, this client #{Protocol.protocol_version()}"
+        )
+  end
+
+  # Skips the address of this client as seen by the server, and the number of processes. Peers of the previous
+  # connection are discarded.
+  defp handle_buffer(%{stage: :listed, buffer: buffer} = state) do
+    with {:ok, _address, rest} <- Protocol.read_text(buffer),
+         {:ok, _count, rest} <- Protocol.read_int(rest) do
+      state = %{state | stage: :open, buffer: rest, wait: @first_wait, error: nil, name: nil}
+      state = %{state | peers: %{}}
+      send_announcement(state)
+      handle_buffer(state)
+    else
+      :more -> state
+      {:error, why} -> schedule_reconnect(state, why)
+    end
+  end
+
+  defp handle_buffer(%{stage: :open, buffer: ""} = state), do: state
+
+  defp handle_buffer(%{stage: :open, buffer: buffer} = state) do
+    case (state.continue || (&Protocol.feed/1)).(buffer) do
+      {:ok, update, rest} ->
+        handle_buffer(handle_update(%{state | buffer: rest, continue: nil}, update))
+
+      {:more, continue} ->
+        %{state | buffer: "", continue: continue}
+
+      {:error, why} ->
+        schedule_reconnect(state, why)
+    end
+  end
+
+  defp handle_buffer(state), do: state
+
+  defp handle_update(%{own: %{name: name}} = state, {:add, %{name: name} = process}) do
+    cond do
+      state.name == :ours or process == state.own ->
+        %{state | name: :ours}
+
+      state.name == :taken ->
+        state
+
+      true ->
+        Logger.warning("situ rendezvous: " <> Directory.name_taken_text(name))
+        if state.listener, do: send(state.listener, {:situ_rendezvous, self(), {:taken, name}})
+        %{state | name: :taken}
+    end
+  end
+
+  # The entry of another process, or of a lost connection, was removed, so the name is free. If it was this process
+  # changing its endpoints, the server ignores the second announcement.
+  defp handle_update(%{own: %{name: name}} = state, {:remove, name}) do
+    send_announcement(state)
+    %{state | name: nil}
+  end
+
+  defp handle_update(state, {:add, process}) do
+    notify_listener(state, {:added, process})
+    %{state | peers: Map.put(state.peers, process.name, process)}
+  end
+
+  defp handle_update(state, {:remove, name}) do
+    notify_listener(state, {:removed, name})
+    %{state | peers: Map.delete(state.peers, name)}
+  end
+
+  defp handle_update(state, :disconnect), do: state
+
+  defp notify_listener(%{listener: nil}, _event), do: :ok
+  defp notify_listener(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
+
+  defp send_announcement(%{stage: :open, socket: socket} = state),
+    do: :gen_tcp.send(socket, Protocol.encode({:add, state.own}))
+
+  defp send_announcement(_state), do: :ok
+
+  defp schedule_reconnect(state, why) do
+    if state.socket, do: :gen_tcp.close(state.socket)
+    for {name, _} <- state.peers, do: notify_listener(state, {:removed, name})
+    Process.send_after(self(), :connect, state.wait)
+
+    %{
+      state
+      | socket: nil,
+        stage: nil,
+        buffer: "",
+        peers: %{},
+        name: nil,
+        error: why,
+        wait: min(state.wait * 2, @longest_wait)
+    }
+  end
+
+  @impl true
+  def terminate(_reason, %{socket: nil}), do: :ok
+
+  def terminate(_reason, state) do
+    _ = :gen_tcp.send(state.socket, Protocol.encode(:disconnect))
+    :gen_tcp.close(state.socket)
+  end
+end

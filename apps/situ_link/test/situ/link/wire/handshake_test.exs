@@ -1,0 +1,4 @@
+defmodule Situ.Link.Wire.HandshakeTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Link.Wire.Handshake
+end

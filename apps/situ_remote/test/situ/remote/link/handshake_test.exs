@@ -1,4 +1,0 @@
-defmodule Situ.Remote.Link.HandshakeTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Remote.Link.Handshake
-end

@@ -1,4 +1,0 @@
-defmodule Situ.Remote.Link.ScheduleTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Remote.Link.Schedule
-end

@@ -1,4 +1,0 @@
-defmodule Situ.Remote.PositionTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Remote.Position
-end

@@ -1,4 +1,0 @@
-defmodule Situ.Remote.ServerNameTest do
-  use ExUnit.Case, async: true
-  doctest Situ.Remote.ServerName
-end
