@@ -1,4 +1,4 @@
-# The processes of test/remote/run: a recorder, a server and receivers, which the script kills at
+# The processes of test/link/run: a recorder, a server and receivers, which the script kills at
 # any time.
 defmodule Situ.LinkTest.Links do
   alias Situ.{Message, Link, Store}

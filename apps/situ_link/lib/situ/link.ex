@@ -13,7 +13,7 @@ defmodule Situ.Link do
   without duplicates. A lost link never closes a stream; the client reconnects (after 50 ms to 5 s) until the pipeline
   ends. A stream that its recorder closes is also closed on the receiving side. Guide: *Links between machines*.
 
-      iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote")
+      iex> root = Path.join(System.tmp_dir!(), "situ-doc-link")
       iex> {:ok, _} = Situ.Pipeline.run(fn p ->
       ...>   store = Situ.Store.create(p, "lobby", root)
       ...>   p |> Situ.from_enumerable(1..3, every: 10) |> Situ.Store.write(store, "count")

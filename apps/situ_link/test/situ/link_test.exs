@@ -6,7 +6,7 @@ defmodule Situ.LinkTest do
   doctest Link
 
   setup do
-    root = Path.join(System.tmp_dir!(), "situ-remote-#{System.unique_integer([:positive])}")
+    root = Path.join(System.tmp_dir!(), "situ-link-#{System.unique_integer([:positive])}")
     File.mkdir_p!(root)
     on_exit(fn -> File.rm_rf!(root) end)
     {:ok, root: root}

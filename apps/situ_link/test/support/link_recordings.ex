@@ -7,7 +7,7 @@ defmodule Situ.Test.LinkRecordings do
 
   @doc "Creates a folder for the test."
   def folder do
-    root = Path.join(System.tmp_dir!(), "situ-remote-#{System.unique_integer([:positive])}")
+    root = Path.join(System.tmp_dir!(), "situ-link-#{System.unique_integer([:positive])}")
     File.mkdir_p!(root)
     on_exit(fn -> File.rm_rf!(root) end)
     root

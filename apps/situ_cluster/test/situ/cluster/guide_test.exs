@@ -2,7 +2,7 @@ defmodule Situ.Cluster.GuideTest do
   # Runs the guide's Elixir blocks in order; a block that ends in `# => value` must return that value.
   use ExUnit.Case, async: false
 
-  @guide Path.expand("../../../docs/guides/from-one-machine-to-ten.md", __DIR__)
+  @guide Path.expand("../../../../../docs/guides/from-one-machine-to-ten.md", __DIR__)
 
   @tag :tmp_dir
   @tag :capture_log

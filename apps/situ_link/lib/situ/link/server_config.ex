@@ -6,7 +6,6 @@ defmodule Situ.Link.ServerConfig do
   alias Situ.Link.Certificate
   alias Situ.Link.{Address, Server}
   alias Situ.Link.Wire.{Handshake, Quota}
-  alias Situ.Link.Server.RecordingReader
   alias Situ.Store.{Exporter, Folder, Formats, Handle, Query}
 
   @limit {:tuple, [{:in, [:bytes_per_second, :messages_per_second]}, :pos_integer]}
@@ -186,38 +185,38 @@ defmodule Situ.Link.ServerConfig do
 
   defp build_served(%{} = map, opts) when not is_struct(map) do
     Enum.reduce_while(map, {:ok, %{}}, fn {name, what}, {:ok, served} ->
-      case build_origin(what, opts) do
-        {:ok, _name, origin} -> {:cont, {:ok, Map.put(served, name, origin)}}
+      case build_spec(what, opts) do
+        {:ok, _name, spec} -> {:cont, {:ok, Map.put(served, name, spec)}}
         error -> {:halt, error}
       end
     end)
   end
 
   defp build_served(what, opts) do
-    with {:ok, name, origin} <- build_origin(what, opts), do: {:ok, %{name => origin}}
+    with {:ok, name, spec} <- build_spec(what, opts), do: {:ok, %{name => spec}}
   end
 
-  defp build_origin(%Handle{} = store, _opts),
-    do: {:ok, store.path |> Folder.store_name(), {RecordingReader, {:store, store}}}
+  defp build_spec(%Handle{} = store, _opts),
+    do: {:ok, store.path |> Folder.store_name(), {:store, store}}
 
-  defp build_origin(%Exporter{path: path}, _opts),
-    do: {:ok, Folder.store_name(path), series_origin(path)}
+  defp build_spec(%Exporter{path: path}, _opts),
+    do: {:ok, Folder.store_name(path), series_spec(path)}
 
-  defp build_origin(%Situ.Stream{name: name} = stream, opts),
-    do: build_origin([{name, stream}], opts)
+  defp build_spec(%Situ.Stream{name: name} = stream, opts),
+    do: build_spec([{name, stream}], opts)
 
   # Live streams are written to a recording in memory that keeps their recent messages. Slow or briefly disconnected
   # clients read from it, so they do not hold up the pipeline.
-  defp build_origin([{_, %Situ.Stream{pipeline: p}} | _] = streams, opts) do
+  defp build_spec([{_, %Situ.Stream{pipeline: p}} | _] = streams, opts) do
     name = "live-#{System.unique_integer([:positive])}"
     split = max(div(opts[:keep], 4), 1)
     store = Exporter.create(p, name, nil, split: split, keep: {:span, opts[:keep]})
     for {name, stream} <- streams, do: Exporter.write(stream, store, name, [])
-    {RecordingReader, {:series, root, name}} = series_origin(store.path)
-    {:ok, "live", {RecordingReader, {:live, root, name}}}
+    {:series, root, name} = series_spec(store.path)
+    {:ok, "live", {:live, root, name}}
   end
 
-  defp build_origin(path, opts) when is_binary(path) do
+  defp build_spec(path, opts) when is_binary(path) do
     path = Path.expand(path)
 
     cond do
@@ -225,7 +224,7 @@ defmodule Situ.Link.ServerConfig do
         open_recording(path)
 
       Folder.resolve_store(path) != nil or opts[:wait] ->
-        {:ok, Path.basename(path), series_origin(path)}
+        {:ok, Path.basename(path), series_spec(path)}
 
       true ->
         open_recording(path)
@@ -234,9 +233,9 @@ defmodule Situ.Link.ServerConfig do
 
   defp open_recording(path) do
     with {:ok, store} <- Query.open(path),
-         do: {:ok, Folder.store_name(path), {RecordingReader, {:store, store}}}
+         do: {:ok, Folder.store_name(path), {:store, store}}
   end
 
-  defp series_origin(path),
-    do: {RecordingReader, {:series, Path.dirname(path), Folder.store_name(path)}}
+  defp series_spec(path),
+    do: {:series, Path.dirname(path), Folder.store_name(path)}
 end

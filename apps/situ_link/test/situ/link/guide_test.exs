@@ -3,7 +3,7 @@ defmodule Situ.Link.GuideTest do
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
 
-  @guide Path.expand("../../../../docs/guides/links.md", __DIR__)
+  @guide Path.expand("../../../../../docs/guides/links.md", __DIR__)
 
   test "every block of the guide runs and returns the value it shows" do
     capture_log(fn -> assert Situ.Test.GuideRunner.run_blocks(@guide) > 5 end)

@@ -10,17 +10,17 @@ defmodule Situ.Link.SecretsTest do
   defp process_states do
     for pid <- Process.list(),
         {:dictionary, dictionary} <- [Process.info(pid, :dictionary)],
-        remote?(dictionary[:"$initial_call"]),
+        link?(dictionary[:"$initial_call"]),
         do: inspect(:sys.get_state(pid, 5_000), limit: :infinity, printable_limit: :infinity)
   catch
     # The process ended in between.
     :exit, _ -> process_states()
   end
 
-  defp remote?({module, _, _}),
+  defp link?({module, _, _}),
     do: module |> Atom.to_string() |> String.starts_with?("Elixir.Situ.Link.")
 
-  defp remote?(_none), do: false
+  defp link?(_none), do: false
 
   test "no process of a link shows the token" do
     root = folder()

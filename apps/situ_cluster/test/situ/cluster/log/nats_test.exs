@@ -1,13 +1,10 @@
 defmodule Situ.Cluster.Log.NatsTest do
   use ExUnit.Case, async: true
-  use Situ.Test.Property
 
   alias Situ.Cluster.Log
   alias Situ.Cluster.Log.Entry
-  alias Situ.Link.Nats.Protocol
+  alias Situ.Link.Nats.Connection
   alias Situ.Test.NatsServer
-
-  doctest Situ.Link.Nats.Protocol
 
   @moduletag :tmp_dir
   # The tests of the log report once that nats-server is missing.
@@ -232,8 +229,7 @@ defmodule Situ.Cluster.Log.NatsTest do
   end
 
   defp asked(log, subject, body \\ "") do
-    {:ok, %{data: json}} =
-      Situ.Link.Nats.Connection.request(log.conn.connection, subject, [], body, 5_000)
+    {:ok, %{data: json}} = Connection.request(log.conn.connection, subject, [], body, 5_000)
 
     {:ok, answer} = Situ.JSON.decode(json)
     answer
@@ -248,32 +244,6 @@ defmodule Situ.Cluster.Log.NatsTest do
       {:error, _} when left > 0 ->
         Process.sleep(100)
         connected(address, left - 1)
-    end
-  end
-
-  property "the parser handles any bytes" do
-    forall bytes <- binary() do
-      case Protocol.parse_frame("MSG a 1 " <> bytes, 1_000) do
-        :more -> true
-        {:ok, _, rest} -> is_binary(rest)
-        {:error, text} -> is_binary(text)
-      end
-    end
-  end
-
-  property "a message equals the published one, however the bytes are cut" do
-    forall {data, at} <- {binary(), non_neg_integer()} do
-      "HPUB a.b _R " <> rest =
-        IO.iodata_to_binary(Protocol.encode_publish("a.b", "_R", [{"K", "v w"}], data))
-
-      bytes = "HMSG a.b 1 _R " <> rest
-      at = rem(at, byte_size(bytes))
-
-      Protocol.parse_frame(binary_part(bytes, 0, at), 100_000) == :more and
-        match?(
-          {:ok, {:message, %{data: ^data, headers: %{"K" => "v w"}, reply: "_R"}}, "next"},
-          Protocol.parse_frame(bytes <> "next", 100_000)
-        )
     end
   end
 end

@@ -3,8 +3,8 @@ defmodule Situ.Link.Server.RecordingReader do
   # Serves a finished or growing recording. `{:series, root, name}` continues from each version (`name.0000`,
   # `name.0001` ...) to the next, so nothing is skipped when the recording program restarts or splits its recording into
   # segments. `{:live, root, name}` is the same for live streams, whose segments form one recording; these begin in the
-  # oldest segment kept. `{:store, store}` is a single open recording; the origin ends with it.
-  @behaviour Situ.Link.Origin
+  # oldest segment kept. `{:store, store}` is a single open recording; its streams end with it. Each client has a
+  # separate reader, with a cursor for every stream that it requested, so no client waits for another.
   alias Situ.Error
   alias Situ.Link.Wire.Batch
   alias Situ.Link.Server.RecordingVersions
@@ -16,11 +16,28 @@ defmodule Situ.Link.Server.RecordingReader do
 
   defstruct [:series, :store, pieces?: false, version: 0, known: 0, awaiting: :no, catalog: -1]
 
+  @type t :: %__MODULE__{}
+  @type cursor :: map()
+
+  @typedoc "A served recording, as described above."
+  @type spec ::
+          {:series | :live, Path.t(), name :: String.t()} | {:store, Handle.t()}
+
+  @typedoc """
+  The start of a subscription: messages from now on, the beginning (of the newest version of a recording), the first
+  message at or after a time, or the first message after a time.
+  """
+  @type from :: :now | :start | {:at, Situ.Time.t()} | {:after, Situ.Time.t()}
+
+  @typedoc "A catalogue entry for a stream: its name, and its `Situ.Type` as text."
+  @type entry :: %{name: String.t(), type: String.t()}
+
   @doc "Returns an originating time that is earlier than all others."
   @spec before_all() :: Situ.Time.t()
   def before_all, do: @before_all
 
-  @impl true
+  @doc "Opens a recording, which may not exist yet."
+  @spec open(spec()) :: {:ok, t()} | {:error, Error.t()}
   def open({:store, %Handle{} = store}), do: {:ok, %__MODULE__{store: store}}
 
   def open({:live, root, name}) do
@@ -39,12 +56,14 @@ defmodule Situ.Link.Server.RecordingReader do
     end
   end
 
-  @impl true
-  def version({:store, _store}, _version), do: :error
+  @doc "Returns the specification of one version of a recording."
+  @spec select_version(spec(), non_neg_integer()) :: {:ok, spec()} | :error
+  def select_version({:store, _store}, _version), do: :error
 
-  def version({:live, root, name}, version), do: version({:series, root, name}, version)
+  def select_version({:live, root, name}, version),
+    do: select_version({:series, root, name}, version)
 
-  def version({:series, root, name}, version) do
+  def select_version({:series, root, name}, version) do
     with path when path != nil <- RecordingVersions.version_path(root, name, version),
          {:ok, store} <- Query.open(path),
          do: {:ok, {:store, store}},
@@ -54,10 +73,11 @@ defmodule Situ.Link.Server.RecordingReader do
   defp set_version(state, version, store),
     do: %{state | version: version, store: store, known: 0, awaiting: :no, catalog: -1}
 
-  @impl true
-  def streams(%{store: nil} = state), do: {:same, state}
+  @doc "Returns the current streams, or `:same` if they have not changed since the last call."
+  @spec list_streams(t()) :: {[entry()] | :same, t()}
+  def list_streams(%{store: nil} = state), do: {:same, state}
 
-  def streams(state) do
+  def list_streams(state) do
     case count_records(state.store) do
       n when n == state.catalog and n != nil ->
         {:same, state}
@@ -73,24 +93,25 @@ defmodule Situ.Link.Server.RecordingReader do
 
   defp catalog_entry(info), do: %{name: info.name, type: info.type_name}
 
-  @impl true
-  def store(%{store: nil, series: {_, name}}, _version),
+  @doc "Returns the recording, for requests. `version` selects a version; `nil` selects the newest."
+  @spec fetch_store(t(), version :: term()) :: {:ok, Handle.t()} | {:error, Error.t()}
+  def fetch_store(%{store: nil, series: {_, name}}, _version),
     do:
       {:error,
        Error.new(:no_store, "the recording #{name} does not exist yet", fix: "try again later")}
 
-  def store(%{series: nil, store: store}, _version), do: {:ok, store}
-  def store(%{version: version, store: store}, version), do: {:ok, store}
-  def store(%{store: store}, nil), do: {:ok, store}
+  def fetch_store(%{series: nil, store: store}, _version), do: {:ok, store}
+  def fetch_store(%{version: version, store: store}, version), do: {:ok, store}
+  def fetch_store(%{store: store}, nil), do: {:ok, store}
 
-  def store(%{series: {root, name}}, version) when is_integer(version) do
+  def fetch_store(%{series: {root, name}}, version) when is_integer(version) do
     case RecordingVersions.version_path(root, name, version) do
       nil -> {:error, Error.new(:no_store, "version #{version} of #{name} no longer exists")}
       path -> Query.open(path)
     end
   end
 
-  def store(_state, version),
+  def fetch_store(_state, version),
     do: {:error, Error.new(:bad_request, "invalid version: #{inspect(version, limit: 5)}")}
 
   # Stream 0 has a record for each new stream and for each end of a stream.
@@ -99,13 +120,14 @@ defmodule Situ.Link.Server.RecordingReader do
 
   defp count_records(_foreign), do: 0
 
-  @impl true
-  def cursor(%{store: nil}, _name, _from), do: :unknown
+  @doc "Returns a position in a stream, and the originating time of the last message before it."
+  @spec open_cursor(t(), String.t(), from()) :: {:ok, cursor(), Situ.Time.t()} | :unknown
+  def open_cursor(%{store: nil}, _name, _from), do: :unknown
 
-  def cursor(%{pieces?: true} = state, name, :start),
-    do: cursor(state, name, {:at, @before_all + 1})
+  def open_cursor(%{pieces?: true} = state, name, :start),
+    do: open_cursor(state, name, {:at, @before_all + 1})
 
-  def cursor(state, name, from) when from in [:now, :start] do
+  def open_cursor(state, name, from) when from in [:now, :start] do
     case Query.stream_info(state.store, name) do
       {:ok, info} when from == :start -> {:ok, build_cursor(state, info, 0), @before_all}
       {:ok, info} -> {:ok, build_cursor(state, info, info.count), last_time(state, name)}
@@ -113,9 +135,9 @@ defmodule Situ.Link.Server.RecordingReader do
     end
   end
 
-  def cursor(state, name, {:after, time}), do: cursor(state, name, {:at, time + 1})
+  def open_cursor(state, name, {:after, time}), do: open_cursor(state, name, {:at, time + 1})
 
-  def cursor(%{series: nil} = state, name, {:at, time}) do
+  def open_cursor(%{series: nil} = state, name, {:at, time}) do
     with {:ok, info} <- Query.stream_info(state.store, name),
          {:ok, ordinal} <- Query.seek_ordinal(state.store, info, time) do
       {:ok, build_cursor(state, info, ordinal), time - 1}
@@ -124,7 +146,7 @@ defmodule Situ.Link.Server.RecordingReader do
     end
   end
 
-  def cursor(%{series: {root, name}} = state, stream, {:at, time}) do
+  def open_cursor(%{series: {root, name}} = state, stream, {:at, time}) do
     case RecordingVersions.find_containing(root, name, stream, time) do
       {version, store, info} ->
         {:ok, ordinal} = Query.seek_ordinal(store, info, time)
@@ -152,7 +174,9 @@ defmodule Situ.Link.Server.RecordingReader do
   defp last_or_before_all({:ok, %{last: last}}) when last != nil, do: last
   defp last_or_before_all(_), do: @before_all
 
-  @impl true
+  @doc "Reads the next parts of batches, nothing for now, or the end."
+  @spec read(t(), cursor()) ::
+          {:parts, [Batch.part()], cursor()} | {:idle, cursor()} | {:ended, Situ.Time.t()}
   def read(state, cursor) do
     case Query.read_batch(cursor.store, cursor.info, cursor.ordinal, :unbounded, @messages,
            skip_damage: true
@@ -162,7 +186,7 @@ defmodule Situ.Link.Server.RecordingReader do
 
       {:ok, messages, ordinal} ->
         last = List.last(messages).originating_time
-        {:parts, Batch.encode(messages), 0, %{cursor | ordinal: ordinal, last: last}}
+        {:parts, Batch.encode(messages), %{cursor | ordinal: ordinal, last: last}}
 
       {:error, %Error{} = error} ->
         raise error
@@ -206,17 +230,19 @@ defmodule Situ.Link.Server.RecordingReader do
     end
   end
 
-  @impl true
-  def skip(_state, cursor, %{max_queue: n}, _now) when is_integer(n) do
+  @doc "Moves the cursor to the messages that a lossy policy keeps. Returns how many messages it skips."
+  @spec skip_messages(cursor(), Situ.Delivery.t(), now :: Situ.Time.t()) ::
+          {non_neg_integer(), cursor()}
+  def skip_messages(cursor, %{max_queue: n}, _now) when is_integer(n) do
     advance_cursor(cursor, Query.count(cursor.store, cursor.info) - n)
   end
 
-  def skip(_state, cursor, %{max_latency: d}, now) when is_integer(d) do
+  def skip_messages(cursor, %{max_latency: d}, now) when is_integer(d) do
     {:ok, ordinal} = Query.seek_ordinal(cursor.store, cursor.info, now - d)
     advance_cursor(cursor, ordinal)
   end
 
-  def skip(_state, cursor, _lossless, _now), do: {0, cursor}
+  def skip_messages(cursor, _lossless, _now), do: {0, cursor}
 
   defp advance_cursor(%{ordinal: ordinal} = cursor, to) when to > ordinal,
     do: {to - ordinal, %{cursor | ordinal: to}}
@@ -225,28 +251,31 @@ defmodule Situ.Link.Server.RecordingReader do
 
   # The tag contains the version, so that a late notice about an older version is ignored. A version that has ended is
   # complete, and no notice about it is awaited.
-  @impl true
-  def await(%{awaiting: :no, store: store} = state) when store != nil do
+  @doc "Requests a message to this process when more data may be available; `handle_notice/2` recognizes it."
+  @spec request_notice(t()) :: t()
+  def request_notice(%{awaiting: :no, store: store} = state) when store != nil do
     Query.notify(store, state.known, state.version)
     %{state | awaiting: :news}
   end
 
-  def await(state), do: state
+  def request_notice(state), do: state
 
-  @impl true
-  def news(%{version: version} = state, {:situ_store, version, {:published, n}}),
+  @doc "Processes a requested message. Returns `:other` for any other message."
+  @spec handle_notice(t(), term()) :: {:ok, t()} | :other
+  def handle_notice(%{version: version} = state, {:situ_store, version, {:published, n}}),
     do: {:ok, %{state | known: n, awaiting: :no}}
 
-  def news(%{version: version} = state, {:situ_store, version, {:ended, n}}),
+  def handle_notice(%{version: version} = state, {:situ_store, version, {:ended, n}}),
     do: {:ok, %{state | known: n, awaiting: :over}}
 
-  def news(_state, _other), do: :other
+  def handle_notice(_state, _other), do: :other
 
   # Only the folder shows that the recording program has started a new version.
-  @impl true
-  def look(%{series: nil} = state), do: {state.awaiting == :no, state}
+  @doc "Called periodically. Returns whether data may be available that no message has announced."
+  @spec check_versions(t()) :: {boolean(), t()}
+  def check_versions(%{series: nil} = state), do: {state.awaiting == :no, state}
 
-  def look(%{series: {root, name}} = state) do
+  def check_versions(%{series: {root, name}} = state) do
     case RecordingVersions.newest_version(root, name) do
       {version, path} when state.store == nil or version > state.version ->
         case Query.open(path) do

@@ -5,7 +5,7 @@ defmodule Situ.Link.Server.Sender do
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Delivery
   alias Situ.Link.Wire.{Frame, Quota, Schedule, Socket}
-  alias Situ.Link.Server.{Channel, DatagramSender}
+  alias Situ.Link.Server.{Channel, DatagramSender, RecordingReader}
 
   # The maximum work before the session checks its mailbox again.
   @turn_bytes 4 * 1024 * 1024
@@ -20,7 +20,7 @@ defmodule Situ.Link.Server.Sender do
   def open_channel(state, id) do
     channel = state.channels[id]
 
-    case state.module.cursor(state.origin, channel.name, channel.from) do
+    case RecordingReader.open_cursor(state.reader, channel.name, channel.from) do
       {:ok, cursor, before} ->
         {channel, told} = start_datagrams(channel, state.socket)
         _ = send_frame(state, {:subscribed, id, Map.put(told, "after", before)})
@@ -82,7 +82,7 @@ defmodule Situ.Link.Server.Sender do
 
   # The channel has no unsent messages, and the client knows about the end of the stream.
   defp channel_idle?(state, channel),
-    do: match?({:idle, _}, state.module.read(state.origin, channel.cursor))
+    do: match?({:idle, _}, RecordingReader.read(state.reader, channel.cursor))
 
   @doc "Sends the queued replies, as far as the quota allows."
   @spec send_replies(state()) ::
@@ -164,16 +164,15 @@ defmodule Situ.Link.Server.Sender do
   defp send_next(state, %{out: []} = channel) do
     {state, channel} = skip_messages(state, channel)
 
-    case state.module.read(state.origin, channel.cursor) do
-      {:parts, parts, lost, cursor} ->
+    case RecordingReader.read(state.reader, channel.cursor) do
+      {:parts, parts, cursor} ->
         most =
           if channel.datagrams,
             do: :any,
             else: Quota.segment_size(state.config.quota, @most_piece)
 
         out = Enum.flat_map(parts, &batch_to_frames(&1, channel.id, most))
-        state = report_lost(state, channel, lost)
-        send_next(state, %{channel | out: out, cursor: cursor, dropped: channel.dropped + lost})
+        send_next(state, %{channel | out: out, cursor: cursor})
 
       {:idle, cursor} ->
         # The channel is not scheduled until new data arrives.
@@ -195,7 +194,7 @@ defmodule Situ.Link.Server.Sender do
   defp skip_messages(state, %{policy: policy} = channel) do
     if Delivery.lossy?(policy) do
       {skipped, cursor} =
-        state.module.skip(state.origin, channel.cursor, policy, state.config.now.())
+        RecordingReader.skip_messages(channel.cursor, policy, state.config.now.())
 
       state = report_lost(state, channel, skipped)
       {state, %{channel | cursor: cursor, dropped: channel.dropped + skipped}}

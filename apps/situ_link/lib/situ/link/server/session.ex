@@ -6,7 +6,7 @@ defmodule Situ.Link.Server.Session do
   use GenServer, restart: :temporary
   alias Situ.Error
   alias Situ.Link.Wire.{Frame, Handshake, Schedule, Socket}
-  alias Situ.Link.Server.{Channel, Sender, Requests, ServedRecordings}
+  alias Situ.Link.Server.{Channel, RecordingReader, Requests, Sender, ServedRecordings}
   alias Situ.Store.Query
   require Logger
 
@@ -24,8 +24,7 @@ defmodule Situ.Link.Server.Session do
     :socket,
     :nonce,
     :peer,
-    :origin,
-    :module,
+    :reader,
     :client_nonce,
     stage: :greeting,
     channels: %{},
@@ -92,9 +91,9 @@ defmodule Situ.Link.Server.Session do
   def handle_info(:look, state) do
     Process.send_after(self(), :look, @look_ms)
 
-    case state.module.look(state.origin) do
-      {true, origin} -> handle_news(%{state | origin: origin})
-      {false, origin} -> {:noreply, %{state | origin: origin}}
+    case RecordingReader.check_versions(state.reader) do
+      {true, reader} -> handle_news(%{state | reader: reader})
+      {false, reader} -> {:noreply, %{state | reader: reader}}
     end
   end
 
@@ -112,8 +111,8 @@ defmodule Situ.Link.Server.Session do
       |> then_send_pending()
 
   def handle_info(message, %{stage: :open} = state) do
-    case state.module.news(state.origin, message) do
-      {:ok, origin} -> handle_news(%{state | origin: origin})
+    case RecordingReader.handle_notice(state.reader, message) do
+      {:ok, reader} -> handle_news(%{state | reader: reader})
       :other -> {:noreply, state}
     end
   end
@@ -222,10 +221,10 @@ defmodule Situ.Link.Server.Session do
   defp log_in(map, state) do
     name = map["name"] || ""
 
-    with {:ok, {module, spec}} <- ServedRecordings.fetch_recording(state.config.served, name),
-         {:ok, origin} <- module.open(spec) do
+    with {:ok, spec} <- ServedRecordings.fetch_recording(state.config.served, name),
+         {:ok, reader} <- RecordingReader.open(spec) do
       send(self(), :look)
-      state = %{state | stage: :open, module: module, origin: origin, peer: peer_address(state)}
+      state = %{state | stage: :open, reader: reader, peer: peer_address(state)}
 
       with {:ok, state} <- send_frame(state, welcome_frame(state)),
            :ok <- Socket.enable_frames(state.socket, @most_bytes),
@@ -247,12 +246,12 @@ defmodule Situ.Link.Server.Session do
 
   # A client keeps the version that it opened, even if a newer one was recorded since.
   defp fetch_store(state, nil) do
-    with {:ok, store} <- state.module.store(state.origin, nil), do: {:ok, store, state}
+    with {:ok, store} <- RecordingReader.fetch_store(state.reader, nil), do: {:ok, store, state}
   end
 
   defp fetch_store(state, version) do
     with :error <- Map.fetch(state.stores, version),
-         {:ok, store} <- state.module.store(state.origin, version) do
+         {:ok, store} <- RecordingReader.fetch_store(state.reader, version) do
       {:ok, store, %{state | stores: Map.put(state.stores, version, store)}}
     else
       {:ok, store} -> {:ok, store, state}
@@ -294,15 +293,15 @@ defmodule Situ.Link.Server.Session do
   end
 
   defp announce_streams(state) do
-    case state.module.streams(state.origin) do
-      {:same, origin} ->
-        %{state | origin: origin}
+    case RecordingReader.list_streams(state.reader) do
+      {:same, reader} ->
+        %{state | reader: reader}
 
-      {entries, origin} ->
+      {entries, reader} ->
         fresh = for entry <- entries, state.told[entry.name] != entry.type, do: entry
         told = Map.merge(state.told, Map.new(fresh, &{&1.name, &1.type}))
         send_streams(state, fresh)
-        Sender.open_waiting(%{state | origin: origin, told: told})
+        Sender.open_waiting(%{state | reader: reader, told: told})
     end
   end
 
@@ -333,10 +332,17 @@ defmodule Situ.Link.Server.Session do
 
   defp pump_streams(state) do
     case Sender.send_frames(state) do
-      {:more, state} -> {:noreply, schedule_pump(state)}
-      {:wait, ns, state} -> {:noreply, pause_sending(state, ns)}
-      {:idle, state} -> {:noreply, %{state | origin: state.module.await(state.origin)}}
-      {:error, reason, state} -> {:stop, {:shutdown, reason}, state}
+      {:more, state} ->
+        {:noreply, schedule_pump(state)}
+
+      {:wait, ns, state} ->
+        {:noreply, pause_sending(state, ns)}
+
+      {:idle, state} ->
+        {:noreply, %{state | reader: RecordingReader.request_notice(state.reader)}}
+
+      {:error, reason, state} ->
+        {:stop, {:shutdown, reason}, state}
     end
   end
 
