@@ -8,7 +8,7 @@ defmodule Situ.Dataset.MixProject do
   end
 
   def application do
-    Situ.MixApp.application([:crypto, :xmerl],
+    Situ.MixApp.application([:crypto],
       env: [
         store_readers: [Situ.Dataset.JsonStore],
         dataset_tasks: [Situ.Dataset.Task.Statistics, Situ.Dataset.Task.DropStreams]

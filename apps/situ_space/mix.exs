@@ -11,7 +11,7 @@ defmodule Situ.Space.MixProject do
   end
 
   def application do
-    Situ.MixApp.application([:xmerl],
+    Situ.MixApp.application([],
       env: [store_readers: [Situ.Space.GeometryFile, Situ.Space.Gpx, Situ.Space.Robot.Urdf]]
     )
   end

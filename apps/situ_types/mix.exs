@@ -6,7 +6,9 @@ defmodule Situ.Types.MixProject do
   def project, do: Situ.MixApp.project(:situ_types, deps: [])
 
   def application do
-    Situ.MixApp.application([:crypto, :public_key] ++ json() ++ test_applications(Mix.env()))
+    Situ.MixApp.application(
+      [:crypto, :public_key, :xmerl] ++ json() ++ test_applications(Mix.env())
+    )
   end
 
   # OTP 27 and later include a JSON module.
