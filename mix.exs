@@ -1,12 +1,12 @@
+Code.require_file("config/mix_app.exs", __DIR__)
+
 defmodule Situ.Umbrella.MixProject do
   use Mix.Project
-
-  @version "0.1.0"
 
   def project do
     [
       apps_path: "apps",
-      version: @version,
+      version: Situ.MixApp.version(),
       elixir: "~> 1.14",
       start_permanent: Mix.env() == :prod,
       prune_code_paths: false,

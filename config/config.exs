@@ -1,6 +1,6 @@
 import Config
 
-# Libraries take options, not configuration; what stands here is the logger's shape only.
+# Libraries take options, not configuration; so this file only sets the format of log lines.
 config :logger, :console,
   format: "$time $metadata[$level] $message\n",
   metadata: [:pipeline, :component]

@@ -1,26 +1,17 @@
+Code.require_file("../../config/mix_app.exs", __DIR__)
+
 defmodule Situ.Bridge.MixProject do
   use Mix.Project
 
   def project do
-    [
-      app: :situ_bridge,
-      version: "0.1.0",
-      build_path: "../../_build",
-      config_path: "../../config/config.exs",
-      deps_path: "../../deps",
-      lockfile: "../../mix.lock",
-      elixir: "~> 1.14",
-      elixirc_paths: elixirc_paths(Mix.env()),
-      compilers: [:situ_native] ++ Mix.compilers(),
+    Situ.MixApp.project(:situ_bridge,
       native: [crates: ~w(situ_bridge_nif)],
-      start_permanent: Mix.env() == :prod,
-      deps: deps()
-    ]
+      deps: [:situ, :situ_store, :situ_types]
+    )
   end
 
   def application do
-    [
-      extra_applications: extra_applications(Mix.env()),
+    Situ.MixApp.application([:crypto, :inets, :ssl, :public_key],
       env: [
         store_readers: [
           Situ.Bridge.Psi,
@@ -29,21 +20,6 @@ defmodule Situ.Bridge.MixProject do
           Situ.Bridge.Ros.Db3
         ]
       ]
-    ]
-  end
-
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :inets, :ssl, :public_key]
-
-  defp deps do
-    [
-      {:situ, in_umbrella: true},
-      {:situ_store, in_umbrella: true},
-      {:situ_types, in_umbrella: true},
-      {:situ_build, in_umbrella: true, runtime: false}
-    ]
+    )
   end
 end

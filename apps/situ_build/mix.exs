@@ -1,32 +1,13 @@
+Code.require_file("../../config/mix_app.exs", __DIR__)
+
 defmodule Situ.Build.MixProject do
   use Mix.Project
 
   def project do
-    [
-      app: :situ_build,
-      version: "0.1.0",
-      build_path: "../../_build",
-      config_path: "../../config/config.exs",
-      deps_path: "../../deps",
-      lockfile: "../../mix.lock",
-      elixir: "~> 1.14",
-      elixirc_paths: elixirc_paths(Mix.env()),
-      start_permanent: Mix.env() == :prod,
-      deps: deps()
-    ]
+    Situ.MixApp.project(:situ_build, deps: [])
   end
 
   def application do
-    [extra_applications: extra_applications(Mix.env())]
-  end
-
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger]
-
-  defp deps do
-    []
+    Situ.MixApp.application()
   end
 end

@@ -1,44 +1,27 @@
+Code.require_file("../../config/mix_app.exs", __DIR__)
+
 defmodule Situ.CLI.MixProject do
   use Mix.Project
 
   def project do
-    [
-      app: :situ_cli,
-      version: "0.1.0",
-      build_path: "../../_build",
-      config_path: "../../config/config.exs",
-      deps_path: "../../deps",
-      lockfile: "../../mix.lock",
-      elixir: "~> 1.14",
-      elixirc_paths: elixirc_paths(Mix.env()),
-      start_permanent: Mix.env() == :prod,
-      deps: deps()
-    ]
+    Situ.MixApp.project(:situ_cli,
+      deps: [
+        :situ_types,
+        :situ,
+        :situ_store,
+        :situ_dataset,
+        :situ_media,
+        :situ_space,
+        :situ_infer,
+        :situ_bridge,
+        :situ_link,
+        :situ_cluster,
+        :situ_studio
+      ]
+    )
   end
 
   def application do
-    [extra_applications: extra_applications(Mix.env())]
-  end
-
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger]
-
-  defp deps do
-    [
-      {:situ_types, in_umbrella: true},
-      {:situ, in_umbrella: true},
-      {:situ_store, in_umbrella: true},
-      {:situ_dataset, in_umbrella: true},
-      {:situ_media, in_umbrella: true},
-      {:situ_space, in_umbrella: true},
-      {:situ_infer, in_umbrella: true},
-      {:situ_bridge, in_umbrella: true},
-      {:situ_link, in_umbrella: true},
-      {:situ_cluster, in_umbrella: true},
-      {:situ_studio, in_umbrella: true}
-    ]
+    Situ.MixApp.application()
   end
 end

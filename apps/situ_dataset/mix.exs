@@ -1,42 +1,18 @@
+Code.require_file("../../config/mix_app.exs", __DIR__)
+
 defmodule Situ.Dataset.MixProject do
   use Mix.Project
 
   def project do
-    [
-      app: :situ_dataset,
-      version: "0.1.0",
-      build_path: "../../_build",
-      config_path: "../../config/config.exs",
-      deps_path: "../../deps",
-      lockfile: "../../mix.lock",
-      elixir: "~> 1.14",
-      elixirc_paths: elixirc_paths(Mix.env()),
-      start_permanent: Mix.env() == :prod,
-      deps: deps()
-    ]
+    Situ.MixApp.project(:situ_dataset, deps: [:situ_types, :situ, :situ_store])
   end
 
   def application do
-    [
-      extra_applications: extra_applications(Mix.env()),
+    Situ.MixApp.application([:crypto],
       env: [
         store_readers: [Situ.Dataset.JsonStore],
         dataset_tasks: [Situ.Dataset.Task.Statistics, Situ.Dataset.Task.DropStreams]
       ]
-    ]
-  end
-
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :xmerl]
-
-  defp deps do
-    [
-      {:situ_types, in_umbrella: true},
-      {:situ, in_umbrella: true},
-      {:situ_store, in_umbrella: true}
-    ]
+    )
   end
 end

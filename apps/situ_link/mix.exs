@@ -1,41 +1,16 @@
+Code.require_file("../../config/mix_app.exs", __DIR__)
+
 defmodule Situ.Link.MixProject do
   use Mix.Project
 
   def project do
-    [
-      app: :situ_link,
-      version: "0.1.0",
-      build_path: "../../_build",
-      config_path: "../../config/config.exs",
-      deps_path: "../../deps",
-      lockfile: "../../mix.lock",
-      elixir: "~> 1.14",
-      elixirc_paths: elixirc_paths(Mix.env()),
-      start_permanent: Mix.env() == :prod,
-      deps: deps()
-    ]
+    Situ.MixApp.project(:situ_link, deps: [:situ, :situ_store, :situ_types])
   end
 
   def application do
-    [
+    Situ.MixApp.application([:crypto, :ssl, :public_key],
       mod: {Situ.Link.Application, []},
-      env: [store_readers: [Situ.Link.Recording]],
-      extra_applications: extra_applications(Mix.env())
-    ]
-  end
-
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :ssl, :public_key]
-
-  defp deps do
-    [
-      {:situ, in_umbrella: true},
-      {:situ_store, in_umbrella: true},
-      {:situ_types, in_umbrella: true},
-      {:situ_build, in_umbrella: true, runtime: false}
-    ]
+      env: [store_readers: [Situ.Link.Recording]]
+    )
   end
 end

@@ -1,43 +1,25 @@
+Code.require_file("../../config/mix_app.exs", __DIR__)
+
 defmodule Situ.Live.MixProject do
   use Mix.Project
 
   def project do
     find_yaws()
 
-    [
-      app: :situ_live,
-      version: "0.1.0",
-      build_path: "../../_build",
-      config_path: "../../config/config.exs",
-      deps_path: "../../deps",
-      lockfile: "../../mix.lock",
-      elixir: "~> 1.14",
-      elixirc_paths: elixirc_paths(Mix.env()),
-      start_permanent: Mix.env() == :prod,
+    Situ.MixApp.project(:situ_live,
       # Newer versions of Elixir remove code paths that no dependency names. Yaws is found through such a path.
       prune_code_paths: false,
-      deps: deps()
-    ]
+      deps: [:situ_types]
+    )
   end
 
   # Yaws is an included application, because as a separate application it requires a system-wide configuration.
   # `Situ.Live.Yaws` starts it embedded.
   def application do
-    [
+    Situ.MixApp.application([:crypto, :public_key, :ssl],
       mod: {Situ.Live.Application, []},
-      extra_applications: extra_applications(Mix.env()),
       included_applications: [:yaws]
-    ]
-  end
-
-  defp elixirc_paths(:test), do: ["lib", "test/support"]
-  defp elixirc_paths(_env), do: ["lib"]
-
-  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :public_key, :ssl]
-
-  defp deps do
-    [{:situ_types, in_umbrella: true}]
+    )
   end
 
   # Debian installs Yaws next to Erlang's own tree (LIB/yaws-VERSION, Erlang in LIB/erlang/lib), where the code server

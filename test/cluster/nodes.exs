@@ -1,3 +1,5 @@
+Code.require_file("../../apps/situ_types/test/support/free_port.ex", __DIR__)
+
 # Starts, kills, stops and queries nodes, which are OS processes.
 defmodule Nodes do
   def start(log, name, labels, peers, net) do

@@ -25,8 +25,6 @@ defmodule Situ.Test do
   same shape. A pipeline under test uses a manual clock that starts at 0 (`start:`), so a message at 5 ns arrives when
   the clock is at 5 ns. The pipeline `p` is the `stream.pipeline` of any stream; for pipelines without inputs the
   function may take the pipeline as a second argument.
-
-  `Situ.Test.Property` and `Situ.Test.Generators` are for property tests.
   """
 
   alias Situ.{Clock, Collector, Pipeline, Stream}

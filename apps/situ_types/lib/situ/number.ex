@@ -14,6 +14,7 @@ defmodule Situ.Number do
   """
 
   # See docs/adr/0022-nan-and-infinity-are-atoms.md.
+  import Situ.BinarySize, only: [pinned_size: 1]
 
   @type t :: number() | :nan | :infinity | :neg_infinity
 
@@ -157,6 +158,41 @@ defmodule Situ.Number do
   def log(a) when is_number(a) and a == 0, do: :neg_infinity
   def log(:infinity), do: :infinity
   def log(a), do: nan_if_number(a)
+
+  @doc """
+  Decodes a little-endian float of 2, 4 or 8 bytes.
+
+      iex> {Situ.Number.decode_float(<<0, 0x3E>>), Situ.Number.decode_float(<<0, 0, 0x80, 0xFF>>)}
+      {1.5, :neg_infinity}
+  """
+  @spec decode_float(binary()) :: float() | :nan | :infinity | :neg_infinity
+  def decode_float(<<x::little-float-64>>), do: x
+  def decode_float(<<x::little-float-32>>), do: x
+  def decode_float(<<x::little-float-16>>), do: x
+  def decode_float(<<0::48, 0xF0, 0x7F>>), do: :infinity
+  def decode_float(<<0::48, 0xF0, 0xFF>>), do: :neg_infinity
+  def decode_float(<<0, 0, 0x80, 0x7F>>), do: :infinity
+  def decode_float(<<0, 0, 0x80, 0xFF>>), do: :neg_infinity
+  def decode_float(<<0, 0x7C>>), do: :infinity
+  def decode_float(<<0, 0xFC>>), do: :neg_infinity
+  def decode_float(bytes) when byte_size(bytes) in [2, 4, 8], do: :nan
+
+  @doc """
+  Decodes consecutive little-endian floats of `size` bytes each: 2, 4 or 8.
+
+      iex> Situ.Number.decode_floats(<<1.5::little-float-32, 0, 0, 0xC0, 0x7F>>, 4)
+      [1.5, :nan]
+  """
+  @spec decode_floats(binary(), 2 | 4 | 8) :: [float() | :nan | :infinity | :neg_infinity]
+  def decode_floats(bytes, size) do
+    bits = size * 8
+    floats = for <<x::little-float-pinned_size(bits) <- bytes>>, do: x
+
+    # The comprehension skips NaN and infinities. If it skipped any, every float is decoded separately.
+    if length(floats) * size == byte_size(bytes),
+      do: floats,
+      else: for(<<float::binary-pinned_size(size) <- bytes>>, do: decode_float(float))
+  end
 
   defp pick_by_order(:nan, b, _order), do: nan_if_number(b)
   defp pick_by_order(a, :nan, _order), do: nan_if_number(a)

@@ -236,17 +236,11 @@ defmodule Situ.Tensor do
   defp decode_elements(data, :bool), do: for(<<x::8 <- data>>, do: x != 0)
 
   defp decode_f16(<<x::float-native-16>>), do: x
-  defp decode_f16(<<bits::native-16>>), do: special_float(bits, 0x7C00, 0xFC00)
+  defp decode_f16(<<bits::native-16>>), do: Situ.Number.decode_float(<<bits::little-16>>)
 
   defp decode_f32(<<x::float-native-32>>), do: x
-  defp decode_f32(<<bits::native-32>>), do: special_float(bits, 0x7F800000, 0xFF800000)
+  defp decode_f32(<<bits::native-32>>), do: Situ.Number.decode_float(<<bits::little-32>>)
 
   defp decode_f64(<<x::float-native-64>>), do: x
-
-  defp decode_f64(<<bits::native-64>>),
-    do: special_float(bits, 0x7FF0000000000000, 0xFFF0000000000000)
-
-  defp special_float(bits, bits, _minus), do: :infinity
-  defp special_float(bits, _plus, bits), do: :neg_infinity
-  defp special_float(_bits, _plus, _minus), do: :nan
+  defp decode_f64(<<bits::native-64>>), do: Situ.Number.decode_float(<<bits::little-64>>)
 end

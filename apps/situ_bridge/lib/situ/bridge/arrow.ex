@@ -1,28 +1,7 @@
 defmodule Situ.Bridge.Arrow do
-  @export [
-    streams: [
-      type: {:optional, {:list, :string}},
-      default: nil,
-      doc: "The names of the streams to export; by default, all of them."
-    ],
-    rows: [type: :pos_integer, default: 100_000, doc: "The maximum number of rows in a batch."]
-  ]
-  @read [
-    time: [
-      type: {:optional, :string},
-      default: nil,
-      doc:
-        "The column with the originating times, read as nanoseconds unless its type has a unit; by default " <>
-          "`originating_time`, or else the first column of timestamps."
-    ],
-    columns: [
-      type: {:optional, {:list, :string}},
-      default: nil,
-      doc: "The names of the columns to read; by default, all of them."
-    ],
-    type: [type: :any, default: :any, doc: "The type of the stream."],
-    name: [type: :string, doc: "The component's name."]
-  ]
+  alias Situ.Bridge.Columnar.TableOptions
+  @export TableOptions.export_options("batch")
+  @read TableOptions.read_options()
 
   @moduledoc """
   Writes recordings as Arrow files (IPC, also called Feather), which Polars, pandas and DuckDB can memory-map, and
@@ -66,9 +45,7 @@ defmodule Situ.Bridge.Arrow do
   @spec write(Store.t(), String.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def write(store, name, path, opts \\ []) do
-    {others, opts} = Keyword.split(opts, [:from, :to, :skip_damage, :progress])
-    opts = Situ.Options.validate!(opts, Keyword.delete(@export, :streams))
-    Columnar.write_stream(Writer, store, name, path, opts ++ others)
+    Columnar.write_stream(Writer, store, name, path, TableOptions.validate_write!(opts, @export))
   end
 
   @doc """
@@ -84,9 +61,7 @@ defmodule Situ.Bridge.Arrow do
   """
   @spec join(Store.t(), Path.t(), keyword()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def join(store, path, opts) do
-    {others, opts} = Keyword.split(opts, [:from, :to, :skip_damage, :progress])
-    schema = Keyword.merge(@export, Columnar.Join.join_options())
-    Columnar.write_joined(Writer, store, path, Situ.Options.validate!(opts, schema) ++ others)
+    Columnar.write_joined(Writer, store, path, TableOptions.validate_join!(opts, @export))
   end
 
   @doc ~S"""
@@ -117,7 +92,8 @@ defmodule Situ.Bridge.Arrow do
   @spec read(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def read(p, path, opts \\ []) do
     opts = Situ.Options.validate!(opts, @read)
-    Columnar.replay_source(p, messages(path, Keyword.take(opts, [:time, :columns])), path, opts)
+    {source, opts} = Keyword.split(opts, [:type, :name])
+    Situ.Bridge.File.replay_source(p, messages(path, opts), path, source)
   end
 
   @doc """

@@ -264,18 +264,6 @@ defmodule Situ.Bridge.Columnar do
   defp list_left_out(table),
     do: Enum.map_join(table.left_out, ", ", fn {name, type} -> "#{name} (#{type})" end)
 
-  @doc "Adds a source with the rows of a table."
-  @spec replay_source(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
-  def replay_source(p, messages, path, opts) do
-    case Enum.take(messages, 1) do
-      [{first, _}] ->
-        Situ.from_enumerable(p, messages, [start: first] ++ Keyword.take(opts, [:type, :name]))
-
-      [] ->
-        raise Error.new(:empty_file, "#{path} has no rows with a time")
-    end
-  end
-
   @spec fetch_time_column(Reader.t(), String.t() | nil) :: Reader.column()
   defp fetch_time_column(table, nil) do
     found = Enum.find(["originating_time" | table.times], &find_column(table, &1))

@@ -138,15 +138,11 @@ defmodule Situ.Bridge.MessagePack do
   defp decode_value(<<0xC9, n::32, type::signed-8, rest::binary>>, _, _),
     do: decode_extension(n, type, rest)
 
-  defp decode_value(<<0xCA, x::float-32, rest::binary>>, _, _), do: {x, rest}
+  defp decode_value(<<0xCA, bits::32, rest::binary>>, _, _),
+    do: {Situ.Number.decode_float(<<bits::little-32>>), rest}
 
-  defp decode_value(<<0xCA, sign::1, _::8, m::23, rest::binary>>, _, _),
-    do: {special_float(sign, m), rest}
-
-  defp decode_value(<<0xCB, x::float, rest::binary>>, _, _), do: {x, rest}
-
-  defp decode_value(<<0xCB, sign::1, _::11, m::52, rest::binary>>, _, _),
-    do: {special_float(sign, m), rest}
+  defp decode_value(<<0xCB, bits::64, rest::binary>>, _, _),
+    do: {Situ.Number.decode_float(<<bits::little-64>>), rest}
 
   defp decode_value(<<0xCC, n, rest::binary>>, _, _), do: {n, rest}
   defp decode_value(<<0xCD, n::16, rest::binary>>, _, _), do: {n, rest}
@@ -173,10 +169,6 @@ defmodule Situ.Bridge.MessagePack do
     do: throw_malformed("the byte 0xC1 is not used in MessagePack")
 
   defp decode_value(_short, _, _), do: throw_malformed("it ends within a value")
-
-  defp special_float(_sign, mantissa) when mantissa != 0, do: :nan
-  defp special_float(0, _), do: :infinity
-  defp special_float(1, _), do: :neg_infinity
 
   defp take_bytes(n, bytes) do
     case bytes do

@@ -9,9 +9,9 @@ defmodule Situ.Space.Gpx do
   """
   @behaviour Situ.Store.Reader
 
-  alias Situ.{Error, GeoPoint, Message, Time}
+  alias Situ.{Error, GeoPoint, Message, Time, Xml}
   alias Situ.Space.GeometryFile.NumberParser
-  alias Situ.Space.{FileParser, Xml}
+  alias Situ.Space.FileParser
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :points]
@@ -48,7 +48,7 @@ defmodule Situ.Space.Gpx do
   def parse(bytes) do
     state = %{root?: false, point: nil, text: nil, points: [], untimed: 0}
 
-    case Xml.reduce_events(bytes, &handle_event/3, state) do
+    case Xml.reduce_events(bytes, state, &handle_event/2) do
       {:ok, %{root?: true} = state} ->
         points = state.points |> Enum.reverse() |> Enum.sort_by(&elem(&1, 0))
         {:ok, Enum.dedup_by(points, &elem(&1, 0)), state.untimed}
@@ -63,27 +63,27 @@ defmodule Situ.Space.Gpx do
 
   defp file_error(what), do: {:error, Error.new(:bad_gpx, what, fix: "export the track again")}
 
-  defp handle_event({:startElement, _, ~c"gpx", _, _}, _, state), do: %{state | root?: true}
+  defp handle_event({:startElement, _, ~c"gpx", _, _}, state), do: %{state | root?: true}
 
-  defp handle_event({:startElement, _, ~c"trkpt", _, attributes}, _, state) do
+  defp handle_event({:startElement, _, ~c"trkpt", _, attributes}, state) do
     given = for {_, _, name, value} <- attributes, into: %{}, do: {name, value}
     %{state | point: %{lat: parse_number(given[~c"lat"]), lon: parse_number(given[~c"lon"])}}
   end
 
-  defp handle_event({:startElement, _, name, _, _}, _, %{point: %{}} = state)
+  defp handle_event({:startElement, _, name, _, _}, %{point: %{}} = state)
        when name in [~c"ele", ~c"time", ~c"hdop"],
        do: %{state | text: []}
 
-  defp handle_event({:characters, text}, _, %{text: parts} = state) when is_list(parts),
+  defp handle_event({:characters, text}, %{text: parts} = state) when is_list(parts),
     do: %{state | text: [text | parts]}
 
-  defp handle_event({:endElement, _, name, _}, _, %{text: parts, point: %{}} = state)
+  defp handle_event({:endElement, _, name, _}, %{text: parts, point: %{}} = state)
        when is_list(parts) and name in [~c"ele", ~c"time", ~c"hdop"] do
     text = parts |> Enum.reverse() |> Enum.concat()
     %{state | text: nil, point: Map.put(state.point, List.to_string(name), text)}
   end
 
-  defp handle_event({:endElement, _, ~c"trkpt", _}, _, %{point: %{} = point} = state) do
+  defp handle_event({:endElement, _, ~c"trkpt", _}, %{point: %{} = point} = state) do
     with time when is_list(time) <- point["time"],
          {:ok, time} <- parse_time(List.to_string(time)),
          {:ok, place} <- GeoPoint.new(point.lat, point.lon, height: parse_number(point["ele"])) do
@@ -93,7 +93,7 @@ defmodule Situ.Space.Gpx do
     end
   end
 
-  defp handle_event(_event, _where, state), do: state
+  defp handle_event(_event, state), do: state
 
   defp parse_time(text) do
     case text |> String.trim() |> DateTime.from_iso8601() do

@@ -43,24 +43,19 @@ defmodule Situ.Studio.Headset do
 
   #{Situ.Options.docs(@schema)}
   """
-  use Situ.Component,
-    outputs: [
-      head: Situ.Pose,
-      left: Situ.Skeleton,
-      right: Situ.Skeleton,
-      gaze: Situ.Ray3,
-      select: :map,
-      planes: {:list, :map},
-      clock: :float
-    ],
-    options: @schema
-
   alias Situ.Studio.Headset.Packet
-  alias Situ.Studio.Sensor.Inbox
+  alias Situ.Studio.Sensor.PageSource
 
   @behaviour Situ.Studio.Sensor.Packet
-  # The maximum number of samples in flight.
-  @ahead 4
+  @outputs [
+    head: Situ.Pose,
+    left: Situ.Skeleton,
+    right: Situ.Skeleton,
+    gaze: Situ.Ray3,
+    select: :map,
+    planes: {:list, :map},
+    clock: :float
+  ]
 
   @doc "Adds the headset to a pipeline; returns its streams."
   @spec open(Situ.Pipeline.t(), keyword()) :: %{
@@ -72,33 +67,13 @@ defmodule Situ.Studio.Headset do
           planes: Situ.Stream.t(),
           clock: Situ.Stream.t()
         }
-  def open(p, opts \\ []), do: Situ.source(p, __MODULE__, opts)
-
-  @impl Situ.Component
-  def init(opts),
-    do:
-      {:ok,
-       Inbox.new(__MODULE__, opts[:page], credited: :head, ahead: @ahead, buffer: opts[:buffer])}
-
-  @impl Situ.Component
-  def handle_start(_context, inbox), do: Inbox.register_sensor(inbox)
-
-  @impl Situ.Component
-  def handle_info(message, _context, inbox), do: {[], Inbox.handle_message(inbox, message)}
-
-  @impl Situ.Component
-  def handle_demand(n, _context, inbox), do: Inbox.take_actions(inbox, n)
-
-  @impl Situ.Component
-  def handle_stop(_final_time, _context, inbox), do: {[], inbox}
-
-  @impl Situ.Component
-  def terminate(_reason, inbox), do: Inbox.notify_ended(inbox)
-
-  @impl Situ.Component
-  def describe(inbox), do: Inbox.describe(inbox)
+  def open(p, opts \\ []) do
+    fixed = [sensor: __MODULE__, credited: :head, ahead: 4]
+    placement = [default_name: "Headset", outputs: @outputs]
+    Situ.source(p, PageSource, fixed ++ placement ++ Keyword.put_new(opts, :page, "headset"))
+  end
 
   @doc false
-  @impl Situ.Studio.Sensor.Packet
+  @impl true
   defdelegate parse(bytes), to: Packet
 end

@@ -37,16 +37,11 @@ defmodule Situ.Studio.Sensor do
 
   #{Situ.Options.docs(@schema)}
   """
-  use Situ.Component,
-    outputs: [video: Situ.EncodedImage, audio: Situ.AudioBuffer, clock: :float],
-    options: @schema
-
   alias Situ.{AudioBuffer, AudioFormat, EncodedImage}
-  alias Situ.Studio.Sensor.Inbox
+  alias Situ.Studio.Sensor.PageSource
 
   @behaviour Situ.Studio.Sensor.Packet
-  # The maximum number of images in flight.
-  @ahead 2
+  @outputs [video: EncodedImage, audio: AudioBuffer, clock: :float]
   @rates 8_000..192_000
 
   @doc "Adds the sensor to a pipeline; returns its streams."
@@ -55,38 +50,14 @@ defmodule Situ.Studio.Sensor do
           audio: Situ.Stream.t(),
           clock: Situ.Stream.t()
         }
-  def open(p, opts \\ []), do: Situ.source(p, __MODULE__, opts)
-
-  @impl Situ.Component
-  def init(opts),
-    do:
-      {:ok,
-       Inbox.new(__MODULE__, opts[:page],
-         credited: :video,
-         ahead: @ahead,
-         buffer: opts[:buffer]
-       )}
-
-  @impl Situ.Component
-  def handle_start(_context, inbox), do: Inbox.register_sensor(inbox)
-
-  @impl Situ.Component
-  def handle_info(message, _context, inbox), do: {[], Inbox.handle_message(inbox, message)}
-
-  @impl Situ.Component
-  def handle_demand(n, _context, inbox), do: Inbox.take_actions(inbox, n)
-
-  @impl Situ.Component
-  def handle_stop(_final_time, _context, inbox), do: {[], inbox}
-
-  @impl Situ.Component
-  def terminate(_reason, inbox), do: Inbox.notify_ended(inbox)
-
-  @impl Situ.Component
-  def describe(inbox), do: Inbox.describe(inbox)
+  def open(p, opts \\ []) do
+    fixed = [sensor: __MODULE__, credited: :video, ahead: 2]
+    placement = [default_name: "Sensor", outputs: @outputs]
+    Situ.source(p, PageSource, fixed ++ placement ++ Keyword.put_new(opts, :page, "page"))
+  end
 
   @doc false
-  @impl Situ.Studio.Sensor.Packet
+  @impl true
   def parse(<<1, _::24, w::little-16, h::little-16, ms::little-float-64, jpeg::binary>>)
       when w > 0 and h > 0 do
     with {:ok, :jpeg} <- EncodedImage.detect_format(jpeg),

@@ -4,6 +4,7 @@ defmodule Situ.Bridge.Arrow.Values do
   # Throws `{:not_arrow, why}`.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Arrow.Buffer
+  alias Situ.Bridge.Columnar.Column
 
   @most 1_073_741_824
   @most_missing 10_000_000
@@ -134,10 +135,7 @@ defmodule Situ.Bridge.Arrow.Values do
   end
 
   defp read_flat({:float, bits}, [bytes], from, n),
-    do:
-      for(<<x::bitstring-pinned_size(bits) <- record_bytes(bytes, from, n, bits)>>,
-        do: decode_float(x)
-      )
+    do: bytes |> record_bytes(from, n, bits) |> Situ.Number.decode_floats(div(bits, 8))
 
   defp read_flat({:fixed, size}, [bytes], from, n),
     do:
@@ -192,33 +190,17 @@ defmodule Situ.Bridge.Arrow.Values do
 
   defp slice_text(_kind, _bytes, _at, _n), do: throw_malformed("a string is outside its buffer")
 
-  # The first value of a byte is in its lowest bit.
   defp read_bits(buffer, from, n) do
     before = rem(from, 8)
 
-    for(
-      <<a::1, b::1, c::1, d::1, e::1, f::1, g::1,
-        h::1 <-
-          Buffer.read_bytes(buffer, div(from, 8), div(before + n + 7, 8))>>,
-      bit <- [h, g, f, e, d, c, b, a],
-      do: bit == 1
-    )
+    buffer
+    |> Buffer.read_bytes(div(from, 8), div(before + n + 7, 8))
+    |> Column.unpack_bits()
     |> Enum.slice(before, n)
   end
 
   defp record_bytes(buffer, from, n, bits),
     do: Buffer.read_bytes(buffer, from * div(bits, 8), n * div(bits, 8))
-
-  defp decode_float(<<x::little-float-64>>), do: x
-  defp decode_float(<<x::little-float-32>>), do: x
-  defp decode_float(<<x::little-float-16>>), do: x
-  defp decode_float(<<0::48, 0xF0, 0x7F>>), do: :infinity
-  defp decode_float(<<0::48, 0xF0, 0xFF>>), do: :neg_infinity
-  defp decode_float(<<0, 0, 0x80, 0x7F>>), do: :infinity
-  defp decode_float(<<0, 0, 0x80, 0xFF>>), do: :neg_infinity
-  defp decode_float(<<0, 0x7C>>), do: :infinity
-  defp decode_float(<<0, 0xFC>>), do: :neg_infinity
-  defp decode_float(_), do: :nan
 
   defp throw_malformed(why), do: throw({:not_arrow, why})
 end

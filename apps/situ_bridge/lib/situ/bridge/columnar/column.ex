@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Columnar.Column do
   @moduledoc false
-  # A column of a table to be written: its name, and the kind of its values.
+  # A column of a table to be written: its name, and the kind of its values. Also packs values, and unpacks bits, as
+  # Parquet and Arrow do.
 
   @enforce_keys [:name, :kind]
   defstruct [:name, :kind, optional?: true]
@@ -49,4 +50,12 @@ defmodule Situ.Bridge.Columnar.Column do
 
   def pack_bits(<<>>), do: []
   def pack_bits(few), do: pack_bits(<<few::bitstring, 0::size(8 - bit_size(few))>>)
+
+  @doc "Unpacks bits as booleans, starting with the lowest bit of a byte."
+  @spec unpack_bits(binary()) :: [boolean()]
+  def unpack_bits(packed) do
+    for <<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1 <- packed>>,
+        bit <- [h, g, f, e, d, c, b, a],
+        do: bit == 1
+  end
 end

@@ -102,9 +102,6 @@ defmodule Situ.Bridge.Parquet.Leaf do
   def convert_bytes(<<a::binary-4, b::binary-2, c::binary-2, d::binary-2, e::binary-6>>, :uuid),
     do: Enum.map_join([a, b, c, d, e], "-", &Base.encode16(&1, case: :lower))
 
-  def convert_bytes(<<x::little-float-16>>, :half), do: x
-  def convert_bytes(<<0, 0x7C>>, :half), do: :infinity
-  def convert_bytes(<<0, 0xFC>>, :half), do: :neg_infinity
-  def convert_bytes(_, :half), do: :nan
+  def convert_bytes(<<half::binary-2>>, :half), do: Situ.Number.decode_float(half)
   def convert_bytes(bytes, _), do: bytes
 end

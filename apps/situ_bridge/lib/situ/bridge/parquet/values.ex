@@ -3,7 +3,9 @@ defmodule Situ.Bridge.Parquet.Values do
   # Decodes the values of one page, a few at a time: a page of one megabyte has 131,072 floats, and each float takes
   # four times as much memory as an Elixir term. Pure. Throws `{:not_parquet, why}`.
   import Situ.BinarySize, only: [pinned_size: 1]
+  alias Situ.Bridge.Columnar.Column
   alias Situ.Bridge.Parquet.{ByteArrays, Leaf, RunLength}
+  alias Situ.Number
 
   # The number of bytes of a value, by Parquet's physical type.
   @widths %{1 => 4, 2 => 8, 3 => 12, 4 => 4, 5 => 8}
@@ -127,7 +129,7 @@ defmodule Situ.Bridge.Parquet.Values do
   # A byte holds eight booleans, so some may be left over.
   def take_next({:bits, bytes, held}, n) do
     {packed, rest} = split_bytes(bytes, div(max(n - length(held), 0) + 7, 8))
-    {values, held} = Enum.split(held ++ unpack_bits(packed), n)
+    {values, held} = Enum.split(held ++ Column.unpack_bits(packed), n)
     {values, {:bits, rest, held}}
   end
 
@@ -162,7 +164,7 @@ defmodule Situ.Bridge.Parquet.Values do
   @spec decode_plain(Leaf.t(), binary(), non_neg_integer()) :: {[term()], binary()}
   def decode_plain(%{type: 0}, bytes, n) do
     {packed, rest} = split_bytes(bytes, div(n + 7, 8))
-    {packed |> unpack_bits() |> Enum.take(n), rest}
+    {packed |> Column.unpack_bits() |> Enum.take(n), rest}
   end
 
   def decode_plain(%{type: 6, as: as}, bytes, n), do: decode_texts(bytes, n, as, [])
@@ -195,14 +197,8 @@ defmodule Situ.Bridge.Parquet.Values do
       do: (day - 2_440_588) * 86_400_000_000_000 + ns
   end
 
-  defp decode_numbers(4, packed, _as), do: for(<<x::binary-4 <- packed>>, do: decode_float(x))
-  defp decode_numbers(5, packed, _as), do: for(<<x::binary-8 <- packed>>, do: decode_float(x))
-
-  defp unpack_bits(packed) do
-    for <<a::1, b::1, c::1, d::1, e::1, f::1, g::1, h::1 <- packed>>,
-        bit <- [h, g, f, e, d, c, b, a],
-        do: bit == 1
-  end
+  defp decode_numbers(4, packed, _as), do: Number.decode_floats(packed, 4)
+  defp decode_numbers(5, packed, _as), do: Number.decode_floats(packed, 8)
 
   defp split_bytes(bytes, n) when n in 0..byte_size(bytes)//1 do
     <<part::binary-pinned_size(n), rest::binary>> = bytes
@@ -218,14 +214,6 @@ defmodule Situ.Bridge.Parquet.Values do
       decode_texts(rest, left - 1, as, [text |> :binary.copy() |> Leaf.convert_bytes(as) | found])
 
   defp decode_texts(_short, _left, _as, _found), do: throw_malformed("a string is truncated")
-
-  defp decode_float(<<x::little-float-64>>), do: x
-  defp decode_float(<<x::little-float-32>>), do: x
-  defp decode_float(<<0::48, 0xF0, 0x7F>>), do: :infinity
-  defp decode_float(<<0::48, 0xF0, 0xFF>>), do: :neg_infinity
-  defp decode_float(<<0, 0, 0x80, 0x7F>>), do: :infinity
-  defp decode_float(<<0, 0, 0x80, 0xFF>>), do: :neg_infinity
-  defp decode_float(_), do: :nan
 
   defp convert_number(n, nil), do: n
   defp convert_number(n, {:times, factor}), do: n * factor

@@ -3,6 +3,7 @@ defmodule Situ.Bridge.Psi.Layout do
   # Reads plain values in the memory layout of .NET: primitives, and structs of primitives with alignment gaps.
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.Bridge.Psi.Bytes
+  alias Situ.Number
 
   @type t ::
           atom()
@@ -140,10 +141,7 @@ defmodule Situ.Bridge.Psi.Layout do
   def read_value(:uint32, <<n::little-32>>), do: n
   def read_value(:int64, <<n::little-signed-64>>), do: n
   def read_value(:uint64, <<n::little-64>>), do: n
-  def read_value(:float32, <<x::little-float-32>>), do: x
-  def read_value(:float32, bytes), do: special_f32(bytes)
-  def read_value(:float64, <<x::little-float-64>>), do: x
-  def read_value(:float64, <<bits::little-64>>), do: special_float(bits, 63, 52)
+  def read_value(kind, bytes) when kind in [:float32, :float64], do: Number.decode_float(bytes)
   def read_value(:datetime, <<n::little-64>>), do: Bytes.parse_time(n)
   def read_value(:timespan, <<n::little-signed-64>>), do: n * 100
 
@@ -170,36 +168,16 @@ defmodule Situ.Bridge.Psi.Layout do
     whole <> "." <> fraction
   end
 
-  defp special_f32(<<bits::little-32>>), do: special_float(bits, 31, 23)
-
-  # IEEE 754 has these values, but Elixir's floats do not.
-  defp special_float(bits, sign, mantissa) do
-    cond do
-      Bitwise.band(bits, Bitwise.bsl(1, mantissa) - 1) != 0 -> :nan
-      Bitwise.bsr(bits, sign) == 1 -> :neg_infinity
-      true -> :infinity
-    end
-  end
-
   @doc "Reads all values in `bytes` and returns them as a list."
   @spec read_all(t(), binary()) :: [term()]
-  def read_all(:float64, bytes),
-    do: complete_floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
-
-  def read_all(:float32, bytes),
-    do: complete_floats(for(<<x::little-float-32 <- bytes>>, do: x), :float32, bytes)
-
+  def read_all(:float64, bytes), do: Number.decode_floats(bytes, 8)
+  def read_all(:float32, bytes), do: Number.decode_floats(bytes, 4)
   def read_all(:int32, bytes), do: for(<<n::little-signed-32 <- bytes>>, do: n)
   def read_all(:int16, bytes), do: for(<<n::little-signed-16 <- bytes>>, do: n)
   def read_all(:uint16, bytes), do: for(<<n::little-16 <- bytes>>, do: n)
-  def read_all(layout, bytes), do: read_each(layout, value_size(layout), bytes)
 
-  # The comprehension skips NaN and infinities. If it skipped any, every value is read separately.
-  defp complete_floats(all, layout, bytes) do
+  def read_all(layout, bytes) do
     size = value_size(layout)
-    if length(all) * size == byte_size(bytes), do: all, else: read_each(layout, size, bytes)
+    for <<value::binary-pinned_size(size) <- bytes>>, do: read_value(layout, value)
   end
-
-  defp read_each(layout, size, bytes),
-    do: for(<<value::binary-pinned_size(size) <- bytes>>, do: read_value(layout, value))
 end

@@ -3,6 +3,7 @@ defmodule Situ.Bridge.Ros.Number do
   # Decodes and encodes numbers of fixed size in either byte order. Float values that Elixir does not have are `:nan`,
   # `:infinity` and `:neg_infinity`.
   import Situ.BinarySize, only: [pinned_size: 1]
+  alias Situ.Number
 
   @sizes %{
     bool: 1,
@@ -37,44 +38,22 @@ defmodule Situ.Bridge.Ros.Number do
   def decode(:uint32, <<n::little-32>>, _), do: n
   def decode(:int64, <<n::little-signed-64>>, _), do: n
   def decode(:uint64, <<n::little-64>>, _), do: n
-  def decode(:float32, <<x::little-float-32>>, _), do: x
-  def decode(:float64, <<x::little-float-64>>, _), do: x
-  def decode(:float32, <<bits::little-32>>, _), do: special_float(bits, 31, 23)
-  def decode(:float64, <<bits::little-64>>, _), do: special_float(bits, 63, 52)
+  def decode(kind, bytes, _) when kind in [:float32, :float64], do: Number.decode_float(bytes)
 
   defp reverse_bytes(bytes),
     do: bytes |> :binary.bin_to_list() |> Enum.reverse() |> :binary.list_to_bin()
-
-  defp special_float(bits, sign, mantissa) do
-    cond do
-      Bitwise.band(bits, Bitwise.bsl(1, mantissa) - 1) != 0 -> :nan
-      Bitwise.bsr(bits, sign) == 1 -> :neg_infinity
-      true -> :infinity
-    end
-  end
 
   @doc "Decodes all numbers in `bytes`. Lists of 8-bit integers are returned as a binary."
   @spec decode_all(kind(), binary(), order()) :: [term()] | binary()
   def decode_all(kind, bytes, _) when kind in [:uint8, :int8], do: :binary.copy(bytes)
 
-  def decode_all(:float64, bytes, :little),
-    do: complete_floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
-
-  def decode_all(:float32, bytes, :little),
-    do: complete_floats(for(<<x::little-float-32 <- bytes>>, do: x), :float32, bytes)
+  def decode_all(kind, bytes, :little) when kind in [:float32, :float64],
+    do: Number.decode_floats(bytes, number_size(kind))
 
   def decode_all(:int32, bytes, :little), do: for(<<n::little-signed-32 <- bytes>>, do: n)
   def decode_all(:uint16, bytes, :little), do: for(<<n::little-16 <- bytes>>, do: n)
-  def decode_all(kind, bytes, order), do: decode_each(kind, bytes, order)
 
-  # The comprehension skips NaN and infinities. If it skipped any, every value is decoded separately.
-  defp complete_floats(all, kind, bytes) do
-    if length(all) * number_size(kind) == byte_size(bytes),
-      do: all,
-      else: decode_each(kind, bytes, :little)
-  end
-
-  defp decode_each(kind, bytes, order) do
+  def decode_all(kind, bytes, order) do
     size = number_size(kind)
     for <<one::binary-pinned_size(size) <- bytes>>, do: decode(kind, one, order)
   end

@@ -1,8 +1,7 @@
 defmodule Situ.Bridge.Ros.XmlRpc do
   @moduledoc false
-  # Speaks XML-RPC (http://xmlrpc.com/spec.md) with ROS's master and nodes. Parsing creates no atoms, resolves only the
-  # five entities of XML, and is bounded by the size of the input. Pure, except for `call/4`.
-  alias Situ.Error
+  # Speaks XML-RPC (http://xmlrpc.com/spec.md) with ROS's master and nodes. Pure, except for `call/4`.
+  alias Situ.{Error, Xml}
 
   @type value ::
           integer()
@@ -13,8 +12,6 @@ defmodule Situ.Bridge.Ros.XmlRpc do
           | %{String.t() => value()}
           | nil
           | {:bytes, binary()}
-
-  @deepest 64
 
   @doc "Encodes the document of a call."
   @spec encode_request(String.t(), [value()]) :: iodata()
@@ -72,8 +69,8 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   """
   @spec read_request(binary()) :: {:ok, String.t(), [value()]} | {:error, String.t()}
   def read_request(document) do
-    with {:ok, {"methodCall", children}} <- parse_document(document),
-         [{"methodName", [method]} | rest] when is_binary(method) <- reject_text(children) do
+    with {:ok, {"methodCall", _, children}} <- parse_document(document),
+         [{"methodName", _, [method]} | rest] when is_binary(method) <- reject_text(children) do
       {:ok, String.trim(method), parse_params(rest)}
     else
       {:error, why} -> {:error, why}
@@ -86,11 +83,11 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   @doc "Parses the document of a response and returns its value. A fault is an error."
   @spec read_response(binary()) :: {:ok, value()} | {:error, String.t()}
   def read_response(document) do
-    with {:ok, {"methodResponse", children}} <- parse_document(document) do
+    with {:ok, {"methodResponse", _, children}} <- parse_document(document) do
       case reject_text(children) do
-        [{"fault", fault} | _] ->
+        [{"fault", _, fault} | _] ->
           {:error,
-           "the server refused: #{inspect(parse_params([{"params", [{"param", fault}]}]), limit: 20)}"}
+           "the server refused: #{inspect(parse_params([{"params", %{}, [{"param", %{}, fault}]}]), limit: 20)}"}
 
         children ->
           single_value(parse_params(children))
@@ -106,8 +103,8 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   defp single_value([value]), do: {:ok, value}
   defp single_value(_), do: {:error, "the response does not have exactly one value"}
 
-  defp parse_params([{"params", params}]) do
-    for {"param", children} <- params do
+  defp parse_params([{"params", _, params}]) do
+    for {"param", _, children} <- params do
       case reject_text(children) do
         [value] -> parse_value(value)
         _ -> fail_parsing("a parameter does not have exactly one value")
@@ -118,10 +115,10 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   defp parse_params([]), do: []
   defp parse_params(_), do: fail_parsing("the document has no params")
 
-  defp parse_value({"value", []}), do: ""
-  defp parse_value({"value", [text]}) when is_binary(text), do: text
+  defp parse_value({"value", _, []}), do: ""
+  defp parse_value({"value", _, [text]}) when is_binary(text), do: text
 
-  defp parse_value({"value", children}) do
+  defp parse_value({"value", _, children}) do
     case Enum.reject(children, &(is_binary(&1) and String.trim(&1) == "")) do
       [typed] -> parse_typed(typed)
       _ -> fail_parsing("a value does not have exactly one element")
@@ -130,46 +127,43 @@ defmodule Situ.Bridge.Ros.XmlRpc do
 
   defp parse_value(_other), do: fail_parsing("an element is not a value")
 
-  defp parse_typed({int, [text]}) when int in ["int", "i4", "i8"] and is_binary(text) do
+  defp parse_typed({int, _, [text]}) when int in ["int", "i4", "i8"] and is_binary(text) do
     case Integer.parse(String.trim(text)) do
       {n, ""} -> n
       _ -> fail_parsing("an integer is invalid")
     end
   end
 
-  defp parse_typed({"double", [text]}) when is_binary(text) do
+  defp parse_typed({"double", _, [text]}) when is_binary(text) do
     case Float.parse(String.trim(text)) do
       {x, ""} -> x
       _ -> fail_parsing("a floating-point number is invalid")
     end
   end
 
-  defp parse_typed({"boolean", [text]}) when is_binary(text), do: String.trim(text) == "1"
-  defp parse_typed({"nil", []}), do: nil
-  defp parse_typed({"string", children}), do: children |> Enum.filter(&is_binary/1) |> Enum.join()
+  defp parse_typed({"boolean", _, [text]}) when is_binary(text), do: String.trim(text) == "1"
+  defp parse_typed({"nil", _, []}), do: nil
+  defp parse_typed({"string", _, _} = string), do: Xml.text_content(string)
 
-  defp parse_typed({"base64", children}) do
-    case children
-         |> Enum.filter(&is_binary/1)
-         |> Enum.join()
-         |> Base.decode64(ignore: :whitespace) do
+  defp parse_typed({"base64", _, _} = base64) do
+    case base64 |> Xml.text_content() |> Base.decode64(ignore: :whitespace) do
       {:ok, bytes} -> {:bytes, bytes}
       :error -> fail_parsing("base64 data is invalid")
     end
   end
 
-  defp parse_typed({"array", children}) do
+  defp parse_typed({"array", _, children}) do
     case reject_text(children) do
-      [{"data", values}] -> Enum.map(reject_text(values), &parse_value/1)
+      [{"data", _, values}] -> Enum.map(reject_text(values), &parse_value/1)
       _ -> fail_parsing("an array has no data")
     end
   end
 
-  defp parse_typed({"struct", members}) do
-    for {"member", children} <- reject_text(members), into: %{} do
+  defp parse_typed({"struct", _, members}) do
+    for {"member", _, children} <- reject_text(members), into: %{} do
       case reject_text(children) do
-        [{"name", name}, value] ->
-          {name |> Enum.filter(&is_binary/1) |> Enum.join(), parse_value(value)}
+        [{"name", _, _} = name, value] ->
+          {Xml.text_content(name), parse_value(value)}
 
         _ ->
           fail_parsing("a member of a struct does not have a name and a value")
@@ -178,72 +172,15 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   end
 
   defp parse_typed(text) when is_binary(text), do: text
-  defp parse_typed({name, _}), do: fail_parsing("a value has the unknown type #{inspect(name)}")
+
+  defp parse_typed({name, _, _}),
+    do: fail_parsing("a value has the unknown type #{inspect(name)}")
 
   defp reject_text(children), do: Enum.reject(children, &is_binary/1)
   defp fail_parsing(why), do: throw({:not_xml_rpc, why})
 
-  # Parses elements as `{name, children}`. The declaration and comments are skipped.
-
-  defp parse_document(document) do
-    text = Regex.replace(~r/<\?.*?\?>|<!--.*?-->/s, document, "")
-
-    case text |> String.trim() |> parse_element(0) do
-      {element, rest} ->
-        if String.trim(rest) == "",
-          do: {:ok, element},
-          else: {:error, "the document has text after its last element"}
-    end
-  catch
-    {:not_xml_rpc, why} -> {:error, why}
-  end
-
-  @open ~r/\A<([A-Za-z0-9]{1,40})\s*(\/?)>/
-
-  defp parse_element(_text, depth) when depth > @deepest,
-    do: fail_parsing("the document is nested too deeply")
-
-  defp parse_element(text, depth) do
-    case Regex.run(@open, text, return: :index) do
-      [{0, n}, {at, length}, {_, closed}] ->
-        name = binary_part(text, at, length)
-        rest = binary_part(text, n, byte_size(text) - n)
-        if closed == 1, do: {{name, []}, rest}, else: parse_children(rest, name, depth, [])
-
-      _ ->
-        fail_parsing("the document is not valid XML-RPC")
-    end
-  end
-
-  defp parse_children(text, name, depth, found) do
-    case :binary.split(text, "<") do
-      ["", <<"/", _::binary>>] -> {{name, Enum.reverse(found)}, skip_closing_tag(text, name)}
-      ["", _] -> text |> parse_element(depth + 1) |> add_child(name, depth, found)
-      [words, rest] -> parse_children("<" <> rest, name, depth, add_text(words, found))
-      [_] -> fail_parsing("the document is cut short")
-    end
-  end
-
-  defp add_child({child, rest}, name, depth, found),
-    do: parse_children(rest, name, depth, [child | found])
-
-  # Between the elements of a structure there is only whitespace.
-  defp add_text(words, found) do
-    if found != [] and String.trim(words) == "", do: found, else: [unescape(words) | found]
-  end
-
-  defp skip_closing_tag(text, name) do
-    case Regex.run(~r/\A<\/([A-Za-z0-9]+)\s*>/, text) do
-      [all, ^name] -> binary_part(text, byte_size(all), byte_size(text) - byte_size(all))
-      _ -> fail_parsing("the element #{name} is not closed")
-    end
-  end
-
-  defp unescape(text) do
-    Regex.replace(~r/&(amp|lt|gt|quot|apos);/, text, fn _, name ->
-      %{"amp" => "&", "lt" => "<", "gt" => ">", "quot" => "\"", "apos" => "'"}[name]
-    end)
-  end
+  # Some servers send a line break before the XML declaration.
+  defp parse_document(document), do: document |> String.trim() |> Xml.parse()
 
   @doc "Calls a method of a server and returns its value. Errors: `:ros_unreachable`, `:ros_refused`."
   @spec call(String.t(), String.t(), [value()], timeout :: pos_integer()) ::

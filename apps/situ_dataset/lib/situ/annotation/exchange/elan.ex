@@ -8,7 +8,8 @@ defmodule Situ.Annotation.Exchange.Elan do
   Annotations that refer to others (`REF_ANNOTATION`) get the times of the annotation that they refer to.
   """
   @behaviour Situ.Annotation.Exchange
-  alias Situ.Annotation.Exchange.{LabelRows, Xml}
+  alias Situ.Annotation.Exchange.LabelRows
+  alias Situ.Xml
   alias Situ.Annotation.{Layer, Schema}
 
   @ms 1_000_000

@@ -2,9 +2,8 @@ defmodule Situ.Space.GeometryFile.Collada do
   @moduledoc false
   # Parses Collada 1.4 and 1.5 by Khronos (`.dae`): every triangle of the scene, transformed by its node, in metres,
   # without materials, skins and animations.
-  alias Situ.{Error, Mesh}
+  alias Situ.{Error, Mesh, Xml}
   alias Situ.Space.GeometryFile.{NumberParser, AffineTransform}
-  alias Situ.Space.Xml
 
   @most 50_000_000
   @most_bytes 100_000_000
@@ -21,7 +20,7 @@ defmodule Situ.Space.GeometryFile.Collada do
     do: file_error("it has more than #{div(@most_bytes, 1_000_000)} MB of text; save it as .glb")
 
   def parse_file(bytes, opts) do
-    case Xml.parse_tree(bytes, texts: true) do
+    case Xml.parse(bytes) do
       {:ok, {"COLLADA", _, _} = root} -> build_mesh(root, opts)
       {:ok, _} -> file_error("its root element is not COLLADA")
       {:error, why} -> file_error(why)
@@ -43,7 +42,7 @@ defmodule Situ.Space.GeometryFile.Collada do
     }
 
     shapes =
-      for node <- list_children(find_scene!(root, known), "node"),
+      for node <- Xml.list_children(find_scene!(root, known), "node"),
           shape <- collect_meshes(node, base_transform(root, opts), known, 0),
           do: shape
 
@@ -67,8 +66,8 @@ defmodule Situ.Space.GeometryFile.Collada do
 
   # Maps the ids in a library to their items. Nodes nested in other nodes are not included.
   defp library_items(root, name, kind) do
-    for part <- list_children(root, name),
-        {_, given, _} = item <- list_children(part, kind),
+    for part <- Xml.list_children(root, name),
+        {_, given, _} = item <- Xml.list_children(part, kind),
         id = given["id"],
         into: %{},
         do: {id, item}
@@ -77,8 +76,8 @@ defmodule Situ.Space.GeometryFile.Collada do
   defp find_scene!(root, known) do
     scenes = known["visual_scene"]
 
-    with scene when scene != nil <- find_child(root, "scene"),
-         {_, given, _} <- find_child(scene, "instance_visual_scene"),
+    with scene when scene != nil <- Xml.find_child(root, "scene"),
+         {_, given, _} <- Xml.find_child(scene, "instance_visual_scene"),
          %{} = scenes when map_size(scenes) > 0 <- scenes do
       fetch_by_url!(scenes, given["url"], "scene")
     else
@@ -93,17 +92,17 @@ defmodule Situ.Space.GeometryFile.Collada do
 
   # Converts the file's unit to metres, and its axes to z up.
   defp base_transform(root, opts) do
-    asset = find_child(root, "asset") || {"asset", %{}, []}
+    asset = Xml.find_child(root, "asset") || {"asset", %{}, []}
 
     unit =
-      with {_, %{"meter" => text}, _} <- find_child(asset, "unit"),
+      with {_, %{"meter" => text}, _} <- Xml.find_child(asset, "unit"),
            do: parse_number(text),
            else: (_ -> 1.0)
 
     up =
-      with {_, %{text: text}, _} <- find_child(asset, "up_axis"),
-           do: String.trim(text),
-           else: (_ -> "Y_UP")
+      if axis = Xml.find_child(asset, "up_axis"),
+        do: String.trim(Xml.text_content(axis)),
+        else: "Y_UP"
 
     scaled = AffineTransform.scaling({unit, unit, unit})
 
@@ -137,7 +136,7 @@ defmodule Situ.Space.GeometryFile.Collada do
         known["node"] |> fetch_by_url!(url, "node") |> collect_meshes(matrix, known, depth + 1)
 
       {"instance_geometry", %{"url" => url}, _} ->
-        for mesh <- list_children(fetch_by_url!(known["geometry"], url, "geometry"), "mesh"),
+        for mesh <- Xml.list_children(fetch_by_url!(known["geometry"], url, "geometry"), "mesh"),
             do: {mesh, matrix}
 
       _ ->
@@ -145,17 +144,17 @@ defmodule Situ.Space.GeometryFile.Collada do
     end)
   end
 
-  defp local_transform({"matrix", %{text: text}, _}),
-    do: AffineTransform.from_rows(parse_vector(text, 16))
+  defp local_transform({"matrix", _, _} = matrix),
+    do: AffineTransform.from_rows(parse_vector(matrix, 16))
 
-  defp local_transform({"translate", %{text: text}, _}),
-    do: text |> parse_vector(3) |> List.to_tuple() |> AffineTransform.translation()
+  defp local_transform({"translate", _, _} = translate),
+    do: translate |> parse_vector(3) |> List.to_tuple() |> AffineTransform.translation()
 
-  defp local_transform({"scale", %{text: text}, _}),
-    do: text |> parse_vector(3) |> List.to_tuple() |> AffineTransform.scaling()
+  defp local_transform({"scale", _, _} = scale),
+    do: scale |> parse_vector(3) |> List.to_tuple() |> AffineTransform.scaling()
 
-  defp local_transform({"rotate", %{text: text}, _}) do
-    [x, y, z, degrees] = parse_vector(text, 4)
+  defp local_transform({"rotate", _, _} = rotate) do
+    [x, y, z, degrees] = parse_vector(rotate, 4)
     AffineTransform.rotation_around({x, y, z}, degrees)
   end
 
@@ -164,14 +163,14 @@ defmodule Situ.Space.GeometryFile.Collada do
   # Returns the positions of each list of vertices in a mesh, with the triangles between them.
   defp mesh_surfaces({"mesh", _, parts} = mesh) do
     sources =
-      for {_, %{"id" => id}, _} = source <- list_children(mesh, "source"),
+      for {_, %{"id" => id}, _} = source <- Xml.list_children(mesh, "source"),
           into: %{},
           do: {id, source}
 
     for {"vertices", %{"id" => id}, _} = vertices <- parts do
       input =
         Enum.find(
-          list_children(vertices, "input"),
+          Xml.list_children(vertices, "input"),
           &match?({_, %{"semantic" => "POSITION"}, _}, &1)
         )
 
@@ -183,19 +182,19 @@ defmodule Situ.Space.GeometryFile.Collada do
   end
 
   defp source_positions(source) do
-    {_, %{text: text}, _} =
-      find_child(source, "float_array") || reject_file!("its positions are not numbers")
+    positions =
+      Xml.find_child(source, "float_array") || reject_file!("its positions are not numbers")
 
     accessor =
-      with {_, _, _} = technique <- find_child(source, "technique_common"),
-           {_, given, _} <- find_child(technique, "accessor"),
+      with {_, _, _} = technique <- Xml.find_child(source, "technique_common"),
+           {_, given, _} <- Xml.find_child(technique, "accessor"),
            do: given,
            else: (_ -> %{})
 
     stride = parse_integer(accessor["stride"] || "3")
     if stride not in 3..64, do: reject_file!("its positions do not have three numbers each")
 
-    text
+    positions
     |> parse_numbers()
     |> Enum.drop(parse_integer(accessor["offset"] || "0"))
     |> Enum.chunk_every(stride, stride, :discard)
@@ -205,7 +204,7 @@ defmodule Situ.Space.GeometryFile.Collada do
   defp parse_triangles({kind, _, parts} = part, vertices)
        when kind in ["triangles", "polylist", "polygons", "tristrips", "trifans"] do
     inputs =
-      for {_, given, _} <- list_children(part, "input"),
+      for {_, given, _} <- Xml.list_children(part, "input"),
           do: {given["semantic"], given["source"], parse_integer(given["offset"] || "0")}
 
     stride = inputs |> Enum.map(&elem(&1, 2)) |> Enum.max(fn -> 0 end) |> Kernel.+(1)
@@ -213,8 +212,8 @@ defmodule Situ.Space.GeometryFile.Collada do
 
     case Enum.find(inputs, &match?({"VERTEX", ^vertices, _}, &1)) do
       {_, _, offset} ->
-        for {"p", %{text: text}, _} <- parts,
-            t <- split_polygons(kind, vertex_indices(text, stride, offset), part),
+        for {"p", _, _} = indices <- parts,
+            t <- split_polygons(kind, vertex_indices(indices, stride, offset), part),
             do: t
 
       nil ->
@@ -224,10 +223,9 @@ defmodule Situ.Space.GeometryFile.Collada do
 
   defp parse_triangles(_other, _vertices), do: []
 
-  defp vertex_indices(text, stride, offset) do
-    text
-    |> String.split()
-    |> Enum.map(&parse_integer/1)
+  defp vertex_indices(indices, stride, offset) do
+    indices
+    |> parse_integers()
     |> Enum.drop(offset)
     |> Enum.take_every(stride)
   end
@@ -238,15 +236,12 @@ defmodule Situ.Space.GeometryFile.Collada do
   defp split_polygons("tristrips", corners, _), do: Enum.chunk_every(corners, 3, 1, :discard)
 
   defp split_polygons("polylist", corners, part) do
-    {_, %{text: text}, _} =
-      find_child(part, "vcount") ||
+    counts =
+      Xml.find_child(part, "vcount") ||
         reject_file!("a list of polygons does not state their numbers of corners")
 
     {polygons, _rest} =
-      text
-      |> String.split()
-      |> Enum.map(&parse_integer/1)
-      |> Enum.map_reduce(corners, &Enum.split(&2, &1))
+      counts |> parse_integers() |> Enum.map_reduce(corners, &Enum.split(&2, &1))
 
     Enum.flat_map(polygons, &triangle_fan/1)
   end
@@ -271,18 +266,17 @@ defmodule Situ.Space.GeometryFile.Collada do
     end
   end
 
-  defp list_children({_, _, parts}, name), do: for({^name, _, _} = part <- parts, do: part)
-  defp find_child({_, _, parts}, name), do: List.keyfind(parts, name, 0)
-
-  defp parse_vector(text, count) do
-    list = parse_numbers(text)
+  defp parse_vector(element, count) do
+    list = parse_numbers(element)
 
     if length(list) == count,
       do: list,
       else: reject_file!("a node's transform must have #{count} numbers")
   end
 
-  defp parse_numbers(text), do: text |> String.split() |> Enum.map(&parse_number/1)
+  defp parse_numbers(element), do: element |> split_words() |> Enum.map(&parse_number/1)
+  defp parse_integers(element), do: element |> split_words() |> Enum.map(&parse_integer/1)
+  defp split_words(element), do: element |> Xml.text_content() |> String.split()
 
   defp parse_number(text) do
     case NumberParser.parse_float(text) do

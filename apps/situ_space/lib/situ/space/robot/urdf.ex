@@ -17,8 +17,8 @@ defmodule Situ.Space.Robot.Urdf do
   # and slow for scanned ones.
   @behaviour Situ.Store.Reader
 
-  alias Situ.{Error, Mesh, Message, Point3, Pose, Quaternion, Transform, Vector3}
-  alias Situ.Space.{Robot, GeometryFile, FileParser, Xml}
+  alias Situ.{Error, Mesh, Message, Point3, Pose, Quaternion, Transform, Vector3, Xml}
+  alias Situ.Space.{Robot, GeometryFile, FileParser}
   alias Situ.Space.Robot.Primitives
   alias Situ.Space.GeometryFile.NumberParser
   alias Situ.Store.StreamInfo
@@ -45,7 +45,7 @@ defmodule Situ.Space.Robot.Urdf do
   @doc "Parses a robot from text. Without a folder, meshes are not loaded."
   @spec parse(binary(), Path.t() | nil) :: {:ok, Robot.t()} | {:error, Error.t()}
   def parse(xml, folder \\ nil) do
-    case Xml.parse_tree(xml) do
+    case Xml.parse(xml, texts: false) do
       {:ok, {"robot", given, parts}} ->
         {:ok, build_robot(given, parts, folder)}
 
