@@ -105,7 +105,7 @@ defmodule Situ.Link.Server.Sender do
 
   @doc """
   Sends messages for one time slice. Returns whether more is left to send, the quota requires a pause, or nothing is
-  left for now.
+  left for now. In the last case, the session receives a message when more data may be available.
   """
   @spec send_frames(state()) ::
           {:more, state()}
@@ -119,7 +119,7 @@ defmodule Situ.Link.Server.Sender do
   defp send_scheduled(state, bytes, reads) do
     case Schedule.take(state.schedule) do
       :empty ->
-        {:idle, state}
+        {:idle, %{state | reader: RecordingReader.request_notice(state.reader)}}
 
       {id, schedule} ->
         serve_channel(%{state | schedule: schedule}, state.channels[id], bytes, reads)

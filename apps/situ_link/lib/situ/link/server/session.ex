@@ -332,17 +332,10 @@ defmodule Situ.Link.Server.Session do
 
   defp pump_streams(state) do
     case Sender.send_frames(state) do
-      {:more, state} ->
-        {:noreply, schedule_pump(state)}
-
-      {:wait, ns, state} ->
-        {:noreply, pause_sending(state, ns)}
-
-      {:idle, state} ->
-        {:noreply, %{state | reader: RecordingReader.request_notice(state.reader)}}
-
-      {:error, reason, state} ->
-        {:stop, {:shutdown, reason}, state}
+      {:more, state} -> {:noreply, schedule_pump(state)}
+      {:wait, ns, state} -> {:noreply, pause_sending(state, ns)}
+      {:idle, state} -> {:noreply, state}
+      {:error, reason, state} -> {:stop, {:shutdown, reason}, state}
     end
   end
 
