@@ -35,6 +35,7 @@ defmodule Situ.CLI.MixProject do
       {:situ_media, in_umbrella: true},
       {:situ_space, in_umbrella: true},
       {:situ_infer, in_umbrella: true},
+      {:situ_assistant, in_umbrella: true},
       {:situ_bridge, in_umbrella: true},
       {:situ_remote, in_umbrella: true},
       {:situ_studio, in_umbrella: true}

@@ -10,7 +10,7 @@ defmodule Situ.Infer.Speech.Utterance do
       iex> Situ.Infer.Speech.Utterance.normalize_words(said.text)
       ["ten", "of", "clubs"]
   """
-  alias Situ.Intent.Number
+  alias Situ.Infer.Speech.Number
 
   @enforce_keys [:text, :from, :to, :confidence]
   defstruct [:text, :from, :to, :confidence, final?: true, words: [], alternatives: []]

@@ -8,8 +8,8 @@ defmodule Situ.Assistant.Skills do
       iex> Situ.Assistant.Skills.answer_intent(intent, {{2026, 11, 22}, {11, 5, 0}})
       {:timer, 300_000_000_000, "five minutes", "I set a timer for five minutes."}
   """
+  alias Situ.Infer.Speech.Number
   alias Situ.Intent
-  alias Situ.Intent.Number
 
   @grammar """
   #JSGF V1.0;

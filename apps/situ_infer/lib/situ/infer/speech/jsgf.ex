@@ -1,9 +1,9 @@
-defmodule Situ.Intent.Jsgf do
+defmodule Situ.Infer.Speech.Jsgf do
   @moduledoc """
   Parses grammars in the Java Speech Grammar Format (JSGF 1.0, <https://www.w3.org/TR/jsgf/>): rules, alternatives,
   `[optional]`, `(groups)`, `*`, `+`, `"quoted words"`, weights, tags, comments, `<NULL>` and `<VOID>`.
 
-      iex> {:ok, grammar} = Situ.Intent.Jsgf.parse("#JSGF V1.0; grammar g; public <yes> = yes | of course;")
+      iex> {:ok, grammar} = Situ.Infer.Speech.Jsgf.parse("#JSGF V1.0; grammar g; public <yes> = yes | of course;")
       iex> grammar.rules["yes"]
       {:alt, [{:word, "yes"}, {:seq, [{:word, "of"}, {:word, "course"}]}]}
 
@@ -30,6 +30,19 @@ defmodule Situ.Intent.Jsgf do
           public: [String.t()],
           rules: %{String.t() => expansion()}
         }
+
+  @doc "Returns the text of a grammar, given as text or as the path of its file."
+  @spec read_text(String.t() | Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def read_text(text_or_path) do
+    if String.contains?(text_or_path, ["#JSGF", "\n", ";"]) do
+      {:ok, text_or_path}
+    else
+      with {:error, why} <- File.read(text_or_path) do
+        what = "cannot read the grammar: #{:file.format_error(why)}"
+        {:error, Error.new(:no_grammar, what, fix: "check the path #{text_or_path}")}
+      end
+    end
+  end
 
   @doc "Parses the text of a grammar; errors report the line."
   @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}

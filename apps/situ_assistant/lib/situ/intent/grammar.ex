@@ -18,7 +18,7 @@ defmodule Situ.Intent.Grammar do
   ]
 
   @moduledoc """
-  Detects intents with rules: a grammar in JSGF (`Situ.Intent.Jsgf`) with tags.
+  Detects intents with rules: a grammar in JSGF (`Situ.Infer.Speech.Jsgf`) with tags.
 
       #JSGF V1.0; grammar room;
       public <time>  = what time is it {intent=time} | tell me the time {intent=time};
@@ -40,8 +40,8 @@ defmodule Situ.Intent.Grammar do
   @behaviour Situ.Intent.Recognizer
 
   alias Situ.{Error, Intent}
-  alias Situ.Infer.Speech.Utterance
-  alias Situ.Intent.{Jsgf, Matcher}
+  alias Situ.Infer.Speech.{Jsgf, Utterance}
+  alias Situ.Infer.Speech.Jsgf.Matcher
 
   # No spoken sentence is longer.
   @most_words 200
@@ -54,24 +54,9 @@ defmodule Situ.Intent.Grammar do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, text} <- load_text(opts[:grammar]),
+         {:ok, text} <- Jsgf.read_text(opts[:grammar]),
          {:ok, jsgf} <- Jsgf.parse(text),
          do: {:ok, %__MODULE__{jsgf: jsgf, where: opts[:where], min_score: opts[:min_score]}}
-  end
-
-  defp load_text("#JSGF" <> _ = text), do: {:ok, text}
-
-  defp load_text(text) do
-    if String.contains?(text, "\n") or String.contains?(text, ";") do
-      {:ok, text}
-    else
-      with {:error, why} <- File.read(text) do
-        {:error,
-         Error.new(:no_grammar, "cannot read the grammar: #{:file.format_error(why)}",
-           fix: "check the path #{text}"
-         )}
-      end
-    end
   end
 
   @impl true

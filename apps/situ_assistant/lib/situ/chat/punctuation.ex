@@ -1,4 +1,4 @@
-defmodule Situ.Infer.Speech.Punctuation.LanguageModel do
+defmodule Situ.Chat.Punctuation do
   @moduledoc """
   Adds punctuation with a language model. If the model changes the words, its output is discarded and
   `Situ.Infer.Speech.Punctuation.Rules` is used instead. It has the same options and errors as `Situ.Chat`.

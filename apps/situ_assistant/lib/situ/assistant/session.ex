@@ -1,13 +1,20 @@
-defmodule Situ.CLI.Talk.Session do
+defmodule Situ.Assistant.Session do
   @moduledoc """
-  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) that listens to a microphone, a page or a file.
+  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) that listens to a microphone or a file. Its options are:
+
+  | option | meaning |
+  |---|---|
+  | `:input` | the name of a microphone, the path of a file, or a function that opens audio in a pipeline |
+  | `:output` | the name of a speaker, a function that plays a stream of audio, or `nil` |
+  | `:path` | the folder of the recording |
+  | `:assistant` | the options of `Situ.Assistant.attach/2` |
+  | `:watcher` | a process that receives `{:talk, key, data, time, creation_time}` for each event, or `nil` |
 
   Everything is recorded. The recording, `path/Assistant.NNNN`, contains the input audio and the spoken audio, voice
   activity, the recognized text (partial and final), the intents, the replies, and the pipeline's diagnostics.
   """
   use Situ.Pipeline
   alias Situ.Media.{Microphone, Speaker, VideoFile}
-  alias Situ.Studio.Sensor
 
   @format Situ.AudioFormat.pcm(16_000)
 
@@ -40,9 +47,7 @@ defmodule Situ.CLI.Talk.Session do
     store
   end
 
-  defp open_audio(p, "page") do
-    p |> Sensor.open(page: "talk") |> Map.fetch!(:audio) |> Situ.AudioStream.resample(16_000)
-  end
+  defp open_audio(p, open) when is_function(open, 1), do: open.(p)
 
   defp open_audio(p, input) do
     if File.regular?(input),
@@ -52,7 +57,7 @@ defmodule Situ.CLI.Talk.Session do
   end
 
   defp play_speech(_sound, nil), do: :ok
-  defp play_speech(sound, "page"), do: Sensor.Speaker.play(sound, page: "talk")
+  defp play_speech(sound, play) when is_function(play, 1), do: play.(sound)
   defp play_speech(sound, device), do: Speaker.play(sound, device: device, name: "Speaker")
 
   defp require_audio!(nil, input) do
@@ -65,7 +70,6 @@ defmodule Situ.CLI.Talk.Session do
 
   defp to_text(heard), do: Situ.map(heard, & &1.text, type: :string, name: "Text")
 
-  # The watcher receives `{:talk, what, data, time, clock}`.
   defp watch_streams(_assistant, nil), do: :ok
 
   defp watch_streams(assistant, watcher) do

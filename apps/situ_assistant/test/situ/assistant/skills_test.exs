@@ -6,7 +6,8 @@ defmodule Situ.Assistant.SkillsTest do
   doctest Situ.Assistant.Dialogue
 
   alias Situ.Assistant.Skills
-  alias Situ.Intent.{Grammar, Number}
+  alias Situ.Infer.Speech.Number
+  alias Situ.Intent.Grammar
 
   @now {{2026, 11, 22}, {14, 35, 0}}
 

@@ -1,4 +1,4 @@
-defmodule Situ.Infer.LanguageModelsGuideTest do
+defmodule Situ.Assistant.LanguageModelsGuideTest do
   # Runs the guide's Elixir blocks in order; a block that ends in `# => value` must return that value.
   use ExUnit.Case, async: true
   alias Situ.Infer.Test.ChatServer, as: Server

@@ -1,10 +1,10 @@
-defmodule Situ.Intent.Matcher do
+defmodule Situ.Infer.Speech.Jsgf.Matcher do
   @moduledoc false
   # Matches the words of a sentence against a grammar. For each position, it computes the positions where an expansion
   # can end, with the tags up to there. If several derivations reach the same position, the first one counts. Each
   # rule is tried once per position, so the work is bounded by the size of the grammar times the square of the number
   # of words.
-  alias Situ.Intent.{Jsgf, Number}
+  alias Situ.Infer.Speech.{Jsgf, Number}
 
   @type tag :: {text :: String.t(), value :: String.t()}
 

@@ -1,10 +1,10 @@
-defmodule Situ.Intent.Number do
+defmodule Situ.Infer.Speech.Number do
   @moduledoc """
   Parses and formats English numbers from 0 to 999, in words or digits.
 
-      iex> Situ.Intent.Number.parse_prefixes(["twenty", "five", "minutes"])
+      iex> Situ.Infer.Speech.Number.parse_prefixes(["twenty", "five", "minutes"])
       [{2, 25}, {1, 20}]
-      iex> Situ.Intent.Number.to_words(305)
+      iex> Situ.Infer.Speech.Number.to_words(305)
       "three hundred and five"
   """
   @small ~w(zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen
