@@ -39,7 +39,7 @@ defmodule Situ.Chat do
         "How a failed question is reported: as an error of the component (see `on_error`) or as a message on `:failed`."
     ]
   ]
-  @schema @own ++ Situ.Chat.Service.schema()
+  @schema @own ++ Situ.Chat.Model.schema()
 
   @moduledoc """
   Asks a language model, using any local or remote service that implements OpenAI's protocol.
@@ -78,12 +78,12 @@ defmodule Situ.Chat do
     ],
     options: @schema
 
-  alias Situ.Chat.{Answer, ToolLoop, History, Service, Turn}
+  alias Situ.Chat.{Answer, History, Model, ToolLoop, Turn}
   alias Situ.Error
 
   defstruct [
     :opts,
-    :service,
+    :model,
     :memory,
     jobs: [],
     spent: 0,
@@ -101,12 +101,12 @@ defmodule Situ.Chat do
           {:ok, Answer.t()} | {:error, Error.t()}
   def ask(question, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, service} <- build_service(opts),
+         {:ok, model} <- build_model(opts),
          {:ok, turns} <- History.parse_turns(question) do
       {pid, ref} =
         ToolLoop.start(
           self(),
-          service,
+          model,
           system_turns(opts[:system]) ++ turns,
           opts[:tools],
           opts[:rounds]
@@ -131,15 +131,15 @@ defmodule Situ.Chat do
     end
   end
 
-  defp build_service(opts), do: Service.new(Keyword.take(opts, Keyword.keys(Service.schema())))
+  defp build_model(opts), do: Model.new(Keyword.take(opts, Keyword.keys(Model.schema())))
   defp system_turns(nil), do: []
   defp system_turns(text), do: [Turn.system(text)]
 
   @impl true
   def init(opts) do
-    with {:ok, service} <- build_service(opts) do
+    with {:ok, model} <- build_model(opts) do
       places = if opts[:concurrency] == 1, do: opts[:remember], else: 0
-      {:ok, %__MODULE__{opts: Map.new(opts), service: service, memory: History.new(places)}}
+      {:ok, %__MODULE__{opts: Map.new(opts), model: model, memory: History.new(places)}}
     end
   end
 
@@ -197,7 +197,7 @@ defmodule Situ.Chat do
 
   defp start_job(state, job) do
     turns = system_turns(state.opts.system) ++ History.with_history(state.memory, job.turns)
-    {pid, ref} = ToolLoop.start(self(), state.service, turns, state.opts.tools, state.opts.rounds)
+    {pid, ref} = ToolLoop.start(self(), state.model, turns, state.opts.tools, state.opts.rounds)
     replace_job(state, %{job | pid: pid}, ref)
   end
 

@@ -18,6 +18,7 @@ defmodule Situ.Chat.Answer do
   """
   alias Situ.Chat.ToolCall
   alias Situ.Error
+  alias Situ.Infer.Service.Refusal
 
   @most_calls 64
   @most_bytes 4_194_304
@@ -56,7 +57,7 @@ defmodule Situ.Chat.Answer do
   def add_event(piece, json) do
     case decode_event(json) do
       {:ok, %{"error" => error}} when error not in [nil, false] ->
-        {:error, Error.new(:service_failed, "the service failed: #{error_text(error)}")}
+        {:error, Error.new(:service_failed, "the service failed: #{Refusal.error_text(error)}")}
 
       {:ok, %{} = event} ->
         event |> first_choice() |> add_choice(put_usage(piece, event["usage"])) |> check_size()
@@ -79,17 +80,6 @@ defmodule Situ.Chat.Answer do
     ~r/\\u[dD][89abAB][[:xdigit:]]{2}  (?! \\u[dD][c-fC-F] ) |
        (?<! \\u[dD][89abAB][[:xdigit:]]{2} )  \\u[dD][c-fC-F][[:xdigit:]]{2}/x
   end
-
-  @doc "Extracts a service's error text, shortened to 300 characters."
-  @spec error_text(term()) :: String.t()
-  def error_text(%{"message" => message}) when is_binary(message),
-    do: String.slice(message, 0, 300)
-
-  def error_text(%{"detail" => detail}), do: error_text(detail)
-  def error_text(%{"error" => error}), do: error_text(error)
-  def error_text([%{"msg" => message} | _]), do: error_text(message)
-  def error_text(text) when is_binary(text) and text != "", do: String.slice(text, 0, 300)
-  def error_text(_), do: "no reason given"
 
   @doc "Builds the answer after its stream has ended."
   @spec to_answer(piece()) :: t()

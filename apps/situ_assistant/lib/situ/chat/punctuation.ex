@@ -14,8 +14,8 @@ defmodule Situ.Chat.Punctuation do
   @impl true
   @spec load(keyword()) :: {:ok, keyword()} | {:error, Error.t()}
   def load(opts) do
-    with {:ok, opts} <- Situ.Options.validate(opts, Chat.Service.schema()),
-         {:ok, _} <- Chat.Service.new(opts),
+    with {:ok, opts} <- Situ.Options.validate(opts, Chat.Model.schema()),
+         {:ok, _} <- Chat.Model.new(opts),
          do: {:ok, [{:system, @system} | opts]}
   end
 

@@ -2,26 +2,26 @@ defmodule Situ.Chat.ToolLoop do
   @moduledoc false
   # Asks one question, runs the requested tools, and asks again with their results until the model has answered. Runs in
   # its own process, which the caller may kill.
-  alias Situ.Chat.{Answer, Service, Tool, Turn}
+  alias Situ.Chat.{Answer, Model, Tool, Turn}
   alias Situ.Error
 
   @type event :: {:text, String.t()} | {:call, Situ.Chat.ToolCall.t()}
 
   @doc "Returns the answer, with the text and the token counts of all rounds."
-  @spec run(Service.t(), [Turn.t()], [Tool.t()], pos_integer(), (event() -> any())) ::
+  @spec run(Model.t(), [Turn.t()], [Tool.t()], pos_integer(), (event() -> any())) ::
           {:ok, Answer.t()} | {:error, Error.t()}
-  def run(service, turns, tools, rounds, tell),
-    do: run_rounds(service, turns, tools, rounds, tell, %{text: "", read: 0, written: 0})
+  def run(model, turns, tools, rounds, tell),
+    do: run_rounds(model, turns, tools, rounds, tell, %{text: "", read: 0, written: 0})
 
-  defp run_rounds(_service, _turns, _tools, 0, _tell, _so_far) do
+  defp run_rounds(_model, _turns, _tools, 0, _tell, _so_far) do
     {:error,
      Error.new(:too_many_calls, "the model kept calling tools and gave no final answer",
        fix: "raise rounds:, or explain in system: when to use the tools"
      )}
   end
 
-  defp run_rounds(service, turns, tools, rounds, tell, so_far) do
-    with {:ok, answer} <- Service.ask(service, turns, tools, &tell.({:text, &1})) do
+  defp run_rounds(model, turns, tools, rounds, tell, so_far) do
+    with {:ok, answer} <- Model.ask(model, turns, tools, &tell.({:text, &1})) do
       so_far = %{
         text: so_far.text <> answer.text,
         read: so_far.read + answer.tokens.read,
@@ -33,7 +33,7 @@ defmodule Situ.Chat.ToolLoop do
       if answer.calls != [] and Enum.all?(answer.calls, &runnable?(tools, &1)) do
         results = for call <- answer.calls, do: Turn.tool(call.id, Tool.run_call(tools, call))
         turns = turns ++ [Turn.assistant(answer.text, answer.calls) | results]
-        run_rounds(service, turns, tools, rounds - 1, tell, so_far)
+        run_rounds(model, turns, tools, rounds - 1, tell, so_far)
       else
         tokens = Map.take(so_far, [:read, :written])
         {:ok, %{answer | text: so_far.text, tokens: tokens}}
@@ -53,15 +53,15 @@ defmodule Situ.Chat.ToolLoop do
   Starts `run/5` in a separate process, which ends with `owner`. `owner` receives `{:situ_chat, ref, event}` messages,
   and finally `{:situ_chat, ref, {:done, result}}`.
   """
-  @spec start(pid(), Service.t(), [Turn.t()], [Tool.t()], pos_integer()) :: {pid(), reference()}
-  def start(owner, service, turns, tools, rounds) do
+  @spec start(pid(), Model.t(), [Turn.t()], [Tool.t()], pos_integer()) :: {pid(), reference()}
+  def start(owner, model, turns, tools, rounds) do
     ref = make_ref()
 
     pid =
       spawn(fn ->
         kill_with_owner(owner, self())
         tell = &send(owner, {:situ_chat, ref, &1})
-        tell.({:done, run_guarded(fn -> run(service, turns, tools, rounds, tell) end)})
+        tell.({:done, run_guarded(fn -> run(model, turns, tools, rounds, tell) end)})
       end)
 
     {pid, ref}

@@ -7,7 +7,7 @@ defmodule Situ.Intent.LanguageModel do
         "The possible intents: each is a `Situ.Chat.Tool` without a function, whose arguments are the entities."
     ]
   ]
-  @schema @own ++ Situ.Chat.Service.schema()
+  @schema @own ++ Situ.Chat.Model.schema()
 
   @moduledoc """
   Detects intents with a language model: each intent is described as a tool, and the model calls the matching tool.
@@ -32,10 +32,10 @@ defmodule Situ.Intent.LanguageModel do
   @spec load(keyword()) :: {:ok, keyword()} | {:error, Error.t()}
   def load(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {intents, service} = Keyword.pop!(opts, :intents),
-         {:ok, _} <- Chat.Service.new(service) do
+         {intents, model_opts} = Keyword.pop!(opts, :intents),
+         {:ok, _} <- Chat.Model.new(model_opts) do
       tools = for intent <- intents, do: %{intent | run: nil}
-      {:ok, service ++ [tools: tools, system: @system]}
+      {:ok, model_opts ++ [tools: tools, system: @system]}
     end
   end
 
