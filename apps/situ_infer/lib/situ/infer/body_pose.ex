@@ -54,7 +54,7 @@ defmodule Situ.Infer.BodyPose do
     options: @schema
 
   alias Situ.{Error, Image, Point2, Pose, Skeleton, Tensor}
-  alias Situ.Infer.{Model, Patch}
+  alias Situ.Infer.{Activation, Model, Patch}
 
   @side 256
   # The network returns 39 points: the named 33, the middle of the hips, a point above the head, and four unknown ones.
@@ -183,8 +183,7 @@ defmodule Situ.Infer.BodyPose do
          Enum.all?(List.flatten([rows, around]), &is_number/1) do
       places = for [x, y | _] <- rows, do: Patch.to_picture(patch, {x, y})
 
-      seen =
-        for [_, _, _, seen, _] <- rows, do: 1.0 / (1.0 + :math.exp(-max(min(seen, 80.0), -80.0)))
+      seen = for [_, _, _, logit, _] <- rows, do: Activation.sigmoid(logit)
 
       %{
         points: for({x, y} <- Enum.take(places, length(@joints)), do: Point2.new(x, y)),

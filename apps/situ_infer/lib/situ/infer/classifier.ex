@@ -60,7 +60,7 @@ defmodule Situ.Infer.Classifier do
     options: @schema
 
   alias Situ.{Error, Image, Tensor}
-  alias Situ.Infer.{Labels, Model}
+  alias Situ.Infer.{Activation, Labels, Model}
   alias Situ.Infer.Vision.ImageInput
 
   defstruct [:opts, :model, :input, :output, :labels]
@@ -132,19 +132,12 @@ defmodule Situ.Infer.Classifier do
   @spec top_classes(Tensor.t(), tuple(), keyword()) :: [class()]
   def top_classes(%Tensor{} = scores, labels, opts) do
     values = Tensor.to_list(scores)
-    values = if opts[:softmax], do: softmax(values), else: values
+    values = if opts[:softmax], do: Activation.softmax(values), else: values
 
     values
     |> Enum.with_index()
     |> Enum.sort_by(fn {score, index} -> {-score, index} end)
     |> Enum.take(opts[:top])
     |> Enum.map(fn {score, index} -> {Labels.class_name(labels, index), score} end)
-  end
-
-  defp softmax(values) do
-    most = Enum.max(values)
-    powers = Enum.map(values, &:math.exp(&1 - most))
-    sum = Enum.sum(powers)
-    Enum.map(powers, &(&1 / sum))
   end
 end

@@ -40,7 +40,7 @@ defmodule Situ.Infer.FaceLandmarks do
     outputs: [out: {:list, Situ.Infer.FaceMesh}],
     options: @schema
 
-  alias Situ.Infer.{Face, FaceMesh, Model, Patch}
+  alias Situ.Infer.{Activation, Face, FaceMesh, Model, Patch}
 
   @size 192
   @ports [
@@ -106,7 +106,7 @@ defmodule Situ.Infer.FaceLandmarks do
        %FaceMesh{
          id: face.rect.id,
          rect: face.rect,
-         score: 1.0 / (1.0 + :math.exp(-max(min(logit, 80.0), -80.0))),
+         score: Activation.sigmoid(logit),
          points: points.data,
          patch: patch
        }}

@@ -388,12 +388,9 @@ defmodule Situ.Infer.Model do
   defp run_stacked(model, batch) do
     names = Map.keys(model.inputs)
 
-    with :ok <-
-           Enum.find_value(
-             batch,
-             :ok,
-             &if(check_inputs(model, &1) != :ok, do: check_inputs(model, &1))
-           ) do
+    checks = Enum.map(batch, &check_inputs(model, &1))
+
+    with :ok <- Enum.find(checks, :ok, &(&1 != :ok)) do
       sizes = Enum.map(batch, &elem(Map.fetch!(&1, hd(names)).shape, 0))
 
       stacked =

@@ -138,10 +138,9 @@ defmodule Situ.Infer.PersonMask do
 
   defp segment_image(%{opts: opts} = state, %Image{width: w, height: h} = image) do
     {a, e} = {w / @side, h / @side}
-    whole = {a, 0.0, 0.5 * a - 0.5, 0.0, e, 0.5 * e - 0.5}
     least = Tensor.from_list([opts[:min_score] / 1], :f32, {1})
 
-    with {:ok, tensor} <- Patch.cut_affine(image, whole, {@side, @side}, 1 / 255, 0.0),
+    with {:ok, tensor} <- Patch.cut_whole(image, {@side, @side}, 1 / 255, 0.0),
          {:ok, %{"person" => person}} <- Model.run(state.model, %{"input" => tensor}),
          {:ok, read} <- Model.run(state.reader, %{"person" => person, "least" => least}) do
       {rects, masks} = extract_person(read, {a, e}, opts[:min_share])

@@ -175,13 +175,8 @@ defmodule Situ.Infer.Face.Search do
     end)
   end
 
-  defp search_patches(places, look) do
-    Enum.reduce_while(places, {:ok, []}, fn place, {:ok, found} ->
-      case look.(place) do
-        {:ok, faces} -> {:cont, {:ok, found ++ faces}}
-        {:error, _} = error -> {:halt, error}
-      end
-    end)
+  defp search_patches(patches, look) do
+    with {:ok, faces} <- Situ.Error.map_ok(patches, look), do: {:ok, Enum.concat(faces)}
   end
 
   defp large_face?(face, {w, h}), do: max(face.rect.width, face.rect.height) >= max(w, h) * @large

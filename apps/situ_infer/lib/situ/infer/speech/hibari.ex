@@ -123,23 +123,14 @@ defmodule Situ.Infer.Speech.Hibari do
        Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split it into sentences")}
 
   defp speak_sentences(voice, sentences) do
-    sentences
-    |> Enum.flat_map(&split_ids(phoneme_ids(voice, &1)))
-    |> Enum.reduce_while({:ok, []}, fn ids, {:ok, sounds} ->
-      case speak_ids(voice, ids) do
-        {:ok, sound} -> {:cont, {:ok, [sound | sounds]}}
-        error -> {:halt, error}
-      end
-    end)
-    |> join_audio()
+    ids = Enum.flat_map(sentences, &Enum.chunk_every(phoneme_ids(voice, &1), @most_phonemes))
+    with {:ok, sounds} <- Error.map_ok(ids, &speak_ids(voice, &1)), do: join_audio(sounds)
   end
 
   # Unknown symbols are skipped.
   defp phoneme_ids(voice, phonemes) do
     for sign <- String.codepoints(phonemes), id = voice.vocabulary[sign], do: id
   end
-
-  defp split_ids(ids), do: Enum.chunk_every(ids, @most_phonemes)
 
   defp speak_ids(voice, ids) do
     inputs = %{
@@ -148,16 +139,13 @@ defmodule Situ.Infer.Speech.Hibari do
     }
 
     with {:ok, spectrum} <- Model.run(voice.model, inputs),
-         {:ok, floats} <- Vocoder.synthesize_audio(voice.vocoder, spectrum),
-         do: {:ok, floats}
+         do: Vocoder.synthesize_audio(voice.vocoder, spectrum)
   end
 
-  defp join_audio({:error, _} = error), do: error
-
-  defp join_audio({:ok, sounds}) do
+  defp join_audio(sounds) do
     rate = Vocoder.sample_rate()
     pause = :binary.copy(<<0::32>>, round(@pause * rate))
-    data = sounds |> Enum.reverse() |> Enum.intersperse(pause) |> IO.iodata_to_binary()
+    data = sounds |> Enum.intersperse(pause) |> IO.iodata_to_binary()
     AudioBuffer.new(format: %AudioFormat{rate: rate, channels: 1, sample: :f32}, data: data)
   end
 end

@@ -156,18 +156,15 @@ defmodule Situ.Infer.Speech.Moonshine do
     |> Enum.with_index()
     |> Enum.sort_by(fn {{_, _, {_, p}}, _} -> -p end)
     |> Enum.take(moonshine.alternatives)
-    |> Enum.reduce_while({:ok, []}, fn {{_, _, {second, _}}, place}, {:ok, others} ->
-      case generate_tokens(
-             moonshine,
-             state,
-             @begin,
-             false,
-             Enum.take(tokens, place) ++ [second],
-             []
-           ) do
-        {:ok, steps} -> {:cont, {:ok, [steps | others]}}
-        error -> {:halt, error}
-      end
+    |> Error.map_ok(fn {{_, _, {second, _}}, position} ->
+      generate_tokens(
+        moonshine,
+        state,
+        @begin,
+        false,
+        Enum.take(tokens, position) ++ [second],
+        []
+      )
     end)
   end
 
