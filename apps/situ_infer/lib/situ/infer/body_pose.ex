@@ -1,21 +1,12 @@
 defmodule Situ.Infer.BodyPose do
-  @schema [
-    model: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "The ONNX file; `nil` uses the bundled one."
-    ],
-    model_options: [
-      type: :keyword,
-      default: [],
-      doc: "Options for `Situ.Infer.Model.load_shared/2`."
-    ],
-    min_score: [
-      type: {:range, 0.01, 0.99},
-      default: 0.5,
-      doc: "The minimum score for a body."
-    ]
-  ]
+  @schema Situ.Infer.Model.bundled_schema() ++
+            [
+              min_score: [
+                type: {:range, 0.01, 0.99},
+                default: 0.5,
+                doc: "The minimum score for a body."
+              ]
+            ]
 
   @joints ~w(nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear
              mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
@@ -115,8 +106,7 @@ defmodule Situ.Infer.BodyPose do
   end
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   @doc """
   Finds the body in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
@@ -131,10 +121,7 @@ defmodule Situ.Infer.BodyPose do
          do: {:ok, found}
   end
 
-  defp load_model(opts) do
-    path = opts[:model] || Model.bundled_path("body.onnx")
-    Model.load_shared(path, Keyword.merge(opts[:model_options], @ports))
-  end
+  defp load_model(opts), do: Model.load_bundled(opts, "body.onnx", @ports)
 
   # Searches the last region, and otherwise the whole image and then a closer region.
   defp find_with_tracking(%{place: nil} = state, image) do

@@ -1,4 +1,6 @@
 defmodule Situ.Infer.Classifier do
+  alias Situ.Infer.Vision.ImageInput
+
   @own [
     path: [type: :string, required: true, doc: "The ONNX file."],
     labels: [
@@ -21,11 +23,6 @@ defmodule Situ.Infer.Classifier do
       default: nil,
       doc: "The output with the scores; `nil` uses the only output."
     ],
-    side: [
-      type: {:optional, :pos_integer},
-      default: nil,
-      doc: "The side of the input image, if the file does not fix it."
-    ],
     model_options: [
       type: :keyword,
       default: [],
@@ -33,13 +30,7 @@ defmodule Situ.Infer.Classifier do
     ]
   ]
 
-  @imagenet [mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]]
-
-  @schema @own ++
-            for(
-              {key, spec} <- Situ.Infer.Vision.ImageInput.schema(),
-              do: {key, Keyword.put(spec, :default, Keyword.get(@imagenet, key, spec[:default]))}
-            )
+  @schema @own ++ ImageInput.schema(ImageInput.imagenet_options())
 
   @moduledoc """
   Classifies images with any ONNX network that gives a score for each class, such as the networks trained on ImageNet.
@@ -61,7 +52,6 @@ defmodule Situ.Infer.Classifier do
 
   alias Situ.{Error, Image, Tensor}
   alias Situ.Infer.{Activation, Labels, Model}
-  alias Situ.Infer.Vision.ImageInput
 
   defstruct [:opts, :model, :input, :output, :labels]
 
@@ -90,15 +80,13 @@ defmodule Situ.Infer.Classifier do
     do: {[{:out, time, Error.unwrap!(classify_image(state, image))}], state}
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   defp open_model(opts) do
     with {:ok, model} <- Model.load_shared(opts[:path], opts[:model_options]),
          {:ok, labels} <- Labels.load_names(opts[:labels]),
          {:ok, output} <- Labels.choose_output(model, opts[:output]),
-         picture = Keyword.take(opts, Keyword.keys(ImageInput.schema())),
-         {:ok, input} <- ImageInput.new(model, picture, opts[:side]) do
+         {:ok, input} <- ImageInput.new(model, opts) do
       {:ok, %__MODULE__{opts: opts, model: model, input: input, output: output, labels: labels}}
     end
   end

@@ -156,6 +156,33 @@ defmodule Situ.Infer.Model do
     end
   end
 
+  @doc "Returns the schema of the options of `load_bundled/3`, for components that pass them on."
+  @spec bundled_schema() :: Situ.Options.schema()
+  def bundled_schema do
+    [
+      model: [
+        type: {:optional, :string},
+        default: nil,
+        doc: "The ONNX file; `nil` uses the bundled one."
+      ],
+      model_options: [
+        type: :keyword,
+        default: [],
+        doc: "Options for `Situ.Infer.Model.load_shared/2`."
+      ]
+    ]
+  end
+
+  @doc """
+  Loads and shares the model `opts[:model]`, or the bundled file `file`. `opts[:model_options]` are its options, to
+  which `settings` are added.
+  """
+  @spec load_bundled(keyword(), String.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def load_bundled(opts, file, settings) do
+    path = opts[:model] || bundled_path(file)
+    load_shared(path, Keyword.merge(opts[:model_options] || [], settings))
+  end
+
   @doc """
   Runs the model on `%{"input name" => tensor}`, which must contain all inputs.
 
@@ -196,8 +223,10 @@ defmodule Situ.Infer.Model do
     %{runs: runs, mean_ns: mean, last_ns: last, max_ns: :counters.get(c, 4), where: where}
   end
 
-  @doc "Describes the model in one line, for diagnostics."
-  @spec describe_runs(t()) :: String.t()
+  @doc "Describes the model in one line, for diagnostics; `nil` is a model that is not loaded yet."
+  @spec describe_runs(t() | nil) :: String.t()
+  def describe_runs(nil), do: "not started"
+
   def describe_runs(%__MODULE__{} = model) do
     stats = run_stats(model)
 

@@ -1,26 +1,18 @@
 defmodule Situ.Infer.PersonMask do
-  @schema [
-    model: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "The ONNX file; `nil` uses the bundled one."
-    ],
-    model_options: [
-      type: :keyword,
-      default: [],
-      doc: "Options for `Situ.Infer.Model.load_shared/2`."
-    ],
-    min_score: [
-      type: {:range, 0.01, 0.99},
-      default: 0.5,
-      doc: "The minimum score of a pixel that belongs to the person."
-    ],
-    min_share: [
-      type: {:range, 0.0, 1.0},
-      default: 0.01,
-      doc: "The minimum share of the image that a person covers; smaller areas are ignored."
-    ]
-  ]
+  @schema Situ.Infer.Model.bundled_schema() ++
+            [
+              min_score: [
+                type: {:range, 0.01, 0.99},
+                default: 0.5,
+                doc: "The minimum score of a pixel that belongs to the person."
+              ],
+              min_share: [
+                type: {:range, 0.0, 1.0},
+                default: 0.01,
+                doc:
+                  "The minimum share of the image that a person covers; smaller areas are ignored."
+              ]
+            ]
 
   @moduledoc """
   Segments the person in front of the camera (MediaPipe's selfie segmentation).
@@ -84,8 +76,7 @@ defmodule Situ.Infer.PersonMask do
   end
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   @doc """
   Finds the person in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
@@ -99,9 +90,7 @@ defmodule Situ.Infer.PersonMask do
   end
 
   defp load_models(opts) do
-    path = opts[:model] || Model.bundled_path("person.onnx")
-
-    with {:ok, model} <- Model.load_shared(path, Keyword.merge(opts[:model_options], @ports)),
+    with {:ok, model} <- Model.load_bundled(opts, "person.onnx", @ports),
          {:ok, reader} <-
            Model.from_bytes(encode_reader(), "person mask", warm_up: 0, sessions: 1),
          do: {:ok, %__MODULE__{opts: opts, model: model, reader: reader}}
