@@ -197,11 +197,8 @@ defmodule Situ.Assistant.Dialogue do
 
     {name, rest} = Enum.split(words, length(wake))
 
-    if length(name) == length(wake) and
-         name
-         |> Enum.zip(wake)
-         |> Enum.all?(fn {a, b} -> String.jaro_distance(a, b) >= @alike end),
-       do: {:called, Enum.join(rest, " ")},
-       else: :not_called
+    if Utterance.similar_words?(name, wake, @alike),
+      do: {:called, Enum.join(rest, " ")},
+      else: :not_called
   end
 end

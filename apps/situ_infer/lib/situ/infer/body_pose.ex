@@ -1,5 +1,5 @@
 defmodule Situ.Infer.BodyPose do
-  @schema Situ.Infer.Model.bundled_schema() ++
+  @schema Situ.Infer.BundledModel.schema() ++
             [
               min_score: [
                 type: {:range, 0.01, 0.99},
@@ -45,7 +45,7 @@ defmodule Situ.Infer.BodyPose do
     options: @schema
 
   alias Situ.{Error, Image, Point2, Pose, Skeleton, Tensor}
-  alias Situ.Infer.{Activation, Model, Patch}
+  alias Situ.Infer.{Activation, BundledModel, Model, Patch}
 
   @side 256
   # The network returns 39 points: the named 33, the middle of the hips, a point above the head, and four unknown ones.
@@ -121,7 +121,7 @@ defmodule Situ.Infer.BodyPose do
          do: {:ok, found}
   end
 
-  defp load_model(opts), do: Model.load_bundled(opts, "body.onnx", @ports)
+  defp load_model(opts), do: BundledModel.load(opts, "body.onnx", @ports)
 
   # Searches the last region, and otherwise the whole image and then a closer region.
   defp find_with_tracking(%{place: nil} = state, image) do

@@ -1,5 +1,5 @@
 defmodule Situ.Infer.FaceDetector do
-  @schema Situ.Infer.Model.bundled_schema() ++
+  @schema Situ.Infer.BundledModel.schema() ++
             [
               min_score: [
                 type: {:range, 0.01, 0.99},
@@ -49,7 +49,7 @@ defmodule Situ.Infer.FaceDetector do
     options: @schema
 
   alias Situ.Infer.Face.{Blaze, Search}
-  alias Situ.Infer.{Model, Patch, Suppression}
+  alias Situ.Infer.{BundledModel, Model, Patch, Suppression}
 
   # Maps 0..255 to the network's input range, -1..1.
   @scale 1 / 127.5
@@ -95,7 +95,7 @@ defmodule Situ.Infer.FaceDetector do
   end
 
   defp load_model(opts),
-    do: Model.load_bundled(opts, "face_detection_short_range.onnx", Blaze.required_ports())
+    do: BundledModel.load(opts, "face_detection_short_range.onnx", Blaze.required_ports())
 
   defp search_faces(model, image, time, search) do
     Search.search_image(search, {image.width, image.height}, time, fn patch, min_score ->

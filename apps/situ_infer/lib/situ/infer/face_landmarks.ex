@@ -1,5 +1,5 @@
 defmodule Situ.Infer.FaceLandmarks do
-  @schema Situ.Infer.Model.bundled_schema() ++
+  @schema Situ.Infer.BundledModel.schema() ++
             [
               margin: [
                 type: {:range, 1.0, 4.0},
@@ -31,7 +31,7 @@ defmodule Situ.Infer.FaceLandmarks do
     outputs: [out: {:list, Situ.Infer.FaceMesh}],
     options: @schema
 
-  alias Situ.Infer.{Activation, Face, FaceMesh, Model, Patch}
+  alias Situ.Infer.{Activation, BundledModel, Face, FaceMesh, Model, Patch}
 
   @size 192
   @ports [
@@ -60,7 +60,7 @@ defmodule Situ.Infer.FaceLandmarks do
 
   @doc "Loads the network, which all callers share."
   @spec load_network(keyword()) :: {:ok, Model.t()} | {:error, Situ.Error.t()}
-  def load_network(opts), do: Model.load_bundled(opts, "face_landmark.onnx", @ports)
+  def load_network(opts), do: BundledModel.load(opts, "face_landmark.onnx", @ports)
 
   @doc "Finds the points of `faces` in `image`. Returns the errors of `Situ.Infer.Model` and `:bad_image`."
   @spec find_meshes(Model.t(), Situ.Image.t(), [Face.t()], keyword()) ::

@@ -156,33 +156,6 @@ defmodule Situ.Infer.Model do
     end
   end
 
-  @doc "Returns the schema of the options of `load_bundled/3`, for components that pass them on."
-  @spec bundled_schema() :: Situ.Options.schema()
-  def bundled_schema do
-    [
-      model: [
-        type: {:optional, :string},
-        default: nil,
-        doc: "The ONNX file; `nil` uses the bundled one."
-      ],
-      model_options: [
-        type: :keyword,
-        default: [],
-        doc: "Options for `Situ.Infer.Model.load_shared/2`."
-      ]
-    ]
-  end
-
-  @doc """
-  Loads and shares the model `opts[:model]`, or the bundled file `file`. `opts[:model_options]` are its options, to
-  which `settings` are added.
-  """
-  @spec load_bundled(keyword(), String.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
-  def load_bundled(opts, file, settings) do
-    path = opts[:model] || bundled_path(file)
-    load_shared(path, Keyword.merge(opts[:model_options] || [], settings))
-  end
-
   @doc """
   Runs the model on `%{"input name" => tensor}`, which must contain all inputs.
 

@@ -1,5 +1,5 @@
 defmodule Situ.Infer.PersonMask do
-  @schema Situ.Infer.Model.bundled_schema() ++
+  @schema Situ.Infer.BundledModel.schema() ++
             [
               min_score: [
                 type: {:range, 0.01, 0.99},
@@ -46,7 +46,7 @@ defmodule Situ.Infer.PersonMask do
     options: @schema
 
   alias Situ.{Error, Image, Rect, Tensor}
-  alias Situ.Infer.{Model, Onnx, Patch}
+  alias Situ.Infer.{BundledModel, Model, Onnx, Patch}
 
   @side 256
   # Ignores specks: a column or row belongs to the box if at least this share of it belongs to the person.
@@ -90,7 +90,7 @@ defmodule Situ.Infer.PersonMask do
   end
 
   defp load_models(opts) do
-    with {:ok, model} <- Model.load_bundled(opts, "person.onnx", @ports),
+    with {:ok, model} <- BundledModel.load(opts, "person.onnx", @ports),
          {:ok, reader} <-
            Model.from_bytes(encode_reader(), "person mask", warm_up: 0, sessions: 1),
          do: {:ok, %__MODULE__{opts: opts, model: model, reader: reader}}

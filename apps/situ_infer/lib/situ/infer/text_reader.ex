@@ -93,8 +93,8 @@ defmodule Situ.Infer.TextReader do
     picture = %{"x" => {:f32, {nil, 3, nil, nil}}}
 
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, finder} <- model_path(opts[:folder], @finder),
-         {:ok, reader} <- model_path(opts[:folder], @reader),
+         {:ok, finder} <- ModelStore.locate_file(opts[:folder], @name, @finder),
+         {:ok, reader} <- ModelStore.locate_file(opts[:folder], @name, @reader),
          {:ok, signs} <- load_characters(reader),
          {:ok, finder} <- Model.load_shared(finder, [{:inputs, picture} | settings]),
          {:ok, reader} <- Model.load_shared(reader, [{:inputs, picture} | settings]),
@@ -103,9 +103,6 @@ defmodule Situ.Infer.TextReader do
        %__MODULE__{finder: finder, reader: reader, glue: glue, signs: signs, opts: Map.new(opts)}}
     end
   end
-
-  defp model_path(nil, name), do: ModelStore.fetch_path(@name, name)
-  defp model_path(folder, name), do: {:ok, Path.join(folder, name)}
 
   # Sign 0 is the blank; the last sign, which the file does not list, is a space.
   defp load_characters(path) do

@@ -17,7 +17,7 @@ defmodule Situ.Infer.VoiceActivity do
               default: 4.0,
               doc: "`:energy`: how fast the noise floor follows a louder noise."
             ]
-          ] ++ Situ.Infer.Model.bundled_schema() ++ Situ.Infer.VoiceGate.schema()
+          ] ++ Situ.Infer.BundledModel.schema() ++ Situ.Infer.VoiceGate.schema()
 
   @moduledoc """
   Detects whether somebody speaks.

@@ -49,7 +49,7 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   """
   @behaviour Situ.Infer.Speech.Recognizer
   alias Situ.{Error, AudioOps}
-  alias Situ.Infer.Speech.Jsgf
+  alias Situ.Infer.Speech.{Jsgf, Program}
   alias Situ.Infer.Speech.Jsgf.Matcher
   alias Situ.Infer.Speech.PocketSphinx.OutputParser
 
@@ -212,9 +212,7 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   end
 
   defp run_program(program, arguments) do
-    command = ["timeout", "-k", "1", "#{@seconds}", program, "-logfn", "/dev/null" | arguments]
-
-    case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
+    case Program.run([program, "-logfn", "/dev/null" | arguments], @seconds) do
       {heard, 0} ->
         {:ok, heard}
 

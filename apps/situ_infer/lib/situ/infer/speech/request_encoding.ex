@@ -3,6 +3,7 @@ defmodule Situ.Infer.Speech.RequestEncoding do
   # The parts of requests that speech services share: audio as a WAV file in memory, forms, escaped text for SSML, and
   # the reply to a text.
   alias Situ.{AudioBuffer, AudioFormat, AudioOps, Error}
+  alias Situ.Infer.Speech.TextCheck
 
   @rate 16_000
   @longest_text 20_000
@@ -60,7 +61,7 @@ defmodule Situ.Infer.Speech.RequestEncoding do
   def speak_text(text, rate, request) do
     format = AudioFormat.pcm(rate)
 
-    with :ok <- check_text(text),
+    with :ok <- TextCheck.check_text(text, @longest_text),
          {:ok, data} <- request.() do
       # An incomplete sample at the end of the stream is dropped.
       even = byte_size(data) - rem(byte_size(data), 2)
@@ -69,19 +70,6 @@ defmodule Situ.Infer.Speech.RequestEncoding do
       :nothing -> AudioBuffer.new(format: format, data: "")
       error -> error
     end
-  end
-
-  defp check_text(text) do
-    cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad_text("it is not valid text")
-      byte_size(text) > @longest_text -> bad_text("it has more than #{@longest_text} bytes")
-      not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
-      true -> :ok
-    end
-  end
-
-  defp bad_text(why) do
-    {:error, Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split the text")}
   end
 
   @doc "Escapes text for an XML document."

@@ -51,6 +51,19 @@ defmodule Situ.Infer.Speech.Utterance do
   end
 
   @doc """
+  Returns whether two lists have equally many words, and each word resembles its counterpart: the minimum Jaro
+  similarity is `alike`.
+
+      iex> Situ.Infer.Speech.Utterance.similar_words?(["komputer"], ["computer"], 0.88)
+      true
+  """
+  @spec similar_words?([String.t()], [String.t()], number()) :: boolean()
+  def similar_words?(words, others, alike) do
+    length(words) == length(others) and
+      words |> Enum.zip(others) |> Enum.all?(fn {a, b} -> String.jaro_distance(a, b) >= alike end)
+  end
+
+  @doc """
   Returns the word error rate: the number of inserted, deleted or substituted words, divided by the number of words in
   the truth.
 

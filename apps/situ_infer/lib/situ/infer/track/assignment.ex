@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Track.Assignment do
   @moduledoc false
-  # Assigns the detections of an image to tracks. The assignment is greedy, best pair first. With few objects, it differs
-  # from an optimal one only in doubtful cases.
+  # Assigns the detections of an image to tracks. The assignment is greedy, best pair first. With few objects, it
+  # differs from an optimal one only in doubtful cases.
 
   @doc """
   Updates each track that gets a detection with `update`, and returns all tracks and the detections without a track.

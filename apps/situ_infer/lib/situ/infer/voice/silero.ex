@@ -4,7 +4,7 @@ defmodule Situ.Infer.Voice.Silero do
   # the previous chunk; both are kept in this state.
   @behaviour Situ.Infer.Voice.Detector
 
-  alias Situ.Infer.Model
+  alias Situ.Infer.{BundledModel, Model}
   alias Situ.Tensor
 
   @chunk 512
@@ -31,7 +31,7 @@ defmodule Situ.Infer.Voice.Silero do
   def load(opts) do
     settings = [{:example, %{"sr" => unquote(@rate)}} | @ports]
 
-    with {:ok, model} <- Model.load_bundled(opts, "silero_vad.onnx", settings),
+    with {:ok, model} <- BundledModel.load(opts, "silero_vad.onnx", settings),
          do: {:ok, reset(%__MODULE__{model: model})}
   end
 
