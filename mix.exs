@@ -31,6 +31,7 @@ defmodule Situ.Umbrella.MixProject do
           situ_media: :permanent,
           situ_space: :permanent,
           situ_infer: :permanent,
+          situ_assistant: :permanent,
           situ_link: :permanent,
           situ_cluster: :permanent,
           situ_bridge: :permanent,

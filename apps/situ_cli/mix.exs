@@ -13,6 +13,7 @@ defmodule Situ.CLI.MixProject do
         :situ_media,
         :situ_space,
         :situ_infer,
+        :situ_assistant,
         :situ_bridge,
         :situ_link,
         :situ_cluster,

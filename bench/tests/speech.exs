@@ -167,7 +167,7 @@ defmodule Situ.Bench.Speech do
     ]
 
     {:ok, pipeline} =
-      Situ.Pipeline.start(Situ.CLI.Talk.Session, [{:pipeline, [replay: [speed: 1.0]]} | settings])
+      Situ.Pipeline.start(Situ.Assistant.Session, [{:pipeline, [replay: [speed: 1.0]]} | settings])
 
     monitor = Process.monitor(pipeline)
     delays = listen(monitor, nil, [])

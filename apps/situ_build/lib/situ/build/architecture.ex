@@ -21,17 +21,18 @@ defmodule Situ.Build.Architecture do
     situ_media: [:situ, :situ_store, :situ_types],
     situ_space: [:situ, :situ_media, :situ_store, :situ_types],
     situ_infer: [:situ, :situ_media, :situ_types],
+    situ_assistant: [:situ, :situ_infer, :situ_media, :situ_store, :situ_types],
     situ_link: [:situ, :situ_store, :situ_types],
     situ_cluster: [:situ, :situ_link, :situ_store, :situ_types],
     situ_bridge: [:situ, :situ_store, :situ_types],
     situ_live: [:situ_types]
   }
 
-  @below_studio Map.keys(@allowed) -- [:situ_build]
+  @below_studio Map.keys(@allowed) -- [:situ_assistant, :situ_build]
   @allowed Map.merge(@allowed, %{
              situ_studio: @below_studio,
-             situ_cli: [:situ_studio | @below_studio],
-             situ_examples: [:situ_cli, :situ_studio | @below_studio]
+             situ_cli: [:situ_assistant, :situ_studio | @below_studio],
+             situ_examples: [:situ_assistant, :situ_cli, :situ_studio | @below_studio]
            })
 
   @doc """

@@ -2,9 +2,10 @@ defmodule Situ.CLI.Talk do
   @moduledoc "`situ talk`: runs a voice assistant."
   @behaviour Situ.CLI.Verb
 
+  alias Situ.Assistant.Session
   alias Situ.CLI.{Option, Output, Verb}
-  alias Situ.CLI.Talk.Session
   alias Situ.{Error, Pipeline, Studio}
+  alias Situ.Studio.Sensor
 
   @impl true
   def verbs do
@@ -74,11 +75,11 @@ defmodule Situ.CLI.Talk do
   end
 
   defp run_assistant(opts) do
-    for app <- [:situ_infer, :situ_studio], do: {:ok, _} = Application.ensure_all_started(app)
+    for app <- [:situ_assistant, :situ_studio], do: {:ok, _} = Application.ensure_all_started(app)
 
     settings = [
-      input: opts[:input],
-      output: output_device(opts),
+      input: input_source(opts[:input]),
+      output: opts |> output_device() |> output_sink(),
       path: opts[:out],
       assistant: assistant_options(opts),
       watcher: self()
@@ -116,6 +117,19 @@ defmodule Situ.CLI.Talk do
       do: {:error, Error.new(:usage, "a page needs the studio", fix: "omit --no-studio")},
       else: :ok
   end
+
+  # The functions of the studio's page, which the assistant does not know.
+  defp input_source("page") do
+    fn pipeline ->
+      audio = Sensor.open(pipeline, page: "talk").audio
+      Situ.AudioStream.resample(audio, 16_000)
+    end
+  end
+
+  defp input_source(device), do: device
+
+  defp output_sink("page"), do: &Sensor.Speaker.play(&1, page: "talk")
+  defp output_sink(device), do: device
 
   defp default_output("page"), do: "page"
   defp default_output(input), do: if(File.regular?(input), do: nil, else: "pulse:default")

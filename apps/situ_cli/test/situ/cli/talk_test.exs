@@ -6,7 +6,7 @@ defmodule Situ.CLI.TalkTest do
   import Situ.Test.Eventually
 
   alias Situ.Infer.Speech.{Espeak, Moonshine, Utterance}
-  alias Situ.CLI.Talk.Session
+  alias Situ.Assistant.Session
   alias Situ.Media.{Device, FFmpeg, Wav}
   alias Situ.{AudioBuffer, Store}
 

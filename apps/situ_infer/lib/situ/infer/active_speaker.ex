@@ -100,10 +100,7 @@ defmodule Situ.Infer.ActiveSpeaker do
   # six others. Weak spots: pauses of more than 0.3 s within speech count as silence, and two
   # faces that start to move together are told apart by their correlation only.
 
-  # Loudness is compressed before the comparison, because twice the loudness does not mean twice the opening.
-  @compress 0.7
-  # A mouth that moves less than this cannot reach the full score.
-  @clear_movement 0.03
+  @clear_movement Agreement.clear_movement()
   # During speech, the mouth moves at least once in this time.
   @syllable_ns 500_000_000
 
@@ -157,7 +154,7 @@ defmodule Situ.Infer.ActiveSpeaker do
           {[decision()], t()}
   def push(%__MODULE__{} = state, time, mouths, voice) do
     {decided, state} = decide_moments(state, time)
-    {moment, state} = apply_hysteresis(state, Moment.new(time, mouths, voice, @compress))
+    {moment, state} = apply_hysteresis(state, Moment.new(time, mouths, voice))
     moments = [moment | drop_old_moments(state.moments, time, state.opts)]
     state = %{state | moments: moments, undecided: state.undecided ++ [moment]}
     {more, state} = decide_moments(state, time + 1)
@@ -226,7 +223,7 @@ defmodule Situ.Infer.ActiveSpeaker do
 
   defp update_speaker(%{opts: opts} = state, time, seen, until) do
     window = Enum.take_while(seen, &(&1.time >= until - opts.window))
-    {best, score, scores} = Agreement.best_face(window, @clear_movement)
+    {best, score, scores} = Agreement.best_face(window)
     own = Map.get(scores, state.speaker, 0.0)
 
     cond do
@@ -265,7 +262,7 @@ defmodule Situ.Infer.ActiveSpeaker do
     window = Enum.take_while(seen, &(&1.time >= from))
 
     until - from >= @doubt_ns and
-      Agreement.contradicts_voice?(window, id, @clear_movement, opts.doubt)
+      Agreement.contradicts_voice?(window, id, opts.doubt)
   end
 
   # No face scores clearly, so the last speaker, or the only face that started to move with the voice, is chosen. A

@@ -1,21 +1,12 @@
 defmodule Situ.Infer.BodyPose do
-  @schema [
-    model: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "The ONNX file; `nil` uses the bundled one."
-    ],
-    model_options: [
-      type: :keyword,
-      default: [],
-      doc: "Options for `Situ.Infer.Model.load_shared/2`."
-    ],
-    min_score: [
-      type: {:range, 0.01, 0.99},
-      default: 0.5,
-      doc: "The minimum score for a body."
-    ]
-  ]
+  @schema Situ.Infer.BundledModel.schema() ++
+            [
+              min_score: [
+                type: {:range, 0.01, 0.99},
+                default: 0.5,
+                doc: "The minimum score for a body."
+              ]
+            ]
 
   @joints ~w(nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear
              mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
@@ -54,7 +45,7 @@ defmodule Situ.Infer.BodyPose do
     options: @schema
 
   alias Situ.{Error, Image, Point2, Pose, Skeleton, Tensor}
-  alias Situ.Infer.{Model, Patch}
+  alias Situ.Infer.{Activation, BundledModel, Model, Patch}
 
   @side 256
   # The network returns 39 points: the named 33, the middle of the hips, a point above the head, and four unknown ones.
@@ -115,8 +106,7 @@ defmodule Situ.Infer.BodyPose do
   end
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   @doc """
   Finds the body in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
@@ -131,10 +121,7 @@ defmodule Situ.Infer.BodyPose do
          do: {:ok, found}
   end
 
-  defp load_model(opts) do
-    path = opts[:model] || Model.bundled_path("body.onnx")
-    Model.load_shared(path, Keyword.merge(opts[:model_options], @ports))
-  end
+  defp load_model(opts), do: BundledModel.load(opts, "body.onnx", @ports)
 
   # Searches the last region, and otherwise the whole image and then a closer region.
   defp find_with_tracking(%{place: nil} = state, image) do
@@ -183,8 +170,7 @@ defmodule Situ.Infer.BodyPose do
          Enum.all?(List.flatten([rows, around]), &is_number/1) do
       places = for [x, y | _] <- rows, do: Patch.to_picture(patch, {x, y})
 
-      seen =
-        for [_, _, _, seen, _] <- rows, do: 1.0 / (1.0 + :math.exp(-max(min(seen, 80.0), -80.0)))
+      seen = for [_, _, _, logit, _] <- rows, do: Activation.sigmoid(logit)
 
       %{
         points: for({x, y} <- Enum.take(places, length(@joints)), do: Point2.new(x, y)),

@@ -1,4 +1,6 @@
 defmodule Situ.Infer.Classifier do
+  alias Situ.Infer.Vision.ImageInput
+
   @own [
     path: [type: :string, required: true, doc: "The ONNX file."],
     labels: [
@@ -21,11 +23,6 @@ defmodule Situ.Infer.Classifier do
       default: nil,
       doc: "The output with the scores; `nil` uses the only output."
     ],
-    side: [
-      type: {:optional, :pos_integer},
-      default: nil,
-      doc: "The side of the input image, if the file does not fix it."
-    ],
     model_options: [
       type: :keyword,
       default: [],
@@ -33,13 +30,7 @@ defmodule Situ.Infer.Classifier do
     ]
   ]
 
-  @imagenet [mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]]
-
-  @schema @own ++
-            for(
-              {key, spec} <- Situ.Infer.Vision.ImageInput.schema(),
-              do: {key, Keyword.put(spec, :default, Keyword.get(@imagenet, key, spec[:default]))}
-            )
+  @schema @own ++ ImageInput.schema(ImageInput.imagenet_options())
 
   @moduledoc """
   Classifies images with any ONNX network that gives a score for each class, such as the networks trained on ImageNet.
@@ -60,8 +51,7 @@ defmodule Situ.Infer.Classifier do
     options: @schema
 
   alias Situ.{Error, Image, Tensor}
-  alias Situ.Infer.{Labels, Model}
-  alias Situ.Infer.Vision.ImageInput
+  alias Situ.Infer.{Activation, Labels, Model}
 
   defstruct [:opts, :model, :input, :output, :labels]
 
@@ -90,15 +80,13 @@ defmodule Situ.Infer.Classifier do
     do: {[{:out, time, Error.unwrap!(classify_image(state, image))}], state}
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   defp open_model(opts) do
     with {:ok, model} <- Model.load_shared(opts[:path], opts[:model_options]),
          {:ok, labels} <- Labels.load_names(opts[:labels]),
          {:ok, output} <- Labels.choose_output(model, opts[:output]),
-         picture = Keyword.take(opts, Keyword.keys(ImageInput.schema())),
-         {:ok, input} <- ImageInput.new(model, picture, opts[:side]) do
+         {:ok, input} <- ImageInput.new(model, opts) do
       {:ok, %__MODULE__{opts: opts, model: model, input: input, output: output, labels: labels}}
     end
   end
@@ -132,19 +120,12 @@ defmodule Situ.Infer.Classifier do
   @spec top_classes(Tensor.t(), tuple(), keyword()) :: [class()]
   def top_classes(%Tensor{} = scores, labels, opts) do
     values = Tensor.to_list(scores)
-    values = if opts[:softmax], do: softmax(values), else: values
+    values = if opts[:softmax], do: Activation.softmax(values), else: values
 
     values
     |> Enum.with_index()
     |> Enum.sort_by(fn {score, index} -> {-score, index} end)
     |> Enum.take(opts[:top])
     |> Enum.map(fn {score, index} -> {Labels.class_name(labels, index), score} end)
-  end
-
-  defp softmax(values) do
-    most = Enum.max(values)
-    powers = Enum.map(values, &:math.exp(&1 - most))
-    sum = Enum.sum(powers)
-    Enum.map(powers, &(&1 / sum))
   end
 end

@@ -64,10 +64,6 @@ defmodule Situ.Infer.Face do
   @spec check!(term()) :: t()
   def check!(face), do: Error.unwrap!(check(face))
 
-  @doc "Returns the id of the face's track, or `nil` before tracking."
-  @spec track_id(t()) :: term()
-  def track_id(%__MODULE__{rect: rect}), do: rect.id
-
   @doc "Returns the roll of the head in radians; positive is clockwise on the screen."
   @spec roll_angle(t()) :: float()
   def roll_angle(%__MODULE__{eyes: {{rx, ry}, {lx, ly}}}), do: :math.atan2(ly - ry, lx - rx)

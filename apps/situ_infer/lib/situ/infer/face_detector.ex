@@ -1,34 +1,30 @@
 defmodule Situ.Infer.FaceDetector do
-  @schema [
-    model: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "The ONNX file; `nil` uses the bundled one."
-    ],
-    model_options: [
-      type: :keyword,
-      default: [],
-      doc: "Options for `Situ.Infer.Model.load_shared/2`."
-    ],
-    min_score: [type: {:range, 0.01, 0.99}, default: 0.5, doc: "The minimum score of a face."],
-    tile_score: [
-      type: {:range, 0.01, 0.99},
-      default: 0.7,
-      doc: "The minimum score of a face found in a tile; tiles contain more false faces."
-    ],
-    tiles: [
-      type: {:optional, :non_neg_integer},
-      default: nil,
-      doc:
-        "The number of tiles searched for small faces per image, in rotation. `nil` uses the number that " <>
-          "covers everything in 50 images; 0 searches no tiles."
-    ],
-    every: [
-      type: :time_ns,
-      default: 120_000_000,
-      doc: "How often faces at rest are searched for, in ns; 0 searches in every image."
-    ]
-  ]
+  @schema Situ.Infer.BundledModel.schema() ++
+            [
+              min_score: [
+                type: {:range, 0.01, 0.99},
+                default: 0.5,
+                doc: "The minimum score of a face."
+              ],
+              tile_score: [
+                type: {:range, 0.01, 0.99},
+                default: 0.7,
+                doc:
+                  "The minimum score of a face found in a tile; tiles contain more false faces."
+              ],
+              tiles: [
+                type: {:optional, :non_neg_integer},
+                default: nil,
+                doc:
+                  "The number of tiles searched for small faces per image, in rotation. `nil` uses the number that " <>
+                    "covers everything in 50 images; 0 searches no tiles."
+              ],
+              every: [
+                type: :time_ns,
+                default: 120_000_000,
+                doc: "How often faces at rest are searched for, in ns; 0 searches in every image."
+              ]
+            ]
 
   @moduledoc """
   Finds faces in images (BlazeFace short range).
@@ -53,7 +49,7 @@ defmodule Situ.Infer.FaceDetector do
     options: @schema
 
   alias Situ.Infer.Face.{Blaze, Search}
-  alias Situ.Infer.{Model, Patch}
+  alias Situ.Infer.{BundledModel, Model, Patch, Suppression}
 
   # Maps 0..255 to the network's input range, -1..1.
   @scale 1 / 127.5
@@ -65,12 +61,17 @@ defmodule Situ.Infer.FaceDetector do
   def init(opts), do: {:ok, %__MODULE__{opts: opts, search: Search.new(opts)}}
 
   @impl true
-  def handle_start(_context, state), do: {[], %{state | model: load_model!(state.opts)}}
+  def handle_start(_context, state),
+    do: {[], %{state | model: Situ.Error.unwrap!(load_model(state.opts))}}
 
   @impl true
   def handle_message(:in, message, _context, state) do
-    {faces, search} = search_message!(state.model, message, state.search)
-    {[{:out, message.originating_time, faces}], %{state | search: search}}
+    %{data: image, originating_time: time} = message
+
+    case search_faces(state.model, image, time, state.search) do
+      {:ok, faces, search} -> {[{:out, time, faces}], %{state | search: search}}
+      {:error, error} -> raise error
+    end
   end
 
   @impl true
@@ -93,19 +94,8 @@ defmodule Situ.Infer.FaceDetector do
          do: {:ok, faces}
   end
 
-  defp load_model(opts) do
-    path = opts[:model] || Model.bundled_path("face_detection_short_range.onnx")
-    Model.load_shared(path, Keyword.merge(opts[:model_options], Blaze.required_ports()))
-  end
-
-  defp load_model!(opts), do: opts |> load_model() |> Situ.Error.unwrap!()
-
-  defp search_message!(model, message, search) do
-    case search_faces(model, message.data, message.originating_time, search) do
-      {:ok, faces, search} -> {faces, search}
-      {:error, error} -> raise error
-    end
-  end
+  defp load_model(opts),
+    do: BundledModel.load(opts, "face_detection_short_range.onnx", Blaze.required_ports())
 
   defp search_faces(model, image, time, search) do
     Search.search_image(search, {image.width, image.height}, time, fn patch, min_score ->
@@ -114,7 +104,7 @@ defmodule Situ.Infer.FaceDetector do
         {:ok,
          outputs
          |> Blaze.decode_faces(patch, min_score)
-         |> Situ.Infer.Face.Suppression.suppress_overlaps(0.3)}
+         |> Suppression.suppress_faces(0.3)}
       end
     end)
   end

@@ -1,26 +1,17 @@
 defmodule Situ.Infer.FaceLandmarks do
-  @schema [
-    model: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "The ONNX file; `nil` uses the bundled one."
-    ],
-    model_options: [
-      type: :keyword,
-      default: [],
-      doc: "Options for `Situ.Infer.Model.load_shared/2`."
-    ],
-    margin: [
-      type: {:range, 1.0, 4.0},
-      default: 1.5,
-      doc: "The width of the network's input patch, relative to the face."
-    ],
-    min_score: [
-      type: {:range, 0.0, 1.0},
-      default: 0.5,
-      doc: "The minimum score; faces below it are dropped."
-    ]
-  ]
+  @schema Situ.Infer.BundledModel.schema() ++
+            [
+              margin: [
+                type: {:range, 1.0, 4.0},
+                default: 1.5,
+                doc: "The width of the network's input patch, relative to the face."
+              ],
+              min_score: [
+                type: {:range, 0.0, 1.0},
+                default: 0.5,
+                doc: "The minimum score; faces below it are dropped."
+              ]
+            ]
 
   @moduledoc """
   Finds 468 points on every face (MediaPipe's face mesh).
@@ -40,7 +31,7 @@ defmodule Situ.Infer.FaceLandmarks do
     outputs: [out: {:list, Situ.Infer.FaceMesh}],
     options: @schema
 
-  alias Situ.Infer.{Face, FaceMesh, Model, Patch}
+  alias Situ.Infer.{Activation, BundledModel, Face, FaceMesh, Model, Patch}
 
   @size 192
   @ports [
@@ -65,15 +56,11 @@ defmodule Situ.Infer.FaceLandmarks do
   end
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   @doc "Loads the network, which all callers share."
   @spec load_network(keyword()) :: {:ok, Model.t()} | {:error, Situ.Error.t()}
-  def load_network(opts) do
-    path = opts[:model] || Model.bundled_path("face_landmark.onnx")
-    Model.load_shared(path, Keyword.merge(opts[:model_options] || [], @ports))
-  end
+  def load_network(opts), do: BundledModel.load(opts, "face_landmark.onnx", @ports)
 
   @doc "Finds the points of `faces` in `image`. Returns the errors of `Situ.Infer.Model` and `:bad_image`."
   @spec find_meshes(Model.t(), Situ.Image.t(), [Face.t()], keyword()) ::
@@ -106,7 +93,7 @@ defmodule Situ.Infer.FaceLandmarks do
        %FaceMesh{
          id: face.rect.id,
          rect: face.rect,
-         score: 1.0 / (1.0 + :math.exp(-max(min(logit, 80.0), -80.0))),
+         score: Activation.sigmoid(logit),
          points: points.data,
          patch: patch
        }}

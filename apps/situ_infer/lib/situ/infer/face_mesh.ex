@@ -26,7 +26,6 @@ defmodule Situ.Infer.FaceMesh do
   @enforce_keys [:rect, :score, :points, :patch]
   defstruct [:id, :rect, :score, :points, :patch]
 
-  @count 468
   @type t :: %__MODULE__{
           id: term(),
           rect: Situ.Rect.t(),
@@ -34,10 +33,6 @@ defmodule Situ.Infer.FaceMesh do
           points: binary(),
           patch: Patch.t()
         }
-
-  @doc "Returns the number of points."
-  @spec point_count() :: 468
-  def point_count, do: @count
 
   @doc "Returns point `i` (0..467) in image pixels."
   @spec point_at(t(), 0..467) :: Patch.point()

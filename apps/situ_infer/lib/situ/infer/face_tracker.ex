@@ -39,6 +39,7 @@ defmodule Situ.Infer.FaceTracker do
     options: @schema
 
   alias Situ.Infer.Face
+  alias Situ.Infer.Track.Assignment
   alias Situ.Rect
 
   @min_iou 0.2
@@ -74,7 +75,9 @@ defmodule Situ.Infer.FaceTracker do
   @spec update_tracks(t(), Situ.Time.t(), [Face.t()]) :: {[Face.t()], t()}
   def update_tracks(%__MODULE__{} = tracker, time, faces) do
     alive = Enum.filter(tracker.tracks, &(time - &1.seen <= tracker.opts[:max_missing]))
-    {tracks, new} = match_tracks(alive, faces, time)
+
+    {tracks, new} =
+      Assignment.assign_detections(alive, faces, &rank_match/2, &update_track(&1, &2, time))
 
     {born, next_id} =
       new
@@ -88,26 +91,9 @@ defmodule Situ.Infer.FaceTracker do
     {shown, %{tracker | tracks: tracks, next_id: next_id}}
   end
 
-  # The matching is greedy, best pair first. With few faces it differs from an optimal one only in doubtful cases.
-  defp match_tracks(tracks, faces, time) do
-    pairs =
-      for track <- tracks,
-          face <- faces,
-          closeness = match_score(track.face, face),
-          closeness > 0 do
-        {-closeness, track.id, face.rect.x, track, face}
-      end
-
-    {matched, used} =
-      pairs
-      |> Enum.sort_by(fn {c, id, x, _, _} -> {c, id, x} end)
-      |> Enum.reduce({%{}, []}, fn {_, id, _, track, face}, {matched, used} ->
-        if Map.has_key?(matched, id) or face in used,
-          do: {matched, used},
-          else: {Map.put(matched, id, update_track(track, face, time)), [face | used]}
-      end)
-
-    {Enum.map(tracks, &Map.get(matched, &1.id, &1)), faces -- used}
+  defp rank_match(track, face) do
+    score = match_score(track.face, face)
+    if score > 0, do: {-score, track.id, face.rect.x}
   end
 
   defp update_track(track, face, time),

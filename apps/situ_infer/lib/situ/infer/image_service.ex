@@ -5,11 +5,6 @@ defmodule Situ.Infer.ImageService do
       required: true,
       doc: "The endpoint of the resource: `https://NAME.cognitiveservices.azure.com`."
     ],
-    key: [
-      type: {:optional, :string},
-      default: "AZURE_VISION_KEY",
-      doc: "The **name** of the environment variable that contains the key; `nil` sends no key."
-    ],
     features: [
       type: {:list, {:in, [:caption, :tags, :objects, :people, :text]}},
       default: [:tags, :objects],
@@ -17,7 +12,7 @@ defmodule Situ.Infer.ImageService do
     ],
     quality: [type: {:integer, 1, 100}, default: 85, doc: "The quality of the uploaded JPEG."]
   ]
-  @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
+  @schema @own ++ Situ.Infer.Service.schema("AZURE_VISION_KEY")
 
   @moduledoc """
   Describes images with a service that has Azure's interface (Image Analysis 4.0). For services with OpenAI's interface,
@@ -43,7 +38,6 @@ defmodule Situ.Infer.ImageService do
 
   alias Situ.{EncodedImage, Error, Image, ImageOps, Rect}
   alias Situ.Infer.Service
-  alias Situ.Infer.Speech.RequestEncoding
 
   @names %{caption: "caption", tags: "tags", objects: "objects", people: "people", text: "read"}
   @path "/computervision/imageanalysis:analyze?"
@@ -58,9 +52,7 @@ defmodule Situ.Infer.ImageService do
 
   @impl true
   def init(opts) do
-    own = Keyword.take(opts, Keyword.keys(Service.schema()))
-
-    with {:ok, service} <- Service.new(opts[:url], own, "ocp-apim-subscription-key") do
+    with {:ok, service} <- Service.new(opts[:url], opts, "ocp-apim-subscription-key") do
       features = Enum.map_join(opts[:features], ",", &@names[&1])
       query = URI.encode_query("api-version": "2024-02-01", features: features)
       {:ok, %{service: service, path: @path <> query, quality: round(opts[:quality])}}
@@ -73,16 +65,11 @@ defmodule Situ.Infer.ImageService do
 
   defp analyze_image(state, picture) do
     with {:ok, bytes} <- encode_image(picture, state.quality),
-         {:ok, %{body: body}} <-
-           Service.post(
-             state.service,
-             state.path,
-             [{"content-type", "application/octet-stream"}],
-             bytes
-           ) do
+         headers = [{"content-type", "application/octet-stream"}],
+         {:ok, body} <- Service.post(state.service, state.path, headers, bytes) do
       case Situ.JSON.decode(body) do
         {:ok, %{} = json} -> {:ok, parse_result(json)}
-        _ -> {:error, RequestEncoding.bad_answer()}
+        _ -> {:error, Service.bad_answer()}
       end
     end
   end

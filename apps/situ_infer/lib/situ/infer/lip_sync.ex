@@ -13,7 +13,7 @@ defmodule Situ.Infer.LipSync do
   how much higher that peak is than the best shift outside it. Voices from outside the image have no peak, so their
   confidence is low.
   """
-  alias Situ.Infer.ActiveSpeaker.Agreement
+  alias Situ.Infer.ActiveSpeaker.{Agreement, Moment}
   alias Situ.Infer.{Mouth, Voice}
 
   @enforce_keys [:shift, :confidence, :windows]
@@ -35,8 +35,6 @@ defmodule Situ.Infer.LipSync do
   # A long recording is judged by at most this many windows, spread over all of it.
   @most_windows 300
   @min_pictures 8
-  @clear_movement 0.03
-  @compress 0.7
   @voiced 0.5
   # Below these limits an estimate is a guess.
   @confident 0.5
@@ -116,21 +114,13 @@ defmodule Situ.Infer.LipSync do
     ids
     |> Enum.map(fn id ->
       pairs =
-        for {%{^id => mouth}, voice} <- heard, do: {mouth.opening, compressed_loudness(voice)}
+        for {%{^id => mouth}, voice} <- heard,
+            do: {mouth.opening, Moment.compress_loudness(voice.level)}
 
-      if length(pairs) >= @min_pictures, do: score_pairs(pairs), else: 0.0
+      Agreement.score_pairs(pairs, @min_pictures)
     end)
     |> Enum.reduce(0.0, &max/2)
   end
-
-  defp score_pairs(pairs) do
-    {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max()
-    Agreement.pearson_correlation(pairs) * min(1.0, (high - low) / @clear_movement)
-  end
-
-  # Loudness is compressed because twice the loudness does not mean twice the opening.
-  defp compressed_loudness(%{level: level}) when level > 0.0, do: :math.pow(level, @compress)
-  defp compressed_loudness(_voice), do: 0.0
 
   # Returns the voice nearest to a time, or `nil` if there is none within 40 ms.
   defp nearest_voice(voices, time), do: nearest_voice(voices, time, 0, tuple_size(voices))

@@ -196,8 +196,10 @@ defmodule Situ.Infer.Model do
     %{runs: runs, mean_ns: mean, last_ns: last, max_ns: :counters.get(c, 4), where: where}
   end
 
-  @doc "Describes the model in one line, for diagnostics."
-  @spec describe_runs(t()) :: String.t()
+  @doc "Describes the model in one line, for diagnostics; `nil` is a model that is not loaded yet."
+  @spec describe_runs(t() | nil) :: String.t()
+  def describe_runs(nil), do: "not started"
+
   def describe_runs(%__MODULE__{} = model) do
     stats = run_stats(model)
 
@@ -388,12 +390,9 @@ defmodule Situ.Infer.Model do
   defp run_stacked(model, batch) do
     names = Map.keys(model.inputs)
 
-    with :ok <-
-           Enum.find_value(
-             batch,
-             :ok,
-             &if(check_inputs(model, &1) != :ok, do: check_inputs(model, &1))
-           ) do
+    checks = Enum.map(batch, &check_inputs(model, &1))
+
+    with :ok <- Enum.find(checks, :ok, &(&1 != :ok)) do
       sizes = Enum.map(batch, &elem(Map.fetch!(&1, hd(names)).shape, 0))
 
       stacked =

@@ -38,6 +38,12 @@ defmodule Situ.Infer.ModelStore do
     end
   end
 
+  @doc "Returns the path of a model's file in `folder`, or, if that is `nil`, the path of `fetch_path/3`."
+  @spec locate_file(Path.t() | nil, String.t(), String.t()) ::
+          {:ok, Path.t()} | {:error, Error.t()}
+  def locate_file(nil, name, file), do: fetch_path(name, file)
+  def locate_file(folder, _name, file), do: {:ok, Path.join(folder, file)}
+
   defp verify_checksum(path, name) do
     if expected_checksum(path) in [nil, file_checksum(path)] do
       {:ok, path}

@@ -29,11 +29,6 @@ defmodule Situ.Infer.ObjectDetector do
       default: nil,
       doc: "The output with the mask prototypes, for networks that also segment objects (v8-seg)."
     ],
-    side: [
-      type: {:optional, :pos_integer},
-      default: nil,
-      doc: "The side of the input image, if the file does not fix it."
-    ],
     model_options: [
       type: :keyword,
       default: [],
@@ -41,11 +36,7 @@ defmodule Situ.Infer.ObjectDetector do
     ]
   ]
 
-  @schema @own ++
-            for(
-              {key, spec} <- Situ.Infer.Vision.ImageInput.schema(),
-              do: {key, if(key == :fit, do: Keyword.put(spec, :default, :pad), else: spec)}
-            )
+  @schema @own ++ Situ.Infer.Vision.ImageInput.schema(fit: :pad)
 
   @moduledoc """
   Detects objects in images, with a YOLO network in an ONNX file.
@@ -69,8 +60,8 @@ defmodule Situ.Infer.ObjectDetector do
     options: @schema
 
   alias Situ.{Error, Image, Rect}
-  alias Situ.Infer.Detection.{Masks, Suppression, Yolo}
-  alias Situ.Infer.{Labels, Model, Patch}
+  alias Situ.Infer.Detection.{Masks, Yolo}
+  alias Situ.Infer.{Labels, Model, Patch, Suppression}
   alias Situ.Infer.Vision.{HalfToFloat, ImageInput}
 
   defstruct [:opts, :model, :input, :output, :halves, :labels, :masks]
@@ -98,19 +89,16 @@ defmodule Situ.Infer.ObjectDetector do
   end
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   defp open_model(opts) do
-    picture = opts |> Map.take(Keyword.keys(ImageInput.schema())) |> Keyword.new()
-
     with {:ok, model} <- Model.load_shared(opts.path, opts.model_options),
          {:ok, labels} <- Labels.load_names(opts.labels),
          {:ok, output} <- Labels.choose_output(model, opts.output),
          {:ok, masks} <- open_masks(model, opts.masks),
          :ok <- check_output_shape(model, output, opts.version, mask_count(masks)),
          {:ok, halves} <- HalfToFloat.new(model.outputs[output]),
-         {:ok, input} <- ImageInput.new(model, picture, opts.side) do
+         {:ok, input} <- ImageInput.new(model, Keyword.new(opts)) do
       {:ok,
        %__MODULE__{
          opts: opts,
@@ -160,7 +148,7 @@ defmodule Situ.Infer.ObjectDetector do
       boxes =
         found
         |> Yolo.parse_boxes(opts.version, opts.min_score / 1, mask_count(state.masks))
-        |> Suppression.suppress(opts.max_overlap, most: opts.most)
+        |> Suppression.suppress_boxes(opts.max_overlap, opts.most)
 
       rects = Enum.map(boxes, &to_image_rect(&1, patch, image, state.labels))
       with {:ok, masks} <- cut_masks(state, boxes, outputs), do: {:ok, {rects, masks}}

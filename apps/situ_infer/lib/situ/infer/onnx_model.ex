@@ -176,6 +176,5 @@ defmodule Situ.Infer.OnnxModel do
   defp select_output(outputs, name), do: Map.fetch!(outputs, name)
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 end

@@ -85,6 +85,15 @@ defmodule Situ.Infer.Patch do
     end
   end
 
+  @doc "Samples the whole image, stretched to a size, into a tensor `{1, height, width, 3}`."
+  @spec cut_whole(Image.t(), {pos_integer(), pos_integer()}, float(), float()) ::
+          {:ok, Tensor.t()} | {:error, Error.t()}
+  def cut_whole(%Image{width: w, height: h} = image, {width, height} = size, scale, offset) do
+    {kx, ky} = {w / width, h / height}
+    matrix = {kx, 0.0, 0.5 * kx - 0.5, 0.0, ky, 0.5 * ky - 0.5}
+    cut_affine(image, matrix, size, scale, offset)
+  end
+
   defp bad_image(image, {:ok, _}) do
     Error.new(:bad_image, "cannot cut from #{inspect(image)}",
       why: "models take images of an 8-bit format",

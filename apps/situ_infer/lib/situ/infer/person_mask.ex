@@ -1,26 +1,18 @@
 defmodule Situ.Infer.PersonMask do
-  @schema [
-    model: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "The ONNX file; `nil` uses the bundled one."
-    ],
-    model_options: [
-      type: :keyword,
-      default: [],
-      doc: "Options for `Situ.Infer.Model.load_shared/2`."
-    ],
-    min_score: [
-      type: {:range, 0.01, 0.99},
-      default: 0.5,
-      doc: "The minimum score of a pixel that belongs to the person."
-    ],
-    min_share: [
-      type: {:range, 0.0, 1.0},
-      default: 0.01,
-      doc: "The minimum share of the image that a person covers; smaller areas are ignored."
-    ]
-  ]
+  @schema Situ.Infer.BundledModel.schema() ++
+            [
+              min_score: [
+                type: {:range, 0.01, 0.99},
+                default: 0.5,
+                doc: "The minimum score of a pixel that belongs to the person."
+              ],
+              min_share: [
+                type: {:range, 0.0, 1.0},
+                default: 0.01,
+                doc:
+                  "The minimum share of the image that a person covers; smaller areas are ignored."
+              ]
+            ]
 
   @moduledoc """
   Segments the person in front of the camera (MediaPipe's selfie segmentation).
@@ -54,7 +46,7 @@ defmodule Situ.Infer.PersonMask do
     options: @schema
 
   alias Situ.{Error, Image, Rect, Tensor}
-  alias Situ.Infer.{Model, Onnx, Patch}
+  alias Situ.Infer.{BundledModel, Model, Onnx, Patch}
 
   @side 256
   # Ignores specks: a column or row belongs to the box if at least this share of it belongs to the person.
@@ -84,8 +76,7 @@ defmodule Situ.Infer.PersonMask do
   end
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   @doc """
   Finds the person in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
@@ -99,9 +90,7 @@ defmodule Situ.Infer.PersonMask do
   end
 
   defp load_models(opts) do
-    path = opts[:model] || Model.bundled_path("person.onnx")
-
-    with {:ok, model} <- Model.load_shared(path, Keyword.merge(opts[:model_options], @ports)),
+    with {:ok, model} <- BundledModel.load(opts, "person.onnx", @ports),
          {:ok, reader} <-
            Model.from_bytes(encode_reader(), "person mask", warm_up: 0, sessions: 1),
          do: {:ok, %__MODULE__{opts: opts, model: model, reader: reader}}
@@ -138,10 +127,9 @@ defmodule Situ.Infer.PersonMask do
 
   defp segment_image(%{opts: opts} = state, %Image{width: w, height: h} = image) do
     {a, e} = {w / @side, h / @side}
-    whole = {a, 0.0, 0.5 * a - 0.5, 0.0, e, 0.5 * e - 0.5}
     least = Tensor.from_list([opts[:min_score] / 1], :f32, {1})
 
-    with {:ok, tensor} <- Patch.cut_affine(image, whole, {@side, @side}, 1 / 255, 0.0),
+    with {:ok, tensor} <- Patch.cut_whole(image, {@side, @side}, 1 / 255, 0.0),
          {:ok, %{"person" => person}} <- Model.run(state.model, %{"input" => tensor}),
          {:ok, read} <- Model.run(state.reader, %{"person" => person, "least" => least}) do
       {rects, masks} = extract_person(read, {a, e}, opts[:min_share])

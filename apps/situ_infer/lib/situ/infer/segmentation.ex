@@ -1,4 +1,6 @@
 defmodule Situ.Infer.Segmentation do
+  alias Situ.Infer.Vision.ImageInput
+
   @own [
     path: [type: :string, required: true, doc: "The ONNX file."],
     output: [
@@ -7,11 +9,6 @@ defmodule Situ.Infer.Segmentation do
       doc:
         "The output with a score per class and pixel, `{1, classes, height, width}`; `nil` uses the only output."
     ],
-    side: [
-      type: {:optional, :pos_integer},
-      default: nil,
-      doc: "The side of the input image, if the file does not fix it."
-    ],
     model_options: [
       type: :keyword,
       default: [],
@@ -19,13 +16,7 @@ defmodule Situ.Infer.Segmentation do
     ]
   ]
 
-  @imagenet [mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225], fit: :pad]
-
-  @schema @own ++
-            for(
-              {key, spec} <- Situ.Infer.Vision.ImageInput.schema(),
-              do: {key, Keyword.put(spec, :default, Keyword.get(@imagenet, key, spec[:default]))}
-            )
+  @schema @own ++ ImageInput.schema([fit: :pad] ++ ImageInput.imagenet_options())
 
   @moduledoc """
   Classifies each pixel of an image with any network that scores classes for pixels (DeepLab, FCN ...).
@@ -42,7 +33,6 @@ defmodule Situ.Infer.Segmentation do
 
   alias Situ.{Error, Image}
   alias Situ.Infer.{Labels, Model, Onnx}
-  alias Situ.Infer.Vision.ImageInput
 
   defstruct [:opts, :model, :input, :output, :choice]
 
@@ -53,8 +43,7 @@ defmodule Situ.Infer.Segmentation do
   def handle_start(_context, %{opts: opts}) do
     model = Error.unwrap!(Model.load_shared(opts[:path], opts[:model_options]))
     output = Error.unwrap!(Labels.choose_output(model, opts[:output]))
-    picture = Keyword.take(opts, Keyword.keys(ImageInput.schema()))
-    input = Error.unwrap!(ImageInput.new(model, picture, opts[:side]))
+    input = Error.unwrap!(ImageInput.new(model, opts))
     choice = Error.unwrap!(build_argmax(model, output))
     {[], %__MODULE__{opts: opts, model: model, input: input, output: output, choice: choice}}
   end
@@ -74,8 +63,7 @@ defmodule Situ.Infer.Segmentation do
   end
 
   @impl true
-  def describe(%{model: nil}), do: "not started"
-  def describe(%{model: model}), do: Model.describe_runs(model)
+  def describe(state), do: Model.describe_runs(state.model)
 
   defp ok_or_raise!({:error, error}), do: raise(error)
   defp ok_or_raise!(fine), do: fine

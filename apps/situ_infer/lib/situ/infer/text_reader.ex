@@ -93,8 +93,8 @@ defmodule Situ.Infer.TextReader do
     picture = %{"x" => {:f32, {nil, 3, nil, nil}}}
 
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, finder} <- model_path(opts[:folder], @finder),
-         {:ok, reader} <- model_path(opts[:folder], @reader),
+         {:ok, finder} <- ModelStore.locate_file(opts[:folder], @name, @finder),
+         {:ok, reader} <- ModelStore.locate_file(opts[:folder], @name, @reader),
          {:ok, signs} <- load_characters(reader),
          {:ok, finder} <- Model.load_shared(finder, [{:inputs, picture} | settings]),
          {:ok, reader} <- Model.load_shared(reader, [{:inputs, picture} | settings]),
@@ -103,9 +103,6 @@ defmodule Situ.Infer.TextReader do
        %__MODULE__{finder: finder, reader: reader, glue: glue, signs: signs, opts: Map.new(opts)}}
     end
   end
-
-  defp model_path(nil, name), do: ModelStore.fetch_path(@name, name)
-  defp model_path(folder, name), do: {:ok, Path.join(folder, name)}
 
   # Sign 0 is the blank; the last sign, which the file does not list, is a space.
   defp load_characters(path) do
@@ -144,14 +141,17 @@ defmodule Situ.Infer.TextReader do
     # An image without pixels has no scale; sampling it returns the error.
     {width, height} = input_size(max(w, 1), max(h, 1), reader.opts)
     {kx, ky} = {w / width, h / height}
-    matrix = {kx, 0.0, 0.5 * kx - 0.5, 0.0, ky, 0.5 * ky - 0.5}
 
-    with {:ok, pixels} <- Patch.cut_affine(image, matrix, {width, height}, @scale, @offset),
-         {:ok, map} <- run_network(reader, reader.finder, pixels, 0) do
-      map
-      |> TextRegions.find_regions()
-      |> Enum.map(&scale_line(&1, kx, ky))
-      |> read_each_line(reader, image, [])
+    with {:ok, pixels} <- Patch.cut_whole(image, {width, height}, @scale, @offset),
+         {:ok, map} <- run_network(reader, reader.finder, pixels, 0),
+         regions = map |> TextRegions.find_regions() |> Enum.map(&scale_line(&1, kx, ky)),
+         {:ok, lines} <- Error.map_ok(regions, &read_line(&1, reader, image)) do
+      rects =
+        for {region, {text, score}} <- Enum.zip(regions, lines),
+            text != "" and score >= reader.opts.min_score,
+            do: upright_rect(region, text, score)
+
+      {:ok, Enum.sort_by(rects, &{round(&1.y / 10), &1.x})}
     end
   end
 
@@ -188,24 +188,6 @@ defmodule Situ.Infer.TextReader do
         width: w * along,
         height: h * across
     }
-  end
-
-  defp read_each_line([], _reader, _image, found),
-    do: {:ok, Enum.sort_by(found, &{round(&1.y / 10), &1.x})}
-
-  defp read_each_line([place | rest], reader, image, found) do
-    case read_line(place, reader, image) do
-      {:ok, {text, score}} ->
-        found =
-          if text != "" and score >= reader.opts.min_score,
-            do: [upright_rect(place, text, score) | found],
-            else: found
-
-        read_each_line(rest, reader, image, found)
-
-      error ->
-        error
-    end
   end
 
   defp read_line(%{center: {cx, cy}, right: {ux, uy}} = place, reader, image) do

@@ -58,7 +58,7 @@ defmodule Situ.Infer.Tracker do
     outputs: [out: {:list, Situ.Rect}],
     options: @schema
 
-  alias Situ.Infer.Track.Motion
+  alias Situ.Infer.Track.{Assignment, Motion}
   alias Situ.Rect
 
   defstruct [:opts, next_id: 0, tracks: []]
@@ -97,7 +97,13 @@ defmodule Situ.Infer.Tracker do
           time - track.seen <= opts.max_missing,
           do: predict_track(track, time)
 
-    {matched, new} = match_tracks(tracks, Enum.with_index(rects), time, opts)
+    {matched, new} =
+      Assignment.assign_detections(
+        tracks,
+        rects,
+        &rank_match(&1, &2, opts),
+        &update_track(&1, &2, time)
+      )
 
     {born, next_id} =
       new
@@ -124,28 +130,12 @@ defmodule Situ.Infer.Tracker do
   defp expected_rect(%{motion: nil, rect: rect}), do: rect
   defp expected_rect(track), do: Motion.expected_rect(track.motion, track.rect)
 
-  # The matching is greedy, best pair first. The result differs from an optimal assignment only in doubtful cases.
-  defp match_tracks(tracks, rects, time, opts) do
-    pairs =
-      for track <- tracks,
-          place = expected_rect(track),
-          {rect, i} <- rects,
-          opts.labels == :any or rect.label == track.rect.label,
-          overlap = Rect.iou(place, rect),
-          overlap >= opts.min_overlap and overlap > 0,
-          do: {{-overlap, track.id, rect.x, rect.y, i}, track, rect}
+  defp rank_match(track, rect, opts) do
+    overlap = Rect.iou(expected_rect(track), rect)
+    same_label? = opts.labels == :any or rect.label == track.rect.label
 
-    {found, used} =
-      pairs
-      |> Enum.sort_by(&elem(&1, 0))
-      |> Enum.reduce({%{}, MapSet.new()}, fn {{_, id, _, _, i}, track, rect}, {found, used} ->
-        if is_map_key(found, id) or i in used,
-          do: {found, used},
-          else: {Map.put(found, id, update_track(track, rect, time)), MapSet.put(used, i)}
-      end)
-
-    new = for {rect, i} <- rects, i not in used, do: rect
-    {Enum.map(tracks, &Map.get(found, &1.id, &1)), new}
+    if same_label? and overlap >= opts.min_overlap and overlap > 0,
+      do: {-overlap, track.id, rect.x, rect.y}
   end
 
   defp update_track(track, rect, time) do

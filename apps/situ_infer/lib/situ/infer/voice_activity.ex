@@ -4,18 +4,8 @@ defmodule Situ.Infer.VoiceActivity do
               type: {:or, [{:in, [:silero, :energy]}, :module]},
               default: :silero,
               doc:
-                "`:silero` (a network), `:energy` (the level above the noise, without a model), or a " <>
+                "`:silero` (a network, `model:`), `:energy` (the level above the noise, without a model), or a " <>
                   "`Situ.Infer.Voice.Detector`."
-            ],
-            model: [
-              type: {:optional, :string},
-              default: nil,
-              doc: "Silero's ONNX file; `nil` uses the bundled one."
-            ],
-            model_options: [
-              type: :keyword,
-              default: [],
-              doc: "Options for `Situ.Infer.Model.load_shared/2`."
             ],
             above_db: [
               type: :number,
@@ -27,7 +17,7 @@ defmodule Situ.Infer.VoiceActivity do
               default: 4.0,
               doc: "`:energy`: how fast the noise floor follows a louder noise."
             ]
-          ] ++ Situ.Infer.VoiceGate.schema()
+          ] ++ Situ.Infer.BundledModel.schema() ++ Situ.Infer.VoiceGate.schema()
 
   @moduledoc """
   Detects whether somebody speaks.

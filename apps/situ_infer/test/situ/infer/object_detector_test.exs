@@ -2,11 +2,11 @@ defmodule Situ.Infer.ObjectDetectorTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
   doctest Situ.Infer.Detection.Yolo
-  doctest Situ.Infer.Detection.Suppression
+  doctest Situ.Infer.Suppression
 
   alias Situ.{Image, Tensor}
-  alias Situ.Infer.Detection.{Suppression, Yolo}
-  alias Situ.Infer.{ObjectDetector, Test.Networks}
+  alias Situ.Infer.Detection.Yolo
+  alias Situ.Infer.{ObjectDetector, Suppression, Test.Networks}
 
   defp f32(values, shape), do: Tensor.from_list(Enum.map(values, &(&1 / 1)), :f32, shape)
 
@@ -170,7 +170,7 @@ defmodule Situ.Infer.ObjectDetectorTest do
       )
 
     forall boxes <- list(box) do
-      kept = Suppression.suppress(boxes, 0.4)
+      kept = Suppression.suppress_boxes(boxes, 0.4)
 
       clash = fn a, b ->
         a.class == b.class and Suppression.intersection_over_union(a, b) > 0.4
@@ -179,7 +179,7 @@ defmodule Situ.Infer.ObjectDetectorTest do
       pairs =
         for {a, i} <- Enum.with_index(kept), {b, j} <- Enum.with_index(kept), i < j, do: {a, b}
 
-      Enum.sort(Suppression.suppress(Enum.reverse(boxes), 0.4)) == Enum.sort(kept) and
+      Enum.sort(Suppression.suppress_boxes(Enum.reverse(boxes), 0.4)) == Enum.sort(kept) and
         not Enum.any?(pairs, fn {a, b} -> clash.(a, b) end) and
         Enum.all?(boxes -- kept, fn b ->
           Enum.any?(kept, &(clash.(&1, b) and &1.score >= b.score))

@@ -1,5 +1,8 @@
 defmodule Situ.Infer.ServiceTest do
   use ExUnit.Case, async: true
+  doctest Situ.Infer.Http
+  doctest Situ.Infer.Service
+
   alias Situ.Infer.Service
   alias Situ.Infer.Test.ChatServer
 
@@ -14,9 +17,7 @@ defmodule Situ.Infer.ServiceTest do
   test "returns the complete response and sends the request unchanged" do
     service = service(fn _, _ -> ChatServer.answer("text/plain", "this") end)
 
-    assert {:ok, %{status: 200, body: "this", headers: %{"content-type" => "text/plain"}}} =
-             ask(service)
-
+    assert {:ok, "this"} = ask(service)
     assert_receive {:request, 1, %{first: "POST /v1/ask HTTP/1.1", body: "what?"}}
   end
 
@@ -27,7 +28,7 @@ defmodule Situ.Infer.ServiceTest do
       _, _ -> ChatServer.answer("text/plain", "there")
     end
 
-    assert {:ok, %{body: "there"}} = ask(service(script))
+    assert {:ok, "there"} = ask(service(script))
     assert {:error, %{code: :service_failed} = error} = ask(service(script, retries: 0))
     assert Exception.message(error) =~ "busy"
   end
@@ -37,6 +38,19 @@ defmodule Situ.Infer.ServiceTest do
     assert {:error, %{code: :refused} = error} = ask(service)
     assert Exception.message(error) =~ "no such voice"
     refute_received {:request, 2, _}
+  end
+
+  test "understands the error formats of several services" do
+    for body <- [
+          ~s({"message": "full"}),
+          ~s({"detail": [{"msg": "full"}]}),
+          ~s({"error": {"message": "full"}}),
+          "full"
+        ] do
+      head = "HTTP/1.1 400 No\r\nContent-Length: #{byte_size(body)}\r\n\r\n"
+      assert {:error, %{what: what}} = ask(service(fn _, _ -> [head <> body] end))
+      assert what =~ ~r/: full$/
+    end
   end
 
   test "an endless response is cut off" do

@@ -1,6 +1,5 @@
 defmodule Situ.Infer.VoiceTest do
   use ExUnit.Case, async: true
-  doctest Situ.Infer.Voice
 
   alias Situ.{AudioBuffer, AudioFormat, Message}
   alias Situ.Infer.{SimpleVad, VoiceActivity, VoiceGate}

@@ -8,13 +8,22 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
   @tiny 1.0e-9
   @closed 0.3
   @closed_share 0.125
+  # A mouth that moves less than this cannot reach the full score.
+  @clear_movement 0.03
+
+  @doc "Returns the change in opening that is a clear movement."
+  @spec clear_movement() :: float()
+  def clear_movement, do: @clear_movement
 
   @doc "Returns the best-scoring face, its score, and all scores; `{nil, 0.0, %{}}` without faces."
-  @spec best_face([Moment.t()], float()) :: {term(), float(), %{term() => float()}}
-  def best_face([], _clear), do: {nil, 0.0, %{}}
+  @spec best_face([Moment.t()]) :: {term(), float(), %{term() => float()}}
+  def best_face([]), do: {nil, 0.0, %{}}
 
-  def best_face([newest | _] = window, clear) do
-    scores = Map.new(newest.mouths, fn {id, _} -> {id, score_agreement(window, id, clear)} end)
+  def best_face([newest | _] = window) do
+    scores =
+      Map.new(newest.mouths, fn {id, _} ->
+        {id, window |> movement_pairs(id) |> score_pairs(@min_pairs)}
+      end)
 
     # Comparing ids as well makes the result unique when scores are equal.
     case Enum.sort_by(scores, fn {id, score} -> {-score, id} end) do
@@ -23,16 +32,16 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
     end
   end
 
-  @spec score_agreement([Moment.t()], term(), float()) :: float()
-  def score_agreement(window, id, clear) do
-    pairs = for m <- window, mouth = m.mouths[id], do: {mouth.opening, m.loudness}
+  defp movement_pairs(window, id),
+    do: for(m <- window, mouth = m.mouths[id], do: {mouth.opening, m.loudness})
 
-    if length(pairs) < @min_pairs do
-      0.0
-    else
-      {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max()
-      pearson_correlation(pairs) * min(1.0, (high - low) / clear)
-    end
+  @doc "Scores pairs of opening and loudness; fewer than `least` pairs score 0.0."
+  @spec score_pairs([{float(), float()}], pos_integer()) :: float()
+  def score_pairs(pairs, least) when length(pairs) < least, do: 0.0
+
+  def score_pairs(pairs, _least) do
+    {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max()
+    pearson_correlation(pairs) * min(1.0, (high - low) / @clear_movement)
   end
 
   @doc """
@@ -40,9 +49,9 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
   are closed in an eighth of the loud moments. (A low correlation alone proves little, because a mesh measures wide
   openings poorly.)
   """
-  @spec contradicts_voice?([Moment.t()], term(), float(), float()) :: boolean()
-  def contradicts_voice?(window, id, clear, doubt) do
-    pairs = for m <- window, mouth = m.mouths[id], do: {mouth.opening, m.loudness}
+  @spec contradicts_voice?([Moment.t()], term(), float()) :: boolean()
+  def contradicts_voice?(window, id, doubt) do
+    pairs = movement_pairs(window, id)
 
     baseline =
       for(m <- window, mouth = m.mouths[id], do: mouth.baseline) |> Enum.min(fn -> 0.0 end)
@@ -50,7 +59,7 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
     {low, high} = pairs |> Enum.map(&elem(&1, 0)) |> Enum.min_max(fn -> {0.0, 0.0} end)
     low = min(low, baseline)
 
-    high - low > clear and pearson_correlation(pairs) < doubt and
+    high - low > @clear_movement and pearson_correlation(pairs) < doubt and
       closed_share(pairs, low + @closed * (high - low)) >= @closed_share
   end
 
@@ -60,9 +69,8 @@ defmodule Situ.Infer.ActiveSpeaker.Agreement do
     Enum.count(loud, &(&1 < closed)) / length(loud)
   end
 
-  @doc "Computes Pearson's correlation; returns 0.0 if one side is constant."
-  @spec pearson_correlation([{float(), float()}]) :: float()
-  def pearson_correlation(pairs) do
+  # Returns 0.0 if one side is constant.
+  defp pearson_correlation(pairs) do
     n = length(pairs)
     {sx, sy} = Enum.reduce(pairs, {0.0, 0.0}, fn {x, y}, {sx, sy} -> {sx + x, sy + y} end)
     {mx, my} = {sx / n, sy / n}

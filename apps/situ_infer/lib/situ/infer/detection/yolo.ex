@@ -17,6 +17,7 @@ defmodule Situ.Infer.Detection.Yolo do
       [{40.0, 35.0, 20.0, 10.0, 1, 0.72}]
   """
   import Situ.BinarySize, only: [pinned_size: 1]
+  alias Situ.Infer.Activation
   alias Situ.Tensor
 
   @anchors [{1.08, 1.19}, {3.42, 4.41}, {6.63, 11.38}, {9.42, 5.11}, {16.62, 10.52}]
@@ -103,12 +104,12 @@ defmodule Situ.Infer.Detection.Yolo do
         at = &float_at(data, ((anchor * 25 + &1) * 13 + y) * 13 + x),
         [tx, ty, tw, th, to] = Enum.map(0..4, at),
         Enum.all?([tx, ty, tw, th, to], &is_float/1),
-        object = sigmoid(to),
+        object = Activation.sigmoid(to),
         object >= min_score,
         {class, p} = softmax_best(Enum.map(5..24, at)),
         object * p >= min_score do
       {w, h} = {bounded_exp(tw) * aw * @cell, bounded_exp(th) * ah * @cell}
-      {cx, cy} = {(x + sigmoid(tx)) * @cell, (y + sigmoid(ty)) * @cell}
+      {cx, cy} = {(x + Activation.sigmoid(tx)) * @cell, (y + Activation.sigmoid(ty)) * @cell}
       build_box(cx - w / 2, cy - h / 2, w, h, class, object * p)
     end
   end
@@ -151,11 +152,15 @@ defmodule Situ.Infer.Detection.Yolo do
   end
 
   defp softmax_best(values) do
-    values = Enum.map(values, &(&1 || -1.0e30))
-    {most, class} = values |> Enum.with_index() |> Enum.max_by(&elem(&1, 0))
-    {class, 1 / Enum.sum(Enum.map(values, &:math.exp(max(&1 - most, -80.0))))}
+    {p, class} =
+      values
+      |> Enum.map(&(&1 || -1.0e30))
+      |> Activation.softmax()
+      |> Enum.with_index()
+      |> Enum.max_by(&elem(&1, 0))
+
+    {class, p}
   end
 
-  defp sigmoid(x), do: 1 / (1 + :math.exp(min(max(-x, -80.0), 80.0)))
   defp bounded_exp(x), do: :math.exp(min(max(x, -20.0), 20.0))
 end

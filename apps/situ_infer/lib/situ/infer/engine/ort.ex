@@ -6,8 +6,6 @@ defmodule Situ.Infer.Engine.Ort do
   `priv/onnxruntime/libonnxruntime.so` of this app, where `bin/setup` installs it. Without the library, everything that
   needs a model returns `:no_onnxruntime` with the fix. A failed attempt is not remembered, so models work as soon as
   the library is installed.
-
-      {:ok, version} = Situ.Infer.Engine.Ort.library_version()
   """
   # See docs/adr/0060-onnx-runtime-is-loaded-at-run-time.md.
   @behaviour Situ.Infer.Engine
@@ -19,23 +17,6 @@ defmodule Situ.Infer.Engine.Ort do
            [:f16, :bf16, :f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool],
            &{Atom.to_string(&1), &1}
          )
-
-  @doc "Returns the path where the library is expected."
-  @spec library_path() :: Path.t()
-  def library_path do
-    System.get_env("SITU_ONNXRUNTIME") ||
-      Path.join(to_string(:code.priv_dir(:situ_infer)), "onnxruntime/libonnxruntime.so")
-  end
-
-  @doc "Returns whether the library is loaded or can be loaded."
-  @spec available?() :: boolean()
-  def available?, do: ensure_library() == :ok
-
-  @doc "Returns the library's build string."
-  @spec library_version() :: {:ok, String.t()} | {:error, Error.t()}
-  def library_version do
-    with :ok <- ensure_library(), do: {:ok, Native.runtime_version()}
-  end
 
   @impl true
   def load(bytes, opts) do
@@ -85,6 +66,11 @@ defmodule Situ.Infer.Engine.Ort do
       File.regular?(path) -> load_library(path)
       true -> {:error, missing_library(path)}
     end
+  end
+
+  defp library_path do
+    System.get_env("SITU_ONNXRUNTIME") ||
+      Path.join(to_string(:code.priv_dir(:situ_infer)), "onnxruntime/libonnxruntime.so")
   end
 
   defp load_library(path) do

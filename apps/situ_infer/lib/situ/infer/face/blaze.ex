@@ -5,7 +5,7 @@ defmodule Situ.Infer.Face.Blaze do
   # There are two anchors for each cell of a 16x16 grid, and then six for each cell of an 8x8 grid. An anchor is only
   # a centre. For each anchor, the network returns 16 offsets in pixels of its 128-pixel input (centre, size, six key
   # points) and a score before the sigmoid.
-  alias Situ.Infer.{Face, Patch}
+  alias Situ.Infer.{Activation, Face, Patch}
   alias Situ.Tensor
 
   @size 128
@@ -38,7 +38,9 @@ defmodule Situ.Infer.Face.Blaze do
 
     collect_candidates(scores.data, logit, 0, [])
     |> Enum.sort_by(fn {index, score} -> {-score, index} end)
-    |> Enum.map(fn {index, score} -> build_face(boxes.data, index, sigmoid(score), patch) end)
+    |> Enum.map(fn {index, score} ->
+      build_face(boxes.data, index, Activation.sigmoid(score), patch)
+    end)
   end
 
   # Scores that are not finite numbers do not count as faces.
@@ -87,10 +89,6 @@ defmodule Situ.Infer.Face.Blaze do
   end
 
   defp anchor_center(index), do: elem(unquote(Macro.escape(List.to_tuple(@anchors))), index)
-
-  defp sigmoid(x) when x < -80.0, do: 0.0
-  defp sigmoid(x) when x > 80.0, do: 1.0
-  defp sigmoid(x), do: 1.0 / (1.0 + :math.exp(-x))
 
   defp logit(p), do: :math.log(p / (1.0 - p))
 end

@@ -6,8 +6,8 @@ defmodule Situ.Infer.Face.Search do
   # image is searched completely. While the faces rest, they are searched for only occasionally, and the images in
   # between are used for tiles. Pure: the caller passes the function that runs the detector.
   alias Situ.Infer.Face
-  alias Situ.Infer.Face.{Blaze, Suppression}
-  alias Situ.Infer.Patch
+  alias Situ.Infer.Face.Blaze
+  alias Situ.Infer.{Patch, Suppression}
   alias Situ.Rect
 
   # A face of at least this share of the image's longer side is detected well enough in the whole image.
@@ -99,7 +99,7 @@ defmodule Situ.Infer.Face.Search do
          views = Map.new(distant, &{&1, choose_view(&1, search.views)}),
          {:ok, close} <-
            search_patches(distant, &search_close_up(&1, views[&1], search.min_score, look)),
-         known = Suppression.suppress_overlaps(large ++ close ++ small, @same),
+         known = Suppression.suppress_faces(large ++ close ++ small, @same),
          {:ok, new} <- search_tiles(tiles, known, search, look) do
       faces = merge_faces(known, new)
       resting? = new == [] and faces_still?(search.faces, faces)
@@ -115,8 +115,8 @@ defmodule Situ.Infer.Face.Search do
 
   # Returns the faces that need a close-up: faces of the previous image that are not among the large ones, and new ones.
   defp close_up_faces(before, large, small) do
-    lost = Enum.filter(before, &Suppression.no_overlap?(&1, large, @same))
-    lost ++ Enum.filter(small, &Suppression.no_overlap?(&1, lost, @same))
+    lost = Enum.reject(before, &known_face?(&1, large))
+    lost ++ Enum.reject(small, &known_face?(&1, lost))
   end
 
   defp search_tiles(tiles, known, search, look) do
@@ -130,14 +130,14 @@ defmodule Situ.Infer.Face.Search do
   defp merge_faces(known, []), do: known
 
   defp merge_faces(known, new),
-    do: (known ++ new) |> Enum.sort_by(&(-&1.rect.score)) |> Suppression.suppress_overlaps(@same)
+    do: (known ++ new) |> Enum.sort_by(&(-&1.rect.score)) |> Suppression.suppress_faces(@same)
 
   # A tile can cut an object so that it resembles a face, so a face found in a tile must also be found in a close-up.
   defp confirm_tile_faces(tiled, known, min_score, look) do
     tiled
-    |> Enum.filter(&Suppression.no_overlap?(&1, known, @same))
+    |> Enum.reject(&known_face?(&1, known))
     |> Enum.sort_by(&(-&1.rect.score))
-    |> Suppression.suppress_overlaps(@same)
+    |> Suppression.suppress_faces(@same)
     |> search_patches(&search_close_up(&1, choose_view(&1, []), min_score, look))
   end
 
@@ -159,7 +159,7 @@ defmodule Situ.Infer.Face.Search do
     corner = {x - side / 2, y - side / 2}
 
     with {:ok, found} <- look.(Patch.from_square(corner, side, Blaze.input_size()), min_score) do
-      {:ok, found |> Enum.reject(&Suppression.no_overlap?(&1, [face], @same)) |> Enum.take(1)}
+      {:ok, found |> Enum.filter(&Suppression.same_face?(&1, face, @same)) |> Enum.take(1)}
     end
   end
 
@@ -175,14 +175,11 @@ defmodule Situ.Infer.Face.Search do
     end)
   end
 
-  defp search_patches(places, look) do
-    Enum.reduce_while(places, {:ok, []}, fn place, {:ok, found} ->
-      case look.(place) do
-        {:ok, faces} -> {:cont, {:ok, found ++ faces}}
-        {:error, _} = error -> {:halt, error}
-      end
-    end)
+  defp search_patches(patches, look) do
+    with {:ok, faces} <- Situ.Error.map_ok(patches, look), do: {:ok, Enum.concat(faces)}
   end
+
+  defp known_face?(face, known), do: Enum.any?(known, &Suppression.same_face?(face, &1, @same))
 
   defp large_face?(face, {w, h}), do: max(face.rect.width, face.rect.height) >= max(w, h) * @large
 

@@ -10,16 +10,11 @@ defmodule Situ.Infer.Speech.Azure do
       default: nil,
       doc: "The URL of the service if it has no region, such as a self-hosted container."
     ],
-    key: [
-      type: {:optional, :string},
-      default: "AZURE_SPEECH_KEY",
-      doc: "The **name** of the environment variable with the key; `nil` sends no key."
-    ],
     language: [type: :string, default: "en-US", doc: "The spoken language."],
     voice: [type: :string, default: "en-US-JennyNeural", doc: "The voice."],
     ssml: [type: :boolean, default: false, doc: "Texts are complete SSML documents."]
   ]
-  @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
+  @schema @own ++ Situ.Infer.Service.schema("AZURE_SPEECH_KEY")
 
   @moduledoc """
   Speech to text and text to speech with Azure's speech service. It uses the requests for short audio (up to 60 s) and
@@ -61,9 +56,8 @@ defmodule Situ.Infer.Speech.Azure do
   def load(opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, stt, tts} <- service_urls(opts[:region], opts[:url]),
-         own = Keyword.take(opts, Keyword.keys(Service.schema())),
-         {:ok, recognizer} <- Service.new(stt, own, @key_header),
-         {:ok, synthesizer} <- Service.new(tts, own, @key_header),
+         {:ok, recognizer} <- Service.new(stt, opts, @key_header),
+         {:ok, synthesizer} <- Service.new(tts, opts, @key_header),
          do:
            {:ok,
             %__MODULE__{recognizer: recognizer, synthesizer: synthesizer, opts: Map.new(opts)}}
@@ -101,7 +95,7 @@ defmodule Situ.Infer.Speech.Azure do
     with :ok <- check_duration(sound),
          {:ok, wav} <- RequestEncoding.encode_wav(sound),
          headers = [{"content-type", type}, {"accept", "application/json"}],
-         {:ok, %{body: body}} <- Service.post(azure.recognizer, path, headers, wav),
+         {:ok, body} <- Service.post(azure.recognizer, path, headers, wav),
          do: parse_result(Situ.JSON.decode(body))
   end
 
@@ -135,7 +129,7 @@ defmodule Situ.Infer.Speech.Azure do
          "the service could not recognize the speech: #{String.slice(status, 0, 40)}"
        )}
 
-  defp parse_result(_), do: {:error, RequestEncoding.bad_answer()}
+  defp parse_result(_), do: {:error, Service.bad_answer()}
 
   defp parse_candidate(%{"Confidence" => p, "Display" => text} = json)
        when is_number(p) and is_binary(text) do
@@ -147,5 +141,5 @@ defmodule Situ.Infer.Speech.Azure do
     {:ok, %{text: text, confidence: p |> max(0) |> min(1) |> Kernel./(1), words: words}}
   end
 
-  defp parse_candidate(_), do: {:error, RequestEncoding.bad_answer()}
+  defp parse_candidate(_), do: {:error, Service.bad_answer()}
 end

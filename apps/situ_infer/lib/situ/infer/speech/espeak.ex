@@ -35,7 +35,7 @@ defmodule Situ.Infer.Speech.Espeak do
 
   alias Situ.{AudioBuffer, Error}
   alias Situ.Infer.Speech.Espeak.OutputParser
-  alias Situ.Infer.Speech.Mark
+  alias Situ.Infer.Speech.{Mark, Program, TextCheck}
   alias Situ.Media.Wav.Format
 
   # Linux limits a program argument to 128 KiB.
@@ -51,7 +51,7 @@ defmodule Situ.Infer.Speech.Espeak do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, program} <- find_program() do
+         {:ok, program} <- Program.find_espeak() do
       [rate, pitch] = for key <- [:rate, :pitch], do: "#{round(opts[key])}"
 
       arguments =
@@ -62,20 +62,6 @@ defmodule Situ.Infer.Speech.Espeak do
 
       # Speaks once so that an unknown voice is reported by `load/1` and not by the first sentence.
       with {:ok, _} <- speak(voice, "a"), do: {:ok, voice}
-    end
-  end
-
-  defp find_program do
-    case System.find_executable("espeak-ng") do
-      nil ->
-        {:error,
-         Error.new(:no_espeak, "the program espeak-ng is not installed",
-           why: "it converts text to speech",
-           fix: "install it: apt-get install espeak-ng"
-         )}
-
-      path ->
-        {:ok, path}
     end
   end
 
@@ -102,7 +88,7 @@ defmodule Situ.Infer.Speech.Espeak do
   # Returns the text to pass to espeak-ng.
   defp prepare_text(voice, text) do
     text = if "-m" in voice.arguments, do: remove_audio_tags(text), else: text
-    with :ok <- check_text(text), do: {:ok, text}
+    with :ok <- TextCheck.check_text(text, @longest), do: {:ok, text}
   end
 
   # Removing a tag may form a new tag from the surrounding text, so this repeats until nothing changes.
@@ -117,40 +103,21 @@ defmodule Situ.Infer.Speech.Espeak do
     end
   end
 
-  defp check_text(text) do
-    cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad_text("it is not valid text")
-      byte_size(text) > @longest -> bad_text("it has more than #{@longest} bytes")
-      # A text without letters, numbers or symbols contains nothing to speak.
-      not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
-      true -> :ok
-    end
-  end
-
   defp silent_audio, do: AudioBuffer.new(format: Situ.AudioFormat.pcm(22_050), data: "")
 
-  defp bad_text(why),
-    do:
-      {:error,
-       Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split it into sentences")}
-
   defp run_espeak(voice, text) do
-    case run_command([voice.program, "--stdout"] ++ voice.arguments ++ ["--", text]) do
+    command = [voice.program, "--stdout"] ++ voice.arguments ++ ["--", text]
+
+    case Program.run(command, @seconds) do
       {wav, 0} -> parse_wav(wav)
       {_, status} -> {:error, synthesis_error(voice, status)}
     end
   end
 
-  # The program's error output is discarded because it would go to the terminal.
-  defp run_command(command) do
-    limited = ["timeout", "-k", "1", "#{@seconds}" | command]
-    System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | limited])
-  end
-
   defp speak_with_marks(voice, text) do
     program = Application.app_dir(:situ_infer, "priv/native/situ_speak")
 
-    case run_command([program | voice.marker] ++ [text]) do
+    case Program.run([program | voice.marker] ++ [text], @seconds) do
       {bytes, 0} ->
         with :error <- OutputParser.parse(bytes, text),
              do: {:error, synthesis_error(voice, "0, cut short")}

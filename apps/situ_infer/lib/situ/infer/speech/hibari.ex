@@ -36,6 +36,7 @@ defmodule Situ.Infer.Speech.Hibari do
   alias Situ.{AudioBuffer, AudioFormat, Error, Tensor}
   alias Situ.Infer.{Model, ModelStore}
   alias Situ.Infer.Speech.Hibari.{Phonemes, Vocoder}
+  alias Situ.Infer.Speech.{Program, TextCheck}
 
   @name "hibari"
   @bins 601
@@ -66,8 +67,8 @@ defmodule Situ.Infer.Speech.Hibari do
     ]
 
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         :ok <- Phonemes.check_installed(),
-         {:ok, path} <- model_path(opts[:folder], "hibari.onnx"),
+         {:ok, _} <- Program.find_espeak(),
+         {:ok, path} <- ModelStore.locate_file(opts[:folder], @name, "hibari.onnx"),
          {:ok, vocabulary} <- load_vocabulary(opts[:folder]),
          {:ok, model} <- Model.load_shared(path, settings),
          {:ok, vocoder} <- Vocoder.load() do
@@ -81,11 +82,8 @@ defmodule Situ.Infer.Speech.Hibari do
     end
   end
 
-  defp model_path(nil, name), do: ModelStore.fetch_path(@name, name)
-  defp model_path(folder, name), do: {:ok, Path.join(folder, name)}
-
   defp load_vocabulary(folder) do
-    with {:ok, path} <- model_path(folder, "vocab.json"),
+    with {:ok, path} <- ModelStore.locate_file(folder, @name, "vocab.json"),
          {:read, {:ok, text}} <- {:read, File.read(path)},
          {:json, {:ok, %{} = vocabulary}} <- {:json, Situ.JSON.decode(text)},
          true <- Enum.all?(vocabulary, fn {_, id} -> is_integer(id) and id >= 0 end) do
@@ -104,42 +102,24 @@ defmodule Situ.Infer.Speech.Hibari do
   @impl true
   @spec speak(t(), String.t()) :: AudioBuffer.result()
   def speak(%__MODULE__{} = voice, text) do
-    cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) ->
-        bad_text("it is not valid text")
-
-      byte_size(text) > @longest ->
-        bad_text("it has more than #{@longest} bytes")
-
-      true ->
-        with {:ok, sentences} <- Phonemes.sentence_phonemes(text),
-             do: speak_sentences(voice, sentences)
+    with :ok <- TextCheck.check_text(text, @longest),
+         {:ok, sentences} <- Phonemes.sentence_phonemes(text) do
+      speak_sentences(voice, sentences)
+    else
+      :nothing -> join_audio([])
+      error -> error
     end
   end
 
-  defp bad_text(why),
-    do:
-      {:error,
-       Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split it into sentences")}
-
   defp speak_sentences(voice, sentences) do
-    sentences
-    |> Enum.flat_map(&split_ids(phoneme_ids(voice, &1)))
-    |> Enum.reduce_while({:ok, []}, fn ids, {:ok, sounds} ->
-      case speak_ids(voice, ids) do
-        {:ok, sound} -> {:cont, {:ok, [sound | sounds]}}
-        error -> {:halt, error}
-      end
-    end)
-    |> join_audio()
+    ids = Enum.flat_map(sentences, &Enum.chunk_every(phoneme_ids(voice, &1), @most_phonemes))
+    with {:ok, sounds} <- Error.map_ok(ids, &speak_ids(voice, &1)), do: join_audio(sounds)
   end
 
   # Unknown symbols are skipped.
   defp phoneme_ids(voice, phonemes) do
     for sign <- String.codepoints(phonemes), id = voice.vocabulary[sign], do: id
   end
-
-  defp split_ids(ids), do: Enum.chunk_every(ids, @most_phonemes)
 
   defp speak_ids(voice, ids) do
     inputs = %{
@@ -148,16 +128,13 @@ defmodule Situ.Infer.Speech.Hibari do
     }
 
     with {:ok, spectrum} <- Model.run(voice.model, inputs),
-         {:ok, floats} <- Vocoder.synthesize_audio(voice.vocoder, spectrum),
-         do: {:ok, floats}
+         do: Vocoder.synthesize_audio(voice.vocoder, spectrum)
   end
 
-  defp join_audio({:error, _} = error), do: error
-
-  defp join_audio({:ok, sounds}) do
+  defp join_audio(sounds) do
     rate = Vocoder.sample_rate()
     pause = :binary.copy(<<0::32>>, round(@pause * rate))
-    data = sounds |> Enum.reverse() |> Enum.intersperse(pause) |> IO.iodata_to_binary()
+    data = sounds |> Enum.intersperse(pause) |> IO.iodata_to_binary()
     AudioBuffer.new(format: %AudioFormat{rate: rate, channels: 1, sample: :f32}, data: data)
   end
 end

@@ -60,9 +60,10 @@ defmodule Situ.Infer.Speech.Moonshine do
     settings = [warm_up: 0, schedule: :dirty, sessions: 1]
 
     with {:ok, opts} <- Situ.Options.validate(opts, schema),
-         {:ok, encoder} <- model_path(opts[:folder], "encoder_model.ort"),
-         {:ok, decoder} <- model_path(opts[:folder], "decoder_model_merged.ort"),
-         {:ok, vocabulary} <- model_path(opts[:folder], "tokenizer.bin"),
+         {:ok, encoder} <- ModelStore.locate_file(opts[:folder], @name, "encoder_model.ort"),
+         {:ok, decoder} <-
+           ModelStore.locate_file(opts[:folder], @name, "decoder_model_merged.ort"),
+         {:ok, vocabulary} <- ModelStore.locate_file(opts[:folder], @name, "tokenizer.bin"),
          {:ok, tokenizer} <- load_tokenizer(vocabulary),
          {:ok, encoder} <- Model.load_shared(encoder, settings),
          {:ok, decoder} <- Model.load_shared(decoder, settings) do
@@ -74,9 +75,6 @@ defmodule Situ.Infer.Speech.Moonshine do
            do: {:ok, %{moonshine | alternatives: round(opts[:alternatives])}}
     end
   end
-
-  defp model_path(nil, name), do: ModelStore.fetch_path(@name, name)
-  defp model_path(folder, name), do: {:ok, Path.join(folder, name)}
 
   defp load_tokenizer(path) do
     with {:ok, bytes} <- File.read(path),
@@ -156,18 +154,15 @@ defmodule Situ.Infer.Speech.Moonshine do
     |> Enum.with_index()
     |> Enum.sort_by(fn {{_, _, {_, p}}, _} -> -p end)
     |> Enum.take(moonshine.alternatives)
-    |> Enum.reduce_while({:ok, []}, fn {{_, _, {second, _}}, place}, {:ok, others} ->
-      case generate_tokens(
-             moonshine,
-             state,
-             @begin,
-             false,
-             Enum.take(tokens, place) ++ [second],
-             []
-           ) do
-        {:ok, steps} -> {:cont, {:ok, [steps | others]}}
-        error -> {:halt, error}
-      end
+    |> Error.map_ok(fn {{_, _, {second, _}}, position} ->
+      generate_tokens(
+        moonshine,
+        state,
+        @begin,
+        false,
+        Enum.take(tokens, position) ++ [second],
+        []
+      )
     end)
   end
 

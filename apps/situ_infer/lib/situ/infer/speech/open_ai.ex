@@ -5,11 +5,6 @@ defmodule Situ.Infer.Speech.OpenAI do
       default: "https://api.openai.com/v1",
       doc: "The URL of the service; `/audio/...` is appended."
     ],
-    key: [
-      type: {:optional, :string},
-      default: "OPENAI_API_KEY",
-      doc: "The **name** of the environment variable with the key; `nil` sends no key."
-    ],
     recognizer: [type: :string, default: "whisper-1", doc: "The model that recognizes speech."],
     synthesizer: [type: :string, default: "tts-1", doc: "The model that synthesizes speech."],
     voice: [type: :string, default: "alloy", doc: "The voice."],
@@ -24,7 +19,7 @@ defmodule Situ.Infer.Speech.OpenAI do
       doc: "The sample rate of the audio that the service sends, Hz."
     ]
   ]
-  @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
+  @schema @own ++ Situ.Infer.Service.schema("OPENAI_API_KEY")
 
   @moduledoc """
   Speech to text and text to speech with any service that implements OpenAI's protocol (OpenAI or a self-hosted server):
@@ -58,8 +53,7 @@ defmodule Situ.Infer.Speech.OpenAI do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, service} <-
-           Service.new(opts[:url], Keyword.take(opts, Keyword.keys(Service.schema()))),
+         {:ok, service} <- Service.new(opts[:url], opts),
          do: {:ok, %__MODULE__{service: service, opts: Map.new(opts)}}
   end
 
@@ -78,7 +72,7 @@ defmodule Situ.Infer.Speech.OpenAI do
 
       {type, body} = RequestEncoding.encode_form(fields, {"file", "speech.wav", "audio/wav", wav})
 
-      with {:ok, %{body: body}} <-
+      with {:ok, body} <-
              Service.post(service, "/audio/transcriptions", [{"content-type", type}], body),
            do: parse_result(Situ.JSON.decode(body))
     end
@@ -99,7 +93,7 @@ defmodule Situ.Infer.Speech.OpenAI do
      }}
   end
 
-  defp parse_result(_), do: {:error, RequestEncoding.bad_answer()}
+  defp parse_result(_), do: {:error, Service.bad_answer()}
 
   defp mean_confidence(text, json) do
     logs = for %{"avg_logprob" => log} <- list_or_empty(json["segments"]), is_number(log), do: log

@@ -49,8 +49,9 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   """
   @behaviour Situ.Infer.Speech.Recognizer
   alias Situ.{Error, AudioOps}
+  alias Situ.Infer.Speech.{Jsgf, Program}
+  alias Situ.Infer.Speech.Jsgf.Matcher
   alias Situ.Infer.Speech.PocketSphinx.OutputParser
-  alias Situ.Intent.{Jsgf, Matcher}
 
   @program "pocketsphinx_batch"
   @listener "pocketsphinx_continuous"
@@ -125,18 +126,9 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   defp load_grammar(nil), do: {:ok, nil}
 
   defp load_grammar(given) do
-    with {:ok, text} <- read_grammar(given),
+    with {:ok, text} <- Jsgf.read_text(given),
          {:ok, jsgf} <- Jsgf.parse(text),
          do: {:ok, {text, jsgf}}
-  end
-
-  defp read_grammar("#JSGF" <> _ = text), do: {:ok, text}
-
-  defp read_grammar(path) do
-    with {:error, why} <- File.read(path) do
-      what = "cannot read a grammar: #{:file.format_error(why)}"
-      {:error, Error.new(:no_grammar, what, fix: "check the path #{path}")}
-    end
   end
 
   @impl true
@@ -220,9 +212,7 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   end
 
   defp run_program(program, arguments) do
-    command = ["timeout", "-k", "1", "#{@seconds}", program, "-logfn", "/dev/null" | arguments]
-
-    case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
+    case Program.run([program, "-logfn", "/dev/null" | arguments], @seconds) do
       {heard, 0} ->
         {:ok, heard}
 

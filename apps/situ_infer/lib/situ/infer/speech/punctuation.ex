@@ -3,15 +3,13 @@ defmodule Situ.Infer.Speech.Punctuation do
   Turns words into sentences with capitals, periods and question marks. Some recognizers write only words (PocketSphinx,
   telephone services); Moonshine already writes sentences.
 
-      alias Situ.Infer.Speech.Punctuation.LanguageModel
-
       heard |> Situ.Infer.punctuate()                                    # rules
-      heard |> Situ.Infer.punctuate(punctuation: LanguageModel, options: [model: "llama3.2"])
+      heard |> Situ.Infer.punctuate(punctuation: Situ.Chat.Punctuation, options: [model: "llama3.2"])
 
   | built in | method |
   |---|---|
   | `Situ.Infer.Speech.Punctuation.Rules` | rules based on the first words of English sentences |
-  | `Situ.Infer.Speech.Punctuation.LanguageModel` | a language model (`Situ.Chat`) |
+  | `Situ.Chat.Punctuation`, in `situ_assistant` | a language model (`Situ.Chat`) |
 
   To add another, implement these callbacks in a module.
   """

@@ -1,7 +1,9 @@
 defmodule Situ.Infer.Speech.RequestEncoding do
   @moduledoc false
-  # Builds parts of requests to services: audio as an in-memory WAV file, forms, and escaped text for SSML.
-  alias Situ.{AudioBuffer, Error, AudioOps}
+  # The parts of requests that speech services share: audio as a WAV file in memory, forms, escaped text for SSML, and
+  # the reply to a text.
+  alias Situ.{AudioBuffer, AudioFormat, AudioOps, Error}
+  alias Situ.Infer.Speech.TextCheck
 
   @rate 16_000
   @longest_text 20_000
@@ -50,27 +52,24 @@ defmodule Situ.Infer.Speech.RequestEncoding do
      ]}
   end
 
-  @doc "Checks that a text can be spoken; returns `:nothing` if it contains nothing to speak."
-  @spec check_text(String.t()) :: :ok | :nothing | {:error, Error.t()}
-  def check_text(text) do
-    cond do
-      not String.valid?(text) or String.contains?(text, <<0>>) -> bad_text("it is not valid text")
-      byte_size(text) > @longest_text -> bad_text("it has more than #{@longest_text} bytes")
-      not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
-      true -> :ok
+  @doc """
+  Returns the audio of a text, which `request` obtains from a service as 16-bit samples. Text without words needs no
+  request.
+  """
+  @spec speak_text(String.t(), pos_integer(), (() -> {:ok, binary()} | {:error, Error.t()})) ::
+          AudioBuffer.result()
+  def speak_text(text, rate, request) do
+    format = AudioFormat.pcm(rate)
+
+    with :ok <- TextCheck.check_text(text, @longest_text),
+         {:ok, data} <- request.() do
+      # An incomplete sample at the end of the stream is dropped.
+      even = byte_size(data) - rem(byte_size(data), 2)
+      AudioBuffer.new(format: format, data: binary_part(data, 0, even))
+    else
+      :nothing -> AudioBuffer.new(format: format, data: "")
+      error -> error
     end
-  end
-
-  defp bad_text(why) do
-    {:error, Error.new(:bad_text, "the text cannot be spoken", why: why, fix: "split the text")}
-  end
-
-  @doc "Builds the error for a response that does not follow the service's protocol."
-  @spec bad_answer() :: Error.t()
-  def bad_answer do
-    Error.new(:bad_answer, "the service's response has an unexpected format",
-      fix: "check the URL; it may belong to a different kind of service"
-    )
   end
 
   @doc "Escapes text for an XML document."

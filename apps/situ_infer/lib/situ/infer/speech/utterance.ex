@@ -10,7 +10,7 @@ defmodule Situ.Infer.Speech.Utterance do
       iex> Situ.Infer.Speech.Utterance.normalize_words(said.text)
       ["ten", "of", "clubs"]
   """
-  alias Situ.Intent.Number
+  alias Situ.Infer.Speech.Number
 
   @enforce_keys [:text, :from, :to, :confidence]
   defstruct [:text, :from, :to, :confidence, final?: true, words: [], alternatives: []]
@@ -48,6 +48,19 @@ defmodule Situ.Infer.Speech.Utterance do
     if word =~ ~r/\A(0|[1-9][0-9]{0,2})\z/,
       do: word |> String.to_integer() |> Number.to_words() |> String.split(),
       else: [word]
+  end
+
+  @doc """
+  Returns whether two lists have equally many words, and each word resembles its counterpart: the minimum Jaro
+  similarity is `alike`.
+
+      iex> Situ.Infer.Speech.Utterance.similar_words?(["komputer"], ["computer"], 0.88)
+      true
+  """
+  @spec similar_words?([String.t()], [String.t()], number()) :: boolean()
+  def similar_words?(words, others, alike) do
+    length(words) == length(others) and
+      words |> Enum.zip(others) |> Enum.all?(fn {a, b} -> String.jaro_distance(a, b) >= alike end)
   end
 
   @doc """

@@ -20,6 +20,11 @@ defmodule Situ.Infer.Vision.ImageInput do
       type: {:in, [:crop, :pad]},
       default: :crop,
       doc: "How to fit an image that is not square: crop it to its middle, or pad it with black."
+    ],
+    side: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc: "The side of the input image, if the file does not fix it."
     ]
   ]
 
@@ -28,7 +33,7 @@ defmodule Situ.Infer.Vision.ImageInput do
   pixels.
 
   Size and layout (`{n, 3, side, side}` or `{n, side, side, 3}`) come from the model's only input with four dimensions.
-  `ImageNet` networks need `mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]`.
+  `ImageNet` networks need the options `imagenet_options/0`.
 
   ## Options
 
@@ -47,19 +52,27 @@ defmodule Situ.Infer.Vision.ImageInput do
           fit: :crop | :pad
         }
 
-  @doc "Returns the schema of the options, for modules that pass them on."
-  @spec schema() :: Situ.Options.schema()
-  def schema, do: @schema
+  @doc "Returns the schema of the options, for modules that pass them on, with other default values."
+  @spec schema(keyword()) :: Situ.Options.schema()
+  def schema(defaults \\ []) do
+    for {key, spec} <- @schema,
+        do: {key, Keyword.put(spec, :default, Keyword.get(defaults, key, spec[:default]))}
+  end
+
+  @doc "Returns the normalization of networks that were trained on ImageNet."
+  @spec imagenet_options() :: keyword()
+  def imagenet_options, do: [mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]]
 
   @doc """
-  Builds the model's image input. `side:` sets the size if the file leaves it free. Errors: `:model_shape`,
-  `:bad_option`.
+  Builds the model's image input. `opts` may contain other options, which the calling module has validated. Errors:
+  `:model_shape`, `:bad_option`.
   """
-  @spec new(Model.t(), keyword(), pos_integer() | nil) :: {:ok, t()} | {:error, Error.t()}
-  def new(%Model{} = model, opts \\ [], side \\ nil) do
-    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+  @spec new(Model.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def new(%Model{} = model, opts \\ []) do
+    with {:ok, opts} <-
+           opts |> Keyword.take(Keyword.keys(@schema)) |> Situ.Options.validate(@schema),
          :ok <- check_normalization(opts),
-         {:ok, name, layout, side} <- find_input(model, side),
+         {:ok, name, layout, side} <- find_input(model, opts[:side]),
          {type, _shape} = model.inputs[name],
          {:ok, glue} <- build_glue(layout, type, side, opts),
          do: {:ok, %__MODULE__{name: name, side: side, glue: glue, fit: opts[:fit]}}

@@ -21,7 +21,7 @@ defmodule Situ.Infer.Voice.Energy do
     db = max(20 * :math.log10(max(level, 1.0e-6)), @quietest_db)
     # The noise is unknown at the start, so the first level is taken as the floor.
     floor = min(db, (energy.floor_db || db) + energy.rise_db_per_s * @chunk_s)
-    p = 1.0 / (1.0 + :math.exp(-(db - floor - energy.above_db) / 2.0))
+    p = Situ.Infer.Activation.sigmoid((db - floor - energy.above_db) / 2.0)
     {:ok, p, %{energy | floor_db: floor}}
   end
 end

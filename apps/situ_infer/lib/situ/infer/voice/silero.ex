@@ -4,7 +4,7 @@ defmodule Situ.Infer.Voice.Silero do
   # the previous chunk; both are kept in this state.
   @behaviour Situ.Infer.Voice.Detector
 
-  alias Situ.Infer.Model
+  alias Situ.Infer.{BundledModel, Model}
   alias Situ.Tensor
 
   @chunk 512
@@ -29,12 +29,9 @@ defmodule Situ.Infer.Voice.Silero do
   @impl true
   @spec load(keyword()) :: {:ok, %__MODULE__{}} | {:error, Situ.Error.t()}
   def load(opts) do
-    path = opts[:model] || Model.bundled_path("silero_vad.onnx")
-
     settings = [{:example, %{"sr" => unquote(@rate)}} | @ports]
 
-    with {:ok, model} <-
-           Model.load_shared(path, Keyword.merge(opts[:model_options] || [], settings)),
+    with {:ok, model} <- BundledModel.load(opts, "silero_vad.onnx", settings),
          do: {:ok, reset(%__MODULE__{model: model})}
   end
 

@@ -7,7 +7,6 @@ defmodule Situ.Infer.Speech.Azure.Voice do
   """
   @behaviour Situ.Infer.Speech.Synthesizer
 
-  alias Situ.{AudioBuffer, AudioFormat}
   alias Situ.Infer.Service
   alias Situ.Infer.Speech.{Azure, RequestEncoding}
 
@@ -18,27 +17,16 @@ defmodule Situ.Infer.Speech.Azure.Voice do
   defdelegate load(opts), to: Azure
 
   @impl true
-  @spec speak(Azure.t(), String.t()) :: AudioBuffer.result()
+  @spec speak(Azure.t(), String.t()) :: Situ.AudioBuffer.result()
   def speak(%Azure{opts: opts} = azure, text) do
     headers = [
       {"content-type", "application/ssml+xml"},
       {"x-microsoft-outputformat", "raw-24khz-16bit-mono-pcm"}
     ]
 
-    with :ok <- RequestEncoding.check_text(text),
-         {:ok, %{body: data}} <-
-           Service.post(
-             azure.synthesizer,
-             "/cognitiveservices/v1",
-             headers,
-             build_ssml(text, opts)
-           ) do
-      even = byte_size(data) - rem(byte_size(data), 2)
-      AudioBuffer.new(format: AudioFormat.pcm(@rate), data: binary_part(data, 0, even))
-    else
-      :nothing -> AudioBuffer.new(format: AudioFormat.pcm(@rate), data: "")
-      error -> error
-    end
+    RequestEncoding.speak_text(text, @rate, fn ->
+      Service.post(azure.synthesizer, "/cognitiveservices/v1", headers, build_ssml(text, opts))
+    end)
   end
 
   defp build_ssml(text, %{ssml: true}), do: text

@@ -9,6 +9,7 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
       "həlˈO ʤˈY"
   """
   alias Situ.Error
+  alias Situ.Infer.Speech.{Program, TextCheck}
 
   @seconds 20
   @tied [
@@ -42,19 +43,6 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
     {"\u0329", ""}
   ]
 
-  @doc "Checks that espeak-ng is installed; the error is `:no_espeak`."
-  @spec check_installed() :: :ok | {:error, Error.t()}
-  def check_installed do
-    if System.find_executable("espeak-ng"),
-      do: :ok,
-      else:
-        {:error,
-         Error.new(:no_espeak, "the program espeak-ng is not installed",
-           why: "it determines the pronunciation of words",
-           fix: "install it: apt-get install espeak-ng"
-         )}
-  end
-
   @doc "Splits a text into sentences and converts each to a string of phonemes; sentences without words are dropped."
   @spec sentence_phonemes(String.t()) :: {:ok, [String.t()]} | {:error, Error.t()}
   def sentence_phonemes(text) do
@@ -76,17 +64,15 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   defp convert_clause(part) do
     cond do
       part =~ ~r/^[,;:.!?…—]+$/u -> {:ok, String.first(part) <> " "}
-      part =~ ~r/[\p{L}\p{N}\p{S}]/u -> run_espeak(part)
+      TextCheck.speakable?(part) -> run_espeak(part)
       true -> {:ok, ""}
     end
   end
 
   defp run_espeak(part) do
-    command =
-      ["timeout", "-k", "1", "#{@seconds}", "espeak-ng", "-q", "-v", "en-us", "--ipa", "--tie=^"] ++
-        ["--", part]
+    command = ["espeak-ng", "-q", "-v", "en-us", "--ipa", "--tie=^", "--", part]
 
-    case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
+    case Program.run(command, @seconds) do
       {ipa, 0} -> {:ok, ipa |> String.split() |> Enum.join(" ") |> translate_ipa()}
       {_, status} -> {:error, espeak_error(status)}
     end

@@ -7,7 +7,6 @@ defmodule Situ.Infer.Speech.OpenAI.Voice do
   """
   @behaviour Situ.Infer.Speech.Synthesizer
 
-  alias Situ.{AudioBuffer, AudioFormat}
   alias Situ.Infer.Service
   alias Situ.Infer.Speech.{OpenAI, RequestEncoding}
 
@@ -16,27 +15,13 @@ defmodule Situ.Infer.Speech.OpenAI.Voice do
   defdelegate load(opts), to: OpenAI
 
   @impl true
-  @spec speak(OpenAI.t(), String.t()) :: AudioBuffer.result()
+  @spec speak(OpenAI.t(), String.t()) :: Situ.AudioBuffer.result()
   def speak(%OpenAI{service: service, opts: opts}, text) do
     body = %{model: opts.synthesizer, voice: opts.voice, input: text, response_format: "pcm"}
-    format = AudioFormat.pcm(round(opts.rate))
+    headers = [{"content-type", "application/json"}]
 
-    with :ok <- RequestEncoding.check_text(text),
-         {:ok, %{body: data}} <-
-           Service.post(
-             service,
-             "/audio/speech",
-             [{"content-type", "application/json"}],
-             Situ.JSON.encode(body)
-           ) do
-      # An incomplete sample at the end of the stream is dropped.
-      AudioBuffer.new(
-        format: format,
-        data: binary_part(data, 0, byte_size(data) - rem(byte_size(data), 2))
-      )
-    else
-      :nothing -> AudioBuffer.new(format: format, data: "")
-      error -> error
-    end
+    RequestEncoding.speak_text(text, round(opts.rate), fn ->
+      Service.post(service, "/audio/speech", headers, Situ.JSON.encode(body))
+    end)
   end
 end

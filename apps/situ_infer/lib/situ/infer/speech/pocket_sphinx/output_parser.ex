@@ -93,8 +93,8 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
   @doc "Returns a confidence of 0..1 from the likelihood of the words relative to that of the free phone sequence."
   @spec phone_confidence(said(), said()) :: float()
   def phone_confidence(%{frames: frames} = said, phones) when frames > 0 do
-    kept = (said.score - phones.score) / frames
-    1 / (1 + :math.exp(-max(min((kept - @middle) / @width, 50.0), -50.0)))
+    difference = (said.score - phones.score) / frames
+    Situ.Infer.Activation.sigmoid((difference - @middle) / @width)
   end
 
   def phone_confidence(_said, _phones), do: 0.0

@@ -89,9 +89,7 @@ defmodule Situ.Infer.Speech.WakeWord.TranscriptSpotter do
     place =
       words
       |> Enum.chunk_every(length(name), 1, :discard)
-      |> Enum.find_index(fn part ->
-        part |> Enum.zip(name) |> Enum.all?(fn {a, b} -> String.jaro_distance(a, b) >= alike end)
-      end)
+      |> Enum.find_index(&Utterance.similar_words?(&1, name, alike))
 
     place && {place, length(words)}
   end

@@ -1,0 +1,4 @@
+Application.ensure_all_started(:situ_assistant)
+
+# A busy machine may deliver an expected message late; a missing message still fails the test.
+ExUnit.start(assert_receive_timeout: 30_000, timeout: 120_000)
