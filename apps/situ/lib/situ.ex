@@ -88,7 +88,7 @@ defmodule Situ do
   function in one table), *Choosing a delivery policy*, *When things fail*, *Situ in your application*. `Situ.Test`
   tests pipelines with a clock that the test advances.
   """
-  import Kernel, except: [min: 2, max: 2, abs: 1, tap: 2, inspect: 1, inspect: 2]
+  import Kernel, except: [min: 2, max: 2, abs: 1, inspect: 1, inspect: 2]
   alias Situ.{Argument, Node, Operator, Pipeline, Stream}
 
   @doc """
@@ -229,10 +229,6 @@ defmodule Situ do
         "Situ.scan(stream, 0, fn data, acc -> data + acc end)"
       )
 
-  @doc "Lists the pipelines of this node with label, process and state; see `Situ.Pipeline.list/0`."
-  @spec pipelines() :: [%{name: String.t(), pid: pid(), state: atom()}]
-  defdelegate pipelines(), to: Pipeline, as: :list
-
   @doc "Names a stream; see `Situ.Stream.name/2`."
   @spec name(Stream.t(), String.t()) :: Stream.t()
   defdelegate name(stream, name), to: Stream
@@ -267,13 +263,9 @@ defmodule Situ do
   @doc group: "Fusion: streams brought together by time"
   defdelegate remove_input(fused, key, opts \\ []), to: Situ.Fusion
 
-  @doc "See `Situ.Fusion.interpolate/4`."
-  @doc group: "Fusion: streams brought together by time"
-  defdelegate interpolate(stream, clock, interpolator, opts \\ []), to: Situ.Fusion
-
   @doc "See `Situ.Fusion.sample/4`."
   @doc group: "Fusion: streams brought together by time"
-  defdelegate sample(stream, clock, window \\ Situ.Interval.infinite(), opts \\ []),
+  defdelegate sample(stream, clock, interpolator \\ Situ.Interval.infinite(), opts \\ []),
     to: Situ.Fusion
 
   # Windows
@@ -334,10 +326,6 @@ defmodule Situ do
   @doc group: "Picking, moving, editing"
   defdelegate first(stream, n \\ 1, opts \\ []), to: Situ.Selection
 
-  @doc "See `Situ.Selection.take/3`."
-  @doc group: "Picking, moving, editing"
-  defdelegate take(stream, n, opts \\ []), to: Situ.Selection
-
   @doc "See `Situ.Selection.last/3`."
   @doc group: "Picking, moving, editing"
   defdelegate last(stream, n \\ 1, opts \\ []), to: Situ.Selection
@@ -388,10 +376,6 @@ defmodule Situ do
   @doc group: "Generators"
   defdelegate return(p, value, opts \\ []), to: Situ.Generator
 
-  @doc "See `Situ.Generator.once/3`."
-  @doc group: "Generators"
-  defdelegate once(p, value, opts \\ []), to: Situ.Generator
-
   @doc "See `Situ.Generator.from_enumerable/3`."
   @doc group: "Generators"
   defdelegate from_enumerable(p, enumerable, opts \\ []), to: Situ.Generator
@@ -438,10 +422,6 @@ defmodule Situ do
 
   # Streams as lists and enumerables
 
-  @doc "See `Situ.Tap.new/2`."
-  @doc group: "Collecting"
-  defdelegate tap(stream, opts \\ []), to: Situ.Tap, as: :new
-
   @doc "See `Situ.Collector.collect/2`."
   @doc group: "Collecting"
   defdelegate collect(build, opts \\ []), to: Situ.Collector
@@ -459,18 +439,18 @@ defmodule Situ do
   a lossy queue.
 
   `target` is a stream, or `{pipeline, stream_name}`. The options are `policy:` and `name:`. `detach_tap/1` removes
-  the tap. See `Situ.Pipeline.Tap`; to build a tap into a pipeline from the start, use `tap/2`.
+  the tap.
   """
   @spec attach_tap(
           Stream.t() | {Pipeline.target(), String.t()},
           (Situ.Message.t() -> any()),
           keyword()
-        ) :: {:ok, Pipeline.Tap.t()} | {:error, Situ.Error.t()}
-  defdelegate attach_tap(target, fun, opts \\ []), to: Pipeline.Tap, as: :attach
+        ) :: {:ok, Situ.Tap.t()} | {:error, Situ.Error.t()}
+  defdelegate attach_tap(target, fun, opts \\ []), to: Situ.Tap, as: :attach
 
   @doc "Removes a tap that `attach_tap/3` added."
-  @spec detach_tap(Pipeline.Tap.t()) :: :ok
-  defdelegate detach_tap(tap), to: Pipeline.Tap, as: :detach
+  @spec detach_tap(Situ.Tap.t()) :: :ok
+  defdelegate detach_tap(tap), to: Situ.Tap, as: :detach
 
   @doc """
   Prints a running pipeline as a table of edges (counts, queues, drops, latencies) and processes.

@@ -154,7 +154,7 @@ defmodule Situ.Filter do
     step = pass_nil_through(fn sample, filter -> module.step(filter, sample) end)
 
     stream
-    |> Fusion.interpolate(round(1.0e9 / rate), interpolator, clock)
+    |> Fusion.sample(round(1.0e9 / rate), interpolator, clock)
     |> Operator.attach(name, {:step, step, filter}, placed, :float)
   end
 

@@ -53,7 +53,7 @@ defmodule Situ.Fusion do
   | `pair/3` | the latest message that has arrived | the primary's | no |
   | `zip/2` | all messages of the same time | that time | yes |
   | `merge/2` | nothing: emits complete messages in order of arrival | the clock | no |
-  | `interpolate/4`, `sample/4` | a clock tick with the stream's value | the tick's | with `Situ.Reproducible` |
+  | `sample/4` | a clock tick with the stream's value | the tick's | with `Situ.Reproducible` |
 
       iex> inputs = [camera: [{0, :c0}, {20, :c20}], tracker: [{2, :door}, {17, :lamp}]]
       iex> Situ.Test.run(inputs, fn s -> Situ.join(s.camera, s.tracker, 5) end)
@@ -208,28 +208,8 @@ defmodule Situ.Fusion do
   end
 
   @doc """
-  Emits the stream's value at every tick. Ticks come from another stream (`clock`) or from an interval in ns, counted
-  from the pipeline's start or aligned with `align:` (a time). Ticks end with the stream; a tick without a value has no
-  output.
-
-  #{Situ.Options.docs(@tick)}
+  Emits the value of a stream at every tick, by default the nearest message.
   """
-  @spec interpolate(Stream.t(), Stream.t() | Situ.Time.duration(), interpolator(), keyword()) ::
-          Stream.t()
-  def interpolate(stream, clock, interpolator, opts \\ [])
-
-  def interpolate(%Stream{} = stream, clock, interpolator, opts),
-    do: sample_at_ticks("Interpolate", stream, clock, interpolator, opts)
-
-  def interpolate(other, _arg2, _arg3, _arg4),
-    do:
-      Argument.raise_invalid!(
-        other,
-        :stream,
-        "Situ.interpolate(stream, clock, Situ.Reproducible.linear())"
-      )
-
-  @doc "Works like `interpolate/4`, by default with the nearest message; a tolerance or window limits the distance."
   @spec sample(
           Stream.t(),
           Stream.t() | Situ.Time.duration(),
@@ -237,21 +217,18 @@ defmodule Situ.Fusion do
           keyword()
         ) ::
           Stream.t()
-  def sample(stream, clock, window \\ Interval.infinite(), opts \\ [])
+  def sample(stream, clock, interpolator \\ Interval.infinite(), opts \\ [])
 
   def sample(%Stream{} = stream, clock, opts, []) when is_list(opts),
     do: sample(stream, clock, Interval.infinite(), opts)
 
-  def sample(%Stream{} = stream, clock, window, opts),
-    do: sample_at_ticks("Sample", stream, clock, window, opts)
+  def sample(%Stream{} = stream, clock, interpolator, opts) do
+    interpolator = Arguments.to_interpolator(interpolator)
+    GraphBuilder.attach_ticks(stream, clock, interpolator, split_options(opts, @tick))
+  end
 
   def sample(other, _arg2, _arg3, _arg4),
     do: Argument.raise_invalid!(other, :stream, "Situ.sample(stream, Situ.Time.ms(20))")
-
-  defp sample_at_ticks(name, %Stream{} = stream, clock, interpolator, opts) do
-    interpolator = Arguments.to_interpolator(interpolator)
-    GraphBuilder.attach_ticks(name, stream, clock, interpolator, split_options(opts, @tick))
-  end
 
   defp split_options(opts, schema), do: Placement.split_options!(opts, schema, :fusion)
 end

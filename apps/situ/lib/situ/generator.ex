@@ -8,6 +8,7 @@ defmodule Situ.Generator do
     doc: "Number of items."
   ]
 
+  @single [keep_open: @keep_open]
   @paced [every: [required: true] ++ @every, count: @count, align: @align, keep_open: @keep_open]
   @enumerable [
     every: [
@@ -56,7 +57,7 @@ defmodule Situ.Generator do
   | generator | ends | reproducible |
   |---|---|---|
   | `sequence/4` and `repeat/3` with `count:`, `from_enumerable/3` | with the last item | yes |
-  | the same with `keep_open: true`, `once/3` | never: they emit their items and stay open | yes |
+  | the same with `keep_open: true` | never: they emit their items and stay open | yes |
   | `sequence/4` and `repeat/3` without `count:` | never | yes |
   | `timer/2`, `event_source/3` | never | no: times come from the clock |
   | `return/3` | after its single item | yes |
@@ -101,24 +102,22 @@ defmodule Situ.Generator do
   def repeat(other, _arg2, _arg3),
     do: Argument.raise_invalid!(other, :handle, "Situ.repeat(p, 1, every: Situ.Time.ms(20))")
 
-  @doc "Emits one value at the pipeline's start and ends."
+  @doc """
+  Emits one value at the pipeline's start.
+
+  #{Situ.Options.docs(@single)}
+  """
   @spec return(Pipeline.t(), term(), keyword()) :: Stream.t()
   def return(p, value, opts \\ [])
 
-  def return(%Situ.Graph.Handle{} = p, value, opts),
-    do: add_single_source(p, "Return", value, false, opts)
+  def return(%Situ.Graph.Handle{} = p, value, opts) do
+    {own, placed} = Placement.split_options!(opts, @single, :generator)
+    feed = fn start -> ItemFeed.build_paced({:sequence, value, & &1, 1}, start, 1, nil) end
+    add_source(p, "Return", {Source, [feed: feed, keep_open: own[:keep_open]]}, placed)
+  end
 
   def return(other, _arg2, _arg3),
     do: Argument.raise_invalid!(other, :handle, "Situ.return(p, 1)")
-
-  @doc "Emits one value at the pipeline's start; the stream stays open."
-  @spec once(Pipeline.t(), term(), keyword()) :: Stream.t()
-  def once(p, value, opts \\ [])
-
-  def once(%Situ.Graph.Handle{} = p, value, opts),
-    do: add_single_source(p, "Once", value, true, opts)
-
-  def once(other, _arg2, _arg3), do: Argument.raise_invalid!(other, :handle, "Situ.once(p, 1)")
 
   @doc """
   Emits the items of any enumerable. With `every:` (and `align:`) the items are values at that interval. Otherwise they
@@ -219,12 +218,6 @@ defmodule Situ.Generator do
     end
 
     keep_open = own[:keep_open] or count == :infinity
-    add_source(p, name, {Source, [feed: feed, keep_open: keep_open]}, placed)
-  end
-
-  defp add_single_source(p, name, value, keep_open, opts) do
-    {[], placed} = Placement.split_options!(opts, [], :generator)
-    feed = fn start -> ItemFeed.build_paced({:sequence, value, & &1, 1}, start, 1, nil) end
     add_source(p, name, {Source, [feed: feed, keep_open: keep_open]}, placed)
   end
 

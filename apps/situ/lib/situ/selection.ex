@@ -23,7 +23,7 @@ defmodule Situ.Selection do
 
   | operator | emits | output time |
   |---|---|---|
-  | `first/3` (`take/3`) | the first n messages, then nothing | the input's |
+  | `first/3` | the first n messages, then nothing | the input's |
   | `last/3` | the last n messages, when the stream ends | their own |
   | `map_present/3` | `fun` of the data, and `nil` for `nil` | the input's |
   | `time_of/2` | the originating time as data | the input's |
@@ -61,11 +61,6 @@ defmodule Situ.Selection do
 
   def first(other, _arg2, _arg3),
     do: Argument.raise_invalid!(other, :stream, "Situ.first(stream, 3)")
-
-  @doc "Works like `first/3`, under Elixir's name."
-  @spec take(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
-  def take(stream, n, opts \\ []),
-    do: stream |> Argument.ensure_stream!("Situ.take(stream, 3)") |> first(n, opts)
 
   @doc "Emits the last `n` messages, with their times, when the stream ends."
   @spec last(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()

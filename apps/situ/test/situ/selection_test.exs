@@ -46,31 +46,5 @@ defmodule Situ.SelectionTest do
       build = &Situ.reorder(&1.n, 4, time: fn m -> m.data end, late: :error)
       assert {:error, %{code: :late}} = Situ.Test.run([n: arrivals], build)
     end
-
-    test "a tap sends messages to its subscribers only" do
-      me = self()
-
-      test =
-        Situ.Test.start(
-          [:n],
-          fn s ->
-            {stream, tap} = Situ.tap(s.n)
-            send(me, {:tap, tap})
-            stream
-          end,
-          start: 100
-        )
-
-      assert_receive {:tap, tap}
-      Situ.Test.feed(test, :n, {1, :unheard})
-      :ok = Situ.Tap.subscribe(tap)
-      Situ.Test.feed(test, :n, {2, :heard})
-      assert_receive {:situ_tap, ^tap, %Message{data: :heard}}
-      :ok = Situ.Tap.unsubscribe(tap)
-      Situ.Test.feed(test, :n, {3, :unheard})
-      refute_received {:situ_tap, _, _}
-      assert Situ.Test.outputs(test) == [{1, :unheard}, {2, :heard}, {3, :unheard}]
-      Situ.Test.stop(test)
-    end
   end
 end

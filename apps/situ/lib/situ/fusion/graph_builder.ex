@@ -93,8 +93,8 @@ defmodule Situ.Fusion.GraphBuilder do
   end
 
   @doc "Emits a stream's values at the ticks of a clock."
-  @spec attach_ticks(String.t(), Stream.t(), term(), Interpolator.t(), options()) :: Stream.t()
-  def attach_ticks(name, %Stream{} = stream, %Stream{} = clock, interpolator, {own, placed}) do
+  @spec attach_ticks(Stream.t(), term(), Interpolator.t(), options()) :: Stream.t()
+  def attach_ticks(%Stream{} = stream, %Stream{} = clock, interpolator, {own, placed}) do
     if own[:align],
       do: raise(ArgumentError, "align: needs an interval, not a stream, as the clock")
 
@@ -109,24 +109,24 @@ defmodule Situ.Fusion.GraphBuilder do
 
     Operator.attach_component(
       [primary: clock, s0: stream],
-      name,
+      "Sample",
       {FuseComponent, options},
       placed,
       type
     )
   end
 
-  def attach_ticks(name, %Stream{} = stream, interval, interpolator, {own, placed})
+  def attach_ticks(%Stream{} = stream, interval, interpolator, {own, placed})
       when is_integer(interval) and interval > 0 do
     if own[:give_up_after] || own[:max_queue],
       do: raise(ArgumentError, "give_up_after: and max_queue: need a stream as the clock")
 
     options = [interpolator: interpolator, interval: interval] ++ Keyword.take(own, [:align])
     type = Interpolator.value_type(interpolator, stream.type)
-    Operator.attach_component(stream, name, {SampleComponent, options}, placed, type)
+    Operator.attach_component(stream, "Sample", {SampleComponent, options}, placed, type)
   end
 
-  def attach_ticks(_name, _stream, clock, _interpolator, _options) do
+  def attach_ticks(_stream, clock, _interpolator, _options) do
     raise ArgumentError,
           "the clock must be a stream or an interval of 1 ns or more, got: #{inspect(clock)}"
   end
