@@ -1,4 +1,7 @@
 defmodule Situ.Generator do
+  @moduledoc false
+  # Sources from functions, values, enumerables, timers and events. `Situ` documents them.
+
   @every [type: :integer, doc: "Interval between items, ns."]
   @align [type: :time_ns, doc: "Aligns times to this one, modulo `every:`."]
   @keep_open [type: :boolean, default: false, doc: "Stays open after the last item."]
@@ -37,48 +40,17 @@ defmodule Situ.Generator do
     ]
   ]
 
-  @moduledoc """
-  Sources from functions, values, enumerables, timers and events. All functions are also available on `Situ`:
-  `Situ.from_enumerable/3` ...
-
-      Situ.from_enumerable(p, 0..9, every: Situ.Time.ms(100))      # 0, 1 ... 9, a tenth of a second apart
-      Situ.sequence(p, 1, &(&1 * 2), every: Situ.Time.ms(100))     # 1, 2, 4 ... endlessly
-      Situ.from_enumerable(p, File.stream!("level.csv"), every: Situ.Time.ms(20))
-      Situ.from_enumerable(p, [{10, :a}, {25, :b}])                # with times
-
-      iex> replay = [replay: [interval: {0, 100}, speed: :max]]
-      iex> Situ.to_list(fn p -> Situ.repeat(p, :tick, every: 30, align: 10) end, times: true, pipeline: replay)
-      [{10, :tick}, {40, :tick}, {70, :tick}, {100, :tick}]
-
-  Times are exact, however long it takes to produce the items: the pipeline's start, start + `every:`, and so on. With
-  `align: time`, they are congruent to that time modulo `every:`, beginning at or after the start. Items are produced on
-  demand up to the replay's end; in real time, each item is produced when its time comes.
-
-  | generator | ends | reproducible |
-  |---|---|---|
-  | `sequence/4` and `repeat/3` with `count:`, `from_enumerable/3` | with the last item | yes |
-  | the same with `keep_open: true` | never: they emit their items and stay open | yes |
-  | `sequence/4` and `repeat/3` without `count:` | never | yes |
-  | `timer/2`, `event_source/3` | never | no: times come from the clock |
-  | `return/3` | after its single item | yes |
-
-  A source that never ends does not keep a pipeline running after the finite sources have ended. The end of a replay
-  ends all sources.
-
-  In addition to the options of each function, all functions take the options of `Situ.Graph.Placement` for generators.
-  """
-
   alias Situ.Graph.Placement
-  alias Situ.{Argument, Pipeline, Stream}
+  alias Situ.{Argument, Pipeline}
   alias Situ.Generator.{Events, ItemFeed, Source, Timer}
 
-  @doc """
-  Emits `initial`, `next.(initial)`, and so on.
+  @spec option_schema(atom()) :: Situ.Options.schema()
+  def option_schema(kind) when kind in [:sequence, :repeat], do: @paced
+  def option_schema(:return), do: @single
+  def option_schema(:from_enumerable), do: @enumerable
+  def option_schema(:timer), do: @timer
+  def option_schema(:event_source), do: @events
 
-  #{Situ.Options.docs(@paced)}
-  """
-  @spec sequence(Pipeline.t(), value, (value -> value), keyword()) :: Stream.t()
-        when value: term()
   def sequence(%Situ.Graph.Handle{} = p, initial, next, opts) when is_function(next, 1),
     do: add_paced_source(p, "Sequence", {initial, next}, opts)
 
@@ -90,25 +62,11 @@ defmodule Situ.Generator do
         "Situ.sequence(p, 0, &(&1 + 1), every: Situ.Time.ms(20))"
       )
 
-  @doc """
-  Emits the same value repeatedly.
-
-  #{Situ.Options.docs(@paced)}
-  """
-  @spec repeat(Pipeline.t(), term(), keyword()) :: Stream.t()
   def repeat(%Situ.Graph.Handle{} = p, value, opts),
     do: add_paced_source(p, "Repeat", {value, & &1}, opts)
 
   def repeat(other, _arg2, _arg3),
     do: Argument.raise_invalid!(other, :handle, "Situ.repeat(p, 1, every: Situ.Time.ms(20))")
-
-  @doc """
-  Emits one value at the pipeline's start.
-
-  #{Situ.Options.docs(@single)}
-  """
-  @spec return(Pipeline.t(), term(), keyword()) :: Stream.t()
-  def return(p, value, opts \\ [])
 
   def return(%Situ.Graph.Handle{} = p, value, opts) do
     {own, placed} = Placement.split_options!(opts, @single, :generator)
@@ -118,18 +76,6 @@ defmodule Situ.Generator do
 
   def return(other, _arg2, _arg3),
     do: Argument.raise_invalid!(other, :handle, "Situ.return(p, 1)")
-
-  @doc """
-  Emits the items of any enumerable. With `every:` (and `align:`) the items are values at that interval. Otherwise they
-  are `{time, value}` pairs or messages, whose times must strictly increase. The enumerable is read lazily, so it may be
-  infinite or expensive.
-
-  Items before the requested or proposed start of the replay are skipped.
-
-  #{Situ.Options.docs(@enumerable)}
-  """
-  @spec from_enumerable(Pipeline.t(), Enumerable.t(), keyword()) :: Stream.t()
-  def from_enumerable(p, enumerable, opts \\ [])
 
   def from_enumerable(%Situ.Graph.Handle{} = p, enumerable, opts) do
     {own, placed} = Placement.split_options!(opts, @enumerable, :generator)
@@ -162,15 +108,6 @@ defmodule Situ.Generator do
         "Situ.from_enumerable(p, 1..9, every: Situ.Time.ms(20))"
       )
 
-  @doc """
-  Emits a message every `every:` ns of the clock, with the clock's time. Its data is the time since the start (ns), or
-  the result of `fun:`. Missed ticks are not emitted later.
-
-  Reproducible: no. `repeat/3` has exact times, independent of the clock.
-
-  #{Situ.Options.docs(@timer)}
-  """
-  @spec timer(Pipeline.t(), keyword()) :: Stream.t()
   def timer(%Situ.Graph.Handle{} = p, opts) do
     {own, placed} = Placement.split_options!(opts, @timer, :generator)
     type = if own[:fun], do: :any, else: :integer
@@ -179,19 +116,6 @@ defmodule Situ.Generator do
 
   def timer(other, _arg2),
     do: Argument.raise_invalid!(other, :handle, "Situ.timer(p, every: Situ.Time.ms(20))")
-
-  @doc """
-  Emits data that other processes post. When the pipeline starts, `subscribe.(post)` is called. Any process may then
-  call `post.(data)`, which emits a message with the clock's time. Messages with the same time are separated by 1 ns
-  unless `on_same_time:` is set.
-
-  Reproducible: no, since times depend on when data is posted. Record the stream to replay it.
-
-  #{Situ.Options.docs(@events)}
-  """
-  @spec event_source(Pipeline.t(), ((term() -> :ok) -> handle), keyword()) :: Stream.t()
-        when handle: term()
-  def event_source(p, subscribe, opts \\ [])
 
   def event_source(%Situ.Graph.Handle{} = p, subscribe, opts)
       when is_function(subscribe, 1) do

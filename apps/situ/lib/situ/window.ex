@@ -1,4 +1,7 @@
 defmodule Situ.Window do
+  @moduledoc false
+  # Windows over a stream: each message together with its neighbours. `Situ` documents them.
+
   @schema [
     with: [
       type: {:in, [:data, :messages]},
@@ -13,44 +16,13 @@ defmodule Situ.Window do
     ]
   ]
 
-  @moduledoc """
-  Windows over a stream: each message together with its neighbours.
-
-  | window | contains | partial windows |
-  |---|---|---|
-  | a range of indices, `-2..0` | this message and the two before it | no output |
-  | a `Situ.Interval` of ns | messages whose time is in the interval around this one's | output, also at the end |
-  | a stream of windows | the messages in the interval returned for each window message | output; empty windows too |
-
-  The output is the list of data, at the originating time of the message that the window belongs to (its anchor). It is
-  emitted as soon as the window is known to be complete. All windows are reproducible.
-
-      Situ.window(level, -9..0, &Enum.max/1)                                  # maximum of the last ten
-      Situ.window(level, Situ.Interval.past(Situ.Time.s(1)), &Enum.max/1)     # maximum of the last second
-
-      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.window(-2..0) end)
-      [[1, 2, 3], [2, 3, 4], [3, 4, 5]]
-
-  If the left end of a window is after its right end, the ends are swapped.
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  All options of every operator also apply (`Situ.Graph.Placement`).
-  """
-
   alias Situ.Graph.Placement
   alias Situ.{Argument, Interval, Operator, Stream}
   alias Situ.Window.{ByStream, ByIndex, Component, ByTime}
 
-  @doc """
-  Emits windows of `stream` (see the table). `fun` builds the output of each window from its list. Without `fun`, the
-  list is the output.
-  """
-  @spec window(Stream.t(), Range.t() | Interval.t(), (list() -> term()) | nil, keyword()) ::
-          Stream.t()
-  def window(stream, window, fun \\ nil, opts \\ [])
+  @spec option_schema(:window | :window_by) :: Situ.Options.schema()
+  def option_schema(:window), do: @schema
+  def option_schema(:window_by), do: @by
 
   def window(%Stream{} = stream, window, opts, []) when is_list(opts),
     do: window(stream, window, nil, opts)
@@ -68,21 +40,6 @@ defmodule Situ.Window do
         :stream,
         "Situ.window(stream, -2..0, fn list -> length(list) end)"
       )
-
-  @doc """
-  Emits a window per message of `windows`. `interval.(message)` returns `{interval, obsolete}`: the span of `stream` in
-  the window (a `Situ.Interval` of time points), and the time before which no later window will need the stream. The
-  output is at the window message's time.
-
-  #{Situ.Options.docs(@by)}
-  """
-  @spec window_by(
-          Stream.t(),
-          Stream.t(),
-          (Situ.Message.t() -> {Interval.t(), Situ.Time.t()}),
-          keyword()
-        ) :: Stream.t()
-  def window_by(stream, windows, interval, opts \\ [])
 
   def window_by(%Stream{} = stream, %Stream{} = windows, interval, opts)
       when is_function(interval, 1) do

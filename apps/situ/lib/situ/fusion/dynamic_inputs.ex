@@ -5,7 +5,6 @@ defmodule Situ.Fusion.DynamicInputs do
 
   @policy [policy: [type: {:struct, Situ.Delivery}]]
 
-  @doc "Adds an input, see `Situ.Fusion.add_input/4`."
   @spec add_input(term(), term(), Stream.t() | String.t(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def add_input(fused, key, stream, opts) do
@@ -25,7 +24,6 @@ defmodule Situ.Fusion.DynamicInputs do
     Pipeline.Client.call(pipeline, {:attach, asked})
   end
 
-  @doc "Removes an input, see `Situ.Fusion.remove_input/3`."
   @spec remove_input(term(), term(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def remove_input(fused, key, opts) do
