@@ -1,14 +1,8 @@
 defmodule Situ.Graph do
-  @moduledoc """
-  The graph of a pipeline as plain data: vertices in order of construction, edges, names and replay proposals.
-
-  All functions here are pure. `Situ.Graph.Builder` holds the graph during construction. `Situ.Graph.build/1` builds a
-  graph without a pipeline process, for components that run their own graphs:
-
-      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Component.Empty, name: "A") end)
-      iex> {node.path, Map.keys(graph.vertices)}
-      {"A", [1]}
-  """
+  @moduledoc false
+  # The graph of a pipeline as plain data: vertices in order of construction, edges, names and replay proposals. All
+  # functions here are pure. `Situ.Graph.Builder` holds the graph during construction. `build/1` builds a graph
+  # without a pipeline process, for components that run their own graphs.
   alias Situ.{Delivery, Error, Options, Type}
   alias Situ.Graph.{Edge, Placement, Vertex}
 
@@ -48,6 +42,10 @@ defmodule Situ.Graph do
 
   @doc """
   Runs `fun` with the handle of a new graph that only this process holds; returns the graph and the function's result.
+
+      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Component.Empty, name: "A") end)
+      iex> {node.path, Map.keys(graph.vertices)}
+      {"A", [1]}
   """
   @spec build((Situ.Graph.Handle.t() -> result)) :: {t(), result} when result: term()
   def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.build_graph(fun)

@@ -1,21 +1,12 @@
 defmodule Situ.Delivery.Queue do
-  @moduledoc """
-  The queue of one input, with its delivery policy. Pure. Every operation takes constant time on average.
+  @moduledoc false
+  # The queue of one input, with its delivery policy. Entries are messages, and `{:closed, time}` as the last entry.
+  # Pure; every operation takes constant time on average.
+  #
+  # A full queue drops its oldest entry when a message is pushed. With a guarantee it drops the oldest unprotected
+  # entry, or the new message if only that one is unprotected. The `:closed` entry never causes a message to be
+  # dropped.
 
-  Entries are messages, and `{:closed, time}` as the last entry.
-
-      iex> alias Situ.Delivery.Queue
-      iex> m = fn v, t -> %Situ.Message{data: v, originating_time: t} end
-      iex> queue = Queue.new(Situ.Delivery.latest())
-      iex> {queue, []} = Queue.push(queue, m.(1, 10))
-      iex> {queue, [dropped]} = Queue.push(queue, m.(2, 20))
-      iex> {%{data: 2}, _queue, []} = Queue.pop(queue, 30)
-      iex> dropped.data
-      1
-
-  A full queue drops its oldest entry when a message is pushed. With a guarantee it drops the oldest unprotected
-  entry, or the new message if only that one is unprotected. The `:closed` entry never causes a message to be dropped.
-  """
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.{Delivery, Message}
 
@@ -45,7 +36,18 @@ defmodule Situ.Delivery.Queue do
   def put_guarantee(%__MODULE__{policy: policy} = queue, keep?),
     do: %{queue | policy: %{policy | guarantee: keep?}}
 
-  @doc "Appends an entry; returns the queue and the messages that were dropped, oldest first."
+  @doc """
+  Appends an entry; returns the queue and the messages that were dropped, oldest first.
+
+      iex> alias Situ.Delivery.Queue
+      iex> m = fn v, t -> %Situ.Message{data: v, originating_time: t} end
+      iex> queue = Queue.new(Situ.Delivery.latest())
+      iex> {queue, []} = Queue.push(queue, m.(1, 10))
+      iex> {queue, [dropped]} = Queue.push(queue, m.(2, 20))
+      iex> {%{data: 2}, _queue, []} = Queue.pop(queue, 30)
+      iex> dropped.data
+      1
+  """
   @spec push(t(), entry()) :: {t(), [Message.t()]}
   def push(%__MODULE__{} = queue, {:closed, time} = closed) do
     {queue, late} = drop_after(queue, time)

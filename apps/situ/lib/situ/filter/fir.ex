@@ -1,20 +1,8 @@
 defmodule Situ.Filter.Fir do
-  @moduledoc """
-  Finite impulse response filters, designed with a windowed sinc (Hamming). The taps are symmetric, so the phase is
-  linear and the delay is half the order. The gain is 1 in the middle of the pass band: at 0 Hz, at half the rate, or
-  at the centre of the band. SciPy calls this `firwin`.
-
-  The transition bands are about 3.3 times the rate divided by the order wide, so a narrow band needs a high order.
-
-      iex> taps = Situ.Filter.Fir.design_taps(:lowpass, 1_000, [50], 40)
-      iex> length(taps)
-      41
-      iex> Float.round(Enum.sum(taps), 9)
-      1.0
-
-  Source: Oppenheim & Schafer, Discrete-Time Signal Processing, window method.
-  """
-
+  @moduledoc false
+  # Finite impulse response filters, designed with a windowed sinc (Hamming). The taps are symmetric, so the phase is
+  # linear and the delay is half the order. The gain is 1 in the middle of the pass band: at 0 Hz, at half the rate,
+  # or at the centre of the band. Source: Oppenheim & Schafer, Discrete-Time Signal Processing, window method.
   alias Situ.Number
 
   # `strange`: the number of samples until the last NaN or infinity has left the taps.
@@ -53,7 +41,15 @@ defmodule Situ.Filter.Fir do
     {Number.dot_product(taps, past), %{filter | past: past, strange: left}}
   end
 
-  @doc "Returns the impulse response of `order + 1` values (an odd order is raised by one)."
+  @doc """
+  Returns the impulse response of `order + 1` values (an odd order is raised by one).
+
+      iex> taps = Situ.Filter.Fir.design_taps(:lowpass, 1_000, [50], 40)
+      iex> length(taps)
+      41
+      iex> Float.round(Enum.sum(taps), 9)
+      1.0
+  """
   @spec design_taps(shape(), number(), [number()], pos_integer()) :: [float()]
   def design_taps(shape, rate, edges, order) do
     half = div(order + 1, 2)
