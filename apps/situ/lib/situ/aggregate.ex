@@ -99,21 +99,21 @@ defmodule Situ.Aggregate do
 
   def delta(stream, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.delta(stream)")
-    {stream, _own, placed} = split_and_filter(stream, opts, where: @where)
+    {stream, _own, placement} = split_and_filter(stream, opts, where: @where)
     fun = fn [this, next] -> Number.subtract(next, this) end
-    Window.window(stream, 0..1, fun, put_default_name("Delta", placed))
+    Window.window(stream, 0..1, fun, put_default_name("Delta", placement))
   end
 
   def abs(stream, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.abs(stream)")
-    {stream, _own, placed} = split_and_filter(stream, opts, where: @where)
-    Operator.attach(stream, "Abs", {:map, &Number.abs/1}, placed, stream.type)
+    {stream, _own, placement} = split_and_filter(stream, opts, where: @where)
+    Operator.attach(stream, "Abs", {:map, &Number.abs/1}, placement, stream.type)
   end
 
   def log(stream, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.log(stream)")
-    {stream, own, placed} = split_and_filter(stream, opts, where: @where, base: @base)
-    Operator.attach(stream, "Log", {:map, log_function(own[:base])}, placed, :any)
+    {stream, own, placement} = split_and_filter(stream, opts, where: @where, base: @base)
+    Operator.attach(stream, "Log", {:map, log_function(own[:base])}, placement, :any)
   end
 
   defp log_function(nil), do: &Number.log/1
@@ -189,9 +189,9 @@ defmodule Situ.Aggregate do
   end
 
   defp split_and_filter(stream, opts, schema) do
-    {own, placed} = Placement.split_options!(opts, schema, :operator)
+    {own, placement} = Placement.split_options!(opts, schema, :operator)
     {stream, own} = apply_where(stream, own)
-    {stream, own, placed}
+    {stream, own, placement}
   end
 
   defp put_default_name(name, opts), do: Keyword.put_new(opts, :default_name, name)

@@ -38,8 +38,8 @@ defmodule Situ.Branch do
     path = Keyword.get(opts, :path, "Branch")
 
     case Chain.from_graph(graph, inlet.node, result, path) do
-      {:ok, chained} ->
-        chained
+      {:ok, chain} ->
+        chain
 
       :error ->
         Network.from_graph(graph, inlet.node, result, Path.to_string(path), opts[:context])

@@ -49,21 +49,21 @@ defmodule Situ.Collector do
       do: handle_messages(input, [message], context, state)
 
     @impl true
-    def handle_messages(:in, _messages, _context, {_, _, :gone} = state), do: {[], state}
+    def handle_messages(:in, _messages, _context, {_, _, :discarding} = state), do: {[], state}
 
     def handle_messages(:in, messages, context, {to, ref, :reading} = state) do
       send(to, {:situ_gate, ref, self(), messages})
 
       receive do
         {:situ_gate, ^ref, :more} -> {[], state}
-        {:situ_gate, ^ref, :enough} -> {[], {to, ref, :gone}}
+        {:situ_gate, ^ref, :enough} -> {[], {to, ref, :discarding}}
         {:DOWN, _, :process, ^to, _} -> stop_pipeline(context, state)
       end
     end
 
     @impl true
     def handle_info({:situ_gate, ref, :enough}, _context, {to, ref, _}),
-      do: {[], {to, ref, :gone}}
+      do: {[], {to, ref, :discarding}}
 
     def handle_info({:DOWN, _, :process, to, _}, context, {to, _, _} = state),
       do: stop_pipeline(context, state)
@@ -72,7 +72,7 @@ defmodule Situ.Collector do
 
     defp stop_pipeline(context, {to, ref, _mode}) do
       Situ.Pipeline.stop(context.pipeline)
-      {[], {to, ref, :gone}}
+      {[], {to, ref, :discarding}}
     end
   end
 

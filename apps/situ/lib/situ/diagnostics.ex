@@ -45,9 +45,9 @@ defmodule Situ.Diagnostics do
   def format(%Trace{} = trace), do: Trace.format(trace)
   def format(snapshot), do: Table.format(snapshot)
 
-  @doc "Returns `part` as a percentage of `whole`, or 0.0 if `whole` is zero."
+  @doc "Returns `part` as a percentage of `total`, or 0.0 if `total` is zero."
   @spec percent(number(), number()) :: float()
-  defdelegate percent(part, whole), to: Window
+  defdelegate percent(part, total), to: Window
 
   @doc "Converts a count of the window to a rate per second."
   @spec rate(number(), Window.t()) :: float()

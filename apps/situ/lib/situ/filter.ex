@@ -55,7 +55,7 @@ defmodule Situ.Filter do
   def bandstop(stream, opts), do: attach_band_filter(stream, "Bandstop", :bandstop, opts)
 
   def denoise(%Stream{} = stream, opts) do
-    {own, placed} = Placement.split_options!(opts, @denoise, :operator)
+    {own, placement} = Placement.split_options!(opts, @denoise, :operator)
     order = own[:order]
 
     step = fn sample, past ->
@@ -63,13 +63,13 @@ defmodule Situ.Filter do
       {Number.median(past), past}
     end
 
-    Operator.attach(stream, "Denoise", {:step, pass_nil_through(step), []}, placed, :number)
+    Operator.attach(stream, "Denoise", {:step, pass_nil_through(step), []}, placement, :number)
   end
 
   def denoise(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.denoise(stream)")
 
   def one_euro(%Stream{} = stream, opts) do
-    {own, placed} = Placement.split_options!(opts, @one_euro, :operator)
+    {own, placement} = Placement.split_options!(opts, @one_euro, :operator)
 
     step = fn
       nil, _message, filter ->
@@ -79,24 +79,24 @@ defmodule Situ.Filter do
         emit_sample(OneEuro.step(filter, message.originating_time, sample))
     end
 
-    Operator.attach(stream, "OneEuro", {:step, step, OneEuro.new(own)}, placed, :number)
+    Operator.attach(stream, "OneEuro", {:step, step, OneEuro.new(own)}, placement, :number)
   end
 
   def one_euro(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.one_euro(stream)")
 
   defp attach_edge_filter(stream, name, shape, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.#{shape}(stream, cutoff: 3, rate: 100)")
-    {own, placed} = Placement.split_options!(opts, @edge, :operator)
-    attach_filter(stream, name, {shape, [own[:cutoff]]}, own, placed)
+    {own, placement} = Placement.split_options!(opts, @edge, :operator)
+    attach_filter(stream, name, {shape, [own[:cutoff]]}, own, placement)
   end
 
   defp attach_band_filter(stream, name, shape, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.#{shape}(stream, band: {2, 9}, rate: 100)")
-    {own, placed} = Placement.split_options!(opts, @band, :operator)
-    attach_filter(stream, name, {shape, Tuple.to_list(own[:band])}, own, placed)
+    {own, placement} = Placement.split_options!(opts, @band, :operator)
+    attach_filter(stream, name, {shape, Tuple.to_list(own[:band])}, own, placement)
   end
 
-  defp attach_filter(%Stream{} = stream, name, {shape, edges}, own, placed) do
+  defp attach_filter(%Stream{} = stream, name, {shape, edges}, own, placement) do
     rate = own[:rate]
     validate_edges!(rate, edges)
     interpolator = own[:interpolator] || Reproducible.linear()
@@ -110,7 +110,7 @@ defmodule Situ.Filter do
 
     stream
     |> Fusion.sample(round(1.0e9 / rate), interpolator, clock)
-    |> Operator.attach(name, {:step, step, filter}, placed, :float)
+    |> Operator.attach(name, {:step, step, filter}, placement, :float)
   end
 
   @most 4096

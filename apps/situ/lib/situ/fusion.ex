@@ -81,14 +81,14 @@ defmodule Situ.Fusion do
 
   def zip(first, second, opts) do
     {streams, opts} = Arguments.parse_inputs(first, second, opts)
-    {[], placed} = split_options(opts, [])
-    GraphBuilder.attach_zip(streams, placed)
+    {[], placement} = split_options(opts, [])
+    GraphBuilder.attach_zip(streams, placement)
   end
 
   def merge(first, second, opts) do
     {streams, opts} = Arguments.parse_inputs(first, second, opts)
-    {[], placed} = split_options(opts, [])
-    GraphBuilder.attach_merge(streams, placed)
+    {[], placement} = split_options(opts, [])
+    GraphBuilder.attach_merge(streams, placement)
   end
 
   def sample(%Stream{} = stream, clock, opts, []) when is_list(opts),

@@ -69,25 +69,25 @@ defmodule Situ.Generator do
     do: Argument.raise_invalid!(other, :handle, "Situ.repeat(p, 1, every: Situ.Time.ms(20))")
 
   def return(%Situ.Graph.Handle{} = p, value, opts) do
-    {own, placed} = Placement.split_options!(opts, @single, :generator)
+    {own, placement} = Placement.split_options!(opts, @single, :generator)
     feed = fn start -> ItemFeed.build_paced({:sequence, value, & &1, 1}, start, 1, nil) end
-    add_source(p, "Return", {Source, [feed: feed, keep_open: own[:keep_open]]}, placed)
+    add_source(p, "Return", {Source, [feed: feed, keep_open: own[:keep_open]]}, placement)
   end
 
   def return(other, _arg2, _arg3),
     do: Argument.raise_invalid!(other, :handle, "Situ.return(p, 1)")
 
   def from_enumerable(%Situ.Graph.Handle{} = p, enumerable, opts) do
-    {own, placed} = Placement.split_options!(opts, @enumerable, :generator)
+    {own, placement} = Placement.split_options!(opts, @enumerable, :generator)
     if own[:start], do: Pipeline.propose_replay(p, {own[:start], :unbounded})
-    placed = Keyword.put_new(placed, :type, item_type(enumerable))
+    placement = Keyword.put_new(placement, :type, item_type(enumerable))
 
     case own[:every] do
       nil ->
         feed = fn _start -> ItemFeed.build_timed(ItemFeed.to_items(enumerable)) end
-        equal = placed[:on_same_time] != :error
+        equal = placement[:on_same_time] != :error
         options = [feed: feed, timed: true, equal: equal, keep_open: own[:keep_open]]
-        add_source(p, "Enumerable", {Source, options}, placed)
+        add_source(p, "Enumerable", {Source, options}, placement)
 
       every ->
         check_every!(every, known_max_count(enumerable))
@@ -96,7 +96,7 @@ defmodule Situ.Generator do
           ItemFeed.build_paced(ItemFeed.to_items(enumerable), start, every, own[:align])
         end
 
-        add_source(p, "Enumerable", {Source, [feed: feed, keep_open: own[:keep_open]]}, placed)
+        add_source(p, "Enumerable", {Source, [feed: feed, keep_open: own[:keep_open]]}, placement)
     end
   end
 
@@ -109,9 +109,9 @@ defmodule Situ.Generator do
       )
 
   def timer(%Situ.Graph.Handle{} = p, opts) do
-    {own, placed} = Placement.split_options!(opts, @timer, :generator)
+    {own, placement} = Placement.split_options!(opts, @timer, :generator)
     type = if own[:fun], do: :any, else: :integer
-    add_source(p, "Timer", {Timer, own}, Keyword.put_new(placed, :type, type))
+    add_source(p, "Timer", {Timer, own}, Keyword.put_new(placement, :type, type))
   end
 
   def timer(other, _arg2),
@@ -120,8 +120,8 @@ defmodule Situ.Generator do
   def event_source(%Situ.Graph.Handle{} = p, subscribe, opts)
       when is_function(subscribe, 1) do
     opts = Keyword.put_new(opts, :on_same_time, :nudge)
-    {own, placed} = Placement.split_options!(opts, @events, :generator)
-    add_source(p, "EventSource", {Events, [subscribe: subscribe] ++ own}, placed)
+    {own, placement} = Placement.split_options!(opts, @events, :generator)
+    add_source(p, "EventSource", {Events, [subscribe: subscribe] ++ own}, placement)
   end
 
   def event_source(other, _arg2, _arg3),
@@ -133,7 +133,7 @@ defmodule Situ.Generator do
       )
 
   defp add_paced_source(p, name, {initial, next}, opts) do
-    {own, placed} = Placement.split_options!(opts, @paced, :generator)
+    {own, placement} = Placement.split_options!(opts, @paced, :generator)
     {every, count, align} = {own[:every], own[:count], own[:align]}
     check_every!(every, count)
 
@@ -142,13 +142,13 @@ defmodule Situ.Generator do
     end
 
     keep_open = own[:keep_open] or count == :infinity
-    add_source(p, name, {Source, [feed: feed, keep_open: keep_open]}, placed)
+    add_source(p, name, {Source, [feed: feed, keep_open: keep_open]}, placement)
   end
 
-  defp add_source(p, name, {module, own}, placed) do
-    {type, placed} = Keyword.pop(placed, :type, :any)
-    placed = [default_name: name, outputs: [out: type]] ++ placed
-    p |> Pipeline.add(module, own ++ placed) |> Situ.Node.output(:out)
+  defp add_source(p, name, {module, own}, placement) do
+    {type, placement} = Keyword.pop(placement, :type, :any)
+    placement = [default_name: name, outputs: [out: type]] ++ placement
+    p |> Pipeline.add(module, own ++ placement) |> Situ.Node.output(:out)
   end
 
   # The number of items of a lazy enumerable is unknown.

@@ -54,31 +54,31 @@ defmodule Situ.Graph do
   @spec add_component(t(), Situ.Graph.Handle.t(), module(), keyword()) :: {Situ.Node.t(), t()}
   def add_component(%__MODULE__{} = graph, handle, module, opts) do
     check_module!(module)
-    {opts, placed} = Placement.split_options!(opts, module.options(), :component)
+    {opts, placement} = Placement.split_options!(opts, module.options(), :component)
 
     vertex = %Vertex{
       id: graph.next_vertex,
       module: module,
       opts: opts,
-      inputs: build_ports(placed[:inputs] || module.inputs()),
+      inputs: build_ports(placement[:inputs] || module.inputs()),
       outputs: [],
-      policy: placed[:policy],
-      on_error: placed[:on_error],
-      async: placed[:async],
-      check: placed[:check],
-      on_same_time: placed[:on_same_time],
+      policy: placement[:policy],
+      on_error: placement[:on_error],
+      async: placement[:async],
+      check: placement[:check],
+      on_same_time: placement[:on_same_time],
       scope: handle.scope
     }
 
-    name = placed[:name] || placed[:default_name] || default_name(module)
+    name = placement[:name] || placement[:default_name] || default_name(module)
 
     insert_vertex(
       graph,
       handle,
       vertex,
-      placed[:outputs] || module.outputs(),
+      placement[:outputs] || module.outputs(),
       name,
-      placed[:name]
+      placement[:name]
     )
   end
 

@@ -23,11 +23,11 @@ defmodule Situ.MapAsync do
 
   def map_async(%Stream{} = stream, fun, opts)
       when is_function(fun, 1) or is_function(fun, 2) do
-    {own, placed} = Placement.split_options!(opts, @schema, :operator)
+    {own, placement} = Placement.split_options!(opts, @schema, :operator)
     own = Keyword.put_new(own, :max, System.schedulers_online())
-    own = [fun: fun, on_error: placed[:on_error] || :stop] ++ own
-    given = for {key, value} <- own, do: {if(key == :on_error, do: :errors, else: key), value}
-    Operator.attach_component(stream, "MapAsync", {Situ.MapAsync.Component, given}, placed)
+    own = [fun: fun, on_error: placement[:on_error] || :stop] ++ own
+    options = for {key, value} <- own, do: {if(key == :on_error, do: :errors, else: key), value}
+    Operator.attach_component(stream, "MapAsync", {Situ.MapAsync.Component, options}, placement)
   end
 
   def map_async(other, _arg2, _arg3),

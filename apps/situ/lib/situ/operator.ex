@@ -60,8 +60,8 @@ defmodule Situ.Operator do
     {[], opts} = Placement.split_options!(opts, [], :operator)
     {type, opts} = Keyword.pop(opts, :type)
     ports = for {input, stream} <- inputs, do: {input, stream.type}
-    placed = [inputs: ports, outputs: [out: type || default_type]]
-    opts = own ++ placed ++ Keyword.put_new(opts, :default_name, name)
+    placement = [inputs: ports, outputs: [out: type || default_type]]
+    opts = own ++ placement ++ Keyword.put_new(opts, :default_name, name)
     handle = first.pipeline
     node = Builder.update_graph(handle, &Graph.add_component(&1, handle, module, opts))
 

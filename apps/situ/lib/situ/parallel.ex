@@ -48,7 +48,7 @@ defmodule Situ.Parallel do
 
   def parallel(%Stream{} = stream, fun, opts)
       when is_function(fun, 1) or is_function(fun, 2) do
-    {own, placed} = Placement.split_options!(opts, @schema, :operator)
+    {own, placement} = Placement.split_options!(opts, @schema, :operator)
     form = choose_form(stream.type, fun, own)
 
     options = [
@@ -65,7 +65,7 @@ defmodule Situ.Parallel do
     options = options ++ shared ++ [termination: Termination.parse_rule(own[:until])]
     type = if own[:with], do: :any, else: if(is_map_form(form), do: :map, else: :list)
     box = if processes?, do: Processes, else: Values
-    Operator.attach_component(stream, "Parallel", {box, options}, placed, type)
+    Operator.attach_component(stream, "Parallel", {box, options}, placement, type)
   end
 
   def parallel(other, _arg2, _arg3),

@@ -97,13 +97,13 @@ defmodule Situ.Selection do
     do: Argument.raise_invalid!(other, :stream, "Situ.delay(stream, Situ.Time.ms(20))")
 
   def process(%Stream{} = stream, state, fun, opts) when is_function(fun, 2) do
-    {own, placed} = Placement.split_options!(opts, @process, :operator)
+    {own, placement} = Placement.split_options!(opts, @process, :operator)
 
     Operator.attach_component(
       stream,
       "Process",
       {Process, [state: state, fun: fun] ++ own},
-      placed
+      placement
     )
   end
 
@@ -125,14 +125,14 @@ defmodule Situ.Selection do
 
   def reorder(%Stream{} = stream, lateness, opts)
       when is_integer(lateness) and lateness >= 0 do
-    {own, placed} = Placement.split_options!(opts, @reorder, :operator)
+    {own, placement} = Placement.split_options!(opts, @reorder, :operator)
     own = Keyword.put_new(own, :time, & &1.originating_time)
 
     Operator.attach_component(
       stream,
       "Reorder",
       {Reorder, [lateness: lateness] ++ own},
-      placed,
+      placement,
       stream.type
     )
   end

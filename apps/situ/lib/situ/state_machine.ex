@@ -82,13 +82,13 @@ defmodule Situ.StateMachine do
 
   @doc false
   def state_machine(%Stream{} = stream, machine, opts) do
-    {own, placed} = Placement.split_options!(opts, @schema, :operator)
+    {own, placement} = Placement.split_options!(opts, @schema, :operator)
 
     Operator.attach_component(
       stream,
       "StateMachine",
       {Runner, runner_options(machine, own)},
-      placed
+      placement
     )
   end
 

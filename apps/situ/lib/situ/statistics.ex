@@ -12,10 +12,6 @@ defmodule Situ.Statistics do
   @type kind :: :count | :sum | :min | :max | :average | :std
   @opaque state :: {kind(), term(), map()}
 
-  @doc "Returns the kinds of statistics."
-  @spec statistic_kinds() :: [kind()]
-  def statistic_kinds, do: @kinds
-
   @doc "Computes the statistic of a list."
   @spec of_list(kind(), list(), keyword()) :: term()
   def of_list(kind, list, opts \\ [])

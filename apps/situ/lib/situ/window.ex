@@ -28,9 +28,9 @@ defmodule Situ.Window do
     do: window(stream, window, nil, opts)
 
   def window(%Stream{} = stream, window, fun, opts) when is_nil(fun) or is_function(fun, 1) do
-    {own, placed} = Placement.split_options!(opts, @schema, :operator)
+    {own, placement} = Placement.split_options!(opts, @schema, :operator)
     type = if fun == nil, do: {:list, item_type(stream, own[:with])}, else: :any
-    attach_window(stream, window, {fun, own[:with]}, {type, placed})
+    attach_window(stream, window, {fun, own[:with]}, {type, placement})
   end
 
   def window(other, _arg2, _arg3, _arg4),
@@ -43,7 +43,7 @@ defmodule Situ.Window do
 
   def window_by(%Stream{} = stream, %Stream{} = windows, interval, opts)
       when is_function(interval, 1) do
-    {own, placed} = Placement.split_options!(opts, @by, :operator)
+    {own, placement} = Placement.split_options!(opts, @by, :operator)
     creator = own[:with] || fn _window, messages -> Enum.map(messages, & &1.data) end
     core = {ByStream, :new, [interval, creator]}
 
@@ -51,7 +51,7 @@ defmodule Situ.Window do
       [in: stream, windows: windows],
       "Window",
       {Component, [core: core]},
-      placed
+      placement
     )
   end
 
@@ -64,27 +64,27 @@ defmodule Situ.Window do
       )
 
   # Windows that end at their anchor are complete when it arrives, so they run as light operators in a chain.
-  defp attach_window(stream, %Range{first: from, last: to}, {fun, with}, {type, placed})
+  defp attach_window(stream, %Range{first: from, last: to}, {fun, with}, {type, placement})
        when (to == 0 and from <= 0) or (from == 0 and to <= 0) do
     step = Situ.Window.Trailing.by_count(1 - min(from, to), fun, with)
-    Operator.attach(stream, "Window", step, placed, type)
+    Operator.attach(stream, "Window", step, placement, type)
   end
 
-  defp attach_window(stream, %Range{} = range, {fun, with}, {type, placed}) do
+  defp attach_window(stream, %Range{} = range, {fun, with}, {type, placement}) do
     core = {ByIndex, :new, [range, fun, [with: with]]}
-    Operator.attach_component(stream, "Window", {Component, [core: core]}, placed, type)
+    Operator.attach_component(stream, "Window", {Component, [core: core]}, placement, type)
   end
 
-  defp attach_window(stream, %Interval{} = interval, {fun, with}, {type, placed}) do
+  defp attach_window(stream, %Interval{} = interval, {fun, with}, {type, placement}) do
     case Interval.sort_ends(interval) do
       %{right: 0, right_inclusive: true, left: left} = past when is_integer(left) ->
         step = Situ.Window.Trailing.by_time(past, fun, with)
-        Operator.attach(stream, "Window", step, placed, type)
+        Operator.attach(stream, "Window", step, placement, type)
 
       ordered ->
         check_integer_ends!(ordered)
         core = {ByTime, :new, [ordered, fun, [with: with]]}
-        Operator.attach_component(stream, "Window", {Component, [core: core]}, placed, type)
+        Operator.attach_component(stream, "Window", {Component, [core: core]}, placement, type)
     end
   end
 

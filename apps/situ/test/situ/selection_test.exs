@@ -2,8 +2,6 @@ defmodule Situ.SelectionTest do
   # Cases that the conformance files do not cover, for operators that select and hold messages.
   use ExUnit.Case, async: true
 
-  alias Situ.Message
-
   @moduletag :capture_log
 
   defp run(inputs, build, opts \\ []) do

@@ -26,10 +26,10 @@ defmodule Situ.Diagnostics.Window do
           size: non_neg_integer() | nil
         }
 
-  @doc "Returns `part` as a percentage of `whole`, or 0.0 if `whole` is not positive."
+  @doc "Returns `part` as a percentage of `total`, or 0.0 if `total` is not positive."
   @spec percent(number(), number()) :: float()
-  def percent(_part, whole) when whole <= 0, do: 0.0
-  def percent(part, whole), do: part * 100 / whole
+  def percent(_part, total) when total <= 0, do: 0.0
+  def percent(part, total), do: part * 100 / total
 
   @doc """
   Converts a count of the window to a rate per second.

@@ -5,10 +5,10 @@ defmodule Situ.Filter.Fir do
   # or at the centre of the band. Source: Oppenheim & Schafer, Discrete-Time Signal Processing, window method.
   alias Situ.Number
 
-  # `strange`: the number of samples until the last NaN or infinity has left the taps.
-  @type t :: %__MODULE__{taps: [float()], past: [Number.t()], strange: non_neg_integer()}
+  # `non_finite`: the number of samples until the last NaN or infinity has left the taps.
+  @type t :: %__MODULE__{taps: [float()], past: [Number.t()], non_finite: non_neg_integer()}
   @enforce_keys [:taps]
-  defstruct [:taps, past: [], strange: 0]
+  defstruct [:taps, past: [], non_finite: 0]
 
   @type shape :: :lowpass | :highpass | :bandpass | :bandstop
 
@@ -21,7 +21,7 @@ defmodule Situ.Filter.Fir do
 
   @doc "Filters one sample. `:nan` and infinities affect the output until they have left the taps."
   @spec step(t(), Number.t()) :: {Number.t(), t()}
-  def step(%__MODULE__{taps: taps, past: past, strange: 0} = filter, sample)
+  def step(%__MODULE__{taps: taps, past: past, non_finite: 0} = filter, sample)
       when is_number(sample) do
     {sum, past} = dot_and_shift(taps, [sample | past], 0.0, [])
     {sum, %{filter | past: past}}
@@ -31,14 +31,14 @@ defmodule Situ.Filter.Fir do
   end
 
   def step(%__MODULE__{} = filter, sample) when is_number(sample),
-    do: step_non_finite(filter, sample, filter.strange - 1)
+    do: step_non_finite(filter, sample, filter.non_finite - 1)
 
   def step(%__MODULE__{} = filter, sample),
     do: step_non_finite(filter, sample, length(filter.taps) - 1)
 
   defp step_non_finite(%{taps: taps, past: past} = filter, sample, left) do
     past = Enum.take([sample | past], length(taps))
-    {Number.dot_product(taps, past), %{filter | past: past, strange: left}}
+    {Number.dot_product(taps, past), %{filter | past: past, non_finite: left}}
   end
 
   @doc """
@@ -75,8 +75,8 @@ defmodule Situ.Filter.Fir do
 
   defp hamming_weight(n, half), do: 0.54 + 0.46 * :math.cos(:math.pi() * n / half)
 
-  defp dot_and_shift([tap | taps], [x | past], sum, kept),
-    do: dot_and_shift(taps, past, sum + tap * x, [x | kept])
+  defp dot_and_shift([tap | taps], [x | past], sum, shifted),
+    do: dot_and_shift(taps, past, sum + tap * x, [x | shifted])
 
-  defp dot_and_shift([], _past, sum, kept), do: {sum, :lists.reverse(kept)}
+  defp dot_and_shift([], _past, sum, shifted), do: {sum, :lists.reverse(shifted)}
 end

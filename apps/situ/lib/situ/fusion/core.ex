@@ -190,7 +190,7 @@ defmodule Situ.Fusion.Core do
   def take_finished_inputs(%{values: :map} = core) do
     case Enum.split_with(core.members, &member_finished?(&1, core)) do
       {[], _} -> {[], core}
-      {over, kept} -> {Enum.map(over, & &1.input), %{core | members: kept}}
+      {finished, remaining} -> {Enum.map(finished, & &1.input), %{core | members: remaining}}
     end
   end
 

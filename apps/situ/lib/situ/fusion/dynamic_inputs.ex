@@ -13,7 +13,7 @@ defmodule Situ.Fusion.DynamicInputs do
     {pipeline, taker} = locate_operator(fused)
     from = locate_stream(pipeline, stream)
 
-    asked = %{
+    request = %{
       taker: taker,
       stream: from,
       policy: policy,
@@ -21,7 +21,7 @@ defmodule Situ.Fusion.DynamicInputs do
       input: &input_name/1
     }
 
-    Pipeline.Client.call(pipeline, {:attach, asked})
+    Pipeline.Client.call(pipeline, {:attach, request})
   end
 
   @spec remove_input(term(), term(), keyword()) ::

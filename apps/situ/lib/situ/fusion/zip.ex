@@ -79,8 +79,8 @@ defmodule Situ.Fusion.Zip do
   end
 
   defp emit_groups(%{inputs: inputs, frontier: frontier} = zip) do
-    {released, kept} = inputs |> Enum.map(&split_queue(&1, frontier)) |> Enum.unzip()
-    {group_by_time(:lists.reverse(released)), %{zip | inputs: kept}}
+    {released, remaining} = inputs |> Enum.map(&split_queue(&1, frontier)) |> Enum.unzip()
+    {group_by_time(:lists.reverse(released)), %{zip | inputs: remaining}}
   end
 
   # `:closed` is an atom and so sorts after every time. An input that has not sent a message delays all others.
