@@ -88,7 +88,7 @@ defmodule Situ.Guide.Pictures do
 
     {:ok, outputs} =
       Situ.Test.run([level: timed(level), clock: timed(ticks)], fn streams ->
-        Situ.interpolate(streams.level, streams.clock, Reproducible.linear())
+        Situ.sample(streams.level, streams.clock, Reproducible.linear())
       end)
 
     y = fn value -> 160 - value * 1.5 end

@@ -180,7 +180,9 @@ defmodule Situ.Conformance.Generators do
       )
 
   defp generator({"return", _flags}, p, params), do: Situ.return(p, Map.get(params, "value", 1))
-  defp generator({"once", _flags}, p, params), do: Situ.once(p, Map.get(params, "value", 1))
+
+  defp generator({"once", _flags}, p, params),
+    do: Situ.return(p, Map.get(params, "value", 1), keep_open: true)
 
   defp range(p, start, :infinity, params, flags),
     do: Situ.sequence(p, start, &(&1 + 1), [every: interval(params)] ++ flags)

@@ -24,26 +24,22 @@ defmodule Situ.Conformance.Operators do
   end
 
   def check(%{"op" => "to_observable", "params" => %{"steps" => steps}, "expect" => expect}) do
-    me = self()
+    test = Situ.Test.start([:in], fn %{in: stream} -> Situ.map(stream, & &1, name: "Out") end)
 
-    test =
-      Situ.Test.start([:in], fn %{in: stream} ->
-        {stream, tap} = Situ.tap(stream)
-        send(me, {:tap, tap})
-        stream
+    {answers, _taps} =
+      Enum.reduce(steps, {[], []}, fn
+        "subscribe", {answers, taps} ->
+          {:ok, tap} = Situ.attach_tap({test.pipeline, "Out"}, &Function.identity/1)
+          {answers, [tap | taps]}
+
+        "unsubscribe", {answers, [tap | taps]} ->
+          :ok = Situ.detach_tap(tap)
+          {answers, taps}
+
+        "has_subscribers", {answers, taps} ->
+          nodes = Situ.Pipeline.info(test.pipeline).nodes
+          {[Enum.any?(nodes, &(&1.kind == :tap)) | answers], taps}
       end)
-
-    tap = receive do: ({:tap, tap} -> tap)
-
-    answers =
-      for step <- steps, reduce: [] do
-        answers ->
-          case step do
-            "subscribe" -> Situ.Tap.subscribe(tap) && answers
-            "unsubscribe" -> Situ.Tap.unsubscribe(tap) && answers
-            "has_subscribers" -> [Situ.Tap.subscribed?(tap) | answers]
-          end
-      end
 
     Situ.Test.stop(test)
     verdict(expect, %{"has_subscribers" => Enum.reverse(answers)})

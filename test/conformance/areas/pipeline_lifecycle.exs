@@ -120,7 +120,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
             do: Situ.sequence(p, 0, &div(1, &1), every: ms(1), count: 2)
 
           inner =
-            Pipeline.composite(p, "Sub", fn sub ->
+            Situ.composite(p, "Sub", fn sub ->
               Situ.source(sub, Source, kind: :finite) && sub
             end)
 
@@ -199,7 +199,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
       Pipeline.run(
         fn p ->
           Situ.source(p, Watch, tell: tell)
-          Pipeline.composite(p, "Sub", &Situ.source(&1, Watch, tell: tell))
+          Situ.composite(p, "Sub", &Situ.source(&1, Watch, tell: tell))
         end,
         pipeline: [replay: [interval: {1_000_000, :unbounded}, speed: 1.0]]
       )
@@ -221,7 +221,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
           Situ.source(p, Ticker, interval: 10_000_000)
 
           if id =~ "sub",
-            do: Pipeline.composite(p, "Sub", &Situ.source(&1, Ticker, interval: 10_000_000))
+            do: Situ.composite(p, "Sub", &Situ.source(&1, Ticker, interval: 10_000_000))
         end,
         []
       )
@@ -308,7 +308,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
   defp source(p, "subpipeline(" <> rest) do
     inner = rest |> String.trim_trailing(")") |> String.split([",", "+"], trim: true)
 
-    Pipeline.composite(p, unique("Sub"), fn sub ->
+    Situ.composite(p, unique("Sub"), fn sub ->
       Enum.each(inner, &source(sub, String.trim(&1)))
     end)
   end

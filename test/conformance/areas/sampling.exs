@@ -11,7 +11,7 @@ defmodule Situ.Conformance.Sampling do
     result =
       case String.split(op, ".by_") do
         [_, "clock"] ->
-          Run.inputs(case, fn [source, clock] -> Situ.interpolate(source, clock, interpolator) end)
+          Run.inputs(case, fn [source, clock] -> Situ.sample(source, clock, interpolator) end)
 
         [_, "interval"] ->
           by_interval(case, interpolator, p)
@@ -27,7 +27,7 @@ defmodule Situ.Conformance.Sampling do
     close = closed_at(p) || last
     align = align(p)
     interval = if p["interval_ms"], do: ms(p["interval_ms"]), else: ticks(p["interval_ticks"])
-    build = fn [source] -> Situ.interpolate(source, interval, interpolator, align) end
+    build = fn [source] -> Situ.sample(source, interval, interpolator, align) end
 
     Run.waiting(inputs, build, 0, fn test ->
       Situ.Test.feed(test, 0, messages)

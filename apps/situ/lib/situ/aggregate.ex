@@ -1,11 +1,19 @@
 defmodule Situ.Aggregate do
+  @moduledoc false
+  # Folds and statistics over streams. `Situ` documents them; `Situ.Statistics` computes the values.
+
   @where [
     type: {:fun, 1},
     doc:
       "Includes only messages (or elements, with `over: :list`) for which it returns true; others cause no output."
   ]
   @schema [
-    over: [type: :any, default: :all, doc: "The covered messages; see the table."],
+    over: [
+      type: :any,
+      default: :all,
+      doc:
+        "The covered messages: `:all` so far, the `:list` in each message, `{:last, n}` messages, or `{:past, ns}`."
+    ],
     where: @where,
     by: [
       type: {:fun, 1},
@@ -28,47 +36,40 @@ defmodule Situ.Aggregate do
   ]
   @base [type: :number, doc: "The base; the natural logarithm by default."]
 
-  @moduledoc """
-  Statistics over streams of numbers. All functions are also available on `Situ`: `Situ.sum/2` ...
-
-  `over:` selects the messages that a statistic covers:
-
-  | `over:` | statistic of | output |
-  |---|---|---|
-  | `:all` (default) | all messages so far | with each message |
-  | `:list` | the list that each message carries | with each message |
-  | `{:last, n}` | the last `n` messages | from the `n`-th message on |
-  | `{:past, span}` | the messages of the last `span` ns, both ends included | with each message |
-
-  Outputs keep the originating time of the message that causes them. Numbers may be `:nan`, `:infinity`,
-  `:neg_infinity` and `nil` (no value), and follow the rules of `Situ.Statistics`.
-
-      Situ.average(level, over: {:past, Situ.Time.s(1)})
-      Situ.count(words, where: &(&1 != ""))
-      Situ.max(faces, over: :list, by: & &1.score, nullable: true)
-
-      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.average(over: {:last, 2}) end)
-      [1.5, 2.5, 3.5, 4.5]
-
-  ## Options
-
-  #{Situ.Options.docs(@schema)}
-
-  All functions also take the options of every operator (`Situ.Graph.Placement`).
-  """
-
   import Kernel, except: [abs: 1, max: 2, min: 2]
 
   alias Situ.Graph.Placement
   alias Situ.{Argument, Number, Operator, Statistics, Stream, Window}
   alias Situ.Statistics.Sliding
 
-  @doc """
-  Folds a stream without an initial value. The first message passes unchanged; each later output is
-  `fun.(data, previous_output)`.
-  """
-  @spec reduce(Stream.t(), (term(), term() -> term()), keyword()) :: Stream.t()
-  def reduce(stream, fun, opts \\ [])
+  @spec option_schema() :: Situ.Options.schema()
+  def option_schema, do: @schema
+
+  def scan(%Stream{} = stream, acc, fun, opts) when is_function(fun, 2) do
+    step = fn data, _message, acc ->
+      acc = fun.(data, acc)
+      {:emit, acc, acc}
+    end
+
+    Operator.attach(stream, "Scan", {:step, step, acc}, opts)
+  end
+
+  def scan(%Stream{} = stream, acc, fun, opts) when is_function(fun, 3) do
+    step = fn data, message, acc ->
+      acc = fun.(data, message, acc)
+      {:emit, acc, acc}
+    end
+
+    Operator.attach(stream, "Scan", {:step, step, acc}, opts)
+  end
+
+  def scan(other, _acc, _fun, _opts),
+    do:
+      Argument.raise_invalid!(
+        other,
+        :stream,
+        "Situ.scan(stream, 0, fn data, acc -> data + acc end)"
+      )
 
   def reduce(%Stream{} = stream, fun, opts) when is_function(fun, 2) do
     step = fn
@@ -89,56 +90,30 @@ defmodule Situ.Aggregate do
 
   defp emit_accumulated(value), do: {:emit, value, {:some, value}}
 
-  @doc "Counts the messages (or elements)."
-  @spec count(Stream.t(), keyword()) :: Stream.t()
-  def count(stream, opts \\ []), do: attach_statistic(stream, :count, opts)
+  def count(stream, opts), do: attach_statistic(stream, :count, opts)
+  def sum(stream, opts), do: attach_statistic(stream, :sum, opts)
+  def min(stream, opts), do: attach_statistic(stream, :min, opts)
+  def max(stream, opts), do: attach_statistic(stream, :max, opts)
+  def average(stream, opts), do: attach_statistic(stream, :average, opts)
+  def std(stream, opts), do: attach_statistic(stream, :std, opts)
 
-  @doc "Computes the sum. `nil` adds nothing."
-  @spec sum(Stream.t(), keyword()) :: Stream.t()
-  def sum(stream, opts \\ []), do: attach_statistic(stream, :sum, opts)
-
-  @doc "Computes the minimum."
-  @spec min(Stream.t(), keyword()) :: Stream.t()
-  def min(stream, opts \\ []), do: attach_statistic(stream, :min, opts)
-
-  @doc "Computes the maximum."
-  @spec max(Stream.t(), keyword()) :: Stream.t()
-  def max(stream, opts \\ []), do: attach_statistic(stream, :max, opts)
-
-  @doc "Computes the mean, as a float."
-  @spec average(Stream.t(), keyword()) :: Stream.t()
-  def average(stream, opts \\ []), do: attach_statistic(stream, :average, opts)
-
-  @doc "Computes the sample standard deviation (n - 1)."
-  @spec std(Stream.t(), keyword()) :: Stream.t()
-  def std(stream, opts \\ []), do: attach_statistic(stream, :std, opts)
-
-  @doc """
-  Emits the next number minus the current one, at the **current** message's originating time. Each difference is
-  emitted when the next message arrives, so the last message has no output. `where:` filters first.
-  """
-  @spec delta(Stream.t(), keyword()) :: Stream.t()
-  def delta(stream, opts \\ []) do
+  def delta(stream, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.delta(stream)")
-    {stream, _own, placed} = split_and_filter(stream, opts, where: @where)
+    {stream, _own, placement} = split_and_filter(stream, opts, where: @where)
     fun = fn [this, next] -> Number.subtract(next, this) end
-    Window.window(stream, 0..1, fun, put_default_name("Delta", placed))
+    Window.window(stream, 0..1, fun, put_default_name("Delta", placement))
   end
 
-  @doc "Emits the absolute value of each number. `where:` filters first."
-  @spec abs(Stream.t(), keyword()) :: Stream.t()
-  def abs(stream, opts \\ []) do
+  def abs(stream, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.abs(stream)")
-    {stream, _own, placed} = split_and_filter(stream, opts, where: @where)
-    Operator.attach(stream, "Abs", {:map, &Number.abs/1}, placed, stream.type)
+    {stream, _own, placement} = split_and_filter(stream, opts, where: @where)
+    Operator.attach(stream, "Abs", {:map, &Number.abs/1}, placement, stream.type)
   end
 
-  @doc "Emits the logarithm of each number: natural, or to `base:`. `where:` filters first."
-  @spec log(Stream.t(), keyword()) :: Stream.t()
-  def log(stream, opts \\ []) do
+  def log(stream, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.log(stream)")
-    {stream, own, placed} = split_and_filter(stream, opts, where: @where, base: @base)
-    Operator.attach(stream, "Log", {:map, log_function(own[:base])}, placed, :any)
+    {stream, own, placement} = split_and_filter(stream, opts, where: @where, base: @base)
+    Operator.attach(stream, "Log", {:map, log_function(own[:base])}, placement, :any)
   end
 
   defp log_function(nil), do: &Number.log/1
@@ -214,9 +189,9 @@ defmodule Situ.Aggregate do
   end
 
   defp split_and_filter(stream, opts, schema) do
-    {own, placed} = Placement.split_options!(opts, schema, :operator)
+    {own, placement} = Placement.split_options!(opts, schema, :operator)
     {stream, own} = apply_where(stream, own)
-    {stream, own, placed}
+    {stream, own, placement}
   end
 
   defp put_default_name(name, opts), do: Keyword.put_new(opts, :default_name, name)

@@ -11,7 +11,6 @@ defmodule Situ.Application do
       Situ.Application.Reaper,
       Situ.Clock.registry_spec(),
       Situ.Connector.registry_spec(),
-      Situ.Tap.registry_spec(),
       Situ.Application.Directory,
       Situ.Application.CodeReload
     ]

@@ -1,22 +1,9 @@
 defmodule Situ.Branch do
-  @moduledoc """
-  A part of a pipeline that runs as a value: it has no process and no queue, and handles one message at a time.
-
-  Components are pure state machines, and so is a graph of them. `Situ.parallel/3` runs its branches this way, so a
-  branch costs no more than the state of its components.
-
-      iex> branch = Situ.Branch.start(fn stream -> stream |> Situ.map(& &1 + 1) |> Situ.sum() end)
-      iex> message = &%Situ.Message{originating_time: &1, data: &2}
-      iex> {[{1, 11}], branch} = Situ.Branch.push(branch, message.(1, 10))
-      iex> {outputs, _branch} = Situ.Branch.push(branch, message.(2, 20))
-      iex> outputs
-      [{2, 32}]
-
-  A branch may contain every component that only reacts to its inputs: all operators except sources, `Situ.timer/2`
-  and `Situ.delay/3`, and all components without timers or processes. Other components are rejected with
-  `Situ.Error` `:not_in_branch`.
-  """
-
+  @moduledoc false
+  # A part of a pipeline that runs as a value: it has no process and no queue, and handles one message at a time.
+  # Components are pure state machines, and so is a graph of them. `Situ.parallel/3` runs its branches this way, so a
+  # branch costs no more than the state of its components. Components with a clock or a process are rejected with
+  # `Situ.Error` `:not_in_branch`.
   alias Situ.{Error, Graph, Message, Stream}
   alias Situ.Branch.{Chain, Input, Network, Path}
 
@@ -51,8 +38,8 @@ defmodule Situ.Branch do
     path = Keyword.get(opts, :path, "Branch")
 
     case Chain.from_graph(graph, inlet.node, result, path) do
-      {:ok, chained} ->
-        chained
+      {:ok, chain} ->
+        chain
 
       :error ->
         Network.from_graph(graph, inlet.node, result, Path.to_string(path), opts[:context])
@@ -72,7 +59,16 @@ defmodule Situ.Branch do
     end
   end
 
-  @doc "Pushes a message through the branch and returns its outputs in order."
+  @doc """
+  Pushes a message through the branch and returns its outputs in order.
+
+      iex> branch = Situ.Branch.start(fn stream -> stream |> Situ.map(& &1 + 1) |> Situ.sum() end)
+      iex> message = &%Situ.Message{originating_time: &1, data: &2}
+      iex> {[{1, 11}], branch} = Situ.Branch.push(branch, message.(1, 10))
+      iex> {outputs, _branch} = Situ.Branch.push(branch, message.(2, 20))
+      iex> outputs
+      [{2, 32}]
+  """
   @spec push(t(), Message.t()) :: {outputs(), t()}
   def push(%Chain{} = branch, message), do: Chain.push(branch, message)
   def push(%Network{} = branch, message), do: Network.push(branch, message)

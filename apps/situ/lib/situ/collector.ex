@@ -1,20 +1,6 @@
 defmodule Situ.Collector do
-  @moduledoc """
-  Collects streams as lists and as Elixir enumerables, for IEx, scripts and tests. `Situ` has all of these functions,
-  too.
-
-      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.map(&(&1 * &1)) end)
-      [1, 4, 9, 16, 25]
-
-      iex> {:ok, %{odd: odd}} = Situ.collect(fn p ->
-      ...>   %{odd: p |> Situ.from_enumerable(0..4, every: 10) |> Situ.filter(&(rem(&1, 2) == 1))}
-      ...> end)
-      iex> Enum.map(odd, & &1.data)
-      [1, 3]
-
-      iex> fn p -> Situ.sequence(p, 1, &(&1 * 3), every: 10) end |> Situ.to_stream() |> Enum.take(4)
-      [1, 3, 9, 27]
-  """
+  @moduledoc false
+  # Collects streams as lists and as Elixir enumerables, for IEx, scripts and tests. `Situ` documents the functions.
 
   alias Situ.{Argument, Message, Pipeline, Stream}
 
@@ -63,21 +49,21 @@ defmodule Situ.Collector do
       do: handle_messages(input, [message], context, state)
 
     @impl true
-    def handle_messages(:in, _messages, _context, {_, _, :gone} = state), do: {[], state}
+    def handle_messages(:in, _messages, _context, {_, _, :discarding} = state), do: {[], state}
 
     def handle_messages(:in, messages, context, {to, ref, :reading} = state) do
       send(to, {:situ_gate, ref, self(), messages})
 
       receive do
         {:situ_gate, ^ref, :more} -> {[], state}
-        {:situ_gate, ^ref, :enough} -> {[], {to, ref, :gone}}
+        {:situ_gate, ^ref, :enough} -> {[], {to, ref, :discarding}}
         {:DOWN, _, :process, ^to, _} -> stop_pipeline(context, state)
       end
     end
 
     @impl true
     def handle_info({:situ_gate, ref, :enough}, _context, {to, ref, _}),
-      do: {[], {to, ref, :gone}}
+      do: {[], {to, ref, :discarding}}
 
     def handle_info({:DOWN, _, :process, to, _}, context, {to, _, _} = state),
       do: stop_pipeline(context, state)
@@ -86,20 +72,11 @@ defmodule Situ.Collector do
 
     defp stop_pipeline(context, {to, ref, _mode}) do
       Situ.Pipeline.stop(context.pipeline)
-      {[], {to, ref, :gone}}
+      {[], {to, ref, :discarding}}
     end
   end
 
   @type streams :: Stream.t() | [Stream.t()] | %{term() => Stream.t()} | keyword(Stream.t())
-
-  @doc """
-  Runs a pipeline to its end and returns the messages of the streams that `build` returned. A stream becomes a list of
-  `Situ.Message`; a list or map of streams becomes a list or map of such lists. The pipeline runs as fast as possible
-  unless `pipeline:` sets a speed.
-  """
-  @spec collect((Pipeline.t() -> streams()), keyword()) ::
-          {:ok, term()} | {:error, Situ.Error.t()}
-  def collect(build, opts \\ [])
 
   def collect(build, opts) when is_function(build, 1) do
     ref = make_ref()
@@ -118,13 +95,6 @@ defmodule Situ.Collector do
 
   def collect(other, _opts), do: refuse_build!(other, "collect")
 
-  @doc """
-  Like `collect/2`, but returns only the data and raises errors. With `times: true`, returns
-  `{originating_time, data}` pairs.
-  """
-  @spec to_list((Pipeline.t() -> streams()), keyword()) :: term()
-  def to_list(build, opts \\ [])
-
   def to_list(build, opts) when is_function(build, 1) do
     {times?, opts} = Keyword.pop(opts, :times, false)
 
@@ -135,14 +105,6 @@ defmodule Situ.Collector do
   end
 
   def to_list(other, _opts), do: refuse_build!(other, "to_list")
-
-  @doc """
-  Returns the data of the stream that `build` returns as an Elixir `Stream`. Reading it runs a separate pipeline,
-  which runs ahead only as far as its back-pressure allows and is stopped when reading stops. With `messages: true`,
-  returns complete messages.
-  """
-  @spec to_stream((Pipeline.t() -> Stream.t()), keyword()) :: Enumerable.t()
-  def to_stream(build, opts \\ [])
 
   def to_stream(build, opts) when is_function(build, 1) do
     {messages?, opts} = Keyword.pop(opts, :messages, false)
@@ -162,7 +124,6 @@ defmodule Situ.Collector do
     Argument.raise_invalid!(other, :build, example)
   end
 
-  @doc false
   @spec attach_sink(Stream.t(), pid(), term()) :: :ok
   def attach_sink(%Stream{} = stream, to, key) do
     node = Pipeline.add(stream.pipeline, Sink, to: to, key: key, default_name: "Collect")

@@ -101,7 +101,7 @@ defmodule Situ.Component do
   @callback handle_stop(final_time :: Situ.Time.t(), Context.t(), state()) :: result()
 
   @doc """
-  Adds an input while the pipeline is running, as described by `request` (see `Situ.Fusion.add_input/4`). The input
+  Adds an input while the pipeline is running, as described by `request` (see `Situ.add_input/4`). The input
   will receive no messages up to the originating time `last`, and all later ones. The reply is sent to the caller.
   `opts` are the component's options from now on, which are also used if it is restarted.
 

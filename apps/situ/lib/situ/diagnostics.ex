@@ -11,7 +11,7 @@ defmodule Situ.Diagnostics do
       {"Empty", :source, :closed}
   """
   alias Situ.Graph
-  alias Situ.Diagnostics.{Snapshot, Window}
+  alias Situ.Diagnostics.{Snapshot, Table, Trace, Window}
 
   @doc """
   Returns the Diagnostics stream of the pipeline being built, which emits a snapshot every `interval:` ns (default 100
@@ -37,13 +37,17 @@ defmodule Situ.Diagnostics do
     end
   end
 
-  @doc "Formats the snapshot as a compact table for IEx; means are over the last averaging span."
-  @spec format(Snapshot.t()) :: String.t()
-  defdelegate format(snapshot), to: Situ.Diagnostics.Table
+  @doc """
+  Formats a snapshot as a compact table for IEx, with means over the last averaging span. Formats a trace
+  (`Situ.trace/2`) as the current position of the message and a line for each connection.
+  """
+  @spec format(Snapshot.t() | Trace.t()) :: String.t()
+  def format(%Trace{} = trace), do: Trace.format(trace)
+  def format(snapshot), do: Table.format(snapshot)
 
-  @doc "Returns `part` as a percentage of `whole`, or 0.0 if `whole` is zero."
+  @doc "Returns `part` as a percentage of `total`, or 0.0 if `total` is zero."
   @spec percent(number(), number()) :: float()
-  defdelegate percent(part, whole), to: Window
+  defdelegate percent(part, total), to: Window
 
   @doc "Converts a count of the window to a rate per second."
   @spec rate(number(), Window.t()) :: float()

@@ -1,10 +1,13 @@
 defmodule Situ.Filter do
+  @moduledoc false
+  # Digital filters over streams of numbers. `Situ` documents them.
+
   @rate [type: :number, required: true, doc: "Samples per second."]
   @shared [
     response: [
       type: {:in, [:finite, :infinite]},
       default: :finite,
-      doc: "Windowed sinc (`Situ.Filter.Fir`) or Butterworth (`Situ.Filter.Iir`)."
+      doc: "Windowed sinc (`:finite`) or Butterworth (`:infinite`)."
     ],
     order: [
       type: :pos_integer,
@@ -33,66 +36,26 @@ defmodule Situ.Filter do
   @denoise [order: [type: :pos_integer, default: 7, doc: "Number of samples."]]
   @one_euro Situ.Filter.OneEuro.option_schema()
 
-  @moduledoc """
-  Digital filters over streams of numbers. All functions are also available on `Situ`: `Situ.lowpass/2` ...
-
-  | filter | passes | input | output time |
-  |---|---|---|---|
-  | `lowpass/2`, `highpass/2` | below, above `cutoff:` Hz | resampled at `rate:` | the tick |
-  | `bandpass/2`, `bandstop/2` | inside, outside `band: {low, high}` Hz | resampled at `rate:` | the tick |
-  | `denoise/2` | the median of the last `order:` samples | as it arrives | the input's |
-  | `one_euro/2` | slow changes smoothed, fast ones kept (`Situ.Filter.OneEuro`) | as it arrives | the input's |
-
-  The first four resample their input every 1/rate seconds (rounded to ns), by linear interpolation. All filters are
-  reproducible.
-
-  Samples are numbers as in `Situ.Number`. `:nan` and infinities propagate, as in `Situ.Statistics`. In a median or a
-  finite filter, they affect the output while they are among the samples in use. In an infinite filter and in the
-  1 euro filter, where each output feeds into the next, they affect all later outputs. `nil` (no value) is passed
-  through and does not change the filter's state; the same applies to ticks between a number and `nil`. Any other
-  value is an error, `:not_a_number`.
-
-      level |> Situ.lowpass(rate: 100, cutoff: 5)
-      gaze |> Situ.map(& &1.x) |> Situ.one_euro(min_cutoff: 1.5, slope: 0.01)
-
-      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable([1, 1, 50, 1], every: 10) |> Situ.denoise(order: 3) end)
-      [1, 1.0, 1, 1]
-
-  ## Options of the first four
-
-  `rate:` (Hz), `cutoff:` or `band:`, and
-
-  #{Situ.Options.docs(@shared)}
-
-  All filters also take the options of every operator (`Situ.Graph.Placement`).
-  """
-
   alias Situ.{Argument, Fusion, Number, Operator, Reproducible, Stream}
   alias Situ.Graph.Placement
   alias Situ.Filter.{Fir, Iir, OneEuro}
 
-  @doc "Passes frequencies below `cutoff:`; `rate:` in Hz."
-  @spec lowpass(Stream.t(), keyword()) :: Stream.t()
+  @spec option_schema(:edge | :band | :denoise | :one_euro) :: Situ.Options.schema()
+  def option_schema(:edge), do: @edge
+  def option_schema(:band), do: @band
+  def option_schema(:denoise), do: @denoise
+  def option_schema(:one_euro), do: @one_euro
+
   def lowpass(stream, opts), do: attach_edge_filter(stream, "Lowpass", :lowpass, opts)
 
-  @doc "Passes frequencies above `cutoff:`; `rate:` in Hz."
-  @spec highpass(Stream.t(), keyword()) :: Stream.t()
   def highpass(stream, opts), do: attach_edge_filter(stream, "Highpass", :highpass, opts)
 
-  @doc "Passes frequencies inside `band:`; `rate:` in Hz."
-  @spec bandpass(Stream.t(), keyword()) :: Stream.t()
   def bandpass(stream, opts), do: attach_band_filter(stream, "Bandpass", :bandpass, opts)
 
-  @doc "Passes frequencies outside `band:`; `rate:` in Hz."
-  @spec bandstop(Stream.t(), keyword()) :: Stream.t()
   def bandstop(stream, opts), do: attach_band_filter(stream, "Bandstop", :bandstop, opts)
 
-  @doc "Emits the median of the last `order:` samples (default 7; fewer at the start), which removes single outliers."
-  @spec denoise(Stream.t(), keyword()) :: Stream.t()
-  def denoise(stream, opts \\ [])
-
   def denoise(%Stream{} = stream, opts) do
-    {own, placed} = Placement.split_options!(opts, @denoise, :operator)
+    {own, placement} = Placement.split_options!(opts, @denoise, :operator)
     order = own[:order]
 
     step = fn sample, past ->
@@ -100,21 +63,13 @@ defmodule Situ.Filter do
       {Number.median(past), past}
     end
 
-    Operator.attach(stream, "Denoise", {:step, pass_nil_through(step), []}, placed, :number)
+    Operator.attach(stream, "Denoise", {:step, pass_nil_through(step), []}, placement, :number)
   end
 
   def denoise(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.denoise(stream)")
 
-  @doc """
-  Smooths samples with the 1 euro filter, see `Situ.Filter.OneEuro`.
-
-  #{Situ.Options.docs(@one_euro)}
-  """
-  @spec one_euro(Stream.t(), keyword()) :: Stream.t()
-  def one_euro(stream, opts \\ [])
-
   def one_euro(%Stream{} = stream, opts) do
-    {own, placed} = Placement.split_options!(opts, @one_euro, :operator)
+    {own, placement} = Placement.split_options!(opts, @one_euro, :operator)
 
     step = fn
       nil, _message, filter ->
@@ -124,24 +79,24 @@ defmodule Situ.Filter do
         emit_sample(OneEuro.step(filter, message.originating_time, sample))
     end
 
-    Operator.attach(stream, "OneEuro", {:step, step, OneEuro.new(own)}, placed, :number)
+    Operator.attach(stream, "OneEuro", {:step, step, OneEuro.new(own)}, placement, :number)
   end
 
   def one_euro(other, _arg2), do: Argument.raise_invalid!(other, :stream, "Situ.one_euro(stream)")
 
   defp attach_edge_filter(stream, name, shape, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.#{shape}(stream, cutoff: 3, rate: 100)")
-    {own, placed} = Placement.split_options!(opts, @edge, :operator)
-    attach_filter(stream, name, {shape, [own[:cutoff]]}, own, placed)
+    {own, placement} = Placement.split_options!(opts, @edge, :operator)
+    attach_filter(stream, name, {shape, [own[:cutoff]]}, own, placement)
   end
 
   defp attach_band_filter(stream, name, shape, opts) do
     stream = Argument.ensure_stream!(stream, "Situ.#{shape}(stream, band: {2, 9}, rate: 100)")
-    {own, placed} = Placement.split_options!(opts, @band, :operator)
-    attach_filter(stream, name, {shape, Tuple.to_list(own[:band])}, own, placed)
+    {own, placement} = Placement.split_options!(opts, @band, :operator)
+    attach_filter(stream, name, {shape, Tuple.to_list(own[:band])}, own, placement)
   end
 
-  defp attach_filter(%Stream{} = stream, name, {shape, edges}, own, placed) do
+  defp attach_filter(%Stream{} = stream, name, {shape, edges}, own, placement) do
     rate = own[:rate]
     validate_edges!(rate, edges)
     interpolator = own[:interpolator] || Reproducible.linear()
@@ -154,8 +109,8 @@ defmodule Situ.Filter do
     step = pass_nil_through(fn sample, filter -> module.step(filter, sample) end)
 
     stream
-    |> Fusion.interpolate(round(1.0e9 / rate), interpolator, clock)
-    |> Operator.attach(name, {:step, step, filter}, placed, :float)
+    |> Fusion.sample(round(1.0e9 / rate), interpolator, clock)
+    |> Operator.attach(name, {:step, step, filter}, placement, :float)
   end
 
   @most 4096

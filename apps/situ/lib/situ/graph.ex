@@ -1,14 +1,8 @@
 defmodule Situ.Graph do
-  @moduledoc """
-  The graph of a pipeline as plain data: vertices in order of construction, edges, names and replay proposals.
-
-  All functions here are pure. `Situ.Graph.Builder` holds the graph during construction. `Situ.Graph.build/1` builds a
-  graph without a pipeline process, for components that run their own graphs:
-
-      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Component.Empty, name: "A") end)
-      iex> {node.path, Map.keys(graph.vertices)}
-      {"A", [1]}
-  """
+  @moduledoc false
+  # The graph of a pipeline as plain data: vertices in order of construction, edges, names and replay proposals. All
+  # functions here are pure. `Situ.Graph.Builder` holds the graph during construction. `build/1` builds a graph
+  # without a pipeline process, for components that run their own graphs.
   alias Situ.{Delivery, Error, Options, Type}
   alias Situ.Graph.{Edge, Placement, Vertex}
 
@@ -48,6 +42,10 @@ defmodule Situ.Graph do
 
   @doc """
   Runs `fun` with the handle of a new graph that only this process holds; returns the graph and the function's result.
+
+      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Component.Empty, name: "A") end)
+      iex> {node.path, Map.keys(graph.vertices)}
+      {"A", [1]}
   """
   @spec build((Situ.Graph.Handle.t() -> result)) :: {t(), result} when result: term()
   def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.build_graph(fun)
@@ -56,31 +54,31 @@ defmodule Situ.Graph do
   @spec add_component(t(), Situ.Graph.Handle.t(), module(), keyword()) :: {Situ.Node.t(), t()}
   def add_component(%__MODULE__{} = graph, handle, module, opts) do
     check_module!(module)
-    {opts, placed} = Placement.split_options!(opts, module.options(), :component)
+    {opts, placement} = Placement.split_options!(opts, module.options(), :component)
 
     vertex = %Vertex{
       id: graph.next_vertex,
       module: module,
       opts: opts,
-      inputs: build_ports(placed[:inputs] || module.inputs()),
+      inputs: build_ports(placement[:inputs] || module.inputs()),
       outputs: [],
-      policy: placed[:policy],
-      on_error: placed[:on_error],
-      async: placed[:async],
-      check: placed[:check],
-      on_same_time: placed[:on_same_time],
+      policy: placement[:policy],
+      on_error: placement[:on_error],
+      async: placement[:async],
+      check: placement[:check],
+      on_same_time: placement[:on_same_time],
       scope: handle.scope
     }
 
-    name = placed[:name] || placed[:default_name] || default_name(module)
+    name = placement[:name] || placement[:default_name] || default_name(module)
 
     insert_vertex(
       graph,
       handle,
       vertex,
-      placed[:outputs] || module.outputs(),
+      placement[:outputs] || module.outputs(),
       name,
-      placed[:name]
+      placement[:name]
     )
   end
 

@@ -1,23 +1,12 @@
 defmodule Situ.Indexer do
-  @moduledoc """
-  Computes which elements of an n-dimensional array, stored in row-major order, belong to a view of it. Views select
-  slices, strides, single indices, lists of indices, and slices of slices. The array can be stored anywhere. An indexer
-  returns flat indices, and ranges of adjacent elements that can be copied in one operation.
-
-      iex> Situ.Indexer.flat_indices([10, 10], [{0, 1}, :all]) |> Enum.count()
-      20
-      iex> Situ.Indexer.index_ranges([10, 10, 10], [{0, 1}, :all, :all])
-      [{0, 199}]
-
-      iex> rows = Situ.Indexer.new([4, 6]) |> Situ.Indexer.slice([{1, 3}, {0, 5, 2}])
-      iex> view = Situ.Indexer.slice(rows, [:all, {2, 1}])
-      iex> {Situ.Indexer.shape(view), Situ.Indexer.flat_indices(view)}
-      {[3, 2], [10, 8, 16, 14, 22, 20]}
-
-  A range is `{first, last}`, both included; it may decrease. A slice of a dimension is `:all`, an index, a range, a
-  range with a step (`{first, last, step}`), or `{:take, indices}`. Indices are relative to the first value of the
-  sliced view.
-  """
+  @moduledoc false
+  # Computes which elements of an n-dimensional array, stored in row-major order, belong to a view of it. Views select
+  # slices, strides, single indices, lists of indices, and slices of slices. The array can be stored anywhere. An
+  # indexer returns flat indices, and ranges of adjacent elements that can be copied in one operation.
+  #
+  # A range is `{first, last}`, both included; it may decrease. A slice of a dimension is `:all`, an index, a range, a
+  # range with a step (`{first, last, step}`), or `{:take, indices}`. Indices are relative to the first value of the
+  # sliced view.
 
   @enforce_keys [:shape, :values]
   defstruct [:shape, :values]
@@ -37,7 +26,14 @@ defmodule Situ.Indexer do
   def new(shape),
     do: %__MODULE__{shape: shape, values: Enum.map(shape, &Enum.to_list(0..(&1 - 1)//1))}
 
-  @doc "Slices a view, with one slice per dimension."
+  @doc """
+  Slices a view, with one slice per dimension.
+
+      iex> rows = Situ.Indexer.new([4, 6]) |> Situ.Indexer.slice([{1, 3}, {0, 5, 2}])
+      iex> view = Situ.Indexer.slice(rows, [:all, {2, 1}])
+      iex> {Situ.Indexer.shape(view), Situ.Indexer.flat_indices(view)}
+      {[3, 2], [10, 8, 16, 14, 22, 20]}
+  """
   @spec slice(t(), [slice()]) :: t()
   def slice(%__MODULE__{} = view, slices) do
     if length(slices) != length(view.shape) do
@@ -77,7 +73,14 @@ defmodule Situ.Indexer do
   def flat_indices(shape, nil), do: flat_indices(new(shape))
   def flat_indices(shape, slices), do: shape |> new() |> slice(slices) |> flat_indices()
 
-  @doc "Returns the flat indices as ranges of adjacent elements, each `{first, last}`."
+  @doc """
+  Returns the flat indices as ranges of adjacent elements, each `{first, last}`.
+
+      iex> Situ.Indexer.flat_indices([10, 10], [{0, 1}, :all]) |> Enum.count()
+      20
+      iex> Situ.Indexer.index_ranges([10, 10, 10], [{0, 1}, :all, :all])
+      [{0, 199}]
+  """
   @spec index_ranges(t() | [pos_integer()], [slice()] | nil) :: [range()]
   def index_ranges(shape_or_view, slices \\ nil),
     do: shape_or_view |> flat_indices(slices) |> group_runs()

@@ -20,7 +20,7 @@ defmodule Situ.Lifecycle do
   # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | the pipeline, or a part, is to stop |
   # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are being added to the running pipeline |
   # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | the running graph changed |
-  # | `{:measured, which, seen}`, `{:watched, which, seen}` | the results of `:measure` and `:watch` |
+  # | `{:measured, which, measurement}`, `{:watched, which, measurement}` | the results of `:measure` and `:watch` |
   # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}`, `{:overdue, id}` | a timer has expired |
   # | action | the server ... |
   # |---|---|
@@ -146,11 +146,11 @@ defmodule Situ.Lifecycle do
 
   defp handle_event(state, :drain, _now), do: add_action(state, {:measure, :drain})
 
-  defp handle_event(state, {:measured, :drain, seen}, _now),
-    do: Shutdown.handle_drain_measurement(state, seen)
+  defp handle_event(state, {:measured, :drain, measurement}, _now),
+    do: Shutdown.handle_drain_measurement(state, measurement)
 
-  defp handle_event(state, {:watched, which, seen}, _now),
-    do: StuckStages.kill_stuck_stages(state, which, seen)
+  defp handle_event(state, {:watched, which, measurement}, _now),
+    do: StuckStages.kill_stuck_stages(state, which, measurement)
 
   defp handle_event(state, :moving, _now), do: update_ending(state, moves: state.ending.moves + 1)
   defp handle_event(state, {:overdue, id}, _now), do: RestartGroup.kill_overdue(state, id)

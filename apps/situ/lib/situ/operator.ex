@@ -1,30 +1,19 @@
 defmodule Situ.Operator do
-  @moduledoc """
-  Light operators are functions on the data of a stream that preserve its times.
-
-  A linear chain of light operators runs in one process. Within it only the data is passed on, and one envelope is
-  built at the end. An explicit `policy:` (other than `Situ.Delivery.synchronous/1` and `throttle(1)`), `async: true`,
-  a second consumer or a second input starts a new process.
-
-  The possible steps are:
-
-    * `{:map, fun}`: `fun.(data)` or `fun.(data, message)` returns the new data;
-    * `{:filter, fun}`: passes the data for which the function returns true;
-    * `{:each, fun}`: calls the function for its side effect and passes the data on;
-    * `{:step, fun, state}`: `fun.(data, message, state)` returns `{:emit, data, state}` or `{:skip, state}`.
-
-  `message` is the message that entered the chain (with its times and sequence id); its `data` is the current data.
-
-      defmodule Tally do
-        # Numbers the messages of a stream: {1, data}, {2, data}, ...
-        def number(stream, opts \\\\ []) do
-          step = fn data, _message, n -> {:emit, {n, data}, n + 1} end
-          Situ.Operator.attach(stream, "Number", {:step, step, 1}, opts)
-        end
-      end
-
-  Every operator takes the options of `Situ.Graph.Placement`: `name:`, `type:`, `policy:`, `async:` and `on_error:`.
-  """
+  @moduledoc false
+  # Adds operators to streams. Light operators are functions on the data of a stream that preserve its times.
+  #
+  # A linear chain of light operators runs in one process. Within it only the data is passed on, and one envelope is
+  # built at the end. An explicit `policy:` (other than `Situ.Delivery.synchronous/1` and `throttle(1)`), `async:
+  # true`, a second consumer or a second input starts a new process.
+  #
+  # The possible steps are:
+  #
+  #   * `{:map, fun}`: `fun.(data)` or `fun.(data, message)` returns the new data;
+  #   * `{:filter, fun}`: passes the data for which the function returns true;
+  #   * `{:each, fun}`: calls the function for its side effect and passes the data on;
+  #   * `{:step, fun, state}`: `fun.(data, message, state)` returns `{:emit, data, state}` or `{:skip, state}`.
+  #
+  # `message` is the message that entered the chain (with its times and sequence id); its `data` is the current data.
   alias Situ.{Graph, Node, Stream}
   alias Situ.Graph.{Builder, Placement}
 
@@ -71,8 +60,8 @@ defmodule Situ.Operator do
     {[], opts} = Placement.split_options!(opts, [], :operator)
     {type, opts} = Keyword.pop(opts, :type)
     ports = for {input, stream} <- inputs, do: {input, stream.type}
-    placed = [inputs: ports, outputs: [out: type || default_type]]
-    opts = own ++ placed ++ Keyword.put_new(opts, :default_name, name)
+    placement = [inputs: ports, outputs: [out: type || default_type]]
+    opts = own ++ placement ++ Keyword.put_new(opts, :default_name, name)
     handle = first.pipeline
     node = Builder.update_graph(handle, &Graph.add_component(&1, handle, module, opts))
 

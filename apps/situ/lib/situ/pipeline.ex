@@ -246,18 +246,6 @@ defmodule Situ.Pipeline do
   def info(p), do: Client.call!(p, :info)
 
   @doc """
-  Returns a `Situ.Diagnostics.Trace`: where the message of the originating time `time` is now, and where it waited.
-  Calls no component.
-  """
-  @spec trace(target(), Situ.Time.t()) :: Situ.Diagnostics.Trace.t()
-  def trace(p, time) when is_integer(time), do: Client.call!(p, {:trace, time})
-
-  def trace(_p, other) do
-    takes = "an originating time in ns as its second argument"
-    Argument.raise_invalid!(other, takes, "Situ.trace(p, Situ.Pipeline.now(p))")
-  end
-
-  @doc """
   Returns the pipelines of this node, each with its label, process and state.
 
       iex> build = fn p -> Situ.timer(p, every: Situ.Time.ms(1)) end
@@ -403,45 +391,6 @@ defmodule Situ.Pipeline do
 
   def connect(other, _node, _input, _opts),
     do: Argument.raise_invalid!(other, :stream, "Situ.Pipeline.connect(stream, node, :in)")
-
-  @doc """
-  Groups the components that `fun` adds under one name, drawn as one box; returns the result of `fun`.
-
-  ## Options
-
-  #{Situ.Options.docs(Graph.scope_schema())}
-
-  A composite restarts as a unit: all its components run `terminate/2`, start again with fresh state on the same edges,
-  and count as one restart for `max_restarts:`. Components with their own `on_error:`, `:skip` or `:restart`, keep it.
-  """
-  @spec composite(t(), String.t(), (t() -> result), keyword()) :: result when result: term()
-  def composite(p, name, fun, opts \\ [])
-
-  def composite(%Handle{} = p, name, fun, opts) when is_binary(name) and is_function(fun, 1) do
-    scope = Builder.update_graph(p, &Graph.open_scope(&1, p.scope, name, opts))
-    p |> Map.put(:scope, scope) |> fun.() |> restore_scope(p.scope)
-  end
-
-  def composite(other, _name, _fun, _opts) do
-    example = ~s|Situ.composite(p, "Mouth", fn p -> Situ.source(p, Camera) end)|
-    Argument.raise_invalid!(other, :handle, example)
-  end
-
-  # Streams and nodes that a composite returns are used outside of it, so their handles are given the outer scope again.
-  defp restore_scope(%Stream{} = s, scope), do: %{s | pipeline: %{s.pipeline | scope: scope}}
-  defp restore_scope(%Node{} = n, scope), do: %{n | pipeline: %{n.pipeline | scope: scope}}
-  defp restore_scope(%_{} = struct, _scope), do: struct
-
-  defp restore_scope(%{} = map, scope),
-    do: Map.new(map, fn {k, v} -> {k, restore_scope(v, scope)} end)
-
-  defp restore_scope([head | tail], scope),
-    do: [restore_scope(head, scope) | restore_scope(tail, scope)]
-
-  defp restore_scope(tuple, scope) when is_tuple(tuple),
-    do: tuple |> Tuple.to_list() |> Enum.map(&restore_scope(&1, scope)) |> List.to_tuple()
-
-  defp restore_scope(other, _scope), do: other
 
   @doc """
   Announces, during `build`, the span of originating times that a source is going to replay.

@@ -1,27 +1,12 @@
 defmodule Situ.Sampling do
-  @moduledoc """
-  The pure core of sampling at a fixed interval: computes the value of a stream at every tick, with an interpolator.
-
-  Ticks are exact: the start, start + interval, and so on. With an alignment, they are the times congruent to it modulo
-  the interval. Ticks are produced as the source advances and end with it, so they are never ahead of the data. A tick
-  without a value has no output.
-
-      iex> sampling = Situ.Sampling.new(Situ.Reproducible.nearest(), 30, 0)
-      iex> messages = for t <- [0, 20, 40], do: %Situ.Message{originating_time: t, data: t}
-      iex> {outputs, _sampling} = Situ.Sampling.push(sampling, messages)
-      iex> outputs
-      [{:out, 0, 0}, {:out, 30, 40}]
-
-  A long gap in the source contains many ticks. At most a few hundred are produced at a time. As long as
-  `more_ticks?/1` is true, `next_ticks/1` produces the next ones, so memory does not depend on the gap.
-
-      iex> sampling = Situ.Sampling.new(Situ.Reproducible.linear(), 1, 0)
-      iex> messages = for t <- [0, 1_000_000_000], do: %Situ.Message{originating_time: t, data: t}
-      iex> {outputs, sampling} = Situ.Sampling.push(sampling, messages)
-      iex> {length(outputs), Situ.Sampling.more_ticks?(sampling)}
-      {256, true}
-  """
-
+  @moduledoc false
+  # The pure core of sampling at a fixed interval: computes the value of a stream at every tick, with an interpolator.
+  #
+  # Ticks are exact: the start, start + interval, and so on. With an alignment, they are the times congruent to it
+  # modulo the interval. Ticks are produced as the source advances and end with it, so they are never ahead of the
+  # data. A tick without a value has no output. A long gap in the source contains many ticks. At most a few hundred
+  # are produced at a time. As long as `more_ticks?/1` is true, `next_ticks/1` produces the next ones, so memory does
+  # not depend on the gap.
   alias Situ.{Component, Interpolator, Message}
   alias Situ.Fusion.MessageQueue
 
@@ -65,7 +50,15 @@ defmodule Situ.Sampling do
   def first_tick(start, _interval, nil), do: start
   def first_tick(start, interval, align), do: start + Integer.mod(align - start, interval)
 
-  @doc "Adds messages of the source and returns the first of the outputs they cause."
+  @doc """
+  Adds messages of the source and returns the first of the outputs they cause.
+
+      iex> sampling = Situ.Sampling.new(Situ.Reproducible.nearest(), 30, 0)
+      iex> messages = for t <- [0, 20, 40], do: %Situ.Message{originating_time: t, data: t}
+      iex> {outputs, _sampling} = Situ.Sampling.push(sampling, messages)
+      iex> outputs
+      [{:out, 0, 0}, {:out, 30, 40}]
+  """
   @spec push(t(), [Message.t()]) :: {[Component.action()], t()}
   def push(sampling, []), do: {[], sampling}
 
@@ -85,7 +78,15 @@ defmodule Situ.Sampling do
           closed: time
       })
 
-  @doc "Returns whether there are ticks that can be decided now."
+  @doc """
+  Returns whether there are ticks that can be decided now.
+
+      iex> sampling = Situ.Sampling.new(Situ.Reproducible.linear(), 1, 0)
+      iex> messages = for t <- [0, 1_000_000_000], do: %Situ.Message{originating_time: t, data: t}
+      iex> {outputs, sampling} = Situ.Sampling.push(sampling, messages)
+      iex> {length(outputs), Situ.Sampling.more_ticks?(sampling)}
+      {256, true}
+  """
   @spec more_ticks?(t()) :: boolean()
   def more_ticks?(sampling), do: sampling.more?
 

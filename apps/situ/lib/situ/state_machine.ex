@@ -76,23 +76,19 @@ defmodule Situ.StateMachine do
     opts: [type: :keyword, default: [], doc: "Passed to a module's `init/1`."]
   ]
 
-  @doc """
-  Emits the values of the machine. It takes the options of `Situ.Graph.Placement` and
+  @doc false
+  @spec option_schema() :: Situ.Options.schema()
+  def option_schema, do: @schema
 
-  #{Situ.Options.docs(@schema)}
-  """
-  @spec state_machine(Stream.t(), module() | (state(), event(), data() -> answer()), keyword()) ::
-          Stream.t()
-  def state_machine(stream, machine, opts \\ [])
-
+  @doc false
   def state_machine(%Stream{} = stream, machine, opts) do
-    {own, placed} = Placement.split_options!(opts, @schema, :operator)
+    {own, placement} = Placement.split_options!(opts, @schema, :operator)
 
     Operator.attach_component(
       stream,
       "StateMachine",
       {Runner, runner_options(machine, own)},
-      placed
+      placement
     )
   end
 

@@ -1,40 +1,16 @@
 defmodule Situ.Statistics do
-  @moduledoc """
-  Computes the count, sum, minimum, maximum, average and standard deviation of a list, or step by step.
-
-      iex> Situ.Statistics.of_list(:std, [1, 2, 3, 4])
-      1.2909944487358056
-      iex> state = Situ.Statistics.initial_state(:min)
-      iex> {results, _state} = Enum.map_reduce([5, 3, 4], state, &Situ.Statistics.add_value(&2, &1))
-      iex> results
-      [5, 3, 3]
-
-  Values are numbers or `:nan`, `:infinity`, `:neg_infinity` (see `Situ.Number`; `:nan` propagates), or `nil` (no
-  value). `nil` adds 0 to a sum, and is ignored by everything else except the count. If all values are `nil`, the
-  result is `nil` (for a sum: 0). Integers stay integers in sums, minimum and maximum; averages and deviations are
-  floats. `:min` and `:max` take any terms of one kind.
-
-  The deviation is the sample deviation (n - 1). A list of fewer than two numbers has a deviation of 0.0. If computed
-  step by step, the deviation of the first number is `:nan` (or `initial:`). The minimum, maximum or average of an
-  empty list raises `Situ.Error` `:empty_list`, or is `nil` with `nullable: true`.
-
-  ## Options
-
-    * `nullable:` (default false) - returns `nil` for `:min`, `:max` and `:average` of an empty list;
-    * `initial:` (default `:nan`) - the running deviation of one number;
-    * `compare:` - for `:min` and `:max`: `fun.(a, b)` is true if `a` orders before `b` or is equal to it.
-  """
-
+  @moduledoc false
+  # Computes the count, sum, minimum, maximum, average and standard deviation of a list, or step by step. `Situ.sum/2`
+  # describes the values. `:min` and `:max` take any terms of one kind.
+  #
+  # The deviation is the sample deviation (n - 1). A list of fewer than two numbers has a deviation of 0.0. If
+  # computed step by step, the deviation of the first number is `:nan` (or the option `initial:`).
   alias Situ.Number
 
   @kinds [:count, :sum, :min, :max, :average, :std]
 
   @type kind :: :count | :sum | :min | :max | :average | :std
   @opaque state :: {kind(), term(), map()}
-
-  @doc "Returns the kinds of statistics."
-  @spec statistic_kinds() :: [kind()]
-  def statistic_kinds, do: @kinds
 
   @doc "Computes the statistic of a list."
   @spec of_list(kind(), list(), keyword()) :: term()
@@ -65,7 +41,16 @@ defmodule Situ.Statistics do
     {kind, zero_state(kind), Map.new(opts)}
   end
 
-  @doc "Adds a value, and returns the statistic of all values so far and the next state."
+  @doc """
+  Adds a value, and returns the statistic of all values so far and the next state.
+
+      iex> Situ.Statistics.of_list(:std, [1, 2, 3, 4])
+      1.2909944487358056
+      iex> state = Situ.Statistics.initial_state(:min)
+      iex> {results, _state} = Enum.map_reduce([5, 3, 4], state, &Situ.Statistics.add_value(&2, &1))
+      iex> results
+      [5, 3, 3]
+  """
   @spec add_value(state(), term()) :: {term(), state()}
   def add_value({:count, n, opts}, _value), do: {n + 1, {:count, n + 1, opts}}
 

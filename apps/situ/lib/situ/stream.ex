@@ -18,22 +18,10 @@ defmodule Situ.Stream do
           type: Situ.Type.t()
         }
 
-  @doc "Names the stream. Raises `Situ.Error` (`:duplicate_name`) if another stream of the pipeline has the same name."
-  @spec name(t(), String.t()) :: t()
-  def name(%__MODULE__{} = stream, name) when is_binary(name) do
-    :ok =
-      Situ.Graph.Builder.update_graph(stream.pipeline, &Situ.Graph.name_stream(&1, stream, name))
-
-    %{stream | name: name}
-  end
-
-  def name(other, _name),
-    do: Situ.Argument.raise_invalid!(other, :stream, ~s|Situ.name(stream, "Front")|)
-
   @doc "Returns the stream with another type. Nothing changes at run time; inputs check the data that arrives."
   @spec with_type(t(), Situ.Type.t()) :: t()
   def with_type(%__MODULE__{} = stream, type), do: %{stream | type: type}
 
   def with_type(other, _type),
-    do: Situ.Argument.raise_invalid!(other, :stream, "Situ.Stream.as(stream, :integer)")
+    do: Situ.Argument.raise_invalid!(other, :stream, "Situ.Stream.with_type(stream, :integer)")
 end

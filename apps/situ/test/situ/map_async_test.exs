@@ -1,7 +1,6 @@
 defmodule Situ.MapAsyncTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
-  doctest Situ.MapAsync
 
   alias Situ.Pipeline
 

@@ -6,7 +6,6 @@ defmodule Situ.PipelineTest do
   doctest Situ.Delivery
   doctest Situ.Clock
   doctest Situ.Diagnostics
-  doctest Situ
 
   alias Situ.Fixture.Count
   alias Situ.Pipeline

@@ -195,7 +195,7 @@ defmodule Situ.ReproducibleTest do
     do: Situ.join(a, %{b: b, same: a}, interpolator(i, or_default: 0), opts)
 
   defp two(:zip, a, b, opts), do: Situ.zip(a, b, opts)
-  defp two({:interpolate, i}, a, b, opts), do: Situ.interpolate(a, b, interpolator(i, []), opts)
+  defp two({:interpolate, i}, a, b, opts), do: Situ.sample(a, b, interpolator(i, []), opts)
 
   defp two({:window_by, n}, a, b, opts) do
     Situ.window_by(

@@ -2,8 +2,6 @@ defmodule Situ.SelectionTest do
   # Cases that the conformance files do not cover, for operators that select and hold messages.
   use ExUnit.Case, async: true
 
-  alias Situ.Message
-
   @moduletag :capture_log
 
   defp run(inputs, build, opts \\ []) do
@@ -45,32 +43,6 @@ defmodule Situ.SelectionTest do
       assert run([n: arrivals], build) == [{3, 3}, {5, 5}, {8, 8}, {9, 9}, {20, 20}]
       build = &Situ.reorder(&1.n, 4, time: fn m -> m.data end, late: :error)
       assert {:error, %{code: :late}} = Situ.Test.run([n: arrivals], build)
-    end
-
-    test "a tap sends messages to its subscribers only" do
-      me = self()
-
-      test =
-        Situ.Test.start(
-          [:n],
-          fn s ->
-            {stream, tap} = Situ.tap(s.n)
-            send(me, {:tap, tap})
-            stream
-          end,
-          start: 100
-        )
-
-      assert_receive {:tap, tap}
-      Situ.Test.feed(test, :n, {1, :unheard})
-      :ok = Situ.Tap.subscribe(tap)
-      Situ.Test.feed(test, :n, {2, :heard})
-      assert_receive {:situ_tap, ^tap, %Message{data: :heard}}
-      :ok = Situ.Tap.unsubscribe(tap)
-      Situ.Test.feed(test, :n, {3, :unheard})
-      refute_received {:situ_tap, _, _}
-      assert Situ.Test.outputs(test) == [{1, :unheard}, {2, :heard}, {3, :unheard}]
-      Situ.Test.stop(test)
     end
   end
 end

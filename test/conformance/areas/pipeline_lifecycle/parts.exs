@@ -13,7 +13,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
       Pipeline.start(
         fn p ->
           p
-          |> Pipeline.composite("Sub", &Situ.source(&1, Ticker, interval: ms(interval)))
+          |> Situ.composite("Sub", &Situ.source(&1, Ticker, interval: ms(interval)))
           |> Situ.each(tell)
         end,
         []
@@ -43,7 +43,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
             fun = Formula.of_one(function)
             p |> source.() |> Situ.composite("Sub", &Situ.map(&1, fun)) |> Situ.each(tell)
           else
-            p |> Pipeline.composite("Sub", source) |> Situ.each(tell)
+            p |> Situ.composite("Sub", source) |> Situ.each(tell)
           end
         end,
         pipeline: [replay: [interval: {0, :unbounded}]]

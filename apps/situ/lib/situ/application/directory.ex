@@ -96,7 +96,7 @@ defmodule Situ.Application.Directory do
 
   defp ambiguous_name_error(label, n) do
     Error.new(:ambiguous_name, "#{n} pipelines are called #{inspect(label)}",
-      fix: "use the pid (Situ.pipelines/0 lists them), or give each pipeline a unique name"
+      fix: "use the pid (Situ.Pipeline.list/0 lists them), or give each pipeline a unique name"
     )
   end
 end

@@ -2,11 +2,11 @@ defmodule Situ.Branch.Process do
   @moduledoc false
   # A branch that runs as a separate pipeline with its own processes, and so may contain any component. It sends
   # these messages to the process that started it:
-  #   {:situ_branch, id, {:open, pid}}                         the process that accepts its input
-  #   {:situ_branch, id, {:outputs, [{time, data}], passed}}   outputs; if `passed` is a time, the branch has handled
-  #                                                            all input up to it (only sent by chains of light
-  #                                                            operators)
-  #   {id, result}                                             the branch has ended; no more output follows
+  #   {:situ_branch, id, {:open, pid}}                              the process that accepts its input
+  #   {:situ_branch, id, {:outputs, [{time, data}], passed_time}}   outputs; if `passed_time` is a time, the branch has
+  #                                                                 handled all input up to it (only sent by chains of
+  #                                                                 light operators)
+  #   {id, result}                                                  the branch has ended; no more output follows
   #
   # The branch ends with the process that started it.
   alias Situ.Graph.{Builder, Plan}
@@ -21,7 +21,7 @@ defmodule Situ.Branch.Process do
       outputs: [out: :any],
       options: [to: [type: :pid, required: true], id: [type: :any, required: true]]
 
-    defstruct [:to, :id, :since, queue: [], slice: 1, passed: nil, stopping: false]
+    defstruct [:to, :id, :since, queue: [], slice: 1, passed_time: nil, stopping: false]
 
     @quick_us 1_000
     @most 512
@@ -55,7 +55,7 @@ defmodule Situ.Branch.Process do
     defp append_entries(queue, entries), do: queue ++ entries
 
     @doc """
-    Reports an output of the branch. An output emitted in this process is reported with the next `passed` time; any
+    Reports an output of the branch. An output emitted in this process is reported with the next `passed_time`. Any
     other output is reported immediately.
     """
     def report_output(to, id, time, data) do
@@ -86,7 +86,7 @@ defmodule Situ.Branch.Process do
 
     @impl true
     def handle_stop(_final, _context, gate) do
-      if gate.queue == [] and gate.passed == nil,
+      if gate.queue == [] and gate.passed_time == nil,
         do: {[], gate},
         else: {[:stopping], %{gate | stopping: true}}
     end
@@ -95,21 +95,21 @@ defmodule Situ.Branch.Process do
     @impl true
     def terminate(_reason, gate), do: report_passed(gate)
 
-    defp report_passed(%{passed: nil} = gate), do: gate
+    defp report_passed(%{passed_time: nil} = gate), do: gate
 
     defp report_passed(gate) do
       untold = Process.put({__MODULE__, gate.id}, [])
-      send(gate.to, {:situ_branch, gate.id, {:outputs, :lists.reverse(untold), gate.passed}})
-      %{gate | passed: nil}
+      send(gate.to, {:situ_branch, gate.id, {:outputs, :lists.reverse(untold), gate.passed_time}})
+      %{gate | passed_time: nil}
     end
 
     defp take_entries(n, gate, actions) do
-      {queue, passed, actions} = collect_actions(n, gate.queue, gate.passed, actions)
-      {:lists.reverse(actions), %{gate | queue: queue, passed: passed}}
+      {queue, passed_time, actions} = collect_actions(n, gate.queue, gate.passed_time, actions)
+      {:lists.reverse(actions), %{gate | queue: queue, passed_time: passed_time}}
     end
 
-    defp collect_actions(0, queue, passed, actions), do: {queue, passed, actions}
-    defp collect_actions(_n, [], passed, actions), do: {[], passed, actions}
+    defp collect_actions(0, queue, passed_time, actions), do: {queue, passed_time, actions}
+    defp collect_actions(_n, [], passed_time, actions), do: {[], passed_time, actions}
 
     defp collect_actions(n, [{time, data} | rest], _passed, actions),
       do: collect_actions(n - 1, rest, time, [{:out, time, data} | actions])
@@ -118,7 +118,7 @@ defmodule Situ.Branch.Process do
       do: collect_actions(n, rest, time, actions)
 
     # The source may stop only after the results of the last entries have been reported.
-    defp stopped_actions(%{stopping: true, queue: [], passed: nil}), do: [:stopped]
+    defp stopped_actions(%{stopping: true, queue: [], passed_time: nil}), do: [:stopped]
     defp stopped_actions(_gate), do: []
   end
 

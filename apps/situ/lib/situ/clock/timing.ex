@@ -39,8 +39,8 @@ defmodule Situ.Clock.Timing do
 
   @doc "Returns the replay interval: the union of the proposed intervals, limited to the requested interval."
   @spec replay_interval([{Situ.Time.t(), bound()}], {bound(), bound()}) :: {bound(), bound()}
-  def replay_interval(proposals, asked),
-    do: proposals |> proposed_interval() |> intersect_intervals(asked)
+  def replay_interval(proposals, requested),
+    do: proposals |> proposed_interval() |> intersect_intervals(requested)
 
   defp proposed_interval([]), do: {:unbounded, :unbounded}
 

@@ -175,8 +175,8 @@ defmodule Situ.Component.Callback do
         {:error, add_component_path(error, path)}
 
       other ->
-        wanted = "{:ok, reply, opts, actions, state} or {:error, error}"
-        {:error, bad_return_error(path, callback, wanted, other)}
+        expected = "{:ok, reply, opts, actions, state} or {:error, error}"
+        {:error, bad_return_error(path, callback, expected, other)}
     end
   catch
     kind, reason -> {:error, exception_error(path, callback, kind, reason, __STACKTRACE__)}
@@ -248,9 +248,9 @@ defmodule Situ.Component.Callback do
     |> add_message_info(input, message)
   end
 
-  defp bad_return_error(path, callback, wanted, other) do
+  defp bad_return_error(path, callback, expected, other) do
     Error.new(:bad_return, "#{path}: #{callback} returned #{inspect(other, limit: 8)}",
-      why: "it must return #{wanted}",
+      why: "it must return #{expected}",
       meta: %{component: path}
     )
   end

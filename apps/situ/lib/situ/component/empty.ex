@@ -1,5 +1,6 @@
 defmodule Situ.Component.Empty do
-  @moduledoc "A component without inputs or outputs that completes immediately; the smallest possible component."
+  @moduledoc false
+  # A component without inputs or outputs that completes immediately; the smallest possible component.
   use Situ.Component
 
   @impl true

@@ -1,37 +1,28 @@
 defmodule Situ.Delivery.Queue do
-  @moduledoc """
-  The queue of one input, with its delivery policy. Pure. Every operation takes constant time on average.
+  @moduledoc false
+  # The queue of one input, with its delivery policy. Entries are messages, and `{:closed, time}` as the last entry.
+  # Pure; every operation takes constant time on average.
+  #
+  # A full queue drops its oldest entry when a message is pushed. With a guarantee it drops the oldest unprotected
+  # entry, or the new message if only that one is unprotected. The `:closed` entry never causes a message to be
+  # dropped.
 
-  Entries are messages, and `{:closed, time}` as the last entry.
-
-      iex> alias Situ.Delivery.Queue
-      iex> m = fn v, t -> %Situ.Message{data: v, originating_time: t} end
-      iex> queue = Queue.new(Situ.Delivery.latest())
-      iex> {queue, []} = Queue.push(queue, m.(1, 10))
-      iex> {queue, [dropped]} = Queue.push(queue, m.(2, 20))
-      iex> {%{data: 2}, _queue, []} = Queue.pop(queue, 30)
-      iex> dropped.data
-      1
-
-  A full queue drops its oldest entry when a message is pushed. With a guarantee it drops the oldest unprotected
-  entry, or the new message if only that one is unprotected. The `:closed` entry never causes a message to be dropped.
-  """
   # See docs/adr/0140-lossy-queues-are-at-the-producer.md.
   alias Situ.{Delivery, Message}
 
-  # Two queues of numbered entries: `free` entries may be dropped, `kept` entries are protected. Lower numbers are
-  # older. Without a guarantee all entries are free.
+  # Two queues of numbered entries: `droppable` entries may be dropped, `guaranteed` entries may not. Lower numbers
+  # are older. Without a guarantee all entries are droppable.
   @enforce_keys [:policy]
-  defstruct [:policy, free: {[], []}, kept: {[], []}, size: 0, next: 0]
+  defstruct [:policy, droppable: {[], []}, guaranteed: {[], []}, size: 0, next: 0]
 
   @type closed :: {:closed, Situ.Time.t()}
   @type entry :: Message.t() | closed()
-  @typep numbered :: {non_neg_integer(), entry()}
-  @typep fifo :: {[numbered()], [numbered()]}
+  @typep numbered_entry :: {non_neg_integer(), entry()}
+  @typep fifo :: {[numbered_entry()], [numbered_entry()]}
   @type t :: %__MODULE__{
           policy: Delivery.t(),
-          free: fifo(),
-          kept: fifo(),
+          droppable: fifo(),
+          guaranteed: fifo(),
           size: non_neg_integer(),
           next: non_neg_integer()
         }
@@ -45,27 +36,38 @@ defmodule Situ.Delivery.Queue do
   def put_guarantee(%__MODULE__{policy: policy} = queue, keep?),
     do: %{queue | policy: %{policy | guarantee: keep?}}
 
-  @doc "Appends an entry; returns the queue and the messages that were dropped, oldest first."
+  @doc """
+  Appends an entry; returns the queue and the messages that were dropped, oldest first.
+
+      iex> alias Situ.Delivery.Queue
+      iex> m = fn v, t -> %Situ.Message{data: v, originating_time: t} end
+      iex> queue = Queue.new(Situ.Delivery.latest())
+      iex> {queue, []} = Queue.push(queue, m.(1, 10))
+      iex> {queue, [dropped]} = Queue.push(queue, m.(2, 20))
+      iex> {%{data: 2}, _queue, []} = Queue.pop(queue, 30)
+      iex> dropped.data
+      1
+  """
   @spec push(t(), entry()) :: {t(), [Message.t()]}
   def push(%__MODULE__{} = queue, {:closed, time} = closed) do
     {queue, late} = drop_after(queue, time)
-    {append_entry(queue, closed, :kept), late}
+    {append_entry(queue, closed, :guaranteed), late}
   end
 
   def push(%__MODULE__{policy: %{guarantee: nil} = policy} = queue, message) do
-    queue = append_entry(queue, message, :free)
+    queue = append_entry(queue, message, :droppable)
     if queue.size > policy.max_queue, do: drop_oldest(queue), else: {queue, []}
   end
 
   def push(%__MODULE__{policy: policy, size: size} = queue, message) do
-    class = if policy.guarantee.(message.data) == true, do: :kept, else: :free
+    class = if policy.guarantee.(message.data) == true, do: :guaranteed, else: :droppable
 
     cond do
       size < policy.max_queue -> {append_entry(queue, message, class), []}
-      size > policy.max_queue and class == :free -> {queue, [message]}
+      size > policy.max_queue and class == :droppable -> {queue, [message]}
       size > policy.max_queue -> {append_entry(queue, message, class), []}
-      queue.free != {[], []} -> queue |> append_entry(message, class) |> drop_oldest()
-      class == :kept -> {append_entry(queue, message, class), []}
+      queue.droppable != {[], []} -> queue |> append_entry(message, class) |> drop_oldest()
+      class == :guaranteed -> {append_entry(queue, message, class), []}
       true -> {queue, [message]}
     end
   end
@@ -109,7 +111,7 @@ defmodule Situ.Delivery.Queue do
         {queue, Enum.reverse(dropped)}
 
       {entry, class, rest} ->
-        if class == :free and too_old?(entry, now, queue.policy),
+        if class == :droppable and too_old?(entry, now, queue.policy),
           do: drop_expired(rest, now, [entry | dropped]),
           else: {queue, Enum.reverse(dropped)}
     end
@@ -145,20 +147,30 @@ defmodule Situ.Delivery.Queue do
         {nil, queue, Enum.reverse(dropped)}
 
       {entry, class, rest} ->
-        if class == :free and too_old?(entry, now, queue.policy),
+        if class == :droppable and too_old?(entry, now, queue.policy),
           do: pop_unexpired(rest, now, [entry | dropped]),
           else: {entry, rest, Enum.reverse(dropped)}
     end
   end
 
-  defp drop_oldest(%{free: {[{_, oldest} | front], rear}, size: size} = queue),
-    do: {%{queue | free: balance_fifo(front, rear), size: size - 1}, [oldest]}
+  defp drop_oldest(%{droppable: {[{_, oldest} | front], rear}, size: size} = queue),
+    do: {%{queue | droppable: balance_fifo(front, rear), size: size - 1}, [oldest]}
 
-  defp append_entry(%{next: next, size: size} = queue, entry, :free),
-    do: %{queue | free: push_rear(queue.free, {next, entry}), size: size + 1, next: next + 1}
+  defp append_entry(%{next: next, size: size} = queue, entry, :droppable),
+    do: %{
+      queue
+      | droppable: push_rear(queue.droppable, {next, entry}),
+        size: size + 1,
+        next: next + 1
+    }
 
-  defp append_entry(%{next: next, size: size} = queue, entry, :kept),
-    do: %{queue | kept: push_rear(queue.kept, {next, entry}), size: size + 1, next: next + 1}
+  defp append_entry(%{next: next, size: size} = queue, entry, :guaranteed),
+    do: %{
+      queue
+      | guaranteed: push_rear(queue.guaranteed, {next, entry}),
+        size: size + 1,
+        next: next + 1
+    }
 
   # The front is empty only if the whole queue is empty.
   defp push_rear({[], []}, entry), do: {[entry], []}
@@ -168,17 +180,23 @@ defmodule Situ.Delivery.Queue do
   defp balance_fifo(front, rear), do: {front, rear}
 
   # Removes the oldest entry and returns it with its class.
-  defp shift_oldest(%{free: {[], _}, kept: {[], _}} = queue), do: {nil, :free, queue}
+  defp shift_oldest(%{droppable: {[], _}, guaranteed: {[], _}} = queue),
+    do: {nil, :droppable, queue}
 
-  defp shift_oldest(%{free: {[{i, entry} | front], rear}, kept: {[{j, _} | _], _}} = queue)
+  defp shift_oldest(
+         %{droppable: {[{i, entry} | front], rear}, guaranteed: {[{j, _} | _], _}} = queue
+       )
        when i < j,
-       do: {entry, :free, %{queue | free: balance_fifo(front, rear), size: queue.size - 1}}
+       do:
+         {entry, :droppable,
+          %{queue | droppable: balance_fifo(front, rear), size: queue.size - 1}}
 
-  defp shift_oldest(%{free: {[{_, entry} | front], rear}, kept: {[], _}} = queue),
-    do: {entry, :free, %{queue | free: balance_fifo(front, rear), size: queue.size - 1}}
+  defp shift_oldest(%{droppable: {[{_, entry} | front], rear}, guaranteed: {[], _}} = queue),
+    do: {entry, :droppable, %{queue | droppable: balance_fifo(front, rear), size: queue.size - 1}}
 
-  defp shift_oldest(%{kept: {[{_, entry} | front], rear}} = queue),
-    do: {entry, :kept, %{queue | kept: balance_fifo(front, rear), size: queue.size - 1}}
+  defp shift_oldest(%{guaranteed: {[{_, entry} | front], rear}} = queue),
+    do:
+      {entry, :guaranteed, %{queue | guaranteed: balance_fifo(front, rear), size: queue.size - 1}}
 
   defp too_old?({:closed, _}, _now, _policy), do: false
   defp too_old?(_message, _now, %{max_latency: :infinity}), do: false

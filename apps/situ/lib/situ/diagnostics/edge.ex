@@ -14,7 +14,10 @@ defmodule Situ.Diagnostics.Edge do
       time; p99 is the upper bound of its histogram bucket (within 25 %)
     * `handling_last`, `handling_mean`: time spent in the consumer per message; `busy`: their sum
     * `size_last`, `size_mean`: bytes of the data, with the pipeline setting `message_sizes: true`; otherwise 0
-    * `window`: the same means and counts over the last averaging span, a `Situ.Diagnostics.Window`
+    * `window`: the traffic of the last averaging span (`averaging:` among the pipeline's settings, default 1 s), with
+      the actual length of the window, `span`, in ns of the pipeline's clock: up to half a span more than requested, and
+      less just after the start; the counts `emitted`, `processed`, `dropped`; and the means `created`, `posted`,
+      `latency`, `handling`, `queue`, `size`, each `nil` if there were no messages
 
   Means are per message. Under load, messages travel in batches, and the last message of a batch is measured for all.
   """

@@ -1,10 +1,7 @@
 defmodule Situ.Diagnostics.Process do
-  @moduledoc """
-  One process of a pipeline in a `Situ.Diagnostics.Snapshot`: `number`, `pid` (a string, `""` once it has ended),
-  `nodes` (paths of its nodes, in order), `memory` (bytes), `mailbox` (messages waiting), `reductions` (total),
-  `status` (`"waiting"`, `"running"` ...), `busy_in` (the function that it is executing, as a string; shows where a
-  component is stuck).
-  """
+  @moduledoc false
+  # One process of a pipeline. `Situ.Diagnostics.Snapshot` documents the fields.
+
   defstruct number: 0,
             pid: "",
             nodes: [],

@@ -7,8 +7,10 @@ defmodule Situ.Diagnostics.Snapshot do
     * `time`: pipeline clock, ns; `start_time`; `progress`: 0.0 to 1.0
     * `scopes`: paths of the composites, outer composites first (`["Mouth", "Mouth.Crop"]`); each is drawn as a box
     * `nodes`: `Situ.Diagnostics.Node`; `edges`: `Situ.Diagnostics.Edge`, joined by node ids
-    * `processes`: `Situ.Diagnostics.Process`; nodes that share a process (chained operators) have the same process
-      number
+    * `processes`: structs with `number`, `pid` (a string, `""` once it has ended), `nodes` (paths of its nodes, in
+      order), `memory` (bytes), `mailbox` (messages waiting), `reductions` (total), `status` (`"waiting"`, `"running"`
+      ...) and `busy_in` (the function that it is executing, as a string; shows where a component is stuck). Nodes that
+      share a process (chained operators) have the same process number
   """
   defstruct pipeline: nil,
             state: :building,

@@ -9,7 +9,7 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
   @doc "Builds a snapshot. `view` holds the graph, the stages, the vertices of taps, and counters, totals and windows."
   @spec take_snapshot(map()) :: Snapshot.t()
   def take_snapshot(view) do
-    place = index_vertices(view.stages)
+    positions = index_vertices(view.stages)
     names = Map.new(view.graph.stream_names, fn {name, port} -> {port, name} end)
     entries = Map.new(view.graph.edges, fn {id, edge} -> {elem(edge.to, 0), id} end)
     view = Map.merge(view, %{names: names, entries: entries})
@@ -25,12 +25,12 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
         view.graph.vertices
         |> Map.values()
         |> Enum.sort_by(& &1.id)
-        |> Enum.map(&describe_node(&1, view, place)),
+        |> Enum.map(&describe_node(&1, view, positions)),
       edges:
         view.graph.edges
         |> Map.values()
         |> Enum.sort_by(& &1.id)
-        |> Enum.map(&describe_edge(&1, view, place)),
+        |> Enum.map(&describe_edge(&1, view, positions)),
       processes: view.stages |> Enum.sort_by(& &1.id) |> Enum.map(&describe_process/1)
     }
   end
@@ -41,8 +41,8 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
     end
   end
 
-  defp describe_node(%Vertex{} = vertex, view, place) do
-    {stage, index} = Map.get(place, vertex.id, {nil, 0})
+  defp describe_node(%Vertex{} = vertex, view, positions) do
+    {stage, index} = Map.get(positions, vertex.id, {nil, 0})
     tally = if stage, do: ErrorCounters.read_counts(stage.tally, index), else: %{}
 
     struct!(
@@ -84,7 +84,7 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
          do: Graph.stream_name(vertex.path, output, vertex.outputs)
   end
 
-  defp describe_edge(%{id: id} = edge, view, place) do
+  defp describe_edge(%{id: id} = edge, view, positions) do
     {from, output} = edge.from
     {to, input} = edge.to
 
@@ -99,7 +99,7 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
 
     case view.counters do
       %{^id => _} -> struct!(base, edge_counts(id, view))
-      _ -> describe_inline_edge(base, view, place, from)
+      _ -> describe_inline_edge(base, view, positions, from)
     end
   end
 
@@ -114,8 +114,8 @@ defmodule Situ.Diagnostics.SnapshotBuilder do
   end
 
   # A chain has no queues inside, so its inner edges show the numbers of the chain's entry.
-  defp describe_inline_edge(base, view, place, from) do
-    with {stage, _} <- Map.get(place, from, nil),
+  defp describe_inline_edge(base, view, positions, from) do
+    with {stage, _} <- Map.get(positions, from, nil),
          entry when entry != nil <- view.entries[hd(stage.vertices).id],
          true <- Map.has_key?(view.counters, entry) do
       %{window: window} = numbers = edge_counts(entry, view)

@@ -1,30 +1,6 @@
 defmodule Situ.Diagnostics.Trace do
-  @moduledoc """
-  The route of one originating time through a running pipeline: where its message is now, and where it waited. See
-  `Situ.trace/2`.
-
-    * `time`: the requested originating time; `now`: the time of the pipeline's clock
-    * `hops`: one map for each connection between processes, in order of construction:
-      `%{from, to, state, sent, taken, waited, queue}`
-    * `inside`: paths of the components that have taken the message but have not sent any message with that time or a
-      later one: the message is in the component, or ended there (in a sink or a filter)
-
-  `state` of a hop is `:coming` (no message with that time or later was sent), `:waiting` (sent, but `to` has not
-  finished with it: it is in the queue, or is being handled) or `:passed` (taken, or dropped by the policy). `sent`
-  and `taken` are times of the pipeline's clock, accurate to a millisecond, or `:forgotten` if they are too old (at
-  least 128 ms in which messages were sent). `waited` is the time from `sent` to `taken`, or to now while the message
-  is waiting. `queue` is the number of messages waiting there.
-
-      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
-      ...>   p |> Situ.timer(every: Situ.Time.ms(1)) |> Situ.each(& &1, name: "Sink", async: true)
-      ...> end)
-      iex> trace = Situ.trace(p, Situ.Pipeline.now(p) + Situ.Time.s(3600))
-      iex> for hop <- trace.hops, do: {hop.from, hop.to, hop.state}
-      [{"Timer", "Sink", :coming}]
-      iex> {:ok, _} = Situ.Pipeline.stop(p)
-      iex> :done
-      :done
-  """
+  @moduledoc false
+  # The route of one originating time through a running pipeline. `Situ.trace/2` documents the fields.
   alias Situ.Graph.Vertex
   alias Situ.Ports.Counters
 
@@ -47,7 +23,6 @@ defmodule Situ.Diagnostics.Trace do
           inside: [String.t()]
         }
 
-  @doc false
   # `links` connect stages by id; `stages` hold their vertices.
   @spec new(Situ.Time.t(), Situ.Time.t(), map()) :: t()
   def new(time, now, %{links: links, counters: counters, stages: stages}) do
@@ -108,7 +83,6 @@ defmodule Situ.Diagnostics.Trace do
   # A process is shown under the name of its last component, whose output leaves the process.
   defp last_path(stage), do: List.last(stage.vertices).path
 
-  @doc "Formats the trace as text: the current position of the message, and a line for each connection."
   @spec format(t()) :: String.t()
   def format(%__MODULE__{} = trace) do
     waiting = for hop <- trace.hops, hop.state == :waiting, do: "waits for #{hop.to}"

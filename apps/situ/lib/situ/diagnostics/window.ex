@@ -1,21 +1,7 @@
 defmodule Situ.Diagnostics.Window do
-  @moduledoc """
-  The traffic of a connection in the last averaging span (`averaging:` among the pipeline's settings, default 1 s).
+  @moduledoc false
+  # The traffic of a connection in the last averaging span. `Situ.Diagnostics.Edge` documents the fields.
 
-    * `span`: the actual length of the window, ns of the pipeline's clock: up to half a span more than requested, and
-      less just after the start
-    * `emitted`, `processed`, `dropped`: counts
-    * `created`, `posted`, `latency`: mean ages of messages when they were created, queued and taken by the consumer,
-      ns
-    * `handling`: mean time in the consumer, ns; `queue`: mean length left when a message was taken; `size`: mean
-      bytes
-
-  A mean without any messages is `nil`.
-
-      iex> window = %Situ.Diagnostics.Window{span: 2_000_000_000, emitted: 50, processed: 30, dropped: 10}
-      iex> {Situ.Diagnostics.rate(window.processed, window), Situ.Diagnostics.percent(window.dropped, window.emitted)}
-      {15.0, 20.0}
-  """
   defstruct span: 0,
             emitted: 0,
             processed: 0,
@@ -40,12 +26,18 @@ defmodule Situ.Diagnostics.Window do
           size: non_neg_integer() | nil
         }
 
-  @doc "Returns `part` as a percentage of `whole`, or 0.0 if `whole` is not positive."
+  @doc "Returns `part` as a percentage of `total`, or 0.0 if `total` is not positive."
   @spec percent(number(), number()) :: float()
-  def percent(_part, whole) when whole <= 0, do: 0.0
-  def percent(part, whole), do: part * 100 / whole
+  def percent(_part, total) when total <= 0, do: 0.0
+  def percent(part, total), do: part * 100 / total
 
-  @doc "Converts a count of the window to a rate per second."
+  @doc """
+  Converts a count of the window to a rate per second.
+
+      iex> window = %Situ.Diagnostics.Window{span: 2_000_000_000, emitted: 50, processed: 30, dropped: 10}
+      iex> {Situ.Diagnostics.rate(window.processed, window), Situ.Diagnostics.percent(window.dropped, window.emitted)}
+      {15.0, 20.0}
+  """
   @spec rate(number(), t()) :: float()
   def rate(_n, %__MODULE__{span: 0}), do: 0.0
   def rate(n, %__MODULE__{span: span}), do: n * 1.0e9 / span

@@ -1,16 +1,19 @@
 defmodule Situ.Filter.Butterworth do
-  @moduledoc """
-  Designs Butterworth filters as second-order sections, `{b0, b1, b2, a1, a2}`, which run one after the other.
+  @moduledoc false
+  # Designs Butterworth filters as second-order sections, `{b0, b1, b2, a1, a2}`, which run one after the other.
+  # Source: Oppenheim & Schafer, Discrete-Time Signal Processing. The poles of the analogue prototype are moved to the
+  # band and converted by the bilinear transform, with the edges prewarped.
+
+  @type section :: {float(), float(), float(), float(), float()}
+  @typep complex :: {float(), float()}
+
+  @doc """
+  Returns the sections of a filter. `edges` (one, or low and high) are in cycles per sample, below 0.5.
 
       iex> [{b0, b1, b2, a1, a2}] = Situ.Filter.Butterworth.design_sections(:lowpass, [0.25], 2)
       iex> Enum.map([b0, b1, b2, a1, a2], &Float.round(&1, 6))
       [0.292893, 0.585786, 0.292893, -0.0, 0.171573]
   """
-
-  @type section :: {float(), float(), float(), float(), float()}
-  @typep complex :: {float(), float()}
-
-  @doc "Returns the sections of a filter. `edges` (one, or low and high) are in cycles per sample, below 0.5."
   @spec design_sections(Situ.Filter.Fir.shape(), [float()], pos_integer()) :: [section()]
   def design_sections(shape, edges, order) do
     # The bilinear transform with T = 1 maps the analogue frequency w to 2 atan(w / 2).

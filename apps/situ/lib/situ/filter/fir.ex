@@ -1,26 +1,14 @@
 defmodule Situ.Filter.Fir do
-  @moduledoc """
-  Finite impulse response filters, designed with a windowed sinc (Hamming). The taps are symmetric, so the phase is
-  linear and the delay is half the order. The gain is 1 in the middle of the pass band: at 0 Hz, at half the rate, or
-  at the centre of the band. SciPy calls this `firwin`.
-
-  The transition bands are about 3.3 times the rate divided by the order wide, so a narrow band needs a high order.
-
-      iex> taps = Situ.Filter.Fir.design_taps(:lowpass, 1_000, [50], 40)
-      iex> length(taps)
-      41
-      iex> Float.round(Enum.sum(taps), 9)
-      1.0
-
-  Source: Oppenheim & Schafer, Discrete-Time Signal Processing, window method.
-  """
-
+  @moduledoc false
+  # Finite impulse response filters, designed with a windowed sinc (Hamming). The taps are symmetric, so the phase is
+  # linear and the delay is half the order. The gain is 1 in the middle of the pass band: at 0 Hz, at half the rate,
+  # or at the centre of the band. Source: Oppenheim & Schafer, Discrete-Time Signal Processing, window method.
   alias Situ.Number
 
-  # `strange`: the number of samples until the last NaN or infinity has left the taps.
-  @type t :: %__MODULE__{taps: [float()], past: [Number.t()], strange: non_neg_integer()}
+  # `non_finite`: the number of samples until the last NaN or infinity has left the taps.
+  @type t :: %__MODULE__{taps: [float()], past: [Number.t()], non_finite: non_neg_integer()}
   @enforce_keys [:taps]
-  defstruct [:taps, past: [], strange: 0]
+  defstruct [:taps, past: [], non_finite: 0]
 
   @type shape :: :lowpass | :highpass | :bandpass | :bandstop
 
@@ -33,7 +21,7 @@ defmodule Situ.Filter.Fir do
 
   @doc "Filters one sample. `:nan` and infinities affect the output until they have left the taps."
   @spec step(t(), Number.t()) :: {Number.t(), t()}
-  def step(%__MODULE__{taps: taps, past: past, strange: 0} = filter, sample)
+  def step(%__MODULE__{taps: taps, past: past, non_finite: 0} = filter, sample)
       when is_number(sample) do
     {sum, past} = dot_and_shift(taps, [sample | past], 0.0, [])
     {sum, %{filter | past: past}}
@@ -43,17 +31,25 @@ defmodule Situ.Filter.Fir do
   end
 
   def step(%__MODULE__{} = filter, sample) when is_number(sample),
-    do: step_non_finite(filter, sample, filter.strange - 1)
+    do: step_non_finite(filter, sample, filter.non_finite - 1)
 
   def step(%__MODULE__{} = filter, sample),
     do: step_non_finite(filter, sample, length(filter.taps) - 1)
 
   defp step_non_finite(%{taps: taps, past: past} = filter, sample, left) do
     past = Enum.take([sample | past], length(taps))
-    {Number.dot_product(taps, past), %{filter | past: past, strange: left}}
+    {Number.dot_product(taps, past), %{filter | past: past, non_finite: left}}
   end
 
-  @doc "Returns the impulse response of `order + 1` values (an odd order is raised by one)."
+  @doc """
+  Returns the impulse response of `order + 1` values (an odd order is raised by one).
+
+      iex> taps = Situ.Filter.Fir.design_taps(:lowpass, 1_000, [50], 40)
+      iex> length(taps)
+      41
+      iex> Float.round(Enum.sum(taps), 9)
+      1.0
+  """
   @spec design_taps(shape(), number(), [number()], pos_integer()) :: [float()]
   def design_taps(shape, rate, edges, order) do
     half = div(order + 1, 2)
@@ -79,8 +75,8 @@ defmodule Situ.Filter.Fir do
 
   defp hamming_weight(n, half), do: 0.54 + 0.46 * :math.cos(:math.pi() * n / half)
 
-  defp dot_and_shift([tap | taps], [x | past], sum, kept),
-    do: dot_and_shift(taps, past, sum + tap * x, [x | kept])
+  defp dot_and_shift([tap | taps], [x | past], sum, shifted),
+    do: dot_and_shift(taps, past, sum + tap * x, [x | shifted])
 
-  defp dot_and_shift([], _past, sum, kept), do: {sum, :lists.reverse(kept)}
+  defp dot_and_shift([], _past, sum, shifted), do: {sum, :lists.reverse(shifted)}
 end

@@ -1,20 +1,7 @@
 defmodule Situ.Filter.Iir do
-  @moduledoc """
-  Infinite impulse response filters: Butterworth, as a chain of second-order sections.
-
-  A filter with one edge has `order` poles, and a band filter has `order` on each side (2 * `order` poles), as in
-  SciPy and MATLAB. The gain at the edges is -3 dB.
-
-      iex> filter = Situ.Filter.Iir.new(:lowpass, 1_000, [50], 4)
-      iex> length(filter.sections)
-      2
-      iex> length(Situ.Filter.Iir.new(:bandpass, 1_000, [45, 55], 4).sections)
-      4
-
-  Source: Oppenheim & Schafer, Discrete-Time Signal Processing. The poles of the analogue prototype are moved to the
-  band and converted by the bilinear transform, with the edges prewarped.
-  """
-
+  @moduledoc false
+  # Infinite impulse response filters: Butterworth, as a chain of second-order sections. A filter with one edge has
+  # `order` poles, and a band filter has `order` on each side (2 * `order` poles), as in SciPy and MATLAB.
   alias Situ.Filter.Butterworth
   alias Situ.Number
 
@@ -22,7 +9,15 @@ defmodule Situ.Filter.Iir do
   @enforce_keys [:sections]
   defstruct [:sections]
 
-  @doc "Builds a filter. `rate` and `edges` (one, or low and high) are in Hz."
+  @doc """
+  Builds a filter. `rate` and `edges` (one, or low and high) are in Hz.
+
+      iex> filter = Situ.Filter.Iir.new(:lowpass, 1_000, [50], 4)
+      iex> length(filter.sections)
+      2
+      iex> length(Situ.Filter.Iir.new(:bandpass, 1_000, [45, 55], 4).sections)
+      4
+  """
   @spec new(Situ.Filter.Fir.shape(), number(), [number()], pos_integer()) :: t()
   def new(shape, rate, edges, order) do
     sections = Butterworth.design_sections(shape, Enum.map(edges, &(&1 / rate)), order)

@@ -1,4 +1,8 @@
 defmodule Situ.Filter.OneEuro do
+  @moduledoc false
+  # The 1 euro filter, an adaptive low-pass filter for irregular samples. `Situ.one_euro/2` documents its options.
+  # Source: Casiez, Roussel, Vogel, 1 euro filter, CHI 2012.
+
   @options [
     slope: [
       type: :number,
@@ -12,22 +16,6 @@ defmodule Situ.Filter.OneEuro do
       doc: "Hz, the cutoff for the speed of change."
     ]
   ]
-
-  @moduledoc """
-  The 1 euro filter, an adaptive low-pass filter for irregular samples. It smooths slow changes and passes fast ones.
-
-      iex> filter = Situ.Filter.OneEuro.new()
-      iex> {first, filter} = Situ.Filter.OneEuro.step(filter, 0, 10.0)
-      iex> {second, _filter} = Situ.Filter.OneEuro.step(filter, Situ.Time.ms(10), 20.0)
-      iex> {first, Float.round(second, 4)}
-      {10.0, 10.5912}
-
-  ## Options
-
-  #{Situ.Options.docs(@options)}
-
-  Source: Casiez, Roussel, Vogel, 1 euro filter, CHI 2012.
-  """
 
   alias Situ.Number
 
@@ -45,6 +33,12 @@ defmodule Situ.Filter.OneEuro do
   @doc """
   Filters a sample with its time (ns). The first sample passes unchanged. Once an output is `:nan` or infinite, so are
   all later outputs, since each output feeds into the next.
+
+      iex> filter = Situ.Filter.OneEuro.new()
+      iex> {first, filter} = Situ.Filter.OneEuro.step(filter, 0, 10.0)
+      iex> {second, _filter} = Situ.Filter.OneEuro.step(filter, Situ.Time.ms(10), 20.0)
+      iex> {first, Float.round(second, 4)}
+      {10.0, 10.5912}
   """
   @spec step(t(), Situ.Time.t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{previous: nil} = filter, time, sample) do

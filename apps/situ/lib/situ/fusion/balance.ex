@@ -15,7 +15,7 @@ defmodule Situ.Fusion.Balance do
 
   alias Situ.Fusion.MessageQueue
 
-  defstruct limit: @limit, newest: %{}, held: [], idle: 0
+  defstruct limit: @limit, newest: %{}, held_inputs: [], idle: 0
 
   @doc "Builds a balance for inputs that may run ahead by about 8,000 messages, or by half of `max_queue`."
   @spec new(pos_integer() | nil) :: t()
@@ -26,7 +26,7 @@ defmodule Situ.Fusion.Balance do
   @type t :: %__MODULE__{
           limit: pos_integer(),
           newest: %{input() => non_neg_integer()},
-          held: [input()],
+          held_inputs: [input()],
           idle: non_neg_integer()
         }
 
@@ -70,7 +70,7 @@ defmodule Situ.Fusion.Balance do
     %{
       balance
       | newest: Map.delete(balance.newest, input),
-        held: List.delete(balance.held, input)
+        held_inputs: List.delete(balance.held_inputs, input)
     }
   end
 
@@ -83,24 +83,24 @@ defmodule Situ.Fusion.Balance do
     ahead =
       for {input, head} <- heads, head != nil, too_far_ahead?(balance, input, head), do: input
 
-    case {Enum.reject(ahead, &(&1 in awaited)), balance.held} do
+    case {Enum.reject(ahead, &(&1 in awaited)), balance.held_inputs} do
       {[], []} -> {[], balance}
       {same, same} -> {Enum.map(same, &{:hold, &1}), balance}
-      {hold, held} -> {hold_changes(hold, held), %{balance | held: hold}}
+      {hold, held_inputs} -> {hold_changes(hold, held_inputs), %{balance | held_inputs: hold}}
     end
   end
 
   @doc "Ends a hold of `input` during which nothing arrived: extends it if the VM was busy, and otherwise releases it."
   @spec end_hold(t(), input(), boolean()) :: {list(), t()}
   def end_hold(%{idle: idle} = balance, input, true) when idle < @patience do
-    if input in balance.held,
+    if input in balance.held_inputs,
       do: {[{:hold, input}], %{balance | idle: idle + 1}},
       else: {[], balance}
   end
 
   def end_hold(balance, input, _busy?) do
-    held = List.delete(balance.held, input)
-    {[], %{balance | held: held, limit: balance.limit * 2, idle: 0}}
+    held_inputs = List.delete(balance.held_inputs, input)
+    {[], %{balance | held_inputs: held_inputs, limit: balance.limit * 2, idle: 0}}
   end
 
   @doc "Returns whether messages are in flight: this process has unread messages, or other processes are running."
@@ -111,11 +111,11 @@ defmodule Situ.Fusion.Balance do
   end
 
   defp too_far_ahead?(balance, input, head) do
-    limit = if input in balance.held, do: div(balance.limit, 2), else: balance.limit
+    limit = if input in balance.held_inputs, do: div(balance.limit, 2), else: balance.limit
     Map.get(balance.newest, input, 0) - head > limit
   end
 
-  defp hold_changes(hold, held) do
-    Enum.map(hold, &{:hold, &1}) ++ Enum.map(held -- hold, &{:resume, &1})
+  defp hold_changes(hold, held_inputs) do
+    Enum.map(hold, &{:hold, &1}) ++ Enum.map(held_inputs -- hold, &{:resume, &1})
   end
 end

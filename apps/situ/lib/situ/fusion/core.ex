@@ -1,40 +1,22 @@
 defmodule Situ.Fusion.Core do
-  @moduledoc """
-  The pure core of fusion: a queue of primary messages, a queue per secondary stream, and the rule that pairs them.
-
-  Each arrival tries to complete the oldest primary, by asking each secondary's interpolator for a value at its time.
-
-    * If all secondaries have a value, there is an output at the primary's originating time.
-    * If one is undecided, the primary and all later ones wait, so outputs keep the order of the primaries.
-    * If one has no value, the primary is dropped.
-
-  Secondary messages that no later primary can need are dropped immediately, so memory is bounded by the undecided
-  messages.
-
-      iex> core = Situ.Fusion.Core.new(&{&1, &2}, members: [{:s0, 0, Situ.Reproducible.exact(), []}], values: :one)
-      iex> message = &%Situ.Message{originating_time: &1, data: &2}
-      iex> {[], core} = Situ.Fusion.Core.push_primary(core, [message.(1, :a), message.(2, :b)])
-      iex> {outputs, _core} = Situ.Fusion.Core.push_secondary(core, :s0, [message.(2, :x)])
-      iex> outputs
-      [{:out, 2, {:b, :x}}]
-
-  Secondaries can be added and removed. Each takes part for a span of originating times: a primary at time t needs a
-  value from each member with `from <= t < until`, and from no other. A member's messages before `from` are ignored.
-  So the outputs depend only on the spans, and not on when a member was added or removed, as long as no primary of the
-  span had arrived by then. `add_member/5` and `remove_member/3` reject changes to decisions that may already have
-  been made.
-
-      iex> core = Situ.Fusion.Core.new(&{&1, &2}, values: :map)
-      iex> message = &%Situ.Message{originating_time: &1, data: &2}
-      iex> {outputs, core} = Situ.Fusion.Core.push_primary(core, [message.(1, :a)])
-      iex> outputs
-      [{:out, 1, {:a, %{}}}]
-      iex> {:ok, 2, core} = Situ.Fusion.Core.add_member(core, :s0, "ann", Situ.Reproducible.exact(), from: 2)
-      iex> {[], core} = Situ.Fusion.Core.push_primary(core, [message.(2, :b)])
-      iex> {outputs, _core} = Situ.Fusion.Core.push_secondary(core, :s0, [message.(2, :x)])
-      iex> outputs
-      [{:out, 2, {:b, %{"ann" => :x}}}]
-  """
+  @moduledoc false
+  # The pure core of fusion: a queue of primary messages, a queue per secondary stream, and the rule that pairs them.
+  #
+  # Each arrival tries to complete the oldest primary, by asking each secondary's interpolator for a value at its
+  # time.
+  #
+  #   * If all secondaries have a value, there is an output at the primary's originating time.
+  #   * If one is undecided, the primary and all later ones wait, so outputs keep the order of the primaries.
+  #   * If one has no value, the primary is dropped.
+  #
+  # Secondary messages that no later primary can need are dropped immediately, so memory is bounded by the undecided
+  # messages.
+  #
+  # Secondaries can be added and removed. Each takes part for a span of originating times: a primary at time t needs a
+  # value from each member with `from <= t < until`, and from no other. A member's messages before `from` are ignored.
+  # So the outputs depend only on the spans, and not on when a member was added or removed, as long as no primary of
+  # the span had arrived by then. `add_member/5` and `remove_member/3` reject changes to decisions that may already
+  # have been made.
   alias Situ.{Component, Error, Interpolator, Message}
   alias Situ.Fusion.{Decision, InputKeys, Member, MessageQueue, SecondaryQueue, Span}
 
@@ -96,6 +78,17 @@ defmodule Situ.Fusion.Core do
   Adds a member. `from:` is the first time that needs it. The default, and the earliest time allowed, is after the last
   primary that has arrived and after `after:`, the last message of the member that was missed. Returns that time, or
   `:start` if nothing has arrived yet. `until:` has the same meaning as in `remove_member/3`.
+
+      iex> core = Situ.Fusion.Core.new(&{&1, &2}, values: :map)
+      iex> message = &%Situ.Message{originating_time: &1, data: &2}
+      iex> {outputs, core} = Situ.Fusion.Core.push_primary(core, [message.(1, :a)])
+      iex> outputs
+      [{:out, 1, {:a, %{}}}]
+      iex> {:ok, 2, core} = Situ.Fusion.Core.add_member(core, :s0, "ann", Situ.Reproducible.exact(), from: 2)
+      iex> {[], core} = Situ.Fusion.Core.push_primary(core, [message.(2, :b)])
+      iex> {outputs, _core} = Situ.Fusion.Core.push_secondary(core, :s0, [message.(2, :x)])
+      iex> outputs
+      [{:out, 2, {:b, %{"ann" => :x}}}]
   """
   @spec add_member(t(), input(), term(), Interpolator.t(), keyword()) ::
           {:ok, Situ.Time.t() | :start, t()} | {:error, Error.t()}
@@ -128,7 +121,16 @@ defmodule Situ.Fusion.Core do
     end
   end
 
-  @doc "Adds primary messages and returns the outputs they cause."
+  @doc """
+  Adds primary messages and returns the outputs they cause.
+
+      iex> core = Situ.Fusion.Core.new(&{&1, &2}, members: [{:s0, 0, Situ.Reproducible.exact(), []}], values: :one)
+      iex> message = &%Situ.Message{originating_time: &1, data: &2}
+      iex> {[], core} = Situ.Fusion.Core.push_primary(core, [message.(1, :a), message.(2, :b)])
+      iex> {outputs, _core} = Situ.Fusion.Core.push_secondary(core, :s0, [message.(2, :x)])
+      iex> outputs
+      [{:out, 2, {:b, :x}}]
+  """
   @spec push_primary(t(), [Message.t()]) :: {[Component.action()], t()}
   def push_primary(core, []), do: {[], core}
 
@@ -188,7 +190,7 @@ defmodule Situ.Fusion.Core do
   def take_finished_inputs(%{values: :map} = core) do
     case Enum.split_with(core.members, &member_finished?(&1, core)) do
       {[], _} -> {[], core}
-      {over, kept} -> {Enum.map(over, & &1.input), %{core | members: kept}}
+      {finished, remaining} -> {Enum.map(finished, & &1.input), %{core | members: remaining}}
     end
   end
 

@@ -5,7 +5,6 @@ defmodule Situ.Fusion.DynamicInputs do
 
   @policy [policy: [type: {:struct, Situ.Delivery}]]
 
-  @doc "Adds an input, see `Situ.Fusion.add_input/4`."
   @spec add_input(term(), term(), Stream.t() | String.t(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def add_input(fused, key, stream, opts) do
@@ -14,7 +13,7 @@ defmodule Situ.Fusion.DynamicInputs do
     {pipeline, taker} = locate_operator(fused)
     from = locate_stream(pipeline, stream)
 
-    asked = %{
+    request = %{
       taker: taker,
       stream: from,
       policy: policy,
@@ -22,10 +21,9 @@ defmodule Situ.Fusion.DynamicInputs do
       input: &input_name/1
     }
 
-    Pipeline.Client.call(pipeline, {:attach, asked})
+    Pipeline.Client.call(pipeline, {:attach, request})
   end
 
-  @doc "Removes an input, see `Situ.Fusion.remove_input/3`."
   @spec remove_input(term(), term(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def remove_input(fused, key, opts) do

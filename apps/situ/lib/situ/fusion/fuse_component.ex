@@ -115,8 +115,8 @@ defmodule Situ.Fusion.FuseComponent do
 
   defp resolve_interpolator(nil, own), do: {:ok, own[:interpolator]}
 
-  defp resolve_interpolator(given, own) do
-    interpolator = Arguments.to_interpolator(given)
+  defp resolve_interpolator(interpolator, own) do
+    interpolator = Arguments.to_interpolator(interpolator)
 
     if own[:reproducible] and not interpolator.reproducible,
       do: {:error, Arguments.not_reproducible_error(interpolator)},
@@ -127,9 +127,9 @@ defmodule Situ.Fusion.FuseComponent do
     do: %{state | balance: Balance.note_arrival(state.balance, input, messages)}
 
   defp finish_step({outputs, core}, state) do
-    {gone, core} = Core.take_finished_inputs(core)
-    state = Enum.reduce(gone, %{state | core: core}, &forget_input/2)
-    leave = for input <- gone, do: {:detach, input, state.opts}
+    {finished, core} = Core.take_finished_inputs(core)
+    state = Enum.reduce(finished, %{state | core: core}, &forget_input/2)
+    leave = for input <- finished, do: {:detach, input, state.opts}
     Balance.after_step(outputs ++ leave, state, Core.head_ids(core), [Core.awaited_input(core)])
   end
 

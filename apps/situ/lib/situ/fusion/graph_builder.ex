@@ -35,7 +35,7 @@ defmodule Situ.Fusion.GraphBuilder do
   def attach_fusion(_name, {:keyed, _, _}, _interpolators, _options),
     do: raise(ArgumentError, "a map of streams takes one interpolator for all")
 
-  def attach_fusion(name, streams, interpolator, {own, _placed} = options) do
+  def attach_fusion(name, streams, interpolator, {own, _placement} = options) do
     if own[:ended] == :leave,
       do: raise(ArgumentError, "ended: :leave needs a map of streams")
 
@@ -48,19 +48,19 @@ defmodule Situ.Fusion.GraphBuilder do
     attach_members(name, streams, members, [], options)
   end
 
-  defp attach_members(name, streams, members, more, {own, placed}) do
+  defp attach_members(name, streams, members, more, {own, placement}) do
     {primary, secondaries} = Arguments.split_sides(streams)
     interpolators = Enum.map(members, &elem(&1, 2))
     {creator, type, values} = Output.plan_output(streams, interpolators, own)
     options = [members: members, values: values, creator: creator, reproducible: name == "Join"]
     options = options ++ more ++ Keyword.take(own, [:give_up_after, :max_queue, :ended])
     inputs = [{:primary, primary} | name_inputs(secondaries)]
-    Operator.attach_component(inputs, name, {FuseComponent, options}, placed, type)
+    Operator.attach_component(inputs, name, {FuseComponent, options}, placement, type)
   end
 
   @doc "Pairs each message of one stream with the latest message of another."
   @spec attach_pair(Stream.t(), Stream.t(), options()) :: Stream.t()
-  def attach_pair(primary, secondary, {own, placed}) do
+  def attach_pair(primary, secondary, {own, placement}) do
     initial = with {:ok, value} <- Keyword.fetch(own, :initial), do: {:value, value}
     default = if initial == :error, do: :none, else: initial
     {creator, type} = Output.output_creator(primary.type, {secondary.type, default}, own)
@@ -70,31 +70,45 @@ defmodule Situ.Fusion.GraphBuilder do
       [primary: primary, secondary: secondary],
       "Pair",
       pair,
-      placed,
+      placement,
       type
     )
   end
 
   @doc "Groups messages of equal times."
   @spec attach_zip([Stream.t()], keyword()) :: Stream.t()
-  def attach_zip(streams, placed) do
+  def attach_zip(streams, placement) do
     inputs = name_inputs(streams)
     zipper = {ZipComponent, [names: Keyword.keys(inputs)]}
-    Operator.attach_component(inputs, "Zip", zipper, placed, {:list, common_stream_type(streams)})
+
+    Operator.attach_component(
+      inputs,
+      "Zip",
+      zipper,
+      placement,
+      {:list, common_stream_type(streams)}
+    )
   end
 
   @doc "Merges all messages in order of arrival."
   @spec attach_merge([Stream.t()], keyword()) :: Stream.t()
-  def attach_merge(streams, placed) do
+  def attach_merge(streams, placement) do
     inputs = name_inputs(streams)
     members = for {{input, _}, index} <- Enum.with_index(inputs), do: {input, index}
     type = {:message, common_stream_type(streams)}
-    Operator.attach_component(inputs, "Merge", {MergeComponent, [members: members]}, placed, type)
+
+    Operator.attach_component(
+      inputs,
+      "Merge",
+      {MergeComponent, [members: members]},
+      placement,
+      type
+    )
   end
 
   @doc "Emits a stream's values at the ticks of a clock."
-  @spec attach_ticks(String.t(), Stream.t(), term(), Interpolator.t(), options()) :: Stream.t()
-  def attach_ticks(name, %Stream{} = stream, %Stream{} = clock, interpolator, {own, placed}) do
+  @spec attach_ticks(Stream.t(), term(), Interpolator.t(), options()) :: Stream.t()
+  def attach_ticks(%Stream{} = stream, %Stream{} = clock, interpolator, {own, placement}) do
     if own[:align],
       do: raise(ArgumentError, "align: needs an interval, not a stream, as the clock")
 
@@ -109,24 +123,24 @@ defmodule Situ.Fusion.GraphBuilder do
 
     Operator.attach_component(
       [primary: clock, s0: stream],
-      name,
+      "Sample",
       {FuseComponent, options},
-      placed,
+      placement,
       type
     )
   end
 
-  def attach_ticks(name, %Stream{} = stream, interval, interpolator, {own, placed})
+  def attach_ticks(%Stream{} = stream, interval, interpolator, {own, placement})
       when is_integer(interval) and interval > 0 do
     if own[:give_up_after] || own[:max_queue],
       do: raise(ArgumentError, "give_up_after: and max_queue: need a stream as the clock")
 
     options = [interpolator: interpolator, interval: interval] ++ Keyword.take(own, [:align])
     type = Interpolator.value_type(interpolator, stream.type)
-    Operator.attach_component(stream, name, {SampleComponent, options}, placed, type)
+    Operator.attach_component(stream, "Sample", {SampleComponent, options}, placement, type)
   end
 
-  def attach_ticks(_name, _stream, clock, _interpolator, _options) do
+  def attach_ticks(_stream, clock, _interpolator, _options) do
     raise ArgumentError,
           "the clock must be a stream or an interval of 1 ns or more, got: #{inspect(clock)}"
   end

@@ -35,11 +35,11 @@ defmodule Situ.Fusion.MessageQueue do
     case split_until(front, time, []) do
       {taken, []} when rear != [] ->
         {later, []} = merge_batches({[], rear})
-        {more, kept} = split_until(later, time, [])
-        {taken ++ more, {kept, []}}
+        {more, remaining} = split_until(later, time, [])
+        {taken ++ more, {remaining, []}}
 
-      {taken, kept} ->
-        {taken, {kept, rear}}
+      {taken, later} ->
+        {taken, {later, rear}}
     end
   end
 

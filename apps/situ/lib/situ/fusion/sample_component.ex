@@ -54,8 +54,9 @@ defmodule Situ.Fusion.SampleComponent do
   def handle_closed(:in, time, _context, sampling),
     do: continue_ticks(Sampling.close(sampling, time))
 
-  defp continue_ticks({outputs, %{more?: true} = sampling}),
-    do: {outputs ++ [{:continue, :ticks}], sampling}
-
-  defp continue_ticks(done), do: done
+  defp continue_ticks({outputs, sampling}) do
+    if Sampling.more_ticks?(sampling),
+      do: {outputs ++ [{:continue, :ticks}], sampling},
+      else: {outputs, sampling}
+  end
 end

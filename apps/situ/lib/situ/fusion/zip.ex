@@ -1,21 +1,9 @@
 defmodule Situ.Fusion.Zip do
-  @moduledoc """
-  The pure core of `Situ.zip/2`: groups the messages of several inputs by originating time.
-
-  A group is emitted once every input has reached its time or ended, in time order. Values in a group are in the order
-  of the inputs. An input without a message at that time adds nothing.
-
-      iex> zip = Situ.Fusion.Zip.new(2)
-      iex> message = &%Situ.Message{originating_time: &1, data: &2}
-      iex> {[], zip} = Situ.Fusion.Zip.push(zip, 0, [message.(1, :a), message.(3, :b)])
-      iex> {outputs, zip} = Situ.Fusion.Zip.push(zip, 1, [message.(1, :x), message.(2, :y)])
-      iex> outputs
-      [{:out, 1, [:a, :x]}, {:out, 2, [:y]}]
-      iex> {outputs, _zip} = Situ.Fusion.Zip.close(zip, 1)
-      iex> outputs
-      [{:out, 3, [:b]}]
-  """
-
+  @moduledoc false
+  # The pure core of `Situ.zip/3`: groups the messages of several inputs by originating time.
+  #
+  # A group is emitted once every input has reached its time or ended, in time order. Values in a group are in the
+  # order of the inputs. An input without a message at that time adds nothing.
   alias Situ.{Component, Message}
   alias Situ.Fusion.MessageQueue
 
@@ -34,7 +22,19 @@ defmodule Situ.Fusion.Zip do
   @spec new(pos_integer()) :: t()
   def new(n), do: %__MODULE__{inputs: List.duplicate({MessageQueue.new(), :nothing}, n)}
 
-  @doc "Adds messages of input number `index` (from 0) and returns the groups that are complete."
+  @doc """
+  Adds messages of input number `index` (from 0) and returns the groups that are complete.
+
+      iex> zip = Situ.Fusion.Zip.new(2)
+      iex> message = &%Situ.Message{originating_time: &1, data: &2}
+      iex> {[], zip} = Situ.Fusion.Zip.push(zip, 0, [message.(1, :a), message.(3, :b)])
+      iex> {outputs, zip} = Situ.Fusion.Zip.push(zip, 1, [message.(1, :x), message.(2, :y)])
+      iex> outputs
+      [{:out, 1, [:a, :x]}, {:out, 2, [:y]}]
+      iex> {outputs, _zip} = Situ.Fusion.Zip.close(zip, 1)
+      iex> outputs
+      [{:out, 3, [:b]}]
+  """
   @spec push(t(), non_neg_integer(), [Message.t()]) :: {[Component.action()], t()}
   def push(zip, _index, []), do: {[], zip}
 
@@ -79,8 +79,8 @@ defmodule Situ.Fusion.Zip do
   end
 
   defp emit_groups(%{inputs: inputs, frontier: frontier} = zip) do
-    {released, kept} = inputs |> Enum.map(&split_queue(&1, frontier)) |> Enum.unzip()
-    {group_by_time(:lists.reverse(released)), %{zip | inputs: kept}}
+    {released, remaining} = inputs |> Enum.map(&split_queue(&1, frontier)) |> Enum.unzip()
+    {group_by_time(:lists.reverse(released)), %{zip | inputs: remaining}}
   end
 
   # `:closed` is an atom and so sorts after every time. An input that has not sent a message delays all others.

@@ -123,11 +123,11 @@ defmodule Situ.Graph.Additions do
   @doc "Removes these vertices with their connections and names, and the composites that are empty afterward."
   @spec remove_vertices(Graph.t(), MapSet.t(pos_integer())) :: Graph.t()
   def remove_vertices(%Graph{} = graph, ids) do
-    gone? = &MapSet.member?(ids, &1)
+    removed? = &MapSet.member?(ids, &1)
 
     edges =
       reject_entries(graph.edges, fn {_, e} ->
-        gone?.(elem(e.from, 0)) or gone?.(elem(e.to, 0))
+        removed?.(elem(e.from, 0)) or removed?.(elem(e.to, 0))
       end)
 
     vertices = Map.drop(graph.vertices, MapSet.to_list(ids))
@@ -137,8 +137,8 @@ defmodule Situ.Graph.Additions do
       | vertices: vertices,
         edges: edges,
         connected: reject_entries(graph.connected, fn {_, id} -> not is_map_key(edges, id) end),
-        paths: reject_entries(graph.paths, fn {_, id} -> gone?.(id) end),
-        stream_names: reject_entries(graph.stream_names, fn {_, {id, _}} -> gone?.(id) end),
+        paths: reject_entries(graph.paths, fn {_, id} -> removed?.(id) end),
+        stream_names: reject_entries(graph.stream_names, fn {_, {id, _}} -> removed?.(id) end),
         scopes:
           reject_entries(graph.scopes, fn {path, _} -> scope_emptied?(graph, vertices, path) end),
         numbers: %{}

@@ -1,8 +1,8 @@
 defmodule Situ.Graph.Edge do
-  @moduledoc """
-  A connection: `from` is `{vertex, output}`, `to` is `{vertex, input}`, and `policy` is the delivery policy of its
-  queue.
-  """
+  @moduledoc false
+  # A connection: `from` is `{vertex, output}`, `to` is `{vertex, input}`, and `policy` is the delivery policy of its
+  # queue.
+
   @enforce_keys [:id, :from, :to, :policy]
   defstruct [:id, :from, :to, :policy, explicit: false]
 

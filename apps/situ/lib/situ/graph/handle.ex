@@ -1,10 +1,10 @@
 defmodule Situ.Graph.Handle do
-  @moduledoc """
-  The handle of a pipeline under construction: the process that owns the graph, a unique reference to the graph, and
-  the scope in which components are added (the path of the composite being built, or `nil`).
+  @moduledoc false
+  # The handle of a pipeline under construction: the process that owns the graph, a unique reference to the graph, and
+  # the scope in which components are added (the path of the composite being built, or `nil`).
+  #
+  # `Situ.Pipeline.new/1` creates a handle, `build/2` receives it, and every stream and node contains it.
 
-  `Situ.Pipeline.new/1` creates a handle, `build/2` receives it, and every stream and node contains it.
-  """
   @enforce_keys [:pid, :ref]
   defstruct [:pid, :ref, :scope]
 

@@ -1,10 +1,10 @@
 defmodule Situ.Graph.Vertex do
-  @moduledoc """
-  A component of a graph. `module` is `:operator` for light operators, whose step is in `opts`.
+  @moduledoc false
+  # A component of a graph. `module` is `:operator` for light operators, whose step is in `opts`.
+  #
+  # Ports are keyword lists. Inputs are `%{type, optional}`, outputs are `%{type, optional, source_id}`.
+  # With `holds: false`, messages are not held back until the clock of their pipeline reaches them.
 
-  Ports are keyword lists. Inputs are `%{type, optional}`, outputs are `%{type, optional, source_id}`.
-  With `holds: false`, messages are not held back until the clock of their pipeline reaches them.
-  """
   @enforce_keys [:id, :module]
   defstruct [
     :id,

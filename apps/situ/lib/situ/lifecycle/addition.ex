@@ -95,14 +95,14 @@ defmodule Situ.Lifecycle.Addition do
   def handle_lender_exit(%{growths: growths} = state, _id) when growths == %{}, do: state
 
   def handle_lender_exit(state, id) do
-    asked =
+    tags =
       for {_, %{step: :lend, pending: pending}} <- state.growths,
           tag <- pending,
           %{from: ^id} <- [state.links.topology[tag]],
           do: tag
 
     # A stage that was restarted connects to its neighbours by itself.
-    Enum.reduce(asked, state, fn tag, state ->
+    Enum.reduce(tags, state, fn tag, state ->
       if state.stages[id].alive?,
         do: handle_lent_stream(state, tag, {:open, nil}),
         else: report_closed_stream(state, tag)

@@ -129,16 +129,16 @@ defmodule Situ.Lifecycle.Links do
   end
 
   # A cycle is never entered, because its stages wait for each other.
-  defp collect_complete([], _downstream, _unknown, {_endless, whole}), do: whole
+  defp collect_complete([], _downstream, _unknown, {_endless, complete}), do: complete
 
-  defp collect_complete([id | rest], downstream, unknown, {endless, whole} = sets) do
+  defp collect_complete([id | rest], downstream, unknown, {endless, complete} = sets) do
     if MapSet.member?(endless, id) do
       collect_complete(rest, downstream, unknown, sets)
     else
       {rest, unknown} =
         downstream |> Map.get(id, []) |> Enum.reduce({rest, unknown}, &count_arrival/2)
 
-      collect_complete(rest, downstream, unknown, {endless, MapSet.put(whole, id)})
+      collect_complete(rest, downstream, unknown, {endless, MapSet.put(complete, id)})
     end
   end
 

@@ -46,7 +46,7 @@ defmodule Situ.Lifecycle.Shutdown do
     final = max(time, state.ending.latest || time)
     sources = running_sources(state)
     # Sources that belong to a part being stopped were already asked to stop.
-    asked = for {_, part} <- state.parts, id <- part.pending, do: id
+    already_stopping = for {_, part} <- state.parts, id <- part.pending, do: id
 
     state = update_ending(state, final: final)
 
@@ -55,11 +55,11 @@ defmodule Situ.Lifecycle.Shutdown do
         do: schedule_catch_up_end(state),
         else: state
 
-    state = %{state | step: :stop, pending: MapSet.new(sources ++ asked)}
-    {whole, cut} = Enum.split_with(Map.keys(state.stages), complete_stage_filter(state))
+    state = %{state | step: :stop, pending: MapSet.new(sources ++ already_stopping)}
+    {complete, cut} = Enum.split_with(Map.keys(state.stages), complete_stage_filter(state))
     state = add_action(state, {:cut, cut, final})
     # Stages that wait for demand must not delay a manual stop.
-    state = if state.ending.by_hand, do: add_action(state, {:release, whole}), else: state
+    state = if state.ending.by_hand, do: add_action(state, {:release, complete}), else: state
     state = send_to_stages(state, sources, {:stop, final})
     if state.ending.enough?, do: send_to_stages(state, sources, :stop_now), else: state
   end
@@ -93,10 +93,10 @@ defmodule Situ.Lifecycle.Shutdown do
   # ahead would emit more in one run than in the next. Components need not declare that they post
   # late.
   defp complete_stage_filter(state) do
-    whole =
+    complete =
       Links.complete_stages(state.stages, Map.values(state.links.topology), state.ending.finite)
 
-    &MapSet.member?(whole, &1)
+    &MapSet.member?(complete, &1)
   end
 
   @doc """

@@ -29,12 +29,12 @@ defmodule Situ.Parallel.Parts do
   defp check_parts(form, map) when is_map(map) and form in [:sparse, :present], do: map
 
   defp check_parts(form, other) do
-    wanted = if form in [:sparse, :present], do: "a map", else: "a list"
+    expected = if form in [:sparse, :present], do: "a map", else: "a list"
 
     raise Situ.Error.new(
             :wrong_data,
-            "expected #{wanted} of parts, got: #{inspect(other, limit: 5)}",
-            fix: "set split: fn data -> #{wanted} end"
+            "expected #{expected} of parts, got: #{inspect(other, limit: 5)}",
+            fix: "set split: fn data -> #{expected} end"
           )
   end
 

@@ -81,15 +81,15 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   @doc """
-  Adds outputs of a branch, in order. If `passed` is a time, the branch has handled all parts up to it and has no more
-  outputs for them.
+  Adds outputs of a branch, in order. If `passed_time` is a time, the branch has handled all parts up to it and has no
+  more outputs for them.
   """
   @spec add_outputs(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
-  def add_outputs(pool, id, reported, passed) do
+  def add_outputs(pool, id, reported, passed_time) do
     case pool.branches do
       %{^id => {key, {front, rear}}} ->
         {entries, waiting} =
-          settle_times(reported, passed, merge_waiting(front, rear), key, pool.entries)
+          settle_times(reported, passed_time, merge_waiting(front, rear), key, pool.entries)
 
         branches = Map.put(pool.branches, id, {key, {waiting, []}})
         flush_outputs(%{pool | branches: branches, entries: entries})
@@ -100,34 +100,35 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   # Compares the times that wait for the branch with the times of its outputs; both are in order.
-  defp settle_times([{at, value} | reported], passed, [time | waiting], key, entries)
+  defp settle_times([{at, value} | reported], passed_time, [time | waiting], key, entries)
        when at == time,
        do:
          settle_times(
            reported,
-           passed,
+           passed_time,
            waiting,
            key,
            PendingOutputs.put_value(entries, time, key, value)
          )
 
-  defp settle_times([{at, _} | _] = reported, passed, [time | waiting], key, entries)
+  defp settle_times([{at, _} | _] = reported, passed_time, [time | waiting], key, entries)
        when time < at,
        do:
          settle_times(
            reported,
-           passed,
+           passed_time,
            waiting,
            key,
            PendingOutputs.mark_missing(entries, [time])
          )
 
-  defp settle_times([_not_asked_for | reported], passed, waiting, key, entries),
-    do: settle_times(reported, passed, waiting, key, entries)
+  defp settle_times([_not_asked_for | reported], passed_time, waiting, key, entries),
+    do: settle_times(reported, passed_time, waiting, key, entries)
 
-  defp settle_times([], passed, [time | waiting], key, entries)
-       when passed != nil and time <= passed,
-       do: settle_times([], passed, waiting, key, PendingOutputs.mark_missing(entries, [time]))
+  defp settle_times([], passed_time, [time | waiting], key, entries)
+       when passed_time != nil and time <= passed_time,
+       do:
+         settle_times([], passed_time, waiting, key, PendingOutputs.mark_missing(entries, [time]))
 
   defp settle_times([], _passed, waiting, _key, entries), do: {entries, waiting}
 
@@ -154,12 +155,6 @@ defmodule Situ.Parallel.ProcessBranches do
   def close_input(pool, time) do
     stops = for {_key, {id, seen, _}} <- pool.keys, do: {:stop, id, stop_time(time, seen)}
     {stops, %{pool | keys: %{}}}
-  end
-
-  @doc "Returns the key of a branch."
-  @spec fetch_key(t(), id()) :: {:ok, term()} | :error
-  def fetch_key(pool, id) do
-    with {:ok, {key, _waiting}} <- Map.fetch(pool.branches, id), do: {:ok, key}
   end
 
   @doc "Returns the branches that the first undecided time is waiting for."

@@ -27,7 +27,7 @@ defmodule Situ.Parallel.Processes do
 
   @limit 256
 
-  defstruct [:opts, :pool, :timing, branches: %{}, limit: @limit, held: false, moved: true]
+  defstruct [:opts, :pool, :timing, branches: %{}, limit: @limit, held?: false, moved?: true]
 
   @impl true
   def init(opts) do
@@ -92,11 +92,11 @@ defmodule Situ.Parallel.Processes do
 
   def handle_info({:situ_branch_failed, error}, _context, _state), do: raise(error)
 
-  def handle_info({:hold_ended, :in}, _context, %{held: true} = state) do
-    if state.moved or
+  def handle_info({:hold_ended, :in}, _context, %{held?: true} = state) do
+    if state.moved? or
          RunningBranches.at_work?(state.branches, ProcessBranches.awaited_branches(state.pool)),
-       do: {[{:hold, :in}], %{state | moved: false}},
-       else: {[], %{state | held: false, limit: state.limit * 2}}
+       do: {[{:hold, :in}], %{state | moved?: false}},
+       else: {[], %{state | held?: false, limit: state.limit * 2}}
   end
 
   def handle_info(message, _context, state) do
@@ -184,10 +184,10 @@ defmodule Situ.Parallel.Processes do
   defp handle_branch_message({:open, gate}, id, state) when is_map_key(state.branches, id),
     do: {[], %{state | branches: RunningBranches.put_gate(state.branches, id, gate)}}
 
-  defp handle_branch_message({:outputs, reported, passed}, id, %{branches: branches} = state) do
-    passed = if match?(%{^id => %{immediate?: true}}, branches), do: passed
-    {outputs, pool} = ProcessBranches.add_outputs(state.pool, id, reported, passed)
-    {outputs, %{state | pool: pool, moved: true}}
+  defp handle_branch_message({:outputs, reported, passed_time}, id, %{branches: branches} = state) do
+    passed_time = if match?(%{^id => %{immediate?: true}}, branches), do: passed_time
+    {outputs, pool} = ProcessBranches.add_outputs(state.pool, id, reported, passed_time)
+    {outputs, %{state | pool: pool, moved?: true}}
   end
 
   defp handle_branch_message(_of_a_branch_that_is_gone, _id, state), do: {[], state}
@@ -200,7 +200,7 @@ defmodule Situ.Parallel.Processes do
       state
       | branches: RunningBranches.remove_branch(state.branches, id),
         pool: pool,
-        moved: true
+        moved?: true
     }
 
     {outputs, handle_branch_result(result, state)}
@@ -221,11 +221,11 @@ defmodule Situ.Parallel.Processes do
     waiting = PendingOutputs.waiting_count(state.pool.entries)
 
     cond do
-      not state.held and waiting >= state.limit ->
-        {outputs ++ [{:hold, :in}], %{state | held: true, moved: false}}
+      not state.held? and waiting >= state.limit ->
+        {outputs ++ [{:hold, :in}], %{state | held?: true, moved?: false}}
 
-      state.held and waiting <= div(state.limit, 2) ->
-        {outputs ++ [{:resume, :in}], %{state | held: false}}
+      state.held? and waiting <= div(state.limit, 2) ->
+        {outputs ++ [{:resume, :in}], %{state | held?: false}}
 
       true ->
         {outputs, state}

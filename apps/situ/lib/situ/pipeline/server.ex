@@ -158,14 +158,14 @@ defmodule Situ.Pipeline.Server do
 
   defp handle_request(_request, _from, state), do: {:reply, {:error, Errors.not_running()}, state}
 
-  defp handle_running_request({:tap, asked}, from, state),
-    do: apply_dynamic(Dynamic.Tap.attach(state, asked, from))
+  defp handle_running_request({:tap, request}, from, state),
+    do: apply_dynamic(Dynamic.Tap.attach(state, request, from))
 
-  defp handle_running_request({:attach, asked}, from, state),
-    do: apply_dynamic(Dynamic.Input.attach(state, asked, from))
+  defp handle_running_request({:attach, request}, from, state),
+    do: apply_dynamic(Dynamic.Input.attach(state, request, from))
 
-  defp handle_running_request({:detach, asked}, from, state),
-    do: apply_dynamic(Dynamic.Input.detach(state, asked, from))
+  defp handle_running_request({:detach, request}, from, state),
+    do: apply_dynamic(Dynamic.Input.detach(state, request, from))
 
   defp handle_running_request(:extension, _from, state) do
     {graph, state} = Dynamic.Extension.reserve_ids(state)
@@ -179,8 +179,8 @@ defmodule Situ.Pipeline.Server do
     end
   end
 
-  defp handle_running_request({:replace, asked}, from, state),
-    do: {:noreply, Dynamic.Replacement.request_replacement(state, asked, from)}
+  defp handle_running_request({:replace, request}, from, state),
+    do: {:noreply, Dynamic.Replacement.request_replacement(state, request, from)}
 
   defp handle_running_request({:checkpoint, timeout}, from, state),
     do: {:noreply, PendingCheckpoint.request_checkpoint(state, timeout, from)}

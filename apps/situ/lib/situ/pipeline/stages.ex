@@ -52,11 +52,11 @@ defmodule Situ.Pipeline.Stages do
   end
 
   defp build_links(plan, lent) do
-    place =
+    ends =
       for stage <- plan.stages, vertex <- stage.vertices, into: %{}, do: {vertex.id, stage.id}
 
     Map.new(plan.edges, fn %{from: {from, _}, to: {to, _}} = edge ->
-      {edge.id, build_link(edge, lent[edge.id] || place[from], place[to])}
+      {edge.id, build_link(edge, lent[edge.id] || ends[from], ends[to])}
     end)
   end
 

@@ -15,44 +15,44 @@ defmodule Situ.Selection.Delay do
   def handle_message(_input, message, %{enforced?: false}, state),
     do: {[output_action(message)], state}
 
-  def handle_message(_input, message, context, {duration, held}) do
+  def handle_message(_input, message, context, {duration, queue}) do
     due = message.creation_time + duration
 
     cond do
-      not :queue.is_empty(held) -> {[], {duration, :queue.in({due, message}, held)}}
-      due <= context.now -> {[output_action(message)], {duration, held}}
-      true -> {[{:timer, :due, due}], {duration, :queue.in({due, message}, held)}}
+      not :queue.is_empty(queue) -> {[], {duration, :queue.in({due, message}, queue)}}
+      due <= context.now -> {[output_action(message)], {duration, queue}}
+      true -> {[{:timer, :due, due}], {duration, :queue.in({due, message}, queue)}}
     end
   end
 
   @impl true
-  def handle_info({:timer, :due}, context, {duration, held}) do
-    {outputs, held} = release_due(held, context.now, [])
-    {outputs, {duration, held}}
+  def handle_info({:timer, :due}, context, {duration, queue}) do
+    {outputs, queue} = release_due(queue, context.now, [])
+    {outputs, {duration, queue}}
   end
 
-  def handle_info({:linger, :end}, _context, {duration, held}),
-    do: {output_all(held) ++ [{:linger, false}], {duration, :queue.new()}}
+  def handle_info({:linger, :end}, _context, {duration, queue}),
+    do: {output_all(queue) ++ [{:linger, false}], {duration, :queue.new()}}
 
   def handle_info(_other, _context, state), do: {[], state}
 
   @impl true
-  def handle_closed(_input, _time, _context, {_duration, held} = state),
-    do: {if(:queue.is_empty(held), do: [], else: [{:linger, true}]), state}
+  def handle_closed(_input, _time, _context, {_duration, queue} = state),
+    do: {if(:queue.is_empty(queue), do: [], else: [{:linger, true}]), state}
 
-  defp output_all(held),
-    do: for({_due, message} <- :queue.to_list(held), do: output_action(message))
+  defp output_all(queue),
+    do: for({_due, message} <- :queue.to_list(queue), do: output_action(message))
 
-  defp release_due(held, now, outputs) do
-    case :queue.peek(held) do
+  defp release_due(queue, now, outputs) do
+    case :queue.peek(queue) do
       {:value, {due, message}} when due <= now ->
-        release_due(:queue.drop(held), now, [output_action(message) | outputs])
+        release_due(:queue.drop(queue), now, [output_action(message) | outputs])
 
       {:value, {due, _message}} ->
-        {Enum.reverse([{:timer, :due, due} | outputs]), held}
+        {Enum.reverse([{:timer, :due, due} | outputs]), queue}
 
       :empty ->
-        {Enum.reverse([{:linger, false} | outputs]), held}
+        {Enum.reverse([{:linger, false} | outputs]), queue}
     end
   end
 

@@ -11,10 +11,10 @@ defmodule Situ.Selection.Last do
   def init(opts), do: {:ok, {opts[:count], 0, []}}
 
   @impl true
-  def handle_message(_input, message, _context, {count, kept, messages}) do
-    if kept + 1 > 2 * count,
+  def handle_message(_input, message, _context, {count, length, messages}) do
+    if length + 1 > 2 * count,
       do: {[], {count, count, Enum.take([message | messages], count)}},
-      else: {[], {count, kept + 1, [message | messages]}}
+      else: {[], {count, length + 1, [message | messages]}}
   end
 
   @impl true

@@ -12,7 +12,7 @@ defmodule Situ.Selection.Reorder do
 
   @impl true
   def init(opts),
-    do: {:ok, %{opts: Map.new(opts), held: :gb_trees.empty(), newest: nil, sent: nil}}
+    do: {:ok, %{opts: Map.new(opts), queue: :gb_trees.empty(), newest: nil, sent: nil}}
 
   @impl true
   def handle_message(_input, message, _context, state) do
@@ -20,7 +20,7 @@ defmodule Situ.Selection.Reorder do
 
     cond do
       state.sent != nil and time <= state.sent -> handle_late(time, state)
-      :gb_trees.is_defined(time, state.held) -> {[], state}
+      :gb_trees.is_defined(time, state.queue) -> {[], state}
       true -> hold_message(time, message.data, state)
     end
   end
@@ -31,15 +31,15 @@ defmodule Situ.Selection.Reorder do
   defp hold_message(time, data, state) do
     # `nil` is an atom and would sort after any time.
     newest = if state.newest == nil, do: time, else: max(time, state.newest)
-    state = %{state | held: :gb_trees.insert(time, data, state.held), newest: newest}
+    state = %{state | queue: :gb_trees.insert(time, data, state.queue), newest: newest}
     release_before(state, newest - state.opts.lateness, [])
   end
 
   # Emits everything before `limit`. A message may still arrive at the limit itself.
   defp release_before(state, limit, outputs) do
-    with false <- :gb_trees.is_empty(state.held),
-         {time, data, rest} when time < limit <- :gb_trees.take_smallest(state.held) do
-      release_before(%{state | held: rest, sent: time}, limit, [{:out, time, data} | outputs])
+    with false <- :gb_trees.is_empty(state.queue),
+         {time, data, rest} when time < limit <- :gb_trees.take_smallest(state.queue) do
+      release_before(%{state | queue: rest, sent: time}, limit, [{:out, time, data} | outputs])
     else
       _ -> {Enum.reverse(outputs), state}
     end

@@ -1,22 +1,13 @@
 defmodule Situ.Statistics.Sliding do
-  @moduledoc """
-  A statistic of the values in a sliding window. The newest value is added, the oldest is removed, and the result is
-  available in constant time for any window size.
-
-      iex> window = Enum.reduce([5, 1, 4], Situ.Statistics.Sliding.new(:max), &Situ.Statistics.Sliding.push(&2, 0, &1))
-      iex> Situ.Statistics.Sliding.current_result(window)
-      5
-      iex> window |> Situ.Statistics.Sliding.pop() |> Situ.Statistics.Sliding.current_result()
-      4
-
-  The window is two stacks of partial results (Tangwongsan, Hirzel, Schneider, Wu: General incremental sliding-window
-  aggregation, VLDB 2015). Nothing is ever subtracted, so sums do not drift, and a `:nan` has no effect after it has
-  left the window. A value costs about three combinations of partial results, on average. Deviations are combined by
-  the formula of Chan, Golub and LeVeque (1979).
-
-  Values and results are as in `Situ.Statistics`.
-  """
-
+  @moduledoc false
+  # A statistic of the values in a sliding window. The newest value is added, the oldest is removed, and the result is
+  # available in constant time for any window size.
+  #
+  # The window is two stacks of partial results (Tangwongsan, Hirzel, Schneider, Wu: General incremental
+  # sliding-window aggregation, VLDB 2015). Nothing is ever subtracted, so sums do not drift, and a `:nan` has no
+  # effect after it has left the window. A value costs about three combinations of partial results, on average.
+  # Deviations are combined by the formula of Chan, Golub and LeVeque (1979). Values and results are as in
+  # `Situ.Statistics`.
   alias Situ.{Number, Statistics}
 
   # front: `{time, result from here to the end of the front}`, oldest first; back: `{time, value}`, newest first,
@@ -41,7 +32,15 @@ defmodule Situ.Statistics.Sliding do
   @spec size(t()) :: non_neg_integer()
   def size(%__MODULE__{size: size}), do: size
 
-  @doc "Adds the newest value with its time."
+  @doc """
+  Adds the newest value with its time.
+
+      iex> window = Enum.reduce([5, 1, 4], Situ.Statistics.Sliding.new(:max), &Situ.Statistics.Sliding.push(&2, 0, &1))
+      iex> Situ.Statistics.Sliding.current_result(window)
+      5
+      iex> window |> Situ.Statistics.Sliding.pop() |> Situ.Statistics.Sliding.current_result()
+      4
+  """
   @spec push(t(), Situ.Time.t(), term()) :: t()
   def push(%__MODULE__{} = window, time, value) do
     one = lift_value(window.kind, value)

@@ -1,16 +1,7 @@
 defmodule Situ.Window.ByIndex do
-  @moduledoc """
-  The pure core of windows by index: `-2..0` is this message and the two before it.
-
-  Only complete windows are emitted, each when the last message it needs has arrived, at the anchor's originating time.
-
-      iex> window = Situ.Window.ByIndex.new(-1..0, &Enum.sum/1)
-      iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}
-      iex> {outputs, _window} = Situ.Window.ByIndex.push(window, messages)
-      iex> outputs
-      [{:out, 20, 3}, {:out, 30, 5}]
-  """
-
+  @moduledoc false
+  # The pure core of windows by index: `-2..0` is this message and the two before it. Only complete windows are
+  # emitted, each when the last message it needs has arrived, at the anchor's originating time.
   alias Situ.Message
 
   # The queue starts at the first message that the next window or its anchor needs, and offsets are relative to it.
@@ -38,7 +29,15 @@ defmodule Situ.Window.ByIndex do
     }
   end
 
-  @doc "Adds messages and returns the windows they complete."
+  @doc """
+  Adds messages and returns the windows they complete.
+
+      iex> window = Situ.Window.ByIndex.new(-1..0, &Enum.sum/1)
+      iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}
+      iex> {outputs, _window} = Situ.Window.ByIndex.push(window, messages)
+      iex> outputs
+      [{:out, 20, 3}, {:out, 30, 5}]
+  """
   @spec push(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def push(%{need: need} = window, messages) do
     count = window.count + length(messages)

@@ -1,15 +1,14 @@
 defmodule Situ.Window.ByStream do
-  @moduledoc """
-  The pure core of dynamic windows: each message of a window stream selects an interval of the source stream.
-
-  `fun.(window_message)` returns `{interval, obsolete}`: an absolute `Situ.Interval`, and the time before which no later
-  window will need the source. The output, at the window message's time, is `creator.(window_message, source_messages)`.
-  It is emitted when a source message at or after the interval's right end has arrived, or when the source has ended.
-
-  Errors (`Situ.Error`): `:window_negative`, `:window_not_finite`, `:window_before_obsolete`,
-  `:obsolete_time_before_previous`.
-  """
-
+  @moduledoc false
+  # The pure core of dynamic windows: each message of a window stream selects an interval of the source stream.
+  #
+  # `fun.(window_message)` returns `{interval, obsolete}`: an absolute `Situ.Interval`, and the time before which no
+  # later window will need the source. The output, at the window message's time, is `creator.(window_message,
+  # source_messages)`. It is emitted when a source message at or after the interval's right end has arrived, or when
+  # the source has ended.
+  #
+  # Errors (`Situ.Error`): `:window_negative`, `:window_not_finite`, `:window_before_obsolete`,
+  # `:obsolete_time_before_previous`.
   alias Situ.{Error, Interval, Message}
 
   @enforce_keys [:fun, :creator]

@@ -1,18 +1,9 @@
 defmodule Situ.Window.ByTime do
-  @moduledoc """
-  The pure core of windows by time: for every message (the anchor), it collects all messages whose time is in the
-  window around it.
-
-  A window is emitted, at its anchor's time, as soon as a message at or after its right end has arrived, or the stream
-  ends. Partial windows at the beginning and end of the stream are also emitted; a window without messages is empty.
-
-      iex> window = Situ.Window.ByTime.new(Situ.Interval.past(10), nil)
-      iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}
-      iex> {outputs, _window} = Situ.Window.ByTime.push(window, messages)
-      iex> outputs
-      [{:out, 10, [1]}, {:out, 20, [1, 2]}, {:out, 30, [2, 3]}]
-  """
-
+  @moduledoc false
+  # The pure core of windows by time: for every message (the anchor), it collects all messages whose time is in the
+  # window around it. A window is emitted, at its anchor's time, as soon as a message at or after its right end has
+  # arrived, or the stream ends. Partial windows at the beginning and end of the stream are also emitted; a window
+  # without messages is empty.
   alias Situ.{Interval, Message}
 
   # `queue`: messages from the first that the next anchor needs; `anchors`: messages whose window is undecided.
@@ -31,7 +22,15 @@ defmodule Situ.Window.ByTime do
     }
   end
 
-  @doc "Adds messages and returns the windows they complete."
+  @doc """
+  Adds messages and returns the windows they complete.
+
+      iex> window = Situ.Window.ByTime.new(Situ.Interval.past(10), nil)
+      iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}
+      iex> {outputs, _window} = Situ.Window.ByTime.push(window, messages)
+      iex> outputs
+      [{:out, 10, [1]}, {:out, 20, [1, 2]}, {:out, 30, [2, 3]}]
+  """
   @spec push(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def push(window, []), do: {[], window}
 

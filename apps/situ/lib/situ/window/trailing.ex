@@ -7,15 +7,15 @@ defmodule Situ.Window.Trailing do
 
   @spec by_count(pos_integer(), fun() | nil, :data | :messages) :: Situ.Operator.step()
   def by_count(n, fun, with) do
-    step = fn data, message, {count, kept} ->
+    step = fn data, message, {count, items} ->
       item = if with == :data, do: data, else: %{message | data: data}
 
       if count < n - 1 do
-        {:skip, {count + 1, [item | kept]}}
+        {:skip, {count + 1, [item | items]}}
       else
-        kept = [item | take_newest(kept, n - 1)]
-        list = :lists.reverse(kept)
-        {:emit, if(fun == nil, do: list, else: fun.(list)), {count, kept}}
+        items = [item | take_newest(items, n - 1)]
+        list = :lists.reverse(items)
+        {:emit, if(fun == nil, do: list, else: fun.(list)), {count, items}}
       end
     end
 
@@ -24,11 +24,11 @@ defmodule Situ.Window.Trailing do
 
   @spec by_time(Interval.t(), fun() | nil, :data | :messages) :: Situ.Operator.step()
   def by_time(%Interval{left: left, left_inclusive: inclusive}, fun, with) do
-    step = fn data, %{originating_time: time} = message, kept ->
+    step = fn data, %{originating_time: time} = message, items ->
       item = if with == :data, do: data, else: %{message | data: data}
-      kept = [{time, item} | take_since(kept, time + left, inclusive)]
-      list = reverse_items(kept, [])
-      {:emit, if(fun == nil, do: list, else: fun.(list)), kept}
+      items = [{time, item} | take_since(items, time + left, inclusive)]
+      list = reverse_items(items, [])
+      {:emit, if(fun == nil, do: list, else: fun.(list)), items}
     end
 
     {:step, step, []}

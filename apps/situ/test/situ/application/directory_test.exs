@@ -25,7 +25,7 @@ defmodule Situ.Application.DirectoryTest do
     test "finds a pipeline by its label if the label is unique" do
       label = "Lobby #{System.unique_integer()}"
       assert {:ok, p} = ticking(label)
-      assert [%{pid: ^p, state: state}] = Enum.filter(Situ.pipelines(), &(&1.name == label))
+      assert [%{pid: ^p, state: state}] = Enum.filter(Situ.Pipeline.list(), &(&1.name == label))
       assert state in [:starting, :running]
       assert Pipeline.clock(label) == Pipeline.clock(p)
       assert {:ok, other} = ticking(label)

@@ -1,10 +1,8 @@
 defmodule Situ.Diagnostics.TraceTest do
   # Traces the message of one time through a pipeline that is blocked in the middle.
   use ExUnit.Case, async: true
-  doctest Situ.Diagnostics.Trace
 
   alias Situ.{Clock, Connector, Message, Pipeline, Time}
-  alias Situ.Diagnostics.Trace
 
   defp start(clock) do
     me = self()
@@ -57,7 +55,7 @@ defmodule Situ.Diagnostics.TraceTest do
     trace = trace(p, t, [:passed, :waiting, :coming])
     assert [%{from: "Door", to: "First"}, %{from: "First", to: "Slow", queue: 1}, _] = trace.hops
     assert trace.inside == []
-    assert Trace.format(trace) =~ "waits for Slow"
+    assert Situ.Diagnostics.format(trace) =~ "waits for Slow"
 
     # Later messages wait in the queue after it.
     Clock.set(clock, Time.ms(5))
@@ -77,7 +75,7 @@ defmodule Situ.Diagnostics.TraceTest do
     late = trace(p, Time.ms(4), [:passed, :passed, :passed])
     assert Enum.at(late.hops, 1).waited == Time.ms(100)
 
-    assert Trace.format(late) =~
+    assert Situ.Diagnostics.format(late) =~
              "First -> Slow: passed sent 1.00 ms after its time waited 100 ms"
 
     assert {:ok, _} = Pipeline.stop(p)

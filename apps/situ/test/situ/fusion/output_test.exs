@@ -34,7 +34,7 @@ defmodule Situ.Fusion.OutputTest do
       assert zipped(&Situ.join(&1, &2, Reproducible.nearest(3, or_default: default))) == [wanted]
     end
 
-    assert zipped(&Situ.interpolate(&2, &1, @none)) == [:none]
+    assert zipped(&Situ.sample(&2, &1, @none)) == [:none]
   end
 
   test "values computed by an interpolator may have any shape" do

@@ -99,7 +99,7 @@ defmodule Situ.Lifecycle.ShutdownTest do
     for operator <- [
           &Situ.sample(&1, 5),
           &Situ.last(&1, 1),
-          &Situ.interpolate(
+          &Situ.sample(
             &1,
             Situ.from_enumerable(&1.pipeline, [{5, :t}, {15, :t}, {25, :t}]),
             Reproducible.nearest(100)

@@ -13,7 +13,7 @@ defmodule Situ.Operators.LiveReplayTest do
       Situ.join(events, ticks, Reproducible.nearest(Time.ms(1), or_default: :none)),
       events |> Situ.map(& &1, async: true) |> Situ.average(over: {:past, Time.ms(4)}),
       Situ.window(events, -1..1),
-      events |> Situ.interpolate(Time.ms(1), Reproducible.linear(), align: 0)
+      events |> Situ.sample(Time.ms(1), Reproducible.linear(), align: 0)
     ]
   end
 

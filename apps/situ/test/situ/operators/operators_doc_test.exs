@@ -1,6 +1,5 @@
 defmodule Situ.OperatorsDocTest do
   use ExUnit.Case, async: true
-  doctest Situ.Indexer
   doctest Situ.Interpolator
   doctest Situ.Reproducible
   doctest Situ.Available
@@ -8,19 +7,10 @@ defmodule Situ.OperatorsDocTest do
   doctest Situ.Fusion.Zip
   doctest Situ.Window.ByIndex
   doctest Situ.Window.ByTime
-  doctest Situ.Sampling
   doctest Situ.Statistics
   doctest Situ.Filter.Fir
   doctest Situ.Filter.Iir
   doctest Situ.Filter.OneEuro
-  doctest Situ.Collector
   doctest Situ.Test
   doctest Situ.Branch
-  doctest Situ.Fusion
-  doctest Situ.Window
-  doctest Situ.Aggregate
-  doctest Situ.Selection
-  doctest Situ.Generator
-  doctest Situ.Filter
-  doctest Situ.Parallel
 end

@@ -42,7 +42,7 @@ defmodule Situ.Operators.PureMapTest do
     window_ahead: quote(do: &Situ.window(&1, Interval.closed(0, 8))),
     sample: quote(do: &Situ.sample(&1, 5)),
     sample_within: quote(do: &Situ.sample(&1, 3, 2)),
-    interpolate: quote(do: &Situ.interpolate(&1, 4, Reproducible.linear())),
+    interpolate: quote(do: &Situ.sample(&1, 4, Reproducible.linear())),
     lowpass: quote(do: &Situ.lowpass(&1, rate: 2.0e8, cutoff: 1.0e7, order: 8)),
     denoise: quote(do: &Situ.denoise(&1, order: 3)),
     one_euro: quote(do: &Situ.one_euro(&1)),

@@ -51,7 +51,7 @@ defmodule Situ.Operators.StatisticsTest do
       ]
 
       ticks = [t: Enum.map(1..11, &{&1 * 5, :tick})]
-      line = &Situ.interpolate(&1.n, &1.t, Reproducible.linear())
+      line = &Situ.sample(&1.n, &1.t, Reproducible.linear())
 
       assert Enum.map(run(inputs ++ ticks, line), &elem(&1, 1)) ==
                [2.0, 3, :nan, :nan, nil, nil, nil, 2, :infinity, :infinity, :nan]

@@ -73,7 +73,7 @@ defmodule Situ.Pipeline.DynamicTest do
   defp call(2, p, _n), do: Pipeline.replace(p, "Map", {:map, & &1})
 
   defp call(3, p, _n) do
-    with {:ok, tap} <- Situ.attach_tap({p, "Work"}, fn _ -> :ok end), do: Pipeline.Tap.detach(tap)
+    with {:ok, tap} <- Situ.attach_tap({p, "Work"}, fn _ -> :ok end), do: Situ.detach_tap(tap)
   end
 
   defp call(4, p, n) do

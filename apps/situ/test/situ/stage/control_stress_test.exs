@@ -45,7 +45,7 @@ defmodule Situ.Stage.ControlStressTest do
 
   defp call(p, 4) do
     with {:ok, tap} <- Situ.attach_tap({p, Enum.random(["A", "B", "C"])}, fn _ -> :ok end),
-         do: Pipeline.Tap.detach(tap)
+         do: Situ.detach_tap(tap)
   end
 
   defp kill(p) do

@@ -34,7 +34,7 @@ defmodule Situ.Build.Layers do
       ~w(Situ.Application.CodeReload Situ.Application.Directory Situ.Application.PipelineResults
       Situ.Application.Reaper Situ.Application.Tables),
     pipeline: ~w(Situ.Pipeline),
-    connectors: ~w(Situ.Collector Situ.Connector Situ.GenStage Situ.Pipeline.Tap Situ.Tap),
+    connectors: ~w(Situ.Collector Situ.Connector Situ.GenStage Situ.Tap),
     operators:
       ~w(Situ.Aggregate Situ.Available Situ.Branch Situ.Filter Situ.Fusion Situ.Generator Situ.Indexer
       Situ.Interpolator Situ.MapAsync Situ.Parallel Situ.Reproducible Situ.Sampling Situ.Selection
@@ -60,7 +60,7 @@ defmodule Situ.Build.Layers do
   @spec layer_index(module()) :: non_neg_integer() | :any
   def layer_index(module), do: module |> inspect() |> find_namespace()
 
-  # The longest namespace decides: a tap of a pipeline is a connector, although `Situ.Pipeline` is a layer below.
+  # The longest namespace decides.
   defp find_namespace(name) when is_map_key(@by_namespace, name), do: @by_namespace[name]
 
   defp find_namespace(name) do

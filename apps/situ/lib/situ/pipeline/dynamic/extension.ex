@@ -62,14 +62,14 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   """
   @spec remove_vertices(State.t(), [pos_integer()]) :: State.t()
   def remove_vertices(state, ids) do
-    gone =
+    removed =
       for id <- ids,
           %{vertices: vertices} <- [state.stages[id]],
           vertex <- vertices,
           into: MapSet.new(),
           do: vertex.id
 
-    %{state | graph: Additions.remove_vertices(state.graph, gone)}
+    %{state | graph: Additions.remove_vertices(state.graph, removed)}
   end
 
   @doc "Returns whether a stage was removed and its process has ended."

@@ -21,13 +21,13 @@ defmodule Situ.Pipeline.Dynamic.Input do
 
   @doc "Adds an input, connected to the stream `stream`, to the component that emits the stream `taker`."
   @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
-  def attach(state, asked, from) do
-    with {:ok, {id, _}} <- State.fetch_port(state, asked.taker),
+  def attach(state, change, from) do
+    with {:ok, {id, _}} <- State.fetch_port(state, change.taker),
          {:ok, taker} <- fetch_taker(state, id),
-         {:ok, {origin, output}} <- State.fetch_port(state, asked.stream),
+         {:ok, {origin, output}} <- State.fetch_port(state, change.stream),
          {:ok, source} <- State.fetch_output_stage(state, origin),
          :ok <- check_no_cycle(state.graph, id, origin) do
-      {lend_output(state, {id, taker}, {origin, output, source}, asked, from), []}
+      {lend_output(state, {id, taker}, {origin, output, source}, change, from), []}
     else
       {:error, error} -> reject_caller(state, from, error)
     end
@@ -35,11 +35,11 @@ defmodule Situ.Pipeline.Dynamic.Input do
 
   @doc "Removes an added input."
   @spec detach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
-  def detach(state, asked, from) do
-    with {:ok, {id, _}} <- State.fetch_port(state, asked.taker),
+  def detach(state, change, from) do
+    with {:ok, {id, _}} <- State.fetch_port(state, change.taker),
          {:ok, stage} <- fetch_taker(state, id) do
       ref = make_ref()
-      Stages.send_request(state, stage.id, {:detach, ref, asked.request})
+      Stages.send_request(state, stage.id, {:detach, ref, change.request})
       {put_request(state, ref, %{from: from, stages: [stage.id], link: nil}), []}
     else
       {:error, error} -> reject_caller(state, from, error)
@@ -59,7 +59,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
         how
       )
       when is_map_key(inputs, tag) do
-    %{link: link, request: request} = asked = inputs[tag]
+    %{link: link, request: request} = pending = inputs[tag]
 
     wiring = %{
       name: link.input,
@@ -72,7 +72,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
     }
 
     Stages.send_request(state, link.to, {:attach, request, elem(how, 1), wiring})
-    state = put_request(state, tag, %{asked | stages: [link.to]})
+    state = put_request(state, tag, %{pending | stages: [link.to]})
     {update_wires(state, &%{&1 | links: Map.put(&1.links, tag, link)}), [{:linked, tag, link}]}
   end
 
@@ -82,12 +82,12 @@ defmodule Situ.Pipeline.Dynamic.Input do
   @spec handle_attach_reply(State.t(), term(), pos_integer(), term(), keyword()) ::
           {State.t(), events()}
   def handle_attach_reply(state, ref, id, {:ok, reply}, opts) do
-    {asked, inputs} = Map.pop(state.dynamic.inputs, ref)
-    if asked, do: GenServer.reply(asked.from, {:ok, reply})
+    {pending, inputs} = Map.pop(state.dynamic.inputs, ref)
+    if pending, do: GenServer.reply(pending.from, {:ok, reply})
     state = %{state | dynamic: %{state.dynamic | inputs: inputs}}
 
     added = fn vertex ->
-      %{vertex | opts: opts, inputs: extended_inputs(vertex, asked && asked.link)}
+      %{vertex | opts: opts, inputs: extended_inputs(vertex, pending && pending.link)}
     end
 
     {update_head_vertex(state, id, added), []}
@@ -120,10 +120,10 @@ defmodule Situ.Pipeline.Dynamic.Input do
     end
   end
 
-  defp lend_output(state, {id, taker}, {origin, output, source}, asked, from) do
+  defp lend_output(state, {id, taker}, {origin, output, source}, change, from) do
     tag = state.graph.next_edge
-    input = free_input_name(state, id, asked.input)
-    policy = asked.policy || state.graph.default_policy || Delivery.unlimited()
+    input = free_input_name(state, id, change.input)
+    policy = change.policy || state.graph.default_policy || Delivery.unlimited()
     edge = %Edge{id: tag, from: {origin, output}, to: {id, input}, policy: policy, explicit: true}
     link = Stages.build_link(edge, source.id, taker.id)
     counters = Counters.new()
@@ -136,21 +136,21 @@ defmodule Situ.Pipeline.Dynamic.Input do
       from: from,
       stages: [source.id, taker.id],
       link: link,
-      request: asked.request
+      request: change.request
     })
   end
 
-  defp put_request(state, ref, asked),
-    do: %{state | dynamic: %{state.dynamic | inputs: Map.put(state.dynamic.inputs, ref, asked)}}
+  defp put_request(state, ref, pending),
+    do: %{state | dynamic: %{state.dynamic | inputs: Map.put(state.dynamic.inputs, ref, pending)}}
 
   defp update_wires(state, change), do: %{state | wires: change.(state.wires)}
 
   # The smallest free name is used, so that there are only as many atoms as inputs at the same time.
   defp free_input_name(state, id, name) do
-    asked = for {_, %{link: %{to: ^id, input: input}}} <- state.dynamic.inputs, do: input
-    taken = asked ++ Keyword.keys(state.graph.vertices[id].inputs)
+    pending = for {_, %{link: %{to: ^id, input: input}}} <- state.dynamic.inputs, do: input
+    names = pending ++ Keyword.keys(state.graph.vertices[id].inputs)
 
-    Stream.iterate(0, &(&1 + 1)) |> Stream.map(name) |> Enum.find(&(&1 not in taken))
+    Stream.iterate(0, &(&1 + 1)) |> Stream.map(name) |> Enum.find(&(&1 not in names))
   end
 
   defp fetch_taker(state, id) do
@@ -204,10 +204,10 @@ defmodule Situ.Pipeline.Dynamic.Input do
       {nil, _} ->
         {state, []}
 
-      {asked, inputs} ->
-        GenServer.reply(asked.from, {:error, error})
+      {pending, inputs} ->
+        GenServer.reply(pending.from, {:error, error})
         state = %{state | dynamic: %{state.dynamic | inputs: inputs}}
-        if asked.link, do: cut_link(state, asked.link), else: {state, []}
+        if pending.link, do: cut_link(state, pending.link), else: {state, []}
     end
   end
 

@@ -248,10 +248,10 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
 
   defp name_port(kind, name), do: "#{kind} #{inspect(name)}"
 
-  defp type_mismatch_error(vertex, port, wanted, given) do
+  defp type_mismatch_error(vertex, port, expected, actual) do
     Error.new(:type_mismatch, "#{vertex.path} cannot be replaced: #{port} does not fit",
       why:
-        "the port is connected: #{describe_port(given)} flows where #{describe_port(wanted)} is declared",
+        "the port is connected: #{describe_port(actual)} flows where #{describe_port(expected)} is declared",
       meta: %{component: vertex.path}
     )
   end

@@ -299,7 +299,7 @@ defmodule Situ.Fusion.InputsTest do
         {first, second} = Enum.split(before, div(length(before) * place, 100))
 
         feed(test, first)
-        assert {:ok, ^from} = Fusion.add_input(s.out, :b, s.b, from: from)
+        assert {:ok, ^from} = Situ.add_input(s.out, :b, s.b, from: from)
         feed(test, second ++ later)
         for input <- [:p, :a, :b], do: Test.close(test, input)
         got = out(test)
@@ -326,7 +326,7 @@ defmodule Situ.Fusion.InputsTest do
         {before, later} = schedule([p: p, a: a, b: b], until, order)
         {first, second} = Enum.split(before, div(length(before) * place, 100))
         feed(test, first)
-        assert {:ok, ^until} = Fusion.remove_input(s.out, :b, until: until)
+        assert {:ok, ^until} = Situ.remove_input(s.out, :b, until: until)
         feed(test, second ++ later)
         for input <- [:p, :a, :b], do: Test.close(test, input)
         got = out(test)

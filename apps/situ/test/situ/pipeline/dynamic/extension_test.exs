@@ -318,7 +318,7 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
 
     assert {:ok, _} =
              Pipeline.extend(p, fn handle ->
-               :ok = Pipeline.Tap.detach(tap)
+               :ok = Situ.detach_tap(tap)
                :ok = Pipeline.remove(p, "Old")
                handle |> Pipeline.stream("Count") |> told(:new, name: "New")
              end)

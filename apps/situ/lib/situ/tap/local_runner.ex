@@ -1,4 +1,4 @@
-defmodule Situ.Pipeline.Tap.LocalRunner do
+defmodule Situ.Tap.LocalRunner do
   @moduledoc false
   # Runs the function of a tap on a pipeline of another node. Ends with the process that attached the tap and with the
   # pipeline.
@@ -7,20 +7,20 @@ defmodule Situ.Pipeline.Tap.LocalRunner do
 
   @spec start((Situ.Message.t() -> any())) :: pid()
   def start(fun) do
-    {:ok, here} = GenServer.start(__MODULE__, {fun, self()})
-    here
+    {:ok, runner} = GenServer.start(__MODULE__, {fun, self()})
+    runner
   end
 
   @spec watch_pipeline(pid(), pid()) :: :ok
-  def watch_pipeline(here, pipeline), do: GenServer.cast(here, {:watch, pipeline})
+  def watch_pipeline(runner, pipeline), do: GenServer.cast(runner, {:watch, pipeline})
 
   @spec stop(pid()) :: :ok
-  def stop(here), do: GenServer.cast(here, :stop)
+  def stop(runner), do: GenServer.cast(runner, :stop)
 
-  @doc "Returns when the function has handled the message, or immediately if the process has ended."
+  # Returns when the function has handled the message, or immediately if the process has ended.
   @spec hand_over(pid(), Situ.Message.t()) :: :ok
-  def hand_over(here, message) do
-    GenServer.call(here, {:message, message}, :infinity)
+  def hand_over(runner, message) do
+    GenServer.call(runner, {:message, message}, :infinity)
   catch
     :exit, _ -> :ok
   end

@@ -1,0 +1,4 @@
+defmodule SituTest do
+  use ExUnit.Case, async: true
+  doctest Situ
+end
