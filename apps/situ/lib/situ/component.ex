@@ -163,6 +163,7 @@ defmodule Situ.Component do
     quote do
       @behaviour Situ.Component
       @before_compile Situ.Component
+      Situ.Options.add_to_moduledoc(__MODULE__, unquote(Keyword.get(opts, :options, [])))
 
       @impl true
       def inputs, do: unquote(Keyword.get(opts, :inputs, []))

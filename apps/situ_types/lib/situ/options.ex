@@ -66,6 +66,40 @@ defmodule Situ.Options do
   end
 
   @doc """
+  Appends the options of `schema` to the `@moduledoc` of a module that is being compiled, under `heading`. A module
+  without documentation stays without.
+
+  A module can thus begin with its purpose, although its schema is defined later:
+
+      defmodule Greeter do
+        @moduledoc "Greets people."
+        @schema [name: [type: :string, doc: "The person to greet."]]
+        Situ.Options.add_to_moduledoc(__MODULE__, @schema)
+      end
+
+  `use Situ.Component, options: ...` calls this function.
+  """
+  @spec add_to_moduledoc(module(), schema(), String.t()) :: :ok
+  def add_to_moduledoc(module, schema, heading \\ "Options") do
+    case {Module.get_attribute(module, :moduledoc), docs(schema)} do
+      {{line, text}, list} when is_binary(text) and list != "" ->
+        # Deleting first avoids the warning that the attribute is redefined.
+        Module.delete_attribute(module, :moduledoc)
+
+        Module.put_attribute(
+          module,
+          :moduledoc,
+          {line, "#{String.trim_trailing(text)}\n\n## #{heading}\n\n#{list}\n"}
+        )
+
+        :ok
+
+      _private_or_without_options ->
+        :ok
+    end
+  end
+
+  @doc """
   Returns the name in `known` that is most similar to `name`, or `nil` if none is similar.
 
       iex> Situ.Options.nearest_name("tresh", ["threshold", "rate"])

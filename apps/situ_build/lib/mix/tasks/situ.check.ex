@@ -13,6 +13,7 @@ defmodule Mix.Tasks.Situ.Check do
     * every cycle between the modules of an app or of a Rust crate (`Situ.Build.Cycles`);
     * files and lines that are too long (`Situ.Build.Sources`);
     * names and English that are worse than the limits allow (`Situ.Build.Limits`);
+    * modules whose documentation and the list of public modules disagree (`Situ.Build.PublicModules`);
     * decision records that nothing cites (`Situ.Build.Decisions`);
     * subjects of commits that are not imperative or too long (`Situ.Build.Commits`).
 
@@ -21,17 +22,31 @@ defmodule Mix.Tasks.Situ.Check do
   no violations. Otherwise it is 1, and each violation is printed on one line.
   """
   use Mix.Task
-  alias Situ.Build.{Architecture, Commits, Cycles, Decisions, Layers, Limits, Sources}
+
+  alias Situ.Build.{
+    Architecture,
+    Commits,
+    Cycles,
+    Decisions,
+    Layers,
+    Limits,
+    PublicModules,
+    Sources
+  }
 
   @impl Mix.Task
   def run(_args) do
-    modules = Architecture.read_modules(Path.join(Mix.Project.build_path(), "lib"))
+    lib = Path.join(Mix.Project.build_path(), "lib")
+    modules = Architecture.read_modules(lib)
 
     problems =
       Architecture.find_violations(modules) ++
         Architecture.undeclared_deps(declared_deps()) ++
         Layers.find_violations(modules.situ) ++
-        find_cycles(modules) ++ rust_cycles("native") ++ check_sources(File.cwd!())
+        find_cycles(modules) ++
+        rust_cycles("native") ++
+        PublicModules.find_violations(File.cwd!(), lib, Map.keys(modules)) ++
+        check_sources(File.cwd!())
 
     report_layers(modules)
 

@@ -12,6 +12,7 @@ defmodule Situ.Build.ArchitectureTest do
   doctest Situ.Build.Limits
   doctest Situ.Build.Decisions
   doctest Situ.Build.Commits
+  doctest Situ.Build.PublicModules
 
   defp compile(source, tmp, apps) do
     before = Code.get_compiler_option(:debug_info)

@@ -1,0 +1,95 @@
+defmodule Situ.Build.PublicModules do
+  @moduledoc false
+  # Compares the list of public modules in `docs/api.md` with the modules that have documentation.
+  #
+  # A module is public if it has a `@moduledoc`. A list that is checked is a promise that people can read in one place;
+  # without the check, each new module with documentation would silently become part of the API.
+
+  @list "docs/api.md"
+  # Programs for reading and tools for building Situ are documented, but nobody depends on them.
+  @exempt [:situ_build, :situ_examples]
+
+  @doc "Returns one sentence for each difference between the list of the checkout and the modules compiled in `lib`."
+  @spec find_violations(Path.t(), Path.t(), [atom()]) :: [String.t()]
+  def find_violations(root, lib, apps) do
+    listed = root |> Path.join(@list) |> File.read!() |> parse_list()
+    paths = for app <- apps -- @exempt, path <- list_beams(lib, app), do: path
+
+    compare(listed, Map.new(paths, &read_doc/1))
+  end
+
+  @doc """
+  Parses the tables of the list.
+
+      iex> Situ.Build.PublicModules.parse_list("| `Situ.Time` | stable | Points in time |")
+      %{"Situ.Time" => "stable"}
+  """
+  @spec parse_list(String.t()) :: %{String.t() => String.t()}
+  def parse_list(text) do
+    for [_, name, status] <- Regex.scan(~r/^\| `([A-Z][\w.]*)` \| (\w+) \|/m, text),
+        into: %{},
+        do: {name, status}
+  end
+
+  @doc """
+  Returns one sentence for each difference.
+
+      iex> listed = %{"A" => "stable", "B" => "new", "X" => "stable"}
+      iex> Situ.Build.PublicModules.compare(listed, %{"A" => :none, "B" => :hidden, "C" => :text})
+      ["A has neither a @moduledoc nor `@moduledoc false`", "B is listed in docs/api.md but has `@moduledoc false`",
+       "B must be stable or experimental in docs/api.md, not \\"new\\"",
+       "C has a @moduledoc but is not listed in docs/api.md", "X is listed in docs/api.md but does not exist"]
+  """
+  @spec compare(%{String.t() => String.t()}, %{String.t() => :text | :hidden | :none}) :: [
+          String.t()
+        ]
+  def compare(listed, modules) do
+    unknown =
+      for {name, _} <- listed,
+          not is_map_key(modules, name),
+          do: "#{name} is listed in #{@list} but does not exist"
+
+    statuses =
+      for {name, status} <- listed, status not in ~w(stable experimental) do
+        "#{name} must be stable or experimental in #{@list}, not #{inspect(status)}"
+      end
+
+    docs = for {name, doc} <- modules, problem = check_module(name, doc, listed), do: problem
+    Enum.sort(unknown ++ statuses ++ docs)
+  end
+
+  defp check_module(name, :none, _listed),
+    do: "#{name} has neither a @moduledoc nor `@moduledoc false`"
+
+  defp check_module(name, :hidden, listed) when is_map_key(listed, name),
+    do: "#{name} is listed in #{@list} but has `@moduledoc false`"
+
+  defp check_module(name, :text, listed) when not is_map_key(listed, name),
+    do: "#{name} has a @moduledoc but is not listed in #{@list}"
+
+  defp check_module(_name, _doc, _listed), do: nil
+
+  defp list_beams(lib, app),
+    do: Path.wildcard(Path.join([lib, to_string(app), "ebin", "Elixir.Situ*.beam"]))
+
+  # Code that only tests use may do without documentation.
+  defp read_doc(path) do
+    "Elixir." <> name = Path.basename(path, ".beam")
+
+    {:ok, {_, [{_, docs}, {_, info}]}} =
+      :beam_lib.chunks(String.to_charlist(path), ['Docs', :compile_info], [:allow_missing_chunks])
+
+    {name, if(test_support?(info), do: :hidden, else: doc_kind(docs))}
+  end
+
+  defp test_support?(info), do: to_string(info[:source]) =~ "/test/support/"
+
+  defp doc_kind(:missing_chunk), do: :hidden
+
+  defp doc_kind(chunk) do
+    case chunk |> :erlang.binary_to_term() |> elem(4) do
+      %{} -> :text
+      kind -> kind
+    end
+  end
+end
