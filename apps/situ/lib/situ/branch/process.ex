@@ -61,7 +61,7 @@ defmodule Situ.Branch.Process do
     def report_output(to, id, time, data) do
       case Process.get({__MODULE__, id}) do
         nil -> send(to, {:situ_branch, id, {:outputs, [{time, data}], nil}})
-        untold -> Process.put({__MODULE__, id}, [{time, data} | untold])
+        unreported -> Process.put({__MODULE__, id}, [{time, data} | unreported])
       end
     end
 
@@ -98,8 +98,13 @@ defmodule Situ.Branch.Process do
     defp report_passed(%{passed_time: nil} = gate), do: gate
 
     defp report_passed(gate) do
-      untold = Process.put({__MODULE__, gate.id}, [])
-      send(gate.to, {:situ_branch, gate.id, {:outputs, :lists.reverse(untold), gate.passed_time}})
+      unreported = Process.put({__MODULE__, gate.id}, [])
+
+      send(
+        gate.to,
+        {:situ_branch, gate.id, {:outputs, :lists.reverse(unreported), gate.passed_time}}
+      )
+
       %{gate | passed_time: nil}
     end
 

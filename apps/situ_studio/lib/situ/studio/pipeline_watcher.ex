@@ -144,7 +144,7 @@ defmodule Situ.Studio.PipelineWatcher do
   def handle_call({:trace, time}, _from, state) do
     answer =
       try do
-        {:ok, call_pipeline(resolve_target(state.target), :trace, [time])}
+        {:ok, call_pipeline(resolve_target(state.target), Situ, :trace, [time])}
       rescue
         error in Error -> {:error, error}
       catch
@@ -266,7 +266,7 @@ defmodule Situ.Studio.PipelineWatcher do
   end
 
   defp fetch_info(target) do
-    {:ok, call_pipeline(resolve_target(target), :info, [])}
+    {:ok, call_pipeline(resolve_target(target), Situ.Pipeline, :info, [])}
   rescue
     error in Error -> {:error, error}
   catch
@@ -276,17 +276,17 @@ defmodule Situ.Studio.PipelineWatcher do
   defp ended_error, do: Error.new(:not_running, "the pipeline has ended")
 
   defp pipeline_now(target) do
-    call_pipeline(resolve_target(target), :now, [])
+    call_pipeline(resolve_target(target), Situ.Pipeline, :now, [])
   rescue
     Error -> Situ.Time.now()
   catch
     _, _ -> Situ.Time.now()
   end
 
-  defp call_pipeline(pid, function, args) when is_pid(pid) and node(pid) != node(),
-    do: :erpc.call(node(pid), Situ.Pipeline, function, [pid | args], @answer_ms)
+  defp call_pipeline(pid, module, function, args) when is_pid(pid) and node(pid) != node(),
+    do: :erpc.call(node(pid), module, function, [pid | args], @answer_ms)
 
-  defp call_pipeline(target, function, args), do: apply(Situ.Pipeline, function, [target | args])
+  defp call_pipeline(target, module, function, args), do: apply(module, function, [target | args])
 
   # The process that the function calls may also have exited.
   @doc false
