@@ -85,13 +85,13 @@ defmodule Situ.Chat.Answer do
   @spec to_answer(partial()) :: t()
   def to_answer(partial) do
     calls = for {_, {id, name, raw}} <- Enum.sort(partial.calls), do: build_call(id, name, raw)
-    counted = %{read: 0, written: partial.count}
+    own_counts = %{read: 0, written: partial.count}
 
     %__MODULE__{
       text: IO.iodata_to_binary(partial.text),
       calls: calls,
       finish: if(calls != [], do: :calls, else: partial.finish || :stop),
-      tokens: partial.usage || counted,
+      tokens: partial.usage || own_counts,
       exact?: partial.usage != nil
     }
   end

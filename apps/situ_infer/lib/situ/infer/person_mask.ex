@@ -101,13 +101,13 @@ defmodule Situ.Infer.PersonMask do
 
   # ONNX Runtime evaluates the 65,536 scores too, since that is faster than Elixir.
   defp encode_reader do
-    place = fn name -> {name, :u8, {1, @side, @side, 1}} end
+    mask_port = fn name -> {name, :u8, {1, @side, @side, 1}} end
 
     Onnx.encode(
       inputs: [{"person", :f32, {1, @side, @side, 1}}, {"least", :f32, {1}}],
       outputs: [
-        place.("scores"),
-        place.("mask"),
+        mask_port.("scores"),
+        mask_port.("mask"),
         {"columns", :f32, {@side}},
         {"rows", :f32, {@side}},
         {"sum", :f32, {1}}

@@ -101,7 +101,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
 
   @impl true
   def handle_message(:in, %{data: text, originating_time: time}, _context, state) do
-    {{sound, marks}, state} = fetch_spoken(state, text)
+    {{sound, marks}, state} = fetch_audio(state, text)
 
     cond do
       sound.data == "" -> {[], state}
@@ -128,12 +128,12 @@ defmodule Situ.Infer.SpeechSynthesizer do
     {actions ++ [{:out, ends, sound}], %{state | audio_to: ends, last_marks: last}}
   end
 
-  defp fetch_spoken(%{audio_cache: audio_cache} = state, text) when is_map_key(audio_cache, text),
+  defp fetch_audio(%{audio_cache: audio_cache} = state, text) when is_map_key(audio_cache, text),
     do: {audio_cache[text], state}
 
-  defp fetch_spoken(%{opts: opts} = state, text) do
-    {spoken, marks} = synthesize_text(opts, state.voice, text)
-    mono = AudioOps.reformat!(spoken, channels: 1, sample: :s16)
+  defp fetch_audio(%{opts: opts} = state, text) do
+    {audio, marks} = synthesize_text(opts, state.voice, text)
+    mono = AudioOps.reformat!(audio, channels: 1, sample: :s16)
     sound = if mono.data == "", do: mono, else: AudioOps.resample!(mono, opts.rate)
     {{sound, marks}, cache_audio(state, text, {sound, marks})}
   end
