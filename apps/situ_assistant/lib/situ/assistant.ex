@@ -121,10 +121,10 @@ defmodule Situ.Assistant do
 
     chat = opts[:chat] && build_chat(dialogue.ask, stop, opts[:chat])
 
-    spoken = synthesize_text(dialogue.said, opts, "Synthesizer")
+    replies = synthesize_text(dialogue.said, opts, "Synthesizer")
 
     player =
-      Situ.via([in: spoken, stop: stop] ++ answer_input(chat, opts), Player, name: "Player")
+      Situ.via([in: replies, stop: stop] ++ answer_input(chat, opts), Player, name: "Player")
 
     Pipeline.connect(player.speaking, ducker, :while)
 

@@ -86,7 +86,7 @@ defmodule Situ.Chat do
     :model,
     :memory,
     jobs: [],
-    spent: 0,
+    tokens_used: 0,
     closing?: false,
     raising?: false,
     times: %{}
@@ -138,13 +138,14 @@ defmodule Situ.Chat do
   @impl true
   def init(opts) do
     with {:ok, model} <- build_model(opts) do
-      places = if opts[:concurrency] == 1, do: opts[:remember], else: 0
-      {:ok, %__MODULE__{opts: Map.new(opts), model: model, memory: History.new(places)}}
+      capacity = if opts[:concurrency] == 1, do: opts[:remember], else: 0
+      {:ok, %__MODULE__{opts: Map.new(opts), model: model, memory: History.new(capacity)}}
     end
   end
 
   @impl true
-  def describe(state), do: "#{length(state.jobs)} questions in flight, #{state.spent} tokens used"
+  def describe(state),
+    do: "#{length(state.jobs)} questions in flight, #{state.tokens_used} tokens used"
 
   @impl true
   def handle_message(:in, %{data: question, originating_time: time}, _context, state) do
@@ -156,7 +157,7 @@ defmodule Situ.Chat do
     jobs =
       for job <- state.jobs do
         if job.pid, do: Process.exit(job.pid, :kill)
-        if job.done, do: job, else: %{job | pid: nil, done: {:ok, cancelled_answer(job)}}
+        if job.result, do: job, else: %{job | pid: nil, result: {:ok, cancelled_answer(job)}}
       end
 
     emit_oldest(%{state | jobs: jobs}, [])
@@ -164,7 +165,7 @@ defmodule Situ.Chat do
 
   defp cancelled_answer(job),
     do: %Answer{
-      text: IO.iodata_to_binary(job.said),
+      text: IO.iodata_to_binary(job.text),
       finish: :cancelled,
       tokens: %{read: 0, written: job.count}
     }
@@ -175,19 +176,21 @@ defmodule Situ.Chat do
       pid: nil,
       time: time,
       turns: turns,
-      said: [],
+      text: [],
       count: 0,
       events: [],
-      done: nil
+      result: nil
     }
 
     start_job(%{state | jobs: state.jobs ++ [job]}, job)
   end
 
-  defp start_job(%{opts: %{budget: budget}, spent: spent} = state, job)
-       when is_integer(budget) and spent >= budget do
+  defp start_job(%{opts: %{budget: budget}, tokens_used: tokens_used} = state, job)
+       when is_integer(budget) and tokens_used >= budget do
     error =
-      Error.new(:budget_spent, "#{spent} of #{budget} tokens are used; no more requests are sent",
+      Error.new(
+        :budget_spent,
+        "#{tokens_used} of #{budget} tokens are used; no more requests are sent",
         fix: "raise budget:"
       )
 
@@ -248,15 +251,15 @@ defmodule Situ.Chat do
   defp update_job(state, ref, event) do
     jobs =
       for job <- state.jobs,
-          do: if(job.ref == ref and job.done == nil, do: add_job_event(job, event), else: job)
+          do: if(job.ref == ref and job.result == nil, do: add_job_event(job, event), else: job)
 
     %{state | jobs: jobs}
   end
 
-  defp add_job_event(job, {:done, result}), do: %{job | done: result, pid: nil}
+  defp add_job_event(job, {:done, result}), do: %{job | result: result, pid: nil}
 
   defp add_job_event(job, {:text, text} = e),
-    do: %{job | said: [job.said, text], count: job.count + 1, events: [e | job.events]}
+    do: %{job | text: [job.text, text], count: job.count + 1, events: [e | job.events]}
 
   defp add_job_event(job, {:call, _} = event), do: %{job | events: [event | job.events]}
 
@@ -267,7 +270,7 @@ defmodule Situ.Chat do
   defp emit_oldest(%{jobs: [job | rest]} = state, actions) do
     {actions, state} = emit_events(Enum.reverse(job.events), job.time, actions, state)
 
-    case job.done do
+    case job.result do
       nil -> hold_or_resume(%{state | jobs: [%{job | events: []} | rest]}, actions)
       {:ok, answer} -> emit_answer(%{state | jobs: rest}, job, answer, actions)
       {:error, error} -> emit_failure(%{state | jobs: rest}, job, error, actions)
@@ -283,9 +286,12 @@ defmodule Situ.Chat do
   end
 
   defp emit_answer(state, job, answer, actions) do
-    spent = state.spent + answer.tokens.read + answer.tokens.written
+    tokens_used = state.tokens_used + answer.tokens.read + answer.tokens.written
     memory = History.add_exchange(state.memory, job.turns, answer)
-    emit_oldest(%{state | spent: spent, memory: memory}, [{:out, job.time, answer} | actions])
+
+    emit_oldest(%{state | tokens_used: tokens_used, memory: memory}, [
+      {:out, job.time, answer} | actions
+    ])
   end
 
   defp emit_failure(%{opts: %{failures: :emit}} = state, job, error, actions),

@@ -53,11 +53,11 @@ defmodule Situ.Assistant.Dialogue do
     :opts,
     :grammars,
     :wake,
-    attentive_to: nil,
+    attention_to: nil,
     echo: EchoDetector.new(),
     timers: %{},
-    next: 0,
-    last: nil
+    next_timer: 0,
+    last_reply: nil
   ]
 
   @doc "Converts a time to the date and time in this machine's time zone."
@@ -95,7 +95,7 @@ defmodule Situ.Assistant.Dialogue do
 
   defp handle_heard(:not_called, utterance, time, state) do
     if state.wake in [nil, []] or
-         (state.attentive_to != nil and utterance.from <= state.attentive_to),
+         (state.attention_to != nil and utterance.from <= state.attention_to),
        do: handle_command(utterance.text, time, state),
        else: {[], state}
   end
@@ -127,10 +127,10 @@ defmodule Situ.Assistant.Dialogue do
 
   defp apply_action({:timer, length, name, text}, _text, time, _intent, state) do
     {actions, say} = emit_reply(text, time, extend_attention(state, time))
-    timers = Map.put(say.timers, say.next, name)
+    timers = Map.put(say.timers, say.next_timer, name)
 
-    {actions ++ [{:timer, {:rings, say.next}, time + length}],
-     %{say | timers: timers, next: say.next + 1}}
+    {actions ++ [{:timer, {:rings, say.next_timer}, time + length}],
+     %{say | timers: timers, next_timer: say.next_timer + 1}}
   end
 
   defp apply_action(:cancel, _text, time, _intent, %{timers: timers} = state) do
@@ -142,11 +142,11 @@ defmodule Situ.Assistant.Dialogue do
     emit_reply(text, time, extend_attention(%{state | timers: %{}}, time))
   end
 
-  defp apply_action(:quiet, _text, _time, _intent, state), do: {[], %{state | attentive_to: nil}}
+  defp apply_action(:quiet, _text, _time, _intent, state), do: {[], %{state | attention_to: nil}}
 
   # A model's reply may be long and is not in `echo`, so the user must say the name to continue.
   defp apply_action(:unknown, text, time, %{intents: []}, %{opts: %{ask: true}} = state),
-    do: {[{:ask, time, text}], %{state | attentive_to: nil}}
+    do: {[{:ask, time, text}], %{state | attention_to: nil}}
 
   defp apply_action(:unknown, _text, time, %{intents: []}, state),
     do: emit_reply("I did not understand that.", time, extend_attention(state, time))
@@ -155,7 +155,7 @@ defmodule Situ.Assistant.Dialogue do
   defp apply_action(:unknown, _text, time, _intent, state),
     do: {[], extend_attention(state, time)}
 
-  defp extend_attention(state, time), do: %{state | attentive_to: time + state.opts.attention}
+  defp extend_attention(state, time), do: %{state | attention_to: time + state.opts.attention}
 
   @impl true
   def handle_info({:timer, {:rings, id}}, context, state) do
@@ -174,8 +174,10 @@ defmodule Situ.Assistant.Dialogue do
   def describe(state), do: "#{map_size(state.timers)} timers"
 
   defp emit_reply(text, time, state) do
-    at = if state.last, do: max(time, state.last + 1), else: time
-    {[{:said, at, text}], %{state | last: at, echo: EchoDetector.add_text(state.echo, at, text)}}
+    at = if state.last_reply, do: max(time, state.last_reply + 1), else: time
+
+    {[{:said, at, text}],
+     %{state | last_reply: at, echo: EchoDetector.add_text(state.echo, at, text)}}
   end
 
   @doc """

@@ -20,8 +20,8 @@ defmodule Situ.Assistant.EchoDetector do
   # The share of matching words is below 1 because a recognizer gets some words of an echo wrong.
   @share 0.6
 
-  defstruct said: []
-  @type t :: %__MODULE__{said: [{until :: Situ.Time.t(), MapSet.t()}]}
+  defstruct texts: []
+  @type t :: %__MODULE__{texts: [{until :: Situ.Time.t(), MapSet.t()}]}
 
   @doc "Returns an empty echo memory."
   @spec new() :: t()
@@ -29,20 +29,20 @@ defmodule Situ.Assistant.EchoDetector do
 
   @doc "Adds a text that the assistant speaks at `time`, or after the texts it is already speaking."
   @spec add_text(t(), Situ.Time.t(), String.t()) :: t()
-  def add_text(%__MODULE__{said: said} = echo, time, text) do
-    begins = Enum.reduce(said, time, fn {until, _}, begins -> max(begins, until - @delay) end)
+  def add_text(%__MODULE__{texts: texts} = echo, time, text) do
+    begins = Enum.reduce(texts, time, fn {until, _}, begins -> max(begins, until - @delay) end)
     until = begins + @letter * String.length(text) + @delay
-    kept = Enum.filter(said, fn {until, _} -> until >= time end)
-    %{echo | said: [{until, MapSet.new(Utterance.normalize_words(text))} | kept]}
+    recent = Enum.filter(texts, fn {until, _} -> until >= time end)
+    %{echo | texts: [{until, MapSet.new(Utterance.normalize_words(text))} | recent]}
   end
 
   @doc "Returns whether the text heard at `from` consists mostly of words that the assistant was speaking then."
   @spec own_words?(t(), Situ.Time.t(), String.t()) :: boolean()
-  def own_words?(%__MODULE__{said: said}, from, text) do
+  def own_words?(%__MODULE__{texts: texts}, from, text) do
     words = Utterance.normalize_words(text)
 
     words != [] and
-      Enum.any?(said, fn {until, own} ->
+      Enum.any?(texts, fn {until, own} ->
         from <= until and Enum.count(words, &(&1 in own)) / length(words) >= @share
       end)
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Assistant.Player do
   @schema [
-    piece: [type: :pos_integer, default: 20_000_000, doc: "Length of one chunk, ns."],
+    chunk: [type: :pos_integer, default: 20_000_000, doc: "Length of one chunk, ns."],
     ahead: [
       type: :time_ns,
       default: 80_000_000,
@@ -33,7 +33,7 @@ defmodule Situ.Assistant.Player do
 
   alias Situ.{AudioBuffer, AudioFormat}
 
-  defstruct [:opts, waiting: [], head: nil, told: nil, speaking: false, timer: nil]
+  defstruct [:opts, waiting: [], emitted_to: nil, changed_at: nil, speaking?: false, timer: nil]
 
   @impl true
   def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
@@ -46,7 +46,7 @@ defmodule Situ.Assistant.Player do
   end
 
   def handle_message(_sound, %{data: sound, originating_time: time}, context, state) do
-    sounds = state.waiting ++ [{time, split_audio(sound, state.opts.piece)}]
+    sounds = state.waiting ++ [{time, split_audio(sound, state.opts.chunk)}]
     play_due(%{state | waiting: sounds}, context.now)
   end
 
@@ -81,35 +81,40 @@ defmodule Situ.Assistant.Player do
 
   defp play_chunks(%{waiting: []} = state, actions, now, which) do
     cond do
-      not state.speaking -> {Enum.reverse(actions), state}
-      which == :due and now < silent_at(state) -> schedule_play(state, actions, silent_at(state))
-      true -> state |> emit_speaking(actions, false, max(now, state.head)) |> finish_actions()
+      not state.speaking? ->
+        {Enum.reverse(actions), state}
+
+      which == :due and now < silent_at(state) ->
+        schedule_play(state, actions, silent_at(state))
+
+      true ->
+        state |> emit_speaking(actions, false, max(now, state.emitted_to)) |> finish_actions()
     end
   end
 
-  defp play_chunks(%{waiting: [{time, [piece | pieces]} | rest]} = state, actions, now, which) do
-    head = max(state.head || now - state.opts.ahead, now - state.opts.ahead)
-    head = if which == :all, do: state.head || now, else: head
-    ends = head + AudioBuffer.duration_ns(piece)
+  defp play_chunks(%{waiting: [{time, [chunk | chunks]} | rest]} = state, actions, now, which) do
+    emitted_to = max(state.emitted_to || now - state.opts.ahead, now - state.opts.ahead)
+    emitted_to = if which == :all, do: state.emitted_to || now, else: emitted_to
+    ends = emitted_to + AudioBuffer.duration_ns(chunk)
 
     if which == :all or ends <= now do
       {actions, state} = emit_speaking(state, actions, true, now)
-      state = %{state | waiting: [{time, pieces} | rest], head: ends}
-      play_chunks(state, [{:out, ends, piece} | actions], now, which)
+      state = %{state | waiting: [{time, chunks} | rest], emitted_to: ends}
+      play_chunks(state, [{:out, ends, chunk} | actions], now, which)
     else
       schedule_play(state, actions, ends)
     end
   end
 
   # Audio that was emitted ahead of time is still playing.
-  defp silent_at(state), do: state.head + state.opts.ahead
+  defp silent_at(state), do: state.emitted_to + state.opts.ahead
   defp finish_actions({actions, state}), do: {Enum.reverse(actions), state}
 
-  defp emit_speaking(%{speaking: same} = state, actions, same, _at), do: {actions, state}
+  defp emit_speaking(%{speaking?: same} = state, actions, same, _at), do: {actions, state}
 
   defp emit_speaking(state, actions, now?, at) do
-    at = if state.told, do: max(at, state.told + 1), else: at
-    {[{:speaking, at, now?} | actions], %{state | speaking: now?, told: at}}
+    at = if state.changed_at, do: max(at, state.changed_at + 1), else: at
+    {[{:speaking, at, now?} | actions], %{state | speaking?: now?, changed_at: at}}
   end
 
   defp schedule_play(%{timer: due} = state, actions, at) when due != nil and due <= at,

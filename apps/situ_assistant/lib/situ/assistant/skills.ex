@@ -33,7 +33,7 @@ defmodule Situ.Assistant.Skills do
   @ordinals ~w(first second third fourth fifth sixth seventh eighth ninth tenth eleventh twelfth thirteenth fourteenth
                fifteenth sixteenth seventeenth eighteenth nineteenth twentieth)
 
-  @type deed ::
+  @type action ::
           {:say, String.t()}
           | {:timer, Situ.Time.duration(), length :: String.t(), String.t()}
           | :cancel
@@ -45,7 +45,7 @@ defmodule Situ.Assistant.Skills do
   def grammar, do: @grammar
 
   @doc "Returns the reply or action for an intent when the local time is `now`."
-  @spec answer_intent(Intent.t(), :calendar.datetime()) :: deed()
+  @spec answer_intent(Intent.t(), :calendar.datetime()) :: action()
   def answer_intent(%Intent{} = intent, now) do
     case Intent.name(intent) do
       "time" -> {:say, time_in_words(now)}

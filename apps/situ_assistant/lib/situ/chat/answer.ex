@@ -10,9 +10,9 @@ defmodule Situ.Chat.Answer do
 
       iex> alias Situ.Chat.Answer
       iex> event = fn text -> ~s({"choices":[{"delta":{"content":"\#{text}"},"finish_reason":"stop"}]}) end
-      iex> {:ok, ["Hel"], piece} = Answer.add_event(Answer.empty_partial(), event.("Hel"))
-      iex> {:ok, ["lo"], piece} = Answer.add_event(piece, event.("lo"))
-      iex> answer = Answer.to_answer(piece)
+      iex> {:ok, ["Hel"], partial} = Answer.add_event(Answer.empty_partial(), event.("Hel"))
+      iex> {:ok, ["lo"], partial} = Answer.add_event(partial, event.("lo"))
+      iex> answer = Answer.to_answer(partial)
       iex> {answer.text, answer.finish}
       {"Hello", :stop}
   """
@@ -37,30 +37,30 @@ defmodule Situ.Chat.Answer do
         }
 
   @typedoc "An answer that is still being received."
-  @type piece :: %{
+  @type partial :: %{
           text: iodata(),
           bytes: non_neg_integer(),
           count: non_neg_integer(),
           calls: %{non_neg_integer() => {String.t(), String.t(), iodata()}},
-          places: %{integer() => non_neg_integer()},
+          positions: %{integer() => non_neg_integer()},
           finish: finish() | nil,
           usage: tokens() | nil
         }
 
   @doc "Returns a partial answer without content."
-  @spec empty_partial() :: piece()
+  @spec empty_partial() :: partial()
   def empty_partial,
-    do: %{text: [], bytes: 0, count: 0, calls: %{}, places: %{}, finish: nil, usage: nil}
+    do: %{text: [], bytes: 0, count: 0, calls: %{}, positions: %{}, finish: nil, usage: nil}
 
   @doc "Adds one streamed event (or a complete, non-streamed response) and returns the text it adds."
-  @spec add_event(piece(), binary()) :: {:ok, [String.t()], piece()} | {:error, Error.t()}
-  def add_event(piece, json) do
+  @spec add_event(partial(), binary()) :: {:ok, [String.t()], partial()} | {:error, Error.t()}
+  def add_event(partial, json) do
     case decode_event(json) do
       {:ok, %{"error" => error}} when error not in [nil, false] ->
         {:error, Error.new(:service_failed, "the service failed: #{Refusal.error_text(error)}")}
 
       {:ok, %{} = event} ->
-        event |> first_choice() |> add_choice(put_usage(piece, event["usage"])) |> check_size()
+        event |> first_choice() |> add_choice(put_usage(partial, event["usage"])) |> check_size()
 
       _ ->
         {:error,
@@ -82,17 +82,17 @@ defmodule Situ.Chat.Answer do
   end
 
   @doc "Builds the answer after its stream has ended."
-  @spec to_answer(piece()) :: t()
-  def to_answer(piece) do
-    calls = for {_, {id, name, raw}} <- Enum.sort(piece.calls), do: build_call(id, name, raw)
-    counted = %{read: 0, written: piece.count}
+  @spec to_answer(partial()) :: t()
+  def to_answer(partial) do
+    calls = for {_, {id, name, raw}} <- Enum.sort(partial.calls), do: build_call(id, name, raw)
+    own_counts = %{read: 0, written: partial.count}
 
     %__MODULE__{
-      text: IO.iodata_to_binary(piece.text),
+      text: IO.iodata_to_binary(partial.text),
       calls: calls,
-      finish: if(calls != [], do: :calls, else: piece.finish || :stop),
-      tokens: piece.usage || counted,
-      exact?: piece.usage != nil
+      finish: if(calls != [], do: :calls, else: partial.finish || :stop),
+      tokens: partial.usage || own_counts,
+      exact?: partial.usage != nil
     }
   end
 
@@ -101,34 +101,34 @@ defmodule Situ.Chat.Answer do
   defp first_choice(%{"choices" => [%{} = choice | _]}), do: choice
   defp first_choice(_), do: %{}
 
-  defp add_choice(choice, piece) do
-    said = choice_delta(choice)
-    text = if is_binary(said["content"]), do: said["content"], else: ""
-    calls = if is_list(said["tool_calls"]), do: said["tool_calls"], else: []
+  defp add_choice(choice, partial) do
+    delta = choice_delta(choice)
+    text = if is_binary(delta["content"]), do: delta["content"], else: ""
+    calls = if is_list(delta["tool_calls"]), do: delta["tool_calls"], else: []
 
-    piece = %{
-      piece
-      | text: [piece.text, text],
-        bytes: piece.bytes + byte_size(text),
-        count: piece.count + if(text == "", do: 0, else: 1),
-        finish: parse_finish(choice["finish_reason"]) || piece.finish
+    partial = %{
+      partial
+      | text: [partial.text, text],
+        bytes: partial.bytes + byte_size(text),
+        count: partial.count + if(text == "", do: 0, else: 1),
+        finish: parse_finish(choice["finish_reason"]) || partial.finish
     }
 
     {if(text == "", do: [], else: [text]),
-     calls |> Enum.with_index() |> Enum.reduce(piece, &add_call_delta/2)}
+     calls |> Enum.with_index() |> Enum.reduce(partial, &add_call_delta/2)}
   end
 
-  defp choice_delta(%{"delta" => %{} = said}), do: said
-  defp choice_delta(%{"message" => %{} = said}), do: said
+  defp choice_delta(%{"delta" => %{} = delta}), do: delta
+  defp choice_delta(%{"message" => %{} = delta}), do: delta
   defp choice_delta(_), do: %{}
 
   # The parts of a call have its number; the first part has the id and the name. Some services number every call 0 or
   # not at all, so a different id starts a new call. Some repeat the id and the name in every part.
-  defp add_call_delta({%{} = part, nth}, piece) do
+  defp add_call_delta({%{} = part, nth}, partial) do
     number = if is_integer(part["index"]), do: part["index"], else: nth
-    place = call_position(piece, number, string_or_empty(part["id"]))
+    position = call_position(partial, number, string_or_empty(part["id"]))
     function = if is_map(part["function"]), do: part["function"], else: %{}
-    {id, name, raw} = Map.get(piece.calls, place, {"", "", []})
+    {id, name, raw} = Map.get(partial.calls, position, {"", "", []})
     more = string_or_empty(function["arguments"])
 
     now =
@@ -136,20 +136,20 @@ defmodule Situ.Chat.Answer do
        append_new(name, string_or_empty(function["name"])), [raw, more]}
 
     %{
-      piece
-      | calls: Map.put(piece.calls, place, now),
-        places: Map.put(piece.places, number, place),
-        bytes: piece.bytes + byte_size(more) + 16
+      partial
+      | calls: Map.put(partial.calls, position, now),
+        positions: Map.put(partial.positions, number, position),
+        bytes: partial.bytes + byte_size(more) + 16
     }
   end
 
-  defp add_call_delta(_, piece), do: piece
+  defp add_call_delta(_, partial), do: partial
 
   # Positions follow the order in which the calls arrived.
-  defp call_position(%{places: places, calls: calls}, number, id) do
-    with place when place != nil <- places[number],
-         {known, _, _} when known == id or id == "" or known == "" <- calls[place] do
-      place
+  defp call_position(%{positions: positions, calls: calls}, number, id) do
+    with position when position != nil <- positions[number],
+         {known, _, _} when known == id or id == "" or known == "" <- calls[position] do
+      position
     else
       _ -> find_call(calls, id) || map_size(calls)
     end
@@ -158,7 +158,7 @@ defmodule Situ.Chat.Answer do
   defp find_call(_calls, ""), do: nil
 
   defp find_call(calls, id),
-    do: Enum.find_value(calls, fn {place, {known, _, _}} -> known == id && place end)
+    do: Enum.find_value(calls, fn {position, {known, _, _}} -> known == id && position end)
 
   defp append_new(text, text), do: text
   defp append_new(known, text), do: known <> text
@@ -168,7 +168,7 @@ defmodule Situ.Chat.Answer do
 
   defp check_size({_, %{bytes: bytes}}) when bytes > @most_bytes, do: too_long()
   defp check_size({_, %{calls: calls}}) when map_size(calls) > @most_calls, do: too_long()
-  defp check_size({texts, piece}), do: {:ok, texts, piece}
+  defp check_size({texts, partial}), do: {:ok, texts, partial}
 
   defp too_long do
     {:error,
@@ -185,11 +185,12 @@ defmodule Situ.Chat.Answer do
   defp parse_finish(text) when is_binary(text), do: :stop
   defp parse_finish(_), do: nil
 
-  defp put_usage(piece, %{"prompt_tokens" => read} = usage) when is_integer(read) and read >= 0 do
+  defp put_usage(partial, %{"prompt_tokens" => read} = usage)
+       when is_integer(read) and read >= 0 do
     written = usage["completion_tokens"]
-    written = if is_integer(written) and written >= 0, do: written, else: piece.count
-    %{piece | usage: %{read: read, written: written}}
+    written = if is_integer(written) and written >= 0, do: written, else: partial.count
+    %{partial | usage: %{read: read, written: written}}
   end
 
-  defp put_usage(piece, _), do: piece
+  defp put_usage(partial, _), do: partial
 end

@@ -4,11 +4,11 @@ defmodule Situ.Chat.History do
   alias Situ.Chat.{Answer, Turn}
   alias Situ.Error
 
-  defstruct [:places, turns: []]
-  @type t :: %__MODULE__{places: non_neg_integer(), turns: [[Turn.t()]]}
+  defstruct [:capacity, turns: []]
+  @type t :: %__MODULE__{capacity: non_neg_integer(), turns: [[Turn.t()]]}
 
   @spec new(non_neg_integer()) :: t()
-  def new(places), do: %__MODULE__{places: places}
+  def new(capacity), do: %__MODULE__{capacity: capacity}
 
   @doc "Converts the component's input to turns."
   @spec parse_turns(term()) :: {:ok, [Turn.t()]} | {:error, Error.t()}
@@ -52,7 +52,7 @@ defmodule Situ.Chat.History do
 
     %{
       memory
-      | turns: Enum.take([[turn, Turn.assistant(answer.text)] | memory.turns], memory.places)
+      | turns: Enum.take([[turn, Turn.assistant(answer.text)] | memory.turns], memory.capacity)
     }
   end
 

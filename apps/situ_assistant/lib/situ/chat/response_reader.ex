@@ -13,7 +13,7 @@ defmodule Situ.Chat.ResponseReader do
             body: [],
             bytes: 0,
             answer: nil,
-            spoken?: false,
+            text_emitted?: false,
             done?: false,
             error: nil
 
@@ -55,7 +55,7 @@ defmodule Situ.Chat.ResponseReader do
   defp add_stream_data([json | rest], texts, reply) do
     case Answer.add_event(reply.answer, json) do
       {:ok, more, answer} ->
-        reply = %{reply | answer: answer, spoken?: reply.spoken? or more != []}
+        reply = %{reply | answer: answer, text_emitted?: reply.text_emitted? or more != []}
         add_stream_data(rest, Enum.reverse(more, texts), reply)
 
       {:error, error} ->
@@ -69,7 +69,7 @@ defmodule Situ.Chat.ResponseReader do
   """
   @spec build_result(t(), Error.t() | nil) ::
           {:ok, Answer.t()} | {:retry, Error.t()} | {:error, Error.t()}
-  def build_result(%{spoken?: true} = reply, %Error{} = failure),
+  def build_result(%{text_emitted?: true} = reply, %Error{} = failure),
     do: {:error, put_partial_text(failure, reply)}
 
   def build_result(_reply, %Error{} = failure), do: {:retry, failure}

@@ -10,33 +10,33 @@ defmodule Situ.Chat.ToolLoop do
   @doc "Returns the answer, with the text and the token counts of all rounds."
   @spec run(Model.t(), [Turn.t()], [Tool.t()], pos_integer(), (event() -> any())) ::
           {:ok, Answer.t()} | {:error, Error.t()}
-  def run(model, turns, tools, rounds, tell),
-    do: run_rounds(model, turns, tools, rounds, tell, %{text: "", read: 0, written: 0})
+  def run(model, turns, tools, rounds, emit_event),
+    do: run_rounds(model, turns, tools, rounds, emit_event, %{text: "", read: 0, written: 0})
 
-  defp run_rounds(_model, _turns, _tools, 0, _tell, _so_far) do
+  defp run_rounds(_model, _turns, _tools, 0, _emit_event, _totals) do
     {:error,
      Error.new(:too_many_calls, "the model kept calling tools and gave no final answer",
        fix: "raise rounds:, or explain in system: when to use the tools"
      )}
   end
 
-  defp run_rounds(model, turns, tools, rounds, tell, so_far) do
-    with {:ok, answer} <- Model.ask(model, turns, tools, &tell.({:text, &1})) do
-      so_far = %{
-        text: so_far.text <> answer.text,
-        read: so_far.read + answer.tokens.read,
-        written: so_far.written + answer.tokens.written
+  defp run_rounds(model, turns, tools, rounds, emit_event, totals) do
+    with {:ok, answer} <- Model.ask(model, turns, tools, &emit_event.({:text, &1})) do
+      totals = %{
+        text: totals.text <> answer.text,
+        read: totals.read + answer.tokens.read,
+        written: totals.written + answer.tokens.written
       }
 
-      Enum.each(answer.calls, &tell.({:call, &1}))
+      Enum.each(answer.calls, &emit_event.({:call, &1}))
 
       if answer.calls != [] and Enum.all?(answer.calls, &runnable?(tools, &1)) do
         results = for call <- answer.calls, do: Turn.tool(call.id, Tool.run_call(tools, call))
         turns = turns ++ [Turn.assistant(answer.text, answer.calls) | results]
-        run_rounds(model, turns, tools, rounds - 1, tell, so_far)
+        run_rounds(model, turns, tools, rounds - 1, emit_event, totals)
       else
-        tokens = Map.take(so_far, [:read, :written])
-        {:ok, %{answer | text: so_far.text, tokens: tokens}}
+        tokens = Map.take(totals, [:read, :written])
+        {:ok, %{answer | text: totals.text, tokens: tokens}}
       end
     end
   end
@@ -60,8 +60,8 @@ defmodule Situ.Chat.ToolLoop do
     pid =
       spawn(fn ->
         kill_with_owner(owner, self())
-        tell = &send(owner, {:situ_chat, ref, &1})
-        tell.({:done, run_guarded(fn -> run(model, turns, tools, rounds, tell) end)})
+        emit_event = &send(owner, {:situ_chat, ref, &1})
+        emit_event.({:done, run_guarded(fn -> run(model, turns, tools, rounds, emit_event) end)})
       end)
 
     {pid, ref}

@@ -42,8 +42,10 @@ defmodule Situ.Intent.Detector do
   end
 
   @impl true
-  def handle_message(:in, %{data: said, originating_time: time}, _context, state) do
-    intent = Error.unwrap!(state.opts.recognizer.detect(state.recognizer, sentence_text(said)))
+  def handle_message(:in, %{data: sentence, originating_time: time}, _context, state) do
+    intent =
+      Error.unwrap!(state.opts.recognizer.detect(state.recognizer, sentence_text(sentence)))
+
     {[{:out, time, intent}], state}
   end
 

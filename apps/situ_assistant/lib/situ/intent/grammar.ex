@@ -64,15 +64,17 @@ defmodule Situ.Intent.Grammar do
   def detect(%__MODULE__{} = grammar, text) do
     words = text |> Utterance.normalize_words() |> Enum.take(@most_words) |> List.to_tuple()
 
-    found =
-      for {rule, place} <- Enum.with_index(grammar.jsgf.public),
+    matches =
+      for {rule, order} <- Enum.with_index(grammar.jsgf.public),
           {from, to, tags} <- List.wrap(longest_match(grammar, rule, words)),
           score = (to - from) / tuple_size(words),
           score >= grammar.min_score,
-          do: {-score, place, rule, tags}
+          do: {-score, order, rule, tags}
 
-    found = Enum.sort(found)
-    {:ok, %Intent{query: text, intents: build_intents(found), entities: build_entities(found)}}
+    matches = Enum.sort(matches)
+
+    {:ok,
+     %Intent{query: text, intents: build_intents(matches), entities: build_entities(matches)}}
   end
 
   defp longest_match(_grammar, _rule, {}), do: nil
@@ -94,8 +96,8 @@ defmodule Situ.Intent.Grammar do
     |> Enum.max_by(fn {from, to, _} -> {to - from, -from} end, fn -> nil end)
   end
 
-  defp build_intents(found) do
-    for {score, _, rule, tags} <- found do
+  defp build_intents(matches) do
+    for {score, _, rule, tags} <- matches do
       name = Enum.find_value(tags, rule, &intent_name/1)
       %{value: name, score: -score}
     end
@@ -109,10 +111,10 @@ defmodule Situ.Intent.Grammar do
   defp build_entities([]), do: []
 
   defp build_entities([{score, _, _, tags} | _]) do
-    for {text, said} = tag <- tags, intent_name(tag) == nil do
+    for {text, words} = tag <- tags, intent_name(tag) == nil do
       case String.split(text, "=", parts: 2) do
         [key, value] -> %{type: String.trim(key), value: String.trim(value), score: -score}
-        [key] -> %{type: key, value: said, score: -score}
+        [key] -> %{type: key, value: words, score: -score}
       end
     end
   end

@@ -14,7 +14,7 @@ defmodule Situ.Assistant.PlayerTest do
 
   defp start do
     Situ.Test.start([:in, :stop], fn streams ->
-      out = Situ.via(Map.to_list(streams), Player, piece: 40 * @ms, ahead: 80 * @ms)
+      out = Situ.via(Map.to_list(streams), Player, chunk: 40 * @ms, ahead: 80 * @ms)
       [out.out, out.speaking]
     end)
   end

@@ -115,12 +115,12 @@ defmodule Situ.Infer.ActiveSpeaker do
     moments: [],
     undecided: [],
     voice?: false,
-    heard: nil,
-    since: nil,
+    last_voice: nil,
+    speech_start: nil,
     speaker: nil,
-    moved: nil,
-    before: nil,
-    free: nil
+    moved_at: nil,
+    last_speaker: nil,
+    free_from: nil
   ]
 
   @type t :: %__MODULE__{}
@@ -182,10 +182,10 @@ defmodule Situ.Infer.ActiveSpeaker do
 
   # Applies the hysteresis that decides whether a voice is active at this image.
   defp apply_hysteresis(%{opts: opts} = state, moment) do
-    heard = if moment.probability >= opts.off, do: moment.time, else: state.heard
+    last_voice = if moment.probability >= opts.off, do: moment.time, else: state.last_voice
     begun? = state.voice? or moment.probability >= opts.on
-    on? = begun? and heard != nil and moment.time - heard <= opts.hold
-    {%{moment | voice?: on?}, %{state | voice?: on?, heard: heard}}
+    on? = begun? and last_voice != nil and moment.time - last_voice <= opts.hold
+    {%{moment | voice?: on?}, %{state | voice?: on?, last_voice: last_voice}}
   end
 
   defp drop_old_moments(moments, now, opts) do
@@ -206,13 +206,15 @@ defmodule Situ.Infer.ActiveSpeaker do
     {{moment.time, speaking}, state}
   end
 
-  defp start_speech(%{since: nil} = state, time), do: %{state | since: time, free: time}
+  defp start_speech(%{speech_start: nil} = state, time),
+    do: %{state | speech_start: time, free_from: time}
+
   defp start_speech(state, _time), do: state
 
-  defp end_speech(%{speaker: nil} = state, _time), do: %{state | since: nil}
+  defp end_speech(%{speaker: nil} = state, _time), do: %{state | speech_start: nil}
 
   defp end_speech(state, time),
-    do: %{state | since: nil, speaker: nil, before: {state.speaker, time}}
+    do: %{state | speech_start: nil, speaker: nil, last_speaker: {state.speaker, time}}
 
   # `seen` is newest first.
   defp voice_active?([%{voice?: false} | _], _since, _opts), do: false
@@ -238,10 +240,10 @@ defmodule Situ.Infer.ActiveSpeaker do
         %{state | speaker: nil}
 
       mouth_moving?(state.speaker, seen, until - @syllable_ns, opts.movement) ->
-        %{state | moved: time}
+        %{state | moved_at: time}
 
-      time - state.moved > opts.still ->
-        %{state | speaker: nil, free: time}
+      time - state.moved_at > opts.still ->
+        %{state | speaker: nil, free_from: time}
 
       true ->
         state
@@ -249,16 +251,20 @@ defmodule Situ.Infer.ActiveSpeaker do
   end
 
   # A new speaker's lips are compared with the voice only from the time when the previous speaker stopped.
-  defp assign_speaker(%{speaker: nil} = state, id, time), do: %{state | speaker: id, moved: time}
-  defp assign_speaker(%{speaker: id} = state, id, time), do: %{state | moved: time}
-  defp assign_speaker(state, id, time), do: %{state | speaker: id, moved: time, free: time}
+  defp assign_speaker(%{speaker: nil} = state, id, time),
+    do: %{state | speaker: id, moved_at: time}
+
+  defp assign_speaker(%{speaker: id} = state, id, time), do: %{state | moved_at: time}
+
+  defp assign_speaker(state, id, time),
+    do: %{state | speaker: id, moved_at: time, free_from: time}
 
   # Returns whether this mouth contradicts the voice since the previous speaker stopped.
   defp contradicts_voice?(%{speaker: other}, id, _seen, _until) when other not in [nil, id],
     do: false
 
   defp contradicts_voice?(%{opts: opts} = state, id, seen, until) do
-    from = max(state.free, until - @memory_ns)
+    from = max(state.free_from, until - @memory_ns)
     window = Enum.take_while(seen, &(&1.time >= from))
 
     until - from >= @doubt_ns and
@@ -274,12 +280,12 @@ defmodule Situ.Infer.ActiveSpeaker do
           not contradicts_voice?(state, id, seen, until),
           do: id
 
-    case {state.before, movers} do
+    case {state.last_speaker, movers} do
       {{id, left}, [id]} when time - left <= state.opts.pause ->
-        %{state | speaker: id, moved: time}
+        %{state | speaker: id, moved_at: time}
 
       {_, [id]} ->
-        if began_with_voice?(id, seen, state.since),
+        if began_with_voice?(id, seen, state.speech_start),
           do: assign_speaker(state, id, time),
           else: state
 

@@ -49,7 +49,7 @@ defmodule Situ.Infer.BodyPose do
 
   @side 256
   # The network returns 39 points: the named 33, the middle of the hips, a point above the head, and four unknown ones.
-  @told 39
+  @all_points 39
   @ports [
     inputs: %{"input" => {:f32, {1, @side, @side, 3}}},
     outputs: %{
@@ -83,10 +83,10 @@ defmodule Situ.Infer.BodyPose do
   ]
 
   @typedoc "The body in an image: its points and its skeleton; both lists are empty if nobody was found."
-  @type found :: %{points: [Point2.t()], skeletons: [Skeleton.t()]}
+  @type detection :: %{points: [Point2.t()], skeletons: [Skeleton.t()]}
 
-  # `place` is the region where the body was last found: `{middle, side, angle}`.
-  defstruct [:opts, :model, :place]
+  # `region` is where the body was last found: `{middle, side, angle}`.
+  defstruct [:opts, :model, :region]
 
   @doc "Returns the names of the points, in order."
   @spec joint_names() :: [atom()]
@@ -101,8 +101,10 @@ defmodule Situ.Infer.BodyPose do
 
   @impl true
   def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
-    {found, place} = Error.unwrap!(find_with_tracking(state, image))
-    {[{:out, time, found.points}, {:skeletons, time, found.skeletons}], %{state | place: place}}
+    {detection, region} = Error.unwrap!(find_with_tracking(state, image))
+
+    {[{:out, time, detection.points}, {:skeletons, time, detection.skeletons}],
+     %{state | region: region}}
   end
 
   @impl true
@@ -112,29 +114,29 @@ defmodule Situ.Infer.BodyPose do
   Finds the body in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
   `:bad_image`.
   """
-  @spec find_body(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
+  @spec find_body(Image.t(), keyword()) :: {:ok, detection()} | {:error, Error.t()}
   def find_body(%Image{} = image, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, model} <- load_model(opts),
-         {:ok, {found, _place}} <-
+         {:ok, {detection, _place}} <-
            find_with_tracking(%__MODULE__{opts: opts, model: model}, image),
-         do: {:ok, found}
+         do: {:ok, detection}
   end
 
   defp load_model(opts), do: BundledModel.load(opts, "body.onnx", @ports)
 
   # Searches the last region, and otherwise the whole image and then a closer region.
-  defp find_with_tracking(%{place: nil} = state, image) do
+  defp find_with_tracking(%{region: nil} = state, image) do
     with {:ok, rough} <- detect_in_region(state, image, whole_image_region(image)),
          {:ok, close} <-
            if(rough, do: detect_in_region(state, image, rough.next), else: {:ok, nil}),
          do: {:ok, to_found(close || rough)}
   end
 
-  defp find_with_tracking(%{place: place} = state, image) do
-    case detect_in_region(state, image, place) do
-      {:ok, nil} -> find_with_tracking(%{state | place: nil}, image)
-      {:ok, seen} -> {:ok, to_found(seen)}
+  defp find_with_tracking(%{region: region} = state, image) do
+    case detect_in_region(state, image, region) do
+      {:ok, nil} -> find_with_tracking(%{state | region: nil}, image)
+      {:ok, body} -> {:ok, to_found(body)}
       error -> error
     end
   end
@@ -144,7 +146,7 @@ defmodule Situ.Infer.BodyPose do
     do: {{w / 2, h / 2}, max(w, h) * 1.25, 0.0}
 
   defp to_found(nil), do: {%{points: [], skeletons: []}, nil}
-  defp to_found(seen), do: {%{points: seen.points, skeletons: [seen.skeleton]}, seen.next}
+  defp to_found(body), do: {%{points: body.points, skeletons: [body.skeleton]}, body.next}
 
   defp detect_in_region(%{model: model, opts: opts}, image, {middle, side, angle}) do
     patch = Patch.centered_at(middle, side, angle, @side)
@@ -164,18 +166,19 @@ defmodule Situ.Infer.BodyPose do
        ) do
     rows = points |> Tensor.to_list() |> Enum.chunk_every(5)
     [score] = Tensor.to_list(score)
-    around = world |> Tensor.to_list() |> Enum.chunk_every(3)
+    world = world |> Tensor.to_list() |> Enum.chunk_every(3)
 
     if is_number(score) and score >= min_score and
-         Enum.all?(List.flatten([rows, around]), &is_number/1) do
-      places = for [x, y | _] <- rows, do: Patch.to_picture(patch, {x, y})
+         Enum.all?(List.flatten([rows, world]), &is_number/1) do
+      positions = for [x, y | _] <- rows, do: Patch.to_image_point(patch, {x, y})
 
-      seen = for [_, _, _, logit, _] <- rows, do: Activation.sigmoid(logit)
+      visibility = for [_, _, _, logit, _] <- rows, do: Activation.sigmoid(logit)
 
       %{
-        points: for({x, y} <- Enum.take(places, length(@joints)), do: Point2.new(x, y)),
-        skeleton: build_skeleton(around, seen, angle),
-        next: next_region(Enum.at(places, @told - 6), Enum.at(places, @told - 5))
+        points: for({x, y} <- Enum.take(positions, length(@joints)), do: Point2.new(x, y)),
+        skeleton: build_skeleton(world, visibility, angle),
+        next:
+          next_region(Enum.at(positions, @all_points - 6), Enum.at(positions, @all_points - 5))
       }
     end
   end
@@ -186,15 +189,15 @@ defmodule Situ.Infer.BodyPose do
     {middle, max(2.5 * :math.sqrt(dx * dx + dy * dy), 8.0), :math.atan2(dx, -dy)}
   end
 
-  defp build_skeleton(around, seen, angle) do
+  defp build_skeleton(world, visibility, angle) do
     {cos, sin} = {:math.cos(angle), :math.sin(angle)}
 
     joints =
-      for {name, [x, y, z]} <- Enum.zip(@joints, around), into: %{} do
+      for {name, [x, y, z]} <- Enum.zip(@joints, world), into: %{} do
         # Converts from the patch (right, down, away) to the upright image, and then to ahead, left, up.
         {name, Pose.new({z, -(cos * x - sin * y), -(sin * x + cos * y)})}
       end
 
-    Skeleton.new!(joints, @bones, id: 0, confidence: @joints |> Enum.zip(seen) |> Map.new())
+    Skeleton.new!(joints, @bones, id: 0, confidence: @joints |> Enum.zip(visibility) |> Map.new())
   end
 end

@@ -36,13 +36,14 @@ defmodule Situ.Infer.FaceMesh do
 
   @doc "Returns point `i` (0..467) in image pixels."
   @spec point_at(t(), 0..467) :: Patch.point()
-  def point_at(%__MODULE__{} = mesh, i), do: Patch.to_picture(mesh.patch, patch_point(mesh, i))
+  def point_at(%__MODULE__{} = mesh, i),
+    do: Patch.to_image_point(mesh.patch, patch_point(mesh, i))
 
   @doc "Returns all points in image pixels."
   @spec points(t()) :: [Patch.point()]
   def points(%__MODULE__{} = mesh) do
     for <<x::float-native-32, y::float-native-32, _z::32 <- mesh.points>>,
-      do: Patch.to_picture(mesh.patch, {x, y})
+      do: Patch.to_image_point(mesh.patch, {x, y})
   end
 
   @doc "Computes the distance between two points in pixels of the patch, for ratios that do not depend on the image."

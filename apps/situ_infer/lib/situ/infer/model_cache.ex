@@ -8,7 +8,7 @@ defmodule Situ.Infer.ModelCache do
   @keep_ms 60_000
   @bytes 512 * 1_048_576
 
-  defstruct [:keep_ms, :bytes, loaded: %{}, loading: %{}, used: 0]
+  defstruct [:keep_ms, :bytes, models: %{}, loads: %{}, uses: 0]
 
   def start_link(opts) do
     {name, opts} = Keyword.pop(opts, :name, __MODULE__)
@@ -21,12 +21,12 @@ defmodule Situ.Infer.ModelCache do
   """
   @spec fetch(GenServer.server(), term(), non_neg_integer(), (() -> result)) :: result
         when result: {:ok, term()} | {:error, Exception.t()}
-  def fetch(shelf \\ __MODULE__, key, size, load),
-    do: GenServer.call(shelf, {:fetch, key, size, load}, :infinity)
+  def fetch(cache \\ __MODULE__, key, size, load),
+    do: GenServer.call(cache, {:fetch, key, size, load}, :infinity)
 
   @doc "Returns the keys of the loaded models, the most recently used one first."
   @spec list_keys(GenServer.server()) :: [term()]
-  def list_keys(shelf \\ __MODULE__), do: GenServer.call(shelf, :keys)
+  def list_keys(cache \\ __MODULE__), do: GenServer.call(cache, :keys)
 
   @impl true
   def init(opts) do
@@ -37,40 +37,40 @@ defmodule Situ.Infer.ModelCache do
   @impl true
   def handle_call(:keys, _from, state) do
     keys =
-      state.loaded |> Enum.sort_by(fn {_, entry} -> -entry.used end) |> Enum.map(&elem(&1, 0))
+      state.models |> Enum.sort_by(fn {_, entry} -> -entry.last_use end) |> Enum.map(&elem(&1, 0))
 
     {:reply, keys, state}
   end
 
   def handle_call({:fetch, key, size, load}, {pid, _} = from, state) do
     case state do
-      %{loaded: %{^key => entry}} ->
+      %{models: %{^key => entry}} ->
         {:reply, {:ok, entry.model}, put_entry(state, key, add_user(entry, pid))}
 
-      %{loading: %{^key => loading}} ->
+      %{loads: %{^key => loading}} ->
         loading = %{loading | waiting: [from | loading.waiting]}
-        {:noreply, %{state | loading: Map.put(state.loading, key, loading)}}
+        {:noreply, %{state | loads: Map.put(state.loads, key, loading)}}
 
       _ ->
         {_pid, ref} = spawn_monitor(fn -> exit({:loaded, run_loader(load)}) end)
         loading = %{ref: ref, size: size, waiting: [from]}
-        {:noreply, %{state | loading: Map.put(state.loading, key, loading)}}
+        {:noreply, %{state | loads: Map.put(state.loads, key, loading)}}
     end
   end
 
   @impl true
   def handle_info({:DOWN, ref, :process, _pid, reason}, state) do
-    case Enum.find(state.loading, fn {_, loading} -> loading.ref == ref end) do
+    case Enum.find(state.loads, fn {_, loading} -> loading.ref == ref end) do
       {key, loading} -> {:noreply, finish_loading(state, key, loading, load_result(reason))}
       nil -> {:noreply, remove_user(state, ref)}
     end
   end
 
   # Drops the model if nobody requested it since its last user ended.
-  def handle_info({:unused, key, used}, state) do
-    case state.loaded do
-      %{^key => %{used: ^used, users: users}} when users == %{} ->
-        {:noreply, %{state | loaded: Map.delete(state.loaded, key)}}
+  def handle_info({:unused, key, last_use}, state) do
+    case state.models do
+      %{^key => %{last_use: ^last_use, users: users}} when users == %{} ->
+        {:noreply, %{state | models: Map.delete(state.models, key)}}
 
       _ ->
         {:noreply, state}
@@ -91,11 +91,11 @@ defmodule Situ.Infer.ModelCache do
 
   defp finish_loading(state, key, loading, result) do
     Enum.each(loading.waiting, &GenServer.reply(&1, result))
-    state = %{state | loading: Map.delete(state.loading, key)}
+    state = %{state | loads: Map.delete(state.loads, key)}
 
     case result do
       {:ok, model} ->
-        entry = %{model: model, size: loading.size, users: %{}, used: 0}
+        entry = %{model: model, size: loading.size, users: %{}, last_use: 0}
 
         entry =
           Enum.reduce(loading.waiting, entry, fn {pid, _}, entry -> add_user(entry, pid) end)
@@ -114,19 +114,19 @@ defmodule Situ.Infer.ModelCache do
   end
 
   defp put_entry(state, key, entry) do
-    used = state.used + 1
-    %{state | used: used, loaded: Map.put(state.loaded, key, %{entry | used: used})}
+    uses = state.uses + 1
+    %{state | uses: uses, models: Map.put(state.models, key, %{entry | last_use: uses})}
   end
 
   defp remove_user(state, ref) do
-    case Enum.find(state.loaded, fn {_, entry} -> is_map_key(entry.users, ref) end) do
+    case Enum.find(state.models, fn {_, entry} -> is_map_key(entry.users, ref) end) do
       {key, entry} ->
         users = Map.delete(entry.users, ref)
 
         if users == %{},
-          do: Process.send_after(self(), {:unused, key, entry.used}, state.keep_ms)
+          do: Process.send_after(self(), {:unused, key, entry.last_use}, state.keep_ms)
 
-        %{state | loaded: Map.put(state.loaded, key, %{entry | users: users})}
+        %{state | models: Map.put(state.models, key, %{entry | users: users})}
 
       nil ->
         state
@@ -135,13 +135,13 @@ defmodule Situ.Infer.ModelCache do
 
   # The model just loaded is never evicted, however large it is.
   defp evict_oldest(state, key) do
-    total = state.loaded |> Map.values() |> Enum.map(& &1.size) |> Enum.sum()
-    others = Map.delete(state.loaded, key)
+    total = state.models |> Map.values() |> Enum.map(& &1.size) |> Enum.sum()
+    others = Map.delete(state.models, key)
 
     if total > state.bytes and others != %{} do
-      {oldest, entry} = Enum.min_by(others, fn {_, entry} -> entry.used end)
+      {oldest, entry} = Enum.min_by(others, fn {_, entry} -> entry.last_use end)
       Enum.each(Map.keys(entry.users), &Process.demonitor(&1, [:flush]))
-      evict_oldest(%{state | loaded: Map.delete(state.loaded, oldest)}, key)
+      evict_oldest(%{state | models: Map.delete(state.models, oldest)}, key)
     else
       state
     end

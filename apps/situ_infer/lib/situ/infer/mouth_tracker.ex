@@ -17,19 +17,21 @@ defmodule Situ.Infer.MouthTracker do
   def init(_opts), do: {:ok, %{}}
 
   @impl true
-  def handle_message(:in, message, _context, known) do
+  def handle_message(:in, message, _context, latest) do
     time = message.originating_time
 
     mouths =
       Map.new(message.data, fn mesh ->
         {mesh.id,
-         Mouth.track_opening(known[mesh.id], time, Mouth.measure_opening(mesh), mesh.rect)}
+         Mouth.track_opening(latest[mesh.id], time, Mouth.measure_opening(mesh), mesh.rect)}
       end)
 
-    known = known |> Map.merge(mouths) |> Map.filter(fn {_, m} -> time - m.time < @forget_ns end)
-    {[{:out, time, mouths}], known}
+    latest =
+      latest |> Map.merge(mouths) |> Map.filter(fn {_, m} -> time - m.time < @forget_ns end)
+
+    {[{:out, time, mouths}], latest}
   end
 
   @impl true
-  def describe(known), do: "#{map_size(known)} mouths known"
+  def describe(latest), do: "#{map_size(latest)} mouths known"
 end

@@ -64,7 +64,7 @@ defmodule Situ.Infer.ObjectDetector do
   alias Situ.Infer.{Labels, Model, Patch, Suppression}
   alias Situ.Infer.Vision.{HalfToFloat, ImageInput}
 
-  defstruct [:opts, :model, :input, :output, :halves, :labels, :masks]
+  defstruct [:opts, :model, :input, :output, :half_converter, :labels, :masks]
 
   @doc "Returns a function that finds the objects in an image and their masks, for programs without pipelines."
   @spec load(keyword()) ::
@@ -97,7 +97,7 @@ defmodule Situ.Infer.ObjectDetector do
          {:ok, output} <- Labels.choose_output(model, opts.output),
          {:ok, masks} <- open_masks(model, opts.masks),
          :ok <- check_output_shape(model, output, opts.version, mask_count(masks)),
-         {:ok, halves} <- HalfToFloat.new(model.outputs[output]),
+         {:ok, half_converter} <- HalfToFloat.new(model.outputs[output]),
          {:ok, input} <- ImageInput.new(model, Keyword.new(opts)) do
       {:ok,
        %__MODULE__{
@@ -105,7 +105,7 @@ defmodule Situ.Infer.ObjectDetector do
          model: model,
          input: input,
          output: output,
-         halves: halves,
+         half_converter: half_converter,
          labels: labels,
          masks: masks
        }}
@@ -121,12 +121,12 @@ defmodule Situ.Infer.ObjectDetector do
   end
 
   defp mask_count(nil), do: 0
-  defp mask_count(masks), do: masks.kinds
+  defp mask_count(masks), do: masks.count
 
-  defp check_output_shape(model, output, version, kinds) do
+  defp check_output_shape(model, output, version, mask_count) do
     {type, shape} = model.outputs[output]
 
-    if type in [:f32, :f16] and Yolo.shape_matches?(version, shape, kinds) do
+    if type in [:f32, :f16] and Yolo.shape_matches?(version, shape, mask_count) do
       :ok
     else
       {:error,
@@ -144,7 +144,7 @@ defmodule Situ.Infer.ObjectDetector do
 
     with {:ok, tensor, patch} <- ImageInput.to_tensor(input, image),
          {:ok, outputs} <- Model.run(state.model, %{input.name => tensor}),
-         {:ok, found} <- HalfToFloat.to_floats(state.halves, outputs[state.output]) do
+         {:ok, found} <- HalfToFloat.to_floats(state.half_converter, outputs[state.output]) do
       boxes =
         found
         |> Yolo.parse_boxes(opts.version, opts.min_score / 1, mask_count(state.masks))
@@ -162,8 +162,8 @@ defmodule Situ.Infer.ObjectDetector do
 
   # Converts network pixels to image pixels, and clips the rectangle to the image.
   defp to_image_rect(box, patch, image, labels) do
-    {x0, y0} = Patch.to_picture(patch, {box.x - 0.5, box.y - 0.5})
-    {x1, y1} = Patch.to_picture(patch, {box.x + box.width - 0.5, box.y + box.height - 0.5})
+    {x0, y0} = Patch.to_image_point(patch, {box.x - 0.5, box.y - 0.5})
+    {x1, y1} = Patch.to_image_point(patch, {box.x + box.width - 0.5, box.y + box.height - 0.5})
     {x0, x1} = {clamp(x0 + 0.5, image.width), clamp(x1 + 0.5, image.width)}
     {y0, y1} = {clamp(y0 + 0.5, image.height), clamp(y1 + 0.5, image.height)}
 

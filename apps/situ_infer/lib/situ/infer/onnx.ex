@@ -89,14 +89,14 @@ defmodule Situ.Infer.Onnx do
   end
 
   # Returns the fields of a message that are bytes, or none if the message is malformed.
-  defp parse_fields(<<>>, found), do: found
+  defp parse_fields(<<>>, fields), do: fields
 
-  defp parse_fields(bytes, found) do
+  defp parse_fields(bytes, fields) do
     with {key, rest} <- parse_varint(bytes, 0, 0),
          {value, rest} <- parse_value(Bitwise.band(key, 7), rest) do
       parse_fields(
         rest,
-        if(is_binary(value), do: [{Bitwise.bsr(key, 3), value} | found], else: found)
+        if(is_binary(value), do: [{Bitwise.bsr(key, 3), value} | fields], else: fields)
       )
     else
       :error -> []

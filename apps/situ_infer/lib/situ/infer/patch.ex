@@ -3,12 +3,12 @@ defmodule Situ.Infer.Patch do
   A square of an image, rotated and scaled as a network's input: the affine map from patch pixels to image pixels.
 
   `cut_tensor/4` samples it (bilinear; black outside the image) directly into an input tensor `{1, size, size, 3}`, RGB.
-  `to_picture/2` maps the network's results back to the image.
+  `to_image_point/2` maps the network's results back to the image.
 
       iex> patch = Situ.Infer.Patch.centered_at({100.0, 50.0}, 64.0, 0.0, 32)
-      iex> Situ.Infer.Patch.to_picture(patch, {16.0, 16.0})
+      iex> Situ.Infer.Patch.to_image_point(patch, {16.0, 16.0})
       {100.0, 50.0}
-      iex> Situ.Infer.Patch.to_picture(patch, {0.0, 0.0})
+      iex> Situ.Infer.Patch.to_image_point(patch, {0.0, 0.0})
       {68.0, 18.0}
   """
 
@@ -53,8 +53,8 @@ defmodule Situ.Infer.Patch do
   end
 
   @doc "Converts a position in the patch to a position in the image."
-  @spec to_picture(t(), point()) :: point()
-  def to_picture(%__MODULE__{matrix: {a, b, c, d, e, f}}, {x, y}),
+  @spec to_image_point(t(), point()) :: point()
+  def to_image_point(%__MODULE__{matrix: {a, b, c, d, e, f}}, {x, y}),
     do: {a * x + b * y + c, d * x + e * y + f}
 
   @doc """

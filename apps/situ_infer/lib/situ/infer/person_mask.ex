@@ -57,7 +57,7 @@ defmodule Situ.Infer.PersonMask do
   ]
 
   @typedoc "The person in an image: a box, its mask, and the scores of all pixels."
-  @type found :: %{rects: [Rect.t()], masks: [Image.t()], scores: Image.t()}
+  @type detection :: %{rects: [Rect.t()], masks: [Image.t()], scores: Image.t()}
 
   defstruct [:opts, :model, :reader]
 
@@ -69,10 +69,13 @@ defmodule Situ.Infer.PersonMask do
 
   @impl true
   def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
-    found = Error.unwrap!(segment_image(state, image))
+    detection = Error.unwrap!(segment_image(state, image))
 
-    {[{:out, time, found.rects}, {:masks, time, found.masks}, {:scores, time, found.scores}],
-     state}
+    {[
+       {:out, time, detection.rects},
+       {:masks, time, detection.masks},
+       {:scores, time, detection.scores}
+     ], state}
   end
 
   @impl true
@@ -82,7 +85,7 @@ defmodule Situ.Infer.PersonMask do
   Finds the person in one image, without a pipeline. See the options above. Returns the errors of `Situ.Infer.Model` and
   `:bad_image`.
   """
-  @spec find_person(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
+  @spec find_person(Image.t(), keyword()) :: {:ok, detection()} | {:error, Error.t()}
   def find_person(%Image{} = image, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, state} <- load_models(opts),
@@ -98,13 +101,13 @@ defmodule Situ.Infer.PersonMask do
 
   # ONNX Runtime evaluates the 65,536 scores too, since that is faster than Elixir.
   defp encode_reader do
-    place = fn name -> {name, :u8, {1, @side, @side, 1}} end
+    mask_port = fn name -> {name, :u8, {1, @side, @side, 1}} end
 
     Onnx.encode(
       inputs: [{"person", :f32, {1, @side, @side, 1}}, {"least", :f32, {1}}],
       outputs: [
-        place.("scores"),
-        place.("mask"),
+        mask_port.("scores"),
+        mask_port.("mask"),
         {"columns", :f32, {@side}},
         {"rows", :f32, {@side}},
         {"sum", :f32, {1}}
@@ -169,7 +172,7 @@ defmodule Situ.Infer.PersonMask do
   defp occupied_span(parts) do
     case for {part, i} <- Enum.with_index(parts), part > @speck, do: i do
       [] -> nil
-      [first | _] = found -> {first, List.last(found) - first + 1}
+      [first | _] = positions -> {first, List.last(positions) - first + 1}
     end
   end
 

@@ -25,13 +25,18 @@ defmodule Situ.Infer.Punctuator do
 
   @impl true
   def init(opts) do
-    with {:ok, loaded} <- opts[:punctuation].load(opts[:options]),
-         do: {:ok, {opts[:punctuation], loaded}}
+    with {:ok, punctuation} <- opts[:punctuation].load(opts[:options]),
+         do: {:ok, {opts[:punctuation], punctuation}}
   end
 
   @impl true
-  def handle_message(:in, %{data: said, originating_time: time}, _context, {module, loaded}) do
-    text = Error.unwrap!(module.punctuate(loaded, said.text))
-    {[{:out, time, %{said | text: text}}], {module, loaded}}
+  def handle_message(
+        :in,
+        %{data: utterance, originating_time: time},
+        _context,
+        {module, punctuation}
+      ) do
+    text = Error.unwrap!(module.punctuate(punctuation, utterance.text))
+    {[{:out, time, %{utterance | text: text}}], {module, punctuation}}
   end
 end

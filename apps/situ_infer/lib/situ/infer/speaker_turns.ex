@@ -47,19 +47,19 @@ defmodule Situ.Infer.SpeakerTurns do
   @soon 300_000_000
   @later 1_200_000_000
   # No segment of speech is cut shorter than this.
-  @piece 300_000_000
+  @shortest_segment 300_000_000
   # Emitted values are kept for this long, to know how long a voice has lasted.
   @memory 4_000_000_000
 
   defstruct [
               :opts,
-              held: :queue.new(),
-              heard_to: nil,
-              past: [],
-              asked: :queue.new(),
-              seen_to: nil
+              queue: :queue.new(),
+              voice_to: nil,
+              history: [],
+              images: :queue.new(),
+              images_to: nil
             ] ++
-              [runs: [], done: nil, cuts: []]
+              [runs: [], handled_to: nil, cuts: []]
 
   @type t :: %__MODULE__{}
 
@@ -79,7 +79,7 @@ defmodule Situ.Infer.SpeakerTurns do
 
   @impl true
   def handle_closed(:heard, _time, _context, state),
-    do: decide_speakers(%{state | heard_to: :infinity})
+    do: decide_speakers(%{state | voice_to: :infinity})
 
   def handle_closed(:who, _time, _context, state), do: push_speakers(state, :infinity, %{})
 
@@ -90,23 +90,23 @@ defmodule Situ.Infer.SpeakerTurns do
     do:
       decide_speakers(%{
         state
-        | held: :queue.in({time, speaking?, voice}, state.held),
-          heard_to: time
+        | queue: :queue.in({time, speaking?, voice}, state.queue),
+          voice_to: time
       })
 
   @doc "Records which faces speak at `time` (`:infinity` at the end). Returns the actions that are now certain."
   @spec push_speakers(t(), Situ.Time.t() | :infinity, %{term() => boolean()}) ::
           {[{:out, Situ.Time.t(), boolean()}], t()}
   def push_speakers(%__MODULE__{} = state, time, who),
-    do: decide_speakers(%{state | asked: :queue.in({time, speaking_face(who)}, state.asked)})
+    do: decide_speakers(%{state | images: :queue.in({time, speaking_face(who)}, state.images)})
 
   # Handles images one by one, each when the audio around it is known, so the order of arrival does not matter.
-  defp decide_speakers(%{heard_to: nil} = state), do: {[], state}
+  defp decide_speakers(%{voice_to: nil} = state), do: {[], state}
 
   defp decide_speakers(state) do
-    case :queue.peek(state.asked) do
-      {:value, {time, who}} when time == :infinity or state.heard_to >= time + @soon ->
-        state = %{state | asked: :queue.drop(state.asked), seen_to: time}
+    case :queue.peek(state.images) do
+      {:value, {time, who}} when time == :infinity or state.voice_to >= time + @soon ->
+        state = %{state | images: :queue.drop(state.images), images_to: time}
         {actions, state} = state |> extend_runs(time, who) |> cut_changes() |> release_values([])
         {more, state} = decide_speakers(state)
         {actions ++ more, state}
@@ -127,16 +127,17 @@ defmodule Situ.Infer.SpeakerTurns do
   end
 
   defp release_values(%{opts: opts} = state, out) do
-    case :queue.peek(state.held) do
+    case :queue.peek(state.queue) do
       {:value, {time, speaking?, voice}}
-      when state.seen_to == :infinity or
-             (state.seen_to != nil and state.seen_to > time + @later + opts.nobody) ->
-        past = [
-          {time, speaking?, voice} | Enum.take_while(state.past, &(time - elem(&1, 0) < @memory))
+      when state.images_to == :infinity or
+             (state.images_to != nil and state.images_to > time + @later + opts.nobody) ->
+        history = [
+          {time, speaking?, voice}
+          | Enum.take_while(state.history, &(time - elem(&1, 0) < @memory))
         ]
 
         out = [{:out, time, speaking? and time not in state.cuts} | out]
-        release_values(%{state | held: :queue.drop(state.held), past: past}, out)
+        release_values(%{state | queue: :queue.drop(state.queue), history: history}, out)
 
       _ ->
         {Enum.reverse(out), state}
@@ -144,18 +145,18 @@ defmodule Situ.Infer.SpeakerTurns do
   end
 
   # Handles the changes of speaker that are certain and not yet handled, oldest first.
-  defp cut_changes(%{seen_to: :infinity} = state), do: state
+  defp cut_changes(%{images_to: :infinity} = state), do: state
 
   defp cut_changes(state) do
     for(
       {from, _, _} = change <- list_changes(list_turns(state)),
-      state.done == nil or from > state.done,
+      state.handled_to == nil or from > state.handled_to,
       do: change
     )
     |> Enum.reduce(state, fn {from, _, _} = change, state ->
       case find_cut(state, change) do
-        nil -> %{state | done: from}
-        time -> %{state | done: from, cuts: [time | Enum.take(state.cuts, 3)]}
+        nil -> %{state | handled_to: from}
+        time -> %{state | handled_to: from, cuts: [time | Enum.take(state.cuts, 3)]}
       end
     end)
   end
@@ -186,8 +187,8 @@ defmodule Situ.Infer.SpeakerTurns do
   # Returns all values that are relevant to the current image.
   defp audible_values(state) do
     Enum.reverse(
-      state.past,
-      Enum.take_while(:queue.to_list(state.held), &(elem(&1, 0) <= state.seen_to + @soon))
+      state.history,
+      Enum.take_while(:queue.to_list(state.queue), &(elem(&1, 0) <= state.images_to + @soon))
     )
   end
 
@@ -196,25 +197,29 @@ defmodule Situ.Infer.SpeakerTurns do
     {first, last} = if who == nil, do: {from - @later, from}, else: {from - @late, from + @soon}
     heard = audible_values(state)
 
-    near =
+    values =
       for {time, speaking?, _} <- heard, time >= min(first, left), time <= last, do: speaking?
 
-    if near != [] and Enum.all?(near), do: quietest_moment(state, change, heard, first, last)
+    if values != [] and Enum.all?(values),
+      do: quietest_moment(state, change, heard, first, last)
   end
 
   defp quietest_moment(state, {from, _, _}, heard, first, last) do
     ends = for {time, speaking?, _} <- heard, not speaking? or time in state.cuts, do: time
-    free? = fn time -> Enum.all?(ends, &(abs(time - &1) >= @piece)) end
-    waiting = with {:value, {time, _, _}} <- :queue.peek(state.held), do: time, else: (_ -> :none)
+    far_from_cuts? = fn time -> Enum.all?(ends, &(abs(time - &1) >= @shortest_segment)) end
 
-    places =
+    waiting =
+      with {:value, {time, _, _}} <- :queue.peek(state.queue), do: time, else: (_ -> :none)
+
+    moments =
       for [{_, _, a}, {time, _, b}, {_, _, c}] <- Enum.chunk_every(heard, 3, 1, :discard),
-          time >= max(first, waiting) and time <= last and free?.(time),
+          time >= max(first, waiting) and time <= last and far_from_cuts?.(time),
           do: {time, a.probability + b.probability + c.probability, a.level + b.level + c.level}
 
-    loud = Enum.reduce(places, 1.0e-9, fn {_, _, level}, sum -> sum + level / length(places) end)
+    loud =
+      Enum.reduce(moments, 1.0e-9, fn {_, _, level}, sum -> sum + level / length(moments) end)
 
-    places
+    moments
     |> Enum.map(fn {time, p, level} ->
       {p / 3 + level / loud / 2 + abs(time - from) * 0.6e-9, time}
     end)

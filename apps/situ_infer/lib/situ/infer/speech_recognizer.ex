@@ -90,13 +90,13 @@ defmodule Situ.Infer.SpeechRecognizer do
     :model,
     :now,
     sound: [],
-    heard_to: nil,
-    deaf?: false,
-    asked: :queue.new(),
-    asked_to: nil,
-    answered_to: nil,
-    said_to: nil,
-    open: nil
+    sound_to: nil,
+    sound_closed?: false,
+    queue: :queue.new(),
+    queued_to: nil,
+    handled_to: nil,
+    recognized_to: nil,
+    utterance: nil
   ]
 
   @impl true
@@ -109,7 +109,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   @impl true
   def handle_message(:sound, %{data: buffer, originating_time: time}, context, state) do
     sound = [{time, buffer} | state.sound]
-    handle_queue(%{state | sound: sound, heard_to: time, now: context.now})
+    handle_queue(%{state | sound: sound, sound_to: time, now: context.now})
   end
 
   def handle_message(:speaking, %{data: speaking?, originating_time: time}, context, state),
@@ -117,29 +117,30 @@ defmodule Situ.Infer.SpeechRecognizer do
 
   # Earlier speech is still recognized with the options that were valid then.
   def handle_message(:options, %{data: changes}, _context, state),
-    do: handle_queue(%{state | asked: :queue.in({:options, changes}, state.asked)})
+    do: handle_queue(%{state | queue: :queue.in({:options, changes}, state.queue)})
 
   @impl true
   def handle_closed(:options, _time, _context, state), do: {[], state}
 
-  def handle_closed(:sound, _time, _context, state), do: handle_queue(%{state | deaf?: true})
+  def handle_closed(:sound, _time, _context, state),
+    do: handle_queue(%{state | sound_closed?: true})
 
   def handle_closed(:speaking, _time, _context, state),
     do: state |> queue_value(:closed, :infinity) |> handle_queue()
 
   @impl true
-  def describe(%{open: nil}), do: "nobody speaks"
+  def describe(%{utterance: nil}), do: "nobody speaks"
   def describe(_state), do: "somebody speaks"
 
   defp queue_value(state, value, to),
-    do: %{state | asked: :queue.in(value, state.asked), asked_to: to}
+    do: %{state | queue: :queue.in(value, state.queue), queued_to: to}
 
   # Each value of `speaking` is handled once the audio around it has arrived; option changes keep their order.
   defp handle_queue(state) do
-    case :queue.peek(state.asked) do
+    case :queue.peek(state.queue) do
       {:value, next} ->
         if can_handle?(state, next) do
-          {actions, state} = handle_value(next, %{state | asked: :queue.drop(state.asked)})
+          {actions, state} = handle_value(next, %{state | queue: :queue.drop(state.queue)})
           {more, state} = handle_queue(state)
           {actions ++ more, state}
         else
@@ -152,35 +153,37 @@ defmodule Situ.Infer.SpeechRecognizer do
   end
 
   # There is newer audio for which it is not yet known whether it is a pause or the end.
-  defp recognize_early(%{opts: %{early: early}, open: %{to: to} = open} = state)
+  defp recognize_early(%{opts: %{early: early}, utterance: %{to: to} = utterance} = state)
        when early != nil do
-    enough? = to - open.from >= state.opts.shortest
+    enough? = to - utterance.from >= state.opts.shortest
 
     pause? =
-      enough? and state.heard_to != nil and state.heard_to - to >= max(early, state.opts.margin)
+      enough? and state.sound_to != nil and state.sound_to - to >= max(early, state.opts.margin)
 
-    if pause? and not match?({^to, _}, open.early), do: store_early_result(state), else: state
+    if pause? and not match?({^to, _}, utterance.early),
+      do: store_early_result(state),
+      else: state
   end
 
   defp recognize_early(state), do: state
 
-  defp store_early_result(%{open: %{to: to}} = state),
-    do: put_in(state.open.early, {to, recognize_until(state, to + state.opts.margin)})
+  defp store_early_result(%{utterance: %{to: to}} = state),
+    do: put_in(state.utterance.early, {to, recognize_until(state, to + state.opts.margin)})
 
   defp can_handle?(_state, {:options, _changes}), do: true
-  defp can_handle?(%{deaf?: true, asked_to: :infinity}, _next), do: true
+  defp can_handle?(%{sound_closed?: true, queued_to: :infinity}, _next), do: true
 
-  defp can_handle?(%{deaf?: true} = state, next),
-    do: can_handle?(%{state | deaf?: false, heard_to: :infinity}, next)
+  defp can_handle?(%{sound_closed?: true} = state, next),
+    do: can_handle?(%{state | sound_closed?: false, sound_to: :infinity}, next)
 
   defp can_handle?(_state, :closed), do: false
-  defp can_handle?(%{heard_to: nil}, _next), do: false
+  defp can_handle?(%{sound_to: nil}, _next), do: false
 
   # With turns, the margin after speech ends where the next speech starts, so that must be known, too.
-  defp can_handle?(%{open: open, opts: opts} = state, {time, speaking?}) do
+  defp can_handle?(%{utterance: utterance, opts: opts} = state, {time, speaking?}) do
     until = time + opts.margin
-    known? = speaking? or open == nil or not opts.turns or state.asked_to >= until
-    known? and state.heard_to >= until
+    known? = speaking? or utterance == nil or not opts.turns or state.queued_to >= until
+    known? and state.sound_to >= until
   end
 
   defp handle_value({:options, changes}, %{opts: opts} = state) do
@@ -189,18 +192,20 @@ defmodule Situ.Infer.SpeechRecognizer do
     {[], %{state | model: model, opts: %{opts | recognizer_options: own}}}
   end
 
-  defp handle_value(:closed, %{open: nil} = state), do: {[], state}
+  defp handle_value(:closed, %{utterance: nil} = state), do: {[], state}
   defp handle_value(:closed, state), do: finish_utterance(state)
 
-  defp handle_value({time, true}, %{open: nil} = state) do
+  defp handle_value({time, true}, %{utterance: nil} = state) do
     # The first value of `true` covers the audio before it.
-    from = max(time - @value, state.answered_to || time - @value)
-    {[], %{state | open: %{from: from, to: time, said: from, early: nil}, answered_to: time}}
+    from = max(time - @value, state.handled_to || time - @value)
+
+    {[],
+     %{state | utterance: %{from: from, to: time, partial_to: from, early: nil}, handled_to: time}}
   end
 
-  defp handle_value({time, true}, %{open: open, opts: opts} = state) do
-    state = %{state | open: %{open | to: time}, answered_to: time}
-    length = time - open.from
+  defp handle_value({time, true}, %{utterance: utterance, opts: opts} = state) do
+    state = %{state | utterance: %{utterance | to: time}, handled_to: time}
+    length = time - utterance.from
 
     cond do
       length >= opts.longest ->
@@ -209,7 +214,7 @@ defmodule Situ.Infer.SpeechRecognizer do
       too_late?(state, time) ->
         {[], state}
 
-      opts.partial && time - open.said >= max(opts.partial, div(length, 10)) ->
+      opts.partial && time - utterance.partial_to >= max(opts.partial, div(length, 10)) ->
         emit_partial(state)
 
       true ->
@@ -217,29 +222,30 @@ defmodule Situ.Infer.SpeechRecognizer do
     end
   end
 
-  defp handle_value({time, false}, %{open: nil} = state), do: {[], %{state | answered_to: time}}
+  defp handle_value({time, false}, %{utterance: nil} = state),
+    do: {[], %{state | handled_to: time}}
 
   defp handle_value({time, false}, state) do
     {actions, state} = finish_utterance(state)
-    {actions, %{state | answered_to: time}}
+    {actions, %{state | handled_to: time}}
   end
 
   defp too_late?(%{opts: %{late: nil}}, _time), do: false
   defp too_late?(%{opts: %{late: late}, now: now}, time), do: now - time > late
 
-  defp emit_partial(%{open: open} = state) do
-    state = put_in(state.open.said, open.to)
-    {emit_utterance(:partial, recognize_until(state, open.to), open, false), state}
+  defp emit_partial(%{utterance: utterance} = state) do
+    state = put_in(state.utterance.partial_to, utterance.to)
+    {emit_utterance(:partial, recognize_until(state, utterance.to), utterance, false), state}
   end
 
-  defp finish_utterance(%{open: %{from: from, to: to}, opts: %{shortest: shortest}} = state)
+  defp finish_utterance(%{utterance: %{from: from, to: to}, opts: %{shortest: shortest}} = state)
        when to - from < shortest,
-       do: {[], %{state | open: nil}}
+       do: {[], %{state | utterance: nil}}
 
-  defp finish_utterance(%{open: %{to: to, early: {to, result}}} = state),
+  defp finish_utterance(%{utterance: %{to: to, early: {to, result}}} = state),
     do: emit_final(state, result)
 
-  defp finish_utterance(%{open: %{to: to}, opts: opts} = state),
+  defp finish_utterance(%{utterance: %{to: to}, opts: opts} = state),
     do:
       emit_final(
         state,
@@ -247,16 +253,18 @@ defmodule Situ.Infer.SpeechRecognizer do
       )
 
   # Speech that is cut at the maximum length continues without a pause, so there is no margin.
-  defp cut_utterance(state), do: emit_final(state, recognize_until(state, state.open.to))
+  defp cut_utterance(state), do: emit_final(state, recognize_until(state, state.utterance.to))
 
-  defp emit_final(%{open: open} = state, result),
-    do: {emit_utterance(:out, result, open, true), %{state | open: nil, said_to: open.to}}
+  defp emit_final(%{utterance: utterance} = state, result),
+    do:
+      {emit_utterance(:out, result, utterance, true),
+       %{state | utterance: nil, recognized_to: utterance.to}}
 
   # Returns the start of the next utterance if that is near, since its words do not belong to this one.
   defp next_begins(%{opts: %{turns: false}}), do: :infinity
 
-  defp next_begins(%{asked: asked}) do
-    case Enum.find(:queue.to_list(asked), &match?({_, true}, &1)) do
+  defp next_begins(%{queue: queue}) do
+    case Enum.find(:queue.to_list(queue), &match?({_, true}, &1)) do
       {time, true} -> time - @value
       nil -> :infinity
     end
@@ -264,27 +272,27 @@ defmodule Situ.Infer.SpeechRecognizer do
 
   defp emit_utterance(_output, %{text: ""}, _open, _final?), do: []
 
-  defp emit_utterance(output, %{text: text, confidence: confidence} = result, open, final?) do
+  defp emit_utterance(output, %{text: text, confidence: confidence} = result, utterance, final?) do
     words = for word <- result[:words] || [], do: shift_word(word, result.begins)
 
-    said = %Utterance{
+    message = %Utterance{
       text: text,
-      from: open.from,
-      to: open.to,
+      from: utterance.from,
+      to: utterance.to,
       confidence: confidence,
       final?: final?,
       words: words,
       alternatives: result[:alternatives] || []
     }
 
-    [{output, open.to, said}]
+    [{output, utterance.to, message}]
   end
 
   defp shift_word(word, begins), do: %{word | from: begins + word.from, to: begins + word.to}
 
-  defp recognize_until(%{open: open, opts: opts, model: model} = state, to) do
-    from = open.from - opts.margin
-    from = if state.said_to, do: max(from, state.said_to), else: from
+  defp recognize_until(%{utterance: utterance, opts: opts, model: model} = state, to) do
+    from = utterance.from - opts.margin
+    from = if state.recognized_to, do: max(from, state.recognized_to), else: from
 
     case slice_audio(state.sound, from, to) do
       nil ->
@@ -318,11 +326,11 @@ defmodule Situ.Infer.SpeechRecognizer do
     end
   end
 
-  defp drop_old_audio(%{heard_to: nil} = state), do: state
+  defp drop_old_audio(%{sound_to: nil} = state), do: state
 
   defp drop_old_audio(state) do
     oldest =
-      case {state.open, state.answered_to} do
+      case {state.utterance, state.handled_to} do
         {%{from: from}, _} -> from - state.opts.margin
         {nil, nil} -> nil
         {nil, time} -> time - @memory

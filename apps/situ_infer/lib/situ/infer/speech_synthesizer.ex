@@ -39,8 +39,8 @@ defmodule Situ.Infer.SpeechSynthesizer do
       answers |> Situ.via(Situ.Infer.SpeechSynthesizer, synthesizer_options: [voice: "en-gb"]).out
 
   With `marks: true`, the outputs `:words`, `:phonemes` and `:bookmarks` are `Situ.Infer.Speech.Mark`s, each at the time
-  when it starts to be spoken. Not every synthesizer supports them (`c:Situ.Infer.Speech.Synthesizer.speak_marked/2`).
-  `Situ.Annotation.Spans` converts them to annotations.
+  when it starts to be spoken. Not every synthesizer supports them
+  (`c:Situ.Infer.Speech.Synthesizer.speak_with_marks/2`). `Situ.Annotation.Spans` converts them to annotations.
 
   The audio is emitted as soon as it is synthesized, however long it is. `Situ.Assistant.Player` plays it in real time,
   in chunks, and can be stopped.
@@ -64,7 +64,14 @@ defmodule Situ.Infer.SpeechSynthesizer do
 
   @outputs %{word: :words, phoneme: :phonemes, mark: :bookmarks}
 
-  defstruct [:opts, :voice, ends: nil, last: %{}, known: %{}, order: :queue.new()]
+  defstruct [
+    :opts,
+    :voice,
+    audio_to: nil,
+    last_marks: %{},
+    audio_cache: %{},
+    cache_order: :queue.new()
+  ]
 
   @impl true
   def init(opts) do
@@ -81,7 +88,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
   def handle_start(_context, %{opts: opts} = state) do
     voice = Error.unwrap!(opts.synthesizer.load(opts.synthesizer_options))
 
-    if opts.marks and not function_exported?(opts.synthesizer, :speak_marked, 2) do
+    if opts.marks and not function_exported?(opts.synthesizer, :speak_with_marks, 2) do
       raise Error.new(
               :no_marks,
               "#{inspect(opts.synthesizer)} does not support the times of words",
@@ -94,7 +101,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
 
   @impl true
   def handle_message(:in, %{data: text, originating_time: time}, _context, state) do
-    {{sound, marks}, state} = fetch_spoken(state, text)
+    {{sound, marks}, state} = fetch_audio(state, text)
 
     cond do
       sound.data == "" -> {[], state}
@@ -104,13 +111,13 @@ defmodule Situ.Infer.SpeechSynthesizer do
   end
 
   defp schedule_audio(sound, marks, time, state) do
-    begins = max(time, state.ends || time)
+    begins = max(time, state.audio_to || time)
     ends = begins + AudioBuffer.duration_ns(sound)
 
     {actions, last} =
       marks
       |> Enum.filter(&is_map_key(@outputs, &1.kind))
-      |> Enum.map_reduce(state.last, fn mark, last ->
+      |> Enum.map_reduce(state.last_marks, fn mark, last ->
         output = @outputs[mark.kind]
         mark = Mark.shift(mark, begins)
         # Two marks may have the same position in the text.
@@ -118,15 +125,15 @@ defmodule Situ.Infer.SpeechSynthesizer do
         {{output, at, mark}, Map.put(last, output, at)}
       end)
 
-    {actions ++ [{:out, ends, sound}], %{state | ends: ends, last: last}}
+    {actions ++ [{:out, ends, sound}], %{state | audio_to: ends, last_marks: last}}
   end
 
-  defp fetch_spoken(%{known: known} = state, text) when is_map_key(known, text),
-    do: {known[text], state}
+  defp fetch_audio(%{audio_cache: audio_cache} = state, text) when is_map_key(audio_cache, text),
+    do: {audio_cache[text], state}
 
-  defp fetch_spoken(%{opts: opts} = state, text) do
-    {spoken, marks} = synthesize_text(opts, state.voice, text)
-    mono = AudioOps.reformat!(spoken, channels: 1, sample: :s16)
+  defp fetch_audio(%{opts: opts} = state, text) do
+    {audio, marks} = synthesize_text(opts, state.voice, text)
+    mono = AudioOps.reformat!(audio, channels: 1, sample: :s16)
     sound = if mono.data == "", do: mono, else: AudioOps.resample!(mono, opts.rate)
     {{sound, marks}, cache_audio(state, text, {sound, marks})}
   end
@@ -135,7 +142,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
     do: {Error.unwrap!(synthesizer.speak(voice, text)), []}
 
   defp synthesize_text(%{synthesizer: synthesizer}, voice, text) do
-    case synthesizer.speak_marked(voice, text) do
+    case synthesizer.speak_with_marks(voice, text) do
       {:ok, sound, marks} -> {sound, marks}
       {:error, error} -> raise error
     end
@@ -143,15 +150,19 @@ defmodule Situ.Infer.SpeechSynthesizer do
 
   defp cache_audio(%{opts: %{cache: 0}} = state, _text, _sound), do: state
 
-  defp cache_audio(%{known: known, order: order, opts: opts} = state, text, sound) do
-    {known, order} =
-      if map_size(known) < opts.cache do
-        {known, order}
+  defp cache_audio(
+         %{audio_cache: audio_cache, cache_order: order, opts: opts} = state,
+         text,
+         sound
+       ) do
+    {audio_cache, order} =
+      if map_size(audio_cache) < opts.cache do
+        {audio_cache, order}
       else
         {{:value, oldest}, order} = :queue.out(order)
-        {Map.delete(known, oldest), order}
+        {Map.delete(audio_cache, oldest), order}
       end
 
-    %{state | known: Map.put(known, text, sound), order: :queue.in(text, order)}
+    %{state | audio_cache: Map.put(audio_cache, text, sound), cache_order: :queue.in(text, order)}
   end
 end

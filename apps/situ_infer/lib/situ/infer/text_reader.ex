@@ -64,14 +64,14 @@ defmodule Situ.Infer.TextReader do
   @shortest_line 320
   @longest_line 3_200
 
-  @enforce_keys [:finder, :reader, :glue, :signs, :opts]
+  @enforce_keys [:finder, :reader, :glue, :characters, :opts]
   defstruct @enforce_keys
 
   @type t :: %__MODULE__{
           finder: Model.t(),
           reader: Model.t(),
           glue: Model.t(),
-          signs: tuple(),
+          characters: tuple(),
           opts: map()
         }
 
@@ -95,20 +95,26 @@ defmodule Situ.Infer.TextReader do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, finder} <- ModelStore.locate_file(opts[:folder], @name, @finder),
          {:ok, reader} <- ModelStore.locate_file(opts[:folder], @name, @reader),
-         {:ok, signs} <- load_characters(reader),
+         {:ok, characters} <- load_characters(reader),
          {:ok, finder} <- Model.load_shared(finder, [{:inputs, picture} | settings]),
          {:ok, reader} <- Model.load_shared(reader, [{:inputs, picture} | settings]),
          {:ok, glue} <- Model.from_bytes(encode_glue(), "text input", settings) do
       {:ok,
-       %__MODULE__{finder: finder, reader: reader, glue: glue, signs: signs, opts: Map.new(opts)}}
+       %__MODULE__{
+         finder: finder,
+         reader: reader,
+         glue: glue,
+         characters: characters,
+         opts: Map.new(opts)
+       }}
     end
   end
 
-  # Sign 0 is the blank; the last sign, which the file does not list, is a space.
+  # Character 0 is the blank; the last character, which the file does not list, is a space.
   defp load_characters(path) do
     with {:ok, bytes} <- File.read(path),
-         %{"character" => signs} <- Onnx.parse_metadata(bytes) do
-      {:ok, List.to_tuple([""] ++ String.split(signs, ["\r\n", "\n"]) ++ [" "])}
+         %{"character" => characters} <- Onnx.parse_metadata(bytes) do
+      {:ok, List.to_tuple([""] ++ String.split(characters, ["\r\n", "\n"]) ++ [" "])}
     else
       {:error, _} ->
         {:error, Error.new(:no_model_file, "file #{path} does not exist", fix: fetch_hint())}
@@ -175,14 +181,14 @@ defmodule Situ.Infer.TextReader do
   end
 
   # Converts from map pixels to image pixels; the horizontal and vertical scales differ slightly.
-  defp scale_line(%{center: {x, y}, right: {ux, uy}, width: w, height: h} = place, kx, ky) do
+  defp scale_line(%{center: {x, y}, right: {ux, uy}, width: w, height: h} = region, kx, ky) do
     {rx, ry} = {ux * kx, uy * ky}
     along = :math.sqrt(rx * rx + ry * ry)
     {dx, dy} = {-uy * kx, ux * ky}
     across = :math.sqrt(dx * dx + dy * dy)
 
     %{
-      place
+      region
       | center: {(x + 0.5) * kx - 0.5, (y + 0.5) * ky - 0.5},
         right: {rx / along, ry / along},
         width: w * along,
@@ -190,10 +196,10 @@ defmodule Situ.Infer.TextReader do
     }
   end
 
-  defp read_line(%{center: {cx, cy}, right: {ux, uy}} = place, reader, image) do
-    k = place.height / @line
-    width = (place.width / k) |> ceil() |> max(@line) |> min(@longest_line)
-    kx = place.width / width
+  defp read_line(%{center: {cx, cy}, right: {ux, uy}} = region, reader, image) do
+    k = region.height / @line
+    width = (region.width / k) |> ceil() |> max(@line) |> min(@longest_line)
+    kx = region.width / width
     {a, d, b, e} = {ux * kx, uy * kx, -uy * k, ux * k}
     {mx, my} = {(width - 1) / 2, (@line - 1) / 2}
     matrix = {a, b, cx - a * mx - b * my, d, e, cy - d * mx - e * my}
@@ -201,25 +207,33 @@ defmodule Situ.Infer.TextReader do
     with {:ok, pixels} <- Patch.cut_affine(image, matrix, {width, @line}, @scale, @offset),
          {:ok, chances} <-
            run_network(reader, reader.reader, pixels, max(@shortest_line - width, 0)),
-         do: {:ok, decode_text(chances, reader.signs)}
+         do: {:ok, decode_text(chances, reader.characters)}
   end
 
-  # Takes the most likely sign of each step, merges repeated signs, and drops sign 0 (CTC decoding).
-  defp decode_text(%Tensor{shape: {1, _, signs}, data: data}, names) do
+  # Takes the most likely character of each step, merges repeated characters, and drops character 0 (CTC decoding).
+  defp decode_text(%Tensor{shape: {1, _, characters}, data: data}, names) do
     steps =
-      for <<step::binary-pinned_size(signs * 4) <- data>>, do: likeliest_sign(step, 0, {0, 0.0})
+      for <<step::binary-pinned_size(characters * 4) <- data>>,
+        do: likeliest_character(step, 0, {0, 0.0})
 
-    said = steps |> Enum.dedup_by(&elem(&1, 0)) |> Enum.reject(&(elem(&1, 0) == 0))
-    text = for {i, _} <- said, i < tuple_size(names), into: "", do: elem(names, i)
-    score = if said == [], do: 0.0, else: Enum.sum(Enum.map(said, &elem(&1, 1))) / length(said)
+    letters = steps |> Enum.dedup_by(&elem(&1, 0)) |> Enum.reject(&(elem(&1, 0) == 0))
+    text = for {i, _} <- letters, i < tuple_size(names), into: "", do: elem(names, i)
+
+    score =
+      if letters == [],
+        do: 0.0,
+        else: Enum.sum(Enum.map(letters, &elem(&1, 1))) / length(letters)
+
     {String.trim(text), score}
   end
 
-  defp likeliest_sign(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
-    do: likeliest_sign(rest, i + 1, {i, p})
+  defp likeliest_character(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
+    do: likeliest_character(rest, i + 1, {i, p})
 
-  defp likeliest_sign(<<_::32, rest::binary>>, i, best), do: likeliest_sign(rest, i + 1, best)
-  defp likeliest_sign(<<>>, _i, best), do: best
+  defp likeliest_character(<<_::32, rest::binary>>, i, best),
+    do: likeliest_character(rest, i + 1, best)
+
+  defp likeliest_character(<<>>, _i, best), do: best
 
   defp upright_rect(%{center: {cx, cy}, right: {ux, uy}, width: w, height: h}, text, score) do
     {w, h} = {abs(ux) * w + abs(uy) * h, abs(uy) * w + abs(ux) * h}

@@ -46,14 +46,14 @@ defmodule Situ.Infer.VoiceGate do
   #{Situ.Options.docs(@schema)}
   """
 
-  defstruct [:opts, open: nil, last: nil, sure?: false, held: []]
+  defstruct [:opts, open: nil, last: nil, sure?: false, pending: []]
 
   @type t :: %__MODULE__{
           opts: map(),
           open: Situ.Time.t() | nil,
           last: Situ.Time.t() | nil,
           sure?: boolean(),
-          held: [Situ.Time.t()]
+          pending: [Situ.Time.t()]
         }
   @type event ::
           {Situ.Time.t(), boolean()} | {:segment, start :: Situ.Time.t(), stop :: Situ.Time.t()}
@@ -99,20 +99,20 @@ defmodule Situ.Infer.VoiceGate do
     gate = %{gate | last: time, sure?: sure?}
 
     cond do
-      sure? -> {stamp_values([time | gate.held], true), %{gate | held: []}}
+      sure? -> {stamp_values([time | gate.pending], true), %{gate | pending: []}}
       gate.opts.decide == :at_once -> {[{time, false}], gate}
-      true -> {[], %{gate | held: [time | gate.held]}}
+      true -> {[], %{gate | pending: [time | gate.pending]}}
     end
   end
 
   defp push_unvoiced(%{opts: %{decide: :at_once}} = gate, time), do: {[{time, gate.sure?}], gate}
-  defp push_unvoiced(gate, time), do: {[], %{gate | held: [time | gate.held]}}
+  defp push_unvoiced(gate, time), do: {[], %{gate | pending: [time | gate.pending]}}
 
   defp close_segment(gate, now) do
     segment = if gate.sure?, do: [{:segment, gate.open, gate.last}], else: []
 
-    {stamp_values(now ++ gate.held, false) ++ segment,
-     %{gate | open: nil, last: nil, sure?: false, held: []}}
+    {stamp_values(now ++ gate.pending, false) ++ segment,
+     %{gate | open: nil, last: nil, sure?: false, pending: []}}
   end
 
   defp stamp_values(times, value), do: times |> Enum.reverse() |> Enum.map(&{&1, value})

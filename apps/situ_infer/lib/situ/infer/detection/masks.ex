@@ -7,12 +7,12 @@ defmodule Situ.Infer.Detection.Masks do
   alias Situ.{Error, Image, Tensor}
   alias Situ.Infer.{Model, Onnx}
 
-  @enforce_keys [:model, :kinds, :size]
-  defstruct [:model, :kinds, :size]
+  @enforce_keys [:model, :count, :size]
+  defstruct [:model, :count, :size]
 
   @type t :: %__MODULE__{
           model: Model.t(),
-          kinds: pos_integer(),
+          count: pos_integer(),
           size: {pos_integer(), pos_integer()}
         }
 
@@ -20,14 +20,14 @@ defmodule Situ.Infer.Detection.Masks do
   @spec new(tuple(), Tensor.element_type()) :: {:ok, t()} | {:error, Error.t()}
   def new(shape, type \\ :f32)
 
-  def new({_, kinds, h, w}, type)
-      when kinds > 0 and h > 0 and w > 0 and type in [:f32, :f16] do
+  def new({_, count, h, w}, type)
+      when count > 0 and h > 0 and w > 0 and type in [:f32, :f16] do
     bytes =
       Onnx.encode(
-        inputs: [{"weights", :f32, {nil, kinds}}, {"prototypes", type, {1, kinds, h, w}}],
+        inputs: [{"weights", :f32, {nil, count}}, {"prototypes", type, {1, count, h, w}}],
         outputs: [{"masks", :u8, {nil, h * w}}],
         constants: %{
-          "flat" => Tensor.from_list([kinds, h * w], :s64, {2}),
+          "flat" => Tensor.from_list([count, h * w], :s64, {2}),
           "zero" => Tensor.from_list([0.0], :f32, {1}),
           "white" => Tensor.from_list([255.0], :f32, {1})
         },
@@ -44,7 +44,7 @@ defmodule Situ.Infer.Detection.Masks do
       )
 
     with {:ok, model} <- Model.from_bytes(bytes, "masks", warm_up: 0, sessions: 1),
-         do: {:ok, %__MODULE__{model: model, kinds: kinds, size: {w, h}}}
+         do: {:ok, %__MODULE__{model: model, count: count, size: {w, h}}}
   end
 
   def new(shape, _type) do
@@ -66,7 +66,7 @@ defmodule Situ.Infer.Detection.Masks do
 
   def cut_masks(%__MODULE__{size: {w, h}} = masks, boxes, prototypes, side) do
     weights =
-      Tensor.from_list(Enum.flat_map(boxes, & &1.mask), :f32, {length(boxes), masks.kinds})
+      Tensor.from_list(Enum.flat_map(boxes, & &1.mask), :f32, {length(boxes), masks.count})
 
     with {:ok, %{"masks" => all}} <-
            Model.run(masks.model, %{"weights" => weights, "prototypes" => prototypes}) do

@@ -82,10 +82,10 @@ defmodule Situ.Infer.Detection.Yolo do
     classes = rows - 4 - masks
 
     0..(classes - 1)//1
-    |> Enum.reduce(%{}, fn class, found ->
+    |> Enum.reduce(%{}, fn class, best ->
       data
       |> binary_part((4 + class) * n * 4, n * 4)
-      |> update_best_classes(0, class, min_score, found)
+      |> update_best_classes(0, class, min_score, best)
     end)
     |> Enum.flat_map(fn {i, {score, class}} ->
       parse_box_column(data, i, n, classes, masks, class, score)
@@ -121,19 +121,19 @@ defmodule Situ.Infer.Detection.Yolo do
   defp best_class(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
     do: best_class(rest, i + 1, {i, p})
 
-  defp best_class(<<_::32, rest::binary>>, i, found), do: best_class(rest, i + 1, found)
-  defp best_class(<<>>, _i, found), do: found
+  defp best_class(<<_::32, rest::binary>>, i, best), do: best_class(rest, i + 1, best)
+  defp best_class(<<>>, _i, best), do: best
 
-  defp update_best_classes(<<p::float-native-32, rest::binary>>, i, class, min, found)
+  defp update_best_classes(<<p::float-native-32, rest::binary>>, i, class, min, best)
        when p >= min do
-    found = Map.update(found, i, {p, class}, &if(p > elem(&1, 0), do: {p, class}, else: &1))
-    update_best_classes(rest, i + 1, class, min, found)
+    best = Map.update(best, i, {p, class}, &if(p > elem(&1, 0), do: {p, class}, else: &1))
+    update_best_classes(rest, i + 1, class, min, best)
   end
 
-  defp update_best_classes(<<_::32, rest::binary>>, i, class, min, found),
-    do: update_best_classes(rest, i + 1, class, min, found)
+  defp update_best_classes(<<_::32, rest::binary>>, i, class, min, best),
+    do: update_best_classes(rest, i + 1, class, min, best)
 
-  defp update_best_classes(<<>>, _i, _class, _min, found), do: found
+  defp update_best_classes(<<>>, _i, _class, _min, best), do: best
 
   defp parse_box_column(data, i, n, classes, masks, class, score) do
     [cx, cy, w, h] = for row <- 0..3, do: float_at(data, row * n + i)

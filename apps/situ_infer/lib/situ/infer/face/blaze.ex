@@ -44,14 +44,14 @@ defmodule Situ.Infer.Face.Blaze do
   end
 
   # Scores that are not finite numbers do not count as faces.
-  defp collect_candidates(<<score::float-native-32, rest::binary>>, min, i, found)
+  defp collect_candidates(<<score::float-native-32, rest::binary>>, min, i, candidates)
        when score > min,
-       do: collect_candidates(rest, min, i + 1, [{i, score} | found])
+       do: collect_candidates(rest, min, i + 1, [{i, score} | candidates])
 
-  defp collect_candidates(<<_::32, rest::binary>>, min, i, found),
-    do: collect_candidates(rest, min, i + 1, found)
+  defp collect_candidates(<<_::32, rest::binary>>, min, i, candidates),
+    do: collect_candidates(rest, min, i + 1, candidates)
 
-  defp collect_candidates(<<>>, _min, _i, found), do: found
+  defp collect_candidates(<<>>, _min, _i, candidates), do: candidates
 
   defp build_face(boxes, index, score, patch) do
     {ax, ay} = anchor_center(index)
@@ -84,7 +84,7 @@ defmodule Situ.Infer.Face.Blaze do
 
   # Offsets refer to pixel areas, but patches map pixel centres, so half a pixel is subtracted and added again.
   defp to_image_point(patch, x, y) do
-    {px, py} = Patch.to_picture(patch, {x - 0.5, y - 0.5})
+    {px, py} = Patch.to_image_point(patch, {x - 0.5, y - 0.5})
     {px + 0.5, py + 0.5}
   end
 

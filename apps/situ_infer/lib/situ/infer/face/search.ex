@@ -34,15 +34,15 @@ defmodule Situ.Infer.Face.Search do
     :every,
     size: nil,
     tiles: [],
-    turn: [],
+    next_tiles: [],
     faces: [],
     views: [],
-    looked_at: nil,
+    searched_at: nil,
     resting?: false
   ]
 
   @type t :: %__MODULE__{}
-  @type look :: (Patch.t(), float() -> {:ok, [Face.t()]} | {:error, Situ.Error.t()})
+  @type detect :: (Patch.t(), float() -> {:ok, [Face.t()]} | {:error, Situ.Error.t()})
 
   @spec new(keyword()) :: t()
   def new(opts) do
@@ -55,55 +55,56 @@ defmodule Situ.Infer.Face.Search do
   end
 
   @doc "Finds the faces in the next image, of `size` `{width, height}`, taken at `time`."
-  @spec search_image(t(), {pos_integer(), pos_integer()}, Situ.Time.t(), look()) ::
+  @spec search_image(t(), {pos_integer(), pos_integer()}, Situ.Time.t(), detect()) ::
           {:ok, [Face.t()], t()} | {:error, Situ.Error.t()}
-  def search_image(%__MODULE__{} = search, size, time, look) do
+  def search_image(%__MODULE__{} = search, size, time, detect) do
     cond do
-      search.size != size -> search |> reset_for_size(size) |> search_everything(time, look)
-      rest_interval?(search, time) -> search_next_tiles(search, look)
-      search.resting? -> search_all_scales(search, time, [], look)
-      true -> search_with_next_tiles(search, time, look)
+      search.size != size -> search |> reset_for_size(size) |> search_everything(time, detect)
+      rest_interval?(search, time) -> search_next_tiles(search, detect)
+      search.resting? -> search_all_scales(search, time, [], detect)
+      true -> search_with_next_tiles(search, time, detect)
     end
   end
 
   defp reset_for_size(search, size) do
     tiles = if search.tiles_per_picture == 0, do: [], else: image_tiles(size)
-    %{search | size: size, tiles: tiles, turn: [], faces: [], views: []}
+    %{search | size: size, tiles: tiles, next_tiles: [], faces: [], views: []}
   end
 
-  defp search_everything(search, time, look),
-    do: search_all_scales(search, time, search.tiles, look)
+  defp search_everything(search, time, detect),
+    do: search_all_scales(search, time, search.tiles, detect)
 
   defp rest_interval?(search, time),
-    do: search.resting? and time >= search.looked_at and time - search.looked_at < search.every
+    do:
+      search.resting? and time >= search.searched_at and time - search.searched_at < search.every
 
-  defp search_with_next_tiles(search, time, look) do
+  defp search_with_next_tiles(search, time, detect) do
     {now, search} = next_tiles(search)
-    search_all_scales(search, time, now, look)
+    search_all_scales(search, time, now, detect)
   end
 
   # The known faces are at rest, so only the next tiles are searched.
-  defp search_next_tiles(search, look) do
+  defp search_next_tiles(search, detect) do
     {now, search} = next_tiles(search)
 
-    with {:ok, new} <- search_tiles(now, search.faces, search, look) do
+    with {:ok, new} <- search_tiles(now, search.faces, search, detect) do
       faces = merge_faces(search.faces, new)
       {:ok, faces, %{search | faces: faces, resting?: new == []}}
     end
   end
 
-  defp search_all_scales(%{size: size} = search, time, tiles, look) do
-    with {:ok, whole} <- look.(whole_image_patch(size), search.min_score),
+  defp search_all_scales(%{size: size} = search, time, tiles, detect) do
+    with {:ok, whole} <- detect.(whole_image_patch(size), search.min_score),
          {large, small} = Enum.split_with(whole, &large_face?(&1, size)),
          distant = close_up_faces(search.faces, large, small),
          views = Map.new(distant, &{&1, choose_view(&1, search.views)}),
          {:ok, close} <-
-           search_patches(distant, &search_close_up(&1, views[&1], search.min_score, look)),
+           search_patches(distant, &search_close_up(&1, views[&1], search.min_score, detect)),
          known = Suppression.suppress_faces(large ++ close ++ small, @same),
-         {:ok, new} <- search_tiles(tiles, known, search, look) do
+         {:ok, new} <- search_tiles(tiles, known, search, detect) do
       faces = merge_faces(known, new)
       resting? = new == [] and faces_still?(search.faces, faces)
-      found = %{faces: faces, views: Map.values(views), looked_at: time, resting?: resting?}
+      found = %{faces: faces, views: Map.values(views), searched_at: time, resting?: resting?}
       {:ok, faces, Map.merge(search, found)}
     end
   end
@@ -119,11 +120,11 @@ defmodule Situ.Infer.Face.Search do
     lost ++ Enum.reject(small, &known_face?(&1, lost))
   end
 
-  defp search_tiles(tiles, known, search, look) do
+  defp search_tiles(tiles, known, search, detect) do
     sure = Enum.filter(known, &(&1.rect.score >= @sure))
 
-    with {:ok, tiled} <- search_patches(tiles, &look.(&1, search.tile_score)),
-         do: confirm_tile_faces(tiled, sure, search.tile_score, look)
+    with {:ok, tiled} <- search_patches(tiles, &detect.(&1, search.tile_score)),
+         do: confirm_tile_faces(tiled, sure, search.tile_score, detect)
   end
 
   # A group of people can be mistaken for one large face, but it scores less than each of its members.
@@ -133,32 +134,32 @@ defmodule Situ.Infer.Face.Search do
     do: (known ++ new) |> Enum.sort_by(&(-&1.rect.score)) |> Suppression.suppress_faces(@same)
 
   # A tile can cut an object so that it resembles a face, so a face found in a tile must also be found in a close-up.
-  defp confirm_tile_faces(tiled, known, min_score, look) do
+  defp confirm_tile_faces(tiled, known, min_score, detect) do
     tiled
     |> Enum.reject(&known_face?(&1, known))
     |> Enum.sort_by(&(-&1.rect.score))
     |> Suppression.suppress_faces(@same)
-    |> search_patches(&search_close_up(&1, choose_view(&1, []), min_score, look))
+    |> search_patches(&search_close_up(&1, choose_view(&1, []), min_score, detect))
   end
 
   # Searches a view near the face's last position, ignoring other faces in the view. A face much smaller than expected
   # is searched once more, in a correspondingly smaller view.
-  defp search_close_up(face, {_, side} = view, min_score, look) do
-    with {:ok, [found]} <- search_near(face, view, min_score, look),
+  defp search_close_up(face, {_, side} = view, min_score, detect) do
+    with {:ok, [found]} <- search_near(face, view, min_score, detect),
          {_, wanted} = nearer = choose_view(found, []),
          {:ok, refined} <-
            if(wanted < 0.6 * side,
-             do: search_near(found, nearer, min_score, look),
+             do: search_near(found, nearer, min_score, detect),
              else: {:ok, []}
            ) do
       {:ok, if(refined == [], do: [found], else: refined)}
     end
   end
 
-  defp search_near(face, {{x, y}, side}, min_score, look) do
+  defp search_near(face, {{x, y}, side}, min_score, detect) do
     corner = {x - side / 2, y - side / 2}
 
-    with {:ok, found} <- look.(Patch.from_square(corner, side, Blaze.input_size()), min_score) do
+    with {:ok, found} <- detect.(Patch.from_square(corner, side, Blaze.input_size()), min_score) do
       {:ok, found |> Enum.filter(&Suppression.same_face?(&1, face, @same)) |> Enum.take(1)}
     end
   end
@@ -175,8 +176,8 @@ defmodule Situ.Infer.Face.Search do
     end)
   end
 
-  defp search_patches(patches, look) do
-    with {:ok, faces} <- Situ.Error.map_ok(patches, look), do: {:ok, Enum.concat(faces)}
+  defp search_patches(patches, detect) do
+    with {:ok, faces} <- Situ.Error.map_ok(patches, detect), do: {:ok, Enum.concat(faces)}
   end
 
   defp known_face?(face, known), do: Enum.any?(known, &Suppression.same_face?(face, &1, @same))
@@ -184,10 +185,10 @@ defmodule Situ.Infer.Face.Search do
   defp large_face?(face, {w, h}), do: max(face.rect.width, face.rect.height) >= max(w, h) * @large
 
   defp next_tiles(search) do
-    order = if search.turn == [], do: search.tiles, else: search.turn
+    order = if search.next_tiles == [], do: search.tiles, else: search.next_tiles
     count = search.tiles_per_picture || ceil(length(search.tiles) / @round)
     {now, later} = Enum.split(order, count)
-    {now, %{search | turn: later}}
+    {now, %{search | next_tiles: later}}
   end
 
   @doc "Returns the patch with the whole image in the middle of a square, with black around it."

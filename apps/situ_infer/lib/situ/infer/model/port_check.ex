@@ -25,32 +25,32 @@ defmodule Situ.Infer.Model.PortCheck do
 
   @doc "Checks that a model has the expected ports; `what` is \"input\" or \"output\"."
   @spec check_ports(ports(), map(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
-  def check_ports(has, wanted, what, path) do
-    Enum.find_value(wanted, :ok, fn {name, {type, shape}} ->
-      case has do
-        %{^name => {^type, have}} ->
-          if shape_matches?(have, shape),
+  def check_ports(ports, expected, what, path) do
+    Enum.find_value(expected, :ok, fn {name, {type, shape}} ->
+      case ports do
+        %{^name => {^type, actual}} ->
+          if shape_matches?(actual, shape),
             do: nil,
-            else: port_mismatch(what, name, {type, have}, {type, shape}, path)
+            else: port_mismatch(what, name, {type, actual}, {type, shape}, path)
 
-        %{^name => have} ->
-          port_mismatch(what, name, have, {type, shape}, path)
+        %{^name => actual} ->
+          port_mismatch(what, name, actual, {type, shape}, path)
 
         _ ->
           {:error,
            Error.new(:model_shape, "the model has no #{what} #{inspect(name)} (#{path})",
-             why: "its #{what}s are " <> Enum.map_join(has, ", ", &inspect(elem(&1, 0))),
+             why: "its #{what}s are " <> Enum.map_join(ports, ", ", &inspect(elem(&1, 0))),
              fix: "use the model file this component is made for"
            )}
       end
     end)
   end
 
-  defp port_mismatch(what, name, have, wanted, path) do
+  defp port_mismatch(what, name, actual, expected, path) do
     {:error,
      Error.new(
        :model_shape,
-       "#{what} #{inspect(name)} is #{format_port(have)}, expected #{format_port(wanted)} (#{path})",
+       "#{what} #{inspect(name)} is #{format_port(actual)}, expected #{format_port(expected)} (#{path})",
        fix: "use the model file this component is made for"
      )}
   end
@@ -59,11 +59,11 @@ defmodule Situ.Infer.Model.PortCheck do
   @spec format_port({atom(), tuple()}) :: String.t()
   def format_port({type, shape}), do: "#{type} #{inspect(shape)}"
 
-  @doc "Returns whether a shape matches the expected one. A free dimension is -1 in the file, and nil in `wanted`."
+  @doc "Returns whether a shape matches the expected one. A free dimension is -1 in the file, and nil in `expected`."
   @spec shape_matches?(tuple(), tuple()) :: boolean()
-  def shape_matches?(have, wanted) do
-    tuple_size(have) == tuple_size(wanted) and
-      Enum.zip(Tuple.to_list(have), Tuple.to_list(wanted))
+  def shape_matches?(actual, expected) do
+    tuple_size(actual) == tuple_size(expected) and
+      Enum.zip(Tuple.to_list(actual), Tuple.to_list(expected))
       |> Enum.all?(fn {h, w} -> h == -1 or w == nil or h == w end)
   end
 end

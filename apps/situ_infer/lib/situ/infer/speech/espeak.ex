@@ -18,7 +18,7 @@ defmodule Situ.Infer.Speech.Espeak do
 
       {:ok, voice} = Situ.Infer.Speech.Espeak.load(rate: 180)
       {:ok, sound} = Situ.Infer.Speech.Espeak.speak(voice, "Go forward ten metres.")
-      {:ok, sound, marks} = Situ.Infer.Speech.Espeak.speak_marked(voice, "Go forward ten metres.")
+      {:ok, sound, marks} = Situ.Infer.Speech.Espeak.speak_with_marks(voice, "Go forward ten metres.")
 
   Marks (`Situ.Infer.Speech.Mark`) are sentences, words, phonemes and, with `ssml: true`, the text's own marks. They are
   produced by espeak-ng's library, which runs in a small separate program (`apps/situ_infer/native/situ_speak`).
@@ -76,10 +76,11 @@ defmodule Situ.Infer.Speech.Espeak do
   end
 
   @impl true
-  @spec speak_marked(t(), String.t()) :: {:ok, AudioBuffer.t(), [Mark.t()]} | {:error, Error.t()}
-  def speak_marked(%__MODULE__{} = voice, text) do
+  @spec speak_with_marks(t(), String.t()) ::
+          {:ok, AudioBuffer.t(), [Mark.t()]} | {:error, Error.t()}
+  def speak_with_marks(%__MODULE__{} = voice, text) do
     case prepare_text(voice, text) do
-      {:ok, text} -> speak_with_marks(voice, text)
+      {:ok, text} -> run_mark_program(voice, text)
       :nothing -> with {:ok, sound} <- silent_audio(), do: {:ok, sound, []}
       error -> error
     end
@@ -114,7 +115,7 @@ defmodule Situ.Infer.Speech.Espeak do
     end
   end
 
-  defp speak_with_marks(voice, text) do
+  defp run_mark_program(voice, text) do
     program = Application.app_dir(:situ_infer, "priv/native/situ_speak")
 
     case Program.run([program | voice.marker] ++ [text], @seconds) do

@@ -80,71 +80,72 @@ defmodule Situ.Infer.Speech.Jsgf do
   end
 
   # Tokens have the form {kind, line} or {kind, line, text}.
-  defp tokenize("", line, found), do: {:ok, Enum.reverse([{:end, line} | found])}
-  defp tokenize("\n" <> rest, line, found), do: tokenize(rest, line + 1, found)
+  defp tokenize("", line, tokens), do: {:ok, Enum.reverse([{:end, line} | tokens])}
+  defp tokenize("\n" <> rest, line, tokens), do: tokenize(rest, line + 1, tokens)
 
-  defp tokenize(<<c, rest::binary>>, line, found) when c in ~c" \t\r",
-    do: tokenize(rest, line, found)
+  defp tokenize(<<c, rest::binary>>, line, tokens) when c in ~c" \t\r",
+    do: tokenize(rest, line, tokens)
 
-  defp tokenize("\uFEFF" <> rest, line, found), do: tokenize(rest, line, found)
+  defp tokenize("\uFEFF" <> rest, line, tokens), do: tokenize(rest, line, tokens)
 
-  defp tokenize("//" <> rest, line, found) do
+  defp tokenize("//" <> rest, line, tokens) do
     case String.split(rest, "\n", parts: 2) do
-      [_, rest] -> tokenize("\n" <> rest, line, found)
-      [_] -> tokenize("", line, found)
+      [_, rest] -> tokenize("\n" <> rest, line, tokens)
+      [_] -> tokenize("", line, tokens)
     end
   end
 
-  defp tokenize("/*" <> rest, line, found) do
+  defp tokenize("/*" <> rest, line, tokens) do
     case String.split(rest, "*/", parts: 2) do
-      [comment, rest] -> tokenize(rest, line + count_newlines(comment), found)
+      [comment, rest] -> tokenize(rest, line + count_newlines(comment), tokens)
       [_] -> {:error, line, "a comment is not closed"}
     end
   end
 
-  defp tokenize("{" <> rest, line, found) do
+  defp tokenize("{" <> rest, line, tokens) do
     case Regex.run(~r/\A((?:[^\\}]|\\.)*)\}/s, rest) do
       [all, tag] ->
         text = tag |> String.replace(~r/\\(.)/s, "\\1") |> String.trim()
-        tokenize(drop_prefix(rest, all), line + count_newlines(all), [{:tag, line, text} | found])
+
+        tokenize(drop_prefix(rest, all), line + count_newlines(all), [{:tag, line, text} | tokens])
 
       nil ->
         {:error, line, "a tag is not closed"}
     end
   end
 
-  defp tokenize("\"" <> rest, line, found) do
+  defp tokenize("\"" <> rest, line, tokens) do
     case Regex.run(~r/\A((?:[^\\"]|\\.)*)"/s, rest) do
       [all, words] ->
         words = words |> String.replace(~r/\\(.)/s, "\\1") |> String.split()
         quoted = Enum.map(words, &{:word, line, &1})
-        tokenize(drop_prefix(rest, all), line + count_newlines(all), Enum.reverse(quoted, found))
+        tokenize(drop_prefix(rest, all), line + count_newlines(all), Enum.reverse(quoted, tokens))
 
       nil ->
         {:error, line, "a quotation is not closed"}
     end
   end
 
-  defp tokenize("<" <> rest, line, found) do
+  defp tokenize("<" <> rest, line, tokens) do
     case Regex.run(~r/\A([^<>\s;=|()\[\]{}]+)>/u, rest) do
-      [all, name] -> tokenize(drop_prefix(rest, all), line, [{:rule, line, name} | found])
+      [all, name] -> tokenize(drop_prefix(rest, all), line, [{:rule, line, name} | tokens])
       nil -> {:error, line, "the name of a rule is not closed with `>`"}
     end
   end
 
-  defp tokenize("/" <> rest, line, found) do
+  defp tokenize("/" <> rest, line, tokens) do
     case Regex.run(~r/\A\s*[0-9.]+\s*\//, rest) do
-      [all] -> tokenize(drop_prefix(rest, all), line, found)
+      [all] -> tokenize(drop_prefix(rest, all), line, tokens)
       nil -> {:error, line, "a weight must have the form /0.5/"}
     end
   end
 
-  defp tokenize(<<c, rest::binary>>, line, found) when c in ~c";=|()[]*+",
-    do: tokenize(rest, line, [{sign(c), line} | found])
+  defp tokenize(<<c, rest::binary>>, line, tokens) when c in ~c";=|()[]*+",
+    do: tokenize(rest, line, [{sign(c), line} | tokens])
 
-  defp tokenize(text, line, found) do
+  defp tokenize(text, line, tokens) do
     [word] = Regex.run(~r/\A(?:[^\s;=|()\[\]{}<>*+\/"]|\/(?![\/*]))+|\A./u, text)
-    tokenize(drop_prefix(text, word), line, [{:word, line, word} | found])
+    tokenize(drop_prefix(text, word), line, [{:word, line, word} | tokens])
   end
 
   for c <- ~c";=|()[]*+", do: defp(sign(unquote(c)), do: unquote(List.to_atom([c])))
@@ -216,33 +217,33 @@ defmodule Situ.Infer.Speech.Jsgf do
   defp add_alternative(first, {:alt, others}), do: {:alt, [first | others]}
   defp add_alternative(first, other), do: {:alt, [first, other]}
 
-  defp parse_sequence([{:word, _, word} | rest], found, depth) do
+  defp parse_sequence([{:word, _, word} | rest], items, depth) do
     words = for word <- Situ.Infer.Speech.Utterance.normalize_words(word), do: {:word, word}
-    parse_sequence(rest, Enum.reverse(words, found), depth)
+    parse_sequence(rest, Enum.reverse(words, items), depth)
   end
 
-  defp parse_sequence([{:rule, _, name} | rest], found, depth),
-    do: parse_sequence(rest, [{:rule, name} | found], depth)
+  defp parse_sequence([{:rule, _, name} | rest], items, depth),
+    do: parse_sequence(rest, [{:rule, name} | items], depth)
 
-  defp parse_sequence([{:"(", line} | rest], found, depth),
-    do: parse_group(rest, :")", line, found, depth, & &1)
+  defp parse_sequence([{:"(", line} | rest], items, depth),
+    do: parse_group(rest, :")", line, items, depth, & &1)
 
-  defp parse_sequence([{:"[", line} | rest], found, depth),
-    do: parse_group(rest, :"]", line, found, depth, &{:optional, &1})
+  defp parse_sequence([{:"[", line} | rest], items, depth),
+    do: parse_group(rest, :"]", line, items, depth, &{:optional, &1})
 
-  defp parse_sequence([{sign, line} | rest], found, depth) when sign in [:*, :+] do
-    case found do
-      [last | found] ->
-        parse_sequence(rest, [{if(sign == :*, do: :many, else: :some), last} | found], depth)
+  defp parse_sequence([{sign, line} | rest], items, depth) when sign in [:*, :+] do
+    case items do
+      [last | items] ->
+        parse_sequence(rest, [{if(sign == :*, do: :many, else: :some), last} | items], depth)
 
       [] ->
         {:error, line, "`#{sign}` has no preceding item"}
     end
   end
 
-  defp parse_sequence([{:tag, line, text} | rest], found, depth) do
-    case found do
-      [last | found] -> parse_sequence(rest, [{:tag, last, text} | found], depth)
+  defp parse_sequence([{:tag, line, text} | rest], items, depth) do
+    case items do
+      [last | items] -> parse_sequence(rest, [{:tag, last, text} | items], depth)
       [] -> {:error, line, "{#{text}} has no preceding item"}
     end
   end
@@ -251,12 +252,12 @@ defmodule Situ.Infer.Speech.Jsgf do
     do: {:error, elem(token, 1), "an alternative is empty"}
 
   defp parse_sequence(rest, [one], _depth), do: {:ok, one, rest}
-  defp parse_sequence(rest, found, _depth), do: {:ok, {:seq, Enum.reverse(found)}, rest}
+  defp parse_sequence(rest, items, _depth), do: {:ok, {:seq, Enum.reverse(items)}, rest}
 
-  defp parse_group(tokens, close, line, found, depth, wrap) do
+  defp parse_group(tokens, close, line, items, depth, wrap) do
     with {:ok, inner, rest} <- parse_alternatives(tokens, depth + 1) do
       case rest do
-        [{^close, _} | rest] -> parse_sequence(rest, [wrap.(inner) | found], depth)
+        [{^close, _} | rest] -> parse_sequence(rest, [wrap.(inner) | items], depth)
         _ -> {:error, line, "a group is not closed"}
       end
     end

@@ -120,7 +120,7 @@ defmodule Situ.Infer.Speech.Moonshine do
     with {:ok, encoded} <- Model.run(moonshine.encoder, Map.new([{wave, sound} | inputs])) do
       [{_, hidden}] = Enum.to_list(encoded)
 
-      fixed =
+      constants =
         %{"encoder_hidden_states" => hidden, "encoder_attention_mask" => ones_tensor(n)}
         |> Map.take(Map.keys(moonshine.decoder.inputs))
 
@@ -128,7 +128,11 @@ defmodule Situ.Infer.Speech.Moonshine do
         for {"past" <> _ = name, {:f32, shape}} <- moonshine.decoder.inputs,
             do: {name, empty_past(shape)}
 
-      state = %{fixed: fixed, past: Map.new(past), left: ceil(n / @rate * @tokens_a_second) + 2}
+      state = %{
+        constants: constants,
+        past: Map.new(past),
+        tokens_left: ceil(n / @rate * @tokens_a_second) + 2
+      }
 
       with {:ok, steps} <- generate_tokens(moonshine, state, @begin, false, [], []),
            {:ok, others} <- decode_alternatives(moonshine, state, steps) do
@@ -174,40 +178,45 @@ defmodule Situ.Infer.Speech.Moonshine do
     Tensor.zeros(:f32, {1, heads, 1, width})
   end
 
-  # A step is a token with its probability, and the second likeliest token with its own. `forced` are the first tokens.
-  defp generate_tokens(moonshine, state, token, again?, forced, steps) do
+  # A step is a token with its probability, and the second likeliest token with its own. `prefix` are the first tokens.
+  defp generate_tokens(moonshine, state, token, use_cache?, prefix, steps) do
     inputs =
-      state.fixed
+      state.constants
       |> Map.merge(state.past)
       |> Map.put("input_ids", Tensor.from_list([token], :s64, {1, 1}))
-      |> Map.put("use_cache_branch", Tensor.from_list([again?], :bool, {1}))
+      |> Map.put("use_cache_branch", Tensor.from_list([use_cache?], :bool, {1}))
 
     with {:ok, %{"logits" => logits} = outputs} <- Model.run(moonshine.decoder, inputs) do
-      {{next, _, _} = step, forced} = choose_token(logits, forced)
+      {{next, _, _} = step, prefix} = choose_token(logits, prefix)
       steps = [step | steps]
 
-      if next == @finish or state.left <= 1 do
+      if next == @finish or state.tokens_left <= 1 do
         {:ok, Enum.reverse(steps)}
       else
-        state = %{state | past: update_past(state.past, outputs, again?), left: state.left - 1}
-        generate_tokens(moonshine, state, next, true, forced, steps)
+        state = %{
+          state
+          | past: update_past(state.past, outputs, use_cache?),
+            tokens_left: state.tokens_left - 1
+        }
+
+        generate_tokens(moonshine, state, next, true, prefix, steps)
       end
     end
   end
 
-  defp choose_token(logits, forced) do
+  defp choose_token(logits, prefix) do
     {best, second, of} = top_two_tokens(logits)
 
-    case forced do
+    case prefix do
       [] -> {{best, of.(best), {second, of.(second)}}, []}
-      [token | forced] -> {{token, of.(token), {second, of.(second)}}, forced}
+      [token | prefix] -> {{token, of.(token), {second, of.(second)}}, prefix}
     end
   end
 
   # The encoder's part of the past does not change after the first step.
-  defp update_past(past, outputs, again?) do
+  defp update_past(past, outputs, use_cache?) do
     for {"present" <> rest, tensor} <- outputs,
-        not again? or not String.contains?(rest, "encoder"),
+        not use_cache? or not String.contains?(rest, "encoder"),
         into: past,
         do: {"past_key_values" <> rest, tensor}
   end

@@ -158,8 +158,8 @@ defmodule Situ.Infer.Speech.PocketSphinx do
     several = ["-nbest", "#{40 * sphinx.alternatives}", "-nbestdir", folder]
 
     with {:ok, _} <-
-           run_decoder(sphinx, folder, "said", search_arguments(sphinx, folder) ++ several) do
-      said = OutputParser.parse_segments(read_output(folder, "said"))
+           run_decoder(sphinx, folder, "hypothesis", search_arguments(sphinx, folder) ++ several) do
+      hypothesis = OutputParser.parse_segments(read_output(folder, "hypothesis"))
 
       others =
         folder
@@ -167,32 +167,32 @@ defmodule Situ.Infer.Speech.PocketSphinx do
         |> OutputParser.parse_alternatives()
         |> filter_complete(sphinx.grammar)
 
-      build_result(said, others, sphinx, folder)
+      build_result(hypothesis, others, sphinx, folder)
     end
   end
 
   defp build_result(%{words: []}, _others, _sphinx, _folder),
     do: {:ok, %{text: "", confidence: 0.0, words: [], alternatives: []}}
 
-  defp build_result(said, others, %{grammar: nil} = sphinx, _folder),
+  defp build_result(hypothesis, others, %{grammar: nil} = sphinx, _folder),
     do:
       {:ok,
        OutputParser.build_result(
-         said,
+         hypothesis,
          others,
-         OutputParser.result_share(said, others),
+         OutputParser.result_share(hypothesis, others),
          sphinx.alternatives
        )}
 
-  defp build_result(said, others, sphinx, folder) do
+  defp build_result(hypothesis, others, sphinx, folder) do
     with {:ok, _} <- run_decoder(sphinx, folder, "phones", ["-allphone", sphinx.phones | @phones]) do
       phones = OutputParser.parse_segments(read_output(folder, "phones"))
 
       {:ok,
        OutputParser.build_result(
-         said,
+         hypothesis,
          others,
-         OutputParser.phone_confidence(said, phones),
+         OutputParser.phone_confidence(hypothesis, phones),
          sphinx.alternatives
        )}
     end

@@ -22,8 +22,8 @@ defmodule Situ.Infer.Speech.Synthesizer do
   Speaks a text and also returns marks (sentences, words, phonemes and marks of the text), ordered by start time and
   relative to the start of the audio.
   """
-  @callback speak_marked(voice :: term(), String.t()) ::
+  @callback speak_with_marks(voice :: term(), String.t()) ::
               {:ok, Situ.AudioBuffer.t(), [Situ.Infer.Speech.Mark.t()]}
               | {:error, Situ.Error.t()}
-  @optional_callbacks speak_marked: 2
+  @optional_callbacks speak_with_marks: 2
 end

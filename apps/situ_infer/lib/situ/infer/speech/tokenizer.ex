@@ -19,16 +19,16 @@ defmodule Situ.Infer.Speech.Tokenizer do
   @spec parse(binary()) :: {:ok, t()} | :error
   def parse(bytes), do: parse_entries(bytes, [])
 
-  defp parse_entries(<<>>, found), do: {:ok, found |> Enum.reverse() |> List.to_tuple()}
+  defp parse_entries(<<>>, tokens), do: {:ok, tokens |> Enum.reverse() |> List.to_tuple()}
 
-  defp parse_entries(<<size, token::binary-size(size), rest::binary>>, found) when size < 128,
-    do: parse_entries(rest, [token | found])
+  defp parse_entries(<<size, token::binary-size(size), rest::binary>>, tokens) when size < 128,
+    do: parse_entries(rest, [token | tokens])
 
-  defp parse_entries(<<low, high, rest::binary>>, found) when low >= 128 do
+  defp parse_entries(<<low, high, rest::binary>>, tokens) when low >= 128 do
     size = low - 128 + high * 128
 
     case rest do
-      <<token::binary-pinned_size(size), rest::binary>> -> parse_entries(rest, [token | found])
+      <<token::binary-pinned_size(size), rest::binary>> -> parse_entries(rest, [token | tokens])
       _ -> :error
     end
   end

@@ -12,12 +12,12 @@ defmodule Situ.Infer.Speech.WakeWord do
   """
 
   @typedoc "The interval of the name, in ns from the start of the audio; all of the audio if it is not known exactly."
-  @type place :: %{from: non_neg_integer(), to: non_neg_integer(), confidence: float()}
+  @type span :: %{from: non_neg_integer(), to: non_neg_integer(), confidence: float()}
 
   @doc "Loads the spotter; `phrase:` is the name. Errors stop the pipeline before its first message."
   @callback load(keyword()) :: {:ok, spotter :: term()} | {:error, Situ.Error.t()}
 
   @doc "Returns the intervals of the name in the audio, or an empty list if it is not spoken."
-  @callback spot(spotter :: term(), Situ.AudioBuffer.t()) ::
-              {:ok, [place()]} | {:error, Situ.Error.t()}
+  @callback spot_phrase(spotter :: term(), Situ.AudioBuffer.t()) ::
+              {:ok, [span()]} | {:error, Situ.Error.t()}
 end

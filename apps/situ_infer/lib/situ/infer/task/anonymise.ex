@@ -55,10 +55,13 @@ defmodule Situ.Infer.Task.Anonymise do
   @spec build(Situ.Graph.Handle.t(), keyword()) :: term()
   def build(_p, opts) do
     spans = parse_spans(opts[:mute], session_start(opts[:streams]))
-    kept = Enum.reject(opts[:streams], fn {_, info} -> matches_any?(info.name, opts[:drop]) end)
-    names = for {_, info} <- kept, do: info.name
 
-    for {partition, info} <- kept do
+    streams =
+      Enum.reject(opts[:streams], fn {_, info} -> matches_any?(info.name, opts[:drop]) end)
+
+    names = for {_, info} <- streams, do: info.name
+
+    for {partition, info} <- streams do
       # A stream name that exists in several partitions is prefixed with its partition.
       name =
         if Enum.count(names, &(&1 == info.name)) > 1,
@@ -149,9 +152,9 @@ defmodule Situ.Infer.Task.Anonymise do
     data =
       Enum.reduce(spans, data, fn {from, to}, data ->
         first = frames + Integer.floor_div((from - time) * format.rate, @second)
-        behind = frames - Integer.floor_div((time - to) * format.rate, @second)
-        {first, behind} = {clamp_frame(first, frames), clamp_frame(behind, frames)}
-        silence_bytes(data, first * size, (behind - first) * size, format.sample)
+        stop = frames - Integer.floor_div((time - to) * format.rate, @second)
+        {first, stop} = {clamp_frame(first, frames), clamp_frame(stop, frames)}
+        silence_bytes(data, first * size, (stop - first) * size, format.sample)
       end)
 
     %{buffer | data: data}

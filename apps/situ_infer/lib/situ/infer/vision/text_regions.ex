@@ -5,8 +5,8 @@ defmodule Situ.Infer.Vision.TextRegions do
 
       iex> row = fn ones -> for x <- 0..9, into: <<>>, do: <<if(x in ones, do: 0.9, else: 0.0)::float-native-32>> end
       iex> map = row.([]) <> row.(2..7) <> row.(2..7) <> row.(2..7) <> row.([])
-      iex> [place] = Situ.Infer.Vision.TextRegions.find_regions(Situ.Tensor.new(map, :f32, {1, 1, 5, 10}), min_side: 2)
-      iex> {place.center, Float.round(place.score, 1), place.width > place.height}
+      iex> [region] = Situ.Infer.Vision.TextRegions.find_regions(Situ.Tensor.new(map, :f32, {1, 1, 5, 10}), min_side: 2)
+      iex> {region.center, Float.round(region.score, 1), region.width > region.height}
       {{4.5, 2.0}, 0.9, true}
 
   A rectangle may be rotated: `right` is the reading direction, `width` is along it and `height` across it. A rectangle
@@ -36,7 +36,7 @@ defmodule Situ.Infer.Vision.TextRegions do
   ]
   @most 1_000
 
-  @type place :: %{
+  @type region :: %{
           center: {float(), float()},
           right: {float(), float()},
           width: float(),
@@ -49,7 +49,7 @@ defmodule Situ.Infer.Vision.TextRegions do
 
   #{Situ.Options.docs(@schema)}
   """
-  @spec find_regions(Tensor.t(), keyword()) :: [place()]
+  @spec find_regions(Tensor.t(), keyword()) :: [region()]
   def find_regions(%Tensor{type: :f32, shape: {1, 1, _height, width}, data: data}, opts \\ []) do
     opts = Situ.Options.validate!(opts, @schema)
 
@@ -71,24 +71,24 @@ defmodule Situ.Infer.Vision.TextRegions do
     ])
   end
 
-  defp collect_runs(<<p::float-native-32, rest::binary>>, x, threshold, nil, found)
+  defp collect_runs(<<p::float-native-32, rest::binary>>, x, threshold, nil, runs)
        when p > threshold,
-       do: collect_runs(rest, x + 1, threshold, {x, p}, found)
+       do: collect_runs(rest, x + 1, threshold, {x, p}, runs)
 
-  defp collect_runs(<<p::float-native-32, rest::binary>>, x, threshold, {from, sum}, found)
+  defp collect_runs(<<p::float-native-32, rest::binary>>, x, threshold, {from, sum}, runs)
        when p > threshold,
-       do: collect_runs(rest, x + 1, threshold, {from, sum + p}, found)
+       do: collect_runs(rest, x + 1, threshold, {from, sum + p}, runs)
 
-  defp collect_runs(<<_::32, rest::binary>>, x, threshold, nil, found),
-    do: collect_runs(rest, x + 1, threshold, nil, found)
+  defp collect_runs(<<_::32, rest::binary>>, x, threshold, nil, runs),
+    do: collect_runs(rest, x + 1, threshold, nil, runs)
 
-  defp collect_runs(<<_::32, rest::binary>>, x, threshold, {from, sum}, found),
-    do: collect_runs(rest, x + 1, threshold, nil, [{from, x - 1, sum} | found])
+  defp collect_runs(<<_::32, rest::binary>>, x, threshold, {from, sum}, runs),
+    do: collect_runs(rest, x + 1, threshold, nil, [{from, x - 1, sum} | runs])
 
-  defp collect_runs(<<>>, x, _threshold, {from, sum}, found),
-    do: Enum.reverse([{from, x - 1, sum} | found])
+  defp collect_runs(<<>>, x, _threshold, {from, sum}, runs),
+    do: Enum.reverse([{from, x - 1, sum} | runs])
 
-  defp collect_runs(<<>>, _x, _threshold, nil, found), do: Enum.reverse(found)
+  defp collect_runs(<<>>, _x, _threshold, nil, runs), do: Enum.reverse(runs)
 
   # Runs of neighbouring rows that touch, even at a corner, belong to the same region.
   defp group_runs(rows) do
@@ -173,14 +173,14 @@ defmodule Situ.Infer.Vision.TextRegions do
 
   defp build_chain(points), do: points |> Enum.reduce([], &add_hull_point/2) |> Enum.reverse()
 
-  defp add_hull_point(point, [b, a | rest] = kept),
+  defp add_hull_point(point, [b, a | rest] = chain),
     do:
       if(cross_product(a, b, point) <= 0,
         do: add_hull_point(point, [a | rest]),
-        else: [point | kept]
+        else: [point | chain]
       )
 
-  defp add_hull_point(point, kept), do: [point | kept]
+  defp add_hull_point(point, chain), do: [point | chain]
 
   defp cross_product({ax, ay}, {bx, by}, {cx, cy}),
     do: (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)

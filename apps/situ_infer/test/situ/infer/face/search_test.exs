@@ -11,8 +11,8 @@ defmodule Situ.Infer.Face.SearchTest do
   # inside. Each search is reported to the test.
   defp look(faces, test \\ self()) do
     fn patch, min_score ->
-      {left, top} = Patch.to_picture(patch, {0.0, 0.0})
-      {right, _} = Patch.to_picture(patch, {patch.size * 1.0, 0.0})
+      {left, top} = Patch.to_image_point(patch, {0.0, 0.0})
+      {right, _} = Patch.to_image_point(patch, {patch.size * 1.0, 0.0})
       view = Rect.new!(left, top, right - left, right - left)
       send(test, {:look, view})
 

@@ -25,7 +25,7 @@ defmodule Situ.Infer.Speech.EspeakTest do
       assert Situ.AudioBuffer.duration_ns(sound) <
                Situ.AudioBuffer.duration_ns(expected) + 1_000_000_000
 
-      assert {:ok, _, [_ | _]} = Espeak.speak_marked(voice, text)
+      assert {:ok, _, [_ | _]} = Espeak.speak_with_marks(voice, text)
     end
   end
 
@@ -49,7 +49,7 @@ defmodule Situ.Infer.Speech.EspeakTest do
   test "reports the times of sentences, words, phonemes and SSML marks" do
     {:ok, voice} = Espeak.load(ssml: true)
     text = ~s(<speak>Go <mark name="here"/><break time="500ms"/>on.</speak>)
-    {:ok, sound, marks} = Espeak.speak_marked(voice, text)
+    {:ok, sound, marks} = Espeak.speak_with_marks(voice, text)
     of = fn kind -> Enum.filter(marks, &(&1.kind == kind)) end
     assert [%{text: "Go"} = go, %{text: "on"} = on] = of.(:word)
     assert [%{text: "here", from: here, to: here}] = of.(:mark)
@@ -59,7 +59,7 @@ defmodule Situ.Infer.Speech.EspeakTest do
     assert {:ok, %{data: data}} = Espeak.speak(voice, text)
     # The program and the library produce the same audio.
     assert_in_delta byte_size(sound.data), byte_size(data), 4_000
-    assert {:ok, %{data: ""}, []} = Espeak.speak_marked(voice, "...")
+    assert {:ok, %{data: ""}, []} = Espeak.speak_with_marks(voice, "...")
   end
 
   test "truncated program output is an error" do

@@ -40,9 +40,9 @@ defmodule Situ.Infer.Speech.Espeak.OutputParser do
       {?a, samples} when rem(size, 2) == 0 ->
         parse_frames(rest, [samples | sound], events)
 
-      {tag, <<at::little-32, place::little-32, length::little-32>>} when tag in ~c"ws" ->
+      {tag, <<at::little-32, offset::little-32, length::little-32>>} when tag in ~c"ws" ->
         kind = if tag == ?w, do: :word, else: :sentence
-        parse_frames(rest, sound, [{kind, at, {place, length}} | events])
+        parse_frames(rest, sound, [{kind, at, {offset, length}} | events])
 
       {?p, <<at::little-32, name::binary>>} ->
         parse_frames(rest, sound, [{:phoneme, at, name} | events])
@@ -87,11 +87,11 @@ defmodule Situ.Infer.Speech.Espeak.OutputParser do
     if String.valid?(name), do: %Mark{kind: kind, text: name, from: 0, to: 0}
   end
 
-  defp build_mark(:word, {place, length}, text, _to) do
-    word = text |> Enum.slice(place, length) |> Enum.join()
-    %Mark{kind: :word, text: word, place: place, from: 0, to: 0}
+  defp build_mark(:word, {offset, length}, text, _to) do
+    word = text |> Enum.slice(offset, length) |> Enum.join()
+    %Mark{kind: :word, text: word, place: offset, from: 0, to: 0}
   end
 
-  defp build_mark(:sentence, {place, _length}, _text, _to),
-    do: %Mark{kind: :sentence, text: "", place: place, from: 0, to: 0}
+  defp build_mark(:sentence, {offset, _length}, _text, _to),
+    do: %Mark{kind: :sentence, text: "", place: offset, from: 0, to: 0}
 end

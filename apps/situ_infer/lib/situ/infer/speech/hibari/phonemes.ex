@@ -12,7 +12,7 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   alias Situ.Infer.Speech.{Program, TextCheck}
 
   @seconds 20
-  @tied [
+  @symbols [
     {"ʔˌn\u0329", "tᵊn"},
     {"a^ɪ", "I"},
     {"a^ʊ", "W"},
@@ -84,6 +84,6 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   @doc "Converts the phonetic alphabet written by `espeak-ng --ipa --tie=^` to Hibari's symbols."
   @spec translate_ipa(String.t()) :: String.t()
   def translate_ipa(ipa) do
-    Enum.reduce(@tied, ipa, fn {from, to}, signs -> String.replace(signs, from, to) end)
+    Enum.reduce(@symbols, ipa, fn {from, to}, signs -> String.replace(signs, from, to) end)
   end
 end

@@ -158,8 +158,8 @@ defmodule Situ.Infer.Speech.Hibari.Vocoder do
   end
 
   # Converts a log magnitude and a phase to real and imaginary parts.
-  defp spectrum_nodes(name, turned) do
-    turned ++
+  defp spectrum_nodes(name, turn_nodes) do
+    turn_nodes ++
       [
         {"Min", [name, "seven"], [name <> "_low"], []},
         {"Exp", [name <> "_low"], [name <> "_size"], []},

@@ -13,9 +13,9 @@ defmodule Situ.Infer.Speech.Jsgf.Matcher do
           {non_neg_integer(), [tag()]}
         ]
   def find_ends(%Jsgf{rules: rules}, rule, words, from) do
-    {found, _} = expansion_ends({:rule, rule}, from, %{rules: rules, words: words, known: %{}})
+    {ends, _} = expansion_ends({:rule, rule}, from, %{rules: rules, words: words, memo: %{}})
 
-    found
+    ends
     |> Enum.map(fn {at, tags} -> {at, Enum.reverse(tags)} end)
     |> Enum.sort_by(&(-elem(&1, 0)))
   end
@@ -39,52 +39,52 @@ defmodule Situ.Infer.Speech.Jsgf.Matcher do
   end
 
   defp expansion_ends({:rule, name}, at, state) do
-    case state.known do
+    case state.memo do
       # A rule that is requested again while it is being computed is recursive; an empty result ends the recursion.
-      %{{^name, ^at} => found} ->
-        {found, state}
+      %{{^name, ^at} => ends} ->
+        {ends, state}
 
       _ ->
-        state = put_in(state.known[{name, at}], [])
-        {found, state} = expansion_ends(Map.fetch!(state.rules, name), at, state)
-        {found, put_in(state.known[{name, at}], found)}
+        state = put_in(state.memo[{name, at}], [])
+        {ends, state} = expansion_ends(Map.fetch!(state.rules, name), at, state)
+        {ends, put_in(state.memo[{name, at}], ends)}
     end
   end
 
   defp expansion_ends({:alt, parts}, at, state) do
-    {found, state} = Enum.map_reduce(parts, state, &expansion_ends(&1, at, &2))
-    {found |> Enum.concat() |> first_per_end(), state}
+    {ends, state} = Enum.map_reduce(parts, state, &expansion_ends(&1, at, &2))
+    {ends |> Enum.concat() |> first_per_end(), state}
   end
 
   defp expansion_ends({:seq, parts}, at, state) do
-    Enum.reduce(parts, {[{at, []}], state}, fn part, {found, state} ->
-      ends_after_each(part, found, state)
+    Enum.reduce(parts, {[{at, []}], state}, fn part, {ends, state} ->
+      ends_after_each(part, ends, state)
     end)
   end
 
   defp expansion_ends({:optional, part}, at, state) do
-    {found, state} = expansion_ends(part, at, state)
-    {first_per_end(found ++ [{at, []}]), state}
+    {ends, state} = expansion_ends(part, at, state)
+    {first_per_end(ends ++ [{at, []}]), state}
   end
 
   defp expansion_ends({:some, part}, at, state) do
-    {found, state} = expansion_ends(part, at, state)
-    repeat_ends(part, found, found, state)
+    {ends, state} = expansion_ends(part, at, state)
+    repeat_ends(part, ends, ends, state)
   end
 
   defp expansion_ends({:many, part}, at, state),
     do: repeat_ends(part, [{at, []}], [{at, []}], state)
 
   defp expansion_ends({:tag, part, text}, at, state) do
-    {found, state} = expansion_ends(part, at, state)
+    {ends, state} = expansion_ends(part, at, state)
 
-    {for({to, tags} <- found, do: {to, [{text, tag_value(part, state.words, at, to)} | tags]}),
+    {for({to, tags} <- ends, do: {to, [{text, tag_value(part, state.words, at, to)} | tags]}),
      state}
   end
 
-  defp ends_after_each(part, found, state) do
+  defp ends_after_each(part, ends, state) do
     {more, state} =
-      Enum.map_reduce(found, state, fn {at, tags}, state ->
+      Enum.map_reduce(ends, state, fn {at, tags}, state ->
         {ends, state} = expansion_ends(part, at, state)
         {for({to, new} <- ends, do: {to, new ++ tags}), state}
       end)
@@ -101,7 +101,7 @@ defmodule Situ.Infer.Speech.Jsgf.Matcher do
     repeat_ends(part, all ++ more, more, state)
   end
 
-  defp first_per_end(found), do: Enum.uniq_by(found, &elem(&1, 0))
+  defp first_per_end(ends), do: Enum.uniq_by(ends, &elem(&1, 0))
 
   defp tag_value({:rule, "NUMBER"}, words, at, to) do
     part = words |> Tuple.to_list() |> Enum.slice(at, to - at)

@@ -21,7 +21,12 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
           required(:to) => non_neg_integer(),
           optional(:confidence) => float()
         }
-  @type said :: %{words: [word()], text: String.t(), score: integer(), frames: non_neg_integer()}
+  @type hypothesis :: %{
+          words: [word()],
+          text: String.t(),
+          score: integer(),
+          frames: non_neg_integer()
+        }
   @type result :: %{
           text: String.t(),
           confidence: float(),
@@ -30,7 +35,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
         }
 
   @doc "Parses a line of `-hypseg`: words with times (ns), the total acoustic score, and the number of frames."
-  @spec parse_segments(String.t()) :: said()
+  @spec parse_segments(String.t()) :: hypothesis()
   def parse_segments(line) do
     case String.split(line) do
       [_, "S", _, "T", _, "A", score, "L", _ | rest] ->
@@ -91,22 +96,22 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
   end
 
   @doc "Returns a confidence of 0..1 from the likelihood of the words relative to that of the free phone sequence."
-  @spec phone_confidence(said(), said()) :: float()
-  def phone_confidence(%{frames: frames} = said, phones) when frames > 0 do
-    difference = (said.score - phones.score) / frames
+  @spec phone_confidence(hypothesis(), hypothesis()) :: float()
+  def phone_confidence(%{frames: frames} = hypothesis, phones) when frames > 0 do
+    difference = (hypothesis.score - phones.score) / frames
     Situ.Infer.Activation.sigmoid((difference - @middle) / @width)
   end
 
   def phone_confidence(_said, _phones), do: 0.0
 
   @doc "Returns the weight of the recognized sentence relative to all alternatives, 0..1."
-  @spec result_share(said(), [{String.t(), integer()}]) :: float()
-  def result_share(said, others) do
+  @spec result_share(hypothesis(), [{String.t(), integer()}]) :: float()
+  def result_share(hypothesis, others) do
     best = for {_, score} <- others, reduce: nil, do: (most -> max(score, most || score))
 
     weights = for {text, score} <- others, do: {text, score_weight(score, best)}
     all = weights |> Enum.map(&elem(&1, 1)) |> Enum.sum()
-    own = Enum.find_value(weights, 0.0, fn {text, w} -> text == said.text && w end)
+    own = Enum.find_value(weights, 0.0, fn {text, w} -> text == hypothesis.text && w end)
 
     # A sentence that is missing from its own list of alternatives was found in another pass of the recognizer.
     if own > 0, do: own / all, else: 1 / (1 + all)
@@ -115,20 +120,21 @@ defmodule Situ.Infer.Speech.PocketSphinx.OutputParser do
   defp score_weight(score, best), do: :math.exp(max((score - best) * @scale, -500.0))
 
   @doc "Builds the recognizer's result with at most `most` alternatives, weighted by their scores relative to the best."
-  @spec build_result(said(), [{String.t(), integer()}], float(), non_neg_integer()) :: result()
-  def build_result(said, others, confidence, most) do
-    top = Enum.find_value(others, fn {text, score} -> text == said.text && score end)
+  @spec build_result(hypothesis(), [{String.t(), integer()}], float(), non_neg_integer()) ::
+          result()
+  def build_result(hypothesis, others, confidence, most) do
+    top = Enum.find_value(others, fn {text, score} -> text == hypothesis.text && score end)
     top = top || others |> Enum.map(&elem(&1, 1)) |> Enum.max(fn -> 0 end)
 
     alternatives =
       for {text, score} <- others,
-          text != said.text,
+          text != hypothesis.text,
           do: %{text: text, confidence: confidence * min(score_weight(score, top), 1.0)}
 
     %{
-      text: said.text,
+      text: hypothesis.text,
       confidence: confidence,
-      words: said.words,
+      words: hypothesis.words,
       alternatives: Enum.take(alternatives, most)
     }
   end

@@ -21,9 +21,9 @@ defmodule Situ.Infer.Speech.WakeWord.KeywordSpotter do
   end
 
   @impl true
-  @spec spot(PocketSphinx.t(), Situ.AudioBuffer.t()) ::
-          {:ok, [Situ.Infer.Speech.WakeWord.place()]} | {:error, Situ.Error.t()}
-  def spot(sphinx, sound) do
+  @spec spot_phrase(PocketSphinx.t(), Situ.AudioBuffer.t()) ::
+          {:ok, [Situ.Infer.Speech.WakeWord.span()]} | {:error, Situ.Error.t()}
+  def spot_phrase(sphinx, sound) do
     with {:ok, %{words: words}} <- PocketSphinx.transcribe(sphinx, sound),
          do: {:ok, Enum.map(words, &Map.take(&1, [:from, :to, :confidence]))}
   end

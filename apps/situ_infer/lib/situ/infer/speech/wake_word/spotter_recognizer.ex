@@ -6,18 +6,18 @@ defmodule Situ.Infer.Speech.WakeWord.SpotterRecognizer do
   @impl true
   def load(opts) do
     {spotter, own} = Keyword.pop!(opts, :spotter)
-    with {:ok, loaded} <- spotter.load(own), do: {:ok, {spotter, loaded, own[:phrase]}}
+    with {:ok, model} <- spotter.load(own), do: {:ok, {spotter, model, own[:phrase]}}
   end
 
   @impl true
-  def transcribe({spotter, loaded, phrase}, sound) do
-    with {:ok, places} <- spotter.spot(loaded, sound), do: {:ok, build_result(places, phrase)}
+  def transcribe({spotter, model, phrase}, sound) do
+    with {:ok, spans} <- spotter.spot_phrase(model, sound), do: {:ok, build_result(spans, phrase)}
   end
 
   defp build_result([], _phrase), do: %{text: "", confidence: 0.0}
 
-  defp build_result(places, phrase) do
-    words = for place <- places, do: Map.put(place, :text, phrase)
-    %{text: phrase, confidence: Enum.max(Enum.map(places, & &1.confidence)), words: words}
+  defp build_result(spans, phrase) do
+    words = for span <- spans, do: Map.put(span, :text, phrase)
+    %{text: phrase, confidence: Enum.max(Enum.map(spans, & &1.confidence)), words: words}
   end
 end

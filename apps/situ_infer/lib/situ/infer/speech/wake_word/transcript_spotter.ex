@@ -58,24 +58,25 @@ defmodule Situ.Infer.Speech.WakeWord.TranscriptSpotter do
   defp check_name(words), do: {:ok, words}
 
   @impl true
-  @spec spot(t(), AudioBuffer.t()) ::
-          {:ok, [Situ.Infer.Speech.WakeWord.place()]} | {:error, Error.t()}
-  def spot(%__MODULE__{} = spoken, sound) do
+  @spec spot_phrase(t(), AudioBuffer.t()) ::
+          {:ok, [Situ.Infer.Speech.WakeWord.span()]} | {:error, Error.t()}
+  def spot_phrase(%__MODULE__{} = spotter, sound) do
     with {:ok, %{text: text, confidence: p} = result} <-
-           spoken.recognizer.transcribe(spoken.model, sound) do
-      case find_name(text, spoken.name, spoken.alike) do
+           spotter.recognizer.transcribe(spotter.model, sound) do
+      case find_name(text, spotter.name, spotter.alike) do
         nil ->
           {:ok, []}
 
-        {place, _} ->
-          {:ok, [Map.put(name_span(result[:words] || [], place, spoken, sound), :confidence, p)]}
+        {position, _} ->
+          {:ok,
+           [Map.put(name_span(result[:words] || [], position, spotter, sound), :confidence, p)]}
       end
     end
   end
 
   # Recognizers that report word times list the words in the order of the text.
-  defp name_span(words, place, spoken, sound) do
-    case Enum.slice(words, place, length(spoken.name)) do
+  defp name_span(words, position, spotter, sound) do
+    case Enum.slice(words, position, length(spotter.name)) do
       [first | _] = found -> %{from: first.from, to: List.last(found).to}
       [] -> %{from: 0, to: AudioBuffer.duration_ns(sound)}
     end
@@ -86,11 +87,11 @@ defmodule Situ.Infer.Speech.WakeWord.TranscriptSpotter do
   def find_name(text, name, alike) do
     words = Utterance.normalize_words(text)
 
-    place =
+    position =
       words
       |> Enum.chunk_every(length(name), 1, :discard)
       |> Enum.find_index(&Utterance.similar_words?(&1, name, alike))
 
-    place && {place, length(words)}
+    position && {position, length(words)}
   end
 end
