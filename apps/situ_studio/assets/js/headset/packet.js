@@ -1,5 +1,5 @@
 // Encodes the state of a headset as bytes (docs: `Situ.Studio.Headset.Packet`).
-import { now } from "../sensor/clock.js";
+import { now } from "../device/clock.js";
 
 const HEAD = 16;
 const JOINTS = 25;
@@ -10,7 +10,11 @@ const poseNumbers = ({ position: p, orientation: o }) => [p.x, p.y, p.z, o.x, o.
 
 export class PacketEncoder {
   constructor(session, space) {
-    Object.assign(this, { session, space, pressed: { left: false, right: false }, selected: true, seen: new Map() });
+    this.session = session;
+    this.space = space;
+    this.pressed = { left: false, right: false };
+    this.selected = true;
+    this.seen = new Map();
     for (const name of ["selectstart", "selectend"])
       session.addEventListener(name, ({ inputSource: { handedness } }) => {
         if (!(handedness in this.pressed)) return;

@@ -1,11 +1,17 @@
 // Sends camera images as JPEG when the pipeline has credit for one; other images are not encoded.
-import { now } from "./clock.js";
+import { now } from "../device/clock.js";
+import { getContext2d } from "../page/dom.js";
 
 const HEAD = 16;
 
 export class Camera {
   constructor(stream, video, socket, state) {
-    Object.assign(this, { video, socket, state, room: 0, busy: false, on: true });
+    this.video = video;
+    this.socket = socket;
+    this.state = state;
+    this.room = 0;
+    this.busy = false;
+    this.on = true;
     this.canvas = document.createElement("canvas");
     video.srcObject = new MediaStream(stream.getVideoTracks());
     video.play().catch(() => {}); // stopped before it began
@@ -34,7 +40,7 @@ export class Camera {
     this.busy = true;
     this.canvas.width = w;
     this.canvas.height = h;
-    this.canvas.getContext("2d").drawImage(this.video, 0, 0);
+    getContext2d(this.canvas).drawImage(this.video, 0, 0);
     this.canvas.toBlob((blob) => this.sendImage(blob, w, h, time), "image/jpeg", 0.8);
   }
 
