@@ -23,10 +23,31 @@ const HEAD = 40,
   FRAME = 32;
 const text = new TextDecoder();
 
+/**
+ * @typedef {object} Reply
+ * @property {number} request
+ * @property {boolean} live
+ * @property {boolean} gone
+ * @property {boolean} replaced
+ * @property {bigint} from
+ * @property {bigint} to
+ * @property {number} version
+ * @property {bigint} time
+ * @property {any[]} frames depend on their kind; see `readPayload`
+ * @property {boolean} [first] set by the client, like the following properties
+ * @property {object | null} [asked]
+ * @property {number} [cursor]
+ */
+
+/**
+ * @param {ArrayBuffer} buffer
+ * @returns {Reply}
+ */
 export function decodeReply(buffer) {
   const v = new DataView(buffer);
   if (v.byteLength < HEAD || v.getUint8(0) !== 1) throw new Error("not a data frame of version 1");
   const flags = v.getUint16(2, true);
+  /** @type {Reply} */
   const reply = {
     request: v.getUint32(4, true),
     live: (flags & 1) === 1,

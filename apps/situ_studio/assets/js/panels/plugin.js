@@ -6,7 +6,8 @@ import { showTip } from "../page/tip.js";
 
 export class PluginPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("own-cell");
     const addChild = (tag, name) => {
       const child = el.appendChild(document.createElement(tag));

@@ -25,7 +25,9 @@ function loadScript(url) {
 export class PluginDrawer {
   // changed() requests a redraw
   constructor(vis, changed, el) {
-    Object.assign(this, { vis, changed, el });
+    this.vis = vis;
+    this.changed = changed;
+    this.el = el;
     loadScript(vis.script.url).then(
       (module) => this.openModule(module),
       (error) => this.showFailure("its script cannot be loaded", error),

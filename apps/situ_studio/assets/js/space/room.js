@@ -16,9 +16,12 @@ export async function openRoom(session, { frame, problem }) {
   return new Room(gl, frame, problem);
 }
 
-class Room {
+export class Room {
   constructor(gl, frame, problem) {
-    Object.assign(this, { gl, problem, layers: new Map(), scene: new Scene() });
+    this.gl = gl;
+    this.problem = problem;
+    this.layers = new Map();
+    this.scene = new Scene();
     this.camera = new PerspectiveCamera(70, 1, 0.02, 200);
     this.rig = new Group();
     this.rig.applyMatrix4(AXES);

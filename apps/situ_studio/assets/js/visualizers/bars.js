@@ -6,7 +6,8 @@ import { drawChart } from "./chart.js";
 
 export class BarsPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("chart-cell");
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.configure(config);

@@ -52,7 +52,8 @@ export const image = {
     yield `(${x}, ${y}) = ${this.readingText(values[y * width + x], picture, vis)}`;
   },
 
-  readingText: (value) => String(value),
+  /** @param {number} value @param {object} [_picture] @param {object} [_vis] */
+  readingText: (value, _picture, _vis) => String(value),
 
   depthStyle: () => null,
 };

@@ -5,7 +5,8 @@ import { formatClock } from "../time/clock.js";
 
 export class LogPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("log-cell");
     this.list = el.appendChild(document.createElement("ol"));
     this.list.tabIndex = 0;

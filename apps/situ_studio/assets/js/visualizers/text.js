@@ -7,7 +7,8 @@ const OLD = 1e9;
 
 export class TextPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("text-cell");
     this.body = el.appendChild(document.createElement("div"));
     this.body.className = "big-text";
