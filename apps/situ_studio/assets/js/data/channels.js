@@ -1,7 +1,7 @@
 // A channel is what one panel shows of one stream: windows over time, or the message at the cursor. The client sends
 // its requests and delivers the frames.
 
-import { KIND } from "./wire.js";
+import { KIND } from "./frames.js";
 import { planWindow } from "./window.js";
 import { Series, keepLines } from "./series.js";
 import { keepMarks, keepSegments } from "./lanes.js";

@@ -1,12 +1,14 @@
 // Decodes one message into 3D items (docs: `Situ.Studio.Scene`). Arrays are views of the reply, not copies.
 // Non-finite numbers are removed and counted here, so that the drawing code only gets valid points.
 
+import { SCENE_BYTES, readScene } from "./frames.js";
+
 const text = new TextDecoder();
 
 export function decodeScene(buffer, at, bytes) {
-  const size = new DataView(buffer, at, bytes).getUint32(0, true);
-  const value = JSON.parse(text.decode(new Uint8Array(buffer, at + 8, size)));
-  const base = at + 8 + ((size + 7) & ~7);
+  const { bytes: size } = readScene(new DataView(buffer, at, bytes), 0);
+  const value = JSON.parse(text.decode(new Uint8Array(buffer, at + SCENE_BYTES, size)));
+  const base = at + SCENE_BYTES + ((size + 7) & ~7);
   const problems = [...(value.problems ?? [])];
   const items = [];
   for (const item of value.items) {

@@ -1,7 +1,7 @@
 // A map panel: tracks of positions, and the positions at the cursor. Map tiles are only loaded if the user
 // configured their address or folder.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { groundDistance, toLatitude, toLongitude, toX, toY } from "../map/mercator.js";
 import { nearestPoint, TrackChannel, countUntil } from "../map/track.js";
 import { drawGrid, drawPosition, drawScale, drawTiles, drawTrack } from "../map/draw.js";

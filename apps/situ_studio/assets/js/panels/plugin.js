@@ -1,7 +1,7 @@
 // A panel that is drawn by a plug-in: on its canvas, or with its own elements.
 
 import { PluginDrawer } from "../plugins/plugin_drawer.js";
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { showTip } from "../page/tip.js";
 
 export class PluginPanel {

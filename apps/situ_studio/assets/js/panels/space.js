@@ -1,6 +1,6 @@
 // A 3D panel: the objects of streams in space, from any point of view. The first such panel loads the drawing code.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { showTip } from "../page/tip.js";
 import { seriesColor, themeColors } from "../page/theme.js";
 import { scriptAddress } from "../page/dom.js";

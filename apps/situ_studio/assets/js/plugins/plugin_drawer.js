@@ -8,7 +8,7 @@
 //   close()
 // host: {options(), changed(), theme(name), el (of panels of kind "own"), format(number)}
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatNumber } from "../page/number_text.js";
 import { themeColors, seriesColor } from "../page/theme.js";
 

@@ -1,8 +1,7 @@
 // Sends camera images as JPEG when the pipeline has credit for one; other images are not encoded.
+import { CAMERA_BYTES, DEVICE, writeCamera } from "../data/frames.js";
 import { now } from "../device/clock.js";
 import { getContext2d } from "../page/dom.js";
-
-const HEAD = 16;
 
 export class Camera {
   constructor(stream, video, socket, state) {
@@ -48,13 +47,9 @@ export class Camera {
     const jpeg = new Uint8Array(await blob.arrayBuffer());
     this.busy = false;
     if (!this.on || this.socket.readyState !== 1) return;
-    const bytes = new Uint8Array(HEAD + jpeg.length);
-    const view = new DataView(bytes.buffer);
-    view.setUint8(0, 1);
-    view.setUint16(4, w, true);
-    view.setUint16(6, h, true);
-    view.setFloat64(8, time, true);
-    bytes.set(jpeg, HEAD);
+    const bytes = new Uint8Array(CAMERA_BYTES + jpeg.length);
+    writeCamera(new DataView(bytes.buffer), 0, { kind: DEVICE.camera, width: w, height: h, time });
+    bytes.set(jpeg, CAMERA_BYTES);
     this.socket.send(bytes);
     this.state.sent++;
   }

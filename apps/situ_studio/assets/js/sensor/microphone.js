@@ -1,7 +1,6 @@
 // Sends the microphone's audio as 16-bit samples in chunks of 20 ms, each with the time of its end.
+import { DEVICE, MICROPHONE_BYTES, writeMicrophone } from "../data/frames.js";
 import { now } from "../device/clock.js";
-
-const HEAD = 16;
 
 export class Microphone {
   static async start(stream, socket, state) {
@@ -34,13 +33,11 @@ export class Microphone {
     const began = Math.abs(off) > 500 ? now() - length : before + off * 0.01;
     this.began = began;
     if (this.state.offset === null || this.socket.readyState !== 1) return;
-    const bytes = new ArrayBuffer(HEAD + samples.length * 2);
+    const bytes = new ArrayBuffer(MICROPHONE_BYTES + samples.length * 2);
     const view = new DataView(bytes);
-    view.setUint8(0, 2);
-    view.setUint32(4, rate, true);
-    view.setFloat64(8, began + length, true);
+    writeMicrophone(view, 0, { kind: DEVICE.microphone, rate, time: began + length });
     for (let i = 0; i < samples.length; i++)
-      view.setInt16(HEAD + 2 * i, Math.max(-1, Math.min(1, samples[i])) * 32767, true);
+      view.setInt16(MICROPHONE_BYTES + 2 * i, Math.max(-1, Math.min(1, samples[i])) * 32767, true);
     this.socket.send(bytes);
     this.state.heard += samples.length;
   }

@@ -1,6 +1,6 @@
 // A chart of the message at the cursor: histograms, scores by name, one or several lists of numbers.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { FONT, themeColors, seriesColor } from "../page/theme.js";
 import { drawChart } from "./chart.js";
 

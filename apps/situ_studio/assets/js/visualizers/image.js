@@ -1,6 +1,6 @@
 // Draws an image. Of the images that arrive while one is being decoded, only the newest is kept.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatDuration } from "../time/text.js";
 import { createBitmap } from "./pixels.js";
 

@@ -1,6 +1,6 @@
 // A list of the messages around the cursor; a click moves the cursor to one.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatClock } from "../time/clock.js";
 
 export class LogPanel {

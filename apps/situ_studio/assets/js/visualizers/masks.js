@@ -1,6 +1,6 @@
 // Masks over an image: the pixels of each class, or of each object in its box, transparent, each in its color.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { FONT, seriesColor } from "../page/theme.js";
 import { formatNumber } from "../page/number_text.js";
 import { drawTag } from "./shapes.js";

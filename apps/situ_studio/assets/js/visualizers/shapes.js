@@ -1,6 +1,6 @@
 // Draws rectangles, points, lines and texts over an image, and describes those under the mouse.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { FONT, readableColor, seriesColor } from "../page/theme.js";
 import { formatNumber } from "../page/number_text.js";
 

@@ -1,6 +1,6 @@
 // Shows the text at the cursor in large letters.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatDuration } from "../time/text.js";
 
 const OLD = 1e9;

@@ -1,7 +1,7 @@
 // Shows any message as a tree that marks changes since the previous message and can plot its numbers. Nodes are
 // [kind, text, children] and children [key, node, path]; texts are only set as textContent.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatClock } from "../time/clock.js";
 import { formatLatency } from "../time/text.js";
 import { copyText } from "../page/toast.js";
