@@ -34,7 +34,7 @@ client.on("message", ({ timestamp, data }) => {
   if (n === 0) values.length = 0;
   values.push([timestamp, n]);
   if (values.length === 100 && !sought) {
-    values.forEach(([time, n], i) => assert.deepEqual([time, n], [1_000_000_000n + BigInt(i) * 10_000_000n, i]));
+    values.forEach((value, i) => assert.deepEqual(value, [1_000_000_000n + BigInt(i) * 10_000_000n, i]));
     assert.deepEqual([...picture.subarray(-3)], [1, 2, 3]);
     sought = true;
     client.setParameters(

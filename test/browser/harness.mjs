@@ -120,10 +120,10 @@ export async function runAll({ filter = "", times = 1, shots }) {
   const runs = wanted.flatMap((t) => Array(times).fill(t));
   let failed = [];
   const took = [];
-  for (const test of runs) {
+  for (const run of runs) {
     const began = performance.now();
-    if (!(await attempt(test))) failed.push(test);
-    took.push([(performance.now() - began) / 1000, test.name]);
+    if (!(await attempt(run))) failed.push(run);
+    took.push([(performance.now() - began) / 1000, run.name]);
   }
   took.sort(([a], [b]) => b - a);
   for (const [seconds, name] of took.slice(0, 10)) console.log(`slow: ${seconds.toFixed(1)} s ${name}`);
@@ -131,9 +131,9 @@ export async function runAll({ filter = "", times = 1, shots }) {
   if (times === 1 && failed.length <= 3) {
     const again = failed;
     failed = [];
-    for (const test of again) {
-      if (await attempt(test)) console.log(`unsteady: ${test.name} failed, but passed when it ran again`);
-      else failed.push(test);
+    for (const run of again) {
+      if (await attempt(run)) console.log(`unsteady: ${run.name} failed, but passed when it ran again`);
+      else failed.push(run);
     }
   }
   await browser.close();

@@ -52,10 +52,10 @@ async function wear(page) {
 }
 
 // Counts the red and green pixels in the left and the right half of the view.
-async function seen(page) {
+async function countPixels(page) {
   const png = (await page.screenshot()).toString("base64");
-  return page.evaluate(async (png) => {
-    const image = await createImageBitmap(new Blob([Uint8Array.from(atob(png), (c) => c.charCodeAt(0))]));
+  return page.evaluate(async (base64) => {
+    const image = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
     const canvas = new OffscreenCanvas(image.width, image.height);
     const ctx = canvas.getContext("2d");
     ctx.drawImage(image, 0, 0);
@@ -72,7 +72,7 @@ async function seen(page) {
 
 async function seeUntil(page, good, what) {
   let last;
-  for (const end = Date.now() + 30000; Date.now() < end;) if (good((last = await seen(page)))) return;
+  for (const end = Date.now() + 30000; Date.now() < end;) if (good((last = await countPixels(page)))) return;
   throw new Error(`timed out waiting until ${what}: ${JSON.stringify(last)}`);
 }
 

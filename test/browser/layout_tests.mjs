@@ -6,7 +6,7 @@ import { open, settled, state, dispatch } from "./studio_page.mjs";
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
 
-test("8 layouts: saved, switched and deleted; a link shows the same image", async ({ page, context, shot }) => {
+test("8 layouts: saved, switched and deleted; a link shows the same image", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.dblclick("#tree .node[data-stream='Robot.State']");
   await page.click("button[title='Save the layout']");

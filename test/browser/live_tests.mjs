@@ -1,6 +1,6 @@
 // Growing recordings, running pipelines, and sources that go away.
 import { rmSync, writeFileSync } from "node:fs";
-import { PATIENCE, test, equal, ok, near, until } from "./harness.mjs";
+import { PATIENCE, test, equal, near, until } from "./harness.mjs";
 import { open, state, dispatch, panelOf } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);

@@ -70,7 +70,7 @@ const PICTURES = {
     await page.fill("#annotation-new textarea", "speaks 1 #4cc38a\nlaughs 2 #e0b93c");
     await page.click("#annotation-new button[type=submit]");
     await until(page, () => window.situStudio.annotation?.state.attributes.length === 1, "the annotations");
-    for (const [from, to, value] of [
+    for (const [start, end, value] of [
       [0.4, 3.6, "speaks"],
       [4.9, 6.9, "speaks"],
       [6.9, 7.6, "laughs"],
@@ -85,7 +85,7 @@ const PICTURES = {
             values: { Turns: v },
           });
         },
-        [from * S, to * S, value],
+        [start * S, end * S, value],
       );
     await until(page, () => window.situStudio.annotation.state.items.length === 3, "three");
     await page.click("#tree .node[data-stream='Talk.Voice.Probability']", { button: "right" });

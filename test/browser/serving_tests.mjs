@@ -10,7 +10,6 @@ const S = 1e9;
 
 test("9 serving: a token is requested and kept in a cookie; a read-only studio hides editing tools", async ({
   page,
-  browser,
 }) => {
   const bare = await page.request.get(`${guardedBase}/`);
   equal(bare.status(), 401, "without a token");

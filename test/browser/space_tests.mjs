@@ -24,8 +24,8 @@ async function openSpace(page, source, stream, query = "") {
 const view = (page, id, run, arg) =>
   page.evaluate(
     ([i, code, a]) => {
-      const view = [...window.situStudio.views].find((v) => v.el.id === i);
-      return new Function("view", "arg", `return (${code})(view, arg)`)(view, a);
+      const panel = [...window.situStudio.views].find((v) => v.el.id === i);
+      return new Function("view", "arg", `return (${code})(view, arg)`)(panel, a);
     },
     [id, run.toString(), arg],
   );
@@ -179,7 +179,7 @@ test("11 space: turn, fly, view from above, follow, measure", async ({ page }) =
   });
   await page.click(`#${id} [data-tool=measure]`);
   for (const y of [-0.4, 0.4]) {
-    const [px, py] = await view(page, id, (v, y) => v.stage.projectPosition(9, y, 0.1), y);
+    const [px, py] = await view(page, id, (v, left) => v.stage.projectPosition(9, left, 0.1), y);
     await page.mouse.click(box.x + px, box.y + py);
   }
   const length = await view(page, id, (v) => v.stage.measured[0].distanceTo(v.stage.measured[1]));

@@ -1,6 +1,6 @@
 // The page shows only existing data: texts under the mouse are compared with the messages.
 import { readFileSync, rmSync, renameSync, readdirSync, cpSync, writeFileSync } from "node:fs";
-import { test, equal, ok, near, until } from "./harness.mjs";
+import { test, equal, ok, until } from "./harness.mjs";
 import { open, settled, state, dispatch, legendOf, panelOf, pointAt } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
@@ -48,12 +48,11 @@ test("7 truth: lines and lanes show the messages' values at any zoom", async ({ 
       if (t < 0 || t > 60_000) continue;
       await dispatch(page, { type: "cursor", t: t * MS });
       for (const stream of ["Zoo.Regular", "Zoo.Irregular"])
-        compared += await line(page, stream, zoo[stream], t, 2 * ms + 0.01);
+        compared += await line(stream, zoo[stream], t, 2 * ms + 0.01);
       for (const stream of ["Zoo.Runs", "Zoo.Flicker", "Zoo.State"])
-        compared += await lane(page, stream, "", zoo[stream], t, 3 * ms + 0.01);
+        compared += await lane(stream, "", zoo[stream], t, 3 * ms + 0.01);
       for (const key of ["a", "b"]) {
         compared += await lane(
-          page,
           "Zoo.Map",
           key,
           zoo["Zoo.Map"].map(([i, m]) => [i, m[key]]),
@@ -68,7 +67,7 @@ test("7 truth: lines and lanes show the messages' values at any zoom", async ({ 
 
   // The legend shows the exact value of the last message at the cursor, and marks one that is older than its
   // stream's period.
-  async function line(page, stream, rows, t, slack) {
+  async function line(stream, rows, t, slack) {
     const { text, exact } = await legendOf(page, stream);
     const [row] = around(rows, Math.round(t * MS) / MS);
     if (!row) return equal(text, "", `${stream} before its first message`) ?? 1;
@@ -86,13 +85,13 @@ test("7 truth: lines and lanes show the messages' values at any zoom", async ({ 
   }
 
   // The tooltip of a lane's segment shows a single state only if no message in the segment has another one.
-  async function lane(page, stream, key, rows, t, slack) {
+  async function lane(stream, key, rows, t, slack) {
     const found = await page.evaluate(
-      ([s, lane, time]) => {
+      ([s, name, time]) => {
         for (const v of window.situStudio.views) {
-          const row = v.rows?.find((r) => r.l.vis.stream === s && r.lane === lane);
+          const row = v.rows?.find((r) => r.l.vis.stream === s && r.lane === name);
           if (!row) continue;
-          const segments = row.l.channel.segments.get(lane) ?? [];
+          const segments = row.l.channel.segments.get(name) ?? [];
           return segments.find(([a, b]) => a <= time && time < b) ?? null;
         }
         return "no lane";

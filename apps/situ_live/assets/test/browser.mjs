@@ -42,7 +42,7 @@ try {
   await page.goto(base + "/");
   await page.waitForSelector(".phx-connected");
   check("joined", true);
-  await waitUntil(() => seen.points.length === 1);
+  await waitUntil(() => window.seen.points.length === 1);
   check("push_event after mount reaches the hook", true);
   await page.click("#inc");
   await waitForText("#count", "1");
@@ -99,11 +99,11 @@ try {
   check("submit", true);
 
   const reply = await page.evaluate(
-    () => new Promise((done) => hook.pushEvent("ask", { a: [1, "é<"] }, (r) => done(JSON.stringify(r)))),
+    () => new Promise((done) => window.hook.pushEvent("ask", { a: [1, "é<"] }, (r) => done(JSON.stringify(r)))),
   );
   check("a hook's event gets a reply", reply === '{"echo":{"a":[1,"é<"]}}', reply);
-  await page.evaluate(() => new Promise((done) => hook.pushEvent("draw", { n: 7 }, done)));
-  check("push_event with a reply", (await page.evaluate(() => seen.points.at(-1))) === 7);
+  await page.evaluate(() => new Promise((done) => window.hook.pushEvent("draw", { n: 7 }, done)));
+  check("push_event with a reply", (await page.evaluate(() => window.seen.points.at(-1))) === 7);
 
   await page.click("#line");
   await page.waitForSelector("#lines-3");
@@ -128,25 +128,25 @@ try {
   await waitForText("#tab", "b");
   check("history back", true);
 
-  await page.evaluate(() => new Promise((done) => hook.pushEvent("ticks", { n: 100 }, done)));
-  await waitUntil(() => seen.ticked === 1);
+  await page.evaluate(() => new Promise((done) => window.hook.pushEvent("ticks", { n: 100 }, done)));
+  await waitUntil(() => window.seen.ticked === 1);
   check(
     "100 ticks in fewer diffs, none lost",
     await page.evaluate(
       () =>
-        seen.ticks === 100 &&
+        window.seen.ticks === 100 &&
         document.querySelector("#tick").textContent === "100" &&
-        seen.acks > 2 &&
-        seen.acks < 100,
+        window.seen.acks > 2 &&
+        window.seen.acks < 100,
     ),
-    await page.evaluate(() => seen.acks),
+    await page.evaluate(() => window.seen.acks),
   );
 
   const count = await readText("#count");
   await page.fill("#q", "typed before crash");
   await waitForText("#note", "len 18");
   await page.click("#crash");
-  await waitUntil(() => seen.reconnected >= 1);
+  await waitUntil(() => window.seen.reconnected >= 1);
   check("an exception remounts the view", count === "4" && (await readText("#count")) === "0");
   await waitForText("#note", "len 18");
   check("and keeps the text of the form", (await page.inputValue("#q")) === "typed before crash");

@@ -1,18 +1,20 @@
 // Sets the theme before the first paint, so that nothing flashes: the last chosen theme, or the system's.
 (function () {
-  var chosen = null;
+  /** @type {string | null} */
+  let chosen = null;
   try {
     chosen = localStorage.getItem("situ:theme");
-  } catch (e) {
+  } catch {
     // no storage: the system's theme
   }
   if (chosen !== "light" && chosen !== "dark") {
-    chosen = window.matchMedia && matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+    chosen = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
   }
   document.documentElement.dataset.theme = chosen;
   try {
-    document.documentElement.dataset.palette = JSON.parse(localStorage.getItem("situ:settings")).palette || "usual";
-  } catch (e) {
+    document.documentElement.dataset.palette =
+      JSON.parse(localStorage.getItem("situ:settings") || "{}").palette || "usual";
+  } catch {
     // the default colors
   }
 })();
@@ -20,9 +22,9 @@
 // Restores the column widths that the user chose.
 ["--left", "--right", "--side"].forEach(function (name) {
   try {
-    var px = localStorage.getItem("situ:" + name);
+    const px = localStorage.getItem("situ:" + name);
     if (px) document.documentElement.style.setProperty(name, px + "px");
-  } catch (e) {
+  } catch {
     // no storage: the default widths
   }
 });
@@ -30,7 +32,7 @@
 // The browser shows the page when its end has arrived, so that nothing moves while it loads. The page's own address is
 // needed, because "#page-end" alone would be resolved against <base>.
 (function () {
-  var link = document.createElement("link");
+  const link = document.createElement("link");
   link.rel = "expect";
   link.href = location.href.split("#")[0] + "#page-end";
   link.setAttribute("blocking", "render");

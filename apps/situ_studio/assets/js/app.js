@@ -21,12 +21,14 @@ import { showToast } from "./page/toast.js";
 import { SharedCursors } from "./page/shared_cursors.js";
 import { rememberPage } from "./page/recent.js";
 import { showTimes } from "./page/times.js";
+import { focusedElement, getElement } from "./page/dom.js";
 
+/** @type {Studio | null} */
 let studio = null;
 
 function ensureStudio() {
   if (studio) return studio;
-  const root = document.getElementById("studio");
+  const root = getElement("studio");
   const d = root.dataset;
   // the path prefix, if the studio is behind a proxy
   const base = new URL(document.baseURI).pathname.replace(/\/$/, "");
@@ -34,11 +36,14 @@ function ensureStudio() {
   // the source, and the compared source with its current offset
   const buildQuery = () => {
     const { dataset } = document.getElementById("compare") ?? {};
-    const query = { source: d.source };
-    if (dataset) Object.assign(query, { with: dataset.with, offset: studio?.compare?.offset ?? dataset.offset });
-    return new URLSearchParams(query).toString();
+    const query = new URLSearchParams({ source: d.source ?? "" });
+    if (dataset) {
+      query.set("with", dataset.with ?? "");
+      query.set("offset", String(studio?.compare?.offset ?? dataset.offset));
+    }
+    return query.toString();
   };
-  studio = new Studio(root, {
+  const created = new Studio(root, {
     query: buildQuery,
     dataUrl: () => `${ws}//${location.host}${base}/data/socket?${buildQuery()}`,
     pcmUrl: () => `${base}/data/pcm?${buildQuery()}`,
@@ -51,10 +56,10 @@ function ensureStudio() {
     // Updates the address that a reconnecting or restarted server receives.
     moved: (href) => window.liveSocket?.main?.setHref(href),
   });
-  studio.palette = new Palette(studio);
-  studio.together = new SharedCursors(studio);
-  window.situStudio = studio;
-  return studio;
+  created.palette = new Palette(created);
+  created.together = new SharedCursors(created);
+  studio = window.situStudio = created;
+  return created;
 }
 
 const hooks = {
@@ -86,7 +91,7 @@ const hooks = {
         location.assign(`${location.pathname}?${new URLSearchParams({ with: other, offset })}`);
       });
       this.handleEvent("compare_shift", ({ offset }) => app.compare?.setOffset(BigInt(offset)));
-      this.handleEvent("together", (message) => app.together.receivePeer(message));
+      this.handleEvent("together", (message) => app.together?.receivePeer(message));
       this.handleEvent("zoom_to", ({ from, to }) => {
         app.time.dispatch({
           type: "view",
@@ -103,7 +108,7 @@ const hooks = {
     },
     destroyed() {
       removeEventListener("beforeunload", this.leaving);
-      studio?.together.destroy();
+      studio?.together?.destroy();
       studio?.destroy();
       studio = null;
     },
@@ -182,7 +187,7 @@ const hooks = {
       this.el.showModal();
       rememberAnnotator(this.el);
       (this.el.querySelector("[autofocus]") ?? this.el.querySelector("input, button"))?.focus();
-      document.activeElement.select?.();
+      if (document.activeElement instanceof HTMLInputElement) document.activeElement.select();
       // actions that cannot be undone need a second click
       this.el.addEventListener(
         "click",
@@ -204,9 +209,9 @@ const hooks = {
     // the server does not know that the dialog is open, and its patch removes the `open` attribute
     updated() {
       if (this.el.open) return;
-      const back = document.activeElement;
+      const back = focusedElement();
       this.el.showModal();
-      if (this.el.contains(back)) back.focus();
+      if (this.el.contains(back)) back?.focus();
     },
   },
 

@@ -1,6 +1,7 @@
 // One page of the studio: the time, the data socket, and all views. Independent of LiveView; `app.js` connects both.
 
 import { createStore } from "./time/view.js";
+import { InstantChannel } from "./data/channels.js";
 import { DataClient } from "./data/client.js";
 import { Playback } from "./time/playback.js";
 import { timelineGestures } from "./time/gestures.js";
@@ -24,7 +25,19 @@ import { onClock, setSelectionStart } from "./time/clock.js";
 export class Studio {
   // options: {query, dataUrl, pcmUrl, stepUrl (functions), source, layout, edit, push, moved}
   constructor(root, options) {
-    Object.assign(this, { root, options });
+    this.root = root;
+    this.options = options;
+    /** @type {import("./page/compare.js").Compare | null} */
+    this.compare = null;
+    /** @type {import("./annotation/panel.js").AnnotationPanel | null} */
+    this.annotation = null;
+    /** @type {import("./page/palette.js").Palette | null} */
+    this.palette = null;
+    /** @type {import("./page/shared_cursors.js").SharedCursors | null} */
+    this.together = null;
+    /** @type {number | undefined} the timer of a message that statistics are being computed */
+    this.counting = undefined;
+    this.listening = new AbortController();
     this.time = createStore();
     if (!readSetting("follow")) this.time.dispatch({ type: "follow" });
     this.frames = new Frames(this.time);
@@ -127,7 +140,7 @@ export class Studio {
     this.connection.setEnded("");
     showToast("The source has resumed.");
     const s = this.time.get();
-    const untouched = s.view === this.stopped.view && s.cursor === this.stopped.cursor;
+    const untouched = s.view === this.stopped?.view && s.cursor === this.stopped?.cursor;
     if (this.followed && untouched) this.time.dispatch({ type: "live", on: true, width: s.liveWidth });
   }
 
@@ -136,7 +149,8 @@ export class Studio {
     const s = this.time.get();
     if (!asked?.message.snap || s.mode !== "manual" || s.cursor !== asked.cursor || cursor === s.cursor) return;
     this.time.dispatch({ type: "cursor", t: cursor });
-    for (const c of this.client.channels.values()) if (c.at === asked.cursor) c.at = cursor;
+    for (const c of this.client.channels.values())
+      if (c instanceof InstantChannel && c.at === asked.cursor) c.at = cursor;
   }
 
   openRecording(reply) {
@@ -190,12 +204,13 @@ export class Studio {
     if (!this.client.snap) return t;
     const [from, to] = this.time.get().view;
     const found = await Promise.all([this.fetchMessageTime("previous", t + 1), this.fetchMessageTime("next", t)]);
-    const seen = found.filter((m) => m != null && m >= from && m <= to);
+    const seen = found.flatMap((m) => (m != null && m >= from && m <= to ? [m] : []));
     return seen.sort((a, b) => Math.abs(a - t) - Math.abs(b - t))[0] ?? t;
   }
 
   addListeners() {
-    this.keydown = (e) => {
+    const { signal } = this.listening;
+    const handleKeyDown = (e) => {
       if (e.target.closest?.("input, textarea, select, dialog") && !(e.ctrlKey && e.key === "k")) return;
       if (e.target.closest?.("button, a") && (e.key === " " || e.key === "Enter")) return;
       if (this.annotation?.handleKeyDown(e)) return e.preventDefault();
@@ -204,9 +219,8 @@ export class Studio {
       e.preventDefault();
       this.runAction(name);
     };
-    document.addEventListener("keydown", this.keydown);
-    this.keyup = (e) => this.annotation?.handleKeyUp(e);
-    document.addEventListener("keyup", this.keyup);
+    document.addEventListener("keydown", handleKeyDown, { signal });
+    document.addEventListener("keyup", (e) => this.annotation?.handleKeyUp(e), { signal });
     this.root.addEventListener("click", (e) => {
       // opens the properties sidebar if it is hidden
       if (e.target.closest("[phx-click='select_panel'], #tree .name"))
@@ -256,8 +270,7 @@ export class Studio {
   }
 
   destroy() {
-    document.removeEventListener("keydown", this.keydown);
-    document.removeEventListener("keyup", this.keyup);
+    this.listening.abort();
     clearInterval(this.ticking);
     this.client.stop();
     this.menu.destroy();

@@ -1,5 +1,6 @@
-// Checks the page's modules: no import cycles, and a limited length.
+// Checks the page's modules and style sheets: no import cycles, and a limited length.
 import test from "node:test";
+import { readFileSync, readdirSync } from "node:fs";
 import assert from "node:assert/strict";
 import { build } from "esbuild";
 import { fileURLToPath } from "node:url";
@@ -73,9 +74,9 @@ test("the page's modules have no import cycle", async () => {
   assert.equal(findCycle(graph)?.join(" -> ") ?? null, null);
 });
 
-test("no module exceeds the maximum length", async () => {
-  const { readFileSync } = await import("node:fs");
-  for (const path of (await readImports()).keys()) {
+test("no module and no style sheet exceeds the maximum length", async () => {
+  const styles = readdirSync(folder + "css").map((name) => "css/" + name);
+  for (const path of [...(await readImports()).keys(), ...styles.filter((name) => name.endsWith(".css"))]) {
     const lines = readFileSync(folder + path, "utf8").split("\n");
     assert.ok(lines.length <= MOST_LINES, `${path} has ${lines.length} lines`);
     const long = lines.findIndex((l) => l.length > 140);

@@ -52,3 +52,9 @@ export function drawAnnotation(ctx, a, x, y, { state, attribute: nth, selected, 
     ctx.lineWidth = 1;
   }
 }
+
+// Draws the lines of the time axis.
+export function drawGrid(ctx, positions, top, height) {
+  ctx.fillStyle = themeColors().grid;
+  for (const x of positions) ctx.fillRect(Math.round(x), top, 1, height);
+}

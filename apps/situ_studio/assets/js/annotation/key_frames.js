@@ -20,9 +20,12 @@ export function listKeyFrames(items, track, kind) {
 
 // Returns the position at a time as {place, key: whether this is a key frame}, interpolated linearly. Returns null
 // before the first and after the last key frame.
+/** @param {{t: number, place: number[]}[]} frames @param {number} t */
 export function positionAt(frames, t) {
-  let before = null,
-    after = null;
+  /** @type {{t: number, place: number[]} | null} */
+  let before = null;
+  /** @type {{t: number, place: number[]} | null} */
+  let after = null;
   for (const f of frames) {
     if (f.t <= t) before = f;
     else {
@@ -37,6 +40,9 @@ export function positionAt(frames, t) {
 }
 
 // Returns the box between two opposite corners in any order, clipped to the image.
+/** @typedef {[number, number]} Point */
+
+/** @param {Point} a @param {Point} b @param {number} width @param {number} height */
 export function boxBetween([x0, y0], [x1, y1], width, height) {
   const clamp = (v, most) => Math.min(Math.max(v, 0), most);
   const [l, r] = [clamp(x0, width), clamp(x1, width)].sort((a, b) => a - b);
@@ -64,11 +70,12 @@ export function dragPart(place, part, from, to, width, height) {
   const [dx, dy] = [to[0] - from[0], to[1] - from[1]];
   if (part === "all") return place.map((v, i) => v + (i === 0 ? dx : i === 1 ? dy : 0));
   const [l, t, w, h] = place;
-  const fixed = [
+  /** @type {Point[]} */
+  const corners = [
     [l + w, t + h],
     [l, t + h],
     [l, t],
     [l + w, t],
-  ][part];
-  return boxBetween(fixed, to, width, height);
+  ];
+  return boxBetween(corners[part], to, width, height);
 }

@@ -8,7 +8,10 @@ const HELD = 250;
 export class KeyState {
   // attributes: [{name, kind, default, values: [{value, key}]}]
   constructor(attributes = []) {
+    /** @type {Map<string, {from: number, since: number, values: object}>} the open annotations by key */
     this.open = new Map();
+    /** @type {Map<string, {attribute: string, value: string}>} */
+    this.keys = new Map();
     this.setAttributes(attributes);
   }
 
@@ -25,8 +28,8 @@ export class KeyState {
   // Returns a complete annotation {from, to, values}, or null. `now` is the page's clock in ms.
   pressKey(key, t, now) {
     if (this.open.has(key)) return this.endAnnotation(key, t);
-    const { attribute, value } = this.keys.get(key);
-    this.open.set(key, { from: t, since: now, values: { [attribute]: value } });
+    const chosen = this.keys.get(key);
+    if (chosen) this.open.set(key, { from: t, since: now, values: { [chosen.attribute]: chosen.value } });
     return null;
   }
 
@@ -37,7 +40,9 @@ export class KeyState {
   }
 
   endAnnotation(key, t) {
-    const { from, values } = this.open.get(key);
+    const begun = this.open.get(key);
+    if (!begun) return null;
+    const { from, values } = begun;
     this.open.delete(key);
     return { from: Math.min(from, t), to: Math.max(from, t), values };
   }

@@ -1,14 +1,14 @@
 // The annotation panel: one row for each track, on the same time axis as the other panels.
 
-import { GUTTER, FONT, themeColors } from "../page/theme.js";
+import { GUTTER, FONT } from "../page/theme.js";
 import { showTip } from "../page/tip.js";
 import { showToast } from "../page/toast.js";
 import { rulerTicks } from "../time/clock.js";
-import { ROW, drawAnnotation } from "./draw.js";
+import { ROW, drawAnnotation, drawGrid } from "./draw.js";
 import { readAnnotator } from "./annotator.js";
 import { KeyState } from "./keys.js";
 import { dragEdge, edgeReach, describeAnnotation } from "./mouse.js";
-import { drawName, rowLabel, listRows } from "./rows.js";
+import { drawName, freeNumber, rowLabel, listRows } from "./rows.js";
 import { handleKey } from "./commands.js";
 import { Spatial } from "./spatial.js";
 import { Tools } from "./tools.js";
@@ -17,10 +17,14 @@ const FIRST = "1";
 
 export class AnnotationPanel {
   constructor(el, app) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("annotations");
     this.canvas = el.appendChild(document.createElement("canvas"));
+    /** @type {import("./rows.js").AnnotationState} */
     this.state = { attributes: [], tracks: [], items: [], undo: 0, redo: 0 };
+    /** @type {{id: string, edge: string, t: number} | null} the edge that the mouse moves */
+    this.drag = null;
     this.keys = new KeyState();
     this.track = FIRST;
     this.attribute = 0;
@@ -117,10 +121,7 @@ export class AnnotationPanel {
 
   // Returns the lowest number that is not yet the name of a track.
   freeTrack() {
-    const taken = new Set(this.trackNames());
-    let n = 1;
-    while (taken.has(String(n))) n++;
-    return String(n);
+    return freeNumber(this.trackNames());
   }
 
   findItem(id = this.selected) {
@@ -240,8 +241,7 @@ export class AnnotationPanel {
       this.early = null;
       this.applyUpdate(early);
     }
-    const ctx = this.canvas.getContext("2d"),
-      c = themeColors();
+    const ctx = this.canvas.getContext("2d");
     const w = this.el.clientWidth,
       h = this.el.clientHeight;
     const { view, cursor } = this.app.time.get();
@@ -261,9 +261,7 @@ export class AnnotationPanel {
     ctx.beginPath();
     ctx.rect(GUTTER.left, head - 2, inner, h);
     ctx.clip();
-    ctx.fillStyle = c.grid;
-    for (const t of rulerTicks(view, inner, this.app.client.origin).at)
-      ctx.fillRect(Math.round(timeToX(t)), head, 1, h);
+    drawGrid(ctx, rulerTicks(view, inner, this.app.client.origin).at.map(timeToX), head, h);
     rows.forEach(({ track, attribute }, i) => {
       const look = { state: this.state, attribute, selected: this.selected, least: this.tools.minConfidence };
       for (const a of this.state.items)
@@ -277,7 +275,8 @@ export class AnnotationPanel {
   }
 
   withDrag(a) {
-    return this.drag?.id === a.id ? { ...a, [this.drag.edge]: this.drag.t } : a;
+    const { drag } = this;
+    return drag && drag.id === a.id ? { ...a, [drag.edge]: drag.t } : a;
   }
 
   cursorMoved() {

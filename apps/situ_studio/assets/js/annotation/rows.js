@@ -4,6 +4,18 @@ import { truncateText } from "../page/gutter.js";
 import { GUTTER, themeColors } from "../page/theme.js";
 import { ROW } from "./draw.js";
 
+/**
+ * @typedef {{id: string, track: string, from: number, to: number, values: object}} Annotation
+ * @typedef {{attributes: object[], tracks: string[], items: Annotation[], undo: number, redo: number}} AnnotationState
+ */
+
+// Returns the lowest number that is not in a list of names, as text.
+export function freeNumber(names) {
+  let n = 1;
+  while (names.includes(String(n))) n++;
+  return String(n);
+}
+
 // The choices of which tracks are shown.
 export const SHOWN = [
   ["all", "All tracks"],

@@ -95,7 +95,7 @@ export class Spatial {
     const found = this.listPositions(image)
       .map(([track, { place }]) => ({ track, place, part: findGrip(place, start, NEAR / k) }))
       .filter((f) => f.part !== null)
-      .sort((a, b) => (b.track === this.panel.track) - (a.track === this.panel.track))[0];
+      .sort((a, b) => Number(b.track === this.panel.track) - Number(a.track === this.panel.track))[0];
     this.drag = found ? { ...found, from: start, old: found.place } : this.beginShape(image, start);
     this.panel.track = this.drag.track;
     const moveDrag = (m) => {

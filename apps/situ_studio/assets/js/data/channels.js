@@ -1,26 +1,38 @@
 // A channel is what one panel shows of one stream: windows over time, or the message at the cursor. The client sends
 // its requests and delivers the frames.
 
-import { KIND } from "./wire.js";
+import { KIND } from "./frames.js";
 import { planWindow } from "./window.js";
 import { Series, keepLines } from "./series.js";
 import { keepMarks, keepSegments } from "./lanes.js";
 
 export class Channel {
   constructor(id, spec, accept) {
-    Object.assign(this, { id, spec, accept, opened: false, error: null });
+    this.id = id;
+    this.spec = spec;
+    this.accept = accept;
+    this.opened = false;
+    this.error = null;
   }
 
   reopen() {
     this.opened = false;
   }
+
+  // Adds what the channel needs to a request.
+  gatherRequest(_message, _time, _origin, _live, _growing) {}
+
+  receiveFrame(_frame, _client) {}
 }
 
 export class IntervalChannel extends Channel {
   constructor(id, spec, accept, { px }) {
     super(id, spec, accept);
     this.px = px;
+    /** @type {{from: number, to: number, bin?: number, head: number, newest?: number} | null} the held window */
     this.held = null;
+    /** @type {{from: number, to: number, bin: number, append: boolean} | null} the requested window */
+    this.asking = null;
     this.series = new Series();
     this.lines = new Map();
     this.marks = null;
@@ -42,7 +54,6 @@ export class IntervalChannel extends Channel {
     this.asking = w;
     if (!w) return;
     const toAbsolute = (t) => (origin + BigInt(Math.round(t))).toString();
-    this.asking.head = s.data[1];
     message.series.push([this.id, toAbsolute(w.from), toAbsolute(w.to), w.bin]);
   }
 
@@ -54,7 +65,7 @@ export class IntervalChannel extends Channel {
       this.storeFrame(f, client.toRelative(f.time), w);
       const head = client.time.get().data[1];
       this.held = {
-        from: w.append ? this.held.from : w.from,
+        from: w.append && this.held ? this.held.from : w.from,
         to: w.to,
         bin: w.bin,
         head,

@@ -10,10 +10,38 @@ const RETRY = [100, 250, 500, 1000, 2000, 5000];
 const IDLE_POLL = 1000;
 const LIVE_PERIOD = 33;
 
+function makeChannel(id, spec, accept, { px = () => 0, value = false, instant = false }) {
+  if (value) return new ValueChannel(id, spec, accept);
+  return instant ? new InstantChannel(id, spec, accept) : new IntervalChannel(id, spec, accept, { px });
+}
+
+/**
+ * @typedef {object} Request
+ * @property {[number, object][]} open
+ * @property {number[]} close
+ * @property {[number, string, string, number][]} series
+ * @property {number[]} instant
+ * @property {number} [req]
+ * @property {boolean} [live]
+ * @property {string} [offset]
+ * @property {string} [at]
+ * @property {string} [snap]
+ */
+
 export class DataClient {
-  // connect() returns a WebSocket-like object; time: the time store; onStatus(name), onReply(reply)
+  /**
+   * @param {object} options
+   * @param {() => WebSocket} options.connect returns a WebSocket or an object like it
+   * @param {any} options.time the time store
+   * @param {(name: string) => void} [options.onStatus]
+   * @param {(reply: import("./wire.js").Reply) => void} [options.onReply]
+   */
   constructor({ connect, time, onStatus = () => {}, onReply = () => {} }) {
-    Object.assign(this, { connect, time, onStatus, onReply });
+    this.connect = connect;
+    this.time = time;
+    this.onStatus = onStatus;
+    this.onReply = onReply;
+    /** @type {Map<number, import("./channels.js").Channel>} */
     this.channels = new Map();
     this.nextChannel = 1;
     this.request = 0;
@@ -22,6 +50,7 @@ export class DataClient {
     this.attempts = 0;
     this.snap = null;
     this.closed = false;
+    this.sentAt = -Infinity;
     this.stats = { requests: 0, bytes: 0, roundTrip: 0 };
     this.growing = false;
     this.answered = null;
@@ -59,8 +88,7 @@ export class DataClient {
   // Opens a channel. spec: {stream, viz, path?} as named in the server's table of visualizers.
   openChannel(spec, accept, options = {}) {
     const id = this.nextChannel++;
-    const Kind = options.value ? ValueChannel : options.instant ? InstantChannel : IntervalChannel;
-    const channel = new Kind(id, spec, accept, options);
+    const channel = makeChannel(id, spec, accept, options);
     this.channels.set(id, channel);
     this.pump();
     return channel;
@@ -109,6 +137,7 @@ export class DataClient {
     const s = this.time.get();
     const live = s.mode === "live";
     if (live && this.postponeIfEarly()) return;
+    /** @type {Request} */
     const message = { open: [], close: this.gone ?? [], series: [], instant: [] };
     const first = this.origin === null;
     for (const c of this.channels.values()) {

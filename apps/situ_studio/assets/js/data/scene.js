@@ -1,12 +1,14 @@
 // Decodes one message into 3D items (docs: `Situ.Studio.Scene`). Arrays are views of the reply, not copies.
 // Non-finite numbers are removed and counted here, so that the drawing code only gets valid points.
 
+import { SCENE_BYTES, readScene } from "./frames.js";
+
 const text = new TextDecoder();
 
 export function decodeScene(buffer, at, bytes) {
-  const size = new DataView(buffer, at, bytes).getUint32(0, true);
-  const value = JSON.parse(text.decode(new Uint8Array(buffer, at + 8, size)));
-  const base = at + 8 + ((size + 7) & ~7);
+  const { bytes: size } = readScene(new DataView(buffer, at, bytes), 0);
+  const value = JSON.parse(text.decode(new Uint8Array(buffer, at + SCENE_BYTES, size)));
+  const base = at + SCENE_BYTES + ((size + 7) & ~7);
   const problems = [...(value.problems ?? [])];
   const items = [];
   for (const item of value.items) {
@@ -47,17 +49,19 @@ const CHECKS = {
 // Removes rows with non-finite coordinates from all arrays of the item.
 function dropInvalidRows(item, arrays, width, what, name = "position") {
   const rows = arrays[name];
+  /** @type {number[]} */
   const good = [];
+  let bad = false;
   for (let i = 0, n = item.count; i < n; i++) {
     let fine = true;
     for (let k = i * width, end = k + width; k < end; k++) if (!Number.isFinite(rows[k])) fine = false;
     if (!fine) {
-      if (!good.bad) for (let j = 0; j < i; j++) good.push(j);
-      good.bad = true;
-    } else if (good.bad) good.push(i);
+      if (!bad) for (let j = 0; j < i; j++) good.push(j);
+      bad = true;
+    } else if (bad) good.push(i);
   }
-  if (!good.bad) return item.count === 0 && item.kind === "points" ? "an empty cloud" : null;
-  const bad = item.count - good.length;
+  if (!bad) return item.count === 0 && item.kind === "points" ? "an empty cloud" : null;
+  const dropped = item.count - good.length;
   for (const [key, array] of Object.entries(arrays)) {
     if (key === "bytes") continue;
     const each = array.length / item.count;
@@ -68,7 +72,7 @@ function dropInvalidRows(item, arrays, width, what, name = "position") {
   if (item.names) item.names = good.map((i) => item.names[i]);
   const all = item.count;
   item.count = good.length;
-  return `${bad} of ${all} ${what} are invalid: their coordinates are not numbers`;
+  return `${dropped} of ${all} ${what} are invalid: their coordinates are not numbers`;
 }
 
 // Nodes keep their indices, since edges refer to them. Invalid nodes and their edges are not drawn.

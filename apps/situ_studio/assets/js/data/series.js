@@ -16,7 +16,7 @@ export class Series {
     this.bin = 0;
     this.beat = { period: Infinity, row: 0 };
     this.capacity = 0;
-    for (const c of COLUMNS) this[c] = new Float64Array(0);
+    this.t = this.min = this.max = this.last = this.n = new Float64Array(0);
   }
 
   // Stores a decoded frame: rows at or after `from` are replaced by the frame's rows.

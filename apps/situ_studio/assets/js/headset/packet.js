@@ -1,16 +1,19 @@
 // Encodes the state of a headset as bytes (docs: `Situ.Studio.Headset.Packet`).
-import { now } from "../sensor/clock.js";
+import { DEVICE, HEADSET_BYTES, HEADSET_FLAG as FLAG, writeHeadset } from "../data/frames.js";
+import { now } from "../device/clock.js";
 
-const HEAD = 16;
 const JOINTS = 25;
 const POSE = 7;
-const FLAGS = { left: 1, right: 2, gaze: 4, planes: 8, "left selects": 16, "right selects": 32, selected: 64 };
 
 const poseNumbers = ({ position: p, orientation: o }) => [p.x, p.y, p.z, o.x, o.y, o.z, o.w];
 
 export class PacketEncoder {
   constructor(session, space) {
-    Object.assign(this, { session, space, pressed: { left: false, right: false }, selected: true, seen: new Map() });
+    this.session = session;
+    this.space = space;
+    this.pressed = { left: false, right: false };
+    this.selected = true;
+    this.seen = new Map();
     for (const name of ["selectstart", "selectend"])
       session.addEventListener(name, ({ inputSource: { handedness } }) => {
         if (!(handedness in this.pressed)) return;
@@ -28,19 +31,19 @@ export class PacketEncoder {
     for (const side of ["left", "right"]) {
       const joints = this.readHand(frame, side);
       if (joints) {
-        flags |= FLAGS[side];
+        flags |= FLAG[side];
         rows.push(joints);
       }
-      if (this.pressed[side]) flags |= FLAGS[`${side} selects`];
+      if (this.pressed[side]) flags |= FLAG[`${side}_selects`];
     }
     const gaze = this.readGaze(frame);
     if (gaze) {
-      flags |= FLAGS.gaze;
+      flags |= FLAG.gaze;
       rows.push(poseNumbers(gaze.transform));
     }
     const planes = this.readPlanes(frame);
-    if (planes) flags |= FLAGS.planes;
-    if (this.selected) flags |= FLAGS.selected;
+    if (planes) flags |= FLAG.planes;
+    if (this.selected) flags |= FLAG.selected;
     this.selected = false;
     return packBytes(flags, frameTime(time), rows, planes);
   }
@@ -91,12 +94,10 @@ function frameTime(time) {
 function packBytes(flags, ms, rows, planes) {
   const floats = rows.flat();
   const text = planes ? new TextEncoder().encode(JSON.stringify(planes)) : new Uint8Array(0);
-  const bytes = new Uint8Array(HEAD + 4 * floats.length + text.length);
+  const bytes = new Uint8Array(HEADSET_BYTES + 4 * floats.length + text.length);
   const view = new DataView(bytes.buffer);
-  view.setUint8(0, 4);
-  view.setUint8(1, flags);
-  view.setFloat64(8, ms, true);
-  floats.forEach((value, i) => view.setFloat32(HEAD + 4 * i, value, true));
-  bytes.set(text, HEAD + 4 * floats.length);
+  writeHeadset(view, 0, { kind: DEVICE.headset, flags, time: ms });
+  floats.forEach((value, i) => view.setFloat32(HEADSET_BYTES + 4 * i, value, true));
+  bytes.set(text, HEADSET_BYTES + 4 * floats.length);
   return bytes;
 }

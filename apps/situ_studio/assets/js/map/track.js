@@ -1,7 +1,7 @@
 // The track of one stream over the whole recording, requested once and again when the recording has grown.
 
 import { Channel } from "../data/channels.js";
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { toX, toY } from "./mercator.js";
 
 // Requested again after the recording has grown by this share of its length, and by at least this many ns.

@@ -7,7 +7,10 @@ const SETTLED = 200;
 export class Address {
   // facts() -> {layout, edit, snap}; moved(href) is called after a change
   constructor({ time, client, facts, moved }) {
-    Object.assign(this, { time, client, facts, moved });
+    this.time = time;
+    this.client = client;
+    this.facts = facts;
+    this.moved = moved;
   }
 
   readLink(origin) {

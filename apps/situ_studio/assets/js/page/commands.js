@@ -12,7 +12,7 @@ export const commands = {
   timing: (app) => app.header.nextTiming(),
   goto: openGoto,
   help: openHelp,
-  settings: () => location.assign(document.querySelector("[data-settings]")?.href ?? "settings"),
+  settings: () => location.assign(document.querySelector("a[data-settings]")?.getAttribute("href") ?? "settings"),
   palette: (app) => app.palette?.open(),
   left: (app) => toggleSide(app, "left"),
   right: (app) => toggleSide(app, "right"),

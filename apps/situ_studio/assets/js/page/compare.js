@@ -4,16 +4,21 @@
 import { formatDuration, parseTime } from "../time/text.js";
 import { GUTTER } from "./theme.js";
 import { showToast } from "./toast.js";
+import { getElement } from "./dom.js";
 
 // The server receives the offset after it has not changed for this many ms.
 const SETTLED = 150;
 
 export class Compare {
   constructor(el, app) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     const { offset, first, second } = el.dataset;
     this.offset = BigInt(offset);
-    [this.first, this.second] = [first, second].map((t) => t.split("~").map(BigInt));
+    /** @returns {bigint[]} */
+    const parseExtent = (text) => text.split("~").map(BigInt);
+    this.first = parseExtent(first);
+    this.second = parseExtent(second);
     this.marks = {};
     this.input = el.querySelector("input");
     this.handle = el.querySelector(".shift");
@@ -31,7 +36,7 @@ export class Compare {
 
   nsPerPixel() {
     const { view } = this.app.time.get();
-    const width = document.getElementById("navigator").clientWidth - GUTTER.left - GUTTER.right;
+    const width = getElement("navigator").clientWidth - GUTTER.left - GUTTER.right;
     return (view[1] - view[0]) / Math.max(width, 1);
   }
 

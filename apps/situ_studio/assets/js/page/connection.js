@@ -19,7 +19,9 @@ const MARK = "situ:lost",
 export class Connection {
   // header writes into the page; toast(text) shows a brief message
   constructor(header, toast) {
-    Object.assign(this, { header, toast, name: null });
+    this.header = header;
+    this.toast = toast;
+    this.name = null;
   }
 
   // The live source has ended, although the connection still works. An empty text means that it has resumed.

@@ -3,16 +3,14 @@
 import { listKeys } from "./keys.js";
 import { formatDuration, parseTime } from "../time/text.js";
 import { parseClock } from "../time/clock.js";
-
-const byId = (id) => document.getElementById(id);
+import { findElement, getElement } from "./dom.js";
 
 // `client` has the first time of the data (`origin`, a BigInt or null) and converts to absolute times.
 export function listenGoto(time, client) {
-  byId("goto")?.addEventListener("submit", (e) => {
+  document.getElementById("goto")?.addEventListener("submit", (e) => {
     e.preventDefault();
-    const dialog = e.currentTarget;
-    const error = dialog.querySelector(".error");
-    const { session, text } = splitSessionTime(dialog.querySelector("input").value);
+    const { dialog, input, error } = gotoElements();
+    const { session, text } = splitSessionTime(input.value);
     const origin = client.origin ?? 0n;
     const t = parseClock(text, origin) ?? parseTime(text, origin);
     const [from, to] = time.get().data;
@@ -42,7 +40,12 @@ export function splitSessionTime(text) {
 
 export const sessionTitle = () => document.querySelector("h1.where")?.textContent.trim() ?? "";
 
-const listSessions = () => [...document.querySelectorAll("a.store")].map((a) => [a.textContent.trim(), a.href]);
+/** @returns {[name: string, href: string][]} */
+const listSessions = () =>
+  [.../** @type {NodeListOf<HTMLAnchorElement>} */ (document.querySelectorAll("a.store"))].map((a) => [
+    a.textContent.trim(),
+    a.href,
+  ]);
 
 function withTime(href, ns) {
   const url = new URL(href);
@@ -51,18 +54,22 @@ function withTime(href, ns) {
   return url.href;
 }
 
+function gotoElements() {
+  const dialog = getElement("goto", HTMLDialogElement);
+  return { dialog, input: findElement(dialog, "input", HTMLInputElement), error: findElement(dialog, ".error") };
+}
+
 export function openGoto() {
-  const dialog = byId("goto");
-  const input = dialog.querySelector("input");
+  const { dialog, input, error } = gotoElements();
   input.value = "";
-  dialog.querySelector(".error").textContent = "";
+  error.textContent = "";
   dialog.showModal();
   input.focus();
 }
 
 export function openHelp() {
-  const dialog = byId("help");
-  const list = dialog.querySelector("dl");
+  const dialog = getElement("help", HTMLDialogElement);
+  const list = findElement(dialog, "dl");
   list.textContent = "";
   for (const [key, text] of listKeys()) {
     list.appendChild(document.createElement("dt")).textContent = key.replace("Arrow", "");

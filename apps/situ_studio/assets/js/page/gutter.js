@@ -2,12 +2,13 @@
 // for all panels, so that times are aligned.
 
 import { FONT, GUTTER } from "./theme.js";
+import { getContext2d } from "./dom.js";
 
 const LEAST = 56,
   MOST = 200,
   SHARE = 0.25,
   SPACE = 14;
-const ruler = document.createElement("canvas").getContext("2d");
+const ruler = getContext2d(document.createElement("canvas"));
 
 export function textWidth(text) {
   ruler.font = FONT;

@@ -6,7 +6,9 @@ import { formatDay, nextClock, onClock, formatClock } from "../time/clock.js";
 export class Header {
   // origin() -> the first time of the data as a BigInt, or null before there are data
   constructor(root, origin) {
-    Object.assign(this, { root, origin, growing: false });
+    this.root = root;
+    this.origin = origin;
+    this.growing = false;
     onClock(() => this.state && this.update(this.state));
   }
 

@@ -3,13 +3,14 @@
 import { FONT, themeColors } from "./theme.js";
 import { showToast } from "./toast.js";
 import { SvgContext } from "./svg_context.js";
+import { getContext2d } from "./dom.js";
 
 export function saveImage(_app, body) {
   const scale = devicePixelRatio,
     box = body.getBoundingClientRect();
   const out = document.createElement("canvas");
   [out.width, out.height] = [Math.round(box.width * scale), Math.round(box.height * scale)];
-  const ctx = out.getContext("2d");
+  const ctx = getContext2d(out);
   ctx.scale(scale, scale);
   ctx.fillStyle = themeColors().panel;
   ctx.fillRect(0, 0, box.width, box.height);
@@ -33,7 +34,7 @@ const DRAWN = ["plot", "lanes", "image", "bars", "xy"];
 export function saveVector(app, body) {
   const box = body.getBoundingClientRect();
   const view = findView(app, body);
-  const ctx = new SvgContext(box.width, box.height, document.createElement("canvas").getContext("2d"));
+  const ctx = new SvgContext(box.width, box.height, getContext2d(document.createElement("canvas")));
   if (view.drawVector) view.drawVector(ctx);
   else view.render(ctx);
   ctx.globalAlpha = 1;

@@ -5,6 +5,7 @@ import { storeKeys, readKeys, readSetting } from "./settings.js";
 // The number of steps of a jump.
 const JUMP = 5;
 
+/** @type {[key: string, text: string, action: string][]} */
 export const KEYS = [
   ["Space", "Play from the cursor to the end, or stop", "togglePlay"],
   ["Ctrl+Space", "Play the selection, or stop", "togglePlaySel"],
@@ -76,9 +77,11 @@ export function keyName(e) {
   return [...mods, key].join("+");
 }
 
+/** @type {Map<string, string> | null} */
 let table = null;
 
 // Lists the current rows: [key, text, action, default key].
+/** @returns {[key: string, text: string, action: string, usual: string][]} */
 export function listKeys() {
   const own = readKeys();
   return KEYS.map(([usual, text, action]) => [own[usual] ?? usual, text, action, usual]);

@@ -1,11 +1,13 @@
 // A menu for the right mouse button, the menu key and a long touch. `menus.js` provides the entries.
 
+import { focusedElement } from "./dom.js";
+
 const LONG = 550;
 
 export class Menu {
   // itemsFor(target, event) -> [{text, hint?, run, disabled?} or "-"], or null if there is no menu
   constructor(root, itemsFor) {
-    Object.assign(this, { itemsFor });
+    this.itemsFor = itemsFor;
     // a landmark, so that users of screen readers can find it
     this.landmark = document.body.appendChild(document.createElement("nav"));
     this.landmark.setAttribute("aria-label", "Menu");
@@ -17,6 +19,7 @@ export class Menu {
     root.addEventListener("pointerdown", (e) => this.handlePointerDown(e));
     for (const name of ["pointerup", "pointercancel", "pointermove"])
       root.addEventListener(name, (e) => this.cancelLongTouch(e));
+    this.at = [0, 0];
     this.el.addEventListener("keydown", (e) => this.handleKey(e));
     this.outside = (e) => this.el.contains(e.target) || this.close();
     document.addEventListener("pointerdown", this.outside, true);
@@ -46,7 +49,7 @@ export class Menu {
   }
 
   open(items, x, y) {
-    this.back = document.activeElement;
+    this.back = focusedElement();
     this.el.textContent = "";
     for (const item of items) {
       if (item === "-") {
@@ -68,16 +71,20 @@ export class Menu {
     const { offsetWidth: w, offsetHeight: h } = this.el;
     this.el.style.left = `${Math.max(4, Math.min(x, innerWidth - w - 4))}px`;
     this.el.style.top = `${Math.max(4, Math.min(y, innerHeight - h - 4))}px`;
-    this.el.querySelector("button:not(:disabled)")?.focus({ preventScroll: true });
+    this.enabledButtons()[0]?.focus({ preventScroll: true });
+  }
+
+  enabledButtons() {
+    return /** @type {HTMLElement[]} */ ([...this.el.querySelectorAll("button:not(:disabled)")]);
   }
 
   handleKey(e) {
-    const all = [...this.el.querySelectorAll("button:not(:disabled)")];
-    const i = all.indexOf(document.activeElement);
+    const all = this.enabledButtons();
+    const i = all.findIndex((button) => button === document.activeElement);
     if (e.key === "ArrowDown") all[(i + 1) % all.length].focus();
     else if (e.key === "ArrowUp") all[(i + all.length - 1) % all.length].focus();
     else if (e.key === "Home") all[0].focus();
-    else if (e.key === "End") all.at(-1).focus();
+    else if (e.key === "End") all.at(-1)?.focus();
     else if (e.key === "Escape" || e.key === "Tab") this.close();
     else return;
     e.preventDefault();
@@ -87,7 +94,7 @@ export class Menu {
   close() {
     if (this.el.hidden) return;
     this.el.hidden = this.landmark.hidden = true;
-    if (this.el.contains(document.activeElement)) this.back?.focus?.({ preventScroll: true });
+    if (this.el.contains(document.activeElement)) this.back?.focus({ preventScroll: true });
   }
 
   destroy() {

@@ -36,6 +36,7 @@ function digitsFor(x, apart, least) {
   return Math.min(Math.max(digits, least), MOST);
 }
 
+/** @type {[factor: number, letter: string][]} */
 const SI = [
   [1e12, "T"],
   [1e9, "G"],
@@ -56,7 +57,7 @@ export function axisNumber(x, step = 0) {
   }
   // The ticks are round, so digits beyond their step are noise.
   if (a < 10000 || digits > LEAST) return String(Number(x.toPrecision(Math.max(digits, 4))));
-  const [factor, letter] = SI.find(([f]) => a >= f);
+  const [factor, letter] = SI.find(([f]) => a >= f) ?? [1, ""];
   return `${Number((x / factor).toPrecision(digits))} ${letter}`;
 }
 

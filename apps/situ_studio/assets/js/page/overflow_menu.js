@@ -9,7 +9,7 @@ export function moreItems(bar, more) {
   const isHidden = (el) => el.getClientRects().length === 0 || el.getBoundingClientRect().right > end + 1;
   const tools = [...bar.querySelectorAll("button, a.tool")].filter((el) => el !== more && isHidden(el));
   return tools.map((el) => {
-    const [, text, hint] = KEY.exec(el.title || el.textContent.trim());
+    const [, text, hint] = KEY.exec(el.title || el.textContent.trim()) ?? [];
     return { text, hint, disabled: el.disabled === true, run: () => el.click() };
   });
 }

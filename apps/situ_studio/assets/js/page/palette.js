@@ -1,18 +1,21 @@
 // A list of commands and streams, searched by typing parts of their names.
 
 import { listKeys } from "./keys.js";
+import { closestTarget, findElement, getElement } from "./dom.js";
 
 export class Palette {
   constructor(app) {
     this.app = app;
-    this.dialog = document.getElementById("palette");
-    if (!this.dialog) return;
-    this.input = this.dialog.querySelector("input");
-    this.list = this.dialog.querySelector("ul");
+    this.dialog = getElement("palette", HTMLDialogElement);
+    this.input = findElement(this.dialog, "input", HTMLInputElement);
+    this.list = findElement(this.dialog, "ul");
+    /** @type {{text: string, hint: string, run: () => void}[]} */
+    this.shown = [];
+    this.selected = 0;
     this.input.addEventListener("input", () => this.fillList());
     this.dialog.addEventListener("keydown", (e) => this.handleKey(e));
     this.list.addEventListener("click", (e) => {
-      const i = [...this.list.children].indexOf(e.target.closest("li"));
+      const i = [...this.list.children].findIndex((li) => li === closestTarget(e, "li"));
       if (i >= 0) this.runEntry(i);
     });
   }

@@ -1,6 +1,8 @@
 // Asks questions in dialogs that replace the browser's: they match the page and do not block it. Escape, Cancel and
 // a click outside return nothing.
 
+import { focusedElement } from "./dom.js";
+
 let count = 0;
 
 // Asks for a text: {title, value?, type?, choices? (suggestions), actions? [[name, text]]} -> {action, text} or
@@ -57,7 +59,7 @@ function addButtons(form, actions) {
 }
 
 function awaitAnswer(dialog, of, focused) {
-  const back = document.activeElement;
+  const back = focusedElement();
   dialog.addEventListener("click", (e) => e.target === dialog && dialog.close(""));
   dialog.showModal();
   (focused ?? dialog.querySelector("button")).focus();
@@ -65,7 +67,7 @@ function awaitAnswer(dialog, of, focused) {
   return new Promise((resolve) => {
     dialog.addEventListener("close", () => {
       dialog.remove();
-      back?.focus?.({ preventScroll: true });
+      back?.focus({ preventScroll: true });
       resolve(dialog.returnValue ? of(dialog.returnValue) : null);
     });
   });

@@ -49,12 +49,13 @@ export const keepExisting = (all, paths) =>
 
 // Shows the recent pages in an element of the list, or opens the latest one if the settings say so.
 export function showRecent(el) {
-  const links = [...document.querySelectorAll(".home .list a.item")];
+  /** @type {NodeListOf<HTMLAnchorElement>} */
+  const links = document.querySelectorAll(".home .list a.item");
   const whole = !document.querySelector(".home .more");
   const found = whole
     ? keepExisting(
         listRecent(),
-        links.map((a) => new URL(a.href).pathname),
+        Array.from(links, (a) => new URL(a.href).pathname),
       )
     : listRecent();
   storeRecent(found);

@@ -5,6 +5,15 @@ const KEY = "situ:settings";
 const SECOND = 1e9;
 
 // Either choices [[value, text]] or a boolean; `usual` is the default. Values outside of the choices are ignored.
+/**
+ * @typedef {object} Setting
+ * @property {string} id
+ * @property {string} title
+ * @property {any} usual
+ * @property {[value: string | number, text: string][]} [choices]
+ */
+
+/** @type {Setting[]} */
 export const SETTINGS = [
   {
     id: "theme",
@@ -106,11 +115,19 @@ function storeItem(name, value) {
   }
 }
 
+/** @param {Setting} setting @param {any} value */
 const isValid = ({ choices, usual }, value) =>
   choices ? choices.some(([v]) => v === value) : typeof value === typeof usual;
 
+/** @param {string} id */
+function findSetting(id) {
+  const setting = known.get(id);
+  if (!setting) throw new Error(`there is no setting ${id}`);
+  return setting;
+}
+
 export function readSetting(id) {
-  const one = known.get(id);
+  const one = findSetting(id);
   let value = readStored()[id];
   if (APART[id]) {
     try {
@@ -123,10 +140,10 @@ export function readSetting(id) {
 }
 
 export function changeSetting(id, value) {
-  if (APART[id]) storeItem(APART[id], value === known.get(id).usual ? null : value);
+  if (APART[id]) storeItem(APART[id], value === findSetting(id).usual ? null : value);
   else {
     const all = readStored();
-    if (value === known.get(id).usual) delete all[id];
+    if (value === findSetting(id).usual) delete all[id];
     else all[id] = value;
     storeItem(KEY, JSON.stringify(all));
   }

@@ -7,6 +7,7 @@ import { showToast } from "./toast.js";
 const addElement = (parent, tag, more = {}) => Object.assign(parent.appendChild(document.createElement(tag)), more);
 
 // Adds the field of a setting: a list of choices or a checkbox.
+/** @param {HTMLElement} form @param {import("./settings.js").Setting} setting */
 function addSetting(form, { id, title, choices }) {
   const row = addElement(form, "div", { className: "field" });
   addElement(row, "label", { textContent: title, htmlFor: `setting-${id}` });

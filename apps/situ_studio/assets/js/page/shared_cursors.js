@@ -4,6 +4,7 @@
 import { readAnnotator } from "../annotation/annotator.js";
 import { GUTTER, seriesColor } from "./theme.js";
 import { showToast } from "./toast.js";
+import { closestTarget } from "./dom.js";
 
 // The minimum interval between messages in ms, the interval while nothing moves, and the time after which a silent
 // peer is removed.
@@ -19,7 +20,7 @@ export class SharedCursors {
     this.sharing = false;
     this.following = null;
     this.el = document.getElementById("together");
-    this.el?.addEventListener("click", (e) => this.followPeer(e.target.closest("button")?.dataset.who));
+    this.el?.addEventListener("click", (e) => this.followPeer(closestTarget(e, "button")?.dataset.who));
     app.time.subscribe((s, old, action) => this.handleMove(action));
     this.timer = setInterval(() => this.sendAlive(), ALIVE);
   }

@@ -74,13 +74,7 @@ function buildHistogram({ name, histogram: { from, to, counts } }) {
   counts.forEach((n, i) => {
     const bar = svg.appendChild(document.createElementNS(SVG, "rect"));
     const h = (n / most) * 58;
-    for (const [k, v] of [
-      ["x", i * 8],
-      ["y", 60 - h],
-      ["width", 7],
-      ["height", h],
-    ])
-      bar.setAttribute(k, v);
+    for (const [k, v] of Object.entries({ x: i * 8, y: 60 - h, width: 7, height: h })) bar.setAttribute(k, String(v));
     bar.appendChild(document.createElementNS(SVG, "title")).textContent = String(n);
   });
   const caption = figure.appendChild(document.createElement("figcaption"));

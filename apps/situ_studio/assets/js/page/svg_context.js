@@ -2,6 +2,8 @@
 // lines) does not fit: it does not scale line widths, clearing paints white, only canvases can be drawn as images,
 // and it applies the screen's pixel ratio.
 
+import { getContext2d } from "./dom.js";
+
 const roundCoordinate = (x) => Math.round(x * 100) / 100;
 
 const escapeXml = (text) =>
@@ -9,34 +11,39 @@ const escapeXml = (text) =>
 
 const ANCHOR = { right: "end", end: "end", center: "middle" };
 
-const DEFAULTS = {
-  fillStyle: "#000",
-  strokeStyle: "#000",
-  lineWidth: 1,
-  lineJoin: "miter",
-  globalAlpha: 1,
-  font: "10px sans-serif",
-  textAlign: "left",
-  textBaseline: "alphabetic",
-  imageSmoothingEnabled: true,
-};
+// The properties that `save` and `restore` keep.
+const SAVED = /** @type {const} */ ([
+  ...["fillStyle", "strokeStyle", "lineWidth", "lineJoin", "globalAlpha", "font", "textAlign", "textBaseline"],
+  ...["imageSmoothingEnabled", "dash", "matrix", "clipped"],
+]);
 
 export class SvgContext {
   // measure: a real context, which measures texts
   constructor(width, height, measure) {
-    Object.assign(this, DEFAULTS, { width, height, measure });
+    this.width = width;
+    this.height = height;
+    this.measure = measure;
+    this.fillStyle = "#000";
+    this.strokeStyle = "#000";
+    this.lineWidth = 1;
+    this.lineJoin = "miter";
+    this.globalAlpha = 1;
+    this.font = "10px sans-serif";
+    this.textAlign = "left";
+    this.textBaseline = "alphabetic";
+    this.imageSmoothingEnabled = true;
     this.dash = [];
     this.matrix = [1, 0, 0, 1, 0, 0];
     this.stack = [];
     this.parts = [];
     this.defs = [];
     this.path = [];
+    /** @type {string | null} */
     this.clipped = null;
   }
 
   save() {
-    const own = Object.fromEntries(Object.keys(DEFAULTS).map((k) => [k, this[k]]));
-    this.stack.push({ ...own, dash: this.dash, matrix: this.matrix, clipped: this.clipped });
+    this.stack.push(Object.fromEntries(SAVED.map((name) => [name, this[name]])));
   }
 
   restore() {
@@ -204,7 +211,7 @@ export class SvgContext {
   drawImage(image, x, y, w = image.width, h = image.height) {
     const canvas = document.createElement("canvas");
     [canvas.width, canvas.height] = [image.width, image.height];
-    canvas.getContext("2d").drawImage(image, 0, 0);
+    getContext2d(canvas).drawImage(image, 0, 0);
     const [left, top] = this.transformPoint(x, y).split(" ");
     const [k, , , l] = this.matrix;
     this.addElement("image", {

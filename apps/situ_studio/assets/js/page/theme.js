@@ -22,15 +22,19 @@ export const GUTTER = { left: 76, right: 14 };
 export const FONT_FACE = 'Inter, "Segoe UI", system-ui, sans-serif';
 export const FONT = `11px ${FONT_FACE}`;
 
+/** @typedef {Record<string, string> & {series: string[]}} Theme the colors by name, and those of streams */
+
+/** @type {Theme | null} */
 let cache = null;
 const listeners = new Set();
 
+/** @returns {Theme} */
 export function themeColors() {
   if (!cache) {
     const css = getComputedStyle(document.documentElement);
-    cache = { series: [] };
-    for (const n of NAMES) cache[n] = css.getPropertyValue(`--${n}`).trim();
-    for (let i = 0; i < 8; i++) cache.series.push(css.getPropertyValue(`--s${i}`).trim());
+    const readColor = (name) => css.getPropertyValue(`--${name}`).trim();
+    const named = Object.fromEntries(NAMES.map((name) => [name, readColor(name)]));
+    cache = Object.assign(named, { series: Array.from({ length: 8 }, (_, i) => readColor(`s${i}`)) });
   }
   return cache;
 }

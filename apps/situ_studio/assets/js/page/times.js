@@ -21,7 +21,9 @@ export function clockText(ns, part, local) {
 
 export function showTimes(root = document) {
   const local = readSetting("clock") === "local";
-  for (const el of root.querySelectorAll("time[data-ns]")) {
+  /** @type {NodeListOf<HTMLTimeElement>} */
+  const times = root.querySelectorAll("time[data-ns]");
+  for (const el of times) {
     const { ns, part } = el.dataset;
     const text = clockText(ns, part, local);
     if (el.textContent !== text) el.textContent = text;

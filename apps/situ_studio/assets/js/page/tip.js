@@ -1,8 +1,9 @@
 // A tooltip next to the mouse that describes what is under it. There is one for the page.
 
 const GAP = 14;
-let el = null,
-  owner = null;
+/** @type {HTMLElement | null} */
+let el = null;
+let owner = null;
 
 // Shows `lines` for `who` next to a position in the window. Without lines it is hidden, if `who` still owns it.
 export function showTip(who, lines, x = 0, y = 0) {

@@ -1,7 +1,7 @@
 // A brief message at the bottom of the page.
 
 const SHOWN = 4000;
-let timer = null;
+let timer = 0;
 
 export function showToast(text) {
   const el = document.getElementById("toast");

@@ -1,14 +1,15 @@
 // A 2D panel: an image, and other streams drawn over it.
 
 import { showTip } from "../page/tip.js";
-import { visualizers } from "../visualizers/index.js";
+import { getVisualizer } from "../visualizers/index.js";
 import { pluginVisualizer } from "../plugins/plugin_drawer.js";
 import { imageMapping } from "../visualizers/shapes.js";
 import { PanZoom } from "./pan_zoom.js";
 
 export class ImagePanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("image-cell");
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.info = el.appendChild(document.createElement("div"));
@@ -44,7 +45,7 @@ export class ImagePanel {
   }
 
   openLayer(key, vis) {
-    const drawer = vis.script ? pluginVisualizer : (visualizers.get(vis.draw) ?? visualizers.get("image"));
+    const drawer = vis.script ? pluginVisualizer : getVisualizer(vis.draw, "image");
     const layer = { key, vis, drawer };
     const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
     const acceptFrame = (frame) => layer.drawer.acceptFrame(layer, frame, () => this.app.scheduleDraw(this));
@@ -125,7 +126,8 @@ export class ImagePanel {
       ? this.layers.flatMap((l) => (l.vis.props?.visible !== false ? l.drawer.describeAt(l, ...at, k) : []))
       : [];
     const box = this.canvas.getBoundingClientRect();
-    showTip(this, found, ...(at ? [box.left + this.mouse.pointer[0], box.top + this.mouse.pointer[1]] : []));
+    const [x, y] = this.mouse.pointer ?? [0, 0];
+    showTip(this, found, box.left + x, box.top + y);
   }
 
   updateNote(at) {

@@ -5,7 +5,7 @@ import { rulerTicks, formatClock } from "../time/clock.js";
 import { compareNames } from "../data/series.js";
 import { paintBrackets } from "../visualizers/paint.js";
 import { segmentAt } from "../data/lanes.js";
-import { visualizers } from "../visualizers/index.js";
+import { getVisualizer } from "../visualizers/index.js";
 import { showTip } from "../page/tip.js";
 
 const ROW = 26,
@@ -18,12 +18,16 @@ const NEAR = 4;
 
 export class LanesPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("lanes");
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.names = el.appendChild(document.createElement("div"));
     this.names.className = "lane-names";
     this.layers = [];
+    /** @type {{l: any, lane: string, index: number}[] | null} */
+    this.rows = null;
+    this.row = ROW;
     this.configure(config);
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(el);
@@ -82,7 +86,7 @@ export class LanesPanel {
       const key = JSON.stringify([vis.viz, vis.stream, vis.path]);
       const layer = old.get(key) ?? { key, channel: this.openChannel(vis) };
       old.delete(key);
-      const drawer = visualizers.get(vis.draw) ?? visualizers.get("messages");
+      const drawer = getVisualizer(vis.draw, "messages");
       return Object.assign(layer, { vis, index, drawer });
     });
     for (const l of old.values()) this.app.client.closeChannel(l.channel);
@@ -174,7 +178,7 @@ export class LanesPanel {
     ctx.beginPath();
     ctx.rect(GUTTER.left, 0, inner, h);
     ctx.clip();
-    this.rows.forEach(({ l, lane, index }, i) => {
+    this.rows?.forEach(({ l, lane, index }, i) => {
       const at = { y: EDGE + i * this.row, h: Math.max(this.row - Math.min(8, this.row * 0.3), 2), x: timeToX };
       if (l.channel.error) return this.drawNote(ctx, l.channel.error, at);
       const color = seriesColor(l.vis.props?.color, l.vis.color ?? l.index);

@@ -46,8 +46,9 @@ export class Legend {
     }));
     if (same) return;
     this.el.textContent = "";
-    let nth = 0,
-      before = null;
+    let nth = 0;
+    /** @type {{vis: any} | null} */
+    let before = null;
     for (const e of this.entries) {
       const row = this.el.appendChild(document.createElement("button"));
       row.className = "legend-item";

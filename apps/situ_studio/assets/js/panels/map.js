@@ -1,7 +1,7 @@
 // A map panel: tracks of positions, and the positions at the cursor. Map tiles are only loaded if the user
 // configured their address or folder.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { groundDistance, toLatitude, toLongitude, toX, toY } from "../map/mercator.js";
 import { nearestPoint, TrackChannel, countUntil } from "../map/track.js";
 import { drawGrid, drawPosition, drawScale, drawTiles, drawTrack } from "../map/draw.js";
@@ -17,7 +17,10 @@ const TILES = 300;
 
 export class MapPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app, layers: [], tiles: new Map() });
+    this.el = el;
+    this.app = app;
+    this.layers = [];
+    this.tiles = new Map();
     el.classList.add("map-cell");
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.canvas.className = "own-canvas";
@@ -166,7 +169,7 @@ export class MapPanel {
     const { map } = this;
     if (!map) return null;
     const [x, y] = [map.x + px / map.px, map.y + py / map.px];
-    let best = null;
+    let best = /** @type {{layer: any, i: number, d: number} | null} */ (null);
     for (const layer of this.visibleLayers) {
       const { track } = layer;
       const i = track ? nearestPoint(track, x, y, (best?.d ?? NEAR) / map.px) : -1;
@@ -196,6 +199,7 @@ export class MapPanel {
 
   addListeners() {
     const { canvas } = this;
+    /** @type {{x: number, y: number, map: any, far: boolean} | null} */
     let drag = null;
     const listenTo = (name, f, options) => canvas.addEventListener(name, f, options);
     listenTo("wheel", (e) => {

@@ -4,6 +4,7 @@ export class PanZoom {
   // fit() -> {x, y, k} with this zoom; changed() is called after a move, pointed() when only the mouse moved
   constructor(el, { fit, changed, pointed }) {
     this.zoom = { k: 1, x: 0, y: 0 };
+    /** @type {[number, number] | null} */
     this.pointer = null;
     const listenTo = (name, f, options) => el.addEventListener(name, f, options);
     listenTo(
@@ -21,6 +22,7 @@ export class PanZoom {
       },
       { passive: false },
     );
+    /** @type {[number, number] | null} */
     let drag = null;
     listenTo("pointerdown", (e) => {
       el.setPointerCapture(e.pointerId);

@@ -7,14 +7,15 @@ import { rulerTicks } from "../time/clock.js";
 import { axisNumber, valueFraction, valueTicks, paddedRange, tickCount } from "../page/number_text.js";
 import { Legend } from "./legend.js";
 import { paintBrackets } from "../visualizers/paint.js";
-import { visualizers } from "../visualizers/index.js";
+import { getVisualizer } from "../visualizers/index.js";
 
 // The space above the signals for their names and values.
 const LEGEND = 22;
 export class PlotPanel {
   // app: {time, client, schedule}; config: {vis: [{id, draw, stream, name, props}], axis: {mode, min, max}}
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("plot");
     this.body = el.appendChild(document.createElement("div"));
     this.body.className = "plot-body";
@@ -49,7 +50,7 @@ export class PlotPanel {
     const scheduleDraw = () => this.app.scheduleDraw(this);
     const channel = this.app.client.openChannel(spec, scheduleDraw, { px: widthInPixels });
     const value = this.app.client.openChannel(spec, scheduleDraw, { value: true });
-    const drawer = visualizers.get(vis.draw) ?? visualizers.get("line");
+    const drawer = getVisualizer(vis.draw, "line");
     // drawings that are computed in the background request a redraw
     return { key, channel, value, vis, drawer, redraw: () => this.app.scheduleDraw(this) };
   }
@@ -94,6 +95,7 @@ export class PlotPanel {
     const gridStyle = () => ({ stroke: () => themeColors().grid, width: 1 });
     // uPlot only draws axes whose increments are in this list; `splits` determines the actual ones
     const incrs = (_u, _i, lo, hi) => [Math.max(hi - lo, 5)];
+    /** @type {uPlot.Options} */
     const options = {
       width,
       height,
@@ -101,7 +103,7 @@ export class PlotPanel {
       padding: [LEGEND, GUTTER.right, 6, 0],
       cursor: { show: false },
       legend: { show: false },
-      select: { show: false },
+      select: { show: false, left: 0, top: 0, width: 0, height: 0 },
       scales: {
         x: { time: false, auto: false, range: () => this.app.time.get().view },
         // uPlot gets positions from 0 to 1, since the difference of our range's ends may overflow.
@@ -188,11 +190,12 @@ export class PlotPanel {
     const view = this.app.time.get().view;
     this.legend.build();
     this.y = this.valueRange(view);
-    this.plot.batch(() => {
-      this.plot.setScale("x", { min: view[0], max: view[1] });
-      this.plot.setScale("y", { min: 0, max: 1 });
+    const { plot } = this;
+    plot.batch(() => {
+      plot.setScale("x", { min: view[0], max: view[1] });
+      plot.setScale("y", { min: 0, max: 1 });
     });
-    this.plot.redraw(false, true);
+    plot.redraw(false, true);
     this.legend.updateValues();
   }
 

@@ -1,12 +1,13 @@
 // A panel that is drawn by a plug-in: on its canvas, or with its own elements.
 
 import { PluginDrawer } from "../plugins/plugin_drawer.js";
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { showTip } from "../page/tip.js";
 
 export class PluginPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("own-cell");
     const addChild = (tag, name) => {
       const child = el.appendChild(document.createElement(tag));

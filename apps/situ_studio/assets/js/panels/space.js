@@ -1,10 +1,12 @@
 // A 3D panel: the objects of streams in space, from any point of view. The first such panel loads the drawing code.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { showTip } from "../page/tip.js";
 import { seriesColor, themeColors } from "../page/theme.js";
+import { scriptAddress } from "../page/dom.js";
 
-const HERE = document.currentScript?.src ?? location.href;
+const HERE = scriptAddress() ?? location.href;
+/** @type {Promise<typeof import("../space/index.js")> | null} */
 let drawing = null;
 const loadDrawing = () => (drawing ??= import(new URL("space.js", HERE).href));
 
@@ -27,7 +29,8 @@ const TOOLS = [
 
 export class SpacePanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     this.layers = [];
     this.addElements();
     this.configure(config);

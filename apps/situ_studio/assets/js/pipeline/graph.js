@@ -6,7 +6,9 @@ const NS = "http://www.w3.org/2000/svg";
 
 export class PipelineGraph {
   constructor(el, { onPick, onFold }) {
-    Object.assign(this, { el, onPick, onFold });
+    this.el = el;
+    this.onPick = onPick;
+    this.onFold = onFold;
     this.svg = this.addElement("svg", el);
     const defs = this.addElement("defs", this.svg);
     const marker = this.addElement("marker", defs, {
@@ -126,6 +128,7 @@ export class PipelineGraph {
 
   // Dragging moves the graph, the wheel zooms about the pointer.
   addListeners() {
+    /** @type {{x: number, y: number, from: {x: number, y: number, k: number}, far: boolean} | null} */
     let drag = null;
     this.svg.addEventListener("pointerdown", (e) => {
       drag = { x: e.clientX, y: e.clientY, from: { ...this.view }, far: false };

@@ -4,6 +4,7 @@ import { PipelineGraph as Graph } from "./graph.js";
 import { HistoryPlot } from "./plot.js";
 
 // Plots are added and removed with the selection; their data belong to the page.
+/** @type {{key: string | null, stats: string[], rows: (number | null)[][]}} */
 const past = { key: null, stats: [], rows: [] };
 const plots = new Set();
 const statColumn = (stat) => {

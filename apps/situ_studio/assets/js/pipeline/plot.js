@@ -45,9 +45,9 @@ export class HistoryPlot {
     if (known.length === 0) return void (this.note.textContent = "–");
     const [t0, t1] = [known[0][0], known.at(-1)[0]];
     const values = known.map(([, v]) => v);
-    let low = Math.min(0, ...values),
-      high = Math.max(...values);
-    if (high === low) high = low + 1;
+    const low = Math.min(0, ...values);
+    const highest = Math.max(...values);
+    const high = highest === low ? low + 1 : highest;
     const timeToX = (t) => 2 + ((t - t0) / Math.max(1, t1 - t0)) * (w - 4);
     const valueToY = (v) => h - 3 - ((v - low) / (high - low)) * (h - 8);
     c.strokeStyle = colors.grid;
@@ -85,6 +85,7 @@ export class HistoryPlot {
   }
 }
 
+/** @type {[least: number, factor: number, letter: string][]} */
 const SI = [
   [1e9, 1e9, "G"],
   [1e6, 1e6, "M"],

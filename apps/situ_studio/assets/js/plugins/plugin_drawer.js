@@ -8,7 +8,7 @@
 //   close()
 // host: {options(), changed(), theme(name), el (of panels of kind "own"), format(number)}
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatNumber } from "../page/number_text.js";
 import { themeColors, seriesColor } from "../page/theme.js";
 
@@ -25,7 +25,9 @@ function loadScript(url) {
 export class PluginDrawer {
   // changed() requests a redraw
   constructor(vis, changed, el) {
-    Object.assign(this, { vis, changed, el });
+    this.vis = vis;
+    this.changed = changed;
+    this.el = el;
     loadScript(vis.script.url).then(
       (module) => this.openModule(module),
       (error) => this.showFailure("its script cannot be loaded", error),

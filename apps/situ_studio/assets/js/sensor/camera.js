@@ -1,11 +1,16 @@
 // Sends camera images as JPEG when the pipeline has credit for one; other images are not encoded.
-import { now } from "./clock.js";
-
-const HEAD = 16;
+import { CAMERA_BYTES, DEVICE, writeCamera } from "../data/frames.js";
+import { now } from "../device/clock.js";
+import { getContext2d } from "../page/dom.js";
 
 export class Camera {
   constructor(stream, video, socket, state) {
-    Object.assign(this, { video, socket, state, room: 0, busy: false, on: true });
+    this.video = video;
+    this.socket = socket;
+    this.state = state;
+    this.room = 0;
+    this.busy = false;
+    this.on = true;
     this.canvas = document.createElement("canvas");
     video.srcObject = new MediaStream(stream.getVideoTracks());
     video.play().catch(() => {}); // stopped before it began
@@ -34,7 +39,7 @@ export class Camera {
     this.busy = true;
     this.canvas.width = w;
     this.canvas.height = h;
-    this.canvas.getContext("2d").drawImage(this.video, 0, 0);
+    getContext2d(this.canvas).drawImage(this.video, 0, 0);
     this.canvas.toBlob((blob) => this.sendImage(blob, w, h, time), "image/jpeg", 0.8);
   }
 
@@ -42,13 +47,9 @@ export class Camera {
     const jpeg = new Uint8Array(await blob.arrayBuffer());
     this.busy = false;
     if (!this.on || this.socket.readyState !== 1) return;
-    const bytes = new Uint8Array(HEAD + jpeg.length);
-    const view = new DataView(bytes.buffer);
-    view.setUint8(0, 1);
-    view.setUint16(4, w, true);
-    view.setUint16(6, h, true);
-    view.setFloat64(8, time, true);
-    bytes.set(jpeg, HEAD);
+    const bytes = new Uint8Array(CAMERA_BYTES + jpeg.length);
+    writeCamera(new DataView(bytes.buffer), 0, { kind: DEVICE.camera, width: w, height: h, time });
+    bytes.set(jpeg, CAMERA_BYTES);
     this.socket.send(bytes);
     this.state.sent++;
   }

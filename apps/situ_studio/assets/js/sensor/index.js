@@ -1,19 +1,19 @@
 // The page of a sensor: sends camera and microphone to a pipeline, and plays its audio.
-import { Clock } from "./clock.js";
-import { connectSocket } from "./connection.js";
+import { Clock } from "../device/clock.js";
+import { connectSocket } from "../device/connection.js";
+import { DevicePage } from "../device/page.js";
+import { getElement } from "../page/dom.js";
 import { Camera } from "./camera.js";
 import { Microphone } from "./microphone.js";
 import { Player } from "./player.js";
 import { NOTHING, errorText } from "./error_text.js";
 
-const $ = (id) => document.getElementById(id);
-const state = { sent: 0, dropped: 0, heard: 0, played: 0, offset: null, running: false };
+const page = new DevicePage({ heard: 0, played: 0 });
+const { state } = page;
 window.situSensor = state; // for tests and the console
-let stop = () => {};
 
-function showStatus(text) {
-  $("status").textContent = text;
-}
+/** @param {string} id */
+const getSelect = (id) => getElement(id, HTMLSelectElement);
 
 async function listDevices() {
   const devices = await navigator.mediaDevices.enumerateDevices();
@@ -21,69 +21,52 @@ async function listDevices() {
     ["camera", "videoinput"],
     ["microphone", "audioinput"],
   ]) {
-    const chosen = $(id).value;
+    const chosen = getSelect(id).value;
     const found = devices.filter((d) => d.kind === kind);
     const options = found.map((d, i) => new Option(d.label || `${id} ${i + 1}`, d.deviceId));
-    $(id).replaceChildren(...options, new Option("none", "none"));
-    if (chosen) $(id).value = chosen;
+    getSelect(id).replaceChildren(...options, new Option("none", "none"));
+    if (chosen) getSelect(id).value = chosen;
   }
 }
 
+/**
+ * @param {string} id
+ * @param {MediaTrackConstraints} more
+ */
 const deviceConstraints = (id, more) =>
-  $(id).value === "none" ? false : { deviceId: $(id).value || undefined, ...more };
+  getSelect(id).value === "none" ? false : { deviceId: getSelect(id).value || undefined, ...more };
 
 async function startSensor() {
   const video = deviceConstraints("camera", { width: { ideal: 640 }, height: { ideal: 480 } });
   // The page plays the assistant's own voice, which the browser removes from the microphone's signal.
   const audio = deviceConstraints("microphone", { echoCancellation: true });
-  if (!video && !audio) return showStatus(NOTHING);
+  if (!video && !audio) return page.showStatus(NOTHING);
   const stream = await navigator.mediaDevices.getUserMedia({ video, audio });
+  page.addPart({ stop: () => stream.getTracks().forEach((track) => track.stop()) });
   await listDevices(); // device names are available after the permission
-  const stopTracks = () => stream.getTracks().forEach((track) => track.stop());
-  const { socket, credit } = await connectSocket("sensor/socket").catch((error) => {
-    stopTracks();
-    throw error;
-  });
-  const parts = [];
-  stop = (why) => {
-    stop = () => {};
-    for (const part of parts) part.stop();
-    stopTracks();
-    socket.close();
-    state.running = false;
-    $("start").hidden = false;
-    $("stop").hidden = true;
-    showStatus(why);
-  };
-  socket.onclose = ({ reason }) => stop(reason || "The pipeline has ended, or the connection was lost.");
-  const clock = new Clock(socket, state);
-  const player = new Player(state);
-  const pictures = video && new Camera(stream, $("preview"), socket, state);
-  parts.push(clock, player);
-  if (pictures) parts.push(pictures);
+  const { socket, credit } = await connectSocket("sensor/socket");
+  page.watchConnection(socket);
+  const clock = page.addPart(new Clock(socket, state));
+  const player = page.addPart(new Player(state));
+  const pictures = video && page.addPart(new Camera(stream, getElement("preview", HTMLVideoElement), socket, state));
   socket.onmessage = ({ data }) => {
     if (typeof data !== "string") return player.playData(data);
     const message = JSON.parse(data);
     if ("pong" in message) clock.receivePong(message);
-    if ("credit" in message) pictures?.addCredit(message.credit);
+    if ("credit" in message && pictures) pictures.addCredit(message.credit);
   };
-  pictures?.addCredit(credit);
-  if (audio) parts.push(await Microphone.start(stream, socket, state));
-  for (const track of stream.getTracks()) track.onended = () => stop("The device was disconnected.");
-  state.running = true;
-  $("start").hidden = true;
-  $("stop").hidden = false;
-  showStatus("Running.");
+  if (pictures) pictures.addCredit(credit);
+  if (audio) page.addPart(await Microphone.start(stream, socket, state));
+  for (const track of stream.getTracks()) track.onended = () => page.stop("The device was disconnected.");
+  page.showRunning();
 }
 
 if (!navigator.mediaDevices) {
-  showStatus(
+  page.disable(
     "This browser exposes cameras only to secure pages: open the page over https, or on the machine itself.",
   );
-  $("start").disabled = true;
 } else {
   listDevices();
   navigator.mediaDevices.addEventListener("devicechange", listDevices);
-  $("start").onclick = () => startSensor().catch((error) => stop(errorText(error)) ?? showStatus(errorText(error)));
-  $("stop").onclick = () => stop("Stopped.");
+  page.listenStart(startSensor, errorText);
 }

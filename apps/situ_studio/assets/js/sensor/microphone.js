@@ -1,7 +1,6 @@
 // Sends the microphone's audio as 16-bit samples in chunks of 20 ms, each with the time of its end.
-import { now } from "./clock.js";
-
-const HEAD = 16;
+import { DEVICE, MICROPHONE_BYTES, writeMicrophone } from "../data/frames.js";
+import { now } from "../device/clock.js";
 
 export class Microphone {
   static async start(stream, socket, state) {
@@ -14,7 +13,12 @@ export class Microphone {
   }
 
   constructor(context, node, socket, state) {
-    Object.assign(this, { context, socket, state, began: null, frames: 0 });
+    this.context = context;
+    this.socket = socket;
+    this.state = state;
+    /** @type {number | null} the time of the first sample, by the page's clock */
+    this.began = null;
+    this.frames = 0;
     node.port.onmessage = ({ data }) => this.sendChunk(data);
   }
 
@@ -24,17 +28,16 @@ export class Microphone {
     const length = (this.frames / rate) * 1000;
     // Chunks arrive irregularly, but samples are regular, so the clock corrects the sample count slowly, and
     // immediately after a gap.
-    const off = this.began === null ? Infinity : now() - (this.began + length);
-    if (Math.abs(off) > 500) this.began = now() - length;
-    else this.began += off * 0.01;
+    const before = this.began ?? -Infinity;
+    const off = now() - (before + length);
+    const began = Math.abs(off) > 500 ? now() - length : before + off * 0.01;
+    this.began = began;
     if (this.state.offset === null || this.socket.readyState !== 1) return;
-    const bytes = new ArrayBuffer(HEAD + samples.length * 2);
+    const bytes = new ArrayBuffer(MICROPHONE_BYTES + samples.length * 2);
     const view = new DataView(bytes);
-    view.setUint8(0, 2);
-    view.setUint32(4, rate, true);
-    view.setFloat64(8, this.began + length, true);
+    writeMicrophone(view, 0, { kind: DEVICE.microphone, rate, time: began + length });
     for (let i = 0; i < samples.length; i++)
-      view.setInt16(HEAD + 2 * i, Math.max(-1, Math.min(1, samples[i])) * 32767, true);
+      view.setInt16(MICROPHONE_BYTES + 2 * i, Math.max(-1, Math.min(1, samples[i])) * 32767, true);
     this.socket.send(bytes);
     this.state.heard += samples.length;
   }

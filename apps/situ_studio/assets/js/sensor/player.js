@@ -1,4 +1,6 @@
 // Plays the pipeline's audio without gaps. Late audio restarts a little ahead.
+import { DEVICE, SPEAKER_BYTES, readSpeaker } from "../data/frames.js";
+
 const AHEAD_S = 0.08;
 
 export class Player {
@@ -10,11 +12,12 @@ export class Player {
 
   playData(data) {
     const view = new DataView(data);
-    if (view.getUint8(0) !== 3) return;
-    const n = (data.byteLength - 8) >> 1;
-    const buffer = this.context.createBuffer(1, n, view.getUint32(4, true));
+    const { kind, rate } = readSpeaker(view, 0);
+    if (kind !== DEVICE.speaker) return;
+    const n = (data.byteLength - SPEAKER_BYTES) >> 1;
+    const buffer = this.context.createBuffer(1, n, rate);
     const samples = buffer.getChannelData(0);
-    for (let i = 0; i < n; i++) samples[i] = view.getInt16(8 + 2 * i, true) / 32768;
+    for (let i = 0; i < n; i++) samples[i] = view.getInt16(SPEAKER_BYTES + 2 * i, true) / 32768;
     const source = this.context.createBufferSource();
     source.buffer = buffer;
     source.connect(this.context.destination);

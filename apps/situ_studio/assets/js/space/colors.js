@@ -23,6 +23,7 @@ export const rampCss = `linear-gradient(90deg, ${RAMP.filter((_, i) => i % 32 ==
   .join(", ")})`;
 export const RAMP_COLORS = RAMP;
 
+/** @param {number} value @param {number[]} span */
 export function rampColor(value, [low, high]) {
   const t = Math.min(Math.max((value - low) / (high - low), 0), 1);
   const [r, g, b] = RAMP[Math.round(t * 255)];

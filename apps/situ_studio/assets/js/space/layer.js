@@ -30,8 +30,11 @@ export class Layer {
     this.uploaded = uploaded;
     this.group = new Group();
     this.group.matrixAutoUpdate = false;
+    /** @type {any[]} */
     this.parts = [];
     this.texts = [];
+    /** @type {string | null} why the layer cannot be placed */
+    this.unplaced = null;
   }
 
   // content: {name, short, props, own, frame}; pixels: screen pixels per page pixel
@@ -87,7 +90,7 @@ export class Layer {
     for (const { item } of this.parts) {
       if (item.kind === "boxes") {
         for (let i = 0; i < item.count; i++)
-          yield v.set(...item.matrix.slice(16 * i + 12, 16 * i + 15)).applyMatrix4(this.group.matrix);
+          yield v.fromArray(item.matrix, 16 * i + 12).applyMatrix4(this.group.matrix);
         continue;
       }
       const numbers = item.position ?? item.corner;

@@ -6,9 +6,22 @@ const GROUND = new Plane(new Vector3(0, 0, 1), 0);
 // Clouds with more points are not searched while the mouse moves.
 const MOST = 3_000_000;
 
+/**
+ * @typedef {object} Hit
+ * @property {import("./layer.js").Layer} layer
+ * @property {any} part
+ * @property {number} index
+ * @property {import("three").Object3D} object
+ * @property {Vector3} point
+ * @property {number} rank
+ */
+
 export class Pointer {
   constructor(canvas, view) {
-    Object.assign(this, { canvas, view, camera: view.camera, caster: new Raycaster() });
+    this.canvas = canvas;
+    this.view = view;
+    this.camera = view.camera;
+    this.caster = new Raycaster();
   }
 
   aimRay(x, y) {
@@ -19,6 +32,7 @@ export class Pointer {
   // Returns the nearest item at a position of the canvas, {layer, part, index, object, point}, or null.
   hitAt(layers, x, y) {
     this.aimRay(x, y);
+    /** @type {Hit | null} */
     let best = null;
     for (const layer of layers) {
       if (!layer.group.visible) continue;
@@ -26,9 +40,10 @@ export class Pointer {
         if (part.item.kind === "points" && part.item.count > MOST) continue;
         this.setReach(part.item);
         for (const hit of this.caster.intersectObject(part.object, true)) {
-          const { point, object } = hit;
+          const { point } = hit;
+          const object = /** @type {import("three").Mesh} */ (hit.object);
           const index = hit.instanceId ?? hit.index ?? 0;
-          if (object.material?.visible === false) continue;
+          if ([object.material].flat().some((material) => material?.visible === false)) continue;
           // points and lines are ranked by their distance to the mouse before their distance to the viewer
           const rank = hit.distance + (hit.distanceToRay ?? 0) * 50;
           if (!best || rank < best.rank) best = { layer, part, index, object, point: point.clone(), rank };

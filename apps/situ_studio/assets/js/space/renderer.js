@@ -3,6 +3,7 @@
 
 import { WebGLRenderer } from "three";
 
+/** @type {WebGLRenderer | null} */
 let shared = null;
 
 // Draws a scene onto a canvas of the page, at the canvas's own size.

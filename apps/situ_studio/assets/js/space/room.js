@@ -1,6 +1,7 @@
 // Shows the layers of a 3D panel in a headset's session.
 
 import { DirectionalLight, Group, HemisphereLight, Matrix4, PerspectiveCamera, Scene, WebGLRenderer } from "three";
+import { DRAWING_BYTES, readDrawing } from "../data/frames.js";
 import { decodeScene } from "../data/scene.js";
 import { Layer } from "./layer.js";
 
@@ -16,9 +17,12 @@ export async function openRoom(session, { frame, problem }) {
   return new Room(gl, frame, problem);
 }
 
-class Room {
+export class Room {
   constructor(gl, frame, problem) {
-    Object.assign(this, { gl, problem, layers: new Map(), scene: new Scene() });
+    this.gl = gl;
+    this.problem = problem;
+    this.layers = new Map();
+    this.scene = new Scene();
     this.camera = new PerspectiveCamera(70, 1, 0.02, 200);
     this.rig = new Group();
     this.rig.applyMatrix4(AXES);
@@ -34,9 +38,9 @@ class Room {
 
   // Shows a drawing, replacing the layer of the same name; returns the name.
   putLayer(bytes) {
-    const size = new DataView(bytes).getUint32(4, true);
-    const drawing = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 8, size)));
-    const at = 8 + ((size + 7) & ~7);
+    const { bytes: size } = readDrawing(new DataView(bytes), 0);
+    const drawing = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, DRAWING_BYTES, size)));
+    const at = DRAWING_BYTES + ((size + 7) & ~7);
     const frame = decodeScene(bytes, at, bytes.byteLength - at);
     const layer = this.layers.get(drawing.layer) ?? this.openLayer(drawing.layer);
     const props = { ...drawing.props, signs: true };

@@ -1,17 +1,8 @@
 // The scene of a 3D panel: its layers, the viewer, and the tools.
 
-import {
-  AxesHelper,
-  Color,
-  DirectionalLight,
-  Frustum,
-  GridHelper,
-  HemisphereLight,
-  Matrix4,
-  Scene,
-  Vector3,
-} from "three";
+import { Color, Frustum, Matrix4, Scene, Vector3 } from "three";
 import { paintScene, memoryUsage } from "./renderer.js";
+import { Ground } from "./ground.js";
 import { Layer } from "./layer.js";
 import { FrameTree } from "./frames.js";
 import { Viewpoint } from "./viewpoint.js";
@@ -27,7 +18,10 @@ export const openStage = (canvas, options) => new Stage(canvas, options);
 class Stage {
   // changed(): redraw; pointed(lines, x, y): text for the item under the mouse; theme(): the page's colors
   constructor(canvas, { changed, pointed, theme }) {
-    Object.assign(this, { canvas, changed, pointed, theme });
+    this.canvas = canvas;
+    this.changed = changed;
+    this.pointed = pointed;
+    this.theme = theme;
     this.scene = new Scene();
     this.view = new Viewpoint(canvas, changed);
     this.pointer = new Pointer(canvas, this.view);
@@ -36,22 +30,14 @@ class Stage {
     this.on = new Set();
     this.measured = [];
     this.pixels = devicePixelRatio;
-    this.addLights();
+    this.ground = new Ground(this.scene);
     this.addListeners();
     if (!canvas.getContext("2d")) throw new Error("this browser does not support canvases");
   }
 
-  addLights() {
-    this.lamp = new DirectionalLight(0xffffff, 1.6);
-    this.scene.add(new HemisphereLight(0xffffff, 0x8a8a92, 1.5), this.lamp, this.lamp.target);
-    this.grid = new GridHelper(20, 20);
-    this.grid.rotateX(Math.PI / 2);
-    this.axes = new AxesHelper(1);
-    this.scene.add(this.grid, this.axes);
-  }
-
   addListeners() {
     const listenTo = (name, f) => this.canvas.addEventListener(name, f);
+    /** @type {[number, number] | null} */
     let down = null;
     listenTo("pointermove", (e) => {
       this.mouse = e.buttons ? null : [e.offsetX, e.offsetY, e.clientX, e.clientY];
@@ -209,8 +195,8 @@ class Stage {
   fitView() {
     const seen = this.view.fitPoints(this.samplePoints(), this.cameraDirection());
     if (seen) {
-      const metres = 10 ** Math.max(0, Math.ceil(Math.log10(this.view.around.distance / 50)));
-      for (const o of [this.grid, this.axes]) o.scale.setScalar(metres);
+      const distance = this.view.around?.distance ?? 0;
+      this.ground.setScale(10 ** Math.max(0, Math.ceil(Math.log10(distance / 50))));
     }
     return seen;
   }
@@ -256,8 +242,7 @@ class Stage {
     this.fitNewLayers();
     const flying = this.view.flyStep();
     const { camera } = this.view;
-    this.lamp.position.copy(camera.position);
-    this.lamp.target.position.copy(this.view.orbit.target);
+    this.ground.placeLamp(camera.position, this.view.orbit.target);
     this.applyTheme();
     const ctx = paintScene(this.scene, camera, this.canvas);
     ctx.setTransform(pixels, 0, 0, pixels, 0, 0);
@@ -273,9 +258,7 @@ class Stage {
     if (this.dressed === bg + grid) return;
     this.dressed = bg + grid;
     this.scene.background = new Color(bg);
-    this.grid.material.vertexColors = false;
-    this.grid.material.color.set(grid);
-    this.grid.material.needsUpdate = true;
+    this.ground.setColor(grid);
   }
 
   // Returns the canvas position of a point of the fixed frame, for tests and automation.
@@ -289,10 +272,7 @@ class Stage {
   close() {
     if (this.hovering) cancelAnimationFrame(this.hovering);
     for (const key of [...this.layers.keys()]) this.removeLayer(key);
-    for (const o of [this.grid, this.axes]) {
-      o.geometry.dispose();
-      o.material.dispose();
-    }
+    this.ground.dispose();
     this.view.close();
   }
 }

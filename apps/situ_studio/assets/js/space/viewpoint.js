@@ -145,8 +145,9 @@ export class Viewpoint {
   }
 
   lookFrom(position, target) {
-    this.camera.position.set(...position);
-    this.setTarget(new Vector3(...target), this.camera.position.distanceTo(new Vector3(...target)));
+    this.camera.position.fromArray(position);
+    const at = new Vector3().fromArray(target);
+    this.setTarget(at, this.camera.position.distanceTo(at));
     this.moved = true;
   }
 

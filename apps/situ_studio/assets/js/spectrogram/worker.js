@@ -3,5 +3,5 @@ import { computeLevels } from "./fft.js";
 
 self.onmessage = ({ data: { id, samples, count, n } }) => {
   const found = computeLevels(samples, count, n);
-  self.postMessage({ id, found }, [found.buffer]);
+  self.postMessage({ id, found }, { transfer: [found.buffer] });
 };

@@ -1,6 +1,7 @@
 // Audio during playback: the waveforms of the panels, fetched one second at a time.
 
-import { decodeReply, KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
+import { decodeReply } from "../data/wire.js";
 
 const MOST = 4;
 

@@ -6,6 +6,17 @@ import { readSetting } from "../page/settings.js";
 // How close to a change the edge of a selection must be to snap, in pixels.
 const NEAR = 6;
 
+/**
+ * @typedef {object} Drag
+ * @property {number} x
+ * @property {[number, number]} view
+ * @property {number} t
+ * @property {boolean} select
+ * @property {boolean} free
+ * @property {number} inner
+ * @property {boolean} moved
+ */
+
 export function timelineGestures(el, app, view) {
   const locatePointer = (e) => {
     const box = el.getBoundingClientRect();
@@ -14,6 +25,7 @@ export function timelineGestures(el, app, view) {
     const x = e.clientX - box.left - GUTTER.left;
     return { t: s.view[0] + (x / inner) * (s.view[1] - s.view[0]), ok: x >= 0 && x <= inner, inner };
   };
+  /** @type {{drag: Drag | null}} */
   const state = { drag: null };
 
   // Snaps the edges of a selection to changes within a few pixels, unless Alt is held.

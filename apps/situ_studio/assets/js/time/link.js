@@ -1,6 +1,11 @@
 // Encodes layout, view, cursor and selection in the address. Times are absolute nanoseconds, so that a copied link
 // shows the same anywhere.
 
+/**
+ * @param {any} s
+ * @param {bigint} origin
+ * @param {{layout?: string, edit?: string, snap?: string | null, annotate?: string, compare?: any}} facts
+ */
 export function encodeLink(s, origin, { layout, edit, snap, annotate, compare } = {}) {
   const toAbsolute = (t) => (origin + BigInt(Math.round(t))).toString();
   const q = new URLSearchParams();

@@ -9,7 +9,8 @@ const GRIP = 6;
 
 export class Navigator {
   constructor(el, app) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(el);

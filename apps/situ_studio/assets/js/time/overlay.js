@@ -8,16 +8,11 @@ export class Overlay {
     this.el = el;
     this.box = el.appendChild(document.createElement("div"));
     this.box.className = "overlay";
-    [this.shade, this.start, this.end, this.cursor] = [
-      "sel-shade",
-      "sel-line start",
-      "sel-line end",
-      "cursor-line",
-    ].map((c) => {
-      const d = this.box.appendChild(document.createElement("div"));
-      d.className = c;
-      return d;
-    });
+    const addMark = (className) => Object.assign(this.box.appendChild(document.createElement("div")), { className });
+    this.shade = addMark("sel-shade");
+    this.start = addMark("sel-line start");
+    this.end = addMark("sel-line end");
+    this.cursor = addMark("cursor-line");
   }
 
   update(s) {

@@ -6,9 +6,15 @@ const MAX_AUDIBLE = 4;
 
 export class Playback {
   // time: store; sounds(): [{stream, channel}] to play; fetchPcm({stream, channel}, from, to) -> {rate, samples, at}
+  /** @param {{time: any, sounds: () => any[], fetchPcm: Function, onError?: (text: string) => void}} options */
   constructor({ time, sounds, fetchPcm, onError = () => {} }) {
-    Object.assign(this, { time, sounds, fetchPcm, onError });
+    this.time = time;
+    this.sounds = sounds;
+    this.fetchPcm = fetchPcm;
+    this.onError = onError;
     this.run = null;
+    /** @type {AudioContext | undefined} */
+    this.context = undefined;
     time.subscribe((s, old) => {
       const was = old.mode === "play",
         is = s.mode === "play";
@@ -53,18 +59,18 @@ export class Playback {
     const from = s.cursor,
       to = s.play[1];
     try {
-      this.context ??= new AudioContext();
+      const context = this.openContext();
       run.waiting = true;
-      await this.context.resume();
+      await context.resume();
       const first = await Promise.all(sounds.map((x) => this.fetchChunk(x, from, to)));
       if (run.stop) return;
-      const start = this.context.currentTime + 0.03;
+      const start = context.currentTime + 0.03;
       const playChunks = (chunks) => {
         for (const c of chunks) this.scheduleChunk(run, c, from, start);
       };
       run.waiting = false;
       run.heard = 0;
-      run.clock = () => from + Math.max(0, this.context.currentTime - start) * 1e9 * run.speed;
+      run.clock = () => from + Math.max(0, context.currentTime - start) * 1e9 * run.speed;
       playChunks(first);
       for (let at = from + CHUNK; at < to && !run.stop; at += CHUNK) {
         playChunks(await Promise.all(sounds.map((x) => this.fetchChunk(x, at, to))));
@@ -80,21 +86,27 @@ export class Playback {
     }
   }
 
+  openContext() {
+    this.context ??= new AudioContext();
+    return this.context;
+  }
+
   fetchChunk(sound, from, end) {
     return this.fetchPcm(sound, from, Math.min(from + CHUNK, end));
   }
 
   scheduleChunk(run, pcm, from, start) {
     if (!pcm || !pcm.samples.length || run.stop) return;
-    const buffer = this.context.createBuffer(pcm.channels, pcm.samples.length / pcm.channels, pcm.rate);
+    const context = this.openContext();
+    const buffer = context.createBuffer(pcm.channels, pcm.samples.length / pcm.channels, pcm.rate);
     for (let c = 0; c < pcm.channels; c++) buffer.copyToChannel(pickChannel(pcm.samples, c, pcm.channels), c);
-    const node = this.context.createBufferSource();
+    const node = context.createBufferSource();
     node.buffer = buffer;
     node.playbackRate.value = run.speed;
-    node.connect(this.context.destination);
+    node.connect(context.destination);
     let when = start + (pcm.at - from) / 1e9 / run.speed;
     let offset = 0;
-    const now = this.context.currentTime;
+    const now = context.currentTime;
     if (when < now) {
       offset = (now - when) * run.speed;
       when = now;

@@ -67,6 +67,7 @@ export function rulerStep(duration, px, minPx = 80) {
 }
 
 // Returns the ticks of a time range. `zero(unit)` is the time from which units are counted.
+/** @param {number[]} range @param {number} px @param {number} minPx @param {(unit: number) => number} zero */
 export function timeTicks([from, to], px, minPx = 80, zero = () => 0) {
   const unit = rulerStep(to - from, px, minPx);
   const z = zero(unit);

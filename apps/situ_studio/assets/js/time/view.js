@@ -27,6 +27,7 @@ export function initialState(from = 0, to = 60e9) {
 
 const dataExtent = (from, to) => (to > from ? [from, to] : [from - POINT / 2, from + POINT / 2]);
 
+/** @returns {[from: number, to: number]} */
 export function nonEmptyRange(from, to) {
   return to > from ? [from, to] : [from, from + 1];
 }
@@ -138,6 +139,7 @@ const handlers = {
   toSelEnd: (s) => (s.sel[1] == null ? s : scrollToCursor(holdCursor(s, s.sel[1]))),
 
   // playback
+  /** @param {any} s @param {{from: number, to: number, repeat?: boolean}} action */
   play(s, { from, to, repeat }) {
     const r = nonEmptyRange(from, to);
     return scrollToCursor({ ...s, mode: "play", play: r, cursor: from, repeat: repeat ?? s.repeat });

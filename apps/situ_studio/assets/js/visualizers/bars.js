@@ -1,12 +1,13 @@
 // A chart of the message at the cursor: histograms, scores by name, one or several lists of numbers.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { FONT, themeColors, seriesColor } from "../page/theme.js";
 import { drawChart } from "./chart.js";
 
 export class BarsPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("chart-cell");
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.configure(config);

@@ -126,6 +126,7 @@ function drawAxes(ctx, { chart, ends, box, namePosition, valueHeight, lying }) {
 }
 
 // share(nth, of) returns the part of a name's width that a series occupies: [from, size].
+/** @param {any} scene @param {Function} share @param {(place: number, value: number) => number} from */
 function drawBars({ ctx, chart, pointAt, namePosition }, share, from = () => 0) {
   const px = Math.abs(namePosition(chart.step) - namePosition(0));
   const gap = Math.min(px * 0.2, 8) / px;

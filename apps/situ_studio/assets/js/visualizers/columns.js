@@ -16,6 +16,7 @@ export function pixelColumns(s, a, b, x, left, right) {
     if (!(lo[k] <= least)) lo[k] = least;
     if (!(hi[k] >= most)) hi[k] = most;
   };
+  /** @type {{c: number, v: number} | null} */
   let before = null;
   for (let i = a; i <= b; i++) {
     if (!Number.isFinite(s.min[i]) || !Number.isFinite(s.max[i])) {

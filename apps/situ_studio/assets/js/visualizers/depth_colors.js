@@ -1,6 +1,9 @@
 // Depth as false colors, warm when near: the range that the colors cover, and the value that means "no reading".
 // Pure.
 
+/** @typedef {[red: number, green: number, blue: number]} Rgb */
+
+/** @type {Rgb[]} */
 const STOPS = [
   [122, 18, 24],
   [214, 62, 38],
@@ -12,13 +15,16 @@ const STOPS = [
   [44, 44, 120],
 ];
 
+/** @type {Rgb[]} */
 export const COLORS = Array.from({ length: 256 }, (_, i) => {
   const at = (i / 255) * (STOPS.length - 1);
   const k = Math.min(Math.floor(at), STOPS.length - 2);
   const f = at - k;
-  return STOPS[k].map((c, j) => Math.round(c + (STOPS[k + 1][j] - c) * f));
+  const mix = (j) => Math.round(STOPS[k][j] + (STOPS[k + 1][j] - STOPS[k][j]) * f);
+  return [mix(0), mix(1), mix(2)];
 });
 
+/** @param {Rgb} color @param {number} a */
 const packColor = ([r, g, b], a = 255) => ((a << 24) | (b << 16) | (g << 8) | r) >>> 0;
 const PACKED = Uint32Array.from(COLORS, (c) => packColor(c));
 
@@ -34,15 +40,27 @@ const RANGES = {
 // Returns the visualizer's properties as {range, invalid, none}: `range` is null if each image has its own,
 // `invalid` is the value that is not a reading (null: every value is one), `none` is the packed color of such
 // values.
+/**
+ * @param {{range?: string, min?: number, max?: number, invalid?: number, invalid_color?: string}} props
+ * @returns {{range: [number, number] | null, invalid: number | null, none: number}}
+ */
 export function depthStyle({ range = "auto", min, max, invalid = 0, invalid_color: color } = {}) {
   return {
     range: range === "fixed" ? orderedRange(min ?? 0, max ?? 65535) : (RANGES[range] ?? null),
     invalid: invalid < 0 ? null : invalid,
-    none: color ? packColor([1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16))) : 0,
+    none: color ? packColor(parseRgb(color)) : 0,
   };
 }
 
+// Parses "#rrggbb".
+/** @param {string} color @returns {Rgb} */
+export function parseRgb(color) {
+  const packed = parseInt(color.slice(1), 16);
+  return [packed >> 16, (packed >> 8) & 255, packed & 255];
+}
+
 // Returns an ordered, non-empty range.
+/** @returns {[number, number]} */
 function orderedRange(a, b) {
   const lo = Math.min(a, b),
     hi = Math.max(a, b);
@@ -50,6 +68,7 @@ function orderedRange(a, b) {
 }
 
 // Returns the lowest and highest reading of an image.
+/** @param {Uint16Array} depth @param {number | null} invalid @returns {[number, number]} */
 export function depthRange(depth, invalid = 0) {
   let lo = 65535,
     hi = 0;

@@ -1,6 +1,6 @@
 // Draws an image. Of the images that arrive while one is being decoded, only the newest is kept.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatDuration } from "../time/text.js";
 import { createBitmap } from "./pixels.js";
 
@@ -52,7 +52,8 @@ export const image = {
     yield `(${x}, ${y}) = ${this.readingText(values[y * width + x], picture, vis)}`;
   },
 
-  readingText: (value) => String(value),
+  /** @param {number} value @param {object} [_picture] @param {object} [_vis] */
+  readingText: (value, _picture, _vis) => String(value),
 
   depthStyle: () => null,
 };

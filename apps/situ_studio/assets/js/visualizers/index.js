@@ -41,7 +41,11 @@ const ALL = [
   masks,
 ];
 
-export const visualizers = new Map(ALL.map((v) => [v.id, v]));
+/** @type {Map<string, any>} each kind of panel calls its own functions */
+const visualizers = new Map(ALL.map((v) => [v.id, v]));
+
+// Returns the visualizer with this name, or the usual one of the panel.
+export const getVisualizer = (name, usual) => visualizers.get(name) ?? visualizers.get(usual);
 
 // Panels that a single visualizer fills.
 export const WHOLE = { bars: BarsPanel, text: TextPanel, value: ValuePanel, log: LogPanel, xy: XYPanel };

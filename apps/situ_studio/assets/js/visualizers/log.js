@@ -1,11 +1,12 @@
 // A list of the messages around the cursor; a click moves the cursor to one.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatClock } from "../time/clock.js";
 
 export class LogPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("log-cell");
     this.list = el.appendChild(document.createElement("ol"));
     this.list.tabIndex = 0;

@@ -1,9 +1,11 @@
 // Masks over an image: the pixels of each class, or of each object in its box, transparent, each in its color.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { FONT, seriesColor } from "../page/theme.js";
 import { formatNumber } from "../page/number_text.js";
 import { drawTag } from "./shapes.js";
+import { getContext2d } from "../page/dom.js";
+import { parseRgb } from "./depth_colors.js";
 
 const OPACITY = 45;
 
@@ -86,6 +88,7 @@ export function unpackRuns({ width, height, runs }) {
 }
 
 // Returns the part of the image that class numbers cover: [x, y, width, height].
+/** @returns {[x: number, y: number, width: number, height: number]} */
 export function coveredRect({ width, height }, picture, fit) {
   const { width: w, height: h } = picture;
   if (fit === "whole" || width !== height) return [0, 0, w, h];
@@ -112,18 +115,21 @@ function colorMasks(layer) {
   (found ?? []).forEach((m, i) => (m.canvas = paintMask(m, () => parseColor(objectColor(layer, m, i)))));
 }
 
+/** @typedef {[red: number, green: number, blue: number, alpha: number]} Rgba */
+
 // There are eight colors and more classes: each further round is darker or lighter, so that 32 classes differ.
 const SHADES = [1, 0.6, 0.8, 0.4];
 
+/** @param {Rgba} color @param {number} index @returns {Rgba} */
 export function shadeColor([r, g, b, a], index) {
   const k = SHADES[Math.floor(index / 8) % SHADES.length];
-  return [...[r, g, b].map((c) => Math.round(c * k)), a];
+  return [Math.round(r * k), Math.round(g * k), Math.round(b * k), a];
 }
 
 function paintMask({ width, height, values }, colorOfValue) {
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = [Math.max(width, 1), Math.max(height, 1)];
-  const ctx = canvas.getContext("2d");
+  const ctx = getContext2d(canvas);
   const image = ctx.createImageData(canvas.width, canvas.height);
   const known = new Map();
   for (let i = 0; i < values.length; i++) {
@@ -136,4 +142,5 @@ function paintMask({ width, height, values }, colorOfValue) {
   return canvas;
 }
 
-const parseColor = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16)).concat(255);
+/** @param {string} hex @returns {Rgba} */
+const parseColor = (hex) => [...parseRgb(hex), 255];

@@ -1,6 +1,6 @@
 // Converts a received image of any pixel format to a bitmap that a canvas can draw.
 
-import { PIXELS } from "../data/wire.js";
+import { PIXELS } from "../data/frames.js";
 import { paintDepth, paintGray } from "./depth_colors.js";
 
 // look: how depth is colored (`depth.js`), or null if 16 bits are shades of gray

@@ -1,6 +1,6 @@
 // Draws rectangles, points, lines and texts over an image, and describes those under the mouse.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { FONT, readableColor, seriesColor } from "../page/theme.js";
 import { formatNumber } from "../page/number_text.js";
 
@@ -109,8 +109,8 @@ export function drawTag(ctx, text, left, y, color) {
 
 // Describes the shapes at a position of the image: the nearest point, and the smallest rectangle around it. `k` is
 // screen pixels per image pixel. Returns no lines if there is nothing.
-export function shapesAt(shapes, x, y, k) {
-  return [...pointAt(shapes.points ?? [], x, y, NEAR / k), ...rectAt(shapes.rects ?? [], x, y)];
+export function shapesAt({ points = [], rects = [] }, x, y, k) {
+  return [...pointAt(points, x, y, NEAR / k), ...rectAt(rects, x, y)];
 }
 
 function pointAt(points, x, y, within) {

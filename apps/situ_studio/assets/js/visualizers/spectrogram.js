@@ -2,6 +2,7 @@
 
 import { formatNumber } from "../page/number_text.js";
 import { computeLevels } from "../spectrogram/fft.js";
+import { getContext2d, scriptAddress } from "../page/dom.js";
 
 const MOST_COLUMNS = 4000;
 // From quiet to loud, readable without distinguishing red from green.
@@ -15,10 +16,11 @@ const COLORS = [
 ];
 
 // The worker's script is in the same folder as this script.
-const SCRIPT = globalThis.document?.currentScript?.src ?? "";
+const SCRIPT = scriptAddress() ?? "";
 
-let worker = null,
-  asked = 0;
+/** @type {Worker | null} */
+let worker = null;
+let asked = 0;
 const waiting = new Map();
 
 function requestLevels(samples, count, n, done) {
@@ -36,7 +38,10 @@ function requestLevels(samples, count, n, done) {
 // The drawn columns, with the interface that the legend uses.
 class Spectra {
   constructor(columns, rate, n) {
-    Object.assign(this, { columns, rate, n, sampled: false });
+    this.columns = columns;
+    this.rate = rate;
+    this.n = n;
+    this.sampled = false;
     this.step =
       columns.length > 1 ? Math.min(...columns.slice(1).map((c, i) => c.t - columns[i].t)) : (n * 1e9) / rate;
   }
@@ -58,7 +63,7 @@ class Spectra {
 function columnCanvas(levels) {
   const out = document.createElement("canvas");
   [out.width, out.height] = [1, levels.length];
-  const ctx = out.getContext("2d");
+  const ctx = getContext2d(out);
   const image = ctx.createImageData(1, levels.length);
   levels.forEach((v, i) => image.data.set(levelColor(v / 255), 4 * (levels.length - 1 - i)));
   ctx.putImageData(image, 0, 0);

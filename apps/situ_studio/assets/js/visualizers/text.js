@@ -1,13 +1,14 @@
 // Shows the text at the cursor in large letters.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatDuration } from "../time/text.js";
 
 const OLD = 1e9;
 
 export class TextPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("text-cell");
     this.body = el.appendChild(document.createElement("div"));
     this.body.className = "big-text";

@@ -1,14 +1,15 @@
 // Shows any message as a tree that marks changes since the previous message and can plot its numbers. Nodes are
 // [kind, text, children] and children [key, node, path]; texts are only set as textContent.
 
-import { KIND } from "../data/wire.js";
+import { KIND } from "../data/frames.js";
 import { formatClock } from "../time/clock.js";
 import { formatLatency } from "../time/text.js";
 import { copyText } from "../page/toast.js";
 
 export class ValuePanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app });
+    this.el = el;
+    this.app = app;
     el.classList.add("value-cell");
     this.head = el.appendChild(document.createElement("div"));
     this.head.className = "value-head";
@@ -32,6 +33,7 @@ export class ValuePanel {
     this.app.client.closeChannel(this.channel);
     this.channel = null;
     this.value = null;
+    /** @type {Map<string, string>} the texts of the previous message by path */
     this.previous = new Map();
     if (!vis) return;
     const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
@@ -114,7 +116,7 @@ export class ValuePanel {
   // Arrow keys move through the tree; Enter folds or plots, c copies the path, v the value.
   handleKey(e) {
     const rows = [...this.body.children];
-    const i = rows.indexOf(document.activeElement.closest?.(".row"));
+    const i = rows.indexOf(document.activeElement?.closest(".row"));
     const row = rows[i];
     const open = row?.getAttribute("aria-expanded");
     if (e.key === "ArrowDown") rows[Math.min(i + 1, rows.length - 1)]?.focus();

@@ -21,7 +21,9 @@ export function pairValues(x, y, [from, to]) {
 
 export class XYPanel {
   constructor(el, app, config) {
-    Object.assign(this, { el, app, windowed: true });
+    this.el = el;
+    this.app = app;
+    this.windowed = true;
     el.classList.add("xy-cell");
     this.canvas = el.appendChild(document.createElement("canvas"));
     this.layers = [];

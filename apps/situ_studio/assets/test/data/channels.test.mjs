@@ -1,7 +1,7 @@
 import test from "node:test";
 import assert from "node:assert/strict";
 import { InstantChannel } from "../../js/data/channels.js";
-import { KIND } from "../../js/data/wire.js";
+import { KIND } from "../../js/data/frames.js";
 
 const client = { toRelative: Number };
 const sceneFrame = (items) => ({ kind: KIND.scene, time: 5, items });

@@ -1,5 +1,15 @@
 import test from "node:test";
 import assert from "node:assert/strict";
+import {
+  FORMAT,
+  FRAME_BYTES,
+  FRAME_FLAG,
+  KIND,
+  REPLY_BYTES,
+  REPLY_FLAG,
+  writeFrame,
+  writeReply,
+} from "../../js/data/frames.js";
 import { DataClient } from "../../js/data/client.js";
 import { createStore } from "../../js/time/view.js";
 
@@ -36,22 +46,16 @@ class Server {
       for (let i = a; i <= b; i++) t.push(i * 1e7);
       return { channel, t };
     });
-    const size = 40 + frames.reduce((n, f) => n + 32 + 40 * f.t.length, 0);
+    const size = REPLY_BYTES + frames.reduce((n, f) => n + FRAME_BYTES + 40 * f.t.length, 0);
     const v = new DataView(new ArrayBuffer(size));
-    v.setUint8(0, 1);
-    v.setUint16(2, 1, true);
-    v.setUint32(4, request.req, true);
-    v.setBigInt64(16, BigInt(this.head), true);
-    v.setUint32(24, frames.length, true);
-    let at = 40;
+    const data = { from: 0n, to: BigInt(this.head), count: frames.length, version: 0, time: 0n };
+    writeReply(v, 0, { format: FORMAT.reply, flags: REPLY_FLAG.live, request: request.req, ...data });
+    let at = REPLY_BYTES;
     for (const f of frames) {
       const n = f.t.length;
-      v.setUint16(at, 1, true);
-      v.setUint16(at + 2, 1, true);
-      v.setUint32(at + 4, f.channel, true);
-      v.setUint32(at + 8, 40 * n, true);
-      v.setUint32(at + 12, n, true);
-      at += 32;
+      const rows = { channel: f.channel, bytes: 40 * n, count: n, time: 0n, step: 0n };
+      writeFrame(v, at, { kind: KIND.series, flags: FRAME_FLAG.raw, ...rows });
+      at += FRAME_BYTES;
       f.t.forEach((t, i) => v.setFloat64(at + 8 * i, t, true));
       at += 40 * n;
     }

@@ -2,7 +2,6 @@ import test from "node:test";
 import assert from "node:assert/strict";
 import { keepSegments, laneNames, segmentAt, segmentText, markText } from "../../js/data/lanes.js";
 import { Series, keepLines } from "../../js/data/series.js";
-import { decodeReply } from "../../js/data/wire.js";
 
 const laneRows = (map, name = "") => map.get(name)?.map(([a, b, label]) => [a, b, label]);
 
@@ -149,24 +148,6 @@ test("NaN does not affect the extent", () => {
   const s = new Series();
   s.putFrame(columnFrame([0, 1, 2], [1, NaN, 3]), 0);
   assert.deepEqual(s.valueExtent(0, 2), [1, 3]);
-});
-
-test("lines are decoded from bytes", () => {
-  const v = new DataView(new ArrayBuffer(40 + 32 + 8 + 8 + 40));
-  v.setUint8(0, 1);
-  v.setUint32(24, 1, true);
-  v.setUint16(40, 10, true);
-  v.setUint16(42, 1, true);
-  v.setUint32(48, 56, true);
-  v.setUint32(52, 1, true);
-  v.setUint32(72, 1, true);
-  v.setUint32(76, 1, true);
-  v.setUint8(80, "x".charCodeAt(0));
-  v.setFloat64(88 + 24, 7.5, true);
-  const { lines } = decodeReply(v.buffer).frames[0];
-  assert.equal(lines.length, 1);
-  assert.equal(lines[0].name, "x");
-  assert.deepEqual([...lines[0].last], [7.5]);
 });
 
 test("the segment under the mouse is described in full, narrow ones within a few pixels", () => {

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { contrastRatio } from "../../js/page/theme.js";
 
-const css = readFileSync(new URL("../../css/studio.css", import.meta.url), "utf8");
+const css = readFileSync(new URL("../../css/theme.css", import.meta.url), "utf8");
 
 function readColors(selector) {
   const block = css.slice(css.indexOf(selector), css.indexOf("}", css.indexOf(selector)));

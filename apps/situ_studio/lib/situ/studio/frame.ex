@@ -2,39 +2,22 @@ defmodule Situ.Studio.Frame do
   @moduledoc """
   Encodes the replies of the data socket and of `GET /data/...`: one header, then frames. All values are
   little-endian. Payloads are aligned to 8 bytes, so that a browser can create typed arrays on them without copying.
+  `priv/frames.json` defines the headers and codes for the server and the page; after a change, run `npm run frames`.
 
-  Header, 40 bytes:
+  Header of a reply:
 
-  | bytes | content |
-  |---|---|
-  | 0 | version, 1 |
-  | 1 | 0 |
-  | 2..3 | flags: 1 = the source is live, 2 = the source is gone, 4 = the source was replaced |
-  | 4..7 | the number of the request |
-  | 8..15 | first time of the source, ns since 1970 (signed) |
-  | 16..23 | last time |
-  | 24..27 | number of frames |
-  | 28..31 | version of the list of streams; it changes when streams are added |
-  | 32..39 | the time of the instant frames (the cursor, after snapping) |
+  #{Situ.Studio.FrameSchema.layout_table(:reply)}
 
-  Frame, 32 bytes, then the payload, padded to 8:
+  Header of a frame, before its payload, which is padded to 8 bytes:
 
-  | bytes | content |
-  |---|---|
-  | 0..1 | kind, below |
-  | 2..3 | flags: 1 = single messages, not summaries; 2 = a sample: there are more messages than were read; 4 = all audio channels combined although one was requested |
-  | 4..7 | channel, numbered by the page |
-  | 8..11 | bytes of payload |
-  | 12..15 | rows |
-  | 16..23 | base time, ns (signed) |
-  | 24..31 | depends on the kind: for audio the sample rate; for segments the time of the newest message, relative to the base; for lines the number of omitted lines |
+  #{Situ.Studio.FrameSchema.layout_table(:frame)}
 
   | kind | payload |
   |---|---|
   | 1 series | five columns of 64-bit floats: time relative to the base, min, max, last, count |
   | 2 segments | JSON `[[from, to or null, label, class, lane], ...]`, times relative to the base; `lane` is left out if there is only one |
   | 3 marks | two columns: time relative to the base, latency in ns |
-  | 4 image | width, height, pixel format, micrometers per depth unit or 0 (32 bits each), then the bytes: 1 JPEG, 2 PNG, 3 RGBA, 4 gray 8, 5 gray 16 (depth), 6 RGB, 7 BGR, 8 BGRA |
+  | 4 image | the header below, then the bytes |
   | 5 json | a value tree, shapes, bars or a string |
   | 6 none | there is no message at this time |
   | 7 same | the last message on this channel is still current |
@@ -44,6 +27,10 @@ defmodule Situ.Studio.Frame do
   | 11 scene | 3D objects, see `Situ.Studio.Scene.pack/2` |
   | 12 sounds | audio chunks of equal length, one per row: their times relative to the base (64-bit floats), then 32-bit float samples |
 
+  Header of an image:
+
+  #{Situ.Studio.FrameSchema.layout_table(:image)}
+
       iex> frame = Situ.Studio.Frame.no_message(7)
       iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.encode_reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
       iex> {byte_size(bytes), :binary.at(bytes, 0)}
@@ -51,12 +38,9 @@ defmodule Situ.Studio.Frame do
   """
 
   alias Situ.Studio.Draw.Bins
+  alias Situ.Studio.FrameSchema
 
-  @version 1
-  @kinds [series: 1, segments: 2, marks: 3, image: 4, json: 5, none: 6, same: 7, error: 8] ++
-           [pcm: 9, lines: 10, scene: 11, sounds: 12]
   @nan <<0, 0, 0, 0, 0, 0, 0xF8, 0x7F>>
-  @pixels [jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8]
 
   @type t :: iodata()
   @type channel :: 0..4_294_967_295
@@ -70,14 +54,19 @@ defmodule Situ.Studio.Frame do
   """
   @spec encode_reply([t()], map()) :: iodata()
   def encode_reply(frames, %{request: request, from: from, to: to, time: time} = meta) do
-    flags = flag_bit(meta[:live], 1) + flag_bit(meta[:gone], 2) + flag_bit(meta[:replaced], 4)
+    head =
+      FrameSchema.encode(:reply, %{
+        format: FrameSchema.code(:format, :reply),
+        flags: FrameSchema.encode_flags(:reply_flag, meta),
+        request: request,
+        from: from,
+        to: to,
+        count: length(frames),
+        version: meta[:version] || 0,
+        time: time
+      })
 
-    [
-      <<@version, 0, flags::little-16, request::little-32, from::little-signed-64,
-        to::little-signed-64, length(frames)::little-32, meta[:version] || 0::little-32,
-        time::little-signed-64>>
-      | frames
-    ]
+    [head | frames]
   end
 
   @doc "Encodes a signal: `Situ.Codec` points and gaps in time order. With `raw?`, each point is one message."
@@ -109,7 +98,7 @@ defmodule Situ.Studio.Frame do
     payload =
       for {name, points} <- lines do
         size = byte_size(name)
-        head = <<size::little-32, length(points)::little-32>>
+        head = FrameSchema.encode(:line, %{bytes: size, count: length(points)})
         [head, name, padding_bytes(rem(size, 8)), encode_columns(points, base)]
       end
 
@@ -169,14 +158,14 @@ defmodule Situ.Studio.Frame do
       for({_, latency} <- rows, into: <<>>, do: <<latency::little-float-64>>)
     ]
 
-    build_frame(:marks, channel, payload, length(rows), base, flag_bit(raw?, 1))
+    build_frame(:marks, channel, payload, length(rows), base, flag_bits(raw?, []))
   end
 
   @doc "Encodes an image, see `Situ.Studio.Draw.BrowserImage`."
   @spec image(channel(), Situ.Time.t(), Situ.Studio.Draw.BrowserImage.t()) :: t()
   def image(channel, time, {pixels, width, height, data, unit}) do
-    code = Keyword.fetch!(@pixels, pixels)
-    head = <<width::little-32, height::little-32, code::little-32, unit::little-32>>
+    code = pixel_code(pixels)
+    head = FrameSchema.encode(:image, %{width: width, height: height, pixels: code, unit: unit})
     build_frame(:image, channel, [head, data], 1, time)
   end
 
@@ -187,7 +176,7 @@ defmodule Situ.Studio.Frame do
 
   @doc "Returns the number of a pixel format in the page's protocol."
   @spec pixel_code(atom()) :: 1..8
-  def pixel_code(format), do: Keyword.fetch!(@pixels, format)
+  def pixel_code(format), do: FrameSchema.code(:pixels, format)
 
   @doc "Encodes any term that JSON can represent."
   @spec json(channel(), Situ.Time.t(), term()) :: t()
@@ -225,13 +214,19 @@ defmodule Situ.Studio.Frame do
 
   defp build_frame(kind, channel, payload, rows, base, flags \\ 0, own \\ 0) do
     size = IO.iodata_length(payload)
-    code = Keyword.fetch!(@kinds, kind)
 
-    [
-      <<code::little-16, flags::little-16, channel::little-32, size::little-32, rows::little-32,
-        base::little-signed-64, own::little-signed-64>>,
-      payload | padding_bytes(rem(size, 8))
-    ]
+    head =
+      FrameSchema.encode(:frame, %{
+        kind: FrameSchema.code(:kind, kind),
+        flags: flags,
+        channel: channel,
+        bytes: size,
+        count: rows,
+        time: base,
+        step: own
+      })
+
+    [head, payload | padding_bytes(rem(size, 8))]
   end
 
   defp padding_bytes(0), do: []
@@ -242,9 +237,5 @@ defmodule Situ.Studio.Frame do
   defp first_time([]), do: 0
   defp first_time([row | _]), do: elem(row, 0)
 
-  defp flag_bits(raw?, opts),
-    do: flag_bit(raw?, 1) + flag_bit(opts[:sampled], 2) + flag_bit(opts[:together], 4)
-
-  defp flag_bit(true, value), do: value
-  defp flag_bit(_, _), do: 0
+  defp flag_bits(raw?, opts), do: FrameSchema.encode_flags(:frame_flag, [raw: raw?] ++ opts)
 end

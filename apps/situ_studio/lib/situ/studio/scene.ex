@@ -23,6 +23,8 @@ defmodule Situ.Studio.Scene do
       iex> {:ok, %{"items" => [%{"kind" => "points", "count" => 1}]}} = Situ.JSON.decode(json)
   """
 
+  alias Situ.Studio.FrameSchema
+
   @enforce_keys [:kind, :count]
   defstruct [:kind, :count, meta: %{}, numbers: []]
 
@@ -119,7 +121,7 @@ defmodule Situ.Studio.Scene do
     {rows, {_, blobs}} = Enum.map_reduce(items, {0, []}, &pack_item/2)
     json = Situ.JSON.encode(%{"items" => rows, "problems" => problems})
     size = byte_size(json)
-    [<<size::little-32, 0::32>>, json, padding_bytes(size), Enum.reverse(blobs)]
+    [FrameSchema.encode(:scene, %{bytes: size}), json, padding_bytes(size), Enum.reverse(blobs)]
   end
 
   # Computes the offsets of the item's numbers after the JSON text, aligned to 8 bytes.

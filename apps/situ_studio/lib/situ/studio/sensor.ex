@@ -38,11 +38,14 @@ defmodule Situ.Studio.Sensor do
   #{Situ.Options.docs(@schema)}
   """
   alias Situ.{AudioBuffer, AudioFormat, EncodedImage}
+  alias Situ.Studio.FrameSchema
   alias Situ.Studio.Sensor.PageSource
 
   @behaviour Situ.Studio.Sensor.Packet
   @outputs [video: EncodedImage, audio: AudioBuffer, clock: :float]
   @rates 8_000..192_000
+  @camera FrameSchema.code(:device, :camera)
+  @microphone FrameSchema.code(:device, :microphone)
 
   @doc "Adds the sensor to a pipeline; returns its streams."
   @spec open(Situ.Pipeline.t(), keyword()) :: %{
@@ -58,16 +61,19 @@ defmodule Situ.Studio.Sensor do
 
   @doc false
   @impl true
-  def parse(<<1, _::24, w::little-16, h::little-16, ms::little-float-64, jpeg::binary>>)
-      when w > 0 and h > 0 do
-    with {:ok, :jpeg} <- EncodedImage.detect_format(jpeg),
+  def parse(<<@camera, _::binary>> = bytes) do
+    with {%{width: w, height: h, time: ms}, jpeg} when w > 0 and h > 0 <-
+           FrameSchema.decode(:camera, bytes),
+         {:ok, :jpeg} <- EncodedImage.detect_format(jpeg),
          do: {ms, video: %EncodedImage{format: :jpeg, width: w, height: h, data: jpeg}},
          else: (_ -> :error)
   end
 
-  def parse(<<2, _::24, rate::little-32, ms::little-float-64, pcm::binary>>)
-      when rate in @rates and rem(byte_size(pcm), 2) == 0 and pcm != "" do
-    with {:ok, buffer} <- AudioBuffer.new(format: AudioFormat.pcm(rate), data: pcm),
+  def parse(<<@microphone, _::binary>> = bytes) do
+    with {%{rate: rate, time: ms}, pcm} when rate in @rates and pcm != "" <-
+           FrameSchema.decode(:microphone, bytes),
+         0 <- rem(byte_size(pcm), 2),
+         {:ok, buffer} <- AudioBuffer.new(format: AudioFormat.pcm(rate), data: pcm),
          do: {ms, audio: buffer},
          else: (_ -> :error)
   end

@@ -42,7 +42,7 @@ defmodule Situ.Studio.VideoExport do
   @page 64
   @frame 40_000_000
   # The page's colors in the dark theme: the first eight in the style sheet.
-  @style Path.expand("../../../assets/css/studio.css", __DIR__)
+  @style Path.expand("../../../assets/css/theme.css", __DIR__)
   @external_resource @style
   @palette ~r/--s\d: #(..)(..)(..);/
            |> Regex.scan(File.read!(@style), capture: :all_but_first)

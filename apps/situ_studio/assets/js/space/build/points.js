@@ -34,6 +34,7 @@ const FRAGMENT = `
     #include <colorspace_fragment>
   }`;
 
+/** @type {import("three").DataTexture | null} */
 let colors = null;
 const SEEN = new Vector4();
 

@@ -67,7 +67,9 @@ export function buildLines(item, props) {
     };
   }
   const radius = (props.thickness ?? 15) / 2000;
-  const own = color && ((i) => new Color().setRGB(...[0, 1, 2].map((k) => color[3 * i + k] / 255), SRGBColorSpace));
+  const own =
+    color &&
+    ((i) => new Color().setRGB(color[3 * i] / 255, color[3 * i + 1] / 255, color[3 * i + 2] / 255, SRGBColorSpace));
   const tint = own ? "#ffffff" : props.color;
   const pipeEnds = (i) => [vectorAt(position, 2 * i), vectorAt(position, 2 * i + 1)];
   const headStart = (a, b) => (item.arrow ? Math.max(0, 1 - (radius * 8) / Math.max(a.distanceTo(b), 1e-9)) : 1);

@@ -2,6 +2,7 @@
 
 import { CanvasTexture, Group, LinearFilter, Sprite, SpriteMaterial, SRGBColorSpace } from "three";
 import { FONT_FACE, readableColor } from "../../page/theme.js";
+import { getContext2d } from "../../page/dom.js";
 
 // The height of a line in meters and in pixels, and the maximum number of signs.
 const HEIGHT = 0.06;
@@ -24,14 +25,16 @@ export function buildTexts(item, props) {
 // Returns a texture with a text on a transparent background, with the given aspect ratio.
 export function textTexture(text, color, aspect) {
   const canvas = document.createElement("canvas");
-  const ctx = canvas.getContext("2d");
+  const ctx = getContext2d(canvas);
   canvas.height = 2 * PIXELS;
   canvas.width = Math.max(1, Math.min(Math.round(canvas.height * aspect), 4096));
   const setFont = (size) => (ctx.font = `${size}px ${FONT_FACE}`);
   setFont(canvas.height * 0.8);
   const room = canvas.width / Math.max(ctx.measureText(text).width, 1);
   if (room < 1) setFont(canvas.height * 0.8 * room);
-  Object.assign(ctx, { textBaseline: "middle", textAlign: "center", fillStyle: color });
+  ctx.textBaseline = "middle";
+  ctx.textAlign = "center";
+  ctx.fillStyle = color;
   ctx.fillText(text, canvas.width / 2, canvas.height / 2);
   return { texture: canvasTexture(canvas), aspect };
 }
@@ -46,7 +49,7 @@ function canvasTexture(canvas) {
 
 function signTexture(text, color) {
   const canvas = document.createElement("canvas");
-  const ctx = canvas.getContext("2d");
+  const ctx = getContext2d(canvas);
   const font = `${PIXELS * 0.6}px ${FONT_FACE}`;
   ctx.font = font;
   canvas.width = Math.min(Math.ceil(ctx.measureText(text).width + PIXELS * 0.5), 2048);

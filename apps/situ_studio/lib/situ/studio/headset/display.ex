@@ -44,9 +44,10 @@ defmodule Situ.Studio.Headset.Display do
   use Situ.Component, inputs: [in: :any], options: @schema
 
   alias Situ.{Error, JSON}
-  alias Situ.Studio.{Headset, Scene}
+  alias Situ.Studio.{FrameSchema, Headset, Scene}
   alias Situ.Studio.Sensor.Inbox
 
+  @kind FrameSchema.code(:device, :drawing)
   @registry Situ.Studio.Registry
   # A page that reads its messages never has this many in its mailbox.
   @most 100
@@ -130,7 +131,7 @@ defmodule Situ.Studio.Headset.Display do
     padding = rem(8 - rem(byte_size(json), 8), 8)
 
     IO.iodata_to_binary([
-      <<5, 0::24, byte_size(json)::little-32>>,
+      FrameSchema.encode(:drawing, %{kind: @kind, bytes: byte_size(json)}),
       json,
       <<0::size(padding)-unit(8)>>,
       Scene.pack(items, problems)

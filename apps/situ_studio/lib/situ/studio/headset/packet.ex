@@ -2,11 +2,7 @@ defmodule Situ.Studio.Headset.Packet do
   @moduledoc """
   Parses one tracking sample of a headset, as its page sends it. Little endian:
 
-  | bytes | holds |
-  |---|---|
-  | 0 | kind, 4 |
-  | 1 | flags: 1 left hand, 2 right hand, 4 gaze, 8 planes, 16 left selects, 32 right selects, 64 a selection changed |
-  | 8..15 | the page's time, ms since 1970, 64-bit float |
+  #{Situ.Studio.FrameSchema.layout_table(:headset)}
   | 16.. | poses, each 7 32-bit floats (x, y, z, and the rotation's x, y, z, w): head, 25 joints of each hand, gaze |
   | last | planes, as JSON: `[{"label", "pose": [7 numbers], "polygon": [[x, z], ...]}]` |
 
@@ -23,6 +19,9 @@ defmodule Situ.Studio.Headset.Packet do
   """
   import Situ.BinarySize, only: [pinned_size: 1]
   alias Situ.{JSON, Point3, Pose, Quaternion, Ray3, Rectangle3, Skeleton}
+  alias Situ.Studio.FrameSchema
+
+  @kind FrameSchema.code(:device, :headset)
 
   @pose 28
   @most_planes 256
@@ -48,27 +47,31 @@ defmodule Situ.Studio.Headset.Packet do
 
   @doc "Returns the page's time and the parsed values, or `:error` if the bytes are not a valid sample."
   @spec parse(binary()) :: {float(), [{atom(), term()}]} | :error
-  def parse(<<4, flags, _::48, ms::little-float-64, rest::binary>>) do
-    <<0::1, changed::1, right::1, left::1, planes::1, gaze::1, right_hand::1, left_hand::1>> =
-      <<Bitwise.band(flags, 127)>>
-
-    with {:ok, [head], rest} <- parse_poses(rest, 1),
-         {:ok, left_joints, rest} <- parse_poses(rest, 25 * left_hand),
-         {:ok, right_joints, rest} <- parse_poses(rest, 25 * right_hand),
-         {:ok, ray, rest} <- parse_poses(rest, gaze),
-         {:ok, found} <- parse_planes(planes, rest) do
+  def parse(<<@kind, _::binary>> = bytes) do
+    with {%{flags: flags, time: ms}, rest} <- FrameSchema.decode(:headset, bytes),
+         has = FrameSchema.decode_flags(:headset_flag, flags),
+         {:ok, [head], rest} <- parse_poses(rest, 1),
+         {:ok, left_joints, rest} <- parse_poses(rest, 25 * has.left),
+         {:ok, right_joints, rest} <- parse_poses(rest, 25 * has.right),
+         {:ok, ray, rest} <- parse_poses(rest, has.gaze),
+         {:ok, planes} <- parse_planes(has.planes, rest) do
       {ms,
        [head: head] ++
          build_hand(:left, left_joints) ++
          build_hand(:right, right_joints) ++
          Enum.map(ray, &{:gaze, Ray3.from_pose(&1)}) ++
-         if(changed == 1, do: [select: %{left: left == 1, right: right == 1}], else: []) ++ found}
+         parse_selection(has) ++ planes}
     else
       _ -> :error
     end
   end
 
   def parse(_bytes), do: :error
+
+  defp parse_selection(%{selected: 0}), do: []
+
+  defp parse_selection(%{left_selects: left, right_selects: right}),
+    do: [select: %{left: left == 1, right: right == 1}]
 
   defp parse_poses(bytes, n) when byte_size(bytes) >= n * @pose do
     <<here::binary-pinned_size(n)-unit(224), rest::binary>> = bytes

@@ -1,9 +1,9 @@
 defmodule Situ.Studio.Web.SensorHandler do
   @moduledoc false
   # Handles the connection of a page that acts as a sensor. Text frames are JSON: `ping`, `offset` and `drawn` from
-  # the page, `pong` and `credit` to the page. Binary frames begin with their kind. Frames from the page contain its
-  # time and are parsed by the sensor (`Situ.Studio.Sensor.Packet`): 1 is an image, 2 audio, 4 a headset. Frames to
-  # the page are 3, audio to play, and 5, a scene to draw.
+  # the page, `pong` and `credit` to the page. Binary frames begin with their kind (`Situ.Studio.FrameSchema`). Frames
+  # from the page contain its time and are parsed by the sensor (`Situ.Studio.Sensor.Packet`): images, audio and
+  # samples of a headset. Frames to the page are audio to play and scenes to draw.
   #
   # One WebSocket carries JPEG images and PCM audio. WebRTC would need ICE, DTLS-SRTP and codecs
   # for one hop on a local network, and MediaRecorder has seconds of delay and no times of single
@@ -11,8 +11,11 @@ defmodule Situ.Studio.Web.SensorHandler do
   @behaviour Situ.Live.SocketHandler
 
   alias Situ.JSON
+  alias Situ.Studio.FrameSchema
   alias Situ.Studio.Headset.Display
   alias Situ.Studio.Sensor.Inbox
+
+  @speaker FrameSchema.code(:device, :speaker)
 
   # Times and clock offsets from the page must be within a day of the server's clock.
   @day_ms 86_400_000
@@ -69,8 +72,10 @@ defmodule Situ.Studio.Web.SensorHandler do
   @impl true
   def handle_info({:credit, n}, state), do: {:push, text_frame(%{credit: n}), state}
 
-  def handle_info({:play, rate, pcm}, state),
-    do: {:push, {:binary, [<<3, 0::24, rate::little-32>>, pcm]}, state}
+  def handle_info({:play, rate, pcm}, state) do
+    head = FrameSchema.encode(:speaker, %{kind: @speaker, rate: rate})
+    {:push, {:binary, [head, pcm]}, state}
+  end
 
   # At most one scene of a layer is in flight. Newer scenes replace each other until the page has drawn that one.
   def handle_info({:draw, layer, frame}, %{drawing: drawing} = state) do
