@@ -77,25 +77,6 @@ defmodule Situ.Box3 do
     for z <- [az, bz], y <- [ay, by], x <- [ax, bx], do: to_outer_frame(box, {x, y, z})
   end
 
-  @doc "Returns the twelve edges as pairs of indices into `corner_points/1`."
-  @spec edge_indices() :: [{0..7, 0..7}]
-  def edge_indices do
-    [
-      {0, 1},
-      {2, 3},
-      {4, 5},
-      {6, 7},
-      {0, 2},
-      {1, 3},
-      {4, 6},
-      {5, 7},
-      {0, 4},
-      {1, 5},
-      {2, 6},
-      {3, 7}
-    ]
-  end
-
   @facets [:x_min, :x_max, :y_min, :y_max, :z_min, :z_max]
 
   @doc "Lists the names of the six facets."

@@ -127,10 +127,6 @@ defmodule Situ.Ports.Input do
     %{input | queue: queue, fresh: :sure}
   end
 
-  @doc "Returns whether the input may drop messages."
-  @spec lossy?(t()) :: boolean()
-  def lossy?(%__MODULE__{queue: queue}), do: queue != nil
-
   @doc "Returns the originating time of the head, or `:none`."
   @spec head_time(t()) :: Situ.Time.t() | :none
   def head_time(%__MODULE__{held: {_timer, _token}}), do: :none

@@ -15,10 +15,6 @@ defmodule Situ.Annotation.Recording do
 
   @type_wanted {:list, Annotation}
 
-  @doc "Returns the `Situ.Type` of an annotation stream."
-  @spec stream_type() :: Situ.Type.t()
-  def stream_type, do: @type_wanted
-
   @doc "Returns whether a stored stream contains annotations of Situ or \\psi, by its type or its metadata."
   @spec annotation_stream?(Store.t(), Store.StreamInfo.t()) :: boolean()
   def annotation_stream?(%Store.Handle{} = store, %Store.StreamInfo{} = info),

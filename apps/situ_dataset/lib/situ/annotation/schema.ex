@@ -9,8 +9,6 @@ defmodule Situ.Annotation.Schema do
       ...>   %{"name" => "Words", "kind" => "text"}]})
       iex> Situ.Annotation.Schema.default_values(schema)
       %{"Speaker" => "P1", "Words" => ""}
-      iex> Situ.Annotation.Schema.by_key(schema, "2")
-      {:ok, {"Speaker", "P2"}}
       iex> {:error, error} = Situ.Annotation.Schema.check_values(schema, %{"Speaker" => "P3"})
       iex> error.why
       "\\"P3\\" is not one of \\"P1\\", \\"P2\\""
@@ -195,15 +193,6 @@ defmodule Situ.Annotation.Schema do
         value = Attribute.parse_value(attribute, text)
         find_value_error(attribute, value) || {:ok, value}
     end
-  end
-
-  @doc "Returns the attribute and value that a key sets."
-  @spec by_key(t(), String.t()) :: {:ok, {String.t(), value()}} | :error
-  def by_key(%__MODULE__{} = schema, key) do
-    Enum.find_value(schema.attributes, :error, fn attribute ->
-      found = Enum.find(attribute.values, &(&1.key == key))
-      found && {:ok, {attribute.name, found.value}}
-    end)
   end
 
   @doc """

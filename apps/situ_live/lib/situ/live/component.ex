@@ -100,7 +100,7 @@ defmodule Situ.Live.Component do
 
     Enum.reduce(declared, assigns, fn
       {:attr, name, :global, opts}, acc ->
-        rest = Map.drop(assigns, [:__changed__, :__slot__, :inner_block, :flash | names])
+        rest = Map.drop(assigns, [:__changed__, :__slot__, :inner_block | names])
         Map.put_new(acc, name, Map.merge(opts[:default] || %{}, rest))
 
       {kind, name, _type, opts}, acc ->

@@ -31,30 +31,6 @@ defmodule Situ.Live.JS do
   @spec toggle(t(), keyword()) :: t()
   def toggle(js \\ %__MODULE__{}, opts), do: add_op(js, "toggle", opts)
 
-  @doc "Adds classes, given as a string and separated by spaces."
-  @spec add_class(t(), String.t(), keyword()) :: t()
-  def add_class(js \\ %__MODULE__{}, names, opts), do: add_class_op(js, "add_class", names, opts)
-
-  @doc "Removes classes, given as a string and separated by spaces."
-  @spec remove_class(t(), String.t(), keyword()) :: t()
-  def remove_class(js \\ %__MODULE__{}, names, opts),
-    do: add_class_op(js, "remove_class", names, opts)
-
-  @doc "Adds missing classes and removes present ones."
-  @spec toggle_class(t(), String.t(), keyword()) :: t()
-  def toggle_class(js \\ %__MODULE__{}, names, opts),
-    do: add_class_op(js, "toggle_class", names, opts)
-
-  @doc "Sets an attribute, given as `{name, value}`."
-  @spec set_attribute(t(), {String.t(), String.t()}, keyword()) :: t()
-  def set_attribute(js \\ %__MODULE__{}, {name, value}, opts),
-    do: add_op(js, "set_attr", [attr: [name, value]] ++ opts)
-
-  @doc "Removes an attribute."
-  @spec remove_attribute(t(), String.t(), keyword()) :: t()
-  def remove_attribute(js \\ %__MODULE__{}, name, opts),
-    do: add_op(js, "remove_attr", [attr: name] ++ opts)
-
   @doc "Dispatches a DOM event; option `detail:` (a map)."
   @spec dispatch(t(), String.t(), keyword()) :: t()
   def dispatch(js \\ %__MODULE__{}, event, opts),
@@ -71,8 +47,6 @@ defmodule Situ.Live.JS do
   @doc "Navigates to another view."
   @spec navigate(t(), String.t()) :: t()
   def navigate(js \\ %__MODULE__{}, href), do: add_op(js, "navigate", href: href)
-
-  defp add_class_op(js, op, names, opts), do: add_op(js, op, [names: String.split(names)] ++ opts)
 
   defp add_op(%__MODULE__{ops: ops} = js, name, args),
     do: %{js | ops: ops ++ [[name, Map.new(args)]]}

@@ -4,12 +4,11 @@ defmodule Situ.Live.Socket do
   """
   alias Situ.Live.Stream
 
-  defstruct assigns: %{__changed__: %{}, flash: %{}, live_action: nil},
+  defstruct assigns: %{__changed__: %{}, live_action: nil},
             id: nil,
             view: nil,
             endpoint: nil,
             connected?: false,
-            parameters: %{},
             # for the runtime only: contents of the next message to the browser
             events: [],
             reply: nil,
@@ -94,25 +93,9 @@ defmodule Situ.Live.Socket do
   defp local_path!("/" <> _ = to), do: to
   defp local_path!(to), do: raise(ArgumentError, "to: must be a path, got: #{inspect(to)}")
 
-  @doc "Sets a flash message for the user, read as `@flash[\"info\"]`; the next navigation clears it."
-  @spec put_flash(t(), atom(), String.t()) :: t()
-  def put_flash(socket, kind, text),
-    do: update(socket, :flash, &Map.put(&1, Atom.to_string(kind), text))
-
-  @doc "Removes all flash messages, or the message of the given kind."
-  @spec clear_flash(t()) :: t()
-  def clear_flash(socket), do: assign(socket, :flash, %{})
-
-  @spec clear_flash(t(), atom()) :: t()
-  def clear_flash(socket, kind), do: update(socket, :flash, &Map.delete(&1, Atom.to_string(kind)))
-
   @doc "Returns whether a browser is connected: false in the first, dead render of a page. Subscribe only if true."
   @spec connected?(t()) :: boolean()
   def connected?(%__MODULE__{connected?: connected?}), do: connected?
-
-  @doc "Returns the `params` that the page's script passed to its `LiveSocket`; `%{}` in the dead render."
-  @spec get_connect_params(t()) :: map()
-  def get_connect_params(%__MODULE__{parameters: parameters}), do: parameters
 
   @doc "Creates or extends a `Situ.Live.Stream`; options `at:`, `limit:`, `reset:`, `dom_id:`."
   @spec stream(t(), atom(), Enumerable.t(), keyword()) :: t()
@@ -138,11 +121,6 @@ defmodule Situ.Live.Socket do
     stream = fetch_stream!(socket, name)
     put_stream(socket, name, Stream.delete(stream, stream.dom_id.(item)))
   end
-
-  @doc "Deletes the row with the given DOM id from a stream."
-  @spec stream_delete_by_dom_id(t(), atom(), String.t()) :: t()
-  def stream_delete_by_dom_id(socket, name, dom_id),
-    do: put_stream(socket, name, Stream.delete(fetch_stream!(socket, name), dom_id))
 
   defp fetch_stream!(socket, name) do
     case socket.assigns do

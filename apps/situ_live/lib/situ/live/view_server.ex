@@ -51,8 +51,7 @@ defmodule Situ.Live.ViewServer do
     socket = %Socket{
       id: join.id,
       endpoint: join.config.ref,
-      connected?: true,
-      parameters: join.parameters
+      connected?: true
     }
 
     join_view(state, socket, join)
@@ -175,11 +174,7 @@ defmodule Situ.Live.ViewServer do
   end
 
   defp patch_socket(state, route, params, url) do
-    socket =
-      state.socket
-      |> Socket.assign(:live_action, route.opts[:action])
-      |> Socket.clear_flash()
-
+    socket = Socket.assign(state.socket, :live_action, route.opts[:action])
     View.call_handle_params(socket.view, params, url, socket)
   end
 

@@ -25,9 +25,6 @@ defmodule Situ.ImageOps.Geometry do
     ]
   ]
 
-  @doc false
-  def warp_schema, do: @warp
-
   @doc """
   Returns the part inside `rect` (a `Situ.Rect` or `{x, y, width, height}`; fractions are rounded to complete pixels).
 

@@ -82,10 +82,6 @@ defmodule Situ.Media.Device do
   # Inputs of ffmpeg that are named like drivers.
   @inputs ["lavfi", "x11grab", "input"]
 
-  @doc "Returns the drivers by name."
-  @spec list_drivers() :: %{String.t() => driver()}
-  def list_drivers, do: @drivers
-
   @doc "Parses a device name into its driver and address."
   @spec parse_name(device()) :: {:ok, {driver(), address()}} | {:error, Error.t()}
   def parse_name({driver, address}) when is_atom(driver) and is_binary(address),

@@ -42,10 +42,6 @@ defmodule Situ.Studio.Scene do
           numbers: [{atom(), iodata()}]
         }
 
-  @doc "Returns the kinds of items."
-  @spec item_kinds() :: [kind()]
-  def item_kinds, do: @kinds
-
   @doc "Creates an item with `count` elements of a kind."
   @spec new_item(kind(), non_neg_integer(), [{atom(), iodata()}], map()) :: item()
   def new_item(kind, count, numbers, meta \\ %{}) when kind in @kinds,

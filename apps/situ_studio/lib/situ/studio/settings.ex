@@ -35,11 +35,6 @@ defmodule Situ.Studio.Settings do
           alerts: String.t()
         }
 
-  @doc "Returns the choices of a setting."
-  @spec setting_choices(:keep | :info) :: [atom()]
-  def setting_choices(:keep), do: @keeps
-  def setting_choices(:info), do: @infos
-
   @doc "Loads the settings that belong to the folder of layouts."
   @spec load(Path.t()) :: t()
   def load(layouts) do

@@ -59,10 +59,6 @@ defmodule Situ.Image.Format do
   def from_code(code),
     do: {:error, Situ.Error.new(:bad_image, "pixel format code #{code} is unknown")}
 
-  @doc "Returns whether the format has an alpha channel."
-  @spec has_alpha?(t()) :: boolean()
-  def has_alpha?(format), do: :alpha in channels(format)
-
   @doc """
   Encodes channel values, in memory order, as the bytes of one pixel. One number is used for every channel.
 

@@ -45,10 +45,6 @@ defmodule Situ.Bridge.Ros.Node do
     end
   end
 
-  @doc "Returns the number of publishers that a subscriber is connected to."
-  @spec count_links(pid()) :: non_neg_integer()
-  def count_links(node), do: GenServer.call(node, :linked)
-
   @doc "Unregisters the node from the master and stops it."
   @spec stop(pid()) :: :ok
   def stop(node) do
@@ -65,7 +61,6 @@ defmodule Situ.Bridge.Ros.Node do
   end
 
   @impl true
-  def handle_call(:linked, _from, state), do: {:reply, map_size(state.links), state}
 
   def handle_call(:adopt, _from, state) do
     node = self()

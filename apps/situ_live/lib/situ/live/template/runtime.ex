@@ -15,7 +15,7 @@ defmodule Situ.Live.Template.Runtime do
         value
 
       _ ->
-        known = assigns |> Map.keys() |> Enum.reject(&(&1 in [:__changed__, :flash]))
+        known = assigns |> Map.keys() |> Enum.reject(&(&1 == :__changed__))
         raise KeyError, message: "no assign @#{name}; available: #{inspect(known)}"
     end
   end

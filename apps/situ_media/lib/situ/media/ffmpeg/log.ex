@@ -34,9 +34,6 @@ defmodule Situ.Media.FFmpeg.Log do
   @spec list_lines(t()) :: [String.t()]
   def list_lines(%__MODULE__{lines: lines}), do: Enum.reverse(lines)
 
-  @spec empty?(t()) :: boolean()
-  def empty?(%__MODULE__{count: count}), do: count == 0
-
   @doc "Builds one error from the collected lines."
   @spec to_error(t(), atom(), String.t(), keyword()) :: Error.t()
   def to_error(%__MODULE__{} = log, code, what, details \\ []) do

@@ -10,10 +10,6 @@ defmodule Situ.Studio.Draw.Key do
   @max_text 60
   @limit 32
 
-  @doc "Returns the maximum number of keys drawn for one stream. Further keys are left out."
-  @spec max_keys() :: pos_integer()
-  def max_keys, do: @limit
-
   @doc "Returns the display name of a key, which may be any term."
   @spec key_name(term()) :: String.t()
   def key_name(key) when is_binary(key) do
@@ -26,7 +22,7 @@ defmodule Situ.Studio.Draw.Key do
   defp inspect_key(key),
     do: key |> inspect(limit: 8, printable_limit: @max_text) |> String.slice(0, @max_text)
 
-  @doc "Sorts numbers by size and the other keys after them by name. Returns at most `max_keys/0` keys."
+  @doc "Sorts numbers by size and the other keys after them by name. Returns at most 32 keys."
   @spec sort_keys([term()]) :: [term()]
   def sort_keys(keys) do
     keys

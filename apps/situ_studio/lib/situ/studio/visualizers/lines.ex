@@ -1,11 +1,6 @@
 defmodule Situ.Studio.Visualizers.Lines do
   @moduledoc """
   Draws a line for each key of maps of numbers. If a value is missing or `nil`, its line has a gap.
-
-      iex> maps = [{0, %{a: 1}}, {1, %{a: 2, b: 5}}, {2, %{b: 6}}]
-      iex> messages = for {t, v} <- maps, do: %Situ.Message{data: v, originating_time: t}
-      iex> Situ.Studio.Visualizers.Lines.of_maps(messages, [])
-      [{"a", [{0, 1, 1, 1, 1}, {1, 2, 2, 2, 1}, {2, nil, nil, nil, 1}]}, {"b", [{1, 5, 5, 5, 1}, {2, 6, 6, 6, 1}]}]
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -61,10 +56,6 @@ defmodule Situ.Studio.Visualizers.Lines do
       Frame.lines(channel, lines, raw?, sampled: not all?, more: more)
     end
   end
-
-  @doc "Builds a line for each key of the maps at `path`, sorted by the keys' names."
-  @spec of_maps([Situ.Message.t()], ValuePath.t()) :: [{name :: String.t(), line()}]
-  def of_maps(messages, path), do: messages |> by_key(path) |> sort_named()
 
   # Collects the lines that contain numbers, newest point first.
   defp by_key(messages, path) do
