@@ -3,9 +3,11 @@ defmodule Situ.Build.PublicModules do
   # Compares the list of public modules in `docs/api.md` with the modules that have documentation.
   #
   # A module is public if it has a `@moduledoc`. A list that is checked is a promise that people can read in one place;
-  # without the check, each new module with documentation would silently become part of the API.
+  # without the check, each new module with documentation would silently become part of the API. Guides may name only
+  # public modules.
 
   @list "docs/api.md"
+  @guides ["README.md", "docs/scaling.md", "docs/guides/*.md"]
   # Programs for reading and tools for building Situ are documented, but nobody depends on them.
   @exempt [:situ_build, :situ_examples]
 
@@ -15,7 +17,14 @@ defmodule Situ.Build.PublicModules do
     listed = root |> Path.join(@list) |> File.read!() |> parse_list()
     paths = for app <- apps -- @exempt, path <- list_beams(lib, app), do: path
 
-    compare(listed, Map.new(paths, &read_doc/1))
+    modules = Map.new(paths, &read_doc/1)
+
+    guides =
+      for pattern <- @guides, path <- Path.wildcard(Path.join(root, pattern)) do
+        {Path.relative_to(path, root), File.read!(path)}
+      end
+
+    compare(listed, modules) ++ find_private_names(guides, modules)
   end
 
   @doc """
@@ -56,6 +65,22 @@ defmodule Situ.Build.PublicModules do
 
     docs = for {name, doc} <- modules, problem = check_module(name, doc, listed), do: problem
     Enum.sort(unknown ++ statuses ++ docs)
+  end
+
+  @doc """
+  Returns one sentence for each private module that a guide names.
+
+      iex> guides = [{"a.md", "`A.B.run/1` uses `A.C`."}]
+      iex> Situ.Build.PublicModules.find_private_names(guides, %{"A.B" => :text, "A.C" => :hidden})
+      ["a.md names A.C, which is private"]
+  """
+  @spec find_private_names([{Path.t(), String.t()}], %{String.t() => :text | :hidden | :none}) ::
+          [String.t()]
+  def find_private_names(guides, modules) do
+    for {path, text} <- guides,
+        [name] <- ~r/\b[A-Z]\w*(?:\.[A-Z]\w*)+/ |> Regex.scan(text) |> Enum.uniq(),
+        modules[name] not in [nil, :text],
+        do: "#{path} names #{name}, which is private"
   end
 
   defp check_module(name, :none, _listed),
