@@ -74,14 +74,14 @@ defmodule Situ.AudioStream.Analyzer do
   alias Situ.Media.NativeKernel
   alias Situ.AudioOps.Channels
 
-  @enforce_keys [:native, :format, :config, :wanted]
-  defstruct [:native, :format, :config, :wanted]
+  @enforce_keys [:native, :format, :config, :outputs]
+  defstruct [:native, :format, :config, :outputs]
 
   @type t :: %__MODULE__{
           native: reference(),
           format: AudioFormat.t(),
           config: map(),
-          wanted: [atom()]
+          outputs: [atom()]
         }
 
   @outputs [:log_energy, :zero_crossing_rate, :energy, :low_energy, :high_energy, :entropy] ++
@@ -99,7 +99,7 @@ defmodule Situ.AudioStream.Analyzer do
          native: native,
          format: format,
          config: config,
-         wanted: requested_outputs(opts)
+         outputs: requested_outputs(opts)
        }}
     end
   end
@@ -158,7 +158,7 @@ defmodule Situ.AudioStream.Analyzer do
     # The estimate is 10 us per frame.
     frames = div(AudioBuffer.frame_count(buffer), a.config.shift)
 
-    {:analyze, a.native, buffer.data, first, a.wanted}
+    {:analyze, a.native, buffer.data, first, a.outputs}
     |> NativeKernel.run_audio(frames * 10)
     |> Channels.name_bad_samples(buffer, "analyze")
   end
@@ -172,11 +172,14 @@ defmodule Situ.AudioStream.Analyzer do
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
     state = ensure_analyzer(state, buffer.format)
     %{analyzer: analyzer, rest: rest, index: index} = state
-    whole = %AudioBuffer{format: buffer.format, data: rest <> buffer.data}
-    frames = Situ.Error.unwrap!(extract_features(analyzer, whole, index))
-    {actions, last} = emit_features(frames, whole, time, state)
+    joined_buffer = %AudioBuffer{format: buffer.format, data: rest <> buffer.data}
+    frames = Situ.Error.unwrap!(extract_features(analyzer, joined_buffer, index))
+    {actions, last} = emit_features(frames, joined_buffer, time, state)
     used = length(frames) * analyzer.config.shift
-    left = AudioBuffer.slice_frames(whole, used, AudioBuffer.frame_count(whole)).data
+
+    left =
+      AudioBuffer.slice_frames(joined_buffer, used, AudioBuffer.frame_count(joined_buffer)).data
+
     {actions, %{state | rest: :binary.copy(left), index: index + length(frames), last: last}}
   end
 
@@ -187,12 +190,12 @@ defmodule Situ.AudioStream.Analyzer do
     %{state | analyzer: analyzer, rest: "", index: 0}
   end
 
-  defp emit_features(frames, whole, time, %{analyzer: %{config: config}} = state) do
-    total = AudioBuffer.frame_count(whole)
+  defp emit_features(frames, joined_buffer, time, %{analyzer: %{config: config}} = state) do
+    total = AudioBuffer.frame_count(joined_buffer)
 
     {actions, {_end, last}} =
       Enum.flat_map_reduce(frames, {config.frame, state.last}, fn frame, {stop, last} ->
-        at = time - AudioFormat.frames_to_ns(whole.format, total - stop)
+        at = time - AudioFormat.frames_to_ns(joined_buffer.format, total - stop)
         at = if last, do: max(at, last + 1), else: at
         {output_actions(frame, at), {stop + config.shift, at}}
       end)

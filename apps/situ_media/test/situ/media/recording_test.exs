@@ -91,7 +91,7 @@ defmodule Situ.Media.RecordingTest do
 
     kept = fn ->
       [{pid, _}] = Registry.lookup(Situ.Media.Recording.Registry, key)
-      :sys.get_state(pid).kept |> Map.keys() |> Enum.sort()
+      :sys.get_state(pid).cache |> Map.keys() |> Enum.sort()
     end
 
     assert {:ok, [{40, image}]} = Images.fetch_range(recording, 40, 1)

@@ -98,7 +98,7 @@ defmodule Situ.Store.Csv do
   end
 
   @impl true
-  def append_streams(state, targets, {from, _to} = interval, told) do
+  def append_streams(state, targets, {from, _to} = interval, report_progress) do
     # A column without fields has no kind and no messages.
     filled = for {%{count: count}, _stream} = target <- targets, count > 0, do: target
 
@@ -108,7 +108,7 @@ defmodule Situ.Store.Csv do
       targets: filled,
       interval: interval,
       messages: &part_messages(state, &1, &2),
-      told: told
+      report_progress: report_progress
     }
 
     with {:error, why} when is_binary(why) <-

@@ -16,8 +16,8 @@ defmodule Situ.Bridge.Foxglove.Session do
     :playback,
     :sdk?,
     :looked,
-    wanted: %{},
-    told: MapSet.new(),
+    subscriptions: %{},
+    advertised_ids: MapSet.new(),
     watched: MapSet.new(),
     warned: MapSet.new()
   ]
@@ -68,15 +68,17 @@ defmodule Situ.Bridge.Foxglove.Session do
 
   defp advertise_channels(session) do
     new =
-      for {id, {_, channel}} <- session.source.channels, id not in session.told, do: {id, channel}
+      for {id, {_, channel}} <- session.source.channels,
+          id not in session.advertised_ids,
+          do: {id, channel}
 
-    told = Enum.into(new, session.told, &elem(&1, 0))
+    advertised_ids = Enum.into(new, session.advertised_ids, &elem(&1, 0))
 
     channels =
       for {id, channel} <- Enum.sort(new), do: StoreChannels.describe_channel(id, channel)
 
     {if(new == [], do: [], else: [Wire.encode_op("advertise", channels: channels)]),
-     %{session | told: told}}
+     %{session | advertised_ids: advertised_ids}}
   end
 
   @doc "Handles a frame from the client."
@@ -93,7 +95,7 @@ defmodule Situ.Bridge.Foxglove.Session do
     do: collect_frames(list, session, &add_subscription/2)
 
   defp handle_op(session, "unsubscribe", %{"subscriptionIds" => ids}) when is_list(ids),
-    do: {[], %{session | wanted: Map.drop(session.wanted, ids)}}
+    do: {[], %{session | subscriptions: Map.drop(session.subscriptions, ids)}}
 
   defp handle_op(session, "getParameters", %{"parameterNames" => names} = message)
        when is_list(names),
@@ -142,12 +144,12 @@ defmodule Situ.Bridge.Foxglove.Session do
         {[Wire.encode_status(2, "the channel id #{inspect(channel, limit: 5)} does not exist")],
          session}
 
-      is_map_key(session.wanted, id) ->
+      is_map_key(session.subscriptions, id) ->
         {[Wire.encode_status(2, "the subscription id #{id} is already in use")], session}
 
       true ->
         at = session.playback.at
-        {frames, session} = latest_frames(put_in(session.wanted[id], {channel, at}), id)
+        {frames, session} = latest_frames(put_in(session.subscriptions[id], {channel, at}), id)
         {frames, session}
     end
   end
@@ -158,7 +160,7 @@ defmodule Situ.Bridge.Foxglove.Session do
        session}
 
   defp latest_frames(session, id) do
-    {channel, at} = session.wanted[id]
+    {channel, at} = session.subscriptions[id]
     session.source |> StoreChannels.latest_message(channel, at) |> message_frames(session, id)
   end
 
@@ -263,11 +265,13 @@ defmodule Situ.Bridge.Foxglove.Session do
   # Every subscriber receives the latest message at the new position, and continues from there.
   defp seek_playback(session, time) do
     playback = Playback.seek(session.playback, time)
-    wanted = Map.new(session.wanted, fn {id, {channel, _}} -> {id, {channel, playback.at}} end)
+
+    subscriptions =
+      Map.new(session.subscriptions, fn {id, {channel, _}} -> {id, {channel, playback.at}} end)
 
     collect_frames(
-      Map.keys(wanted),
-      %{session | playback: playback, wanted: wanted},
+      Map.keys(subscriptions),
+      %{session | playback: playback, subscriptions: subscriptions},
       &latest_frames(&2, &1)
     )
   end
@@ -321,7 +325,7 @@ defmodule Situ.Bridge.Foxglove.Session do
   # Messages are sent in order of time. If there are too many, the playback advances only to the last one sent.
   defp take_due_messages(%{playback: %{at: at}} = session) do
     {lists, ends} =
-      session.wanted
+      session.subscriptions
       |> Enum.map(fn {id, {channel, from}} ->
         {messages, all?} = StoreChannels.messages_between(session.source, channel, from, at)
 
@@ -335,11 +339,17 @@ defmodule Situ.Bridge.Foxglove.Session do
     {messages, reached} =
       lists |> Enum.concat() |> Enum.sort_by(&elem(&1, 0)) |> limit_messages(reached)
 
-    wanted =
-      Map.new(session.wanted, fn {id, {channel, from}} -> {id, {channel, max(from, reached)}} end)
+    subscriptions =
+      Map.new(session.subscriptions, fn {id, {channel, from}} ->
+        {id, {channel, max(from, reached)}}
+      end)
 
     {messages,
-     %{session | wanted: wanted, playback: Playback.rewind_to(session.playback, reached)}}
+     %{
+       session
+       | subscriptions: subscriptions,
+         playback: Playback.rewind_to(session.playback, reached)
+     }}
   end
 
   defp limit_messages(messages, reached) do

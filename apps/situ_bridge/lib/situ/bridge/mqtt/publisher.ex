@@ -16,13 +16,13 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   defstruct [
     :opts,
     :tcp,
-    :told,
+    :reported_error,
     up?: false,
     was_up?: false,
-    said: "",
+    received_bytes: "",
     wait: @first_wait,
     id: 0,
-    kept: :queue.new(),
+    pending_messages: :queue.new(),
     n: 0,
     dropped: 0
   ]
@@ -67,7 +67,13 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
       opts[:qos] == 1 ->
         id = rem(state.id, @most - 1) + 1
-        state = %{state | id: id, n: state.n + 1, kept: :queue.in({id, payload}, state.kept)}
+
+        state = %{
+          state
+          | id: id,
+            n: state.n + 1,
+            pending_messages: :queue.in({id, payload}, state.pending_messages)
+        }
 
         {:reply, :ok,
          if(state.up?,
@@ -102,7 +108,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     with {:ok, tcp} <-
            ClientSocket.connect(opts[:host], opts[:port], opts[:tls], SendQueue.socket_options()),
          :ok <- ClientSocket.send_bytes(tcp, Wire.encode_connect(opts)) do
-      {:noreply, %{state | tcp: tcp, said: ""}}
+      {:noreply, %{state | tcp: tcp, received_bytes: ""}}
     else
       {:error, reason} -> {:noreply, schedule_reconnect(state, reason)}
     end
@@ -120,7 +126,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def handle_info(message, state) do
     case ClientSocket.match_message(message, state.tcp) do
       {:ok, bytes} ->
-        state = handle_packets(%{state | said: state.said <> bytes})
+        state = handle_packets(%{state | received_bytes: state.received_bytes <> bytes})
         if state.tcp, do: ClientSocket.activate_once(state.tcp)
         {:noreply, state}
 
@@ -135,16 +141,21 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   defp handle_packets(%{tcp: nil} = state), do: state
 
   defp handle_packets(state) do
-    case Wire.parse_packet(state.said, @most) do
-      {:ok, packet, rest} -> packet |> handle_packet(%{state | said: rest}) |> handle_packets()
-      :more -> state
-      {:error, why} -> schedule_reconnect(state, why)
+    case Wire.parse_packet(state.received_bytes, @most) do
+      {:ok, packet, rest} ->
+        packet |> handle_packet(%{state | received_bytes: rest}) |> handle_packets()
+
+      :more ->
+        state
+
+      {:error, why} ->
+        schedule_reconnect(state, why)
     end
   end
 
   defp handle_packet({:connack, 0}, state) do
-    state = %{state | up?: true, was_up?: true, wait: @first_wait, told: nil}
-    waiting = :queue.to_list(state.kept)
+    state = %{state | up?: true, was_up?: true, wait: @first_wait, reported_error: nil}
+    waiting = :queue.to_list(state.pending_messages)
     send_packet(Enum.map(waiting, &encode_publish(&1, true, state.opts)), state)
   end
 
@@ -153,13 +164,14 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   # A broker nearly always acknowledges messages in order.
   defp handle_packet({:puback, id}, state) do
-    case :queue.peek(state.kept) do
+    case :queue.peek(state.pending_messages) do
       {:value, {^id, _}} ->
-        %{state | n: state.n - 1, kept: :queue.drop(state.kept)}
+        %{state | n: state.n - 1, pending_messages: :queue.drop(state.pending_messages)}
 
       _ ->
-        kept = :queue.filter(fn {kept, _} -> kept != id end, state.kept)
-        %{state | n: :queue.len(kept), kept: kept}
+        pending_messages = :queue.filter(fn {other, _} -> other != id end, state.pending_messages)
+
+        %{state | n: :queue.len(pending_messages), pending_messages: pending_messages}
     end
   end
 
@@ -176,11 +188,18 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   defp schedule_reconnect(state, reason) do
     if state.tcp, do: ClientSocket.close(state.tcp)
 
-    if state.told != reason and reason != :closed,
+    if state.reported_error != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
 
     Process.send_after(self(), :connect, state.wait)
-    %{state | tcp: nil, up?: false, told: reason, wait: min(state.wait * 2, @longest_wait)}
+
+    %{
+      state
+      | tcp: nil,
+        up?: false,
+        reported_error: reason,
+        wait: min(state.wait * 2, @longest_wait)
+    }
   end
 
   @impl true

@@ -16,7 +16,16 @@ defmodule Situ.Bridge.Net.Connection do
   @impl true
   def init({server, outbox, protocol}) do
     Process.send_after(self(), :too_slow, @admission)
-    {:ok, %{tcp: nil, server: server, outbox: outbox, protocol: protocol, said: "", open?: false}}
+
+    {:ok,
+     %{
+       tcp: nil,
+       server: server,
+       outbox: outbox,
+       protocol: protocol,
+       received_bytes: "",
+       open?: false
+     }}
   end
 
   @impl true
@@ -33,15 +42,15 @@ defmodule Situ.Bridge.Net.Connection do
   end
 
   def handle_info({:tcp, _tcp, bytes}, state)
-      when byte_size(bytes) + byte_size(state.said) > @most_said,
+      when byte_size(bytes) + byte_size(state.received_bytes) > @most_said,
       do: {:stop, {:shutdown, :noise}, state}
 
   def handle_info({:tcp, _tcp, bytes}, %{open?: false} = state),
-    do: admit_client(%{state | said: state.said <> bytes})
+    do: admit_client(%{state | received_bytes: state.received_bytes <> bytes})
 
   def handle_info({:tcp, _tcp, bytes}, %{protocol: {module, arg}} = state) do
-    case module.heard(state.said <> bytes, arg) do
-      {:ok, answer, rest} -> send_reply(answer, %{state | said: rest})
+    case module.heard(state.received_bytes <> bytes, arg) do
+      {:ok, answer, rest} -> send_reply(answer, %{state | received_bytes: rest})
       :close -> {:stop, {:shutdown, :closed}, state}
     end
   end
@@ -52,9 +61,9 @@ defmodule Situ.Bridge.Net.Connection do
   def handle_info(:too_slow, state), do: {:stop, {:shutdown, :too_slow}, state}
 
   defp admit_client(%{protocol: {module, arg}} = state) do
-    case module.admit(state.said, arg) do
+    case module.admit(state.received_bytes, arg) do
       {:ok, answer, rest} ->
-        with {:noreply, state} <- send_reply(answer, %{state | said: rest, open?: true}) do
+        with {:noreply, state} <- send_reply(answer, %{state | received_bytes: rest, open?: true}) do
           send(state.server, {:open, self()})
           {:noreply, state}
         end

@@ -35,8 +35,8 @@ defmodule Situ.Bridge.Net.Source do
 
   @impl true
   def init(opts) do
-    state = %{opts: opts, tcp: nil, wire: nil, wait: @first_wait, told: nil, open: true}
-    {:ok, Map.merge(state, %{inlet: PayloadDecoder.new(opts), pieces: %ReceiveBuffer{}})}
+    state = %{opts: opts, tcp: nil, wire: nil, wait: @first_wait, reported_error: nil, open: true}
+    {:ok, Map.merge(state, %{inlet: PayloadDecoder.new(opts), receive_buffer: %ReceiveBuffer{}})}
   end
 
   @impl true
@@ -52,7 +52,7 @@ defmodule Situ.Bridge.Net.Source do
 
     with {:ok, tcp} <- open_connection(opts),
          :ok <- send_hello(tcp, hello) do
-      {[], %{state | tcp: tcp, wire: wire, pieces: %ReceiveBuffer{}}}
+      {[], %{state | tcp: tcp, wire: wire, receive_buffer: %ReceiveBuffer{}}}
     else
       {:error, reason} -> {[], schedule_reconnect(state, reason)}
     end
@@ -68,16 +68,16 @@ defmodule Situ.Bridge.Net.Source do
 
   defp handle_bytes(bytes, context, %{opts: opts} = state) do
     case ReceiveBuffer.add_bytes(
-           state.pieces,
+           state.receive_buffer,
            bytes,
            missing_bytes(elem(opts[:protocol], 0), state.wire)
          ) do
-      {:ok, bytes, pieces} ->
-        read_payloads(bytes, context, %{state | pieces: pieces})
+      {:ok, bytes, receive_buffer} ->
+        read_payloads(bytes, context, %{state | receive_buffer: receive_buffer})
 
-      {:more, pieces} ->
+      {:more, receive_buffer} ->
         ClientSocket.activate_once(state.tcp)
-        {[], %{state | pieces: pieces}}
+        {[], %{state | receive_buffer: receive_buffer}}
     end
   end
 
@@ -114,15 +114,15 @@ defmodule Situ.Bridge.Net.Source do
 
   # After a readable message the server is known to work, so the next reconnect starts with the shortest wait.
   defp reset_backoff(state, []), do: state
-  defp reset_backoff(state, _payloads), do: %{state | wait: @first_wait, told: nil}
+  defp reset_backoff(state, _payloads), do: %{state | wait: @first_wait, reported_error: nil}
 
   # A repeated error is logged once, not at every attempt. A partially received message is lost.
   defp schedule_reconnect(state, reason) do
-    if state.told != reason and reason != :closed,
+    if state.reported_error != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
 
     Process.send_after(self(), :connect, state.wait)
-    %{state | tcp: nil, told: reason, wait: min(state.wait * 2, @longest_wait)}
+    %{state | tcp: nil, reported_error: reason, wait: min(state.wait * 2, @longest_wait)}
   end
 
   @impl true

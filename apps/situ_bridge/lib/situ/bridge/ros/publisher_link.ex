@@ -18,7 +18,7 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   @impl true
   def init(args),
     do:
-      {:ok, Map.merge(args, %{tcp: nil, wire: nil, pieces: %ReceiveBuffer{}, seen: 0}),
+      {:ok, Map.merge(args, %{tcp: nil, wire: nil, receive_buffer: %ReceiveBuffer{}, seen: 0}),
        {:continue, :connect}}
 
   @impl true
@@ -55,9 +55,12 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
     state = %{state | seen: state.seen + 1}
 
-    case ReceiveBuffer.add_bytes(state.pieces, bytes, TcpRos.missing(state.wire)) do
-      {:ok, bytes, pieces} -> read_frames(bytes, %{state | pieces: pieces})
-      {:more, pieces} -> {:noreply, arm_socket(%{state | pieces: pieces})}
+    case ReceiveBuffer.add_bytes(state.receive_buffer, bytes, TcpRos.missing(state.wire)) do
+      {:ok, bytes, receive_buffer} ->
+        read_frames(bytes, %{state | receive_buffer: receive_buffer})
+
+      {:more, receive_buffer} ->
+        {:noreply, arm_socket(%{state | receive_buffer: receive_buffer})}
     end
   end
 
@@ -76,7 +79,7 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   # A publisher that leaves normally closes the connection. If it does not, the link ends when it is silent, unless this
   # side has stopped reading.
   defp schedule_silence_check(state) do
-    waits? = :atomics.get(state.untaken, 1) >= state.high_water_mark
+    waits? = :atomics.get(state.in_flight, 1) >= state.high_water_mark
     seen = if waits?, do: :waits, else: state.seen
     Process.send_after(self(), {:look, seen}, @silent)
     state
@@ -95,14 +98,14 @@ defmodule Situ.Bridge.Ros.PublisherLink do
   defp hand_over(state, []), do: state
 
   defp hand_over(state, payloads) do
-    :atomics.add(state.untaken, 1, length(payloads))
+    :atomics.add(state.in_flight, 1, length(payloads))
     send(state.owner, {:ros, state.wire.theirs, payloads})
     send(state.node, {:well, state.uri})
     state
   end
 
   defp arm_socket(state) do
-    if :atomics.get(state.untaken, 1) < state.high_water_mark,
+    if :atomics.get(state.in_flight, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)
 

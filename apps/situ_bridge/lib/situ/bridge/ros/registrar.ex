@@ -14,7 +14,7 @@ defmodule Situ.Bridge.Ros.Registrar do
   def start_link(node, address, role, uri),
     do:
       spawn_link(fn ->
-        register_node(%{node: node, address: address, role: role, uri: uri, told: nil})
+        register_node(%{node: node, address: address, role: role, uri: uri, reported_error: nil})
       end)
 
   defp register_node(state) do
@@ -27,15 +27,17 @@ defmodule Situ.Bridge.Ros.Registrar do
            ) do
       if elem(state.role, 0) == :subscriber, do: send(state.node, {:publishers, publishers})
 
-      if state.told,
+      if state.reported_error,
         do: Logger.info("ROS: the master at #{state.address.master} is reachable again")
 
-      watch_master(%{state | told: nil}, pid)
+      watch_master(%{state | reported_error: nil}, pid)
     else
       {:error, error} ->
-        if state.told != error.code, do: Logger.warning("ROS: #{Exception.message(error)}")
+        if state.reported_error != error.code,
+          do: Logger.warning("ROS: #{Exception.message(error)}")
+
         Process.sleep(@every)
-        register_node(%{state | told: error.code})
+        register_node(%{state | reported_error: error.code})
     end
   end
 

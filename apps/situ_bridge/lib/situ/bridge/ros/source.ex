@@ -66,7 +66,7 @@ defmodule Situ.Bridge.Ros.Source do
        node: nil,
        clock_node: nil,
        clock: nil,
-       untaken: :atomics.new(1, []),
+       in_flight: :atomics.new(1, []),
        clock_untaken: :atomics.new(1, []),
        inlet: inlet,
        known: %{},
@@ -80,7 +80,7 @@ defmodule Situ.Bridge.Ros.Source do
     type = if ours, do: ours.name, else: "*"
 
     sum = if ours, do: Definition.md5(ours), else: "*"
-    node = start_node!(opts, opts[:topic], type, sum, state.untaken)
+    node = start_node!(opts, opts[:topic], type, sum, state.in_flight)
 
     clock =
       if opts[:sim_time], do: start_node!(opts, "/clock", @clock, @clock_sum, state.clock_untaken)
@@ -88,10 +88,10 @@ defmodule Situ.Bridge.Ros.Source do
     {[{:complete, :infinity}], %{state | node: node, clock_node: clock, ours: ours}}
   end
 
-  defp start_node!(opts, topic, type, sum, untaken) do
+  defp start_node!(opts, topic, type, sum, in_flight) do
     link = %{
       md5sum: sum,
-      untaken: untaken,
+      in_flight: in_flight,
       high_water_mark: opts[:high_water_mark],
       most: opts[:most]
     }
@@ -122,7 +122,7 @@ defmodule Situ.Bridge.Ros.Source do
   end
 
   def handle_info({:ros, theirs, payloads}, context, state) do
-    :atomics.sub(state.untaken, 1, length(payloads))
+    :atomics.sub(state.in_flight, 1, length(payloads))
     {definition, state} = ensure_definition(theirs, state)
     now = if state.opts[:sim_time], do: state.clock, else: context.now
     read = Enum.map(payloads, &decode_payload(&1, definition, state.opts, now))

@@ -71,7 +71,7 @@ defmodule Situ.Bridge.Ros2.Client do
   def init(about) do
     Process.flag(:trap_exit, true)
     port = Zenoh.open(about.program, about.opts[:router])
-    rest = %{port: port, up?: false, waiting: [], asked: %{}, next: @first, sequence: 0}
+    rest = %{port: port, up?: false, waiting: [], requests: %{}, next: @first, sequence: 0}
     gid = :crypto.strong_rand_bytes(16)
     {:ok, about |> Map.merge(rest) |> Map.merge(%{node: Zenoh.node_name(about.opts), gid: gid})}
   end
@@ -91,7 +91,7 @@ defmodule Situ.Bridge.Ros2.Client do
   defp schedule_request(%{next: id} = state, from, bytes, timeout) do
     timer = Process.send_after(self(), {:late, id, timeout}, timeout)
     next = if id == @last, do: @first, else: id + 1
-    state = %{state | asked: Map.put(state.asked, id, {from, timer}), next: next}
+    state = %{state | requests: Map.put(state.requests, id, {from, timer}), next: next}
 
     if state.up?,
       do: send_query(state, {id, bytes, timeout}),
@@ -113,8 +113,8 @@ defmodule Situ.Bridge.Ros2.Client do
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
     error = Error.new(:ros_unreachable, "zenoh_port ended with status #{status}")
-    for {_id, {from, _timer}} <- state.asked, do: GenServer.reply(from, {:error, error})
-    {:stop, :normal, %{state | port: nil, asked: %{}}}
+    for {_id, {from, _timer}} <- state.requests, do: GenServer.reply(from, {:error, error})
+    {:stop, :normal, %{state | port: nil, requests: %{}}}
   end
 
   def handle_info({:late, id, timeout}, state) do
@@ -190,14 +190,14 @@ defmodule Situ.Bridge.Ros2.Client do
   defp printable_text(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
 
   defp reply_to_caller(state, id, answer) do
-    case Map.pop(state.asked, id) do
+    case Map.pop(state.requests, id) do
       {nil, _} ->
         state
 
-      {{from, timer}, asked} ->
+      {{from, timer}, requests} ->
         Process.cancel_timer(timer)
         GenServer.reply(from, answer)
-        %{state | asked: asked}
+        %{state | requests: requests}
     end
   end
 

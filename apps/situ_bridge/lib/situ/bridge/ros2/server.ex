@@ -43,7 +43,7 @@ defmodule Situ.Bridge.Ros2.Server do
   def init(given) do
     Process.flag(:trap_exit, true)
     port = Zenoh.open(given.program, given.opts[:router])
-    {:ok, Map.merge(given, %{port: port, up?: false, wait: nil, at_work: %{}})}
+    {:ok, Map.merge(given, %{port: port, up?: false, wait: nil, workers: %{}})}
   end
 
   @impl true
@@ -62,7 +62,7 @@ defmodule Situ.Bridge.Ros2.Server do
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
     Logger.warning("zenoh_port ended with status #{status}; restarting it")
     Process.send_after(self(), :again, @again)
-    {:noreply, %{state | port: nil, up?: false, at_work: %{}}}
+    {:noreply, %{state | port: nil, up?: false, workers: %{}}}
   end
 
   def handle_info(:again, state),
@@ -70,11 +70,11 @@ defmodule Situ.Bridge.Ros2.Server do
 
   def handle_info(:late, state), do: {:noreply, reply_ready(state, false)}
 
-  def handle_info({:EXIT, worker, reason}, %{at_work: at_work} = state)
-      when is_map_key(at_work, worker) do
-    {{request, attachment}, at_work} = Map.pop(at_work, worker)
+  def handle_info({:EXIT, worker, reason}, %{workers: workers} = state)
+      when is_map_key(workers, worker) do
+    {{request, attachment}, workers} = Map.pop(workers, worker)
     send_answer(state, request, attachment, worker_result(reason))
-    {:noreply, %{state | at_work: at_work}}
+    {:noreply, %{state | workers: workers}}
   end
 
   def handle_info({:EXIT, from, reason}, state) when is_pid(from) do
@@ -110,11 +110,11 @@ defmodule Situ.Bridge.Ros2.Server do
     reply_ready(%{state | up?: true}, true)
   end
 
-  defp handle_frame({:asked, _id, request, attachment, payload}, state) do
+  defp handle_frame({:request_received, _id, request, attachment, payload}, state) do
     case Keys.reply_attachment(attachment, System.os_time(:nanosecond)) do
       {:ok, attachment} ->
         worker = spawn_link(fn -> exit({:answer, run_request(state, payload)}) end)
-        %{state | at_work: Map.put(state.at_work, worker, {request, attachment})}
+        %{state | workers: Map.put(state.workers, worker, {request, attachment})}
 
       :error ->
         why =
@@ -149,7 +149,7 @@ defmodule Situ.Bridge.Ros2.Server do
 
   @impl true
   def terminate(_reason, state) do
-    for {worker, _} <- state.at_work, do: Process.exit(worker, :kill)
+    for {worker, _} <- state.workers, do: Process.exit(worker, :kill)
     Zenoh.close(state.port)
   end
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros2.Session do
   @moduledoc false
   # A ROS 2 node for one end of a topic. It runs the program `zenoh_port`, which holds the Zenoh session, and restarts
-  # the program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`. `untaken` counts
+  # the program if it ends. The owner receives each sample as `{:ros2, {key, attachment, payload}}`. `in_flight` counts
   # the samples that the owner has not yet handled; samples beyond the high-water mark are dropped.
   use GenServer, restart: :temporary
   require Logger
@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Ros2.Session do
 
   @doc """
   Starts a session for the calling process. `opts`: `role`, `router`, `domain`, `node`, `topic`, `type` and `hash` (or
-  `nil`), `depth` (for a latched topic, or `nil`), `high_water_mark` and, for a subscriber, `untaken`. Error:
+  `nil`), `depth` (for a latched topic, or `nil`), `high_water_mark` and, for a subscriber, `in_flight`. Error:
   `:no_zenoh_port`.
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
@@ -126,10 +126,10 @@ defmodule Situ.Bridge.Ros2.Session do
   end
 
   defp handle_frame({:sample, _id, key, attachment, payload}, state) do
-    untaken = state.opts[:untaken]
+    in_flight = state.opts[:in_flight]
 
-    if :atomics.get(untaken, 1) < state.opts[:high_water_mark] do
-      :atomics.add(untaken, 1, 1)
+    if :atomics.get(in_flight, 1) < state.opts[:high_water_mark] do
+      :atomics.add(in_flight, 1, 1)
       send(state.owner, {:ros2, {key, attachment, payload}})
       state
     else

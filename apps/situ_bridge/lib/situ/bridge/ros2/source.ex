@@ -59,14 +59,14 @@ defmodule Situ.Bridge.Ros2.Source do
   @impl true
   def init(opts) do
     inlet = PayloadDecoder.new(times: opts[:times], format: :ros)
-    {:ok, %{opts: opts, session: nil, untaken: :atomics.new(1, []), inlet: inlet, known: %{}}}
+    {:ok, %{opts: opts, session: nil, in_flight: :atomics.new(1, []), inlet: inlet, known: %{}}}
   end
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
     {known, about} = expected_type(opts)
 
-    given = [role: :subscriber, untaken: state.untaken, node: Zenoh.node_name(opts)]
+    given = [role: :subscriber, in_flight: state.in_flight, node: Zenoh.node_name(opts)]
     given = [depth: latch_depth(opts)] ++ given ++ about
     given = given ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark])
     session = given |> Session.start_link() |> Situ.Error.unwrap!()
@@ -105,7 +105,7 @@ defmodule Situ.Bridge.Ros2.Source do
 
   @impl true
   def handle_info({:ros2, {key, attachment, payload}}, context, state) do
-    :atomics.sub(state.untaken, 1, 1)
+    :atomics.sub(state.in_flight, 1, 1)
     {definition, state} = ensure_definition(Keys.parse_type(key), state)
 
     read =

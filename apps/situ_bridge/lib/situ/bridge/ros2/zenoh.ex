@@ -24,7 +24,8 @@ defmodule Situ.Bridge.Ros2.Zenoh do
           {:open, session :: String.t()}
           | {:sample, id(), key :: String.t(), attachment :: binary(), payload :: binary()}
           | {:put, id()}
-          | {:asked, id(), request :: id(), attachment :: binary(), payload :: binary()}
+          | {:request_received, id(), request :: id(), attachment :: binary(),
+             payload :: binary()}
           | {:answer, id(), attachment :: binary(), payload :: binary()}
           | {:refusal, id(), why :: binary()}
           | {:answered, id()}
@@ -136,7 +137,7 @@ defmodule Situ.Bridge.Ros2.Zenoh do
   def parse_frame(<<4, id::32>>), do: {:put, id}
 
   def parse_frame(<<5, id::32, request::32, n::16, attached::binary-size(n), payload::binary>>),
-    do: {:asked, id, request, attached, payload}
+    do: {:request_received, id, request, attached, payload}
 
   def parse_frame(<<6, id::32, n::16, attached::binary-size(n), payload::binary>>),
     do: {:answer, id, attached, payload}

@@ -12,16 +12,16 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
 
   @impl true
   def init(opts) do
-    begun = %{
+    initial = %{
       tcp: nil,
       phase: :greeting,
       buffer: "",
-      pieces: %ReceiveBuffer{},
+      receive_buffer: %ReceiveBuffer{},
       parts: [],
       waiting: 0
     }
 
-    state = Map.merge(begun, Map.new(opts))
+    state = Map.merge(initial, Map.new(opts))
 
     if state.address, do: send(self(), :connect)
     Process.send_after(self(), :too_slow, @handshake)
@@ -44,12 +44,13 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
     missing = if state.phase == :open, do: Wire.missing_bytes(state.buffer), else: 1
 
-    with {:ok, bytes, pieces} <- ReceiveBuffer.add_bytes(state.pieces, bytes, missing),
-         state = %{state | buffer: state.buffer <> bytes, pieces: pieces},
+    with {:ok, bytes, receive_buffer} <-
+           ReceiveBuffer.add_bytes(state.receive_buffer, bytes, missing),
+         state = %{state | buffer: state.buffer <> bytes, receive_buffer: receive_buffer},
          {:ok, state} <- handle_buffer(state) do
       {:noreply, arm_socket(state)}
     else
-      {:more, pieces} -> {:noreply, arm_socket(%{state | pieces: pieces})}
+      {:more, receive_buffer} -> {:noreply, arm_socket(%{state | receive_buffer: receive_buffer})}
       {:error, why} -> {:stop, {:shutdown, {:refused, why}}, state}
     end
   end
@@ -85,7 +86,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   defp arm_socket(%{tcp: nil} = state), do: state
 
   defp arm_socket(state) do
-    if :atomics.get(state.untaken, 1) < state.high_water_mark,
+    if :atomics.get(state.in_flight, 1) < state.high_water_mark,
       do: :inet.setopts(state.tcp, active: :once),
       else: Process.send_after(self(), :arm, 5)
 
@@ -135,7 +136,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
           do: send(state.socket, {:peer, self(), {kind, prefix}})
 
       if messages != [] do
-        :atomics.add(state.untaken, 1, length(messages))
+        :atomics.add(state.in_flight, 1, length(messages))
         send(state.owner, {:zeromq, messages})
       end
 

@@ -20,12 +20,12 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     :listener,
     :acceptor,
     :opts,
-    :untaken,
+    :in_flight,
     peers: %{},
     wait: @first_wait,
     dropped: 0,
     turn: 0,
-    told: nil
+    reported_error: nil
   ]
 
   @doc "Opens a socket that listens or connects. Errors: `:bad_address`, `:address_in_use`."
@@ -85,8 +85,8 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @doc "Records that the owner has taken `n` messages."
   def subtract_taken(socket_state, n), do: :atomics.sub(socket_state, 1, n)
 
-  @doc "Returns the counter of untaken messages, which `subtract_taken/2` decrements."
-  def untaken_counter(socket), do: GenServer.call(socket, :untaken)
+  @doc "Returns the counter of messages in flight, which `subtract_taken/2` decrements."
+  def in_flight_counter(socket), do: GenServer.call(socket, :in_flight)
 
   @doc "Waits until everything has been handed to the network, at most `timeout` ms, and closes."
   @impl PeerSender
@@ -99,7 +99,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def init(args) do
     Process.flag(:trap_exit, true)
     bind? = args.listener != nil
-    {:ok, struct!(__MODULE__, Map.merge(args, %{bind?: bind?, untaken: :atomics.new(1, [])}))}
+    {:ok, struct!(__MODULE__, Map.merge(args, %{bind?: bind?, in_flight: :atomics.new(1, [])}))}
   end
 
   @impl true
@@ -110,7 +110,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     {:reply, pid, state}
   end
 
-  def handle_call(:untaken, _from, state), do: {:reply, state.untaken, state}
+  def handle_call(:in_flight, _from, state), do: {:reply, state.in_flight, state}
   def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
 
   def handle_call(:ready, _from, %{type: :pub} = state),
@@ -167,7 +167,8 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
 
   def handle_info({:peer, pid, :open}, state),
     do:
-      {:noreply, update_peer(%{state | wait: @first_wait, told: nil}, pid, &%{&1 | open?: true})}
+      {:noreply,
+       update_peer(%{state | wait: @first_wait, reported_error: nil}, pid, &%{&1 | open?: true})}
 
   def handle_info({:peer, pid, {:subscribe, prefix}}, state),
     do: {:noreply, update_peer(state, pid, &%{&1 | wants: [prefix | &1.wants]})}
@@ -203,13 +204,13 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   # A repeated error is logged once, not at every attempt.
   defp report_failure(state, {:shutdown, {kind, _} = reason})
        when kind in [:refused, :unreachable] do
-    if state.told != reason,
+    if state.reported_error != reason,
       do:
         Logger.warning(
           "ZeroMQ #{state.type} at #{elem(state.address, 0)}:#{elem(state.address, 1)}: #{inspect(reason)}"
         )
 
-    %{state | told: reason}
+    %{state | reported_error: reason}
   end
 
   defp report_failure(state, _reason), do: state
@@ -229,7 +230,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
         high_water_mark: state.opts[:high_water_mark],
         most: state.opts[:most],
         queued: queued,
-        untaken: state.untaken
+        in_flight: state.in_flight
       )
 
     {pid, %{state | peers: Map.put(state.peers, pid, %{open?: false, wants: [], queued: queued})}}

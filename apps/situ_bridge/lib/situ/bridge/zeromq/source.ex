@@ -41,7 +41,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
 
   @impl true
   def init(opts),
-    do: {:ok, %{opts: opts, socket: nil, untaken: nil, inlet: PayloadDecoder.new(opts)}}
+    do: {:ok, %{opts: opts, socket: nil, in_flight: nil, inlet: PayloadDecoder.new(opts)}}
 
   @impl true
   def handle_start(_context, %{opts: opts} = state) do
@@ -54,7 +54,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
           do: send(opts[:listening], {:listening, Socket.port(socket)})
 
         {[{:complete, :infinity}],
-         %{state | socket: socket, untaken: Socket.untaken_counter(socket)}}
+         %{state | socket: socket, in_flight: Socket.in_flight_counter(socket)}}
 
       {:error, error} ->
         raise error
@@ -63,7 +63,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
 
   @impl true
   def handle_info({:zeromq, messages}, context, state) do
-    Socket.subtract_taken(state.untaken, length(messages))
+    Socket.subtract_taken(state.in_flight, length(messages))
     payloads = Enum.flat_map(messages, &take_payload(&1, state.opts))
     {actions, inlet} = PayloadDecoder.take_payloads(state.inlet, payloads, context.now)
     {actions, %{state | inlet: inlet}}

@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Ros2.ZenohTest do
              {:sample, 7, "key", "at", "payload"}
 
     assert Zenoh.parse_frame(<<5, 7::32, 9::32, 2::16, "at", "ask">>) ==
-             {:asked, 7, 9, "at", "ask"}
+             {:request_received, 7, 9, "at", "ask"}
 
     assert Zenoh.parse_frame(<<6, 7::32, 0::16>>) == {:answer, 7, "", ""}
     assert Zenoh.parse_frame(<<7, 7::32, "no">>) == {:refusal, 7, "no"}
