@@ -22,7 +22,7 @@ defmodule Situ.Bridge.MixProject do
     [
       extra_applications: extra_applications(Mix.env()),
       env: [
-        store_readers: [
+        recording_formats: [
           Situ.Bridge.Psi,
           Situ.Bridge.Mcap,
           Situ.Bridge.Ros.Bag,

@@ -20,7 +20,7 @@ defmodule Situ.Dataset.MixProject do
     [
       extra_applications: extra_applications(Mix.env()),
       env: [
-        store_readers: [Situ.Dataset.JsonStore],
+        recording_formats: [Situ.Dataset.JsonStore],
         dataset_tasks: [Situ.Dataset.Task.Statistics, Situ.Dataset.Task.DropStreams]
       ]
     ]

@@ -19,7 +19,7 @@ defmodule Situ.Remote.MixProject do
   def application do
     [
       mod: {Situ.Remote.Application, []},
-      env: [store_readers: [Situ.Remote.Recording]],
+      env: [recording_formats: [Situ.Remote.Recording]],
       extra_applications: extra_applications(Mix.env())
     ]
   end

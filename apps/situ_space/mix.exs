@@ -20,7 +20,7 @@ defmodule Situ.Space.MixProject do
   def application do
     [
       extra_applications: extra_applications(Mix.env()),
-      env: [store_readers: [Situ.Space.GeometryFile, Situ.Space.Gpx, Situ.Space.Robot.Urdf]]
+      env: [recording_formats: [Situ.Space.GeometryFile, Situ.Space.Gpx, Situ.Space.Robot.Urdf]]
     ]
   end
 

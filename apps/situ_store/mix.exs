@@ -20,7 +20,7 @@ defmodule Situ.Store.MixProject do
 
   def application do
     [
-      env: [store_readers: [Situ.Store.Csv]],
+      env: [recording_formats: [Situ.Store.Csv]],
       extra_applications: extra_applications(Mix.env())
     ]
   end

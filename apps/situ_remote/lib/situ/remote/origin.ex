@@ -29,7 +29,7 @@ defmodule Situ.Remote.Origin do
 
   @doc "Returns the recording, for requests. `version` selects a version; `nil` selects the newest."
   @callback store(state(), version :: term()) ::
-              {:ok, Situ.Store.Handle.t()} | {:error, Situ.Error.t()}
+              {:ok, Situ.Recording.t()} | {:error, Situ.Error.t()}
 
   @doc "Returns a position in a stream, and the originating time of the last message before it."
   @callback cursor(state(), String.t(), from()) :: {:ok, cursor(), Situ.Time.t()} | :unknown

@@ -6,7 +6,8 @@ defmodule Situ.Remote.ServerConfig do
   alias Situ.Remote.{Address, Server}
   alias Situ.Remote.Link.{Handshake, Quota}
   alias Situ.Remote.Origin.Recording
-  alias Situ.Store.{Exporter, Folder, Formats, Handle, Query}
+  alias Situ.Recording.Formats
+  alias Situ.Store.{Exporter, Folder, Query}
 
   @limit {:tuple, [{:in, [:bytes_per_second, :messages_per_second]}, :pos_integer]}
 
@@ -73,7 +74,11 @@ defmodule Situ.Remote.ServerConfig do
   ]
 
   @type served ::
-          Path.t() | Handle.t() | Exporter.t() | Situ.Stream.t() | [{String.t(), Situ.Stream.t()}]
+          Path.t()
+          | Situ.Recording.t()
+          | Exporter.t()
+          | Situ.Stream.t()
+          | [{String.t(), Situ.Stream.t()}]
 
   @spec options() :: Options.schema()
   def options, do: @options
@@ -196,7 +201,7 @@ defmodule Situ.Remote.ServerConfig do
     with {:ok, name, origin} <- build_origin(what, opts), do: {:ok, %{name => origin}}
   end
 
-  defp build_origin(%Handle{} = store, _opts),
+  defp build_origin(%Situ.Recording{} = store, _opts),
     do: {:ok, store.path |> Folder.store_name(), {Recording, {:store, store}}}
 
   defp build_origin(%Exporter{path: path}, _opts),

@@ -9,7 +9,7 @@ defmodule Situ.Studio.Catalog do
   use GenServer
 
   alias Situ.Dataset.Session
-  alias Situ.Store.Formats
+  alias Situ.Recording.Formats
   alias Situ.{Dataset, Error}
   alias Situ.Studio.Datasets.DatasetRef
   alias Situ.Studio.{Layouts, Source, Stores}

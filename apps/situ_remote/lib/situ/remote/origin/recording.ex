@@ -8,7 +8,7 @@ defmodule Situ.Remote.Origin.Recording do
   alias Situ.Error
   alias Situ.Remote.Link.Batch
   alias Situ.Remote.Origin.Versions
-  alias Situ.Store.{Handle, NativeFormat, Query, StreamInfo, TypeName}
+  alias Situ.Store.{NativeFormat, Query, StreamInfo, TypeName}
 
   @messages 512
   # This time is earlier than any other, but far from the limits of 64-bit integers.
@@ -21,7 +21,7 @@ defmodule Situ.Remote.Origin.Recording do
   def before_all, do: @before_all
 
   @impl true
-  def open({:store, %Handle{} = store}), do: {:ok, %__MODULE__{store: store}}
+  def open({:store, %Situ.Recording{} = store}), do: {:ok, %__MODULE__{store: store}}
 
   def open({:live, root, name}) do
     with {:ok, state} <- open({:series, root, name}), do: {:ok, %{state | pieces?: true}}

@@ -8,7 +8,7 @@ defmodule Situ.Studio.Source.Store do
   @behaviour Situ.Studio.Source
 
   alias Situ.{Error, Store}
-  alias Situ.Store.Formats
+  alias Situ.Recording.Formats
   alias Situ.Studio.{StreamTotals, Source, StreamInfo}
   alias Situ.Studio.Draw.{Bins, WindowMessages}
 
