@@ -31,7 +31,7 @@ defmodule Situ.Recording do
 
   @doc """
   Returns `name`, `created` (ns or nil), `closed?`, `live?`, `damage` (a list of sentences, or of maps with `offset` and
-  `why`).
+  `why`). A recording of a running clock returns its time as `now`.
   """
   @callback info(state()) :: map()
   @doc "Returns the current streams."
@@ -56,10 +56,16 @@ defmodule Situ.Recording do
   @callback stream(state(), String.t()) :: {:ok, StreamInfo.t()} | error()
   @doc "Returns the current number of messages without the other statistics of `streams/1`."
   @callback count(state(), StreamInfo.t()) :: non_neg_integer()
-  @doc "Returns min/max/last/count bins: `{:ok, width_ns, [{start, min, max, last, count}]}`."
+  @doc """
+  Returns min/max/last/count bins: `{:ok, width_ns, [{start, min, max, last, count}]}`, or `:none` for a stream that has
+  to be read to be summarized.
+  """
   @callback summary(state(), StreamInfo.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
-              {:ok, pos_integer(), [tuple()]} | error()
-  @doc "Returns counts and tracks in bins of 2^level ns: `{:ok, counts, tracks}` of a `Situ.Store.Summary`."
+              {:ok, pos_integer(), [tuple()]} | :none | error()
+  @doc """
+  Returns counts and tracks in bins of 2^level ns: `{:ok, counts, tracks}` of a `Situ.Store.Summary`, or `:none` like
+  `c:summary/5`.
+  """
   @callback tracks(
               state(),
               StreamInfo.t(),
@@ -69,6 +75,7 @@ defmodule Situ.Recording do
               most_changes :: non_neg_integer()
             ) ::
               {:ok, [{Situ.Time.t(), pos_integer()}], [{term(), Situ.Store.Summary.track()}]}
+              | :none
               | error()
   @doc """
   Reads plain numbers at or before `to`, starting at `ordinal`, as columns of several thousand messages, and returns
@@ -92,6 +99,11 @@ defmodule Situ.Recording do
             ) :: :ok | error()
   @doc "Returns the files that belong to the recording but do not exist."
   @callback missing_files(state()) :: [String.t()]
+  @doc """
+  Announces the streams that somebody watches, even if nobody reads them at the moment. A recording that captures
+  streams on demand keeps capturing them.
+  """
+  @callback request_streams(state(), names :: [String.t()]) :: term()
   @doc "Sends one `{:situ_store, tag, {:published | :ended, n}}` when there are more than `known` entries."
   @callback notify(state(), known :: non_neg_integer(), pid(), tag :: non_neg_integer()) :: :ok
 
@@ -103,6 +115,7 @@ defmodule Situ.Recording do
                       gaps: 3,
                       append_streams: 4,
                       missing_files: 1,
+                      request_streams: 2,
                       notify: 4
 
   @doc "Returns whether the recording's module implements an optional callback."

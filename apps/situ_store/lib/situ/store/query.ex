@@ -203,8 +203,9 @@ defmodule Situ.Store.Query do
   defp read_message(_store, _info, ordinal, _opts) when ordinal < 0, do: {:ok, nil}
 
   defp read_message(store, info, ordinal, opts) do
-    with {:ok, messages, _} <-
-           read_batch(store, info, ordinal, :unbounded, 1, [exact: true] ++ opts),
+    {to, opts} = Keyword.pop(opts, :to, :unbounded)
+
+    with {:ok, messages, _} <- read_batch(store, info, ordinal, to, 1, [exact: true] ++ opts),
          do: {:ok, List.first(messages)}
   end
 
@@ -236,7 +237,7 @@ defmodule Situ.Store.Query do
   def latest_at(store, name, time) do
     with {:ok, info} <- stream_info(store, name),
          {:ok, ordinal} <- seek_ordinal(store, info, time + 1),
-         do: read_message(store, info, ordinal - 1)
+         do: read_message(store, info, ordinal - 1, to: time)
   end
 
   @spec first_at(Recording.t(), name(), Situ.Time.t()) ::

@@ -152,7 +152,7 @@ defmodule Situ.Remote.Server.Requests do
 
   defp streams_to_maps(infos) do
     for %StreamInfo{} = info <- infos do
-      info |> Map.from_struct() |> Map.drop([:store_path, :type])
+      info |> Map.from_struct() |> Map.drop([:store_path, :type, :extra])
     end
   end
 
