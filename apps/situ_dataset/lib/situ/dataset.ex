@@ -108,7 +108,7 @@ defmodule Situ.Dataset do
   """
   @spec open(Path.t(), keyword()) :: result()
   def open(path, opts \\ []) do
-    path = Situ.Store.Formats.expand_path(path)
+    path = Situ.Recording.Formats.expand_path(path)
 
     cond do
       Situ.Store.exists?(path) ->
@@ -120,7 +120,7 @@ defmodule Situ.Dataset do
       FileFormat.dataset_file?(path) ->
         load(path, opts)
 
-      File.regular?(path) and Situ.Store.Formats.for_file(path) != nil ->
+      File.regular?(path) and Situ.Recording.Formats.for_file(path) != nil ->
         build_dataset(Discovery.from_recording(path))
 
       true ->

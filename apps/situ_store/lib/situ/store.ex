@@ -1,11 +1,12 @@
 defmodule Situ.Store do
+  alias Situ.Recording.Formats
+
   alias Situ.Store.{
     Columns,
     Copying,
     Editing,
     Exporter,
     Folder,
-    Formats,
     Importer,
     Maintenance,
     Query,
@@ -37,7 +38,7 @@ defmodule Situ.Store do
       iex> Situ.Store.delete(store.path)
       :ok
 
-  An external file (WAV, CSV, MP4 and other media, and every format with a `Situ.Store.Reader`) opens in the same way.
+  An external file (WAV, CSV, MP4 and other media, and every other `Situ.Recording.Format`) opens in the same way.
   Use `Situ.Store.Writer` to write without a pipeline, and `Situ.Store.Summary` to draw timelines. The file format is
   described in `priv/schema/store.md`.
 
@@ -46,9 +47,9 @@ defmodule Situ.Store do
   unknown codec become a `Situ.Store.Undecoded`.
   """
   alias Situ.{Error, Message, Options}
-  alias Situ.Store.{Handle, StreamInfo}
+  alias Situ.Store.StreamInfo
 
-  @type t :: Handle.t()
+  @type t :: Situ.Recording.t()
   @type name :: String.t() | StreamInfo.t()
 
   # Opening

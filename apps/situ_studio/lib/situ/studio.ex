@@ -21,7 +21,7 @@ defmodule Situ.Studio do
     sources: [
       type: :map,
       default: %{},
-      doc: "Other sources by name: `%{\"name\" => {module, handle}}`, see `Situ.Studio.Source`."
+      doc: "Other recordings by name: `%{\"name\" => recording}`, see `Situ.Recording`."
     ],
     port: [type: {:range, 0, 65_535}, default: 4040, doc: "The port; 0 selects a free port."],
     ip: [

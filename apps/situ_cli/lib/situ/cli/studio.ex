@@ -90,7 +90,7 @@ defmodule Situ.CLI.Studio do
   end
 
   defp check_path(path) do
-    if File.exists?(path) or Situ.Store.Formats.for_address(path) do
+    if File.exists?(path) or Situ.Recording.Formats.for_address(path) do
       :ok
     else
       {:error,

@@ -10,7 +10,8 @@ defmodule Situ.Dataset.JsonStore do
   interval is included (\\psi's reader excludes it). Invalid messages, and messages of streams that are not in the
   catalogue, are skipped and reported as damage.
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, Message, Time}
   alias Situ.Store.StreamInfo

@@ -38,7 +38,7 @@ defmodule Situ.Dataset.Summary do
 
   @doc "Summarizes an open recording."
   @spec from_store(Store.t()) :: t()
-  def from_store(%Store.Handle{} = store) do
+  def from_store(%Situ.Recording{} = store) do
     streams = Store.streams(store)
 
     %__MODULE__{

@@ -30,7 +30,8 @@ defmodule Situ.Link.Recording do
       iex> File.rm_rf!(root)
   """
   # See docs/adr/0115-remote-recordings-answer-requests.md.
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
   alias Situ.Error
   alias Situ.Link.{Access, Address}
   alias Situ.Link.Wire.Dialer
@@ -59,7 +60,7 @@ defmodule Situ.Link.Recording do
 
   # Lists the addresses of a server's recordings. An address that already has a name is returned unchanged.
   @impl true
-  def within(text) do
+  def list_recordings(text) do
     with {:ok, %{name: ""} = address} <- Address.parse(text),
          {:ok, access} <- Access.new(address, []),
          {:ok, names} <- Dialer.list_recordings(address, access) do
@@ -82,7 +83,7 @@ defmodule Situ.Link.Recording do
   end
 
   @impl true
-  def stream_named(state, name) do
+  def stream(state, name) do
     asked = %{"op" => "stream", "stream" => name}
 
     with {:ok, [info]} <-
@@ -153,7 +154,7 @@ defmodule Situ.Link.Recording do
       |> Error.unwrap!()
 
   @impl true
-  def await(state, known, pid, tag) do
+  def notify(state, known, pid, tag) do
     asked = %{"op" => "await", "known" => known, "version" => state.version}
     Client.await_news(state.address, state.access, asked, {pid, tag})
   end

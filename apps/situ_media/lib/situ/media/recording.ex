@@ -23,7 +23,8 @@ defmodule Situ.Media.Recording do
   its decoded data, and `stored` is the size of its packets.
   """
   # See docs/adr/0053-media-files-open-as-recordings.md.
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
   import Bitwise
 
   alias Situ.{AudioBuffer, AudioFormat, Message}

@@ -17,7 +17,8 @@ defmodule Situ.Space.GeometryFile do
   coordinates of a whole country to the millimetre. `Situ.Store.info/1` reports that corner as `origin`. All these
   files have no time, so the message has time 0. Files are read into memory and may have up to 2 GB.
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, Mesh, Message, PointCloud}
   alias Situ.Space.GeometryFile.{Collada, Gltf, Las, Obj, Pcd, Ply, Stl}

@@ -7,7 +7,8 @@ defmodule Situ.Space.Gpx do
   extensions) is skipped, and `Situ.Store.info/1` reports the number of points without a time as `untimed`. Files may
   have up to 200 MB.
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, GeoPoint, Message, Time, Xml}
   alias Situ.Space.GeometryFile.NumberParser

@@ -8,7 +8,8 @@ defmodule Situ.Store.Copying do
   """
   alias Situ.Error
   alias Situ.Store.Copying.Passes
-  alias Situ.Store.{Draft, NativeErrors, Folder, Formats, Query, StreamInfo}
+  alias Situ.Recording.Formats
+  alias Situ.Store.{Draft, NativeErrors, Folder, Query, StreamInfo}
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],

@@ -19,7 +19,8 @@ defmodule Situ.Store.Csv do
   Files of any size are supported. Opening scans the file once and keeps only the position of every 1,000th row, where
   later reads start. Copying into a store (`Situ.Store.copy/3`) reads all columns in one further pass.
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
   alias Situ.{Error, Message}
   alias Situ.Store.Csv.{ColumnCopy, Scan}
   alias Situ.Store.StreamInfo

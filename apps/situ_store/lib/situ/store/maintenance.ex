@@ -3,7 +3,8 @@ defmodule Situ.Store.Maintenance do
   Verifies, repairs, deletes and renames stores. Called through `Situ.Store`.
   """
   alias Situ.Error
-  alias Situ.Store.{NativeErrors, Folder, Handle, NativeFormat, Native, Query, Replacement}
+  alias Situ.Recording
+  alias Situ.Store.{NativeErrors, Folder, NativeFormat, Native, Query, Replacement}
 
   @typedoc "A damaged position: the file, the byte offset, and a description of the damage."
   @type damage :: %{file: String.t(), offset: non_neg_integer(), why: String.t()}
@@ -35,7 +36,7 @@ defmodule Situ.Store.Maintenance do
   defp describe_damage(found),
     do: for({file, offset, why} <- found, do: %{file: file, offset: offset, why: why})
 
-  defp check_own_format(%Handle{module: NativeFormat}), do: :ok
+  defp check_own_format(%Recording{module: NativeFormat}), do: :ok
 
   defp check_own_format(store),
     do: {:error, Error.new(:not_a_store, "#{store.path} is an external file, not a store")}

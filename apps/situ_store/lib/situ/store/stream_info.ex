@@ -9,6 +9,7 @@ defmodule Situ.Store.StreamInfo do
     * `latency_sum`: the sum of creation minus originating time over all messages
     * `closed`: the originating time at which the stream closed, or `nil`
     * `fields`: field names of the messages' struct, if the messages are structs stored as terms
+    * `extra`: facts that the recording's module adds for its own use
   """
   alias Situ.Error
   alias Situ.Store.TermCodec
@@ -36,7 +37,8 @@ defmodule Situ.Store.StreamInfo do
     latency_sum: 0,
     large?: false,
     compression: :none,
-    codecs: %{}
+    codecs: %{},
+    extra: %{}
   ]
 
   @type t :: %__MODULE__{}

@@ -5,10 +5,11 @@ defmodule Situ.Store.Transfer do
   # are copied as messages, and so are external files, unless their reader appends its messages itself.
   alias Situ.Error
 
+  alias Situ.Recording
+
   alias Situ.Store.{
     Codecs,
     NativeErrors,
-    Handle,
     NativeFormat,
     Native,
     Query,
@@ -20,7 +21,7 @@ defmodule Situ.Store.Transfer do
   @enforce_keys [:stream, :raw?, :numbers, :skip_damage, :report_progress]
   defstruct @enforce_keys
 
-  @type source :: {Handle.t(), StreamInfo.t()}
+  @type source :: {Recording.t(), StreamInfo.t()}
   @type t :: %__MODULE__{}
 
   @part_bytes 4 * 1024 * 1024
@@ -160,8 +161,8 @@ defmodule Situ.Store.Transfer do
   end
 
   @doc "Returns whether `transfer_together/2` supports this store."
-  @spec one_pass?(Handle.t()) :: boolean()
-  def one_pass?(store), do: function_exported?(store.module, :append_streams, 4)
+  @spec one_pass?(Recording.t()) :: boolean()
+  def one_pass?(store), do: Recording.implements?(store, :append_streams, 4)
 
   @doc "Copies the messages in an interval of several streams of one store."
   @spec transfer_together([{t(), source()}], {Situ.Time.t(), Situ.Time.t()}) ::

@@ -10,7 +10,7 @@ defmodule Situ.Studio.Alerts do
   alias Situ.Expression.Operators
   alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.PipelineView.{Feed, Stats}
-  alias Situ.Studio.{Catalog, Settings, Source}
+  alias Situ.Studio.{Catalog, Settings, StreamReader}
 
   @tick_ms 1_000
 
@@ -148,8 +148,8 @@ defmodule Situ.Studio.Alerts do
   end
 
   defp latest_value(source, stream) do
-    with {:ok, extent} <- Source.call(source, :extent, []),
-         {:ok, message} <- Source.call(source, :latest_at, [stream, extent.to]) do
+    with {:ok, extent} <- StreamReader.fetch_extent(source),
+         {:ok, message} <- StreamReader.latest_at(source, stream, extent.to) do
       Operators.to_plain(message.data)
     else
       _ -> nil

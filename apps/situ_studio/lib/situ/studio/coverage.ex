@@ -13,7 +13,7 @@ defmodule Situ.Studio.Coverage do
       iex> Situ.Studio.Coverage.find_partial_streams([rare], %{from: 0, to: 1_000, live: false})
       %{}
   """
-  alias Situ.Studio.{Source, StreamInfo}
+  alias Situ.Studio.{StreamInfo, StreamReader}
 
   # Shorter differences are ignored, as are differences of a few periods, which the stream's own rate explains.
   @part 0.01
@@ -23,7 +23,7 @@ defmodule Situ.Studio.Coverage do
   @type t :: %{optional(stream :: String.t()) => %{optional(String.t()) => String.t()}}
 
   @doc "Returns the late and early times by stream; empty for live sources, whose streams have not ended yet."
-  @spec find_partial_streams([StreamInfo.t()], Source.extent() | map()) :: t()
+  @spec find_partial_streams([StreamInfo.t()], StreamReader.extent() | map()) :: t()
   def find_partial_streams(_, %{live: true}), do: %{}
 
   def find_partial_streams(streams, %{from: from, to: to}) do

@@ -16,7 +16,7 @@ defmodule Situ.Studio.DataSession do
   """
   # See docs/adr/0080-the-page-pulls-its-data.md.
   alias Situ.{Error, Studio}
-  alias Situ.Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, Int64}
+  alias Situ.Studio.{Comparison, Draw, Frame, Visualizer, Visualizers, Int64, StreamReader}
 
   # A stream in a plot uses two channels: one for its window, and one for its value at the cursor.
   @max_channels 512
@@ -35,16 +35,16 @@ defmodule Situ.Studio.DataSession do
   ]
 
   @type t :: %__MODULE__{
-          source: Source.t(),
+          source: Situ.Recording.t(),
           visualizers: [Visualizer.given()],
           channels: %{
             optional(Frame.channel()) => {Visualizer.spec() | {:error, String.t()}, term()}
           },
-          extent: Source.extent()
+          extent: StreamReader.extent()
         }
 
   @doc "Creates a session for `source`; `visualizers` are the studio's additions to the built-in ones."
-  @spec new(Source.t(), [Visualizer.given()]) :: t()
+  @spec new(Situ.Recording.t(), [Visualizer.given()]) :: t()
   def new(source, visualizers \\ []), do: %__MODULE__{source: source, visualizers: visualizers}
 
   @doc "Returns the reply to one request. After `{:error, error}`, which rejects malformed input, close the socket."
@@ -100,7 +100,7 @@ defmodule Situ.Studio.DataSession do
 
   # A source that disappeared keeps its extent, so that the page does not move.
   defp refresh_extent(session) do
-    case Source.call(session.source, :extent, []) do
+    case StreamReader.fetch_extent(session.source) do
       {:ok, extent} -> {:there, %{session | extent: extent}}
       {:error, %{code: :replaced}} -> {:replaced, mark_ended(session)}
       {:error, _} -> {:gone, mark_ended(session)}
@@ -112,7 +112,7 @@ defmodule Situ.Studio.DataSession do
   # A page requests only windows with new data, but needs all streams that it shows to be captured.
   defp request_shown_streams(%{extent: %{live: true}, channels: channels} = session) do
     streams = for {_, {%{stream: stream}, _}} <- channels, uniq: true, do: stream
-    Source.request_streams(session.source, streams)
+    StreamReader.request_streams(session.source, streams)
     session
   end
 
@@ -161,7 +161,7 @@ defmodule Situ.Studio.DataSession do
       end
 
     with stream when is_binary(stream) <- request["snap"],
-         {:ok, message} <- Source.fetch_nearest(session.source, stream, time) do
+         {:ok, message} <- StreamReader.fetch_nearest(session.source, stream, time) do
       message.originating_time
     else
       _ -> time

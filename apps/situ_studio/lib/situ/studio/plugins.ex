@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Plugins do
   @moduledoc """
-  Loads third-party extensions: visualizers, adapters, file readers and tasks.
+  Loads third-party extensions: visualizers, adapters, file formats and tasks.
 
   A **plug-in** is a folder:
 
@@ -21,11 +21,11 @@ defmodule Situ.Studio.Plugins do
   |---|---|
   | `Situ.Studio.Visualizer` | a visualizer (a module named in the manifest belongs to that entry) |
   | `Situ.Studio.Adapter` | an adapter |
-  | `Situ.Store.Reader` | a reader: files with its extensions open as recordings, also on the command line |
+  | `Situ.Recording.Format` | a file format: its files open as recordings, also on the command line |
   | `Situ.Dataset.Task` | a task of `situ task` and of the studio |
 
   An application can provide the same modules without a folder through its configuration: `studio_visualizers`,
-  `studio_adapters`, `store_readers` and `dataset_tasks` in `env:` of its `mix.exs`.
+  `studio_adapters`, `recording_formats` and `dataset_tasks` in `env:` of its `mix.exs`.
 
   A broken plug-in affects nothing else. If its code does not compile, its visualizers stay available and their panels
   show the error. Code of plug-ins runs in separate processes (`Situ.Studio.Plugins.Sandbox`).
@@ -196,11 +196,11 @@ defmodule Situ.Studio.Plugins do
         do: module
   end
 
-  @doc "Registers the readers and tasks of plug-ins with stores and datasets in this VM."
+  @doc "Registers the file formats and tasks of plug-ins with stores and datasets in this VM."
   @spec register_modules([Plugin.t()]) :: :ok
   def register_modules(plugins) do
     modules = Enum.flat_map(plugins, & &1.modules)
-    append_env(:situ_store, :readers, Code.filter_by_behaviour(modules, Situ.Store.Reader))
+    append_env(:situ_store, :formats, Code.filter_by_behaviour(modules, Situ.Recording.Format))
 
     append_env(
       :situ_dataset,

@@ -14,7 +14,7 @@ defmodule Situ.Studio.Statistics do
   A gap is a pause of more than three times the median pause. The standard deviation is the sample standard deviation
   (n - 1); percentiles are values of messages (nearest rank).
   """
-  alias Situ.Studio.{ValuePath, Source}
+  alias Situ.Studio.{ValuePath, StreamReader}
   alias Situ.Studio.Draw.{Bins, Key}
 
   # A pause longer than this multiple of the median pause is a gap.
@@ -41,7 +41,7 @@ defmodule Situ.Studio.Statistics do
   two million, of which the first are used). The row of an unreadable stream contains the `error`.
   """
   @spec compute_rows(
-          Source.t(),
+          Situ.Recording.t(),
           %{:stream => String.t(), :path => String.t(), optional(atom()) => term()},
           Situ.Time.t(),
           Situ.Time.t()
@@ -72,7 +72,7 @@ defmodule Situ.Studio.Statistics do
   Computes the statistics of all streams that a panel draws. Reading millions of messages takes a while, so another
   process does it and sends `{:statistics, rows}` to the caller.
   """
-  @spec compute_async(Source.t(), [map()], Situ.Time.t(), Situ.Time.t()) :: :ok
+  @spec compute_async(Situ.Recording.t(), [map()], Situ.Time.t(), Situ.Time.t()) :: :ok
   def compute_async(source, vis, from, to) do
     caller = self()
 
@@ -90,7 +90,7 @@ defmodule Situ.Studio.Statistics do
     do: read_values(source, stream, path, range, [], 0)
 
   defp read_values(source, stream, path, {from, to} = range, read, n) do
-    case Source.call(source, :messages, [stream, from, to, @page]) do
+    case StreamReader.read_messages(source, stream, from, to, @page) do
       {:ok, messages, :more} when messages != [] and n + length(messages) < @most ->
         next = List.last(messages).originating_time + 1
         range = put_elem(range, 0, next)

@@ -27,7 +27,7 @@ defmodule Situ.Studio.Visualizer do
 
       Situ.Studio.start_link(visualizers: [Celsius])
   """
-  alias Situ.Studio.{Frame, Source, StreamInfo}
+  alias Situ.Studio.{Frame, StreamInfo}
 
   @enforce_keys [:id, :title, :panel, :shapes]
   defstruct [:id, :title, :panel, :shapes, :module, :drawer, options: []] ++
@@ -75,7 +75,7 @@ defmodule Situ.Studio.Visualizer do
   name with their sizes.
   """
   @type context :: %{
-          required(:source) => Source.t(),
+          required(:source) => Situ.Recording.t(),
           required(:spec) => spec(),
           optional(:kept) => %{binary() => pos_integer()}
         }
@@ -85,7 +85,7 @@ defmodule Situ.Studio.Visualizer do
 
   @doc "Returns the frame of the window `from..to`, times in ns and inclusive, with bins of `bin` ns."
   @callback window(
-              Source.t(),
+              Situ.Recording.t(),
               Frame.channel(),
               spec(),
               Situ.Time.t(),
@@ -111,7 +111,7 @@ defmodule Situ.Studio.Visualizer do
   Returns the exact value at the cursor for a visualizer with a time axis: the value of the latest message at or
   before the cursor, never of a summary (`Situ.Studio.Draw.Values`).
   """
-  @callback value_at(Source.t(), Frame.channel(), spec(), Situ.Time.t()) :: value()
+  @callback value_at(Situ.Recording.t(), Frame.channel(), spec(), Situ.Time.t()) :: value()
 
   @optional_callbacks window: 6, instant: 3, instant: 4, value_at: 4
 

@@ -8,7 +8,7 @@ defmodule Situ.Link.Server.RecordingReader do
   alias Situ.Error
   alias Situ.Link.Wire.Batch
   alias Situ.Link.Server.RecordingVersions
-  alias Situ.Store.{Handle, NativeFormat, Query, StreamInfo, TypeName}
+  alias Situ.Store.{NativeFormat, Query, StreamInfo, TypeName}
 
   @messages 512
   # This time is earlier than any other, but far from the limits of 64-bit integers.
@@ -38,7 +38,7 @@ defmodule Situ.Link.Server.RecordingReader do
 
   @doc "Opens a recording, which may not exist yet."
   @spec open(spec()) :: {:ok, t()} | {:error, Error.t()}
-  def open({:store, %Handle{} = store}), do: {:ok, %__MODULE__{store: store}}
+  def open({:store, %Situ.Recording{} = store}), do: {:ok, %__MODULE__{store: store}}
 
   def open({:live, root, name}) do
     with {:ok, state} <- open({:series, root, name}), do: {:ok, %{state | pieces?: true}}

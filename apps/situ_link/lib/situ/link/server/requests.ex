@@ -9,7 +9,7 @@ defmodule Situ.Link.Server.Requests do
   | `streams`; `stream` | `stream` | list of maps; one |
   | `seek`, `count` | `stream`, `time` | ordinal, number |
   | `read` | `stream`, `ordinal`, `to`, `limit`, `exact`, `envelopes`, `skip_damage` | 64 bits of ordinal, batches |
-  | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | as in `Situ.Store.Reader` |
+  | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | as in `Situ.Recording` |
   | `gaps`; `missing_files` | `stream`, `least` | lists |
   | `await` | `known` | `{:published \| :ended, n}`, once there is more than `known` |
 
@@ -20,7 +20,8 @@ defmodule Situ.Link.Server.Requests do
   # See docs/adr/0115-remote-recordings-answer-requests.md.
   alias Situ.{Error, JSON}
   alias Situ.Link.Wire.{Batch, Handshake}
-  alias Situ.Store.{Handle, Query, StreamInfo}
+  alias Situ.Recording
+  alias Situ.Store.{Query, StreamInfo}
 
   # Limits for the messages in one reply. The second one applies if the client wants exactly as many as it asked for.
   @most 4_096
@@ -32,17 +33,17 @@ defmodule Situ.Link.Server.Requests do
   Handles a request. Returns the segments of the reply or, for `await`, the number above which the client wants to be
   notified.
   """
-  @spec handle_request(Handle.t(), map()) :: {:ok, [iodata()]} | {:await, non_neg_integer()}
-  def handle_request(%Handle{} = store, %{"op" => "await"} = asked) do
+  @spec handle_request(Recording.t(), map()) :: {:ok, [iodata()]} | {:await, non_neg_integer()}
+  def handle_request(%Recording{} = store, %{"op" => "await"} = asked) do
     with {:ok, known} <- parse_number(asked["known"], 0, 0xFFFFFFFFFFFF),
-         true <- function_exported?(store.module, :await, 4) do
+         true <- Recording.implements?(store, :notify, 4) do
       {:await, known}
     else
       _ -> {:ok, term_reply({:ended, 0})}
     end
   end
 
-  def handle_request(%Handle{} = store, asked) do
+  def handle_request(%Recording{} = store, asked) do
     case run_operation(asked["op"], store, asked) do
       {:ok, body} -> {:ok, body}
       {:error, %Error{} = error} -> {:ok, error |> hide_path(store) |> error_reply()}
@@ -151,7 +152,7 @@ defmodule Situ.Link.Server.Requests do
 
   defp streams_to_maps(infos) do
     for %StreamInfo{} = info <- infos do
-      info |> Map.from_struct() |> Map.drop([:store_path, :type])
+      info |> Map.from_struct() |> Map.drop([:store_path, :type, :extra])
     end
   end
 

@@ -7,7 +7,8 @@ defmodule Situ.Media.Wav.Recording do
   up to its end, and `Situ.Store.info/1` lists the missing data under `damage`. `Situ.Media.Wav` lists the supported
   kinds of WAV.
   """
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{AudioBuffer, AudioFormat, Error, Message}
   alias Situ.Media.Wav.Reader

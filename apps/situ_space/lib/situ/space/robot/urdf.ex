@@ -15,7 +15,8 @@ defmodule Situ.Space.Robot.Urdf do
   # elements, each of which would have to become a term, and `urdf-loader` in the page would not
   # help pipelines. Each joint state sends all triangles again, which is fine for simple shapes
   # and slow for scanned ones.
-  @behaviour Situ.Store.Reader
+  @behaviour Situ.Recording
+  @behaviour Situ.Recording.Format
 
   alias Situ.{Error, Mesh, Message, Point3, Pose, Quaternion, Transform, Vector3, Xml}
   alias Situ.Space.{Robot, GeometryFile, FileParser}

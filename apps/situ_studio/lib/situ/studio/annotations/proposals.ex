@@ -11,7 +11,7 @@ defmodule Situ.Studio.Annotations.Proposals do
   """
   alias Situ.Error
   alias Situ.Studio.Draw.{Key, GapDetection, Segments}
-  alias Situ.Studio.Source
+  alias Situ.Studio.StreamReader
   alias Situ.Studio.Visualizers.Spans
 
   @page 50_000
@@ -34,11 +34,11 @@ defmodule Situ.Studio.Annotations.Proposals do
   def supports_shape?(shape), do: shape in [:spans | @runs]
 
   @doc "Returns all proposals of a stream. Errors: errors of the source, `:no_segments`, `:too_many`."
-  @spec collect_proposals(Source.t(), String.t(), atom(), number()) ::
+  @spec collect_proposals(Situ.Recording.t(), String.t(), atom(), number()) ::
           {:ok, [t()]} | {:error, Error.t()}
   def collect_proposals(source, stream, shape, threshold \\ 0.5) do
     with true <- supports_shape?(shape) or {:error, no_segments_error(stream)},
-         {:ok, %{from: from, to: to}} <- Source.call(source, :extent, []) do
+         {:ok, %{from: from, to: to}} <- StreamReader.fetch_extent(source) do
       start = if shape == :spans, do: [], else: new_state(threshold)
 
       step =
@@ -69,7 +69,7 @@ defmodule Situ.Studio.Annotations.Proposals do
 
   # Messages are read page by page because a recording may not fit into memory.
   defp reduce_messages(source, stream, from, to, state, step) do
-    case Source.call(source, :messages, [stream, from, to, @page]) do
+    case StreamReader.read_messages(source, stream, from, to, @page) do
       {:ok, messages, :all} ->
         {:ok, step.(messages, state)}
 

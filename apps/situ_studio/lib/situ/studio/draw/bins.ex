@@ -41,6 +41,16 @@ defmodule Situ.Studio.Draw.Bins do
     end
   end
 
+  @doc "Returns the points of a line for one message. The data of a codec, such as audio, may have many."
+  @spec message_points(Situ.Message.t()) :: [point() | gap()]
+  def message_points(%{data: %module{} = data, originating_time: time}) do
+    if function_exported?(module, :points, 2),
+      do: module.points(data, time),
+      else: value_points(time, data)
+  end
+
+  def message_points(%{data: data, originating_time: time}), do: value_points(time, data)
+
   @doc """
   Returns a value as a number to draw: booleans are 0 and 1. Other terms, and integers too large for a float, are
   `:error`.

@@ -15,7 +15,7 @@ defmodule Situ.Studio.Draw.Segments do
       iex> Situ.Studio.Draw.Segments.from_messages(messages, [], 200)
       [{0, 100, "100 messages", "many", ""}, {100, nil, "true", "true", ""}]
   """
-  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, Gap, ValuePath, Visualizer}
   alias Situ.Studio.Draw.{Key, WindowMessages, GapDetection}
 
   @typedoc "The tuple `{from, to, label, class, lane}`: `to` is `nil` if open, and the only lane is `\"\"`."
@@ -30,7 +30,7 @@ defmodule Situ.Studio.Draw.Segments do
   expected but are missing.
   """
   @spec window(
-          Source.t(),
+          Situ.Recording.t(),
           Frame.channel(),
           Visualizer.spec(),
           Situ.Time.t(),

@@ -14,7 +14,7 @@ defmodule Situ.Studio.Draw.Values do
   # 10.745, 9.0532 or 8.2688, depending on the zoom. The server therefore sends the value for each
   # cursor, on the path that images use. If the page searched raw messages itself, it would need
   # the rules of sources (gaps, late messages, audio) a second time.
-  alias Situ.Studio.{Frame, Gap, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, Gap, ValuePath, Visualizer, StreamReader}
 
   # The page gets at most this many values of one message.
   @max_values 256
@@ -27,14 +27,14 @@ defmodule Situ.Studio.Draw.Values do
   returns the named values.
   """
   @spec fetch_at(
-          Source.t(),
+          Situ.Recording.t(),
           Frame.channel(),
           Visualizer.spec(),
           Situ.Time.t(),
           (term(), Situ.Message.t() -> [named()])
         ) :: Visualizer.value()
   def fetch_at(source, channel, %{stream: stream, path: path}, time, split) do
-    case Source.call(source, :latest_at, [stream, time]) do
+    case StreamReader.latest_at(source, stream, time) do
       {:ok, %{data: %Gap{}}} ->
         :none
 

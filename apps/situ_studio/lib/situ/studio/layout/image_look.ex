@@ -12,7 +12,7 @@ defmodule Situ.Studio.Layout.ImageLook do
       true
   """
   alias Situ.{EncodedImage, Image}
-  alias Situ.Studio.{Source, StreamInfo}
+  alias Situ.Studio.{StreamInfo, StreamReader}
 
   @enforce_keys [:width, :height]
   defstruct [:width, :height, classes: false]
@@ -29,12 +29,12 @@ defmodule Situ.Studio.Layout.ImageLook do
   @pixels 4_194_304
 
   @doc "Determines the looks of a source's image streams, by stream name. Streams that cannot be read are left out."
-  @spec detect_looks(Source.t(), [StreamInfo.t()]) :: %{optional(String.t()) => t()}
+  @spec detect_looks(Situ.Recording.t(), [StreamInfo.t()]) :: %{optional(String.t()) => t()}
   def detect_looks(source, streams) do
     pictures = for %{shape: :image, first: first} = s <- streams, first != nil, do: s
 
     for s <- Enum.take(pictures, @most),
-        {:ok, message} <- [Source.call(source, :latest_at, [s.name, s.first])],
+        {:ok, message} <- [StreamReader.latest_at(source, s.name, s.first)],
         %__MODULE__{} = look <- [detect_look(message.data)],
         into: %{},
         do: {s.name, look}

@@ -9,7 +9,7 @@ defmodule Situ.Studio.Visualizers.Log do
 
   alias Situ.Message
   alias Situ.Studio.Draw.Segments
-  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamReader}
 
   @earlier 60
   @later 30
@@ -20,8 +20,8 @@ defmodule Situ.Studio.Visualizers.Log do
 
   @impl true
   def instant(channel, _data, %{originating_time: time} = message, %{source: source, spec: spec}) do
-    before = Source.list_neighbours(source, spec.stream, :before, time, @earlier)
-    later = Source.list_neighbours(source, spec.stream, :after, time, @later)
+    before = StreamReader.list_neighbours(source, spec.stream, :before, time, @earlier)
+    later = StreamReader.list_neighbours(source, spec.stream, :after, time, @later)
     rows = for m <- Enum.reverse(before) ++ [message | later], do: build_row(m, spec.path)
     Frame.json(channel, time, %{"rows" => rows, "at" => length(before)})
   end

@@ -12,7 +12,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.{Image, Rect}
-  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.Studio.{Frame, Visualizer, StreamOverview, StreamReader}
   alias Situ.Studio.Visualizers.SharedOptions
 
   # More masks in one image cannot be distinguished, and larger ones add no detail.
@@ -54,7 +54,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   end
 
   @doc "Fetches the classes in a message's data, or the objects with their boxes, or the reason why there are none."
-  @spec fetch_masks(term(), Source.t(), String.t(), Situ.Time.t()) ::
+  @spec fetch_masks(term(), Situ.Recording.t(), String.t(), Situ.Time.t()) ::
           {:ok, found()} | {:error, String.t()}
   def fetch_masks(%Image{} = image, _source, _stream, _time) do
     with {:ok, image} <- validate_gray(image), do: {:ok, {:classes, image}}
@@ -113,7 +113,7 @@ defmodule Situ.Studio.Visualizers.Masks do
 
   # Tries the streams with the most similar names first, because the outputs of a detector share a prefix.
   defp find_rects(source, stream, time, count) do
-    with {:ok, infos} <- Source.call(source, :streams, []) do
+    with {:ok, infos} <- StreamOverview.list_streams(source) do
       infos
       |> Enum.filter(&(&1.shape == :shapes))
       |> Enum.sort_by(&(-common_prefix_size(&1.name, stream)))
@@ -124,7 +124,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   end
 
   defp rects_at(source, stream, time, count) do
-    case Source.call(source, :latest_at, [stream, time]) do
+    case StreamReader.latest_at(source, stream, time) do
       {:ok, %{originating_time: ^time, data: rects}}
       when is_list(rects) and length(rects) == count ->
         if Enum.all?(rects, &is_struct(&1, Rect)), do: {:ok, rects}

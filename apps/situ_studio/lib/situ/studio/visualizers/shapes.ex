@@ -14,7 +14,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, ValuePath, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Visualizer, StreamReader}
   alias Situ.Studio.Visualizers.SharedOptions
 
   @limit 5_000
@@ -72,7 +72,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
   end
 
   defp past_messages(source, stream, from, to) do
-    case Source.call(source, :messages, [stream, from, to, @past]) do
+    case StreamReader.read_messages(source, stream, from, to, @past) do
       {:ok, messages, :all} -> messages
       {:ok, _, :more} -> sample_messages(source, stream, from, to)
       _ -> []
@@ -80,7 +80,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
   end
 
   defp sample_messages(source, stream, from, to) do
-    case Source.sample_messages(source, stream, from, to, @past) do
+    case StreamReader.sample_messages(source, stream, from, to, @past) do
       {:ok, rows} -> Enum.map(rows, &elem(&1, 1))
       _ -> []
     end

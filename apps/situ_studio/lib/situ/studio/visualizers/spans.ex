@@ -19,7 +19,7 @@ defmodule Situ.Studio.Visualizers.Spans do
 
   alias Situ.Interval
   alias Situ.Studio.Draw.{Key, WindowMessages, Segments}
-  alias Situ.Studio.{ValuePath, Source, Visualizer}
+  alias Situ.Studio.{ValuePath, Visualizer, StreamReader}
 
   @limit 1_000
   @starts [:start, "start"]
@@ -35,8 +35,8 @@ defmodule Situ.Studio.Visualizers.Spans do
   @impl true
   def window(source, channel, %{stream: stream} = spec, from, to, bin) do
     with {:ok, messages, all?} <- WindowMessages.fetch_within(source, stream, from, to) do
-      before = Source.list_neighbours(source, stream, :before, from, @around)
-      later = Source.list_neighbours(source, stream, :after, to, @around)
+      before = StreamReader.list_neighbours(source, stream, :before, from, @around)
+      later = StreamReader.list_neighbours(source, stream, :after, to, @around)
       messages = drop_drafts(Enum.reverse(before) ++ messages ++ later)
 
       rows =

@@ -6,7 +6,7 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, AudioSamples, Source, Visualizer}
+  alias Situ.Studio.{Frame, AudioSamples, Visualizer, StreamReader}
   alias Situ.Studio.Visualizers.SharedOptions
 
   @samples 512
@@ -59,8 +59,8 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
   defp selected_channel(_), do: 0
 
   defp sample_rate(source, stream, time) do
-    with :none <- Source.call(source, :next_after, [stream, time]),
-         :none <- Source.call(source, :latest_at, [stream, time]) do
+    with :none <- StreamReader.next_after(source, stream, time),
+         :none <- StreamReader.latest_at(source, stream, time) do
       {:ok, 16_000}
     else
       {:ok, %{data: %Situ.AudioBuffer{format: format}}} -> {:ok, format.rate}

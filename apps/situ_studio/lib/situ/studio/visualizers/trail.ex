@@ -5,7 +5,7 @@ defmodule Situ.Studio.Visualizers.Trail do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Frame, ValuePath, Scene, Source, Visualizer}
+  alias Situ.Studio.{Frame, ValuePath, Scene, Visualizer, StreamReader}
   alias Situ.Studio.Draw.WindowMessages
   alias Situ.Studio.Visualizers.SharedOptions
 
@@ -61,7 +61,7 @@ defmodule Situ.Studio.Visualizers.Trail do
         {:ok, messages}
 
       {:ok, _, _} ->
-        with {:ok, rows} <- Source.sample_messages(source, stream, from, to, @most),
+        with {:ok, rows} <- StreamReader.sample_messages(source, stream, from, to, @most),
              do: {:ok, Enum.map(rows, &elem(&1, 1))}
 
       error ->

@@ -1,13 +1,13 @@
-defmodule Situ.Studio.Source.Pipeline do
+defmodule Situ.Studio.Recordings.Pipeline do
   @moduledoc """
-  Provides a running pipeline as a source: its named streams, which are tapped when they are drawn. Messages remain
+  Opens a running pipeline as a recording of its named streams, which are tapped when they are drawn. Messages remain
   available for five minutes, even after the pipeline has ended.
   """
-  @behaviour Situ.Studio.Source
+  @behaviour Situ.Recording
 
-  alias Situ.{Error, Pipeline}
-  alias Situ.Studio.{Source, StreamInfo, PipelineWatcher}
-  alias Situ.Studio.Source.History
+  alias Situ.{Error, Pipeline, Recording}
+  alias Situ.Studio.{PipelineWatcher, StreamInfo}
+  alias Situ.Studio.Recordings.History
 
   @typedoc """
   A pipeline, or a function that finds it again (for a pipeline that a supervisor restarts), with or without a title.
@@ -46,51 +46,51 @@ defmodule Situ.Studio.Source.Pipeline do
     :exit, _ -> nil
   end
 
-  @doc "Opens a source for the pipeline called `title`, watched under `supervisor`."
+  @doc "Opens the pipeline called `title`, watched under `supervisor`."
   @spec open([spec()], String.t(), Supervisor.supervisor()) ::
-          {:ok, Source.t()} | {:error, Error.t()}
+          {:ok, Recording.t()} | {:error, Error.t()}
   def open(specs, title, supervisor) do
     case List.keyfind(list_running(specs), title, 0) do
       {_, target} ->
         {:ok, pid} = DynamicSupervisor.start_child(supervisor, {PipelineWatcher, target})
-        {:ok, {__MODULE__, PipelineWatcher.reader_handle(pid)}}
+        {:ok, %Recording{module: __MODULE__, state: PipelineWatcher.reader_handle(pid)}}
 
       nil ->
         {:error, Error.new(:not_running, "pipeline #{inspect(title)} is not running")}
     end
   end
 
-  @impl true
-  def extent(watch) do
-    with {:ok, streams, running?} <- PipelineWatcher.list_streams(watch),
-         {:ok, extent} <- History.extent(watch.history) do
-      extent = %{extent | live: running?, version: length(streams)}
-
-      {:ok,
-       if(any_messages?(watch), do: extent, else: at_clock(extent, PipelineWatcher.now(watch)))}
-    end
-  end
-
   # Before the first message, the extent is the current time of the pipeline's clock, which a replay sets to the time of
   # its recording.
+  @impl true
+  def info(watch) do
+    {:ok, _streams, running?} = list_watched(watch)
+    info = %{name: nil, created: nil, closed?: not running?, live?: running?, damage: []}
+    if any_messages?(watch), do: info, else: Map.put(info, :now, PipelineWatcher.now(watch))
+  end
+
   defp any_messages?(watch), do: :ets.info(watch.history.messages, :size) not in [0, :undefined]
-  defp at_clock(extent, now), do: %{extent | from: now, to: now}
 
   @impl true
   def streams(watch) do
-    with {:ok, named, _} <- PipelineWatcher.list_streams(watch),
-         {:ok, seen} <- History.streams(watch.history) do
-      seen = Map.new(seen, &{&1.name, &1})
+    {:ok, named, _} = list_watched(watch)
+    received = Map.new(History.streams(watch.history), &{&1.name, &1})
 
-      infos =
-        for {name, type} <- named do
-          known = Map.get(seen, name, %StreamInfo{name: name, shape: :value})
-          shape = if known.count > 0, do: known.shape, else: StreamInfo.shape_of_text(type)
-          %{known | type: type, shape: shape}
-        end
+    declared =
+      for {name, type} <- named do
+        known = Map.get(received, name, History.empty_info(name))
+        %{known | type: parse_type(known, type), extra: Map.put(known.extra, :type, type)}
+      end
 
-      {:ok, Enum.sort_by(infos, & &1.name)}
-    end
+    declared ++ (received |> Map.drop(Enum.map(named, &elem(&1, 0))) |> Map.values())
+  end
+
+  # Messages are more precise than the declared type.
+  defp parse_type(%{count: 0}, text), do: StreamInfo.parse_type(text)
+  defp parse_type(%{type: type}, _text), do: type
+
+  defp list_watched(watch) do
+    with {:error, error} <- PipelineWatcher.list_streams(watch), do: raise(error)
   end
 
   @doc "Returns the pipeline's current graph and statistics, for the page of its graph."
@@ -104,46 +104,31 @@ defmodule Situ.Studio.Source.Pipeline do
   def trace(watch, time), do: PipelineWatcher.trace_message(watch, time)
 
   @impl true
-  def wanted(watch, streams), do: Enum.each(streams, &PipelineWatcher.request_stream(watch, &1))
-
-  @impl true
-  def series(watch, stream, from, to, bin),
-    do: read_wanted(watch, stream, &History.series(&1, stream, from, to, bin))
-
-  @impl true
-  def messages(watch, stream, from, to, limit),
-    do: read_wanted(watch, stream, &History.messages(&1, stream, from, to, limit))
-
-  @impl true
-  def marks(watch, stream, from, to, limit),
-    do: read_wanted(watch, stream, &History.marks(&1, stream, from, to, limit))
-
-  @impl true
-  def sample(watch, stream, from, to, n),
-    do: read_wanted(watch, stream, &History.sample(&1, stream, from, to, n))
-
-  @impl true
-  def latest_at(watch, stream, time),
-    do: read_wanted(watch, stream, &History.latest_at(&1, stream, time))
-
-  @impl true
-  def next_after(watch, stream, time),
-    do: read_wanted(watch, stream, &History.next_after(&1, stream, time))
+  def request_streams(watch, names),
+    do: Enum.each(names, &PipelineWatcher.request_stream(watch, &1))
 
   # The earlier messages of a stream remain available if it cannot be tapped.
-  defp read_wanted(watch, stream, read) do
-    case PipelineWatcher.request_stream(watch, stream) do
+  @impl true
+  def stream(watch, name) do
+    case PipelineWatcher.request_stream(watch, name) do
       :ok ->
-        read.(watch.history)
+        History.stream(watch.history, name)
 
       {:error, %{code: :not_running}} ->
-        read.(watch.history)
+        History.stream(watch.history, name)
 
       {:error, error} ->
         case PipelineWatcher.list_streams(watch) do
-          {:ok, _, false} -> read.(watch.history)
+          {:ok, _, false} -> History.stream(watch.history, name)
           _ -> {:error, error}
         end
     end
   end
+
+  @impl true
+  def seek(watch, info, time), do: History.seek(watch.history, info, time)
+
+  @impl true
+  def read(watch, info, ordinal, to, limit, opts),
+    do: History.read(watch.history, info, ordinal, to, limit, opts)
 end
